@@ -1,0 +1,108 @@
+//! Cameras: where a picture was taken from and how rays map to its pixels.
+//!
+//! World frame: any right-handed metric frame (the drone scenes use east, north, up).
+//! Camera frame: x right, y down, z forward. Pixel `(i, j)` covers `[i, i+1) × [j, j+1)`; its
+//! centre is `(i + 0.5, j + 0.5)`. A point `p` of the camera frame lands at
+//! `focal_px * p.xy / p.z + center_px` (COLMAP's `PINHOLE`).
+
+use glam::{DMat3, DQuat, DVec2, DVec3};
+use serde::{Deserialize, Serialize};
+
+/// A rigid transform from the world frame to a camera frame: `p_cam = rotation * p_world + translation`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Pose {
+    /// Unit quaternion.
+    pub rotation: DQuat,
+    /// World units (metres).
+    pub translation: DVec3,
+}
+
+impl Pose {
+    /// The camera centre in the world frame: `-Rᵀ t`.
+    pub fn center(&self) -> DVec3 {
+        -(self.rotation.inverse() * self.translation)
+    }
+
+    /// Maps a world point into the camera frame.
+    pub fn transform(&self, p_world: DVec3) -> DVec3 {
+        self.rotation * p_world + self.translation
+    }
+
+    /// The direction in which the camera looks, in the world frame, unit length.
+    pub fn forward(&self) -> DVec3 {
+        self.rotation.inverse() * DVec3::Z
+    }
+
+    /// A camera at `eye` that looks at `target`; `up` points up in its picture. All in world units.
+    /// `up` must not be parallel to the line of sight.
+    pub fn look_at(eye: DVec3, target: DVec3, up: DVec3) -> Self {
+        let z = (target - eye).normalize();
+        let x = z.cross(up).normalize();
+        let y = z.cross(x);
+        let rotation = DQuat::from_mat3(&DMat3::from_cols(x, y, z).transpose()).normalize();
+        Self { rotation, translation: -(rotation * eye) }
+    }
+}
+
+/// A pinhole camera with an off-centre principal point.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Camera {
+    /// Takes world points into this camera's frame.
+    pub cam_from_world: Pose,
+    /// Focal lengths in x and y, pixels, finite and positive.
+    pub focal_px: DVec2,
+    /// Principal point in pixels, measured from the picture's top-left corner.
+    pub center_px: DVec2,
+    /// Width and height in pixels, each at least 1.
+    pub size_px: [u32; 2],
+}
+
+impl Camera {
+    /// Projects a world point to pixels; `None` where it is not in front of the camera.
+    pub fn project(&self, p_world: DVec3) -> Option<DVec2> {
+        let p = self.cam_from_world.transform(p_world);
+        (p.z > 0.0).then(|| self.focal_px * p.truncate() / p.z + self.center_px)
+    }
+
+    /// The viewing ray through a pixel position, in the camera frame, scaled to `z = 1`.
+    pub fn ray(&self, p_px: DVec2) -> DVec3 {
+        ((p_px - self.center_px) / self.focal_px).extend(1.0)
+    }
+
+    /// Whether a pixel position lies inside the picture.
+    pub fn contains(&self, p_px: DVec2) -> bool {
+        p_px.x >= 0.0
+            && p_px.y >= 0.0
+            && p_px.x < f64::from(self.size_px[0])
+            && p_px.y < f64::from(self.size_px[1])
+    }
+
+    /// The same camera for a picture resampled to `size_px`: intrinsics scale by the exact ratio
+    /// of the sizes, axis by axis.
+    pub fn resized(&self, size_px: [u32; 2]) -> Self {
+        let ratio = DVec2::new(
+            f64::from(size_px[0]) / f64::from(self.size_px[0]),
+            f64::from(size_px[1]) / f64::from(self.size_px[1]),
+        );
+        Self { focal_px: self.focal_px * ratio, center_px: self.center_px * ratio, size_px, ..*self }
+    }
+
+    /// The size, no larger than today's, whose long side is at most `long_side_px` (at least 1).
+    pub fn fitted_size(&self, long_side_px: u32) -> [u32; 2] {
+        fitted_size(self.size_px, long_side_px)
+    }
+}
+
+/// Shrinks `size_px` so that its long side is at most `long_side_px`, rounding the short side to
+/// the nearest pixel; never enlarges, never returns 0.
+pub fn fitted_size(size_px: [u32; 2], long_side_px: u32) -> [u32; 2] {
+    let long = size_px[0].max(size_px[1]);
+    if long <= long_side_px {
+        return size_px;
+    }
+    let fit = |side: u32| {
+        let exact = f64::from(side) * f64::from(long_side_px) / f64::from(long);
+        (exact.round() as u32).max(1)
+    };
+    [fit(size_px[0]), fit(size_px[1])]
+}

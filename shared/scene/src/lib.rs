@@ -1,0 +1,22 @@
+//! The vocabulary of cosurf and its files.
+//!
+//! What it is: [`Splats`], [`Camera`], [`View`], [`Picture`], [`Dataset`], their files (COLMAP,
+//! `transforms.json`, PLY, JPEG and PNG), picture quality ([`metrics`]) and a synthetic city.
+//!
+//! What it refuses to know: rendering of splats, training, wires, clocks, command lines.
+//!
+//! Where to start reading: [`camera`] for the frames and pixel conventions everything else relies
+//! on, then [`splats`], then [`dataset`].
+
+pub mod camera;
+pub mod dataset;
+pub mod error;
+pub mod picture;
+pub mod report;
+pub mod splats;
+
+pub use camera::{Camera, Pose};
+pub use dataset::{Dataset, SparsePoint, View};
+pub use error::SceneError;
+pub use picture::Picture;
+pub use splats::Splats;

@@ -1,0 +1,125 @@
+//! Splats: flat or round 3D Gaussians as a structure of arrays, in the stored (pre-activation) form
+//! that training, files and wires share.
+
+/// Constant of the zeroth spherical harmonic, `1 / (2 √π)`: `rgb = 0.5 + SH_C0 * sh[0]`.
+pub const SH_C0: f32 = 0.282_094_8;
+
+/// Spherical-harmonic coefficients per colour channel at `degree`: 1, 4, 9 or 16.
+pub const fn sh_coefficients(degree: u32) -> usize {
+    ((degree + 1) * (degree + 1)) as usize
+}
+
+/// A set of `n` Gaussians. Every array has `n` entries, in the same order.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Splats {
+    /// Centres in world units, `[n]` of xyz.
+    pub means: Vec<[f32; 3]>,
+    /// Rotations `world_from_splat` as quaternions `[n]` of wxyz, any non-zero length.
+    pub quats: Vec<[f32; 4]>,
+    /// Natural logarithms of the standard deviations along the splat's own axes, `[n]` of 3.
+    pub log_scales: Vec<[f32; 3]>,
+    /// Opacity before the logistic function, `[n]`.
+    pub opacity_logits: Vec<f32>,
+    /// Spherical harmonics, `[n, (sh_degree + 1)², rgb]`, flattened in that order.
+    pub sh: Vec<f32>,
+    /// Degree of `sh`, 0 to 3.
+    pub sh_degree: u32,
+}
+
+impl Splats {
+    /// An empty set with room for `capacity` splats.
+    pub fn with_capacity(capacity: usize, sh_degree: u32) -> Self {
+        assert!(sh_degree <= 3, "sh_degree {sh_degree} is not in 0..=3");
+        Self {
+            means: Vec::with_capacity(capacity),
+            quats: Vec::with_capacity(capacity),
+            log_scales: Vec::with_capacity(capacity),
+            opacity_logits: Vec::with_capacity(capacity),
+            sh: Vec::with_capacity(capacity * 3 * sh_coefficients(sh_degree)),
+            sh_degree,
+        }
+    }
+
+    /// How many splats there are.
+    pub fn len(&self) -> usize {
+        self.means.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.means.is_empty()
+    }
+
+    /// Floats of `sh` per splat: `3 (sh_degree + 1)²`.
+    pub fn sh_stride(&self) -> usize {
+        3 * sh_coefficients(self.sh_degree)
+    }
+
+    /// The spherical harmonics of splat `i`, `[(sh_degree + 1)², rgb]`.
+    pub fn sh_of(&self, i: usize) -> &[f32] {
+        let stride = self.sh_stride();
+        &self.sh[i * stride..(i + 1) * stride]
+    }
+
+    /// Appends one splat. `sh` must have [`Self::sh_stride`] values.
+    pub fn push(
+        &mut self,
+        mean: [f32; 3],
+        quat: [f32; 4],
+        log_scale: [f32; 3],
+        opacity_logit: f32,
+        sh: &[f32],
+    ) {
+        assert_eq!(sh.len(), self.sh_stride(), "sh values per splat");
+        self.means.push(mean);
+        self.quats.push(quat);
+        self.log_scales.push(log_scale);
+        self.opacity_logits.push(opacity_logit);
+        self.sh.extend_from_slice(sh);
+    }
+
+    /// Appends all splats of `other`, padding or refusing nothing: both must have the same degree.
+    pub fn extend(&mut self, other: &Splats) {
+        assert_eq!(self.sh_degree, other.sh_degree, "sh degrees of joined splats");
+        self.means.extend_from_slice(&other.means);
+        self.quats.extend_from_slice(&other.quats);
+        self.log_scales.extend_from_slice(&other.log_scales);
+        self.opacity_logits.extend_from_slice(&other.opacity_logits);
+        self.sh.extend_from_slice(&other.sh);
+    }
+
+    /// The first value that no renderer could use, named, or `None` where all is well: every number
+    /// finite, no quaternion of zero length, every scale's exponential finite.
+    pub fn find_bad_value(&self) -> Option<BadValue> {
+        let bad = |splat: usize, field: &'static str| Some(BadValue { splat, field });
+        let stride = self.sh_stride();
+        for i in 0..self.len() {
+            if !self.means[i].iter().all(|v| v.is_finite()) {
+                return bad(i, "mean");
+            }
+            let norm2: f32 = self.quats[i].iter().map(|v| v * v).sum();
+            if !norm2.is_finite() || norm2 < 1e-12 {
+                return bad(i, "quat");
+            }
+            if !self.log_scales[i].iter().all(|v| v.is_finite() && v.abs() < 40.0) {
+                return bad(i, "log_scale");
+            }
+            if !self.opacity_logits[i].is_finite() {
+                return bad(i, "opacity_logit");
+            }
+            if !self.sh[i * stride..(i + 1) * stride].iter().all(|v| v.is_finite()) {
+                return bad(i, "sh");
+            }
+        }
+        None
+    }
+}
+
+/// A value of a splat that cannot be rendered.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BadValue {
+    /// Index of the splat.
+    pub splat: usize,
+    /// Name of the field, as in [`Splats`].
+    pub field: &'static str,
+}

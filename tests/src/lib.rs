@@ -1,0 +1,1 @@
+//! Tests of what crosses crates live in `tests/tests`; this library is empty.
