@@ -8,9 +8,11 @@
 //! Where to start reading: [`camera`] for the frames and pixel conventions everything else relies
 //! on, then [`splats`], then [`dataset`].
 
+pub mod bytes;
 pub mod camera;
 pub mod dataset;
 pub mod error;
+pub mod mission_config;
 pub mod picture;
 pub mod report;
 pub mod splats;
@@ -18,5 +20,6 @@ pub mod splats;
 pub use camera::{Camera, Pose};
 pub use dataset::{Dataset, SparsePoint, View};
 pub use error::SceneError;
+pub use mission_config::AgentConfig;
 pub use picture::Picture;
 pub use splats::Splats;

@@ -1,0 +1,80 @@
+//! What an agent is told to do: the content of `agent.toml`. A person writes it for a drone in the
+//! field; the aggregator's `mission` writes one for each agent that it starts. It lives here since
+//! agent and aggregator never see each other.
+
+use std::path::PathBuf;
+
+use serde::{Deserialize, Serialize};
+
+/// The orders of one agent. Relative paths are relative to the agent's working folder.
+///
+/// TOML's integers are signed: `seed` and `memory_bytes` must be below 2⁶³ to be written as TOML.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct AgentConfig {
+    /// The agent's own id, unique on the site, stable from run to run: `[A-Za-z0-9_-]`, 1 to 64
+    /// characters.
+    pub device: String,
+    /// The site whose aggregator gets the model; same alphabet.
+    pub site: String,
+    /// The broker's address, for example `mqtt://127.0.0.1:1883`.
+    pub broker: String,
+    /// The dataset's folder.
+    pub data: PathBuf,
+    /// Where model, checkpoints, report and the received global model go.
+    pub out: PathBuf,
+    /// Names of the views to train on. Where both lists are empty, the dataset is split by
+    /// `eval_every`.
+    #[serde(default)]
+    pub views: Vec<String>,
+    /// Names of the views held out, to be scored and never trained on.
+    #[serde(default)]
+    pub held_out: Vec<String>,
+    /// With no lists given, every n-th view by sorted name is held out; 0 holds out none.
+    #[serde(default = "default_eval_every")]
+    pub eval_every: u32,
+    /// Training steps.
+    pub steps: u32,
+    /// Seed of every random choice.
+    #[serde(default)]
+    pub seed: u64,
+    /// The most resident memory that the process may take; absent for as much as it likes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub memory_bytes: Option<u64>,
+    /// Pictures are shrunk until their long side is at most this many pixels; absent for full size.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub max_size_px: Option<u32>,
+    /// Threads to compute with, at least 1; absent for one per core.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub threads: Option<usize>,
+    /// Whether to wait, after the upload, for the global model and keep it.
+    #[serde(default)]
+    pub wait_global: bool,
+}
+
+fn default_eval_every() -> u32 {
+    8
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn only_the_necessary_must_be_written() {
+        let json = r#"{"device":"d","site":"s","broker":"b","data":"in","out":"out","steps":7}"#;
+        let config: AgentConfig = serde_json::from_str(json).unwrap();
+        assert_eq!((config.steps, config.eval_every, config.seed), (7, 8, 0));
+        assert!(config.views.is_empty() && config.memory_bytes.is_none() && !config.wait_global);
+        let again: AgentConfig = serde_json::from_str(&serde_json::to_string(&config).unwrap()).unwrap();
+        assert_eq!(config, again);
+    }
+
+    #[test]
+    fn a_misspelt_field_is_refused() {
+        let json = r#"{"device":"d","site":"s","broker":"b","data":"in","out":"o","steps":7,"step":1}"#;
+        let error = serde_json::from_str::<AgentConfig>(json).unwrap_err().to_string();
+        assert!(error.contains("step"), "{error}");
+    }
+}
