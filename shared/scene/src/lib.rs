@@ -10,6 +10,7 @@
 
 pub mod bytes;
 pub mod camera;
+pub mod colormap;
 pub mod dataset;
 pub mod error;
 pub mod mission_config;

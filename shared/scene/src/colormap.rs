@@ -1,0 +1,147 @@
+//! Pictures of what is not a colour: depth and normals, for the eye.
+//!
+//! Depth goes through a perceptual map of our own: a path through OKLCh on which lightness rises
+//! evenly from far (dark violet) over blue and green to near (bright yellow), so equal steps of
+//! depth look equal, and a grey copy still reads. The conversion from Oklab to linear sRGB is
+//! Ottosson's ("A perceptual color space for image processing", 2020).
+
+use std::sync::OnceLock;
+
+use crate::Picture;
+
+/// Colour of pixels that show no surface.
+const EMPTY: [u8; 3] = [24, 24, 27];
+/// Lightness in Oklab at the far and the near end.
+const LIGHTNESS: [f32; 2] = [0.22, 0.94];
+/// Hue in degrees at the far and the near end: violet to yellow.
+const HUE_DEG: [f32; 2] = [300.0, 95.0];
+/// Chroma at 0, ¼, ½, ¾ and 1, each the largest round number inside sRGB there.
+const CHROMA: [f32; 5] = [0.11, 0.09, 0.09, 0.15, 0.09];
+/// The share of surface pixels beyond either end of the colour scale.
+const OUTLIERS: f64 = 0.02;
+
+/// Depths, `[h, w]` in metres along z, 0 or not finite where there is no surface, as colours. `range_m`
+/// is the depth of the bright and of the dark end; see [`depth_range`].
+pub fn depth_picture(depth: &[f32], size_px: [u32; 2], range_m: [f32; 2]) -> Picture {
+    let [near, far] = range_m;
+    let span = (far - near).max(f32::MIN_POSITIVE);
+    let rgb = depth.iter().flat_map(|&z| {
+        let nearness = ((far - z) / span).clamp(0.0, 1.0);
+        if is_surface(z) { palette()[(nearness * 255.0).round() as usize] } else { EMPTY }
+    });
+    Picture::new(size_px, rgb.collect())
+}
+
+/// The depths between which a picture's colours are spread: all but the nearest and the farthest
+/// fiftieth of the pixels that show a surface. `[0, 1]` where none does.
+pub fn depth_range(depth: &[f32]) -> [f32; 2] {
+    let mut depths: Vec<f32> = depth.iter().copied().filter(|&z| is_surface(z)).collect();
+    if depths.is_empty() {
+        return [0.0, 1.0];
+    }
+    depths.sort_unstable_by(f32::total_cmp);
+    let last = (depths.len() - 1) as f64;
+    let at = |share: f64| depths[(share * last).round() as usize];
+    [at(OUTLIERS), at(1.0 - OUTLIERS)]
+}
+
+/// Normals, `[h, w, xyz]` in the camera frame (x right, y down, z forward), of any length, zero where
+/// there is no surface, as the usual normal map: red to the right, green up, blue towards the camera.
+pub fn normal_picture(normals: &[f32], size_px: [u32; 2]) -> Picture {
+    let (normals, _) = normals.as_chunks::<3>();
+    let rgb = normals.iter().flat_map(|&[x, y, z]| {
+        let length = (x * x + y * y + z * z).sqrt();
+        let byte = |v: f32| ((v / length + 1.0) * 127.5).round() as u8;
+        if length > 1e-3 { [byte(x), byte(-y), byte(-z)] } else { EMPTY }
+    });
+    Picture::new(size_px, rgb.collect())
+}
+
+fn is_surface(depth_m: f32) -> bool {
+    depth_m.is_finite() && depth_m > 0.0
+}
+
+/// The colours from far to near.
+fn palette() -> &'static [[u8; 3]; 256] {
+    static PALETTE: OnceLock<[[u8; 3]; 256]> = OnceLock::new();
+    PALETTE.get_or_init(|| std::array::from_fn(|i| color(i as f32 / 255.0).map(byte_from_linear)))
+}
+
+/// Linear sRGB of the map at `t` in 0..=1.
+fn color(t: f32) -> [f32; 3] {
+    let mix = |[from, to]: [f32; 2], t: f32| from + (to - from) * t;
+    let knot = ((t * 4.0) as usize).min(3);
+    let chroma = mix([CHROMA[knot], CHROMA[knot + 1]], t * 4.0 - knot as f32);
+    let hue = mix(HUE_DEG, t).to_radians();
+    linear_from_oklab(mix(LIGHTNESS, t), chroma * hue.cos(), chroma * hue.sin())
+}
+
+fn linear_from_oklab(lightness: f32, a: f32, b: f32) -> [f32; 3] {
+    let l = (lightness + 0.396_337_78 * a + 0.215_803_76 * b).powi(3);
+    let m = (lightness - 0.105_561_346 * a - 0.063_854_17 * b).powi(3);
+    let s = (lightness - 0.089_484_18 * a - 1.291_485_5 * b).powi(3);
+    [
+        4.076_741_7 * l - 3.307_711_6 * m + 0.230_969_94 * s,
+        -1.268_438 * l + 2.609_757_4 * m - 0.341_319_4 * s,
+        -0.004_196_086_3 * l - 0.703_418_6 * m + 1.707_614_7 * s,
+    ]
+}
+
+/// The sRGB transfer function (IEC 61966-2-1).
+fn byte_from_linear(v: f32) -> u8 {
+    let v = v.clamp(0.0, 1.0);
+    let encoded = if v <= 0.003_130_8 { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 };
+    (encoded * 255.0).round() as u8
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Rec. 709 luma of encoded bytes: what a grey copy shows.
+    fn luma([r, g, b]: [u8; 3]) -> f32 {
+        0.2126 * f32::from(r) + 0.7152 * f32::from(g) + 0.0722 * f32::from(b)
+    }
+
+    #[test]
+    fn nearer_is_always_brighter() {
+        for pair in palette().windows(2) {
+            assert!(luma(pair[1]) >= luma(pair[0]), "{pair:?}");
+        }
+        assert!(luma(palette()[255]) - luma(palette()[0]) > 180.0);
+    }
+
+    #[test]
+    fn every_color_is_inside_srgb() {
+        for i in 0..=255 {
+            let rgb = color(i as f32 / 255.0);
+            assert!(rgb.iter().all(|v| (-2e-3..=1.002).contains(v)), "{i}: {rgb:?}");
+        }
+    }
+
+    #[test]
+    fn depths_span_the_map_and_holes_stay_dark() {
+        let picture = depth_picture(&[2.0, 10.0, 0.0, f32::NAN, 1.0, 99.0], [3, 2], [2.0, 10.0]);
+        let pixels = picture.rgb.as_chunks::<3>().0;
+        assert_eq!(pixels[0], palette()[255]);
+        assert_eq!(pixels[1], palette()[0]);
+        assert_eq!([pixels[2], pixels[3]], [EMPTY; 2]);
+        assert_eq!([pixels[4], pixels[5]], [pixels[0], pixels[1]]);
+    }
+
+    #[test]
+    fn the_range_leaves_outliers_and_holes_out() {
+        let mut depth: Vec<f32> = (0..1000).map(|i| 50.0 + i as f32 / 100.0).collect();
+        depth.extend([0.0; 500]);
+        depth.extend([1e6; 5]);
+        let [near, far] = depth_range(&depth);
+        assert!((50.0..50.5).contains(&near) && (59.5..60.0).contains(&far), "{near} {far}");
+        assert_eq!(depth_range(&[0.0, f32::INFINITY]), [0.0, 1.0]);
+    }
+
+    #[test]
+    fn a_wall_that_faces_the_camera_is_light_blue_and_ground_is_green() {
+        let picture = normal_picture(&[0.0, 0.0, -0.8, 0.0, -2.0, 0.0, 0.0, 0.0, 0.0], [3, 1]);
+        assert_eq!(picture.rgb, [[128, 128, 255], [128, 255, 128], EMPTY].concat());
+    }
+}
