@@ -8,16 +8,22 @@
 //! Where to start reading: [`camera`] for the frames and pixel conventions everything else relies
 //! on, then [`splats`], then [`dataset`].
 
+pub mod atomic;
 pub mod bytes;
+pub mod cache;
 pub mod camera;
+pub mod colmap;
 pub mod colormap;
 pub mod dataset;
 pub mod error;
+pub mod metrics;
 pub mod mission_config;
 pub mod picture;
+pub mod ply;
 pub mod report;
 pub mod splats;
 
+pub use cache::PictureCache;
 pub use camera::{Camera, Pose};
 pub use dataset::{Dataset, SparsePoint, View};
 pub use error::SceneError;
