@@ -1,0 +1,192 @@
+//! Names of sites, devices, tiles and models, valid by construction, so that they can stand in a
+//! topic, a file name or a log line without escaping.
+
+use core::fmt;
+use core::hash::{Hash, Hasher};
+use core::str::FromStr;
+
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+/// Longest name, in bytes. Ours: room for a host name or a serial number.
+pub const MAX_ID_BYTES: usize = 32;
+
+/// Why a text is no name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum IdError {
+    /// It has no character.
+    Empty,
+    /// It has more than [`MAX_ID_BYTES`] bytes.
+    TooLong,
+    /// It has a character outside `A-Z a-z 0-9 _ -`.
+    BadCharacter(char),
+    /// The word has a meaning of its own in topics.
+    Reserved,
+    /// A model's number is not a decimal `u64` without sign or leading zeros.
+    NotANumber,
+}
+
+impl fmt::Display for IdError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Empty => write!(f, "a name must not be empty"),
+            Self::TooLong => write!(f, "a name has at most {MAX_ID_BYTES} characters"),
+            Self::BadCharacter(c) => write!(f, "{c:?} in a name: use only A-Z a-z 0-9 _ -"),
+            Self::Reserved => write!(f, "the name `global` is reserved for the aggregator's models"),
+            Self::NotANumber => write!(f, "a model's number is a plain decimal number below 2^64"),
+        }
+    }
+}
+
+impl core::error::Error for IdError {}
+
+/// Up to [`MAX_ID_BYTES`] of `A-Z a-z 0-9 _ -`; bytes beyond `len` are zero.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+struct Name {
+    bytes: [u8; MAX_ID_BYTES],
+    len: u8,
+}
+
+impl Name {
+    fn new(text: &str) -> Result<Self, IdError> {
+        if text.is_empty() {
+            return Err(IdError::Empty);
+        }
+        if text.len() > MAX_ID_BYTES {
+            return Err(IdError::TooLong);
+        }
+        let allowed = |c: &char| c.is_ascii_alphanumeric() || matches!(c, '_' | '-');
+        if let Some(bad) = text.chars().find(|c| !allowed(c)) {
+            return Err(IdError::BadCharacter(bad));
+        }
+        let mut bytes = [0; MAX_ID_BYTES];
+        bytes[..text.len()].copy_from_slice(text.as_bytes());
+        Ok(Self { bytes, len: text.len() as u8 })
+    }
+
+    fn as_str(&self) -> &str {
+        // ASCII by construction, so this cannot fail.
+        core::str::from_utf8(&self.bytes[..usize::from(self.len)]).unwrap_or_default()
+    }
+}
+
+impl Hash for Name {
+    fn hash<H: Hasher>(&self, state: &mut H) {
+        self.as_str().hash(state);
+    }
+}
+
+struct NameVisitor;
+
+impl serde::de::Visitor<'_> for NameVisitor {
+    type Value = Name;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "1 to {MAX_ID_BYTES} characters of A-Z a-z 0-9 _ -")
+    }
+
+    fn visit_str<E: serde::de::Error>(self, text: &str) -> Result<Name, E> {
+        Name::new(text).map_err(E::custom)
+    }
+}
+
+macro_rules! named {
+    ($name:ident, $reserved:expr, $doc:literal) => {
+        #[doc = $doc]
+        #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+        pub struct $name(Name);
+
+        impl $name {
+            /// Takes 1 to [`MAX_ID_BYTES`] characters of `A-Z a-z 0-9 _ -`.
+            pub fn new(text: &str) -> Result<Self, IdError> {
+                if $reserved.contains(&text) {
+                    return Err(IdError::Reserved);
+                }
+                Name::new(text).map(Self)
+            }
+
+            /// The name as text.
+            pub fn as_str(&self) -> &str {
+                self.0.as_str()
+            }
+        }
+
+        impl FromStr for $name {
+            type Err = IdError;
+
+            fn from_str(text: &str) -> Result<Self, IdError> {
+                Self::new(text)
+            }
+        }
+
+        impl fmt::Display for $name {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.pad(self.as_str())
+            }
+        }
+
+        impl fmt::Debug for $name {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                write!(f, "{:?}", self.as_str())
+            }
+        }
+
+        impl Serialize for $name {
+            fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+                serializer.serialize_str(self.as_str())
+            }
+        }
+
+        impl<'de> Deserialize<'de> for $name {
+            fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+                let name = deserializer.deserialize_str(NameVisitor)?;
+                Self::new(name.as_str()).map_err(serde::de::Error::custom)
+            }
+        }
+    };
+}
+
+named!(SiteId, [""; 0], "A survey site: everything below one aggregator.");
+named!(DeviceId, ["global"], "A drone, or an aggregator, unique in its site; not the word `global`.");
+named!(TileId, [""; 0], "A part of a site with a global model of its own.");
+
+impl TileId {
+    /// The one tile of a site that is not divided.
+    pub const WHOLE: Self = {
+        let mut bytes = [0; MAX_ID_BYTES];
+        bytes[0] = b'w';
+        bytes[1] = b'h';
+        bytes[2] = b'o';
+        bytes[3] = b'l';
+        bytes[4] = b'e';
+        Self(Name { bytes, len: 5 })
+    };
+}
+
+/// A model of one device: a counter that the device keeps and never uses twice for different bytes.
+/// For global models it is the revision.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub struct ModelId(pub u64);
+
+impl fmt::Display for ModelId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        fmt::Display::fmt(&self.0, f)
+    }
+}
+
+impl FromStr for ModelId {
+    type Err = IdError;
+
+    fn from_str(text: &str) -> Result<Self, IdError> {
+        parse_decimal(text).map(Self)
+    }
+}
+
+/// A decimal number in the one way that `Display` writes it.
+pub(crate) fn parse_decimal(text: &str) -> Result<u64, IdError> {
+    let canonical = text.bytes().all(|b| b.is_ascii_digit()) && (text == "0" || !text.starts_with('0'));
+    if !canonical {
+        return Err(IdError::NotANumber);
+    }
+    text.parse().map_err(|_| IdError::NotANumber)
+}
