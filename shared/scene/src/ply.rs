@@ -1,17 +1,166 @@
-//! Splats as PLY in the layout of the original 3DGS code, which viewers and other trainers open.
+//! Splats as PLY in the layout of the original 3DGS code, which viewers and other trainers open:
+//! `x y z nx ny nz f_dc_0..2 f_rest_0..K opacity scale_0..2 rot_0..3`, all 32-bit floats, with
+//! `f_rest` channel by channel (all of red, then green, then blue), scales as natural logarithms,
+//! opacity before the logistic function, quaternions as wxyz.
+//!
+//! Written: binary little-endian, normals 0. Read: also ascii, any order, extra properties, other
+//! number types, without normals. Rows pass through one at a time, so reading and writing need no
+//! memory beside the splats.
 
+mod header;
+mod points;
+mod rows;
+#[cfg(test)]
+mod tests;
+
+use std::io::{self, Write};
 use std::path::Path;
 
-use crate::{SceneError, Splats};
+use crate::splats::sh_coefficients;
+use crate::{SceneError, Splats, atomic};
+use header::{Element, Refusal};
+pub use points::read_points;
+use rows::{Rows, read_vertices};
 
-/// Writes `splats` as a binary little-endian PLY, atomically.
+/// Writes `splats` as a binary little-endian PLY, atomically: on any error the file that was there
+/// stays.
 pub fn write(path: &Path, splats: &Splats) -> Result<(), SceneError> {
-    let _ = (path, splats);
-    unimplemented!("lands next")
+    atomic::write(path, |out| {
+        out.write_all(header_of(splats).as_bytes())?;
+        (0..splats.len()).try_for_each(|i| write_row(out, splats, i))
+    })
 }
 
-/// Reads splats. What comes back holds no bad value ([`Splats::find_bad_value`]).
+fn header_of(splats: &Splats) -> String {
+    let mut text = format!("ply\nformat binary_little_endian 1.0\nelement vertex {}\n", splats.len());
+    let rest = 3 * (sh_coefficients(splats.sh_degree) - 1);
+    let names = ["x", "y", "z", "nx", "ny", "nz"].map(String::from).into_iter();
+    for name in names.chain(numbered("f_dc", 3)).chain(numbered("f_rest", rest)).chain(tail_names()) {
+        text += &format!("property float {name}\n");
+    }
+    text + "end_header\n"
+}
+
+/// The properties that follow the spherical harmonics.
+fn tail_names() -> impl Iterator<Item = String> {
+    std::iter::once("opacity".into()).chain(numbered("scale", 3)).chain(numbered("rot", 4))
+}
+
+fn numbered(name: &str, count: usize) -> impl Iterator<Item = String> {
+    (0..count).map(move |i| format!("{name}_{i}"))
+}
+
+fn write_row(out: &mut impl Write, splats: &Splats, i: usize) -> io::Result<()> {
+    let mut put = |values: &[f32]| values.iter().try_for_each(|v| out.write_all(&v.to_le_bytes()));
+    let sh = splats.sh_of(i);
+    put(&splats.means[i])?;
+    put(&[0.0; 3])?;
+    put(&sh[..3])?;
+    for channel in 0..3 {
+        for coefficient in sh[3..].chunks_exact(3) {
+            put(&coefficient[channel..=channel])?;
+        }
+    }
+    put(&[splats.opacity_logits[i]])?;
+    put(&splats.log_scales[i])?;
+    put(&splats.quats[i])
+}
+
+/// Reads splats. What comes back holds no bad value ([`Splats::find_bad_value`]); a file that has
+/// one is refused with the vertex and the property. Nothing is allocated for vertices that the
+/// file is too short to hold.
 pub fn read(path: &Path) -> Result<Splats, SceneError> {
-    let _ = path;
-    unimplemented!("lands next")
+    read_vertices(path, |element, rows| {
+        let columns = Columns::find(element)?;
+        let mut splats = Splats::with_capacity(element.count as usize, columns.sh_degree);
+        read_rows(element, &columns, rows, &mut splats)?;
+        Ok(splats)
+    })
+}
+
+/// Where in a row the numbers of a splat are.
+struct Columns {
+    sh_degree: u32,
+    mean: [usize; 3],
+    quat: [usize; 4],
+    log_scale: [usize; 3],
+    opacity: usize,
+    /// `[(sh_degree + 1)², rgb]`.
+    sh: Vec<usize>,
+}
+
+impl Columns {
+    fn find(element: &Element) -> Result<Self, Refusal> {
+        let column = |name: &str| {
+            element.column(name).ok_or_else(|| {
+                Refusal::from(format!(
+                    "has no property {name} for its vertices: these are no Gaussian splats"
+                ))
+            })
+        };
+        let sh_degree = find_sh_degree(element)?;
+        let rest = sh_coefficients(sh_degree) - 1;
+        let mut sh = vec![column("f_dc_0")?, column("f_dc_1")?, column("f_dc_2")?];
+        for coefficient in 0..rest {
+            for channel in 0..3 {
+                sh.push(column(&format!("f_rest_{}", channel * rest + coefficient))?);
+            }
+        }
+        Ok(Self {
+            sh_degree,
+            mean: [column("x")?, column("y")?, column("z")?],
+            quat: [column("rot_0")?, column("rot_1")?, column("rot_2")?, column("rot_3")?],
+            log_scale: [column("scale_0")?, column("scale_1")?, column("scale_2")?],
+            opacity: column("opacity")?,
+            sh,
+        })
+    }
+}
+
+fn find_sh_degree(element: &Element) -> Result<u32, Refusal> {
+    let rest = element.properties.iter().filter(|property| property.name.starts_with("f_rest_")).count();
+    (0..=3).find(|&degree| 3 * (sh_coefficients(degree) - 1) == rest).ok_or_else(|| {
+        format!("has {rest} properties f_rest_*; spherical harmonics of degree 0 to 3 have 0, 9, 24 or 45")
+            .into()
+    })
+}
+
+fn read_rows(
+    element: &Element,
+    columns: &Columns,
+    rows: &mut Rows,
+    splats: &mut Splats,
+) -> Result<(), Refusal> {
+    let mut sh = vec![0.0; columns.sh.len()];
+    while let Some(row) = rows.next()? {
+        let read = |column: &usize| row[*column] as f32;
+        sh.iter_mut().zip(&columns.sh).for_each(|(value, column)| *value = read(column));
+        let mean = columns.mean.each_ref().map(read);
+        let quat = columns.quat.each_ref().map(read);
+        let log_scale = columns.log_scale.each_ref().map(read);
+        splats.push(mean, quat, log_scale, read(&columns.opacity), &sh);
+        check_last(element, columns, row, splats)?;
+    }
+    Ok(())
+}
+
+/// Refuses the splat just read where no renderer could use it, naming the property.
+fn check_last(element: &Element, columns: &Columns, row: &[f64], splats: &Splats) -> Result<(), Refusal> {
+    let last = splats.len() - 1;
+    let Some(bad) = splats.find_bad_value_of(last) else { return Ok(()) };
+    let columns = match bad.field {
+        "mean" => &columns.mean[..],
+        "quat" => &columns.quat[..],
+        "log_scale" => &columns.log_scale[..],
+        "opacity_logit" => std::slice::from_ref(&columns.opacity),
+        _ => &columns.sh[..],
+    };
+    let is_bad = |&&column: &&usize| !(row[column] as f32).is_finite();
+    let say = |column: usize| format!("{} is {:?}", element.properties[column].name, row[column]);
+    let what = match (columns.iter().find(is_bad), bad.field) {
+        (Some(&column), _) => say(column),
+        (None, "quat") => "rot_0 to rot_3 are a quaternion of no usable length".into(),
+        (None, _) => columns.iter().map(|&column| say(column)).collect::<Vec<_>>().join(", "),
+    };
+    Err(format!("vertex {last}: {what}; no renderer can use that, remove or mend the vertex").into())
 }

@@ -4,6 +4,12 @@
 /// Constant of the zeroth spherical harmonic, `1 / (2 √π)`: `rgb = 0.5 + SH_C0 * sh[0]`.
 pub const SH_C0: f32 = 0.282_094_8;
 
+/// A squared quaternion length below this counts as zero: normalising it would lose all precision.
+const QUAT_NORM2_MIN: f32 = 1e-12;
+
+/// No logarithm of a scale may reach this: the square of its exponential must fit into 32 bits.
+const LOG_SCALE_MAX: f32 = 40.0;
+
 /// Spherical-harmonic coefficients per colour channel at `degree`: 1, 4, 9 or 16.
 pub const fn sh_coefficients(degree: u32) -> usize {
     ((degree + 1) * (degree + 1)) as usize
@@ -91,27 +97,21 @@ impl Splats {
     /// The first value that no renderer could use, named, or `None` where all is well: every number
     /// finite, no quaternion of zero length, every scale's exponential finite.
     pub fn find_bad_value(&self) -> Option<BadValue> {
-        let bad = |splat: usize, field: &'static str| Some(BadValue { splat, field });
-        let stride = self.sh_stride();
-        for i in 0..self.len() {
-            if !self.means[i].iter().all(|v| v.is_finite()) {
-                return bad(i, "mean");
-            }
-            let norm2: f32 = self.quats[i].iter().map(|v| v * v).sum();
-            if !norm2.is_finite() || norm2 < 1e-12 {
-                return bad(i, "quat");
-            }
-            if !self.log_scales[i].iter().all(|v| v.is_finite() && v.abs() < 40.0) {
-                return bad(i, "log_scale");
-            }
-            if !self.opacity_logits[i].is_finite() {
-                return bad(i, "opacity_logit");
-            }
-            if !self.sh[i * stride..(i + 1) * stride].iter().all(|v| v.is_finite()) {
-                return bad(i, "sh");
-            }
-        }
-        None
+        (0..self.len()).find_map(|splat| self.find_bad_value_of(splat))
+    }
+
+    /// [`Self::find_bad_value`] for one splat.
+    pub fn find_bad_value_of(&self, splat: usize) -> Option<BadValue> {
+        let finite = |values: &[f32]| values.iter().all(|v| v.is_finite());
+        let norm2: f32 = self.quats[splat].iter().map(|v| v * v).sum();
+        let checks = [
+            ("mean", finite(&self.means[splat])),
+            ("quat", norm2.is_finite() && norm2 >= QUAT_NORM2_MIN),
+            ("log_scale", self.log_scales[splat].iter().all(|v| v.abs() < LOG_SCALE_MAX)),
+            ("opacity_logit", self.opacity_logits[splat].is_finite()),
+            ("sh", finite(self.sh_of(splat))),
+        ];
+        checks.into_iter().find(|(_, good)| !good).map(|(field, _)| BadValue { splat, field })
     }
 }
 

@@ -1,0 +1,30 @@
+//! Coloured points from a PLY: the sparse clouds that other tools write.
+
+use std::path::Path;
+
+use glam::DVec3;
+
+use super::rows::read_vertices;
+use crate::{SceneError, SparsePoint};
+
+/// Reads the vertices as points that no view is known to see; grey where the file has no colours.
+/// A position that is not finite is refused.
+pub fn read_points(path: &Path) -> Result<Vec<SparsePoint>, SceneError> {
+    read_vertices(path, |element, rows| {
+        let position = [element.column("x"), element.column("y"), element.column("z")];
+        let [Some(x), Some(y), Some(z)] = position else {
+            return Err("has no x, y and z for its vertices".into());
+        };
+        let rgb = ["red", "green", "blue"].map(|name| element.column(name));
+        let mut points = Vec::with_capacity(element.count as usize);
+        while let Some(row) = rows.next()? {
+            let position = DVec3::new(row[x], row[y], row[z]);
+            if !position.is_finite() {
+                return Err(format!("vertex {}: its position {position} is not finite", points.len()).into());
+            }
+            let rgb = rgb.map(|column| column.map_or(128, |column| row[column] as u8));
+            points.push(SparsePoint { position, rgb, views: Vec::new() });
+        }
+        Ok(points)
+    })
+}

@@ -1,0 +1,161 @@
+//! The values after a PLY's header, row by row as `f64`, whatever their type and format.
+
+use std::fs::File;
+use std::io::{BufRead, BufReader, ErrorKind, Read};
+use std::path::Path;
+
+use super::header::{Element, Format, Header, Kind, Refusal, Scalar};
+use crate::SceneError;
+
+/// Bytes asked of the operating system at a time.
+const BUFFER_BYTES: usize = 256 * 1024;
+
+/// No number in words is longer.
+const WORD_BYTES_MAX: usize = 64;
+
+/// Reads the element called `vertex` of `path`. `open` sees its declaration, after the number of
+/// rows was found to fit into the file, and returns what takes each row: the row's number and one
+/// value per property (0 for lists).
+pub(super) fn read_vertices<T>(
+    path: &Path,
+    read: impl FnOnce(&Element, &mut Rows) -> Result<T, Refusal>,
+) -> Result<T, SceneError> {
+    let file = File::open(path).map_err(|cause| SceneError::io(path, cause))?;
+    let result = file.metadata().map_err(Refusal::from).and_then(|metadata| {
+        let mut input = BufReader::with_capacity(BUFFER_BYTES, file);
+        let header = Header::read(&mut input)?;
+        let mut left_bytes = metadata.len().saturating_sub(header.size_bytes);
+        for element in &header.elements {
+            left_bytes = check_size(element, header.format, left_bytes)?;
+            let mut rows = Rows::new(&mut input, header.format, element);
+            if element.name == "vertex" {
+                return read(element, &mut rows);
+            }
+            while rows.next()?.is_some() {}
+        }
+        Err("has no element called vertex".into())
+    });
+    result.map_err(|refusal| match refusal {
+        Refusal::Io(cause) => SceneError::io(path, cause),
+        Refusal::Content(reason) => SceneError::malformed(path, reason),
+    })
+}
+
+/// Refuses an element with more rows than `left_bytes` could hold; returns what is left for those
+/// that follow.
+fn check_size(element: &Element, format: Format, left_bytes: u64) -> Result<u64, Refusal> {
+    let row_bytes = element.row_bytes_min(format);
+    // The last word of a text needs no separator.
+    let slack = u64::from(format == Format::Ascii);
+    let needed = u128::from(element.count) * u128::from(row_bytes);
+    if needed > u128::from(left_bytes + slack) || (row_bytes == 0 && element.count > 0) {
+        return Err(format!(
+            "claims {} rows of element {}, but only {left_bytes} bytes are left for them; the file was cut short or is forged",
+            element.count, element.name
+        )
+        .into());
+    }
+    Ok((left_bytes + slack - needed as u64).min(left_bytes))
+}
+
+/// The rows of one element.
+pub(super) struct Rows<'a> {
+    input: &'a mut BufReader<File>,
+    format: Format,
+    element: &'a Element,
+    row: u64,
+    word: Vec<u8>,
+    values: Vec<f64>,
+}
+
+impl<'a> Rows<'a> {
+    fn new(input: &'a mut BufReader<File>, format: Format, element: &'a Element) -> Self {
+        Self { input, format, element, row: 0, word: Vec::new(), values: Vec::new() }
+    }
+
+    /// The next row, one value per property (0 for lists), or `None` after the last.
+    pub(super) fn next(&mut self) -> Result<Option<&[f64]>, Refusal> {
+        let element = self.element;
+        if self.row == element.count {
+            return Ok(None);
+        }
+        self.values.clear();
+        for property in &element.properties {
+            let value = self.property(property.kind).map_err(|refusal| self.in_words(refusal))?;
+            self.values.push(value);
+        }
+        self.row += 1;
+        Ok(Some(&self.values))
+    }
+
+    fn property(&mut self, kind: Kind) -> Result<f64, Refusal> {
+        match kind {
+            Kind::One(scalar) => self.value(scalar),
+            Kind::List { count, item } => {
+                for _ in 0..self.value(count)? as u64 {
+                    self.value(item)?;
+                }
+                Ok(0.0)
+            }
+        }
+    }
+
+    fn value(&mut self, scalar: Scalar) -> Result<f64, Refusal> {
+        match self.format {
+            Format::Ascii => self.word(),
+            Format::Binary => self.binary(scalar),
+        }
+    }
+
+    fn binary(&mut self, scalar: Scalar) -> Result<f64, Refusal> {
+        Ok(match scalar {
+            Scalar::I8 => f64::from(i8::from_le_bytes(self.bytes()?)),
+            Scalar::U8 => f64::from(u8::from_le_bytes(self.bytes()?)),
+            Scalar::I16 => f64::from(i16::from_le_bytes(self.bytes()?)),
+            Scalar::U16 => f64::from(u16::from_le_bytes(self.bytes()?)),
+            Scalar::I32 => f64::from(i32::from_le_bytes(self.bytes()?)),
+            Scalar::U32 => f64::from(u32::from_le_bytes(self.bytes()?)),
+            Scalar::F32 => f64::from(f32::from_le_bytes(self.bytes()?)),
+            Scalar::F64 => f64::from_le_bytes(self.bytes()?),
+        })
+    }
+
+    fn bytes<const N: usize>(&mut self) -> Result<[u8; N], Refusal> {
+        let mut bytes = [0; N];
+        self.input.read_exact(&mut bytes)?;
+        Ok(bytes)
+    }
+
+    fn word(&mut self) -> Result<f64, Refusal> {
+        self.word.clear();
+        while let Some(&byte) = self.input.fill_buf()?.first() {
+            if byte.is_ascii_whitespace() && !self.word.is_empty() {
+                break;
+            }
+            self.input.consume(1);
+            if !byte.is_ascii_whitespace() {
+                self.word.push(byte);
+            }
+            if self.word.len() > WORD_BYTES_MAX {
+                break;
+            }
+        }
+        if self.word.is_empty() {
+            return Err(Refusal::Io(ErrorKind::UnexpectedEof.into()));
+        }
+        let word = String::from_utf8_lossy(&self.word);
+        word.parse().map_err(|_| format!("'{}' is no number", word.escape_default()).into())
+    }
+
+    /// Adds to a refusal where it happened.
+    fn in_words(&self, refusal: Refusal) -> Refusal {
+        let Element { name, count, .. } = self.element;
+        match refusal {
+            Refusal::Io(cause) if cause.kind() == ErrorKind::UnexpectedEof => {
+                format!("ends in row {} of the {count} of element {name}; it was cut short", self.row).into()
+            }
+            Refusal::Content(reason) => format!("{name} {}: {reason}", self.row).into(),
+            other => other,
+        }
+    }
+}
