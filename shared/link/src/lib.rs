@@ -1,1 +1,44 @@
-//! Under construction.
+//! Models out, models in: the conversation of [`cosurf_wire`] as state machines, and the transports
+//! that carry it.
+//!
+//! What it refuses to know: training, merging, files' places, clocks. [`Uploader`] and [`Inbox`] take
+//! `now` (a [`std::time::Duration`] since any fixed moment) and messages, and return what to publish and
+//! what to store; so a whole fleet runs in one test thread over [`MemoryNetwork`], from a seed.
+//!
+//! Where to start reading: [`node`], which holds the machines of one participant together, then
+//! [`uploader`] and [`inbox`] for the conversation's two halves, then [`transport`].
+
+pub mod body;
+pub mod inbox;
+pub mod memory;
+pub mod mqtt;
+pub mod node;
+pub mod store;
+pub mod transport;
+pub mod uploader;
+
+pub use body::{BodyFault, Model, Offer, body_to_model, check_body, model_to_body};
+pub use inbox::{Inbox, InboxLimits};
+pub use memory::{Faults, MemoryNetwork, MemoryTransport};
+pub use mqtt::{BrokerAddress, MqttConfig, MqttTransport};
+pub use node::{Identity, Node, NodeEvent, Role, upload_blocking};
+pub use store::{ModelStore, StoreError};
+pub use transport::{PublishError, Transport, TransportEvent};
+pub use uploader::{UploadProgress, Uploader};
+
+use cosurf_wire::{DeviceId, ModelId};
+
+/// A model of a device; unique in a site.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct ModelKey {
+    /// Who made it.
+    pub device: DeviceId,
+    /// Which of its models.
+    pub model: ModelId,
+}
+
+impl std::fmt::Display for ModelKey {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}/{}", self.device, self.model)
+    }
+}
