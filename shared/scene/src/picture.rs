@@ -1,8 +1,15 @@
-//! Pictures: 8-bit colour, row by row.
+//! Pictures: 8-bit colour, row by row, and their JPEG and PNG files.
+
+mod files;
+mod header;
+mod resize;
+#[cfg(test)]
+mod tests;
 
 use std::path::Path;
 
 use crate::SceneError;
+use header::PictureHeader;
 
 /// An 8-bit sRGB picture without alpha.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -16,48 +23,48 @@ pub struct Picture {
 impl Picture {
     /// Wraps bytes of the right length: `3 * width * height`.
     pub fn new(size_px: [u32; 2], rgb: Vec<u8>) -> Self {
-        assert_eq!(
-            rgb.len(),
-            3 * size_px[0] as usize * size_px[1] as usize,
-            "bytes of a {size_px:?} picture"
-        );
+        assert_eq!(rgb.len() as u64, bytes_of(size_px), "bytes of a {size_px:?} picture");
         Self { size_px, rgb }
     }
 
-    /// Decodes a JPEG or PNG file. Alpha is composited over black, 16 bits become 8, grey becomes colour.
+    /// Decodes a JPEG or PNG file. Alpha is composited over black, 16 bits become 8, grey becomes
+    /// colour. Orientation tags are not obeyed, as in COLMAP, whose cameras are those of the stored
+    /// rows. A file that is empty, cut short or damaged is an error that names it.
     pub fn read(path: &Path) -> Result<Self, SceneError> {
-        let _ = path;
-        unimplemented!("lands next")
+        files::read(path)
     }
 
     /// [`Self::read`], then [`Self::resized`] where the size differs.
     pub fn read_fitted(path: &Path, size_px: [u32; 2]) -> Result<Self, SceneError> {
-        let _ = (path, size_px);
-        unimplemented!("lands next")
+        let picture = Self::read(path)?;
+        Ok(if picture.size_px == size_px { picture } else { picture.resized(size_px) })
     }
 
     /// Width and height from the file's header, without decoding it.
     pub fn size_of(path: &Path) -> Result<[u32; 2], SceneError> {
-        let _ = path;
-        unimplemented!("lands next")
+        Ok(PictureHeader::read(path)?.size_px)
     }
 
-    /// The exact area average at another size.
+    /// The most memory that [`Self::read_fitted`] takes while it works, beside the picture that it
+    /// returns. From the file's header.
+    pub fn scratch_bytes(path: &Path, size_px: [u32; 2]) -> Result<u64, SceneError> {
+        Ok(PictureHeader::read(path)?.decode_bytes + resize::scratch_bytes(size_px))
+    }
+
+    /// The exact area average at another size: no aliasing, nothing lost when it shrinks; blocks
+    /// when it grows. In integers, so the bytes are the same everywhere.
     pub fn resized(&self, size_px: [u32; 2]) -> Self {
-        let _ = size_px;
-        unimplemented!("lands next")
+        resize::area_average(self, size_px)
     }
 
     /// Writes a PNG file, atomically.
     pub fn write_png(&self, path: &Path) -> Result<(), SceneError> {
-        let _ = path;
-        unimplemented!("lands next")
+        files::write_png(self, path)
     }
 
     /// Writes a JPEG file of `quality` 1 to 100, atomically.
     pub fn write_jpeg(&self, path: &Path, quality: u8) -> Result<(), SceneError> {
-        let _ = (path, quality);
-        unimplemented!("lands next")
+        files::write_jpeg(self, path, quality)
     }
 
     /// The picture of colours 0 to 1, `[height, width, rgb]`; values beyond are clamped, and the
@@ -70,4 +77,9 @@ impl Picture {
     pub fn to_unit(&self) -> Vec<f32> {
         self.rgb.iter().map(|&v| f32::from(v) / 255.0).collect()
     }
+}
+
+/// Bytes of the pixels of a picture.
+pub(crate) fn bytes_of(size_px: [u32; 2]) -> u64 {
+    3 * u64::from(size_px[0]) * u64::from(size_px[1])
 }

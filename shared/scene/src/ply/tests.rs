@@ -23,9 +23,13 @@ fn made_up(n: usize, degree: u32) -> Splats {
     splats
 }
 
+thread_local! {
+    /// One for each test: making thousands of folders would take longer than all else.
+    static FOLDER: tempfile::TempDir = tempfile::tempdir().unwrap();
+}
+
 fn in_file<T>(content: &[u8], then: impl FnOnce(PathBuf) -> T) -> T {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("a.ply");
+    let path = FOLDER.with(|folder| folder.path().join("a.ply"));
     fs::write(&path, content).unwrap();
     then(path)
 }

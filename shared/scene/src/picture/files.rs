@@ -1,0 +1,94 @@
+//! Pictures from JPEG and PNG files and into them.
+
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, Seek, SeekFrom};
+use std::path::Path;
+
+use image::codecs::jpeg::JpegEncoder;
+use image::codecs::png::PngEncoder;
+use image::{DynamicImage, ExtendedColorType, ImageEncoder, ImageError, ImageFormat, ImageReader, Limits};
+
+use super::Picture;
+use super::header::PictureHeader;
+use crate::{SceneError, atomic};
+
+/// Decodes the whole file.
+pub(super) fn read(path: &Path) -> Result<Picture, SceneError> {
+    let header = PictureHeader::read(path)?;
+    let open = || File::open(path).map(BufReader::new).map_err(|cause| SceneError::io(path, cause));
+    if header.format == ImageFormat::Jpeg && !has_end(open()?, header.data_offset).unwrap_or(false) {
+        // The decoder would fill what is missing with grey.
+        let reason = "ends before its last pixel; it was cut short, fetch the picture again or leave it out";
+        return Err(SceneError::malformed(path, reason));
+    }
+    let mut reader = ImageReader::with_format(open()?, header.format);
+    let mut limits = Limits::no_limits();
+    limits.max_alloc = Some(header.decode_bytes);
+    reader.limits(limits);
+    let image = reader.decode().map_err(|error| {
+        let error = error.to_string().replace('\n', " ");
+        let reason = format!("cannot be decoded ({error}); fetch the picture again or leave it out");
+        SceneError::malformed(path, reason)
+    })?;
+    Ok(Picture::new([image.width(), image.height()], rgb_over_black(image)))
+}
+
+/// Whether a JPEG's end marker follows `offset`.
+fn has_end(mut input: impl BufRead + Seek, offset: u64) -> io::Result<bool> {
+    input.seek(SeekFrom::Start(offset))?;
+    let mut last = 0;
+    loop {
+        let bytes = input.fill_buf()?;
+        if bytes.is_empty() {
+            return Ok(false);
+        }
+        for &byte in bytes {
+            if (last, byte) == (0xFF, 0xD9) {
+                return Ok(true);
+            }
+            last = byte;
+        }
+        let read = bytes.len();
+        input.consume(read);
+    }
+}
+
+/// 8 bits per channel, with alpha composited over black.
+fn rgb_over_black(image: DynamicImage) -> Vec<u8> {
+    match image {
+        DynamicImage::ImageRgb8(rgb) => rgb.into_raw(),
+        other if other.color().has_alpha() => {
+            let over = |color: u8, alpha: u8| ((u16::from(color) * u16::from(alpha) + 127) / 255) as u8;
+            let rgba = other.into_rgba8().into_raw();
+            rgba.chunks_exact(4)
+                .flat_map(|p| [over(p[0], p[3]), over(p[1], p[3]), over(p[2], p[3])])
+                .collect()
+        }
+        other => other.into_rgb8().into_raw(),
+    }
+}
+
+/// Writes a PNG file, atomically.
+pub(super) fn write_png(picture: &Picture, path: &Path) -> Result<(), SceneError> {
+    let [width, height] = picture.size_px;
+    atomic::write(path, |out| {
+        let encoder = PngEncoder::new(out);
+        encoder.write_image(&picture.rgb, width, height, ExtendedColorType::Rgb8).map_err(into_io)
+    })
+}
+
+/// Writes a JPEG file of `quality` 1 to 100, atomically.
+pub(super) fn write_jpeg(picture: &Picture, path: &Path, quality: u8) -> Result<(), SceneError> {
+    let [width, height] = picture.size_px;
+    atomic::write(path, |out| {
+        let encoder = JpegEncoder::new_with_quality(out, quality);
+        encoder.write_image(&picture.rgb, width, height, ExtendedColorType::Rgb8).map_err(into_io)
+    })
+}
+
+fn into_io(error: ImageError) -> io::Error {
+    match error {
+        ImageError::IoError(error) => error,
+        other => io::Error::other(other),
+    }
+}

@@ -1,0 +1,190 @@
+//! What a JPEG or PNG file says of itself before it is decoded: the picture's size, and how much
+//! memory decoding will take. Reads a few hundred bytes, so a dataset of thousands of pictures is
+//! checked in no time, and a forged size is refused before anything is allocated for it.
+
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, Read, Seek};
+use std::path::Path;
+
+use image::ImageFormat;
+
+use crate::SceneError;
+
+/// More pixels than any drone's camera has; beyond that, a header is taken for damaged.
+const PIXELS_MAX: u64 = 1 << 28;
+
+/// A PNG cannot pack more pixels into a byte: one bit per pixel, deflated 1:1032.
+const PNG_PIXELS_PER_BYTE_MAX: u64 = 8 * 1032;
+
+/// Nor a JPEG: at least one bit for each block of 8 × 8.
+const JPEG_PIXELS_PER_BYTE_MAX: u64 = 8 * 64;
+
+/// The facts of a header.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct PictureHeader {
+    pub(super) format: ImageFormat,
+    pub(super) size_px: [u32; 2],
+    /// Bytes that the decoder needs while it works, the result included, at most.
+    pub(super) decode_bytes: u64,
+    /// Where compressed pixels begin, bytes from the file's start.
+    pub(super) data_offset: u64,
+}
+
+/// What the formats' own headers say.
+struct Facts {
+    format: ImageFormat,
+    size_px: [u32; 2],
+    bytes_per_pixel: u64,
+    data_offset: u64,
+}
+
+impl PictureHeader {
+    /// Reads the header of `path` and refuses sizes that the file cannot have.
+    pub(super) fn read(path: &Path) -> Result<Self, SceneError> {
+        let io = |cause| SceneError::io(path, cause);
+        let malformed = |reason: String| SceneError::malformed(path, reason);
+        let file = File::open(path).map_err(io)?;
+        let file_bytes = file.metadata().map_err(io)?.len();
+        if file_bytes == 0 {
+            return Err(malformed("is empty (0 bytes); fetch the picture again or leave it out".into()));
+        }
+        let facts = read_facts(&mut BufReader::new(file)).map_err(|cause| match cause.kind() {
+            io::ErrorKind::UnexpectedEof => {
+                malformed("ends within its header; fetch the picture again or leave it out".into())
+            }
+            io::ErrorKind::InvalidData => malformed(cause.to_string()),
+            _ => io(cause),
+        })?;
+        let [width, height] = facts.size_px;
+        let pixels = u64::from(width) * u64::from(height);
+        let densest = match facts.format {
+            ImageFormat::Png => PNG_PIXELS_PER_BYTE_MAX,
+            _ => JPEG_PIXELS_PER_BYTE_MAX,
+        };
+        if pixels == 0 || pixels > PIXELS_MAX || pixels > file_bytes.saturating_mul(densest) {
+            return Err(malformed(format!(
+                "claims {width} × {height} pixels in {file_bytes} bytes; the file is damaged, fetch it again"
+            )));
+        }
+        // Decoders also keep a few rows and tables.
+        let rows_bytes = 256 * u64::from(width) + (1 << 18);
+        Ok(Self {
+            format: facts.format,
+            size_px: facts.size_px,
+            decode_bytes: file_bytes + pixels * facts.bytes_per_pixel + rows_bytes,
+            data_offset: facts.data_offset,
+        })
+    }
+}
+
+fn read_facts(input: &mut (impl BufRead + Seek)) -> io::Result<Facts> {
+    match u16::from_be_bytes(read_array(input)?) {
+        0xFFD8 => read_jpeg(input),
+        0x8950 => read_png(input),
+        _ => Err(invalid("is neither JPEG nor PNG; convert it to one of them")),
+    }
+}
+
+fn invalid(reason: &str) -> io::Error {
+    io::Error::new(io::ErrorKind::InvalidData, reason)
+}
+
+fn read_array<const N: usize>(input: &mut impl Read) -> io::Result<[u8; N]> {
+    let mut bytes = [0; N];
+    input.read_exact(&mut bytes)?;
+    Ok(bytes)
+}
+
+/// The rest of a PNG's signature and its first chunk.
+fn read_png(input: &mut impl Read) -> io::Result<Facts> {
+    let rest: [u8; 14] = read_array(input)?;
+    if rest != *b"NG\r\n\x1a\n\0\0\0\rIHDR" {
+        return Err(invalid("is neither JPEG nor PNG; convert it to one of them"));
+    }
+    let width = u32::from_be_bytes(read_array(input)?);
+    let height = u32::from_be_bytes(read_array(input)?);
+    let [depth, color]: [u8; 2] = read_array(input)?;
+    // A palette and grey may yet come with alpha; both become four channels.
+    let decoded = match color {
+        2 | 3 => 4,
+        6 => 4,
+        _ => 2,
+    } * if depth == 16 { 2 } else { 1 };
+    // Unless it is plain RGB, a picture is converted to RGBA, then to RGB.
+    Ok(Facts {
+        format: ImageFormat::Png,
+        size_px: [width, height],
+        bytes_per_pixel: decoded + 4 + 3,
+        data_offset: 0,
+    })
+}
+
+/// Walks a JPEG's segments up to the first scan.
+fn read_jpeg(input: &mut (impl BufRead + Seek)) -> io::Result<Facts> {
+    let mut frame = None;
+    loop {
+        let marker = read_marker(input)?;
+        let length = u16::from_be_bytes(read_array(input)?);
+        let length = i64::from(length.checked_sub(2).ok_or_else(|| invalid(DAMAGED))?);
+        let next = input.stream_position()? as i64 + length;
+        match marker {
+            // Start of frame; the other three of the range are tables.
+            0xC0..=0xCF if !matches!(marker, 0xC4 | 0xC8 | 0xCC) => frame = Some(read_frame(input, marker)?),
+            // Start of scan.
+            0xDA => {
+                let frame = frame.ok_or_else(|| invalid(DAMAGED))?;
+                let [components] = read_array(input)?;
+                return Ok(Facts {
+                    format: ImageFormat::Jpeg,
+                    size_px: frame.size_px,
+                    bytes_per_pixel: frame.bytes_per_pixel(components),
+                    data_offset: next as u64,
+                });
+            }
+            _ => {}
+        }
+        let here = input.stream_position()? as i64;
+        input.seek_relative(next - here)?;
+    }
+}
+
+const DAMAGED: &str = "is a damaged JPEG; fetch the picture again or leave it out";
+
+/// The next marker's second byte, past any padding.
+fn read_marker(input: &mut impl Read) -> io::Result<u8> {
+    let [first] = read_array(input)?;
+    if first != 0xFF {
+        return Err(invalid(DAMAGED));
+    }
+    loop {
+        match read_array(input)? {
+            [0xFF] => {}
+            [marker @ 0xC0..=0xFE] if !matches!(marker, 0xD0..=0xD9) => return Ok(marker),
+            _ => return Err(invalid(DAMAGED)),
+        }
+    }
+}
+
+/// A JPEG's start of frame.
+struct Frame {
+    size_px: [u32; 2],
+    components: u8,
+    progressive: bool,
+}
+
+impl Frame {
+    /// Decoded bytes; where not all of a pixel comes in one scan, 16-bit coefficients are kept too.
+    /// Grey becomes RGBA and then RGB.
+    fn bytes_per_pixel(&self, scan_components: u8) -> u64 {
+        let components = u64::from(self.components);
+        let in_scans = self.progressive || scan_components < self.components;
+        let coefficients = if in_scans { 2 * components } else { 0 };
+        coefficients + if components == 1 { 1 + 4 + 3 } else { 3 }
+    }
+}
+
+fn read_frame(input: &mut impl Read, marker: u8) -> io::Result<Frame> {
+    let [_precision, h0, h1, w0, w1, components] = read_array(input)?;
+    let size_px = [u16::from_be_bytes([w0, w1]).into(), u16::from_be_bytes([h0, h1]).into()];
+    Ok(Frame { size_px, components, progressive: matches!(marker, 0xC2 | 0xC6 | 0xCA | 0xCE) })
+}

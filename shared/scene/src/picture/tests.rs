@@ -1,0 +1,153 @@
+//! Files in every form that is promised, and hostile ones.
+
+#![allow(clippy::unwrap_used)]
+
+use std::fs;
+use std::path::PathBuf;
+
+use image::{ExtendedColorType, ImageEncoder};
+
+use super::*;
+
+/// A smooth picture, so that JPEG keeps it nearly.
+fn smooth(size_px: [u32; 2]) -> Picture {
+    let [width, height] = size_px;
+    let at = |x: u32, y: u32| [255 * x / width, 255 * y / height, 128].map(|v| v as u8);
+    Picture::new(size_px, (0..height).flat_map(|y| (0..width).flat_map(move |x| at(x, y))).collect())
+}
+
+fn png(bytes: &[u8], size_px: [u32; 2], color: ExtendedColorType) -> Vec<u8> {
+    let mut file = Vec::new();
+    let encoder = image::codecs::png::PngEncoder::new(&mut file);
+    encoder.write_image(bytes, size_px[0], size_px[1], color).unwrap();
+    file
+}
+
+fn jpeg(picture: &Picture) -> Vec<u8> {
+    let path = tempfile::tempdir().unwrap();
+    let path = path.path().join("a.jpg");
+    picture.write_jpeg(&path, 95).unwrap();
+    fs::read(path).unwrap()
+}
+
+thread_local! {
+    /// One for each test: making thousands of folders would take longer than all else.
+    static FOLDER: tempfile::TempDir = tempfile::tempdir().unwrap();
+}
+
+fn read_bytes(file: &[u8]) -> Result<Picture, SceneError> {
+    let path = FOLDER.with(|folder| folder.path().join("a.jpg"));
+    fs::write(&path, file).unwrap();
+    let header = Picture::size_of(&path);
+    let picture = Picture::read(&path);
+    if let Ok(picture) = &picture {
+        assert_eq!(picture.size_px, header.unwrap());
+    }
+    picture
+}
+
+fn complaint(file: &[u8]) -> String {
+    let text = read_bytes(file).unwrap_err().to_string();
+    assert!(text.contains("a.jpg") && !text.contains('\n'), "{text}");
+    text
+}
+
+#[test]
+fn png_keeps_every_byte() {
+    let folder = tempfile::tempdir().unwrap();
+    let path: PathBuf = folder.path().join("a.png");
+    let picture = smooth([33, 7]);
+    picture.write_png(&path).unwrap();
+    assert_eq!(Picture::read(&path).unwrap(), picture);
+    assert_eq!(Picture::size_of(&path).unwrap(), [33, 7]);
+    assert_eq!(Picture::read_fitted(&path, [11, 2]).unwrap(), picture.resized([11, 2]));
+}
+
+#[test]
+fn jpeg_keeps_nearly_every_byte() {
+    let picture = smooth([64, 40]);
+    let again = read_bytes(&jpeg(&picture)).unwrap();
+    assert_eq!(again.size_px, [64, 40]);
+    let difference = picture.rgb.iter().zip(&again.rgb).map(|(a, b)| a.abs_diff(*b)).max();
+    assert!(difference.unwrap() <= 12, "{difference:?}");
+}
+
+#[test]
+fn other_colors_become_rgb() {
+    use ExtendedColorType::*;
+    let wide = |values: &[u16]| values.iter().flat_map(|v| v.to_ne_bytes()).collect::<Vec<u8>>();
+    for (color, bytes, expected) in [
+        (L8, vec![7, 200], [7, 7, 7, 200, 200, 200]),
+        (La8, vec![100, 255, 100, 51], [100, 100, 100, 20, 20, 20]),
+        (Rgba8, vec![10, 20, 30, 0, 250, 100, 5, 128], [0, 0, 0, 125, 50, 3]),
+        (L16, wide(&[257, 65_535]), [1, 1, 1, 255, 255, 255]),
+        (Rgb16, wide(&[0, 257, 25_700, 65_535, 128, 129]), [0, 1, 100, 255, 0, 1]),
+        (Rgba16, wide(&[65_535, 0, 25_700, 65_535, 65_535, 1, 2, 0]), [255, 0, 100, 0, 0, 0]),
+    ] {
+        assert_eq!(read_bytes(&png(&bytes, [2, 1], color)).unwrap().rgb, expected, "{color:?}");
+    }
+}
+
+#[test]
+fn unit_colors_are_rounded_and_clamped() {
+    let picture = Picture::from_unit([2, 1], &[-1.0, 0.5, 2.0, 1.0 / 255.0, f32::NAN, 0.499 / 255.0]);
+    assert_eq!(picture.rgb, [0, 128, 255, 1, 0, 0]);
+    let all = Picture::new([16, 16], (0..768).map(|i| i as u8).collect());
+    assert_eq!(Picture::from_unit([16, 16], &all.to_unit()), all);
+}
+
+#[test]
+fn what_is_no_picture_is_refused_in_words() {
+    assert!(complaint(b"").contains("is empty (0 bytes)"));
+    assert!(complaint(b"GIF89a, perhaps").contains("neither JPEG nor PNG"));
+    assert!(complaint(b"\x89PiNG\r\n\x1a\n and so on").contains("neither JPEG nor PNG"));
+    assert!(complaint(b"\xff").contains("ends within its header"));
+    assert!(complaint(b"\xff\xd8\xff\xe0\0\0").contains("damaged JPEG"));
+    let text = Picture::read(Path::new("nowhere.jpg")).unwrap_err().to_string();
+    assert_eq!(text, "nowhere.jpg: there is no such file or folder");
+}
+
+#[test]
+fn a_forged_size_is_refused_before_decoding() {
+    let mut file = png(&[0; 3], [1, 1], ExtendedColorType::Rgb8);
+    for (width, height) in [(0_u32, 5_u32), (1 << 20, 1 << 20), (u32::MAX, u32::MAX), (60_000, 4_000)] {
+        file[16..20].copy_from_slice(&width.to_be_bytes());
+        file[20..24].copy_from_slice(&height.to_be_bytes());
+        assert!(complaint(&file).contains(&format!("claims {width} × {height} pixels")));
+    }
+}
+
+#[test]
+fn a_jpeg_cut_anywhere_is_refused() {
+    let whole = jpeg(&smooth([24, 16]));
+    for length in 0..whole.len() {
+        complaint(&whole[..length]);
+    }
+    // Cameras append thumbnails and padding; these do no harm.
+    assert_eq!(read_bytes(&[&whole[..], b"\0\0padding"].concat()).unwrap(), read_bytes(&whole).unwrap());
+}
+
+#[test]
+fn a_png_cut_anywhere_is_refused_or_whole() {
+    let picture = smooth([9, 5]);
+    let whole = png(&picture.rgb, [9, 5], ExtendedColorType::Rgb8);
+    for length in 0..whole.len() {
+        if let Ok(read) = read_bytes(&whole[..length]) {
+            assert_eq!(read, picture, "cut to {length} of {} bytes", whole.len());
+        }
+    }
+    assert!(read_bytes(&whole[..whole.len() / 2]).is_err());
+}
+
+#[test]
+fn a_flipped_byte_never_panics() {
+    for whole in [jpeg(&smooth([24, 16])), png(&smooth([9, 5]).rgb, [9, 5], ExtendedColorType::Rgb8)] {
+        for at in 0..whole.len() {
+            for flip in [0x01, 0x10, 0xFF] {
+                let mut file = whole.clone();
+                file[at] ^= flip;
+                let _ = read_bytes(&file);
+            }
+        }
+    }
+}
