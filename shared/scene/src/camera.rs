@@ -77,6 +77,11 @@ impl Camera {
             && p_px.y < f64::from(self.size_px[1])
     }
 
+    /// Whether a world point lies in front of the camera and inside its picture.
+    pub fn sees(&self, p_world: DVec3) -> bool {
+        self.project(p_world).is_some_and(|p_px| self.contains(p_px))
+    }
+
     /// The same camera for a picture resampled to `size_px`: intrinsics scale by the exact ratio
     /// of the sizes, axis by axis.
     pub fn resized(&self, size_px: [u32; 2]) -> Self {

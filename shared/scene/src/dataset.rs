@@ -1,5 +1,9 @@
 //! Datasets: pictures with poses and a sparse cloud, wherever they come from.
 
+mod open;
+#[cfg(test)]
+mod tests;
+
 use std::path::{Path, PathBuf};
 
 use glam::DVec3;
@@ -24,7 +28,8 @@ pub struct SparsePoint {
     pub position: DVec3,
     /// 8-bit colour.
     pub rgb: [u8; 3],
-    /// Indices into [`Dataset::views`] of the views that see it; empty where the format does not say.
+    /// Indices into [`Dataset::views`] of the views that see it, ascending; empty where the format
+    /// does not say.
     pub views: Vec<u32>,
 }
 
@@ -47,10 +52,9 @@ impl Dataset {
     /// Opens a COLMAP model (`path/sparse/0`, `path/sparse` or `path` itself, pictures in
     /// `path/images` or beside the model) or a `transforms.json` (the file, or the folder that has
     /// it). Every picture's header is read: a camera whose picture has another size of the same
-    /// aspect is rescaled to it.
+    /// aspect is rescaled to it. Pictures that are missing, empty or of another shape are errors.
     pub fn open(path: &Path) -> Result<Self, SceneError> {
-        let _ = path;
-        unimplemented!("lands next")
+        open::open(path)
     }
 
     /// Index of the view called `name`.
@@ -59,15 +63,34 @@ impl Dataset {
     }
 
     /// The dataset of the chosen views (indices, any order, repeats ignored) and of the points that
-    /// they see: by their tracks, or, where a point has none, by projection into the pictures.
+    /// they see: by their tracks, or, where a point has none, by projection into the pictures. The
+    /// tracks that are left name only chosen views.
     pub fn subset(&self, views: &[usize]) -> Self {
-        let _ = views;
-        unimplemented!("lands next")
+        let mut chosen = views.to_vec();
+        chosen.sort_unstable();
+        chosen.dedup();
+        let views: Vec<View> = chosen.iter().map(|&view| self.views[view].clone()).collect();
+        let mut new_of_old = vec![None; self.views.len()];
+        for (new, &old) in chosen.iter().enumerate() {
+            new_of_old[old] = Some(new as u32);
+        }
+        let seen = |point: &SparsePoint| {
+            let track = point.views.iter().filter_map(|&view| new_of_old[view as usize]).collect::<Vec<_>>();
+            let is_seen = match point.views[..] {
+                [] => views.iter().any(|view| view.camera.sees(point.position)),
+                _ => !track.is_empty(),
+            };
+            is_seen.then_some(SparsePoint { views: track, ..*point })
+        };
+        let points = self.points.iter().filter_map(seen).collect();
+        Self { views, points }
     }
 
     /// The scene's size as 3DGS defines it, world units: 1.1 times the largest distance of a camera
     /// from the cameras' mean; 0 where there is at most one.
     pub fn extent(&self) -> f64 {
-        unimplemented!("lands next")
+        let centers = self.views.iter().map(|view| view.camera.cam_from_world.center());
+        let mean = centers.clone().sum::<DVec3>() / self.views.len().max(1) as f64;
+        1.1 * centers.map(|center| center.distance(mean)).fold(0.0, f64::max)
     }
 }

@@ -40,6 +40,54 @@ impl SceneError {
     }
 }
 
+/// Why a file cannot be read, said by a parser that does not know the file's path.
+#[derive(Debug)]
+pub(crate) enum Refusal {
+    /// The operating system failed, or the file ends too early.
+    Io(io::Error),
+    /// The content is wrong; one line.
+    Content(String),
+}
+
+impl Refusal {
+    /// The same, of the file at `path`.
+    pub(crate) fn of(self, path: &Path) -> SceneError {
+        match self {
+            Self::Io(cause) => SceneError::io(path, cause),
+            Self::Content(reason) => SceneError::malformed(path, reason),
+        }
+    }
+
+    /// The same, with the place in the file where it happened, for example `row 3 of 8`.
+    pub(crate) fn at(self, place: impl fmt::Display) -> Self {
+        match self {
+            Self::Io(cause) if cause.kind() == io::ErrorKind::UnexpectedEof => {
+                Self::Content(format!("ends within {place}; it was cut short, fetch it again"))
+            }
+            Self::Content(reason) => Self::Content(format!("{place}: {reason}")),
+            other => other,
+        }
+    }
+}
+
+impl From<io::Error> for Refusal {
+    fn from(error: io::Error) -> Self {
+        Self::Io(error)
+    }
+}
+
+impl From<String> for Refusal {
+    fn from(reason: String) -> Self {
+        Self::Content(reason)
+    }
+}
+
+impl From<&str> for Refusal {
+    fn from(reason: &str) -> Self {
+        Self::Content(reason.into())
+    }
+}
+
 /// An operating system's error with its remedy where there is a plain one.
 struct InWords<'a>(&'a io::Error);
 

@@ -16,9 +16,10 @@ mod tests;
 use std::io::{self, Write};
 use std::path::Path;
 
+use crate::error::Refusal;
 use crate::splats::sh_coefficients;
 use crate::{SceneError, Splats, atomic};
-use header::{Element, Refusal};
+use header::Element;
 pub use points::read_points;
 use rows::{Rows, read_vertices};
 

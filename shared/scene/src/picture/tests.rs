@@ -37,6 +37,8 @@ thread_local! {
 
 fn read_bytes(file: &[u8]) -> Result<Picture, SceneError> {
     let path = FOLDER.with(|folder| folder.path().join("a.jpg"));
+    // Some file systems wait for the disk where a file is written over.
+    let _ = fs::remove_file(&path);
     fs::write(&path, file).unwrap();
     let header = Picture::size_of(&path);
     let picture = Picture::read(&path);

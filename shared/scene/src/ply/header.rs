@@ -2,6 +2,8 @@
 
 use std::io::{self, BufRead, Read};
 
+use crate::error::Refusal;
+
 /// A header longer than this is refused: the standard splat header has about 1,500 bytes.
 const HEADER_BYTES_MAX: u64 = 1 << 16;
 
@@ -100,32 +102,6 @@ pub(super) struct Header {
     pub(super) elements: Vec<Element>,
     /// Where the values begin, bytes from the start of the file.
     pub(super) size_bytes: u64,
-}
-
-/// Why a file cannot be read.
-pub(super) enum Refusal {
-    /// The operating system failed.
-    Io(io::Error),
-    /// The content is wrong; one line.
-    Content(String),
-}
-
-impl From<io::Error> for Refusal {
-    fn from(error: io::Error) -> Self {
-        Self::Io(error)
-    }
-}
-
-impl From<String> for Refusal {
-    fn from(reason: String) -> Self {
-        Self::Content(reason)
-    }
-}
-
-impl From<&str> for Refusal {
-    fn from(reason: &str) -> Self {
-        Self::Content(reason.into())
-    }
 }
 
 impl Header {

@@ -4,8 +4,9 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, ErrorKind, Read};
 use std::path::Path;
 
-use super::header::{Element, Format, Header, Kind, Refusal, Scalar};
+use super::header::{Element, Format, Header, Kind, Scalar};
 use crate::SceneError;
+use crate::error::Refusal;
 
 /// Bytes asked of the operating system at a time.
 const BUFFER_BYTES: usize = 256 * 1024;
@@ -35,10 +36,7 @@ pub(super) fn read_vertices<T>(
         }
         Err("has no element called vertex".into())
     });
-    result.map_err(|refusal| match refusal {
-        Refusal::Io(cause) => SceneError::io(path, cause),
-        Refusal::Content(reason) => SceneError::malformed(path, reason),
-    })
+    result.map_err(|refusal| refusal.of(path))
 }
 
 /// Refuses an element with more rows than `left_bytes` could hold; returns what is left for those
@@ -81,7 +79,7 @@ impl<'a> Rows<'a> {
         }
         self.values.clear();
         for property in &element.properties {
-            let value = self.property(property.kind).map_err(|refusal| self.in_words(refusal))?;
+            let value = self.property(property.kind).map_err(|refusal| refusal.at(self.place()))?;
             self.values.push(value);
         }
         self.row += 1;
@@ -147,15 +145,7 @@ impl<'a> Rows<'a> {
         word.parse().map_err(|_| format!("'{}' is no number", word.escape_default()).into())
     }
 
-    /// Adds to a refusal where it happened.
-    fn in_words(&self, refusal: Refusal) -> Refusal {
-        let Element { name, count, .. } = self.element;
-        match refusal {
-            Refusal::Io(cause) if cause.kind() == ErrorKind::UnexpectedEof => {
-                format!("ends in row {} of the {count} of element {name}; it was cut short", self.row).into()
-            }
-            Refusal::Content(reason) => format!("{name} {}: {reason}", self.row).into(),
-            other => other,
-        }
+    fn place(&self) -> String {
+        format!("{} {} of {}", self.element.name, self.row, self.element.count)
     }
 }

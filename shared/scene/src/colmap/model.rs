@@ -1,0 +1,174 @@
+//! What both forms of a model have in common: cameras and images that refer to each other by id,
+//! checked and turned into a [`Dataset`].
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+use glam::{DQuat, DVec2, DVec3};
+
+use crate::error::Refusal;
+use crate::{Camera, Dataset, Pose, SceneError, SparsePoint, View};
+
+/// No picture's side is longer; COLMAP stores 64 bits.
+const SIDE_PX_MAX: u64 = 1 << 20;
+
+/// What it takes to mend a model whose cameras distort.
+pub(super) struct Undistortion<'a> {
+    pub(super) images: &'a Path,
+    pub(super) model: &'a Path,
+    pub(super) root: &'a Path,
+}
+
+impl Undistortion<'_> {
+    /// The command for a POSIX shell.
+    fn command(&self) -> String {
+        format!(
+            "colmap image_undistorter --image_path {} --input_path {} --output_path {} --output_type COLMAP",
+            quoted(self.images),
+            quoted(self.model),
+            quoted(&self.output()),
+        )
+    }
+
+    fn output(&self) -> PathBuf {
+        self.root.join("undistorted")
+    }
+}
+
+/// A path as one word of a POSIX shell.
+fn quoted(path: &Path) -> String {
+    let text = path.display().to_string();
+    let plain = |c: char| c.is_alphanumeric() || "/._-+,:@%".contains(c);
+    if text.chars().all(plain) { text } else { format!("'{}'", text.replace('\'', r"'\''")) }
+}
+
+/// A camera without its pose.
+#[derive(Clone, Copy)]
+pub(super) struct Intrinsics {
+    focal_px: DVec2,
+    center_px: DVec2,
+    size_px: [u32; 2],
+}
+
+impl Intrinsics {
+    /// From a model's name and parameters, which must be finite.
+    pub(super) fn new(
+        model: &str,
+        size_px: [u64; 2],
+        params: &[f64],
+        undistortion: &Undistortion,
+    ) -> Result<Self, Refusal> {
+        let (focal_px, center_px) = match (model, params) {
+            ("SIMPLE_PINHOLE", &[f, cx, cy]) => (DVec2::splat(f), DVec2::new(cx, cy)),
+            ("PINHOLE", &[fx, fy, cx, cy]) => (DVec2::new(fx, fy), DVec2::new(cx, cy)),
+            ("SIMPLE_PINHOLE" | "PINHOLE", _) => {
+                return Err(format!("{model} with {} parameters", params.len()).into());
+            }
+            _ => return Err(refuse_distortion(model, undistortion)),
+        };
+        if size_px.iter().any(|side| !(1..=SIDE_PX_MAX).contains(side)) {
+            return Err(format!("a picture of {} × {} pixels cannot be", size_px[0], size_px[1]).into());
+        }
+        if !(focal_px.min_element() > 0.0 && focal_px.is_finite() && center_px.is_finite()) {
+            return Err(format!("focal length {focal_px} px and centre {center_px} px cannot be").into());
+        }
+        Ok(Self { focal_px, center_px, size_px: size_px.map(|side| side as u32) })
+    }
+}
+
+/// Refuses a camera model that this project does not project with.
+pub(super) fn refuse_distortion(model: &str, undistortion: &Undistortion) -> Refusal {
+    format!(
+        "the camera model {model} is not supported, only PINHOLE and SIMPLE_PINHOLE; undistort the pictures with `{}` and open {}",
+        undistortion.command(),
+        undistortion.output().display(),
+    )
+    .into()
+}
+
+/// A picture's record.
+pub(super) struct Image {
+    pub(super) id: u32,
+    pub(super) camera_id: u32,
+    pub(super) cam_from_world: Pose,
+    pub(super) name: String,
+}
+
+/// A pose from COLMAP's numbers: a quaternion wxyz of any usable length, and a translation.
+pub(super) fn pose(wxyz: [f64; 4], translation: [f64; 3]) -> Result<Pose, Refusal> {
+    let [w, x, y, z] = wxyz;
+    let rotation = DQuat::from_xyzw(x, y, z, w);
+    let translation = DVec3::from(translation);
+    let length = rotation.length();
+    if !(length.is_finite() && length > 1e-6 && translation.is_finite()) {
+        return Err(format!("its pose {wxyz:?} {translation} cannot be").into());
+    }
+    Ok(Pose { rotation: rotation.normalize(), translation })
+}
+
+/// A 3D point, its track as ids of images.
+pub(super) struct Point {
+    pub(super) position: [f64; 3],
+    pub(super) rgb: [u8; 3],
+    pub(super) image_ids: Vec<u32>,
+}
+
+/// Collects the three files' records, which must come in this order: cameras, images, points.
+#[derive(Default)]
+pub(super) struct Assembly {
+    cameras: HashMap<u32, Intrinsics>,
+    /// Indices of the views by image id.
+    view_of: HashMap<u32, u32>,
+    dataset: Dataset,
+}
+
+impl Assembly {
+    pub(super) fn add_camera(&mut self, id: u32, camera: Intrinsics) -> Result<(), Refusal> {
+        match self.cameras.insert(id, camera) {
+            None => Ok(()),
+            Some(_) => Err("this id was there before".into()),
+        }
+    }
+
+    pub(super) fn add_image(&mut self, image: Image) -> Result<(), Refusal> {
+        let Some(camera) = self.cameras.get(&image.camera_id) else {
+            return Err(format!("{} has the unknown camera {}", image.name, image.camera_id).into());
+        };
+        let &Intrinsics { focal_px, center_px, size_px } = camera;
+        let camera = Camera { cam_from_world: image.cam_from_world, focal_px, center_px, size_px };
+        if self.view_of.insert(image.id, self.dataset.views.len() as u32).is_some() {
+            return Err(format!("the id {} was there before", image.id).into());
+        }
+        self.dataset.views.push(View { name: image.name, camera, path: PathBuf::new() });
+        Ok(())
+    }
+
+    /// Adds a point. Images of its track that the model does not have are passed over: tools that
+    /// remove images leave such tracks.
+    pub(super) fn add_point(&mut self, point: Point) -> Result<(), Refusal> {
+        let position = DVec3::from(point.position);
+        if !position.is_finite() {
+            return Err(format!("its position {position} is not finite").into());
+        }
+        let mut views: Vec<u32> =
+            point.image_ids.iter().filter_map(|id| self.view_of.get(id).copied()).collect();
+        views.sort_unstable();
+        views.dedup();
+        self.dataset.points.push(SparsePoint { position, rgb: point.rgb, views });
+        Ok(())
+    }
+
+    pub(super) fn end(self) -> Dataset {
+        self.dataset
+    }
+}
+
+/// Runs `read` on the file `name` of the folder `model`.
+pub(super) fn with_file(
+    model: &Path,
+    name: &str,
+    read: impl FnOnce(&Path) -> Result<(), Refusal>,
+) -> Result<(), SceneError> {
+    let path = model.join(name);
+    read(&path).map_err(|refusal| refusal.of(&path))
+}

@@ -1,0 +1,131 @@
+//! Models into files, in the binary form.
+
+use std::fs::{self, File};
+use std::io::{self, BufWriter, Write};
+use std::path::Path;
+
+use glam::DVec2;
+
+use crate::{Camera, Dataset, SceneError, View, atomic};
+
+/// COLMAP's number for `PINHOLE`.
+const PINHOLE: u32 = 1;
+
+/// Writes cameras, poses and points as a binary model into `root/sparse/0`, which is made. Views
+/// with the same intrinsics share a camera. Each picture's 2D points are the projections of the
+/// points whose tracks name it. Pictures are not copied: they belong at `root/images/NAME`.
+pub fn write(root: &Path, dataset: &Dataset) -> Result<(), SceneError> {
+    let model = root.join("sparse").join("0");
+    fs::create_dir_all(&model).map_err(|cause| SceneError::io(&model, cause))?;
+    let cameras = Cameras::of(&dataset.views);
+    let tracks = Tracks::of(dataset);
+    atomic::write(&model.join("cameras.bin"), |out| cameras.write(out))?;
+    atomic::write(&model.join("images.bin"), |out| write_images(out, dataset, &cameras, &tracks))?;
+    atomic::write(&model.join("points3D.bin"), |out| write_points(out, dataset, &tracks))
+}
+
+/// The distinct intrinsics.
+struct Cameras<'a> {
+    distinct: Vec<&'a Camera>,
+    /// Index into `distinct` for each view.
+    of_view: Vec<u32>,
+}
+
+impl<'a> Cameras<'a> {
+    fn of(views: &'a [View]) -> Self {
+        let mut distinct: Vec<&Camera> = Vec::new();
+        let same = |a: &Camera, b: &Camera| {
+            (a.focal_px, a.center_px, a.size_px) == (b.focal_px, b.center_px, b.size_px)
+        };
+        let of_view = views.iter().map(|View { camera, .. }| {
+            // The one found last is the likeliest.
+            let found = distinct.iter().rposition(|other| same(other, camera));
+            found.unwrap_or_else(|| {
+                distinct.push(camera);
+                distinct.len() - 1
+            }) as u32
+        });
+        let of_view = of_view.collect();
+        Self { distinct, of_view }
+    }
+
+    fn write(&self, out: &mut Out) -> io::Result<()> {
+        out.write_all(&(self.distinct.len() as u64).to_le_bytes())?;
+        for (id, camera) in (1_u32..).zip(&self.distinct) {
+            put_u32s(out, &[id, PINHOLE])?;
+            for side in camera.size_px {
+                out.write_all(&u64::from(side).to_le_bytes())?;
+            }
+            put_f64s(out, &[camera.focal_px.to_array(), camera.center_px.to_array()].concat())?;
+        }
+        Ok(())
+    }
+}
+
+/// Who sees what, from both sides.
+struct Tracks {
+    /// Indices of the points in each view.
+    points: Vec<Vec<u32>>,
+    /// For each point and each view of its track: the point's place in that view's list.
+    places: Vec<Vec<u32>>,
+}
+
+impl Tracks {
+    fn of(dataset: &Dataset) -> Self {
+        let mut points = vec![Vec::new(); dataset.views.len()];
+        let mut place = |point: usize, view: u32| {
+            let seen = &mut points[view as usize];
+            seen.push(point as u32);
+            seen.len() as u32 - 1
+        };
+        let places = dataset.points.iter().enumerate();
+        let places =
+            places.map(|(i, point)| point.views.iter().map(|&view| place(i, view)).collect()).collect();
+        Self { points, places }
+    }
+}
+
+type Out = BufWriter<File>;
+
+fn write_images(out: &mut Out, dataset: &Dataset, cameras: &Cameras, tracks: &Tracks) -> io::Result<()> {
+    out.write_all(&(dataset.views.len() as u64).to_le_bytes())?;
+    for (i, View { name, camera, .. }) in dataset.views.iter().enumerate() {
+        let pose = &camera.cam_from_world;
+        put_u32s(out, &[i as u32 + 1])?;
+        put_f64s(out, &[pose.rotation.w, pose.rotation.x, pose.rotation.y, pose.rotation.z])?;
+        put_f64s(out, &pose.translation.to_array())?;
+        put_u32s(out, &[cameras.of_view[i] + 1])?;
+        out.write_all(name.as_bytes())?;
+        out.write_all(&[0])?;
+        out.write_all(&(tracks.points[i].len() as u64).to_le_bytes())?;
+        for &point in &tracks.points[i] {
+            let at = camera.project(dataset.points[point as usize].position).unwrap_or(DVec2::ZERO);
+            put_f64s(out, &at.to_array())?;
+            out.write_all(&(u64::from(point) + 1).to_le_bytes())?;
+        }
+    }
+    Ok(())
+}
+
+fn write_points(out: &mut Out, dataset: &Dataset, tracks: &Tracks) -> io::Result<()> {
+    out.write_all(&(dataset.points.len() as u64).to_le_bytes())?;
+    for (i, point) in dataset.points.iter().enumerate() {
+        out.write_all(&(i as u64 + 1).to_le_bytes())?;
+        put_f64s(out, &point.position.to_array())?;
+        out.write_all(&point.rgb)?;
+        put_f64s(out, &[0.0])?; // its error: the 2D points are its projections
+        out.write_all(&(point.views.len() as u64).to_le_bytes())?;
+        for (view, place) in point.views.iter().zip(&tracks.places[i]) {
+            put_u32s(out, &[view + 1, *place])?;
+        }
+    }
+    Ok(())
+}
+
+fn put_u32s(out: &mut Out, values: &[u32]) -> io::Result<()> {
+    values.iter().try_for_each(|value| out.write_all(&value.to_le_bytes()))
+}
+
+fn put_f64s(out: &mut Out, values: &[f64]) -> io::Result<()> {
+    values.iter().try_for_each(|value| out.write_all(&value.to_le_bytes()))
+}

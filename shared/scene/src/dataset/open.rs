@@ -1,0 +1,93 @@
+//! From a folder to a checked dataset: which layout it is, whether every picture is there and fits
+//! its camera.
+
+use std::path::{Component, Path};
+
+use super::{Dataset, View};
+use crate::{Picture, SceneError, colmap};
+
+/// See [`Dataset::open`].
+pub(super) fn open(path: &Path) -> Result<Dataset, SceneError> {
+    let mut dataset = read(path)?;
+    if dataset.views.is_empty() {
+        return Err(SceneError::malformed(path, "has no pictures with poses"));
+    }
+    for view in &mut dataset.views {
+        view.name = inner_name(&view.name)
+            .ok_or_else(|| SceneError::malformed(path, format!("'{}' is no picture's name", view.name)))?;
+    }
+    sort(&mut dataset);
+    if let Some(pair) = dataset.views.windows(2).find(|pair| pair[0].name == pair[1].name) {
+        let reason = format!("two pictures are called {}; rename one of them", pair[0].name);
+        return Err(SceneError::malformed(path, reason));
+    }
+    refuse_missing(&dataset.views)?;
+    dataset.views.iter_mut().try_for_each(fit_camera)?;
+    Ok(dataset)
+}
+
+fn read(path: &Path) -> Result<Dataset, SceneError> {
+    match colmap::find_model(path) {
+        Some(model) => colmap::read(path, &model),
+        None => Err(SceneError::malformed(
+            path,
+            "holds no dataset; give a folder with images/ and either sparse/0/cameras.bin (COLMAP) or transforms.json",
+        )),
+    }
+}
+
+/// A name without what could lead out of a folder: results are filed under it.
+fn inner_name(name: &str) -> Option<String> {
+    let parts = Path::new(name).components().filter_map(|component| match component {
+        Component::Normal(part) => part.to_str(),
+        _ => None,
+    });
+    let inner = parts.collect::<Vec<_>>().join("/");
+    (!inner.is_empty() && !inner.contains(|c: char| c.is_control())).then_some(inner)
+}
+
+/// Sorts the views by name, and the tracks with them.
+fn sort(dataset: &mut Dataset) {
+    let mut order: Vec<usize> = (0..dataset.views.len()).collect();
+    order.sort_by(|&a, &b| dataset.views[a].name.cmp(&dataset.views[b].name));
+    let mut new_of_old = vec![0; order.len()];
+    for (new, &old) in order.iter().enumerate() {
+        new_of_old[old] = new as u32;
+    }
+    dataset.views.sort_by(|a, b| a.name.cmp(&b.name));
+    for point in &mut dataset.points {
+        point.views.iter_mut().for_each(|view| *view = new_of_old[*view as usize]);
+        point.views.sort_unstable();
+    }
+}
+
+fn refuse_missing(views: &[View]) -> Result<(), SceneError> {
+    let mut missing = views.iter().filter(|view| !view.path.is_file());
+    let Some(first) = missing.next() else { return Ok(()) };
+    let others = missing.count();
+    let reason = format!(
+        "this picture is missing, and {others} more of the dataset's {}; put them there, or remove them from the dataset",
+        views.len()
+    );
+    Err(SceneError::malformed(&first.path, reason))
+}
+
+/// Gives the view the camera of its picture as it lies on the disk.
+fn fit_camera(view: &mut View) -> Result<(), SceneError> {
+    let found = Picture::size_of(&view.path)?;
+    let [width, height] = view.camera.size_px.map(f64::from);
+    let ([w, h], [found_width, found_height]) = (found.map(f64::from), found);
+    // Whoever shrank it rounded one side or the other to whole pixels.
+    let same_aspect = (w * height / width - h).abs() <= 1.0 || (h * width / height - w).abs() <= 1.0;
+    if !same_aspect {
+        let [width, height] = view.camera.size_px;
+        let reason = format!(
+            "has {found_width} × {found_height} pixels, but its camera {width} × {height}, another shape; take the picture that belongs to the camera"
+        );
+        return Err(SceneError::malformed(&view.path, reason));
+    }
+    if found != view.camera.size_px {
+        view.camera = view.camera.resized(found);
+    }
+    Ok(())
+}

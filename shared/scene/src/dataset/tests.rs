@@ -1,0 +1,235 @@
+//! Layouts, pictures that do not fit, splits and subsets.
+
+#![allow(clippy::unwrap_used)]
+
+use std::fs;
+
+use glam::DVec2;
+
+use super::*;
+use crate::{Picture, Pose, colmap};
+
+/// Three pictures of 8 × 6 in a row along x, 2 apart, looking along y at points 4 away; written
+/// below `root` as COLMAP does.
+fn made_up(root: &Path) -> Dataset {
+    let view = |i: u32| {
+        let eye = DVec3::new(2.0 * f64::from(i), 0.0, 0.0);
+        let name = format!("{i}.png");
+        View {
+            camera: Camera {
+                cam_from_world: Pose::look_at(eye, eye + DVec3::Y, DVec3::Z),
+                focal_px: DVec2::splat(8.0),
+                center_px: DVec2::new(4.0, 3.0),
+                size_px: [8, 6],
+            },
+            path: root.join("images").join(&name),
+            name,
+        }
+    };
+    let point = |x: f64, views: &[u32]| SparsePoint {
+        position: DVec3::new(x, 4.0, 0.0),
+        rgb: [1, 2, 3],
+        views: views.into(),
+    };
+    let dataset = Dataset {
+        views: (0..3).map(view).collect(),
+        points: vec![
+            point(0.0, &[0]),
+            point(1.0, &[0, 1]),
+            point(3.0, &[1, 2]),
+            point(4.0, &[]),
+            point(-90.0, &[]),
+        ],
+    };
+    fs::create_dir_all(root.join("images")).unwrap();
+    for view in &dataset.views {
+        Picture::new([8, 6], vec![9; 144]).write_png(&view.path).unwrap();
+    }
+    colmap::write(root, &dataset).unwrap();
+    dataset
+}
+
+fn complaint(root: &Path) -> String {
+    let text = Dataset::open(root).unwrap_err().to_string();
+    assert!(!text.contains('\n'), "{text}");
+    text
+}
+
+fn same(a: &Dataset, b: &Dataset) {
+    let facts = |dataset: &Dataset| {
+        let views = dataset.views.iter().map(|view| (view.name.clone(), view.camera.size_px));
+        (views.collect::<Vec<_>>(), dataset.points.clone())
+    };
+    assert_eq!(facts(a), facts(b));
+    for (a, b) in a.views.iter().zip(&b.views) {
+        assert_eq!(fs::canonicalize(&a.path).unwrap(), fs::canonicalize(&b.path).unwrap());
+        assert!(a.camera.cam_from_world.center().distance(b.camera.cam_from_world.center()) < 1e-12);
+    }
+}
+
+#[test]
+fn every_place_for_a_model_is_found() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path().join("data");
+    let dataset = made_up(&root);
+    same(&Dataset::open(&root).unwrap(), &dataset);
+    same(&Dataset::open(&root.join("sparse")).unwrap(), &dataset);
+    same(&Dataset::open(&root.join("sparse/0")).unwrap(), &dataset);
+    // As COLMAP's undistorter leaves it.
+    for name in ["cameras.bin", "images.bin", "points3D.bin"] {
+        fs::rename(root.join("sparse/0").join(name), root.join("sparse").join(name)).unwrap();
+    }
+    same(&Dataset::open(&root).unwrap(), &dataset);
+    // All in one folder.
+    for entry in fs::read_dir(root.join("sparse")).unwrap().chain(fs::read_dir(root.join("images")).unwrap())
+    {
+        let entry = entry.unwrap();
+        fs::rename(entry.path(), root.join(entry.file_name())).unwrap();
+    }
+    let opened = Dataset::open(&root).unwrap();
+    assert_eq!(opened.views[2].path, root.join("2.png"));
+}
+
+#[test]
+fn views_are_sorted_and_tracks_follow() {
+    let root = tempfile::tempdir().unwrap();
+    let mut dataset = made_up(root.path());
+    let sorted = dataset.clone();
+    dataset.views.reverse();
+    for point in &mut dataset.points {
+        point.views.iter_mut().for_each(|view| *view = 2 - *view);
+    }
+    colmap::write(root.path(), &dataset).unwrap();
+    same(&Dataset::open(root.path()).unwrap(), &sorted);
+}
+
+#[test]
+fn missing_pictures_are_counted_and_the_first_is_named() {
+    let root = tempfile::tempdir().unwrap();
+    made_up(root.path());
+    fs::remove_file(root.path().join("images/1.png")).unwrap();
+    fs::remove_file(root.path().join("images/2.png")).unwrap();
+    let text = complaint(root.path());
+    assert!(text.contains("images/1.png") && text.contains("and 1 more of the dataset's 3"), "{text}");
+    fs::remove_dir_all(root.path().join("images")).unwrap();
+    let text = complaint(root.path());
+    assert!(text.contains("images/0.png") && text.contains("and 2 more"), "{text}");
+}
+
+#[test]
+fn a_picture_of_another_size_rescales_its_camera() {
+    let root = tempfile::tempdir().unwrap();
+    let dataset = made_up(root.path());
+    Picture::new([16, 12], vec![9; 576]).write_png(&root.path().join("images/1.png")).unwrap();
+    // A third, rounded: 2.67 × 2.
+    Picture::new([3, 2], vec![9; 18]).write_png(&root.path().join("images/2.png")).unwrap();
+    let opened = Dataset::open(root.path()).unwrap();
+    let [first, twice, third] = [0, 1, 2].map(|i| opened.views[i].camera);
+    assert_eq!(first.size_px, [8, 6]);
+    assert_eq!(twice, dataset.views[1].camera.resized([16, 12]));
+    assert_eq!((twice.focal_px, twice.center_px), (DVec2::new(16.0, 16.0), DVec2::new(8.0, 6.0)));
+    assert_eq!(third.size_px, [3, 2]);
+    Picture::new([6, 8], vec![9; 144]).write_png(&root.path().join("images/1.png")).unwrap();
+    let text = complaint(root.path());
+    assert!(text.contains("images/1.png") && text.contains("6 × 8") && text.contains("8 × 6"), "{text}");
+}
+
+#[test]
+fn an_empty_picture_is_named() {
+    let root = tempfile::tempdir().unwrap();
+    made_up(root.path());
+    fs::write(root.path().join("images/2.png"), b"").unwrap();
+    let text = complaint(root.path());
+    assert!(text.contains("images/2.png: is empty (0 bytes)"), "{text}");
+}
+
+#[test]
+fn a_folder_without_dataset_is_told_what_is_wanted() {
+    let root = tempfile::tempdir().unwrap();
+    let text = complaint(root.path());
+    assert!(text.contains("sparse/0/cameras.bin") && text.contains("transforms.json"), "{text}");
+    colmap::write(root.path(), &Dataset::default()).unwrap();
+    assert!(complaint(root.path()).contains("no pictures with poses"));
+}
+
+#[test]
+fn names_cannot_lead_out_of_the_folder() {
+    let root = tempfile::tempdir().unwrap();
+    let mut dataset = made_up(root.path());
+    dataset.views[0].name = "../images/0.png".into();
+    colmap::write(root.path(), &dataset).unwrap();
+    let opened = Dataset::open(root.path()).unwrap();
+    assert_eq!(opened.find("images/0.png"), Some(2));
+    for name in ["..", "", "a\u{7}b"] {
+        dataset.views[0].name = name.into();
+        colmap::write(root.path(), &dataset).unwrap();
+        assert!(complaint(root.path()).contains("is no picture's name"), "{name:?}");
+    }
+    dataset.views[0].name = "./1.png".into();
+    colmap::write(root.path(), &dataset).unwrap();
+    assert!(complaint(root.path()).contains("two pictures are called 1.png"));
+}
+
+#[test]
+fn every_eighth_view_is_held_out() {
+    let root = tempfile::tempdir().unwrap();
+    let mut dataset = made_up(root.path());
+    dataset.views = (0..17).map(|_| dataset.views[0].clone()).collect();
+    let (train, held_out) = dataset.split(8);
+    assert_eq!(held_out, [0, 8, 16]);
+    assert_eq!(train.len(), 14);
+    assert_eq!(dataset.split(0), ((0..17).collect(), vec![]));
+    assert_eq!(dataset.split(1).0, [0; 0]);
+}
+
+#[test]
+fn a_subset_keeps_what_its_views_see() {
+    let root = tempfile::tempdir().unwrap();
+    let dataset = made_up(root.path());
+    let subset = dataset.subset(&[2, 1, 2]);
+    assert_eq!(subset.views, dataset.views[1..]);
+    let kept: Vec<_> = subset.points.iter().map(|point| (point.position.x, point.views.clone())).collect();
+    // At 4 there is no track, but the last view looks at it.
+    assert_eq!(kept, [(1.0, vec![0]), (3.0, vec![0, 1]), (4.0, vec![])]);
+    assert_eq!(dataset.subset(&[]), Dataset::default());
+    assert_eq!(dataset.subset(&[0]).points.len(), 2);
+}
+
+#[test]
+fn the_extent_is_that_of_3dgs() {
+    let root = tempfile::tempdir().unwrap();
+    let dataset = made_up(root.path());
+    assert!((dataset.extent() - 2.2).abs() < 1e-12);
+    assert_eq!(Dataset::default().extent(), 0.0);
+}
+
+/// The real scenes, where they are.
+#[test]
+fn real_scenes_are_opened() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
+    for (name, views, points, size_px) in [
+        ("real_caliterra", 75, 36_210, [640, 481]),
+        ("real_boruszyn", 27, 14_882, [478, 640]),
+        ("gt_boruszyn", 136, 12_674, [480, 360]),
+        ("gt_tiny", 24, 2_193, [160, 120]),
+    ] {
+        let root = folder.join(name);
+        if !root.is_dir() {
+            eprintln!("SKIPPED: {name} is not here");
+            continue;
+        }
+        let dataset = Dataset::open(&root).unwrap();
+        assert_eq!((dataset.views.len(), dataset.points.len()), (views, points), "{name}");
+        assert!(dataset.views.iter().all(|view| view.camera.size_px == size_px), "{name}");
+        let (mut seen, mut in_picture) = (0, 0);
+        for point in &dataset.points {
+            assert!(point.views.len() >= 2, "{name}: a point that {} views see", point.views.len());
+            seen += point.views.len();
+            let sees = |view: &&u32| dataset.views[**view as usize].camera.sees(point.position);
+            in_picture += point.views.iter().filter(sees).count();
+        }
+        // Tracks and cameras agree, up to the outliers: frames and ids were understood.
+        assert!(in_picture * 100 > seen * 95, "{name}: {in_picture} of {seen}");
+        assert!(Picture::read(&dataset.views[0].path).unwrap().rgb.iter().any(|&value| value > 60));
+    }
+}
