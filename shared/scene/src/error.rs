@@ -4,6 +4,8 @@ use std::fmt;
 use std::io;
 use std::path::{Path, PathBuf};
 
+use crate::bytes::format_bytes;
+
 /// An error of reading or writing a scene.
 ///
 /// `Display` says all there is to say in one line; there is no further `source`.
@@ -25,6 +27,14 @@ pub enum SceneError {
         path: PathBuf,
         /// What is wrong and what mends it, one line.
         reason: String,
+    },
+    /// A memory budget is too small for the pictures.
+    #[error("the pictures need {}, but have {}; allow more memory or smaller pictures", format_bytes(*needed_bytes), format_bytes(*budget_bytes))]
+    OverBudget {
+        /// The least that would do.
+        needed_bytes: u64,
+        /// What was given.
+        budget_bytes: u64,
     },
 }
 

@@ -1,0 +1,194 @@
+//! The same pixels and never more bytes than allowed, whatever the budget and whoever is faster.
+
+#![allow(clippy::unwrap_used)]
+
+use std::fs;
+use std::path::Path;
+
+use super::*;
+
+const SIZE_PX: [u32; 2] = [24, 16];
+const RAW_BYTES: u64 = 24 * 16 * 3;
+
+/// `n` pictures of twice the wanted size, noisy so that they do not compress to nothing.
+fn made_up(folder: &Path, n: u32) -> Vec<Source> {
+    let source = |i: u32| {
+        let noise = |x: u32, y: u32| ((x * 48 + y * 977 + i) ^ 0x5A5A).wrapping_mul(2_654_435_761) >> 25;
+        let at = |x: u32, y: u32| [3 * x + noise(x, y), 4 * y + i, noise(y, x)].map(|v| v as u8);
+        let rgb = (0..32).flat_map(|y| (0..48).flat_map(move |x| at(x, y))).collect();
+        let path = folder.join(format!("{i}.png"));
+        Picture::new([48, 32], rgb).write_png(&path).unwrap();
+        Source { path, size_px: SIZE_PX }
+    };
+    (0..n).map(source).collect()
+}
+
+fn expected(sources: &[Source]) -> Vec<Picture> {
+    sources.iter().map(|source| Picture::read_fitted(&source.path, source.size_px).unwrap()).collect()
+}
+
+/// Two epochs with prefetching, every picture and every count of bytes checked.
+fn two_epochs(sources: &[Source], budget_bytes: u64) -> CacheUse {
+    let expected = expected(sources);
+    let cache = PictureCache::new(sources.to_vec(), budget_bytes).unwrap();
+    let n = sources.len();
+    for step in 0..2 * n {
+        let index = step * 7 % n;
+        let picture = cache.get(index).unwrap();
+        for ahead in 1..4 {
+            cache.prefetch((step + ahead) * 7 % n);
+        }
+        assert_eq!(*picture, expected[index], "picture {index} with {budget_bytes} bytes");
+        let used_bytes = cache.usage().used_bytes;
+        assert!(used_bytes <= budget_bytes, "{used_bytes} of {budget_bytes}");
+    }
+    cache.usage()
+}
+
+#[test]
+fn what_fits_is_decoded_once_and_kept_raw() {
+    let folder = tempfile::tempdir().unwrap();
+    let sources = made_up(folder.path(), 10);
+    assert_eq!(PictureCache::most_bytes(&sources), 10 * RAW_BYTES);
+    let usage = two_epochs(&sources, 10 * RAW_BYTES);
+    assert_eq!(usage, CacheUse { used_bytes: 10 * RAW_BYTES, raw: 10, packed: 0, on_disk: 0, decoded: 10 });
+}
+
+#[test]
+fn what_does_not_fit_raw_is_compressed_and_still_decoded_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let sources = made_up(folder.path(), 10);
+    let usage = two_epochs(&sources, 10 * RAW_BYTES - 1);
+    assert_eq!((usage.raw, usage.packed, usage.on_disk, usage.decoded), (0, 10, 0, 10));
+}
+
+#[test]
+fn what_does_not_fit_compressed_is_read_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let sources = made_up(folder.path(), 10);
+    assert_eq!(PictureCache::least_bytes(&sources), 2 * RAW_BYTES);
+    let least = two_epochs(&sources, 2 * RAW_BYTES);
+    assert_eq!((least.raw, least.packed, least.on_disk), (0, 0, 10));
+    assert!(least.decoded >= 20);
+    let some = two_epochs(&sources, 3 * RAW_BYTES);
+    assert!(some.packed > 0 && some.on_disk > 0 && some.packed + some.on_disk == 10, "{some:?}");
+    assert!(some.decoded < least.decoded, "{some:?}");
+}
+
+#[test]
+fn a_budget_too_small_is_refused_with_the_least() {
+    let folder = tempfile::tempdir().unwrap();
+    let sources = made_up(folder.path(), 3);
+    let text = PictureCache::new(sources.clone(), 2 * RAW_BYTES - 1).err().unwrap().to_string();
+    assert_eq!(text, "the pictures need 2.25 KiB, but have 2.25 KiB; allow more memory or smaller pictures");
+    assert!(PictureCache::new(sources[..1].to_vec(), RAW_BYTES).is_ok());
+    assert!(PictureCache::new(Vec::new(), 0).is_ok());
+}
+
+#[test]
+fn what_is_handed_out_counts() {
+    let folder = tempfile::tempdir().unwrap();
+    let cache = PictureCache::new(made_up(folder.path(), 4), 2 * RAW_BYTES).unwrap();
+    let first = cache.get(0).unwrap();
+    let second = cache.get(1).unwrap();
+    assert!(Arc::ptr_eq(&first, &cache.get(0).unwrap()), "a copy that is there is shared");
+    assert_eq!(cache.usage().used_bytes, 2 * RAW_BYTES);
+    assert!(matches!(cache.get(2), Err(SceneError::OverBudget { .. })));
+    drop(second);
+    cache.get(2).unwrap();
+    drop(first);
+    assert_eq!(cache.usage().used_bytes, 0);
+}
+
+#[test]
+fn whoever_holds_many_costs_what_is_compressed() {
+    let folder = tempfile::tempdir().unwrap();
+    let cache = PictureCache::new(made_up(folder.path(), 6), 4 * RAW_BYTES).unwrap();
+    (0..6).for_each(|index| drop(cache.get(index).unwrap()));
+    let packed = cache.usage().packed;
+    let held: Vec<_> = (0..4).map(|index| cache.get(index).unwrap()).collect();
+    let usage = cache.usage();
+    assert_eq!(usage.used_bytes, 4 * RAW_BYTES);
+    assert!(packed > 0 && usage.packed == 0, "{packed}, then {usage:?}");
+    assert!(cache.get(4).is_err());
+    drop(held);
+    cache.get(4).unwrap();
+}
+
+#[test]
+fn what_was_prefetched_is_there_without_its_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let sources = made_up(folder.path(), 4);
+    let expected = expected(&sources);
+    for budget_bytes in [2 * RAW_BYTES, 4 * RAW_BYTES] {
+        let cache = PictureCache::new(sources.clone(), budget_bytes).unwrap();
+        cache.prefetch(3);
+        while cache.usage().decoded == 0 || cache.shared.lock().is_making() {
+            thread::yield_now();
+        }
+        let kept = fs::read(&sources[3].path).unwrap();
+        fs::remove_file(&sources[3].path).unwrap();
+        assert_eq!(*cache.get(3).unwrap(), expected[3]);
+        fs::write(&sources[3].path, kept).unwrap();
+    }
+}
+
+#[test]
+fn prefetching_gives_way_to_what_is_wanted() {
+    let folder = tempfile::tempdir().unwrap();
+    let sources = made_up(folder.path(), 12);
+    let expected = expected(&sources);
+    let cache = PictureCache::new(sources, 2 * RAW_BYTES).unwrap();
+    (0..12).for_each(|index| cache.prefetch(index));
+    for index in (0..12).rev() {
+        assert_eq!(*cache.get(index).unwrap(), expected[index]);
+        assert!(cache.usage().used_bytes <= 2 * RAW_BYTES);
+    }
+}
+
+#[test]
+fn several_threads_get_the_same_pixels() {
+    let folder = tempfile::tempdir().unwrap();
+    let sources = made_up(folder.path(), 6);
+    let expected = expected(&sources);
+    let cache = PictureCache::new(sources, 5 * RAW_BYTES).unwrap();
+    thread::scope(|scope| {
+        for first in 0..3 {
+            let (cache, expected) = (&cache, &expected);
+            scope.spawn(move || {
+                for index in (0..60).map(|step| (first + step * 5) % 6) {
+                    cache.prefetch((index + 5) % 6);
+                    assert_eq!(*cache.get(index).unwrap(), expected[index]);
+                    assert!(cache.usage().used_bytes <= 5 * RAW_BYTES);
+                }
+            });
+        }
+    });
+}
+
+#[test]
+fn a_damaged_file_is_named_each_time_and_stops_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let sources = made_up(folder.path(), 3);
+    fs::remove_file(&sources[1].path).unwrap();
+    fs::write(&sources[1].path, b"no picture").unwrap();
+    let cache = PictureCache::new(sources, 3 * RAW_BYTES).unwrap();
+    cache.prefetch(1);
+    for _ in 0..2 {
+        assert!(cache.get(1).unwrap_err().to_string().contains("1.png"));
+        cache.get(0).unwrap();
+    }
+    assert_eq!(cache.usage().used_bytes, RAW_BYTES);
+}
+
+#[test]
+fn scratch_covers_the_most_demanding_source() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut sources = made_up(folder.path(), 2);
+    let small = PictureCache::scratch_bytes(&sources).unwrap();
+    Picture::new([2_000, 1_500], vec![200; 9_000_000]).write_jpeg(&sources[1].path, 90).unwrap();
+    sources[1].size_px = [200, 150];
+    let large = PictureCache::scratch_bytes(&sources).unwrap();
+    assert!(small < 6 << 20, "{small}");
+    assert!((9_000_000..13 << 20).contains(&large), "{large}");
+}
