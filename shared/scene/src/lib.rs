@@ -22,6 +22,7 @@ pub mod picture;
 pub mod ply;
 pub mod report;
 pub mod splats;
+mod transforms;
 
 pub use cache::PictureCache;
 pub use camera::{Camera, Pose};

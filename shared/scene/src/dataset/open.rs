@@ -4,7 +4,7 @@
 use std::path::{Component, Path};
 
 use super::{Dataset, View};
-use crate::{Picture, SceneError, colmap};
+use crate::{Picture, SceneError, colmap, transforms};
 
 /// See [`Dataset::open`].
 pub(super) fn open(path: &Path) -> Result<Dataset, SceneError> {
@@ -27,13 +27,23 @@ pub(super) fn open(path: &Path) -> Result<Dataset, SceneError> {
 }
 
 fn read(path: &Path) -> Result<Dataset, SceneError> {
-    match colmap::find_model(path) {
-        Some(model) => colmap::read(path, &model),
-        None => Err(SceneError::malformed(
-            path,
-            "holds no dataset; give a folder with images/ and either sparse/0/cameras.bin (COLMAP) or transforms.json",
-        )),
+    if path.is_file() {
+        return transforms::read(path);
     }
+    if let Some(model) = colmap::find_model(path) {
+        return colmap::read(path, &model);
+    }
+    let file = path.join("transforms.json");
+    if file.is_file() {
+        return transforms::read(&file);
+    }
+    let reason = match path.is_dir() {
+        true => {
+            "holds no dataset; give a folder with images/ and either sparse/0/cameras.bin (COLMAP) or transforms.json"
+        }
+        false => "there is no such folder",
+    };
+    Err(SceneError::malformed(path, reason))
 }
 
 /// A name without what could lead out of a folder: results are filed under it.
