@@ -1,1 +1,24 @@
-//! Under construction.
+//! The Gaussian-surface engine: rasterise, losses, optimise; two backends with one meaning.
+//!
+//! What it refuses to know: bytes on a wire, clocks, files, command lines.
+//!
+//! Where to start reading: [`backend`] for the passes, then [`train`], where a step reads as their list;
+//! [`cpu`] for how they are fast.
+
+pub mod backend;
+pub mod budget;
+pub mod cpu;
+pub mod init;
+mod nearest;
+mod random;
+mod refine;
+pub mod render;
+pub mod schedule;
+pub mod train;
+
+pub use backend::{Backend, Rendering};
+pub use budget::Budget;
+pub use cpu::{CpuBackend, CpuCapacity};
+pub use render::Renderer;
+pub use schedule::Schedule;
+pub use train::{TrainSettings, Trainer};

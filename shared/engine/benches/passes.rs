@@ -1,0 +1,153 @@
+//! The passes of a step, each alone, on a fixed workload: 640 × 480 pixels, 50,000 splats of 0.8 to 4 px
+//! standard deviation and opacity 0.05 to 0.9, seven channels. Throughput is in splat–tile pairs.
+//!
+//! `cargo bench -p cosurf-engine`
+
+use cosurf_engine::backend::{AdamRates, Channels, LossWeights, TargetRgb, Targets};
+use cosurf_engine::{Backend, CpuBackend, CpuCapacity};
+use cosurf_scene::{Camera, Pose, Splats};
+use divan::Bencher;
+use divan::counter::ItemsCount;
+use glam::{DQuat, DVec2, DVec3};
+
+const SIZE_PX: [u32; 2] = [640, 480];
+const SPLATS: usize = 50_000;
+
+fn main() {
+    divan::main();
+}
+
+/// Numbers in 0..1 from a counter (SplitMix64).
+struct Random(u64);
+
+impl Random {
+    fn next(&mut self) -> f32 {
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        ((z ^ (z >> 31)) >> 40) as f32 / (1 << 24) as f32
+    }
+
+    fn between(&mut self, low: f32, high: f32) -> f32 {
+        low + (high - low) * self.next()
+    }
+}
+
+fn camera() -> Camera {
+    Camera {
+        cam_from_world: Pose { rotation: DQuat::IDENTITY, translation: DVec3::ZERO },
+        focal_px: DVec2::splat(500.0),
+        center_px: DVec2::new(320.0, 240.0),
+        size_px: SIZE_PX,
+    }
+}
+
+/// Splats all over the picture, at depths 2 to 10.
+fn splats() -> Splats {
+    let mut random = Random(1);
+    let mut splats = Splats::with_capacity(SPLATS, 3);
+    for _ in 0..SPLATS {
+        let z = random.between(2.0, 10.0);
+        let x = (random.between(0.0, 640.0) - 320.0) * z / 500.0;
+        let y = (random.between(0.0, 480.0) - 240.0) * z / 500.0;
+        let mut log_scale = || (random.between(0.8, 4.0) * z / 500.0).ln();
+        let log_scales = [log_scale(), log_scale(), log_scale()];
+        let quat = [0, 1, 2, 3].map(|_| random.between(-1.0, 1.0));
+        let opacity = random.between(0.05, 0.9);
+        let mut sh = [0.0; 48];
+        sh.iter_mut().for_each(|value| *value = random.between(-0.3, 0.3));
+        splats.push([x, y, z], quat, log_scales, (opacity / (1.0 - opacity)).ln(), &sh);
+    }
+    splats
+}
+
+fn backend(threads: usize) -> CpuBackend {
+    let capacity = CpuCapacity {
+        splats: SPLATS,
+        pairs: 400_000,
+        size_px: SIZE_PX,
+        sh_degree: 3,
+        channels: Channels::Geometry,
+        training: true,
+    };
+    let mut backend = CpuBackend::new(capacity, threads);
+    backend.load(&splats());
+    backend
+}
+
+/// A backend on which a whole step was done, and how many pairs it had.
+fn stepped(threads: usize, channels: Channels) -> (CpuBackend, usize) {
+    let mut backend = backend(threads);
+    backend.project(&camera(), 3);
+    let pairs = backend.bin().pairs;
+    backend.rasterize(channels);
+    losses(&mut backend);
+    backend.rasterize_backward();
+    backend.project_backward();
+    (backend, pairs)
+}
+
+fn losses(backend: &mut CpuBackend) {
+    let rgb = vec![90u8; (3 * SIZE_PX[0] * SIZE_PX[1]) as usize];
+    backend.losses(&Targets { rgb: TargetRgb::Bytes(&rgb) }, &LossWeights { ssim: 0.2 });
+}
+
+const RATES: AdamRates = AdamRates {
+    mean: 1e-9,
+    quat: 1e-9,
+    log_scale: 1e-9,
+    opacity: 1e-9,
+    sh_dc: 1e-9,
+    sh_rest: 1e-9,
+    first_correction: 1.0,
+    second_correction: 1.0,
+};
+
+const CHANNELS: [Channels; 2] = [Channels::Geometry, Channels::Color];
+
+#[divan::bench]
+fn project(bencher: Bencher) {
+    let (mut backend, _) = stepped(2, Channels::Geometry);
+    bencher.counter(ItemsCount::new(SPLATS)).bench_local(|| backend.project(&camera(), 3));
+}
+
+#[divan::bench]
+fn bin(bencher: Bencher) {
+    let (mut backend, pairs) = stepped(2, Channels::Geometry);
+    bencher.counter(ItemsCount::new(pairs)).bench_local(|| backend.bin());
+}
+
+#[divan::bench(args = CHANNELS)]
+fn rasterize(bencher: Bencher, channels: Channels) {
+    let (mut backend, pairs) = stepped(2, channels);
+    bencher.counter(ItemsCount::new(pairs)).bench_local(|| backend.rasterize(channels));
+}
+
+#[divan::bench(args = CHANNELS)]
+fn rasterize_forward_and_backward(bencher: Bencher, channels: Channels) {
+    let (mut backend, pairs) = stepped(2, channels);
+    bencher.counter(ItemsCount::new(pairs)).bench_local(|| {
+        backend.rasterize(channels);
+        backend.rasterize_backward();
+    });
+}
+
+#[divan::bench]
+fn photometric_loss(bencher: Bencher) {
+    let (mut backend, _) = stepped(2, Channels::Color);
+    let pixels = (SIZE_PX[0] * SIZE_PX[1]) as usize;
+    bencher.counter(ItemsCount::new(pixels)).bench_local(|| losses(&mut backend));
+}
+
+#[divan::bench]
+fn project_backward(bencher: Bencher) {
+    let (mut backend, _) = stepped(2, Channels::Geometry);
+    bencher.counter(ItemsCount::new(SPLATS)).bench_local(|| backend.project_backward());
+}
+
+#[divan::bench]
+fn adam(bencher: Bencher) {
+    let (mut backend, _) = stepped(2, Channels::Geometry);
+    bencher.counter(ItemsCount::new(SPLATS)).bench_local(|| backend.adam(&RATES));
+}

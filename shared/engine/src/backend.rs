@@ -1,0 +1,219 @@
+//! What training and rendering ask of a device: the passes, coarse enough that each backend does them
+//! its own best way, and fine enough that a step reads as its list of passes.
+//!
+//! A backend owns the splats, their optimiser moments and every buffer; nothing here allocates after
+//! [`Backend::load`] beyond the capacities that [`crate::Budget`] gave it.
+
+use cosurf_scene::{Camera, Splats};
+
+/// Colours that a rendering should have, `[height, width, rgb]`.
+#[derive(Clone, Copy, Debug)]
+pub enum TargetRgb<'a> {
+    /// A photograph, 0..=255.
+    Bytes(&'a [u8]),
+    /// Another model's rendering, 0..=1.
+    Floats(&'a [f32]),
+}
+
+/// What a rendering should look like: a photograph, or a teacher's rendering. Both are the same step.
+#[derive(Clone, Copy, Debug)]
+pub struct Targets<'a> {
+    /// Colours.
+    pub rgb: TargetRgb<'a>,
+}
+
+/// How much each loss counts.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LossWeights {
+    /// λ of `(1 - λ) L1 + λ (1 - SSIM)`, 0..=1; 0.2 in 3DGS.
+    pub ssim: f32,
+}
+
+/// The colour loss of one rendering.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PhotometricLoss {
+    /// `(1 - λ) L1 + λ (1 - SSIM)`.
+    pub total: f64,
+    /// Mean absolute difference.
+    pub l1: f64,
+    /// Mean structural similarity, -1..=1.
+    pub ssim: f64,
+    /// Mean squared difference.
+    pub mse: f64,
+}
+
+impl PhotometricLoss {
+    /// Peak signal-to-noise ratio, dB.
+    pub fn psnr(&self) -> f64 {
+        -10.0 * self.mse.max(1e-12).log10()
+    }
+}
+
+/// Which channels a rendering has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Channels {
+    /// Colour and transmittance.
+    Color,
+    /// Colour, transmittance, normal and plane distance.
+    Geometry,
+}
+
+/// What binning found.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct BinCounts {
+    /// Splats that the camera sees.
+    pub visible: usize,
+    /// Splat–tile pairs to blend.
+    pub pairs: usize,
+    /// Pairs for which there was no room: those of the farthest splats.
+    pub dropped: usize,
+}
+
+/// Learning rates of one Adam step. Bias corrections are set by [`AdamRates::at_step`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AdamRates {
+    /// Of means, world units.
+    pub mean: f32,
+    /// Of quaternions.
+    pub quat: f32,
+    /// Of log-scales.
+    pub log_scale: f32,
+    /// Of opacity logits.
+    pub opacity: f32,
+    /// Of the constant colour term.
+    pub sh_dc: f32,
+    /// Of the other SH coefficients.
+    pub sh_rest: f32,
+    /// `1 / (1 - β₁^step)`.
+    pub first_correction: f32,
+    /// `1 / (1 - β₂^step)`.
+    pub second_correction: f32,
+}
+
+/// A picture as the splats show it. All arrays row by row.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Rendering {
+    /// Width and height.
+    pub size_px: [u32; 2],
+    /// `[h, w, rgb]`, 0 and up; the background is black.
+    pub rgb: Vec<f32>,
+    /// `[h, w]`, 0..=1.
+    pub alpha: Vec<f32>,
+    /// `[h, w]` unbiased depth along the optical axis, world units (PGSR: blended plane distance over the
+    /// blended normal's share along the ray); 0 where there is no surface.
+    pub depth: Vec<f32>,
+    /// `[h, w, xyz]` alpha-blended normals in the camera frame, facing the camera, not normalised.
+    pub normal: Vec<f32>,
+}
+
+/// Shapes and statistics that refinement decides by; entry `i` is splat `i`.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Shapes {
+    /// World units.
+    pub means: Vec<[f32; 3]>,
+    /// wxyz.
+    pub quats: Vec<[f32; 4]>,
+    /// ln world units.
+    pub log_scales: Vec<[f32; 3]>,
+    /// Before the logistic function.
+    pub opacity_logits: Vec<f32>,
+    /// Mean over views of the norm of ∂L/∂mean on the screen, in units of half the picture; 0 if unseen.
+    pub screen_gradients: Vec<f32>,
+    /// Views that saw the splat since the last refinement.
+    pub views: Vec<f32>,
+}
+
+/// A new splat: a copy of `parent` but for what is named here; its moments are zero.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Birth {
+    /// Index before the edit.
+    pub parent: u32,
+    /// World units.
+    pub mean: [f32; 3],
+    /// ln world units.
+    pub log_scale: [f32; 3],
+    /// Before the logistic function.
+    pub opacity_logit: f32,
+}
+
+/// One refinement: births go to the places of the dead first, then to the end; places that are still
+/// empty are filled from the end.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Edit {
+    /// New splats, in order.
+    pub births: Vec<Birth>,
+    /// Indices of splats to remove, ascending. A dead splat may be a parent.
+    pub deaths: Vec<u32>,
+}
+
+/// A device that trains and renders. Passes are called in the order of their declaration; each uses what
+/// the ones before it left in the backend.
+pub trait Backend {
+    /// What computes, for people: `cpu avx512 × 2`.
+    fn device(&self) -> String;
+
+    /// Splats now.
+    fn len(&self) -> usize;
+
+    /// Whether there are no splats.
+    fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Most splats that fit.
+    fn capacity(&self) -> usize;
+
+    /// Replaces all splats; moments and statistics become zero. Panics beyond the capacity.
+    fn load(&mut self, splats: &Splats);
+
+    /// The splats as they are now.
+    fn splats(&self) -> Splats;
+
+    /// 2D Gaussians, colours (up to `sh_degree`) and planes for a camera.
+    fn project(&mut self, camera: &Camera, sh_degree: u32);
+
+    /// Sorted tile lists.
+    fn bin(&mut self) -> BinCounts;
+
+    /// Blends the picture.
+    fn rasterize(&mut self, channels: Channels);
+
+    /// The loss of the picture, and its gradient with respect to every pixel.
+    fn losses(&mut self, targets: &Targets, weights: &LossWeights) -> PhotometricLoss;
+
+    /// Gradients of the projected splats.
+    fn rasterize_backward(&mut self);
+
+    /// Gradients of the parameters, and the statistics of densification.
+    fn project_backward(&mut self);
+
+    /// The gradients of the last backward pass, each in the place of its parameter; zero for splats that the
+    /// camera did not see. For comparing backends and checking them.
+    fn gradients(&self) -> Splats;
+
+    /// One optimiser step on the splats that the camera saw.
+    fn adam(&mut self, rates: &AdamRates);
+
+    /// The picture last blended. Depth and normal are empty if only colour was blended.
+    fn rendering(&self) -> Rendering;
+
+    /// What refinement decides by; statistics begin anew.
+    fn take_shapes(&mut self) -> Shapes;
+
+    /// Adds and removes splats. Panics beyond the capacity.
+    fn edit(&mut self, edit: &Edit);
+
+    /// Lowers every opacity to at most `opacity` and forgets the opacities' moments.
+    fn cap_opacity(&mut self, opacity: f32);
+
+    /// Visits parameters, moments and statistics in a fixed order, in pieces; with [`Backend::import`] this
+    /// is a checkpoint that continues to the same bits on the same backend. Stops at the first error.
+    fn export<E>(&self, visit: impl FnMut(&[f32]) -> Result<(), E>) -> Result<(), E>
+    where
+        Self: Sized;
+
+    /// Restores `len` splats from what [`Backend::export`] visited: `fill` is called with the same pieces.
+    fn import<E>(&mut self, len: usize, fill: impl FnMut(&mut [f32]) -> Result<(), E>) -> Result<(), E>
+    where
+        Self: Sized;
+}

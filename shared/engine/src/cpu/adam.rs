@@ -1,0 +1,130 @@
+//! The optimiser pass: Adam on the splats that the last view saw.
+//!
+//! Splats out of view keep parameters and moments (3DGS's "sparse Adam"). The SH gradients are
+//! products of the colour gradient and the basis, formed here, so they never travel through memory.
+
+use rayon::prelude::*;
+
+use super::blocks::{Blocks, LOG_SCALE, MEAN, OPACITY, QUAT, SH};
+use super::project::view_direction;
+use super::project_backward::{GRADIENT_RGB, GRADIENT_ROWS};
+use super::sh;
+use super::simd::{GROUP, Isa, Kernel, Lanes, Row, each};
+use super::view::ViewParams;
+use crate::backend::AdamRates;
+use cosurf_scene::splats::sh_coefficients;
+
+/// Decay of the first and second moment, and the term that keeps a division finite (3DGS).
+const BETA_1: f32 = 0.9;
+const BETA_2: f32 = 0.999;
+const EPSILON: f32 = 1e-15;
+
+/// First and second moments, laid out like the parameters.
+#[derive(Debug)]
+pub(crate) struct Moments {
+    pub(crate) first: Blocks,
+    pub(crate) second: Blocks,
+}
+
+/// One step on every visible splat.
+pub(crate) fn adam(
+    isa: Isa,
+    params: &mut Blocks,
+    moments: &mut Moments,
+    gradients: &Blocks,
+    visible: &[u16],
+    view: &ViewParams,
+    rates: &AdamRates,
+) {
+    let stride = params.stride();
+    params
+        .rows_mut()
+        .par_chunks_exact_mut(stride)
+        .zip(moments.first.rows_mut().par_chunks_exact_mut(stride))
+        .zip(moments.second.rows_mut().par_chunks_exact_mut(stride))
+        .zip(gradients.rows().par_chunks_exact(GRADIENT_ROWS))
+        .zip(visible.par_iter())
+        .with_min_len(64)
+        .for_each(|((((params, first), second), gradients), &visible)| {
+            if visible != 0 {
+                isa.run(AdamBlock { params, first, second, gradients, visible, view, rates });
+            }
+        });
+}
+
+struct AdamBlock<'a> {
+    params: &'a mut [Row],
+    first: &'a mut [Row],
+    second: &'a mut [Row],
+    gradients: &'a [Row],
+    visible: u16,
+    view: &'a ViewParams,
+    rates: &'a AdamRates,
+}
+
+impl Kernel for AdamBlock<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<L: Lanes>(mut self) {
+        let mut seen = Row::ZERO;
+        for (lane, value) in seen.0.iter_mut().enumerate() {
+            *value = f32::from(self.visible >> lane & 1);
+        }
+        for part in 0..GROUP / L::N {
+            let mask = L::splat(0.5).lt(seen.get::<L>(part));
+            if L::any(mask) {
+                self.part::<L>(part, mask);
+            }
+        }
+    }
+}
+
+impl AdamBlock<'_> {
+    #[inline(always)]
+    fn part<L: Lanes>(&mut self, part: usize, mask: L::Mask) {
+        let gradients = self.gradients;
+        let g = |row: usize| gradients[row].get::<L>(part);
+        let mean = each!([0, 1, 2], |a| self.params[MEAN + a].get::<L>(part));
+        // The direction under which the colour was seen, before the mean moves.
+        let (dir, _) = view_direction(mean, self.view);
+        let basis = sh::basis(dir, self.view.sh_degree);
+        let r = *self.rates;
+        for (first, count, rate) in
+            [(MEAN, 3, r.mean), (QUAT, 4, r.quat), (LOG_SCALE, 3, r.log_scale), (OPACITY, 1, r.opacity)]
+        {
+            for row in first..first + count {
+                self.update::<L>(row, part, mask, g(row), rate);
+            }
+        }
+        let v_rgb = [g(GRADIENT_RGB), g(GRADIENT_RGB + 1), g(GRADIENT_RGB + 2)];
+        for (k, y) in basis.iter().enumerate().take(sh_coefficients(self.view.sh_degree)) {
+            let rate = if k == 0 { r.sh_dc } else { r.sh_rest };
+            for (channel, v) in v_rgb.iter().enumerate() {
+                self.update::<L>(SH + 3 * k + channel, part, mask, *y * *v, rate);
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn update<L: Lanes>(&mut self, row: usize, part: usize, mask: L::Mask, g: L, rate: f32) {
+        let old_first = self.first[row].get::<L>(part);
+        let old_second = self.second[row].get::<L>(part);
+        let first = L::splat(BETA_1).mul_add(old_first, L::splat(1.0 - BETA_1) * g);
+        let second = L::splat(BETA_2).mul_add(old_second, L::splat(1.0 - BETA_2) * g * g);
+        let size = (second * L::splat(self.rates.second_correction)).sqrt() + L::splat(EPSILON);
+        let step = L::splat(rate * self.rates.first_correction) * first / size;
+        let old = self.params[row].get::<L>(part);
+        self.params[row].set(part, L::select(mask, old - step, old));
+        self.first[row].set(part, L::select(mask, first, old_first));
+        self.second[row].set(part, L::select(mask, second, old_second));
+    }
+}
+
+impl AdamRates {
+    /// Fills in the bias corrections `1 / (1 - β^step)` for the `step`-th update, counted from 1.
+    pub fn at_step(self, step: u32) -> Self {
+        let correction = |beta: f32| (1.0 / (1.0 - f64::from(beta).powf(f64::from(step.max(1))))) as f32;
+        Self { first_correction: correction(BETA_1), second_correction: correction(BETA_2), ..self }
+    }
+}

@@ -1,0 +1,322 @@
+//! The binning pass: which splats each tile must blend, nearest first.
+//!
+//! Splats are sorted by depth once; then tile lists are filled in that order, so no list is sorted
+//! again. A splat reaches exactly the tiles that its ellipse (alpha of at least 1/255) touches: for
+//! each row of tiles, the ellipse's reach within the band of pixel centres is worked out in closed
+//! form. Counting and filling read the same spans, so they cannot disagree.
+
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use rayon::prelude::*;
+
+use super::image::TILE;
+use super::project::{Projected, Projection};
+use super::simd::GROUP;
+use super::view::ViewParams;
+use crate::backend::BinCounts;
+
+/// Widens every span by this much, px, so that rounding cannot lose a pixel on the threshold.
+const SLACK_PX: f32 = 0.01;
+
+/// Depth-sorted splats are cut into this many runs for the threads; the result does not depend on it.
+const RUNS: usize = 16;
+
+/// Rows of tiles per job when lists are filled; the result does not depend on it.
+const ROWS_PER_JOB: usize = 3;
+
+/// Tiles that one splat touches in one row of tiles.
+#[derive(Clone, Copy, Debug)]
+struct Span {
+    id: u32,
+    /// Where this span's tiles begin among all splat–tile pairs of the run, in depth order.
+    slot: u32,
+    tile_y: u16,
+    tile_x: u16,
+    count: u16,
+}
+
+/// A splat and how many pairs it has.
+#[derive(Clone, Copy, Debug)]
+struct Touched {
+    id: u32,
+    pairs: u32,
+}
+
+/// One run of depth-sorted splats.
+#[derive(Debug, Default)]
+struct Run {
+    spans: Vec<Span>,
+    touched: Vec<Touched>,
+    pairs: u32,
+}
+
+/// Tile lists, and where each splat's pairs are in them.
+#[derive(Debug)]
+pub(crate) struct TileLists {
+    capacity: usize,
+    tiles: [usize; 2],
+    /// Splat ids, tile by tile, nearest first.
+    ids: Vec<u32>,
+    /// Tile `t` owns `ids[starts[t]..starts[t + 1]]`.
+    starts: Vec<u32>,
+    /// By splat id: first slot and number of slots.
+    slots: Vec<[u32; 2]>,
+    /// By slot: index into `ids`. A splat's slots are contiguous. Each is written by one thread only.
+    index_of_slot: Vec<AtomicU32>,
+    keys: Vec<u64>,
+    keys_swap: Vec<u64>,
+    runs: Vec<Run>,
+}
+
+impl TileLists {
+    /// Room for `splats` splats and `pairs` splat–tile pairs.
+    pub(crate) fn with_capacity(splats: usize, pairs: usize) -> Self {
+        Self {
+            capacity: pairs,
+            tiles: [0, 0],
+            ids: Vec::with_capacity(pairs),
+            starts: Vec::new(),
+            slots: Vec::with_capacity(splats),
+            index_of_slot: Vec::with_capacity(pairs),
+            keys: Vec::with_capacity(splats),
+            keys_swap: Vec::with_capacity(splats),
+            runs: (0..RUNS).map(|_| Run::default()).collect(),
+        }
+    }
+
+    pub(crate) fn set_capacity(&mut self, pairs: usize) {
+        self.capacity = pairs;
+    }
+
+    /// Ids of the splats that tile `tile` must blend, nearest first.
+    pub(crate) fn list(&self, tile: usize) -> &[u32] {
+        &self.ids[self.starts[tile] as usize..self.starts[tile + 1] as usize]
+    }
+
+    /// Tile `t` owns pairs `starts[t]..starts[t + 1]`.
+    pub(crate) fn starts(&self) -> &[u32] {
+        &self.starts
+    }
+
+    pub(crate) fn pairs(&self) -> usize {
+        self.ids.len()
+    }
+
+    /// Indices, in the order of the tile lists, of the pairs of splat `id`; always the same order.
+    pub(crate) fn pairs_of(&self, id: usize) -> impl Iterator<Item = usize> + '_ {
+        let [first, count] = self.slots[id];
+        self.index_of_slot[first as usize..(first + count) as usize]
+            .iter()
+            .map(|index| index.load(Ordering::Relaxed) as usize)
+    }
+
+    /// Bins what `projection` says is visible.
+    pub(crate) fn fill(&mut self, projection: &Projection, view: &ViewParams) -> BinCounts {
+        self.tiles = view.tiles();
+        self.sort_by_depth(projection);
+        self.find_spans(&projection.splats, view);
+        let counts = self.assign_slots(projection.splats.len());
+        self.count_tiles();
+        self.emit();
+        counts
+    }
+
+    fn sort_by_depth(&mut self, projection: &Projection) {
+        self.keys.clear();
+        for (block, &visible) in projection.visible.iter().enumerate() {
+            let mut left = visible;
+            while left != 0 {
+                let id = block * GROUP + left.trailing_zeros() as usize;
+                left &= left - 1;
+                // Positive floats sort like their bits.
+                self.keys.push(u64::from(projection.depths[id].to_bits()) << 32 | id as u64);
+            }
+        }
+        radix_sort_by_high_half(&mut self.keys, &mut self.keys_swap);
+    }
+
+    fn find_spans(&mut self, splats: &[Projected], view: &ViewParams) {
+        let run_len = self.keys.len().div_ceil(RUNS).max(1);
+        let keys = &self.keys;
+        self.runs.par_iter_mut().enumerate().for_each(|(index, run)| {
+            run.spans.clear();
+            run.touched.clear();
+            run.pairs = 0;
+            let begin = (index * run_len).min(keys.len());
+            let end = (begin + run_len).min(keys.len());
+            for key in &keys[begin..end] {
+                run.add(*key as u32, &splats[*key as u32 as usize], view);
+            }
+        });
+    }
+
+    /// Gives each splat its slots, in depth order; forgets those beyond the capacity.
+    fn assign_slots(&mut self, splats: usize) -> BinCounts {
+        self.slots.clear();
+        self.slots.resize(splats, [0, 0]);
+        let mut counts = BinCounts { visible: self.keys.len(), ..BinCounts::default() };
+        let mut full = false;
+        for run in &mut self.runs {
+            let first_slot = counts.pairs as u32;
+            for touched in &run.touched {
+                full |= counts.pairs + touched.pairs as usize > self.capacity;
+                if full {
+                    counts.dropped += touched.pairs as usize;
+                } else {
+                    self.slots[touched.id as usize] = [counts.pairs as u32, touched.pairs];
+                    counts.pairs += touched.pairs as usize;
+                }
+            }
+            let kept = counts.pairs as u32;
+            run.spans.iter_mut().for_each(|span| span.slot += first_slot);
+            run.spans.retain(|span| span.slot < kept);
+        }
+        counts
+    }
+
+    fn count_tiles(&mut self) {
+        let tiles = self.tiles[0] * self.tiles[1];
+        self.starts.clear();
+        self.starts.resize(tiles + 1, 0);
+        let tiles_x = self.tiles[0];
+        let runs = &self.runs;
+        self.starts[1..].par_chunks_mut(tiles_x * ROWS_PER_JOB).enumerate().for_each(|(job, counts)| {
+            for_each_span(runs, job, |row, span| {
+                let first = row * tiles_x + span.tile_x as usize;
+                counts[first..first + span.count as usize].iter_mut().for_each(|count| *count += 1);
+            });
+        });
+        let mut sum = 0;
+        for start in &mut self.starts {
+            sum += *start;
+            *start = sum;
+        }
+    }
+
+    fn emit(&mut self) {
+        let pairs = *self.starts.last().expect("starts has tiles + 1 entries") as usize;
+        self.ids.resize(pairs, 0);
+        self.index_of_slot.resize_with(pairs, || AtomicU32::new(0));
+        let (tiles_x, runs, starts, index_of_slot) =
+            (self.tiles[0], &self.runs, &self.starts, &self.index_of_slot);
+        let mut jobs = Vec::new();
+        let mut rest = self.ids.as_mut_slice();
+        for job in 0..self.tiles[1].div_ceil(ROWS_PER_JOB) {
+            let first = job * ROWS_PER_JOB * tiles_x;
+            let end = (first + ROWS_PER_JOB * tiles_x).min(starts.len() - 1);
+            let (own, others) = rest.split_at_mut((starts[end] - starts[first]) as usize);
+            rest = others;
+            jobs.push((job, &starts[first..end], own));
+        }
+        jobs.into_par_iter().for_each(|(job, starts, ids)| {
+            let base = starts[0];
+            let mut next = starts.to_vec();
+            for_each_span(runs, job, |row, span| {
+                let first = row * tiles_x + span.tile_x as usize;
+                for (k, next) in next[first..first + span.count as usize].iter_mut().enumerate() {
+                    ids[(*next - base) as usize] = span.id;
+                    index_of_slot[span.slot as usize + k].store(*next, Ordering::Relaxed);
+                    *next += 1;
+                }
+            });
+        });
+    }
+}
+
+/// Calls `visit(row within the job, span)` for the spans in the rows of `job`, nearest first.
+fn for_each_span(runs: &[Run], job: usize, mut visit: impl FnMut(usize, &Span)) {
+    let first = job * ROWS_PER_JOB;
+    for span in runs.iter().flat_map(|run| &run.spans) {
+        let row = (span.tile_y as usize).wrapping_sub(first);
+        if row < ROWS_PER_JOB {
+            visit(row, span);
+        }
+    }
+}
+
+impl Run {
+    fn add(&mut self, id: u32, splat: &Projected, view: &ViewParams) {
+        let begin = self.pairs;
+        visit_spans(splat, view.size_px, |tile_y, first, last| {
+            let count = (last - first + 1) as u16;
+            let slot = self.pairs;
+            self.spans.push(Span { id, slot, tile_y: tile_y as u16, tile_x: first as u16, count });
+            self.pairs += u32::from(count);
+        });
+        if self.pairs > begin {
+            self.touched.push(Touched { id, pairs: self.pairs - begin });
+        }
+    }
+}
+
+/// Pixels `i` with centres `i + 0.5` in `[low, high]`, clipped to `0..size`; `None` if there are none.
+#[inline]
+fn pixels_between(low: f32, high: f32, size: u32) -> Option<(usize, usize)> {
+    // Casts that cut off are an instruction; `ceil` and `floor` are calls on a baseline x86-64. Both ends are
+    // moved into the range where cutting off is rounding down; infinities and NaN are harmless in casts.
+    let low = (low - 0.5 - SLACK_PX).max(-1.0).min(size as f32);
+    let first = low as i32 + i32::from(low > (low as i32) as f32);
+    let last = (high - 0.5 + SLACK_PX).max(-1.0).min(size as f32 - 1.0);
+    let last = (last + 1.0) as i32 - 1;
+    (first.max(0) <= last).then_some((first.max(0) as usize, last as usize))
+}
+
+/// Calls `visit(tile_y, first tile_x, last tile_x)` for each row of tiles that the splat's ellipse
+/// (falloff of at most `falloff_max`) touches at a pixel centre's reach.
+#[inline]
+fn visit_spans(splat: &Projected, size_px: [u32; 2], mut visit: impl FnMut(usize, usize, usize)) {
+    let [mean_x, mean_y] = splat.mean_px;
+    let [extent_x, extent_y] = splat.extent_px;
+    let [half_a, b, half_c] = splat.falloff;
+    let Some((top, bottom)) = pixels_between(mean_y - extent_y, mean_y + extent_y, size_px[1]) else {
+        return;
+    };
+    // At height dy the ellipse spans center * dy ± half * sqrt(1 - (dy / extent_y)²); it is widest to
+    // the right at dy = rightmost, to the left at dy = -rightmost.
+    let center = -0.5 * b / half_a;
+    let half = (splat.falloff_max / half_a).sqrt();
+    let rightmost = -0.5 * b / half_c * extent_x;
+    let inv_extent_y = 1.0 / extent_y;
+    let reach = |dy: f32| half * (1.0 - (dy * inv_extent_y) * (dy * inv_extent_y)).max(0.0).sqrt();
+    for tile_y in top / TILE..=bottom / TILE {
+        let low = (tile_y * TILE).max(top) as f32 + 0.5 - mean_y;
+        let high = (tile_y * TILE + TILE - 1).min(bottom) as f32 + 0.5 - mean_y;
+        let at_right = rightmost.max(low).min(high);
+        let at_left = (-rightmost).max(low).min(high);
+        let left = mean_x + center * at_left - reach(at_left);
+        let right = mean_x + center * at_right + reach(at_right);
+        if let Some((first, last)) = pixels_between(left, right, size_px[0]) {
+            visit(tile_y, first / TILE, last / TILE);
+        }
+    }
+}
+
+/// Stable sort by the upper 32 bits, 11 bits at a time; passes whose digit is the same everywhere are skipped.
+fn radix_sort_by_high_half(keys: &mut Vec<u64>, swap: &mut Vec<u64>) {
+    const BITS: u32 = 11;
+    const BUCKETS: usize = 1 << BITS;
+    swap.clear();
+    swap.resize(keys.len(), 0);
+    let mut counts = [[0u32; BUCKETS]; 3];
+    let digit = |key: u64, pass: usize| (key >> (32 + BITS * pass as u32)) as usize % BUCKETS;
+    for &key in keys.iter() {
+        for (pass, counts) in counts.iter_mut().enumerate() {
+            counts[digit(key, pass)] += 1;
+        }
+    }
+    for (pass, counts) in counts.iter_mut().enumerate() {
+        if counts.iter().any(|count| *count as usize == keys.len()) {
+            continue;
+        }
+        let mut sum = 0;
+        for count in counts.iter_mut() {
+            sum += std::mem::replace(count, sum);
+        }
+        for &key in keys.iter() {
+            let place = &mut counts[digit(key, pass)];
+            swap[*place as usize] = key;
+            *place += 1;
+        }
+        std::mem::swap(keys, swap);
+    }
+}

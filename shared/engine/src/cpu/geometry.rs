@@ -1,0 +1,126 @@
+//! From parameters to a 2D Gaussian and a plane: what projection and its backward pass share.
+//! Formulas: EWA splatting as in 3DGS; the plane as in PGSR.
+
+use super::simd::{Lanes, each};
+use super::view::ViewParams;
+
+/// Variance added to both screen axes, px² (3DGS's low-pass).
+pub(crate) const LOW_PASS_PX2: f32 = 0.3;
+
+/// Everything between a splat's parameters and its conic.
+#[derive(Clone, Copy)]
+pub(crate) struct Geometry<L: Lanes> {
+    /// Centre in the camera frame.
+    pub(crate) t: [L; 3],
+    pub(crate) inv_z: L,
+    /// Slopes `x / z`, `y / z` after clamping.
+    pub(crate) slope: [L; 2],
+    /// Where a slope was clamped.
+    pub(crate) clamped: [L::Mask; 2],
+    /// Unit quaternion wxyz, and 1 / its former length.
+    pub(crate) q: [L; 4],
+    pub(crate) inv_norm: L,
+    /// `cam_from_splat` rotation, `u[row][axis]`.
+    pub(crate) u: [[L; 3]; 3],
+    /// Variances along the splat's axes.
+    pub(crate) variance: [L; 3],
+    /// `J u`: the splat's axes on the screen, `b[screen axis][axis]`.
+    pub(crate) b: [[L; 3]; 2],
+    /// Covariance on the screen (xx, xy, yy), low-pass included, px².
+    pub(crate) cov: [L; 3],
+    pub(crate) det: L,
+}
+
+#[inline(always)]
+pub(crate) fn dot3<L: Lanes>(a: [L; 3], b: [L; 3]) -> L {
+    a[0].mul_add(b[0], a[1].mul_add(b[1], a[2] * b[2]))
+}
+
+/// `world_from_splat` for a unit quaternion, `r[row][axis]`.
+#[inline(always)]
+pub(crate) fn rotation<L: Lanes>(q: [L; 4]) -> [[L; 3]; 3] {
+    let [w, x, y, z] = q;
+    let (one, two) = (L::splat(1.0), L::splat(2.0));
+    let (xx, yy, zz) = (x * x, y * y, z * z);
+    let (xy, xz, yz) = (x * y, x * z, y * z);
+    let (wx, wy, wz) = (w * x, w * y, w * z);
+    [
+        [one - two * (yy + zz), two * (xy - wz), two * (xz + wy)],
+        [two * (xy + wz), one - two * (xx + zz), two * (yz - wx)],
+        [two * (xz - wy), two * (yz + wx), one - two * (xx + yy)],
+    ]
+}
+
+#[inline(always)]
+pub(crate) fn geometry<L: Lanes>(
+    mean: [L; 3],
+    quat: [L; 4],
+    log_scale: [L; 3],
+    view: &ViewParams,
+) -> Geometry<L> {
+    let c = L::splat;
+    let one = c(1.0);
+    let w = each!([0, 1, 2], |r| each!([0, 1, 2], |a| c(view.rotation[r][a])));
+    let t = each!([0, 1, 2], |r| dot3(w[r], mean) + c(view.translation[r]));
+    let inv_z = one / t[2];
+    let raw = [t[0] * inv_z, t[1] * inv_z];
+    let slope = each!([0, 1], |a| raw[a].max(c(view.slope_min[a])).min(c(view.slope_max[a])));
+    let clamped =
+        each!([0, 1], |a| L::and_not(L::mask_all(true), L::and(raw[a].ge(slope[a]), slope[a].ge(raw[a]))));
+
+    let norm2 = quat[0].mul_add(quat[0], dot3([quat[1], quat[2], quat[3]], [quat[1], quat[2], quat[3]]));
+    let inv_norm = one / norm2.sqrt();
+    let q = each!([0, 1, 2, 3], |k| quat[k] * inv_norm);
+    let r = rotation(q);
+    let u =
+        each!([0, 1, 2], |row| each!([0, 1, 2], |axis| dot3(w[row], [r[0][axis], r[1][axis], r[2][axis]])));
+    let scale = each!([0, 1, 2], |k| log_scale[k].max(c(-40.0)).min(c(40.0)).exp());
+    let variance = each!([0, 1, 2], |k| scale[k] * scale[k]);
+
+    // J = [f/z, 0, -f slope/z]: rows of J u.
+    let b = each!([0, 1], |a| {
+        let j = c(view.focal_px[a]) * inv_z;
+        each!([0, 1, 2], |axis| j * slope[a].neg_mul_add(u[2][axis], u[a][axis]))
+    });
+    let cov_of = |p: [L; 3], q: [L; 3]| dot3([p[0] * variance[0], p[1] * variance[1], p[2] * variance[2]], q);
+    let low_pass = c(LOW_PASS_PX2);
+    let bare = [cov_of(b[0], b[0]), cov_of(b[0], b[1]), cov_of(b[1], b[1])];
+    // det(S Sᵀ + λ I) = |s0 × s1|² + λ tr + λ²: no cancellation for needles, unlike ac - b².
+    let s = each!([0, 1], |a| each!([0, 1, 2], |axis| b[a][axis] * scale[axis]));
+    let cross = [
+        s[0][1] * s[1][2] - s[0][2] * s[1][1],
+        s[0][2] * s[1][0] - s[0][0] * s[1][2],
+        s[0][0] * s[1][1] - s[0][1] * s[1][0],
+    ];
+    let det = dot3(cross, cross) + low_pass * (bare[0] + bare[2] + low_pass);
+    let cov = [bare[0] + low_pass, bare[1], bare[2] + low_pass];
+    Geometry { t, inv_z, slope, clamped, q, inv_norm, u, variance, b, cov, det }
+}
+
+/// The plane of a splat: its shortest axis in the camera frame, turned towards the camera.
+#[derive(Clone, Copy)]
+pub(crate) struct Plane<L: Lanes> {
+    /// Unit normal, camera frame, `n · t < 0`.
+    pub(crate) normal: [L; 3],
+    /// Distance of the plane from the camera centre, positive.
+    pub(crate) distance: L,
+    /// Which axis it is, as masks; exactly one is true in each lane.
+    pub(crate) axis: [L::Mask; 3],
+    /// +1 or -1: the sign given to the axis.
+    pub(crate) sign: L,
+}
+
+#[inline(always)]
+pub(crate) fn plane<L: Lanes>(g: &Geometry<L>, log_scale: [L; 3]) -> Plane<L> {
+    let [s0, s1, s2] = log_scale;
+    let all = L::mask_all(true);
+    // Ties go to the later axis, so that exactly one is chosen.
+    let first = L::and(s0.lt(s1), s0.lt(s2));
+    let second = L::and_not(s1.lt(s2), first);
+    let third = L::and_not(L::and_not(all, first), second);
+    let column = each!([0, 1, 2], |r| L::select(first, g.u[r][0], L::select(second, g.u[r][1], g.u[r][2])));
+    let facing = dot3(column, g.t);
+    let sign = L::select(facing.ge(L::zero()), L::splat(-1.0), L::splat(1.0));
+    let normal = each!([0, 1, 2], |r| column[r] * sign);
+    Plane { normal, distance: (facing * sign).neg(), axis: [first, second, third], sign }
+}

@@ -1,0 +1,359 @@
+//! The loss pass: `(1 - λ) L1 + λ (1 - SSIM)` on colours, and the gradient of both, in one sweep.
+//!
+//! SSIM as in 3DGS: 11 × 11 Gaussian window, σ 1.5, zeros outside the picture. The window is separable;
+//! a band of the picture runs through two rings of 11 filtered lines each (first the five moments, then
+//! the three partial derivatives), so scratch memory stays in the second-level cache whatever the
+//! picture's size.
+
+use rayon::prelude::*;
+
+use super::image::{TILE, TileImage};
+use super::rasterize::{RGB, TRANSMITTANCE};
+use super::simd::{GROUP, Isa, Kernel, Lanes, Row, each};
+use crate::backend::{PhotometricLoss, TargetRgb};
+
+/// Half the SSIM window.
+const REACH: usize = 5;
+const TAPS: usize = 2 * REACH + 1;
+/// SSIM's stabilisers for colours in 0..1 (0.01² and 0.03²).
+const C1: f32 = 0.000_1;
+const C2: f32 = 0.000_9;
+/// Rows of tiles in a band; the result does not depend on threads because bands do not.
+const BAND_TILES: usize = 2;
+/// Zeros to the left and right of a line: at least [`REACH`], and whole groups.
+const MARGIN: usize = GROUP;
+
+/// Window weights `exp(-x² / (2 σ²))`, σ = 1.5, normalised to sum 1.
+fn window() -> [f32; TAPS] {
+    let raw: [f64; TAPS] = std::array::from_fn(|i| (-(i as f64 - REACH as f64).powi(2) / 4.5).exp());
+    let sum: f64 = raw.iter().sum();
+    raw.map(|w| (w / sum) as f32)
+}
+
+/// Fills `gradient` (colour planes and the transmittance plane, which is zero: the background is black)
+/// and returns the loss. `gradient` must have the same shape as `image`.
+pub(crate) fn photometric(
+    isa: Isa,
+    image: &TileImage,
+    target: TargetRgb,
+    ssim_weight: f32,
+    gradient: &mut TileImage,
+) -> PhotometricLoss {
+    let [width, height] = image.size_px();
+    let pixels = 3.0 * width as f32 * height as f32;
+    let weights = Weights { window: window(), l1: (1.0 - ssim_weight) / pixels, ssim: ssim_weight / pixels };
+    let band_rows = image.tiles()[0] * image.rows_per_tile() * BAND_TILES;
+    let sums: Vec<Sums> = gradient
+        .rows_mut()
+        .par_chunks_mut(band_rows)
+        .enumerate()
+        .map(|(band, rows)| {
+            rows.chunks_exact_mut(image.rows_per_tile())
+                .for_each(|tile| tile[TRANSMITTANCE * TILE..].fill(Row::ZERO));
+            (0..3).fold(Sums::default(), |sums, channel| {
+                sums.plus(isa.run(Band { image, target, weights, channel, band, gradient: rows }))
+            })
+        })
+        .collect();
+    // Added in the order of the bands.
+    let total = sums.into_iter().fold(Sums::default(), Sums::plus);
+    let pixels = f64::from(pixels);
+    let (l1, ssim, mse) = (total.l1 / pixels, total.ssim / pixels, total.squares / pixels);
+    let weight = f64::from(ssim_weight);
+    PhotometricLoss { total: (1.0 - weight) * l1 + weight * (1.0 - ssim), l1, ssim, mse }
+}
+
+#[derive(Clone, Copy)]
+struct Weights {
+    window: [f32; TAPS],
+    l1: f32,
+    ssim: f32,
+}
+
+#[derive(Clone, Copy, Default)]
+struct Sums {
+    l1: f64,
+    ssim: f64,
+    squares: f64,
+}
+
+impl Sums {
+    fn plus(self, other: Self) -> Self {
+        Self { l1: self.l1 + other.l1, ssim: self.ssim + other.ssim, squares: self.squares + other.squares }
+    }
+}
+
+struct Band<'a> {
+    image: &'a TileImage,
+    target: TargetRgb<'a>,
+    weights: Weights,
+    channel: usize,
+    band: usize,
+    gradient: &'a mut [Row],
+}
+
+/// `MOMENT` lines: filtered x, y, xx, yy, xy.
+const MOMENT_LINES: usize = 5;
+/// `PARTIAL` lines: filtered ∂SSIM/∂μx, ∂SSIM/∂E[xx], ∂SSIM/∂E[xy].
+const PARTIAL_LINES: usize = 3;
+
+/// `LINES` rings of 11 lines.
+struct Ring<const LINES: usize> {
+    width: usize,
+    data: Vec<f32>,
+}
+
+impl<const LINES: usize> Ring<LINES> {
+    fn new(width: usize) -> Self {
+        Self { width, data: vec![0.0; LINES * TAPS * width] }
+    }
+
+    /// Line `line` for picture row `y` (which may be up to [`TAPS`] above the picture).
+    #[inline(always)]
+    fn at(&self, line: usize, y: isize) -> &[f32] {
+        &self.data[(line * TAPS + y.rem_euclid(TAPS as isize) as usize) * self.width..][..self.width]
+    }
+
+    fn at_mut(&mut self, line: usize, y: isize) -> &mut [f32] {
+        &mut self.data[(line * TAPS + y.rem_euclid(TAPS as isize) as usize) * self.width..][..self.width]
+    }
+
+    /// The lines that the vertical filter at `y` reads.
+    #[inline(always)]
+    fn taps(&self, y: isize) -> [[&[f32]; TAPS]; LINES] {
+        std::array::from_fn(|line| std::array::from_fn(|k| self.at(line, y + k as isize - REACH as isize)))
+    }
+}
+
+/// The vertical filter for the vector of columns that starts at `x`.
+#[inline(always)]
+fn filtered_column<L: Lanes>(taps: &[&[f32]; TAPS], x: usize, window: &[f32; TAPS]) -> L {
+    let mut sum = L::zero();
+    for (line, weight) in taps.iter().zip(window) {
+        sum = L::splat(*weight).mul_add(L::load(&line[x..]), sum);
+    }
+    sum
+}
+
+/// The horizontal filter of a line with [`MARGIN`] zeros on both sides, at column `x` of the picture.
+#[inline(always)]
+fn filtered_row<L: Lanes>(line: &[f32], x: usize, window: &[f32; TAPS]) -> L {
+    let first = MARGIN + x - REACH;
+    let mut sum = L::zero();
+    for (k, weight) in window.iter().enumerate() {
+        sum = L::splat(*weight).mul_add(L::load(&line[first + k..]), sum);
+    }
+    sum
+}
+
+impl Kernel for Band<'_> {
+    type Output = Sums;
+
+    #[inline(always)]
+    fn run<L: Lanes>(self) -> Sums {
+        let Self { image, target, weights, channel, band, gradient } = self;
+        let [width, height] = image.size_px();
+        let padded = image.tiles()[0] * TILE;
+        let line_len = padded + 2 * MARGIN;
+        let rows_per_tile = image.rows_per_tile();
+        let first = band * BAND_TILES * TILE;
+        let end = (first + BAND_TILES * TILE).min(height);
+        let inside = |y: isize| y >= 0 && y < height as isize;
+
+        let mut x_line = vec![0.0; line_len];
+        let mut y_line = vec![0.0; line_len];
+        let mut products = [vec![0.0; line_len], vec![0.0; line_len], vec![0.0; line_len]];
+        let mut partial_lines = [vec![0.0; line_len], vec![0.0; line_len], vec![0.0; line_len]];
+        let mut moments = Ring::<MOMENT_LINES>::new(padded);
+        let mut partials = Ring::<PARTIAL_LINES>::new(padded);
+        let mut sums = Sums::default();
+
+        // Row `y_in` enters; the partial derivatives of row `y_in - 5` and the gradient of `y_in - 10` leave.
+        for y_in in first as isize - 2 * REACH as isize..(end + 2 * REACH) as isize {
+            if inside(y_in) {
+                read_line(image, channel, y_in as usize, width, &mut x_line);
+                target.read_line(channel, y_in as usize, width, &mut y_line[MARGIN..MARGIN + width]);
+                multiply::<L>(&x_line, &y_line, &mut products);
+                for x in (0..padded).step_by(L::N) {
+                    let filtered = [
+                        filtered_row::<L>(&x_line, x, &weights.window),
+                        filtered_row::<L>(&y_line, x, &weights.window),
+                        filtered_row::<L>(&products[0], x, &weights.window),
+                        filtered_row::<L>(&products[1], x, &weights.window),
+                        filtered_row::<L>(&products[2], x, &weights.window),
+                    ];
+                    for (line, value) in filtered.into_iter().enumerate() {
+                        value.store(&mut moments.at_mut(line, y_in)[x..]);
+                    }
+                }
+            } else {
+                (0..MOMENT_LINES).for_each(|line| moments.at_mut(line, y_in).fill(0.0));
+            }
+
+            let y_map = y_in - REACH as isize;
+            if y_map < first as isize - REACH as isize {
+                continue;
+            }
+            if inside(y_map) {
+                let own = (first..end).contains(&(y_map as usize));
+                let ssim = ssim_row::<L>(&moments, y_map, width, &weights.window, &mut partial_lines);
+                if own {
+                    sums.ssim += ssim;
+                }
+                for x in (0..padded).step_by(L::N) {
+                    for (line, values) in partial_lines.iter().enumerate() {
+                        let value = filtered_row::<L>(values, x, &weights.window);
+                        value.store(&mut partials.at_mut(line, y_map)[x..]);
+                    }
+                }
+            } else {
+                (0..PARTIAL_LINES).for_each(|line| partials.at_mut(line, y_map).fill(0.0));
+            }
+
+            let y_out = y_map - REACH as isize;
+            if y_out < first as isize || y_out >= end as isize {
+                continue;
+            }
+            let y = y_out as usize;
+            read_line(image, channel, y, width, &mut x_line);
+            target.read_line(channel, y, width, &mut y_line[MARGIN..MARGIN + width]);
+            let taps = partials.taps(y_out);
+            for tile_x in 0..image.tiles()[0] {
+                let row = &mut gradient[((y - first) / TILE * image.tiles()[0] + tile_x) * rows_per_tile
+                    + (RGB + channel) * TILE
+                    + y % TILE];
+                for part in 0..GROUP / L::N {
+                    let column = tile_x * TILE + part * L::N;
+                    let (x, y) = (L::load(&x_line[MARGIN + column..]), L::load(&y_line[MARGIN + column..]));
+                    let p =
+                        each!([0, 1, 2], |line| filtered_column::<L>(&taps[line], column, &weights.window));
+                    let d_ssim = (x + x).mul_add(p[1], y.mul_add(p[2], p[0]));
+                    let difference = x - y;
+                    let sign = L::select(
+                        L::zero().lt(difference),
+                        L::splat(1.0),
+                        L::splat(-1.0).keep(difference.lt(L::zero())),
+                    );
+                    row.set(part, d_ssim.neg_mul_add(L::splat(weights.ssim), sign * L::splat(weights.l1)));
+                }
+                // Beyond the right border nothing may have a gradient.
+                let valid = (width - (tile_x * TILE).min(width)).min(TILE);
+                row.0[valid..].fill(0.0);
+            }
+            let (l1, squares) = differences::<L>(&x_line, &y_line);
+            sums.l1 += l1;
+            sums.squares += squares;
+        }
+        zero_below(gradient, image, channel, end - first);
+        sums
+    }
+}
+
+/// Rows of the band's last tiles that lie below the picture have no gradient.
+fn zero_below(gradient: &mut [Row], image: &TileImage, channel: usize, rows: usize) {
+    let per_tile_row = image.tiles()[0] * image.rows_per_tile();
+    for (tile_y, tiles) in gradient.chunks_exact_mut(per_tile_row).enumerate() {
+        let valid = rows.saturating_sub(tile_y * TILE).min(TILE);
+        for tile in tiles.chunks_exact_mut(image.rows_per_tile()) {
+            tile[(RGB + channel) * TILE + valid..(RGB + channel + 1) * TILE].fill(Row::ZERO);
+        }
+    }
+}
+
+/// Copies a row of the rendered picture between the margins; beyond the right border it is zero.
+#[inline(always)]
+fn read_line(image: &TileImage, channel: usize, y: usize, width: usize, line: &mut [f32]) {
+    for tile_x in 0..image.tiles()[0] {
+        let start = MARGIN + tile_x * TILE;
+        line[start..start + TILE].copy_from_slice(&image.row(RGB + channel, y, tile_x).0);
+    }
+    line[MARGIN + width..].fill(0.0);
+}
+
+#[inline(always)]
+fn multiply<L: Lanes>(x: &[f32], y: &[f32], products: &mut [Vec<f32>; 3]) {
+    for start in (MARGIN..x.len() - MARGIN).step_by(L::N) {
+        let (a, b) = (L::load(&x[start..]), L::load(&y[start..]));
+        (a * a).store(&mut products[0][start..]);
+        (b * b).store(&mut products[1][start..]);
+        (a * b).store(&mut products[2][start..]);
+    }
+}
+
+/// Sums of |x - y| and (x - y)² of a line; margins and padding are equal and add nothing.
+#[inline(always)]
+fn differences<L: Lanes>(x: &[f32], y: &[f32]) -> (f64, f64) {
+    let (mut l1, mut squares) = (L::zero(), L::zero());
+    for start in (MARGIN..x.len() - MARGIN).step_by(L::N) {
+        let difference = L::load(&x[start..]) - L::load(&y[start..]);
+        l1 = l1 + difference.abs();
+        squares = difference.mul_add(difference, squares);
+    }
+    (f64::from(l1.sum()), f64::from(squares.sum()))
+}
+
+/// SSIM's map on one row: returns its sum, and writes its partial derivatives between the margins.
+#[inline(always)]
+fn ssim_row<L: Lanes>(
+    moments: &Ring<MOMENT_LINES>,
+    y: isize,
+    width: usize,
+    window: &[f32; TAPS],
+    partials: &mut [Vec<f32>; 3],
+) -> f64 {
+    let c = L::splat;
+    let mut sum = L::zero();
+    let mut values = Row::ZERO;
+    let taps = moments.taps(y);
+    for start in (0..moments.width).step_by(L::N) {
+        let m = each!([0, 1, 2, 3, 4], |line| filtered_column::<L>(&taps[line], start, window));
+        let [mu_x, mu_y, xx, yy, xy] = m;
+        let (mu_xx, mu_yy, mu_xy) = (mu_x * mu_x, mu_y * mu_y, mu_x * mu_y);
+        let a1 = mu_xy + mu_xy + c(C1);
+        let a2 = c(2.0).mul_add(xy - mu_xy, c(C2));
+        let b1 = mu_xx + mu_yy + c(C1);
+        let b2 = xx - mu_xx + yy - mu_yy + c(C2);
+        let inv = c(1.0) / (b1 * b2);
+        let map = a1 * a2 * inv;
+        let by_xx = (map / b2).neg();
+        let by_xy = c(2.0) * a1 * inv;
+        // Through μx itself, and through σx² = E[xx] - μx², σxy = E[xy] - μx μy.
+        let by_mu = c(2.0) * (mu_y * (a2 - a1) * inv + mu_x * map * (c(1.0) / b2 - c(1.0) / b1));
+        let valid = width.saturating_sub(start).min(L::N);
+        let mut put = |line: usize, value: L| {
+            value.store(&mut partials[line][MARGIN + start..]);
+            partials[line][MARGIN + start + valid..MARGIN + start + L::N].fill(0.0);
+        };
+        put(0, by_mu);
+        put(1, by_xx);
+        put(2, by_xy);
+        if valid == L::N {
+            sum = sum + map;
+        } else {
+            values.set(0, map);
+            values.0[valid..].fill(0.0);
+            sum = sum + values.get::<L>(0);
+        }
+    }
+    f64::from(sum.sum())
+}
+
+impl TargetRgb<'_> {
+    /// Colours of one channel of row `y`, 0..1.
+    #[inline(always)]
+    fn read_line(&self, channel: usize, y: usize, width: usize, line: &mut [f32]) {
+        let range = 3 * y * width..3 * (y + 1) * width;
+        match self {
+            Self::Bytes(rgb) => {
+                for (value, pixel) in line.iter_mut().zip(rgb[range].chunks_exact(3)) {
+                    *value = f32::from(pixel[channel]) * (1.0 / 255.0);
+                }
+            }
+            Self::Floats(rgb) => {
+                for (value, pixel) in line.iter_mut().zip(rgb[range].chunks_exact(3)) {
+                    *value = pixel[channel];
+                }
+            }
+        }
+    }
+}

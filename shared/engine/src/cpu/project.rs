@@ -1,0 +1,202 @@
+//! The projection pass: each splat's 2D Gaussian, colour and plane for one camera.
+
+use std::f32::consts::LOG2_E;
+
+use rayon::prelude::*;
+
+use super::blocks::{Blocks, LOG_SCALE, MEAN, OPACITY, QUAT, SH};
+use super::geometry::{dot3, geometry, plane};
+use super::sh;
+use super::simd::{GROUP, Isa, Kernel, Lanes, Row, each};
+use super::view::{NEAR, ViewParams};
+
+/// Blend weights below this are skipped (3DGS).
+pub(crate) const ALPHA_MIN: f32 = 1.0 / 255.0;
+
+/// A splat as the rasteriser reads it: one cache line.
+#[derive(Clone, Copy, Debug, Default)]
+#[repr(C, align(64))]
+pub(crate) struct Projected {
+    pub(crate) mean_px: [f32; 2],
+    /// `(a / 2, b, c / 2) log2(e)` of the inverse covariance `[a b; b c]`, 1/px²: alpha is
+    /// `2^(log2_opacity - (x² dx² + xy dx dy + y² dy²))` in this order of coefficients.
+    pub(crate) falloff: [f32; 3],
+    pub(crate) log2_opacity: f32,
+    pub(crate) rgb: [f32; 3],
+    /// Camera frame.
+    pub(crate) normal: [f32; 3],
+    pub(crate) plane_distance: f32,
+    /// Half-sides of the box that holds every pixel with alpha of at least [`ALPHA_MIN`].
+    pub(crate) extent_px: [f32; 2],
+    /// `log2(255 o)`: the largest falloff that is drawn.
+    pub(crate) falloff_max: f32,
+}
+
+/// Outputs of the pass, by splat id.
+#[derive(Debug, Default)]
+pub(crate) struct Projection {
+    pub(crate) splats: Vec<Projected>,
+    /// Depth along the optical axis.
+    pub(crate) depths: Vec<f32>,
+    /// Bit `i` of block `b`: splat `16 b + i` is drawn.
+    pub(crate) visible: Vec<u16>,
+}
+
+impl Projection {
+    pub(crate) fn with_capacity(capacity: usize) -> Self {
+        let blocks = capacity.div_ceil(GROUP);
+        Self {
+            splats: Vec::with_capacity(blocks * GROUP),
+            depths: Vec::with_capacity(blocks * GROUP),
+            visible: Vec::with_capacity(blocks),
+        }
+    }
+
+    fn resize(&mut self, blocks: usize) {
+        self.splats.resize(blocks * GROUP, Projected::default());
+        self.depths.resize(blocks * GROUP, 0.0);
+        self.visible.resize(blocks, 0);
+    }
+}
+
+/// Projects all splats.
+pub(crate) fn project(isa: Isa, params: &Blocks, view: &ViewParams, out: &mut Projection) {
+    let blocks = params.len().div_ceil(GROUP);
+    out.resize(blocks);
+    let stride = params.stride();
+    let tail_mask = |block: usize| match params.len() - block * GROUP {
+        left if left < GROUP => (1u16 << left) - 1,
+        _ => !0,
+    };
+    (params.rows().par_chunks_exact(stride))
+        .zip(out.splats.par_chunks_exact_mut(GROUP))
+        .zip(out.depths.par_chunks_exact_mut(GROUP))
+        .zip(out.visible.par_iter_mut())
+        .enumerate()
+        .with_min_len(64)
+        .for_each(|(index, (((block, splats), depths), visible))| {
+            *visible = isa.run(ProjectBlock { block, view, splats, depths }) & tail_mask(index);
+        });
+}
+
+struct ProjectBlock<'a> {
+    block: &'a [Row],
+    view: &'a ViewParams,
+    splats: &'a mut [Projected],
+    depths: &'a mut [f32],
+}
+
+/// Rows in which a block's results wait to be transposed into [`Projected`].
+const FIELDS: usize = 16;
+
+impl Kernel for ProjectBlock<'_> {
+    /// Which of the 16 are drawn.
+    type Output = u16;
+
+    #[inline(always)]
+    fn run<L: Lanes>(self) -> u16 {
+        let mut fields = [Row::ZERO; FIELDS];
+        let mut in_front = 0u32;
+        for part in 0..GROUP / L::N {
+            let t_z = project_part::<L>(self.block, self.view, part, &mut fields);
+            t_z.store(&mut self.depths[part * L::N..]);
+            in_front |= L::bits(L::splat(NEAR).lt(t_z)) << (part * L::N);
+        }
+        let mut visible = 0u16;
+        for (i, splat) in self.splats.iter_mut().enumerate() {
+            if in_front >> i & 1 == 1 && finish(splat, std::array::from_fn(|k| fields[k].0[i]), self.view) {
+                visible |= 1 << i;
+            }
+        }
+        visible
+    }
+}
+
+/// One vector of splats: everything but the culling. Returns the depths.
+#[inline(always)]
+fn project_part<L: Lanes>(block: &[Row], view: &ViewParams, part: usize, fields: &mut [Row; FIELDS]) -> L {
+    let get = |row: usize| block[row].get::<L>(part);
+    let mean = [get(MEAN), get(MEAN + 1), get(MEAN + 2)];
+    let quat = [get(QUAT), get(QUAT + 1), get(QUAT + 2), get(QUAT + 3)];
+    let log_scale = [get(LOG_SCALE), get(LOG_SCALE + 1), get(LOG_SCALE + 2)];
+    let g = geometry(mean, quat, log_scale, view);
+    let plane = plane(&g, log_scale);
+    let inv_det = L::splat(1.0) / g.det;
+    let rgb = color(block, mean, view, part);
+    let mean_px =
+        each!([0, 1], |a| L::splat(view.focal_px[a]).mul_add(g.t[a] * g.inv_z, L::splat(view.center_px[a])));
+    let (log2_e, zero) = (L::splat(LOG2_E), L::zero());
+    // log2(sigmoid(x)), without overflow on either side.
+    let logit = get(OPACITY);
+    let tail = logit.abs().neg().max(L::splat(-80.0)).exp().ln_1p();
+    let log2_opacity = log2_e * (logit.min(zero) - tail);
+    let falloff_max = log2_opacity - L::splat(ALPHA_MIN.log2());
+    // ½ dᵀ A d = falloff / log2(e), and its box has half-sides sqrt(2 ½dᵀAd C_xx), sqrt(… C_yy).
+    let reach = L::splat(2.0 / LOG2_E) * falloff_max.max(zero);
+    let half = inv_det * L::splat(0.5 * LOG2_E);
+    let values = [
+        mean_px[0],
+        mean_px[1],
+        g.cov[2] * half,
+        (g.cov[1] * inv_det * log2_e).neg(),
+        g.cov[0] * half,
+        log2_opacity,
+        rgb[0],
+        rgb[1],
+        rgb[2],
+        plane.normal[0],
+        plane.normal[1],
+        plane.normal[2],
+        plane.distance,
+        (reach * g.cov[0]).sqrt(),
+        (reach * g.cov[2]).sqrt(),
+        falloff_max,
+    ];
+    for (field, value) in fields.iter_mut().zip(values) {
+        field.set(part, value);
+    }
+    g.t[2]
+}
+
+/// Unit directions from the camera to the splats, and 1 / distance.
+#[inline(always)]
+pub(crate) fn view_direction<L: Lanes>(mean: [L; 3], view: &ViewParams) -> ([L; 3], L) {
+    let delta = each!([0, 1, 2], |a| mean[a] - L::splat(view.eye[a]));
+    let inv_length = L::splat(1.0) / dot3(delta, delta).max(L::splat(1e-20)).sqrt();
+    (each!([0, 1, 2], |a| delta[a] * inv_length), inv_length)
+}
+
+#[inline(always)]
+fn color<L: Lanes>(block: &[Row], mean: [L; 3], view: &ViewParams, part: usize) -> [L; 3] {
+    let (dir, _) = view_direction(mean, view);
+    let basis = sh::basis(dir, view.sh_degree);
+    let coefficients = cosurf_scene::splats::sh_coefficients(view.sh_degree);
+    let mut rgb = [L::splat(0.5); 3];
+    for (k, y) in basis.iter().enumerate().take(coefficients) {
+        for (channel, value) in rgb.iter_mut().enumerate() {
+            *value = block[SH + 3 * k + channel].get::<L>(part).mul_add(*y, *value);
+        }
+    }
+    each!([0, 1, 2], |c| rgb[c].max(L::zero()))
+}
+
+/// Stores one splat; false where it cannot be seen.
+#[inline(always)]
+fn finish(splat: &mut Projected, f: [f32; FIELDS], view: &ViewParams) -> bool {
+    *splat = Projected {
+        mean_px: [f[0], f[1]],
+        falloff: [f[2], f[3], f[4]],
+        log2_opacity: f[5],
+        rgb: [f[6], f[7], f[8]],
+        normal: [f[9], f[10], f[11]],
+        plane_distance: f[12],
+        extent_px: [f[13], f[14]],
+        falloff_max: f[15],
+    };
+    let within = |axis: usize| {
+        let (mean, extent) = (splat.mean_px[axis], splat.extent_px[axis]);
+        mean + extent >= 0.5 && mean - extent <= view.size_px[axis] as f32 - 0.5
+    };
+    // Phrased so that NaN fails.
+    splat.falloff_max > 0.0 && within(0) && within(1)
+}

@@ -1,0 +1,235 @@
+//! The blend: front to back over each tile's list.
+//!
+//! The tile's 16 × 16 pixels stay in the first-level cache; a splat only visits the rows that its
+//! ellipse touches, 16 pixels (or fewer, by instruction set) at a time.
+
+use rayon::prelude::*;
+
+use super::bin::TileLists;
+use super::image::{TILE, TileImage};
+use super::project::{ALPHA_MIN, Projected};
+use super::simd::{Isa, Kernel, Lanes, Row, prefetch};
+
+/// Largest blend weight of one splat (3DGS).
+pub(crate) const ALPHA_MAX: f32 = 0.99;
+
+/// A pixel is full before its transmittance would fall below this (3DGS).
+pub(crate) const TRANSMITTANCE_MIN: f32 = 1e-4;
+
+/// Planes of a rendered image: red, green, blue, transmittance left over; then, with geometry, the
+/// blended normal (3, camera frame, unnormalised) and plane distance.
+pub(crate) const RGB: usize = 0;
+pub(crate) const TRANSMITTANCE: usize = 3;
+pub(crate) const NORMAL: usize = 4;
+pub(crate) const DISTANCE: usize = 7;
+pub(crate) const PLANES_COLOR: usize = 4;
+pub(crate) const PLANES_GEOMETRY: usize = 8;
+
+/// Blends every tile. `image` must be laid out with [`PLANES_COLOR`] or [`PLANES_GEOMETRY`] planes.
+/// `blended[tile]` receives how many entries of its list were looked at before all pixels were full.
+pub(crate) fn rasterize(
+    isa: Isa,
+    lists: &TileLists,
+    splats: &[Projected],
+    image: &mut TileImage,
+    blended: &mut Vec<u32>,
+) {
+    let tiles = image.tiles();
+    blended.resize(tiles[0] * tiles[1], 0);
+    let (geometry, rows_per_tile) = (image.planes() == PLANES_GEOMETRY, image.rows_per_tile());
+    image.rows_mut().par_chunks_exact_mut(rows_per_tile).zip(blended.par_iter_mut()).enumerate().for_each(
+        |(tile, (rows, blended))| {
+            let origin = tile_origin(tile, tiles[0]);
+            let list = lists.list(tile);
+            *blended = if geometry {
+                isa.run(BlendTile::<PLANES_GEOMETRY> { list, splats, origin, planes: as_planes_mut(rows) })
+            } else {
+                isa.run(BlendTile::<PLANES_COLOR> { list, splats, origin, planes: as_planes_mut(rows) })
+            };
+        },
+    );
+}
+
+/// A tile's rows as planes of 16 rows.
+fn as_planes_mut<const P: usize>(rows: &mut [Row]) -> &mut [[Row; TILE]; P] {
+    rows.as_chunks_mut().0.try_into().expect("a tile has its image's planes")
+}
+
+/// As [`as_planes_mut`].
+pub(crate) fn as_planes<const P: usize>(rows: &[Row]) -> &[[Row; TILE]; P] {
+    rows.as_chunks().0.try_into().expect("a tile has its image's planes")
+}
+
+/// How many entries of a tile's list ahead the splats are fetched. They lie anywhere in memory: without this
+/// a quarter of the blend's time was waiting for their first field.
+pub(crate) const PREFETCH: usize = 6;
+
+/// Position of a tile's first pixel.
+pub(crate) fn tile_origin(tile: usize, tiles_x: usize) -> [f32; 2] {
+    [(tile % tiles_x * TILE) as f32, (tile / tiles_x * TILE) as f32]
+}
+
+/// Rows of a tile at `origin` whose pixel centres are within the splat's reach, first and end.
+#[inline(always)]
+pub(crate) fn touched_rows(splat: &Projected, origin_y: f32) -> (usize, usize) {
+    let center = splat.mean_px[1] - origin_y - 0.5;
+    let first = (center - splat.extent_px[1]).ceil().max(0.0);
+    let end = ((center + splat.extent_px[1]).floor() + 1.0).min(TILE as f32);
+    // Casts saturate, so a range of rows past the tile becomes empty.
+    (first as usize, (end as usize).min(TILE))
+}
+
+/// Parts of a row (vectors of `N` pixels) within the splat's reach, first and end.
+#[inline(always)]
+pub(crate) fn touched_parts<L: Lanes>(splat: &Projected, origin_x: f32) -> (usize, usize) {
+    if L::N == TILE {
+        return (0, 1);
+    }
+    let center = splat.mean_px[0] - origin_x - 0.5;
+    let first = (center - splat.extent_px[0]).ceil().max(0.0);
+    let end = ((center + splat.extent_px[0]).floor() + 1.0).min(TILE as f32);
+    (first as usize / L::N, (end as usize).div_ceil(L::N))
+}
+
+/// What of a splat is the same for all pixels of a tile row.
+#[derive(Clone, Copy)]
+pub(crate) struct RowTerms {
+    by_dx2: f32,
+    by_dx: f32,
+    log2_alpha: f32,
+}
+
+impl RowTerms {
+    /// For pixel centres at height `y_px`; also returns `dy = mean - y`.
+    #[inline(always)]
+    pub(crate) fn new(splat: &Projected, y_px: f32) -> (Self, f32) {
+        let dy = splat.mean_px[1] - y_px;
+        let [xx, xy, yy] = splat.falloff;
+        (Self { by_dx2: xx, by_dx: xy * dy, log2_alpha: splat.log2_opacity - yy * dy * dy }, dy)
+    }
+
+    /// `o exp(-½ dᵀ A d)` for `dx = mean - x`, before the clamp at [`ALPHA_MAX`].
+    #[inline(always)]
+    pub(crate) fn alpha<L: Lanes>(&self, dx: L) -> L {
+        let slope = dx.mul_add(L::splat(self.by_dx2), L::splat(self.by_dx));
+        // Below 2^-30 nothing is drawn anyway; the floor keeps the exponential in its range.
+        slope.neg_mul_add(dx, L::splat(self.log2_alpha)).max(L::splat(-30.0)).exp2()
+    }
+}
+
+/// Centres of the `part`-th vector of a row whose first pixel is at `origin_x`.
+#[inline(always)]
+pub(crate) fn centers<L: Lanes>(origin_x: f32, part: usize) -> L {
+    const OFFSETS: [f32; TILE] =
+        [0.5, 1.5, 2.5, 3.5, 4.5, 5.5, 6.5, 7.5, 8.5, 9.5, 10.5, 11.5, 12.5, 13.5, 14.5, 15.5];
+    L::load(&OFFSETS[part * L::N..]) + L::splat(origin_x)
+}
+
+struct BlendTile<'a, const P: usize> {
+    list: &'a [u32],
+    splats: &'a [Projected],
+    origin: [f32; 2],
+    planes: &'a mut [[Row; TILE]; P],
+}
+
+impl<const P: usize> Kernel for BlendTile<'_, P> {
+    /// Entries of the list that were looked at.
+    type Output = u32;
+
+    #[inline(always)]
+    fn run<L: Lanes>(self) -> u32 {
+        let Self { list, splats, origin, planes } = self;
+        *planes = [[Row::ZERO; TILE]; P];
+        // Transmittance of pixels that are still open; 0 once a pixel is full. The value at which it
+        // was left goes to the TRANSMITTANCE plane.
+        let mut open = [Row([1.0; TILE]); TILE];
+        let mut open_rows = (1u32 << TILE) - 1;
+        let mut looked_at = list.len();
+        for (index, &id) in list.iter().enumerate() {
+            if let Some(next) = list.get(index + PREFETCH) {
+                prefetch(splats, *next as usize);
+            }
+            let splat = &splats[id as usize];
+            let (first, end) = touched_rows(splat, origin[1]);
+            let (first_part, end_part) = touched_parts::<L>(splat, origin[0]);
+            for y in first..end {
+                if open_rows >> y & 1 == 0 {
+                    continue;
+                }
+                let (terms, _) = RowTerms::new(splat, origin[1] + y as f32 + 0.5);
+                for part in first_part..end_part {
+                    let filled = blend::<L, P>(splat, terms, origin[0], y, part, &mut open[y], planes);
+                    if filled && open[y].0.iter().all(|t| *t == 0.0) {
+                        open_rows &= !(1 << y);
+                    }
+                }
+            }
+            if open_rows == 0 {
+                looked_at = index + 1;
+                break;
+            }
+        }
+        finish::<L>(&open, &mut planes[TRANSMITTANCE]);
+        looked_at as u32
+    }
+}
+
+/// Blends one splat into one vector of pixels; true if a pixel became full.
+#[inline(always)]
+fn blend<L: Lanes, const P: usize>(
+    splat: &Projected,
+    terms: RowTerms,
+    origin_x: f32,
+    y: usize,
+    part: usize,
+    open: &mut Row,
+    planes: &mut [[Row; TILE]; P],
+) -> bool {
+    let dx = L::splat(splat.mean_px[0]) - centers::<L>(origin_x, part);
+    let alpha = terms.alpha(dx);
+    let hit = alpha.ge(L::splat(ALPHA_MIN));
+    if !L::any(hit) {
+        return false;
+    }
+    let alpha = alpha.min(L::splat(ALPHA_MAX));
+    let before = open.get::<L>(part);
+    let after = alpha.neg_mul_add(before, before);
+    let goes_on = L::and(hit, after.ge(L::splat(TRANSMITTANCE_MIN)));
+    let weight = (alpha * before).keep(goes_on);
+    for channel in 0..3 {
+        add(&mut planes[RGB + channel][y], part, weight, splat.rgb[channel]);
+    }
+    if P == PLANES_GEOMETRY {
+        for axis in 0..3 {
+            add(&mut planes[NORMAL + axis][y], part, weight, splat.normal[axis]);
+        }
+        add(&mut planes[DISTANCE][y], part, weight, splat.plane_distance);
+    }
+    // Full now: hit, open until now, and the next step would be too dark.
+    let full = L::and(L::and_not(hit, goes_on), L::zero().lt(before));
+    open.set(part, L::select(full, L::zero(), L::select(goes_on, after, before)));
+    if L::any(full) {
+        let left = &mut planes[TRANSMITTANCE][y];
+        let value = L::select(full, before, left.get::<L>(part));
+        left.set(part, value);
+        return true;
+    }
+    false
+}
+
+#[inline(always)]
+fn add<L: Lanes>(row: &mut Row, part: usize, weight: L, value: f32) {
+    let sum = weight.mul_add(L::splat(value), row.get::<L>(part));
+    row.set(part, sum);
+}
+
+/// Adds what is still open to the transmittance that full pixels have left.
+#[inline(always)]
+fn finish<L: Lanes>(open: &[Row; TILE], left: &mut [Row; TILE]) {
+    for (open, left) in open.iter().zip(left) {
+        for part in 0..TILE / L::N {
+            let value = left.get::<L>(part) + open.get::<L>(part);
+            left.set(part, value);
+        }
+    }
+}

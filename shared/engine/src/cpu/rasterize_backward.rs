@@ -1,0 +1,186 @@
+//! The blend's backward pass, front to back as well, so nothing but the final picture is kept.
+//!
+//! With `g` the gradient of a pixel's channels, everything behind the current splat enters only as
+//! the scalar `rest = (what is still to be blended) · g`, which starts at the finished pixel's value and
+//! loses each splat's share in turn. Each splat–tile pair writes one [`Record`]; nothing is added
+//! across tiles here, so no atomics, and the order of the sums never depends on threads.
+
+use rayon::prelude::*;
+
+use super::bin::TileLists;
+use super::image::{TILE, TileImage};
+use super::project::{ALPHA_MIN, Projected};
+use super::rasterize::{
+    ALPHA_MAX, DISTANCE, NORMAL, PLANES_COLOR, PLANES_GEOMETRY, PREFETCH, RGB, RowTerms, TRANSMITTANCE_MIN,
+    as_planes, centers, tile_origin, touched_parts, touched_rows,
+};
+use super::simd::{GROUP, Isa, Kernel, Lanes, Row, prefetch};
+
+/// Gradient sums of one splat over one tile. With `q = α ∂L/∂α` and `d = mean - pixel`, in order:
+/// `Σq, Σq dx, Σq dy, Σq dx², Σq dx dy, Σq dy²`, then ∂L/∂rgb, ∂L/∂normal, ∂L/∂distance.
+pub(crate) type Record = Row;
+pub(crate) const MOMENTS: usize = 0;
+pub(crate) const V_RGB: usize = 6;
+pub(crate) const V_NORMAL: usize = 9;
+pub(crate) const V_DISTANCE: usize = 12;
+
+/// Planes of `gradient` are those of the rendered image; the TRANSMITTANCE plane holds ∂L/∂transmittance.
+/// `records` receives one record for each pair, in the order of the tile lists.
+pub(crate) fn rasterize_backward(
+    isa: Isa,
+    lists: &TileLists,
+    splats: &[Projected],
+    image: &TileImage,
+    gradient: &TileImage,
+    blended: &[u32],
+    records: &mut Vec<Record>,
+) {
+    let tiles = image.tiles();
+    let geometry = image.planes() == PLANES_GEOMETRY;
+    records.resize(lists.pairs(), Row::ZERO);
+    let mut jobs = Vec::with_capacity(blended.len());
+    let mut rest = records.as_mut_slice();
+    for (tile, pair) in lists.starts().windows(2).enumerate() {
+        let (own, others) = rest.split_at_mut((pair[1] - pair[0]) as usize);
+        rest = others;
+        jobs.push((tile, own));
+    }
+    jobs.into_par_iter().for_each(|(tile, records)| {
+        let (done, untouched) = records.split_at_mut(blended[tile] as usize);
+        untouched.fill(Row::ZERO);
+        let input =
+            TileInput { list: &lists.list(tile)[..done.len()], splats, origin: tile_origin(tile, tiles[0]) };
+        let (image, gradient) = (image.tile(tile), gradient.tile(tile));
+        if geometry {
+            let (image, gradient) = (as_planes(image), as_planes(gradient));
+            isa.run(BackwardTile::<PLANES_GEOMETRY> { input, image, gradient, records: done });
+        } else {
+            let (image, gradient) = (as_planes(image), as_planes(gradient));
+            isa.run(BackwardTile::<PLANES_COLOR> { input, image, gradient, records: done });
+        }
+    });
+}
+
+struct TileInput<'a> {
+    list: &'a [u32],
+    splats: &'a [Projected],
+    origin: [f32; 2],
+}
+
+struct BackwardTile<'a, const P: usize> {
+    input: TileInput<'a>,
+    image: &'a [[Row; TILE]; P],
+    gradient: &'a [[Row; TILE]; P],
+    records: &'a mut [Record],
+}
+
+impl<const P: usize> Kernel for BackwardTile<'_, P> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<L: Lanes>(self) {
+        let Self { input: TileInput { list, splats, origin }, image, gradient, records } = self;
+        let mut open = [Row([1.0; TILE]); TILE];
+        let mut rest = finished::<L, P>(image, gradient);
+        for (index, (&id, record)) in list.iter().zip(records).enumerate() {
+            if let Some(next) = list.get(index + PREFETCH) {
+                prefetch(splats, *next as usize);
+            }
+            let splat = &splats[id as usize];
+            let (first, end) = touched_rows(splat, origin[1]);
+            let (first_part, end_part) = touched_parts::<L>(splat, origin[0]);
+            let mut sums = [L::zero(); GROUP];
+            for y in first..end {
+                let (terms, dy) = RowTerms::new(splat, origin[1] + y as f32 + 0.5);
+                for part in first_part..end_part {
+                    let pixels = Pixels { terms, dy, origin_x: origin[0], y, part };
+                    add_row::<L, P>(splat, pixels, gradient, &mut open[y], &mut rest[y], &mut sums);
+                }
+            }
+            *record = L::sums(&sums);
+        }
+    }
+}
+
+/// The finished pixels' values times their gradients.
+#[inline(always)]
+fn finished<L: Lanes, const P: usize>(image: &[[Row; TILE]; P], gradient: &[[Row; TILE]; P]) -> [Row; TILE] {
+    let mut rest = [Row::ZERO; TILE];
+    for (image, gradient) in image.iter().zip(gradient) {
+        for (rest, (image, gradient)) in rest.iter_mut().zip(image.iter().zip(gradient)) {
+            for part in 0..TILE / L::N {
+                let sum = image.get::<L>(part).mul_add(gradient.get::<L>(part), rest.get::<L>(part));
+                rest.set(part, sum);
+            }
+        }
+    }
+    rest
+}
+
+#[derive(Clone, Copy)]
+struct Pixels {
+    terms: RowTerms,
+    dy: f32,
+    origin_x: f32,
+    y: usize,
+    part: usize,
+}
+
+/// Replays one splat on one vector of pixels and adds its gradient sums.
+#[inline(always)]
+fn add_row<L: Lanes, const P: usize>(
+    splat: &Projected,
+    pixels: Pixels,
+    gradient: &[[Row; TILE]; P],
+    open: &mut Row,
+    rest: &mut Row,
+    sums: &mut [L; GROUP],
+) {
+    let Pixels { terms, dy, origin_x, y, part } = pixels;
+    let dx = L::splat(splat.mean_px[0]) - centers::<L>(origin_x, part);
+    let raw = terms.alpha(dx);
+    let hit = raw.ge(L::splat(ALPHA_MIN));
+    if !L::any(hit) {
+        return;
+    }
+    let alpha = raw.min(L::splat(ALPHA_MAX));
+    let before = open.get::<L>(part);
+    let after = alpha.neg_mul_add(before, before);
+    let goes_on = L::and(hit, after.ge(L::splat(TRANSMITTANCE_MIN)));
+    let weight = (alpha * before).keep(goes_on);
+    // A full pixel stays full: with transmittance 0 it never goes on again.
+    let full = L::and_not(hit, goes_on);
+    open.set(part, L::select(full, L::zero(), L::select(goes_on, after, before)));
+
+    let mut value = L::zero();
+    for channel in 0..3 {
+        let g = gradient[RGB + channel][y].get::<L>(part);
+        value = g.mul_add(L::splat(splat.rgb[channel]), value);
+        sums[V_RGB + channel] = weight.mul_add(g, sums[V_RGB + channel]);
+    }
+    if P == PLANES_GEOMETRY {
+        for axis in 0..3 {
+            let g = gradient[NORMAL + axis][y].get::<L>(part);
+            value = g.mul_add(L::splat(splat.normal[axis]), value);
+            sums[V_NORMAL + axis] = weight.mul_add(g, sums[V_NORMAL + axis]);
+        }
+        let g = gradient[DISTANCE][y].get::<L>(part);
+        value = g.mul_add(L::splat(splat.plane_distance), value);
+        sums[V_DISTANCE] = weight.mul_add(g, sums[V_DISTANCE]);
+    }
+    let behind = weight.neg_mul_add(value, rest.get::<L>(part));
+    rest.set(part, behind);
+
+    // q = α ∂L/∂α = α T value - α/(1-α) rest; zero where the clamp holds alpha.
+    let moves = L::and(goes_on, raw.lt(L::splat(ALPHA_MAX)));
+    let odds = alpha / (L::splat(1.0) - alpha);
+    let q = odds.neg_mul_add(behind, weight * value).keep(moves);
+    let q_dx = q * dx;
+    let dy = L::splat(dy);
+    sums[MOMENTS] = sums[MOMENTS] + q;
+    sums[MOMENTS + 1] = sums[MOMENTS + 1] + q_dx;
+    sums[MOMENTS + 2] = q.mul_add(dy, sums[MOMENTS + 2]);
+    sums[MOMENTS + 3] = q_dx.mul_add(dx, sums[MOMENTS + 3]);
+    sums[MOMENTS + 4] = q_dx.mul_add(dy, sums[MOMENTS + 4]);
+    sums[MOMENTS + 5] = (q * dy).mul_add(dy, sums[MOMENTS + 5]);
+}

@@ -1,0 +1,94 @@
+//! The colour loss against a direct f64 implementation: values, and gradients by central differences.
+
+use super::super::image::TileImage;
+use super::super::loss::photometric;
+use super::super::simd::Isa;
+use crate::backend::TargetRgb;
+use crate::random::{Purpose, Random};
+
+const SIZE_PX: [usize; 2] = [37, 41];
+const WEIGHT: f32 = 0.2;
+
+/// SSIM by its definition: an 11 × 11 window at every pixel, zeros outside.
+fn loss(x: &[f64], y: &[f64]) -> f64 {
+    let [width, height] = SIZE_PX;
+    let raw: Vec<f64> = (0..11).map(|i| (-(f64::from(i) - 5.0).powi(2) / 4.5).exp()).collect();
+    let sum: f64 = raw.iter().sum();
+    let at = |v: &[f64], c: usize, px: isize, py: isize| {
+        let inside = px >= 0 && py >= 0 && px < width as isize && py < height as isize;
+        if inside { v[3 * (py as usize * width + px as usize) + c] } else { 0.0 }
+    };
+    let (mut ssim, mut l1) = (0.0, 0.0);
+    for c in 0..3 {
+        for py in 0..height as isize {
+            for px in 0..width as isize {
+                let (mut mx, mut my, mut xx, mut yy, mut xy) = (0.0, 0.0, 0.0, 0.0, 0.0);
+                for (j, wj) in raw.iter().enumerate() {
+                    for (i, wi) in raw.iter().enumerate() {
+                        let w = wi * wj / (sum * sum);
+                        let (a, b) = (px + i as isize - 5, py + j as isize - 5);
+                        let (vx, vy) = (at(x, c, a, b), at(y, c, a, b));
+                        mx += w * vx;
+                        my += w * vy;
+                        xx += w * vx * vx;
+                        yy += w * vy * vy;
+                        xy += w * vx * vy;
+                    }
+                }
+                ssim += (2.0 * mx * my + 1e-4) * (2.0 * (xy - mx * my) + 9e-4)
+                    / ((mx * mx + my * my + 1e-4) * (xx - mx * mx + yy - my * my + 9e-4));
+                l1 += (at(x, c, px, py) - at(y, c, px, py)).abs();
+            }
+        }
+    }
+    let n = (3 * width * height) as f64;
+    (1.0 - f64::from(WEIGHT)) * l1 / n + f64::from(WEIGHT) * (1.0 - ssim / n)
+}
+
+fn pictures() -> (Vec<f64>, Vec<f64>) {
+    let mut random = Random::new(3, Purpose::Birth, 0, 0);
+    let n = 3 * SIZE_PX[0] * SIZE_PX[1];
+    let x: Vec<f64> =
+        (0..n).map(|i| f64::from(0.5 + 0.3 * (i as f32 * 0.02).sin() + 0.05 * random.normal())).collect();
+    let y = x.iter().map(|v| (v + 0.2 * f64::from(random.normal())).clamp(0.0, 1.0)).collect();
+    (x, y)
+}
+
+#[test]
+fn loss_and_gradient_agree_with_the_definition() {
+    let (x, y) = pictures();
+    let target: Vec<f32> = y.iter().map(|v| *v as f32).collect();
+    let mut image = TileImage::with_capacity(0, 4);
+    image.reshape(SIZE_PX.map(|side| side as u32), 4);
+    for (i, value) in x.iter().enumerate() {
+        image.set_value(i % 3, i / 3 % SIZE_PX[0], i / 3 / SIZE_PX[0], *value as f32);
+    }
+    // What lies in the padding of tiles must not matter.
+    image.rows_mut().iter_mut().for_each(|row| assert!(row.0.iter().all(|v| v.is_finite())));
+    for isa in Isa::available() {
+        let mut gradient = image.clone();
+        let got = photometric(isa, &image, TargetRgb::Floats(&target), WEIGHT, &mut gradient);
+        assert!(
+            (got.total - loss(&x, &y)).abs() < 1e-5,
+            "{}: {} is not {}",
+            isa.name(),
+            got.total,
+            loss(&x, &y)
+        );
+        let mut worst: f64 = 0.0;
+        for k in (0..x.len()).step_by(97).chain([0, 1, 2, x.len() - 1, 3 * SIZE_PX[0] - 1]) {
+            let mut moved = x.clone();
+            let mut at = |v: f64| {
+                moved[k] = v;
+                loss(&moved, &y)
+            };
+            let slope = (at(x[k] + 1e-4) - at(x[k] - 1e-4)) / 2e-4;
+            let value = f64::from(gradient.value(k % 3, k / 3 % SIZE_PX[0], k / 3 / SIZE_PX[0]));
+            worst = worst.max((value - slope).abs() / slope.abs().max(2e-6));
+        }
+        assert!(worst < 1e-3, "{}: relative error {worst:.2e}", isa.name());
+        let [width, height] = SIZE_PX;
+        assert_eq!(gradient.value(0, width, 5), 0.0, "padding has no gradient");
+        assert_eq!(gradient.value(0, 5, height), 0.0, "padding has no gradient");
+    }
+}

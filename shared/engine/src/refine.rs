@@ -1,0 +1,92 @@
+//! Densification and pruning: decides by shapes and statistics, never beyond the capacity.
+
+use glam::{Quat, Vec3};
+
+use crate::backend::{Birth, Edit, Shapes};
+use crate::random::{Purpose, Random};
+
+/// Mean screen gradient from which a splat is cloned or split (3DGS).
+const SCREEN_GRADIENT_MIN: f32 = 2e-4;
+/// Splats up to this share of the extent are cloned, larger ones split (3DGS's `percent_dense`).
+const CLONE_SCALE_MAX: f64 = 0.01;
+/// Children of a split are smaller by this factor (3DGS: 0.8 × 2 children).
+const SPLIT_SHRINK: f32 = 1.6;
+/// Splats of lower opacity are removed (3DGS).
+const OPACITY_MIN: f32 = 0.005;
+/// Splats larger than this share of the extent are removed once opacities have been reset (3DGS).
+const SCALE_MAX: f64 = 0.1;
+
+/// What a refinement may do.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct RefineLimits {
+    /// Most splats afterwards.
+    pub(crate) splats_max: usize,
+    /// Scene extent, world units.
+    pub(crate) extent: f64,
+    /// Whether large splats are removed too.
+    pub(crate) prune_large: bool,
+    pub(crate) seed: u64,
+    pub(crate) step: u32,
+}
+
+/// Decides one refinement.
+pub(crate) fn refine(shapes: &Shapes, limits: &RefineLimits) -> Edit {
+    let n = shapes.opacity_logits.len();
+    let logit_min = (OPACITY_MIN / (1.0 - OPACITY_MIN)).ln();
+    let log_scale_max = (SCALE_MAX * limits.extent).ln() as f32;
+    let dies = |i: usize| {
+        // Phrased so that NaN dies.
+        let keeps = shapes.opacity_logits[i] >= logit_min
+            && (!limits.prune_large || largest(shapes.log_scales[i]) <= log_scale_max)
+            && shapes.means[i].iter().chain(&shapes.log_scales[i]).all(|v| v.is_finite());
+        !keeps
+    };
+    let dead: Vec<bool> = (0..n).map(dies).collect();
+    let survivors = dead.iter().filter(|dead| !**dead).count();
+    let parents = choose_parents(shapes, &dead, limits.splats_max.saturating_sub(survivors));
+
+    let mut edit = Edit::default();
+    let mut removed = dead;
+    for &parent in &parents {
+        let clone = f64::from(largest(shapes.log_scales[parent])).exp() <= CLONE_SCALE_MAX * limits.extent;
+        let mut random = Random::new(limits.seed, Purpose::Birth, u64::from(limits.step), parent as u64);
+        if clone {
+            edit.births.push(child(shapes, parent, 1.0, &mut random));
+        } else {
+            removed[parent] = true;
+            edit.births.extend((0..2).map(|_| child(shapes, parent, SPLIT_SHRINK, &mut random)));
+        }
+    }
+    edit.deaths = (0..n as u32).filter(|i| removed[*i as usize]).collect();
+    edit
+}
+
+/// The splats with the largest screen gradients, at most `room` (each adds one splat), in order of index.
+fn choose_parents(shapes: &Shapes, dead: &[bool], room: usize) -> Vec<usize> {
+    let gradient = |i: usize| shapes.screen_gradients[i];
+    let mut parents: Vec<usize> =
+        (0..dead.len()).filter(|&i| !dead[i] && gradient(i) >= SCREEN_GRADIENT_MIN).collect();
+    // Largest first; ties by index, so that the choice is always the same.
+    parents.sort_unstable_by(|&a, &b| gradient(b).total_cmp(&gradient(a)).then(a.cmp(&b)));
+    parents.truncate(room);
+    parents.sort_unstable();
+    parents
+}
+
+fn largest(log_scale: [f32; 3]) -> f32 {
+    log_scale.into_iter().fold(f32::NEG_INFINITY, f32::max)
+}
+
+/// A child at a place drawn from its parent's own distribution.
+fn child(shapes: &Shapes, parent: usize, shrink: f32, random: &mut Random) -> Birth {
+    let [w, x, y, z] = shapes.quats[parent];
+    let rotation = Quat::from_xyzw(x, y, z, w).normalize();
+    let scale = Vec3::from(shapes.log_scales[parent]).exp();
+    let offset = rotation * (scale * Vec3::new(random.normal(), random.normal(), random.normal()));
+    Birth {
+        parent: parent as u32,
+        mean: (Vec3::from(shapes.means[parent]) + offset).to_array(),
+        log_scale: shapes.log_scales[parent].map(|v| v - shrink.ln()),
+        opacity_logit: shapes.opacity_logits[parent],
+    }
+}

@@ -1,0 +1,92 @@
+//! When what happens in a training, fitted to the number of steps asked for: a run of 600 steps ends as well
+//! prepared as one of 30,000.
+
+use crate::backend::AdamRates;
+
+/// Learning rates of 3DGS; the mean's is per world unit of scene extent and falls log-linearly.
+const MEAN_RATE_FIRST: f64 = 1.6e-4;
+const MEAN_RATE_LAST: f64 = 1.6e-6;
+const QUAT_RATE: f32 = 0.001;
+const LOG_SCALE_RATE: f32 = 0.005;
+const OPACITY_RATE: f32 = 0.05;
+const SH_DC_RATE: f32 = 0.0025;
+const SH_REST_RATE: f32 = SH_DC_RATE / 20.0;
+
+/// 3DGS's own length, from which the fractions below are taken.
+const REFERENCE_STEPS: f64 = 30_000.0;
+
+/// The plan of a training of `steps` steps.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Schedule {
+    /// Steps in all.
+    pub steps: u32,
+    /// Steps after which one more SH degree is used.
+    pub sh_every: u32,
+    /// First step after which splats are added and removed.
+    pub refine_from: u32,
+    /// Splats are added until this step.
+    pub refine_until: u32,
+    /// Steps between refinements.
+    pub refine_every: u32,
+    /// Steps between opacity resets; 0 for none.
+    pub reset_every: u32,
+}
+
+impl Schedule {
+    /// The plan for a number of steps.
+    pub fn new(steps: u32) -> Self {
+        let refine_every = (steps / 30).clamp(20, 100);
+        Self {
+            steps,
+            sh_every: (steps / 8).clamp(1, 1000),
+            refine_from: (steps / 12).clamp(refine_every, 500),
+            refine_until: if steps >= REFERENCE_STEPS as u32 { steps / 2 } else { steps / 10 * 6 },
+            refine_every,
+            // A reset costs some thousand steps of recovery; shorter runs have none to give.
+            reset_every: if steps >= 10_000 { 3000 } else { 0 },
+        }
+    }
+
+    /// SH degree in use at a step (counted from 0).
+    pub fn sh_degree(&self, step: u32, stored: u32) -> u32 {
+        (step / self.sh_every).min(stored)
+    }
+
+    /// Whether splats are added and removed after this many steps.
+    pub fn refines_after(&self, steps_done: u32) -> bool {
+        steps_done >= self.refine_from
+            && steps_done <= self.refine_until
+            && steps_done.is_multiple_of(self.refine_every)
+    }
+
+    /// Whether opacities are lowered after this many steps.
+    pub fn resets_after(&self, steps_done: u32) -> bool {
+        self.reset_every > 0
+            && steps_done < self.refine_until
+            && steps_done.is_multiple_of(self.reset_every)
+            && steps_done > 0
+    }
+
+    /// How far growth has come after this many steps, 0..=1.
+    pub fn growth(&self, steps_done: u32) -> f64 {
+        let span = self.refine_until.saturating_sub(self.refine_from).max(1);
+        (f64::from(steps_done.saturating_sub(self.refine_from)) / f64::from(span)).clamp(0.0, 1.0)
+    }
+
+    /// Learning rates of a step (counted from 0) in a scene of this extent.
+    pub fn rates(&self, step: u32, extent: f64) -> AdamRates {
+        let progress = f64::from(step) / f64::from(self.steps.max(1));
+        let mean = MEAN_RATE_FIRST * (MEAN_RATE_LAST / MEAN_RATE_FIRST).powf(progress);
+        AdamRates {
+            mean: (mean * extent) as f32,
+            quat: QUAT_RATE,
+            log_scale: LOG_SCALE_RATE,
+            opacity: OPACITY_RATE,
+            sh_dc: SH_DC_RATE,
+            sh_rest: SH_REST_RATE,
+            first_correction: 1.0,
+            second_correction: 1.0,
+        }
+        .at_step(step + 1)
+    }
+}
