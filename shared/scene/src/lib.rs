@@ -12,6 +12,7 @@ pub mod atomic;
 pub mod bytes;
 pub mod cache;
 pub mod camera;
+pub mod city;
 pub mod colmap;
 pub mod colormap;
 pub mod dataset;
@@ -26,6 +27,7 @@ mod transforms;
 
 pub use cache::PictureCache;
 pub use camera::{Camera, Pose};
+pub use city::{City, CityError, CityFrame, CitySettings, TruthMesh, TruthPoint};
 pub use dataset::{Dataset, SparsePoint, View};
 pub use error::SceneError;
 pub use mission_config::AgentConfig;

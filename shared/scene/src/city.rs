@@ -1,0 +1,122 @@
+//! The synthetic city: a small town with exact geometry, flown over by a drone that needs no download.
+//!
+//! The town is one triangle mesh with procedural materials ([`CitySettings`] names what it is made
+//! from), traced with a bounding volume hierarchy. Pictures, depth, normals, cameras, the sparse
+//! cloud and the true surface all come from that one mesh, so they agree exactly. World frame: x
+//! east, y north, z up, metres, the middle of the flown square at the origin.
+//!
+//! Randomness comes from integer hashes, and no function of the platform's mathematics library is
+//! used, so the same settings give the same bytes everywhere.
+
+mod building;
+mod bvh;
+mod centre;
+mod country;
+mod facade;
+mod flight;
+mod ground;
+mod light;
+mod material;
+mod mesh;
+mod noise;
+mod palette;
+mod paving;
+mod plan;
+mod props;
+mod random;
+mod render;
+mod roadside;
+mod roof;
+mod roofing;
+mod settings;
+mod sight;
+mod site;
+mod sparse;
+mod street;
+mod suburb;
+mod terrain;
+mod tree;
+mod truth;
+mod world;
+mod write;
+
+pub use render::CityFrame;
+pub use settings::{CityError, CitySettings};
+pub use truth::{TruthMesh, TruthPoint};
+
+use std::path::Path;
+
+use crate::{Camera, Dataset, SceneError, View};
+use flight::Flight;
+use render::World;
+
+/// A town and the flight over it.
+#[derive(Debug)]
+pub struct City {
+    settings: CitySettings,
+    world: World,
+    cameras: Vec<Camera>,
+}
+
+impl City {
+    /// Builds the town. Nothing is rendered yet.
+    pub fn build(settings: &CitySettings) -> Result<Self, CityError> {
+        settings.check()?;
+        let flight = Flight::new(settings);
+        let world = World::build(settings.seed, 0.5 * settings.extent_m as f32, flight.reach_m() as f32);
+        Ok(Self { settings: *settings, world, cameras: flight.cameras() })
+    }
+
+    /// What the city was made from.
+    pub fn settings(&self) -> &CitySettings {
+        &self.settings
+    }
+
+    /// The cameras in the order of flight.
+    pub fn cameras(&self) -> &[Camera] {
+        &self.cameras
+    }
+
+    /// How many triangles the town has.
+    pub fn triangle_count(&self) -> usize {
+        self.world.mesh.triangles.len()
+    }
+
+    /// The views, whose pictures have yet to be written to the relative paths they name, and the
+    /// sparse cloud: points on surfaces that at least three cameras see, as a reconstruction would
+    /// find them, with noise and a few outliers.
+    pub fn dataset(&self) -> Dataset {
+        let digits = self.cameras.len().saturating_sub(1).to_string().len().max(4);
+        let view = |(i, camera): (usize, &Camera)| {
+            let name = format!("{i:0digits$}.jpg");
+            View { path: Path::new(write::PICTURES).join(&name), name, camera: *camera }
+        };
+        Dataset {
+            views: self.cameras.iter().enumerate().map(view).collect(),
+            points: sparse::cloud(&self.world, &self.cameras, self.settings.seed),
+        }
+    }
+
+    /// The true surface, as far as at least three cameras see it, in triangles of at most a metre.
+    pub fn truth_mesh(&self) -> TruthMesh {
+        truth::mesh(&self.world, &self.cameras)
+    }
+
+    /// `count` points spread evenly over the area that at least three cameras see; fewer only where
+    /// hardly any surface is seen so.
+    pub fn truth_points(&self, count: usize, seed: u64) -> Vec<TruthPoint> {
+        truth::points(&self.world, &self.cameras, count, seed)
+    }
+
+    /// Renders all pictures and writes them with poses, cloud and truth into `folder`, which is
+    /// made: `images/*.jpg`, `sparse/0/*.bin`, `gt/mesh.ply`, `gt/points.ply`. `progress` is told how
+    /// many pictures are done, of how many. Returns the dataset with its paths.
+    pub fn write(&self, folder: &Path, progress: impl FnMut(usize, usize)) -> Result<Dataset, SceneError> {
+        write::write(self, folder, progress)
+    }
+
+    /// Renders what a camera sees: any camera, not only those of the flight.
+    pub fn render(&self, camera: &Camera) -> CityFrame {
+        self.world.render(camera)
+    }
+}

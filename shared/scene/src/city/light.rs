@@ -1,0 +1,180 @@
+//! Light: a sun that casts shadows, a sky that corners see little of, reflections of the sky.
+
+use glam::{Vec2, Vec3};
+use rayon::prelude::*;
+
+use super::bvh::{Bvh, Ray};
+use super::material::Look;
+use super::mesh::Triangle;
+
+/// The sun's irradiance and the sky's on level ground, linear; a white level surface in the sun
+/// comes out just short of white in the picture.
+const SUN: Vec3 = Vec3::new(1.42, 1.30, 1.10);
+const SKY: Vec3 = Vec3::new(0.27, 0.33, 0.42);
+/// Light that comes back from the ground onto what looks down.
+const BOUNCE: Vec3 = Vec3::new(0.20, 0.175, 0.14);
+/// Cell of the height maps, metres.
+const CELL_M: f32 = 1.5;
+/// Radii over which heights are averaged to tell how much of the sky is hidden, metres.
+const RADII_M: [f32; 2] = [2.6, 8.0];
+/// Rays start this far off the surface, metres.
+const LIFT_M: f32 = 0.012;
+
+/// Where a ray met the town, as lighting needs it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Lit {
+    pub(super) position: Vec3,
+    /// Unit, towards the viewer's side.
+    pub(super) normal: Vec3,
+    /// Unit, from the surface to the viewer.
+    pub(super) to_viewer: Vec3,
+}
+
+/// The town's light.
+#[derive(Debug)]
+pub(super) struct Light {
+    /// Unit, towards the sun.
+    sun: Vec3,
+    heights: [HeightMap; 2],
+}
+
+/// Averaged heights of the highest surface.
+#[derive(Debug)]
+struct HeightMap {
+    origin: Vec2,
+    side: usize,
+    values: Vec<f32>,
+}
+
+impl Light {
+    /// Looks from above at everything within `half_side_m` of the centre.
+    pub(super) fn new(bvh: &Bvh, triangles: &[Triangle], half_side_m: f32, sun: Vec3) -> Self {
+        let highest = triangles.iter().flat_map(|t| t.corners).map(|p| p.z).fold(0.0, f32::max) + 1.0;
+        let side = (2.0 * half_side_m / CELL_M) as usize + 2;
+        let origin = Vec2::splat(-half_side_m);
+        let tops: Vec<f32> = (0..side * side)
+            .into_par_iter()
+            .map(|i| {
+                let p = origin + Vec2::new((i % side) as f32, (i / side) as f32) * CELL_M;
+                let ray = Ray {
+                    origin: p.extend(highest),
+                    direction: Vec3::NEG_Z,
+                    t_min: 0.0,
+                    t_max: f32::INFINITY,
+                };
+                bvh.nearest(&ray).map_or(0.0, |hit| highest - hit.t)
+            })
+            .collect();
+        let heights = RADII_M.map(|radius_m| {
+            let reach = (0.5 * radius_m / CELL_M + 0.5) as usize;
+            // Two boxes make a tent.
+            let values = (0..2).fold(tops.clone(), |values, _| box_blurred(&values, side, reach));
+            HeightMap { origin, side, values }
+        });
+        Self { sun: sun.normalize(), heights }
+    }
+
+    /// What the viewer sees, linear.
+    pub(super) fn radiance(&self, bvh: &Bvh, lit: &Lit, look: &Look) -> Vec3 {
+        let facing = lit.normal.dot(self.sun);
+        let received =
+            facing.max(0.0) + look.translucent * (0.35 * (1.0 - facing.max(0.0)) + facing.min(0.0).abs());
+        let sun = if received > 0.0 && !self.in_shadow(bvh, lit) { received } else { 0.0 };
+        let open = self.openness(lit.position, lit.normal);
+        let upward = 0.5 + 0.5 * lit.normal.z;
+        let ambient = SKY * (upward * open) + BOUNCE * ((1.0 - upward) * (0.4 + 0.6 * open));
+        let diffuse = look.albedo * (SUN * sun + ambient);
+        if look.mirror <= 0.0 {
+            return diffuse;
+        }
+        let cosine = lit.normal.dot(lit.to_viewer).clamp(0.0, 1.0);
+        let grazing = power(1.0 - cosine, 5);
+        let part = look.mirror + (1.0 - look.mirror) * grazing * (look.mirror * 8.0).min(1.0);
+        let mirrored = lit.normal * (2.0 * cosine) - lit.to_viewer;
+        let glint = if sun > 0.0 { 5.0 * power(mirrored.dot(self.sun).max(0.0), 48) } else { 0.0 };
+        diffuse * (1.0 - part) + (sky(mirrored) * (0.35 + 0.65 * open) + SUN * glint) * part
+    }
+
+    fn in_shadow(&self, bvh: &Bvh, lit: &Lit) -> bool {
+        let side = if lit.normal.dot(self.sun) >= 0.0 { LIFT_M } else { -LIFT_M };
+        bvh.blocked(&Ray {
+            origin: lit.position + lit.normal * side,
+            direction: self.sun,
+            t_min: 1e-3,
+            t_max: f32::INFINITY,
+        })
+    }
+
+    /// How much of the sky is left over what stands around, 0 to 1.
+    fn openness(&self, p: Vec3, normal: Vec3) -> f32 {
+        let mut open = 1.0;
+        for (map, radius_m) in self.heights.iter().zip(RADII_M) {
+            let q = p + normal * (0.3 * radius_m);
+            let hidden = ((map.at(q.truncate()) - q.z) / radius_m).clamp(0.0, 1.3);
+            open /= 1.0 + 0.9 * hidden;
+        }
+        open
+    }
+}
+
+impl HeightMap {
+    fn at(&self, p: Vec2) -> f32 {
+        let most = (self.side - 2) as f32;
+        let q = ((p - self.origin) * (1.0 / CELL_M)).clamp(Vec2::ZERO, Vec2::splat(most + 0.999));
+        let (x, y) = (q.x as usize, q.y as usize);
+        let (fx, fy) = (q.x - x as f32, q.y - y as f32);
+        let row = |y: usize| {
+            let i = y * self.side + x;
+            self.values[i] + (self.values[i + 1] - self.values[i]) * fx
+        };
+        let low = row(y);
+        low + (row(y + 1) - low) * fy
+    }
+}
+
+/// Averages over a square of `2 reach + 1` cells; the border goes on outwards.
+fn box_blurred(values: &[f32], side: usize, reach: usize) -> Vec<f32> {
+    let window = |line: &dyn Fn(usize) -> f32, i: usize| {
+        let sum: f32 = (0..=2 * reach).map(|k| line((i + k).saturating_sub(reach).min(side - 1))).sum();
+        sum / (2 * reach + 1) as f32
+    };
+    let rows: Vec<f32> = (0..side * side)
+        .into_par_iter()
+        .map(|i| window(&|x| values[i / side * side + x], i % side))
+        .collect();
+    (0..side * side).into_par_iter().map(|i| window(&|y| rows[y * side + i % side], i / side)).collect()
+}
+
+/// The sky in a direction, and the ground's mean where it looks down.
+fn sky(direction: Vec3) -> Vec3 {
+    if direction.z < 0.0 {
+        return Vec3::new(0.16, 0.16, 0.13);
+    }
+    let high = 1.0 - power(1.0 - direction.z, 3);
+    Vec3::new(0.78, 0.84, 0.92).lerp(Vec3::new(0.24, 0.40, 0.74), high)
+}
+
+/// A whole power by multiplication alone.
+fn power(base: f32, exponent: u32) -> f32 {
+    let (mut result, mut square, mut left) = (1.0, base, exponent);
+    while left > 0 {
+        if left & 1 == 1 {
+            result *= square;
+        }
+        square *= square;
+        left >>= 1;
+    }
+    result
+}
+
+/// Linear to sRGB in 8 bits, within 1.5 steps of the standard's curve, from square roots alone (the
+/// standard's power differs between platforms' libraries).
+pub(super) fn encode(linear: Vec3) -> [u8; 3] {
+    linear.to_array().map(|x| {
+        // A gentle shoulder keeps texture in the brightest walls.
+        let x = (x * 1.12 / (1.0 + 0.12 * x)).clamp(0.0, 1.0);
+        let (a, b) = (x.sqrt(), x.sqrt().sqrt());
+        let y = 0.662_002_7 * a + 0.684_122 * b - 0.323_583_6 * b.sqrt() - 0.022_541_15 * x;
+        (y.clamp(0.0, 1.0) * 255.0 + 0.5) as u8
+    })
+}

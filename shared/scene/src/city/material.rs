@@ -1,0 +1,151 @@
+//! What surfaces look like: from a place on a surface to its own colour and its gloss.
+//!
+//! Textures are functions of position, so they have detail at every scale; each is told how far
+//! apart its samples lie and leaves out what they could only alias.
+
+use glam::{Vec2, Vec3};
+
+use super::facade::Facade;
+use super::noise::{fractal, grain, noise3, step, visible};
+use super::paving::Land;
+use super::plan::Plan;
+use super::random::{floor_i32, fraction, unit2};
+use super::roofing::Roofing;
+use super::street;
+
+/// A place on a surface as its material sees it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Spot {
+    pub(super) position: Vec3,
+    pub(super) uv: Vec2,
+    /// Distance between neighbouring samples on the surface, metres.
+    pub(super) footprint_m: f32,
+}
+
+/// A surface's own colour and gloss.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Look {
+    /// Linear, diffusely reflected part of white light, 0 to 1 each.
+    pub(super) albedo: Vec3,
+    /// Part of light mirrored at normal incidence, 0 to 1.
+    pub(super) mirror: f32,
+    /// Part of the light that passes through instead of being stopped, 0 to 1 (leaves).
+    pub(super) translucent: f32,
+}
+
+impl Look {
+    pub(super) fn matt(albedo: Vec3) -> Self {
+        Self { albedo, mirror: 0.0, translucent: 0.0 }
+    }
+
+    pub(super) fn glossy(albedo: Vec3, mirror: f32) -> Self {
+        Self { albedo, mirror, translucent: 0.0 }
+    }
+}
+
+/// A material. Texture positions are metres unless said otherwise.
+#[derive(Clone, Debug)]
+pub(super) enum Material {
+    /// Carriageways; texture position is the plan's.
+    Street,
+    /// Kerbstones; texture position is the plan's.
+    Kerb,
+    /// The ground of a block, by index; texture position is the plan's.
+    Ground(u32),
+    /// Walls with windows; texture position is bays and floors.
+    Facade(Facade),
+    /// Roofs, steep and flat.
+    Roofing(Roofing),
+    /// One colour with blotches and dirt.
+    Plain {
+        /// Mean colour.
+        albedo: Vec3,
+        /// Strength of the blotches, 0 to 1.
+        contrast: f32,
+        /// Texture.
+        seed: u32,
+    },
+    /// Crowns; texture position is (light that gets in, 0 to 1; hue, −1 to 1).
+    Leaves {
+        /// Mean colour.
+        albedo: Vec3,
+        /// Texture.
+        seed: u32,
+    },
+    /// Stripes across u of two colours, such as awnings, fences and containers.
+    Stripes {
+        /// The two colours.
+        albedos: [Vec3; 2],
+        /// Width of one stripe.
+        width_m: f32,
+    },
+    /// Varnish over a colour.
+    Paint(Vec3),
+    /// Window panes.
+    Glass,
+    /// Still water.
+    Water,
+    /// Solar panels.
+    Solar,
+}
+
+impl Material {
+    /// The surface at a spot.
+    pub(super) fn look(&self, spot: &Spot, plan: &Plan, land: &Land) -> Look {
+        let (p, f) = (spot.uv, spot.footprint_m);
+        match self {
+            Self::Street => street::carriageway(spot, plan),
+            Self::Kerb => Look::matt(kerbstone(p.x + p.y, f)),
+            Self::Ground(block) => land.look(*block as usize, spot, plan),
+            Self::Facade(facade) => facade.look(spot),
+            Self::Roofing(roofing) => roofing.look(spot),
+            Self::Plain { albedo, contrast, seed } => {
+                let blotches = noise3(spot.position * 1.1, *seed) * visible(0.9, f)
+                    + 0.6 * noise3(spot.position * 4.3, *seed ^ 1) * visible(0.23, f);
+                Look::matt(*albedo * (1.0 + contrast * blotches))
+            }
+            Self::Leaves { albedo, seed } => leaves(*albedo, *seed, spot),
+            Self::Stripes { albedos, width_m } => {
+                let stripe = floor_i32(p.x / width_m);
+                let worn = 1.0 + 0.12 * grain(p, 0.7, f, stripe as u32);
+                Look::matt(albedos[(stripe & 1) as usize] * worn)
+            }
+            Self::Paint(albedo) => Look::glossy(*albedo, 0.10),
+            Self::Glass => Look::glossy(Vec3::new(0.025, 0.032, 0.038), 0.16),
+            Self::Water => {
+                let murk = 1.0 + 0.25 * fractal(spot.position.truncate(), 7.0, 4, f, 77);
+                Look::glossy(Vec3::new(0.020, 0.042, 0.036) * murk, 0.05)
+            }
+            Self::Solar => solar(p, f),
+        }
+    }
+}
+
+/// Stones 0.9 m long with joints.
+pub(super) fn kerbstone(along_m: f32, footprint_m: f32) -> Vec3 {
+    let stone = along_m / 0.9;
+    let joint = if fraction(stone) < 0.05 { 0.5 * visible(0.2, footprint_m) } else { 0.0 };
+    Vec3::new(0.36, 0.35, 0.33) * ((0.85 + 0.3 * unit2(floor_i32(stone), 3, 9)) * (1.0 - joint))
+}
+
+fn leaves(albedo: Vec3, seed: u32, spot: &Spot) -> Look {
+    let f = spot.footprint_m;
+    let clumps = noise3(spot.position * 0.9, seed);
+    let sprays = noise3(spot.position * 3.1, seed ^ 7) * visible(0.32, f);
+    let leaf = noise3(spot.position * 9.7, seed ^ 13) * visible(0.10, f);
+    let light = 1.0 + 0.22 * clumps + 0.38 * sprays + 0.3 * leaf;
+    let yellow = 0.25 * spot.uv.y + 0.15 * clumps;
+    let tint = Vec3::new(1.0 + 0.55 * yellow, 1.0 + 0.2 * yellow, 1.0 - 0.3 * yellow);
+    Look { albedo: albedo * tint * (light * spot.uv.x).max(0.1), mirror: 0.0, translucent: 0.35 }
+}
+
+fn solar(p: Vec2, footprint_m: f32) -> Look {
+    // Modules of 1.0 by 1.65 m with aluminium frames, cells of 0.16 m.
+    let module = Vec2::new(fraction(p.x) - 0.5, fraction(p.y / 1.65) - 0.5).abs();
+    if module.x > 0.465 || module.y > 0.48 {
+        return Look::matt(Vec3::splat(0.42));
+    }
+    let cell = Vec2::new(fraction(p.x / 0.16) - 0.5, fraction(p.y / 0.16) - 0.5).abs();
+    let line = step(0.42, 0.5, cell.max_element()) * visible(0.16, footprint_m);
+    Look::glossy(Vec3::new(0.014, 0.02, 0.05) + Vec3::splat(0.08 * line), 0.12)
+}

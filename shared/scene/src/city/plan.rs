@@ -1,0 +1,287 @@
+//! The town plan: streets and blocks on a grid, in a plane of their own that is bent into the world,
+//! so that streets curve and blocks differ while the plan stays a grid of rectangles.
+
+use glam::{Vec2, Vec3};
+
+use super::mesh::Frame;
+use super::noise::noise2;
+use super::random::{Rng, hash2};
+use super::terrain::Terrain;
+
+/// How far a block's ground lies above the street in town, metres.
+pub(super) const KERB_HEIGHT_M: f32 = 0.14;
+/// Radius of the kerb at a block's corners, metres.
+pub(super) const CORNER_RADIUS_M: f32 = 3.2;
+/// How far the town goes on beyond the flown square, metres.
+const TOWN_MARGIN_M: f32 = 12.0;
+/// Wavelength and amplitude of the bend from plan to world, metres.
+const BEND_M: (f32, f32) = (150.0, 11.0);
+
+/// What stands on a block.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum BlockKind {
+    /// Houses wall to wall around courtyards.
+    Perimeter,
+    /// A church on a paved square.
+    Plaza,
+    /// Detached houses in gardens.
+    Villas,
+    /// Lawns, paths, a pond.
+    Park,
+    /// Stepped towers on a paved block.
+    Towers,
+    /// Long apartment houses.
+    Slabs,
+    /// Halls and a car park.
+    Hall,
+    /// A school with a pitch.
+    School,
+    /// Crops in rows.
+    Field,
+    /// Grass with single trees and bales.
+    Meadow,
+    /// Trees.
+    Forest,
+    /// Trees in rows.
+    Orchard,
+    /// A farm.
+    Farm,
+}
+
+impl BlockKind {
+    /// Whether the block has kerbs and pavements.
+    pub(super) fn in_town(self) -> bool {
+        !matches!(self, Self::Field | Self::Meadow | Self::Forest | Self::Orchard | Self::Farm)
+    }
+}
+
+/// A street along one axis of the plan.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Street {
+    /// Its axis, plan metres.
+    pub(super) at: f32,
+    /// From the axis to the kerb.
+    pub(super) half_width_m: f32,
+    /// Whether it has lanes with markings.
+    pub(super) main: bool,
+}
+
+/// The land between streets.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Block {
+    /// Corner of least u and v, at the kerb.
+    pub(super) min: Vec2,
+    /// Corner of greatest u and v.
+    pub(super) max: Vec2,
+    pub(super) kind: BlockKind,
+    pub(super) seed: u32,
+}
+
+/// Streets and blocks.
+#[derive(Clone, Debug)]
+pub(super) struct Plan {
+    seed: u32,
+    /// Cosine and sine of the plan's turn against the world.
+    turn: Vec2,
+    /// Half the side of the square the plan covers, plan metres.
+    pub(super) half_side_m: f32,
+    /// Half the side of the world square that is town.
+    town_half_m: f32,
+    /// Streets of constant u and of constant v, each sorted.
+    pub(super) streets: [Vec<Street>; 2],
+    pub(super) blocks: Vec<Block>,
+    /// Block of each cell between streets, `[v][u]`.
+    cells: Vec<u32>,
+}
+
+impl Plan {
+    /// Plans a town around a flown square, with open country up to `reach_m` from the centre.
+    pub(super) fn new(seed: u64, flown_half_m: f32, reach_m: f32) -> Self {
+        let mut rng = Rng::new(seed, 1);
+        let t = rng.range(0.06, 0.22);
+        let turn = Vec2::new(1.0 - t * t, 2.0 * t) * (1.0 / (1.0 + t * t));
+        // The turned square must cover the world's; the bend moves its border inwards.
+        let half_side_m = reach_m * (turn.x + turn.y) + BEND_M.1;
+        let town_half_m = flown_half_m + TOWN_MARGIN_M;
+        let streets = [(); 2].map(|()| lay_streets(&mut rng, half_side_m, town_half_m));
+        let mut plan = Self {
+            seed: rng.seed(),
+            turn,
+            half_side_m,
+            town_half_m,
+            cells: vec![u32::MAX; (streets[0].len() + 1) * (streets[1].len() + 1)],
+            streets,
+            blocks: Vec::new(),
+        };
+        plan.join_cells(&mut rng);
+        plan.assign_kinds(&mut rng);
+        plan
+    }
+
+    /// Plan to world.
+    pub(super) fn to_world(&self, uv: Vec2) -> Vec2 {
+        let p = uv * (1.0 / BEND_M.0);
+        let bend = Vec2::new(noise2(p, self.seed), noise2(p, self.seed ^ 0x2545_f491)) * BEND_M.1;
+        let q = uv + bend;
+        Vec2::new(self.turn.x * q.x - self.turn.y * q.y, self.turn.y * q.x + self.turn.x * q.y)
+    }
+
+    /// A level frame on the ground at `uv` whose x axis follows the plan's direction `along`.
+    pub(super) fn frame(&self, terrain: &Terrain, uv: Vec2, along: Vec2) -> Frame {
+        let origin = self.to_world(uv);
+        let x = (self.to_world(uv + along) - self.to_world(uv - along)).normalize();
+        let kerb = match self.block_at(uv) {
+            Some(block) if self.blocks[block].kind.in_town() => KERB_HEIGHT_M,
+            _ => 0.0,
+        };
+        Frame {
+            origin: origin.extend(terrain.height(origin) + kerb),
+            x: x.extend(0.0),
+            y: Vec3::new(-x.y, x.x, 0.0),
+        }
+    }
+
+    /// Whether a place is in town.
+    pub(super) fn in_town(&self, uv: Vec2) -> bool {
+        self.to_world(uv).abs().max_element() < self.town_half_m
+    }
+
+    /// The block at `uv`; none on a street.
+    pub(super) fn block_at(&self, uv: Vec2) -> Option<usize> {
+        let (u, v) = (self.columns(0, uv.x), self.columns(1, uv.y));
+        let first = self.cell(u[0], v[0]);
+        let same = u.iter().all(|&u| v.iter().all(|&v| self.cell(u, v) == first));
+        same.then_some(first as usize)
+    }
+
+    /// The street of constant u (`axis` 0) or v (1) whose width holds `x`, as an index.
+    pub(super) fn street_at(&self, axis: usize, x: f32) -> Option<usize> {
+        let streets = &self.streets[axis];
+        let next = streets.partition_point(|s| s.at + s.half_width_m < x);
+        (next < streets.len() && x >= streets[next].at - streets[next].half_width_m).then_some(next)
+    }
+
+    /// A number of its own for each place of the street grid.
+    pub(super) fn hash(&self, i: usize, j: usize) -> u32 {
+        hash2(i as i32, j as i32, self.seed)
+    }
+
+    /// The column left and right of a street, or twice the column `x` is in.
+    fn columns(&self, axis: usize, x: f32) -> [usize; 2] {
+        match self.street_at(axis, x) {
+            Some(street) => [street, street + 1],
+            None => [self.streets[axis].partition_point(|s| s.at < x); 2],
+        }
+    }
+
+    fn cell(&self, u: usize, v: usize) -> u32 {
+        self.cells[v * (self.streets[0].len() + 1) + u]
+    }
+
+    /// Where column `i` begins and ends, kerb to kerb.
+    fn span(&self, axis: usize, i: usize) -> (f32, f32) {
+        let streets = &self.streets[axis];
+        let low = if i == 0 { -self.half_side_m } else { streets[i - 1].at + streets[i - 1].half_width_m };
+        let high = streets.get(i).map_or(self.half_side_m, |street| street.at - street.half_width_m);
+        (low, high)
+    }
+
+    /// Joins neighbouring cells into blocks: now and then in town, mostly in the country.
+    fn join_cells(&mut self, rng: &mut Rng) {
+        let [nu, nv] = [self.streets[0].len() + 1, self.streets[1].len() + 1];
+        for v in 0..nv {
+            for u in 0..nu {
+                if self.cell(u, v) != u32::MAX {
+                    continue;
+                }
+                let town = self.cell_in_town(u, v);
+                let wanted = match (town, rng.unit()) {
+                    (true, x) if x < 0.80 => (1, 1),
+                    (true, x) if x < 0.90 => (2, 1),
+                    (true, _) => (1, 2),
+                    (false, x) if x < 0.2 => (1, 1),
+                    (false, x) if x < 0.5 => (2, 1),
+                    (false, x) if x < 0.7 => (1, 2),
+                    (false, _) => (2, 2),
+                };
+                let free = |w: usize, h: usize| self.may_join(u, v, w, h, town);
+                let (w, h) = match wanted {
+                    (w, h) if free(w, h) => (w, h),
+                    (2, 2) if free(2, 1) => (2, 1),
+                    (_, 2) if free(1, 2) => (1, 2),
+                    _ => (1, 1),
+                };
+                let id = self.blocks.len() as u32;
+                for (x, y) in (u..u + w).flat_map(|x| (v..v + h).map(move |y| (x, y))) {
+                    self.cells[y * nu + x] = id;
+                }
+                let (low_u, low_v) = (self.span(0, u).0, self.span(1, v).0);
+                self.blocks.push(Block {
+                    min: Vec2::new(low_u, low_v),
+                    max: Vec2::new(self.span(0, u + w - 1).1, self.span(1, v + h - 1).1),
+                    kind: if town { BlockKind::Villas } else { BlockKind::Meadow },
+                    seed: rng.seed(),
+                });
+            }
+        }
+    }
+
+    fn may_join(&self, u: usize, v: usize, w: usize, h: usize, town: bool) -> bool {
+        let [nu, nv] = [self.streets[0].len() + 1, self.streets[1].len() + 1];
+        u + w <= nu
+            && v + h <= nv
+            && (u + 1..u + w).all(|i| !self.streets[0][i - 1].main)
+            && (v + 1..v + h).all(|i| !self.streets[1][i - 1].main)
+            && (u..u + w)
+                .all(|x| (v..v + h).all(|y| self.cell(x, y) == u32::MAX && self.cell_in_town(x, y) == town))
+    }
+
+    fn cell_in_town(&self, u: usize, v: usize) -> bool {
+        let ((u0, u1), (v0, v1)) = (self.span(0, u), self.span(1, v));
+        self.in_town(Vec2::new(u0 + u1, v0 + v1) * 0.5)
+    }
+
+    /// Town kinds from the centre outwards, country kinds by chance.
+    fn assign_kinds(&mut self, rng: &mut Rng) {
+        use BlockKind::*;
+        // The first blocks show every kind once; beyond them houses prevail.
+        const INNER: [BlockKind; 11] =
+            [Perimeter, Plaza, Towers, Perimeter, Park, Villas, Slabs, Perimeter, School, Villas, Hall];
+        const OUTER: [BlockKind; 8] = [Villas, Villas, Perimeter, Slabs, Villas, Hall, Park, Villas];
+        const COUNTRY: [BlockKind; 10] =
+            [Field, Forest, Field, Meadow, Orchard, Field, Farm, Forest, Field, Meadow];
+        let mut by_distance: Vec<(f32, usize)> = self
+            .blocks
+            .iter()
+            .enumerate()
+            .map(|(i, b)| (self.to_world((b.min + b.max) * 0.5).length() + rng.range(0.0, 30.0), i))
+            .collect();
+        by_distance.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let (mut town, mut country) = (0, rng.index(COUNTRY.len()));
+        for (_, i) in by_distance {
+            let block = &mut self.blocks[i];
+            if block.kind == Villas {
+                block.kind = if town < INNER.len() { INNER[town] } else { rng.pick(&OUTER) };
+                town += 1;
+            } else {
+                block.kind = COUNTRY[country % COUNTRY.len()];
+                country += 1 + rng.index(2);
+            }
+        }
+    }
+}
+
+fn lay_streets(rng: &mut Rng, half_side_m: f32, town_half_m: f32) -> Vec<Street> {
+    let mut streets = Vec::new();
+    let mut at = -half_side_m + rng.range(20.0, 60.0);
+    while at < half_side_m - 20.0 {
+        let town = at.abs() < town_half_m * 1.15;
+        streets.push(Street { at, half_width_m: if town { 4.1 } else { 2.4 }, main: false });
+        at += if town { rng.range(46.0, 70.0) } else { rng.range(50.0, 80.0) };
+    }
+    let nearest = streets.iter_mut().min_by(|a, b| a.at.abs().total_cmp(&b.at.abs()));
+    if let Some(street) = nearest {
+        *street = Street { half_width_m: 6.0, main: true, ..*street };
+    }
+    streets
+}

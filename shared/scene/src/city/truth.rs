@@ -1,0 +1,189 @@
+//! The true surface: as a mesh, and as points spread evenly over its area.
+
+use std::collections::HashMap;
+
+use glam::{Vec2, Vec3};
+use rayon::prelude::*;
+
+use super::light;
+use super::mesh::Triangle;
+use super::random::Rng;
+use super::render::World;
+use super::sight::Sight;
+use crate::Camera;
+
+/// The surface counts as seen where this many cameras see it.
+const CAMERAS_MIN: usize = 3;
+/// Longest edge of the mesh's triangles, metres.
+const EDGE_M: f32 = 1.0;
+/// Colours are those of places this large, metres.
+const FOOTPRINT_M: f32 = 0.12;
+/// Points tried at once by one thread.
+const BATCH: usize = 1024;
+/// Times that as many points are tried as are wanted, before giving up.
+const ROUNDS: usize = 100;
+
+/// The surface that at least three cameras see.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct TruthMesh {
+    /// World positions, `[vertices]` of xyz.
+    pub positions: Vec<[f32; 3]>,
+    /// Colour of each vertex, without reflections.
+    pub rgb: Vec<[u8; 3]>,
+    /// Indices of three vertices each.
+    pub triangles: Vec<[u32; 3]>,
+}
+
+/// A point of the surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TruthPoint {
+    /// World position.
+    pub position: [f32; 3],
+    /// Unit normal on the side that the cameras see.
+    pub normal: [f32; 3],
+    /// Colour, without reflections.
+    pub rgb: [u8; 3],
+}
+
+/// A piece of a triangle of the town.
+struct Piece {
+    /// Index of the town's triangle.
+    of: u32,
+    /// Positions of the corners in it: weights of its second and third corner.
+    corners: [Vec2; 3],
+    /// Unit, on the side that is seen.
+    normal: Vec3,
+}
+
+fn position(triangle: &Triangle, weights: Vec2) -> Vec3 {
+    let [a, b, c] = triangle.corners;
+    a + (b - a) * weights.x + (c - a) * weights.y
+}
+
+/// The seen surface in small triangles.
+pub(super) fn mesh(world: &World, cameras: &[Camera]) -> TruthMesh {
+    let sight = Sight { bvh: &world.bvh, cameras };
+    let pieces: Vec<Piece> = (0..world.mesh.triangles.len())
+        .into_par_iter()
+        .flat_map_iter(|i| {
+            let triangle = &world.mesh.triangles[i];
+            cut(triangle).into_iter().filter_map(move |corners| {
+                let middle = (corners[0] + corners[1] + corners[2]) * (1.0 / 3.0);
+                let normal = seen_side(&sight, triangle, middle)?;
+                Some(Piece { of: i as u32, corners, normal })
+            })
+        })
+        .collect();
+    weld(world, &pieces)
+}
+
+/// Cuts a triangle into similar ones with edges of at most [`EDGE_M`], as weights of its corners.
+fn cut(triangle: &Triangle) -> Vec<[Vec2; 3]> {
+    let [a, b, c] = triangle.corners;
+    let longest = a.distance(b).max(b.distance(c)).max(c.distance(a));
+    let n = (longest / EDGE_M).ceil().max(1.0) as usize;
+    let at = |i: usize, j: usize| Vec2::new(i as f32, j as f32) * (1.0 / n as f32);
+    let mut pieces = Vec::with_capacity(n * n);
+    for i in 0..n {
+        for j in 0..n - i {
+            pieces.push([at(i, j), at(i + 1, j), at(i, j + 1)]);
+            if i + j + 1 < n {
+                pieces.push([at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)]);
+            }
+        }
+    }
+    pieces
+}
+
+/// The normal on the side from which enough cameras see a place, if they do.
+fn seen_side(sight: &Sight, triangle: &Triangle, weights: Vec2) -> Option<Vec3> {
+    let point = position(triangle, weights).as_dvec3();
+    let [a, b, c] = triangle.corners;
+    let normal = (b - a).cross(c - a).try_normalize()?;
+    let seen_by = sight.seen_by(point, CAMERAS_MIN)?;
+    let to_camera = sight.cameras[seen_by[0]].cam_from_world.center() - point;
+    Some(if normal.dot(to_camera.as_vec3()) < 0.0 { -normal } else { normal })
+}
+
+/// Joins pieces at equal corners of the same material, so that edges between materials stay sharp.
+fn weld(world: &World, pieces: &[Piece]) -> TruthMesh {
+    let mut mesh = TruthMesh::default();
+    let mut known: HashMap<([u32; 3], u32), u32> = HashMap::new();
+    // What each vertex takes its colour from: a piece and a corner of it.
+    let mut sources = Vec::new();
+    for (i, piece) in pieces.iter().enumerate() {
+        let triangle = &world.mesh.triangles[piece.of as usize];
+        let corners = [0, 1, 2].map(|k| {
+            let p = position(triangle, piece.corners[k]).to_array();
+            *known.entry((p.map(f32::to_bits), triangle.material)).or_insert_with(|| {
+                mesh.positions.push(p);
+                sources.push((i, k));
+                sources.len() as u32 - 1
+            })
+        });
+        mesh.triangles.push(corners);
+    }
+    mesh.rgb = sources
+        .par_iter()
+        .map(|&(i, k)| {
+            let piece = &pieces[i];
+            let middle = (piece.corners[0] + piece.corners[1] + piece.corners[2]) * (1.0 / 3.0);
+            // A little inside the piece, clear of what adjoins.
+            let inside = piece.corners[k].lerp(middle, 0.05);
+            light::encode(world.matt_shade(piece.of, inside.to_array(), piece.normal, FOOTPRINT_M))
+        })
+        .collect();
+    mesh
+}
+
+/// Points spread evenly over the seen area.
+pub(super) fn points(world: &World, cameras: &[Camera], count: usize, seed: u64) -> Vec<TruthPoint> {
+    let sight = Sight { bvh: &world.bvh, cameras };
+    let areas = cumulated_areas(&world.mesh.triangles);
+    let mut points = Vec::with_capacity(count);
+    let per_round = count.div_ceil(BATCH);
+    for round in 0..ROUNDS {
+        let batches: Vec<Vec<TruthPoint>> = (round * per_round..(round + 1) * per_round)
+            .into_par_iter()
+            .map(|batch| {
+                let mut rng = Rng::new(seed, 0x10_0000 + batch as u64);
+                (0..BATCH).filter_map(|_| try_point(world, &sight, &areas, &mut rng)).collect()
+            })
+            .collect();
+        points.extend(batches.into_iter().flatten());
+        if points.len() >= count {
+            points.truncate(count);
+            break;
+        }
+    }
+    points
+}
+
+/// The area of all triangles up to each.
+fn cumulated_areas(triangles: &[Triangle]) -> Vec<f64> {
+    let area = |t: &Triangle| {
+        let [a, b, c] = t.corners;
+        0.5 * f64::from((b - a).cross(c - a).length())
+    };
+    let sum = |sum: &mut f64, t: &Triangle| {
+        *sum += area(t);
+        Some(*sum)
+    };
+    triangles.iter().scan(0.0, sum).collect()
+}
+
+fn try_point(world: &World, sight: &Sight, areas: &[f64], rng: &mut Rng) -> Option<TruthPoint> {
+    let pick = rng.unit_f64() * areas.last()?;
+    let i = areas.partition_point(|&sum| sum <= pick).min(areas.len() - 1);
+    let (mut u, mut v) = (rng.unit(), rng.unit());
+    if u + v > 1.0 {
+        (u, v) = (1.0 - u, 1.0 - v);
+    }
+    let triangle = &world.mesh.triangles[i];
+    let normal = seen_side(sight, triangle, Vec2::new(u, v))?;
+    Some(TruthPoint {
+        position: position(triangle, Vec2::new(u, v)).to_array(),
+        normal: normal.to_array(),
+        rgb: light::encode(world.matt_shade(i as u32, [u, v], normal, FOOTPRINT_M)),
+    })
+}
