@@ -1,1 +1,16 @@
-//! Under construction.
+//! The drone's side of cosurf: pictures with poses in, a local model out.
+//!
+//! What it is: a training session within a memory budget ([`session`]) that can be killed at any time and
+//! goes on to the same bits ([`checkpoint`]), the scoring of models on held-out pictures ([`evaluate`]) and
+//! pictures of what a model shows ([`pictures`]).
+//!
+//! What it refuses to know: the aggregator, and what becomes of its model there. It never sends a picture.
+//!
+//! Where to start reading: [`session`].
+
+pub mod checkpoint;
+pub mod evaluate;
+pub mod memory;
+pub mod outputs;
+pub mod pictures;
+pub mod session;

@@ -1,0 +1,170 @@
+//! Checkpoints: everything a training needs to go on to the same bits, in one file.
+//!
+//! A line of JSON ([`Head`]), then the backend's numbers as little-endian f32, zstd-compressed, with a
+//! BLAKE3 of the uncompressed bytes at the end. Written to a new file that then takes the old one's place,
+//! so a kill at any moment leaves a whole checkpoint.
+
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, Read, Write};
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail, ensure};
+use cosurf_engine::{Backend, CpuBackend, TrainSettings, Trainer};
+use cosurf_scene::{Camera, SparsePoint, atomic};
+use serde::{Deserialize, Serialize};
+
+const FORMAT: &str = "cosurf checkpoint 1";
+/// Level 1: the numbers hardly compress, and training waits.
+const ZSTD_LEVEL: i32 = 1;
+/// The head is short; a longer first line is not a checkpoint.
+const HEAD_BYTES_MAX: u64 = 4096;
+
+/// What a checkpoint must agree with: the settings and the data of the training.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Fingerprint(String);
+
+impl Fingerprint {
+    /// A hash of everything that decides the bits of a training.
+    pub fn of(settings: &TrainSettings, cameras: &[Camera], points: &[SparsePoint]) -> Self {
+        let mut hash = blake3::Hasher::new();
+        // Debug prints floats so that they read back to the same bits.
+        hash.update(format!("{FORMAT} {settings:?}").as_bytes());
+        for camera in cameras {
+            hash.update(format!("{camera:?}").as_bytes());
+        }
+        for point in points {
+            point.position.to_array().iter().for_each(|v| {
+                hash.update(&v.to_le_bytes());
+            });
+            hash.update(&point.rgb);
+        }
+        Self(hash.finalize().to_hex().to_string())
+    }
+}
+
+#[derive(Debug, Serialize, Deserialize)]
+struct Head {
+    format: String,
+    fingerprint: Fingerprint,
+    steps_done: u32,
+    splats: usize,
+    splats_at_start: usize,
+    seconds: f64,
+}
+
+/// A checkpoint that was found.
+pub struct Checkpoint {
+    path: PathBuf,
+    head: Head,
+    body: BufReader<File>,
+}
+
+/// Where the checkpoint of a training that writes to `out` lies.
+pub fn path(out: &Path) -> PathBuf {
+    out.join("checkpoint").join("state.bin")
+}
+
+impl Checkpoint {
+    /// Opens the checkpoint below `out`, if there is one.
+    pub fn find(out: &Path) -> Result<Option<Self>> {
+        let path = path(out);
+        let file = match File::open(&path) {
+            Ok(file) => file,
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+            Err(error) => return Err(error).with_context(|| path.display().to_string()),
+        };
+        let mut body = BufReader::new(file);
+        let mut line = Vec::new();
+        body.by_ref()
+            .take(HEAD_BYTES_MAX)
+            .read_until(b'\n', &mut line)
+            .with_context(|| path.display().to_string())?;
+        let head: Head = serde_json::from_slice(&line).with_context(|| {
+            format!("{} is not a checkpoint of this program; use --fresh to begin anew", path.display())
+        })?;
+        ensure!(
+            head.format == FORMAT,
+            "{}: format {:?} is not known here; use --fresh to begin anew",
+            path.display(),
+            head.format
+        );
+        Ok(Some(Self { path, head, body }))
+    }
+
+    /// Seconds that training took up to here.
+    pub fn seconds(&self) -> f64 {
+        self.head.seconds
+    }
+
+    /// Fills the backend; returns the steps done and the number of splats at step 0. A checkpoint of another
+    /// training is refused.
+    pub fn restore(self, expected: &Fingerprint, backend: &mut CpuBackend) -> Result<(u32, usize)> {
+        let path = self.path.display().to_string();
+        if self.head.fingerprint != *expected {
+            bail!(
+                "{path} belongs to a training with other data or settings; use --fresh to begin anew, or another --out"
+            );
+        }
+        ensure!(
+            self.head.splats <= backend.capacity(),
+            "{path} holds more splats than the memory allows; use --fresh"
+        );
+        let mut body = zstd::Decoder::new(self.body).with_context(|| path.clone())?;
+        let mut hash = blake3::Hasher::new();
+        let mut bytes = Vec::new();
+        backend
+            .import(self.head.splats, |numbers| -> io::Result<()> {
+                bytes.resize(4 * numbers.len(), 0);
+                body.read_exact(&mut bytes)?;
+                hash.update(&bytes);
+                for (number, bytes) in numbers.iter_mut().zip(bytes.chunks_exact(4)) {
+                    *number = f32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]);
+                }
+                Ok(())
+            })
+            .with_context(|| format!("{path} is cut short; use --fresh to begin anew"))?;
+        let mut stored = [0; 32];
+        body.read_exact(&mut stored)
+            .with_context(|| format!("{path} is cut short; use --fresh to begin anew"))?;
+        ensure!(hash.finalize() == stored, "{path} is damaged; use --fresh to begin anew");
+        Ok((self.head.steps_done, self.head.splats_at_start))
+    }
+}
+
+/// Writes the checkpoint of `trainer` below `out`; `seconds` is the training time so far.
+pub fn write(
+    out: &Path,
+    fingerprint: &Fingerprint,
+    trainer: &Trainer<CpuBackend>,
+    seconds: f64,
+) -> Result<()> {
+    let path = path(out);
+    if let Some(folder) = path.parent() {
+        std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+    }
+    let head = Head {
+        format: FORMAT.into(),
+        fingerprint: fingerprint.clone(),
+        steps_done: trainer.steps_done(),
+        splats: trainer.backend().len(),
+        splats_at_start: trainer.splats_at_start(),
+        seconds,
+    };
+    atomic::write(&path, |file| {
+        serde_json::to_writer(&mut *file, &head)?;
+        file.write_all(b"\n")?;
+        let mut body = zstd::Encoder::new(file, ZSTD_LEVEL)?;
+        let mut hash = blake3::Hasher::new();
+        let mut bytes = Vec::new();
+        trainer.backend().export(|numbers| -> io::Result<()> {
+            bytes.clear();
+            bytes.extend(numbers.iter().flat_map(|number| number.to_le_bytes()));
+            hash.update(&bytes);
+            body.write_all(&bytes)
+        })?;
+        body.write_all(hash.finalize().as_bytes())?;
+        body.finish()?;
+        Ok(())
+    })?;
+    Ok(())
+}

@@ -1,0 +1,46 @@
+//! `eval`: how well a model shows pictures that it was not trained on.
+
+use std::path::PathBuf;
+
+use anyhow::{Result, ensure};
+use clap::Args;
+use cosurf_agent::evaluate;
+use cosurf_engine::Renderer;
+use cosurf_scene::{Dataset, View, ply};
+
+use super::{Common, model_path};
+
+/// Score a model on the held-out views of a dataset: PSNR and SSIM as 3DGS defines them.
+#[derive(Args, Debug)]
+pub(super) struct EvalArgs {
+    /// The model: a PLY, or the folder that training wrote
+    model: PathBuf,
+    /// The dataset's folder
+    data: PathBuf,
+    /// Every n-th view by name is held out
+    #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..))]
+    eval_every: u32,
+    #[command(flatten)]
+    common: Common,
+}
+
+pub(super) fn run(args: &EvalArgs) -> Result<()> {
+    let splats = ply::read(&model_path(&args.model))?;
+    let dataset = Dataset::open(&args.data)?;
+    let (_, held_out) = dataset.split(args.eval_every);
+    ensure!(!held_out.is_empty(), "{}: no view is held out", args.data.display());
+    let views: Vec<View> = held_out.into_iter().map(|i| dataset.views[i].clone()).collect();
+    let mut renderer = Renderer::new(&splats, args.common.threads());
+    let score = evaluate::score(&mut renderer, &views, args.common.max_size_px())?;
+    if args.common.json {
+        println!("{}", serde_json::to_string(&score)?);
+        return Ok(());
+    }
+    for view in &score.views {
+        println!("{}: PSNR {:.2} dB, SSIM {:.4}", view.name, view.psnr, view.ssim);
+    }
+    if let (Some(psnr), Some(ssim)) = (score.psnr, score.ssim) {
+        println!("mean of {}: PSNR {psnr:.2} dB, SSIM {ssim:.4}", score.views.len());
+    }
+    Ok(())
+}

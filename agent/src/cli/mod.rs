@@ -1,0 +1,86 @@
+//! What the words of the command line mean.
+
+mod eval;
+mod progress;
+mod render;
+mod train;
+
+use std::path::PathBuf;
+
+use anyhow::Result;
+use clap::{Args, Parser, Subcommand};
+use cosurf_scene::bytes::parse_bytes;
+
+/// Trains a Gaussian-surface model from drone pictures with poses, within a memory budget, on this
+/// computer's processor.
+#[derive(Debug, Parser)]
+#[command(version, propagate_version = true)]
+pub(crate) struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Train(train::TrainArgs),
+    Eval(eval::EvalArgs),
+    Render(render::RenderArgs),
+}
+
+/// What several commands share.
+#[derive(Args, Clone, Debug)]
+struct Common {
+    /// Shrink pictures until their long side is at most this many pixels [default: full size]
+    #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(16..))]
+    max_size: Option<u32>,
+    /// Threads to compute with [default: one per core]
+    #[arg(long, value_name = "N", value_parser = parse_threads)]
+    threads: Option<usize>,
+    /// Print JSON instead of text for people
+    #[arg(long)]
+    json: bool,
+}
+
+impl Common {
+    fn max_size_px(&self) -> u32 {
+        self.max_size.unwrap_or(u32::MAX)
+    }
+
+    fn threads(&self) -> usize {
+        self.threads.unwrap_or_else(cores)
+    }
+}
+
+/// Cores of this computer.
+fn cores() -> usize {
+    std::thread::available_parallelism().map_or(1, usize::from)
+}
+
+fn parse_threads(text: &str) -> Result<usize, String> {
+    match text.parse() {
+        Ok(threads @ 1..=1024) => Ok(threads),
+        _ => Err("give a number from 1 to 1024".into()),
+    }
+}
+
+fn parse_memory(text: &str) -> Result<u64, String> {
+    parse_bytes(text)
+}
+
+/// The memory to plan with where nobody says: two thirds of what is free, at most 8 GiB.
+fn default_memory() -> u64 {
+    cosurf_agent::memory::available_bytes().map_or(2 << 30, |free| free / 3 * 2).min(8 << 30)
+}
+
+/// A finished model, by file or by the folder that training wrote it to.
+fn model_path(path: &std::path::Path) -> PathBuf {
+    if path.is_dir() { path.join("model.ply") } else { path.to_path_buf() }
+}
+
+pub(crate) fn run(cli: Cli) -> Result<()> {
+    match cli.command {
+        Command::Train(args) => train::run(&args),
+        Command::Eval(args) => eval::run(&args),
+        Command::Render(args) => render::run(&args),
+    }
+}

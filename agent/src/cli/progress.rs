@@ -1,0 +1,128 @@
+//! Showing how far the work is: a bar on a terminal, plain lines elsewhere, JSON lines under `--json`.
+
+use std::io::{IsTerminal, Write};
+use std::time::{Duration, Instant};
+
+use cosurf_engine::train::StepOutcome;
+use cosurf_scene::report::AgentEvent;
+use indicatif::{ProgressBar, ProgressStyle};
+
+/// Time between two reports where there is no terminal.
+const LINE_EVERY: Duration = Duration::from_secs(5);
+/// Time between two reports on a terminal or for a program that reads along.
+const BAR_EVERY: Duration = Duration::from_millis(500);
+
+/// How progress is shown.
+pub(super) struct Progress {
+    style: Style,
+    last: Instant,
+    last_step: u32,
+    /// Sum of PSNR and number of steps since the last report.
+    psnr: (f64, u32),
+}
+
+enum Style {
+    Json,
+    Lines,
+    Bar(ProgressBar),
+}
+
+impl Progress {
+    pub(super) fn new(json: bool) -> Self {
+        let style = if json {
+            Style::Json
+        } else if std::io::stderr().is_terminal() {
+            let bar = ProgressBar::new(0);
+            let template = "{bar:30} {pos}/{len} {msg}";
+            bar.set_style(
+                ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar()),
+            );
+            Style::Bar(bar)
+        } else {
+            Style::Lines
+        };
+        Self { style, last: Instant::now(), last_step: 0, psnr: (0.0, 0) }
+    }
+
+    /// A step was done; reports every now and then.
+    pub(super) fn step(&mut self, step: u32, steps: u32, outcome: &StepOutcome, splats: usize) {
+        self.psnr = (self.psnr.0 + outcome.loss.psnr(), self.psnr.1 + 1);
+        let every = if matches!(self.style, Style::Lines) { LINE_EVERY } else { BAR_EVERY };
+        let elapsed = self.last.elapsed();
+        if elapsed < every && step < steps {
+            return;
+        }
+        let steps_per_s = (step - self.last_step.min(step)) as f32 / elapsed.as_secs_f32().max(1e-6);
+        self.show(&AgentEvent::Progress {
+            step,
+            steps,
+            psnr: (self.psnr.0 / f64::from(self.psnr.1)) as f32,
+            splats,
+            steps_per_s,
+            seconds_left: (steps - step) as f32 / steps_per_s.max(1e-6),
+        });
+        (self.last, self.last_step, self.psnr) = (Instant::now(), step, (0.0, 0));
+    }
+
+    /// Shows an event.
+    pub(super) fn show(&mut self, event: &AgentEvent) {
+        if let AgentEvent::Started { resumed_at, .. } = event {
+            (self.last, self.last_step) = (Instant::now(), *resumed_at);
+        }
+        match &self.style {
+            Style::Json => {
+                let line = serde_json::to_string(event).unwrap_or_default();
+                // A reader that went away is no reason to stop training.
+                let _ = writeln!(std::io::stdout(), "{line}");
+            }
+            Style::Bar(bar) => show_bar(bar, event),
+            Style::Lines => {
+                if let Some(line) = in_words(event) {
+                    eprintln!("{line}");
+                }
+            }
+        }
+    }
+}
+
+fn show_bar(bar: &ProgressBar, event: &AgentEvent) {
+    match event {
+        AgentEvent::Progress { step, steps, psnr, splats, steps_per_s, seconds_left } => {
+            bar.set_length(u64::from(*steps));
+            bar.set_position(u64::from(*step));
+            bar.set_message(format!(
+                "{psnr:.2} dB, {splats} splats, {steps_per_s:.1} steps/s, {seconds_left:.0} s left"
+            ));
+        }
+        AgentEvent::Trained { .. } => bar.finish(),
+        _ => {
+            if let Some(line) = in_words(event) {
+                bar.println(line);
+            }
+        }
+    }
+}
+
+fn in_words(event: &AgentEvent) -> Option<String> {
+    Some(match event {
+        AgentEvent::Started { views, held_out, splats, steps, resumed_at } => {
+            let from =
+                if *resumed_at > 0 { format!(", going on after step {resumed_at}") } else { String::new() };
+            format!("{views} views to train on, {held_out} held out, {splats} splats, {steps} steps{from}")
+        }
+        AgentEvent::Progress { step, steps, psnr, splats, steps_per_s, seconds_left } => format!(
+            "step {step}/{steps}: {psnr:.2} dB, {splats} splats, {steps_per_s:.1} steps/s, {seconds_left:.0} s left"
+        ),
+        AgentEvent::Trained { .. } => return None,
+        AgentEvent::Retrying { what, attempt } => format!("{what} (attempt {attempt})"),
+        AgentEvent::Publishing { bytes_sent, bytes_total } => {
+            format!("published {bytes_sent} of {bytes_total} bytes")
+        }
+        AgentEvent::Acknowledged { bytes_sent } => {
+            format!("the aggregator has the model ({bytes_sent} bytes sent)")
+        }
+        AgentEvent::GlobalReceived { revision, splats } => {
+            format!("global model, revision {revision}: {splats} splats")
+        }
+    })
+}

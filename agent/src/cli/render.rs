@@ -1,0 +1,46 @@
+//! `render`: pictures of what a model shows.
+
+use std::path::PathBuf;
+
+use anyhow::{Context, Result};
+use clap::Args;
+use cosurf_agent::pictures;
+use cosurf_engine::Renderer;
+use cosurf_scene::{Dataset, ply};
+
+use super::{Common, model_path};
+
+/// Render a model as the cameras of a dataset see it: colour, depth and normal as PNG, depth also as 32-bit
+/// floats (PFM, metres along the optical axis, 0 where there is no surface).
+#[derive(Args, Debug)]
+pub(super) struct RenderArgs {
+    /// The model: a PLY, or the folder that training wrote
+    model: PathBuf,
+    /// The dataset whose cameras to look through
+    #[arg(long, value_name = "DATA")]
+    cameras: PathBuf,
+    /// Where the pictures go
+    #[arg(long, value_name = "DIR", default_value = "out/pictures")]
+    out: PathBuf,
+    #[command(flatten)]
+    common: Common,
+}
+
+pub(super) fn run(args: &RenderArgs) -> Result<()> {
+    let splats = ply::read(&model_path(&args.model))?;
+    let dataset = Dataset::open(&args.cameras)?;
+    std::fs::create_dir_all(&args.out).with_context(|| args.out.display().to_string())?;
+    let mut renderer = Renderer::new(&splats, args.common.threads());
+    for (done, view) in dataset.views.iter().enumerate() {
+        pictures::write(&mut renderer, view, args.common.max_size_px(), &args.out)?;
+        if args.common.json {
+            println!(
+                "{}",
+                serde_json::json!({ "view": view.name, "done": done + 1, "of": dataset.views.len() })
+            );
+        } else {
+            eprintln!("{}/{} {}", done + 1, dataset.views.len(), view.name);
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,148 @@
+//! `train`: from a dataset to a model.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use anyhow::{Context, Result};
+use clap::Args;
+use cosurf_agent::checkpoint::{self, Checkpoint};
+use cosurf_agent::session::{Session, Split, TrainPlan};
+use cosurf_agent::{evaluate, memory, outputs};
+use cosurf_engine::{Backend, Renderer};
+use cosurf_scene::Splats;
+use cosurf_scene::report::{AgentEvent, TrainReport};
+
+use super::progress::Progress;
+use super::{Common, default_memory, parse_memory};
+
+/// Train a model from a dataset: COLMAP (`sparse/0` with `images`) or `transforms.json`.
+///
+/// Leaves DIR/model.ply, DIR/cameras.json, DIR/report.json and DIR/checkpoint/. Run again with the same
+/// words, it goes on where it was stopped.
+#[derive(Args, Debug)]
+pub(super) struct TrainArgs {
+    /// The dataset's folder
+    data: PathBuf,
+    /// Where the results go
+    #[arg(long, value_name = "DIR", default_value = "out/model")]
+    out: PathBuf,
+    /// Steps to train
+    #[arg(long, value_name = "N", default_value_t = 3000, value_parser = clap::value_parser!(u32).range(1..))]
+    steps: u32,
+    /// Most memory to take, for example 300MiB [default: two thirds of what is free, at most 8 GiB]
+    #[arg(long, value_name = "BYTES", value_parser = parse_memory)]
+    memory: Option<u64>,
+    /// Seed of every random choice; the same seed gives the same bytes
+    #[arg(long, value_name = "S", default_value_t = 0)]
+    seed: u64,
+    /// Hold out every n-th view by name, to score the model on; 0 holds out none
+    #[arg(long, value_name = "N", default_value_t = 8)]
+    eval_every: u32,
+    /// Begin anew even if DIR has a checkpoint
+    #[arg(long)]
+    fresh: bool,
+    #[command(flatten)]
+    common: Common,
+}
+
+pub(super) fn run(args: &TrainArgs) -> Result<()> {
+    let plan = TrainPlan {
+        data: args.data.clone(),
+        split: Split::Every(args.eval_every),
+        steps: args.steps,
+        seed: args.seed,
+        memory_bytes: args.memory.unwrap_or_else(default_memory),
+        max_size_px: args.common.max_size_px(),
+        threads: args.common.threads(),
+    };
+    let mut progress = Progress::new(args.common.json);
+    let report = train(&plan, &args.out, args.fresh, &mut progress)?;
+    if !args.common.json {
+        print_report(&report, &args.out);
+    }
+    Ok(())
+}
+
+/// Trains, with checkpoints, and writes all results into `out`.
+pub(super) fn train(
+    plan: &TrainPlan,
+    out: &Path,
+    fresh: bool,
+    progress: &mut Progress,
+) -> Result<TrainReport> {
+    std::fs::create_dir_all(out).with_context(|| out.display().to_string())?;
+    let found = if fresh { None } else { Checkpoint::find(out)? };
+    let seconds_before = found.as_ref().map_or(0.0, Checkpoint::seconds);
+    let mut session = Session::start(plan, found)?;
+    let started = Instant::now();
+    let seconds = || seconds_before + started.elapsed().as_secs_f64();
+    progress.show(&AgentEvent::Started {
+        views: session.cameras().len(),
+        held_out: session.held_out().len(),
+        splats: session.trainer().backend().len(),
+        steps: plan.steps,
+        resumed_at: session.trainer().steps_done(),
+    });
+    let checkpoint_every = (plan.steps / 10).clamp(100, 1000);
+    while !session.trainer().is_done() {
+        let outcome = session.step()?;
+        let steps_done = session.trainer().steps_done();
+        progress.step(steps_done, plan.steps, &outcome, session.trainer().backend().len());
+        if steps_done.is_multiple_of(checkpoint_every) && !session.trainer().is_done() {
+            checkpoint::write(out, session.fingerprint(), session.trainer(), seconds())?;
+        }
+    }
+    let seconds = seconds();
+    checkpoint::write(out, session.fingerprint(), session.trainer(), seconds)?;
+    let report = finish(plan, session, out, seconds)?;
+    progress.show(&AgentEvent::Trained { report: report.clone() });
+    Ok(report)
+}
+
+/// Scores the model and writes it with its report.
+fn finish(plan: &TrainPlan, session: Session, out: &Path, seconds: f64) -> Result<TrainReport> {
+    let given_up = session.given_up();
+    let (cameras, held_out, size_px) =
+        (session.cameras().to_vec(), session.held_out().to_vec(), session.size_px());
+    let device = session.trainer().backend().device();
+    // The optimiser's memory goes before the renderer's comes.
+    let splats: Splats = session.into_splats();
+    let score =
+        evaluate::score(&mut Renderer::new(&splats, plan.threads), &held_out, size_px[0].max(size_px[1]))?;
+    let report = TrainReport {
+        steps: plan.steps,
+        seconds,
+        steps_per_s: f64::from(plan.steps) / seconds.max(1e-9),
+        splats: splats.len(),
+        peak_memory_bytes: memory::peak_bytes(),
+        psnr: score.psnr,
+        ssim: score.ssim,
+        seed: plan.seed,
+        device,
+        views: cameras.len(),
+        held_out: held_out.len(),
+        size_px,
+        given_up,
+    };
+    outputs::write(out, &splats, &cameras, &report)?;
+    Ok(report)
+}
+
+fn print_report(report: &TrainReport, out: &Path) {
+    println!(
+        "{} splats after {} steps in {:.1} s ({:.1} steps/s, {}), peak memory {}",
+        report.splats,
+        report.steps,
+        report.seconds,
+        report.steps_per_s,
+        report.device,
+        cosurf_scene::bytes::format_bytes(report.peak_memory_bytes)
+    );
+    if let (Some(psnr), Some(ssim)) = (report.psnr, report.ssim) {
+        println!("held out {} views: PSNR {psnr:.2} dB, SSIM {ssim:.4}", report.held_out);
+    }
+    for given_up in &report.given_up {
+        println!("given up for memory: {given_up}");
+    }
+    println!("{}", out.join("model.ply").display());
+}

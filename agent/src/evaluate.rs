@@ -1,0 +1,49 @@
+//! Scoring a model on pictures that it was not trained on.
+
+use anyhow::Result;
+use cosurf_engine::Renderer;
+use cosurf_scene::metrics::{psnr, ssim};
+use cosurf_scene::{Picture, View};
+use serde::Serialize;
+
+/// The score of one view.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ViewScore {
+    /// The view's name.
+    pub name: String,
+    /// dB.
+    pub psnr: f64,
+    /// -1..=1.
+    pub ssim: f64,
+}
+
+/// Means over views, and each of them.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Score {
+    /// Mean PSNR, dB; absent without views.
+    pub psnr: Option<f64>,
+    /// Mean SSIM; absent without views.
+    pub ssim: Option<f64>,
+    /// View by view.
+    pub views: Vec<ViewScore>,
+}
+
+/// Renders each view with its long side at most `max_size_px` and compares with its picture. Colours are
+/// clamped to 0..=1 first, as in a picture file.
+pub fn score(renderer: &mut Renderer, views: &[View], max_size_px: u32) -> Result<Score> {
+    let scores = views
+        .iter()
+        .map(|view| {
+            let size_px = view.camera.fitted_size(max_size_px);
+            let truth = Picture::read_fitted(&view.path, size_px)?.to_unit();
+            let mut rendering = renderer.render(&view.camera.resized(size_px));
+            rendering.rgb.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
+            let (psnr, ssim) = (psnr(&rendering.rgb, &truth), ssim(&rendering.rgb, &truth, size_px));
+            Ok(ViewScore { name: view.name.clone(), psnr, ssim })
+        })
+        .collect::<Result<Vec<_>>>()?;
+    let mean = |of: fn(&ViewScore) -> f64| {
+        (!scores.is_empty()).then(|| scores.iter().map(of).sum::<f64>() / scores.len() as f64)
+    };
+    Ok(Score { psnr: mean(|s| s.psnr), ssim: mean(|s| s.ssim), views: scores })
+}

@@ -1,0 +1,40 @@
+//! Pictures of what a model shows: colour, depth and normal as PNG, depth as 32-bit floats too.
+
+use std::io::Write;
+use std::path::Path;
+
+use anyhow::Result;
+use cosurf_engine::Renderer;
+use cosurf_scene::colormap::{depth_picture, depth_range, normal_picture};
+use cosurf_scene::{Picture, View, atomic};
+
+/// Renders `view` (long side at most `max_size_px`) and writes `NAME.color.png`, `NAME.depth.png`,
+/// `NAME.normal.png` and `NAME.depth.pfm` (one 32-bit float per pixel, metres along the optical axis, 0 where
+/// there is no surface) into `folder`.
+pub fn write(renderer: &mut Renderer, view: &View, max_size_px: u32, folder: &Path) -> Result<()> {
+    let camera = view.camera.resized(view.camera.fitted_size(max_size_px));
+    let rendering = renderer.render(&camera);
+    let stem = Path::new(&view.name).with_extension("");
+    let stem = stem.to_string_lossy().replace(['/', '\\'], "_");
+    let file = |kind: &str| folder.join(format!("{stem}.{kind}"));
+    let range_m = depth_range(&rendering.depth);
+    Picture::from_unit(rendering.size_px, &rendering.rgb).write_png(&file("color.png"))?;
+    depth_picture(&rendering.depth, rendering.size_px, range_m).write_png(&file("depth.png"))?;
+    normal_picture(&rendering.normal, rendering.size_px).write_png(&file("normal.png"))?;
+    write_pfm(&file("depth.pfm"), rendering.size_px, &rendering.depth)
+}
+
+/// Portable float map: grey, little-endian, bottom row first.
+fn write_pfm(path: &Path, size_px: [u32; 2], values: &[f32]) -> Result<()> {
+    let [width, height] = size_px;
+    atomic::write(path, |file| {
+        write!(file, "Pf\n{width} {height}\n-1.0\n")?;
+        for row in values.chunks_exact(width as usize).rev() {
+            for value in row {
+                file.write_all(&value.to_le_bytes())?;
+            }
+        }
+        Ok(())
+    })?;
+    Ok(())
+}

@@ -1,0 +1,258 @@
+//! A training session: from a plan to a trained model, within the plan's memory, resumable at every
+//! checkpoint.
+
+use std::path::PathBuf;
+
+use anyhow::{Context, Result, bail};
+use cosurf_engine::backend::{TargetRgb, Targets};
+use cosurf_engine::budget::{Budget, TooLittleMemory, Wish};
+use cosurf_engine::init::splats_from_points;
+use cosurf_engine::train::StepOutcome;
+use cosurf_engine::{Backend, CpuBackend, Schedule, TrainSettings, Trainer};
+use cosurf_scene::bytes::format_bytes;
+use cosurf_scene::cache::Source;
+use cosurf_scene::{Camera, Dataset, PictureCache, Splats, View};
+
+use crate::checkpoint::{Checkpoint, Fingerprint};
+
+/// Stored SH degree.
+const SH_DEGREE: u32 = 3;
+
+/// Training pixels per splat that a training may make at most, memory permitting: finer splats than this
+/// would see too few pixels each to be told apart from noise.
+const PIXELS_PER_SPLAT: u64 = 48;
+
+/// Long sides that are tried, as shares of the wanted one, where memory is short.
+const SIZE_STEPS: [f64; 6] = [1.0, 0.8, 0.63, 0.5, 0.35, 0.25];
+
+/// What to train.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TrainPlan {
+    /// The dataset's folder.
+    pub data: PathBuf,
+    /// Which views to train on and which to hold out.
+    pub split: Split,
+    /// Steps in all.
+    pub steps: u32,
+    /// Seed of every random choice.
+    pub seed: u64,
+    /// Most bytes of resident memory.
+    pub memory_bytes: u64,
+    /// Long side of the largest picture trained on.
+    pub max_size_px: u32,
+    /// Threads to compute with, at least 1.
+    pub threads: usize,
+}
+
+/// Which views are for what.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Split {
+    /// With names sorted, every n-th is held out; 0 holds out none.
+    Every(u32),
+    /// By name.
+    Named {
+        /// To train on.
+        train: Vec<String>,
+        /// To score.
+        held_out: Vec<String>,
+    },
+}
+
+/// A training that is under way.
+pub struct Session {
+    trainer: Trainer<CpuBackend>,
+    cache: PictureCache,
+    cameras: Vec<Camera>,
+    held_out: Vec<View>,
+    /// Size of the largest picture trained on.
+    size_px: [u32; 2],
+    given_up: Vec<String>,
+    fingerprint: Fingerprint,
+    dropped_pairs: u64,
+}
+
+impl Session {
+    /// Opens the data, plans the memory, and starts from `checkpoint` or from the sparse cloud.
+    pub fn start(plan: &TrainPlan, checkpoint: Option<Checkpoint>) -> Result<Self> {
+        let dataset = Dataset::open(&plan.data)?;
+        let (train, held_out) = split(&dataset, &plan.split)?;
+        let held_out: Vec<View> = held_out.into_iter().map(|i| dataset.views[i].clone()).collect();
+        let data = dataset.subset(&train);
+        drop(dataset);
+        if data.views.is_empty() {
+            bail!("{}: no view is left to train on; hold out fewer", plan.data.display());
+        }
+        if data.points.is_empty() {
+            bail!(
+                "{}: no sparse point is seen by the training views; training starts from the sparse cloud of COLMAP or `ply_file_path`",
+                plan.data.display()
+            );
+        }
+        let sized = fit(plan, &data)?;
+        let cameras: Vec<Camera> = data
+            .views
+            .iter()
+            .zip(&sized.sources)
+            .map(|(view, source)| view.camera.resized(source.size_px))
+            .collect();
+        let cache = PictureCache::new(sized.sources, sized.budget.cache_bytes)?;
+        let extent = extent(&data);
+        let settings = TrainSettings {
+            schedule: Schedule::new(plan.steps),
+            extent,
+            sh_degree: SH_DEGREE,
+            splats_max: sized.budget.capacity.splats,
+            seed: plan.seed,
+        };
+        let fingerprint = Fingerprint::of(&settings, &cameras, &data.points);
+        let mut backend = CpuBackend::new(sized.budget.capacity, plan.threads);
+        let (steps_done, splats_at_start) = match checkpoint {
+            Some(checkpoint) => checkpoint.restore(&fingerprint, &mut backend)?,
+            None => {
+                let splats = splats_from_points(&data.points, extent, settings.splats_max, SH_DEGREE);
+                backend.load(&splats);
+                (0, splats.len())
+            }
+        };
+        Ok(Self {
+            trainer: Trainer::new(backend, settings, steps_done, splats_at_start),
+            cache,
+            cameras,
+            held_out,
+            size_px: sized.budget.capacity.size_px,
+            given_up: sized.budget.given_up,
+            fingerprint,
+            dropped_pairs: 0,
+        })
+    }
+
+    /// One step of training.
+    pub fn step(&mut self) -> Result<StepOutcome> {
+        let index = self.trainer.view_index(self.cameras.len(), 0);
+        let picture = self.cache.get(index)?;
+        self.cache.prefetch(self.trainer.view_index(self.cameras.len(), 1));
+        let outcome =
+            self.trainer.step(&self.cameras[index], &Targets { rgb: TargetRgb::Bytes(&picture.rgb) });
+        self.dropped_pairs += outcome.counts.dropped as u64;
+        Ok(outcome)
+    }
+
+    /// The state to go on from, for [`Checkpoint::write`].
+    pub fn fingerprint(&self) -> &Fingerprint {
+        &self.fingerprint
+    }
+
+    /// The trainer.
+    pub fn trainer(&self) -> &Trainer<CpuBackend> {
+        &self.trainer
+    }
+
+    /// Cameras trained on, at training size; their order is that of the views' names.
+    pub fn cameras(&self) -> &[Camera] {
+        &self.cameras
+    }
+
+    /// Views held out, at their size on disk.
+    pub fn held_out(&self) -> &[View] {
+        &self.held_out
+    }
+
+    /// Size of the largest picture trained on.
+    pub fn size_px(&self) -> [u32; 2] {
+        self.size_px
+    }
+
+    /// Ends the session and gives the model; everything else that it held is freed.
+    pub fn into_splats(self) -> Splats {
+        self.trainer.into_backend().splats()
+    }
+
+    /// What memory took away, one sentence each.
+    pub fn given_up(&self) -> Vec<String> {
+        let mut given_up = self.given_up.clone();
+        if self.dropped_pairs > 0 {
+            let mean = self.dropped_pairs as f64 / f64::from(self.trainer.steps_done().max(1));
+            given_up.push(format!("{mean:.0} of the farthest splat–tile pairs in a step, on average"));
+        }
+        given_up
+    }
+}
+
+/// Indices of the views to train on and of those held out.
+fn split(dataset: &Dataset, split: &Split) -> Result<(Vec<usize>, Vec<usize>)> {
+    let find = |names: &[String]| -> Result<Vec<usize>> {
+        names
+            .iter()
+            .map(|name| dataset.find(name).with_context(|| format!("the dataset has no view called {name}")))
+            .collect()
+    };
+    match split {
+        Split::Every(every) => Ok(dataset.split(*every)),
+        Split::Named { train, held_out } => Ok((find(train)?, find(held_out)?)),
+    }
+}
+
+/// Extent of the cameras; for a single camera, of what it sees.
+fn extent(data: &Dataset) -> f64 {
+    let extent = data.extent();
+    if extent > 0.0 {
+        return extent;
+    }
+    let eye = data.views[0].camera.cam_from_world.center();
+    let mut distances: Vec<f64> = data.points.iter().map(|point| point.position.distance(eye)).collect();
+    distances.sort_by(f64::total_cmp);
+    distances[distances.len() / 2].max(1e-6)
+}
+
+struct Sized {
+    budget: Budget,
+    sources: Vec<Source>,
+}
+
+/// The largest pictures with which the training fits into the memory.
+fn fit(plan: &TrainPlan, data: &Dataset) -> Result<Sized> {
+    let widest = data.views.iter().flat_map(|view| view.camera.size_px).max().unwrap_or(1);
+    let wanted = plan.max_size_px.min(widest);
+    let mut short: Option<TooLittleMemory> = None;
+    for share in SIZE_STEPS {
+        let long_side_px = ((f64::from(wanted) * share) as u32).max(1);
+        let sources: Vec<Source> = data.views.iter().map(|view| Source::of(view, long_side_px)).collect();
+        match Budget::plan(&wish(plan, data, &sources)?) {
+            Ok(mut budget) => {
+                if long_side_px < wanted {
+                    budget.given_up.insert(
+                        0,
+                        format!("pictures of {long_side_px} px on the long side instead of {wanted}"),
+                    );
+                }
+                return Ok(Sized { budget, sources });
+            }
+            Err(error) => short = Some(error),
+        }
+    }
+    let short = short.expect("at least one size was tried");
+    bail!(
+        "{} of memory are too few for this training, even with the smallest pictures; give at least --memory {}MiB",
+        format_bytes(short.memory_bytes),
+        short.least_bytes.div_ceil(1 << 20)
+    )
+}
+
+fn wish(plan: &TrainPlan, data: &Dataset, sources: &[Source]) -> Result<Wish> {
+    let pixels: u64 =
+        sources.iter().map(|source| u64::from(source.size_px[0]) * u64::from(source.size_px[1])).sum();
+    let size_px = [0, 1].map(|axis| sources.iter().map(|source| source.size_px[axis]).max().unwrap_or(1));
+    let points = data.points.len() as u64;
+    let tracks: u64 = data.points.iter().map(|point| point.views.len() as u64).sum();
+    // Points with tracks are held twice for a moment (whole set and subset), beside the tree of the first scales.
+    let points_bytes = 2 * (64 * points + 4 * tracks) + 40 * points;
+    Ok(Wish {
+        memory_bytes: plan.memory_bytes,
+        size_px,
+        sh_degree: SH_DEGREE,
+        splats: (pixels / PIXELS_PER_SPLAT).max(points) as usize,
+        cache_bytes_most: PictureCache::most_bytes(sources),
+        cache_bytes_least: PictureCache::least_bytes(sources),
+        loading_bytes: PictureCache::scratch_bytes(sources)? + points_bytes,
+    })
+}
