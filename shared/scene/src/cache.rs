@@ -4,6 +4,9 @@
 //! What is compressed stays, unless callers hold more than two pictures: with more pictures than fit, throwing the oldest out for the newest
 //! would in an epoch of training throw out each just before it is wanted again.
 //!
+//! An eighth of the budget, and at least two pictures, is for copies: those handed out, those made
+//! ahead and the one being made. The rest is for what is kept.
+//!
 //! One picture at a time is decoded, by whoever wants it: the caller of [`PictureCache::get`] or the
 //! thread that [`PictureCache::prefetch`] keeps busy. So the memory that decoding takes is known
 //! beforehand ([`PictureCache::scratch_bytes`]). Every form holds the same pixels, so nothing that is

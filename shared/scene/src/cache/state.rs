@@ -11,6 +11,9 @@ use crate::{Picture, SceneError};
 /// Orders beyond these are passed over: nobody plans further ahead than a few steps.
 const ORDERS_MAX: usize = 8;
 
+/// The part of a budget that goes into copies; at least two.
+const COPIES_SHARE: u64 = 8;
+
 /// How a picture is kept.
 #[derive(Clone)]
 pub(super) enum Slot {
@@ -26,8 +29,8 @@ pub(super) enum Slot {
 
 pub(super) struct State {
     budget_bytes: u64,
-    /// Left free of compressed pictures: one picture in use and one being made.
-    reserve_bytes: u64,
+    /// For copies in use, made ahead and being made; the rest is for what is kept.
+    copies_bytes_max: u64,
     /// Whether all pictures fit raw.
     keeps_raw: bool,
     picture_bytes: Vec<u64>,
@@ -48,7 +51,7 @@ impl State {
     pub(super) fn new(sources: &[Source], budget_bytes: u64) -> Self {
         Self {
             budget_bytes,
-            reserve_bytes: 2 * largest_bytes(sources),
+            copies_bytes_max: (budget_bytes / COPIES_SHARE).max(2 * largest_bytes(sources)),
             keeps_raw: PictureCache::most_bytes(sources) <= budget_bytes,
             picture_bytes: sources.iter().map(|source| bytes_of(source.size_px)).collect(),
             slots: vec![Slot::Unseen; sources.len()],
@@ -96,26 +99,35 @@ impl State {
     pub(super) fn next_order(&mut self) -> Option<usize> {
         while let Some(&index) = self.orders.front() {
             if self.find(index).is_none() {
-                let room = self.used_bytes() + self.picture_bytes[index] <= self.budget_bytes;
-                return if room && !self.is_making() { self.orders.pop_front() } else { None };
+                let has_room = self.fits_copies(index) && self.missing_bytes(index) == 0;
+                return if has_room && !self.is_making() { self.orders.pop_front() } else { None };
             }
             self.orders.pop_front();
         }
         None
     }
 
-    /// Gives up what was made ahead, oldest first, and then what is kept compressed, until picture
-    /// `index` fits.
+    /// Gives up what was made ahead, oldest first, until picture `index` fits among the copies; and
+    /// what is kept compressed where callers hold more copies than that.
     pub(super) fn make_room(&mut self, index: usize) -> Result<(), SceneError> {
-        loop {
-            let needed_bytes = self.used_bytes() + self.picture_bytes[index];
-            if needed_bytes <= self.budget_bytes {
-                return Ok(());
-            }
-            if self.ready.pop_front().is_none() && !self.drop_packed() {
-                return Err(SceneError::OverBudget { needed_bytes, budget_bytes: self.budget_bytes });
+        while !self.fits_copies(index) && self.ready.pop_front().is_some() {}
+        while self.missing_bytes(index) > 0 {
+            if !self.drop_packed() {
+                let (budget_bytes, missing_bytes) = (self.budget_bytes, self.missing_bytes(index));
+                let needed_bytes = budget_bytes + missing_bytes;
+                return Err(SceneError::OverBudget { needed_bytes, budget_bytes });
             }
         }
+        Ok(())
+    }
+
+    fn fits_copies(&mut self, index: usize) -> bool {
+        self.keeps_raw || self.copies_bytes() + self.picture_bytes[index] <= self.copies_bytes_max
+    }
+
+    /// What the budget lacks to hold picture `index` too.
+    fn missing_bytes(&mut self, index: usize) -> u64 {
+        (self.used_bytes() + self.picture_bytes[index]).saturating_sub(self.budget_bytes)
     }
 
     /// Stops keeping one compressed picture, if there is one.
@@ -155,14 +167,14 @@ impl State {
 
     /// Keeps what there is room for.
     fn keep(&mut self, index: usize, slot: Slot) {
-        let (bytes, free_for_it) = match &slot {
-            Slot::Packed(packed) => {
-                (packed.len() as u64, self.budget_bytes.saturating_sub(self.reserve_bytes))
-            }
+        let (bytes, bytes_max) = match &slot {
             Slot::Raw(_) => (self.picture_bytes[index], self.budget_bytes),
+            Slot::Packed(packed) => {
+                (packed.len() as u64, self.budget_bytes.saturating_sub(self.copies_bytes_max))
+            }
             Slot::Unseen | Slot::OnDisk => (0, self.budget_bytes),
         };
-        let fits = self.kept_bytes + bytes <= free_for_it && self.used_bytes() + bytes <= self.budget_bytes;
+        let fits = self.kept_bytes + bytes <= bytes_max && self.used_bytes() + bytes <= self.budget_bytes;
         self.slots[index] = if fits { slot } else { Slot::OnDisk };
         self.kept_bytes += if fits { bytes } else { 0 };
     }
@@ -196,10 +208,14 @@ impl State {
         CacheUse { used_bytes: self.used_bytes(), raw, packed, on_disk, decoded: self.decoded }
     }
 
-    /// What is kept, what is being made, and every copy that is still held somewhere.
     fn used_bytes(&mut self) -> u64 {
+        self.kept_bytes + self.copies_bytes()
+    }
+
+    /// What is being made, and every copy that is still held somewhere.
+    fn copies_bytes(&mut self) -> u64 {
         self.copies.retain(|(_, copy)| copy.strong_count() > 0);
-        let in_work = self.copies.iter().map(|(index, _)| *index).chain(self.making);
-        self.kept_bytes + in_work.map(|index| self.picture_bytes[index]).sum::<u64>()
+        let copies = self.copies.iter().map(|(index, _)| *index).chain(self.making);
+        copies.map(|index| self.picture_bytes[index]).sum()
     }
 }

@@ -83,6 +83,17 @@ fn text_says_the_same() {
 }
 
 #[test]
+fn quaternions_of_any_length_are_taken() {
+    let root = tempfile::tempdir().unwrap();
+    write_text(root.path(), TEXT_CAMERAS, &TEXT_IMAGES.replace("0 0.6 0 0.8", "0 -6e3 0 -8e3"), TEXT_POINTS);
+    let rotation = read_at(root.path()).unwrap().views[1].camera.cam_from_world.rotation;
+    assert!(
+        (rotation.length() - 1.0).abs() < 1e-12
+            && rotation.dot(DQuat::from_xyzw(0.6, 0.0, 0.8, 0.0)).abs() > 1.0 - 1e-12
+    );
+}
+
+#[test]
 fn the_bytes_are_those_of_colmap() {
     let root = tempfile::tempdir().unwrap();
     let mut dataset = made_up(root.path());

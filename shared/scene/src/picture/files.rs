@@ -53,18 +53,17 @@ fn has_end(mut input: impl BufRead + Seek, offset: u64) -> io::Result<bool> {
     }
 }
 
-/// 8 bits per channel, with alpha composited over black.
+/// 8 bits per channel, with alpha composited over black. [`PictureHeader`] counts what this allocates.
 fn rgb_over_black(image: DynamicImage) -> Vec<u8> {
+    let over = |color: u8, alpha: u8| ((u16::from(color) * u16::from(alpha) + 127) / 255) as u8;
     match image {
         DynamicImage::ImageRgb8(rgb) => rgb.into_raw(),
-        other if other.color().has_alpha() => {
-            let over = |color: u8, alpha: u8| ((u16::from(color) * u16::from(alpha) + 127) / 255) as u8;
-            let rgba = other.into_rgba8().into_raw();
-            rgba.chunks_exact(4)
-                .flat_map(|p| [over(p[0], p[3]), over(p[1], p[3]), over(p[2], p[3])])
-                .collect()
+        DynamicImage::ImageLuma8(grey) => grey.into_raw().into_iter().flat_map(|grey| [grey; 3]).collect(),
+        DynamicImage::ImageLumaA8(grey) => grey.pixels().flat_map(|p| [over(p.0[0], p.0[1]); 3]).collect(),
+        other => {
+            let rgba = other.into_rgba8();
+            rgba.pixels().flat_map(|p| [0, 1, 2].map(|channel| over(p.0[channel], p.0[3]))).collect()
         }
-        other => other.into_rgb8().into_raw(),
     }
 }
 

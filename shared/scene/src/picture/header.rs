@@ -95,28 +95,38 @@ fn read_array<const N: usize>(input: &mut impl Read) -> io::Result<[u8; N]> {
     Ok(bytes)
 }
 
-/// The rest of a PNG's signature and its first chunk.
-fn read_png(input: &mut impl Read) -> io::Result<Facts> {
+/// The rest of a PNG's signature, its first chunk, and on to the first chunk of pixels.
+fn read_png(input: &mut (impl Read + Seek)) -> io::Result<Facts> {
     let rest: [u8; 14] = read_array(input)?;
     if rest != *b"NG\r\n\x1a\n\0\0\0\rIHDR" {
         return Err(invalid("is neither JPEG nor PNG; convert it to one of them"));
     }
     let width = u32::from_be_bytes(read_array(input)?);
     let height = u32::from_be_bytes(read_array(input)?);
-    let [depth, color]: [u8; 2] = read_array(input)?;
-    // A palette and grey may yet come with alpha; both become four channels.
-    let decoded = match color {
-        2 | 3 => 4,
-        6 => 4,
-        _ => 2,
-    } * if depth == 16 { 2 } else { 1 };
-    // Unless it is plain RGB, a picture is converted to RGBA, then to RGB.
-    Ok(Facts {
-        format: ImageFormat::Png,
-        size_px: [width, height],
-        bytes_per_pixel: decoded + 4 + 3,
-        data_offset: 0,
-    })
+    let [depth, color, _, _, _]: [u8; 5] = read_array(input)?;
+    let has_alpha = has_transparency(input)? || matches!(color, 4 | 6);
+    let channels = if matches!(color, 0 | 4) { 1 } else { 3 } + u64::from(has_alpha);
+    let bytes_per_pixel = match (depth, channels) {
+        (16, _) => 2 * channels + 4 + 3,
+        (_, 3) => 3,
+        (_, _) => channels + 3,
+    };
+    Ok(Facts { format: ImageFormat::Png, size_px: [width, height], bytes_per_pixel, data_offset: 0 })
+}
+
+/// Whether one of the chunks before the pixels makes some colour transparent. Begins at the first
+/// chunk's checksum.
+fn has_transparency(input: &mut (impl Read + Seek)) -> io::Result<bool> {
+    let mut skip = 4;
+    loop {
+        input.seek_relative(skip)?;
+        let length = u32::from_be_bytes(read_array(input)?);
+        match &read_array(input)? {
+            b"tRNS" => return Ok(true),
+            b"IDAT" => return Ok(false),
+            _ => skip = i64::from(length) + 4,
+        }
+    }
 }
 
 /// Walks a JPEG's segments up to the first scan.
@@ -174,12 +184,12 @@ struct Frame {
 
 impl Frame {
     /// Decoded bytes; where not all of a pixel comes in one scan, 16-bit coefficients are kept too.
-    /// Grey becomes RGBA and then RGB.
+    /// Grey becomes RGB.
     fn bytes_per_pixel(&self, scan_components: u8) -> u64 {
         let components = u64::from(self.components);
         let in_scans = self.progressive || scan_components < self.components;
         let coefficients = if in_scans { 2 * components } else { 0 };
-        coefficients + if components == 1 { 1 + 4 + 3 } else { 3 }
+        coefficients + if components == 1 { 1 + 3 } else { 3 }
     }
 }
 

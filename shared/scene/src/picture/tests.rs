@@ -90,6 +90,22 @@ fn other_colors_become_rgb() {
     }
 }
 
+/// Bytes per pixel that decoding needs, as measured once with 12-megapixel files.
+#[test]
+fn scratch_follows_the_kind_of_file() {
+    use ExtendedColorType::*;
+    let size_px = [1_000, 1_000];
+    for (color, bytes_per_pixel, scratch_per_pixel) in
+        [(L8, 1, 4), (La8, 2, 5), (Rgb8, 3, 3), (Rgba8, 4, 7), (L16, 2, 9), (Rgb16, 6, 13), (Rgba16, 8, 15)]
+    {
+        let file = png(&vec![0; bytes_per_pixel * 1_000_000], size_px, color);
+        let path = FOLDER.with(|folder| folder.path().join("b.png"));
+        fs::write(&path, file).unwrap();
+        let beside = Picture::scratch_bytes(&path, [10, 10]).unwrap() - scratch_per_pixel * 1_000_000;
+        assert!(beside < 2_000_000, "{color:?}: {beside}");
+    }
+}
+
 #[test]
 fn unit_colors_are_rounded_and_clamped() {
     let picture = Picture::from_unit([2, 1], &[-1.0, 0.5, 2.0, 1.0 / 255.0, f32::NAN, 0.499 / 255.0]);
