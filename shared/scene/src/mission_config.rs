@@ -12,8 +12,8 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AgentConfig {
-    /// The agent's own id, unique on the site, stable from run to run: `[A-Za-z0-9_-]`, 1 to 64
-    /// characters.
+    /// The agent's own id, unique on the site, stable from run to run: 1 to 32 characters of
+    /// `A-Z a-z 0-9 _ -`.
     pub device: String,
     /// The site whose aggregator gets the model; same alphabet.
     pub site: String,

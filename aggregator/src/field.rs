@@ -1,0 +1,166 @@
+//! The receiving service in the field: `aggregator.toml`, and a service that runs until it is stopped.
+
+use std::net::SocketAddr;
+use std::ops::ControlFlow;
+use std::path::PathBuf;
+use std::sync::mpsc::Receiver;
+use std::time::Duration;
+
+use cosurf_link::mqtt::BadAddress;
+use cosurf_link::{BrokerAddress, Identity, InboxLimits, MqttConfig, MqttTransport, Role};
+use cosurf_wire::{DeviceId, SiteId};
+use serde::Deserialize;
+
+use crate::broker::{Broker, BrokerError};
+use crate::service::{
+    BROKER_ATTEMPTS_MAX, Command, Expected, Service, ServiceConfig, ServiceError, ServiceEvent,
+};
+
+/// Unfinished models at once, and finished ones remembered: far more drones than a site has.
+const MODELS_MAX: usize = 256;
+const STORED_MAX: usize = 4096;
+
+/// The content of `aggregator.toml`. Relative paths are relative to the working folder.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct AggregatorConfig {
+    /// The site served.
+    pub site: SiteId,
+    /// The aggregator's own name on it.
+    #[serde(default = "default_device")]
+    pub device: String,
+    /// Its folder; see [`crate::service`].
+    pub out: PathBuf,
+    /// Where the embedded broker listens, for example `0.0.0.0:1883`; absent where `broker` is used.
+    pub bind: Option<SocketAddr>,
+    /// A broker elsewhere, for example `mqtt://10.0.0.2:1883`; absent where `bind` is used.
+    pub broker: Option<String>,
+    /// Bytes of models that may be on their way in at once.
+    #[serde(default = "default_memory_bytes")]
+    pub memory_bytes: u64,
+}
+
+fn default_device() -> String {
+    "aggregator".into()
+}
+
+fn default_memory_bytes() -> u64 {
+    1 << 30
+}
+
+/// Why a service in the field ended.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum FieldError {
+    /// Neither or both of `bind` and `broker`.
+    #[error("write either bind = \"0.0.0.0:1883\" (a broker of its own) or broker = \"mqtt://host:port\"")]
+    OneBroker,
+    /// The broker's address is none.
+    #[error(transparent)]
+    Address(#[from] BadAddress),
+    /// The aggregator's name is none.
+    #[error("device: {0}")]
+    Name(#[from] cosurf_wire::IdError),
+    /// The embedded broker did not start.
+    #[error(transparent)]
+    Broker(#[from] BrokerError),
+    /// The folder could not be opened.
+    #[error(transparent)]
+    Service(#[from] ServiceError),
+    /// The broker was never reached.
+    #[error("{reason}; gave up after {BROKER_ATTEMPTS_MAX} attempts: check `broker` in the configuration")]
+    NoBroker {
+        /// What the link said last.
+        reason: String,
+    },
+}
+
+/// Serves until `commands` says to finish or its sender is gone. `say` shows what happens, a line each.
+pub fn serve(
+    config: &AggregatorConfig,
+    session: u64,
+    now: impl Fn() -> Duration,
+    commands: &Receiver<Command>,
+    mut say: impl FnMut(&ServiceEvent),
+) -> Result<(), FieldError> {
+    let (_embedded, broker) = reach_broker(config)?;
+    let device = DeviceId::new(&config.device)?;
+    let identity = Identity { site: config.site, device, session, role: Role::Aggregator };
+    let service = Service::open(ServiceConfig {
+        identity,
+        folder: config.out.clone(),
+        limits: InboxLimits {
+            body_bytes_max: config.memory_bytes,
+            total_bytes_max: config.memory_bytes,
+            models_max: MODELS_MAX,
+            stored_max: STORED_MAX,
+        },
+        expected: Expected::Anybody,
+    })?;
+    let mut transport = MqttTransport::start(MqttConfig { broker, identity });
+    let (mut connected, mut outcome) = (false, Ok(()));
+    service.run(&mut transport, now, commands, |event| {
+        say(&event);
+        match event {
+            ServiceEvent::Connected => connected = true,
+            ServiceEvent::Disconnected { attempt, reason }
+                if !connected && attempt >= BROKER_ATTEMPTS_MAX =>
+            {
+                outcome = Err(FieldError::NoBroker { reason });
+                return ControlFlow::Break(());
+            }
+            _ => {}
+        }
+        ControlFlow::Continue(())
+    });
+    outcome
+}
+
+fn reach_broker(config: &AggregatorConfig) -> Result<(Option<Broker>, BrokerAddress), FieldError> {
+    match (config.bind, &config.broker) {
+        (Some(bind), None) => {
+            let broker = Broker::start(bind)?;
+            let address = local_address(broker.address());
+            Ok((Some(broker), address))
+        }
+        (None, Some(text)) => Ok((None, text.parse()?)),
+        _ => Err(FieldError::OneBroker),
+    }
+}
+
+/// How this machine reaches a broker of its own: one that listens everywhere, by loopback.
+pub(crate) fn local_address(listening: SocketAddr) -> BrokerAddress {
+    let ip = match listening.ip() {
+        ip if !ip.is_unspecified() => ip,
+        std::net::IpAddr::V4(_) => std::net::Ipv4Addr::LOCALHOST.into(),
+        std::net::IpAddr::V6(_) => std::net::Ipv6Addr::LOCALHOST.into(),
+    };
+    BrokerAddress { host: ip.to_string(), port: listening.port() }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn a_broker_that_listens_everywhere_is_reached_here() {
+        for (listening, host) in
+            [("0.0.0.0:7", "127.0.0.1"), ("[::]:7", "::1"), ("192.168.0.9:7", "192.168.0.9")]
+        {
+            let address = local_address(listening.parse().unwrap());
+            assert_eq!((address.host.as_str(), address.port), (host, 7));
+        }
+    }
+
+    #[test]
+    fn one_broker_is_needed_and_one_only() {
+        let base = "site = \"s\"\nout = \"o\"\n";
+        for brokers in ["", "bind = \"0.0.0.0:0\"\nbroker = \"mqtt://h:1\"\n"] {
+            let config: AggregatorConfig = toml::from_str(&format!("{base}{brokers}")).unwrap();
+            assert!(matches!(reach_broker(&config), Err(FieldError::OneBroker)), "{brokers}");
+        }
+        assert!(toml::from_str::<AggregatorConfig>(&format!("{base}bnid = 1")).is_err());
+        assert!(toml::from_str::<AggregatorConfig>("site = \"a b\"\nout = \"o\"").is_err());
+    }
+}
