@@ -1,10 +1,30 @@
 //! The ground side of cosurf: takes in what the drones send, joins it, sends it back.
 //!
-//! What it refuses to know: how agents train. It meets them by what arrives over the link.
+//! What it refuses to know: how agents train. It meets them by what arrives over the link, and in a
+//! [`mission`], where it starts them as processes, by the orders it writes and the events they print.
 //!
-//! Where to start reading: [`service`], what runs in the field.
+//! Where to start reading: [`service`], what runs in the field; then [`mission`], which runs service and
+//! agents on one machine and leaves a report.
 
+mod board;
 pub mod broker;
+mod chart;
+mod embed;
+mod evaluate;
 pub mod field;
+mod fleet;
+mod footprint;
+mod map;
 mod merge;
+pub mod mission;
+mod page;
+mod partition;
+pub mod plan;
+mod progress;
+pub mod report;
 pub mod service;
+mod station;
+pub mod town;
+mod watch;
+
+pub use progress::Display;

@@ -1,16 +1,26 @@
 //! `cosurf-aggregator`: the command line, and all that the library must not know by itself: clock,
 //! environment, signals.
 
-use std::io::{self, Write};
-use std::path::PathBuf;
+use std::io::{self, IsTerminal, Write};
+use std::path::{Path, PathBuf, absolute};
 use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc;
+use std::thread::available_parallelism;
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use clap::{Args, Parser, Subcommand};
+use cosurf_aggregator::Display;
 use cosurf_aggregator::field::{self, AggregatorConfig};
+use cosurf_aggregator::mission::{MissionOrder, Surroundings, fly};
+use cosurf_aggregator::plan::Settings;
+use cosurf_aggregator::report::{MissionReport, table};
 use cosurf_aggregator::service::Command;
+use cosurf_link::BrokerAddress;
+use cosurf_scene::bytes::parse_bytes;
+use cosurf_scene::city::CitySettings;
 
 /// The ground side of cosurf: takes in the splat models that drones send, joins them, sends them back.
 #[derive(Parser)]
@@ -22,7 +32,47 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Commands {
+    Mission(MissionArgs),
     Run(RunArgs),
+}
+
+/// From drone pictures to a global model and a report, on this machine.
+///
+/// Divides the pictures among agents by area, starts a broker and each agent as a process of its own,
+/// lets them train, send and receive, and leaves global.ply, report.json and report.html in the output
+/// folder. The same command in the same folder goes on where it was stopped.
+#[derive(Args)]
+struct MissionArgs {
+    /// Pictures with poses: a COLMAP model or a transforms.json [default: a synthetic city is made]
+    #[arg(long, value_name = "DIR")]
+    data: Option<PathBuf>,
+    /// Where everything goes
+    #[arg(long, value_name = "DIR", default_value = "out")]
+    out: PathBuf,
+    /// Agents to divide the pictures among
+    #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u16).range(1..=999))]
+    agents: u16,
+    /// Training steps of each agent
+    #[arg(long, value_name = "N", default_value_t = 1500, value_parser = clap::value_parser!(u32).range(1..))]
+    steps: u32,
+    /// The most memory that each agent may take, for example 500MiB [default: as much as it likes]
+    #[arg(long, value_name = "BYTES", value_parser = parse_bytes)]
+    memory: Option<u64>,
+    /// Shrink pictures until their long side is at most this many pixels [default: full size]
+    #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(16..))]
+    max_size: Option<u32>,
+    /// Seed of every random choice; the same seed gives the same bytes
+    #[arg(long, value_name = "S", default_value_t = 0, value_parser = clap::value_parser!(u64).range(..1 << 62))]
+    seed: u64,
+    /// Use this MQTT broker, for example mqtt://127.0.0.1:1883 [default: one is started]
+    #[arg(long, value_name = "URL")]
+    broker: Option<BrokerAddress>,
+    /// Hold every N-th picture by name out of training, to judge the models by; 0 holds out none
+    #[arg(long, value_name = "N", default_value_t = 8)]
+    eval_every: u32,
+    /// Print every event, and at the end the report, as lines of JSON
+    #[arg(long)]
+    json: bool,
 }
 
 /// Serve a site until stopped: receive models, join them, send the global model back.
@@ -38,6 +88,7 @@ struct RunArgs {
 
 fn main() -> ExitCode {
     let outcome = match Cli::parse().command {
+        Commands::Mission(args) => mission(args),
         Commands::Run(args) => run(&args),
     };
     match outcome {
@@ -47,6 +98,75 @@ fn main() -> ExitCode {
             ExitCode::FAILURE
         }
     }
+}
+
+fn mission(args: MissionArgs) -> Result<()> {
+    let out = absolute(&args.out).context("--out")?;
+    let data = args.data.as_ref().map(absolute).transpose().context("--data")?;
+    let order = MissionOrder {
+        settings: Settings {
+            data: data.clone().unwrap_or_else(|| out.join("city")),
+            agents: usize::from(args.agents),
+            steps: args.steps,
+            memory_bytes: args.memory,
+            max_size_px: args.max_size,
+            seed: args.seed,
+            eval_every: args.eval_every,
+        },
+        city: data.is_none().then(|| another_city(args.seed)),
+        out,
+        broker: args.broker,
+    };
+    let report = fly(&order, &surroundings(args.json)?)?;
+    print_report(&report, &order.out, args.json)?;
+    let failed =
+        report.agents.iter().filter_map(|agent| agent.failure.as_ref().map(|why| (&agent.device, why)));
+    let failed: Vec<String> = failed.map(|(device, why)| format!("{device} failed: {why}")).collect();
+    if !failed.is_empty() {
+        bail!("the global model lacks agents: {}", failed.join("; "));
+    }
+    Ok(())
+}
+
+/// Every seed flies over a town of its own.
+fn another_city(seed: u64) -> CitySettings {
+    let usual = CitySettings::default();
+    CitySettings { seed: usual.seed.wrapping_add(seed), ..usual }
+}
+
+fn print_report(report: &MissionReport, out: &Path, json: bool) -> Result<()> {
+    let mut stdout = io::stdout().lock();
+    if json {
+        let line = serde_json::json!({"event": "report", "report": report});
+        writeln!(stdout, "{line}")?;
+        return Ok(());
+    }
+    writeln!(stdout, "\n{}", table(report))?;
+    for file in ["global.ply", "report.html", "report.json"] {
+        writeln!(stdout, "{}", out.join(file).display())?;
+    }
+    Ok(())
+}
+
+fn surroundings(json: bool) -> Result<Surroundings> {
+    let begun = Instant::now();
+    let interrupted = Arc::new(AtomicBool::new(false));
+    let flag = interrupted.clone();
+    ctrlc::set_handler(move || flag.store(true, Ordering::SeqCst)).context("Ctrl-C cannot be caught")?;
+    let executable = std::env::current_exe().context("where this program lies")?;
+    Ok(Surroundings {
+        now: Arc::new(move || begun.elapsed()),
+        session: session(),
+        cores: available_parallelism().map_or(1, usize::from),
+        agent: executable.with_file_name(format!("cosurf-agent{}", std::env::consts::EXE_SUFFIX)),
+        display: match (json, io::stderr().is_terminal()) {
+            (true, _) => Display::Json,
+            (false, true) => Display::Bars,
+            (false, false) => Display::Lines,
+        },
+        interrupted,
+        peak_memory_bytes,
+    })
 }
 
 fn run(args: &RunArgs) -> Result<()> {
@@ -80,4 +200,12 @@ fn run(args: &RunArgs) -> Result<()> {
 /// Seconds since 1970; a clock before that is a clock that was never set.
 fn session() -> u64 {
     SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs())
+}
+
+/// `VmHWM` of Linux: the most memory that was resident at once.
+fn peak_memory_bytes() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    let kib: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    Some(kib << 10)
 }

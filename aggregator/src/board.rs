@@ -1,0 +1,163 @@
+//! What is known of every agent of a mission: the sum of what they said.
+
+use cosurf_scene::report::{AgentEvent, TrainReport};
+
+use crate::fleet::FleetEventKind;
+
+/// Points that a training curve keeps at most; then every other one goes.
+const CURVE_POINTS_MAX: usize = 256;
+
+/// How far an agent is.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) enum Phase {
+    /// Its process was started and has said nothing yet.
+    #[default]
+    Starting,
+    /// It trains.
+    Training,
+    /// It trained and sends its model.
+    Publishing,
+    /// Its model arrived; it waits for the global model.
+    Waiting,
+    /// It has the global model.
+    Done,
+    /// Its process ended well.
+    Ended,
+    /// It ended for good without having done its work.
+    Failed {
+        /// Why, one line.
+        reason: String,
+    },
+}
+
+/// What is known of one agent.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Status {
+    pub(crate) phase: Phase,
+    pub(crate) step: u32,
+    pub(crate) steps: u32,
+    /// Mean over the training pictures seen lately, dB.
+    pub(crate) psnr: f32,
+    pub(crate) splats: usize,
+    pub(crate) steps_per_s: f32,
+    pub(crate) seconds_left: f32,
+    pub(crate) bytes_sent: u64,
+    pub(crate) bytes_total: u64,
+    pub(crate) restarts: u32,
+    /// Figures of the training, once it is done.
+    pub(crate) training: Option<TrainReport>,
+    /// `[step, psnr]` in the order of steps.
+    pub(crate) curve: Vec<[f32; 2]>,
+}
+
+impl Status {
+    /// Takes in what happened. Returns a line for the person who watches, where there is something
+    /// out of the ordinary.
+    pub(crate) fn take(&mut self, event: &FleetEventKind) -> Option<String> {
+        match event {
+            FleetEventKind::Said(event) => return self.listen(event),
+            FleetEventKind::Restarting { attempt, reason } => {
+                self.restarts = *attempt;
+                self.phase = Phase::Starting;
+                return Some(format!("died ({reason}); restart {attempt} of {}", crate::fleet::RESTARTS_MAX));
+            }
+            FleetEventKind::Ended => self.phase = Phase::Ended,
+            FleetEventKind::Failed { reason } => {
+                self.phase = Phase::Failed { reason: reason.clone() };
+                return Some(format!("failed: {reason}"));
+            }
+        }
+        None
+    }
+
+    fn listen(&mut self, event: &AgentEvent) -> Option<String> {
+        match event {
+            AgentEvent::Started { splats, steps, resumed_at, .. } => {
+                self.phase = Phase::Training;
+                (self.step, self.steps, self.splats) = (*resumed_at, *steps, *splats);
+                return (*resumed_at > 0).then(|| format!("goes on from step {resumed_at}"));
+            }
+            AgentEvent::Progress { step, steps, psnr, splats, steps_per_s, seconds_left } => {
+                (self.step, self.steps, self.psnr, self.splats) = (*step, *steps, *psnr, *splats);
+                (self.steps_per_s, self.seconds_left) = (*steps_per_s, *seconds_left);
+                self.extend_curve(*step, *psnr);
+            }
+            AgentEvent::Trained { report } => {
+                self.phase = Phase::Publishing;
+                (self.step, self.steps, self.splats) = (report.steps, report.steps, report.splats);
+                self.training = Some(report.clone());
+            }
+            AgentEvent::Retrying { what, attempt } => {
+                return Some(format!("{what} does not answer, attempt {attempt}"));
+            }
+            AgentEvent::Publishing { bytes_sent, bytes_total } => {
+                self.phase = Phase::Publishing;
+                (self.bytes_sent, self.bytes_total) = (*bytes_sent, *bytes_total);
+            }
+            AgentEvent::Acknowledged { bytes_sent } => {
+                self.phase = Phase::Waiting;
+                self.bytes_sent = *bytes_sent;
+            }
+            AgentEvent::GlobalReceived { .. } => self.phase = Phase::Done,
+        }
+        None
+    }
+
+    /// A restarted agent goes back to its checkpoint: what it did beyond is forgotten.
+    fn extend_curve(&mut self, step: u32, psnr: f32) {
+        let step = step as f32;
+        while self.curve.last().is_some_and(|last| last[0] >= step) {
+            self.curve.pop();
+        }
+        if self.curve.len() >= CURVE_POINTS_MAX {
+            let mut index = 0;
+            self.curve.retain(|_| {
+                index += 1;
+                index % 2 == 0
+            });
+        }
+        if psnr.is_finite() {
+            self.curve.push([step, psnr]);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn progress(step: u32) -> FleetEventKind {
+        FleetEventKind::Said(AgentEvent::Progress {
+            step,
+            steps: 1000,
+            psnr: 20.0,
+            splats: 5,
+            steps_per_s: 50.0,
+            seconds_left: 3.0,
+        })
+    }
+
+    #[test]
+    fn a_restart_takes_the_curve_back_to_the_checkpoint() {
+        let mut status = Status::default();
+        for step in [100, 200, 300] {
+            assert_eq!(status.take(&progress(step)), None);
+        }
+        let restart = FleetEventKind::Restarting { attempt: 1, reason: "signal: 9".into() };
+        assert!(status.take(&restart).is_some_and(|line| line.contains("restart 1 of 5")));
+        status.take(&progress(150));
+        let steps: Vec<f32> = status.curve.iter().map(|point| point[0]).collect();
+        assert_eq!((steps, status.restarts), (vec![100.0, 150.0], 1));
+    }
+
+    #[test]
+    fn a_long_curve_stays_short_and_keeps_its_end() {
+        let mut status = Status::default();
+        (1..=5000).for_each(|step| {
+            status.take(&progress(step));
+        });
+        assert!(status.curve.len() <= CURVE_POINTS_MAX, "{}", status.curve.len());
+        assert_eq!(status.curve.last().map(|point| point[0]), Some(5000.0));
+        assert!(status.curve.is_sorted_by(|a, b| a[0] < b[0]));
+    }
+}

@@ -1,0 +1,67 @@
+//! Training curves as SVG: PSNR over steps, a line per agent.
+
+use std::fmt::Write;
+
+use crate::page::agent_color;
+
+const WIDTH: f32 = 1000.0;
+const HEIGHT: f32 = 360.0;
+/// Room for the labels, left and below.
+const GUTTER: [f32; 2] = [70.0, 40.0];
+
+/// Draws one curve of `[step, dB]` per agent; nothing where no curve has two points.
+pub(crate) fn draw(curves: &[&[[f32; 2]]]) -> Option<String> {
+    let points = || curves.iter().flat_map(|curve| curve.iter());
+    if curves.iter().all(|curve| curve.len() < 2) {
+        return None;
+    }
+    let steps = points().map(|point| point[0]).fold(1.0, f32::max);
+    let low = points().map(|point| point[1]).fold(f32::MAX, f32::min).floor();
+    let high = points().map(|point| point[1]).fold(f32::MIN, f32::max).ceil().max(low + 1.0);
+    let x = |step: f32| GUTTER[0] + step / steps * (WIDTH - GUTTER[0] - 10.0);
+    let y = |psnr: f32| 10.0 + (high - psnr) / (high - low) * (HEIGHT - GUTTER[1] - 10.0);
+    let mut svg = format!(r#"<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="Training curves">"#);
+    for tick in 0..=4 {
+        let psnr = low + (high - low) * tick as f32 / 4.0;
+        let (y, right) = (y(psnr), WIDTH - 10.0);
+        let _ = write!(svg, r#"<path d="M{} {y:.1}H{right}" class="grid"/>"#, GUTTER[0]);
+        let _ = write!(
+            svg,
+            r#"<text x="{}" y="{:.1}" text-anchor="end">{psnr:.1}</text>"#,
+            GUTTER[0] - 8.0,
+            y + 6.0
+        );
+    }
+    for (agent, curve) in curves.iter().enumerate() {
+        let line: Vec<String> =
+            curve.iter().map(|[step, psnr]| format!("{:.1},{:.1}", x(*step), y(*psnr))).collect();
+        let color = agent_color(agent);
+        let _ = write!(
+            svg,
+            r#"<polyline points="{}" fill="none" stroke="{color}" stroke-width="3"/>"#,
+            line.join(" ")
+        );
+    }
+    let base = HEIGHT - 12.0;
+    let _ = write!(svg, r#"<text x="{}" y="{base}">0</text>"#, GUTTER[0]);
+    let _ =
+        write!(svg, r#"<text x="{}" y="{base}" text-anchor="end">{steps} steps</text></svg>"#, WIDTH - 10.0);
+    Some(svg)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_best_value_is_highest_and_the_last_step_rightmost() {
+        let svg = draw(&[&[[0.0, 10.0], [500.0, 20.0]], &[]]).unwrap_or_default();
+        assert!(svg.contains(r#"points="70.0,320.0 990.0,10.0""#), "{svg}");
+    }
+
+    #[test]
+    fn nothing_to_draw_is_no_drawing() {
+        assert_eq!(draw(&[&[], &[[1.0, 2.0]]]), None);
+        assert_eq!(draw(&[]), None);
+    }
+}

@@ -1,0 +1,212 @@
+//! Where on the ground a view looks: what the partition divides and what the map draws.
+//!
+//! No frame is assumed: the vertical is that world axis along which the sparse cloud spreads least,
+//! pointing to where the cameras are. A view looks at the median of the points it sees, which
+//! copes with outliers and with a background up to the horizon; a view that sees too few of them
+//! looks to where its optical axis meets the ground.
+
+use cosurf_scene::{Camera, Dataset};
+use glam::{DVec2, DVec3};
+
+/// Fewer points than this say too little of where a view looks.
+const POINTS_MIN: usize = 8;
+/// A ray is followed sideways for at most this many heights above ground: flatter ones pass over
+/// everything that matters, and those at the horizon never land.
+const REACH_HEIGHTS: f64 = 3.0;
+
+/// The ground as a horizontal plane, with map coordinates on it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Ground {
+    /// Directions in the world frame of the map's first and second coordinate and of up: a
+    /// right-handed frame of coordinate axes.
+    axes: [DVec3; 3],
+    /// Height of the ground along up, world units; `None` where no sparse point tells.
+    height_m: Option<f64>,
+}
+
+/// Where a view looks, in map coordinates.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Footprint {
+    /// The middle of what it sees.
+    pub(crate) center: DVec2,
+    /// Where the rays through the picture's corners meet the ground, in order around the picture.
+    pub(crate) outline: [DVec2; 4],
+}
+
+impl Ground {
+    /// Finds the vertical and the ground's height.
+    pub(crate) fn of(dataset: &Dataset) -> Self {
+        let eyes: Vec<DVec3> = dataset.views.iter().map(|v| v.camera.cam_from_world.center()).collect();
+        let points: Vec<DVec3> = dataset.points.iter().map(|p| p.position).collect();
+        let cloud = if points.is_empty() { &eyes } else { &points };
+        let vertical = axis_of_least_spread(cloud);
+        let height = median(points.iter().map(|p| p[vertical]).collect());
+        let eye_height = median(eyes.iter().map(|p| p[vertical]).collect());
+        let below = matches!((height, eye_height), (Some(ground), Some(eye)) if eye < ground);
+        let axis = |i: usize| DVec3::AXES[(vertical + i) % 3];
+        let axes = if below { [axis(2), axis(1), -axis(0)] } else { [axis(1), axis(2), axis(0)] };
+        Self { axes, height_m: height.map(|h| if below { -h } else { h }) }
+    }
+
+    /// Map coordinates of a world point.
+    pub(crate) fn map(&self, p_world: DVec3) -> DVec2 {
+        DVec2::new(self.axes[0].dot(p_world), self.axes[1].dot(p_world))
+    }
+
+    /// Where a ray from `eye` meets the ground, or how far it is followed; see [`REACH_HEIGHTS`].
+    fn meet(&self, eye: DVec3, direction: DVec3) -> DVec2 {
+        let from = self.map(eye);
+        let above = self.height_m.map_or(0.0, |ground| self.axes[2].dot(eye) - ground);
+        if above <= 0.0 {
+            return from;
+        }
+        let sideways = self.map(direction);
+        let descent = -self.axes[2].dot(direction);
+        let reach = REACH_HEIGHTS * above;
+        if descent > 0.0 && sideways.length() * above <= reach * descent {
+            return from + sideways * (above / descent);
+        }
+        from + sideways.normalize_or_zero() * reach
+    }
+
+    fn outline(&self, camera: &Camera) -> [DVec2; 4] {
+        let [width, height] = camera.size_px.map(f64::from);
+        let pose = &camera.cam_from_world;
+        [[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]].map(|corner_px| {
+            let ray_world = pose.rotation.inverse() * camera.ray(DVec2::from(corner_px));
+            self.meet(pose.center(), ray_world)
+        })
+    }
+}
+
+/// The footprints of all views of a dataset, in their order.
+pub(crate) fn footprints(dataset: &Dataset, ground: &Ground) -> Vec<Footprint> {
+    let mut seen: Vec<Vec<DVec2>> = vec![Vec::new(); dataset.views.len()];
+    for point in &dataset.points {
+        let at = ground.map(point.position);
+        for &view in &point.views {
+            seen[view as usize].push(at);
+        }
+    }
+    let footprint = |(view, seen): (&cosurf_scene::View, Vec<DVec2>)| {
+        let pose = &view.camera.cam_from_world;
+        let center = middle(&seen).unwrap_or_else(|| ground.meet(pose.center(), pose.forward()));
+        Footprint { center, outline: ground.outline(&view.camera) }
+    };
+    dataset.views.iter().zip(seen).map(footprint).collect()
+}
+
+/// The median of either coordinate; `None` for fewer than [`POINTS_MIN`] points.
+fn middle(points: &[DVec2]) -> Option<DVec2> {
+    if points.len() < POINTS_MIN {
+        return None;
+    }
+    let x = median(points.iter().map(|p| p.x).collect())?;
+    let y = median(points.iter().map(|p| p.y).collect())?;
+    Some(DVec2::new(x, y))
+}
+
+/// 0, 1 or 2 for x, y, z: the axis with the smallest distance between the quartiles; z on a tie.
+fn axis_of_least_spread(points: &[DVec3]) -> usize {
+    let spread = |axis: usize| {
+        let mut along: Vec<f64> = points.iter().map(|p| p[axis]).collect();
+        along.sort_unstable_by(f64::total_cmp);
+        let quartile = |q: usize| along.get(along.len() * q / 4).copied().unwrap_or(0.0);
+        quartile(3) - quartile(1)
+    };
+    [2, 1, 0].into_iter().min_by(|&a, &b| spread(a).total_cmp(&spread(b))).unwrap_or(2)
+}
+
+fn median(mut values: Vec<f64>) -> Option<f64> {
+    let middle = values.len() / 2;
+    (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
+}
+
+#[cfg(test)]
+mod tests {
+    use cosurf_scene::{Pose, SparsePoint, View};
+
+    use super::*;
+
+    fn camera(eye: DVec3, target: DVec3, up: DVec3) -> Camera {
+        Camera {
+            cam_from_world: Pose::look_at(eye, target, up),
+            focal_px: DVec2::splat(100.0),
+            center_px: DVec2::new(50.0, 50.0),
+            size_px: [100, 100],
+        }
+    }
+
+    fn dataset(cameras: Vec<Camera>, points: Vec<(DVec3, Vec<u32>)>) -> Dataset {
+        let view = |(i, camera)| View { name: format!("{i}.jpg"), camera, path: "x".into() };
+        let point = |(position, views)| SparsePoint { position, rgb: [0; 3], views };
+        Dataset {
+            views: cameras.into_iter().enumerate().map(view).collect(),
+            points: points.into_iter().map(point).collect(),
+        }
+    }
+
+    /// A field of 21 × 21 points a metre apart, flat but for a little roughness, all at `up = 5`.
+    fn field(place: impl Fn(f64, f64, f64) -> DVec3, views: &[u32]) -> Vec<(DVec3, Vec<u32>)> {
+        let grid = (-10..=10).flat_map(|x| (-10..=10).map(move |y| (x, y)));
+        grid.map(|(x, y)| {
+            let rough = f64::from((x * 7 + y * 3) % 3) * 0.1;
+            (place(f64::from(x), f64::from(y), 5.0 + rough), views.to_vec())
+        })
+        .collect()
+    }
+
+    #[test]
+    fn a_nadir_view_without_points_of_its_own_looks_straight_down() {
+        let eye = DVec3::new(3.0, 4.0, 25.0);
+        let points = field(DVec3::new, &[]);
+        let data = dataset(vec![camera(eye, eye - DVec3::Z, DVec3::Y)], points);
+        let ground = Ground::of(&data);
+        let print = &footprints(&data, &ground)[0];
+        assert!((print.center - DVec2::new(3.0, 4.0)).length() < 1e-9, "{print:?}");
+        // 20 m up with half a picture per focal length: 10 m to either side, north edge first.
+        let first = print.outline[0] - DVec2::new(-7.0, 14.0);
+        assert!(first.abs().max_element() < 0.15, "{print:?}");
+    }
+
+    #[test]
+    fn the_median_of_the_points_seen_goes_before_the_axis_and_ignores_outliers() {
+        let eye = DVec3::new(3.0, 4.0, 25.0);
+        let mut points = field(DVec3::new, &[]);
+        points.extend((0..9).map(|_| (DVec3::new(7.0, -2.0, 5.0), vec![0])));
+        points.extend((0..4).map(|_| (DVec3::new(9e5, 9e5, 5.0), vec![0])));
+        let data = dataset(vec![camera(eye, eye - DVec3::Z, DVec3::Y)], points);
+        let print = &footprints(&data, &Ground::of(&data))[0];
+        assert_eq!(print.center, DVec2::new(7.0, -2.0));
+    }
+
+    #[test]
+    fn a_flat_view_is_followed_only_so_far() {
+        let eye = DVec3::new(0.0, 0.0, 25.0);
+        let data = dataset(vec![camera(eye, eye + DVec3::X, DVec3::Z)], field(DVec3::new, &[]));
+        let print = &footprints(&data, &Ground::of(&data))[0];
+        assert!((print.center.x - 3.0 * 20.0).abs() < 1.0 && print.center.y.abs() < 1e-9, "{print:?}");
+    }
+
+    #[test]
+    fn a_world_whose_up_is_minus_y_is_seen_from_above() {
+        // COLMAP without georeference: y down. East is x, so north must be z.
+        let points = field(|east, north, up| DVec3::new(east, -up, north), &[]);
+        let eye = DVec3::new(2.0, -25.0, 3.0);
+        let data = dataset(vec![camera(eye, eye + DVec3::Y, DVec3::Z)], points);
+        let ground = Ground::of(&data);
+        let center = footprints(&data, &ground)[0].center;
+        let (east, north) = (ground.map(DVec3::X), ground.map(DVec3::Z));
+        assert_eq!(east.perp_dot(north), 1.0, "a map, not its mirror image: {ground:?}");
+        assert!((center - (east * 2.0 + north * 3.0)).length() < 1e-9, "{center}");
+    }
+
+    #[test]
+    fn without_any_points_a_view_looks_where_it_is() {
+        let eyes = [DVec3::new(0.0, 0.0, 9.0), DVec3::new(5.0, 7.0, 9.0)];
+        let cameras = eyes.map(|eye| camera(eye, eye - DVec3::Z, DVec3::Y)).to_vec();
+        let data = dataset(cameras, Vec::new());
+        let prints = footprints(&data, &Ground::of(&data));
+        assert_eq!(prints[1].center - prints[0].center, DVec2::new(5.0, 7.0));
+    }
+}

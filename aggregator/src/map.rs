@@ -1,0 +1,170 @@
+//! The map of a partition as SVG: every agent's cell, the footprints of its views, and their middles.
+
+use std::fmt::Write;
+
+use glam::DVec2;
+
+use crate::footprint::Footprint;
+use crate::page::{agent_color, escape};
+use crate::partition::Cell;
+
+/// Width of the drawing in its own units; the page scales it.
+const WIDTH: f64 = 1000.0;
+/// Share of the cells' size that is drawn around them.
+const MARGIN: f64 = 0.15;
+
+/// A view on the map.
+#[derive(Clone, Debug)]
+pub(crate) struct MapView {
+    /// Name of the view.
+    pub(crate) name: String,
+    /// Where it looks.
+    pub(crate) footprint: Footprint,
+    /// Index of its cell.
+    pub(crate) cell: usize,
+    /// Whether it is held out.
+    pub(crate) held_out: bool,
+}
+
+/// Draws cells and views; cell `i` is agent `i`'s.
+pub(crate) fn draw(cells: &[Cell], views: &[MapView]) -> String {
+    let frame = Frame::around(cells);
+    let mut svg = String::new();
+    let height = frame.height();
+    let _ = write!(
+        svg,
+        r#"<svg viewBox="0 0 {WIDTH} {height:.0}" role="img" aria-label="Map of the partition">"#
+    );
+    for view in views.iter().filter(|view| !view.held_out) {
+        let points = view.footprint.outline.map(|corner| frame.text(corner)).join(" ");
+        let color = agent_color(view.cell);
+        let _ = write!(
+            svg,
+            r#"<polygon points="{points}" fill="{color}" fill-opacity=".05" stroke="{color}" stroke-opacity=".15"/>"#
+        );
+    }
+    for (i, cell) in cells.iter().enumerate() {
+        draw_cell(&mut svg, &frame, i, cell);
+    }
+    for view in views {
+        draw_middle(&mut svg, &frame, view);
+    }
+    draw_scale(&mut svg, &frame);
+    svg.push_str("</svg>");
+    svg
+}
+
+fn draw_cell(svg: &mut String, frame: &Frame, agent: usize, cell: &Cell) {
+    let (low, high) = (frame.place(cell.bounds[0]), frame.place(cell.bounds[1]));
+    let (x, y, size) = (low.x, high.y, DVec2::new(high.x - low.x, low.y - high.y));
+    let color = agent_color(agent);
+    let _ = write!(
+        svg,
+        r#"<rect x="{x:.1}" y="{y:.1}" width="{:.1}" height="{:.1}" rx="4" fill="{color}" fill-opacity=".12" stroke="{color}" stroke-width="3"/>"#,
+        size.x, size.y
+    );
+}
+
+fn draw_middle(svg: &mut String, frame: &Frame, view: &MapView) {
+    let at = frame.place(view.footprint.center);
+    let color = agent_color(view.cell);
+    let (fill, what) = if view.held_out { ("none", ", held out") } else { (color.as_str(), "") };
+    let _ = write!(
+        svg,
+        r#"<circle cx="{:.1}" cy="{:.1}" r="6" fill="{fill}" stroke="{color}" stroke-width="2"><title>{}{what}</title></circle>"#,
+        at.x,
+        at.y,
+        escape(&view.name)
+    );
+}
+
+/// A bar of 1, 2 or 5 times a power of ten metres, about a quarter of the map's width.
+fn draw_scale(svg: &mut String, frame: &Frame) {
+    let length_m = round_length(WIDTH / frame.scale / 4.0);
+    let (x, y) = (20.0, frame.height() - 20.0);
+    let end = x + length_m * frame.scale;
+    let _ = write!(
+        svg,
+        r#"<path d="M{x} {0:.1}v6H{end:.1}v-6" class="ink"/><text x="{1:.1}" y="{2:.1}">{length_m} m</text>"#,
+        y - 6.0,
+        x + 8.0,
+        y - 8.0
+    );
+}
+
+fn round_length(about: f64) -> f64 {
+    let power = 10f64.powf(about.log10().floor());
+    let factor = [5.0, 2.0, 1.0].into_iter().find(|factor| factor * power <= about);
+    factor.unwrap_or(1.0) * power
+}
+
+/// Map coordinates to the drawing's, north up.
+struct Frame {
+    low: DVec2,
+    high: DVec2,
+    scale: f64,
+}
+
+impl Frame {
+    fn around(cells: &[Cell]) -> Self {
+        let low = cells.iter().fold(DVec2::MAX, |low, cell| low.min(cell.bounds[0]));
+        let high = cells.iter().fold(DVec2::MIN, |high, cell| high.max(cell.bounds[1]));
+        let margin = ((high - low).max_element() * MARGIN).max(1.0);
+        let (low, high) = (low - margin, high + margin);
+        Self { low, high, scale: WIDTH / (high.x - low.x) }
+    }
+
+    fn height(&self) -> f64 {
+        (self.high.y - self.low.y) * self.scale
+    }
+
+    fn place(&self, at: DVec2) -> DVec2 {
+        DVec2::new(at.x - self.low.x, self.high.y - at.y) * self.scale
+    }
+
+    fn text(&self, at: DVec2) -> String {
+        let at = self.place(at);
+        format!("{:.0},{:.0}", at.x, at.y)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_map_shows_every_cell_and_view_with_north_up() {
+        let cell = |low: f64, high: f64| Cell {
+            views: Vec::new(),
+            bounds: [DVec2::new(0.0, low), DVec2::new(100.0, high)],
+        };
+        let view = |y: f64, cell, held_out| MapView {
+            name: format!("<{y}>"),
+            footprint: Footprint { center: DVec2::new(50.0, y), outline: [DVec2::ZERO; 4] },
+            cell,
+            held_out,
+        };
+        let views = [view(10.0, 0, false), view(90.0, 1, false), view(30.0, 0, true)];
+        let svg = draw(&[cell(0.0, 50.0), cell(50.0, 100.0)], &views);
+        assert_eq!(svg.matches("<rect").count(), 2);
+        assert_eq!((svg.matches("<circle").count(), svg.matches("<polygon").count()), (3, 2));
+        // 100 m and 15 m around are 1000 units: 1 m is 7.69 units, and north (y = 90) is up.
+        assert!(svg.contains(r#"cx="500.0" cy="192.3""#) && svg.contains(r#"cy="807.7""#), "{svg}");
+        assert!(svg.contains("&lt;10&gt;") && !svg.contains("<10>"), "names are escaped");
+        assert!(svg.contains(">20 m<"), "{svg}");
+    }
+
+    #[test]
+    fn a_single_point_has_a_map_too() {
+        let cell = Cell { views: vec![0], bounds: [DVec2::ONE; 2] };
+        let svg = draw(&[cell], &[]);
+        assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
+    }
+
+    #[test]
+    fn lengths_are_round() {
+        for (about, round) in [(9.9, 5.0), (1.0, 1.0), (0.3, 0.2), (2345.0, 2000.0)] {
+            assert!((round_length(about) - round).abs() < 1e-9, "{about}");
+        }
+    }
+}

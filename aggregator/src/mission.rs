@@ -1,0 +1,267 @@
+//! A mission from pictures to report, on one machine: plan, service, agents, evaluation.
+//!
+//! The service runs on a thread, each agent as a process; both tell what happens through one channel,
+//! which one loop ([`crate::watch`]) reads. Whatever ends the mission early ends the agents too and
+//! keeps what is on the disk: the same command goes on from there.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::sync::mpsc;
+use std::time::Duration;
+
+use cosurf_link::{BrokerAddress, Identity, InboxLimits, Role};
+use cosurf_scene::city::CitySettings;
+use cosurf_scene::{Dataset, SceneError, View, ply};
+use cosurf_wire::{DeviceId, IdError, ModelHeader, SiteId};
+use image::ImageError;
+
+use crate::board::{Phase, Status};
+use crate::broker::{Broker, BrokerError};
+use crate::evaluate::{Evaluation, evaluate};
+use crate::field::local_address;
+use crate::fleet::{Fleet, Orders};
+use crate::page::{Drawings, page};
+use crate::plan::{Plan, PlanError, Settings, write_text};
+use crate::progress::{Display, show_pictures};
+use crate::report::{MissionReport, summarize};
+use crate::service::{BROKER_ATTEMPTS_MAX, Expected, Service, ServiceConfig, ServiceError, global_ply};
+use crate::station::Station;
+use crate::town::{self, TownError};
+use crate::watch::{Signal, Watch};
+
+/// Bytes of models that may be on their way in at once; more agents wait their turn.
+const INBOX_BYTES_MAX: u64 = 1 << 30;
+
+/// A mission as ordered.
+#[derive(Clone, Debug)]
+pub struct MissionOrder {
+    /// What decides the result; paths absolute.
+    pub settings: Settings,
+    /// The synthetic city to make first where the data should be; `None` where there are data.
+    pub city: Option<CitySettings>,
+    /// Where everything goes, absolute; made where it is missing.
+    pub out: PathBuf,
+    /// The broker to use; `None` for an embedded one on a free port of this machine.
+    pub broker: Option<BrokerAddress>,
+}
+
+/// What only a main knows of the world.
+#[derive(Clone)]
+pub struct Surroundings {
+    /// Time since the program began.
+    pub now: Arc<dyn Fn() -> Duration + Send + Sync>,
+    /// Seconds since 1970 at the start: numbers the session, names the site of a fresh mission.
+    pub session: u64,
+    /// Cores to compute on, at least 1.
+    pub cores: usize,
+    /// The agent's executable.
+    pub agent: PathBuf,
+    /// How to show progress.
+    pub display: Display,
+    /// Set when the person wants to stop.
+    pub interrupted: Arc<AtomicBool>,
+    /// Peak resident memory of this process, where the system tells.
+    pub peak_memory_bytes: fn() -> Option<u64>,
+}
+
+/// Why a mission did not end with a report.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum MissionError {
+    /// No plan could be made.
+    #[error(transparent)]
+    Plan(#[from] PlanError),
+    /// The city could not be made.
+    #[error(transparent)]
+    Town(#[from] TownError),
+    /// A name of the mission is none.
+    #[error(transparent)]
+    Name(#[from] IdError),
+    /// A file could not be read or written.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// The embedded broker did not start.
+    #[error(transparent)]
+    Broker(#[from] BrokerError),
+    /// The service could not open its folder.
+    #[error(transparent)]
+    Service(#[from] ServiceError),
+    /// The agent's executable is not there.
+    #[error("{path} is missing: build it with `cargo build --release --workspace`")]
+    NoAgent {
+        /// Where it should be.
+        path: PathBuf,
+    },
+    /// The broker cannot be reached.
+    #[error("{reason}; gave up after {BROKER_ATTEMPTS_MAX} attempts: check --broker, or leave it out")]
+    NoBroker {
+        /// What the link said last.
+        reason: String,
+    },
+    /// The aggregator's disk refused.
+    #[error("{reason}; what arrived before is kept: free space, then run the same command again")]
+    Disk {
+        /// What the disk said.
+        reason: String,
+    },
+    /// The person asked to stop.
+    #[error("interrupted; what is done is kept: the same command goes on from there")]
+    Interrupted,
+    /// A defect of the service.
+    #[error("the receiving service stopped by itself, a defect; the same command goes on from there")]
+    ServiceDied,
+    /// No agent sent a model.
+    #[error("no model arrived; {device} failed: {reason}")]
+    NothingArrived {
+        /// The first agent that failed.
+        device: DeviceId,
+        /// Why.
+        reason: String,
+    },
+    /// The report cannot be written.
+    #[error("pictures of the report: {0}")]
+    Pictures(#[from] ImageError),
+    /// The report cannot be written as JSON.
+    #[error("report.json: {0}")]
+    Json(#[from] serde_json::Error),
+}
+
+/// Flies the mission and leaves `global.ply`, `report.json` and `report.html` in its folder. `Ok` even
+/// where agents failed, as long as there is a global model: the report tells.
+pub fn fly(order: &MissionOrder, around: &Surroundings) -> Result<MissionReport, MissionError> {
+    let begun = (around.now)();
+    fs::create_dir_all(&order.out).map_err(|cause| SceneError::io(&order.out, cause))?;
+    if let Some(city) = &order.city {
+        let progress = |done, of| show_pictures(around.display, done, of);
+        town::make(city, &order.settings.data, progress)?;
+    }
+    let dataset = Dataset::open(&order.settings.data)?;
+    let fresh_site = SiteId::new(&format!("mission-{}", around.session))?;
+    let plan = Plan::make(&dataset, &order.settings, &order.out, fresh_site)?;
+    let (global, board) = gather(order, around, &plan)?;
+    let evaluation = judge(order, around, &dataset, &plan)?;
+    let seconds = ((around.now)() - begun).as_secs_f64();
+    let mut report = summarize(&plan, &order.settings, &board, &global, &evaluation.qualities);
+    report.whole.seconds = seconds;
+    report.whole.aggregator_peak_memory_bytes = (around.peak_memory_bytes)();
+    write_report(&order.out, &report, &plan, &evaluation)?;
+    Ok(report)
+}
+
+/// Has the agents train and send, and the service join what they sent. Returns what is announced of
+/// the global model, and what the agents told.
+fn gather(
+    order: &MissionOrder,
+    around: &Surroundings,
+    plan: &Plan,
+) -> Result<(ModelHeader, Vec<Status>), MissionError> {
+    if !around.agent.is_file() {
+        return Err(MissionError::NoAgent { path: around.agent.clone() });
+    }
+    let (broker, address) = reach_broker(order)?;
+    let (say, signals) = mpsc::channel();
+    let identity = Identity {
+        site: plan.site,
+        device: DeviceId::new("aggregator")?,
+        session: around.session,
+        role: Role::Aggregator,
+    };
+    let service = Service::open(service_config(order, plan, identity))?;
+    let tell = say.clone();
+    let station = Station::start(service, address.clone(), identity, around.now.clone(), move |event| {
+        let _ = tell.send(Signal::Service(event)); // nobody listens any more where the mission is over
+    });
+    let mut watch = Watch::new(plan, around, signals);
+    watch.await_broker(&station)?;
+    let fleet = Fleet::start(agents(order, around, plan, &address)?, move |event| {
+        let _ = say.send(Signal::Fleet(event));
+    });
+    let board = watch.await_agents(&station)?;
+    drop(fleet);
+    let global = station.finish();
+    if let Some(broker) = broker {
+        broker.shutdown();
+    }
+    Ok((global.ok_or_else(|| first_failure(plan, &board))?, board))
+}
+
+fn reach_broker(order: &MissionOrder) -> Result<(Option<Broker>, BrokerAddress), MissionError> {
+    if let Some(address) = &order.broker {
+        return Ok((None, address.clone()));
+    }
+    let broker = Broker::start(([127, 0, 0, 1], 0).into())?;
+    let address = local_address(broker.address());
+    Ok((Some(broker), address))
+}
+
+fn service_config(order: &MissionOrder, plan: &Plan, identity: Identity) -> ServiceConfig {
+    ServiceConfig {
+        identity,
+        folder: order.out.clone(),
+        limits: InboxLimits {
+            body_bytes_max: INBOX_BYTES_MAX,
+            total_bytes_max: INBOX_BYTES_MAX,
+            models_max: plan.devices.len(),
+            stored_max: 2 * plan.devices.len(),
+        },
+        expected: Expected::Fleet(plan.devices.iter().copied().collect()),
+    }
+}
+
+/// Writes every agent's orders and says how to start it; the cores are shared evenly.
+fn agents(
+    order: &MissionOrder,
+    around: &Surroundings,
+    plan: &Plan,
+    address: &BrokerAddress,
+) -> Result<Vec<Orders>, MissionError> {
+    let threads = (around.cores / plan.devices.len()).max(1);
+    let broker = format!("mqtt://{address}");
+    let orders = |agent| {
+        let folder = plan.write_orders(agent, &order.settings, &order.out, &broker, threads)?;
+        let config = folder.join("agent.toml").display().to_string();
+        Ok(Orders {
+            program: around.agent.clone(),
+            arguments: ["run", "--config", &config, "--json"].map(String::from).to_vec(),
+            log: folder.join("agent.log"),
+        })
+    };
+    (0..plan.devices.len()).map(orders).collect()
+}
+
+fn first_failure(plan: &Plan, board: &[Status]) -> MissionError {
+    let failures = plan.devices.iter().zip(board).filter_map(|(device, status)| match &status.phase {
+        Phase::Failed { reason } => Some((*device, reason.clone())),
+        _ => None,
+    });
+    let first = failures.into_iter().next();
+    first
+        .map_or(MissionError::ServiceDied, |(device, reason)| MissionError::NothingArrived { device, reason })
+}
+
+/// Compares the global model, as it is on the disk, with the photographs held out.
+fn judge(
+    order: &MissionOrder,
+    around: &Surroundings,
+    dataset: &Dataset,
+    plan: &Plan,
+) -> Result<Evaluation, MissionError> {
+    let splats = ply::read(&global_ply(&order.out))?;
+    let held_out = dataset.views.iter().zip(&plan.views).filter(|(_, view)| view.held_out);
+    let views: Vec<&View> = held_out.map(|(view, _)| view).collect();
+    Ok(evaluate(&splats, &views, order.settings.max_size_px, around.cores)?)
+}
+
+fn write_report(
+    out: &Path,
+    report: &MissionReport,
+    plan: &Plan,
+    evaluation: &Evaluation,
+) -> Result<(), MissionError> {
+    let drawings = Drawings { cells: &plan.cells, views: &plan.views, showcases: &evaluation.showcases };
+    write_text(&out.join("report.json"), &serde_json::to_string_pretty(report)?)?;
+    write_text(&out.join("report.html"), &page(report, &drawings)?)?;
+    Ok(())
+}

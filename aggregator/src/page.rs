@@ -1,0 +1,267 @@
+//! `report.html`: one file without scripts, with everything inside it, for phone and desktop.
+
+use std::fmt::Write;
+
+use cosurf_scene::Picture;
+use cosurf_scene::bytes::format_bytes;
+use image::ImageError;
+
+use crate::embed::data_uri;
+use crate::progress::format_seconds;
+use crate::report::{self, MissionReport, Quality};
+use crate::{chart, map};
+
+/// A held-out view next to what the global model shows there.
+pub(crate) struct Showcase {
+    /// Name of the view.
+    pub(crate) name: String,
+    /// How well colours agree.
+    pub(crate) quality: Quality,
+    /// Depth of the bright and of the dark end of the scale, metres.
+    pub(crate) depth_range_m: [f32; 2],
+    /// Photograph, colour, depth, normal; all of one size.
+    pub(crate) pictures: [Picture; 4],
+}
+
+/// What the page draws beside the figures of the report.
+pub(crate) struct Drawings<'a> {
+    /// Cell `i` is that of the report's agent `i`.
+    pub(crate) cells: &'a [crate::partition::Cell],
+    /// All views, trained on and held out.
+    pub(crate) views: &'a [map::MapView],
+    /// A few held-out views.
+    pub(crate) showcases: &'a [Showcase],
+}
+
+/// The whole page.
+pub(crate) fn page(report: &MissionReport, drawings: &Drawings) -> Result<String, ImageError> {
+    let mut html = String::from("<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\">");
+    html.push_str("<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">");
+    let _ = write!(
+        html,
+        "<title>cosurf mission</title>\n<style>{}</style></head><body>\n",
+        include_str!("page.css")
+    );
+    header(&mut html, report);
+    agents(&mut html, report);
+    pictures(&mut html, drawings.showcases)?;
+    ground(&mut html, report, drawings);
+    footer(&mut html, report);
+    html.push_str("</body></html>\n");
+    Ok(html)
+}
+
+/// Colour of agent `i`: hues a golden angle apart, so that any number of neighbours differ, legible
+/// on white and on black.
+pub(crate) fn agent_color(agent: usize) -> String {
+    format!("hsl({:.0} 62% 48%)", (212.0 + 137.508 * agent as f64) % 360.0)
+}
+
+/// Text as HTML and SVG show it literally, also inside quoted attributes.
+pub(crate) fn escape(text: &str) -> String {
+    let mut escaped = String::with_capacity(text.len());
+    for c in text.chars() {
+        match c {
+            '&' => escaped.push_str("&amp;"),
+            '<' => escaped.push_str("&lt;"),
+            '>' => escaped.push_str("&gt;"),
+            '"' => escaped.push_str("&quot;"),
+            '\'' => escaped.push_str("&#39;"),
+            c => escaped.push(c),
+        }
+    }
+    escaped
+}
+
+fn header(html: &mut String, report: &MissionReport) {
+    let whole = &report.whole;
+    let _ = write!(
+        html,
+        "<h1>cosurf mission</h1>\n<p class=\"soft\">{} agents over <code>{}</code>, seed {}</p>\n",
+        report.agents.len(),
+        escape(&report.data.display().to_string()),
+        report.seed
+    );
+    let quality = |text: fn(Quality) -> String| whole.quality.map_or("–".to_string(), text);
+    html.push_str("<div class=\"tiles\">");
+    for (value, label) in [
+        (quality(|q| format!("{:.2} dB", q.psnr)), "PSNR, held-out views"),
+        (quality(|q| format!("{:.3}", q.ssim)), "SSIM, held-out views"),
+        (group_digits(whole.splats), "splats"),
+        (format_seconds(whole.seconds), "start to report"),
+        (format_bytes(whole.bytes_sent), "sent by the agents"),
+        (format_bytes(whole.peak_memory_bytes), "largest agent"),
+    ] {
+        let _ = write!(html, "<div class=\"tile\"><b>{value}</b><span>{label}</span></div>");
+    }
+    html.push_str("</div>\n");
+}
+
+fn agents(html: &mut String, report: &MissionReport) {
+    html.push_str("<h2>Agents</h2>\n<div class=\"scroll\"><table><thead><tr>");
+    for heading in report::HEADINGS {
+        let _ = write!(html, "<th>{heading}</th>");
+    }
+    html.push_str("</tr></thead><tbody>\n");
+    for (i, row) in report::rows(report).iter().enumerate() {
+        html.push_str("<tr>");
+        for (column, cell) in row.iter().enumerate() {
+            let is_agent = column == 0 && i < report.agents.len();
+            let dot = if is_agent { dot(i) } else { String::new() };
+            let _ = write!(html, "<td>{dot}{}</td>", escape(cell));
+        }
+        html.push_str("</tr>\n");
+    }
+    html.push_str("</tbody></table></div>\n");
+    html.push_str(
+        "<p class=\"soft\">Views are those trained on + held out. PSNR and SSIM are means over held-out views: of \
+         an agent's own model over its own views, in the last row of the global model over all. “In global” is \
+         the global model's PSNR over the agent's views. Memory is the peak of the process, for the whole that \
+         of the largest agent.</p>\n",
+    );
+    let remarks = report::remarks(report);
+    if !remarks.is_empty() {
+        html.push_str("<ul class=\"remarks\">");
+        for remark in remarks {
+            let _ = write!(html, "<li>{}</li>", escape(&remark));
+        }
+        html.push_str("</ul>\n");
+    }
+}
+
+fn dot(agent: usize) -> String {
+    format!("<span class=\"dot\" style=\"background:{}\"></span>", agent_color(agent))
+}
+
+fn pictures(html: &mut String, showcases: &[Showcase]) -> Result<(), ImageError> {
+    if showcases.is_empty() {
+        return Ok(());
+    }
+    html.push_str("<h2>Held-out views: the photograph and the global model</h2>\n");
+    for showcase in showcases {
+        let Quality { psnr, ssim } = showcase.quality;
+        let name = escape(&showcase.name);
+        let _ = write!(
+            html,
+            "<div class=\"view\"><div><b>{name}</b> <span class=\"soft\">{psnr:.2} dB, SSIM {ssim:.3}</span></div>"
+        );
+        html.push_str("<div class=\"strip\">");
+        let [near, far] = showcase.depth_range_m;
+        let captions = [
+            "photograph".to_string(),
+            "colour".to_string(),
+            format!("depth, {near:.1} (bright) to {far:.1} m"),
+            "normal".to_string(),
+        ];
+        for (picture, caption) in showcase.pictures.iter().zip(captions) {
+            let [width, height] = picture.size_px;
+            let address = data_uri(picture)?;
+            let _ = write!(
+                html,
+                "<figure><img src=\"{address}\" width=\"{width}\" height=\"{height}\" alt=\"{name}: {caption}\">\
+                 <figcaption>{caption}</figcaption></figure>"
+            );
+        }
+        html.push_str("</div></div>\n");
+    }
+    Ok(())
+}
+
+fn ground(html: &mut String, report: &MissionReport, drawings: &Drawings) {
+    html.push_str("<div class=\"pair\"><section><h2>Who looked where</h2>\n");
+    html.push_str(&map::draw(drawings.cells, drawings.views));
+    html.push_str("<p class=\"soft\">");
+    for (i, agent) in report.agents.iter().enumerate() {
+        let _ = write!(html, "{}{} &ensp;", dot(i), escape(&agent.device));
+    }
+    html.push_str("Filled: middle of a view trained on; ring: held out.</p></section>\n");
+    let curves: Vec<&[[f32; 2]]> = report.agents.iter().map(|agent| agent.curve.as_slice()).collect();
+    if let Some(svg) = chart::draw(&curves) {
+        let _ = write!(
+            html,
+            "<section><h2>Training</h2>\n{svg}\
+             <p class=\"soft\">PSNR in dB of the training pictures seen lately.</p></section>"
+        );
+    }
+    html.push_str("</div>\n");
+}
+
+fn footer(html: &mut String, report: &MissionReport) {
+    let _ = write!(
+        html,
+        "<h2>The model</h2>\n<p><code>global.ply</code> beside this file is revision {} in the usual 3DGS layout: drop \
+         it into any splat viewer. It is the concatenation of the agents' models. <code>report.json</code> \
+         has these figures for scripts.</p>\n",
+        report.whole.revision
+    );
+}
+
+/// `1234567` as `1 234 567`, with spaces that neither break nor vary in width.
+fn group_digits(count: usize) -> String {
+    let digits = count.to_string();
+    let mut grouped = String::new();
+    for (i, digit) in digits.chars().enumerate() {
+        if i > 0 && (digits.len() - i).is_multiple_of(3) {
+            grouped.push('\u{202f}');
+        }
+        grouped.push(digit);
+    }
+    grouped
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use glam::DVec2;
+
+    use super::*;
+    use crate::partition::Cell;
+
+    fn example_page() -> String {
+        let cells = [Cell { views: vec![0], bounds: [DVec2::ZERO, DVec2::ONE] }];
+        let picture = || Picture::new([2, 2], vec![99; 12]);
+        let showcase = Showcase {
+            name: "a<b>.jpg".into(),
+            quality: Quality { psnr: 21.0, ssim: 0.5 },
+            depth_range_m: [30.0, 60.0],
+            pictures: std::array::from_fn(|_| picture()),
+        };
+        page(&report::tests::example(), &Drawings { cells: &cells, views: &[], showcases: &[showcase] })
+            .unwrap()
+    }
+
+    #[test]
+    fn the_page_needs_nothing_from_outside() {
+        let html = example_page();
+        for outside in ["http:", "https:", "<script", "<link", "@import", "url("] {
+            assert!(!html.contains(outside), "{outside}");
+        }
+        assert_eq!(html.matches("src=\"data:image/jpeg;base64,").count(), 4);
+        assert_eq!(html.matches("src=").count(), 4);
+    }
+
+    #[test]
+    fn the_page_has_the_figures_and_escapes_what_comes_from_outside() {
+        let html = example_page();
+        for part in [
+            "22.00 dB",
+            "12\u{202f}345",
+            "24.50 dB",
+            "no images in &lt;x&gt; &amp; &quot;y&quot;",
+            "a&lt;b&gt;.jpg",
+        ] {
+            assert!(html.contains(part), "{part}");
+        }
+        assert!(!html.contains("<x>") && !html.contains("<b>.jpg"));
+    }
+
+    #[test]
+    fn every_tag_that_opens_closes() {
+        let html = example_page();
+        for tag in ["div", "p", "table", "tr", "td", "section", "figure", "svg", "ul", "li", "span", "h2"] {
+            let opened =
+                html.matches(&format!("<{tag}>")).count() + html.matches(&format!("<{tag} ")).count();
+            assert_eq!(opened, html.matches(&format!("</{tag}>")).count(), "{tag}");
+        }
+    }
+}

@@ -1,0 +1,294 @@
+//! What a mission will do, decided before anything runs: which views each agent gets, and its orders.
+//!
+//! The settings stay in `mission.json`: the same command in the same folder goes on with the mission
+//! there, other settings are refused rather than mixed.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use cosurf_scene::{AgentConfig, Dataset, SceneError, atomic};
+use cosurf_wire::{DeviceId, IdError, SiteId};
+use serde::{Deserialize, Serialize};
+
+use crate::footprint::{Ground, footprints};
+use crate::map::MapView;
+use crate::partition::{Cell, PartitionError, bisect, nearest_cell};
+
+/// What decides the result of a mission.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Settings {
+    /// The dataset's folder.
+    pub data: PathBuf,
+    /// Agents to divide it among.
+    pub agents: usize,
+    /// Training steps of each.
+    pub steps: u32,
+    /// Most memory of each, bytes.
+    pub memory_bytes: Option<u64>,
+    /// Long side of the pictures trained on.
+    pub max_size_px: Option<u32>,
+    /// Seed of every random choice.
+    pub seed: u64,
+    /// Every n-th view by name is held out; 0 holds out none.
+    pub eval_every: u32,
+}
+
+/// The content of `mission.json`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct Record {
+    /// Set once, so that a mission that goes on meets its own messages at the broker, and no others'.
+    site: SiteId,
+    settings: Settings,
+}
+
+/// Why there is no plan.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum PlanError {
+    /// A file could not be read or written.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// The views cannot be divided.
+    #[error(transparent)]
+    Partition(#[from] PartitionError),
+    /// The folder has another mission.
+    #[error(
+        "{out} holds a mission with other settings ({what}): choose another --out, or remove it to start anew"
+    )]
+    OtherMission {
+        /// The folder.
+        out: PathBuf,
+        /// The first difference.
+        what: String,
+    },
+    /// The record of the mission is not one.
+    #[error("{path}: {reason}; remove the folder to start the mission anew")]
+    BadRecord {
+        /// The record.
+        path: PathBuf,
+        /// What is wrong.
+        reason: String,
+    },
+    /// The orders of an agent cannot be written.
+    #[error("orders of {device}: {reason}")]
+    BadOrders {
+        /// The agent.
+        device: DeviceId,
+        /// What is wrong.
+        reason: String,
+    },
+    /// More agents than names for them.
+    #[error(transparent)]
+    Name(#[from] IdError),
+}
+
+/// A mission ready to begin.
+#[derive(Clone, Debug)]
+pub(crate) struct Plan {
+    pub(crate) site: SiteId,
+    /// Agent `i`'s id, in order.
+    pub(crate) devices: Vec<DeviceId>,
+    /// Agent `i`'s ground.
+    pub(crate) cells: Vec<Cell>,
+    /// All views in the dataset's order, with cell and footprint.
+    pub(crate) views: Vec<MapView>,
+}
+
+impl Plan {
+    /// Divides the dataset, and finds or makes the mission's record in `out`, an existing folder.
+    /// `fresh_site` names the site of a mission that begins.
+    pub(crate) fn make(
+        dataset: &Dataset,
+        settings: &Settings,
+        out: &Path,
+        fresh_site: SiteId,
+    ) -> Result<Self, PlanError> {
+        let (train, held_out) = dataset.split(settings.eval_every);
+        let prints = footprints(dataset, &Ground::of(dataset));
+        let centers: Vec<_> = train.iter().map(|&view| prints[view].center).collect();
+        let mut cells = bisect(&centers, settings.agents)?;
+        let mut cell_of = vec![0; dataset.views.len()];
+        for &view in &held_out {
+            cell_of[view] = nearest_cell(&cells, prints[view].center);
+        }
+        for (i, cell) in cells.iter_mut().enumerate() {
+            cell.views.iter_mut().for_each(|view| *view = train[*view]);
+            cell.views.iter().for_each(|&view| cell_of[view] = i);
+        }
+        let views = dataset.views.iter().zip(prints).zip(cell_of).enumerate();
+        let views = views.map(|(i, ((view, footprint), cell))| MapView {
+            name: view.name.clone(),
+            footprint,
+            cell,
+            held_out: held_out.binary_search(&i).is_ok(),
+        });
+        let devices = names(settings.agents)?;
+        Ok(Self { site: settle(settings, out, fresh_site)?, devices, cells, views: views.collect() })
+    }
+
+    /// Names of the views of agent `i`: to train on, or held out.
+    pub(crate) fn names_of(&self, agent: usize, held_out: bool) -> Vec<String> {
+        let its = |view: &&MapView| view.cell == agent && view.held_out == held_out;
+        self.views.iter().filter(its).map(|view| view.name.clone()).collect()
+    }
+
+    /// Writes agent `i`'s orders into its folder below `out`, and returns that folder.
+    pub(crate) fn write_orders(
+        &self,
+        agent: usize,
+        settings: &Settings,
+        out: &Path,
+        broker: &str,
+        threads: usize,
+    ) -> Result<PathBuf, PlanError> {
+        let device = self.devices[agent];
+        let folder = out.join("agents").join(device.as_str());
+        fs::create_dir_all(&folder).map_err(|cause| SceneError::io(&folder, cause))?;
+        let config = AgentConfig {
+            device: device.to_string(),
+            site: self.site.to_string(),
+            broker: broker.to_string(),
+            data: settings.data.clone(),
+            out: folder.clone(),
+            views: self.names_of(agent, false),
+            held_out: self.names_of(agent, true),
+            eval_every: settings.eval_every,
+            steps: settings.steps,
+            seed: settings.seed.wrapping_add(agent as u64),
+            memory_bytes: settings.memory_bytes,
+            max_size_px: settings.max_size_px,
+            threads: Some(threads),
+            wait_global: true,
+        };
+        let text = toml::to_string(&config)
+            .map_err(|error| PlanError::BadOrders { device, reason: error.to_string() })?;
+        write_text(&folder.join("agent.toml"), &text)?;
+        Ok(folder)
+    }
+}
+
+/// `agent-1` and so on, padded with zeros so that their order is that of their numbers.
+fn names(agents: usize) -> Result<Vec<DeviceId>, IdError> {
+    let width = agents.to_string().len();
+    (1..=agents).map(|number| DeviceId::new(&format!("agent-{number:0width$}"))).collect()
+}
+
+/// The site of the mission in `out`: that of its record, where the settings are the same; where there
+/// is no record, one is made.
+fn settle(settings: &Settings, out: &Path, fresh_site: SiteId) -> Result<SiteId, PlanError> {
+    let path = out.join("mission.json");
+    let bad = |reason: String| PlanError::BadRecord { path: path.clone(), reason };
+    match fs::read(&path) {
+        Ok(bytes) => {
+            let record: Record = serde_json::from_slice(&bytes).map_err(|error| bad(error.to_string()))?;
+            if record.settings != *settings {
+                let what = difference(&record.settings, settings);
+                return Err(PlanError::OtherMission { out: out.to_path_buf(), what });
+            }
+            Ok(record.site)
+        }
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
+            let record = Record { site: fresh_site, settings: settings.clone() };
+            let text = serde_json::to_string_pretty(&record).map_err(|error| bad(error.to_string()))?;
+            write_text(&path, &text)?;
+            Ok(fresh_site)
+        }
+        Err(cause) => Err(SceneError::io(&path, cause).into()),
+    }
+}
+
+/// The first setting that differs, as `steps 300, not 500`.
+fn difference(there: &Settings, here: &Settings) -> String {
+    let values = |settings: &Settings| serde_json::to_value(settings).unwrap_or_default();
+    let (there, here) = (values(there), values(here));
+    let fields = there.as_object().into_iter().flatten();
+    let differing = fields.map(|(name, value)| (name, value, &here[name])).find(|(_, a, b)| a != b);
+    differing.map_or_else(String::new, |(name, there, here)| format!("{name} {there}, not {here}"))
+}
+
+pub(crate) fn write_text(path: &Path, text: &str) -> Result<(), SceneError> {
+    atomic::write(path, |file| std::io::Write::write_all(file, text.as_bytes()))
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use cosurf_scene::{Camera, Pose, View};
+    use glam::{DVec2, DVec3};
+
+    use super::*;
+
+    fn site(name: &str) -> SiteId {
+        SiteId::new(name).unwrap()
+    }
+
+    /// Nadir views in a row from west to east.
+    fn row(count: usize) -> Dataset {
+        let view = |i: usize| {
+            let eye = DVec3::new(i as f64 * 10.0, 0.0, 50.0);
+            let camera = Camera {
+                cam_from_world: Pose::look_at(eye, eye - DVec3::Z, DVec3::Y),
+                focal_px: DVec2::splat(100.0),
+                center_px: DVec2::splat(50.0),
+                size_px: [100, 100],
+            };
+            View { name: format!("{i:03}.jpg"), camera, path: "x".into() }
+        };
+        Dataset { views: (0..count).map(view).collect(), points: Vec::new() }
+    }
+
+    fn settings() -> Settings {
+        Settings {
+            data: "data".into(),
+            agents: 2,
+            steps: 10,
+            memory_bytes: Some(1 << 30),
+            max_size_px: None,
+            seed: 7,
+            eval_every: 8,
+        }
+    }
+
+    #[test]
+    fn every_view_has_one_agent_and_held_out_views_are_not_trained_on() {
+        let out = tempfile::tempdir().unwrap();
+        let plan = Plan::make(&row(18), &settings(), out.path(), site("a")).unwrap();
+        assert_eq!(plan.names_of(0, true), ["000.jpg", "008.jpg"], "on the border: the first");
+        assert_eq!(plan.names_of(1, true), ["016.jpg"]);
+        let trained: Vec<usize> = (0..2).map(|agent| plan.names_of(agent, false).len()).collect();
+        assert_eq!(trained, [7, 8]);
+        assert_eq!(plan.names_of(0, false)[6], "007.jpg", "from west to east");
+        assert_eq!(plan.cells[1].views[0], 9, "cells name views by their place in the dataset");
+    }
+
+    #[test]
+    fn orders_are_what_the_agent_reads() {
+        let out = tempfile::tempdir().unwrap();
+        let plan = Plan::make(&row(18), &settings(), out.path(), site("a")).unwrap();
+        let folder = plan.write_orders(1, &settings(), out.path(), "mqtt://h:1", 3).unwrap();
+        let text = fs::read_to_string(folder.join("agent.toml")).unwrap();
+        let config: AgentConfig = toml::from_str(&text).unwrap();
+        assert_eq!((config.device.as_str(), config.site.as_str()), ("agent-2", "a"));
+        assert_eq!((config.seed, config.threads, config.memory_bytes), (8, Some(3), Some(1 << 30)));
+        assert_eq!(config.views, plan.names_of(1, false));
+        assert!(config.wait_global && config.out == folder);
+    }
+
+    #[test]
+    fn the_same_mission_goes_on_and_another_is_refused() {
+        let out = tempfile::tempdir().unwrap();
+        Plan::make(&row(18), &settings(), out.path(), site("first")).unwrap();
+        let again = Plan::make(&row(18), &settings(), out.path(), site("second")).unwrap();
+        assert_eq!(again.site, site("first"));
+        let other = Settings { steps: 11, ..settings() };
+        let error = Plan::make(&row(18), &other, out.path(), site("third")).unwrap_err().to_string();
+        assert!(error.contains("steps 10, not 11") && error.contains("--out"), "{error}");
+    }
+
+    #[test]
+    fn names_sort_as_their_numbers_do() {
+        let names = names(12).unwrap();
+        assert_eq!((names[0].as_str(), names[11].as_str()), ("agent-01", "agent-12"));
+        assert!(names.is_sorted());
+    }
+}

@@ -1,0 +1,201 @@
+//! Shows a mission while it runs: a bar per agent on a terminal, else a line per agent every few
+//! seconds, else (for scripts) every event as a line of JSON.
+
+use std::io::{self, Write};
+
+use cosurf_scene::bytes::format_bytes;
+use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
+use serde_json::json;
+
+use crate::board::{Phase, Status};
+use crate::fleet::{FleetEvent, FleetEventKind};
+
+/// Seconds between two rounds of plain lines.
+const LINES_EVERY_S: f64 = 5.0;
+
+/// Pictures of the city between two plain lines.
+const PICTURES_EVERY: usize = 32;
+
+/// How a mission is shown.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Display {
+    /// Bars on standard error, redrawn in place.
+    Bars,
+    /// Plain lines on standard error.
+    Lines,
+    /// Every event as a line of JSON on standard output, notices on standard error.
+    Json,
+}
+
+/// The view of a mission.
+pub(crate) struct Progress {
+    names: Vec<String>,
+    display: Display,
+    bars: MultiProgress,
+    bar_of: Vec<ProgressBar>,
+    shown_at_s: f64,
+}
+
+impl Progress {
+    /// A view of agents of these names.
+    pub(crate) fn new(names: Vec<String>, display: Display) -> Self {
+        let bars = MultiProgress::with_draw_target(match display {
+            Display::Bars => ProgressDrawTarget::stderr_with_hz(8),
+            Display::Lines | Display::Json => ProgressDrawTarget::hidden(),
+        });
+        let style = ProgressStyle::with_template("{prefix:10} {bar:20.cyan/dim} {wide_msg}")
+            .unwrap_or_else(|_| ProgressStyle::default_bar())
+            .progress_chars("━╸─");
+        let bar = |name: &String| {
+            let bar = bars.add(ProgressBar::new(1).with_style(style.clone()).with_prefix(name.clone()));
+            bar.set_message("starts");
+            bar
+        };
+        let bar_of = names.iter().map(bar).collect();
+        Self { names, display, bars, bar_of, shown_at_s: 0.0 }
+    }
+
+    /// Shows something out of the ordinary, at once.
+    pub(crate) fn notice(&self, line: &str) {
+        let shown = match self.display {
+            Display::Bars => self.bars.println(line),
+            Display::Lines | Display::Json => writeln!(io::stderr(), "{line}"),
+        };
+        let _ = shown; // a mission goes on although nobody looks
+    }
+
+    /// Shows what happened to an agent; `status` has taken it in already.
+    pub(crate) fn show(&self, event: &FleetEvent, status: &Status) {
+        if self.display == Display::Json {
+            let line = json_line(&self.names[event.agent], &event.kind);
+            let _ = writeln!(io::stdout(), "{line}");
+        }
+        let bar = &self.bar_of[event.agent];
+        bar.set_length(u64::from(status.steps.max(1)));
+        bar.set_position(u64::from(status.step));
+        bar.set_message(describe(status));
+    }
+
+    /// Shows what is due by now, in seconds since any fixed moment.
+    pub(crate) fn tick(&mut self, board: &[Status], now_s: f64) {
+        if self.display != Display::Lines || now_s - self.shown_at_s < LINES_EVERY_S {
+            return;
+        }
+        self.shown_at_s = now_s;
+        for (name, status) in self.names.iter().zip(board) {
+            self.notice(&format!("{name}  {}", describe(status)));
+        }
+    }
+
+    /// Ends the view; what was shown last stays.
+    pub(crate) fn finish(&self) {
+        self.bar_of.iter().for_each(|bar| bar.abandon());
+    }
+}
+
+/// Shows how many pictures of the synthetic city are made: in place on a terminal, else now and then.
+pub(crate) fn show_pictures(display: Display, done: usize, of: usize) {
+    let mut stderr = io::stderr().lock();
+    let shown = match display {
+        Display::Bars if done < of => {
+            write!(stderr, "\rcity: {done} of {of} pictures").and_then(|()| stderr.flush())
+        }
+        Display::Bars => writeln!(stderr, "\rcity: {of} pictures         "),
+        Display::Lines | Display::Json if done == of || done.is_multiple_of(PICTURES_EVERY) => {
+            writeln!(stderr, "city: {done} of {of} pictures")
+        }
+        Display::Lines | Display::Json => Ok(()),
+    };
+    let _ = shown; // a mission goes on although nobody looks
+}
+
+/// One line on where an agent stands.
+fn describe(status: &Status) -> String {
+    match &status.phase {
+        Phase::Starting => "starts".into(),
+        Phase::Training => format!(
+            "step {} of {} · {:.1} steps/s · {:.2} dB · {} splats · {} left",
+            status.step,
+            status.steps,
+            status.steps_per_s,
+            status.psnr,
+            status.splats,
+            format_seconds(f64::from(status.seconds_left)),
+        ),
+        Phase::Publishing => format!(
+            "trained · {} splats · sends {} of {}",
+            status.splats,
+            format_bytes(status.bytes_sent),
+            format_bytes(status.bytes_total)
+        ),
+        Phase::Waiting => format!("{} splats arrived · waits for the global model", status.splats),
+        Phase::Done | Phase::Ended => format!("done · {} splats", status.splats),
+        Phase::Failed { reason } => format!("failed: {reason}"),
+    }
+}
+
+/// `47 s`, `3 min 05 s`, `2 h 07 min`; a dash where it is not known.
+pub(crate) fn format_seconds(seconds: f64) -> String {
+    if !seconds.is_finite() {
+        return "–".into();
+    }
+    let whole = seconds.round().max(0.0) as u64;
+    match whole {
+        0..60 => format!("{whole} s"),
+        60..3600 => format!("{} min {:02} s", whole / 60, whole % 60),
+        _ => format!("{} h {:02} min", whole / 3600, whole % 3600 / 60),
+    }
+}
+
+fn json_line(agent: &str, event: &FleetEventKind) -> String {
+    let mut line = match event {
+        FleetEventKind::Said(event) => json!(event),
+        FleetEventKind::Restarting { attempt, reason } => {
+            json!({"event": "restarting", "attempt": attempt, "reason": reason})
+        }
+        FleetEventKind::Ended => json!({"event": "ended"}),
+        FleetEventKind::Failed { reason } => json!({"event": "failed", "reason": reason}),
+    };
+    line["agent"] = agent.into();
+    line.to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use cosurf_scene::report::AgentEvent;
+
+    use super::*;
+
+    #[test]
+    fn times_are_written_for_people() {
+        for (seconds, text) in [
+            (0.4, "0 s"),
+            (59.4, "59 s"),
+            (59.6, "1 min 00 s"),
+            (185.0, "3 min 05 s"),
+            (7620.0, "2 h 07 min"),
+            (f64::INFINITY, "–"),
+        ] {
+            assert_eq!(format_seconds(seconds), text);
+        }
+    }
+
+    #[test]
+    fn a_script_reads_the_agents_events_with_its_name() {
+        let event = FleetEventKind::Said(AgentEvent::Acknowledged { bytes_sent: 7 });
+        assert_eq!(
+            json_line("agent-1", &event),
+            r#"{"agent":"agent-1","bytes_sent":7,"event":"acknowledged"}"#
+        );
+    }
+
+    #[test]
+    fn an_agent_is_described_in_every_phase() {
+        let mut status = Status { steps: 100, step: 7, steps_per_s: 2.0, splats: 9, ..Status::default() };
+        status.phase = Phase::Training;
+        status.seconds_left = 46.5;
+        assert_eq!(describe(&status), "step 7 of 100 · 2.0 steps/s · 0.00 dB · 9 splats · 47 s left");
+        status.phase = Phase::Failed { reason: "no images".into() };
+        assert_eq!(describe(&status), "failed: no images");
+    }
+}

@@ -1,0 +1,323 @@
+//! What a mission leaves to be read: `report.json`, and the same figures as a table.
+
+use std::path::PathBuf;
+
+use cosurf_scene::bytes::format_bytes;
+use cosurf_scene::report::TrainReport;
+use cosurf_wire::ModelHeader;
+use serde::{Deserialize, Serialize};
+
+use crate::board::{Phase, Status};
+use crate::plan::{Plan, Settings};
+use crate::progress::format_seconds;
+
+/// A mission's figures, also `report.json`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MissionReport {
+    /// The dataset's folder.
+    pub data: PathBuf,
+    /// Seed of every random choice.
+    pub seed: u64,
+    /// In order of device id.
+    pub agents: Vec<AgentSummary>,
+    /// The mission as one.
+    pub whole: WholeSummary,
+}
+
+/// One agent's figures.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct AgentSummary {
+    /// Device id.
+    pub device: String,
+    /// Views given to train on.
+    pub views: usize,
+    /// Views held out, those whose middle lies in the agent's cell.
+    pub held_out: usize,
+    /// The figures of its training; absent where it did not get so far.
+    pub training: Option<TrainReport>,
+    /// Bytes sent to the aggregator, resends included.
+    pub bytes_sent: u64,
+    /// How often its process died and was started again.
+    pub restarts: u32,
+    /// The global model on this agent's held-out views; absent where there are none.
+    pub in_global: Option<Quality>,
+    /// Why it did not do its work; absent where it did.
+    pub failure: Option<String>,
+    /// `[step, dB]` of the training pictures seen lately.
+    pub curve: Vec<[f32; 2]>,
+}
+
+/// The mission's figures as one.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct WholeSummary {
+    /// Views trained on, by all agents together.
+    pub views: usize,
+    /// Views held out.
+    pub held_out: usize,
+    /// Splats of the global model.
+    pub splats: usize,
+    /// Revision of the global model.
+    pub revision: u64,
+    /// Steps of all agents together.
+    pub steps: u64,
+    /// From the mission's start to its end, seconds.
+    pub seconds: f64,
+    /// Steps of all agents together per second of the longest training.
+    pub steps_per_s: f64,
+    /// Peak resident memory of the largest agent.
+    pub peak_memory_bytes: u64,
+    /// Peak resident memory of the aggregator; absent where the system does not tell.
+    pub aggregator_peak_memory_bytes: Option<u64>,
+    /// Bytes that all agents sent, resends included.
+    pub bytes_sent: u64,
+    /// The global model on all held-out views; absent where none is held out.
+    pub quality: Option<Quality>,
+}
+
+/// How well pictures agree with the truth, each a mean over views.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Quality {
+    /// dB.
+    pub psnr: f64,
+    /// 0 to 1.
+    pub ssim: f64,
+}
+
+impl Quality {
+    /// The mean over views; `None` of none.
+    pub(crate) fn mean(of: &[Quality]) -> Option<Self> {
+        let mean = |value: fn(&Quality) -> f64| of.iter().map(value).sum::<f64>() / of.len() as f64;
+        (!of.is_empty()).then(|| Self { psnr: mean(|q| q.psnr), ssim: mean(|q| q.ssim) })
+    }
+}
+
+/// Sums up what the agents told and what the global model is worth; `qualities` are those of the held-out
+/// views in their order. Time and memory of the aggregator are left for its owner to fill in.
+pub(crate) fn summarize(
+    plan: &Plan,
+    settings: &Settings,
+    board: &[Status],
+    global: &ModelHeader,
+    qualities: &[Quality],
+) -> MissionReport {
+    let held_out: Vec<usize> = plan.views.iter().filter(|view| view.held_out).map(|view| view.cell).collect();
+    let agent = |(i, status): (usize, &Status)| {
+        let its = held_out.iter().zip(qualities).filter(|(cell, _)| **cell == i);
+        let qualities: Vec<Quality> = its.map(|(_, quality)| *quality).collect();
+        AgentSummary {
+            device: plan.devices[i].to_string(),
+            views: plan.cells[i].views.len(),
+            held_out: qualities.len(),
+            training: status.training.clone(),
+            bytes_sent: status.bytes_sent,
+            restarts: status.restarts,
+            in_global: Quality::mean(&qualities),
+            failure: match &status.phase {
+                Phase::Failed { reason } => Some(reason.clone()),
+                _ => None,
+            },
+            curve: status.curve.clone(),
+        }
+    };
+    let agents: Vec<AgentSummary> = board.iter().enumerate().map(agent).collect();
+    let trainings = || agents.iter().filter_map(|agent| agent.training.as_ref());
+    let steps = trainings().map(|training| u64::from(training.steps)).sum();
+    let longest_s = trainings().map(|training| training.seconds).fold(0.0, f64::max);
+    let whole = WholeSummary {
+        views: plan.views.len() - held_out.len(),
+        held_out: held_out.len(),
+        splats: global.splats as usize,
+        revision: global.model.0,
+        steps,
+        seconds: 0.0,
+        steps_per_s: if longest_s > 0.0 { steps as f64 / longest_s } else { 0.0 },
+        peak_memory_bytes: trainings().map(|training| training.peak_memory_bytes).max().unwrap_or(0),
+        aggregator_peak_memory_bytes: None,
+        bytes_sent: agents.iter().map(|agent| agent.bytes_sent).sum(),
+        quality: Quality::mean(qualities),
+    };
+    MissionReport { data: settings.data.clone(), seed: settings.seed, agents, whole }
+}
+
+/// Headings of the table of [`rows`].
+pub(crate) const HEADINGS: [&str; 11] =
+    ["", "views", "splats", "steps", "time", "steps/s", "memory", "sent", "PSNR", "SSIM", "in global"];
+
+/// The table that report, page and terminal share: a row per agent and one for the whole.
+pub(crate) fn rows(report: &MissionReport) -> Vec<[String; 11]> {
+    let mut rows: Vec<_> = report.agents.iter().map(agent_row).collect();
+    rows.push(whole_row(&report.whole));
+    rows
+}
+
+fn agent_row(agent: &AgentSummary) -> [String; 11] {
+    let training = agent.training.as_ref();
+    let figure =
+        |text: &dyn Fn(&TrainReport) -> Option<String>| training.and_then(text).unwrap_or("–".into());
+    [
+        agent.device.clone(),
+        format_views(agent.views, agent.held_out),
+        figure(&|t| Some(t.splats.to_string())),
+        figure(&|t| Some(t.steps.to_string())),
+        figure(&|t| Some(format_seconds(t.seconds))),
+        figure(&|t| Some(format!("{:.1}", t.steps_per_s))),
+        figure(&|t| Some(format_bytes(t.peak_memory_bytes))),
+        format_bytes(agent.bytes_sent),
+        figure(&|t| t.psnr.map(|psnr| format!("{psnr:.2} dB"))),
+        figure(&|t| t.ssim.map(|ssim| format!("{ssim:.3}"))),
+        agent.in_global.map_or("–".into(), |quality| format!("{:.2} dB", quality.psnr)),
+    ]
+}
+
+fn whole_row(whole: &WholeSummary) -> [String; 11] {
+    let figure = |text: fn(Quality) -> String| whole.quality.map_or("–".into(), text);
+    [
+        "whole".into(),
+        format_views(whole.views, whole.held_out),
+        whole.splats.to_string(),
+        whole.steps.to_string(),
+        format_seconds(whole.seconds),
+        format!("{:.1}", whole.steps_per_s),
+        format_bytes(whole.peak_memory_bytes),
+        format_bytes(whole.bytes_sent),
+        figure(|quality| format!("{:.2} dB", quality.psnr)),
+        figure(|quality| format!("{:.3}", quality.ssim)),
+        figure(|quality| format!("{:.2} dB", quality.psnr)),
+    ]
+}
+
+fn format_views(train: usize, held_out: usize) -> String {
+    format!("{train} + {held_out}")
+}
+
+/// The table for a terminal, every column as wide as its widest cell.
+pub fn table(report: &MissionReport) -> String {
+    let mut lines = vec![HEADINGS.map(String::from)];
+    lines.extend(rows(report));
+    let width = |column: usize| lines.iter().map(|line| line[column].chars().count()).max().unwrap_or(0);
+    let widths: Vec<usize> = (0..HEADINGS.len()).map(width).collect();
+    let mut text = String::new();
+    for line in &lines {
+        let cells = line.iter().zip(&widths).enumerate().map(|(column, (cell, width))| match column {
+            0 => format!("{cell:<width$}"),
+            _ => format!("{cell:>width$}"),
+        });
+        text.push_str(cells.collect::<Vec<_>>().join("  ").trim_end());
+        text.push('\n');
+    }
+    text
+}
+
+/// Everything that was given up for memory or did not work, one sentence each with its agent.
+pub(crate) fn remarks(report: &MissionReport) -> Vec<String> {
+    let mut remarks = Vec::new();
+    for agent in &report.agents {
+        let device = &agent.device;
+        if let Some(failure) = &agent.failure {
+            remarks.push(format!("{device} failed: {failure}"));
+        }
+        if agent.restarts > 0 {
+            remarks.push(format!("{device} died and was started again, {} times in all", agent.restarts));
+        }
+        let given_up = agent.training.iter().flat_map(|training| &training.given_up);
+        remarks.extend(given_up.map(|sentence| format!("{device}: {sentence}")));
+    }
+    remarks
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    /// A mission of two agents, one of which failed.
+    pub(crate) fn example() -> MissionReport {
+        let training = TrainReport {
+            steps: 600,
+            seconds: 61.0,
+            steps_per_s: 9.8,
+            splats: 12_345,
+            peak_memory_bytes: 200 << 20,
+            psnr: Some(24.5),
+            ssim: Some(0.8),
+            seed: 1,
+            device: "cpu".into(),
+            views: 10,
+            held_out: 2,
+            size_px: [320, 240],
+            given_up: vec!["pictures were shrunk to 160 px".into()],
+        };
+        let good = AgentSummary {
+            device: "agent-1".into(),
+            views: 10,
+            held_out: 2,
+            training: Some(training),
+            bytes_sent: 3 << 20,
+            restarts: 1,
+            in_global: Some(Quality { psnr: 23.0, ssim: 0.7 }),
+            failure: None,
+            curve: vec![[100.0, 15.0], [600.0, 25.0]],
+        };
+        let failed = AgentSummary {
+            device: "agent-2".into(),
+            training: None,
+            bytes_sent: 0,
+            restarts: 0,
+            in_global: None,
+            failure: Some("no images in <x> & \"y\"".into()),
+            curve: Vec::new(),
+            ..good.clone()
+        };
+        MissionReport {
+            data: "city".into(),
+            seed: 1,
+            agents: vec![good, failed],
+            whole: WholeSummary {
+                views: 20,
+                held_out: 4,
+                splats: 12_345,
+                revision: 1,
+                steps: 600,
+                seconds: 75.0,
+                steps_per_s: 9.8,
+                peak_memory_bytes: 200 << 20,
+                aggregator_peak_memory_bytes: None,
+                bytes_sent: 3 << 20,
+                quality: Some(Quality { psnr: 22.0, ssim: 0.7 }),
+            },
+        }
+    }
+
+    #[test]
+    fn the_table_is_aligned_and_dashes_what_is_not_known() {
+        let table = table(&example());
+        let lines: Vec<&str> = table.lines().collect();
+        assert_eq!(lines.len(), 4, "{table}");
+        let end_of = |line: &str, cell: &str| line.split(cell).next().unwrap().chars().count() + cell.len();
+        assert_eq!(end_of(lines[0], "PSNR"), end_of(lines[1], "24.50 dB"), "{table}");
+        assert_eq!(end_of(lines[0], "PSNR"), end_of(lines[3], "22.00 dB"), "{table}");
+        assert!(lines[2].starts_with("agent-2") && lines[2].matches('–').count() == 8, "{table}");
+    }
+
+    #[test]
+    fn remarks_tell_of_failures_restarts_and_what_was_given_up() {
+        let remarks = remarks(&example());
+        assert_eq!(remarks.len(), 3, "{remarks:?}");
+        assert!(remarks[0].contains("1 times") && remarks[1].contains("shrunk"), "{remarks:?}");
+        assert!(remarks[2].starts_with("agent-2 failed"), "{remarks:?}");
+    }
+
+    #[test]
+    fn the_report_survives_json() {
+        let report = example();
+        let json = serde_json::to_string(&report).unwrap();
+        assert_eq!(serde_json::from_str::<MissionReport>(&json).unwrap(), report);
+    }
+
+    #[test]
+    fn the_mean_of_nothing_is_absent() {
+        assert_eq!(Quality::mean(&[]), None);
+        let of = [Quality { psnr: 20.0, ssim: 0.5 }, Quality { psnr: 30.0, ssim: 0.7 }];
+        assert!(Quality::mean(&of).is_some_and(|q| q.psnr == 25.0 && (q.ssim - 0.6).abs() < 1e-12));
+    }
+}

@@ -1,0 +1,75 @@
+//! The receiving service on a thread of its own, linked by MQTT, for a mission on one machine.
+
+use std::ops::ControlFlow;
+use std::sync::Arc;
+use std::sync::mpsc::{self, Sender};
+use std::thread::{self, JoinHandle};
+use std::time::Duration;
+
+use cosurf_link::{BrokerAddress, Identity, MqttConfig, MqttTransport};
+use cosurf_wire::{DeviceId, ModelHeader};
+
+use crate::service::{Command, Service, ServiceEvent};
+
+/// A running service. Dropping it ends the service.
+pub(crate) struct Station {
+    commands: Option<Sender<Command>>,
+    thread: Option<JoinHandle<Option<ModelHeader>>>,
+}
+
+impl Station {
+    /// Starts to serve through `broker`; what happens is told to `on_event`.
+    pub(crate) fn start(
+        service: Service,
+        broker: BrokerAddress,
+        identity: Identity,
+        now: Arc<dyn Fn() -> Duration + Send + Sync>,
+        on_event: impl Fn(ServiceEvent) + Send + 'static,
+    ) -> Self {
+        let (commands, orders) = mpsc::channel();
+        let thread = thread::spawn(move || {
+            let mut transport = MqttTransport::start(MqttConfig { broker, identity });
+            service.run(
+                &mut transport,
+                || now(),
+                &orders,
+                |event| {
+                    on_event(event);
+                    ControlFlow::Continue(())
+                },
+            )
+        });
+        Self { commands: Some(commands), thread: Some(thread) }
+    }
+
+    /// Does not wait for this device any more.
+    pub(crate) fn give_up(&self, device: DeviceId) {
+        self.tell(Command::GiveUp(device));
+    }
+
+    /// Joins what is due and ends. Returns what is announced of the newest global model.
+    pub(crate) fn finish(mut self) -> Option<ModelHeader> {
+        self.tell(Command::Finish);
+        self.thread.take().and_then(|thread| thread.join().ok().flatten())
+    }
+
+    /// Whether it ended without being told to.
+    pub(crate) fn has_died(&self) -> bool {
+        self.thread.as_ref().is_none_or(JoinHandle::is_finished)
+    }
+
+    fn tell(&self, command: Command) {
+        if let Some(commands) = &self.commands {
+            let _ = commands.send(command); // fails only where the service has ended already
+        }
+    }
+}
+
+impl Drop for Station {
+    fn drop(&mut self) {
+        self.commands = None;
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}

@@ -1,0 +1,62 @@
+//! The synthetic city of a mission without data of its own: made once, kept beside the results.
+
+use std::fs;
+use std::path::Path;
+
+use cosurf_scene::SceneError;
+use cosurf_scene::city::{City, CityError, CitySettings};
+
+use crate::plan::write_text;
+
+/// Why there is no city.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum TownError {
+    /// It cannot be built.
+    #[error(transparent)]
+    City(#[from] CityError),
+    /// It cannot be written.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+}
+
+/// Makes the city in `folder`, unless just this one is there whole. `progress` is told how many pictures
+/// are done, of how many.
+pub(crate) fn make(
+    settings: &CitySettings,
+    folder: &Path,
+    progress: impl FnMut(usize, usize),
+) -> Result<(), TownError> {
+    // Written last, so that a city without it is one that was interrupted.
+    let record = folder.join("city.txt");
+    let content = format!("{settings:?}\n");
+    if fs::read_to_string(&record).is_ok_and(|there| there == content) {
+        return Ok(());
+    }
+    City::build(settings)?.write(folder, progress)?;
+    Ok(write_text(&record, &content)?)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use cosurf_scene::Dataset;
+
+    use super::*;
+
+    #[test]
+    fn a_city_is_made_once_and_made_again_where_it_is_not_whole_or_another() {
+        let folder = tempfile::tempdir().unwrap();
+        let small = CitySettings { extent_m: 40.0, views: 4, size_px: [32, 24], ..CitySettings::default() };
+        let pictures = |settings: &CitySettings| {
+            let mut count = 0;
+            make(settings, folder.path(), |_, _| count += 1).unwrap();
+            count
+        };
+        assert_eq!((pictures(&small), pictures(&small)), (4, 0));
+        assert_eq!(Dataset::open(folder.path()).unwrap().views.len(), 4);
+        assert_eq!(pictures(&CitySettings { seed: 8, ..small }), 4);
+        fs::remove_file(folder.path().join("city.txt")).unwrap();
+        assert_eq!(pictures(&CitySettings { seed: 8, ..small }), 4);
+    }
+}
