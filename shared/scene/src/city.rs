@@ -35,6 +35,8 @@ mod sparse;
 mod street;
 mod suburb;
 mod terrain;
+#[cfg(test)]
+mod tests;
 mod tree;
 mod truth;
 mod world;

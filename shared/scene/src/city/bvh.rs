@@ -48,6 +48,7 @@ type Lanes = [Vec4; 3];
 
 /// Four boxes and what they hold: a node, or with [`LEAF`] a leaf. Unused ones are empty boxes.
 #[derive(Clone, Copy, Debug)]
+#[repr(align(64))]
 struct Node {
     min: Lanes,
     max: Lanes,
@@ -156,8 +157,39 @@ impl Bvh {
 
     /// The nearest triangle.
     pub(super) fn nearest(&self, ray: &Ray) -> Option<Hit> {
-        let wide = WideRay::new(ray);
         let mut nearest = None;
+        let mut t_max = ray.t_max;
+        self.walk(ray, |leaf, wide| {
+            let (u, v, t, mut met) = leaf.intersect(wide, t_max);
+            while met != 0 {
+                let lane = met.trailing_zeros() as usize;
+                met &= met - 1;
+                if t[lane] < t_max {
+                    t_max = t[lane];
+                    let barycentric = [u[lane], v[lane]];
+                    nearest = Some(Hit { t: t_max, triangle: leaf.triangles[lane], barycentric });
+                }
+            }
+            t_max
+        });
+        nearest
+    }
+
+    /// Whether anything is in the way.
+    pub(super) fn blocked(&self, ray: &Ray) -> bool {
+        let mut blocked = false;
+        self.walk(ray, |leaf, wide| {
+            blocked = leaf.intersect(wide, ray.t_max).3 != 0;
+            if blocked { f32::NEG_INFINITY } else { ray.t_max }
+        });
+        blocked
+    }
+
+    /// Shows `visit` the leaves whose boxes the ray meets, nearer ones first. `visit` says how far
+    /// the ray still goes; negative infinity ends the walk.
+    #[inline]
+    fn walk(&self, ray: &Ray, mut visit: impl FnMut(&Leaf, &WideRay) -> f32) {
+        let wide = WideRay::new(ray);
         let mut t_max = ray.t_max;
         let mut stack = [(0u32, 0.0f32); STACK];
         let mut depth = 1;
@@ -168,16 +200,9 @@ impl Bvh {
                 continue;
             }
             if child & LEAF != 0 {
-                let leaf = &self.leaves[(child ^ LEAF) as usize];
-                let (u, v, t, mut met) = leaf.intersect(&wide, t_max);
-                while met != 0 {
-                    let lane = met.trailing_zeros() as usize;
-                    met &= met - 1;
-                    if t[lane] < t_max {
-                        t_max = t[lane];
-                        let barycentric = [u[lane], v[lane]];
-                        nearest = Some(Hit { t: t_max, triangle: leaf.triangles[lane], barycentric });
-                    }
+                t_max = visit(&self.leaves[(child ^ LEAF) as usize], &wide);
+                if t_max == f32::NEG_INFINITY {
+                    return;
                 }
                 continue;
             }
@@ -198,33 +223,6 @@ impl Bvh {
                 depth += 1;
             }
         }
-        nearest
-    }
-
-    /// Whether anything is in the way.
-    pub(super) fn blocked(&self, ray: &Ray) -> bool {
-        let wide = WideRay::new(ray);
-        let mut stack = [0u32; STACK];
-        let mut depth = 1;
-        while depth > 0 {
-            depth -= 1;
-            let child = stack[depth];
-            if child & LEAF != 0 {
-                if self.leaves[(child ^ LEAF) as usize].intersect(&wide, ray.t_max).3 != 0 {
-                    return true;
-                }
-                continue;
-            }
-            let node = &self.nodes[child as usize];
-            let (_, mut met) = node.enter(&wide, ray.t_max);
-            while met != 0 {
-                let lane = met.trailing_zeros() as usize;
-                met &= met - 1;
-                stack[depth] = node.children[lane];
-                depth += 1;
-            }
-        }
-        false
     }
 }
 
@@ -357,7 +355,11 @@ impl Builder<'_> {
             slot.0.grow(&self.boxes[i as usize]);
             slot.1 += 1;
         }
-        let cost = |bounds: &Aabb, count| if count == 0 { 0.0 } else { bounds.half_area() * count as f32 };
+        // A leaf costs the same however full, so what counts is how many there will be.
+        let cost = |bounds: &Aabb, count: usize| match count {
+            0 => 0.0,
+            _ => bounds.half_area() * count.div_ceil(WIDTH) as f32,
+        };
         let mut right_cost = [0.0f32; BINS];
         let (mut bounds, mut count) = (Aabb::EMPTY, 0);
         for b in (1..BINS).rev() {

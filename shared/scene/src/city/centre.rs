@@ -81,17 +81,10 @@ fn town_house(site: &mut Site, uv: Vec2, along: Vec2, size_m: Vec2) {
         5..7 => {
             let height = site.rng.range(2.4, 3.2);
             let top = roof::mansard(site.mesh, &lot.frame, &part, top_m, height, &style);
-            let covered = (top_m + height, Style { roof: style.plinth, ..style });
-            building::flat_roof(site.mesh, &lot.frame, &[], &[top], covered.0, &covered.1);
-            building::roof_clutter(
-                site.mesh,
-                &lot.frame,
-                &top,
-                covered.0,
-                &style,
-                site.palette,
-                &mut site.rng,
-            );
+            let flat = Style { roof: style.plinth, ..style };
+            let top_m = top_m + height;
+            building::flat_roof(site.mesh, &lot.frame, &[], &[top], top_m, &flat);
+            building::roof_clutter(site.mesh, &lot.frame, &top, top_m, &flat, site.palette, &mut site.rng);
             dormers(site, &lot, &part, top_m, 0.9, &style);
         }
         _ => {
@@ -280,7 +273,7 @@ pub(super) fn towers(site: &mut Site) {
 
 fn stepped_tower(site: &mut Site, uv: Vec2, along: Vec2, base: Vec2, which: usize) {
     let walls = [Wall::Curtain, Wall::Panels, Wall::Brick];
-    let wall = walls[(which + site.rng.index(2)) % 3];
+    let wall = walls[(which + site.block.seed as usize) % 3];
     let cover = site.flat_cover();
     let style = Style::random(site.mesh, &mut site.rng, wall, cover, false);
     let podium_style = Style::random(site.mesh, &mut site.rng, Wall::Panels, Cover::Gravel, true);

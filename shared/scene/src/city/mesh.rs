@@ -4,6 +4,9 @@ use glam::{Vec2, Vec3};
 
 use super::material::Material;
 
+/// Four times the square of the least area of a triangle, m⁴: a sliver of a square millimetre.
+const AREA_MIN: f32 = 4e-12;
+
 /// A triangle of the town.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Triangle {
@@ -73,7 +76,12 @@ impl Mesh {
         self.materials.len() as u32 - 1
     }
 
+    /// A triangle, unless it has no area.
     pub(super) fn triangle(&mut self, corners: [Vec3; 3], uvs: [Vec2; 3], material: u32) {
+        let [a, b, c] = corners;
+        if (b - a).cross(c - a).length_squared() < AREA_MIN {
+            return;
+        }
         self.triangles.push(Triangle { corners, uvs, material });
     }
 

@@ -58,7 +58,9 @@ impl Palette {
             [0.070, 0.095, 0.050],
             [0.120, 0.062, 0.036],
         ];
-        let leaves = crowns.map(leaves).to_vec();
+        let crowns = crowns.map(leaves);
+        // The commoner the species, the more often it is named.
+        let leaves = [0, 1, 2, 0, 1, 2, 3, 4, 0, 1, 2, 5].map(|species| crowns[species]).to_vec();
         let paints = [
             [0.60, 0.60, 0.60],
             [0.30, 0.31, 0.33],
@@ -71,7 +73,8 @@ impl Palette {
             [0.55, 0.24, 0.03],
             [0.18, 0.30, 0.42],
         ];
-        let paints = paints.map(|rgb| mesh.add(Material::Paint(Vec3::from(rgb)))).to_vec();
+        let paints = paints.map(|rgb| mesh.add(Material::Paint(Vec3::from(rgb))));
+        let paints = [0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 4, 5, 9, 6, 7, 4, 8].map(|paint| paints[paint]).to_vec();
         let pale = Vec3::new(0.62, 0.60, 0.54);
         let mut striped = |albedos: [Vec3; 2], width_m: f32| mesh.add(Material::Stripes { albedos, width_m });
         let stripes = [[0.40, 0.05, 0.04], [0.05, 0.14, 0.34], [0.08, 0.26, 0.12], [0.52, 0.36, 0.05]]

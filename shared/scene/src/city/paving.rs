@@ -194,11 +194,11 @@ fn lawn(p: Vec2, f: f32, coarse: f32, seed: u32) -> Vec3 {
 
 fn meadow(p: Vec2, f: f32, coarse: f32, seed: u32) -> Vec3 {
     let tufts = 0.3 * grain(p, 1.1, f, seed ^ 1) + 0.25 * grain(p, 0.3, f, seed ^ 2);
-    let flowers = visible(0.4, f) * step(0.62, 0.75, grain(p, 0.35, 0.01, seed ^ 4)) * step(0.0, 0.4, coarse);
+    let flowers = visible(0.3, f) * step(0.62, 0.75, grain(p, 0.24, 0.01, seed ^ 4)) * step(0.0, 0.4, coarse);
     let hay = step(-0.2, 0.5, fractal(p, 23.0, 4, f, seed ^ 3));
     let green = Vec3::new(mix(0.10, 0.21, hay), mix(0.14, 0.19, hay), mix(0.04, 0.075, hay));
     let grass = green * (1.0 + tufts + 0.45 * coarse);
-    grass + (Vec3::new(0.62, 0.55, 0.18) - grass) * (0.7 * flowers)
+    grass + (Vec3::new(0.55, 0.50, 0.24) - grass) * (0.55 * flowers)
 }
 
 fn cobbles(p: Vec2, f: f32, seed: u32) -> Vec3 {
@@ -264,7 +264,8 @@ fn crop(p: Vec2, turned: bool, kind: u8, f: f32, coarse: f32, seed: u32) -> Vec3
         if (t - 1.0).abs() < 0.22 || (t - 2.9).abs() < 0.22 { 0.75 } else { 0.0 }
     };
     let cover = cover * (1.0 - tramline);
-    (soil + (plant - soil) * cover) * (1.0 + 0.4 * coarse + 0.12 * gaps)
+    let leaves = 0.25 * grain(p, 0.21, f, seed ^ 5) + 0.15 * grain(p, 0.09, f, seed ^ 6);
+    (soil + (plant - soil) * cover) * (1.0 + 0.4 * coarse + 0.12 * gaps + leaves)
 }
 
 fn border_distance(outline: &Outline, p: Vec2) -> f32 {

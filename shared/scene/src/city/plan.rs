@@ -13,7 +13,7 @@ pub(super) const KERB_HEIGHT_M: f32 = 0.14;
 /// Radius of the kerb at a block's corners, metres.
 pub(super) const CORNER_RADIUS_M: f32 = 3.2;
 /// How far the town goes on beyond the flown square, metres.
-const TOWN_MARGIN_M: f32 = 12.0;
+const TOWN_MARGIN_M: f32 = 30.0;
 /// Wavelength and amplitude of the bend from plan to world, metres.
 const BEND_M: (f32, f32) = (150.0, 11.0);
 

@@ -37,8 +37,8 @@ pub(super) struct World {
 const MIDDLE_AND_CORNERS: [(f64, f64); 5] = [(0.0, 0.0), (-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)];
 const SIDES: [(f64, f64); 4] = [(0.0, -1.0), (-1.0, 0.0), (1.0, 0.0), (0.0, 1.0)];
 /// Differences of the square roots of linear values above this call for all nine samples: about
-/// six steps of 255 in the picture.
-const UNEVEN: f32 = 0.025;
+/// fifteen steps of 255 in the picture.
+const UNEVEN: f32 = 0.06;
 
 /// A camera ready to shoot rays.
 #[derive(Clone, Copy, Debug)]

@@ -26,11 +26,12 @@ const TRIES: usize = 4;
 
 /// The cloud of a flight.
 pub(super) fn cloud(world: &World, cameras: &[Camera], seed: u64) -> Vec<SparsePoint> {
+    let sight = Sight::new(&world.bvh, cameras);
     let per_view: Vec<Vec<SparsePoint>> = (0..cameras.len())
         .into_par_iter()
         .map(|view| {
             let rng = Rng::new(seed, 0x1000 + view as u64);
-            Finder { world, sight: Sight { bvh: &world.bvh, cameras }, view, rng }.features()
+            Finder { world, sight: &sight, view, rng }.features()
         })
         .collect();
     per_view.into_iter().flatten().collect()
@@ -38,7 +39,7 @@ pub(super) fn cloud(world: &World, cameras: &[Camera], seed: u64) -> Vec<SparseP
 
 struct Finder<'a> {
     world: &'a World,
-    sight: Sight<'a>,
+    sight: &'a Sight<'a>,
     view: usize,
     rng: Rng,
 }

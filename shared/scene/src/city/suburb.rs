@@ -220,7 +220,7 @@ pub(super) fn park(site: &mut Site, pond: Option<(Vec2, f32, f32)>) {
         }
     }
     if let Some((uv, radius_m, level)) = pond {
-        site.cover(Outline::Disc(uv, 1.16 * radius_m), Surface::Sand);
+        site.cover(Outline::Disc(uv, 1.1 * radius_m), Surface::Gravel);
         site.reserve((uv - radius_m, uv + radius_m));
         let mut frame = site.frame(uv, Vec2::X);
         frame.origin.z = level;

@@ -72,7 +72,7 @@ fn broad(mesh: &mut Mesh, frame: &Frame, height_m: f32, detail: Detail, palette:
     trunk(mesh, frame, 0.55 * height_m, 0.028 * height_m, palette);
     let leaf = rng.pick(&palette.leaves);
     let spread = height_m * rng.range(0.26, 0.36);
-    let masses = if detail == Detail::Fine { 4 + rng.index(4) } else { 2 };
+    let masses = if detail == Detail::Fine { 4 + rng.index(4) } else { 3 };
     let around = rng.unit();
     for i in 0..masses {
         let d = unit_circle(around + i as f32 * 0.381_966) * (spread * rng.range(0.35, 0.75));
@@ -100,8 +100,8 @@ impl Crown {
         self.core(mesh, detail, rng);
         let area = self.radii.x * self.radii.y + 2.0 * self.radii.x * self.radii.z;
         let sprays = match detail {
-            Detail::Fine => (10.0 * area).min(160.0),
-            Detail::Coarse => (2.0 * area).min(50.0),
+            Detail::Fine => (15.0 * area).min(190.0),
+            Detail::Coarse => (4.0 * area).min(60.0),
         };
         for _ in 0..sprays as usize {
             self.spray(mesh, detail, rng);
@@ -113,13 +113,13 @@ impl Crown {
         let seed = rng.seed();
         let (points, faces) = if detail == Detail::Fine { sphere() } else { icosahedron() };
         let place = |d: Vec3| {
-            let bulge = 0.92 + 0.26 * noise3(d * 2.3, seed) + 0.12 * noise3(d * 6.1, seed ^ 1);
+            let bulge = 0.80 + 0.28 * noise3(d * 2.3, seed) + 0.12 * noise3(d * 6.1, seed ^ 1);
             self.center + d * self.radii * bulge
         };
         for face in faces {
             let corners = face.map(|i| place(points[i]));
             let hue = rng.signed() * 0.5;
-            let uvs = face.map(|i| Vec2::new(0.62 + 0.25 * (points[i].z * 0.5 + 0.5), hue));
+            let uvs = face.map(|i| Vec2::new(0.50 + 0.25 * (points[i].z * 0.5 + 0.5), hue));
             mesh.triangle(corners, uvs, self.leaf);
         }
     }
@@ -127,19 +127,19 @@ impl Crown {
     /// One loose facet on the outside.
     fn spray(&self, mesh: &mut Mesh, detail: Detail, rng: &mut Rng) {
         let d = direction(rng);
-        let out = rng.range(0.88, 1.16);
+        let out = rng.range(0.76, 1.13);
         let center = self.center + d * self.radii * out;
         let normal = (d + direction(rng) * 0.8).normalize_or_zero();
         let along = normal.any_orthonormal_vector();
         let across = normal.cross(along);
-        let size = rng.range(0.25, 0.62) * if detail == Detail::Fine { 1.0 } else { 1.7 };
+        let size = rng.range(0.28, 0.70) * if detail == Detail::Fine { 1.0 } else { 1.5 };
         let turn = unit_circle(rng.unit());
         let corners = [0.0, 0.31, 0.69].map(|phase| {
             let p = unit_circle(phase + rng.range(-0.05, 0.05));
             let p = Vec2::new(p.x * turn.x - p.y * turn.y, p.x * turn.y + p.y * turn.x);
             center + (along * p.x + across * p.y) * (size * rng.range(0.8, 1.3))
         });
-        let light = 0.72 + 0.35 * (out - 0.88) / 0.28 + 0.12 * d.z;
+        let light = 0.70 + 0.38 * (out - 0.76) / 0.37 + 0.12 * d.z;
         mesh.triangle(corners, [Vec2::new(light, rng.signed()); 3], self.leaf);
     }
 }

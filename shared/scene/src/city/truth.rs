@@ -62,14 +62,14 @@ fn position(triangle: &Triangle, weights: Vec2) -> Vec3 {
 
 /// The seen surface in small triangles.
 pub(super) fn mesh(world: &World, cameras: &[Camera]) -> TruthMesh {
-    let sight = Sight { bvh: &world.bvh, cameras };
+    let sight = Sight::new(&world.bvh, cameras);
     let pieces: Vec<Piece> = (0..world.mesh.triangles.len())
         .into_par_iter()
         .flat_map_iter(|i| {
-            let triangle = &world.mesh.triangles[i];
+            let (triangle, sight) = (&world.mesh.triangles[i], &sight);
             cut(triangle).into_iter().filter_map(move |corners| {
                 let middle = (corners[0] + corners[1] + corners[2]) * (1.0 / 3.0);
-                let normal = seen_side(&sight, triangle, middle)?;
+                let normal = seen_side(sight, triangle, middle)?;
                 Some(Piece { of: i as u32, corners, normal })
             })
         })
@@ -138,7 +138,7 @@ fn weld(world: &World, pieces: &[Piece]) -> TruthMesh {
 
 /// Points spread evenly over the seen area.
 pub(super) fn points(world: &World, cameras: &[Camera], count: usize, seed: u64) -> Vec<TruthPoint> {
-    let sight = Sight { bvh: &world.bvh, cameras };
+    let sight = Sight::new(&world.bvh, cameras);
     let areas = cumulated_areas(&world.mesh.triangles);
     let mut points = Vec::with_capacity(count);
     let per_round = count.div_ceil(BATCH);
