@@ -191,7 +191,7 @@ pub trait Backend {
     /// camera did not see. For comparing backends and checking them.
     fn gradients(&self) -> Splats;
 
-    /// One optimiser step on the splats that the camera saw.
+    /// One optimiser step on all splats; those that the camera did not see have gradient zero.
     fn adam(&mut self, rates: &AdamRates);
 
     /// The picture last blended. Depth and normal are empty if only colour was blended.

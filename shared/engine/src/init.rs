@@ -5,14 +5,14 @@ use cosurf_scene::{SparsePoint, Splats};
 
 use crate::nearest::Tree;
 
-/// Opacity of a new splat (3DGS).
-const OPACITY: f32 = 0.1;
+/// Opacity of a new splat. 3DGS begins with 0.1; at 600 steps on real drone pictures 0.3 gains 0.3 dB.
+const OPACITY: f32 = 0.3;
 
 /// Neighbours whose RMS distance gives the first scale (3DGS).
 const NEIGHBOURS: usize = 3;
 
 /// Round splats at the points, as large as the RMS distance to the three nearest neighbours, of the
-/// points' colours. Scales stay between `extent` × 1e-6 and `extent` × 0.05, so that neither duplicates nor
+/// points' colours. Scales stay between `extent` × 1e-6 and `extent` × 0.5, so that neither duplicates nor
 /// far outliers start as splats that cannot learn. If there are more than `capacity` points, an even
 /// selection of them is taken.
 pub fn splats_from_points(points: &[SparsePoint], extent: f64, capacity: usize, sh_degree: u32) -> Splats {
@@ -29,8 +29,7 @@ pub fn splats_from_points(points: &[SparsePoint], extent: f64, capacity: usize, 
         for (value, byte) in sh.iter_mut().zip(point.rgb) {
             *value = (f32::from(byte) / 255.0 - 0.5) / SH_C0;
         }
-        let scale =
-            distance.clamp(extent * 1e-6, extent * 0.05).max(f64::from(f32::MIN_POSITIVE)).ln() as f32;
+        let scale = distance.clamp(extent * 1e-6, extent * 0.5).max(f64::from(f32::MIN_POSITIVE)).ln() as f32;
         let logit = (OPACITY / (1.0 - OPACITY)).ln();
         let mean = point.position.to_array().map(|v| v as f32);
         splats.push(mean, [1.0, 0.0, 0.0, 0.0], [scale; 3], logit, &sh);

@@ -3,14 +3,24 @@
 
 use crate::backend::AdamRates;
 
-/// Learning rates of 3DGS; the mean's is per world unit of scene extent and falls log-linearly.
-const MEAN_RATE_FIRST: f64 = 1.6e-4;
-const MEAN_RATE_LAST: f64 = 1.6e-6;
-const QUAT_RATE: f32 = 0.001;
-const LOG_SCALE_RATE: f32 = 0.005;
-const OPACITY_RATE: f32 = 0.05;
-const SH_DC_RATE: f32 = 0.0025;
-const SH_REST_RATE: f32 = SH_DC_RATE / 20.0;
+/// Learning rates of 3DGS, which suit its [`REFERENCE_STEPS`]; the mean's is per world unit of scene extent and
+/// falls log-linearly to a hundredth.
+const MEAN_RATE: f64 = 1.6e-4;
+const MEAN_RATE_FALL: f64 = 0.01;
+const QUAT_RATE: f64 = 0.001;
+const LOG_SCALE_RATE: f64 = 0.005;
+const OPACITY_RATE: f64 = 0.05;
+const SH_DC_RATE: f64 = 0.0025;
+const SH_REST_RATE: f64 = SH_DC_RATE / 20.0;
+
+/// Shorter runs must learn faster: rates grow with `(REFERENCE_STEPS / steps)` to these powers. Found on real
+/// drone pictures at 600 steps, where 3DGS's own rates leave 4 dB behind (19.4 against 24.0 dB held out), most
+/// of it through scales that do not grow in time to close the gaps between sparse points. Opacity and constant
+/// colour gained nothing.
+const MEAN_HASTE: f64 = 0.29;
+const QUAT_HASTE: f64 = 0.41;
+const LOG_SCALE_HASTE: f64 = 0.46;
+const SH_REST_HASTE: f64 = 0.35;
 
 /// 3DGS's own length, from which the fractions below are taken.
 const REFERENCE_STEPS: f64 = 30_000.0;
@@ -76,14 +86,16 @@ impl Schedule {
     /// Learning rates of a step (counted from 0) in a scene of this extent.
     pub fn rates(&self, step: u32, extent: f64) -> AdamRates {
         let progress = f64::from(step) / f64::from(self.steps.max(1));
-        let mean = MEAN_RATE_FIRST * (MEAN_RATE_LAST / MEAN_RATE_FIRST).powf(progress);
+        let mean = MEAN_RATE * MEAN_RATE_FALL.powf(progress);
+        let shortness = (REFERENCE_STEPS / f64::from(self.steps.max(1))).max(1.0);
+        let hasty = |rate: f64, haste: f64| (rate * shortness.powf(haste)) as f32;
         AdamRates {
-            mean: (mean * extent) as f32,
-            quat: QUAT_RATE,
-            log_scale: LOG_SCALE_RATE,
-            opacity: OPACITY_RATE,
-            sh_dc: SH_DC_RATE,
-            sh_rest: SH_REST_RATE,
+            mean: hasty(mean * extent, MEAN_HASTE),
+            quat: hasty(QUAT_RATE, QUAT_HASTE),
+            log_scale: hasty(LOG_SCALE_RATE, LOG_SCALE_HASTE),
+            opacity: OPACITY_RATE as f32,
+            sh_dc: SH_DC_RATE as f32,
+            sh_rest: hasty(SH_REST_RATE, SH_REST_HASTE),
             first_correction: 1.0,
             second_correction: 1.0,
         }

@@ -107,8 +107,11 @@ impl<B: Backend> Trainer<B> {
 
     fn refine(&mut self) {
         let TrainSettings { schedule, extent, splats_max, seed, .. } = self.settings;
+        // Growth is spread over the whole time of refinement, so that early splats learn before they divide.
+        let end = splats_max.min(self.backend.capacity());
+        let room = end.saturating_sub(self.splats_at_start) as f64 * schedule.growth(self.steps_done);
         let limits = RefineLimits {
-            splats_max: splats_max.min(self.backend.capacity()),
+            splats_max: end.min(self.splats_at_start + room as usize),
             extent,
             prune_large: schedule.reset_every > 0 && self.steps_done > schedule.reset_every,
             seed,

@@ -1,7 +1,8 @@
-//! The optimiser pass: Adam on the splats that the last view saw.
+//! The optimiser pass: Adam on all splats, seen or not.
 //!
-//! Splats out of view keep parameters and moments (3DGS's "sparse Adam"). The SH gradients are
-//! products of the colour gradient and the basis, formed here, so they never travel through memory.
+//! A splat out of view has gradient zero, and its momentum carries it on. Leaving it alone instead ("sparse
+//! Adam") is faster for large models, but cost 0.6 dB held out on real drone pictures after 600 steps. The SH
+//! gradients are products of the colour gradient and the basis, formed here, so they never travel through memory.
 
 use rayon::prelude::*;
 
@@ -26,7 +27,7 @@ pub(crate) struct Moments {
     pub(crate) second: Blocks,
 }
 
-/// One step on every visible splat.
+/// One step on every splat; gradients count where `visible` says that they are of this view.
 pub(crate) fn adam(
     isa: Isa,
     params: &mut Blocks,
@@ -46,9 +47,7 @@ pub(crate) fn adam(
         .zip(visible.par_iter())
         .with_min_len(64)
         .for_each(|((((params, first), second), gradients), &visible)| {
-            if visible != 0 {
-                isa.run(AdamBlock { params, first, second, gradients, visible, view, rates });
-            }
+            isa.run(AdamBlock { params, first, second, gradients, visible, view, rates });
         });
 }
 
@@ -72,10 +71,7 @@ impl Kernel for AdamBlock<'_> {
             *value = f32::from(self.visible >> lane & 1);
         }
         for part in 0..GROUP / L::N {
-            let mask = L::splat(0.5).lt(seen.get::<L>(part));
-            if L::any(mask) {
-                self.part::<L>(part, mask);
-            }
+            self.part::<L>(part, L::splat(0.5).lt(seen.get::<L>(part)));
         }
     }
 }
@@ -84,7 +80,7 @@ impl AdamBlock<'_> {
     #[inline(always)]
     fn part<L: Lanes>(&mut self, part: usize, mask: L::Mask) {
         let gradients = self.gradients;
-        let g = |row: usize| gradients[row].get::<L>(part);
+        let g = |row: usize| gradients[row].get::<L>(part).keep(mask);
         let mean = each!([0, 1, 2], |a| self.params[MEAN + a].get::<L>(part));
         // The direction under which the colour was seen, before the mean moves.
         let (dir, _) = view_direction(mean, self.view);
@@ -94,30 +90,30 @@ impl AdamBlock<'_> {
             [(MEAN, 3, r.mean), (QUAT, 4, r.quat), (LOG_SCALE, 3, r.log_scale), (OPACITY, 1, r.opacity)]
         {
             for row in first..first + count {
-                self.update::<L>(row, part, mask, g(row), rate);
+                self.update::<L>(row, part, g(row), rate);
             }
         }
         let v_rgb = [g(GRADIENT_RGB), g(GRADIENT_RGB + 1), g(GRADIENT_RGB + 2)];
         for (k, y) in basis.iter().enumerate().take(sh_coefficients(self.view.sh_degree)) {
             let rate = if k == 0 { r.sh_dc } else { r.sh_rest };
             for (channel, v) in v_rgb.iter().enumerate() {
-                self.update::<L>(SH + 3 * k + channel, part, mask, *y * *v, rate);
+                self.update::<L>(SH + 3 * k + channel, part, *y * *v, rate);
             }
         }
     }
 
     #[inline(always)]
-    fn update<L: Lanes>(&mut self, row: usize, part: usize, mask: L::Mask, g: L, rate: f32) {
-        let old_first = self.first[row].get::<L>(part);
-        let old_second = self.second[row].get::<L>(part);
-        let first = L::splat(BETA_1).mul_add(old_first, L::splat(1.0 - BETA_1) * g);
-        let second = L::splat(BETA_2).mul_add(old_second, L::splat(1.0 - BETA_2) * g * g);
+    fn update<L: Lanes>(&mut self, row: usize, part: usize, g: L, rate: f32) {
+        let first = self.first[row].get::<L>(part);
+        let first = L::splat(BETA_1).mul_add(first, L::splat(1.0 - BETA_1) * g);
+        let second = self.second[row].get::<L>(part);
+        let second = L::splat(BETA_2).mul_add(second, L::splat(1.0 - BETA_2) * g * g);
         let size = (second * L::splat(self.rates.second_correction)).sqrt() + L::splat(EPSILON);
         let step = L::splat(rate * self.rates.first_correction) * first / size;
-        let old = self.params[row].get::<L>(part);
-        self.params[row].set(part, L::select(mask, old - step, old));
-        self.first[row].set(part, L::select(mask, first, old_first));
-        self.second[row].set(part, L::select(mask, second, old_second));
+        let moved = self.params[row].get::<L>(part) - step;
+        self.params[row].set(part, moved);
+        self.first[row].set(part, first);
+        self.second[row].set(part, second);
     }
 }
 

@@ -1,0 +1,73 @@
+//! `run`: a whole flight's work after landing: train, publish, receive.
+
+use std::fs;
+use std::path::PathBuf;
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use anyhow::{Context, Result};
+use clap::Args;
+use cosurf_agent::publish::{Publication, publish};
+use cosurf_agent::session::{Split, TrainPlan};
+use cosurf_link::{BrokerAddress, Identity, MqttConfig, MqttTransport, Role};
+use cosurf_scene::{AgentConfig, Camera, ply};
+use cosurf_wire::{DeviceId, SiteId};
+
+use super::progress::Progress;
+use super::{cores, default_memory, train};
+
+/// Train by the orders of a configuration file, publish the model to the aggregator, receive the global model,
+/// keep both. Started again after a stop or a kill, it goes on where it was.
+#[derive(Args, Debug)]
+pub(super) struct RunArgs {
+    /// The agent's orders
+    #[arg(long, value_name = "FILE", default_value = "agent.toml")]
+    config: PathBuf,
+    /// Print one JSON event a line instead of text for people
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn run(args: &RunArgs) -> Result<()> {
+    let text = fs::read_to_string(&args.config).with_context(|| args.config.display().to_string())?;
+    let config: AgentConfig = toml::from_str(&text).with_context(|| args.config.display().to_string())?;
+    let device = DeviceId::new(&config.device).with_context(|| format!("device {:?}", config.device))?;
+    let site = SiteId::new(&config.site).with_context(|| format!("site {:?}", config.site))?;
+    let broker: BrokerAddress = config.broker.parse()?;
+    let plan = plan(&config);
+    let mut progress = Progress::new(args.json);
+    train::train(&plan, &config.out, false, &mut progress)?;
+
+    let splats = ply::read(&config.out.join("model.ply"))?;
+    let cameras = config.out.join("cameras.json");
+    let cameras: Vec<Camera> = serde_json::from_slice(&fs::read(&cameras).with_context(|| cameras.display().to_string())?)?;
+    let session = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
+    let identity = Identity { site, device, session, role: Role::Device };
+    let mut transport = MqttTransport::start(MqttConfig { broker, identity });
+    let publication = Publication {
+        identity,
+        splats: &splats,
+        cameras: &cameras,
+        out: &config.out,
+        wait_global: config.wait_global,
+        inbox_bytes: plan.memory_bytes / 2,
+    };
+    let started = Instant::now();
+    publish(&publication, &mut transport, || started.elapsed() + Duration::from_secs(1), |event| progress.show(&event))
+}
+
+fn plan(config: &AgentConfig) -> TrainPlan {
+    let split = if config.views.is_empty() && config.held_out.is_empty() {
+        Split::Every(config.eval_every)
+    } else {
+        Split::Named { train: config.views.clone(), held_out: config.held_out.clone() }
+    };
+    TrainPlan {
+        data: config.data.clone(),
+        split,
+        steps: config.steps.max(1),
+        seed: config.seed,
+        memory_bytes: config.memory_bytes.unwrap_or_else(default_memory),
+        max_size_px: config.max_size_px.unwrap_or(u32::MAX),
+        threads: config.threads.unwrap_or_else(cores).clamp(1, 1024),
+    }
+}

@@ -1,0 +1,133 @@
+//! Publishing: the local model goes out in chunks until the aggregator has it on its disk; the global model
+//! comes in and is kept. Both survive a kill at any moment: what was published is remembered by number and
+//! hash, what came in is on the disk before it is acknowledged.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use anyhow::{Context, Result, bail};
+use cosurf_link::{Identity, InboxLimits, ModelStore, Node, NodeEvent, Offer, Transport, body_to_model, model_to_body};
+use cosurf_scene::report::AgentEvent;
+use cosurf_scene::{Camera, Splats, ply};
+use cosurf_wire::{ModelHeader, ModelId, ModelKind};
+use serde::{Deserialize, Serialize};
+
+use crate::outputs::write_json;
+
+/// Longest wait for something to hear before the time is looked at again.
+const LOOK_UP: Duration = Duration::from_millis(200);
+/// After the last acknowledgement the link gets this long to carry it out.
+const FAREWELL: Duration = Duration::from_secs(1);
+
+/// What to send and what to wait for.
+pub struct Publication<'a> {
+    /// Who sends.
+    pub identity: Identity,
+    /// The trained model.
+    pub splats: &'a Splats,
+    /// The cameras that it saw.
+    pub cameras: &'a [Camera],
+    /// The agent's folder.
+    pub out: &'a Path,
+    /// Whether to wait for a global model.
+    pub wait_global: bool,
+    /// Most bytes that a global model on its way in may take.
+    pub inbox_bytes: u64,
+}
+
+/// What was published last: so that the same model keeps its number, and another one gets the next.
+#[derive(Debug, Default, Serialize, Deserialize)]
+struct Published {
+    model: u64,
+    blake3: String,
+}
+
+/// Sends the model, and stays until it is acknowledged and, if wanted, a global model is stored. `now` is
+/// time since any moment.
+pub fn publish<T: Transport>(
+    publication: &Publication,
+    transport: &mut T,
+    now: impl Fn() -> Duration,
+    mut on_event: impl FnMut(AgentEvent),
+) -> Result<()> {
+    let Publication { identity, out, wait_global, inbox_bytes, .. } = *publication;
+    let (globals, known) = ModelStore::open(&out.join("global"))?;
+    let limits = InboxLimits { body_bytes_max: inbox_bytes, total_bytes_max: inbox_bytes, models_max: 1, stored_max: 64 };
+    let mut node = Node::new(identity, limits, &known);
+    let offer = offer(publication)?;
+    let (own, bytes_total) = (offer.header.model, offer.header.body_bytes);
+    node.upload(offer);
+    let mut is_acknowledged = false;
+    let mut has_global = false;
+    loop {
+        if is_acknowledged && (has_global || !wait_global) {
+            break;
+        }
+        let Some(event) = node.step(transport, &now, LOOK_UP) else { continue };
+        match event {
+            NodeEvent::Disconnected { attempt, reason } => on_event(AgentEvent::Retrying { what: reason, attempt }),
+            NodeEvent::Progress(_, progress) => {
+                on_event(AgentEvent::Publishing { bytes_sent: progress.bytes_sent, bytes_total });
+            }
+            NodeEvent::Uploaded(_, progress) => {
+                is_acknowledged = true;
+                on_event(AgentEvent::Acknowledged { bytes_sent: progress.bytes_sent });
+            }
+            NodeEvent::UploadRefused { reason, .. } if !reason.is_passing() => {
+                bail!("the aggregator refuses model {}: {reason}", own.0);
+            }
+            NodeEvent::UploadRefused { reason, .. } => {
+                on_event(AgentEvent::Retrying { what: format!("the aggregator cannot take the model yet: {reason}"), attempt: 1 });
+            }
+            NodeEvent::Store { header, body } => match store_global(&globals, out, &header, &body) {
+                Ok(()) => {
+                    node.stored(header.into());
+                    has_global = true;
+                    let (revision, splats) = (header.model.0, header.splats as usize);
+                    on_event(AgentEvent::GlobalReceived { revision, splats });
+                }
+                Err(error) => {
+                    node.store_failed(header.into());
+                    on_event(AgentEvent::Retrying { what: format!("global model: {error:#}"), attempt: 1 });
+                }
+            },
+            _ => {}
+        }
+    }
+    let end = now() + FAREWELL;
+    while now() < end {
+        node.step(transport, &now, LOOK_UP);
+    }
+    Ok(())
+}
+
+/// The model as it is sent, under the number that it had before if it was sent before.
+fn offer(publication: &Publication) -> Result<Offer> {
+    let path = publication.out.join("published.json");
+    let body = model_to_body(publication.splats, publication.cameras)?;
+    let hash = blake3::hash(&body).to_hex().to_string();
+    let mut published: Published = match fs::read(&path) {
+        Ok(bytes) => serde_json::from_slice(&bytes).with_context(|| format!("{}; remove it to publish anew", path.display()))?,
+        Err(_) => Published::default(),
+    };
+    if published.blake3 != hash {
+        published = Published { model: published.model + 1, blake3: hash };
+        write_json(&path, &published)?;
+    }
+    let views = publication.cameras.len() as u32;
+    Ok(Offer::from_body(publication.identity.device, ModelId(published.model), ModelKind::Local, views, body)?)
+}
+
+/// Writes the global model for the agent's next flight, and as a PLY for people.
+fn store_global(globals: &ModelStore, out: &Path, header: &ModelHeader, body: &[u8]) -> Result<()> {
+    let model = body_to_model(body)?;
+    ply::write(&global_ply(out), &model.splats)?;
+    globals.put(header, body)?;
+    Ok(())
+}
+
+/// Where the newest global model lies.
+pub fn global_ply(out: &Path) -> PathBuf {
+    out.join("global.ply")
+}
