@@ -78,7 +78,8 @@ impl Progress {
             Style::Bar(bar) => show_bar(bar, event),
             Style::Lines => {
                 if let Some(line) = in_words(event) {
-                    eprintln!("{line}");
+                    // `eprintln!` would end the training when nobody reads any more.
+                    let _ = writeln!(std::io::stderr(), "{line}");
                 }
             }
         }

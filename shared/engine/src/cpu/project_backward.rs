@@ -276,9 +276,9 @@ fn to_world<L: Lanes>(g: &Geometry<L>, view: &ViewParams, from: &CameraGradients
     let w = each!([0, 1, 2], |r| each!([0, 1, 2], |a| L::splat(view.rotation[r][a])));
     let column = |c: usize| [w[0][c], w[1][c], w[2][c]];
     let v_mean = each!([0, 1, 2], |c| dot3(column(c), from.t));
-    let m = [0, 1, 2].map(|r| {
-        each!([0, 1, 2], |axis| dot3(column(r), [from.u[0][axis], from.u[1][axis], from.u[2][axis]]))
-    });
+    let m = each!([0, 1, 2], |r| each!([0, 1, 2], |axis| {
+        dot3(column(r), [from.u[0][axis], from.u[1][axis], from.u[2][axis]])
+    }));
     let [qw, x, y, z] = g.q;
     let two = L::splat(2.0);
     let v = [
