@@ -99,7 +99,7 @@ impl City {
         }
     }
 
-    /// The true surface, as far as at least three cameras see it, in triangles of at most a metre.
+    /// The true surface, as far as at least three cameras see it, in small triangles.
     pub fn truth_mesh(&self) -> TruthMesh {
         truth::mesh(&self.world, &self.cameras)
     }

@@ -17,6 +17,8 @@ const BOUNCE: Vec3 = Vec3::new(0.20, 0.175, 0.14);
 const CELL_M: f32 = 1.5;
 /// Radii over which heights are averaged to tell how much of the sky is hidden, metres.
 const RADII_M: [f32; 2] = [2.6, 8.0];
+/// Rays to the sun go in one bundle from places no farther apart than this, metres.
+const BUNDLE_M: f32 = 1.0;
 /// Rays start this far off the surface, metres.
 const LIFT_M: f32 = 0.012;
 
@@ -62,7 +64,7 @@ impl Light {
                     t_min: 0.0,
                     t_max: f32::INFINITY,
                 };
-                bvh.nearest(&ray).map_or(0.0, |hit| highest - hit.t)
+                bvh.nearest(&[ray])[0].map_or(0.0, |hit| highest - hit.t)
             })
             .collect();
         let heights = RADII_M.map(|radius_m| {
@@ -74,12 +76,12 @@ impl Light {
         Self { sun: sun.normalize(), heights }
     }
 
-    /// What the viewer sees, linear.
-    pub(super) fn radiance(&self, bvh: &Bvh, lit: &Lit, look: &Look) -> Vec3 {
+    /// What the viewer sees, linear, where the sun shines or not.
+    pub(super) fn radiance(&self, lit: &Lit, look: &Look, sunny: bool) -> Vec3 {
         let facing = lit.normal.dot(self.sun);
-        let received =
-            facing.max(0.0) + look.translucent * (0.35 * (1.0 - facing.max(0.0)) + facing.min(0.0).abs());
-        let sun = if received > 0.0 && !self.in_shadow(bvh, lit) { received } else { 0.0 };
+        let front = facing.max(0.0);
+        let through = look.translucent * (0.35 * (1.0 - front) + (-facing).max(0.0));
+        let sun = if sunny { front + through } else { 0.0 };
         let open = self.openness(lit.position, lit.normal);
         let upward = 0.5 + 0.5 * lit.normal.z;
         let ambient = SKY * (upward * open) + BOUNCE * ((1.0 - upward) * (0.4 + 0.6 * open));
@@ -95,14 +97,33 @@ impl Light {
         diffuse * (1.0 - part) + (sky(mirrored) * (0.35 + 0.65 * open) + SUN * glint) * part
     }
 
-    fn in_shadow(&self, bvh: &Bvh, lit: &Lit) -> bool {
-        let side = if lit.normal.dot(self.sun) >= 0.0 { LIFT_M } else { -LIFT_M };
-        bvh.blocked(&Ray {
-            origin: lit.position + lit.normal * side,
-            direction: self.sun,
-            t_min: 1e-3,
-            t_max: f32::INFINITY,
-        })
+    /// Whether the sun would light a surface if nothing stood in its way.
+    pub(super) fn reaches(&self, lit: &Lit, look: &Look) -> bool {
+        lit.normal.dot(self.sun) > 0.0 || look.translucent > 0.0
+    }
+
+    /// Whether the sun shines on each of several places, close together at best; not on absent ones.
+    pub(super) fn sunny<const N: usize>(&self, bvh: &Bvh, places: &[Option<Lit>; N]) -> [bool; N] {
+        let Some(any) = places.iter().flatten().next() else { return [false; N] };
+        let rays = places.each_ref().map(|place| {
+            // What is absent asks for its neighbour, which costs next to nothing in a bundle.
+            let lit = place.as_ref().unwrap_or(any);
+            let side = if lit.normal.dot(self.sun) >= 0.0 { LIFT_M } else { -LIFT_M };
+            Ray {
+                origin: lit.position + lit.normal * side,
+                direction: self.sun,
+                t_min: 1e-3,
+                t_max: f32::INFINITY,
+            }
+        });
+        let bounds = (Vec3::MAX, Vec3::MIN);
+        let (low, high) =
+            rays.iter().fold(bounds, |(low, high), ray| (low.min(ray.origin), high.max(ray.origin)));
+        if (high - low).max_element() < BUNDLE_M {
+            let blocked = bvh.blocked(&rays);
+            return std::array::from_fn(|i| places[i].is_some() && !blocked[i]);
+        }
+        std::array::from_fn(|i| places[i].is_some() && !bvh.blocked(&[rays[i]])[0])
     }
 
     /// How much of the sky is left over what stands around, 0 to 1.

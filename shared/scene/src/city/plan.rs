@@ -257,12 +257,16 @@ impl Plan {
             .map(|(i, b)| (self.to_world((b.min + b.max) * 0.5).length() + rng.range(0.0, 30.0), i))
             .collect();
         by_distance.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let (mut town, mut country) = (0, rng.index(COUNTRY.len()));
+        let mut wanted = INNER.to_vec();
+        let mut country = rng.index(COUNTRY.len());
         for (_, i) in by_distance {
             let block = &mut self.blocks[i];
             if block.kind == Villas {
-                block.kind = if town < INNER.len() { INNER[town] } else { rng.pick(&OUTER) };
-                town += 1;
+                let size = block.max - block.min;
+                // A square on two blocks would be a desert.
+                let fits = |kind: &BlockKind| *kind != Plaza || size.max_element() < 1.5 * size.min_element();
+                let next = wanted.iter().position(fits).map(|at| wanted.remove(at));
+                block.kind = next.unwrap_or_else(|| rng.pick(&OUTER));
             } else {
                 block.kind = COUNTRY[country % COUNTRY.len()];
                 country += 1 + rng.index(2);

@@ -103,24 +103,30 @@ impl World {
 
     fn pixel(&self, shooter: &Shooter, x: u32, y: u32) -> Pixel {
         let center = DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5);
-        let sample = |(dx, dy): (f64, f64)| {
-            let ray = shooter.ray(center + DVec2::new(dx, dy) * (1.0 / 3.0));
-            let hit = self.bvh.nearest(&ray);
-            (hit, hit.map_or(Vec3::ZERO, |hit| self.shade(&ray, &hit, shooter.footprint)))
-        };
-        let first = MIDDLE_AND_CORNERS.map(sample);
-        let colors = first.map(|(_, color)| color);
+        let (hits, colors) = self.samples(shooter, center, MIDDLE_AND_CORNERS);
         let color = if is_uneven(&colors) {
-            let more = SIDES.map(|at| sample(at).1);
+            let (_, more) = self.samples(shooter, center, SIDES);
             colors.iter().chain(&more).sum::<Vec3>() * (1.0 / 9.0)
         } else {
             colors.iter().sum::<Vec3>() * 0.2
         };
-        let (depth, normal) = match first[0].0 {
+        let (depth, normal) = match hits[0] {
             Some(hit) => self.exact(shooter, center, &hit),
             None => (0.0, [0.0; 3]),
         };
         Pixel { rgb: light::encode(color), depth, normal }
+    }
+
+    /// What is seen around a pixel's centre, at these thirds of a pixel.
+    fn samples<const N: usize>(
+        &self,
+        shooter: &Shooter,
+        center: DVec2,
+        thirds: [(f64, f64); N],
+    ) -> ([Option<Hit>; N], [Vec3; N]) {
+        let rays = thirds.map(|(dx, dy)| shooter.ray(center + DVec2::new(dx, dy) * (1.0 / 3.0)));
+        let hits = self.bvh.nearest(&rays);
+        (hits, self.shade(&rays, &hits, shooter.footprint))
     }
 
     /// Depth and camera-frame normal of the plane that was hit, in double precision.
@@ -135,8 +141,31 @@ impl World {
         (depth as f32, in_camera.as_vec3().to_array())
     }
 
-    /// What a ray sees where it hit, linear.
-    pub(super) fn shade(&self, ray: &Ray, hit: &Hit, footprint: f32) -> Vec3 {
+    /// What rays see where they hit, linear; black where they hit nothing.
+    pub(super) fn shade<const N: usize>(
+        &self,
+        rays: &[Ray; N],
+        hits: &[Option<Hit>; N],
+        footprint: f32,
+    ) -> [Vec3; N] {
+        let mut seen: [Option<(Lit, Look)>; N] = [None; N];
+        for i in 0..N {
+            seen[i] = hits[i].map(|hit| self.surface(&rays[i], &hit, footprint));
+        }
+        let in_question = |(lit, look): (Lit, Look)| self.light.reaches(&lit, &look).then_some(lit);
+        let asked = seen.map(|surface| surface.and_then(in_question));
+        let sunny = self.light.sunny(&self.bvh, &asked);
+        let mut colors = [Vec3::ZERO; N];
+        for i in 0..N {
+            if let Some((lit, look)) = &seen[i] {
+                colors[i] = self.light.radiance(lit, look, sunny[i]);
+            }
+        }
+        colors
+    }
+
+    /// The surface that a ray hit.
+    fn surface(&self, ray: &Ray, hit: &Hit, footprint: f32) -> (Lit, Look) {
         let length = ray.direction.length();
         let to_viewer = -ray.direction * (1.0 / length);
         let [a, b, c] = self.mesh.triangles[hit.triangle as usize].corners;
@@ -147,8 +176,7 @@ impl World {
         let stretch = 0.5 + 0.5 / cosine.abs().max(0.2);
         let footprint_m = footprint * hit.t * length * stretch;
         let spot = self.spot(hit.triangle, hit.barycentric, footprint_m);
-        let lit = Lit { position: spot.position, normal, to_viewer };
-        self.light.radiance(&self.bvh, &lit, &self.look(hit.triangle, &spot))
+        (Lit { position: spot.position, normal, to_viewer }, self.look(hit.triangle, &spot))
     }
 
     /// A place's colour in its light, linear, without what depends on the view.
@@ -162,7 +190,8 @@ impl World {
         let spot = self.spot(triangle, weights, footprint_m);
         let lit = Lit { position: spot.position, normal, to_viewer: normal };
         let look = Look { mirror: 0.0, ..self.look(triangle, &spot) };
-        self.light.radiance(&self.bvh, &lit, &look)
+        let [sunny] = self.light.sunny(&self.bvh, &[self.light.reaches(&lit, &look).then_some(lit)]);
+        self.light.radiance(&lit, &look, sunny)
     }
 
     fn look(&self, triangle: u32, spot: &Spot) -> Look {

@@ -78,11 +78,7 @@ impl<'a> Sight<'a> {
     /// a place is most often close to it.
     fn is_clear(&self, i: usize, point: DVec3) -> bool {
         let line = (self.eyes[i].center - point).as_vec3();
-        !self.bvh.blocked(&Ray {
-            origin: point.as_vec3(),
-            direction: line,
-            t_min: SLACK_M / line.length(),
-            t_max: 1.0,
-        })
+        let t_min = SLACK_M / line.length();
+        !self.bvh.blocked(&[Ray { origin: point.as_vec3(), direction: line, t_min, t_max: 1.0 }])[0]
     }
 }

@@ -83,8 +83,9 @@ impl Finder<'_> {
         let shooter = Shooter::new(self.camera());
         let color = |p_px: DVec2| {
             let ray = shooter.ray(p_px);
-            let hit = self.world.bvh.nearest(&ray)?;
-            Some((self.world.shade(&ray, &hit, shooter.footprint()), hit.t))
+            let [hit] = self.world.bvh.nearest(&[ray]);
+            let [color] = self.world.shade(&[ray], &[hit], shooter.footprint());
+            Some((color, hit?.t))
         };
         let (middle, depth) = color(p_px)?;
         let contrast = [DVec2::new(1.2, 0.3), DVec2::new(-0.3, 1.2), DVec2::new(-0.9, -0.9)]

@@ -119,14 +119,14 @@ fn the_hierarchy_finds_what_brute_force_finds() {
             let axis = [Vec3::X, Vec3::NEG_Y, Vec3::NEG_Z][i % 3];
             let direction = if i % 4 == 0 { axis } else { point(&mut rng) };
             let ray = Ray { origin, direction, t_min: 0.0, t_max: f32::INFINITY };
-            let found = bvh.nearest(&ray);
+            let [found] = bvh.nearest(&[ray]);
             let expected = brute_force(&exact, origin.as_dvec3(), direction.as_dvec3());
             assert_eq!(found.is_some(), expected.is_some(), "ray {i} of {count} triangles");
-            assert_eq!(bvh.blocked(&ray), expected.is_some());
+            assert_eq!(bvh.blocked(&[ray]), [expected.is_some()]);
             if let (Some(Hit { t, .. }), Some((depth, _))) = (found, expected) {
                 met += 1;
                 assert!((f64::from(t) - depth).abs() < 1e-4 * depth.max(1.0), "{t} {depth}");
-                assert!(!bvh.blocked(&Ray { t_max: 0.999 * t, ..ray }), "nothing is before the nearest");
+                assert!(!bvh.blocked(&[Ray { t_max: 0.999 * t, ..ray }])[0], "nothing is before the nearest");
             }
         }
         assert!(count < 300 || met > 100, "{met} rays met something");

@@ -15,7 +15,7 @@ use crate::Camera;
 /// The surface counts as seen where this many cameras see it.
 const CAMERAS_MIN: usize = 3;
 /// Longest edge of the mesh's triangles, metres.
-const EDGE_M: f32 = 1.0;
+const EDGE_M: f32 = 1.6;
 /// Colours are those of places this large, metres.
 const FOOTPRINT_M: f32 = 0.12;
 /// Points tried at once by one thread.

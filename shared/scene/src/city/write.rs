@@ -14,7 +14,7 @@ const TRUTH: &str = "gt";
 /// JPEG quality of the pictures.
 const QUALITY: u8 = 95;
 /// Truth points per square metre of the flown square, and how many there are at least and at most.
-const POINTS_PER_M2: f64 = 4.0;
+const POINTS_PER_M2: f64 = 2.0;
 const POINTS_RANGE: (f64, f64) = (20_000.0, 400_000.0);
 
 pub(super) fn write(
