@@ -1,0 +1,230 @@
+//! The agent as a user meets it: same bytes for any number of threads and after a kill, memory kept, and one
+//! clear line for everything that is wrong with what it is given.
+
+#![allow(clippy::unwrap_used)]
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+use std::sync::OnceLock;
+use std::time::{Duration, Instant};
+
+use cosurf_scene::city::{City, CitySettings};
+use tempfile::TempDir;
+
+/// A small town, made once for all tests of this file.
+fn town() -> &'static Path {
+    static TOWN: OnceLock<TempDir> = OnceLock::new();
+    TOWN.get_or_init(|| {
+        let folder = tempfile::tempdir().unwrap();
+        let settings =
+            CitySettings { extent_m: 40.0, views: 12, size_px: [96, 72], ..CitySettings::default() };
+        City::build(&settings).unwrap().write(folder.path(), |_, _| ()).unwrap();
+        folder
+    })
+    .path()
+}
+
+/// A copy of the town that a test may damage.
+fn copy_of_town() -> TempDir {
+    fn copy(from: &Path, to: &Path) {
+        fs::create_dir_all(to).unwrap();
+        for entry in fs::read_dir(from).unwrap() {
+            let entry = entry.unwrap();
+            let target = to.join(entry.file_name());
+            if entry.file_type().unwrap().is_dir() {
+                copy(&entry.path(), &target);
+            } else {
+                fs::copy(entry.path(), target).unwrap();
+            }
+        }
+    }
+    let folder = tempfile::tempdir().unwrap();
+    copy(town(), folder.path());
+    folder
+}
+
+fn agent(words: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_cosurf-agent"));
+    command.args(words).stdin(Stdio::null());
+    command
+}
+
+fn train(data: &Path, out: &Path, words: &[&str]) -> Command {
+    let mut command = agent(&["train"]);
+    command.arg(data).arg("--out").arg(out).args(words);
+    command
+}
+
+fn stderr(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+fn succeed(mut command: Command) {
+    let output = command.output().unwrap();
+    assert!(output.status.success(), "{}", stderr(&output));
+}
+
+/// Runs a command that must fail with exactly one line that names the program and contains `parts`.
+fn refuse(mut command: Command, parts: &[&str]) {
+    let output = command.output().unwrap();
+    assert!(!output.status.success(), "should have failed: {parts:?}");
+    let text = stderr(&output);
+    let errors: Vec<&str> = text.lines().filter(|line| line.starts_with("cosurf-agent: ")).collect();
+    assert_eq!(errors.len(), 1, "one line: {text}");
+    assert!(!text.contains("panicked"), "{text}");
+    for part in parts {
+        assert!(errors[0].contains(part), "{part:?} is not in {:?}", errors[0]);
+    }
+}
+
+fn model(out: &Path) -> Vec<u8> {
+    fs::read(out.join("model.ply")).unwrap()
+}
+
+#[test]
+fn threads_do_not_change_a_byte_but_the_seed_does() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = |name: &str| folder.path().join(name);
+    for threads in ["1", "2", "8"] {
+        succeed(train(town(), &out(threads), &["--steps", "120", "--threads", threads]));
+    }
+    succeed(train(town(), &out("seed"), &["--steps", "120", "--seed", "1"]));
+    assert!(model(&out("1")) == model(&out("2")), "2 threads");
+    assert!(model(&out("1")) == model(&out("8")), "8 threads");
+    assert!(model(&out("1")) != model(&out("seed")), "another seed");
+}
+
+#[test]
+fn killed_and_started_again_it_ends_in_the_same_bytes() {
+    let folder = tempfile::tempdir().unwrap();
+    let (whole, broken) = (folder.path().join("whole"), folder.path().join("broken"));
+    let words = ["--steps", "400"];
+    succeed(train(town(), &whole, &words));
+    let state = broken.join("checkpoint/state.bin");
+    let mut child =
+        train(town(), &broken, &words).stderr(Stdio::null()).stdout(Stdio::null()).spawn().unwrap();
+    let started = Instant::now();
+    while !state.exists() {
+        assert!(started.elapsed() < Duration::from_secs(120), "no checkpoint");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    assert!(!broken.join("model.ply").exists(), "it was killed too late to show anything");
+    let output = train(town(), &broken, &words).output().unwrap();
+    assert!(stderr(&output).contains("going on after step"), "{}", stderr(&output));
+    assert!(model(&whole) == model(&broken));
+}
+
+#[test]
+fn a_checkpoint_of_another_training_or_a_damaged_one_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    succeed(train(town(), &out, &["--steps", "20"]));
+    refuse(train(town(), &out, &["--steps", "21"]), &["other data or settings", "--fresh"]);
+    let state = out.join("checkpoint/state.bin");
+    let mut bytes = fs::read(&state).unwrap();
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 0x10;
+    fs::write(&state, &bytes).unwrap();
+    refuse(train(town(), &out, &["--steps", "20"]), &["state.bin", "--fresh"]);
+    fs::write(&state, &bytes[..bytes.len() / 3]).unwrap();
+    refuse(train(town(), &out, &["--steps", "20"]), &["state.bin", "--fresh"]);
+    fs::write(&state, b"hello").unwrap();
+    refuse(train(town(), &out, &["--steps", "20"]), &["state.bin", "--fresh"]);
+    succeed(train(town(), &out, &["--steps", "20", "--fresh"]));
+}
+
+#[test]
+fn memory_is_kept_and_what_was_given_up_is_said() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    succeed(train(town(), &out, &["--steps", "60", "--memory", "40MiB", "--threads", "2"]));
+    let report: serde_json::Value =
+        serde_json::from_slice(&fs::read(out.join("report.json")).unwrap()).unwrap();
+    let peak = report["peak_memory_bytes"].as_u64().unwrap();
+    assert!(peak < 40 << 20, "{peak} bytes");
+    for field in ["steps", "seconds", "steps_per_s", "splats", "psnr", "ssim", "seed", "device"] {
+        assert!(!report[field].is_null(), "{field}");
+    }
+    refuse(
+        train(town(), &out, &["--steps", "5", "--fresh", "--memory", "20MiB"]),
+        &["20.0 MiB", "at least --memory"],
+    );
+}
+
+#[test]
+fn bad_datasets_get_one_clear_line() {
+    let out = tempfile::tempdir().unwrap();
+    let damaged = |damage: &dyn Fn(&Path), parts: &[&str]| {
+        let data = copy_of_town();
+        damage(data.path());
+        refuse(train(data.path(), &out.path().join("o"), &["--steps", "3"]), parts);
+    };
+    let picture = |data: &Path| -> PathBuf {
+        let mut names: Vec<_> =
+            fs::read_dir(data.join("images")).unwrap().map(|e| e.unwrap().path()).collect();
+        names.sort();
+        names.swap_remove(3)
+    };
+    damaged(&|data| fs::remove_file(picture(data)).unwrap(), &["missing"]);
+    damaged(&|data| fs::write(picture(data), b"").unwrap(), &["empty"]);
+    damaged(&|data| fs::write(picture(data), b"not a picture").unwrap(), &[".jpg"]);
+    damaged(
+        &|data| {
+            let path = data.join("sparse/0/points3D.bin");
+            let bytes = fs::read(&path).unwrap();
+            fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
+        },
+        &["points3D.bin"],
+    );
+    damaged(
+        &|data| {
+            let path = data.join("sparse/0/cameras.bin");
+            let mut bytes = fs::read(&path).unwrap();
+            bytes[12..16].copy_from_slice(&4i32.to_le_bytes());
+            fs::write(&path, bytes).unwrap();
+        },
+        &["OPENCV", "colmap image_undistorter"],
+    );
+    refuse(train(&out.path().join("nothing"), out.path(), &["--steps", "3"]), &["nothing"]);
+}
+
+#[test]
+fn bad_models_get_one_clear_line() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    succeed(train(town(), &out, &["--steps", "5"]));
+    let whole = model(&out);
+    let header = 11 + whole.windows(10).position(|bytes| bytes == b"end_header").unwrap();
+    let eval = |bytes: &[u8], parts: &[&str]| {
+        let path = folder.path().join("bad.ply");
+        fs::write(&path, bytes).unwrap();
+        let mut command = agent(&["eval"]);
+        command.arg(&path).arg(town());
+        refuse(command, parts);
+    };
+    let mut nan = whole.clone();
+    nan[header..header + 4].copy_from_slice(&f32::NAN.to_le_bytes());
+    eval(&nan, &["bad.ply", "vertex 0", "NaN"]);
+    eval(&whole[..whole.len() - 10], &["bad.ply"]);
+    let claim = String::from_utf8_lossy(&whole[..header]).into_owned();
+    let count = claim.lines().find_map(|line| line.strip_prefix("element vertex ")).unwrap().to_owned();
+    eval(claim.replace(&count, "1000000000000").as_bytes(), &["bad.ply", "1000000000000"]);
+}
+
+#[test]
+fn rendering_leaves_pictures_and_depths() {
+    let folder = tempfile::tempdir().unwrap();
+    let (out, pictures) = (folder.path().join("out"), folder.path().join("pictures"));
+    succeed(train(town(), &out, &["--steps", "5"]));
+    let mut command = agent(&["render"]);
+    command.arg(&out).arg("--cameras").arg(town()).arg("--out").arg(&pictures).args(["--max-size", "48"]);
+    succeed(command);
+    for kind in ["color.png", "depth.png", "normal.png"] {
+        assert_eq!(cosurf_scene::Picture::size_of(&pictures.join(format!("0000.{kind}"))).unwrap(), [48, 36]);
+    }
+    let depths = fs::read(pictures.join("0000.depth.pfm")).unwrap();
+    assert_eq!(depths.len(), "Pf\n48 36\n-1.0\n".len() + 48 * 36 * 4);
+}
