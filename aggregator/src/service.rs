@@ -246,6 +246,10 @@ impl Keeper {
             }
             NodeEvent::Uploaded(..) => ServiceEvent::Delivered,
             NodeEvent::UploadRefused { by, reason, .. } => ServiceEvent::Refused { by, reason },
+            NodeEvent::Refused { key, reason } => {
+                ServiceEvent::Ignored { reason: format!("model {key}: {reason}") }
+            }
+            NodeEvent::LinkTooNarrow(error) => ServiceEvent::Ignored { reason: error.to_string() },
             NodeEvent::State(_) | NodeEvent::Receiving(_) | NodeEvent::Progress(..) => return None,
         })
     }
@@ -253,10 +257,10 @@ impl Keeper {
     fn store(&mut self, node: &mut Node, header: ModelHeader, body: &[u8]) -> ServiceEvent {
         let key = ModelKey { device: header.device, model: header.model };
         if let Err(error) = self.models.put(&header, body) {
-            node.inbox().store_failed(key);
+            node.store_failed(key);
             return ServiceEvent::DiskFailed { reason: format!("model {key} is not stored: {error}") };
         }
-        node.inbox().stored(key);
+        node.stored(key);
         self.note(&header);
         self.merge_at = Some(Duration::ZERO);
         ServiceEvent::Stored { header }

@@ -8,12 +8,16 @@
 //! Where to start reading: [`node`], which holds the machines of one participant together, then
 //! [`uploader`] and [`inbox`] for the conversation's two halves, then [`transport`].
 
+mod bits;
 pub mod body;
 pub mod inbox;
 pub mod memory;
 pub mod mqtt;
 pub mod node;
+mod pacing;
+mod peer;
 pub mod store;
+mod transfer;
 pub mod transport;
 pub mod uploader;
 
@@ -21,12 +25,12 @@ pub use body::{BodyFault, Model, Offer, body_to_model, check_body, model_to_body
 pub use inbox::{Inbox, InboxLimits};
 pub use memory::{Faults, MemoryNetwork, MemoryTransport};
 pub use mqtt::{BrokerAddress, MqttConfig, MqttTransport};
-pub use node::{Identity, Node, NodeEvent, Role, upload_blocking};
+pub use node::{Identity, Node, NodeEvent, Role, UploadFault, upload_blocking};
 pub use store::{ModelStore, StoreError};
-pub use transport::{PublishError, Transport, TransportEvent};
+pub use transport::{Outgoing, PublishError, Transport, TransportEvent};
 pub use uploader::{UploadProgress, Uploader};
 
-use cosurf_wire::{DeviceId, ModelId};
+use cosurf_wire::{DeviceId, ModelHeader, ModelId};
 
 /// A model of a device; unique in a site.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -35,6 +39,18 @@ pub struct ModelKey {
     pub device: DeviceId,
     /// Which of its models.
     pub model: ModelId,
+}
+
+impl From<&ModelHeader> for ModelKey {
+    fn from(header: &ModelHeader) -> Self {
+        Self { device: header.device, model: header.model }
+    }
+}
+
+impl From<ModelHeader> for ModelKey {
+    fn from(header: ModelHeader) -> Self {
+        Self::from(&header)
+    }
 }
 
 impl std::fmt::Display for ModelKey {

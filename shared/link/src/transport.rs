@@ -1,16 +1,16 @@
-//! What a participant needs of a network: publish, subscribe, hear.
+//! What a participant needs of a network: publish, and hear what it subscribed to.
 
 use std::time::Duration;
+
+use cosurf_wire::{
+    MAX_CHUNK_BYTES, MAX_CONTROL_BYTES, MAX_MESSAGE_BYTES, Message, SiteId, Topic, TopicString,
+};
 
 /// Carries bytes under topics, at least once while it is connected, and nothing more: messages may be
 /// lost with a connection, doubled and reordered. The conversation above copes.
 pub trait Transport {
-    /// Asks for everything published under `filter` (MQTT wildcards), now and after each reconnection.
-    fn subscribe(&mut self, filter: &str);
-
-    /// Hands over one message. `retain` keeps it with the broker for those who subscribe later; an
-    /// empty retained payload takes that back.
-    fn publish(&mut self, topic: &str, payload: &[u8], retain: bool) -> Result<(), PublishError>;
+    /// Hands over one message.
+    fn publish(&mut self, message: &Outgoing) -> Result<(), PublishError>;
 
     /// The next thing that happened, waiting for it at most `timeout`.
     fn poll(&mut self, timeout: Duration) -> Option<TransportEvent>;
@@ -26,13 +26,13 @@ pub enum TransportEvent {
         /// Its bytes.
         payload: Vec<u8>,
     },
-    /// The connection stands (again). What was published before may be lost.
+    /// The connection stands (again) with all its subscriptions. What was published before may be lost.
     Connected,
     /// The connection is lost or could not be made; it is tried again without being asked.
     Disconnected {
         /// Failed attempts since it last stood, from 1.
         attempt: u32,
-        /// One line: where to, and why not. Like `broker 127.0.0.1:1883: connection refused (attempt 3)`.
+        /// One line: where to, why not, which attempt.
         reason: String,
     },
 }
@@ -44,11 +44,41 @@ pub enum PublishError {
     #[error("too many messages under way")]
     Busy,
     /// It never can be sent.
-    #[error("message of {bytes} bytes, the link takes {max_bytes}: use smaller chunks")]
+    #[error("message of {bytes} bytes, the link takes {max_bytes}")]
     TooLarge {
-        /// Bytes of topic and payload.
+        /// Bytes of the whole packet.
         bytes: usize,
         /// What the link takes.
         max_bytes: usize,
     },
+}
+
+/// A message to publish.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Outgoing {
+    /// Under which topic.
+    pub topic: TopicString,
+    /// Its bytes; empty and retained takes back what was retained.
+    pub payload: Vec<u8>,
+    /// Whether the broker keeps it for those who subscribe later.
+    pub retain: bool,
+}
+
+impl Outgoing {
+    /// A message, encoded.
+    pub(crate) fn new(site: &SiteId, topic: Topic, message: &Message<'_>, retain: bool) -> Self {
+        let mut payload = match message {
+            Message::Chunk(chunk) => vec![0; chunk.payload.len() + MAX_MESSAGE_BYTES - MAX_CHUNK_BYTES],
+            _ => vec![0; MAX_CONTROL_BYTES],
+        };
+        // A test of the wire holds every message to these sizes.
+        let used = message.encode(&mut payload).expect("every message fits its largest size").len();
+        payload.truncate(used);
+        Self { topic: topic.to_text(site), payload, retain }
+    }
+
+    /// Takes back what is retained under a topic.
+    pub(crate) fn clear(site: &SiteId, topic: Topic) -> Self {
+        Self { topic: topic.to_text(site), payload: Vec::new(), retain: true }
+    }
 }

@@ -7,8 +7,8 @@ use core::str::FromStr;
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// Longest name, in bytes. Ours: room for a host name or a serial number.
-pub const MAX_ID_BYTES: usize = 32;
+/// Longest name, in bytes: a label of a host name (RFC 1035 has 63) fits.
+pub const MAX_ID_BYTES: usize = 64;
 
 /// Why a text is no name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

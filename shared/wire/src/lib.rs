@@ -23,8 +23,10 @@
 //! | [`Want`], [`Done`], [`Refused`] | device → aggregator | `/{device}/global/{want,done,refused}` | no | as above |
 //! | [`State`] | device → all | `/{device}/state` | yes | birth, or by the last will death, of a session |
 //!
-//! Every message is one byte of [`VERSION`], then [postcard](https://postcard.jamesmunns.com/wire-format):
-//! the variant's index, then its fields in the order of their declaration.
+//! Every message is one byte of [`VERSION`], then [postcard](https://postcard.jamesmunns.com/wire-format)
+//! (the variant's index, then its fields in the order of their declaration), then the CRC-32 (of zip and
+//! Ethernet) of all that, little-endian. Every version keeps its first byte and
+//! its checksum there. A damaged message is thrown away like a lost one.
 #![no_std]
 #![forbid(unsafe_code)]
 

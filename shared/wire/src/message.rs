@@ -11,6 +11,8 @@ use crate::missing::Missing;
 
 /// Version of the messages: the first byte of each.
 pub const VERSION: u8 = 1;
+/// Bytes of the CRC-32 that ends each message.
+const CHECKSUM_BYTES: usize = 4;
 /// Largest payload of a chunk. Brokers take 64 KiB everywhere and gain little beyond.
 pub const MAX_CHUNK_BYTES: usize = 64 * 1024;
 /// Largest encoding of any message but a chunk (a [`Want`]; a test holds it to that).
@@ -106,9 +108,6 @@ pub struct Chunk<'a> {
     pub model: ModelId,
     /// Which piece, from 0.
     pub index: u32,
-    /// The first four bytes of the payload's BLAKE3, so that a damaged chunk is asked for alone and
-    /// does not spoil the whole body.
-    pub check: [u8; 4],
     /// The bytes.
     pub payload: &'a [u8],
 }
@@ -222,6 +221,8 @@ pub enum WireError {
     Empty,
     /// A version this build does not know.
     UnknownVersion(u8),
+    /// The checksum does not fit the bytes: they have changed on their way.
+    Damaged,
     /// Not the encoding of any message.
     Malformed,
     /// Bytes after the message.
@@ -241,6 +242,7 @@ impl fmt::Display for WireError {
             Self::UnknownVersion(found) => {
                 write!(f, "message of version {found}, this build speaks {VERSION}: update the older side")
             }
+            Self::Damaged => write!(f, "message damaged on its way"),
             Self::Malformed => write!(f, "malformed message"),
             Self::TrailingBytes => write!(f, "bytes after the end of a message"),
             Self::ChunkTooLong => write!(f, "chunk of more than {MAX_CHUNK_BYTES} bytes"),
@@ -291,18 +293,28 @@ impl<'a> Message<'a> {
     pub fn encode<'o>(&self, out: &'o mut [u8]) -> Result<&'o [u8], WireError> {
         let (version, rest) = out.split_first_mut().ok_or(WireError::BufferTooSmall)?;
         *version = VERSION;
-        let used = postcard::to_slice(self, rest).map_err(|_| WireError::BufferTooSmall)?.len();
-        Ok(&out[..1 + used])
+        let used = 1 + postcard::to_slice(self, rest).map_err(|_| WireError::BufferTooSmall)?.len();
+        let (content, rest) = out.split_at_mut(used);
+        let checksum = rest.first_chunk_mut().ok_or(WireError::BufferTooSmall)?;
+        *checksum = crc32fast::hash(content).to_le_bytes();
+        Ok(&out[..used + CHECKSUM_BYTES])
     }
 
     /// Reads a message; a chunk's payload stays where it is.
     pub fn decode(bytes: &'a [u8]) -> Result<Self, WireError> {
-        let (version, rest) = bytes.split_first().ok_or(WireError::Empty)?;
+        if bytes.is_empty() {
+            return Err(WireError::Empty);
+        }
+        let (content, checksum) = bytes.split_last_chunk::<CHECKSUM_BYTES>().ok_or(WireError::Damaged)?;
+        if crc32fast::hash(content).to_le_bytes() != *checksum {
+            return Err(WireError::Damaged);
+        }
+        let (version, content) = content.split_first().ok_or(WireError::Malformed)?;
         if *version != VERSION {
             return Err(WireError::UnknownVersion(*version));
         }
         let (message, trailing): (Self, _) =
-            postcard::take_from_bytes(rest).map_err(|_| WireError::Malformed)?;
+            postcard::take_from_bytes(content).map_err(|_| WireError::Malformed)?;
         if !trailing.is_empty() {
             return Err(WireError::TrailingBytes);
         }

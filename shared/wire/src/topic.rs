@@ -7,7 +7,7 @@ use core::fmt::{self, Write};
 use crate::id::{DeviceId, IdError, ModelId, SiteId, TileId, parse_decimal};
 
 /// Longest topic in bytes: a chunk of a global model with all names at their longest.
-pub const MAX_TOPIC_BYTES: usize = 112;
+pub const MAX_TOPIC_BYTES: usize = 176;
 
 /// A topic as text.
 pub type TopicString = heapless::String<MAX_TOPIC_BYTES>;

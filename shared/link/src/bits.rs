@@ -1,0 +1,47 @@
+//! A set of chunk numbers of a known count.
+
+/// Numbers below `count`, one bit each.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct BitSet {
+    words: Vec<u64>,
+    ones: u32,
+}
+
+impl BitSet {
+    /// Room for the numbers `0..count`, none in it.
+    pub(crate) fn empty(count: u32) -> Self {
+        Self { words: vec![0; count.div_ceil(64) as usize], ones: 0 }
+    }
+
+    /// All of `0..count`.
+    pub(crate) fn full(count: u32) -> Self {
+        let mut set = Self::empty(count);
+        (0..count).for_each(|i| set.insert(i));
+        set
+    }
+
+    pub(crate) fn contains(&self, i: u32) -> bool {
+        self.words[i as usize / 64] >> (i % 64) & 1 == 1
+    }
+
+    pub(crate) fn insert(&mut self, i: u32) {
+        self.ones += u32::from(!self.contains(i));
+        self.words[i as usize / 64] |= 1 << (i % 64);
+    }
+
+    pub(crate) fn remove(&mut self, i: u32) {
+        self.ones -= u32::from(self.contains(i));
+        self.words[i as usize / 64] &= !(1 << (i % 64));
+    }
+
+    /// How many are in it.
+    pub(crate) fn len(&self) -> u32 {
+        self.ones
+    }
+
+    /// The least in it.
+    pub(crate) fn first(&self) -> Option<u32> {
+        let word = self.words.iter().position(|word| *word != 0)?;
+        Some(word as u32 * 64 + self.words[word].trailing_zeros())
+    }
+}

@@ -1,0 +1,331 @@
+//! The thread that drives rumqttc's event loop.
+
+use std::io::ErrorKind;
+use std::pin::pin;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::mpsc::{SyncSender, TrySendError};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use cosurf_wire::{MAX_MESSAGE_BYTES, MAX_TOPIC_BYTES};
+use rumqttc::v5::mqttbytes::QoS;
+use rumqttc::v5::mqttbytes::v5::{
+    ConnAck, DisconnectReasonCode, Filter, LastWill, Packet, Publish, RetainForwardRule, Subscribe,
+    SubscribeReasonCode,
+};
+use rumqttc::v5::{AsyncClient, ConnectionError, Event, EventLoop, MqttOptions, Request, StateError};
+use tokio::time::{Instant, sleep, timeout};
+
+use super::{EVENTS_MAX, MqttConfig, PACKET_OVERHEAD_BYTES};
+use crate::node::Role;
+use crate::pacing::Backoff;
+use crate::transport::TransportEvent;
+
+/// Messages that wait for the event loop, and as many on the wire without acknowledgement: 1 MiB each.
+const QUEUE_MAX: usize = 16;
+/// Largest packet that this side takes.
+const PACKET_BYTES_MAX: usize = MAX_MESSAGE_BYTES + MAX_TOPIC_BYTES + PACKET_OVERHEAD_BYTES;
+/// A dead connection is noticed after this long at most one and a half times.
+const KEEP_ALIVE: Duration = Duration::from_secs(30);
+/// A broker forgets a client that stays away longer. Ours: a flight's change of battery.
+const SESSION_EXPIRY_S: u32 = 3600;
+const CONNECT_TIMEOUT_S: u64 = 5;
+/// Between attempts to connect.
+const RECONNECT: Backoff = Backoff::new(Duration::from_millis(200), Duration::from_secs(5));
+/// Without an acknowledgement for this long the client is thrown away: longer than 64 KiB take at 3 kB/s.
+const STUCK: Duration = Duration::from_secs(30);
+/// How often stuckness and the owner's wish to stop are looked at.
+const TICK: Duration = Duration::from_millis(50);
+/// What was published before a stop gets this long.
+const FAREWELL: Duration = Duration::from_secs(2);
+/// An owner that lets events pile up holds back the connection this long, then events are dropped.
+const PATIENCE: Duration = Duration::from_secs(5);
+
+/// What the owner's thread and the worker's share.
+#[derive(Debug)]
+pub(super) struct Shared {
+    client: Mutex<Option<AsyncClient>>,
+    /// What the broker takes; known once connected.
+    pub(super) packet_bytes_max: AtomicUsize,
+    /// Published, not acknowledged by the broker.
+    pub(super) unacknowledged: AtomicUsize,
+    pub(super) is_stopping: AtomicBool,
+}
+
+impl Default for Shared {
+    fn default() -> Self {
+        Self {
+            client: Mutex::new(None),
+            packet_bytes_max: AtomicUsize::new(usize::MAX),
+            unacknowledged: AtomicUsize::new(0),
+            is_stopping: AtomicBool::new(false),
+        }
+    }
+}
+
+impl Shared {
+    /// The client of today.
+    pub(super) fn client(&self) -> Option<AsyncClient> {
+        self.client.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    fn set_client(&self, client: AsyncClient) {
+        *self.client.lock().unwrap_or_else(PoisonError::into_inner) = Some(client);
+    }
+
+    fn acknowledged(&self) {
+        let less = |count: usize| count.checked_sub(1);
+        let _ = self.unacknowledged.fetch_update(Ordering::Relaxed, Ordering::Relaxed, less);
+    }
+}
+
+pub(super) struct Worker {
+    config: MqttConfig,
+    shared: Arc<Shared>,
+    events: SyncSender<TransportEvent>,
+    is_connected: bool,
+    attempt: u32,
+    reconnect: Backoff,
+    last_progress: Instant,
+    is_dropping: bool,
+}
+
+/// Why an event loop is left.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Leave {
+    /// The owner wishes it.
+    Stop,
+    /// A new client is to take over.
+    Rebuild,
+}
+
+impl Worker {
+    pub(super) fn new(config: MqttConfig, shared: Arc<Shared>, events: SyncSender<TransportEvent>) -> Self {
+        Self {
+            config,
+            shared,
+            events,
+            is_connected: false,
+            attempt: 0,
+            reconnect: RECONNECT,
+            last_progress: Instant::now(),
+            is_dropping: false,
+        }
+    }
+
+    pub(super) fn run(mut self) {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
+        match runtime {
+            Ok(runtime) => runtime.block_on(async { while self.drive().await == Leave::Rebuild {} }),
+            Err(error) => {
+                let reason = format!("broker {}: no I/O: {error}", self.config.broker);
+                let _ = self.events.send(TransportEvent::Disconnected { attempt: 1, reason });
+            }
+        }
+    }
+
+    /// Runs one client until it is to be left.
+    async fn drive(&mut self) -> Leave {
+        let (client, mut eventloop) = AsyncClient::new(self.options(), QUEUE_MAX);
+        self.shared.set_client(client);
+        self.shared.unacknowledged.store(0, Ordering::Relaxed);
+        self.is_connected = false;
+        loop {
+            let left = match self.turn(&mut eventloop).await {
+                Ok(Ok(event)) => self.on_event(&mut eventloop, event).await,
+                Ok(Err(error)) => self.on_error(&error).await,
+                Err(leave) => Some(leave),
+            };
+            if let Some(leave) = left {
+                return leave;
+            }
+        }
+    }
+
+    /// Polls once. The poll is never abandoned half-way, but to leave the client.
+    async fn turn(&mut self, eventloop: &mut EventLoop) -> Result<Result<Event, ConnectionError>, Leave> {
+        let mut poll = pin!(eventloop.poll());
+        let mut stopping_since = None;
+        loop {
+            if let Ok(event) = timeout(TICK, poll.as_mut()).await {
+                return Ok(event);
+            }
+            let is_idle = self.shared.unacknowledged.load(Ordering::Relaxed) == 0;
+            if is_idle || !self.is_connected {
+                self.last_progress = Instant::now();
+            }
+            if self.is_stopping() {
+                let since = *stopping_since.get_or_insert_with(Instant::now);
+                if is_idle || !self.is_connected || since.elapsed() > FAREWELL {
+                    return Err(Leave::Stop);
+                }
+            }
+            if self.last_progress.elapsed() > STUCK {
+                return Err(self.on_stuck().await);
+            }
+        }
+    }
+
+    async fn on_event(&mut self, eventloop: &mut EventLoop, event: Event) -> Option<Leave> {
+        match event {
+            Event::Incoming(Packet::ConnAck(ack)) => self.on_connack(eventloop, &ack),
+            Event::Incoming(Packet::SubAck(ack)) => {
+                let is_granted = |code: &SubscribeReasonCode| matches!(code, SubscribeReasonCode::Success(_));
+                if !ack.return_codes.iter().all(is_granted) {
+                    let reason = "it refuses our subscriptions: give this name access to its topics";
+                    self.fail(reason).await;
+                    return self.pause().await.or(Some(Leave::Rebuild));
+                }
+                self.is_connected = true;
+                self.attempt = 0;
+                self.reconnect.reset();
+                self.deliver(TransportEvent::Connected).await;
+            }
+            Event::Incoming(Packet::PubAck(_)) => {
+                self.shared.acknowledged();
+                self.last_progress = Instant::now();
+            }
+            Event::Incoming(Packet::Publish(publish)) => self.on_publish(publish).await,
+            _ => {}
+        }
+        None
+    }
+
+    /// Subscriptions go first, before what is left from an earlier connection.
+    fn on_connack(&mut self, eventloop: &mut EventLoop, ack: &ConnAck) {
+        let announced = ack.properties.as_ref().and_then(|properties| properties.max_packet_size);
+        let limit = announced.map_or(usize::MAX, |bytes| bytes as usize);
+        self.shared.packet_bytes_max.store(limit, Ordering::Relaxed);
+        if !ack.session_present {
+            self.shared.unacknowledged.store(0, Ordering::Relaxed);
+        }
+        self.last_progress = Instant::now();
+        let filters = self.config.identity.filters();
+        let filters = filters.iter().map(|path| Filter {
+            path: path.as_str().to_owned(),
+            qos: QoS::AtLeastOnce,
+            nolocal: true,
+            preserve_retain: false,
+            retain_forward_rule: RetainForwardRule::OnEverySubscribe,
+        });
+        eventloop.pending.push_front(Request::Subscribe(Subscribe::new_many(filters, None)));
+    }
+
+    async fn on_publish(&mut self, publish: Publish) {
+        // A topic of ours is ASCII; whatever else there is, the node throws away.
+        let topic = String::from_utf8_lossy(&publish.topic).into_owned();
+        let payload = publish.payload.to_vec();
+        self.deliver(TransportEvent::Incoming { topic, payload }).await;
+    }
+
+    async fn on_error(&mut self, error: &ConnectionError) -> Option<Leave> {
+        self.fail(&describe(error)).await;
+        let is_poisoned = matches!(error, ConnectionError::MqttState(state) if is_too_large(state));
+        let stop = self.pause().await;
+        stop.or(is_poisoned.then_some(Leave::Rebuild))
+    }
+
+    async fn on_stuck(&mut self) -> Leave {
+        self.fail("no acknowledgement for 30 s; starting afresh").await;
+        Leave::Rebuild
+    }
+
+    async fn fail(&mut self, what: &str) {
+        self.is_connected = false;
+        self.attempt += 1;
+        let attempt = self.attempt;
+        let reason = format!("broker {}: {what} (attempt {attempt})", self.config.broker);
+        self.deliver(TransportEvent::Disconnected { attempt, reason }).await;
+    }
+
+    /// Waits before the next attempt, unless the owner wishes to stop.
+    async fn pause(&mut self) -> Option<Leave> {
+        let until = Instant::now() + self.reconnect.delay();
+        while Instant::now() < until && !self.is_stopping() {
+            sleep(TICK).await;
+        }
+        self.is_stopping().then_some(Leave::Stop)
+    }
+
+    /// Hands an event to the owner. An owner that does not listen holds the connection back for a while;
+    /// then its messages are dropped until it listens again, so that the connection stays alive.
+    async fn deliver(&mut self, mut event: TransportEvent) {
+        let until = Instant::now() + PATIENCE;
+        let is_message = matches!(event, TransportEvent::Incoming { .. });
+        loop {
+            match self.events.try_send(event) {
+                Ok(()) => {
+                    self.is_dropping = false;
+                    return;
+                }
+                Err(TrySendError::Disconnected(_)) => return,
+                Err(TrySendError::Full(back)) => event = back,
+            }
+            let may_drop = is_message && (self.is_dropping || Instant::now() >= until);
+            if may_drop || self.is_stopping() {
+                self.is_dropping = true;
+                return;
+            }
+            sleep(Duration::from_millis(1)).await;
+        }
+    }
+
+    fn is_stopping(&self) -> bool {
+        self.shared.is_stopping.load(Ordering::Relaxed)
+    }
+
+    fn options(&self) -> MqttOptions {
+        let MqttConfig { broker, identity } = &self.config;
+        let role = match identity.role {
+            Role::Device => "agent",
+            Role::Aggregator => "aggregator",
+        };
+        let client_id = format!("cosurf-{role}-{}-{}", identity.site, identity.device);
+        let mut options = MqttOptions::new(client_id, broker.socket_host(), broker.port);
+        let death = identity.state_message(false);
+        let will = LastWill::new(death.topic.as_str(), death.payload, QoS::AtLeastOnce, death.retain, None);
+        let in_flight = QUEUE_MAX as u16;
+        options
+            .set_keep_alive(KEEP_ALIVE)
+            .set_clean_start(false)
+            .set_session_expiry_interval(Some(SESSION_EXPIRY_S))
+            .set_connection_timeout(CONNECT_TIMEOUT_S)
+            .set_max_packet_size(Some(PACKET_BYTES_MAX as u32))
+            .set_receive_maximum(Some(EVENTS_MAX as u16 / 2))
+            .set_outgoing_inflight_upper_limit(in_flight)
+            .set_last_will(will);
+        options
+    }
+}
+
+fn is_too_large(error: &StateError) -> bool {
+    use rumqttc::v5::mqttbytes::Error;
+    matches!(
+        error,
+        StateError::OutgoingPacketTooLarge { .. }
+            | StateError::Deserialization(Error::OutgoingPacketTooLarge { .. })
+    )
+}
+
+/// An error in a few words.
+fn describe(error: &ConnectionError) -> String {
+    match error {
+        ConnectionError::Io(error) | ConnectionError::MqttState(StateError::Io(error)) => {
+            match error.kind() {
+                ErrorKind::ConnectionRefused => "connection refused".to_owned(),
+                _ => error.to_string(),
+            }
+        }
+        ConnectionError::Timeout(_) => "no answer".to_owned(),
+        ConnectionError::ConnectionRefused(code) => format!("it turns us away: {code:?}"),
+        ConnectionError::MqttState(StateError::ConnectionAborted) => "connection lost".to_owned(),
+        ConnectionError::MqttState(StateError::AwaitPingResp) => "no sign of life".to_owned(),
+        ConnectionError::MqttState(StateError::ServerDisconnect { reason_code, .. }) => match reason_code {
+            DisconnectReasonCode::SessionTakenOver => {
+                "another program connected under our name: give every device a name of its own".to_owned()
+            }
+            code => format!("it closed the connection: {code:?}"),
+        },
+        other => other.to_string(),
+    }
+}
