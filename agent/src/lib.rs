@@ -1,8 +1,8 @@
 //! The drone's side of cosurf: pictures with poses in, a local model out.
 //!
 //! What it is: a training session within a memory budget ([`session`]) that can be killed at any time and
-//! goes on to the same bits ([`checkpoint`]), the scoring of models on held-out pictures ([`evaluate`]) and
-//! pictures of what a model shows ([`pictures`]).
+//! goes on to the same bits ([`checkpoint`]), the scoring of models on held-out pictures ([`evaluate`]),
+//! pictures of what a model shows ([`pictures`]), and publishing over a link ([`publish`]).
 //!
 //! What it refuses to know: the aggregator, and what becomes of its model there. It never sends a picture.
 //!
@@ -13,4 +13,5 @@ pub mod evaluate;
 pub mod memory;
 pub mod outputs;
 pub mod pictures;
+pub mod publish;
 pub mod session;

@@ -7,7 +7,9 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
-use cosurf_link::{Identity, InboxLimits, ModelStore, Node, NodeEvent, Offer, Transport, body_to_model, model_to_body};
+use cosurf_link::{
+    Identity, InboxLimits, ModelStore, Node, NodeEvent, Offer, Transport, body_to_model, model_to_body,
+};
 use cosurf_scene::report::AgentEvent;
 use cosurf_scene::{Camera, Splats, ply};
 use cosurf_wire::{ModelHeader, ModelId, ModelKind};
@@ -53,7 +55,12 @@ pub fn publish<T: Transport>(
 ) -> Result<()> {
     let Publication { identity, out, wait_global, inbox_bytes, .. } = *publication;
     let (globals, known) = ModelStore::open(&out.join("global"))?;
-    let limits = InboxLimits { body_bytes_max: inbox_bytes, total_bytes_max: inbox_bytes, models_max: 1, stored_max: 64 };
+    let limits = InboxLimits {
+        body_bytes_max: inbox_bytes,
+        total_bytes_max: inbox_bytes,
+        models_max: 1,
+        stored_max: 64,
+    };
     let mut node = Node::new(identity, limits, &known);
     let offer = offer(publication)?;
     let (own, bytes_total) = (offer.header.model, offer.header.body_bytes);
@@ -66,7 +73,9 @@ pub fn publish<T: Transport>(
         }
         let Some(event) = node.step(transport, &now, LOOK_UP) else { continue };
         match event {
-            NodeEvent::Disconnected { attempt, reason } => on_event(AgentEvent::Retrying { what: reason, attempt }),
+            NodeEvent::Disconnected { attempt, reason } => {
+                on_event(AgentEvent::Retrying { what: reason, attempt })
+            }
             NodeEvent::Progress(_, progress) => {
                 on_event(AgentEvent::Publishing { bytes_sent: progress.bytes_sent, bytes_total });
             }
@@ -78,7 +87,10 @@ pub fn publish<T: Transport>(
                 bail!("the aggregator refuses model {}: {reason}", own.0);
             }
             NodeEvent::UploadRefused { reason, .. } => {
-                on_event(AgentEvent::Retrying { what: format!("the aggregator cannot take the model yet: {reason}"), attempt: 1 });
+                on_event(AgentEvent::Retrying {
+                    what: format!("the aggregator cannot take the model yet: {reason}"),
+                    attempt: 1,
+                });
             }
             NodeEvent::Store { header, body } => match store_global(&globals, out, &header, &body) {
                 Ok(()) => {
@@ -108,7 +120,8 @@ fn offer(publication: &Publication) -> Result<Offer> {
     let body = model_to_body(publication.splats, publication.cameras)?;
     let hash = blake3::hash(&body).to_hex().to_string();
     let mut published: Published = match fs::read(&path) {
-        Ok(bytes) => serde_json::from_slice(&bytes).with_context(|| format!("{}; remove it to publish anew", path.display()))?,
+        Ok(bytes) => serde_json::from_slice(&bytes)
+            .with_context(|| format!("{}; remove it to publish anew", path.display()))?,
         Err(_) => Published::default(),
     };
     if published.blake3 != hash {
@@ -116,7 +129,13 @@ fn offer(publication: &Publication) -> Result<Offer> {
         write_json(&path, &published)?;
     }
     let views = publication.cameras.len() as u32;
-    Ok(Offer::from_body(publication.identity.device, ModelId(published.model), ModelKind::Local, views, body)?)
+    Ok(Offer::from_body(
+        publication.identity.device,
+        ModelId(published.model),
+        ModelKind::Local,
+        views,
+        body,
+    )?)
 }
 
 /// Writes the global model for the agent's next flight, and as a PLY for people.

@@ -3,6 +3,7 @@
 mod eval;
 mod progress;
 mod render;
+mod run;
 mod train;
 
 use std::path::PathBuf;
@@ -25,6 +26,7 @@ enum Command {
     Train(train::TrainArgs),
     Eval(eval::EvalArgs),
     Render(render::RenderArgs),
+    Run(run::RunArgs),
 }
 
 /// What several commands share.
@@ -82,5 +84,6 @@ pub(crate) fn run(cli: Cli) -> Result<()> {
         Command::Train(args) => train::run(&args),
         Command::Eval(args) => eval::run(&args),
         Command::Render(args) => render::run(&args),
+        Command::Run(args) => run::run(&args),
     }
 }

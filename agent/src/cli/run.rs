@@ -39,7 +39,8 @@ pub(super) fn run(args: &RunArgs) -> Result<()> {
 
     let splats = ply::read(&config.out.join("model.ply"))?;
     let cameras = config.out.join("cameras.json");
-    let cameras: Vec<Camera> = serde_json::from_slice(&fs::read(&cameras).with_context(|| cameras.display().to_string())?)?;
+    let cameras: Vec<Camera> =
+        serde_json::from_slice(&fs::read(&cameras).with_context(|| cameras.display().to_string())?)?;
     let session = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
     let identity = Identity { site, device, session, role: Role::Device };
     let mut transport = MqttTransport::start(MqttConfig { broker, identity });
@@ -52,7 +53,12 @@ pub(super) fn run(args: &RunArgs) -> Result<()> {
         inbox_bytes: plan.memory_bytes / 2,
     };
     let started = Instant::now();
-    publish(&publication, &mut transport, || started.elapsed() + Duration::from_secs(1), |event| progress.show(&event))
+    publish(
+        &publication,
+        &mut transport,
+        || started.elapsed() + Duration::from_secs(1),
+        |event| progress.show(&event),
+    )
 }
 
 fn plan(config: &AgentConfig) -> TrainPlan {
