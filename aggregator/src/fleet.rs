@@ -220,7 +220,7 @@ fn read_tail(log: &Path) -> io::Result<String> {
 fn last_words(log: &str) -> Option<String> {
     let mut lines = log.lines().rev().map(str::trim);
     let line = lines.find(|line| !line.is_empty() && !line.starts_with("note: "))?;
-    let prefixes = ["error: ", "Error: "];
+    let prefixes = ["cosurf-agent: ", "error: ", "Error: "];
     Some(prefixes.iter().find_map(|prefix| line.strip_prefix(prefix)).unwrap_or(line).to_string())
 }
 

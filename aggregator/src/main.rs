@@ -94,7 +94,7 @@ fn main() -> ExitCode {
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("error: {error:#}");
+            eprintln!("cosurf-aggregator: {error:#}");
             ExitCode::FAILURE
         }
     }

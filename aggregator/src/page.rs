@@ -19,7 +19,7 @@ pub(crate) struct Showcase {
     pub(crate) quality: Quality,
     /// Depth of the bright and of the dark end of the scale, metres.
     pub(crate) depth_range_m: [f32; 2],
-    /// Photograph, colour, depth, normal; all of one size.
+    /// Truth, colour, depth, normal; all of one size.
     pub(crate) pictures: [Picture; 4],
 }
 
@@ -137,7 +137,7 @@ fn pictures(html: &mut String, showcases: &[Showcase]) -> Result<(), ImageError>
     if showcases.is_empty() {
         return Ok(());
     }
-    html.push_str("<h2>Held-out views: the photograph and the global model</h2>\n");
+    html.push_str("<h2>Held-out views: the truth, and what the global model shows</h2>\n");
     for showcase in showcases {
         let Quality { psnr, ssim } = showcase.quality;
         let name = escape(&showcase.name);
@@ -148,7 +148,7 @@ fn pictures(html: &mut String, showcases: &[Showcase]) -> Result<(), ImageError>
         html.push_str("<div class=\"strip\">");
         let [near, far] = showcase.depth_range_m;
         let captions = [
-            "photograph".to_string(),
+            "truth".to_string(),
             "colour".to_string(),
             format!("depth, {near:.1} (bright) to {far:.1} m"),
             "normal".to_string(),

@@ -216,8 +216,10 @@ pub(crate) fn remarks(report: &MissionReport) -> Vec<String> {
         if let Some(failure) = &agent.failure {
             remarks.push(format!("{device} failed: {failure}"));
         }
-        if agent.restarts > 0 {
-            remarks.push(format!("{device} died and was started again, {} times in all", agent.restarts));
+        match agent.restarts {
+            0 => {}
+            1 => remarks.push(format!("{device} died once and went on from its checkpoint")),
+            times => remarks.push(format!("{device} died {times} times and went on from its checkpoint")),
         }
         let given_up = agent.training.iter().flat_map(|training| &training.given_up);
         remarks.extend(given_up.map(|sentence| format!("{device}: {sentence}")));
@@ -303,7 +305,7 @@ pub(crate) mod tests {
     fn remarks_tell_of_failures_restarts_and_what_was_given_up() {
         let remarks = remarks(&example());
         assert_eq!(remarks.len(), 3, "{remarks:?}");
-        assert!(remarks[0].contains("1 times") && remarks[1].contains("shrunk"), "{remarks:?}");
+        assert!(remarks[0].contains("died once") && remarks[1].contains("shrunk"), "{remarks:?}");
         assert!(remarks[2].starts_with("agent-2 failed"), "{remarks:?}");
     }
 

@@ -247,9 +247,11 @@ impl Keeper {
             NodeEvent::Uploaded(..) => ServiceEvent::Delivered,
             NodeEvent::UploadRefused { by, reason, .. } => ServiceEvent::Refused { by, reason },
             NodeEvent::Refused { key, reason } => {
-                ServiceEvent::Ignored { reason: format!("model {key}: {reason}") }
+                ServiceEvent::Ignored { reason: format!("model {key} is refused: {reason}") }
             }
-            NodeEvent::LinkTooNarrow(error) => ServiceEvent::Ignored { reason: error.to_string() },
+            NodeEvent::LinkTooNarrow(error) => {
+                ServiceEvent::Ignored { reason: format!("the link does not take our messages: {error}") }
+            }
             NodeEvent::State(_) | NodeEvent::Receiving(_) | NodeEvent::Progress(..) => return None,
         })
     }
@@ -347,3 +349,6 @@ impl Keeper {
 pub fn global_ply(folder: &Path) -> PathBuf {
     folder.join("global.ply")
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,202 @@
+//! Whole fleets on one thread, over a simulated network that loses, doubles, damages and delays.
+#![allow(clippy::unwrap_used)]
+use std::fs;
+use std::sync::mpsc;
+
+use cosurf_link::{Faults, MemoryNetwork, MemoryTransport, Role};
+use cosurf_wire::SiteId;
+
+use super::*;
+use crate::merge::tests::model;
+
+const BAD_WEATHER: Faults =
+    Faults { loss: 0.1, duplication: 0.1, corruption: 0.05, delay_max: Duration::from_millis(80) };
+const LIMITS: InboxLimits =
+    InboxLimits { body_bytes_max: 1 << 24, total_bytes_max: 1 << 25, models_max: 8, stored_max: 8 };
+/// Virtual time after which a test has failed.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+fn identity(name: &str, role: Role) -> Identity {
+    let site = SiteId::new("test").unwrap();
+    Identity { site, device: DeviceId::new(name).unwrap(), session: 1, role }
+}
+
+/// A drone that sends one model and keeps the global one.
+struct Drone {
+    node: Node,
+    transport: MemoryTransport,
+    global: Option<ModelHeader>,
+}
+
+impl Drone {
+    fn new(network: &MemoryNetwork, name: &str, model: &Model) -> Self {
+        let identity = identity(name, Role::Device);
+        let mut node = Node::new(identity, LIMITS, &[]);
+        let Model { splats, cameras } = model;
+        let offer = Offer::new(identity.device, ModelId(1), ModelKind::Local, 3, splats, cameras);
+        node.upload(offer.unwrap());
+        Self { node, transport: network.join(&identity), global: None }
+    }
+
+    fn step(&mut self, now: Duration) {
+        let event = self.node.step(&mut self.transport, || now, Duration::ZERO);
+        if let Some(NodeEvent::Store { header, .. }) = event {
+            self.node.stored(ModelKey { device: header.device, model: header.model });
+            self.global = Some(header);
+        }
+    }
+}
+
+/// The first `count` of three drones. A drone that joined must be stepped to the end: while a message
+/// waits for somebody, virtual time stands still.
+fn drones(network: &MemoryNetwork, count: usize) -> Vec<Drone> {
+    let models =
+        [("agent-1", model(900, 1, 1.0)), ("agent-2", model(700, 0, 2.0)), ("agent-3", model(2, 1, 3.0))];
+    models.iter().take(count).map(|(name, model)| Drone::new(network, name, model)).collect()
+}
+
+/// A service and its link.
+struct Ground {
+    service: Service,
+    transport: MemoryTransport,
+}
+
+fn open(network: &MemoryNetwork, folder: &Path, expected: Expected) -> Ground {
+    let identity = identity("aggregator", Role::Aggregator);
+    let transport = network.join(&identity);
+    let config = ServiceConfig { identity, folder: folder.to_path_buf(), limits: LIMITS, expected };
+    Ground { service: Service::open(config).unwrap(), transport }
+}
+
+fn fleet(names: &[&str]) -> Expected {
+    Expected::Fleet(names.iter().map(|name| DeviceId::new(name).unwrap()).collect())
+}
+
+/// Runs service and drones until `enough` of the events so far, and returns them.
+fn simulate(
+    network: &MemoryNetwork,
+    ground: &mut Ground,
+    drones: &mut [Drone],
+    mut enough: impl FnMut(&[ServiceEvent], &[Drone]) -> bool,
+) -> Vec<ServiceEvent> {
+    let mut events = Vec::new();
+    while !enough(&events, drones) {
+        assert!(network.now() < PATIENCE, "{events:?}");
+        let now = network.now();
+        drones.iter_mut().for_each(|drone| drone.step(now));
+        let _ = ground.service.step(
+            &mut ground.transport,
+            || now,
+            Duration::ZERO,
+            |event| {
+                events.push(event);
+                ControlFlow::Continue(())
+            },
+        );
+        network.advance(now + Duration::from_millis(5));
+    }
+    events
+}
+
+fn count(events: &[ServiceEvent], which: fn(&ServiceEvent) -> bool) -> usize {
+    events.iter().filter(|event| which(event)).count()
+}
+
+fn is_stored(event: &ServiceEvent) -> bool {
+    matches!(event, ServiceEvent::Stored { .. })
+}
+
+fn is_disk_failure(event: &ServiceEvent) -> bool {
+    matches!(event, ServiceEvent::DiskFailed { .. })
+}
+
+fn is_merged(event: &ServiceEvent) -> bool {
+    matches!(event, ServiceEvent::Merged { .. })
+}
+
+#[test]
+fn the_global_model_is_the_same_bytes_in_any_weather_and_reaches_everybody() {
+    let mut bytes = Vec::new();
+    for seed in [1, 2, 3] {
+        let folder = tempfile::tempdir().unwrap();
+        let network = MemoryNetwork::new(seed, BAD_WEATHER);
+        let mut drones = drones(&network, 3);
+        let mut ground = open(&network, folder.path(), fleet(&["agent-1", "agent-2", "agent-3"]));
+        let delivered = |events: &[ServiceEvent], _: &[Drone]| events.contains(&ServiceEvent::Delivered);
+        let events = simulate(&network, &mut ground, &mut drones, delivered);
+        assert_eq!(count(&events, is_merged), 1, "joined once, when all are there");
+        assert!(drones.iter().all(|drone| drone.global == ground.service.keeper.global));
+        let splats = ply::read(&global_ply(folder.path())).unwrap();
+        assert_eq!((splats.len(), splats.means[900][0]), (1602, 2.0), "in order of device id");
+        bytes.push(fs::read(global_ply(folder.path())).unwrap());
+    }
+    assert!(bytes.windows(2).all(|pair| pair[0] == pair[1]));
+}
+
+#[test]
+fn without_a_fleet_every_arrival_makes_a_revision() {
+    let folder = tempfile::tempdir().unwrap();
+    let network = MemoryNetwork::new(5, BAD_WEATHER);
+    let mut drones = drones(&network, 3);
+    let mut ground = open(&network, folder.path(), Expected::Anybody);
+    let all = |events: &[ServiceEvent], drones: &[Drone]| {
+        count(events, is_merged) == 3
+            && drones.iter().all(|drone| drone.global.is_some_and(|global| global.model == ModelId(3)))
+    };
+    simulate(&network, &mut ground, &mut drones, all);
+    assert_eq!(ground.service.keeper.global.unwrap().splats, 1602);
+}
+
+#[test]
+fn a_drone_that_is_given_up_is_not_waited_for_and_what_it_sent_counts() {
+    let folder = tempfile::tempdir().unwrap();
+    let network = MemoryNetwork::new(6, BAD_WEATHER);
+    let mut drones = drones(&network, 2);
+    let mut ground = open(&network, folder.path(), fleet(&["agent-1", "agent-2", "agent-3"]));
+    let both_stored = |events: &[ServiceEvent], _: &[Drone]| count(events, is_stored) == 2;
+    let events = simulate(&network, &mut ground, &mut drones, both_stored);
+    assert_eq!(count(&events, is_merged), 0, "agent-3 is awaited");
+    let (say, commands) = mpsc::channel();
+    for name in ["agent-2", "agent-3"] {
+        say.send(Command::GiveUp(DeviceId::new(name).unwrap())).unwrap();
+    }
+    assert!(!ground.service.keeper.obey(&commands));
+    let delivered = |events: &[ServiceEvent], _: &[Drone]| events.contains(&ServiceEvent::Delivered);
+    simulate(&network, &mut ground, &mut drones, delivered);
+    assert_eq!(drones[0].global.unwrap().splats, 1600, "agent-2 sent before it was given up");
+}
+
+#[test]
+fn a_service_started_again_keeps_models_and_revision() {
+    let folder = tempfile::tempdir().unwrap();
+    let network = MemoryNetwork::new(7, BAD_WEATHER);
+    let names = fleet(&["agent-1", "agent-2", "agent-3"]);
+    let merged = |events: &[ServiceEvent], _: &[Drone]| count(events, is_merged) == 1;
+    let mut ground = open(&network, folder.path(), names.clone());
+    simulate(&network, &mut ground, &mut drones(&network, 3), merged);
+    let before = ground.service.keeper.global;
+    drop(ground);
+    let network = MemoryNetwork::new(8, BAD_WEATHER);
+    let mut ground = open(&network, folder.path(), names);
+    assert_eq!(ground.service.keeper.global, before, "read back from the disk");
+    simulate(&network, &mut ground, &mut [], merged);
+    assert_eq!(ground.service.keeper.global, before, "the same bytes keep their revision");
+}
+
+#[test]
+fn a_disk_that_refuses_is_told_and_the_model_is_not_acknowledged_until_it_is_stored() {
+    let folder = tempfile::tempdir().unwrap();
+    let network = MemoryNetwork::new(8, BAD_WEATHER);
+    let mut drones = drones(&network, 3);
+    let mut ground = open(&network, folder.path(), fleet(&["agent-1", "agent-2", "agent-3"]));
+    let (models, away) = (folder.path().join("models"), folder.path().join("away"));
+    fs::rename(&models, &away).unwrap();
+    let refused = |events: &[ServiceEvent], _: &[Drone]| count(events, is_disk_failure) == 2;
+    let events = simulate(&network, &mut ground, &mut drones, refused);
+    assert_eq!(count(&events, is_stored), 0);
+    assert!(events.iter().any(|event| event.to_string().contains("models")), "{events:?}");
+    fs::rename(&away, &models).unwrap();
+    let delivered = |events: &[ServiceEvent], _: &[Drone]| events.contains(&ServiceEvent::Delivered);
+    let events = simulate(&network, &mut ground, &mut drones, delivered);
+    assert_eq!(count(&events, is_stored), 3, "each was asked for again, and arrived");
+}
