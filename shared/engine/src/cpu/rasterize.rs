@@ -108,12 +108,17 @@ impl RowTerms {
         (Self { by_dx2: xx, by_dx: xy * dy, log2_alpha: splat.log2_opacity - yy * dy * dy }, dy)
     }
 
-    /// `o exp(-½ dᵀ A d)` for `dx = mean - x`, before the clamp at [`ALPHA_MAX`].
+    /// `o exp(-½ dᵀ A d)` for `dx = mean - x`, before the clamp at [`ALPHA_MAX`]; `None` where no pixel of the
+    /// vector can reach [`ALPHA_MIN`]. A third of the vectors that a splat's box covers end here, before the
+    /// exponential.
     #[inline(always)]
-    pub(crate) fn alpha<L: Lanes>(&self, dx: L) -> L {
+    pub(crate) fn alpha<L: Lanes>(&self, dx: L) -> Option<L> {
         let slope = dx.mul_add(L::splat(self.by_dx2), L::splat(self.by_dx));
-        // Below 2^-30 nothing is drawn anyway; the floor keeps the exponential in its range.
-        slope.neg_mul_add(dx, L::splat(self.log2_alpha)).max(L::splat(-30.0)).exp2()
+        let log2_alpha = slope.neg_mul_add(dx, L::splat(self.log2_alpha));
+        // log2(1/255) = -7.994; the exact test is on alpha itself.
+        let may_hit = log2_alpha.ge(L::splat(-8.0));
+        // The floor keeps the exponential of the other lanes in its range.
+        if L::any(may_hit) { Some(log2_alpha.max(L::splat(-30.0)).exp2()) } else { None }
     }
 }
 
@@ -186,11 +191,8 @@ fn blend<L: Lanes, const P: usize>(
     planes: &mut [[Row; TILE]; P],
 ) -> bool {
     let dx = L::splat(splat.mean_px[0]) - centers::<L>(origin_x, part);
-    let alpha = terms.alpha(dx);
+    let Some(alpha) = terms.alpha(dx) else { return false };
     let hit = alpha.ge(L::splat(ALPHA_MIN));
-    if !L::any(hit) {
-        return false;
-    }
     let alpha = alpha.min(L::splat(ALPHA_MAX));
     let before = open.get::<L>(part);
     let after = alpha.neg_mul_add(before, before);

@@ -138,11 +138,8 @@ fn add_row<L: Lanes, const P: usize>(
 ) {
     let Pixels { terms, dy, origin_x, y, part } = pixels;
     let dx = L::splat(splat.mean_px[0]) - centers::<L>(origin_x, part);
-    let raw = terms.alpha(dx);
+    let Some(raw) = terms.alpha(dx) else { return };
     let hit = raw.ge(L::splat(ALPHA_MIN));
-    if !L::any(hit) {
-        return;
-    }
     let alpha = raw.min(L::splat(ALPHA_MAX));
     let before = open.get::<L>(part);
     let after = alpha.neg_mul_add(before, before);
