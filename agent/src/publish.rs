@@ -74,7 +74,7 @@ pub fn publish<T: Transport>(
         let Some(event) = node.step(transport, &now, LOOK_UP) else { continue };
         match event {
             NodeEvent::Disconnected { attempt, reason } => {
-                on_event(AgentEvent::Retrying { what: reason, attempt })
+                on_event(AgentEvent::Retrying { what: who_is_silent(&reason).to_owned(), attempt });
             }
             NodeEvent::Progress(_, progress) => {
                 on_event(AgentEvent::Publishing { bytes_sent: progress.bytes_sent, bytes_total });
@@ -87,10 +87,7 @@ pub fn publish<T: Transport>(
                 bail!("the aggregator refuses model {}: {reason}", own.0);
             }
             NodeEvent::UploadRefused { reason, .. } => {
-                on_event(AgentEvent::Retrying {
-                    what: format!("the aggregator cannot take the model yet: {reason}"),
-                    attempt: 1,
-                });
+                on_event(AgentEvent::Retrying { what: format!("the aggregator ({reason})"), attempt: 1 });
             }
             NodeEvent::Store { header, body } => match store_global(&globals, out, &header, &body) {
                 Ok(()) => {
@@ -101,7 +98,7 @@ pub fn publish<T: Transport>(
                 }
                 Err(error) => {
                     node.store_failed(header.into());
-                    on_event(AgentEvent::Retrying { what: format!("global model: {error:#}"), attempt: 1 });
+                    on_event(AgentEvent::Retrying { what: format!("the disk ({error:#})"), attempt: 1 });
                 }
             },
             _ => {}
@@ -112,6 +109,11 @@ pub fn publish<T: Transport>(
         node.step(transport, &now, LOOK_UP);
     }
     Ok(())
+}
+
+/// `broker 10.0.0.2:1883` of `broker 10.0.0.2:1883: connection refused (attempt 2)`.
+fn who_is_silent(reason: &str) -> &str {
+    reason.rsplit_once(": ").map_or(reason, |(who, _)| who)
 }
 
 /// The model as it is sent, under the number that it had before if it was sent before.

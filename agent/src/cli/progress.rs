@@ -115,7 +115,7 @@ fn in_words(event: &AgentEvent) -> Option<String> {
             "step {step}/{steps}: {psnr:.2} dB, {splats} splats, {steps_per_s:.1} steps/s, {seconds_left:.0} s left"
         ),
         AgentEvent::Trained { .. } => return None,
-        AgentEvent::Retrying { what, attempt } => format!("{what} (attempt {attempt})"),
+        AgentEvent::Retrying { what, attempt } => format!("{what} does not answer (attempt {attempt})"),
         AgentEvent::Publishing { bytes_sent, bytes_total } => {
             format!("published {bytes_sent} of {bytes_total} bytes")
         }

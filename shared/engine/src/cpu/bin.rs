@@ -21,8 +21,9 @@ const SLACK_PX: f32 = 0.01;
 /// Depth-sorted splats are cut into this many runs for the threads; the result does not depend on it.
 const RUNS: usize = 16;
 
-/// Rows of tiles per job when lists are filled; the result does not depend on it.
-const ROWS_PER_JOB: usize = 3;
+/// Jobs in which the lists are filled, each for some rows of tiles; the result does not depend on it. Every job
+/// reads all spans, so more jobs than threads cost time.
+const JOBS: usize = 6;
 
 /// Tiles that one splat touches in one row of tiles.
 #[derive(Clone, Copy, Debug)]
@@ -174,14 +175,18 @@ impl TileLists {
         counts
     }
 
+    fn rows_per_job(&self) -> usize {
+        self.tiles[1].div_ceil(JOBS).max(1)
+    }
+
     fn count_tiles(&mut self) {
         let tiles = self.tiles[0] * self.tiles[1];
         self.starts.clear();
         self.starts.resize(tiles + 1, 0);
         let tiles_x = self.tiles[0];
-        let runs = &self.runs;
-        self.starts[1..].par_chunks_mut(tiles_x * ROWS_PER_JOB).enumerate().for_each(|(job, counts)| {
-            for_each_span(runs, job, |row, span| {
+        let (runs, rows_per_job) = (&self.runs, self.rows_per_job());
+        self.starts[1..].par_chunks_mut(tiles_x * rows_per_job).enumerate().for_each(|(job, counts)| {
+            for_each_span(runs, job * rows_per_job, rows_per_job, |row, span| {
                 let first = row * tiles_x + span.tile_x as usize;
                 counts[first..first + span.count as usize].iter_mut().for_each(|count| *count += 1);
             });
@@ -199,11 +204,12 @@ impl TileLists {
         self.index_of_slot.resize_with(pairs, || AtomicU32::new(0));
         let (tiles_x, runs, starts, index_of_slot) =
             (self.tiles[0], &self.runs, &self.starts, &self.index_of_slot);
+        let rows_per_job = self.rows_per_job();
         let mut jobs = Vec::new();
         let mut rest = self.ids.as_mut_slice();
-        for job in 0..self.tiles[1].div_ceil(ROWS_PER_JOB) {
-            let first = job * ROWS_PER_JOB * tiles_x;
-            let end = (first + ROWS_PER_JOB * tiles_x).min(starts.len() - 1);
+        for job in 0..self.tiles[1].div_ceil(rows_per_job) {
+            let first = job * rows_per_job * tiles_x;
+            let end = (first + rows_per_job * tiles_x).min(starts.len() - 1);
             let (own, others) = rest.split_at_mut((starts[end] - starts[first]) as usize);
             rest = others;
             jobs.push((job, &starts[first..end], own));
@@ -211,7 +217,7 @@ impl TileLists {
         jobs.into_par_iter().for_each(|(job, starts, ids)| {
             let base = starts[0];
             let mut next = starts.to_vec();
-            for_each_span(runs, job, |row, span| {
+            for_each_span(runs, job * rows_per_job, rows_per_job, |row, span| {
                 let first = row * tiles_x + span.tile_x as usize;
                 for (k, next) in next[first..first + span.count as usize].iter_mut().enumerate() {
                     ids[(*next - base) as usize] = span.id;
@@ -223,12 +229,11 @@ impl TileLists {
     }
 }
 
-/// Calls `visit(row within the job, span)` for the spans in the rows of `job`, nearest first.
-fn for_each_span(runs: &[Run], job: usize, mut visit: impl FnMut(usize, &Span)) {
-    let first = job * ROWS_PER_JOB;
+/// Calls `visit(row - first, span)` for the spans in `rows` rows of tiles from `first`, nearest first.
+fn for_each_span(runs: &[Run], first: usize, rows: usize, mut visit: impl FnMut(usize, &Span)) {
     for span in runs.iter().flat_map(|run| &run.spans) {
         let row = (span.tile_y as usize).wrapping_sub(first);
-        if row < ROWS_PER_JOB {
+        if row < rows {
             visit(row, span);
         }
     }
