@@ -9,7 +9,7 @@ use std::time::Instant;
 
 use cosurf_scene::{City, CitySettings, Dataset, Picture, SceneError};
 
-/// Thumbnails a row and rows of the contact sheet.
+/// Thumbnails in a row of the contact sheet, and rows at most.
 const SHEET: [u32; 2] = [5, 6];
 
 fn main() -> ExitCode {
@@ -59,13 +59,15 @@ fn run(folder: &std::path::Path, settings: &CitySettings) -> Result<(), Box<dyn 
     Ok(())
 }
 
-/// Some of the pictures, evenly spread over the flight, side by side.
+/// At most a sheet full of the pictures, evenly spread over the flight, side by side.
 fn contact_sheet(dataset: &Dataset) -> Result<Picture, SceneError> {
-    let [columns, rows] = SHEET;
+    let columns = SHEET[0];
+    let shown = (SHEET[0] * SHEET[1]).min(dataset.views.len() as u32);
+    let rows = shown.div_ceil(columns);
     let [width, height] = dataset.views[0].camera.fitted_size(320);
     let mut sheet = vec![0; (3 * columns * width * rows * height) as usize];
-    for slot in 0..columns * rows {
-        let view = &dataset.views[(dataset.views.len() * slot as usize) / (columns * rows) as usize];
+    for slot in 0..shown {
+        let view = &dataset.views[dataset.views.len() * slot as usize / shown as usize];
         let thumbnail = Picture::read_fitted(&view.path, [width, height])?;
         let (left, top) = (slot % columns * width, slot / columns * height);
         for (y, row) in (0..).zip(thumbnail.rgb.chunks_exact(3 * width as usize)) {

@@ -8,10 +8,9 @@
 //! Randomness comes from integer hashes, and no function of the platform's mathematics library is
 //! used, so the same settings give the same bytes everywhere.
 
+mod blocks;
 mod building;
 mod bvh;
-mod centre;
-mod country;
 mod facade;
 mod flight;
 mod ground;
@@ -30,10 +29,8 @@ mod roof;
 mod roofing;
 mod settings;
 mod sight;
-mod site;
 mod sparse;
 mod street;
-mod suburb;
 mod terrain;
 #[cfg(test)]
 mod tests;
@@ -65,7 +62,8 @@ impl City {
     pub fn build(settings: &CitySettings) -> Result<Self, CityError> {
         settings.check()?;
         let flight = Flight::new(settings);
-        let world = World::build(settings.seed, 0.5 * settings.extent_m as f32, flight.reach_m() as f32);
+        let (flown_half_m, reach_m) = (0.5 * settings.extent_m, flight.reach_m());
+        let world = World::build(settings.seed, flown_half_m as f32, reach_m as f32, flight.pixel_m() as f32);
         Ok(Self { settings: *settings, world, cameras: flight.cameras() })
     }
 

@@ -12,7 +12,10 @@ const FOCAL_PER_LONG_SIDE: f64 = 0.866;
 /// Width on the ground of a picture taken straight down, over the distance between neighbours.
 const OVERLAP: f64 = 3.0;
 /// Least height of flight: clear of every roof and mast on every hill, metres.
-pub(super) const HEIGHT_MIN_M: f64 = 62.0;
+const HEIGHT_MIN_M: f64 = 62.0;
+/// Greatest height of flight, metres: what larger squares lose in overlap they win in detail, and the
+/// land that must be built stays bounded.
+const HEIGHT_MAX_M: f64 = 180.0;
 /// Height of the oblique flight over that of the first.
 const OBLIQUE_HEIGHT: f64 = 0.92;
 /// Part of the square that oblique cameras aim at, per axis; their far halves see the rest.
@@ -32,8 +35,14 @@ pub(super) struct Flight {
 impl Flight {
     pub(super) fn new(settings: &CitySettings) -> Self {
         let spacing_m = settings.extent_m / f64::from(down_count(settings.views)).sqrt();
-        let height_m = (OVERLAP * spacing_m * FOCAL_PER_LONG_SIDE).max(HEIGHT_MIN_M);
+        let height_m = (OVERLAP * spacing_m * FOCAL_PER_LONG_SIDE).clamp(HEIGHT_MIN_M, HEIGHT_MAX_M);
         Self { settings: *settings, height_m }
+    }
+
+    /// Width of a pixel on the ground straight below, metres.
+    pub(super) fn pixel_m(&self) -> f64 {
+        let long_side = self.settings.size_px[0].max(self.settings.size_px[1]);
+        self.height_m / (FOCAL_PER_LONG_SIDE * f64::from(long_side))
     }
 
     /// How far from the centre the cameras see ground, metres.

@@ -7,6 +7,7 @@ use super::mesh::Frame;
 use super::noise::noise2;
 use super::random::{Rng, hash2};
 use super::terrain::Terrain;
+use super::tree::Detail;
 
 /// How far a block's ground lies above the street in town, metres.
 pub(super) const KERB_HEIGHT_M: f32 = 0.14;
@@ -83,6 +84,8 @@ pub(super) struct Plan {
     seed: u32,
     /// Cosine and sine of the plan's turn against the world.
     turn: Vec2,
+    /// Whether what stands in town is made finely.
+    fine: bool,
     /// Half the side of the square the plan covers, plan metres.
     pub(super) half_side_m: f32,
     /// Half the side of the world square that is town.
@@ -96,7 +99,7 @@ pub(super) struct Plan {
 
 impl Plan {
     /// Plans a town around a flown square, with open country up to `reach_m` from the centre.
-    pub(super) fn new(seed: u64, flown_half_m: f32, reach_m: f32) -> Self {
+    pub(super) fn new(seed: u64, flown_half_m: f32, reach_m: f32, fine: bool) -> Self {
         let mut rng = Rng::new(seed, 1);
         let t = rng.range(0.06, 0.22);
         let turn = Vec2::new(1.0 - t * t, 2.0 * t) * (1.0 / (1.0 + t * t));
@@ -107,6 +110,7 @@ impl Plan {
         let mut plan = Self {
             seed: rng.seed(),
             turn,
+            fine,
             half_side_m,
             town_half_m,
             cells: vec![u32::MAX; (streets[0].len() + 1) * (streets[1].len() + 1)],
@@ -144,6 +148,11 @@ impl Plan {
     /// Whether a place is in town.
     pub(super) fn in_town(&self, uv: Vec2) -> bool {
         self.to_world(uv).abs().max_element() < self.town_half_m
+    }
+
+    /// How finely things at a place are made.
+    pub(super) fn detail(&self, uv: Vec2) -> Detail {
+        if self.fine && self.in_town(uv) { Detail::Fine } else { Detail::Coarse }
     }
 
     /// The block at `uv`; none on a street.

@@ -8,7 +8,7 @@ use super::plan::{Plan, Street};
 use super::props::{self, Vehicle};
 use super::random::Rng;
 use super::terrain::Terrain;
-use super::tree::{self, Detail, Habit};
+use super::tree::{self, Habit};
 
 /// Distance between places where something may stand, metres: a parking bay.
 const STEP_M: f32 = 5.6;
@@ -106,8 +106,9 @@ impl Walk<'_> {
         if !self.rng.chance(0.7) {
             return;
         }
-        let frame = self.plan.frame(self.terrain, self.uv(at, across), self.along());
+        let uv = self.uv(at, across);
+        let frame = self.plan.frame(self.terrain, uv, self.along());
         let height = self.rng.range(5.0, 8.0);
-        tree::tree(self.mesh, &frame, Habit::Broad, height, Detail::Fine, self.palette, self.rng);
+        tree::tree(self.mesh, &frame, Habit::Broad, height, self.plan.detail(uv), self.palette, self.rng);
     }
 }

@@ -1,6 +1,6 @@
 //! Which cameras see a place.
 
-use glam::{DMat3, DVec3};
+use glam::{DMat3, DVec3, Vec3};
 
 use super::bvh::{Bvh, Ray};
 use crate::Camera;
@@ -22,6 +22,8 @@ struct Eye {
     center: DVec3,
     /// World to pixels times depth, and depth.
     pixels_from_world: DMat3,
+    /// By how much each of its results can change over a metre.
+    row_lengths: [f64; 3],
     width: f64,
     height: f64,
 }
@@ -31,9 +33,12 @@ impl Eye {
         let (f, c) = (camera.focal_px, camera.center_px);
         let intrinsics =
             DMat3::from_cols(DVec3::new(f.x, 0.0, 0.0), DVec3::new(0.0, f.y, 0.0), DVec3::new(c.x, c.y, 1.0));
+        let pixels_from_world = intrinsics * DMat3::from_quat(camera.cam_from_world.rotation);
+        let rows = pixels_from_world.transpose();
         Self {
             center: camera.cam_from_world.center(),
-            pixels_from_world: intrinsics * DMat3::from_quat(camera.cam_from_world.rotation),
+            pixels_from_world,
+            row_lengths: [rows.x_axis.length(), rows.y_axis.length(), rows.z_axis.length()],
             width: f64::from(camera.size_px[0]),
             height: f64::from(camera.size_px[1]),
         }
@@ -43,6 +48,17 @@ impl Eye {
     fn faces(&self, point: DVec3) -> bool {
         let p = self.pixels_from_world * (point - self.center);
         p.z > 0.0 && p.x >= 0.0 && p.y >= 0.0 && p.x < self.width * p.z && p.y < self.height * p.z
+    }
+
+    /// Whether some of a ball may lie in the picture; never no where it does.
+    fn may_face(&self, center: DVec3, radius_m: f64) -> bool {
+        let p = self.pixels_from_world * (center - self.center);
+        let [x, y, z] = self.row_lengths.map(|length| length * radius_m);
+        p.z > -z
+            && p.x >= -x
+            && p.y >= -y
+            && p.x < self.width * (p.z + z) + x
+            && p.y < self.height * (p.z + z) + y
     }
 }
 
@@ -54,6 +70,14 @@ impl<'a> Sight<'a> {
     /// Whether camera `i` sees the point: in its picture and nothing before it.
     pub(super) fn sees(&self, i: usize, point: DVec3) -> bool {
         self.eyes[i].faces(point) && self.is_clear(i, point)
+    }
+
+    /// Whether `count` cameras may see some of a triangle; never no where they do.
+    pub(super) fn may_be_seen_by(&self, corners: &[Vec3; 3], count: usize) -> bool {
+        let center = (corners[0] + corners[1] + corners[2]) * (1.0 / 3.0);
+        let radius = corners.iter().map(|corner| corner.distance(center)).fold(0.0, f32::max);
+        let (center, radius) = (center.as_dvec3(), f64::from(radius));
+        self.eyes.iter().filter(|eye| eye.may_face(center, radius)).take(count).count() == count
     }
 
     /// The first `count` cameras that see the point, if there are so many.

@@ -8,6 +8,8 @@ use std::sync::OnceLock;
 use glam::{DVec2, DVec3, Vec3};
 
 use super::bvh::{Bvh, Hit, Ray};
+use super::light::Lit;
+use super::material::Look;
 use super::random::Rng;
 use super::{City, CityError, CitySettings};
 use crate::{Camera, Dataset};
@@ -24,6 +26,10 @@ fn small() -> &'static City {
 fn hash(bytes: impl IntoIterator<Item = u8>) -> u64 {
     bytes.into_iter().fold(0xcbf2_9ce4_8422_2325, |h, b| (h ^ u64::from(b)).wrapping_mul(0x100_0000_01b3))
 }
+
+/// The fingerprint of [`SMALL`] on x86-64; other machines must give the same.
+const FINGERPRINT: [u64; 4] =
+    [0x40ea_4a9a_a31e_3978, 0x8856_b155_cb29_109c, 0xb6ae_638e_5895_eab7, 0x6aa5_87e6_7612_4a05];
 
 /// A fingerprint of a picture with depth and normals, the cloud and the truth.
 fn fingerprint(city: &City) -> [u64; 4] {
@@ -46,6 +52,7 @@ fn the_same_settings_give_the_same_bytes_with_any_number_of_threads() {
     let one = with_threads(1, || fingerprint(&City::build(&SMALL).unwrap()));
     let two = with_threads(2, || fingerprint(&City::build(&SMALL).unwrap()));
     assert_eq!(one, two);
+    assert_eq!(one, FINGERPRINT, "the city is another one on this machine, or was changed: if so, note it");
     let other = City::build(&CitySettings { seed: 4, ..SMALL }).unwrap();
     assert!(fingerprint(&other).iter().zip(one).all(|(a, b)| *a != b), "another seed is another city");
 }
@@ -131,6 +138,35 @@ fn the_hierarchy_finds_what_brute_force_finds() {
         }
         assert!(count < 300 || met > 100, "{met} rays met something");
     }
+}
+
+#[test]
+fn a_bundle_of_rays_finds_what_each_ray_finds_alone() {
+    let world = &small().world;
+    let mut rng = Rng::new(3, 3);
+    let mut met = 0;
+    for i in 0..300 {
+        // From one place to near directions, or from near places in one direction; some go straight
+        // down or both ways along an axis.
+        let spread = [0.0, 0.01, 0.3][i % 3];
+        let mut jitter = || Vec3::new(rng.signed(), rng.signed(), rng.signed()) * spread;
+        let steep = if i % 5 == 0 { Vec3::NEG_Z } else { Vec3::new(0.4, -0.2, -1.0) };
+        let from = Vec3::new(-25.0, 20.0, 55.0) + jitter() * 40.0;
+        let rays = [(); 5].map(|()| {
+            let (origin, direction) =
+                if i % 2 == 0 { (from, steep + jitter()) } else { (from + jitter() * 4.0, steep) };
+            Ray { origin, direction, t_min: 0.0, t_max: f32::INFINITY }
+        });
+        let together = world.bvh.nearest(&rays);
+        let blocked = world.bvh.blocked(&rays);
+        for k in 0..5 {
+            let [alone] = world.bvh.nearest(&[rays[k]]);
+            assert_eq!(together[k].map(|hit| hit.t), alone.map(|hit| hit.t), "ray {k} of bundle {i}");
+            assert_eq!(blocked[k], alone.is_some());
+            met += usize::from(alone.is_some());
+        }
+    }
+    assert!(met > 1000, "{met} rays met something");
 }
 
 /// Distance of a point from a triangle: the plane's where it projects inside, else the nearest edge's.
@@ -233,6 +269,19 @@ fn pictures_have_contrast_and_change_with_the_view() {
     let mean = values.iter().sum::<f64>() / values.len() as f64;
     let deviation = (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / values.len() as f64).sqrt();
     assert!((50.0..190.0).contains(&mean) && deviation > 20.0, "mean {mean}, deviation {deviation}");
+}
+
+#[test]
+fn glossy_surfaces_depend_on_the_view_and_matt_ones_do_not() {
+    let light = &small().world.light;
+    let seen = |to_viewer: Vec3, look: &Look| {
+        let lit = Lit { position: Vec3::Z * 40.0, normal: Vec3::Z, to_viewer: to_viewer.normalize() };
+        light.radiance(&lit, look, true)
+    };
+    let (steep, flat) = (Vec3::new(0.1, 0.0, 1.0), Vec3::new(0.9, 0.3, 0.4));
+    let difference = |look: &Look| (seen(steep, look) - seen(flat, look)).abs().max_element();
+    assert_eq!(difference(&Look::matt(Vec3::splat(0.2))), 0.0);
+    assert!(difference(&Look::glossy(Vec3::splat(0.02), 0.1)) > 0.03);
 }
 
 #[test]

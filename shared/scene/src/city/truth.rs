@@ -21,7 +21,7 @@ const FOOTPRINT_M: f32 = 0.12;
 /// Points tried at once by one thread.
 const BATCH: usize = 1024;
 /// Times that as many points are tried as are wanted, before giving up.
-const ROUNDS: usize = 100;
+const ROUNDS: usize = 30;
 
 /// The surface that at least three cameras see.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -67,7 +67,9 @@ pub(super) fn mesh(world: &World, cameras: &[Camera]) -> TruthMesh {
         .into_par_iter()
         .flat_map_iter(|i| {
             let (triangle, sight) = (&world.mesh.triangles[i], &sight);
-            cut(triangle).into_iter().filter_map(move |corners| {
+            let pieces =
+                if sight.may_be_seen_by(&triangle.corners, CAMERAS_MIN) { cut(triangle) } else { Vec::new() };
+            pieces.into_iter().filter_map(move |corners| {
                 let middle = (corners[0] + corners[1] + corners[2]) * (1.0 / 3.0);
                 let normal = seen_side(sight, triangle, middle)?;
                 Some(Piece { of: i as u32, corners, normal })
@@ -139,7 +141,7 @@ fn weld(world: &World, pieces: &[Piece]) -> TruthMesh {
 /// Points spread evenly over the seen area.
 pub(super) fn points(world: &World, cameras: &[Camera], count: usize, seed: u64) -> Vec<TruthPoint> {
     let sight = Sight::new(&world.bvh, cameras);
-    let areas = cumulated_areas(&world.mesh.triangles);
+    let areas = cumulated_areas(&world.mesh.triangles, &sight);
     let mut points = Vec::with_capacity(count);
     let per_round = count.div_ceil(BATCH);
     for round in 0..ROUNDS {
@@ -159,21 +161,25 @@ pub(super) fn points(world: &World, cameras: &[Camera], count: usize, seed: u64)
     points
 }
 
-/// The area of all triangles up to each.
-fn cumulated_areas(triangles: &[Triangle]) -> Vec<f64> {
+/// The area of all triangles up to each, of those only that cameras may see.
+fn cumulated_areas(triangles: &[Triangle], sight: &Sight) -> Vec<f64> {
     let area = |t: &Triangle| {
         let [a, b, c] = t.corners;
         0.5 * f64::from((b - a).cross(c - a).length())
     };
-    let sum = |sum: &mut f64, t: &Triangle| {
-        *sum += area(t);
+    let areas: Vec<f64> = triangles
+        .par_iter()
+        .map(|t| if sight.may_be_seen_by(&t.corners, CAMERAS_MIN) { area(t) } else { 0.0 })
+        .collect();
+    let sum = |sum: &mut f64, area: f64| {
+        *sum += area;
         Some(*sum)
     };
-    triangles.iter().scan(0.0, sum).collect()
+    areas.into_iter().scan(0.0, sum).collect()
 }
 
 fn try_point(world: &World, sight: &Sight, areas: &[f64], rng: &mut Rng) -> Option<TruthPoint> {
-    let pick = rng.unit_f64() * areas.last()?;
+    let pick = rng.unit_f64() * areas.last().filter(|total| **total > 0.0)?;
     let i = areas.partition_point(|&sum| sum <= pick).min(areas.len() - 1);
     let (mut u, mut v) = (rng.unit(), rng.unit());
     if u + v > 1.0 {

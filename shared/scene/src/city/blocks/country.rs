@@ -2,14 +2,14 @@
 
 use glam::{Vec2, Vec3};
 
-use super::building::{self, Footprint, Style};
-use super::facade::Wall;
-use super::paving::{Outline, Surface};
-use super::props;
-use super::roof;
-use super::roofing::Cover;
 use super::site::Site;
-use super::tree::{self, Habit};
+use crate::city::building::{self, Footprint, Style};
+use crate::city::facade::Wall;
+use crate::city::paving::{Outline, Surface};
+use crate::city::props;
+use crate::city::roof;
+use crate::city::roofing::Cover;
+use crate::city::tree::{self, Habit};
 
 /// Crops, perhaps with a line of trees along one side.
 pub(super) fn field(site: &mut Site) {

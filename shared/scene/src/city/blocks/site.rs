@@ -2,16 +2,16 @@
 
 use glam::{Vec2, Vec3};
 
-use super::building::Lot;
-use super::facade::Wall;
-use super::mesh::{Frame, Mesh};
-use super::palette::Palette;
-use super::paving::{Outline, PAVEMENT_M, Patch, Surface};
-use super::plan::{Block, Plan};
-use super::random::Rng;
-use super::roofing::Cover;
-use super::terrain::Terrain;
-use super::tree::{self, Detail, Habit};
+use crate::city::building::Lot;
+use crate::city::facade::Wall;
+use crate::city::mesh::{Frame, Mesh};
+use crate::city::palette::Palette;
+use crate::city::paving::{Outline, PAVEMENT_M, Patch, Surface};
+use crate::city::plan::{Block, Plan};
+use crate::city::random::Rng;
+use crate::city::roofing::Cover;
+use crate::city::terrain::Terrain;
+use crate::city::tree::{self, Habit};
 
 /// A block under construction.
 pub(super) struct Site<'a> {
@@ -106,7 +106,7 @@ impl<'a> Site<'a> {
         let all = heights.as_flattened();
         let high = all.iter().copied().fold(f32::NEG_INFINITY, f32::max);
         let low = all.iter().copied().fold(f32::INFINITY, f32::min);
-        frame.origin.z = high + super::plan::KERB_HEIGHT_M + 0.12;
+        frame.origin.z = high + crate::city::plan::KERB_HEIGHT_M + 0.12;
         let reach = half.x * along.abs() + half.y * along.perp().abs();
         self.taken.push((uv - reach, uv + reach));
         Lot { frame, depth_m: high - low + 0.6 }
@@ -147,15 +147,10 @@ impl<'a> Site<'a> {
         })
     }
 
-    /// How finely things here are made.
-    pub(super) fn detail(&self) -> Detail {
-        if self.plan.in_town(self.center()) { Detail::Fine } else { Detail::Coarse }
-    }
-
     /// Plants a tree and keeps its trunk's surroundings free.
     pub(super) fn plant(&mut self, uv: Vec2, habit: Habit, height_m: f32) {
         let frame = self.frame(uv, Vec2::X);
-        let detail = if self.plan.in_town(uv) { Detail::Fine } else { Detail::Coarse };
+        let detail = self.plan.detail(uv);
         tree::tree(self.mesh, &frame, habit, height_m, detail, self.palette, &mut self.rng);
         let room = 0.16 * height_m;
         self.taken.push((uv - room, uv + room));
