@@ -89,12 +89,16 @@ pub fn publish<T: Transport>(
             NodeEvent::UploadRefused { reason, .. } => {
                 on_event(AgentEvent::Retrying { what: format!("the aggregator ({reason})"), attempt: 1 });
             }
+            NodeEvent::Known(header) if !has_global => {
+                // Received before a kill or a restart; it is on the disk.
+                has_global = true;
+                on_event(received(&header));
+            }
             NodeEvent::Store { header, body } => match store_global(&globals, out, &header, &body) {
                 Ok(()) => {
                     node.stored(header.into());
                     has_global = true;
-                    let (revision, splats) = (header.model.0, header.splats as usize);
-                    on_event(AgentEvent::GlobalReceived { revision, splats });
+                    on_event(received(&header));
                 }
                 Err(error) => {
                     node.store_failed(header.into());
@@ -109,6 +113,10 @@ pub fn publish<T: Transport>(
         node.step(transport, &now, LOOK_UP);
     }
     Ok(())
+}
+
+fn received(header: &ModelHeader) -> AgentEvent {
+    AgentEvent::GlobalReceived { revision: header.model.0, splats: header.splats as usize }
 }
 
 /// `broker 10.0.0.2:1883` of `broker 10.0.0.2:1883: connection refused (attempt 2)`.

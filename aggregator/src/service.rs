@@ -252,7 +252,9 @@ impl Keeper {
             NodeEvent::LinkTooNarrow(error) => {
                 ServiceEvent::Ignored { reason: format!("the link does not take our messages: {error}") }
             }
-            NodeEvent::State(_) | NodeEvent::Receiving(_) | NodeEvent::Progress(..) => return None,
+            NodeEvent::State(_) | NodeEvent::Receiving(_) | NodeEvent::Known(_) | NodeEvent::Progress(..) => {
+                return None;
+            }
         })
     }
 

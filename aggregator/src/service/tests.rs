@@ -40,9 +40,13 @@ impl Drone {
 
     fn step(&mut self, now: Duration) {
         let event = self.node.step(&mut self.transport, || now, Duration::ZERO);
-        if let Some(NodeEvent::Store { header, .. }) = event {
-            self.node.stored(ModelKey { device: header.device, model: header.model });
-            self.global = Some(header);
+        match event {
+            Some(NodeEvent::Store { header, .. }) => {
+                self.node.stored(ModelKey { device: header.device, model: header.model });
+                self.global = Some(header);
+            }
+            Some(NodeEvent::Known(header)) => self.global = Some(header),
+            _ => {}
         }
     }
 }
@@ -179,7 +183,12 @@ fn a_service_started_again_keeps_models_and_revision() {
     let network = MemoryNetwork::new(8, BAD_WEATHER);
     let mut ground = open(&network, folder.path(), names);
     assert_eq!(ground.service.keeper.global, before, "read back from the disk");
-    simulate(&network, &mut ground, &mut [], merged);
+    let mut drones = drones(&network, 3);
+    for (drone, global) in drones.iter_mut().zip(before) {
+        drone.node = Node::new(identity("agent-1", Role::Device), LIMITS, &[global]);
+    }
+    let all = |_: &[ServiceEvent], drones: &[Drone]| drones.iter().all(|drone| drone.global == before);
+    simulate(&network, &mut ground, &mut drones, all);
     assert_eq!(ground.service.keeper.global, before, "the same bytes keep their revision");
 }
 

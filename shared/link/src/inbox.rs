@@ -58,6 +58,8 @@ pub enum InboxAction {
 pub enum InboxEvent {
     /// An offer was accepted; its chunks are asked for.
     Receiving(ModelHeader),
+    /// An offer of what is stored already; its sender is told so again.
+    Known(ModelHeader),
     /// An offer or a body was refused.
     Refused(ModelKey, RefusalReason),
     /// A chunk of the wrong size or under the wrong topic was thrown away.
@@ -100,7 +102,10 @@ impl Inbox {
         }
         if let Some(hash) = self.stored.get(&key) {
             return match *hash == header.blake3 {
-                true => self.say_done(replies, key, header.blake3),
+                true => {
+                    self.say_done(replies, key, header.blake3);
+                    Some(InboxEvent::Known(header))
+                }
                 false => self.turn_away(topic, key, RefusalReason::NumberTaken),
             };
         }

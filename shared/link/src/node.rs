@@ -73,6 +73,8 @@ pub enum NodeEvent {
     State(State),
     /// A header was accepted; its body is being fetched.
     Receiving(ModelHeader),
+    /// A model was announced that is stored already, in this session or an earlier one.
+    Known(ModelHeader),
     /// A whole, verified body. Write it, sync it, rename it, then call [`Node::stored`]; or
     /// [`Node::store_failed`], or [`Node::refuse`]. Until then its sender waits.
     Store {
@@ -346,6 +348,7 @@ impl Node {
     fn note_inbox(&mut self, event: Option<InboxEvent>) {
         match event {
             Some(InboxEvent::Receiving(header)) => self.events.push_back(NodeEvent::Receiving(header)),
+            Some(InboxEvent::Known(header)) => self.events.push_back(NodeEvent::Known(header)),
             Some(InboxEvent::Refused(key, reason)) => {
                 self.events.push_back(NodeEvent::Refused { key, reason });
             }
