@@ -55,9 +55,9 @@ struct MissionArgs {
     /// Training steps of each agent
     #[arg(long, value_name = "N", default_value_t = 1500, value_parser = clap::value_parser!(u32).range(1..))]
     steps: u32,
-    /// The most memory that each agent may take, for example 500MiB [default: as much as it likes]
-    #[arg(long, value_name = "BYTES", value_parser = parse_bytes)]
-    memory: Option<u64>,
+    /// The most memory that each agent may take, for example 500MiB
+    #[arg(long, value_name = "BYTES", default_value = "1GiB", value_parser = parse_bytes)]
+    memory: u64,
     /// Shrink pictures until their long side is at most this many pixels [default: full size]
     #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(16..))]
     max_size: Option<u32>,
@@ -108,7 +108,7 @@ fn mission(args: MissionArgs) -> Result<()> {
             data: data.clone().unwrap_or_else(|| out.join("city")),
             agents: usize::from(args.agents),
             steps: args.steps,
-            memory_bytes: args.memory,
+            memory_bytes: Some(args.memory),
             max_size_px: args.max_size,
             seed: args.seed,
             eval_every: args.eval_every,
