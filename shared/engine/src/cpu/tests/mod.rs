@@ -175,8 +175,7 @@ fn worst(analytic: &mut Splats, numeric: &[(&'static str, f64)]) -> (f64, String
     let mut worst = (0.0, String::new());
     for (k, ((name, value), (_, expected))) in numbers(analytic).into_iter().zip(numeric).enumerate() {
         let error = (f64::from(*value) - expected).abs() / expected.abs().max(0.01 * rms(name)).max(1e-12);
-        // NaN must win.
-        if !(error <= worst.0) {
+        if error.is_nan() || error > worst.0 {
             worst = (error, format!("{name} (number {k}): {value} is not {expected}"));
         }
     }
