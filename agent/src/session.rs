@@ -137,7 +137,7 @@ impl Session {
         Ok(outcome)
     }
 
-    /// The state to go on from, for [`Checkpoint::write`].
+    /// What a checkpoint of this training must agree with, for [`crate::checkpoint::write`].
     pub fn fingerprint(&self) -> &Fingerprint {
         &self.fingerprint
     }

@@ -1,9 +1,9 @@
 //! The CPU backend: SIMD and threads, the same bits for any number of threads.
 //!
 //! Threads only ever own separate stretches of memory (blocks of splats, tiles, bands of lines); sums
-//! across them are made afterwards, in a fixed order. Reading order: [`blocks`] for the layout, then the
-//! passes as a step calls them: [`project`], [`bin`], [`rasterize`], [`loss`], [`rasterize_backward`],
-//! [`project_backward`], [`adam`].
+//! across them are made afterwards, in a fixed order. Reading order: `blocks` for the layout, then the
+//! passes as a step calls them: `project`, `bin`, `rasterize`, `loss`, `rasterize_backward`,
+//! `project_backward`, `adam`.
 
 mod adam;
 mod bin;
