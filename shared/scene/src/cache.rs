@@ -1,5 +1,5 @@
 //! The training pictures at training size, within a byte budget: decoded once, shrunk once, then
-//! kept raw where all of them fit, else compressed ([`pack`]), else read again from disk.
+//! kept raw where all of them fit, else compressed (`pack`), else read again from disk.
 //!
 //! What is compressed stays, unless callers hold more than two pictures: with more pictures than fit, throwing the oldest out for the newest
 //! would in an epoch of training throw out each just before it is wanted again.
