@@ -125,11 +125,13 @@ impl Transport for MqttTransport {
         }
         let Some(client) = self.shared.client() else { return Err(PublishError::Busy) };
         let payload = message.payload.clone();
-        client
-            .try_publish(message.topic.as_str(), QoS::AtLeastOnce, message.retain, payload)
-            .map_err(|_| PublishError::Busy)?;
+        // Counted first, since the acknowledgement may come before this thread goes on.
         self.shared.unacknowledged.fetch_add(1, Ordering::Relaxed);
-        Ok(())
+        let taken = client.try_publish(message.topic.as_str(), QoS::AtLeastOnce, message.retain, payload);
+        if taken.is_err() {
+            self.shared.acknowledged();
+        }
+        taken.map_err(|_| PublishError::Busy)
     }
 
     fn poll(&mut self, timeout: Duration) -> Option<TransportEvent> {

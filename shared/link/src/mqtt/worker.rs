@@ -8,11 +8,11 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use cosurf_wire::{MAX_MESSAGE_BYTES, MAX_TOPIC_BYTES};
-use rumqttc::v5::mqttbytes::QoS;
 use rumqttc::v5::mqttbytes::v5::{
     ConnAck, DisconnectReasonCode, Filter, LastWill, Packet, Publish, RetainForwardRule, Subscribe,
     SubscribeReasonCode,
 };
+use rumqttc::v5::mqttbytes::{Error as MqttError, QoS};
 use rumqttc::v5::{AsyncClient, ConnectionError, Event, EventLoop, MqttOptions, Request, StateError};
 use tokio::time::{Instant, sleep, timeout};
 
@@ -73,7 +73,8 @@ impl Shared {
         *self.client.lock().unwrap_or_else(PoisonError::into_inner) = Some(client);
     }
 
-    fn acknowledged(&self) {
+    /// One message less is on its way.
+    pub(super) fn acknowledged(&self) {
         let less = |count: usize| count.checked_sub(1);
         let _ = self.unacknowledged.fetch_update(Ordering::Relaxed, Ordering::Relaxed, less);
     }
@@ -299,11 +300,10 @@ impl Worker {
 }
 
 fn is_too_large(error: &StateError) -> bool {
-    use rumqttc::v5::mqttbytes::Error;
     matches!(
         error,
         StateError::OutgoingPacketTooLarge { .. }
-            | StateError::Deserialization(Error::OutgoingPacketTooLarge { .. })
+            | StateError::Deserialization(MqttError::OutgoingPacketTooLarge { .. })
     )
 }
 
@@ -318,7 +318,9 @@ fn describe(error: &ConnectionError) -> String {
         }
         ConnectionError::Timeout(_) => "no answer".to_owned(),
         ConnectionError::ConnectionRefused(code) => format!("it turns us away: {code:?}"),
-        ConnectionError::MqttState(StateError::ConnectionAborted) => "connection lost".to_owned(),
+        ConnectionError::MqttState(
+            StateError::ConnectionAborted | StateError::Deserialization(MqttError::Io(_)),
+        ) => "connection lost".to_owned(),
         ConnectionError::MqttState(StateError::AwaitPingResp) => "no sign of life".to_owned(),
         ConnectionError::MqttState(StateError::ServerDisconnect { reason_code, .. }) => match reason_code {
             DisconnectReasonCode::SessionTakenOver => {

@@ -1,0 +1,185 @@
+//! What the broker keeps of one client: subscriptions, messages that wait, messages under way.
+
+use std::collections::VecDeque;
+use std::sync::{Arc, Condvar};
+use std::time::Instant;
+
+use rumqttc::v5::mqttbytes::v5::{DisconnectReasonCode, Filter, LastWill, Packet, Publish};
+use rumqttc::v5::mqttbytes::{QoS, matches};
+
+/// Messages that wait for one client, beside retained ones that it has just asked for.
+const QUEUE_MAX: usize = 512;
+/// Their bytes: 256 chunks of 64 KiB.
+const QUEUE_BYTES_MAX: usize = 16 << 20;
+/// Answers that wait for one client; a client that asks faster is not read from.
+const ANSWERS_MAX: usize = 1024;
+/// Subscriptions of one client.
+pub(super) const FILTERS_MAX: usize = 32;
+
+/// One client, connected or not.
+#[derive(Debug, Default)]
+pub(super) struct Session {
+    pub(super) filters: Vec<Filter>,
+    queue: VecDeque<Publish>,
+    queue_bytes: usize,
+    /// Sent with QoS 1 and not acknowledged, oldest first.
+    in_flight: VecDeque<Publish>,
+    last_pkid: u16,
+    pub(super) link: Option<Link>,
+    /// It let its queue stay full for too long: nobody waits for it until it takes something.
+    pub(super) is_stalled: bool,
+    /// When it is forgotten, if it is not connected.
+    pub(super) expires: Option<Instant>,
+}
+
+/// The connection of a session.
+#[derive(Debug)]
+pub(super) struct Link {
+    /// Which connection: a session may be taken over by a newer one.
+    pub(super) id: u64,
+    /// What the client takes without acknowledgement.
+    pub(super) receive_max: usize,
+    /// The largest packet that it takes.
+    pub(super) packet_bytes_max: usize,
+    /// Published if the connection ends without a word.
+    pub(super) will: Option<LastWill>,
+    /// Seconds that the session outlives the connection.
+    pub(super) expiry_s: u32,
+    /// Wakes the thread that writes.
+    pub(super) work: Arc<Condvar>,
+    /// Said last, then the connection ends.
+    pub(super) closing: Option<DisconnectReasonCode>,
+    answers: VecDeque<Packet>,
+}
+
+impl Link {
+    pub(super) fn new(id: u64, work: Arc<Condvar>) -> Self {
+        Self {
+            id,
+            receive_max: usize::from(u16::MAX),
+            packet_bytes_max: usize::MAX,
+            will: None,
+            expiry_s: 0,
+            work,
+            closing: None,
+            answers: VecDeque::new(),
+        }
+    }
+}
+
+impl Session {
+    /// The highest QoS at which this client wants `topic`, if it does.
+    pub(super) fn wants(&self, topic: &str, is_own: bool) -> Option<&Filter> {
+        let wanted = self.filters.iter().filter(|filter| !(is_own && filter.nolocal));
+        wanted.filter(|filter| matches(topic, &filter.path)).max_by_key(|filter| filter.qos as u8)
+    }
+
+    /// Whether there is no room for another message of `bytes`.
+    pub(super) fn is_full(&self, bytes: usize) -> bool {
+        self.queue.len() >= QUEUE_MAX || self.queue_bytes + bytes > QUEUE_BYTES_MAX
+    }
+
+    /// Whether the client must be read from no more until it has taken answers.
+    pub(super) fn is_flooded(&self) -> bool {
+        self.link.as_ref().is_some_and(|link| link.answers.len() >= ANSWERS_MAX)
+    }
+
+    /// Queues a message whatever its size; a client that could not take it loses it, as MQTT demands.
+    pub(super) fn enqueue(&mut self, publish: Publish) {
+        let Some(link) = &self.link else {
+            // For those who are away, QoS 1 only.
+            if publish.qos == QoS::AtLeastOnce {
+                self.push(publish);
+            }
+            return;
+        };
+        if publish.size() + 2 <= link.packet_bytes_max {
+            link.work.notify_one();
+            self.push(publish);
+        }
+    }
+
+    /// Queues an answer to the client's own packet.
+    pub(super) fn answer(&mut self, packet: Packet) {
+        if let Some(link) = &mut self.link {
+            link.answers.push_back(packet);
+            link.work.notify_one();
+        }
+    }
+
+    /// What is to be written next: answers first, then messages as far as the client takes them.
+    pub(super) fn take(&mut self, bytes_max: usize) -> Vec<Packet> {
+        let Some(link) = &mut self.link else { return Vec::new() };
+        let mut packets: Vec<Packet> = link.answers.drain(..).collect();
+        let receive_max = link.receive_max;
+        let mut bytes = 0;
+        while bytes < bytes_max {
+            let Some(next) = self.queue.front() else { break };
+            if next.qos == QoS::AtLeastOnce && self.in_flight.len() >= receive_max {
+                break;
+            }
+            let Some(publish) = self.pop() else { break };
+            bytes += publish.size();
+            packets.push(Packet::Publish(publish));
+        }
+        packets
+    }
+
+    /// The client has taken a message.
+    pub(super) fn acknowledge(&mut self, pkid: u16) {
+        if let Some(place) = self.in_flight.iter().position(|publish| publish.pkid == pkid) {
+            self.in_flight.remove(place);
+            self.is_stalled = false;
+            if let Some(link) = &self.link {
+                link.work.notify_one();
+            }
+        }
+    }
+
+    /// The connection is gone: what was under way waits again, first.
+    pub(super) fn unlink(&mut self) {
+        self.link = None;
+        self.is_stalled = false;
+        self.queue.retain(|publish| publish.qos == QoS::AtLeastOnce);
+        while let Some(mut publish) = self.in_flight.pop_back() {
+            publish.dup = true;
+            self.queue.push_front(publish);
+        }
+        self.queue_bytes = self.queue.iter().map(bytes_of).sum();
+    }
+
+    fn push(&mut self, publish: Publish) {
+        self.queue_bytes += bytes_of(&publish);
+        self.queue.push_back(publish);
+    }
+
+    fn pop(&mut self) -> Option<Publish> {
+        let mut publish = self.queue.pop_front()?;
+        self.queue_bytes -= bytes_of(&publish);
+        if publish.qos == QoS::AtLeastOnce {
+            // What was under way when a connection broke keeps its number.
+            if publish.pkid == 0 {
+                publish.pkid = self.next_pkid();
+            }
+            self.in_flight.push_back(publish.clone());
+        } else {
+            self.is_stalled = false;
+        }
+        Some(publish)
+    }
+
+    /// A number that no message under way has; there are fewer of those than numbers.
+    fn next_pkid(&mut self) -> u16 {
+        loop {
+            self.last_pkid = self.last_pkid.checked_add(1).unwrap_or(1);
+            if self.in_flight.iter().all(|publish| publish.pkid != self.last_pkid) {
+                return self.last_pkid;
+            }
+        }
+    }
+}
+
+/// What a message weighs in a queue.
+pub(super) fn bytes_of(publish: &Publish) -> usize {
+    publish.topic.len() + publish.payload.len()
+}

@@ -1,0 +1,81 @@
+//! The embedded broker, under the clients that it is for.
+#![allow(clippy::unwrap_used)]
+
+#[path = "../../shared/link/tests/common/mod.rs"]
+mod common;
+#[path = "../../shared/link/tests/common/live.rs"]
+mod live;
+
+use std::net::SocketAddr;
+use std::time::{Duration, Instant};
+
+use common::{identity, offer};
+use cosurf_aggregator::broker::{Broker, BrokerError};
+use cosurf_link::{BrokerAddress, Role};
+use cosurf_wire::{MAX_CHUNK_BYTES, ModelKind};
+use live::{Ground, upload};
+
+fn loopback() -> SocketAddr {
+    ([127, 0, 0, 1], 0).into()
+}
+
+fn address(broker: &Broker) -> BrokerAddress {
+    BrokerAddress { host: broker.address().ip().to_string(), port: broker.address().port() }
+}
+
+#[test]
+fn a_model_of_several_megabytes() {
+    let broker = Broker::start(loopback()).unwrap();
+    let ground = Ground::start(address(&broker), identity(Role::Aggregator, "ground"));
+    let offer = offer("drone", 1, ModelKind::Local, 1, 300_000, MAX_CHUNK_BYTES as u32);
+    let body = offer.body.clone();
+    let start = Instant::now();
+    let progress = upload(address(&broker), identity(Role::Device, "drone"), offer, |_| {}, |_, _| {});
+    println!("{} bytes in {:?}, {} sent", body.len(), start.elapsed(), progress.bytes_sent);
+    assert_eq!(*ground.bodies.lock().unwrap(), [body]);
+}
+
+#[test]
+fn stopped_and_started_in_mid_upload() {
+    let broker = Broker::start(loopback()).unwrap();
+    let (at, to) = (broker.address(), address(&broker));
+    let ground = Ground::start(to.clone(), identity(Role::Aggregator, "ground"));
+    let offer = offer("drone", 1, ModelKind::Local, 1, 300_000, 8192);
+    let body = offer.body.clone();
+    let (mut broker, mut retries) = (Some(broker), 0);
+    let restart = |progress: cosurf_link::UploadProgress| {
+        if progress.chunks_there > progress.chunks / 2 && broker.take().is_some() {
+            std::thread::sleep(Duration::from_millis(300));
+            std::thread::spawn(move || {
+                std::thread::sleep(Duration::from_millis(500));
+                std::mem::forget(Broker::start(at).unwrap());
+            });
+        }
+    };
+    upload(to, identity(Role::Device, "drone"), offer, restart, |_, reason| {
+        println!("{reason}");
+        retries += 1;
+    });
+    assert_eq!(*ground.bodies.lock().unwrap(), [body]);
+    assert!(retries > 0, "the broker was never away");
+}
+
+#[test]
+fn a_port_in_use_is_named() {
+    let broker = Broker::start(loopback()).unwrap();
+    let error = Broker::start(broker.address()).unwrap_err();
+    assert!(matches!(error, BrokerError::PortInUse(_)));
+    let text = error.to_string();
+    assert!(
+        text.contains(&broker.address().port().to_string()) && text.contains("choose another port"),
+        "{text}"
+    );
+}
+
+#[test]
+fn a_port_is_free_after_shutdown() {
+    let broker = Broker::start(loopback()).unwrap();
+    let at = broker.address();
+    broker.shutdown();
+    Broker::start(at).unwrap();
+}
