@@ -41,11 +41,11 @@ mod write;
 
 pub use render::CityFrame;
 pub use settings::{CityError, CitySettings};
-pub use truth::{TruthMesh, TruthPoint};
+pub use truth::TruthPoint;
 
 use std::path::Path;
 
-use crate::{Camera, Dataset, SceneError, View};
+use crate::{Camera, Dataset, Mesh, SceneError, View};
 use flight::Flight;
 use render::World;
 
@@ -98,7 +98,7 @@ impl City {
     }
 
     /// The true surface, as far as at least three cameras see it, in small triangles.
-    pub fn truth_mesh(&self) -> TruthMesh {
+    pub fn truth_mesh(&self) -> Mesh {
         truth::mesh(&self.world, &self.cameras)
     }
 

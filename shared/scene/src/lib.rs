@@ -1,7 +1,7 @@
 //! The vocabulary of cosurf and its files.
 //!
-//! What it is: [`Splats`], [`Camera`], [`View`], [`Picture`], [`Dataset`], their files (COLMAP,
-//! `transforms.json`, PLY, JPEG and PNG), picture quality ([`metrics`]) and a synthetic city.
+//! What it is: [`Splats`], [`Camera`], [`View`], [`Picture`], [`Dataset`], [`Mesh`], their files
+//! (COLMAP, `transforms.json`, PLY, GLB, JPEG and PNG), picture quality ([`metrics`]) and a synthetic city.
 //!
 //! What it refuses to know: rendering of splats, training, wires, clocks, command lines.
 //!
@@ -17,6 +17,7 @@ pub mod colmap;
 pub mod colormap;
 pub mod dataset;
 pub mod error;
+pub mod mesh;
 pub mod metrics;
 pub mod mission_config;
 pub mod picture;
@@ -27,9 +28,10 @@ mod transforms;
 
 pub use cache::PictureCache;
 pub use camera::{Camera, Pose};
-pub use city::{City, CityError, CityFrame, CitySettings, TruthMesh, TruthPoint};
+pub use city::{City, CityError, CityFrame, CitySettings, TruthPoint};
 pub use dataset::{Dataset, SparsePoint, View};
 pub use error::SceneError;
+pub use mesh::Mesh;
 pub use mission_config::AgentConfig;
 pub use picture::Picture;
 pub use splats::Splats;

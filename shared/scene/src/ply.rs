@@ -8,6 +8,7 @@
 //! memory beside the splats.
 
 mod header;
+mod mesh;
 mod points;
 mod rows;
 #[cfg(test)]
@@ -20,6 +21,7 @@ use crate::error::Refusal;
 use crate::splats::sh_coefficients;
 use crate::{SceneError, Splats, atomic};
 use header::Element;
+pub(crate) use mesh::{read_mesh, write_mesh};
 pub use points::read_points;
 use rows::{Rows, read_vertices};
 

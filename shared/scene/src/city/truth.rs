@@ -10,7 +10,7 @@ use super::mesh::Triangle;
 use super::random::Rng;
 use super::render::World;
 use super::sight::Sight;
-use crate::Camera;
+use crate::{Camera, Mesh};
 
 /// The surface counts as seen where this many cameras see it.
 const CAMERAS_MIN: usize = 3;
@@ -22,17 +22,6 @@ const FOOTPRINT_M: f32 = 0.12;
 const BATCH: usize = 1024;
 /// Times that as many points are tried as are wanted, before giving up.
 const ROUNDS: usize = 30;
-
-/// The surface that at least three cameras see.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct TruthMesh {
-    /// World positions, `[vertices]` of xyz.
-    pub positions: Vec<[f32; 3]>,
-    /// Colour of each vertex, without reflections.
-    pub rgb: Vec<[u8; 3]>,
-    /// Indices of three vertices each.
-    pub triangles: Vec<[u32; 3]>,
-}
 
 /// A point of the surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -61,7 +50,7 @@ fn position(triangle: &Triangle, weights: Vec2) -> Vec3 {
 }
 
 /// The seen surface in small triangles.
-pub(super) fn mesh(world: &World, cameras: &[Camera]) -> TruthMesh {
+pub(super) fn mesh(world: &World, cameras: &[Camera]) -> Mesh {
     let sight = Sight::new(&world.bvh, cameras);
     let pieces: Vec<Piece> = (0..world.mesh.triangles.len())
         .into_par_iter()
@@ -108,8 +97,8 @@ fn seen_side(sight: &Sight, triangle: &Triangle, weights: Vec2) -> Option<Vec3> 
 }
 
 /// Joins pieces at equal corners of the same material, so that edges between materials stay sharp.
-fn weld(world: &World, pieces: &[Piece]) -> TruthMesh {
-    let mut mesh = TruthMesh::default();
+fn weld(world: &World, pieces: &[Piece]) -> Mesh {
+    let mut mesh = Mesh::default();
     let mut known: HashMap<([u32; 3], u32), u32> = HashMap::new();
     // What each vertex takes its colour from: a piece and a corner of it.
     let mut sources = Vec::new();

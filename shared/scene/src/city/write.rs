@@ -1,11 +1,10 @@
 //! The city as a dataset on disk, in the layout that real scenes have.
 
 use std::fs;
-use std::io::Write;
 use std::path::Path;
 
-use super::{City, TruthMesh, TruthPoint};
-use crate::{Dataset, SceneError, atomic, colmap};
+use super::{City, TruthPoint};
+use crate::{Dataset, Mesh, SceneError, colmap};
 
 /// Folder of the pictures.
 pub(super) const PICTURES: &str = "images";
@@ -34,55 +33,20 @@ pub(super) fn write(
         progress(i + 1, total);
     }
     colmap::write(folder, &dataset)?;
-    write_mesh(&folder.join(TRUTH).join("mesh.ply"), &city.truth_mesh())?;
+    city.truth_mesh().write_ply(&folder.join(TRUTH).join("mesh.ply"))?;
     let area = city.settings.extent_m * city.settings.extent_m;
     let count = (POINTS_PER_M2 * area).clamp(POINTS_RANGE.0, POINTS_RANGE.1) as usize;
     let points = city.truth_points(count, city.settings.seed);
-    write_points(&folder.join(TRUTH).join("points.ply"), &points)?;
+    cloud(&points).write_ply(&folder.join(TRUTH).join("points.ply"))?;
     Ok(dataset)
 }
 
-/// The beginning of a binary PLY with vertices of these float properties and a colour.
-fn header(vertices: usize, floats: &[&str]) -> String {
-    let mut text = format!(
-        "ply\nformat binary_little_endian 1.0\ncomment units metres, x east y north z up\n\
-         element vertex {vertices}\n"
-    );
-    for name in floats {
-        text += &format!("property float {name}\n");
+/// A cloud is a mesh without triangles.
+fn cloud(points: &[TruthPoint]) -> Mesh {
+    Mesh {
+        positions: points.iter().map(|point| point.position).collect(),
+        normals: points.iter().map(|point| point.normal).collect(),
+        rgb: points.iter().map(|point| point.rgb).collect(),
+        triangles: Vec::new(),
     }
-    for name in ["red", "green", "blue"] {
-        text += &format!("property uchar {name}\n");
-    }
-    text
-}
-
-fn write_mesh(path: &Path, mesh: &TruthMesh) -> Result<(), SceneError> {
-    atomic::write(path, |out| {
-        out.write_all(header(mesh.positions.len(), &["x", "y", "z"]).as_bytes())?;
-        let faces = mesh.triangles.len();
-        write!(out, "element face {faces}\nproperty list uchar int vertex_indices\nend_header\n")?;
-        for (position, rgb) in mesh.positions.iter().zip(&mesh.rgb) {
-            out.write_all(position.map(f32::to_le_bytes).as_flattened())?;
-            out.write_all(rgb)?;
-        }
-        for corners in &mesh.triangles {
-            out.write_all(&[3])?;
-            out.write_all(corners.map(u32::to_le_bytes).as_flattened())?;
-        }
-        Ok(())
-    })
-}
-
-fn write_points(path: &Path, points: &[TruthPoint]) -> Result<(), SceneError> {
-    atomic::write(path, |out| {
-        out.write_all(header(points.len(), &["x", "y", "z", "nx", "ny", "nz"]).as_bytes())?;
-        out.write_all(b"end_header\n")?;
-        for point in points {
-            out.write_all(point.position.map(f32::to_le_bytes).as_flattened())?;
-            out.write_all(point.normal.map(f32::to_le_bytes).as_flattened())?;
-            out.write_all(&point.rgb)?;
-        }
-        Ok(())
-    })
 }

@@ -2,6 +2,7 @@
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, ErrorKind, Read};
+use std::ops::ControlFlow;
 use std::path::Path;
 
 use super::header::{Element, Format, Header, Kind, Scalar};
@@ -14,13 +15,33 @@ const BUFFER_BYTES: usize = 256 * 1024;
 /// No number in words is longer.
 const WORD_BYTES_MAX: usize = 64;
 
-/// Reads the element called `vertex` of `path`. `open` sees its declaration, after the number of
-/// rows was found to fit into the file, and returns what takes each row: the row's number and one
-/// value per property (0 for lists).
+/// Shows `visit` each element of `path` with its rows, in the order of the file, after the number of
+/// rows was found to fit into the file. Rows that it leaves are skipped.
+pub(super) fn read_elements(
+    path: &Path,
+    mut visit: impl FnMut(&Element, &mut Rows) -> Result<(), Refusal>,
+) -> Result<(), SceneError> {
+    visit_elements(path, |element, rows| visit(element, rows).map(ControlFlow::<()>::Continue)).map(|_| ())
+}
+
+/// Reads the element called `vertex` of `path`, and nothing after it. `read` sees its declaration and
+/// its rows.
 pub(super) fn read_vertices<T>(
     path: &Path,
-    read: impl FnOnce(&Element, &mut Rows) -> Result<T, Refusal>,
+    read: impl Fn(&Element, &mut Rows) -> Result<T, Refusal>,
 ) -> Result<T, SceneError> {
+    let found = visit_elements(path, |element, rows| match element.name.as_str() {
+        "vertex" => read(element, rows).map(ControlFlow::Break),
+        _ => Ok(ControlFlow::Continue(())),
+    });
+    found?.ok_or_else(|| SceneError::malformed(path, "has no element called vertex"))
+}
+
+/// Visits elements until one breaks; returns what it broke with.
+fn visit_elements<T>(
+    path: &Path,
+    mut visit: impl FnMut(&Element, &mut Rows) -> Result<ControlFlow<T>, Refusal>,
+) -> Result<Option<T>, SceneError> {
     let file = File::open(path).map_err(|cause| SceneError::io(path, cause))?;
     let result = file.metadata().map_err(Refusal::from).and_then(|metadata| {
         let mut input = BufReader::with_capacity(BUFFER_BYTES, file);
@@ -29,12 +50,12 @@ pub(super) fn read_vertices<T>(
         for element in &header.elements {
             left_bytes = check_size(element, header.format, left_bytes)?;
             let mut rows = Rows::new(&mut input, header.format, element);
-            if element.name == "vertex" {
-                return read(element, &mut rows);
+            if let ControlFlow::Break(found) = visit(element, &mut rows)? {
+                return Ok(Some(found));
             }
             while rows.next()?.is_some() {}
         }
-        Err("has no element called vertex".into())
+        Ok(None)
     });
     result.map_err(|refusal| refusal.of(path))
 }
@@ -73,25 +94,41 @@ impl<'a> Rows<'a> {
 
     /// The next row, one value per property (0 for lists), or `None` after the last.
     pub(super) fn next(&mut self) -> Result<Option<&[f64]>, Refusal> {
+        let some = self.row(None)?;
+        Ok(some.then_some(&self.values))
+    }
+
+    /// Puts into `list` the items that the next row has in the list `column`; false after the last.
+    pub(super) fn next_list(&mut self, column: usize, list: &mut Vec<f64>) -> Result<bool, Refusal> {
+        list.clear();
+        self.row(Some((column, list)))
+    }
+
+    fn row(&mut self, mut keep: Option<(usize, &mut Vec<f64>)>) -> Result<bool, Refusal> {
         let element = self.element;
         if self.row == element.count {
-            return Ok(None);
+            return Ok(false);
         }
         self.values.clear();
-        for property in &element.properties {
-            let value = self.property(property.kind).map_err(|refusal| refusal.at(self.place()))?;
+        for (column, property) in element.properties.iter().enumerate() {
+            let keep = keep.as_mut().filter(|(kept, _)| *kept == column).map(|(_, list)| &mut **list);
+            let value = self.property(property.kind, keep).map_err(|refusal| refusal.at(self.place()))?;
             self.values.push(value);
         }
         self.row += 1;
-        Ok(Some(&self.values))
+        Ok(true)
     }
 
-    fn property(&mut self, kind: Kind) -> Result<f64, Refusal> {
+    /// A number; of a list 0, and its items into `keep`.
+    fn property(&mut self, kind: Kind, mut keep: Option<&mut Vec<f64>>) -> Result<f64, Refusal> {
         match kind {
             Kind::One(scalar) => self.value(scalar),
             Kind::List { count, item } => {
                 for _ in 0..self.value(count)? as u64 {
-                    self.value(item)?;
+                    let value = self.value(item)?;
+                    if let Some(list) = &mut keep {
+                        list.push(value);
+                    }
                 }
                 Ok(0.0)
             }

@@ -1,0 +1,140 @@
+//! Binary glTF 2.0 (Khronos, "glTF 2.0 Specification", §4.4): a header, a chunk of JSON, a chunk of
+//! numbers.
+
+use std::io::{self, Write};
+use std::path::Path;
+
+use serde_json::{Value, json};
+
+use super::Mesh;
+use crate::{SceneError, atomic};
+
+/// Component types of accessors.
+const UNSIGNED_SHORT: u32 = 5123;
+const UNSIGNED_INT: u32 = 5125;
+const FLOAT: u32 = 5126;
+/// Uses of buffer views.
+const ARRAY_BUFFER: u32 = 34962;
+const ELEMENT_ARRAY_BUFFER: u32 = 34963;
+/// Bytes before and between the two chunks: the file's header and a head for each.
+const HEADS_BYTES: u64 = 12 + 8 + 8;
+/// A quarter turn about x that takes z to y, as xyzw.
+const Y_FROM_Z: [f32; 4] = [-std::f32::consts::FRAC_1_SQRT_2, 0.0, 0.0, std::f32::consts::FRAC_1_SQRT_2];
+
+pub(super) fn write(path: &Path, mesh: &Mesh) -> Result<(), SceneError> {
+    if mesh.triangles.is_empty() {
+        return Err(SceneError::malformed(path, "a glb file needs triangles; write the points as .ply"));
+    }
+    let (mut json, numbers_bytes) = describe(mesh);
+    // Chunks end at multiples of four bytes; those of JSON are filled with spaces.
+    json.resize(json.len().next_multiple_of(4), b' ');
+    let total_bytes = HEADS_BYTES + json.len() as u64 + numbers_bytes;
+    let (Ok(total), Ok(numbers)) = (u32::try_from(total_bytes), u32::try_from(numbers_bytes)) else {
+        return Err(SceneError::malformed(path, "the mesh is too large for glb's 4 GiB; write .ply"));
+    };
+    atomic::write(path, |out| {
+        out.write_all(b"glTF")?;
+        out.write_all([2, total, json.len() as u32].map(u32::to_le_bytes).as_flattened())?;
+        out.write_all(b"JSON")?;
+        out.write_all(&json)?;
+        out.write_all(&numbers.to_le_bytes())?;
+        out.write_all(b"BIN\0")?;
+        write_numbers(out, mesh)
+    })
+}
+
+/// The arrays of the file, one after the other: what they are and where they begin.
+#[derive(Default)]
+struct Arrays {
+    views: Vec<Value>,
+    accessors: Vec<Value>,
+    bytes: u64,
+}
+
+impl Arrays {
+    /// Appends an array of `count` items of `item_bytes`; returns its index.
+    fn push(&mut self, count: usize, item_bytes: u64, target: u32, mut accessor: Value) -> usize {
+        let length = count as u64 * item_bytes;
+        self.views
+            .push(json!({"buffer": 0, "byteOffset": self.bytes, "byteLength": length, "target": target}));
+        accessor["bufferView"] = self.accessors.len().into();
+        accessor["count"] = count.into();
+        self.accessors.push(accessor);
+        self.bytes += length;
+        self.accessors.len() - 1
+    }
+}
+
+/// The JSON, and how many bytes of numbers it describes.
+fn describe(mesh: &Mesh) -> (Vec<u8>, u64) {
+    let mut arrays = Arrays::default();
+    let (min, max) = bounds(mesh);
+    let vertices = mesh.positions.len();
+    let position = json!({"componentType": FLOAT, "type": "VEC3", "min": min, "max": max});
+    let mut attributes = json!({"POSITION": arrays.push(vertices, 12, ARRAY_BUFFER, position)});
+    if !mesh.normals.is_empty() {
+        let normal = json!({"componentType": FLOAT, "type": "VEC3"});
+        attributes["NORMAL"] = arrays.push(vertices, 12, ARRAY_BUFFER, normal).into();
+    }
+    if !mesh.rgb.is_empty() {
+        let color = json!({"componentType": UNSIGNED_SHORT, "type": "VEC4", "normalized": true});
+        attributes["COLOR_0"] = arrays.push(vertices, 8, ARRAY_BUFFER, color).into();
+    }
+    let index = json!({"componentType": UNSIGNED_INT, "type": "SCALAR"});
+    let indices = arrays.push(3 * mesh.triangles.len(), 4, ELEMENT_ARRAY_BUFFER, index);
+    let material = json!({
+        "pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 1},
+        "doubleSided": true, // the surface has borders, behind which it would vanish
+    });
+    let document = json!({
+        "asset": {"version": "2.0", "generator": "cosurf"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0, "rotation": Y_FROM_Z}],
+        "meshes": [{"primitives": [{"attributes": attributes, "indices": indices, "material": 0}]}],
+        "materials": [material],
+        "buffers": [{"byteLength": arrays.bytes}],
+        "bufferViews": arrays.views,
+        "accessors": arrays.accessors,
+    });
+    (document.to_string().into_bytes(), arrays.bytes)
+}
+
+/// Least and greatest coordinates, which the format demands for positions.
+fn bounds(mesh: &Mesh) -> ([f32; 3], [f32; 3]) {
+    let mut bounds = ([f32::MAX; 3], [f32::MIN; 3]);
+    for position in &mesh.positions {
+        for axis in 0..3 {
+            bounds.0[axis] = bounds.0[axis].min(position[axis]);
+            bounds.1[axis] = bounds.1[axis].max(position[axis]);
+        }
+    }
+    bounds
+}
+
+/// The arrays in the order of [`describe`].
+fn write_numbers(out: &mut impl Write, mesh: &Mesh) -> io::Result<()> {
+    for position in &mesh.positions {
+        out.write_all(position.map(f32::to_le_bytes).as_flattened())?;
+    }
+    for normal in &mesh.normals {
+        // Zero is no direction in glTF; where none is known, up is as good as any.
+        let normal = if *normal == [0.0; 3] { [0.0, 0.0, 1.0] } else { *normal };
+        out.write_all(normal.map(f32::to_le_bytes).as_flattened())?;
+    }
+    for rgb in &mesh.rgb {
+        let [r, g, b] = rgb.map(linear_from_srgb);
+        out.write_all([r, g, b, u16::MAX].map(u16::to_le_bytes).as_flattened())?;
+    }
+    for corners in &mesh.triangles {
+        out.write_all(corners.map(u32::to_le_bytes).as_flattened())?;
+    }
+    Ok(())
+}
+
+/// Vertex colours of glTF are linear; 16 bits keep the dark ones apart. IEC 61966-2-1.
+fn linear_from_srgb(byte: u8) -> u16 {
+    let v = f32::from(byte) / 255.0;
+    let linear = if v <= 0.040_45 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) };
+    (linear * 65_535.0).round() as u16
+}

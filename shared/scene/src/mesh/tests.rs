@@ -1,0 +1,154 @@
+//! Round trips, other tools' dialects, hostile files, and what glTF demands.
+
+#![allow(clippy::unwrap_used)]
+
+use std::fs;
+
+use serde_json::Value;
+
+use super::*;
+
+/// A corner of a box: three faces that share a vertex, coloured, with normals.
+fn corner() -> Mesh {
+    Mesh {
+        positions: vec![[0.0; 3], [2.0, 0.0, 0.0], [0.0, 3.0, 0.0], [0.0, 0.0, 4.0]],
+        normals: vec![[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0; 3]],
+        rgb: vec![[0, 1, 2], [30, 40, 50], [128, 128, 128], [255, 0, 255]],
+        triangles: vec![[0, 2, 1], [0, 1, 3], [0, 3, 2]],
+    }
+}
+
+fn read_bytes(content: &[u8]) -> Result<Mesh, SceneError> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.ply");
+    fs::write(&path, content).unwrap();
+    Mesh::read(&path)
+}
+
+fn written(mesh: &Mesh, name: &str) -> Vec<u8> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join(name);
+    mesh.write(&path).unwrap();
+    fs::read(path).unwrap()
+}
+
+#[test]
+fn meshes_and_clouds_survive_the_round_trip() {
+    let bare = Mesh { normals: Vec::new(), rgb: Vec::new(), ..corner() };
+    let cloud = Mesh { triangles: Vec::new(), ..corner() };
+    for mesh in [corner(), bare, cloud, Mesh::default()] {
+        assert_eq!(read_bytes(&written(&mesh, "a.ply")).unwrap(), mesh);
+    }
+}
+
+#[test]
+fn other_tools_meshes_are_read() {
+    let text = "ply\nformat ascii 1.0\ncomment by hand\nelement vertex 4\nproperty double x\nproperty double y\n\
+        property double z\nproperty float quality\nelement face 2\nproperty uchar flags\n\
+        property list int uint vertex_index\nproperty list uchar float texcoord\nelement edge 1\n\
+        property int vertex1\nend_header\n\
+        0 0 0 1\n1 0 0 1\n1 1 0 1\n0 1 0.5 1\n7 4 0 1 2 3 2 0.5 0.5\n7 3 2 1 0 0\n1\n";
+    let mesh = read_bytes(text.as_bytes()).unwrap();
+    assert_eq!(mesh.positions[3], [0.0, 1.0, 0.5]);
+    assert_eq!(mesh.triangles, [[0, 1, 2], [0, 2, 3], [2, 1, 0]]);
+    assert!(mesh.normals.is_empty() && mesh.rgb.is_empty());
+}
+
+#[test]
+fn unusable_normals_become_zero_and_long_ones_unit() {
+    let text = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n\
+        property float nx\nproperty float ny\nproperty float nz\nend_header\n\
+        0 0 0 nan 0 0\n0 0 0 0 0 0\n0 0 0 0 -4 0\n";
+    let mesh = read_bytes(text.as_bytes()).unwrap();
+    assert_eq!(mesh.normals, [[0.0; 3], [0.0; 3], [0.0, -1.0, 0.0]]);
+}
+
+#[test]
+fn hostile_files_are_refused_in_one_line() {
+    let vertices =
+        "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n";
+    let faces = "element face 1\nproperty list uchar int vertex_indices\nend_header\n";
+    for (body, complaint) in [
+        (format!("{vertices}{faces}0 0 0 3 0 0 1\n"), "only 1 vertices"),
+        (format!("{vertices}{faces}0 0 0 3 0 0 -1\n"), "-1 is no index"),
+        (format!("{vertices}{faces}0 0 0 3 0 0 0.5\n"), "0.5 is no index"),
+        (format!("{vertices}{faces}0 0 0 2 0 0\n"), "2 corners"),
+        (format!("{vertices}{faces}0 0 0 0\n"), "without corners"),
+        (format!("{vertices}{faces}0 0 0 3 0 0\n"), "cut short"),
+        (format!("{vertices}{faces}0 nan 0 3 0 0 0\n"), "not finite"),
+        (format!("{vertices}{faces}0 1e300 0 3 0 0 0\n"), "not finite"),
+        (format!("{vertices}end_header\n"), "only 0 bytes are left"),
+        (
+            format!("{vertices}element face 1\nproperty int vertex_indices\nend_header\n0 0 0 1\n"),
+            "no list vertex_indices",
+        ),
+        (format!("ply\nformat ascii 1.0\n{faces}3 0 0 0\n"), "no element called vertex"),
+        ("ply\nformat ascii 1.0\nelement vertex 0\nproperty float x\nend_header\n".into(), "no x, y and z"),
+    ] {
+        let text = read_bytes(body.as_bytes()).unwrap_err().to_string();
+        assert!(text.contains(complaint) && !text.contains('\n'), "{body:?}: {text}");
+    }
+}
+
+#[test]
+fn a_mesh_cut_short_anywhere_is_refused() {
+    let whole = written(&corner(), "a.ply");
+    for length in 0..whole.len() {
+        assert!(read_bytes(&whole[..length]).is_err(), "{length} of {} bytes", whole.len());
+    }
+}
+
+#[test]
+fn glb_is_what_gltf_demands() {
+    let bytes = written(&corner(), "a.glb");
+    let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) as usize;
+    assert_eq!((&bytes[..4], word(4), word(8)), (&b"glTF"[..], 2, bytes.len()));
+    let json_end = 20 + word(12);
+    assert_eq!((&bytes[16..20], json_end % 4), (&b"JSON"[..], 0));
+    assert_eq!((&bytes[json_end + 4..json_end + 8], word(json_end) % 4), (&b"BIN\0"[..], 0));
+    let json: Value = serde_json::from_slice(&bytes[20..json_end]).unwrap();
+    let numbers = &bytes[json_end + 8..];
+    assert_eq!(numbers.len(), json["buffers"][0]["byteLength"].as_u64().unwrap() as usize);
+    assert_eq!(json["accessors"][0]["min"], serde_json::json!([0.0, 0.0, 0.0]));
+    assert_eq!(json["accessors"][0]["max"], serde_json::json!([2.0, 3.0, 4.0]));
+    let array = |accessor: &Value| {
+        let view = &json["bufferViews"][accessor.as_u64().unwrap() as usize];
+        let begin = view["byteOffset"].as_u64().unwrap() as usize;
+        &numbers[begin..begin + view["byteLength"].as_u64().unwrap() as usize]
+    };
+    let primitive = &json["meshes"][0]["primitives"][0];
+    let position = array(&primitive["attributes"]["POSITION"]);
+    assert_eq!(position[12..16], 2.0f32.to_le_bytes());
+    let normal = array(&primitive["attributes"]["NORMAL"]);
+    assert_eq!(normal[44..48], 1.0f32.to_le_bytes(), "a direction although none is known");
+    let color = array(&primitive["attributes"]["COLOR_0"]);
+    // sRGB 128 is 0.2159 of the light.
+    assert_eq!(color[16..24], [14_146u16, 14_146, 14_146, 65_535].map(u16::to_le_bytes).concat());
+    let indices = array(&primitive["indices"]);
+    assert_eq!(indices[4..8], 2u32.to_le_bytes());
+}
+
+#[test]
+fn the_world_stands_upright_in_gltf() {
+    let json_of = |bytes: &[u8]| -> Value {
+        let length = u32::from_le_bytes(bytes[12..16].try_into().unwrap()) as usize;
+        serde_json::from_slice(&bytes[20..20 + length]).unwrap()
+    };
+    let json = json_of(&written(&corner(), "a.glb"));
+    let rotation: [f32; 4] = serde_json::from_value(json["nodes"][0]["rotation"].clone()).unwrap();
+    let up = glam::Quat::from_array(rotation) * Vec3::Z;
+    assert!(up.distance(Vec3::Y) < 1e-6, "{up}");
+}
+
+#[test]
+fn only_known_files_are_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let refuse = |mesh: &Mesh, name: &str| mesh.write(&folder.path().join(name)).unwrap_err().to_string();
+    assert!(refuse(&corner(), "a.obj").contains(".ply or .glb"));
+    assert!(refuse(&Mesh::default(), "a.glb").contains("needs triangles"));
+}
+
+#[test]
+fn areas_are_those_of_triangles() {
+    assert_eq!(corner().areas().collect::<Vec<_>>(), [3.0, 4.0, 6.0]);
+}

@@ -1,0 +1,140 @@
+//! Meshes as PLY: `x y z [nx ny nz] [red green blue]` and `property list uchar int vertex_indices`,
+//! which every mesh tool opens.
+
+use std::io::Write;
+use std::path::Path;
+
+use super::header::{Element, Kind};
+use super::rows::{Rows, read_elements};
+use crate::error::Refusal;
+use crate::{Mesh, SceneError, atomic};
+
+/// See [`Mesh::write_ply`].
+pub(crate) fn write_mesh(path: &Path, mesh: &Mesh) -> Result<(), SceneError> {
+    atomic::write(path, |out| {
+        out.write_all(header_of(mesh).as_bytes())?;
+        for (i, position) in mesh.positions.iter().enumerate() {
+            out.write_all(position.map(f32::to_le_bytes).as_flattened())?;
+            if let Some(normal) = mesh.normals.get(i) {
+                out.write_all(normal.map(f32::to_le_bytes).as_flattened())?;
+            }
+            if let Some(rgb) = mesh.rgb.get(i) {
+                out.write_all(rgb)?;
+            }
+        }
+        for corners in &mesh.triangles {
+            out.write_all(&[3])?;
+            out.write_all(corners.map(u32::to_le_bytes).as_flattened())?;
+        }
+        Ok(())
+    })
+}
+
+fn header_of(mesh: &Mesh) -> String {
+    let vertices = mesh.positions.len();
+    let mut text = format!("ply\nformat binary_little_endian 1.0\nelement vertex {vertices}\n");
+    let mut declare = |kind: &str, names: [&str; 3]| {
+        names.iter().for_each(|name| text += &format!("property {kind} {name}\n"));
+    };
+    declare("float", ["x", "y", "z"]);
+    if !mesh.normals.is_empty() {
+        declare("float", ["nx", "ny", "nz"]);
+    }
+    if !mesh.rgb.is_empty() {
+        declare("uchar", ["red", "green", "blue"]);
+    }
+    if !mesh.triangles.is_empty() {
+        let faces = mesh.triangles.len();
+        text += &format!("element face {faces}\nproperty list uchar int vertex_indices\n");
+    }
+    text + "end_header\n"
+}
+
+/// See [`Mesh::read`].
+pub(crate) fn read_mesh(path: &Path) -> Result<Mesh, SceneError> {
+    let mut mesh = Mesh::default();
+    let mut has_vertices = false;
+    read_elements(path, |element, rows| match element.name.as_str() {
+        "vertex" => {
+            has_vertices = true;
+            read_vertices(element, rows, &mut mesh)
+        }
+        "face" => read_faces(element, rows, &mut mesh),
+        _ => Ok(()),
+    })?;
+    check(&mesh, has_vertices).map_err(|refusal| refusal.of(path))?;
+    Ok(mesh)
+}
+
+fn read_vertices(element: &Element, rows: &mut Rows, mesh: &mut Mesh) -> Result<(), Refusal> {
+    let columns = |names: [&str; 3]| {
+        let [a, b, c] = names.map(|name| element.column(name));
+        Some([a?, b?, c?])
+    };
+    let position = columns(["x", "y", "z"]).ok_or("has no x, y and z for its vertices")?;
+    let normal = columns(["nx", "ny", "nz"]);
+    let rgb = columns(["red", "green", "blue"]);
+    let count = element.count as usize;
+    mesh.positions.reserve_exact(count);
+    mesh.normals.reserve_exact(normal.map_or(0, |_| count));
+    mesh.rgb.reserve_exact(rgb.map_or(0, |_| count));
+    while let Some(row) = rows.next()? {
+        let p = position.map(|column| row[column] as f32);
+        if !p.iter().all(|v| v.is_finite()) {
+            let vertex = mesh.positions.len();
+            return Err(format!("vertex {vertex}: its position {p:?} is not finite; remove it").into());
+        }
+        mesh.positions.push(p);
+        if let Some(columns) = normal {
+            mesh.normals.push(unit_or_zero(columns.map(|column| row[column])));
+        }
+        if let Some(columns) = rgb {
+            mesh.rgb.push(columns.map(|column| row[column] as u8));
+        }
+    }
+    Ok(())
+}
+
+/// Other tools leave NaN or zero where no face gave a vertex a normal.
+fn unit_or_zero(normal: [f64; 3]) -> [f32; 3] {
+    let length = normal.iter().map(|v| v * v).sum::<f64>().sqrt();
+    if length.is_finite() && length > 1e-12 { normal.map(|v| (v / length) as f32) } else { [0.0; 3] }
+}
+
+fn read_faces(element: &Element, rows: &mut Rows, mesh: &mut Mesh) -> Result<(), Refusal> {
+    let is_list = |name: &str| {
+        element.properties.iter().position(|p| p.name == name && matches!(p.kind, Kind::List { .. }))
+    };
+    let column = is_list("vertex_indices")
+        .or_else(|| is_list("vertex_index"))
+        .ok_or("has no list vertex_indices for its faces")?;
+    let mut face = Vec::new();
+    // A row may be a single byte as far as its declaration goes, so nothing is reserved on its word.
+    while rows.next_list(column, &mut face)? {
+        let [first, rest @ ..] = face.as_slice() else { return Err("has a face without corners".into()) };
+        if rest.len() < 2 {
+            return Err(format!("has a face of {} corners; faces need three", face.len()).into());
+        }
+        for pair in rest.windows(2) {
+            mesh.triangles.push([index(*first)?, index(pair[0])?, index(pair[1])?]);
+        }
+    }
+    Ok(())
+}
+
+fn index(value: f64) -> Result<u32, Refusal> {
+    let index = value as u32;
+    if f64::from(index) == value { Ok(index) } else { Err(format!("{value} is no index of a vertex").into()) }
+}
+
+fn check(mesh: &Mesh, has_vertices: bool) -> Result<(), Refusal> {
+    if !has_vertices {
+        return Err("has no element called vertex".into());
+    }
+    let vertices = mesh.positions.len();
+    let out_of_range = |triangle: &&[u32; 3]| triangle.iter().any(|&vertex| vertex as usize >= vertices);
+    match mesh.triangles.iter().find(out_of_range) {
+        Some(triangle) => Err(format!("has a triangle of the vertices {triangle:?}, but only {vertices} vertices; the file is damaged or forged").into()),
+        None => Ok(()),
+    }
+}
