@@ -14,6 +14,7 @@ mod evaluate;
 pub mod field;
 mod fleet;
 mod footprint;
+pub mod lpips;
 mod map;
 mod merge;
 pub mod mission;

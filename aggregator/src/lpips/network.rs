@@ -1,0 +1,61 @@
+//! The two networks as lists of convolutions.
+
+/// The network whose features are compared.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Network {
+    /// VGG16, to its 13th convolution.
+    Vgg,
+    /// AlexNet, to its fifth convolution.
+    Alex,
+}
+
+/// A convolution with what happens around it; the negative part of what it gives is cut off.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Step {
+    /// Side of its square window.
+    pub(super) side_px: usize,
+    /// From one window to the next.
+    pub(super) stride_px: usize,
+    /// Zeros around its input.
+    pub(super) padding_px: usize,
+    /// Whether its input is pooled first.
+    pub(super) pooled: bool,
+    /// Whether its features are compared.
+    pub(super) tapped: bool,
+}
+
+impl Network {
+    /// The convolutions in order.
+    pub(super) fn steps(self) -> Vec<Step> {
+        match self {
+            Self::Vgg => (0..13).map(vgg_step).collect(),
+            Self::Alex => (0..5).map(alex_step).collect(),
+        }
+    }
+
+    /// Side of the windows, two pixels apart, of which pooling takes the greatest value.
+    pub(super) fn pool_side_px(self) -> usize {
+        match self {
+            Self::Vgg => 2,
+            Self::Alex => 3,
+        }
+    }
+
+    /// The shortest side of a picture of which something is left after the last pooling.
+    pub fn size_min_px(self) -> u32 {
+        match self {
+            Self::Vgg => 16,
+            Self::Alex => 31,
+        }
+    }
+}
+
+fn vgg_step(i: usize) -> Step {
+    let (pooled, tapped) = (matches!(i, 2 | 4 | 7 | 10), matches!(i, 1 | 3 | 6 | 9 | 12));
+    Step { side_px: 3, stride_px: 1, padding_px: 1, pooled, tapped }
+}
+
+fn alex_step(i: usize) -> Step {
+    let (side_px, stride_px, padding_px) = [(11, 4, 2), (5, 1, 2), (3, 1, 1)][i.min(2)];
+    Step { side_px, stride_px, padding_px, pooled: matches!(i, 1 | 2), tapped: true }
+}
