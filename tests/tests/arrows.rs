@@ -56,6 +56,17 @@ fn crates_know_only_whom_they_may() {
     assert_eq!(forbidden(&found, ARROWS[4].2), ["cosurf-aggregator"]);
 }
 
+/// What measures with neural networks is for the ground: a drone's computer does not carry it.
+#[test]
+fn networks_stay_in_the_aggregator() {
+    for (name, folder, _) in ARROWS {
+        let manifest = fs::read_to_string(root().join(folder).join("Cargo.toml")).unwrap();
+        let found = dependencies(&manifest);
+        let has = ["ndarray", "safetensors"].map(|network| found.iter().any(|name| name == network));
+        assert_eq!(has, [name == "cosurf-aggregator"; 2], "{name}");
+    }
+}
+
 #[test]
 fn every_crate_is_on_the_map() {
     let manifest: toml::Table = fs::read_to_string(root().join("Cargo.toml")).unwrap().parse().unwrap();
