@@ -10,7 +10,6 @@
 
 mod blocks;
 mod building;
-mod bvh;
 mod facade;
 mod flight;
 mod ground;

@@ -1,4 +1,4 @@
-//! Pictures of what is not a colour: depth and normals, for the eye.
+//! Pictures of what is not a colour: depth, normals and errors, for the eye.
 //!
 //! Depth goes through a perceptual map of our own: a path through OKLCh on which lightness rises
 //! evenly from far (dark violet) over blue and green to near (bright yellow), so equal steps of
@@ -43,6 +43,16 @@ pub fn depth_range(depth: &[f32]) -> [f32; 2] {
     let last = (depths.len() - 1) as f64;
     let at = |share: f64| depths[(share * last).round() as usize];
     [at(OUTLIERS), at(1.0 - OUTLIERS)]
+}
+
+/// Errors, `[h, w]` from 0 up, NaN where there is nothing to compare, as colours: dark where there is none,
+/// bright from `bright` on, which is above 0.
+pub fn error_picture(errors: &[f32], size_px: [u32; 2], bright: f32) -> Picture {
+    let rgb = errors.iter().flat_map(|&error| match (error / bright).clamp(0.0, 1.0) {
+        share if share.is_nan() => EMPTY,
+        share => palette()[(share * 255.0).round() as usize],
+    });
+    Picture::new(size_px, rgb.collect())
 }
 
 /// Normals, `[h, w, xyz]` in the camera frame (x right, y down, z forward), of any length, zero where
@@ -127,6 +137,15 @@ mod tests {
         assert_eq!(pixels[1], palette()[0]);
         assert_eq!([pixels[2], pixels[3]], [EMPTY; 2]);
         assert_eq!([pixels[4], pixels[5]], [pixels[0], pixels[1]]);
+    }
+
+    #[test]
+    fn larger_errors_are_brighter_and_unknown_ones_stay_dark() {
+        let picture = error_picture(&[0.0, 1.0, 2.0, 9.0, f32::NAN], [5, 1], 2.0);
+        let pixels = picture.rgb.as_chunks::<3>().0;
+        assert_eq!([pixels[0], pixels[1]], [palette()[0], palette()[128]]);
+        assert_eq!([pixels[2], pixels[3]], [palette()[255]; 2]);
+        assert_eq!(pixels[4], EMPTY);
     }
 
     #[test]

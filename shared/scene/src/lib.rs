@@ -1,7 +1,8 @@
 //! The vocabulary of cosurf and its files.
 //!
 //! What it is: [`Splats`], [`Camera`], [`View`], [`Picture`], [`Dataset`], [`Mesh`], their files
-//! (COLMAP, `transforms.json`, PLY, GLB, JPEG and PNG), picture quality ([`metrics`]) and a synthetic city.
+//! (COLMAP, `transforms.json`, PLY, GLB, JPEG and PNG), picture quality ([`metrics`]), exact
+//! depth of triangles ([`raycast`]) and a synthetic city.
 //!
 //! What it refuses to know: rendering of splats, training, wires, clocks, command lines.
 //!
@@ -9,6 +10,7 @@
 //! on, then [`splats`], then [`dataset`].
 
 pub mod atomic;
+mod bvh;
 pub mod bytes;
 pub mod cache;
 pub mod camera;
@@ -22,6 +24,7 @@ pub mod metrics;
 pub mod mission_config;
 pub mod picture;
 pub mod ply;
+pub mod raycast;
 pub mod report;
 pub mod splats;
 mod transforms;
@@ -34,4 +37,5 @@ pub use error::SceneError;
 pub use mesh::Mesh;
 pub use mission_config::AgentConfig;
 pub use picture::Picture;
+pub use raycast::{Cast, Caster};
 pub use splats::Splats;

@@ -3,9 +3,9 @@
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
-use super::bvh::{Bvh, Ray};
 use super::material::Look;
 use super::mesh::Triangle;
+use crate::bvh::{Bvh, Ray};
 
 /// The sun's irradiance and the sky's on level ground, linear; a white level surface in the sun
 /// comes out just short of white in the picture.

@@ -1,14 +1,15 @@
 //! From a camera to a picture with depth and normals: rays, three by three to a pixel where it pays.
 
-use glam::{DMat3, DVec2, DVec3, Vec3};
+use glam::{DVec2, Vec3};
 use rayon::prelude::*;
 
-use super::bvh::{Bvh, Hit, Ray};
 use super::light::{self, Light, Lit};
 use super::material::{Look, Spot};
 use super::mesh::{Mesh, Triangle};
 use super::paving::Land;
 use super::plan::Plan;
+use crate::bvh::{Bvh, Hit, Ray};
+use crate::raycast::Shooter;
 use crate::{Camera, Picture};
 
 /// What a camera sees.
@@ -40,48 +41,11 @@ const SIDES: [(f64, f64); 4] = [(0.0, -1.0), (-1.0, 0.0), (1.0, 0.0), (0.0, 1.0)
 /// fifteen steps of 255 in the picture.
 const UNEVEN: f32 = 0.06;
 
-/// A camera ready to shoot rays.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Shooter {
-    camera: Camera,
-    center: DVec3,
-    world_from_cam: DMat3,
-    /// Metres of sample distance per metre of distance.
-    footprint: f32,
-}
-
 /// A pixel's values.
 struct Pixel {
     rgb: [u8; 3],
     depth: f32,
     normal: [f32; 3],
-}
-
-impl Shooter {
-    pub(super) fn new(camera: &Camera) -> Self {
-        Self {
-            camera: *camera,
-            center: camera.cam_from_world.center(),
-            world_from_cam: DMat3::from_quat(camera.cam_from_world.rotation.inverse()),
-            // Half a pixel: the mean distance of samples in a pixel.
-            footprint: (0.5 / camera.focal_px.max_element()) as f32,
-        }
-    }
-
-    /// Metres between samples per metre of distance.
-    pub(super) fn footprint(&self) -> f32 {
-        self.footprint
-    }
-
-    /// The ray through a pixel position; `t` is the depth along the optical axis.
-    pub(super) fn ray(&self, p_px: DVec2) -> Ray {
-        Ray {
-            origin: self.center.as_vec3(),
-            direction: (self.world_from_cam * self.camera.ray(p_px)).as_vec3(),
-            t_min: 0.0,
-            t_max: f32::INFINITY,
-        }
-    }
 }
 
 impl World {
@@ -111,7 +75,7 @@ impl World {
             colors.iter().sum::<Vec3>() * 0.2
         };
         let (depth, normal) = match hits[0] {
-            Some(hit) => self.exact(shooter, center, &hit),
+            Some(hit) => shooter.meet(center, &self.mesh.triangles[hit.triangle as usize].corners),
             None => (0.0, [0.0; 3]),
         };
         Pixel { rgb: light::encode(color), depth, normal }
@@ -126,22 +90,11 @@ impl World {
     ) -> ([Option<Hit>; N], [Vec3; N]) {
         let rays = thirds.map(|(dx, dy)| shooter.ray(center + DVec2::new(dx, dy) * (1.0 / 3.0)));
         let hits = self.bvh.nearest(&rays);
-        (hits, self.shade(&rays, &hits, shooter.footprint))
+        (hits, self.shade(&rays, &hits, shooter.half_pixel()))
     }
 
-    /// Depth and camera-frame normal of the plane that was hit, in double precision.
-    fn exact(&self, shooter: &Shooter, p_px: DVec2, hit: &Hit) -> (f32, [f32; 3]) {
-        let [a, b, c] = self.mesh.triangles[hit.triangle as usize].corners.map(|p| p.as_dvec3());
-        let normal = (b - a).cross(c - a).normalize();
-        let direction = shooter.world_from_cam * shooter.camera.ray(p_px);
-        let along = normal.dot(direction);
-        let depth = normal.dot(a - shooter.center) / along;
-        let towards = if along > 0.0 { -normal } else { normal };
-        let in_camera = shooter.camera.cam_from_world.rotation * towards;
-        (depth as f32, in_camera.as_vec3().to_array())
-    }
-
-    /// What rays see where they hit, linear; black where they hit nothing.
+    /// What rays see where they hit, linear; black where they hit nothing. `footprint`: metres between
+    /// samples per metre of distance; half a pixel is the mean distance of samples in a pixel.
     pub(super) fn shade<const N: usize>(
         &self,
         rays: &[Ray; N],

@@ -2,8 +2,8 @@
 
 use glam::{DMat3, DVec3, Vec3};
 
-use super::bvh::{Bvh, Ray};
 use crate::Camera;
+use crate::bvh::{Bvh, Ray};
 
 /// How much of the line of sight at its end may lie inside the surface, metres.
 const SLACK_M: f32 = 0.03;

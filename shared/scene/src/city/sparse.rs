@@ -6,8 +6,9 @@ use rayon::prelude::*;
 
 use super::light;
 use super::random::Rng;
-use super::render::{Shooter, World};
+use super::render::World;
 use super::sight::Sight;
+use crate::raycast::Shooter;
 use crate::{Camera, SparsePoint};
 
 /// Standard deviation of an observation, per axis.
@@ -84,7 +85,7 @@ impl Finder<'_> {
         let color = |p_px: DVec2| {
             let ray = shooter.ray(p_px);
             let [hit] = self.world.bvh.nearest(&[ray]);
-            let [color] = self.world.shade(&[ray], &[hit], shooter.footprint());
+            let [color] = self.world.shade(&[ray], &[hit], shooter.half_pixel());
             Some((color, hit?.t))
         };
         let (middle, depth) = color(p_px)?;

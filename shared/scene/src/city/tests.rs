@@ -9,7 +9,7 @@ use std::sync::OnceLock;
 
 use glam::{DVec2, DVec3, Vec3};
 
-use super::bvh::{Bvh, Hit, Ray};
+use crate::bvh::{Bvh, Hit, Ray};
 use oracle::{brute_force, distance_to_surface};
 
 use super::light::Lit;
@@ -329,6 +329,23 @@ fn truth_is_the_seen_surface_evenly() {
         });
         assert!(seen.count() >= 3, "{p}");
     }
+}
+
+/// The mesh on the disk, by which models are judged, looks as the town's own rays see it: never nearer, and
+/// farther only through the holes of what fewer than three cameras see.
+#[test]
+fn casting_at_the_truth_gives_the_towns_own_depth() {
+    let caster = crate::Caster::new(&small().truth_mesh());
+    let (mut met, mut nearer, mut farther) = (0, 0, 0);
+    for camera in small().cameras() {
+        let (frame, cast) = (small().render(camera), caster.cast(camera));
+        for (exact, depth) in frame.depth.iter().zip(&cast.depth).filter(|(_, depth)| **depth > 0.0) {
+            met += 1;
+            nearer += usize::from(*depth < 0.999 * exact);
+            farther += usize::from(*depth > 1.001 * exact);
+        }
+    }
+    assert!(met > 15_000 && nearer == 0 && 20 * farther < met, "{nearer} and {farther} of {met}");
 }
 
 #[test]

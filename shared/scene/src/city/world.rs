@@ -2,7 +2,6 @@
 
 use glam::Vec3;
 
-use super::bvh::Bvh;
 use super::light::Light;
 use super::mesh::Mesh;
 use super::palette::Palette;
@@ -12,6 +11,7 @@ use super::random::Rng;
 use super::render::World;
 use super::terrain::Terrain;
 use super::{blocks, ground, roadside};
+use crate::bvh::Bvh;
 
 /// Pixels smaller than this on the ground show single sprays of leaves, metres.
 const FINE_PIXEL_M: f32 = 0.45;

@@ -13,7 +13,9 @@ use glam::{Vec3, Vec4};
 const WIDTH: usize = 4;
 /// From this depth on parts are halved by count, which bounds the depth for any input.
 const MEDIAN_DEPTH: usize = 12;
-/// Three boxes wait on each level: [`MEDIAN_DEPTH`] levels and the 13 that 2²⁶ triangles need beyond.
+/// The most triangles that a hierarchy holds.
+pub(crate) const TRIANGLES_MAX: usize = 1 << 26;
+/// Three boxes wait on each level: [`MEDIAN_DEPTH`] levels and the 13 that [`TRIANGLES_MAX`] need beyond.
 const STACK: usize = 80;
 /// Bit of a child that tells a leaf from a node.
 const LEAF: u32 = 1 << 31;
@@ -22,31 +24,31 @@ const LEAF: u32 = 1 << 31;
 const EDGE_SLACK: f32 = 1e-6;
 /// Lengthens the part of a beam inside a box by more than rounding can shorten it.
 const BOX_SLACK: f32 = 1.0 + 1e-6;
-/// Far beyond any town, metres.
+/// Far beyond any surface, world units.
 const FAR: f32 = 1e30;
 
 /// A ray; `t` counts lengths of `direction`.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Ray {
+pub(crate) struct Ray {
     /// Start.
-    pub(super) origin: Vec3,
+    pub(crate) origin: Vec3,
     /// Any length but zero.
-    pub(super) direction: Vec3,
+    pub(crate) direction: Vec3,
     /// Where it begins.
-    pub(super) t_min: f32,
+    pub(crate) t_min: f32,
     /// Where it ends.
-    pub(super) t_max: f32,
+    pub(crate) t_max: f32,
 }
 
 /// Where a ray met a triangle.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Hit {
+pub(crate) struct Hit {
     /// Lengths of the ray's direction.
-    pub(super) t: f32,
+    pub(crate) t: f32,
     /// Index into the triangles the hierarchy was built from.
-    pub(super) triangle: u32,
+    pub(crate) triangle: u32,
     /// Weights of the second and third corner.
-    pub(super) barycentric: [f32; 2],
+    pub(crate) barycentric: [f32; 2],
 }
 
 /// Three coordinates of four vectors.
@@ -71,7 +73,7 @@ struct Leaf {
 
 /// The hierarchy.
 #[derive(Debug)]
-pub(super) struct Bvh {
+pub(crate) struct Bvh {
     nodes: Vec<Node>,
     leaves: Vec<Leaf>,
 }
@@ -187,13 +189,13 @@ fn dot(a: &Lanes, b: &Lanes) -> Vec4 {
 }
 
 impl Bvh {
-    /// Builds over at most 2²⁶ triangles given by their corners; there may be none.
-    pub(super) fn build(triangles: &[[Vec3; 3]]) -> Self {
+    /// Builds over at most [`TRIANGLES_MAX`] triangles given by their corners; there may be none.
+    pub(crate) fn build(triangles: &[[Vec3; 3]]) -> Self {
         build::build(triangles)
     }
 
     /// The nearest triangle of each ray. Fast where the rays are close together.
-    pub(super) fn nearest<const N: usize>(&self, rays: &[Ray; N]) -> [Option<Hit>; N] {
+    pub(crate) fn nearest<const N: usize>(&self, rays: &[Ray; N]) -> [Option<Hit>; N] {
         let wide = rays.each_ref().map(WideRay::new);
         let mut t_max = rays.each_ref().map(|ray| ray.t_max);
         let mut nearest = [None; N];
@@ -216,7 +218,7 @@ impl Bvh {
     }
 
     /// For each ray whether anything is in its way. Fast where the rays are close together.
-    pub(super) fn blocked<const N: usize>(&self, rays: &[Ray; N]) -> [bool; N] {
+    pub(crate) fn blocked<const N: usize>(&self, rays: &[Ray; N]) -> [bool; N] {
         let wide = rays.each_ref().map(WideRay::new);
         let longest = rays.iter().map(|ray| ray.t_max).fold(f32::NEG_INFINITY, f32::max);
         let mut blocked = [false; N];

@@ -2,14 +2,14 @@
 
 use glam::Vec3;
 
-use super::{Bvh, LEAF, Leaf, MEDIAN_DEPTH, Node, WIDTH};
+use super::{Bvh, LEAF, Leaf, MEDIAN_DEPTH, Node, TRIANGLES_MAX, WIDTH};
 
 /// Bins of the surface-area heuristic: beyond 12 to 16 finer ones stop paying (Wald 2007).
 const BINS: usize = 16;
 
-/// Builds over at most 2²⁶ triangles.
+/// Builds over at most [`TRIANGLES_MAX`] triangles.
 pub(super) fn build(triangles: &[[Vec3; 3]]) -> Bvh {
-    assert!(triangles.len() <= 1 << 26, "{} triangles are more than the stack is for", triangles.len());
+    assert!(triangles.len() <= TRIANGLES_MAX, "{} triangles are more than the stack is for", triangles.len());
     let boxes: Vec<Aabb> = triangles.iter().map(Aabb::of).collect();
     let mut order: Vec<u32> = (0..triangles.len() as u32).collect();
     let mut builder = Builder { triangles, boxes: &boxes, nodes: vec![Node::EMPTY], leaves: Vec::new() };

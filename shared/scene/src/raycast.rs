@@ -1,0 +1,178 @@
+//! What a camera sees of triangles, by rays: the exact depth and normal at each pixel's centre.
+//!
+//! What it refuses to know: colours, and what the depth is compared with.
+
+use glam::{DMat3, DVec2, DVec3, Vec3};
+use rayon::prelude::*;
+
+use crate::bvh::{Bvh, Ray};
+use crate::{Camera, Mesh};
+
+/// The most triangles that can be cast at; see [`Caster::new`].
+pub const TRIANGLES_MAX: usize = crate::bvh::TRIANGLES_MAX;
+
+/// What a camera sees of a surface. Through a hole of the surface it sees what lies behind: of the synthetic
+/// city's truth, which has holes where fewer than three cameras look, that is one pixel in 75.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Cast {
+    /// Width and height.
+    pub size_px: [u32; 2],
+    /// `[height, width]` depth along the optical axis, world units; 0 where there is no surface.
+    pub depth: Vec<f32>,
+    /// `[height, width]` unit normals of the triangles in the camera frame, on the side that the camera
+    /// sees; zero where there is no surface.
+    pub normals: Vec<[f32; 3]>,
+}
+
+/// A surface that cameras can be cast at, any number of them.
+#[derive(Debug)]
+pub struct Caster {
+    bvh: Bvh,
+    corners: Vec<[Vec3; 3]>,
+}
+
+impl Caster {
+    /// Takes a copy of the triangles and sorts them. Panics beyond [`TRIANGLES_MAX`] of them.
+    pub fn new(mesh: &Mesh) -> Self {
+        let corners: Vec<[Vec3; 3]> = (0..mesh.triangles.len()).map(|i| mesh.corners(i)).collect();
+        Self { bvh: Bvh::build(&corners), corners }
+    }
+
+    /// Depth and normal at every pixel's centre; either side of a triangle is surface. Rows in parallel, the
+    /// same for any number of threads.
+    pub fn cast(&self, camera: &Camera) -> Cast {
+        let [width, height] = camera.size_px;
+        let shooter = Shooter::new(camera);
+        let (depth, normals) = (0..height)
+            .into_par_iter()
+            .flat_map_iter(|y| (0..width).map(move |x| (x, y)))
+            .map(|(x, y)| self.look(&shooter, DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5)))
+            .unzip();
+        Cast { size_px: camera.size_px, depth, normals }
+    }
+
+    fn look(&self, shooter: &Shooter, p_px: DVec2) -> (f32, [f32; 3]) {
+        let [hit] = self.bvh.nearest(&[shooter.ray(p_px)]);
+        hit.map_or((0.0, [0.0; 3]), |hit| shooter.meet(p_px, &self.corners[hit.triangle as usize]))
+    }
+}
+
+/// A camera ready to shoot rays.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Shooter {
+    camera: Camera,
+    center: DVec3,
+    world_from_cam: DMat3,
+}
+
+impl Shooter {
+    pub(crate) fn new(camera: &Camera) -> Self {
+        Self {
+            camera: *camera,
+            center: camera.cam_from_world.center(),
+            world_from_cam: DMat3::from_quat(camera.cam_from_world.rotation.inverse()),
+        }
+    }
+
+    /// Half a pixel's width at depth 1.
+    pub(crate) fn half_pixel(&self) -> f32 {
+        (0.5 / self.camera.focal_px.max_element()) as f32
+    }
+
+    /// The ray through a pixel position; `t` is the depth along the optical axis.
+    pub(crate) fn ray(&self, p_px: DVec2) -> Ray {
+        Ray {
+            origin: self.center.as_vec3(),
+            direction: (self.world_from_cam * self.camera.ray(p_px)).as_vec3(),
+            t_min: 0.0,
+            t_max: f32::INFINITY,
+        }
+    }
+
+    /// Where the ray through a pixel position meets a triangle's plane, in double precision: depth, and the
+    /// unit normal in the camera frame, towards the camera.
+    pub(crate) fn meet(&self, p_px: DVec2, corners: &[Vec3; 3]) -> (f32, [f32; 3]) {
+        let [a, b, c] = corners.map(|p| p.as_dvec3());
+        let normal = (b - a).cross(c - a).normalize();
+        let direction = self.world_from_cam * self.camera.ray(p_px);
+        let along = normal.dot(direction);
+        let depth = normal.dot(a - self.center) / along;
+        let towards = if along > 0.0 { -normal } else { normal };
+        let in_camera = self.camera.cam_from_world.rotation * towards;
+        (depth as f32, in_camera.as_vec3().to_array())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    //! Against planes whose depth and normal are known in closed form.
+
+    use super::*;
+    use crate::Pose;
+
+    /// Two triangles in the plane `z = 2 + slope · x`, 200 wide.
+    fn slanted(slope: f32) -> Mesh {
+        let corner = |x: f32, y: f32| [x, y, 2.0 + slope * x];
+        Mesh {
+            positions: vec![
+                corner(-100.0, -100.0),
+                corner(100.0, -100.0),
+                corner(100.0, 100.0),
+                corner(-100.0, 100.0),
+            ],
+            triangles: vec![[0, 1, 2], [0, 2, 3]],
+            ..Mesh::default()
+        }
+    }
+
+    fn from_above() -> Camera {
+        let eye = DVec3::new(3.0, -4.0, 30.0);
+        Camera {
+            cam_from_world: Pose::look_at(eye, eye - DVec3::Z, DVec3::Y),
+            focal_px: DVec2::new(40.0, 44.0),
+            center_px: DVec2::new(16.3, 11.2),
+            size_px: [32, 24],
+        }
+    }
+
+    #[test]
+    fn a_slanted_plane_has_the_depth_and_normal_of_its_equation() {
+        let (camera, slope) = (from_above(), 0.3);
+        let cast = Caster::new(&slanted(slope as f32)).cast(&camera);
+        // Looking down, the camera's x is the world's and its z the world's -z.
+        let normal = DVec3::new(-slope, 0.0, -1.0).normalize();
+        for (i, (depth, got)) in cast.depth.iter().zip(&cast.normals).enumerate() {
+            let ray = camera.ray(DVec2::new((i % 32) as f64 + 0.5, (i / 32) as f64 + 0.5));
+            // 30 - z = 2 + slope (3 + x z)
+            let expected = (28.0 - slope * 3.0) / (1.0 + slope * ray.x);
+            assert!((f64::from(*depth) - expected).abs() < 1e-5 * expected, "{i}: {depth} is not {expected}");
+            assert!(Vec3::from(*got).as_dvec3().distance(normal) < 1e-6, "{i}: {got:?} is not {normal}");
+        }
+    }
+
+    #[test]
+    fn the_camera_sees_either_side_and_the_nearer_surface() {
+        let mut mesh = slanted(0.0);
+        mesh.triangles = mesh.triangles.iter().map(|&[a, b, c]| [a, c, b]).collect();
+        let camera = from_above();
+        let flipped = Caster::new(&mesh).cast(&camera);
+        assert!(flipped.normals.iter().all(|n| n[2] < -0.999), "towards the camera");
+        // A small triangle before it hides some of it.
+        mesh.positions.extend([[3.0, -4.0, 20.0], [6.0, -4.0, 20.0], [3.0, -1.0, 20.0]]);
+        mesh.triangles.push([4, 5, 6]);
+        let cast = Caster::new(&mesh).cast(&camera);
+        let near = cast.depth.iter().filter(|z| (**z - 10.0).abs() < 1e-4).count();
+        let far = cast.depth.iter().filter(|z| (**z - 28.0).abs() < 1e-4).count();
+        assert!(near > 40 && near + far == 32 * 24, "{near} {far}");
+    }
+
+    #[test]
+    fn where_nothing_is_there_is_no_depth() {
+        let camera = from_above();
+        for mesh in [Mesh::default(), Mesh { triangles: vec![[0, 0, 1]], ..slanted(0.0) }] {
+            let cast = Caster::new(&mesh).cast(&camera);
+            assert!(cast.depth.iter().all(|&z| z == 0.0) && cast.normals.iter().all(|&n| n == [0.0; 3]));
+            assert_eq!(cast.depth.len(), 32 * 24);
+        }
+    }
+}
