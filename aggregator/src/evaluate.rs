@@ -1,11 +1,12 @@
-//! The global model on held-out photographs. Only a mission can do this, having the photographs at
-//! hand; the receiving service never does.
+//! A model on held-out photographs, and on the true surface where there is one. Only who has the photographs
+//! at hand can do this, as a mission or a person does; the receiving service never does.
 
 use cosurf_engine::{Renderer, Rendering};
-use cosurf_scene::{Picture, SceneError, Splats, View, colormap, metrics};
+use cosurf_scene::{Cast, Picture, SceneError, Splats, View, metrics};
 
-use crate::page::Showcase;
-use crate::report::Quality;
+use crate::quality::{Quality, Yardsticks};
+use crate::showcase::Showcase;
+use crate::surface::SurfaceQuality;
 
 /// Views shown in the report, spread from the worst to the best.
 const SHOWCASES: usize = 4;
@@ -18,63 +19,63 @@ pub(crate) struct Evaluation {
     pub(crate) showcases: Vec<Showcase>,
 }
 
-/// Renders every view and compares it with its photograph, both at most `max_size_px` long.
-pub(crate) fn evaluate(
-    splats: &Splats,
-    views: &[&View],
-    max_size_px: Option<u32>,
-    threads: usize,
-) -> Result<Evaluation, SceneError> {
-    let mut judge = Judge { renderer: Renderer::new(splats, threads), max_size_px };
-    let look = |view: &&View| judge.look(view).map(|look| look.quality);
-    let qualities = views.iter().map(look).collect::<Result<Vec<_>, _>>()?;
-    let show = |i: usize| judge.look(views[i]).map(|look| look.showcase(views[i]));
-    let showcases = spread(&qualities).into_iter().map(show).collect::<Result<Vec<_>, _>>()?;
+/// Judges every view, and shows a few.
+pub(crate) fn evaluate(judge: &mut Judge, views: &[&View]) -> Result<Evaluation, SceneError> {
+    let qualities = views.iter().map(|view| judge.quality(view)).collect::<Result<Vec<_>, _>>()?;
+    let show = |i: usize| Ok(Showcase::new(&views[i].name, qualities[i], judge.look(views[i])?));
+    let showcases = spread(&qualities).into_iter().map(show).collect::<Result<Vec<_>, SceneError>>()?;
     Ok(Evaluation { qualities, showcases })
 }
 
-struct Judge {
+/// Renders a model where photographs were taken.
+pub(crate) struct Judge<'a> {
     renderer: Renderer,
-    max_size_px: Option<u32>,
+    max_size_px: u32,
+    yardsticks: &'a Yardsticks,
 }
 
 /// A photograph beside its rendering.
-struct Look {
-    truth: Picture,
-    rendering: Rendering,
-    quality: Quality,
+pub(crate) struct Look {
+    /// The photograph.
+    pub(crate) photograph: Picture,
+    /// What the model shows there, colours clamped to 0..=1, as in a picture file.
+    pub(crate) rendering: Rendering,
+    /// The true surface as the camera sees it.
+    pub(crate) truth: Option<Cast>,
 }
 
-impl Judge {
-    fn look(&mut self, view: &View) -> Result<Look, SceneError> {
-        let size_px = view.camera.fitted_size(self.max_size_px.unwrap_or(u32::MAX));
-        let truth = Picture::read_fitted(&view.path, size_px)?;
-        let mut rendering = self.renderer.render(&view.camera.resized(size_px));
-        rendering.rgb.iter_mut().for_each(|value| *value = value.clamp(0.0, 1.0));
-        let wanted = truth.to_unit();
-        let quality = Quality {
+impl<'a> Judge<'a> {
+    /// Takes a copy of the splats. Pictures are shrunk until they are at most `max_size_px` long.
+    pub(crate) fn new(
+        splats: &Splats,
+        max_size_px: Option<u32>,
+        threads: usize,
+        yardsticks: &'a Yardsticks,
+    ) -> Self {
+        let max_size_px = max_size_px.unwrap_or(u32::MAX);
+        Self { renderer: Renderer::new(splats, threads), max_size_px, yardsticks }
+    }
+
+    /// Every figure of a view.
+    pub(crate) fn quality(&mut self, view: &View) -> Result<Quality, SceneError> {
+        let Look { photograph, rendering, truth } = self.look(view)?;
+        let (size_px, wanted) = (photograph.size_px, photograph.to_unit());
+        let lpips = self.yardsticks.lpips.as_ref();
+        Ok(Quality {
             psnr: metrics::psnr(&rendering.rgb, &wanted),
             ssim: metrics::ssim(&rendering.rgb, &wanted, size_px),
-        };
-        Ok(Look { truth, rendering, quality })
+            lpips: lpips.and_then(|lpips| lpips.score(&rendering.rgb, &wanted, size_px)),
+            surface: truth.and_then(|truth| SurfaceQuality::of(&rendering, &truth)),
+        })
     }
-}
 
-impl Look {
-    fn showcase(self, view: &View) -> Showcase {
-        let Rendering { size_px, rgb, depth, normal, .. } = self.rendering;
-        let depth_range_m = colormap::depth_range(&depth);
-        Showcase {
-            name: view.name.clone(),
-            quality: self.quality,
-            depth_range_m,
-            pictures: [
-                self.truth,
-                Picture::from_unit(size_px, &rgb),
-                colormap::depth_picture(&depth, size_px, depth_range_m),
-                colormap::normal_picture(&normal, size_px),
-            ],
-        }
+    fn look(&mut self, view: &View) -> Result<Look, SceneError> {
+        let camera = view.camera.resized(view.camera.fitted_size(self.max_size_px));
+        let photograph = Picture::read_fitted(&view.path, camera.size_px)?;
+        let mut rendering = self.renderer.render(&camera);
+        rendering.rgb.iter_mut().for_each(|value| *value = value.clamp(0.0, 1.0));
+        let truth = self.yardsticks.truth.as_ref().map(|caster| caster.cast(&camera));
+        Ok(Look { photograph, rendering, truth })
     }
 }
 
@@ -94,9 +95,8 @@ mod tests {
 
     #[test]
     fn showcases_go_from_the_best_to_the_worst() {
-        let qualities = |psnrs: &[f64]| -> Vec<Quality> {
-            psnrs.iter().map(|&psnr| Quality { psnr, ssim: 0.0 }).collect()
-        };
+        let quality = |&psnr: &f64| Quality { psnr, ssim: 0.0, lpips: None, surface: None };
+        let qualities = |psnrs: &[f64]| -> Vec<Quality> { psnrs.iter().map(quality).collect() };
         assert_eq!(spread(&qualities(&[3.0, 9.0, 1.0, 7.0, 5.0, 8.0, 2.0])), [1, 3, 0, 2]);
         assert_eq!(spread(&qualities(&[3.0, 9.0])), [1, 0]);
         assert_eq!(spread(&qualities(&[3.0])), [0]);

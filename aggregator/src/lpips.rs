@@ -136,6 +136,15 @@ pub struct LpipsScore {
     pub alex: f64,
 }
 
+impl LpipsScore {
+    /// The mean over views; `None` of none.
+    pub(crate) fn mean(of: impl Iterator<Item = Self>) -> Option<Self> {
+        let all: Vec<Self> = of.collect();
+        let mean = |value: fn(&Self) -> f64| all.iter().map(value).sum::<f64>() / all.len() as f64;
+        (!all.is_empty()).then(|| Self { vgg: mean(|score| score.vgg), alex: mean(|score| score.alex) })
+    }
+}
+
 /// Both networks.
 #[derive(Debug)]
 pub struct LpipsPair {

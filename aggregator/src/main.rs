@@ -1,6 +1,8 @@
 //! `cosurf-aggregator`: the command line, and all that the library must not know by itself: clock,
 //! environment, signals.
 
+mod cli;
+
 use std::io::{self, IsTerminal, Write};
 use std::path::{Path, PathBuf, absolute};
 use std::process::ExitCode;
@@ -32,6 +34,7 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Commands {
+    Eval(cli::eval::EvalArgs),
     Mission(MissionArgs),
     Run(RunArgs),
 }
@@ -70,6 +73,9 @@ struct MissionArgs {
     /// Hold every N-th picture by name out of training, to judge the models by; 0 holds out none
     #[arg(long, value_name = "N", default_value_t = 8)]
     eval_every: u32,
+    /// Judge the global model by LPIPS too: folder of vgg.safetensors and alex.safetensors
+    #[arg(long, value_name = "FOLDER")]
+    lpips: Option<PathBuf>,
     /// Print every event, and at the end the report, as lines of JSON
     #[arg(long)]
     json: bool,
@@ -88,6 +94,7 @@ struct RunArgs {
 
 fn main() -> ExitCode {
     let outcome = match Cli::parse().command {
+        Commands::Eval(args) => cli::eval::run(args),
         Commands::Mission(args) => mission(args),
         Commands::Run(args) => run(&args),
     };
@@ -116,6 +123,7 @@ fn mission(args: MissionArgs) -> Result<()> {
         city: data.is_none().then(|| another_city(args.seed)),
         out,
         broker: args.broker,
+        lpips: args.lpips,
     };
     let report = fly(&order, &surroundings(args.json)?)?;
     print_report(&report, &order.out, args.json)?;

@@ -19,12 +19,13 @@ use image::ImageError;
 
 use crate::board::{Phase, Status};
 use crate::broker::{Broker, BrokerError};
-use crate::evaluate::{Evaluation, evaluate};
+use crate::evaluate::{Evaluation, Judge, evaluate};
 use crate::field::local_address;
 use crate::fleet::{Fleet, Orders};
 use crate::page::{Drawings, page};
 use crate::plan::{Plan, PlanError, Settings, write_text};
 use crate::progress::{Display, show_pictures};
+use crate::quality::{YardstickError, Yardsticks};
 use crate::report::{MissionReport, summarize};
 use crate::service::{BROKER_ATTEMPTS_MAX, Expected, Service, ServiceConfig, ServiceError, global_ply};
 use crate::station::Station;
@@ -45,6 +46,8 @@ pub struct MissionOrder {
     pub out: PathBuf,
     /// The broker to use; `None` for an embedded one on a free port of this machine.
     pub broker: Option<BrokerAddress>,
+    /// Folder of LPIPS weights to judge the global model by too; `None` for no LPIPS.
+    pub lpips: Option<PathBuf>,
 }
 
 /// What only a main knows of the world.
@@ -82,6 +85,9 @@ pub enum MissionError {
     /// A file could not be read or written.
     #[error(transparent)]
     Scene(#[from] SceneError),
+    /// What the global model is to be measured by cannot be read.
+    #[error(transparent)]
+    Yardstick(#[from] YardstickError),
     /// The embedded broker did not start.
     #[error(transparent)]
     Broker(#[from] BrokerError),
@@ -138,10 +144,12 @@ pub fn fly(order: &MissionOrder, around: &Surroundings) -> Result<MissionReport,
         town::make(city, &order.settings.data, progress)?;
     }
     let dataset = Dataset::open(&order.settings.data)?;
+    // Read before anything long begins, so that a wrong folder is told at once.
+    let yardsticks = Yardsticks::read(&order.settings.data, order.lpips.as_deref(), None)?;
     let fresh_site = SiteId::new(&format!("mission-{}", around.session))?;
     let plan = Plan::make(&dataset, &order.settings, &order.out, fresh_site)?;
     let (global, board) = gather(order, around, &plan)?;
-    let evaluation = judge(order, around, &dataset, &plan)?;
+    let evaluation = judge(order, around, &dataset, &plan, &yardsticks)?;
     let seconds = ((around.now)() - begun).as_secs_f64();
     let mut report = summarize(&plan, &order.settings, &board, &global, &evaluation.qualities);
     report.whole.seconds = seconds;
@@ -241,17 +249,19 @@ fn first_failure(plan: &Plan, board: &[Status]) -> MissionError {
         .map_or(MissionError::ServiceDied, |(device, reason)| MissionError::NothingArrived { device, reason })
 }
 
-/// Compares the global model, as it is on the disk, with the photographs held out.
+/// Compares the global model, as it is on the disk, with the photographs held out and the true surface.
 fn judge(
     order: &MissionOrder,
     around: &Surroundings,
     dataset: &Dataset,
     plan: &Plan,
+    yardsticks: &Yardsticks,
 ) -> Result<Evaluation, MissionError> {
     let splats = ply::read(&global_ply(&order.out))?;
     let held_out = dataset.views.iter().zip(&plan.views).filter(|(_, view)| view.held_out);
     let views: Vec<&View> = held_out.map(|(view, _)| view).collect();
-    Ok(evaluate(&splats, &views, order.settings.max_size_px, around.cores)?)
+    let mut judge = Judge::new(&splats, order.settings.max_size_px, around.cores, yardsticks);
+    Ok(evaluate(&mut judge, &views)?)
 }
 
 fn write_report(

@@ -2,26 +2,15 @@
 
 use std::fmt::Write;
 
-use cosurf_scene::Picture;
 use cosurf_scene::bytes::format_bytes;
 use image::ImageError;
 
 use crate::embed::data_uri;
 use crate::progress::format_seconds;
-use crate::report::{self, MissionReport, Quality};
+use crate::quality::Quality;
+use crate::report::{self, MissionReport};
+use crate::showcase::{Captioned, Showcase};
 use crate::{chart, map};
-
-/// A held-out view next to what the global model shows there.
-pub(crate) struct Showcase {
-    /// Name of the view.
-    pub(crate) name: String,
-    /// How well colours agree.
-    pub(crate) quality: Quality,
-    /// Depth of the bright and of the dark end of the scale, metres.
-    pub(crate) depth_range_m: [f32; 2],
-    /// Truth, colour, depth, normal; all of one size.
-    pub(crate) pictures: [Picture; 4],
-}
 
 /// What the page draws beside the figures of the report.
 pub(crate) struct Drawings<'a> {
@@ -82,16 +71,20 @@ fn header(html: &mut String, report: &MissionReport) {
         escape(&report.data.display().to_string()),
         report.seed
     );
-    let quality = |text: fn(Quality) -> String| whole.quality.map_or("–".to_string(), text);
+    let quality = |text: fn(&Quality) -> Option<String>| whole.quality.as_ref().and_then(text);
     html.push_str("<div class=\"tiles\">");
     for (value, label) in [
-        (quality(|q| format!("{:.2} dB", q.psnr)), "PSNR, held-out views"),
-        (quality(|q| format!("{:.3}", q.ssim)), "SSIM, held-out views"),
-        (group_digits(whole.splats), "splats"),
-        (format_seconds(whole.seconds), "start to report"),
-        (format_bytes(whole.bytes_sent), "sent by the agents"),
-        (format_bytes(whole.peak_memory_bytes), "largest agent"),
+        (quality(|q| Some(format!("{:.2} dB", q.psnr))).or(Some("–".into())), "PSNR, held-out views"),
+        (quality(|q| Some(format!("{:.3}", q.ssim))).or(Some("–".into())), "SSIM, held-out views"),
+        (quality(report::lpips_text), "LPIPS (VGG)"),
+        (quality(report::depth_text), "median error of depth"),
+        (quality(report::normal_text), "median error of normals"),
+        (Some(group_digits(whole.splats)), "splats"),
+        (Some(format_seconds(whole.seconds)), "start to report"),
+        (Some(format_bytes(whole.bytes_sent)), "sent by the agents"),
+        (Some(format_bytes(whole.peak_memory_bytes)), "largest agent"),
     ] {
+        let Some(value) = value else { continue };
         let _ = write!(html, "<div class=\"tile\"><b>{value}</b><span>{label}</span></div>");
     }
     html.push_str("</div>\n");
@@ -99,11 +92,13 @@ fn header(html: &mut String, report: &MissionReport) {
 
 fn agents(html: &mut String, report: &MissionReport) {
     html.push_str("<h2>Agents</h2>\n<div class=\"scroll\"><table><thead><tr>");
-    for heading in report::HEADINGS {
+    let lines = report::rows(report);
+    let (headings, rows) = lines.split_first().expect("headings");
+    for heading in headings {
         let _ = write!(html, "<th>{heading}</th>");
     }
     html.push_str("</tr></thead><tbody>\n");
-    for (i, row) in report::rows(report).iter().enumerate() {
+    for (i, row) in rows.iter().enumerate() {
         html.push_str("<tr>");
         for (column, cell) in row.iter().enumerate() {
             let is_agent = column == 0 && i < report.agents.len();
@@ -113,12 +108,7 @@ fn agents(html: &mut String, report: &MissionReport) {
         html.push_str("</tr>\n");
     }
     html.push_str("</tbody></table></div>\n");
-    html.push_str(
-        "<p class=\"soft\">Views are those trained on + held out. PSNR and SSIM are means over held-out views: of \
-         an agent's own model over its own views, in the last row of the global model over all. “In global” is \
-         the global model's PSNR over the agent's views. Memory is the peak of the process, for the whole that \
-         of the largest agent.</p>\n",
-    );
+    explanation(html, report.whole.quality.as_ref());
     let remarks = report::remarks(report);
     if !remarks.is_empty() {
         html.push_str("<ul class=\"remarks\">");
@@ -127,6 +117,28 @@ fn agents(html: &mut String, report: &MissionReport) {
         }
         html.push_str("</ul>\n");
     }
+}
+
+/// What the columns of the table mean.
+fn explanation(html: &mut String, quality: Option<&Quality>) {
+    html.push_str(
+        "<p class=\"soft\">Views are those trained on + held out. PSNR and SSIM are means over held-out views: of \
+         an agent's own model over its own views, in the last row of the global model over all. “In global” is \
+         the global model's PSNR over the agent's views. Memory is the peak of the process, for the whole that \
+         of the largest agent.",
+    );
+    if quality.is_some_and(|quality| quality.lpips.is_some()) {
+        html.push_str(" LPIPS, by VGG, is the global model's.");
+    }
+    if let Some(surface) = quality.and_then(|quality| quality.surface) {
+        let _ = write!(
+            html,
+            " Depth and normal are the global model's median errors, of depth in percent of the true depth, over \
+             the {:.1} % of the true surface's pixels that it covers.",
+            100.0 * surface.coverage
+        );
+    }
+    html.push_str("</p>\n");
 }
 
 fn dot(agent: usize) -> String {
@@ -139,21 +151,15 @@ fn pictures(html: &mut String, showcases: &[Showcase]) -> Result<(), ImageError>
     }
     html.push_str("<h2>Held-out views: the truth, and what the global model shows</h2>\n");
     for showcase in showcases {
-        let Quality { psnr, ssim } = showcase.quality;
         let name = escape(&showcase.name);
         let _ = write!(
             html,
-            "<div class=\"view\"><div><b>{name}</b> <span class=\"soft\">{psnr:.2} dB, SSIM {ssim:.3}</span></div>"
+            "<div class=\"view\"><div><b>{name}</b> <span class=\"soft\">{}</span></div>",
+            figures(&showcase.quality)
         );
-        html.push_str("<div class=\"strip\">");
-        let [near, far] = showcase.depth_range_m;
-        let captions = [
-            "truth".to_string(),
-            "colour".to_string(),
-            format!("depth, {near:.1} (bright) to {far:.1} m"),
-            "normal".to_string(),
-        ];
-        for (picture, caption) in showcase.pictures.iter().zip(captions) {
+        let columns = if showcase.pictures.len() == 6 { 3 } else { showcase.pictures.len() };
+        let _ = write!(html, "<div class=\"strip\" style=\"--columns:{columns}\">");
+        for Captioned { caption, picture } in &showcase.pictures {
             let [width, height] = picture.size_px;
             let address = data_uri(picture)?;
             let _ = write!(
@@ -165,6 +171,18 @@ fn pictures(html: &mut String, showcases: &[Showcase]) -> Result<(), ImageError>
         html.push_str("</div></div>\n");
     }
     Ok(())
+}
+
+/// A view's figures in a line.
+fn figures(quality: &Quality) -> String {
+    let lpips = report::lpips_text(quality).map(|text| format!("LPIPS {text}"));
+    let depth = report::depth_text(quality).map(|text| format!("depth off by {text}"));
+    let normal = report::normal_text(quality).map(|text| format!("normals by {text}"));
+    let mut line = format!("{:.2} dB, SSIM {:.3}", quality.psnr, quality.ssim);
+    for figure in [lpips, depth, normal].into_iter().flatten() {
+        let _ = write!(line, ", {figure}");
+    }
+    line
 }
 
 fn ground(html: &mut String, report: &MissionReport, drawings: &Drawings) {
@@ -212,6 +230,7 @@ fn group_digits(count: usize) -> String {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
+    use cosurf_scene::Picture;
     use glam::DVec2;
 
     use super::*;
@@ -219,15 +238,17 @@ mod tests {
 
     fn example_page() -> String {
         let cells = [Cell { views: vec![0], bounds: [DVec2::ZERO, DVec2::ONE] }];
-        let picture = || Picture::new([2, 2], vec![99; 12]);
+        let report = report::tests::example();
+        let picture = |caption: &str| Captioned {
+            caption: caption.into(),
+            picture: Picture::new([2, 2], vec![99; 12]),
+        };
         let showcase = Showcase {
             name: "a<b>.jpg".into(),
-            quality: Quality { psnr: 21.0, ssim: 0.5 },
-            depth_range_m: [30.0, 60.0],
-            pictures: std::array::from_fn(|_| picture()),
+            quality: report.whole.quality.unwrap(),
+            pictures: ["truth", "colour", "depth", "normal"].map(picture).into(),
         };
-        page(&report::tests::example(), &Drawings { cells: &cells, views: &[], showcases: &[showcase] })
-            .unwrap()
+        page(&report, &Drawings { cells: &cells, views: &[], showcases: &[showcase] }).unwrap()
     }
 
     #[test]
@@ -247,6 +268,10 @@ mod tests {
             "22.00 dB",
             "12\u{202f}345",
             "24.50 dB",
+            "0.250",
+            "0.42 %",
+            "12.3°",
+            "the 99.0 %",
             "no images in &lt;x&gt; &amp; &quot;y&quot;",
             "a&lt;b&gt;.jpg",
         ] {

@@ -1,15 +1,18 @@
 //! What a mission leaves to be read: `report.json`, and the same figures as a table.
 
+mod rows;
+
 use std::path::PathBuf;
 
-use cosurf_scene::bytes::format_bytes;
 use cosurf_scene::report::TrainReport;
 use cosurf_wire::ModelHeader;
 use serde::{Deserialize, Serialize};
 
 use crate::board::{Phase, Status};
 use crate::plan::{Plan, Settings};
-use crate::progress::format_seconds;
+use crate::quality::Quality;
+use crate::table::aligned;
+pub(crate) use rows::{depth_text, lpips_text, normal_text, rows};
 
 /// A mission's figures, also `report.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -74,23 +77,6 @@ pub struct WholeSummary {
     pub quality: Option<Quality>,
 }
 
-/// How well pictures agree with the truth, each a mean over views.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Quality {
-    /// dB.
-    pub psnr: f64,
-    /// 0 to 1.
-    pub ssim: f64,
-}
-
-impl Quality {
-    /// The mean over views; `None` of none.
-    pub(crate) fn mean(of: &[Quality]) -> Option<Self> {
-        let mean = |value: fn(&Quality) -> f64| of.iter().map(value).sum::<f64>() / of.len() as f64;
-        (!of.is_empty()).then(|| Self { psnr: mean(|q| q.psnr), ssim: mean(|q| q.ssim) })
-    }
-}
-
 /// Sums up what the agents told and what the global model is worth; `qualities` are those of the held-out
 /// views in their order. Time and memory of the aggregator are left for its owner to fill in.
 pub(crate) fn summarize(
@@ -139,73 +125,9 @@ pub(crate) fn summarize(
     MissionReport { data: settings.data.clone(), seed: settings.seed, agents, whole }
 }
 
-/// Headings of the table of [`rows`].
-pub(crate) const HEADINGS: [&str; 11] =
-    ["", "views", "splats", "steps", "time", "steps/s", "memory", "sent", "PSNR", "SSIM", "in global"];
-
-/// The table that report, page and terminal share: a row per agent and one for the whole.
-pub(crate) fn rows(report: &MissionReport) -> Vec<[String; 11]> {
-    let mut rows: Vec<_> = report.agents.iter().map(agent_row).collect();
-    rows.push(whole_row(&report.whole));
-    rows
-}
-
-fn agent_row(agent: &AgentSummary) -> [String; 11] {
-    let training = agent.training.as_ref();
-    let figure =
-        |text: &dyn Fn(&TrainReport) -> Option<String>| training.and_then(text).unwrap_or("–".into());
-    [
-        agent.device.clone(),
-        format_views(agent.views, agent.held_out),
-        figure(&|t| Some(t.splats.to_string())),
-        figure(&|t| Some(t.steps.to_string())),
-        figure(&|t| Some(format_seconds(t.seconds))),
-        figure(&|t| Some(format!("{:.1}", t.steps_per_s))),
-        figure(&|t| Some(format_bytes(t.peak_memory_bytes))),
-        format_bytes(agent.bytes_sent),
-        figure(&|t| t.psnr.map(|psnr| format!("{psnr:.2} dB"))),
-        figure(&|t| t.ssim.map(|ssim| format!("{ssim:.3}"))),
-        agent.in_global.map_or("–".into(), |quality| format!("{:.2} dB", quality.psnr)),
-    ]
-}
-
-fn whole_row(whole: &WholeSummary) -> [String; 11] {
-    let figure = |text: fn(Quality) -> String| whole.quality.map_or("–".into(), text);
-    [
-        "whole".into(),
-        format_views(whole.views, whole.held_out),
-        whole.splats.to_string(),
-        whole.steps.to_string(),
-        format_seconds(whole.seconds),
-        format!("{:.1}", whole.steps_per_s),
-        format_bytes(whole.peak_memory_bytes),
-        format_bytes(whole.bytes_sent),
-        figure(|quality| format!("{:.2} dB", quality.psnr)),
-        figure(|quality| format!("{:.3}", quality.ssim)),
-        figure(|quality| format!("{:.2} dB", quality.psnr)),
-    ]
-}
-
-fn format_views(train: usize, held_out: usize) -> String {
-    format!("{train} + {held_out}")
-}
-
-/// The table for a terminal, every column as wide as its widest cell.
+/// The table for a terminal.
 pub fn table(report: &MissionReport) -> String {
-    let mut lines = vec![HEADINGS.map(String::from)];
-    lines.extend(rows(report));
-    let width = |column: usize| lines.iter().map(|line| line[column].chars().count()).max().unwrap_or(0);
-    let widths: Vec<usize> = (0..HEADINGS.len()).map(width).collect();
-    let mut text = String::new();
-    for line in &lines {
-        let cells = line.iter().zip(&widths).enumerate().map(|(column, (cell, width))| match column {
-            0 => format!("{cell:<width$}"),
-            _ => format!("{cell:>width$}"),
-        });
-        text.push_str(cells.collect::<Vec<_>>().join("  ").trim_end());
-        text.push('\n');
-    }
-    text
+    aligned(&rows(report))
 }
 
 /// Everything that was given up for memory or did not work, one sentence each with its agent.
@@ -231,6 +153,23 @@ pub(crate) fn remarks(report: &MissionReport) -> Vec<String> {
 pub(crate) mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+    use crate::lpips::LpipsScore;
+    use crate::surface::{Spread, SurfaceQuality};
+
+    fn quality(psnr: f64) -> Quality {
+        let (depth, normal) = (Spread { median: 0.42, mean: 1.1 }, Spread { median: 12.3, mean: 20.0 });
+        let surface = SurfaceQuality {
+            coverage: 0.99,
+            depth_error_percent: Some(depth),
+            normal_error_deg: Some(normal),
+        };
+        Quality {
+            psnr,
+            ssim: 0.7,
+            lpips: Some(LpipsScore { vgg: 0.25, alex: 0.125 }),
+            surface: Some(surface),
+        }
+    }
 
     /// A mission of two agents, one of which failed.
     pub(crate) fn example() -> MissionReport {
@@ -256,7 +195,7 @@ pub(crate) mod tests {
             training: Some(training),
             bytes_sent: 3 << 20,
             restarts: 1,
-            in_global: Some(Quality { psnr: 23.0, ssim: 0.7 }),
+            in_global: Some(quality(23.0)),
             failure: None,
             curve: vec![[100.0, 15.0], [600.0, 25.0]],
         };
@@ -285,7 +224,7 @@ pub(crate) mod tests {
                 peak_memory_bytes: 200 << 20,
                 aggregator_peak_memory_bytes: None,
                 bytes_sent: 3 << 20,
-                quality: Some(Quality { psnr: 22.0, ssim: 0.7 }),
+                quality: Some(quality(22.0)),
             },
         }
     }
@@ -298,7 +237,19 @@ pub(crate) mod tests {
         let end_of = |line: &str, cell: &str| line.split(cell).next().unwrap().chars().count() + cell.len();
         assert_eq!(end_of(lines[0], "PSNR"), end_of(lines[1], "24.50 dB"), "{table}");
         assert_eq!(end_of(lines[0], "PSNR"), end_of(lines[3], "22.00 dB"), "{table}");
-        assert!(lines[2].starts_with("agent-2") && lines[2].matches('–').count() == 8, "{table}");
+        assert!(lines[2].starts_with("agent-2") && lines[2].matches('–').count() == 11, "{table}");
+        assert!(lines[0].ends_with("LPIPS   depth  normal"), "{table}");
+        assert!(lines[3].ends_with("0.250  0.42 %   12.3°"), "{table}");
+    }
+
+    #[test]
+    fn what_was_not_measured_has_no_column() {
+        let mut report = example();
+        report.whole.quality =
+            report.whole.quality.map(|quality| Quality { lpips: None, surface: None, ..quality });
+        let table = super::table(&report);
+        assert!(table.lines().next().unwrap().ends_with("in global"), "{table}");
+        assert!(table.trim_end().ends_with("22.00 dB"), "{table}");
     }
 
     #[test]
@@ -314,12 +265,5 @@ pub(crate) mod tests {
         let report = example();
         let json = serde_json::to_string(&report).unwrap();
         assert_eq!(serde_json::from_str::<MissionReport>(&json).unwrap(), report);
-    }
-
-    #[test]
-    fn the_mean_of_nothing_is_absent() {
-        assert_eq!(Quality::mean(&[]), None);
-        let of = [Quality { psnr: 20.0, ssim: 0.5 }, Quality { psnr: 30.0, ssim: 0.7 }];
-        assert!(Quality::mean(&of).is_some_and(|q| q.psnr == 25.0 && (q.ssim - 0.6).abs() < 1e-12));
     }
 }

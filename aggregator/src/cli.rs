@@ -1,0 +1,3 @@
+//! Commands of `cosurf-aggregator`, each with its arguments.
+
+pub(crate) mod eval;

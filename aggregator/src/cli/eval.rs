@@ -1,0 +1,51 @@
+//! `eval`: how good a model is.
+
+use std::io::{self, Write};
+use std::path::PathBuf;
+use std::thread::available_parallelism;
+
+use anyhow::Result;
+use clap::Args;
+use cosurf_aggregator::eval::{EvalOrder, judge, table};
+
+/// Score a model on the held-out views of a dataset.
+///
+/// PSNR and SSIM as 3DGS defines them; LPIPS where weights are given; errors of depth and normals where the
+/// dataset has a true surface, gt/mesh.ply, or one is named.
+#[derive(Args)]
+pub(crate) struct EvalArgs {
+    /// The model: a PLY, or the folder that an agent or a mission wrote
+    model: PathBuf,
+    /// The dataset's folder
+    data: PathBuf,
+    /// Folder of the LPIPS weights, vgg.safetensors and alex.safetensors
+    #[arg(long, value_name = "FOLDER")]
+    lpips: Option<PathBuf>,
+    /// The true surface as a mesh [default: DATA/gt/mesh.ply, where there is one]
+    #[arg(long, value_name = "MESH.ply")]
+    truth: Option<PathBuf>,
+    /// Every N-th view by name is held out
+    #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..))]
+    eval_every: u32,
+    /// Shrink pictures until their long side is at most this many pixels [default: full size]
+    #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(16..))]
+    max_size: Option<u32>,
+    /// Print the figures as a line of JSON
+    #[arg(long)]
+    json: bool,
+}
+
+pub(crate) fn run(args: EvalArgs) -> Result<()> {
+    let report = judge(&EvalOrder {
+        model: args.model,
+        data: args.data,
+        lpips: args.lpips,
+        truth: args.truth,
+        eval_every: args.eval_every,
+        max_size_px: args.max_size,
+        threads: available_parallelism().map_or(1, usize::from),
+    })?;
+    let text = if args.json { serde_json::to_string(&report)? + "\n" } else { table(&report) };
+    io::stdout().lock().write_all(text.as_bytes())?;
+    Ok(())
+}

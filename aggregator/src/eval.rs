@@ -1,0 +1,190 @@
+//! `eval`: a finished model against the photographs and the true surface of a dataset, as a mission judges its
+//! global model at the end.
+
+use std::path::{Path, PathBuf};
+
+use cosurf_scene::{Dataset, SceneError, View, ply};
+use serde::{Deserialize, Serialize};
+
+use crate::evaluate::Judge;
+use crate::quality::{Quality, YardstickError, Yardsticks};
+use crate::table::aligned;
+
+/// Names of models in folders that agents and missions leave.
+const MODELS: [&str; 2] = ["model.ply", "global.ply"];
+
+/// What to judge, and by what.
+#[derive(Clone, Debug)]
+pub struct EvalOrder {
+    /// A PLY of splats, or the folder that an agent or a mission wrote.
+    pub model: PathBuf,
+    /// The dataset.
+    pub data: PathBuf,
+    /// Folder of LPIPS weights; `None` for no LPIPS.
+    pub lpips: Option<PathBuf>,
+    /// The true surface; `None` for the one that the dataset has, if it does.
+    pub truth: Option<PathBuf>,
+    /// Every n-th view by name is held out, at least 1.
+    pub eval_every: u32,
+    /// Long side of the pictures compared; `None` for their full size.
+    pub max_size_px: Option<u32>,
+    /// Threads to render with, at least 1.
+    pub threads: usize,
+}
+
+/// A model's figures.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct EvalReport {
+    /// Splats of the model.
+    pub splats: usize,
+    /// Means over the held-out views.
+    pub mean: Quality,
+    /// The held-out views, by name.
+    pub views: Vec<ViewQuality>,
+}
+
+/// A view's figures.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ViewQuality {
+    /// The view's name.
+    pub name: String,
+    /// Its figures.
+    #[serde(flatten)]
+    pub quality: Quality,
+}
+
+/// Why a model cannot be judged.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum EvalError {
+    /// The model, the dataset or a picture cannot be read.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// Weights or truth cannot be read.
+    #[error(transparent)]
+    Yardstick(#[from] YardstickError),
+    /// There is no model in the folder.
+    #[error("{folder} has neither model.ply nor global.ply: name the PLY of the model")]
+    NoModel {
+        /// The folder.
+        folder: PathBuf,
+    },
+    /// There is nothing to compare with.
+    #[error("{data} has no views")]
+    NoViews {
+        /// The dataset.
+        data: PathBuf,
+    },
+}
+
+/// Renders every held-out view and compares.
+pub fn judge(order: &EvalOrder) -> Result<EvalReport, EvalError> {
+    let splats = ply::read(&model_path(&order.model)?)?;
+    let dataset = Dataset::open(&order.data)?;
+    let yardsticks = Yardsticks::read(&order.data, order.lpips.as_deref(), order.truth.as_deref())?;
+    let mut judge = Judge::new(&splats, order.max_size_px, order.threads, &yardsticks);
+    let (_, held_out) = dataset.split(order.eval_every);
+    let score = |view: &View| Ok(ViewQuality { name: view.name.clone(), quality: judge.quality(view)? });
+    let views =
+        held_out.iter().map(|&i| &dataset.views[i]).map(score).collect::<Result<Vec<_>, EvalError>>()?;
+    let qualities: Vec<Quality> = views.iter().map(|view| view.quality).collect();
+    let mean = Quality::mean(&qualities).ok_or_else(|| EvalError::NoViews { data: order.data.clone() })?;
+    Ok(EvalReport { splats: splats.len(), mean, views })
+}
+
+fn model_path(model: &Path) -> Result<PathBuf, EvalError> {
+    if !model.is_dir() {
+        return Ok(model.into());
+    }
+    let inside = MODELS.map(|name| model.join(name)).into_iter().find(|path| path.is_file());
+    inside.ok_or_else(|| EvalError::NoModel { folder: model.into() })
+}
+
+/// The figures for a terminal: a row per view and one of the means, a column per figure that there is.
+pub fn table(report: &EvalReport) -> String {
+    let columns: Vec<Column> = COLUMNS.into_iter().filter(|(_, cell)| cell(&report.mean).is_some()).collect();
+    let row = |name: &str, quality: &Quality| {
+        let cells = columns.iter().map(|(_, cell)| cell(quality).unwrap_or("–".into()));
+        std::iter::once(name.to_string()).chain(cells).collect::<Vec<String>>()
+    };
+    let headings = columns.iter().map(|(heading, _)| heading.to_string());
+    let mut lines = vec![std::iter::once(String::new()).chain(headings).collect()];
+    lines.extend(report.views.iter().map(|view| row(&view.name, &view.quality)));
+    lines.push(row(&format!("mean of {}", report.views.len()), &report.mean));
+    aligned(&lines)
+}
+
+/// A heading and what stands below it; nothing where the figure is not known.
+type Column = (&'static str, fn(&Quality) -> Option<String>);
+
+const COLUMNS: [Column; 9] = [
+    ("PSNR", |q| Some(format!("{:.2} dB", q.psnr))),
+    ("SSIM", |q| Some(format!("{:.4}", q.ssim))),
+    ("LPIPS VGG", |q| q.lpips.map(|lpips| format!("{:.4}", lpips.vgg))),
+    ("Alex", |q| q.lpips.map(|lpips| format!("{:.4}", lpips.alex))),
+    ("depth median", |q| q.surface?.depth_error_percent.map(|error| format!("{:.3} %", error.median))),
+    ("mean", |q| q.surface?.depth_error_percent.map(|error| format!("{:.3} %", error.mean))),
+    ("normal median", |q| q.surface?.normal_error_deg.map(|error| format!("{:.2}°", error.median))),
+    ("mean", |q| q.surface?.normal_error_deg.map(|error| format!("{:.2}°", error.mean))),
+    ("covered", |q| q.surface.map(|surface| format!("{:.2} %", 100.0 * surface.coverage))),
+];
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use cosurf_engine::init::splats_from_points;
+    use cosurf_scene::{City, CitySettings};
+
+    use super::*;
+
+    /// A small city in a folder, and the splats of its sparse cloud as its model.
+    fn untrained(folder: &Path) -> EvalOrder {
+        let settings =
+            CitySettings { extent_m: 40.0, views: 9, size_px: [64, 48], ..CitySettings::default() };
+        let dataset = City::build(&settings).unwrap().write(folder, |_, _| ()).unwrap();
+        let splats = splats_from_points(&dataset.points, dataset.extent(), dataset.points.len(), 0);
+        ply::write(&folder.join("model.ply"), &splats).unwrap();
+        EvalOrder {
+            model: folder.into(),
+            data: folder.into(),
+            lpips: None,
+            truth: None,
+            eval_every: 4,
+            max_size_px: Some(32),
+            threads: 1,
+        }
+    }
+
+    #[test]
+    fn a_model_is_judged_on_held_out_views_and_the_datasets_own_truth() {
+        let folder = tempfile::tempdir().unwrap();
+        let order = untrained(folder.path());
+        let report = judge(&order).unwrap();
+        assert_eq!(report.views.len(), 3);
+        let surface = report.mean.surface.unwrap();
+        assert!((0.0..=1.0).contains(&surface.coverage) && surface.depth_error_percent.unwrap().median > 0.0);
+        let text = table(&report);
+        assert_eq!(text.lines().count(), 5, "{text}");
+        assert!(text.contains("covered") && !text.contains("LPIPS") && text.contains("mean of 3"), "{text}");
+        let json = serde_json::to_string(&report).unwrap();
+        assert_eq!(serde_json::from_str::<EvalReport>(&json).unwrap(), report);
+        // A truth that lies 1 m higher is another one.
+        let mut mesh = cosurf_scene::Mesh::read(&folder.path().join("gt/mesh.ply")).unwrap();
+        mesh.positions.iter_mut().for_each(|position| position[2] += 1.0);
+        let raised = folder.path().join("raised.ply");
+        mesh.write_ply(&raised).unwrap();
+        let other = judge(&EvalOrder { truth: Some(raised), ..order }).unwrap();
+        assert_eq!(other.mean.psnr, report.mean.psnr);
+        assert_ne!(other.mean.surface, report.mean.surface);
+    }
+
+    #[test]
+    fn a_folder_without_a_model_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let error = model_path(folder.path()).unwrap_err().to_string();
+        assert!(
+            error.contains(&folder.path().display().to_string()) && error.contains("global.ply"),
+            "{error}"
+        );
+    }
+}

@@ -1,0 +1,125 @@
+//! The figures by which a model is judged, and what judges it beside photographs: networks and a true surface.
+
+use std::path::Path;
+
+use cosurf_scene::raycast::TRIANGLES_MAX;
+use cosurf_scene::{Caster, Mesh, SceneError};
+use serde::{Deserialize, Serialize};
+
+use crate::lpips::{LpipsError, LpipsPair, LpipsScore};
+use crate::surface::SurfaceQuality;
+
+/// Where a dataset that knows its true surface has it.
+const TRUE_MESH: &str = "gt/mesh.ply";
+
+/// How well a model agrees with the truth, in a view or as a mean over views.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Quality {
+    /// dB.
+    pub psnr: f64,
+    /// 0 to 1.
+    pub ssim: f64,
+    /// Absent without weights, and where pictures are too small.
+    pub lpips: Option<LpipsScore>,
+    /// Absent without a true surface.
+    pub surface: Option<SurfaceQuality>,
+}
+
+impl Quality {
+    /// The mean over views, of each figure over those that have it; `None` of none.
+    pub(crate) fn mean(of: &[Quality]) -> Option<Self> {
+        let mean = |value: fn(&Quality) -> f64| of.iter().map(value).sum::<f64>() / of.len() as f64;
+        let surfaces: Vec<SurfaceQuality> = of.iter().filter_map(|quality| quality.surface).collect();
+        (!of.is_empty()).then(|| Self {
+            psnr: mean(|quality| quality.psnr),
+            ssim: mean(|quality| quality.ssim),
+            lpips: LpipsScore::mean(of.iter().filter_map(|quality| quality.lpips)),
+            surface: SurfaceQuality::mean(&surfaces),
+        })
+    }
+}
+
+/// Why a model cannot be measured as asked.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum YardstickError {
+    /// The weights of LPIPS cannot be read.
+    #[error(transparent)]
+    Lpips(#[from] LpipsError),
+    /// The true mesh cannot be read.
+    #[error(transparent)]
+    Truth(#[from] SceneError),
+}
+
+/// What models are measured by, beside photographs.
+#[derive(Debug)]
+pub(crate) struct Yardsticks {
+    pub(crate) lpips: Option<LpipsPair>,
+    pub(crate) truth: Option<Caster>,
+}
+
+impl Yardsticks {
+    /// Reads the weights of the folder `lpips`, and the mesh `truth`, or that which the dataset `data` has.
+    pub(crate) fn read(
+        data: &Path,
+        lpips: Option<&Path>,
+        truth: Option<&Path>,
+    ) -> Result<Self, YardstickError> {
+        let folder = if data.is_file() { data.parent().unwrap_or(data) } else { data };
+        let own = folder.join(TRUE_MESH);
+        let truth = truth.or_else(|| own.is_file().then_some(own.as_path()));
+        Ok(Self { lpips: lpips.map(LpipsPair::read).transpose()?, truth: truth.map(read_truth).transpose()? })
+    }
+}
+
+fn read_truth(path: &Path) -> Result<Caster, SceneError> {
+    let mesh = Mesh::read(path)?;
+    match mesh.triangles.len() {
+        0 => Err(SceneError::malformed(path, "has no triangles; the true surface must be a mesh")),
+        count if count > TRIANGLES_MAX => {
+            let reason = format!("has {count} triangles, more than {TRIANGLES_MAX}; simplify the mesh");
+            Err(SceneError::malformed(path, reason))
+        }
+        _ => Ok(Caster::new(&mesh)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    fn colors(psnr: f64, ssim: f64) -> Quality {
+        Quality { psnr, ssim, lpips: None, surface: None }
+    }
+
+    #[test]
+    fn the_mean_is_over_the_views_that_have_a_figure() {
+        assert_eq!(Quality::mean(&[]), None);
+        let mut of = [colors(20.0, 0.5), colors(30.0, 0.75), colors(40.0, 1.0)];
+        assert_eq!(Quality::mean(&of), Some(colors(30.0, 0.75)));
+        of[0].lpips = Some(LpipsScore { vgg: 0.5, alex: 0.25 });
+        of[2].lpips = Some(LpipsScore { vgg: 0.25, alex: 0.75 });
+        assert_eq!(Quality::mean(&of).unwrap().lpips, Some(LpipsScore { vgg: 0.375, alex: 0.5 }));
+    }
+
+    #[test]
+    fn a_true_mesh_is_found_beside_the_data_or_where_it_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let read =
+            |truth| Yardsticks::read(folder.path(), None, truth).map(|yardsticks| yardsticks.truth.is_some());
+        assert!(!read(None).unwrap());
+        let positions = vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
+        let mesh = Mesh { positions, triangles: vec![[0, 1, 2]], ..Mesh::default() };
+        std::fs::create_dir(folder.path().join("gt")).unwrap();
+        mesh.write_ply(&folder.path().join("gt/mesh.ply")).unwrap();
+        assert!(read(None).unwrap());
+        let points = folder.path().join("points.ply");
+        Mesh { triangles: Vec::new(), ..mesh }.write_ply(&points).unwrap();
+        let error = read(Some(&points)).unwrap_err().to_string();
+        assert!(error.contains("points.ply") && error.contains("no triangles"), "{error}");
+        assert!(read(Some(&folder.path().join("none.ply"))).is_err());
+        let error = Yardsticks::read(folder.path(), Some(folder.path()), None).unwrap_err().to_string();
+        assert!(error.contains("vgg.safetensors") && error.lines().count() == 1, "{error}");
+    }
+}

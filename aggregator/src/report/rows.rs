@@ -1,0 +1,96 @@
+//! The rows that the table of the report, the page and the terminal share.
+
+use cosurf_scene::bytes::format_bytes;
+use cosurf_scene::report::TrainReport;
+
+use super::{AgentSummary, MissionReport, WholeSummary};
+use crate::progress::format_seconds;
+use crate::quality::Quality;
+
+/// The table that report, page and terminal share: headings, a row per agent and one for the whole. Figures
+/// that this mission has not have no column.
+pub(crate) fn rows(report: &MissionReport) -> Vec<Vec<String>> {
+    let mut headings =
+        ["", "views", "splats", "steps", "time", "steps/s", "memory", "sent", "PSNR", "SSIM", "in global"]
+            .map(String::from)
+            .to_vec();
+    let measures = measures(&report.whole);
+    headings.extend(measures.iter().map(|(heading, _)| heading.to_string()));
+    let mut rows = vec![headings];
+    rows.extend(report.agents.iter().map(|agent| agent_row(agent, &measures)));
+    rows.push(whole_row(&report.whole, &measures));
+    rows
+}
+
+/// A heading and a figure of the global model; nothing where it is not known.
+type Measure = (&'static str, fn(&Quality) -> Option<String>);
+
+/// The figures beyond colour that the mission has.
+fn measures(whole: &WholeSummary) -> Vec<Measure> {
+    let all: [Measure; 3] = [("LPIPS", lpips_text), ("depth", depth_text), ("normal", normal_text)];
+    all.into_iter().filter(|(_, text)| whole.quality.as_ref().and_then(text).is_some()).collect()
+}
+
+/// LPIPS by VGG.
+pub(crate) fn lpips_text(quality: &Quality) -> Option<String> {
+    quality.lpips.map(|lpips| format!("{:.3}", lpips.vgg))
+}
+
+/// Median error of depth.
+pub(crate) fn depth_text(quality: &Quality) -> Option<String> {
+    quality.surface?.depth_error_percent.map(|error| format!("{:.2} %", error.median))
+}
+
+/// Median error of normals.
+pub(crate) fn normal_text(quality: &Quality) -> Option<String> {
+    quality.surface?.normal_error_deg.map(|error| format!("{:.1}°", error.median))
+}
+
+fn agent_row(agent: &AgentSummary, measures: &[Measure]) -> Vec<String> {
+    let training = agent.training.as_ref();
+    let figure =
+        |text: &dyn Fn(&TrainReport) -> Option<String>| training.and_then(text).unwrap_or("–".into());
+    let mut row = vec![
+        agent.device.clone(),
+        format_views(agent.views, agent.held_out),
+        figure(&|t| Some(t.splats.to_string())),
+        figure(&|t| Some(t.steps.to_string())),
+        figure(&|t| Some(format_seconds(t.seconds))),
+        figure(&|t| Some(format!("{:.1}", t.steps_per_s))),
+        figure(&|t| Some(format_bytes(t.peak_memory_bytes))),
+        format_bytes(agent.bytes_sent),
+        figure(&|t| t.psnr.map(|psnr| format!("{psnr:.2} dB"))),
+        figure(&|t| t.ssim.map(|ssim| format!("{ssim:.3}"))),
+    ];
+    row.extend(in_global(agent.in_global.as_ref(), measures));
+    row
+}
+
+fn whole_row(whole: &WholeSummary, measures: &[Measure]) -> Vec<String> {
+    let figure = |text: fn(Quality) -> String| whole.quality.map_or("–".into(), text);
+    let mut row = vec![
+        "whole".into(),
+        format_views(whole.views, whole.held_out),
+        whole.splats.to_string(),
+        whole.steps.to_string(),
+        format_seconds(whole.seconds),
+        format!("{:.1}", whole.steps_per_s),
+        format_bytes(whole.peak_memory_bytes),
+        format_bytes(whole.bytes_sent),
+        figure(|quality| format!("{:.2} dB", quality.psnr)),
+        figure(|quality| format!("{:.3}", quality.ssim)),
+    ];
+    row.extend(in_global(whole.quality.as_ref(), measures));
+    row
+}
+
+/// What the global model is worth on some views.
+fn in_global(quality: Option<&Quality>, measures: &[Measure]) -> Vec<String> {
+    let psnr: Measure = ("PSNR", |quality| Some(format!("{:.2} dB", quality.psnr)));
+    let cell = |(_, text): &Measure| quality.and_then(text).unwrap_or("–".into());
+    [psnr].iter().chain(measures).map(cell).collect()
+}
+
+fn format_views(train: usize, held_out: usize) -> String {
+    format!("{train} + {held_out}")
+}

@@ -1,0 +1,108 @@
+//! A held-out view in pictures: the photograph, what the model shows there, and where they differ.
+
+use cosurf_scene::{Picture, colormap};
+
+use crate::evaluate::Look;
+use crate::quality::Quality;
+use crate::surface::depth_errors_percent;
+
+/// Differences of colour that are shown in the brightest colour, percent of the brightest value.
+const COLOR_BRIGHT_PERCENT: f32 = 20.0;
+/// Errors of depth that are shown in the brightest colour, percent of the depth.
+const DEPTH_BRIGHT_PERCENT: f32 = 2.0;
+
+/// A picture and what it shows, as plain text.
+pub(crate) struct Captioned {
+    pub(crate) caption: String,
+    pub(crate) picture: Picture,
+}
+
+/// A held-out view next to what the global model shows there.
+pub(crate) struct Showcase {
+    /// Name of the view.
+    pub(crate) name: String,
+    /// Its figures.
+    pub(crate) quality: Quality,
+    /// All of one size: six in two rows of three with a true surface, else five.
+    pub(crate) pictures: Vec<Captioned>,
+}
+
+impl Showcase {
+    pub(crate) fn new(name: &str, quality: Quality, look: Look) -> Self {
+        let Look { photograph, rendering, truth } = look;
+        let size_px = rendering.size_px;
+        let range_m = colormap::depth_range(truth.as_ref().map_or(&rendering.depth, |truth| &truth.depth));
+        let [near_m, far_m] = range_m;
+        let captioned = |caption: String, picture| Captioned { caption, picture };
+        let color_error = color_error(&photograph, &rendering.rgb);
+        let mut pictures = vec![
+            captioned("truth".into(), photograph),
+            captioned("colour".into(), Picture::from_unit(size_px, &rendering.rgb)),
+            captioned(format!("colour error, 0 to {COLOR_BRIGHT_PERCENT} % (bright)"), color_error),
+            captioned(
+                format!("depth, {near_m:.1} (bright) to {far_m:.1} m"),
+                colormap::depth_picture(&rendering.depth, size_px, range_m),
+            ),
+        ];
+        if let Some(truth) = &truth {
+            let errors = depth_errors_percent(&rendering, truth);
+            let picture = colormap::error_picture(&errors, size_px, DEPTH_BRIGHT_PERCENT);
+            let caption = format!("depth error, 0 to {DEPTH_BRIGHT_PERCENT} % (bright)");
+            pictures.push(captioned(caption, picture));
+        }
+        pictures.push(captioned("normal".into(), colormap::normal_picture(&rendering.normal, size_px)));
+        Self { name: name.into(), quality, pictures }
+    }
+}
+
+/// The mean of the channels' absolute differences.
+fn color_error(photograph: &Picture, rgb: &[f32]) -> Picture {
+    let pixels = photograph.rgb.as_chunks::<3>().0.iter().zip(rgb.as_chunks::<3>().0);
+    let percent = |(wanted, got): (&[u8; 3], &[f32; 3])| {
+        let differences = wanted.iter().zip(got).map(|(&w, &g)| (f32::from(w) / 255.0 - g).abs());
+        100.0 / 3.0 * differences.sum::<f32>()
+    };
+    let errors: Vec<f32> = pixels.map(percent).collect();
+    colormap::error_picture(&errors, photograph.size_px, COLOR_BRIGHT_PERCENT)
+}
+
+#[cfg(test)]
+mod tests {
+    use cosurf_engine::Rendering;
+    use cosurf_scene::Cast;
+
+    use super::*;
+
+    fn captions(truth: Option<Cast>) -> Vec<String> {
+        let rendering = Rendering {
+            size_px: [2, 1],
+            rgb: vec![0.5; 6],
+            alpha: vec![1.0; 2],
+            depth: vec![30.0, 61.0],
+            normal: vec![0.0; 6],
+        };
+        let look = Look { photograph: Picture::new([2, 1], vec![9; 6]), rendering, truth };
+        let quality = Quality { psnr: 20.0, ssim: 0.5, lpips: None, surface: None };
+        let Showcase { pictures, .. } = Showcase::new("view", quality, look);
+        assert!(pictures.iter().all(|captioned| captioned.picture.size_px == [2, 1]));
+        pictures.into_iter().map(|captioned| captioned.caption).collect()
+    }
+
+    #[test]
+    fn errors_of_depth_are_shown_where_the_truth_is_known() {
+        let cast = Cast { size_px: [2, 1], depth: vec![30.0, 60.0], normals: vec![[0.0, 0.0, -1.0]; 2] };
+        let with = captions(Some(cast));
+        assert_eq!((with.len(), &with[3][..]), (6, "depth, 30.0 (bright) to 60.0 m"));
+        assert!(with[4].starts_with("depth error"));
+        let without = captions(None);
+        assert_eq!((without.len(), &without[3][..]), (5, "depth, 30.0 (bright) to 61.0 m"));
+    }
+
+    #[test]
+    fn the_largest_color_error_is_the_brightest() {
+        let photograph = Picture::new([3, 1], vec![0, 0, 0, 0, 0, 0, 255, 255, 255]);
+        let picture = color_error(&photograph, &[0.0, 0.0, 0.0, 0.05, 0.0, 0.1, 0.0, 0.0, 0.0]);
+        let luma = |i: usize| picture.rgb[3 * i..3 * i + 3].iter().map(|&byte| u32::from(byte)).sum::<u32>();
+        assert!(luma(0) < luma(1) && luma(1) < luma(2), "{:?}", picture.rgb);
+    }
+}

@@ -1,0 +1,189 @@
+//! A model's surface beside the true one, pixel by pixel of a camera: depth, normals, and how much of it is
+//! there at all.
+//!
+//! What it refuses to know: where models and truths come from.
+
+use cosurf_engine::Rendering;
+use cosurf_scene::Cast;
+use glam::Vec3;
+use serde::{Deserialize, Serialize};
+
+/// A pixel has a surface where the model hides more than this part of what lies behind.
+const ALPHA_MIN: f32 = 0.5;
+/// Blended normals shorter than this have no direction to speak of.
+const NORMAL_LENGTH_MIN: f32 = 1e-3;
+
+/// How far a model's surface is from the true one.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SurfaceQuality {
+    /// Part of the pixels with a true surface where the model has one, 0 to 1. The errors are those of
+    /// these pixels, so they mean little where it is low.
+    pub coverage: f64,
+    /// `|z - z*| / z*` along the optical axis, percent; absent where nothing is covered.
+    pub depth_error_percent: Option<Spread>,
+    /// Angle between the normals, degrees; absent where nothing is covered.
+    pub normal_error_deg: Option<Spread>,
+}
+
+/// Errors of many pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Spread {
+    /// Half of them are smaller.
+    pub median: f64,
+    /// The few large ones count here.
+    pub mean: f64,
+}
+
+impl Spread {
+    fn of(errors: &[f32]) -> Option<Self> {
+        let mut known: Vec<f32> = errors.iter().copied().filter(|error| !error.is_nan()).collect();
+        let mean = known.iter().map(|&error| f64::from(error)).sum::<f64>() / known.len() as f64;
+        let middle = known.len() / 2;
+        let has_any = !known.is_empty();
+        has_any.then(|| Self {
+            median: f64::from(*known.select_nth_unstable_by(middle, f32::total_cmp).1),
+            mean,
+        })
+    }
+
+    fn mean(of: impl Iterator<Item = Self>) -> Option<Self> {
+        let all: Vec<Self> = of.collect();
+        let mean = |value: fn(&Self) -> f64| all.iter().map(value).sum::<f64>() / all.len() as f64;
+        (!all.is_empty())
+            .then(|| Self { median: mean(|spread| spread.median), mean: mean(|spread| spread.mean) })
+    }
+}
+
+impl SurfaceQuality {
+    /// Compares what a model shows with the truth as the same camera sees it; `None` where that sees none.
+    pub fn of(rendering: &Rendering, truth: &Cast) -> Option<Self> {
+        let seen: Vec<usize> = (0..truth.depth.len()).filter(|&i| truth.depth[i] > 0.0).collect();
+        let covered = seen.iter().filter(|&&i| has_surface(rendering, i)).count();
+        (!seen.is_empty()).then(|| Self {
+            coverage: covered as f64 / seen.len() as f64,
+            depth_error_percent: Spread::of(&depth_errors_percent(rendering, truth)),
+            normal_error_deg: Spread::of(&normal_errors_deg(rendering, truth)),
+        })
+    }
+
+    /// The mean over views of each figure; `None` of none.
+    pub(crate) fn mean(of: &[Self]) -> Option<Self> {
+        let coverage = of.iter().map(|quality| quality.coverage).sum::<f64>() / of.len() as f64;
+        (!of.is_empty()).then(|| Self {
+            coverage,
+            depth_error_percent: Spread::mean(of.iter().filter_map(|quality| quality.depth_error_percent)),
+            normal_error_deg: Spread::mean(of.iter().filter_map(|quality| quality.normal_error_deg)),
+        })
+    }
+}
+
+/// Whether the model has a surface in pixel `i`.
+fn has_surface(rendering: &Rendering, i: usize) -> bool {
+    let depth = rendering.depth[i];
+    rendering.alpha[i] > ALPHA_MIN && depth > 0.0 && depth.is_finite()
+}
+
+/// `|z - z*| / z*` of each pixel in percent, NaN where the model or the truth has no surface.
+pub(crate) fn depth_errors_percent(rendering: &Rendering, truth: &Cast) -> Vec<f32> {
+    errors(rendering, truth, |i| 100.0 * (rendering.depth[i] - truth.depth[i]).abs() / truth.depth[i])
+}
+
+/// The angle between the normals of each pixel in degrees, NaN where the model or the truth has none.
+fn normal_errors_deg(rendering: &Rendering, truth: &Cast) -> Vec<f32> {
+    let normals = rendering.normal.as_chunks::<3>().0;
+    errors(rendering, truth, |i| {
+        let normal = Vec3::from(normals[i]);
+        let has_direction = normal.length() > NORMAL_LENGTH_MIN;
+        // By sine and cosine: the arc cosine alone loses small angles to rounding.
+        let (sine, cosine) =
+            (normal.cross(truth.normals[i].into()).length(), normal.dot(truth.normals[i].into()));
+        if has_direction { sine.atan2(cosine).to_degrees() } else { f32::NAN }
+    })
+}
+
+fn errors(rendering: &Rendering, truth: &Cast, error: impl Fn(usize) -> f32) -> Vec<f32> {
+    assert_eq!(rendering.size_px, truth.size_px, "two pictures of one camera");
+    let both = |i: usize| truth.depth[i] > 0.0 && has_surface(rendering, i);
+    (0..truth.depth.len()).map(|i| if both(i) { error(i) } else { f32::NAN }).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    /// A wall at depth 20 that looks at the camera, with a hole in the last of ten pixels.
+    fn truth() -> Cast {
+        let mut depth = vec![20.0; 10];
+        let mut normals = vec![[0.0, 0.0, -1.0]; 10];
+        (depth[9], normals[9]) = (0.0, [0.0; 3]);
+        Cast { size_px: [5, 2], depth, normals }
+    }
+
+    /// A model that has the wall, and something in the hole; its normals are blended.
+    fn model() -> Rendering {
+        Rendering {
+            size_px: [5, 2],
+            rgb: vec![0.0; 30],
+            alpha: vec![0.9; 10],
+            depth: vec![20.0; 10],
+            normal: [0.0, 0.0, -0.8].repeat(10),
+        }
+    }
+
+    #[test]
+    fn the_true_surface_has_no_error() {
+        let quality = SurfaceQuality::of(&model(), &truth()).unwrap();
+        let none = Some(Spread { median: 0.0, mean: 0.0 });
+        assert_eq!(
+            quality,
+            SurfaceQuality { coverage: 1.0, depth_error_percent: none, normal_error_deg: none }
+        );
+    }
+
+    #[test]
+    fn a_shifted_depth_is_noticed() {
+        let mut shifted = model();
+        shifted.depth.iter_mut().for_each(|z| *z += 0.5);
+        let error =
+            |model: &Rendering| SurfaceQuality::of(model, &truth()).unwrap().depth_error_percent.unwrap();
+        assert_eq!(error(&shifted), Spread { median: 2.5, mean: 2.5 });
+        // One pixel far off moves the mean, not the median; what is in the hole counts for nothing.
+        let mut spoiled = model();
+        (spoiled.depth[3], spoiled.depth[9]) = (200.0, 1.0);
+        assert_eq!(error(&spoiled), Spread { median: 0.0, mean: 100.0 });
+    }
+
+    #[test]
+    fn a_rotated_normal_gives_its_angle() {
+        for degrees in [0.01_f32, 7.5, 90.0, 170.0] {
+            let mut rotated = model();
+            let (sine, cosine) = degrees.to_radians().sin_cos();
+            rotated.normal = [0.6 * sine, 0.0, -0.6 * cosine].repeat(10);
+            let error = SurfaceQuality::of(&rotated, &truth()).unwrap().normal_error_deg.unwrap();
+            let off = (error.median - f64::from(degrees)).abs().max((error.mean - f64::from(degrees)).abs());
+            assert!(off < 1e-3, "{error:?} is not {degrees}");
+        }
+    }
+
+    #[test]
+    fn what_is_not_covered_lowers_the_coverage_and_has_no_error() {
+        let mut thin = model();
+        thin.alpha[..3].fill(0.5);
+        thin.depth[..2].fill(99.0);
+        thin.depth[4] = 0.0;
+        let quality = SurfaceQuality::of(&thin, &truth()).unwrap();
+        assert!((quality.coverage - 5.0 / 9.0).abs() < 1e-12, "{quality:?}");
+        assert_eq!(quality.depth_error_percent, Some(Spread { median: 0.0, mean: 0.0 }));
+        thin.alpha.fill(0.0);
+        let nothing = SurfaceQuality { coverage: 0.0, depth_error_percent: None, normal_error_deg: None };
+        assert_eq!(SurfaceQuality::of(&thin, &truth()), Some(nothing));
+        let empty = Cast { depth: vec![0.0; 10], ..truth() };
+        assert_eq!(SurfaceQuality::of(&model(), &empty), None);
+        // The mean keeps the view without coverage, but has no errors of it.
+        let mean = SurfaceQuality::mean(&[quality, nothing]).unwrap();
+        assert!((mean.coverage - 2.5 / 9.0).abs() < 1e-12);
+        assert_eq!(mean.depth_error_percent, quality.depth_error_percent);
+        assert_eq!(SurfaceQuality::mean(&[]), None);
+    }
+}
