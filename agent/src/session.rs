@@ -4,11 +4,13 @@
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
-use cosurf_engine::backend::{TargetRgb, Targets};
+use cosurf_engine::backend::{Channels, TargetRgb};
 use cosurf_engine::budget::{Budget, TooLittleMemory, Wish};
 use cosurf_engine::init::splats_from_points;
 use cosurf_engine::train::StepOutcome;
-use cosurf_engine::{Backend, CpuBackend, Schedule, TrainSettings, Trainer};
+use cosurf_engine::{
+    Backend, CpuBackend, Example, Neighbours, Schedule, SurfaceSettings, TrainSettings, Trainer,
+};
 use cosurf_scene::bytes::format_bytes;
 use cosurf_scene::cache::Source;
 use cosurf_scene::{Camera, Dataset, PictureCache, Splats, View};
@@ -42,6 +44,8 @@ pub struct TrainPlan {
     pub max_size_px: u32,
     /// Threads to compute with, at least 1.
     pub threads: usize,
+    /// How the surface is trained; `None` for colour only.
+    pub surface: Option<SurfaceSettings>,
 }
 
 /// Which views are for what.
@@ -101,10 +105,15 @@ impl Session {
             schedule: Schedule::new(plan.steps),
             extent,
             sh_degree: SH_DEGREE,
+            surface: plan.surface,
             splats_max: sized.budget.capacity.splats,
             seed: plan.seed,
         };
         let fingerprint = Fingerprint::of(&settings, &cameras, &data.points);
+        let neighbours = match plan.surface {
+            Some(_) => Neighbours::find(&cameras, &data.points),
+            None => Neighbours::none(),
+        };
         let mut backend = CpuBackend::new(sized.budget.capacity, plan.threads);
         let (steps_done, splats_at_start) = match checkpoint {
             Some(checkpoint) => checkpoint.restore(&fingerprint, &mut backend)?,
@@ -115,7 +124,7 @@ impl Session {
             }
         };
         Ok(Self {
-            trainer: Trainer::new(backend, settings, steps_done, splats_at_start),
+            trainer: Trainer::new(backend, settings, neighbours, steps_done, splats_at_start),
             cache,
             cameras,
             held_out,
@@ -129,12 +138,30 @@ impl Session {
     /// One step of training.
     pub fn step(&mut self) -> Result<StepOutcome> {
         let index = self.trainer.view_index(self.cameras.len(), 0);
+        let neighbour = self.trainer.neighbour_index(index, 0);
         let picture = self.cache.get(index)?;
-        self.cache.prefetch(self.trainer.view_index(self.cameras.len(), 1));
-        let outcome =
-            self.trainer.step(&self.cameras[index], &Targets { rgb: TargetRgb::Bytes(&picture.rgb) });
+        let neighbour = match neighbour {
+            Some(other) => Some((&self.cameras[other], self.cache.get(other)?)),
+            None => None,
+        };
+        self.prefetch();
+        let example = Example {
+            camera: &self.cameras[index],
+            rgb: TargetRgb::Bytes(&picture.rgb),
+            neighbour: neighbour.as_ref().map(|(camera, picture)| (*camera, TargetRgb::Bytes(&picture.rgb))),
+        };
+        let outcome = self.trainer.step(&example);
         self.dropped_pairs += outcome.counts.dropped as u64;
         Ok(outcome)
+    }
+
+    /// Asks for the pictures of the next step.
+    fn prefetch(&self) {
+        let next = self.trainer.view_index(self.cameras.len(), 1);
+        self.cache.prefetch(next);
+        if let Some(other) = self.trainer.neighbour_index(next, 1) {
+            self.cache.prefetch(other);
+        }
     }
 
     /// What a checkpoint of this training must agree with, for [`crate::checkpoint::write`].
@@ -250,6 +277,7 @@ fn wish(plan: &TrainPlan, data: &Dataset, sources: &[Source]) -> Result<Wish> {
         memory_bytes: plan.memory_bytes,
         size_px,
         sh_degree: SH_DEGREE,
+        channels: if plan.surface.is_some() { Channels::Geometry } else { Channels::Color },
         splats: (pixels / PIXELS_PER_SPLAT).max(points) as usize,
         cache_bytes_most: PictureCache::most_bytes(sources),
         cache_bytes_least: PictureCache::least_bytes(sources),

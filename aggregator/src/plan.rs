@@ -158,6 +158,7 @@ impl Plan {
             memory_bytes: settings.memory_bytes,
             max_size_px: settings.max_size_px,
             threads: Some(threads),
+            color_only: false,
             wait_global: true,
         };
         let text = toml::to_string(&config)

@@ -8,7 +8,7 @@ use clap::Args;
 use cosurf_agent::checkpoint::{self, Checkpoint};
 use cosurf_agent::session::{Session, Split, TrainPlan};
 use cosurf_agent::{evaluate, memory, outputs};
-use cosurf_engine::{Backend, Renderer};
+use cosurf_engine::{Backend, Renderer, SurfaceSettings};
 use cosurf_scene::Splats;
 use cosurf_scene::report::{AgentEvent, TrainReport};
 
@@ -38,6 +38,9 @@ pub(super) struct TrainArgs {
     /// Hold out every n-th view by name, to score the model on; 0 holds out none
     #[arg(long, value_name = "N", default_value_t = 8)]
     eval_every: u32,
+    /// Train colours only, without the losses of the surface: faster, but the depth is not to be trusted
+    #[arg(long)]
+    color_only: bool,
     /// Begin anew even if DIR has a checkpoint
     #[arg(long)]
     fresh: bool,
@@ -54,6 +57,7 @@ pub(super) fn run(args: &TrainArgs) -> Result<()> {
         memory_bytes: args.memory.unwrap_or_else(default_memory),
         max_size_px: args.common.max_size_px(),
         threads: args.common.threads(),
+        surface: (!args.color_only).then(SurfaceSettings::default),
     };
     let mut progress = Progress::new(args.common.json);
     let report = train(&plan, &args.out, args.fresh, &mut progress)?;

@@ -3,7 +3,7 @@
 //!
 //! `cargo bench -p cosurf-engine`
 
-use cosurf_engine::backend::{AdamRates, Channels, LossWeights, TargetRgb, Targets};
+use cosurf_engine::backend::{AdamRates, Channels, LossWeights, SurfaceWeights, TargetRgb, Targets};
 use cosurf_engine::{Backend, CpuBackend, CpuCapacity};
 use cosurf_scene::{Camera, Pose, Splats};
 use divan::Bencher;
@@ -90,8 +90,15 @@ fn stepped(threads: usize, channels: Channels) -> (CpuBackend, usize) {
 
 fn losses(backend: &mut CpuBackend) {
     let rgb = vec![90u8; (3 * SIZE_PX[0] * SIZE_PX[1]) as usize];
-    backend.losses(&Targets { rgb: TargetRgb::Bytes(&rgb) }, &LossWeights { ssim: 0.2 });
+    backend.losses(&Targets { rgb: TargetRgb::Bytes(&rgb), neighbour_rgb: None }, &COLOR);
 }
+
+const COLOR: LossWeights = LossWeights { ssim: 0.2, scale: 0.0, surface: None };
+
+const SURFACE: LossWeights = LossWeights {
+    surface: Some(SurfaceWeights { normal: 0.01, reprojection: 0.05, ncc: 0.2, cell_px: 4, draw: 1 }),
+    ..COLOR
+};
 
 const RATES: AdamRates = AdamRates {
     mean: 1e-9,
@@ -138,6 +145,18 @@ fn photometric_loss(bencher: Bencher) {
     let (mut backend, _) = stepped(2, Channels::Color);
     let pixels = (SIZE_PX[0] * SIZE_PX[1]) as usize;
     bencher.counter(ItemsCount::new(pixels)).bench_local(|| losses(&mut backend));
+}
+
+/// With the colour's loss, and the neighbour's depth kept; a view is its own neighbour, so all patches match.
+#[divan::bench]
+fn surface_losses(bencher: Bencher) {
+    let (mut backend, _) = stepped(2, Channels::Geometry);
+    backend.keep_neighbour();
+    let pixels = (SIZE_PX[0] * SIZE_PX[1]) as usize;
+    let mut random = Random(2);
+    let rgb: Vec<u8> = (0..3 * pixels).map(|_| random.between(0.0, 255.0) as u8).collect();
+    let targets = Targets { rgb: TargetRgb::Bytes(&rgb), neighbour_rgb: Some(TargetRgb::Bytes(&rgb)) };
+    bencher.counter(ItemsCount::new(pixels)).bench_local(|| backend.losses(&targets, &SURFACE));
 }
 
 #[divan::bench]

@@ -20,6 +20,8 @@ pub enum TargetRgb<'a> {
 pub struct Targets<'a> {
     /// Colours.
     pub rgb: TargetRgb<'a>,
+    /// Colours of the neighbour that [`Backend::keep_neighbour`] kept, for the multi-view losses.
+    pub neighbour_rgb: Option<TargetRgb<'a>>,
 }
 
 /// How much each loss counts.
@@ -27,6 +29,50 @@ pub struct Targets<'a> {
 pub struct LossWeights {
     /// λ of `(1 - λ) L1 + λ (1 - SSIM)`, 0..=1; 0.2 in 3DGS.
     pub ssim: f32,
+    /// Of the mean shortest scale of the visible splats, 1 / world units.
+    pub scale: f32,
+    /// Of the surface's losses; `None` leaves them out. They need [`Channels::Geometry`].
+    pub surface: Option<SurfaceWeights>,
+}
+
+/// How much each loss of the surface counts (CoSurfGS, "Device-side Training Procedure"; PGSR).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SurfaceWeights {
+    /// Of the disagreement between blended normals and the normals of the depth, a mean over pixels.
+    pub normal: f32,
+    /// Of the error of going to the neighbour and back, a mean over sampled pixels; 1 / px.
+    pub reprojection: f32,
+    /// Of `1 - NCC²` between patches here and at the neighbour, a mean over sampled pixels.
+    pub ncc: f32,
+    /// One pixel is sampled in each square of this side: 1, 2, 4, 8 or 16 px.
+    pub cell_px: u32,
+    /// Which pixels are sampled; a new number for each step.
+    pub draw: u64,
+}
+
+/// The losses of one rendering.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Losses {
+    /// Of the colours.
+    pub color: PhotometricLoss,
+    /// Of the surface; zero where it was not asked for.
+    pub surface: SurfaceLoss,
+}
+
+/// The losses of the surface, not weighted.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct SurfaceLoss {
+    /// Mean over pixels of the absolute difference of normals, summed over axes, edges counting less.
+    pub normal: f64,
+    /// Mean over sampled pixels of `w e`, with `e` in px the way to the neighbour and back and `w = exp(-e)`;
+    /// pixels that do not come back to within 1 px add nothing.
+    pub reprojection: f64,
+    /// Mean over sampled pixels of `w (1 - NCC²)`; patches that do not match add nothing.
+    pub ncc: f64,
+    /// Share of the sampled pixels that came back.
+    pub returned: f64,
+    /// Share of the sampled pixels whose patches match.
+    pub matched: f64,
 }
 
 /// The colour loss of one rendering.
@@ -178,8 +224,12 @@ pub trait Backend {
     /// Blends the picture.
     fn rasterize(&mut self, channels: Channels);
 
-    /// The loss of the picture, and its gradient with respect to every pixel.
-    fn losses(&mut self, targets: &Targets, weights: &LossWeights) -> PhotometricLoss;
+    /// Keeps camera and depth of the picture last blended (with [`Channels::Geometry`]) as the neighbour of
+    /// the pictures that follow.
+    fn keep_neighbour(&mut self);
+
+    /// The losses of the picture, and their gradient with respect to every pixel.
+    fn losses(&mut self, targets: &Targets, weights: &LossWeights) -> Losses;
 
     /// Gradients of the projected splats.
     fn rasterize_backward(&mut self);

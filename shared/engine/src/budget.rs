@@ -30,6 +30,8 @@ pub struct Wish {
     pub size_px: [u32; 2],
     /// SH degree, 0..=3.
     pub sh_degree: u32,
+    /// What will be blended in training.
+    pub channels: Channels,
     /// Splats that the training would make if memory did not matter.
     pub splats: usize,
     /// Bytes of the picture cache that would hold everything ready.
@@ -69,7 +71,7 @@ fn splat_bytes(sh_degree: u32) -> u64 {
 impl Budget {
     /// Divides the bytes: first what cannot be less, then splats up to the wish, then the cache.
     pub fn plan(wish: &Wish) -> Result<Self, TooLittleMemory> {
-        let picture_bytes = CpuCapacity::picture_bytes(wish.size_px, Channels::Color, true) as u64;
+        let picture_bytes = CpuCapacity::picture_bytes(wish.size_px, wish.channels, true) as u64;
         let fixed = PROCESS_BYTES + picture_bytes + wish.cache_bytes_least + wish.loading_bytes;
         let per_splat = splat_bytes(wish.sh_degree);
         let least_bytes = fixed + SPLATS_MIN.min(wish.splats) as u64 * per_splat;
@@ -96,7 +98,7 @@ impl Budget {
             pairs: PAIRS_PER_SPLAT * splats,
             size_px: wish.size_px,
             sh_degree: wish.sh_degree,
-            channels: Channels::Color,
+            channels: wish.channels,
             training: true,
         };
         Ok(Self { capacity, cache_bytes: wish.cache_bytes_least + extra, given_up })

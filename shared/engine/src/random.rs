@@ -8,6 +8,10 @@ pub(crate) enum Purpose {
     ViewOrder = 1,
     /// Where the children of a splat go.
     Birth = 2,
+    /// Which neighbour a view is compared with.
+    Neighbour = 3,
+    /// Which pixels are compared.
+    Sample = 4,
 }
 
 /// A stream of numbers (SplitMix64).

@@ -25,6 +25,9 @@ const SH_REST_HASTE: f64 = 0.35;
 /// 3DGS's own length, from which the fractions below are taken.
 const REFERENCE_STEPS: f64 = 30_000.0;
 
+/// Share of the steps before the losses of the surface begin (CoSurfGS: 7,000 of 30,000).
+const SURFACE_FROM: f64 = 7000.0 / 30_000.0;
+
 /// The plan of a training of `steps` steps.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Schedule {
@@ -40,6 +43,8 @@ pub struct Schedule {
     pub refine_every: u32,
     /// Steps between opacity resets; 0 for none.
     pub reset_every: u32,
+    /// First step (counted from 0) with the losses of the surface.
+    pub surface_from: u32,
 }
 
 impl Schedule {
@@ -54,6 +59,7 @@ impl Schedule {
             refine_every,
             // A reset costs some thousand steps of recovery; shorter runs have none to give.
             reset_every: if steps >= 10_000 { 3000 } else { 0 },
+            surface_from: (f64::from(steps) * SURFACE_FROM) as u32,
         }
     }
 
@@ -81,6 +87,13 @@ impl Schedule {
     pub fn growth(&self, steps_done: u32) -> f64 {
         let span = self.refine_until.saturating_sub(self.refine_from).max(1);
         (f64::from(steps_done.saturating_sub(self.refine_from)) / f64::from(span)).clamp(0.0, 1.0)
+    }
+
+    /// The smooth weight of the surface's losses at a step (counted from 0), `(t - τ) / T` (CoSurfGS, "Device-side
+    /// Training Procedure"); `None` before they begin.
+    pub fn surface_ramp(&self, step: u32) -> Option<f32> {
+        let since = step.checked_sub(self.surface_from)?;
+        Some((f64::from(since) / f64::from(self.steps.max(1))) as f32)
     }
 
     /// Learning rates of a step (counted from 0) in a scene of this extent.

@@ -2,7 +2,11 @@
 
 use cosurf_scene::Camera;
 
-use crate::backend::{Backend, BinCounts, Channels, LossWeights, PhotometricLoss, Targets};
+use crate::backend::{
+    Backend, BinCounts, Channels, LossWeights, PhotometricLoss, SurfaceLoss, SurfaceWeights, TargetRgb,
+    Targets,
+};
+use crate::neighbours::Neighbours;
 use crate::random::{Purpose, Random};
 use crate::refine::{RefineLimits, refine};
 use crate::schedule::Schedule;
@@ -11,6 +15,40 @@ use crate::schedule::Schedule;
 const SSIM_WEIGHT: f32 = 0.2;
 /// Opacity after a reset (3DGS).
 const RESET_OPACITY: f32 = 0.01;
+
+/// How the surface is trained (CoSurfGS, "Device-side Training Procedure").
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SurfaceSettings {
+    /// λ₁: weight of the mean shortest scale, as a share of the scene's extent.
+    pub scale: f32,
+    /// β₂: weight of the single-view normal loss at the end of an endless ramp.
+    pub normal: f32,
+    /// Of the reprojection error.
+    pub reprojection: f32,
+    /// Of `1 - NCC²`.
+    pub ncc: f32,
+    /// Whether the weights grow from nothing (the paper's smooth weight) or are what they are from the start.
+    pub smooth: bool,
+    /// One pixel in each square of this side is compared with the neighbour: 1, 2, 4, 8 or 16 px.
+    pub cell_px: u32,
+}
+
+impl Default for SurfaceSettings {
+    fn default() -> Self {
+        Self { scale: 100.0, normal: 0.01, reprojection: 0.05, ncc: 0.2, smooth: true, cell_px: 4 }
+    }
+}
+
+/// What a step learns from.
+#[derive(Clone, Copy, Debug)]
+pub struct Example<'a> {
+    /// The view.
+    pub camera: &'a Camera,
+    /// Its photograph, or a teacher's rendering.
+    pub rgb: TargetRgb<'a>,
+    /// Camera and colours of the view of [`Trainer::neighbour_index`], where it names one.
+    pub neighbour: Option<(&'a Camera, TargetRgb<'a>)>,
+}
 
 /// What a training is told.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -21,6 +59,8 @@ pub struct TrainSettings {
     pub extent: f64,
     /// Stored SH degree.
     pub sh_degree: u32,
+    /// How the surface is trained; `None` for colour only.
+    pub surface: Option<SurfaceSettings>,
     /// Most splats that refinement may make; the backend's capacity bounds it as well.
     pub splats_max: usize,
     /// Seed of every random choice.
@@ -30,8 +70,10 @@ pub struct TrainSettings {
 /// What a step did.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct StepOutcome {
-    /// The loss before the step.
+    /// The loss of the colours before the step.
     pub loss: PhotometricLoss,
+    /// The losses of the surface before the step, zero where they did not count.
+    pub surface: SurfaceLoss,
     /// What was blended.
     pub counts: BinCounts,
 }
@@ -40,6 +82,7 @@ pub struct StepOutcome {
 pub struct Trainer<B> {
     backend: B,
     settings: TrainSettings,
+    neighbours: Neighbours,
     steps_done: u32,
     splats_at_start: usize,
 }
@@ -47,8 +90,14 @@ pub struct Trainer<B> {
 impl<B: Backend> Trainer<B> {
     /// Goes on after `steps_done` steps with what the backend holds; `splats_at_start` is how many splats there
     /// were at step 0.
-    pub fn new(backend: B, settings: TrainSettings, steps_done: u32, splats_at_start: usize) -> Self {
-        Self { backend, settings, steps_done, splats_at_start }
+    pub fn new(
+        backend: B,
+        settings: TrainSettings,
+        neighbours: Neighbours,
+        steps_done: u32,
+        splats_at_start: usize,
+    ) -> Self {
+        Self { backend, settings, neighbours, steps_done, splats_at_start }
     }
 
     /// Steps done so far.
@@ -83,15 +132,33 @@ impl<B: Backend> Trainer<B> {
         view_order(self.settings.seed, epoch, views)[place as usize]
     }
 
+    /// Which view the step after `ahead` more steps compares `view` with, if it does.
+    pub fn neighbour_index(&self, view: usize, ahead: u32) -> Option<usize> {
+        let step = self.steps_done + ahead;
+        self.settings.surface?;
+        self.settings.schedule.surface_ramp(step)?;
+        self.neighbours.draw(view, self.settings.seed, step)
+    }
+
     /// One step: learns from one view, and refines when the schedule says so.
-    pub fn step(&mut self, camera: &Camera, targets: &Targets) -> StepOutcome {
+    pub fn step(&mut self, example: &Example) -> StepOutcome {
         let TrainSettings { schedule, extent, sh_degree, .. } = self.settings;
         let step = self.steps_done;
+        let degree = schedule.sh_degree(step, sh_degree);
+        let weights = self.weights(step);
+        let channels = if weights.surface.is_some() { Channels::Geometry } else { Channels::Color };
         let backend = &mut self.backend;
-        backend.project(camera, schedule.sh_degree(step, sh_degree));
+        if let (Some(_), Some((camera, _))) = (weights.surface, example.neighbour) {
+            backend.project(camera, 0);
+            backend.bin();
+            backend.rasterize(Channels::Geometry);
+            backend.keep_neighbour();
+        }
+        backend.project(example.camera, degree);
         let counts = backend.bin();
-        backend.rasterize(Channels::Color);
-        let loss = backend.losses(targets, &LossWeights { ssim: SSIM_WEIGHT });
+        backend.rasterize(channels);
+        let neighbour_rgb = example.neighbour.map(|(_, rgb)| rgb);
+        let losses = backend.losses(&Targets { rgb: example.rgb, neighbour_rgb }, &weights);
         backend.rasterize_backward();
         backend.project_backward();
         backend.adam(&schedule.rates(step, extent));
@@ -102,7 +169,24 @@ impl<B: Backend> Trainer<B> {
         if schedule.resets_after(self.steps_done) {
             self.backend.cap_opacity(RESET_OPACITY);
         }
-        StepOutcome { loss, counts }
+        StepOutcome { loss: losses.color, surface: losses.surface, counts }
+    }
+
+    /// What counts how much at a step.
+    fn weights(&self, step: u32) -> LossWeights {
+        let TrainSettings { schedule, extent, surface, seed, .. } = self.settings;
+        let scale = surface.map_or(0.0, |surface| f64::from(surface.scale) / extent) as f32;
+        let surface = surface.zip(schedule.surface_ramp(step)).map(|(surface, ramp)| {
+            let ramp = if surface.smooth { ramp } else { 1.0 };
+            SurfaceWeights {
+                normal: ramp * surface.normal,
+                reprojection: ramp * surface.reprojection,
+                ncc: ramp * surface.ncc,
+                cell_px: surface.cell_px,
+                draw: Random::new(seed, Purpose::Sample, u64::from(step), 0).next_u64(),
+            }
+        });
+        LossWeights { ssim: SSIM_WEIGHT, scale, surface }
     }
 
     fn refine(&mut self) {

@@ -47,6 +47,9 @@ pub struct AgentConfig {
     /// Threads to compute with, at least 1; absent for one per core.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub threads: Option<usize>,
+    /// Train colours only, without the losses of the surface.
+    #[serde(default)]
+    pub color_only: bool,
     /// Whether to wait, after the upload, for the global model and keep it.
     #[serde(default)]
     pub wait_global: bool,

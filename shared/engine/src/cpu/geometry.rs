@@ -110,14 +110,19 @@ pub(crate) struct Plane<L: Lanes> {
     pub(crate) sign: L,
 }
 
+/// Which axis is the shortest: exactly one, ties go to the later.
 #[inline(always)]
-pub(crate) fn plane<L: Lanes>(g: &Geometry<L>, log_scale: [L; 3]) -> Plane<L> {
+pub(crate) fn shortest_axis<L: Lanes>(log_scale: [L; 3]) -> [L::Mask; 3] {
     let [s0, s1, s2] = log_scale;
-    let all = L::mask_all(true);
-    // Ties go to the later axis, so that exactly one is chosen.
     let first = L::and(s0.lt(s1), s0.lt(s2));
     let second = L::and_not(s1.lt(s2), first);
-    let third = L::and_not(L::and_not(all, first), second);
+    let third = L::and_not(L::and_not(L::mask_all(true), first), second);
+    [first, second, third]
+}
+
+#[inline(always)]
+pub(crate) fn plane<L: Lanes>(g: &Geometry<L>, log_scale: [L; 3]) -> Plane<L> {
+    let [first, second, third] = shortest_axis(log_scale);
     let column = each!([0, 1, 2], |r| L::select(first, g.u[r][0], L::select(second, g.u[r][1], g.u[r][2])));
     let facing = dot3(column, g.t);
     let sign = L::select(facing.ge(L::zero()), L::splat(-1.0), L::splat(1.0));

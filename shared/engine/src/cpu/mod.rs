@@ -19,6 +19,7 @@ mod rasterize_backward;
 mod read;
 mod sh;
 mod simd;
+mod surface;
 #[cfg(test)]
 mod tests;
 mod view;
@@ -26,7 +27,8 @@ mod view;
 use cosurf_scene::{Camera, Splats};
 
 use crate::backend::{
-    AdamRates, Backend, BinCounts, Channels, Edit, LossWeights, PhotometricLoss, Rendering, Shapes, Targets,
+    AdamRates, Backend, BinCounts, Channels, Edit, LossWeights, Losses, Rendering, Shapes, SurfaceLoss,
+    Targets,
 };
 use adam::Moments;
 use bin::TileLists;
@@ -36,6 +38,7 @@ use project::Projection;
 use project_backward::{GRADIENT_ROWS, STAT_ROWS};
 use rasterize::{PLANES_COLOR, PLANES_GEOMETRY};
 use simd::Isa;
+use surface::Surface;
 use view::ViewParams;
 
 /// Everything that has a size, decided before anything is allocated.
@@ -69,9 +72,16 @@ impl CpuCapacity {
         if training { 8 + 64 } else { 8 }
     }
 
-    /// Bytes of the pictures: rendered and gradient planes.
+    /// Bytes of the pictures: rendered and gradient planes, and what the losses of the surface compare.
     pub fn picture_bytes(size_px: [u32; 2], channels: Channels, training: bool) -> usize {
-        padded_pixels(size_px) * planes(channels) * 4 * if training { 2 } else { 1 }
+        let rendered = padded_pixels(size_px) * planes(channels) * 4;
+        match (training, channels) {
+            (false, _) => rendered,
+            (true, Channels::Color) => 2 * rendered,
+            (true, Channels::Geometry) => {
+                2 * rendered + 4 * surface::PLANES * surface::Plane::len_for(size_px)
+            }
+        }
     }
 
     /// Bytes of everything.
@@ -105,6 +115,9 @@ pub struct CpuBackend {
     gradient: TileImage,
     blended: Vec<u32>,
     records: Vec<rasterize_backward::Record>,
+    surface: Surface,
+    /// Weight of the scale loss in the backward pass that comes.
+    scale_weight: f32,
 }
 
 impl CpuBackend {
@@ -146,6 +159,11 @@ impl CpuBackend {
             gradient: TileImage::with_capacity(if training { pixels } else { 0 }, planes(channels)),
             blended: Vec::new(),
             records: Vec::with_capacity(if training { pairs } else { 0 }),
+            surface: Surface::with_capacity(match (training, channels) {
+                (true, Channels::Geometry) => size_px,
+                _ => [0, 0],
+            }),
+            scale_weight: 0.0,
         }
     }
 
@@ -203,11 +221,23 @@ impl Backend for CpuBackend {
         });
     }
 
-    fn losses(&mut self, targets: &Targets, weights: &LossWeights) -> PhotometricLoss {
-        let size_px = self.seen_view().size_px;
-        self.gradient.reshape(size_px, self.image.planes());
+    fn keep_neighbour(&mut self) {
+        let view = self.view.as_ref().expect("`project` comes first");
+        self.pool.install(|| self.surface.keep_neighbour(self.isa, &self.image, view));
+    }
+
+    fn losses(&mut self, targets: &Targets, weights: &LossWeights) -> Losses {
+        let view = *self.seen_view();
+        self.gradient.reshape(view.size_px, self.image.planes());
+        self.scale_weight = weights.scale;
         self.pool.install(|| {
-            loss::photometric(self.isa, &self.image, targets.rgb, weights.ssim, &mut self.gradient)
+            let (image, gradient) = (&self.image, &mut self.gradient);
+            let color = loss::photometric(self.isa, image, targets.rgb, weights.ssim, gradient);
+            let surface = match &weights.surface {
+                Some(weights) => self.surface.losses(self.isa, image, &view, targets, weights, gradient),
+                None => SurfaceLoss::default(),
+            };
+            Losses { color, surface }
         })
     }
 
@@ -234,6 +264,7 @@ impl Backend for CpuBackend {
             lists: &self.lists,
             records: &self.records,
             planes: self.image.planes(),
+            scale_weight: self.scale_weight,
         };
         self.pool.install(|| {
             project_backward::project_backward(self.isa, &inputs, &mut self.gradients, &mut self.stats);

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use super::bin::TileLists;
 use super::blocks::{Blocks, LOG_SCALE, MEAN, OPACITY, QUAT, SH};
-use super::geometry::{Geometry, dot3, geometry, plane};
+use super::geometry::{Geometry, dot3, geometry, plane, shortest_axis};
 use super::project::{Projected, Projection, view_direction};
 use super::rasterize::PLANES_GEOMETRY;
 use super::rasterize_backward::{MOMENTS, Record, V_DISTANCE, V_NORMAL, V_RGB};
@@ -34,11 +34,15 @@ pub(crate) struct Inputs<'a> {
     pub(crate) records: &'a [Record],
     /// Planes that were rendered.
     pub(crate) planes: usize,
+    /// Weight of the mean shortest scale of the visible splats.
+    pub(crate) scale_weight: f32,
 }
 
 /// Overwrites the gradients of visible blocks (others keep stale values that nobody reads) and adds to
 /// the statistics.
 pub(crate) fn project_backward(isa: Isa, inputs: &Inputs, gradients: &mut Blocks, stats: &mut Blocks) {
+    let visible = inputs.projection.visible.iter().map(|bits| bits.count_ones()).sum::<u32>();
+    let scale_weight = inputs.scale_weight / visible.max(1) as f32;
     gradients.resize(inputs.params.len());
     stats.resize(inputs.params.len());
     gradients
@@ -62,6 +66,7 @@ pub(crate) fn project_backward(isa: Isa, inputs: &Inputs, gradients: &mut Blocks
                 view: inputs.view,
                 sums: &sums,
                 geometry,
+                scale_weight,
                 gradients,
                 stats,
                 visible,
@@ -97,6 +102,8 @@ struct BackwardBlock<'a> {
     view: &'a ViewParams,
     sums: &'a [Row; GROUP],
     geometry: bool,
+    /// Of one splat's shortest scale.
+    scale_weight: f32,
     gradients: &'a mut [Row],
     stats: &'a mut [Row],
     visible: u16,
@@ -126,7 +133,8 @@ impl Kernel for BackwardBlock<'_> {
 
             let screen = screen_gradients(&g, each!([0, 1, 2, 3, 4, 5], |k| sum(MOMENTS + k)));
             let mut into = CameraGradients { t: [L::zero(); 3], u: [[L::zero(); 3]; 3] };
-            let v_log_scale = through_covariance(&g, self.view, screen.cov, &mut into);
+            let mut v_log_scale = through_covariance(&g, self.view, screen.cov, &mut into);
+            through_shortest(&g, log_scale, L::splat(self.scale_weight), &mut v_log_scale);
             through_mean(&g, self.view, screen.mean_px, &mut into);
             if self.geometry {
                 let v_normal = each!([0, 1, 2], |k| sum(V_NORMAL + k));
@@ -247,6 +255,15 @@ fn through_plane<L: Lanes>(
         for axis in 0..3 {
             into.u[r][axis] = into.u[r][axis] + v_n.keep(plane.axis[axis]);
         }
+    }
+}
+
+/// The scale loss: `weight s` of the shortest axis, whose log-scale therefore gets `weight s` too.
+#[inline(always)]
+fn through_shortest<L: Lanes>(g: &Geometry<L>, log_scale: [L; 3], weight: L, into: &mut [L; 3]) {
+    let shortest = shortest_axis(log_scale);
+    for k in 0..3 {
+        into[k] = into[k] + (weight * g.variance[k].sqrt()).keep(shortest[k]);
     }
 }
 

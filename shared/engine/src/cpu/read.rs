@@ -10,13 +10,9 @@ use super::project_backward::{GRADIENT_RGB, STAT_SCREEN_GRADIENT, STAT_VIEWS};
 use super::rasterize::{DISTANCE, NORMAL, PLANES_GEOMETRY, RGB, TRANSMITTANCE};
 use super::sh;
 use super::simd::{GROUP, Lanes, Plain};
+use super::surface::{GRAZING, SURFACE_ALPHA};
 use super::view::ViewParams;
 use crate::backend::{Rendering, Shapes};
-
-/// A ray that meets its plane at less than about 0.6° has no depth worth telling.
-const GRAZING: f32 = 0.01;
-/// Below this alpha a pixel shows no surface.
-const SURFACE_ALPHA: f32 = 0.5;
 
 /// The picture, row by row.
 pub(super) fn rendering(image: &TileImage, view: &ViewParams) -> Rendering {

@@ -4,6 +4,7 @@
 
 mod loss;
 mod reference;
+mod surface;
 
 use cosurf_scene::{Camera, Pose, Splats};
 use glam::{DVec2, DVec3};
@@ -235,5 +236,35 @@ fn threads_do_not_change_a_bit() {
         let one = run(1);
         assert_eq!(one, run(2), "{}", case.name);
         assert_eq!(one, run(8), "{}", case.name);
+    }
+}
+
+#[test]
+fn the_scale_loss_pulls_on_the_shortest_axis_of_what_is_seen() {
+    const WEIGHT: f32 = 3.0;
+    for case in cases() {
+        for isa in Isa::available() {
+            let mut backend = backend(&case, isa, 2);
+            backend.scale_weight = WEIGHT;
+            let size = backend.image.size_px();
+            let pulled = backward(&mut backend, &vec![[0.0; 8]; size[0] * size[1]]);
+            let seen: Vec<usize> = (0..case.splats.len())
+                .filter(|i| backend.projection.visible[i / 16] >> (i % 16) & 1 == 1)
+                .collect();
+            for i in 0..case.splats.len() {
+                let log_scale = case.splats.log_scales[i];
+                let shortest = log_scale.into_iter().fold(f32::INFINITY, f32::min);
+                for axis in 0..3 {
+                    let counts = seen.contains(&i) && log_scale[axis] == shortest;
+                    let expected = if counts { WEIGHT * shortest.exp() / seen.len() as f32 } else { 0.0 };
+                    let got = pulled.log_scales[i][axis];
+                    assert!(
+                        (got - expected).abs() <= 1e-5 * expected,
+                        "{}: {got} is not {expected}",
+                        case.name
+                    );
+                }
+            }
+        }
     }
 }

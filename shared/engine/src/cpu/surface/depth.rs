@@ -1,0 +1,95 @@
+//! The unbiased depth (PGSR): where the ray of a pixel meets the blended plane, `z = D / -(N · r)`. Both are
+//! blended with the same weights, so alpha cancels.
+
+use rayon::prelude::*;
+
+use super::super::image::{TILE, TileImage};
+use super::super::rasterize::{DISTANCE, NORMAL, TRANSMITTANCE, centers};
+use super::super::simd::{Isa, Kernel, Lanes};
+use super::super::view::ViewParams;
+use super::plane::Plane;
+
+/// A ray that meets its plane at less than about 0.6° has no depth worth telling.
+pub(crate) const GRAZING: f32 = 0.01;
+/// Below this alpha a pixel shows no surface.
+pub(crate) const SURFACE_ALPHA: f32 = 0.5;
+
+/// Depth along the optical axis, 0 where there is no surface.
+pub(super) fn unbiased_depth(isa: Isa, image: &TileImage, view: &ViewParams, depth: &mut Plane) {
+    depth.reshape(image.size_px());
+    depth.lines_mut().enumerate().for_each(|(y, line)| isa.run(DepthLine { image, view, y, line }));
+}
+
+struct DepthLine<'a> {
+    image: &'a TileImage,
+    view: &'a ViewParams,
+    y: usize,
+    line: &'a mut [f32],
+}
+
+impl Kernel for DepthLine<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<L: Lanes>(self) {
+        let Self { image, view, y, line } = self;
+        let rays = Rays::<L>::new(view, y);
+        for tile_x in 0..image.tiles()[0] {
+            for part in 0..TILE / L::N {
+                let get = |plane: usize| image.row(plane, y, tile_x).get::<L>(part);
+                let column = tile_x * TILE + part * L::N;
+                let facing = rays.facing([get(NORMAL), get(NORMAL + 1), get(NORMAL + 2)], rays.x(column));
+                let alpha = L::splat(1.0) - get(TRANSMITTANCE);
+                let shown = L::and(alpha.ge(L::splat(SURFACE_ALPHA)), facing.ge(L::splat(GRAZING) * alpha));
+                let depth = (get(DISTANCE) / facing).keep(shown);
+                depth.store(&mut line[Plane::at(column as isize)..]);
+            }
+        }
+        line[Plane::at(image.size_px()[0] as isize)..].fill(0.0);
+    }
+}
+
+/// Rays of a row of pixels, scaled to z = 1.
+pub(super) struct Rays<L> {
+    focal_px: L,
+    inv_focal: L,
+    center_px: L,
+    pub(super) y: L,
+}
+
+impl<L: Lanes> Rays<L> {
+    #[inline(always)]
+    pub(super) fn new(view: &ViewParams, y: usize) -> Self {
+        let inv_focal = 1.0 / view.focal_px[0];
+        Self {
+            focal_px: L::splat(view.focal_px[0]),
+            inv_focal: L::splat(inv_focal),
+            center_px: L::splat(view.center_px[0]),
+            y: L::splat(ray_y(view, y as f32)),
+        }
+    }
+
+    /// Slopes x / z of the columns from `column` on.
+    #[inline(always)]
+    pub(super) fn x(&self, column: usize) -> L {
+        (centers::<L>(column as f32, 0) - self.center_px) / self.focal_px
+    }
+
+    /// x / z of one column more.
+    #[inline(always)]
+    pub(super) fn step_x(&self) -> L {
+        self.inv_focal
+    }
+
+    /// `-(n · r)`.
+    #[inline(always)]
+    pub(super) fn facing(&self, n: [L; 3], ray_x: L) -> L {
+        n[0].mul_add(ray_x, n[1].mul_add(self.y, n[2])).neg()
+    }
+}
+
+/// Slope y / z of row `y`.
+#[inline(always)]
+pub(super) fn ray_y(view: &ViewParams, y: f32) -> f32 {
+    (y + 0.5 - view.center_px[1]) / view.focal_px[1]
+}

@@ -1,0 +1,372 @@
+//! The multi-view losses on sampled pixels: there and back again through the neighbour's depth, and patches
+//! that must look alike under the homography of the blended plane (PGSR).
+//!
+//! *Reprojection.* A pixel's point goes to the neighbour, takes the neighbour's depth there, and comes back;
+//! `e` is how far from where it started, px. It counts if `e < 1`, with `w e`, `w = exp(-e)` held fixed. The
+//! neighbour's depth map is held fixed too: every view is a neighbour and a reference in its turn, so a second
+//! backward pass through the neighbour would only say the same again.
+//!
+//! *NCC.* A point `X` of the plane `-(N · X) = D` is seen by the neighbour at `R X - t (N · X) / D`, so along a
+//! ray `r` with `m = N / D` it lies at `R r + s t`, where `s = -(m · r)` is the plane's inverse depth there: all
+//! that a patch's warp knows of the plane. The loss of a patch is `w (1 - cov² / (var var + ε))`. It counts if
+//! the covariance is positive (PGSR lets a negative of the patch score well) and `1 - NCC² < 0.9`.
+
+use super::super::image::{TILE, TileImage};
+use super::super::rasterize::{DISTANCE, NORMAL};
+use super::super::simd::Row;
+use super::super::view::{NEAR, ViewParams};
+use super::depth::ray_y;
+use super::plane::Plane;
+use super::{Shown, band_row, bands};
+use crate::backend::{SurfaceLoss, SurfaceWeights};
+use rayon::prelude::*;
+
+/// A pixel that comes back within this distance is seen by both views, px (CoSurfGS's θ).
+const RETURN_MAX_PX: f32 = 1.0;
+/// Half the side of a patch: 7 × 7 px.
+const REACH: usize = 3;
+const SIDE: usize = 2 * REACH + 1;
+const PATCH: usize = SIDE * SIDE;
+/// Keeps the correlation of flat patches finite; luma in 0..1.
+const VARIANCES_MIN: f32 = 1e-8;
+/// Patches that agree less than this show different things (PGSR).
+const DISAGREEMENT_MAX: f32 = 0.9;
+
+/// Two views, and what the neighbour shows.
+pub(super) struct Pair<'a> {
+    /// `neighbour_from_here` rotation and translation.
+    rotation: [[f32; 3]; 3],
+    translation: [f32; 3],
+    focal_px: [f32; 2],
+    center_px: [f32; 2],
+    depth: &'a Plane,
+    luma: &'a Plane,
+}
+
+fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
+    a[0].mul_add(b[0], a[1].mul_add(b[1], a[2] * b[2]))
+}
+
+impl<'a> Pair<'a> {
+    pub(super) fn new(here: &ViewParams, there: &ViewParams, depth: &'a Plane, luma: &'a Plane) -> Self {
+        let wide = |rows: [[f32; 3]; 3]| rows.map(|row| row.map(f64::from));
+        let (h, t) = (wide(here.rotation), wide(there.rotation));
+        let rotation: [[f64; 3]; 3] =
+            std::array::from_fn(|r| std::array::from_fn(|c| (0..3).map(|k| t[r][k] * h[c][k]).sum()));
+        // From the centres, which subtract without loss; translations far from the origin do not.
+        let way: [f64; 3] = std::array::from_fn(|k| f64::from(here.eye[k]) - f64::from(there.eye[k]));
+        let translation: [f64; 3] = std::array::from_fn(|r| (0..3).map(|k| t[r][k] * way[k]).sum());
+        Self {
+            rotation: rotation.map(|row| row.map(|v| v as f32)),
+            translation: translation.map(|v| v as f32),
+            focal_px: there.focal_px,
+            center_px: there.center_px,
+            depth,
+            luma,
+        }
+    }
+
+    fn rotate(&self, v: [f32; 3]) -> [f32; 3] {
+        self.rotation.map(|row| dot(row, v))
+    }
+
+    fn rotate_back(&self, v: [f32; 3]) -> [f32; 3] {
+        std::array::from_fn(|c| (0..3).map(|r| self.rotation[r][c] * v[r]).sum())
+    }
+}
+
+/// A point on the screen, and how it moves.
+struct Moving {
+    at_px: [f32; 2],
+    by_px: [f32; 2],
+}
+
+/// Projects `point`, which moves by `by`; `None` behind the camera.
+#[inline(always)]
+fn project(point: [f32; 3], by: [f32; 3], focal_px: [f32; 2], center_px: [f32; 2]) -> Option<Moving> {
+    if point[2] <= NEAR {
+        return None;
+    }
+    let inv_z = 1.0 / point[2];
+    let slope = [point[0] * inv_z, point[1] * inv_z];
+    Some(Moving {
+        at_px: [0, 1].map(|a| focal_px[a].mul_add(slope[a], center_px[a])),
+        by_px: [0, 1].map(|a| focal_px[a] * (by[a] - slope[a] * by[2]) * inv_z),
+    })
+}
+
+/// A sampled pixel and its plane.
+struct Sampled {
+    x: usize,
+    y: usize,
+    ray: [f32; 3],
+    normal: [f32; 3],
+    distance: f32,
+    depth: f32,
+}
+
+/// Gradients of a pixel's plane.
+#[derive(Default)]
+struct PlaneGradient {
+    normal: [f32; 3],
+    distance: f32,
+}
+
+/// Adds both losses to `loss`, and their weighted gradients to `gradient`.
+pub(super) fn loss(
+    scene: &Shown,
+    pair: &Pair,
+    weights: &SurfaceWeights,
+    gradient: &mut TileImage,
+    loss: &mut SurfaceLoss,
+) {
+    let [width, height] = scene.image.size_px();
+    let cell = weights.cell_px as usize;
+    assert!(cell.is_power_of_two() && cell <= TILE, "a cell of {cell} px");
+    let samples = (width.div_ceil(cell) * height.div_ceil(cell)) as f64;
+    let each = Weights {
+        reprojection: weights.reprojection / samples as f32,
+        ncc: weights.ncc / samples as f32,
+        cell,
+        draw: weights.draw,
+    };
+    let sums: Vec<Sums> = bands(scene.image, gradient)
+        .map(|(band, gradient)| band_loss(scene, pair, &each, band, gradient))
+        .collect();
+    let total = sums.into_iter().fold(Sums::default(), Sums::plus);
+    loss.reprojection = total.reprojection / samples;
+    loss.ncc = total.ncc / samples;
+    loss.returned = total.returned as f64 / samples;
+    loss.matched = total.matched as f64 / samples;
+}
+
+/// Weights of one sample.
+struct Weights {
+    reprojection: f32,
+    ncc: f32,
+    cell: usize,
+    draw: u64,
+}
+
+#[derive(Default)]
+struct Sums {
+    reprojection: f64,
+    ncc: f64,
+    returned: usize,
+    matched: usize,
+}
+
+impl Sums {
+    fn plus(self, other: Self) -> Self {
+        Self {
+            reprojection: self.reprojection + other.reprojection,
+            ncc: self.ncc + other.ncc,
+            returned: self.returned + other.returned,
+            matched: self.matched + other.matched,
+        }
+    }
+}
+
+fn band_loss(scene: &Shown, pair: &Pair, weights: &Weights, band: usize, gradient: &mut [Row]) -> Sums {
+    let mut sums = Sums::default();
+    let [width, _] = scene.image.size_px();
+    for top in scene.rows(band).step_by(weights.cell) {
+        for left in (0..width).step_by(weights.cell) {
+            let Some(sampled) = sample(scene, weights, left, top) else { continue };
+            let Some((e, by_depth)) = there_and_back(scene.view, pair, &sampled) else { continue };
+            let trust = (-e).exp();
+            sums.returned += 1;
+            sums.reprojection += f64::from(trust * e);
+            let mut given = through_depth(&sampled, weights.reprojection * trust * by_depth);
+            if let Some((disagreement, by_plane)) = patches(scene, pair, &sampled) {
+                sums.matched += 1;
+                sums.ncc += f64::from(trust * disagreement);
+                through_ratio(&sampled, by_plane.map(|v| v * weights.ncc * trust), &mut given);
+            }
+            add(scene.image, &sampled, &given, gradient);
+        }
+    }
+    sums
+}
+
+/// The pixel that this step looks at in a cell, if it lies in the picture and shows a surface.
+fn sample(scene: &Shown, weights: &Weights, left: usize, top: usize) -> Option<Sampled> {
+    let random = mixed(weights.draw ^ ((top as u64) << 32 | left as u64));
+    let mask = weights.cell - 1;
+    let (x, y) = (left + (random as usize & mask), top + ((random >> 32) as usize & mask));
+    let [width, height] = scene.image.size_px();
+    if x >= width || y >= height {
+        return None;
+    }
+    let depth = scene.depth.value(x, y);
+    if depth <= 0.0 {
+        return None;
+    }
+    let get = |plane: usize| scene.image.value(plane, x, y);
+    Some(Sampled {
+        x,
+        y,
+        ray: ray(scene.view, x as f32, y as f32),
+        normal: [get(NORMAL), get(NORMAL + 1), get(NORMAL + 2)],
+        distance: get(DISTANCE),
+        depth,
+    })
+}
+
+/// The ray of a pixel, scaled to z = 1.
+fn ray(view: &ViewParams, x: f32, y: f32) -> [f32; 3] {
+    [(x + 0.5 - view.center_px[0]) / view.focal_px[0], ray_y(view, y), 1.0]
+}
+
+/// The finaliser of SplitMix64.
+fn mixed(mut z: u64) -> u64 {
+    z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+    z ^ (z >> 31)
+}
+
+/// How far from itself a pixel comes back, px, and the derivative of that by its depth.
+fn there_and_back(here: &ViewParams, pair: &Pair, sampled: &Sampled) -> Option<(f32, f32)> {
+    let by = pair.rotate(sampled.ray);
+    let there: [f32; 3] = std::array::from_fn(|k| sampled.depth.mul_add(by[k], pair.translation[k]));
+    let q = project(there, by, pair.focal_px, pair.center_px)?;
+    let depth = pair.depth.sample(q.at_px)?;
+    if depth.least <= 0.0 {
+        return None;
+    }
+    let by_depth = depth.slope[0] * q.by_px[0] + depth.slope[1] * q.by_px[1];
+    let slope: [f32; 2] = std::array::from_fn(|a| (q.at_px[a] - pair.center_px[a]) / pair.focal_px[a]);
+    let hit = [depth.value * slope[0], depth.value * slope[1], depth.value];
+    let along = |a: usize| by_depth.mul_add(slope[a], depth.value * q.by_px[a] / pair.focal_px[a]);
+    let hit_by = [along(0), along(1), by_depth];
+    let back = pair.rotate_back(std::array::from_fn(|k| hit[k] - pair.translation[k]));
+    let p = project(back, pair.rotate_back(hit_by), here.focal_px, here.center_px)?;
+    let off = [p.at_px[0] - (sampled.x as f32 + 0.5), p.at_px[1] - (sampled.y as f32 + 0.5)];
+    let e = (off[0] * off[0] + off[1] * off[1]).sqrt();
+    // Phrased so that NaN does not count.
+    if !(e < RETURN_MAX_PX) {
+        return None;
+    }
+    let slope = (off[0] * p.by_px[0] + off[1] * p.by_px[1]) / e.max(1e-6);
+    Some((e, slope))
+}
+
+/// `z = D / f`, `f = -(N · r)`.
+fn through_depth(sampled: &Sampled, v_depth: f32) -> PlaneGradient {
+    let facing = sampled.distance / sampled.depth;
+    let distance = v_depth / facing;
+    PlaneGradient { distance, normal: sampled.ray.map(|r| distance * sampled.depth * r) }
+}
+
+/// `m = N / D`.
+fn through_ratio(sampled: &Sampled, v_ratio: [f32; 3], into: &mut PlaneGradient) {
+    let inv_distance = 1.0 / sampled.distance;
+    for axis in 0..3 {
+        into.normal[axis] += v_ratio[axis] * inv_distance;
+    }
+    into.distance -= dot(v_ratio, sampled.normal) * inv_distance * inv_distance;
+}
+
+/// `1 - NCC²` of the patch around a pixel and its image at the neighbour, and the derivative by `m = N / D`;
+/// `None` if a patch leaves its picture or they do not match.
+fn patches(scene: &Shown, pair: &Pair, sampled: &Sampled) -> Option<(f32, [f32; 3])> {
+    let [width, height] = scene.image.size_px();
+    let (x, y) = (sampled.x, sampled.y);
+    if x < REACH || y < REACH || x + REACH >= width || y + REACH >= height {
+        return None;
+    }
+    let inv_distance = 1.0 / sampled.distance;
+    let ratio = sampled.normal.map(|n| n * inv_distance);
+    let (mut here, mut there) = ([0.0f32; PATCH], [0.0f32; PATCH]);
+    // ∂(value at the neighbour) / ∂(inverse depth of the plane).
+    let mut slopes = [0.0f32; PATCH];
+    for i in 0..PATCH {
+        let (px, py) = (x + i % SIDE - REACH, y + i / SIDE - REACH);
+        let r = ray(scene.view, px as f32, py as f32);
+        let inverse_depth = -dot(ratio, r);
+        // Behind the camera on either side, the plane shows nothing.
+        if inverse_depth <= 0.0 {
+            return None;
+        }
+        let turned = pair.rotate(r);
+        let point = std::array::from_fn(|k| inverse_depth.mul_add(pair.translation[k], turned[k]));
+        // `point` is the true one times the inverse depth: in front stays in front, whatever NEAR is.
+        if point[2] <= NEAR * inverse_depth {
+            return None;
+        }
+        let q = warp(point, pair);
+        let sample = pair.luma.sample(q.at_px)?;
+        here[i] = scene.luma.value(px, py);
+        there[i] = sample.value;
+        slopes[i] = sample.slope[0] * q.by_px[0] + sample.slope[1] * q.by_px[1];
+    }
+    let correlation = Correlation::of(&here, &there);
+    let disagreement = correlation.disagreement();
+    if correlation.covariance <= 0.0 || disagreement >= DISAGREEMENT_MAX {
+        return None;
+    }
+    let v_there = correlation.by_second(&here, &there);
+    let mut by_plane = [0.0; 3];
+    for i in 0..PATCH {
+        let r = ray(scene.view, (x + i % SIDE) as f32 - REACH as f32, (y + i / SIDE) as f32 - REACH as f32);
+        let v = v_there[i] * slopes[i];
+        by_plane = std::array::from_fn(|k| by_plane[k] - v * r[k]);
+    }
+    Some((disagreement, by_plane))
+}
+
+/// Where the neighbour sees `point`, and how that moves with the plane's inverse depth.
+fn warp(point: [f32; 3], pair: &Pair) -> Moving {
+    let inv_z = 1.0 / point[2];
+    let slope = [point[0] * inv_z, point[1] * inv_z];
+    let t = pair.translation;
+    Moving {
+        at_px: [0, 1].map(|a| pair.focal_px[a].mul_add(slope[a], pair.center_px[a])),
+        by_px: [0, 1].map(|a| pair.focal_px[a] * (t[a] - slope[a] * t[2]) * inv_z),
+    }
+}
+
+/// Second moments of two patches about their means.
+struct Correlation {
+    means: [f32; 2],
+    variances: [f32; 2],
+    covariance: f32,
+}
+
+impl Correlation {
+    fn of(a: &[f32; PATCH], b: &[f32; PATCH]) -> Self {
+        let n = PATCH as f32;
+        let means = [a, b].map(|patch| patch.iter().sum::<f32>() / n);
+        let (mut aa, mut bb, mut ab) = (0.0, 0.0, 0.0);
+        for (a, b) in a.iter().zip(b) {
+            let (a, b) = (a - means[0], b - means[1]);
+            (aa, bb, ab) = (a.mul_add(a, aa), b.mul_add(b, bb), a.mul_add(b, ab));
+        }
+        Self { means, variances: [aa / n, bb / n], covariance: ab / n }
+    }
+
+    fn scale(&self) -> f32 {
+        1.0 / (self.variances[0] * self.variances[1] + VARIANCES_MIN)
+    }
+
+    fn disagreement(&self) -> f32 {
+        1.0 - self.covariance * self.covariance * self.scale()
+    }
+
+    /// The derivative of [`Self::disagreement`] by the second patch.
+    fn by_second(&self, a: &[f32; PATCH], b: &[f32; PATCH]) -> [f32; PATCH] {
+        let scale = self.scale();
+        let by_covariance = -2.0 * self.covariance * scale / PATCH as f32;
+        let ratio = self.covariance * scale;
+        let by_variance = 2.0 * ratio * ratio * self.variances[0] / PATCH as f32;
+        std::array::from_fn(|i| by_covariance * (a[i] - self.means[0]) + by_variance * (b[i] - self.means[1]))
+    }
+}
+
+fn add(image: &TileImage, sampled: &Sampled, given: &PlaneGradient, gradient: &mut [Row]) {
+    let (tile_x, lane) = (sampled.x / TILE, sampled.x % TILE);
+    for (axis, v) in given.normal.into_iter().enumerate() {
+        gradient[band_row(image, NORMAL + axis, sampled.y, tile_x)].0[lane] += v;
+    }
+    gradient[band_row(image, DISTANCE, sampled.y, tile_x)].0[lane] += given.distance;
+}

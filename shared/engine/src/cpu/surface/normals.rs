@@ -1,0 +1,280 @@
+//! The single-view loss: blended normals agree with the normals of the depth, less so across edges of the
+//! picture (PGSR's `L_svg`).
+//!
+//! With `P = z r` the pixel's point, `h = P(x+1) - P(x-1)`, `v = P(y-1) - P(y+1)`, the depth's normal is
+//! `n = h × v / |h × v|`, which faces the camera. The loss is the mean over pixels of `w |α n - N|₁` with α held
+//! fixed and `w = (1 - ĝ)²`, where ĝ is the picture's slope (largest of the two central differences of luma),
+//! scaled to 0..1 over the picture. Gradients go to N here, and through n to the four depths around.
+
+use rayon::prelude::*;
+
+use super::super::image::{TILE, TileImage};
+use super::super::rasterize::{DISTANCE, NORMAL, TRANSMITTANCE};
+use super::super::simd::{Isa, Kernel, Lanes, Row, each};
+use super::depth::{Rays, ray_y};
+use super::plane::Plane;
+use super::{Shown, band_row, bands};
+
+/// The loss, not weighted; adds `weight` times its gradient to `gradient`.
+pub(super) fn loss(isa: Isa, scene: &Shown, weight: f32, gradient: &mut TileImage) -> f64 {
+    let [width, height] = scene.image.size_px();
+    let pixels = (width * height) as f32;
+    let edges = Edges::of(isa, scene.luma, height);
+    let sums: Vec<f64> = bands(scene.image, gradient)
+        .map(|(band, gradient)| {
+            isa.run(NormalBand { scene: *scene, edges, weight: weight / pixels, band, gradient })
+        })
+        .collect();
+    sums.into_iter().sum::<f64>() / f64::from(pixels)
+}
+
+/// The range of the picture's slopes.
+#[derive(Clone, Copy)]
+struct Edges {
+    least: f32,
+    inv_range: f32,
+}
+
+impl Edges {
+    fn of(isa: Isa, luma: &Plane, height: usize) -> Self {
+        let ranges: Vec<[f32; 2]> =
+            (1..height.max(2) - 1).into_par_iter().map(|y| isa.run(SlopeLine { luma, y })).collect();
+        let none = [f32::INFINITY, f32::NEG_INFINITY];
+        let [least, most] = ranges.into_iter().fold(none, |a, b| [a[0].min(b[0]), a[1].max(b[1])]);
+        let range = most - least;
+        if range > 0.0 { Self { least, inv_range: 1.0 / range } } else { Self { least: 0.0, inv_range: 0.0 } }
+    }
+}
+
+struct SlopeLine<'a> {
+    luma: &'a Plane,
+    y: usize,
+}
+
+impl Kernel for SlopeLine<'_> {
+    /// Smallest and largest slope of the line's inner pixels.
+    type Output = [f32; 2];
+
+    #[inline(always)]
+    fn run<L: Lanes>(self) -> [f32; 2] {
+        let mut row = Row::ZERO;
+        let (mut least, mut most) = (f32::INFINITY, f32::NEG_INFINITY);
+        let width = self.luma.size_px()[0];
+        for column in (0..width).step_by(L::N) {
+            slope::<L>(self.luma, self.y, column).store(&mut row.0);
+            let first = usize::from(column == 0);
+            let end = L::N.min((width - 1).saturating_sub(column));
+            for value in row.0.iter().take(end).skip(first) {
+                (least, most) = (least.min(*value), most.max(*value));
+            }
+        }
+        [least, most]
+    }
+}
+
+/// The larger of the two central differences of luma.
+#[inline(always)]
+fn slope<L: Lanes>(luma: &Plane, y: usize, column: usize) -> L {
+    let x = column as isize;
+    let line = luma.line(y as isize);
+    let across = L::load(&line[Plane::at(x + 1)..]) - L::load(&line[Plane::at(x - 1)..]);
+    let (above, below) = (luma.line(y as isize - 1), luma.line(y as isize + 1));
+    let down = L::load(&above[Plane::at(x)..]) - L::load(&below[Plane::at(x)..]);
+    across.abs().max(down.abs())
+}
+
+struct NormalBand<'a> {
+    scene: Shown<'a>,
+    edges: Edges,
+    /// Of one pixel.
+    weight: f32,
+    band: usize,
+    gradient: &'a mut [Row],
+}
+
+impl Kernel for NormalBand<'_> {
+    /// Sum over the band's pixels.
+    type Output = f64;
+
+    #[inline(always)]
+    fn run<L: Lanes>(self) -> f64 {
+        let Self { scene, edges, weight, band, gradient } = self;
+        let height = scene.image.size_px()[1];
+        let rows = scene.rows(band);
+        let stride = scene.depth.stride();
+        // ∂L/∂z of the band's own rows. A row's loss reaches the rows above and below it, so the rows just
+        // outside the band are worked out here too, for what they give to the band.
+        let mut v_depth = vec![0.0; stride * rows.len()];
+        let mut sum = 0.0;
+        for y in rows.start.max(2) - 1..(rows.end + 1).min(height.max(1) - 1) {
+            let own = rows.contains(&y);
+            let mut line = L::zero();
+            for tile_x in 0..scene.image.tiles()[0] {
+                for part in 0..TILE / L::N {
+                    let column = tile_x * TILE + part * L::N;
+                    let pixel = Pixels::<L>::new(&scene, edges, y, column);
+                    if !L::any(pixel.valid) {
+                        continue;
+                    }
+                    let (loss, v) = pixel.gradients(L::splat(weight));
+                    if own {
+                        line = line + loss;
+                        for (axis, v) in v.normal.into_iter().enumerate() {
+                            gradient[band_row(scene.image, NORMAL + axis, y, tile_x)].set(part, v);
+                        }
+                    }
+                    let mut give = |y: usize, x: isize, v: L| {
+                        if rows.contains(&y) {
+                            let place = &mut v_depth[(y - rows.start) * stride + Plane::at(x)..];
+                            (L::load(place) + v).store(place);
+                        }
+                    };
+                    give(y, column as isize + 1, v.right);
+                    give(y, column as isize - 1, v.left);
+                    give(y - 1, column as isize, v.above);
+                    give(y + 1, column as isize, v.below);
+                }
+            }
+            sum += f64::from(line.sum());
+        }
+        for y in rows.clone() {
+            through_depth::<L>(&scene, y, &v_depth[(y - rows.start) * stride..][..stride], gradient);
+        }
+        sum
+    }
+}
+
+/// A vector of pixels, its neighbours' points and its normals.
+struct Pixels<L: Lanes> {
+    /// Rays to the right, to the left, above and below.
+    rays: [[L; 3]; 4],
+    /// Across and up.
+    h: [L; 3],
+    v: [L; 3],
+    inv_length: L,
+    /// The depth's normal.
+    n: [L; 3],
+    blended: [L; 3],
+    alpha: L,
+    edge_weight: L,
+    valid: L::Mask,
+}
+
+/// Gradients of one vector of pixels: of their own normals, and of the depths around.
+struct Given<L> {
+    normal: [L; 3],
+    right: L,
+    left: L,
+    above: L,
+    below: L,
+}
+
+#[inline(always)]
+fn dot<L: Lanes>(a: [L; 3], b: [L; 3]) -> L {
+    a[0].mul_add(b[0], a[1].mul_add(b[1], a[2] * b[2]))
+}
+
+#[inline(always)]
+fn cross<L: Lanes>(a: [L; 3], b: [L; 3]) -> [L; 3] {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
+impl<L: Lanes> Pixels<L> {
+    #[inline(always)]
+    fn new(scene: &Shown, edges: Edges, y: usize, column: usize) -> Self {
+        let (tile_x, part) = (column / TILE, column % TILE / L::N);
+        let x = column as isize;
+        let depth = |x: isize, y: usize| L::load(&scene.depth.line(y as isize)[Plane::at(x)..]);
+        let z = [depth(x + 1, y), depth(x - 1, y), depth(x, y - 1), depth(x, y + 1)];
+        let rays = Rays::<L>::new(scene.view, y);
+        let (ray_x, one) = (rays.x(column), L::splat(1.0));
+        let row_y = |y: f32| L::splat(ray_y(scene.view, y));
+        let rays = [
+            [ray_x + rays.step_x(), rays.y, one],
+            [ray_x - rays.step_x(), rays.y, one],
+            [ray_x, row_y(y as f32 - 1.0), one],
+            [ray_x, row_y(y as f32 + 1.0), one],
+        ];
+        let point = |k: usize| each!([0, 1, 2], |a| z[k] * rays[k][a]);
+        let (right, left, above, below) = (point(0), point(1), point(2), point(3));
+        let h = each!([0, 1, 2], |a| right[a] - left[a]);
+        let v = each!([0, 1, 2], |a| above[a] - below[a]);
+        let c = cross(h, v);
+        let length2 = dot(c, c);
+        let zero = L::zero();
+        let near = L::and(L::and(zero.lt(z[0]), zero.lt(z[1])), L::and(zero.lt(z[2]), zero.lt(z[3])));
+        let valid = L::and(near, L::splat(1e-30).lt(length2));
+        let inv_length = (one / L::select(valid, length2, one).sqrt()).keep(valid);
+        let get = |plane: usize| scene.image.row(plane, y, tile_x).get::<L>(part);
+        let steepness =
+            (slope::<L>(scene.luma, y, column) - L::splat(edges.least)) * L::splat(edges.inv_range);
+        let flatness = one - steepness;
+        Self {
+            rays,
+            h,
+            v,
+            inv_length,
+            n: each!([0, 1, 2], |a| c[a] * inv_length),
+            blended: [get(NORMAL), get(NORMAL + 1), get(NORMAL + 2)],
+            alpha: one - get(TRANSMITTANCE),
+            edge_weight: (flatness * flatness).keep(valid),
+            valid,
+        }
+    }
+
+    /// The loss of these pixels, and its gradients times `weight`.
+    #[inline(always)]
+    fn gradients(&self, weight: L) -> (L, Given<L>) {
+        let difference = each!([0, 1, 2], |a| self.alpha.mul_add(self.n[a], L::zero() - self.blended[a]));
+        let loss = self.edge_weight * (difference[0].abs() + difference[1].abs() + difference[2].abs());
+        let scale = weight * self.edge_weight;
+        let signed = each!([0, 1, 2], |a| {
+            let d = difference[a];
+            L::select(L::zero().lt(d), scale, scale.neg().keep(d.lt(L::zero())))
+        });
+        let g = each!([0, 1, 2], |a| signed[a] * self.alpha);
+        let along = dot(self.n, g);
+        let v_c = each!([0, 1, 2], |a| (g[a] - self.n[a] * along) * self.inv_length);
+        // c = h × v.
+        let (v_h, v_v) = (cross(self.v, v_c), cross(v_c, self.h));
+        let given = Given {
+            normal: each!([0, 1, 2], |a| signed[a].neg()),
+            right: dot(v_h, self.rays[0]),
+            left: dot(v_h, self.rays[1]).neg(),
+            above: dot(v_v, self.rays[2]),
+            below: dot(v_v, self.rays[3]).neg(),
+        };
+        (loss, given)
+    }
+}
+
+/// `z = D / f` with `f = -(N · r)`: adds `∂L/∂z` of a row to the gradients of D and N.
+#[inline(always)]
+fn through_depth<L: Lanes>(scene: &Shown, y: usize, v_depth: &[f32], gradient: &mut [Row]) {
+    let rays = Rays::<L>::new(scene.view, y);
+    let depths = scene.depth.line(y as isize);
+    for tile_x in 0..scene.image.tiles()[0] {
+        for part in 0..TILE / L::N {
+            let column = tile_x * TILE + part * L::N;
+            let place = Plane::at(column as isize);
+            let (z, v_z) = (L::load(&depths[place..]), L::load(&v_depth[place..]));
+            let shown = L::zero().lt(z);
+            let get = |plane: usize| scene.image.row(plane, y, tile_x).get::<L>(part);
+            let ray_x = rays.x(column);
+            let facing = rays.facing([get(NORMAL), get(NORMAL + 1), get(NORMAL + 2)], ray_x);
+            let v_distance = (v_z / facing).keep(shown);
+            let v_facing = v_distance * z;
+            let ray = [ray_x, rays.y, L::splat(1.0)];
+            for (plane, v) in [
+                (DISTANCE, v_distance),
+                (NORMAL, v_facing * ray[0]),
+                (NORMAL + 1, v_facing * ray[1]),
+                (NORMAL + 2, v_facing * ray[2]),
+            ] {
+                let row = &mut gradient[band_row(scene.image, plane, y, tile_x)];
+                let sum = row.get::<L>(part) + v;
+                row.set(part, sum);
+            }
+        }
+    }
+}

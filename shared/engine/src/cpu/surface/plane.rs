@@ -1,0 +1,110 @@
+//! One number per pixel, row by row, with margins of zeros, so that vectors may be read beside a pixel.
+
+use rayon::prelude::*;
+
+use super::super::image::TILE;
+use crate::backend::TargetRgb;
+
+/// Zeros on each side of a line, and a line of them above and below.
+const MARGIN: usize = TILE;
+
+/// See the module.
+#[derive(Debug, Default)]
+pub(crate) struct Plane {
+    size_px: [usize; 2],
+    stride: usize,
+    data: Vec<f32>,
+}
+
+fn stride(width: usize) -> usize {
+    width.div_ceil(TILE) * TILE + 2 * MARGIN
+}
+
+impl Plane {
+    /// Numbers of a plane for pictures up to `size_px`.
+    pub(crate) fn len_for(size_px: [u32; 2]) -> usize {
+        stride(size_px[0] as usize) * (size_px[1] as usize + 2)
+    }
+
+    pub(crate) fn with_capacity(size_px: [u32; 2]) -> Self {
+        Self { data: Vec::with_capacity(Self::len_for(size_px)), ..Self::default() }
+    }
+
+    /// Lays the plane out for a picture; all zero.
+    pub(super) fn reshape(&mut self, size_px: [usize; 2]) {
+        self.size_px = size_px;
+        self.stride = stride(size_px[0]);
+        self.data.clear();
+        self.data.resize(self.stride * (size_px[1] + 2), 0.0);
+    }
+
+    /// The line of picture row `y`, -1..=height. Column `x` is at [`Plane::at`]`(x)`.
+    #[inline(always)]
+    pub(super) fn line(&self, y: isize) -> &[f32] {
+        &self.data[(y + 1) as usize * self.stride..][..self.stride]
+    }
+
+    /// Where column `x` lies in a line; `x` may be up to 16 outside the picture.
+    #[inline(always)]
+    pub(super) fn at(x: isize) -> usize {
+        (x + MARGIN as isize) as usize
+    }
+
+    pub(super) fn size_px(&self) -> [usize; 2] {
+        self.size_px
+    }
+
+    /// Numbers of a line.
+    pub(super) fn stride(&self) -> usize {
+        self.stride
+    }
+
+    /// Lines of the picture, each with its margins.
+    pub(super) fn lines_mut(&mut self) -> impl IndexedParallelIterator<Item = &mut [f32]> {
+        let (stride, height) = (self.stride, self.size_px[1]);
+        self.data[stride..].par_chunks_exact_mut(stride).take(height)
+    }
+
+    #[inline(always)]
+    pub(super) fn value(&self, x: usize, y: usize) -> f32 {
+        self.data[(y + 1) * self.stride + MARGIN + x]
+    }
+
+    /// Bilinear interpolation between pixel centres, and its slopes; `None` where a corner lies outside.
+    #[inline(always)]
+    pub(super) fn sample(&self, q_px: [f32; 2]) -> Option<Sample> {
+        let (u, v) = (q_px[0] - 0.5, q_px[1] - 0.5);
+        // Phrased so that NaN is outside.
+        if !(u >= 0.0 && v >= 0.0 && u < (self.size_px[0] - 1) as f32 && v < (self.size_px[1] - 1) as f32) {
+            return None;
+        }
+        let (x, y) = (u as usize, v as usize);
+        let (a, b) = (u - x as f32, v - y as f32);
+        let start = (y + 1) * self.stride + MARGIN + x;
+        let (upper, lower) = (&self.data[start..start + 2], &self.data[start + self.stride..][..2]);
+        let (top, bottom) = (upper[1] - upper[0], lower[1] - lower[0]);
+        let (left, right) = (lower[0] - upper[0], lower[1] - upper[1]);
+        let value = a.mul_add(top, upper[0]) + b * (left + a * (right - left));
+        let least = upper[0].min(upper[1]).min(lower[0]).min(lower[1]);
+        Some(Sample { value, slope: [top + b * (bottom - top), left + a * (right - left)], least })
+    }
+}
+
+/// What [`Plane::sample`] finds.
+#[derive(Clone, Copy)]
+pub(super) struct Sample {
+    pub(super) value: f32,
+    /// ∂value/∂x and ∂value/∂y, per px.
+    pub(super) slope: [f32; 2],
+    /// The smallest of the four corners.
+    pub(super) least: f32,
+}
+
+/// Luma of a picture.
+pub(super) fn luma(rgb: TargetRgb, size_px: [u32; 2], plane: &mut Plane) {
+    let size = size_px.map(|side| side as usize);
+    plane.reshape(size);
+    plane.lines_mut().enumerate().for_each(|(y, line)| {
+        rgb.luma_line(y, size[0], &mut line[MARGIN..MARGIN + size[0]]);
+    });
+}

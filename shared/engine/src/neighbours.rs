@@ -1,0 +1,127 @@
+//! Which views look at the same ground from places far enough apart to tell depth, and near enough to look alike.
+
+use cosurf_scene::{Camera, SparsePoint};
+
+use crate::random::{Purpose, Random};
+
+/// Most neighbours of a view (PGSR).
+const NEIGHBOURS_MAX: usize = 8;
+/// Largest angle between optical axes (PGSR: 30°), as a cosine.
+const AXES_COSINE_MIN: f64 = 0.866_025_403_784_438_6;
+/// Baselines as shares of the median depth. PGSR's limits are in scene units, which leaves metric aerial scenes
+/// without any neighbour.
+const BASELINE_MIN: f64 = 0.02;
+const BASELINE_MAX: f64 = 0.5;
+
+/// For each view, the views it may be compared with, the nearest first.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Neighbours(Vec<Vec<u32>>);
+
+impl Neighbours {
+    /// No view has any.
+    pub fn none() -> Self {
+        Self::default()
+    }
+
+    /// Neighbours among `cameras`; `points` tell how deep each view looks (their `views` index `cameras`).
+    pub fn find(cameras: &[Camera], points: &[SparsePoint]) -> Self {
+        let depths = median_depths(cameras, points);
+        Self(
+            depths
+                .iter()
+                .enumerate()
+                .map(|(view, depth)| depth.map_or(Vec::new(), |d| nearest(cameras, view, d)))
+                .collect(),
+        )
+    }
+
+    /// One of the neighbours of `view`, another for each step.
+    pub(crate) fn draw(&self, view: usize, seed: u64, step: u32) -> Option<usize> {
+        let candidates = self.0.get(view).filter(|candidates| !candidates.is_empty())?;
+        let mut random = Random::new(seed, Purpose::Neighbour, u64::from(step), view as u64);
+        Some(candidates[random.below(candidates.len() as u64) as usize] as usize)
+    }
+}
+
+fn nearest(cameras: &[Camera], view: usize, depth: f64) -> Vec<u32> {
+    let pose = |i: usize| cameras[i].cam_from_world;
+    let (eye, forward) = (pose(view).center(), pose(view).forward());
+    let mut found: Vec<(f64, u32)> = (0..cameras.len())
+        .filter(|&other| other != view && forward.dot(pose(other).forward()) > AXES_COSINE_MIN)
+        .map(|other| (eye.distance(pose(other).center()), other as u32))
+        .filter(|(baseline, _)| (BASELINE_MIN * depth..=BASELINE_MAX * depth).contains(baseline))
+        .collect();
+    found.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    found.truncate(NEIGHBOURS_MAX);
+    found.into_iter().map(|(_, other)| other).collect()
+}
+
+/// Median depth of the sparse points that each view sees.
+fn median_depths(cameras: &[Camera], points: &[SparsePoint]) -> Vec<Option<f64>> {
+    let mut depths: Vec<Vec<f64>> = vec![Vec::new(); cameras.len()];
+    for point in points {
+        let mut note = |view: usize| {
+            let z = cameras[view].cam_from_world.transform(point.position).z;
+            if z > 0.0 {
+                depths[view].push(z);
+            }
+        };
+        // Formats without tracks do not say who sees a point: whoever has it in the picture may.
+        if point.views.is_empty() {
+            (0..cameras.len()).filter(|&view| cameras[view].sees(point.position)).for_each(&mut note);
+        } else {
+            point.views.iter().for_each(|&view| note(view as usize));
+        }
+    }
+    depths.into_iter().map(median).collect()
+}
+
+fn median(mut values: Vec<f64>) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use cosurf_scene::Pose;
+    use glam::{DVec2, DVec3};
+
+    /// Cameras 50 m above the ground, looking down, at these places along a line; the last looks elsewhere.
+    fn flight(places: &[f64]) -> (Vec<Camera>, Vec<SparsePoint>) {
+        let looking = |x: f64, target: DVec3| Camera {
+            cam_from_world: Pose::look_at(DVec3::new(x, 0.0, 50.0), target, DVec3::Y),
+            focal_px: DVec2::splat(100.0),
+            center_px: DVec2::splat(50.0),
+            size_px: [100, 100],
+        };
+        let mut cameras: Vec<Camera> = places.iter().map(|&x| looking(x, DVec3::new(x, 0.0, 0.0))).collect();
+        cameras.push(looking(5.0, DVec3::new(90.0, 0.0, 0.0)));
+        let views: Vec<u32> = (0..cameras.len() as u32).collect();
+        let points = (0..5).map(|i| SparsePoint {
+            position: DVec3::new(f64::from(i), 1.0, 0.0),
+            rgb: [0; 3],
+            views: views.clone(),
+        });
+        (cameras, points.collect())
+    }
+
+    #[test]
+    fn neighbours_are_near_but_not_too_near_and_look_the_same_way() {
+        let (cameras, points) = flight(&[0.0, 0.5, 5.0, 20.0, 30.0]);
+        let neighbours = Neighbours::find(&cameras, &points);
+        // 0.5 m is too near, 30 m too far; the camera that looks aside is nobody's.
+        assert_eq!(neighbours.0[0], [2, 3]);
+        assert_eq!(neighbours.0[5], [0u32; 0]);
+    }
+
+    #[test]
+    fn every_neighbour_is_drawn_and_a_step_always_draws_the_same() {
+        let (cameras, points) = flight(&[0.0, 4.0, 8.0, 12.0]);
+        let neighbours = Neighbours::find(&cameras, &points);
+        let drawn: Vec<usize> = (0..60).filter_map(|step| neighbours.draw(0, 7, step)).collect();
+        assert!([1, 2, 3].iter().all(|view| drawn.contains(view)));
+        assert_eq!(neighbours.draw(0, 7, 11), neighbours.draw(0, 7, 11));
+        assert_eq!(Neighbours::none().draw(0, 7, 0), None);
+    }
+}
