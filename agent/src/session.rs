@@ -9,7 +9,8 @@ use cosurf_engine::budget::{Budget, TooLittleMemory, Wish};
 use cosurf_engine::init::splats_from_points;
 use cosurf_engine::train::StepOutcome;
 use cosurf_engine::{
-    Backend, CpuBackend, Example, Neighbours, Schedule, SurfaceSettings, TrainSettings, Trainer,
+    Backend, CpuBackend, Example, Flight, Neighbours, PruneSettings, Schedule, SurfaceSettings,
+    TrainSettings, Trainer,
 };
 use cosurf_scene::bytes::format_bytes;
 use cosurf_scene::cache::Source;
@@ -46,6 +47,8 @@ pub struct TrainPlan {
     pub threads: usize,
     /// How the surface is trained; `None` for colour only.
     pub surface: Option<SurfaceSettings>,
+    /// How the model is pruned; `None` for not at all.
+    pub prune: Option<PruneSettings>,
 }
 
 /// Which views are for what.
@@ -66,7 +69,6 @@ pub enum Split {
 pub struct Session {
     trainer: Trainer<CpuBackend>,
     cache: PictureCache,
-    cameras: Vec<Camera>,
     held_out: Vec<View>,
     /// Size of the largest picture trained on.
     size_px: [u32; 2],
@@ -106,6 +108,7 @@ impl Session {
             extent,
             sh_degree: SH_DEGREE,
             surface: plan.surface,
+            prune: plan.prune,
             splats_max: sized.budget.capacity.splats,
             seed: plan.seed,
         };
@@ -124,9 +127,14 @@ impl Session {
             }
         };
         Ok(Self {
-            trainer: Trainer::new(backend, settings, neighbours, steps_done, splats_at_start),
+            trainer: Trainer::new(
+                backend,
+                settings,
+                Flight { cameras, neighbours },
+                steps_done,
+                splats_at_start,
+            ),
             cache,
-            cameras,
             held_out,
             size_px: sized.budget.capacity.size_px,
             given_up: sized.budget.given_up,
@@ -137,18 +145,18 @@ impl Session {
 
     /// One step of training.
     pub fn step(&mut self) -> Result<StepOutcome> {
-        let index = self.trainer.view_index(self.cameras.len(), 0);
+        let index = self.trainer.view_index(0);
         let neighbour = self.trainer.neighbour_index(index, 0);
         let picture = self.cache.get(index)?;
         let neighbour = match neighbour {
-            Some(other) => Some((&self.cameras[other], self.cache.get(other)?)),
+            Some(other) => Some((other, self.cache.get(other)?)),
             None => None,
         };
         self.prefetch();
         let example = Example {
-            camera: &self.cameras[index],
+            view: index,
             rgb: TargetRgb::Bytes(&picture.rgb),
-            neighbour: neighbour.as_ref().map(|(camera, picture)| (*camera, TargetRgb::Bytes(&picture.rgb))),
+            neighbour: neighbour.as_ref().map(|(other, picture)| (*other, TargetRgb::Bytes(&picture.rgb))),
         };
         let outcome = self.trainer.step(&example);
         self.dropped_pairs += outcome.counts.dropped as u64;
@@ -157,7 +165,7 @@ impl Session {
 
     /// Asks for the pictures of the next step.
     fn prefetch(&self) {
-        let next = self.trainer.view_index(self.cameras.len(), 1);
+        let next = self.trainer.view_index(1);
         self.cache.prefetch(next);
         if let Some(other) = self.trainer.neighbour_index(next, 1) {
             self.cache.prefetch(other);
@@ -176,7 +184,7 @@ impl Session {
 
     /// Cameras trained on, at training size; their order is that of the views' names.
     pub fn cameras(&self) -> &[Camera] {
-        &self.cameras
+        self.trainer.cameras()
     }
 
     /// Views held out, at their size on disk.

@@ -159,6 +159,7 @@ impl Plan {
             max_size_px: settings.max_size_px,
             threads: Some(threads),
             color_only: false,
+            prune: None,
             wait_global: true,
         };
         let text = toml::to_string(&config)

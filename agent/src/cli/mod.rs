@@ -65,6 +65,13 @@ fn parse_threads(text: &str) -> Result<usize, String> {
     }
 }
 
+fn parse_share(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(share) if (0.0..1.0).contains(&share) => Ok(share),
+        _ => Err("give a number from 0 to below 1".into()),
+    }
+}
+
 fn parse_memory(text: &str) -> Result<u64, String> {
     parse_bytes(text)
 }

@@ -8,7 +8,7 @@ use anyhow::{Context, Result};
 use clap::Args;
 use cosurf_agent::publish::{Publication, publish};
 use cosurf_agent::session::{Split, TrainPlan};
-use cosurf_engine::SurfaceSettings;
+use cosurf_engine::{PruneSettings, SurfaceSettings};
 use cosurf_link::{BrokerAddress, Identity, MqttConfig, MqttTransport, Role};
 use cosurf_scene::{AgentConfig, Camera, ply};
 use cosurf_wire::{DeviceId, SiteId};
@@ -77,5 +77,10 @@ fn plan(config: &AgentConfig) -> TrainPlan {
         max_size_px: config.max_size_px.unwrap_or(u32::MAX),
         threads: config.threads.unwrap_or_else(cores).clamp(1, 1024),
         surface: (!config.color_only).then(SurfaceSettings::default),
+        prune: match config.prune {
+            Some(ratio) if ratio > 0.0 => Some(PruneSettings { ratio, ..PruneSettings::default() }),
+            Some(_) => None,
+            None => Some(PruneSettings::default()),
+        },
     }
 }

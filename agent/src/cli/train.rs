@@ -8,12 +8,12 @@ use clap::Args;
 use cosurf_agent::checkpoint::{self, Checkpoint};
 use cosurf_agent::session::{Session, Split, TrainPlan};
 use cosurf_agent::{evaluate, memory, outputs};
-use cosurf_engine::{Backend, Renderer, SurfaceSettings};
+use cosurf_engine::{Backend, PruneSettings, Renderer, SurfaceSettings};
 use cosurf_scene::Splats;
 use cosurf_scene::report::{AgentEvent, TrainReport};
 
 use super::progress::Progress;
-use super::{Common, default_memory, parse_memory};
+use super::{Common, default_memory, parse_memory, parse_share};
 
 /// Train a model from a dataset: COLMAP (`sparse/0` with `images`) or `transforms.json`.
 ///
@@ -41,6 +41,9 @@ pub(super) struct TrainArgs {
     /// Train colours only, without the losses of the surface: faster, but the depth is not to be trusted
     #[arg(long)]
     color_only: bool,
+    /// Share of the splats to remove after two thirds of the steps, the least important first
+    #[arg(long, value_name = "SHARE", default_value_t = PruneSettings::default().ratio, value_parser = parse_share)]
+    prune: f64,
     /// Begin anew even if DIR has a checkpoint
     #[arg(long)]
     fresh: bool,
@@ -58,6 +61,7 @@ pub(super) fn run(args: &TrainArgs) -> Result<()> {
         max_size_px: args.common.max_size_px(),
         threads: args.common.threads(),
         surface: (!args.color_only).then(SurfaceSettings::default),
+        prune: (args.prune > 0.0).then(|| PruneSettings { ratio: args.prune, ..PruneSettings::default() }),
     };
     let mut progress = Progress::new(args.common.json);
     let report = train(&plan, &args.out, args.fresh, &mut progress)?;

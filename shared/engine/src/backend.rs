@@ -165,8 +165,21 @@ pub struct Shapes {
     pub opacity_logits: Vec<f32>,
     /// Mean over views of the norm of ∂L/∂mean on the screen, in units of half the picture; 0 if unseen.
     pub screen_gradients: Vec<f32>,
+    /// The same with the absolute value taken in each pixel before the sum (AbsGS).
+    pub absolute_gradients: Vec<f32>,
     /// Views that saw the splat since the last refinement.
     pub views: Vec<f32>,
+}
+
+/// What splats gave to the pictures that were scored; entry `i` is splat `i`.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Scores {
+    /// Sum of blend weights α T over all pixels.
+    pub weights: Vec<f32>,
+    /// Pixels that the splat was blended into.
+    pub hits: Vec<f32>,
+    /// Views with a pixel that the splat was blended into while more than half of the light came through.
+    pub observers: Vec<f32>,
 }
 
 /// A new splat: a copy of `parent` but for what is named here; its moments are zero.
@@ -249,6 +262,15 @@ pub trait Backend {
 
     /// What refinement decides by; statistics begin anew.
     fn take_shapes(&mut self) -> Shapes;
+
+    /// Scores begin anew, all zero.
+    fn clear_scores(&mut self);
+
+    /// Adds what each splat gave to the picture last blended to its scores.
+    fn score(&mut self);
+
+    /// The scores since they were cleared.
+    fn scores(&self) -> Scores;
 
     /// Adds and removes splats. Panics beyond the capacity.
     fn edit(&mut self, edit: &Edit);

@@ -7,6 +7,8 @@ use crate::random::{Purpose, Random};
 
 /// Mean screen gradient from which a splat is cloned or split (3DGS).
 const SCREEN_GRADIENT_MIN: f32 = 2e-4;
+/// Mean absolute screen gradient from which a large splat is split even so (PGSR).
+const ABSOLUTE_GRADIENT_MIN: f32 = 8e-4;
 /// Splats up to this share of the extent are cloned, larger ones split (3DGS's `percent_dense`).
 const CLONE_SCALE_MAX: f64 = 0.01;
 /// Children of a split are smaller by this factor (3DGS: 0.8 × 2 children).
@@ -43,14 +45,21 @@ pub(crate) fn refine(shapes: &Shapes, limits: &RefineLimits) -> Edit {
     };
     let dead: Vec<bool> = (0..n).map(dies).collect();
     let survivors = dead.iter().filter(|dead| !**dead).count();
-    let parents = choose_parents(shapes, &dead, limits.splats_max.saturating_sub(survivors));
+    let is_small =
+        |i: usize| f64::from(largest(shapes.log_scales[i])).exp() <= CLONE_SCALE_MAX * limits.extent;
+    let want = |i: usize| {
+        let pulled = shapes.screen_gradients[i] / SCREEN_GRADIENT_MIN;
+        let torn = shapes.absolute_gradients[i] / ABSOLUTE_GRADIENT_MIN;
+        if is_small(i) { pulled } else { pulled.max(torn) }
+    };
+    let wants: Vec<f32> = (0..n).map(|i| if dead[i] { 0.0 } else { want(i) }).collect();
+    let parents = choose_parents(&wants, limits.splats_max.saturating_sub(survivors));
 
     let mut edit = Edit::default();
     let mut removed = dead;
     for &parent in &parents {
-        let clone = f64::from(largest(shapes.log_scales[parent])).exp() <= CLONE_SCALE_MAX * limits.extent;
         let mut random = Random::new(limits.seed, Purpose::Birth, u64::from(limits.step), parent as u64);
-        if clone {
+        if is_small(parent) {
             edit.births.push(child(shapes, parent, 1.0, &mut random));
         } else {
             removed[parent] = true;
@@ -61,13 +70,11 @@ pub(crate) fn refine(shapes: &Shapes, limits: &RefineLimits) -> Edit {
     edit
 }
 
-/// The splats with the largest screen gradients, at most `room` (each adds one splat), in order of index.
-fn choose_parents(shapes: &Shapes, dead: &[bool], room: usize) -> Vec<usize> {
-    let gradient = |i: usize| shapes.screen_gradients[i];
-    let mut parents: Vec<usize> =
-        (0..dead.len()).filter(|&i| !dead[i] && gradient(i) >= SCREEN_GRADIENT_MIN).collect();
+/// The splats that want to multiply most (from 1 up), at most `room` (each adds one splat), in order of index.
+fn choose_parents(wants: &[f32], room: usize) -> Vec<usize> {
+    let mut parents: Vec<usize> = (0..wants.len()).filter(|&i| wants[i] >= 1.0).collect();
     // Largest first; ties by index, so that the choice is always the same.
-    parents.sort_unstable_by(|&a, &b| gradient(b).total_cmp(&gradient(a)).then(a.cmp(&b)));
+    parents.sort_unstable_by(|&a, &b| wants[b].total_cmp(&wants[a]).then(a.cmp(&b)));
     parents.truncate(room);
     parents.sort_unstable();
     parents

@@ -28,6 +28,12 @@ const REFERENCE_STEPS: f64 = 30_000.0;
 /// Share of the steps before the losses of the surface begin (CoSurfGS: 7,000 of 30,000).
 const SURFACE_FROM: f64 = 7000.0 / 30_000.0;
 
+/// Share of the steps after which the model is pruned (CoSurfGS: 20,000 of 30,000).
+const PRUNE_AT: f64 = 2.0 / 3.0;
+/// Looking at all views to find what nobody observes costs as much as half as many steps: runs with fewer steps
+/// per view than this do without.
+const OBSERVED_STEPS_PER_VIEW: usize = 10;
+
 /// The plan of a training of `steps` steps.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Schedule {
@@ -45,6 +51,8 @@ pub struct Schedule {
     pub reset_every: u32,
     /// First step (counted from 0) with the losses of the surface.
     pub surface_from: u32,
+    /// Steps after which Adaptive Gaussian Pruning comes, once.
+    pub prune_at: u32,
 }
 
 impl Schedule {
@@ -60,6 +68,7 @@ impl Schedule {
             // A reset costs some thousand steps of recovery; shorter runs have none to give.
             reset_every: if steps >= 10_000 { 3000 } else { 0 },
             surface_from: (f64::from(steps) * SURFACE_FROM) as u32,
+            prune_at: (f64::from(steps) * PRUNE_AT) as u32,
         }
     }
 
@@ -81,6 +90,14 @@ impl Schedule {
             && steps_done < self.refine_until
             && steps_done.is_multiple_of(self.reset_every)
             && steps_done > 0
+    }
+
+    /// Whether splats that hardly any of `views` views observes are removed after this many steps: halfway through
+    /// growth, and at its end.
+    pub fn observes_after(&self, steps_done: u32, views: usize) -> bool {
+        let span = self.refine_until.saturating_sub(self.refine_from);
+        self.steps as usize >= OBSERVED_STEPS_PER_VIEW * views
+            && [self.refine_from + span / 2, self.refine_until].contains(&steps_done)
     }
 
     /// How far growth has come after this many steps, 0..=1.

@@ -3,10 +3,11 @@
 use cosurf_scene::Camera;
 
 use crate::backend::{
-    Backend, BinCounts, Channels, LossWeights, PhotometricLoss, SurfaceLoss, SurfaceWeights, TargetRgb,
-    Targets,
+    Backend, BinCounts, Channels, Edit, LossWeights, PhotometricLoss, Scores, SurfaceLoss, SurfaceWeights,
+    TargetRgb, Targets,
 };
 use crate::neighbours::Neighbours;
+use crate::prune::{self, PruneScore};
 use crate::random::{Purpose, Random};
 use crate::refine::{RefineLimits, refine};
 use crate::schedule::Schedule;
@@ -39,15 +40,40 @@ impl Default for SurfaceSettings {
     }
 }
 
+/// Adaptive Gaussian Pruning (CoSurfGS).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PruneSettings {
+    /// φ: share of the splats that go, 0..1.
+    pub ratio: f64,
+    /// What decides.
+    pub score: PruneScore,
+}
+
+impl Default for PruneSettings {
+    /// The paper's ablations use 0.4.
+    fn default() -> Self {
+        Self { ratio: 0.4, score: PruneScore::default() }
+    }
+}
+
+/// Where a training looks from.
+#[derive(Clone, Debug, Default)]
+pub struct Flight {
+    /// The cameras trained on.
+    pub cameras: Vec<Camera>,
+    /// Which of them may be compared.
+    pub neighbours: Neighbours,
+}
+
 /// What a step learns from.
 #[derive(Clone, Copy, Debug)]
 pub struct Example<'a> {
-    /// The view.
-    pub camera: &'a Camera,
+    /// Index of the view.
+    pub view: usize,
     /// Its photograph, or a teacher's rendering.
     pub rgb: TargetRgb<'a>,
-    /// Camera and colours of the view of [`Trainer::neighbour_index`], where it names one.
-    pub neighbour: Option<(&'a Camera, TargetRgb<'a>)>,
+    /// The view of [`Trainer::neighbour_index`], where it names one, and its colours.
+    pub neighbour: Option<(usize, TargetRgb<'a>)>,
 }
 
 /// What a training is told.
@@ -61,6 +87,8 @@ pub struct TrainSettings {
     pub sh_degree: u32,
     /// How the surface is trained; `None` for colour only.
     pub surface: Option<SurfaceSettings>,
+    /// How the model is pruned; `None` for not at all.
+    pub prune: Option<PruneSettings>,
     /// Most splats that refinement may make; the backend's capacity bounds it as well.
     pub splats_max: usize,
     /// Seed of every random choice.
@@ -82,7 +110,7 @@ pub struct StepOutcome {
 pub struct Trainer<B> {
     backend: B,
     settings: TrainSettings,
-    neighbours: Neighbours,
+    flight: Flight,
     steps_done: u32,
     splats_at_start: usize,
 }
@@ -93,11 +121,11 @@ impl<B: Backend> Trainer<B> {
     pub fn new(
         backend: B,
         settings: TrainSettings,
-        neighbours: Neighbours,
+        flight: Flight,
         steps_done: u32,
         splats_at_start: usize,
     ) -> Self {
-        Self { backend, settings, neighbours, steps_done, splats_at_start }
+        Self { backend, settings, flight, steps_done, splats_at_start }
     }
 
     /// Steps done so far.
@@ -125,8 +153,14 @@ impl<B: Backend> Trainer<B> {
         self.backend
     }
 
-    /// Which of `views` the step after `ahead` more steps learns from: every epoch is a new order of all views.
-    pub fn view_index(&self, views: usize, ahead: u32) -> usize {
+    /// The cameras trained on.
+    pub fn cameras(&self) -> &[Camera] {
+        &self.flight.cameras
+    }
+
+    /// Which view the step after `ahead` more steps learns from: every epoch is a new order of all views.
+    pub fn view_index(&self, ahead: u32) -> usize {
+        let views = self.flight.cameras.len();
         let step = u64::from(self.steps_done + ahead);
         let (epoch, place) = (step / views as u64, step % views as u64);
         view_order(self.settings.seed, epoch, views)[place as usize]
@@ -137,7 +171,7 @@ impl<B: Backend> Trainer<B> {
         let step = self.steps_done + ahead;
         self.settings.surface?;
         self.settings.schedule.surface_ramp(step)?;
-        self.neighbours.draw(view, self.settings.seed, step)
+        self.flight.neighbours.draw(view, self.settings.seed, step)
     }
 
     /// One step: learns from one view, and refines when the schedule says so.
@@ -147,14 +181,14 @@ impl<B: Backend> Trainer<B> {
         let degree = schedule.sh_degree(step, sh_degree);
         let weights = self.weights(step);
         let channels = if weights.surface.is_some() { Channels::Geometry } else { Channels::Color };
-        let backend = &mut self.backend;
-        if let (Some(_), Some((camera, _))) = (weights.surface, example.neighbour) {
-            backend.project(camera, 0);
+        let (backend, cameras) = (&mut self.backend, &self.flight.cameras);
+        if let (Some(_), Some((neighbour, _))) = (weights.surface, example.neighbour) {
+            backend.project(&cameras[neighbour], 0);
             backend.bin();
             backend.rasterize(Channels::Geometry);
             backend.keep_neighbour();
         }
-        backend.project(example.camera, degree);
+        backend.project(&cameras[example.view], degree);
         let counts = backend.bin();
         backend.rasterize(channels);
         let neighbour_rgb = example.neighbour.map(|(_, rgb)| rgb);
@@ -165,6 +199,13 @@ impl<B: Backend> Trainer<B> {
         self.steps_done += 1;
         if schedule.refines_after(self.steps_done) {
             self.refine();
+        }
+        if schedule.observes_after(self.steps_done, self.flight.cameras.len()) {
+            let scores = self.survey();
+            self.remove(prune::unobserved(&scores));
+        }
+        if let Some(settings) = self.settings.prune.filter(|_| self.steps_done == schedule.prune_at) {
+            self.prune(&settings);
         }
         if schedule.resets_after(self.steps_done) {
             self.backend.cap_opacity(RESET_OPACITY);
@@ -187,6 +228,28 @@ impl<B: Backend> Trainer<B> {
             }
         });
         LossWeights { ssim: SSIM_WEIGHT, scale, surface }
+    }
+
+    /// What every splat gives to all views together.
+    fn survey(&mut self) -> Scores {
+        self.backend.clear_scores();
+        for camera in &self.flight.cameras {
+            self.backend.project(camera, 0);
+            self.backend.bin();
+            self.backend.rasterize(Channels::Color);
+            self.backend.score();
+        }
+        self.backend.scores()
+    }
+
+    fn prune(&mut self, settings: &PruneSettings) {
+        let scores = self.survey();
+        let priorities = prune::priorities(&self.backend.take_shapes(), &scores, settings.score);
+        self.remove(prune::lowest(&priorities, settings.ratio));
+    }
+
+    fn remove(&mut self, deaths: Vec<u32>) {
+        self.backend.edit(&Edit { births: Vec::new(), deaths });
     }
 
     fn refine(&mut self) {

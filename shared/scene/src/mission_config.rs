@@ -50,6 +50,9 @@ pub struct AgentConfig {
     /// Train colours only, without the losses of the surface.
     #[serde(default)]
     pub color_only: bool,
+    /// Share of the splats to remove after two thirds of the steps, 0 for none; absent for the usual share.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub prune: Option<f64>,
     /// Whether to wait, after the upload, for the global model and keep it.
     #[serde(default)]
     pub wait_global: bool,

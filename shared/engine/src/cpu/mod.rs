@@ -17,6 +17,7 @@ mod project_backward;
 mod rasterize;
 mod rasterize_backward;
 mod read;
+mod score;
 mod sh;
 mod simd;
 mod surface;
@@ -27,8 +28,8 @@ mod view;
 use cosurf_scene::{Camera, Splats};
 
 use crate::backend::{
-    AdamRates, Backend, BinCounts, Channels, Edit, LossWeights, Losses, Rendering, Shapes, SurfaceLoss,
-    Targets,
+    AdamRates, Backend, BinCounts, Channels, Edit, LossWeights, Losses, Rendering, Scores, Shapes,
+    SurfaceLoss, Targets,
 };
 use adam::Moments;
 use bin::TileLists;
@@ -37,6 +38,7 @@ use image::{TileImage, padded_pixels};
 use project::Projection;
 use project_backward::{GRADIENT_ROWS, STAT_ROWS};
 use rasterize::{PLANES_COLOR, PLANES_GEOMETRY};
+use score::SCORE_ROWS;
 use simd::Isa;
 use surface::Surface;
 use view::ViewParams;
@@ -64,7 +66,11 @@ impl CpuCapacity {
         let parameters = 4 * rows_per_block(sh_degree);
         // Projected 64 + depth 4 + visible bit, sort keys 16, slots 8, spans and touched lists about 3 × 16 + 8.
         let drawn = 64 + 4 + 1 + 16 + 8 + 56;
-        if training { 3 * parameters + 4 * (GRADIENT_ROWS + STAT_ROWS) + drawn } else { parameters + drawn }
+        if training {
+            3 * parameters + 4 * (GRADIENT_ROWS + STAT_ROWS + SCORE_ROWS) + drawn
+        } else {
+            parameters + drawn
+        }
     }
 
     /// Bytes per splat–tile pair: list and slot entries 8, record 64.
@@ -108,6 +114,7 @@ pub struct CpuBackend {
     moments: Moments,
     gradients: Blocks,
     stats: Blocks,
+    scores: Blocks,
     view: Option<ViewParams>,
     projection: Projection,
     lists: TileLists,
@@ -152,6 +159,7 @@ impl CpuBackend {
             },
             gradients: Blocks::with_capacity(trained, GRADIENT_ROWS),
             stats: Blocks::with_capacity(trained, STAT_ROWS),
+            scores: Blocks::with_capacity(trained, SCORE_ROWS),
             view: None,
             projection: Projection::with_capacity(splats),
             lists: TileLists::with_capacity(splats, pairs),
@@ -292,6 +300,23 @@ impl Backend for CpuBackend {
         let shapes = read::shapes(&self.params, &self.stats);
         self.stats.fill_zero();
         shapes
+    }
+
+    fn clear_scores(&mut self) {
+        self.scores.resize(0);
+        self.scores.resize(self.params.len());
+    }
+
+    fn score(&mut self) {
+        let Self { isa, projection, lists, image, blended, records, scores, .. } = self;
+        self.pool.install(|| {
+            score::score(*isa, lists, &projection.splats, image, blended, records);
+            score::collect(projection, lists, records, scores);
+        });
+    }
+
+    fn scores(&self) -> Scores {
+        read::scores(&self.scores)
     }
 
     fn edit(&mut self, edit: &Edit) {

@@ -9,7 +9,7 @@ use super::blocks::{Blocks, LOG_SCALE, MEAN, OPACITY, QUAT, SH};
 use super::geometry::{Geometry, dot3, geometry, plane, shortest_axis};
 use super::project::{Projected, Projection, view_direction};
 use super::rasterize::PLANES_GEOMETRY;
-use super::rasterize_backward::{MOMENTS, Record, V_DISTANCE, V_NORMAL, V_RGB};
+use super::rasterize_backward::{ABSOLUTE, MOMENTS, Record, V_DISTANCE, V_NORMAL, V_RGB};
 use super::sh;
 use super::simd::{GROUP, Isa, Kernel, Lanes, Row, each, prefetch};
 use super::view::ViewParams;
@@ -20,10 +20,12 @@ pub(crate) const GRADIENT_RGB: usize = SH;
 pub(crate) const GRADIENT_ROWS: usize = GRADIENT_RGB + 3;
 
 /// Rows of a statistics block: sum over views of the norm of ∂L/∂mean on the screen in units of half the
-/// picture (3DGS's densification measure), and the number of views that saw the splat.
+/// picture (3DGS's densification measure), the number of views that saw the splat, and the same norm of the sums
+/// of absolute values over pixels (AbsGS).
 pub(crate) const STAT_SCREEN_GRADIENT: usize = 0;
 pub(crate) const STAT_VIEWS: usize = 1;
-pub(crate) const STAT_ROWS: usize = 2;
+pub(crate) const STAT_ABSOLUTE_GRADIENT: usize = 2;
+pub(crate) const STAT_ROWS: usize = 3;
 
 /// What the pass reads.
 pub(crate) struct Inputs<'a> {
@@ -157,7 +159,13 @@ impl Kernel for BackwardBlock<'_> {
                 put(QUAT + k, value);
             }
             put(OPACITY, v_opacity);
-            count_view(self.stats, part, &screen.mean_px, self.view, seen.get::<L>(part));
+            let ln_2 = L::splat(std::f32::consts::LN_2);
+            let absolute = [sum(ABSOLUTE) * ln_2, sum(ABSOLUTE + 1) * ln_2];
+            let seen = seen.get::<L>(part);
+            count_norm(self.stats, STAT_SCREEN_GRADIENT, part, &screen.mean_px, self.view, seen);
+            count_norm(self.stats, STAT_ABSOLUTE_GRADIENT, part, &absolute, self.view, seen);
+            let views = self.stats[STAT_VIEWS].get::<L>(part) + seen;
+            self.stats[STAT_VIEWS].set(part, views);
         }
     }
 }
@@ -312,16 +320,21 @@ fn to_world<L: Lanes>(g: &Geometry<L>, view: &ViewParams, from: &CameraGradients
     (v_mean, v_quat)
 }
 
-/// Adds this view to the densification statistics of the splats that it saw.
+/// Adds the norm of a screen gradient, in units of half the picture, where the splat was seen.
 #[inline(always)]
-fn count_view<L: Lanes>(stats: &mut [Row], part: usize, v_mean_px: &[L; 2], view: &ViewParams, seen: L) {
+fn count_norm<L: Lanes>(
+    stats: &mut [Row],
+    stat: usize,
+    part: usize,
+    v_px: &[L; 2],
+    view: &ViewParams,
+    seen: L,
+) {
     let half = each!([0, 1], |a| L::splat(0.5 * view.size_px[a] as f32));
-    let v = [v_mean_px[0] * half[0], v_mean_px[1] * half[1]];
+    let v = [v_px[0] * half[0], v_px[1] * half[1]];
     let norm = (v[0] * v[0] + v[1] * v[1]).sqrt();
     // `seen` is 0 for lanes that hold anything, NaN too.
     let norm = L::select(L::splat(0.5).lt(seen), norm, L::zero());
-    let sum = stats[STAT_SCREEN_GRADIENT].get::<L>(part) + norm;
-    stats[STAT_SCREEN_GRADIENT].set(part, sum);
-    let views = stats[STAT_VIEWS].get::<L>(part) + seen;
-    stats[STAT_VIEWS].set(part, views);
+    let sum = stats[stat].get::<L>(part) + norm;
+    stats[stat].set(part, sum);
 }

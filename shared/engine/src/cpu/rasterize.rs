@@ -122,6 +122,16 @@ impl RowTerms {
     }
 }
 
+impl RowTerms {
+    /// `log2(e) A d`: how the exponent falls as the mean moves.
+    #[inline(always)]
+    pub(crate) fn slopes<L: Lanes>(&self, splat: &Projected, dx: L, dy: L) -> (L, L) {
+        let [_, xy, yy] = splat.falloff;
+        let by_x = dx.mul_add(L::splat(2.0 * self.by_dx2), L::splat(self.by_dx));
+        (by_x, dx.mul_add(L::splat(xy), dy * L::splat(2.0 * yy)))
+    }
+}
+
 /// Centres of the `part`-th vector of a row whose first pixel is at `origin_x`.
 #[inline(always)]
 pub(crate) fn centers<L: Lanes>(origin_x: f32, part: usize) -> L {

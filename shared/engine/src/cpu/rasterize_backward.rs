@@ -17,12 +17,14 @@ use super::rasterize::{
 use super::simd::{GROUP, Isa, Kernel, Lanes, Row, prefetch};
 
 /// Gradient sums of one splat over one tile. With `q = α ∂L/∂α` and `d = mean - pixel`, in order:
-/// `Σq, Σq dx, Σq dy, Σq dx², Σq dx dy, Σq dy²`, then ∂L/∂rgb, ∂L/∂normal, ∂L/∂distance.
+/// `Σq, Σq dx, Σq dy, Σq dx², Σq dx dy, Σq dy²`, then ∂L/∂rgb, ∂L/∂normal, ∂L/∂distance, and the sums of
+/// absolute values of ∂L/∂mean, each times log2(e): a large splat that is pulled both ways shows only there.
 pub(crate) type Record = Row;
 pub(crate) const MOMENTS: usize = 0;
 pub(crate) const V_RGB: usize = 6;
 pub(crate) const V_NORMAL: usize = 9;
 pub(crate) const V_DISTANCE: usize = 12;
+pub(crate) const ABSOLUTE: usize = 13;
 
 /// Planes of `gradient` are those of the rendered image; the TRANSMITTANCE plane holds ∂L/∂transmittance.
 /// `records` receives one record for each pair, in the order of the tile lists.
@@ -38,14 +40,7 @@ pub(crate) fn rasterize_backward(
     let tiles = image.tiles();
     let geometry = image.planes() == PLANES_GEOMETRY;
     records.resize(lists.pairs(), Row::ZERO);
-    let mut jobs = Vec::with_capacity(blended.len());
-    let mut rest = records.as_mut_slice();
-    for (tile, pair) in lists.starts().windows(2).enumerate() {
-        let (own, others) = rest.split_at_mut((pair[1] - pair[0]) as usize);
-        rest = others;
-        jobs.push((tile, own));
-    }
-    jobs.into_par_iter().for_each(|(tile, records)| {
+    jobs(lists, records).into_par_iter().for_each(|(tile, records)| {
         let (done, untouched) = records.split_at_mut(blended[tile] as usize);
         untouched.fill(Row::ZERO);
         let input =
@@ -59,6 +54,18 @@ pub(crate) fn rasterize_backward(
             isa.run(BackwardTile::<PLANES_COLOR> { input, image, gradient, records: done });
         }
     });
+}
+
+/// Each tile with the records of its list.
+pub(crate) fn jobs<'a>(lists: &TileLists, records: &'a mut [Record]) -> Vec<(usize, &'a mut [Record])> {
+    let mut jobs = Vec::with_capacity(lists.starts().len());
+    let mut rest = records;
+    for (tile, pair) in lists.starts().windows(2).enumerate() {
+        let (own, others) = rest.split_at_mut((pair[1] - pair[0]) as usize);
+        rest = others;
+        jobs.push((tile, own));
+    }
+    jobs
 }
 
 struct TileInput<'a> {
@@ -180,4 +187,7 @@ fn add_row<L: Lanes, const P: usize>(
     sums[MOMENTS + 3] = q_dx.mul_add(dx, sums[MOMENTS + 3]);
     sums[MOMENTS + 4] = q_dx.mul_add(dy, sums[MOMENTS + 4]);
     sums[MOMENTS + 5] = (q * dy).mul_add(dy, sums[MOMENTS + 5]);
+    let (by_x, by_y) = terms.slopes(splat, dx, dy);
+    sums[ABSOLUTE] = sums[ABSOLUTE] + (q * by_x).abs();
+    sums[ABSOLUTE + 1] = sums[ABSOLUTE + 1] + (q * by_y).abs();
 }

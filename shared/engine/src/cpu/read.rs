@@ -6,13 +6,14 @@ use cosurf_scene::splats::sh_coefficients;
 use super::blocks::{Blocks, LOG_SCALE, MEAN, OPACITY, QUAT};
 use super::image::TileImage;
 use super::project::view_direction;
-use super::project_backward::{GRADIENT_RGB, STAT_SCREEN_GRADIENT, STAT_VIEWS};
+use super::project_backward::{GRADIENT_RGB, STAT_ABSOLUTE_GRADIENT, STAT_SCREEN_GRADIENT, STAT_VIEWS};
 use super::rasterize::{DISTANCE, NORMAL, PLANES_GEOMETRY, RGB, TRANSMITTANCE};
+use super::score::{HITS, OBSERVED, WEIGHT};
 use super::sh;
 use super::simd::{GROUP, Lanes, Plain};
 use super::surface::{GRAZING, SURFACE_ALPHA};
 use super::view::ViewParams;
-use crate::backend::{Rendering, Shapes};
+use crate::backend::{Rendering, Scores, Shapes};
 
 /// The picture, row by row.
 pub(super) fn rendering(image: &TileImage, view: &ViewParams) -> Rendering {
@@ -49,14 +50,22 @@ fn unbiased_depth(image: &TileImage, view: &ViewParams, x: usize, y: usize, alph
 pub(super) fn shapes(params: &Blocks, stats: &Blocks) -> Shapes {
     let n = params.len();
     let views: Vec<f32> = (0..n).map(|i| stats.value(i, STAT_VIEWS)).collect();
+    let mean = |row: usize| (0..n).map(|i| stats.value(i, row) / views[i].max(1.0)).collect();
     Shapes {
         means: (0..n).map(|i| [0, 1, 2].map(|k| params.value(i, MEAN + k))).collect(),
         quats: (0..n).map(|i| [0, 1, 2, 3].map(|k| params.value(i, QUAT + k))).collect(),
         log_scales: (0..n).map(|i| [0, 1, 2].map(|k| params.value(i, LOG_SCALE + k))).collect(),
         opacity_logits: (0..n).map(|i| params.value(i, OPACITY)).collect(),
-        screen_gradients: (0..n).map(|i| stats.value(i, STAT_SCREEN_GRADIENT) / views[i].max(1.0)).collect(),
+        screen_gradients: mean(STAT_SCREEN_GRADIENT),
+        absolute_gradients: mean(STAT_ABSOLUTE_GRADIENT),
         views,
     }
+}
+
+/// Scores as they are.
+pub(super) fn scores(scores: &Blocks) -> Scores {
+    let row = |row: usize| (0..scores.len()).map(|i| scores.value(i, row)).collect();
+    Scores { weights: row(WEIGHT), hits: row(HITS), observers: row(OBSERVED) }
 }
 
 /// Gradients in the places of their parameters; zero for splats that were not seen.

@@ -243,12 +243,9 @@ fn there_and_back(here: &ViewParams, pair: &Pair, sampled: &Sampled) -> Option<(
     let p = project(back, pair.rotate_back(hit_by), here.focal_px, here.center_px)?;
     let off = [p.at_px[0] - (sampled.x as f32 + 0.5), p.at_px[1] - (sampled.y as f32 + 0.5)];
     let e = (off[0] * off[0] + off[1] * off[1]).sqrt();
-    // Phrased so that NaN does not count.
-    if !(e < RETURN_MAX_PX) {
-        return None;
-    }
     let slope = (off[0] * p.by_px[0] + off[1] * p.by_px[1]) / e.max(1e-6);
-    Some((e, slope))
+    // NaN does not count.
+    (e < RETURN_MAX_PX).then_some((e, slope))
 }
 
 /// `z = D / f`, `f = -(N · r)`.

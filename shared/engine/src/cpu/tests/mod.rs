@@ -268,3 +268,59 @@ fn the_scale_loss_pulls_on_the_shortest_axis_of_what_is_seen() {
         }
     }
 }
+
+#[test]
+fn scores_agree_with_the_reference() {
+    for case in cases() {
+        let (_, decisions) = reference::render(&case.splats, &case.camera, case.sh_degree);
+        let expected = reference::scores(&case.splats, &case.camera, &decisions);
+        assert!(expected.iter().any(|(.., observed)| *observed), "{}", case.name);
+        for isa in Isa::available() {
+            let mut backend = backend(&case, isa, 2);
+            backend.clear_scores();
+            // Twice, as of two views that show the same.
+            backend.score();
+            backend.score();
+            let scores = backend.scores();
+            for (i, (weight, hits, observed)) in expected.iter().enumerate() {
+                let error = (f64::from(scores.weights[i]) - 2.0 * weight).abs();
+                assert!(
+                    error < 1e-3 * weight + 1e-4,
+                    "{} splat {i}: {} is not {weight}",
+                    case.name,
+                    scores.weights[i]
+                );
+                assert_eq!(scores.hits[i], 2.0 * *hits as f32, "{} splat {i}", case.name);
+                assert_eq!(scores.observers[i], if *observed { 2.0 } else { 0.0 }, "{} splat {i}", case.name);
+            }
+        }
+    }
+}
+
+#[test]
+fn absolute_gradients_agree_with_central_differences() {
+    for case in cases() {
+        let (picture, decisions) = reference::render(&case.splats, &case.camera, case.sh_degree);
+        let gradients = pixel_gradients(picture.len());
+        let sums =
+            reference::absolute_gradients(&case.splats, &case.camera, case.sh_degree, &decisions, &gradients);
+        let half = DVec2::from(case.camera.size_px.map(f64::from)) / 2.0;
+        for isa in Isa::available() {
+            let mut backend = backend(&case, isa, 2);
+            backward(&mut backend, &gradients);
+            let shapes = backend.take_shapes();
+            for (i, sum) in sums.iter().enumerate() {
+                let (got, expected) = (f64::from(shapes.absolute_gradients[i]), (*sum * half).length());
+                assert!(
+                    (got - expected).abs() < 1e-3 * expected + 1e-6,
+                    "{} splat {i}: {got} is not {expected}",
+                    case.name
+                );
+                assert!(
+                    got >= 0.999 * f64::from(shapes.screen_gradients[i]),
+                    "a sum is not above its absolute one"
+                );
+            }
+        }
+    }
+}

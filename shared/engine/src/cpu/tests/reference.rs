@@ -146,3 +146,48 @@ fn color(sh: &[f32], direction: DVec3, degree: u32) -> [f64; 3] {
     let used = sh_coefficients(degree);
     [0, 1, 2].map(|c| (0.5 + (0..used).map(|k| basis[k] * f64::from(sh[3 * k + c])).sum::<f64>()).max(0.0))
 }
+
+/// Σ α T, pixels hit, and whether a pixel was hit with more than half of the light left; for each splat.
+pub(super) fn scores(splats: &Splats, camera: &Camera, decisions: &Decisions) -> Vec<(f64, usize, bool)> {
+    let seen: Vec<Seen> = (0..splats.len()).map(|i| see(splats, i, camera, 0)).collect();
+    let mut scores = vec![(0.0, 0, false); splats.len()];
+    for (p, decisions) in pixels(camera).zip(decisions) {
+        let mut transmittance = 1.0;
+        for &(i, clamped) in decisions {
+            let alpha = if clamped { 0.99 } else { alpha(&seen[i], p) };
+            scores[i].0 += alpha * transmittance;
+            scores[i].1 += 1;
+            scores[i].2 |= transmittance > 0.5;
+            transmittance *= 1.0 - alpha;
+        }
+    }
+    scores
+}
+
+/// Σ over pixels of |∂L/∂mean| on the screen, by axis, for each splat, by central differences.
+pub(super) fn absolute_gradients(
+    splats: &Splats,
+    camera: &Camera,
+    sh_degree: u32,
+    decisions: &Decisions,
+    gradients: &[Pixel],
+) -> Vec<DVec2> {
+    let mut seen: Vec<Seen> = (0..splats.len()).map(|i| see(splats, i, camera, sh_degree)).collect();
+    let step = 1e-5;
+    let mut sums = vec![DVec2::ZERO; splats.len()];
+    for ((p, decisions), gradient) in pixels(camera).zip(decisions).zip(gradients) {
+        for &(i, _) in decisions {
+            for axis in 0..2 {
+                let mut at = |offset: f64| {
+                    let mean_px = seen[i].mean_px;
+                    seen[i].mean_px[axis] += offset;
+                    let loss: f64 = blend(&seen, p, decisions).iter().zip(gradient).map(|(v, g)| v * g).sum();
+                    seen[i].mean_px = mean_px;
+                    loss
+                };
+                sums[i][axis] += (at(step) - at(-step)).abs() / (2.0 * step);
+            }
+        }
+    }
+    sums
+}

@@ -1,0 +1,124 @@
+//! The scoring pass: what each splat gave to a picture. A replay of the blend without colours; like the backward
+//! pass it writes one record for each splat–tile pair, and one thread adds up a splat's records in their order.
+
+use rayon::prelude::*;
+
+use super::bin::TileLists;
+use super::blocks::Blocks;
+use super::image::{TILE, TileImage};
+use super::project::{ALPHA_MIN, Projected, Projection};
+use super::rasterize::{
+    ALPHA_MAX, RowTerms, TRANSMITTANCE_MIN, centers, tile_origin, touched_parts, touched_rows,
+};
+use super::rasterize_backward::{Record, jobs};
+use super::simd::{GROUP, Isa, Kernel, Lanes, Row};
+
+/// Rows of a block of scores, and numbers of a record: Σ α T, pixels hit, and pixels hit while more than half of
+/// the light still came through; of the last, a block counts the views that had any.
+pub(crate) const WEIGHT: usize = 0;
+pub(crate) const HITS: usize = 1;
+pub(crate) const OBSERVED: usize = 2;
+pub(crate) const SCORE_ROWS: usize = 3;
+
+/// A splat is observed where it is hit before this much of the light is gone (PGSR).
+const OBSERVED_TRANSMITTANCE: f32 = 0.5;
+
+/// Writes the records of a picture whose tile `t` looked at `blended[t]` entries of its list.
+pub(crate) fn score(
+    isa: Isa,
+    lists: &TileLists,
+    splats: &[Projected],
+    image: &TileImage,
+    blended: &[u32],
+    records: &mut Vec<Record>,
+) {
+    records.resize(lists.pairs(), Row::ZERO);
+    jobs(lists, records).into_par_iter().for_each(|(tile, records)| {
+        let (done, untouched) = records.split_at_mut(blended[tile] as usize);
+        untouched.fill(Row::ZERO);
+        let list = &lists.list(tile)[..done.len()];
+        let origin = tile_origin(tile, image.tiles()[0]);
+        isa.run(ScoreTile { list, splats, origin, open: inside(origin, image.size_px()), records: done });
+    });
+}
+
+/// Adds the records to the scores of their splats.
+pub(crate) fn collect(projection: &Projection, lists: &TileLists, records: &[Record], scores: &mut Blocks) {
+    scores.rows_mut().par_chunks_exact_mut(SCORE_ROWS).enumerate().with_min_len(64).for_each(
+        |(block, rows)| {
+            let visible = projection.visible[block];
+            for lane in (0..GROUP).filter(|lane| visible >> lane & 1 == 1) {
+                let mut total = [0.0; SCORE_ROWS];
+                for pair in lists.pairs_of(block * GROUP + lane) {
+                    for (total, value) in total.iter_mut().zip(records[pair].0) {
+                        *total += value;
+                    }
+                }
+                rows[WEIGHT].0[lane] += total[WEIGHT];
+                rows[HITS].0[lane] += total[HITS];
+                rows[OBSERVED].0[lane] += f32::from(u8::from(total[OBSERVED] > 0.0));
+            }
+        },
+    );
+}
+
+/// All light for pixels of the picture, none for those of the tile that lie outside.
+fn inside(origin: [f32; 2], size_px: [usize; 2]) -> [Row; TILE] {
+    let left = |axis: usize| size_px[axis].saturating_sub(origin[axis] as usize).min(TILE);
+    let mut open = [Row::ZERO; TILE];
+    for row in &mut open[..left(1)] {
+        row.0[..left(0)].fill(1.0);
+    }
+    open
+}
+
+struct ScoreTile<'a> {
+    list: &'a [u32],
+    splats: &'a [Projected],
+    origin: [f32; 2],
+    /// Transmittance of each pixel.
+    open: [Row; TILE],
+    records: &'a mut [Record],
+}
+
+impl Kernel for ScoreTile<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<L: Lanes>(self) {
+        let Self { list, splats, origin, mut open, records } = self;
+        for (&id, record) in list.iter().zip(records) {
+            let splat = &splats[id as usize];
+            let (first, end) = touched_rows(splat, origin[1]);
+            let (first_part, end_part) = touched_parts::<L>(splat, origin[0]);
+            let mut sums = [L::zero(); SCORE_ROWS];
+            for y in first..end {
+                let (terms, _) = RowTerms::new(splat, origin[1] + y as f32 + 0.5);
+                for part in first_part..end_part {
+                    let dx = L::splat(splat.mean_px[0]) - centers::<L>(origin[0], part);
+                    if let Some(alpha) = terms.alpha(dx) {
+                        add(alpha, part, &mut open[y], &mut sums);
+                    }
+                }
+            }
+            record.0[..SCORE_ROWS].copy_from_slice(&[sums[0].sum(), sums[1].sum(), sums[2].sum()]);
+        }
+    }
+}
+
+/// One splat on one vector of pixels.
+#[inline(always)]
+fn add<L: Lanes>(alpha: L, part: usize, open: &mut Row, sums: &mut [L; SCORE_ROWS]) {
+    let one = L::splat(1.0);
+    let hit = alpha.ge(L::splat(ALPHA_MIN));
+    let alpha = alpha.min(L::splat(ALPHA_MAX));
+    let before = open.get::<L>(part);
+    let after = alpha.neg_mul_add(before, before);
+    let goes_on = L::and(hit, after.ge(L::splat(TRANSMITTANCE_MIN)));
+    let full = L::and_not(hit, goes_on);
+    open.set(part, L::select(full, L::zero(), L::select(goes_on, after, before)));
+    let clear = L::and(goes_on, L::splat(OBSERVED_TRANSMITTANCE).lt(before));
+    sums[WEIGHT] = sums[WEIGHT] + (alpha * before).keep(goes_on);
+    sums[HITS] = sums[HITS] + one.keep(goes_on);
+    sums[OBSERVED] = sums[OBSERVED] + one.keep(clear);
+}

@@ -1,0 +1,118 @@
+//! Which splats a model can do without: Adaptive Gaussian Pruning (CoSurfGS, "Adaptive Gaussian Pruning"), and
+//! the removal of splats that hardly any view observes (PGSR).
+
+use crate::backend::{Scores, Shapes};
+
+/// Exponent of the size's share in a score (LightGaussian).
+const SIZE_EXPONENT: f32 = 0.1;
+/// Sizes are compared with this quantile of them.
+const SIZE_QUANTILE: f64 = 0.9;
+/// Fewest views that must observe a splat (PGSR).
+const OBSERVERS_MIN: f32 = 2.0;
+
+/// What a splat's priority is made of.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum PruneScore {
+    /// `Σ α T γ` over all pixels of all views, γ from the splat's area: what is behind something else counts for
+    /// little, and a flat splat is not small.
+    #[default]
+    Corrected,
+    /// `hits o γ` with γ from the volume, as the paper writes it.
+    Paper,
+}
+
+/// Priorities of all splats: higher is worth more.
+pub(crate) fn priorities(shapes: &Shapes, scores: &Scores, score: PruneScore) -> Vec<f32> {
+    let sizes: Vec<f32> = shapes.log_scales.iter().map(|log_scale| size(*log_scale, score)).collect();
+    let reference = quantile(&sizes, SIZE_QUANTILE);
+    (0..sizes.len())
+        .map(|i| {
+            let share = (sizes[i] / reference.max(f32::MIN_POSITIVE)).clamp(0.0, 1.0).powf(SIZE_EXPONENT);
+            let given = match score {
+                PruneScore::Corrected => scores.weights[i],
+                PruneScore::Paper => scores.hits[i] / (1.0 + (-shapes.opacity_logits[i]).exp()),
+            };
+            given * share
+        })
+        .collect()
+}
+
+/// Area of the two longest axes, or volume.
+fn size(log_scale: [f32; 3], score: PruneScore) -> f32 {
+    let sum: f32 = log_scale.iter().sum();
+    match score {
+        PruneScore::Corrected => (sum - log_scale.into_iter().fold(f32::INFINITY, f32::min)).exp(),
+        PruneScore::Paper => sum.exp(),
+    }
+}
+
+fn quantile(values: &[f32], share: f64) -> f32 {
+    let mut sorted = values.to_vec();
+    sorted.sort_unstable_by(f32::total_cmp);
+    let place = (share * sorted.len().saturating_sub(1) as f64).round() as usize;
+    sorted.get(place).copied().unwrap_or(0.0)
+}
+
+/// Indices, ascending, of the `ratio` (0..1) of all splats with the lowest priorities, exactly so many; of equal
+/// ones the later goes.
+pub(crate) fn lowest(priorities: &[f32], ratio: f64) -> Vec<u32> {
+    let count = (ratio.clamp(0.0, 1.0) * priorities.len() as f64) as usize;
+    let mut order: Vec<u32> = (0..priorities.len() as u32).collect();
+    let key = |i: u32| priorities[i as usize];
+    order.sort_unstable_by(|&a, &b| key(a).total_cmp(&key(b)).then(b.cmp(&a)));
+    order.truncate(count);
+    order.sort_unstable();
+    order
+}
+
+/// Indices, ascending, of splats that fewer than two views observe.
+pub(crate) fn unobserved(scores: &Scores) -> Vec<u32> {
+    (0..scores.observers.len() as u32).filter(|&i| scores.observers[i as usize] < OBSERVERS_MIN).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn exactly_the_lowest_go_and_of_equals_the_later() {
+        let priorities = [3.0, 1.0, 2.0, 1.0, 1.0, 9.0, 0.5, 7.0];
+        assert_eq!(lowest(&priorities, 0.25), [4, 6]);
+        assert_eq!(lowest(&priorities, 0.5), [1, 3, 4, 6]);
+        assert_eq!(lowest(&priorities, 0.0), [0u32; 0]);
+        assert_eq!(lowest(&priorities, 1.0).len(), 8);
+        assert_eq!(lowest(&[], 0.5), [0u32; 0]);
+    }
+
+    /// A splat that is seen, one that is as large but hidden, one that is tiny, and one that is flat.
+    fn four() -> (Shapes, Scores) {
+        let shapes = Shapes {
+            log_scales: vec![[-1.0; 3], [-1.0; 3], [-5.0; 3], [-1.0, -1.0, -30.0]],
+            opacity_logits: vec![2.0; 4],
+            ..Shapes::default()
+        };
+        let scores = Scores {
+            weights: vec![50.0, 0.1, 50.0, 50.0],
+            hits: vec![100.0; 4],
+            observers: vec![5.0, 0.0, 2.0, 1.0],
+        };
+        (shapes, scores)
+    }
+
+    #[test]
+    fn the_corrected_score_sees_occlusion_and_flatness_and_the_papers_does_not() {
+        let (shapes, scores) = four();
+        let corrected = priorities(&shapes, &scores, PruneScore::Corrected);
+        assert!(corrected[1] < 0.01 * corrected[0], "hidden splats are worth little: {corrected:?}");
+        assert_eq!(corrected[3], corrected[0], "a flat splat is as large as a thick one");
+        assert!(corrected[2] < corrected[0]);
+        let paper = priorities(&shapes, &scores, PruneScore::Paper);
+        assert_eq!(paper[1], paper[0], "the paper does not ask what is in front");
+        assert!(paper[3] < 0.1 * paper[0], "by volume, a flat splat is nothing");
+    }
+
+    #[test]
+    fn splats_that_one_view_observes_go() {
+        assert_eq!(unobserved(&four().1), [1, 3]);
+    }
+}
