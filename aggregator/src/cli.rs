@@ -1,3 +1,18 @@
 //! Commands of `cosurf-aggregator`, each with its arguments.
 
 pub(crate) mod eval;
+pub(crate) mod eval_mesh;
+pub(crate) mod mesh;
+
+use std::io::{self, IsTerminal};
+
+use cosurf_aggregator::Display;
+
+/// How progress is shown.
+pub(crate) fn display(json: bool) -> Display {
+    match (json, io::stderr().is_terminal()) {
+        (true, _) => Display::Json,
+        (false, true) => Display::Bars,
+        (false, false) => Display::Lines,
+    }
+}

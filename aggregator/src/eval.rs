@@ -92,7 +92,8 @@ pub fn judge(order: &EvalOrder) -> Result<EvalReport, EvalError> {
     Ok(EvalReport { splats: splats.len(), mean, views })
 }
 
-fn model_path(model: &Path) -> Result<PathBuf, EvalError> {
+/// What an agent or a mission left in a folder; a file is the model itself.
+pub fn model_path(model: &Path) -> Result<PathBuf, EvalError> {
     if !model.is_dir() {
         return Ok(model.into());
     }

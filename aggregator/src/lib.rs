@@ -6,6 +6,7 @@
 //! Where to start reading: [`service`], what runs in the field; then [`mission`], which runs service and
 //! agents on one machine and leaves a report.
 
+pub mod accuracy;
 mod board;
 pub mod broker;
 mod chart;
@@ -18,6 +19,8 @@ mod footprint;
 pub mod lpips;
 mod map;
 mod merge;
+pub mod mesh;
+mod meter;
 pub mod mission;
 mod page;
 mod partition;
@@ -33,4 +36,5 @@ mod table;
 pub mod town;
 mod watch;
 
+pub use meter::Meter;
 pub use progress::Display;

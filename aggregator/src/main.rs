@@ -3,7 +3,7 @@
 
 mod cli;
 
-use std::io::{self, IsTerminal, Write};
+use std::io::{self, Write};
 use std::path::{Path, PathBuf, absolute};
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -14,7 +14,6 @@ use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, Result, bail};
 use clap::{Args, Parser, Subcommand};
-use cosurf_aggregator::Display;
 use cosurf_aggregator::field::{self, AggregatorConfig};
 use cosurf_aggregator::mission::{MissionOrder, Surroundings, fly};
 use cosurf_aggregator::plan::Settings;
@@ -35,6 +34,8 @@ struct Cli {
 #[derive(Subcommand)]
 enum Commands {
     Eval(cli::eval::EvalArgs),
+    Mesh(cli::mesh::MeshArgs),
+    EvalMesh(cli::eval_mesh::EvalMeshArgs),
     Mission(MissionArgs),
     Run(RunArgs),
 }
@@ -97,6 +98,8 @@ fn main() -> ExitCode {
         Commands::Eval(args) => cli::eval::run(args),
         Commands::Mission(args) => mission(args),
         Commands::Run(args) => run(&args),
+        Commands::Mesh(args) => cli::mesh::run(&args),
+        Commands::EvalMesh(args) => cli::eval_mesh::run(&args),
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
@@ -167,11 +170,7 @@ fn surroundings(json: bool) -> Result<Surroundings> {
         session: session(),
         cores: available_parallelism().map_or(1, usize::from),
         agent: executable.with_file_name(format!("cosurf-agent{}", std::env::consts::EXE_SUFFIX)),
-        display: match (json, io::stderr().is_terminal()) {
-            (true, _) => Display::Json,
-            (false, true) => Display::Bars,
-            (false, false) => Display::Lines,
-        },
+        display: cli::display(json),
         interrupted,
         peak_memory_bytes,
     })

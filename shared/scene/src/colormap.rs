@@ -26,8 +26,8 @@ pub fn depth_picture(depth: &[f32], size_px: [u32; 2], range_m: [f32; 2]) -> Pic
     let [near, far] = range_m;
     let span = (far - near).max(f32::MIN_POSITIVE);
     let rgb = depth.iter().flat_map(|&z| {
-        let nearness = ((far - z) / span).clamp(0.0, 1.0);
-        if is_surface(z) { palette()[(nearness * 255.0).round() as usize] } else { EMPTY }
+        let nearness = (far - z) / span;
+        if is_surface(z) { ramp(nearness) } else { EMPTY }
     });
     Picture::new(size_px, rgb.collect())
 }
@@ -48,10 +48,8 @@ pub fn depth_range(depth: &[f32]) -> [f32; 2] {
 /// Errors, `[h, w]` from 0 up, NaN where there is nothing to compare, as colours: dark where there is none,
 /// bright from `bright` on, which is above 0.
 pub fn error_picture(errors: &[f32], size_px: [u32; 2], bright: f32) -> Picture {
-    let rgb = errors.iter().flat_map(|&error| match (error / bright).clamp(0.0, 1.0) {
-        share if share.is_nan() => EMPTY,
-        share => palette()[(share * 255.0).round() as usize],
-    });
+    let color = |&error: &f32| if error.is_nan() { EMPTY } else { ramp(error / bright) };
+    let rgb = errors.iter().flat_map(color);
     Picture::new(size_px, rgb.collect())
 }
 
@@ -65,6 +63,11 @@ pub fn normal_picture(normals: &[f32], size_px: [u32; 2]) -> Picture {
         if length > 1e-3 { [byte(x), byte(-y), byte(-z)] } else { EMPTY }
     });
     Picture::new(size_px, rgb.collect())
+}
+
+/// The colour of a quantity: dark violet at 0 and below, bright yellow at 1 and beyond.
+pub fn ramp(t: f32) -> [u8; 3] {
+    palette()[(t.clamp(0.0, 1.0) * 255.0).round() as usize]
 }
 
 fn is_surface(depth_m: f32) -> bool {

@@ -57,6 +57,12 @@ impl Dataset {
         open::open(path)
     }
 
+    /// The cameras of a dataset that [`Self::open`] understands, in the file's order, whether their
+    /// pictures are there or not.
+    pub fn cameras(path: &Path) -> Result<Vec<Camera>, SceneError> {
+        open::cameras(path)
+    }
+
     /// Index of the view called `name`.
     pub fn find(&self, name: &str) -> Option<usize> {
         self.views.binary_search_by(|view| view.name.as_str().cmp(name)).ok()

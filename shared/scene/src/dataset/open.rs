@@ -4,7 +4,7 @@
 use std::path::{Component, Path};
 
 use super::{Dataset, View};
-use crate::{Picture, SceneError, colmap, transforms};
+use crate::{Camera, Picture, SceneError, colmap, transforms};
 
 /// See [`Dataset::open`].
 pub(super) fn open(path: &Path) -> Result<Dataset, SceneError> {
@@ -24,6 +24,15 @@ pub(super) fn open(path: &Path) -> Result<Dataset, SceneError> {
     refuse_missing(&dataset.views)?;
     dataset.views.iter_mut().try_for_each(fit_camera)?;
     Ok(dataset)
+}
+
+/// See [`Dataset::cameras`].
+pub(super) fn cameras(path: &Path) -> Result<Vec<Camera>, SceneError> {
+    let cameras: Vec<Camera> = read(path)?.views.iter().map(|view| view.camera).collect();
+    if cameras.is_empty() {
+        return Err(SceneError::malformed(path, "has no pictures with poses"));
+    }
+    Ok(cameras)
 }
 
 fn read(path: &Path) -> Result<Dataset, SceneError> {

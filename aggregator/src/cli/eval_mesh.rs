@@ -1,0 +1,76 @@
+//! `eval-mesh`: a mesh beside the true surface.
+
+use std::path::PathBuf;
+
+use anyhow::Result;
+use clap::Args;
+use cosurf_aggregator::accuracy::{Accuracy, Score, judge};
+use cosurf_scene::{Mesh, colormap};
+
+use super::mesh::parse_length;
+
+/// Errors of so many thresholds have the brightest colour.
+const BRIGHTEST: f32 = 2.0;
+/// Colour of what was cropped away.
+const CROPPED: [u8; 3] = [128; 3];
+
+/// Judge a mesh by the true surface: precision, recall and F-score, mean distances.
+///
+/// Only what lies over the truth's footprint on the ground, a few thresholds wider, is judged.
+#[derive(Args)]
+pub(crate) struct EvalMeshArgs {
+    /// The mesh, .ply
+    mesh: PathBuf,
+    /// The true surface, .ply: a mesh, or points (with normals where they are sparse)
+    truth: PathBuf,
+    /// Distance up to which the mesh counts as right, metres
+    #[arg(long, value_name = "M", value_parser = parse_length)]
+    threshold: f64,
+    /// Write the mesh with its errors as colours: dark where it is right, yellow at two thresholds and
+    /// beyond, grey where it was not judged
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+pub(crate) fn run(args: &EvalMeshArgs) -> Result<()> {
+    let mut mesh = Mesh::read(&args.mesh)?;
+    let truth = Mesh::read(&args.truth)?;
+    let (accuracy, errors_m) = judge(&mesh, &truth, args.threshold, 0)?;
+    if let Some(out) = &args.out {
+        let most_m = BRIGHTEST * args.threshold as f32;
+        let color = |error: f32| if error.is_nan() { CROPPED } else { colormap::ramp(error / most_m) };
+        mesh.rgb = errors_m.into_iter().map(color).collect();
+        mesh.write(out)?;
+    }
+    if args.json {
+        println!("{}", serde_json::json!(accuracy));
+    } else {
+        print(&accuracy);
+    }
+    Ok(())
+}
+
+fn print(accuracy: &Accuracy) {
+    println!("at {} m       precision   recall   F-score", accuracy.threshold_m);
+    let row = |name: &str, score: &Score| {
+        println!("{name:12}  {:9.4}   {:6.4}   {:7.4}", score.precision, score.recall, score.f_score);
+    };
+    row("by area", &accuracy.samples);
+    row("by vertices", &accuracy.vertices);
+    println!(
+        "mesh to truth {:.4} m, truth to mesh {:.4} m, chamfer {:.4} m",
+        accuracy.mesh_to_truth_m, accuracy.truth_to_mesh_m, accuracy.chamfer_m
+    );
+    let disc = match accuracy.truth_disc_m {
+        0.0 => String::new(),
+        radius => format!(", truth points stand for discs of {radius:.3} m"),
+    };
+    println!(
+        "{:.1} % of the mesh lie beyond the truth's footprint and were not judged; samples {:.3} m apart{disc}",
+        100.0 * accuracy.cropped,
+        accuracy.sample_spacing_m
+    );
+}

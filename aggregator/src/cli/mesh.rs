@@ -1,0 +1,100 @@
+//! `mesh`: the surface of a model as triangles.
+
+use std::path::PathBuf;
+use std::thread::available_parallelism;
+use std::time::Instant;
+
+use anyhow::{Result, bail};
+use clap::Args;
+use cosurf_aggregator::Meter;
+use cosurf_aggregator::eval::model_path;
+use cosurf_aggregator::mesh::{FuseEvent, FuseSettings, Fused, Stage, mesh_model};
+use cosurf_scene::bytes::{format_bytes, parse_bytes};
+use cosurf_scene::{Dataset, ply};
+
+/// Make a mesh of a model: its depth, seen from every camera, fused.
+///
+/// Needs the cameras only, no photographs. Where memory is short, voxels become larger, and a line says
+/// so. The same model gives the same mesh with any number of threads.
+#[derive(Args)]
+pub(crate) struct MeshArgs {
+    /// The model: a PLY of splats, or the folder that training or a mission wrote
+    model: PathBuf,
+    /// The dataset whose cameras to look through
+    #[arg(long, value_name = "DATA")]
+    cameras: PathBuf,
+    /// The mesh, .ply or .glb
+    #[arg(long, value_name = "FILE", default_value = "mesh.ply")]
+    out: PathBuf,
+    /// Edge of a voxel, metres [default: what a pixel covers on the ground]
+    #[arg(long, value_name = "M", value_parser = parse_length)]
+    voxel: Option<f64>,
+    /// The most memory to take, for example 500MiB
+    #[arg(long, value_name = "BYTES", default_value = "2GiB", value_parser = parse_bytes)]
+    memory: u64,
+    /// Render pictures whose long side is at most this many pixels [default: the cameras' size]
+    #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(16..))]
+    max_size: Option<u32>,
+    /// Print lines of JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// A length in metres: a number, finite and above zero.
+pub(crate) fn parse_length(text: &str) -> Result<f64, String> {
+    let length: Option<f64> = text.parse().ok().filter(|v: &f64| v.is_finite() && *v > 0.0);
+    length.ok_or_else(|| format!("'{text}' is no length in metres; write for example 0.25"))
+}
+
+pub(crate) fn run(args: &MeshArgs) -> Result<()> {
+    if !matches!(args.out.extension().and_then(|e| e.to_str()), Some("ply" | "glb")) {
+        bail!("{}: meshes are written as .ply or .glb; choose one of these", args.out.display());
+    }
+    let splats = ply::read(&model_path(&args.model)?)?;
+    let cameras = Dataset::cameras(&args.cameras)?;
+    let settings = FuseSettings { voxel_m: args.voxel, memory_bytes: args.memory };
+    let threads = available_parallelism().map_or(1, usize::from);
+    let begun = Instant::now();
+    let mut meter = Meter::new(super::display(args.json));
+    let fused = mesh_model(splats, &cameras, args.max_size, &settings, threads, |event| {
+        show(&mut meter, event, begun.elapsed().as_secs_f64());
+    })?;
+    meter.finish();
+    fused.mesh.write(&args.out)?;
+    print(args, &fused, begun.elapsed().as_secs_f64());
+    Ok(())
+}
+
+fn show(meter: &mut Meter, event: FuseEvent, now_s: f64) {
+    match event {
+        FuseEvent::Progress { stage, done, of } => {
+            let stage = match stage {
+                Stage::Look => "looks",
+                Stage::Find => "finds",
+                Stage::Fuse => "fuses",
+            };
+            meter.show(stage, done, of, now_s);
+        }
+        FuseEvent::Coarser { wanted_m, voxel_m } => meter.notice(&format!(
+            "voxels of {voxel_m:.3} m instead of {wanted_m:.3} m, for want of memory (--memory)"
+        )),
+    }
+}
+
+fn print(args: &MeshArgs, fused: &Fused, seconds: f64) {
+    let Fused { mesh, voxel_m, pixel_m, blocks, peak_bytes } = fused;
+    let (vertices, triangles) = (mesh.positions.len(), mesh.triangles.len());
+    if args.json {
+        let line = serde_json::json!({
+            "event": "mesh", "vertices": vertices, "triangles": triangles, "voxel_m": voxel_m,
+            "pixel_m": pixel_m, "blocks": blocks, "peak_bytes": peak_bytes, "seconds": seconds,
+        });
+        println!("{line}");
+        return;
+    }
+    println!(
+        "{triangles} triangles, {vertices} vertices in {seconds:.1} s · voxels of {voxel_m:.3} m, a pixel covers {pixel_m:.3} m · {blocks} blocks, {}",
+        format_bytes(*peak_bytes)
+    );
+    println!("{}", args.out.display());
+}

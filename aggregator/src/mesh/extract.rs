@@ -1,0 +1,262 @@
+//! Marching cubes over the blocks: first counted, so that the mesh's size is known before it is
+//! allocated, then written, each block into its own stretch.
+
+use cosurf_scene::Mesh;
+use glam::{DVec3, IVec3};
+use rayon::prelude::*;
+
+use super::cases::{EDGE_STARTS, cases};
+use super::volume::{SIDE, VOXELS, Volume, Voxel};
+
+/// Samples along the edge of a block with those of the next block's first layer.
+const WIDE: usize = SIDE + 1;
+/// Bytes that extraction takes per block: its layout, and four pointers to stretches of the mesh.
+pub(super) const LAYOUT_BYTES: usize = size_of::<BlockLayout>() + 4 * 24;
+/// Bytes of a vertex: position, normal, colour, and two numbers while specks are removed.
+const VERTEX_BYTES: u64 = 12 + 12 + 3 + 9;
+const TRIANGLE_BYTES: u64 = 12;
+
+/// What a block adds to the mesh.
+#[derive(Clone, Copy, Debug, Default)]
+struct BlockLayout {
+    /// One bit for each edge that the surface passes, `[axis, z]` of bits `[y, x]`.
+    edges: [[u64; SIDE]; 3],
+    /// Index of its first vertex and triangle.
+    first_vertex: u32,
+    first_triangle: u32,
+}
+
+impl BlockLayout {
+    fn vertices(&self) -> u32 {
+        self.edges.as_flattened().iter().map(|bits| bits.count_ones()).sum()
+    }
+
+    /// Index of the vertex on the edge from a voxel along an axis.
+    fn vertex(&self, [x, y, z]: [usize; 3], axis: usize) -> u32 {
+        let word = axis * SIDE + z;
+        let before: u32 = self.edges.as_flattened()[..word].iter().map(|bits| bits.count_ones()).sum();
+        let below = self.edges[axis][z] & ((1 << (y * SIDE + x)) - 1);
+        self.first_vertex + before + below.count_ones()
+    }
+}
+
+/// Where everything goes.
+#[derive(Debug)]
+pub(super) struct Layout {
+    blocks: Vec<BlockLayout>,
+    vertices: u64,
+    triangles: u64,
+}
+
+impl Layout {
+    /// Counts vertices and triangles.
+    pub(super) fn new(volume: &Volume) -> Self {
+        let mut blocks = vec![BlockLayout::default(); volume.len()];
+        let triangles: Vec<u32> = blocks
+            .par_iter_mut()
+            .zip(volume.keys())
+            .map(|(block, key)| {
+                let samples = Samples::gather(volume, key.block());
+                block.edges = samples.edges();
+                let mut triangles = 0;
+                samples.for_each_cell(|_, case| triangles += cases()[case].triangles.len() as u32);
+                triangles
+            })
+            .collect();
+        let mut sums = (0u64, 0u64);
+        for (block, triangles) in blocks.iter_mut().zip(&triangles) {
+            // Counts beyond 32 bits are refused by their size before these are used.
+            (block.first_vertex, block.first_triangle) = (sums.0 as u32, sums.1 as u32);
+            sums = (sums.0 + u64::from(block.vertices()), sums.1 + u64::from(*triangles));
+        }
+        Self { blocks, vertices: sums.0, triangles: sums.1 }
+    }
+
+    /// Bytes of the layout and of the mesh.
+    pub(super) fn bytes(&self) -> u64 {
+        (self.blocks.len() * LAYOUT_BYTES) as u64
+            + self.vertices * VERTEX_BYTES
+            + self.triangles * TRIANGLE_BYTES
+    }
+
+    /// Whether 32-bit indices suffice.
+    pub(super) fn fits_indices(&self) -> bool {
+        self.vertices.max(self.triangles) < u64::from(u32::MAX)
+    }
+}
+
+/// The mesh, without normals; some vertices may have no triangle.
+pub(super) fn extract(volume: &Volume, layout: &Layout) -> Mesh {
+    let vertices = layout.vertices as usize;
+    let mut mesh = Mesh {
+        positions: vec![[0.0; 3]; vertices],
+        normals: Vec::new(),
+        rgb: vec![[0; 3]; vertices],
+        triangles: vec![[0; 3]; layout.triangles as usize],
+    };
+    let firsts = |of: fn(&BlockLayout) -> u32| layout.blocks.iter().map(move |block| of(block) as usize);
+    let positions = split(&mut mesh.positions, firsts(|block| block.first_vertex));
+    let rgb = split(&mut mesh.rgb, firsts(|block| block.first_vertex));
+    let triangles = split(&mut mesh.triangles, firsts(|block| block.first_triangle));
+    let outputs: Vec<_> = positions.into_iter().zip(rgb).zip(triangles).collect();
+    volume.keys().par_iter().zip(&layout.blocks).zip(outputs).for_each(|((key, block), out)| {
+        if out.0.0.is_empty() && out.1.is_empty() {
+            return;
+        }
+        let samples = Samples::gather(volume, key.block());
+        write_vertices(volume, &samples, block, out.0.0, out.0.1);
+        write_triangles(&samples, layout, out.1);
+    });
+    mesh
+}
+
+/// Cuts a slice where the stretches begin, the first of them at 0.
+fn split<T>(mut slice: &mut [T], firsts: impl Iterator<Item = usize>) -> Vec<&mut [T]> {
+    let mut parts = Vec::new();
+    let mut begin = 0;
+    for first in firsts.skip(1) {
+        let (part, rest) = slice.split_at_mut(first - begin);
+        parts.push(part);
+        (slice, begin) = (rest, first);
+    }
+    parts.push(slice);
+    parts
+}
+
+fn write_vertices(
+    volume: &Volume,
+    samples: &Samples,
+    block: &BlockLayout,
+    positions: &mut [[f32; 3]],
+    rgb: &mut [[u8; 3]],
+) {
+    let origin = volume.origin(samples.block);
+    let mut out = positions.iter_mut().zip(rgb);
+    for axis in 0..3 {
+        for z in 0..SIDE {
+            let mut bits = block.edges[axis][z];
+            while bits != 0 {
+                let place = bits.trailing_zeros() as usize;
+                bits &= bits - 1;
+                let from = [place % SIDE, place / SIDE, z];
+                let mut to = from;
+                to[axis] += 1;
+                let (a, b) = (samples.at(from), samples.at(to));
+                let t = a.distance / (a.distance - b.distance);
+                let mut at = DVec3::from_array(from.map(|v| v as f64));
+                at[axis] += f64::from(t);
+                if let Some((position, color)) = out.next() {
+                    *position = (origin + at * volume.voxel_m).as_vec3().to_array();
+                    *color = mix_colors(a, b, t);
+                }
+            }
+        }
+    }
+}
+
+/// Of two voxels' colours, more of the nearer and of the better known.
+fn mix_colors(a: &Voxel, b: &Voxel, t: f32) -> [u8; 3] {
+    let ((a, a_worth), (b, b_worth)) = (a.color(), b.color());
+    let (a_share, b_share) = ((1.0 - t) * a_worth, t * b_worth);
+    let whole = (a_share + b_share).max(f32::MIN_POSITIVE);
+    [0, 1, 2].map(|c| ((a[c] * a_share + b[c] * b_share) / whole + 0.5) as u8)
+}
+
+fn write_triangles(samples: &Samples, layout: &Layout, out: &mut [[u32; 3]]) {
+    let mut out = out.iter_mut();
+    samples.for_each_cell(|cell, case| {
+        for triangle in &cases()[case].triangles {
+            if let Some(out) = out.next() {
+                *out = triangle.map(|edge| {
+                    let axis = usize::from(edge) / 4;
+                    let start = EDGE_STARTS[usize::from(edge)];
+                    let voxel = corner_of(cell, start);
+                    let owner = samples.blocks[owner_of(voxel)].map(|index| &layout.blocks[index]);
+                    // Every corner of a cell is known, so its block exists.
+                    owner.map_or(0, |block| block.vertex(voxel.map(|v| v % SIDE), axis))
+                });
+            }
+        }
+    });
+}
+
+fn corner_of([x, y, z]: [usize; 3], corner: usize) -> [usize; 3] {
+    [x + (corner & 1), y + (corner >> 1 & 1), z + (corner >> 2)]
+}
+
+/// Which of a block and its seven upper neighbours a voxel belongs to, numbered like corners.
+fn owner_of([x, y, z]: [usize; 3]) -> usize {
+    x / SIDE + 2 * (y / SIDE) + 4 * (z / SIDE)
+}
+
+/// A block's voxels with the layers of its upper neighbours that its cells need.
+struct Samples<'a> {
+    volume: &'a Volume,
+    block: IVec3,
+    /// The block itself and its neighbours, numbered like corners.
+    blocks: [Option<usize>; 8],
+}
+
+impl<'a> Samples<'a> {
+    fn gather(volume: &'a Volume, block: IVec3) -> Self {
+        let neighbour = |corner: usize| {
+            let [x, y, z] = corner_of([0; 3], corner).map(|v| v as i32);
+            volume.find(block + IVec3::new(x, y, z))
+        };
+        Self { volume, block, blocks: std::array::from_fn(neighbour) }
+    }
+
+    /// A voxel of 0..=8 along each axis; one without weight where there is no block.
+    fn at(&self, place: [usize; 3]) -> &Voxel {
+        const UNKNOWN: Voxel = Voxel::UNKNOWN;
+        let [x, y, z] = place.map(|v| v % SIDE);
+        match self.blocks[owner_of(place)] {
+            Some(index) => &self.volume.block(index)[(z * SIDE + y) * SIDE + x],
+            None => &UNKNOWN,
+        }
+    }
+
+    /// Signed distances `[z, y, x]` of 9³ samples, NaN where unknown.
+    fn distances(&self) -> [f32; WIDE * WIDE * WIDE] {
+        std::array::from_fn(|i| {
+            let voxel = self.at([i % WIDE, i / WIDE % WIDE, i / (WIDE * WIDE)]);
+            if voxel.weight > 0.0 { voxel.distance } else { f32::NAN }
+        })
+    }
+
+    /// The edges that the surface passes, as in [`BlockLayout`].
+    fn edges(&self) -> [[u64; SIDE]; 3] {
+        let distances = self.distances();
+        let mut edges = [[0; SIDE]; 3];
+        for i in 0..VOXELS {
+            let [x, y, z] = [i % SIDE, i / SIDE % SIDE, i / (SIDE * SIDE)];
+            let at = (z * WIDE + y) * WIDE + x;
+            for (axis, step) in [1, WIDE, WIDE * WIDE].into_iter().enumerate() {
+                let (a, b) = (distances[at], distances[at + step]);
+                if (a < 0.0 && b >= 0.0) || (a >= 0.0 && b < 0.0) {
+                    edges[axis][z] |= 1 << (y * SIDE + x);
+                }
+            }
+        }
+        edges
+    }
+
+    /// Shows `visit` every cell of the block whose corners are all known and of both signs, with its
+    /// case.
+    fn for_each_cell(&self, mut visit: impl FnMut([usize; 3], usize)) {
+        let distances = self.distances();
+        for i in 0..VOXELS {
+            let cell = [i % SIDE, i / SIDE % SIDE, i / (SIDE * SIDE)];
+            let (mut case, mut known) = (0, true);
+            for corner in 0..8 {
+                let [x, y, z] = corner_of(cell, corner);
+                let distance = distances[(z * WIDE + y) * WIDE + x];
+                known &= !distance.is_nan();
+                case |= usize::from(distance < 0.0) << corner;
+            }
+            if known && case != 0 && case != 255 {
+                visit(cell, case);
+            }
+        }
+    }
+}

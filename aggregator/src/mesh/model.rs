@@ -1,0 +1,127 @@
+//! A splat model to a mesh, within one amount of memory for everything.
+
+use cosurf_engine::backend::{Backend, Channels, Rendering};
+use cosurf_engine::budget::PROCESS_BYTES;
+use cosurf_engine::{CpuBackend, CpuCapacity};
+use cosurf_scene::{Camera, Splats};
+
+use super::{FuseEvent, FuseSettings, Fused, MeshError, fuse, plan};
+
+/// Splat–tile pairs that there is room for, per splat, and at least; a view that has more loses its
+/// farthest splats, hence its farthest surface, which other views see better.
+const PAIRS_PER_SPLAT: usize = 12;
+const PAIRS_LEAST: usize = 1 << 18;
+/// Bytes per pixel of what the renderer hands over: colour, alpha, depth and normal, while they grow.
+const RENDERING_BYTES_PER_PIXEL: u64 = 2 * 32;
+/// Pictures take at most this share of the memory that the splats leave.
+const PICTURE_SHARE: u64 = 4;
+
+/// Renders every camera, its long side at most `max_size_px`, and fuses what it shows.
+/// `settings.memory_bytes` is for the whole process; where it is short, pictures shrink and voxels
+/// grow. `threads` (at least 1) render; the fusion runs in rayon's pool.
+pub fn mesh_model(
+    splats: Splats,
+    cameras: &[Camera],
+    max_size_px: Option<u32>,
+    settings: &FuseSettings,
+    threads: usize,
+    on_event: impl FnMut(FuseEvent),
+) -> Result<Fused, MeshError> {
+    if splats.is_empty() {
+        return Err(MeshError::NoSurface);
+    }
+    let needs = Needs::of(&splats);
+    let cameras = fitted(&needs, cameras, max_size_px.unwrap_or(u32::MAX), settings.memory_bytes)?;
+    let left = settings.memory_bytes - needs.bytes(&cameras);
+    let mut renderer = BoundedRenderer::new(splats, &needs, threads);
+    let settings = FuseSettings { memory_bytes: left + plan::frame_bytes(&cameras), ..*settings };
+    fuse(&cameras, |camera| renderer.render(camera), &settings, on_event)
+}
+
+/// What rendering takes.
+struct Needs {
+    splats: usize,
+    pairs: usize,
+    bytes: u64,
+}
+
+impl Needs {
+    fn of(splats: &Splats) -> Self {
+        let pairs = (PAIRS_PER_SPLAT * splats.len()).max(PAIRS_LEAST);
+        // The model is held twice while it is loaded.
+        let per_splat = CpuCapacity::splat_bytes(splats.sh_degree, false) + 4 * (11 + splats.sh_stride());
+        let bytes =
+            PROCESS_BYTES + (splats.len() * per_splat + pairs * CpuCapacity::pair_bytes(false)) as u64;
+        Self { splats: splats.len(), pairs, bytes }
+    }
+
+    /// With pictures of these cameras and the least of volumes.
+    fn bytes(&self, cameras: &[Camera]) -> u64 {
+        self.bytes + picture_bytes(cameras) + plan::frame_bytes(cameras)
+    }
+}
+
+fn picture_bytes(cameras: &[Camera]) -> u64 {
+    let of = |camera: &Camera| {
+        let pixels = u64::from(camera.size_px[0]) * u64::from(camera.size_px[1]);
+        let planes = CpuCapacity::picture_bytes(camera.size_px, Channels::Geometry, false) as u64;
+        planes + pixels * RENDERING_BYTES_PER_PIXEL
+    };
+    cameras.iter().map(of).max().unwrap_or(0)
+}
+
+/// Cameras of pictures small enough for the memory.
+fn fitted(
+    needs: &Needs,
+    cameras: &[Camera],
+    max_size_px: u32,
+    memory_bytes: u64,
+) -> Result<Vec<Camera>, MeshError> {
+    let shrunk = |long_side_px: u32| -> Vec<Camera> {
+        cameras.iter().map(|camera| camera.resized(camera.fitted_size(long_side_px))).collect()
+    };
+    let longest = cameras.iter().map(|camera| camera.size_px[0].max(camera.size_px[1])).max();
+    let mut long_side_px = longest.unwrap_or(0).min(max_size_px);
+    loop {
+        let cameras = shrunk(long_side_px);
+        let left = memory_bytes.saturating_sub(needs.bytes);
+        let pictures = picture_bytes(&cameras) + plan::frame_bytes(&cameras);
+        if pictures <= left / PICTURE_SHARE && pictures + plan::least_bytes(&[]) <= left {
+            return Ok(cameras);
+        }
+        if long_side_px <= 64 {
+            let needed_bytes = needs.bytes + PICTURE_SHARE * pictures + plan::least_bytes(&[]);
+            return Err(MeshError::TooLittleMemory { splats: needs.splats, needed_bytes, memory_bytes });
+        }
+        long_side_px = long_side_px * 7 / 8;
+    }
+}
+
+/// A renderer whose buffers never grow.
+struct BoundedRenderer {
+    backend: CpuBackend,
+    sh_degree: u32,
+}
+
+impl BoundedRenderer {
+    fn new(splats: Splats, needs: &Needs, threads: usize) -> Self {
+        let capacity = CpuCapacity {
+            splats: splats.len(),
+            pairs: needs.pairs,
+            size_px: [1, 1],
+            sh_degree: splats.sh_degree,
+            channels: Channels::Geometry,
+            training: false,
+        };
+        let mut backend = CpuBackend::new(capacity, threads);
+        backend.load(&splats);
+        Self { backend, sh_degree: splats.sh_degree }
+    }
+
+    fn render(&mut self, camera: &Camera) -> Rendering {
+        self.backend.project(camera, self.sh_degree);
+        self.backend.bin();
+        self.backend.rasterize(Channels::Geometry);
+        self.backend.rendering()
+    }
+}

@@ -1,0 +1,95 @@
+//! A first look with small pictures: how large voxels should be, and which blocks the surface passes
+//! through.
+
+use std::collections::HashSet;
+
+use cosurf_engine::Rendering;
+use cosurf_scene::Camera;
+use rayon::prelude::*;
+
+use super::frame::Frame;
+use super::volume::{Key, blocks_around};
+use super::{FuseEvent, Stage};
+
+/// Long side of the pictures for the very first look, pixels.
+const LOOK_PX: u32 = 160;
+/// While blocks are searched, a pixel covers at most so many voxels; a block has eight.
+const VOXELS_PER_PIXEL: f64 = 2.0;
+/// Times the usual size of a pixel on the surface up to which it is fused.
+pub(super) const FARTHEST: f64 = 4.0;
+
+/// What a pixel covers across the line of sight, world units.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct PixelSize {
+    /// In the median view, at its full size.
+    pub(super) usual_m: f64,
+    /// Beyond this it is not trusted.
+    pub(super) most_m: f64,
+}
+
+/// Median over the views of what a pixel covers at the view's median depth; `None` where no view shows
+/// a surface.
+pub(super) fn pixel_m(
+    cameras: &[Camera],
+    render: &mut impl FnMut(&Camera) -> Rendering,
+    on_event: &mut impl FnMut(FuseEvent),
+) -> Option<f64> {
+    let mut sizes_m = Vec::with_capacity(cameras.len());
+    for (i, camera) in cameras.iter().enumerate() {
+        let mut depths = render(&camera.resized(camera.fitted_size(LOOK_PX))).depth;
+        depths.retain(|z| z.is_finite() && *z > 0.0);
+        sizes_m.extend(median(&mut depths).map(|z| f64::from(z) / camera.focal_px.min_element()));
+        on_event(FuseEvent::Progress { stage: Stage::Look, done: i + 1, of: cameras.len() });
+    }
+    let mut sizes_m: Vec<f32> = sizes_m.into_iter().map(|size| size as f32).collect();
+    median(&mut sizes_m).map(f64::from)
+}
+
+fn median(values: &mut [f32]) -> Option<f32> {
+    let middle = values.len() / 2;
+    (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f32::total_cmp).1)
+}
+
+/// The blocks within the truncation of what the views show, ascending; `None` where they are more than
+/// `blocks_max`.
+pub(super) fn find_blocks(
+    cameras: &[Camera],
+    render: &mut impl FnMut(&Camera) -> Rendering,
+    pixel: PixelSize,
+    voxel_m: f64,
+    blocks_max: usize,
+    on_event: &mut impl FnMut(FuseEvent),
+) -> Option<Vec<Key>> {
+    let shrink = (pixel.usual_m / (VOXELS_PER_PIXEL * voxel_m)).min(1.0);
+    let mut found = HashSet::new();
+    for (i, camera) in cameras.iter().enumerate() {
+        let long_side = f64::from(camera.size_px[0].max(camera.size_px[1]));
+        let small = camera.resized(camera.fitted_size((long_side * shrink).ceil().max(1.0) as u32));
+        // Pixels of smaller pictures cover more of the same surface.
+        let ratio = camera.focal_px.min_element() / small.focal_px.min_element();
+        let frame = Frame::new(&small, &render(&small), pixel.most_m * ratio);
+        found.extend(blocks_of(&frame, voxel_m));
+        if found.len() > blocks_max {
+            return None;
+        }
+        on_event(FuseEvent::Progress { stage: Stage::Find, done: i + 1, of: cameras.len() });
+    }
+    let mut keys: Vec<Key> = found.into_iter().collect();
+    keys.sort_unstable();
+    Some(keys)
+}
+
+/// The blocks near what a view shows, each at least once.
+fn blocks_of(frame: &Frame, voxel_m: f64) -> Vec<Key> {
+    let [width, height] = frame.size_px;
+    let row = |y: usize| {
+        let mut keys = Vec::new();
+        for x in (0..width).filter(|x| frame.texels[y * width + x].weight > 0.0) {
+            keys.extend(blocks_around(frame.point(x, y), voxel_m));
+        }
+        keys.sort_unstable();
+        keys.dedup();
+        keys
+    };
+    (0..height).into_par_iter().flat_map_iter(row).collect()
+}

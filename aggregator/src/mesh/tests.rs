@@ -1,0 +1,304 @@
+//! Bodies whose surface is known, seen from all around, become closed meshes of the right size; memory
+//! is kept, whatever it is; input without a surface is refused in words.
+
+#![allow(clippy::unwrap_used)]
+
+use std::collections::HashMap;
+
+use cosurf_scene::{Pose, Splats};
+use glam::{DVec2, DVec3, Vec3};
+
+use super::*;
+
+const SPHERE_RADIUS: f64 = 2.0;
+/// Fine enough that the box is large beside the truncation.
+const BOX_VOXEL_M: f64 = 0.05;
+const BOX_HALF: DVec3 = DVec3::new(2.0, 1.5, 1.0);
+/// A place where nothing is symmetric to the voxels.
+const CENTER: DVec3 = DVec3::new(1003.217, -411.893, 52.341);
+
+/// Distance along a ray to a body around the origin.
+type Body = fn(DVec3, DVec3) -> Option<f64>;
+
+fn sphere(eye: DVec3, ray: DVec3) -> Option<f64> {
+    let (a, half_b) = (ray.length_squared(), eye.dot(ray));
+    let c = eye.length_squared() - SPHERE_RADIUS * SPHERE_RADIUS;
+    let root = half_b * half_b - a * c;
+    (root >= 0.0).then(|| (-half_b - root.sqrt()) / a)
+}
+
+fn cuboid(eye: DVec3, ray: DVec3) -> Option<f64> {
+    let (a, b) = ((-BOX_HALF - eye) / ray, (BOX_HALF - eye) / ray);
+    let (enter, leave) = (a.min(b).max_element(), a.max(b).min_element());
+    (enter <= leave).then_some(enter)
+}
+
+/// Evenly spread directions (a Fibonacci spiral), looking at the body from 10 m.
+fn cameras(count: usize, size_px: u32) -> Vec<Camera> {
+    let camera = |i: usize| {
+        let z = 1.0 - (2 * i + 1) as f64 / count as f64;
+        let angle = i as f64 * 2.399_963_229_728_653;
+        let side = (1.0 - z * z).sqrt();
+        let direction = DVec3::new(side * angle.cos(), side * angle.sin(), z);
+        let up = if z.abs() > 0.9 { DVec3::X } else { DVec3::Z };
+        Camera {
+            cam_from_world: Pose::look_at(CENTER + 10.0 * direction, CENTER, up),
+            focal_px: DVec2::splat(1.6 * f64::from(size_px)),
+            center_px: DVec2::splat(0.5 * f64::from(size_px)),
+            size_px: [size_px; 2],
+        }
+    };
+    (0..count).map(camera).collect()
+}
+
+/// What a camera sees of a body: white on red's side, and nothing around it.
+fn look(body: Body, camera: &Camera) -> Rendering {
+    let [width, height] = camera.size_px;
+    let rotation = camera.cam_from_world.rotation.inverse();
+    let eye = camera.cam_from_world.center() - CENTER;
+    let pixels = (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
+    let depth: Vec<f32> = pixels
+        .map(|(x, y)| {
+            let ray = rotation * camera.ray(DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5));
+            body(eye, ray).unwrap_or(0.0) as f32
+        })
+        .collect();
+    Rendering {
+        size_px: camera.size_px,
+        rgb: depth.iter().flat_map(|_| [1.0, 0.5, 0.25]).collect(),
+        alpha: depth.iter().map(|z| f32::from(u8::from(*z > 0.0))).collect(),
+        normal: Vec::new(),
+        depth,
+    }
+}
+
+fn settings(voxel_m: Option<f64>, memory_bytes: u64) -> FuseSettings {
+    FuseSettings { voxel_m, memory_bytes }
+}
+
+fn fuse_body(body: Body, voxel_m: f64) -> Mesh {
+    let cameras = cameras(60, 160);
+    let settings = settings(Some(voxel_m), 1 << 30);
+    fuse(&cameras, |camera| look(body, camera), &settings, |_| ()).unwrap().mesh
+}
+
+/// Whether every edge belongs to two triangles that go through it in opposite directions.
+fn is_closed(mesh: &Mesh) -> bool {
+    let mut edges: HashMap<(u32, u32), u32> = HashMap::new();
+    for &[a, b, c] in &mesh.triangles {
+        for edge in [(a, b), (b, c), (c, a)] {
+            *edges.entry(edge).or_default() += 1;
+        }
+    }
+    edges.iter().all(|(&(a, b), &count)| count == 1 && edges.contains_key(&(b, a)))
+}
+
+/// Positive where triangles are counter-clockwise from outside.
+fn signed_volume(mesh: &Mesh) -> f64 {
+    let from_center = |p: Vec3| p.as_dvec3() - CENTER;
+    let volume = |i: usize| {
+        let [a, b, c] = mesh.corners(i).map(from_center);
+        a.dot(b.cross(c)) / 6.0
+    };
+    (0..mesh.triangles.len()).map(volume).sum()
+}
+
+/// Largest and mean distance of the vertices from a surface.
+fn offsets(mesh: &Mesh, distance: impl Fn(DVec3) -> f64) -> (f64, f64) {
+    let distances = mesh.positions.iter().map(|p| distance(Vec3::from_array(*p).as_dvec3() - CENTER).abs());
+    let (most, sum) = distances.fold((0.0f64, 0.0), |(most, sum), d| (most.max(d), sum + d));
+    (most, sum / mesh.positions.len() as f64)
+}
+
+fn distance_to_box(p: DVec3) -> f64 {
+    let beyond = p.abs() - BOX_HALF;
+    beyond.max(DVec3::ZERO).length() + beyond.max_element().min(0.0)
+}
+
+#[test]
+fn a_sphere_is_closed_and_of_the_right_size() {
+    let mesh = fuse_body(sphere, 0.08);
+    assert!(is_closed(&mesh));
+    let volume = 4.0 / 3.0 * std::f64::consts::PI * SPHERE_RADIUS.powi(3);
+    let found = signed_volume(&mesh);
+    assert!((found / volume - 1.0).abs() < 0.02, "{found} of {volume}");
+    let (most, mean) = offsets(&mesh, |p| p.length() - SPHERE_RADIUS);
+    eprintln!("OFF {most} {mean}");
+    assert!(most < 0.5 * 0.08 && mean < 0.15 * 0.08, "{most} {mean}");
+}
+
+#[test]
+fn a_box_is_closed_and_of_the_right_size() {
+    let mesh = fuse_body(cuboid, BOX_VOXEL_M);
+    assert!(is_closed(&mesh));
+    let volume = 8.0 * BOX_HALF.element_product();
+    let found = signed_volume(&mesh);
+    assert!((found / volume - 1.0).abs() < 0.02, "{found} of {volume}");
+    let (most, mean) = offsets(&mesh, distance_to_box);
+    eprintln!("OFF {most} {mean}");
+    // Its edges, behind which fusion cannot tell air from box at once, bulge a little.
+    assert!(most < 2.0 * BOX_VOXEL_M && mean < 0.3 * BOX_VOXEL_M, "{most} {mean}");
+}
+
+#[test]
+fn the_checks_see_a_hole_and_a_flipped_side() {
+    let mut mesh = fuse_body(sphere, 0.2);
+    assert!(is_closed(&mesh) && signed_volume(&mesh) > 0.0);
+    let [a, b, c] = mesh.triangles[7];
+    mesh.triangles[7] = [b, a, c];
+    assert!(!is_closed(&mesh), "one triangle is turned over");
+    mesh.triangles.swap_remove(7);
+    assert!(!is_closed(&mesh), "one triangle is missing");
+    mesh.triangles.iter_mut().for_each(|triangle| triangle.reverse());
+    assert!(signed_volume(&mesh) < 0.0, "all are turned over");
+}
+
+#[test]
+fn normals_point_outwards_and_colors_are_the_pictures() {
+    let mesh = fuse_body(sphere, 0.1);
+    for ((position, normal), rgb) in mesh.positions.iter().zip(&mesh.normals).zip(&mesh.rgb) {
+        let outward = (Vec3::from_array(*position).as_dvec3() - CENTER).normalize().as_vec3();
+        let normal = Vec3::from_array(*normal);
+        assert!(normal.is_normalized() && normal.dot(outward) > 0.9, "{normal} at {outward}");
+        let near = |byte: u8, wanted: u8| byte.abs_diff(wanted) <= 1;
+        assert!(near(rgb[0], 255) && near(rgb[1], 128) && near(rgb[2], 64), "{rgb:?}");
+    }
+}
+
+#[test]
+fn the_mesh_is_the_same_for_any_number_of_threads() {
+    let with = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| fuse_body(cuboid, 0.1))
+    };
+    let one = with(1);
+    assert!(one == with(3));
+    assert!(one != fuse_body(cuboid, 0.1001), "the comparison sees differences");
+}
+
+#[test]
+fn voxels_are_as_large_as_pixels_unless_told() {
+    let cameras = cameras(20, 100);
+    let fused = fuse(&cameras, |camera| look(sphere, camera), &settings(None, 1 << 30), |_| ()).unwrap();
+    // Most of the sphere is 8 to 9 m away; pixels are 1/160 of that.
+    assert!((8.0 / 160.0..9.0 / 160.0).contains(&fused.pixel_m), "{}", fused.pixel_m);
+    assert_eq!(fused.voxel_m, fused.pixel_m);
+}
+
+/// Goal: whatever the memory, it is kept, by larger voxels and with a word about it. Method: many views
+/// of a body whose wanted voxels would take ten to a thousand times as much.
+#[test]
+fn memory_is_a_promise() {
+    let cameras = cameras(200, 64);
+    for memory_bytes in [4 << 20, 16 << 20, 64 << 20] {
+        let mut sizes = Vec::new();
+        let fused = fuse(
+            &cameras,
+            |camera| look(sphere, camera),
+            &settings(Some(0.004), memory_bytes),
+            |event| {
+                if let FuseEvent::Coarser { wanted_m, voxel_m } = event {
+                    assert_eq!(wanted_m, 0.004);
+                    sizes.push(voxel_m);
+                }
+            },
+        )
+        .unwrap();
+        assert!(fused.peak_bytes <= memory_bytes, "{} of {memory_bytes}", fused.peak_bytes);
+        assert!(fused.peak_bytes > memory_bytes / 8, "{} of {memory_bytes}", fused.peak_bytes);
+        assert!(sizes.is_sorted() && sizes.last() == Some(&fused.voxel_m), "{sizes:?}");
+        assert!(is_closed(&fused.mesh));
+    }
+}
+
+#[test]
+fn a_volume_takes_what_it_says() {
+    let keys: Vec<_> = (0..100).filter_map(|x| volume::Key::new(glam::IVec3::new(x, 2, 3))).collect();
+    let volume = Volume::new(keys, 0.1);
+    let layout = Layout::new(&volume);
+    assert_eq!(volume.bytes() + layout.bytes(), 100 * volume::BLOCK_BYTES);
+}
+
+#[test]
+fn input_without_a_surface_is_refused_in_words() {
+    let all = cameras(12, 64);
+    let refusal = |cameras: &[Camera], spoil: fn(&mut Rendering)| {
+        let render = |camera: &Camera| {
+            let mut rendering = look(sphere, camera);
+            spoil(&mut rendering);
+            rendering
+        };
+        fuse(cameras, render, &settings(Some(0.1), 1 << 26), |_| ()).unwrap_err()
+    };
+    assert!(matches!(refusal(&[], |_| ()), MeshError::NoCameras));
+    let spoilers: [fn(&mut Rendering); 5] = [
+        |rendering| rendering.depth.fill(f32::NAN),
+        |rendering| rendering.depth.fill(f32::INFINITY),
+        |rendering| rendering.depth.fill(0.0),
+        |rendering| rendering.depth.fill(-9.0),
+        |rendering| rendering.alpha.fill(0.4),
+    ];
+    for spoil in spoilers {
+        let error = refusal(&all, spoil);
+        assert!(matches!(error, MeshError::NoSurface) && !error.to_string().contains('\n'), "{error}");
+    }
+    // The middle of each picture is a surface, but too small a one.
+    let error = refusal(&all, |rendering| {
+        let side = rendering.size_px[0] as usize;
+        for (i, z) in rendering.depth.iter_mut().enumerate() {
+            let is_middle = [i % side, i / side].iter().all(|at| 12 * at.abs_diff(side / 2) < side);
+            *z = if is_middle { *z } else { 0.0 };
+        }
+    });
+    assert!(matches!(error, MeshError::NoAgreement), "{error}");
+}
+
+#[test]
+fn some_nan_among_the_depths_do_no_harm() {
+    let cameras = cameras(60, 160);
+    let spoilt = |camera: &Camera| {
+        let mut rendering = look(sphere, camera);
+        rendering.depth.iter_mut().step_by(37).for_each(|z| *z = f32::NAN);
+        rendering.rgb.iter_mut().step_by(41).for_each(|v| *v = f32::NAN);
+        rendering
+    };
+    let mesh = fuse(&cameras, spoilt, &settings(Some(0.1), 1 << 30), |_| ()).unwrap().mesh;
+    assert!(is_closed(&mesh));
+    assert!(mesh.positions.as_flattened().iter().all(|v| v.is_finite()));
+}
+
+#[test]
+fn one_camera_gives_the_side_that_it_sees() {
+    let one = &cameras(3, 160)[1..2];
+    let mesh = fuse(one, |camera| look(sphere, camera), &settings(Some(0.1), 1 << 28), |_| ()).unwrap().mesh;
+    assert!(!is_closed(&mesh));
+    let towards = (one[0].cam_from_world.center() - CENTER).normalize().as_vec3();
+    for normal in &mesh.normals {
+        assert!(Vec3::from_array(*normal).dot(towards) > -0.1, "{normal:?}");
+    }
+}
+
+/// A wall of opaque discs, facing the cameras of [`cameras`] that look from above.
+fn wall() -> Splats {
+    let mut splats = Splats::with_capacity(400, 0);
+    for i in 0..400 {
+        let at = CENTER + DVec3::new((i % 20) as f64 * 0.2 - 2.0, (i / 20) as f64 * 0.2 - 2.0, 0.0);
+        let scales = [0.15f32.ln(), 0.15f32.ln(), 1e-3f32.ln()];
+        splats.push(at.as_vec3().to_array(), [1.0, 0.0, 0.0, 0.0], scales, 4.0, &[0.5; 3]);
+    }
+    splats
+}
+
+#[test]
+fn splats_become_a_mesh_or_a_clear_error() {
+    let above: Vec<Camera> = cameras(40, 128).into_iter().take(12).collect();
+    let mesh_of = |splats: Splats, memory_bytes: u64| {
+        mesh_model(splats, &above, Some(100), &settings(None, memory_bytes), 2, |_| ())
+    };
+    let mesh = mesh_of(wall(), 200 << 20).unwrap().mesh;
+    let (_, mean) = offsets(&mesh, |p| p.z);
+    assert!(mean < 0.05, "{mean}");
+    assert!(matches!(mesh_of(Splats::default(), 200 << 20), Err(MeshError::NoSurface)));
+    let text = mesh_of(wall(), 1 << 20).unwrap_err().to_string();
+    assert!(text.contains("1.00 MiB") && text.contains("--memory"), "{text}");
+}

@@ -1,0 +1,202 @@
+//! The sparse volume: blocks of 8³ voxels, sorted by their place, each voxel with a truncated signed
+//! distance (positive outside), a colour and their weights.
+
+use glam::{DVec3, IVec3, Vec2, Vec3};
+use rayon::prelude::*;
+
+use super::frame::Frame;
+
+/// Voxels along a block's edge.
+pub(super) const SIDE: usize = 8;
+/// Voxels in a block.
+pub(super) const VOXELS: usize = SIDE * SIDE * SIDE;
+/// Voxels from the surface to where distances are cut off.
+pub(super) const TRUNCATION: f64 = 4.0;
+/// Behind the surface, measurements count less over this part of the truncation, and nothing at its end
+/// (after Bylow et al. 2013): behind the edge of a roof lies open air, which the view from one side
+/// would else fill. Fading from the surface on would be better still for views that agree, but where
+/// they do not, it lets the farthest win: on models trained on colour alone it cost 0.05 of F-score.
+const FADING: f32 = 0.5;
+/// Bytes that a block takes: its voxels, its key, and what [`super::extract::Layout`] notes about it.
+pub(super) const BLOCK_BYTES: u64 =
+    (VOXELS * size_of::<Voxel>() + size_of::<Key>() + super::extract::LAYOUT_BYTES) as u64;
+/// Keys hold this many bits of each coordinate.
+const KEY_BITS: u32 = 21;
+/// Blocks lie at -COORDINATE_END..COORDINATE_END along each axis.
+const COORDINATE_END: i32 = 1 << (KEY_BITS - 1);
+/// Colour weights count 1/256; beyond 255 they stay, so colours are averages over the last views.
+const RGB_WEIGHT_UNIT: f32 = 256.0;
+
+/// A voxel; its sample point is its lowest corner.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[repr(C, align(16))]
+pub(super) struct Voxel {
+    /// Signed distance, truncations; -1..=1.
+    pub(super) distance: f32,
+    /// 0 where no view says anything.
+    pub(super) weight: f32,
+    /// sRGB, 0..=65280.
+    rgb: [u16; 3],
+    /// See [`RGB_WEIGHT_UNIT`].
+    rgb_weight: u16,
+}
+
+/// Place of a block: its coordinates, in blocks, so that keys ascend with z, then y, then x.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub(super) struct Key(u64);
+
+impl Key {
+    /// `None` where a block lies too far from the origin.
+    pub(super) fn new(block: IVec3) -> Option<Self> {
+        let end = IVec3::splat(COORDINATE_END);
+        let inside = block.cmpge(-end).all() && block.cmplt(end).all();
+        inside.then(|| {
+            let [x, y, z] = (block + end).to_array().map(|v| v as u64);
+            Self(z << (2 * KEY_BITS) | y << KEY_BITS | x)
+        })
+    }
+
+    pub(super) fn block(self) -> IVec3 {
+        let part = |shift: u32| (self.0 >> shift & ((1 << KEY_BITS) - 1)) as i32 - COORDINATE_END;
+        IVec3::new(part(0), part(KEY_BITS), part(2 * KEY_BITS))
+    }
+}
+
+/// The blocks within the truncation of a point; none where it is too far from the origin.
+pub(super) fn blocks_around(point: DVec3, voxel_m: f64) -> impl Iterator<Item = Key> {
+    let block_m = SIDE as f64 * voxel_m;
+    let reach_m = DVec3::splat(TRUNCATION * voxel_m);
+    let [low, high] = [point - reach_m, point + reach_m].map(|p| (p / block_m).floor().as_ivec3());
+    (low.z..=high.z).flat_map(move |z| {
+        (low.y..=high.y)
+            .flat_map(move |y| (low.x..=high.x).filter_map(move |x| Key::new(IVec3::new(x, y, z))))
+    })
+}
+
+/// All blocks.
+#[derive(Debug)]
+pub(super) struct Volume {
+    /// Ascending.
+    keys: Vec<Key>,
+    /// `[blocks, z, y, x]`.
+    voxels: Vec<Voxel>,
+    pub(super) voxel_m: f64,
+}
+
+impl Volume {
+    /// Allocates the blocks of `keys`, which must ascend.
+    pub(super) fn new(mut keys: Vec<Key>, voxel_m: f64) -> Self {
+        keys.shrink_to_fit();
+        assert!(keys.is_sorted(), "blocks in order");
+        let voxels = vec![Voxel::default(); keys.len() * VOXELS];
+        Self { keys, voxels, voxel_m }
+    }
+
+    pub(super) fn len(&self) -> usize {
+        self.keys.len()
+    }
+
+    /// Bytes allocated.
+    pub(super) fn bytes(&self) -> u64 {
+        (self.keys.capacity() * size_of::<Key>() + self.voxels.capacity() * size_of::<Voxel>()) as u64
+    }
+
+    pub(super) fn keys(&self) -> &[Key] {
+        &self.keys
+    }
+
+    /// Index of a block.
+    pub(super) fn find(&self, block: IVec3) -> Option<usize> {
+        self.keys.binary_search(&Key::new(block)?).ok()
+    }
+
+    /// Voxels of a block, `[z, y, x]`.
+    pub(super) fn block(&self, index: usize) -> &[Voxel] {
+        &self.voxels[index * VOXELS..][..VOXELS]
+    }
+
+    /// World position of a block's lowest corner.
+    pub(super) fn origin(&self, block: IVec3) -> DVec3 {
+        block.as_dvec3() * (SIDE as f64 * self.voxel_m)
+    }
+
+    /// Takes a view in.
+    pub(super) fn fuse(&mut self, frame: &Frame) {
+        let Self { keys, voxels, voxel_m } = self;
+        let block_m = SIDE as f64 * *voxel_m;
+        keys.par_iter().zip(voxels.par_chunks_exact_mut(VOXELS)).for_each(|(key, voxels)| {
+            // Relative to the camera, so that far origins cost no precision.
+            let origin = (key.block().as_dvec3() * block_m - frame.center).as_vec3();
+            if may_see(frame, origin, block_m as f32) {
+                fuse_block(frame, origin, *voxel_m as f32, voxels);
+            }
+        });
+    }
+}
+
+/// Whether the view's pyramid may touch a block, whose lowest corner is given from the camera.
+fn may_see(frame: &Frame, origin: Vec3, block_m: f32) -> bool {
+    let radius = 0.867 * block_m;
+    let middle = frame.rotation * (origin + 0.5 * block_m);
+    if middle.z < -radius {
+        return false;
+    }
+    let size = Vec2::new(frame.size_px[0] as f32, frame.size_px[1] as f32);
+    let (low, high) = (frame.ray(0.0, 0.0), frame.ray(size.x, size.y));
+    // How far it is beyond the planes through the centre and the picture's sides, in lengths of their
+    // normals, which are no longer than the rays.
+    let beyond = [
+        (low.x * middle.z - middle.x, low),
+        (middle.x - high.x * middle.z, high),
+        (low.y * middle.z - middle.y, low),
+        (middle.y - high.y * middle.z, high),
+    ];
+    beyond.iter().all(|(distance, ray)| *distance < radius * ray.length())
+}
+
+fn fuse_block(frame: &Frame, origin: Vec3, voxel_m: f32, voxels: &mut [Voxel]) {
+    let truncation_m = TRUNCATION as f32 * voxel_m;
+    let steps = [0, 1, 2].map(|axis| frame.rotation.col(axis) * voxel_m);
+    let corner = frame.rotation * origin;
+    for (i, voxel) in voxels.iter_mut().enumerate() {
+        let [x, y, z] = [i % SIDE, i / SIDE % SIDE, i / (SIDE * SIDE)].map(|v| v as f32);
+        let p = corner + steps[0] * x + steps[1] * y + steps[2] * z;
+        if p.z <= 0.0 {
+            continue;
+        }
+        let p_px = frame.focal_px * p.truncate() / p.z + frame.center_px;
+        let Some(texel) = frame.sample(p_px, truncation_m) else { continue };
+        let distance = (texel.depth_m - p.z) * texel.facing / truncation_m;
+        if distance > -1.0 {
+            let behind = ((1.0 + distance) / FADING).clamp(0.0, 1.0);
+            voxel.add(distance, texel.weight * behind, texel.rgb);
+        }
+    }
+}
+
+impl Voxel {
+    /// Of which no view says anything.
+    pub(super) const UNKNOWN: Self = Self { distance: 0.0, weight: 0.0, rgb: [0; 3], rgb_weight: 0 };
+
+    #[inline]
+    fn add(&mut self, distance: f32, weight: f32, [r, g, b, _]: [u8; 4]) {
+        self.weight += weight;
+        self.distance += (distance.min(1.0) - self.distance) * (weight / self.weight);
+        // What is seen through a voxel far before the surface is not the surface's colour.
+        if distance < 1.0 {
+            let old = f32::from(self.rgb_weight);
+            let new = (old + weight * RGB_WEIGHT_UNIT).min(f32::from(u16::MAX));
+            let share = (weight * RGB_WEIGHT_UNIT / new).min(1.0);
+            for (mean, byte) in self.rgb.iter_mut().zip([r, g, b]) {
+                let wanted = f32::from(byte) * 256.0;
+                *mean = (f32::from(*mean) + (wanted - f32::from(*mean)) * share + 0.5) as u16;
+            }
+            self.rgb_weight = new as u16;
+        }
+    }
+
+    /// Colour and how much it is worth.
+    pub(super) fn color(&self) -> ([f32; 3], f32) {
+        (self.rgb.map(|v| f32::from(v) / 256.0), f32::from(self.rgb_weight))
+    }
+}

@@ -1,0 +1,85 @@
+//! Shows how far a long task has come: in place on a terminal, else a line every few seconds, else (for
+//! scripts) as lines of JSON.
+
+use std::io::{self, Write};
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use serde_json::json;
+
+use crate::Display;
+use crate::progress::format_seconds;
+
+/// Seconds between two plain lines.
+const LINES_EVERY_S: f64 = 5.0;
+
+/// The view of a task.
+pub struct Meter {
+    display: Display,
+    bar: ProgressBar,
+    /// What is being done, since when, and when it was last shown; seconds.
+    stage: Option<(&'static str, f64, f64)>,
+}
+
+impl Meter {
+    /// Shows nothing yet.
+    pub fn new(display: Display) -> Self {
+        let bar = ProgressBar::with_draw_target(
+            Some(1),
+            match display {
+                Display::Bars => ProgressDrawTarget::stderr_with_hz(8),
+                Display::Lines | Display::Json => ProgressDrawTarget::hidden(),
+            },
+        );
+        let style = ProgressStyle::with_template("{prefix:10} {bar:20.cyan/dim} {wide_msg}")
+            .unwrap_or_else(|_| ProgressStyle::default_bar())
+            .progress_chars("━╸─");
+        Self { display, bar: bar.with_style(style), stage: None }
+    }
+
+    /// `stage` has done `done` of `of` views; `now_s` counts from any fixed moment.
+    pub fn show(&mut self, stage: &'static str, done: usize, of: usize, now_s: f64) {
+        let (begun_s, shown_s) = match self.stage {
+            Some((shown, begun_s, shown_s)) if shown == stage && done > 1 => (begun_s, shown_s),
+            _ => (now_s, now_s),
+        };
+        let is_due = done == of || now_s - shown_s >= LINES_EVERY_S;
+        self.stage = Some((stage, begun_s, if is_due { now_s } else { shown_s }));
+        // The first view's end is where time is counted from.
+        let per_s = (done - 1) as f64 / (now_s - begun_s);
+        let text = format!(
+            "{done} of {of} views · {per_s:.1} views/s · {} left",
+            format_seconds((of - done) as f64 / per_s)
+        );
+        match self.display {
+            Display::Bars => {
+                self.bar.set_length(of as u64);
+                self.bar.set_position(done as u64);
+                self.bar.set_prefix(stage);
+                self.bar.set_message(text);
+            }
+            Display::Lines if is_due => self.notice(&format!("{stage}  {text}")),
+            Display::Json if is_due => {
+                let line = json!({"event": "progress", "stage": stage, "done": done, "of": of});
+                let _ = writeln!(io::stdout(), "{line}"); // it goes on although nobody looks
+            }
+            Display::Lines | Display::Json => {}
+        }
+    }
+
+    /// Shows something out of the ordinary, at once.
+    pub fn notice(&self, line: &str) {
+        let shown = match self.display {
+            Display::Bars => {
+                self.bar.println(line);
+                Ok(())
+            }
+            Display::Lines | Display::Json => writeln!(io::stderr(), "{line}"),
+        };
+        let _ = shown; // it goes on although nobody looks
+    }
+
+    /// Takes the bar away.
+    pub fn finish(self) {
+        self.bar.finish_and_clear();
+    }
+}
