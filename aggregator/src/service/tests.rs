@@ -9,12 +9,17 @@ use cosurf_wire::SiteId;
 use super::*;
 use crate::merge::tests::model;
 
-const BAD_WEATHER: Faults =
-    Faults { loss: 0.1, duplication: 0.1, corruption: 0.05, delay_max: Duration::from_millis(80) };
+const BAD_WEATHER: Faults = Faults {
+    loss: 0.1,
+    duplication: 0.1,
+    corruption: 0.05,
+    delay_max: Duration::from_millis(80),
+    ..Faults::NONE
+};
 const LIMITS: InboxLimits =
     InboxLimits { body_bytes_max: 1 << 24, total_bytes_max: 1 << 25, models_max: 8, stored_max: 8 };
 /// Virtual time after which a test has failed.
-const PATIENCE: Duration = Duration::from_secs(60);
+const PATIENCE: Duration = Duration::from_secs(300);
 
 fn identity(name: &str, role: Role) -> Identity {
     let site = SiteId::new("test").unwrap();

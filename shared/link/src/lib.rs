@@ -10,6 +10,7 @@
 
 mod bits;
 pub mod body;
+pub mod faults;
 pub mod inbox;
 pub mod memory;
 pub mod mqtt;
@@ -22,8 +23,9 @@ pub mod transport;
 pub mod uploader;
 
 pub use body::{BodyFault, Model, Offer, body_to_model, check_body, model_to_body};
+pub use faults::{Faults, Line, Outages};
 pub use inbox::{Inbox, InboxLimits};
-pub use memory::{Faults, MemoryNetwork, MemoryTransport};
+pub use memory::{MemoryNetwork, MemoryTransport};
 pub use mqtt::{BrokerAddress, MqttConfig, MqttTransport};
 pub use node::{Identity, Node, NodeEvent, Role, UploadFault, upload_blocking};
 pub use store::{ModelStore, StoreError};

@@ -1,36 +1,20 @@
 //! A broker in memory on virtual time, with faults from a seed: whole fleets in one test thread.
 //!
-//! Every delivery rolls its own dice: lost, doubled, damaged, delayed (so reordered). Connections can be
-//! cut and the broker restarted, with or without its retained messages.
+//! Every delivery rolls its own dice ([`Faults`]): lost, doubled, damaged, shortened, delayed (so
+//! reordered). Each client has a line of its own to the broker, with a bandwidth and outages; and the
+//! broker can be restarted, with or without its retained messages.
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::rc::Rc;
 use std::time::Duration;
 
+use crate::faults::{Arrival, Faults, Line, OutagePlan};
 use crate::node::Identity;
 use crate::transport::{Outgoing, PublishError, Transport, TransportEvent};
 
 /// Messages that one client may have under way; then it is told [`PublishError::Busy`].
 const QUEUE_MAX: usize = 64;
-
-/// What goes wrong, probabilities 0 to 1 per delivery.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Faults {
-    /// A message is lost.
-    pub loss: f64,
-    /// A message comes twice.
-    pub duplication: f64,
-    /// A message has one byte changed.
-    pub corruption: f64,
-    /// A message takes up to this long, evenly; so what is sent later may come earlier.
-    pub delay_max: Duration,
-}
-
-impl Faults {
-    /// All well, at once.
-    pub const NONE: Self = Self { loss: 0.0, duplication: 0.0, corruption: 0.0, delay_max: Duration::ZERO };
-}
 
 /// The broker. Clones share it.
 #[derive(Clone, Debug)]
@@ -39,7 +23,7 @@ pub struct MemoryNetwork(Rc<RefCell<Broker>>);
 #[derive(Debug)]
 struct Broker {
     now: Duration,
-    dice: Dice,
+    seed: u64,
     faults: Faults,
     is_up: bool,
     clients: Vec<Client>,
@@ -52,8 +36,22 @@ struct Broker {
 #[derive(Debug)]
 struct Client {
     filters: Vec<String>,
+    /// To the broker: only its bandwidth counts, faults are rolled on the way down.
+    up: Line,
+    /// From the broker.
+    down: Line,
+    outages: Option<OutagePlan>,
     /// By time of arrival, then order of sending.
     arriving: BTreeMap<(Duration, u64), Delivery>,
+    /// Deliveries to anybody of what this client sent.
+    under_way: usize,
+    has_left: bool,
+}
+
+impl Client {
+    fn is_cut(&self) -> bool {
+        self.outages.as_ref().is_some_and(OutagePlan::is_out)
+    }
 }
 
 #[derive(Debug)]
@@ -68,7 +66,7 @@ impl MemoryNetwork {
     pub fn new(seed: u64, faults: Faults) -> Self {
         Self(Rc::new(RefCell::new(Broker {
             now: Duration::ZERO,
-            dice: Dice(seed),
+            seed,
             faults,
             is_up: true,
             clients: Vec::new(),
@@ -82,8 +80,23 @@ impl MemoryNetwork {
     pub fn join(&self, identity: &Identity) -> MemoryTransport {
         let mut broker = self.0.borrow_mut();
         let filters = identity.filters().iter().map(|filter| filter.as_str().to_owned()).collect();
-        broker.clients.push(Client { filters, arriving: BTreeMap::new() });
-        let client = broker.clients.len() - 1;
+        let client = broker.clients.len();
+        let (now, faults) = (broker.now, broker.faults);
+        let seed = broker.seed.wrapping_add((client as u64 + 1) << 32);
+        let up = Faults { bytes_per_s: faults.bytes_per_s, ..Faults::NONE };
+        let mut outages = faults.outages.map(|outages| OutagePlan::new(seed, outages));
+        while let Some(plan) = outages.as_mut().filter(|plan| plan.changes_at() <= now) {
+            plan.change();
+        }
+        broker.clients.push(Client {
+            filters,
+            up: Line::new(seed ^ 1, up),
+            down: Line::new(seed, faults),
+            outages,
+            arriving: BTreeMap::new(),
+            under_way: 0,
+            has_left: false,
+        });
         if broker.is_up {
             broker.connect(client);
         }
@@ -95,12 +108,27 @@ impl MemoryNetwork {
         self.0.borrow().now
     }
 
-    /// Moves virtual time to `until`, or less far, to where the next message arrives.
+    /// Moves virtual time to `until`, or less far, to where the next message arrives or the next line is
+    /// cut or mended.
     pub fn advance(&self, until: Duration) {
         let mut broker = self.0.borrow_mut();
-        let next = broker.clients.iter().filter_map(|client| client.arriving.keys().next()).min();
-        let next = next.map_or(until, |(at, _)| until.min(*at));
+        let arrivals = broker.clients.iter().filter_map(|client| client.arriving.keys().next());
+        let arrivals = arrivals.map(|(at, _)| *at);
+        let changes = broker.clients.iter().filter_map(|client| client.outages.as_ref());
+        let changes = changes.map(OutagePlan::changes_at);
+        let next = arrivals.chain(changes).fold(until, Duration::min);
         broker.now = broker.now.max(next);
+        (0..broker.clients.len()).for_each(|client| broker.weather(client));
+    }
+
+    /// Forgets a client: its owner was killed.
+    pub fn leave(&self, transport: MemoryTransport) {
+        let mut broker = self.0.borrow_mut();
+        broker.lose_arriving(transport.client);
+        let client = &mut broker.clients[transport.client];
+        client.filters.clear();
+        client.outages = None;
+        client.has_left = true;
     }
 
     /// Takes no larger messages from now on.
@@ -116,7 +144,7 @@ impl MemoryNetwork {
             broker.retained.clear();
         }
         for client in 0..broker.clients.len() {
-            broker.clients[client].arriving.clear();
+            broker.lose_arriving(client);
             let reason = "memory broker: stopped (attempt 1)".to_owned();
             broker.tell(client, TransportEvent::Disconnected { attempt: 1, reason });
         }
@@ -136,31 +164,55 @@ impl MemoryNetwork {
 }
 
 impl Broker {
+    /// Cuts or mends a client's line where it is time.
+    fn weather(&mut self, client: usize) {
+        let now = self.now;
+        let due = |plan: &&mut OutagePlan| plan.changes_at() <= now;
+        let Some(plan) = self.clients[client].outages.as_mut().filter(due) else { return };
+        plan.change();
+        let is_out = plan.is_out();
+        if is_out {
+            self.lose_arriving(client);
+            let reason = "memory broker: line cut (attempt 1)".to_owned();
+            self.tell(client, TransportEvent::Disconnected { attempt: 1, reason });
+        } else if self.is_up {
+            self.connect(client);
+        }
+    }
+
+    fn lose_arriving(&mut self, client: usize) {
+        for delivery in std::mem::take(&mut self.clients[client].arriving).into_values() {
+            self.arrived(&delivery);
+        }
+    }
+
+    /// One delivery less is on its way.
+    fn arrived(&mut self, delivery: &Delivery) {
+        if let Some(from) = delivery.from {
+            self.clients[from].under_way -= 1;
+        }
+    }
+
     fn connect(&mut self, client: usize) {
+        if self.clients[client].is_cut() {
+            return;
+        }
         self.tell(client, TransportEvent::Connected);
         let filters = &self.clients[client].filters;
         let hears = |topic: &String| filters.iter().any(|filter| matches(filter, topic));
         let kept: Vec<_> = self.retained.iter().filter(|(topic, _)| hears(topic)).collect();
         let kept: Vec<_> =
             kept.into_iter().map(|(topic, payload)| (topic.clone(), payload.clone())).collect();
-        kept.iter().for_each(|(topic, payload)| self.deliver(None, client, topic, payload));
+        kept.iter().for_each(|(topic, payload)| self.deliver(self.now, None, client, topic, payload));
     }
 
-    /// Rolls the dice for one delivery.
-    fn deliver(&mut self, from: Option<usize>, to: usize, topic: &str, payload: &[u8]) {
-        let copies = 1 + u32::from(self.dice.falls(self.faults.duplication));
-        for _ in 0..copies {
-            if self.dice.falls(self.faults.loss) {
-                continue;
-            }
-            let mut payload = payload.to_vec();
-            if !payload.is_empty() && self.dice.falls(self.faults.corruption) {
-                let place = self.dice.below(payload.len() as u64) as usize;
-                payload[place] ^= 1 << self.dice.below(8);
-            }
-            let delay = self.dice.below(self.faults.delay_max.as_micros() as u64 + 1);
-            let at = self.now + Duration::from_micros(delay);
-            let event = TransportEvent::Incoming { topic: topic.to_owned(), payload };
+    /// Sends down one line what the broker has at `at`; who is cut off goes without.
+    fn deliver(&mut self, at: Duration, from: Option<usize>, to: usize, topic: &str, payload: &[u8]) {
+        if self.clients[to].is_cut() {
+            return;
+        }
+        for Arrival { at, bytes } in self.clients[to].down.carry(at, payload) {
+            let event = TransportEvent::Incoming { topic: topic.to_owned(), payload: bytes };
             self.enqueue(at, to, Delivery { from, event });
         }
     }
@@ -170,13 +222,14 @@ impl Broker {
     }
 
     fn enqueue(&mut self, at: Duration, to: usize, delivery: Delivery) {
+        if self.clients[to].has_left {
+            return;
+        }
         self.deliveries += 1;
+        if let Some(from) = delivery.from {
+            self.clients[from].under_way += 1;
+        }
         self.clients[to].arriving.insert((at, self.deliveries), delivery);
-    }
-
-    fn under_way(&self, from: usize) -> usize {
-        let sent = |delivery: &&Delivery| delivery.from == Some(from);
-        self.clients.iter().map(|client| client.arriving.values().filter(sent).count()).sum()
     }
 }
 
@@ -194,7 +247,8 @@ impl Transport for MemoryTransport {
         if bytes > broker.packet_bytes_max {
             return Err(PublishError::TooLarge { bytes, max_bytes: broker.packet_bytes_max });
         }
-        if !broker.is_up || broker.under_way(self.client) >= QUEUE_MAX {
+        let client = &broker.clients[self.client];
+        if !broker.is_up || client.is_cut() || client.under_way >= QUEUE_MAX {
             return Err(PublishError::Busy);
         }
         let topic = message.topic.as_str();
@@ -203,9 +257,13 @@ impl Transport for MemoryTransport {
         } else if message.retain {
             broker.retained.insert(topic.to_owned(), message.payload.clone());
         }
+        let now = broker.now;
+        let client = &mut broker.clients[self.client];
+        client.up.carry(now, &message.payload);
+        let at = client.up.free_at();
         for to in 0..broker.clients.len() {
             if broker.clients[to].filters.iter().any(|filter| matches(filter, topic)) {
-                broker.deliver(Some(self.client), to, topic, &message.payload);
+                broker.deliver(at, Some(self.client), to, topic, &message.payload);
             }
         }
         Ok(())
@@ -215,7 +273,9 @@ impl Transport for MemoryTransport {
         let mut broker = self.network.0.borrow_mut();
         let now = broker.now;
         let first = broker.clients[self.client].arriving.first_entry()?;
-        (first.key().0 <= now).then(|| first.remove().event)
+        let delivery = (first.key().0 <= now).then(|| first.remove())?;
+        broker.arrived(&delivery);
+        Some(delivery.event)
     }
 }
 
@@ -231,27 +291,4 @@ fn matches(filter: &str, topic: &str) -> bool {
         }
     }
     levels.next().is_none()
-}
-
-/// SplitMix64 (Steele, Lea and Flood 2014).
-#[derive(Debug)]
-struct Dice(u64);
-
-impl Dice {
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        z ^ (z >> 31)
-    }
-
-    /// 0 to `limit - 1`; the bias is below 2⁻³² for the limits used here.
-    fn below(&mut self, limit: u64) -> u64 {
-        self.next() % limit
-    }
-
-    fn falls(&mut self, probability: f64) -> bool {
-        (self.next() >> 11) as f64 / (1u64 << 53) as f64 * 1.0 < probability
-    }
 }

@@ -8,7 +8,7 @@ use cosurf_link::{
     Identity, InboxLimits, MemoryNetwork, MemoryTransport, ModelKey, Node, NodeEvent, Offer, Role,
 };
 use cosurf_scene::{Camera, Pose, Splats};
-use cosurf_wire::{DeviceId, ModelId, ModelKind, SiteId};
+use cosurf_wire::{DeviceId, ModelHeader, ModelId, ModelKind, SiteId};
 use glam::{DQuat, DVec2, DVec3};
 
 pub fn identity(role: Role, device: &str) -> Identity {
@@ -68,7 +68,10 @@ pub struct Member {
     pub identity: Identity,
     pub node: Node,
     pub transport: MemoryTransport,
-    pub disk: BTreeMap<ModelKey, Vec<u8>>,
+    limits: InboxLimits,
+    pub disk: BTreeMap<ModelKey, (ModelHeader, Vec<u8>)>,
+    /// Writes of what was on the disk already.
+    pub stored_twice: u32,
     pub uploaded: Vec<ModelKey>,
     pub events: Vec<NodeEvent>,
     /// The next so many writes fail.
@@ -82,11 +85,21 @@ impl Member {
             identity,
             node: Node::new(identity, limits, &[]),
             transport: network.join(&identity),
+            limits,
             disk: BTreeMap::new(),
+            stored_twice: 0,
             uploaded: Vec::new(),
             events: Vec::new(),
             full_disk_for: 0,
         }
+    }
+
+    /// Dies without a word and comes back with nothing but its disk.
+    pub fn restart(&mut self, network: &MemoryNetwork) {
+        let headers: Vec<ModelHeader> = self.disk.values().map(|(header, _)| *header).collect();
+        self.identity.session += 1;
+        self.node = Node::new(self.identity, self.limits, &headers);
+        network.leave(std::mem::replace(&mut self.transport, network.join(&self.identity)));
     }
 
     /// Works until there is nothing more to do at this moment.
@@ -107,7 +120,8 @@ impl Member {
     fn take(&mut self, event: NodeEvent) {
         match &event {
             NodeEvent::Store { header, body } if self.full_disk_for == 0 => {
-                self.disk.insert(header.into(), body.to_vec());
+                let before = self.disk.insert(header.into(), (*header, body.to_vec()));
+                self.stored_twice += u32::from(before.is_some());
                 self.node.stored(header.into());
             }
             NodeEvent::Store { header, .. } => {
@@ -126,7 +140,7 @@ pub fn run(
     network: &MemoryNetwork,
     members: &mut [Member],
     deadline: Duration,
-    mut done: impl FnMut(&[Member]) -> bool,
+    mut done: impl FnMut(&mut [Member]) -> bool,
 ) {
     loop {
         members.iter_mut().for_each(|member| member.work(network));
@@ -147,7 +161,8 @@ pub fn run(
             members.iter().map(last).collect::<String>()
         );
         let wakeups = members.iter().filter_map(|member| member.node.next_wakeup());
-        let floor = network.now() + Duration::from_millis(1);
-        network.advance(wakeups.min().unwrap_or(deadline).clamp(floor, deadline.max(floor)));
+        let (soonest, latest) = (Duration::from_millis(1), Duration::from_secs(1));
+        let next = wakeups.min().unwrap_or(deadline);
+        network.advance(next.clamp(network.now() + soonest, network.now() + latest));
     }
 }

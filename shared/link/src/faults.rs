@@ -1,0 +1,236 @@
+//! What goes wrong between two ends, from a seed: one kind of weather for the simulated broker, the
+//! simulated radio and the replayer.
+
+use std::num::NonZeroU32;
+use std::time::Duration;
+
+/// What goes wrong on a line; probabilities 0 to 1 for each packet by itself.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Faults {
+    /// A packet is lost.
+    pub loss: f64,
+    /// A packet comes twice.
+    pub duplication: f64,
+    /// A packet has one bit changed.
+    pub corruption: f64,
+    /// A packet loses its end.
+    pub truncation: f64,
+    /// A packet takes at least this long.
+    pub delay_min: Duration,
+    /// A packet takes at most this long, evenly; so what is sent later may come earlier.
+    pub delay_max: Duration,
+    /// Packets wait for each other to pass; `None` for as many at once as there are.
+    pub bytes_per_s: Option<NonZeroU32>,
+    /// The line is cut from time to time.
+    pub outages: Option<Outages>,
+}
+
+/// When a line is cut. Both times are spread evenly from half to one and a half of what is given.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Outages {
+    /// It stands this long, on average.
+    pub apart: Duration,
+    /// Then it is cut for this long, on average.
+    pub lasting: Duration,
+}
+
+impl Faults {
+    /// All well, at once.
+    pub const NONE: Self = Self {
+        loss: 0.0,
+        duplication: 0.0,
+        corruption: 0.0,
+        truncation: 0.0,
+        delay_min: Duration::ZERO,
+        delay_max: Duration::ZERO,
+        bytes_per_s: None,
+        outages: None,
+    };
+}
+
+/// One direction of a line, on virtual time.
+#[derive(Debug)]
+pub struct Line {
+    faults: Faults,
+    dice: Dice,
+    /// When the last packet has passed.
+    free_at: Duration,
+}
+
+/// A packet at the far end of a [`Line`].
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Arrival {
+    /// When.
+    pub at: Duration,
+    /// What is left of it.
+    pub bytes: Vec<u8>,
+}
+
+impl Line {
+    /// The same seed, the same faults. Outages are for the owner to make, from an [`OutagePlan`].
+    pub fn new(seed: u64, faults: Faults) -> Self {
+        Self { faults, dice: Dice::new(seed), free_at: Duration::ZERO }
+    }
+
+    /// When the line is free for the next packet.
+    pub fn free_at(&self) -> Duration {
+        self.free_at
+    }
+
+    /// What becomes of a packet handed over at `now`, in the order in which its dice fall.
+    pub fn carry(&mut self, now: Duration, packet: &[u8]) -> Vec<Arrival> {
+        self.free_at = self.free_at.max(now) + self.passing_time(packet.len());
+        let copies = 1 + usize::from(self.dice.falls(self.faults.duplication));
+        (0..copies).filter_map(|_| self.carry_copy(packet)).collect()
+    }
+
+    fn carry_copy(&mut self, packet: &[u8]) -> Option<Arrival> {
+        if self.dice.falls(self.faults.loss) {
+            return None;
+        }
+        let mut bytes = packet.to_vec();
+        if !bytes.is_empty() && self.dice.falls(self.faults.corruption) {
+            let place = self.dice.below(bytes.len() as u64) as usize;
+            bytes[place] ^= 1 << self.dice.below(8);
+        }
+        if !bytes.is_empty() && self.dice.falls(self.faults.truncation) {
+            bytes.truncate(self.dice.below(bytes.len() as u64) as usize);
+        }
+        let spread = self.faults.delay_max.saturating_sub(self.faults.delay_min).as_micros() as u64;
+        let delay = self.faults.delay_min + Duration::from_micros(self.dice.below(spread + 1));
+        Some(Arrival { at: self.free_at + delay, bytes })
+    }
+
+    fn passing_time(&self, bytes: usize) -> Duration {
+        self.faults
+            .bytes_per_s
+            .map_or(Duration::ZERO, |rate| Duration::from_secs_f64(bytes as f64 / f64::from(rate.get())))
+    }
+}
+
+/// When a line is cut and when it stands again, from a seed, without end.
+#[derive(Debug)]
+pub struct OutagePlan {
+    outages: Outages,
+    dice: Dice,
+    is_out: bool,
+    changes_at: Duration,
+}
+
+impl OutagePlan {
+    /// The line stands at first.
+    pub fn new(seed: u64, outages: Outages) -> Self {
+        let mut plan = Self { outages, dice: Dice::new(seed), is_out: true, changes_at: Duration::ZERO };
+        plan.change();
+        plan
+    }
+
+    /// Whether the line is cut.
+    pub fn is_out(&self) -> bool {
+        self.is_out
+    }
+
+    /// When that changes next.
+    pub fn changes_at(&self) -> Duration {
+        self.changes_at
+    }
+
+    /// It has changed.
+    pub fn change(&mut self) {
+        self.is_out = !self.is_out;
+        let mean = if self.is_out { self.outages.lasting } else { self.outages.apart };
+        // Never at once, so that time goes on.
+        let mean_us = (mean.as_micros() as u64).max(2);
+        self.changes_at += Duration::from_micros(mean_us / 2 + self.dice.below(mean_us));
+    }
+}
+
+/// SplitMix64 (Steele, Lea and Flood 2014).
+#[derive(Clone, Debug)]
+pub struct Dice(u64);
+
+impl Dice {
+    /// The same seed, the same throws.
+    pub fn new(seed: u64) -> Self {
+        Self(seed)
+    }
+
+    /// 64 even bits.
+    pub fn next_bits(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        z ^ (z >> 31)
+    }
+
+    /// 0 to `limit - 1`; the bias is below 2⁻²⁰ for the limits used here.
+    pub fn below(&mut self, limit: u64) -> u64 {
+        self.next_bits() % limit
+    }
+
+    /// Whether something of this probability happens now.
+    pub fn falls(&mut self, probability: f64) -> bool {
+        ((self.next_bits() >> 11) as f64 / (1u64 << 53) as f64) < probability
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    const PACKET: [u8; 100] = [7; 100];
+
+    fn carried(faults: Faults) -> Vec<Vec<Arrival>> {
+        let mut line = Line::new(1, faults);
+        (0..2000).map(|_| line.carry(Duration::ZERO, &PACKET)).collect()
+    }
+
+    fn share(of: usize) -> f64 {
+        of as f64 / 2000.0
+    }
+
+    #[test]
+    fn each_fault_comes_as_often_as_told() {
+        let lost = carried(Faults { loss: 0.2, ..Faults::NONE });
+        assert!((share(lost.iter().filter(|arrivals| arrivals.is_empty()).count()) - 0.2).abs() < 0.03);
+        let doubled = carried(Faults { duplication: 0.3, ..Faults::NONE });
+        assert!((share(doubled.iter().filter(|arrivals| arrivals.len() == 2).count()) - 0.3).abs() < 0.04);
+        let damaged = carried(Faults { corruption: 0.1, ..Faults::NONE });
+        let changed = |arrivals: &&Vec<Arrival>| {
+            let bits = arrivals[0].bytes.iter().zip(PACKET).map(|(a, b)| (a ^ b).count_ones());
+            bits.sum::<u32>() == 1
+        };
+        assert!((share(damaged.iter().filter(changed).count()) - 0.1).abs() < 0.03);
+        let cut = carried(Faults { truncation: 0.1, ..Faults::NONE });
+        assert!(
+            (share(cut.iter().filter(|arrivals| arrivals[0].bytes.len() < 100).count()) - 0.1).abs() < 0.03
+        );
+    }
+
+    #[test]
+    fn delays_reorder_and_a_rate_makes_packets_wait() {
+        let (delay_min, delay_max) = (Duration::from_millis(10), Duration::from_millis(50));
+        let late = carried(Faults { delay_min, delay_max, ..Faults::NONE });
+        let times: Vec<Duration> = late.iter().map(|arrivals| arrivals[0].at).collect();
+        assert!(times.iter().all(|at| (delay_min..=delay_max).contains(at)));
+        assert!(times.windows(2).any(|pair| pair[1] < pair[0]), "nothing was overtaken");
+        let slow = carried(Faults { bytes_per_s: NonZeroU32::new(1000), ..Faults::NONE });
+        assert_eq!(slow[1999][0].at, Duration::from_secs(200));
+    }
+
+    #[test]
+    fn an_outage_ends_and_comes_again() {
+        let outages = Outages { apart: Duration::from_secs(10), lasting: Duration::from_secs(2) };
+        let mut plan = OutagePlan::new(5, outages);
+        let (mut last, mut out) = (Duration::ZERO, Duration::ZERO);
+        for _ in 0..1000 {
+            let spell = plan.changes_at() - last;
+            out += if plan.is_out() { spell } else { Duration::ZERO };
+            last = plan.changes_at();
+            plan.change();
+        }
+        assert!((out.as_secs_f64() / last.as_secs_f64() - 2.0 / 12.0).abs() < 0.02, "{out:?} of {last:?}");
+    }
+}
