@@ -4,7 +4,7 @@
 //! nothing; every value is bounded by its type, so the largest encoding of each message is a constant.
 //!
 //! Where to start reading: [`message`] for the conversation, [`topic`] for where it is held,
-//! [`body`] for what a model looks like as bytes.
+//! [`body`] for what a model looks like as bytes, [`frame`] for how messages cross a serial line.
 //!
 //! # The conversation
 //!
@@ -34,6 +34,8 @@
 extern crate std;
 
 pub mod body;
+mod cobs;
+pub mod frame;
 pub mod id;
 pub mod message;
 pub mod missing;

@@ -1,0 +1,143 @@
+//! Two ends of a simulated serial line on virtual time, and its faults.
+#![allow(clippy::unwrap_used, dead_code, missing_docs, unreachable_pub)]
+
+use std::collections::BTreeMap;
+use std::num::NonZeroU32;
+use std::time::Duration;
+
+use cosurf_link::faults::Line;
+use cosurf_link::serial::{Arq, ArqEvent};
+use cosurf_link::{Faults, Outages};
+use cosurf_wire::frame::FrameReader;
+
+pub const BYTES_PER_S: NonZeroU32 = NonZeroU32::new(5760).unwrap();
+
+/// The radio of the acceptance test: 5,760 B/s, 100 ms each way, so many frames lost.
+pub fn radio(loss: f64) -> Faults {
+    let delay = Duration::from_millis(100);
+    Faults { loss, delay_min: delay, delay_max: delay, bytes_per_s: Some(BYTES_PER_S), ..Faults::NONE }
+}
+
+/// Both ends and the air between them.
+pub struct Air {
+    pub now: Duration,
+    pub ends: [Arq; 2],
+    lines: [Line; 2],
+    readers: [FrameReader; 2],
+    arriving: [BTreeMap<(Duration, u64), Vec<u8>>; 2],
+    frames: u64,
+    /// Nothing passes until then.
+    pub cut_until: Duration,
+    /// Both spoke at once, so many times.
+    pub collisions: u64,
+    speaking_until: [Duration; 2],
+    pub received: [Vec<Vec<u8>>; 2],
+    pub events: [Vec<ArqEvent>; 2],
+}
+
+impl Air {
+    pub fn new(seed: u64, faults: Faults) -> Self {
+        Self {
+            now: Duration::ZERO,
+            ends: [Arq::new(seed as u32 % 1000 + 1, BYTES_PER_S), Arq::new(5000, BYTES_PER_S)],
+            lines: [Line::new(seed, faults), Line::new(seed ^ 0xA1, faults)],
+            readers: Default::default(),
+            arriving: Default::default(),
+            frames: 0,
+            cut_until: Duration::ZERO,
+            collisions: 0,
+            speaking_until: [Duration::ZERO; 2],
+            received: Default::default(),
+            events: Default::default(),
+        }
+    }
+
+    /// One end is switched off and on again.
+    pub fn restart(&mut self, end: usize, session: u32) {
+        self.ends[end] = Arq::new(session, BYTES_PER_S);
+        self.readers[end] = FrameReader::default();
+    }
+
+    /// Delivers and speaks what is due, then moves time on.
+    pub fn step(&mut self) {
+        for end in 0..2 {
+            self.deliver(end);
+            self.speak(end);
+            while let Some(event) = self.ends[end].event() {
+                self.events[end].push(event);
+            }
+            while let Some(message) = self.ends[end].message() {
+                self.received[end].push(message);
+            }
+        }
+        let arrivals = self.arriving.iter().filter_map(|line| line.keys().next()).map(|(at, _)| *at);
+        let wakeups = self.ends.iter().map(Arq::next_wakeup);
+        let next = arrivals.chain(wakeups).min().unwrap();
+        self.now = next.clamp(self.now + Duration::from_micros(100), self.now + Duration::from_secs(1));
+    }
+
+    fn deliver(&mut self, end: usize) {
+        while let Some(first) = self.arriving[end].first_entry()
+            && first.key().0 <= self.now
+        {
+            for byte in first.remove() {
+                if let Some(frame) = self.readers[end].push(byte) {
+                    self.ends[end].hear(self.now, frame);
+                }
+            }
+        }
+    }
+
+    fn speak(&mut self, end: usize) {
+        let now = self.now;
+        while let Some(frame) = self.ends[end].next_frame(now) {
+            let frame = frame.to_vec();
+            self.collisions += u64::from(self.speaking_until[1 - end] > now);
+            let arrivals = self.lines[end].carry(now, &frame);
+            self.speaking_until[end] = self.lines[end].free_at();
+            for arrival in arrivals {
+                if now >= self.cut_until {
+                    self.frames += 1;
+                    self.arriving[1 - end].insert((arrival.at, self.frames), arrival.bytes);
+                }
+            }
+        }
+    }
+
+    /// Sends `bytes` from the first end in messages of `message_bytes`; returns the time until the last
+    /// has arrived.
+    pub fn send_all(&mut self, bytes: &[u8], message_bytes: usize) -> Duration {
+        let mut messages = bytes.chunks(message_bytes).enumerate().peekable();
+        let begun = self.now;
+        let before = self.received[1].len();
+        let total = messages.len();
+        while self.received[1].len() < before + total {
+            while self.ends[0].has_room()
+                && let Some((i, message)) = messages.next()
+            {
+                // Numbered, so that equal ones are not taken for one.
+                let mut numbered = (i as u32).to_le_bytes().to_vec();
+                numbered.extend_from_slice(message);
+                self.ends[0].queue(numbered);
+            }
+            self.step();
+            assert!(self.now - begun < Duration::from_secs(4 * 3600), "it never arrives");
+        }
+        self.now - begun
+    }
+}
+
+/// Foul weather for a radio.
+pub fn storm(seed: u64) -> Faults {
+    let share = |shift: u32| (seed >> shift & 7) as f64 / 7.0;
+    Faults {
+        loss: 0.3 * share(0),
+        duplication: 0.1 * share(3),
+        corruption: 0.2 * share(6),
+        truncation: 0.1 * share(9),
+        delay_min: Duration::from_millis(seed % 150),
+        delay_max: Duration::from_millis(seed % 150 + (seed >> 4) % 100),
+        bytes_per_s: Some(BYTES_PER_S),
+        outages: None::<Outages>,
+    }
+}

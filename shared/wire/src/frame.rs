@@ -1,0 +1,329 @@
+//! Frames of a serial line: what carries messages over a radio that loses and damages bytes.
+//!
+//! A message is cut into *pieces* with consecutive numbers. Who has sent what it may sends a *turn*: it
+//! says what has arrived from the other side, and hands over the right to speak. So both never speak at
+//! once, as half-duplex radios need.
+//!
+//! | frame | bytes before the CRC |
+//! |---|---|
+//! | piece | 0, its number (varint), payload |
+//! | last piece of a message | 1, its number (varint), payload |
+//! | turn | 2, [`FRAME_VERSION`], [`Turn`] in postcard |
+//!
+//! Then the CRC-32 of all that, little-endian; then the whole is stuffed (COBS) and ended by a zero.
+//! The CRC of a piece begins with the numbers of both sides' sessions, which are not sent: a piece from
+//! before a restart is a damaged one.
+
+use heapless::Vec;
+use serde::{Deserialize, Serialize};
+
+use crate::cobs;
+
+/// Version of the frames, in each turn.
+pub const FRAME_VERSION: u8 = 1;
+/// Largest payload of a piece. Ours: radios (SiK) send packets of at most 252 bytes.
+pub const MAX_PIECE_BYTES: usize = 200;
+/// Pieces under way in one direction at most, and bits of [`Turn::here`]. Ours: five turns of a radio, so
+/// that a piece lost four times does not yet stop the new ones.
+pub const WINDOW_PIECES: u32 = 1400;
+/// Largest frame, its final zero included (a piece; a test holds it to that).
+pub const MAX_FRAME_BYTES: usize = MAX_RAW_BYTES + 2;
+/// Largest frame before it is stuffed; below 254, so that stuffing adds one byte.
+const MAX_RAW_BYTES: usize = 210;
+const CHECKSUM_BYTES: usize = 4;
+const HERE_BYTES: usize = WINDOW_PIECES as usize / 8;
+
+const PIECE: u8 = 0;
+const LAST_PIECE: u8 = 1;
+const TURN: u8 = 2;
+
+/// The numbers of two sessions that speak with each other, seen from one side of them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Sessions {
+    /// Of who sends.
+    pub sender: u32,
+    /// Of who receives; 0 where that is not known yet.
+    pub receiver: u32,
+}
+
+/// One frame.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Frame<'a> {
+    /// Part of a message.
+    Piece(Piece<'a>),
+    /// What has arrived, and the right to speak.
+    Turn(Turn),
+}
+
+/// Part of a message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Piece<'a> {
+    /// Counts all pieces of the sender's session, from 0.
+    pub number: u32,
+    /// Whether the message ends with it.
+    pub is_last: bool,
+    /// At most [`MAX_PIECE_BYTES`].
+    pub payload: &'a [u8],
+}
+
+/// What has arrived, and the right to speak.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Turn {
+    /// Who speaks with whom.
+    pub sessions: Sessions,
+    /// Counts the turns of both sides; a turn repeated keeps its number.
+    pub number: u32,
+    /// So many repetitions of it follow at once: the other side waits for their end before it speaks.
+    pub copies_left: u8,
+    /// The sender has more to say as soon as it may.
+    pub has_more: bool,
+    /// All pieces below this number have arrived.
+    pub next: u32,
+    /// Which have arrived from `next` on, one bit each; those beyond have not.
+    pub here: Vec<u8, HERE_BYTES>,
+}
+
+/// Why bytes are no frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum FrameError {
+    /// Changed on their way, or of another session.
+    Damaged,
+    /// Not the encoding of any frame, or of another version.
+    Malformed,
+}
+
+impl core::fmt::Display for FrameError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(match self {
+            Self::Damaged => "frame damaged on its way",
+            Self::Malformed => "malformed frame, or of another version",
+        })
+    }
+}
+
+impl core::error::Error for FrameError {}
+
+impl Turn {
+    /// Whether piece `number` has arrived.
+    pub fn has(&self, number: u32) -> bool {
+        let Some(offset) = number.checked_sub(self.next) else { return true };
+        self.here.get(offset as usize / 8).is_some_and(|byte| byte >> (offset % 8) & 1 == 1)
+    }
+}
+
+impl Frame<'_> {
+    /// Writes the frame with its final zero to the start of `out`; `sessions` as the sender sees them.
+    pub fn encode<'o>(&self, sessions: Sessions, out: &'o mut [u8; MAX_FRAME_BYTES]) -> &'o [u8] {
+        let mut raw = [0; MAX_RAW_BYTES];
+        let used = self.write(&mut raw);
+        let (content, rest) = raw.split_at_mut(used);
+        let checksum = checksum(self.salt(sessions), content).to_le_bytes();
+        rest[..CHECKSUM_BYTES].copy_from_slice(&checksum);
+        // A test writes the largest frames.
+        let stuffed = cobs::encode(&raw[..used + CHECKSUM_BYTES], out).unwrap_or(0);
+        out[stuffed] = 0;
+        &out[..=stuffed]
+    }
+
+    fn write(&self, raw: &mut [u8; MAX_RAW_BYTES]) -> usize {
+        let written = match self {
+            Self::Piece(piece) => {
+                raw[0] = if piece.is_last { LAST_PIECE } else { PIECE };
+                postcard::to_slice(&piece.number, &mut raw[1..]).map(|number| 1 + number.len()).map(|head| {
+                    let payload = &piece.payload[..piece.payload.len().min(MAX_PIECE_BYTES)];
+                    raw[head..head + payload.len()].copy_from_slice(payload);
+                    head + payload.len()
+                })
+            }
+            Self::Turn(turn) => {
+                raw[..2].copy_from_slice(&[TURN, FRAME_VERSION]);
+                postcard::to_slice(turn, &mut raw[2..]).map(|turn| 2 + turn.len())
+            }
+        };
+        written.unwrap_or(0)
+    }
+
+    fn salt(&self, sessions: Sessions) -> Sessions {
+        match self {
+            Self::Piece(_) => sessions,
+            Self::Turn(_) => Sessions::default(),
+        }
+    }
+}
+
+impl<'a> Frame<'a> {
+    /// Reads a frame without its final zero, in place; `sessions` as its sender should see them.
+    pub fn decode(bytes: &'a mut [u8], sessions: Sessions) -> Result<Self, FrameError> {
+        let used = cobs::decode_in_place(bytes).ok_or(FrameError::Damaged)?;
+        let (content, found) = bytes[..used].split_last_chunk().ok_or(FrameError::Damaged)?;
+        let (kind, rest) = content.split_first().ok_or(FrameError::Damaged)?;
+        let salt = if *kind == TURN { Sessions::default() } else { sessions };
+        if checksum(salt, content) != u32::from_le_bytes(*found) {
+            return Err(FrameError::Damaged);
+        }
+        match *kind {
+            PIECE | LAST_PIECE => {
+                let (number, payload) = postcard::take_from_bytes(rest).map_err(|_| FrameError::Malformed)?;
+                if payload.len() > MAX_PIECE_BYTES {
+                    return Err(FrameError::Malformed);
+                }
+                Ok(Self::Piece(Piece { number, is_last: *kind == LAST_PIECE, payload }))
+            }
+            TURN => match rest.split_first() {
+                Some((&FRAME_VERSION, turn)) => match postcard::take_from_bytes(turn) {
+                    Ok((turn, [])) => Ok(Self::Turn(turn)),
+                    _ => Err(FrameError::Malformed),
+                },
+                _ => Err(FrameError::Malformed),
+            },
+            _ => Err(FrameError::Malformed),
+        }
+    }
+}
+
+fn checksum(salt: Sessions, content: &[u8]) -> u32 {
+    let mut hasher = crc32fast::Hasher::new();
+    hasher.update(&salt.sender.to_le_bytes());
+    hasher.update(&salt.receiver.to_le_bytes());
+    hasher.update(content);
+    hasher.finalize()
+}
+
+/// Cuts a stream of bytes into frames; keeps nothing of what is too long to be one.
+#[derive(Debug)]
+pub struct FrameReader {
+    bytes: [u8; MAX_FRAME_BYTES],
+    used: usize,
+}
+
+impl Default for FrameReader {
+    fn default() -> Self {
+        Self { bytes: [0; MAX_FRAME_BYTES], used: 0 }
+    }
+}
+
+impl FrameReader {
+    /// Takes one byte; returns a frame without its final zero where one ends with it, for
+    /// [`Frame::decode`].
+    pub fn push(&mut self, byte: u8) -> Option<&mut [u8]> {
+        if byte != 0 {
+            if let Some(place) = self.bytes.get_mut(self.used) {
+                *place = byte;
+            }
+            self.used = (self.used + 1).min(MAX_FRAME_BYTES + 1);
+            return None;
+        }
+        let used = core::mem::take(&mut self.used);
+        (used > 0).then(|| self.bytes.get_mut(..used)).flatten()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use std::vec::Vec as List;
+
+    use super::*;
+
+    const SESSIONS: Sessions = Sessions { sender: 7, receiver: 0x0102_0304 };
+
+    fn turn() -> Turn {
+        let here = Vec::from_slice(&[0b101, 0x80]).unwrap();
+        Turn { sessions: SESSIONS, number: 300, copies_left: 2, has_more: true, next: 129, here }
+    }
+
+    fn largest_turn() -> Turn {
+        let here = Vec::from_slice(&[0xFF; HERE_BYTES]).unwrap();
+        let sessions = Sessions { sender: u32::MAX, receiver: u32::MAX };
+        Turn { sessions, number: u32::MAX, copies_left: u8::MAX, has_more: true, next: u32::MAX, here }
+    }
+
+    /// Frames by name with their bytes, which must never change within [`FRAME_VERSION`].
+    #[test]
+    fn golden_bytes() {
+        let piece = Frame::Piece(Piece { number: 300, is_last: false, payload: &[1, 0, 2] });
+        let last = Frame::Piece(Piece { number: 0, is_last: true, payload: &[] });
+        let golden: [(Frame<'_>, &str); 3] = [
+            (piece, "0104ac0201060276f2509000"),
+            (last, "02010534d8b76f00"),
+            (Frame::Turn(turn()), "1502010784868808ac020201810102058081668c7200"),
+        ];
+        for (frame, bytes) in golden {
+            let mut out = [0; MAX_FRAME_BYTES];
+            let hex: std::string::String =
+                frame.encode(SESSIONS, &mut out).iter().map(|byte| std::format!("{byte:02x}")).collect();
+            assert_eq!(hex, bytes, "{frame:?}");
+        }
+    }
+
+    #[test]
+    fn every_frame_comes_back_and_none_is_larger_than_told() {
+        let payload: List<u8> = (0..MAX_PIECE_BYTES).map(|i| i as u8).collect();
+        let number = u32::MAX;
+        let frames = [
+            Frame::Piece(Piece { number, is_last: false, payload: &payload }),
+            Frame::Piece(Piece { number, is_last: true, payload: &[0; MAX_PIECE_BYTES] }),
+            Frame::Turn(turn()),
+            Frame::Turn(largest_turn()),
+        ];
+        let mut longest = 0;
+        for frame in frames {
+            let (mut out, mut reader) = ([0; MAX_FRAME_BYTES], FrameReader::default());
+            let bytes = frame.encode(SESSIONS, &mut out);
+            longest = longest.max(bytes.len());
+            assert!(bytes[..bytes.len() - 1].iter().all(|byte| reader.push(*byte).is_none()));
+            assert_eq!(Frame::decode(reader.push(0).unwrap(), SESSIONS), Ok(frame));
+        }
+        assert_eq!(longest, MAX_FRAME_BYTES);
+    }
+
+    #[test]
+    fn any_changed_bit_or_missing_end_is_noticed() {
+        let payload: List<u8> = (0..MAX_PIECE_BYTES).map(|i| (i * 7) as u8).collect();
+        let mut out = [0; MAX_FRAME_BYTES];
+        for frame in
+            [Frame::Piece(Piece { number: 5, is_last: true, payload: &payload }), Frame::Turn(turn())]
+        {
+            let bytes = frame.encode(SESSIONS, &mut out);
+            let bytes = &bytes[..bytes.len() - 1];
+            for bit in 0..8 * bytes.len() {
+                let mut changed = bytes.to_vec();
+                changed[bit / 8] ^= 1 << (bit % 8);
+                assert!(Frame::decode(&mut changed, SESSIONS).is_err(), "bit {bit}");
+            }
+            for end in 0..bytes.len() {
+                assert!(Frame::decode(&mut bytes[..end].to_vec(), SESSIONS).is_err(), "end {end}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_piece_of_another_session_is_damaged() {
+        let mut out = [0; MAX_FRAME_BYTES];
+        let frame = Frame::Piece(Piece { number: 5, is_last: true, payload: b"old" });
+        let bytes = frame.encode(SESSIONS, &mut out);
+        let mut bytes = bytes[..bytes.len() - 1].to_vec();
+        let later = Sessions { receiver: SESSIONS.receiver + 1, ..SESSIONS };
+        assert_eq!(Frame::decode(&mut bytes, later), Err(FrameError::Damaged));
+    }
+
+    #[test]
+    fn noise_without_end_holds_no_memory_and_the_next_frame_is_read() {
+        let mut reader = FrameReader::default();
+        assert!((0..10_000).all(|i| reader.push((i % 255 + 1) as u8).is_none()));
+        assert!(reader.push(0).is_none(), "too long for a frame");
+        let mut out = [0; MAX_FRAME_BYTES];
+        let frame = Frame::Turn(turn());
+        let bytes = frame.encode(SESSIONS, &mut out);
+        assert!(bytes[..bytes.len() - 1].iter().all(|byte| reader.push(*byte).is_none()));
+        assert_eq!(Frame::decode(reader.push(0).unwrap(), SESSIONS), Ok(frame));
+    }
+
+    #[test]
+    fn a_turn_tells_piece_by_piece() {
+        let turn = turn();
+        let there: List<u32> = (125..150).filter(|number| turn.has(*number)).collect();
+        assert_eq!(there, [125, 126, 127, 128, 129, 131, 144]);
+    }
+}
