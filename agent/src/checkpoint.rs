@@ -1,6 +1,6 @@
 //! Checkpoints: everything a training needs to go on to the same bits, in one file.
 //!
-//! A line of JSON ([`Head`]), then the backend's numbers as little-endian f32, zstd-compressed, with a
+//! A line of JSON ([`Head`]), then the trainer's numbers as little-endian f32, zstd-compressed, with a
 //! BLAKE3 of the uncompressed bytes at the end. Written to a new file that then takes the old one's place,
 //! so a kill at any moment leaves a whole checkpoint.
 
@@ -9,11 +9,11 @@ use std::io::{self, BufRead, BufReader, Read, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
-use cosurf_engine::{Backend, CpuBackend, TrainSettings, Trainer};
+use cosurf_engine::{Backend, CpuBackend, Progress, TrainSettings, Trainer};
 use cosurf_scene::{Camera, SparsePoint, atomic};
 use serde::{Deserialize, Serialize};
 
-const FORMAT: &str = "cosurf checkpoint 1";
+const FORMAT: &str = "cosurf checkpoint 2";
 /// Level 1: the numbers hardly compress, and training waits.
 const ZSTD_LEVEL: i32 = 1;
 /// The head is short; a longer first line is not a checkpoint.
@@ -96,9 +96,8 @@ impl Checkpoint {
         self.head.seconds
     }
 
-    /// Fills the backend; returns the steps done and the number of splats at step 0. A checkpoint of another
-    /// training is refused.
-    pub fn restore(self, expected: &Fingerprint, backend: &mut CpuBackend) -> Result<(u32, usize)> {
+    /// Brings the trainer to where it was. A checkpoint of another training is refused.
+    pub fn restore(self, expected: &Fingerprint, trainer: &mut Trainer<CpuBackend>) -> Result<()> {
         let path = self.path.display().to_string();
         if self.head.fingerprint != *expected {
             bail!(
@@ -106,14 +105,15 @@ impl Checkpoint {
             );
         }
         ensure!(
-            self.head.splats <= backend.capacity(),
+            self.head.splats <= trainer.backend().capacity(),
             "{path} holds more splats than the memory allows; use --fresh"
         );
         let mut body = zstd::Decoder::new(self.body).with_context(|| path.clone())?;
         let mut hash = blake3::Hasher::new();
         let mut bytes = Vec::new();
-        backend
-            .import(self.head.splats, |numbers| -> io::Result<()> {
+        let Head { steps_done, splats_at_start, splats, .. } = self.head;
+        trainer
+            .import(Progress { steps_done, splats_at_start, splats }, |numbers| -> io::Result<()> {
                 bytes.resize(4 * numbers.len(), 0);
                 body.read_exact(&mut bytes)?;
                 hash.update(&bytes);
@@ -127,7 +127,7 @@ impl Checkpoint {
         body.read_exact(&mut stored)
             .with_context(|| format!("{path} is cut short; use --fresh to begin anew"))?;
         ensure!(hash.finalize() == stored, "{path} is damaged; use --fresh to begin anew");
-        Ok((self.head.steps_done, self.head.splats_at_start))
+        Ok(())
     }
 }
 
@@ -142,21 +142,16 @@ pub fn write(
     if let Some(folder) = path.parent() {
         std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
     }
-    let head = Head {
-        format: FORMAT.into(),
-        fingerprint: fingerprint.clone(),
-        steps_done: trainer.steps_done(),
-        splats: trainer.backend().len(),
-        splats_at_start: trainer.splats_at_start(),
-        seconds,
-    };
+    let Progress { steps_done, splats_at_start, splats } = trainer.progress();
+    let fingerprint = fingerprint.clone();
+    let head = Head { format: FORMAT.into(), fingerprint, steps_done, splats, splats_at_start, seconds };
     atomic::write(&path, |file| {
         serde_json::to_writer(&mut *file, &head)?;
         file.write_all(b"\n")?;
         let mut body = zstd::Encoder::new(file, ZSTD_LEVEL)?;
         let mut hash = blake3::Hasher::new();
         let mut bytes = Vec::new();
-        trainer.backend().export(|numbers| -> io::Result<()> {
+        trainer.export(|numbers| -> io::Result<()> {
             bytes.clear();
             bytes.extend(numbers.iter().flat_map(|number| number.to_le_bytes()));
             hash.update(&bytes);

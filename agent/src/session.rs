@@ -49,6 +49,8 @@ pub struct TrainPlan {
     pub surface: Option<SurfaceSettings>,
     /// How the model is pruned; `None` for not at all.
     pub prune: Option<PruneSettings>,
+    /// Whether each photograph has an exposure of its own.
+    pub exposure: bool,
 }
 
 /// Which views are for what.
@@ -109,6 +111,7 @@ impl Session {
             sh_degree: SH_DEGREE,
             surface: plan.surface,
             prune: plan.prune,
+            exposure: plan.exposure,
             splats_max: sized.budget.capacity.splats,
             seed: plan.seed,
         };
@@ -118,22 +121,15 @@ impl Session {
             None => Neighbours::none(),
         };
         let mut backend = CpuBackend::new(sized.budget.capacity, plan.threads);
-        let (steps_done, splats_at_start) = match checkpoint {
-            Some(checkpoint) => checkpoint.restore(&fingerprint, &mut backend)?,
-            None => {
-                let splats = splats_from_points(&data.points, extent, settings.splats_max, SH_DEGREE);
-                backend.load(&splats);
-                (0, splats.len())
-            }
-        };
+        if checkpoint.is_none() {
+            backend.load(&splats_from_points(&data.points, extent, settings.splats_max, SH_DEGREE));
+        }
+        let mut trainer = Trainer::new(backend, settings, Flight { cameras, neighbours });
+        if let Some(checkpoint) = checkpoint {
+            checkpoint.restore(&fingerprint, &mut trainer)?;
+        }
         Ok(Self {
-            trainer: Trainer::new(
-                backend,
-                settings,
-                Flight { cameras, neighbours },
-                steps_done,
-                splats_at_start,
-            ),
+            trainer,
             cache,
             held_out,
             size_px: sized.budget.capacity.size_px,

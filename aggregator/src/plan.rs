@@ -160,6 +160,7 @@ impl Plan {
             threads: Some(threads),
             color_only: false,
             prune: None,
+            exposure: false,
             wait_global: true,
         };
         let text = toml::to_string(&config)

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::PathBuf;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use clap::Args;
 use cosurf_agent::publish::{Publication, publish};
 use cosurf_agent::session::{Split, TrainPlan};
@@ -34,7 +34,7 @@ pub(super) fn run(args: &RunArgs) -> Result<()> {
     let device = DeviceId::new(&config.device).with_context(|| format!("device {:?}", config.device))?;
     let site = SiteId::new(&config.site).with_context(|| format!("site {:?}", config.site))?;
     let broker: BrokerAddress = config.broker.parse()?;
-    let plan = plan(&config);
+    let plan = plan(&config).with_context(|| args.config.display().to_string())?;
     let mut progress = Progress::new(args.json);
     train::train(&plan, &config.out, false, &mut progress)?;
 
@@ -62,13 +62,20 @@ pub(super) fn run(args: &RunArgs) -> Result<()> {
     )
 }
 
-fn plan(config: &AgentConfig) -> TrainPlan {
+fn plan(config: &AgentConfig) -> Result<TrainPlan> {
     let split = if config.views.is_empty() && config.held_out.is_empty() {
         Split::Every(config.eval_every)
     } else {
         Split::Named { train: config.views.clone(), held_out: config.held_out.clone() }
     };
-    TrainPlan {
+    let prune = match config.prune {
+        Some(ratio) if !(0.0..1.0).contains(&ratio) => {
+            bail!("prune = {ratio}: give a number from 0 to below 1")
+        }
+        Some(ratio) => (ratio > 0.0).then(|| PruneSettings { ratio, ..PruneSettings::default() }),
+        None => Some(PruneSettings::default()),
+    };
+    Ok(TrainPlan {
         data: config.data.clone(),
         split,
         steps: config.steps.max(1),
@@ -77,10 +84,7 @@ fn plan(config: &AgentConfig) -> TrainPlan {
         max_size_px: config.max_size_px.unwrap_or(u32::MAX),
         threads: config.threads.unwrap_or_else(cores).clamp(1, 1024),
         surface: (!config.color_only).then(SurfaceSettings::default),
-        prune: match config.prune {
-            Some(ratio) if ratio > 0.0 => Some(PruneSettings { ratio, ..PruneSettings::default() }),
-            Some(_) => None,
-            None => Some(PruneSettings::default()),
-        },
-    }
+        prune,
+        exposure: config.exposure,
+    })
 }

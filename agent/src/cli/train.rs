@@ -4,11 +4,11 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::{Context, Result};
-use clap::Args;
+use clap::{Args, ValueEnum};
 use cosurf_agent::checkpoint::{self, Checkpoint};
 use cosurf_agent::session::{Session, Split, TrainPlan};
 use cosurf_agent::{evaluate, memory, outputs};
-use cosurf_engine::{Backend, PruneSettings, Renderer, SurfaceSettings};
+use cosurf_engine::{Backend, PruneScore, PruneSettings, Renderer, SurfaceSettings};
 use cosurf_scene::Splats;
 use cosurf_scene::report::{AgentEvent, TrainReport};
 
@@ -41,14 +41,43 @@ pub(super) struct TrainArgs {
     /// Train colours only, without the losses of the surface: faster, but the depth is not to be trusted
     #[arg(long)]
     color_only: bool,
-    /// Share of the splats to remove after two thirds of the steps, the least important first
+    /// Share of the splats to remove once, the least important first
     #[arg(long, value_name = "SHARE", default_value_t = PruneSettings::default().ratio, value_parser = parse_share)]
     prune: f64,
+    /// Share of the steps after which they are removed [default: two thirds]
+    #[arg(long, value_name = "SHARE", value_parser = parse_share)]
+    prune_at: Option<f64>,
+    /// What tells how important a splat is
+    #[arg(long, value_name = "SCORE", default_value = "corrected")]
+    prune_score: ScoreArg,
+    /// Learn an exposure for each picture, for cameras that choose their own
+    #[arg(long)]
+    exposure: bool,
     /// Begin anew even if DIR has a checkpoint
     #[arg(long)]
     fresh: bool,
     #[command(flatten)]
     common: Common,
+}
+
+/// Names of the engine's scores.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum ScoreArg {
+    /// Light that the splat gives to all views
+    Corrected,
+    /// As the paper's formula is written: pixels, opacity, volume
+    Paper,
+}
+
+impl TrainArgs {
+    fn prune(&self) -> Option<PruneSettings> {
+        let score = match self.prune_score {
+            ScoreArg::Corrected => PruneScore::Corrected,
+            ScoreArg::Paper => PruneScore::Paper,
+        };
+        let at = self.prune_at.unwrap_or(PruneSettings::default().at);
+        (self.prune > 0.0).then_some(PruneSettings { ratio: self.prune, at, score })
+    }
 }
 
 pub(super) fn run(args: &TrainArgs) -> Result<()> {
@@ -61,7 +90,8 @@ pub(super) fn run(args: &TrainArgs) -> Result<()> {
         max_size_px: args.common.max_size_px(),
         threads: args.common.threads(),
         surface: (!args.color_only).then(SurfaceSettings::default),
-        prune: (args.prune > 0.0).then(|| PruneSettings { ratio: args.prune, ..PruneSettings::default() }),
+        prune: args.prune(),
+        exposure: args.exposure,
     };
     let mut progress = Progress::new(args.common.json);
     let report = train(&plan, &args.out, args.fresh, &mut progress)?;

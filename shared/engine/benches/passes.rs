@@ -3,7 +3,9 @@
 //!
 //! `cargo bench -p cosurf-engine`
 
-use cosurf_engine::backend::{AdamRates, Channels, LossWeights, SurfaceWeights, TargetRgb, Targets};
+use cosurf_engine::backend::{
+    AdamRates, Channels, Exposure, LossWeights, SurfaceWeights, TargetRgb, Targets,
+};
 use cosurf_engine::{Backend, CpuBackend, CpuCapacity};
 use cosurf_scene::{Camera, Pose, Splats};
 use divan::Bencher;
@@ -90,7 +92,10 @@ fn stepped(threads: usize, channels: Channels) -> (CpuBackend, usize) {
 
 fn losses(backend: &mut CpuBackend) {
     let rgb = vec![90u8; (3 * SIZE_PX[0] * SIZE_PX[1]) as usize];
-    backend.losses(&Targets { rgb: TargetRgb::Bytes(&rgb), neighbour_rgb: None }, &COLOR);
+    backend.losses(
+        &Targets { rgb: TargetRgb::Bytes(&rgb), exposure: Exposure::default(), neighbour_rgb: None },
+        &COLOR,
+    );
 }
 
 const COLOR: LossWeights = LossWeights { ssim: 0.2, scale: 0.0, surface: None };
@@ -155,7 +160,11 @@ fn surface_losses(bencher: Bencher) {
     let pixels = (SIZE_PX[0] * SIZE_PX[1]) as usize;
     let mut random = Random(2);
     let rgb: Vec<u8> = (0..3 * pixels).map(|_| random.between(0.0, 255.0) as u8).collect();
-    let targets = Targets { rgb: TargetRgb::Bytes(&rgb), neighbour_rgb: Some(TargetRgb::Bytes(&rgb)) };
+    let targets = Targets {
+        rgb: TargetRgb::Bytes(&rgb),
+        exposure: Exposure::default(),
+        neighbour_rgb: Some(TargetRgb::Bytes(&rgb)),
+    };
     bencher.counter(ItemsCount::new(pixels)).bench_local(|| backend.losses(&targets, &SURFACE));
 }
 

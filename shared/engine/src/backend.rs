@@ -15,11 +15,29 @@ pub enum TargetRgb<'a> {
     Floats(&'a [f32]),
 }
 
+/// How a photograph was exposed: it shows `gain · colour + offset`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Exposure {
+    /// Above 0.
+    pub gain: f32,
+    /// In colours of 0..=1.
+    pub offset: f32,
+}
+
+impl Default for Exposure {
+    /// Colours as they are.
+    fn default() -> Self {
+        Self { gain: 1.0, offset: 0.0 }
+    }
+}
+
 /// What a rendering should look like: a photograph, or a teacher's rendering. Both are the same step.
 #[derive(Clone, Copy, Debug)]
 pub struct Targets<'a> {
     /// Colours.
     pub rgb: TargetRgb<'a>,
+    /// How they were exposed.
+    pub exposure: Exposure,
     /// Colours of the neighbour that [`Backend::keep_neighbour`] kept, for the multi-view losses.
     pub neighbour_rgb: Option<TargetRgb<'a>>,
 }
@@ -80,12 +98,16 @@ pub struct SurfaceLoss {
 pub struct PhotometricLoss {
     /// `(1 - λ) L1 + λ (1 - SSIM)`.
     pub total: f64,
-    /// Mean absolute difference.
+    /// Mean absolute difference from the exposed picture.
     pub l1: f64,
     /// Mean structural similarity, -1..=1.
     pub ssim: f64,
     /// Mean squared difference.
     pub mse: f64,
+    /// ∂total/∂gain of the exposure.
+    pub by_gain: f64,
+    /// ∂total/∂offset of the exposure.
+    pub by_offset: f64,
 }
 
 impl PhotometricLoss {

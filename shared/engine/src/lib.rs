@@ -8,6 +8,7 @@
 pub mod backend;
 pub mod budget;
 pub mod cpu;
+mod exposure;
 pub mod init;
 mod nearest;
 pub mod neighbours;
@@ -25,4 +26,4 @@ pub use neighbours::Neighbours;
 pub use prune::PruneScore;
 pub use render::Renderer;
 pub use schedule::Schedule;
-pub use train::{Example, Flight, PruneSettings, SurfaceSettings, TrainSettings, Trainer};
+pub use train::{Example, Flight, Progress, PruneSettings, SurfaceSettings, TrainSettings, Trainer};

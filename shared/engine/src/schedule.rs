@@ -28,8 +28,12 @@ const REFERENCE_STEPS: f64 = 30_000.0;
 /// Share of the steps before the losses of the surface begin (CoSurfGS: 7,000 of 30,000).
 const SURFACE_FROM: f64 = 7000.0 / 30_000.0;
 
-/// Share of the steps after which the model is pruned (CoSurfGS: 20,000 of 30,000).
-const PRUNE_AT: f64 = 2.0 / 3.0;
+/// Share of the steps before exposures are learnt (PGSR: 1,000 of 30,000).
+const EXPOSURE_FROM: f64 = 1000.0 / 30_000.0;
+/// Exposures learn faster in short runs by the same law as the rates above; what is constant over a whole
+/// picture is found from few visits.
+const EXPOSURE_HASTE: f64 = 0.41;
+
 /// Looking at all views to find what nobody observes costs as much as half as many steps: runs with fewer steps
 /// per view than this do without.
 const OBSERVED_STEPS_PER_VIEW: usize = 10;
@@ -51,8 +55,6 @@ pub struct Schedule {
     pub reset_every: u32,
     /// First step (counted from 0) with the losses of the surface.
     pub surface_from: u32,
-    /// Steps after which Adaptive Gaussian Pruning comes, once.
-    pub prune_at: u32,
 }
 
 impl Schedule {
@@ -68,7 +70,6 @@ impl Schedule {
             // A reset costs some thousand steps of recovery; shorter runs have none to give.
             reset_every: if steps >= 10_000 { 3000 } else { 0 },
             surface_from: (f64::from(steps) * SURFACE_FROM) as u32,
-            prune_at: (f64::from(steps) * PRUNE_AT) as u32,
         }
     }
 
@@ -100,6 +101,11 @@ impl Schedule {
             && [self.refine_from + span / 2, self.refine_until].contains(&steps_done)
     }
 
+    /// Whether exactly this share of the steps, 0..=1, is done.
+    pub(crate) fn is_at(&self, share: f64, steps_done: u32) -> bool {
+        steps_done == (f64::from(self.steps) * share) as u32
+    }
+
     /// How far growth has come after this many steps, 0..=1.
     pub fn growth(&self, steps_done: u32) -> f64 {
         let span = self.refine_until.saturating_sub(self.refine_from).max(1);
@@ -113,11 +119,26 @@ impl Schedule {
         Some((f64::from(since) / f64::from(self.steps.max(1))) as f32)
     }
 
+    /// Whether exposures are learnt at a step (counted from 0).
+    pub fn exposes(&self, step: u32) -> bool {
+        f64::from(step) >= f64::from(self.steps) * EXPOSURE_FROM
+    }
+
+    /// By what factor exposures learn faster than in a run of 3DGS's own length.
+    pub fn exposure_haste(&self) -> f64 {
+        self.shortness().powf(EXPOSURE_HASTE)
+    }
+
+    /// How many times shorter than 3DGS's own length this is, at least 1.
+    fn shortness(&self) -> f64 {
+        (REFERENCE_STEPS / f64::from(self.steps.max(1))).max(1.0)
+    }
+
     /// Learning rates of a step (counted from 0) in a scene of this extent.
     pub fn rates(&self, step: u32, extent: f64) -> AdamRates {
         let progress = f64::from(step) / f64::from(self.steps.max(1));
         let mean = MEAN_RATE * MEAN_RATE_FALL.powf(progress);
-        let shortness = (REFERENCE_STEPS / f64::from(self.steps.max(1))).max(1.0);
+        let shortness = self.shortness();
         let hasty = |rate: f64, haste: f64| (rate * shortness.powf(haste)) as f32;
         AdamRates {
             mean: hasty(mean * extent, MEAN_HASTE),

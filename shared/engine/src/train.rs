@@ -3,9 +3,10 @@
 use cosurf_scene::Camera;
 
 use crate::backend::{
-    Backend, BinCounts, Channels, Edit, LossWeights, PhotometricLoss, Scores, SurfaceLoss, SurfaceWeights,
-    TargetRgb, Targets,
+    Backend, BinCounts, Channels, Edit, Exposure, LossWeights, PhotometricLoss, Scores, SurfaceLoss,
+    SurfaceWeights, TargetRgb, Targets,
 };
+use crate::exposure::Exposures;
 use crate::neighbours::Neighbours;
 use crate::prune::{self, PruneScore};
 use crate::random::{Purpose, Random};
@@ -45,14 +46,16 @@ impl Default for SurfaceSettings {
 pub struct PruneSettings {
     /// φ: share of the splats that go, 0..1.
     pub ratio: f64,
+    /// Share of the steps after which they go, 0..=1.
+    pub at: f64,
     /// What decides.
     pub score: PruneScore,
 }
 
 impl Default for PruneSettings {
-    /// The paper's ablations use 0.4.
+    /// The paper's ablations use 0.4, after 20,000 of 30,000 steps.
     fn default() -> Self {
-        Self { ratio: 0.4, score: PruneScore::default() }
+        Self { ratio: 0.4, at: 2.0 / 3.0, score: PruneScore::default() }
     }
 }
 
@@ -89,6 +92,8 @@ pub struct TrainSettings {
     pub surface: Option<SurfaceSettings>,
     /// How the model is pruned; `None` for not at all.
     pub prune: Option<PruneSettings>,
+    /// Whether each photograph has an exposure of its own.
+    pub exposure: bool,
     /// Most splats that refinement may make; the backend's capacity bounds it as well.
     pub splats_max: usize,
     /// Seed of every random choice.
@@ -111,21 +116,29 @@ pub struct Trainer<B> {
     backend: B,
     settings: TrainSettings,
     flight: Flight,
+    exposures: Option<Exposures>,
     steps_done: u32,
     splats_at_start: usize,
 }
 
+/// How far a training has come; with what [`Trainer::export`] visits, this is a checkpoint.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Progress {
+    /// Steps done.
+    pub steps_done: u32,
+    /// Splats there were at step 0.
+    pub splats_at_start: usize,
+    /// Splats there are now.
+    pub splats: usize,
+}
+
 impl<B: Backend> Trainer<B> {
-    /// Goes on after `steps_done` steps with what the backend holds; `splats_at_start` is how many splats there
-    /// were at step 0.
-    pub fn new(
-        backend: B,
-        settings: TrainSettings,
-        flight: Flight,
-        steps_done: u32,
-        splats_at_start: usize,
-    ) -> Self {
-        Self { backend, settings, flight, steps_done, splats_at_start }
+    /// Begins with what the backend holds.
+    pub fn new(backend: B, settings: TrainSettings, flight: Flight) -> Self {
+        let haste = settings.schedule.exposure_haste();
+        let exposures = settings.exposure.then(|| Exposures::new(flight.cameras.len(), haste));
+        let splats_at_start = backend.len();
+        Self { backend, settings, flight, exposures, steps_done: 0, splats_at_start }
     }
 
     /// Steps done so far.
@@ -133,9 +146,28 @@ impl<B: Backend> Trainer<B> {
         self.steps_done
     }
 
-    /// How many splats there were at step 0.
-    pub fn splats_at_start(&self) -> usize {
-        self.splats_at_start
+    /// How far the training has come.
+    pub fn progress(&self) -> Progress {
+        let Self { steps_done, splats_at_start, .. } = *self;
+        Progress { steps_done, splats_at_start, splats: self.backend.len() }
+    }
+
+    /// Visits everything that the training has learnt, in a fixed order, in pieces. Stops at the first error.
+    pub fn export<E>(&self, mut visit: impl FnMut(&[f32]) -> Result<(), E>) -> Result<(), E> {
+        self.backend.export(&mut visit)?;
+        self.exposures.iter().try_for_each(|exposures| exposures.export(&mut visit))
+    }
+
+    /// Goes on from where a training with the same settings was: `fill` is called with the pieces that
+    /// [`Trainer::export`] visited there. Panics beyond the backend's capacity.
+    pub fn import<E>(
+        &mut self,
+        progress: Progress,
+        mut fill: impl FnMut(&mut [f32]) -> Result<(), E>,
+    ) -> Result<(), E> {
+        (self.steps_done, self.splats_at_start) = (progress.steps_done, progress.splats_at_start);
+        self.backend.import(progress.splats, &mut fill)?;
+        self.exposures.iter_mut().try_for_each(|exposures| exposures.import(&mut fill))
     }
 
     /// Whether all steps are done.
@@ -191,11 +223,13 @@ impl<B: Backend> Trainer<B> {
         backend.project(&cameras[example.view], degree);
         let counts = backend.bin();
         backend.rasterize(channels);
-        let neighbour_rgb = example.neighbour.map(|(_, rgb)| rgb);
-        let losses = backend.losses(&Targets { rgb: example.rgb, neighbour_rgb }, &weights);
+        let losses = backend.losses(&targets(example, self.exposures.as_ref()), &weights);
         backend.rasterize_backward();
         backend.project_backward();
         backend.adam(&schedule.rates(step, extent));
+        if let Some(exposures) = &mut self.exposures {
+            exposures.learn(example.view, &losses.color, schedule.exposes(step));
+        }
         self.steps_done += 1;
         if schedule.refines_after(self.steps_done) {
             self.refine();
@@ -204,7 +238,8 @@ impl<B: Backend> Trainer<B> {
             let scores = self.survey();
             self.remove(prune::unobserved(&scores));
         }
-        if let Some(settings) = self.settings.prune.filter(|_| self.steps_done == schedule.prune_at) {
+        if let Some(settings) = self.settings.prune.filter(|prune| schedule.is_at(prune.at, self.steps_done))
+        {
             self.prune(&settings);
         }
         if schedule.resets_after(self.steps_done) {
@@ -266,6 +301,15 @@ impl<B: Backend> Trainer<B> {
         };
         let shapes = self.backend.take_shapes();
         self.backend.edit(&refine(&shapes, &limits));
+    }
+}
+
+/// What an example's rendering should look like.
+fn targets<'a>(example: &Example<'a>, exposures: Option<&Exposures>) -> Targets<'a> {
+    Targets {
+        rgb: example.rgb,
+        exposure: exposures.map_or_else(Exposure::default, |exposures| exposures.of(example.view)),
+        neighbour_rgb: example.neighbour.map(|(_, rgb)| rgb),
     }
 }
 

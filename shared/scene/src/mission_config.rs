@@ -53,6 +53,9 @@ pub struct AgentConfig {
     /// Share of the splats to remove after two thirds of the steps, 0 for none; absent for the usual share.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub prune: Option<f64>,
+    /// Learn an exposure for each photograph, for cameras that choose their own.
+    #[serde(default)]
+    pub exposure: bool,
     /// Whether to wait, after the upload, for the global model and keep it.
     #[serde(default)]
     pub wait_global: bool,

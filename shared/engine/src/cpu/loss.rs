@@ -1,4 +1,5 @@
-//! The loss pass: `(1 - λ) L1 + λ (1 - SSIM)` on colours, and the gradient of both, in one sweep.
+//! The loss pass: `(1 - λ) L1 + λ (1 - SSIM)` on colours, and the gradient of both, in one sweep. L1 compares
+//! the picture as the photograph was exposed, SSIM as it is.
 //!
 //! SSIM as in 3DGS: 11 × 11 Gaussian window, σ 1.5, zeros outside the picture. The window is separable;
 //! a band of the picture runs through two rings of 11 filtered lines each (first the five moments, then
@@ -10,7 +11,7 @@ use rayon::prelude::*;
 use super::image::{TILE, TileImage};
 use super::rasterize::{RGB, TRANSMITTANCE};
 use super::simd::{GROUP, Isa, Kernel, Lanes, Row, each};
-use crate::backend::{PhotometricLoss, TargetRgb};
+use crate::backend::{Exposure, PhotometricLoss, TargetRgb};
 
 /// Half the SSIM window.
 const REACH: usize = 5;
@@ -36,6 +37,7 @@ pub(crate) fn photometric(
     isa: Isa,
     image: &TileImage,
     target: TargetRgb,
+    exposure: Exposure,
     ssim_weight: f32,
     gradient: &mut TileImage,
 ) -> PhotometricLoss {
@@ -51,7 +53,7 @@ pub(crate) fn photometric(
             rows.chunks_exact_mut(image.rows_per_tile())
                 .for_each(|tile| tile[TRANSMITTANCE * TILE..].fill(Row::ZERO));
             (0..3).fold(Sums::default(), |sums, channel| {
-                sums.plus(isa.run(Band { image, target, weights, channel, band, gradient: rows }))
+                sums.plus(isa.run(Band { image, target, exposure, weights, channel, band, gradient: rows }))
             })
         })
         .collect();
@@ -60,7 +62,14 @@ pub(crate) fn photometric(
     let pixels = f64::from(pixels);
     let (l1, ssim, mse) = (total.l1 / pixels, total.ssim / pixels, total.squares / pixels);
     let weight = f64::from(ssim_weight);
-    PhotometricLoss { total: (1.0 - weight) * l1 + weight * (1.0 - ssim), l1, ssim, mse }
+    PhotometricLoss {
+        total: (1.0 - weight) * l1 + weight * (1.0 - ssim),
+        l1,
+        ssim,
+        mse,
+        by_gain: (1.0 - weight) * total.signed_x / pixels,
+        by_offset: (1.0 - weight) * total.signs / pixels,
+    }
 }
 
 #[derive(Clone, Copy)]
@@ -75,17 +84,27 @@ struct Sums {
     l1: f64,
     ssim: f64,
     squares: f64,
+    /// Of L1's sign, and of the sign times the rendered colour.
+    signs: f64,
+    signed_x: f64,
 }
 
 impl Sums {
     fn plus(self, other: Self) -> Self {
-        Self { l1: self.l1 + other.l1, ssim: self.ssim + other.ssim, squares: self.squares + other.squares }
+        Self {
+            l1: self.l1 + other.l1,
+            ssim: self.ssim + other.ssim,
+            squares: self.squares + other.squares,
+            signs: self.signs + other.signs,
+            signed_x: self.signed_x + other.signed_x,
+        }
     }
 }
 
 struct Band<'a> {
     image: &'a TileImage,
     target: TargetRgb<'a>,
+    exposure: Exposure,
     weights: Weights,
     channel: usize,
     band: usize,
@@ -151,7 +170,7 @@ impl Kernel for Band<'_> {
 
     #[inline(always)]
     fn run<L: Lanes>(self) -> Sums {
-        let Self { image, target, weights, channel, band, gradient } = self;
+        let Self { image, target, exposure, weights, channel, band, gradient } = self;
         let [width, height] = image.size_px();
         let padded = image.tiles()[0] * TILE;
         let line_len = padded + 2 * MARGIN;
@@ -162,6 +181,7 @@ impl Kernel for Band<'_> {
 
         let mut x_line = vec![0.0; line_len];
         let mut y_line = vec![0.0; line_len];
+        let mut exposed_line = vec![0.0; line_len];
         let mut products = [vec![0.0; line_len], vec![0.0; line_len], vec![0.0; line_len]];
         let mut partial_lines = [vec![0.0; line_len], vec![0.0; line_len], vec![0.0; line_len]];
         let mut moments = Ring::<MOMENT_LINES>::new(padded);
@@ -217,6 +237,8 @@ impl Kernel for Band<'_> {
             let y = y_out as usize;
             read_line(image, channel, y, width, &mut x_line);
             target.read_line(channel, y, width, &mut y_line[MARGIN..MARGIN + width]);
+            expose::<L>(&x_line, exposure, width, &mut exposed_line);
+            let l1_slope = L::splat(weights.l1 * exposure.gain);
             let taps = partials.taps(y_out);
             for tile_x in 0..image.tiles()[0] {
                 let row = &mut gradient[((y - first) / TILE * image.tiles()[0] + tile_x) * rows_per_tile
@@ -228,21 +250,14 @@ impl Kernel for Band<'_> {
                     let p =
                         each!([0, 1, 2], |line| filtered_column::<L>(&taps[line], column, &weights.window));
                     let d_ssim = (x + x).mul_add(p[1], y.mul_add(p[2], p[0]));
-                    let difference = x - y;
-                    let sign = L::select(
-                        L::zero().lt(difference),
-                        L::splat(1.0),
-                        L::splat(-1.0).keep(difference.lt(L::zero())),
-                    );
-                    row.set(part, d_ssim.neg_mul_add(L::splat(weights.ssim), sign * L::splat(weights.l1)));
+                    let sign = sign(L::load(&exposed_line[MARGIN + column..]) - y);
+                    row.set(part, d_ssim.neg_mul_add(L::splat(weights.ssim), sign * l1_slope));
                 }
                 // Beyond the right border nothing may have a gradient.
                 let valid = (width - (tile_x * TILE).min(width)).min(TILE);
                 row.0[valid..].fill(0.0);
             }
-            let (l1, squares) = differences::<L>(&x_line, &y_line);
-            sums.l1 += l1;
-            sums.squares += squares;
+            sums = sums.plus(differences::<L>(&x_line, &exposed_line, &y_line));
         }
         zero_below(gradient, image, channel, end - first);
         sums
@@ -280,16 +295,39 @@ fn multiply<L: Lanes>(x: &[f32], y: &[f32], products: &mut [Vec<f32>; 3]) {
     }
 }
 
-/// Sums of |x - y| and (x - y)² of a line; margins and padding are equal and add nothing.
+/// A line of the picture as the photograph was exposed; margins and padding stay zero.
 #[inline(always)]
-fn differences<L: Lanes>(x: &[f32], y: &[f32]) -> (f64, f64) {
-    let (mut l1, mut squares) = (L::zero(), L::zero());
-    for start in (MARGIN..x.len() - MARGIN).step_by(L::N) {
-        let difference = L::load(&x[start..]) - L::load(&y[start..]);
-        l1 = l1 + difference.abs();
-        squares = difference.mul_add(difference, squares);
+fn expose<L: Lanes>(line: &[f32], exposure: Exposure, width: usize, exposed: &mut [f32]) {
+    for start in (MARGIN..line.len() - MARGIN).step_by(L::N) {
+        let value = L::load(&line[start..]).mul_add(L::splat(exposure.gain), L::splat(exposure.offset));
+        value.store(&mut exposed[start..]);
     }
-    (f64::from(l1.sum()), f64::from(squares.sum()))
+    exposed[MARGIN + width..].fill(0.0);
+}
+
+/// -1, 0 or 1.
+#[inline(always)]
+fn sign<L: Lanes>(value: L) -> L {
+    let negative = L::splat(-1.0).keep(value.lt(L::zero()));
+    L::select(L::zero().lt(value), L::splat(1.0), negative)
+}
+
+/// What a line adds but for SSIM; margins and padding are equal and add nothing.
+#[inline(always)]
+fn differences<L: Lanes>(x: &[f32], exposed: &[f32], y: &[f32]) -> Sums {
+    let (mut l1, mut squares) = (L::zero(), L::zero());
+    let (mut signs, mut signed_x) = (L::zero(), L::zero());
+    for start in (MARGIN..x.len() - MARGIN).step_by(L::N) {
+        let (x, y) = (L::load(&x[start..]), L::load(&y[start..]));
+        let (raw, difference) = (x - y, L::load(&exposed[start..]) - y);
+        let sign = sign(difference);
+        l1 = l1 + difference.abs();
+        squares = raw.mul_add(raw, squares);
+        signs = signs + sign;
+        signed_x = sign.mul_add(x, signed_x);
+    }
+    let [l1, squares, signs, signed_x] = [l1, squares, signs, signed_x].map(|sum| f64::from(sum.sum()));
+    Sums { l1, ssim: 0.0, squares, signs, signed_x }
 }
 
 /// SSIM's map on one row: returns its sum, and writes its partial derivatives between the margins.

@@ -240,7 +240,8 @@ impl Backend for CpuBackend {
         self.scale_weight = weights.scale;
         self.pool.install(|| {
             let (image, gradient) = (&self.image, &mut self.gradient);
-            let color = loss::photometric(self.isa, image, targets.rgb, weights.ssim, gradient);
+            let Targets { rgb, exposure, .. } = *targets;
+            let color = loss::photometric(self.isa, image, rgb, exposure, weights.ssim, gradient);
             let surface = match &weights.surface {
                 Some(weights) => self.surface.losses(self.isa, image, &view, targets, weights, gradient),
                 None => SurfaceLoss::default(),

@@ -3,14 +3,15 @@
 use super::super::image::TileImage;
 use super::super::loss::photometric;
 use super::super::simd::Isa;
-use crate::backend::TargetRgb;
+use crate::backend::{Exposure, TargetRgb};
 use crate::random::{Purpose, Random};
 
 const SIZE_PX: [usize; 2] = [37, 41];
 const WEIGHT: f32 = 0.2;
+const EXPOSURE: Exposure = Exposure { gain: 1.2, offset: -0.07 };
 
-/// SSIM by its definition: an 11 × 11 window at every pixel, zeros outside.
-fn loss(x: &[f64], y: &[f64]) -> f64 {
+/// SSIM by its definition: an 11 × 11 window at every pixel, zeros outside. L1 of the exposed picture.
+fn loss(x: &[f64], y: &[f64], gain: f64, offset: f64) -> f64 {
     let [width, height] = SIZE_PX;
     let raw: Vec<f64> = (0..11).map(|i| (-(f64::from(i) - 5.0).powi(2) / 4.5).exp()).collect();
     let sum: f64 = raw.iter().sum();
@@ -37,7 +38,7 @@ fn loss(x: &[f64], y: &[f64]) -> f64 {
                 }
                 ssim += (2.0 * mx * my + 1e-4) * (2.0 * (xy - mx * my) + 9e-4)
                     / ((mx * mx + my * my + 1e-4) * (xx - mx * mx + yy - my * my + 9e-4));
-                l1 += (at(x, c, px, py) - at(y, c, px, py)).abs();
+                l1 += (gain * at(x, c, px, py) + offset - at(y, c, px, py)).abs();
             }
         }
     }
@@ -56,7 +57,15 @@ fn pictures() -> (Vec<f64>, Vec<f64>) {
 
 #[test]
 fn loss_and_gradient_agree_with_the_definition() {
+    for exposure in [Exposure::default(), EXPOSURE] {
+        check(exposure);
+    }
+}
+
+fn check(exposure: Exposure) {
     let (x, y) = pictures();
+    let (gain, offset) = (f64::from(exposure.gain), f64::from(exposure.offset));
+    let wanted = loss(&x, &y, gain, offset);
     let target: Vec<f32> = y.iter().map(|v| *v as f32).collect();
     let mut image = TileImage::with_capacity(0, 4);
     image.reshape(SIZE_PX.map(|side| side as u32), 4);
@@ -67,26 +76,30 @@ fn loss_and_gradient_agree_with_the_definition() {
     image.rows_mut().iter_mut().for_each(|row| assert!(row.0.iter().all(|v| v.is_finite())));
     for isa in Isa::available() {
         let mut gradient = image.clone();
-        let got = photometric(isa, &image, TargetRgb::Floats(&target), WEIGHT, &mut gradient);
-        assert!(
-            (got.total - loss(&x, &y)).abs() < 1e-5,
-            "{}: {} is not {}",
-            isa.name(),
-            got.total,
-            loss(&x, &y)
-        );
+        let got = photometric(isa, &image, TargetRgb::Floats(&target), exposure, WEIGHT, &mut gradient);
+        assert!((got.total - wanted).abs() < 1e-5, "{}: {} is not {wanted}", isa.name(), got.total);
         let mut worst: f64 = 0.0;
         for k in (0..x.len()).step_by(97).chain([0, 1, 2, x.len() - 1, 3 * SIZE_PX[0] - 1]) {
             let mut moved = x.clone();
             let mut at = |v: f64| {
                 moved[k] = v;
-                loss(&moved, &y)
+                loss(&moved, &y, gain, offset)
             };
             let slope = (at(x[k] + 1e-4) - at(x[k] - 1e-4)) / 2e-4;
             let value = f64::from(gradient.value(k % 3, k / 3 % SIZE_PX[0], k / 3 / SIZE_PX[0]));
             worst = worst.max((value - slope).abs() / slope.abs().max(2e-6));
         }
         assert!(worst < 1e-3, "{}: relative error {worst:.2e}", isa.name());
+        // L1 has a kink wherever a pixel is right, so the exposure's slope is taken over a short way.
+        let slope = |at: &dyn Fn(f64) -> f64| (at(1e-6) - at(-1e-6)) / 2e-6;
+        let by_gain = slope(&|by| loss(&x, &y, gain + by, offset));
+        let by_offset = slope(&|by| loss(&x, &y, gain, offset + by));
+        assert!((got.by_gain - by_gain).abs() < 1e-3 * by_gain.abs(), "{} is not {by_gain}", got.by_gain);
+        assert!(
+            (got.by_offset - by_offset).abs() < 1e-3 * by_offset.abs(),
+            "{} is not {by_offset}",
+            got.by_offset
+        );
         let [width, height] = SIZE_PX;
         assert_eq!(gradient.value(0, width, 5), 0.0, "padding has no gradient");
         assert_eq!(gradient.value(0, 5, height), 0.0, "padding has no gradient");

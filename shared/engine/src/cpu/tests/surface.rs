@@ -10,7 +10,7 @@ use super::super::rasterize::{DISTANCE, NORMAL, PLANES_GEOMETRY, TRANSMITTANCE};
 use super::super::simd::{Isa, Row};
 use super::super::surface::Surface;
 use super::super::view::ViewParams;
-use crate::backend::{SurfaceLoss, SurfaceWeights, TargetRgb, Targets};
+use crate::backend::{Exposure, SurfaceLoss, SurfaceWeights, TargetRgb, Targets};
 use crate::random::{Purpose, Random};
 
 const WEIGHTS: SurfaceWeights =
@@ -119,6 +119,7 @@ fn engine(isa: Isa, here: &Blend, there: &Blend, photographs: [&[f32]; 2]) -> (S
     gradient.rows_mut().fill(Row([f32::NAN; 16]));
     let targets = Targets {
         rgb: TargetRgb::Floats(photographs[0]),
+        exposure: Exposure::default(),
         neighbour_rgb: Some(TargetRgb::Floats(photographs[1])),
     };
     let view = ViewParams::new(&here.camera, 0);
