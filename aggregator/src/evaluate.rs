@@ -2,7 +2,7 @@
 //! at hand can do this, as a mission or a person does; the receiving service never does.
 
 use cosurf_engine::{Renderer, Rendering};
-use cosurf_scene::{Cast, Picture, SceneError, Splats, View, metrics};
+use cosurf_scene::{Camera, Cast, Caster, Picture, SceneError, Splats, View, metrics};
 
 use crate::quality::{Quality, Yardsticks};
 use crate::showcase::Showcase;
@@ -19,10 +19,18 @@ pub(crate) struct Evaluation {
     pub(crate) showcases: Vec<Showcase>,
 }
 
-/// Judges every view, and shows a few.
-pub(crate) fn evaluate(judge: &mut Judge, views: &[&View]) -> Result<Evaluation, SceneError> {
+/// Judges every view, and shows a few, with what they see of the `mesh`.
+pub(crate) fn evaluate(
+    judge: &mut Judge,
+    views: &[&View],
+    mesh: Option<&Caster>,
+) -> Result<Evaluation, SceneError> {
     let qualities = views.iter().map(|view| judge.quality(view)).collect::<Result<Vec<_>, _>>()?;
-    let show = |i: usize| Ok(Showcase::new(&views[i].name, qualities[i], judge.look(views[i])?));
+    let show = |i: usize| {
+        let look = judge.look(views[i])?;
+        let mesh = mesh.map(|mesh| mesh.cast(&look.camera));
+        Ok(Showcase::new(&views[i].name, qualities[i], look, mesh))
+    };
     let showcases = spread(&qualities).into_iter().map(show).collect::<Result<Vec<_>, SceneError>>()?;
     Ok(Evaluation { qualities, showcases })
 }
@@ -36,6 +44,8 @@ pub(crate) struct Judge<'a> {
 
 /// A photograph beside its rendering.
 pub(crate) struct Look {
+    /// Whose pixels these are.
+    pub(crate) camera: Camera,
     /// The photograph.
     pub(crate) photograph: Picture,
     /// What the model shows there, colours clamped to 0..=1, as in a picture file.
@@ -58,7 +68,7 @@ impl<'a> Judge<'a> {
 
     /// Every figure of a view.
     pub(crate) fn quality(&mut self, view: &View) -> Result<Quality, SceneError> {
-        let Look { photograph, rendering, truth } = self.look(view)?;
+        let Look { photograph, rendering, truth, .. } = self.look(view)?;
         let (size_px, wanted) = (photograph.size_px, photograph.to_unit());
         let lpips = self.yardsticks.lpips.as_ref();
         Ok(Quality {
@@ -75,7 +85,7 @@ impl<'a> Judge<'a> {
         let mut rendering = self.renderer.render(&camera);
         rendering.rgb.iter_mut().for_each(|value| *value = value.clamp(0.0, 1.0));
         let truth = self.yardsticks.truth.as_ref().map(|caster| caster.cast(&camera));
-        Ok(Look { photograph, rendering, truth })
+        Ok(Look { camera, photograph, rendering, truth })
     }
 }
 

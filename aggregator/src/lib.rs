@@ -27,6 +27,7 @@ mod partition;
 pub mod plan;
 mod progress;
 pub mod quality;
+mod relief;
 pub mod report;
 pub mod service;
 mod showcase;

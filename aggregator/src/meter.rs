@@ -7,6 +7,7 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde_json::json;
 
 use crate::Display;
+use crate::mesh::{FuseEvent, Stage};
 use crate::progress::format_seconds;
 
 /// Seconds between two plain lines.
@@ -63,6 +64,22 @@ impl Meter {
                 let _ = writeln!(io::stdout(), "{line}"); // it goes on although nobody looks
             }
             Display::Lines | Display::Json => {}
+        }
+    }
+
+    /// Shows what a fusion to a mesh is about.
+    pub fn show_fusion(&mut self, event: FuseEvent, now_s: f64) {
+        match event {
+            FuseEvent::Progress { stage, done, of } => {
+                let stage = match stage {
+                    Stage::Look => "looks",
+                    Stage::Find => "finds",
+                    Stage::Fuse => "fuses",
+                };
+                self.show(stage, done, of, now_s);
+            }
+            FuseEvent::Coarser { wanted_m, voxel_m } => self
+                .notice(&format!("voxels of {voxel_m:.3} m instead of {wanted_m:.3} m, for want of memory")),
         }
     }
 

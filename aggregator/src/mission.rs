@@ -13,7 +13,7 @@ use std::time::Duration;
 
 use cosurf_link::{BrokerAddress, Identity, InboxLimits, Role};
 use cosurf_scene::city::CitySettings;
-use cosurf_scene::{Dataset, SceneError, View, ply};
+use cosurf_scene::{Camera, Dataset, SceneError, Splats, View, ply};
 use cosurf_wire::{DeviceId, IdError, ModelHeader, SiteId};
 use image::ImageError;
 
@@ -22,10 +22,12 @@ use crate::broker::{Broker, BrokerError};
 use crate::evaluate::{Evaluation, Judge, evaluate};
 use crate::field::local_address;
 use crate::fleet::{Fleet, Orders};
+use crate::meter::Meter;
 use crate::page::{Drawings, page};
 use crate::plan::{Plan, PlanError, Settings, write_text};
 use crate::progress::{Display, show_pictures};
 use crate::quality::{YardstickError, Yardsticks};
+use crate::relief::{Relief, relief};
 use crate::report::{MissionReport, summarize};
 use crate::service::{BROKER_ATTEMPTS_MAX, Expected, Service, ServiceConfig, ServiceError, global_ply};
 use crate::station::Station;
@@ -134,7 +136,7 @@ pub enum MissionError {
     Json(#[from] serde_json::Error),
 }
 
-/// Flies the mission and leaves `global.ply`, `report.json` and `report.html` in its folder. `Ok` even
+/// Flies the mission and leaves `global.ply`, `mesh.ply`, `report.json` and `report.html` in its folder. `Ok` even
 /// where agents failed, as long as there is a global model: the report tells.
 pub fn fly(order: &MissionOrder, around: &Surroundings) -> Result<MissionReport, MissionError> {
     let begun = (around.now)();
@@ -149,10 +151,16 @@ pub fn fly(order: &MissionOrder, around: &Surroundings) -> Result<MissionReport,
     let fresh_site = SiteId::new(&format!("mission-{}", around.session))?;
     let plan = Plan::make(&dataset, &order.settings, &order.out, fresh_site)?;
     let (global, board) = gather(order, around, &plan)?;
-    let evaluation = judge(order, around, &dataset, &plan, &yardsticks)?;
+    let splats = ply::read(&global_ply(&order.out))?;
+    let relief = mesh(order, around, &dataset, splats.clone())?;
+    let evaluation = judge(order, around, &dataset, &plan, splats, &yardsticks, &relief)?;
     let seconds = ((around.now)() - begun).as_secs_f64();
     let mut report = summarize(&plan, &order.settings, &board, &global, &evaluation.qualities);
     report.whole.seconds = seconds;
+    match relief {
+        Relief::Made { summary, .. } => report.whole.mesh = Some(summary),
+        Relief::Missing(error) => report.whole.mesh_failure = Some(error.to_string()),
+    }
     report.whole.aggregator_peak_memory_bytes = (around.peak_memory_bytes)();
     write_report(&order.out, &report, &plan, &evaluation)?;
     Ok(report)
@@ -249,19 +257,41 @@ fn first_failure(plan: &Plan, board: &[Status]) -> MissionError {
         .map_or(MissionError::ServiceDied, |(device, reason)| MissionError::NothingArrived { device, reason })
 }
 
+/// Makes the mesh of the global model.
+fn mesh(
+    order: &MissionOrder,
+    around: &Surroundings,
+    dataset: &Dataset,
+    splats: Splats,
+) -> Result<Relief, MissionError> {
+    let cameras: Vec<Camera> = dataset.views.iter().map(|view| view.camera).collect();
+    let mut meter = Meter::new(around.display);
+    let file = order.out.join("mesh.ply");
+    let relief = relief(splats, &cameras, order.settings.max_size_px, around.cores, &file, |event| {
+        meter.show_fusion(event, (around.now)().as_secs_f64());
+    })?;
+    meter.finish();
+    Ok(relief)
+}
+
 /// Compares the global model, as it is on the disk, with the photographs held out and the true surface.
 fn judge(
     order: &MissionOrder,
     around: &Surroundings,
     dataset: &Dataset,
     plan: &Plan,
+    splats: Splats,
     yardsticks: &Yardsticks,
+    relief: &Relief,
 ) -> Result<Evaluation, MissionError> {
-    let splats = ply::read(&global_ply(&order.out))?;
     let held_out = dataset.views.iter().zip(&plan.views).filter(|(_, view)| view.held_out);
     let views: Vec<&View> = held_out.map(|(view, _)| view).collect();
     let mut judge = Judge::new(&splats, order.settings.max_size_px, around.cores, yardsticks);
-    Ok(evaluate(&mut judge, &views)?)
+    let mesh = match relief {
+        Relief::Made { caster, .. } => Some(caster),
+        Relief::Missing(_) => None,
+    };
+    Ok(evaluate(&mut judge, &views, mesh)?)
 }
 
 fn write_report(

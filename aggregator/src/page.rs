@@ -8,7 +8,7 @@ use image::ImageError;
 use crate::embed::data_uri;
 use crate::progress::format_seconds;
 use crate::quality::Quality;
-use crate::report::{self, MissionReport};
+use crate::report::{self, MeshSummary, MissionReport};
 use crate::showcase::{Captioned, Showcase};
 use crate::{chart, map};
 
@@ -80,6 +80,7 @@ fn header(html: &mut String, report: &MissionReport) {
         (quality(report::depth_text), "median error of depth"),
         (quality(report::normal_text), "median error of normals"),
         (Some(group_digits(whole.splats)), "splats"),
+        (whole.mesh.map(|mesh| group_digits(mesh.triangles)), "triangles of the mesh"),
         (Some(format_seconds(whole.seconds)), "start to report"),
         (Some(format_bytes(whole.bytes_sent)), "sent by the agents"),
         (Some(format_bytes(whole.peak_memory_bytes)), "largest agent"),
@@ -157,7 +158,7 @@ fn pictures(html: &mut String, showcases: &[Showcase]) -> Result<(), ImageError>
             "<div class=\"view\"><div><b>{name}</b> <span class=\"soft\">{}</span></div>",
             figures(&showcase.quality)
         );
-        let columns = if showcase.pictures.len() == 6 { 3 } else { showcase.pictures.len() };
+        let columns = if showcase.pictures.len() > 6 { 4 } else { 3 };
         let _ = write!(html, "<div class=\"strip\" style=\"--columns:{columns}\">");
         for Captioned { caption, picture } in &showcase.pictures {
             let [width, height] = picture.size_px;
@@ -208,10 +209,18 @@ fn footer(html: &mut String, report: &MissionReport) {
     let _ = write!(
         html,
         "<h2>The model</h2>\n<p><code>global.ply</code> beside this file is revision {} in the usual 3DGS layout: drop \
-         it into any splat viewer. It is the concatenation of the agents' models. <code>report.json</code> \
+         it into any splat viewer. It is the concatenation of the agents' models. {}<code>report.json</code> \
          has these figures for scripts.</p>\n",
-        report.whole.revision
+        report.whole.revision,
+        report.whole.mesh.map_or(String::new(), mesh_sentence)
     );
+}
+
+fn mesh_sentence(mesh: MeshSummary) -> String {
+    format!(
+        "<code>mesh.ply</code> is its surface, fused of the depth that all cameras see in voxels of {:.2} m. ",
+        mesh.voxel_m
+    )
 }
 
 /// `1234567` as `1 234 567`, with spaces that neither break nor vary in width.

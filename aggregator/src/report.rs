@@ -75,10 +75,24 @@ pub struct WholeSummary {
     pub bytes_sent: u64,
     /// The global model on all held-out views; absent where none is held out.
     pub quality: Option<Quality>,
+    /// The mesh of the global model; absent where it has none.
+    pub mesh: Option<MeshSummary>,
+    /// Why it has none.
+    pub mesh_failure: Option<String>,
+}
+
+/// A mesh's figures.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MeshSummary {
+    /// Its triangles.
+    pub triangles: usize,
+    /// Edge of a voxel, world units.
+    pub voxel_m: f64,
 }
 
 /// Sums up what the agents told and what the global model is worth; `qualities` are those of the held-out
-/// views in their order. Time and memory of the aggregator are left for its owner to fill in.
+/// views in their order. Time and memory of the aggregator, and the mesh, are left for
+/// their owner to fill in.
 pub(crate) fn summarize(
     plan: &Plan,
     settings: &Settings,
@@ -121,6 +135,8 @@ pub(crate) fn summarize(
         aggregator_peak_memory_bytes: None,
         bytes_sent: agents.iter().map(|agent| agent.bytes_sent).sum(),
         quality: Quality::mean(qualities),
+        mesh: None,
+        mesh_failure: None,
     };
     MissionReport { data: settings.data.clone(), seed: settings.seed, agents, whole }
 }
@@ -146,6 +162,7 @@ pub(crate) fn remarks(report: &MissionReport) -> Vec<String> {
         let given_up = agent.training.iter().flat_map(|training| &training.given_up);
         remarks.extend(given_up.map(|sentence| format!("{device}: {sentence}")));
     }
+    remarks.extend(report.whole.mesh_failure.iter().map(|failure| format!("no mesh: {failure}")));
     remarks
 }
 
@@ -225,6 +242,8 @@ pub(crate) mod tests {
                 aggregator_peak_memory_bytes: None,
                 bytes_sent: 3 << 20,
                 quality: Some(quality(22.0)),
+                mesh: Some(MeshSummary { triangles: 4321, voxel_m: 0.25 }),
+                mesh_failure: None,
             },
         }
     }

@@ -1,15 +1,17 @@
 //! A held-out view in pictures: the photograph, what the model shows there, and where they differ.
 
-use cosurf_scene::{Picture, colormap};
+use cosurf_scene::{Cast, Picture, colormap};
 
 use crate::evaluate::Look;
 use crate::quality::Quality;
-use crate::surface::depth_errors_percent;
+use crate::surface::{depth_errors_percent, normal_errors_deg};
 
 /// Differences of colour that are shown in the brightest colour, percent of the brightest value.
 const COLOR_BRIGHT_PERCENT: f32 = 20.0;
 /// Errors of depth that are shown in the brightest colour, percent of the depth.
 const DEPTH_BRIGHT_PERCENT: f32 = 2.0;
+/// Errors of normals that are shown in the brightest colour.
+const NORMAL_BRIGHT_DEG: f32 = 45.0;
 
 /// A picture and what it shows, as plain text.
 pub(crate) struct Captioned {
@@ -23,13 +25,14 @@ pub(crate) struct Showcase {
     pub(crate) name: String,
     /// Its figures.
     pub(crate) quality: Quality,
-    /// All of one size: six in two rows of three with a true surface, else five.
+    /// All of one size. Besides photograph, colour, its error, depth and normal: the mesh, where there is one,
+    /// and the errors of depth and normal, where the true surface is known.
     pub(crate) pictures: Vec<Captioned>,
 }
 
 impl Showcase {
-    pub(crate) fn new(name: &str, quality: Quality, look: Look) -> Self {
-        let Look { photograph, rendering, truth } = look;
+    pub(crate) fn new(name: &str, quality: Quality, look: Look, mesh: Option<Cast>) -> Self {
+        let Look { photograph, rendering, truth, .. } = look;
         let size_px = rendering.size_px;
         let range_m = colormap::depth_range(truth.as_ref().map_or(&rendering.depth, |truth| &truth.depth));
         let [near_m, far_m] = range_m;
@@ -44,13 +47,22 @@ impl Showcase {
                 colormap::depth_picture(&rendering.depth, size_px, range_m),
             ),
         ];
-        if let Some(truth) = &truth {
-            let errors = depth_errors_percent(&rendering, truth);
-            let picture = colormap::error_picture(&errors, size_px, DEPTH_BRIGHT_PERCENT);
-            let caption = format!("depth error, 0 to {DEPTH_BRIGHT_PERCENT} % (bright)");
-            pictures.push(captioned(caption, picture));
-        }
         pictures.push(captioned("normal".into(), colormap::normal_picture(&rendering.normal, size_px)));
+        if let Some(mesh) = &mesh {
+            pictures.push(captioned("mesh".into(), colormap::clay_picture(&mesh.normals, size_px)));
+        }
+        if let Some(truth) = &truth {
+            let depth = depth_errors_percent(&rendering, truth);
+            let normal = normal_errors_deg(&rendering, truth);
+            pictures.push(captioned(
+                format!("depth error, 0 to {DEPTH_BRIGHT_PERCENT} % (bright)"),
+                colormap::error_picture(&depth, size_px, DEPTH_BRIGHT_PERCENT),
+            ));
+            pictures.push(captioned(
+                format!("normal error, 0 to {NORMAL_BRIGHT_DEG}° (bright)"),
+                colormap::error_picture(&normal, size_px, NORMAL_BRIGHT_DEG),
+            ));
+        }
         Self { name: name.into(), quality, pictures }
     }
 }
@@ -69,11 +81,18 @@ fn color_error(photograph: &Picture, rgb: &[f32]) -> Picture {
 #[cfg(test)]
 mod tests {
     use cosurf_engine::Rendering;
-    use cosurf_scene::Cast;
+    use cosurf_scene::{Camera, Pose};
+    use glam::{DQuat, DVec2, DVec3};
 
     use super::*;
 
-    fn captions(truth: Option<Cast>) -> Vec<String> {
+    fn captions(truth: Option<Cast>, mesh: Option<Cast>) -> Vec<String> {
+        let camera = Camera {
+            cam_from_world: Pose { rotation: DQuat::IDENTITY, translation: DVec3::ZERO },
+            focal_px: DVec2::ONE,
+            center_px: DVec2::new(1.0, 0.5),
+            size_px: [2, 1],
+        };
         let rendering = Rendering {
             size_px: [2, 1],
             rgb: vec![0.5; 6],
@@ -81,9 +100,9 @@ mod tests {
             depth: vec![30.0, 61.0],
             normal: vec![0.0; 6],
         };
-        let look = Look { photograph: Picture::new([2, 1], vec![9; 6]), rendering, truth };
+        let look = Look { camera, photograph: Picture::new([2, 1], vec![9; 6]), rendering, truth };
         let quality = Quality { psnr: 20.0, ssim: 0.5, lpips: None, surface: None };
-        let Showcase { pictures, .. } = Showcase::new("view", quality, look);
+        let Showcase { pictures, .. } = Showcase::new("view", quality, look, mesh);
         assert!(pictures.iter().all(|captioned| captioned.picture.size_px == [2, 1]));
         pictures.into_iter().map(|captioned| captioned.caption).collect()
     }
@@ -91,10 +110,11 @@ mod tests {
     #[test]
     fn errors_of_depth_are_shown_where_the_truth_is_known() {
         let cast = Cast { size_px: [2, 1], depth: vec![30.0, 60.0], normals: vec![[0.0, 0.0, -1.0]; 2] };
-        let with = captions(Some(cast));
-        assert_eq!((with.len(), &with[3][..]), (6, "depth, 30.0 (bright) to 60.0 m"));
-        assert!(with[4].starts_with("depth error"));
-        let without = captions(None);
+        let with = captions(Some(cast.clone()), Some(cast));
+        assert_eq!((with.len(), &with[3][..]), (8, "depth, 30.0 (bright) to 60.0 m"));
+        assert_eq!(with[5], "mesh");
+        assert!(with[6].starts_with("depth error") && with[7].starts_with("normal error"));
+        let without = captions(None, None);
         assert_eq!((without.len(), &without[3][..]), (5, "depth, 30.0 (bright) to 61.0 m"));
     }
 

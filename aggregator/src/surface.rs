@@ -89,7 +89,7 @@ pub(crate) fn depth_errors_percent(rendering: &Rendering, truth: &Cast) -> Vec<f
 }
 
 /// The angle between the normals of each pixel in degrees, NaN where the model or the truth has none.
-fn normal_errors_deg(rendering: &Rendering, truth: &Cast) -> Vec<f32> {
+pub(crate) fn normal_errors_deg(rendering: &Rendering, truth: &Cast) -> Vec<f32> {
     let normals = rendering.normal.as_chunks::<3>().0;
     errors(rendering, truth, |i| {
         let normal = Vec3::from(normals[i]);

@@ -8,7 +8,7 @@ use anyhow::{Result, bail};
 use clap::Args;
 use cosurf_aggregator::Meter;
 use cosurf_aggregator::eval::model_path;
-use cosurf_aggregator::mesh::{FuseEvent, FuseSettings, Fused, Stage, mesh_model};
+use cosurf_aggregator::mesh::{FuseSettings, Fused, mesh_model};
 use cosurf_scene::bytes::{format_bytes, parse_bytes};
 use cosurf_scene::{Dataset, ply};
 
@@ -29,7 +29,7 @@ pub(crate) struct MeshArgs {
     /// Edge of a voxel, metres [default: what a pixel covers on the ground]
     #[arg(long, value_name = "M", value_parser = parse_length)]
     voxel: Option<f64>,
-    /// The most memory to take, for example 500MiB
+    /// The most memory to take, for example 500MiB; where it is short, voxels become larger
     #[arg(long, value_name = "BYTES", default_value = "2GiB", value_parser = parse_bytes)]
     memory: u64,
     /// Render pictures whose long side is at most this many pixels [default: the cameras' size]
@@ -57,28 +57,12 @@ pub(crate) fn run(args: &MeshArgs) -> Result<()> {
     let begun = Instant::now();
     let mut meter = Meter::new(super::display(args.json));
     let fused = mesh_model(splats, &cameras, args.max_size, &settings, threads, |event| {
-        show(&mut meter, event, begun.elapsed().as_secs_f64());
+        meter.show_fusion(event, begun.elapsed().as_secs_f64());
     })?;
     meter.finish();
     fused.mesh.write(&args.out)?;
     print(args, &fused, begun.elapsed().as_secs_f64());
     Ok(())
-}
-
-fn show(meter: &mut Meter, event: FuseEvent, now_s: f64) {
-    match event {
-        FuseEvent::Progress { stage, done, of } => {
-            let stage = match stage {
-                Stage::Look => "looks",
-                Stage::Find => "finds",
-                Stage::Fuse => "fuses",
-            };
-            meter.show(stage, done, of, now_s);
-        }
-        FuseEvent::Coarser { wanted_m, voxel_m } => meter.notice(&format!(
-            "voxels of {voxel_m:.3} m instead of {wanted_m:.3} m, for want of memory (--memory)"
-        )),
-    }
 }
 
 fn print(args: &MeshArgs, fused: &Fused, seconds: f64) {

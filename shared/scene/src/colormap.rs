@@ -7,6 +7,8 @@
 
 use std::sync::OnceLock;
 
+use glam::Vec3;
+
 use crate::Picture;
 
 /// Colour of pixels that show no surface.
@@ -19,6 +21,9 @@ const HUE_DEG: [f32; 2] = [300.0, 95.0];
 const CHROMA: [f32; 5] = [0.11, 0.09, 0.09, 0.15, 0.09];
 /// The share of surface pixels beyond either end of the colour scale.
 const OUTLIERS: f64 = 0.02;
+/// Linear colour of a clay surface in full light, and the share of light that comes from everywhere.
+const CLAY: [f32; 3] = [0.86, 0.83, 0.79];
+const AMBIENT: f32 = 0.08;
 
 /// Depths, `[h, w]` in metres along z, 0 or not finite where there is no surface, as colours. `range_m`
 /// is the depth of the bright and of the dark end; see [`depth_range`].
@@ -61,6 +66,17 @@ pub fn normal_picture(normals: &[f32], size_px: [u32; 2]) -> Picture {
         let length = (x * x + y * y + z * z).sqrt();
         let byte = |v: f32| ((v / length + 1.0) * 127.5).round() as u8;
         if length > 1e-3 { [byte(x), byte(-y), byte(-z)] } else { EMPTY }
+    });
+    Picture::new(size_px, rgb.collect())
+}
+
+/// Unit normals, `[h, w]` in the camera frame, zero where there is no surface, as light clay with a lamp to the
+/// upper left of the camera.
+pub fn clay_picture(normals: &[[f32; 3]], size_px: [u32; 2]) -> Picture {
+    let lamp = Vec3::new(-0.5, -0.6, -0.62).normalize();
+    let rgb = normals.iter().flat_map(|&normal| {
+        let light = AMBIENT + (1.0 - AMBIENT) * Vec3::from(normal).dot(lamp).max(0.0);
+        if normal == [0.0; 3] { EMPTY } else { CLAY.map(|part| byte_from_linear(part * light)) }
     });
     Picture::new(size_px, rgb.collect())
 }
@@ -159,6 +175,15 @@ mod tests {
         let [near, far] = depth_range(&depth);
         assert!((50.0..50.5).contains(&near) && (59.5..60.0).contains(&far), "{near} {far}");
         assert_eq!(depth_range(&[0.0, f32::INFINITY]), [0.0, 1.0]);
+    }
+
+    #[test]
+    fn clay_is_brightest_towards_the_lamp() {
+        let picture =
+            clay_picture(&[[-0.5, -0.6, -0.62], [0.0, 0.0, -1.0], [0.5, 0.6, -0.62], [0.0; 3]], [4, 1]);
+        let pixels = picture.rgb.as_chunks::<3>().0;
+        assert!(pixels.windows(2).all(|pair| luma(pair[0]) > luma(pair[1])), "{pixels:?}");
+        assert_eq!(pixels[3], EMPTY);
     }
 
     #[test]
