@@ -1,0 +1,167 @@
+//! What the ablation benches share: the same training with one thing changed at a time, judged on held-out
+//! views and by the true surface, printed as a table for the README.
+//!
+//! The data are `../shared/data/gt_boruszyn` where it lies beside the checkout, otherwise a small built-in
+//! city made on the spot.
+
+use std::path::{Path, PathBuf};
+use std::thread::available_parallelism;
+use std::time::Instant;
+
+use anyhow::{Context, Result};
+use clap::Parser;
+use cosurf_agent::session::{Session, Split, TrainPlan};
+use cosurf_aggregator::accuracy;
+use cosurf_aggregator::eval::{EvalOrder, EvalReport, judge};
+use cosurf_aggregator::mesh::{FuseSettings, mesh_model};
+use cosurf_engine::{PruneSettings, SurfaceSettings};
+use cosurf_scene::city::{City, CitySettings};
+use cosurf_scene::{Camera, Mesh, Splats, ply};
+
+const EVAL_EVERY: u32 = 8;
+const MESH_BYTES: u64 = 4 << 30;
+
+/// Ablation of the training, a table on standard output.
+#[derive(Parser)]
+pub(crate) struct Arguments {
+    /// A dataset with its true surface in gt/points.ply or gt/mesh.ply [default: as the bench says]
+    #[arg(long, value_name = "DATA")]
+    data: Option<PathBuf>,
+    /// Shrink pictures until their long side is at most this many pixels
+    #[arg(long, value_name = "PX", default_value_t = 240)]
+    max_size: u32,
+    /// Steps of each training
+    #[arg(long, value_name = "N", default_value_t = 1500)]
+    steps: u32,
+    /// Distance up to which a mesh counts as right, metres
+    #[arg(long, value_name = "M", default_value_t = 0.5)]
+    threshold: f64,
+    /// What cargo says to every bench
+    #[arg(long, hide = true)]
+    bench: bool,
+}
+
+/// A training that differs from the others.
+pub(crate) struct Variant {
+    pub(crate) name: String,
+    pub(crate) surface: Option<SurfaceSettings>,
+    pub(crate) prune: Option<PruneSettings>,
+}
+
+/// Trains and judges every variant, and prints a line for each.
+pub(crate) fn compare(variants: &[Variant]) -> Result<()> {
+    let arguments = Arguments::parse();
+    let folder = tempfile::tempdir()?;
+    let data = arguments.data.clone().map_or_else(|| usual_data(folder.path()), Ok)?;
+    let truth = truth(&data)?;
+    println!(
+        "{}, long side {} px, {} steps, threshold {} m\n",
+        data.display(),
+        arguments.max_size,
+        arguments.steps,
+        arguments.threshold
+    );
+    println!("| | splats | PSNR | SSIM | depth error | normal error | F-score | time |");
+    println!("|---|---|---|---|---|---|---|---|");
+    let mut first_s = None;
+    for variant in variants {
+        let trained = train(&arguments, &data, variant)?;
+        let relative = trained.seconds / *first_s.get_or_insert(trained.seconds);
+        let file = folder.path().join("model.ply");
+        ply::write(&file, &trained.splats)?;
+        let eval = judge(&order(&arguments, &data, &file))?;
+        let f_score = f_score(&arguments, trained, &truth);
+        println!("{}", row(variant, &eval, f_score.as_ref().ok().copied(), relative));
+        if let Err(error) = f_score {
+            eprintln!("{}: {error}", variant.name);
+        }
+    }
+    Ok(())
+}
+
+fn usual_data(folder: &Path) -> Result<PathBuf> {
+    let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data/gt_boruszyn");
+    if scene.is_dir() {
+        return Ok(scene);
+    }
+    let city = CitySettings { extent_m: 80.0, views: 48, ..CitySettings::default() };
+    City::build(&city)?.write(folder, |_, _| ())?;
+    Ok(folder.into())
+}
+
+fn truth(data: &Path) -> Result<Mesh> {
+    let files = ["gt/points.ply", "gt/mesh.ply"].map(|name| data.join(name));
+    let file = files.iter().find(|file| file.is_file());
+    Ok(Mesh::read(file.with_context(|| format!("{} has no true surface in gt/", data.display()))?)?)
+}
+
+/// What a training gave.
+struct Trained {
+    splats: Splats,
+    cameras: Vec<Camera>,
+    seconds: f64,
+}
+
+fn train(arguments: &Arguments, data: &Path, variant: &Variant) -> Result<Trained> {
+    let plan = TrainPlan {
+        data: data.into(),
+        split: Split::Every(EVAL_EVERY),
+        steps: arguments.steps,
+        seed: 0,
+        memory_bytes: 8 << 30,
+        max_size_px: arguments.max_size,
+        threads: threads(),
+        surface: variant.surface,
+        prune: variant.prune,
+        exposure: false,
+    };
+    let mut session = Session::start(&plan, None)?;
+    let begun = Instant::now();
+    while !session.trainer().is_done() {
+        session.step()?;
+    }
+    let seconds = begun.elapsed().as_secs_f64();
+    let cameras = session.cameras().to_vec();
+    Ok(Trained { splats: session.into_splats(), cameras, seconds })
+}
+
+fn threads() -> usize {
+    available_parallelism().map_or(1, usize::from)
+}
+
+fn order(arguments: &Arguments, data: &Path, model: &Path) -> EvalOrder {
+    EvalOrder {
+        model: model.into(),
+        data: data.into(),
+        lpips: None,
+        truth: None,
+        eval_every: EVAL_EVERY,
+        max_size_px: Some(arguments.max_size),
+        threads: threads(),
+    }
+}
+
+/// Of the mesh that the cameras trained on give.
+fn f_score(arguments: &Arguments, trained: Trained, truth: &Mesh) -> Result<f64> {
+    let settings = FuseSettings { voxel_m: None, memory_bytes: MESH_BYTES };
+    let fused = mesh_model(trained.splats, &trained.cameras, None, &settings, threads(), |_| ())?;
+    let (accuracy, _) = accuracy::judge(&fused.mesh, truth, arguments.threshold, 0)?;
+    Ok(accuracy.samples.f_score)
+}
+
+fn row(variant: &Variant, eval: &EvalReport, f_score: Option<f64>, relative: f64) -> String {
+    let surface = eval.mean.surface;
+    let depth = surface.and_then(|surface| surface.depth_error_percent);
+    let normal = surface.and_then(|surface| surface.normal_error_deg);
+    let cells = [
+        variant.name.clone(),
+        eval.splats.to_string(),
+        format!("{:.2}", eval.mean.psnr),
+        format!("{:.3}", eval.mean.ssim),
+        depth.map_or("–".into(), |error| format!("{:.2} %", error.median)),
+        normal.map_or("–".into(), |error| format!("{:.1}°", error.median)),
+        f_score.map_or("–".into(), |score| format!("{score:.3}")),
+        format!("{relative:.2} ×"),
+    ];
+    format!("| {} |", cells.join(" | "))
+}

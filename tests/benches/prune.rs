@@ -1,0 +1,26 @@
+//! How many splats can go, and what should decide which (CoSurfGS, "Ablations of prune percentage").
+//!
+//! `cargo bench -p cosurf-tests --bench prune -- --help`
+
+mod ablation;
+
+use ablation::{Variant, compare};
+use anyhow::Result;
+use cosurf_engine::{PruneScore, PruneSettings, SurfaceSettings};
+
+fn main() -> Result<()> {
+    let variant = |name: String, prune: Option<PruneSettings>| Variant {
+        name,
+        surface: Some(SurfaceSettings::default()),
+        prune,
+    };
+    let scores = [("corrected", PruneScore::Corrected), ("paper's", PruneScore::Paper)];
+    let pruned = scores.iter().flat_map(|&(name, score)| {
+        [0.4, 0.6, 0.8].map(|ratio| {
+            let prune = PruneSettings { ratio, score, ..PruneSettings::default() };
+            variant(format!("{:.0} %, {name} score", 100.0 * ratio), Some(prune))
+        })
+    });
+    let variants: Vec<Variant> = [variant("no pruning".into(), None)].into_iter().chain(pruned).collect();
+    compare(&variants)
+}
