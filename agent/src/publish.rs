@@ -19,8 +19,6 @@ use crate::outputs::write_json;
 
 /// Longest wait for something to hear before the time is looked at again.
 const LOOK_UP: Duration = Duration::from_millis(200);
-/// After the last acknowledgement the link gets this long to carry it out.
-const FAREWELL: Duration = Duration::from_secs(1);
 
 /// What to send and what to wait for.
 pub struct Publication<'a> {
@@ -36,6 +34,8 @@ pub struct Publication<'a> {
     pub wait_global: bool,
     /// Most bytes that a global model on its way in may take.
     pub inbox_bytes: u64,
+    /// After the last acknowledgement the link gets this long to carry it out.
+    pub farewell: Duration,
 }
 
 /// What was published last: so that the same model keeps its number, and another one gets the next.
@@ -108,7 +108,7 @@ pub fn publish<T: Transport>(
             _ => {}
         }
     }
-    let end = now() + FAREWELL;
+    let end = now() + publication.farewell;
     while now() < end {
         node.step(transport, &now, LOOK_UP);
     }

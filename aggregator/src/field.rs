@@ -7,11 +7,12 @@ use std::sync::mpsc::Receiver;
 use std::time::Duration;
 
 use cosurf_link::mqtt::BadAddress;
-use cosurf_link::{BrokerAddress, Identity, InboxLimits, MqttConfig, MqttTransport, Role};
+use cosurf_link::{BrokerAddress, Identity, InboxLimits, MqttConfig, MqttTransport, Role, SerialConfig};
 use cosurf_wire::{DeviceId, SiteId};
 use serde::Deserialize;
 
 use crate::broker::{Broker, BrokerError};
+use crate::gateway::{Gateway, GatewayEvent};
 use crate::service::{
     BROKER_ATTEMPTS_MAX, Command, Expected, Service, ServiceConfig, ServiceError, ServiceEvent,
 };
@@ -75,15 +76,20 @@ pub enum FieldError {
     },
 }
 
-/// Serves until `commands` says to finish or its sender is gone. `say` shows what happens, a line each.
+/// Serves until `commands` says to finish or its sender is gone, devices on serial `lines` too. `say` and
+/// `say_of_lines` show what happens.
 pub fn serve(
     config: &AggregatorConfig,
     session: u64,
+    lines: Vec<SerialConfig>,
     now: impl Fn() -> Duration,
     commands: &Receiver<Command>,
     mut say: impl FnMut(&ServiceEvent),
+    say_of_lines: impl Fn(GatewayEvent) + Clone + Send + 'static,
 ) -> Result<(), FieldError> {
     let (_embedded, broker) = reach_broker(config)?;
+    let gateway = |line| Gateway::start(config.site, broker.clone(), line, say_of_lines.clone());
+    let _gateways: Vec<Gateway> = lines.into_iter().map(gateway).collect();
     let device = DeviceId::new(&config.device)?;
     let identity = Identity { site: config.site, device, session, role: Role::Aggregator };
     let service = Service::open(ServiceConfig {

@@ -3,7 +3,9 @@
 
 mod cli;
 
+use std::fmt::Display;
 use std::io::{self, Write};
+use std::num::NonZeroU32;
 use std::path::{Path, PathBuf, absolute};
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -19,9 +21,11 @@ use cosurf_aggregator::mission::{MissionOrder, Surroundings, fly};
 use cosurf_aggregator::plan::Settings;
 use cosurf_aggregator::report::{MissionReport, table};
 use cosurf_aggregator::service::Command;
-use cosurf_link::BrokerAddress;
+use cosurf_link::serial::{DEFAULT_BAUD, GATEWAY_MESSAGE_BYTES};
+use cosurf_link::{BrokerAddress, SerialConfig};
 use cosurf_scene::bytes::parse_bytes;
 use cosurf_scene::city::CitySettings;
+use serde::Serialize;
 
 /// The ground side of cosurf: takes in the splat models that drones send, joins them, sends them back.
 #[derive(Parser)]
@@ -88,6 +92,13 @@ struct RunArgs {
     /// The configuration: site, out, and either bind or broker
     #[arg(long, value_name = "FILE")]
     config: PathBuf,
+    /// Serve the device at the other end of this serial port too, by a telemetry radio for example; may be
+    /// given several times
+    #[arg(long, value_name = "PORT")]
+    serial: Vec<String>,
+    /// Speed of the serial ports in bits per second
+    #[arg(long, value_name = "BAUD", default_value_t = DEFAULT_BAUD)]
+    baud: NonZeroU32,
     /// Print every event as a line of JSON
     #[arg(long)]
     json: bool,
@@ -186,22 +197,27 @@ fn run(args: &RunArgs) -> Result<()> {
         let _ = commands.send(Command::Finish); // fails only where the service has ended already
     })
     .context("Ctrl-C cannot be caught")?;
-    let begun = Instant::now();
+    let (begun, json) = (Instant::now(), args.json);
+    let line = |port: &String| SerialConfig::device(port, args.baud, session(), GATEWAY_MESSAGE_BYTES);
     field::serve(
         &config,
         session(),
+        args.serial.iter().map(line).collect(),
         || begun.elapsed(),
         &orders,
-        |event| {
-            let mut stdout = io::stdout().lock();
-            let shown = match args.json {
-                true => writeln!(stdout, "{}", serde_json::json!(event)),
-                false => writeln!(stdout, "{event}"),
-            };
-            let _ = shown; // it serves on although nobody looks
-        },
+        |event| show(event, json),
+        move |event| show(&event, json),
     )?;
     Ok(())
+}
+
+/// Prints an event on a line of its own; it serves on although nobody looks.
+fn show(event: &(impl Display + Serialize), json: bool) {
+    let mut stdout = io::stdout().lock();
+    let _ = match json {
+        true => writeln!(stdout, "{}", serde_json::json!(event)),
+        false => writeln!(stdout, "{event}"),
+    };
 }
 
 /// Seconds since 1970; a clock before that is a clock that was never set.

@@ -147,7 +147,9 @@ impl Plan {
         let config = AgentConfig {
             device: device.to_string(),
             site: self.site.to_string(),
-            broker: broker.to_string(),
+            broker: Some(broker.to_string()),
+            serial: None,
+            baud: None,
             data: settings.data.clone(),
             out: folder.clone(),
             views: self.names_of(agent, false),

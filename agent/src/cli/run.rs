@@ -1,6 +1,7 @@
 //! `run`: a whole flight's work after landing: train, publish, receive.
 
 use std::fs;
+use std::num::NonZeroU32;
 use std::path::PathBuf;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
@@ -9,7 +10,9 @@ use clap::Args;
 use cosurf_agent::publish::{Publication, publish};
 use cosurf_agent::session::{Split, TrainPlan};
 use cosurf_engine::{PruneSettings, SurfaceSettings};
-use cosurf_link::{BrokerAddress, Identity, MqttConfig, MqttTransport, Role};
+use cosurf_link::serial::{DEFAULT_BAUD, DEVICE_MESSAGE_BYTES};
+use cosurf_link::{BrokerAddress, Identity, MqttConfig, MqttTransport, Role, SerialConfig, SerialTransport};
+use cosurf_scene::report::AgentEvent;
 use cosurf_scene::{AgentConfig, Camera, ply};
 use cosurf_wire::{DeviceId, SiteId};
 
@@ -33,7 +36,7 @@ pub(super) fn run(args: &RunArgs) -> Result<()> {
     let config: AgentConfig = toml::from_str(&text).with_context(|| args.config.display().to_string())?;
     let device = DeviceId::new(&config.device).with_context(|| format!("device {:?}", config.device))?;
     let site = SiteId::new(&config.site).with_context(|| format!("site {:?}", config.site))?;
-    let broker: BrokerAddress = config.broker.parse()?;
+    let route = Route::of(&config)?;
     let plan = plan(&config).with_context(|| args.config.display().to_string())?;
     let mut progress = Progress::new(args.json);
     train::train(&plan, &config.out, false, &mut progress)?;
@@ -44,7 +47,6 @@ pub(super) fn run(args: &RunArgs) -> Result<()> {
         serde_json::from_slice(&fs::read(&cameras).with_context(|| cameras.display().to_string())?)?;
     let session = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
     let identity = Identity { site, device, session, role: Role::Device };
-    let mut transport = MqttTransport::start(MqttConfig { broker, identity });
     let publication = Publication {
         identity,
         splats: &splats,
@@ -52,14 +54,47 @@ pub(super) fn run(args: &RunArgs) -> Result<()> {
         out: &config.out,
         wait_global: config.wait_global,
         inbox_bytes: plan.memory_bytes / 2,
+        farewell: route.farewell(),
     };
     let started = Instant::now();
-    publish(
-        &publication,
-        &mut transport,
-        || started.elapsed() + Duration::from_secs(1),
-        |event| progress.show(&event),
-    )
+    let now = || started.elapsed() + Duration::from_secs(1);
+    let show = |event: AgentEvent| progress.show(&event);
+    match route {
+        Route::Broker(broker) => {
+            let mut transport = MqttTransport::start(MqttConfig { broker, identity });
+            publish(&publication, &mut transport, now, show)
+        }
+        Route::Serial { port, baud } => {
+            let line = SerialConfig::device(&port, baud, session, DEVICE_MESSAGE_BYTES);
+            publish(&publication, &mut SerialTransport::start(line), now, show)
+        }
+    }
+}
+
+/// How the aggregator is reached.
+enum Route {
+    Broker(BrokerAddress),
+    Serial { port: String, baud: NonZeroU32 },
+}
+
+impl Route {
+    fn of(config: &AgentConfig) -> Result<Self> {
+        match (&config.broker, &config.serial) {
+            (Some(broker), None) => Ok(Self::Broker(broker.parse()?)),
+            (None, Some(port)) => {
+                Ok(Self::Serial { port: port.clone(), baud: config.baud.unwrap_or(DEFAULT_BAUD) })
+            }
+            _ => bail!("write either broker = \"mqtt://host:port\" or serial = \"/dev/ttyUSB0\""),
+        }
+    }
+
+    /// After the last acknowledgement the link gets this long to carry it out.
+    fn farewell(&self) -> Duration {
+        match self {
+            Self::Broker(_) => Duration::from_secs(1),
+            Self::Serial { .. } => Duration::from_secs(10),
+        }
+    }
 }
 
 fn plan(config: &AgentConfig) -> Result<TrainPlan> {

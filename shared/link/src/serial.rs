@@ -29,6 +29,8 @@ use crate::transport::{Outgoing, PublishError, Transport, TransportEvent};
 pub const DEFAULT_BAUD: NonZeroU32 = NonZeroU32::new(57_600).expect("not zero");
 /// Largest message that a device sends: three seconds of a radio.
 pub const DEVICE_MESSAGE_BYTES: usize = 16 * 1024;
+/// Largest message that a gateway sends: any.
+pub const GATEWAY_MESSAGE_BYTES: usize = letter::MAX_LETTER_BYTES - 1;
 
 /// Longest that the port is listened to before the time is looked at.
 const LISTEN: Duration = Duration::from_millis(10);

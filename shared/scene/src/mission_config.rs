@@ -2,6 +2,7 @@
 //! field; the aggregator's `mission` writes one for each agent that it starts. It lives here since
 //! agent and aggregator never see each other.
 
+use std::num::NonZeroU32;
 use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
@@ -17,8 +18,16 @@ pub struct AgentConfig {
     pub device: String,
     /// The site whose aggregator gets the model; same alphabet.
     pub site: String,
-    /// The broker's address, for example `mqtt://127.0.0.1:1883`.
-    pub broker: String,
+    /// The broker's address, for example `mqtt://127.0.0.1:1883`; absent where `serial` is used.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub broker: Option<String>,
+    /// The serial port of a radio whose other end is the aggregator's, for example `/dev/ttyUSB0`; absent
+    /// where `broker` is used.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub serial: Option<String>,
+    /// Speed of the serial port in bits per second; absent for 57,600.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub baud: Option<NonZeroU32>,
     /// The dataset's folder.
     pub data: PathBuf,
     /// Where model, checkpoints, report and the received global model go.

@@ -35,8 +35,9 @@ const GRACE: Duration = Duration::from_millis(200);
 const REPEAT_MAX: Duration = Duration::from_secs(5);
 /// Without a word for so long the line is told to be lost.
 const LOST: Duration = Duration::from_secs(30);
-/// How far frames may be ahead of the pace: what a thread oversleeps.
-const AHEAD: Duration = Duration::from_millis(50);
+/// How far frames may be ahead of the pace: what a thread on a busy computer oversleeps, and less than
+/// what radios (SiK) and ports hold.
+const AHEAD: Duration = Duration::from_millis(200);
 
 /// What a line tells its owner beside messages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

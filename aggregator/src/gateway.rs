@@ -1,0 +1,167 @@
+//! Brings the device at the other end of a serial line onto the broker, under its own name: so devices by
+//! radio and devices by network share one mission, and the service knows no difference.
+//!
+//! When the device says its birth, a client of the broker is started as that device; when the line is
+//! silent, the client ends without a word, and the broker publishes the device's last will. [`relay`]
+//! decides what passes; this file moves it.
+
+mod relay;
+
+use std::fmt;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use cosurf_link::{
+    BrokerAddress, MqttConfig, MqttTransport, Outgoing, PublishError, SerialConfig, SerialTransport,
+    Transport, TransportEvent,
+};
+use cosurf_wire::{DeviceId, SiteId};
+use serde::Serialize;
+
+use relay::{Passage, Relay};
+
+/// Longest that one side is listened to before the other has its turn.
+const LISTEN: Duration = Duration::from_millis(10);
+
+/// What a gateway tells its owner.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[serde(tag = "event", rename_all = "snake_case")]
+pub enum GatewayEvent {
+    /// A device is at the other end of a line.
+    OnLine {
+        /// The line's name.
+        line: String,
+        /// Who.
+        device: DeviceId,
+    },
+    /// Nobody is, or the port does not open.
+    OffLine {
+        /// One line.
+        reason: String,
+    },
+    /// Something was heard and thrown away.
+    IgnoredOnLine {
+        /// The line's name.
+        line: String,
+        /// Why.
+        reason: String,
+    },
+}
+
+impl fmt::Display for GatewayEvent {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::OnLine { line, device } => write!(f, "serial line {line}: {device} is there"),
+            Self::OffLine { reason } => write!(f, "{reason}"),
+            Self::IgnoredOnLine { line, reason } => write!(f, "serial line {line}: ignored: {reason}"),
+        }
+    }
+}
+
+/// A running gateway for one line; it ends when dropped.
+#[derive(Debug)]
+pub struct Gateway {
+    is_stopping: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Gateway {
+    /// Starts to serve the device at the other end of `line`, on `site` of `broker`.
+    pub fn start(
+        site: SiteId,
+        broker: BrokerAddress,
+        line: SerialConfig,
+        say: impl Fn(GatewayEvent) + Send + 'static,
+    ) -> Self {
+        let is_stopping = Arc::new(AtomicBool::new(false));
+        let stop = Arc::clone(&is_stopping);
+        let thread = std::thread::spawn(move || {
+            let name = line.name.clone();
+            let line = SerialTransport::start(line);
+            let mut bridge =
+                Bridge { name, broker, line, client: None, relay: Relay::new(site), up: None, say };
+            while !stop.load(Ordering::Relaxed) {
+                bridge.up();
+                bridge.down();
+            }
+        });
+        Self { is_stopping, thread: Some(thread) }
+    }
+}
+
+impl Drop for Gateway {
+    fn drop(&mut self) {
+        self.is_stopping.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            // A panic there has been printed; there is nothing to add.
+            let _ = thread.join();
+        }
+    }
+}
+
+/// The two sides.
+struct Bridge<F> {
+    name: String,
+    broker: BrokerAddress,
+    line: SerialTransport,
+    /// At the broker, in the device's name.
+    client: Option<MqttTransport>,
+    relay: Relay,
+    /// For the broker, as soon as it has room; until then the line is not listened to.
+    up: Option<Outgoing>,
+    say: F,
+}
+
+impl<F: Fn(GatewayEvent)> Bridge<F> {
+    /// From the device to the broker.
+    fn up(&mut self) {
+        if let (Some(message), Some(client)) = (self.up.take(), &mut self.client)
+            && client.publish(&message) == Err(PublishError::Busy)
+        {
+            self.up = Some(message);
+            return;
+        }
+        match self.line.poll(LISTEN) {
+            Some(TransportEvent::Incoming { topic, payload }) => self.pass(&topic, payload),
+            Some(TransportEvent::Disconnected { reason, .. }) => {
+                self.client = None;
+                (self.say)(GatewayEvent::OffLine { reason });
+            }
+            Some(TransportEvent::Connected) | None => {}
+        }
+    }
+
+    fn pass(&mut self, topic: &str, payload: Vec<u8>) {
+        match self.relay.hear_device(topic, payload) {
+            Passage::Born(identity) => {
+                let config = MqttConfig { broker: self.broker.clone(), identity };
+                self.client = Some(MqttTransport::start(config));
+                (self.say)(GatewayEvent::OnLine { line: self.name.clone(), device: identity.device });
+            }
+            Passage::Pass(message) => self.up = Some(message),
+            Passage::Refuse(reason) => {
+                (self.say)(GatewayEvent::IgnoredOnLine { line: self.name.clone(), reason });
+            }
+        }
+    }
+
+    /// From the broker to the device.
+    fn down(&mut self) {
+        let Some(client) = &mut self.client else { return };
+        while let Some(event) = client.poll(Duration::ZERO) {
+            match event {
+                TransportEvent::Incoming { topic, payload } => self.relay.hear_broker(&topic, payload),
+                // The broker may have forgotten that the device lives.
+                TransportEvent::Connected => self.up = self.up.take().or_else(|| self.relay.birth()),
+                TransportEvent::Disconnected { .. } => {}
+            }
+        }
+        while let Some(message) = self.relay.next_down()
+            && self.line.publish(message) != Err(PublishError::Busy)
+        {
+            self.relay.passed_down();
+        }
+    }
+}

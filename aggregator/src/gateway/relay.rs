@@ -1,0 +1,237 @@
+//! What passes between a serial line and the broker. No port, no socket, no clock.
+//!
+//! A radio is slower than the network by a factor of thousands, and what the aggregator sends to all is
+//! sent at the network's speed. So of a global model's chunks only those pass that this device has said to
+//! lack, each once, and as many wait here as the sender has under way at most.
+
+use std::collections::{BTreeSet, VecDeque};
+
+use cosurf_link::{Identity, Outgoing, Role};
+use cosurf_wire::{DeviceId, Knowledge, Message, ModelId, Reply, SiteId, State, Topic, Want};
+
+/// Chunks that wait for the line: 2 MiB at 64 KiB, a sender's window.
+const CHUNKS_MAX: usize = 32;
+/// Other messages that wait for the line.
+const OTHERS_MAX: usize = 64;
+
+/// What becomes of a message of the device.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Passage {
+    /// The device begins a session: it needs a client of its own at the broker.
+    Born(Identity),
+    /// It goes to the broker.
+    Pass(Outgoing),
+    /// It goes nowhere.
+    Refuse(String),
+}
+
+/// One line's memory.
+#[derive(Debug)]
+pub(super) struct Relay {
+    site: SiteId,
+    device: Option<DeviceId>,
+    birth: Option<Outgoing>,
+    /// What the device lacks of which global model.
+    want: Option<Want>,
+    /// Chunks of it that were passed since.
+    passed: BTreeSet<u32>,
+    others: VecDeque<Outgoing>,
+    chunks: VecDeque<(ModelId, u32, Outgoing)>,
+}
+
+impl Relay {
+    pub(super) fn new(site: SiteId) -> Self {
+        Self {
+            site,
+            device: None,
+            birth: None,
+            want: None,
+            passed: BTreeSet::new(),
+            others: VecDeque::new(),
+            chunks: VecDeque::new(),
+        }
+    }
+
+    /// The newest birth notice of the device.
+    pub(super) fn birth(&self) -> Option<Outgoing> {
+        self.birth.clone()
+    }
+
+    /// Takes a message of the device. It may speak for itself only.
+    pub(super) fn hear_device(&mut self, topic: &str, payload: Vec<u8>) -> Passage {
+        let refuse = |reason: &str| Passage::Refuse(format!("{topic}: {reason}"));
+        let (site, parsed) = match Topic::parse(topic) {
+            Ok(parsed) => parsed,
+            Err(error) => return refuse(&error.to_string()),
+        };
+        let (device, is_retained) = match parsed {
+            Topic::State { device } | Topic::LocalHeader { device, .. } => (device, true),
+            Topic::LocalChunk { device, .. } | Topic::GlobalReply { device, .. } => (device, false),
+            _ => return refuse("a device does not say this"),
+        };
+        if site != self.site {
+            return refuse("belongs to another site");
+        }
+        let message = Outgoing { topic: parsed.to_text(&site), payload, retain: is_retained };
+        match (parsed, Message::decode(&message.payload)) {
+            (Topic::State { .. }, Ok(Message::State(State { session, alive: true, .. }))) => {
+                *self = Self { device: Some(device), birth: Some(message), ..Self::new(site) };
+                return Passage::Born(Identity { site, device, session, role: Role::Device });
+            }
+            (Topic::GlobalReply { reply: Reply::Want, .. }, Ok(Message::Want(want))) => self.note(want),
+            _ => {}
+        }
+        match self.device {
+            Some(known) if known == device => Passage::Pass(message),
+            Some(_) => refuse("the line belongs to another device"),
+            None => refuse("nobody has said a birth on this line"),
+        }
+    }
+
+    /// Takes a message of the broker for the device; what it does not want goes no further.
+    pub(super) fn hear_broker(&mut self, topic: &str, payload: Vec<u8>) {
+        let Ok((site, parsed)) = Topic::parse(topic) else { return };
+        let message = Outgoing { topic: parsed.to_text(&site), payload, retain: false };
+        match parsed {
+            Topic::GlobalChunk { model, index, .. } => {
+                let is_wanted = self.want.as_ref().is_some_and(|want| {
+                    want.model == model && want.missing.of_chunk(index) == Knowledge::Missing
+                });
+                if is_wanted && self.chunks.len() < CHUNKS_MAX && self.passed.insert(index) {
+                    self.chunks.push_back((model, index, message));
+                }
+            }
+            _ if self.others.len() < OTHERS_MAX && !self.others.contains(&message) => {
+                self.others.push_back(message);
+            }
+            _ => {}
+        }
+    }
+
+    /// What is next for the device.
+    pub(super) fn next_down(&self) -> Option<&Outgoing> {
+        self.others.front().or_else(|| self.chunks.front().map(|(_, _, message)| message))
+    }
+
+    /// The line has taken it.
+    pub(super) fn passed_down(&mut self) {
+        if self.others.pop_front().is_none() {
+            self.chunks.pop_front();
+        }
+    }
+
+    /// The device says what it lacks; if nothing has come to it for a while, what was passed is lost.
+    fn note(&mut self, want: Want) {
+        let is_other = self.want.as_ref().is_none_or(|before| before.model != want.model);
+        if is_other {
+            self.chunks.clear();
+        }
+        if is_other || want.idle {
+            self.passed = self.chunks.iter().map(|(_, index, _)| *index).collect();
+        }
+        self.want = Some(want);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use cosurf_wire::{MAX_MESSAGE_BYTES, Missing, TileId};
+
+    use super::*;
+
+    fn site() -> SiteId {
+        SiteId::new("site").unwrap()
+    }
+
+    fn device(name: &str) -> DeviceId {
+        DeviceId::new(name).unwrap()
+    }
+
+    fn bytes(message: &Message<'_>) -> Vec<u8> {
+        message.encode(&mut vec![0; MAX_MESSAGE_BYTES]).unwrap().to_vec()
+    }
+
+    fn say(relay: &mut Relay, topic: Topic, message: &Message<'_>) -> Passage {
+        relay.hear_device(&topic.to_text(&site()), bytes(message))
+    }
+
+    fn born(relay: &mut Relay, name: &str) -> Passage {
+        let state = State { device: device(name), session: 5, alive: true };
+        say(relay, Topic::State { device: device(name) }, &Message::State(state))
+    }
+
+    fn want(relay: &mut Relay, idle: bool, has: &[u32]) {
+        let missing = Missing::of(100, |index| has.contains(&index));
+        let want = Want { device: device("ground"), model: ModelId(1), idle, missing };
+        let topic = Topic::GlobalReply { device: device("drone"), reply: Reply::Want };
+        assert!(matches!(say(relay, topic, &Message::Want(want)), Passage::Pass(_)));
+    }
+
+    fn chunk(relay: &mut Relay, index: u32) {
+        let topic = Topic::GlobalChunk { tile: TileId::WHOLE, model: ModelId(1), index };
+        relay.hear_broker(&topic.to_text(&site()), vec![index as u8]);
+    }
+
+    fn all_down(relay: &mut Relay) -> Vec<u8> {
+        let mut first_bytes = Vec::new();
+        while let Some(message) = relay.next_down() {
+            first_bytes.push(message.payload[0]);
+            relay.passed_down();
+        }
+        first_bytes
+    }
+
+    #[test]
+    fn a_device_speaks_after_its_birth_and_for_itself_only() {
+        let mut relay = Relay::new(site());
+        let header = Topic::LocalHeader { device: device("drone"), model: ModelId(1) }.to_text(&site());
+        assert!(matches!(relay.hear_device(&header, vec![1]), Passage::Refuse(_)), "not born");
+        let Passage::Born(identity) = born(&mut relay, "drone") else { panic!("a birth") };
+        assert_eq!((identity.device, identity.session), (device("drone"), 5));
+        let Passage::Pass(message) = relay.hear_device(&header, vec![1]) else { panic!("passes") };
+        assert!(message.retain, "headers are retained");
+        for topic in [
+            Topic::LocalHeader { device: device("other"), model: ModelId(1) },
+            Topic::GlobalHeader { tile: TileId::WHOLE },
+            Topic::LocalReply { device: device("drone"), reply: Reply::Done },
+        ] {
+            let passage = relay.hear_device(&topic.to_text(&site()), vec![1]);
+            assert!(matches!(passage, Passage::Refuse(_)), "{topic}");
+        }
+        let elsewhere = SiteId::new("elsewhere").unwrap();
+        let topic = Topic::State { device: device("drone") }.to_text(&elsewhere);
+        assert!(matches!(relay.hear_device(&topic, vec![1]), Passage::Refuse(_)));
+    }
+
+    #[test]
+    fn only_wanted_chunks_pass_and_each_once_until_it_is_lost() {
+        let mut relay = Relay::new(site());
+        born(&mut relay, "drone");
+        chunk(&mut relay, 3);
+        assert_eq!(all_down(&mut relay), [0; 0], "nobody asked");
+        want(&mut relay, false, &[0, 1]);
+        [0, 2, 3, 3].iter().for_each(|index| chunk(&mut relay, *index));
+        assert_eq!(all_down(&mut relay), [2, 3]);
+        chunk(&mut relay, 2);
+        assert_eq!(all_down(&mut relay), [0; 0], "under way");
+        want(&mut relay, true, &[0, 1, 3]);
+        [2, 3].iter().for_each(|index| chunk(&mut relay, *index));
+        assert_eq!(all_down(&mut relay), [2], "what was lost passes again");
+    }
+
+    #[test]
+    fn what_waits_is_bounded_and_chunks_wait_for_news() {
+        let mut relay = Relay::new(site());
+        born(&mut relay, "drone");
+        want(&mut relay, false, &[]);
+        (0..100).for_each(|index| chunk(&mut relay, index));
+        for i in 0..200u32 {
+            let topic = Topic::LocalReply { device: device("drone"), reply: Reply::Done };
+            relay.hear_broker(&topic.to_text(&site()), vec![200, i as u8]);
+        }
+        let down = all_down(&mut relay);
+        assert_eq!(down.len(), CHUNKS_MAX + OTHERS_MAX);
+        assert!(down[..OTHERS_MAX].iter().all(|byte| *byte == 200), "news goes first");
+    }
+}
