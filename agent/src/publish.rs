@@ -28,6 +28,8 @@ pub struct Publication<'a> {
     pub splats: &'a Splats,
     /// The cameras that it saw.
     pub cameras: &'a [Camera],
+    /// What each splat gives to the pictures, in any unit: what gives most is sent first.
+    pub importance: &'a [f32],
     /// The agent's folder.
     pub out: &'a Path,
     /// Whether to wait for a global model.
@@ -127,7 +129,7 @@ fn who_is_silent(reason: &str) -> &str {
 /// The model as it is sent, under the number that it had before if it was sent before.
 fn offer(publication: &Publication) -> Result<Offer> {
     let path = publication.out.join("published.json");
-    let body = model_to_body(publication.splats, publication.cameras)?;
+    let body = model_to_body(publication.splats, publication.cameras, publication.importance)?;
     let hash = blake3::hash(&body).to_hex().to_string();
     let mut published: Published = match fs::read(&path) {
         Ok(bytes) => serde_json::from_slice(&bytes)

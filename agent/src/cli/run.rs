@@ -9,7 +9,7 @@ use anyhow::{Context, Result, bail};
 use clap::Args;
 use cosurf_agent::publish::{Publication, publish};
 use cosurf_agent::session::{Split, TrainPlan};
-use cosurf_engine::{PruneSettings, SurfaceSettings};
+use cosurf_engine::{PruneSettings, Renderer, SurfaceSettings};
 use cosurf_link::serial::{DEFAULT_BAUD, DEVICE_MESSAGE_BYTES};
 use cosurf_link::{BrokerAddress, Identity, MqttConfig, MqttTransport, Role, SerialConfig, SerialTransport};
 use cosurf_scene::report::AgentEvent;
@@ -45,12 +45,14 @@ pub(super) fn run(args: &RunArgs) -> Result<()> {
     let cameras = config.out.join("cameras.json");
     let cameras: Vec<Camera> =
         serde_json::from_slice(&fs::read(&cameras).with_context(|| cameras.display().to_string())?)?;
+    let importance = Renderer::new(&splats, plan.threads).weights(&cameras);
     let session = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
     let identity = Identity { site, device, session, role: Role::Device };
     let publication = Publication {
         identity,
         splats: &splats,
         cameras: &cameras,
+        importance: &importance,
         out: &config.out,
         wait_global: config.wait_global,
         inbox_bytes: plan.memory_bytes / 2,

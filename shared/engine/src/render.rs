@@ -33,13 +33,27 @@ impl Renderer {
 
     /// Colour, alpha, depth and normal as the camera sees them.
     pub fn render(&mut self, camera: &Camera) -> Rendering {
+        self.blend(camera, Channels::Geometry);
+        self.backend.rendering()
+    }
+
+    /// What each splat gives to the pictures of `cameras`: Σ α T over all pixels of all of them.
+    pub fn weights(&mut self, cameras: &[Camera]) -> Vec<f32> {
+        self.backend.clear_scores();
+        for camera in cameras {
+            self.blend(camera, Channels::Color);
+            self.backend.score();
+        }
+        self.backend.scores().weights
+    }
+
+    fn blend(&mut self, camera: &Camera, channels: Channels) {
         self.backend.project(camera, self.sh_degree);
         let counts = self.backend.bin();
         if counts.dropped > 0 {
             self.backend.set_pair_capacity(counts.pairs + counts.dropped);
             self.backend.bin();
         }
-        self.backend.rasterize(Channels::Geometry);
-        self.backend.rendering()
+        self.backend.rasterize(channels);
     }
 }

@@ -10,6 +10,7 @@
 
 mod bits;
 pub mod body;
+pub mod codec;
 pub mod faults;
 pub mod inbox;
 pub mod memory;
@@ -23,7 +24,8 @@ mod transfer;
 pub mod transport;
 pub mod uploader;
 
-pub use body::{BodyFault, Model, Offer, body_to_model, check_body, model_to_body};
+pub use body::{BodyFault, Model, Offer};
+pub use codec::{body_to_model, check_body, model_to_body, part_to_model, plain_importance};
 pub use faults::{Faults, Line, Outages};
 pub use inbox::{Inbox, InboxLimits};
 pub use memory::{MemoryNetwork, MemoryTransport};

@@ -11,7 +11,8 @@ use cosurf_scene::{SceneError, atomic};
 use cosurf_wire::{MAX_CONTROL_BYTES, Message, ModelHeader};
 
 use crate::ModelKey;
-use crate::body::{body_hash, check_body};
+use crate::body::body_hash;
+use crate::codec::check_body;
 
 const EXTENSION: &str = "model";
 

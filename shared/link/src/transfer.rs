@@ -6,7 +6,8 @@ use std::time::Duration;
 use cosurf_wire::{Chunk, Missing, ModelHeader, RefusalReason, Topic, Want};
 
 use crate::bits::BitSet;
-use crate::body::{body_hash, check_body};
+use crate::body::body_hash;
+use crate::codec::check_body;
 use crate::pacing::{
     Backoff, FETCHES_MAX, FIRST_GAP, IDLE_GAPS, IDLE_MAX, IDLE_MIN, STORE_AGAIN, WANT_EVERY,
 };

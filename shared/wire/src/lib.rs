@@ -41,7 +41,7 @@ pub mod message;
 pub mod missing;
 pub mod topic;
 
-pub use body::{BodyHeader, Bounds, CameraRecord, SplatRecord, body_bytes};
+pub use body::{Bounds, CameraRecord};
 pub use id::{DeviceId, IdError, ModelId, SiteId, TileId};
 pub use message::{
     BodyCodec, BodyHash, Chunk, Done, HeaderError, MAX_CHUNK_BYTES, MAX_CONTROL_BYTES, MAX_MESSAGE_BYTES,

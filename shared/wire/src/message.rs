@@ -5,12 +5,12 @@ use core::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use crate::body::{Bounds, MAX_SH_DEGREE, body_bytes};
+use crate::body::{Bounds, CAMERA_BYTES, MAX_SH_DEGREE, body_bytes_range, sh_rest};
 use crate::id::{DeviceId, ModelId};
 use crate::missing::Missing;
 
 /// Version of the messages: the first byte of each.
-pub const VERSION: u8 = 1;
+pub const VERSION: u8 = 2;
 /// Bytes of the CRC-32 that ends each message.
 const CHECKSUM_BYTES: usize = 4;
 /// Largest payload of a chunk. Brokers take 64 KiB everywhere and gain little beyond.
@@ -79,8 +79,8 @@ pub enum ModelKind {
 /// How a body is laid out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum BodyCodec {
-    /// [`crate::body`]: lossless `f32`.
-    Lossless,
+    /// [`crate::body`]: whole numbers in packs, the most important splats first.
+    Packed,
 }
 
 /// BLAKE3 of a whole body.
@@ -207,7 +207,7 @@ pub enum HeaderError {
     ShDegree,
     /// The size of chunks is 0 or above [`MAX_CHUNK_BYTES`], or asks for more chunks than a `u32` counts.
     ChunkBytes,
-    /// `body_bytes` is not what the counts make.
+    /// `body_bytes` is less or more than the counts can make.
     BodyBytes,
     /// The bounds are not a finite box.
     Bounds,
@@ -269,12 +269,18 @@ impl ModelHeader {
         (index < self.chunks()).then(|| start..self.body_bytes.min(start + u64::from(self.chunk_bytes)))
     }
 
+    /// Bytes of the model once it is unpacked to `f32`, which a receiver must have room for.
+    pub fn unpacked_bytes(&self) -> u64 {
+        let splat = 44 + 4 * (3 + sh_rest(self.sh_degree)) as u64;
+        u64::from(self.splats) * splat + u64::from(self.cameras) * CAMERA_BYTES as u64
+    }
+
     /// Whether the sizes agree with each other.
     pub fn check(&self) -> Result<(), HeaderError> {
         if self.sh_degree > MAX_SH_DEGREE {
             return Err(HeaderError::ShDegree);
         }
-        if self.body_bytes != body_bytes(self.splats, self.cameras, self.sh_degree) {
+        if !body_bytes_range(self.splats, self.cameras, self.sh_degree).contains(&self.body_bytes) {
             return Err(HeaderError::BodyBytes);
         }
         if self.chunk_bytes as usize > MAX_CHUNK_BYTES || self.chunks() == 0 {

@@ -1,0 +1,30 @@
+//! Models to bodies and back: what [`cosurf_wire::body`] lays out, in metres and colours.
+//!
+//! What it costs and what it keeps, on trained models, is in the README: below 16 bytes a splat with
+//! spherical harmonics, where 32-bit floats take 152 at degree 2 and 236 at degree 3. What makes the
+//! difference:
+//!
+//! - Splats are grouped into layers by importance, and within a layer along a Morton curve into packs of
+//!   neighbours ([`order`]), so that positions are short ways from the splat before.
+//! - A position's step follows the size of the pack's splats: nobody sees a thirtieth of one.
+//! - The axes of a splat are put in order of length, the third being its normal, and of the quaternions that
+//!   then mean the same the one with the largest w is taken, which need not be sent ([`shapes`]). The least
+//!   axis is told in parts of the middle one, for most splats are flat.
+//! - Spherical harmonics are told along the directions in which they vary in this model ([`basis`]), most of
+//!   which need a bit or less; the step follows from the bytes that are left.
+//! - Each plane of bytes ends its block of zstd, so it is coded by its own statistics ([`pack`]).
+//!
+//! The same model gives the same bytes.
+
+mod basis;
+mod decode;
+mod encode;
+mod order;
+mod pack;
+mod shapes;
+#[cfg(test)]
+mod tests;
+
+pub use decode::{body_to_model, check_body, part_to_model};
+pub use encode::model_to_body;
+pub use order::plain_importance;

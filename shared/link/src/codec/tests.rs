@@ -1,0 +1,286 @@
+//! What goes through the codec comes back within half a step, in any part; what is forged does not come in.
+#![allow(clippy::unwrap_used)]
+
+use cosurf_scene::{Camera, Pose, Splats};
+use cosurf_wire::body::{
+    BodyPlan, COLOR_STEP, HEAD_BYTES, OPACITY_STEP, PACK_ENTRY_BYTES, PackForm, PackKind,
+};
+use cosurf_wire::{DeviceId, ModelId, ModelKind};
+use glam::{DQuat, DVec2, DVec3, Mat3, Quat, Vec3};
+
+use super::*;
+use crate::body::{BodyFault, Model, Offer};
+
+/// Pseudo-random numbers in -1..1.
+fn noise(seed: u64) -> impl FnMut() -> f32 {
+    let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
+    move || {
+        state ^= state << 13;
+        state ^= state >> 7;
+        state ^= state << 17;
+        (state >> 40) as f32 / (1u64 << 23) as f32 - 1.0
+    }
+}
+
+/// A square of flat splats, 20 m wide, whose colours change with the direction in a few ways.
+fn splats(count: usize, sh_degree: u32) -> Splats {
+    let mut splats = Splats::with_capacity(count, sh_degree);
+    let mut noise = noise(7);
+    let ways: Vec<f32> = (0..3 * splats.sh_stride()).map(|_| 0.2 * noise()).collect();
+    for _ in 0..count {
+        let mean = [10.0 * noise(), 10.0 * noise(), 0.1 * noise()];
+        let quat = [noise(), noise(), noise(), 0.1 + noise()];
+        let log_scale = [-2.0 + noise(), -2.0 + noise(), -5.0 + 2.0 * noise()];
+        let strengths = [noise(), noise(), noise()];
+        let along = |i: usize| (0..3).map(|k| strengths[k] * ways[k * splats.sh_stride() + i]).sum::<f32>();
+        let sh: Vec<f32> = (0..splats.sh_stride()).map(|i| if i < 3 { noise() } else { along(i) }).collect();
+        splats.push(mean, quat, log_scale, 4.0 * noise(), &sh);
+    }
+    splats
+}
+
+fn cameras(count: usize) -> Vec<Camera> {
+    let camera = |i: usize| Camera {
+        cam_from_world: Pose {
+            rotation: DQuat::from_rotation_x(0.1 * i as f64),
+            translation: DVec3::new(i as f64, 0.1, -3.3),
+        },
+        focal_px: DVec2::new(500.25, 501.5),
+        center_px: DVec2::new(319.1 + i as f64, 240.7),
+        size_px: [640, 480],
+    };
+    (0..count).map(camera).collect()
+}
+
+/// The body of `count` splats of which the first are the most important.
+fn body(splats: &Splats) -> Vec<u8> {
+    let importance: Vec<f32> = (0..splats.len()).map(|i| -(i as f32)).collect();
+    model_to_body(splats, &cameras(3), &importance).unwrap()
+}
+
+fn axes(splats: &Splats, i: usize) -> (Mat3, Vec3) {
+    let [w, x, y, z] = splats.quats[i];
+    (Mat3::from_quat(Quat::from_xyzw(x, y, z, w).normalize()), Vec3::from(splats.log_scales[i].map(f32::exp)))
+}
+
+fn normal(splats: &Splats, i: usize) -> Vec3 {
+    let (axes, scale) = axes(splats, i);
+    let least = (0..3).min_by(|&a, &b| scale[a].total_cmp(&scale[b])).unwrap();
+    axes.col(least)
+}
+
+/// For each splat of `found` the one of `sent` that it was.
+fn origins(found: &Splats, sent: &Splats) -> Vec<usize> {
+    let distance = |a: [f32; 3], b: [f32; 3]| Vec3::from(a).distance_squared(Vec3::from(b));
+    let nearest = |mean: &[f32; 3]| {
+        (0..sent.len())
+            .min_by(|&a, &b| distance(sent.means[a], *mean).total_cmp(&distance(sent.means[b], *mean)))
+    };
+    found.means.iter().map(|mean| nearest(mean).unwrap()).collect()
+}
+
+#[test]
+fn a_model_comes_back_within_half_a_step() {
+    let sent = splats(1500, 2);
+    let Model { splats: found, cameras: found_cameras } = body_to_model(&body(&sent)).unwrap();
+    assert_eq!(found_cameras, cameras(3), "cameras are exact");
+    let origins = origins(&found, &sent);
+    let mut distinct = origins.clone();
+    distinct.sort_unstable();
+    distinct.dedup();
+    assert_eq!(distinct.len(), sent.len());
+    let mut tilts = Vec::new();
+    for (i, &origin) in origins.iter().enumerate() {
+        let mut sorted = axes(&sent, origin).1.to_array();
+        sorted.sort_unstable_by(f32::total_cmp);
+        let away = Vec3::from(found.means[i]).distance(Vec3::from(sent.means[origin]));
+        assert!(away < 0.01, "{away} m of splats of 0.1 m");
+        let turned = normal(&found, i).cross(normal(&sent, origin)).length().asin().to_degrees();
+        tilts.push(turned);
+        assert!(turned < 0.2 || sorted[1] < 1.1 * sorted[0], "{turned}°");
+        let found_scale = found.log_scales[i].map(f32::exp);
+        assert!(
+            (found_scale[0] / sorted[2]).ln().abs() <= 0.0313
+                && (found_scale[1] / sorted[1]).ln().abs() <= 0.0313
+        );
+        assert!((found_scale[2] - sorted[0]).abs() <= 0.035 * sorted[1], "{found_scale:?} of {sorted:?}");
+        assert!((found.opacity_logits[i] - sent.opacity_logits[origin]).abs() <= 0.5 * OPACITY_STEP);
+        for (a, b) in found.sh_of(i)[..3].iter().zip(sent.sh_of(origin)) {
+            assert!((a - b).abs() <= 0.5 * COLOR_STEP + 1e-6);
+        }
+        for (a, b) in found.sh_of(i)[3..].iter().zip(&sent.sh_of(origin)[3..]) {
+            assert!((a - b).abs() < 0.03, "{a} {b}");
+        }
+    }
+    tilts.sort_unstable_by(f32::total_cmp);
+    assert!(tilts[tilts.len() / 2] < 0.07, "{}° at the median", tilts[tilts.len() / 2]);
+}
+
+#[test]
+fn the_same_model_gives_the_same_bytes_and_what_was_rounded_once_stays() {
+    let sent = splats(900, 3);
+    assert_eq!(body(&sent), body(&sent));
+    let once = body_to_model(&body(&sent)).unwrap().splats;
+    let twice = body_to_model(&body(&once)).unwrap().splats;
+    let opacities = |splats: &Splats| {
+        let mut all = splats.opacity_logits.clone();
+        all.sort_unstable_by(f32::total_cmp);
+        all
+    };
+    assert_eq!(opacities(&once), opacities(&twice));
+}
+
+#[test]
+fn every_degree_and_every_count_goes_through() {
+    for sh_degree in 0..=3 {
+        for count in [0, 1, 2, 17, 9000] {
+            let sent = splats(count, sh_degree);
+            let found = body_to_model(&body(&sent)).unwrap().splats;
+            assert_eq!((found.len(), found.sh_degree, found.find_bad_value()), (count, sh_degree, None));
+        }
+    }
+}
+
+#[test]
+fn strange_models_go_through() {
+    // All alike: it would compress beyond every limit.
+    let mut same = Splats::with_capacity(4000, 1);
+    (0..4000).for_each(|_| same.push([5.0; 3], [2.0, 0.0, 0.0, 0.0], [-1.0; 3], 3.0, &[0.5; 12]));
+    let found = body_to_model(&body(&same)).unwrap().splats;
+    assert_eq!((found.len(), found.means[9]), (4000, [5.0; 3]));
+    // Far apart, far too large, far too small, turned by nothing and by a half.
+    let mut odd = Splats::with_capacity(4, 0);
+    odd.push([1e20, -1e20, 0.0], [0.0, 1.0, 0.0, 0.0], [39.9, -39.9, 0.0], 100.0, &[1e5, -1e5, 0.0]);
+    odd.push([-1e20, 1e20, 1e-20], [1.0, 0.0, 0.0, 0.0], [-39.9; 3], -100.0, &[0.0; 3]);
+    odd.push([0.0; 3], [1e-4, 1e-4, 0.0, 0.0], [0.0; 3], 0.0, &[0.0; 3]);
+    odd.push([1.0; 3], [-0.5, 0.5, -0.5, 0.5], [3.0, 2.0, 1.0], 0.0, &[0.0; 3]);
+    let found = body_to_model(&body(&odd)).unwrap().splats;
+    assert_eq!((found.len(), found.find_bad_value()), (4, None));
+}
+
+#[test]
+fn what_nobody_could_render_is_not_packed() {
+    type Spoil = fn(&mut Splats);
+    let spoils: [(Spoil, &str); 4] = [
+        (|s| s.means[3][1] = f32::NAN, "mean"),
+        (|s| s.means[3][1] = 1e30, "mean"),
+        (|s| s.quats[3] = [0.0; 4], "quat"),
+        (|s| s.log_scales[3][0] = f32::INFINITY, "log_scale"),
+    ];
+    for (spoil, field) in spoils {
+        let mut splats = splats(5, 1);
+        spoil(&mut splats);
+        let fault = model_to_body(&splats, &[], &[0.0; 5]).unwrap_err();
+        assert_eq!(fault, BodyFault::Splat { index: 3, field });
+    }
+    let mut cameras = cameras(2);
+    cameras[1].size_px[0] = 0;
+    assert_eq!(model_to_body(&splats(1, 0), &cameras, &[0.0]).unwrap_err(), BodyFault::Camera { index: 1 });
+}
+
+#[test]
+fn the_most_important_splats_come_first_and_every_beginning_is_a_model() {
+    let sent = splats(9000, 1);
+    let body = body(&sent);
+    let whole = body_to_model(&body).unwrap();
+    let mut counts = Vec::new();
+    for end in (0..=body.len()).step_by(4999).chain([body.len()]) {
+        let found = part_to_model(&body, |range| range.end <= end).unwrap();
+        counts.push(found.as_ref().map_or(0, |model| model.splats.len()));
+        if end == body.len() {
+            assert_eq!(found.as_ref(), Some(&whole));
+        }
+    }
+    assert!(counts.is_sorted() && counts[0] == 0 && counts.last() == Some(&9000), "{counts:?}");
+    let first = part_to_model(&body, |range| range.end <= 3 * body.len() / 10).unwrap().unwrap().splats;
+    let latest = origins(&first, &sent).into_iter().max().unwrap();
+    assert!(latest < 9000 / 4, "the first layer has the most important quarter, not number {latest}");
+}
+
+#[test]
+fn packs_that_come_without_those_before_them_are_used_too() {
+    let body = body(&splats(3000, 1));
+    let plan = BodyPlan::new(&body).unwrap();
+    let packs: Vec<_> = plan.packs_of(PackKind::Shapes).collect();
+    let lost = &packs[1].range;
+    let is_here = |range: std::ops::Range<usize>| range.end <= lost.start || range.start >= lost.end;
+    let found = part_to_model(&body, is_here).unwrap().unwrap().splats;
+    assert_eq!(found.len(), 3000 - usize::from(packs[1].entry.splats));
+    let colors = found.sh.chunks_exact(12).filter(|sh| sh[3..].iter().any(|v| *v != 0.0)).count();
+    assert!(colors > 2000, "{colors} have their own spherical harmonics");
+}
+
+/// Every byte changed and every end cut off: an error, never a panic, never another model.
+#[test]
+fn damage_is_noticed() {
+    let body = body(&splats(40, 1));
+    for i in 0..body.len() {
+        let mut damaged = body.clone();
+        damaged[i] ^= 1 << (i % 8);
+        assert!(body_to_model(&damaged).is_err(), "byte {i}");
+        assert!(body_to_model(&body[..i]).is_err(), "cut at {i}");
+    }
+    assert!(body_to_model(&[&body[..], &[0]].concat()).is_err());
+}
+
+/// Writes the table's entry `i` anew, with the checksums of pack, table and head, as a forger would.
+fn forge(body: &mut [u8], i: usize, bytes: u32, splats: u16, crc32: u32) {
+    let at = HEAD_BYTES + i * PACK_ENTRY_BYTES;
+    body[at + 2..at + 4].copy_from_slice(&splats.to_le_bytes());
+    body[at + 4..at + 8].copy_from_slice(&bytes.to_le_bytes());
+    body[at + 8..at + 12].copy_from_slice(&crc32.to_le_bytes());
+    let packs = usize::from(u16::from_le_bytes([body[6], body[7]]));
+    let mut hasher = crc32fast::Hasher::new();
+    hasher.update(&body[..HEAD_BYTES - 4]);
+    hasher.update(&body[HEAD_BYTES..HEAD_BYTES + packs * PACK_ENTRY_BYTES]);
+    body[HEAD_BYTES - 4..HEAD_BYTES].copy_from_slice(&hasher.finalize().to_le_bytes());
+}
+
+/// A frame that is made of almost nothing and asks for a large window is refused before it is unpacked.
+#[test]
+fn bombs_do_not_go_off() {
+    let splats = splats(8000, 0);
+    let sane = model_to_body(&splats, &[], &vec![1.0; 8000]).unwrap();
+    let plan = BodyPlan::new(&sane).unwrap();
+    let first = plan.packs().next().unwrap();
+    assert_eq!((first.entry.kind, first.entry.form), (PackKind::Shapes, PackForm::Zstd));
+    let rest = sane[first.range.end..].to_vec();
+    let replaced = |frame: &[u8], splats: u16| {
+        let mut body = sane[..first.range.start].to_vec();
+        body.extend_from_slice(frame);
+        body.extend_from_slice(&rest);
+        forge(&mut body, 0, frame.len() as u32, splats, crc32fast::hash(frame));
+        body_to_model(&body)
+    };
+    let count = first.entry.splats;
+    assert!(replaced(&sane[first.range.clone()], count).is_ok(), "the forger's hand is right");
+    let unpacked = 20 + 20 * usize::from(count);
+    // Ratio: zeros.
+    let zeros = zstd::bulk::compress(&vec![0; unpacked], 19).unwrap();
+    assert_eq!(replaced(&zeros, count), Err(cosurf_wire::body::BodyError::BadTable.into()));
+    // More than was announced, and less.
+    let noise: Vec<u8> = (0..unpacked + 1).map(|i| (((i * i) >> 3) as u8 ^ (i >> 8) as u8) & 63).collect();
+    for wrong in [unpacked + 1, unpacked - 1] {
+        let frame = zstd::bulk::compress(&noise[..wrong], 1).unwrap();
+        assert_eq!(replaced(&frame, count), Err(cosurf_wire::body::BodyError::BadPack.into()), "{wrong}");
+    }
+    // A window of 128 MiB.
+    let mut encoder = zstd::Encoder::new(Vec::new(), 1).unwrap();
+    encoder.window_log(27).unwrap();
+    std::io::Write::write_all(&mut encoder, &noise[..unpacked]).unwrap();
+    let frame = encoder.finish().unwrap();
+    assert_eq!(replaced(&frame, count), Err(cosurf_wire::body::BodyError::BadPack.into()));
+}
+
+#[test]
+fn a_body_must_be_what_was_announced() {
+    let device = DeviceId::new("drone").unwrap();
+    let offer = Offer::new(device, ModelId(1), ModelKind::Local, 3, &splats(300, 1), &cameras(3)).unwrap();
+    assert_eq!(check_body(&offer.header, &offer.body), Ok(()));
+    let mut other = offer.header;
+    other.splats += 1;
+    assert_eq!(check_body(&other, &offer.body), Err(BodyFault::NotAsAnnounced));
+    let mut other = offer.header;
+    other.bounds.max[0] += 1.0;
+    assert_eq!(check_body(&other, &offer.body), Err(BodyFault::NotAsAnnounced));
+}
