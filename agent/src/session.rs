@@ -51,6 +51,8 @@ pub struct TrainPlan {
     pub prune: Option<PruneSettings>,
     /// Whether each photograph has an exposure of its own.
     pub exposure: bool,
+    /// Whether the model will be joined with those of others: then ground that a single view observes stays in it.
+    pub one_of_many: bool,
 }
 
 /// Which views are for what.
@@ -112,6 +114,7 @@ impl Session {
             surface: plan.surface,
             prune: plan.prune,
             exposure: plan.exposure,
+            observers_min: if plan.one_of_many { 1 } else { 2 },
             splats_max: sized.budget.capacity.splats,
             seed: plan.seed,
         };

@@ -123,5 +123,6 @@ fn plan(config: &AgentConfig) -> Result<TrainPlan> {
         surface: (!config.color_only).then(SurfaceSettings::default),
         prune,
         exposure: config.exposure,
+        one_of_many: true,
     })
 }

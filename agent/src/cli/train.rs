@@ -92,6 +92,7 @@ pub(super) fn run(args: &TrainArgs) -> Result<()> {
         surface: (!args.color_only).then(SurfaceSettings::default),
         prune: args.prune(),
         exposure: args.exposure,
+        one_of_many: false,
     };
     let mut progress = Progress::new(args.common.json);
     let report = train(&plan, &args.out, args.fresh, &mut progress)?;

@@ -3,9 +3,7 @@
 //!
 //! `cargo bench -p cosurf-engine`
 
-use cosurf_engine::backend::{
-    AdamRates, Channels, Exposure, LossWeights, SurfaceWeights, TargetRgb, Targets,
-};
+use cosurf_engine::backend::{AdamRates, Channels, LossWeights, SurfaceWeights, TargetRgb, Targets};
 use cosurf_engine::{Backend, CpuBackend, CpuCapacity};
 use cosurf_scene::{Camera, Pose, Splats};
 use divan::Bencher;
@@ -92,13 +90,10 @@ fn stepped(threads: usize, channels: Channels) -> (CpuBackend, usize) {
 
 fn losses(backend: &mut CpuBackend) {
     let rgb = vec![90u8; (3 * SIZE_PX[0] * SIZE_PX[1]) as usize];
-    backend.losses(
-        &Targets { rgb: TargetRgb::Bytes(&rgb), exposure: Exposure::default(), neighbour_rgb: None },
-        &COLOR,
-    );
+    backend.losses(&Targets::colors(TargetRgb::Bytes(&rgb)), &COLOR);
 }
 
-const COLOR: LossWeights = LossWeights { ssim: 0.2, scale: 0.0, surface: None };
+const COLOR: LossWeights = LossWeights { ssim: 0.2, scale: 0.0, surface: None, teacher: None };
 
 const SURFACE: LossWeights = LossWeights {
     surface: Some(SurfaceWeights { normal: 0.01, reprojection: 0.05, ncc: 0.2, cell_px: 4, draw: 1 }),
@@ -160,11 +155,8 @@ fn surface_losses(bencher: Bencher) {
     let pixels = (SIZE_PX[0] * SIZE_PX[1]) as usize;
     let mut random = Random(2);
     let rgb: Vec<u8> = (0..3 * pixels).map(|_| random.between(0.0, 255.0) as u8).collect();
-    let targets = Targets {
-        rgb: TargetRgb::Bytes(&rgb),
-        exposure: Exposure::default(),
-        neighbour_rgb: Some(TargetRgb::Bytes(&rgb)),
-    };
+    let targets =
+        Targets { neighbour_rgb: Some(TargetRgb::Bytes(&rgb)), ..Targets::colors(TargetRgb::Bytes(&rgb)) };
     bencher.counter(ItemsCount::new(pixels)).bench_local(|| backend.losses(&targets, &SURFACE));
 }
 

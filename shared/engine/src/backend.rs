@@ -40,6 +40,26 @@ pub struct Targets<'a> {
     pub exposure: Exposure,
     /// Colours of the neighbour that [`Backend::keep_neighbour`] kept, for the multi-view losses.
     pub neighbour_rgb: Option<TargetRgb<'a>>,
+    /// The surface as a teacher sees it; needed by [`LossWeights::teacher`].
+    pub surface: Option<TargetSurface<'a>>,
+}
+
+impl<'a> Targets<'a> {
+    /// Colours alone.
+    pub fn colors(rgb: TargetRgb<'a>) -> Self {
+        Self { rgb, exposure: Exposure::default(), neighbour_rgb: None, surface: None }
+    }
+}
+
+/// A surface that a rendering should show, as in [`Rendering`].
+#[derive(Clone, Copy, Debug)]
+pub struct TargetSurface<'a> {
+    /// `[height, width]` depth along the optical axis, world units; 0 where there is none.
+    pub depth: &'a [f32],
+    /// `[height, width, xyz]` blended normals in the camera frame.
+    pub normal: &'a [f32],
+    /// How far each pixel's surface is to be believed, `[height, width]`, 0..=1.
+    pub trust: &'a [f32],
 }
 
 /// How much each loss counts.
@@ -51,6 +71,17 @@ pub struct LossWeights {
     pub scale: f32,
     /// Of the surface's losses; `None` leaves them out. They need [`Channels::Geometry`].
     pub surface: Option<SurfaceWeights>,
+    /// Of the differences from a teacher's surface; `None` leaves them out. They need `surface`.
+    pub teacher: Option<TeacherWeights>,
+}
+
+/// How much a teacher's surface counts (CoSurfGS, "Model Aggregation Scheme": `L_d` and `L_n`).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TeacherWeights {
+    /// Of the absolute difference of depths, a mean over pixels; 1 / world units.
+    pub depth: f32,
+    /// Of the absolute difference of blended normals, summed over axes, a mean over pixels.
+    pub normal: f32,
 }
 
 /// How much each loss of the surface counts (CoSurfGS, "Device-side Training Procedure"; PGSR).
@@ -75,6 +106,17 @@ pub struct Losses {
     pub color: PhotometricLoss,
     /// Of the surface; zero where it was not asked for.
     pub surface: SurfaceLoss,
+    /// Of the differences from a teacher; zero where there is none.
+    pub teacher: TeacherLoss,
+}
+
+/// The differences from a teacher's surface, not weighted.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct TeacherLoss {
+    /// Mean over pixels of the absolute difference of depths, world units.
+    pub depth: f64,
+    /// Mean over pixels of the absolute difference of normals, summed over axes.
+    pub normal: f64,
 }
 
 /// The losses of the surface, not weighted.

@@ -8,6 +8,7 @@
 pub mod backend;
 pub mod budget;
 pub mod cpu;
+pub mod distill;
 mod exposure;
 pub mod init;
 mod nearest;
@@ -22,6 +23,7 @@ pub mod train;
 pub use backend::{Backend, Rendering};
 pub use budget::Budget;
 pub use cpu::{CpuBackend, CpuCapacity};
+pub use distill::{DistillSettings, Distiller, Lesson};
 pub use neighbours::Neighbours;
 pub use prune::PruneScore;
 pub use render::Renderer;

@@ -35,6 +35,11 @@ impl Neighbours {
         )
     }
 
+    /// The nearest neighbour of `view`.
+    pub fn nearest(&self, view: usize) -> Option<usize> {
+        self.0.get(view)?.first().map(|other| *other as usize)
+    }
+
     /// One of the neighbours of `view`, another for each step.
     pub(crate) fn draw(&self, view: usize, seed: u64, step: u32) -> Option<usize> {
         let candidates = self.0.get(view).filter(|candidates| !candidates.is_empty())?;

@@ -1,14 +1,15 @@
 //! Which splats a model can do without: Adaptive Gaussian Pruning (CoSurfGS, "Adaptive Gaussian Pruning"), and
 //! the removal of splats that hardly any view observes (PGSR).
 
-use crate::backend::{Scores, Shapes};
+use cosurf_scene::{Camera, Splats};
+
+use crate::backend::{Backend, Channels, Scores, Shapes};
+use crate::cpu::{CpuBackend, CpuCapacity};
 
 /// Exponent of the size's share in a score (LightGaussian).
 const SIZE_EXPONENT: f32 = 0.1;
 /// Sizes are compared with this quantile of them.
 const SIZE_QUANTILE: f64 = 0.9;
-/// Fewest views that must observe a splat (PGSR).
-const OBSERVERS_MIN: f32 = 2.0;
 
 /// What a splat's priority is made of.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -19,6 +20,30 @@ pub enum PruneScore {
     Corrected,
     /// `hits o γ` with γ from the volume, as the paper writes it.
     Paper,
+}
+
+/// What every splat gives to all views together.
+pub(crate) fn survey<'a, B: Backend>(
+    backend: &mut B,
+    cameras: impl IntoIterator<Item = &'a Camera>,
+) -> Scores {
+    backend.clear_scores();
+    for camera in cameras {
+        backend.project(camera, 0);
+        backend.bin();
+        backend.rasterize(Channels::Color);
+        backend.score();
+    }
+    backend.scores()
+}
+
+/// What each splat is worth to `cameras`: higher is more, 0 for what none of them sees. `capacity` must be for
+/// training, with room for the splats and the largest picture.
+pub fn worth(splats: &Splats, cameras: &[Camera], capacity: CpuCapacity, threads: usize) -> Vec<f32> {
+    let mut backend = CpuBackend::new(capacity, threads);
+    backend.load(splats);
+    let scores = survey(&mut backend, cameras);
+    priorities(&backend.take_shapes(), &scores, PruneScore::Corrected)
 }
 
 /// Priorities of all splats: higher is worth more.
@@ -65,9 +90,24 @@ pub(crate) fn lowest(priorities: &[f32], ratio: f64) -> Vec<u32> {
     order
 }
 
-/// Indices, ascending, of splats that fewer than two views observe.
-pub(crate) fn unobserved(scores: &Scores) -> Vec<u32> {
-    (0..scores.observers.len() as u32).filter(|&i| scores.observers[i as usize] < OBSERVERS_MIN).collect()
+/// Indices, ascending, of splats that fewer than `observers_min` views observe.
+pub(crate) fn unobserved(scores: &Scores, observers_min: u32) -> Vec<u32> {
+    let stays = |i: &u32| scores.observers[*i as usize] >= observers_min as f32;
+    (0..scores.observers.len() as u32).filter(|i| !stays(i)).collect()
+}
+
+/// Indices, ascending, of splats that are less opaque than `opacity_min`, larger than `scale_max` (world units), or
+/// give nothing to any view.
+pub(crate) fn useless(shapes: &Shapes, scores: &Scores, opacity_min: f32, scale_max: f32) -> Vec<u32> {
+    let logit_min = (opacity_min / (1.0 - opacity_min)).ln();
+    let log_scale_max = scale_max.ln();
+    // Phrased so that NaN goes.
+    let stays = |i: usize| {
+        shapes.opacity_logits[i] >= logit_min
+            && shapes.log_scales[i].iter().all(|log_scale| *log_scale <= log_scale_max)
+            && scores.hits[i] > 0.0
+    };
+    (0..scores.hits.len() as u32).filter(|&i| !stays(i as usize)).collect()
 }
 
 #[cfg(test)]
@@ -112,7 +152,18 @@ mod tests {
     }
 
     #[test]
-    fn splats_that_one_view_observes_go() {
-        assert_eq!(unobserved(&four().1), [1, 3]);
+    fn what_is_transparent_huge_or_never_hit_is_useless() {
+        let (mut shapes, mut scores) = four();
+        shapes.opacity_logits[0] = -6.0;
+        shapes.log_scales[2] = [3.0, -1.0, -1.0];
+        scores.hits[3] = 0.0;
+        assert_eq!(useless(&shapes, &scores, 0.005, 10.0), [0, 2, 3]);
+        assert_eq!(useless(&shapes, &scores, 0.001, 30.0), [3]);
+    }
+
+    #[test]
+    fn splats_that_too_few_views_observe_go() {
+        assert_eq!(unobserved(&four().1, 2), [1, 3]);
+        assert_eq!(unobserved(&four().1, 1), [1]);
     }
 }

@@ -3,8 +3,8 @@
 use cosurf_scene::Camera;
 
 use crate::backend::{
-    Backend, BinCounts, Channels, Edit, Exposure, LossWeights, PhotometricLoss, Scores, SurfaceLoss,
-    SurfaceWeights, TargetRgb, Targets,
+    Backend, BinCounts, Channels, Edit, Exposure, LossWeights, PhotometricLoss, SurfaceLoss, SurfaceWeights,
+    TargetRgb, Targets,
 };
 use crate::exposure::Exposures;
 use crate::neighbours::Neighbours;
@@ -14,7 +14,7 @@ use crate::refine::{RefineLimits, refine};
 use crate::schedule::Schedule;
 
 /// Weight of `1 - SSIM` (3DGS).
-const SSIM_WEIGHT: f32 = 0.2;
+pub(crate) const SSIM_WEIGHT: f32 = 0.2;
 /// Opacity after a reset (3DGS).
 const RESET_OPACITY: f32 = 0.01;
 
@@ -94,6 +94,9 @@ pub struct TrainSettings {
     pub prune: Option<PruneSettings>,
     /// Whether each photograph has an exposure of its own.
     pub exposure: bool,
+    /// Views that must observe a splat for it to stay (PGSR: 2). Fewer where the model is one of several: what a
+    /// single view of it observes, views of the others may observe as well.
+    pub observers_min: u32,
     /// Most splats that refinement may make; the backend's capacity bounds it as well.
     pub splats_max: usize,
     /// Seed of every random choice.
@@ -235,8 +238,8 @@ impl<B: Backend> Trainer<B> {
             self.refine();
         }
         if schedule.observes_after(self.steps_done, self.flight.cameras.len()) {
-            let scores = self.survey();
-            self.remove(prune::unobserved(&scores));
+            let scores = prune::survey(&mut self.backend, &self.flight.cameras);
+            self.remove(prune::unobserved(&scores, self.settings.observers_min));
         }
         if let Some(settings) = self.settings.prune.filter(|prune| schedule.is_at(prune.at, self.steps_done))
         {
@@ -262,23 +265,11 @@ impl<B: Backend> Trainer<B> {
                 draw: Random::new(seed, Purpose::Sample, u64::from(step), 0).next_u64(),
             }
         });
-        LossWeights { ssim: SSIM_WEIGHT, scale, surface }
-    }
-
-    /// What every splat gives to all views together.
-    fn survey(&mut self) -> Scores {
-        self.backend.clear_scores();
-        for camera in &self.flight.cameras {
-            self.backend.project(camera, 0);
-            self.backend.bin();
-            self.backend.rasterize(Channels::Color);
-            self.backend.score();
-        }
-        self.backend.scores()
+        LossWeights { ssim: SSIM_WEIGHT, scale, surface, teacher: None }
     }
 
     fn prune(&mut self, settings: &PruneSettings) {
-        let scores = self.survey();
+        let scores = prune::survey(&mut self.backend, &self.flight.cameras);
         let priorities = prune::priorities(&self.backend.take_shapes(), &scores, settings.score);
         self.remove(prune::lowest(&priorities, settings.ratio));
     }
@@ -307,14 +298,14 @@ impl<B: Backend> Trainer<B> {
 /// What an example's rendering should look like.
 fn targets<'a>(example: &Example<'a>, exposures: Option<&Exposures>) -> Targets<'a> {
     Targets {
-        rgb: example.rgb,
         exposure: exposures.map_or_else(Exposure::default, |exposures| exposures.of(example.view)),
         neighbour_rgb: example.neighbour.map(|(_, rgb)| rgb),
+        ..Targets::colors(example.rgb)
     }
 }
 
 /// A permutation of the views (Fisher–Yates), one for each epoch.
-fn view_order(seed: u64, epoch: u64, views: usize) -> Vec<usize> {
+pub fn view_order(seed: u64, epoch: u64, views: usize) -> Vec<usize> {
     let mut random = Random::new(seed, Purpose::ViewOrder, epoch, 0);
     let mut order: Vec<usize> = (0..views).collect();
     for last in (1..views).rev() {

@@ -29,7 +29,7 @@ use cosurf_scene::{Camera, Splats};
 
 use crate::backend::{
     AdamRates, Backend, BinCounts, Channels, Edit, LossWeights, Losses, Rendering, Scores, Shapes,
-    SurfaceLoss, Targets,
+    SurfaceLoss, Targets, TeacherLoss,
 };
 use adam::Moments;
 use bin::TileLists;
@@ -246,7 +246,13 @@ impl Backend for CpuBackend {
                 Some(weights) => self.surface.losses(self.isa, image, &view, targets, weights, gradient),
                 None => SurfaceLoss::default(),
             };
-            Losses { color, surface }
+            let teacher = match (&weights.teacher, &targets.surface) {
+                (Some(weights), Some(target)) => {
+                    self.surface.teach(self.isa, image, &view, target, weights, gradient)
+                }
+                _ => TeacherLoss::default(),
+            };
+            Losses { color, surface, teacher }
         })
     }
 

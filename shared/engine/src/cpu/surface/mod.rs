@@ -2,12 +2,14 @@
 //! respect to the blended normal and plane distance of each pixel.
 //!
 //! Everything here runs on bands of one row of tiles, so the sums do not depend on threads. Reading order:
-//! [`plane`] for the layout, [`depth`], then the two losses: [`normals`] and [`multiview`].
+//! [`plane`] for the layout, [`depth`], then the losses: [`normals`], [`multiview`], and [`teacher`] where another
+//! model shows how it should be.
 
 mod depth;
 mod multiview;
 mod normals;
 mod plane;
+mod teacher;
 
 use rayon::prelude::*;
 
@@ -15,7 +17,9 @@ use super::image::{TILE, TileImage};
 use super::rasterize::NORMAL;
 use super::simd::{Isa, Row};
 use super::view::ViewParams;
-use crate::backend::{SurfaceLoss, SurfaceWeights, TargetRgb, Targets};
+use crate::backend::{
+    SurfaceLoss, SurfaceWeights, TargetRgb, TargetSurface, Targets, TeacherLoss, TeacherWeights,
+};
 use multiview::Pair;
 pub(crate) use plane::Plane;
 
@@ -77,6 +81,21 @@ impl Surface {
             multiview::loss(&scene, &pair, weights, gradient, &mut loss);
         }
         loss
+    }
+
+    /// The differences from a teacher, weighted gradients of which are added to the geometry planes of `gradient`.
+    /// [`Self::losses`] comes first.
+    pub(crate) fn teach(
+        &self,
+        isa: Isa,
+        image: &TileImage,
+        view: &ViewParams,
+        target: &TargetSurface,
+        weights: &TeacherWeights,
+        gradient: &mut TileImage,
+    ) -> TeacherLoss {
+        let scene = Shown { image, view, depth: &self.depth, luma: &self.luma };
+        teacher::loss(isa, &scene, target, weights, gradient)
     }
 }
 

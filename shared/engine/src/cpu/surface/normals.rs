@@ -250,7 +250,7 @@ impl<L: Lanes> Pixels<L> {
 
 /// `z = D / f` with `f = -(N · r)`: adds `∂L/∂z` of a row to the gradients of D and N.
 #[inline(always)]
-fn through_depth<L: Lanes>(scene: &Shown, y: usize, v_depth: &[f32], gradient: &mut [Row]) {
+pub(super) fn through_depth<L: Lanes>(scene: &Shown, y: usize, v_depth: &[f32], gradient: &mut [Row]) {
     let rays = Rays::<L>::new(scene.view, y);
     let depths = scene.depth.line(y as isize);
     for tile_x in 0..scene.image.tiles()[0] {

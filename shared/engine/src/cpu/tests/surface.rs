@@ -10,7 +10,9 @@ use super::super::rasterize::{DISTANCE, NORMAL, PLANES_GEOMETRY, TRANSMITTANCE};
 use super::super::simd::{Isa, Row};
 use super::super::surface::Surface;
 use super::super::view::ViewParams;
-use crate::backend::{Exposure, SurfaceLoss, SurfaceWeights, TargetRgb, Targets};
+use crate::backend::{
+    SurfaceLoss, SurfaceWeights, TargetRgb, TargetSurface, Targets, TeacherLoss, TeacherWeights,
+};
 use crate::random::{Purpose, Random};
 
 const WEIGHTS: SurfaceWeights =
@@ -118,9 +120,8 @@ fn engine(isa: Isa, here: &Blend, there: &Blend, photographs: [&[f32]; 2]) -> (S
     let mut gradient = image.clone();
     gradient.rows_mut().fill(Row([f32::NAN; 16]));
     let targets = Targets {
-        rgb: TargetRgb::Floats(photographs[0]),
-        exposure: Exposure::default(),
         neighbour_rgb: Some(TargetRgb::Floats(photographs[1])),
+        ..Targets::colors(TargetRgb::Floats(photographs[0]))
     };
     let view = ViewParams::new(&here.camera, 0);
     let loss = surface.losses(isa, &image, &view, &targets, &WEIGHTS, &mut gradient);
@@ -369,4 +370,74 @@ fn a_perfect_surface_costs_nothing_and_a_negative_does_not_match() {
     assert!(loss.normal < 1e-3 && loss.reprojection < 1e-3 && loss.ncc < 0.01, "{loss:?}");
     let (loss, _) = engine(Isa::best(), &here, &there, [&photographs[0], &negative]);
     assert_eq!(loss.matched, 0.0, "a negative is not the same ground");
+}
+
+const TEACHER: TeacherWeights = TeacherWeights { depth: 0.6, normal: 0.9 };
+
+/// A teacher's picture of the same ground: depths, normals and trust, some pixels without a surface.
+fn teacher(camera: Camera) -> (Vec<f32>, Vec<f32>, Vec<f32>) {
+    let shown = blend(camera, 0.05, 7);
+    let mut random = Random::new(8, Purpose::Birth, 0, 0);
+    let trust = (0..pixels(&camera)).map(|_| random.normal().clamp(0.0, 1.0)).collect();
+    let mut depth: Vec<f32> = depths(&shown).into_iter().map(|z| z as f32).collect();
+    depth.iter_mut().step_by(5).for_each(|z| *z = 0.0);
+    (depth, shown.normal.iter().flat_map(|n| n.as_vec3().to_array()).collect(), trust)
+}
+
+/// `L_d` and `L_n` by their definition.
+fn teacher_losses(here: &Blend, target: &TargetSurface) -> [f64; 2] {
+    let n = pixels(&here.camera) as f64;
+    let (mut depth, mut normal) = (0.0, 0.0);
+    for (i, z) in depths(here).into_iter().enumerate() {
+        let trust = f64::from(target.trust[i]);
+        if target.depth[i] > 0.0 {
+            depth += trust * (z - f64::from(target.depth[i])).abs();
+        }
+        let wanted = DVec3::from_array([0, 1, 2].map(|axis| f64::from(target.normal[3 * i + axis])));
+        normal += trust * (here.normal[i] - wanted).abs().element_sum();
+    }
+    [depth / n, normal / n]
+}
+
+#[test]
+fn a_teachers_losses_and_gradients_agree_with_the_definition() {
+    let here = blend(cameras()[0], 0.03, 1);
+    let (depth, normal, trust) = teacher(here.camera);
+    let target = TargetSurface { depth: &depth, normal: &normal, trust: &trust };
+    let total = |blend: &Blend| {
+        let [depth, normal] = teacher_losses(blend, &target);
+        f64::from(TEACHER.depth) * depth + f64::from(TEACHER.normal) * normal
+    };
+    let mut numeric = Vec::new();
+    let mut moved = here.clone();
+    for plane in [NORMAL, NORMAL + 1, NORMAL + 2, DISTANCE] {
+        for i in (0..pixels(&here.camera)).step_by(3) {
+            let before = *number(&mut moved, plane, i);
+            let mut at = |v: f64| {
+                *number(&mut moved, plane, i) = v;
+                total(&moved)
+            };
+            let step = 1e-7;
+            numeric.push((plane, i, (at(before + step) - at(before - step)) / (2.0 * step)));
+            *number(&mut moved, plane, i) = before;
+        }
+    }
+    let [wanted_depth, wanted_normal] = teacher_losses(&here, &target);
+    assert!(wanted_depth > 1e-3 && wanted_normal > 1e-3, "the case is worth something");
+    for isa in Isa::available() {
+        let image = tiles(&here);
+        let view = ViewParams::new(&here.camera, 0);
+        let mut surface = Surface::with_capacity(here.camera.size_px);
+        let mut gradient = image.clone();
+        let none = SurfaceWeights { normal: 0.0, reprojection: 0.0, ncc: 0.0, cell_px: 1, draw: 0 };
+        let photograph = photograph(&here.camera);
+        let targets = Targets::colors(TargetRgb::Floats(&photograph));
+        surface.losses(isa, &image, &view, &targets, &none, &mut gradient);
+        let TeacherLoss { depth, normal } =
+            surface.teach(isa, &image, &view, &target, &TEACHER, &mut gradient);
+        assert!((depth - wanted_depth).abs() < 2e-4 * wanted_depth, "{}: {depth}", isa.name());
+        assert!((normal - wanted_normal).abs() < 2e-4 * wanted_normal, "{}: {normal}", isa.name());
+        let (error, what) = worst(&gradient, &numeric, width(&here.camera));
+        assert!(error < 1e-3, "{}: relative error {error:.2e} at {what}", isa.name());
+    }
 }
