@@ -13,8 +13,9 @@ use serde::Deserialize;
 
 use crate::broker::{Broker, BrokerError};
 use crate::gateway::{Gateway, GatewayEvent};
+use crate::merge::MergeSettings;
 use crate::service::{
-    BROKER_ATTEMPTS_MAX, Command, Expected, Service, ServiceConfig, ServiceError, ServiceEvent,
+    BROKER_ATTEMPTS_MAX, Command, Expected, Rounds, Service, ServiceConfig, ServiceError, ServiceEvent,
 };
 
 /// Unfinished models at once, and finished ones remembered: far more drones than a site has.
@@ -39,6 +40,18 @@ pub struct AggregatorConfig {
     /// Bytes of models that may be on their way in at once.
     #[serde(default = "default_memory_bytes")]
     pub memory_bytes: u64,
+    /// Bytes that merging may take.
+    #[serde(default = "default_merge_memory_bytes")]
+    pub merge_memory_bytes: u64,
+    /// Devices whose models are enough to merge.
+    #[serde(default = "default_quorum")]
+    pub quorum: usize,
+    /// How long no model must have come before a merge, seconds.
+    #[serde(default = "default_quiet_s")]
+    pub quiet_s: u64,
+    /// How long a merge waits at most for more models, seconds.
+    #[serde(default = "default_deadline_s")]
+    pub deadline_s: u64,
 }
 
 fn default_device() -> String {
@@ -47,6 +60,22 @@ fn default_device() -> String {
 
 fn default_memory_bytes() -> u64 {
     1 << 30
+}
+
+fn default_merge_memory_bytes() -> u64 {
+    MergeSettings::default().memory_bytes
+}
+
+fn default_quorum() -> usize {
+    Rounds::default().quorum
+}
+
+fn default_quiet_s() -> u64 {
+    Rounds::default().quiet.as_secs()
+}
+
+fn default_deadline_s() -> u64 {
+    Rounds::default().deadline.as_secs()
 }
 
 /// Why a service in the field ended.
@@ -76,17 +105,26 @@ pub enum FieldError {
     },
 }
 
-/// Serves until `commands` says to finish or its sender is gone, devices on serial `lines` too. `say` and
-/// `say_of_lines` show what happens.
+/// What only a main knows of the machine.
+#[derive(Clone, Copy, Debug)]
+pub struct Host {
+    /// Number of the session, greater than any before.
+    pub session: u64,
+    /// Threads to merge with, at least 1.
+    pub threads: usize,
+}
+
+/// Serves until `commands` says to end or its sender is gone, devices on serial `lines` too. `say` and `say_of_lines` show what happens.
 pub fn serve(
     config: &AggregatorConfig,
-    session: u64,
+    host: Host,
     lines: Vec<SerialConfig>,
     now: impl Fn() -> Duration,
     commands: &Receiver<Command>,
     mut say: impl FnMut(&ServiceEvent),
     say_of_lines: impl Fn(GatewayEvent) + Clone + Send + 'static,
 ) -> Result<(), FieldError> {
+    let Host { session, threads } = host;
     let (_embedded, broker) = reach_broker(config)?;
     let gateway = |line| Gateway::start(config.site, broker.clone(), line, say_of_lines.clone());
     let _gateways: Vec<Gateway> = lines.into_iter().map(gateway).collect();
@@ -101,7 +139,13 @@ pub fn serve(
             models_max: MODELS_MAX,
             stored_max: STORED_MAX,
         },
-        expected: Expected::Anybody,
+        expected: Expected::Anybody(Rounds {
+            quorum: config.quorum,
+            quiet: Duration::from_secs(config.quiet_s),
+            deadline: Duration::from_secs(config.deadline_s),
+        }),
+        merge: MergeSettings { memory_bytes: config.merge_memory_bytes, ..MergeSettings::default() },
+        threads,
     })?;
     let mut transport = MqttTransport::start(MqttConfig { broker, identity });
     let (mut connected, mut outcome) = (false, Ok(()));

@@ -19,7 +19,7 @@ mod footprint;
 pub mod gateway;
 pub mod lpips;
 mod map;
-mod merge;
+pub mod merge;
 pub mod mesh;
 mod meter;
 pub mod mission;

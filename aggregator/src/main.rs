@@ -16,7 +16,8 @@ use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, Result, bail};
 use clap::{Args, Parser, Subcommand};
-use cosurf_aggregator::field::{self, AggregatorConfig};
+use cosurf_aggregator::field::{self, AggregatorConfig, Host};
+use cosurf_aggregator::merge::MergeSettings;
 use cosurf_aggregator::mission::{MissionOrder, Surroundings, fly};
 use cosurf_aggregator::plan::Settings;
 use cosurf_aggregator::report::{MissionReport, table};
@@ -40,6 +41,7 @@ enum Commands {
     Eval(cli::eval::EvalArgs),
     Mesh(cli::mesh::MeshArgs),
     EvalMesh(cli::eval_mesh::EvalMeshArgs),
+    Merge(cli::merge::MergeArgs),
     Mission(MissionArgs),
     Run(RunArgs),
 }
@@ -60,6 +62,9 @@ struct MissionArgs {
     /// Agents to divide the pictures among
     #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u16).range(1..=999))]
     agents: u16,
+    /// How far each agent looks beyond its cell, as a share of the cell's size; 0 for no shared views
+    #[arg(long, value_name = "SHARE", default_value_t = 0.1, value_parser = parse_margin)]
+    margin: f64,
     /// Training steps of each agent
     #[arg(long, value_name = "N", default_value_t = 1500, value_parser = clap::value_parser!(u32).range(1..))]
     steps: u32,
@@ -78,6 +83,15 @@ struct MissionArgs {
     /// Hold every N-th picture by name out of training, to judge the models by; 0 holds out none
     #[arg(long, value_name = "N", default_value_t = 8)]
     eval_every: u32,
+    /// Times that the global model learns from every camera of the agents; 0 joins their models as they are
+    #[arg(long, value_name = "N", default_value_t = MergeSettings::default().epochs)]
+    epochs: u32,
+    /// Leave to one agent what several show, before joining
+    #[arg(long)]
+    compress: bool,
+    /// The most memory that merging may take
+    #[arg(long, value_name = "BYTES", default_value = "4GiB", value_parser = parse_bytes)]
+    merge_memory: u64,
     /// Judge the global model by LPIPS too: folder of vgg.safetensors and alex.safetensors
     #[arg(long, value_name = "FOLDER")]
     lpips: Option<PathBuf>,
@@ -107,6 +121,7 @@ struct RunArgs {
 fn main() -> ExitCode {
     let outcome = match Cli::parse().command {
         Commands::Eval(args) => cli::eval::run(args),
+        Commands::Merge(args) => cli::merge::run(&args),
         Commands::Mission(args) => mission(args),
         Commands::Run(args) => run(&args),
         Commands::Mesh(args) => cli::mesh::run(&args),
@@ -128,11 +143,18 @@ fn mission(args: MissionArgs) -> Result<()> {
         settings: Settings {
             data: data.clone().unwrap_or_else(|| out.join("city")),
             agents: usize::from(args.agents),
+            margin: args.margin,
             steps: args.steps,
             memory_bytes: Some(args.memory),
             max_size_px: args.max_size,
             seed: args.seed,
             eval_every: args.eval_every,
+            merge: MergeSettings {
+                epochs: args.epochs,
+                compress: args.compress,
+                memory_bytes: args.merge_memory,
+                seed: args.seed,
+            },
         },
         city: data.is_none().then(|| another_city(args.seed)),
         out,
@@ -148,6 +170,11 @@ fn mission(args: MissionArgs) -> Result<()> {
         bail!("the global model lacks agents: {}", failed.join("; "));
     }
     Ok(())
+}
+
+fn parse_margin(text: &str) -> Result<f64, String> {
+    let margin: f64 = text.parse().map_err(|error| format!("{error}"))?;
+    if (0.0..=1.0).contains(&margin) { Ok(margin) } else { Err("a margin is between 0 and 1".into()) }
 }
 
 /// Every seed flies over a town of its own.
@@ -179,7 +206,7 @@ fn surroundings(json: bool) -> Result<Surroundings> {
     Ok(Surroundings {
         now: Arc::new(move || begun.elapsed()),
         session: session(),
-        cores: available_parallelism().map_or(1, usize::from),
+        cores: cores(),
         agent: executable.with_file_name(format!("cosurf-agent{}", std::env::consts::EXE_SUFFIX)),
         display: cli::display(json),
         interrupted,
@@ -194,14 +221,14 @@ fn run(args: &RunArgs) -> Result<()> {
         .map_err(|error| anyhow::anyhow!("{path}: {}", error.to_string().trim().replace('\n', " ")))?;
     let (commands, orders) = mpsc::channel();
     ctrlc::set_handler(move || {
-        let _ = commands.send(Command::Finish); // fails only where the service has ended already
+        let _ = commands.send(Command::Stop); // fails only where the service has ended already
     })
     .context("Ctrl-C cannot be caught")?;
     let (begun, json) = (Instant::now(), args.json);
     let line = |port: &String| SerialConfig::device(port, args.baud, session(), GATEWAY_MESSAGE_BYTES);
     field::serve(
         &config,
-        session(),
+        Host { session: session(), threads: cores() },
         args.serial.iter().map(line).collect(),
         || begun.elapsed(),
         &orders,
@@ -218,6 +245,10 @@ fn show(event: &(impl Display + Serialize), json: bool) {
         true => writeln!(stdout, "{}", serde_json::json!(event)),
         false => writeln!(stdout, "{event}"),
     };
+}
+
+fn cores() -> usize {
+    available_parallelism().map_or(1, usize::from)
 }
 
 /// Seconds since 1970; a clock before that is a clock that was never set.

@@ -134,10 +134,8 @@ mod tests {
 
     #[test]
     fn the_map_shows_every_cell_and_view_with_north_up() {
-        let cell = |low: f64, high: f64| Cell {
-            views: Vec::new(),
-            bounds: [DVec2::new(0.0, low), DVec2::new(100.0, high)],
-        };
+        let cell =
+            |low: f64, high: f64| Cell::new(Vec::new(), [DVec2::new(0.0, low), DVec2::new(100.0, high)]);
         let view = |y: f64, cell, held_out| MapView {
             name: format!("<{y}>"),
             footprint: Footprint { center: DVec2::new(50.0, y), outline: [DVec2::ZERO; 4] },
@@ -156,7 +154,7 @@ mod tests {
 
     #[test]
     fn a_single_point_has_a_map_too() {
-        let cell = Cell { views: vec![0], bounds: [DVec2::ONE; 2] };
+        let cell = Cell::new(vec![0], [DVec2::ONE; 2]);
         let svg = draw(&[cell], &[]);
         assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
     }

@@ -1,52 +1,193 @@
-//! Local models to one: here, plain concatenation.
+//! Local models to one (CoSurfGS, "Local Model Compression" and "Model Aggregation Scheme"): what several models
+//! show is left to one of them, the rest is joined, and the joined model is taught by what each local model
+//! showed its own cameras. No photograph is needed, nor is there one to be had.
+//!
+//! The result is a function of the models in their order and of the settings: the same bytes whoever merges,
+//! with any number of threads, interrupted or not.
+//!
+//! Reading order: [`merge`], which reads as the list of steps; [`compress`]; [`distill`] and its [`teachers`].
 
-use cosurf_link::Model;
-use cosurf_scene::Splats;
+mod compress;
+mod concat;
+mod distill;
+mod teachers;
+#[cfg(test)]
+pub(crate) mod tests;
 
-/// Joins models in the order given: all splats, at the highest degree of spherical harmonics among
-/// them (the others have nothing to say there: zeros), and all cameras.
-pub(crate) fn concatenate(models: &[Model]) -> Model {
-    let degree = models.iter().map(|model| model.splats.sh_degree).max().unwrap_or(0);
-    let count = models.iter().map(|model| model.splats.len()).sum();
-    let mut splats = Splats::with_capacity(count, degree);
-    let mut sh = vec![0.0; splats.sh_stride()];
-    for Model { splats: local, .. } in models {
-        sh.fill(0.0);
-        for i in 0..local.len() {
-            sh[..local.sh_stride()].copy_from_slice(local.sh_of(i));
-            splats.push(local.means[i], local.quats[i], local.log_scales[i], local.opacity_logits[i], &sh);
-        }
-    }
-    let cameras = models.iter().flat_map(|model| model.cameras.iter().copied()).collect();
-    Model { splats, cameras }
+use std::ops::ControlFlow;
+
+use cosurf_engine::backend::Channels;
+use cosurf_engine::{CpuCapacity, prune};
+use cosurf_link::{BodyFault, Model, StoreError};
+use cosurf_scene::{Camera, SceneError, Splats};
+use glam::DVec3;
+use serde::{Deserialize, Serialize};
+
+pub(crate) use compress::Compression;
+pub(crate) use concat::concatenate;
+
+/// How models are merged.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MergeSettings {
+    /// Times that every camera is learnt from (CoSurfGS: 5); 0 leaves the models as they were joined.
+    pub epochs: u32,
+    /// Whether what several models show is left to one of them first.
+    pub compress: bool,
+    /// Bytes that the models and their training may take together. Where they do not suffice for all at once,
+    /// teachers wait on the disk and the cells are distilled one after the other; that changes the result.
+    pub memory_bytes: u64,
+    /// Seed of every random choice.
+    pub seed: u64,
 }
 
-#[cfg(test)]
-pub(crate) mod tests {
-    use super::*;
-
-    /// `count` splats of `sh_degree` whose every value tells `seed`.
-    pub(crate) fn model(count: usize, sh_degree: u32, seed: f32) -> Model {
-        let mut splats = Splats::with_capacity(count, sh_degree);
-        let sh: Vec<f32> = (0..splats.sh_stride()).map(|i| seed + i as f32).collect();
-        for i in 0..count {
-            splats.push([seed, i as f32, 0.0], [1.0, 0.0, 0.0, 0.0], [-seed; 3], seed, &sh);
-        }
-        Model { splats, cameras: Vec::new() }
+impl Default for MergeSettings {
+    fn default() -> Self {
+        Self { epochs: 5, compress: false, memory_bytes: 4 << 30, seed: 0 }
     }
+}
 
-    #[test]
-    fn splats_keep_their_order_and_lower_degrees_are_padded_with_zeros() {
-        let joined = concatenate(&[model(2, 0, 5.0), model(3, 1, 7.0), model(0, 2, 9.0)]).splats;
-        assert_eq!((joined.len(), joined.sh_degree), (5, 2));
-        let first: Vec<f32> = joined.means.iter().map(|mean| mean[0]).collect();
-        assert_eq!(first, [5.0, 5.0, 7.0, 7.0, 7.0]);
-        assert_eq!(joined.sh_of(1)[..4], [5.0, 6.0, 7.0, 0.0]);
-        assert_eq!(joined.sh_of(2)[10..14], [17.0, 18.0, 0.0, 0.0]);
-    }
+/// Local models in a fixed order, read when they are needed.
+pub trait Locals {
+    /// How many there are.
+    fn count(&self) -> usize;
 
-    #[test]
-    fn nothing_joined_is_nothing() {
-        assert!(concatenate(&[]).splats.is_empty());
+    /// Reads one.
+    fn load(&self, index: usize) -> Result<Model, MergeError>;
+}
+
+/// Why models are not merged.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum MergeError {
+    /// A model could not be read from its store.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// A model could not be read from its folder.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// A model is not what it should be.
+    #[error(transparent)]
+    Body(#[from] BodyFault),
+    /// The owner said stop.
+    #[error("the merge was given up")]
+    GivenUp,
+}
+
+/// How far a merge has come.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct MergeProgress {
+    /// Steps of distillation done.
+    pub step: u32,
+    /// Steps in all.
+    pub steps: u32,
+    /// Agreement with the teacher at the last step, dB.
+    pub psnr: f64,
+}
+
+/// A merged model and what became of the local ones.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Merged {
+    /// The global model: its splats and all cameras.
+    pub model: Model,
+    /// The figures.
+    pub summary: MergeSummary,
+}
+
+/// The figures of a merge.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct MergeSummary {
+    /// Per local model, in their order.
+    pub locals: Vec<LocalSummary>,
+    /// Splats that were joined, after compression.
+    pub joined: usize,
+    /// Splats after distillation and its last pruning.
+    pub splats: usize,
+    /// Steps of distillation.
+    pub steps: u32,
+}
+
+/// What became of one local model.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct LocalSummary {
+    /// Splats that arrived.
+    pub arrived: usize,
+    /// Ψ: share of its cameras that look at ground of a model before it.
+    pub overlap: f64,
+    /// Splats that compression removed.
+    pub removed: usize,
+}
+
+/// Merges all of `locals` on `threads` (at least 1). `tell` hears of every step and may give up.
+pub fn merge(
+    locals: &dyn Locals,
+    settings: &MergeSettings,
+    threads: usize,
+    tell: &mut dyn FnMut(MergeProgress) -> ControlFlow<()>,
+) -> Result<Merged, MergeError> {
+    let mut summary = MergeSummary::default();
+    let mut parts = Vec::with_capacity(locals.count());
+    let mut before: Vec<Camera> = Vec::new();
+    for i in 0..locals.count() {
+        let Model { splats, cameras } = locals.load(i)?;
+        let arrived = splats.len();
+        let compression = match settings.compress {
+            true => Compression::plan(&splats, &cameras, &before, threads),
+            false => Compression::default(),
+        };
+        let splats = without(&splats, &compression.removed);
+        let removed = compression.removed.len();
+        summary.locals.push(LocalSummary { arrived, overlap: compression.overlap, removed });
+        before.extend(&cameras);
+        parts.push(Model { splats, cameras });
     }
+    let mut model = concatenate(&parts);
+    summary.joined = model.splats.len();
+    if settings.epochs > 0 && !model.splats.is_empty() && !model.cameras.is_empty() {
+        let sizes: Vec<usize> = parts.iter().map(|part| part.splats.len()).collect();
+        drop(parts);
+        let distilled = distill::distill(locals, &sizes, model.splats, settings, threads, tell)?;
+        (model.splats, summary.steps) = (distilled.splats, distilled.steps);
+    }
+    summary.splats = model.splats.len();
+    Ok(Merged { model, summary })
+}
+
+/// The splats but for those of `removed`, ascending indices.
+fn without(splats: &Splats, removed: &[u32]) -> Splats {
+    let mut kept = Splats::with_capacity(splats.len() - removed.len(), splats.sh_degree);
+    let stays = |i: &usize| removed.binary_search(&(*i as u32)).is_err();
+    (0..splats.len()).filter(stays).for_each(|i| push(&mut kept, splats, i));
+    kept
+}
+
+/// Appends splat `i` of another set of the same degree.
+fn push(to: &mut Splats, from: &Splats, i: usize) {
+    to.push(from.means[i], from.quats[i], from.log_scales[i], from.opacity_logits[i], from.sh_of(i));
+}
+
+/// 1.1 × the largest distance of a camera from their mean (3DGS), world units.
+fn extent(cameras: &[Camera]) -> f64 {
+    let eyes: Vec<DVec3> = cameras.iter().map(|camera| camera.cam_from_world.center()).collect();
+    let mean = eyes.iter().sum::<DVec3>() / eyes.len().max(1) as f64;
+    let reach = 1.1 * eyes.iter().map(|eye| eye.distance(mean)).fold(0.0, f64::max);
+    if reach > 0.0 { reach } else { 1.0 }
+}
+
+/// Room to train or to score `splats` under `cameras`.
+fn capacity(splats: &Splats, cameras: &[Camera], channels: Channels) -> CpuCapacity {
+    /// Splat–tile pairs per splat: aerial views need 2 to 4 where all of the model is in the picture.
+    const PAIRS_PER_SPLAT: usize = 5;
+    CpuCapacity {
+        splats: splats.len(),
+        pairs: PAIRS_PER_SPLAT * splats.len(),
+        size_px: [0, 1].map(|axis| cameras.iter().map(|camera| camera.size_px[axis]).max().unwrap_or(1)),
+        sh_degree: splats.sh_degree,
+        channels,
+        training: true,
+    }
+}
+
+/// What splats are worth to `cameras`, as Adaptive Gaussian Pruning measures it; one number a splat.
+fn worth(splats: &Splats, cameras: &[Camera], threads: usize) -> Vec<f32> {
+    prune::worth(splats, cameras, capacity(splats, cameras, Channels::Color), threads)
 }

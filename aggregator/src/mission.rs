@@ -26,10 +26,12 @@ use crate::meter::Meter;
 use crate::page::{Drawings, page};
 use crate::plan::{Plan, PlanError, Settings, write_text};
 use crate::progress::{Display, show_pictures};
-use crate::quality::{YardstickError, Yardsticks};
+use crate::quality::{Quality, YardstickError, Yardsticks};
 use crate::relief::{Relief, relief};
 use crate::report::{MissionReport, summarize};
-use crate::service::{BROKER_ATTEMPTS_MAX, Expected, Service, ServiceConfig, ServiceError, global_ply};
+use crate::service::{
+    BROKER_ATTEMPTS_MAX, Expected, Merging, Service, ServiceConfig, ServiceError, global_ply, joined,
+};
 use crate::station::Station;
 use crate::town::{self, TownError};
 use crate::watch::{Signal, Watch};
@@ -161,6 +163,8 @@ pub fn fly(order: &MissionOrder, around: &Surroundings) -> Result<MissionReport,
         Relief::Made { summary, .. } => report.whole.mesh = Some(summary),
         Relief::Missing(error) => report.whole.mesh_failure = Some(error.to_string()),
     }
+    report.whole.joined = judge_joined(order, around, &dataset, &plan)?;
+    report.whole.merging = Merging::read(&order.out);
     report.whole.aggregator_peak_memory_bytes = (around.peak_memory_bytes)();
     write_report(&order.out, &report, &plan, &evaluation)?;
     Ok(report)
@@ -184,7 +188,7 @@ fn gather(
         session: around.session,
         role: Role::Aggregator,
     };
-    let service = Service::open(service_config(order, plan, identity))?;
+    let service = Service::open(service_config(order, plan, identity, around.cores))?;
     let tell = say.clone();
     let station = Station::start(service, address.clone(), identity, around.now.clone(), move |event| {
         let _ = tell.send(Signal::Service(event)); // nobody listens any more where the mission is over
@@ -212,7 +216,7 @@ fn reach_broker(order: &MissionOrder) -> Result<(Option<Broker>, BrokerAddress),
     Ok((Some(broker), address))
 }
 
-fn service_config(order: &MissionOrder, plan: &Plan, identity: Identity) -> ServiceConfig {
+fn service_config(order: &MissionOrder, plan: &Plan, identity: Identity, threads: usize) -> ServiceConfig {
     ServiceConfig {
         identity,
         folder: order.out.clone(),
@@ -223,6 +227,8 @@ fn service_config(order: &MissionOrder, plan: &Plan, identity: Identity) -> Serv
             stored_max: 2 * plan.devices.len(),
         },
         expected: Expected::Fleet(plan.devices.iter().copied().collect()),
+        merge: order.settings.merge,
+        threads,
     }
 }
 
@@ -292,6 +298,21 @@ fn judge(
         Relief::Missing(_) => None,
     };
     Ok(evaluate(&mut judge, &views, mesh)?)
+}
+
+/// The colours of the agents' models joined as they are, for comparison.
+fn judge_joined(
+    order: &MissionOrder,
+    around: &Surroundings,
+    dataset: &Dataset,
+    plan: &Plan,
+) -> Result<Option<Quality>, MissionError> {
+    let splats = joined(&order.out)?.splats;
+    let without = Yardsticks { lpips: None, truth: None };
+    let mut judge = Judge::new(&splats, order.settings.max_size_px, around.cores, &without);
+    let held_out = dataset.views.iter().zip(&plan.views).filter(|(_, view)| view.held_out);
+    let qualities = held_out.map(|(view, _)| judge.quality(view)).collect::<Result<Vec<_>, _>>()?;
+    Ok(Quality::mean(&qualities))
 }
 
 fn write_report(

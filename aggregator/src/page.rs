@@ -110,6 +110,9 @@ fn agents(html: &mut String, report: &MissionReport) {
     }
     html.push_str("</tbody></table></div>\n");
     explanation(html, report.whole.quality.as_ref());
+    if let Some(text) = report::merge_text(&report.whole) {
+        let _ = write!(html, "<p>{}</p>", escape(&text));
+    }
     let remarks = report::remarks(report);
     if !remarks.is_empty() {
         html.push_str("<ul class=\"remarks\">");
@@ -246,7 +249,7 @@ mod tests {
     use crate::partition::Cell;
 
     fn example_page() -> String {
-        let cells = [Cell { views: vec![0], bounds: [DVec2::ZERO, DVec2::ONE] }];
+        let cells = [Cell::new(vec![0], [DVec2::ZERO, DVec2::ONE])];
         let report = report::tests::example();
         let picture = |caption: &str| Captioned {
             caption: caption.into(),

@@ -1,8 +1,9 @@
 //! Divides views among agents: contiguous cells of the ground with equally many views each.
 //!
 //! Recursive bisection: the views' footprint centres are cut across the longer side of their
-//! bounding box, in proportion to the agents on either side, until each agent has one cell. Views
-//! near a border see beyond it, which is all the overlap there is.
+//! bounding box, in proportion to the agents on either side, until each agent has one cell. Ground at a
+//! border is seen by too few views of either side alone: with a margin, each agent also gets the views of
+//! others that look just beyond its borders.
 
 use glam::DVec2;
 
@@ -11,14 +12,28 @@ use glam::DVec2;
 pub(crate) struct Cell {
     /// Indices into the centres given to [`bisect`], ascending.
     pub(crate) views: Vec<usize>,
+    /// Views of other cells that look at the margin of this one, ascending.
+    pub(crate) guests: Vec<usize>,
     /// Lowest and highest map coordinates; the cells of a partition meet only at their borders.
     pub(crate) bounds: [DVec2; 2],
 }
 
 impl Cell {
+    /// A cell without guests.
+    pub(crate) fn new(views: Vec<usize>, bounds: [DVec2; 2]) -> Self {
+        Self { views, guests: Vec::new(), bounds }
+    }
+
     /// Distance from a map position to the cell, 0 inside.
     fn distance(&self, at: DVec2) -> f64 {
         at.distance(at.clamp(self.bounds[0], self.bounds[1]))
+    }
+
+    /// Whether a map position lies in the cell grown by `margin` of its size on each side.
+    fn reaches(&self, at: DVec2, margin: f64) -> bool {
+        let [low, high] = self.bounds;
+        let grown = (high - low) * margin;
+        at.cmpge(low - grown).all() && at.cmple(high + grown).all()
     }
 }
 
@@ -50,10 +65,19 @@ pub(crate) fn bisect(centers: &[DVec2], agents: usize) -> Result<Vec<Cell>, Part
         (agents, views) if agents > views => return Err(PartitionError::TooFewViews { agents, views }),
         _ => {}
     }
-    let all = Cell { views: (0..centers.len()).collect(), bounds: bounding_box(centers.iter().copied()) };
+    let all = Cell::new((0..centers.len()).collect(), bounding_box(centers.iter().copied()));
     let mut cells = Vec::with_capacity(agents);
     divide(all, agents, centers, &mut cells);
     Ok(cells)
+}
+
+/// Lets each cell have the views of others whose centres lie within `margin` of its size around it.
+pub(crate) fn invite(cells: &mut [Cell], centers: &[DVec2], margin: f64) {
+    for cell in cells {
+        let near = |view: &usize| margin > 0.0 && cell.reaches(centers[*view], margin);
+        let others = (0..centers.len()).filter(|view| cell.views.binary_search(view).is_err());
+        cell.guests = others.filter(near).collect();
+    }
 }
 
 /// The cell that a position belongs to: the one it is in, else the nearest; the first of equals.
@@ -86,8 +110,8 @@ fn divide(mut cell: Cell, agents: usize, centers: &[DVec2], cells: &mut Vec<Cell
     let mut bounds = [cell.bounds; 2];
     bounds[0][1][along] = cut;
     bounds[1][0][along] = cut;
-    divide(Cell { views: cell.views, bounds: bounds[0] }, lower_agents, centers, cells);
-    divide(Cell { views: upper, bounds: bounds[1] }, agents - lower_agents, centers, cells);
+    divide(Cell::new(cell.views, bounds[0]), lower_agents, centers, cells);
+    divide(Cell::new(upper, bounds[1]), agents - lower_agents, centers, cells);
 }
 
 /// How many of `views`, shared by `agents` as evenly as whole views can be, go to the first `some`
@@ -146,6 +170,16 @@ mod tests {
                 assert!(low.x >= high.x || low.y >= high.y, "{cell:?} overlaps {other:?}");
             }
         }
+    }
+
+    #[test]
+    fn guests_are_the_views_of_others_just_beyond_the_border() {
+        let centers: Vec<DVec2> = (0..20).map(|i| DVec2::new(f64::from(i) * 10.0, 0.0)).collect();
+        let mut cells = bisect(&centers, 2).unwrap();
+        invite(&mut cells, &centers, 0.2); // 95 m, so 19 m
+        assert_eq!((&cells[0].guests[..], &cells[1].guests[..]), (&[10, 11][..], &[8, 9][..]));
+        invite(&mut cells, &centers, 0.0);
+        assert!(cells.iter().all(|cell| cell.guests.is_empty() && cell.views.len() == 10));
     }
 
     #[test]

@@ -12,7 +12,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::footprint::{Ground, footprints};
 use crate::map::MapView;
-use crate::partition::{Cell, PartitionError, bisect, nearest_cell};
+use crate::merge::MergeSettings;
+use crate::partition::{Cell, PartitionError, bisect, invite, nearest_cell};
 
 /// What decides the result of a mission.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -21,6 +22,8 @@ pub struct Settings {
     pub data: PathBuf,
     /// Agents to divide it among.
     pub agents: usize,
+    /// How far each agent looks beyond its cell, as a share of the cell's size; see `partition`.
+    pub margin: f64,
     /// Training steps of each.
     pub steps: u32,
     /// Most memory of each, bytes.
@@ -31,6 +34,8 @@ pub struct Settings {
     pub seed: u64,
     /// Every n-th view by name is held out; 0 holds out none.
     pub eval_every: u32,
+    /// How the agents' models are merged.
+    pub merge: MergeSettings,
 }
 
 /// The content of `mission.json`.
@@ -107,12 +112,13 @@ impl Plan {
         let prints = footprints(dataset, &Ground::of(dataset));
         let centers: Vec<_> = train.iter().map(|&view| prints[view].center).collect();
         let mut cells = bisect(&centers, settings.agents)?;
+        invite(&mut cells, &centers, settings.margin);
         let mut cell_of = vec![0; dataset.views.len()];
         for &view in &held_out {
             cell_of[view] = nearest_cell(&cells, prints[view].center);
         }
         for (i, cell) in cells.iter_mut().enumerate() {
-            cell.views.iter_mut().for_each(|view| *view = train[*view]);
+            cell.views.iter_mut().chain(&mut cell.guests).for_each(|view| *view = train[*view]);
             cell.views.iter().for_each(|&view| cell_of[view] = i);
         }
         let views = dataset.views.iter().zip(prints).zip(cell_of).enumerate();
@@ -126,10 +132,13 @@ impl Plan {
         Ok(Self { site: settle(settings, out, fresh_site)?, devices, cells, views: views.collect() })
     }
 
-    /// Names of the views of agent `i`: to train on, or held out.
+    /// Names of the views of agent `i`: to train on (guests too), or held out.
     pub(crate) fn names_of(&self, agent: usize, held_out: bool) -> Vec<String> {
-        let its = |view: &&MapView| view.cell == agent && view.held_out == held_out;
-        self.views.iter().filter(its).map(|view| view.name.clone()).collect()
+        let guests = &self.cells[agent].guests;
+        let its = |(i, view): &(usize, &MapView)| {
+            view.held_out == held_out && (view.cell == agent || guests.binary_search(i).is_ok())
+        };
+        self.views.iter().enumerate().filter(its).map(|(_, view)| view.name.clone()).collect()
     }
 
     /// Writes agent `i`'s orders into its folder below `out`, and returns that folder.
@@ -246,11 +255,13 @@ mod tests {
         Settings {
             data: "data".into(),
             agents: 2,
+            margin: 0.0,
             steps: 10,
             memory_bytes: Some(1 << 30),
             max_size_px: None,
             seed: 7,
             eval_every: 8,
+            merge: MergeSettings::default(),
         }
     }
 
@@ -264,6 +275,17 @@ mod tests {
         assert_eq!(trained, [7, 8]);
         assert_eq!(plan.names_of(0, false)[6], "007.jpg", "from west to east");
         assert_eq!(plan.cells[1].views[0], 9, "cells name views by their place in the dataset");
+    }
+
+    #[test]
+    fn with_a_margin_neighbours_train_on_the_same_views() {
+        let out = tempfile::tempdir().unwrap();
+        let settings = Settings { margin: 0.2, ..settings() };
+        let plan = Plan::make(&row(18), &settings, out.path(), site("a")).unwrap();
+        let names = [plan.names_of(0, false), plan.names_of(1, false)];
+        let shared: Vec<&String> = names[0].iter().filter(|name| names[1].contains(name)).collect();
+        assert_eq!(shared, ["007.jpg", "009.jpg"]);
+        assert_eq!(plan.names_of(0, true), ["000.jpg", "008.jpg"], "held-out views have no margin");
     }
 
     #[test]

@@ -10,7 +10,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::board::{Phase, Status};
 use crate::plan::{Plan, Settings};
+use crate::progress::format_seconds;
 use crate::quality::Quality;
+use crate::service::Merging;
 use crate::table::aligned;
 pub(crate) use rows::{depth_text, lpips_text, normal_text, rows};
 
@@ -75,6 +77,10 @@ pub struct WholeSummary {
     pub bytes_sent: u64,
     /// The global model on all held-out views; absent where none is held out.
     pub quality: Option<Quality>,
+    /// The agents' models joined as they are, on the same views.
+    pub joined: Option<Quality>,
+    /// How they were merged instead.
+    pub merging: Option<Merging>,
     /// The mesh of the global model; absent where it has none.
     pub mesh: Option<MeshSummary>,
     /// Why it has none.
@@ -106,7 +112,7 @@ pub(crate) fn summarize(
         let qualities: Vec<Quality> = its.map(|(_, quality)| *quality).collect();
         AgentSummary {
             device: plan.devices[i].to_string(),
-            views: plan.cells[i].views.len(),
+            views: plan.cells[i].views.len() + plan.cells[i].guests.len(),
             held_out: qualities.len(),
             training: status.training.clone(),
             bytes_sent: status.bytes_sent,
@@ -135,6 +141,8 @@ pub(crate) fn summarize(
         aggregator_peak_memory_bytes: None,
         bytes_sent: agents.iter().map(|agent| agent.bytes_sent).sum(),
         quality: Quality::mean(qualities),
+        joined: None,
+        merging: None,
         mesh: None,
         mesh_failure: None,
     };
@@ -143,7 +151,23 @@ pub(crate) fn summarize(
 
 /// The table for a terminal.
 pub fn table(report: &MissionReport) -> String {
-    aligned(&rows(report))
+    let merge = merge_text(&report.whole).map_or(String::new(), |text| format!("\n{text}\n"));
+    aligned(&rows(report)) + &merge
+}
+
+/// A sentence or two on the merge, where it is known.
+pub(crate) fn merge_text(whole: &WholeSummary) -> Option<String> {
+    let Merging { summary, seconds, .. } = whole.merging.as_ref()?;
+    let removed: usize = summary.locals.iter().map(|local| local.removed).sum();
+    let (time, joined) = (format_seconds(*seconds), summary.joined);
+    let mut text = format!(
+        "Merged in {time}: {removed} splats left to other agents, {joined} joined, {} after {} steps.",
+        summary.splats, summary.steps
+    );
+    if let Some(joined) = whole.joined {
+        text += &format!(" Joined as they are, the agents' models are worth {:.2} dB.", joined.psnr);
+    }
+    Some(text)
 }
 
 /// Everything that was given up for memory or did not work, one sentence each with its agent.
@@ -242,6 +266,8 @@ pub(crate) mod tests {
                 aggregator_peak_memory_bytes: None,
                 bytes_sent: 3 << 20,
                 quality: Some(quality(22.0)),
+                joined: None,
+                merging: None,
                 mesh: Some(MeshSummary { triangles: 4321, voxel_m: 0.25 }),
                 mesh_failure: None,
             },

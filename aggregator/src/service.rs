@@ -8,33 +8,43 @@
 //! | `models/` | every local model as it arrived |
 //! | `global/` | every revision of the global model, as sent to the agents |
 //! | `global.ply` | the newest revision, for viewers |
+//! | `merged.json` | what the newest revision was merged from, and how |
+//! | `withdrawn/` | devices that do not count any more, each with its last model that does not |
 //!
-//! The newest model of each device counts; they are joined in order of device id, so the same models
-//! give the same bytes in whatever order they arrive.
+//! The newest model of each device counts; they are merged in order of device id, so the same models
+//! give the same bytes in whatever order they arrive. Merging runs on a thread of its own while the service goes on
+//! listening; what arrives meanwhile makes it begin anew.
+//!
+//! Reading order: [`Service`], [`round`] for when models are merged, [`keeper`] for what is kept and done.
 
-use std::collections::{BTreeMap, BTreeSet};
+mod job;
+mod keeper;
+mod record;
+mod round;
+
+use std::collections::BTreeMap;
 use std::fmt;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::{Receiver, TryRecvError};
+use std::sync::mpsc::Receiver;
 use std::time::Duration;
 
 use cosurf_link::{
-    BodyFault, Identity, InboxLimits, Model, ModelKey, ModelStore, Node, NodeEvent, Offer, StoreError,
-    Transport, body_to_model,
+    BodyFault, Identity, InboxLimits, Model, ModelKey, ModelStore, Node, StoreError, Transport, body_to_model,
 };
+use cosurf_scene::SceneError;
 use cosurf_scene::bytes::format_bytes;
-use cosurf_scene::{SceneError, ply};
-use cosurf_wire::{DeviceId, ModelHeader, ModelId, ModelKind, RefusalReason, TileId};
+use cosurf_wire::{DeviceId, ModelHeader, RefusalReason};
 
 use serde::Serialize;
 
-use crate::merge::concatenate;
+use crate::merge::{MergeError, MergeProgress, MergeSettings, concatenate};
+use keeper::{Keeper, Orders};
+pub use record::{Merging, withdraw};
+pub use round::{Expected, Rounds};
 
 /// How often the service looks up from listening.
 const LOOK_UP: Duration = Duration::from_millis(50);
-/// Pause before what the disk refused is tried again.
-const DISK_RETRY: Duration = Duration::from_secs(5);
 
 /// Attempts to reach the broker before an owner should give up. Once it has been reached there is no
 /// limit: a service outlasts a broker that is down.
@@ -49,17 +59,12 @@ pub struct ServiceConfig {
     pub folder: PathBuf,
     /// The most it takes in at once.
     pub limits: InboxLimits,
-    /// When to join models.
+    /// When to merge models.
     pub expected: Expected,
-}
-
-/// When models are joined.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Expected {
-    /// Once each of these devices has sent one.
-    Fleet(BTreeSet<DeviceId>),
-    /// Whenever one arrives, from anybody.
-    Anybody,
+    /// How to merge them.
+    pub merge: MergeSettings,
+    /// Threads to merge with, at least 1.
+    pub threads: usize,
 }
 
 /// What the owner of a running service asks of it.
@@ -67,8 +72,10 @@ pub enum Expected {
 pub enum Command {
     /// Do not wait for this device any more; what it sent still counts.
     GiveUp(DeviceId),
-    /// Join what is due, then end.
+    /// Merge what is due, then end.
     Finish,
+    /// End at once; a merge under way begins anew at the next start.
+    Stop,
 }
 
 /// What a service tells its owner.
@@ -93,6 +100,13 @@ pub enum ServiceEvent {
     DiskFailed {
         /// One line.
         reason: String,
+    },
+    /// A merge has come further.
+    Merging(MergeProgress),
+    /// A device does not count any more.
+    Withdrawn {
+        /// Which.
+        device: DeviceId,
     },
     /// There is a new global model, safe on the disk.
     Merged {
@@ -126,6 +140,10 @@ impl fmt::Display for ServiceEvent {
                 let size = format_bytes(header.body_bytes);
                 write!(f, "the model of {} arrived: {} splats, {size}", header.device, header.splats)
             }
+            Self::Merging(MergeProgress { step, steps, psnr }) => {
+                write!(f, "merging, step {step} of {steps}: {psnr:.2} dB of what the local models showed")
+            }
+            Self::Withdrawn { device } => write!(f, "{device} is withdrawn"),
             Self::Merged { header, models } => {
                 write!(
                     f,
@@ -153,6 +171,9 @@ pub enum ServiceError {
     /// The models cannot be one.
     #[error("the models cannot be joined: {0}")]
     Body(#[from] BodyFault),
+    /// The models are not merged.
+    #[error(transparent)]
+    Merge(#[from] MergeError),
 }
 
 /// A service with its folder open, not running yet.
@@ -165,21 +186,9 @@ pub struct Service {
 impl Service {
     /// Opens the folder, making it where it is missing.
     pub fn open(config: ServiceConfig) -> Result<Self, ServiceError> {
-        let (models, headers) = ModelStore::open(&config.folder.join("models"))?;
-        let (globals, revisions) = ModelStore::open(&config.folder.join("global"))?;
-        let mut keeper = Keeper {
-            device: config.identity.device,
-            folder: config.folder,
-            models,
-            globals,
-            newest: BTreeMap::new(),
-            global: revisions.into_iter().max_by_key(|header| header.model),
-            expected: config.expected,
-            given_up: BTreeSet::new(),
-            merge_at: Some(Duration::ZERO),
-        };
-        headers.iter().for_each(|header| keeper.note(header));
-        Ok(Self { node: Node::new(config.identity, config.limits, &headers), keeper })
+        let (identity, limits) = (config.identity, config.limits);
+        let (keeper, known) = Keeper::open(config)?;
+        Ok(Self { node: Node::new(identity, limits, &known), keeper })
     }
 
     /// Serves until told to finish, or until `on_event` breaks. Returns what is announced of the newest
@@ -191,16 +200,22 @@ impl Service {
         commands: &Receiver<Command>,
         mut on_event: impl FnMut(ServiceEvent) -> ControlFlow<()>,
     ) -> Option<ModelHeader> {
+        let mut orders = Orders::GoOn;
         loop {
-            let finish = self.keeper.obey(commands);
+            orders = orders.max(self.keeper.obey(commands, now()));
             let broke = self.step(transport, &now, LOOK_UP, &mut on_event).is_break();
-            if finish || broke {
-                return self.keeper.global;
+            let ends = match orders {
+                Orders::GoOn => false,
+                Orders::Finish => !self.keeper.is_merging(),
+                Orders::Stop => true,
+            };
+            if ends || broke {
+                return self.keeper.global();
             }
         }
     }
 
-    /// Listens for at most `wait`, does what that asks for, and joins models when that is due.
+    /// Listens for at most `wait`, does what that asks for, and merges models when that is due.
     fn step<T: Transport>(
         &mut self,
         transport: &mut T,
@@ -209,142 +224,23 @@ impl Service {
         mut on_event: impl FnMut(ServiceEvent) -> ControlFlow<()>,
     ) -> ControlFlow<()> {
         let heard = self.node.step(transport, &now, wait);
-        if let Some(event) = heard.and_then(|event| self.keeper.take(&mut self.node, event)) {
+        if let Some(event) = heard.and_then(|event| self.keeper.take(&mut self.node, event, now())) {
             on_event(event)?;
         }
-        match self.keeper.merge_when_due(&mut self.node, now()) {
+        match self.keeper.work(&mut self.node, now()) {
             Some(event) => on_event(event),
             None => ControlFlow::Continue(()),
         }
     }
 }
 
-/// What the service has and does with it.
-#[derive(Debug)]
-struct Keeper {
-    device: DeviceId,
-    folder: PathBuf,
-    models: ModelStore,
-    globals: ModelStore,
-    /// The newest model of each device.
-    newest: BTreeMap<DeviceId, ModelHeader>,
-    global: Option<ModelHeader>,
-    expected: Expected,
-    given_up: BTreeSet<DeviceId>,
-    /// When to join models next, if there is anything to join.
-    merge_at: Option<Duration>,
-}
-
-impl Keeper {
-    fn take(&mut self, node: &mut Node, event: NodeEvent) -> Option<ServiceEvent> {
-        Some(match event {
-            NodeEvent::Connected => ServiceEvent::Connected,
-            NodeEvent::Disconnected { attempt, reason } => ServiceEvent::Disconnected { attempt, reason },
-            NodeEvent::Store { header, body } => self.store(node, header, &body),
-            NodeEvent::Ignored { topic, reason } => {
-                ServiceEvent::Ignored { reason: format!("{topic}: {reason}") }
-            }
-            NodeEvent::Uploaded(..) => ServiceEvent::Delivered,
-            NodeEvent::UploadRefused { by, reason, .. } => ServiceEvent::Refused { by, reason },
-            NodeEvent::Refused { key, reason } => {
-                ServiceEvent::Ignored { reason: format!("model {key} is refused: {reason}") }
-            }
-            NodeEvent::LinkTooNarrow(error) => {
-                ServiceEvent::Ignored { reason: format!("the link does not take our messages: {error}") }
-            }
-            NodeEvent::State(_) | NodeEvent::Receiving(_) | NodeEvent::Known(_) | NodeEvent::Progress(..) => {
-                return None;
-            }
-        })
-    }
-
-    fn store(&mut self, node: &mut Node, header: ModelHeader, body: &[u8]) -> ServiceEvent {
-        let key = ModelKey { device: header.device, model: header.model };
-        if let Err(error) = self.models.put(&header, body) {
-            node.store_failed(key);
-            return ServiceEvent::DiskFailed { reason: format!("model {key} is not stored: {error}") };
-        }
-        node.stored(key);
-        self.note(&header);
-        self.merge_at = Some(Duration::ZERO);
-        ServiceEvent::Stored { header }
-    }
-
-    /// Counts a stored model, unless a newer one of the same device is known.
-    fn note(&mut self, header: &ModelHeader) {
-        let newest = self.newest.entry(header.device).or_insert(*header);
-        if newest.model < header.model {
-            *newest = *header;
-        }
-    }
-
-    /// Does what was asked for; returns whether to finish.
-    fn obey(&mut self, commands: &Receiver<Command>) -> bool {
-        loop {
-            match commands.try_recv() {
-                Ok(Command::GiveUp(device)) => {
-                    self.given_up.insert(device);
-                    self.merge_at = Some(Duration::ZERO);
-                }
-                Ok(Command::Finish) | Err(TryRecvError::Disconnected) => return true,
-                Err(TryRecvError::Empty) => return false,
-            }
-        }
-    }
-
-    fn merge_when_due(&mut self, node: &mut Node, now: Duration) -> Option<ServiceEvent> {
-        if self.merge_at.is_none_or(|at| now < at) {
-            return None;
-        }
-        self.merge_at = None;
-        if !self.is_complete() {
-            return None;
-        }
-        match self.merge(node) {
-            Ok(event) => Some(event),
-            Err(error) => {
-                self.merge_at = Some(now + DISK_RETRY);
-                Some(ServiceEvent::DiskFailed { reason: format!("the global model is not stored: {error}") })
-            }
-        }
-    }
-
-    fn is_complete(&self) -> bool {
-        let here = |device: &DeviceId| self.newest.contains_key(device) || self.given_up.contains(device);
-        let complete = match &self.expected {
-            Expected::Fleet(fleet) => fleet.iter().all(here),
-            Expected::Anybody => true,
-        };
-        complete && !self.newest.is_empty()
-    }
-
-    /// Joins, stores and offers the global model. The same bytes keep their revision.
-    fn merge(&mut self, node: &mut Node) -> Result<ServiceEvent, ServiceError> {
-        let models = self.newest.values().map(|header| self.load(header)).collect::<Result<Vec<_>, _>>()?;
-        let Model { splats, cameras } = concatenate(&models);
-        let views = self.newest.values().fold(0u32, |views, header| views.saturating_add(header.views));
-        let next = ModelId(self.global.map_or(1, |global| global.model.0 + 1));
-        let mut offer = Offer::new(self.device, next, ModelKind::Global, views, &splats, &cameras)?;
-        match self.global {
-            Some(global) if global.blake3 == offer.header.blake3 => offer.header = global,
-            _ => self.globals.put(&offer.header, &offer.body)?,
-        }
-        ply::write(&global_ply(&self.folder), &splats)?;
-        let header = offer.header;
-        self.global = Some(header);
-        let receivers: Vec<DeviceId> = self.receivers().collect();
-        node.broadcast(TileId::WHOLE, offer, &receivers);
-        Ok(ServiceEvent::Merged { header, models: models.len() })
-    }
-
-    fn load(&self, header: &ModelHeader) -> Result<Model, ServiceError> {
-        let (_, body) = self.models.get(ModelKey { device: header.device, model: header.model })?;
-        Ok(body_to_model(&body)?)
-    }
-
-    fn receivers(&self) -> impl Iterator<Item = DeviceId> {
-        self.newest.keys().filter(|device| !self.given_up.contains(device)).copied()
-    }
+/// The newest model of each device in a service's folder, joined as they are.
+pub(crate) fn joined(folder: &Path) -> Result<Model, ServiceError> {
+    let (models, headers) = ModelStore::open(&folder.join("models"))?;
+    let newest: BTreeMap<DeviceId, ModelHeader> =
+        headers.into_iter().map(|header| (header.device, header)).collect();
+    let load = |header: &ModelHeader| Ok(body_to_model(&models.get(ModelKey::from(header))?.1)?);
+    Ok(concatenate(&newest.values().map(load).collect::<Result<Vec<_>, ServiceError>>()?))
 }
 
 /// Where a service with this folder keeps the newest global model for viewers.

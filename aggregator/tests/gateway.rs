@@ -15,6 +15,7 @@ use std::time::{Duration, Instant};
 use common::{identity, offer};
 use cosurf_aggregator::broker::Broker;
 use cosurf_aggregator::gateway::{Gateway, GatewayEvent};
+use cosurf_aggregator::merge::MergeSettings;
 use cosurf_aggregator::service::{Command, Expected, Service, ServiceConfig, ServiceEvent};
 use cosurf_link::serial::{DEVICE_MESSAGE_BYTES, GATEWAY_MESSAGE_BYTES};
 use cosurf_link::{
@@ -76,6 +77,8 @@ fn radio_and_network_share_a_mission() {
         folder: folder.path().to_owned(),
         limits: InboxLimits::default(),
         expected: Expected::Fleet(["by-radio", "by-net"].map(|name| DeviceId::new(name).unwrap()).into()),
+        merge: MergeSettings::default(),
+        threads: 1,
     })
     .unwrap();
     let to = address.clone();

@@ -175,6 +175,8 @@ pub enum RefusalReason {
     NumberTaken,
     /// The receiver could not store it: offer it again later.
     StoreFailed,
+    /// Its device was withdrawn; a newer model of it is welcome.
+    Withdrawn,
 }
 
 impl RefusalReason {
@@ -194,6 +196,7 @@ impl fmt::Display for RefusalReason {
             Self::Busy => "the receiver is busy with other models",
             Self::BadBody => "its values cannot be rendered or contradict its header",
             Self::NumberTaken => "another model is stored under its number: publish it under a new number",
+            Self::Withdrawn => "its device was withdrawn: a model of a later flight is welcome",
             Self::StoreFailed => "the receiver could not store it: look at the receiver's disk",
         })
     }

@@ -1,0 +1,108 @@
+//! `merge`: models of agents to one.
+
+use std::io::{self, IsTerminal, Write};
+use std::ops::ControlFlow;
+use std::path::PathBuf;
+use std::thread::available_parallelism;
+use std::time::Instant;
+
+use anyhow::{Context, Result};
+use clap::Args;
+use cosurf_aggregator::merge::{
+    LocalSummary, Locals, MergeError, MergeProgress, MergeSettings, MergeSummary, merge,
+};
+use cosurf_link::Model;
+use cosurf_scene::bytes::parse_bytes;
+use cosurf_scene::{Camera, SceneError, ply};
+
+/// Merge models that agents trained: no photograph is needed.
+///
+/// Later models leave to earlier ones what both show (Local Model Compression); the rest is joined and taught by what
+/// every model showed its own cameras (Model Aggregation Scheme).
+#[derive(Args)]
+pub(crate) struct MergeArgs {
+    /// Folders that agents wrote, each with model.ply and cameras.json
+    #[arg(required = true, value_name = "FOLDER")]
+    models: Vec<PathBuf>,
+    /// Where global.ply goes
+    #[arg(long, value_name = "DIR", default_value = "out")]
+    out: PathBuf,
+    /// Times that every camera is learnt from; 0 joins the models as they are
+    #[arg(long, value_name = "N", default_value_t = 5)]
+    epochs: u32,
+    /// Leave to earlier models what later ones show as well
+    #[arg(long)]
+    compress: bool,
+    /// The most memory to take, for example 500MiB
+    #[arg(long, value_name = "BYTES", default_value = "4GiB", value_parser = parse_bytes)]
+    memory: u64,
+    /// Seed of every random choice; the same seed gives the same bytes
+    #[arg(long, value_name = "S", default_value_t = 0)]
+    seed: u64,
+    /// Print the figures as a line of JSON
+    #[arg(long)]
+    json: bool,
+}
+
+struct Folders<'a>(&'a [PathBuf]);
+
+impl Locals for Folders<'_> {
+    fn count(&self) -> usize {
+        self.0.len()
+    }
+
+    fn load(&self, index: usize) -> Result<Model, MergeError> {
+        let folder = &self.0[index];
+        let splats = ply::read(&folder.join("model.ply"))?;
+        let path = folder.join("cameras.json");
+        let bytes = std::fs::read(&path).map_err(|cause| SceneError::io(&path, cause))?;
+        let cameras: Vec<Camera> = serde_json::from_slice(&bytes)
+            .map_err(|error| SceneError::malformed(&path, error.to_string()))?;
+        Ok(Model { splats, cameras })
+    }
+}
+
+pub(crate) fn run(args: &MergeArgs) -> Result<()> {
+    let settings = MergeSettings {
+        epochs: args.epochs,
+        compress: args.compress,
+        memory_bytes: args.memory,
+        seed: args.seed,
+    };
+    let threads = available_parallelism().map_or(1, usize::from);
+    let begun = Instant::now();
+    let mut tell = |progress| {
+        show(&progress);
+        ControlFlow::Continue(())
+    };
+    let merged = merge(&Folders(&args.models), &settings, threads, &mut tell)?;
+    std::fs::create_dir_all(&args.out).with_context(|| args.out.display().to_string())?;
+    ply::write(&args.out.join("global.ply"), &merged.model.splats)?;
+    let seconds = begun.elapsed().as_secs_f64();
+    let mut stdout = io::stdout().lock();
+    if args.json {
+        writeln!(stdout, "{}", serde_json::json!({"seconds": seconds, "merge": merged.summary}))?;
+        return Ok(());
+    }
+    for (folder, local) in args.models.iter().zip(&merged.summary.locals) {
+        let (folder, percent) = (folder.display(), 100.0 * local.overlap);
+        let LocalSummary { arrived, removed, .. } = local;
+        writeln!(
+            stdout,
+            "{folder}: {arrived} splats, {percent:.0} % of its views overlap, {removed} splats removed"
+        )?;
+    }
+    let MergeSummary { joined, splats, steps, .. } = merged.summary;
+    writeln!(stdout, "{joined} splats joined, {splats} after {steps} steps, in {seconds:.1} s")?;
+    writeln!(stdout, "{}", args.out.join("global.ply").display())?;
+    Ok(())
+}
+
+/// One line that is written over, for people.
+fn show(progress: &MergeProgress) {
+    let mut stderr = io::stderr().lock();
+    if stderr.is_terminal() {
+        let MergeProgress { step, steps, psnr } = progress;
+        let _ = write!(stderr, "\rstep {step} of {steps} · {psnr:.2} dB "); // nobody has to look
+    }
+}

@@ -1,0 +1,185 @@
+//! Distillation: the joined model learns, camera by camera, what the local models showed.
+//!
+//! Where the whole model does not fit into the memory, its parts are distilled one after the other: a part is some
+//! local models' splats; what their cameras see of other parts stands around them while they learn, and stays as it
+//! was.
+
+use std::ops::{ControlFlow, Range};
+
+use cosurf_engine::backend::{Channels, TargetSurface};
+use cosurf_engine::train::view_order;
+use cosurf_engine::{Backend, CpuBackend, CpuCapacity, DistillSettings, Distiller, Lesson};
+use cosurf_scene::{Camera, Splats};
+use glam::DVec3;
+
+use super::teachers::{Taught, Teachers, ViewKey, renderer_bytes};
+use super::{Locals, MergeError, MergeProgress, MergeSettings, capacity, extent, push, without};
+
+/// Share of the memory that is for the model that learns; the teachers have the rest.
+const STUDENT_SHARE: f64 = 0.6;
+
+/// What came of it.
+pub(crate) struct Distilled {
+    pub(crate) splats: Splats,
+    pub(crate) steps: u32,
+}
+
+/// Teaches `joined`, in which local `i` has the next `sizes[i]` splats.
+pub(crate) fn distill(
+    locals: &dyn Locals,
+    sizes: &[usize],
+    mut joined: Splats,
+    settings: &MergeSettings,
+    threads: usize,
+    tell: &mut dyn FnMut(MergeProgress) -> ControlFlow<()>,
+) -> Result<Distilled, MergeError> {
+    let cameras = (0..locals.count())
+        .map(|i| locals.load(i).map(|model| model.cameras))
+        .collect::<Result<Vec<_>, _>>()?;
+    let room = student_room(settings, joined.sh_degree, &cameras);
+    let parts = parts(sizes, room);
+    let views: usize = cameras.iter().map(Vec::len).sum();
+    let steps = settings.epochs * views as u32;
+    let shelf_bytes = ((1.0 - STUDENT_SHARE) * settings.memory_bytes as f64) as u64;
+    let largest = sizes.iter().copied().max().unwrap_or(1).max(1);
+    let shelf = (shelf_bytes / renderer_bytes(largest, joined.sh_degree, &cameras)).max(1) as usize;
+    let mut teachers = Teachers::new(locals, threads, shelf);
+    let depth = median_depth(&mut teachers, &cameras)?;
+    let all: Vec<Camera> = cameras.iter().flatten().copied().collect();
+    let extent = extent(&all);
+    let mut useless = Vec::new();
+    let mut done = 0;
+    for part in &parts {
+        let own: Range<usize> = sizes[..part.start].iter().sum()..sizes[..part.end].iter().sum();
+        let views = views_of(part.clone(), &cameras);
+        let its: Vec<Camera> = views.iter().map(|view| cameras[view.local][view.camera]).collect();
+        if own.is_empty() || views.is_empty() {
+            continue;
+        }
+        let (student, around) = with_surroundings(&joined, own.clone(), &its, room);
+        let mut backend = CpuBackend::new(capacity(&student, &its, Channels::Geometry), threads);
+        backend.load(&student);
+        drop(student);
+        let mut distiller = Distiller::new(
+            backend,
+            DistillSettings {
+                steps: settings.epochs * views.len() as u32,
+                settle: views.len() as u32,
+                extent,
+                depth,
+                sh_degree: joined.sh_degree,
+            },
+        );
+        for epoch in 0..settings.epochs {
+            for view in order(&views, shelf, settings.seed, epoch) {
+                let psnr = learn(&mut distiller, teachers.teach(view)?);
+                done += 1;
+                if tell(MergeProgress { step: done, steps, psnr }).is_break() {
+                    return Err(MergeError::GivenUp);
+                }
+            }
+        }
+        let (learnt, its_useless) = distiller.finish(if parts.len() == 1 { &all } else { &its });
+        put_back(&mut joined, &learnt, own.clone());
+        let count = own.len() as u32;
+        useless.extend(its_useless.into_iter().filter(|i| *i < count).map(|i| i + own.start as u32));
+        debug_assert_eq!(learnt.len(), own.len() + around);
+    }
+    Ok(Distilled { splats: without(&joined, &useless), steps: done })
+}
+
+/// One step.
+fn learn(distiller: &mut Distiller<CpuBackend>, taught: Taught) -> f64 {
+    let Taught { camera, rendering, trust } = taught;
+    let lesson = Lesson {
+        camera: &camera,
+        rgb: &rendering.rgb,
+        surface: TargetSurface { depth: &rendering.depth, normal: &rendering.normal, trust: &trust },
+    };
+    distiller.step(&lesson).0.color.psnr()
+}
+
+/// Splats that may learn at once.
+fn student_room(settings: &MergeSettings, sh_degree: u32, cameras: &[Vec<Camera>]) -> usize {
+    let all: Vec<Camera> = cameras.iter().flatten().copied().collect();
+    let CpuCapacity { size_px, pairs, splats, .. } =
+        capacity(&Splats::with_capacity(0, sh_degree), &all, Channels::Geometry);
+    debug_assert_eq!((pairs, splats), (0, 0));
+    let pictures = CpuCapacity::picture_bytes(size_px, Channels::Geometry, true);
+    let mut one = Splats::with_capacity(1, sh_degree);
+    let sh = vec![0.0; one.sh_stride()];
+    one.push([0.0; 3], [1.0, 0.0, 0.0, 0.0], [0.0; 3], 0.0, &sh);
+    let each = capacity(&one, &[], Channels::Geometry);
+    let each = CpuCapacity::splat_bytes(sh_degree, true) + each.pairs * CpuCapacity::pair_bytes(true);
+    let bytes = STUDENT_SHARE * settings.memory_bytes as f64 - pictures as f64;
+    (bytes.max(0.0) / each as f64) as usize
+}
+
+/// Locals that learn together: as many in a row as fit, at least one. A part may take two thirds of the room, so
+/// that something can stand around it, unless all fit.
+fn parts(sizes: &[usize], room: usize) -> Vec<Range<usize>> {
+    let room = if sizes.iter().sum::<usize>() <= room { room } else { room / 3 * 2 };
+    let (mut parts, mut start, mut taken) = (Vec::new(), 0, 0);
+    for (i, size) in sizes.iter().enumerate() {
+        if i > start && taken + size > room {
+            parts.push(start..i);
+            (start, taken) = (i, 0);
+        }
+        taken += size;
+    }
+    parts.push(start..sizes.len());
+    parts
+}
+
+/// All cameras of some locals.
+fn views_of(locals: Range<usize>, cameras: &[Vec<Camera>]) -> Vec<ViewKey> {
+    locals.flat_map(|local| (0..cameras[local].len()).map(move |camera| ViewKey { local, camera })).collect()
+}
+
+/// The order of an epoch. Where not all teachers fit on the shelf, as many as fit take turns: the order is drawn
+/// among their views, then the next ones come.
+fn order(views: &[ViewKey], shelf: usize, seed: u64, epoch: u32) -> Vec<ViewKey> {
+    let drawn = view_order(seed, u64::from(epoch), views.len()).into_iter().map(|place| views[place]);
+    let mut order: Vec<ViewKey> = drawn.collect();
+    let first = views.first().map_or(0, |view| view.local);
+    order.sort_by_key(|view| (view.local - first) / shelf);
+    order
+}
+
+/// The splats of `own`, and behind them those of others that `cameras` see, as many as fit into `room`; and how many
+/// these are.
+fn with_surroundings(joined: &Splats, own: Range<usize>, cameras: &[Camera], room: usize) -> (Splats, usize) {
+    let mut student = Splats::with_capacity(own.len(), joined.sh_degree);
+    own.clone().for_each(|i| push(&mut student, joined, i));
+    let is_seen = |i: &usize| {
+        let mean = DVec3::from_array(joined.means[*i].map(f64::from));
+        !own.contains(i) && cameras.iter().any(|camera| camera.sees(mean))
+    };
+    let free = room.saturating_sub(own.len());
+    let around: Vec<usize> = (0..joined.len()).filter(is_seen).take(free).collect();
+    around.iter().for_each(|&i| push(&mut student, joined, i));
+    (student, around.len())
+}
+
+/// Writes the first splats of `learnt` to their places.
+fn put_back(joined: &mut Splats, learnt: &Splats, own: Range<usize>) {
+    let (count, stride) = (own.len(), joined.sh_stride());
+    joined.means[own.clone()].copy_from_slice(&learnt.means[..count]);
+    joined.quats[own.clone()].copy_from_slice(&learnt.quats[..count]);
+    joined.log_scales[own.clone()].copy_from_slice(&learnt.log_scales[..count]);
+    joined.opacity_logits[own.clone()].copy_from_slice(&learnt.opacity_logits[..count]);
+    joined.sh[own.start * stride..own.end * stride].copy_from_slice(&learnt.sh[..count * stride]);
+}
+
+/// Median depth of what the teachers show their first cameras.
+fn median_depth(teachers: &mut Teachers, cameras: &[Vec<Camera>]) -> Result<f64, MergeError> {
+    /// Every so many pixels.
+    const STEP: usize = 17;
+    let mut depths: Vec<f32> = Vec::new();
+    for local in (0..cameras.len()).filter(|local| !cameras[*local].is_empty()) {
+        let shown = teachers.teach(ViewKey { local, camera: 0 })?.rendering.depth;
+        depths.extend(shown.iter().step_by(STEP).filter(|depth| **depth > 0.0));
+    }
+    depths.sort_unstable_by(f32::total_cmp);
+    Ok(depths.get(depths.len() / 2).map_or(1.0, |depth| f64::from(*depth)))
+}

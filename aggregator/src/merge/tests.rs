@@ -1,0 +1,152 @@
+//! Two small models of one painted ground, each with something in the air that its own cameras do not mind.
+#![allow(clippy::unwrap_used)]
+
+use cosurf_engine::Renderer;
+use cosurf_scene::Pose;
+use cosurf_scene::metrics::psnr;
+use cosurf_scene::splats::SH_C0;
+use glam::DVec2;
+
+use super::*;
+
+/// `count` splats of `sh_degree` whose every value tells `seed`.
+pub(crate) fn model(count: usize, sh_degree: u32, seed: f32) -> Model {
+    let mut splats = Splats::with_capacity(count, sh_degree);
+    let sh: Vec<f32> = (0..splats.sh_stride()).map(|i| seed + i as f32).collect();
+    for i in 0..count {
+        splats.push([seed, i as f32, 0.0], [1.0, 0.0, 0.0, 0.0], [-seed; 3], seed, &sh);
+    }
+    Model { splats, cameras: Vec::new() }
+}
+
+/// Models in memory.
+pub(crate) struct InMemory(pub(crate) Vec<Model>);
+
+impl Locals for InMemory {
+    fn count(&self) -> usize {
+        self.0.len()
+    }
+
+    fn load(&self, index: usize) -> Result<Model, MergeError> {
+        Ok(self.0[index].clone())
+    }
+}
+
+/// A camera 10 m above the ground, looking down at `x`.
+pub(crate) fn above(x: f64) -> Camera {
+    Camera {
+        cam_from_world: Pose::look_at(DVec3::new(x, 0.0, 10.0), DVec3::new(x, 0.0, 0.0), DVec3::Y),
+        focal_px: DVec2::splat(40.0),
+        center_px: DVec2::new(24.0, 16.0),
+        size_px: [48, 32],
+    }
+}
+
+/// The ground between `west` and `east`: flat opaque splats, half a metre apart, painted by place.
+pub(crate) fn ground(west: f32, east: f32) -> Splats {
+    let mut splats = Splats::with_capacity(0, 0);
+    for i in 0..((east - west) * 2.0) as i32 {
+        for j in -10..10 {
+            let (x, y) = (west + 0.5 * i as f32, 0.5 * j as f32);
+            let shade = 0.5 + 0.3 * (1.3 * x).sin() * (0.9 * y).cos();
+            let sh = [shade, 0.6 * shade, 1.0 - shade].map(|value| (value - 0.5) / SH_C0);
+            splats.push([x, y, 0.0], [1.0, 0.0, 0.0, 0.0], [-1.2, -1.2, -5.0], 4.0, &sh);
+        }
+    }
+    splats
+}
+
+/// A model of the ground around the `places` of its cameras, with black clouds just beside what they see.
+fn local(west: f32, east: f32, places: &[f64], clouds: &[f32]) -> Model {
+    let mut splats = ground(west, east);
+    for x in clouds {
+        splats.push([*x, 0.0, 3.0], [1.0, 0.0, 0.0, 0.0], [0.0; 3], 1.5, &[-1.7; 3]);
+    }
+    Model { splats, cameras: places.iter().map(|x| above(*x)).collect() }
+}
+
+/// Two flights that meet at 0; each model has a cloud over the other's ground.
+pub(crate) fn neighbours() -> InMemory {
+    let west = local(-20.0, 4.0, &[-14.0, -12.0, -10.0, -8.0, -6.0, -4.0], &[5.0]);
+    let east = local(-4.0, 20.0, &[14.0, 12.0, 10.0, 8.0, 6.0, 4.0], &[-5.0]);
+    InMemory(vec![west, east])
+}
+
+fn run(locals: &InMemory, settings: &MergeSettings, threads: usize) -> Merged {
+    merge(locals, settings, threads, &mut |_| ControlFlow::Continue(())).unwrap()
+}
+
+/// dB of what a model shows at places between those that were learnt from.
+fn quality(splats: &Splats) -> f64 {
+    let (mut truth, mut shown) = (Renderer::new(&ground(-30.0, 30.0), 1), Renderer::new(splats, 1));
+    let places = [-9.0, -5.0, -3.0, 3.0, 5.0, 9.0];
+    places.map(|x| psnr(&shown.render(&above(x)).rgb, &truth.render(&above(x)).rgb)).iter().sum::<f64>() / 6.0
+}
+
+#[test]
+fn distillation_clears_what_teachers_do_not_show() {
+    let locals = neighbours();
+    let joined = run(&locals, &MergeSettings { epochs: 0, ..MergeSettings::default() }, 1);
+    let mut steps = Vec::new();
+    let taught =
+        merge(&locals, &MergeSettings { epochs: 10, ..MergeSettings::default() }, 1, &mut |progress| {
+            steps.push(progress.step);
+            ControlFlow::Continue(())
+        });
+    let taught = taught.unwrap();
+    assert_eq!(steps, (1..=120).collect::<Vec<_>>());
+    let (before, after) = (quality(&joined.model.splats), quality(&taught.model.splats));
+    assert!(after > before + 3.0, "{before:.2} dB joined, {after:.2} dB taught");
+    assert_eq!(taught.model.cameras, joined.model.cameras);
+    assert_eq!((taught.summary.joined, taught.summary.steps), (joined.model.splats.len(), 120));
+}
+
+#[test]
+fn the_same_models_give_the_same_bytes_with_any_number_of_threads() {
+    let settings = MergeSettings { epochs: 2, compress: true, ..MergeSettings::default() };
+    let [one, three] = [1, 3].map(|threads| run(&neighbours(), &settings, threads));
+    assert_eq!(one, three);
+    assert_ne!(one, run(&neighbours(), &MergeSettings { seed: 1, ..settings }, 1), "the order is drawn anew");
+}
+
+#[test]
+fn without_room_for_all_parts_learn_in_turns_and_well_enough() {
+    let all = run(&neighbours(), &MergeSettings { epochs: 10, ..MergeSettings::default() }, 1);
+    let tight = MergeSettings { epochs: 10, memory_bytes: 2_200_000, ..MergeSettings::default() };
+    let parts = run(&neighbours(), &tight, 1);
+    assert_ne!(all.model.splats, parts.model.splats, "the memory is short");
+    let (all, parts) = (quality(&all.model.splats), quality(&parts.model.splats));
+    assert!(parts > all - 3.0, "{all:.2} dB at once, {parts:.2} dB in turns");
+}
+
+#[test]
+fn who_says_stop_is_heard() {
+    let mut steps = 0;
+    let given_up = merge(&neighbours(), &MergeSettings::default(), 1, &mut |_| {
+        steps += 1;
+        if steps == 3 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    });
+    assert!(matches!(given_up, Err(MergeError::GivenUp)) && steps == 3);
+}
+
+#[test]
+fn shared_ground_is_left_to_the_first_and_stays_covered() {
+    // Both fly over -4..4, where only the first keeps its splats; nobody else looks beyond.
+    let west = local(-20.0, 10.0, &[-12.0, -9.0, -6.0, -3.0, 0.0, 3.0], &[]);
+    let east = local(-10.0, 20.0, &[12.0, 9.0, 6.0, 3.0, 0.0, -3.0], &[]);
+    let locals = InMemory(vec![west, east]);
+    let settings = MergeSettings { compress: true, epochs: 0, ..MergeSettings::default() };
+    let merged = run(&locals, &settings, 1);
+    let [first, second] = merged.summary.locals[..] else { panic!("{:?}", merged.summary) };
+    assert_eq!((first.overlap, first.removed), (0.0, 0), "nobody is before the first");
+    assert!(second.overlap >= 0.5 && second.overlap < 1.0, "{second:?}");
+    assert!(second.removed * 100 >= 35 * second.arrived, "{second:?}");
+    let mut shown = Renderer::new(&merged.model.splats, 1);
+    let both = Model { splats: ground(-20.0, 20.0), cameras: Vec::new() };
+    let mut full = Renderer::new(&both.splats, 1);
+    for x in -12..=12 {
+        let (here, there) = (shown.render(&above(f64::from(x))), full.render(&above(f64::from(x))));
+        let holes = here.alpha.iter().zip(&there.alpha).filter(|(a, b)| **b > 0.95 && **a < 0.9).count();
+        assert_eq!(holes, 0, "at {x}");
+    }
+}

@@ -1,0 +1,306 @@
+//! What a service has and does with it. What is on the disk decides; everything here can be read back.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::PathBuf;
+use std::sync::mpsc::{Receiver, TryRecvError};
+use std::time::Duration;
+
+use cosurf_link::{ModelKey, ModelStore, Node, NodeEvent, Offer};
+use cosurf_scene::ply;
+use cosurf_wire::{DeviceId, ModelHeader, ModelId, ModelKind, RefusalReason, TileId};
+
+use super::job::{Job, Look};
+use super::record::{Input, Merging, settle_withdrawal, withdrawn};
+use super::round::{Expected, Round};
+use super::{Command, ServiceConfig, ServiceError, ServiceEvent, global_ply};
+use crate::merge::{MergeSettings, Merged};
+
+/// Pause before what the disk refused is tried again.
+const DISK_RETRY: Duration = Duration::from_secs(5);
+/// How often withdrawals are looked for.
+const WITHDRAWALS_EVERY: Duration = Duration::from_secs(1);
+
+/// What the owner wants.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Orders {
+    GoOn,
+    /// Merge what is due, then end.
+    Finish,
+    Stop,
+}
+
+/// See the module.
+#[derive(Debug)]
+pub(super) struct Keeper {
+    device: DeviceId,
+    folder: PathBuf,
+    models: ModelStore,
+    globals: ModelStore,
+    /// Every model on the disk.
+    stored: BTreeMap<DeviceId, BTreeMap<ModelId, ModelHeader>>,
+    /// The last model of each withdrawn device that does not count.
+    withdrawn: BTreeMap<DeviceId, ModelId>,
+    withdrawals_at: Duration,
+    global: Option<ModelHeader>,
+    expected: Expected,
+    given_up: BTreeSet<DeviceId>,
+    merge: MergeSettings,
+    threads: usize,
+    round: Option<Round>,
+    /// When the disk may be tried again.
+    retry_at: Duration,
+    /// The merge under way, and when it began.
+    job: Option<(Job, Duration)>,
+    /// The newest revision is up to date and is to be offered.
+    to_offer: bool,
+}
+
+impl Keeper {
+    /// Opens the folder; returns the models in it too.
+    pub(super) fn open(config: ServiceConfig) -> Result<(Self, Vec<ModelHeader>), ServiceError> {
+        let (models, headers) = ModelStore::open(&config.folder.join("models"))?;
+        let (globals, revisions) = ModelStore::open(&config.folder.join("global"))?;
+        let mut keeper = Self {
+            device: config.identity.device,
+            folder: config.folder,
+            models,
+            globals,
+            stored: BTreeMap::new(),
+            withdrawn: BTreeMap::new(),
+            withdrawals_at: Duration::ZERO,
+            global: revisions.into_iter().max_by_key(|header| header.model),
+            expected: config.expected,
+            given_up: BTreeSet::new(),
+            merge: config.merge,
+            threads: config.threads,
+            round: (!headers.is_empty()).then(|| Round::extend(None, Duration::ZERO)),
+            retry_at: Duration::ZERO,
+            job: None,
+            to_offer: false,
+        };
+        headers.iter().for_each(|header| keeper.note(*header));
+        keeper.withdraw_devices()?;
+        Ok((keeper, headers))
+    }
+
+    /// What is announced of the newest revision.
+    pub(super) fn global(&self) -> Option<ModelHeader> {
+        self.global
+    }
+
+    /// Whether models are being merged, or what was merged is not on its way yet.
+    pub(super) fn is_merging(&self) -> bool {
+        self.job.is_some() || self.to_offer
+    }
+
+    /// Takes what the link heard.
+    pub(super) fn take(&mut self, node: &mut Node, event: NodeEvent, now: Duration) -> Option<ServiceEvent> {
+        Some(match event {
+            NodeEvent::Connected => ServiceEvent::Connected,
+            NodeEvent::Disconnected { attempt, reason } => ServiceEvent::Disconnected { attempt, reason },
+            NodeEvent::Store { header, body } => self.store(node, header, &body, now),
+            NodeEvent::Ignored { topic, reason } => {
+                ServiceEvent::Ignored { reason: format!("{topic}: {reason}") }
+            }
+            NodeEvent::Uploaded(..) => ServiceEvent::Delivered,
+            NodeEvent::UploadRefused { by, reason, .. } => ServiceEvent::Refused { by, reason },
+            NodeEvent::Refused { key, reason } => {
+                ServiceEvent::Ignored { reason: format!("model {key} is refused: {reason}") }
+            }
+            NodeEvent::LinkTooNarrow(error) => {
+                ServiceEvent::Ignored { reason: format!("the link does not take our messages: {error}") }
+            }
+            NodeEvent::State(_) | NodeEvent::Receiving(_) | NodeEvent::Known(_) | NodeEvent::Progress(..) => {
+                return None;
+            }
+        })
+    }
+
+    fn store(&mut self, node: &mut Node, header: ModelHeader, body: &[u8], now: Duration) -> ServiceEvent {
+        let key = ModelKey::from(header);
+        if self.is_withdrawn(&header) {
+            node.refuse(key, RefusalReason::Withdrawn);
+            let reason = format!("model {key} is refused: {}", RefusalReason::Withdrawn);
+            return ServiceEvent::Ignored { reason };
+        }
+        if let Err(error) = self.models.put(&header, body) {
+            node.store_failed(key);
+            return ServiceEvent::DiskFailed { reason: format!("model {key} is not stored: {error}") };
+        }
+        node.stored(key);
+        self.note(header);
+        self.round = Some(Round::extend(self.round, now));
+        ServiceEvent::Stored { header }
+    }
+
+    fn note(&mut self, header: ModelHeader) {
+        self.stored.entry(header.device).or_default().insert(header.model, header);
+    }
+
+    fn is_withdrawn(&self, header: &ModelHeader) -> bool {
+        self.withdrawn.get(&header.device).is_some_and(|last| header.model <= *last)
+    }
+
+    /// The newest model of each device, in order of device id.
+    fn newest(&self) -> Vec<ModelHeader> {
+        self.stored.values().filter_map(|models| models.last_key_value()).map(|(_, header)| *header).collect()
+    }
+
+    /// Does what was asked for.
+    pub(super) fn obey(&mut self, commands: &Receiver<Command>, now: Duration) -> Orders {
+        loop {
+            match commands.try_recv() {
+                Ok(Command::GiveUp(device)) => {
+                    self.given_up.insert(device);
+                    self.round = Some(Round::extend(self.round, now));
+                }
+                Ok(Command::Finish) => {
+                    self.begin_when_due(now);
+                    return Orders::Finish;
+                }
+                Ok(Command::Stop) | Err(TryRecvError::Disconnected) => return Orders::Stop,
+                Err(TryRecvError::Empty) => return Orders::GoOn,
+            }
+        }
+    }
+
+    /// Withdraws devices, begins a merge when one is due, and looks after the one under way.
+    pub(super) fn work(&mut self, node: &mut Node, now: Duration) -> Option<ServiceEvent> {
+        if now < self.retry_at {
+            return None;
+        }
+        let done = self.withdraw_when_due(now).transpose().or_else(|| {
+            self.begin_when_due(now);
+            self.publish_when_done(node, now).transpose()
+        });
+        done.map(|outcome| outcome.unwrap_or_else(|error| self.disk_failed(&error, now)))
+    }
+
+    /// Tries again later.
+    fn disk_failed(&mut self, error: &ServiceError, now: Duration) -> ServiceEvent {
+        self.retry_at = now + DISK_RETRY;
+        self.round = Some(Round::extend(self.round, now));
+        ServiceEvent::DiskFailed { reason: format!("the global model is not stored: {error}") }
+    }
+
+    fn withdraw_when_due(&mut self, now: Duration) -> Result<Option<ServiceEvent>, ServiceError> {
+        if now < self.withdrawals_at {
+            return Ok(None);
+        }
+        self.withdrawals_at = now + WITHDRAWALS_EVERY;
+        let withdrawn = self.withdraw_devices()?;
+        if withdrawn.is_some() {
+            self.round = Some(Round::extend(self.round, now));
+        }
+        Ok(withdrawn.map(|device| ServiceEvent::Withdrawn { device }))
+    }
+
+    /// Removes the models of devices that were withdrawn since the last look; returns the first such device.
+    fn withdraw_devices(&mut self) -> Result<Option<DeviceId>, ServiceError> {
+        let mut first = None;
+        for (device, last) in withdrawn(&self.folder) {
+            let its = self.stored.get(&device).cloned().unwrap_or_default();
+            let last = match last {
+                Some(last) => last,
+                None => {
+                    let last = its.last_key_value().map_or(ModelId(0), |(model, _)| *model);
+                    settle_withdrawal(&self.folder, &device, last)?;
+                    last
+                }
+            };
+            self.withdrawn.insert(device, last);
+            for model in its.range(..=last).map(|(model, _)| *model) {
+                self.models.remove(ModelKey { device, model })?;
+                first = first.or(Some(device));
+            }
+            if let Some(stored) = self.stored.get_mut(&device) {
+                stored.retain(|model, _| *model > last);
+            }
+        }
+        Ok(first)
+    }
+
+    /// Ends the round if it is over. A merge of other models than those that count now is given up.
+    fn begin_when_due(&mut self, now: Duration) {
+        let newest = self.newest();
+        let here = newest.iter().map(|header| header.device).collect();
+        let is_over = |round: &Round| round.is_over(&self.expected, &here, &self.given_up, now);
+        if newest.is_empty() || !self.round.as_ref().is_some_and(is_over) {
+            return;
+        }
+        self.round = None;
+        if self.is_merged(&newest) {
+            self.job = None;
+            self.to_offer = true;
+        } else if self.job.as_ref().is_none_or(|(job, _)| job.inputs != newest) {
+            self.job = None; // waits until the old one has stopped
+            self.job = Some((Job::start(self.models.clone(), newest, self.merge, self.threads), now));
+        }
+    }
+
+    /// Whether the newest revision is what these models would be merged to.
+    fn is_merged(&self, newest: &[ModelHeader]) -> bool {
+        let Some(record) = Merging::read(&self.folder) else { return false };
+        let inputs: Vec<Input> = newest.iter().map(Input::from).collect();
+        record.inputs == inputs
+            && record.settings == self.merge
+            && self.global.is_some_and(|global| global.model.0 == record.revision)
+            && global_ply(&self.folder).is_file()
+    }
+
+    /// Stores and offers what a merge that is done has made.
+    fn publish_when_done(
+        &mut self,
+        node: &mut Node,
+        now: Duration,
+    ) -> Result<Option<ServiceEvent>, ServiceError> {
+        if self.to_offer {
+            return self.offer_again(node).map(Some);
+        }
+        let Some((job, begun)) = &mut self.job else { return Ok(None) };
+        let merged = match job.look() {
+            Look::Busy => return Ok(None),
+            Look::Further(progress) => return Ok(Some(ServiceEvent::Merging(progress))),
+            Look::Done(merged) => merged,
+        };
+        let (inputs, seconds) = (std::mem::take(&mut job.inputs), (now - *begun).as_secs_f64());
+        self.job = None;
+        let offer = self.keep(merged?, &inputs, seconds)?;
+        Ok(Some(self.broadcast(node, offer, inputs.len())))
+    }
+
+    /// Writes a merged model: revision, record, and the PLY for viewers. The same bytes keep their revision.
+    fn keep(&mut self, merged: Merged, inputs: &[ModelHeader], seconds: f64) -> Result<Offer, ServiceError> {
+        let Merged { model, summary } = merged;
+        let views = inputs.iter().fold(0u32, |views, header| views.saturating_add(header.views));
+        let next = ModelId(self.global.map_or(1, |global| global.model.0 + 1));
+        let mut offer =
+            Offer::new(self.device, next, ModelKind::Global, views, &model.splats, &model.cameras)?;
+        match self.global {
+            Some(global) if global.blake3 == offer.header.blake3 => offer.header = global,
+            _ => self.globals.put(&offer.header, &offer.body)?,
+        }
+        self.global = Some(offer.header);
+        ply::write(&global_ply(&self.folder), &model.splats)?;
+        let (revision, inputs) = (offer.header.model.0, inputs.iter().map(Input::from).collect());
+        Merging { revision, inputs, settings: self.merge, summary, seconds }.write(&self.folder)?;
+        Ok(offer)
+    }
+
+    /// Offers the revision that is on the disk.
+    fn offer_again(&mut self, node: &mut Node) -> Result<ServiceEvent, ServiceError> {
+        let global = self.global.expect("a merged model has a revision");
+        let (header, body) = self.globals.get(ModelKey::from(global))?;
+        self.to_offer = false;
+        let models = self.newest().len();
+        Ok(self.broadcast(node, Offer { header, body }, models))
+    }
+
+    fn broadcast(&self, node: &mut Node, offer: Offer, models: usize) -> ServiceEvent {
+        let header = offer.header;
+        let counted = self.stored.iter().filter(|(_, models)| !models.is_empty()).map(|(device, _)| *device);
+        let receivers: Vec<DeviceId> = counted.filter(|device| !self.given_up.contains(device)).collect();
+        node.broadcast(TileId::WHOLE, offer, &receivers);
+        ServiceEvent::Merged { header, models }
+    }
+}

@@ -1,0 +1,88 @@
+//! Small files beside the models: what the newest revision was merged from, and who is withdrawn.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io;
+use std::path::Path;
+
+use cosurf_scene::{SceneError, atomic};
+use cosurf_wire::{DeviceId, ModelHeader, ModelId};
+use serde::{Deserialize, Serialize};
+
+use crate::merge::{MergeSettings, MergeSummary};
+
+const MERGED: &str = "merged.json";
+const WITHDRAWN: &str = "withdrawn";
+
+/// How the newest revision came about: the content of `merged.json`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Merging {
+    /// The revision.
+    pub revision: u64,
+    /// The models, in order of device id.
+    pub inputs: Vec<Input>,
+    /// How they were merged.
+    pub settings: MergeSettings,
+    /// What became of them, in their order.
+    pub summary: MergeSummary,
+    /// How long it took.
+    pub seconds: f64,
+}
+
+/// A model that was merged.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Input {
+    /// Whose.
+    pub device: String,
+    /// Which.
+    pub model: u64,
+    /// Its hash.
+    pub blake3: String,
+}
+
+impl From<&ModelHeader> for Input {
+    fn from(header: &ModelHeader) -> Self {
+        Self { device: header.device.to_string(), model: header.model.0, blake3: header.blake3.to_string() }
+    }
+}
+
+impl Merging {
+    /// Reads the record of a service's folder; `None` where there is none that this build understands: then the
+    /// models are merged anew.
+    pub fn read(folder: &Path) -> Option<Self> {
+        serde_json::from_slice(&fs::read(folder.join(MERGED)).ok()?).ok()
+    }
+
+    pub(super) fn write(&self, folder: &Path) -> Result<(), SceneError> {
+        let text = serde_json::to_vec_pretty(self).map_err(io::Error::other);
+        let text = text.map_err(|cause| SceneError::io(&folder.join(MERGED), cause))?;
+        atomic::write(&folder.join(MERGED), |file| io::Write::write_all(file, &text))
+    }
+}
+
+/// Withdraws a device from the service with this folder, running or not: none of its models that has arrived counts
+/// any more; one that it makes later does.
+pub fn withdraw(folder: &Path, device: &DeviceId) -> Result<(), SceneError> {
+    let withdrawn = folder.join(WITHDRAWN);
+    fs::create_dir_all(&withdrawn).map_err(|cause| SceneError::io(&withdrawn, cause))?;
+    // The service fills in up to which model.
+    atomic::write(&withdrawn.join(device.as_str()), |_| Ok(()))
+}
+
+/// The devices that are withdrawn, each up to a model; `None` where that is still to be filled in.
+pub(super) fn withdrawn(folder: &Path) -> BTreeMap<DeviceId, Option<ModelId>> {
+    let entries = fs::read_dir(folder.join(WITHDRAWN)).into_iter().flatten().flatten();
+    entries
+        .filter_map(|entry| {
+            let device = DeviceId::new(entry.file_name().to_str()?).ok()?;
+            let text = fs::read_to_string(entry.path()).ok()?;
+            Some((device, text.trim().parse().ok().map(ModelId)))
+        })
+        .collect()
+}
+
+/// Fills in up to which model a device is withdrawn.
+pub(super) fn settle_withdrawal(folder: &Path, device: &DeviceId, last: ModelId) -> Result<(), SceneError> {
+    let path = folder.join(WITHDRAWN).join(device.as_str());
+    atomic::write(&path, |file| io::Write::write_all(file, last.0.to_string().as_bytes()))
+}
