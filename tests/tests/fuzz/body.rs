@@ -1,0 +1,89 @@
+//! Packed models, whole and in part.
+
+use cosurf_link::{body_to_model, model_to_body, part_to_model};
+use cosurf_scene::{Camera, Pose, Splats};
+use cosurf_wire::body::{HEAD_BYTES, PACK_ENTRY_BYTES};
+use glam::{DQuat, DVec2, DVec3};
+
+use crate::mutate::Random;
+use crate::runner::{Target, hammer};
+
+pub(crate) fn splats(count: usize, sh_degree: u32) -> Splats {
+    let mut splats = Splats::with_capacity(count, sh_degree);
+    let mut random = Random(1);
+    let mut number = || random.below(2000) as f32 / 1000.0 - 1.0;
+    for _ in 0..count {
+        let sh: Vec<f32> = (0..splats.sh_stride()).map(|_| number()).collect();
+        let quat = [1.5 + number(), number(), number(), number()];
+        splats.push([number(); 3], quat, [number(), number(), -3.0], number(), &sh);
+    }
+    splats
+}
+
+fn camera() -> Camera {
+    Camera {
+        cam_from_world: Pose { rotation: DQuat::IDENTITY, translation: DVec3::Z },
+        focal_px: DVec2::splat(100.0),
+        center_px: DVec2::splat(50.0),
+        size_px: [100, 100],
+    }
+}
+
+/// Small ones are stored, large ones compressed.
+fn bodies() -> Vec<Vec<u8>> {
+    [(0, 0, 1), (1, 0, 0), (2, 1, 1), (3, 3, 0), (60, 0, 9), (200, 2, 2), (40, 3, 1)]
+        .map(|(count, sh_degree, cameras)| {
+            let splats = splats(count, sh_degree);
+            model_to_body(&splats, &vec![camera(); cameras], &splats.opacity_logits).unwrap()
+        })
+        .into()
+}
+
+/// The checksums of packs, table and head, as far as those are there.
+fn reseal(body: &mut [u8]) {
+    let Some([low, high]) = body.get(6..8).and_then(|count| count.first_chunk().copied()) else { return };
+    let packs = usize::from(u16::from_le_bytes([low, high]));
+    let table = HEAD_BYTES..HEAD_BYTES + packs * PACK_ENTRY_BYTES;
+    if body.len() < table.end {
+        return;
+    }
+    let mut at = table.end;
+    for entry in (table.start..table.end).step_by(PACK_ENTRY_BYTES) {
+        let Some(bytes) = body[entry + 4..].first_chunk().map(|bytes| u32::from_le_bytes(*bytes)) else {
+            return;
+        };
+        let end = at.saturating_add(bytes as usize).min(body.len());
+        let checksum = crc32fast::hash(&body[at..end]).to_le_bytes();
+        body[entry + 8..entry + 12].copy_from_slice(&checksum);
+        at = end;
+    }
+    let mut hasher = crc32fast::Hasher::new();
+    hasher.update(&body[..HEAD_BYTES - 4]);
+    hasher.update(&body[table]);
+    body[HEAD_BYTES - 4..HEAD_BYTES].copy_from_slice(&hasher.finalize().to_le_bytes());
+}
+
+#[test]
+fn bodies_are_unpacked_or_refused() {
+    let target = Target {
+        name: "bodies",
+        samples: bodies(),
+        reseal,
+        // Splats of degree 3 from 2.5 bytes each, and one pack.
+        bytes_max: |bytes| (1 << 20) + 128 * bytes,
+    };
+    let mut random = Random(2);
+    hammer(target, move |bytes| {
+        let whole = body_to_model(bytes);
+        if let Ok(model) = &whole {
+            assert_eq!(model.splats.find_bad_value(), None);
+            let part = part_to_model(bytes, |_| true).expect("what is right as a whole is right in part");
+            assert_eq!(part.map_or(0, |part| part.splats.len()), model.splats.len());
+        }
+        let end = random.below(bytes.len());
+        if let Ok(Some(part)) = part_to_model(bytes, |range| range.end <= end) {
+            assert_eq!(part.splats.find_bad_value(), None);
+        }
+        whole.is_ok()
+    });
+}

@@ -1,0 +1,132 @@
+//! Files that people bring: PLY, COLMAP, transforms.json.
+
+use std::fs;
+use std::path::Path;
+
+use cosurf_scene::{Dataset, Mesh, ply};
+
+use crate::body::splats;
+use crate::runner::{Target, hammer};
+
+/// Buffers of the readers, and 32 bytes of memory for each of the file.
+const FILE_BYTES_MAX: fn(usize) -> usize = |bytes| (1 << 20) + 32 * bytes;
+
+/// In memory, where the system has such a place.
+fn folder() -> tempfile::TempDir {
+    let shared = Path::new("/dev/shm");
+    if shared.is_dir() { tempfile::tempdir_in(shared).unwrap() } else { tempfile::tempdir().unwrap() }
+}
+
+fn target(name: &str, samples: Vec<Vec<u8>>) -> Target<'_> {
+    Target { name, samples, reseal: |_| (), bytes_max: FILE_BYTES_MAX }
+}
+
+/// The bytes that `write` leaves in a file.
+fn written(path: &Path, write: impl FnOnce(&Path)) -> Vec<u8> {
+    write(path);
+    fs::read(path).unwrap()
+}
+
+const ASCII_MESH: &[u8] =
+    b"ply\nformat ascii 1.0\ncomment c\nelement vertex 3\nproperty float x\nproperty double y\n\
+property float z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\nelement face 1\n\
+property list uchar int vertex_indices\nend_header\n0 0 0 1 2 3\n1 0 0 4 5 6\n0 1e-1 0 7 8 9\n3 0 1 2\n";
+
+#[test]
+fn ply_files_are_read_or_refused() {
+    let folder = folder();
+    let path = folder.path().join("a.ply");
+    let models = [(0, 0), (3, 0), (5, 1), (2, 3)]
+        .map(|(count, degree)| written(&path, |path| ply::write(path, &splats(count, degree)).unwrap()));
+    let mut samples = Vec::from(models);
+    fs::write(&path, ASCII_MESH).unwrap();
+    let mesh = Mesh::read(&path).unwrap();
+    samples.push(written(&path, |path| mesh.write_ply(path).unwrap()));
+    samples.push(ASCII_MESH.to_vec());
+    hammer(target("PLY", samples), |bytes| {
+        fs::write(&path, bytes).unwrap();
+        let splats = ply::read(&path);
+        if let Ok(splats) = &splats {
+            assert_eq!(splats.find_bad_value(), None);
+        }
+        let has_points = ply::read_points(&path).is_ok();
+        let has_mesh = Mesh::read(&path).is_ok();
+        splats.is_ok() || has_points || has_mesh
+    });
+}
+
+/// Changes one of the three files of a model; the others stay right.
+fn hammer_colmap(name: &str, files: [(&str, Vec<u8>); 3]) {
+    let folder = folder();
+    let model = folder.path().join("sparse/0");
+    fs::create_dir_all(&model).unwrap();
+    for (changed, right) in &files {
+        files.iter().for_each(|(file, right)| fs::write(model.join(file), right).unwrap());
+        hammer(target(&format!("{name} {changed}"), vec![right.clone()]), |bytes| {
+            fs::write(model.join(changed), bytes).unwrap();
+            Dataset::cameras(folder.path()).is_ok()
+        });
+    }
+}
+
+fn colmap_text() -> [(&'static str, Vec<u8>); 3] {
+    [
+        (
+            "cameras.txt",
+            b"# c\n1 PINHOLE 640 480 500 501.5 320 240\n2 SIMPLE_PINHOLE 64 48 50 32 24\n".to_vec(),
+        ),
+        (
+            "images.txt",
+            b"1 1 0 0 0 0.5 -1e3 7 1 a.jpg\n10 20 1 30.5 40 -1\n2 0.9 0.1 0 0 1 2 3 2 b/c.jpg\n\n".to_vec(),
+        ),
+        ("points3D.txt", b"1 0.5 1.5 -2 10 20 30 0.7 1 0 2 5\n9 1 1 1 0 0 0 0 1 1\n".to_vec()),
+    ]
+}
+
+#[test]
+fn colmap_texts_are_read_or_refused() {
+    hammer_colmap("COLMAP", colmap_text());
+}
+
+#[test]
+fn colmap_binaries_are_read_or_refused() {
+    let folder = folder();
+    let model = folder.path().join("sparse/0");
+    fs::create_dir_all(&model).unwrap();
+    colmap_text().iter().for_each(|(file, right)| fs::write(model.join(file), right).unwrap());
+    let binary = folder.path().join("binary");
+    fs::create_dir_all(&binary).unwrap();
+    write_binary(&binary);
+    let read = |file: &str| fs::read(binary.join(file)).unwrap();
+    let files = ["cameras.bin", "images.bin", "points3D.bin"];
+    hammer_colmap("COLMAP", files.map(|file| (file, read(file))));
+}
+
+/// A model of two views and one point, as COLMAP writes it.
+fn write_binary(model: &Path) {
+    let (u32s, u64s) = (|v: u32| v.to_le_bytes().to_vec(), |v: u64| v.to_le_bytes().to_vec());
+    let f64s = |values: &[f64]| values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
+    let cameras = [u64s(1), u32s(1), u32s(1), u64s(640), u64s(480), f64s(&[500.0, 501.5, 320.0, 240.0])];
+    fs::write(model.join("cameras.bin"), cameras.concat()).unwrap();
+    let view = |id: u32, name: &str| {
+        let pose = f64s(&[1.0, 0.0, 0.0, 0.0, 0.5, -1.0, 7.0]);
+        let keypoint = [f64s(&[10.0, 20.0]), u64s(4)].concat();
+        [u32s(id), pose, u32s(1), name.as_bytes().to_vec(), vec![0], u64s(1), keypoint].concat()
+    };
+    fs::write(model.join("images.bin"), [u64s(2), view(1, "a.jpg"), view(2, "b/c.jpg")].concat()).unwrap();
+    let track = [u64s(2), u32s(1), u32s(0), u32s(2), u32s(0)].concat();
+    let point = [u64s(4), f64s(&[0.5, 1.5, -2.0]), vec![10, 20, 30], f64s(&[0.7]), track].concat();
+    fs::write(model.join("points3D.bin"), [u64s(1), point].concat()).unwrap();
+}
+
+#[test]
+fn transforms_are_read_or_refused() {
+    let text = br#"{"w": 64, "h": 48, "fl_x": 50, "fl_y": 50.5, "cx": 32, "cy": 24, "frames": [
+{"file_path": "a.jpg", "transform_matrix": [[1,0,0,0.5],[0,1,0,2],[0,0,1,-3],[0,0,0,1]]}]}"#;
+    let folder = folder();
+    let path = folder.path().join("transforms.json");
+    hammer(target("transforms.json", vec![text.to_vec()]), |bytes| {
+        fs::write(&path, bytes).unwrap();
+        Dataset::cameras(&path).is_ok()
+    });
+}

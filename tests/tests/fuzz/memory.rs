@@ -1,0 +1,63 @@
+//! How much a thread has allocated, at most, since it was last asked.
+#![allow(unsafe_code)]
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+
+#[global_allocator]
+static COUNTED: Counted = Counted;
+
+struct Counted;
+
+thread_local! {
+    static NOW_BYTES: Cell<isize> = const { Cell::new(0) };
+    static PEAK_BYTES: Cell<isize> = const { Cell::new(0) };
+}
+
+fn count(bytes: isize) {
+    // A thread that ends frees after its counters are gone; that is nobody's decoder.
+    let _ = NOW_BYTES.try_with(|now| {
+        now.set(now.get() + bytes);
+        let _ = PEAK_BYTES.try_with(|peak| peak.set(peak.get().max(now.get())));
+    });
+}
+
+// SAFETY: every call goes to the system's allocator as it came; beside it only numbers are counted, in cells
+// that need no allocation.
+unsafe impl GlobalAlloc for Counted {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        count(layout.size() as isize);
+        // SAFETY: the caller's promises are passed on.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
+        count(layout.size() as isize);
+        // SAFETY: the caller's promises are passed on.
+        unsafe { System.alloc_zeroed(layout) }
+    }
+
+    unsafe fn dealloc(&self, memory: *mut u8, layout: Layout) {
+        count(-(layout.size() as isize));
+        // SAFETY: the caller's promises are passed on.
+        unsafe { System.dealloc(memory, layout) }
+    }
+}
+
+/// Runs `work` and returns how many bytes it had allocated at most, beside what was there before.
+pub(crate) fn peak_bytes_of(work: impl FnOnce()) -> usize {
+    let before = NOW_BYTES.get();
+    PEAK_BYTES.set(before);
+    work();
+    (PEAK_BYTES.get() - before).max(0) as usize
+}
+
+#[test]
+fn what_is_taken_for_a_moment_is_counted() {
+    let peak = peak_bytes_of(|| {
+        let long = std::hint::black_box(vec![1u8; 1 << 20]);
+        drop(long);
+        std::hint::black_box(vec![0u64; 10]);
+    });
+    assert!((1 << 20..2 << 20).contains(&peak), "{peak}");
+}

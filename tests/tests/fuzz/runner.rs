@@ -1,0 +1,58 @@
+//! Gives a decoder its changed samples and watches it.
+
+use std::env;
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::time::{Duration, Instant};
+
+use crate::memory::peak_bytes_of;
+use crate::mutate::{Random, mutated};
+
+/// Executions of a decoder where nobody says: below a second for the slowest.
+const EXECUTIONS: u64 = 5_000;
+/// No execution may take longer. Generous, for the machine may be busy; a decoder that hangs takes for ever.
+const LONGEST: Duration = Duration::from_secs(5);
+
+/// A decoder under test.
+pub(crate) struct Target<'a> {
+    /// Its name.
+    pub(crate) name: &'a str,
+    /// What it reads when all is well.
+    pub(crate) samples: Vec<Vec<u8>>,
+    /// Puts checksums right again.
+    pub(crate) reseal: fn(&mut [u8]),
+    /// What it may allocate at most for so many bytes.
+    pub(crate) bytes_max: fn(usize) -> usize,
+}
+
+/// Runs `decode` on changed samples, and on the samples themselves. It says whether it could read them.
+pub(crate) fn hammer(target: Target, mut decode: impl FnMut(&[u8]) -> bool) {
+    for (i, sample) in target.samples.iter().enumerate() {
+        assert!(decode(sample), "{}: sample {i} is right and was refused", target.name);
+    }
+    let number = |name: &str, usual| env::var(name).map_or(usual, |text| text.parse().expect("a number"));
+    let (first, executions) = (number("FUZZ_SEED", 0), number("FUZZ_EXECUTIONS", EXECUTIONS));
+    let mut read = 0u64;
+    for seed in first..first + executions {
+        let mut random = Random(seed);
+        let mut bytes = mutated(&mut random, &target.samples);
+        if random.coin() {
+            (target.reseal)(&mut bytes);
+        }
+        let started = Instant::now();
+        let mut outcome = Ok(false);
+        let peak = peak_bytes_of(|| outcome = catch_unwind(AssertUnwindSafe(|| decode(&bytes))));
+        let took = started.elapsed();
+        let case = format!("{}: FUZZ_SEED={seed} FUZZ_EXECUTIONS=1", target.name);
+        match outcome {
+            Ok(was_read) => read += u64::from(was_read),
+            Err(panic) => {
+                eprintln!("{case} panics");
+                resume_unwind(panic);
+            }
+        }
+        assert!(took < LONGEST, "{case} takes {took:?}");
+        let allowed = (target.bytes_max)(bytes.len());
+        assert!(peak <= allowed, "{case} allocates {peak} bytes for {}, of {allowed} allowed", bytes.len());
+    }
+    println!("{}: {executions} executions from seed {first}, {read} were read", target.name);
+}
