@@ -1,13 +1,17 @@
 //! The receiving service in the field: `aggregator.toml`, and a service that runs until it is stopped.
 
+use std::fs;
 use std::net::SocketAddr;
 use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::sync::mpsc::Receiver;
 use std::time::Duration;
 
-use cosurf_link::mqtt::BadAddress;
-use cosurf_link::{BrokerAddress, Identity, InboxLimits, MqttConfig, MqttTransport, Role, SerialConfig};
+use cosurf_link::mqtt::{BadAddress, TlsError};
+use cosurf_link::{
+    BrokerAddress, Identity, InboxLimits, MqttConfig, MqttTransport, Role, SerialConfig, Tls, next_session,
+};
+use cosurf_scene::{SceneError, TlsFiles};
 use cosurf_wire::{DeviceId, SiteId};
 use serde::Deserialize;
 
@@ -37,6 +41,8 @@ pub struct AggregatorConfig {
     pub bind: Option<SocketAddr>,
     /// A broker elsewhere, for example `mqtt://10.0.0.2:1883`; absent where `bind` is used.
     pub broker: Option<String>,
+    /// Certificates, with a broker of `mqtts://`.
+    pub tls: Option<TlsFiles>,
     /// Bytes of models that may be on their way in at once.
     #[serde(default = "default_memory_bytes")]
     pub memory_bytes: u64,
@@ -88,12 +94,18 @@ pub enum FieldError {
     /// The broker's address is none.
     #[error(transparent)]
     Address(#[from] BadAddress),
+    /// Its certificates cannot be used.
+    #[error(transparent)]
+    Tls(#[from] TlsError),
     /// The aggregator's name is none.
     #[error("device: {0}")]
     Name(#[from] cosurf_wire::IdError),
     /// The embedded broker did not start.
     #[error(transparent)]
     Broker(#[from] BrokerError),
+    /// The folder could not be made or written to.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
     /// The folder could not be opened.
     #[error(transparent)]
     Service(#[from] ServiceError),
@@ -108,13 +120,14 @@ pub enum FieldError {
 /// What only a main knows of the machine.
 #[derive(Clone, Copy, Debug)]
 pub struct Host {
-    /// Number of the session, greater than any before.
-    pub session: u64,
+    /// Seconds since 1970, as far as is known; the session's number is greater than any before whatever it is.
+    pub clock_s: u64,
     /// Threads to merge with, at least 1.
     pub threads: usize,
 }
 
-/// Serves until `commands` says to end or its sender is gone, devices on serial `lines` too. `say` and `say_of_lines` show what happens.
+/// Serves until `commands` says to end or its sender is gone, devices on serial `lines` too. `say` and
+/// `say_of_lines` show what happens.
 pub fn serve(
     config: &AggregatorConfig,
     host: Host,
@@ -124,11 +137,15 @@ pub fn serve(
     mut say: impl FnMut(&ServiceEvent),
     say_of_lines: impl Fn(GatewayEvent) + Clone + Send + 'static,
 ) -> Result<(), FieldError> {
-    let Host { session, threads } = host;
+    let Host { clock_s, threads } = host;
     let (_embedded, broker) = reach_broker(config)?;
-    let gateway = |line| Gateway::start(config.site, broker.clone(), line, say_of_lines.clone());
+    let tls = Tls::for_broker(&broker, config.tls.as_ref())?;
+    let gateway = |line| Gateway::start(config.site, broker.clone(), tls.clone(), line, say_of_lines.clone());
     let _gateways: Vec<Gateway> = lines.into_iter().map(gateway).collect();
     let device = DeviceId::new(&config.device)?;
+    let out = &config.out;
+    fs::create_dir_all(out).map_err(|cause| SceneError::io(out, cause))?;
+    let session = next_session(&out.join("session"), clock_s)?;
     let identity = Identity { site: config.site, device, session, role: Role::Aggregator };
     let service = Service::open(ServiceConfig {
         identity,
@@ -147,7 +164,7 @@ pub fn serve(
         merge: MergeSettings { memory_bytes: config.merge_memory_bytes, ..MergeSettings::default() },
         threads,
     })?;
-    let mut transport = MqttTransport::start(MqttConfig { broker, identity });
+    let mut transport = MqttTransport::start(MqttConfig { broker, identity, tls });
     let (mut connected, mut outcome) = (false, Ok(()));
     service.run(&mut transport, now, commands, |event| {
         say(&event);
@@ -185,7 +202,7 @@ pub(crate) fn local_address(listening: SocketAddr) -> BrokerAddress {
         std::net::IpAddr::V4(_) => std::net::Ipv4Addr::LOCALHOST.into(),
         std::net::IpAddr::V6(_) => std::net::Ipv6Addr::LOCALHOST.into(),
     };
-    BrokerAddress { host: ip.to_string(), port: listening.port() }
+    BrokerAddress { host: ip.to_string(), port: listening.port(), is_tls: false }
 }
 
 #[cfg(test)]

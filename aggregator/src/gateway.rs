@@ -14,7 +14,7 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use cosurf_link::{
-    BrokerAddress, MqttConfig, MqttTransport, Outgoing, PublishError, SerialConfig, SerialTransport,
+    BrokerAddress, MqttConfig, MqttTransport, Outgoing, PublishError, SerialConfig, SerialTransport, Tls,
     Transport, TransportEvent,
 };
 use cosurf_wire::{DeviceId, SiteId};
@@ -72,6 +72,7 @@ impl Gateway {
     pub fn start(
         site: SiteId,
         broker: BrokerAddress,
+        tls: Option<Tls>,
         line: SerialConfig,
         say: impl Fn(GatewayEvent) + Send + 'static,
     ) -> Self {
@@ -81,7 +82,7 @@ impl Gateway {
             let name = line.name.clone();
             let line = SerialTransport::start(line);
             let mut bridge =
-                Bridge { name, broker, line, client: None, relay: Relay::new(site), up: None, say };
+                Bridge { name, broker, tls, line, client: None, relay: Relay::new(site), up: None, say };
             while !stop.load(Ordering::Relaxed) {
                 bridge.up();
                 bridge.down();
@@ -105,6 +106,7 @@ impl Drop for Gateway {
 struct Bridge<F> {
     name: String,
     broker: BrokerAddress,
+    tls: Option<Tls>,
     line: SerialTransport,
     /// At the broker, in the device's name.
     client: Option<MqttTransport>,
@@ -136,8 +138,8 @@ impl<F: Fn(GatewayEvent)> Bridge<F> {
     fn pass(&mut self, topic: &str, payload: Vec<u8>) {
         match self.relay.hear_device(topic, payload) {
             Passage::Born(identity) => {
-                let config = MqttConfig { broker: self.broker.clone(), identity };
-                self.client = Some(MqttTransport::start(config));
+                let (broker, tls) = (self.broker.clone(), self.tls.clone());
+                self.client = Some(MqttTransport::start(MqttConfig { broker, identity, tls }));
                 (self.say)(GatewayEvent::OnLine { line: self.name.clone(), device: identity.device });
             }
             Passage::Pass(message) => self.up = Some(message),

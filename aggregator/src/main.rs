@@ -139,6 +139,9 @@ fn main() -> ExitCode {
 fn mission(args: MissionArgs) -> Result<()> {
     let out = absolute(&args.out).context("--out")?;
     let data = args.data.as_ref().map(absolute).transpose().context("--data")?;
+    if args.broker.as_ref().is_some_and(|broker| broker.is_tls) {
+        bail!("--broker: a mission on one machine speaks without TLS; write mqtt://");
+    }
     let order = MissionOrder {
         settings: Settings {
             data: data.clone().unwrap_or_else(|| out.join("city")),
@@ -228,7 +231,7 @@ fn run(args: &RunArgs) -> Result<()> {
     let line = |port: &String| SerialConfig::device(port, args.baud, session(), GATEWAY_MESSAGE_BYTES);
     field::serve(
         &config,
-        Host { session: session(), threads: cores() },
+        Host { clock_s: session(), threads: cores() },
         args.serial.iter().map(line).collect(),
         || begun.elapsed(),
         &orders,

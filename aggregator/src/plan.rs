@@ -157,6 +157,7 @@ impl Plan {
             device: device.to_string(),
             site: self.site.to_string(),
             broker: Some(broker.to_string()),
+            tls: None,
             serial: None,
             baud: None,
             data: settings.data.clone(),

@@ -28,7 +28,7 @@ impl Station {
     ) -> Self {
         let (commands, orders) = mpsc::channel();
         let thread = thread::spawn(move || {
-            let mut transport = MqttTransport::start(MqttConfig { broker, identity });
+            let mut transport = MqttTransport::start(MqttConfig { broker, identity, tls: None });
             service.run(
                 &mut transport,
                 || now(),

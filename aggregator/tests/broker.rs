@@ -20,17 +20,17 @@ fn loopback() -> SocketAddr {
 }
 
 fn address(broker: &Broker) -> BrokerAddress {
-    BrokerAddress { host: broker.address().ip().to_string(), port: broker.address().port() }
+    BrokerAddress { host: broker.address().ip().to_string(), port: broker.address().port(), is_tls: false }
 }
 
 #[test]
 fn a_model_of_several_megabytes() {
     let broker = Broker::start(loopback()).unwrap();
-    let ground = Ground::start(address(&broker), identity(Role::Aggregator, "ground"));
+    let ground = Ground::start(address(&broker), None, identity(Role::Aggregator, "ground"));
     let offer = offer("drone", 1, ModelKind::Local, 1, 300_000, MAX_CHUNK_BYTES as u32);
     let body = offer.body.clone();
     let start = Instant::now();
-    let progress = upload(address(&broker), identity(Role::Device, "drone"), offer, |_| {}, |_, _| {});
+    let progress = upload(address(&broker), None, identity(Role::Device, "drone"), offer, |_| {}, |_, _| {});
     println!("{} bytes in {:?}, {} sent", body.len(), start.elapsed(), progress.bytes_sent);
     assert_eq!(*ground.bodies.lock().unwrap(), [body]);
 }
@@ -39,7 +39,7 @@ fn a_model_of_several_megabytes() {
 fn stopped_and_started_in_mid_upload() {
     let broker = Broker::start(loopback()).unwrap();
     let (at, to) = (broker.address(), address(&broker));
-    let ground = Ground::start(to.clone(), identity(Role::Aggregator, "ground"));
+    let ground = Ground::start(to.clone(), None, identity(Role::Aggregator, "ground"));
     let offer = offer("drone", 1, ModelKind::Local, 1, 300_000, 8192);
     let body = offer.body.clone();
     let (mut broker, mut retries) = (Some(broker), 0);
@@ -52,7 +52,7 @@ fn stopped_and_started_in_mid_upload() {
             });
         }
     };
-    upload(to, identity(Role::Device, "drone"), offer, restart, |_, reason| {
+    upload(to, None, identity(Role::Device, "drone"), offer, restart, |_, reason| {
         println!("{reason}");
         retries += 1;
     });

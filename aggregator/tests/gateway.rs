@@ -67,7 +67,11 @@ fn drone<T: Transport + Send + 'static>(
 fn radio_and_network_share_a_mission() {
     let folder = tempfile::tempdir().unwrap();
     let broker = Broker::start(([127, 0, 0, 1], 0).into()).unwrap();
-    let address = BrokerAddress { host: broker.address().ip().to_string(), port: broker.address().port() };
+    let address = BrokerAddress {
+        host: broker.address().ip().to_string(),
+        port: broker.address().port(),
+        is_tls: false,
+    };
     let (events, heard) = mpsc::channel();
     let (say_line, lines) = mpsc::channel();
     let (commands, orders) = mpsc::channel();
@@ -84,7 +88,7 @@ fn radio_and_network_share_a_mission() {
     let to = address.clone();
     let station = thread::spawn(move || {
         let begun = Instant::now();
-        let mut transport = MqttTransport::start(MqttConfig { broker: to, identity: ground });
+        let mut transport = MqttTransport::start(MqttConfig { broker: to, identity: ground, tls: None });
         service.run(
             &mut transport,
             || begun.elapsed(),
@@ -100,6 +104,7 @@ fn radio_and_network_share_a_mission() {
     let gateway = Gateway::start(
         ground.site,
         address.clone(),
+        None,
         line(ground_port, 1, GATEWAY_MESSAGE_BYTES),
         move |event| drop(say_line.send(event)),
     );
@@ -109,7 +114,7 @@ fn radio_and_network_share_a_mission() {
     let serial = SerialTransport::start(line(air, 2, DEVICE_MESSAGE_BYTES));
     let (kill_radio, die) = mpsc::channel();
     let by_radio = drone(serial, radio, model("by-radio", 1), say.clone(), die);
-    let mqtt = MqttTransport::start(MqttConfig { broker: address, identity: net });
+    let mqtt = MqttTransport::start(MqttConfig { broker: address, identity: net, tls: None });
     let (kill_net, die) = mpsc::channel();
     let by_net = drone(mqtt, net, model("by-net", 2), say, die);
 

@@ -11,7 +11,10 @@ use cosurf_agent::publish::{Publication, publish};
 use cosurf_agent::session::{Split, TrainPlan};
 use cosurf_engine::{PruneSettings, Renderer, SurfaceSettings};
 use cosurf_link::serial::{DEFAULT_BAUD, DEVICE_MESSAGE_BYTES};
-use cosurf_link::{BrokerAddress, Identity, MqttConfig, MqttTransport, Role, SerialConfig, SerialTransport};
+use cosurf_link::{
+    BrokerAddress, Identity, MqttConfig, MqttTransport, Role, SerialConfig, SerialTransport, Tls,
+    next_session,
+};
 use cosurf_scene::report::AgentEvent;
 use cosurf_scene::{AgentConfig, Camera, ply};
 use cosurf_wire::{DeviceId, SiteId};
@@ -46,7 +49,8 @@ pub(super) fn run(args: &RunArgs) -> Result<()> {
     let cameras: Vec<Camera> =
         serde_json::from_slice(&fs::read(&cameras).with_context(|| cameras.display().to_string())?)?;
     let importance = Renderer::new(&splats, plan.threads).weights(&cameras);
-    let session = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
+    let clock_s = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
+    let session = next_session(&config.out.join("session"), clock_s)?;
     let identity = Identity { site, device, session, role: Role::Device };
     let publication = Publication {
         identity,
@@ -62,8 +66,8 @@ pub(super) fn run(args: &RunArgs) -> Result<()> {
     let now = || started.elapsed() + Duration::from_secs(1);
     let show = |event: AgentEvent| progress.show(&event);
     match route {
-        Route::Broker(broker) => {
-            let mut transport = MqttTransport::start(MqttConfig { broker, identity });
+        Route::Broker { broker, tls } => {
+            let mut transport = MqttTransport::start(MqttConfig { broker, identity, tls });
             publish(&publication, &mut transport, now, show)
         }
         Route::Serial { port, baud } => {
@@ -75,14 +79,18 @@ pub(super) fn run(args: &RunArgs) -> Result<()> {
 
 /// How the aggregator is reached.
 enum Route {
-    Broker(BrokerAddress),
+    Broker { broker: BrokerAddress, tls: Option<Tls> },
     Serial { port: String, baud: NonZeroU32 },
 }
 
 impl Route {
     fn of(config: &AgentConfig) -> Result<Self> {
         match (&config.broker, &config.serial) {
-            (Some(broker), None) => Ok(Self::Broker(broker.parse()?)),
+            (Some(broker), None) => {
+                let broker: BrokerAddress = broker.parse()?;
+                let tls = Tls::for_broker(&broker, config.tls.as_ref())?;
+                Ok(Self::Broker { broker, tls })
+            }
             (None, Some(port)) => {
                 Ok(Self::Serial { port: port.clone(), baud: config.baud.unwrap_or(DEFAULT_BAUD) })
             }
@@ -93,7 +101,7 @@ impl Route {
     /// After the last acknowledgement the link gets this long to carry it out.
     fn farewell(&self) -> Duration {
         match self {
-            Self::Broker(_) => Duration::from_secs(1),
+            Self::Broker { .. } => Duration::from_secs(1),
             Self::Serial { .. } => Duration::from_secs(10),
         }
     }

@@ -13,6 +13,9 @@
 //! It keeps nothing on a disk; what is lost with it is asked for again by the conversation above. Clocks
 //! are read here for timeouts only: nothing that is computed depends on them.
 
+#[cfg(test)]
+mod tests;
+mod tls;
 mod worker;
 
 use std::fmt;
@@ -27,23 +30,28 @@ use rumqttc::v5::mqttbytes::QoS;
 
 use crate::node::Identity;
 use crate::transport::{Outgoing, PublishError, Transport, TransportEvent};
+pub use tls::{Tls, TlsError};
 use worker::{Shared, Worker};
 
 /// Events that wait for the owner: 4 MiB of chunks. What comes beyond that, while the owner computes, is
 /// dropped, and asked for again later.
 const EVENTS_MAX: usize = 64;
-/// The port of MQTT without TLS (IANA).
+/// The ports of MQTT without and with TLS (IANA).
 const DEFAULT_PORT: u16 = 1883;
+const DEFAULT_PORT_TLS: u16 = 8883;
 /// Bytes of a publish packet beside topic and payload, generously.
 const PACKET_OVERHEAD_BYTES: usize = 16;
 
-/// Where a broker listens: `mqtt://host:port`, `host:port` or `host` (port 1883).
+/// Where a broker listens: `mqtt://host:port`, `host:port` or `host` (port 1883); or with TLS
+/// `mqtts://host:port` (port 8883).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BrokerAddress {
     /// Name or number of the host.
     pub host: String,
     /// TCP port.
     pub port: u16,
+    /// Whether it wants TLS.
+    pub is_tls: bool,
 }
 
 impl fmt::Display for BrokerAddress {
@@ -61,7 +69,9 @@ impl BrokerAddress {
 
 /// What is wrong with the text of an address.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("broker address {text:?}: write mqtt://host:port (no TLS, no password, no path)")]
+#[error(
+    "broker address {text:?}: write mqtt://host:port, or mqtts://host:port for TLS (no password, no path)"
+)]
 pub struct BadAddress {
     text: String,
 }
@@ -71,7 +81,8 @@ impl FromStr for BrokerAddress {
 
     fn from_str(text: &str) -> Result<Self, BadAddress> {
         let bad = || BadAddress { text: text.to_owned() };
-        let rest = text.strip_prefix("mqtt://").unwrap_or(text);
+        let secured = text.strip_prefix("mqtts://");
+        let rest = secured.or_else(|| text.strip_prefix("mqtt://")).unwrap_or(text);
         let rest = rest.strip_suffix('/').unwrap_or(rest);
         let (host, port) = match rest.strip_prefix('[').and_then(|rest| rest.split_once(']')) {
             Some((host, port)) => (host, port.strip_prefix(':')),
@@ -82,8 +93,10 @@ impl FromStr for BrokerAddress {
         if host.is_empty() || !host.chars().all(allowed) {
             return Err(bad());
         }
-        let port = port.map_or(Ok(DEFAULT_PORT), |port| port.parse().map_err(|_| bad()))?;
-        Ok(Self { host: host.to_owned(), port })
+        let is_tls = secured.is_some();
+        let usual = if is_tls { DEFAULT_PORT_TLS } else { DEFAULT_PORT };
+        let port = port.map_or(Ok(usual), |port| port.parse().map_err(|_| bad()))?;
+        Ok(Self { host: host.to_owned(), port, is_tls })
     }
 }
 
@@ -94,6 +107,8 @@ pub struct MqttConfig {
     pub broker: BrokerAddress,
     /// As whom: gives client id, subscriptions and last will.
     pub identity: Identity,
+    /// Certificates, for a broker that wants TLS.
+    pub tls: Option<Tls>,
 }
 
 /// A client of an MQTT broker. When it is dropped, what was published is carried out (for at most

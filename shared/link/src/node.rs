@@ -1,6 +1,6 @@
 //! A participant: its inbox, its uploads and its birth notice, on one transport.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::time::Duration;
@@ -16,6 +16,8 @@ use crate::{ModelKey, Offer};
 
 /// Messages sent between two looks at what has come in. Ours: half a window.
 const BURST: usize = 16;
+/// Devices whose sessions are remembered.
+const DEVICES_MAX: usize = 1024;
 /// How soon a busy transport is tried again.
 const BUSY_WAIT: Duration = Duration::from_millis(2);
 
@@ -26,7 +28,7 @@ pub struct Identity {
     pub site: SiteId,
     /// Under which name; two at once under one name throw each other out.
     pub device: DeviceId,
-    /// Number of this session, greater than any before (seconds since 1970 at start will do).
+    /// Number of this session, greater than any before: [`crate::next_session`].
     pub session: u64,
     /// On which side.
     pub role: Role,
@@ -123,6 +125,8 @@ pub struct Node {
     events: VecDeque<NodeEvent>,
     /// The birth notice, due after each connection.
     birth: Option<Outgoing>,
+    /// The session of each device that was born; at most [`DEVICES_MAX`].
+    sessions: BTreeMap<DeviceId, u64>,
     /// Handed out by a machine, not yet taken by the transport.
     pending: Option<Outgoing>,
     is_connected: bool,
@@ -138,6 +142,7 @@ impl Node {
             uploaders: Vec::new(),
             events: VecDeque::new(),
             birth: None,
+            sessions: BTreeMap::new(),
             pending: None,
             is_connected: false,
             now: Duration::ZERO,
@@ -311,7 +316,7 @@ impl Node {
         };
         match (topic, &message) {
             (Topic::State { device }, Message::State(state)) if state.device == device => {
-                self.events.push_back(NodeEvent::State(*state));
+                self.hear_state(*state);
             }
             (Topic::LocalHeader { .. } | Topic::GlobalHeader { .. }, Message::Header(header)) => {
                 let event = self.inbox.on_header(self.now, &topic, *header);
@@ -331,6 +336,17 @@ impl Node {
             _ => return Err("the message does not belong under its topic".to_owned()),
         }
         Ok(())
+    }
+
+    /// A death of an earlier session than the newest birth is out of date: the broker published it late.
+    fn hear_state(&mut self, state: State) {
+        if !state.alive && self.sessions.get(&state.device).is_some_and(|born| *born > state.session) {
+            return;
+        }
+        if self.sessions.len() < DEVICES_MAX || self.sessions.contains_key(&state.device) {
+            self.sessions.insert(state.device, state.session);
+        }
+        self.events.push_back(NodeEvent::State(state));
     }
 
     fn hear_reply(&mut self, topic: &Topic, message: &Message<'_>) {

@@ -35,7 +35,7 @@ pub use city::{City, CityError, CityFrame, CitySettings, TruthPoint};
 pub use dataset::{Dataset, SparsePoint, View};
 pub use error::SceneError;
 pub use mesh::Mesh;
-pub use mission_config::AgentConfig;
+pub use mission_config::{AgentConfig, TlsFiles};
 pub use picture::Picture;
 pub use raycast::{Cast, Caster};
 pub use splats::Splats;

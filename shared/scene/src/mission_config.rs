@@ -21,6 +21,9 @@ pub struct AgentConfig {
     /// The broker's address, for example `mqtt://127.0.0.1:1883`; absent where `serial` is used.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub broker: Option<String>,
+    /// Certificates, with a broker of `mqtts://`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tls: Option<TlsFiles>,
     /// The serial port of a radio whose other end is the aggregator's, for example `/dev/ttyUSB0`; absent
     /// where `broker` is used.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -68,6 +71,18 @@ pub struct AgentConfig {
     /// Whether to wait, after the upload, for the global model and keep it.
     #[serde(default)]
     pub wait_global: bool,
+}
+
+/// Certificates of a client that speaks TLS, in PEM.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TlsFiles {
+    /// Whom to trust: certificates of authorities.
+    pub ca: PathBuf,
+    /// The client's own certificate, and those between it and the authority.
+    pub cert: PathBuf,
+    /// The private key of it.
+    pub key: PathBuf,
 }
 
 fn default_eval_every() -> u32 {

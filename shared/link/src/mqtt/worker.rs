@@ -14,6 +14,7 @@ use rumqttc::v5::mqttbytes::v5::{
 };
 use rumqttc::v5::mqttbytes::{Error as MqttError, QoS};
 use rumqttc::v5::{AsyncClient, ConnectionError, Event, EventLoop, MqttOptions, Request, StateError};
+use rumqttc::{TlsConfiguration, Transport as TlsTransport};
 use tokio::time::{Instant, sleep, timeout};
 
 use super::{EVENTS_MAX, MqttConfig, PACKET_OVERHEAD_BYTES};
@@ -33,7 +34,7 @@ const CONNECT_TIMEOUT_S: u64 = 5;
 /// Between attempts to connect.
 const RECONNECT: Backoff = Backoff::new(Duration::from_millis(200), Duration::from_secs(5));
 /// Without an acknowledgement for this long the client is thrown away: longer than 64 KiB take at 3 kB/s.
-const STUCK: Duration = Duration::from_secs(30);
+const STUCK: Duration = Duration::from_secs(if cfg!(test) { 1 } else { 30 });
 /// How often stuckness and the owner's wish to stop are looked at.
 const TICK: Duration = Duration::from_millis(50);
 /// What was published before a stop gets this long.
@@ -227,7 +228,7 @@ impl Worker {
     }
 
     async fn on_stuck(&mut self) -> Leave {
-        self.fail("no acknowledgement for 30 s; starting afresh").await;
+        self.fail(&format!("no acknowledgement for {STUCK:?}; starting afresh")).await;
         Leave::Rebuild
     }
 
@@ -276,7 +277,7 @@ impl Worker {
     }
 
     fn options(&self) -> MqttOptions {
-        let MqttConfig { broker, identity } = &self.config;
+        let MqttConfig { broker, identity, tls } = &self.config;
         let role = match identity.role {
             Role::Device => "agent",
             Role::Aggregator => "aggregator",
@@ -295,6 +296,10 @@ impl Worker {
             .set_receive_maximum(Some(EVENTS_MAX as u16 / 2))
             .set_outgoing_inflight_upper_limit(in_flight)
             .set_last_will(will);
+        if let Some(tls) = tls {
+            options
+                .set_transport(TlsTransport::tls_with_config(TlsConfiguration::Rustls(Arc::clone(&tls.0))));
+        }
         options
     }
 }
@@ -317,6 +322,7 @@ fn describe(error: &ConnectionError) -> String {
             }
         }
         ConnectionError::Timeout(_) => "no answer".to_owned(),
+        ConnectionError::Tls(error) => format!("TLS: {error}"),
         ConnectionError::ConnectionRefused(code) => format!("it turns us away: {code:?}"),
         ConnectionError::MqttState(
             StateError::ConnectionAborted | StateError::Deserialization(MqttError::Io(_)),

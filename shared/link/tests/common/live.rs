@@ -7,25 +7,30 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use cosurf_link::{
-    BrokerAddress, Identity, InboxLimits, MqttConfig, MqttTransport, Node, NodeEvent, Offer, UploadProgress,
-    upload_blocking,
+    BrokerAddress, Identity, InboxLimits, MqttConfig, MqttTransport, Node, NodeEvent, Offer, Tls,
+    UploadProgress, upload_blocking,
 };
+use cosurf_wire::ModelId;
 
 /// An aggregator that keeps bodies in memory, and says what it hears.
 pub struct Ground {
     pub bodies: Arc<Mutex<Vec<Vec<u8>>>>,
     pub retries: Arc<Mutex<Vec<String>>>,
+    /// Models offered.
+    pub heard: Arc<Mutex<Vec<ModelId>>>,
     is_over: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
 impl Ground {
-    pub fn start(broker: BrokerAddress, identity: Identity) -> Self {
+    pub fn start(broker: BrokerAddress, tls: Option<Tls>, identity: Identity) -> Self {
         let (bodies, retries) = (Arc::new(Mutex::new(Vec::new())), Arc::new(Mutex::new(Vec::new())));
+        let heard = Arc::new(Mutex::new(Vec::new()));
         let is_over = Arc::new(AtomicBool::new(false));
-        let (kept, heard, over) = (Arc::clone(&bodies), Arc::clone(&retries), Arc::clone(&is_over));
+        let (kept, told, over) = (Arc::clone(&bodies), Arc::clone(&retries), Arc::clone(&is_over));
+        let offered = Arc::clone(&heard);
         let thread = std::thread::spawn(move || {
-            let mut transport = MqttTransport::start(MqttConfig { broker, identity });
+            let mut transport = MqttTransport::start(MqttConfig { broker, identity, tls });
             let mut node = Node::new(identity, InboxLimits::default(), &[]);
             let start = Instant::now();
             while !over.load(Ordering::Relaxed) {
@@ -34,12 +39,13 @@ impl Ground {
                         kept.lock().unwrap().push(body.to_vec());
                         node.stored(header.into());
                     }
-                    Some(NodeEvent::Disconnected { reason, .. }) => heard.lock().unwrap().push(reason),
+                    Some(NodeEvent::Disconnected { reason, .. }) => told.lock().unwrap().push(reason),
+                    Some(NodeEvent::Receiving(header)) => offered.lock().unwrap().push(header.model),
                     _ => {}
                 }
             }
         });
-        Self { bodies, retries, is_over, thread: Some(thread) }
+        Self { bodies, retries, heard, is_over, thread: Some(thread) }
     }
 }
 
@@ -53,12 +59,13 @@ impl Drop for Ground {
 /// Uploads, telling how far it is.
 pub fn upload(
     broker: BrokerAddress,
+    tls: Option<Tls>,
     identity: Identity,
     offer: Offer,
     mut on_progress: impl FnMut(UploadProgress),
     mut on_retry: impl FnMut(u32, String),
 ) -> UploadProgress {
-    let mut transport = MqttTransport::start(MqttConfig { broker, identity });
+    let mut transport = MqttTransport::start(MqttConfig { broker, identity, tls });
     let mut node = Node::new(identity, InboxLimits::default(), &[]);
     let start = Instant::now();
     let done = upload_blocking(

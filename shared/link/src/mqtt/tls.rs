@@ -1,0 +1,94 @@
+//! TLS with certificates on both sides (rustls, with ring): the broker shows that it is ours, the device
+//! that it is who it says.
+//!
+//! rumqttc 0.25 also links rustls-webpki 0.102.8 (RUSTSEC-2026-0049, -0098, -0099, -0104), for an error's
+//! type only: what verifies certificates here is the one of rustls itself, 0.103.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use cosurf_scene::TlsFiles;
+use rustls::pki_types::pem::PemObject;
+use rustls::pki_types::{CertificateDer, PrivateKeyDer, pem};
+use rustls::{ClientConfig, RootCertStore};
+
+/// Why certificates cannot be used.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum TlsError {
+    /// A file is not there, or not what it should be.
+    #[error("{path}: {cause}; it must hold {wanted} in PEM")]
+    File {
+        /// Which.
+        path: String,
+        /// What should be in it.
+        wanted: &'static str,
+        /// What is wrong.
+        cause: pem::Error,
+    },
+    /// The files do not fit together.
+    #[error("certificate {cert} and key {key}: {cause}")]
+    Pair {
+        /// The certificate's path.
+        cert: String,
+        /// The key's path.
+        key: String,
+        /// What is wrong.
+        cause: rustls::Error,
+    },
+    /// The address and the configuration disagree.
+    #[error("write tls = {{ ca, cert, key }} with a broker of mqtts://, and only with one")]
+    OneWithoutOther,
+}
+
+/// What a client shows and whom it trusts.
+#[derive(Clone, Debug)]
+pub struct Tls(pub(super) Arc<ClientConfig>);
+
+impl Tls {
+    /// Reads the files.
+    pub fn read(files: &TlsFiles) -> Result<Self, TlsError> {
+        let mut roots = RootCertStore::empty();
+        for root in certificates(&files.ca)? {
+            roots.add(root).map_err(|cause| pair_error(files, cause))?;
+        }
+        let key = PrivateKeyDer::from_pem_file(&files.key)
+            .map_err(|cause| file_error(&files.key, "a private key", cause))?;
+        let provider = Arc::new(rustls::crypto::ring::default_provider());
+        let chain = certificates(&files.cert)?;
+        let config = ClientConfig::builder_with_provider(provider)
+            .with_safe_default_protocol_versions()
+            .and_then(|builder| builder.with_root_certificates(roots).with_client_auth_cert(chain, key))
+            .map_err(|cause| pair_error(files, cause))?;
+        Ok(Self(Arc::new(config)))
+    }
+
+    /// What a broker's address needs: files where it says `mqtts://`, none where it does not.
+    pub fn for_broker(
+        broker: &super::BrokerAddress,
+        files: Option<&TlsFiles>,
+    ) -> Result<Option<Self>, TlsError> {
+        match (broker.is_tls, files) {
+            (true, Some(files)) => Self::read(files).map(Some),
+            (false, None) => Ok(None),
+            _ => Err(TlsError::OneWithoutOther),
+        }
+    }
+}
+
+fn certificates(path: &Path) -> Result<Vec<CertificateDer<'static>>, TlsError> {
+    let read = CertificateDer::pem_file_iter(path).and_then(Iterator::collect::<Result<Vec<_>, _>>);
+    match read {
+        Ok(found) if found.is_empty() => Err(file_error(path, "certificates", pem::Error::NoItemsFound)),
+        Ok(found) => Ok(found),
+        Err(cause) => Err(file_error(path, "certificates", cause)),
+    }
+}
+
+fn file_error(path: &Path, wanted: &'static str, cause: pem::Error) -> TlsError {
+    TlsError::File { path: path.display().to_string(), wanted, cause }
+}
+
+fn pair_error(files: &TlsFiles, cause: rustls::Error) -> TlsError {
+    TlsError::Pair { cert: files.cert.display().to_string(), key: files.key.display().to_string(), cause }
+}

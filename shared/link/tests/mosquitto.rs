@@ -1,0 +1,141 @@
+//! Against Mosquitto, a broker that is not ours: killed in mid-upload, with TLS, and with the example
+//! configuration of `shared/docs`.
+#![allow(clippy::unwrap_used)]
+
+mod common;
+#[path = "common/live.rs"]
+mod live;
+#[path = "common/mosquitto.rs"]
+mod mosquitto;
+
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use common::{identity, offer};
+use cosurf_link::{
+    Identity, MqttConfig, MqttTransport, Outgoing, Role, Transport, TransportEvent, UploadProgress,
+};
+use cosurf_wire::{DeviceId, ModelId, ModelKind, Topic};
+use live::{Ground, upload};
+use mosquitto::{Authority, Mosquitto, tls};
+
+const PLAIN: &str = "listener PORT 127.0.0.1\nallow_anonymous true\npersistence true\n\
+                     persistence_location FOLDER/\nautosave_interval 1\n";
+
+/// The example, with this test's paths.
+fn example(folder: &Path) -> String {
+    let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs");
+    let text = std::fs::read_to_string(docs.join("mosquitto.conf")).unwrap();
+    std::fs::copy(docs.join("cosurf.acl"), folder.join("cosurf.acl")).unwrap();
+    for line in ["listener 8883", "/etc/mosquitto/certs", "/etc/mosquitto", "/var/lib/mosquitto"] {
+        assert!(text.contains(line), "{line}");
+    }
+    text.replace("listener 8883", "listener PORT 127.0.0.1")
+        .replace("/etc/mosquitto/certs", "FOLDER")
+        .replace("/etc/mosquitto", "FOLDER")
+        .replace("/var/lib/mosquitto", "FOLDER")
+}
+
+fn interrupted(how: fn(&mut Mosquitto)) {
+    let folder = tempfile::tempdir().unwrap();
+    let Some(mut broker) = Mosquitto::start(folder.path(), PLAIN, false) else { return };
+    let ground = Ground::start(broker.address.clone(), None, identity(Role::Aggregator, "ground"));
+    let offer = offer("drone", 1, ModelKind::Local, 1, 100_000, 8192);
+    let body = offer.body.clone();
+    let (address, mut times, mut retries) = (broker.address.clone(), 0, 0);
+    let restart = |progress: UploadProgress| {
+        if times < 3 && progress.chunks_there > progress.chunks * (times + 1) / 4 {
+            times += 1;
+            how(&mut broker);
+            broker.start_again();
+        }
+    };
+    upload(address, None, identity(Role::Device, "drone"), offer, restart, |_, reason| {
+        println!("{reason}");
+        retries += 1;
+    });
+    assert_eq!(*ground.bodies.lock().unwrap(), [body]);
+    assert!(times == 3 && retries > 0, "the broker was never away");
+}
+
+#[test]
+fn killed_three_times_in_mid_upload() {
+    interrupted(Mosquitto::kill);
+}
+
+#[test]
+fn stopped_three_times_in_mid_upload() {
+    interrupted(Mosquitto::terminate);
+}
+
+/// Connects and returns what happens first.
+fn first_event(config: MqttConfig) -> TransportEvent {
+    MqttTransport::start(config).poll(Duration::from_secs(20)).unwrap()
+}
+
+#[test]
+fn certificates_decide_who_comes_in() {
+    let folder = tempfile::tempdir().unwrap();
+    let authority = Authority::new(folder.path());
+    let good = authority.client("good", "drone", 30);
+    let late = authority.client("late", "drone", -1);
+    let revoked = authority.client("revoked-drone", "drone", 30);
+    authority.take_back(&["revoked-drone"]);
+    let elsewhere = tempfile::tempdir().unwrap();
+    let mut stranger = Authority::new(elsewhere.path()).client("stranger", "drone", 30);
+    let foreign_ca = std::mem::replace(&mut stranger.ca, good.ca.clone());
+    let Some(broker) = Mosquitto::start(folder.path(), &example(folder.path()), true) else { return };
+    let connect = |files| {
+        let tls = Some(tls(files));
+        first_event(MqttConfig {
+            broker: broker.address.clone(),
+            identity: identity(Role::Device, "drone"),
+            tls,
+        })
+    };
+    assert_eq!(connect(&good), TransportEvent::Connected);
+    for (name, files) in [("expired", &late), ("revoked", &revoked), ("stranger's", &stranger)] {
+        let event = connect(files);
+        println!("{name}: {event:?}");
+        assert!(matches!(event, TransportEvent::Disconnected { .. }), "{name} was let in");
+    }
+    // Nor does a client trust a broker of another authority.
+    let mut fooled = good.clone();
+    fooled.ca = foreign_ca;
+    assert!(
+        matches!(connect(&fooled), TransportEvent::Disconnected { reason, .. } if reason.contains("TLS"))
+    );
+}
+
+#[test]
+fn a_model_by_the_example_configuration_and_nobody_speaks_for_another() {
+    let folder = tempfile::tempdir().unwrap();
+    let authority = Authority::new(folder.path());
+    let [ground_files, drone_files, thief_files] =
+        ["aggregator", "drone", "thief"].map(|name| authority.client(name, name, 30));
+    let Some(broker) = Mosquitto::start(folder.path(), &example(folder.path()), true) else { return };
+    let ground = identity(Role::Aggregator, "ground");
+    let ground = Ground::start(broker.address.clone(), Some(tls(&ground_files)), ground);
+
+    // The thief's certificate does not let it write under the drone's name, nor as the aggregator.
+    let thief = Identity { device: DeviceId::new("thief").unwrap(), ..identity(Role::Device, "thief") };
+    let config = MqttConfig { broker: broker.address.clone(), identity: thief, tls: Some(tls(&thief_files)) };
+    let mut transport = MqttTransport::start(config);
+    assert_eq!(transport.poll(Duration::from_secs(20)), Some(TransportEvent::Connected));
+    let forged = offer("drone", 9, ModelKind::Local, 9, 10, 8192);
+    let device = DeviceId::new("drone").unwrap();
+    let topic = Topic::LocalHeader { device, model: ModelId(9) }.to_text(&thief.site);
+    let mut payload = vec![0; 1024];
+    let header = cosurf_wire::Message::Header(forged.header);
+    let payload = header.encode(&mut payload).unwrap().to_vec();
+    transport.publish(&Outgoing { topic, payload, retain: true }).unwrap();
+
+    let offer = offer("drone", 1, ModelKind::Local, 1, 20_000, 65_536);
+    let body = offer.body.clone();
+    let begun = Instant::now();
+    let drone = identity(Role::Device, "drone");
+    upload(broker.address.clone(), Some(tls(&drone_files)), drone, offer, |_| {}, |_, _| {});
+    println!("{} bytes by TLS in {:?}", body.len(), begun.elapsed());
+    assert_eq!(*ground.bodies.lock().unwrap(), [body]);
+    assert_eq!(*ground.heard.lock().unwrap(), [ModelId(1)], "the forged offer was heard");
+}
