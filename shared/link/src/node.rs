@@ -179,6 +179,11 @@ impl Node {
         self.inbox.refuse(key, reason);
     }
 
+    /// Bytes of models on their way in; never more than the limits allow.
+    pub fn unfinished_bytes(&self) -> u64 {
+        self.inbox.unfinished_bytes()
+    }
+
     /// Hears, answers and sends what there is, waiting at most `wait` for something to hear. Returns what
     /// the owner must know; `None` says nothing about whether more is to be done.
     pub fn step<T: Transport>(

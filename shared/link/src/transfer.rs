@@ -21,6 +21,8 @@ pub(crate) struct Transfer {
     pub(crate) want_topic: Topic,
     /// When the last new chunk came; at first when the header did.
     pub(crate) last_news: Duration,
+    /// When its sender was last told that nothing comes; it needs time to answer.
+    last_idle: Duration,
     body: Arc<Vec<u8>>,
     here: BitSet,
     news_since_want: u32,
@@ -63,6 +65,7 @@ impl Transfer {
             phase: Phase::Fetching { want_at: now },
             want_topic,
             last_news: now,
+            last_idle: now,
             body: Arc::new(vec![0; header.body_bytes as usize]),
             here: BitSet::empty(header.chunks()),
             news_since_want: 0,
@@ -120,7 +123,10 @@ impl Transfer {
     /// What to ask for now.
     pub(crate) fn want(&mut self, now: Duration) -> Want {
         let missing = Missing::of(self.header.chunks(), |index| self.here.contains(index));
-        let idle = now.saturating_sub(self.last_news) >= self.idle_after();
+        let idle = now.saturating_sub(self.last_news.max(self.last_idle)) >= self.idle_after();
+        if idle {
+            self.last_idle = now;
+        }
         self.news_since_want = 0;
         self.phase = Phase::Fetching { want_at: now + self.want_backoff.delay() };
         Want { device: self.header.device, model: self.header.model, idle, missing }
@@ -132,7 +138,8 @@ impl Transfer {
     }
 
     fn note_news(&mut self, now: Duration) {
-        let gap = now.saturating_sub(self.last_news);
+        // An outage is not a usual gap.
+        let gap = now.saturating_sub(self.last_news).min(self.gap * IDLE_GAPS);
         self.gap = (self.gap * 7 + gap) / 8;
         self.last_news = now;
         self.news_since_want += 1;

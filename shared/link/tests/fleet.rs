@@ -8,7 +8,7 @@ use std::num::NonZeroU32;
 use std::ops::Range;
 use std::time::Duration;
 
-use common::{Member, offer, run};
+use common::{Member, offer, pooled, run};
 use cosurf_link::faults::Dice;
 use cosurf_link::{Faults, InboxLimits, MemoryNetwork, ModelKey, Offer, Outages, Role};
 use cosurf_wire::{DeviceId, ModelKind, TileId};
@@ -92,8 +92,7 @@ fn fly(seed: u64) -> (Duration, u64) {
     let mut offers = Vec::new();
     for drone in 0..1 + dice.below(4) {
         let name = format!("drone-{drone}");
-        let splats = 20 + dice.below(300) as usize;
-        let offer = offer(&name, 1, ModelKind::Local, seed + drone, splats, 1024);
+        let offer = pooled(&name, 1, ModelKind::Local, seed + drone, 1024);
         let mut member = Member::new(&network, Role::Device, &name, InboxLimits::default());
         member.node.upload(offer.clone());
         fleet.push(member);
@@ -111,7 +110,7 @@ fn fly(seed: u64) -> (Duration, u64) {
     });
     check(&fleet[0], &offers);
 
-    let global = offer("ground", 1, ModelKind::Global, seed, 200, 1024);
+    let global = pooled("ground", 1, ModelKind::Global, seed / 7, 1024);
     let receivers: Vec<DeviceId> = fleet[1..].iter().map(|drone| drone.identity.device).collect();
     let broadcast = |fleet: &mut [Member]| {
         fleet[0].uploaded.clear();

@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used, dead_code, missing_docs, unreachable_pub)]
 
 use std::collections::BTreeMap;
+use std::sync::OnceLock;
 use std::time::Duration;
 
 use cosurf_link::{
@@ -60,6 +61,22 @@ pub fn offer(device: &str, model: u64, kind: ModelKind, seed: u64, count: usize,
     let mut offer =
         Offer::new(device, ModelId(model), kind, 3, &splats(seed, count, 0), &cameras(3)).unwrap();
     offer.header.chunk_bytes = chunk_bytes;
+    offer
+}
+
+/// As [`offer`], of 16 to 1,000 splats, from a pool that is packed once: for tests of thousands of seeds.
+pub fn pooled(device: &str, model: u64, kind: ModelKind, seed: u64, chunk_bytes: u32) -> Offer {
+    static POOL: OnceLock<Vec<Offer>> = OnceLock::new();
+    let pack = |i: u64| offer("pool", 1, ModelKind::Local, i, 16 + (i as usize * 61) % 985, 1024);
+    let pool = POOL.get_or_init(|| (0..64).map(pack).collect());
+    let mut offer = pool[(seed % 64) as usize].clone();
+    offer.header = ModelHeader {
+        device: DeviceId::new(device).unwrap(),
+        model: ModelId(model),
+        kind,
+        chunk_bytes,
+        ..offer.header
+    };
     offer
 }
 
