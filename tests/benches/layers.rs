@@ -43,7 +43,7 @@ fn main() -> Result<()> {
     let Arguments { model, data, sh_degree, max_size, .. } = Arguments::parse();
     let splats = of_degree(&ply::read(&model)?, sh_degree);
     let views = Views::read(&Dataset::open(&data)?, max_size)?;
-    let importance = Renderer::new(&splats, THREADS).weights(&views.taught);
+    let importance = Renderer::new(&splats, THREADS).importance(&views.taught);
     let body = model_to_body(&splats, &views.taught, &importance)?;
     let whole = views.render(&splats);
     println!("{} splats of degree {}, {} cameras", splats.len(), splats.sh_degree, views.taught.len());

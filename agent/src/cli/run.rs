@@ -48,7 +48,7 @@ pub(super) fn run(args: &RunArgs) -> Result<()> {
     let cameras = config.out.join("cameras.json");
     let cameras: Vec<Camera> =
         serde_json::from_slice(&fs::read(&cameras).with_context(|| cameras.display().to_string())?)?;
-    let importance = Renderer::new(&splats, plan.threads).weights(&cameras);
+    let importance = Renderer::new(&splats, plan.threads).importance(&cameras);
     let clock_s = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
     let session = next_session(&config.out.join("session"), clock_s)?;
     let identity = Identity { site, device, session, role: Role::Device };

@@ -238,8 +238,9 @@ pub struct Shapes {
 /// What splats gave to the pictures that were scored; entry `i` is splat `i`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Scores {
-    /// Sum of blend weights α T over all pixels.
-    pub weights: Vec<f32>,
+    /// Sum of squared blend weights `(α T)²` over all pixels: but for the colours, the squared error that the
+    /// pictures would have without the splat.
+    pub squared_weights: Vec<f32>,
     /// Pixels that the splat was blended into.
     pub hits: Vec<f32>,
     /// Views with a pixel that the splat was blended into while more than half of the light came through.

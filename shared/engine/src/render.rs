@@ -37,14 +37,14 @@ impl Renderer {
         self.backend.rendering()
     }
 
-    /// What each splat gives to the pictures of `cameras`: Σ α T over all pixels of all of them.
-    pub fn weights(&mut self, cameras: &[Camera]) -> Vec<f32> {
+    /// How much the pictures of `cameras` need each splat: Σ (α T)² over all pixels of all of them.
+    pub fn importance(&mut self, cameras: &[Camera]) -> Vec<f32> {
         self.backend.clear_scores();
         for camera in cameras {
             self.blend(camera, Channels::Color);
             self.backend.score();
         }
-        self.backend.scores().weights
+        self.backend.scores().squared_weights
     }
 
     fn blend(&mut self, camera: &Camera, channels: Channels) {

@@ -23,7 +23,9 @@ const RESET_OPACITY: f32 = 0.01;
 pub struct SurfaceSettings {
     /// λ₁: weight of the mean shortest scale, as a share of the scene's extent.
     pub scale: f32,
-    /// β₂: weight of the single-view normal loss at the end of an endless ramp.
+    /// β₂: weight of the single-view normal loss at the end of an endless ramp. With
+    /// the paper's 0.01 normals of rendered Boruszyn (160 px, 1,000 steps) are off by 11.9° (median), with 0.05 by
+    /// 11.1° at no cost in PSNR, with 0.2 by 10.9° at 0.4 dB.
     pub normal: f32,
     /// Of the reprojection error.
     pub reprojection: f32,
@@ -37,7 +39,7 @@ pub struct SurfaceSettings {
 
 impl Default for SurfaceSettings {
     fn default() -> Self {
-        Self { scale: 100.0, normal: 0.01, reprojection: 0.05, ncc: 0.2, smooth: true, cell_px: 4 }
+        Self { scale: 100.0, normal: 0.05, reprojection: 0.05, ncc: 0.2, smooth: true, cell_px: 4 }
     }
 }
 

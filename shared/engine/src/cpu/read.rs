@@ -8,7 +8,7 @@ use super::image::TileImage;
 use super::project::view_direction;
 use super::project_backward::{GRADIENT_RGB, STAT_ABSOLUTE_GRADIENT, STAT_SCREEN_GRADIENT, STAT_VIEWS};
 use super::rasterize::{DISTANCE, NORMAL, PLANES_GEOMETRY, RGB, TRANSMITTANCE};
-use super::score::{HITS, OBSERVED, WEIGHT};
+use super::score::{HITS, OBSERVED, SQUARED_WEIGHT};
 use super::sh;
 use super::simd::{GROUP, Lanes, Plain};
 use super::surface::{GRAZING, SURFACE_ALPHA};
@@ -65,7 +65,7 @@ pub(super) fn shapes(params: &Blocks, stats: &Blocks) -> Shapes {
 /// Scores as they are.
 pub(super) fn scores(scores: &Blocks) -> Scores {
     let row = |row: usize| (0..scores.len()).map(|i| scores.value(i, row)).collect();
-    Scores { weights: row(WEIGHT), hits: row(HITS), observers: row(OBSERVED) }
+    Scores { squared_weights: row(SQUARED_WEIGHT), hits: row(HITS), observers: row(OBSERVED) }
 }
 
 /// Gradients in the places of their parameters; zero for splats that were not seen.

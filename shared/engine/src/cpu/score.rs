@@ -13,9 +13,9 @@ use super::rasterize::{
 use super::rasterize_backward::{Record, jobs};
 use super::simd::{GROUP, Isa, Kernel, Lanes, Row};
 
-/// Rows of a block of scores, and numbers of a record: Σ α T, pixels hit, and pixels hit while more than half of
+/// Rows of a block of scores, and numbers of a record: Σ (α T)², pixels hit, and pixels hit while more than half of
 /// the light still came through; of the last, a block counts the views that had any.
-pub(crate) const WEIGHT: usize = 0;
+pub(crate) const SQUARED_WEIGHT: usize = 0;
 pub(crate) const HITS: usize = 1;
 pub(crate) const OBSERVED: usize = 2;
 pub(crate) const SCORE_ROWS: usize = 3;
@@ -54,7 +54,7 @@ pub(crate) fn collect(projection: &Projection, lists: &TileLists, records: &[Rec
                         *total += value;
                     }
                 }
-                rows[WEIGHT].0[lane] += total[WEIGHT];
+                rows[SQUARED_WEIGHT].0[lane] += total[SQUARED_WEIGHT];
                 rows[HITS].0[lane] += total[HITS];
                 rows[OBSERVED].0[lane] += f32::from(u8::from(total[OBSERVED] > 0.0));
             }
@@ -118,7 +118,8 @@ fn add<L: Lanes>(alpha: L, part: usize, open: &mut Row, sums: &mut [L; SCORE_ROW
     let full = L::and_not(hit, goes_on);
     open.set(part, L::select(full, L::zero(), L::select(goes_on, after, before)));
     let clear = L::and(goes_on, L::splat(OBSERVED_TRANSMITTANCE).lt(before));
-    sums[WEIGHT] = sums[WEIGHT] + (alpha * before).keep(goes_on);
+    let weight = (alpha * before).keep(goes_on);
+    sums[SQUARED_WEIGHT] = weight.mul_add(weight, sums[SQUARED_WEIGHT]);
     sums[HITS] = sums[HITS] + one.keep(goes_on);
     sums[OBSERVED] = sums[OBSERVED] + one.keep(clear);
 }

@@ -283,12 +283,12 @@ fn scores_agree_with_the_reference() {
             backend.score();
             let scores = backend.scores();
             for (i, (weight, hits, observed)) in expected.iter().enumerate() {
-                let error = (f64::from(scores.weights[i]) - 2.0 * weight).abs();
+                let error = (f64::from(scores.squared_weights[i]) - 2.0 * weight).abs();
                 assert!(
                     error < 1e-3 * weight + 1e-4,
                     "{} splat {i}: {} is not {weight}",
                     case.name,
-                    scores.weights[i]
+                    scores.squared_weights[i]
                 );
                 assert_eq!(scores.hits[i], 2.0 * *hits as f32, "{} splat {i}", case.name);
                 assert_eq!(scores.observers[i], if *observed { 2.0 } else { 0.0 }, "{} splat {i}", case.name);

@@ -147,7 +147,7 @@ fn color(sh: &[f32], direction: DVec3, degree: u32) -> [f64; 3] {
     [0, 1, 2].map(|c| (0.5 + (0..used).map(|k| basis[k] * f64::from(sh[3 * k + c])).sum::<f64>()).max(0.0))
 }
 
-/// Σ α T, pixels hit, and whether a pixel was hit with more than half of the light left; for each splat.
+/// Σ (α T)², pixels hit, and whether a pixel was hit with more than half of the light left; for each splat.
 pub(super) fn scores(splats: &Splats, camera: &Camera, decisions: &Decisions) -> Vec<(f64, usize, bool)> {
     let seen: Vec<Seen> = (0..splats.len()).map(|i| see(splats, i, camera, 0)).collect();
     let mut scores = vec![(0.0, 0, false); splats.len()];
@@ -155,7 +155,7 @@ pub(super) fn scores(splats: &Splats, camera: &Camera, decisions: &Decisions) ->
         let mut transmittance = 1.0;
         for &(i, clamped) in decisions {
             let alpha = if clamped { 0.99 } else { alpha(&seen[i], p) };
-            scores[i].0 += alpha * transmittance;
+            scores[i].0 += (alpha * transmittance).powi(2);
             scores[i].1 += 1;
             scores[i].2 |= transmittance > 0.5;
             transmittance *= 1.0 - alpha;
