@@ -8,7 +8,8 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use cosurf_link::{
-    Identity, InboxLimits, ModelStore, Node, NodeEvent, Offer, Transport, body_to_model, model_to_body,
+    Credentials, Identity, InboxLimits, ModelStore, Node, NodeEvent, Offer, Transport, body_to_model,
+    model_to_body,
 };
 use cosurf_scene::report::AgentEvent;
 use cosurf_scene::{Camera, Splats, ply};
@@ -30,6 +31,8 @@ pub struct Publication<'a> {
     pub cameras: &'a [Camera],
     /// What each splat gives to the pictures, in any unit: what gives most is sent first.
     pub importance: &'a [f32],
+    /// The frame of the model, the key that signs it, and whose global models are believed.
+    pub credentials: &'a Credentials,
     /// The agent's folder.
     pub out: &'a Path,
     /// Whether to wait for a global model.
@@ -64,6 +67,7 @@ pub fn publish<T: Transport>(
         stored_max: 64,
     };
     let mut node = Node::new(identity, limits, &known);
+    node.believe(publication.credentials.clone());
     let offer = offer(publication)?;
     let (own, bytes_total) = (offer.header.model, offer.header.body_bytes);
     node.upload(offer);

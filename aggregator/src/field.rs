@@ -9,10 +9,11 @@ use std::time::Duration;
 
 use cosurf_link::mqtt::{BadAddress, TlsError};
 use cosurf_link::{
-    BrokerAddress, Identity, InboxLimits, MqttConfig, MqttTransport, Role, SerialConfig, Tls, next_session,
+    BrokerAddress, Credentials, Identity, InboxLimits, MqttConfig, MqttTransport, Role, SerialConfig, Tls,
+    next_session,
 };
 use cosurf_scene::{SceneError, TlsFiles};
-use cosurf_wire::{DeviceId, SiteId};
+use cosurf_wire::{DeviceId, FrameId, SiteId};
 use serde::Deserialize;
 
 use crate::broker::{Broker, BrokerError};
@@ -43,6 +44,12 @@ pub struct AggregatorConfig {
     pub broker: Option<String>,
     /// Certificates, with a broker of `mqtts://`.
     pub tls: Option<TlsFiles>,
+    /// The world frame of the coordinates, the same for all whose models are joined; absent for `local`.
+    pub frame: Option<FrameId>,
+    /// The secret key to sign with, as the command `key` writes it; absent for no signature.
+    pub key: Option<PathBuf>,
+    /// The list of those whose models are taken, a line of the command `key` for each; absent for everybody.
+    pub trusted: Option<PathBuf>,
     /// Bytes of models that may be on their way in at once.
     #[serde(default = "default_memory_bytes")]
     pub memory_bytes: u64,
@@ -138,6 +145,11 @@ pub fn serve(
     say_of_lines: impl Fn(GatewayEvent) + Clone + Send + 'static,
 ) -> Result<(), FieldError> {
     let Host { clock_s, threads } = host;
+    let credentials = Credentials::load(
+        config.frame.unwrap_or_default(),
+        config.key.as_deref(),
+        config.trusted.as_deref(),
+    )?;
     let (_embedded, broker) = reach_broker(config)?;
     let tls = Tls::for_broker(&broker, config.tls.as_ref())?;
     let gateway = |line| Gateway::start(config.site, broker.clone(), tls.clone(), line, say_of_lines.clone());
@@ -163,7 +175,8 @@ pub fn serve(
         }),
         merge: MergeSettings { memory_bytes: config.merge_memory_bytes, ..MergeSettings::default() },
         threads,
-    })?;
+    })?
+    .with(credentials);
     let mut transport = MqttTransport::start(MqttConfig { broker, identity, tls });
     let (mut connected, mut outcome) = (false, Ok(()));
     service.run(&mut transport, now, commands, |event| {

@@ -41,6 +41,7 @@ enum Commands {
     Eval(cli::eval::EvalArgs),
     Mesh(cli::mesh::MeshArgs),
     EvalMesh(cli::eval_mesh::EvalMeshArgs),
+    Key(cli::key::KeyArgs),
     Merge(cli::merge::MergeArgs),
     Mission(MissionArgs),
     Run(RunArgs),
@@ -120,6 +121,7 @@ struct RunArgs {
 
 fn main() -> ExitCode {
     let outcome = match Cli::parse().command {
+        Commands::Key(args) => cli::key::run(&args),
         Commands::Eval(args) => cli::eval::run(args),
         Commands::Merge(args) => cli::merge::run(&args),
         Commands::Mission(args) => mission(args),

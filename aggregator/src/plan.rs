@@ -173,6 +173,9 @@ impl Plan {
             color_only: false,
             prune: None,
             exposure: false,
+            frame: None,
+            key: None,
+            trusted: None,
             wait_global: true,
         };
         let text = toml::to_string(&config)

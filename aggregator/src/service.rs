@@ -30,7 +30,8 @@ use std::sync::mpsc::Receiver;
 use std::time::Duration;
 
 use cosurf_link::{
-    BodyFault, Identity, InboxLimits, Model, ModelKey, ModelStore, Node, StoreError, Transport, body_to_model,
+    BodyFault, Credentials, Identity, InboxLimits, Model, ModelKey, ModelStore, Node, StoreError, Transport,
+    body_to_model,
 };
 use cosurf_scene::SceneError;
 use cosurf_scene::bytes::format_bytes;
@@ -189,6 +190,12 @@ impl Service {
         let (identity, limits) = (config.identity, config.limits);
         let (keeper, known) = Keeper::open(config)?;
         Ok(Self { node: Node::new(identity, limits, &known), keeper })
+    }
+
+    /// Signs what it sends by these, and takes only what they believe.
+    pub fn with(mut self, credentials: Credentials) -> Self {
+        self.node.believe(credentials);
+        self
     }
 
     /// Serves until told to finish, or until `on_event` breaks. Returns what is announced of the newest

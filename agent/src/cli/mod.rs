@@ -1,6 +1,7 @@
 //! What the words of the command line mean.
 
 mod eval;
+mod key;
 mod progress;
 mod render;
 mod run;
@@ -27,6 +28,7 @@ enum Command {
     Eval(eval::EvalArgs),
     Render(render::RenderArgs),
     Run(run::RunArgs),
+    Key(key::KeyArgs),
 }
 
 /// What several commands share.
@@ -92,5 +94,6 @@ pub(crate) fn run(cli: Cli) -> Result<()> {
         Command::Eval(args) => eval::run(&args),
         Command::Render(args) => render::run(&args),
         Command::Run(args) => run::run(&args),
+        Command::Key(args) => key::run(&args),
     }
 }

@@ -12,12 +12,12 @@ use cosurf_agent::session::{Split, TrainPlan};
 use cosurf_engine::{PruneSettings, Renderer, SurfaceSettings};
 use cosurf_link::serial::{DEFAULT_BAUD, DEVICE_MESSAGE_BYTES};
 use cosurf_link::{
-    BrokerAddress, Identity, MqttConfig, MqttTransport, Role, SerialConfig, SerialTransport, Tls,
-    next_session,
+    BrokerAddress, Credentials, Identity, MqttConfig, MqttTransport, Role, SerialConfig, SerialTransport,
+    Tls, next_session,
 };
 use cosurf_scene::report::AgentEvent;
 use cosurf_scene::{AgentConfig, Camera, ply};
-use cosurf_wire::{DeviceId, SiteId};
+use cosurf_wire::{DeviceId, FrameId, SiteId};
 
 use super::progress::Progress;
 use super::{cores, default_memory, train};
@@ -39,6 +39,9 @@ pub(super) fn run(args: &RunArgs) -> Result<()> {
     let config: AgentConfig = toml::from_str(&text).with_context(|| args.config.display().to_string())?;
     let device = DeviceId::new(&config.device).with_context(|| format!("device {:?}", config.device))?;
     let site = SiteId::new(&config.site).with_context(|| format!("site {:?}", config.site))?;
+    let frame = config.frame.as_deref().map(FrameId::new).transpose().context("frame")?;
+    let credentials =
+        Credentials::load(frame.unwrap_or_default(), config.key.as_deref(), config.trusted.as_deref())?;
     let route = Route::of(&config)?;
     let plan = plan(&config).with_context(|| args.config.display().to_string())?;
     let mut progress = Progress::new(args.json);
@@ -57,6 +60,7 @@ pub(super) fn run(args: &RunArgs) -> Result<()> {
         splats: &splats,
         cameras: &cameras,
         importance: &importance,
+        credentials: &credentials,
         out: &config.out,
         wait_global: config.wait_global,
         inbox_bytes: plan.memory_bytes / 2,

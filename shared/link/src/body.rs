@@ -2,10 +2,13 @@
 
 use cosurf_scene::{Camera, Pose, Splats};
 use cosurf_wire::body::{BodyError, BodyHead, BodyPlan, CameraRecord};
-use cosurf_wire::{BodyCodec, BodyHash, DeviceId, MAX_CHUNK_BYTES, ModelHeader, ModelId, ModelKind};
+use cosurf_wire::{
+    BodyCodec, BodyHash, DeviceId, FrameId, MAX_CHUNK_BYTES, ModelHeader, ModelId, ModelKind, SiteId,
+};
 use glam::{DQuat, DVec2, DVec3};
 
 use crate::codec::{check_body, model_to_body, plain_importance};
+use crate::trust::Credentials;
 
 /// What travels of a model: splats and the cameras that saw them; pictures stay home.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -96,6 +99,7 @@ impl Offer {
             device,
             model,
             kind,
+            frame: FrameId::default(),
             codec: BodyCodec::Packed,
             sh_degree,
             splats,
@@ -105,9 +109,22 @@ impl Offer {
             body_bytes: body.len() as u64,
             chunk_bytes: MAX_CHUNK_BYTES as u32,
             blake3: body_hash(&body),
+            signature: None,
         };
         check_body(&header, &body)?;
         Ok(Self { header, body })
+    }
+}
+
+impl Offer {
+    /// The same in its sender's frame, signed by its key where it has one.
+    pub fn with(mut self, site: &SiteId, credentials: &Credentials) -> Self {
+        self.header.frame = credentials.frame;
+        self.header.signature = None;
+        if let Some(key) = &credentials.key {
+            key.sign(site, &mut self.header);
+        }
+        self
     }
 }
 

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use cosurf_wire::{
-    BodyHash, Chunk, Done, Message, ModelHeader, ModelKind, RefusalReason, Refused, Reply, Topic,
+    BodyHash, Chunk, Done, Message, ModelHeader, ModelId, ModelKind, RefusalReason, Refused, Reply, Topic,
 };
 
 use crate::ModelKey;
@@ -15,6 +15,7 @@ use crate::node::{Identity, Role};
 use crate::pacing::{ABANDONED, STALLED};
 use crate::transfer::{ChunkOutcome, Phase, Transfer};
 use crate::transport::Outgoing;
+use crate::trust::Credentials;
 
 /// Answers waiting to be sent; what does not fit is not answered, and asked again.
 const REPLIES_MAX: usize = 256;
@@ -22,7 +23,7 @@ const REPLIES_MAX: usize = 256;
 /// What a receiver takes at most.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct InboxLimits {
-    /// Bytes of one body.
+    /// Bytes of one body, and of its model once it is unpacked.
     pub body_bytes_max: u64,
     /// Bytes of all unfinished bodies together; the memory the inbox may take.
     pub total_bytes_max: u64,
@@ -70,6 +71,7 @@ pub enum InboxEvent {
 #[derive(Debug)]
 pub struct Inbox {
     identity: Identity,
+    credentials: Credentials,
     limits: InboxLimits,
     transfers: BTreeMap<ModelKey, Transfer>,
     stored: BTreeMap<ModelKey, BodyHash>,
@@ -83,6 +85,7 @@ impl Inbox {
     pub fn new(identity: Identity, limits: InboxLimits, stored: &[ModelHeader]) -> Self {
         let mut inbox = Self {
             identity,
+            credentials: Credentials::default(),
             limits,
             transfers: BTreeMap::new(),
             stored: BTreeMap::new(),
@@ -93,12 +96,24 @@ impl Inbox {
         inbox
     }
 
+    /// From now on takes only what these believe.
+    pub fn believe(&mut self, credentials: Credentials) {
+        self.credentials = credentials;
+    }
+
+    pub(crate) fn credentials(&self) -> &Credentials {
+        &self.credentials
+    }
+
     /// Takes an offer that came under `topic`.
     pub fn on_header(&mut self, now: Duration, topic: &Topic, header: ModelHeader) -> Option<InboxEvent> {
         let key = ModelKey::from(&header);
         let replies = self.replies_for(topic)?;
         if !is_honest(topic, &header) {
             return self.on_bad_header(topic);
+        }
+        if let Err(reason) = self.credentials.check(&self.identity.site, &header, self.newest_stored(key)) {
+            return self.turn_away(topic, key, reason);
         }
         if let Some(hash) = self.stored.get(&key) {
             return match *hash == header.blake3 {
@@ -214,7 +229,8 @@ impl Inbox {
 
     fn accept(&mut self, now: Duration, topic: &Topic, header: ModelHeader) -> Option<InboxEvent> {
         let key = ModelKey::from(&header);
-        if header.body_bytes > self.limits.body_bytes_max.min(self.limits.total_bytes_max) {
+        let bytes = header.body_bytes.max(header.unpacked_bytes());
+        if bytes > self.limits.body_bytes_max.min(self.limits.total_bytes_max) {
             return self.turn_away(topic, key, RefusalReason::TooLarge);
         }
         if header.kind == ModelKind::Global {
@@ -225,6 +241,15 @@ impl Inbox {
         }
         self.transfers.insert(key, Transfer::new(now, header, self.replies_for(topic)?));
         Some(InboxEvent::Receiving(header))
+    }
+
+    /// The greatest number stored of a model's device, but for its own.
+    fn newest_stored(&self, key: ModelKey) -> Option<ModelId> {
+        let (first, last) =
+            (ModelKey { model: ModelId(0), ..key }, ModelKey { model: ModelId(u64::MAX), ..key });
+        let newest = self.stored.range(first..=last).next_back()?.0.model;
+        // What is stored under a number is asked about again where an answer was lost: that is no replay.
+        (!self.stored.contains_key(&key)).then_some(newest)
     }
 
     /// Where wants about what came under `topic` go; `None` where this side receives no such thing.

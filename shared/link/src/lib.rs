@@ -23,6 +23,7 @@ mod session;
 pub mod store;
 mod transfer;
 pub mod transport;
+pub mod trust;
 pub mod uploader;
 
 pub use body::{BodyFault, Model, Offer};
@@ -36,6 +37,7 @@ pub use serial::{SerialConfig, SerialTransport};
 pub use session::next_session;
 pub use store::{ModelStore, StoreError};
 pub use transport::{Outgoing, PublishError, Transport, TransportEvent};
+pub use trust::{Credentials, SecretKey, Trusted};
 pub use uploader::{UploadProgress, Uploader};
 
 use cosurf_wire::{DeviceId, ModelHeader, ModelId};

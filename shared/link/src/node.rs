@@ -12,7 +12,7 @@ use cosurf_wire::{
 use crate::inbox::{Inbox, InboxAction, InboxEvent, InboxLimits};
 use crate::transport::{Outgoing, PublishError, Transport, TransportEvent};
 use crate::uploader::{UploadEvent, UploadProgress, Uploader};
-use crate::{ModelKey, Offer};
+use crate::{Credentials, ModelKey, Offer};
 
 /// Messages sent between two looks at what has come in. Ours: half a window.
 const BURST: usize = 16;
@@ -149,9 +149,16 @@ impl Node {
         }
     }
 
+    /// From now on sends models in the frame of `credentials` and signed by their key, and takes only such as
+    /// they believe.
+    pub fn believe(&mut self, credentials: Credentials) {
+        self.inbox.believe(credentials);
+    }
+
     /// Begins to offer a device's own model to the aggregator. An offer of the same model that is under
     /// way is replaced.
     pub fn upload(&mut self, offer: Offer) {
+        let offer = offer.with(&self.identity.site, self.inbox.credentials());
         let uploader = Uploader::local(self.identity.site, offer);
         self.uploaders.retain(|old| old.key() != uploader.key());
         self.uploaders.push(uploader);
@@ -161,6 +168,7 @@ impl Node {
     /// `receivers`.
     pub fn broadcast(&mut self, tile: TileId, offer: Offer, receivers: &[DeviceId]) {
         self.uploaders.retain(|old| old.tile() != Some(tile));
+        let offer = offer.with(&self.identity.site, self.inbox.credentials());
         self.uploaders.push(Uploader::global(self.identity.site, tile, offer, receivers));
     }
 

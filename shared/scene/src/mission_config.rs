@@ -68,6 +68,15 @@ pub struct AgentConfig {
     /// Learn an exposure for each photograph, for cameras that choose their own.
     #[serde(default)]
     pub exposure: bool,
+    /// The world frame of the coordinates, the same for all whose models are joined; absent for `local`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub frame: Option<String>,
+    /// The secret key to sign with, as the command `key` writes it; absent for no signature.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub key: Option<PathBuf>,
+    /// The list of those whose models are taken, a line of the command `key` for each; absent for everybody.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub trusted: Option<PathBuf>,
     /// Whether to wait, after the upload, for the global model and keep it.
     #[serde(default)]
     pub wait_global: bool,

@@ -64,6 +64,14 @@ impl Name {
         Ok(Self { bytes, len: text.len() as u8 })
     }
 
+    /// A name that is known to be one.
+    const fn literal(text: &str) -> Self {
+        let mut bytes = [0; MAX_ID_BYTES];
+        let (head, _) = bytes.split_at_mut(text.len());
+        head.copy_from_slice(text.as_bytes());
+        Self { bytes, len: text.len() as u8 }
+    }
+
     fn as_str(&self) -> &str {
         // ASCII by construction, so this cannot fail.
         core::str::from_utf8(&self.bytes[..usize::from(self.len)]).unwrap_or_default()
@@ -150,17 +158,18 @@ named!(SiteId, [""; 0], "A survey site: everything below one aggregator.");
 named!(DeviceId, ["global"], "A drone, or an aggregator, unique in its site; not the word `global`.");
 named!(TileId, [""; 0], "A part of a site with a global model of its own.");
 
+named!(FrameId, [""; 0], "A world frame: models that name the same one can be joined as they are.");
+
+impl Default for FrameId {
+    /// `local`: whoever makes the models has put them into one frame.
+    fn default() -> Self {
+        Self(Name::literal("local"))
+    }
+}
+
 impl TileId {
     /// The one tile of a site that is not divided.
-    pub const WHOLE: Self = {
-        let mut bytes = [0; MAX_ID_BYTES];
-        bytes[0] = b'w';
-        bytes[1] = b'h';
-        bytes[2] = b'o';
-        bytes[3] = b'l';
-        bytes[4] = b'e';
-        Self(Name { bytes, len: 5 })
-    };
+    pub const WHOLE: Self = Self(Name::literal("whole"));
 }
 
 /// A model of one device: a counter that the device keeps and never uses twice for different bytes.

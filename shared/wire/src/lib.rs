@@ -13,7 +13,7 @@
 //!
 //! | Message | from → to | Topic under `gs/v1/{site}` | retained | means |
 //! |---|---|---|---|---|
-//! | [`ModelHeader`] | device → aggregator | `/{device}/up/{model}/m` | yes | this model exists; sizes, bounds, BLAKE3 |
+//! | [`ModelHeader`] | device → aggregator | `/{device}/up/{model}/m` | yes | this model exists; sizes, bounds, frame, BLAKE3, signature |
 //! | [`Chunk`] | device → aggregator | `/{device}/up/{model}/c/{index}` | no | bytes `index * chunk_bytes ..` of the body |
 //! | [`Want`] | aggregator → device | `/{device}/dn/want` | no | what I have, and what I still lack |
 //! | [`Done`] | aggregator → device | `/{device}/dn/done` | no | the body with this hash is on my disk |
@@ -42,10 +42,10 @@ pub mod missing;
 pub mod topic;
 
 pub use body::{Bounds, CameraRecord};
-pub use id::{DeviceId, IdError, ModelId, SiteId, TileId};
+pub use id::{DeviceId, FrameId, IdError, ModelId, SiteId, TileId};
 pub use message::{
     BodyCodec, BodyHash, Chunk, Done, HeaderError, MAX_CHUNK_BYTES, MAX_CONTROL_BYTES, MAX_MESSAGE_BYTES,
-    Message, ModelHeader, ModelKind, RefusalReason, Refused, State, VERSION, Want, WireError,
+    Message, ModelHeader, ModelKind, RefusalReason, Refused, Signature, State, VERSION, Want, WireError,
 };
 pub use missing::{Knowledge, Missing};
 pub use topic::{MAX_TOPIC_BYTES, Reply, Topic, TopicError, TopicString};

@@ -6,7 +6,7 @@ use core::fmt;
 use serde::{Deserialize, Serialize};
 
 use crate::body::{Bounds, CAMERA_BYTES, MAX_SH_DEGREE, body_bytes_range, sh_rest};
-use crate::id::{DeviceId, ModelId};
+use crate::id::{DeviceId, FrameId, ModelId, SiteId};
 use crate::missing::Missing;
 
 /// Version of the messages: the first byte of each.
@@ -15,10 +15,15 @@ pub const VERSION: u8 = 2;
 const CHECKSUM_BYTES: usize = 4;
 /// Largest payload of a chunk. Brokers take 64 KiB everywhere and gain little beyond.
 pub const MAX_CHUNK_BYTES: usize = 64 * 1024;
-/// Largest encoding of any message but a chunk (a [`Want`]; a test holds it to that).
-pub const MAX_CONTROL_BYTES: usize = 186;
+/// Largest encoding of any message but a chunk (a [`ModelHeader`]; a test holds it to that).
+pub const MAX_CONTROL_BYTES: usize = 300;
 /// Largest encoding of any message (a [`Chunk`]; a test holds it to that).
 pub const MAX_MESSAGE_BYTES: usize = MAX_CHUNK_BYTES + 57;
+
+/// Largest statement that is signed (a test holds it to that).
+pub const MAX_STATEMENT_BYTES: usize = 384;
+/// Begins every statement, so that a signature of something else is never one of a model.
+const STATEMENT: &str = "cosurf model";
 
 /// All that is ever said.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -47,6 +52,8 @@ pub struct ModelHeader {
     pub model: ModelId,
     /// What it covers.
     pub kind: ModelKind,
+    /// The world frame that its coordinates are in.
+    pub frame: FrameId,
     /// How the body is laid out.
     pub codec: BodyCodec,
     /// 0 to 3.
@@ -65,6 +72,17 @@ pub struct ModelHeader {
     pub chunk_bytes: u32,
     /// BLAKE3 of the whole body.
     pub blake3: BodyHash,
+    /// Its maker's, of [`Self::statement`]; absent where nobody asks for it.
+    pub signature: Option<Signature>,
+}
+
+/// An ed25519 signature.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Signature {
+    /// Its first half.
+    pub r: [u8; 32],
+    /// Its second half.
+    pub s: [u8; 32],
 }
 
 /// What a model covers.
@@ -177,6 +195,16 @@ pub enum RefusalReason {
     StoreFailed,
     /// Its device was withdrawn; a newer model of it is welcome.
     Withdrawn,
+    /// Its coordinates are in another world frame.
+    WrongFrame,
+    /// The receiver has a list of keys, and none of its device.
+    UnknownDevice,
+    /// It is not signed, or not by its device, or has been changed since.
+    BadSignature,
+    /// The key that signed it counts no more.
+    Revoked,
+    /// A greater number of its device is stored: somebody sends an old one again.
+    Replayed,
 }
 
 impl RefusalReason {
@@ -198,6 +226,13 @@ impl fmt::Display for RefusalReason {
             Self::NumberTaken => "another model is stored under its number: publish it under a new number",
             Self::Withdrawn => "its device was withdrawn: a model of a later flight is welcome",
             Self::StoreFailed => "the receiver could not store it: look at the receiver's disk",
+            Self::WrongFrame => "it is in another world frame: set the same `frame` on both sides",
+            Self::UnknownDevice => "the receiver has no key of its device: add the device to its list",
+            Self::BadSignature => {
+                "it is not signed by its device: check `key` there, and the device's line in the receiver's list"
+            }
+            Self::Revoked => "the key that signed it is revoked: give the device a new one",
+            Self::Replayed => "a greater number of its device is stored: publish it under a new number",
         })
     }
 }
@@ -276,6 +311,15 @@ impl ModelHeader {
     pub fn unpacked_bytes(&self) -> u64 {
         let splat = 44 + 4 * (3 + sh_rest(self.sh_degree)) as u64;
         u64::from(self.splats) * splat + u64::from(self.cameras) * CAMERA_BYTES as u64
+    }
+
+    /// What its maker signs: all that it says but for the size of chunks, which is the link's affair, and the
+    /// site that it is said on.
+    pub fn statement<'o>(&self, site: &SiteId, out: &'o mut [u8; MAX_STATEMENT_BYTES]) -> &'o [u8] {
+        let said = Self { chunk_bytes: 0, signature: None, ..*self };
+        // A test writes the longest.
+        let used = postcard::to_slice(&(STATEMENT, VERSION, site, said), out).map_or(0, |used| used.len());
+        &out[..used]
     }
 
     /// Whether the sizes agree with each other.

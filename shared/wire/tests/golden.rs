@@ -1,0 +1,278 @@
+//! Every message and every part of a body, byte for byte: who changes one of these changes the version.
+#![allow(clippy::unwrap_used)]
+
+use cosurf_wire::body::{
+    BodyHead, BodyPlan, HEAD_BYTES, PACK_ENTRY_BYTES, PackEntry, PackForm, PackKind, SHAPE_BYTES, ShLayout,
+    Shape, read_shapes, write_shapes,
+};
+use cosurf_wire::message::MAX_STATEMENT_BYTES;
+use cosurf_wire::missing::MISSING_BITMAP_BYTES;
+use cosurf_wire::{
+    BodyCodec, BodyHash, Bounds, Chunk, DeviceId, Done, FrameId, HeaderError, MAX_CHUNK_BYTES,
+    MAX_CONTROL_BYTES, MAX_MESSAGE_BYTES, Message, Missing, ModelHeader, ModelId, ModelKind, RefusalReason,
+    Refused, Signature, SiteId, State, VERSION, Want, WireError,
+};
+
+fn header() -> ModelHeader {
+    ModelHeader {
+        device: DeviceId::new("d-1").unwrap(),
+        model: ModelId(300),
+        kind: ModelKind::Local,
+        frame: FrameId::new("enu").unwrap(),
+        codec: BodyCodec::Packed,
+        sh_degree: 2,
+        splats: 1000,
+        cameras: 7,
+        views: 8,
+        bounds: Bounds { min: [-1.0, 0.0, 0.5], max: [1.0, 2.0, 4.0] },
+        body_bytes: 16_000,
+        chunk_bytes: 4096,
+        blake3: BodyHash([0xab; 32]),
+        signature: Some(Signature { r: [0x11; 32], s: [0x22; 32] }),
+    }
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// Version, variant, fields in their order, CRC-32.
+#[test]
+fn messages_have_these_bytes() {
+    let (device, model) = (DeviceId::new("d-1").unwrap(), ModelId(300));
+    let header_bytes = "0200".to_owned()
+        + "03642d31" // device
+        + "ac02" // model
+        + "00" // kind
+        + "03656e75" // frame
+        + "00" // codec
+        + "02" // degree
+        + "e807" // splats
+        + "07" // cameras
+        + "08" // views
+        + "000080bf000000000000003f0000803f0000004000008040" // bounds
+        + "807d" // body bytes
+        + "8020" // chunk bytes
+        + &"ab".repeat(32) // hash
+        + "01" + &"11".repeat(32) + &"22".repeat(32); // signature
+    let missing = Missing::of(20, |i| i < 3 || i == 5);
+    let table = [
+        (Message::Header(header()), header_bytes),
+        (
+            Message::Chunk(Chunk { device, model, index: 200, payload: &[1, 2, 3] }),
+            "0201 03642d31 ac02 c801 03 010203".to_owned(),
+        ),
+        (
+            Message::Want(Want { device, model, idle: true, missing }),
+            "0202 03642d31 ac02 01 03 01 03 06".into(),
+        ),
+        (
+            Message::Done(Done { device, model, blake3: BodyHash([0xcd; 32]) }),
+            "0203 03642d31 ac02".to_owned() + &"cd".repeat(32),
+        ),
+        (Message::State(State { device, session: 77, alive: true }), "0204 03642d31 4d 01".into()),
+        (
+            Message::Refused(Refused { device, model, reason: RefusalReason::Replayed }),
+            "0205 03642d31 ac02 0b".into(),
+        ),
+    ];
+    for (message, expected) in table {
+        let mut buffer = [0; 1024];
+        let bytes = message.encode(&mut buffer).unwrap();
+        let (content, checksum) = bytes.split_last_chunk::<4>().unwrap();
+        assert_eq!(hex(content), expected.replace(' ', ""), "{message:?}");
+        assert_eq!(crc32fast::hash(content), u32::from_le_bytes(*checksum));
+        assert_eq!(Message::decode(bytes).unwrap(), message);
+    }
+}
+
+/// The order of reasons is the wire's too.
+#[test]
+fn reasons_have_these_numbers() {
+    use RefusalReason::*;
+    let reasons = [
+        BadHeader,
+        TooLarge,
+        Busy,
+        BadBody,
+        NumberTaken,
+        StoreFailed,
+        Withdrawn,
+        WrongFrame,
+        UnknownDevice,
+        BadSignature,
+        Revoked,
+        Replayed,
+    ];
+    for (number, reason) in reasons.into_iter().enumerate() {
+        let (device, model) = (DeviceId::new("d").unwrap(), ModelId(0));
+        let mut buffer = [0; 64];
+        let bytes = Message::Refused(Refused { device, model, reason }).encode(&mut buffer).unwrap();
+        assert_eq!(usize::from(bytes[bytes.len() - 5]), number, "{reason:?}");
+    }
+}
+
+#[test]
+fn the_largest_messages_are_as_large_as_is_said() {
+    let name = "x".repeat(cosurf_wire::id::MAX_ID_BYTES);
+    let (device, model) = (DeviceId::new(&name).unwrap(), ModelId(u64::MAX));
+    let frame = FrameId::new(&name).unwrap();
+    let largest = ModelHeader {
+        device,
+        model,
+        frame,
+        splats: u32::MAX,
+        cameras: u32::MAX,
+        views: u32::MAX,
+        body_bytes: u64::MAX,
+        chunk_bytes: u32::MAX,
+        ..header()
+    };
+    let mut buffer = vec![0; MAX_MESSAGE_BYTES];
+    let mut bytes_of = |message: Message<'_>| message.encode(&mut buffer).unwrap().len();
+    let missing =
+        Missing::of(u32::MAX, |i| i % 2 == 1 && i < 16 * MISSING_BITMAP_BYTES as u32 || i == u32::MAX - 2);
+    let controls = [
+        bytes_of(Message::Header(largest)),
+        bytes_of(Message::Want(Want { device, model, idle: true, missing })),
+        bytes_of(Message::Done(Done { device, model, blake3: BodyHash([0; 32]) })),
+        bytes_of(Message::State(State { device, session: u64::MAX, alive: true })),
+        bytes_of(Message::Refused(Refused { device, model, reason: RefusalReason::Busy })),
+    ];
+    assert_eq!(controls.iter().max(), Some(&MAX_CONTROL_BYTES), "{controls:?}");
+    let payload = vec![0; MAX_CHUNK_BYTES];
+    let chunk = bytes_of(Message::Chunk(Chunk { device, model, index: u32::MAX, payload: &payload }));
+    assert!(chunk <= MAX_MESSAGE_BYTES && chunk + 64 > MAX_MESSAGE_BYTES, "{chunk}");
+    let site = SiteId::new(&name).unwrap();
+    let mut statement = [0; MAX_STATEMENT_BYTES];
+    assert!(largest.statement(&site, &mut statement).len() > 200, "the longest statement fits");
+}
+
+/// What is signed is all but the size of chunks and the signature.
+#[test]
+fn every_field_is_part_of_the_statement() {
+    let site = SiteId::new("s").unwrap();
+    let statement = |header: &ModelHeader| header.statement(&site, &mut [0; MAX_STATEMENT_BYTES]).to_vec();
+    let base = header();
+    let same = ModelHeader { chunk_bytes: 9, signature: None, ..base };
+    assert_eq!(statement(&same), statement(&base));
+    let bounds = Bounds { min: [-2.0, 0.0, 0.5], ..base.bounds };
+    let others = [
+        ModelHeader { device: DeviceId::new("d-2").unwrap(), ..base },
+        ModelHeader { model: ModelId(301), ..base },
+        ModelHeader { kind: ModelKind::Global, ..base },
+        ModelHeader { frame: FrameId::default(), ..base },
+        ModelHeader { sh_degree: 1, ..base },
+        ModelHeader { splats: 1001, ..base },
+        ModelHeader { cameras: 8, ..base },
+        ModelHeader { views: 9, ..base },
+        ModelHeader { bounds, ..base },
+        ModelHeader { body_bytes: 16_001, ..base },
+        ModelHeader { blake3: BodyHash([0xac; 32]), ..base },
+    ];
+    for other in others {
+        assert_ne!(statement(&other), statement(&base), "{other:?}");
+    }
+    let elsewhere = SiteId::new("t").unwrap();
+    assert_ne!(base.statement(&elsewhere, &mut [0; MAX_STATEMENT_BYTES]), statement(&base));
+}
+
+#[test]
+fn versions_damage_and_contradictions_are_told_apart() {
+    let mut buffer = [0; MAX_CONTROL_BYTES];
+    let sane = Message::Header(header()).encode(&mut buffer).unwrap().to_vec();
+    let resealed = |change: &dyn Fn(&mut Vec<u8>)| {
+        let mut bytes = sane[..sane.len() - 4].to_vec();
+        change(&mut bytes);
+        let checksum = crc32fast::hash(&bytes).to_le_bytes();
+        [bytes, checksum.to_vec()].concat()
+    };
+    let decoded = |bytes: &[u8]| Message::decode(bytes).map(|_| ()).unwrap_err();
+    assert_eq!(decoded(&[]), WireError::Empty);
+    assert_eq!(decoded(&sane[..sane.len() - 1]), WireError::Damaged);
+    assert_eq!(decoded(&resealed(&|bytes| bytes[0] = VERSION + 1)), WireError::UnknownVersion(VERSION + 1));
+    assert_eq!(decoded(&resealed(&|bytes| bytes[0] = VERSION - 1)), WireError::UnknownVersion(VERSION - 1));
+    assert_eq!(decoded(&resealed(&|bytes| bytes[1] = 99)), WireError::Malformed);
+    assert_eq!(decoded(&resealed(&|bytes| bytes.push(0))), WireError::TrailingBytes);
+    type Spoil = fn(&mut ModelHeader);
+    let contradictions: [(Spoil, HeaderError); 6] = [
+        (|h| h.sh_degree = 4, HeaderError::ShDegree),
+        (|h| h.body_bytes = 100, HeaderError::BodyBytes),
+        (|h| h.splats = u32::MAX, HeaderError::BodyBytes),
+        (|h| h.chunk_bytes = 0, HeaderError::ChunkBytes),
+        (|h| h.chunk_bytes = MAX_CHUNK_BYTES as u32 + 1, HeaderError::ChunkBytes),
+        (|h| h.bounds.max[1] = f32::NAN, HeaderError::Bounds),
+    ];
+    for (spoil, error) in contradictions {
+        let mut header = header();
+        spoil(&mut header);
+        let bytes = Message::Header(header).encode(&mut buffer).unwrap();
+        assert_eq!(decoded(bytes), WireError::Header(error));
+    }
+}
+
+#[test]
+fn a_body_begins_with_these_bytes() {
+    let entries = [
+        PackEntry {
+            kind: PackKind::Cameras,
+            form: PackForm::Stored,
+            layer: 0,
+            splats: 0,
+            bytes: 96,
+            crc32: 7,
+        },
+        PackEntry { kind: PackKind::Shapes, form: PackForm::Zstd, layer: 2, splats: 9, bytes: 150, crc32: 8 },
+    ];
+    let mut body = vec![0; HEAD_BYTES + 2 * PACK_ENTRY_BYTES];
+    for (entry, out) in entries.iter().zip(body[HEAD_BYTES..].as_chunks_mut().0) {
+        entry.encode(out);
+    }
+    let bounds = Bounds { min: [-1.0, 0.0, 0.5], max: [1.0, 2.0, 4.0] };
+    let head = BodyHead { splats: 9, cameras: 1, sh_degree: 0, packs: 2, bounds };
+    head.encode(&mut body);
+    let expected = "43534742 02 00 0200 09000000 01000000".to_owned()
+        + "000080bf000000000000003f0000803f0000004000008040"
+        + "CHECKSUM"
+        + "80 00 0000 60000000 07000000"
+        + "01 02 0900 96000000 08000000";
+    let checksum = hex(&body[40..44]);
+    assert_eq!(hex(&body), expected.replace(' ', "").replace("CHECKSUM", &checksum));
+    let plan = BodyPlan::new(&body).unwrap();
+    assert_eq!((plan.head(), plan.body_bytes()), (&head, 68 + 96 + 150));
+    let ranges: Vec<_> = plan.packs().map(|pack| pack.range).collect();
+    assert_eq!(ranges, [68..164, 164..314]);
+}
+
+#[test]
+fn shapes_have_these_planes() {
+    let shape = |x: u16| Shape {
+        position: [x, 258, 0],
+        quat: [1022, 511, 1],
+        log_scale: [5, 6],
+        thickness: 7,
+        opacity: -2,
+        color: [3, -300, 0],
+    };
+    let shapes = [shape(10), shape(9)];
+    let mut planes = vec![0; 2 * SHAPE_BYTES];
+    write_shapes(&shapes, &mut planes);
+    let expected =
+        "1401 0000 0400 0200 0000 0000 ffff 7f7f 0000 1e1e 0505 0606 0707 fefe 5757 0202 5e5e 0202 5858 0202";
+    assert_eq!(hex(&planes), expected.replace(' ', ""));
+    assert_eq!(read_shapes(&planes).collect::<Vec<_>>(), shapes);
+}
+
+#[test]
+fn spherical_harmonics_have_these_planes() {
+    let layout = ShLayout { components: 4, wide: 1 }.check(1).unwrap();
+    let steps = [100, -8, 7, 1, -128, 0, -1, 2];
+    let mut planes = vec![0; 2 * layout.splat_bytes()];
+    layout.write(&steps, &mut planes);
+    assert_eq!(hex(&planes), "c8ff ef10 0204".replace(' ', ""));
+    let read: Vec<i8> = (0..2)
+        .flat_map(|i| (0..4).map(move |k| (i, k)))
+        .map(|(i, k)| layout.read(&planes, 2, i, k))
+        .collect();
+    assert_eq!(read, steps);
+}
