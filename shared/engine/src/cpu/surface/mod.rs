@@ -7,7 +7,7 @@
 
 mod depth;
 mod multiview;
-mod normals;
+pub(super) mod normals;
 mod plane;
 mod teacher;
 

@@ -1,7 +1,7 @@
 //! The single-view loss: blended normals agree with the normals of the depth, less so across edges of the
 //! picture (PGSR's `L_svg`).
 //!
-//! With `P = z r` the pixel's point, `h = P(x+1) - P(x-1)`, `v = P(y-1) - P(y+1)`, the depth's normal is
+//! With `P = z r` the pixel's point, `h = P(x+k) - P(x-k)`, `v = P(y-k) - P(y+k)`, the depth's normal is
 //! `n = h × v / |h × v|`, which faces the camera. The loss is the mean over pixels of `w |α n - N|₁` with α held
 //! fixed and `w = (1 - ĝ)²`, where ĝ is the picture's slope (largest of the two central differences of luma),
 //! scaled to 0..1 over the picture. Gradients go to N here, and through n to the four depths around.
@@ -14,6 +14,9 @@ use super::super::simd::{Isa, Kernel, Lanes, Row, each};
 use super::depth::{Rays, ray_y};
 use super::plane::Plane;
 use super::{Shown, band_row, bands};
+
+/// k, px. PGSR has 1; by 2 the noise of depth turns normals half as much.
+pub(crate) const REACH: usize = 2;
 
 /// The loss, not weighted; adds `weight` times its gradient to `gradient`.
 pub(super) fn loss(isa: Isa, scene: &Shown, weight: f32, gradient: &mut TileImage) -> f64 {
@@ -102,11 +105,11 @@ impl Kernel for NormalBand<'_> {
         let height = scene.image.size_px()[1];
         let rows = scene.rows(band);
         let stride = scene.depth.stride();
-        // ∂L/∂z of the band's own rows. A row's loss reaches the rows above and below it, so the rows just
-        // outside the band are worked out here too, for what they give to the band.
+        // ∂L/∂z of the band's own rows. A row's loss reaches rows above and below it, so the rows just outside the
+        // band are worked out here too, for what they give to the band.
         let mut v_depth = vec![0.0; stride * rows.len()];
         let mut sum = 0.0;
-        for y in rows.start.max(2) - 1..(rows.end + 1).min(height.max(1) - 1) {
+        for y in rows.start.max(2 * REACH) - REACH..(rows.end + REACH).min(height.saturating_sub(REACH)) {
             let own = rows.contains(&y);
             let mut line = L::zero();
             for tile_x in 0..scene.image.tiles()[0] {
@@ -129,10 +132,11 @@ impl Kernel for NormalBand<'_> {
                             (L::load(place) + v).store(place);
                         }
                     };
-                    give(y, column as isize + 1, v.right);
-                    give(y, column as isize - 1, v.left);
-                    give(y - 1, column as isize, v.above);
-                    give(y + 1, column as isize, v.below);
+                    let (x, k) = (column as isize, REACH as isize);
+                    give(y, x + k, v.right);
+                    give(y, x - k, v.left);
+                    give(y - REACH, x, v.above);
+                    give(y + REACH, x, v.below);
                 }
             }
             sum += f64::from(line.sum());
@@ -183,17 +187,19 @@ impl<L: Lanes> Pixels<L> {
     #[inline(always)]
     fn new(scene: &Shown, edges: Edges, y: usize, column: usize) -> Self {
         let (tile_x, part) = (column / TILE, column % TILE / L::N);
-        let x = column as isize;
+        let (x, k) = (column as isize, REACH as isize);
         let depth = |x: isize, y: usize| L::load(&scene.depth.line(y as isize)[Plane::at(x)..]);
-        let z = [depth(x + 1, y), depth(x - 1, y), depth(x, y - 1), depth(x, y + 1)];
+        let z = [depth(x + k, y), depth(x - k, y), depth(x, y - REACH), depth(x, y + REACH)];
         let rays = Rays::<L>::new(scene.view, y);
         let (ray_x, one) = (rays.x(column), L::splat(1.0));
         let row_y = |y: f32| L::splat(ray_y(scene.view, y));
+        let reach = REACH as f32;
+        let across = rays.step_x() * L::splat(reach);
         let rays = [
-            [ray_x + rays.step_x(), rays.y, one],
-            [ray_x - rays.step_x(), rays.y, one],
-            [ray_x, row_y(y as f32 - 1.0), one],
-            [ray_x, row_y(y as f32 + 1.0), one],
+            [ray_x + across, rays.y, one],
+            [ray_x - across, rays.y, one],
+            [ray_x, row_y(y as f32 - reach), one],
+            [ray_x, row_y(y as f32 + reach), one],
         ];
         let point = |k: usize| each!([0, 1, 2], |a| z[k] * rays[k][a]);
         let (right, left, above, below) = (point(0), point(1), point(2), point(3));
