@@ -18,7 +18,7 @@ pub const MAX_CHUNK_BYTES: usize = 64 * 1024;
 /// Largest encoding of any message but a chunk (a [`ModelHeader`]; a test holds it to that).
 pub const MAX_CONTROL_BYTES: usize = 300;
 /// Largest encoding of any message (a [`Chunk`]; a test holds it to that).
-pub const MAX_MESSAGE_BYTES: usize = MAX_CHUNK_BYTES + 57;
+pub const MAX_MESSAGE_BYTES: usize = MAX_CHUNK_BYTES + 89;
 
 /// Largest statement that is signed (a test holds it to that).
 pub const MAX_STATEMENT_BYTES: usize = 384;
