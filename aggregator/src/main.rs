@@ -50,8 +50,8 @@ enum Commands {
 /// From drone pictures to a global model and a report, on this machine.
 ///
 /// Divides the pictures among agents by area, starts a broker and each agent as a process of its own,
-/// lets them train, send and receive, and leaves global.ply, report.json and report.html in the output
-/// folder. The same command in the same folder goes on where it was stopped.
+/// lets them train, send and receive, and leaves global.ply, mesh.ply, report.json and report.html in the
+/// output folder. The same command in the same folder goes on where it was stopped.
 #[derive(Args)]
 struct MissionArgs {
     /// Pictures with poses: a COLMAP model or a transforms.json [default: a synthetic city is made]
@@ -196,7 +196,8 @@ fn print_report(report: &MissionReport, out: &Path, json: bool) -> Result<()> {
         return Ok(());
     }
     writeln!(stdout, "\n{}", table(report))?;
-    for file in ["global.ply", "report.html", "report.json"] {
+    let mesh = report.whole.mesh.map(|_| "mesh.ply");
+    for file in ["global.ply"].into_iter().chain(mesh).chain(["report.html", "report.json"]) {
         writeln!(stdout, "{}", out.join(file).display())?;
     }
     Ok(())
