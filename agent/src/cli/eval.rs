@@ -8,7 +8,7 @@ use cosurf_agent::evaluate;
 use cosurf_engine::Renderer;
 use cosurf_scene::{Dataset, View, ply};
 
-use super::{Common, model_path};
+use super::{Common, DeviceArgs, model_path};
 
 /// Score a model on the held-out views of a dataset: PSNR and SSIM as 3DGS defines them.
 #[derive(Args, Debug)]
@@ -21,6 +21,8 @@ pub(super) struct EvalArgs {
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..))]
     eval_every: u32,
     #[command(flatten)]
+    device: DeviceArgs,
+    #[command(flatten)]
     common: Common,
 }
 
@@ -30,7 +32,7 @@ pub(super) fn run(args: &EvalArgs) -> Result<()> {
     let (_, held_out) = dataset.split(args.eval_every);
     ensure!(!held_out.is_empty(), "{}: no view is held out", args.data.display());
     let views: Vec<View> = held_out.into_iter().map(|i| dataset.views[i].clone()).collect();
-    let mut renderer = Renderer::new(&splats, args.common.threads());
+    let mut renderer = Renderer::on(args.device.device, args.common.threads(), &splats)?;
     let score = evaluate::score(&mut renderer, &views, args.common.max_size_px())?;
     if args.common.json {
         println!("{}", serde_json::to_string(&score)?);

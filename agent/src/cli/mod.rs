@@ -1,5 +1,7 @@
 //! What the words of the command line mean.
 
+#[cfg(feature = "gpu")]
+mod devices;
 mod eval;
 mod key;
 mod progress;
@@ -11,6 +13,7 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::{Args, Parser, Subcommand};
+use cosurf_engine::DeviceChoice;
 use cosurf_scene::bytes::parse_bytes;
 
 /// Trains a Gaussian-surface model from drone pictures with poses, within a memory budget, on this
@@ -29,6 +32,8 @@ enum Command {
     Render(render::RenderArgs),
     Run(run::RunArgs),
     Key(key::KeyArgs),
+    #[cfg(feature = "gpu")]
+    Devices(devices::DevicesArgs),
 }
 
 /// What several commands share.
@@ -43,6 +48,14 @@ struct Common {
     /// Print JSON instead of text for people
     #[arg(long)]
     json: bool,
+}
+
+/// What renders.
+#[derive(Args, Clone, Debug)]
+struct DeviceArgs {
+    /// What computes: auto (a real graphics card if there is one), cpu, gpu, or gpu:N as `devices` counts them
+    #[arg(long, value_name = "DEVICE", default_value_t)]
+    device: DeviceChoice,
 }
 
 impl Common {
@@ -95,5 +108,7 @@ pub(crate) fn run(cli: Cli) -> Result<()> {
         Command::Render(args) => render::run(&args),
         Command::Run(args) => run::run(&args),
         Command::Key(args) => key::run(&args),
+        #[cfg(feature = "gpu")]
+        Command::Devices(args) => devices::run(&args),
     }
 }

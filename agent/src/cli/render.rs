@@ -8,7 +8,7 @@ use cosurf_agent::pictures;
 use cosurf_engine::Renderer;
 use cosurf_scene::{Dataset, ply};
 
-use super::{Common, model_path};
+use super::{Common, DeviceArgs, model_path};
 
 /// Render a model as the cameras of a dataset see it: colour, depth and normal as PNG, depth also as 32-bit
 /// floats (PFM, metres along the optical axis, 0 where there is no surface).
@@ -23,6 +23,8 @@ pub(super) struct RenderArgs {
     #[arg(long, value_name = "DIR", default_value = "out/pictures")]
     out: PathBuf,
     #[command(flatten)]
+    device: DeviceArgs,
+    #[command(flatten)]
     common: Common,
 }
 
@@ -30,7 +32,7 @@ pub(super) fn run(args: &RenderArgs) -> Result<()> {
     let splats = ply::read(&model_path(&args.model))?;
     let dataset = Dataset::open(&args.cameras)?;
     std::fs::create_dir_all(&args.out).with_context(|| args.out.display().to_string())?;
-    let mut renderer = Renderer::new(&splats, args.common.threads());
+    let mut renderer = Renderer::on(args.device.device, args.common.threads(), &splats)?;
     for (done, view) in dataset.views.iter().enumerate() {
         pictures::write(&mut renderer, view, args.common.max_size_px(), &args.out)?;
         if args.common.json {

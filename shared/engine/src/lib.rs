@@ -3,13 +3,16 @@
 //! What it refuses to know: bytes on a wire, clocks, files, command lines.
 //!
 //! Where to start reading: [`backend`] for the passes, then [`train`], where a step reads as their list;
-//! [`cpu`] for how they are fast.
+//! [`cpu`] for how they are fast, and `gpu` for the same on graphics cards.
 
 pub mod backend;
 pub mod budget;
 pub mod cpu;
+mod device;
 pub mod distill;
 mod exposure;
+#[cfg(feature = "gpu")]
+pub mod gpu;
 pub mod init;
 mod nearest;
 pub mod neighbours;
@@ -23,6 +26,7 @@ pub mod train;
 pub use backend::{Backend, Rendering};
 pub use budget::Budget;
 pub use cpu::{CpuBackend, CpuCapacity};
+pub use device::{DeviceChoice, DeviceError};
 pub use distill::{DistillSettings, Distiller, Lesson};
 pub use neighbours::Neighbours;
 pub use prune::PruneScore;

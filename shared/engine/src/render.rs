@@ -4,19 +4,91 @@ use cosurf_scene::{Camera, Splats};
 
 use crate::backend::{Backend, Channels, Rendering};
 use crate::cpu::{CpuBackend, CpuCapacity};
+use crate::device::{DeviceChoice, DeviceError, Opened};
+#[cfg(feature = "gpu")]
+use crate::gpu::GpuRenderer;
 
 /// Splat–tile pairs that rendering makes room for, per splat; a view that needs more makes the renderer grow.
-const PAIRS_PER_SPLAT: usize = 4;
+pub(crate) const PAIRS_PER_SPLAT: usize = 4;
 
-/// Renders splats on the CPU.
+/// Renders splats.
 pub struct Renderer {
+    painter: Painter,
+}
+
+/// What holds the splats.
+enum Painter {
+    Cpu(Box<CpuPainter>),
+    /// With the threads that the processor may use should it have to go on.
+    #[cfg(feature = "gpu")]
+    Gpu(Box<GpuRenderer>, usize),
+}
+
+struct CpuPainter {
     backend: CpuBackend,
     sh_degree: u32,
 }
 
 impl Renderer {
-    /// Takes a copy of the splats. `threads` is at least 1.
+    /// Takes a copy of the splats, to render them on the processor. `threads` is at least 1.
     pub fn new(splats: &Splats, threads: usize) -> Self {
+        Self { painter: Painter::Cpu(Box::new(CpuPainter::new(splats, threads))) }
+    }
+
+    /// Takes a copy of the splats, to render them on what was chosen; `threads` (at least 1) are the processor's.
+    pub fn on(choice: DeviceChoice, threads: usize, splats: &Splats) -> Result<Self, DeviceError> {
+        match choice.open()? {
+            Opened::Cpu => Ok(Self::new(splats, threads)),
+            #[cfg(feature = "gpu")]
+            Opened::Gpu(gpu) => {
+                Ok(Self { painter: Painter::Gpu(Box::new(GpuRenderer::new(&gpu, splats)?), threads) })
+            }
+        }
+    }
+
+    /// What renders, for people.
+    pub fn device(&self) -> String {
+        match &self.painter {
+            Painter::Cpu(painter) => painter.backend.device(),
+            #[cfg(feature = "gpu")]
+            Painter::Gpu(painter, _) => painter.device(),
+        }
+    }
+
+    /// Colour, alpha, depth and normal as the camera sees them. A picture for which a GPU has no room is rendered
+    /// on the processor, and so are those after it.
+    pub fn render(&mut self, camera: &Camera) -> Rendering {
+        #[cfg(feature = "gpu")]
+        if let Painter::Gpu(painter, _) = &mut self.painter
+            && let Ok(rendering) = painter.render(camera)
+        {
+            return rendering;
+        }
+        self.on_cpu().render(camera)
+    }
+
+    /// How much the pictures of `cameras` need each splat: Σ (α T)² over all pixels of all of them. The processor
+    /// finds this.
+    pub fn importance(&mut self, cameras: &[Camera]) -> Vec<f32> {
+        self.on_cpu().importance(cameras)
+    }
+
+    /// The splats on the processor, from now on.
+    fn on_cpu(&mut self) -> &mut CpuPainter {
+        #[cfg(feature = "gpu")]
+        if let Painter::Gpu(painter, threads) = &self.painter {
+            *self = Self::new(&painter.splats(), *threads);
+        }
+        match &mut self.painter {
+            Painter::Cpu(painter) => painter,
+            #[cfg(feature = "gpu")]
+            Painter::Gpu(..) => unreachable!("it was replaced"),
+        }
+    }
+}
+
+impl CpuPainter {
+    fn new(splats: &Splats, threads: usize) -> Self {
         let capacity = CpuCapacity {
             splats: splats.len(),
             pairs: 0,
@@ -31,14 +103,12 @@ impl Renderer {
         Self { backend, sh_degree: splats.sh_degree }
     }
 
-    /// Colour, alpha, depth and normal as the camera sees them.
-    pub fn render(&mut self, camera: &Camera) -> Rendering {
+    fn render(&mut self, camera: &Camera) -> Rendering {
         self.blend(camera, Channels::Geometry);
         self.backend.rendering()
     }
 
-    /// How much the pictures of `cameras` need each splat: Σ (α T)² over all pixels of all of them.
-    pub fn importance(&mut self, cameras: &[Camera]) -> Vec<f32> {
+    fn importance(&mut self, cameras: &[Camera]) -> Vec<f32> {
         self.backend.clear_scores();
         for camera in cameras {
             self.blend(camera, Channels::Color);

@@ -25,6 +25,17 @@ impl TileImage {
         }
     }
 
+    /// A picture whose values lie as they do here, plane by plane in each tile.
+    #[cfg(feature = "gpu")]
+    pub(crate) fn from_values(size_px: [u32; 2], planes: usize, values: &[f32]) -> Self {
+        let mut image = Self::with_capacity(padded_pixels(size_px), planes);
+        image.reshape(size_px, planes);
+        for (row, values) in image.rows.iter_mut().zip(values.as_chunks().0) {
+            row.0 = *values;
+        }
+        image
+    }
+
     /// Lays the image out for a size and a number of planes. Old content is left as it is: every pass
     /// that calls this writes each row.
     pub(crate) fn reshape(&mut self, size_px: [u32; 2], planes: usize) {

@@ -10,20 +10,20 @@ mod bin;
 mod blocks;
 mod edit;
 mod geometry;
-mod image;
+pub(crate) mod image;
 mod loss;
 mod project;
 mod project_backward;
-mod rasterize;
+pub(crate) mod rasterize;
 mod rasterize_backward;
-mod read;
+pub(crate) mod read;
 mod score;
 mod sh;
 mod simd;
 mod surface;
 #[cfg(test)]
 mod tests;
-mod view;
+pub(crate) mod view;
 
 use cosurf_scene::{Camera, Splats};
 

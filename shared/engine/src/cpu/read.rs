@@ -16,7 +16,7 @@ use super::view::ViewParams;
 use crate::backend::{Rendering, Scores, Shapes};
 
 /// The picture, row by row.
-pub(super) fn rendering(image: &TileImage, view: &ViewParams) -> Rendering {
+pub(crate) fn rendering(image: &TileImage, view: &ViewParams) -> Rendering {
     let [width, height] = image.size_px();
     let pixels = || (0..height).flat_map(move |y| (0..width).map(move |x| (x, y)));
     let three = |plane: usize| -> Vec<f32> {

@@ -1,0 +1,43 @@
+//! `devices`: what there is to compute on.
+
+use anyhow::Result;
+use clap::Args;
+use cosurf_engine::gpu::{AdapterSummary, adapters};
+
+/// List the graphics cards, by the number that `--device gpu:N` takes, with what each can do.
+#[derive(Args, Debug)]
+pub(super) struct DevicesArgs {
+    /// Print JSON instead of text for people
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn run(args: &DevicesArgs) -> Result<()> {
+    let adapters = adapters();
+    for (index, adapter) in adapters.iter().enumerate() {
+        let AdapterSummary { name, api, driver, is_software, binding_bytes_max, has_subgroups } = adapter;
+        if args.json {
+            println!(
+                "{}",
+                serde_json::json!({
+                    "device": format!("gpu:{index}"),
+                    "name": name,
+                    "api": api,
+                    "driver": driver,
+                    "is_software": is_software,
+                    "binding_bytes_max": binding_bytes_max,
+                    "has_subgroups": has_subgroups,
+                })
+            );
+            continue;
+        }
+        let kind = if *is_software { ", software: slower than --device cpu" } else { "" };
+        let subgroups = if *has_subgroups { ", subgroups" } else { "" };
+        let binding_mib = binding_bytes_max >> 20;
+        println!("gpu:{index}  {name} ({api}, {driver}){kind}; buffers up to {binding_mib} MiB{subgroups}");
+    }
+    if adapters.is_empty() && !args.json {
+        println!("no graphics card with a Vulkan, Metal or DirectX 12 driver; --device cpu is all there is");
+    }
+    Ok(())
+}

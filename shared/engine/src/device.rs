@@ -1,0 +1,108 @@
+//! What computes: the words that people choose it by, and opening it.
+
+use std::fmt;
+use std::str::FromStr;
+
+#[cfg(feature = "gpu")]
+use crate::gpu::{Gpu, GpuChoice, GpuError};
+
+/// `auto`, `cpu`, `gpu` or `gpu:N`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum DeviceChoice {
+    /// A real graphics card if there is one, else the processor: a software driver is slower than our own CPU
+    /// backend.
+    #[default]
+    Auto,
+    /// The processor.
+    Cpu,
+    /// The best GPU, or the one with this number; a software driver too.
+    Gpu(Option<usize>),
+}
+
+/// What was asked for cannot compute.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum DeviceError {
+    /// See there.
+    #[cfg(feature = "gpu")]
+    #[error(transparent)]
+    Gpu(#[from] GpuError),
+    /// The programs were built without it.
+    #[error("this program was built without GPUs; use --device cpu, or build it with the feature `gpu`")]
+    NotBuilt,
+}
+
+impl FromStr for DeviceChoice {
+    type Err = &'static str;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        match text {
+            "auto" => Ok(Self::Auto),
+            "cpu" => Ok(Self::Cpu),
+            "gpu" => Ok(Self::Gpu(None)),
+            _ => {
+                let index = text.strip_prefix("gpu:").and_then(|index| index.parse().ok());
+                index.map(|index| Self::Gpu(Some(index))).ok_or("give auto, cpu, gpu or gpu:N")
+            }
+        }
+    }
+}
+
+impl fmt::Display for DeviceChoice {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        match self {
+            Self::Auto => f.write_str("auto"),
+            Self::Cpu => f.write_str("cpu"),
+            Self::Gpu(None) => f.write_str("gpu"),
+            Self::Gpu(Some(index)) => write!(f, "gpu:{index}"),
+        }
+    }
+}
+
+/// What a choice came to.
+#[derive(Clone, Debug)]
+pub(crate) enum Opened {
+    Cpu,
+    #[cfg(feature = "gpu")]
+    Gpu(Gpu),
+}
+
+impl DeviceChoice {
+    #[cfg(feature = "gpu")]
+    pub(crate) fn open(self) -> Result<Opened, DeviceError> {
+        let choice = match self {
+            Self::Cpu => return Ok(Opened::Cpu),
+            Self::Auto => GpuChoice::Real,
+            Self::Gpu(None) => GpuChoice::Any,
+            Self::Gpu(Some(index)) => GpuChoice::Index(index),
+        };
+        match Gpu::open(choice) {
+            Ok(gpu) => Ok(Opened::Gpu(gpu)),
+            Err(_) if self == Self::Auto => Ok(Opened::Cpu),
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    #[cfg(not(feature = "gpu"))]
+    pub(crate) fn open(self) -> Result<Opened, DeviceError> {
+        match self {
+            Self::Auto | Self::Cpu => Ok(Opened::Cpu),
+            Self::Gpu(_) => Err(DeviceError::NotBuilt),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn words_name_devices() {
+        for word in ["auto", "cpu", "gpu", "gpu:0", "gpu:12"] {
+            assert_eq!(word.parse::<DeviceChoice>().expect("a device").to_string(), word);
+        }
+        for word in ["", "GPU", "gpu:", "gpu:x", "gpu:-1", "cuda"] {
+            assert!(word.parse::<DeviceChoice>().is_err(), "{word}");
+        }
+    }
+}

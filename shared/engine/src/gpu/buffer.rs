@@ -1,0 +1,98 @@
+//! Buffers that know what they hold, and how it gets in and out.
+
+use std::marker::PhantomData;
+
+use bytemuck::Pod;
+use wgpu::BufferUsages;
+
+use super::context::{Gpu, GpuError};
+
+/// `len` values of `T` in the GPU's memory.
+#[derive(Debug)]
+pub(super) struct Buffer<T> {
+    pub(super) raw: wgpu::Buffer,
+    len: usize,
+    holds: PhantomData<T>,
+}
+
+impl<T: Pod> Buffer<T> {
+    /// Room for `len` values (at least one). Fails beyond what the adapter can bind.
+    pub(super) fn storage(gpu: &Gpu, label: &'static str, len: usize) -> Result<Self, GpuError> {
+        let len = len.max(1);
+        let bytes = (len * size_of::<T>()) as u64;
+        let bytes_max = gpu.adapter().binding_bytes_max.min(gpu.device.limits().max_buffer_size);
+        if bytes > bytes_max {
+            return Err(GpuError::TooLarge { label, bytes, bytes_max, name: gpu.adapter().name.clone() });
+        }
+        let usage = BufferUsages::STORAGE | BufferUsages::COPY_SRC | BufferUsages::COPY_DST;
+        let buffer = Self::new(gpu, label, len, usage);
+        #[cfg(test)]
+        buffer.poison(gpu);
+        Ok(buffer)
+    }
+
+    /// Fills a buffer with what no pass must ever read before it has written: NaN as floats, far beyond every
+    /// count as integers.
+    #[cfg(test)]
+    fn poison(&self, gpu: &Gpu) {
+        gpu.queue.write_buffer(&self.raw, 0, &vec![0xfd; self.raw.size() as usize]);
+    }
+
+    /// One value that passes read as a uniform.
+    pub(super) fn uniform(gpu: &Gpu, label: &'static str, value: T) -> Self {
+        let buffer = Self::new(gpu, label, 1, BufferUsages::UNIFORM | BufferUsages::COPY_DST);
+        buffer.write(gpu, 0, &[value]);
+        buffer
+    }
+
+    fn new(gpu: &Gpu, label: &'static str, len: usize, usage: BufferUsages) -> Self {
+        // Copies move whole words.
+        let size = ((len * size_of::<T>()) as u64).next_multiple_of(wgpu::COPY_BUFFER_ALIGNMENT);
+        let descriptor =
+            wgpu::BufferDescriptor { label: Some(label), size, usage, mapped_at_creation: false };
+        Self { raw: gpu.device.create_buffer(&descriptor), len, holds: PhantomData }
+    }
+
+    pub(super) fn len(&self) -> usize {
+        self.len
+    }
+
+    /// Replaces the values from `first` on, before all work that is submitted later.
+    pub(super) fn write(&self, gpu: &Gpu, first: usize, values: &[T]) {
+        assert!(first + values.len() <= self.len, "{first} + {} of {}", values.len(), self.len);
+        gpu.queue.write_buffer(&self.raw, (first * size_of::<T>()) as u64, bytemuck::cast_slice(values));
+    }
+
+    /// The first `len` values, after all work submitted so far.
+    pub(super) fn read(&self, gpu: &Gpu, len: usize) -> Vec<T> {
+        assert!(len <= self.len, "{len} of {}", self.len);
+        if len == 0 {
+            return Vec::new();
+        }
+        let bytes = (len * size_of::<T>()) as u64;
+        let staging = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("staging"),
+            size: bytes,
+            usage: BufferUsages::MAP_READ | BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        encoder.copy_buffer_to_buffer(&self.raw, 0, &staging, 0, bytes);
+        let submission = gpu.queue.submit([encoder.finish()]);
+        let (sender, mapped) = std::sync::mpsc::channel();
+        staging.map_async(wgpu::MapMode::Read, .., move |result| {
+            let _ = sender.send(result);
+        });
+        let wait = wgpu::PollType::Wait { submission_index: Some(submission), timeout: None };
+        let polled = gpu.device.poll(wait);
+        match (polled, mapped.recv(), staging.get_mapped_range(..)) {
+            (Ok(_), Ok(Ok(())), Ok(view)) => bytemuck::pod_collect_to_vec(&view),
+            failed => panic!(
+                "{} was lost ({:?}, {:?}); start again, with --device cpu if this happens twice",
+                gpu.adapter().name,
+                failed.0,
+                failed.1
+            ),
+        }
+    }
+}

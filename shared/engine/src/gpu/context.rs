@@ -1,0 +1,179 @@
+//! Which graphics cards there are, and the one that was opened.
+
+use std::fmt;
+
+use wgpu::{Adapter, DeviceType, Limits};
+
+/// What can go wrong before a GPU computes. Once it does, nothing that we ask of it can be invalid; should it be
+/// lost then, the program ends with the reason.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum GpuError {
+    /// No adapter, or no driver for it.
+    #[error("no GPU with a Vulkan, Metal or DirectX 12 driver was found; use --device cpu")]
+    None,
+    /// There are fewer adapters.
+    #[error("there is no GPU {index}, only {count} (see the command `devices`)")]
+    NoSuch {
+        /// What was asked for.
+        index: usize,
+        /// Adapters there are.
+        count: usize,
+    },
+    /// The driver refused.
+    #[error("{name} cannot be used: {reason}; use --device cpu")]
+    Refused {
+        /// Of the adapter.
+        name: String,
+        /// From the driver.
+        reason: String,
+    },
+    /// A buffer would be larger than the adapter can bind.
+    #[error(
+        "{label} takes {bytes} bytes, but {name} binds at most {bytes_max} at once; use fewer splats or smaller pictures"
+    )]
+    TooLarge {
+        /// Which buffer.
+        label: &'static str,
+        /// Its size.
+        bytes: u64,
+        /// What the adapter can bind.
+        bytes_max: u64,
+        /// Of the adapter.
+        name: String,
+    },
+    /// The adapter's memory is full.
+    #[error("{name} has too little memory; use fewer splats or smaller pictures")]
+    OutOfMemory {
+        /// Of the adapter.
+        name: String,
+    },
+}
+
+/// An adapter, for people.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct AdapterSummary {
+    /// As the driver calls it.
+    pub name: String,
+    /// `vulkan`, `metal`, `dx12`.
+    pub api: String,
+    /// Driver and version.
+    pub driver: String,
+    /// Whether a processor plays the graphics card.
+    pub is_software: bool,
+    /// Largest buffer that a pass can bind.
+    pub binding_bytes_max: u64,
+    /// Whether the invocations of a subgroup can talk to each other.
+    pub has_subgroups: bool,
+}
+
+/// Which adapter to open.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum GpuChoice {
+    /// The best that is a real graphics card.
+    Real,
+    /// The best of all; a software driver if there is nothing else.
+    Any,
+    /// The one at this place of [`adapters`].
+    Index(usize),
+}
+
+/// All adapters, best first.
+pub fn adapters() -> Vec<AdapterSummary> {
+    found().iter().map(summary).collect()
+}
+
+fn found() -> Vec<Adapter> {
+    let backends = wgpu::Backends::VULKAN | wgpu::Backends::METAL | wgpu::Backends::DX12;
+    let descriptor = wgpu::InstanceDescriptor {
+        backends,
+        flags: wgpu::InstanceFlags::empty(),
+        ..wgpu::InstanceDescriptor::new_without_display_handle()
+    };
+    let instance = wgpu::Instance::new(descriptor);
+    let mut adapters = pollster::block_on(instance.enumerate_adapters(backends));
+    adapters.sort_by_key(|adapter| match adapter.get_info().device_type {
+        DeviceType::DiscreteGpu => 0,
+        DeviceType::IntegratedGpu => 1,
+        DeviceType::VirtualGpu => 2,
+        DeviceType::Other => 3,
+        DeviceType::Cpu => 4,
+    });
+    adapters
+}
+
+fn summary(adapter: &Adapter) -> AdapterSummary {
+    let info = adapter.get_info();
+    AdapterSummary {
+        api: format!("{:?}", info.backend).to_lowercase(),
+        driver: format!("{} {}", info.driver, info.driver_info).trim().to_owned(),
+        is_software: info.device_type == DeviceType::Cpu,
+        binding_bytes_max: adapter.limits().max_storage_buffer_binding_size,
+        has_subgroups: adapter.features().contains(wgpu::Features::SUBGROUP),
+        name: info.name,
+    }
+}
+
+/// An open graphics card.
+#[derive(Clone, Debug)]
+pub struct Gpu {
+    pub(super) device: wgpu::Device,
+    pub(super) queue: wgpu::Queue,
+    adapter: AdapterSummary,
+}
+
+impl Gpu {
+    /// Opens an adapter with the sizes of buffers that it can do, and otherwise the least that every GPU has.
+    pub fn open(choice: GpuChoice) -> Result<Self, GpuError> {
+        let adapters = found();
+        let adapter = match choice {
+            GpuChoice::Any => adapters.first().ok_or(GpuError::None)?,
+            GpuChoice::Real => {
+                adapters.iter().find(|adapter| !summary(adapter).is_software).ok_or(GpuError::None)?
+            }
+            GpuChoice::Index(index) => {
+                adapters.get(index).ok_or(GpuError::NoSuch { index, count: adapters.len() })?
+            }
+        };
+        let can = adapter.limits();
+        let required_limits = Limits {
+            max_storage_buffer_binding_size: can.max_storage_buffer_binding_size,
+            max_buffer_size: can.max_buffer_size,
+            ..Limits::default()
+        };
+        let descriptor = wgpu::DeviceDescriptor {
+            label: Some("cosurf"),
+            required_limits,
+            ..wgpu::DeviceDescriptor::default()
+        };
+        let adapter_summary = summary(adapter);
+        let (device, queue) = pollster::block_on(adapter.request_device(&descriptor)).map_err(|error| {
+            GpuError::Refused { name: adapter_summary.name.clone(), reason: error.to_string() }
+        })?;
+        Ok(Self { device, queue, adapter: adapter_summary })
+    }
+
+    /// What was opened.
+    pub fn adapter(&self) -> &AdapterSummary {
+        &self.adapter
+    }
+
+    /// Runs `allocate`, and tells if the memory of the adapter did not suffice for its buffers.
+    pub(super) fn allocating<T>(
+        &self,
+        allocate: impl FnOnce() -> Result<T, GpuError>,
+    ) -> Result<T, GpuError> {
+        let scope = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
+        let allocated = allocate();
+        match pollster::block_on(scope.pop()) {
+            Some(_) => Err(GpuError::OutOfMemory { name: self.adapter.name.clone() }),
+            None => allocated,
+        }
+    }
+}
+
+impl fmt::Display for Gpu {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        write!(f, "{} ({})", self.adapter.name, self.adapter.api)
+    }
+}

@@ -1,0 +1,293 @@
+//! The forward passes and their buffers: project, bin, rasterize.
+
+use cosurf_scene::Camera;
+
+use super::buffer::Buffer;
+use super::context::{Gpu, GpuError};
+use super::layout::{self, COUNTERS, Projected, View};
+use super::model::Model;
+use super::pass::{Pass, Recorder};
+use super::shaders;
+use super::sort::{Counted, GROUP, Sorted, Sorter};
+use crate::backend::{BinCounts, Channels, Rendering};
+use crate::cpu::image::{TileImage, padded_pixels};
+use crate::cpu::rasterize::{PLANES_COLOR, PLANES_GEOMETRY};
+use crate::cpu::read;
+use crate::cpu::view::ViewParams;
+
+/// Pixels of a tile: invocations of the blend.
+const TILE_PIXELS: usize = 256;
+
+/// What one splat looks like, and where its pairs are.
+#[derive(Debug)]
+pub(super) struct Seen {
+    pub(super) projected: Buffer<Projected>,
+    depth_keys: Buffer<u32>,
+    places: Buffer<u32>,
+    /// First slot and number of slots of each splat.
+    pub(super) slots: Buffer<[u32; 2]>,
+    by_depth: Sorted,
+}
+
+/// Splat–tile pairs. A pair's slot is its place before the sort: a splat's slots are contiguous.
+#[derive(Debug)]
+pub(super) struct Pairs {
+    by_tile: Sorted,
+    pub(super) id_of_slot: Buffer<u32>,
+}
+
+/// The picture and its tiles.
+#[derive(Debug)]
+pub(super) struct Picture {
+    pub(super) ranges: Buffer<[u32; 2]>,
+    pub(super) blended: Buffer<u32>,
+    pub(super) image: Buffer<f32>,
+}
+
+#[derive(Debug)]
+struct Passes {
+    project: Pass,
+    compact: Pass,
+    order_counts: Pass,
+    emit: Pass,
+    tile_ranges: Pass,
+    rasterize: Pass,
+}
+
+/// Draws splats.
+#[derive(Debug)]
+pub(super) struct Drawing {
+    passes: Passes,
+    sorter: Sorter,
+    pub(super) view: Buffer<View>,
+    pub(super) counters: Buffer<u32>,
+    pub(super) seen: Seen,
+    pub(super) pairs: Pairs,
+    pub(super) picture: Picture,
+    /// The camera last projected for, and what of it was blended.
+    pub(super) params: Option<ViewParams>,
+    pub(super) planes: usize,
+}
+
+impl Seen {
+    fn new(gpu: &Gpu, splats: usize) -> Result<Self, GpuError> {
+        Ok(Self {
+            projected: Buffer::storage(gpu, "projected splats", splats)?,
+            depth_keys: Buffer::storage(gpu, "depths", splats)?,
+            places: Buffer::storage(gpu, "places", splats)?,
+            slots: Buffer::storage(gpu, "slots", splats)?,
+            by_depth: Sorted::new(gpu, Counted::Visible, splats)?,
+        })
+    }
+}
+
+impl Pairs {
+    fn new(gpu: &Gpu, pairs: usize) -> Result<Self, GpuError> {
+        let id_of_slot = Buffer::storage(gpu, "pairs", pairs)?;
+        Ok(Self { by_tile: Sorted::new(gpu, Counted::Pairs, pairs)?, id_of_slot })
+    }
+
+    fn capacity(&self) -> usize {
+        self.id_of_slot.len()
+    }
+
+    /// Slots, tile by tile.
+    pub(super) fn sorted_slots(&self) -> &wgpu::Buffer {
+        self.by_tile.result()[1]
+    }
+}
+
+impl Picture {
+    fn new(gpu: &Gpu, size_px: [u32; 2]) -> Result<Self, GpuError> {
+        let pixels = padded_pixels(size_px);
+        Ok(Self {
+            ranges: Buffer::storage(gpu, "tile ranges", pixels / TILE_PIXELS)?,
+            blended: Buffer::storage(gpu, "blended", pixels / TILE_PIXELS)?,
+            image: Buffer::storage(gpu, "picture", PLANES_GEOMETRY * pixels)?,
+        })
+    }
+
+    fn pixels(&self) -> usize {
+        self.image.len() / PLANES_GEOMETRY
+    }
+}
+
+impl Drawing {
+    pub(super) fn new(gpu: &Gpu, splats: usize, pairs: usize, size_px: [u32; 2]) -> Result<Self, GpuError> {
+        Ok(Self {
+            passes: Passes {
+                project: Pass::new(gpu, shaders::PROJECT),
+                compact: Pass::new(gpu, shaders::COMPACT),
+                order_counts: Pass::new(gpu, shaders::ORDER_COUNTS),
+                emit: Pass::new(gpu, shaders::EMIT),
+                tile_ranges: Pass::new(gpu, shaders::TILE_RANGES),
+                rasterize: Pass::new(gpu, shaders::RASTERIZE),
+            },
+            sorter: Sorter::new(gpu, splats.max(pairs))?,
+            view: Buffer::uniform(gpu, "view", bytemuck::Zeroable::zeroed()),
+            counters: Buffer::storage(gpu, "counters", COUNTERS)?,
+            seen: Seen::new(gpu, splats)?,
+            pairs: Pairs::new(gpu, pairs)?,
+            picture: Picture::new(gpu, size_px)?,
+            params: None,
+            planes: PLANES_COLOR,
+        })
+    }
+
+    /// Makes room for a view with so many pairs.
+    pub(super) fn grow_pairs(&mut self, gpu: &Gpu, pairs: usize) -> Result<(), GpuError> {
+        self.sorter.grow(gpu, pairs.max(self.seen.slots.len()))?;
+        self.pairs = Pairs::new(gpu, pairs)?;
+        Ok(())
+    }
+
+    /// Makes room for a picture of this size.
+    pub(super) fn grow_picture(&mut self, gpu: &Gpu, size_px: [u32; 2]) -> Result<(), GpuError> {
+        if padded_pixels(size_px) > self.picture.pixels() {
+            self.picture = Picture::new(gpu, size_px)?;
+        }
+        Ok(())
+    }
+
+    pub(super) fn seen_view(&self) -> &ViewParams {
+        self.params.as_ref().expect("`project` comes first")
+    }
+
+    pub(super) fn project(&mut self, gpu: &Gpu, model: &Model, camera: &Camera, sh_degree: u32) {
+        assert!(
+            padded_pixels(camera.size_px) <= self.picture.pixels(),
+            "{:?} px of {}",
+            camera.size_px,
+            self.picture.pixels()
+        );
+        let params = ViewParams::new(camera, sh_degree.min(model.sh_degree));
+        let mut counters = [0; COUNTERS];
+        counters[layout::SPLATS] = model.len as u32;
+        self.counters.write(gpu, 0, &counters);
+        self.view.write(gpu, 0, &[self.view_of(&params, model)]);
+        let Seen { projected, depth_keys, places, slots, .. } = &self.seen;
+        let mut r = Recorder::new(gpu);
+        r.run(
+            &self.passes.project,
+            &[
+                &self.view.raw,
+                &model.shape.raw,
+                &model.sh.raw,
+                &projected.raw,
+                &depth_keys.raw,
+                &places.raw,
+                &slots.raw,
+            ],
+            model.len.div_ceil(GROUP),
+        );
+        r.submit();
+        self.params = Some(params);
+    }
+
+    fn view_of(&self, params: &ViewParams, model: &Model) -> View {
+        let mut view = View::new(params, model.len, model.stride, self.pairs.capacity());
+        view.planes = self.planes as u32;
+        view
+    }
+
+    pub(super) fn bin(&mut self, gpu: &Gpu, model: &Model) -> BinCounts {
+        let tiles: usize = self.seen_view().tiles().iter().product();
+        // One more than there are tiles: pairs that belong to none.
+        self.pairs.by_tile.set_largest(tiles as u32);
+        let mut r = Recorder::new(gpu);
+        self.sort_by_depth(&mut r, model.len);
+        self.emit(&mut r, model.len);
+        self.sorter.sort(&mut r, &self.counters.raw, &self.pairs.by_tile);
+        r.clear(&self.picture.ranges.raw);
+        let [keys, _] = self.pairs.by_tile.result();
+        r.run(
+            &self.passes.tile_ranges,
+            &[&self.view.raw, &self.counters.raw, keys, &self.picture.ranges.raw],
+            self.pairs.capacity().div_ceil(GROUP),
+        );
+        r.submit();
+        counts(&self.counters.read(gpu, COUNTERS))
+    }
+
+    /// Lists the splats that are seen, nearest first.
+    fn sort_by_depth(&self, r: &mut Recorder, splats: usize) {
+        let Seen { depth_keys, places, by_depth, .. } = &self.seen;
+        self.sorter.scan_visible(r, &self.counters.raw, places, splats);
+        let [keys, ids] = by_depth.input();
+        let buffers = [&self.view.raw, &depth_keys.raw, &places.raw, keys, ids];
+        r.run(&self.passes.compact, &buffers, splats.div_ceil(GROUP));
+        self.sorter.sort(r, &self.counters.raw, by_depth);
+    }
+
+    /// Gives each splat its slots, nearest first, and fills them in.
+    fn emit(&self, r: &mut Recorder, splats: usize) {
+        let Seen { projected, places, slots, by_depth, .. } = &self.seen;
+        let (counters, groups) = (&self.counters.raw, splats.div_ceil(GROUP));
+        let [_, ids] = by_depth.result();
+        r.run(&self.passes.order_counts, &[counters, ids, &slots.raw, &places.raw], groups);
+        self.sorter.scan_pairs(r, counters, places, splats);
+        let [keys, values] = self.pairs.by_tile.input();
+        let id_of_slot = &self.pairs.id_of_slot.raw;
+        r.run(
+            &self.passes.emit,
+            &[
+                &self.view.raw,
+                counters,
+                ids,
+                &places.raw,
+                &projected.raw,
+                &slots.raw,
+                keys,
+                values,
+                id_of_slot,
+            ],
+            groups,
+        );
+    }
+
+    pub(super) fn rasterize(&mut self, gpu: &Gpu, model: &Model, channels: Channels) {
+        self.planes = match channels {
+            Channels::Color => PLANES_COLOR,
+            Channels::Geometry => PLANES_GEOMETRY,
+        };
+        let params = *self.seen_view();
+        self.view.write(gpu, 0, &[self.view_of(&params, model)]);
+        let Picture { ranges, blended, image } = &self.picture;
+        let mut r = Recorder::new(gpu);
+        r.run(
+            &self.passes.rasterize,
+            &[
+                &self.view.raw,
+                &self.seen.projected.raw,
+                self.pairs.sorted_slots(),
+                &self.pairs.id_of_slot.raw,
+                &ranges.raw,
+                &blended.raw,
+                &image.raw,
+            ],
+            params.tiles().iter().product(),
+        );
+        r.submit();
+    }
+
+    /// The picture last blended, in tiles.
+    pub(super) fn image(&self, gpu: &Gpu) -> TileImage {
+        let size_px = self.seen_view().size_px;
+        let values = self.picture.image.read(gpu, padded_pixels(size_px) * self.planes);
+        TileImage::from_values(size_px, self.planes, &values)
+    }
+
+    pub(super) fn rendering(&self, gpu: &Gpu) -> Rendering {
+        read::rendering(&self.image(gpu), self.seen_view())
+    }
+}
+
+/// What the counters say.
+fn counts(counters: &[u32]) -> BinCounts {
+    let at = |place: usize| counters[place] as usize;
+    BinCounts {
+        visible: at(layout::VISIBLE),
+        pairs: at(layout::PAIRS),
+        dropped: at(layout::PAIRS_WANTED) - at(layout::PAIRS),
+    }
+}

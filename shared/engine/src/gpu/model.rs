@@ -1,0 +1,77 @@
+//! Where splats live on the GPU: one row for each parameter, so that neighbouring invocations read neighbouring
+//! numbers; shapes and colours apart, so that neither outgrows what an adapter binds at once.
+
+use cosurf_scene::Splats;
+use cosurf_scene::splats::sh_coefficients;
+
+use super::buffer::Buffer;
+use super::context::{Gpu, GpuError};
+
+/// Rows of a shape: mean 3, quat 4 (wxyz), log_scale 3, opacity_logit 1.
+pub(super) const SHAPE_ROWS: usize = 11;
+
+/// Rows of the colour: `[coefficient, rgb]`.
+pub(super) const fn sh_rows(sh_degree: u32) -> usize {
+    3 * sh_coefficients(sh_degree)
+}
+
+/// Splats.
+#[derive(Debug)]
+pub(super) struct Model {
+    /// Row `r` of splat `i` is at `r * stride + i`; so it is in `sh`.
+    pub(super) shape: Buffer<f32>,
+    pub(super) sh: Buffer<f32>,
+    pub(super) stride: usize,
+    pub(super) len: usize,
+    pub(super) sh_degree: u32,
+}
+
+impl Model {
+    /// Room for `capacity` splats, none yet.
+    pub(super) fn new(gpu: &Gpu, capacity: usize, sh_degree: u32) -> Result<Self, GpuError> {
+        let stride = capacity.max(1);
+        Ok(Self {
+            shape: Buffer::storage(gpu, "shapes", SHAPE_ROWS * stride)?,
+            sh: Buffer::storage(gpu, "spherical harmonics", sh_rows(sh_degree) * stride)?,
+            stride,
+            len: 0,
+            sh_degree,
+        })
+    }
+
+    /// Replaces all splats, in the model's own SH degree: missing coefficients are zero, superfluous ones are
+    /// dropped.
+    pub(super) fn load(&mut self, gpu: &Gpu, splats: &Splats) {
+        self.len = splats.len();
+        let mut row = vec![0.0; self.len];
+        for r in 0..SHAPE_ROWS {
+            for (i, value) in row.iter_mut().enumerate() {
+                *value = match r {
+                    0..3 => splats.means[i][r],
+                    3..7 => splats.quats[i][r - 3],
+                    7..10 => splats.log_scales[i][r - 7],
+                    _ => splats.opacity_logits[i],
+                };
+            }
+            self.shape.write(gpu, r * self.stride, &row);
+        }
+        for r in 0..sh_rows(self.sh_degree) {
+            for (i, value) in row.iter_mut().enumerate() {
+                *value = splats.sh_of(i).get(r).copied().unwrap_or(0.0);
+            }
+            self.sh.write(gpu, r * self.stride, &row);
+        }
+    }
+
+    /// The splats as they are now.
+    pub(super) fn splats(&self, gpu: &Gpu) -> Splats {
+        let (shape, sh) = (self.shape.read(gpu, self.shape.len()), self.sh.read(gpu, self.sh.len()));
+        let mut splats = Splats::with_capacity(self.len, self.sh_degree);
+        for i in 0..self.len {
+            let get = |r: usize| shape[r * self.stride + i];
+            let colors: Vec<f32> = (0..sh_rows(self.sh_degree)).map(|r| sh[r * self.stride + i]).collect();
+            splats.push([0, 1, 2].map(get), [3, 4, 5, 6].map(get), [7, 8, 9].map(get), get(10), &colors);
+        }
+        splats
+    }
+}

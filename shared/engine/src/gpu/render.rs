@@ -1,0 +1,55 @@
+//! Rendering a finished model on the GPU.
+
+use cosurf_scene::{Camera, Splats};
+
+use super::context::{Gpu, GpuError};
+use super::draw::Drawing;
+use super::model::Model;
+use crate::backend::{Channels, Rendering};
+use crate::render::PAIRS_PER_SPLAT;
+
+/// Splats on the GPU, to be rendered.
+#[derive(Debug)]
+pub struct GpuRenderer {
+    gpu: Gpu,
+    model: Model,
+    drawing: Drawing,
+}
+
+impl GpuRenderer {
+    /// Takes a copy of the splats.
+    pub fn new(gpu: &Gpu, splats: &Splats) -> Result<Self, GpuError> {
+        let gpu = gpu.clone();
+        let (mut model, drawing) = gpu.allocating(|| {
+            let model = Model::new(&gpu, splats.len(), splats.sh_degree)?;
+            Ok((model, Drawing::new(&gpu, splats.len(), PAIRS_PER_SPLAT * splats.len(), [1, 1])?))
+        })?;
+        model.load(&gpu, splats);
+        Ok(Self { gpu, model, drawing })
+    }
+
+    /// What renders, for people.
+    pub fn device(&self) -> String {
+        self.gpu.to_string()
+    }
+
+    /// The splats, as they were given.
+    pub fn splats(&self) -> Splats {
+        self.model.splats(&self.gpu)
+    }
+
+    /// Colour, alpha, depth and normal as the camera sees them.
+    pub fn render(&mut self, camera: &Camera) -> Result<Rendering, GpuError> {
+        let Self { gpu, model, drawing } = self;
+        gpu.allocating(|| drawing.grow_picture(gpu, camera.size_px))?;
+        drawing.project(gpu, model, camera, model.sh_degree);
+        let counts = drawing.bin(gpu, model);
+        if counts.dropped > 0 {
+            gpu.allocating(|| drawing.grow_pairs(gpu, counts.pairs + counts.dropped))?;
+            drawing.project(gpu, model, camera, model.sh_degree);
+            drawing.bin(gpu, model);
+        }
+        drawing.rasterize(gpu, model, Channels::Geometry);
+        Ok(drawing.rendering(gpu))
+    }
+}

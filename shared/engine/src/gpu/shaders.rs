@@ -1,0 +1,50 @@
+//! The sources of the passes: one file each, with what they share put before it.
+
+/// A pass: its name, which is that of its file and of its entry point, and its source.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Shader {
+    pub(super) name: &'static str,
+    pub(super) source: &'static str,
+}
+
+/// `shader!("project", "geometry", …)`: `types`, then the named parts, then the pass itself.
+macro_rules! shader {
+    ($name:literal $(, $part:literal)*) => {
+        Shader {
+            name: $name,
+            source: concat!(
+                include_str!("../../../../shaders/types.wgsl"),
+                $(include_str!(concat!("../../../../shaders/", $part, ".wgsl")),)*
+                include_str!(concat!("../../../../shaders/", $name, ".wgsl")),
+            ),
+        }
+    };
+}
+
+pub(super) const PROJECT: Shader = shader!("project", "geometry", "sh", "spans");
+pub(super) const SCAN_BLOCKS: Shader = shader!("scan_blocks", "group_scan");
+pub(super) const SCAN_SUMS: Shader = shader!("scan_sums", "group_scan");
+pub(super) const SCAN_ADD: Shader = shader!("scan_add");
+pub(super) const COMPACT: Shader = shader!("compact");
+pub(super) const SORT_COUNT: Shader = shader!("sort_count");
+pub(super) const SORT_SCATTER: Shader = shader!("sort_scatter");
+pub(super) const ORDER_COUNTS: Shader = shader!("order_counts");
+pub(super) const EMIT: Shader = shader!("emit", "spans");
+pub(super) const TILE_RANGES: Shader = shader!("tile_ranges");
+pub(super) const RASTERIZE: Shader = shader!("rasterize");
+
+/// Every pass.
+#[cfg(test)]
+pub(super) const ALL: [Shader; 11] = [
+    PROJECT,
+    SCAN_BLOCKS,
+    SCAN_SUMS,
+    SCAN_ADD,
+    COMPACT,
+    SORT_COUNT,
+    SORT_SCATTER,
+    ORDER_COUNTS,
+    EMIT,
+    TILE_RANGES,
+    RASTERIZE,
+];

@@ -1,0 +1,195 @@
+//! Running sums and the stable radix sort: 4 bits at a time, in blocks of 1024 numbers; the order never depends
+//! on how the GPU schedules its groups.
+
+use super::buffer::Buffer;
+use super::context::{Gpu, GpuError};
+use super::layout::{PAIRS, PAIRS_WANTED, SPLATS, ScanStep, SortStep, UNUSED, VISIBLE};
+use super::pass::{Pass, Recorder};
+use super::shaders;
+
+/// Invocations of a group, as in the shaders.
+pub(super) const GROUP: usize = 256;
+/// Numbers that one group scans or sorts, as in the shaders.
+const BLOCK: usize = 1024;
+/// Values of a digit, and its bits.
+const DIGITS: usize = 16;
+const DIGIT_BITS: u32 = 4;
+
+/// Keys and values, twice: a step of the sort reads one and writes the other.
+#[derive(Debug)]
+pub(super) struct Sorted {
+    keys: [Buffer<u32>; 2],
+    values: [Buffer<u32>; 2],
+    /// The counter that says how many there are.
+    counter: Counted,
+    steps: u32,
+}
+
+/// What is sorted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Counted {
+    /// Splats that are seen.
+    Visible,
+    /// Splat–tile pairs.
+    Pairs,
+}
+
+impl Sorted {
+    /// Room for `len` keys of 32 bits.
+    pub(super) fn new(gpu: &Gpu, counter: Counted, len: usize) -> Result<Self, GpuError> {
+        let room = || Buffer::storage(gpu, "keys to sort", len);
+        Ok(Self {
+            keys: [room()?, room()?],
+            values: [room()?, room()?],
+            counter,
+            steps: u32::BITS / DIGIT_BITS,
+        })
+    }
+
+    /// Says that keys are at most `key`.
+    pub(super) fn set_largest(&mut self, key: u32) {
+        self.steps = (u32::BITS - key.leading_zeros()).div_ceil(DIGIT_BITS);
+    }
+
+    /// Keys and values before the sort, so that [`Self::result`] holds them afterwards.
+    pub(super) fn input(&self) -> [&wgpu::Buffer; 2] {
+        self.half(self.steps as usize % 2)
+    }
+
+    /// Keys and values after the sort.
+    pub(super) fn result(&self) -> [&wgpu::Buffer; 2] {
+        self.half(0)
+    }
+
+    fn half(&self, half: usize) -> [&wgpu::Buffer; 2] {
+        [&self.keys[half].raw, &self.values[half].raw]
+    }
+
+    fn len(&self) -> usize {
+        self.keys[0].len()
+    }
+}
+
+/// The passes of scans and sorts, and what they count with.
+#[derive(Debug)]
+pub(super) struct Sorter {
+    scan_blocks: Pass,
+    scan_sums: Pass,
+    scan_add: Pass,
+    count: Pass,
+    scatter: Pass,
+    counts: Buffer<u32>,
+    block_sums: Buffer<u32>,
+    scan_visible: Buffer<ScanStep>,
+    scan_pairs: Buffer<ScanStep>,
+    /// For [`Counted::Visible`] and [`Counted::Pairs`].
+    scan_digits: [Buffer<ScanStep>; 2],
+    sort_steps: [Vec<Buffer<SortStep>>; 2],
+}
+
+impl Sorter {
+    /// For sorts of up to `len` keys, and scans of up to `len` numbers.
+    pub(super) fn new(gpu: &Gpu, len: usize) -> Result<Self, GpuError> {
+        let scan = |counter: usize, digits: u32, total: usize| {
+            let step = ScanStep { counter: counter as u32, digits, total: total as u32, unused: 0 };
+            Buffer::uniform(gpu, "scan step", step)
+        };
+        let steps = |counter: usize| {
+            let step = |shift| SortStep { counter: counter as u32, shift };
+            let shifts = (0..u32::BITS).step_by(DIGIT_BITS as usize);
+            shifts.map(|shift| Buffer::uniform(gpu, "sort step", step(shift))).collect()
+        };
+        let (counts, block_sums) = Self::room(gpu, len)?;
+        Ok(Self {
+            scan_blocks: Pass::new(gpu, shaders::SCAN_BLOCKS),
+            scan_sums: Pass::new(gpu, shaders::SCAN_SUMS),
+            scan_add: Pass::new(gpu, shaders::SCAN_ADD),
+            count: Pass::new(gpu, shaders::SORT_COUNT),
+            scatter: Pass::new(gpu, shaders::SORT_SCATTER),
+            counts,
+            block_sums,
+            scan_visible: scan(SPLATS, 0, VISIBLE),
+            scan_pairs: scan(VISIBLE, 0, PAIRS_WANTED),
+            scan_digits: [scan(VISIBLE, 1, UNUSED), scan(PAIRS, 1, UNUSED)],
+            sort_steps: [steps(VISIBLE), steps(PAIRS)],
+        })
+    }
+
+    /// Makes room for `len` keys.
+    pub(super) fn grow(&mut self, gpu: &Gpu, len: usize) -> Result<(), GpuError> {
+        (self.counts, self.block_sums) = Self::room(gpu, len)?;
+        Ok(())
+    }
+
+    fn room(gpu: &Gpu, len: usize) -> Result<(Buffer<u32>, Buffer<u32>), GpuError> {
+        let counts = DIGITS * len.div_ceil(BLOCK);
+        let sums = counts.max(len).div_ceil(BLOCK);
+        Ok((Buffer::storage(gpu, "digit counts", counts)?, Buffer::storage(gpu, "block sums", sums)?))
+    }
+
+    /// Replaces the flags of all splats by their running sums; their total is the counter of visible splats.
+    pub(super) fn scan_visible(
+        &self,
+        r: &mut Recorder,
+        counters: &wgpu::Buffer,
+        flags: &Buffer<u32>,
+        splats: usize,
+    ) {
+        self.scan(r, &self.scan_visible, counters, flags, splats);
+    }
+
+    /// Replaces the numbers of pairs of the visible splats by their running sums; the total is the counter of the
+    /// pairs wanted.
+    pub(super) fn scan_pairs(
+        &self,
+        r: &mut Recorder,
+        counters: &wgpu::Buffer,
+        counts: &Buffer<u32>,
+        splats: usize,
+    ) {
+        self.scan(r, &self.scan_pairs, counters, counts, splats);
+    }
+
+    fn scan(
+        &self,
+        r: &mut Recorder,
+        step: &Buffer<ScanStep>,
+        counters: &wgpu::Buffer,
+        values: &Buffer<u32>,
+        len_max: usize,
+    ) {
+        self.scan_within(r, step, counters, values, len_max);
+        let groups = len_max.div_ceil(GROUP);
+        r.run(&self.scan_add, &[&step.raw, counters, &self.block_sums.raw, &values.raw], groups);
+    }
+
+    fn scan_within(
+        &self,
+        r: &mut Recorder,
+        step: &Buffer<ScanStep>,
+        counters: &wgpu::Buffer,
+        values: &Buffer<u32>,
+        len_max: usize,
+    ) {
+        let sums = &self.block_sums.raw;
+        r.run(&self.scan_blocks, &[&step.raw, counters, &values.raw, sums], len_max.div_ceil(BLOCK));
+        r.run(&self.scan_sums, &[&step.raw, counters, sums], 1);
+    }
+
+    /// Sorts by key; equal keys keep their order.
+    pub(super) fn sort(&self, r: &mut Recorder, counters: &wgpu::Buffer, sorted: &Sorted) {
+        let which = usize::from(sorted.counter == Counted::Pairs);
+        let blocks = sorted.len().div_ceil(BLOCK);
+        let mut from = sorted.steps as usize % 2;
+        for step in &self.sort_steps[which][..sorted.steps as usize] {
+            let [keys, values] = sorted.half(from);
+            let [to_keys, to_values] = sorted.half(1 - from);
+            r.run(&self.count, &[&step.raw, counters, keys, &self.counts.raw], blocks);
+            self.scan_within(r, &self.scan_digits[which], counters, &self.counts, DIGITS * blocks);
+            let (counts, sums) = (&self.counts.raw, &self.block_sums.raw);
+            let buffers = [&step.raw, counters, counts, sums, keys, values, to_keys, to_values];
+            r.run(&self.scatter, &buffers, blocks);
+            from = 1 - from;
+        }
+    }
+}

@@ -1,0 +1,100 @@
+//! Every shader is valid, keeps to what every GPU can do, and shares its structures with Rust byte by byte.
+
+use naga::front::wgsl;
+use naga::valid::{Capabilities, ValidationFlags, Validator};
+use naga::{AddressSpace, Module, TypeInner};
+
+use crate::gpu::layout::{Projected, ScanStep, SortStep, View};
+use crate::gpu::shaders;
+
+/// Storage buffers that a pass may bind: WebGPU's default limit.
+const STORAGE_BUFFERS_MAX: usize = 8;
+/// Memory of a group, bytes: WebGPU's default limit.
+const GROUP_BYTES_MAX: u32 = 16_384;
+
+fn parsed(source: &str) -> Module {
+    wgsl::parse_str(source).unwrap_or_else(|error| panic!("{}", error.emit_to_string(source)))
+}
+
+#[test]
+fn every_shader_is_valid_and_portable() {
+    for shader in shaders::ALL {
+        let module = parsed(shader.source);
+        let info = Validator::new(ValidationFlags::all(), Capabilities::empty()).validate(&module);
+        assert!(
+            info.is_ok(),
+            "{}: {}",
+            shader.name,
+            info.expect_err("invalid").emit_to_string(shader.source)
+        );
+        assert_eq!(module.entry_points.len(), 1, "{}", shader.name);
+        assert_eq!(module.entry_points[0].name, shader.name, "a pass is called like its file");
+        let globals = || module.global_variables.iter().map(|(_, global)| global);
+        let storage = globals().filter(|global| matches!(global.space, AddressSpace::Storage { .. })).count();
+        assert!(storage <= STORAGE_BUFFERS_MAX, "{} binds {storage} storage buffers", shader.name);
+        let group_bytes: u32 = globals()
+            .filter(|global| global.space == AddressSpace::WorkGroup)
+            .map(|global| module.types[global.ty].inner.size(module.to_ctx()))
+            .sum();
+        assert!(group_bytes <= GROUP_BYTES_MAX, "{}: {group_bytes} bytes of a group's memory", shader.name);
+    }
+}
+
+/// Offsets of the named fields and the size, as a shader sees them.
+fn layout_in(module: &Module, structure: &str) -> (Vec<(String, u32)>, u32) {
+    let (_, found) = module
+        .types
+        .iter()
+        .find(|(_, ty)| ty.name.as_deref() == Some(structure))
+        .unwrap_or_else(|| panic!("no {structure}"));
+    let TypeInner::Struct { members, span } = &found.inner else { panic!("{structure} is no structure") };
+    let fields = members.iter().map(|m| (m.name.clone().expect("a name"), m.offset)).collect();
+    (fields, *span)
+}
+
+/// The same of a structure of Rust.
+macro_rules! layout_of {
+    ($structure:ident { $($field:ident),* $(,)? }) => {
+        (
+            vec![$((stringify!($field).to_owned(), std::mem::offset_of!($structure, $field) as u32)),*],
+            size_of::<$structure>() as u32,
+        )
+    };
+}
+
+#[test]
+fn rust_and_shaders_lay_structures_out_alike() {
+    let module = parsed(shaders::PROJECT.source);
+    let view = layout_of!(View {
+        cam_from_world,
+        eye,
+        sh_degree,
+        focal_px,
+        center_px,
+        slope_min,
+        slope_max,
+        size_px,
+        tiles,
+        splats,
+        splat_stride,
+        pair_capacity,
+        planes,
+    });
+    assert_eq!(layout_in(&module, "View"), view);
+    let projected = layout_of!(Projected {
+        mean_px,
+        extent_px,
+        falloff,
+        log2_opacity,
+        rgb,
+        falloff_max,
+        normal,
+        plane_distance,
+    });
+    assert_eq!(layout_in(&module, "Projected"), projected);
+    assert_eq!(layout_in(&module, "SortStep"), layout_of!(SortStep { counter, shift }));
+    assert_eq!(layout_in(&module, "ScanStep"), layout_of!(ScanStep { counter, digits, total, unused }));
+    // The comparison sees a field that moved.
+    let moved = parsed("struct SortStep { shift: u32, counter: u32 } @compute @workgroup_size(1) fn f() {}");
+    assert_ne!(layout_in(&moved, "SortStep"), layout_of!(SortStep { counter, shift }));
+}
