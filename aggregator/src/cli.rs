@@ -2,6 +2,7 @@
 
 pub(crate) mod eval;
 pub(crate) mod eval_mesh;
+pub(crate) mod forget;
 pub(crate) mod key;
 pub(crate) mod merge;
 pub(crate) mod mesh;

@@ -3,7 +3,7 @@
 use std::fs;
 use std::net::SocketAddr;
 use std::ops::ControlFlow;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::mpsc::Receiver;
 use std::time::Duration;
 
@@ -91,10 +91,27 @@ fn default_deadline_s() -> u64 {
     Rounds::default().deadline.as_secs()
 }
 
+impl AggregatorConfig {
+    /// Reads a configuration file.
+    pub fn read(path: &Path) -> Result<Self, FieldError> {
+        let bad = |reason: String| FieldError::Config { path: path.to_path_buf(), reason };
+        let text = fs::read_to_string(path).map_err(|error| bad(error.to_string()))?;
+        toml::from_str(&text).map_err(|error| bad(error.to_string().trim().replace('\n', " ")))
+    }
+}
+
 /// Why a service in the field ended.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum FieldError {
+    /// The configuration cannot be read, or is none.
+    #[error("{path}: {reason}")]
+    Config {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        reason: String,
+    },
     /// Neither or both of `bind` and `broker`.
     #[error("write either bind = \"0.0.0.0:1883\" (a broker of its own) or broker = \"mqtt://host:port\"")]
     OneBroker,

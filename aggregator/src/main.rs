@@ -41,6 +41,7 @@ enum Commands {
     Eval(cli::eval::EvalArgs),
     Mesh(cli::mesh::MeshArgs),
     EvalMesh(cli::eval_mesh::EvalMeshArgs),
+    Forget(cli::forget::ForgetArgs),
     Key(cli::key::KeyArgs),
     Merge(cli::merge::MergeArgs),
     Mission(MissionArgs),
@@ -87,9 +88,9 @@ struct MissionArgs {
     /// Times that the global model learns from every camera of the agents; 0 joins their models as they are
     #[arg(long, value_name = "N", default_value_t = MergeSettings::default().epochs)]
     epochs: u32,
-    /// Leave to one agent what several show, before joining
+    /// Join all splats of all agents, also where several show the same
     #[arg(long)]
-    compress: bool,
+    no_compress: bool,
     /// The most memory that merging may take
     #[arg(long, value_name = "BYTES", default_value = "4GiB", value_parser = parse_bytes)]
     merge_memory: u64,
@@ -121,8 +122,9 @@ struct RunArgs {
 
 fn main() -> ExitCode {
     let outcome = match Cli::parse().command {
-        Commands::Key(args) => cli::key::run(&args),
         Commands::Eval(args) => cli::eval::run(args),
+        Commands::Forget(args) => cli::forget::run(&args),
+        Commands::Key(args) => cli::key::run(&args),
         Commands::Merge(args) => cli::merge::run(&args),
         Commands::Mission(args) => mission(args),
         Commands::Run(args) => run(&args),
@@ -156,7 +158,7 @@ fn mission(args: MissionArgs) -> Result<()> {
             eval_every: args.eval_every,
             merge: MergeSettings {
                 epochs: args.epochs,
-                compress: args.compress,
+                compress: !args.no_compress,
                 memory_bytes: args.merge_memory,
                 seed: args.seed,
             },
@@ -221,10 +223,7 @@ fn surroundings(json: bool) -> Result<Surroundings> {
 }
 
 fn run(args: &RunArgs) -> Result<()> {
-    let path = args.config.display();
-    let text = std::fs::read_to_string(&args.config).with_context(|| path.to_string())?;
-    let config: AggregatorConfig = toml::from_str(&text)
-        .map_err(|error| anyhow::anyhow!("{path}: {}", error.to_string().trim().replace('\n', " ")))?;
+    let config = AggregatorConfig::read(&args.config)?;
     let (commands, orders) = mpsc::channel();
     ctrlc::set_handler(move || {
         let _ = commands.send(Command::Stop); // fails only where the service has ended already

@@ -42,7 +42,7 @@ pub struct MergeSettings {
 
 impl Default for MergeSettings {
     fn default() -> Self {
-        Self { epochs: 5, compress: false, memory_bytes: 4 << 30, seed: 0 }
+        Self { epochs: 5, compress: true, memory_bytes: 4 << 30, seed: 0 }
     }
 }
 
@@ -111,7 +111,7 @@ pub struct MergeSummary {
 pub struct LocalSummary {
     /// Splats that arrived.
     pub arrived: usize,
-    /// Ψ: share of its cameras that look at ground of a model before it.
+    /// Ψ: share of its cameras that look at ground of another model.
     pub overlap: f64,
     /// Splats that compression removed.
     pub removed: usize,
@@ -126,18 +126,17 @@ pub fn merge(
 ) -> Result<Merged, MergeError> {
     let mut summary = MergeSummary::default();
     let mut parts = Vec::with_capacity(locals.count());
-    let mut before: Vec<Camera> = Vec::new();
+    let all = cameras(locals)?;
     for i in 0..locals.count() {
         let Model { splats, cameras } = locals.load(i)?;
         let arrived = splats.len();
         let compression = match settings.compress {
-            true => Compression::plan(&splats, &cameras, &before, threads),
+            true => Compression::plan(&splats, i, &all, threads),
             false => Compression::default(),
         };
         let splats = without(&splats, &compression.removed);
         let removed = compression.removed.len();
         summary.locals.push(LocalSummary { arrived, overlap: compression.overlap, removed });
-        before.extend(&cameras);
         parts.push(Model { splats, cameras });
     }
     let mut model = concatenate(&parts);
@@ -145,11 +144,16 @@ pub fn merge(
     if settings.epochs > 0 && !model.splats.is_empty() && !model.cameras.is_empty() {
         let sizes: Vec<usize> = parts.iter().map(|part| part.splats.len()).collect();
         drop(parts);
-        let distilled = distill::distill(locals, &sizes, model.splats, settings, threads, tell)?;
+        let distilled = distill::distill(locals, &all, &sizes, model.splats, settings, threads, tell)?;
         (model.splats, summary.steps) = (distilled.splats, distilled.steps);
     }
     summary.splats = model.splats.len();
     Ok(Merged { model, summary })
+}
+
+/// The cameras of every model.
+fn cameras(locals: &dyn Locals) -> Result<Vec<Vec<Camera>>, MergeError> {
+    (0..locals.count()).map(|i| locals.load(i).map(|model| model.cameras)).collect()
 }
 
 /// The splats but for those of `removed`, ascending indices.

@@ -1,12 +1,14 @@
 //! Whole missions, with the programs as they are flown: broker, agents, aggregator.
 #![allow(clippy::unwrap_used)]
 
+use std::collections::HashSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
+use cosurf_scene::Picture;
 use cosurf_scene::city::{City, CitySettings};
 
 /// Patience with one mission; it takes seconds.
@@ -58,6 +60,54 @@ fn agent_in_training(mission: &Child, out: &Path) -> Option<u32> {
     None
 }
 
+/// Every file below a folder.
+fn files(folder: &Path) -> Vec<PathBuf> {
+    let entries = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+    entries.flat_map(|path| if path.is_dir() { files(&path) } else { vec![path] }).collect()
+}
+
+/// Pieces of photographs as they lie on a disk and as pixels, each of 24 bytes that are not all alike.
+fn pieces(data: &Path) -> Vec<[u8; 24]> {
+    let mut pieces = Vec::new();
+    for path in files(&data.join("images")) {
+        let (stored, pixels) = (fs::read(&path).unwrap(), Picture::read(&path).unwrap().rgb);
+        for bytes in [stored, pixels] {
+            let whole = bytes.as_chunks::<24>().0;
+            let varied = whole.iter().filter(|piece| piece.iter().any(|byte| byte.abs_diff(piece[0]) > 8));
+            pieces.extend(varied.copied().step_by(7).take(40));
+        }
+    }
+    pieces
+}
+
+/// The first piece of a photograph in some bytes, at any place.
+fn find_piece(bytes: &[u8], pieces: &HashSet<[u8; 24]>) -> Option<usize> {
+    bytes.windows(24).position(|window| pieces.contains(window))
+}
+
+/// What left the agents is in the aggregator's stores, hash for hash; none of it, and nothing made of it, has a
+/// piece of a photograph.
+fn no_photograph_left(data: &Path, out: &Path) {
+    let pieces: HashSet<[u8; 24]> = pieces(data).into_iter().collect();
+    let photograph = files(&data.join("images")).remove(0);
+    let planted = [&[7; 99][..], &fs::read(&photograph).unwrap()].concat();
+    assert!(pieces.len() > 100 && find_piece(&planted, &pieces).is_some(), "the search finds what is there");
+    let mut sent = 0;
+    for path in ["models", "global"].into_iter().flat_map(|folder| files(&out.join(folder))) {
+        let bytes = fs::read(&path).unwrap();
+        assert_eq!(find_piece(&bytes, &pieces), None, "{}", path.display());
+        sent += if path.starts_with(out.join("models")) { bytes.len() } else { 0 };
+    }
+    for file in ["global.ply", "merged.json", "report.json"] {
+        assert_eq!(find_piece(&fs::read(out.join(file)).unwrap(), &pieces), None, "{file}");
+    }
+    // Nothing else was sent: the agents count every byte.
+    let report: serde_json::Value =
+        serde_json::from_slice(&fs::read(out.join("report.json")).unwrap()).unwrap();
+    let counted = report["whole"]["bytes_sent"].as_u64().unwrap();
+    assert!(counted as f64 <= 1.02 * sent as f64, "{counted} bytes left, {sent} are accounted for");
+}
+
 #[cfg(target_os = "linux")]
 #[test]
 fn an_agent_killed_in_training_changes_nothing() {
@@ -68,6 +118,7 @@ fn an_agent_killed_in_training_changes_nothing() {
     City::build(&settings).unwrap().write(&data, |_, _| ()).unwrap();
 
     let undisturbed = finish(start(&data, &calm), &calm);
+    no_photograph_left(&data, &calm);
     let mission = start(&data, &wild);
     let agent = agent_in_training(&mission, &wild).expect("an agent that trains");
     assert!(Command::new("kill").args(["-9", &agent.to_string()]).status().unwrap().success());

@@ -17,22 +17,22 @@ use cosurf_scene::{Camera, SceneError, ply};
 
 /// Merge models that agents trained: no photograph is needed.
 ///
-/// Later models leave to earlier ones what both show (Local Model Compression); the rest is joined and taught by what
-/// every model showed its own cameras (Model Aggregation Scheme).
+/// What several models show is left to the one that sees it best (Local Model Compression); the rest is joined and
+/// taught by what every model showed its own cameras (Model Aggregation Scheme).
 #[derive(Args)]
 pub(crate) struct MergeArgs {
-    /// Folders that agents wrote, each with model.ply and cameras.json
+    /// Folders that agents or a merge wrote, each with model.ply or global.ply, and cameras.json
     #[arg(required = true, value_name = "FOLDER")]
     models: Vec<PathBuf>,
-    /// Where global.ply goes
+    /// Where global.ply and cameras.json go
     #[arg(long, value_name = "DIR", default_value = "out")]
     out: PathBuf,
     /// Times that every camera is learnt from; 0 joins the models as they are
     #[arg(long, value_name = "N", default_value_t = 5)]
     epochs: u32,
-    /// Leave to earlier models what later ones show as well
+    /// Join all splats, also where several models show the same
     #[arg(long)]
-    compress: bool,
+    no_compress: bool,
     /// The most memory to take, for example 500MiB
     #[arg(long, value_name = "BYTES", default_value = "4GiB", value_parser = parse_bytes)]
     memory: u64,
@@ -53,7 +53,8 @@ impl Locals for Folders<'_> {
 
     fn load(&self, index: usize) -> Result<Model, MergeError> {
         let folder = &self.0[index];
-        let splats = ply::read(&folder.join("model.ply"))?;
+        let names = ["model.ply", "global.ply"].map(|name| folder.join(name));
+        let splats = ply::read(names.iter().find(|path| path.is_file()).unwrap_or(&names[0]))?;
         let path = folder.join("cameras.json");
         let bytes = std::fs::read(&path).map_err(|cause| SceneError::io(&path, cause))?;
         let cameras: Vec<Camera> = serde_json::from_slice(&bytes)
@@ -65,7 +66,7 @@ impl Locals for Folders<'_> {
 pub(crate) fn run(args: &MergeArgs) -> Result<()> {
     let settings = MergeSettings {
         epochs: args.epochs,
-        compress: args.compress,
+        compress: !args.no_compress,
         memory_bytes: args.memory,
         seed: args.seed,
     };
@@ -78,6 +79,9 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
     let merged = merge(&Folders(&args.models), &settings, threads, &mut tell)?;
     std::fs::create_dir_all(&args.out).with_context(|| args.out.display().to_string())?;
     ply::write(&args.out.join("global.ply"), &merged.model.splats)?;
+    let cameras = args.out.join("cameras.json");
+    let text = serde_json::to_string_pretty(&merged.model.cameras)?;
+    std::fs::write(&cameras, text).with_context(|| cameras.display().to_string())?;
     let seconds = begun.elapsed().as_secs_f64();
     let mut stdout = io::stdout().lock();
     if args.json {

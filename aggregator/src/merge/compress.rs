@@ -1,11 +1,10 @@
-//! Local Model Compression (CoSurfGS, Eq. 5): what a model shows of ground that models before it show as well is
-//! theirs, as far as it is worth little to the model's other cameras.
+//! Local Model Compression (CoSurfGS, Eq. 5): what a model shows of ground that another model shows better is left to
+//! that one, as far as it is worth little to the model's other cameras.
 //!
-//! The paper leaves open what "overlap" is between drones that share no picture, and in which order models yield.
-//! Here: a camera overlaps if enough of the surface in its picture is seen by some camera of a model before it,
-//! from a similar direction and distance; models yield to those before them in the order of their devices, so one
-//! owner keeps shared ground. What fewer than two of the owners' cameras see is never removed: no hole appears
-//! where an owner looks but has nothing.
+//! The paper leaves open what "overlap" is between drones that share no picture, and who keeps shared ground. Here a
+//! camera overlaps if enough of the surface in its picture is seen by some camera of another model, from a similar
+//! direction and distance. Ground belongs to the model most of whose cameras see it, to all equals: every place has an
+//! owner, whoever compresses and in whatever order, so that nobody deletes what another deletes as well.
 
 use cosurf_engine::Renderer;
 use cosurf_scene::{Camera, Splats};
@@ -22,8 +21,8 @@ const SIGHT_COSINE_MIN: f64 = 0.866_025_403_784_438_6;
 const DEPTH_RATIO: std::ops::RangeInclusive<f64> = 0.5..=2.0;
 /// Most of a model that goes.
 const OVERLAP_MAX: f64 = 0.8;
-/// Cameras of the owners that must see a splat that goes.
-const OWNERS_MIN: usize = 2;
+/// Cameras that an owner must have on ground that others leave to it: what a single one sees it may have dropped.
+const OWNER_CAMERAS_MIN: usize = 2;
 /// Long side of the pictures in which overlap is looked for, px.
 const SIZE_PX: u32 = 48;
 
@@ -37,30 +36,33 @@ pub(crate) struct Compression {
 }
 
 impl Compression {
-    /// Decides what of a model goes where models with the cameras `before` come first.
-    pub(crate) fn plan(splats: &Splats, cameras: &[Camera], before: &[Camera], threads: usize) -> Self {
-        if before.is_empty() || splats.is_empty() || cameras.is_empty() {
+    /// Decides what goes of the model `own` of those that have these cameras.
+    pub(crate) fn plan(splats: &Splats, own: usize, cameras: &[Vec<Camera>], threads: usize) -> Self {
+        let its = &cameras[own];
+        let others: Vec<Camera> =
+            cameras.iter().enumerate().filter(|(i, _)| *i != own).flat_map(|(_, c)| c).copied().collect();
+        if others.is_empty() || splats.is_empty() || its.is_empty() {
             return Self::default();
         }
         let mut renderer = Renderer::new(splats, threads);
         let overlapping: Vec<bool> =
-            cameras.iter().map(|camera| overlaps(&mut renderer, camera, before)).collect();
+            its.iter().map(|camera| overlaps(&mut renderer, camera, &others)).collect();
         drop(renderer);
-        let overlap = overlapping.iter().filter(|o| **o).count() as f64 / cameras.len() as f64;
+        let overlap = overlapping.iter().filter(|o| **o).count() as f64 / its.len() as f64;
         if overlap == 0.0 {
             return Self::default();
         }
         let alone: Vec<Camera> =
-            cameras.iter().zip(&overlapping).filter(|(_, o)| !**o).map(|(camera, _)| *camera).collect();
-        let judges = if alone.is_empty() { cameras } else { &alone };
+            its.iter().zip(&overlapping).filter(|(_, o)| !**o).map(|(camera, _)| *camera).collect();
+        let judges = if alone.is_empty() { its } else { &alone };
         let worth = worth(splats, judges, threads);
         let count = (overlap.min(OVERLAP_MAX) * splats.len() as f64) as usize;
-        Self { overlap, removed: lowest(&worth, &shared(splats, before), count) }
+        Self { overlap, removed: lowest(&worth, &left_to_others(splats, own, cameras), count) }
     }
 }
 
-/// Whether enough of what the model shows a camera is seen by some of `before`.
-fn overlaps(renderer: &mut Renderer, camera: &Camera, before: &[Camera]) -> bool {
+/// Whether enough of what the model shows a camera is seen by some of `others`.
+fn overlaps(renderer: &mut Renderer, camera: &Camera, others: &[Camera]) -> bool {
     let camera = camera.resized(camera.fitted_size(SIZE_PX));
     let depth = renderer.render(&camera).depth;
     let pose = &camera.cam_from_world;
@@ -71,7 +73,7 @@ fn overlaps(renderer: &mut Renderer, camera: &Camera, before: &[Camera]) -> bool
         let p_px = glam::DVec2::new((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
         let point = eye + world_from_cam * (camera.ray(p_px) * f64::from(*z));
         shown += 1;
-        seen += usize::from(before.iter().any(|other| sees_alike(&camera, other, point)));
+        seen += usize::from(others.iter().any(|other| sees_alike(&camera, other, point)));
     }
     shown > 0 && seen as f64 >= SHARE_MIN * shown as f64
 }
@@ -85,13 +87,16 @@ fn sees_alike(camera: &Camera, other: &Camera, point: DVec3) -> bool {
         && DEPTH_RATIO.contains(&(depth(other) / depth(camera)))
 }
 
-/// Indices of the splats that enough of `before` see.
-fn shared(splats: &Splats, before: &[Camera]) -> Vec<u32> {
-    let is_shared = |i: &u32| {
+/// Indices of the splats on ground that belongs to another model than `own`.
+fn left_to_others(splats: &Splats, own: usize, cameras: &[Vec<Camera>]) -> Vec<u32> {
+    let is_left = |i: &u32| {
         let mean = DVec3::from_array(splats.means[*i as usize].map(f64::from));
-        before.iter().filter(|camera| camera.sees(mean)).take(OWNERS_MIN).count() == OWNERS_MIN
+        let seers = |cameras: &Vec<Camera>| cameras.iter().filter(|camera| camera.sees(mean)).count();
+        let seen: Vec<usize> = cameras.iter().map(seers).collect();
+        let most = seen.iter().copied().max().unwrap_or(0);
+        most >= OWNER_CAMERAS_MIN && seen[own] < most
     };
-    (0..splats.len() as u32).into_par_iter().filter(is_shared).collect()
+    (0..splats.len() as u32).into_par_iter().filter(is_left).collect()
 }
 
 /// The `count` of `candidates` that are worth least, ascending; of equals the later.

@@ -27,31 +27,29 @@ pub(crate) struct Distilled {
 /// Teaches `joined`, in which local `i` has the next `sizes[i]` splats.
 pub(crate) fn distill(
     locals: &dyn Locals,
+    cameras: &[Vec<Camera>],
     sizes: &[usize],
     mut joined: Splats,
     settings: &MergeSettings,
     threads: usize,
     tell: &mut dyn FnMut(MergeProgress) -> ControlFlow<()>,
 ) -> Result<Distilled, MergeError> {
-    let cameras = (0..locals.count())
-        .map(|i| locals.load(i).map(|model| model.cameras))
-        .collect::<Result<Vec<_>, _>>()?;
-    let room = student_room(settings, joined.sh_degree, &cameras);
+    let room = student_room(settings, joined.sh_degree, cameras);
     let parts = parts(sizes, room);
     let views: usize = cameras.iter().map(Vec::len).sum();
     let steps = settings.epochs * views as u32;
     let shelf_bytes = ((1.0 - STUDENT_SHARE) * settings.memory_bytes as f64) as u64;
     let largest = sizes.iter().copied().max().unwrap_or(1).max(1);
-    let shelf = (shelf_bytes / renderer_bytes(largest, joined.sh_degree, &cameras)).max(1) as usize;
+    let shelf = (shelf_bytes / renderer_bytes(largest, joined.sh_degree, cameras)).max(1) as usize;
     let mut teachers = Teachers::new(locals, threads, shelf);
-    let depth = median_depth(&mut teachers, &cameras)?;
+    let depth = median_depth(&mut teachers, cameras)?;
     let all: Vec<Camera> = cameras.iter().flatten().copied().collect();
     let extent = extent(&all);
     let mut useless = Vec::new();
     let mut done = 0;
     for part in &parts {
         let own: Range<usize> = sizes[..part.start].iter().sum()..sizes[..part.end].iter().sum();
-        let views = views_of(part.clone(), &cameras);
+        let views = views_of(part.clone(), cameras);
         let its: Vec<Camera> = views.iter().map(|view| cameras[view.local][view.camera]).collect();
         if own.is_empty() || views.is_empty() {
             continue;

@@ -83,6 +83,12 @@ impl Keeper {
         Ok((keeper, headers))
     }
 
+    /// The models that count.
+    #[cfg(test)]
+    pub(super) fn counted(&self) -> Vec<ModelKey> {
+        self.newest().iter().map(ModelKey::from).collect()
+    }
+
     /// What is announced of the newest revision.
     pub(super) fn global(&self) -> Option<ModelHeader> {
         self.global

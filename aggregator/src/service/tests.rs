@@ -1,5 +1,8 @@
 //! Whole fleets on one thread, over a simulated network that loses, doubles, damages and delays.
 #![allow(clippy::unwrap_used)]
+
+mod life;
+
 use std::fs;
 use std::sync::mpsc;
 
@@ -39,11 +42,11 @@ struct Drone {
 }
 
 impl Drone {
-    fn new(network: &MemoryNetwork, name: &str, model: &Model) -> Self {
+    fn new(network: &MemoryNetwork, name: &str, number: u64, model: &Model) -> Self {
         let identity = identity(name, Role::Device);
         let mut node = Node::new(identity, LIMITS, &[]);
         let Model { splats, cameras } = model;
-        let offer = Offer::new(identity.device, ModelId(1), ModelKind::Local, 3, splats, cameras);
+        let offer = Offer::new(identity.device, ModelId(number), ModelKind::Local, 3, splats, cameras);
         node.upload(offer.unwrap());
         Self { node, transport: network.join(&identity), global: None }
     }
@@ -66,7 +69,7 @@ impl Drone {
 fn drones(network: &MemoryNetwork, count: usize) -> Vec<Drone> {
     let models =
         [("agent-1", model(900, 1, 1.0)), ("agent-2", model(700, 0, 2.0)), ("agent-3", model(2, 1, 3.0))];
-    models.iter().take(count).map(|(name, model)| Drone::new(network, name, model)).collect()
+    models.iter().take(count).map(|(name, model)| Drone::new(network, name, 1, model)).collect()
 }
 
 /// A service and its link.
@@ -76,16 +79,14 @@ struct Ground {
 }
 
 fn open(network: &MemoryNetwork, folder: &Path, expected: Expected) -> Ground {
+    open_with(network, folder, expected, MergeSettings::default())
+}
+
+fn open_with(network: &MemoryNetwork, folder: &Path, expected: Expected, merge: MergeSettings) -> Ground {
     let identity = identity("aggregator", Role::Aggregator);
     let transport = network.join(&identity);
-    let config = ServiceConfig {
-        identity,
-        folder: folder.to_path_buf(),
-        limits: LIMITS,
-        expected,
-        merge: MergeSettings::default(),
-        threads: 1,
-    };
+    let folder = folder.to_path_buf();
+    let config = ServiceConfig { identity, folder, limits: LIMITS, expected, merge, threads: 1 };
     Ground { service: Service::open(config).unwrap(), transport }
 }
 
@@ -102,25 +103,42 @@ fn simulate(
 ) -> Vec<ServiceEvent> {
     let mut events = Vec::new();
     while !enough(&events, drones) {
-        assert!(network.now() < PATIENCE, "{events:?}");
-        let now = network.now();
-        drones.iter_mut().for_each(|drone| drone.step(now));
-        let _ = ground.service.step(
-            &mut ground.transport,
-            || now,
-            Duration::ZERO,
-            |event| {
-                events.push(event);
-                ControlFlow::Continue(())
-            },
-        );
-        // A merge takes real time; virtual time waits for it.
-        match ground.service.keeper.is_merging() {
-            true => std::thread::sleep(Duration::from_millis(1)),
-            false => network.advance(now + Duration::from_millis(5)),
-        }
+        step(network, ground, drones, &mut events);
     }
     events
+}
+
+/// The same until the service itself has come far enough.
+fn simulate_until(
+    network: &MemoryNetwork,
+    ground: &mut Ground,
+    drones: &mut [Drone],
+    enough: impl Fn(&Ground, &[ServiceEvent]) -> bool,
+) {
+    let mut events = Vec::new();
+    while !enough(ground, &events) {
+        step(network, ground, drones, &mut events);
+    }
+}
+
+fn step(network: &MemoryNetwork, ground: &mut Ground, drones: &mut [Drone], events: &mut Vec<ServiceEvent>) {
+    assert!(network.now() < PATIENCE, "{events:?}");
+    let now = network.now();
+    drones.iter_mut().for_each(|drone| drone.step(now));
+    let _ = ground.service.step(
+        &mut ground.transport,
+        || now,
+        Duration::ZERO,
+        |event| {
+            events.push(event);
+            ControlFlow::Continue(())
+        },
+    );
+    // A merge takes real time; virtual time waits for it.
+    match ground.service.keeper.is_merging() {
+        true => std::thread::sleep(Duration::from_micros(200)),
+        false => network.advance(now + Duration::from_millis(5)),
+    }
 }
 
 fn count(events: &[ServiceEvent], which: fn(&ServiceEvent) -> bool) -> usize {

@@ -1,0 +1,150 @@
+//! The life of a site from a seed: models come in any order, late, doubled, in new revisions; the service is killed
+//! at its post or in the middle of a merge; a device is withdrawn. Whatever happened, the same models end in the same
+//! bytes, those of a merge of the models by themselves.
+
+use cosurf_wire::BodyHash;
+
+use super::*;
+use crate::merge::tests::{InMemory, above, ground};
+use crate::merge::{MergeProgress, merge};
+
+/// Lives that are simulated.
+const SEEDS: u64 = 200;
+const NAMES: [&str; 3] = ["agent-1", "agent-2", "agent-3"];
+/// Who flies too, and is withdrawn.
+const STRANGER: &str = "agent-0";
+const SETTINGS: MergeSettings = MergeSettings { epochs: 1, compress: true, memory_bytes: 1 << 30, seed: 3 };
+
+/// Numbers from a seed.
+struct Dice(u64);
+
+impl Dice {
+    fn below(&mut self, n: u64) -> u64 {
+        self.0 = self.0.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+        (self.0 >> 33) % n
+    }
+}
+
+/// A small model of the ground at `place`, seen by two small cameras.
+fn model_at(place: f32) -> Model {
+    let cameras = [-0.5, 0.5].map(|x| above(f64::from(place) + x).resized([24, 16]));
+    Model { splats: ground(place - 2.0, place + 2.0), cameras: cameras.to_vec() }
+}
+
+/// The models that count in the end.
+fn models() -> Vec<Model> {
+    [-2.0, 0.0, 2.0].map(model_at).to_vec()
+}
+
+/// A model as it arrives after its way over the wire.
+fn arrived(model: &Model) -> Model {
+    body_to_model(&offer(model, ModelKind::Local).body).unwrap()
+}
+
+fn offer(model: &Model, kind: ModelKind) -> Offer {
+    let device = DeviceId::new("aggregator").unwrap();
+    Offer::new(device, ModelId(1), kind, 1, &model.splats, &model.cameras).unwrap()
+}
+
+/// The hash of what models are merged to by themselves.
+fn merged_hash(models: &[Model]) -> BodyHash {
+    let locals = InMemory(models.iter().map(arrived).collect());
+    let mut go_on = |_: MergeProgress| ControlFlow::Continue(());
+    let merged = merge(&locals, &SETTINGS, 1, &mut go_on).unwrap();
+    offer(&merged.model, ModelKind::Global).header.blake3
+}
+
+/// What is in the air in one sitting of the service, and how the sitting ends.
+struct Sitting {
+    drones: Vec<(usize, u64)>,
+    with_stranger: bool,
+    killed: Kill,
+}
+
+#[derive(Clone, Copy, PartialEq)]
+enum Kill {
+    /// As soon as all have sent, before anything is merged, or while it is.
+    BeforeOrInTheMerge,
+    /// After the merge.
+    AfterTheMerge,
+}
+
+/// One after another the drones come, the first with an older model of another place at first.
+fn sittings(dice: &mut Dice) -> Vec<Sitting> {
+    let mut order = [0, 1, 2];
+    for last in (1..3).rev() {
+        order.swap(last, dice.below(last as u64 + 1) as usize);
+    }
+    let first = order[0];
+    let together = 1 + dice.below(3) as usize;
+    let mut sittings = vec![Sitting {
+        drones: order[..together].iter().map(|i| (*i, if *i == first { 1 } else { 2 })).collect(),
+        with_stranger: dice.below(2) == 0,
+        killed: if dice.below(2) == 0 { Kill::BeforeOrInTheMerge } else { Kill::AfterTheMerge },
+    }];
+    sittings.push(Sitting {
+        drones: order.iter().map(|i| (*i, 2)).collect(),
+        with_stranger: false,
+        killed: Kill::AfterTheMerge,
+    });
+    if dice.below(2) == 0 {
+        let again = sittings[1].drones.clone();
+        sittings[1].killed = Kill::BeforeOrInTheMerge;
+        sittings.push(Sitting { drones: again, with_stranger: false, killed: Kill::AfterTheMerge });
+    }
+    sittings
+}
+
+/// Lives through all sittings and returns the hash of the last global model.
+fn live(seed: u64) -> BodyHash {
+    let mut dice = Dice(seed);
+    let folder = tempfile::tempdir().unwrap();
+    let models = models();
+    let old = model_at(7.0);
+    let mut global = None;
+    for (number, sitting) in sittings(&mut dice).into_iter().enumerate() {
+        let network = MemoryNetwork::new(10 * seed + number as u64, BAD_WEATHER);
+        let model = |(i, number): (usize, u64)| if number == 1 { &old } else { &models[i] };
+        let mut drones: Vec<Drone> =
+            sitting.drones.iter().map(|d| Drone::new(&network, NAMES[d.0], d.1, model(*d))).collect();
+        if sitting.with_stranger {
+            drones.push(Drone::new(&network, STRANGER, 1, &model_at(1.0)));
+        } else {
+            withdraw(folder.path(), &DeviceId::new(STRANGER).unwrap()).unwrap();
+        }
+        let mut ground = open_with(&network, folder.path(), Expected::Anybody(AT_ONCE), SETTINGS);
+        let named =
+            |name: &str, model| ModelKey { device: DeviceId::new(name).unwrap(), model: ModelId(model) };
+        let mut awaited: Vec<ModelKey> =
+            sitting.drones.iter().map(|(i, model)| named(NAMES[*i], *model)).collect();
+        awaited.extend(sitting.with_stranger.then(|| named(STRANGER, 1)));
+        let here = |ground: &Ground| {
+            let counted = ground.service.keeper.counted();
+            awaited.iter().all(|key| counted.contains(key))
+        };
+        simulate_until(&network, &mut ground, &mut drones, |ground, events| match sitting.killed {
+            Kill::BeforeOrInTheMerge => here(ground),
+            Kill::AfterTheMerge => {
+                let last = events.iter().rev().find(|event| is_merged(event) || is_stored(event));
+                here(ground) && last.is_some_and(is_merged) && !ground.service.keeper.is_merging()
+            }
+        });
+        global = ground.service.keeper.global();
+    }
+    global.unwrap().blake3
+}
+
+#[test]
+fn every_life_ends_in_the_same_bytes() {
+    let expected = merged_hash(&models());
+    for seed in 0..SEEDS {
+        assert_eq!(live(seed), expected, "seed {seed}");
+    }
+}
+
+#[test]
+fn other_models_end_in_other_bytes() {
+    let mut others = models();
+    others[1].splats.opacity_logits[0] += 0.5;
+    assert_ne!(merged_hash(&others), merged_hash(&models()), "the comparison can fail");
+}
