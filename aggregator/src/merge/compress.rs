@@ -3,8 +3,8 @@
 //!
 //! The paper leaves open what "overlap" is between drones that share no picture, and who keeps shared ground. Here a
 //! camera overlaps if enough of the surface in its picture is seen by some camera of another model, from a similar
-//! direction and distance. Ground belongs to the model most of whose cameras see it, to all equals: every place has an
-//! owner, whoever compresses and in whatever order, so that nobody deletes what another deletes as well.
+//! direction and distance. Ground belongs to the model most of whose cameras see it, to the first of equals: every
+//! place has one owner, whoever compresses and in whatever order, so that nobody deletes what another deletes as well.
 
 use cosurf_engine::Renderer;
 use cosurf_scene::{Camera, Splats};
@@ -94,7 +94,7 @@ fn left_to_others(splats: &Splats, own: usize, cameras: &[Vec<Camera>]) -> Vec<u
         let seers = |cameras: &Vec<Camera>| cameras.iter().filter(|camera| camera.sees(mean)).count();
         let seen: Vec<usize> = cameras.iter().map(seers).collect();
         let most = seen.iter().copied().max().unwrap_or(0);
-        most >= OWNER_CAMERAS_MIN && seen[own] < most
+        most >= OWNER_CAMERAS_MIN && seen.iter().position(|count| *count == most) != Some(own)
     };
     (0..splats.len() as u32).into_par_iter().filter(is_left).collect()
 }
