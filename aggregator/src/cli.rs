@@ -6,6 +6,7 @@ pub(crate) mod forget;
 pub(crate) mod key;
 pub(crate) mod merge;
 pub(crate) mod mesh;
+pub(crate) mod tap;
 
 use std::io::{self, IsTerminal};
 

@@ -45,6 +45,8 @@ enum Commands {
     Key(cli::key::KeyArgs),
     Merge(cli::merge::MergeArgs),
     Mission(MissionArgs),
+    Record(cli::tap::RecordArgs),
+    Replay(cli::tap::ReplayArgs),
     Run(RunArgs),
 }
 
@@ -127,6 +129,8 @@ fn main() -> ExitCode {
         Commands::Key(args) => cli::key::run(&args),
         Commands::Merge(args) => cli::merge::run(&args),
         Commands::Mission(args) => mission(args),
+        Commands::Record(args) => cli::tap::record(&args),
+        Commands::Replay(args) => cli::tap::replay(&args),
         Commands::Run(args) => run(&args),
         Commands::Mesh(args) => cli::mesh::run(&args),
         Commands::EvalMesh(args) => cli::eval_mesh::run(&args),

@@ -18,6 +18,7 @@ pub mod mqtt;
 pub mod node;
 mod pacing;
 mod peer;
+pub mod recording;
 pub mod serial;
 mod session;
 pub mod store;

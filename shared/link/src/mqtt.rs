@@ -13,6 +13,7 @@
 //! It keeps nothing on a disk; what is lost with it is asked for again by the conversation above. Clocks
 //! are read here for timeouts only: nothing that is computed depends on them.
 
+pub mod tap;
 #[cfg(test)]
 mod tests;
 mod tls;

@@ -25,7 +25,7 @@ use crate::transport::TransportEvent;
 /// Messages that wait for the event loop, and as many on the wire without acknowledgement: 1 MiB each.
 const QUEUE_MAX: usize = 16;
 /// Largest packet that this side takes.
-const PACKET_BYTES_MAX: usize = MAX_MESSAGE_BYTES + MAX_TOPIC_BYTES + PACKET_OVERHEAD_BYTES;
+pub(super) const PACKET_BYTES_MAX: usize = MAX_MESSAGE_BYTES + MAX_TOPIC_BYTES + PACKET_OVERHEAD_BYTES;
 /// A dead connection is noticed after this long at most one and a half times.
 const KEEP_ALIVE: Duration = Duration::from_secs(30);
 /// A broker forgets a client that stays away longer. Ours: a flight's change of battery.
@@ -313,7 +313,7 @@ fn is_too_large(error: &StateError) -> bool {
 }
 
 /// An error in a few words.
-fn describe(error: &ConnectionError) -> String {
+pub(super) fn describe(error: &ConnectionError) -> String {
     match error {
         ConnectionError::Io(error) | ConnectionError::MqttState(StateError::Io(error)) => {
             match error.kind() {
