@@ -1,5 +1,6 @@
 //! Commands of `cosurf-aggregator`, each with its arguments.
 
+pub(crate) mod convert;
 pub(crate) mod eval;
 pub(crate) mod eval_mesh;
 pub(crate) mod forget;

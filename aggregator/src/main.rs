@@ -39,6 +39,7 @@ struct Cli {
 #[derive(Subcommand)]
 enum Commands {
     Eval(cli::eval::EvalArgs),
+    Convert(cli::convert::ConvertArgs),
     Mesh(cli::mesh::MeshArgs),
     EvalMesh(cli::eval_mesh::EvalMeshArgs),
     Forget(cli::forget::ForgetArgs),
@@ -124,6 +125,7 @@ struct RunArgs {
 
 fn main() -> ExitCode {
     let outcome = match Cli::parse().command {
+        Commands::Convert(args) => cli::convert::run(&args),
         Commands::Eval(args) => cli::eval::run(args),
         Commands::Forget(args) => cli::forget::run(&args),
         Commands::Key(args) => cli::key::run(&args),

@@ -1,7 +1,7 @@
 //! The vocabulary of cosurf and its files.
 //!
 //! What it is: [`Splats`], [`Camera`], [`View`], [`Picture`], [`Dataset`], [`Mesh`], their files
-//! (COLMAP, `transforms.json`, PLY, GLB, JPEG and PNG), picture quality ([`metrics`]), exact
+//! (COLMAP, `transforms.json`, PLY, SPZ, GLB, JPEG and PNG), picture quality ([`metrics`]), exact
 //! depth of triangles ([`raycast`]) and a synthetic city.
 //!
 //! What it refuses to know: rendering of splats, training, wires, clocks, command lines.
@@ -27,6 +27,7 @@ pub mod ply;
 pub mod raycast;
 pub mod report;
 pub mod splats;
+pub mod spz;
 mod transforms;
 
 pub use cache::PictureCache;

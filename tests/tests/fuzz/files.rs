@@ -1,9 +1,13 @@
-//! Files that people bring: PLY, COLMAP, transforms.json.
+//! Files that people bring: PLY, SPZ, COLMAP, transforms.json.
 
 use std::fs;
+use std::io::{Read, Write};
 use std::path::Path;
 
-use cosurf_scene::{Dataset, Mesh, ply};
+use cosurf_scene::{Dataset, Mesh, ply, spz};
+use flate2::Compression;
+use flate2::read::GzDecoder;
+use flate2::write::GzEncoder;
 
 use crate::body::splats;
 use crate::runner::{Target, hammer};
@@ -52,6 +56,32 @@ fn ply_files_are_read_or_refused() {
         let has_points = ply::read_points(&path).is_ok();
         let has_mesh = Mesh::read(&path).is_ok();
         splats.is_ok() || has_points || has_mesh
+    });
+}
+
+/// Changes the bytes within the gzip stream; changes of the stream itself are gzip's to notice.
+#[test]
+fn spz_files_are_read_or_refused() {
+    let folder = folder();
+    let path = folder.path().join("a.spz");
+    let unpacked = |bytes: Vec<u8>| {
+        let mut out = Vec::new();
+        GzDecoder::new(&bytes[..]).read_to_end(&mut out).unwrap();
+        out
+    };
+    let samples = [(0, 0), (3, 0), (5, 1), (2, 3)].map(|(count, degree)| {
+        unpacked(written(&path, |path| spz::write(path, &splats(count, degree)).unwrap()))
+    });
+    let limits = Target { bytes_max: |bytes| (1 << 20) + 400 * bytes, ..target("SPZ", samples.into()) };
+    hammer(limits, |bytes| {
+        let mut gzip = GzEncoder::new(fs::File::create(&path).unwrap(), Compression::fast());
+        gzip.write_all(bytes).unwrap();
+        drop(gzip.finish().unwrap());
+        let splats = spz::read(&path);
+        if let Ok(splats) = &splats {
+            assert_eq!(splats.find_bad_value(), None);
+        }
+        splats.is_ok()
     });
 }
 

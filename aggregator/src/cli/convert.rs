@@ -1,0 +1,48 @@
+//! `convert`: a model in another file format.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use clap::Args;
+use cosurf_scene::{Splats, ply, spz};
+
+/// Convert a model between PLY and SPZ, told by the files' names.
+///
+/// SPZ is ten times smaller and rounds accordingly: it is for viewers. The axes are turned as other converters
+/// do it, so both show the same.
+#[derive(Args)]
+pub(crate) struct ConvertArgs {
+    /// The model: .ply, or .spz of version 2 or 3
+    model: PathBuf,
+    /// Where to write it: .ply or .spz
+    out: PathBuf,
+}
+
+enum Format {
+    Ply,
+    Spz,
+}
+
+impl Format {
+    fn of(path: &Path) -> Result<Self> {
+        let extension = path.extension().map(|extension| extension.to_ascii_lowercase());
+        match extension.as_ref().and_then(|extension| extension.to_str()) {
+            Some("ply") => Ok(Self::Ply),
+            Some("spz") => Ok(Self::Spz),
+            _ => bail!("{}: name a file that ends in .ply or .spz", path.display()),
+        }
+    }
+}
+
+pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
+    let to = Format::of(&args.out)?;
+    let splats: Splats = match Format::of(&args.model)? {
+        Format::Ply => ply::read(&args.model)?,
+        Format::Spz => spz::read(&args.model)?,
+    };
+    match to {
+        Format::Ply => ply::write(&args.out, &splats),
+        Format::Spz => spz::write(&args.out, &splats),
+    }
+    .with_context(|| format!("{} splats", splats.len()))
+}

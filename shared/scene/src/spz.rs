@@ -1,0 +1,252 @@
+//! Splats as SPZ (github.com/nianticlabs/spz), ten times smaller than PLY, for viewers and other tools: a gzip
+//! stream of a 16-byte header, then all positions, opacities, colours, scales, rotations and spherical
+//! harmonics.
+//!
+//! Written: version 3. Read: versions 2 and 3. SPZ's axes are right, up, back where those of the 3DGS PLY are
+//! right, down, forward: y and z change their signs on the way, as other converters have it, so that an SPZ
+//! shows in a viewer as the PLY does. Rounding is that of the format (0.24 mm for coordinates below 2 km, 6 %
+//! for scales, 0.1° or, in version 2, 1° for rotations, 4 to 5 bits for spherical harmonics): use it to look
+//! at models, not to keep them.
+
+#[cfg(test)]
+mod tests;
+
+use std::fs::{self, File};
+use std::io::{BufReader, Read, Write};
+use std::path::Path;
+
+use flate2::Compression;
+use flate2::read::GzDecoder;
+use flate2::write::GzEncoder;
+
+use crate::error::Refusal;
+use crate::splats::sh_coefficients;
+use crate::{SceneError, Splats, atomic};
+
+const MAGIC: [u8; 4] = *b"NGSP";
+const VERSION: u32 = 3;
+const HEADER_BYTES: usize = 16;
+/// Binary digits behind the point of a coordinate, at most.
+const FRACTION_BITS: u8 = 12;
+/// Coordinates are whole numbers of this many bits.
+const COORDINATE_BITS: u8 = 24;
+/// A colour's zeroth harmonic beside its byte: wider than what is seen, for higher harmonics may bring it back.
+const COLOR_SCALE: f32 = 0.15;
+/// Bits of the first degree's harmonics, and of the higher ones'.
+const SH_BITS: [u32; 2] = [5, 4];
+/// A file that unpacks to more than this many times its bytes is refused.
+const RATIO_MAX: u64 = 32;
+/// Signs of y and z, and with them of each harmonic, in the other axes: harmonics that are odd in y and z
+/// together change theirs.
+const SH_SIGNS: [f32; 16] =
+    [1.0, -1.0, -1.0, 1.0, -1.0, 1.0, 1.0, -1.0, 1.0, -1.0, 1.0, -1.0, -1.0, 1.0, -1.0, 1.0];
+const AXIS_SIGNS: [f32; 3] = [1.0, -1.0, -1.0];
+
+/// Writes `splats` as SPZ, atomically: on any error the file that was there stays.
+pub fn write(path: &Path, splats: &Splats) -> Result<(), SceneError> {
+    let fraction_bits = fraction_bits(splats).ok_or_else(|| {
+        SceneError::malformed(path, "SPZ cannot hold coordinates beyond 8,388,607; write a PLY instead")
+    })?;
+    atomic::write(path, |out| {
+        let mut gzip = GzEncoder::new(out, Compression::default());
+        gzip.write_all(&header(splats, fraction_bits))?;
+        gzip.write_all(&body(splats, fraction_bits))?;
+        gzip.finish().map(|_| ())
+    })
+}
+
+/// The most bits behind the point with which every coordinate fits.
+fn fraction_bits(splats: &Splats) -> Option<u8> {
+    let farthest = splats.means.iter().flatten().fold(0.0f32, |far, v| far.max(v.abs()));
+    let most = ((1u32 << (COORDINATE_BITS - 1)) - 1) as f32;
+    (0..=FRACTION_BITS).rev().find(|bits| farthest * (1u32 << bits) as f32 <= most)
+}
+
+fn header(splats: &Splats, fraction_bits: u8) -> [u8; HEADER_BYTES] {
+    let mut header = [0; HEADER_BYTES];
+    header[..4].copy_from_slice(&MAGIC);
+    header[4..8].copy_from_slice(&VERSION.to_le_bytes());
+    header[8..12].copy_from_slice(&(splats.len() as u32).to_le_bytes());
+    header[12] = splats.sh_degree as u8;
+    header[13] = fraction_bits;
+    header
+}
+
+fn body(splats: &Splats, fraction_bits: u8) -> Vec<u8> {
+    let byte = |value: f32| value.round().clamp(0.0, 255.0) as u8;
+    let per_unit = (1u32 << fraction_bits) as f32;
+    let mut body = Vec::new();
+    for mean in &splats.means {
+        for (value, sign) in mean.iter().zip(AXIS_SIGNS) {
+            body.extend_from_slice(&((value * sign * per_unit).round() as i32).to_le_bytes()[..3]);
+        }
+    }
+    body.extend(splats.opacity_logits.iter().map(|logit| byte(255.0 / (1.0 + (-logit).exp()))));
+    for i in 0..splats.len() {
+        body.extend(splats.sh_of(i)[..3].iter().map(|v| byte((v * COLOR_SCALE + 0.5) * 255.0)));
+    }
+    body.extend(splats.log_scales.iter().flatten().map(|v| byte((v + 10.0) * 16.0)));
+    splats.quats.iter().for_each(|quat| body.extend_from_slice(&pack_quat(*quat)));
+    for i in 0..splats.len() {
+        for (k, values) in splats.sh_of(i).chunks_exact(3).enumerate().skip(1) {
+            body.extend(values.iter().map(|v| pack_sh(v * SH_SIGNS[k], SH_BITS[usize::from(k > 3)])));
+        }
+    }
+    body
+}
+
+/// To the middle of the nearest of `2^bits` parts.
+fn pack_sh(value: f32, bits: u32) -> u8 {
+    let part = 1 << (8 - bits);
+    let rounded = (value * 128.0).round() as i32 + 128;
+    ((rounded + part / 2).div_euclid(part) * part).clamp(0, 255) as u8
+}
+
+/// The largest component's index in two bits, then sign and nine bits of each of the others, in the order
+/// xyzw, the first in the highest bits.
+fn pack_quat([w, x, y, z]: [f32; 4]) -> [u8; 4] {
+    let length = (w * w + x * x + y * y + z * z).sqrt();
+    let q = [x, y * AXIS_SIGNS[1], z * AXIS_SIGNS[2], w].map(|v| v / length);
+    let largest = (1..4).fold(0, |best, i| if q[i].abs() > q[best].abs() { i } else { best });
+    let mut bits = largest as u32;
+    for (_, v) in q.iter().enumerate().filter(|(i, _)| *i != largest) {
+        let is_negative = (*v < 0.0) != (q[largest] < 0.0);
+        let size = (v.abs() / std::f32::consts::FRAC_1_SQRT_2 * 511.0 + 0.5) as u32;
+        bits = bits << 10 | u32::from(is_negative) << 9 | size.min(511);
+    }
+    bits.to_le_bytes()
+}
+
+/// Reads splats. What comes back holds no bad value ([`Splats::find_bad_value`]), whatever the bytes; a
+/// number of splats that the file is too small to hold is refused before anything is allocated.
+pub fn read(path: &Path) -> Result<Splats, SceneError> {
+    let size = fs::metadata(path).map_err(|cause| SceneError::io(path, cause))?.len();
+    let file = File::open(path).map_err(|cause| SceneError::io(path, cause))?;
+    read_stream(BufReader::new(file), size).map_err(|refusal| refusal.of(path))
+}
+
+fn read_stream(mut file: impl std::io::BufRead, size: u64) -> Result<Splats, Refusal> {
+    if file.fill_buf()?.starts_with(&MAGIC) {
+        return Err("is SPZ of version 4 or later; write it as version 3, or as PLY".into());
+    }
+    let mut gzip = GzDecoder::new(file);
+    let mut header = [0; HEADER_BYTES];
+    let not_spz = |_| "is no SPZ file: it holds no gzip stream with an SPZ header";
+    gzip.read_exact(&mut header).map_err(not_spz)?;
+    let header = Header::parse(header)?;
+    let bytes = header.body_bytes();
+    if bytes > size.saturating_mul(RATIO_MAX) {
+        return Err(format!(
+            "claims {} splats, which a file of {size} bytes cannot hold; it was cut short or is forged",
+            header.splats
+        )
+        .into());
+    }
+    let mut body = Vec::new();
+    gzip.take(bytes).read_to_end(&mut body)?;
+    if body.len() as u64 != bytes {
+        return Err(
+            format!("ends before its {} splats do; it was cut short, fetch it again", header.splats).into()
+        );
+    }
+    Ok(header.splats_of(&body))
+}
+
+#[derive(Clone, Copy)]
+struct Header {
+    quat_bytes: usize,
+    splats: usize,
+    sh_degree: u32,
+    fraction_bits: u8,
+}
+
+impl Header {
+    fn parse(bytes: [u8; HEADER_BYTES]) -> Result<Self, Refusal> {
+        let number = |at: usize| u32::from_le_bytes([0, 1, 2, 3].map(|i| bytes[at + i]));
+        if bytes[..4] != MAGIC {
+            return Err("is no SPZ file: it does not begin with NGSP".into());
+        }
+        let quat_bytes = match number(4) {
+            2 => 3,
+            3 => 4,
+            version => {
+                return Err(
+                    format!("is SPZ of version {version}; versions 2 and 3 are read, write it so").into()
+                );
+            }
+        };
+        let (sh_degree, fraction_bits) = (u32::from(bytes[12]), bytes[13]);
+        if sh_degree > 3 || fraction_bits >= COORDINATE_BITS {
+            return Err("has spherical harmonics above degree 3, or coordinates without whole numbers".into());
+        }
+        Ok(Self { quat_bytes, splats: number(8) as usize, sh_degree, fraction_bits })
+    }
+
+    /// Bytes per splat of positions, opacities, colours, scales, rotations and spherical harmonics.
+    fn parts(&self) -> [usize; 6] {
+        [9, 1, 3, 3, self.quat_bytes, 3 * (sh_coefficients(self.sh_degree) - 1)]
+    }
+
+    fn body_bytes(&self) -> u64 {
+        self.splats as u64 * self.parts().iter().sum::<usize>() as u64
+    }
+
+    fn splats_of(&self, body: &[u8]) -> Splats {
+        let mut rest = body;
+        let [positions, opacities, colors, scales, quats, sh] = self.parts().map(|bytes| {
+            let (part, tail) = rest.split_at(bytes * self.splats);
+            rest = tail;
+            (part, bytes)
+        });
+        let of = |(part, bytes): (&'_ [u8], usize), i: usize| part[i * bytes..(i + 1) * bytes].to_vec();
+        let mut splats = Splats::with_capacity(self.splats, self.sh_degree);
+        let mut harmonics = vec![0.0; splats.sh_stride()];
+        let unit = (1u32 << self.fraction_bits) as f32;
+        for i in 0..self.splats {
+            let position = of(positions, i);
+            let mean = std::array::from_fn(|k| {
+                let [a, b, c] = [0, 1, 2].map(|byte| position[3 * k + byte]);
+                // The sign is in the highest of three bytes.
+                (i32::from_le_bytes([0, a, b, c]) >> 8) as f32 / unit * AXIS_SIGNS[k]
+            });
+            let opacity = (f32::from(of(opacities, i)[0]) / 255.0).clamp(1.0 / 255.0, 254.0 / 255.0);
+            let color = of(colors, i);
+            let scale = of(scales, i);
+            harmonics[..3].iter_mut().zip(&color).for_each(|(v, byte)| {
+                *v = (f32::from(*byte) / 255.0 - 0.5) / COLOR_SCALE;
+            });
+            for (k, (v, byte)) in harmonics[3..].iter_mut().zip(&of(sh, i)).enumerate() {
+                *v = (f32::from(*byte) - 128.0) / 128.0 * SH_SIGNS[1 + k / 3];
+            }
+            let log_scale = std::array::from_fn(|k| f32::from(scale[k]) / 16.0 - 10.0);
+            let logit = (opacity / (1.0 - opacity)).ln();
+            splats.push(mean, unpack_quat(&of(quats, i)), log_scale, logit, &harmonics);
+        }
+        splats
+    }
+}
+
+/// A quaternion of version 3 (four bytes) or 2 (x, y and z in a byte each, w positive), wxyz in our axes.
+fn unpack_quat(bytes: &[u8]) -> [f32; 4] {
+    let mut q = [0.0f32; 4];
+    let dropped = match *bytes {
+        [a, b, c, d] => {
+            let mut bits = u32::from_le_bytes([a, b, c, d]);
+            let largest = (bits >> 30) as usize;
+            for i in (0..4).rev().filter(|i| *i != largest) {
+                let size = (bits & 511) as f32 / 511.0 * std::f32::consts::FRAC_1_SQRT_2;
+                q[i] = if bits >> 9 & 1 == 1 { -size } else { size };
+                bits >>= 10;
+            }
+            largest
+        }
+        _ => {
+            (0..3).for_each(|i| q[i] = f32::from(bytes[i]) / 127.5 - 1.0);
+            3
+        }
+    };
+    let rest: f32 = q.iter().map(|v| v * v).sum();
+    q[dropped] = (1.0 - rest).max(0.0).sqrt();
+    let [x, y, z, w] = q;
+    [w, x, y * AXIS_SIGNS[1], z * AXIS_SIGNS[2]]
+}

@@ -1,0 +1,116 @@
+//! Against files put together by hand as the published format says, and there and back.
+#![allow(clippy::unwrap_used)]
+
+use std::io::Write as _;
+
+use super::*;
+
+fn gzip(bytes: &[u8]) -> Vec<u8> {
+    let mut gzip = GzEncoder::new(Vec::new(), Compression::default());
+    gzip.write_all(bytes).unwrap();
+    gzip.finish().unwrap()
+}
+
+fn read_bytes(bytes: &[u8]) -> Result<Splats, Refusal> {
+    read_stream(bytes, bytes.len() as u64)
+}
+
+/// One splat of degree 1 at (1, -2, 3) in SPZ's axes.
+fn by_hand(version: u8, quat: &[u8]) -> Vec<u8> {
+    let header = [b'N', b'G', b'S', b'P', version, 0, 0, 0, 1, 0, 0, 0, 1, 12, 0, 0];
+    let position = [0x00, 0x10, 0x00, 0x00, 0xe0, 0xff, 0x00, 0x30, 0x00];
+    let (opacity, color, scale) = ([204], [128, 255, 0], [160, 0, 255]);
+    let sh = [128, 144, 112, 192, 64, 128, 136, 120, 0];
+    gzip(&[&header[..], &position, &opacity, &color, &scale, quat, &sh].concat())
+}
+
+#[test]
+fn files_by_hand_are_read_as_the_format_says() {
+    // Largest w, then x = 0, y = -√½ · 256/511, z = 0 (sign in bit 9 of each ten).
+    let packed = (3u32 << 30 | (1 << 9 | 256) << 10).to_le_bytes();
+    let splats = read_bytes(&by_hand(3, &packed)).unwrap();
+    assert_eq!((splats.len(), splats.sh_degree), (1, 1));
+    assert_eq!(splats.means, [[1.0, 2.0, -3.0]]);
+    assert_eq!(splats.log_scales, [[0.0, -10.0, 5.9375]]);
+    assert!((splats.opacity_logits[0] - 4.0f32.ln()).abs() < 1e-5);
+    let y = std::f32::consts::FRAC_1_SQRT_2 * 256.0 / 511.0;
+    let [w, qx, qy, qz] = splats.quats[0];
+    assert!((w - (1.0 - y * y).sqrt()).abs() < 1e-6 && qx == 0.0 && (qy - y).abs() < 1e-6 && qz == 0.0);
+    let color = [0.5 / 255.0, 127.5 / 255.0, -127.5 / 255.0].map(|v| v / COLOR_SCALE);
+    splats.sh[..3].iter().zip(color).for_each(|(a, b)| assert!((a - b).abs() < 1e-5, "{a} {b}"));
+    // Harmonics of y and z change their signs, that of x does not.
+    assert_eq!(splats.sh[3..], [-0.0, -0.125, 0.125, -0.5, 0.5, -0.0, 0.0625, -0.0625, -1.0]);
+    let old = read_bytes(&by_hand(2, &[255, 128, 0])).unwrap();
+    let [w, x, y, z] = old.quats[0];
+    assert!(x == 1.0 && (y + 0.5 / 127.5).abs() < 1e-6 && z == 1.0 && w == 0.0, "{:?}", old.quats);
+}
+
+fn splats(sh_degree: u32) -> Splats {
+    let mut splats = Splats::with_capacity(50, sh_degree);
+    let mut state = 1u32;
+    let mut noise = || {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (state >> 8) as f32 / (1 << 23) as f32 - 1.0
+    };
+    for _ in 0..50 {
+        let sh: Vec<f32> = (0..splats.sh_stride()).map(|_| 0.9 * noise()).collect();
+        let quat = [noise(), noise(), noise(), 0.1 + noise()];
+        splats.push([100.0 * noise(), noise(), noise()], quat, [noise(), noise(), -4.0], 3.0 * noise(), &sh);
+    }
+    splats
+}
+
+#[test]
+fn what_is_written_is_read_within_the_formats_rounding() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.spz");
+    for sh_degree in 0..=3 {
+        let sent = splats(sh_degree);
+        write(&path, &sent).unwrap();
+        let found = read(&path).unwrap();
+        assert_eq!((found.len(), found.sh_degree, found.find_bad_value()), (50, sh_degree, None));
+        for i in 0..50 {
+            let near = |a: &[f32], b: &[f32], most: f32| a.iter().zip(b).all(|(a, b)| (a - b).abs() <= most);
+            assert!(near(&found.means[i], &sent.means[i], 0.5 / 4096.0 + 1e-5));
+            assert!(near(&found.log_scales[i], &sent.log_scales[i], 0.5 / 16.0 + 1e-6));
+            assert!(near(&found.sh_of(i)[..3], &sent.sh_of(i)[..3], 0.5 / 255.0 / COLOR_SCALE + 1e-5));
+            assert!(near(&found.sh_of(i)[3..], &sent.sh_of(i)[3..], 9.0 / 128.0));
+            let length = sent.quats[i].iter().map(|v| v * v).sum::<f32>().sqrt();
+            let cosine: f32 = found.quats[i].iter().zip(&sent.quats[i]).map(|(a, b)| a * b / length).sum();
+            assert!(cosine.abs() > 1.0 - 2e-6, "{cosine}");
+        }
+    }
+}
+
+#[test]
+fn far_coordinates_get_fewer_digits_and_too_far_ones_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.spz");
+    let mut far = splats(0);
+    far.means[3] = [1e6, -1e6, 0.0];
+    write(&path, &far).unwrap();
+    assert!((read(&path).unwrap().means[3][0] - 1e6).abs() < 0.5);
+    far.means[3][0] = 1e7;
+    assert!(write(&path, &far).unwrap_err().to_string().contains("PLY"));
+}
+
+#[test]
+fn what_is_no_spz_is_refused_in_words() {
+    let sane = [&header(&splats(0), 12)[..], &body(&splats(0), 12)].concat();
+    let spoilt = |change: &dyn Fn(&mut Vec<u8>)| {
+        let mut bytes = sane.clone();
+        change(&mut bytes);
+        match read_bytes(&gzip(&bytes)).unwrap_err() {
+            Refusal::Content(reason) => reason,
+            Refusal::Io(cause) => cause.to_string(),
+        }
+    };
+    assert!(read_bytes(&gzip(&sane)).is_ok());
+    assert!(spoilt(&|bytes| bytes[0] = 0).contains("NGSP"));
+    assert!(spoilt(&|bytes| bytes[4] = 9).contains("version 9"));
+    assert!(spoilt(&|bytes| bytes[12] = 4).contains("degree 3"));
+    assert!(spoilt(&|bytes| bytes[11] = 0x7f).contains("forged"));
+    assert!(spoilt(&|bytes| bytes.truncate(100)).contains("cut short"));
+    assert!(matches!(read_bytes(&sane), Err(Refusal::Content(reason)) if reason.contains("version 4")));
+    assert!(matches!(read_bytes(b"ply\n"), Err(Refusal::Content(reason)) if reason.contains("gzip")));
+}
