@@ -74,7 +74,7 @@ fn first_event(config: MqttConfig) -> TransportEvent {
 }
 
 #[test]
-fn certificates_decide_who_comes_in() {
+fn fault_17_expired_revoked_and_strange_certificates() {
     let folder = tempfile::tempdir().unwrap();
     let authority = Authority::new(folder.path());
     let good = authority.client("good", "drone", 30);

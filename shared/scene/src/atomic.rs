@@ -4,7 +4,7 @@
 
 use std::ffi::OsString;
 use std::fs::{self, File};
-use std::io::{self, BufWriter};
+use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -24,7 +24,7 @@ pub fn write(
     fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
 ) -> Result<(), SceneError> {
     let partial = Partial(partial_path(path));
-    write_and_rename(&partial.0, path, fill).map_err(|cause| SceneError::io(path, cause))
+    write_and_rename(&RealDisk, &partial.0, path, fill).map_err(|cause| SceneError::io(path, cause))
 }
 
 /// Deletes what [`write()`] left in `folder` when its process was killed. Only for a folder's owner,
@@ -42,16 +42,51 @@ pub fn remove_partial_files(folder: &Path) -> Result<(), SceneError> {
     Ok(())
 }
 
-fn write_and_rename(
+fn write_and_rename<D: Disk>(
+    disk: &D,
     partial: &Path,
     path: &Path,
-    fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
+    fill: impl FnOnce(&mut BufWriter<D::File>) -> io::Result<()>,
 ) -> io::Result<()> {
-    let mut out = BufWriter::with_capacity(BUFFER_BYTES, File::create(partial)?);
+    let mut out = BufWriter::with_capacity(BUFFER_BYTES, disk.create(partial)?);
     fill(&mut out)?;
-    out.into_inner().map_err(io::IntoInnerError::into_error)?.sync_all()?;
-    fs::rename(partial, path)?;
-    sync_folder(folder_of(path))
+    disk.sync(&out.into_inner().map_err(io::IntoInnerError::into_error)?)?;
+    disk.rename(partial, path)?;
+    disk.sync_folder(folder_of(path))
+}
+
+/// What a disk does, so that a test can cut its power between any two of them.
+trait Disk {
+    type File: Write;
+    fn create(&self, path: &Path) -> io::Result<Self::File>;
+    fn sync(&self, file: &Self::File) -> io::Result<()>;
+    fn rename(&self, from: &Path, to: &Path) -> io::Result<()>;
+    /// Makes a rename in `folder` outlast a power cut.
+    fn sync_folder(&self, folder: &Path) -> io::Result<()>;
+}
+
+/// The disk of this computer.
+struct RealDisk;
+
+impl Disk for RealDisk {
+    type File = File;
+
+    fn create(&self, path: &Path) -> io::Result<File> {
+        File::create(path)
+    }
+
+    fn sync(&self, file: &File) -> io::Result<()> {
+        file.sync_all()
+    }
+
+    fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
+        fs::rename(from, to)
+    }
+
+    fn sync_folder(&self, folder: &Path) -> io::Result<()> {
+        // Elsewhere folders cannot be opened as files, and renames need no such help.
+        if cfg!(unix) { File::open(folder)?.sync_all() } else { Ok(()) }
+    }
 }
 
 /// A file that is removed when this goes, unless it was renamed away before.
@@ -77,17 +112,12 @@ fn folder_of(path: &Path) -> &Path {
     path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
-/// Makes a rename in `folder` outlast a power cut.
-fn sync_folder(folder: &Path) -> io::Result<()> {
-    // Elsewhere folders cannot be opened as files, and renames need no such help.
-    if cfg!(unix) { File::open(folder)?.sync_all() } else { Ok(()) }
-}
+#[cfg(test)]
+mod power;
 
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
-    use std::io::Write;
-
     use super::*;
 
     fn names(folder: &Path) -> Vec<String> {

@@ -238,7 +238,7 @@ fn forge(body: &mut [u8], i: usize, bytes: u32, splats: u16, crc32: u32) {
 
 /// A frame that is made of almost nothing and asks for a large window is refused before it is unpacked.
 #[test]
-fn bombs_do_not_go_off() {
+fn fault_05_bombs_do_not_go_off() {
     let splats = splats(8000, 0);
     let sane = model_to_body(&splats, &[], &vec![1.0; 8000]).unwrap();
     let plan = BodyPlan::new(&sane).unwrap();
