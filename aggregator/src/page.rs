@@ -212,7 +212,7 @@ fn footer(html: &mut String, report: &MissionReport) {
     let _ = write!(
         html,
         "<h2>The model</h2>\n<p><code>global.ply</code> beside this file is revision {} in the usual 3DGS layout: drop \
-         it into any splat viewer. It is the concatenation of the agents' models. {}<code>report.json</code> \
+         it into any splat viewer. It joins the agents' models. {}<code>report.json</code> \
          has these figures for scripts.</p>\n",
         report.whole.revision,
         report.whole.mesh.map_or(String::new(), mesh_sentence)
