@@ -248,3 +248,36 @@ fn a_disk_that_refuses_is_told_and_the_model_is_not_acknowledged_until_it_is_sto
     let events = simulate(&network, &mut ground, &mut drones, delivered);
     assert_eq!(count(&events, is_stored), 3, "each was asked for again, and arrived");
 }
+
+#[test]
+fn fault_16_killed_in_mid_merge_the_same_bytes() {
+    let names = fleet(&["agent-1", "agent-2", "agent-3"]);
+    let delivered = |events: &[ServiceEvent], _: &[Drone]| events.contains(&ServiceEvent::Delivered);
+    let fly = |folder: &Path, seed: u64| {
+        let network = MemoryNetwork::new(seed, BAD_WEATHER);
+        let mut ground = open(&network, folder, names.clone());
+        simulate(&network, &mut ground, &mut drones(&network, 3), delivered);
+        fs::read(global_ply(folder)).unwrap()
+    };
+    let calm = tempfile::tempdir().unwrap();
+    let undisturbed = fly(calm.path(), 20);
+    for seed in 21..24 {
+        let folder = tempfile::tempdir().unwrap();
+        let network = MemoryNetwork::new(seed, BAD_WEATHER);
+        let mut ground = open(&network, folder.path(), names.clone());
+        let all_stored = |events: &[ServiceEvent], _: &[Drone]| count(events, is_stored) == 3;
+        simulate(&network, &mut ground, &mut drones(&network, 3), all_stored);
+        for _ in 0..1000 {
+            if ground.service.keeper.is_merging() {
+                break;
+            }
+            let now = network.now();
+            let quiet = |_| ControlFlow::Continue(());
+            let _ = ground.service.step(&mut ground.transport, || now, Duration::ZERO, quiet);
+        }
+        assert!(ground.service.keeper.is_merging(), "seed {seed}");
+        drop(ground);
+        assert!(!global_ply(folder.path()).exists(), "seed {seed}: the merge was over already");
+        assert!(fly(folder.path(), seed + 100) == undisturbed, "seed {seed}");
+    }
+}

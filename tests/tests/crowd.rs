@@ -1,0 +1,120 @@
+//! Two hundred agents upload to one aggregator at once: its memory stays within its bound, and one that
+//! stalls does not slow the others.
+#![cfg(target_os = "linux")]
+#![allow(clippy::unwrap_used)]
+
+#[path = "../../shared/link/tests/common/mod.rs"]
+mod common;
+
+use std::fs;
+use std::net::TcpListener;
+use std::path::PathBuf;
+use std::process::{Child, Command, Stdio};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use common::{identity, offer};
+use cosurf_link::{BrokerAddress, InboxLimits, MqttConfig, MqttTransport, Node, NodeEvent, Offer, Role};
+use cosurf_wire::{DeviceId, MAX_CHUNK_BYTES, ModelKind};
+
+const AGENTS: u64 = 200;
+const INBOX_BYTES: u64 = 64 << 20;
+/// What the process takes beside the inbox: itself, and for each connection its buffers and its queue.
+const BESIDE_BYTES: u64 = (48 << 20) + AGENTS * (512 << 10);
+const PATIENCE: Duration = Duration::from_secs(500);
+
+/// An aggregator with a broker of its own; killed when dropped.
+struct Aggregator(Child);
+
+impl Drop for Aggregator {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+impl Aggregator {
+    fn start(folder: &std::path::Path) -> (Self, BrokerAddress) {
+        let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+        let config = folder.join("aggregator.toml");
+        let out = folder.join("out").display().to_string();
+        // Nobody waits for so many models: nothing is merged.
+        let text = format!(
+            "site = \"site\"\nout = \"{out}\"\nbind = \"127.0.0.1:{port}\"\nmemory_bytes = {INBOX_BYTES}\n\
+             quorum = 100000\n"
+        );
+        fs::write(&config, text).unwrap();
+        let test = std::env::current_exe().unwrap();
+        let program: PathBuf = test.parent().unwrap().parent().unwrap().join("cosurf-aggregator");
+        let mut command = Command::new(program);
+        command.args(["run", "--config"]).arg(config).stdin(Stdio::null()).stdout(Stdio::null());
+        let address = BrokerAddress { host: "127.0.0.1".to_owned(), port, is_tls: false };
+        (Self(command.spawn().unwrap()), address)
+    }
+
+    /// `VmHWM`: the most memory that was resident at once.
+    fn peak_bytes(&self) -> u64 {
+        let status = fs::read_to_string(format!("/proc/{}/status", self.0.id())).unwrap();
+        let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).unwrap();
+        line.trim().strip_suffix("kB").unwrap().trim().parse::<u64>().unwrap() << 10
+    }
+}
+
+/// Uploads; one that stalls stops at its first progress, and never goes on.
+fn agent(address: BrokerAddress, mut offer: Offer, number: u64, stalls: bool) {
+    let name = format!("agent-{number}");
+    offer.header.device = DeviceId::new(&name).unwrap();
+    let identity = identity(Role::Device, &name);
+    let mut transport = MqttTransport::start(MqttConfig { broker: address, identity, tls: None });
+    let mut node = Node::new(identity, InboxLimits::default(), &[]);
+    node.upload(offer);
+    let begun = Instant::now();
+    while begun.elapsed() < PATIENCE {
+        match node.step(&mut transport, || begun.elapsed(), Duration::from_millis(100)) {
+            Some(NodeEvent::Progress(..)) if stalls => {
+                thread::sleep(Duration::from_secs(60));
+                return;
+            }
+            Some(NodeEvent::Uploaded(..)) => return,
+            _ => {}
+        }
+    }
+    panic!("{name} never ends");
+}
+
+/// All upload at once; returns how long it took all but the first, and the aggregator's peak.
+fn crowd(first_stalls: bool) -> (Duration, u64) {
+    let folder = tempfile::tempdir().unwrap();
+    let (aggregator, address) = Aggregator::start(folder.path());
+    let offer = offer("agent", 1, ModelKind::Local, 1, 30_000, MAX_CHUNK_BYTES as u32);
+    let begun = Instant::now();
+    let start = |number| {
+        let (address, offer) = (address.clone(), offer.clone());
+        thread::spawn(move || agent(address, offer, number, first_stalls && number == 0))
+    };
+    let mut threads: Vec<_> = (0..AGENTS).map(start).collect();
+    let first = threads.remove(0);
+    threads.into_iter().for_each(|thread| thread.join().unwrap());
+    let time = begun.elapsed();
+    let stored = fs::read_dir(folder.path().join("out/models")).unwrap().count() as u64;
+    assert!(stored >= AGENTS - 1, "{stored} are stored");
+    let peak = aggregator.peak_bytes();
+    first.join().unwrap();
+    println!(
+        "{AGENTS} agents with {} bytes each, one stalls: {first_stalls}: {time:.1?}, peak {} MiB",
+        offer.body.len(),
+        peak >> 20
+    );
+    (time, peak)
+}
+
+/// `cargo test --release -p cosurf-tests --test crowd -- --ignored --nocapture`.
+#[test]
+#[ignore = "takes minutes"]
+fn two_hundred_agents_at_once() {
+    let (alone, peak) = crowd(false);
+    assert!(peak <= INBOX_BYTES + BESIDE_BYTES, "{} MiB", peak >> 20);
+    let (beside, peak) = crowd(true);
+    assert!(peak <= INBOX_BYTES + BESIDE_BYTES, "{} MiB", peak >> 20);
+    assert!(beside < alone * 3 / 2 + Duration::from_secs(5), "{beside:?} instead of {alone:?}");
+}

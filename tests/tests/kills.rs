@@ -1,0 +1,165 @@
+//! `kill -9` of broker, agents and aggregator at random moments: every mission ends with the right bytes.
+#![cfg(unix)]
+#![allow(clippy::unwrap_used)]
+
+#[path = "../../shared/link/tests/common/mosquitto.rs"]
+mod mosquitto;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+use cosurf_link::faults::Dice;
+use cosurf_scene::city::{City, CitySettings};
+use mosquitto::Mosquitto;
+
+const PLAIN: &str = "listener PORT 127.0.0.1\nallow_anonymous true\npersistence true\n\
+                     persistence_location FOLDER/\nautosave_interval 1\n";
+const AGENTS: [&str; 2] = ["agent-1", "agent-2"];
+const PATIENCE: Duration = Duration::from_secs(300);
+
+fn program(name: &str) -> PathBuf {
+    let test = std::env::current_exe().unwrap();
+    test.parent().unwrap().parent().unwrap().join(name)
+}
+
+/// A program that is started again when it is killed.
+struct Part {
+    name: &'static str,
+    config: PathBuf,
+    child: Child,
+}
+
+impl Part {
+    fn start(program_name: &'static str, config: PathBuf) -> Self {
+        let child = Self::spawn(program_name, &config);
+        Self { name: program_name, config, child }
+    }
+
+    fn spawn(name: &str, config: &Path) -> Child {
+        let log = fs::File::options().create(true).append(true).open(config.with_extension("log")).unwrap();
+        let mut command = Command::new(program(name));
+        command.args(["run", "--config"]).arg(config).stdin(Stdio::null()).stdout(Stdio::null());
+        command.stderr(log).spawn().unwrap()
+    }
+
+    fn is_over(&mut self) -> bool {
+        match self.child.try_wait().unwrap() {
+            Some(status) => {
+                let log = fs::read_to_string(self.config.with_extension("log")).unwrap_or_default();
+                assert!(status.success(), "{}: {status}: {log}", self.config.display());
+                true
+            }
+            None => false,
+        }
+    }
+
+    fn kill_and_restart(&mut self) {
+        if !self.is_over() {
+            self.kill();
+            self.child = Self::spawn(self.name, &self.config);
+        }
+    }
+
+    fn kill(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+impl Drop for Part {
+    fn drop(&mut self) {
+        self.kill();
+    }
+}
+
+/// Flies one mission with so many kills within its first seconds; returns the global model of each part,
+/// and how many were killed; `None` where there is no Mosquitto.
+fn fly(folder: &Path, data: &Path, dice: &mut Dice, kills: u64) -> Option<Vec<Vec<u8>>> {
+    fs::create_dir_all(folder).unwrap();
+    let mut broker = Mosquitto::start(folder, PLAIN, false)?;
+    let url = format!("mqtt://{}", broker.address);
+    let at = |name: &str| folder.join(name);
+    let out = |name: &str| at(name).display().to_string();
+    fs::write(
+        at("ground.toml"),
+        format!("site = \"s\"\nout = \"{}\"\nbroker = \"{url}\"\nquorum = 2\nquiet_s = 0\n", out("ground")),
+    )
+    .unwrap();
+    for (agent, name) in AGENTS.iter().enumerate() {
+        let views: Vec<String> = (0..8)
+            .filter(|view| view % 2 == agent)
+            .map(|view| format!("\"{}\"", view_name(data, view)))
+            .collect();
+        let text = format!(
+            "device = \"{name}\"\nsite = \"s\"\nbroker = \"{url}\"\ndata = \"{}\"\nout = \"{}\"\nsteps = 30\n\
+             views = [{}]\nthreads = 1\nwait_global = true\n",
+            data.display(),
+            out(name),
+            views.join(", ")
+        );
+        fs::write(at(&format!("{name}.toml")), text).unwrap();
+    }
+    let mut ground = Part::start("cosurf-aggregator", at("ground.toml"));
+    let mut agents = AGENTS.map(|name| Part::start("cosurf-agent", at(&format!("{name}.toml"))));
+    let begun = Instant::now();
+    let mut kill_at: Vec<Duration> = (0..kills).map(|_| Duration::from_millis(dice.below(4000))).collect();
+    kill_at.sort();
+    kill_at.reverse();
+    while !agents.iter_mut().all(Part::is_over) || !kill_at.is_empty() {
+        assert!(begun.elapsed() < PATIENCE, "{} never ends", folder.display());
+        if kill_at.last().is_some_and(|at| begun.elapsed() >= *at) {
+            kill_at.pop();
+            match dice.below(4) {
+                0 => {
+                    broker.kill();
+                    broker.start_again();
+                }
+                1 => ground.kill_and_restart(),
+                agent => agents[agent as usize - 2].kill_and_restart(),
+            }
+        }
+        sleep(Duration::from_millis(5));
+    }
+    let names = ["ground", AGENTS[0], AGENTS[1]];
+    Some(names.iter().map(|name| fs::read(at(name).join("global.ply")).unwrap()).collect())
+}
+
+fn view_name(data: &Path, view: usize) -> String {
+    let mut names: Vec<String> = fs::read_dir(data.join("images"))
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+        .collect();
+    names.sort();
+    names[view].clone()
+}
+
+fn missions(count: u64) {
+    let folder = tempfile::tempdir().unwrap();
+    let data = folder.path().join("data");
+    let settings = CitySettings { extent_m: 60.0, views: 8, size_px: [96, 72], ..CitySettings::default() };
+    City::build(&settings).unwrap().write(&data, |_, _| ()).unwrap();
+    let Some(calm) = fly(&folder.path().join("calm"), &data, &mut Dice::new(0), 0) else { return };
+    assert!(calm.iter().all(|global| *global == calm[0]));
+    for seed in 1..=count {
+        let wild = folder.path().join(format!("wild-{seed}"));
+        let globals = fly(&wild, &data, &mut Dice::new(seed), 4).unwrap();
+        assert!(globals.iter().all(|global| *global == calm[0]), "seed {seed}: another global model");
+        println!("mission {seed}: four kills, the same {} bytes three times", calm[0].len());
+        fs::remove_dir_all(wild).unwrap();
+    }
+}
+
+#[test]
+fn two_missions_with_kills() {
+    missions(2);
+}
+
+/// `cargo test --release -p cosurf-tests --test kills -- --ignored --nocapture`.
+#[test]
+#[ignore = "takes minutes"]
+fn fifty_missions_with_kills() {
+    missions(50);
+}
