@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use common::{Member, offer, pooled, run};
 use cosurf_link::faults::Dice;
-use cosurf_link::{Faults, InboxLimits, MemoryNetwork, ModelKey, Offer, Outages, Role};
+use cosurf_link::{Faults, InboxLimits, MemoryNetwork, ModelKey, Node, Offer, Outages, Role};
 use cosurf_wire::{DeviceId, ModelKind, TileId};
 
 /// Seeds of one run of the tests, shared by two threads.
@@ -59,6 +59,35 @@ fn fly_all(seeds: Range<u64>) {
     }
     println!("seeds {seeds:?}: slowest {worst:?} of virtual time, {kills} members killed");
     assert!(kills > seeds.end - seeds.start, "hardly anybody was killed");
+}
+
+/// The inbox never holds more than it may, whoever comes; one that stalls takes nothing from the others.
+#[test]
+fn two_hundred_at_once_within_the_limits() {
+    let limits =
+        InboxLimits { body_bytes_max: 1 << 16, total_bytes_max: 1 << 18, models_max: 40, stored_max: 1000 };
+    let network = MemoryNetwork::new(200, Faults::NONE);
+    let mut fleet = vec![Member::new(&network, Role::Aggregator, "ground", limits)];
+    for i in 0..200 {
+        let name = format!("drone-{i}");
+        let mut drone = Member::new(&network, Role::Device, &name, InboxLimits::default());
+        drone.node.upload(pooled(&name, 1, ModelKind::Local, i, 1024));
+        fleet.push(drone);
+    }
+    let (mut most, mut is_stalled) = (0, false);
+    run(&network, &mut fleet, PATIENCE, |fleet| {
+        most = most.max(fleet[0].node.unfinished_bytes());
+        assert!(most <= limits.total_bytes_max, "{most} bytes");
+        if !is_stalled && most > 0 {
+            // Its offer is accepted; it says nothing any more.
+            is_stalled = true;
+            let idle = Node::new(fleet[1].identity, InboxLimits::default(), &[]);
+            fleet[1].node = idle;
+        }
+        fleet[2..].iter().all(|drone| !drone.uploaded.is_empty())
+    });
+    println!("at most {most} bytes at once, all there after {:?}", network.now());
+    assert!(most > limits.total_bytes_max / 2, "there never was a crowd: {most}");
 }
 
 /// From fair weather to foul, on lines from a radio's 4 kB/s to a cable's 1 MB/s.
