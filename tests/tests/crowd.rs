@@ -19,8 +19,9 @@ use cosurf_wire::{DeviceId, MAX_CHUNK_BYTES, ModelKind};
 
 const AGENTS: u64 = 200;
 const INBOX_BYTES: u64 = 64 << 20;
-/// What the process takes beside the inbox: itself, and for each connection its buffers and its queue.
-const BESIDE_BYTES: u64 = (48 << 20) + AGENTS * (512 << 10);
+/// What the process takes beside the inbox: itself, the broker's longest queue (16 MiB) and what the link holds of
+/// it, and for each connection two threads and buffers for the largest packets.
+const BESIDE_BYTES: u64 = (64 << 20) + AGENTS * (512 << 10);
 const PATIENCE: Duration = Duration::from_secs(500);
 
 /// An aggregator with a broker of its own; killed when dropped.
