@@ -1,5 +1,6 @@
 //! The receiving service in the field: `aggregator.toml`, and a service that runs until it is stopped.
 
+use std::fmt;
 use std::fs;
 use std::net::SocketAddr;
 use std::ops::ControlFlow;
@@ -14,7 +15,7 @@ use cosurf_link::{
 };
 use cosurf_scene::{SceneError, TlsFiles};
 use cosurf_wire::{DeviceId, FrameId, SiteId};
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use crate::broker::{Broker, BrokerError};
 use crate::gateway::{Gateway, GatewayEvent};
@@ -22,6 +23,7 @@ use crate::merge::MergeSettings;
 use crate::service::{
     BROKER_ATTEMPTS_MAX, Command, Expected, Rounds, Service, ServiceConfig, ServiceError, ServiceEvent,
 };
+use crate::upstream::{Ascent, Upstream, UpstreamEvent};
 
 /// Unfinished models at once, and finished ones remembered: far more drones than a site has.
 const MODELS_MAX: usize = 256;
@@ -65,6 +67,41 @@ pub struct AggregatorConfig {
     /// How long a merge waits at most for more models, seconds.
     #[serde(default = "default_deadline_s")]
     pub deadline_s: u64,
+    /// The aggregator above, to which this one is a device: then this one is an edge; see [`crate::upstream`].
+    pub upstream: Option<UpstreamConfig>,
+}
+
+/// The aggregator above. Frame, key and list of those trusted are the same as below.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct UpstreamConfig {
+    /// The site that it serves.
+    pub site: SiteId,
+    /// What this aggregator is called there, unique on that site.
+    pub device: DeviceId,
+    /// Its broker, for example `mqtt://cloud.example.org:1883`.
+    pub broker: String,
+    /// Certificates, with a broker of `mqtts://`.
+    pub tls: Option<TlsFiles>,
+}
+
+/// What happens beside the service.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(untagged)]
+pub enum SideEvent {
+    /// On serial lines.
+    Line(GatewayEvent),
+    /// On the way up.
+    Upstream(UpstreamEvent),
+}
+
+impl fmt::Display for SideEvent {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Line(event) => event.fmt(f),
+            Self::Upstream(event) => event.fmt(f),
+        }
+    }
 }
 
 fn default_device() -> String {
@@ -151,15 +188,15 @@ pub struct Host {
 }
 
 /// Serves until `commands` says to end or its sender is gone, devices on serial `lines` too. `say` and
-/// `say_of_lines` show what happens.
+/// `say_beside` show what happens.
 pub fn serve(
     config: &AggregatorConfig,
     host: Host,
     lines: Vec<SerialConfig>,
-    now: impl Fn() -> Duration,
+    now: impl Fn() -> Duration + Clone + Send + 'static,
     commands: &Receiver<Command>,
     mut say: impl FnMut(&ServiceEvent),
-    say_of_lines: impl Fn(GatewayEvent) + Clone + Send + 'static,
+    say_beside: impl Fn(SideEvent) + Clone + Send + 'static,
 ) -> Result<(), FieldError> {
     let Host { clock_s, threads } = host;
     let credentials = Credentials::load(
@@ -169,22 +206,27 @@ pub fn serve(
     )?;
     let (_embedded, broker) = reach_broker(config)?;
     let tls = Tls::for_broker(&broker, config.tls.as_ref())?;
-    let gateway = |line| Gateway::start(config.site, broker.clone(), tls.clone(), line, say_of_lines.clone());
+    let gateway = |line| {
+        let say = say_beside.clone();
+        let say = move |event| say(SideEvent::Line(event));
+        Gateway::start(config.site, broker.clone(), tls.clone(), line, say)
+    };
     let _gateways: Vec<Gateway> = lines.into_iter().map(gateway).collect();
     let device = DeviceId::new(&config.device)?;
     let out = &config.out;
     fs::create_dir_all(out).map_err(|cause| SceneError::io(out, cause))?;
     let session = next_session(&out.join("session"), clock_s)?;
     let identity = Identity { site: config.site, device, session, role: Role::Aggregator };
+    let limits = InboxLimits {
+        body_bytes_max: config.memory_bytes,
+        total_bytes_max: config.memory_bytes,
+        models_max: MODELS_MAX,
+        stored_max: STORED_MAX,
+    };
     let service = Service::open(ServiceConfig {
         identity,
         folder: config.out.clone(),
-        limits: InboxLimits {
-            body_bytes_max: config.memory_bytes,
-            total_bytes_max: config.memory_bytes,
-            models_max: MODELS_MAX,
-            stored_max: STORED_MAX,
-        },
+        limits,
         expected: Expected::Anybody(Rounds {
             quorum: config.quorum,
             quiet: Duration::from_secs(config.quiet_s),
@@ -193,13 +235,23 @@ pub fn serve(
         merge: MergeSettings { memory_bytes: config.merge_memory_bytes, ..MergeSettings::default() },
         threads,
     })?
-    .with(credentials);
+    .with(credentials.clone());
+    let upstream = config.upstream.as_ref().map(|above| {
+        let say = move |event| say_beside(SideEvent::Upstream(event));
+        climb(above, session, credentials, out, limits, now.clone(), say)
+    });
+    let upstream = upstream.transpose()?;
     let mut transport = MqttTransport::start(MqttConfig { broker, identity, tls });
     let (mut connected, mut outcome) = (false, Ok(()));
     service.run(&mut transport, now, commands, |event| {
         say(&event);
         match event {
             ServiceEvent::Connected => connected = true,
+            ServiceEvent::Merged { header, .. } => {
+                if let Some(upstream) = &upstream {
+                    upstream.send(header);
+                }
+            }
             ServiceEvent::Disconnected { attempt, reason }
                 if !connected && attempt >= BROKER_ATTEMPTS_MAX =>
             {
@@ -211,6 +263,23 @@ pub fn serve(
         ControlFlow::Continue(())
     });
     outcome
+}
+
+/// Starts the way up of the service with the folder `out`.
+fn climb(
+    above: &UpstreamConfig,
+    session: u64,
+    credentials: Credentials,
+    out: &Path,
+    limits: InboxLimits,
+    now: impl Fn() -> Duration + Send + 'static,
+    say: impl Fn(UpstreamEvent) + Send + 'static,
+) -> Result<Upstream, FieldError> {
+    let broker: BrokerAddress = above.broker.parse()?;
+    let tls = Tls::for_broker(&broker, above.tls.as_ref())?;
+    let identity = Identity { site: above.site, device: above.device, session, role: Role::Device };
+    let ascent = Ascent::open(identity, credentials, out, limits).map_err(ServiceError::from)?;
+    Ok(Upstream::start(ascent, MqttConfig { broker, identity, tls }, now, say))
 }
 
 fn reach_broker(config: &AggregatorConfig) -> Result<(Option<Broker>, BrokerAddress), FieldError> {

@@ -36,6 +36,8 @@ mod station;
 pub mod surface;
 mod table;
 pub mod town;
+mod tree;
+pub mod upstream;
 mod watch;
 
 pub use meter::Meter;

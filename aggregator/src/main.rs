@@ -64,7 +64,10 @@ struct MissionArgs {
     /// Where everything goes
     #[arg(long, value_name = "DIR", default_value = "out")]
     out: PathBuf,
-    /// Agents to divide the pictures among
+    /// Aggregators between the agents and the one above all, each with agents of its own; 0 for none
+    #[arg(long, value_name = "E", default_value_t = 0, value_parser = clap::value_parser!(u16).range(0..=99))]
+    edges: u16,
+    /// Agents to divide the pictures among; with --edges, agents of each edge
     #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u16).range(1..=999))]
     agents: u16,
     /// How far each agent looks beyond its cell, as a share of the cell's size; 0 for no shared views
@@ -155,6 +158,7 @@ fn mission(args: MissionArgs) -> Result<()> {
     let order = MissionOrder {
         settings: Settings {
             data: data.clone().unwrap_or_else(|| out.join("city")),
+            edges: usize::from(args.edges),
             agents: usize::from(args.agents),
             margin: args.margin,
             steps: args.steps,
@@ -241,7 +245,7 @@ fn run(args: &RunArgs) -> Result<()> {
         &config,
         Host { clock_s: session(), threads: cores() },
         args.serial.iter().map(line).collect(),
-        || begun.elapsed(),
+        move || begun.elapsed(),
         &orders,
         |event| show(event, json),
         move |event| show(&event, json),

@@ -1,7 +1,7 @@
 //! A mission from pictures to report, on one machine: plan, service, agents, evaluation.
 //!
-//! The service runs on a thread, each agent as a process; both tell what happens through one channel,
-//! which one loop ([`crate::watch`]) reads. Whatever ends the mission early ends the agents too and
+//! The aggregators run on threads ([`crate::tree`]), each agent as a process; all tell what happens through one
+//! channel, which one loop ([`crate::watch`]) reads. Whatever ends the mission early ends the agents too and
 //! keeps what is on the disk: the same command goes on from there.
 
 use std::fs;
@@ -11,7 +11,7 @@ use std::sync::atomic::AtomicBool;
 use std::sync::mpsc;
 use std::time::Duration;
 
-use cosurf_link::{BrokerAddress, Identity, InboxLimits, Role};
+use cosurf_link::BrokerAddress;
 use cosurf_scene::city::CitySettings;
 use cosurf_scene::{Camera, Dataset, SceneError, Splats, View, ply};
 use cosurf_wire::{DeviceId, IdError, ModelHeader, SiteId};
@@ -24,20 +24,15 @@ use crate::field::local_address;
 use crate::fleet::{Fleet, Orders};
 use crate::meter::Meter;
 use crate::page::{Drawings, page};
-use crate::plan::{Plan, PlanError, Settings, write_text};
+use crate::plan::{Edge, Plan, PlanError, Settings, write_text};
 use crate::progress::{Display, show_pictures};
 use crate::quality::{Quality, YardstickError, Yardsticks};
 use crate::relief::{Relief, relief};
-use crate::report::{MissionReport, summarize};
-use crate::service::{
-    BROKER_ATTEMPTS_MAX, Expected, Merging, Service, ServiceConfig, ServiceError, global_ply, joined,
-};
-use crate::station::Station;
+use crate::report::{EdgeSummary, MissionReport, summarize};
+use crate::service::{BROKER_ATTEMPTS_MAX, Merging, ServiceError, global_ply, joined};
 use crate::town::{self, TownError};
-use crate::watch::{Signal, Watch};
-
-/// Bytes of models that may be on their way in at once; more agents wait their turn.
-const INBOX_BYTES_MAX: u64 = 1 << 30;
+use crate::tree::{Tree, edge_folder, lowest_folders};
+use crate::watch::{EdgeStatus, Signal, Watch};
 
 /// A mission as ordered.
 #[derive(Clone, Debug)]
@@ -152,7 +147,7 @@ pub fn fly(order: &MissionOrder, around: &Surroundings) -> Result<MissionReport,
     let yardsticks = Yardsticks::read(&order.settings.data, order.lpips.as_deref(), None)?;
     let fresh_site = SiteId::new(&format!("mission-{}", around.session))?;
     let plan = Plan::make(&dataset, &order.settings, &order.out, fresh_site)?;
-    let (global, board) = gather(order, around, &plan)?;
+    let Gathered { global, board, edges } = gather(order, around, &plan)?;
     let splats = ply::read(&global_ply(&order.out))?;
     let relief = mesh(order, around, &dataset, splats.clone())?;
     let evaluation = judge(order, around, &dataset, &plan, splats, &yardsticks, &relief)?;
@@ -165,46 +160,54 @@ pub fn fly(order: &MissionOrder, around: &Surroundings) -> Result<MissionReport,
     }
     report.whole.joined = judge_joined(order, around, &dataset, &plan)?;
     report.whole.merging = Merging::read(&order.out);
+    report.edges =
+        plan.edges.iter().zip(&edges).map(|(edge, status)| summary(order, &plan, edge, status)).collect();
     report.whole.aggregator_peak_memory_bytes = (around.peak_memory_bytes)();
     write_report(&order.out, &report, &plan, &evaluation)?;
     Ok(report)
 }
 
-/// Has the agents train and send, and the service join what they sent. Returns what is announced of
-/// the global model, and what the agents told.
-fn gather(
-    order: &MissionOrder,
-    around: &Surroundings,
-    plan: &Plan,
-) -> Result<(ModelHeader, Vec<Status>), MissionError> {
+/// What came of agents and aggregators.
+struct Gathered {
+    /// What is announced of the global model.
+    global: ModelHeader,
+    /// What the agents told.
+    board: Vec<Status>,
+    edges: Vec<EdgeStatus>,
+}
+
+/// Has the agents train and send, and the aggregators merge what they sent.
+fn gather(order: &MissionOrder, around: &Surroundings, plan: &Plan) -> Result<Gathered, MissionError> {
     if !around.agent.is_file() {
         return Err(MissionError::NoAgent { path: around.agent.clone() });
     }
     let (broker, address) = reach_broker(order)?;
     let (say, signals) = mpsc::channel();
-    let identity = Identity {
-        site: plan.site,
-        device: DeviceId::new("aggregator")?,
-        session: around.session,
-        role: Role::Aggregator,
-    };
-    let service = Service::open(service_config(order, plan, identity, around.cores))?;
-    let tell = say.clone();
-    let station = Station::start(service, address.clone(), identity, around.now.clone(), move |event| {
-        let _ = tell.send(Signal::Service(event)); // nobody listens any more where the mission is over
-    });
+    let mut tree = Tree::start(order, around, plan, &address, &say)?;
     let mut watch = Watch::new(plan, around, signals);
-    watch.await_broker(&station)?;
+    watch.await_broker(&tree)?;
     let fleet = Fleet::start(agents(order, around, plan, &address)?, move |event| {
-        let _ = say.send(Signal::Fleet(event));
+        let _ = say.send(Signal::Fleet(event)); // nobody listens any more where the mission is over
     });
-    let board = watch.await_agents(&station)?;
+    watch.await_agents(&tree)?;
     drop(fleet);
-    let global = station.finish();
+    watch.await_edges(&mut tree)?;
+    let (board, edges) = watch.into_boards();
+    let global = tree.finish();
     if let Some(broker) = broker {
         broker.shutdown();
     }
-    Ok((global.ok_or_else(|| first_failure(plan, &board))?, board))
+    Ok(Gathered { global: global.ok_or_else(|| first_failure(plan, &board))?, board, edges })
+}
+
+/// What an edge did.
+fn summary(order: &MissionOrder, plan: &Plan, edge: &Edge, status: &EdgeStatus) -> EdgeSummary {
+    EdgeSummary {
+        device: edge.device.to_string(),
+        agents: plan.devices[edge.agents.clone()].iter().map(ToString::to_string).collect(),
+        bytes_sent: status.bytes_sent,
+        merging: Merging::read(&edge_folder(&order.out, edge)),
+    }
 }
 
 fn reach_broker(order: &MissionOrder) -> Result<(Option<Broker>, BrokerAddress), MissionError> {
@@ -214,22 +217,6 @@ fn reach_broker(order: &MissionOrder) -> Result<(Option<Broker>, BrokerAddress),
     let broker = Broker::start(([127, 0, 0, 1], 0).into())?;
     let address = local_address(broker.address());
     Ok((Some(broker), address))
-}
-
-fn service_config(order: &MissionOrder, plan: &Plan, identity: Identity, threads: usize) -> ServiceConfig {
-    ServiceConfig {
-        identity,
-        folder: order.out.clone(),
-        limits: InboxLimits {
-            body_bytes_max: INBOX_BYTES_MAX,
-            total_bytes_max: INBOX_BYTES_MAX,
-            models_max: plan.devices.len(),
-            stored_max: 2 * plan.devices.len(),
-        },
-        expected: Expected::Fleet(plan.devices.iter().copied().collect()),
-        merge: order.settings.merge,
-        threads,
-    }
 }
 
 /// Writes every agent's orders and says how to start it; the cores are shared evenly.
@@ -307,7 +294,7 @@ fn judge_joined(
     dataset: &Dataset,
     plan: &Plan,
 ) -> Result<Option<Quality>, MissionError> {
-    let splats = joined(&order.out)?.splats;
+    let splats = joined(&lowest_folders(&order.out, plan))?.splats;
     let without = Yardsticks { lpips: None, truth: None };
     let mut judge = Judge::new(&splats, order.settings.max_size_px, around.cores, &without);
     let held_out = dataset.views.iter().zip(&plan.views).filter(|(_, view)| view.held_out);

@@ -110,7 +110,7 @@ fn agents(html: &mut String, report: &MissionReport) {
     }
     html.push_str("</tbody></table></div>\n");
     explanation(html, report.whole.quality.as_ref());
-    if let Some(text) = report::merge_text(&report.whole) {
+    for text in report::merge_texts(report) {
         let _ = write!(html, "<p>{}</p>", escape(&text));
     }
     let remarks = report::remarks(report);

@@ -56,18 +56,21 @@ pub enum PartitionError {
     NoViews,
 }
 
-/// Cuts the ground into one cell per agent, with equally many views each, give or take one. The
+/// Cuts the ground into one cell per agent, with equally many views each, give or take one: first into `edges`
+/// rectangles (at least 1), then each of them into the cells of `agents`, one rectangle's after the other's. The
 /// same centres give the same cells. Centres must be finite.
-pub(crate) fn bisect(centers: &[DVec2], agents: usize) -> Result<Vec<Cell>, PartitionError> {
-    match (agents, centers.len()) {
+pub(crate) fn bisect(centers: &[DVec2], edges: usize, agents: usize) -> Result<Vec<Cell>, PartitionError> {
+    match (edges * agents, centers.len()) {
         (0, _) => return Err(PartitionError::NoAgents),
         (_, 0) => return Err(PartitionError::NoViews),
         (agents, views) if agents > views => return Err(PartitionError::TooFewViews { agents, views }),
         _ => {}
     }
     let all = Cell::new((0..centers.len()).collect(), bounding_box(centers.iter().copied()));
-    let mut cells = Vec::with_capacity(agents);
-    divide(all, agents, centers, &mut cells);
+    let mut rectangles = Vec::with_capacity(edges);
+    divide(all, edges, centers, &mut rectangles);
+    let mut cells = Vec::with_capacity(edges * agents);
+    rectangles.into_iter().for_each(|rectangle| divide(rectangle, agents, centers, &mut cells));
     Ok(cells)
 }
 
@@ -144,7 +147,7 @@ mod tests {
     fn every_view_goes_to_exactly_one_cell_and_counts_differ_by_one_at_most() {
         for views in [1, 2, 7, 64, 101] {
             for agents in (1..=views.min(9)).chain([views]) {
-                let cells = bisect(&scattered(views, 7), agents).unwrap();
+                let cells = bisect(&scattered(views, 7), 1, agents).unwrap();
                 let counts: Vec<usize> = cells.iter().map(|cell| cell.views.len()).collect();
                 let spread = counts.iter().max().unwrap() - counts.iter().min().unwrap();
                 assert!(cells.len() == agents && spread <= 1, "{views} views: {counts:?}");
@@ -156,9 +159,25 @@ mod tests {
     }
 
     #[test]
+    fn the_cells_of_an_edge_fill_one_rectangle() {
+        let centers = scattered(90, 4);
+        let cells = bisect(&centers, 3, 2).unwrap();
+        let hull = |cells: &[Cell]| bounding_box(cells.iter().flat_map(|cell| cell.bounds));
+        let hulls: Vec<[DVec2; 2]> = cells.chunks(2).map(hull).collect();
+        assert!(cells.iter().all(|cell| cell.views.len() == 15));
+        for (i, [low, high]) in hulls.iter().enumerate() {
+            for other in &hulls[..i] {
+                let (low, high) = (low.max(other[0]), high.min(other[1]));
+                assert!(low.x >= high.x || low.y >= high.y, "{hulls:?}");
+            }
+        }
+        assert_eq!(bisect(&centers, 1, 6).unwrap().len(), 6);
+    }
+
+    #[test]
     fn cells_are_contiguous_rectangles_that_meet_only_at_borders() {
         let centers = scattered(90, 3);
-        let cells = bisect(&centers, 7).unwrap();
+        let cells = bisect(&centers, 1, 7).unwrap();
         for (i, cell) in cells.iter().enumerate() {
             for &view in &cell.views {
                 assert_eq!(cell.distance(centers[view]), 0.0, "view {view} lies in its cell");
@@ -175,7 +194,7 @@ mod tests {
     #[test]
     fn guests_are_the_views_of_others_just_beyond_the_border() {
         let centers: Vec<DVec2> = (0..20).map(|i| DVec2::new(f64::from(i) * 10.0, 0.0)).collect();
-        let mut cells = bisect(&centers, 2).unwrap();
+        let mut cells = bisect(&centers, 1, 2).unwrap();
         invite(&mut cells, &centers, 0.2); // 95 m, so 19 m
         assert_eq!((&cells[0].guests[..], &cells[1].guests[..]), (&[10, 11][..], &[8, 9][..]));
         invite(&mut cells, &centers, 0.0);
@@ -184,7 +203,7 @@ mod tests {
 
     #[test]
     fn the_longer_side_is_cut() {
-        for cell in bisect(&scattered(100, 5), 3).unwrap() {
+        for cell in bisect(&scattered(100, 5), 1, 3).unwrap() {
             let size = cell.bounds[1] - cell.bounds[0];
             assert!(size.x < 150.0 && size.y > 90.0, "300 × 100 m in 3 is cut across x: {size}");
         }
@@ -194,25 +213,25 @@ mod tests {
     fn the_same_centers_give_the_same_cells_even_where_they_coincide() {
         let mut centers = scattered(20, 9);
         centers.extend(vec![DVec2::new(1.0, 1.0); 20]);
-        assert_eq!(bisect(&centers, 5), bisect(&centers, 5));
-        let same = bisect(&[DVec2::ZERO; 6], 3).unwrap();
+        assert_eq!(bisect(&centers, 1, 5), bisect(&centers, 1, 5));
+        let same = bisect(&[DVec2::ZERO; 6], 1, 3).unwrap();
         assert!(same.iter().all(|cell| cell.views.len() == 2), "{same:?}");
     }
 
     #[test]
     fn what_cannot_be_divided_is_refused_in_one_line() {
         let centers = scattered(3, 1);
-        let error = bisect(&centers, 4).unwrap_err();
+        let error = bisect(&centers, 1, 4).unwrap_err();
         assert_eq!(error, PartitionError::TooFewViews { agents: 4, views: 3 });
         assert!(error.to_string().contains("--agents 3") && !error.to_string().contains('\n'));
-        assert_eq!(bisect(&centers, 0), Err(PartitionError::NoAgents));
-        assert_eq!(bisect(&[], 1), Err(PartitionError::NoViews));
+        assert_eq!(bisect(&centers, 1, 0), Err(PartitionError::NoAgents));
+        assert_eq!(bisect(&[], 1, 1), Err(PartitionError::NoViews));
     }
 
     #[test]
     fn a_held_out_view_goes_to_the_nearest_cell() {
         let centers: Vec<DVec2> = (0..4).map(|i| DVec2::new(f64::from(i) * 10.0, 0.0)).collect();
-        let cells = bisect(&centers, 2).unwrap();
+        let cells = bisect(&centers, 1, 2).unwrap();
         assert_eq!(cells[0].bounds[1].x, 15.0);
         for (x, cell) in [(-99.0, 0), (14.0, 0), (16.0, 1), (500.0, 1)] {
             assert_eq!(nearest_cell(&cells, DVec2::new(x, 5.0)), cell, "at {x}");

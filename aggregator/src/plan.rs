@@ -4,6 +4,7 @@
 //! there, other settings are refused rather than mixed.
 
 use std::fs;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use cosurf_scene::{AgentConfig, Dataset, SceneError, atomic};
@@ -20,7 +21,9 @@ use crate::partition::{Cell, PartitionError, bisect, invite, nearest_cell};
 pub struct Settings {
     /// The dataset's folder.
     pub data: PathBuf,
-    /// Agents to divide it among.
+    /// Aggregators between the agents and the one above all; 0 for none.
+    pub edges: usize,
+    /// Agents of each of them, or of the one above all, to divide the dataset among.
     pub agents: usize,
     /// How far each agent looks beyond its cell, as a share of the cell's size; see `partition`.
     pub margin: f64,
@@ -87,10 +90,24 @@ pub enum PlanError {
     Name(#[from] IdError),
 }
 
+/// An aggregator between some agents and the one above all.
+#[derive(Clone, Debug)]
+pub(crate) struct Edge {
+    /// What it is called above.
+    pub(crate) device: DeviceId,
+    /// The site of its agents.
+    pub(crate) site: SiteId,
+    /// Its agents.
+    pub(crate) agents: Range<usize>,
+}
+
 /// A mission ready to begin.
 #[derive(Clone, Debug)]
 pub(crate) struct Plan {
+    /// Of the aggregator above all.
     pub(crate) site: SiteId,
+    /// Empty where all agents send to the aggregator above all.
+    pub(crate) edges: Vec<Edge>,
     /// Agent `i`'s id, in order.
     pub(crate) devices: Vec<DeviceId>,
     /// Agent `i`'s ground.
@@ -111,7 +128,8 @@ impl Plan {
         let (train, held_out) = dataset.split(settings.eval_every);
         let prints = footprints(dataset, &Ground::of(dataset));
         let centers: Vec<_> = train.iter().map(|&view| prints[view].center).collect();
-        let mut cells = bisect(&centers, settings.agents)?;
+        let agents = settings.edges.max(1) * settings.agents;
+        let mut cells = bisect(&centers, settings.edges.max(1), settings.agents)?;
         invite(&mut cells, &centers, settings.margin);
         let mut cell_of = vec![0; dataset.views.len()];
         for &view in &held_out {
@@ -128,8 +146,20 @@ impl Plan {
             cell,
             held_out: held_out.binary_search(&i).is_ok(),
         });
-        let devices = names(settings.agents)?;
-        Ok(Self { site: settle(settings, out, fresh_site)?, devices, cells, views: views.collect() })
+        let devices = names("agent", agents)?;
+        let site = settle(settings, out, fresh_site)?;
+        let edge = |(i, device): (usize, DeviceId)| {
+            let site = SiteId::new(&format!("{site}-{device}"))?;
+            Ok(Edge { device, site, agents: i * settings.agents..(i + 1) * settings.agents })
+        };
+        let edges = names("edge", settings.edges)?.into_iter().enumerate().map(edge);
+        let edges = edges.collect::<Result<Vec<Edge>, IdError>>()?;
+        Ok(Self { site, edges, devices, cells, views: views.collect() })
+    }
+
+    /// The site of agent `i`.
+    fn site_of(&self, agent: usize) -> SiteId {
+        self.edges.iter().find(|edge| edge.agents.contains(&agent)).map_or(self.site, |edge| edge.site)
     }
 
     /// Names of the views of agent `i`: to train on (guests too), or held out.
@@ -155,7 +185,7 @@ impl Plan {
         fs::create_dir_all(&folder).map_err(|cause| SceneError::io(&folder, cause))?;
         let config = AgentConfig {
             device: device.to_string(),
-            site: self.site.to_string(),
+            site: self.site_of(agent).to_string(),
             broker: Some(broker.to_string()),
             tls: None,
             serial: None,
@@ -186,9 +216,9 @@ impl Plan {
 }
 
 /// `agent-1` and so on, padded with zeros so that their order is that of their numbers.
-fn names(agents: usize) -> Result<Vec<DeviceId>, IdError> {
-    let width = agents.to_string().len();
-    (1..=agents).map(|number| DeviceId::new(&format!("agent-{number:0width$}"))).collect()
+fn names(of: &str, count: usize) -> Result<Vec<DeviceId>, IdError> {
+    let width = count.to_string().len();
+    (1..=count).map(|number| DeviceId::new(&format!("{of}-{number:0width$}"))).collect()
 }
 
 /// The site of the mission in `out`: that of its record, where the settings are the same; where there
@@ -258,6 +288,7 @@ mod tests {
     fn settings() -> Settings {
         Settings {
             data: "data".into(),
+            edges: 0,
             agents: 2,
             margin: 0.0,
             steps: 10,
@@ -306,6 +337,17 @@ mod tests {
     }
 
     #[test]
+    fn agents_below_an_edge_are_on_its_site() {
+        let out = tempfile::tempdir().unwrap();
+        let settings = Settings { edges: 2, ..settings() };
+        let plan = Plan::make(&row(20), &settings, out.path(), site("a")).unwrap();
+        assert_eq!((plan.devices.len(), plan.edges.len()), (4, 2));
+        let sites: Vec<String> = (0..4).map(|agent| plan.site_of(agent).to_string()).collect();
+        assert_eq!(sites, ["a-edge-1", "a-edge-1", "a-edge-2", "a-edge-2"]);
+        assert_eq!((plan.edges[1].device.as_str(), plan.site), ("edge-2", site("a")));
+    }
+
+    #[test]
     fn the_same_mission_goes_on_and_another_is_refused() {
         let out = tempfile::tempdir().unwrap();
         Plan::make(&row(18), &settings(), out.path(), site("first")).unwrap();
@@ -318,7 +360,7 @@ mod tests {
 
     #[test]
     fn names_sort_as_their_numbers_do() {
-        let names = names(12).unwrap();
+        let names = names("agent", 12).unwrap();
         assert_eq!((names[0].as_str(), names[11].as_str()), ("agent-01", "agent-12"));
         assert!(names.is_sorted());
     }

@@ -4,6 +4,7 @@ mod rows;
 
 use std::path::PathBuf;
 
+use cosurf_scene::bytes::format_bytes;
 use cosurf_scene::report::TrainReport;
 use cosurf_wire::ModelHeader;
 use serde::{Deserialize, Serialize};
@@ -25,6 +26,8 @@ pub struct MissionReport {
     pub seed: u64,
     /// In order of device id.
     pub agents: Vec<AgentSummary>,
+    /// The aggregators between the agents and the one above all, in order of device id.
+    pub edges: Vec<EdgeSummary>,
     /// The mission as one.
     pub whole: WholeSummary,
 }
@@ -50,6 +53,19 @@ pub struct AgentSummary {
     pub failure: Option<String>,
     /// `[step, dB]` of the training pictures seen lately.
     pub curve: Vec<[f32; 2]>,
+}
+
+/// One edge's figures.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct EdgeSummary {
+    /// What it is called above.
+    pub device: String,
+    /// Its agents.
+    pub agents: Vec<String>,
+    /// Bytes sent up, resends included.
+    pub bytes_sent: u64,
+    /// How it merged their models; absent where none arrived.
+    pub merging: Option<Merging>,
 }
 
 /// The mission's figures as one.
@@ -97,8 +113,8 @@ pub struct MeshSummary {
 }
 
 /// Sums up what the agents told and what the global model is worth; `qualities` are those of the held-out
-/// views in their order. Time and memory of the aggregator, and the mesh, are left for
-/// their owner to fill in.
+/// views in their order. Time and memory of the aggregators, and the mesh, are left
+/// for their owner to fill in.
 pub(crate) fn summarize(
     plan: &Plan,
     settings: &Settings,
@@ -146,28 +162,44 @@ pub(crate) fn summarize(
         mesh: None,
         mesh_failure: None,
     };
-    MissionReport { data: settings.data.clone(), seed: settings.seed, agents, whole }
+    MissionReport { data: settings.data.clone(), seed: settings.seed, agents, edges: Vec::new(), whole }
 }
 
 /// The table for a terminal.
 pub fn table(report: &MissionReport) -> String {
-    let merge = merge_text(&report.whole).map_or(String::new(), |text| format!("\n{text}\n"));
-    aligned(&rows(report)) + &merge
+    let sentences: String = merge_texts(report).iter().map(|text| format!("\n{text}\n")).collect();
+    aligned(&rows(report)) + &sentences
 }
 
-/// A sentence or two on the merge, where it is known.
-pub(crate) fn merge_text(whole: &WholeSummary) -> Option<String> {
-    let Merging { summary, seconds, .. } = whole.merging.as_ref()?;
+/// A sentence or two on every merge that is known: those of the edges, then the last.
+pub(crate) fn merge_texts(report: &MissionReport) -> Vec<String> {
+    let whole = &report.whole;
+    let merge = |edge: &EdgeSummary| {
+        let (merging, sent) = (edge.merging.as_ref()?, format_bytes(edge.bytes_sent));
+        Some(format!(
+            "{} of {}: {} {sent} sent up.",
+            edge.device,
+            edge.agents.join(", "),
+            merge_text(merging)
+        ))
+    };
+    let mut texts: Vec<String> = report.edges.iter().filter_map(merge).collect();
+    let Some(merging) = &whole.merging else { return texts };
+    let mut last = merge_text(merging);
+    if let Some(joined) = whole.joined {
+        last += &format!(" Joined as they are, the agents' models are worth {:.2} dB.", joined.psnr);
+    }
+    texts.push(last);
+    texts
+}
+
+fn merge_text(Merging { summary, seconds, .. }: &Merging) -> String {
     let removed: usize = summary.locals.iter().map(|local| local.removed).sum();
     let (time, joined) = (format_seconds(*seconds), summary.joined);
-    let mut text = format!(
-        "Merged in {time}: {removed} splats left to other agents, {joined} joined, {} after {} steps.",
+    format!(
+        "Merged in {time}: {removed} splats left to others, {joined} joined, {} after {} steps.",
         summary.splats, summary.steps
-    );
-    if let Some(joined) = whole.joined {
-        text += &format!(" Joined as they are, the agents' models are worth {:.2} dB.", joined.psnr);
-    }
-    Some(text)
+    )
 }
 
 /// Everything that was given up for memory or did not work, one sentence each with its agent.
@@ -195,6 +227,7 @@ pub(crate) mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
     use crate::lpips::LpipsScore;
+    use crate::merge::{MergeSettings, MergeSummary};
     use crate::surface::{Spread, SurfaceQuality};
 
     fn quality(psnr: f64) -> Quality {
@@ -254,6 +287,7 @@ pub(crate) mod tests {
             data: "city".into(),
             seed: 1,
             agents: vec![good, failed],
+            edges: Vec::new(),
             whole: WholeSummary {
                 views: 20,
                 held_out: 4,
@@ -303,6 +337,22 @@ pub(crate) mod tests {
         assert_eq!(remarks.len(), 3, "{remarks:?}");
         assert!(remarks[0].contains("died once") && remarks[1].contains("shrunk"), "{remarks:?}");
         assert!(remarks[2].starts_with("agent-2 failed"), "{remarks:?}");
+    }
+
+    #[test]
+    fn every_merge_has_its_sentence() {
+        let mut report = example();
+        let summary = MergeSummary { joined: 7, splats: 6, steps: 5, ..MergeSummary::default() };
+        let (settings, inputs) = (MergeSettings::default(), Vec::new());
+        let merging = Merging { revision: 1, inputs, settings, summary, seconds: 12.0 };
+        report.whole.merging = Some(merging.clone());
+        let agents = vec!["agent-1".into(), "agent-2".into()];
+        let edge = EdgeSummary { device: "edge-1".into(), agents, bytes_sent: 3 << 20, merging: None };
+        report.edges = vec![edge.clone(), EdgeSummary { merging: Some(merging), ..edge }];
+        let texts = merge_texts(&report);
+        assert_eq!(texts.len(), 2, "an edge without models has merged none: {texts:?}");
+        assert!(texts[0].starts_with("edge-1 of agent-1, agent-2: Merged in"), "{texts:?}");
+        assert!(texts[1].ends_with("7 joined, 6 after 5 steps."), "{texts:?}");
     }
 
     #[test]

@@ -10,6 +10,7 @@
 //! | `global.ply` | the newest revision, for viewers |
 //! | `merged.json` | what the newest revision was merged from, and how |
 //! | `withdrawn/` | devices that do not count any more, each with its last model that does not |
+//! | `upstream/` | what came from the aggregator above, where there is one: [`crate::upstream`] |
 //!
 //! The newest model of each device counts; they are merged in order of device id, so the same models
 //! give the same bytes in whatever order they arrive. Merging runs on a thread of its own while the service goes on
@@ -222,8 +223,14 @@ impl Service {
         }
     }
 
+    /// Whether models are being merged.
+    #[cfg(test)]
+    pub(crate) fn is_merging(&self) -> bool {
+        self.keeper.is_merging()
+    }
+
     /// Listens for at most `wait`, does what that asks for, and merges models when that is due.
-    fn step<T: Transport>(
+    pub(crate) fn step<T: Transport>(
         &mut self,
         transport: &mut T,
         now: impl Fn() -> Duration,
@@ -241,13 +248,23 @@ impl Service {
     }
 }
 
-/// The newest model of each device in a service's folder, joined as they are.
-pub(crate) fn joined(folder: &Path) -> Result<Model, ServiceError> {
-    let (models, headers) = ModelStore::open(&folder.join("models"))?;
-    let newest: BTreeMap<DeviceId, ModelHeader> =
-        headers.into_iter().map(|header| (header.device, header)).collect();
-    let load = |header: &ModelHeader| Ok(body_to_model(&models.get(ModelKey::from(header))?.1)?);
-    Ok(concatenate(&newest.values().map(load).collect::<Result<Vec<_>, ServiceError>>()?))
+/// The newest model of each device in the folders of services, joined as they are.
+pub(crate) fn joined(folders: &[PathBuf]) -> Result<Model, ServiceError> {
+    let mut parts = Vec::new();
+    for folder in folders {
+        let (models, headers) = ModelStore::open(&folder.join("models"))?;
+        let newest: BTreeMap<DeviceId, ModelHeader> =
+            headers.into_iter().map(|header| (header.device, header)).collect();
+        for header in newest.values() {
+            parts.push(body_to_model(&models.get(ModelKey::from(header))?.1)?);
+        }
+    }
+    Ok(concatenate(&parts))
+}
+
+/// Where a service with this folder keeps the revisions of its global model.
+pub(crate) fn global_store(folder: &Path) -> PathBuf {
+    folder.join("global")
 }
 
 /// Where a service with this folder keeps the newest global model for viewers.

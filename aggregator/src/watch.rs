@@ -10,7 +10,8 @@ use crate::mission::{MissionError, Surroundings};
 use crate::plan::Plan;
 use crate::progress::Progress;
 use crate::service::{BROKER_ATTEMPTS_MAX, ServiceEvent};
-use crate::station::Station;
+use crate::tree::Tree;
+use crate::upstream::UpstreamEvent;
 
 /// How often the loop looks up from listening.
 const LOOK_UP: Duration = Duration::from_millis(100);
@@ -19,8 +20,29 @@ const LOOK_UP: Duration = Duration::from_millis(100);
 pub(crate) enum Signal {
     /// To an agent.
     Fleet(FleetEvent),
-    /// To the receiving service.
-    Service(ServiceEvent),
+    /// To an aggregator.
+    Service {
+        /// Its post in the tree.
+        post: usize,
+        /// What.
+        event: ServiceEvent,
+    },
+    /// On the way up of an edge.
+    Upstream {
+        /// Its index.
+        edge: usize,
+        /// What.
+        event: UpstreamEvent,
+    },
+}
+
+/// What is known of an edge.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct EdgeStatus {
+    /// Bytes that it sent up, resends included.
+    pub(crate) bytes_sent: u64,
+    /// It has the global model of the aggregator above, or that one does not want its model.
+    is_served: bool,
 }
 
 /// The watch over one mission.
@@ -30,7 +52,9 @@ pub(crate) struct Watch<'a> {
     signals: Receiver<Signal>,
     progress: Progress,
     board: Vec<Status>,
-    connected: bool,
+    edges: Vec<EdgeStatus>,
+    /// By post.
+    connected: Vec<bool>,
 }
 
 impl<'a> Watch<'a> {
@@ -42,33 +66,49 @@ impl<'a> Watch<'a> {
             signals,
             progress: Progress::new(names, around.display),
             board: plan.devices.iter().map(|_| Status::default()).collect(),
-            connected: false,
+            edges: vec![EdgeStatus::default(); plan.edges.len()],
+            connected: vec![false; 1 + plan.edges.len()],
         }
     }
 
-    /// Returns once the service has reached the broker.
-    pub(crate) fn await_broker(&mut self, station: &Station) -> Result<(), MissionError> {
-        while !self.connected {
-            self.step(station)?;
+    /// Returns once every aggregator has reached the broker.
+    pub(crate) fn await_broker(&mut self, tree: &Tree) -> Result<(), MissionError> {
+        while !self.connected.iter().all(|connected| *connected) {
+            self.step(tree)?;
         }
         Ok(())
     }
 
-    /// Returns once every agent has ended, well or not, with what is known of each.
-    pub(crate) fn await_agents(mut self, station: &Station) -> Result<Vec<Status>, MissionError> {
+    /// Returns once every agent has ended, well or not.
+    pub(crate) fn await_agents(&mut self, tree: &Tree) -> Result<(), MissionError> {
         let ended = |status: &Status| matches!(status.phase, Phase::Ended | Phase::Failed { .. });
         while !self.board.iter().all(ended) {
-            self.step(station)?;
+            self.step(tree)?;
         }
         self.progress.finish();
-        Ok(self.board)
+        Ok(())
     }
 
-    fn step(&mut self, station: &Station) -> Result<(), MissionError> {
+    /// Ends the edges. Returns once each that has a model has got the global model of the one above for it.
+    pub(crate) fn await_edges(&mut self, tree: &mut Tree) -> Result<(), MissionError> {
+        let have_models = tree.close_edges();
+        while self.edges.iter().zip(&have_models).any(|(edge, has_model)| *has_model && !edge.is_served) {
+            self.step(tree)?;
+        }
+        Ok(())
+    }
+
+    /// What is known of each agent and each edge.
+    pub(crate) fn into_boards(self) -> (Vec<Status>, Vec<EdgeStatus>) {
+        (self.board, self.edges)
+    }
+
+    fn step(&mut self, tree: &Tree) -> Result<(), MissionError> {
         match self.signals.recv_timeout(LOOK_UP) {
-            Ok(Signal::Fleet(event)) => self.take_fleet(&event, station),
-            Ok(Signal::Service(event)) => self.take_service(event)?,
-            Err(RecvTimeoutError::Timeout) if !station.has_died() => {}
+            Ok(Signal::Fleet(event)) => self.take_fleet(&event, tree),
+            Ok(Signal::Service { post, event }) => self.take_service(post, event, tree)?,
+            Ok(Signal::Upstream { edge, event }) => self.take_upstream(edge, &event),
+            Err(RecvTimeoutError::Timeout) if !tree.has_died() => {}
             Err(_) => return Err(MissionError::ServiceDied),
         }
         self.progress.tick(&self.board, (self.around.now)().as_secs_f64());
@@ -78,28 +118,51 @@ impl<'a> Watch<'a> {
         Ok(())
     }
 
-    fn take_fleet(&mut self, event: &FleetEvent, station: &Station) {
+    fn take_fleet(&mut self, event: &FleetEvent, tree: &Tree) {
         let (device, status) = (self.plan.devices[event.agent], &mut self.board[event.agent]);
         if let Some(line) = status.take(&event.kind) {
             self.progress.notice(&format!("{device}: {line}"));
         }
         if matches!(event.kind, FleetEventKind::Failed { .. }) {
-            station.give_up(device);
+            tree.give_up(event.agent, device);
         }
         self.progress.show(event, status);
     }
 
-    fn take_service(&mut self, event: ServiceEvent) -> Result<(), MissionError> {
-        match event {
-            ServiceEvent::Connected => self.connected = true,
-            ServiceEvent::Disconnected { attempt, reason }
-                if !self.connected && attempt >= BROKER_ATTEMPTS_MAX =>
-            {
-                return Err(MissionError::NoBroker { reason });
+    fn take_service(&mut self, post: usize, event: ServiceEvent, tree: &Tree) -> Result<(), MissionError> {
+        match &event {
+            ServiceEvent::Connected => {
+                self.connected[post] = true;
+                return Ok(());
             }
-            ServiceEvent::DiskFailed { reason } => return Err(MissionError::Disk { reason }),
-            event => self.progress.notice(&format!("aggregator: {event}")),
+            ServiceEvent::Disconnected { attempt, reason }
+                if !self.connected[post] && *attempt >= BROKER_ATTEMPTS_MAX =>
+            {
+                return Err(MissionError::NoBroker { reason: reason.clone() });
+            }
+            ServiceEvent::DiskFailed { reason } => {
+                return Err(MissionError::Disk { reason: reason.clone() });
+            }
+            ServiceEvent::Merged { header, .. } => tree.send_up(post, *header),
+            _ => {}
         }
+        let name = match post.checked_sub(1) {
+            None => "aggregator",
+            Some(edge) => self.plan.edges[edge].device.as_str(),
+        };
+        self.progress.notice(&format!("{name}: {event}"));
         Ok(())
+    }
+
+    fn take_upstream(&mut self, edge: usize, event: &UpstreamEvent) {
+        let status = &mut self.edges[edge];
+        match event {
+            UpstreamEvent::UpstreamConnected => return,
+            UpstreamEvent::SentUp { bytes_sent, .. } => status.bytes_sent = *bytes_sent,
+            UpstreamEvent::CameDown { .. } => status.is_served = true,
+            UpstreamEvent::RefusedAbove { reason, .. } => status.is_served |= !reason.is_passing(),
+            _ => {}
+        }
+        self.progress.notice(&format!("{}: {event}", self.plan.edges[edge].device));
     }
 }

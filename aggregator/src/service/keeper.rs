@@ -12,7 +12,7 @@ use cosurf_wire::{DeviceId, ModelHeader, ModelId, ModelKind, RefusalReason, Tile
 use super::job::{Job, Look};
 use super::record::{Input, Merging, settle_withdrawal, withdrawn};
 use super::round::{Expected, Round};
-use super::{Command, ServiceConfig, ServiceError, ServiceEvent, global_ply};
+use super::{Command, ServiceConfig, ServiceError, ServiceEvent, global_ply, global_store};
 use crate::merge::{MergeSettings, Merged};
 
 /// Pause before what the disk refused is tried again.
@@ -59,7 +59,7 @@ impl Keeper {
     /// Opens the folder; returns the models in it too.
     pub(super) fn open(config: ServiceConfig) -> Result<(Self, Vec<ModelHeader>), ServiceError> {
         let (models, headers) = ModelStore::open(&config.folder.join("models"))?;
-        let (globals, revisions) = ModelStore::open(&config.folder.join("global"))?;
+        let (globals, revisions) = ModelStore::open(&global_store(&config.folder))?;
         let mut keeper = Self {
             device: config.identity.device,
             folder: config.folder,

@@ -1,0 +1,190 @@
+//! The aggregators of a mission, all on this machine: one, or edges with another above them. Each serves a site of
+//! its own from a folder of its own, on a thread of its own; an edge has one more for its way up. Their *posts* are 0
+//! for the one above all, then one for each edge.
+
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::sync::mpsc::Sender;
+
+use cosurf_link::{BrokerAddress, Credentials, Identity, InboxLimits, MqttConfig, Role};
+use cosurf_wire::{DeviceId, ModelHeader, SiteId};
+
+use crate::mission::{MissionError, MissionOrder, Surroundings};
+use crate::plan::{Edge, Plan};
+use crate::service::{Expected, Service, ServiceConfig, ServiceError};
+use crate::station::Station;
+use crate::upstream::{Ascent, Upstream};
+use crate::watch::Signal;
+
+/// Bytes of models that may be on their way in at once; more agents wait their turn.
+const INBOX_BYTES_MAX: u64 = 1 << 30;
+
+/// The folder of an edge in the mission's.
+pub(crate) fn edge_folder(out: &Path, edge: &Edge) -> PathBuf {
+    out.join("edges").join(edge.device.as_str())
+}
+
+/// The folders of those aggregators to which agents send.
+pub(crate) fn lowest_folders(out: &Path, plan: &Plan) -> Vec<PathBuf> {
+    match plan.edges.is_empty() {
+        true => vec![out.to_path_buf()],
+        false => plan.edges.iter().map(|edge| edge_folder(out, edge)).collect(),
+    }
+}
+
+/// Running aggregators. Dropping them ends them.
+pub(crate) struct Tree {
+    /// Above all.
+    top: Station,
+    edges: Vec<Branch>,
+}
+
+/// A running edge.
+struct Branch {
+    device: DeviceId,
+    agents: Range<usize>,
+    /// `None` once it has made the last of its revisions.
+    station: Option<Station>,
+    upstream: Upstream,
+}
+
+impl Tree {
+    /// Opens all folders, then starts to serve through one broker; what happens is told to `say`.
+    pub(crate) fn start(
+        order: &MissionOrder,
+        around: &Surroundings,
+        plan: &Plan,
+        address: &BrokerAddress,
+        say: &Sender<Signal>,
+    ) -> Result<Self, MissionError> {
+        let aggregator = DeviceId::new("aggregator")?;
+        let serve = |post, site: SiteId, folder: PathBuf, below: Vec<DeviceId>| {
+            let identity =
+                Identity { site, device: aggregator, session: around.session, role: Role::Aggregator };
+            let service = Service::open(service_config(order, identity, folder, below, around.cores))?;
+            let tell = say.clone();
+            let tell = move |event| {
+                let _ = tell.send(Signal::Service { post, event }); // nobody listens where the mission is over
+            };
+            Ok::<Station, ServiceError>(Station::start(
+                service,
+                address.clone(),
+                identity,
+                around.now.clone(),
+                tell,
+            ))
+        };
+        let branch = |(i, edge): (usize, &Edge)| {
+            let folder = edge_folder(&order.out, edge);
+            let upstream = climb(i, edge, &folder, plan, around, address, say)?;
+            let station = Some(serve(1 + i, edge.site, folder, plan.devices[edge.agents.clone()].to_vec())?);
+            Ok::<Branch, ServiceError>(Branch {
+                device: edge.device,
+                agents: edge.agents.clone(),
+                station,
+                upstream,
+            })
+        };
+        let below = match plan.edges.is_empty() {
+            true => plan.devices.clone(),
+            false => plan.edges.iter().map(|edge| edge.device).collect(),
+        };
+        Ok(Self {
+            top: serve(0, plan.site, order.out.clone(), below)?,
+            edges: plan.edges.iter().enumerate().map(branch).collect::<Result<_, _>>()?,
+        })
+    }
+
+    /// Whether one ended without being told to.
+    pub(crate) fn has_died(&self) -> bool {
+        self.edges.iter().filter_map(|edge| edge.station.as_ref()).chain([&self.top]).any(Station::has_died)
+    }
+
+    /// Whoever waits for this agent does not any more.
+    pub(crate) fn give_up(&self, agent: usize, device: DeviceId) {
+        match self.edges.iter().find(|edge| edge.agents.contains(&agent)) {
+            Some(Branch { station: Some(station), .. }) => station.give_up(device),
+            Some(_) => {}
+            None => self.top.give_up(device),
+        }
+    }
+
+    /// Has the aggregator of a post send a revision up, where somebody is above.
+    pub(crate) fn send_up(&self, post: usize, revision: ModelHeader) {
+        if let Some(edge) = post.checked_sub(1).and_then(|edge| self.edges.get(edge)) {
+            edge.upstream.send(revision);
+        }
+    }
+
+    /// Lets every edge merge what is due and end, but for its way up. Returns for each whether it has a model to
+    /// send; those that have none are not waited for above.
+    pub(crate) fn close_edges(&mut self) -> Vec<bool> {
+        let close = |edge: &mut Branch| {
+            let has_model = edge.station.take().and_then(Station::finish).is_some();
+            if !has_model {
+                self.top.give_up(edge.device);
+            }
+            has_model
+        };
+        self.edges.iter_mut().map(close).collect()
+    }
+
+    /// Merges what is due and ends. Returns what is announced of the newest global model.
+    pub(crate) fn finish(self) -> Option<ModelHeader> {
+        let global = self.top.finish();
+        drop(self.edges);
+        global
+    }
+}
+
+fn service_config(
+    order: &MissionOrder,
+    identity: Identity,
+    folder: PathBuf,
+    below: Vec<DeviceId>,
+    threads: usize,
+) -> ServiceConfig {
+    ServiceConfig {
+        identity,
+        folder,
+        limits: limits(below.len()),
+        expected: Expected::Fleet(below.into_iter().collect()),
+        merge: order.settings.merge,
+        threads,
+    }
+}
+
+/// The most that is taken in from so many.
+fn limits(devices: usize) -> InboxLimits {
+    InboxLimits {
+        body_bytes_max: INBOX_BYTES_MAX,
+        total_bytes_max: INBOX_BYTES_MAX,
+        models_max: devices,
+        stored_max: 2 * devices,
+    }
+}
+
+/// Starts the way up of edge `i`.
+fn climb(
+    i: usize,
+    edge: &Edge,
+    folder: &Path,
+    plan: &Plan,
+    around: &Surroundings,
+    address: &BrokerAddress,
+    say: &Sender<Signal>,
+) -> Result<Upstream, ServiceError> {
+    let identity =
+        Identity { site: plan.site, device: edge.device, session: around.session, role: Role::Device };
+    let ascent = Ascent::open(identity, Credentials::default(), folder, limits(1))?;
+    let link = MqttConfig { broker: address.clone(), identity, tls: None };
+    let (now, tell) = (around.now.clone(), say.clone());
+    Ok(Upstream::start(
+        ascent,
+        link,
+        move || now(),
+        move |event| {
+            let _ = tell.send(Signal::Upstream { edge: i, event }); // nobody listens where the mission is over
+        },
+    ))
+}

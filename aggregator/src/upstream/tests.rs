@@ -1,0 +1,176 @@
+//! A tree on one thread: three drones below two edges below a cloud, in bad weather.
+#![allow(clippy::unwrap_used)]
+
+use std::ops::ControlFlow;
+use std::sync::mpsc;
+
+use cosurf_link::{Faults, MemoryNetwork, MemoryTransport, Model, Role};
+use cosurf_wire::{BodyHash, ModelId, SiteId};
+
+use super::*;
+use crate::merge::tests::{InMemory, above, ground};
+use crate::merge::{MergeSettings, merge};
+use crate::service::{Expected, Service, ServiceConfig, ServiceEvent};
+
+const BAD_WEATHER: Faults = Faults {
+    loss: 0.1,
+    duplication: 0.1,
+    corruption: 0.05,
+    delay_max: Duration::from_millis(80),
+    ..Faults::NONE
+};
+const LIMITS: InboxLimits =
+    InboxLimits { body_bytes_max: 1 << 24, total_bytes_max: 1 << 25, models_max: 8, stored_max: 8 };
+const SETTINGS: MergeSettings = MergeSettings { epochs: 1, compress: true, memory_bytes: 1 << 30, seed: 3 };
+/// Virtual time after which a test has failed.
+const PATIENCE: Duration = Duration::from_secs(300);
+
+fn identity(site: &str, device: &str, role: Role) -> Identity {
+    Identity { site: SiteId::new(site).unwrap(), device: DeviceId::new(device).unwrap(), session: 1, role }
+}
+
+/// A small model of the ground at `place`, seen by two small cameras.
+fn model_at(place: f32) -> Model {
+    let cameras = [-0.5, 0.5].map(|x| above(f64::from(place) + x).resized([24, 16]));
+    Model { splats: ground(place - 2.0, place + 2.0), cameras: cameras.to_vec() }
+}
+
+fn offer(model: &Model, kind: ModelKind) -> Offer {
+    Offer::new(DeviceId::new("any").unwrap(), ModelId(1), kind, 2, &model.splats, &model.cameras).unwrap()
+}
+
+/// What models, as they arrive over the wire, are merged to.
+fn merged(models: &[Model]) -> Model {
+    let arrived = |model: &Model| body_to_model(&offer(model, ModelKind::Local).body).unwrap();
+    let locals = InMemory(models.iter().map(arrived).collect());
+    merge(&locals, &SETTINGS, 1, &mut |_| ControlFlow::Continue(())).unwrap().model
+}
+
+/// A service, its link, and for an edge its way up.
+struct Level {
+    service: Service,
+    transport: MemoryTransport,
+    above: Option<(Ascent, MemoryTransport)>,
+    has_come_down: bool,
+}
+
+impl Level {
+    fn open(network: &MemoryNetwork, folder: &Path, site: &str, below: &[&str], is_edge: bool) -> Self {
+        let (ground, device) =
+            (identity(site, "aggregator", Role::Aggregator), identity("cloud", site, Role::Device));
+        let service = Service::open(ServiceConfig {
+            identity: ground,
+            folder: folder.into(),
+            limits: LIMITS,
+            expected: Expected::Fleet(below.iter().map(|name| DeviceId::new(name).unwrap()).collect()),
+            merge: SETTINGS,
+            threads: 1,
+        })
+        .unwrap();
+        let above = is_edge.then(|| {
+            let ascent = Ascent::open(device, Credentials::default(), folder, LIMITS).unwrap();
+            (ascent, network.join(&device))
+        });
+        Self { service, transport: network.join(&ground), above, has_come_down: false }
+    }
+
+    fn step(&mut self, now: Duration) {
+        let mut revision = None;
+        let _ = self.service.step(
+            &mut self.transport,
+            || now,
+            Duration::ZERO,
+            |event| {
+                if let ServiceEvent::Merged { header, .. } = event {
+                    revision = Some(header);
+                }
+                ControlFlow::Continue(())
+            },
+        );
+        let Some((ascent, transport)) = &mut self.above else { return };
+        if let Some(revision) = revision {
+            ascent.send(&revision).unwrap();
+        }
+        let event = ascent.step(transport, || now, Duration::ZERO);
+        self.has_come_down |= matches!(event, Some(UpstreamEvent::CameDown { .. }));
+    }
+}
+
+/// A drone that sends its model.
+struct Drone(Node, MemoryTransport);
+
+impl Drone {
+    fn new(network: &MemoryNetwork, site: &str, name: &str, model: &Model) -> Self {
+        let identity = identity(site, name, Role::Device);
+        let mut node = Node::new(identity, LIMITS, &[]);
+        let body = offer(model, ModelKind::Local).body;
+        node.upload(Offer::from_body(identity.device, ModelId(1), ModelKind::Local, 2, body).unwrap());
+        Self(node, network.join(&identity))
+    }
+
+    fn step(&mut self, now: Duration) {
+        if let Some(NodeEvent::Store { header, .. }) = self.0.step(&mut self.1, || now, Duration::ZERO) {
+            self.0.stored(header.into());
+        }
+    }
+}
+
+fn tree(network: &MemoryNetwork, folder: &Path) -> [Level; 3] {
+    let level = |site, below: &[&str]| Level::open(network, &folder.join(site), site, below, site != "cloud");
+    [level("cloud", &["edge-1", "edge-2"]), level("edge-1", &["a", "b"]), level("edge-2", &["c"])]
+}
+
+/// Runs until both edges have what the cloud made of them; returns the hashes of what they have.
+fn run(network: &MemoryNetwork, folder: &Path, drones: &mut [Drone]) -> [BodyHash; 2] {
+    let mut levels = tree(network, folder);
+    while !levels[1..].iter().all(|level| level.has_come_down) {
+        let now = network.now();
+        assert!(now < PATIENCE, "nothing came down");
+        drones.iter_mut().for_each(|drone| drone.step(now));
+        levels.iter_mut().for_each(|level| level.step(now));
+        match levels.iter().any(|level| level.service.is_merging()) {
+            true => std::thread::sleep(Duration::from_micros(200)),
+            false => network.advance(now + Duration::from_millis(5)),
+        }
+    }
+    ["edge-1", "edge-2"].map(|edge| {
+        let (_, headers) = ModelStore::open(&folder.join(edge).join("upstream/global")).unwrap();
+        headers.last().unwrap().blake3
+    })
+}
+
+#[test]
+fn a_cloud_makes_of_its_edges_what_they_made_of_their_drones() {
+    let folder = tempfile::tempdir().unwrap();
+    let models = [-2.0, 0.0, 2.0].map(model_at);
+    let edges = [merged(&models[..2]), merged(&models[2..])];
+    let expected = offer(&merged(&edges), ModelKind::Global).header.blake3;
+
+    let network = MemoryNetwork::new(1, BAD_WEATHER);
+    let drones = [("edge-1", "a"), ("edge-1", "b"), ("edge-2", "c")].into_iter().zip(&models);
+    let mut drones: Vec<Drone> =
+        drones.map(|((site, name), model)| Drone::new(&network, site, name, model)).collect();
+    assert_eq!(run(&network, folder.path(), &mut drones), [expected; 2]);
+    let splats = |file| ply::read(&folder.path().join(file)).unwrap().len();
+    assert_eq!(splats("edge-2/upstream/global.ply"), splats("cloud/global.ply"));
+
+    // Everybody is killed and started again, without the drones: what is on the disks is enough.
+    let network = MemoryNetwork::new(2, BAD_WEATHER);
+    assert_eq!(run(&network, folder.path(), &mut []), [expected; 2]);
+}
+
+#[test]
+fn a_thread_of_its_own_ends_although_nobody_is_above() {
+    let folder = tempfile::tempdir().unwrap();
+    let identity = identity("cloud", "edge-1", Role::Device);
+    let ascent = Ascent::open(identity, Credentials::default(), folder.path(), LIMITS).unwrap();
+    let (say, events) = mpsc::channel();
+    let broker = "mqtt://127.0.0.1:1".parse().unwrap();
+    let begun = std::time::Instant::now();
+    let link = MqttConfig { broker, identity, tls: None };
+    let upstream =
+        Upstream::start(ascent, link, move || begun.elapsed(), move |event| say.send(event).unwrap());
+    let first = events.recv_timeout(PATIENCE).unwrap();
+    assert!(matches!(first, UpstreamEvent::UpstreamDisconnected { attempt: 1, .. }), "{first}");
+    drop(upstream);
+}
