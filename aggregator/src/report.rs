@@ -218,6 +218,8 @@ pub(crate) fn remarks(report: &MissionReport) -> Vec<String> {
         let given_up = agent.training.iter().flat_map(|training| &training.given_up);
         remarks.extend(given_up.map(|sentence| format!("{device}: {sentence}")));
     }
+    let kept_out = report.whole.merging.iter().flat_map(|merging| &merging.kept_out);
+    remarks.extend(kept_out.map(|kept_out| format!("{kept_out} and is kept out")));
     remarks.extend(report.whole.mesh_failure.iter().map(|failure| format!("no mesh: {failure}")));
     remarks
 }

@@ -12,9 +12,9 @@
 //! | `withdrawn/` | devices that do not count any more, each with its last model that does not |
 //! | `upstream/` | what came from the aggregator above, where there is one: [`crate::upstream`] |
 //!
-//! The newest model of each device counts; they are merged in order of device id, so the same models
-//! give the same bytes in whatever order they arrive. Merging runs on a thread of its own while the service goes on
-//! listening; what arrives meanwhile makes it begin anew.
+//! The newest model of each device counts, unless it contradicts the others ([`crate::gate`]); they are merged in
+//! order of device id, so the same models give the same bytes in whatever order they arrive. Merging runs on a thread
+//! of its own while the service goes on listening; what arrives meanwhile makes it begin anew.
 //!
 //! Reading order: [`Service`], [`round`] for when models are merged, [`keeper`] for what is kept and done.
 
@@ -42,7 +42,7 @@ use serde::Serialize;
 
 use crate::merge::{MergeError, MergeProgress, MergeSettings, concatenate};
 use keeper::{Keeper, Orders};
-pub use record::{Merging, withdraw};
+pub use record::{KeptOut, Merging, withdraw};
 pub use round::{Expected, Rounds};
 
 /// How often the service looks up from listening.
@@ -116,6 +116,13 @@ pub enum ServiceEvent {
         header: ModelHeader,
         /// Local models in it.
         models: usize,
+        /// Local models that are not, for what they contradict.
+        kept_out: Vec<KeptOut>,
+    },
+    /// There is no new global model: nobody is believed.
+    NothingMerged {
+        /// The local models.
+        kept_out: Vec<KeptOut>,
     },
     /// Every agent that is still counted on has the global model on its disk.
     Delivered,
@@ -146,12 +153,14 @@ impl fmt::Display for ServiceEvent {
                 write!(f, "merging, step {step} of {steps}: {psnr:.2} dB of what the local models showed")
             }
             Self::Withdrawn { device } => write!(f, "{device} is withdrawn"),
-            Self::Merged { header, models } => {
-                write!(
-                    f,
-                    "global model, revision {}: {} splats of {models} models",
-                    header.model, header.splats
-                )
+            Self::Merged { header, models, kept_out } => {
+                let (revision, splats) = (header.model, header.splats);
+                write!(f, "global model, revision {revision}: {splats} splats of {models} models")?;
+                kept_out.iter().try_for_each(|kept_out| write!(f, "; {kept_out} and is kept out"))
+            }
+            Self::NothingMerged { kept_out } => {
+                write!(f, "no model is merged")?;
+                kept_out.iter().try_for_each(|kept_out| write!(f, "; {kept_out}"))
             }
             Self::Delivered => write!(f, "every agent has the global model"),
             Self::Refused { by, reason } => write!(f, "{by} refuses the global model: {reason}"),

@@ -5,14 +5,16 @@ use std::fs;
 use std::path::Path;
 
 /// Number, what goes wrong, and the file whose test of that number (`fault_01_…`) makes it go wrong.
-const FAULTS: [(u32, &str, &str); 18] = [
+const FAULTS: [(u32, &str, &str); 20] = [
     (1, "the broker is killed in mid-upload", "shared/link/tests/faults.rs"),
     (2, "chunks come twice, out of order, or not", "shared/link/tests/faults.rs"),
     (3, "messages are corrupt or truncated", "shared/link/tests/faults.rs"),
     (4, "lengths are hostile", "shared/link/tests/faults.rs"),
     (5, "compressed bytes are a bomb", "shared/link/src/codec/tests.rs"),
     (6, "values cannot be rendered", "shared/link/tests/faults.rs"),
+    (7, "models are poisoned", "aggregator/src/gate/tests.rs"),
     (8, "replays, old counters, wrong names", "shared/link/tests/faults.rs"),
+    (9, "frame, scale, datum or origin are wrong", "aggregator/src/gate/tests.rs"),
     (10, "the disk is full, at every write", "shared/link/tests/disk.rs"),
     (11, "power is lost between any two steps", "shared/scene/src/atomic/power.rs"),
     (12, "clocks jump", "shared/link/tests/faults.rs"),

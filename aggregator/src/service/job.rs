@@ -1,4 +1,4 @@
-//! A merge on a thread of its own.
+//! A merge on a thread of its own: first it is judged who takes part ([`crate::gate`]).
 
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -9,6 +9,7 @@ use std::thread::{self, JoinHandle};
 use cosurf_link::{Model, ModelKey, ModelStore, body_to_model};
 use cosurf_wire::ModelHeader;
 
+use crate::gate::{Doubt, doubts};
 use crate::merge::{Locals, MergeError, MergeProgress, MergeSettings, Merged, merge};
 
 /// Steps between two reports.
@@ -21,7 +22,15 @@ pub(super) struct Job {
     pub(super) inputs: Vec<ModelHeader>,
     stop: Arc<AtomicBool>,
     progress: Receiver<MergeProgress>,
-    thread: Option<JoinHandle<Result<Merged, MergeError>>>,
+    thread: Option<JoinHandle<Result<Outcome, MergeError>>>,
+}
+
+/// What came of a merge.
+pub(super) struct Outcome {
+    /// `None` where nobody took part.
+    pub(super) merged: Option<Merged>,
+    /// What speaks against each input, in their order; who is doubted took no part.
+    pub(super) doubts: Vec<Option<Doubt>>,
 }
 
 /// What a look at a merge finds.
@@ -31,7 +40,7 @@ pub(super) enum Look {
     /// It has come further.
     Further(MergeProgress),
     /// It is done.
-    Done(Result<Merged, MergeError>),
+    Done(Box<Result<Outcome, MergeError>>),
 }
 
 /// Models in a store.
@@ -60,14 +69,23 @@ impl Job {
     ) -> Self {
         let stop = Arc::new(AtomicBool::new(false));
         let (say, progress) = mpsc::channel();
-        let (stored, flag) = (Stored { models, headers: inputs.clone() }, stop.clone());
+        let (headers, flag) = (inputs.clone(), stop.clone());
         let thread = thread::spawn(move || {
-            merge(&stored, &settings, threads, &mut |progress: MergeProgress| {
+            let is_stopped = || flag.load(Ordering::Relaxed);
+            let mut stored = Stored { models, headers };
+            let doubts = doubts(&stored, threads, &is_stopped)?;
+            let mut sound = doubts.iter().map(Option::is_none);
+            stored.headers.retain(|_| sound.next().unwrap_or(false));
+            if stored.headers.is_empty() {
+                return Ok(Outcome { merged: None, doubts });
+            }
+            let merged = merge(&stored, &settings, threads, &mut |progress: MergeProgress| {
                 if progress.step.is_multiple_of(TELL_EVERY) {
                     let _ = say.send(progress); // nobody listens any more where the job was given up
                 }
-                if flag.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
-            })
+                if is_stopped() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+            })?;
+            Ok(Outcome { merged: Some(merged), doubts })
         });
         Self { inputs, stop, progress, thread: Some(thread) }
     }
@@ -78,7 +96,7 @@ impl Job {
             return Look::Further(progress);
         }
         match self.thread.take_if(|thread| thread.is_finished()) {
-            Some(thread) => Look::Done(thread.join().unwrap_or(Err(MergeError::GivenUp))),
+            Some(thread) => Look::Done(Box::new(thread.join().unwrap_or(Err(MergeError::GivenUp)))),
             None => Look::Busy,
         }
     }

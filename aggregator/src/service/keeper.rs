@@ -9,8 +9,8 @@ use cosurf_link::{ModelKey, ModelStore, Node, NodeEvent, Offer};
 use cosurf_scene::ply;
 use cosurf_wire::{DeviceId, ModelHeader, ModelId, ModelKind, RefusalReason, TileId};
 
-use super::job::{Job, Look};
-use super::record::{Input, Merging, settle_withdrawal, withdrawn};
+use super::job::{Job, Look, Outcome};
+use super::record::{Input, KeptOut, Merging, settle_withdrawal, withdrawn};
 use super::round::{Expected, Round};
 use super::{Command, ServiceConfig, ServiceError, ServiceEvent, global_ply, global_store};
 use crate::merge::{MergeSettings, Merged};
@@ -264,19 +264,30 @@ impl Keeper {
             return self.offer_again(node).map(Some);
         }
         let Some((job, begun)) = &mut self.job else { return Ok(None) };
-        let merged = match job.look() {
+        let outcome = match job.look() {
             Look::Busy => return Ok(None),
             Look::Further(progress) => return Ok(Some(ServiceEvent::Merging(progress))),
-            Look::Done(merged) => merged,
+            Look::Done(outcome) => outcome,
         };
         let (inputs, seconds) = (std::mem::take(&mut job.inputs), (now - *begun).as_secs_f64());
         self.job = None;
-        let offer = self.keep(merged?, &inputs, seconds)?;
-        Ok(Some(self.broadcast(node, offer, inputs.len())))
+        let Outcome { merged, doubts } = (*outcome)?;
+        let kept_out = KeptOut::of(&inputs, &doubts);
+        let Some(merged) = merged else {
+            return Ok(Some(ServiceEvent::NothingMerged { kept_out }));
+        };
+        let offer = self.keep(merged, &inputs, kept_out.clone(), seconds)?;
+        Ok(Some(self.broadcast(node, offer, kept_out)))
     }
 
     /// Writes a merged model: revision, record, and the PLY for viewers. The same bytes keep their revision.
-    fn keep(&mut self, merged: Merged, inputs: &[ModelHeader], seconds: f64) -> Result<Offer, ServiceError> {
+    fn keep(
+        &mut self,
+        merged: Merged,
+        inputs: &[ModelHeader],
+        kept_out: Vec<KeptOut>,
+        seconds: f64,
+    ) -> Result<Offer, ServiceError> {
         let Merged { model, summary } = merged;
         let views = inputs.iter().fold(0u32, |views, header| views.saturating_add(header.views));
         let next = ModelId(self.global.map_or(1, |global| global.model.0 + 1));
@@ -289,7 +300,7 @@ impl Keeper {
         self.global = Some(offer.header);
         ply::write(&global_ply(&self.folder), &model.splats)?;
         let (revision, inputs) = (offer.header.model.0, inputs.iter().map(Input::from).collect());
-        Merging { revision, inputs, settings: self.merge, summary, seconds }.write(&self.folder)?;
+        Merging { revision, inputs, kept_out, settings: self.merge, summary, seconds }.write(&self.folder)?;
         Ok(offer)
     }
 
@@ -298,15 +309,16 @@ impl Keeper {
         let global = self.global.expect("a merged model has a revision");
         let (header, body) = self.globals.get(ModelKey::from(global))?;
         self.to_offer = false;
-        let models = self.newest().len();
-        Ok(self.broadcast(node, Offer { header, body }, models))
+        let kept_out = Merging::read(&self.folder).map(|record| record.kept_out).unwrap_or_default();
+        Ok(self.broadcast(node, Offer { header, body }, kept_out))
     }
 
-    fn broadcast(&self, node: &mut Node, offer: Offer, models: usize) -> ServiceEvent {
+    fn broadcast(&self, node: &mut Node, offer: Offer, kept_out: Vec<KeptOut>) -> ServiceEvent {
         let header = offer.header;
         let counted = self.stored.iter().filter(|(_, models)| !models.is_empty()).map(|(device, _)| *device);
         let receivers: Vec<DeviceId> = counted.filter(|device| !self.given_up.contains(device)).collect();
         node.broadcast(TileId::WHOLE, offer, &receivers);
-        ServiceEvent::Merged { header, models }
+        let models = self.newest().len() - kept_out.len();
+        ServiceEvent::Merged { header, models, kept_out }
     }
 }

@@ -1,6 +1,7 @@
 //! Small files beside the models: what the newest revision was merged from, and who is withdrawn.
 
 use std::collections::BTreeMap;
+use std::fmt;
 use std::fs;
 use std::io;
 use std::path::Path;
@@ -9,6 +10,7 @@ use cosurf_scene::{SceneError, atomic};
 use cosurf_wire::{DeviceId, ModelHeader, ModelId};
 use serde::{Deserialize, Serialize};
 
+use crate::gate::Doubt;
 use crate::merge::{MergeSettings, MergeSummary};
 
 const MERGED: &str = "merged.json";
@@ -21,9 +23,12 @@ pub struct Merging {
     pub revision: u64,
     /// The models, in order of device id.
     pub inputs: Vec<Input>,
-    /// How they were merged.
+    /// Those of them that took no part.
+    #[serde(default)]
+    pub kept_out: Vec<KeptOut>,
+    /// How the others were merged.
     pub settings: MergeSettings,
-    /// What became of them, in their order.
+    /// What became of these, in their order.
     pub summary: MergeSummary,
     /// How long it took.
     pub seconds: f64,
@@ -38,6 +43,44 @@ pub struct Input {
     pub model: u64,
     /// Its hash.
     pub blake3: String,
+}
+
+/// A model that was kept out of a merge, and why.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct KeptOut {
+    /// Whose.
+    pub device: String,
+    /// Which.
+    pub model: u64,
+    /// One sentence without its subject.
+    pub reason: String,
+}
+
+impl fmt::Display for KeptOut {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "model {} of {} {}", self.model, self.device, self.reason)
+    }
+}
+
+impl KeptOut {
+    /// Those of `inputs` against which something speaks.
+    pub(super) fn of(inputs: &[ModelHeader], doubts: &[Option<Doubt>]) -> Vec<Self> {
+        let reason = |doubt: &Doubt| match doubt {
+            Doubt::Unseen(share) => format!("lies to {:.0} % where it saw nothing", 100.0 * share),
+            Doubt::Contradicts(others) => {
+                let names: Vec<&str> = others.iter().map(|other| inputs[*other].device.as_str()).collect();
+                format!("shows another ground, place or scale than {}", names.join(", "))
+            }
+        };
+        let doubted = inputs.iter().zip(doubts).filter_map(|(input, doubt)| Some((input, doubt.as_ref()?)));
+        doubted
+            .map(|(input, doubt)| Self {
+                device: input.device.to_string(),
+                model: input.model.0,
+                reason: reason(doubt),
+            })
+            .collect()
+    }
 }
 
 impl From<&ModelHeader> for Input {

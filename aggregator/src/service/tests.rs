@@ -1,6 +1,7 @@
 //! Whole fleets on one thread, over a simulated network that loses, doubles, damages and delays.
 #![allow(clippy::unwrap_used)]
 
+mod doubt;
 mod life;
 
 use std::fs;

@@ -1,0 +1,186 @@
+//! Who may take part in a merge: a model that contradicts the others is kept out, and on the disk, until it
+//! contradicts nobody any more.
+//!
+//! Every model shows some of its own views; another one whose cameras look at the same ground must show the same
+//! there ([`glimpse`]). One that lies in another frame, has another scale, or was forged does not. A model most of
+//! whose splats are where none of its own cameras looks is kept out as well, and so is one that lies so far from all
+//! others that its origin must be another one. Who shares no ground with anybody is taken as it is.
+//!
+//! Of two that contradict each other the one goes that contradicts more of the others, then the one with fewer
+//! cameras, then the later one: the verdict depends on the models alone, not on who came first.
+
+mod glimpse;
+#[cfg(test)]
+pub(crate) mod tests;
+
+use std::collections::BTreeMap;
+
+use cosurf_engine::Renderer;
+use cosurf_link::Model;
+use cosurf_scene::Camera;
+use glam::DVec3;
+
+use crate::merge::{Locals, MergeError};
+use glimpse::Glimpse;
+
+/// Largest share of a model's splats that none of its own cameras sees. Trained models have up to 0.01.
+const UNSEEN_MAX: f64 = 0.5;
+/// Two flights that are so many times their own size apart have not the same origin.
+const APART: f64 = 20.0;
+/// Views in which two models must contradict each other.
+const CONTRADICTIONS_MIN: u32 = 2;
+
+/// Why a model is kept out of a merge.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Doubt {
+    /// So much of it, 0..=1, lies where none of its own cameras looks.
+    Unseen(f64),
+    /// It contradicts these others, positions in the order of models.
+    Contradicts(Vec<usize>),
+}
+
+/// What speaks against each of `locals`, in their order. `is_given_up` is asked between two models.
+pub(crate) fn doubts(
+    locals: &dyn Locals,
+    threads: usize,
+    is_given_up: &dyn Fn() -> bool,
+) -> Result<Vec<Option<Doubt>>, MergeError> {
+    let go_on = || if is_given_up() { Err(MergeError::GivenUp) } else { Ok(()) };
+    let mut shown = Vec::with_capacity(locals.count());
+    for i in 0..locals.count() {
+        go_on()?;
+        shown.push(Shown::of(locals.load(i)?, threads));
+    }
+    let mut relations = Relations::default();
+    relations.note_distances(&shown);
+    for judged in 0..shown.len() {
+        go_on()?;
+        relations.note_views(&shown, judged, locals, threads)?;
+    }
+    let unseen = |shown: &Shown| (shown.unseen > UNSEEN_MAX).then_some(Doubt::Unseen(shown.unseen));
+    let mut doubts: Vec<Option<Doubt>> = shown.iter().map(unseen).collect();
+    relations.settle(&shown, &mut doubts);
+    Ok(doubts)
+}
+
+/// What is kept of a model to judge it, and others by it.
+struct Shown {
+    cameras: Vec<Camera>,
+    glimpses: Vec<Glimpse>,
+    /// Share of its splats that none of its cameras sees.
+    unseen: f64,
+    /// Middle of the flight, world units.
+    middle: DVec3,
+    /// From there to the farthest camera, world units.
+    radius: f64,
+}
+
+impl Shown {
+    fn of(model: Model, threads: usize) -> Self {
+        let Model { splats, cameras } = model;
+        let is_unseen = |mean: &&[f32; 3]| {
+            let mean = DVec3::from_array(mean.map(f64::from));
+            !cameras.is_empty() && !cameras.iter().any(|camera| camera.sees(mean))
+        };
+        let unseen = splats.means.iter().filter(is_unseen).count() as f64 / splats.len().max(1) as f64;
+        let glimpses = Glimpse::some(&splats, &cameras, threads);
+        let eyes = || cameras.iter().map(|camera| camera.cam_from_world.center());
+        let middle = eyes().sum::<DVec3>() / cameras.len().max(1) as f64;
+        let radius = eyes().map(|eye| eye.distance(middle)).fold(0.0, f64::max);
+        Self { cameras, glimpses, unseen, middle, radius }
+    }
+
+    /// How far another flight is away, in sizes of the larger of the two.
+    fn sizes_to(&self, other: &Self) -> f64 {
+        let gap = self.middle.distance(other.middle) - self.radius - other.radius;
+        gap / self.radius.max(other.radius).max(1.0)
+    }
+}
+
+/// Which models confirm and which contradict each other.
+#[derive(Default)]
+struct Relations {
+    /// Views in which the two of a pair, the lower first, confirm and contradict each other.
+    views: BTreeMap<[usize; 2], [u32; 2]>,
+}
+
+impl Relations {
+    fn note(&mut self, one: usize, other: usize, is_confirmed: bool, views: u32) {
+        let pair = [one.min(other), one.max(other)];
+        self.views.entry(pair).or_default()[usize::from(!is_confirmed)] += views;
+    }
+
+    /// A flight contradicts the nearest other one if that is still too far.
+    fn note_distances(&mut self, shown: &[Shown]) {
+        let flights: Vec<usize> = (0..shown.len()).filter(|i| !shown[*i].cameras.is_empty()).collect();
+        for &one in &flights {
+            let sizes = |other: usize| shown[one].sizes_to(&shown[other]);
+            let others = flights.iter().copied().filter(|other| *other != one);
+            let nearest = others.min_by(|a, b| sizes(*a).total_cmp(&sizes(*b)));
+            if let Some(nearest) = nearest.filter(|nearest| sizes(*nearest) > APART) {
+                self.note(one, nearest, false, CONTRADICTIONS_MIN);
+            }
+        }
+    }
+
+    /// Shows a model the views of all others.
+    fn note_views(
+        &mut self,
+        shown: &[Shown],
+        judged: usize,
+        locals: &dyn Locals,
+        threads: usize,
+    ) -> Result<(), MergeError> {
+        let cameras = &shown[judged].cameras;
+        let mut renderer = None;
+        for (other, its) in shown.iter().enumerate().filter(|(other, _)| *other != judged) {
+            for glimpse in &its.glimpses {
+                let Some(shared) = glimpse.shared_with(cameras) else { continue };
+                let renderer = match &mut renderer {
+                    Some(renderer) => renderer,
+                    none => none.insert(Renderer::new(&locals.load(judged)?.splats, threads)),
+                };
+                if let Some(is_confirmed) = glimpse.is_confirmed_by(renderer, &shared) {
+                    self.note(judged, other, is_confirmed, 1);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Models that a model contradicts, and how many confirm it, among those of which nothing is to be doubted.
+    fn of(&self, one: usize, doubts: &[Option<Doubt>]) -> (Vec<usize>, usize) {
+        let (mut foes, mut friends) = (Vec::new(), 0);
+        for (pair, [confirmed, contradicted]) in &self.views {
+            let other = match pair {
+                [a, b] if *a == one => *b,
+                [a, b] if *b == one => *a,
+                _ => continue,
+            };
+            if doubts[other].is_some() {
+                continue;
+            }
+            if contradicted > confirmed && *contradicted >= CONTRADICTIONS_MIN {
+                foes.push(other);
+            } else if confirmed > contradicted {
+                friends += 1;
+            }
+        }
+        (foes, friends)
+    }
+
+    /// Doubts the worst until nobody contradicts anybody.
+    fn settle(&self, shown: &[Shown], doubts: &mut [Option<Doubt>]) {
+        loop {
+            let sound = (0..shown.len()).filter(|i| doubts[*i].is_none());
+            let contradicting =
+                sound.map(|i| (i, self.of(i, doubts))).filter(|(_, (foes, _))| !foes.is_empty());
+            let badness = |i: usize, foes: usize, friends: usize| {
+                (foes as isize - friends as isize, usize::MAX - shown[i].cameras.len(), i)
+            };
+            let worst = contradicting.max_by_key(|(i, (foes, friends))| badness(*i, foes.len(), *friends));
+            let Some((worst, (foes, _))) = worst else { return };
+            doubts[worst] = Some(Doubt::Contradicts(foes));
+        }
+    }
+}

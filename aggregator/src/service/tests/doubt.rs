@@ -1,0 +1,46 @@
+//! A model that contradicts the others: kept out, told, and no longer once its device has sent another.
+
+use super::*;
+use crate::gate::tests::{elsewhere, flights};
+use glam::DVec3;
+
+const NAMES: [&str; 4] = ["agent-1", "agent-2", "agent-3", "agent-4"];
+const QUICK: MergeSettings = MergeSettings { epochs: 1, compress: true, memory_bytes: 1 << 30, seed: 1 };
+
+/// Some send their models; returns the global model once as many as named are kept out of it.
+fn fly(folder: &Path, waited_for: &[&str], sent: &[(&str, u64, &Model)], outsiders: &[&str]) -> Vec<u8> {
+    let network = MemoryNetwork::new(sent.len() as u64, BAD_WEATHER);
+    let mut ground = open_with(&network, folder, fleet(waited_for), QUICK);
+    let drones = sent.iter().map(|(name, number, model)| Drone::new(&network, name, *number, model));
+    let is_settled = |event: &ServiceEvent| match event {
+        ServiceEvent::Merged { models, kept_out, .. } => {
+            models + kept_out.len() == waited_for.len()
+                && kept_out.iter().map(|kept_out| kept_out.device.as_str()).eq(outsiders.iter().copied())
+        }
+        _ => false,
+    };
+    let events = simulate(&network, &mut ground, &mut drones.collect::<Vec<_>>(), |events, _| {
+        events.iter().any(is_settled)
+    });
+    let record = Merging::read(folder).unwrap();
+    assert_eq!(record.kept_out.len(), outsiders.len(), "{events:?}");
+    fs::read(global_ply(folder)).unwrap()
+}
+
+#[test]
+fn a_poisoned_model_is_kept_out_until_its_device_sends_a_sound_one() {
+    let right = flights();
+    let wrong = elsewhere(right[1].clone(), 1.0, 0.0, DVec3::Z);
+    let all: Vec<_> = NAMES.iter().zip(&right).map(|(name, model)| (*name, 1, model)).collect();
+    let without: Vec<_> = all.iter().copied().filter(|(name, ..)| *name != "agent-2").collect();
+    let mut poisoned = all.clone();
+    poisoned[1].2 = &wrong;
+    let folders = [(); 3].map(|()| tempfile::tempdir().unwrap());
+    let [site, three, four] = folders.each_ref().map(|folder| folder.path());
+    let others: Vec<&str> = without.iter().map(|(name, ..)| *name).collect();
+    let clean = fly(three, &others, &without, &[]);
+    assert!(fly(site, &NAMES, &poisoned, &["agent-2"]) == clean, "it left something behind");
+    let complete = fly(four, &NAMES, &all, &[]);
+    assert!(complete != clean);
+    assert!(fly(site, &NAMES, &[("agent-2", 2, &right[1])], &[]) == complete, "its next model counts");
+}
