@@ -218,7 +218,8 @@ pub(crate) fn remarks(report: &MissionReport) -> Vec<String> {
         let given_up = agent.training.iter().flat_map(|training| &training.given_up);
         remarks.extend(given_up.map(|sentence| format!("{device}: {sentence}")));
     }
-    let kept_out = report.whole.merging.iter().flat_map(|merging| &merging.kept_out);
+    let merges = report.edges.iter().map(|edge| &edge.merging).chain([&report.whole.merging]);
+    let kept_out = merges.flatten().flat_map(|merging| &merging.kept_out);
     remarks.extend(kept_out.map(|kept_out| format!("{kept_out} and is kept out")));
     remarks.extend(report.whole.mesh_failure.iter().map(|failure| format!("no mesh: {failure}")));
     remarks
@@ -345,8 +346,8 @@ pub(crate) mod tests {
     fn every_merge_has_its_sentence() {
         let mut report = example();
         let summary = MergeSummary { joined: 7, splats: 6, steps: 5, ..MergeSummary::default() };
-        let (settings, inputs) = (MergeSettings::default(), Vec::new());
-        let merging = Merging { revision: 1, inputs, settings, summary, seconds: 12.0 };
+        let (settings, inputs, kept_out) = (MergeSettings::default(), Vec::new(), Vec::new());
+        let merging = Merging { revision: 1, inputs, kept_out, settings, summary, seconds: 12.0 };
         report.whole.merging = Some(merging.clone());
         let agents = vec!["agent-1".into(), "agent-2".into()];
         let edge = EdgeSummary { device: "edge-1".into(), agents, bytes_sent: 3 << 20, merging: None };
