@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use anyhow::{Context, Result, bail};
 use cosurf_engine::backend::{Channels, TargetRgb};
 use cosurf_engine::budget::{Budget, TooLittleMemory, Wish};
-use cosurf_engine::init::splats_from_points;
+use cosurf_engine::init::{Form, splats_from_points};
 use cosurf_engine::train::StepOutcome;
 use cosurf_engine::{
     Backend, CpuBackend, Example, Flight, Neighbours, PruneSettings, Schedule, SurfaceSettings,
@@ -125,7 +125,8 @@ impl Session {
         };
         let mut backend = CpuBackend::new(sized.budget.capacity, plan.threads);
         if checkpoint.is_none() {
-            backend.load(&splats_from_points(&data.points, extent, settings.splats_max, SH_DEGREE));
+            let form = if plan.surface.is_some() { Form::Flat } else { Form::Round };
+            backend.load(&splats_from_points(&data.points, extent, settings.splats_max, SH_DEGREE, form));
         }
         let mut trainer = Trainer::new(backend, settings, Flight { cameras, neighbours });
         if let Some(checkpoint) = checkpoint {

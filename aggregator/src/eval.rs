@@ -133,7 +133,7 @@ const COLUMNS: [Column; 9] = [
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
-    use cosurf_engine::init::splats_from_points;
+    use cosurf_engine::init::{Form, splats_from_points};
     use cosurf_scene::{City, CitySettings};
 
     use super::*;
@@ -143,7 +143,8 @@ mod tests {
         let settings =
             CitySettings { extent_m: 40.0, views: 9, size_px: [64, 48], ..CitySettings::default() };
         let dataset = City::build(&settings).unwrap().write(folder, |_, _| ()).unwrap();
-        let splats = splats_from_points(&dataset.points, dataset.extent(), dataset.points.len(), 0);
+        let (points, extent) = (&dataset.points, dataset.extent());
+        let splats = splats_from_points(points, extent, points.len(), 0, Form::Round);
         ply::write(&folder.join("model.ply"), &splats).unwrap();
         EvalOrder {
             model: folder.into(),

@@ -2,20 +2,43 @@
 
 use cosurf_scene::splats::{SH_C0, sh_coefficients};
 use cosurf_scene::{SparsePoint, Splats};
+use glam::{DQuat, DVec3};
 
-use crate::nearest::Tree;
+use crate::nearest::{Near, Tree};
+use crate::plane::normal_of;
 
 /// Opacity of a new splat. 3DGS begins with 0.1; at 600 steps on real drone pictures 0.3 gains 0.3 dB.
 const OPACITY: f32 = 0.3;
 
 /// Neighbours whose RMS distance gives the first scale (3DGS).
 const NEIGHBOURS: usize = 3;
+/// Points whose plane gives the first normal, the splat's own among them.
+const PLANE_POINTS: usize = 10;
+/// How thick a flat splat is, as a share of its width.
+const THICKNESS: f64 = 0.2;
 
-/// Round splats at the points, as large as the RMS distance to the three nearest neighbours, of the
+/// What the first splats look like.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Form {
+    /// Balls, as in 3DGS.
+    Round,
+    /// Discs in the plane of the nearest points, for a training of surfaces; balls where those have no plane. On
+    /// the built-in town (320 px, 1,500 steps) normals end up off by 11.8° (median), from balls by 12.8°, and
+    /// the F-score is 0.603, from balls 0.573.
+    Flat,
+}
+
+/// Splats at the points, as wide as the RMS distance to the three nearest neighbours, of the
 /// points' colours. Scales stay between `extent` × 1e-6 and `extent` × 0.5, so that neither duplicates nor
 /// far outliers start as splats that cannot learn. If there are more than `capacity` points, an even
 /// selection of them is taken.
-pub fn splats_from_points(points: &[SparsePoint], extent: f64, capacity: usize, sh_degree: u32) -> Splats {
+pub fn splats_from_points(
+    points: &[SparsePoint],
+    extent: f64,
+    capacity: usize,
+    sh_degree: u32,
+    form: Form,
+) -> Splats {
     let chosen: Vec<&SparsePoint> = if points.len() <= capacity {
         points.iter().collect()
     } else {
@@ -23,33 +46,72 @@ pub fn splats_from_points(points: &[SparsePoint], extent: f64, capacity: usize, 
     };
     let mut splats = Splats::with_capacity(chosen.len(), sh_degree);
     let positions: Vec<[f64; 3]> = chosen.iter().map(|point| point.position.to_array()).collect();
-    let distances = neighbour_distances(&positions);
+    let tree = Tree::new(&positions);
     let mut sh = vec![0.0; 3 * sh_coefficients(sh_degree)];
-    for (point, distance) in chosen.iter().zip(distances) {
+    let logit = (OPACITY / (1.0 - OPACITY)).ln();
+    for (point, position) in chosen.iter().zip(&positions) {
         for (value, byte) in sh.iter_mut().zip(point.rgb) {
             *value = (f32::from(byte) / 255.0 - 0.5) / SH_C0;
         }
-        let scale = distance.clamp(extent * 1e-6, extent * 0.5).max(f64::from(f32::MIN_POSITIVE)).ln() as f32;
-        let logit = (OPACITY / (1.0 - OPACITY)).ln();
-        let mean = point.position.to_array().map(|v| v as f32);
-        splats.push(mean, [1.0, 0.0, 0.0, 0.0], [scale; 3], logit, &sh);
+        let near = tree.nearest::<PLANE_POINTS>(position);
+        let width = width(&near).clamp(extent * 1e-6, extent * 0.5).max(f64::from(f32::MIN_POSITIVE));
+        let normal = (form == Form::Flat).then(|| normal(&near)).flatten();
+        let (quat, thickness) = normal.map_or((DQuat::IDENTITY, width), |normal| {
+            (DQuat::from_rotation_arc(DVec3::Z, normal), THICKNESS * width)
+        });
+        let log_scale = [width, width, thickness].map(|scale| scale.ln() as f32);
+        let quat = [quat.w, quat.x, quat.y, quat.z].map(|v| v as f32);
+        splats.push(position.map(|v| v as f32), quat, log_scale, logit, &sh);
     }
     splats
 }
 
-/// RMS distance to the nearest neighbours; infinite for a single point.
-fn neighbour_distances(positions: &[[f64; 3]]) -> Vec<f64> {
-    if positions.len() < 2 {
-        return vec![f64::INFINITY; positions.len()];
+/// RMS distance to the nearest neighbours; infinite for a single point. The first of `near` is the point itself.
+fn width(near: &[Near]) -> f64 {
+    let others = near[1..=NEIGHBOURS].iter().map(|near| near.distance_squared).filter(|d| d.is_finite());
+    let count = others.clone().count();
+    if count == 0 { f64::INFINITY } else { (others.sum::<f64>() / count as f64).sqrt() }
+}
+
+/// Of the plane of the points, if they have one.
+fn normal(near: &[Near]) -> Option<DVec3> {
+    let found = near.iter().filter(|near| near.distance_squared.is_finite());
+    normal_of(&found.map(|near| DVec3::from(near.point)).collect::<Vec<_>>())
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    fn cloud(positions: impl IntoIterator<Item = DVec3>) -> Vec<SparsePoint> {
+        let point = |position| SparsePoint { position, rgb: [128; 3], views: Vec::new() };
+        positions.into_iter().map(point).collect()
     }
-    let tree = Tree::new(positions);
-    positions
-        .iter()
-        .map(|position| {
-            // The nearest is the point itself, at distance 0.
-            let found = tree.nearest_squared::<{ NEIGHBOURS + 1 }>(position);
-            let others = found.iter().skip(1).filter(|d| d.is_finite());
-            (others.clone().sum::<f64>() / others.count().max(1) as f64).sqrt()
-        })
-        .collect()
+
+    #[test]
+    fn discs_lie_in_the_plane_of_their_points() {
+        let axis = DVec3::new(1.0, -2.0, 3.0).normalize();
+        let (u, v) = axis.any_orthonormal_pair();
+        let grid = (0..64).map(|i| f64::from(i % 8) * u + f64::from(i / 8) * v);
+        let points = cloud(grid);
+        let flat = splats_from_points(&points, 10.0, 64, 0, Form::Flat);
+        let round = splats_from_points(&points, 10.0, 64, 0, Form::Round);
+        for i in 0..64 {
+            let [w, x, y, z] = flat.quats[i].map(f64::from);
+            let normal = DQuat::from_xyzw(x, y, z, w) * DVec3::Z;
+            assert!(normal.dot(axis).abs() > 1.0 - 1e-6, "{normal} is not along {axis}");
+            let [a, b, c] = flat.log_scales[i];
+            assert_eq!([a, b], [round.log_scales[i][0]; 2]);
+            assert!((c - a - (THICKNESS as f32).ln()).abs() < 1e-5);
+        }
+    }
+
+    #[test]
+    fn points_without_a_plane_are_balls() {
+        for points in [cloud([DVec3::ZERO]), cloud((0..20).map(|i| f64::from(i) * DVec3::ONE)), cloud([])] {
+            let flat = splats_from_points(&points, 10.0, 64, 0, Form::Flat);
+            assert_eq!(flat, splats_from_points(&points, 10.0, 64, 0, Form::Round));
+        }
+    }
 }

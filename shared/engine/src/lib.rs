@@ -16,6 +16,7 @@ pub mod gpu;
 pub mod init;
 mod nearest;
 pub mod neighbours;
+mod plane;
 pub mod prune;
 mod random;
 mod refine;

@@ -11,12 +11,19 @@ impl Tree {
         Self(points)
     }
 
-    /// Squared distances from `query` to its `K` nearest points, ascending; infinite where there are fewer.
-    pub(crate) fn nearest_squared<const K: usize>(&self, query: &[f64; 3]) -> [f64; K] {
-        let mut best = [f64::INFINITY; K];
+    /// The `K` points nearest to `query`, the nearest first; infinitely far where there are fewer.
+    pub(crate) fn nearest<const K: usize>(&self, query: &[f64; 3]) -> [Near; K] {
+        let mut best = [Near { distance_squared: f64::INFINITY, point: [f64::INFINITY; 3] }; K];
         search(&self.0, query, 0, &mut best);
         best
     }
+}
+
+/// A point, and how far it is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Near {
+    pub(crate) distance_squared: f64,
+    pub(crate) point: [f64; 3],
 }
 
 fn split(points: &mut [[f64; 3]], axis: usize) {
@@ -29,24 +36,25 @@ fn split(points: &mut [[f64; 3]], axis: usize) {
     split(above, (axis + 1) % 3);
 }
 
-fn search<const K: usize>(points: &[[f64; 3]], query: &[f64; 3], axis: usize, best: &mut [f64; K]) {
+fn search<const K: usize>(points: &[[f64; 3]], query: &[f64; 3], axis: usize, best: &mut [Near; K]) {
     let middle = points.len() / 2;
     let Some(point) = points.get(middle) else { return };
-    insert(best, (0..3).map(|k| (point[k] - query[k]).powi(2)).sum());
+    let distance_squared = (0..3).map(|k| (point[k] - query[k]).powi(2)).sum();
+    insert(best, Near { distance_squared, point: *point });
     let beyond = query[axis] - point[axis];
     let (below, above) = (&points[..middle], &points[middle + 1..]);
     let (near, far) = if beyond < 0.0 { (below, above) } else { (above, below) };
     search(near, query, (axis + 1) % 3, best);
-    if beyond * beyond < best[K - 1] {
+    if beyond * beyond < best[K - 1].distance_squared {
         search(far, query, (axis + 1) % 3, best);
     }
 }
 
-fn insert<const K: usize>(best: &mut [f64; K], distance: f64) {
-    let place = best.partition_point(|b| *b <= distance);
+fn insert<const K: usize>(best: &mut [Near; K], near: Near) {
+    let place = best.partition_point(|b| b.distance_squared <= near.distance_squared);
     if place < K {
         best[place..].rotate_right(1);
-        best[place] = distance;
+        best[place] = near;
     }
 }
 
@@ -66,8 +74,10 @@ mod tests {
             let mut all: Vec<f64> =
                 points.iter().map(|p| (0..3).map(|k| (p[k] - query[k]).powi(2)).sum()).collect();
             all.sort_unstable_by(f64::total_cmp);
-            assert_eq!(tree.nearest_squared::<5>(query), all[..5]);
+            assert_eq!(tree.nearest::<5>(query).map(|near| near.distance_squared), all[..5]);
         }
-        assert_eq!(Tree::new(&points[..1]).nearest_squared::<2>(&points[0]), [0.0, f64::INFINITY]);
+        let alone = Tree::new(&points[..1]).nearest::<2>(&points[0]);
+        assert_eq!(alone.map(|near| near.distance_squared), [0.0, f64::INFINITY]);
+        assert_eq!(alone[0].point, points[0]);
     }
 }

@@ -6,7 +6,7 @@
 //! model shows how it should be.
 
 mod depth;
-mod multiview;
+pub(super) mod multiview;
 pub(super) mod normals;
 mod plane;
 mod teacher;

@@ -23,8 +23,9 @@ use rayon::prelude::*;
 
 /// A pixel that comes back within this distance is seen by both views, px (CoSurfGS's θ).
 const RETURN_MAX_PX: f32 = 1.0;
-/// Half the side of a patch: 7 × 7 px.
-const REACH: usize = 3;
+/// Half the side of a patch: 5 × 5 px. PGSR has 7 × 7; on rendered Boruszyn (240 px, 1,500 steps) the smaller brings
+/// the F-score from 0.815 to 0.832 and normals from 10.0° to 9.8° (median), at half the work.
+pub(crate) const REACH: usize = 2;
 const SIDE: usize = 2 * REACH + 1;
 const PATCH: usize = SIDE * SIDE;
 /// Keeps the correlation of flat patches finite; luma in 0..1.

@@ -9,7 +9,7 @@ use super::super::image::TileImage;
 use super::super::rasterize::{DISTANCE, NORMAL, PLANES_GEOMETRY, TRANSMITTANCE};
 use super::super::simd::{Isa, Row};
 use super::super::surface::Surface;
-use super::super::surface::normals::REACH;
+use super::super::surface::{multiview, normals};
 use super::super::view::ViewParams;
 use crate::backend::{
     SurfaceLoss, SurfaceWeights, TargetRgb, TargetSurface, Targets, TeacherLoss, TeacherWeights,
@@ -188,7 +188,7 @@ impl Reference {
         let slopes: Vec<f64> = inner.iter().map(|p| slope(*p)).collect();
         let least = slopes.iter().copied().fold(f64::INFINITY, f64::min);
         let most = slopes.iter().copied().fold(0.0, f64::max);
-        let k = REACH;
+        let k = normals::REACH;
         let sum: f64 = inner
             .iter()
             .zip(slopes)
@@ -225,7 +225,8 @@ impl Reference {
     fn disagreement(&self, here: &Blend, x: usize, y: usize) -> Option<(f64, f64)> {
         let camera = &here.camera;
         let [w, h] = camera.size_px.map(|side| side as usize);
-        if x < 3 || y < 3 || x + 3 >= w || y + 3 >= h {
+        let reach = multiview::REACH;
+        if x < reach || y < reach || x + reach >= w || y + reach >= h {
             return None;
         }
         let (rotation, t) = self.way(camera);
@@ -233,18 +234,18 @@ impl Reference {
         // X on the plane -(m · X) = 1.
         let homography = rotation - DMat3::from_cols(t * m.x, t * m.y, t * m.z);
         let (mut a, mut b) = (Vec::new(), Vec::new());
-        for py in y - 3..=y + 3 {
-            for px in x - 3..=x + 3 {
+        for py in y - reach..=y + reach {
+            for px in x - reach..=x + reach {
                 let p = homography * ray(camera, px as f64, py as f64);
                 let q = self.neighbour.focal_px * p.truncate() / p.z + self.neighbour.center_px;
                 a.push(self.luma[0].values[py * w + px]);
                 b.push(self.luma[1].sample(q)?);
             }
         }
-        let mean = |v: &[f64]| v.iter().sum::<f64>() / 49.0;
+        let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len() as f64;
         let (ma, mb) = (mean(&a), mean(&b));
         let moment = |u: &[f64], mu: f64, v: &[f64], mv: f64| {
-            u.iter().zip(v).map(|(u, v)| (u - mu) * (v - mv)).sum::<f64>() / 49.0
+            u.iter().zip(v).map(|(u, v)| (u - mu) * (v - mv)).sum::<f64>() / u.len() as f64
         };
         let covariance = moment(&a, ma, &b, mb);
         let both = moment(&a, ma, &a, ma) * moment(&b, mb, &b, mb);
