@@ -118,7 +118,7 @@ pub fn table(report: &EvalReport) -> String {
 /// A heading and what stands below it; nothing where the figure is not known.
 type Column = (&'static str, fn(&Quality) -> Option<String>);
 
-const COLUMNS: [Column; 9] = [
+const COLUMNS: [Column; 11] = [
     ("PSNR", |q| Some(format!("{:.2} dB", q.psnr))),
     ("SSIM", |q| Some(format!("{:.4}", q.ssim))),
     ("LPIPS VGG", |q| q.lpips.map(|lpips| format!("{:.4}", lpips.vgg))),
@@ -127,6 +127,8 @@ const COLUMNS: [Column; 9] = [
     ("mean", |q| q.surface?.depth_error_percent.map(|error| format!("{:.3} %", error.mean))),
     ("normal median", |q| q.surface?.normal_error_deg.map(|error| format!("{:.2}°", error.median))),
     ("mean", |q| q.surface?.normal_error_deg.map(|error| format!("{:.2}°", error.mean))),
+    ("of depth, median", |q| q.surface?.depth_normal_error_deg.map(|error| format!("{:.2}°", error.median))),
+    ("mean", |q| q.surface?.depth_normal_error_deg.map(|error| format!("{:.2}°", error.mean))),
     ("covered", |q| q.surface.map(|surface| format!("{:.2} %", 100.0 * surface.coverage))),
 ];
 

@@ -68,14 +68,14 @@ impl<'a> Judge<'a> {
 
     /// Every figure of a view.
     pub(crate) fn quality(&mut self, view: &View) -> Result<Quality, SceneError> {
-        let Look { photograph, rendering, truth, .. } = self.look(view)?;
+        let Look { camera, photograph, rendering, truth } = self.look(view)?;
         let (size_px, wanted) = (photograph.size_px, photograph.to_unit());
         let lpips = self.yardsticks.lpips.as_ref();
         Ok(Quality {
             psnr: metrics::psnr(&rendering.rgb, &wanted),
             ssim: metrics::ssim(&rendering.rgb, &wanted, size_px),
             lpips: lpips.and_then(|lpips| lpips.score(&rendering.rgb, &wanted, size_px)),
-            surface: truth.and_then(|truth| SurfaceQuality::of(&rendering, &truth)),
+            surface: truth.and_then(|truth| SurfaceQuality::of(&rendering, &camera, &truth)),
         })
     }
 

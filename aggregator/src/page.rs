@@ -79,6 +79,7 @@ fn header(html: &mut String, report: &MissionReport) {
         (quality(report::lpips_text), "LPIPS (VGG)"),
         (quality(report::depth_text), "median error of depth"),
         (quality(report::normal_text), "median error of normals"),
+        (quality(report::depth_normal_text), "median error of the depth's normals"),
         (Some(group_digits(whole.splats)), "splats"),
         (whole.mesh.map(|mesh| group_digits(mesh.triangles)), "triangles of the mesh"),
         (Some(format_seconds(whole.seconds)), "start to report"),

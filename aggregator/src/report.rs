@@ -15,7 +15,7 @@ use crate::progress::format_seconds;
 use crate::quality::Quality;
 use crate::service::Merging;
 use crate::table::aligned;
-pub(crate) use rows::{depth_text, lpips_text, normal_text, rows};
+pub(crate) use rows::{depth_normal_text, depth_text, lpips_text, normal_text, rows};
 
 /// A mission's figures, also `report.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -239,6 +239,7 @@ pub(crate) mod tests {
             coverage: 0.99,
             depth_error_percent: Some(depth),
             normal_error_deg: Some(normal),
+            depth_normal_error_deg: Some(normal),
         };
         Quality {
             psnr,
@@ -319,9 +320,9 @@ pub(crate) mod tests {
         let end_of = |line: &str, cell: &str| line.split(cell).next().unwrap().chars().count() + cell.len();
         assert_eq!(end_of(lines[0], "PSNR"), end_of(lines[1], "24.50 dB"), "{table}");
         assert_eq!(end_of(lines[0], "PSNR"), end_of(lines[3], "22.00 dB"), "{table}");
-        assert!(lines[2].starts_with("agent-2") && lines[2].matches('–').count() == 11, "{table}");
-        assert!(lines[0].ends_with("LPIPS   depth  normal"), "{table}");
-        assert!(lines[3].ends_with("0.250  0.42 %   12.3°"), "{table}");
+        assert!(lines[2].starts_with("agent-2") && lines[2].matches('–').count() == 12, "{table}");
+        assert!(lines[0].ends_with("LPIPS   depth  normal  normal of depth"), "{table}");
+        assert!(lines[3].ends_with("0.250  0.42 %   12.3°            12.3°"), "{table}");
     }
 
     #[test]

@@ -4,8 +4,8 @@
 //! What it refuses to know: where models and truths come from.
 
 use cosurf_engine::Rendering;
-use cosurf_scene::Cast;
-use glam::Vec3;
+use cosurf_scene::{Camera, Cast};
+use glam::{DVec2, Vec3};
 use serde::{Deserialize, Serialize};
 
 /// A pixel has a surface where the model hides more than this part of what lies behind.
@@ -21,8 +21,12 @@ pub struct SurfaceQuality {
     pub coverage: f64,
     /// `|z - z*| / z*` along the optical axis, percent; absent where nothing is covered.
     pub depth_error_percent: Option<Spread>,
-    /// Angle between the normals, degrees; absent where nothing is covered.
+    /// Angle between the blended normals and the true ones, degrees; absent where nothing is covered.
     pub normal_error_deg: Option<Spread>,
+    /// Angle between the normals of the depth, from one pixel to the next, and the true ones, degrees: of the
+    /// surface that a mesh is fused from. Absent where nothing is covered.
+    #[serde(default)]
+    pub depth_normal_error_deg: Option<Spread>,
 }
 
 /// Errors of many pixels.
@@ -56,13 +60,14 @@ impl Spread {
 
 impl SurfaceQuality {
     /// Compares what a model shows with the truth as the same camera sees it; `None` where that sees none.
-    pub fn of(rendering: &Rendering, truth: &Cast) -> Option<Self> {
+    pub fn of(rendering: &Rendering, camera: &Camera, truth: &Cast) -> Option<Self> {
         let seen: Vec<usize> = (0..truth.depth.len()).filter(|&i| truth.depth[i] > 0.0).collect();
         let covered = seen.iter().filter(|&&i| has_surface(rendering, i)).count();
         (!seen.is_empty()).then(|| Self {
             coverage: covered as f64 / seen.len() as f64,
             depth_error_percent: Spread::of(&depth_errors_percent(rendering, truth)),
             normal_error_deg: Spread::of(&normal_errors_deg(rendering, truth)),
+            depth_normal_error_deg: Spread::of(&depth_normal_errors_deg(rendering, camera, truth)),
         })
     }
 
@@ -73,6 +78,9 @@ impl SurfaceQuality {
             coverage,
             depth_error_percent: Spread::mean(of.iter().filter_map(|quality| quality.depth_error_percent)),
             normal_error_deg: Spread::mean(of.iter().filter_map(|quality| quality.normal_error_deg)),
+            depth_normal_error_deg: Spread::mean(
+                of.iter().filter_map(|quality| quality.depth_normal_error_deg),
+            ),
         })
     }
 }
@@ -88,17 +96,39 @@ pub(crate) fn depth_errors_percent(rendering: &Rendering, truth: &Cast) -> Vec<f
     errors(rendering, truth, |i| 100.0 * (rendering.depth[i] - truth.depth[i]).abs() / truth.depth[i])
 }
 
-/// The angle between the normals of each pixel in degrees, NaN where the model or the truth has none.
+/// The angle between the blended normal and the true one of each pixel in degrees, NaN where the model or the truth
+/// has none.
 pub(crate) fn normal_errors_deg(rendering: &Rendering, truth: &Cast) -> Vec<f32> {
     let normals = rendering.normal.as_chunks::<3>().0;
     errors(rendering, truth, |i| {
         let normal = Vec3::from(normals[i]);
         let has_direction = normal.length() > NORMAL_LENGTH_MIN;
-        // By sine and cosine: the arc cosine alone loses small angles to rounding.
-        let (sine, cosine) =
-            (normal.cross(truth.normals[i].into()).length(), normal.dot(truth.normals[i].into()));
-        if has_direction { sine.atan2(cosine).to_degrees() } else { f32::NAN }
+        if has_direction { angle_deg(normal, truth.normals[i].into()) } else { f32::NAN }
     })
+}
+
+/// The angle between the normal of the depth and the true one of each pixel in degrees, NaN where the model or the
+/// truth has no surface, there or in one of the pixels around.
+fn depth_normal_errors_deg(rendering: &Rendering, camera: &Camera, truth: &Cast) -> Vec<f32> {
+    let [width, height] = rendering.size_px.map(|side| side as usize);
+    let point = |i: usize| {
+        let ray = camera.ray(DVec2::new((i % width) as f64, (i / width) as f64) + 0.5);
+        has_surface(rendering, i).then(|| ray * f64::from(rendering.depth[i]))
+    };
+    let normal = |i: usize| {
+        let inside = (1..width - 1).contains(&(i % width)) && (1..height - 1).contains(&(i / width));
+        let way = |to: usize, from: usize| Some(point(to)? - point(from)?);
+        // The picture's y points down: this faces the camera.
+        inside.then(|| Some(way(i + 1, i - 1)?.cross(way(i - width, i + width)?).as_vec3()))?
+    };
+    errors(rendering, truth, |i| {
+        normal(i).map_or(f32::NAN, |normal| angle_deg(normal, truth.normals[i].into()))
+    })
+}
+
+/// By sine and cosine: the arc cosine alone loses small angles to rounding.
+fn angle_deg(a: Vec3, b: Vec3) -> f32 {
+    a.cross(b).length().atan2(a.dot(b)).to_degrees()
 }
 
 fn errors(rendering: &Rendering, truth: &Cast, error: impl Fn(usize) -> f32) -> Vec<f32> {
@@ -110,6 +140,9 @@ fn errors(rendering: &Rendering, truth: &Cast, error: impl Fn(usize) -> f32) -> 
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
+    use cosurf_scene::Pose;
+    use glam::{DVec3, Quat};
+
     use super::*;
 
     /// A wall at depth 20 that looks at the camera, with a hole in the last of ten pixels.
@@ -131,22 +164,63 @@ mod tests {
         }
     }
 
+    fn camera(size_px: [u32; 2]) -> Camera {
+        let center_px = DVec2::new(f64::from(size_px[0]), f64::from(size_px[1])) / 2.0;
+        Camera {
+            cam_from_world: Pose::look_at(DVec3::ZERO, DVec3::Z, DVec3::Y),
+            focal_px: DVec2::splat(5.0),
+            center_px,
+            size_px,
+        }
+    }
+
+    fn judged(model: &Rendering) -> Option<SurfaceQuality> {
+        SurfaceQuality::of(model, &camera([5, 2]), &truth())
+    }
+
     #[test]
     fn the_true_surface_has_no_error() {
-        let quality = SurfaceQuality::of(&model(), &truth()).unwrap();
+        let quality = judged(&model()).unwrap();
         let none = Some(Spread { median: 0.0, mean: 0.0 });
-        assert_eq!(
-            quality,
-            SurfaceQuality { coverage: 1.0, depth_error_percent: none, normal_error_deg: none }
-        );
+        let expected = SurfaceQuality {
+            coverage: 1.0,
+            depth_error_percent: none,
+            normal_error_deg: none,
+            // In two lines of pixels none has neighbours on every side.
+            depth_normal_error_deg: None,
+        };
+        assert_eq!(quality, expected);
+    }
+
+    #[test]
+    fn the_depth_of_a_slope_has_its_normal() {
+        let camera = camera([6, 5]);
+        let normal = Vec3::new(0.3, -0.5, -0.8).normalize();
+        let place = |i: usize| DVec2::new((i % 6) as f64, (i / 6) as f64) + 0.5;
+        let depth: Vec<f32> = (0..30).map(|i| 20.0 / -normal.dot(camera.ray(place(i)).as_vec3())).collect();
+        let slope = Rendering {
+            size_px: [6, 5],
+            rgb: vec![0.0; 90],
+            alpha: vec![0.9; 30],
+            depth: depth.clone(),
+            normal: vec![0.0; 90],
+        };
+        for degrees in [0.0_f32, 7.5, 90.0] {
+            let turned =
+                Quat::from_axis_angle(normal.any_orthonormal_vector(), degrees.to_radians()) * normal;
+            let truth = Cast { size_px: [6, 5], depth: depth.clone(), normals: vec![turned.to_array(); 30] };
+            let quality = SurfaceQuality::of(&slope, &camera, &truth).unwrap();
+            let error = quality.depth_normal_error_deg.unwrap();
+            assert!((error.median - f64::from(degrees)).abs() < 1e-3, "{error:?} is not {degrees}");
+            assert_eq!(quality.normal_error_deg, None);
+        }
     }
 
     #[test]
     fn a_shifted_depth_is_noticed() {
         let mut shifted = model();
         shifted.depth.iter_mut().for_each(|z| *z += 0.5);
-        let error =
-            |model: &Rendering| SurfaceQuality::of(model, &truth()).unwrap().depth_error_percent.unwrap();
+        let error = |model: &Rendering| judged(model).unwrap().depth_error_percent.unwrap();
         assert_eq!(error(&shifted), Spread { median: 2.5, mean: 2.5 });
         // One pixel far off moves the mean, not the median; what is in the hole counts for nothing.
         let mut spoiled = model();
@@ -160,7 +234,7 @@ mod tests {
             let mut rotated = model();
             let (sine, cosine) = degrees.to_radians().sin_cos();
             rotated.normal = [0.6 * sine, 0.0, -0.6 * cosine].repeat(10);
-            let error = SurfaceQuality::of(&rotated, &truth()).unwrap().normal_error_deg.unwrap();
+            let error = judged(&rotated).unwrap().normal_error_deg.unwrap();
             let off = (error.median - f64::from(degrees)).abs().max((error.mean - f64::from(degrees)).abs());
             assert!(off < 1e-3, "{error:?} is not {degrees}");
         }
@@ -172,14 +246,19 @@ mod tests {
         thin.alpha[..3].fill(0.5);
         thin.depth[..2].fill(99.0);
         thin.depth[4] = 0.0;
-        let quality = SurfaceQuality::of(&thin, &truth()).unwrap();
+        let quality = judged(&thin).unwrap();
         assert!((quality.coverage - 5.0 / 9.0).abs() < 1e-12, "{quality:?}");
         assert_eq!(quality.depth_error_percent, Some(Spread { median: 0.0, mean: 0.0 }));
         thin.alpha.fill(0.0);
-        let nothing = SurfaceQuality { coverage: 0.0, depth_error_percent: None, normal_error_deg: None };
-        assert_eq!(SurfaceQuality::of(&thin, &truth()), Some(nothing));
+        let nothing = SurfaceQuality {
+            coverage: 0.0,
+            depth_error_percent: None,
+            normal_error_deg: None,
+            depth_normal_error_deg: None,
+        };
+        assert_eq!(judged(&thin), Some(nothing));
         let empty = Cast { depth: vec![0.0; 10], ..truth() };
-        assert_eq!(SurfaceQuality::of(&model(), &empty), None);
+        assert_eq!(SurfaceQuality::of(&model(), &camera([5, 2]), &empty), None);
         // The mean keeps the view without coverage, but has no errors of it.
         let mean = SurfaceQuality::mean(&[quality, nothing]).unwrap();
         assert!((mean.coverage - 2.5 / 9.0).abs() < 1e-12);

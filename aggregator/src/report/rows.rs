@@ -27,7 +27,12 @@ type Measure = (&'static str, fn(&Quality) -> Option<String>);
 
 /// The figures beyond colour that the mission has.
 fn measures(whole: &WholeSummary) -> Vec<Measure> {
-    let all: [Measure; 3] = [("LPIPS", lpips_text), ("depth", depth_text), ("normal", normal_text)];
+    let all: [Measure; 4] = [
+        ("LPIPS", lpips_text),
+        ("depth", depth_text),
+        ("normal", normal_text),
+        ("normal of depth", depth_normal_text),
+    ];
     all.into_iter().filter(|(_, text)| whole.quality.as_ref().and_then(text).is_some()).collect()
 }
 
@@ -41,7 +46,12 @@ pub(crate) fn depth_text(quality: &Quality) -> Option<String> {
     quality.surface?.depth_error_percent.map(|error| format!("{:.2} %", error.median))
 }
 
-/// Median error of normals.
+/// Median error of the depth's normals.
+pub(crate) fn depth_normal_text(quality: &Quality) -> Option<String> {
+    quality.surface?.depth_normal_error_deg.map(|error| format!("{:.1}°", error.median))
+}
+
+/// Median error of blended normals.
 pub(crate) fn normal_text(quality: &Quality) -> Option<String> {
     quality.surface?.normal_error_deg.map(|error| format!("{:.1}°", error.median))
 }

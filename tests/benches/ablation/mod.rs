@@ -14,6 +14,7 @@ use cosurf_agent::session::{Session, Split, TrainPlan};
 use cosurf_aggregator::accuracy;
 use cosurf_aggregator::eval::{EvalOrder, EvalReport, judge};
 use cosurf_aggregator::mesh::{FuseSettings, mesh_model};
+use cosurf_aggregator::surface::Spread;
 use cosurf_engine::{PruneSettings, SurfaceSettings};
 use cosurf_scene::city::{City, CitySettings};
 use cosurf_scene::{Camera, Mesh, Splats, ply};
@@ -61,8 +62,10 @@ pub(crate) fn compare(variants: &[Variant]) -> Result<()> {
         arguments.steps,
         arguments.threshold
     );
-    println!("| | splats | PSNR | SSIM | depth error | normal error | F-score | time |");
-    println!("|---|---|---|---|---|---|---|---|");
+    println!(
+        "| | splats | PSNR | SSIM | depth error | normal error | of the depth's normals | F-score | time |"
+    );
+    println!("|---|---|---|---|---|---|---|---|---|");
     let mut first_s = None;
     for variant in variants {
         let trained = train(&arguments, &data, variant)?;
@@ -154,13 +157,16 @@ fn row(variant: &Variant, eval: &EvalReport, f_score: Option<f64>, relative: f64
     let surface = eval.mean.surface;
     let depth = surface.and_then(|surface| surface.depth_error_percent);
     let normal = surface.and_then(|surface| surface.normal_error_deg);
+    let slope = surface.and_then(|surface| surface.depth_normal_error_deg);
+    let degrees = |error: Option<Spread>| error.map_or("–".into(), |error| format!("{:.1}°", error.median));
     let cells = [
         variant.name.clone(),
         eval.splats.to_string(),
         format!("{:.2}", eval.mean.psnr),
         format!("{:.3}", eval.mean.ssim),
         depth.map_or("–".into(), |error| format!("{:.2} %", error.median)),
-        normal.map_or("–".into(), |error| format!("{:.1}°", error.median)),
+        degrees(normal),
+        degrees(slope),
         f_score.map_or("–".into(), |score| format!("{score:.3}")),
         format!("{relative:.2} ×"),
     ];
