@@ -58,6 +58,9 @@ pub struct AggregatorConfig {
     /// Bytes that merging may take.
     #[serde(default = "default_merge_memory_bytes")]
     pub merge_memory_bytes: u64,
+    /// Whether models that lie in another frame than the others are moved to where they fit, rather than kept out.
+    #[serde(default)]
+    pub refine: bool,
     /// Devices whose models are enough to merge.
     #[serde(default = "default_quorum")]
     pub quorum: usize,
@@ -232,7 +235,11 @@ pub fn serve(
             quiet: Duration::from_secs(config.quiet_s),
             deadline: Duration::from_secs(config.deadline_s),
         }),
-        merge: MergeSettings { memory_bytes: config.merge_memory_bytes, ..MergeSettings::default() },
+        merge: MergeSettings {
+            memory_bytes: config.merge_memory_bytes,
+            refine: config.refine,
+            ..MergeSettings::default()
+        },
         threads,
     })?
     .with(credentials.clone());

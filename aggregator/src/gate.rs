@@ -8,8 +8,14 @@
 //!
 //! Of two that contradict each other the one goes that contradicts more of the others, then the one with fewer
 //! cameras, then the later one: the verdict depends on the models alone, not on who came first.
+//!
+//! Who contradicts others may be moved to where it fits them ([`refine`]), if the owner of all says so.
 
+mod consensus;
 mod glimpse;
+mod matching;
+mod refine;
+mod similarity;
 #[cfg(test)]
 pub(crate) mod tests;
 
@@ -22,6 +28,8 @@ use glam::DVec3;
 
 use crate::merge::{Locals, MergeError};
 use glimpse::Glimpse;
+use refine::refine;
+pub use similarity::Similarity;
 
 /// Largest share of a model's splats that none of its own cameras sees. Trained models have up to 0.01.
 const UNSEEN_MAX: f64 = 0.5;
@@ -32,15 +40,100 @@ const CONTRADICTIONS_MIN: u32 = 2;
 
 /// Why a model is kept out of a merge.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) enum Doubt {
+pub enum Doubt {
     /// So much of it, 0..=1, lies where none of its own cameras looks.
     Unseen(f64),
     /// It contradicts these others, positions in the order of models.
     Contradicts(Vec<usize>),
 }
 
+impl Doubt {
+    /// One sentence without its subject; `names` are those of all models.
+    pub(crate) fn reason<N: AsRef<str>>(&self, names: &[N]) -> String {
+        match self {
+            Self::Unseen(share) => format!("lies to {:.0} % where it saw nothing", 100.0 * share),
+            Self::Contradicts(others) => {
+                let names: Vec<&str> = others.iter().map(|other| names[*other].as_ref()).collect();
+                format!("shows another ground, place or scale than {}", names.join(", "))
+            }
+        }
+    }
+}
+
+/// The local models that take part in a merge, where they belong.
+pub struct Admitted<'a> {
+    locals: &'a dyn Locals,
+    doubts: Vec<Option<Doubt>>,
+    /// Those that take part, and how they are moved.
+    places: Vec<(usize, Option<Similarity>)>,
+}
+
+impl Locals for Admitted<'_> {
+    fn count(&self) -> usize {
+        self.places.len()
+    }
+
+    fn load(&self, index: usize) -> Result<Model, MergeError> {
+        let (local, by) = &self.places[index];
+        let model = self.locals.load(*local)?;
+        Ok(match by {
+            Some(by) => by.model(&model),
+            None => model,
+        })
+    }
+}
+
+impl Admitted<'_> {
+    /// Which of all models the `index`-th that takes part is, and by what it is moved.
+    pub fn place(&self, index: usize) -> (usize, Option<Similarity>) {
+        self.places[index]
+    }
+
+    /// Those that are kept out, each with a sentence without its subject; `names` are those of all models.
+    pub fn kept_out<N: AsRef<str>>(&self, names: &[N]) -> impl Iterator<Item = (usize, String)> {
+        let doubts = self.doubts.iter().enumerate();
+        doubts.filter_map(|(i, doubt)| Some((i, doubt.as_ref()?.reason(names))))
+    }
+
+    /// What speaks against each of all models, in their order.
+    #[cfg(test)]
+    pub(crate) fn doubts(&self) -> &[Option<Doubt>] {
+        &self.doubts
+    }
+}
+
+/// Decides which of `locals` take part in a merge; who lies in another frame is moved to where it fits, if `refines`
+/// says so. `is_given_up` is asked between two models.
+pub fn admit<'a>(
+    locals: &'a dyn Locals,
+    refines: bool,
+    threads: usize,
+    is_given_up: &dyn Fn() -> bool,
+) -> Result<Admitted<'a>, MergeError> {
+    let mut doubts = doubts(locals, threads, is_given_up)?;
+    let mut moves = vec![None; doubts.len()];
+    for local in 0..if refines { doubts.len() } else { 0 } {
+        let Some(Doubt::Contradicts(others)) = doubts[local].clone() else { continue };
+        let sound: Vec<usize> =
+            others.into_iter().filter(|other| doubts[*other].is_none() && moves[*other].is_none()).collect();
+        for other in sound {
+            if is_given_up() {
+                return Err(MergeError::GivenUp);
+            }
+            moves[local] = refine(locals, local, other, threads)?;
+            if moves[local].is_some() {
+                doubts[local] = None;
+                break;
+            }
+        }
+    }
+    let sound = (0..doubts.len()).filter(|i| doubts[*i].is_none());
+    let places = sound.map(|i| (i, moves[i])).collect();
+    Ok(Admitted { locals, doubts, places })
+}
+
 /// What speaks against each of `locals`, in their order. `is_given_up` is asked between two models.
-pub(crate) fn doubts(
+fn doubts(
     locals: &dyn Locals,
     threads: usize,
     is_given_up: &dyn Fn() -> bool,

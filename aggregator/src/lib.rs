@@ -16,7 +16,7 @@ mod evaluate;
 pub mod field;
 mod fleet;
 mod footprint;
-mod gate;
+pub mod gate;
 pub mod gateway;
 pub mod lpips;
 mod map;

@@ -97,6 +97,9 @@ struct MissionArgs {
     /// Join all splats of all agents, also where several show the same
     #[arg(long)]
     no_compress: bool,
+    /// Move models that lie in another frame than the others to where they fit, rather than keep them out
+    #[arg(long)]
+    refine: bool,
     /// The most memory that merging may take
     #[arg(long, value_name = "BYTES", default_value = "4GiB", value_parser = parse_bytes)]
     merge_memory: u64,
@@ -169,6 +172,7 @@ fn mission(args: MissionArgs) -> Result<()> {
             merge: MergeSettings {
                 epochs: args.epochs,
                 compress: !args.no_compress,
+                refine: args.refine,
                 memory_bytes: args.merge_memory,
                 seed: args.seed,
             },

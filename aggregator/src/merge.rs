@@ -23,7 +23,7 @@ use cosurf_scene::{Camera, SceneError, Splats};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
-pub(crate) use compress::Compression;
+pub(crate) use compress::{Compression, sees_alike};
 pub(crate) use concat::concatenate;
 
 /// How models are merged.
@@ -33,6 +33,9 @@ pub struct MergeSettings {
     pub epochs: u32,
     /// Whether what several models show is left to one of them first.
     pub compress: bool,
+    /// Whether models that lie in another frame than the others are moved to where they fit, rather than kept out; see
+    /// [`crate::gate`].
+    pub refine: bool,
     /// Bytes that the models and their training may take together. Where they do not suffice for all at once,
     /// teachers wait on the disk and the cells are distilled one after the other; that changes the result.
     pub memory_bytes: u64,
@@ -42,7 +45,7 @@ pub struct MergeSettings {
 
 impl Default for MergeSettings {
     fn default() -> Self {
-        Self { epochs: 5, compress: true, memory_bytes: 4 << 30, seed: 0 }
+        Self { epochs: 5, compress: true, refine: false, memory_bytes: 4 << 30, seed: 0 }
     }
 }
 

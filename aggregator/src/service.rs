@@ -42,7 +42,7 @@ use serde::Serialize;
 
 use crate::merge::{MergeError, MergeProgress, MergeSettings, concatenate};
 use keeper::{Keeper, Orders};
-pub use record::{KeptOut, Merging, withdraw};
+pub use record::{KeptOut, Merging, Moved, withdraw};
 pub use round::{Expected, Rounds};
 
 /// How often the service looks up from listening.

@@ -6,8 +6,9 @@ use std::path::PathBuf;
 use std::thread::available_parallelism;
 use std::time::Instant;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use clap::Args;
+use cosurf_aggregator::gate::admit;
 use cosurf_aggregator::merge::{
     LocalSummary, Locals, MergeError, MergeProgress, MergeSettings, MergeSummary, merge,
 };
@@ -33,6 +34,9 @@ pub(crate) struct MergeArgs {
     /// Join all splats, also where several models show the same
     #[arg(long)]
     no_compress: bool,
+    /// Move models that lie in another frame than the others to where they fit, rather than keep them out
+    #[arg(long)]
+    refine: bool,
     /// The most memory to take, for example 500MiB
     #[arg(long, value_name = "BYTES", default_value = "4GiB", value_parser = parse_bytes)]
     memory: u64,
@@ -67,6 +71,7 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
     let settings = MergeSettings {
         epochs: args.epochs,
         compress: !args.no_compress,
+        refine: args.refine,
         memory_bytes: args.memory,
         seed: args.seed,
     };
@@ -76,7 +81,13 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
         show(&progress);
         ControlFlow::Continue(())
     };
-    let merged = merge(&Folders(&args.models), &settings, threads, &mut tell)?;
+    let folders = Folders(&args.models);
+    let admitted = admit(&folders, settings.refine, threads, &|| false)?;
+    let names: Vec<String> = args.models.iter().map(|folder| folder.display().to_string()).collect();
+    let kept_out: Vec<String> =
+        admitted.kept_out(&names).map(|(i, why)| format!("{} {why}", names[i])).collect();
+    ensure!(admitted.count() > 0, "nothing to merge: {}", kept_out.join("; "));
+    let merged = merge(&admitted, &settings, threads, &mut tell)?;
     std::fs::create_dir_all(&args.out).with_context(|| args.out.display().to_string())?;
     ply::write(&args.out.join("global.ply"), &merged.model.splats)?;
     let cameras = args.out.join("cameras.json");
@@ -85,17 +96,21 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
     let seconds = begun.elapsed().as_secs_f64();
     let mut stdout = io::stdout().lock();
     if args.json {
-        writeln!(stdout, "{}", serde_json::json!({"seconds": seconds, "merge": merged.summary}))?;
+        let line = serde_json::json!({"seconds": seconds, "merge": merged.summary, "kept_out": kept_out});
+        writeln!(stdout, "{line}")?;
         return Ok(());
     }
-    for (folder, local) in args.models.iter().zip(&merged.summary.locals) {
-        let (folder, percent) = (folder.display(), 100.0 * local.overlap);
-        let LocalSummary { arrived, removed, .. } = local;
+    for (place, local) in merged.summary.locals.iter().enumerate() {
+        let LocalSummary { arrived, overlap, removed } = local;
+        let (i, moved) = admitted.place(place);
+        let (folder, percent) = (&names[i], 100.0 * overlap);
+        let moved = if moved.is_some() { ", moved to where it fits" } else { "" };
         writeln!(
             stdout,
-            "{folder}: {arrived} splats, {percent:.0} % of its views overlap, {removed} splats removed"
+            "{folder}: {arrived} splats, {percent:.0} % of its views overlap, {removed} splats removed{moved}"
         )?;
     }
+    kept_out.iter().try_for_each(|kept_out| writeln!(stdout, "kept out: {kept_out}"))?;
     let MergeSummary { joined, splats, steps, .. } = merged.summary;
     writeln!(stdout, "{joined} splats joined, {splats} after {steps} steps, in {seconds:.1} s")?;
     writeln!(stdout, "{}", args.out.join("global.ply").display())?;

@@ -79,7 +79,7 @@ fn overlaps(renderer: &mut Renderer, camera: &Camera, others: &[Camera]) -> bool
 }
 
 /// Whether `other` sees a point that `camera` sees from a similar direction and distance.
-fn sees_alike(camera: &Camera, other: &Camera, point: DVec3) -> bool {
+pub(crate) fn sees_alike(camera: &Camera, other: &Camera, point: DVec3) -> bool {
     let sight = |camera: &Camera| (point - camera.cam_from_world.center()).normalize_or_zero();
     let depth = |camera: &Camera| camera.cam_from_world.transform(point).z;
     other.sees(point)

@@ -9,7 +9,8 @@ use std::thread::{self, JoinHandle};
 use cosurf_link::{Model, ModelKey, ModelStore, body_to_model};
 use cosurf_wire::ModelHeader;
 
-use crate::gate::{Doubt, doubts};
+use super::record::{KeptOut, Moved};
+use crate::gate::admit;
 use crate::merge::{Locals, MergeError, MergeProgress, MergeSettings, Merged, merge};
 
 /// Steps between two reports.
@@ -29,8 +30,10 @@ pub(super) struct Job {
 pub(super) struct Outcome {
     /// `None` where nobody took part.
     pub(super) merged: Option<Merged>,
-    /// What speaks against each input, in their order; who is doubted took no part.
-    pub(super) doubts: Vec<Option<Doubt>>,
+    /// Who took no part.
+    pub(super) kept_out: Vec<KeptOut>,
+    /// Who was moved.
+    pub(super) moved: Vec<Moved>,
 }
 
 /// What a look at a merge finds.
@@ -72,20 +75,24 @@ impl Job {
         let (headers, flag) = (inputs.clone(), stop.clone());
         let thread = thread::spawn(move || {
             let is_stopped = || flag.load(Ordering::Relaxed);
-            let mut stored = Stored { models, headers };
-            let doubts = doubts(&stored, threads, &is_stopped)?;
-            let mut sound = doubts.iter().map(Option::is_none);
-            stored.headers.retain(|_| sound.next().unwrap_or(false));
-            if stored.headers.is_empty() {
-                return Ok(Outcome { merged: None, doubts });
+            let names: Vec<String> = headers.iter().map(|header| header.device.to_string()).collect();
+            let stored = Stored { models, headers };
+            let admitted = admit(&stored, settings.refine, threads, &is_stopped)?;
+            let kept_out = admitted.kept_out(&names);
+            let kept_out = kept_out.map(|(i, reason)| KeptOut::new(&stored.headers[i], reason)).collect();
+            let places = (0..admitted.count()).map(|place| admitted.place(place));
+            let moved =
+                places.filter_map(|(i, by)| Some(Moved { device: names[i].clone(), by: by? })).collect();
+            if admitted.count() == 0 {
+                return Ok(Outcome { merged: None, kept_out, moved });
             }
-            let merged = merge(&stored, &settings, threads, &mut |progress: MergeProgress| {
+            let merged = merge(&admitted, &settings, threads, &mut |progress: MergeProgress| {
                 if progress.step.is_multiple_of(TELL_EVERY) {
                     let _ = say.send(progress); // nobody listens any more where the job was given up
                 }
                 if is_stopped() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
             })?;
-            Ok(Outcome { merged: Some(merged), doubts })
+            Ok(Outcome { merged: Some(merged), kept_out, moved })
         });
         Self { inputs, stop, progress, thread: Some(thread) }
     }

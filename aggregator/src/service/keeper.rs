@@ -10,7 +10,7 @@ use cosurf_scene::ply;
 use cosurf_wire::{DeviceId, ModelHeader, ModelId, ModelKind, RefusalReason, TileId};
 
 use super::job::{Job, Look, Outcome};
-use super::record::{Input, KeptOut, Merging, settle_withdrawal, withdrawn};
+use super::record::{Input, KeptOut, Merging, Moved, settle_withdrawal, withdrawn};
 use super::round::{Expected, Round};
 use super::{Command, ServiceConfig, ServiceError, ServiceEvent, global_ply, global_store};
 use crate::merge::{MergeSettings, Merged};
@@ -271,12 +271,11 @@ impl Keeper {
         };
         let (inputs, seconds) = (std::mem::take(&mut job.inputs), (now - *begun).as_secs_f64());
         self.job = None;
-        let Outcome { merged, doubts } = (*outcome)?;
-        let kept_out = KeptOut::of(&inputs, &doubts);
+        let Outcome { merged, kept_out, moved } = (*outcome)?;
         let Some(merged) = merged else {
             return Ok(Some(ServiceEvent::NothingMerged { kept_out }));
         };
-        let offer = self.keep(merged, &inputs, kept_out.clone(), seconds)?;
+        let offer = self.keep(merged, &inputs, (kept_out.clone(), moved), seconds)?;
         Ok(Some(self.broadcast(node, offer, kept_out)))
     }
 
@@ -285,7 +284,7 @@ impl Keeper {
         &mut self,
         merged: Merged,
         inputs: &[ModelHeader],
-        kept_out: Vec<KeptOut>,
+        (kept_out, moved): (Vec<KeptOut>, Vec<Moved>),
         seconds: f64,
     ) -> Result<Offer, ServiceError> {
         let Merged { model, summary } = merged;
@@ -300,7 +299,8 @@ impl Keeper {
         self.global = Some(offer.header);
         ply::write(&global_ply(&self.folder), &model.splats)?;
         let (revision, inputs) = (offer.header.model.0, inputs.iter().map(Input::from).collect());
-        Merging { revision, inputs, kept_out, settings: self.merge, summary, seconds }.write(&self.folder)?;
+        let settings = self.merge;
+        Merging { revision, inputs, kept_out, moved, settings, summary, seconds }.write(&self.folder)?;
         Ok(offer)
     }
 

@@ -10,7 +10,7 @@ use cosurf_scene::{SceneError, atomic};
 use cosurf_wire::{DeviceId, ModelHeader, ModelId};
 use serde::{Deserialize, Serialize};
 
-use crate::gate::Doubt;
+use crate::gate::Similarity;
 use crate::merge::{MergeSettings, MergeSummary};
 
 const MERGED: &str = "merged.json";
@@ -26,6 +26,9 @@ pub struct Merging {
     /// Those of them that took no part.
     #[serde(default)]
     pub kept_out: Vec<KeptOut>,
+    /// Those that were moved.
+    #[serde(default)]
+    pub moved: Vec<Moved>,
     /// How the others were merged.
     pub settings: MergeSettings,
     /// What became of these, in their order.
@@ -63,24 +66,18 @@ impl fmt::Display for KeptOut {
 }
 
 impl KeptOut {
-    /// Those of `inputs` against which something speaks.
-    pub(super) fn of(inputs: &[ModelHeader], doubts: &[Option<Doubt>]) -> Vec<Self> {
-        let reason = |doubt: &Doubt| match doubt {
-            Doubt::Unseen(share) => format!("lies to {:.0} % where it saw nothing", 100.0 * share),
-            Doubt::Contradicts(others) => {
-                let names: Vec<&str> = others.iter().map(|other| inputs[*other].device.as_str()).collect();
-                format!("shows another ground, place or scale than {}", names.join(", "))
-            }
-        };
-        let doubted = inputs.iter().zip(doubts).filter_map(|(input, doubt)| Some((input, doubt.as_ref()?)));
-        doubted
-            .map(|(input, doubt)| Self {
-                device: input.device.to_string(),
-                model: input.model.0,
-                reason: reason(doubt),
-            })
-            .collect()
+    pub(super) fn new(header: &ModelHeader, reason: String) -> Self {
+        Self { device: header.device.to_string(), model: header.model.0, reason }
     }
+}
+
+/// A model that lay in another frame and was moved to where it fits.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Moved {
+    /// Whose.
+    pub device: String,
+    /// From its own frame to that of the others.
+    pub by: Similarity,
 }
 
 impl From<&ModelHeader> for Input {

@@ -21,7 +21,8 @@ const BAD_WEATHER: Faults = Faults {
 };
 const LIMITS: InboxLimits =
     InboxLimits { body_bytes_max: 1 << 24, total_bytes_max: 1 << 25, models_max: 8, stored_max: 8 };
-const SETTINGS: MergeSettings = MergeSettings { epochs: 1, compress: true, memory_bytes: 1 << 30, seed: 3 };
+const SETTINGS: MergeSettings =
+    MergeSettings { epochs: 1, compress: true, refine: false, memory_bytes: 1 << 30, seed: 3 };
 /// Virtual time after which a test has failed.
 const PATIENCE: Duration = Duration::from_secs(300);
 

@@ -13,7 +13,8 @@ const SEEDS: u64 = 200;
 const NAMES: [&str; 3] = ["agent-1", "agent-2", "agent-3"];
 /// Who flies too, and is withdrawn.
 const STRANGER: &str = "agent-0";
-const SETTINGS: MergeSettings = MergeSettings { epochs: 1, compress: true, memory_bytes: 1 << 30, seed: 3 };
+const SETTINGS: MergeSettings =
+    MergeSettings { epochs: 1, compress: true, refine: false, memory_bytes: 1 << 30, seed: 3 };
 
 /// Numbers from a seed.
 struct Dice(u64);

@@ -1,0 +1,84 @@
+//! The similarity that most pairs of points agree with.
+
+use glam::DVec3;
+
+use super::matching::Pair;
+use super::similarity::Similarity;
+
+/// Triples that are tried.
+const TRIES: usize = 400;
+/// Times that the similarity is found anew from the pairs that agree with it.
+const POLISH: usize = 5;
+/// A frame does not differ by more than this factor.
+const SCALES: std::ops::RangeInclusive<f64> = 0.5..=2.0;
+
+/// The similarity, from the other model to the trusted one, with which most pairs agree to within `tolerance_px`, and
+/// how many these are; `None` where not even three do.
+pub(super) fn consensus(pairs: &[Pair], tolerance_px: f64) -> Option<(Similarity, usize)> {
+    let mut dice = Dice(pairs.len() as u64);
+    let mut best: Option<(Similarity, usize)> = None;
+    for _ in 0..if pairs.len() < 3 { 0 } else { TRIES } {
+        let triple = [(); 3].map(|()| pairs[dice.below(pairs.len())]);
+        let Some(found) = between(&triple).filter(|found| SCALES.contains(&found.scale)) else { continue };
+        let count = agreeing(pairs, &found, tolerance_px).len();
+        if count >= 3 && best.is_none_or(|(_, most)| count > most) {
+            best = Some((found, count));
+        }
+    }
+    let (mut found, _) = best?;
+    for _ in 0..POLISH {
+        found = between(&agreeing(pairs, &found, tolerance_px)).unwrap_or(found);
+    }
+    Some((found, agreeing(pairs, &found, tolerance_px).len()))
+}
+
+/// How far a pair is from agreeing with `from_other`, px.
+pub(super) fn distance_px(pair: &Pair, from_other: &Similarity) -> f64 {
+    from_other.apply(pair.other).distance(pair.trusted) / pair.pixel_m
+}
+
+fn agreeing(pairs: &[Pair], from_other: &Similarity, tolerance_px: f64) -> Vec<Pair> {
+    pairs.iter().filter(|pair| distance_px(pair, from_other) <= tolerance_px).copied().collect()
+}
+
+fn between(pairs: &[Pair]) -> Option<Similarity> {
+    let (other, trusted): (Vec<DVec3>, Vec<DVec3>) =
+        pairs.iter().map(|pair| (pair.other, pair.trusted)).unzip();
+    Similarity::between(&other, &trusted)
+}
+
+/// Numbers from a seed (SplitMix64).
+struct Dice(u64);
+
+impl Dice {
+    fn below(&mut self, end: usize) -> usize {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        ((z ^ (z >> 31)) % end as u64) as usize
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::super::similarity::tests::wrong;
+    use super::*;
+
+    #[test]
+    fn what_most_pairs_say_is_found_among_liars() {
+        let mut dice = Dice(1);
+        let mut point = || DVec3::from_array([(); 3].map(|()| dice.below(1000) as f64 / 10.0));
+        let pairs: Vec<Pair> = (0..120)
+            .map(|i| {
+                let other = point();
+                let trusted = if i % 3 == 0 { point() } else { wrong().apply(other) };
+                Pair { trusted, other, pixel_m: 0.1 }
+            })
+            .collect();
+        let (found, count) = consensus(&pairs, 1.0).unwrap();
+        assert_eq!(count, 80);
+        assert!(found.apply(DVec3::ONE).distance(wrong().apply(DVec3::ONE)) < 1e-9, "{found:?}");
+        assert!(consensus(&pairs[..2], 1.0).is_none());
+    }
+}

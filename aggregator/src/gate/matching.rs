@@ -1,0 +1,227 @@
+//! The same ground in two models' pictures: patches of one are looked for in the other by normalised cross-correlation,
+//! and what is found becomes pairs of points in space.
+
+use cosurf_engine::{Renderer, Rendering};
+use cosurf_scene::Camera;
+use glam::{DVec2, DVec3};
+use rayon::prelude::*;
+
+use crate::merge::sees_alike;
+
+/// A surface that shows less than this is none.
+const ALPHA_MIN: f32 = 0.95;
+/// Cameras of its own model that must see a point in the same way: what a single one sees may lie anywhere in depth.
+const SEERS_MIN: usize = 2;
+/// Half the side of a patch, px.
+const PATCH_PX: usize = 5;
+/// One patch at most is taken from each square of this side, px.
+const CELL_PX: usize = 12;
+/// Least mean square of the grey gradient along its weaker direction, of a patch that can be told from those beside it.
+const GRADIENT2_MIN: f32 = 2e-5;
+/// Least correlation of a patch that was found.
+const CORRELATION_MIN: f32 = 0.7;
+/// By how much the best place must correlate better than any that is not next to it.
+const LEAD_MIN: f32 = 0.05;
+/// Places next to the best one, px.
+const BESIDE_PX: usize = 2;
+
+/// What a model shows a camera.
+pub(super) struct Sight {
+    camera: Camera,
+    rendering: Rendering,
+    grey: Vec<f32>,
+    width: usize,
+    height: usize,
+}
+
+/// What became of the patches of one picture.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Matches {
+    /// Patches that were looked for.
+    pub(super) sought: usize,
+    /// Those that were found.
+    pub(super) found: Vec<Pair>,
+}
+
+/// One place in two models.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Pair {
+    /// Where the trusted model has it.
+    pub(super) trusted: DVec3,
+    /// Where the other one has it, in its own frame.
+    pub(super) other: DVec3,
+    /// What a pixel covers there, world units of the trusted model.
+    pub(super) pixel_m: f64,
+}
+
+impl Matches {
+    pub(super) fn extend(&mut self, more: Self) {
+        self.sought += more.sought;
+        self.found.extend(more.found);
+    }
+}
+
+impl Sight {
+    pub(super) fn of(renderer: &mut Renderer, camera: Camera) -> Self {
+        let rendering = renderer.render(&camera);
+        let grey = rendering.rgb.chunks_exact(3).map(|rgb| (rgb[0] + rgb[1] + rgb[2]) / 3.0).collect();
+        let [width, height] = camera.size_px.map(|side| side as usize);
+        Self { camera, rendering, grey, width, height }
+    }
+
+    fn is_solid(&self, x: usize, y: usize) -> bool {
+        let i = y * self.width + x;
+        self.rendering.alpha[i] > ALPHA_MIN && self.rendering.depth[i] > 0.0
+    }
+
+    /// Where in space the surface of a pixel lies that is shown at `at_px`, close to the pixel's middle.
+    fn point(&self, x: usize, y: usize, at_px: DVec2) -> DVec3 {
+        let depth = f64::from(self.rendering.depth[y * self.width + x]);
+        let pose = &self.camera.cam_from_world;
+        pose.rotation.inverse() * (self.camera.ray(at_px) * depth - pose.translation)
+    }
+
+    /// Share of the picture that several of `cameras` see as this one does.
+    pub(super) fn shared(&self, cameras: &[Camera]) -> f64 {
+        let (mut seen, mut of) = (0usize, 0usize);
+        for y in (0..self.height).step_by(2) {
+            for x in (0..self.width).step_by(2) {
+                of += 1;
+                seen += usize::from(self.is_solid(x, y) && self.is_well_seen(x, y, cameras));
+            }
+        }
+        seen as f64 / of.max(1) as f64
+    }
+
+    fn is_well_seen(&self, x: usize, y: usize, cameras: &[Camera]) -> bool {
+        let point = self.point(x, y, middle(x, y));
+        cameras.iter().filter(|camera| sees_alike(&self.camera, camera, point)).nth(SEERS_MIN - 1).is_some()
+    }
+
+    /// The corners that can be told from what is beside them, of what several of `cameras` see.
+    fn corners(&self, cameras: &[Camera]) -> Vec<[usize; 2]> {
+        let cells = |length: usize| (PATCH_PX + 1..length.saturating_sub(PATCH_PX + 1)).step_by(CELL_PX);
+        let starts: Vec<[usize; 2]> =
+            cells(self.height).flat_map(|y| cells(self.width).map(move |x| [x, y])).collect();
+        starts.into_par_iter().filter_map(|start| self.corner(start, cameras)).collect()
+    }
+
+    /// The best corner of the cell that begins at `start`, if one is good enough.
+    fn corner(&self, start: [usize; 2], cameras: &[Camera]) -> Option<[usize; 2]> {
+        let end = |axis: usize, length: usize| (start[axis] + CELL_PX).min(length - PATCH_PX - 1);
+        let mut best = (GRADIENT2_MIN, None);
+        for y in (start[1]..end(1, self.height)).step_by(2) {
+            for x in (start[0]..end(0, self.width)).step_by(2) {
+                let strength = self.cornerness(x, y);
+                if strength > best.0 {
+                    best = (strength, Some([x, y]));
+                }
+            }
+        }
+        best.1.filter(|[x, y]| self.is_solid(*x, *y) && self.is_well_seen(*x, *y, cameras))
+    }
+
+    /// The smaller eigenvalue of the mean structure tensor of a patch (Shi and Tomasi).
+    fn cornerness(&self, x: usize, y: usize) -> f32 {
+        let (mut xx, mut xy, mut yy) = (0.0f32, 0.0f32, 0.0f32);
+        for v in y - PATCH_PX..=y + PATCH_PX {
+            for u in x - PATCH_PX..=x + PATCH_PX {
+                let i = v * self.width + u;
+                let dx = 0.5 * (self.grey[i + 1] - self.grey[i - 1]);
+                let dy = 0.5 * (self.grey[i + self.width] - self.grey[i - self.width]);
+                xx += dx * dx;
+                xy += dx * dy;
+                yy += dy * dy;
+            }
+        }
+        let half = 0.5 * (xx - yy);
+        (0.5 * (xx + yy) - half.hypot(xy)) / AREA
+    }
+
+    fn patch(&self, x: usize, y: usize) -> Patch {
+        let mut values = [0.0; AREA as usize];
+        let rows = (y - PATCH_PX..=y + PATCH_PX)
+            .map(|v| &self.grey[v * self.width + x - PATCH_PX..=v * self.width + x + PATCH_PX]);
+        values.iter_mut().zip(rows.flatten()).for_each(|(value, grey)| *value = *grey);
+        let mean = values.iter().sum::<f32>() / AREA;
+        values.iter_mut().for_each(|value| *value -= mean);
+        let length = values.iter().map(|value| value * value).sum::<f32>().sqrt();
+        Patch { values, length }
+    }
+
+    /// Where a patch is, at most `reach_px` from `around`: pixel and place in it; `None` where no place stands out.
+    fn find(&self, patch: &Patch, around: [usize; 2], reach_px: usize) -> Option<([usize; 2], DVec2)> {
+        let range = |axis: usize, length: usize| {
+            around[axis].saturating_sub(reach_px).max(PATCH_PX)
+                ..(around[axis] + reach_px + 1).min(length - PATCH_PX)
+        };
+        let (columns, rows) = (range(0, self.width), range(1, self.height));
+        let across = columns.len();
+        let scores: Vec<f32> = rows
+            .clone()
+            .flat_map(|y| columns.clone().map(move |x| (x, y)))
+            .map(|(x, y)| patch.correlation(&self.patch(x, y)))
+            .collect();
+        let best = (0..scores.len()).reduce(|a, b| if scores[b] > scores[a] { b } else { a })?;
+        let (u, v) = (best % across, best / across);
+        let beside =
+            |i: usize| (i % across).abs_diff(u) <= BESIDE_PX && (i / across).abs_diff(v) <= BESIDE_PX;
+        let second = (0..scores.len()).filter(|i| !beside(*i)).map(|i| scores[i]).fold(-1.0, f32::max);
+        if scores[best] < CORRELATION_MIN || scores[best] - second < LEAD_MIN {
+            return None;
+        }
+        // A best place at the rim may lie beyond it.
+        if u == 0 || v == 0 || u + 1 == across || v + 1 == rows.len() {
+            return None;
+        }
+        let peak = |before: f32, here: f32, after: f32| {
+            let bend = before - 2.0 * here + after;
+            if bend < 0.0 { f64::from(0.5 * (before - after) / bend).clamp(-0.5, 0.5) } else { 0.0 }
+        };
+        let beyond = DVec2::new(
+            peak(scores[best - 1], scores[best], scores[best + 1]),
+            peak(scores[best - across], scores[best], scores[best + across]),
+        );
+        let [x, y] = [columns.start + u, rows.start + v];
+        Some(([x, y], middle(x, y) + beyond))
+    }
+}
+
+/// Pixels of a patch.
+const AREA: f32 = ((2 * PATCH_PX + 1) * (2 * PATCH_PX + 1)) as f32;
+
+/// Grey values without their mean, and the length of their vector.
+struct Patch {
+    values: [f32; AREA as usize],
+    length: f32,
+}
+
+impl Patch {
+    /// -1 to 1; 0 where either is all of one grey.
+    fn correlation(&self, other: &Self) -> f32 {
+        let product: f32 = self.values.iter().zip(&other.values).map(|(a, b)| a * b).sum();
+        let lengths = self.length * other.length;
+        if lengths > 1e-9 { product / lengths } else { 0.0 }
+    }
+}
+
+/// The middle of a pixel.
+fn middle(x: usize, y: usize) -> DVec2 {
+    DVec2::new(x as f64 + 0.5, y as f64 + 0.5)
+}
+
+/// Looks for the corners that the trusted model shows, as far as several of its own `cameras` see them, in what the
+/// other model shows, at most `reach_px` away. Both pictures have the same size.
+pub(super) fn matches(trusted: &Sight, cameras: &[Camera], other: &Sight, reach_px: usize) -> Matches {
+    let corners = trusted.corners(cameras);
+    let find = |&[x, y]: &[usize; 2]| {
+        let ([u, v], at_px) = other.find(&trusted.patch(x, y), [x, y], reach_px)?;
+        let depth = f64::from(trusted.rendering.depth[y * trusted.width + x]);
+        other.is_solid(u, v).then(|| Pair {
+            trusted: trusted.point(x, y, middle(x, y)),
+            other: other.point(u, v, at_px),
+            pixel_m: depth / trusted.camera.focal_px.x,
+        })
+    };
+    Matches { sought: corners.len(), found: corners.par_iter().filter_map(find).collect() }
+}

@@ -1,0 +1,112 @@
+//! Models of one town of coloured stones, of which one lies elsewhere or shows nothing.
+#![allow(clippy::unwrap_used)]
+
+use cosurf_scene::splats::SH_C0;
+use cosurf_scene::{Pose, Splats};
+use glam::{DVec2, DVec3};
+
+use super::*;
+use crate::gate::similarity::tests::wrong;
+use crate::gate::{Doubt, admit};
+use crate::merge::tests::InMemory;
+use cosurf_link::Model;
+
+/// A number from 0 to 1 for each place of a lattice.
+fn noise(x: i32, y: i32, salt: u32) -> f32 {
+    let mut h = (x as u32).wrapping_mul(0x9e37_79b9) ^ (y as u32).wrapping_mul(0x85eb_ca6b) ^ salt;
+    h = (h ^ (h >> 15)).wrapping_mul(0x2c1b_3c6d);
+    h = (h ^ (h >> 12)).wrapping_mul(0x297a_2d39);
+    ((h ^ (h >> 15)) >> 8) as f32 / (1 << 24) as f32
+}
+
+/// Stones of about a metre, each of a colour of its own, on hilly ground, between `west` and `east`; models of other
+/// `salt` have other splats for the same stones.
+fn stones(west: f32, east: f32, salt: u32) -> Splats {
+    const STEP: f32 = 0.2;
+    let mut splats = Splats::with_capacity(0, 0);
+    for i in (west / STEP) as i32..(east / STEP) as i32 {
+        for j in -40..40 {
+            let (x, y) = (STEP * (i as f32 + noise(i, j, salt)), STEP * (j as f32 + noise(i, j, salt ^ 1)));
+            let stone = |salt| noise((x * 0.9 + 100.0) as i32, (y * 1.1 + 100.0) as i32, salt);
+            let sh = [7, 8, 9].map(|salt| (0.1 + 0.8 * stone(salt) - 0.5) / SH_C0);
+            let z = 0.5 * (0.7 * x).sin() * (0.6 * y).cos();
+            splats.push([x, y, z], [1.0, 0.0, 0.0, 0.0], [-1.9, -1.9, -5.0], 4.0, &sh);
+        }
+    }
+    splats
+}
+
+fn camera(x: f64, y: f64) -> Camera {
+    let eye = DVec3::new(x, y, 9.0);
+    Camera {
+        cam_from_world: Pose::look_at(eye, DVec3::new(x, y, 0.0), DVec3::Y),
+        focal_px: DVec2::splat(110.0),
+        center_px: DVec2::new(80.0, 60.0),
+        size_px: [160, 120],
+    }
+}
+
+/// A model of what is around `place`.
+fn local(place: f32, salt: u32) -> Model {
+    let x = f64::from(place);
+    let places = [-3.0, -1.0, 1.0, 3.0].into_iter().flat_map(|dx| [-1.5, 1.5].map(|y| camera(x + dx, y)));
+    Model { splats: stones(place - 8.0, place + 8.0, salt), cameras: places.collect() }
+}
+
+fn mirrored(model: &Model) -> Model {
+    let mut mirrored = model.clone();
+    mirrored.splats.means.iter_mut().for_each(|mean| mean[1] = -mean[1]);
+    mirrored
+}
+
+/// Stones that lie anywhere.
+fn nonsense(model: &Model) -> Model {
+    let mut nonsense = model.clone();
+    let colors = model.splats.sh.clone();
+    let count = model.splats.len();
+    for i in 0..count {
+        let from = (noise(i as i32, 3, 5) * count as f32) as usize % count;
+        nonsense.splats.sh[3 * i..3 * i + 3].copy_from_slice(&colors[3 * from..3 * from + 3]);
+        nonsense.splats.means[i][2] += 3.0 * noise(i as i32, 4, 6);
+    }
+    nonsense
+}
+
+fn find(one: &Model, other: &Model) -> Option<Similarity> {
+    refine(&InMemory(vec![one.clone(), other.clone()]), 1, 0, 1).unwrap()
+}
+
+#[test]
+fn a_model_of_another_frame_is_moved_to_a_thousandth_of_the_extent() {
+    let [one, right] = [local(-3.0, 10), local(3.0, 10)];
+    let there = wrong().model(&right);
+    let back = find(&one, &there).unwrap().model(&there);
+    let eye = |camera: &Camera| camera.cam_from_world.center();
+    let off =
+        back.cameras.iter().zip(&right.cameras).map(|(a, b)| eye(a).distance(eye(b))).fold(0.0, f64::max);
+    let eyes: Vec<DVec3> = one.cameras.iter().chain(&right.cameras).map(eye).collect();
+    let mean = eyes.iter().sum::<DVec3>() / eyes.len() as f64;
+    let extent = eyes.iter().map(|eye| 1.1 * eye.distance(mean)).fold(0.0, f64::max);
+    assert!(off < 1e-3 * extent, "off by {off:.4} m of {extent:.1} m");
+}
+
+#[test]
+fn what_is_mirrored_or_nonsense_fits_nowhere() {
+    for bad in [mirrored(&local(3.0, 20)), nonsense(&local(3.0, 20))] {
+        assert_eq!(find(&local(-3.0, 10), &bad), None);
+    }
+}
+
+#[test]
+fn who_lies_in_another_frame_is_moved_if_told_and_kept_out_otherwise() {
+    let models = [local(-3.0, 10), wrong().model(&local(0.0, 20)), local(3.0, 30)].to_vec();
+    let locals = InMemory(models);
+    let kept_out = admit(&locals, false, 1, &|| false).unwrap();
+    assert_eq!(kept_out.doubts()[1], Some(Doubt::Contradicts(vec![0, 2])));
+    assert_eq!(kept_out.count(), 2);
+    let moved = admit(&locals, true, 1, &|| false).unwrap();
+    assert_eq!((moved.doubts(), moved.count()), (&[None, None, None][..], 3));
+    assert!(moved.place(1).1.is_some() && moved.place(0).1.is_none());
+    let x = moved.load(1).unwrap().cameras[0].cam_from_world.center().x;
+    assert!((x - -3.0).abs() < 0.05, "its first camera is at {x:.3} m");
+}

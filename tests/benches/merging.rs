@@ -1,0 +1,165 @@
+//! What compression and distillation are worth, and into how many parts a mission may be cut (CoSurfGS, "Ablations of
+//! Model Aggregation Scheme", "Ablations of Local Model Compression", "Numbers of Edges and Devices").
+//!
+//! `cargo bench -p cosurf-tests --bench merging -- --help`
+//!
+//! Every mission trains each view equally often, so agents of fewer views take fewer steps. The data are
+//! `../shared/data/gt_boruszyn` where it lies beside the checkout, otherwise a small built-in city.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use anyhow::{Context, Result, ensure};
+use clap::Parser;
+use cosurf_aggregator::accuracy;
+use cosurf_aggregator::report::MissionReport;
+use cosurf_scene::bytes::format_bytes;
+use cosurf_scene::city::{City, CitySettings};
+use cosurf_scene::{Dataset, Mesh};
+
+const EVAL_EVERY: u32 = 8;
+
+/// Ablations of merging, a table on standard output.
+#[derive(Parser)]
+struct Arguments {
+    /// A dataset, with its true surface in gt/points.ply or gt/mesh.ply if F-scores are wanted
+    #[arg(long, value_name = "DATA")]
+    data: Option<PathBuf>,
+    /// Shrink pictures until their long side is at most this many pixels
+    #[arg(long, value_name = "PX", default_value_t = 240)]
+    max_size: u32,
+    /// How often each view is trained on
+    #[arg(long, value_name = "N", default_value_t = 40)]
+    steps_per_view: usize,
+    /// Distance up to which a mesh counts as right, metres
+    #[arg(long, value_name = "M", default_value_t = 0.5)]
+    threshold: f64,
+    /// Folder of the LPIPS weights
+    #[arg(long, value_name = "FOLDER")]
+    lpips: Option<PathBuf>,
+    /// What cargo says to every bench
+    #[arg(long, hide = true)]
+    bench: bool,
+}
+
+/// A mission that differs from the others.
+struct Variant {
+    name: &'static str,
+    edges: usize,
+    agents: usize,
+    options: &'static [&'static str],
+}
+
+const VARIANTS: [Variant; 8] = [
+    Variant { name: "1 agent", edges: 0, agents: 1, options: &["--epochs", "0", "--no-compress"] },
+    Variant { name: "4 agents, joined", edges: 0, agents: 4, options: &["--epochs", "0", "--no-compress"] },
+    Variant { name: "4 agents, LMC", edges: 0, agents: 4, options: &["--epochs", "0"] },
+    Variant { name: "4 agents, MAS", edges: 0, agents: 4, options: &["--no-compress"] },
+    Variant { name: "4 agents, LMC and MAS", edges: 0, agents: 4, options: &[] },
+    Variant { name: "2 edges of 2 agents", edges: 2, agents: 2, options: &[] },
+    Variant { name: "9 agents", edges: 0, agents: 9, options: &[] },
+    Variant { name: "3 edges of 3 agents", edges: 3, agents: 3, options: &[] },
+];
+
+fn main() -> Result<()> {
+    let arguments = Arguments::parse();
+    let folder = tempfile::tempdir()?;
+    let data = arguments.data.clone().map_or_else(|| usual_data(&folder.path().join("city")), Ok)?;
+    let truth = ["gt/points.ply", "gt/mesh.ply"].map(|name| data.join(name));
+    let truth = truth.iter().find(|file| file.is_file()).map(|file| Mesh::read(file)).transpose()?;
+    let views = Dataset::open(&data)?.split(EVAL_EVERY).0.len();
+    println!(
+        "{}, long side {} px, every view {} times, threshold {} m\n",
+        data.display(),
+        arguments.max_size,
+        arguments.steps_per_view,
+        arguments.threshold
+    );
+    println!("| | PSNR | SSIM | LPIPS | F-score | splats | sent | slowest agent | edges | last merge |");
+    println!("|---|---|---|---|---|---|---|---|---|---|");
+    for (i, variant) in VARIANTS.iter().enumerate() {
+        let out = folder.path().join(i.to_string());
+        let report = fly(&arguments, variant, &data, views, &out)?;
+        let f_score = truth.as_ref().map(|truth| f_score(&out, truth, arguments.threshold)).transpose()?;
+        println!("{}", row(variant, &report, f_score));
+    }
+    Ok(())
+}
+
+fn usual_data(folder: &Path) -> Result<PathBuf> {
+    let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data/gt_boruszyn");
+    if scene.is_dir() {
+        return Ok(scene);
+    }
+    let city = CitySettings { extent_m: 80.0, views: 48, ..CitySettings::default() };
+    City::build(&city)?.write(folder, |_, _| ())?;
+    Ok(folder.into())
+}
+
+/// Where cargo puts programs: beside the folder of this bench.
+fn program() -> Result<PathBuf> {
+    let bench = std::env::current_exe()?;
+    let folder = bench.parent().and_then(Path::parent).context("this bench lies nowhere")?;
+    let path = folder.join("cosurf-aggregator").with_extension(std::env::consts::EXE_EXTENSION);
+    ensure!(
+        path.is_file(),
+        "{} is missing: build it with `cargo build --release --workspace`",
+        path.display()
+    );
+    Ok(path)
+}
+
+fn fly(
+    arguments: &Arguments,
+    variant: &Variant,
+    data: &Path,
+    views: usize,
+    out: &Path,
+) -> Result<MissionReport> {
+    let Variant { name, edges, agents, options } = variant;
+    let parts = edges.max(&1) * agents;
+    let steps = (arguments.steps_per_view * views).div_ceil(parts);
+    let mut command = Command::new(program()?);
+    command.args(["mission", "--data"]).arg(data).arg("--out").arg(out).args(*options);
+    for (option, value) in [
+        ("--edges", edges.to_string()),
+        ("--agents", agents.to_string()),
+        ("--steps", steps.to_string()),
+        ("--max-size", arguments.max_size.to_string()),
+        ("--eval-every", EVAL_EVERY.to_string()),
+    ] {
+        command.args([option, &value]);
+    }
+    if let Some(lpips) = &arguments.lpips {
+        command.arg("--lpips").arg(lpips);
+    }
+    let output = command.stdin(Stdio::null()).stdout(Stdio::null()).output()?;
+    ensure!(output.status.success(), "{name}: {}", String::from_utf8_lossy(&output.stderr));
+    Ok(serde_json::from_slice(&std::fs::read(out.join("report.json"))?)?)
+}
+
+fn f_score(out: &Path, truth: &Mesh, threshold_m: f64) -> Result<f64> {
+    let (accuracy, _) = accuracy::judge(&Mesh::read(&out.join("mesh.ply"))?, truth, threshold_m, 0)?;
+    Ok(accuracy.samples.f_score)
+}
+
+fn row(variant: &Variant, report: &MissionReport, f_score: Option<f64>) -> String {
+    let dash = || "–".to_string();
+    let seconds = |of: Option<f64>| of.map_or_else(dash, |seconds| format!("{seconds:.0} s"));
+    let longest = |of: &mut dyn Iterator<Item = f64>| seconds(of.reduce(f64::max));
+    let whole = &report.whole;
+    let quality = whole.quality;
+    let cells = [
+        variant.name.to_string(),
+        quality.map_or_else(dash, |quality| format!("{:.2}", quality.psnr)),
+        quality.map_or_else(dash, |quality| format!("{:.3}", quality.ssim)),
+        quality.and_then(|quality| quality.lpips).map_or_else(dash, |lpips| format!("{:.3}", lpips.vgg)),
+        f_score.map_or_else(dash, |score| format!("{score:.3}")),
+        whole.splats.to_string(),
+        format_bytes(whole.bytes_sent + report.edges.iter().map(|edge| edge.bytes_sent).sum::<u64>()),
+        longest(&mut report.agents.iter().filter_map(|agent| Some(agent.training.as_ref()?.seconds))),
+        longest(&mut report.edges.iter().filter_map(|edge| Some(edge.merging.as_ref()?.seconds))),
+        seconds(whole.merging.as_ref().map(|merging| merging.seconds)),
+    ];
+    format!("| {} |", cells.join(" | "))
+}
