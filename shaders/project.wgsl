@@ -38,6 +38,9 @@ fn project(
             tiles = count_tiles(splat);
         }
     }
+    if (key == NOT_SEEN) {
+        projected[i].falloff_max = 0.0;
+    }
     depth_keys[i] = key;
     places[i] = select(0u, 1u, key != NOT_SEEN);
     slots[i] = vec2(0u, tiles);

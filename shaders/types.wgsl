@@ -80,7 +80,7 @@ struct Projected {
     falloff: vec3<f32>,
     log2_opacity: f32,
     rgb: vec3<f32>,
-    // log2(255 o): the largest falloff that is drawn.
+    // log2(255 o): the largest falloff that is drawn; 0 for splats that are not seen.
     falloff_max: f32,
     // Camera frame, towards the camera.
     normal: vec3<f32>,
@@ -100,6 +100,41 @@ struct ScanStep {
     digits: u32,
     total: u32,
     unused: u32,
+}
+
+// Rows of a gradient: those of a shape, then ∂L/∂rgb of the seen colour.
+const GRADIENT_RGB: u32 = 11u;
+const GRADIENT_ROWS: u32 = 14u;
+
+// How a picture is compared with its photograph, which shows gain * colour + offset.
+struct LossSettings {
+    gain: f32,
+    offset: f32,
+    // Weights of L1 and 1 - SSIM, each over the number of values of the picture.
+    l1_weight: f32,
+    ssim_weight: f32,
+    // 1 where the photograph is floats, 0 where it is bytes.
+    is_floats: u32,
+    unused_1: u32,
+    unused_2: u32,
+    unused_3: u32,
+}
+
+// Weight of one visible splat's shortest scale.
+struct BackwardWeights {
+    scale: f32,
+}
+
+// Learning rates, and bias corrections 1 / (1 - β^step).
+struct Rates {
+    mean: f32,
+    quat: f32,
+    log_scale: f32,
+    opacity: f32,
+    sh_dc: f32,
+    sh_rest: f32,
+    first_correction: f32,
+    second_correction: f32,
 }
 
 // Dispatches beyond 65,535 groups are folded into two axes.

@@ -1,6 +1,7 @@
 //! Buffers that know what they hold, and how it gets in and out.
 
 use std::marker::PhantomData;
+use std::ops::Range;
 
 use bytemuck::Pod;
 use wgpu::BufferUsages;
@@ -63,9 +64,10 @@ impl<T: Pod> Buffer<T> {
         gpu.queue.write_buffer(&self.raw, (first * size_of::<T>()) as u64, bytemuck::cast_slice(values));
     }
 
-    /// The first `len` values, after all work submitted so far.
-    pub(super) fn read(&self, gpu: &Gpu, len: usize) -> Vec<T> {
-        assert!(len <= self.len, "{len} of {}", self.len);
+    /// Values of a range, after all work submitted so far.
+    pub(super) fn read(&self, gpu: &Gpu, range: Range<usize>) -> Vec<T> {
+        assert!(range.end <= self.len, "{range:?} of {}", self.len);
+        let (first, len) = ((range.start * size_of::<T>()) as u64, range.len());
         if len == 0 {
             return Vec::new();
         }
@@ -77,7 +79,7 @@ impl<T: Pod> Buffer<T> {
             mapped_at_creation: false,
         });
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        encoder.copy_buffer_to_buffer(&self.raw, 0, &staging, 0, bytes);
+        encoder.copy_buffer_to_buffer(&self.raw, first, &staging, 0, bytes);
         let submission = gpu.queue.submit([encoder.finish()]);
         let (sender, mapped) = std::sync::mpsc::channel();
         staging.map_async(wgpu::MapMode::Read, .., move |result| {

@@ -206,7 +206,7 @@ impl Drawing {
             self.pairs.capacity().div_ceil(GROUP),
         );
         r.submit();
-        counts(&self.counters.read(gpu, COUNTERS))
+        counts(&self.counters.read(gpu, 0..COUNTERS))
     }
 
     /// Lists the splats that are seen, nearest first.
@@ -273,7 +273,7 @@ impl Drawing {
     /// The picture last blended, in tiles.
     pub(super) fn image(&self, gpu: &Gpu) -> TileImage {
         let size_px = self.seen_view().size_px;
-        let values = self.picture.image.read(gpu, padded_pixels(size_px) * self.planes);
+        let values = self.picture.image.read(gpu, 0..padded_pixels(size_px) * self.planes);
         TileImage::from_values(size_px, self.planes, &values)
     }
 

@@ -2,6 +2,7 @@
 
 use bytemuck::{Pod, Zeroable};
 
+use crate::backend::AdamRates;
 use crate::cpu::view::ViewParams;
 
 /// `View` of the shaders, where every field is explained.
@@ -77,6 +78,49 @@ pub(super) struct ScanStep {
     pub(super) digits: u32,
     pub(super) total: u32,
     pub(super) unused: u32,
+}
+
+/// `LossSettings` of the shaders.
+#[derive(Clone, Copy, Debug, Pod, Zeroable)]
+#[repr(C)]
+pub(super) struct LossSettings {
+    pub(super) gain: f32,
+    pub(super) offset: f32,
+    pub(super) l1_weight: f32,
+    pub(super) ssim_weight: f32,
+    pub(super) is_floats: u32,
+    pub(super) unused_1: u32,
+    pub(super) unused_2: u32,
+    pub(super) unused_3: u32,
+}
+
+/// `BackwardWeights` of the shaders.
+#[derive(Clone, Copy, Debug, Pod, Zeroable)]
+#[repr(C)]
+pub(super) struct BackwardWeights {
+    pub(super) scale: f32,
+}
+
+/// `Rates` of the shaders.
+#[derive(Clone, Copy, Debug, Pod, Zeroable)]
+#[repr(C)]
+pub(super) struct Rates {
+    pub(super) mean: f32,
+    pub(super) quat: f32,
+    pub(super) log_scale: f32,
+    pub(super) opacity: f32,
+    pub(super) sh_dc: f32,
+    pub(super) sh_rest: f32,
+    pub(super) first_correction: f32,
+    pub(super) second_correction: f32,
+}
+
+impl From<&AdamRates> for Rates {
+    fn from(rates: &AdamRates) -> Self {
+        let AdamRates { mean, quat, log_scale, opacity, sh_dc, sh_rest, first_correction, second_correction } =
+            *rates;
+        Self { mean, quat, log_scale, opacity, sh_dc, sh_rest, first_correction, second_correction }
+    }
 }
 
 /// Places in the buffer of counters, as in the shaders; the last takes totals that nobody asks for.

@@ -65,7 +65,7 @@ impl Model {
 
     /// The splats as they are now.
     pub(super) fn splats(&self, gpu: &Gpu) -> Splats {
-        let (shape, sh) = (self.shape.read(gpu, self.shape.len()), self.sh.read(gpu, self.sh.len()));
+        let (shape, sh) = (self.shape.read(gpu, 0..self.shape.len()), self.sh.read(gpu, 0..self.sh.len()));
         let mut splats = Splats::with_capacity(self.len, self.sh_degree);
         for i in 0..self.len {
             let get = |r: usize| shape[r * self.stride + i];

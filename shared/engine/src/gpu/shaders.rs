@@ -32,10 +32,18 @@ pub(super) const ORDER_COUNTS: Shader = shader!("order_counts");
 pub(super) const EMIT: Shader = shader!("emit", "spans");
 pub(super) const TILE_RANGES: Shader = shader!("tile_ranges");
 pub(super) const RASTERIZE: Shader = shader!("rasterize");
+pub(super) const SSIM: Shader = shader!("ssim", "photometric");
+pub(super) const PHOTOMETRIC_GRADIENT: Shader = shader!("photometric_gradient", "photometric");
+pub(super) const LOSS_TOTAL: Shader = shader!("loss_total");
+pub(super) const RASTERIZE_BACKWARD: Shader = shader!("rasterize_backward");
+pub(super) const PROJECT_BACKWARD: Shader = shader!("project_backward", "geometry", "sh");
+pub(super) const ADAM: Shader = shader!("adam", "sh");
+pub(super) const SCORE: Shader = shader!("score");
+pub(super) const SCORE_COLLECT: Shader = shader!("score_collect");
 
 /// Every pass.
 #[cfg(test)]
-pub(super) const ALL: [Shader; 11] = [
+pub(super) const ALL: [Shader; 19] = [
     PROJECT,
     SCAN_BLOCKS,
     SCAN_SUMS,
@@ -47,4 +55,12 @@ pub(super) const ALL: [Shader; 11] = [
     EMIT,
     TILE_RANGES,
     RASTERIZE,
+    SSIM,
+    PHOTOMETRIC_GRADIENT,
+    LOSS_TOTAL,
+    RASTERIZE_BACKWARD,
+    PROJECT_BACKWARD,
+    ADAM,
+    SCORE,
+    SCORE_COLLECT,
 ];

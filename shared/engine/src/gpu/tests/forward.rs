@@ -20,11 +20,18 @@ fn camera(eye: DVec3, focal_px: f64, center_px: DVec2, size_px: [u32; 2]) -> Cam
     Camera { cam_from_world, focal_px: DVec2::new(focal_px, focal_px * 1.1), center_px, size_px }
 }
 
-fn centered(eye: DVec3, focal_px: f64, size_px: [u32; 2]) -> Camera {
+pub(super) fn centered(eye: DVec3, focal_px: f64, size_px: [u32; 2]) -> Camera {
     camera(eye, focal_px, DVec2::from(size_px.map(f64::from)) / 2.0, size_px)
 }
 
-fn splats(count: usize, spread: f32, log_scale: f32, logit: f32, sh_degree: u32, seed: u64) -> Splats {
+pub(super) fn splats(
+    count: usize,
+    spread: f32,
+    log_scale: f32,
+    logit: f32,
+    sh_degree: u32,
+    seed: u64,
+) -> Splats {
     let mut random = Random::new(seed, Purpose::Birth, 0, 0);
     let mut splats = Splats::with_capacity(count, sh_degree);
     for _ in 0..count {

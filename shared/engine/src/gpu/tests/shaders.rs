@@ -4,7 +4,7 @@ use naga::front::wgsl;
 use naga::valid::{Capabilities, ValidationFlags, Validator};
 use naga::{AddressSpace, Module, TypeInner};
 
-use crate::gpu::layout::{Projected, ScanStep, SortStep, View};
+use crate::gpu::layout::{BackwardWeights, LossSettings, Projected, Rates, ScanStep, SortStep, View};
 use crate::gpu::shaders;
 
 /// Storage buffers that a pass may bind: WebGPU's default limit.
@@ -94,6 +94,30 @@ fn rust_and_shaders_lay_structures_out_alike() {
     assert_eq!(layout_in(&module, "Projected"), projected);
     assert_eq!(layout_in(&module, "SortStep"), layout_of!(SortStep { counter, shift }));
     assert_eq!(layout_in(&module, "ScanStep"), layout_of!(ScanStep { counter, digits, total, unused }));
+    let module = parsed(shaders::ADAM.source);
+    let rates = layout_of!(Rates {
+        mean,
+        quat,
+        log_scale,
+        opacity,
+        sh_dc,
+        sh_rest,
+        first_correction,
+        second_correction,
+    });
+    assert_eq!(layout_in(&module, "Rates"), rates);
+    assert_eq!(layout_in(&module, "BackwardWeights"), layout_of!(BackwardWeights { scale }));
+    let settings = layout_of!(LossSettings {
+        gain,
+        offset,
+        l1_weight,
+        ssim_weight,
+        is_floats,
+        unused_1,
+        unused_2,
+        unused_3,
+    });
+    assert_eq!(layout_in(&module, "LossSettings"), settings);
     // The comparison sees a field that moved.
     let moved = parsed("struct SortStep { shift: u32, counter: u32 } @compute @workgroup_size(1) fn f() {}");
     assert_ne!(layout_in(&moved, "SortStep"), layout_of!(SortStep { counter, shift }));

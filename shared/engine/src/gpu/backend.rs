@@ -1,0 +1,269 @@
+//! The GPU as a [`Backend`]: a training runs on it as it does on the CPU.
+//!
+//! Colours, their loss, both backward passes, Adam and scores are passes of the GPU. The losses of the surface are
+//! still those of the CPU: the picture comes over and its gradient goes back, which costs a copy each way.
+
+use cosurf_scene::splats::sh_coefficients;
+use cosurf_scene::{Camera, Splats};
+
+use super::buffer::Buffer;
+use super::context::{Gpu, GpuError};
+use super::draw::Drawing;
+use super::layout::Rates;
+use super::model::{Model, SHAPE_ROWS, sh_rows};
+use super::pass::Recorder;
+use super::train::{SCORE_ROWS, STAT_ROWS, Training};
+use crate::backend::{
+    AdamRates, Backend, BinCounts, Channels, Edit, LossWeights, Losses, Rendering, Scores, Shapes,
+    SurfaceLoss, Targets, TeacherLoss,
+};
+use crate::cpu::image::{TileImage, padded_pixels};
+use crate::cpu::project::view_direction;
+use crate::cpu::sh;
+use crate::cpu::simd::{GROUP, Isa, Lanes, Plain};
+use crate::cpu::surface::Surface;
+
+/// Everything that has a size, decided before anything is allocated.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct GpuCapacity {
+    /// Most splats.
+    pub splats: usize,
+    /// Most splat–tile pairs of one view.
+    pub pairs: usize,
+    /// Largest picture.
+    pub size_px: [u32; 2],
+    /// Stored SH degree, 0..=3.
+    pub sh_degree: u32,
+}
+
+/// Splats on the GPU, to be trained.
+#[derive(Debug)]
+pub struct GpuBackend {
+    pub(super) gpu: Gpu,
+    pub(super) model: Model,
+    pub(super) drawing: Drawing,
+    pub(super) training: Training,
+    surface: Surface,
+    visible: usize,
+    /// Weight of the scale loss in the backward pass that comes.
+    scale_weight: f32,
+}
+
+impl GpuBackend {
+    /// Allocates every buffer.
+    pub fn new(gpu: &Gpu, capacity: GpuCapacity) -> Result<Self, GpuError> {
+        let GpuCapacity { splats, pairs, size_px, sh_degree } = capacity;
+        assert!(sh_degree <= 3, "SH degree {sh_degree}");
+        let (model, drawing, training) = gpu.allocating(|| {
+            let model = Model::new(gpu, splats, sh_degree)?;
+            let training = Training::new(gpu, &model, pairs, size_px)?;
+            Ok((model, Drawing::new(gpu, splats, pairs, size_px)?, training))
+        })?;
+        let surface = Surface::with_capacity(size_px);
+        let backend =
+            Self { gpu: gpu.clone(), model, drawing, training, surface, visible: 0, scale_weight: 0.0 };
+        backend.training.reset(gpu);
+        Ok(backend)
+    }
+
+    pub(super) fn clear(&self, buffer: &Buffer<f32>) {
+        let mut r = Recorder::new(&self.gpu);
+        r.clear(&buffer.raw);
+        r.submit();
+    }
+
+    /// One row of a buffer, for all splats.
+    fn row(&self, buffer: &Buffer<f32>, row: usize) -> Vec<f32> {
+        buffer.read(&self.gpu, row * self.model.stride..row * self.model.stride + self.model.len)
+    }
+
+    fn rows<const N: usize>(&self, buffer: &Buffer<f32>) -> [Vec<f32>; N] {
+        std::array::from_fn(|row| self.row(buffer, row))
+    }
+
+    /// What a checkpoint keeps, with the number of rows of each.
+    fn kept(&self) -> [(&Buffer<f32>, usize); 7] {
+        let sh_rows = sh_rows(self.model.sh_degree);
+        let [shape_first, shape_second, sh_first, sh_second] = &self.training.moments;
+        [
+            (&self.model.shape, SHAPE_ROWS),
+            (&self.model.sh, sh_rows),
+            (shape_first, SHAPE_ROWS),
+            (shape_second, SHAPE_ROWS),
+            (sh_first, sh_rows),
+            (sh_second, sh_rows),
+            (&self.training.stats, STAT_ROWS),
+        ]
+    }
+
+    /// The losses of the surface, on the CPU; their gradients are added to those of the picture.
+    fn surface_losses(&mut self, targets: &Targets, weights: &LossWeights) -> (SurfaceLoss, TeacherLoss) {
+        let Some(surface_weights) = &weights.surface else { return Default::default() };
+        let view = *self.drawing.seen_view();
+        let image = self.drawing.image(&self.gpu);
+        let len = padded_pixels(view.size_px) * self.drawing.planes;
+        let values = self.training.gradient.read(&self.gpu, 0..len);
+        let mut gradient = TileImage::from_values(view.size_px, self.drawing.planes, &values);
+        let isa = Isa::best();
+        let surface = self.surface.losses(isa, &image, &view, targets, surface_weights, &mut gradient);
+        let teacher = match (&weights.teacher, &targets.surface) {
+            (Some(weights), Some(target)) => {
+                self.surface.teach(isa, &image, &view, target, weights, &mut gradient)
+            }
+            _ => TeacherLoss::default(),
+        };
+        let values: Vec<f32> = gradient.rows_mut().iter().flat_map(|row| row.0).collect();
+        self.training.gradient.write(&self.gpu, 0, &values);
+        (surface, teacher)
+    }
+}
+
+impl Backend for GpuBackend {
+    fn device(&self) -> String {
+        self.gpu.to_string()
+    }
+
+    fn len(&self) -> usize {
+        self.model.len
+    }
+
+    fn capacity(&self) -> usize {
+        self.model.stride
+    }
+
+    fn load(&mut self, splats: &Splats) {
+        assert!(splats.len() <= self.model.stride, "{} splats of {}", splats.len(), self.model.stride);
+        self.model.load(&self.gpu, splats);
+        self.training.reset(&self.gpu);
+    }
+
+    fn splats(&self) -> Splats {
+        self.model.splats(&self.gpu)
+    }
+
+    fn project(&mut self, camera: &Camera, sh_degree: u32) {
+        self.drawing.project(&self.gpu, &self.model, camera, sh_degree);
+    }
+
+    fn bin(&mut self) -> BinCounts {
+        let counts = self.drawing.bin(&self.gpu, &self.model);
+        self.visible = counts.visible;
+        counts
+    }
+
+    fn rasterize(&mut self, channels: Channels) {
+        self.drawing.rasterize(&self.gpu, &self.model, channels);
+    }
+
+    fn keep_neighbour(&mut self) {
+        let image = self.drawing.image(&self.gpu);
+        self.surface.keep_neighbour(Isa::best(), &image, self.drawing.seen_view());
+    }
+
+    fn losses(&mut self, targets: &Targets, weights: &LossWeights) -> Losses {
+        self.scale_weight = weights.scale;
+        let Targets { rgb, exposure, .. } = *targets;
+        let color = self.training.photometric(&self.gpu, &self.drawing, rgb, exposure, weights.ssim);
+        let (surface, teacher) = self.surface_losses(targets, weights);
+        Losses { color, surface, teacher }
+    }
+
+    fn rasterize_backward(&mut self) {
+        self.training.rasterize_backward(&self.gpu, &self.drawing);
+    }
+
+    fn project_backward(&mut self) {
+        let scale_weight = self.scale_weight / self.visible.max(1) as f32;
+        self.training.project_backward(&self.gpu, &self.model, &self.drawing, scale_weight);
+    }
+
+    fn gradients(&self) -> Splats {
+        let shape: [Vec<f32>; SHAPE_ROWS + 3] = self.rows(&self.training.gradients);
+        let mean: [Vec<f32>; 3] = self.rows(&self.model.shape);
+        let (view, sh_degree) = (self.drawing.seen_view(), self.model.sh_degree);
+        let mut out = Splats::with_capacity(self.model.len, sh_degree);
+        for i in 0..self.model.len {
+            let (dir, _) = view_direction([0, 1, 2].map(|axis| Plain::splat(mean[axis][i])), view);
+            let basis = sh::basis(dir, view.sh_degree);
+            let mut sh = vec![0.0; 3 * sh_coefficients(sh_degree)];
+            for (k, value) in sh.iter_mut().enumerate().take(3 * sh_coefficients(view.sh_degree)) {
+                let mut y = [0.0; GROUP];
+                basis[k / 3].store(&mut y);
+                *value = y[0] * shape[SHAPE_ROWS + k % 3][i];
+            }
+            out.push(
+                [0, 1, 2].map(|r| shape[r][i]),
+                [3, 4, 5, 6].map(|r| shape[r][i]),
+                [7, 8, 9].map(|r| shape[r][i]),
+                shape[10][i],
+                &sh,
+            );
+        }
+        out
+    }
+
+    fn adam(&mut self, rates: &AdamRates) {
+        self.training.adam(&self.gpu, &self.model, &self.drawing, Rates::from(rates));
+    }
+
+    fn rendering(&self) -> Rendering {
+        self.drawing.rendering(&self.gpu)
+    }
+
+    fn take_shapes(&mut self) -> Shapes {
+        let shape: [Vec<f32>; SHAPE_ROWS] = self.rows(&self.model.shape);
+        let [screen, views, absolute]: [Vec<f32>; STAT_ROWS] = self.rows(&self.training.stats);
+        self.clear(&self.training.stats);
+        let mean = |sums: &[f32]| sums.iter().zip(&views).map(|(sum, views)| sum / views.max(1.0)).collect();
+        let each = 0..self.model.len;
+        Shapes {
+            means: each.clone().map(|i| [0, 1, 2].map(|r| shape[r][i])).collect(),
+            quats: each.clone().map(|i| [3, 4, 5, 6].map(|r| shape[r][i])).collect(),
+            log_scales: each.map(|i| [7, 8, 9].map(|r| shape[r][i])).collect(),
+            opacity_logits: shape[10].clone(),
+            screen_gradients: mean(&screen),
+            absolute_gradients: mean(&absolute),
+            views,
+        }
+    }
+
+    fn clear_scores(&mut self) {
+        self.clear(&self.training.scores);
+    }
+
+    fn score(&mut self) {
+        self.training.score(&self.gpu, &self.model, &self.drawing);
+    }
+
+    fn scores(&self) -> Scores {
+        let [squared_weights, hits, observers]: [Vec<f32>; SCORE_ROWS] = self.rows(&self.training.scores);
+        Scores { squared_weights, hits, observers }
+    }
+
+    fn edit(&mut self, edit: &Edit) {
+        self.apply(edit);
+    }
+
+    fn cap_opacity(&mut self, opacity: f32) {
+        self.lower_opacities(opacity);
+    }
+
+    fn export<E>(&self, mut visit: impl FnMut(&[f32]) -> Result<(), E>) -> Result<(), E> {
+        let mut rows =
+            self.kept().into_iter().flat_map(|(buffer, rows)| (0..rows).map(move |row| (buffer, row)));
+        rows.try_for_each(|(buffer, row)| visit(&self.row(buffer, row)))
+    }
+
+    fn import<E>(&mut self, len: usize, mut fill: impl FnMut(&mut [f32]) -> Result<(), E>) -> Result<(), E> {
+        assert!(len <= self.model.stride, "{len} splats of {}", self.model.stride);
+        self.model.len = len;
+        let mut values = vec![0.0; len];
+        for (buffer, rows) in self.kept() {
+            for row in 0..rows {
+                fill(&mut values)?;
+                buffer.write(&self.gpu, row * self.model.stride, &values);
+            }
+        }
+        Ok(())
+    }
+}

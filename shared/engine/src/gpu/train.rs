@@ -1,0 +1,258 @@
+//! The passes of training and their buffers: losses, backward passes, Adam, scores.
+
+use super::buffer::Buffer;
+use super::context::{Gpu, GpuError};
+use super::draw::Drawing;
+use super::layout::{BackwardWeights, LossSettings, Rates};
+use super::model::{Model, SHAPE_ROWS, sh_rows};
+use super::pass::{Pass, Recorder};
+use super::shaders;
+use super::sort::GROUP;
+use crate::backend::{Exposure, PhotometricLoss, TargetRgb};
+use crate::cpu::image::padded_pixels;
+use crate::cpu::rasterize::PLANES_GEOMETRY;
+
+/// Rows of a gradient: those of a shape, then ∂L/∂rgb of the seen colour.
+pub(super) const GRADIENT_ROWS: usize = SHAPE_ROWS + 3;
+/// Rows of the statistics of densification, and of scores.
+pub(super) const STAT_ROWS: usize = 3;
+pub(super) const SCORE_ROWS: usize = 3;
+/// Partial derivatives of SSIM: three for each channel.
+const PARTIALS: usize = 9;
+/// Numbers that a tile and channel add to the losses.
+const SUMS: usize = 8;
+
+#[derive(Debug)]
+struct Passes {
+    ssim: Pass,
+    photometric_gradient: Pass,
+    loss_total: Pass,
+    rasterize_backward: Pass,
+    project_backward: Pass,
+    adam: Pass,
+    score: Pass,
+    score_collect: Pass,
+}
+
+/// What training keeps beside the splats and their picture.
+#[derive(Debug)]
+pub(super) struct Training {
+    passes: Passes,
+    loss_settings: Buffer<LossSettings>,
+    backward_weights: Buffer<BackwardWeights>,
+    rates: Buffer<Rates>,
+    photograph: Buffer<u32>,
+    partials: Buffer<f32>,
+    sums: Buffer<[f32; SUMS]>,
+    totals: Buffer<[f32; SUMS]>,
+    /// Of the picture, laid out like it.
+    pub(super) gradient: Buffer<f32>,
+    records: Buffer<[f32; 16]>,
+    /// Rows of splats, like a model's.
+    pub(super) gradients: Buffer<f32>,
+    pub(super) stats: Buffer<f32>,
+    pub(super) scores: Buffer<f32>,
+    /// First and second moments of shapes, then of the spherical harmonics.
+    pub(super) moments: [Buffer<f32>; 4],
+}
+
+impl Training {
+    pub(super) fn new(gpu: &Gpu, model: &Model, pairs: usize, size_px: [u32; 2]) -> Result<Self, GpuError> {
+        let (pixels, tiles) = (padded_pixels(size_px), padded_pixels(size_px) / GROUP);
+        let rows = |label, rows: usize| Buffer::storage(gpu, label, rows * model.stride);
+        let sh_rows = sh_rows(model.sh_degree);
+        let zeroed = bytemuck::Zeroable::zeroed;
+        Ok(Self {
+            passes: Passes {
+                ssim: Pass::new(gpu, shaders::SSIM),
+                photometric_gradient: Pass::new(gpu, shaders::PHOTOMETRIC_GRADIENT),
+                loss_total: Pass::new(gpu, shaders::LOSS_TOTAL),
+                rasterize_backward: Pass::new(gpu, shaders::RASTERIZE_BACKWARD),
+                project_backward: Pass::new(gpu, shaders::PROJECT_BACKWARD),
+                adam: Pass::new(gpu, shaders::ADAM),
+                score: Pass::new(gpu, shaders::SCORE),
+                score_collect: Pass::new(gpu, shaders::SCORE_COLLECT),
+            },
+            loss_settings: Buffer::uniform(gpu, "loss settings", zeroed()),
+            backward_weights: Buffer::uniform(gpu, "backward weights", BackwardWeights { scale: 0.0 }),
+            rates: Buffer::uniform(gpu, "rates", bytemuck::Zeroable::zeroed()),
+            photograph: Buffer::storage(gpu, "photograph", 3 * pixels)?,
+            partials: Buffer::storage(gpu, "partials", PARTIALS * pixels)?,
+            sums: Buffer::storage(gpu, "loss sums", 3 * tiles)?,
+            totals: Buffer::storage(gpu, "loss totals", 1)?,
+            gradient: Buffer::storage(gpu, "gradient of the picture", PLANES_GEOMETRY * pixels)?,
+            records: Buffer::storage(gpu, "records", pairs)?,
+            gradients: rows("gradients", GRADIENT_ROWS)?,
+            stats: rows("statistics", STAT_ROWS)?,
+            scores: rows("scores", SCORE_ROWS)?,
+            moments: [
+                rows("first moments of shapes", SHAPE_ROWS)?,
+                rows("second moments of shapes", SHAPE_ROWS)?,
+                rows("first moments of spherical harmonics", sh_rows)?,
+                rows("second moments of spherical harmonics", sh_rows)?,
+            ],
+        })
+    }
+
+    /// Moments and statistics are zero from now on.
+    pub(super) fn reset(&self, gpu: &Gpu) {
+        let mut r = Recorder::new(gpu);
+        self.moments.iter().for_each(|moments| r.clear(&moments.raw));
+        [&self.stats, &self.scores, &self.gradients].into_iter().for_each(|buffer| r.clear(&buffer.raw));
+        r.submit();
+    }
+
+    /// The loss of the colours; leaves the gradient of every pixel.
+    pub(super) fn photometric(
+        &self,
+        gpu: &Gpu,
+        drawing: &Drawing,
+        rgb: TargetRgb,
+        exposure: Exposure,
+        ssim_weight: f32,
+    ) -> PhotometricLoss {
+        let size_px = drawing.seen_view().size_px;
+        let values = 3.0 * size_px[0] as f32 * size_px[1] as f32;
+        let settings = LossSettings {
+            gain: exposure.gain,
+            offset: exposure.offset,
+            l1_weight: (1.0 - ssim_weight) / values,
+            ssim_weight: ssim_weight / values,
+            is_floats: u32::from(matches!(rgb, TargetRgb::Floats(_))),
+            unused_1: 0,
+            unused_2: 0,
+            unused_3: 0,
+        };
+        self.loss_settings.write(gpu, 0, &[settings]);
+        self.upload(gpu, rgb);
+        let (view, settings) = (&drawing.view.raw, &self.loss_settings.raw);
+        let (image, photograph) = (&drawing.picture.image.raw, &self.photograph.raw);
+        let (partials, sums) = (&self.partials.raw, &self.sums.raw);
+        let jobs = 3 * drawing.seen_view().tiles().iter().product::<usize>();
+        let mut r = Recorder::new(gpu);
+        r.run(&self.passes.ssim, &[view, settings, image, photograph, partials, sums], jobs);
+        let buffers = [view, settings, image, photograph, partials, sums, &self.gradient.raw];
+        r.run(&self.passes.photometric_gradient, &buffers, jobs);
+        r.run(&self.passes.loss_total, &[view, sums, &self.totals.raw], 1);
+        r.submit();
+        loss(self.totals.read(gpu, 0..1)[0], values, ssim_weight)
+    }
+
+    fn upload(&self, gpu: &Gpu, rgb: TargetRgb) {
+        match rgb {
+            TargetRgb::Floats(values) => {
+                let bits: Vec<u32> = values.iter().map(|value| value.to_bits()).collect();
+                self.photograph.write(gpu, 0, &bits);
+            }
+            TargetRgb::Bytes(bytes) => {
+                let (whole, rest) = bytes.as_chunks::<4>();
+                let mut last = [0; 4];
+                last[..rest.len()].copy_from_slice(rest);
+                let words = whole.iter().chain([&last]).map(|four| u32::from_le_bytes(*four));
+                self.photograph.write(gpu, 0, &words.take(bytes.len().div_ceil(4)).collect::<Vec<_>>());
+            }
+        }
+    }
+
+    /// Gradients of the projected splats, a record for each pair.
+    pub(super) fn rasterize_backward(&self, gpu: &Gpu, drawing: &Drawing) {
+        let mut r = Recorder::new(gpu);
+        r.run(
+            &self.passes.rasterize_backward,
+            &[
+                &drawing.view.raw,
+                &drawing.seen.projected.raw,
+                drawing.pairs.sorted_slots(),
+                &drawing.pairs.id_of_slot.raw,
+                &drawing.picture.ranges.raw,
+                &drawing.picture.blended.raw,
+                &drawing.picture.image.raw,
+                &self.gradient.raw,
+                &self.records.raw,
+            ],
+            drawing.seen_view().tiles().iter().product(),
+        );
+        r.submit();
+    }
+
+    /// Gradients of the parameters, and the statistics of densification.
+    pub(super) fn project_backward(&self, gpu: &Gpu, model: &Model, drawing: &Drawing, scale_weight: f32) {
+        self.backward_weights.write(gpu, 0, &[BackwardWeights { scale: scale_weight }]);
+        let mut r = Recorder::new(gpu);
+        r.run(
+            &self.passes.project_backward,
+            &[
+                &drawing.view.raw,
+                &self.backward_weights.raw,
+                &model.shape.raw,
+                &model.sh.raw,
+                &drawing.seen.projected.raw,
+                &drawing.seen.slots.raw,
+                &self.records.raw,
+                &self.gradients.raw,
+                &self.stats.raw,
+            ],
+            model.len.div_ceil(GROUP),
+        );
+        r.submit();
+    }
+
+    /// One step of the optimiser.
+    pub(super) fn adam(&self, gpu: &Gpu, model: &Model, drawing: &Drawing, rates: Rates) {
+        self.rates.write(gpu, 0, &[rates]);
+        let [shape_first, shape_second, sh_first, sh_second] = &self.moments;
+        let mut r = Recorder::new(gpu);
+        r.run(
+            &self.passes.adam,
+            &[
+                &drawing.view.raw,
+                &self.rates.raw,
+                &model.shape.raw,
+                &model.sh.raw,
+                &shape_first.raw,
+                &shape_second.raw,
+                &sh_first.raw,
+                &sh_second.raw,
+                &self.gradients.raw,
+            ],
+            model.len.div_ceil(GROUP),
+        );
+        r.submit();
+    }
+
+    /// Adds what each splat gave to the picture to its scores.
+    pub(super) fn score(&self, gpu: &Gpu, model: &Model, drawing: &Drawing) {
+        let (view, projected) = (&drawing.view.raw, &drawing.seen.projected.raw);
+        let mut r = Recorder::new(gpu);
+        r.run(
+            &self.passes.score,
+            &[
+                view,
+                projected,
+                drawing.pairs.sorted_slots(),
+                &drawing.pairs.id_of_slot.raw,
+                &drawing.picture.ranges.raw,
+                &drawing.picture.blended.raw,
+                &self.records.raw,
+            ],
+            drawing.seen_view().tiles().iter().product(),
+        );
+        let buffers = [view, &drawing.seen.slots.raw, projected, &self.records.raw, &self.scores.raw];
+        r.run(&self.passes.score_collect, &buffers, model.len.div_ceil(GROUP));
+        r.submit();
+    }
+}
+
+/// From sums over all values of the picture, in the order of the shaders.
+fn loss(totals: [f32; SUMS], values: f32, ssim_weight: f32) -> PhotometricLoss {
+    let [ssim, squares, l1, signs, signed_x, ..] = totals.map(|total| f64::from(total) / f64::from(values));
+    let weight = f64::from(ssim_weight);
+    PhotometricLoss {
+        total: (1.0 - weight) * l1 + weight * (1.0 - ssim),
+        l1,
+        ssim,
+        mse: squares,
+        by_gain: (1.0 - weight) * signed_x,
+        by_offset: (1.0 - weight) * signs,
+    }
+}
