@@ -12,19 +12,10 @@ const WINDOW = array<f32, 11>(
 // Planes between the passes: for each channel ∂SSIM/∂μx, ∂SSIM/∂E[xx], ∂SSIM/∂E[xy].
 const PARTIALS: u32 = 9u;
 
-fn pixel_place(planes: u32, plane: u32, pixel: vec2<u32>) -> u32 {
-    let tile = pixel.y / TILE * view.tiles.x + pixel.x / TILE;
-    return (tile * planes + plane) * TILE_PIXELS + pixel.y % TILE * TILE + pixel.x % TILE;
-}
-
 // The pixel at a place of a tile's surroundings; beyond the picture where it is outside.
 fn around(origin: vec2<u32>, place: u32) -> vec2<u32> {
     // Left of the picture this wraps round to far beyond its right.
     return origin + vec2(place % SIDE, place / SIDE) - REACH;
-}
-
-fn is_inside(pixel: vec2<u32>) -> bool {
-    return all(pixel < view.size_px);
 }
 
 // What the photograph shows, 0..1: bytes as r g b r …, four in a number, or floats in the same order.

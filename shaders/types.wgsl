@@ -137,6 +137,31 @@ struct Rates {
     second_correction: f32,
 }
 
+// Weights of the losses of the surface: of one pixel, or for the multi-view losses of one sample.
+struct SurfaceWeights {
+    normal: f32,
+    reprojection: f32,
+    ncc: f32,
+    teacher_depth: f32,
+    teacher_normal: f32,
+    // How many samples there are, and where their sums begin.
+    samples: u32,
+    sums_first: u32,
+    unused: u32,
+}
+
+// Two views.
+struct Pair {
+    // Rows of the rotation, and the translation as their fourth numbers.
+    there_from_here: array<vec4<f32>, 3>,
+    // Of the neighbour.
+    focal_px: vec2<f32>,
+    center_px: vec2<f32>,
+    size_px: vec2<u32>,
+    unused_1: u32,
+    unused_2: u32,
+}
+
 // Dispatches beyond 65,535 groups are folded into two axes.
 fn group_index(group: vec3<u32>, groups: vec3<u32>) -> u32 {
     return group.y * groups.x + group.x;

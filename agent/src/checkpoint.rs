@@ -9,7 +9,7 @@ use std::io::{self, BufRead, BufReader, Read, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
-use cosurf_engine::{Backend, CpuBackend, Progress, TrainSettings, Trainer};
+use cosurf_engine::{AnyBackend, Backend, Progress, TrainSettings, Trainer};
 use cosurf_scene::{Camera, SparsePoint, atomic};
 use serde::{Deserialize, Serialize};
 
@@ -97,7 +97,7 @@ impl Checkpoint {
     }
 
     /// Brings the trainer to where it was. A checkpoint of another training is refused.
-    pub fn restore(self, expected: &Fingerprint, trainer: &mut Trainer<CpuBackend>) -> Result<()> {
+    pub fn restore(self, expected: &Fingerprint, trainer: &mut Trainer<AnyBackend>) -> Result<()> {
         let path = self.path.display().to_string();
         if self.head.fingerprint != *expected {
             bail!(
@@ -135,7 +135,7 @@ impl Checkpoint {
 pub fn write(
     out: &Path,
     fingerprint: &Fingerprint,
-    trainer: &Trainer<CpuBackend>,
+    trainer: &Trainer<AnyBackend>,
     seconds: f64,
 ) -> Result<()> {
     let path = path(out);
@@ -157,6 +157,9 @@ pub fn write(
             hash.update(&bytes);
             body.write_all(&bytes)
         })?;
+        if let Some(reason) = trainer.backend().lost() {
+            return Err(io::Error::other(reason));
+        }
         body.write_all(hash.finalize().as_bytes())?;
         body.finish()?;
         Ok(())

@@ -1,6 +1,7 @@
 //! A training session: from a plan to a trained model, within the plan's memory, resumable at every
 //! checkpoint.
 
+use std::fmt;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
@@ -9,8 +10,8 @@ use cosurf_engine::budget::{Budget, TooLittleMemory, Wish};
 use cosurf_engine::init::{Form, splats_from_points};
 use cosurf_engine::train::StepOutcome;
 use cosurf_engine::{
-    Backend, CpuBackend, Example, Flight, Neighbours, PruneSettings, Schedule, SurfaceSettings,
-    TrainSettings, Trainer,
+    AnyBackend, Backend, Device, DeviceChoice, Example, Flight, Neighbours, PruneSettings, Schedule,
+    SurfaceSettings, TrainSettings, Trainer,
 };
 use cosurf_scene::bytes::format_bytes;
 use cosurf_scene::cache::Source;
@@ -43,7 +44,9 @@ pub struct TrainPlan {
     pub memory_bytes: u64,
     /// Long side of the largest picture trained on.
     pub max_size_px: u32,
-    /// Threads to compute with, at least 1.
+    /// What computes.
+    pub device: DeviceChoice,
+    /// Threads of the processor to compute with, at least 1.
     pub threads: usize,
     /// How the surface is trained; `None` for colour only.
     pub surface: Option<SurfaceSettings>,
@@ -69,9 +72,25 @@ pub enum Split {
     },
 }
 
+/// The device was lost in the middle of a training.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct DeviceLost(String);
+
+impl fmt::Display for DeviceLost {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        let Self(reason) = self;
+        write!(
+            f,
+            "{reason}; run again to go on from the last checkpoint, with --device cpu if this happens twice"
+        )
+    }
+}
+
+impl std::error::Error for DeviceLost {}
+
 /// A training that is under way.
 pub struct Session {
-    trainer: Trainer<CpuBackend>,
+    trainer: Trainer<AnyBackend>,
     cache: PictureCache,
     held_out: Vec<View>,
     /// Size of the largest picture trained on.
@@ -98,7 +117,7 @@ impl Session {
                 plan.data.display()
             );
         }
-        let sized = fit(plan, &data)?;
+        let (sized, mut backend) = prepare(plan, &data)?;
         let cameras: Vec<Camera> = data
             .views
             .iter()
@@ -123,7 +142,6 @@ impl Session {
             Some(_) => Neighbours::find(&cameras, &data.points),
             None => Neighbours::none(),
         };
-        let mut backend = CpuBackend::new(sized.budget.capacity, plan.threads);
         if checkpoint.is_none() {
             let form = if plan.surface.is_some() { Form::Flat } else { Form::Round };
             backend.load(&splats_from_points(&data.points, extent, settings.splats_max, SH_DEGREE, form));
@@ -143,7 +161,7 @@ impl Session {
         })
     }
 
-    /// One step of training.
+    /// One step of training. Fails with [`DeviceLost`] where what is trained is lost: only a checkpoint helps then.
     pub fn step(&mut self) -> Result<StepOutcome> {
         let index = self.trainer.view_index(0);
         let neighbour = self.trainer.neighbour_index(index, 0);
@@ -159,6 +177,9 @@ impl Session {
             neighbour: neighbour.as_ref().map(|(other, picture)| (*other, TargetRgb::Bytes(&picture.rgb))),
         };
         let outcome = self.trainer.step(&example);
+        if let Some(reason) = self.trainer.backend().lost() {
+            return Err(DeviceLost(reason).into());
+        }
         self.dropped_pairs += outcome.counts.dropped as u64;
         Ok(outcome)
     }
@@ -178,7 +199,7 @@ impl Session {
     }
 
     /// The trainer.
-    pub fn trainer(&self) -> &Trainer<CpuBackend> {
+    pub fn trainer(&self) -> &Trainer<AnyBackend> {
         &self.trainer
     }
 
@@ -239,20 +260,36 @@ fn extent(data: &Dataset) -> f64 {
     distances[distances.len() / 2].max(1e-6)
 }
 
+/// Sizes, and every buffer of the training. A graphics card that nobody asked for is passed over where it would make
+/// anything smaller than it was wished.
+fn prepare(plan: &TrainPlan, data: &Dataset) -> Result<(Sized, AnyBackend)> {
+    let on = |device: &Device| -> Result<(Sized, AnyBackend)> {
+        let sized = fit(plan, device, data)?;
+        let backend = AnyBackend::new(device, sized.budget.capacity, plan.threads)?;
+        Ok((sized, backend))
+    };
+    let device = plan.device.open()?;
+    if plan.device == DeviceChoice::Auto && device.is_gpu() {
+        let ready = on(&device).ok().filter(|(sized, _)| sized.budget.given_up.is_empty());
+        return ready.map_or_else(|| on(&Device::Cpu), Ok);
+    }
+    on(&device)
+}
+
 struct Sized {
     budget: Budget,
     sources: Vec<Source>,
 }
 
 /// The largest pictures with which the training fits into the memory.
-fn fit(plan: &TrainPlan, data: &Dataset) -> Result<Sized> {
+fn fit(plan: &TrainPlan, device: &Device, data: &Dataset) -> Result<Sized> {
     let widest = data.views.iter().flat_map(|view| view.camera.size_px).max().unwrap_or(1);
     let wanted = plan.max_size_px.min(widest);
     let mut short: Option<TooLittleMemory> = None;
     for share in SIZE_STEPS {
         let long_side_px = ((f64::from(wanted) * share) as u32).max(1);
         let sources: Vec<Source> = data.views.iter().map(|view| Source::of(view, long_side_px)).collect();
-        match Budget::plan(&wish(plan, data, &sources)?) {
+        match Budget::plan(&wish(plan, device, data, &sources)?) {
             Ok(mut budget) => {
                 if long_side_px < wanted {
                     budget.given_up.insert(
@@ -273,7 +310,7 @@ fn fit(plan: &TrainPlan, data: &Dataset) -> Result<Sized> {
     )
 }
 
-fn wish(plan: &TrainPlan, data: &Dataset, sources: &[Source]) -> Result<Wish> {
+fn wish(plan: &TrainPlan, device: &Device, data: &Dataset, sources: &[Source]) -> Result<Wish> {
     let pixels: u64 =
         sources.iter().map(|source| u64::from(source.size_px[0]) * u64::from(source.size_px[1])).sum();
     let size_px = [0, 1].map(|axis| sources.iter().map(|source| source.size_px[axis]).max().unwrap_or(1));
@@ -285,6 +322,7 @@ fn wish(plan: &TrainPlan, data: &Dataset, sources: &[Source]) -> Result<Wish> {
         memory_bytes: plan.memory_bytes,
         size_px,
         sh_degree: SH_DEGREE,
+        on_gpu: device.is_gpu(),
         channels: if plan.surface.is_some() { Channels::Geometry } else { Channels::Color },
         splats: (pixels / PIXELS_PER_SPLAT).max(points) as usize,
         cache_bytes_most: PictureCache::most_bytes(sources),

@@ -117,6 +117,43 @@ fn killed_and_started_again_it_ends_in_the_same_bytes() {
     assert!(model(&whole) == model(&broken));
 }
 
+/// Whether there is a graphics card, a software driver being enough; says so where there is none.
+fn has_gpu() -> bool {
+    let devices = agent(&["devices", "--json"]).output().unwrap();
+    let found = String::from_utf8_lossy(&devices.stdout).contains("gpu:0");
+    assert!(found || std::env::var_os("REQUIRE_GPU").is_none(), "REQUIRE_GPU is set, but there is no GPU");
+    if !found {
+        eprintln!("SKIPPED, nothing was tested: no GPU");
+    }
+    found
+}
+
+#[test]
+fn a_graphics_card_trains_the_same_model_and_goes_on_with_the_processors() {
+    if !has_gpu() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let out = |name: &str| folder.path().join(name);
+    let on = |device: &'static str, name: &str| {
+        let words = ["--steps", "120", "--device", device, "--memory", "600MiB"];
+        succeed(train(town(), &out(name), &words));
+        let report: serde_json::Value =
+            serde_json::from_slice(&fs::read(out(name).join("report.json")).unwrap()).unwrap();
+        assert!(report["peak_memory_bytes"].as_u64().unwrap() < 600 << 20, "{report}");
+        report["psnr"].as_f64().unwrap()
+    };
+    let (cpu, gpu) = (on("cpu", "cpu"), on("gpu", "gpu"));
+    assert!((cpu - gpu).abs() < 0.1, "{cpu} dB on the CPU, {gpu} dB on the GPU");
+    on("gpu", "again");
+    assert!(model(&out("gpu")) == model(&out("again")), "two runs on the GPU");
+    // All steps are done: what is written again is what the checkpoint of the other device says.
+    fs::remove_file(out("gpu").join("model.ply")).unwrap();
+    on("cpu", "gpu");
+    assert!(model(&out("gpu")) == model(&out("again")), "the CPU reads the GPU's checkpoint");
+    refuse(train(town(), &out("none"), &["--device", "gpu:99"]), &["there is no GPU 99"]);
+}
+
 #[test]
 fn a_checkpoint_of_another_training_or_a_damaged_one_is_refused() {
     let folder = tempfile::tempdir().unwrap();

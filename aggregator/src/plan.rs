@@ -199,6 +199,7 @@ impl Plan {
             seed: settings.seed.wrapping_add(agent as u64),
             memory_bytes: settings.memory_bytes,
             max_size_px: settings.max_size_px,
+            compute: None,
             threads: Some(threads),
             color_only: false,
             prune: None,

@@ -17,7 +17,7 @@ use cosurf_engine::DeviceChoice;
 use cosurf_scene::bytes::parse_bytes;
 
 /// Trains a Gaussian-surface model from drone pictures with poses, within a memory budget, on this
-/// computer's processor.
+/// computer's processor or graphics card.
 #[derive(Debug, Parser)]
 #[command(version, propagate_version = true)]
 pub(crate) struct Cli {
@@ -50,7 +50,7 @@ struct Common {
     json: bool,
 }
 
-/// What renders.
+/// What trains and renders.
 #[derive(Args, Clone, Debug)]
 struct DeviceArgs {
     /// What computes: auto (a real graphics card if there is one), cpu, gpu, or gpu:N as `devices` counts them

@@ -114,6 +114,9 @@ fn in_words(event: &AgentEvent) -> Option<String> {
         AgentEvent::Progress { step, steps, psnr, splats, steps_per_s, seconds_left } => format!(
             "step {step}/{steps}: {psnr:.2} dB, {splats} splats, {steps_per_s:.1} steps/s, {seconds_left:.0} s left"
         ),
+        AgentEvent::DeviceLost { reason } => {
+            format!("{reason}; the processor goes on from the last checkpoint")
+        }
         AgentEvent::Trained { .. } => return None,
         AgentEvent::Retrying { what, attempt } => format!("{what} does not answer (attempt {attempt})"),
         AgentEvent::Publishing { bytes_sent, bytes_total } => {

@@ -5,11 +5,11 @@ use std::num::NonZeroU32;
 use std::path::PathBuf;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, anyhow, bail};
 use clap::Args;
 use cosurf_agent::publish::{Publication, publish};
 use cosurf_agent::session::{Split, TrainPlan};
-use cosurf_engine::{PruneSettings, Renderer, SurfaceSettings};
+use cosurf_engine::{DeviceChoice, PruneSettings, Renderer, SurfaceSettings};
 use cosurf_link::serial::{DEFAULT_BAUD, DEVICE_MESSAGE_BYTES};
 use cosurf_link::{
     BrokerAddress, Credentials, Identity, MqttConfig, MqttTransport, Role, SerialConfig, SerialTransport,
@@ -124,6 +124,10 @@ fn plan(config: &AgentConfig) -> Result<TrainPlan> {
         Some(ratio) => (ratio > 0.0).then(|| PruneSettings { ratio, ..PruneSettings::default() }),
         None => Some(PruneSettings::default()),
     };
+    let device = match &config.compute {
+        Some(word) => word.parse().map_err(|reason| anyhow!("compute = {word:?}: {reason}"))?,
+        None => DeviceChoice::Auto,
+    };
     Ok(TrainPlan {
         data: config.data.clone(),
         split,
@@ -131,6 +135,7 @@ fn plan(config: &AgentConfig) -> Result<TrainPlan> {
         seed: config.seed,
         memory_bytes: config.memory_bytes.unwrap_or_else(default_memory),
         max_size_px: config.max_size_px.unwrap_or(u32::MAX),
+        device,
         threads: config.threads.unwrap_or_else(cores).clamp(1, 1024),
         surface: (!config.color_only).then(SurfaceSettings::default),
         prune,

@@ -6,14 +6,14 @@ use std::time::Instant;
 use anyhow::{Context, Result};
 use clap::{Args, ValueEnum};
 use cosurf_agent::checkpoint::{self, Checkpoint};
-use cosurf_agent::session::{Session, Split, TrainPlan};
+use cosurf_agent::session::{DeviceLost, Session, Split, TrainPlan};
 use cosurf_agent::{evaluate, memory, outputs};
-use cosurf_engine::{Backend, PruneScore, PruneSettings, Renderer, SurfaceSettings};
+use cosurf_engine::{Backend, DeviceChoice, PruneScore, PruneSettings, Renderer, SurfaceSettings};
 use cosurf_scene::Splats;
 use cosurf_scene::report::{AgentEvent, TrainReport};
 
 use super::progress::Progress;
-use super::{Common, default_memory, parse_memory, parse_share};
+use super::{Common, DeviceArgs, default_memory, parse_memory, parse_share};
 
 /// Train a model from a dataset: COLMAP (`sparse/0` with `images`) or `transforms.json`.
 ///
@@ -57,6 +57,8 @@ pub(super) struct TrainArgs {
     #[arg(long)]
     fresh: bool,
     #[command(flatten)]
+    device: DeviceArgs,
+    #[command(flatten)]
     common: Common,
 }
 
@@ -88,6 +90,7 @@ pub(super) fn run(args: &TrainArgs) -> Result<()> {
         seed: args.seed,
         memory_bytes: args.memory.unwrap_or_else(default_memory),
         max_size_px: args.common.max_size_px(),
+        device: args.device.device,
         threads: args.common.threads(),
         surface: (!args.color_only).then(SurfaceSettings::default),
         prune: args.prune(),
@@ -102,7 +105,8 @@ pub(super) fn run(args: &TrainArgs) -> Result<()> {
     Ok(())
 }
 
-/// Trains, with checkpoints, and writes all results into `out`.
+/// Trains, with checkpoints, and writes all results into `out`. Where a graphics card that nobody asked for is lost,
+/// the processor goes on.
 pub(super) fn train(
     plan: &TrainPlan,
     out: &Path,
@@ -110,6 +114,17 @@ pub(super) fn train(
     progress: &mut Progress,
 ) -> Result<TrainReport> {
     std::fs::create_dir_all(out).with_context(|| out.display().to_string())?;
+    match train_on(plan, out, fresh, progress) {
+        Err(error) if plan.device == DeviceChoice::Auto && error.is::<DeviceLost>() => {
+            progress.show(&AgentEvent::DeviceLost { reason: format!("{error:#}") });
+            let plan = TrainPlan { device: DeviceChoice::Cpu, ..plan.clone() };
+            train_on(&plan, out, false, progress)
+        }
+        report => report,
+    }
+}
+
+fn train_on(plan: &TrainPlan, out: &Path, fresh: bool, progress: &mut Progress) -> Result<TrainReport> {
     let found = if fresh { None } else { Checkpoint::find(out)? };
     let seconds_before = found.as_ref().map_or(0.0, Checkpoint::seconds);
     let mut session = Session::start(plan, found)?;

@@ -276,6 +276,11 @@ pub trait Backend {
     /// What computes, for people: `cpu avx512 × 2`.
     fn device(&self) -> String;
 
+    /// Why nothing that this backend says is to be believed any more: its device was lost.
+    fn lost(&self) -> Option<String> {
+        None
+    }
+
     /// Splats now.
     fn len(&self) -> usize;
 

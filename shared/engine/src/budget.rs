@@ -2,6 +2,8 @@
 
 use crate::backend::Channels;
 use crate::cpu::CpuCapacity;
+#[cfg(feature = "gpu")]
+use crate::gpu::GpuCapacity;
 
 /// What a process takes before it does anything: code, stacks, allocator, tables.
 pub const PROCESS_BYTES: u64 = 28 << 20;
@@ -30,6 +32,8 @@ pub struct Wish {
     pub size_px: [u32; 2],
     /// SH degree, 0..=3.
     pub sh_degree: u32,
+    /// Whether a graphics card trains: its bytes count like those of the process, and so does its driver.
+    pub on_gpu: bool,
     /// What will be blended in training.
     pub channels: Channels,
     /// Splats that the training would make if memory did not matter.
@@ -63,17 +67,41 @@ pub struct TooLittleMemory {
     pub least_bytes: u64,
 }
 
-fn splat_bytes(sh_degree: u32) -> u64 {
-    let pairs = PAIRS_PER_SPLAT * CpuCapacity::pair_bytes(true);
-    (CpuCapacity::splat_bytes(sh_degree, true) + pairs + scratch_bytes(sh_degree)) as u64
+/// Bytes of a backend.
+struct Costs {
+    /// Of the process without pictures and splats.
+    fixed: u64,
+    pictures: usize,
+    splat: usize,
+    pair: usize,
+}
+
+impl Costs {
+    fn of(wish: &Wish) -> Self {
+        #[cfg(feature = "gpu")]
+        if wish.on_gpu {
+            return Self {
+                fixed: PROCESS_BYTES + crate::gpu::DRIVER_BYTES,
+                pictures: GpuCapacity::picture_bytes(wish.size_px, wish.channels),
+                splat: GpuCapacity::splat_bytes(wish.sh_degree),
+                pair: GpuCapacity::PAIR_BYTES,
+            };
+        }
+        Self {
+            fixed: PROCESS_BYTES,
+            pictures: CpuCapacity::picture_bytes(wish.size_px, wish.channels, true),
+            splat: CpuCapacity::splat_bytes(wish.sh_degree, true),
+            pair: CpuCapacity::pair_bytes(true),
+        }
+    }
 }
 
 impl Budget {
     /// Divides the bytes: first what cannot be less, then splats up to the wish, then the cache.
     pub fn plan(wish: &Wish) -> Result<Self, TooLittleMemory> {
-        let picture_bytes = CpuCapacity::picture_bytes(wish.size_px, wish.channels, true) as u64;
-        let fixed = PROCESS_BYTES + picture_bytes + wish.cache_bytes_least + wish.loading_bytes;
-        let per_splat = splat_bytes(wish.sh_degree);
+        let costs = Costs::of(wish);
+        let fixed = costs.fixed + costs.pictures as u64 + wish.cache_bytes_least + wish.loading_bytes;
+        let per_splat = (costs.splat + PAIRS_PER_SPLAT * costs.pair + scratch_bytes(wish.sh_degree)) as u64;
         let least_bytes = fixed + SPLATS_MIN.min(wish.splats) as u64 * per_splat;
         if wish.memory_bytes < least_bytes {
             return Err(TooLittleMemory { memory_bytes: wish.memory_bytes, least_bytes });

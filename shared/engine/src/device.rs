@@ -61,32 +61,44 @@ impl fmt::Display for DeviceChoice {
 
 /// What a choice came to.
 #[derive(Clone, Debug)]
-pub(crate) enum Opened {
+#[non_exhaustive]
+pub enum Device {
+    /// The processor.
     Cpu,
+    /// A graphics card that was opened.
     #[cfg(feature = "gpu")]
     Gpu(Gpu),
 }
 
+impl Device {
+    /// Whether it is a graphics card.
+    pub fn is_gpu(&self) -> bool {
+        !matches!(self, Self::Cpu)
+    }
+}
+
 impl DeviceChoice {
+    /// Opens what was chosen. Fails where a GPU was asked for by name and there is none, or its driver refuses.
     #[cfg(feature = "gpu")]
-    pub(crate) fn open(self) -> Result<Opened, DeviceError> {
+    pub fn open(self) -> Result<Device, DeviceError> {
         let choice = match self {
-            Self::Cpu => return Ok(Opened::Cpu),
+            Self::Cpu => return Ok(Device::Cpu),
             Self::Auto => GpuChoice::Real,
             Self::Gpu(None) => GpuChoice::Any,
             Self::Gpu(Some(index)) => GpuChoice::Index(index),
         };
         match Gpu::open(choice) {
-            Ok(gpu) => Ok(Opened::Gpu(gpu)),
-            Err(_) if self == Self::Auto => Ok(Opened::Cpu),
+            Ok(gpu) => Ok(Device::Gpu(gpu)),
+            Err(_) if self == Self::Auto => Ok(Device::Cpu),
             Err(error) => Err(error.into()),
         }
     }
 
+    /// Opens what was chosen. Fails where a GPU was asked for by name.
     #[cfg(not(feature = "gpu"))]
-    pub(crate) fn open(self) -> Result<Opened, DeviceError> {
+    pub fn open(self) -> Result<Device, DeviceError> {
         match self {
-            Self::Auto | Self::Cpu => Ok(Opened::Cpu),
+            Self::Auto | Self::Cpu => Ok(Device::Cpu),
             Self::Gpu(_) => Err(DeviceError::NotBuilt),
         }
     }

@@ -5,6 +5,7 @@
 //! Where to start reading: [`backend`] for the passes, then [`train`], where a step reads as their list;
 //! [`cpu`] for how they are fast, and `gpu` for the same on graphics cards.
 
+mod any;
 pub mod backend;
 pub mod budget;
 pub mod cpu;
@@ -24,10 +25,11 @@ pub mod render;
 pub mod schedule;
 pub mod train;
 
+pub use any::AnyBackend;
 pub use backend::{Backend, Rendering};
 pub use budget::Budget;
 pub use cpu::{CpuBackend, CpuCapacity};
-pub use device::{DeviceChoice, DeviceError};
+pub use device::{Device, DeviceChoice, DeviceError};
 pub use distill::{DistillSettings, Distiller, Lesson};
 pub use neighbours::Neighbours;
 pub use prune::PruneScore;

@@ -4,9 +4,9 @@ use cosurf_scene::{Camera, Splats};
 
 use crate::backend::{Backend, Channels, Rendering};
 use crate::cpu::{CpuBackend, CpuCapacity};
-use crate::device::{DeviceChoice, DeviceError, Opened};
+use crate::device::{Device, DeviceChoice, DeviceError};
 #[cfg(feature = "gpu")]
-use crate::gpu::GpuRenderer;
+use crate::gpu::{GpuError, GpuRenderer};
 
 /// Splat–tile pairs that rendering makes room for, per splat; a view that needs more makes the renderer grow.
 pub(crate) const PAIRS_PER_SPLAT: usize = 4;
@@ -38,9 +38,9 @@ impl Renderer {
     /// Takes a copy of the splats, to render them on what was chosen; `threads` (at least 1) are the processor's.
     pub fn on(choice: DeviceChoice, threads: usize, splats: &Splats) -> Result<Self, DeviceError> {
         match choice.open()? {
-            Opened::Cpu => Ok(Self::new(splats, threads)),
+            Device::Cpu => Ok(Self::new(splats, threads)),
             #[cfg(feature = "gpu")]
-            Opened::Gpu(gpu) => {
+            Device::Gpu(gpu) => {
                 Ok(Self { painter: Painter::Gpu(Box::new(GpuRenderer::new(&gpu, splats)?), threads) })
             }
         }
@@ -56,13 +56,15 @@ impl Renderer {
     }
 
     /// Colour, alpha, depth and normal as the camera sees them. A picture for which a GPU has no room is rendered
-    /// on the processor, and so are those after it.
+    /// on the processor, and so are those after it. Panics when the GPU is lost: the splats are gone with it.
     pub fn render(&mut self, camera: &Camera) -> Rendering {
         #[cfg(feature = "gpu")]
-        if let Painter::Gpu(painter, _) = &mut self.painter
-            && let Ok(rendering) = painter.render(camera)
-        {
-            return rendering;
+        if let Painter::Gpu(painter, _) = &mut self.painter {
+            match painter.render(camera) {
+                Ok(rendering) => return rendering,
+                Err(lost @ GpuError::Lost(_)) => panic!("{lost}"),
+                Err(_) => {}
+            }
         }
         self.on_cpu().render(camera)
     }

@@ -56,6 +56,9 @@ pub struct AgentConfig {
     /// Pictures are shrunk until their long side is at most this many pixels; absent for full size.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub max_size_px: Option<u32>,
+    /// What computes: `auto` (a real graphics card if there is one), `cpu`, `gpu`, `gpu:N`; absent for `auto`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub compute: Option<String>,
     /// Threads to compute with, at least 1; absent for one per core.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub threads: Option<usize>,

@@ -35,6 +35,11 @@ pub enum AgentEvent {
         /// Estimate of the time left, seconds.
         seconds_left: f32,
     },
+    /// The graphics card was lost; the processor goes on from the last checkpoint.
+    DeviceLost {
+        /// What was lost, and why.
+        reason: String,
+    },
     /// Training ended, the model is on disk.
     Trained {
         /// The figures.

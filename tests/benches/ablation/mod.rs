@@ -15,7 +15,7 @@ use cosurf_aggregator::accuracy;
 use cosurf_aggregator::eval::{EvalOrder, EvalReport, judge};
 use cosurf_aggregator::mesh::{FuseSettings, mesh_model};
 use cosurf_aggregator::surface::Spread;
-use cosurf_engine::{PruneSettings, SurfaceSettings};
+use cosurf_engine::{DeviceChoice, PruneSettings, SurfaceSettings};
 use cosurf_scene::city::{City, CitySettings};
 use cosurf_scene::{Camera, Mesh, Splats, ply};
 
@@ -113,6 +113,7 @@ fn train(arguments: &Arguments, data: &Path, variant: &Variant) -> Result<Traine
         seed: 0,
         memory_bytes: 8 << 30,
         max_size_px: arguments.max_size,
+        device: DeviceChoice::Cpu,
         threads: threads(),
         surface: variant.surface,
         prune: variant.prune,

@@ -1,7 +1,7 @@
 //! The GPU as a [`Backend`]: a training runs on it as it does on the CPU.
 //!
-//! Colours, their loss, both backward passes, Adam and scores are passes of the GPU. The losses of the surface are
-//! still those of the CPU: the picture comes over and its gradient goes back, which costs a copy each way.
+//! Every step stays on the GPU: the photograph goes over, what comes back are counts and sums. Refinement and
+//! checkpoints, every hundred steps or so, read and write rows of splats.
 
 use cosurf_scene::splats::sh_coefficients;
 use cosurf_scene::{Camera, Splats};
@@ -12,16 +12,17 @@ use super::draw::Drawing;
 use super::layout::Rates;
 use super::model::{Model, SHAPE_ROWS, sh_rows};
 use super::pass::Recorder;
-use super::train::{SCORE_ROWS, STAT_ROWS, Training};
+use super::surface::Surface;
+use super::train::{GRADIENT_ROWS, PARTIALS, SCORE_ROWS, STAT_ROWS, Training};
 use crate::backend::{
-    AdamRates, Backend, BinCounts, Channels, Edit, LossWeights, Losses, Rendering, Scores, Shapes,
-    SurfaceLoss, Targets, TeacherLoss,
+    AdamRates, Backend, BinCounts, Channels, Edit, LossWeights, Losses, Rendering, Scores, Shapes, Targets,
 };
-use crate::cpu::image::{TileImage, padded_pixels};
+use crate::cpu::CpuCapacity;
+use crate::cpu::image::padded_pixels;
 use crate::cpu::project::view_direction;
+use crate::cpu::rasterize::PLANES_GEOMETRY;
 use crate::cpu::sh;
-use crate::cpu::simd::{GROUP, Isa, Lanes, Plain};
-use crate::cpu::surface::Surface;
+use crate::cpu::simd::{GROUP, Lanes, Plain};
 
 /// Everything that has a size, decided before anything is allocated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -34,6 +35,42 @@ pub struct GpuCapacity {
     pub size_px: [u32; 2],
     /// Stored SH degree, 0..=3.
     pub sh_degree: u32,
+    /// Channels that will be asked for in training.
+    pub channels: Channels,
+}
+
+/// What an open graphics card takes of the process: driver, compiled passes, staging. Mesa's software driver takes
+/// 240 MiB.
+pub const DRIVER_BYTES: u64 = 256 << 20;
+
+impl GpuCapacity {
+    /// Bytes of a splat–tile pair: keys and values twice, its splat, its record, its share of the sort's counts.
+    pub const PAIR_BYTES: usize = 16 + 4 + 64 + 1;
+
+    /// Bytes of a splat in all buffers whose length is the number of splats.
+    pub const fn splat_bytes(sh_degree: u32) -> usize {
+        let parameters = SHAPE_ROWS + sh_rows(sh_degree);
+        // Projected 64, depth, place and slots 16, keys and values to sort twice 16.
+        4 * (3 * parameters + GRADIENT_ROWS + STAT_ROWS + SCORE_ROWS) + 64 + 16 + 16
+    }
+
+    /// Bytes of the pictures: rendered, its gradient, the photograph, SSIM's derivatives; with geometry what the losses
+    /// of the surface keep.
+    pub fn picture_bytes(size_px: [u32; 2], channels: Channels) -> usize {
+        let surface = match channels {
+            Channels::Color => 0,
+            Channels::Geometry => Surface::PIXEL_BYTES,
+        };
+        padded_pixels(size_px) * (4 * (2 * PLANES_GEOMETRY + 3 + PARTIALS) + 1 + surface)
+    }
+}
+
+impl From<CpuCapacity> for GpuCapacity {
+    /// Room for the same.
+    fn from(capacity: CpuCapacity) -> Self {
+        let CpuCapacity { splats, pairs, size_px, sh_degree, channels, training: _ } = capacity;
+        Self { splats, pairs, size_px, sh_degree, channels }
+    }
 }
 
 /// Splats on the GPU, to be trained.
@@ -43,7 +80,8 @@ pub struct GpuBackend {
     pub(super) model: Model,
     pub(super) drawing: Drawing,
     pub(super) training: Training,
-    surface: Surface,
+    /// There with [`Channels::Geometry`].
+    surface: Option<Surface>,
     visible: usize,
     /// Weight of the scale loss in the backward pass that comes.
     scale_weight: f32,
@@ -52,14 +90,17 @@ pub struct GpuBackend {
 impl GpuBackend {
     /// Allocates every buffer.
     pub fn new(gpu: &Gpu, capacity: GpuCapacity) -> Result<Self, GpuError> {
-        let GpuCapacity { splats, pairs, size_px, sh_degree } = capacity;
+        let GpuCapacity { splats, pairs, size_px, sh_degree, channels } = capacity;
         assert!(sh_degree <= 3, "SH degree {sh_degree}");
-        let (model, drawing, training) = gpu.allocating(|| {
+        let (model, drawing, training, surface) = gpu.allocating(|| {
             let model = Model::new(gpu, splats, sh_degree)?;
             let training = Training::new(gpu, &model, pairs, size_px)?;
-            Ok((model, Drawing::new(gpu, splats, pairs, size_px)?, training))
+            let surface = match channels {
+                Channels::Color => None,
+                Channels::Geometry => Some(Surface::new(gpu, size_px)?),
+            };
+            Ok((model, Drawing::new(gpu, splats, pairs, size_px)?, training, surface))
         })?;
-        let surface = Surface::with_capacity(size_px);
         let backend =
             Self { gpu: gpu.clone(), model, drawing, training, surface, visible: 0, scale_weight: 0.0 };
         backend.training.reset(gpu);
@@ -80,47 +121,15 @@ impl GpuBackend {
     fn rows<const N: usize>(&self, buffer: &Buffer<f32>) -> [Vec<f32>; N] {
         std::array::from_fn(|row| self.row(buffer, row))
     }
-
-    /// What a checkpoint keeps, with the number of rows of each.
-    fn kept(&self) -> [(&Buffer<f32>, usize); 7] {
-        let sh_rows = sh_rows(self.model.sh_degree);
-        let [shape_first, shape_second, sh_first, sh_second] = &self.training.moments;
-        [
-            (&self.model.shape, SHAPE_ROWS),
-            (&self.model.sh, sh_rows),
-            (shape_first, SHAPE_ROWS),
-            (shape_second, SHAPE_ROWS),
-            (sh_first, sh_rows),
-            (sh_second, sh_rows),
-            (&self.training.stats, STAT_ROWS),
-        ]
-    }
-
-    /// The losses of the surface, on the CPU; their gradients are added to those of the picture.
-    fn surface_losses(&mut self, targets: &Targets, weights: &LossWeights) -> (SurfaceLoss, TeacherLoss) {
-        let Some(surface_weights) = &weights.surface else { return Default::default() };
-        let view = *self.drawing.seen_view();
-        let image = self.drawing.image(&self.gpu);
-        let len = padded_pixels(view.size_px) * self.drawing.planes;
-        let values = self.training.gradient.read(&self.gpu, 0..len);
-        let mut gradient = TileImage::from_values(view.size_px, self.drawing.planes, &values);
-        let isa = Isa::best();
-        let surface = self.surface.losses(isa, &image, &view, targets, surface_weights, &mut gradient);
-        let teacher = match (&weights.teacher, &targets.surface) {
-            (Some(weights), Some(target)) => {
-                self.surface.teach(isa, &image, &view, target, weights, &mut gradient)
-            }
-            _ => TeacherLoss::default(),
-        };
-        let values: Vec<f32> = gradient.rows_mut().iter().flat_map(|row| row.0).collect();
-        self.training.gradient.write(&self.gpu, 0, &values);
-        (surface, teacher)
-    }
 }
 
 impl Backend for GpuBackend {
     fn device(&self) -> String {
         self.gpu.to_string()
+    }
+
+    fn lost(&self) -> Option<String> {
+        self.gpu.lost()
     }
 
     fn len(&self) -> usize {
@@ -156,15 +165,18 @@ impl Backend for GpuBackend {
     }
 
     fn keep_neighbour(&mut self) {
-        let image = self.drawing.image(&self.gpu);
-        self.surface.keep_neighbour(Isa::best(), &image, self.drawing.seen_view());
+        let surface = self.surface.as_mut().expect("room for the surface");
+        surface.keep_neighbour(&self.gpu, &self.drawing);
     }
 
     fn losses(&mut self, targets: &Targets, weights: &LossWeights) -> Losses {
         self.scale_weight = weights.scale;
         let Targets { rgb, exposure, .. } = *targets;
         let color = self.training.photometric(&self.gpu, &self.drawing, rgb, exposure, weights.ssim);
-        let (surface, teacher) = self.surface_losses(targets, weights);
+        let (surface, teacher) = match &self.surface {
+            Some(surface) => surface.losses(&self.gpu, &self.drawing, &self.training, targets, weights),
+            None => Default::default(),
+        };
         Losses { color, surface, teacher }
     }
 
@@ -248,22 +260,11 @@ impl Backend for GpuBackend {
         self.lower_opacities(opacity);
     }
 
-    fn export<E>(&self, mut visit: impl FnMut(&[f32]) -> Result<(), E>) -> Result<(), E> {
-        let mut rows =
-            self.kept().into_iter().flat_map(|(buffer, rows)| (0..rows).map(move |row| (buffer, row)));
-        rows.try_for_each(|(buffer, row)| visit(&self.row(buffer, row)))
+    fn export<E>(&self, visit: impl FnMut(&[f32]) -> Result<(), E>) -> Result<(), E> {
+        self.visit_kept(visit)
     }
 
-    fn import<E>(&mut self, len: usize, mut fill: impl FnMut(&mut [f32]) -> Result<(), E>) -> Result<(), E> {
-        assert!(len <= self.model.stride, "{len} splats of {}", self.model.stride);
-        self.model.len = len;
-        let mut values = vec![0.0; len];
-        for (buffer, rows) in self.kept() {
-            for row in 0..rows {
-                fill(&mut values)?;
-                buffer.write(&self.gpu, row * self.model.stride, &values);
-            }
-        }
-        Ok(())
+    fn import<E>(&mut self, len: usize, fill: impl FnMut(&mut [f32]) -> Result<(), E>) -> Result<(), E> {
+        self.fill_kept(len, fill)
     }
 }

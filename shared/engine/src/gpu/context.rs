@@ -1,11 +1,11 @@
 //! Which graphics cards there are, and the one that was opened.
 
 use std::fmt;
+use std::sync::{Arc, OnceLock};
 
 use wgpu::{Adapter, DeviceType, Limits};
 
-/// What can go wrong before a GPU computes. Once it does, nothing that we ask of it can be invalid; should it be
-/// lost then, the program ends with the reason.
+/// What can go wrong before a GPU computes. Once it does, nothing that we ask of it can be invalid, but it can be lost.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum GpuError {
@@ -42,6 +42,9 @@ pub enum GpuError {
         /// Of the adapter.
         name: String,
     },
+    /// The driver gave up on it while it computed.
+    #[error("{0}; start again, with --device cpu if this happens twice")]
+    Lost(String),
     /// The adapter's memory is full.
     #[error("{name} has too little memory; use fewer splats or smaller pictures")]
     OutOfMemory {
@@ -120,6 +123,8 @@ pub struct Gpu {
     pub(super) device: wgpu::Device,
     pub(super) queue: wgpu::Queue,
     adapter: AdapterSummary,
+    /// Why the device was lost, once it is.
+    lost: Arc<OnceLock<String>>,
 }
 
 impl Gpu {
@@ -150,7 +155,32 @@ impl Gpu {
         let (device, queue) = pollster::block_on(adapter.request_device(&descriptor)).map_err(|error| {
             GpuError::Refused { name: adapter_summary.name.clone(), reason: error.to_string() }
         })?;
-        Ok(Self { device, queue, adapter: adapter_summary })
+        let gpu = Self { device, queue, adapter: adapter_summary, lost: Arc::new(OnceLock::new()) };
+        let (of_loss, of_error) = (gpu.loser(), gpu.loser());
+        gpu.device
+            .set_device_lost_callback(move |reason, message| of_loss(&format!("{reason:?}: {message}")));
+        // Nothing that we ask for is invalid: an error that nobody waits for means that the driver gave up.
+        gpu.device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| of_error(&error.to_string())));
+        Ok(gpu)
+    }
+
+    /// Notes that the device is lost, and the first reason for it, in one line.
+    fn loser(&self) -> impl Fn(&str) + Send + Sync + use<> {
+        let (lost, name) = (self.lost.clone(), self.adapter.name.clone());
+        move |reason| {
+            let reason: Vec<&str> = reason.split_whitespace().collect();
+            let _ = lost.set(format!("{name} was lost ({})", reason.join(" ")));
+        }
+    }
+
+    /// Why the device was lost, if it is.
+    pub(super) fn lost(&self) -> Option<String> {
+        self.lost.get().cloned()
+    }
+
+    /// Says that the device was lost, if it does not say so itself.
+    pub(super) fn lose(&self, reason: &str) {
+        self.loser()(reason);
     }
 
     /// What was opened.

@@ -149,6 +149,16 @@ impl Drawing {
         Ok(())
     }
 
+    /// Tiles of the picture.
+    pub(super) fn tiles(&self) -> usize {
+        self.seen_view().tiles().iter().product()
+    }
+
+    /// Pixels of those tiles.
+    pub(super) fn pixels(&self) -> usize {
+        padded_pixels(self.seen_view().size_px)
+    }
+
     pub(super) fn seen_view(&self) -> &ViewParams {
         self.params.as_ref().expect("`project` comes first")
     }
@@ -191,7 +201,7 @@ impl Drawing {
     }
 
     pub(super) fn bin(&mut self, gpu: &Gpu, model: &Model) -> BinCounts {
-        let tiles: usize = self.seen_view().tiles().iter().product();
+        let tiles = self.tiles();
         // One more than there are tiles: pairs that belong to none.
         self.pairs.by_tile.set_largest(tiles as u32);
         let mut r = Recorder::new(gpu);
@@ -265,20 +275,16 @@ impl Drawing {
                 &blended.raw,
                 &image.raw,
             ],
-            params.tiles().iter().product(),
+            self.tiles(),
         );
         r.submit();
     }
 
-    /// The picture last blended, in tiles.
-    pub(super) fn image(&self, gpu: &Gpu) -> TileImage {
-        let size_px = self.seen_view().size_px;
-        let values = self.picture.image.read(gpu, 0..padded_pixels(size_px) * self.planes);
-        TileImage::from_values(size_px, self.planes, &values)
-    }
-
+    /// The picture last blended.
     pub(super) fn rendering(&self, gpu: &Gpu) -> Rendering {
-        read::rendering(&self.image(gpu), self.seen_view())
+        let values = self.picture.image.read(gpu, 0..self.pixels() * self.planes);
+        let view = self.seen_view();
+        read::rendering(&TileImage::from_values(view.size_px, self.planes, &values), view)
     }
 }
 

@@ -71,9 +71,9 @@ impl GpuBackend {
         parent: impl Fn(usize, &Birth) -> Option<usize>,
         own: impl Fn(usize, &Birth) -> f32,
     ) {
-        let stride = self.model.stride;
-        let old = buffer.read(&self.gpu, 0..buffer.len());
-        for (row, old) in old.chunks_exact(stride).enumerate() {
+        let (stride, len) = (self.model.stride, self.model.len);
+        for row in 0..buffer.len() / stride {
+            let old = buffer.read(&self.gpu, row * stride..row * stride + len);
             let value = |source: &Source| match source {
                 Source::Old(place) => old[*place],
                 Source::Born(birth) => parent(row, birth).map_or_else(|| own(row, birth), |place| old[place]),

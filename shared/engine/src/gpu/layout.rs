@@ -3,6 +3,7 @@
 use bytemuck::{Pod, Zeroable};
 
 use crate::backend::AdamRates;
+use crate::cpu::surface::multiview::Pose;
 use crate::cpu::view::ViewParams;
 
 /// `View` of the shaders, where every field is explained.
@@ -120,6 +121,49 @@ impl From<&AdamRates> for Rates {
         let AdamRates { mean, quat, log_scale, opacity, sh_dc, sh_rest, first_correction, second_correction } =
             *rates;
         Self { mean, quat, log_scale, opacity, sh_dc, sh_rest, first_correction, second_correction }
+    }
+}
+
+/// `SurfaceWeights` of the shaders.
+#[derive(Clone, Copy, Debug, Pod, Zeroable)]
+#[repr(C)]
+pub(super) struct SurfaceWeights {
+    pub(super) normal: f32,
+    pub(super) reprojection: f32,
+    pub(super) ncc: f32,
+    pub(super) teacher_depth: f32,
+    pub(super) teacher_normal: f32,
+    pub(super) samples: u32,
+    pub(super) sums_first: u32,
+    pub(super) unused: u32,
+}
+
+/// `Pair` of the shaders.
+#[derive(Clone, Copy, Debug, Pod, Zeroable)]
+#[repr(C)]
+pub(super) struct Pair {
+    pub(super) there_from_here: [[f32; 4]; 3],
+    pub(super) focal_px: [f32; 2],
+    pub(super) center_px: [f32; 2],
+    pub(super) size_px: [u32; 2],
+    pub(super) unused_1: u32,
+    pub(super) unused_2: u32,
+}
+
+impl Pair {
+    pub(super) fn new(there_from_here: &Pose, there: &ViewParams) -> Self {
+        let row = |r: usize| {
+            let [x, y, z] = there_from_here.rotation[r];
+            [x, y, z, there_from_here.translation[r]]
+        };
+        Self {
+            there_from_here: [0, 1, 2].map(row),
+            focal_px: there.focal_px,
+            center_px: there.center_px,
+            size_px: there.size_px,
+            unused_1: 0,
+            unused_2: 0,
+        }
     }
 }
 

@@ -65,12 +65,23 @@ impl Model {
 
     /// The splats as they are now.
     pub(super) fn splats(&self, gpu: &Gpu) -> Splats {
-        let (shape, sh) = (self.shape.read(gpu, 0..self.shape.len()), self.sh.read(gpu, 0..self.sh.len()));
+        let row = |buffer: &Buffer<f32>, r: usize| {
+            buffer.read(gpu, r * self.stride..r * self.stride + self.len).into_iter().enumerate()
+        };
         let mut splats = Splats::with_capacity(self.len, self.sh_degree);
-        for i in 0..self.len {
-            let get = |r: usize| shape[r * self.stride + i];
-            let colors: Vec<f32> = (0..sh_rows(self.sh_degree)).map(|r| sh[r * self.stride + i]).collect();
-            splats.push([0, 1, 2].map(get), [3, 4, 5, 6].map(get), [7, 8, 9].map(get), get(10), &colors);
+        let blank = vec![0.0; splats.sh_stride()];
+        (0..self.len).for_each(|_| splats.push([0.0; 3], [0.0; 4], [0.0; 3], 0.0, &blank));
+        for r in 0..SHAPE_ROWS {
+            row(&self.shape, r).for_each(|(i, value)| match r {
+                0..3 => splats.means[i][r] = value,
+                3..7 => splats.quats[i][r - 3] = value,
+                7..10 => splats.log_scales[i][r - 7] = value,
+                _ => splats.opacity_logits[i] = value,
+            });
+        }
+        let stride = splats.sh_stride();
+        for r in 0..stride {
+            row(&self.sh, r).for_each(|(i, value)| splats.sh[i * stride + r] = value);
         }
         splats
     }

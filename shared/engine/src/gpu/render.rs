@@ -50,6 +50,7 @@ impl GpuRenderer {
             drawing.bin(gpu, model);
         }
         drawing.rasterize(gpu, model, Channels::Geometry);
-        Ok(drawing.rendering(gpu))
+        let rendering = drawing.rendering(gpu);
+        gpu.lost().map_or(Ok(rendering), |reason| Err(GpuError::Lost(reason)))
     }
 }

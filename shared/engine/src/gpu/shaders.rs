@@ -32,9 +32,16 @@ pub(super) const ORDER_COUNTS: Shader = shader!("order_counts");
 pub(super) const EMIT: Shader = shader!("emit", "spans");
 pub(super) const TILE_RANGES: Shader = shader!("tile_ranges");
 pub(super) const RASTERIZE: Shader = shader!("rasterize");
-pub(super) const SSIM: Shader = shader!("ssim", "photometric");
-pub(super) const PHOTOMETRIC_GRADIENT: Shader = shader!("photometric_gradient", "photometric");
+pub(super) const SSIM: Shader = shader!("ssim", "pixels", "photometric");
+pub(super) const PHOTOMETRIC_GRADIENT: Shader = shader!("photometric_gradient", "pixels", "photometric");
 pub(super) const LOSS_TOTAL: Shader = shader!("loss_total");
+pub(super) const UNBIASED_DEPTH: Shader = shader!("unbiased_depth", "pixels", "surface");
+pub(super) const LUMA: Shader = shader!("luma");
+pub(super) const EDGES: Shader = shader!("edges", "pixels", "luma_slope");
+pub(super) const NORMALS: Shader = shader!("normals", "pixels", "surface", "luma_slope", "tile_sum");
+pub(super) const DEPTH_BACKWARD: Shader = shader!("depth_backward", "pixels", "surface", "surface_gradient");
+pub(super) const MULTIVIEW: Shader = shader!("multiview", "pixels", "surface", "surface_gradient");
+pub(super) const TEACHER: Shader = shader!("teacher", "pixels", "surface", "surface_gradient", "tile_sum");
 pub(super) const RASTERIZE_BACKWARD: Shader = shader!("rasterize_backward");
 pub(super) const PROJECT_BACKWARD: Shader = shader!("project_backward", "geometry", "sh");
 pub(super) const ADAM: Shader = shader!("adam", "sh");
@@ -43,7 +50,7 @@ pub(super) const SCORE_COLLECT: Shader = shader!("score_collect");
 
 /// Every pass.
 #[cfg(test)]
-pub(super) const ALL: [Shader; 19] = [
+pub(super) const ALL: [Shader; 26] = [
     PROJECT,
     SCAN_BLOCKS,
     SCAN_SUMS,
@@ -58,6 +65,13 @@ pub(super) const ALL: [Shader; 19] = [
     SSIM,
     PHOTOMETRIC_GRADIENT,
     LOSS_TOTAL,
+    UNBIASED_DEPTH,
+    LUMA,
+    EDGES,
+    NORMALS,
+    DEPTH_BACKWARD,
+    MULTIVIEW,
+    TEACHER,
     RASTERIZE_BACKWARD,
     PROJECT_BACKWARD,
     ADAM,

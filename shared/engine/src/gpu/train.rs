@@ -18,7 +18,7 @@ pub(super) const GRADIENT_ROWS: usize = SHAPE_ROWS + 3;
 pub(super) const STAT_ROWS: usize = 3;
 pub(super) const SCORE_ROWS: usize = 3;
 /// Partial derivatives of SSIM: three for each channel.
-const PARTIALS: usize = 9;
+pub(super) const PARTIALS: usize = 9;
 /// Numbers that a tile and channel add to the losses.
 const SUMS: usize = 8;
 
@@ -38,10 +38,10 @@ struct Passes {
 #[derive(Debug)]
 pub(super) struct Training {
     passes: Passes,
-    loss_settings: Buffer<LossSettings>,
+    pub(super) loss_settings: Buffer<LossSettings>,
     backward_weights: Buffer<BackwardWeights>,
     rates: Buffer<Rates>,
-    photograph: Buffer<u32>,
+    pub(super) photograph: Buffer<u32>,
     partials: Buffer<f32>,
     sums: Buffer<[f32; SUMS]>,
     totals: Buffer<[f32; SUMS]>,
@@ -118,7 +118,7 @@ impl Training {
             offset: exposure.offset,
             l1_weight: (1.0 - ssim_weight) / values,
             ssim_weight: ssim_weight / values,
-            is_floats: u32::from(matches!(rgb, TargetRgb::Floats(_))),
+            is_floats: is_floats(rgb),
             unused_1: 0,
             unused_2: 0,
             unused_3: 0,
@@ -128,7 +128,7 @@ impl Training {
         let (view, settings) = (&drawing.view.raw, &self.loss_settings.raw);
         let (image, photograph) = (&drawing.picture.image.raw, &self.photograph.raw);
         let (partials, sums) = (&self.partials.raw, &self.sums.raw);
-        let jobs = 3 * drawing.seen_view().tiles().iter().product::<usize>();
+        let jobs = 3 * drawing.tiles();
         let mut r = Recorder::new(gpu);
         r.run(&self.passes.ssim, &[view, settings, image, photograph, partials, sums], jobs);
         let buffers = [view, settings, image, photograph, partials, sums, &self.gradient.raw];
@@ -136,6 +136,13 @@ impl Training {
         r.run(&self.passes.loss_total, &[view, sums, &self.totals.raw], 1);
         r.submit();
         loss(self.totals.read(gpu, 0..1)[0], values, ssim_weight)
+    }
+
+    /// Puts another photograph in the place of the last one, for the passes that know only how it is stored.
+    pub(super) fn show(&self, gpu: &Gpu, rgb: TargetRgb) {
+        let settings = LossSettings { is_floats: is_floats(rgb), ..bytemuck::Zeroable::zeroed() };
+        self.loss_settings.write(gpu, 0, &[settings]);
+        self.upload(gpu, rgb);
     }
 
     fn upload(&self, gpu: &Gpu, rgb: TargetRgb) {
@@ -170,7 +177,7 @@ impl Training {
                 &self.gradient.raw,
                 &self.records.raw,
             ],
-            drawing.seen_view().tiles().iter().product(),
+            drawing.tiles(),
         );
         r.submit();
     }
@@ -235,12 +242,16 @@ impl Training {
                 &drawing.picture.blended.raw,
                 &self.records.raw,
             ],
-            drawing.seen_view().tiles().iter().product(),
+            drawing.tiles(),
         );
         let buffers = [view, &drawing.seen.slots.raw, projected, &self.records.raw, &self.scores.raw];
         r.run(&self.passes.score_collect, &buffers, model.len.div_ceil(GROUP));
         r.submit();
     }
+}
+
+fn is_floats(rgb: TargetRgb) -> u32 {
+    u32::from(matches!(rgb, TargetRgb::Floats(_)))
 }
 
 /// From sums over all values of the picture, in the order of the shaders.

@@ -6,7 +6,7 @@
 //! model shows how it should be.
 
 mod depth;
-pub(super) mod multiview;
+pub(crate) mod multiview;
 pub(super) mod normals;
 mod plane;
 mod teacher;

@@ -33,11 +33,15 @@ const VARIANCES_MIN: f32 = 1e-8;
 /// Patches that agree less than this show different things (PGSR).
 const DISAGREEMENT_MAX: f32 = 0.9;
 
+/// `neighbour_from_here`.
+pub(crate) struct Pose {
+    pub(crate) rotation: [[f32; 3]; 3],
+    pub(crate) translation: [f32; 3],
+}
+
 /// Two views, and what the neighbour shows.
 pub(super) struct Pair<'a> {
-    /// `neighbour_from_here` rotation and translation.
-    rotation: [[f32; 3]; 3],
-    translation: [f32; 3],
+    pose: Pose,
     focal_px: [f32; 2],
     center_px: [f32; 2],
     depth: &'a Plane,
@@ -48,8 +52,8 @@ fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
     a[0].mul_add(b[0], a[1].mul_add(b[1], a[2] * b[2]))
 }
 
-impl<'a> Pair<'a> {
-    pub(super) fn new(here: &ViewParams, there: &ViewParams, depth: &'a Plane, luma: &'a Plane) -> Self {
+impl Pose {
+    pub(crate) fn new(here: &ViewParams, there: &ViewParams) -> Self {
         let wide = |rows: [[f32; 3]; 3]| rows.map(|row| row.map(f64::from));
         let (h, t) = (wide(here.rotation), wide(there.rotation));
         let rotation: [[f64; 3]; 3] =
@@ -60,19 +64,22 @@ impl<'a> Pair<'a> {
         Self {
             rotation: rotation.map(|row| row.map(|v| v as f32)),
             translation: translation.map(|v| v as f32),
-            focal_px: there.focal_px,
-            center_px: there.center_px,
-            depth,
-            luma,
         }
+    }
+}
+
+impl<'a> Pair<'a> {
+    pub(super) fn new(here: &ViewParams, there: &ViewParams, depth: &'a Plane, luma: &'a Plane) -> Self {
+        let pose = Pose::new(here, there);
+        Self { pose, focal_px: there.focal_px, center_px: there.center_px, depth, luma }
     }
 
     fn rotate(&self, v: [f32; 3]) -> [f32; 3] {
-        self.rotation.map(|row| dot(row, v))
+        self.pose.rotation.map(|row| dot(row, v))
     }
 
     fn rotate_back(&self, v: [f32; 3]) -> [f32; 3] {
-        std::array::from_fn(|c| (0..3).map(|r| self.rotation[r][c] * v[r]).sum())
+        std::array::from_fn(|c| (0..3).map(|r| self.pose.rotation[r][c] * v[r]).sum())
     }
 }
 
@@ -192,9 +199,7 @@ fn band_loss(scene: &Shown, pair: &Pair, weights: &Weights, band: usize, gradien
 
 /// The pixel that this step looks at in a cell, if it lies in the picture and shows a surface.
 fn sample(scene: &Shown, weights: &Weights, left: usize, top: usize) -> Option<Sampled> {
-    let random = mixed(weights.draw ^ ((top as u64) << 32 | left as u64));
-    let mask = weights.cell - 1;
-    let (x, y) = (left + (random as usize & mask), top + ((random >> 32) as usize & mask));
+    let [x, y] = sampled_pixel(weights.cell, weights.draw, left, top);
     let [width, height] = scene.image.size_px();
     if x >= width || y >= height {
         return None;
@@ -214,6 +219,28 @@ fn sample(scene: &Shown, weights: &Weights, left: usize, top: usize) -> Option<S
     })
 }
 
+/// The pixel that a step looks at in a cell; it may lie outside the picture.
+fn sampled_pixel(cell: usize, draw: u64, left: usize, top: usize) -> [usize; 2] {
+    let random = mixed(draw ^ ((top as u64) << 32 | left as u64));
+    let mask = cell - 1;
+    [left + (random as usize & mask), top + ((random >> 32) as usize & mask)]
+}
+
+/// The pixels that a step looks at, cell by cell: x, and y << 16.
+#[cfg(feature = "gpu")]
+pub(crate) fn sampled_pixels(size_px: [u32; 2], cell_px: u32, draw: u64) -> Vec<u32> {
+    let ([width, height], cell) = (size_px.map(|side| side as usize), cell_px as usize);
+    assert!(cell.is_power_of_two() && cell <= TILE, "a cell of {cell} px");
+    let tops = (0..height).step_by(cell);
+    let cells = tops.flat_map(|top| (0..width).step_by(cell).map(move |left| (left, top)));
+    cells
+        .map(|(left, top)| {
+            let [x, y] = sampled_pixel(cell, draw, left, top);
+            (x | y << 16) as u32
+        })
+        .collect()
+}
+
 /// The ray of a pixel, scaled to z = 1.
 fn ray(view: &ViewParams, x: f32, y: f32) -> [f32; 3] {
     [(x + 0.5 - view.center_px[0]) / view.focal_px[0], ray_y(view, y), 1.0]
@@ -229,7 +256,7 @@ fn mixed(mut z: u64) -> u64 {
 /// How far from itself a pixel comes back, px, and the derivative of that by its depth.
 fn there_and_back(here: &ViewParams, pair: &Pair, sampled: &Sampled) -> Option<(f32, f32)> {
     let by = pair.rotate(sampled.ray);
-    let there: [f32; 3] = std::array::from_fn(|k| sampled.depth.mul_add(by[k], pair.translation[k]));
+    let there: [f32; 3] = std::array::from_fn(|k| sampled.depth.mul_add(by[k], pair.pose.translation[k]));
     let q = project(there, by, pair.focal_px, pair.center_px)?;
     let depth = pair.depth.sample(q.at_px)?;
     if depth.least <= 0.0 {
@@ -240,7 +267,7 @@ fn there_and_back(here: &ViewParams, pair: &Pair, sampled: &Sampled) -> Option<(
     let hit = [depth.value * slope[0], depth.value * slope[1], depth.value];
     let along = |a: usize| by_depth.mul_add(slope[a], depth.value * q.by_px[a] / pair.focal_px[a]);
     let hit_by = [along(0), along(1), by_depth];
-    let back = pair.rotate_back(std::array::from_fn(|k| hit[k] - pair.translation[k]));
+    let back = pair.rotate_back(std::array::from_fn(|k| hit[k] - pair.pose.translation[k]));
     let p = project(back, pair.rotate_back(hit_by), here.focal_px, here.center_px)?;
     let off = [p.at_px[0] - (sampled.x as f32 + 0.5), p.at_px[1] - (sampled.y as f32 + 0.5)];
     let e = (off[0] * off[0] + off[1] * off[1]).sqrt();
@@ -287,7 +314,7 @@ fn patches(scene: &Shown, pair: &Pair, sampled: &Sampled) -> Option<(f32, [f32; 
             return None;
         }
         let turned = pair.rotate(r);
-        let point = std::array::from_fn(|k| inverse_depth.mul_add(pair.translation[k], turned[k]));
+        let point = std::array::from_fn(|k| inverse_depth.mul_add(pair.pose.translation[k], turned[k]));
         // `point` is the true one times the inverse depth: in front stays in front, whatever NEAR is.
         if point[2] <= NEAR * inverse_depth {
             return None;
@@ -317,7 +344,7 @@ fn patches(scene: &Shown, pair: &Pair, sampled: &Sampled) -> Option<(f32, [f32; 
 fn warp(point: [f32; 3], pair: &Pair) -> Moving {
     let inv_z = 1.0 / point[2];
     let slope = [point[0] * inv_z, point[1] * inv_z];
-    let t = pair.translation;
+    let t = pair.pose.translation;
     Moving {
         at_px: [0, 1].map(|a| pair.focal_px[a].mul_add(slope[a], pair.center_px[a])),
         by_px: [0, 1].map(|a| pair.focal_px[a] * (t[a] - slope[a] * t[2]) * inv_z),

@@ -4,6 +4,7 @@
 
 mod forward;
 mod shaders;
+mod surface;
 mod train;
 
 use super::context::{Gpu, GpuChoice};

@@ -4,7 +4,9 @@ use naga::front::wgsl;
 use naga::valid::{Capabilities, ValidationFlags, Validator};
 use naga::{AddressSpace, Module, TypeInner};
 
-use crate::gpu::layout::{BackwardWeights, LossSettings, Projected, Rates, ScanStep, SortStep, View};
+use crate::gpu::layout::{
+    BackwardWeights, LossSettings, Pair, Projected, Rates, ScanStep, SortStep, SurfaceWeights, View,
+};
 use crate::gpu::shaders;
 
 /// Storage buffers that a pass may bind: WebGPU's default limit.
@@ -118,6 +120,19 @@ fn rust_and_shaders_lay_structures_out_alike() {
         unused_3,
     });
     assert_eq!(layout_in(&module, "LossSettings"), settings);
+    let weights = layout_of!(SurfaceWeights {
+        normal,
+        reprojection,
+        ncc,
+        teacher_depth,
+        teacher_normal,
+        samples,
+        sums_first,
+        unused,
+    });
+    assert_eq!(layout_in(&module, "SurfaceWeights"), weights);
+    let pair = layout_of!(Pair { there_from_here, focal_px, center_px, size_px, unused_1, unused_2 });
+    assert_eq!(layout_in(&module, "Pair"), pair);
     // The comparison sees a field that moved.
     let moved = parsed("struct SortStep { shift: u32, counter: u32 } @compute @workgroup_size(1) fn f() {}");
     assert_ne!(layout_in(&moved, "SortStep"), layout_of!(SortStep { counter, shift }));

@@ -8,10 +8,11 @@ use super::gpu;
 use crate::backend::{
     Backend, Birth, Channels, Edit, Exposure, LossWeights, Losses, SurfaceWeights, TargetRgb, Targets,
 };
-use crate::gpu::{Gpu, GpuBackend, GpuCapacity};
+use crate::gpu::{Gpu, GpuBackend};
 use crate::random::{Purpose, Random};
 use crate::{
-    CpuBackend, CpuCapacity, Example, Flight, Neighbours, Renderer, Schedule, TrainSettings, Trainer,
+    CpuBackend, CpuCapacity, Example, Flight, Neighbours, Renderer, Schedule, SurfaceSettings, TrainSettings,
+    Trainer,
 };
 
 /// Largest error of a gradient, relative to itself or to a hundredth of its group's root mean square.
@@ -19,24 +20,26 @@ const TOLERANCE: f32 = 1e-3;
 /// Share of the numbers that may be further off: those of splats that meet a threshold tie, see the pictures.
 const TIES_MAX: f64 = 5e-3;
 
-fn on_gpu(gpu: &Gpu, splats: &Splats, size_px: [u32; 2]) -> GpuBackend {
-    let capacity =
-        GpuCapacity { splats: splats.len() + 100, pairs: 60_000, size_px, sh_degree: splats.sh_degree };
-    let mut backend = GpuBackend::new(gpu, capacity).expect("room");
-    backend.load(splats);
-    backend
-}
-
-fn on_cpu(splats: &Splats, size_px: [u32; 2]) -> CpuBackend {
-    let capacity = CpuCapacity {
+/// Room for a few splats more.
+fn capacity(splats: &Splats, size_px: [u32; 2]) -> CpuCapacity {
+    CpuCapacity {
         splats: splats.len() + 100,
         pairs: 60_000,
         size_px,
         sh_degree: splats.sh_degree,
         channels: Channels::Geometry,
         training: true,
-    };
-    let mut backend = CpuBackend::new(capacity, 2);
+    }
+}
+
+pub(super) fn on_gpu(gpu: &Gpu, splats: &Splats, size_px: [u32; 2]) -> GpuBackend {
+    let mut backend = GpuBackend::new(gpu, capacity(splats, size_px).into()).expect("room");
+    backend.load(splats);
+    backend
+}
+
+pub(super) fn on_cpu(splats: &Splats, size_px: [u32; 2]) -> CpuBackend {
+    let mut backend = CpuBackend::new(capacity(splats, size_px), 2);
     backend.load(splats);
     backend
 }
@@ -99,7 +102,7 @@ fn groups(splats: &Splats) -> [Vec<f32>; 5] {
 }
 
 /// How many numbers of a group are off by more than the tolerance.
-fn off_of(got: &[f32], expected: &[f32]) -> usize {
+pub(super) fn off_of(got: &[f32], expected: &[f32]) -> usize {
     let squares: f64 = expected.iter().map(|v| f64::from(*v).powi(2)).sum();
     let floor = 0.01 * (squares / expected.len().max(1) as f64).sqrt() as f32 + 1e-20;
     let within =
@@ -108,7 +111,7 @@ fn off_of(got: &[f32], expected: &[f32]) -> usize {
 }
 
 /// How many numbers there are, and how many are off.
-fn compare(got: &Splats, expected: &Splats) -> (usize, usize) {
+pub(super) fn compare(got: &Splats, expected: &Splats) -> (usize, usize) {
     let groups = || groups(got).into_iter().zip(groups(expected));
     (
         groups().map(|(_, expected)| expected.len()).sum(),
@@ -154,10 +157,10 @@ fn gradients_agree_with_the_cpu() {
             if splats.is_empty() {
                 continue;
             }
-            // The comparison sees gradients of which one in fifty is wrong by a percent.
+            // The comparison sees gradients of which one in ten (seen or not) is wrong by a percent.
             let mut bent = got.clone();
-            bent.means.iter_mut().chain(&mut bent.log_scales).flatten().step_by(50).for_each(|v| *v *= 1.01);
-            bent.quats.iter_mut().flatten().chain(&mut bent.sh).step_by(50).for_each(|v| *v *= 1.01);
+            bent.means.iter_mut().chain(&mut bent.log_scales).flatten().step_by(10).for_each(|v| *v *= 1.01);
+            bent.quats.iter_mut().flatten().chain(&mut bent.sh).step_by(10).for_each(|v| *v *= 1.01);
             assert!(compare(&bent, &expected).1 as f64 > TIES_MAX * count as f64, "{name}: went unnoticed");
         }
     }
@@ -215,30 +218,86 @@ fn edits_and_checkpoints_are_those_of_the_cpu() {
         gpu.cap_opacity(0.4);
         cpu.cap_opacity(0.4);
         assert_eq!(gpu.splats(), cpu.splats(), "{edit:?}");
-        let mut kept: Vec<Vec<f32>> = Vec::new();
-        let exported: Result<(), ()> = gpu.export(|row| {
-            kept.push(row.to_vec());
-            Ok(())
-        });
-        let capacity = GpuCapacity { splats: gpu.capacity(), pairs: 1, size_px: [8, 8], sh_degree: 2 };
-        let mut restored = GpuBackend::new(&gpu.gpu, capacity).expect("room");
-        let mut rows = kept.iter();
-        let imported: Result<(), ()> = restored.import(gpu.len(), |row| {
-            row.copy_from_slice(rows.next().expect("as many rows"));
-            Ok(())
-        });
-        assert_eq!((exported, imported), (Ok(()), Ok(())));
-        assert_eq!(restored.splats(), gpu.splats());
     }
 }
 
+/// Everything that a checkpoint of a backend keeps.
+fn kept(backend: &impl Backend) -> Vec<f32> {
+    let mut kept = Vec::new();
+    let exported: Result<(), ()> = backend.export(|numbers| {
+        kept.extend_from_slice(numbers);
+        Ok(())
+    });
+    assert_eq!(exported, Ok(()));
+    kept
+}
+
+fn restore(backend: &mut impl Backend, len: usize, mut kept: &[f32]) {
+    let imported: Result<(), ()> = backend.import(len, |numbers| {
+        let (now, later) = kept.split_at(numbers.len());
+        numbers.copy_from_slice(now);
+        kept = later;
+        Ok(())
+    });
+    assert_eq!((imported, kept.len()), (Ok(()), 0));
+}
+
+#[test]
+fn checkpoints_go_from_device_to_device() {
+    let Some(gpu) = gpu() else { return };
+    let splats = splats(1043, 0.4, -1.6, 0.0, 2, 3);
+    let camera = centered(DVec3::new(3.0, 2.0, 1.5), 40.0, [44, 29]);
+    let mut cpu = on_cpu(&splats, camera.size_px);
+    let rates = Schedule::new(100).rates(7, 4.0);
+    for _ in 0..3 {
+        step(&mut cpu, &camera, 2, Channels::Color);
+        cpu.adam(&rates);
+    }
+    let by_cpu = kept(&cpu);
+    let mut moved = GpuBackend::new(&gpu, capacity(&splats, camera.size_px).into()).expect("room");
+    restore(&mut moved, splats.len(), &by_cpu);
+    assert_eq!(kept(&moved), by_cpu, "from the CPU to the GPU");
+    assert_eq!(moved.splats(), cpu.splats());
+    let mut back = on_cpu(&splats, camera.size_px);
+    restore(&mut back, splats.len(), &kept(&moved));
+    step(&mut back, &camera, 2, Channels::Color);
+    back.adam(&rates);
+    step(&mut cpu, &camera, 2, Channels::Color);
+    cpu.adam(&rates);
+    assert_eq!(kept(&back), kept(&cpu), "and back: the training goes on to the same bits");
+}
+
+#[test]
+fn a_lost_device_is_told_and_nothing_panics() {
+    let Some(gpu) = gpu() else { return };
+    let splats = splats(60, 0.4, -1.5, 0.0, 1, 2);
+    let camera = centered(DVec3::new(3.0, 2.0, 1.5), 40.0, [44, 29]);
+    let mut backend = on_gpu(&gpu, &splats, camera.size_px);
+    step(&mut backend, &camera, 1, Channels::Geometry);
+    assert_eq!(backend.lost(), None);
+    gpu.device.destroy();
+    backend.project(&camera, 1);
+    backend.bin();
+    backend.rasterize(Channels::Geometry);
+    backend.keep_neighbour();
+    backend.take_shapes();
+    let reason = backend.lost().expect("the device is lost");
+    assert!(reason.contains("was lost"), "{reason}");
+}
+
 /// Trains a disturbed model back towards the truth that its photographs show; returns it and its mean PSNR.
-fn train<B: Backend>(backend: B, steps: u32, truth: &Splats, cameras: &[Camera]) -> (Splats, f64) {
+fn train<B: Backend>(
+    backend: B,
+    steps: u32,
+    surface: Option<SurfaceSettings>,
+    truth: &Splats,
+    cameras: &[Camera],
+) -> (Splats, f64) {
     let settings = TrainSettings {
         schedule: Schedule::new(steps),
         extent: 4.0,
         sh_degree: 1,
-        surface: None,
+        surface,
         prune: None,
         exposure: false,
         observers_min: 2,
@@ -263,9 +322,8 @@ fn train<B: Backend>(backend: B, steps: u32, truth: &Splats, cameras: &[Camera])
     (trained, psnrs.iter().sum::<f64>() / psnrs.len() as f64)
 }
 
-#[test]
-fn trainings_end_alike_and_twice_the_same() {
-    let Some(gpu) = gpu() else { return };
+/// What the trainings below see, and where they begin.
+fn lesson() -> (Splats, Splats, Vec<Camera>) {
     let eyes = [[3.0, 2.0, 1.5], [-3.0, 2.0, 1.5], [3.0, -2.0, 1.5], [-2.5, -2.5, 1.0]];
     let cameras: Vec<Camera> = eyes.iter().map(|eye| centered(DVec3::from(*eye), 60.0, [64, 48])).collect();
     let truth = splats(300, 0.6, -2.0, 1.0, 1, 21);
@@ -273,13 +331,32 @@ fn trainings_end_alike_and_twice_the_same() {
     let mut random = Random::new(3, Purpose::Birth, 1, 0);
     start.means.iter_mut().flatten().for_each(|v| *v += 0.05 * random.normal());
     start.sh.iter_mut().for_each(|v| *v = 0.0);
+    (truth, start, cameras)
+}
+
+#[test]
+#[ignore = "half a minute on a software driver"]
+fn five_hundred_steps_end_alike() {
+    let Some(gpu) = gpu() else { return };
+    let (truth, start, cameras) = lesson();
     let size_px = cameras[0].size_px;
-    let (_, by_cpu) = train(on_cpu(&start, size_px), 500, &truth, &cameras);
-    let (_, by_gpu) = train(on_gpu(&gpu, &start, size_px), 500, &truth, &cameras);
+    let (_, by_cpu) = train(on_cpu(&start, size_px), 500, None, &truth, &cameras);
+    let (_, by_gpu) = train(on_gpu(&gpu, &start, size_px), 500, None, &truth, &cameras);
     println!("500 steps: {by_cpu:.3} dB on the CPU, {by_gpu:.3} dB on the GPU");
     assert!((by_cpu - by_gpu).abs() < 0.1, "{by_cpu} dB on the CPU, {by_gpu} dB on the GPU");
-    let run = || train(on_gpu(&gpu, &start, size_px), 60, &truth, &cameras);
-    let (once, short) = run();
-    assert_eq!(once, run().0, "two runs give the same bits");
-    assert!(by_gpu > short + 0.5, "training goes on: {short} dB after 60 steps, {by_gpu} dB after 500");
+}
+
+#[test]
+fn trainings_are_alike_and_twice_the_same() {
+    let Some(gpu) = gpu() else { return };
+    let (truth, start, cameras) = lesson();
+    let size_px = cameras[0].size_px;
+    let surface = Some(SurfaceSettings::default());
+    let run = |steps| train(on_gpu(&gpu, &start, size_px), steps, surface, &truth, &cameras);
+    let ((once, by_gpu), (_, first)) = (run(60), run(1));
+    assert_eq!(once, run(60).0, "two runs give the same bits");
+    let (_, by_cpu) = train(on_cpu(&start, size_px), 60, surface, &truth, &cameras);
+    println!("60 steps: {by_cpu:.3} dB on the CPU, {by_gpu:.3} dB on the GPU, {first:.3} dB after the first");
+    assert!((by_cpu - by_gpu).abs() < 0.1, "{by_cpu} dB on the CPU, {by_gpu} dB on the GPU");
+    assert!(by_gpu > first + 1.0, "training goes on: {first} dB after a step, {by_gpu} dB after 60");
 }

@@ -1,0 +1,252 @@
+//! The losses of the surface on the GPU, pass by pass as in `cpu::surface`, and what they keep from view to view.
+
+use super::buffer::Buffer;
+use super::context::{Gpu, GpuError};
+use super::draw::Drawing;
+use super::layout::{Pair, SurfaceWeights};
+use super::pass::{Pass, Recorder};
+use super::shaders;
+use super::sort::GROUP;
+use super::train::Training;
+use crate::backend::{LossWeights, SurfaceLoss, TargetRgb, TargetSurface, Targets, TeacherLoss};
+use crate::cpu::image::padded_pixels;
+use crate::cpu::surface::multiview::{Pose, sampled_pixels};
+use crate::cpu::view::ViewParams;
+
+/// Samples of a group, as in `multiview.wgsl`.
+const SAMPLES_AT_ONCE: usize = 64;
+/// Numbers that a teacher shows of a pixel: depth, trust, normal.
+const SHOWN: usize = 5;
+/// Bits of the slopes before any pixel was seen: the least of none is infinite, the largest 0.
+const NO_SLOPES: [u32; 2] = [f32::INFINITY.to_bits(), 0];
+
+#[derive(Debug)]
+struct Passes {
+    unbiased_depth: Pass,
+    luma: Pass,
+    edges: Pass,
+    normals: Pass,
+    depth_backward: Pass,
+    multiview: Pass,
+    teacher: Pass,
+}
+
+/// One number a pixel, row by row.
+#[derive(Debug)]
+struct Planes {
+    depth: Buffer<f32>,
+    luma: Buffer<f32>,
+}
+
+/// What the losses keep.
+#[derive(Debug)]
+pub(super) struct Surface {
+    passes: Passes,
+    weights: Buffer<SurfaceWeights>,
+    pair: Buffer<Pair>,
+    here: Planes,
+    there: Planes,
+    slopes: Buffer<u32>,
+    given: Buffer<[f32; 4]>,
+    samples: Buffer<u32>,
+    shown: Buffer<f32>,
+    /// By tile, then by group of samples.
+    sums: Buffer<[f32; 4]>,
+    neighbour: Option<ViewParams>,
+}
+
+impl Planes {
+    fn new(gpu: &Gpu, pixels: usize) -> Result<Self, GpuError> {
+        Ok(Self {
+            depth: Buffer::storage(gpu, "depth", pixels)?,
+            luma: Buffer::storage(gpu, "luma", pixels)?,
+        })
+    }
+}
+
+impl Surface {
+    /// Bytes of a padded pixel: four planes, what neighbours are given, a sample, what a teacher shows.
+    pub(super) const PIXEL_BYTES: usize = 16 + 16 + 4 + 4 * SHOWN + 1;
+
+    /// Room for pictures up to `size_px`.
+    pub(super) fn new(gpu: &Gpu, size_px: [u32; 2]) -> Result<Self, GpuError> {
+        let pixels = padded_pixels(size_px);
+        let zeroed = bytemuck::Zeroable::zeroed;
+        Ok(Self {
+            passes: Passes {
+                unbiased_depth: Pass::new(gpu, shaders::UNBIASED_DEPTH),
+                luma: Pass::new(gpu, shaders::LUMA),
+                edges: Pass::new(gpu, shaders::EDGES),
+                normals: Pass::new(gpu, shaders::NORMALS),
+                depth_backward: Pass::new(gpu, shaders::DEPTH_BACKWARD),
+                multiview: Pass::new(gpu, shaders::MULTIVIEW),
+                teacher: Pass::new(gpu, shaders::TEACHER),
+            },
+            weights: Buffer::uniform(gpu, "surface weights", zeroed()),
+            pair: Buffer::uniform(gpu, "pair of views", bytemuck::Zeroable::zeroed()),
+            here: Planes::new(gpu, pixels)?,
+            there: Planes::new(gpu, pixels)?,
+            slopes: Buffer::storage(gpu, "slopes", 2)?,
+            given: Buffer::storage(gpu, "gradients of depths", pixels)?,
+            samples: Buffer::storage(gpu, "samples", pixels)?,
+            shown: Buffer::storage(gpu, "teacher's surface", SHOWN * pixels)?,
+            sums: Buffer::storage(gpu, "surface sums", pixels / GROUP + pixels.div_ceil(SAMPLES_AT_ONCE))?,
+            neighbour: None,
+        })
+    }
+
+    /// Takes the depth of the picture as the neighbour's.
+    pub(super) fn keep_neighbour(&mut self, gpu: &Gpu, drawing: &Drawing) {
+        let mut r = Recorder::new(gpu);
+        self.unbiased_depth(&mut r, drawing, &self.there);
+        r.submit();
+        self.neighbour = Some(*drawing.seen_view());
+    }
+
+    fn unbiased_depth(&self, r: &mut Recorder, drawing: &Drawing, to: &Planes) {
+        let buffers = [&drawing.view.raw, &drawing.picture.image.raw, &to.depth.raw];
+        r.run(&self.passes.unbiased_depth, &buffers, drawing.tiles());
+    }
+
+    /// The losses, weighted gradients of which are added to the geometry planes of the training's gradient. The loss
+    /// of the colours comes first: its photograph is still there.
+    pub(super) fn losses(
+        &self,
+        gpu: &Gpu,
+        drawing: &Drawing,
+        training: &Training,
+        targets: &Targets,
+        weights: &LossWeights,
+    ) -> (SurfaceLoss, TeacherLoss) {
+        let Some(surface_weights) = &weights.surface else { return Default::default() };
+        let view = drawing.seen_view();
+        let pixels = f64::from(view.size_px[0]) * f64::from(view.size_px[1]);
+        let pair = targets.neighbour_rgb.zip(self.neighbour.as_ref());
+        let samples = match pair {
+            Some(_) => sampled_pixels(view.size_px, surface_weights.cell_px, surface_weights.draw),
+            None => Vec::new(),
+        };
+        let each_pixel = |weight: f32| weight / pixels as f32;
+        let each_sample = |weight: f32| weight / samples.len().max(1) as f32;
+        self.samples.write(gpu, 0, &samples);
+        self.slopes.write(gpu, 0, &NO_SLOPES);
+        self.weights.write(
+            gpu,
+            0,
+            &[SurfaceWeights {
+                normal: each_pixel(surface_weights.normal),
+                reprojection: each_sample(surface_weights.reprojection),
+                ncc: each_sample(surface_weights.ncc),
+                teacher_depth: each_pixel(weights.teacher.map_or(0.0, |teacher| teacher.depth)),
+                teacher_normal: each_pixel(weights.teacher.map_or(0.0, |teacher| teacher.normal)),
+                samples: samples.len() as u32,
+                sums_first: drawing.tiles() as u32,
+                unused: 0,
+            }],
+        );
+        self.single_view(gpu, drawing, training);
+        if let Some((rgb, neighbour)) = pair {
+            self.multiview(gpu, drawing, training, rgb, neighbour, samples.len());
+        }
+        let taught = weights.teacher.is_some() && targets.surface.is_some();
+        if let (Some(_), Some(target)) = (&weights.teacher, &targets.surface) {
+            self.teach(gpu, drawing, training, target);
+        }
+        let sums = self.sums.read(gpu, 0..drawing.tiles() + samples.len().div_ceil(SAMPLES_AT_ONCE));
+        losses(sums.split_at(drawing.tiles()), pixels, samples.len(), taught)
+    }
+
+    /// Normals of the depth; sets the geometry planes of the gradient.
+    fn single_view(&self, gpu: &Gpu, drawing: &Drawing, training: &Training) {
+        let (view, image) = (&drawing.view.raw, &drawing.picture.image.raw);
+        let Planes { depth, luma } = &self.here;
+        let (weights, slopes, given) = (&self.weights.raw, &self.slopes.raw, &self.given.raw);
+        let (gradient, sums) = (&training.gradient.raw, &self.sums.raw);
+        let mut r = Recorder::new(gpu);
+        self.unbiased_depth(&mut r, drawing, &self.here);
+        self.luma(&mut r, training, drawing.pixels(), &self.here);
+        r.run(&self.passes.edges, &[view, &luma.raw, slopes], drawing.tiles());
+        let buffers = [view, weights, image, &depth.raw, &luma.raw, slopes, gradient, given, sums];
+        r.run(&self.passes.normals, &buffers, drawing.tiles());
+        let buffers = [view, image, &depth.raw, given, gradient];
+        r.run(&self.passes.depth_backward, &buffers, drawing.tiles());
+        r.submit();
+    }
+
+    fn luma(&self, r: &mut Recorder, training: &Training, pixels: usize, to: &Planes) {
+        let buffers = [&training.loss_settings.raw, &training.photograph.raw, &to.luma.raw];
+        r.run(&self.passes.luma, &buffers, pixels.div_ceil(GROUP));
+    }
+
+    fn multiview(
+        &self,
+        gpu: &Gpu,
+        drawing: &Drawing,
+        training: &Training,
+        rgb: TargetRgb,
+        neighbour: &ViewParams,
+        samples: usize,
+    ) {
+        self.pair.write(gpu, 0, &[Pair::new(&Pose::new(drawing.seen_view(), neighbour), neighbour)]);
+        training.show(gpu, rgb);
+        let (here, there) = (&self.here, &self.there);
+        let mut r = Recorder::new(gpu);
+        self.luma(&mut r, training, padded_pixels(neighbour.size_px), there);
+        let buffers = [
+            &drawing.view.raw,
+            &self.weights.raw,
+            &self.pair.raw,
+            &drawing.picture.image.raw,
+            &here.depth.raw,
+            &here.luma.raw,
+            &there.depth.raw,
+            &there.luma.raw,
+            &self.samples.raw,
+            &training.gradient.raw,
+            &self.sums.raw,
+        ];
+        r.run(&self.passes.multiview, &buffers, samples.div_ceil(SAMPLES_AT_ONCE));
+        r.submit();
+    }
+
+    fn teach(&self, gpu: &Gpu, drawing: &Drawing, training: &Training, target: &TargetSurface) {
+        let pixels = target.depth.len();
+        self.shown.write(gpu, 0, target.depth);
+        self.shown.write(gpu, pixels, target.trust);
+        self.shown.write(gpu, 2 * pixels, target.normal);
+        let mut r = Recorder::new(gpu);
+        let buffers = [
+            &drawing.view.raw,
+            &self.weights.raw,
+            &drawing.picture.image.raw,
+            &self.here.depth.raw,
+            &self.shown.raw,
+            &training.gradient.raw,
+            &self.sums.raw,
+        ];
+        r.run(&self.passes.teacher, &buffers, drawing.tiles());
+        r.submit();
+    }
+}
+
+/// From sums of tiles and of groups of samples to means.
+fn losses(
+    (tiles, groups): (&[[f32; 4]], &[[f32; 4]]),
+    pixels: f64,
+    samples: usize,
+    taught: bool,
+) -> (SurfaceLoss, TeacherLoss) {
+    let mean = |sums: &[[f32; 4]], k: usize, count: f64| {
+        sums.iter().map(|sum| f64::from(sum[k])).sum::<f64>() / count.max(1.0)
+    };
+    let of_samples = |k| mean(groups, k, samples as f64);
+    let surface = SurfaceLoss {
+        normal: mean(tiles, 0, pixels),
+        reprojection: of_samples(0),
+        ncc: of_samples(1),
+        returned: of_samples(2),
+        matched: of_samples(3),
+    };
+    let teacher = TeacherLoss { depth: mean(tiles, 2, pixels), normal: mean(tiles, 3, pixels) };
+    (surface, if taught { teacher } else { TeacherLoss::default() })
+}

@@ -1,0 +1,143 @@
+//! The losses of the surface: the GPU's against the CPU's, and their gradients at the splats. A sample may differ where
+//! rounding decides whether it comes back or matches.
+
+use cosurf_scene::{Camera, Splats};
+use glam::DVec3;
+
+use super::forward::centered;
+use super::gpu;
+use super::train::{compare, on_cpu, on_gpu};
+use crate::Renderer;
+use crate::backend::{
+    Backend, Channels, LossWeights, Losses, Rendering, SurfaceWeights, TargetRgb, TargetSurface, Targets,
+    TeacherWeights,
+};
+use crate::random::{Purpose, Random};
+
+/// Share of the numbers that may be off by more than a thousandth: a sample that comes back on one side only has a
+/// gradient for all splats of its pixel.
+const OFF_MAX: f64 = 0.01;
+/// Largest difference of a loss, and of the shares of samples.
+const LOSS_OFF_MAX: f64 = 1e-3;
+
+/// Opaque discs of many colours on uneven ground.
+fn ground(count: usize) -> Splats {
+    let mut random = Random::new(17, Purpose::Birth, 0, 0);
+    let mut splats = Splats::with_capacity(count, 0);
+    for _ in 0..count {
+        let [x, y] = [0, 1].map(|_| 0.8 * random.normal());
+        let quat = [1.0, 0.05 * random.normal(), 0.05 * random.normal(), random.normal()];
+        let color = [0, 1, 2].map(|_| 0.6 * random.normal());
+        splats.push([x, y, 0.1 * (3.0 * x).sin()], quat, [-2.2, -2.3, -4.5], 3.0, &color);
+    }
+    splats
+}
+
+/// What a step looks at: a picture, its neighbour, a teacher's surface.
+struct Shown {
+    cameras: [Camera; 2],
+    pictures: [Rendering; 2],
+    trust: Vec<f32>,
+}
+
+impl Shown {
+    fn new(truth: &Splats, size_px: [u32; 2]) -> Self {
+        let eyes = [DVec3::new(1.5, 1.0, 3.0), DVec3::new(1.7, 0.8, 3.1)];
+        let cameras = eyes.map(|eye| centered(eye, 1.2 * f64::from(size_px[0]), size_px));
+        let mut renderer = Renderer::new(truth, 2);
+        let pictures = cameras.map(|camera| renderer.render(&camera));
+        let mut random = Random::new(5, Purpose::Birth, 0, 0);
+        let trust = pictures[0].alpha.iter().map(|_| random.below(5) as f32 / 4.0).collect();
+        Self { cameras, pictures, trust }
+    }
+
+    /// One step up to the gradients.
+    fn step(&self, backend: &mut impl Backend, weights: &LossWeights) -> (Losses, Splats) {
+        let [here, there] = &self.pictures;
+        backend.project(&self.cameras[1], 0);
+        backend.bin();
+        backend.rasterize(Channels::Geometry);
+        backend.keep_neighbour();
+        backend.project(&self.cameras[0], 0);
+        assert_eq!(backend.bin().dropped, 0);
+        backend.rasterize(Channels::Geometry);
+        let bytes: Vec<u8> = there.rgb.iter().map(|v| (255.0 * v.min(1.0)) as u8).collect();
+        let surface = TargetSurface { depth: &here.depth, normal: &here.normal, trust: &self.trust };
+        let targets = Targets {
+            neighbour_rgb: Some(TargetRgb::Bytes(&bytes)),
+            surface: Some(surface),
+            ..Targets::colors(TargetRgb::Floats(&here.rgb))
+        };
+        let losses = backend.losses(&targets, weights);
+        backend.rasterize_backward();
+        backend.project_backward();
+        (losses, backend.gradients())
+    }
+}
+
+/// Weights of which all but one are zero: normals, reprojection, patches, the teacher; or none is.
+fn weights(only: Option<usize>) -> LossWeights {
+    let at = |k: usize, weight: f32| if only.is_none_or(|only| only == k) { weight } else { 0.0 };
+    let surface =
+        SurfaceWeights { normal: at(0, 0.5), reprojection: at(1, 0.2), ncc: at(2, 0.7), cell_px: 2, draw: 9 };
+    let teacher = TeacherWeights { depth: at(3, 0.3), normal: at(3, 0.1) };
+    LossWeights {
+        ssim: 0.2,
+        scale: 0.0,
+        surface: Some(surface),
+        teacher: (only.is_none_or(|only| only == 3)).then_some(teacher),
+    }
+}
+
+fn numbers(losses: &Losses) -> [f64; 8] {
+    let Losses { color, surface, teacher } = losses;
+    [
+        color.total,
+        surface.normal,
+        surface.reprojection,
+        surface.ncc,
+        surface.returned,
+        surface.matched,
+        teacher.depth,
+        teacher.normal,
+    ]
+}
+
+#[test]
+fn surface_losses_agree_with_the_cpu() {
+    let Some(gpu) = gpu() else { return };
+    let truth = ground(3000);
+    let mut model = truth.clone();
+    let mut random = Random::new(3, Purpose::Birth, 0, 0);
+    model.means.iter_mut().flatten().for_each(|v| *v += 0.01 * random.normal());
+    for size_px in [[120, 90], [5, 4], [1, 1]] {
+        let shown = Shown::new(&truth, size_px);
+        for only in [Some(0), Some(1), Some(2), Some(3), None] {
+            let weights = weights(only);
+            let (got_losses, got) = shown.step(&mut on_gpu(&gpu, &model, size_px), &weights);
+            let (losses, expected) = shown.step(&mut on_cpu(&model, size_px), &weights);
+            let (count, off) = compare(&got, &expected);
+            println!("{size_px:?} {only:?}: {off} of {count} gradients are off; {:.4?}", numbers(&losses));
+            for (got, expected) in numbers(&got_losses).into_iter().zip(numbers(&losses)) {
+                assert!((got - expected).abs() <= LOSS_OFF_MAX, "{only:?}: {got_losses:?} is not {losses:?}");
+            }
+            // Of twenty pixels one that rounds the other way is too many.
+            if size_px[0] < 100 {
+                continue;
+            }
+            assert!(off as f64 <= OFF_MAX * count as f64, "{size_px:?} {only:?}: {off} of {count} are off");
+            assert!(losses.surface.returned > 0.5 && losses.surface.matched > 0.1, "{losses:?}");
+            // The comparison sees a weight that is a percent too large.
+            let mut heavier = weights;
+            let surface = heavier.surface.as_mut().expect("a surface");
+            (surface.normal, surface.reprojection) = (1.01 * surface.normal, 1.01 * surface.reprojection);
+            surface.ncc *= 1.01;
+            if let Some(teacher) = &mut heavier.teacher {
+                (teacher.depth, teacher.normal) = (1.01 * teacher.depth, 1.01 * teacher.normal);
+            }
+            let (_, wrong) = shown.step(&mut on_gpu(&gpu, &model, size_px), &heavier);
+            let (_, off) = compare(&wrong, &expected);
+            assert!(off as f64 > OFF_MAX * count as f64, "{only:?}: a wrong weight went unnoticed ({off})");
+        }
+    }
+}
