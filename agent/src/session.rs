@@ -6,7 +6,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
 use cosurf_engine::backend::{Channels, TargetRgb};
-use cosurf_engine::budget::{Budget, TooLittleMemory, Wish};
+use cosurf_engine::budget::{Budget, DRIVER_BYTES, TooLittleMemory, Wish};
 use cosurf_engine::init::{Form, splats_from_points};
 use cosurf_engine::train::StepOutcome;
 use cosurf_engine::{
@@ -264,16 +264,25 @@ fn extent(data: &Dataset) -> f64 {
 /// anything smaller than it was wished.
 fn prepare(plan: &TrainPlan, data: &Dataset) -> Result<(Sized, AnyBackend)> {
     let on = |device: &Device| -> Result<(Sized, AnyBackend)> {
-        let sized = fit(plan, device, data)?;
+        let sized = fit(plan, plan.memory_bytes, device, data)?;
         let backend = AnyBackend::new(device, sized.budget.capacity, plan.threads)?;
         Ok((sized, backend))
     };
-    let device = plan.device.open()?;
-    if plan.device == DeviceChoice::Auto && device.is_gpu() {
-        let ready = on(&device).ok().filter(|(sized, _)| sized.budget.given_up.is_empty());
-        return ready.map_or_else(|| on(&Device::Cpu), Ok);
+    if plan.device != DeviceChoice::Auto {
+        return on(&plan.device.open()?);
     }
-    on(&device)
+    // Looking for a card loads drivers, whose memory is not given back even if there is none.
+    let beside_drivers = plan.memory_bytes.saturating_sub(DRIVER_BYTES);
+    let may_look = fit(plan, beside_drivers, &Device::Cpu, data).is_ok_and(|sized| sized.is_as_wished());
+    if may_look
+        && let device = plan.device.open()?
+        && device.is_gpu()
+        && let Ok((sized, backend)) = on(&device)
+        && sized.is_as_wished()
+    {
+        return Ok((sized, backend));
+    }
+    on(&Device::Cpu)
 }
 
 struct Sized {
@@ -281,15 +290,22 @@ struct Sized {
     sources: Vec<Source>,
 }
 
+impl Sized {
+    /// Whether nothing had to be given up for memory.
+    fn is_as_wished(&self) -> bool {
+        self.budget.given_up.is_empty()
+    }
+}
+
 /// The largest pictures with which the training fits into the memory.
-fn fit(plan: &TrainPlan, device: &Device, data: &Dataset) -> Result<Sized> {
+fn fit(plan: &TrainPlan, memory_bytes: u64, device: &Device, data: &Dataset) -> Result<Sized> {
     let widest = data.views.iter().flat_map(|view| view.camera.size_px).max().unwrap_or(1);
     let wanted = plan.max_size_px.min(widest);
     let mut short: Option<TooLittleMemory> = None;
     for share in SIZE_STEPS {
         let long_side_px = ((f64::from(wanted) * share) as u32).max(1);
         let sources: Vec<Source> = data.views.iter().map(|view| Source::of(view, long_side_px)).collect();
-        match Budget::plan(&wish(plan, device, data, &sources)?) {
+        match Budget::plan(&Wish { memory_bytes, ..wish(plan, device, data, &sources)? }) {
             Ok(mut budget) => {
                 if long_side_px < wanted {
                     budget.given_up.insert(

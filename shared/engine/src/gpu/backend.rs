@@ -39,10 +39,6 @@ pub struct GpuCapacity {
     pub channels: Channels,
 }
 
-/// What an open graphics card takes of the process: driver, compiled passes, staging. Mesa's software driver takes
-/// 240 MiB.
-pub const DRIVER_BYTES: u64 = 256 << 20;
-
 impl GpuCapacity {
     /// Bytes of a splat–tile pair: keys and values twice, its splat, its record, its share of the sort's counts.
     pub const PAIR_BYTES: usize = 16 + 4 + 64 + 1;

@@ -23,6 +23,6 @@ mod surface;
 mod tests;
 mod train;
 
-pub use backend::{DRIVER_BYTES, GpuBackend, GpuCapacity};
+pub use backend::{GpuBackend, GpuCapacity};
 pub use context::{AdapterSummary, Gpu, GpuChoice, GpuError, adapters};
 pub use render::GpuRenderer;
