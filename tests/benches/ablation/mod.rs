@@ -32,7 +32,7 @@ pub(crate) struct Arguments {
     #[arg(long, value_name = "PX", default_value_t = 240)]
     max_size: u32,
     /// Steps of each training
-    #[arg(long, value_name = "N", default_value_t = 1500)]
+    #[arg(long, value_name = "N", default_value_t = 3000)]
     steps: u32,
     /// Distance up to which a mesh counts as right, metres
     #[arg(long, value_name = "M", default_value_t = 0.5)]
