@@ -15,3 +15,4 @@ pub mod outputs;
 pub mod pictures;
 pub mod publish;
 pub mod session;
+mod warm;

@@ -18,6 +18,7 @@ use cosurf_scene::cache::Source;
 use cosurf_scene::{Camera, Dataset, PictureCache, Splats, View};
 
 use crate::checkpoint::{Checkpoint, Fingerprint};
+use crate::warm::beginning;
 
 /// Stored SH degree.
 const SH_DEGREE: u32 = 3;
@@ -54,6 +55,8 @@ pub struct TrainPlan {
     pub prune: Option<PruneSettings>,
     /// Whether each photograph has an exposure of its own.
     pub exposure: bool,
+    /// A model of the same ground to begin with instead of the sparse cloud.
+    pub init: Option<PathBuf>,
     /// Whether the model will be joined with those of others: then ground that a single view observes stays in it.
     pub one_of_many: bool,
 }
@@ -143,8 +146,12 @@ impl Session {
             None => Neighbours::none(),
         };
         if checkpoint.is_none() {
+            let splats_max = settings.splats_max;
             let form = if plan.surface.is_some() { Form::Flat } else { Form::Round };
-            backend.load(&splats_from_points(&data.points, extent, settings.splats_max, SH_DEGREE, form));
+            backend.load(&match &plan.init {
+                Some(model) => beginning(model, &cameras, splats_max, SH_DEGREE)?,
+                None => splats_from_points(&data.points, extent, splats_max, SH_DEGREE, form),
+            });
         }
         let mut trainer = Trainer::new(backend, settings, Flight { cameras, neighbours });
         if let Some(checkpoint) = checkpoint {

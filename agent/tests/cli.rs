@@ -96,6 +96,23 @@ fn threads_do_not_change_a_byte_but_the_seed_does() {
 }
 
 #[test]
+fn a_training_that_begins_with_a_model_is_ahead() {
+    let folder = tempfile::tempdir().unwrap();
+    let [first, warm, cold] = ["first", "warm", "cold"].map(|name| folder.path().join(name));
+    succeed(train(town(), &first, &["--steps", "400"]));
+    succeed(train(town(), &warm, &["--steps", "40", "--init", first.join("model.ply").to_str().unwrap()]));
+    succeed(train(town(), &cold, &["--steps", "40"]));
+    let psnr = |out: &Path| {
+        let report: serde_json::Value =
+            serde_json::from_slice(&fs::read(out.join("report.json")).unwrap()).unwrap();
+        report["psnr"].as_f64().unwrap()
+    };
+    let (warm, cold) = (psnr(&warm), psnr(&cold));
+    assert!(warm > cold + 1.0, "{warm:.2} dB from a model, {cold:.2} dB from points");
+    refuse(train(town(), &folder.path().join("none"), &["--init", "none.ply"]), &["none.ply"]);
+}
+
+#[test]
 fn killed_and_started_again_it_ends_in_the_same_bytes() {
     let folder = tempfile::tempdir().unwrap();
     let (whole, broken) = (folder.path().join("whole"), folder.path().join("broken"));

@@ -204,6 +204,7 @@ impl Plan {
             color_only: false,
             prune: None,
             exposure: false,
+            init: None,
             frame: None,
             key: None,
             trusted: None,

@@ -140,6 +140,7 @@ fn plan(config: &AgentConfig) -> Result<TrainPlan> {
         surface: (!config.color_only).then(SurfaceSettings::default),
         prune,
         exposure: config.exposure,
+        init: config.init.clone(),
         one_of_many: true,
     })
 }

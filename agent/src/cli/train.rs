@@ -53,6 +53,9 @@ pub(super) struct TrainArgs {
     /// Learn an exposure for each picture, for cameras that choose their own
     #[arg(long)]
     exposure: bool,
+    /// Begin with this model of the same ground, for example the last global model, instead of the sparse cloud
+    #[arg(long, value_name = "MODEL.ply")]
+    init: Option<PathBuf>,
     /// Begin anew even if DIR has a checkpoint
     #[arg(long)]
     fresh: bool,
@@ -95,6 +98,7 @@ pub(super) fn run(args: &TrainArgs) -> Result<()> {
         surface: (!args.color_only).then(SurfaceSettings::default),
         prune: args.prune(),
         exposure: args.exposure,
+        init: args.init.clone(),
         one_of_many: false,
     };
     let mut progress = Progress::new(args.common.json);

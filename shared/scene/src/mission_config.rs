@@ -71,6 +71,10 @@ pub struct AgentConfig {
     /// Learn an exposure for each photograph, for cameras that choose their own.
     #[serde(default)]
     pub exposure: bool,
+    /// A model of the same ground to begin with, for example the last flight's `global.ply`; absent to begin with the
+    /// sparse cloud.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub init: Option<PathBuf>,
     /// The world frame of the coordinates, the same for all whose models are joined; absent for `local`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub frame: Option<String>,

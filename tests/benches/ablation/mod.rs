@@ -118,6 +118,7 @@ fn train(arguments: &Arguments, data: &Path, variant: &Variant) -> Result<Traine
         surface: variant.surface,
         prune: variant.prune,
         exposure: false,
+        init: None,
         one_of_many: false,
     };
     let mut session = Session::start(&plan, None)?;

@@ -1,0 +1,68 @@
+//! A training that begins with a model of the same ground, for example the global model of the last flight, instead
+//! of with the sparse cloud.
+
+use std::path::Path;
+
+use cosurf_link::plain_importance;
+use cosurf_scene::{Camera, SceneError, Splats, ply};
+use glam::DVec3;
+
+/// Reads a model and keeps of it what `cameras` look at, the most important where that is more than `splats_max`; at
+/// `sh_degree`, where the model is silent above its own and cut off where it has more.
+pub(crate) fn beginning(
+    model: &Path,
+    cameras: &[Camera],
+    splats_max: usize,
+    sh_degree: u32,
+) -> Result<Splats, SceneError> {
+    let model = ply::read(model)?;
+    Ok(part(&model, cameras, splats_max, sh_degree))
+}
+
+fn part(model: &Splats, cameras: &[Camera], splats_max: usize, sh_degree: u32) -> Splats {
+    let is_seen = |i: &usize| {
+        let mean = DVec3::from_array(model.means[*i].map(f64::from));
+        cameras.iter().any(|camera| camera.sees(mean))
+    };
+    let importance = plain_importance(model);
+    let mut seen: Vec<usize> = (0..model.len()).filter(is_seen).collect();
+    seen.sort_by(|a, b| importance[*b].total_cmp(&importance[*a]));
+    seen.truncate(splats_max);
+    seen.sort_unstable();
+    let mut part = Splats::with_capacity(seen.len(), sh_degree);
+    let mut sh = vec![0.0; part.sh_stride()];
+    let shared = part.sh_stride().min(model.sh_stride());
+    for i in seen {
+        sh[..shared].copy_from_slice(&model.sh_of(i)[..shared]);
+        part.push(model.means[i], model.quats[i], model.log_scales[i], model.opacity_logits[i], &sh);
+    }
+    part
+}
+
+#[cfg(test)]
+mod tests {
+    use cosurf_scene::Pose;
+    use glam::DVec2;
+
+    use super::*;
+
+    #[test]
+    fn what_the_cameras_see_is_kept_the_most_important_first() {
+        let camera = Camera {
+            cam_from_world: Pose::look_at(DVec3::Z * 10.0, DVec3::ZERO, DVec3::Y),
+            focal_px: DVec2::splat(40.0),
+            center_px: DVec2::new(24.0, 16.0),
+            size_px: [48, 32],
+        };
+        let mut model = Splats::with_capacity(4, 1);
+        for (x, opacity_logit) in [(0.0, 1.0), (50.0, 9.0), (1.0, 3.0), (2.0, 2.0)] {
+            let sh: Vec<f32> = (0..12).map(|k| x + k as f32).collect();
+            model.push([x, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [-1.0; 3], opacity_logit, &sh);
+        }
+        let kept = part(&model, &[camera], 2, 3);
+        assert_eq!(kept.means, [[1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]);
+        assert_eq!((kept.sh_of(0)[11], kept.sh_of(0)[12], kept.sh_stride()), (12.0, 0.0, 48));
+        assert_eq!(part(&model, &[camera], 9, 0).sh_of(2), [2.0, 3.0, 4.0]);
+        assert!(part(&model, &[], 9, 0).is_empty());
+    }
+}
