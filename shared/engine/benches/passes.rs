@@ -1,10 +1,11 @@
 //! The passes of a step, each alone, on a fixed workload: 640 × 480 pixels, 50,000 splats of 0.8 to 4 px
-//! standard deviation and opacity 0.05 to 0.9, seven channels. Throughput is in splat–tile pairs.
+//! standard deviation and opacity 0.05 to 0.9, seven channels. Throughput is in splat–tile pairs. And whole steps of
+//! 480 × 270 pixels and 20,000 splats, on the processor and on the best graphics card, a software driver too.
 //!
 //! `cargo bench -p cosurf-engine`
 
 use cosurf_engine::backend::{AdamRates, Channels, LossWeights, SurfaceWeights, TargetRgb, Targets};
-use cosurf_engine::{Backend, CpuBackend, CpuCapacity};
+use cosurf_engine::{AnyBackend, Backend, CpuBackend, CpuCapacity, DeviceChoice};
 use cosurf_scene::{Camera, Pose, Splats};
 use divan::Bencher;
 use divan::counter::ItemsCount;
@@ -12,6 +13,8 @@ use glam::{DQuat, DVec2, DVec3};
 
 const SIZE_PX: [u32; 2] = [640, 480];
 const SPLATS: usize = 50_000;
+const STEP_SIZE_PX: [u32; 2] = [480, 270];
+const STEP_SPLATS: usize = 20_000;
 
 fn main() {
     divan::main();
@@ -35,22 +38,27 @@ impl Random {
 }
 
 fn camera() -> Camera {
+    camera_of(SIZE_PX)
+}
+
+fn camera_of(size_px: [u32; 2]) -> Camera {
     Camera {
         cam_from_world: Pose { rotation: DQuat::IDENTITY, translation: DVec3::ZERO },
         focal_px: DVec2::splat(500.0),
-        center_px: DVec2::new(320.0, 240.0),
-        size_px: SIZE_PX,
+        center_px: DVec2::from(size_px.map(f64::from)) / 2.0,
+        size_px,
     }
 }
 
 /// Splats all over the picture, at depths 2 to 10.
-fn splats() -> Splats {
+fn splats(count: usize, size_px: [u32; 2]) -> Splats {
     let mut random = Random(1);
-    let mut splats = Splats::with_capacity(SPLATS, 3);
-    for _ in 0..SPLATS {
+    let mut splats = Splats::with_capacity(count, 3);
+    let [width, height] = size_px.map(|side| side as f32);
+    for _ in 0..count {
         let z = random.between(2.0, 10.0);
-        let x = (random.between(0.0, 640.0) - 320.0) * z / 500.0;
-        let y = (random.between(0.0, 480.0) - 240.0) * z / 500.0;
+        let x = (random.between(0.0, width) - width / 2.0) * z / 500.0;
+        let y = (random.between(0.0, height) - height / 2.0) * z / 500.0;
         let mut log_scale = || (random.between(0.8, 4.0) * z / 500.0).ln();
         let log_scales = [log_scale(), log_scale(), log_scale()];
         let quat = [0, 1, 2, 3].map(|_| random.between(-1.0, 1.0));
@@ -72,7 +80,7 @@ fn backend(threads: usize) -> CpuBackend {
         training: true,
     };
     let mut backend = CpuBackend::new(capacity, threads);
-    backend.load(&splats());
+    backend.load(&splats(SPLATS, SIZE_PX));
     backend
 }
 
@@ -86,6 +94,26 @@ fn stepped(threads: usize, channels: Channels) -> (CpuBackend, usize) {
     backend.rasterize_backward();
     backend.project_backward();
     (backend, pairs)
+}
+
+/// One step of a training; of a surface's with a neighbour, which is the view itself.
+fn step(backend: &mut impl Backend, rgb: TargetRgb, channels: Channels) {
+    let camera = camera_of(STEP_SIZE_PX);
+    let is_surface = channels == Channels::Geometry;
+    if is_surface {
+        backend.project(&camera, 0);
+        backend.bin();
+        backend.rasterize(channels);
+        backend.keep_neighbour();
+    }
+    backend.project(&camera, 3);
+    backend.bin();
+    backend.rasterize(channels);
+    let targets = Targets { neighbour_rgb: is_surface.then_some(rgb), ..Targets::colors(rgb) };
+    backend.losses(&targets, if is_surface { &SURFACE } else { &COLOR });
+    backend.rasterize_backward();
+    backend.project_backward();
+    backend.adam(&RATES);
 }
 
 fn losses(backend: &mut CpuBackend) {
@@ -170,4 +198,39 @@ fn project_backward(bencher: Bencher) {
 fn adam(bencher: Bencher) {
     let (mut backend, _) = stepped(2, Channels::Geometry);
     bencher.counter(ItemsCount::new(SPLATS)).bench_local(|| backend.adam(&RATES));
+}
+
+#[divan::bench(args = CHANNELS)]
+fn step_on_cpu(bencher: Bencher, channels: Channels) {
+    steps(bencher, DeviceChoice::Cpu, channels);
+}
+
+#[divan::bench(args = CHANNELS, sample_count = 10)]
+fn step_on_gpu(bencher: Bencher, channels: Channels) {
+    steps(bencher, DeviceChoice::Gpu(None), channels);
+}
+
+fn steps(bencher: Bencher, choice: DeviceChoice, channels: Channels) {
+    let capacity = CpuCapacity {
+        splats: STEP_SPLATS,
+        pairs: 4 * STEP_SPLATS,
+        size_px: STEP_SIZE_PX,
+        sh_degree: 3,
+        channels,
+        training: true,
+    };
+    let Ok(device) = choice.open() else {
+        eprintln!("{choice}: there is none");
+        return;
+    };
+    let mut backend = AnyBackend::new(&device, capacity, 2).expect("room for it");
+    println!("{}", backend.device());
+    backend.load(&splats(STEP_SPLATS, STEP_SIZE_PX));
+    let mut random = Random(2);
+    let pixels = STEP_SIZE_PX[0] * STEP_SIZE_PX[1];
+    let rgb: Vec<u8> = (0..3 * pixels).map(|_| random.between(0.0, 255.0) as u8).collect();
+    // The first step compiles the passes.
+    step(&mut backend, TargetRgb::Bytes(&rgb), channels);
+    // What a step leaves undone on a card, the next one waits for.
+    bencher.bench_local(|| step(&mut backend, TargetRgb::Bytes(&rgb), channels));
 }
