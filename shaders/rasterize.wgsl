@@ -1,4 +1,5 @@
-// The blend: front to back over each tile's list. A group is a tile, an invocation a pixel.
+// The blend: front to back over each tile's list. A group is a tile, an invocation four pixels of a row: a splat that
+// is read once is blended into all four.
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> projected: array<Projected>;
@@ -10,6 +11,9 @@
 @group(0) @binding(5) var<storage, read_write> blended: array<u32>;
 @group(0) @binding(6) var<storage, read_write> image: array<f32>;
 
+// Invocations of a group, and pixels of each.
+const LANES: u32 = 64u;
+const PIXELS: u32 = 4u;
 // Splats that a group reads at a time.
 const BATCH: u32 = 128u;
 
@@ -17,7 +21,7 @@ var<workgroup> batch: array<Projected, BATCH>;
 var<workgroup> open_pixels: atomic<u32>;
 var<workgroup> is_open: u32;
 
-@compute @workgroup_size(GROUP)
+@compute @workgroup_size(LANES)
 fn rasterize(
     @builtin(workgroup_id) group: vec3<u32>,
     @builtin(num_workgroups) groups: vec3<u32>,
@@ -27,61 +31,75 @@ fn rasterize(
     if (tile >= view.tiles.x * view.tiles.y) {
         return;
     }
-    let pixel = TILE * vec2(tile % view.tiles.x, tile / view.tiles.x) + vec2(lane % TILE, lane / TILE);
-    let center = vec2<f32>(pixel) + 0.5;
+    let first_pixel = PIXELS * lane;
+    let corner = TILE * vec2(tile % view.tiles.x, tile / view.tiles.x) + vec2(first_pixel % TILE, first_pixel / TILE);
+    let columns = vec4(corner.x) + vec4(0u, 1u, 2u, 3u);
+    let x = vec4<f32>(columns) + 0.5;
+    let y = f32(corner.y) + 0.5;
     let range = ranges[tile];
 
-    // Transmittance while the pixel is open; 0 once it is full, and then `left` is where it was left.
-    var open = select(0.0, 1.0, all(pixel < view.size_px));
-    var left = 0.0;
-    var rgb = vec3(0.0);
-    var surface = vec4(0.0);
+    // Transmittance while a pixel is open; 0 once it is full, and then `left` is where it was left.
+    let is_inside = (columns < vec4(view.size_px.x)) & vec4(corner.y < view.size_px.y);
+    var open = select(vec4(0.0), vec4(1.0), is_inside);
+    var left = vec4(0.0);
+    // Colour, normal and distance, each of four pixels.
+    var red = vec4(0.0);
+    var green = vec4(0.0);
+    var blue = vec4(0.0);
+    var surface = mat4x4<f32>();
     var first = range.x;
     for (; first < range.y; first += BATCH) {
-        if (!any_open(open > 0.0, lane)) {
+        if (!any_open(any(open > vec4(0.0)), lane)) {
             break;
         }
         let count = min(BATCH, range.y - first);
-        if (lane < count) {
-            batch[lane] = projected[id_of_slot[sorted_slots[first + lane]]];
+        for (var k = lane; k < count; k += LANES) {
+            batch[k] = projected[id_of_slot[sorted_slots[first + k]]];
         }
         workgroupBarrier();
         for (var k = 0u; k < count; k++) {
-            if (open == 0.0) {
+            if (all(open == vec4(0.0))) {
                 break;
             }
-            let d = batch[k].mean_px - center;
+            let dx = batch[k].mean_px.x - x;
+            let dy = batch[k].mean_px.y - y;
             let falloff = batch[k].falloff;
-            let log2_alpha = batch[k].log2_opacity - (falloff.x * d.x * d.x + falloff.y * d.x * d.y + falloff.z * d.y * d.y);
-            let raw = exp2(log2_alpha);
-            if (!(raw >= ALPHA_MIN)) {
+            let raw = exp2(batch[k].log2_opacity - (falloff.x * dx * dx + falloff.y * dx * dy + falloff.z * dy * dy));
+            // Phrased so that NaN is skipped.
+            let is_hit = (raw >= vec4(ALPHA_MIN)) & (open > vec4(0.0));
+            if (!any(is_hit)) {
                 continue;
             }
-            let alpha = min(raw, ALPHA_MAX);
+            let alpha = min(raw, vec4(ALPHA_MAX));
             let after = open - alpha * open;
-            if (after < TRANSMITTANCE_MIN) {
-                left = open;
-                open = 0.0;
-                break;
+            let fills = is_hit & (after < vec4(TRANSMITTANCE_MIN));
+            let weight = select(vec4(0.0), alpha * open, is_hit & !fills);
+            left = select(left, open, fills);
+            open = select(select(open, after, is_hit), vec4(0.0), fills);
+            let rgb = batch[k].rgb;
+            red += weight * rgb.x;
+            green += weight * rgb.y;
+            blue += weight * rgb.z;
+            if (view.planes == PLANES_GEOMETRY) {
+                let normal = batch[k].normal;
+                surface[0] += weight * normal.x;
+                surface[1] += weight * normal.y;
+                surface[2] += weight * normal.z;
+                surface[3] += weight * batch[k].plane_distance;
             }
-            let weight = alpha * open;
-            rgb += weight * batch[k].rgb;
-            surface += weight * vec4(batch[k].normal, batch[k].plane_distance);
-            open = after;
         }
     }
     if (lane == 0u) {
         blended[tile] = min(first, range.y) - range.x;
     }
-    put(tile, 0u, lane, rgb.x);
-    put(tile, 1u, lane, rgb.y);
-    put(tile, 2u, lane, rgb.z);
-    put(tile, TRANSMITTANCE, lane, left + open);
+    put(tile, 0u, first_pixel, red);
+    put(tile, 1u, first_pixel, green);
+    put(tile, 2u, first_pixel, blue);
+    put(tile, TRANSMITTANCE, first_pixel, left + open);
     if (view.planes == PLANES_GEOMETRY) {
-        put(tile, NORMAL, lane, surface.x);
-        put(tile, NORMAL + 1u, lane, surface.y);
-        put(tile, NORMAL + 2u, lane, surface.z);
-        put(tile, DISTANCE, lane, surface.w);
+        for (var k = 0u; k < 4u; k++) {
+            put(tile, NORMAL + k, first_pixel, surface[k]);
+        }
     }
 }
 
@@ -101,6 +119,9 @@ fn any_open(open: bool, lane: u32) -> bool {
     return workgroupUniformLoad(&is_open) == 1u;
 }
 
-fn put(tile: u32, plane: u32, pixel: u32, value: f32) {
-    image[(tile * view.planes + plane) * TILE_PIXELS + pixel] = value;
+fn put(tile: u32, plane: u32, pixel: u32, values: vec4<f32>) {
+    let at = (tile * view.planes + plane) * TILE_PIXELS + pixel;
+    for (var k = 0u; k < PIXELS; k++) {
+        image[at + k] = values[k];
+    }
 }

@@ -20,13 +20,17 @@
 // ∂L/∂rgb, ∂L/∂normal, ∂L/∂distance, and the sums of absolute values of ∂L/∂mean, each times log2(e).
 @group(0) @binding(8) var<storage, read_write> records: array<vec4<f32>>;
 
-// Pairs that a group carries at a time, and pixels of a row that each crosses in a step. A pair must have left a
+// Pairs that a group carries at a time, and pixels of a row that each crosses in a step: what suits the device; the
+// sums are the same. A pair must have left a
 // chunk before the one that takes its invocation next comes to it: PAIRS_AT_ONCE * CHUNK is at most 256.
 override PAIRS_AT_ONCE: u32 = 64u;
 override CHUNK: u32 = 4u;
 
 // Transmittance (0 once the pixel is full) and rest of each pixel.
 var<workgroup> pixels: array<vec2<f32>, TILE_PIXELS>;
+// The tile's gradient: of the colours, of normal and distance.
+var<workgroup> v_rgbs: array<vec3<f32>, TILE_PIXELS>;
+var<workgroup> v_surfaces: array<vec4<f32>, TILE_PIXELS>;
 
 @compute @workgroup_size(PAIRS_AT_ONCE)
 fn rasterize_backward(
@@ -46,6 +50,17 @@ fn rasterize_backward(
         write_record(sorted_slots[at], Sums());
     }
     for (var pixel = lane; pixel < TILE_PIXELS; pixel += PAIRS_AT_ONCE) {
+        v_rgbs[pixel] = vec3(
+            gradient[place(tile, 0u, pixel)], gradient[place(tile, 1u, pixel)], gradient[place(tile, 2u, pixel)],
+        );
+        if (view.planes == PLANES_GEOMETRY) {
+            v_surfaces[pixel] = vec4(
+                gradient[place(tile, NORMAL, pixel)],
+                gradient[place(tile, NORMAL + 1u, pixel)],
+                gradient[place(tile, NORMAL + 2u, pixel)],
+                gradient[place(tile, DISTANCE, pixel)],
+            );
+        }
         let inside = all(origin + vec2(pixel % TILE, pixel / TILE) < view.size_px);
         pixels[pixel] = vec2(select(0.0, 1.0, inside), finished(tile, pixel));
     }
@@ -64,7 +79,7 @@ fn rasterize_backward(
                 splat = projected[id_of_slot[sorted_slots[at]]];
                 sums = Sums();
             }
-            carry(tile, origin, chunk, splat, &sums);
+            carry(origin, chunk, splat, &sums);
             if (chunk == chunks - 1u) {
                 write_record(sorted_slots[at], sums);
             }
@@ -106,7 +121,7 @@ fn finished(tile: u32, pixel: u32) -> f32 {
 }
 
 // Carries a splat over a chunk of pixels of one row.
-fn carry(tile: u32, origin: vec2<u32>, chunk: u32, splat: Projected, sums: ptr<function, Sums>) {
+fn carry(origin: vec2<u32>, chunk: u32, splat: Projected, sums: ptr<function, Sums>) {
     let first = chunk * CHUNK;
     let y = f32(origin.y + first / TILE) + 0.5;
     let dy = splat.mean_px.y - y;
@@ -131,16 +146,11 @@ fn carry(tile: u32, origin: vec2<u32>, chunk: u32, splat: Projected, sums: ptr<f
             continue;
         }
         let weight = alpha * state.x;
-        let v_rgb = vec3(gradient[place(tile, 0u, pixel)], gradient[place(tile, 1u, pixel)], gradient[place(tile, 2u, pixel)]);
+        let v_rgb = v_rgbs[pixel];
         var value = dot(v_rgb, splat.rgb);
         (*sums).rgb += weight * v_rgb;
         if (view.planes == PLANES_GEOMETRY) {
-            let v_surface = vec4(
-                gradient[place(tile, NORMAL, pixel)],
-                gradient[place(tile, NORMAL + 1u, pixel)],
-                gradient[place(tile, NORMAL + 2u, pixel)],
-                gradient[place(tile, DISTANCE, pixel)],
-            );
+            let v_surface = v_surfaces[pixel];
             value += dot(v_surface, vec4(splat.normal, splat.plane_distance));
             (*sums).surface += weight * v_surface;
         }

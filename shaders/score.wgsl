@@ -10,7 +10,7 @@
 // The first of a slot's four vectors: SCORES.
 @group(0) @binding(6) var<storage, read_write> records: array<vec4<f32>>;
 
-// Pairs that a group carries at a time, and pixels of a row that each crosses in a step.
+// Pairs that a group carries at a time, and pixels of a row that each crosses in a step: what suits the device.
 override PAIRS_AT_ONCE: u32 = 64u;
 override CHUNK: u32 = 4u;
 // A splat is observed where it is hit before this much of the light is gone (PGSR).
@@ -52,7 +52,7 @@ fn score(
                 splat = projected[id_of_slot[sorted_slots[at]]];
                 sums = vec4(0.0);
             }
-            sums += given(origin, chunk, splat);
+            give(origin, chunk, splat, &sums);
             if (chunk == chunks - 1u) {
                 records[4u * sorted_slots[at]] = sums;
             }
@@ -61,10 +61,9 @@ fn score(
     }
 }
 
-// What a splat gives to a chunk of pixels: Σ (α T)², pixels hit, pixels hit while more than half of the light came
+// Adds what a splat gives to a chunk of pixels: Σ (α T)², pixels hit, pixels hit while more than half of the light came
 // through.
-fn given(origin: vec2<u32>, chunk: u32, splat: Projected) -> vec4<f32> {
-    var sums = vec4(0.0);
+fn give(origin: vec2<u32>, chunk: u32, splat: Projected, sums: ptr<function, vec4<f32>>) {
     for (var pixel = chunk * CHUNK; pixel < (chunk + 1u) * CHUNK; pixel++) {
         let before = pixels[pixel];
         let d = splat.mean_px - (vec2<f32>(origin + vec2(pixel % TILE, pixel / TILE)) + 0.5);
@@ -78,8 +77,7 @@ fn given(origin: vec2<u32>, chunk: u32, splat: Projected) -> vec4<f32> {
         pixels[pixel] = select(after, 0.0, after < TRANSMITTANCE_MIN);
         if (after >= TRANSMITTANCE_MIN) {
             let weight = alpha * before;
-            sums += vec4(weight * weight, 1.0, select(0.0, 1.0, before > OBSERVED_TRANSMITTANCE), 0.0);
+            *sums += vec4(weight * weight, 1.0, select(0.0, 1.0, before > OBSERVED_TRANSMITTANCE), 0.0);
         }
     }
-    return sums;
 }

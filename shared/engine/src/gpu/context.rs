@@ -183,6 +183,13 @@ impl Gpu {
         self.loser()(reason);
     }
 
+    /// The same adapter, to be treated as a graphics card if it is none and the other way round.
+    #[cfg(test)]
+    pub(super) fn disguised(&self) -> Self {
+        let adapter = AdapterSummary { is_software: !self.adapter.is_software, ..self.adapter.clone() };
+        Self { adapter, ..self.clone() }
+    }
+
     /// What was opened.
     pub fn adapter(&self) -> &AdapterSummary {
         &self.adapter

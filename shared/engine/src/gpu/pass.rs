@@ -16,6 +16,11 @@ pub(super) struct Pass {
 
 impl Pass {
     pub(super) fn new(gpu: &Gpu, shader: Shader) -> Self {
+        Self::with_constants(gpu, shader, &[])
+    }
+
+    /// With values for the shader's `override` constants.
+    pub(super) fn with_constants(gpu: &Gpu, shader: Shader, constants: &[(&str, f64)]) -> Self {
         let module = gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some(shader.name),
             source: wgpu::ShaderSource::Wgsl(shader.source.into()),
@@ -28,7 +33,7 @@ impl Pass {
             // Every pass writes its group's memory before it reads it.
             compilation_options: wgpu::PipelineCompilationOptions {
                 zero_initialize_workgroup_memory: false,
-                ..wgpu::PipelineCompilationOptions::default()
+                constants,
             },
             cache: None,
         });

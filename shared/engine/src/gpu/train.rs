@@ -67,10 +67,10 @@ impl Training {
                 ssim: Pass::new(gpu, shaders::SSIM),
                 photometric_gradient: Pass::new(gpu, shaders::PHOTOMETRIC_GRADIENT),
                 loss_total: Pass::new(gpu, shaders::LOSS_TOTAL),
-                rasterize_backward: Pass::new(gpu, shaders::RASTERIZE_BACKWARD),
+                rasterize_backward: Pass::with_constants(gpu, shaders::RASTERIZE_BACKWARD, pipelined(gpu)),
                 project_backward: Pass::new(gpu, shaders::PROJECT_BACKWARD),
                 adam: Pass::new(gpu, shaders::ADAM),
-                score: Pass::new(gpu, shaders::SCORE),
+                score: Pass::with_constants(gpu, shaders::SCORE, pipelined(gpu)),
                 score_collect: Pass::new(gpu, shaders::SCORE_COLLECT),
             },
             loss_settings: Buffer::uniform(gpu, "loss settings", zeroed()),
@@ -247,6 +247,15 @@ impl Training {
         let buffers = [view, &drawing.seen.slots.raw, projected, &self.records.raw, &self.scores.raw];
         r.run(&self.passes.score_collect, &buffers, model.len.div_ceil(GROUP));
         r.submit();
+    }
+}
+
+/// How many pairs cross a tile one behind the other. A software driver pays for every invocation at every barrier: few
+/// pairs with long steps take it half the time of many with short ones.
+fn pipelined(gpu: &Gpu) -> &'static [(&'static str, f64)] {
+    match gpu.adapter().is_software {
+        true => &[("PAIRS_AT_ONCE", 16.0), ("CHUNK", 16.0)],
+        false => &[("PAIRS_AT_ONCE", 64.0), ("CHUNK", 4.0)],
     }
 }
 

@@ -167,6 +167,21 @@ fn gradients_agree_with_the_cpu() {
 }
 
 #[test]
+fn the_way_through_a_tile_does_not_change_a_bit() {
+    let Some(gpu) = gpu() else { return };
+    let (name, splats, camera) = cases().remove(4);
+    let both = [gpu.clone(), gpu.disguised()].map(|gpu| {
+        let mut backend = on_gpu(&gpu, &splats, camera.size_px);
+        let (_, gradients) = step(&mut backend, &camera, splats.sh_degree, Channels::Geometry);
+        backend.clear_scores();
+        backend.score();
+        (gradients, backend.scores())
+    });
+    assert!(both[0].1.hits.iter().sum::<f32>() > 0.0, "{name}: something is hit");
+    assert_eq!(both[0], both[1], "{name}");
+}
+
+#[test]
 fn scores_agree_with_the_cpu() {
     let Some(gpu) = gpu() else { return };
     for (name, splats, camera) in cases() {
