@@ -54,6 +54,7 @@ fn cases() -> Vec<(&'static str, Splats, Camera)> {
         ("clamped", splats(500, 2.2, -0.8, 0.0, 2, 5), centered(eye, 14.0, [44, 29])),
         // Lists of more pairs than a group carries at once, full pixels.
         ("opaque", splats(2000, 0.5, -2.2, 3.0, 0, 7), centered(eye, 120.0, [120, 90])),
+        ("wide", splats(600, 0.6, -3.0, 0.0, 1, 9), centered(eye, 400.0, [8192, 48])),
         ("many", splats(5000, 0.8, -3.0, 0.0, 3, 8), centered(eye, 150.0, [230, 140])),
     ]
 }
