@@ -9,7 +9,7 @@ use std::io::{self, BufRead, BufReader, Read, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
-use cosurf_engine::{AnyBackend, Backend, Progress, TrainSettings, Trainer};
+use cosurf_engine::{AnyBackend, Backend, DeviceLost, Progress, TrainSettings, Trainer};
 use cosurf_scene::{Camera, SparsePoint, atomic};
 use serde::{Deserialize, Serialize};
 
@@ -163,6 +163,9 @@ pub fn write(
         body.write_all(hash.finalize().as_bytes())?;
         body.finish()?;
         Ok(())
-    })?;
-    Ok(())
+    })
+    .map_err(|error| match trainer.backend().lost() {
+        Some(reason) => DeviceLost(reason).into(),
+        None => error.into(),
+    })
 }

@@ -1,7 +1,6 @@
 //! A training session: from a plan to a trained model, within the plan's memory, resumable at every
 //! checkpoint.
 
-use std::fmt;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
@@ -10,8 +9,8 @@ use cosurf_engine::budget::{Budget, DRIVER_BYTES, TooLittleMemory, Wish};
 use cosurf_engine::init::{Form, splats_from_points};
 use cosurf_engine::train::StepOutcome;
 use cosurf_engine::{
-    AnyBackend, Backend, Device, DeviceChoice, Example, Flight, Neighbours, PruneSettings, Schedule,
-    SurfaceSettings, TrainSettings, Trainer,
+    AnyBackend, Backend, Device, DeviceChoice, DeviceLost, Example, Flight, Neighbours, PruneSettings,
+    Schedule, SurfaceSettings, TrainSettings, Trainer,
 };
 use cosurf_scene::bytes::format_bytes;
 use cosurf_scene::cache::Source;
@@ -74,22 +73,6 @@ pub enum Split {
         held_out: Vec<String>,
     },
 }
-
-/// The device was lost in the middle of a training.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct DeviceLost(String);
-
-impl fmt::Display for DeviceLost {
-    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        let Self(reason) = self;
-        write!(
-            f,
-            "{reason}; run again to go on from the last checkpoint, with --device cpu if this happens twice"
-        )
-    }
-}
-
-impl std::error::Error for DeviceLost {}
 
 /// A training that is under way.
 pub struct Session {
@@ -184,9 +167,7 @@ impl Session {
             neighbour: neighbour.as_ref().map(|(other, picture)| (*other, TargetRgb::Bytes(&picture.rgb))),
         };
         let outcome = self.trainer.step(&example);
-        if let Some(reason) = self.trainer.backend().lost() {
-            return Err(DeviceLost(reason).into());
-        }
+        not_lost(self.trainer.backend())?;
         self.dropped_pairs += outcome.counts.dropped as u64;
         Ok(outcome)
     }
@@ -225,9 +206,12 @@ impl Session {
         self.size_px
     }
 
-    /// Ends the session and gives the model; everything else that it held is freed.
-    pub fn into_splats(self) -> Splats {
-        self.trainer.into_backend().splats()
+    /// Ends the session and gives the model; everything else that it held is freed. Fails with [`DeviceLost`].
+    pub fn into_splats(self) -> Result<Splats> {
+        let backend = self.trainer.into_backend();
+        let splats = backend.splats();
+        not_lost(&backend)?;
+        Ok(splats)
     }
 
     /// What memory took away, one sentence each.
@@ -239,6 +223,11 @@ impl Session {
         }
         given_up
     }
+}
+
+/// What was read from a device that is lost is not to be believed.
+fn not_lost(backend: &AnyBackend) -> Result<(), DeviceLost> {
+    backend.lost().map_or(Ok(()), |reason| Err(DeviceLost(reason)))
 }
 
 /// Indices of the views to train on and of those held out.

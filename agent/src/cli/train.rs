@@ -6,9 +6,11 @@ use std::time::Instant;
 use anyhow::{Context, Result};
 use clap::{Args, ValueEnum};
 use cosurf_agent::checkpoint::{self, Checkpoint};
-use cosurf_agent::session::{DeviceLost, Session, Split, TrainPlan};
+use cosurf_agent::session::{Session, Split, TrainPlan};
 use cosurf_agent::{evaluate, memory, outputs};
-use cosurf_engine::{Backend, DeviceChoice, PruneScore, PruneSettings, Renderer, SurfaceSettings};
+use cosurf_engine::{
+    Backend, DeviceChoice, DeviceLost, PruneScore, PruneSettings, Renderer, SurfaceSettings,
+};
 use cosurf_scene::Splats;
 use cosurf_scene::report::{AgentEvent, TrainReport};
 
@@ -164,7 +166,7 @@ fn finish(plan: &TrainPlan, session: Session, out: &Path, seconds: f64) -> Resul
         (session.cameras().to_vec(), session.held_out().to_vec(), session.size_px());
     let device = session.trainer().backend().device();
     // The optimiser's memory goes before the renderer's comes.
-    let splats: Splats = session.into_splats();
+    let splats: Splats = session.into_splats()?;
     let score =
         evaluate::score(&mut Renderer::new(&splats, plan.threads), &held_out, size_px[0].max(size_px[1]))?;
     let report = TrainReport {

@@ -32,6 +32,11 @@ pub enum DeviceError {
     NotBuilt,
 }
 
+/// The device was lost in the middle of a training.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{0}; run again to go on from the last checkpoint, with --device cpu if this happens twice")]
+pub struct DeviceLost(pub String);
+
 impl FromStr for DeviceChoice {
     type Err = &'static str;
 

@@ -29,7 +29,7 @@ pub use any::AnyBackend;
 pub use backend::{Backend, Rendering};
 pub use budget::Budget;
 pub use cpu::{CpuBackend, CpuCapacity};
-pub use device::{Device, DeviceChoice, DeviceError};
+pub use device::{Device, DeviceChoice, DeviceError, DeviceLost};
 pub use distill::{DistillSettings, Distiller, Lesson};
 pub use neighbours::Neighbours;
 pub use prune::PruneScore;

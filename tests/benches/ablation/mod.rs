@@ -128,7 +128,7 @@ fn train(arguments: &Arguments, data: &Path, variant: &Variant) -> Result<Traine
     }
     let seconds = begun.elapsed().as_secs_f64();
     let cameras = session.cameras().to_vec();
-    Ok(Trained { splats: session.into_splats(), cameras, seconds })
+    Ok(Trained { splats: session.into_splats()?, cameras, seconds })
 }
 
 fn threads() -> usize {
