@@ -8,6 +8,7 @@ use cosurf_link::{Faults, MemoryNetwork, MemoryTransport, Model, Role};
 use cosurf_wire::{BodyHash, ModelId, SiteId};
 
 use super::*;
+use crate::gate::admit;
 use crate::merge::tests::{InMemory, above, ground};
 use crate::merge::{MergeSettings, merge};
 use crate::service::{Expected, Service, ServiceConfig, ServiceEvent};
@@ -44,7 +45,8 @@ fn offer(model: &Model, kind: ModelKind) -> Offer {
 fn merged(models: &[Model]) -> Model {
     let arrived = |model: &Model| body_to_model(&offer(model, ModelKind::Local).body).unwrap();
     let locals = InMemory(models.iter().map(arrived).collect());
-    merge(&locals, &SETTINGS, 1, &mut |_| ControlFlow::Continue(())).unwrap().model
+    let admitted = admit(&locals, SETTINGS.refine, 1, &|| false).unwrap();
+    merge(&admitted, &SETTINGS, 1, &mut |_| ControlFlow::Continue(())).unwrap().model
 }
 
 /// A service, its link, and for an edge its way up.
