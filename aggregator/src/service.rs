@@ -133,6 +133,11 @@ pub enum ServiceEvent {
         /// Why.
         reason: RefusalReason,
     },
+    /// Two drones have one name: neither gets far.
+    SameName {
+        /// Which.
+        device: DeviceId,
+    },
     /// Something was heard and thrown away.
     Ignored {
         /// One line.
@@ -164,6 +169,9 @@ impl fmt::Display for ServiceEvent {
             }
             Self::Delivered => write!(f, "every agent has the global model"),
             Self::Refused { by, reason } => write!(f, "{by} refuses the global model: {reason}"),
+            Self::SameName { device } => {
+                write!(f, "two drones call themselves {device}; give each a device name of its own")
+            }
             Self::Ignored { reason } => write!(f, "ignored: {reason}"),
         }
     }

@@ -116,6 +116,7 @@ impl Keeper {
             NodeEvent::LinkTooNarrow(error) => {
                 ServiceEvent::Ignored { reason: format!("the link does not take our messages: {error}") }
             }
+            NodeEvent::SameName(device) => ServiceEvent::SameName { device },
             NodeEvent::State(_) | NodeEvent::Receiving(_) | NodeEvent::Known(_) | NodeEvent::Progress(..) => {
                 return None;
             }

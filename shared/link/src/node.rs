@@ -18,6 +18,8 @@ use crate::{Credentials, ModelKey, Offer};
 const BURST: usize = 16;
 /// Devices whose sessions are remembered.
 const DEVICES_MAX: usize = 1024;
+/// Births of an older session after a newer one that make two participants of one.
+const RETURNS_MAX: u32 = 3;
 /// How soon a busy transport is tried again.
 const BUSY_WAIT: Duration = Duration::from_millis(2);
 
@@ -73,6 +75,8 @@ pub enum NodeEvent {
     },
     /// A device is born or has died.
     State(State),
+    /// Two participants take turns under one name; each throws the other out.
+    SameName(DeviceId),
     /// A header was accepted; its body is being fetched.
     Receiving(ModelHeader),
     /// A model was announced that is stored already, in this session or an earlier one.
@@ -116,6 +120,14 @@ pub enum NodeEvent {
     LinkTooNarrow(PublishError),
 }
 
+/// What is known of a device's births.
+#[derive(Clone, Copy, Debug, Default)]
+struct Sessions {
+    newest: u64,
+    /// Times that an older session was born after the newest: once or twice a broker repeats what is past.
+    returns: u32,
+}
+
 /// A participant. Give it a transport and the time, again and again.
 #[derive(Debug)]
 pub struct Node {
@@ -125,8 +137,8 @@ pub struct Node {
     events: VecDeque<NodeEvent>,
     /// The birth notice, due after each connection.
     birth: Option<Outgoing>,
-    /// The session of each device that was born; at most [`DEVICES_MAX`].
-    sessions: BTreeMap<DeviceId, u64>,
+    /// The sessions of each device that was born; at most [`DEVICES_MAX`].
+    sessions: BTreeMap<DeviceId, Sessions>,
     /// Handed out by a machine, not yet taken by the transport.
     pending: Option<Outgoing>,
     is_connected: bool,
@@ -353,11 +365,18 @@ impl Node {
 
     /// A death of an earlier session than the newest birth is out of date: the broker published it late.
     fn hear_state(&mut self, state: State) {
-        if !state.alive && self.sessions.get(&state.device).is_some_and(|born| *born > state.session) {
+        let known = self.sessions.get(&state.device).copied();
+        let is_past = known.is_some_and(|known| known.newest > state.session);
+        if !state.alive && is_past {
             return;
         }
-        if self.sessions.len() < DEVICES_MAX || self.sessions.contains_key(&state.device) {
-            self.sessions.insert(state.device, state.session);
+        if self.sessions.len() < DEVICES_MAX || known.is_some() {
+            let Sessions { newest, returns } = known.unwrap_or_default();
+            let returns = returns + u32::from(is_past);
+            if is_past && returns == RETURNS_MAX {
+                self.events.push_back(NodeEvent::SameName(state.device));
+            }
+            self.sessions.insert(state.device, Sessions { newest: newest.max(state.session), returns });
         }
         self.events.push_back(NodeEvent::State(state));
     }

@@ -264,12 +264,16 @@ fn fault_05_bombs_do_not_go_off() {
         let frame = zstd::bulk::compress(&noise[..wrong], 1).unwrap();
         assert_eq!(replaced(&frame, count), Err(cosurf_wire::body::BodyError::BadPack.into()), "{wrong}");
     }
-    // A window of 128 MiB.
-    let mut encoder = zstd::Encoder::new(Vec::new(), 1).unwrap();
-    encoder.window_log(27).unwrap();
-    std::io::Write::write_all(&mut encoder, &noise[..unpacked]).unwrap();
-    let frame = encoder.finish().unwrap();
-    assert_eq!(replaced(&frame, count), Err(cosurf_wire::body::BodyError::BadPack.into()));
+    // The same splats, in a window of 128 MiB.
+    let right = zstd::stream::decode_all(&sane[first.range.clone()]).unwrap();
+    let windowed = |window_log| {
+        let mut encoder = zstd::Encoder::new(Vec::new(), 1).unwrap();
+        encoder.window_log(window_log).unwrap();
+        std::io::Write::write_all(&mut encoder, &right).unwrap();
+        replaced(&encoder.finish().unwrap(), count)
+    };
+    assert!(windowed(cosurf_wire::body::WINDOW_LOG).is_ok());
+    assert_eq!(windowed(27), Err(cosurf_wire::body::BodyError::BadPack.into()));
 }
 
 #[test]
