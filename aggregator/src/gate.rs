@@ -9,7 +9,7 @@
 //! Of two that contradict each other the one goes that contradicts more of the others, then the one with fewer
 //! cameras, then the later one: the verdict depends on the models alone, not on who came first.
 //!
-//! Who contradicts others may be moved to where it fits them ([`refine`]), if the owner of all says so.
+//! Who contradicts others may be moved to where it fits them (`refine`), if the owner of all says so.
 
 mod consensus;
 mod glimpse;
