@@ -12,7 +12,7 @@ use std::sync::mpsc;
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-use common::{identity, offer};
+use common::{cameras, identity, splats};
 use cosurf_aggregator::broker::Broker;
 use cosurf_aggregator::gateway::{Gateway, GatewayEvent};
 use cosurf_aggregator::merge::MergeSettings;
@@ -22,7 +22,8 @@ use cosurf_link::{
     BrokerAddress, Identity, InboxLimits, MqttConfig, MqttTransport, Node, NodeEvent, Offer, Role,
     SerialConfig, SerialTransport, Transport,
 };
-use cosurf_wire::{DeviceId, MAX_CHUNK_BYTES, ModelKind};
+use cosurf_wire::{DeviceId, ModelId, ModelKind};
+use glam::DQuat;
 use serialport::{SerialPort, TTYPort};
 
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -61,6 +62,17 @@ fn drone<T: Transport + Send + 'static>(
             }
         }
     })
+}
+
+/// A model whose cameras see all of it: who merges believes no other.
+fn model(name: &str) -> Offer {
+    let mut views = cameras(3);
+    for view in &mut views {
+        view.cam_from_world.rotation = DQuat::IDENTITY;
+        view.cam_from_world.translation.z = 300.0;
+    }
+    let device = DeviceId::new(name).unwrap();
+    Offer::new(device, ModelId(1), ModelKind::Local, 3, &splats(1, 1500, 0), &views).unwrap()
 }
 
 #[test]
@@ -110,13 +122,12 @@ fn radio_and_network_share_a_mission() {
     );
     let (say, globals) = mpsc::channel();
     let (radio, net) = (identity(Role::Device, "by-radio"), identity(Role::Device, "by-net"));
-    let model = |name, seed| offer(name, 1, ModelKind::Local, seed, 1500, MAX_CHUNK_BYTES as u32);
     let serial = SerialTransport::start(line(air, 2, DEVICE_MESSAGE_BYTES));
     let (kill_radio, die) = mpsc::channel();
-    let by_radio = drone(serial, radio, model("by-radio", 1), say.clone(), die);
+    let by_radio = drone(serial, radio, model("by-radio"), say.clone(), die);
     let mqtt = MqttTransport::start(MqttConfig { broker: address, identity: net, tls: None });
     let (kill_net, die) = mpsc::channel();
-    let by_net = drone(mqtt, net, model("by-net", 2), say, die);
+    let by_net = drone(mqtt, net, model("by-net"), say, die);
 
     let mut got: Vec<_> = (0..2).map(|_| globals.recv_timeout(PATIENCE).unwrap()).collect();
     got.sort();
