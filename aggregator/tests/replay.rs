@@ -16,14 +16,15 @@ use std::sync::mpsc;
 use std::thread;
 use std::time::{Duration, Instant};
 
-use common::{identity, offer};
+use common::{cameras, identity, splats};
 use cosurf_aggregator::broker::Broker;
 use cosurf_aggregator::merge::MergeSettings;
 use cosurf_aggregator::service::{Command, Expected, Service, ServiceConfig, ServiceEvent, global_ply};
 use cosurf_link::mqtt::tap::{ReplaySettings, record, replay};
 use cosurf_link::recording::Recording;
-use cosurf_link::{BrokerAddress, Faults, InboxLimits, MqttConfig, MqttTransport, Role};
-use cosurf_wire::{DeviceId, ModelKind};
+use cosurf_link::{BrokerAddress, Faults, InboxLimits, MqttConfig, MqttTransport, Offer, Role};
+use cosurf_wire::{DeviceId, ModelId, ModelKind};
+use glam::DQuat;
 use live::upload;
 
 const PATIENCE: Duration = Duration::from_secs(120);
@@ -85,14 +86,27 @@ fn recorded_flight(folder: &Path, file: &Path) -> Vec<u8> {
             assert!(begun.elapsed() < PATIENCE, "nothing is recorded");
             thread::sleep(Duration::from_millis(20));
         }
-        for (seed, drone) in (1..).zip(DRONES) {
-            let offer = offer(drone, 1, ModelKind::Local, seed, 3000, 4096);
+        for drone in DRONES {
+            let offer = model(drone);
             upload(address.clone(), None, identity(Role::Device, drone), offer, |_| {}, |_, _| {});
         }
     });
     stop.store(true, Ordering::Relaxed);
     assert!(recorder.join().unwrap() > 20, "hardly anything was recorded");
     global
+}
+
+/// A model whose cameras see all of it: who merges believes no other.
+fn model(name: &str) -> Offer {
+    let mut views = cameras(3);
+    for view in &mut views {
+        view.cam_from_world.rotation = DQuat::IDENTITY;
+        view.cam_from_world.translation.z = 300.0;
+    }
+    let device = DeviceId::new(name).unwrap();
+    let mut offer = Offer::new(device, ModelId(1), ModelKind::Local, 3, &splats(1, 3000, 0), &views).unwrap();
+    offer.header.chunk_bytes = 4096;
+    offer
 }
 
 #[test]
