@@ -16,12 +16,8 @@ const BETA_2: f32 = 0.999;
 const EPSILON: f32 = 1e-15;
 
 @compute @workgroup_size(GROUP)
-fn adam(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) lane: u32,
-) {
-    let i = group_index(group, groups) * GROUP + lane;
+fn adam(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let i = group_index(group) * GROUP + lane;
     if (i >= view.splats) {
         return;
     }

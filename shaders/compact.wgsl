@@ -7,12 +7,8 @@
 @group(0) @binding(4) var<storage, read_write> ids: array<u32>;
 
 @compute @workgroup_size(GROUP)
-fn compact(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) lane: u32,
-) {
-    let i = group_index(group, groups) * GROUP + lane;
+fn compact(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let i = group_index(group) * GROUP + lane;
     if (i >= view.splats || depth_keys[i] == NOT_SEEN) {
         return;
     }

@@ -11,12 +11,8 @@
 const REACH: u32 = 2u;
 
 @compute @workgroup_size(GROUP)
-fn depth_backward(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) lane: u32,
-) {
-    let pixel = pixel_of(group_index(group, groups), lane);
+fn depth_backward(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let pixel = pixel_of(group_index(group), lane);
     if (!is_inside(pixel)) {
         return;
     }

@@ -10,17 +10,13 @@ var<workgroup> least: atomic<u32>;
 var<workgroup> most: atomic<u32>;
 
 @compute @workgroup_size(GROUP)
-fn edges(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) lane: u32,
-) {
+fn edges(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     if (lane == 0u) {
         atomicStore(&least, 0x7f800000u);
         atomicStore(&most, 0u);
     }
     workgroupBarrier();
-    let pixel = pixel_of(group_index(group, groups), lane);
+    let pixel = pixel_of(group_index(group), lane);
     if (all(pixel > vec2(0u)) && all(pixel + 1u < view.size_px)) {
         let bits = bitcast<u32>(luma_slope(pixel));
         atomicMin(&least, bits);

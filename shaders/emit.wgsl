@@ -14,12 +14,8 @@
 @group(0) @binding(8) var<storage, read_write> id_of_slot: array<u32>;
 
 @compute @workgroup_size(GROUP)
-fn emit(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) lane: u32,
-) {
-    let k = group_index(group, groups) * GROUP + lane;
+fn emit(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let k = group_index(group) * GROUP + lane;
     let visible = counters[VISIBLE];
     if (k >= visible) {
         return;

@@ -36,12 +36,8 @@ const DISAGREEMENT_MAX: f32 = 0.9;
 var<workgroup> totals: array<vec4<f32>, SAMPLES_AT_ONCE>;
 
 @compute @workgroup_size(SAMPLES_AT_ONCE)
-fn multiview(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) lane: u32,
-) {
-    let job = group_index(group, groups);
+fn multiview(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let job = group_index(group);
     let sample = job * SAMPLES_AT_ONCE + lane;
     var loss = vec4(0.0);
     if (sample < weights.samples) {
@@ -151,9 +147,24 @@ struct Found {
     least: f32,
 }
 
-// The place of the upper left corner, and whether all corners lie in the neighbour's picture.
-fn is_between(at: vec2<f32>) -> bool {
-    return all(at >= vec2(0.0)) && all(at < vec2<f32>(pair.size_px - 1u));
+const NOWHERE = Found(0.0, vec2(0.0), -1.0);
+
+// Where a place of the neighbour's picture lies between pixel centres.
+struct Between {
+    // Places of the upper and the lower left corner in a plane.
+    upper: u32,
+    lower: u32,
+    share: vec2<f32>,
+    // Whether all corners lie in the picture.
+    is_inside: bool,
+}
+
+fn between(q_px: vec2<f32>) -> Between {
+    let at = q_px - 0.5;
+    let is_inside = all(at >= vec2(0.0)) && all(at < vec2<f32>(pair.size_px - 1u));
+    let corner = vec2<u32>(at);
+    let upper = corner.y * pair.size_px.x + corner.x;
+    return Between(upper, upper + pair.size_px.x, at - vec2<f32>(corner), is_inside);
 }
 
 fn bilinear(upper: vec2<f32>, lower: vec2<f32>, share: vec2<f32>) -> Found {
@@ -167,27 +178,27 @@ fn bilinear(upper: vec2<f32>, lower: vec2<f32>, share: vec2<f32>) -> Found {
 }
 
 fn bilinear_depth(q_px: vec2<f32>) -> Found {
-    let at = q_px - 0.5;
-    if (!is_between(at)) {
-        return Found(0.0, vec2(0.0), -1.0);
+    let q = between(q_px);
+    if (!q.is_inside) {
+        return NOWHERE;
     }
-    let corner = vec2<u32>(at);
-    let i = corner.y * pair.size_px.x + corner.x;
-    let j = i + pair.size_px.x;
-    let upper = vec2(neighbour_depth[i], neighbour_depth[i + 1u]);
-    return bilinear(upper, vec2(neighbour_depth[j], neighbour_depth[j + 1u]), at - vec2<f32>(corner));
+    return bilinear(depths_from(q.upper), depths_from(q.lower), q.share);
 }
 
 fn bilinear_luma(q_px: vec2<f32>) -> Found {
-    let at = q_px - 0.5;
-    if (!is_between(at)) {
-        return Found(0.0, vec2(0.0), -1.0);
+    let q = between(q_px);
+    if (!q.is_inside) {
+        return NOWHERE;
     }
-    let corner = vec2<u32>(at);
-    let i = corner.y * pair.size_px.x + corner.x;
-    let j = i + pair.size_px.x;
-    let upper = vec2(neighbour_luma[i], neighbour_luma[i + 1u]);
-    return bilinear(upper, vec2(neighbour_luma[j], neighbour_luma[j + 1u]), at - vec2<f32>(corner));
+    return bilinear(lumas_from(q.upper), lumas_from(q.lower), q.share);
+}
+
+fn depths_from(i: u32) -> vec2<f32> {
+    return vec2(neighbour_depth[i], neighbour_depth[i + 1u]);
+}
+
+fn lumas_from(i: u32) -> vec2<f32> {
+    return vec2(neighbour_luma[i], neighbour_luma[i + 1u]);
 }
 
 // How little a patch looks like its image at the neighbour, and the derivative of that by m.

@@ -26,13 +26,9 @@ struct Given {
 }
 
 @compute @workgroup_size(GROUP)
-fn normals(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) lane: u32,
-) {
-    let tile = group_index(group, groups);
-    if (tile >= view.tiles.x * view.tiles.y) {
+fn normals(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let tile = group_index(group);
+    if (tile >= tiles()) {
         return;
     }
     let pixel = pixel_of(tile, lane);

@@ -6,12 +6,8 @@
 @group(0) @binding(3) var<storage, read_write> places: array<u32>;
 
 @compute @workgroup_size(GROUP)
-fn order_counts(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) lane: u32,
-) {
-    let k = group_index(group, groups) * GROUP + lane;
+fn order_counts(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let k = group_index(group) * GROUP + lane;
     if (k < counters[VISIBLE]) {
         places[k] = slots[ids[k]].y;
     }

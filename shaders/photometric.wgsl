@@ -12,17 +12,27 @@ const WINDOW = array<f32, 11>(
 // Planes between the passes: for each channel ∂SSIM/∂μx, ∂SSIM/∂E[xx], ∂SSIM/∂E[xy].
 const PARTIALS: u32 = 9u;
 
+// What a group does: one channel of a tile.
+struct Job {
+    index: u32,
+    tile: u32,
+    channel: u32,
+    // First pixel of the tile.
+    origin: vec2<u32>,
+}
+
+fn job_of(group: vec3<u32>) -> Job {
+    let index = group_index(group);
+    return Job(index, index / 3u, index % 3u, corner_of(index / 3u));
+}
+
 // The pixel at a place of a tile's surroundings; beyond the picture where it is outside.
 fn around(origin: vec2<u32>, place: u32) -> vec2<u32> {
     // Left of the picture this wraps round to far beyond its right.
     return origin + vec2(place % SIDE, place / SIDE) - REACH;
 }
 
-// What the photograph shows, 0..1: bytes as r g b r …, four in a number, or floats in the same order.
+// What the photograph shows of a pixel.
 fn photographed(pixel: vec2<u32>, channel: u32) -> f32 {
-    let at = 3u * (pixel.y * view.size_px.x + pixel.x) + channel;
-    if (settings.is_floats == 1u) {
-        return bitcast<f32>(photograph[at]);
-    }
-    return f32((photograph[at / 4u] >> (8u * (at % 4u))) & 255u) / 255.0;
+    return photograph_value(3u * line_place(pixel) + channel);
 }

@@ -19,23 +19,16 @@ var<workgroup> filtered: array<vec2<f32>, 416>;
 var<workgroup> filtered_third: array<f32, 416>;
 
 @compute @workgroup_size(GROUP)
-fn photometric_gradient(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) lane: u32,
-) {
-    let job = group_index(group, groups);
-    let tile = job / 3u;
-    let channel = job % 3u;
-    if (tile >= view.tiles.x * view.tiles.y) {
+fn photometric_gradient(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let job = job_of(group);
+    if (job.tile >= tiles()) {
         return;
     }
-    let origin = TILE * vec2(tile % view.tiles.x, tile / view.tiles.x);
     for (var k = lane; k < SIDE * SIDE; k += GROUP) {
-        let pixel = around(origin, k);
+        let pixel = around(job.origin, k);
         var partial = vec3(0.0);
         if (is_inside(pixel)) {
-            let at = pixel_place(PARTIALS, 3u * channel, pixel);
+            let at = pixel_place(PARTIALS, 3u * job.channel, pixel);
             partial = vec3(partials[at], partials[at + TILE_PIXELS], partials[at + 2u * TILE_PIXELS]);
         }
         halo[k] = partial.xy;
@@ -58,28 +51,28 @@ fn photometric_gradient(
         let at = lane + tap * TILE;
         p += window[tap] * vec3(filtered[at], filtered_third[at]);
     }
-    let pixel = origin + vec2(lane % TILE, lane / TILE);
+    let pixel = job.origin + vec2(lane % TILE, lane / TILE);
     var slope = 0.0;
     var differences = vec4(0.0);
     if (is_inside(pixel)) {
-        let x = image[pixel_place(view.planes, channel, pixel)];
-        let y = photographed(pixel, channel);
+        let x = image[pixel_place(view.planes, job.channel, pixel)];
+        let y = photographed(pixel, job.channel);
         let exposed = x * settings.gain + settings.offset - y;
         let side = sign(exposed);
         let d_ssim = 2.0 * x * p.y + (y * p.z + p.x);
         slope = side * settings.l1_weight * settings.gain - settings.ssim_weight * d_ssim;
         differences = vec4((x - y) * (x - y), abs(exposed), side, side * x);
     }
-    gradient[(tile * view.planes + channel) * TILE_PIXELS + lane] = slope;
-    for (var plane = 3u + channel; plane < view.planes; plane += 3u) {
-        gradient[(tile * view.planes + plane) * TILE_PIXELS + lane] = 0.0;
+    gradient[(job.tile * view.planes + job.channel) * TILE_PIXELS + lane] = slope;
+    for (var plane = 3u + job.channel; plane < view.planes; plane += 3u) {
+        gradient[(job.tile * view.planes + plane) * TILE_PIXELS + lane] = 0.0;
     }
     let total = sum_of_differences(differences, lane);
     if (lane == 0u) {
-        sums[2u * job].y = total.x;
-        sums[2u * job].z = total.y;
-        sums[2u * job].w = total.z;
-        sums[2u * job + 1u] = vec4(total.w, 0.0, 0.0, 0.0);
+        sums[2u * job.index].y = total.x;
+        sums[2u * job.index].z = total.y;
+        sums[2u * job.index].w = total.z;
+        sums[2u * job.index + 1u] = vec4(total.w, 0.0, 0.0, 0.0);
     }
 }
 

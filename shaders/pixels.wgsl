@@ -13,7 +13,17 @@ fn is_inside(pixel: vec2<u32>) -> bool {
     return all(pixel < view.size_px);
 }
 
+// Tiles of the picture.
+fn tiles() -> u32 {
+    return view.tiles.x * view.tiles.y;
+}
+
+// The first pixel of a tile.
+fn corner_of(tile: u32) -> vec2<u32> {
+    return TILE * vec2(tile % view.tiles.x, tile / view.tiles.x);
+}
+
 // The pixel of an invocation of a group that is a tile.
 fn pixel_of(tile: u32, lane: u32) -> vec2<u32> {
-    return TILE * vec2(tile % view.tiles.x, tile / view.tiles.x) + vec2(lane % TILE, lane / TILE);
+    return corner_of(tile) + vec2(lane % TILE, lane / TILE);
 }

@@ -12,12 +12,8 @@
 @group(0) @binding(6) var<storage, read_write> slots: array<vec2<u32>>;
 
 @compute @workgroup_size(GROUP)
-fn project(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) lane: u32,
-) {
-    let i = group_index(group, groups) * GROUP + lane;
+fn project(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let i = group_index(group) * GROUP + lane;
     if (i >= view.splats) {
         return;
     }

@@ -16,12 +16,8 @@
 @group(0) @binding(8) var<storage, read_write> stats: array<f32>;
 
 @compute @workgroup_size(GROUP)
-fn project_backward(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) lane: u32,
-) {
-    let i = group_index(group, groups) * GROUP + lane;
+fn project_backward(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let i = group_index(group) * GROUP + lane;
     if (i >= view.splats) {
         return;
     }

@@ -1,12 +1,6 @@
 // The blend: front to back over each tile's list. A group is a tile, an invocation four pixels of a row: a splat that
 // is read once is blended into all four.
 
-@group(0) @binding(0) var<uniform> view: View;
-@group(0) @binding(1) var<storage, read> projected: array<Projected>;
-// Slots of the pairs, tile by tile, nearest first; and their splats.
-@group(0) @binding(2) var<storage, read> sorted_slots: array<u32>;
-@group(0) @binding(3) var<storage, read> id_of_slot: array<u32>;
-@group(0) @binding(4) var<storage, read> ranges: array<vec2<u32>>;
 // Entries of a tile's list that were looked at before all its pixels were full: all, or whole batches.
 @group(0) @binding(5) var<storage, read_write> blended: array<u32>;
 @group(0) @binding(6) var<storage, read_write> image: array<f32>;
@@ -22,25 +16,21 @@ var<workgroup> open_pixels: atomic<u32>;
 var<workgroup> is_open: u32;
 
 @compute @workgroup_size(LANES)
-fn rasterize(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) lane: u32,
-) {
-    let tile = group_index(group, groups);
-    if (tile >= view.tiles.x * view.tiles.y) {
+fn rasterize(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let tile = group_index(group);
+    if (tile >= tiles()) {
         return;
     }
     let first_pixel = PIXELS * lane;
-    let corner = TILE * vec2(tile % view.tiles.x, tile / view.tiles.x) + vec2(first_pixel % TILE, first_pixel / TILE);
+    let corner = corner_of(tile) + vec2(first_pixel % TILE, first_pixel / TILE);
     let columns = vec4(corner.x) + vec4(0u, 1u, 2u, 3u);
     let x = vec4<f32>(columns) + 0.5;
     let y = f32(corner.y) + 0.5;
     let range = ranges[tile];
 
     // Transmittance while a pixel is open; 0 once it is full, and then `left` is where it was left.
-    let is_inside = (columns < vec4(view.size_px.x)) & vec4(corner.y < view.size_px.y);
-    var open = select(vec4(0.0), vec4(1.0), is_inside);
+    let inside = (columns < vec4(view.size_px.x)) & vec4(corner.y < view.size_px.y);
+    var open = select(vec4(0.0), vec4(1.0), inside);
     var left = vec4(0.0);
     // Colour, normal and distance, each of four pixels.
     var red = vec4(0.0);
@@ -54,7 +44,7 @@ fn rasterize(
         }
         let count = min(BATCH, range.y - first);
         for (var k = lane; k < count; k += LANES) {
-            batch[k] = projected[id_of_slot[sorted_slots[first + k]]];
+            batch[k] = splat_at(first + k);
         }
         workgroupBarrier();
         for (var k = 0u; k < count; k++) {

@@ -1,30 +1,17 @@
 // The blend's backward pass, front to back as well, so nothing but the final picture is kept.
 //
-// A group is a tile, an invocation a pair: it carries its splat over the tile's pixels, a chunk of pixels a step
-// behind the pair before it, and keeps the sums to itself. So pixels see their splats in order, every sum is made
-// by one invocation in the order of the pixels, and nothing is ever added across invocations.
+// A group is a tile, an invocation a pair; see crossing.wgsl.
 //
 // With g the gradient of a pixel's channels, everything behind the current splat enters only as the scalar
 // rest = (what is still to be blended) . g, which starts at the finished pixel's value and loses each splat's
 // share in turn.
 
-@group(0) @binding(0) var<uniform> view: View;
-@group(0) @binding(1) var<storage, read> projected: array<Projected>;
-@group(0) @binding(2) var<storage, read> sorted_slots: array<u32>;
-@group(0) @binding(3) var<storage, read> id_of_slot: array<u32>;
-@group(0) @binding(4) var<storage, read> ranges: array<vec2<u32>>;
 @group(0) @binding(5) var<storage, read> blended: array<u32>;
 @group(0) @binding(6) var<storage, read> image: array<f32>;
 @group(0) @binding(7) var<storage, read> gradient: array<f32>;
 // By slot, 16 numbers: with q = α ∂L/∂α and d = mean - pixel, Σq, Σq dx, Σq dy, Σq dx², Σq dx dy, Σq dy², then
 // ∂L/∂rgb, ∂L/∂normal, ∂L/∂distance, and the sums of absolute values of ∂L/∂mean, each times log2(e).
 @group(0) @binding(8) var<storage, read_write> records: array<vec4<f32>>;
-
-// Pairs that a group carries at a time, and pixels of a row that each crosses in a step: what suits the device; the
-// sums are the same. A pair must have left a
-// chunk before the one that takes its invocation next comes to it: PAIRS_AT_ONCE * CHUNK is at most 256.
-override PAIRS_AT_ONCE: u32 = 64u;
-override CHUNK: u32 = 4u;
 
 // Transmittance (0 once the pixel is full) and rest of each pixel.
 var<workgroup> pixels: array<vec2<f32>, TILE_PIXELS>;
@@ -33,20 +20,16 @@ var<workgroup> v_rgbs: array<vec3<f32>, TILE_PIXELS>;
 var<workgroup> v_surfaces: array<vec4<f32>, TILE_PIXELS>;
 
 @compute @workgroup_size(PAIRS_AT_ONCE)
-fn rasterize_backward(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) lane: u32,
-) {
-    let tile = group_index(group, groups);
-    if (tile >= view.tiles.x * view.tiles.y) {
+fn rasterize_backward(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let tile = group_index(group);
+    if (tile >= tiles()) {
         return;
     }
-    let origin = TILE * vec2(tile % view.tiles.x, tile / view.tiles.x);
+    let origin = corner_of(tile);
     let range = ranges[tile];
-    let end = range.x + blended[tile];
+    let pairs = blended[tile];
     // What was not looked at has no gradient.
-    for (var at = end + lane; at < range.y; at += PAIRS_AT_ONCE) {
+    for (var at = range.x + pairs + lane; at < range.y; at += PAIRS_AT_ONCE) {
         write_record(sorted_slots[at], Sums());
     }
     for (var pixel = lane; pixel < TILE_PIXELS; pixel += PAIRS_AT_ONCE) {
@@ -65,23 +48,19 @@ fn rasterize_backward(
         pixels[pixel] = vec2(select(0.0, 1.0, inside), finished(tile, pixel));
     }
     workgroupBarrier();
-    let chunks = TILE_PIXELS / CHUNK;
-    let batches = (end - range.x + PAIRS_AT_ONCE - 1u) / PAIRS_AT_ONCE;
-    // After the last batch has begun, its last pair is PAIRS_AT_ONCE - 1 steps behind its first.
-    let steps = select(batches * chunks + PAIRS_AT_ONCE - 1u, 0u, batches == 0u);
+    let steps = crossing_steps(pairs);
     var splat: Projected;
     var sums: Sums;
     for (var step = 0u; step < steps; step++) {
-        let chunk = (step - lane) % chunks;
-        let at = range.x + (step - lane) / chunks * PAIRS_AT_ONCE + lane;
-        if (step >= lane && at < end) {
-            if (chunk == 0u) {
-                splat = projected[id_of_slot[sorted_slots[at]]];
+        let here = crossing(step, lane, pairs);
+        if (here.is_under_way) {
+            if (here.chunk == 0u) {
+                splat = splat_at(range.x + here.pair);
                 sums = Sums();
             }
-            carry(origin, chunk, splat, &sums);
-            if (chunk == chunks - 1u) {
-                write_record(sorted_slots[at], sums);
+            carry(origin, here.chunk, splat, &sums);
+            if (here.is_last) {
+                write_record(sorted_slots[range.x + here.pair], sums);
             }
         }
         workgroupBarrier();
@@ -134,8 +113,7 @@ fn carry(origin: vec2<u32>, chunk: u32, splat: Projected, sums: ptr<function, Su
             continue;
         }
         let d = vec2(splat.mean_px.x - (f32(origin.x + pixel % TILE) + 0.5), dy);
-        let falloff = splat.falloff;
-        let raw = exp2(splat.log2_opacity - (falloff.x * d.x * d.x + falloff.y * d.x * d.y + falloff.z * d.y * d.y));
+        let raw = raw_alpha(splat, d);
         if (!(raw >= ALPHA_MIN)) {
             continue;
         }
@@ -162,6 +140,7 @@ fn carry(origin: vec2<u32>, chunk: u32, splat: Projected, sums: ptr<function, Su
             (*sums).q += q;
             (*sums).q_d += q * d;
             (*sums).q_dd += q * vec3(d.x * d.x, d.x * d.y, d.y * d.y);
+            let falloff = splat.falloff;
             let slopes = vec2(2.0 * falloff.x * d.x + falloff.y * d.y, falloff.y * d.x + 2.0 * falloff.z * d.y);
             (*sums).absolute += abs(q * slopes);
         }

@@ -6,12 +6,8 @@
 @group(0) @binding(3) var<storage, read_write> block_sums: array<u32>;
 
 @compute @workgroup_size(GROUP)
-fn scan_blocks(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) lane: u32,
-) {
-    let block = group_index(group, groups);
+fn scan_blocks(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let block = group_index(group);
     let count = scan_length(counters[step.counter]);
     if (block * BLOCK >= count) {
         return;

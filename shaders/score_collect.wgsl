@@ -8,12 +8,8 @@
 @group(0) @binding(4) var<storage, read_write> scores: array<f32>;
 
 @compute @workgroup_size(GROUP)
-fn score_collect(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) lane: u32,
-) {
-    let i = group_index(group, groups) * GROUP + lane;
+fn score_collect(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let i = group_index(group) * GROUP + lane;
     if (i >= view.splats || !(projected[i].falloff_max > 0.0)) {
         return;
     }

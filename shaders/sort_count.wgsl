@@ -8,12 +8,8 @@
 var<workgroup> histogram: array<atomic<u32>, 16>;
 
 @compute @workgroup_size(GROUP)
-fn sort_count(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) lane: u32,
-) {
-    let block = group_index(group, groups);
+fn sort_count(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let block = group_index(group);
     let count = counters[step.counter];
     if (block * BLOCK >= count) {
         return;

@@ -16,12 +16,8 @@ var<workgroup> before: array<u32, 2048>;
 var<workgroup> sums: array<u32, GROUP>;
 
 @compute @workgroup_size(GROUP)
-fn sort_scatter(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) lane: u32,
-) {
-    let block = group_index(group, groups);
+fn sort_scatter(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let block = group_index(group);
     let count = counters[step.counter];
     if (block * BLOCK >= count) {
         return;

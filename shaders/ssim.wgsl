@@ -21,23 +21,16 @@ var<workgroup> products: array<f32, 416>;
 var<workgroup> totals: array<f32, GROUP>;
 
 @compute @workgroup_size(GROUP)
-fn ssim(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) lane: u32,
-) {
-    let job = group_index(group, groups);
-    let tile = job / 3u;
-    let channel = job % 3u;
-    if (tile >= view.tiles.x * view.tiles.y) {
+fn ssim(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let job = job_of(group);
+    if (job.tile >= tiles()) {
         return;
     }
-    let origin = TILE * vec2(tile % view.tiles.x, tile / view.tiles.x);
     for (var k = lane; k < SIDE * SIDE; k += GROUP) {
-        let pixel = around(origin, k);
+        let pixel = around(job.origin, k);
         var color = vec2(0.0);
         if (is_inside(pixel)) {
-            color = vec2(image[pixel_place(view.planes, channel, pixel)], photographed(pixel, channel));
+            color = vec2(image[pixel_place(view.planes, job.channel, pixel)], photographed(pixel, job.channel));
         }
         colors[k] = color;
     }
@@ -62,15 +55,15 @@ fn ssim(
         m += window[tap] * filtered[lane + tap * TILE];
         xy += window[tap] * products[lane + tap * TILE];
     }
-    let is_pixel = is_inside(origin + vec2(lane % TILE, lane / TILE));
+    let is_pixel = is_inside(job.origin + vec2(lane % TILE, lane / TILE));
     let here = ssim_here(m, xy);
     let partial = select(vec3(0.0), here.yzw, is_pixel);
     for (var k = 0u; k < 3u; k++) {
-        partials[(tile * PARTIALS + 3u * channel + k) * TILE_PIXELS + lane] = partial[k];
+        partials[(job.tile * PARTIALS + 3u * job.channel + k) * TILE_PIXELS + lane] = partial[k];
     }
     let total = sum_of_map(select(0.0, here.x, is_pixel), lane);
     if (lane == 0u) {
-        sums[2u * job].x = total;
+        sums[2u * job.index].x = total;
     }
 }
 

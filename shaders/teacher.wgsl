@@ -13,13 +13,9 @@
 @group(0) @binding(6) var<storage, read_write> sums: array<vec4<f32>>;
 
 @compute @workgroup_size(GROUP)
-fn teacher(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) lane: u32,
-) {
-    let tile = group_index(group, groups);
-    if (tile >= view.tiles.x * view.tiles.y) {
+fn teacher(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let tile = group_index(group);
+    if (tile >= tiles()) {
         return;
     }
     let pixel = pixel_of(tile, lane);

@@ -6,12 +6,8 @@
 @group(0) @binding(3) var<storage, read_write> ranges: array<vec2<u32>>;
 
 @compute @workgroup_size(GROUP)
-fn tile_ranges(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) lane: u32,
-) {
-    let i = group_index(group, groups) * GROUP + lane;
+fn tile_ranges(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let i = group_index(group) * GROUP + lane;
     let count = counters[PAIRS];
     if (i >= count) {
         return;

@@ -6,12 +6,8 @@
 @group(0) @binding(2) var<storage, read_write> depth: array<f32>;
 
 @compute @workgroup_size(GROUP)
-fn unbiased_depth(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) lane: u32,
-) {
-    let pixel = pixel_of(group_index(group, groups), lane);
+fn unbiased_depth(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let pixel = pixel_of(group_index(group), lane);
     if (!is_inside(pixel)) {
         return;
     }

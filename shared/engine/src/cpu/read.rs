@@ -80,15 +80,8 @@ pub(super) fn gradients(
     for i in 0..params.len() {
         let seen = visible[i / GROUP] >> (i % GROUP) & 1 == 1;
         let get = |row: usize| if seen { gradients.value(i, row) } else { 0.0 };
-        let mean = [0, 1, 2].map(|a| Plain::splat(params.value(i, MEAN + a)));
-        let (dir, _) = view_direction(mean, view);
-        let basis = sh::basis(dir, view.sh_degree);
-        let mut sh = vec![0.0; 3 * sh_coefficients(sh_degree)];
-        for (k, value) in sh.iter_mut().enumerate().take(3 * sh_coefficients(view.sh_degree)) {
-            let mut y = [0.0; GROUP];
-            basis[k / 3].store(&mut y);
-            *value = y[0] * get(GRADIENT_RGB + k % 3);
-        }
+        let mean = [0, 1, 2].map(|a| params.value(i, MEAN + a));
+        let sh = sh_gradients(mean, [0, 1, 2].map(|k| get(GRADIENT_RGB + k)), view, sh_degree);
         out.push(
             [0, 1, 2].map(|k| get(MEAN + k)),
             [0, 1, 2, 3].map(|k| get(QUAT + k)),
@@ -98,4 +91,17 @@ pub(super) fn gradients(
         );
     }
     out
+}
+
+/// Gradients of a splat's coefficients: the basis, as the view sees the splat, times ∂L/∂rgb.
+pub(crate) fn sh_gradients(mean: [f32; 3], v_rgb: [f32; 3], view: &ViewParams, sh_degree: u32) -> Vec<f32> {
+    let (dir, _) = view_direction(mean.map(Plain::splat), view);
+    let basis = sh::basis(dir, view.sh_degree);
+    let mut sh = vec![0.0; 3 * sh_coefficients(sh_degree)];
+    for (k, value) in sh.iter_mut().enumerate().take(3 * sh_coefficients(view.sh_degree)) {
+        let mut y = [0.0; GROUP];
+        basis[k / 3].store(&mut y);
+        *value = y[0] * v_rgb[k % 3];
+    }
+    sh
 }

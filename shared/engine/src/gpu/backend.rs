@@ -3,7 +3,6 @@
 //! Every step stays on the GPU: the photograph goes over, what comes back are counts and sums. Refinement and
 //! checkpoints, every hundred steps or so, read and write rows of splats.
 
-use cosurf_scene::splats::sh_coefficients;
 use cosurf_scene::{Camera, Splats};
 
 use super::buffer::Buffer;
@@ -19,10 +18,8 @@ use crate::backend::{
 };
 use crate::cpu::CpuCapacity;
 use crate::cpu::image::padded_pixels;
-use crate::cpu::project::view_direction;
 use crate::cpu::rasterize::PLANES_GEOMETRY;
-use crate::cpu::sh;
-use crate::cpu::simd::{GROUP, Lanes, Plain};
+use crate::cpu::read;
 
 /// Everything that has a size, decided before anything is allocated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -191,14 +188,8 @@ impl Backend for GpuBackend {
         let (view, sh_degree) = (self.drawing.seen_view(), self.model.sh_degree);
         let mut out = Splats::with_capacity(self.model.len, sh_degree);
         for i in 0..self.model.len {
-            let (dir, _) = view_direction([0, 1, 2].map(|axis| Plain::splat(mean[axis][i])), view);
-            let basis = sh::basis(dir, view.sh_degree);
-            let mut sh = vec![0.0; 3 * sh_coefficients(sh_degree)];
-            for (k, value) in sh.iter_mut().enumerate().take(3 * sh_coefficients(view.sh_degree)) {
-                let mut y = [0.0; GROUP];
-                basis[k / 3].store(&mut y);
-                *value = y[0] * shape[SHAPE_ROWS + k % 3][i];
-            }
+            let v_rgb = [0, 1, 2].map(|channel| shape[SHAPE_ROWS + channel][i]);
+            let sh = read::sh_gradients([0, 1, 2].map(|axis| mean[axis][i]), v_rgb, view, sh_degree);
             out.push(
                 [0, 1, 2].map(|r| shape[r][i]),
                 [3, 4, 5, 6].map(|r| shape[r][i]),

@@ -222,7 +222,7 @@ impl Drawing {
     /// Lists the splats that are seen, nearest first.
     fn sort_by_depth(&self, r: &mut Recorder, splats: usize) {
         let Seen { depth_keys, places, by_depth, .. } = &self.seen;
-        self.sorter.scan_visible(r, &self.counters.raw, places, splats);
+        self.sorter.scan(r, Counted::Visible, &self.counters.raw, places, splats);
         let [keys, ids] = by_depth.input();
         let buffers = [&self.view.raw, &depth_keys.raw, &places.raw, keys, ids];
         r.run(&self.passes.compact, &buffers, splats.div_ceil(GROUP));
@@ -235,7 +235,7 @@ impl Drawing {
         let (counters, groups) = (&self.counters.raw, splats.div_ceil(GROUP));
         let [_, ids] = by_depth.result();
         r.run(&self.passes.order_counts, &[counters, ids, &slots.raw, &places.raw], groups);
-        self.sorter.scan_pairs(r, counters, places, splats);
+        self.sorter.scan(r, Counted::Pairs, counters, places, splats);
         let [keys, values] = self.pairs.by_tile.input();
         let id_of_slot = &self.pairs.id_of_slot.raw;
         r.run(

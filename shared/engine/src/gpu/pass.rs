@@ -3,8 +3,8 @@
 use super::context::Gpu;
 use super::shaders::Shader;
 
-/// Most groups along one axis of a dispatch.
-const GROUPS_MAX: u32 = 65_535;
+/// Most groups along one axis of a dispatch, as in the shaders.
+pub(super) const GROUPS_MAX: u32 = 65_535;
 
 /// A compiled shader.
 #[derive(Debug)]

@@ -31,21 +31,23 @@ pub(super) const SORT_SCATTER: Shader = shader!("sort_scatter");
 pub(super) const ORDER_COUNTS: Shader = shader!("order_counts");
 pub(super) const EMIT: Shader = shader!("emit", "spans");
 pub(super) const TILE_RANGES: Shader = shader!("tile_ranges");
-pub(super) const RASTERIZE: Shader = shader!("rasterize");
-pub(super) const SSIM: Shader = shader!("ssim", "pixels", "photometric");
-pub(super) const PHOTOMETRIC_GRADIENT: Shader = shader!("photometric_gradient", "pixels", "photometric");
+pub(super) const RASTERIZE: Shader = shader!("rasterize", "pixels", "tile_list");
+pub(super) const SSIM: Shader = shader!("ssim", "pixels", "photograph", "photometric");
+pub(super) const PHOTOMETRIC_GRADIENT: Shader =
+    shader!("photometric_gradient", "pixels", "photograph", "photometric");
 pub(super) const LOSS_TOTAL: Shader = shader!("loss_total");
 pub(super) const UNBIASED_DEPTH: Shader = shader!("unbiased_depth", "pixels", "surface");
-pub(super) const LUMA: Shader = shader!("luma");
+pub(super) const LUMA: Shader = shader!("luma", "photograph");
 pub(super) const EDGES: Shader = shader!("edges", "pixels", "luma_slope");
 pub(super) const NORMALS: Shader = shader!("normals", "pixels", "surface", "luma_slope", "tile_sum");
 pub(super) const DEPTH_BACKWARD: Shader = shader!("depth_backward", "pixels", "surface", "surface_gradient");
 pub(super) const MULTIVIEW: Shader = shader!("multiview", "pixels", "surface", "surface_gradient");
 pub(super) const TEACHER: Shader = shader!("teacher", "pixels", "surface", "surface_gradient", "tile_sum");
-pub(super) const RASTERIZE_BACKWARD: Shader = shader!("rasterize_backward");
+pub(super) const RASTERIZE_BACKWARD: Shader =
+    shader!("rasterize_backward", "pixels", "tile_list", "crossing");
 pub(super) const PROJECT_BACKWARD: Shader = shader!("project_backward", "geometry", "sh");
 pub(super) const ADAM: Shader = shader!("adam", "sh");
-pub(super) const SCORE: Shader = shader!("score");
+pub(super) const SCORE: Shader = shader!("score", "pixels", "tile_list", "crossing");
 pub(super) const SCORE_COLLECT: Shader = shader!("score_collect");
 
 /// Every pass.

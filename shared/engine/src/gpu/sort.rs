@@ -80,9 +80,8 @@ pub(super) struct Sorter {
     scatter: Pass,
     counts: Buffer<u32>,
     block_sums: Buffer<u32>,
-    scan_visible: Buffer<ScanStep>,
-    scan_pairs: Buffer<ScanStep>,
-    /// For [`Counted::Visible`] and [`Counted::Pairs`].
+    /// These three for [`Counted::Visible`] and [`Counted::Pairs`].
+    scans: [Buffer<ScanStep>; 2],
     scan_digits: [Buffer<ScanStep>; 2],
     sort_steps: [Vec<Buffer<SortStep>>; 2],
 }
@@ -108,8 +107,7 @@ impl Sorter {
             scatter: Pass::new(gpu, shaders::SORT_SCATTER),
             counts,
             block_sums,
-            scan_visible: scan(SPLATS, 0, VISIBLE),
-            scan_pairs: scan(VISIBLE, 0, PAIRS_WANTED),
+            scans: [scan(SPLATS, 0, VISIBLE), scan(VISIBLE, 0, PAIRS_WANTED)],
             scan_digits: [scan(VISIBLE, 1, UNUSED), scan(PAIRS, 1, UNUSED)],
             sort_steps: [steps(VISIBLE), steps(PAIRS)],
         })
@@ -127,37 +125,18 @@ impl Sorter {
         Ok((Buffer::storage(gpu, "digit counts", counts)?, Buffer::storage(gpu, "block sums", sums)?))
     }
 
-    /// Replaces the flags of all splats by their running sums; their total is the counter of visible splats.
-    pub(super) fn scan_visible(
+    /// Replaces numbers by their running sums, up to `len_max` of them. Of [`Counted::Visible`] these are the flags of all
+    /// splats, and the total is the counter of visible splats; of [`Counted::Pairs`] the numbers of pairs of the visible
+    /// splats, and the total is the counter of the pairs wanted.
+    pub(super) fn scan(
         &self,
         r: &mut Recorder,
-        counters: &wgpu::Buffer,
-        flags: &Buffer<u32>,
-        splats: usize,
-    ) {
-        self.scan(r, &self.scan_visible, counters, flags, splats);
-    }
-
-    /// Replaces the numbers of pairs of the visible splats by their running sums; the total is the counter of the
-    /// pairs wanted.
-    pub(super) fn scan_pairs(
-        &self,
-        r: &mut Recorder,
-        counters: &wgpu::Buffer,
-        counts: &Buffer<u32>,
-        splats: usize,
-    ) {
-        self.scan(r, &self.scan_pairs, counters, counts, splats);
-    }
-
-    fn scan(
-        &self,
-        r: &mut Recorder,
-        step: &Buffer<ScanStep>,
+        what: Counted,
         counters: &wgpu::Buffer,
         values: &Buffer<u32>,
         len_max: usize,
     ) {
+        let step = &self.scans[what as usize];
         self.scan_within(r, step, counters, values, len_max);
         let groups = len_max.div_ceil(GROUP);
         r.run(&self.scan_add, &[&step.raw, counters, &self.block_sums.raw, &values.raw], groups);
@@ -178,7 +157,7 @@ impl Sorter {
 
     /// Sorts by key; equal keys keep their order.
     pub(super) fn sort(&self, r: &mut Recorder, counters: &wgpu::Buffer, sorted: &Sorted) {
-        let which = usize::from(sorted.counter == Counted::Pairs);
+        let which = sorted.counter as usize;
         let blocks = sorted.len().div_ceil(BLOCK);
         let mut from = sorted.steps as usize % 2;
         for step in &self.sort_steps[which][..sorted.steps as usize] {

@@ -4,6 +4,7 @@
 
 mod forward;
 mod shaders;
+mod sort;
 mod surface;
 mod train;
 

@@ -2,11 +2,12 @@
 
 use naga::front::wgsl;
 use naga::valid::{Capabilities, ValidationFlags, Validator};
-use naga::{AddressSpace, Module, TypeInner};
+use naga::{AddressSpace, Expression, Literal, Module, TypeInner};
 
 use crate::gpu::layout::{
     BackwardWeights, LossSettings, Pair, Projected, Rates, ScanStep, SortStep, SurfaceWeights, View,
 };
+use crate::gpu::pass::GROUPS_MAX;
 use crate::gpu::shaders;
 
 /// Storage buffers that a pass may bind: WebGPU's default limit.
@@ -56,7 +57,7 @@ fn layout_in(module: &Module, structure: &str) -> (Vec<(String, u32)>, u32) {
 
 /// The same of a structure of Rust.
 macro_rules! layout_of {
-    ($structure:ident { $($field:ident),* $(,)? }) => {
+    ($structure:ident: $($field:ident)*) => {
         (
             vec![$((stringify!($field).to_owned(), std::mem::offset_of!($structure, $field) as u32)),*],
             size_of::<$structure>() as u32,
@@ -64,76 +65,44 @@ macro_rules! layout_of {
     };
 }
 
+/// Every structure named has these fields, in the same places, in Rust and in the shaders.
+macro_rules! laid_out_alike {
+    ($module:expr, $($structure:ident: $($field:ident)*;)*) => {
+        $(assert_eq!(
+            layout_in($module, stringify!($structure)),
+            layout_of!($structure: $($field)*),
+            stringify!($structure)
+        );)*
+    };
+}
+
 #[test]
 fn rust_and_shaders_lay_structures_out_alike() {
-    let module = parsed(shaders::PROJECT.source);
-    let view = layout_of!(View {
-        cam_from_world,
-        eye,
-        sh_degree,
-        focal_px,
-        center_px,
-        slope_min,
-        slope_max,
-        size_px,
-        tiles,
-        splats,
-        splat_stride,
-        pair_capacity,
-        planes,
-    });
-    assert_eq!(layout_in(&module, "View"), view);
-    let projected = layout_of!(Projected {
-        mean_px,
-        extent_px,
-        falloff,
-        log2_opacity,
-        rgb,
-        falloff_max,
-        normal,
-        plane_distance,
-    });
-    assert_eq!(layout_in(&module, "Projected"), projected);
-    assert_eq!(layout_in(&module, "SortStep"), layout_of!(SortStep { counter, shift }));
-    assert_eq!(layout_in(&module, "ScanStep"), layout_of!(ScanStep { counter, digits, total, unused }));
-    let module = parsed(shaders::ADAM.source);
-    let rates = layout_of!(Rates {
-        mean,
-        quat,
-        log_scale,
-        opacity,
-        sh_dc,
-        sh_rest,
-        first_correction,
-        second_correction,
-    });
-    assert_eq!(layout_in(&module, "Rates"), rates);
-    assert_eq!(layout_in(&module, "BackwardWeights"), layout_of!(BackwardWeights { scale }));
-    let settings = layout_of!(LossSettings {
-        gain,
-        offset,
-        l1_weight,
-        ssim_weight,
-        is_floats,
-        unused_1,
-        unused_2,
-        unused_3,
-    });
-    assert_eq!(layout_in(&module, "LossSettings"), settings);
-    let weights = layout_of!(SurfaceWeights {
-        normal,
-        reprojection,
-        ncc,
-        teacher_depth,
-        teacher_normal,
-        samples,
-        sums_first,
-        unused,
-    });
-    assert_eq!(layout_in(&module, "SurfaceWeights"), weights);
-    let pair = layout_of!(Pair { there_from_here, focal_px, center_px, size_px, unused_1, unused_2 });
-    assert_eq!(layout_in(&module, "Pair"), pair);
+    laid_out_alike! { &parsed(shaders::PROJECT.source),
+        View: cam_from_world eye sh_degree focal_px center_px slope_min slope_max size_px tiles splats splat_stride
+            pair_capacity planes;
+        Projected: mean_px extent_px falloff log2_opacity rgb falloff_max normal plane_distance;
+        SortStep: counter shift;
+        ScanStep: counter digits total unused;
+        Rates: mean quat log_scale opacity sh_dc sh_rest first_correction second_correction;
+        BackwardWeights: scale;
+        LossSettings: gain offset l1_weight ssim_weight is_floats unused_1 unused_2 unused_3;
+        SurfaceWeights: normal reprojection ncc teacher_depth teacher_normal samples sums_first unused;
+        Pair: there_from_here focal_px center_px size_px unused_1 unused_2;
+    }
     // The comparison sees a field that moved.
     let moved = parsed("struct SortStep { shift: u32, counter: u32 } @compute @workgroup_size(1) fn f() {}");
-    assert_ne!(layout_in(&moved, "SortStep"), layout_of!(SortStep { counter, shift }));
+    assert_ne!(layout_in(&moved, "SortStep"), layout_of!(SortStep: counter shift));
+}
+
+#[test]
+fn rust_and_shaders_fold_dispatches_alike() {
+    let module = parsed(shaders::PROJECT.source);
+    let (_, found) = module
+        .constants
+        .iter()
+        .find(|(_, c)| c.name.as_deref() == Some("GROUPS_ACROSS"))
+        .expect("it is there");
+    let value = &module.global_expressions[found.init];
+    assert!(matches!(value, Expression::Literal(Literal::U32(GROUPS_MAX))), "{value:?}");
 }
