@@ -22,7 +22,7 @@ pub(crate) mod sh;
 pub(crate) mod simd;
 pub(crate) mod surface;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 pub(crate) mod view;
 
 use cosurf_scene::{Camera, Splats};

@@ -22,13 +22,20 @@ struct Case {
     sh_degree: u32,
 }
 
-fn camera(eye: DVec3, focal_px: f64, center_px: DVec2) -> Camera {
+pub(crate) fn camera(eye: DVec3, focal_px: f64, center_px: DVec2) -> Camera {
     let cam_from_world = Pose::look_at(eye, DVec3::new(0.1, -0.2, 0.3), DVec3::new(0.2, 0.1, 1.0));
     Camera { cam_from_world, focal_px: DVec2::new(focal_px, focal_px * 1.1), center_px, size_px: [44, 29] }
 }
 
 /// Splats around the origin with a spread, sizes and opacities.
-fn splats(count: usize, spread: f32, log_scale: f32, logit: f32, sh_degree: u32, seed: u64) -> Splats {
+pub(crate) fn splats(
+    count: usize,
+    spread: f32,
+    log_scale: f32,
+    logit: f32,
+    sh_degree: u32,
+    seed: u64,
+) -> Splats {
     let mut random = Random::new(seed, Purpose::Birth, 0, 0);
     let mut splats = Splats::with_capacity(count, sh_degree);
     for _ in 0..count {

@@ -1,13 +1,13 @@
 //! Pictures: the GPU's against the CPU's, pixel by pixel. They may differ where rounding decides whether a splat
 //! reaches a threshold (1/255, a full pixel, which of two is nearer); such pixels are counted, and must be few.
 
-use cosurf_scene::{Camera, Pose, Splats};
+use cosurf_scene::{Camera, Splats};
 use glam::{DVec2, DVec3};
 
 use super::gpu;
 use crate::backend::Rendering;
+use crate::cpu::tests::{self, splats};
 use crate::gpu::render::GpuRenderer;
-use crate::random::{Purpose, Random};
 use crate::render::Renderer;
 
 /// Largest difference of a value of a picture that is not a tie.
@@ -16,32 +16,11 @@ const TOLERANCE: f32 = 1e-3;
 const TIES_MAX: f64 = 1e-3;
 
 fn camera(eye: DVec3, focal_px: f64, center_px: DVec2, size_px: [u32; 2]) -> Camera {
-    let cam_from_world = Pose::look_at(eye, DVec3::new(0.1, -0.2, 0.3), DVec3::new(0.2, 0.1, 1.0));
-    Camera { cam_from_world, focal_px: DVec2::new(focal_px, focal_px * 1.1), center_px, size_px }
+    Camera { size_px, ..tests::camera(eye, focal_px, center_px) }
 }
 
 pub(super) fn centered(eye: DVec3, focal_px: f64, size_px: [u32; 2]) -> Camera {
     camera(eye, focal_px, DVec2::from(size_px.map(f64::from)) / 2.0, size_px)
-}
-
-pub(super) fn splats(
-    count: usize,
-    spread: f32,
-    log_scale: f32,
-    logit: f32,
-    sh_degree: u32,
-    seed: u64,
-) -> Splats {
-    let mut random = Random::new(seed, Purpose::Birth, 0, 0);
-    let mut splats = Splats::with_capacity(count, sh_degree);
-    for _ in 0..count {
-        let mean = [0, 1, 2].map(|_| spread * random.normal());
-        let quat = [0, 1, 2, 3].map(|_| random.normal());
-        let log_scales = [0, 1, 2].map(|_| log_scale + 0.5 * random.normal());
-        let sh: Vec<f32> = (0..splats.sh_stride()).map(|_| 0.4 * random.normal()).collect();
-        splats.push(mean, quat, log_scales, logit + random.normal(), &sh);
-    }
-    splats
 }
 
 fn cases() -> Vec<(&'static str, Splats, Camera)> {

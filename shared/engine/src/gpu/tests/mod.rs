@@ -2,9 +2,13 @@
 //!
 //! Where there is no adapter the tests skip with a visible line; with `REQUIRE_GPU` in the environment they fail.
 
+mod compare;
 mod forward;
+mod gradients;
+mod scores;
 mod shaders;
 mod sort;
+mod state;
 mod surface;
 mod train;
 

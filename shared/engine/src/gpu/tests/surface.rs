@@ -4,9 +4,9 @@
 use cosurf_scene::{Camera, Splats};
 use glam::DVec3;
 
+use super::compare::{compare, on_cpu, on_gpu};
 use super::forward::centered;
 use super::gpu;
-use super::train::{compare, on_cpu, on_gpu};
 use crate::Renderer;
 use crate::backend::{
     Backend, Channels, LossWeights, Losses, Rendering, SurfaceWeights, TargetRgb, TargetSurface, Targets,

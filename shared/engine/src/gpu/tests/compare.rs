@@ -1,0 +1,65 @@
+//! The two backends side by side, and how their numbers are compared.
+
+use cosurf_scene::Splats;
+
+use crate::backend::{Backend, Channels};
+use crate::gpu::{Gpu, GpuBackend};
+use crate::{CpuBackend, CpuCapacity};
+
+/// Largest error of a number, relative to itself or to a hundredth of its group's root mean square.
+const TOLERANCE: f32 = 1e-3;
+/// Share of the numbers that may be further off: those of splats that meet a threshold tie, see the pictures.
+pub(super) const TIES_MAX: f64 = 5e-3;
+
+/// Room for a few splats more.
+pub(super) fn capacity(splats: &Splats, size_px: [u32; 2]) -> CpuCapacity {
+    CpuCapacity {
+        splats: splats.len() + 100,
+        pairs: 60_000,
+        size_px,
+        sh_degree: splats.sh_degree,
+        channels: Channels::Geometry,
+        training: true,
+    }
+}
+
+pub(super) fn on_gpu(gpu: &Gpu, splats: &Splats, size_px: [u32; 2]) -> GpuBackend {
+    let mut backend = GpuBackend::new(gpu, capacity(splats, size_px).into()).expect("room");
+    backend.load(splats);
+    backend
+}
+
+pub(super) fn on_cpu(splats: &Splats, size_px: [u32; 2]) -> CpuBackend {
+    let mut backend = CpuBackend::new(capacity(splats, size_px), 2);
+    backend.load(splats);
+    backend
+}
+
+/// The numbers of splats, by group.
+fn groups(splats: &Splats) -> [Vec<f32>; 5] {
+    [
+        splats.means.concat(),
+        splats.quats.concat(),
+        splats.log_scales.concat(),
+        splats.opacity_logits.clone(),
+        splats.sh.clone(),
+    ]
+}
+
+/// How many numbers of a group are off by more than the tolerance.
+pub(super) fn off_of(got: &[f32], expected: &[f32]) -> usize {
+    let squares: f64 = expected.iter().map(|v| f64::from(*v).powi(2)).sum();
+    let floor = 0.01 * (squares / expected.len().max(1) as f64).sqrt() as f32 + 1e-20;
+    let within =
+        |(got, expected): (&f32, &f32)| (got - expected).abs() <= TOLERANCE * expected.abs().max(floor);
+    got.iter().zip(expected).filter(|pair| !within(*pair)).count()
+}
+
+/// How many numbers there are, and how many are off.
+pub(super) fn compare(got: &Splats, expected: &Splats) -> (usize, usize) {
+    let groups = || groups(got).into_iter().zip(groups(expected));
+    (
+        groups().map(|(_, expected)| expected.len()).sum(),
+        groups().map(|(got, expected)| off_of(&got, &expected)).sum(),
+    )
+}

@@ -1,0 +1,102 @@
+//! What a training keeps beside its steps: edits and checkpoints are those of the CPU, and a loss is told.
+
+use glam::DVec3;
+
+use super::compare::{capacity, on_cpu, on_gpu};
+use super::forward::centered;
+use super::gpu;
+use super::gradients::step;
+use crate::Schedule;
+use crate::backend::{Backend, Birth, Channels, Edit};
+use crate::cpu::tests::splats;
+use crate::gpu::GpuBackend;
+
+#[test]
+fn edits_and_checkpoints_are_those_of_the_cpu() {
+    let Some(gpu) = gpu() else { return };
+    let splats = splats(40, 0.4, -1.6, 0.0, 2, 3);
+    let birth = |parent: u32| Birth {
+        parent,
+        mean: [parent as f32, 1.0, 2.0],
+        log_scale: [-1.0, -2.0, -3.0],
+        opacity_logit: 0.5,
+    };
+    let edits = [
+        Edit { births: vec![birth(3), birth(39), birth(7)], deaths: vec![7, 20] },
+        Edit { births: vec![birth(0)], deaths: vec![0, 5, 6, 36, 38, 39] },
+        Edit { births: Vec::new(), deaths: (0..40).collect() },
+        Edit { births: (0..60).map(|i| birth(i % 40)).collect(), deaths: Vec::new() },
+    ];
+    for edit in edits {
+        let (mut gpu, mut cpu) = (on_gpu(&gpu, &splats, [8, 8]), on_cpu(&splats, [8, 8]));
+        gpu.edit(&edit);
+        cpu.edit(&edit);
+        gpu.cap_opacity(0.4);
+        cpu.cap_opacity(0.4);
+        assert_eq!(gpu.splats(), cpu.splats(), "{edit:?}");
+    }
+}
+
+/// Everything that a checkpoint of a backend keeps.
+fn kept(backend: &impl Backend) -> Vec<f32> {
+    let mut kept = Vec::new();
+    let exported: Result<(), ()> = backend.export(|numbers| {
+        kept.extend_from_slice(numbers);
+        Ok(())
+    });
+    assert_eq!(exported, Ok(()));
+    kept
+}
+
+fn restore(backend: &mut impl Backend, len: usize, mut kept: &[f32]) {
+    let imported: Result<(), ()> = backend.import(len, |numbers| {
+        let (now, later) = kept.split_at(numbers.len());
+        numbers.copy_from_slice(now);
+        kept = later;
+        Ok(())
+    });
+    assert_eq!((imported, kept.len()), (Ok(()), 0));
+}
+
+#[test]
+fn checkpoints_go_from_device_to_device() {
+    let Some(gpu) = gpu() else { return };
+    let splats = splats(1043, 0.4, -1.6, 0.0, 2, 3);
+    let camera = centered(DVec3::new(3.0, 2.0, 1.5), 40.0, [44, 29]);
+    let mut cpu = on_cpu(&splats, camera.size_px);
+    let rates = Schedule::new(100).rates(7, 4.0);
+    for _ in 0..3 {
+        step(&mut cpu, &camera, 2, Channels::Color);
+        cpu.adam(&rates);
+    }
+    let by_cpu = kept(&cpu);
+    let mut moved = GpuBackend::new(&gpu, capacity(&splats, camera.size_px).into()).expect("room");
+    restore(&mut moved, splats.len(), &by_cpu);
+    assert_eq!(kept(&moved), by_cpu, "from the CPU to the GPU");
+    assert_eq!(moved.splats(), cpu.splats());
+    let mut back = on_cpu(&splats, camera.size_px);
+    restore(&mut back, splats.len(), &kept(&moved));
+    step(&mut back, &camera, 2, Channels::Color);
+    back.adam(&rates);
+    step(&mut cpu, &camera, 2, Channels::Color);
+    cpu.adam(&rates);
+    assert_eq!(kept(&back), kept(&cpu), "and back: the training goes on to the same bits");
+}
+
+#[test]
+fn a_lost_device_is_told_and_nothing_panics() {
+    let Some(gpu) = gpu() else { return };
+    let splats = splats(60, 0.4, -1.5, 0.0, 1, 2);
+    let camera = centered(DVec3::new(3.0, 2.0, 1.5), 40.0, [44, 29]);
+    let mut backend = on_gpu(&gpu, &splats, camera.size_px);
+    step(&mut backend, &camera, 1, Channels::Geometry);
+    assert_eq!(backend.lost(), None);
+    gpu.device.destroy();
+    backend.project(&camera, 1);
+    backend.bin();
+    backend.rasterize(Channels::Geometry);
+    backend.keep_neighbour();
+    backend.take_shapes();
+    let reason = backend.lost().expect("the device is lost");
+    assert!(reason.contains("was lost"), "{reason}");
+}
