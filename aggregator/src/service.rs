@@ -41,6 +41,8 @@ use cosurf_wire::{DeviceId, ModelHeader, RefusalReason};
 use serde::Serialize;
 
 use crate::merge::{MergeError, MergeProgress, MergeSettings, concatenate};
+#[cfg(test)]
+pub(crate) use job::packed;
 use keeper::{Keeper, Orders};
 pub use record::{KeptOut, Merging, Moved, withdraw};
 pub use round::{Expected, Rounds};

@@ -6,7 +6,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, Receiver};
 use std::thread::{self, JoinHandle};
 
-use cosurf_link::{Model, ModelKey, ModelStore, body_to_model};
+use cosurf_engine::Renderer;
+use cosurf_link::{Model, ModelKey, ModelStore, body_to_model, model_to_body, plain_importance};
 use cosurf_wire::ModelHeader;
 
 use super::record::{KeptOut, Moved};
@@ -28,8 +29,8 @@ pub(super) struct Job {
 
 /// What came of a merge.
 pub(super) struct Outcome {
-    /// `None` where nobody took part.
-    pub(super) merged: Option<Merged>,
+    /// The global model, and the same packed; `None` where nobody took part.
+    pub(super) merged: Option<(Merged, Vec<u8>)>,
     /// Who took no part.
     pub(super) kept_out: Vec<KeptOut>,
     /// Who was moved.
@@ -44,6 +45,16 @@ pub(super) enum Look {
     Further(MergeProgress),
     /// It is done.
     Done(Box<Result<Outcome, MergeError>>),
+}
+
+/// The body of a global model: what its cameras need most goes first.
+pub(crate) fn packed(model: &Model, threads: usize) -> Result<Vec<u8>, MergeError> {
+    let Model { splats, cameras } = model;
+    let importance = match cameras[..] {
+        [] => plain_importance(splats),
+        _ => Renderer::new(splats, threads).importance(cameras),
+    };
+    Ok(model_to_body(splats, cameras, &importance)?)
 }
 
 /// Models in a store.
@@ -92,7 +103,8 @@ impl Job {
                 }
                 if is_stopped() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
             })?;
-            Ok(Outcome { merged: Some(merged), kept_out, moved })
+            let body = packed(&merged.model, threads)?;
+            Ok(Outcome { merged: Some((merged, body)), kept_out, moved })
         });
         Self { inputs, stop, progress, thread: Some(thread) }
     }
@@ -115,5 +127,29 @@ impl Drop for Job {
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use cosurf_link::part_to_model;
+
+    use super::*;
+    use crate::merge::concatenate;
+    use crate::merge::tests::{above, ground};
+
+    #[test]
+    fn what_the_cameras_need_most_goes_first() {
+        let seen = Model { splats: ground(-2.0, 2.0), cameras: vec![above(0.0)] };
+        let mut unseen = Model { splats: ground(60.0, 64.0), cameras: Vec::new() };
+        unseen.splats.log_scales.iter_mut().flatten().for_each(|log_scale| *log_scale += 1.0);
+        let body = packed(&concatenate(&[unseen, seen]), 1).unwrap();
+        let part = part_to_model(&body, |range| range.end <= body.len() / 2).unwrap().unwrap();
+        assert!(!part.splats.is_empty());
+        assert!(
+            part.splats.means.iter().all(|mean| mean[0] < 30.0),
+            "larger ones that nobody sees went first"
+        );
     }
 }

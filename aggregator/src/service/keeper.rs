@@ -283,7 +283,7 @@ impl Keeper {
     /// Writes a merged model: revision, record, and the PLY for viewers. The same bytes keep their revision.
     fn keep(
         &mut self,
-        merged: Merged,
+        (merged, body): (Merged, Vec<u8>),
         inputs: &[ModelHeader],
         (kept_out, moved): (Vec<KeptOut>, Vec<Moved>),
         seconds: f64,
@@ -291,8 +291,7 @@ impl Keeper {
         let Merged { model, summary } = merged;
         let views = inputs.iter().fold(0u32, |views, header| views.saturating_add(header.views));
         let next = ModelId(self.global.map_or(1, |global| global.model.0 + 1));
-        let mut offer =
-            Offer::new(self.device, next, ModelKind::Global, views, &model.splats, &model.cameras)?;
+        let mut offer = Offer::from_body(self.device, next, ModelKind::Global, views, body)?;
         match self.global {
             Some(global) if global.blake3 == offer.header.blake3 => offer.header = global,
             _ => self.globals.put(&offer.header, &offer.body)?,

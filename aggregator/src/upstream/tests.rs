@@ -4,14 +4,14 @@
 use std::ops::ControlFlow;
 use std::sync::mpsc;
 
-use cosurf_link::{Faults, MemoryNetwork, MemoryTransport, Model, Role};
+use cosurf_link::{Faults, MemoryNetwork, MemoryTransport, Model, Role, model_to_body, plain_importance};
 use cosurf_wire::{BodyHash, ModelId, SiteId};
 
 use super::*;
 use crate::gate::admit;
 use crate::merge::tests::{InMemory, above, ground};
 use crate::merge::{MergeSettings, merge};
-use crate::service::{Expected, Service, ServiceConfig, ServiceEvent};
+use crate::service::{Expected, Service, ServiceConfig, ServiceEvent, packed};
 
 const BAD_WEATHER: Faults = Faults {
     loss: 0.1,
@@ -37,16 +37,17 @@ fn model_at(place: f32) -> Model {
     Model { splats: ground(place - 2.0, place + 2.0), cameras: cameras.to_vec() }
 }
 
-fn offer(model: &Model, kind: ModelKind) -> Offer {
-    Offer::new(DeviceId::new("any").unwrap(), ModelId(1), kind, 2, &model.splats, &model.cameras).unwrap()
+/// What a drone sends of its model.
+fn sent(Model { splats, cameras }: &Model) -> Vec<u8> {
+    model_to_body(splats, cameras, &plain_importance(splats)).unwrap()
 }
 
-/// What models, as they arrive over the wire, are merged to.
-fn merged(models: &[Model]) -> Model {
-    let arrived = |model: &Model| body_to_model(&offer(model, ModelKind::Local).body).unwrap();
-    let locals = InMemory(models.iter().map(arrived).collect());
+/// What is sent of what models that were sent are merged to.
+fn merged(bodies: &[Vec<u8>]) -> Vec<u8> {
+    let locals = InMemory(bodies.iter().map(|body| body_to_model(body).unwrap()).collect());
     let admitted = admit(&locals, SETTINGS.refine, 1, &|| false).unwrap();
-    merge(&admitted, &SETTINGS, 1, &mut |_| ControlFlow::Continue(())).unwrap().model
+    let merged = merge(&admitted, &SETTINGS, 1, &mut |_| ControlFlow::Continue(())).unwrap();
+    packed(&merged.model, 1).unwrap()
 }
 
 /// A service, its link, and for an edge its way up.
@@ -106,8 +107,8 @@ impl Drone {
     fn new(network: &MemoryNetwork, site: &str, name: &str, model: &Model) -> Self {
         let identity = identity(site, name, Role::Device);
         let mut node = Node::new(identity, LIMITS, &[]);
-        let body = offer(model, ModelKind::Local).body;
-        node.upload(Offer::from_body(identity.device, ModelId(1), ModelKind::Local, 2, body).unwrap());
+        let offer = Offer::from_body(identity.device, ModelId(1), ModelKind::Local, 2, sent(model));
+        node.upload(offer.unwrap());
         Self(node, network.join(&identity))
     }
 
@@ -146,8 +147,10 @@ fn run(network: &MemoryNetwork, folder: &Path, drones: &mut [Drone]) -> [BodyHas
 fn a_cloud_makes_of_its_edges_what_they_made_of_their_drones() {
     let folder = tempfile::tempdir().unwrap();
     let models = [-2.0, 0.0, 2.0].map(model_at);
-    let edges = [merged(&models[..2]), merged(&models[2..])];
-    let expected = offer(&merged(&edges), ModelKind::Global).header.blake3;
+    let drones = models.each_ref().map(sent);
+    let of_all = merged(&[merged(&drones[..2]), merged(&drones[2..])]);
+    let of_all = Offer::from_body(DeviceId::new("any").unwrap(), ModelId(1), ModelKind::Global, 2, of_all);
+    let expected = of_all.unwrap().header.blake3;
 
     let network = MemoryNetwork::new(1, BAD_WEATHER);
     let drones = [("edge-1", "a"), ("edge-1", "b"), ("edge-2", "c")].into_iter().zip(&models);

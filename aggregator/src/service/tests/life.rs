@@ -2,6 +2,7 @@
 //! at its post or in the middle of a merge; a device is withdrawn. Whatever happened, the same models end in the same
 //! bytes, those of a merge of the models by themselves.
 
+use cosurf_link::{model_to_body, plain_importance};
 use cosurf_wire::BodyHash;
 
 use super::*;
@@ -39,12 +40,8 @@ fn models() -> Vec<Model> {
 
 /// A model as it arrives after its way over the wire.
 fn arrived(model: &Model) -> Model {
-    body_to_model(&offer(model, ModelKind::Local).body).unwrap()
-}
-
-fn offer(model: &Model, kind: ModelKind) -> Offer {
-    let device = DeviceId::new("aggregator").unwrap();
-    Offer::new(device, ModelId(1), kind, 1, &model.splats, &model.cameras).unwrap()
+    let Model { splats, cameras } = model;
+    body_to_model(&model_to_body(splats, cameras, &plain_importance(splats)).unwrap()).unwrap()
 }
 
 /// The hash of what models are merged to by themselves.
@@ -52,7 +49,8 @@ fn merged_hash(models: &[Model]) -> BodyHash {
     let locals = InMemory(models.iter().map(arrived).collect());
     let mut go_on = |_: MergeProgress| ControlFlow::Continue(());
     let merged = merge(&locals, &SETTINGS, 1, &mut go_on).unwrap();
-    offer(&merged.model, ModelKind::Global).header.blake3
+    let (device, body) = (DeviceId::new("aggregator").unwrap(), packed(&merged.model, 1).unwrap());
+    Offer::from_body(device, ModelId(1), ModelKind::Global, 1, body).unwrap().header.blake3
 }
 
 /// What is in the air in one sitting of the service, and how the sitting ends.
