@@ -11,6 +11,7 @@ use cosurf_wire::{
 };
 
 use crate::ModelKey;
+use crate::body::Model;
 use crate::node::{Identity, Role};
 use crate::pacing::{ABANDONED, STALLED};
 use crate::transfer::{ChunkOutcome, Phase, Transfer};
@@ -225,6 +226,18 @@ impl Inbox {
     /// Bytes of all unfinished bodies.
     pub fn unfinished_bytes(&self) -> u64 {
         self.transfers.values().map(|transfer| transfer.header.body_bytes).sum()
+    }
+
+    /// Models whose chunks have not all come.
+    pub fn unfinished(&self) -> impl Iterator<Item = &ModelHeader> {
+        let fetching = |transfer: &&Transfer| matches!(transfer.phase, Phase::Fetching { .. });
+        self.transfers.values().filter(fetching).map(|transfer| &transfer.header)
+    }
+
+    /// What has come of an unfinished model, as far as that is a model already. Nothing where only signed models are
+    /// believed: the signature holds the hash of the whole.
+    pub fn part(&self, key: ModelKey) -> Option<Model> {
+        self.transfers.get(&key).filter(|_| self.credentials.trusted.is_none())?.part()
     }
 
     fn accept(&mut self, now: Duration, topic: &Topic, header: ModelHeader) -> Option<InboxEvent> {

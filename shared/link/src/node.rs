@@ -12,7 +12,7 @@ use cosurf_wire::{
 use crate::inbox::{Inbox, InboxAction, InboxEvent, InboxLimits};
 use crate::transport::{Outgoing, PublishError, Transport, TransportEvent};
 use crate::uploader::{UploadEvent, UploadProgress, Uploader};
-use crate::{Credentials, ModelKey, Offer};
+use crate::{Credentials, Model, ModelKey, Offer};
 
 /// Messages sent between two looks at what has come in. Ours: half a window.
 const BURST: usize = 16;
@@ -202,6 +202,16 @@ impl Node {
     /// Bytes of models on their way in; never more than the limits allow.
     pub fn unfinished_bytes(&self) -> u64 {
         self.inbox.unfinished_bytes()
+    }
+
+    /// Models whose chunks have not all come.
+    pub fn unfinished(&self) -> impl Iterator<Item = &ModelHeader> {
+        self.inbox.unfinished()
+    }
+
+    /// What has come of an unfinished model: [`Inbox::part`].
+    pub fn part(&self, key: ModelKey) -> Option<Model> {
+        self.inbox.part(key)
     }
 
     /// Hears, answers and sends what there is, waiting at most `wait` for something to hear. Returns what

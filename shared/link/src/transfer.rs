@@ -1,13 +1,14 @@
 //! One model on its way in.
 
+use std::ops::Range;
 use std::sync::Arc;
 use std::time::Duration;
 
 use cosurf_wire::{Chunk, Missing, ModelHeader, RefusalReason, Topic, Want};
 
 use crate::bits::BitSet;
-use crate::body::body_hash;
-use crate::codec::check_body;
+use crate::body::{Model, body_hash};
+use crate::codec::{announced_part, check_body};
 use crate::pacing::{
     Backoff, FETCHES_MAX, FIRST_GAP, IDLE_GAPS, IDLE_MAX, IDLE_MIN, STORE_AGAIN, WANT_EVERY,
 };
@@ -78,6 +79,17 @@ impl Transfer {
 
     pub(crate) fn body(&self) -> Arc<Vec<u8>> {
         Arc::clone(&self.body)
+    }
+
+    /// What has arrived, as far as that is a model already. Its hash cannot be checked before all is there; the
+    /// checksums of its packs can.
+    pub(crate) fn part(&self) -> Option<Model> {
+        let chunk_bytes = self.header.chunk_bytes as usize;
+        let is_here = |range: Range<usize>| {
+            let mut chunks = range.start / chunk_bytes..range.end.div_ceil(chunk_bytes);
+            chunks.all(|index| self.here.contains(index as u32))
+        };
+        announced_part(&self.header, &self.body, is_here).ok().flatten()
     }
 
     /// When it next wants to be looked at.

@@ -24,11 +24,7 @@ const GROWTH: f32 = 0.25;
 /// for one pack at a time.
 pub fn check_body(header: &ModelHeader, body: &[u8]) -> Result<(), BodyFault> {
     let plan = BodyPlan::of_whole(body)?;
-    let own = plan.head();
-    let announced = (header.splats, header.cameras, header.sh_degree, header.bounds);
-    if (own.splats, own.cameras, own.sh_degree, own.bounds) != announced {
-        return Err(BodyFault::NotAsAnnounced);
-    }
+    check_announced(&plan, header)?;
     let mut unpacker = Unpacker::new(plan, body);
     unpacker.cameras()?;
     for pack in plan.packs_of(PackKind::Shapes) {
@@ -40,6 +36,13 @@ pub fn check_body(header: &ModelHeader, body: &[u8]) -> Result<(), BodyFault> {
         }
     }
     Ok(())
+}
+
+fn check_announced(plan: &BodyPlan<'_>, header: &ModelHeader) -> Result<(), BodyFault> {
+    let own = plan.head();
+    let announced = (header.splats, header.cameras, header.sh_degree, header.bounds);
+    let is_so = (own.splats, own.cameras, own.sh_degree, own.bounds) == announced;
+    if is_so { Ok(()) } else { Err(BodyFault::NotAsAnnounced) }
 }
 
 /// Unpacks a body, checking all but its agreement with an announcement.
@@ -57,10 +60,27 @@ pub fn part_to_model(
     body: &[u8],
     is_here: impl Fn(Range<usize>) -> bool,
 ) -> Result<Option<Model>, BodyFault> {
+    let Some(plan) = plan_here(body, &is_here)? else { return Ok(None) };
+    part(plan, body, is_here)
+}
+
+/// The same of a body that was announced, if it is what was announced.
+pub(crate) fn announced_part(
+    header: &ModelHeader,
+    body: &[u8],
+    is_here: impl Fn(Range<usize>) -> bool,
+) -> Result<Option<Model>, BodyFault> {
+    let Some(plan) = plan_here(body, &is_here)? else { return Ok(None) };
+    check_announced(&plan, header)?;
+    part(plan, body, is_here)
+}
+
+/// What is where in a body; `None` where that has not arrived.
+fn plan_here(body: &[u8], is_here: impl Fn(Range<usize>) -> bool) -> Result<Option<BodyPlan<'_>>, BodyError> {
     let Some(head) = body.first_chunk().filter(|_| is_here(0..HEAD_BYTES)) else { return Ok(None) };
     let plan_bytes = plan_bytes(head);
     if plan_bytes > body.len() {
-        return Err(BodyError::Truncated.into());
+        return Err(BodyError::Truncated);
     }
     if !is_here(0..plan_bytes) {
         return Ok(None);
@@ -68,10 +88,19 @@ pub fn part_to_model(
     let plan = BodyPlan::new(body)?;
     let (expected, found) = (plan.body_bytes(), body.len() as u64);
     if expected != found {
-        return Err(BodyError::WrongSize { expected, found }.into());
+        return Err(BodyError::WrongSize { expected, found });
     }
+    Ok(Some(plan))
+}
+
+fn part(
+    plan: BodyPlan<'_>,
+    body: &[u8],
+    is_here: impl Fn(Range<usize>) -> bool,
+) -> Result<Option<Model>, BodyFault> {
+    let whole = plan.head().splats as usize;
     let mut model = model(plan, body, |pack| is_here(pack.range.clone()))?;
-    stand_in(&mut model.splats, plan.head().splats as usize);
+    stand_in(&mut model.splats, whole);
     Ok((!model.splats.is_empty()).then_some(model))
 }
 

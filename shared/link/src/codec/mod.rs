@@ -25,6 +25,7 @@ mod shapes;
 #[cfg(test)]
 mod tests;
 
+pub(crate) use decode::announced_part;
 pub use decode::{body_to_model, check_body, part_to_model};
 pub use encode::model_to_body;
 pub use order::plain_importance;
