@@ -25,6 +25,7 @@ pub mod mesh;
 mod meter;
 pub mod mission;
 mod page;
+pub mod part;
 mod partition;
 pub mod plan;
 mod progress;

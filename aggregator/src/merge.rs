@@ -168,7 +168,7 @@ fn without(splats: &Splats, removed: &[u32]) -> Splats {
 }
 
 /// Appends splat `i` of another set of the same degree.
-fn push(to: &mut Splats, from: &Splats, i: usize) {
+pub(crate) fn push(to: &mut Splats, from: &Splats, i: usize) {
     to.push(from.means[i], from.quats[i], from.log_scales[i], from.opacity_logits[i], from.sh_of(i));
 }
 

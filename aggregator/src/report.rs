@@ -220,6 +220,10 @@ pub(crate) fn remarks(report: &MissionReport) -> Vec<String> {
     }
     let merges = report.edges.iter().map(|edge| &edge.merging).chain([&report.whole.merging]);
     for merging in merges.flatten() {
+        remarks.extend(merging.inputs.iter().filter_map(|input| {
+            let (device, splats) = (&input.device, input.part_splats?);
+            Some(format!("of the model of {device} only {splats} splats had arrived when models were merged"))
+        }));
         remarks.extend(merging.kept_out.iter().map(|kept_out| format!("{kept_out} and is kept out")));
         let moved = merging.moved.iter().map(|moved| &moved.device);
         remarks.extend(

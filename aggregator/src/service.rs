@@ -6,6 +6,7 @@
 //! | in the folder | |
 //! |---|---|
 //! | `models/` | every local model as it arrived |
+//! | `parts/` | what had arrived of other models when models were merged: [`crate::part`] |
 //! | `global/` | every revision of the global model, as sent to the agents |
 //! | `global.ply` | the newest revision, for viewers |
 //! | `merged.json` | what the newest revision was merged from, and how |
@@ -14,12 +15,14 @@
 //!
 //! The newest model of each device counts, unless it contradicts the others ([`crate::gate`]); they are merged in
 //! order of device id, so the same models give the same bytes in whatever order they arrive. Merging runs on a thread
-//! of its own while the service goes on listening; what arrives meanwhile makes it begin anew.
+//! of its own while the service goes on listening; what arrives meanwhile makes it begin anew. Of a device that has sent
+//! none as a whole what has arrived so far is used ([`crate::part`]).
 //!
 //! Reading order: [`Service`], [`round`] for when models are merged, [`keeper`] for what is kept and done.
 
 mod job;
 mod keeper;
+mod parts;
 mod record;
 mod round;
 
@@ -105,6 +108,13 @@ pub enum ServiceEvent {
         /// One line.
         reason: String,
     },
+    /// A model has not arrived as a whole; what has is used until the rest is there.
+    PartTaken {
+        /// What has arrived, as a model of its own.
+        header: ModelHeader,
+        /// Splats of the whole.
+        of_splats: u32,
+    },
     /// A merge has come further.
     Merging(MergeProgress),
     /// A device does not count any more.
@@ -155,6 +165,13 @@ impl fmt::Display for ServiceEvent {
             Self::Stored { header } => {
                 let size = format_bytes(header.body_bytes);
                 write!(f, "the model of {} arrived: {} splats, {size}", header.device, header.splats)
+            }
+            Self::PartTaken { header, of_splats } => {
+                let (device, splats) = (header.device, header.splats);
+                write!(
+                    f,
+                    "of the model of {device} {splats} of {of_splats} splats have arrived; they are used"
+                )
             }
             Self::Merging(MergeProgress { step, steps, psnr }) => {
                 write!(f, "merging, step {step} of {steps}: {psnr:.2} dB of what the local models showed")
@@ -229,7 +246,7 @@ impl Service {
     ) -> Option<ModelHeader> {
         let mut orders = Orders::GoOn;
         loop {
-            orders = orders.max(self.keeper.obey(commands, now()));
+            orders = orders.max(self.keeper.obey(&self.node, commands, now()));
             let broke = self.step(transport, &now, LOOK_UP, &mut on_event).is_break();
             let ends = match orders {
                 Orders::GoOn => false,

@@ -13,15 +13,37 @@ use cosurf_wire::ModelHeader;
 use super::record::{KeptOut, Moved};
 use crate::gate::admit;
 use crate::merge::{Locals, MergeError, MergeProgress, MergeSettings, Merged, merge};
+use crate::part::fill_in;
 
 /// Steps between two reports.
 const TELL_EVERY: u32 = 50;
 
+/// What is merged, each in order of device id.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Inputs {
+    /// Models that have arrived as a whole.
+    pub(super) whole: Vec<ModelHeader>,
+    /// What has arrived of those of others, as models of their own.
+    pub(super) parts: Vec<ModelHeader>,
+}
+
+impl Inputs {
+    pub(super) fn headers(&self) -> impl Iterator<Item = &ModelHeader> {
+        self.whole.iter().chain(&self.parts)
+    }
+}
+
+/// Where that lies.
+#[derive(Clone, Debug)]
+pub(super) struct Stores {
+    pub(super) whole: ModelStore,
+    pub(super) parts: ModelStore,
+}
+
 /// A merge under way. Dropping it gives it up.
 #[derive(Debug)]
 pub(super) struct Job {
-    /// What is merged, in order of device id.
-    pub(super) inputs: Vec<ModelHeader>,
+    pub(super) inputs: Inputs,
     stop: Arc<AtomicBool>,
     progress: Receiver<MergeProgress>,
     thread: Option<JoinHandle<Result<Outcome, MergeError>>>,
@@ -63,6 +85,16 @@ struct Stored {
     headers: Vec<ModelHeader>,
 }
 
+impl Stored {
+    /// The models to be merged, and the parts to be added to them. Parts are merged among themselves where nothing has
+    /// arrived as a whole.
+    fn of(stores: Stores, inputs: Inputs) -> (Self, Self) {
+        let whole = Self { models: stores.whole, headers: inputs.whole };
+        let parts = Self { models: stores.parts, headers: inputs.parts };
+        if whole.headers.is_empty() { (parts, whole) } else { (whole, parts) }
+    }
+}
+
 impl Locals for Stored {
     fn count(&self) -> usize {
         self.headers.len()
@@ -75,19 +107,14 @@ impl Locals for Stored {
 }
 
 impl Job {
-    pub(super) fn start(
-        models: ModelStore,
-        inputs: Vec<ModelHeader>,
-        settings: MergeSettings,
-        threads: usize,
-    ) -> Self {
+    pub(super) fn start(stores: Stores, inputs: Inputs, settings: MergeSettings, threads: usize) -> Self {
         let stop = Arc::new(AtomicBool::new(false));
         let (say, progress) = mpsc::channel();
-        let (headers, flag) = (inputs.clone(), stop.clone());
+        let (stored, parts) = Stored::of(stores, inputs.clone());
+        let flag = stop.clone();
         let thread = thread::spawn(move || {
             let is_stopped = || flag.load(Ordering::Relaxed);
-            let names: Vec<String> = headers.iter().map(|header| header.device.to_string()).collect();
-            let stored = Stored { models, headers };
+            let names: Vec<String> = stored.headers.iter().map(|header| header.device.to_string()).collect();
             let admitted = admit(&stored, settings.refine, threads, &is_stopped)?;
             let kept_out = admitted.kept_out(&names);
             let kept_out = kept_out.map(|(i, reason)| KeptOut::new(&stored.headers[i], reason)).collect();
@@ -97,12 +124,16 @@ impl Job {
             if admitted.count() == 0 {
                 return Ok(Outcome { merged: None, kept_out, moved });
             }
-            let merged = merge(&admitted, &settings, threads, &mut |progress: MergeProgress| {
+            let mut merged = merge(&admitted, &settings, threads, &mut |progress: MergeProgress| {
                 if progress.step.is_multiple_of(TELL_EVERY) {
                     let _ = say.send(progress); // nobody listens any more where the job was given up
                 }
                 if is_stopped() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
             })?;
+            for i in 0..parts.count() {
+                merged.model = fill_in(merged.model, &parts.load(i)?);
+            }
+            merged.summary.splats = merged.model.splats.len();
             let body = packed(&merged.model, threads)?;
             Ok(Outcome { merged: Some((merged, body)), kept_out, moved })
         });

@@ -1,6 +1,6 @@
 //! What a service has and does with it. What is on the disk decides; everything here can be read back.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::path::PathBuf;
 use std::sync::mpsc::{Receiver, TryRecvError};
 use std::time::Duration;
@@ -9,7 +9,8 @@ use cosurf_link::{ModelKey, ModelStore, Node, NodeEvent, Offer};
 use cosurf_scene::ply;
 use cosurf_wire::{DeviceId, ModelHeader, ModelId, ModelKind, RefusalReason, TileId};
 
-use super::job::{Job, Look, Outcome};
+use super::job::{Inputs, Job, Look, Outcome, Stores};
+use super::parts::Parts;
 use super::record::{Input, KeptOut, Merging, Moved, settle_withdrawal, withdrawn};
 use super::round::{Expected, Round};
 use super::{Command, ServiceConfig, ServiceError, ServiceEvent, global_ply, global_store};
@@ -38,6 +39,8 @@ pub(super) struct Keeper {
     globals: ModelStore,
     /// Every model on the disk.
     stored: BTreeMap<DeviceId, BTreeMap<ModelId, ModelHeader>>,
+    /// Of devices that have no model there.
+    parts: Parts,
     /// The last model of each withdrawn device that does not count.
     withdrawn: BTreeMap<DeviceId, ModelId>,
     withdrawals_at: Duration,
@@ -51,6 +54,8 @@ pub(super) struct Keeper {
     retry_at: Duration,
     /// The merge under way, and when it began.
     job: Option<(Job, Duration)>,
+    /// To be told.
+    told: VecDeque<ServiceEvent>,
     /// The newest revision is up to date and is to be offered.
     to_offer: bool,
 }
@@ -59,6 +64,7 @@ impl Keeper {
     /// Opens the folder; returns the models in it too.
     pub(super) fn open(config: ServiceConfig) -> Result<(Self, Vec<ModelHeader>), ServiceError> {
         let (models, headers) = ModelStore::open(&config.folder.join("models"))?;
+        let parts = Parts::open(&config.folder)?;
         let (globals, revisions) = ModelStore::open(&global_store(&config.folder))?;
         let mut keeper = Self {
             device: config.identity.device,
@@ -66,6 +72,7 @@ impl Keeper {
             models,
             globals,
             stored: BTreeMap::new(),
+            parts,
             withdrawn: BTreeMap::new(),
             withdrawals_at: Duration::ZERO,
             global: revisions.into_iter().max_by_key(|header| header.model),
@@ -76,6 +83,7 @@ impl Keeper {
             round: (!headers.is_empty()).then(|| Round::extend(None, Duration::ZERO)),
             retry_at: Duration::ZERO,
             job: None,
+            told: VecDeque::new(),
             to_offer: false,
         };
         headers.iter().for_each(|header| keeper.note(*header));
@@ -141,6 +149,7 @@ impl Keeper {
     }
 
     fn note(&mut self, header: ModelHeader) {
+        self.parts.forget(&header.device);
         self.stored.entry(header.device).or_default().insert(header.model, header);
     }
 
@@ -153,8 +162,33 @@ impl Keeper {
         self.stored.values().filter_map(|models| models.last_key_value()).map(|(_, header)| *header).collect()
     }
 
+    /// What is merged: the newest models, and parts of those of others.
+    fn inputs(&self) -> Inputs {
+        Inputs { whole: self.newest(), parts: self.parts.headers().collect() }
+    }
+
+    /// Keeps what has arrived so far of the models of devices that have none here. Without it the others are merged
+    /// all the same.
+    fn take_parts(&mut self, node: &Node) {
+        for header in node.unfinished() {
+            let is_here = self.stored.get(&header.device).is_some_and(|models| !models.is_empty());
+            if is_here || self.is_withdrawn(header) {
+                continue;
+            }
+            let of_splats = header.splats;
+            self.told.extend(match self.parts.take(node, header) {
+                Ok(part) => part.map(|header| ServiceEvent::PartTaken { header, of_splats }),
+                Err(error) => {
+                    let reason =
+                        format!("what has arrived of the model of {} is not used: {error}", header.device);
+                    Some(ServiceEvent::DiskFailed { reason })
+                }
+            });
+        }
+    }
+
     /// Does what was asked for.
-    pub(super) fn obey(&mut self, commands: &Receiver<Command>, now: Duration) -> Orders {
+    pub(super) fn obey(&mut self, node: &Node, commands: &Receiver<Command>, now: Duration) -> Orders {
         loop {
             match commands.try_recv() {
                 Ok(Command::GiveUp(device)) => {
@@ -162,7 +196,7 @@ impl Keeper {
                     self.round = Some(Round::extend(self.round, now));
                 }
                 Ok(Command::Finish) => {
-                    self.begin_when_due(now);
+                    self.begin_when_due(node, now);
                     return Orders::Finish;
                 }
                 Ok(Command::Stop) | Err(TryRecvError::Disconnected) => return Orders::Stop,
@@ -173,11 +207,14 @@ impl Keeper {
 
     /// Withdraws devices, begins a merge when one is due, and looks after the one under way.
     pub(super) fn work(&mut self, node: &mut Node, now: Duration) -> Option<ServiceEvent> {
+        if let Some(event) = self.told.pop_front() {
+            return Some(event);
+        }
         if now < self.retry_at {
             return None;
         }
         let done = self.withdraw_when_due(now).transpose().or_else(|| {
-            self.begin_when_due(now);
+            self.begin_when_due(node, now);
             self.publish_when_done(node, now).transpose()
         });
         done.map(|outcome| outcome.unwrap_or_else(|error| self.disk_failed(&error, now)))
@@ -216,6 +253,7 @@ impl Keeper {
                 }
             };
             self.withdrawn.insert(device, last);
+            first = first.or(self.parts.forget(&device).then_some(device));
             for model in its.range(..=last).map(|(model, _)| *model) {
                 self.models.remove(ModelKey { device, model })?;
                 first = first.or(Some(device));
@@ -228,28 +266,32 @@ impl Keeper {
     }
 
     /// Ends the round if it is over. A merge of other models than those that count now is given up.
-    fn begin_when_due(&mut self, now: Duration) {
-        let newest = self.newest();
-        let here = newest.iter().map(|header| header.device).collect();
+    fn begin_when_due(&mut self, node: &Node, now: Duration) {
+        let here = self.newest().iter().map(|header| header.device).collect();
         let is_over = |round: &Round| round.is_over(&self.expected, &here, &self.given_up, now);
-        if newest.is_empty() || !self.round.as_ref().is_some_and(is_over) {
+        if !self.round.as_ref().is_some_and(is_over) {
             return;
         }
         self.round = None;
-        if self.is_merged(&newest) {
+        self.take_parts(node);
+        let inputs = self.inputs();
+        if inputs == Inputs::default() {
+            return;
+        }
+        if self.is_merged(&inputs) {
             self.job = None;
             self.to_offer = true;
-        } else if self.job.as_ref().is_none_or(|(job, _)| job.inputs != newest) {
+        } else if self.job.as_ref().is_none_or(|(job, _)| job.inputs != inputs) {
             self.job = None; // waits until the old one has stopped
-            self.job = Some((Job::start(self.models.clone(), newest, self.merge, self.threads), now));
+            let stores = Stores { whole: self.models.clone(), parts: self.parts.store().clone() };
+            self.job = Some((Job::start(stores, inputs, self.merge, self.threads), now));
         }
     }
 
     /// Whether the newest revision is what these models would be merged to.
-    fn is_merged(&self, newest: &[ModelHeader]) -> bool {
+    fn is_merged(&self, inputs: &Inputs) -> bool {
         let Some(record) = Merging::read(&self.folder) else { return false };
-        let inputs: Vec<Input> = newest.iter().map(Input::from).collect();
-        record.inputs == inputs
+        record.inputs == recorded(inputs)
             && record.settings == self.merge
             && self.global.is_some_and(|global| global.model.0 == record.revision)
             && global_ply(&self.folder).is_file()
@@ -284,12 +326,12 @@ impl Keeper {
     fn keep(
         &mut self,
         (merged, body): (Merged, Vec<u8>),
-        inputs: &[ModelHeader],
+        inputs: &Inputs,
         (kept_out, moved): (Vec<KeptOut>, Vec<Moved>),
         seconds: f64,
     ) -> Result<Offer, ServiceError> {
         let Merged { model, summary } = merged;
-        let views = inputs.iter().fold(0u32, |views, header| views.saturating_add(header.views));
+        let views = inputs.headers().fold(0u32, |views, header| views.saturating_add(header.views));
         let next = ModelId(self.global.map_or(1, |global| global.model.0 + 1));
         let mut offer = Offer::from_body(self.device, next, ModelKind::Global, views, body)?;
         match self.global {
@@ -298,7 +340,7 @@ impl Keeper {
         }
         self.global = Some(offer.header);
         ply::write(&global_ply(&self.folder), &model.splats)?;
-        let (revision, inputs) = (offer.header.model.0, inputs.iter().map(Input::from).collect());
+        let (revision, inputs) = (offer.header.model.0, recorded(inputs));
         let settings = self.merge;
         Merging { revision, inputs, kept_out, moved, settings, summary, seconds }.write(&self.folder)?;
         Ok(offer)
@@ -318,7 +360,15 @@ impl Keeper {
         let counted = self.stored.iter().filter(|(_, models)| !models.is_empty()).map(|(device, _)| *device);
         let receivers: Vec<DeviceId> = counted.filter(|device| !self.given_up.contains(device)).collect();
         node.broadcast(TileId::WHOLE, offer, &receivers);
-        let models = self.newest().len() - kept_out.len();
+        let models = self.inputs().headers().count() - kept_out.len();
         ServiceEvent::Merged { header, models, kept_out }
     }
+}
+
+/// Inputs as they are recorded.
+fn recorded(inputs: &Inputs) -> Vec<Input> {
+    let (whole, parts) = (inputs.whole.iter().map(Input::whole), inputs.parts.iter().map(Input::part));
+    let mut recorded: Vec<Input> = whole.chain(parts).collect();
+    recorded.sort_by(|one, other| one.device.cmp(&other.device));
+    recorded
 }

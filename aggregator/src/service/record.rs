@@ -46,6 +46,9 @@ pub struct Input {
     pub model: u64,
     /// Its hash.
     pub blake3: String,
+    /// Splats that had arrived where the model had not arrived as a whole.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub part_splats: Option<u32>,
 }
 
 /// A model that was kept out of a merge, and why.
@@ -80,9 +83,14 @@ pub struct Moved {
     pub by: Similarity,
 }
 
-impl From<&ModelHeader> for Input {
-    fn from(header: &ModelHeader) -> Self {
-        Self { device: header.device.to_string(), model: header.model.0, blake3: header.blake3.to_string() }
+impl Input {
+    pub(super) fn whole(header: &ModelHeader) -> Self {
+        let (device, blake3) = (header.device.to_string(), header.blake3.to_string());
+        Self { device, model: header.model.0, blake3, part_splats: None }
+    }
+
+    pub(super) fn part(header: &ModelHeader) -> Self {
+        Self { part_splats: Some(header.splats), ..Self::whole(header) }
     }
 }
 

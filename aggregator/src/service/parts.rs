@@ -1,0 +1,61 @@
+//! What had arrived of unfinished models when models were merged ([`crate::part`]).
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use cosurf_link::{ModelStore, Node, Offer, StoreError};
+use cosurf_wire::{DeviceId, ModelHeader, ModelKind};
+
+use super::ServiceError;
+
+/// At most one part of each device, on the disk.
+#[derive(Debug)]
+pub(super) struct Parts {
+    store: ModelStore,
+    /// Each as a model of its own.
+    headers: BTreeMap<DeviceId, ModelHeader>,
+}
+
+impl Parts {
+    pub(super) fn open(folder: &Path) -> Result<Self, StoreError> {
+        let (store, headers) = ModelStore::open(&folder.join("parts"))?;
+        Ok(Self { store, headers: headers.into_iter().map(|header| (header.device, header)).collect() })
+    }
+
+    pub(super) fn store(&self) -> &ModelStore {
+        &self.store
+    }
+
+    /// In order of device id.
+    pub(super) fn headers(&self) -> impl Iterator<Item = ModelHeader> {
+        self.headers.values().copied()
+    }
+
+    /// Keeps what `node` has of an unfinished model, if that is more than was kept of its device.
+    pub(super) fn take(
+        &mut self,
+        node: &Node,
+        unfinished: &ModelHeader,
+    ) -> Result<Option<ModelHeader>, ServiceError> {
+        let ModelHeader { device, model, views, frame, .. } = *unfinished;
+        let before = self.headers.get(&device).copied();
+        let is_more = |splats: usize| before.is_none_or(|before| splats > before.splats as usize);
+        let part = node.part(unfinished.into()).filter(|part| is_more(part.splats.len()));
+        let Some(part) = part else { return Ok(None) };
+        let mut offer = Offer::new(device, model, ModelKind::Local, views, &part.splats, &part.cameras)?;
+        offer.header.frame = frame;
+        self.store.put(&offer.header, &offer.body)?;
+        self.headers.insert(device, offer.header);
+        if let Some(before) = before.filter(|before| before.model != model) {
+            self.store.remove(before.into())?;
+        }
+        Ok(Some(offer.header))
+    }
+
+    /// All of its model is here, or none of it counts. Whether there was a part.
+    pub(super) fn forget(&mut self, device: &DeviceId) -> bool {
+        let part = self.headers.remove(device);
+        // What cannot be removed now is at the next start.
+        part.is_some_and(|part| self.store.remove(part.into()).is_ok())
+    }
+}

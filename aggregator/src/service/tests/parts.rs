@@ -1,0 +1,86 @@
+//! An upload that stalls: what has arrived takes part, until the rest is there.
+
+use cosurf_link::model_to_body;
+
+use super::*;
+use crate::gate::tests::flights;
+
+const QUICK: MergeSettings =
+    MergeSettings { epochs: 1, compress: true, refine: false, memory_bytes: 1 << 30, seed: 1 };
+/// East of what agent-1 saw.
+const BEYOND: f32 = 16.0;
+
+/// A drone that sends `model` in small chunks, the east first.
+fn slow_drone(network: &MemoryNetwork, model: &Model) -> Drone {
+    let mut drone = Drone::new(network, "agent-2", 1, model);
+    let Model { splats, cameras } = model;
+    let device = DeviceId::new("agent-2").unwrap();
+    let east: Vec<f32> = splats.means.iter().map(|mean| mean[0]).collect();
+    let body = model_to_body(splats, cameras, &east).unwrap();
+    let mut offer = Offer::from_body(device, ModelId(1), ModelKind::Local, 3, body).unwrap();
+    offer.header.chunk_bytes = 256;
+    drone.node = Node::new(identity("agent-2", Role::Device), LIMITS, &[]);
+    drone.node.upload(offer);
+    drone
+}
+
+fn has_merged(events: &[ServiceEvent], of: usize) -> bool {
+    matches!(events.last(), Some(ServiceEvent::Merged { models, .. }) if *models == of)
+}
+
+fn splats_beyond(folder: &Path) -> usize {
+    ply::read(&global_ply(folder)).unwrap().means.iter().filter(|mean| mean[0] > BEYOND).count()
+}
+
+#[test]
+fn a_stalled_upload_counts_as_far_as_it_came_until_the_rest_arrives() {
+    let models = flights();
+    let names = fleet(&["agent-1", "agent-2"]);
+    let folders = [(); 2].map(|()| tempfile::tempdir().unwrap());
+    let [site, calm] = folders.each_ref().map(|folder| folder.path());
+    let network = MemoryNetwork::new(1, Faults::NONE);
+    let mut ground = open_with(&network, calm, names.clone(), QUICK);
+    let mut drones = vec![Drone::new(&network, "agent-1", 1, &models[0]), slow_drone(&network, &models[2])];
+    simulate(&network, &mut ground, &mut drones, |events, _| has_merged(events, 2));
+    let whole = fs::read(global_ply(calm)).unwrap();
+
+    let bytes_per_s = std::num::NonZeroU32::new(3000);
+    let network = MemoryNetwork::new(2, Faults { bytes_per_s, ..Faults::NONE });
+    let mut ground = open_with(&network, site, names.clone(), QUICK);
+    let mut drones = vec![Drone::new(&network, "agent-1", 1, &models[0])];
+    simulate(&network, &mut ground, &mut drones, |events, _| count(events, is_stored) == 1);
+    drones.push(slow_drone(&network, &models[2]));
+    let key = ModelKey { device: DeviceId::new("agent-2").unwrap(), model: ModelId(1) };
+    simulate_until(&network, &mut ground, &mut drones, |ground, _| ground.service.node.part(key).is_some());
+    // It says nothing any more, and is given up.
+    drones[1].node = Node::new(identity("agent-2", Role::Device), LIMITS, &[]);
+    let (say, commands) = mpsc::channel();
+    say.send(Command::GiveUp(key.device)).unwrap();
+    let Service { keeper, node } = &mut ground.service;
+    assert_eq!(keeper.obey(node, &commands, network.now()), Orders::GoOn);
+    let events = simulate(&network, &mut ground, &mut drones, |events, _| has_merged(events, 2));
+    let part = events.iter().find_map(|event| match event {
+        ServiceEvent::PartTaken { header, of_splats } => Some((header.splats, *of_splats)),
+        _ => None,
+    });
+    let (some, all) = part.expect("it is told");
+    assert!(some > 0 && some < all, "{some} of {all}");
+    let record = Merging::read(site).unwrap();
+    assert_eq!(record.inputs.iter().map(|input| input.part_splats).collect::<Vec<_>>(), [None, Some(some)]);
+    let (coarse, fine) = (splats_beyond(site), splats_beyond(calm));
+    assert!(coarse > 0 && coarse < fine, "{coarse} of {fine} splats where only the stalled one has been");
+
+    // The service forgets nothing of it, and takes the rest when that comes.
+    drop(ground);
+    let network = MemoryNetwork::new(3, Faults::NONE);
+    let mut ground = open_with(&network, site, names, QUICK);
+    let mut drones = vec![slow_drone(&network, &models[2])];
+    let all_here =
+        |events: &[ServiceEvent], _: &[Drone]| count(events, is_stored) == 1 && has_merged(events, 2);
+    simulate(&network, &mut ground, &mut drones, all_here);
+    assert!(
+        fs::read(global_ply(site)).unwrap() == whole,
+        "what is there as a whole is as if it had come at once"
+    );
+    assert_eq!(fs::read_dir(site.join("parts")).unwrap().count(), 0);
+}
