@@ -1,5 +1,6 @@
 //! Commands of `cosurf-aggregator`, each with its arguments.
 
+pub(crate) mod cells;
 pub(crate) mod convert;
 pub(crate) mod eval;
 pub(crate) mod eval_mesh;
@@ -7,9 +8,12 @@ pub(crate) mod forget;
 pub(crate) mod key;
 pub(crate) mod merge;
 pub(crate) mod mesh;
+pub(crate) mod mission;
 pub(crate) mod tap;
 
 use std::io::{self, IsTerminal};
+use std::thread::available_parallelism;
+use std::time::{SystemTime, UNIX_EPOCH};
 
 use cosurf_aggregator::Display;
 
@@ -20,4 +24,13 @@ pub(crate) fn display(json: bool) -> Display {
         (false, true) => Display::Bars,
         (false, false) => Display::Lines,
     }
+}
+
+pub(crate) fn cores() -> usize {
+    available_parallelism().map_or(1, usize::from)
+}
+
+/// Seconds since 1970; a clock before that is a clock that was never set.
+pub(crate) fn session() -> u64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs())
 }

@@ -26,7 +26,7 @@ mod meter;
 pub mod mission;
 mod page;
 pub mod part;
-mod partition;
+pub mod partition;
 pub mod plan;
 mod progress;
 pub mod quality;

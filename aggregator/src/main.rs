@@ -6,26 +6,17 @@ mod cli;
 use std::fmt::Display;
 use std::io::{self, Write};
 use std::num::NonZeroU32;
-use std::path::{Path, PathBuf, absolute};
+use std::path::PathBuf;
 use std::process::ExitCode;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc;
-use std::thread::available_parallelism;
-use std::time::{Instant, SystemTime, UNIX_EPOCH};
+use std::time::Instant;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use clap::{Args, Parser, Subcommand};
 use cosurf_aggregator::field::{self, AggregatorConfig, Host};
-use cosurf_aggregator::merge::MergeSettings;
-use cosurf_aggregator::mission::{MissionOrder, Surroundings, fly};
-use cosurf_aggregator::plan::Settings;
-use cosurf_aggregator::report::{MissionReport, table};
 use cosurf_aggregator::service::Command;
+use cosurf_link::SerialConfig;
 use cosurf_link::serial::{DEFAULT_BAUD, GATEWAY_MESSAGE_BYTES};
-use cosurf_link::{BrokerAddress, SerialConfig};
-use cosurf_scene::bytes::parse_bytes;
-use cosurf_scene::city::CitySettings;
 use serde::Serialize;
 
 /// The ground side of cosurf: takes in the splat models that drones send, joins them, sends them back.
@@ -45,70 +36,10 @@ enum Commands {
     Forget(cli::forget::ForgetArgs),
     Key(cli::key::KeyArgs),
     Merge(cli::merge::MergeArgs),
-    Mission(MissionArgs),
+    Mission(cli::mission::MissionArgs),
     Record(cli::tap::RecordArgs),
     Replay(cli::tap::ReplayArgs),
     Run(RunArgs),
-}
-
-/// From drone pictures to a global model and a report, on this machine.
-///
-/// Divides the pictures among agents by area, starts a broker and each agent as a process of its own,
-/// lets them train, send and receive, and leaves global.ply, mesh.ply, report.json and report.html in the
-/// output folder. The same command in the same folder goes on where it was stopped.
-#[derive(Args)]
-struct MissionArgs {
-    /// Pictures with poses: a COLMAP model or a transforms.json [default: a synthetic city is made]
-    #[arg(long, value_name = "DIR")]
-    data: Option<PathBuf>,
-    /// Where everything goes
-    #[arg(long, value_name = "DIR", default_value = "out")]
-    out: PathBuf,
-    /// Aggregators between the agents and the one above all, each with agents of its own; 0 for none
-    #[arg(long, value_name = "E", default_value_t = 0, value_parser = clap::value_parser!(u16).range(0..=99))]
-    edges: u16,
-    /// Agents to divide the pictures among; with --edges, agents of each edge
-    #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u16).range(1..=999))]
-    agents: u16,
-    /// How far each agent looks beyond its cell, as a share of the cell's size; 0 for no shared views
-    #[arg(long, value_name = "SHARE", default_value_t = 0.1, value_parser = parse_margin)]
-    margin: f64,
-    /// Training steps of each agent
-    #[arg(long, value_name = "N", default_value_t = 1500, value_parser = clap::value_parser!(u32).range(1..))]
-    steps: u32,
-    /// The most memory that each agent may take, for example 500MiB
-    #[arg(long, value_name = "BYTES", default_value = "1GiB", value_parser = parse_bytes)]
-    memory: u64,
-    /// Shrink pictures until their long side is at most this many pixels [default: full size]
-    #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(16..))]
-    max_size: Option<u32>,
-    /// Seed of every random choice; the same seed gives the same bytes
-    #[arg(long, value_name = "S", default_value_t = 0, value_parser = clap::value_parser!(u64).range(..1 << 62))]
-    seed: u64,
-    /// Use this MQTT broker, for example mqtt://127.0.0.1:1883 [default: one is started]
-    #[arg(long, value_name = "URL")]
-    broker: Option<BrokerAddress>,
-    /// Hold every N-th picture by name out of training, to judge the models by; 0 holds out none
-    #[arg(long, value_name = "N", default_value_t = 8)]
-    eval_every: u32,
-    /// Times that the global model learns from every camera of the agents; 0 joins their models as they are
-    #[arg(long, value_name = "N", default_value_t = MergeSettings::default().epochs)]
-    epochs: u32,
-    /// Join all splats of all agents, also where several show the same
-    #[arg(long)]
-    no_compress: bool,
-    /// Move models that lie in another frame than the others to where they fit, rather than keep them out
-    #[arg(long)]
-    refine: bool,
-    /// The most memory that merging may take
-    #[arg(long, value_name = "BYTES", default_value = "4GiB", value_parser = parse_bytes)]
-    merge_memory: u64,
-    /// Judge the global model by LPIPS too: folder of vgg.safetensors and alex.safetensors
-    #[arg(long, value_name = "FOLDER")]
-    lpips: Option<PathBuf>,
-    /// Print every event, and at the end the report, as lines of JSON
-    #[arg(long)]
-    json: bool,
 }
 
 /// Serve a site until stopped: receive models, join them, send the global model back.
@@ -136,7 +67,7 @@ fn main() -> ExitCode {
         Commands::Forget(args) => cli::forget::run(&args),
         Commands::Key(args) => cli::key::run(&args),
         Commands::Merge(args) => cli::merge::run(&args),
-        Commands::Mission(args) => mission(args),
+        Commands::Mission(args) => cli::mission::run(args),
         Commands::Record(args) => cli::tap::record(&args),
         Commands::Replay(args) => cli::tap::replay(&args),
         Commands::Run(args) => run(&args),
@@ -152,90 +83,6 @@ fn main() -> ExitCode {
     }
 }
 
-fn mission(args: MissionArgs) -> Result<()> {
-    let out = absolute(&args.out).context("--out")?;
-    let data = args.data.as_ref().map(absolute).transpose().context("--data")?;
-    if args.broker.as_ref().is_some_and(|broker| broker.is_tls) {
-        bail!("--broker: a mission on one machine speaks without TLS; write mqtt://");
-    }
-    let order = MissionOrder {
-        settings: Settings {
-            data: data.clone().unwrap_or_else(|| out.join("city")),
-            edges: usize::from(args.edges),
-            agents: usize::from(args.agents),
-            margin: args.margin,
-            steps: args.steps,
-            memory_bytes: Some(args.memory),
-            max_size_px: args.max_size,
-            seed: args.seed,
-            eval_every: args.eval_every,
-            merge: MergeSettings {
-                epochs: args.epochs,
-                compress: !args.no_compress,
-                refine: args.refine,
-                memory_bytes: args.merge_memory,
-                seed: args.seed,
-            },
-        },
-        city: data.is_none().then(|| another_city(args.seed)),
-        out,
-        broker: args.broker,
-        lpips: args.lpips,
-    };
-    let report = fly(&order, &surroundings(args.json)?)?;
-    print_report(&report, &order.out, args.json)?;
-    let failed =
-        report.agents.iter().filter_map(|agent| agent.failure.as_ref().map(|why| (&agent.device, why)));
-    let failed: Vec<String> = failed.map(|(device, why)| format!("{device} failed: {why}")).collect();
-    if !failed.is_empty() {
-        bail!("the global model lacks agents: {}", failed.join("; "));
-    }
-    Ok(())
-}
-
-fn parse_margin(text: &str) -> Result<f64, String> {
-    let margin: f64 = text.parse().map_err(|error| format!("{error}"))?;
-    if (0.0..=1.0).contains(&margin) { Ok(margin) } else { Err("a margin is between 0 and 1".into()) }
-}
-
-/// Every seed flies over a town of its own.
-fn another_city(seed: u64) -> CitySettings {
-    let usual = CitySettings::default();
-    CitySettings { seed: usual.seed.wrapping_add(seed), ..usual }
-}
-
-fn print_report(report: &MissionReport, out: &Path, json: bool) -> Result<()> {
-    let mut stdout = io::stdout().lock();
-    if json {
-        let line = serde_json::json!({"event": "report", "report": report});
-        writeln!(stdout, "{line}")?;
-        return Ok(());
-    }
-    writeln!(stdout, "\n{}", table(report))?;
-    let mesh = report.whole.mesh.map(|_| "mesh.ply");
-    for file in ["global.ply"].into_iter().chain(mesh).chain(["report.html", "report.json"]) {
-        writeln!(stdout, "{}", out.join(file).display())?;
-    }
-    Ok(())
-}
-
-fn surroundings(json: bool) -> Result<Surroundings> {
-    let begun = Instant::now();
-    let interrupted = Arc::new(AtomicBool::new(false));
-    let flag = interrupted.clone();
-    ctrlc::set_handler(move || flag.store(true, Ordering::SeqCst)).context("Ctrl-C cannot be caught")?;
-    let executable = std::env::current_exe().context("where this program lies")?;
-    Ok(Surroundings {
-        now: Arc::new(move || begun.elapsed()),
-        session: session(),
-        cores: cores(),
-        agent: executable.with_file_name(format!("cosurf-agent{}", std::env::consts::EXE_SUFFIX)),
-        display: cli::display(json),
-        interrupted,
-        peak_memory_bytes,
-    })
-}
-
 fn run(args: &RunArgs) -> Result<()> {
     let config = AggregatorConfig::read(&args.config)?;
     let (commands, orders) = mpsc::channel();
@@ -244,10 +91,10 @@ fn run(args: &RunArgs) -> Result<()> {
     })
     .context("Ctrl-C cannot be caught")?;
     let (begun, json) = (Instant::now(), args.json);
-    let line = |port: &String| SerialConfig::device(port, args.baud, session(), GATEWAY_MESSAGE_BYTES);
+    let line = |port: &String| SerialConfig::device(port, args.baud, cli::session(), GATEWAY_MESSAGE_BYTES);
     field::serve(
         &config,
-        Host { clock_s: session(), threads: cores() },
+        Host { clock_s: cli::session(), threads: cli::cores() },
         args.serial.iter().map(line).collect(),
         move || begun.elapsed(),
         &orders,
@@ -264,21 +111,4 @@ fn show(event: &(impl Display + Serialize), json: bool) {
         true => writeln!(stdout, "{}", serde_json::json!(event)),
         false => writeln!(stdout, "{event}"),
     };
-}
-
-fn cores() -> usize {
-    available_parallelism().map_or(1, usize::from)
-}
-
-/// Seconds since 1970; a clock before that is a clock that was never set.
-fn session() -> u64 {
-    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs())
-}
-
-/// `VmHWM` of Linux: the most memory that was resident at once.
-fn peak_memory_bytes() -> Option<u64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
-    let kib: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
-    Some(kib << 10)
 }

@@ -55,13 +55,11 @@ pub(crate) fn draw(cells: &[Cell], views: &[MapView]) -> String {
 }
 
 fn draw_cell(svg: &mut String, frame: &Frame, agent: usize, cell: &Cell) {
-    let (low, high) = (frame.place(cell.bounds[0]), frame.place(cell.bounds[1]));
-    let (x, y, size) = (low.x, high.y, DVec2::new(high.x - low.x, low.y - high.y));
-    let color = agent_color(agent);
+    let corners: Vec<String> = cell.outline.corners().iter().map(|corner| frame.text(*corner)).collect();
+    let (points, color) = (corners.join(" "), agent_color(agent));
     let _ = write!(
         svg,
-        r#"<rect x="{x:.1}" y="{y:.1}" width="{:.1}" height="{:.1}" rx="4" fill="{color}" fill-opacity=".12" stroke="{color}" stroke-width="3"/>"#,
-        size.x, size.y
+        r#"<polygon points="{points}" fill="{color}" fill-opacity=".12" stroke="{color}" stroke-width="3" stroke-linejoin="round"/>"#
     );
 }
 
@@ -107,8 +105,8 @@ struct Frame {
 
 impl Frame {
     fn around(cells: &[Cell]) -> Self {
-        let low = cells.iter().fold(DVec2::MAX, |low, cell| low.min(cell.bounds[0]));
-        let high = cells.iter().fold(DVec2::MIN, |high, cell| high.max(cell.bounds[1]));
+        let corners = cells.iter().flat_map(|cell| cell.outline.bounds());
+        let (low, high) = corners.fold((DVec2::MAX, DVec2::MIN), |(low, high), p| (low.min(p), high.max(p)));
         let margin = ((high - low).max_element() * MARGIN).max(1.0);
         let (low, high) = (low - margin, high + margin);
         Self { low, high, scale: WIDTH / (high.x - low.x) }
@@ -131,11 +129,14 @@ impl Frame {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::partition::Outline;
 
     #[test]
     fn the_map_shows_every_cell_and_view_with_north_up() {
-        let cell =
-            |low: f64, high: f64| Cell::new(Vec::new(), [DVec2::new(0.0, low), DVec2::new(100.0, high)]);
+        let cell = |low: f64, high: f64| {
+            let bounds = [DVec2::new(0.0, low), DVec2::new(100.0, high)];
+            Cell::new(Vec::new(), Outline::rectangle(bounds))
+        };
         let view = |y: f64, cell, held_out| MapView {
             name: format!("<{y}>"),
             footprint: Footprint { center: DVec2::new(50.0, y), outline: [DVec2::ZERO; 4] },
@@ -144,8 +145,7 @@ mod tests {
         };
         let views = [view(10.0, 0, false), view(90.0, 1, false), view(30.0, 0, true)];
         let svg = draw(&[cell(0.0, 50.0), cell(50.0, 100.0)], &views);
-        assert_eq!(svg.matches("<rect").count(), 2);
-        assert_eq!((svg.matches("<circle").count(), svg.matches("<polygon").count()), (3, 2));
+        assert_eq!((svg.matches("<circle").count(), svg.matches("<polygon").count()), (3, 2 + 2));
         // 100 m and 15 m around are 1000 units: 1 m is 7.69 units, and north (y = 90) is up.
         assert!(svg.contains(r#"cx="500.0" cy="192.3""#) && svg.contains(r#"cy="807.7""#), "{svg}");
         assert!(svg.contains("&lt;10&gt;") && !svg.contains("<10>"), "names are escaped");
@@ -154,7 +154,7 @@ mod tests {
 
     #[test]
     fn a_single_point_has_a_map_too() {
-        let cell = Cell::new(vec![0], [DVec2::ONE; 2]);
+        let cell = Cell::new(vec![0], Outline::rectangle([DVec2::ONE; 2]));
         let svg = draw(&[cell], &[]);
         assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
     }

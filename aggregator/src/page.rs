@@ -247,10 +247,10 @@ mod tests {
     use glam::DVec2;
 
     use super::*;
-    use crate::partition::Cell;
+    use crate::partition::{Cell, Outline};
 
     fn example_page() -> String {
-        let cells = [Cell::new(vec![0], [DVec2::ZERO, DVec2::ONE])];
+        let cells = [Cell::new(vec![0], Outline::rectangle([DVec2::ZERO, DVec2::ONE]))];
         let report = report::tests::example();
         let picture = |caption: &str| Captioned {
             caption: caption.into(),

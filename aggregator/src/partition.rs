@@ -1,39 +1,78 @@
-//! Divides views among agents: contiguous cells of the ground with equally many views each.
+//! Divides views among agents: cells of the ground, by [`Division`].
 //!
-//! Recursive bisection: the views' footprint centres are cut across the longer side of their
-//! bounding box, in proportion to the agents on either side, until each agent has one cell. Ground at a
+//! Left to itself, recursive bisection: the views' footprint centres are cut across the longer side of their
+//! bounding box, in proportion to the agents on either side, until each agent has one cell; all have equally many
+//! views. Or a grid of cells of one size (CoSurfGS), or polygons that a person drew. Ground at a
 //! border is seen by too few views of either side alone: with a margin, each agent also gets the views of
 //! others that look just beyond its borders.
 
-use glam::DVec2;
+mod outline;
 
-/// The views of one agent and the rectangle of ground they stand for.
+use glam::DVec2;
+use serde::{Deserialize, Serialize};
+
+pub(crate) use outline::Outline;
+
+/// How the ground is divided.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Division {
+    /// Rectangles with equally many views each, give or take one.
+    Evenly {
+        /// Cells of each edge.
+        agents: usize,
+    },
+    /// Rectangles of one size within the rectangle of each edge, row by row.
+    Grid {
+        /// Cells side by side.
+        columns: usize,
+        /// Cells one above the other.
+        rows: usize,
+    },
+    /// Polygons, the first ones of the first edge. A view beyond all of them goes to the nearest.
+    Polygons(
+        /// Corners in map coordinates.
+        Vec<Vec<[f64; 2]>>,
+    ),
+}
+
+impl Division {
+    /// Agents of each of `edges`, at least 1.
+    pub(crate) fn agents(&self, edges: usize) -> usize {
+        match self {
+            Self::Evenly { agents } => *agents,
+            Self::Grid { columns, rows } => columns * rows,
+            Self::Polygons(polygons) => polygons.len().div_ceil(edges),
+        }
+    }
+}
+
+/// The views of one agent and the ground they stand for.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Cell {
-    /// Indices into the centres given to [`bisect`], ascending.
+    /// Indices into the centres given to [`partition`], ascending.
     pub(crate) views: Vec<usize>,
     /// Views of other cells that look at the margin of this one, ascending.
     pub(crate) guests: Vec<usize>,
-    /// Lowest and highest map coordinates; the cells of a partition meet only at their borders.
-    pub(crate) bounds: [DVec2; 2],
+    /// Its ground.
+    pub(crate) outline: Outline,
 }
 
 impl Cell {
     /// A cell without guests.
-    pub(crate) fn new(views: Vec<usize>, bounds: [DVec2; 2]) -> Self {
-        Self { views, guests: Vec::new(), bounds }
+    pub(crate) fn new(views: Vec<usize>, outline: Outline) -> Self {
+        Self { views, guests: Vec::new(), outline }
     }
 
     /// Distance from a map position to the cell, 0 inside.
     fn distance(&self, at: DVec2) -> f64 {
-        at.distance(at.clamp(self.bounds[0], self.bounds[1]))
+        at.distance(self.outline.nearest(at))
     }
 
     /// Whether a map position lies in the cell grown by `margin` of its size on each side.
     fn reaches(&self, at: DVec2, margin: f64) -> bool {
-        let [low, high] = self.bounds;
-        let grown = (high - low) * margin;
-        at.cmpge(low - grown).all() && at.cmple(high + grown).all()
+        let [low, high] = self.outline.bounds();
+        (at - self.outline.nearest(at)).abs().cmple((high - low) * margin).all()
     }
 }
 
@@ -54,24 +93,69 @@ pub enum PartitionError {
     /// There is nothing to train on.
     #[error("there is no view to train on: add photographs or hold fewer out (--eval-every)")]
     NoViews,
+    /// No view looks at a cell.
+    #[error(
+        "no training view looks at cell {cell} of {cells}: make cells larger, or leave --grid and --cells out"
+    )]
+    EmptyCell {
+        /// Which, from 1.
+        cell: usize,
+        /// Cells there are.
+        cells: usize,
+    },
+    /// A polygon is none.
+    #[error("cell {cell} is no polygon: it needs three corners or more, of finite coordinates")]
+    NoPolygon {
+        /// Which, from 1.
+        cell: usize,
+    },
+    /// Edges would have unequally many polygons.
+    #[error("{cells} cells cannot be shared by {edges} edges: draw equally many for each")]
+    UnevenEdges {
+        /// Polygons there are.
+        cells: usize,
+        /// Edges asked for.
+        edges: usize,
+    },
 }
 
-/// Cuts the ground into one cell per agent, with equally many views each, give or take one: first into `edges`
-/// rectangles (at least 1), then each of them into the cells of `agents`, one rectangle's after the other's. The
-/// same centres give the same cells. Centres must be finite.
-pub(crate) fn bisect(centers: &[DVec2], edges: usize, agents: usize) -> Result<Vec<Cell>, PartitionError> {
-    match (edges * agents, centers.len()) {
+/// Cuts the ground into one cell per agent: first into `edges` (at least 1), then each of them as `division` says, one
+/// edge's cells after the other's. The same centres give the same cells. Centres must be finite.
+pub(crate) fn partition(
+    centers: &[DVec2],
+    edges: usize,
+    division: &Division,
+) -> Result<Vec<Cell>, PartitionError> {
+    match (edges * division.agents(edges), centers.len()) {
         (0, _) => return Err(PartitionError::NoAgents),
         (_, 0) => return Err(PartitionError::NoViews),
         (agents, views) if agents > views => return Err(PartitionError::TooFewViews { agents, views }),
         _ => {}
     }
-    let all = Cell::new((0..centers.len()).collect(), bounding_box(centers.iter().copied()));
+    let all = Plot { views: (0..centers.len()).collect(), bounds: bounding_box(centers.iter().copied()) };
     let mut rectangles = Vec::with_capacity(edges);
-    divide(all, edges, centers, &mut rectangles);
-    let mut cells = Vec::with_capacity(edges * agents);
-    rectangles.into_iter().for_each(|rectangle| divide(rectangle, agents, centers, &mut cells));
-    Ok(cells)
+    match division {
+        Division::Evenly { agents } => {
+            divide(all, edges, centers, &mut rectangles);
+            let mut plots = Vec::with_capacity(edges * agents);
+            rectangles.into_iter().for_each(|rectangle| divide(rectangle, *agents, centers, &mut plots));
+            Ok(plots.into_iter().map(Plot::cell).collect())
+        }
+        Division::Grid { columns, rows } => {
+            divide(all, edges, centers, &mut rectangles);
+            let grids = rectangles.iter().flat_map(|plot| grid(plot.bounds, *columns, *rows));
+            assign(grids.collect(), centers)
+        }
+        Division::Polygons(polygons) if !polygons.len().is_multiple_of(edges) => {
+            Err(PartitionError::UnevenEdges { cells: polygons.len(), edges })
+        }
+        Division::Polygons(polygons) => {
+            let outline = |(i, polygon): (usize, &Vec<[f64; 2]>)| {
+                Outline::polygon(polygon).ok_or(PartitionError::NoPolygon { cell: i + 1 })
+            };
+            assign(polygons.iter().enumerate().map(outline).collect::<Result<_, _>>()?, centers)
+        }
+    }
 }
 
 /// Lets each cell have the views of others whose centres lie within `margin` of its size around it.
@@ -91,30 +175,63 @@ pub(crate) fn nearest_cell(cells: &[Cell], at: DVec2) -> usize {
     nearest.unwrap_or(0)
 }
 
-/// Divides `cell` among `agents`, appending their cells from the lower side to the upper.
-fn divide(mut cell: Cell, agents: usize, centers: &[DVec2], cells: &mut Vec<Cell>) {
+/// A cell of these grounds for each, with the views that are nearest to it.
+fn assign(outlines: Vec<Outline>, centers: &[DVec2]) -> Result<Vec<Cell>, PartitionError> {
+    let mut cells: Vec<Cell> = outlines.into_iter().map(|outline| Cell::new(Vec::new(), outline)).collect();
+    for (view, center) in centers.iter().enumerate() {
+        let cell = nearest_cell(&cells, *center);
+        cells[cell].views.push(view);
+    }
+    match cells.iter().position(|cell| cell.views.is_empty()) {
+        Some(empty) => Err(PartitionError::EmptyCell { cell: empty + 1, cells: cells.len() }),
+        None => Ok(cells),
+    }
+}
+
+/// Rectangles of one size, row by row from the lowest.
+fn grid([low, high]: [DVec2; 2], columns: usize, rows: usize) -> Vec<Outline> {
+    let counts = DVec2::new(columns as f64, rows as f64);
+    let corner = |x: usize, y: usize| low + (high - low) * DVec2::new(x as f64, y as f64) / counts;
+    let places = (0..rows).flat_map(|y| (0..columns).map(move |x| (x, y)));
+    places.map(|(x, y)| Outline::rectangle([corner(x, y), corner(x + 1, y + 1)])).collect()
+}
+
+/// Views and the rectangle they lie in, to be cut.
+struct Plot {
+    views: Vec<usize>,
+    bounds: [DVec2; 2],
+}
+
+impl Plot {
+    fn cell(self) -> Cell {
+        Cell::new(self.views, Outline::rectangle(self.bounds))
+    }
+}
+
+/// Divides `plot` among `agents`, appending theirs from the lower side to the upper.
+fn divide(mut plot: Plot, agents: usize, centers: &[DVec2], plots: &mut Vec<Plot>) {
     if agents == 1 {
-        cell.views.sort_unstable();
-        cells.push(cell);
+        plot.views.sort_unstable();
+        plots.push(plot);
         return;
     }
-    let [low, high] = bounding_box(cell.views.iter().map(|&view| centers[view]));
+    let [low, high] = bounding_box(plot.views.iter().map(|&view| centers[view]));
     let along = usize::from((high - low).y > (high - low).x);
     let key = |view: usize| (centers[view][along], centers[view][1 - along]);
-    cell.views.sort_unstable_by(|&a, &b| {
+    plot.views.sort_unstable_by(|&a, &b| {
         key(a).0.total_cmp(&key(b).0).then(key(a).1.total_cmp(&key(b).1)).then(a.cmp(&b))
     });
     let lower_agents = agents / 2;
-    let upper = cell.views.split_off(share(cell.views.len(), agents, lower_agents));
-    let cut = match (cell.views.last(), upper.first()) {
+    let upper = plot.views.split_off(share(plot.views.len(), agents, lower_agents));
+    let cut = match (plot.views.last(), upper.first()) {
         (Some(&below), Some(&above)) => (key(below).0 + key(above).0) / 2.0,
         _ => unreachable!("{agents} agents share {} views", centers.len()),
     };
-    let mut bounds = [cell.bounds; 2];
+    let mut bounds = [plot.bounds; 2];
     bounds[0][1][along] = cut;
     bounds[1][0][along] = cut;
-    divide(Cell::new(cell.views, bounds[0]), lower_agents, centers, cells);
-    divide(Cell::new(upper, bounds[1]), agents - lower_agents, centers, cells);
+    divide(Plot { views: plot.views, bounds: bounds[0] }, lower_agents, centers, plots);
+    divide(Plot { views: upper, bounds: bounds[1] }, agents - lower_agents, centers, plots);
 }
 
 /// How many of `views`, shared by `agents` as evenly as whole views can be, go to the first `some`
@@ -132,6 +249,14 @@ fn bounding_box(points: impl Iterator<Item = DVec2>) -> [DVec2; 2] {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+
+    fn bisect(centers: &[DVec2], edges: usize, agents: usize) -> Result<Vec<Cell>, PartitionError> {
+        partition(centers, edges, &Division::Evenly { agents })
+    }
+
+    fn bounds(cell: &Cell) -> [DVec2; 2] {
+        cell.outline.bounds()
+    }
 
     /// Centres scattered by a small generator over 300 × 100 m.
     fn scattered(count: usize, seed: u64) -> Vec<DVec2> {
@@ -162,7 +287,7 @@ mod tests {
     fn the_cells_of_an_edge_fill_one_rectangle() {
         let centers = scattered(90, 4);
         let cells = bisect(&centers, 3, 2).unwrap();
-        let hull = |cells: &[Cell]| bounding_box(cells.iter().flat_map(|cell| cell.bounds));
+        let hull = |cells: &[Cell]| bounding_box(cells.iter().flat_map(bounds));
         let hulls: Vec<[DVec2; 2]> = cells.chunks(2).map(hull).collect();
         assert!(cells.iter().all(|cell| cell.views.len() == 15));
         for (i, [low, high]) in hulls.iter().enumerate() {
@@ -184,8 +309,8 @@ mod tests {
                 assert_eq!(nearest_cell(&cells, centers[view]), i, "and in no other");
             }
             for other in &cells[..i] {
-                let low = cell.bounds[0].max(other.bounds[0]);
-                let high = cell.bounds[1].min(other.bounds[1]);
+                let low = bounds(cell)[0].max(bounds(other)[0]);
+                let high = bounds(cell)[1].min(bounds(other)[1]);
                 assert!(low.x >= high.x || low.y >= high.y, "{cell:?} overlaps {other:?}");
             }
         }
@@ -204,7 +329,8 @@ mod tests {
     #[test]
     fn the_longer_side_is_cut() {
         for cell in bisect(&scattered(100, 5), 1, 3).unwrap() {
-            let size = cell.bounds[1] - cell.bounds[0];
+            let [low, high] = bounds(&cell);
+            let size = high - low;
             assert!(size.x < 150.0 && size.y > 90.0, "300 × 100 m in 3 is cut across x: {size}");
         }
     }
@@ -232,9 +358,55 @@ mod tests {
     fn a_held_out_view_goes_to_the_nearest_cell() {
         let centers: Vec<DVec2> = (0..4).map(|i| DVec2::new(f64::from(i) * 10.0, 0.0)).collect();
         let cells = bisect(&centers, 1, 2).unwrap();
-        assert_eq!(cells[0].bounds[1].x, 15.0);
+        assert_eq!(bounds(&cells[0])[1].x, 15.0);
         for (x, cell) in [(-99.0, 0), (14.0, 0), (16.0, 1), (500.0, 1)] {
             assert_eq!(nearest_cell(&cells, DVec2::new(x, 5.0)), cell, "at {x}");
         }
+    }
+
+    #[test]
+    fn a_grid_has_cells_of_one_size_in_the_rectangle_of_each_edge() {
+        let centers = scattered(300, 6);
+        let cells = partition(&centers, 2, &Division::Grid { columns: 2, rows: 3 }).unwrap();
+        assert_eq!(cells.len(), 12);
+        for (i, cell) in cells.iter().enumerate() {
+            let (first, its) = (bounds(&cells[i / 6 * 6]), bounds(cell));
+            assert!((its[1] - its[0]).abs_diff_eq(first[1] - first[0], 1e-9), "cell {i}");
+            assert!(cell.views.iter().all(|view| cell.distance(centers[*view]) == 0.0), "cell {i}");
+        }
+        assert!(
+            bounds(&cells[1])[0].x > bounds(&cells[0])[0].x
+                && bounds(&cells[2])[0].y > bounds(&cells[0])[0].y
+        );
+        let mut all: Vec<usize> = cells.into_iter().flat_map(|cell| cell.views).collect();
+        all.sort_unstable();
+        assert_eq!(all, (0..300).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn polygons_have_the_views_in_them_and_the_nearest_the_others() {
+        let centers: Vec<DVec2> = (0..20).map(|i| DVec2::new(f64::from(i) * 10.0, 0.0)).collect();
+        let triangle = |x: f64| vec![[x, -5.0], [x + 60.0, -5.0], [x + 30.0, 5.0]];
+        let polygons = Division::Polygons(vec![triangle(100.0), triangle(0.0)]);
+        let mut cells = partition(&centers, 1, &polygons).unwrap();
+        assert_eq!(cells[1].views, (0..8).collect::<Vec<_>>());
+        assert_eq!(cells[0].views, (8..20).collect::<Vec<_>>(), "those beyond its border too");
+        invite(&mut cells, &centers, 0.5);
+        assert_eq!(cells[1].guests, [8, 9]);
+        assert_eq!(polygons.agents(2), 1);
+    }
+
+    #[test]
+    fn cells_that_cannot_be_are_refused_in_one_line() {
+        let centers = scattered(30, 1);
+        let refused = |edges, division| partition(&centers, edges, &division).unwrap_err().to_string();
+        let square = |x: f64| vec![[x, 0.0], [x + 100.0, 0.0], [x + 100.0, 100.0], [x, 100.0]];
+        let error = refused(1, Division::Grid { columns: 9, rows: 3 });
+        assert!(error.contains("no training view looks at cell"), "{error}");
+        let error = refused(1, Division::Polygons(vec![square(0.0), vec![[0.0, 0.0]; 2]]));
+        assert!(error.contains("cell 2 is no polygon"), "{error}");
+        let error = refused(2, Division::Polygons(vec![square(0.0), square(100.0), square(200.0)]));
+        assert!(error.contains("3 cells cannot be shared by 2 edges"), "{error}");
+        assert_eq!(refused(1, Division::Polygons(Vec::new())), PartitionError::NoAgents.to_string());
     }
 }

@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 use crate::footprint::{Ground, footprints};
 use crate::map::MapView;
 use crate::merge::MergeSettings;
-use crate::partition::{Cell, PartitionError, bisect, invite, nearest_cell};
+use crate::partition::{Cell, Division, PartitionError, invite, nearest_cell, partition};
 
 /// What decides the result of a mission.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -23,8 +23,8 @@ pub struct Settings {
     pub data: PathBuf,
     /// Aggregators between the agents and the one above all; 0 for none.
     pub edges: usize,
-    /// Agents of each of them, or of the one above all, to divide the dataset among.
-    pub agents: usize,
+    /// How the ground is divided among their agents, or among those of the one above all.
+    pub division: Division,
     /// How far each agent looks beyond its cell, as a share of the cell's size; see `partition`.
     pub margin: f64,
     /// Training steps of each.
@@ -128,8 +128,9 @@ impl Plan {
         let (train, held_out) = dataset.split(settings.eval_every);
         let prints = footprints(dataset, &Ground::of(dataset));
         let centers: Vec<_> = train.iter().map(|&view| prints[view].center).collect();
-        let agents = settings.edges.max(1) * settings.agents;
-        let mut cells = bisect(&centers, settings.edges.max(1), settings.agents)?;
+        let edges = settings.edges.max(1);
+        let mut cells = partition(&centers, edges, &settings.division)?;
+        let (agents, each) = (cells.len(), cells.len() / edges);
         invite(&mut cells, &centers, settings.margin);
         let mut cell_of = vec![0; dataset.views.len()];
         for &view in &held_out {
@@ -150,7 +151,7 @@ impl Plan {
         let site = settle(settings, out, fresh_site)?;
         let edge = |(i, device): (usize, DeviceId)| {
             let site = SiteId::new(&format!("{site}-{device}"))?;
-            Ok(Edge { device, site, agents: i * settings.agents..(i + 1) * settings.agents })
+            Ok(Edge { device, site, agents: i * each..(i + 1) * each })
         };
         let edges = names("edge", settings.edges)?.into_iter().enumerate().map(edge);
         let edges = edges.collect::<Result<Vec<Edge>, IdError>>()?;
@@ -291,7 +292,7 @@ mod tests {
         Settings {
             data: "data".into(),
             edges: 0,
-            agents: 2,
+            division: Division::Evenly { agents: 2 },
             margin: 0.0,
             steps: 10,
             memory_bytes: Some(1 << 30),

@@ -1,0 +1,108 @@
+//! The ground of a cell, a polygon on the map.
+
+use glam::DVec2;
+
+/// Corners in order around it, at least three. It may be flat: a row of views has no width.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Outline(Vec<DVec2>);
+
+impl Outline {
+    /// Of lowest and highest coordinates.
+    pub(crate) fn rectangle([low, high]: [DVec2; 2]) -> Self {
+        Self(vec![low, DVec2::new(high.x, low.y), high, DVec2::new(low.x, high.y)])
+    }
+
+    /// Of corners in either order around; the first may stand at the end again. `None` of fewer than three, and where
+    /// one is not finite.
+    pub(crate) fn polygon(corners: &[[f64; 2]]) -> Option<Self> {
+        let mut corners: Vec<DVec2> = corners.iter().copied().map(DVec2::from_array).collect();
+        if corners.len() > 1 && corners.first() == corners.last() {
+            corners.pop();
+        }
+        (corners.len() >= 3 && corners.iter().all(|corner| corner.is_finite())).then_some(Self(corners))
+    }
+
+    /// In order around.
+    pub(crate) fn corners(&self) -> &[DVec2] {
+        &self.0
+    }
+
+    /// Lowest and highest coordinates.
+    pub(crate) fn bounds(&self) -> [DVec2; 2] {
+        self.0
+            .iter()
+            .fold([DVec2::MAX, DVec2::MIN], |[low, high], corner| [low.min(*corner), high.max(*corner)])
+    }
+
+    /// The point of it, border included, that is nearest to `at`: `at` itself inside.
+    pub(crate) fn nearest(&self, at: DVec2) -> DVec2 {
+        let borders = || self.0.iter().zip(self.0.iter().cycle().skip(1)).map(|(a, b)| on_border(*a, *b, at));
+        if self.surrounds(at) || borders().any(|point| point == at) {
+            return at;
+        }
+        let nearest = borders().min_by(|a, b| a.distance_squared(at).total_cmp(&b.distance_squared(at)));
+        nearest.unwrap_or(at)
+    }
+
+    /// Whether a ray from `at` crosses the border an odd number of times.
+    fn surrounds(&self, at: DVec2) -> bool {
+        let borders = self.0.iter().zip(self.0.iter().cycle().skip(1));
+        let crosses = |(a, b): &(&DVec2, &DVec2)| {
+            (a.y > at.y) != (b.y > at.y) && at.x < a.x + (b.x - a.x) * (at.y - a.y) / (b.y - a.y)
+        };
+        borders.filter(crosses).count() % 2 == 1
+    }
+}
+
+/// The point between `a` and `b` that is nearest to `at`; `at` itself, to the bit, on lines along a coordinate.
+fn on_border(a: DVec2, b: DVec2, at: DVec2) -> DVec2 {
+    let along = b - a;
+    let (low, high) = (a.min(b), a.max(b));
+    if along.x == 0.0 || along.y == 0.0 {
+        return at.clamp(low, high);
+    }
+    let share = (at - a).dot(along) / along.length_squared();
+    a + along * share.clamp(0.0, 1.0)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn the_nearest_point_is_found_inside_beside_and_in_a_notch() {
+        let outline =
+            Outline::polygon(&[[0.0, 0.0], [4.0, 0.0], [4.0, 4.0], [2.0, 1.0], [0.0, 4.0]]).unwrap();
+        for (at, nearest) in [
+            ([1.0, 1.0], [1.0, 1.0]),
+            ([2.0, -3.0], [2.0, 0.0]),
+            ([5.0, 5.0], [4.0, 4.0]),
+            ([2.0, 1.0], [2.0, 1.0]),
+            ([0.0, 2.0], [0.0, 2.0]),
+        ] {
+            assert_eq!(outline.nearest(DVec2::from(at)), DVec2::from(nearest), "{at:?}");
+        }
+        let in_notch = DVec2::new(2.0, 2.3);
+        let found = outline.nearest(in_notch);
+        assert!((found.distance(in_notch) - 1.3 * 2.0 / 13f64.sqrt()).abs() < 1e-12, "{found}");
+        assert_eq!(outline.bounds(), [DVec2::ZERO, DVec2::splat(4.0)]);
+    }
+
+    #[test]
+    fn a_polygon_may_be_closed_and_must_be_one() {
+        let open = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]];
+        let closed = [open[0], open[1], open[2], open[0]];
+        assert_eq!(Outline::polygon(&open), Outline::polygon(&closed));
+        assert_eq!(Outline::polygon(&open[..2]), None);
+        assert_eq!(Outline::polygon(&[[0.0, 0.0], [f64::NAN, 0.0], [0.0, 1.0]]), None);
+    }
+
+    #[test]
+    fn a_row_has_no_width_and_a_point_no_size() {
+        let row = Outline::rectangle([DVec2::ZERO, DVec2::new(5.0, 0.0)]);
+        assert_eq!(row.nearest(DVec2::new(3.0, 0.0)), DVec2::new(3.0, 0.0));
+        assert_eq!(row.nearest(DVec2::new(7.0, 1.0)), DVec2::new(5.0, 0.0));
+        assert_eq!(Outline::rectangle([DVec2::ONE; 2]).nearest(DVec2::ZERO), DVec2::ONE);
+    }
+}
