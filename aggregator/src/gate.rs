@@ -9,7 +9,8 @@
 //! Of two that contradict each other the one goes that contradicts more of the others, then the one with fewer
 //! cameras, then the later one: the verdict depends on the models alone, not on who came first.
 //!
-//! Who contradicts others may be moved to where it fits them (`refine`), if the owner of all says so.
+//! Who contradicts others may be moved to where it fits them (`refine`), if the owner of all says so. Those that take
+//! part get colours that agree ([`tone`]).
 
 mod consensus;
 mod glimpse;
@@ -18,6 +19,7 @@ mod refine;
 mod similarity;
 #[cfg(test)]
 pub(crate) mod tests;
+mod tone;
 
 use std::collections::BTreeMap;
 
@@ -30,6 +32,8 @@ use crate::merge::{Locals, MergeError};
 use glimpse::Glimpse;
 use refine::refine;
 pub use similarity::Similarity;
+pub use tone::Tone;
+use tone::tones;
 
 /// Largest share of a model's splats that none of its own cameras sees. Trained models have up to 0.01.
 const UNSEEN_MAX: f64 = 0.5;
@@ -64,8 +68,19 @@ impl Doubt {
 pub struct Admitted<'a> {
     locals: &'a dyn Locals,
     doubts: Vec<Option<Doubt>>,
-    /// Those that take part, and how they are moved.
-    places: Vec<(usize, Option<Similarity>)>,
+    /// Those that take part.
+    places: Vec<Place>,
+}
+
+/// How a model takes part in a merge.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Place {
+    /// Which of all models.
+    pub local: usize,
+    /// By what it is moved to where it fits.
+    pub by: Option<Similarity>,
+    /// By what its colours are made to agree with the others'.
+    pub tone: Option<Tone>,
 }
 
 impl Locals for Admitted<'_> {
@@ -74,18 +89,21 @@ impl Locals for Admitted<'_> {
     }
 
     fn load(&self, index: usize) -> Result<Model, MergeError> {
-        let (local, by) = &self.places[index];
-        let model = self.locals.load(*local)?;
-        Ok(match by {
-            Some(by) => by.model(&model),
-            None => model,
-        })
+        let Place { local, by, tone } = &self.places[index];
+        let mut model = self.locals.load(*local)?;
+        if let Some(by) = by {
+            model = by.model(&model);
+        }
+        if let Some(tone) = tone {
+            tone.apply(&mut model.splats);
+        }
+        Ok(model)
     }
 }
 
 impl Admitted<'_> {
-    /// Which of all models the `index`-th that takes part is, and by what it is moved.
-    pub fn place(&self, index: usize) -> (usize, Option<Similarity>) {
+    /// How the `index`-th of those that take part does.
+    pub fn place(&self, index: usize) -> Place {
         self.places[index]
     }
 
@@ -128,8 +146,12 @@ pub fn admit<'a>(
         }
     }
     let sound = (0..doubts.len()).filter(|i| doubts[*i].is_none());
-    let places = sound.map(|i| (i, moves[i])).collect();
-    Ok(Admitted { locals, doubts, places })
+    let places = sound.map(|i| Place { local: i, by: moves[i], tone: None }).collect();
+    let mut admitted = Admitted { locals, doubts, places };
+    if let Some(tones) = tones(&admitted, threads, is_given_up)? {
+        admitted.places.iter_mut().zip(tones).for_each(|(place, tone)| place.tone = Some(tone));
+    }
+    Ok(admitted)
 }
 
 /// What speaks against each of `locals`, in their order. `is_given_up` is asked between two models.

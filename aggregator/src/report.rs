@@ -225,10 +225,7 @@ pub(crate) fn remarks(report: &MissionReport) -> Vec<String> {
             Some(format!("of the model of {device} only {splats} splats had arrived when models were merged"))
         }));
         remarks.extend(merging.kept_out.iter().map(|kept_out| format!("{kept_out} and is kept out")));
-        let moved = merging.moved.iter().map(|moved| &moved.device);
-        remarks.extend(
-            moved.map(|device| format!("{device} lay in another frame and was moved to where it fits")),
-        );
+        remarks.extend(merging.fitted.iter().map(ToString::to_string));
     }
     remarks.extend(report.whole.mesh_failure.iter().map(|failure| format!("no mesh: {failure}")));
     remarks
@@ -357,8 +354,8 @@ pub(crate) mod tests {
         let mut report = example();
         let summary = MergeSummary { joined: 7, splats: 6, steps: 5, ..MergeSummary::default() };
         let (settings, inputs, kept_out) = (MergeSettings::default(), Vec::new(), Vec::new());
-        let moved = Vec::new();
-        let merging = Merging { revision: 1, inputs, kept_out, moved, settings, summary, seconds: 12.0 };
+        let fitted = Vec::new();
+        let merging = Merging { revision: 1, inputs, kept_out, fitted, settings, summary, seconds: 12.0 };
         report.whole.merging = Some(merging.clone());
         let agents = vec!["agent-1".into(), "agent-2".into()];
         let edge = EdgeSummary { device: "edge-1".into(), agents, bytes_sent: 3 << 20, merging: None };

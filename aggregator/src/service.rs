@@ -47,7 +47,7 @@ use crate::merge::{MergeError, MergeProgress, MergeSettings, concatenate};
 #[cfg(test)]
 pub(crate) use job::packed;
 use keeper::{Keeper, Orders};
-pub use record::{KeptOut, Merging, Moved, withdraw};
+pub use record::{Fitted, KeptOut, Merging, withdraw};
 pub use round::{Expected, Rounds};
 
 /// How often the service looks up from listening.

@@ -8,7 +8,7 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, ensure};
 use clap::Args;
-use cosurf_aggregator::gate::admit;
+use cosurf_aggregator::gate::{Place, admit};
 use cosurf_aggregator::merge::{
     LocalSummary, Locals, MergeError, MergeProgress, MergeSettings, MergeSummary, merge,
 };
@@ -102,12 +102,13 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
     }
     for (place, local) in merged.summary.locals.iter().enumerate() {
         let LocalSummary { arrived, overlap, removed } = local;
-        let (i, moved) = admitted.place(place);
-        let (folder, percent) = (&names[i], 100.0 * overlap);
-        let moved = if moved.is_some() { ", moved to where it fits" } else { "" };
+        let Place { local, by, tone } = admitted.place(place);
+        let (folder, percent) = (&names[local], 100.0 * overlap);
+        let moved = if by.is_some() { ", moved to where it fits" } else { "" };
+        let toned = tone.map(|tone| format!(", {tone}")).unwrap_or_default();
         writeln!(
             stdout,
-            "{folder}: {arrived} splats, {percent:.0} % of its views overlap, {removed} splats removed{moved}"
+            "{folder}: {arrived} splats, {percent:.0} % of its views overlap, {removed} splats removed{moved}{toned}"
         )?;
     }
     kept_out.iter().try_for_each(|kept_out| writeln!(stdout, "kept out: {kept_out}"))?;

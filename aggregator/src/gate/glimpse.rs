@@ -18,6 +18,8 @@ const VIEWS: usize = 8;
 const SIGHT_COSINE_MIN: f64 = 0.866_025_403_784_438_6;
 /// A surface that shows less than this is none.
 const ALPHA_MIN: f32 = 0.5;
+/// One that shows less than this has the colour of what is behind it too.
+const OPAQUE_MIN: f32 = 0.95;
 /// Share of a picture's surface that the other model's cameras must see, and pixels at least.
 const SHARE_MIN: f64 = 0.3;
 const SHARED_PX_MIN: usize = 64;
@@ -44,6 +46,8 @@ pub(super) struct Glimpse {
     rgb: Vec<f32>,
     /// World units; 0 where there is no surface.
     depth: Vec<f32>,
+    /// 0..=1.
+    alpha: Vec<f32>,
 }
 
 impl Glimpse {
@@ -62,7 +66,7 @@ impl Glimpse {
         let rendering = renderer.render(&camera);
         let opaque = |(depth, alpha): (&f32, &f32)| if *alpha > ALPHA_MIN { *depth } else { 0.0 };
         let depth = rendering.depth.iter().zip(&rendering.alpha).map(opaque).collect();
-        Self { camera, rgb: rendering.rgb, depth }
+        Self { camera, rgb: rendering.rgb, depth, alpha: rendering.alpha }
     }
 
     /// Pixels whose surface some of `cameras` see from a similar direction, if these are enough.
@@ -97,6 +101,17 @@ impl Glimpse {
         let off_px = (dx as f64).hypot(dy as f64);
         let is_moved = off_px > OFF_PX && best > FOUND_MIN && best > in_place + BETTER_MIN;
         Some(is_deep && !is_moved && in_place >= ALIKE_MIN)
+    }
+
+    /// The colours here and of another model at those of these pixels where both show the same surface.
+    pub(super) fn colors_with(&self, renderer: &mut Renderer, shared: &[usize]) -> Vec<[[f32; 3]; 2]> {
+        let other = Self::of(renderer, &self.camera);
+        let is_same = |i: &usize| {
+            let is_opaque = self.alpha[*i].min(other.alpha[*i]) > OPAQUE_MIN;
+            is_opaque && f64::from(self.depth[*i] / other.depth[*i]).ln().abs() <= DEPTH_MAX
+        };
+        let color = |of: &Self, i: usize| [0, 1, 2].map(|channel| of.rgb[3 * i + channel]);
+        shared.iter().copied().filter(is_same).map(|i| [color(self, i), color(&other, i)]).collect()
     }
 
     /// Whether depths agree where both have a surface.

@@ -187,7 +187,7 @@ fn band(degree: usize, d: DVec3) -> Vec<f64> {
 }
 
 /// `a⁻¹ b`, by elimination; `a` must not be singular.
-fn solve(mut a: Vec<Vec<f64>>, mut b: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
+pub(super) fn solve(mut a: Vec<Vec<f64>>, mut b: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
     let n = a.len();
     for column in 0..n {
         let largest = (column..n).max_by(|i, j| a[*i][column].abs().total_cmp(&a[*j][column].abs()));

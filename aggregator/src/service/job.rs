@@ -10,7 +10,7 @@ use cosurf_engine::Renderer;
 use cosurf_link::{Model, ModelKey, ModelStore, body_to_model, model_to_body, plain_importance};
 use cosurf_wire::ModelHeader;
 
-use super::record::{KeptOut, Moved};
+use super::record::{Fitted, KeptOut};
 use crate::gate::admit;
 use crate::merge::{Locals, MergeError, MergeProgress, MergeSettings, Merged, merge};
 use crate::part::fill_in;
@@ -55,8 +55,8 @@ pub(super) struct Outcome {
     pub(super) merged: Option<(Merged, Vec<u8>)>,
     /// Who took no part.
     pub(super) kept_out: Vec<KeptOut>,
-    /// Who was moved.
-    pub(super) moved: Vec<Moved>,
+    /// Who was changed to fit the others.
+    pub(super) fitted: Vec<Fitted>,
 }
 
 /// What a look at a merge finds.
@@ -119,10 +119,9 @@ impl Job {
             let kept_out = admitted.kept_out(&names);
             let kept_out = kept_out.map(|(i, reason)| KeptOut::new(&stored.headers[i], reason)).collect();
             let places = (0..admitted.count()).map(|place| admitted.place(place));
-            let moved =
-                places.filter_map(|(i, by)| Some(Moved { device: names[i].clone(), by: by? })).collect();
+            let fitted = places.filter_map(|place| Fitted::of(&names[place.local], place)).collect();
             if admitted.count() == 0 {
-                return Ok(Outcome { merged: None, kept_out, moved });
+                return Ok(Outcome { merged: None, kept_out, fitted });
             }
             let mut merged = merge(&admitted, &settings, threads, &mut |progress: MergeProgress| {
                 if progress.step.is_multiple_of(TELL_EVERY) {
@@ -135,7 +134,7 @@ impl Job {
             }
             merged.summary.splats = merged.model.splats.len();
             let body = packed(&merged.model, threads)?;
-            Ok(Outcome { merged: Some((merged, body)), kept_out, moved })
+            Ok(Outcome { merged: Some((merged, body)), kept_out, fitted })
         });
         Self { inputs, stop, progress, thread: Some(thread) }
     }

@@ -11,7 +11,7 @@ use cosurf_wire::{DeviceId, ModelHeader, ModelId, ModelKind, RefusalReason, Tile
 
 use super::job::{Inputs, Job, Look, Outcome, Stores};
 use super::parts::Parts;
-use super::record::{Input, KeptOut, Merging, Moved, settle_withdrawal, withdrawn};
+use super::record::{Fitted, Input, KeptOut, Merging, settle_withdrawal, withdrawn};
 use super::round::{Expected, Round};
 use super::{Command, ServiceConfig, ServiceError, ServiceEvent, global_ply, global_store};
 use crate::merge::{MergeSettings, Merged};
@@ -314,11 +314,11 @@ impl Keeper {
         };
         let (inputs, seconds) = (std::mem::take(&mut job.inputs), (now - *begun).as_secs_f64());
         self.job = None;
-        let Outcome { merged, kept_out, moved } = (*outcome)?;
+        let Outcome { merged, kept_out, fitted } = (*outcome)?;
         let Some(merged) = merged else {
             return Ok(Some(ServiceEvent::NothingMerged { kept_out }));
         };
-        let offer = self.keep(merged, &inputs, (kept_out.clone(), moved), seconds)?;
+        let offer = self.keep(merged, &inputs, (kept_out.clone(), fitted), seconds)?;
         Ok(Some(self.broadcast(node, offer, kept_out)))
     }
 
@@ -327,7 +327,7 @@ impl Keeper {
         &mut self,
         (merged, body): (Merged, Vec<u8>),
         inputs: &Inputs,
-        (kept_out, moved): (Vec<KeptOut>, Vec<Moved>),
+        (kept_out, fitted): (Vec<KeptOut>, Vec<Fitted>),
         seconds: f64,
     ) -> Result<Offer, ServiceError> {
         let Merged { model, summary } = merged;
@@ -342,7 +342,7 @@ impl Keeper {
         ply::write(&global_ply(&self.folder), &model.splats)?;
         let (revision, inputs) = (offer.header.model.0, recorded(inputs));
         let settings = self.merge;
-        Merging { revision, inputs, kept_out, moved, settings, summary, seconds }.write(&self.folder)?;
+        Merging { revision, inputs, kept_out, fitted, settings, summary, seconds }.write(&self.folder)?;
         Ok(offer)
     }
 

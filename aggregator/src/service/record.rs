@@ -10,7 +10,7 @@ use cosurf_scene::{SceneError, atomic};
 use cosurf_wire::{DeviceId, ModelHeader, ModelId};
 use serde::{Deserialize, Serialize};
 
-use crate::gate::Similarity;
+use crate::gate::{Place, Similarity, Tone};
 use crate::merge::{MergeSettings, MergeSummary};
 
 const MERGED: &str = "merged.json";
@@ -26,9 +26,9 @@ pub struct Merging {
     /// Those of them that took no part.
     #[serde(default)]
     pub kept_out: Vec<KeptOut>,
-    /// Those that were moved.
+    /// Those that were changed to fit the others.
     #[serde(default)]
-    pub moved: Vec<Moved>,
+    pub fitted: Vec<Fitted>,
     /// How the others were merged.
     pub settings: MergeSettings,
     /// What became of these, in their order.
@@ -74,13 +74,31 @@ impl KeptOut {
     }
 }
 
-/// A model that lay in another frame and was moved to where it fits.
+/// A model that was changed to fit the others.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Moved {
+pub struct Fitted {
     /// Whose.
     pub device: String,
-    /// From its own frame to that of the others.
-    pub by: Similarity,
+    /// From its own frame to that of the others, where it lay in another.
+    pub by: Option<Similarity>,
+    /// From its own colours to those of all, where these differed.
+    pub tone: Option<Tone>,
+}
+
+impl Fitted {
+    /// `None` where nothing was changed.
+    pub(super) fn of(device: &str, place: Place) -> Option<Self> {
+        let Place { by, tone, .. } = place;
+        (by.is_some() || tone.is_some()).then(|| Self { device: device.to_string(), by, tone })
+    }
+}
+
+impl fmt::Display for Fitted {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let moved = self.by.map(|_| "lay in another frame and was moved to where it fits".to_string());
+        let changes: Vec<String> = moved.into_iter().chain(self.tone.map(|tone| tone.to_string())).collect();
+        write!(f, "{}: {}", self.device, changes.join(", "))
+    }
 }
 
 impl Input {

@@ -106,7 +106,7 @@ fn who_lies_in_another_frame_is_moved_if_told_and_kept_out_otherwise() {
     assert_eq!(kept_out.count(), 2);
     let moved = admit(&locals, true, 1, &|| false).unwrap();
     assert_eq!((moved.doubts(), moved.count()), (&[None, None, None][..], 3));
-    assert!(moved.place(1).1.is_some() && moved.place(0).1.is_none());
+    assert!(moved.place(1).by.is_some() && moved.place(0).by.is_none());
     let x = moved.load(1).unwrap().cameras[0].cam_from_world.center().x;
     assert!((x - -3.0).abs() < 0.05, "its first camera is at {x:.3} m");
 }
