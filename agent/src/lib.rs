@@ -2,12 +2,14 @@
 //!
 //! What it is: a training session within a memory budget ([`session`]) that can be killed at any time and
 //! goes on to the same bits ([`checkpoint`]), the scoring of models on held-out pictures ([`evaluate`]),
-//! pictures of what a model shows ([`pictures`]), and publishing over a link ([`publish`]).
+//! pictures of what a model shows ([`pictures`]), publishing over a link ([`publish`]), and what changed on its ground
+//! ([`changes`]).
 //!
 //! What it refuses to know: the aggregator, and what becomes of its model there. It never sends a picture.
 //!
 //! Where to start reading: [`session`].
 
+pub mod changes;
 pub mod checkpoint;
 pub mod evaluate;
 pub mod memory;
@@ -15,4 +17,4 @@ pub mod outputs;
 pub mod pictures;
 pub mod publish;
 pub mod session;
-mod warm;
+pub mod warm;

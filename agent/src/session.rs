@@ -20,7 +20,7 @@ use crate::checkpoint::{Checkpoint, Fingerprint};
 use crate::warm::beginning;
 
 /// Stored SH degree.
-const SH_DEGREE: u32 = 3;
+pub const SH_DEGREE: u32 = 3;
 
 /// Training pixels per splat that a training may make at most, memory permitting: finer splats than this
 /// would see too few pixels each to be told apart from noise.

@@ -9,7 +9,7 @@ use glam::DVec3;
 
 /// Reads a model and keeps of it what `cameras` look at, the most important where that is more than `splats_max`; at
 /// `sh_degree`, where the model is silent above its own and cut off where it has more.
-pub(crate) fn beginning(
+pub fn beginning(
     model: &Path,
     cameras: &[Camera],
     splats_max: usize,

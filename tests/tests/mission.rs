@@ -10,6 +10,7 @@ use std::time::{Duration, Instant};
 
 use cosurf_scene::Picture;
 use cosurf_scene::city::{City, CitySettings};
+use cosurf_scene::report::Changes;
 
 /// Patience with one mission; it takes seconds.
 const TIME_LIMIT: Duration = Duration::from_secs(300);
@@ -108,6 +109,18 @@ fn no_photograph_left(data: &Path, out: &Path) {
     assert!(counted as f64 <= 1.02 * sent as f64, "{counted} bytes left, {sent} are accounted for");
 }
 
+/// Every agent has compared the global model with its own on its own ground.
+fn changes_are_told(out: &Path) {
+    for agent in ["agent-1", "agent-2"] {
+        let text = fs::read(out.join("agents").join(agent).join("changes-global.json")).unwrap();
+        let changes: Changes = serde_json::from_slice(&text).unwrap();
+        assert!(
+            changes.psnr > 20.0 && changes.moved + changes.gone + changes.new < 0.3,
+            "{agent}: {changes}"
+        );
+    }
+}
+
 #[cfg(target_os = "linux")]
 #[test]
 fn an_agent_killed_in_training_changes_nothing() {
@@ -119,6 +132,7 @@ fn an_agent_killed_in_training_changes_nothing() {
 
     let undisturbed = finish(start(&data, &calm), &calm);
     no_photograph_left(&data, &calm);
+    changes_are_told(&calm);
     let mission = start(&data, &wild);
     let agent = agent_in_training(&mission, &wild).expect("an agent that trains");
     assert!(Command::new("kill").args(["-9", &agent.to_string()]).status().unwrap().success());

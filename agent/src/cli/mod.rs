@@ -9,10 +9,11 @@ mod render;
 mod run;
 mod train;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use clap::{Args, Parser, Subcommand};
+use cosurf_agent::publish::global_ply;
 use cosurf_engine::DeviceChoice;
 use cosurf_scene::bytes::parse_bytes;
 
@@ -111,4 +112,9 @@ pub(crate) fn run(cli: Cli) -> Result<()> {
         #[cfg(feature = "gpu")]
         Command::Devices(args) => devices::run(&args),
     }
+}
+
+/// What training begins with: the word `global` stands for the global model that came back to this folder.
+fn beginning(init: Option<&PathBuf>, out: &Path) -> Option<PathBuf> {
+    init.map(|init| if init.as_os_str() == "global" { global_ply(out) } else { init.clone() })
 }

@@ -4,7 +4,7 @@ use std::io::{IsTerminal, Write};
 use std::time::{Duration, Instant};
 
 use cosurf_engine::train::StepOutcome;
-use cosurf_scene::report::AgentEvent;
+use cosurf_scene::report::{AgentEvent, Other};
 use indicatif::{ProgressBar, ProgressStyle};
 
 /// Time between two reports where there is no terminal.
@@ -127,6 +127,12 @@ fn in_words(event: &AgentEvent) -> Option<String> {
         }
         AgentEvent::GlobalReceived { revision, splats } => {
             format!("global model, revision {revision}: {splats} splats")
+        }
+        AgentEvent::Compared { with: Other::Init, changes } => {
+            format!("since the model it began with: {changes}")
+        }
+        AgentEvent::Compared { with: Other::Global, changes } => {
+            format!("its own ground in the global model: {changes}")
         }
     })
 }

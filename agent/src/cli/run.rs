@@ -2,25 +2,28 @@
 
 use std::fs;
 use std::num::NonZeroU32;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, Result, anyhow, bail};
 use clap::Args;
-use cosurf_agent::publish::{Publication, publish};
-use cosurf_agent::session::{Split, TrainPlan};
+use cosurf_agent::changes::compare;
+use cosurf_agent::outputs::write_json;
+use cosurf_agent::publish::{Publication, global_ply, publish};
+use cosurf_agent::session::{SH_DEGREE, Split, TrainPlan};
+use cosurf_agent::warm;
 use cosurf_engine::{DeviceChoice, PruneSettings, Renderer, SurfaceSettings};
 use cosurf_link::serial::{DEFAULT_BAUD, DEVICE_MESSAGE_BYTES};
 use cosurf_link::{
     BrokerAddress, Credentials, Identity, MqttConfig, MqttTransport, Role, SerialConfig, SerialTransport,
     Tls, next_session,
 };
-use cosurf_scene::report::AgentEvent;
+use cosurf_scene::report::{AgentEvent, Other};
 use cosurf_scene::{AgentConfig, Camera, ply};
 use cosurf_wire::{DeviceId, FrameId, SiteId};
 
 use super::progress::Progress;
-use super::{cores, default_memory, train};
+use super::{beginning, cores, default_memory, train};
 
 /// Train by the orders of a configuration file, publish the model to the aggregator, receive the global model,
 /// keep both. Started again after a stop or a kill, it goes on where it was.
@@ -51,7 +54,13 @@ pub(super) fn run(args: &RunArgs) -> Result<()> {
     let cameras = config.out.join("cameras.json");
     let cameras: Vec<Camera> =
         serde_json::from_slice(&fs::read(&cameras).with_context(|| cameras.display().to_string())?)?;
-    let importance = Renderer::new(&splats, plan.threads).importance(&cameras);
+    let mut renderer = Renderer::new(&splats, plan.threads);
+    let importance = renderer.importance(&cameras);
+    let compared = Compared { plan: &plan, cameras: &cameras, out: &config.out };
+    if let Some(init) = &plan.init {
+        compared.show(Other::Init, init, &mut renderer, &mut progress)?;
+    }
+    drop(renderer);
     let clock_s = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
     let session = next_session(&config.out.join("session"), clock_s)?;
     let identity = Identity { site, device, session, role: Role::Device };
@@ -72,12 +81,50 @@ pub(super) fn run(args: &RunArgs) -> Result<()> {
     match route {
         Route::Broker { broker, tls } => {
             let mut transport = MqttTransport::start(MqttConfig { broker, identity, tls });
-            publish(&publication, &mut transport, now, show)
+            publish(&publication, &mut transport, now, show)?;
         }
         Route::Serial { port, baud } => {
             let line = SerialConfig::device(&port, baud, session, DEVICE_MESSAGE_BYTES);
-            publish(&publication, &mut SerialTransport::start(line), now, show)
+            publish(&publication, &mut SerialTransport::start(line), now, show)?;
         }
+    }
+    if config.wait_global {
+        let mut renderer = Renderer::new(&splats, plan.threads);
+        compared.show(Other::Global, &global_ply(&config.out), &mut renderer, &mut progress)?;
+    }
+    Ok(())
+}
+
+/// The agent's own model beside others.
+struct Compared<'a> {
+    plan: &'a TrainPlan,
+    cameras: &'a [Camera],
+    out: &'a Path,
+}
+
+impl Compared<'_> {
+    /// Tells, and keeps in a file, how `other`, a PLY, differs from the agent's `own` model on the ground of its cameras. One that is too
+    /// large for the memory is passed over.
+    fn show(&self, with: Other, other: &Path, own: &mut Renderer, progress: &mut Progress) -> Result<()> {
+        let file_bytes = fs::metadata(other).with_context(|| other.display().to_string())?.len();
+        if file_bytes > self.plan.memory_bytes / 4 {
+            return Ok(());
+        }
+        let splats = warm::beginning(other, self.cameras, usize::MAX, SH_DEGREE)?;
+        let mut other = Renderer::new(&splats, self.plan.threads);
+        let (before, after) = match with {
+            Other::Init => (&mut other, own),
+            Other::Global => (own, &mut other),
+        };
+        if let Some(changes) = compare(before, after, self.cameras) {
+            let file = match with {
+                Other::Init => "changes-init.json",
+                Other::Global => "changes-global.json",
+            };
+            write_json(&self.out.join(file), &changes)?;
+            progress.show(&AgentEvent::Compared { with, changes });
+        }
+        Ok(())
     }
 }
 
@@ -140,7 +187,9 @@ fn plan(config: &AgentConfig) -> Result<TrainPlan> {
         surface: (!config.color_only).then(SurfaceSettings::default),
         prune,
         exposure: config.exposure,
-        init: config.init.clone(),
+        // On the first flight no global model has come yet.
+        init: beginning(config.init.as_ref(), &config.out)
+            .filter(|init| init.is_file() || config.init.as_ref() == Some(init)),
         one_of_many: true,
     })
 }

@@ -15,7 +15,7 @@ use cosurf_scene::Splats;
 use cosurf_scene::report::{AgentEvent, TrainReport};
 
 use super::progress::Progress;
-use super::{Common, DeviceArgs, default_memory, parse_memory, parse_share};
+use super::{Common, DeviceArgs, beginning, default_memory, parse_memory, parse_share};
 
 /// Train a model from a dataset: COLMAP (`sparse/0` with `images`) or `transforms.json`.
 ///
@@ -55,7 +55,8 @@ pub(super) struct TrainArgs {
     /// Learn an exposure for each picture, for cameras that choose their own
     #[arg(long)]
     exposure: bool,
-    /// Begin with this model of the same ground, for example the last global model, instead of the sparse cloud
+    /// Begin with this model of the same ground instead of the sparse cloud; `global`: with the global model that came
+    /// back to DIR
     #[arg(long, value_name = "MODEL.ply")]
     init: Option<PathBuf>,
     /// Begin anew even if DIR has a checkpoint
@@ -100,7 +101,7 @@ pub(super) fn run(args: &TrainArgs) -> Result<()> {
         surface: (!args.color_only).then(SurfaceSettings::default),
         prune: args.prune(),
         exposure: args.exposure,
-        init: args.init.clone(),
+        init: beginning(args.init.as_ref(), &args.out),
         one_of_many: false,
     };
     let mut progress = Progress::new(args.common.json);

@@ -71,8 +71,8 @@ pub struct AgentConfig {
     /// Learn an exposure for each photograph, for cameras that choose their own.
     #[serde(default)]
     pub exposure: bool,
-    /// A model of the same ground to begin with, for example the last flight's `global.ply`; absent to begin with the
-    /// sparse cloud.
+    /// A model of the same ground to begin with, for example the last flight's `global.ply`; `global` for the global
+    /// model that came back to `out`, once there is one; absent to begin with the sparse cloud.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub init: Option<PathBuf>,
     /// The world frame of the coordinates, the same for all whose models are joined; absent for `local`.

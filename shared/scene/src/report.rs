@@ -1,6 +1,8 @@
 //! What an agent says of its work: events as JSON lines while it runs, a report when it is done.
 //! Whoever starts agents (a person's script, the aggregator's `mission`) reads these.
 
+use std::fmt;
+
 use serde::{Deserialize, Serialize};
 
 /// One line of an agent's standard output under `--json`.
@@ -71,6 +73,52 @@ pub enum AgentEvent {
         /// Splats of the global model.
         splats: usize,
     },
+    /// The ground of the agent's own cameras was compared in two models.
+    Compared {
+        /// The other model: that which training began with, or the global model.
+        with: Other,
+        /// From the one to the agent's own, or from its own to the global one.
+        changes: Changes,
+    },
+}
+
+/// What an agent's own model is compared with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Other {
+    /// What training began with, for example the last flight's global model.
+    Init,
+    /// The global model that came back.
+    Global,
+}
+
+/// How much two models differ on the ground that an agent's cameras see.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Changes {
+    /// Cameras that were compared.
+    pub views: usize,
+    /// Mean PSNR of the one model's pictures against the other's, dB.
+    pub psnr: f64,
+    /// By what share depths differ, in the median; absent where nowhere both show a surface.
+    pub depth: Option<f64>,
+    /// Share of the surface that lies more than 3 % of its depth elsewhere, 0..=1.
+    pub moved: f64,
+    /// Share of the surface that only the first model shows.
+    pub gone: f64,
+    /// Share of the surface that only the second model shows.
+    pub new: f64,
+}
+
+impl fmt::Display for Changes {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let percent = |share: f64| format!("{:.1} %", 100.0 * share);
+        let Self { psnr, moved, gone, new, .. } = *self;
+        write!(f, "pictures {psnr:.1} dB alike, ")?;
+        if let Some(depth) = self.depth {
+            write!(f, "depth {:.2} % off in the median, ", 100.0 * depth)?;
+        }
+        write!(f, "{} of the surface moved, {} gone, {} new", percent(moved), percent(gone), percent(new))
+    }
 }
 
 /// The figures of one training, also `report.json`.
