@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
 use cosurf_engine::backend::{Channels, TargetRgb};
-use cosurf_engine::budget::{Budget, DRIVER_BYTES, TooLittleMemory, Wish};
+use cosurf_engine::budget::{Budget, BudgetError, DRIVER_BYTES, Wish};
 use cosurf_engine::init::{Form, splats_from_points};
 use cosurf_engine::train::StepOutcome;
 use cosurf_engine::{
@@ -297,7 +297,7 @@ impl Sized {
 fn fit(plan: &TrainPlan, memory_bytes: u64, device: &Device, data: &Dataset) -> Result<Sized> {
     let widest = data.views.iter().flat_map(|view| view.camera.size_px).max().unwrap_or(1);
     let wanted = plan.max_size_px.min(widest);
-    let mut short: Option<TooLittleMemory> = None;
+    let mut short: Option<BudgetError> = None;
     for share in SIZE_STEPS {
         let long_side_px = ((f64::from(wanted) * share) as u32).max(1);
         let sources: Vec<Source> = data.views.iter().map(|view| Source::of(view, long_side_px)).collect();
@@ -314,12 +314,14 @@ fn fit(plan: &TrainPlan, memory_bytes: u64, device: &Device, data: &Dataset) -> 
             Err(error) => short = Some(error),
         }
     }
-    let short = short.expect("at least one size was tried");
-    bail!(
-        "{} of memory are too few for this training, even with the smallest pictures; give at least --memory {}MiB",
-        format_bytes(short.memory_bytes),
-        short.least_bytes.div_ceil(1 << 20)
-    )
+    match short.expect("at least one size was tried") {
+        BudgetError::TooLittleMemory { memory_bytes, least_bytes } => bail!(
+            "{} of memory are too few for this training, even with the smallest pictures; give at least --memory {}MiB",
+            format_bytes(memory_bytes),
+            least_bytes.div_ceil(1 << 20)
+        ),
+        too_large @ BudgetError::PictureTooLarge { .. } => Err(too_large.into()),
+    }
 }
 
 fn wish(plan: &TrainPlan, device: &Device, data: &Dataset, sources: &[Source]) -> Result<Wish> {
@@ -334,7 +336,7 @@ fn wish(plan: &TrainPlan, device: &Device, data: &Dataset, sources: &[Source]) -
         memory_bytes: plan.memory_bytes,
         size_px,
         sh_degree: SH_DEGREE,
-        on_gpu: device.is_gpu(),
+        binding_bytes_max: device.binding_bytes_max(),
         channels: if plan.surface.is_some() { Channels::Geometry } else { Channels::Color },
         splats: (pixels / PIXELS_PER_SPLAT).max(points) as usize,
         cache_bytes_most: PictureCache::most_bytes(sources),

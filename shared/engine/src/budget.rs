@@ -36,8 +36,9 @@ pub struct Wish {
     pub size_px: [u32; 2],
     /// SH degree, 0..=3.
     pub sh_degree: u32,
-    /// Whether a graphics card trains: its bytes count like those of the process, and so does its driver.
-    pub on_gpu: bool,
+    /// What the graphics card binds at once, if one trains: its bytes count like those of the process, and so does its
+    /// driver.
+    pub binding_bytes_max: Option<u64>,
     /// What will be blended in training.
     pub channels: Channels,
     /// Splats that the training would make if memory did not matter.
@@ -61,78 +62,132 @@ pub struct Budget {
     pub given_up: Vec<String>,
 }
 
-/// The bytes do not suffice for the smallest training.
+/// No sizes will do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{memory_bytes} bytes of memory are too few; this training needs at least {least_bytes} (--memory {}MiB)", least_bytes.div_ceil(1 << 20))]
-pub struct TooLittleMemory {
-    /// What was given.
-    pub memory_bytes: u64,
-    /// The smallest amount that would do.
-    pub least_bytes: u64,
+pub enum BudgetError {
+    /// The bytes do not suffice for the smallest training.
+    #[error("{memory_bytes} bytes of memory are too few; this training needs at least {least_bytes} (--memory {}MiB)", least_bytes.div_ceil(1 << 20))]
+    TooLittleMemory {
+        /// What was given.
+        memory_bytes: u64,
+        /// The smallest amount that would do.
+        least_bytes: u64,
+    },
+    /// The pictures are larger than what the graphics card binds at once.
+    #[error("a picture of {} × {} px takes {bytes} bytes, but the graphics card binds at most {bytes_max} at once; use smaller pictures or --device cpu", size_px[0], size_px[1])]
+    PictureTooLarge {
+        /// Of the picture.
+        size_px: [u32; 2],
+        /// Of the largest of its buffers.
+        bytes: u64,
+        /// What the card binds.
+        bytes_max: u64,
+    },
 }
 
-/// Bytes of a backend.
-struct Costs {
-    /// Of the process without pictures and splats.
-    fixed: u64,
+/// Bytes that a backend takes.
+#[derive(Clone, Copy, Debug)]
+pub struct Costs {
+    /// Beside all buffers: of the driver.
+    driver: u64,
+    /// Of the pictures.
+    pub pictures: usize,
+    /// Of a splat.
+    pub splat: usize,
+    /// Of a splat–tile pair.
+    pub pair: usize,
+    binding: Option<Binding>,
+}
+
+/// What bounds the buffers of a graphics card, bytes.
+#[derive(Clone, Copy, Debug)]
+struct Binding {
+    /// Of the largest buffer of pictures.
     pictures: usize,
+    /// Of a splat and of a pair in the largest of their buffers.
     splat: usize,
     pair: usize,
+    /// What the card binds at once.
+    most: u64,
 }
 
 impl Costs {
-    fn of(wish: &Wish) -> Self {
+    /// Of a backend with the pictures, the SH degree and the channels of `shape`; where `binding_bytes_max` is given, on
+    /// a graphics card that binds at most so many bytes at once.
+    pub fn of(shape: &CpuCapacity, binding_bytes_max: Option<u64>) -> Self {
+        let CpuCapacity { size_px, sh_degree, channels, training, .. } = *shape;
         #[cfg(feature = "gpu")]
-        if wish.on_gpu {
+        if let Some(most) = binding_bytes_max {
             return Self {
-                fixed: PROCESS_BYTES + DRIVER_BYTES,
-                pictures: GpuCapacity::picture_bytes(wish.size_px, wish.channels),
-                splat: GpuCapacity::splat_bytes(wish.sh_degree),
-                pair: GpuCapacity::PAIR_BYTES,
+                driver: DRIVER_BYTES,
+                pictures: GpuCapacity::picture_bytes(size_px, channels),
+                splat: GpuCapacity::splat_bytes(sh_degree, training),
+                pair: GpuCapacity::pair_bytes(training),
+                binding: Some(Binding {
+                    pictures: GpuCapacity::picture_binding_bytes(size_px),
+                    splat: GpuCapacity::splat_binding_bytes(sh_degree),
+                    pair: GpuCapacity::PAIR_BINDING_BYTES,
+                    most,
+                }),
             };
         }
+        #[cfg(not(feature = "gpu"))]
+        let _ = binding_bytes_max; // there is no card
         Self {
-            fixed: PROCESS_BYTES,
-            pictures: CpuCapacity::picture_bytes(wish.size_px, wish.channels, true),
-            splat: CpuCapacity::splat_bytes(wish.sh_degree, true),
-            pair: CpuCapacity::pair_bytes(true),
+            driver: 0,
+            pictures: CpuCapacity::picture_bytes(size_px, channels, training),
+            splat: CpuCapacity::splat_bytes(sh_degree, training),
+            pair: CpuCapacity::pair_bytes(training),
+            binding: None,
         }
+    }
+
+    /// Most splats, with so many pairs each, of which no buffer is larger than what the graphics card binds.
+    pub fn splats_max(&self, pairs_per_splat: usize) -> usize {
+        let Some(Binding { splat, pair, most, .. }) = self.binding else { return usize::MAX };
+        (most / splat.max(pairs_per_splat * pair) as u64) as usize
     }
 }
 
 impl Budget {
     /// Divides the bytes: first what cannot be less, then splats up to the wish, then the cache.
-    pub fn plan(wish: &Wish) -> Result<Self, TooLittleMemory> {
-        let costs = Costs::of(wish);
-        let fixed = costs.fixed + costs.pictures as u64 + wish.cache_bytes_least + wish.loading_bytes;
-        let per_splat = (costs.splat + PAIRS_PER_SPLAT * costs.pair + scratch_bytes(wish.sh_degree)) as u64;
+    pub fn plan(wish: &Wish) -> Result<Self, BudgetError> {
+        let Wish { size_px, sh_degree, channels, .. } = *wish;
+        let shape = CpuCapacity { splats: 0, pairs: 0, size_px, sh_degree, channels, training: true };
+        let costs = Costs::of(&shape, wish.binding_bytes_max);
+        if let Some(Binding { pictures, most, .. }) = costs.binding
+            && pictures as u64 > most
+        {
+            return Err(BudgetError::PictureTooLarge { size_px, bytes: pictures as u64, bytes_max: most });
+        }
+        let fixed = PROCESS_BYTES
+            + costs.driver
+            + costs.pictures as u64
+            + wish.cache_bytes_least
+            + wish.loading_bytes;
+        let per_splat = (costs.splat + PAIRS_PER_SPLAT * costs.pair + scratch_bytes(sh_degree)) as u64;
         let least_bytes = fixed + SPLATS_MIN.min(wish.splats) as u64 * per_splat;
         if wish.memory_bytes < least_bytes {
-            return Err(TooLittleMemory { memory_bytes: wish.memory_bytes, least_bytes });
+            return Err(BudgetError::TooLittleMemory { memory_bytes: wish.memory_bytes, least_bytes });
         }
         let mut given_up = Vec::new();
         let free = wish.memory_bytes - fixed;
         // A cache that holds everything saves time; splats decide the quality: they get three quarters first.
         let extra_wanted = wish.cache_bytes_most.saturating_sub(wish.cache_bytes_least);
-        let splats_wanted = wish.splats as u64 * per_splat;
+        let bound = costs.splats_max(PAIRS_PER_SPLAT);
+        let splats_wanted = wish.splats.min(bound) as u64 * per_splat;
         let for_splats = splats_wanted.min(free.saturating_sub(extra_wanted).max(free / 4 * 3));
         let splats = (for_splats / per_splat) as usize;
         if splats < wish.splats {
-            given_up.push(format!("at most {splats} splats instead of {}", wish.splats));
+            let why = if splats == bound { ": the graphics card binds no more at once" } else { "" };
+            given_up.push(format!("at most {splats} splats instead of {}{why}", wish.splats));
         }
         let extra = extra_wanted.min(free - for_splats);
         if extra < extra_wanted {
             let (has, wants) = ((wish.cache_bytes_least + extra) >> 20, wish.cache_bytes_most >> 20);
             given_up.push(format!("{has} MiB of picture cache instead of {wants} MiB"));
         }
-        let capacity = CpuCapacity {
-            splats,
-            pairs: PAIRS_PER_SPLAT * splats,
-            size_px: wish.size_px,
-            sh_degree: wish.sh_degree,
-            channels: wish.channels,
-            training: true,
-        };
+        let capacity = CpuCapacity { splats, pairs: PAIRS_PER_SPLAT * splats, ..shape };
         Ok(Self { capacity, cache_bytes: wish.cache_bytes_least + extra, given_up })
     }
 }

@@ -3,11 +3,14 @@
 use std::fmt;
 use std::str::FromStr;
 
+use serde::{Deserialize, Serialize};
+
 #[cfg(feature = "gpu")]
 use crate::gpu::{Gpu, GpuChoice, GpuError};
 
 /// `auto`, `cpu`, `gpu` or `gpu:N`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
 pub enum DeviceChoice {
     /// A real graphics card if there is one, else the processor: a software driver is slower than our own CPU
     /// backend.
@@ -53,6 +56,20 @@ impl FromStr for DeviceChoice {
     }
 }
 
+impl TryFrom<String> for DeviceChoice {
+    type Error = &'static str;
+
+    fn try_from(text: String) -> Result<Self, Self::Error> {
+        text.parse()
+    }
+}
+
+impl From<DeviceChoice> for String {
+    fn from(choice: DeviceChoice) -> Self {
+        choice.to_string()
+    }
+}
+
 impl fmt::Display for DeviceChoice {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         match self {
@@ -79,6 +96,34 @@ impl Device {
     /// Whether it is a graphics card.
     pub fn is_gpu(&self) -> bool {
         !matches!(self, Self::Cpu)
+    }
+
+    /// Largest buffer that a graphics card binds at once, bytes.
+    pub fn binding_bytes_max(&self) -> Option<u64> {
+        match self {
+            Self::Cpu => None,
+            #[cfg(feature = "gpu")]
+            Self::Gpu(gpu) => Some(gpu.adapter().binding_bytes_max),
+        }
+    }
+
+    /// Fails once it is lost: what was read from it since then is not to be believed.
+    pub fn check(&self) -> Result<(), DeviceError> {
+        match self {
+            Self::Cpu => Ok(()),
+            #[cfg(feature = "gpu")]
+            Self::Gpu(gpu) => gpu.lost().map_or(Ok(()), |reason| Err(GpuError::Lost(reason).into())),
+        }
+    }
+}
+
+impl fmt::Display for Device {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        match self {
+            Self::Cpu => f.write_str("cpu"),
+            #[cfg(feature = "gpu")]
+            Self::Gpu(gpu) => gpu.fmt(f),
+        }
     }
 }
 

@@ -8,11 +8,11 @@ use cosurf_scene::{Camera, Splats};
 use super::buffer::Buffer;
 use super::context::{Gpu, GpuError};
 use super::draw::Drawing;
-use super::layout::Rates;
+use super::layout::{Projected, Rates};
 use super::model::{Model, SHAPE_ROWS, sh_rows};
 use super::pass::Recorder;
 use super::surface::Surface;
-use super::train::{GRADIENT_ROWS, PARTIALS, SCORE_ROWS, STAT_ROWS, Training};
+use super::train::{GRADIENT_ROWS, PARTIALS, Record, SCORE_ROWS, STAT_ROWS, Training};
 use crate::backend::{
     AdamRates, Backend, BinCounts, Channels, Edit, LossWeights, Losses, Rendering, Scores, Shapes, Targets,
 };
@@ -37,14 +37,34 @@ pub struct GpuCapacity {
 }
 
 impl GpuCapacity {
-    /// Bytes of a splat–tile pair: keys and values twice, its splat, its record, its share of the sort's counts.
-    pub const PAIR_BYTES: usize = 16 + 4 + 64 + 1;
+    /// Bytes of a splat–tile pair: keys and values twice, its splat, its share of the sort's counts; its record.
+    pub const fn pair_bytes(training: bool) -> usize {
+        16 + 4 + 1 + if training { size_of::<Record>() } else { 0 }
+    }
 
     /// Bytes of a splat in all buffers whose length is the number of splats.
-    pub const fn splat_bytes(sh_degree: u32) -> usize {
-        let parameters = SHAPE_ROWS + sh_rows(sh_degree);
-        // Projected 64, depth, place and slots 16, keys and values to sort twice 16.
-        4 * (3 * parameters + GRADIENT_ROWS + STAT_ROWS + SCORE_ROWS) + 64 + 16 + 16
+    pub const fn splat_bytes(sh_degree: u32, training: bool) -> usize {
+        let parameters = 4 * (SHAPE_ROWS + sh_rows(sh_degree));
+        // Depth, place and slots 16, keys and values to sort twice 16.
+        let drawn = size_of::<Projected>() + 16 + 16;
+        if training {
+            3 * parameters + 4 * (GRADIENT_ROWS + STAT_ROWS + SCORE_ROWS) + drawn
+        } else {
+            parameters + drawn
+        }
+    }
+
+    /// Bytes of a pair in the largest buffer of pairs: its record.
+    pub const PAIR_BINDING_BYTES: usize = size_of::<Record>();
+
+    /// Bytes of a splat in the largest buffer of splats.
+    pub fn splat_binding_bytes(sh_degree: u32) -> usize {
+        (4 * GRADIENT_ROWS.max(sh_rows(sh_degree))).max(size_of::<Projected>())
+    }
+
+    /// Bytes of the largest buffer of pictures.
+    pub fn picture_binding_bytes(size_px: [u32; 2]) -> usize {
+        padded_pixels(size_px) * 4 * PARTIALS.max(PLANES_GEOMETRY)
     }
 
     /// Bytes of the pictures: rendered, its gradient, the photograph, SSIM's derivatives; with geometry what the losses

@@ -21,7 +21,7 @@ impl<T: Pod> Buffer<T> {
     pub(super) fn storage(gpu: &Gpu, label: &'static str, len: usize) -> Result<Self, GpuError> {
         let len = len.max(1);
         let bytes = (len * size_of::<T>()) as u64;
-        let bytes_max = gpu.adapter().binding_bytes_max.min(gpu.device.limits().max_buffer_size);
+        let bytes_max = gpu.adapter().binding_bytes_max;
         if bytes > bytes_max {
             return Err(GpuError::TooLarge { label, bytes, bytes_max, name: gpu.adapter().name.clone() });
         }

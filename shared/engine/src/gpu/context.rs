@@ -1,9 +1,11 @@
 //! Which graphics cards there are, and the one that was opened.
 
 use std::fmt;
-use std::sync::{Arc, OnceLock};
+use std::sync::{Arc, Mutex, OnceLock};
 
 use wgpu::{Adapter, DeviceType, Limits};
+
+use super::pass::Pass;
 
 /// What can go wrong before a GPU computes. Once it does, nothing that we ask of it can be invalid, but it can be lost.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -111,7 +113,10 @@ fn summary(adapter: &Adapter) -> AdapterSummary {
         api: format!("{:?}", info.backend).to_lowercase(),
         driver: format!("{} {}", info.driver, info.driver_info).trim().to_owned(),
         is_software: info.device_type == DeviceType::Cpu,
-        binding_bytes_max: adapter.limits().max_storage_buffer_binding_size,
+        binding_bytes_max: adapter
+            .limits()
+            .max_storage_buffer_binding_size
+            .min(adapter.limits().max_buffer_size),
         has_subgroups: adapter.features().contains(wgpu::Features::SUBGROUP),
         name: info.name,
     }
@@ -123,6 +128,8 @@ pub struct Gpu {
     pub(super) device: wgpu::Device,
     pub(super) queue: wgpu::Queue,
     adapter: AdapterSummary,
+    /// Those compiled so far.
+    pub(super) passes: Arc<Mutex<Vec<Pass>>>,
     /// Why the device was lost, once it is.
     lost: Arc<OnceLock<String>>,
 }
@@ -130,6 +137,11 @@ pub struct Gpu {
 impl Gpu {
     /// Opens an adapter with the sizes of buffers that it can do, and otherwise the least that every GPU has.
     pub fn open(choice: GpuChoice) -> Result<Self, GpuError> {
+        Self::open_bound(choice, u64::MAX)
+    }
+
+    /// Opens an adapter as one that binds at most so many bytes at once.
+    pub(super) fn open_bound(choice: GpuChoice, binding_bytes_max: u64) -> Result<Self, GpuError> {
         let adapters = found();
         let adapter = match choice {
             GpuChoice::Any => adapters.first().ok_or(GpuError::None)?,
@@ -140,10 +152,11 @@ impl Gpu {
                 adapters.get(index).ok_or(GpuError::NoSuch { index, count: adapters.len() })?
             }
         };
-        let can = adapter.limits();
+        let mut adapter_summary = summary(adapter);
+        adapter_summary.binding_bytes_max = adapter_summary.binding_bytes_max.min(binding_bytes_max);
         let required_limits = Limits {
-            max_storage_buffer_binding_size: can.max_storage_buffer_binding_size,
-            max_buffer_size: can.max_buffer_size,
+            max_storage_buffer_binding_size: adapter_summary.binding_bytes_max,
+            max_buffer_size: adapter.limits().max_buffer_size,
             ..Limits::default()
         };
         let descriptor = wgpu::DeviceDescriptor {
@@ -151,11 +164,11 @@ impl Gpu {
             required_limits,
             ..wgpu::DeviceDescriptor::default()
         };
-        let adapter_summary = summary(adapter);
         let (device, queue) = pollster::block_on(adapter.request_device(&descriptor)).map_err(|error| {
             GpuError::Refused { name: adapter_summary.name.clone(), reason: error.to_string() }
         })?;
-        let gpu = Self { device, queue, adapter: adapter_summary, lost: Arc::new(OnceLock::new()) };
+        let (passes, lost) = (Arc::default(), Arc::default());
+        let gpu = Self { device, queue, adapter: adapter_summary, passes, lost };
         let (of_loss, of_error) = (gpu.loser(), gpu.loser());
         gpu.device
             .set_device_lost_callback(move |reason, message| of_loss(&format!("{reason:?}: {message}")));
@@ -174,7 +187,7 @@ impl Gpu {
     }
 
     /// Why the device was lost, if it is.
-    pub(super) fn lost(&self) -> Option<String> {
+    pub(crate) fn lost(&self) -> Option<String> {
         self.lost.get().cloned()
     }
 

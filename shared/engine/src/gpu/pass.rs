@@ -1,15 +1,21 @@
 //! A compute pipeline, and the recorder that its dispatches go to.
 
+use std::sync::PoisonError;
+
 use super::context::Gpu;
 use super::shaders::Shader;
 
 /// Most groups along one axis of a dispatch, as in the shaders.
 pub(super) const GROUPS_MAX: u32 = 65_535;
 
+/// Values of a shader's `override` constants.
+pub(super) type Constants = &'static [(&'static str, f64)];
+
 /// A compiled shader.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Pass {
     name: &'static str,
+    constants: Constants,
     pipeline: wgpu::ComputePipeline,
     layout: wgpu::BindGroupLayout,
 }
@@ -19,13 +25,24 @@ impl Pass {
         Self::with_constants(gpu, shader, &[])
     }
 
-    /// With values for the shader's `override` constants.
-    pub(super) fn with_constants(gpu: &Gpu, shader: Shader, constants: &[(&str, f64)]) -> Self {
-        let module = gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
+    /// With values for the shader's `override` constants. Each is compiled once for a card.
+    pub(super) fn with_constants(gpu: &Gpu, shader: Shader, constants: Constants) -> Self {
+        let mut compiled = gpu.passes.lock().unwrap_or_else(PoisonError::into_inner);
+        let is_it = |pass: &&Self| pass.name == shader.name && pass.constants == constants;
+        if let Some(pass) = compiled.iter().find(is_it) {
+            return pass.clone();
+        }
+        let pass = Self::compile(&gpu.device, shader, constants);
+        compiled.push(pass.clone());
+        pass
+    }
+
+    fn compile(device: &wgpu::Device, shader: Shader, constants: Constants) -> Self {
+        let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some(shader.name),
             source: wgpu::ShaderSource::Wgsl(shader.source.into()),
         });
-        let pipeline = gpu.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+        let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
             label: Some(shader.name),
             layout: None,
             module: &module,
@@ -38,7 +55,7 @@ impl Pass {
             cache: None,
         });
         let layout = pipeline.get_bind_group_layout(0);
-        Self { name: shader.name, pipeline, layout }
+        Self { name: shader.name, constants, pipeline, layout }
     }
 }
 

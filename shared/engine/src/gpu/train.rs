@@ -5,7 +5,7 @@ use super::context::{Gpu, GpuError};
 use super::draw::Drawing;
 use super::layout::{BackwardWeights, LossSettings, Rates};
 use super::model::{Model, SHAPE_ROWS, sh_rows};
-use super::pass::{Pass, Recorder};
+use super::pass::{Constants, Pass, Recorder};
 use super::shaders;
 use super::sort::GROUP;
 use crate::backend::{Exposure, PhotometricLoss, TargetRgb};
@@ -19,6 +19,8 @@ pub(super) const STAT_ROWS: usize = 3;
 pub(super) const SCORE_ROWS: usize = 3;
 /// Partial derivatives of SSIM: three for each channel.
 pub(super) const PARTIALS: usize = 9;
+/// What a pair has for its splat.
+pub(super) type Record = [f32; 16];
 /// Numbers that a tile and channel add to the losses.
 const SUMS: usize = 8;
 
@@ -47,7 +49,7 @@ pub(super) struct Training {
     totals: Buffer<[f32; SUMS]>,
     /// Of the picture, laid out like it.
     pub(super) gradient: Buffer<f32>,
-    records: Buffer<[f32; 16]>,
+    records: Buffer<Record>,
     /// Rows of splats, like a model's.
     pub(super) gradients: Buffer<f32>,
     pub(super) stats: Buffer<f32>,
@@ -252,7 +254,7 @@ impl Training {
 
 /// How many pairs cross a tile one behind the other. A software driver pays for every invocation at every barrier: few
 /// pairs with long steps take it half the time of many with short ones.
-fn pipelined(gpu: &Gpu) -> &'static [(&'static str, f64)] {
+fn pipelined(gpu: &Gpu) -> Constants {
     match gpu.adapter().is_software {
         true => &[("PAIRS_AT_ONCE", 16.0), ("CHUNK", 16.0)],
         false => &[("PAIRS_AT_ONCE", 64.0), ("CHUNK", 4.0)],

@@ -5,6 +5,7 @@
 mod compare;
 mod forward;
 mod gradients;
+mod limits;
 mod scores;
 mod shaders;
 mod sort;

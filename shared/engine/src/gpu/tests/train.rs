@@ -9,13 +9,16 @@ use super::gpu;
 use crate::backend::{Backend, TargetRgb};
 use crate::cpu::tests::splats;
 use crate::random::{Purpose, Random};
-use crate::{Example, Flight, Neighbours, Renderer, Schedule, SurfaceSettings, TrainSettings, Trainer};
+use crate::{
+    Example, Flight, Neighbours, PruneSettings, Renderer, Schedule, SurfaceSettings, TrainSettings, Trainer,
+};
 
 /// Trains a disturbed model back towards the truth that its photographs show; returns it and its mean PSNR.
 fn train<B: Backend>(
     backend: B,
     steps: u32,
     surface: Option<SurfaceSettings>,
+    prune: Option<PruneSettings>,
     truth: &Splats,
     cameras: &[Camera],
 ) -> (Splats, f64) {
@@ -24,7 +27,7 @@ fn train<B: Backend>(
         extent: 4.0,
         sh_degree: 1,
         surface,
-        prune: None,
+        prune,
         exposure: false,
         observers_min: 2,
         splats_max: backend.capacity(),
@@ -66,8 +69,8 @@ fn five_hundred_steps_end_alike() {
     let Some(gpu) = gpu() else { return };
     let (truth, start, cameras) = lesson();
     let size_px = cameras[0].size_px;
-    let (_, by_cpu) = train(on_cpu(&start, size_px), 500, None, &truth, &cameras);
-    let (_, by_gpu) = train(on_gpu(&gpu, &start, size_px), 500, None, &truth, &cameras);
+    let (_, by_cpu) = train(on_cpu(&start, size_px), 500, None, None, &truth, &cameras);
+    let (_, by_gpu) = train(on_gpu(&gpu, &start, size_px), 500, None, None, &truth, &cameras);
     println!("500 steps: {by_cpu:.3} dB on the CPU, {by_gpu:.3} dB on the GPU");
     assert!((by_cpu - by_gpu).abs() < 0.1, "{by_cpu} dB on the CPU, {by_gpu} dB on the GPU");
 }
@@ -78,11 +81,28 @@ fn trainings_are_alike_and_twice_the_same() {
     let (truth, start, cameras) = lesson();
     let size_px = cameras[0].size_px;
     let surface = Some(SurfaceSettings::default());
-    let run = |steps| train(on_gpu(&gpu, &start, size_px), steps, surface, &truth, &cameras);
+    let run = |steps| train(on_gpu(&gpu, &start, size_px), steps, surface, None, &truth, &cameras);
     let ((once, by_gpu), (_, first)) = (run(60), run(1));
     assert_eq!(once, run(60).0, "two runs give the same bits");
-    let (_, by_cpu) = train(on_cpu(&start, size_px), 60, surface, &truth, &cameras);
+    let (_, by_cpu) = train(on_cpu(&start, size_px), 60, surface, None, &truth, &cameras);
     println!("60 steps: {by_cpu:.3} dB on the CPU, {by_gpu:.3} dB on the GPU, {first:.3} dB after the first");
     assert!((by_cpu - by_gpu).abs() < 0.1, "{by_cpu} dB on the CPU, {by_gpu} dB on the GPU");
     assert!(by_gpu > first + 1.0, "training goes on: {first} dB after a step, {by_gpu} dB after 60");
+}
+
+#[test]
+fn trainings_that_prune_end_alike_and_twice_the_same() {
+    let Some(gpu) = gpu() else { return };
+    let (truth, start, cameras) = lesson();
+    let size_px = cameras[0].size_px;
+    let prune = Some(PruneSettings::default());
+    let run = || train(on_gpu(&gpu, &start, size_px), 60, None, prune, &truth, &cameras);
+    let (once, by_gpu) = run();
+    assert_eq!(once, run().0, "two runs give the same bits");
+    let (expected, by_cpu) = train(on_cpu(&start, size_px), 60, None, prune, &truth, &cameras);
+    let (kept, of) = (once.len(), start.len());
+    println!("{kept} of {of} splats: {by_cpu:.3} dB on the CPU, {by_gpu:.3} dB on the GPU");
+    assert_eq!(kept, expected.len());
+    assert!(10 * kept <= 6 * of, "two fifths went: {kept} of {of}");
+    assert!((by_cpu - by_gpu).abs() < 0.1, "{by_cpu} dB on the CPU, {by_gpu} dB on the GPU");
 }
