@@ -171,6 +171,31 @@ fn a_graphics_card_trains_the_same_model_and_goes_on_with_the_processors() {
     refuse(train(town(), &out("none"), &["--device", "gpu:99"]), &["there is no GPU 99"]);
 }
 
+/// As on a machine without any driver of a graphics card.
+fn without_drivers(mut command: Command) -> Command {
+    let nowhere = std::env::temp_dir().join("no-driver-is-here.json");
+    command.env("VK_DRIVER_FILES", &nowhere).env("VK_ICD_FILENAMES", &nowhere);
+    command
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn without_a_graphics_card_the_processor_trains_and_says_so() {
+    let output = without_drivers(agent(&["devices"])).output().unwrap();
+    let text = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(text.contains("no graphics card") && text.contains("--device cpu"), "{text}");
+    let folder = tempfile::tempdir().unwrap();
+    let out = |name: &str| folder.path().join(name);
+    let words = |device| ["--steps", "60", "--memory", "1GiB", "--device", device];
+    let output = without_drivers(train(town(), &out("auto"), &words("auto"))).output().unwrap();
+    assert!(output.status.success(), "{}", stderr(&output));
+    let text = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(text.contains("steps/s, cpu "), "it says what trained: {text}");
+    succeed(train(town(), &out("cpu"), &words("cpu")));
+    assert!(model(&out("auto")) == model(&out("cpu")), "the same bytes");
+    refuse(without_drivers(train(town(), &out("gpu"), &words("gpu"))), &["no GPU", "--device cpu"]);
+}
+
 #[test]
 fn a_checkpoint_of_another_training_or_a_damaged_one_is_refused() {
     let folder = tempfile::tempdir().unwrap();
