@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use std::sync::mpsc::Receiver;
 use std::time::Duration;
 
+use cosurf_engine::DeviceChoice;
 use cosurf_link::mqtt::{BadAddress, TlsError};
 use cosurf_link::{
     BrokerAddress, Credentials, Identity, InboxLimits, MqttConfig, MqttTransport, Role, SerialConfig, Tls,
@@ -58,6 +59,9 @@ pub struct AggregatorConfig {
     /// Bytes that merging may take.
     #[serde(default = "default_merge_memory_bytes")]
     pub merge_memory_bytes: u64,
+    /// What merging computes with: `auto`, `cpu`, `gpu` or `gpu:N`.
+    #[serde(default)]
+    pub compute: DeviceChoice,
     /// Whether models that lie in another frame than the others are moved to where they fit, rather than kept out.
     #[serde(default)]
     pub refine: bool,
@@ -238,6 +242,7 @@ pub fn serve(
         merge: MergeSettings {
             memory_bytes: config.merge_memory_bytes,
             refine: config.refine,
+            device: config.compute,
             ..MergeSettings::default()
         },
         threads,
@@ -334,6 +339,8 @@ mod tests {
             assert!(matches!(reach_broker(&config), Err(FieldError::OneBroker)), "{brokers}");
         }
         assert!(toml::from_str::<AggregatorConfig>(&format!("{base}bnid = 1")).is_err());
+        let refused = toml::from_str::<AggregatorConfig>(&format!("{base}compute = \"cuda\"")).unwrap_err();
+        assert!(refused.to_string().contains("auto, cpu, gpu or gpu:N"), "{refused}");
         assert!(toml::from_str::<AggregatorConfig>("site = \"a b\"\nout = \"o\"").is_err());
     }
 }

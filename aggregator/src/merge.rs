@@ -2,12 +2,13 @@
 //! show is left to one of them, the rest is joined, and the joined model is taught by what each local model
 //! showed its own cameras. No photograph is needed, nor is there one to be had.
 //!
-//! The result is a function of the models in their order and of the settings: the same bytes whoever merges,
-//! with any number of threads, interrupted or not.
+//! The result is a function of the models in their order, of the settings and of the device: the same bytes whoever
+//! merges, with any number of threads, interrupted or not.
 //!
 //! Reading order: [`merge`], which reads as the list of steps; [`compress`]; [`distill`] and its [`teachers`].
 
 mod compress;
+mod computer;
 mod concat;
 mod distill;
 mod teachers;
@@ -17,13 +18,14 @@ pub(crate) mod tests;
 use std::ops::ControlFlow;
 
 use cosurf_engine::backend::Channels;
-use cosurf_engine::{CpuCapacity, prune};
+use cosurf_engine::{CpuCapacity, Device, DeviceChoice, DeviceError, prune};
 use cosurf_link::{BodyFault, Model, StoreError};
 use cosurf_scene::{Camera, SceneError, Splats};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
 pub(crate) use compress::{Compression, sees_alike};
+use computer::Computer;
 pub(crate) use concat::concatenate;
 
 /// How models are merged.
@@ -41,11 +43,21 @@ pub struct MergeSettings {
     pub memory_bytes: u64,
     /// Seed of every random choice.
     pub seed: u64,
+    /// What computes; the same bytes are those of one device.
+    #[serde(default)]
+    pub device: DeviceChoice,
 }
 
 impl Default for MergeSettings {
     fn default() -> Self {
-        Self { epochs: 5, compress: true, refine: false, memory_bytes: 4 << 30, seed: 0 }
+        Self {
+            epochs: 5,
+            compress: true,
+            refine: false,
+            memory_bytes: 4 << 30,
+            seed: 0,
+            device: DeviceChoice::Auto,
+        }
     }
 }
 
@@ -71,6 +83,9 @@ pub enum MergeError {
     /// A model is not what it should be.
     #[error(transparent)]
     Body(#[from] BodyFault),
+    /// What was to compute cannot, or could not to the end.
+    #[error(transparent)]
+    Device(#[from] DeviceError),
     /// The owner said stop.
     #[error("the merge was given up")]
     GivenUp,
@@ -107,6 +122,9 @@ pub struct MergeSummary {
     pub splats: usize,
     /// Steps of distillation.
     pub steps: u32,
+    /// What computed.
+    #[serde(default)]
+    pub device: String,
 }
 
 /// What became of one local model.
@@ -120,21 +138,39 @@ pub struct LocalSummary {
     pub removed: usize,
 }
 
-/// Merges all of `locals` on `threads` (at least 1). `tell` hears of every step and may give up.
+/// Merges all of `locals`; `threads` (at least 1) are the processor's. `tell` hears of every step and may give up. Where
+/// a graphics card that nobody asked for fails, the processor begins anew.
 pub fn merge(
     locals: &dyn Locals,
     settings: &MergeSettings,
     threads: usize,
     tell: &mut dyn FnMut(MergeProgress) -> ControlFlow<()>,
 ) -> Result<Merged, MergeError> {
-    let mut summary = MergeSummary::default();
+    let (all, splats, sh_degree) = survey(locals)?;
+    let device = computer::choose(settings, splats, sh_degree, &all)?;
+    let is_chance = settings.device == DeviceChoice::Auto && device.is_gpu();
+    match merge_by(&Computer { device, threads }, locals, &all, settings, tell) {
+        Err(MergeError::Device(_)) if is_chance => {
+            merge_by(&Computer { device: Device::Cpu, threads }, locals, &all, settings, tell)
+        }
+        merged => merged,
+    }
+}
+
+fn merge_by(
+    computer: &Computer,
+    locals: &dyn Locals,
+    all: &[Vec<Camera>],
+    settings: &MergeSettings,
+    tell: &mut dyn FnMut(MergeProgress) -> ControlFlow<()>,
+) -> Result<Merged, MergeError> {
+    let mut summary = MergeSummary { device: computer.device.to_string(), ..MergeSummary::default() };
     let mut parts = Vec::with_capacity(locals.count());
-    let all = cameras(locals)?;
     for i in 0..locals.count() {
         let Model { splats, cameras } = locals.load(i)?;
         let arrived = splats.len();
         let compression = match settings.compress {
-            true => Compression::plan(&splats, i, &all, threads),
+            true => Compression::plan(&splats, i, all, computer)?,
             false => Compression::default(),
         };
         let splats = without(&splats, &compression.removed);
@@ -147,16 +183,22 @@ pub fn merge(
     if settings.epochs > 0 && !model.splats.is_empty() && !model.cameras.is_empty() {
         let sizes: Vec<usize> = parts.iter().map(|part| part.splats.len()).collect();
         drop(parts);
-        let distilled = distill::distill(locals, &all, &sizes, model.splats, settings, threads, tell)?;
+        let distilled = distill::distill(locals, all, &sizes, model.splats, settings, computer, tell)?;
         (model.splats, summary.steps) = (distilled.splats, distilled.steps);
     }
     summary.splats = model.splats.len();
     Ok(Merged { model, summary })
 }
 
-/// The cameras of every model.
-fn cameras(locals: &dyn Locals) -> Result<Vec<Vec<Camera>>, MergeError> {
-    (0..locals.count()).map(|i| locals.load(i).map(|model| model.cameras)).collect()
+/// The cameras of every model, how many splats there are, and the highest SH degree.
+fn survey(locals: &dyn Locals) -> Result<(Vec<Vec<Camera>>, usize, u32), MergeError> {
+    let (mut all, mut count, mut sh_degree) = (Vec::with_capacity(locals.count()), 0, 0);
+    for i in 0..locals.count() {
+        let Model { splats, cameras } = locals.load(i)?;
+        (count, sh_degree) = (count + splats.len(), sh_degree.max(splats.sh_degree));
+        all.push(cameras);
+    }
+    Ok((all, count, sh_degree))
 }
 
 /// The splats but for those of `removed`, ascending indices.
@@ -180,10 +222,11 @@ fn extent(cameras: &[Camera]) -> f64 {
     if reach > 0.0 { reach } else { 1.0 }
 }
 
+/// Splat–tile pairs per splat: aerial views need 2 to 4 where all of the model is in the picture.
+const PAIRS_PER_SPLAT: usize = 5;
+
 /// Room to train or to score `splats` under `cameras`.
 fn capacity(splats: &Splats, cameras: &[Camera], channels: Channels) -> CpuCapacity {
-    /// Splat–tile pairs per splat: aerial views need 2 to 4 where all of the model is in the picture.
-    const PAIRS_PER_SPLAT: usize = 5;
     CpuCapacity {
         splats: splats.len(),
         pairs: PAIRS_PER_SPLAT * splats.len(),
@@ -195,6 +238,7 @@ fn capacity(splats: &Splats, cameras: &[Camera], channels: Channels) -> CpuCapac
 }
 
 /// What splats are worth to `cameras`, as Adaptive Gaussian Pruning measures it; one number a splat.
-fn worth(splats: &Splats, cameras: &[Camera], threads: usize) -> Vec<f32> {
-    prune::worth(splats, cameras, capacity(splats, cameras, Channels::Color), threads)
+fn worth(splats: &Splats, cameras: &[Camera], computer: &Computer) -> Result<Vec<f32>, DeviceError> {
+    let Computer { device, threads } = computer;
+    prune::worth(splats, cameras, capacity(splats, cameras, Channels::Color), device, *threads)
 }

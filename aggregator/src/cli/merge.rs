@@ -12,6 +12,7 @@ use cosurf_aggregator::gate::{Place, admit};
 use cosurf_aggregator::merge::{
     LocalSummary, Locals, MergeError, MergeProgress, MergeSettings, MergeSummary, merge,
 };
+use cosurf_engine::DeviceChoice;
 use cosurf_link::Model;
 use cosurf_scene::bytes::parse_bytes;
 use cosurf_scene::{Camera, SceneError, ply};
@@ -43,6 +44,9 @@ pub(crate) struct MergeArgs {
     /// Seed of every random choice; the same seed gives the same bytes
     #[arg(long, value_name = "S", default_value_t = 0)]
     seed: u64,
+    /// What computes: auto (a real graphics card if there is one), cpu, gpu, or gpu:N as `cosurf-agent devices` counts
+    #[arg(long, value_name = "DEVICE", default_value_t)]
+    device: DeviceChoice,
     /// Print the figures as a line of JSON
     #[arg(long)]
     json: bool,
@@ -74,6 +78,7 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
         refine: args.refine,
         memory_bytes: args.memory,
         seed: args.seed,
+        device: args.device,
     };
     let threads = available_parallelism().map_or(1, usize::from);
     let begun = Instant::now();
@@ -112,8 +117,8 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
         )?;
     }
     kept_out.iter().try_for_each(|kept_out| writeln!(stdout, "kept out: {kept_out}"))?;
-    let MergeSummary { joined, splats, steps, .. } = merged.summary;
-    writeln!(stdout, "{joined} splats joined, {splats} after {steps} steps, in {seconds:.1} s")?;
+    let MergeSummary { joined, splats, steps, device, .. } = merged.summary;
+    writeln!(stdout, "{joined} splats joined, {splats} after {steps} steps, in {seconds:.1} s ({device})")?;
     writeln!(stdout, "{}", args.out.join("global.ply").display())?;
     Ok(())
 }

@@ -109,6 +109,7 @@ pub(crate) fn run(args: MissionArgs) -> Result<()> {
                 refine: args.refine,
                 memory_bytes: args.merge_memory,
                 seed: args.seed,
+                ..MergeSettings::default()
             },
         },
         city: data.is_none().then(|| another_city(args.seed)),

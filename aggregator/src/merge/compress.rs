@@ -11,7 +11,8 @@ use cosurf_scene::{Camera, Splats};
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::worth;
+use super::computer::Computer;
+use super::{MergeError, worth};
 
 /// Share of a picture's surface that must be seen from elsewhere for its camera to overlap.
 const SHARE_MIN: f64 = 0.3;
@@ -38,34 +39,39 @@ pub(crate) struct Compression {
 
 impl Compression {
     /// Decides what goes of the model `own` of those that have these cameras.
-    pub(crate) fn plan(splats: &Splats, own: usize, cameras: &[Vec<Camera>], threads: usize) -> Self {
+    pub(super) fn plan(
+        splats: &Splats,
+        own: usize,
+        cameras: &[Vec<Camera>],
+        computer: &Computer,
+    ) -> Result<Self, MergeError> {
         let its = &cameras[own];
         let others: Vec<Camera> =
             cameras.iter().enumerate().filter(|(i, _)| *i != own).flat_map(|(_, c)| c).copied().collect();
         if others.is_empty() || splats.is_empty() || its.is_empty() {
-            return Self::default();
+            return Ok(Self::default());
         }
-        let mut renderer = Renderer::new(splats, threads);
-        let overlapping: Vec<bool> =
-            its.iter().map(|camera| overlaps(&mut renderer, camera, &others)).collect();
+        let mut renderer = Renderer::by(&computer.device, computer.threads, splats)?;
+        let overlapping = its.iter().map(|camera| overlaps(&mut renderer, camera, &others));
+        let overlapping: Vec<bool> = overlapping.collect::<Result<_, _>>()?;
         drop(renderer);
         let overlap = overlapping.iter().filter(|o| **o).count() as f64 / its.len() as f64;
         if overlap == 0.0 {
-            return Self::default();
+            return Ok(Self::default());
         }
         let alone: Vec<Camera> =
             its.iter().zip(&overlapping).filter(|(_, o)| !**o).map(|(camera, _)| *camera).collect();
         let judges = if alone.is_empty() { its } else { &alone };
-        let worth = worth(splats, judges, threads);
+        let worth = worth(splats, judges, computer)?;
         let count = (overlap.min(OVERLAP_MAX) * splats.len() as f64) as usize;
-        Self { overlap, removed: lowest(&worth, &left_to_others(splats, own, cameras), count) }
+        Ok(Self { overlap, removed: lowest(&worth, &left_to_others(splats, own, cameras), count) })
     }
 }
 
 /// Whether enough of what the model shows a camera is seen by some of `others`.
-fn overlaps(renderer: &mut Renderer, camera: &Camera, others: &[Camera]) -> bool {
+fn overlaps(renderer: &mut Renderer, camera: &Camera, others: &[Camera]) -> Result<bool, MergeError> {
     let camera = camera.resized(camera.fitted_size(SIZE_PX));
-    let depth = renderer.render(&camera).depth;
+    let depth = renderer.try_render(&camera)?.depth;
     let pose = &camera.cam_from_world;
     let (world_from_cam, eye) = (pose.rotation.inverse(), pose.center());
     let width = camera.size_px[0] as usize;
@@ -76,7 +82,7 @@ fn overlaps(renderer: &mut Renderer, camera: &Camera, others: &[Camera]) -> bool
         shown += 1;
         seen += usize::from(others.iter().any(|other| sees_alike(&camera, other, point)));
     }
-    shown > 0 && seen as f64 >= SHARE_MIN * shown as f64
+    Ok(shown > 0 && seen as f64 >= SHARE_MIN * shown as f64)
 }
 
 /// Whether `other` sees a point that `camera` sees from a similar direction and distance.

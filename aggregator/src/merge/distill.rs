@@ -7,13 +7,17 @@
 use std::ops::{ControlFlow, Range};
 
 use cosurf_engine::backend::{Channels, TargetSurface};
+use cosurf_engine::budget::{Costs, DRIVER_BYTES};
 use cosurf_engine::train::view_order;
-use cosurf_engine::{Backend, CpuBackend, CpuCapacity, DistillSettings, Distiller, Lesson};
+use cosurf_engine::{AnyBackend, Backend, Device, DistillSettings, Distiller, Lesson};
 use cosurf_scene::{Camera, Splats};
 use glam::DVec3;
 
+use super::computer::Computer;
 use super::teachers::{Taught, Teachers, ViewKey, renderer_bytes};
-use super::{Locals, MergeError, MergeProgress, MergeSettings, capacity, extent, push, without};
+use super::{
+    Locals, MergeError, MergeProgress, MergeSettings, PAIRS_PER_SPLAT, capacity, extent, push, without,
+};
 
 /// Share of the memory that is for the model that learns; the teachers have the rest.
 const STUDENT_SHARE: f64 = 0.6;
@@ -31,17 +35,18 @@ pub(crate) fn distill(
     sizes: &[usize],
     mut joined: Splats,
     settings: &MergeSettings,
-    threads: usize,
+    computer: &Computer,
     tell: &mut dyn FnMut(MergeProgress) -> ControlFlow<()>,
 ) -> Result<Distilled, MergeError> {
-    let room = student_room(settings, joined.sh_degree, cameras);
+    let device = &computer.device;
+    let room = student_room(device, settings, joined.sh_degree, cameras);
     let parts = parts(sizes, room);
     let views: usize = cameras.iter().map(Vec::len).sum();
     let steps = settings.epochs * views as u32;
-    let shelf_bytes = ((1.0 - STUDENT_SHARE) * settings.memory_bytes as f64) as u64;
+    let shelf_bytes = ((1.0 - STUDENT_SHARE) * bytes_beside_driver(device, settings)) as u64;
     let largest = sizes.iter().copied().max().unwrap_or(1).max(1);
-    let shelf = (shelf_bytes / renderer_bytes(largest, joined.sh_degree, cameras)).max(1) as usize;
-    let mut teachers = Teachers::new(locals, threads, shelf);
+    let shelf = (shelf_bytes / renderer_bytes(device, largest, joined.sh_degree, cameras)).max(1) as usize;
+    let mut teachers = Teachers::new(locals, computer, shelf);
     let depth = median_depth(&mut teachers, cameras)?;
     let all: Vec<Camera> = cameras.iter().flatten().copied().collect();
     let extent = extent(&all);
@@ -55,7 +60,8 @@ pub(crate) fn distill(
             continue;
         }
         let (student, around) = with_surroundings(&joined, own.clone(), &its, room);
-        let mut backend = CpuBackend::new(capacity(&student, &its, Channels::Geometry), threads);
+        let room = capacity(&student, &its, Channels::Geometry);
+        let mut backend = AnyBackend::new(device, room, computer.threads)?;
         backend.load(&student);
         drop(student);
         let mut distiller = Distiller::new(
@@ -71,6 +77,7 @@ pub(crate) fn distill(
         for epoch in 0..settings.epochs {
             for view in order(&views, shelf, settings.seed, epoch) {
                 let psnr = learn(&mut distiller, teachers.teach(view)?);
+                device.check()?;
                 done += 1;
                 if tell(MergeProgress { step: done, steps, psnr }).is_break() {
                     return Err(MergeError::GivenUp);
@@ -78,6 +85,7 @@ pub(crate) fn distill(
             }
         }
         let (learnt, its_useless) = distiller.finish(if parts.len() == 1 { &all } else { &its });
+        device.check()?;
         put_back(&mut joined, &learnt, own.clone());
         let count = own.len() as u32;
         useless.extend(its_useless.into_iter().filter(|i| *i < count).map(|i| i + own.start as u32));
@@ -87,7 +95,7 @@ pub(crate) fn distill(
 }
 
 /// One step.
-fn learn(distiller: &mut Distiller<CpuBackend>, taught: Taught) -> f64 {
+fn learn(distiller: &mut Distiller<AnyBackend>, taught: Taught) -> f64 {
     let Taught { camera, rendering, trust } = taught;
     let lesson = Lesson {
         camera: &camera,
@@ -97,20 +105,25 @@ fn learn(distiller: &mut Distiller<CpuBackend>, taught: Taught) -> f64 {
     distiller.step(&lesson).0.color.psnr()
 }
 
-/// Splats that may learn at once.
-fn student_room(settings: &MergeSettings, sh_degree: u32, cameras: &[Vec<Camera>]) -> usize {
+/// Bytes for all buffers.
+fn bytes_beside_driver(device: &Device, settings: &MergeSettings) -> f64 {
+    let driver = if device.is_gpu() { DRIVER_BYTES } else { 0 };
+    settings.memory_bytes.saturating_sub(driver) as f64
+}
+
+/// Splats that may learn at once: those that fit into the memory, and on a graphics card into what it binds.
+pub(super) fn student_room(
+    device: &Device,
+    settings: &MergeSettings,
+    sh_degree: u32,
+    cameras: &[Vec<Camera>],
+) -> usize {
     let all: Vec<Camera> = cameras.iter().flatten().copied().collect();
-    let CpuCapacity { size_px, pairs, splats, .. } =
-        capacity(&Splats::with_capacity(0, sh_degree), &all, Channels::Geometry);
-    debug_assert_eq!((pairs, splats), (0, 0));
-    let pictures = CpuCapacity::picture_bytes(size_px, Channels::Geometry, true);
-    let mut one = Splats::with_capacity(1, sh_degree);
-    let sh = vec![0.0; one.sh_stride()];
-    one.push([0.0; 3], [1.0, 0.0, 0.0, 0.0], [0.0; 3], 0.0, &sh);
-    let each = capacity(&one, &[], Channels::Geometry);
-    let each = CpuCapacity::splat_bytes(sh_degree, true) + each.pairs * CpuCapacity::pair_bytes(true);
-    let bytes = STUDENT_SHARE * settings.memory_bytes as f64 - pictures as f64;
-    (bytes.max(0.0) / each as f64) as usize
+    let shape = capacity(&Splats::with_capacity(0, sh_degree), &all, Channels::Geometry);
+    let costs = Costs::of(&shape, device.binding_bytes_max());
+    let each = costs.splat + PAIRS_PER_SPLAT * costs.pair;
+    let bytes = STUDENT_SHARE * bytes_beside_driver(device, settings) - costs.pictures as f64;
+    ((bytes.max(0.0) / each as f64) as usize).min(costs.splats_max(PAIRS_PER_SPLAT))
 }
 
 /// Locals that learn together: as many in a row as fit, at least one. A part may take two thirds of the room, so

@@ -3,10 +3,13 @@
 
 use std::collections::VecDeque;
 
-use cosurf_engine::{CpuCapacity, Neighbours, Renderer, Rendering};
+use cosurf_engine::backend::Channels;
+use cosurf_engine::budget::Costs;
+use cosurf_engine::{CpuCapacity, Device, Neighbours, Renderer, Rendering};
 use cosurf_scene::{Camera, SparsePoint, Splats};
 use glam::{DVec2, DVec3};
 
+use super::computer::Computer;
 use super::{Locals, MergeError};
 
 /// A surface that shows less than this is not believed. Colours are believed everywhere: a teacher's picture is that
@@ -36,7 +39,7 @@ pub(crate) struct Taught {
 /// All teachers.
 pub(crate) struct Teachers<'a> {
     locals: &'a dyn Locals,
-    threads: usize,
+    computer: &'a Computer,
     /// Teachers held at once.
     shelf_max: usize,
     /// The last used at the back.
@@ -52,9 +55,9 @@ struct Teacher {
 }
 
 impl<'a> Teachers<'a> {
-    pub(crate) fn new(locals: &'a dyn Locals, threads: usize, shelf_max: usize) -> Self {
+    pub(super) fn new(locals: &'a dyn Locals, computer: &'a Computer, shelf_max: usize) -> Self {
         let trusts = vec![Vec::new(); locals.count()];
-        Self { locals, threads, shelf_max, shelf: VecDeque::new(), trusts }
+        Self { locals, computer, shelf_max, shelf: VecDeque::new(), trusts }
     }
 
     /// What the teacher of a view shows there.
@@ -62,10 +65,13 @@ impl<'a> Teachers<'a> {
         self.fetch(view.local)?;
         let (_, teacher) = self.shelf.back_mut().expect("just fetched");
         let camera = teacher.cameras[view.camera];
-        let rendering = teacher.renderer.render(&camera);
+        let rendering = teacher.renderer.try_render(&camera)?;
         let trusts = &mut self.trusts[view.local];
         trusts.resize(teacher.cameras.len(), None);
-        let trust = &*trusts[view.camera].get_or_insert_with(|| teacher.trust(view.camera, &rendering));
+        let trust = match &mut trusts[view.camera] {
+            Some(known) => known,
+            none => none.insert(teacher.trust(view.camera, &rendering)?),
+        };
         let trust = trust.weights().take(rendering.alpha.len()).collect();
         Ok(Taught { camera, rendering, trust })
     }
@@ -82,7 +88,7 @@ impl<'a> Teachers<'a> {
         }
         let model = self.locals.load(local)?;
         let neighbours = Neighbours::find(&model.cameras, &probes(&model.splats));
-        let renderer = Renderer::new(&model.splats, self.threads);
+        let renderer = Renderer::by(&self.computer.device, self.computer.threads, &model.splats)?;
         self.shelf.push_back((local, Teacher { renderer, cameras: model.cameras, neighbours }));
         Ok(())
     }
@@ -108,13 +114,20 @@ impl Bits {
 }
 
 /// Bytes of a teacher of so many splats.
-pub(crate) fn renderer_bytes(splats: usize, sh_degree: u32, cameras: &[Vec<Camera>]) -> u64 {
+pub(super) fn renderer_bytes(device: &Device, splats: usize, sh_degree: u32, cameras: &[Vec<Camera>]) -> u64 {
     /// Pairs that a renderer makes room for, and the copy of the model that it is made from.
     const PAIRS_PER_SPLAT: usize = 4;
     let pixels = cameras.iter().flatten().map(|c| c.size_px[0] as usize * c.size_px[1] as usize).max();
-    let splat_bytes = CpuCapacity::splat_bytes(sh_degree, false);
-    let pair_bytes = PAIRS_PER_SPLAT * CpuCapacity::pair_bytes(false);
-    (splats * (splat_bytes + pair_bytes) + 64 * pixels.unwrap_or(0)) as u64
+    let shape = CpuCapacity {
+        splats: 0,
+        pairs: 0,
+        size_px: [1, 1],
+        sh_degree,
+        channels: Channels::Geometry,
+        training: false,
+    };
+    let costs = Costs::of(&shape, device.binding_bytes_max());
+    (splats * (costs.splat + PAIRS_PER_SPLAT * costs.pair) + 64 * pixels.unwrap_or(0)) as u64
 }
 
 /// Some splats as points of which nobody says who sees them.
@@ -130,9 +143,11 @@ fn probes(splats: &Splats) -> Vec<SparsePoint> {
 
 impl Teacher {
     /// Pixels of the camera `view` whose surface another camera sees in the same place, where one looks there.
-    fn trust(&mut self, view: usize, here: &Rendering) -> Bits {
-        let there = self.neighbours.nearest(view).map(|other| self.cameras[other]);
-        let there = there.map(|camera| (camera, self.renderer.render(&camera)));
+    fn trust(&mut self, view: usize, here: &Rendering) -> Result<Bits, MergeError> {
+        let there = match self.neighbours.nearest(view).map(|other| self.cameras[other]) {
+            Some(camera) => Some((camera, self.renderer.try_render(&camera)?)),
+            None => None,
+        };
         let camera = self.cameras[view];
         let width = here.size_px[0] as usize;
         let believed = |i: usize| {
@@ -142,7 +157,7 @@ impl Teacher {
                     .as_ref()
                     .is_none_or(|(other, seen)| returns(&camera, p_px, f64::from(here.depth[i]), other, seen))
         };
-        Bits::of(here.alpha.len(), believed)
+        Ok(Bits::of(here.alpha.len(), believed))
     }
 }
 

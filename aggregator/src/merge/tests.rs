@@ -1,6 +1,8 @@
 //! Two small models of one painted ground, each with something in the air that its own cameras do not mind.
 #![allow(clippy::unwrap_used)]
 
+mod device;
+
 use cosurf_engine::Renderer;
 use cosurf_scene::Pose;
 use cosurf_scene::metrics::psnr;
@@ -129,11 +131,16 @@ fn who_says_stop_is_heard() {
     assert!(matches!(given_up, Err(MergeError::GivenUp)) && steps == 3);
 }
 
-#[test]
-fn shared_ground_has_one_owner_and_stays_covered() {
+/// Two flights that share much of their ground.
+fn overlapping() -> Vec<Model> {
     let west = local(-20.0, 10.0, &[-12.0, -9.0, -6.0, -3.0, 0.0, 3.0], &[]);
     let east = local(-10.0, 20.0, &[12.0, 9.0, 6.0, 3.0, 0.0, -3.0], &[]);
-    let locals = InMemory(vec![west, east]);
+    vec![west, east]
+}
+
+#[test]
+fn shared_ground_has_one_owner_and_stays_covered() {
+    let locals = InMemory(overlapping());
     let settings = MergeSettings { compress: true, epochs: 0, ..MergeSettings::default() };
     let merged = run(&locals, &settings, 1);
     let [first, second] = merged.summary.locals[..] else { panic!("{:?}", merged.summary) };

@@ -4,6 +4,7 @@
 use std::ops::ControlFlow;
 use std::sync::mpsc;
 
+use cosurf_engine::DeviceChoice;
 use cosurf_link::{Faults, MemoryNetwork, MemoryTransport, Model, Role, model_to_body, plain_importance};
 use cosurf_wire::{BodyHash, ModelId, SiteId};
 
@@ -22,8 +23,14 @@ const BAD_WEATHER: Faults = Faults {
 };
 const LIMITS: InboxLimits =
     InboxLimits { body_bytes_max: 1 << 24, total_bytes_max: 1 << 25, models_max: 8, stored_max: 8 };
-const SETTINGS: MergeSettings =
-    MergeSettings { epochs: 1, compress: true, refine: false, memory_bytes: 1 << 30, seed: 3 };
+const SETTINGS: MergeSettings = MergeSettings {
+    epochs: 1,
+    compress: true,
+    refine: false,
+    memory_bytes: 1 << 30,
+    seed: 3,
+    device: DeviceChoice::Cpu,
+};
 /// Virtual time after which a test has failed.
 const PATIENCE: Duration = Duration::from_secs(300);
 

@@ -3,8 +3,10 @@
 
 use cosurf_scene::{Camera, Splats};
 
+use crate::any::AnyBackend;
 use crate::backend::{Backend, Channels, Scores, Shapes};
-use crate::cpu::{CpuBackend, CpuCapacity};
+use crate::cpu::CpuCapacity;
+use crate::device::{Device, DeviceError};
 
 /// Exponent of the size's share in a score (LightGaussian).
 const SIZE_EXPONENT: f32 = 0.1;
@@ -40,12 +42,20 @@ pub(crate) fn survey<'a, B: Backend>(
 }
 
 /// What each splat is worth to `cameras`: higher is more, 0 for what none of them sees. `capacity` must be for
-/// training, with room for the splats and the largest picture.
-pub fn worth(splats: &Splats, cameras: &[Camera], capacity: CpuCapacity, threads: usize) -> Vec<f32> {
-    let mut backend = CpuBackend::new(capacity, threads);
+/// training, with room for the splats and the largest picture; `threads` (at least 1) are the processor's.
+pub fn worth(
+    splats: &Splats,
+    cameras: &[Camera],
+    capacity: CpuCapacity,
+    device: &Device,
+    threads: usize,
+) -> Result<Vec<f32>, DeviceError> {
+    let mut backend = AnyBackend::new(device, capacity, threads)?;
     backend.load(splats);
     let scores = survey(&mut backend, cameras);
-    priorities(&backend.take_shapes(), &scores, PruneScore::Corrected)
+    let shapes = backend.take_shapes();
+    device.check()?;
+    Ok(priorities(&shapes, &scores, PruneScore::Corrected))
 }
 
 /// Priorities of all splats: higher is worth more.

@@ -37,11 +37,16 @@ impl Renderer {
 
     /// Takes a copy of the splats, to render them on what was chosen; `threads` (at least 1) are the processor's.
     pub fn on(choice: DeviceChoice, threads: usize, splats: &Splats) -> Result<Self, DeviceError> {
-        match choice.open()? {
+        Self::by(&choice.open()?, threads, splats)
+    }
+
+    /// The same by a device that is open.
+    pub fn by(device: &Device, threads: usize, splats: &Splats) -> Result<Self, DeviceError> {
+        match device {
             Device::Cpu => Ok(Self::new(splats, threads)),
             #[cfg(feature = "gpu")]
             Device::Gpu(gpu) => {
-                Ok(Self { painter: Painter::Gpu(Box::new(GpuRenderer::new(&gpu, splats)?), threads) })
+                Ok(Self { painter: Painter::Gpu(Box::new(GpuRenderer::new(gpu, splats)?), threads) })
             }
         }
     }
@@ -58,15 +63,20 @@ impl Renderer {
     /// Colour, alpha, depth and normal as the camera sees them. A picture for which a GPU has no room is rendered
     /// on the processor, and so are those after it. Panics when the GPU is lost: the splats are gone with it.
     pub fn render(&mut self, camera: &Camera) -> Rendering {
+        self.try_render(camera).unwrap_or_else(|lost| panic!("{lost}"))
+    }
+
+    /// The same; fails when the GPU is lost.
+    pub fn try_render(&mut self, camera: &Camera) -> Result<Rendering, DeviceError> {
         #[cfg(feature = "gpu")]
         if let Painter::Gpu(painter, _) = &mut self.painter {
             match painter.render(camera) {
-                Ok(rendering) => return rendering,
-                Err(lost @ GpuError::Lost(_)) => panic!("{lost}"),
+                Ok(rendering) => return Ok(rendering),
+                Err(lost @ GpuError::Lost(_)) => return Err(lost.into()),
                 Err(_) => {}
             }
         }
-        self.on_cpu().render(camera)
+        Ok(self.on_cpu().render(camera))
     }
 
     /// How much the pictures of `cameras` need each splat: Σ (α T)² over all pixels of all of them. The processor

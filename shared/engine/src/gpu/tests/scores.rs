@@ -2,10 +2,12 @@
 
 use cosurf_scene::Camera;
 
-use super::compare::{TIES_MAX, on_cpu, on_gpu};
+use super::compare::{TIES_MAX, capacity, on_cpu, on_gpu};
+use super::forward::centered;
 use super::gpu;
 use super::gradients::{cases, step};
 use crate::backend::{Backend, Channels, Scores};
+use crate::{Device, prune};
 
 #[test]
 fn the_way_through_a_tile_does_not_change_a_bit() {
@@ -73,5 +75,27 @@ fn scores_agree_with_the_cpu() {
             hit.iter().for_each(|&i| bend(&mut bent, i));
             assert!(off(&bent, &expected) as f64 > off_max, "{name}: wrong scores went unnoticed");
         }
+    }
+}
+
+#[test]
+fn the_same_splats_are_worth_least() {
+    let Some(gpu) = gpu() else { return };
+    let device = Device::Gpu(gpu);
+    for (name, splats, camera) in cases().into_iter().filter(|(_, splats, _)| splats.len() >= 500) {
+        let other = centered(-camera.cam_from_world.center(), 100.0, camera.size_px);
+        let room = capacity(&splats, camera.size_px);
+        let lowest = |cameras: &[Camera], device: &Device| {
+            let worth = prune::worth(&splats, cameras, room, device, 2).expect("room");
+            prune::lowest(&worth, 0.4)
+        };
+        let expected = lowest(&[camera, other], &Device::Cpu);
+        let differs = |got: &[u32]| got.iter().filter(|i| expected.binary_search(i).is_err()).count();
+        let differing = differs(&lowest(&[camera, other], &device));
+        println!("{name}: {differing} of {} that go are others", expected.len());
+        let ties_max = TIES_MAX * splats.len() as f64;
+        assert!(differing as f64 <= ties_max, "{name}: {differing} of {}", expected.len());
+        // The comparison sees one of the two cameras missing.
+        assert!(differs(&lowest(&[other], &device)) as f64 > ties_max, "{name}: went unnoticed");
     }
 }

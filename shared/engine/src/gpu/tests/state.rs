@@ -6,10 +6,10 @@ use super::compare::{capacity, on_cpu, on_gpu};
 use super::forward::centered;
 use super::gpu;
 use super::gradients::step;
-use crate::Schedule;
 use crate::backend::{Backend, Birth, Channels, Edit};
 use crate::cpu::tests::splats;
-use crate::gpu::GpuBackend;
+use crate::gpu::{GpuBackend, GpuError};
+use crate::{Device, DeviceError, Renderer, Schedule, prune};
 
 #[test]
 fn edits_and_checkpoints_are_those_of_the_cpu() {
@@ -90,6 +90,8 @@ fn a_lost_device_is_told_and_nothing_panics() {
     let camera = centered(DVec3::new(3.0, 2.0, 1.5), 40.0, [44, 29]);
     let mut backend = on_gpu(&gpu, &splats, camera.size_px);
     step(&mut backend, &camera, 1, Channels::Geometry);
+    let mut renderer = Renderer::by(&Device::Gpu(gpu.clone()), 1, &splats).expect("room");
+    renderer.try_render(&camera).expect("it is there");
     assert_eq!(backend.lost(), None);
     gpu.device.destroy();
     backend.project(&camera, 1);
@@ -99,4 +101,10 @@ fn a_lost_device_is_told_and_nothing_panics() {
     backend.take_shapes();
     let reason = backend.lost().expect("the device is lost");
     assert!(reason.contains("was lost"), "{reason}");
+    let device = Device::Gpu(gpu);
+    let is_loss = |error: DeviceError| matches!(error, DeviceError::Gpu(GpuError::Lost(_)));
+    assert!(device.check().is_err_and(is_loss));
+    assert!(renderer.try_render(&camera).is_err_and(is_loss));
+    let worth = prune::worth(&splats, &[camera], capacity(&splats, camera.size_px), &device, 1);
+    assert!(worth.is_err(), "nobody is judged by what a lost device says");
 }

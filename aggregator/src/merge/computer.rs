@@ -1,0 +1,40 @@
+//! What computes a merge.
+
+use cosurf_engine::budget::DRIVER_BYTES;
+use cosurf_engine::{Device, DeviceChoice, DeviceError};
+use cosurf_scene::Camera;
+
+use super::MergeSettings;
+use super::distill::student_room;
+
+/// A device, and the threads (at least 1) of the processor.
+#[derive(Clone, Debug)]
+pub(super) struct Computer {
+    pub(super) device: Device,
+    pub(super) threads: usize,
+}
+
+/// Opens what was chosen. A graphics card that nobody asked for is passed over where its memory would make the models
+/// learn in turns.
+pub(super) fn choose(
+    settings: &MergeSettings,
+    splats: usize,
+    sh_degree: u32,
+    cameras: &[Vec<Camera>],
+) -> Result<Device, DeviceError> {
+    if settings.device != DeviceChoice::Auto {
+        return settings.device.open();
+    }
+    if !settings.compress && settings.epochs == 0 {
+        return Ok(Device::Cpu); // there is nothing to compute
+    }
+    let has_room = |device: &Device, memory_bytes: u64| {
+        splats <= student_room(device, &MergeSettings { memory_bytes, ..*settings }, sh_degree, cameras)
+    };
+    // Looking for a card loads drivers, whose memory is not given back even if there is none.
+    if !has_room(&Device::Cpu, settings.memory_bytes.saturating_sub(DRIVER_BYTES)) {
+        return Ok(Device::Cpu);
+    }
+    let device = settings.device.open()?;
+    Ok(if has_room(&device, settings.memory_bytes) { device } else { Device::Cpu })
+}

@@ -1,0 +1,98 @@
+//! Merging on a graphics card, a software driver being enough, against the processor.
+
+use super::*;
+
+/// Largest difference of what both give, dB.
+const QUALITY_OFF_MAX: f64 = 0.1;
+/// Share of a model's splats that one removes and the other does not: those of equal worth but for rounding.
+const TIES_MAX: f64 = 0.005;
+
+/// The best graphics card, or `None` after saying so.
+fn card() -> Option<Device> {
+    match DeviceChoice::Gpu(None).open() {
+        Ok(device) => Some(device),
+        Err(error) => {
+            assert!(std::env::var_os("REQUIRE_GPU").is_none(), "REQUIRE_GPU is set, but {error}");
+            eprintln!("SKIPPED, nothing was tested: {error}");
+            None
+        }
+    }
+}
+
+/// Two flights, each with its own errors, as trainings leave them. Where there is nothing to learn, rounding decides what
+/// a step changes, and devices drift apart.
+fn with_errors() -> InMemory {
+    let mut models = overlapping();
+    for (model, of) in models.iter_mut().zip([0.0, 0.5]) {
+        let Splats { means, log_scales, sh, opacity_logits, .. } = &mut model.splats;
+        let each = |i: usize, k: usize| error(of + 31.0 * i as f64 + k as f64);
+        means.iter_mut().enumerate().for_each(|(i, m)| (0..3).for_each(|k| m[k] += 0.1 * each(i, k)));
+        log_scales
+            .iter_mut()
+            .enumerate()
+            .for_each(|(i, s)| (0..2).for_each(|k| s[k] += 0.3 * each(i, 3 + k)));
+        opacity_logits.iter_mut().enumerate().for_each(|(i, o)| *o += each(i, 5));
+        sh.iter_mut().enumerate().for_each(|(i, v)| *v += 0.4 * each(i / 3, 6 + i % 3));
+    }
+    InMemory(models)
+}
+
+/// Numbers in -1..1 that look random.
+fn error(of: f64) -> f32 {
+    let x = (12.9898 * of).sin() * 43_758.545_3;
+    (2.0 * (x - x.floor()) - 1.0) as f32
+}
+
+fn by(device: DeviceChoice, locals: &InMemory) -> Merged {
+    run(locals, &MergeSettings { epochs: 4, device, ..MergeSettings::default() }, 2)
+}
+
+#[test]
+fn a_card_merges_as_the_processor_does_and_twice_the_same() {
+    if card().is_none() {
+        return;
+    }
+    let locals = with_errors();
+    let (cpu, gpu) = (by(DeviceChoice::Cpu, &locals), by(DeviceChoice::Gpu(None), &locals));
+    assert!(gpu == by(DeviceChoice::Gpu(None), &locals), "two merges on the card give the same bytes");
+    assert!(cpu.summary.device == "cpu" && gpu.summary.device != "cpu", "{:?}", gpu.summary);
+    assert!(cpu.summary.joined < cpu.summary.locals.iter().map(|local| local.arrived).sum());
+    assert_eq!(cpu.summary.locals, gpu.summary.locals, "as many are left to others");
+    let [by_cpu, by_gpu] = [&cpu, &gpu].map(|merged| quality(&merged.model.splats));
+    println!("{by_cpu:.3} dB on the processor, {by_gpu:.3} dB on the card");
+    assert!((by_cpu - by_gpu).abs() < QUALITY_OFF_MAX, "{by_cpu} dB and {by_gpu} dB");
+    let untaught = run(&locals, &MergeSettings { epochs: 0, ..MergeSettings::default() }, 2);
+    let untaught = quality(&untaught.model.splats);
+    assert!((by_cpu - untaught).abs() > QUALITY_OFF_MAX, "the comparison sees who was not taught");
+}
+
+#[test]
+fn a_card_leaves_the_same_splats_to_others() {
+    let Some(card) = card() else { return };
+    let InMemory(models) = with_errors();
+    let cameras: Vec<Vec<Camera>> = models.iter().map(|model| model.cameras.clone()).collect();
+    for (own, Model { splats, .. }) in models.iter().enumerate() {
+        let removed = |device: &Device, cameras: &[Vec<Camera>]| {
+            let computer = Computer { device: device.clone(), threads: 2 };
+            Compression::plan(splats, own, cameras, &computer).unwrap().removed
+        };
+        let expected = removed(&Device::Cpu, &cameras);
+        let differs = |got: &[u32]| got.iter().filter(|i| expected.binary_search(i).is_err()).count();
+        let got = removed(&card, &cameras);
+        println!("{} of {} that go are others", differs(&got), expected.len());
+        assert_eq!(got.len(), expected.len());
+        let ties_max = TIES_MAX * splats.len() as f64;
+        assert!(differs(&got) as f64 <= ties_max, "{} of {} differ", differs(&got), expected.len());
+        // The comparison sees a model that has lost half of its cameras.
+        let mut fewer = cameras.clone();
+        fewer[own].truncate(3);
+        assert!(differs(&removed(&card, &fewer)) as f64 > ties_max, "other cameras went unnoticed");
+    }
+}
+
+#[test]
+fn who_asks_for_a_card_that_is_not_there_hears_it() {
+    let settings = MergeSettings { device: DeviceChoice::Gpu(Some(99)), ..MergeSettings::default() };
+    let refused = merge(&neighbours(), &settings, 1, &mut |_| ControlFlow::Continue(()));
+    assert!(matches!(refused, Err(MergeError::Device(_))), "{refused:?}");
+}
