@@ -18,9 +18,11 @@ use super::glimpse::Glimpse;
 use super::similarity::solve;
 use crate::merge::{Locals, MergeError};
 
-/// What a middle grey must be changed by, somewhere, for any model to be changed. Models of one camera differ by up to
-/// 0.006 (four agents each over real Caliterra and rendered Boruszyn).
-const CHANGE_MIN: f64 = 0.015;
+/// How far mean colours of a pair, and the |ln| of the ratio of their spreads, must be apart for any model to be changed. Those
+/// of one camera are by up to 0.024 and 0.13 where it chose its exposures (real Caliterra, four agents), by 0.004 and
+/// 0.008 where it did not (rendered Boruszyn).
+const MEANS_MIN: f64 = 0.03;
+const SPREADS_MIN: f64 = 0.2;
 /// Colours that vary less tell no gain.
 const SPREAD_MIN: f64 = 0.03;
 /// How strongly models hold to their own colours: far less than one shared picture does, enough for those that share
@@ -47,12 +49,6 @@ impl Tone {
                 *value = (gain * f64::from(*value) + shift) as f32;
             }
         }
-    }
-
-    /// The most that a middle grey is changed by.
-    fn change(&self) -> f64 {
-        let of = |(gain, offset): (&f64, &f64)| (0.5 * (gain - 1.0) + offset).abs();
-        self.gain.iter().zip(&self.offset).map(of).fold(0.0, f64::max)
     }
 }
 
@@ -90,6 +86,20 @@ impl Shared {
     fn spread(&self, model: usize, channel: usize) -> f64 {
         (self.squares[model][channel] / self.count - self.mean(model, channel).powi(2)).max(0.0).sqrt()
     }
+
+    /// ln of how much more the second model's colours vary; 0 where that cannot be told.
+    fn log_ratio(&self, channel: usize) -> f64 {
+        let spreads = [0, 1].map(|model| self.spread(model, channel));
+        if spreads.iter().all(|spread| *spread >= SPREAD_MIN) { (spreads[1] / spreads[0]).ln() } else { 0.0 }
+    }
+
+    /// Whether the two are those of one camera, as far as training lets them be.
+    fn agrees(&self) -> bool {
+        (0..3).all(|channel| {
+            (self.mean(0, channel) - self.mean(1, channel)).abs() < MEANS_MIN
+                && self.log_ratio(channel).abs() < SPREADS_MIN
+        })
+    }
 }
 
 /// By what the colours of each of `locals` are to be changed, in their order; `None` where nobody's are.
@@ -99,8 +109,8 @@ pub(super) fn tones(
     is_given_up: &dyn Fn() -> bool,
 ) -> Result<Option<Vec<Tone>>, MergeError> {
     let pairs = compare(locals, threads, is_given_up)?;
-    let tones = agree(&pairs, locals.count());
-    Ok(tones.iter().any(|tone| tone.change() > CHANGE_MIN).then_some(tones))
+    let agree_already = pairs.values().all(Shared::agrees);
+    Ok((!agree_already).then(|| agree(&pairs, locals.count())))
 }
 
 /// What is shared by which models, the lower first.
@@ -141,14 +151,7 @@ fn compare(locals: &dyn Locals, threads: usize, is_given_up: &dyn Fn() -> bool) 
 fn agree(pairs: &Pairs, count: usize) -> Vec<Tone> {
     let mut tones = vec![Tone { gain: [1.0; 3], offset: [0.0; 3] }; count];
     for channel in 0..3 {
-        let ratio = |_, shared: &Shared| {
-            let spreads = [0, 1].map(|model| shared.spread(model, channel));
-            if spreads.iter().all(|spread| *spread >= SPREAD_MIN) {
-                (spreads[1] / spreads[0]).ln()
-            } else {
-                0.0
-            }
-        };
+        let ratio = |_, shared: &Shared| shared.log_ratio(channel);
         for (tone, gain) in tones.iter_mut().zip(balance(pairs, count, ratio)) {
             tone.gain[channel] = gain.exp();
         }
@@ -249,6 +252,7 @@ mod tests {
         locals.0.push(super::super::tests::flight(60.0));
         exposed(&mut locals, 0, [0.7; 3], [0.0; 3]);
         let alone = tones_of(&locals).unwrap()[4];
-        assert!(alone.change() < 1e-9, "{alone:?}");
+        assert!(alone.gain.iter().all(|gain| (gain - 1.0).abs() < 1e-9), "{alone:?}");
+        assert!(alone.offset.iter().all(|offset| offset.abs() < 1e-9), "{alone:?}");
     }
 }
