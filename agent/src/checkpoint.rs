@@ -49,7 +49,18 @@ struct Head {
     steps_done: u32,
     splats: usize,
     splats_at_start: usize,
-    seconds: f64,
+    #[serde(flatten)]
+    spent: Spent,
+}
+
+/// What a training took so far, all its sittings together.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Spent {
+    /// Time, seconds.
+    pub seconds: f64,
+    /// Processor time of all threads, seconds; 0 where the system does not tell.
+    #[serde(default)]
+    pub cpu_seconds: f64,
 }
 
 /// A checkpoint that was found.
@@ -91,9 +102,9 @@ impl Checkpoint {
         Ok(Some(Self { path, head, body }))
     }
 
-    /// Seconds that training took up to here.
-    pub fn seconds(&self) -> f64 {
-        self.head.seconds
+    /// What training took up to here.
+    pub fn spent(&self) -> Spent {
+        self.head.spent
     }
 
     /// Brings the trainer to where it was. A checkpoint of another training is refused.
@@ -131,12 +142,12 @@ impl Checkpoint {
     }
 }
 
-/// Writes the checkpoint of `trainer` below `out`; `seconds` is the training time so far.
+/// Writes the checkpoint of `trainer` below `out`; `spent` is what it took so far.
 pub fn write(
     out: &Path,
     fingerprint: &Fingerprint,
     trainer: &Trainer<AnyBackend>,
-    seconds: f64,
+    spent: Spent,
 ) -> Result<()> {
     let path = path(out);
     if let Some(folder) = path.parent() {
@@ -144,7 +155,7 @@ pub fn write(
     }
     let Progress { steps_done, splats_at_start, splats } = trainer.progress();
     let fingerprint = fingerprint.clone();
-    let head = Head { format: FORMAT.into(), fingerprint, steps_done, splats, splats_at_start, seconds };
+    let head = Head { format: FORMAT.into(), fingerprint, steps_done, splats, splats_at_start, spent };
     atomic::write(&path, |file| {
         serde_json::to_writer(&mut *file, &head)?;
         file.write_all(b"\n")?;

@@ -12,9 +12,9 @@
 pub mod changes;
 pub mod checkpoint;
 pub mod evaluate;
-pub mod memory;
 pub mod outputs;
 pub mod pictures;
 pub mod publish;
 pub mod session;
+pub mod usage;
 pub mod warm;

@@ -260,6 +260,7 @@ pub(crate) mod tests {
         let training = TrainReport {
             steps: 600,
             seconds: 61.0,
+            cpu_seconds: 60.0,
             steps_per_s: 9.8,
             splats: 12_345,
             peak_memory_bytes: 200 << 20,

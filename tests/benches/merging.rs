@@ -3,8 +3,10 @@
 //!
 //! `cargo bench -p cosurf-tests --bench merging -- --help`
 //!
-//! Every mission trains each view equally often, so agents of fewer views take fewer steps. The data are
-//! `../shared/data/gt_boruszyn` where it lies beside the checkout, otherwise a small built-in city.
+//! Every mission trains each view equally often, so agents of fewer views take fewer steps. Of the agents processor time
+//! is told, of merges time: on one core alone (`taskset -c 0` before the command) both are what a core of their own would
+//! take, and the last column is slowest agent, slowest edge and last merge together as a share of the one model's
+//! training. The data are `../shared/data/gt_boruszyn` where it lies beside the checkout, otherwise a small built-in city.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -75,13 +77,18 @@ fn main() -> Result<()> {
         arguments.steps_per_view,
         arguments.threshold
     );
-    println!("| | PSNR | SSIM | LPIPS | F-score | splats | sent | slowest agent | edges | last merge |");
-    println!("|---|---|---|---|---|---|---|---|---|---|");
+    println!(
+        "| | PSNR | SSIM | LPIPS | F-score | splats | sent | slowest agent | slowest edge | last merge | together |"
+    );
+    println!("|---|---|---|---|---|---|---|---|---|---|---|");
+    let mut alone_s = None;
     for (i, variant) in VARIANTS.iter().enumerate() {
         let out = folder.path().join(i.to_string());
         let report = fly(&arguments, variant, &data, views, &out)?;
         let f_score = truth.as_ref().map(|truth| f_score(&out, truth, arguments.threshold)).transpose()?;
-        println!("{}", row(variant, &report, f_score));
+        let times = Times::of(&report);
+        let alone_s = *alone_s.get_or_insert(times.agent_s);
+        println!("{}", row(variant, &report, f_score, &times, alone_s));
     }
     Ok(())
 }
@@ -143,10 +150,38 @@ fn f_score(out: &Path, truth: &Mesh, threshold_m: f64) -> Result<f64> {
     Ok(accuracy.samples.f_score)
 }
 
-fn row(variant: &Variant, report: &MissionReport, f_score: Option<f64>) -> String {
+/// How long the slowest of each kind took, seconds.
+struct Times {
+    agent_s: f64,
+    edge_s: Option<f64>,
+    merge_s: Option<f64>,
+}
+
+impl Times {
+    fn of(report: &MissionReport) -> Self {
+        let agents = report.agents.iter().filter_map(|agent| Some(agent.training.as_ref()?.cpu_seconds));
+        let edges = report.edges.iter().filter_map(|edge| Some(edge.merging.as_ref()?.seconds));
+        Self {
+            agent_s: agents.fold(0.0, f64::max),
+            edge_s: edges.reduce(f64::max),
+            merge_s: report.whole.merging.as_ref().map(|merging| merging.seconds),
+        }
+    }
+
+    fn together_s(&self) -> f64 {
+        self.agent_s + self.edge_s.unwrap_or(0.0) + self.merge_s.unwrap_or(0.0)
+    }
+}
+
+fn row(
+    variant: &Variant,
+    report: &MissionReport,
+    f_score: Option<f64>,
+    times: &Times,
+    alone_s: f64,
+) -> String {
     let dash = || "–".to_string();
     let seconds = |of: Option<f64>| of.map_or_else(dash, |seconds| format!("{seconds:.0} s"));
-    let longest = |of: &mut dyn Iterator<Item = f64>| seconds(of.reduce(f64::max));
     let whole = &report.whole;
     let quality = whole.quality;
     let cells = [
@@ -157,9 +192,10 @@ fn row(variant: &Variant, report: &MissionReport, f_score: Option<f64>) -> Strin
         f_score.map_or_else(dash, |score| format!("{score:.3}")),
         whole.splats.to_string(),
         format_bytes(whole.bytes_sent + report.edges.iter().map(|edge| edge.bytes_sent).sum::<u64>()),
-        longest(&mut report.agents.iter().filter_map(|agent| Some(agent.training.as_ref()?.seconds))),
-        longest(&mut report.edges.iter().filter_map(|edge| Some(edge.merging.as_ref()?.seconds))),
-        seconds(whole.merging.as_ref().map(|merging| merging.seconds)),
+        seconds(Some(times.agent_s)),
+        seconds(times.edge_s),
+        seconds(times.merge_s),
+        format!("{:.0} %", 100.0 * times.together_s() / alone_s.max(1e-9)),
     ];
     format!("| {} |", cells.join(" | "))
 }

@@ -94,7 +94,7 @@ fn parse_memory(text: &str) -> Result<u64, String> {
 
 /// The memory to plan with where nobody says: two thirds of what is free, at most 8 GiB.
 fn default_memory() -> u64 {
-    cosurf_agent::memory::available_bytes().map_or(2 << 30, |free| free / 3 * 2).min(8 << 30)
+    cosurf_agent::usage::available_bytes().map_or(2 << 30, |free| free / 3 * 2).min(8 << 30)
 }
 
 /// A finished model, by file or by the folder that training wrote it to.

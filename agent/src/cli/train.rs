@@ -5,9 +5,9 @@ use std::time::Instant;
 
 use anyhow::{Context, Result};
 use clap::{Args, ValueEnum};
-use cosurf_agent::checkpoint::{self, Checkpoint};
+use cosurf_agent::checkpoint::{self, Checkpoint, Spent};
 use cosurf_agent::session::{Session, Split, TrainPlan};
-use cosurf_agent::{evaluate, memory, outputs};
+use cosurf_agent::{evaluate, outputs, usage};
 use cosurf_engine::{
     Backend, DeviceChoice, DeviceLost, PruneScore, PruneSettings, Renderer, SurfaceSettings,
 };
@@ -133,10 +133,13 @@ pub(super) fn train(
 
 fn train_on(plan: &TrainPlan, out: &Path, fresh: bool, progress: &mut Progress) -> Result<TrainReport> {
     let found = if fresh { None } else { Checkpoint::find(out)? };
-    let seconds_before = found.as_ref().map_or(0.0, Checkpoint::seconds);
+    let before = found.as_ref().map(Checkpoint::spent).unwrap_or_default();
     let mut session = Session::start(plan, found)?;
-    let started = Instant::now();
-    let seconds = || seconds_before + started.elapsed().as_secs_f64();
+    let (started, cpu_s) = (Instant::now(), usage::cpu_seconds());
+    let spent = || Spent {
+        seconds: before.seconds + started.elapsed().as_secs_f64(),
+        cpu_seconds: before.cpu_seconds + usage::cpu_seconds() - cpu_s,
+    };
     progress.show(&AgentEvent::Started {
         views: session.cameras().len(),
         held_out: session.held_out().len(),
@@ -150,18 +153,18 @@ fn train_on(plan: &TrainPlan, out: &Path, fresh: bool, progress: &mut Progress) 
         let steps_done = session.trainer().steps_done();
         progress.step(steps_done, plan.steps, &outcome, session.trainer().backend().len());
         if steps_done.is_multiple_of(checkpoint_every) && !session.trainer().is_done() {
-            checkpoint::write(out, session.fingerprint(), session.trainer(), seconds())?;
+            checkpoint::write(out, session.fingerprint(), session.trainer(), spent())?;
         }
     }
-    let seconds = seconds();
-    checkpoint::write(out, session.fingerprint(), session.trainer(), seconds)?;
-    let report = finish(plan, session, out, seconds)?;
+    let spent = spent();
+    checkpoint::write(out, session.fingerprint(), session.trainer(), spent)?;
+    let report = finish(plan, session, out, spent)?;
     progress.show(&AgentEvent::Trained { report: report.clone() });
     Ok(report)
 }
 
 /// Scores the model and writes it with its report.
-fn finish(plan: &TrainPlan, session: Session, out: &Path, seconds: f64) -> Result<TrainReport> {
+fn finish(plan: &TrainPlan, session: Session, out: &Path, spent: Spent) -> Result<TrainReport> {
     let given_up = session.given_up();
     let (cameras, held_out, size_px) =
         (session.cameras().to_vec(), session.held_out().to_vec(), session.size_px());
@@ -172,10 +175,11 @@ fn finish(plan: &TrainPlan, session: Session, out: &Path, seconds: f64) -> Resul
         evaluate::score(&mut Renderer::new(&splats, plan.threads), &held_out, size_px[0].max(size_px[1]))?;
     let report = TrainReport {
         steps: plan.steps,
-        seconds,
-        steps_per_s: f64::from(plan.steps) / seconds.max(1e-9),
+        seconds: spent.seconds,
+        cpu_seconds: spent.cpu_seconds,
+        steps_per_s: f64::from(plan.steps) / spent.seconds.max(1e-9),
         splats: splats.len(),
-        peak_memory_bytes: memory::peak_bytes(),
+        peak_memory_bytes: usage::peak_bytes(),
         psnr: score.psnr,
         ssim: score.ssim,
         seed: plan.seed,

@@ -128,6 +128,9 @@ pub struct TrainReport {
     pub steps: u32,
     /// Time spent training, seconds, earlier sittings included.
     pub seconds: f64,
+    /// Processor time of that, all threads, seconds; 0 where the system does not tell.
+    #[serde(default)]
+    pub cpu_seconds: f64,
     /// `steps / seconds`.
     pub steps_per_s: f64,
     /// Splats of the model.

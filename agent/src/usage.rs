@@ -1,0 +1,51 @@
+//! How much memory and processor time the process takes, as the operating system counts it.
+
+use std::fs;
+
+/// Peak resident memory of this process so far; 0 where the system does not tell.
+pub fn peak_bytes() -> u64 {
+    status_kib("VmHWM:") * 1024
+}
+
+/// Memory that other programs leave free; `None` where the system does not tell.
+pub fn available_bytes() -> Option<u64> {
+    let text = fs::read_to_string("/proc/meminfo").ok()?;
+    kib_after(&text, "MemAvailable:").map(|kib| kib * 1024)
+}
+
+/// Processor time of all threads so far, seconds; 0 where the system does not tell.
+pub fn cpu_seconds() -> f64 {
+    let text = fs::read_to_string("/proc/self/stat").unwrap_or_default();
+    cpu_ticks(&text).map_or(0.0, |ticks| ticks as f64 / TICKS_PER_S)
+}
+
+/// `USER_HZ`, in which Linux tells times on every processor that this runs on.
+const TICKS_PER_S: f64 = 100.0;
+
+/// Of a line of `/proc/<pid>/stat`: user and system time, fields 14 and 15. The name, field 2, may have anything in it.
+fn cpu_ticks(stat: &str) -> Option<u64> {
+    let fields: Vec<&str> = stat.rsplit_once(')')?.1.split_whitespace().collect();
+    let ticks = |field: usize| fields.get(field - 3)?.parse::<u64>().ok();
+    Some(ticks(14)? + ticks(15)?)
+}
+
+fn status_kib(field: &str) -> u64 {
+    fs::read_to_string("/proc/self/status").ok().and_then(|text| kib_after(&text, field)).unwrap_or(0)
+}
+
+fn kib_after(text: &str, field: &str) -> Option<u64> {
+    let line = text.lines().find_map(|line| line.strip_prefix(field))?;
+    line.split_whitespace().next()?.parse().ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn processor_time_is_read_past_odd_names() {
+        let stat = "7 (a) b (c) R 1 7 7 0 -1 4194304 100 0 0 0 250 50 0 0 20 0 1 0 9";
+        assert_eq!(cpu_ticks(stat), Some(300));
+        assert_eq!((cpu_ticks("7 (a) R 1"), cpu_ticks("")), (None, None));
+    }
+}
