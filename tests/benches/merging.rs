@@ -8,6 +8,8 @@
 //! take, and the last column is slowest agent, slowest edge and last merge together as a share of the one model's
 //! training. The data are `../shared/data/gt_boruszyn` where it lies beside the checkout, otherwise a small built-in city.
 
+mod scene;
+
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
@@ -16,8 +18,8 @@ use clap::Parser;
 use cosurf_aggregator::accuracy;
 use cosurf_aggregator::report::MissionReport;
 use cosurf_scene::bytes::format_bytes;
-use cosurf_scene::city::{City, CitySettings};
 use cosurf_scene::{Dataset, Mesh};
+use scene::usual_data;
 
 const EVAL_EVERY: u32 = 8;
 
@@ -91,16 +93,6 @@ fn main() -> Result<()> {
         println!("{}", row(variant, &report, f_score, &times, alone_s));
     }
     Ok(())
-}
-
-fn usual_data(folder: &Path) -> Result<PathBuf> {
-    let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data/gt_boruszyn");
-    if scene.is_dir() {
-        return Ok(scene);
-    }
-    let city = CitySettings { extent_m: 80.0, views: 48, ..CitySettings::default() };
-    City::build(&city)?.write(folder, |_, _| ())?;
-    Ok(folder.into())
 }
 
 /// Where cargo puts programs: beside the folder of this bench.

@@ -17,6 +17,34 @@ use cosurf_link::Model;
 use cosurf_scene::bytes::parse_bytes;
 use cosurf_scene::{Camera, SceneError, ply};
 
+/// How models are merged, wherever.
+#[derive(Args)]
+pub(super) struct Ways {
+    /// Times that the global model learns from every camera; 0 joins the models as they are
+    #[arg(long, value_name = "N", default_value_t = MergeSettings::default().epochs)]
+    epochs: u32,
+    /// Join all splats, also where several models show the same
+    #[arg(long)]
+    no_compress: bool,
+    /// Move models that lie in another frame than the others to where they fit, rather than keep them out
+    #[arg(long)]
+    refine: bool,
+}
+
+impl Ways {
+    pub(super) fn settings(&self, memory_bytes: u64, seed: u64) -> MergeSettings {
+        let Self { epochs, no_compress, refine } = *self;
+        MergeSettings {
+            epochs,
+            compress: !no_compress,
+            refine,
+            memory_bytes,
+            seed,
+            ..MergeSettings::default()
+        }
+    }
+}
+
 /// Merge models that agents trained: no photograph is needed.
 ///
 /// What several models show is left to the one that sees it best (Local Model Compression); the rest is joined and
@@ -29,15 +57,8 @@ pub(crate) struct MergeArgs {
     /// Where global.ply and cameras.json go
     #[arg(long, value_name = "DIR", default_value = "out")]
     out: PathBuf,
-    /// Times that every camera is learnt from; 0 joins the models as they are
-    #[arg(long, value_name = "N", default_value_t = 5)]
-    epochs: u32,
-    /// Join all splats, also where several models show the same
-    #[arg(long)]
-    no_compress: bool,
-    /// Move models that lie in another frame than the others to where they fit, rather than keep them out
-    #[arg(long)]
-    refine: bool,
+    #[command(flatten)]
+    ways: Ways,
     /// The most memory to take, for example 500MiB
     #[arg(long, value_name = "BYTES", default_value = "4GiB", value_parser = parse_bytes)]
     memory: u64,
@@ -72,14 +93,7 @@ impl Locals for Folders<'_> {
 }
 
 pub(crate) fn run(args: &MergeArgs) -> Result<()> {
-    let settings = MergeSettings {
-        epochs: args.epochs,
-        compress: !args.no_compress,
-        refine: args.refine,
-        memory_bytes: args.memory,
-        seed: args.seed,
-        device: args.device,
-    };
+    let settings = MergeSettings { device: args.device, ..args.ways.settings(args.memory, args.seed) };
     let threads = available_parallelism().map_or(1, usize::from);
     let begun = Instant::now();
     let mut tell = |progress| {

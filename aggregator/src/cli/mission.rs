@@ -8,7 +8,6 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use cosurf_aggregator::merge::MergeSettings;
 use cosurf_aggregator::mission::{MissionOrder, Surroundings, fly};
 use cosurf_aggregator::partition::Division;
 use cosurf_aggregator::plan::Settings;
@@ -17,6 +16,7 @@ use cosurf_link::BrokerAddress;
 use cosurf_scene::bytes::parse_bytes;
 use cosurf_scene::city::CitySettings;
 
+use super::merge::Ways;
 use super::{cells, cores, display, session};
 
 /// From drone pictures to a global model and a report, on this machine.
@@ -66,15 +66,8 @@ pub(crate) struct MissionArgs {
     /// Hold every N-th picture by name out of training, to judge the models by; 0 holds out none
     #[arg(long, value_name = "N", default_value_t = 8)]
     eval_every: u32,
-    /// Times that the global model learns from every camera of the agents; 0 joins their models as they are
-    #[arg(long, value_name = "N", default_value_t = MergeSettings::default().epochs)]
-    epochs: u32,
-    /// Join all splats of all agents, also where several show the same
-    #[arg(long)]
-    no_compress: bool,
-    /// Move models that lie in another frame than the others to where they fit, rather than keep them out
-    #[arg(long)]
-    refine: bool,
+    #[command(flatten)]
+    ways: Ways,
     /// The most memory that merging may take
     #[arg(long, value_name = "BYTES", default_value = "4GiB", value_parser = parse_bytes)]
     merge_memory: u64,
@@ -103,14 +96,7 @@ pub(crate) fn run(args: MissionArgs) -> Result<()> {
             max_size_px: args.max_size,
             seed: args.seed,
             eval_every: args.eval_every,
-            merge: MergeSettings {
-                epochs: args.epochs,
-                compress: !args.no_compress,
-                refine: args.refine,
-                memory_bytes: args.merge_memory,
-                seed: args.seed,
-                ..MergeSettings::default()
-            },
+            merge: args.ways.settings(args.merge_memory, args.seed),
         },
         city: data.is_none().then(|| another_city(args.seed)),
         out,

@@ -4,6 +4,9 @@
 //! The data are `../shared/data/gt_boruszyn` where it lies beside the checkout, otherwise a small built-in
 //! city made on the spot.
 
+#[path = "../scene/mod.rs"]
+mod scene;
+
 use std::path::{Path, PathBuf};
 use std::thread::available_parallelism;
 use std::time::Instant;
@@ -16,8 +19,8 @@ use cosurf_aggregator::eval::{EvalOrder, EvalReport, judge};
 use cosurf_aggregator::mesh::{FuseSettings, mesh_model};
 use cosurf_aggregator::surface::Spread;
 use cosurf_engine::{DeviceChoice, PruneSettings, SurfaceSettings};
-use cosurf_scene::city::{City, CitySettings};
 use cosurf_scene::{Camera, Mesh, Splats, ply};
+use scene::usual_data;
 
 const EVAL_EVERY: u32 = 8;
 const MESH_BYTES: u64 = 4 << 30;
@@ -80,16 +83,6 @@ pub(crate) fn compare(variants: &[Variant]) -> Result<()> {
         }
     }
     Ok(())
-}
-
-fn usual_data(folder: &Path) -> Result<PathBuf> {
-    let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data/gt_boruszyn");
-    if scene.is_dir() {
-        return Ok(scene);
-    }
-    let city = CitySettings { extent_m: 80.0, views: 48, ..CitySettings::default() };
-    City::build(&city)?.write(folder, |_, _| ())?;
-    Ok(folder.into())
 }
 
 fn truth(data: &Path) -> Result<Mesh> {
