@@ -18,7 +18,7 @@ pub(crate) mod tests;
 use std::ops::ControlFlow;
 
 use cosurf_engine::backend::Channels;
-use cosurf_engine::{CpuCapacity, Device, DeviceChoice, DeviceError, prune};
+use cosurf_engine::{CpuCapacity, DeviceChoice, DeviceError, prune};
 use cosurf_link::{BodyFault, Model, StoreError};
 use cosurf_scene::{Camera, SceneError, Splats};
 use glam::DVec3;
@@ -148,13 +148,8 @@ pub fn merge(
 ) -> Result<Merged, MergeError> {
     let (all, splats, sh_degree) = survey(locals)?;
     let device = computer::choose(settings, splats, sh_degree, &all)?;
-    let is_chance = settings.device == DeviceChoice::Auto && device.is_gpu();
-    match merge_by(&Computer { device, threads }, locals, &all, settings, tell) {
-        Err(MergeError::Device(_)) if is_chance => {
-            merge_by(&Computer { device: Device::Cpu, threads }, locals, &all, settings, tell)
-        }
-        merged => merged,
-    }
+    let computer = Computer { device, threads };
+    computer.run(settings.device, |computer| merge_by(computer, locals, &all, settings, tell))
 }
 
 fn merge_by(

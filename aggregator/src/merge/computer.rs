@@ -4,14 +4,30 @@ use cosurf_engine::budget::DRIVER_BYTES;
 use cosurf_engine::{Device, DeviceChoice, DeviceError};
 use cosurf_scene::Camera;
 
-use super::MergeSettings;
 use super::distill::student_room;
+use super::{MergeError, MergeSettings};
 
 /// A device, and the threads (at least 1) of the processor.
 #[derive(Clone, Debug)]
 pub(super) struct Computer {
     pub(super) device: Device,
     pub(super) threads: usize,
+}
+
+impl Computer {
+    /// Runs `work`; where a graphics card that nobody asked for fails, anew on the processor.
+    pub(super) fn run<T>(
+        self,
+        choice: DeviceChoice,
+        mut work: impl FnMut(&Self) -> Result<T, MergeError>,
+    ) -> Result<T, MergeError> {
+        match work(&self) {
+            Err(MergeError::Device(_)) if choice == DeviceChoice::Auto && self.device.is_gpu() => {
+                work(&Self { device: Device::Cpu, ..self })
+            }
+            done => done,
+        }
+    }
 }
 
 /// Opens what was chosen. A graphics card that nobody asked for is passed over where its memory would make the models

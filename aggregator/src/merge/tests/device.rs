@@ -1,5 +1,7 @@
 //! Merging on a graphics card, a software driver being enough, against the processor.
 
+use cosurf_engine::Device;
+
 use super::*;
 
 /// Largest difference of what both give, dB.
@@ -88,6 +90,24 @@ fn a_card_leaves_the_same_splats_to_others() {
         fewer[own].truncate(3);
         assert!(differs(&removed(&card, &fewer)) as f64 > ties_max, "other cameras went unnoticed");
     }
+}
+
+#[test]
+fn where_a_card_fails_the_processor_begins_anew_unless_the_card_was_asked_for() {
+    let Some(device) = card() else { return };
+    let tried = |choice, failure: fn() -> MergeError| {
+        let mut tried = Vec::new();
+        let computer = Computer { device: device.clone(), threads: 1 };
+        let outcome = computer.run(choice, |computer| {
+            tried.push(computer.device.is_gpu());
+            if computer.device.is_gpu() { Err(failure()) } else { Ok(()) }
+        });
+        (tried, outcome.is_ok())
+    };
+    let lost = || MergeError::Device(DeviceError::NotBuilt);
+    assert_eq!(tried(DeviceChoice::Auto, lost), (vec![true, false], true));
+    assert_eq!(tried(DeviceChoice::Gpu(None), lost), (vec![true], false));
+    assert_eq!(tried(DeviceChoice::Auto, || MergeError::GivenUp), (vec![true], false));
 }
 
 #[test]
