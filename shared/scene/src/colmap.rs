@@ -11,6 +11,8 @@ mod tests;
 mod text;
 mod write;
 
+use std::fs::File;
+use std::io::{self, BufReader, Cursor};
 use std::path::{Path, PathBuf};
 
 use crate::{Dataset, SceneError};
@@ -39,8 +41,10 @@ pub(crate) fn read(root: &Path, model: &Path) -> Result<Dataset, SceneError> {
     let folders = picture_folders(root, model);
     let likely = folders.iter().find(|folder| folder.is_dir()).unwrap_or(&folders[0]);
     let undistortion = Undistortion { images: likely, model, root };
-    let read = if is_binary(model) { binary::read } else { text::read };
-    let mut dataset = read(model, &undistortion)?;
+    let mut dataset = match is_binary(model) {
+        true => binary::read(model, &undistortion, open_file)?,
+        false => text::read(model, &undistortion, open_file)?,
+    };
     let first = dataset.views.first().map_or("", |view| &view.name);
     let beside = root.to_owned();
     let holds_first = |folder: &&PathBuf| folder.join(first).is_file();
@@ -49,4 +53,36 @@ pub(crate) fn read(root: &Path, model: &Path) -> Result<Dataset, SceneError> {
         view.path = folder.join(&view.name);
     }
     Ok(dataset)
+}
+
+/// A file and its length.
+fn open_file(path: &Path) -> io::Result<(BufReader<File>, u64)> {
+    let file = File::open(path)?;
+    let bytes = file.metadata()?.len();
+    Ok((BufReader::new(file), bytes))
+}
+
+/// In which of its two forms a model is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Form {
+    /// `*.bin`
+    Binary,
+    /// `*.txt`
+    Text,
+}
+
+/// Reads a model that is in memory: the bytes of `cameras`, `images` and `points3D`. Its views have no paths.
+pub fn parse(form: Form, files: [&[u8]; 3]) -> Result<Dataset, SceneError> {
+    let open = |path: &Path| {
+        let stem = path.file_stem().unwrap_or_default();
+        let found = ["cameras", "images", "points3D"].iter().position(|name| stem == *name);
+        let bytes = files[found.ok_or(io::ErrorKind::NotFound)?];
+        Ok((Cursor::new(bytes), bytes.len() as u64))
+    };
+    let here = Path::new("");
+    let undistortion = Undistortion { images: here, model: here, root: here };
+    match form {
+        Form::Binary => binary::read(here, &undistortion, open),
+        Form::Text => text::read(here, &undistortion, open),
+    }
 }

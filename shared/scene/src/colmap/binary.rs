@@ -1,8 +1,7 @@
 //! The binary form, little-endian. Every count is compared with what is left of the file before
 //! anything is allocated for it.
 
-use std::fs::File;
-use std::io::{BufRead, BufReader, ErrorKind, Read};
+use std::io::{self, BufRead, ErrorKind, Read, Seek};
 use std::path::Path;
 
 use super::model::{Assembly, Image, Intrinsics, Point, Undistortion, pose, refuse_distortion, with_file};
@@ -39,16 +38,24 @@ const TRACK_BYTES: u64 = 4 + 4;
 /// Names longer than any file system allows are refused.
 const NAME_BYTES_MAX: u64 = 4096;
 
-pub(super) fn read(model: &Path, undistortion: &Undistortion) -> Result<Dataset, SceneError> {
-    let mut assembly = Assembly::default();
-    with_file(model, "cameras.bin", |path| read_cameras(path, undistortion, &mut assembly))?;
-    with_file(model, "images.bin", |path| read_images(path, &mut assembly))?;
-    with_file(model, "points3D.bin", |path| read_points(path, &mut assembly))?;
-    Ok(assembly.end())
+pub(super) fn read<R: BufRead + Seek>(
+    model: &Path,
+    undistortion: &Undistortion,
+    open: impl Fn(&Path) -> io::Result<(R, u64)>,
+) -> Result<Dataset, SceneError> {
+    let open = |path: &Path| open(path).map(|(file, left_bytes)| Input { file, left_bytes });
+    let mut out = Assembly::default();
+    with_file(model, "cameras.bin", |path| read_cameras(open(path)?, undistortion, &mut out))?;
+    with_file(model, "images.bin", |path| read_images(open(path)?, &mut out))?;
+    with_file(model, "points3D.bin", |path| read_points(open(path)?, &mut out))?;
+    Ok(out.end())
 }
 
-fn read_cameras(path: &Path, undistortion: &Undistortion, out: &mut Assembly) -> Result<(), Refusal> {
-    let mut input = Input::open(path)?;
+fn read_cameras<R: BufRead + Seek>(
+    mut input: Input<R>,
+    undistortion: &Undistortion,
+    out: &mut Assembly,
+) -> Result<(), Refusal> {
     let count = input.count(CAMERA_BYTES)?;
     for i in 0..count {
         read_camera(&mut input, undistortion, out).map_err(|refusal| refusal.at(Nth("camera", i, count)))?;
@@ -56,7 +63,11 @@ fn read_cameras(path: &Path, undistortion: &Undistortion, out: &mut Assembly) ->
     Ok(())
 }
 
-fn read_camera(input: &mut Input, undistortion: &Undistortion, out: &mut Assembly) -> Result<(), Refusal> {
+fn read_camera<R: BufRead + Seek>(
+    input: &mut Input<R>,
+    undistortion: &Undistortion,
+    out: &mut Assembly,
+) -> Result<(), Refusal> {
     let id = input.u32()?;
     let number = input.u32()?;
     let size_px = [input.u64()?, input.u64()?];
@@ -71,8 +82,7 @@ fn read_camera(input: &mut Input, undistortion: &Undistortion, out: &mut Assembl
     out.add_camera(id, Intrinsics::new(model, size_px, &params, undistortion)?)
 }
 
-fn read_images(path: &Path, out: &mut Assembly) -> Result<(), Refusal> {
-    let mut input = Input::open(path)?;
+fn read_images<R: BufRead + Seek>(mut input: Input<R>, out: &mut Assembly) -> Result<(), Refusal> {
     let count = input.count(IMAGE_BYTES)?;
     for i in 0..count {
         read_image(&mut input, out).map_err(|refusal| refusal.at(Nth("image", i, count)))?;
@@ -80,7 +90,7 @@ fn read_images(path: &Path, out: &mut Assembly) -> Result<(), Refusal> {
     Ok(())
 }
 
-fn read_image(input: &mut Input, out: &mut Assembly) -> Result<(), Refusal> {
+fn read_image<R: BufRead + Seek>(input: &mut Input<R>, out: &mut Assembly) -> Result<(), Refusal> {
     let id = input.u32()?;
     let cam_from_world = pose(input.f64s()?, input.f64s()?)?;
     let camera_id = input.u32()?;
@@ -90,8 +100,7 @@ fn read_image(input: &mut Input, out: &mut Assembly) -> Result<(), Refusal> {
     out.add_image(Image { id, camera_id, cam_from_world, name })
 }
 
-fn read_points(path: &Path, out: &mut Assembly) -> Result<(), Refusal> {
-    let mut input = Input::open(path)?;
+fn read_points<R: BufRead + Seek>(mut input: Input<R>, out: &mut Assembly) -> Result<(), Refusal> {
     let count = input.count(POINT_3D_BYTES)?;
     for i in 0..count {
         read_point(&mut input, out).map_err(|refusal| refusal.at(Nth("point", i, count)))?;
@@ -99,7 +108,7 @@ fn read_points(path: &Path, out: &mut Assembly) -> Result<(), Refusal> {
     Ok(())
 }
 
-fn read_point(input: &mut Input, out: &mut Assembly) -> Result<(), Refusal> {
+fn read_point<R: BufRead + Seek>(input: &mut Input<R>, out: &mut Assembly) -> Result<(), Refusal> {
     input.skip(8)?; // its id
     let position = input.f64s()?;
     let rgb = input.array()?;
@@ -123,18 +132,12 @@ impl std::fmt::Display for Nth {
 }
 
 /// A file and how much of it is left.
-struct Input {
-    file: BufReader<File>,
+struct Input<R> {
+    file: R,
     left_bytes: u64,
 }
 
-impl Input {
-    fn open(path: &Path) -> Result<Self, Refusal> {
-        let file = File::open(path)?;
-        let left_bytes = file.metadata()?.len();
-        Ok(Self { file: BufReader::new(file), left_bytes })
-    }
-
+impl<R: BufRead + Seek> Input<R> {
     fn take(&mut self, bytes: u64) -> Result<(), Refusal> {
         let left = self.left_bytes.checked_sub(bytes);
         self.left_bytes = left.ok_or(Refusal::Io(ErrorKind::UnexpectedEof.into()))?;

@@ -1,8 +1,7 @@
 //! The text form: a record per line, `#` before comments; in `images.txt` every second line, which
 //! may be blank, lists 2D points and is passed over.
 
-use std::fs::File;
-use std::io::{BufRead, BufReader, Read};
+use std::io::{self, BufRead, Read};
 use std::path::Path;
 use std::str::{FromStr, SplitAsciiWhitespace};
 
@@ -13,23 +12,31 @@ use crate::{Dataset, SceneError};
 /// Longer lines are refused: a track through a million pictures would fit.
 const LINE_BYTES_MAX: u64 = 1 << 24;
 
-pub(super) fn read(model: &Path, undistortion: &Undistortion) -> Result<Dataset, SceneError> {
+pub(super) fn read<R: BufRead>(
+    model: &Path,
+    undistortion: &Undistortion,
+    open: impl Fn(&Path) -> io::Result<(R, u64)>,
+) -> Result<Dataset, SceneError> {
+    let open = |path: &Path| open(path).map(|(file, _)| file);
     let mut out = Assembly::default();
     with_file(model, "cameras.txt", |path| {
-        each_record(path, false, |record| read_camera(record, undistortion, &mut out))
+        each_record(open(path)?, false, |record| read_camera(record, undistortion, &mut out))
     })?;
-    with_file(model, "images.txt", |path| each_record(path, true, |record| read_image(record, &mut out)))?;
-    with_file(model, "points3D.txt", |path| each_record(path, false, |record| read_point(record, &mut out)))?;
+    with_file(model, "images.txt", |path| {
+        each_record(open(path)?, true, |record| read_image(record, &mut out))
+    })?;
+    with_file(model, "points3D.txt", |path| {
+        each_record(open(path)?, false, |record| read_point(record, &mut out))
+    })?;
     Ok(out.end())
 }
 
 /// Hands every record's line to `read`; with `skip_next`, the line after each is passed over.
 fn each_record(
-    path: &Path,
+    mut file: impl BufRead,
     skip_next: bool,
     mut read: impl FnMut(&str) -> Result<(), Refusal>,
 ) -> Result<(), Refusal> {
-    let mut file = BufReader::new(File::open(path)?);
     let mut line = Vec::new();
     let mut number = 1_u64;
     while (&mut file).take(LINE_BYTES_MAX).read_until(b'\n', &mut line)? > 0 {
