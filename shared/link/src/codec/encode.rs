@@ -17,6 +17,8 @@ use crate::body::{BodyFault, camera_record};
 
 /// Bytes of a splat, cameras included: the spherical harmonics get what the rest leaves.
 const SPLAT_BYTES: f64 = 15.7;
+/// Most bytes of a splat, where the spherical harmonics can give way.
+const SPLAT_BYTES_MAX: f64 = 15.95;
 /// Bytes that the spherical harmonics of a splat get at least, and at most.
 const SH_BYTES: [f64; 2] = [2.0, 5.0];
 /// Entropy of a coefficient's statistics beside the bytes that zstd makes of it.
@@ -150,9 +152,23 @@ impl Packs {
         if splats.sh_degree == 0 || groups.is_empty() {
             return Ok(());
         }
-        let order: Vec<u32> = groups.iter().flat_map(|group| group.ids).copied().collect();
         let spent = self.bytes.len() as f64 / splats.len() as f64;
         let bytes = (SPLAT_BYTES - spent).clamp(SH_BYTES[0], SH_BYTES[1]);
+        let (entries_before, bytes_before) = (self.entries.len(), self.bytes.len());
+        self.add_sh_of(splats, groups, bytes)?;
+        // The basis, the table and what small packs cost beside their statistics is known only now.
+        let over = self.body_bytes() as f64 / splats.len() as f64 - SPLAT_BYTES_MAX;
+        if over > 0.0 && bytes > SH_BYTES[0] {
+            self.entries.truncate(entries_before);
+            self.bytes.truncate(bytes_before);
+            self.add_sh_of(splats, groups, (bytes - over).max(SH_BYTES[0]))?;
+        }
+        Ok(())
+    }
+
+    /// Adds them in about so many bytes a splat.
+    fn add_sh_of(&mut self, splats: &Splats, groups: &[Group], bytes: f64) -> io::Result<()> {
+        let order: Vec<u32> = groups.iter().flat_map(|group| group.ids).copied().collect();
         let basis = Basis::learn(splats, &order, 8.0 * bytes * CODED);
         self.add(PackKind::Basis, 0, 0, &basis.encode(splats.sh_degree as u8), &[])?;
         for Group { layer, ids } in groups {
@@ -163,6 +179,10 @@ impl Packs {
             self.add(PackKind::Sh, *layer, ids.len(), &[], &planes)?;
         }
         Ok(())
+    }
+
+    fn body_bytes(&self) -> usize {
+        HEAD_BYTES + self.entries.len() * PACK_ENTRY_BYTES + self.bytes.len()
     }
 
     fn into_body(self, head: &BodyHead) -> Vec<u8> {

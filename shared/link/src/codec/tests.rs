@@ -236,6 +236,19 @@ fn forge(body: &mut [u8], i: usize, bytes: u32, splats: u16, crc32: u32) {
     body[HEAD_BYTES - 4..HEAD_BYTES].copy_from_slice(&hasher.finalize().to_le_bytes());
 }
 
+#[test]
+fn harmonics_give_way_before_a_splat_takes_more_than_sixteen_bytes() {
+    for count in [3000, 8000] {
+        let mut model = splats(count, 2);
+        let mut noise = noise(9);
+        let stride = model.sh_stride();
+        // Each varies in a way of its own, which costs few splats more than their statistics say.
+        model.sh.chunks_exact_mut(stride).for_each(|sh| sh[3..].iter_mut().for_each(|v| *v += 0.1 * noise()));
+        let bytes = body(&model).len() as f64 / count as f64;
+        assert!(bytes <= 16.0, "{count} splats: {bytes} bytes each");
+    }
+}
+
 /// A frame that is made of almost nothing and asks for a large window is refused before it is unpacked.
 #[test]
 fn fault_05_bombs_do_not_go_off() {
