@@ -34,6 +34,8 @@ mod relief;
 pub mod report;
 pub mod service;
 mod showcase;
+#[cfg(test)]
+mod simulation;
 mod station;
 pub mod surface;
 mod table;

@@ -12,7 +12,7 @@ use std::sync::mpsc;
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-use common::{cameras, identity, splats};
+use common::{credible, identity};
 use cosurf_aggregator::broker::Broker;
 use cosurf_aggregator::gateway::{Gateway, GatewayEvent};
 use cosurf_aggregator::merge::MergeSettings;
@@ -22,8 +22,7 @@ use cosurf_link::{
     BrokerAddress, Identity, InboxLimits, MqttConfig, MqttTransport, Node, NodeEvent, Offer, Role,
     SerialConfig, SerialTransport, Transport,
 };
-use cosurf_wire::{DeviceId, ModelId, ModelKind};
-use glam::DQuat;
+use cosurf_wire::DeviceId;
 use serialport::{SerialPort, TTYPort};
 
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -62,17 +61,6 @@ fn drone<T: Transport + Send + 'static>(
             }
         }
     })
-}
-
-/// A model whose cameras see all of it: who merges believes no other.
-fn model(name: &str) -> Offer {
-    let mut views = cameras(3);
-    for view in &mut views {
-        view.cam_from_world.rotation = DQuat::IDENTITY;
-        view.cam_from_world.translation.z = 300.0;
-    }
-    let device = DeviceId::new(name).unwrap();
-    Offer::new(device, ModelId(1), ModelKind::Local, 3, &splats(1, 1500, 0), &views).unwrap()
 }
 
 #[test]
@@ -124,10 +112,10 @@ fn radio_and_network_share_a_mission() {
     let (radio, net) = (identity(Role::Device, "by-radio"), identity(Role::Device, "by-net"));
     let serial = SerialTransport::start(line(air, 2, DEVICE_MESSAGE_BYTES));
     let (kill_radio, die) = mpsc::channel();
-    let by_radio = drone(serial, radio, model("by-radio"), say.clone(), die);
+    let by_radio = drone(serial, radio, credible("by-radio", 1500), say.clone(), die);
     let mqtt = MqttTransport::start(MqttConfig { broker: address, identity: net, tls: None });
     let (kill_net, die) = mpsc::channel();
-    let by_net = drone(mqtt, net, model("by-net"), say, die);
+    let by_net = drone(mqtt, net, credible("by-net", 1500), say, die);
 
     let mut got: Vec<_> = (0..2).map(|_| globals.recv_timeout(PATIENCE).unwrap()).collect();
     got.sort();

@@ -16,15 +16,14 @@ use std::sync::mpsc;
 use std::thread;
 use std::time::{Duration, Instant};
 
-use common::{cameras, identity, splats};
+use common::{credible, identity};
 use cosurf_aggregator::broker::Broker;
 use cosurf_aggregator::merge::MergeSettings;
 use cosurf_aggregator::service::{Command, Expected, Service, ServiceConfig, ServiceEvent, global_ply};
 use cosurf_link::mqtt::tap::{ReplaySettings, record, replay};
 use cosurf_link::recording::Recording;
-use cosurf_link::{BrokerAddress, Faults, InboxLimits, MqttConfig, MqttTransport, Offer, Role};
-use cosurf_wire::{DeviceId, ModelId, ModelKind};
-use glam::DQuat;
+use cosurf_link::{BrokerAddress, Faults, InboxLimits, MqttConfig, MqttTransport, Role};
+use cosurf_wire::DeviceId;
 use live::upload;
 
 const PATIENCE: Duration = Duration::from_secs(120);
@@ -87,26 +86,14 @@ fn recorded_flight(folder: &Path, file: &Path) -> Vec<u8> {
             thread::sleep(Duration::from_millis(20));
         }
         for drone in DRONES {
-            let offer = model(drone);
+            let mut offer = credible(drone, 3000);
+            offer.header.chunk_bytes = 4096;
             upload(address.clone(), None, identity(Role::Device, drone), offer, |_| {}, |_, _| {});
         }
     });
     stop.store(true, Ordering::Relaxed);
     assert!(recorder.join().unwrap() > 20, "hardly anything was recorded");
     global
-}
-
-/// A model whose cameras see all of it: who merges believes no other.
-fn model(name: &str) -> Offer {
-    let mut views = cameras(3);
-    for view in &mut views {
-        view.cam_from_world.rotation = DQuat::IDENTITY;
-        view.cam_from_world.translation.z = 300.0;
-    }
-    let device = DeviceId::new(name).unwrap();
-    let mut offer = Offer::new(device, ModelId(1), ModelKind::Local, 3, &splats(1, 3000, 0), &views).unwrap();
-    offer.header.chunk_bytes = 4096;
-    offer
 }
 
 #[test]

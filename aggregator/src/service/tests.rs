@@ -9,7 +9,6 @@ use std::fs;
 use std::sync::mpsc;
 
 use cosurf_link::{Faults, MemoryNetwork, MemoryTransport, Role};
-use cosurf_wire::SiteId;
 
 use cosurf_link::{Model, ModelKey, NodeEvent, Offer};
 use cosurf_scene::ply;
@@ -17,23 +16,12 @@ use cosurf_wire::{ModelId, ModelKind};
 
 use super::*;
 use crate::merge::tests::model;
+use crate::simulation::{self, BAD_WEATHER, LIMITS, PATIENCE};
 
-const BAD_WEATHER: Faults = Faults {
-    loss: 0.1,
-    duplication: 0.1,
-    corruption: 0.05,
-    delay_max: Duration::from_millis(80),
-    ..Faults::NONE
-};
-const LIMITS: InboxLimits =
-    InboxLimits { body_bytes_max: 1 << 24, total_bytes_max: 1 << 25, models_max: 8, stored_max: 8 };
 const AT_ONCE: Rounds = Rounds { quorum: 1, quiet: Duration::ZERO, deadline: Duration::ZERO };
-/// Virtual time after which a test has failed.
-const PATIENCE: Duration = Duration::from_secs(300);
 
 fn identity(name: &str, role: Role) -> Identity {
-    let site = SiteId::new("test").unwrap();
-    Identity { site, device: DeviceId::new(name).unwrap(), session: 1, role }
+    simulation::identity("test", name, role)
 }
 
 /// A drone that sends one model and keeps the global one.

@@ -5,24 +5,16 @@ use std::ops::ControlFlow;
 use std::sync::mpsc;
 
 use cosurf_engine::DeviceChoice;
-use cosurf_link::{Faults, MemoryNetwork, MemoryTransport, Model, Role, model_to_body, plain_importance};
-use cosurf_wire::{BodyHash, ModelId, SiteId};
+use cosurf_link::{MemoryNetwork, MemoryTransport, Model, Role, model_to_body, plain_importance};
+use cosurf_wire::{BodyHash, ModelId};
 
 use super::*;
 use crate::gate::admit;
-use crate::merge::tests::{InMemory, above, ground};
+use crate::merge::tests::InMemory;
 use crate::merge::{MergeSettings, merge};
 use crate::service::{Expected, Service, ServiceConfig, ServiceEvent, packed};
+use crate::simulation::{BAD_WEATHER, LIMITS, PATIENCE, identity, model_at};
 
-const BAD_WEATHER: Faults = Faults {
-    loss: 0.1,
-    duplication: 0.1,
-    corruption: 0.05,
-    delay_max: Duration::from_millis(80),
-    ..Faults::NONE
-};
-const LIMITS: InboxLimits =
-    InboxLimits { body_bytes_max: 1 << 24, total_bytes_max: 1 << 25, models_max: 8, stored_max: 8 };
 const SETTINGS: MergeSettings = MergeSettings {
     epochs: 1,
     compress: true,
@@ -31,18 +23,6 @@ const SETTINGS: MergeSettings = MergeSettings {
     seed: 3,
     device: DeviceChoice::Cpu,
 };
-/// Virtual time after which a test has failed.
-const PATIENCE: Duration = Duration::from_secs(300);
-
-fn identity(site: &str, device: &str, role: Role) -> Identity {
-    Identity { site: SiteId::new(site).unwrap(), device: DeviceId::new(device).unwrap(), session: 1, role }
-}
-
-/// A small model of the ground at `place`, seen by two small cameras.
-fn model_at(place: f32) -> Model {
-    let cameras = [-0.5, 0.5].map(|x| above(f64::from(place) + x).resized([24, 16]));
-    Model { splats: ground(place - 2.0, place + 2.0), cameras: cameras.to_vec() }
-}
 
 /// What a drone sends of its model.
 fn sent(Model { splats, cameras }: &Model) -> Vec<u8> {

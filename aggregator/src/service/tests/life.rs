@@ -7,8 +7,9 @@ use cosurf_link::{model_to_body, plain_importance};
 use cosurf_wire::BodyHash;
 
 use super::*;
-use crate::merge::tests::{InMemory, above, ground};
+use crate::merge::tests::InMemory;
 use crate::merge::{MergeProgress, merge};
+use crate::simulation::model_at;
 
 /// Lives that are simulated.
 const SEEDS: u64 = 200;
@@ -32,12 +33,6 @@ impl Dice {
         self.0 = self.0.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
         (self.0 >> 33) % n
     }
-}
-
-/// A small model of the ground at `place`, seen by two small cameras.
-fn model_at(place: f32) -> Model {
-    let cameras = [-0.5, 0.5].map(|x| above(f64::from(place) + x).resized([24, 16]));
-    Model { splats: ground(place - 2.0, place + 2.0), cameras: cameras.to_vec() }
 }
 
 /// The models that count in the end.

@@ -64,6 +64,17 @@ pub fn offer(device: &str, model: u64, kind: ModelKind, seed: u64, count: usize,
     offer
 }
 
+/// An offer of `count` splats that its cameras see all: who merges believes no other.
+pub fn credible(device: &str, count: usize) -> Offer {
+    let mut views = cameras(3);
+    for view in &mut views {
+        view.cam_from_world.rotation = DQuat::IDENTITY;
+        view.cam_from_world.translation.z = 300.0;
+    }
+    let device = DeviceId::new(device).unwrap();
+    Offer::new(device, ModelId(1), ModelKind::Local, 3, &splats(1, count, 0), &views).unwrap()
+}
+
 /// As [`offer`], of 16 to 1,000 splats, from a pool that is packed once: for tests of thousands of seeds.
 pub fn pooled(device: &str, model: u64, kind: ModelKind, seed: u64, chunk_bytes: u32) -> Offer {
     static POOL: OnceLock<Vec<Offer>> = OnceLock::new();
