@@ -3,12 +3,14 @@
 //! `cargo bench -p cosurf-tests --bench layers -- --help`
 //!
 //! PSNR is that of the held-out views; the changes of normals and depth are medians over their pixels, of the
-//! model that went through the wire beside the one that did not.
+//! model that went through the wire beside the one that did not. Where the dataset has the true surface, the last
+//! column is how much larger the median error of the normals has become.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use clap::Parser;
+use cosurf_aggregator::eval::{EvalOrder, judge};
 use cosurf_engine::{Renderer, Rendering};
 use cosurf_link::{Model, model_to_body, part_to_model};
 use cosurf_scene::metrics::psnr;
@@ -49,21 +51,52 @@ fn main() -> Result<()> {
     println!("{} splats of degree {}, {} cameras", splats.len(), splats.sh_degree, views.taught.len());
     println!("{} bytes, {:.2} a splat", body.len(), body.len() as f64 / splats.len() as f64);
     println!("as 32-bit floats: PSNR {:.3} dB", views.psnr(&whole));
-    println!("| bytes | of all | splats | PSNR, dB | lost | normal, ° | depth, % |");
-    println!("|---|---|---|---|---|---|---|");
+    let errors = NormalErrors::of(&data, max_size)?;
+    let error = errors.median_deg(&splats)?;
+    if let Some(error) = error {
+        println!("as 32-bit floats: median error of the normals {error:.3}°");
+    }
+    println!("| bytes | of all | splats | PSNR, dB | lost | normal, ° | depth, % | error of normals, ° |");
+    println!("|---|---|---|---|---|---|---|---|");
     for part in PARTS {
         let end = (part * body.len() as f64) as usize;
         let Some(Model { splats, .. }) = part_to_model(&body, |range| range.end <= end)? else { continue };
         let pictures = views.render(&splats);
         let (psnr, lost) = (views.psnr(&pictures), views.psnr(&whole) - views.psnr(&pictures));
         let (normal, depth) = changes(&pictures, &whole);
+        let lost_deg = error.zip(errors.median_deg(&splats)?).map(|(before, after)| after - before);
         println!(
-            "| {end} | {:.0} % | {} | {psnr:.3} | {lost:.3} | {normal:.3} | {depth:.4} |",
+            "| {end} | {:.0} % | {} | {psnr:.3} | {lost:.3} | {normal:.3} | {depth:.4} | {} |",
             100.0 * part,
-            splats.len()
+            splats.len(),
+            lost_deg.map_or("–".into(), |lost_deg| format!("{lost_deg:+.3}"))
         );
     }
     Ok(())
+}
+
+/// What the held-out views' normals are held against.
+struct NormalErrors {
+    order: EvalOrder,
+    folder: tempfile::TempDir,
+}
+
+impl NormalErrors {
+    fn of(data: &Path, max_size: u32) -> Result<Self> {
+        let folder = tempfile::tempdir()?;
+        let (model, data) = (folder.path().join("model.ply"), data.to_path_buf());
+        let max_size_px = (max_size < u32::MAX).then_some(max_size);
+        let order =
+            EvalOrder { model, data, lpips: None, truth: None, eval_every: 8, max_size_px, threads: THREADS };
+        Ok(Self { order, folder })
+    }
+
+    /// `None` where there is no true surface.
+    fn median_deg(&self, splats: &Splats) -> Result<Option<f64>> {
+        ply::write(&self.folder.path().join("model.ply"), splats)?;
+        let surface = judge(&self.order)?.mean.surface;
+        Ok(surface.and_then(|surface| surface.normal_error_deg).map(|error| error.median))
+    }
 }
 
 /// The model with its spherical harmonics cut to a degree.
