@@ -247,13 +247,17 @@ impl Keeper {
             let last = match last {
                 Some(last) => last,
                 None => {
-                    let last = its.last_key_value().map_or(ModelId(0), |(model, _)| *model);
+                    let part = self.parts.model_of(&device);
+                    let last = its.last_key_value().map(|(model, _)| *model).max(part).unwrap_or(ModelId(0));
                     settle_withdrawal(&self.folder, &device, last)?;
                     last
                 }
             };
             self.withdrawn.insert(device, last);
-            first = first.or(self.parts.forget(&device).then_some(device));
+            if self.parts.model_of(&device).is_some_and(|part| part <= last) {
+                self.parts.forget(&device);
+                first = first.or(Some(device));
+            }
             for model in its.range(..=last).map(|(model, _)| *model) {
                 self.models.remove(ModelKey { device, model })?;
                 first = first.or(Some(device));

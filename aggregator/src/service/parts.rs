@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use cosurf_link::{ModelStore, Node, Offer, StoreError};
-use cosurf_wire::{DeviceId, ModelHeader, ModelKind};
+use cosurf_wire::{DeviceId, ModelHeader, ModelId, ModelKind};
 
 use super::ServiceError;
 
@@ -52,10 +52,16 @@ impl Parts {
         Ok(Some(offer.header))
     }
 
-    /// All of its model is here, or none of it counts. Whether there was a part.
-    pub(super) fn forget(&mut self, device: &DeviceId) -> bool {
-        let part = self.headers.remove(device);
-        // What cannot be removed now is at the next start.
-        part.is_some_and(|part| self.store.remove(part.into()).is_ok())
+    /// Of which model of a device there is a part.
+    pub(super) fn model_of(&self, device: &DeviceId) -> Option<ModelId> {
+        self.headers.get(device).map(|part| part.model)
+    }
+
+    /// All of its model is here, or none of it counts.
+    pub(super) fn forget(&mut self, device: &DeviceId) {
+        if let Some(part) = self.headers.remove(device) {
+            // What cannot be removed now is at the next start.
+            let _ = self.store.remove(part.into());
+        }
     }
 }

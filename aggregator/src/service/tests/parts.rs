@@ -18,17 +18,34 @@ const QUICK: MergeSettings = MergeSettings {
 const BEYOND: f32 = 16.0;
 
 /// A drone that sends `model` in small chunks, the east first.
-fn slow_drone(network: &MemoryNetwork, model: &Model) -> Drone {
-    let mut drone = Drone::new(network, "agent-2", 1, model);
+fn slow_drone(network: &MemoryNetwork, number: u64, model: &Model) -> Drone {
+    let mut drone = Drone::new(network, "agent-2", number, model);
     let Model { splats, cameras } = model;
     let device = DeviceId::new("agent-2").unwrap();
     let east: Vec<f32> = splats.means.iter().map(|mean| mean[0]).collect();
     let body = model_to_body(splats, cameras, &east).unwrap();
-    let mut offer = Offer::from_body(device, ModelId(1), ModelKind::Local, 3, body).unwrap();
+    let mut offer = Offer::from_body(device, ModelId(number), ModelKind::Local, 3, body).unwrap();
     offer.header.chunk_bytes = 256;
     drone.node = Node::new(identity("agent-2", Role::Device), LIMITS, &[]);
     drone.node.upload(offer);
     drone
+}
+
+/// A network on which uploads can be interrupted.
+fn slow_network(seed: u64) -> MemoryNetwork {
+    MemoryNetwork::new(seed, Faults { bytes_per_s: std::num::NonZeroU32::new(3000), ..Faults::NONE })
+}
+
+/// A slow drone comes, says nothing any more when something of its model has arrived, and is given up.
+fn stall(network: &MemoryNetwork, ground: &mut Ground, drones: &mut Vec<Drone>, number: u64, model: &Model) {
+    drones.push(slow_drone(network, number, model));
+    let key = ModelKey { device: DeviceId::new("agent-2").unwrap(), model: ModelId(number) };
+    simulate_until(network, ground, drones, |ground, _| ground.service.node.part(key).is_some());
+    drones[1].node = Node::new(identity("agent-2", Role::Device), LIMITS, &[]);
+    let (say, commands) = mpsc::channel();
+    say.send(Command::GiveUp(key.device)).unwrap();
+    let Service { keeper, node } = &mut ground.service;
+    assert_eq!(keeper.obey(node, &commands, network.now()), Orders::GoOn);
 }
 
 fn has_merged(events: &[ServiceEvent], of: usize) -> bool {
@@ -47,24 +64,16 @@ fn a_stalled_upload_counts_as_far_as_it_came_until_the_rest_arrives() {
     let [site, calm] = folders.each_ref().map(|folder| folder.path());
     let network = MemoryNetwork::new(1, Faults::NONE);
     let mut ground = open_with(&network, calm, names.clone(), QUICK);
-    let mut drones = vec![Drone::new(&network, "agent-1", 1, &models[0]), slow_drone(&network, &models[2])];
+    let mut drones =
+        vec![Drone::new(&network, "agent-1", 1, &models[0]), slow_drone(&network, 1, &models[2])];
     simulate(&network, &mut ground, &mut drones, |events, _| has_merged(events, 2));
     let whole = fs::read(global_ply(calm)).unwrap();
 
-    let bytes_per_s = std::num::NonZeroU32::new(3000);
-    let network = MemoryNetwork::new(2, Faults { bytes_per_s, ..Faults::NONE });
+    let network = slow_network(2);
     let mut ground = open_with(&network, site, names.clone(), QUICK);
     let mut drones = vec![Drone::new(&network, "agent-1", 1, &models[0])];
     simulate(&network, &mut ground, &mut drones, |events, _| count(events, is_stored) == 1);
-    drones.push(slow_drone(&network, &models[2]));
-    let key = ModelKey { device: DeviceId::new("agent-2").unwrap(), model: ModelId(1) };
-    simulate_until(&network, &mut ground, &mut drones, |ground, _| ground.service.node.part(key).is_some());
-    // It says nothing any more, and is given up.
-    drones[1].node = Node::new(identity("agent-2", Role::Device), LIMITS, &[]);
-    let (say, commands) = mpsc::channel();
-    say.send(Command::GiveUp(key.device)).unwrap();
-    let Service { keeper, node } = &mut ground.service;
-    assert_eq!(keeper.obey(node, &commands, network.now()), Orders::GoOn);
+    stall(&network, &mut ground, &mut drones, 1, &models[2]);
     let events = simulate(&network, &mut ground, &mut drones, |events, _| has_merged(events, 2));
     let part = events.iter().find_map(|event| match event {
         ServiceEvent::PartTaken { header, of_splats } => Some((header.splats, *of_splats)),
@@ -81,7 +90,7 @@ fn a_stalled_upload_counts_as_far_as_it_came_until_the_rest_arrives() {
     drop(ground);
     let network = MemoryNetwork::new(3, Faults::NONE);
     let mut ground = open_with(&network, site, names, QUICK);
-    let mut drones = vec![slow_drone(&network, &models[2])];
+    let mut drones = vec![slow_drone(&network, 1, &models[2])];
     let all_here =
         |events: &[ServiceEvent], _: &[Drone]| count(events, is_stored) == 1 && has_merged(events, 2);
     simulate(&network, &mut ground, &mut drones, all_here);
@@ -90,4 +99,30 @@ fn a_stalled_upload_counts_as_far_as_it_came_until_the_rest_arrives() {
         "what is there as a whole is as if it had come at once"
     );
     assert_eq!(fs::read_dir(site.join("parts")).unwrap().count(), 0);
+}
+
+#[test]
+fn a_part_is_withdrawn_with_its_device_and_one_of_a_later_model_counts() {
+    let models = flights();
+    let folder = tempfile::tempdir().unwrap();
+    let network = slow_network(4);
+    let mut ground = open_with(&network, folder.path(), fleet(&["agent-1", "agent-2"]), QUICK);
+    let mut drones = vec![Drone::new(&network, "agent-1", 1, &models[0])];
+    simulate(&network, &mut ground, &mut drones, |events, _| count(events, is_stored) == 1);
+    stall(&network, &mut ground, &mut drones, 1, &models[2]);
+    simulate(&network, &mut ground, &mut drones, |events, _| has_merged(events, 2));
+    assert!(splats_beyond(folder.path()) > 0);
+
+    withdraw(folder.path(), &DeviceId::new("agent-2").unwrap()).unwrap();
+    simulate(&network, &mut ground, &mut drones, |events, _| has_merged(events, 1));
+    assert_eq!(splats_beyond(folder.path()), 0);
+
+    network.leave(drones.pop().unwrap().transport);
+    stall(&network, &mut ground, &mut drones, 2, &models[2]);
+    simulate(&network, &mut ground, &mut drones, |events, _| has_merged(events, 2));
+    assert!(splats_beyond(folder.path()) > 0);
+    let until = network.now() + Duration::from_secs(5);
+    let events = simulate(&network, &mut ground, &mut drones, |_, _| network.now() >= until);
+    let is_withdrawn = |event: &ServiceEvent| matches!(event, ServiceEvent::Withdrawn { .. });
+    assert!(!events.iter().any(is_withdrawn) && splats_beyond(folder.path()) > 0, "{events:?}");
 }
