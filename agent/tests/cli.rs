@@ -102,11 +102,7 @@ fn a_training_that_begins_with_a_model_is_ahead() {
     succeed(train(town(), &first, &["--steps", "400"]));
     succeed(train(town(), &warm, &["--steps", "40", "--init", first.join("model.ply").to_str().unwrap()]));
     succeed(train(town(), &cold, &["--steps", "40"]));
-    let psnr = |out: &Path| {
-        let report: serde_json::Value =
-            serde_json::from_slice(&fs::read(out.join("report.json")).unwrap()).unwrap();
-        report["psnr"].as_f64().unwrap()
-    };
+    let psnr = |out: &Path| report(out)["psnr"].as_f64().unwrap();
     let (warm, cold) = (psnr(&warm), psnr(&cold));
     assert!(warm > cold + 1.0, "{warm:.2} dB from a model, {cold:.2} dB from points");
     refuse(train(town(), &folder.path().join("none"), &["--init", "none.ply"]), &["none.ply"]);
@@ -145,6 +141,34 @@ fn has_gpu() -> bool {
     found
 }
 
+/// dB of the held-out views after a training.
+fn psnr_of(data: &Path, out: &Path, words: &[&str]) -> f64 {
+    succeed(train(data, out, words));
+    report(out)["psnr"].as_f64().unwrap()
+}
+
+fn report(out: &Path) -> serde_json::Value {
+    serde_json::from_slice(&fs::read(out.join("report.json")).unwrap()).unwrap()
+}
+
+/// `DATA=FOLDER cargo test --release -p cosurf-agent -- --ignored five_hundred --nocapture`, with real pictures: in a
+/// scene of a few hundred splats a seed is worth tenths of a decibel, and so is how a device rounds.
+#[test]
+#[ignore = "minutes on a software driver, and it needs pictures"]
+fn five_hundred_steps_end_alike() {
+    if !has_gpu() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let data = PathBuf::from(std::env::var_os("DATA").expect("DATA=FOLDER"));
+    let [cpu, gpu] = ["cpu", "gpu"].map(|device| {
+        let words = ["--steps", "500", "--max-size", "160", "--device", device];
+        psnr_of(&data, &folder.path().join(device), &words)
+    });
+    println!("500 steps: {cpu:.3} dB on the CPU, {gpu:.3} dB on the GPU");
+    assert!((cpu - gpu).abs() < 0.1, "{cpu} dB on the CPU, {gpu} dB on the GPU");
+}
+
 #[test]
 fn a_graphics_card_trains_the_same_model_and_goes_on_with_the_processors() {
     if !has_gpu() {
@@ -152,13 +176,12 @@ fn a_graphics_card_trains_the_same_model_and_goes_on_with_the_processors() {
     }
     let folder = tempfile::tempdir().unwrap();
     let out = |name: &str| folder.path().join(name);
-    let on = |device: &'static str, name: &str| {
+    let on = |device, name: &str| {
         let words = ["--steps", "120", "--device", device, "--memory", "600MiB"];
-        succeed(train(town(), &out(name), &words));
-        let report: serde_json::Value =
-            serde_json::from_slice(&fs::read(out(name).join("report.json")).unwrap()).unwrap();
+        let psnr = psnr_of(town(), &out(name), &words);
+        let report = report(&out(name));
         assert!(report["peak_memory_bytes"].as_u64().unwrap() < 600 << 20, "{report}");
-        report["psnr"].as_f64().unwrap()
+        psnr
     };
     let (cpu, gpu) = (on("cpu", "cpu"), on("gpu", "gpu"));
     assert!((cpu - gpu).abs() < 0.1, "{cpu} dB on the CPU, {gpu} dB on the GPU");
