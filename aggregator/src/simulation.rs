@@ -3,9 +3,11 @@
 
 use std::time::Duration;
 
+use cosurf_engine::DeviceChoice;
 use cosurf_link::{Faults, Identity, InboxLimits, Model, Role};
 use cosurf_wire::{DeviceId, SiteId};
 
+use crate::merge::MergeSettings;
 use crate::merge::tests::{above, ground};
 
 pub(crate) const BAD_WEATHER: Faults = Faults {
@@ -17,6 +19,15 @@ pub(crate) const BAD_WEATHER: Faults = Faults {
 };
 pub(crate) const LIMITS: InboxLimits =
     InboxLimits { body_bytes_max: 1 << 24, total_bytes_max: 1 << 25, models_max: 8, stored_max: 8 };
+/// A merge that takes no longer than it must.
+pub(crate) const QUICK: MergeSettings = MergeSettings {
+    epochs: 1,
+    compress: true,
+    refine: false,
+    memory_bytes: 1 << 30,
+    seed: 1,
+    device: DeviceChoice::Cpu,
+};
 /// Virtual time after which a test has failed.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(300);
 

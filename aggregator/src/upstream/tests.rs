@@ -4,7 +4,6 @@
 use std::ops::ControlFlow;
 use std::sync::mpsc;
 
-use cosurf_engine::DeviceChoice;
 use cosurf_link::{MemoryNetwork, MemoryTransport, Model, Role, model_to_body, plain_importance};
 use cosurf_wire::{BodyHash, ModelId};
 
@@ -13,16 +12,9 @@ use crate::gate::admit;
 use crate::merge::tests::InMemory;
 use crate::merge::{MergeSettings, merge};
 use crate::service::{Expected, Service, ServiceConfig, ServiceEvent, packed};
-use crate::simulation::{BAD_WEATHER, LIMITS, PATIENCE, identity, model_at};
+use crate::simulation::{BAD_WEATHER, LIMITS, PATIENCE, QUICK, identity, model_at};
 
-const SETTINGS: MergeSettings = MergeSettings {
-    epochs: 1,
-    compress: true,
-    refine: false,
-    memory_bytes: 1 << 30,
-    seed: 3,
-    device: DeviceChoice::Cpu,
-};
+const SETTINGS: MergeSettings = MergeSettings { seed: 3, ..QUICK };
 
 /// What a drone sends of its model.
 fn sent(Model { splats, cameras }: &Model) -> Vec<u8> {

@@ -2,18 +2,10 @@
 
 use super::*;
 use crate::gate::tests::{elsewhere, flights};
-use cosurf_engine::DeviceChoice;
+use crate::simulation::QUICK;
 use glam::DVec3;
 
 const NAMES: [&str; 4] = ["agent-1", "agent-2", "agent-3", "agent-4"];
-const QUICK: MergeSettings = MergeSettings {
-    epochs: 1,
-    compress: true,
-    refine: false,
-    memory_bytes: 1 << 30,
-    seed: 1,
-    device: DeviceChoice::Cpu,
-};
 
 /// Some send their models; returns the global model once as many as named are kept out of it.
 fn fly(folder: &Path, waited_for: &[&str], sent: &[(&str, u64, &Model)], outsiders: &[&str]) -> Vec<u8> {

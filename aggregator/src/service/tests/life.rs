@@ -2,28 +2,20 @@
 //! at its post or in the middle of a merge; a device is withdrawn. Whatever happened, the same models end in the same
 //! bytes, those of a merge of the models by themselves.
 
-use cosurf_engine::DeviceChoice;
 use cosurf_link::{model_to_body, plain_importance};
 use cosurf_wire::BodyHash;
 
 use super::*;
 use crate::merge::tests::InMemory;
 use crate::merge::{MergeProgress, merge};
-use crate::simulation::model_at;
+use crate::simulation::{QUICK, model_at};
 
 /// Lives that are simulated.
 const SEEDS: u64 = 200;
 const NAMES: [&str; 3] = ["agent-1", "agent-2", "agent-3"];
 /// Who flies too, and is withdrawn.
 const STRANGER: &str = "agent-0";
-const SETTINGS: MergeSettings = MergeSettings {
-    epochs: 1,
-    compress: true,
-    refine: false,
-    memory_bytes: 1 << 30,
-    seed: 3,
-    device: DeviceChoice::Cpu,
-};
+const SETTINGS: MergeSettings = MergeSettings { seed: 3, ..QUICK };
 
 /// Numbers from a seed.
 struct Dice(u64);

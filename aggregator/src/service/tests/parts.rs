@@ -1,19 +1,11 @@
 //! An upload that stalls: what has arrived takes part, until the rest is there.
 
-use cosurf_engine::DeviceChoice;
 use cosurf_link::model_to_body;
 
 use super::*;
 use crate::gate::tests::flights;
+use crate::simulation::QUICK;
 
-const QUICK: MergeSettings = MergeSettings {
-    epochs: 1,
-    compress: true,
-    refine: false,
-    memory_bytes: 1 << 30,
-    seed: 1,
-    device: DeviceChoice::Cpu,
-};
 /// East of what agent-1 saw.
 const BEYOND: f32 = 16.0;
 
