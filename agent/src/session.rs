@@ -25,6 +25,10 @@ pub const SH_DEGREE: u32 = 3;
 /// Training pixels per splat that a training may make at most, memory permitting: finer splats than this
 /// would see too few pixels each to be told apart from noise.
 const PIXELS_PER_SPLAT: u64 = 48;
+/// The same where the model is one of several. Around its cell it sees others' ground in few pictures of its own: a
+/// quarter of rendered Boruszyn's pictures shows two thirds of the ground, so that by the same rule it would have half
+/// as many splats there as one model of all has. Merging leaves shared ground to one.
+const PIXELS_PER_SPLAT_OF_MANY: u64 = 24;
 
 /// Long sides that are tried, as shares of the wanted one, where memory is short.
 const SIZE_STEPS: [f64; 6] = [1.0, 0.8, 0.63, 0.5, 0.35, 0.25];
@@ -332,13 +336,14 @@ fn wish(plan: &TrainPlan, device: &Device, data: &Dataset, sources: &[Source]) -
     let tracks: u64 = data.points.iter().map(|point| point.views.len() as u64).sum();
     // Points with tracks are held twice for a moment (whole set and subset), beside the tree of the first scales.
     let points_bytes = 2 * (64 * points + 4 * tracks) + 40 * points;
+    let pixels_per_splat = if plan.one_of_many { PIXELS_PER_SPLAT_OF_MANY } else { PIXELS_PER_SPLAT };
     Ok(Wish {
         memory_bytes: plan.memory_bytes,
         size_px,
         sh_degree: SH_DEGREE,
         binding_bytes_max: device.binding_bytes_max(),
         channels: if plan.surface.is_some() { Channels::Geometry } else { Channels::Color },
-        splats: (pixels / PIXELS_PER_SPLAT).max(points) as usize,
+        splats: (pixels / pixels_per_splat).max(points) as usize,
         cache_bytes_most: PictureCache::most_bytes(sources),
         cache_bytes_least: PictureCache::least_bytes(sources),
         loading_bytes: PictureCache::scratch_bytes(sources)? + points_bytes,

@@ -5,12 +5,13 @@
 //! The result is a function of the models in their order, of the settings and of the device: the same bytes whoever
 //! merges, with any number of threads, interrupted or not.
 //!
-//! Reading order: [`merge`], which reads as the list of steps; [`compress`]; [`distill`] and its [`teachers`].
+//! Reading order: [`merge`], which reads as the list of steps; [`compress`]; [`distill`], its [`lessons`] and [`teachers`].
 
 mod compress;
 mod computer;
 mod concat;
 mod distill;
+mod lessons;
 mod teachers;
 #[cfg(test)]
 pub(crate) mod tests;

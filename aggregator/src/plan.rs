@@ -209,6 +209,7 @@ impl Plan {
             frame: None,
             key: None,
             trusted: None,
+            alone: self.devices.len() == 1,
             wait_global: true,
         };
         let text = toml::to_string(&config)
@@ -336,7 +337,7 @@ mod tests {
         assert_eq!((config.device.as_str(), config.site.as_str()), ("agent-2", "a"));
         assert_eq!((config.seed, config.threads, config.memory_bytes), (8, Some(3), Some(1 << 30)));
         assert_eq!(config.views, plan.names_of(1, false));
-        assert!(config.wait_global && config.out == folder);
+        assert!(config.wait_global && !config.alone && config.out == folder);
     }
 
     #[test]

@@ -190,6 +190,6 @@ fn plan(config: &AgentConfig) -> Result<TrainPlan> {
         // On the first flight no global model has come yet.
         init: beginning(config.init.as_ref(), &config.out)
             .filter(|init| init.is_file() || config.init.as_ref() == Some(init)),
-        one_of_many: true,
+        one_of_many: !config.alone,
     })
 }

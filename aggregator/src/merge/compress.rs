@@ -20,9 +20,10 @@ const SHARE_MIN: f64 = 0.3;
 const SIGHT_COSINE_MIN: f64 = 0.866_025_403_784_438_6;
 /// Range of the ratio of the two depths.
 const DEPTH_RATIO: std::ops::RangeInclusive<f64> = 0.5..=2.0;
-/// Most of a model that goes. With 0.8 all goes that is left to others: 41 % of the splats and 0.21 dB after merging
-/// (real drone pictures, Caliterra at 240 px, four agents); with 0.4 what is worth least goes: 37 % and 0.04 dB.
-const OVERLAP_MAX: f64 = 0.4;
+/// Most of a model that goes: in effect all that is left to others. With 0.4 (160 and 240 px, four agents, after merging)
+/// rendered Boruszyn has an F-score of 0.774 instead of 0.795 at the same PSNR, for two surfaces lie in one place;
+/// Caliterra has 33.83 dB and an SSIM of 0.948 instead of 33.65 dB and 0.949.
+const OVERLAP_MAX: f64 = 0.8;
 /// Cameras that an owner must have on ground that others leave to it: what a single one sees it may have dropped.
 const OWNER_CAMERAS_MIN: usize = 2;
 /// Long side of the pictures in which overlap is looked for, px.

@@ -14,6 +14,7 @@ use cosurf_scene::{Camera, Splats};
 use glam::DVec3;
 
 use super::computer::Computer;
+use super::lessons::lessons;
 use super::teachers::{Taught, Teachers, ViewKey, renderer_bytes};
 use super::{
     Locals, MergeError, MergeProgress, MergeSettings, PAIRS_PER_SPLAT, capacity, extent, push, without,
@@ -41,8 +42,8 @@ pub(crate) fn distill(
     let device = &computer.device;
     let room = student_room(device, settings, joined.sh_degree, cameras);
     let parts = parts(sizes, room);
-    let views: usize = cameras.iter().map(Vec::len).sum();
-    let steps = settings.epochs * views as u32;
+    let lessons = lessons(cameras);
+    let steps = settings.epochs * lessons.iter().map(Vec::len).sum::<usize>() as u32;
     let shelf_bytes = ((1.0 - STUDENT_SHARE) * bytes_beside_driver(device, settings)) as u64;
     let largest = sizes.iter().copied().max().unwrap_or(1).max(1);
     let shelf = (shelf_bytes / renderer_bytes(device, largest, joined.sh_degree, cameras)).max(1) as usize;
@@ -54,8 +55,8 @@ pub(crate) fn distill(
     let mut done = 0;
     for part in &parts {
         let own: Range<usize> = sizes[..part.start].iter().sum()..sizes[..part.end].iter().sum();
-        let views = views_of(part.clone(), cameras);
-        let its: Vec<Camera> = views.iter().map(|view| cameras[view.local][view.camera]).collect();
+        let views = views_of(part.clone(), &lessons);
+        let its: Vec<Camera> = cameras[part.clone()].iter().flatten().copied().collect();
         if own.is_empty() || views.is_empty() {
             continue;
         }
@@ -142,9 +143,9 @@ fn parts(sizes: &[usize], room: usize) -> Vec<Range<usize>> {
     parts
 }
 
-/// All cameras of some locals.
-fn views_of(locals: Range<usize>, cameras: &[Vec<Camera>]) -> Vec<ViewKey> {
-    locals.flat_map(|local| (0..cameras[local].len()).map(move |camera| ViewKey { local, camera })).collect()
+/// All that some locals teach.
+fn views_of(locals: Range<usize>, lessons: &[Vec<usize>]) -> Vec<ViewKey> {
+    locals.flat_map(|local| lessons[local].iter().map(move |&camera| ViewKey { local, camera })).collect()
 }
 
 /// The order of an epoch. Where not all teachers fit on the shelf, as many as fit take turns: the order is drawn

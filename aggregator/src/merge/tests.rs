@@ -80,7 +80,12 @@ fn run(locals: &InMemory, settings: &MergeSettings, threads: usize) -> Merged {
 
 /// dB of what a model shows at places between those that were learnt from.
 fn quality(splats: &Splats) -> f64 {
-    let (mut truth, mut shown) = (Renderer::new(&ground(-30.0, 30.0), 1), Renderer::new(splats, 1));
+    agreement(splats, &ground(-30.0, 30.0))
+}
+
+/// dB between what two models show at these places.
+fn agreement(splats: &Splats, others: &Splats) -> f64 {
+    let (mut truth, mut shown) = (Renderer::new(others, 1), Renderer::new(splats, 1));
     let places = [-9.0, -5.0, -3.0, 3.0, 5.0, 9.0];
     places.map(|x| psnr(&shown.render(&above(x)).rgb, &truth.render(&above(x)).rgb)).iter().sum::<f64>() / 6.0
 }

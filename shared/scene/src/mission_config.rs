@@ -84,6 +84,10 @@ pub struct AgentConfig {
     /// The list of those whose models are taken, a line of the command `key` for each; absent for everybody.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub trusted: Option<PathBuf>,
+    /// Whether nobody else's model will be joined with this one. Models that will be are trained with more splats, and
+    /// keep ground that a single view observes.
+    #[serde(default)]
+    pub alone: bool,
     /// Whether to wait, after the upload, for the global model and keep it.
     #[serde(default)]
     pub wait_global: bool,
@@ -115,7 +119,9 @@ mod tests {
         let json = r#"{"device":"d","site":"s","broker":"b","data":"in","out":"out","steps":7}"#;
         let config: AgentConfig = serde_json::from_str(json).unwrap();
         assert_eq!((config.steps, config.eval_every, config.seed), (7, 8, 0));
-        assert!(config.views.is_empty() && config.memory_bytes.is_none() && !config.wait_global);
+        assert!(
+            config.views.is_empty() && config.memory_bytes.is_none() && !config.alone && !config.wait_global
+        );
         let again: AgentConfig = serde_json::from_str(&serde_json::to_string(&config).unwrap()).unwrap();
         assert_eq!(config, again);
     }

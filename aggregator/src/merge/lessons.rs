@@ -1,0 +1,69 @@
+//! Who teaches what: every picture is taught once.
+//!
+//! Cells with a margin share cameras. Such a camera is left to the model in the middle of whose flight it stands, which
+//! saw its ground most often. On rendered Boruszyn (160 px, four agents) that is as good as being taught by both (within
+//! 0.02 dB, the same F-score) and takes 22 % fewer steps with a margin of 0.1, 46 % fewer with one of 0.3.
+
+use std::collections::BTreeMap;
+
+use cosurf_scene::Camera;
+use glam::DVec3;
+
+/// Indices of the cameras that each local model teaches, ascending: all but those that another one has as well and is
+/// nearer to; the first of equals.
+pub(super) fn lessons(cameras: &[Vec<Camera>]) -> Vec<Vec<usize>> {
+    let middles: Vec<DVec3> = cameras.iter().map(|its| middle(its)).collect();
+    let mut nearest: BTreeMap<[u64; 13], (f64, usize, usize)> = BTreeMap::new();
+    for (local, its) in cameras.iter().enumerate() {
+        for (i, camera) in its.iter().enumerate() {
+            let distance = camera.cam_from_world.center().distance(middles[local]);
+            let teacher = nearest.entry(bits(camera)).or_insert((distance, local, i));
+            if distance < teacher.0 {
+                *teacher = (distance, local, i);
+            }
+        }
+    }
+    let mut lessons = vec![Vec::new(); cameras.len()];
+    nearest.into_values().for_each(|(_, local, i)| lessons[local].push(i));
+    lessons.iter_mut().for_each(|its| its.sort_unstable());
+    lessons
+}
+
+/// Mean of the places of some cameras.
+fn middle(cameras: &[Camera]) -> DVec3 {
+    cameras.iter().map(|camera| camera.cam_from_world.center()).sum::<DVec3>() / cameras.len().max(1) as f64
+}
+
+/// All that makes a camera: the same camera has the same bits.
+fn bits(camera: &Camera) -> [u64; 13] {
+    let Camera { cam_from_world: pose, focal_px, center_px, size_px: [width, height] } = camera;
+    let [qx, qy, qz, qw] = pose.rotation.to_array().map(f64::to_bits);
+    let [tx, ty, tz] = pose.translation.to_array().map(f64::to_bits);
+    let [fx, fy, cx, cy] = [focal_px.x, focal_px.y, center_px.x, center_px.y].map(f64::to_bits);
+    [qx, qy, qz, qw, tx, ty, tz, fx, fy, cx, cy, u64::from(*width), u64::from(*height)]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::above;
+    use super::*;
+
+    fn flight(places: &[f64]) -> Vec<Camera> {
+        places.iter().map(|x| above(*x)).collect()
+    }
+
+    #[test]
+    fn a_shared_camera_is_left_to_the_flight_in_whose_middle_it_stands() {
+        let west = flight(&[0.0, 1.0, 2.0, 3.0, 4.0]); // about 2
+        let east = flight(&[3.0, 4.0, 5.0, 6.0, 7.0, 8.0]); // about 5.5
+        assert_eq!(lessons(&[west, east]), [vec![0, 1, 2, 3], vec![1, 2, 3, 4, 5]]);
+    }
+
+    #[test]
+    fn what_nobody_shares_everybody_teaches_and_nothing_twice() {
+        let [west, east] = [flight(&[0.0, 1.0, 1.0]), flight(&[5.0, 6.0])];
+        assert_eq!(lessons(&[west.clone(), east]), [vec![0, 1], vec![0, 1]]);
+        assert_eq!(lessons(&[west.clone(), west, Vec::new()]), [vec![0, 1], vec![], vec![]]);
+        assert!(lessons(&[]).is_empty());
+    }
+}
