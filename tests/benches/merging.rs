@@ -60,7 +60,7 @@ const VARIANTS: [Variant; 9] = [
     Variant { name: "4 agents, LMC", edges: 0, agents: 4, options: &["--epochs", "0"] },
     Variant { name: "4 agents, MAS", edges: 0, agents: 4, options: &["--no-compress"] },
     Variant { name: "4 agents, LMC and MAS", edges: 0, agents: 4, options: &[] },
-    Variant { name: "the same, margin 0.3", edges: 0, agents: 4, options: &["--margin", "0.3"] },
+    Variant { name: "the same, margin 0.1", edges: 0, agents: 4, options: &["--margin", "0.1"] },
     Variant { name: "2 edges of 2 agents", edges: 2, agents: 2, options: &[] },
     Variant { name: "9 agents", edges: 0, agents: 9, options: &[] },
     Variant { name: "3 edges of 3 agents", edges: 3, agents: 3, options: &[] },

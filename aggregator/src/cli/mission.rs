@@ -46,7 +46,7 @@ pub(crate) struct MissionArgs {
     #[arg(long, value_name = "FILE", conflicts_with = "agents")]
     cells: Option<PathBuf>,
     /// How far each agent looks beyond its cell, as a share of the cell's size; 0 for no shared views
-    #[arg(long, value_name = "SHARE", default_value_t = 0.1, value_parser = parse_margin)]
+    #[arg(long, value_name = "SHARE", default_value_t = 0.2, value_parser = parse_margin)]
     margin: f64,
     /// Training steps of each agent
     #[arg(long, value_name = "N", default_value_t = 1500, value_parser = clap::value_parser!(u32).range(1..))]
