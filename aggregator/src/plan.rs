@@ -337,7 +337,19 @@ mod tests {
         assert_eq!((config.device.as_str(), config.site.as_str()), ("agent-2", "a"));
         assert_eq!((config.seed, config.threads, config.memory_bytes), (8, Some(3), Some(1 << 30)));
         assert_eq!(config.views, plan.names_of(1, false));
-        assert!(config.wait_global && !config.alone && config.out == folder);
+        assert!(config.wait_global && config.out == folder);
+    }
+
+    #[test]
+    fn who_flies_alone_is_told_so() {
+        for (agents, is_alone) in [(1, true), (2, false)] {
+            let out = tempfile::tempdir().unwrap();
+            let settings = Settings { division: Division::Evenly { agents }, ..settings() };
+            let plan = Plan::make(&row(18), &settings, out.path(), site("a")).unwrap();
+            let folder = plan.write_orders(0, &settings, out.path(), "mqtt://h:1", 1).unwrap();
+            let text = fs::read_to_string(folder.join("agent.toml")).unwrap();
+            assert_eq!(toml::from_str::<AgentConfig>(&text).unwrap().alone, is_alone);
+        }
     }
 
     #[test]
