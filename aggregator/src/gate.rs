@@ -28,7 +28,7 @@ use cosurf_link::Model;
 use cosurf_scene::Camera;
 use glam::DVec3;
 
-use crate::merge::{Locals, MergeError};
+use crate::merge::{Locals, MergeError, middle, radius};
 use glimpse::Glimpse;
 use refine::refine;
 pub use similarity::Similarity;
@@ -199,9 +199,8 @@ impl Shown {
         };
         let unseen = splats.means.iter().filter(is_unseen).count() as f64 / splats.len().max(1) as f64;
         let glimpses = Glimpse::some(&splats, &cameras, threads);
-        let eyes = || cameras.iter().map(|camera| camera.cam_from_world.center());
-        let middle = eyes().sum::<DVec3>() / cameras.len().max(1) as f64;
-        let radius = eyes().map(|eye| eye.distance(middle)).fold(0.0, f64::max);
+        let middle = middle(&cameras);
+        let radius = radius(&cameras, middle);
         Self { cameras, glimpses, unseen, middle, radius }
     }
 

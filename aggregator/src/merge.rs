@@ -5,7 +5,8 @@
 //! The result is a function of the models in their order, of the settings and of the device: the same bytes whoever
 //! merges, with any number of threads, interrupted or not.
 //!
-//! Reading order: [`merge`], which reads as the list of steps; [`compress`]; [`distill`], its [`lessons`] and [`teachers`].
+//! Reading order: [`merge`], which reads as the list of steps; [`compress`]; [`distill`], its [`lessons`] and
+//! [`teachers`].
 
 mod compress;
 mod computer;
@@ -212,10 +213,18 @@ pub(crate) fn push(to: &mut Splats, from: &Splats, i: usize) {
 
 /// 1.1 × the largest distance of a camera from their mean (3DGS), world units.
 fn extent(cameras: &[Camera]) -> f64 {
-    let eyes: Vec<DVec3> = cameras.iter().map(|camera| camera.cam_from_world.center()).collect();
-    let mean = eyes.iter().sum::<DVec3>() / eyes.len().max(1) as f64;
-    let reach = 1.1 * eyes.iter().map(|eye| eye.distance(mean)).fold(0.0, f64::max);
+    let reach = 1.1 * radius(cameras, middle(cameras));
     if reach > 0.0 { reach } else { 1.0 }
+}
+
+/// Mean of the places of some cameras; the origin for none.
+pub(crate) fn middle(cameras: &[Camera]) -> DVec3 {
+    cameras.iter().map(|camera| camera.cam_from_world.center()).sum::<DVec3>() / cameras.len().max(1) as f64
+}
+
+/// From there to the farthest of them, world units.
+pub(crate) fn radius(cameras: &[Camera], middle: DVec3) -> f64 {
+    cameras.iter().map(|camera| camera.cam_from_world.center().distance(middle)).fold(0.0, f64::max)
 }
 
 /// Splat–tile pairs per splat: aerial views need 2 to 4 where all of the model is in the picture.

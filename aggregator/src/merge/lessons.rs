@@ -9,6 +9,8 @@ use std::collections::BTreeMap;
 use cosurf_scene::Camera;
 use glam::DVec3;
 
+use super::middle;
+
 /// Indices of the cameras that each local model teaches, ascending: all but those that another one has as well and is
 /// nearer to; the first of equals.
 pub(super) fn lessons(cameras: &[Vec<Camera>]) -> Vec<Vec<usize>> {
@@ -27,11 +29,6 @@ pub(super) fn lessons(cameras: &[Vec<Camera>]) -> Vec<Vec<usize>> {
     nearest.into_values().for_each(|(_, local, i)| lessons[local].push(i));
     lessons.iter_mut().for_each(|its| its.sort_unstable());
     lessons
-}
-
-/// Mean of the places of some cameras.
-fn middle(cameras: &[Camera]) -> DVec3 {
-    cameras.iter().map(|camera| camera.cam_from_world.center()).sum::<DVec3>() / cameras.len().max(1) as f64
 }
 
 /// All that makes a camera: the same camera has the same bits.
