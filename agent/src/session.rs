@@ -24,11 +24,11 @@ pub const SH_DEGREE: u32 = 3;
 
 /// Training pixels per splat that a training may make at most, memory permitting: finer splats than this
 /// would see too few pixels each to be told apart from noise.
-const PIXELS_PER_SPLAT: u64 = 48;
+const PIXELS_PER_SPLAT: u64 = 24;
 /// The same where the model is one of several. Around its cell it sees others' ground in few pictures of its own: a
 /// quarter of rendered Boruszyn's pictures shows two thirds of the ground, so that by the same rule it would have half
 /// as many splats there as one model of all has. Merging leaves shared ground to one.
-const PIXELS_PER_SPLAT_OF_MANY: u64 = 24;
+const PIXELS_PER_SPLAT_OF_MANY: u64 = 16;
 
 /// Long sides that are tried, as shares of the wanted one, where memory is short.
 const SIZE_STEPS: [f64; 6] = [1.0, 0.8, 0.63, 0.5, 0.35, 0.25];
