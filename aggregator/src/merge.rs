@@ -148,26 +148,25 @@ pub fn merge(
     threads: usize,
     tell: &mut dyn FnMut(MergeProgress) -> ControlFlow<()>,
 ) -> Result<Merged, MergeError> {
-    let (all, splats, sh_degree) = survey(locals)?;
-    let device = computer::choose(settings, splats, sh_degree, &all)?;
+    let surveyed = survey(locals)?;
+    let splats = surveyed.sizes.iter().sum();
+    let device = computer::choose(settings, splats, surveyed.sh_degree, &surveyed.cameras)?;
     let computer = Computer { device, threads };
-    computer.run(settings.device, |computer| merge_by(computer, locals, &all, settings, tell))
+    computer.run(settings.device, |computer| merge_by(computer, &surveyed, settings, tell))
 }
 
 fn merge_by(
     computer: &Computer,
-    locals: &dyn Locals,
-    all: &[Vec<Camera>],
+    surveyed: &Surveyed,
     settings: &MergeSettings,
     tell: &mut dyn FnMut(MergeProgress) -> ControlFlow<()>,
 ) -> Result<Merged, MergeError> {
     let mut summary = MergeSummary { device: computer.device.to_string(), ..MergeSummary::default() };
-    let mut parts = Vec::with_capacity(locals.count());
-    for i in 0..locals.count() {
-        let Model { splats, cameras } = locals.load(i)?;
-        let arrived = splats.len();
+    let mut parts = Vec::with_capacity(surveyed.sizes.len());
+    for (i, &arrived) in surveyed.sizes.iter().enumerate() {
+        let Model { splats, cameras } = surveyed.locals.load(i)?;
         let compression = match settings.compress {
-            true => Compression::plan(&splats, i, all, computer)?,
+            true => Compression::plan(&splats, i, &surveyed.cameras, computer)?,
             false => Compression::default(),
         };
         let splats = without(&splats, &compression.removed);
@@ -180,22 +179,33 @@ fn merge_by(
     if settings.epochs > 0 && !model.splats.is_empty() && !model.cameras.is_empty() {
         let sizes: Vec<usize> = parts.iter().map(|part| part.splats.len()).collect();
         drop(parts);
-        let distilled = distill::distill(locals, all, &sizes, model.splats, settings, computer, tell)?;
+        let distilled = distill::distill(surveyed, &sizes, model.splats, settings, computer, tell)?;
         (model.splats, summary.steps) = (distilled.splats, distilled.steps);
     }
     summary.splats = model.splats.len();
     Ok(Merged { model, summary })
 }
 
-/// The cameras of every model, how many splats there are, and the highest SH degree.
-fn survey(locals: &dyn Locals) -> Result<(Vec<Vec<Camera>>, usize, u32), MergeError> {
-    let (mut all, mut count, mut sh_degree) = (Vec::with_capacity(locals.count()), 0, 0);
+/// Local models, and what is known of them before the first is merged.
+pub(crate) struct Surveyed<'a> {
+    locals: &'a dyn Locals,
+    /// Those of each.
+    cameras: Vec<Vec<Camera>>,
+    /// Splats of each.
+    sizes: Vec<usize>,
+    /// The highest.
+    sh_degree: u32,
+}
+
+fn survey(locals: &dyn Locals) -> Result<Surveyed<'_>, MergeError> {
+    let mut surveyed = Surveyed { locals, cameras: Vec::new(), sizes: Vec::new(), sh_degree: 0 };
     for i in 0..locals.count() {
         let Model { splats, cameras } = locals.load(i)?;
-        (count, sh_degree) = (count + splats.len(), sh_degree.max(splats.sh_degree));
-        all.push(cameras);
+        surveyed.sizes.push(splats.len());
+        surveyed.sh_degree = surveyed.sh_degree.max(splats.sh_degree);
+        surveyed.cameras.push(cameras);
     }
-    Ok((all, count, sh_degree))
+    Ok(surveyed)
 }
 
 /// The splats but for those of `removed`, ascending indices.

@@ -17,7 +17,7 @@ use super::computer::Computer;
 use super::lessons::lessons;
 use super::teachers::{Taught, Teachers, ViewKey, renderer_bytes};
 use super::{
-    Locals, MergeError, MergeProgress, MergeSettings, PAIRS_PER_SPLAT, capacity, extent, push, without,
+    MergeError, MergeProgress, MergeSettings, PAIRS_PER_SPLAT, Surveyed, capacity, extent, push, without,
 };
 
 /// Share of the memory that is for the model that learns; the teachers have the rest.
@@ -31,23 +31,23 @@ pub(crate) struct Distilled {
 
 /// Teaches `joined`, in which local `i` has the next `sizes[i]` splats.
 pub(crate) fn distill(
-    locals: &dyn Locals,
-    cameras: &[Vec<Camera>],
+    surveyed: &Surveyed,
     sizes: &[usize],
     mut joined: Splats,
     settings: &MergeSettings,
     computer: &Computer,
     tell: &mut dyn FnMut(MergeProgress) -> ControlFlow<()>,
 ) -> Result<Distilled, MergeError> {
+    let Surveyed { locals, cameras, .. } = surveyed;
     let device = &computer.device;
     let room = student_room(device, settings, joined.sh_degree, cameras);
     let parts = parts(sizes, room);
     let lessons = lessons(cameras);
     let steps = settings.epochs * lessons.iter().map(Vec::len).sum::<usize>() as u32;
-    let shelf_bytes = ((1.0 - STUDENT_SHARE) * bytes_beside_driver(device, settings)) as u64;
-    let largest = sizes.iter().copied().max().unwrap_or(1).max(1);
-    let shelf = (shelf_bytes / renderer_bytes(device, largest, joined.sh_degree, cameras)).max(1) as usize;
-    let mut teachers = Teachers::new(locals, computer, shelf);
+    let teachers_bytes = ((1.0 - STUDENT_SHARE) * bytes_beside_driver(device, settings)) as u64;
+    let largest = surveyed.sizes.iter().copied().max().unwrap_or(0);
+    let teacher_bytes = renderer_bytes(device, largest, joined.sh_degree, cameras);
+    let mut teachers = Teachers::new(*locals, computer, teacher_bytes, teachers_bytes);
     let depth = median_depth(&mut teachers, cameras)?;
     let all: Vec<Camera> = cameras.iter().flatten().copied().collect();
     let extent = extent(&all);
@@ -76,8 +76,8 @@ pub(crate) fn distill(
             },
         );
         for epoch in 0..settings.epochs {
-            for view in order(&views, shelf, settings.seed, epoch) {
-                let psnr = learn(&mut distiller, teachers.teach(view)?);
+            for view in order(&views, teachers.shelf_max(), settings.seed, epoch) {
+                let psnr = learn(&mut distiller, &*teachers.teach(view)?);
                 device.check()?;
                 done += 1;
                 if tell(MergeProgress { step: done, steps, psnr }).is_break() {
@@ -96,13 +96,9 @@ pub(crate) fn distill(
 }
 
 /// One step.
-fn learn(distiller: &mut Distiller<AnyBackend>, taught: Taught) -> f64 {
-    let Taught { camera, rendering, trust } = taught;
-    let lesson = Lesson {
-        camera: &camera,
-        rgb: &rendering.rgb,
-        surface: TargetSurface { depth: &rendering.depth, normal: &rendering.normal, trust: &trust },
-    };
+fn learn(distiller: &mut Distiller<AnyBackend>, taught: &Taught) -> f64 {
+    let Taught { camera, rgb, depth, normal, trust } = taught;
+    let lesson = Lesson { camera, rgb, surface: TargetSurface { depth, normal, trust } };
     distiller.step(&lesson).0.color.psnr()
 }
 
@@ -189,8 +185,8 @@ fn median_depth(teachers: &mut Teachers, cameras: &[Vec<Camera>]) -> Result<f64,
     const STEP: usize = 17;
     let mut depths: Vec<f32> = Vec::new();
     for local in (0..cameras.len()).filter(|local| !cameras[*local].is_empty()) {
-        let shown = teachers.teach(ViewKey { local, camera: 0 })?.rendering.depth;
-        depths.extend(shown.iter().step_by(STEP).filter(|depth| **depth > 0.0));
+        let taught = teachers.teach(ViewKey { local, camera: 0 })?;
+        depths.extend(taught.depth.iter().step_by(STEP).filter(|depth| **depth > 0.0));
     }
     depths.sort_unstable_by(f32::total_cmp);
     Ok(depths.get(depths.len() / 2).map_or(1.0, |depth| f64::from(*depth)))

@@ -1,7 +1,9 @@
 //! Frozen local models as teachers: what each shows its own cameras, and how far that is to be believed. Only as
-//! many as fit are held at once; the others wait on the disk.
+//! many as fit are held at once; the others wait on the disk. Memory that is left keeps what was shown for the next
+//! epochs.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
+use std::rc::Rc;
 
 use cosurf_engine::backend::Channels;
 use cosurf_engine::budget::Costs;
@@ -22,7 +24,7 @@ const RETURN_PX: f64 = 1.0;
 const PROBES: usize = 2000;
 
 /// One camera of one local model.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct ViewKey {
     pub(crate) local: usize,
     pub(crate) camera: usize,
@@ -31,9 +33,20 @@ pub(crate) struct ViewKey {
 /// What a teacher shows.
 pub(crate) struct Taught {
     pub(crate) camera: Camera,
-    pub(crate) rendering: Rendering,
+    /// As in [`Rendering`].
+    pub(crate) rgb: Vec<f32>,
+    pub(crate) depth: Vec<f32>,
+    pub(crate) normal: Vec<f32>,
     /// `[height, width]`, 0 or 1: whether its surface is believed.
     pub(crate) trust: Vec<f32>,
+}
+
+impl Taught {
+    fn bytes(&self) -> u64 {
+        let values =
+            [&self.rgb, &self.depth, &self.normal, &self.trust].map(|values| size_of_val(&values[..]));
+        (size_of::<Self>() + values.iter().sum::<usize>()) as u64
+    }
 }
 
 /// All teachers.
@@ -46,6 +59,9 @@ pub(crate) struct Teachers<'a> {
     shelf: VecDeque<(usize, Teacher)>,
     /// By local and camera, once it is known.
     trusts: Vec<Vec<Option<Bits>>>,
+    kept: BTreeMap<ViewKey, Rc<Taught>>,
+    /// Bytes that more may take.
+    free_bytes: u64,
 }
 
 struct Teacher {
@@ -55,13 +71,44 @@ struct Teacher {
 }
 
 impl<'a> Teachers<'a> {
-    pub(super) fn new(locals: &'a dyn Locals, computer: &'a Computer, shelf_max: usize) -> Self {
-        let trusts = vec![Vec::new(); locals.count()];
-        Self { locals, computer, shelf_max, shelf: VecDeque::new(), trusts }
+    /// Teachers of `locals`, of up to `teacher_bytes` each, within `memory_bytes`; one is held whatever that takes.
+    pub(super) fn new(
+        locals: &'a dyn Locals,
+        computer: &'a Computer,
+        teacher_bytes: u64,
+        memory_bytes: u64,
+    ) -> Self {
+        let shelf_max = (memory_bytes / teacher_bytes.max(1)).clamp(1, locals.count().max(1) as u64);
+        Self {
+            locals,
+            computer,
+            shelf_max: shelf_max as usize,
+            shelf: VecDeque::new(),
+            trusts: vec![Vec::new(); locals.count()],
+            kept: BTreeMap::new(),
+            free_bytes: memory_bytes.saturating_sub(shelf_max * teacher_bytes),
+        }
+    }
+
+    /// How many are held at once.
+    pub(super) fn shelf_max(&self) -> usize {
+        self.shelf_max
     }
 
     /// What the teacher of a view shows there.
-    pub(crate) fn teach(&mut self, view: ViewKey) -> Result<Taught, MergeError> {
+    pub(crate) fn teach(&mut self, view: ViewKey) -> Result<Rc<Taught>, MergeError> {
+        if let Some(kept) = self.kept.get(&view) {
+            return Ok(kept.clone());
+        }
+        let taught = Rc::new(self.show(view)?);
+        if taught.bytes() <= self.free_bytes {
+            self.free_bytes -= taught.bytes();
+            self.kept.insert(view, taught.clone());
+        }
+        Ok(taught)
+    }
+
+    fn show(&mut self, view: ViewKey) -> Result<Taught, MergeError> {
         self.fetch(view.local)?;
         let (_, teacher) = self.shelf.back_mut().expect("just fetched");
         let camera = teacher.cameras[view.camera];
@@ -73,7 +120,8 @@ impl<'a> Teachers<'a> {
             none => none.insert(teacher.trust(view.camera, &rendering)?),
         };
         let trust = trust.weights().take(rendering.alpha.len()).collect();
-        Ok(Taught { camera, rendering, trust })
+        let Rendering { rgb, depth, normal, .. } = rendering;
+        Ok(Taught { camera, rgb, depth, normal, trust })
     }
 
     /// Brings a teacher to the back of the shelf.
@@ -83,7 +131,7 @@ impl<'a> Teachers<'a> {
             self.shelf.push_back(held);
             return Ok(());
         }
-        while self.shelf.len() >= self.shelf_max.max(1) {
+        while self.shelf.len() >= self.shelf_max {
             self.shelf.pop_front();
         }
         let model = self.locals.load(local)?;
