@@ -5,10 +5,9 @@
 //! The result is a function of the models in their order, of the settings and of the device: the same bytes whoever
 //! merges, with any number of threads, interrupted or not.
 //!
-//! Reading order: [`merge`], which reads as the list of steps; [`compress`]; [`distill`], its [`lessons`] and
+//! Reading order: [`merge`], which reads as the list of steps; [`cosurf_engine::compress`]; [`distill`], its [`lessons`] and
 //! [`teachers`].
 
-mod compress;
 mod computer;
 mod concat;
 mod distill;
@@ -19,14 +18,12 @@ pub(crate) mod tests;
 
 use std::ops::ControlFlow;
 
-use cosurf_engine::backend::Channels;
-use cosurf_engine::{CpuCapacity, DeviceChoice, DeviceError, prune};
+use cosurf_engine::{Compression, DeviceChoice, DeviceError};
 use cosurf_link::{BodyFault, Model, StoreError};
-use cosurf_scene::{Camera, SceneError, Splats};
+use cosurf_scene::{Camera, SceneError};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
-pub(crate) use compress::{Compression, sees_alike};
 use computer::Computer;
 pub(crate) use concat::concatenate;
 
@@ -166,10 +163,10 @@ fn merge_by(
     for (i, &arrived) in surveyed.sizes.iter().enumerate() {
         let Model { splats, cameras } = surveyed.locals.load(i)?;
         let compression = match settings.compress {
-            true => Compression::plan(&splats, i, &surveyed.cameras, computer)?,
+            true => Compression::plan(&splats, i, &surveyed.cameras, &computer.device, computer.threads)?,
             false => Compression::default(),
         };
-        let splats = without(&splats, &compression.removed);
+        let splats = splats.without(&compression.removed);
         let removed = compression.removed.len();
         summary.locals.push(LocalSummary { arrived, overlap: compression.overlap, removed });
         parts.push(Model { splats, cameras });
@@ -208,19 +205,6 @@ fn survey(locals: &dyn Locals) -> Result<Surveyed<'_>, MergeError> {
     Ok(surveyed)
 }
 
-/// The splats but for those of `removed`, ascending indices.
-fn without(splats: &Splats, removed: &[u32]) -> Splats {
-    let mut kept = Splats::with_capacity(splats.len() - removed.len(), splats.sh_degree);
-    let stays = |i: &usize| removed.binary_search(&(*i as u32)).is_err();
-    (0..splats.len()).filter(stays).for_each(|i| push(&mut kept, splats, i));
-    kept
-}
-
-/// Appends splat `i` of another set of the same degree.
-pub(crate) fn push(to: &mut Splats, from: &Splats, i: usize) {
-    to.push(from.means[i], from.quats[i], from.log_scales[i], from.opacity_logits[i], from.sh_of(i));
-}
-
 /// 1.1 × the largest distance of a camera from their mean (3DGS), world units.
 fn extent(cameras: &[Camera]) -> f64 {
     let reach = 1.1 * radius(cameras, middle(cameras));
@@ -235,25 +219,4 @@ pub(crate) fn middle(cameras: &[Camera]) -> DVec3 {
 /// From there to the farthest of them, world units.
 pub(crate) fn radius(cameras: &[Camera], middle: DVec3) -> f64 {
     cameras.iter().map(|camera| camera.cam_from_world.center().distance(middle)).fold(0.0, f64::max)
-}
-
-/// Splat–tile pairs per splat: aerial views need 2 to 4 where all of the model is in the picture.
-const PAIRS_PER_SPLAT: usize = 5;
-
-/// Room to train or to score `splats` under `cameras`.
-fn capacity(splats: &Splats, cameras: &[Camera], channels: Channels) -> CpuCapacity {
-    CpuCapacity {
-        splats: splats.len(),
-        pairs: PAIRS_PER_SPLAT * splats.len(),
-        size_px: [0, 1].map(|axis| cameras.iter().map(|camera| camera.size_px[axis]).max().unwrap_or(1)),
-        sh_degree: splats.sh_degree,
-        channels,
-        training: true,
-    }
-}
-
-/// What splats are worth to `cameras`, as Adaptive Gaussian Pruning measures it; one number a splat.
-fn worth(splats: &Splats, cameras: &[Camera], computer: &Computer) -> Result<Vec<f32>, DeviceError> {
-    let Computer { device, threads } = computer;
-    prune::worth(splats, cameras, capacity(splats, cameras, Channels::Color), device, *threads)
 }

@@ -9,7 +9,7 @@ use cosurf_link::Model;
 use cosurf_scene::Splats;
 use glam::DVec3;
 
-use crate::merge::{concatenate, push};
+use crate::merge::concatenate;
 
 /// Cameras that must see ground for it to be left to what is there: what a single one sees it may not show.
 const OWNER_CAMERAS_MIN: usize = 2;
@@ -23,6 +23,6 @@ pub fn fill_in(model: Model, part: &Model) -> Model {
             < OWNER_CAMERAS_MIN
     };
     let mut kept = Splats::with_capacity(splats.len(), splats.sh_degree);
-    (0..splats.len()).filter(is_left_over).for_each(|i| push(&mut kept, splats, i));
+    (0..splats.len()).filter(is_left_over).for_each(|i| kept.push_from(splats, i));
     concatenate(&[model, Model { splats: kept, cameras: cameras.clone() }])
 }

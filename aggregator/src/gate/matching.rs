@@ -6,7 +6,7 @@ use cosurf_scene::Camera;
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
-use crate::merge::sees_alike;
+use cosurf_engine::compress::sees_alike;
 
 /// A surface that shows less than this is none.
 const ALPHA_MIN: f32 = 0.95;

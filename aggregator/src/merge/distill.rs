@@ -8,17 +8,16 @@ use std::ops::{ControlFlow, Range};
 
 use cosurf_engine::backend::{Channels, TargetSurface};
 use cosurf_engine::budget::{Costs, DRIVER_BYTES};
+use cosurf_engine::cpu::PAIRS_PER_SPLAT;
 use cosurf_engine::train::view_order;
-use cosurf_engine::{AnyBackend, Backend, Device, DistillSettings, Distiller, Lesson};
+use cosurf_engine::{AnyBackend, Backend, CpuCapacity, Device, DistillSettings, Distiller, Lesson};
 use cosurf_scene::{Camera, Splats};
 use glam::DVec3;
 
 use super::computer::Computer;
 use super::lessons::lessons;
 use super::teachers::{Taught, Teachers, ViewKey, renderer_bytes};
-use super::{
-    MergeError, MergeProgress, MergeSettings, PAIRS_PER_SPLAT, Surveyed, capacity, extent, push, without,
-};
+use super::{MergeError, MergeProgress, MergeSettings, Surveyed, extent};
 
 /// Share of the memory that is for the model that learns; the teachers have the rest.
 const STUDENT_SHARE: f64 = 0.6;
@@ -61,7 +60,7 @@ pub(crate) fn distill(
             continue;
         }
         let (student, around) = with_surroundings(&joined, own.clone(), &its, room);
-        let room = capacity(&student, &its, Channels::Geometry);
+        let room = CpuCapacity::to_train(&student, &its, Channels::Geometry);
         let mut backend = AnyBackend::new(device, room, computer.threads)?;
         backend.load(&student);
         drop(student);
@@ -92,7 +91,7 @@ pub(crate) fn distill(
         useless.extend(its_useless.into_iter().filter(|i| *i < count).map(|i| i + own.start as u32));
         debug_assert_eq!(learnt.len(), own.len() + around);
     }
-    Ok(Distilled { splats: without(&joined, &useless), steps: done })
+    Ok(Distilled { splats: joined.without(&useless), steps: done })
 }
 
 /// One step.
@@ -116,7 +115,7 @@ pub(super) fn student_room(
     cameras: &[Vec<Camera>],
 ) -> usize {
     let all: Vec<Camera> = cameras.iter().flatten().copied().collect();
-    let shape = capacity(&Splats::with_capacity(0, sh_degree), &all, Channels::Geometry);
+    let shape = CpuCapacity::to_train(&Splats::with_capacity(0, sh_degree), &all, Channels::Geometry);
     let costs = Costs::of(&shape, device.binding_bytes_max());
     let each = costs.splat + PAIRS_PER_SPLAT * costs.pair;
     let bytes = STUDENT_SHARE * bytes_beside_driver(device, settings) - costs.pictures as f64;
@@ -158,14 +157,14 @@ fn order(views: &[ViewKey], shelf: usize, seed: u64, epoch: u32) -> Vec<ViewKey>
 /// these are.
 fn with_surroundings(joined: &Splats, own: Range<usize>, cameras: &[Camera], room: usize) -> (Splats, usize) {
     let mut student = Splats::with_capacity(own.len(), joined.sh_degree);
-    own.clone().for_each(|i| push(&mut student, joined, i));
+    own.clone().for_each(|i| student.push_from(joined, i));
     let is_seen = |i: &usize| {
         let mean = DVec3::from_array(joined.means[*i].map(f64::from));
         !own.contains(i) && cameras.iter().any(|camera| camera.sees(mean))
     };
     let free = room.saturating_sub(own.len());
     let around: Vec<usize> = (0..joined.len()).filter(is_seen).take(free).collect();
-    around.iter().for_each(|&i| push(&mut student, joined, i));
+    around.iter().for_each(|&i| student.push_from(joined, i));
     (student, around.len())
 }
 

@@ -8,6 +8,7 @@
 mod any;
 pub mod backend;
 pub mod budget;
+pub mod compress;
 pub mod cpu;
 mod device;
 pub mod distill;
@@ -28,6 +29,7 @@ pub mod train;
 pub use any::AnyBackend;
 pub use backend::{Backend, Rendering};
 pub use budget::Budget;
+pub use compress::Compression;
 pub use cpu::{CpuBackend, CpuCapacity};
 pub use device::{Device, DeviceChoice, DeviceError, DeviceLost};
 pub use distill::{DistillSettings, Distiller, Lesson};

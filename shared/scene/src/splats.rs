@@ -67,6 +67,14 @@ impl Splats {
         &self.sh[i * stride..(i + 1) * stride]
     }
 
+    /// All but those of `removed`, ascending indices.
+    pub fn without(&self, removed: &[u32]) -> Self {
+        let mut kept = Self::with_capacity(self.len() - removed.len(), self.sh_degree);
+        let stays = |i: &usize| removed.binary_search(&(*i as u32)).is_err();
+        (0..self.len()).filter(stays).for_each(|i| kept.push_from(self, i));
+        kept
+    }
+
     /// Appends one splat. `sh` must have [`Self::sh_stride`] values.
     pub fn push(
         &mut self,
@@ -82,6 +90,12 @@ impl Splats {
         self.log_scales.push(log_scale);
         self.opacity_logits.push(opacity_logit);
         self.sh.extend_from_slice(sh);
+    }
+
+    /// Appends splat `i` of another set of the same degree.
+    pub fn push_from(&mut self, from: &Self, i: usize) {
+        let (mean, quat, log_scale) = (from.means[i], from.quats[i], from.log_scales[i]);
+        self.push(mean, quat, log_scale, from.opacity_logits[i], from.sh_of(i));
     }
 
     /// Appends all splats of `other`, padding or refusing nothing: both must have the same degree.

@@ -60,7 +60,22 @@ pub struct CpuCapacity {
     pub training: bool,
 }
 
+/// Splat–tile pairs per splat: aerial views need 2 to 4 where all of the model is in the picture.
+pub const PAIRS_PER_SPLAT: usize = 5;
+
 impl CpuCapacity {
+    /// Room to train or to score `splats` under `cameras`.
+    pub fn to_train(splats: &Splats, cameras: &[Camera], channels: Channels) -> Self {
+        Self {
+            splats: splats.len(),
+            pairs: PAIRS_PER_SPLAT * splats.len(),
+            size_px: [0, 1].map(|axis| cameras.iter().map(|camera| camera.size_px[axis]).max().unwrap_or(1)),
+            sh_degree: splats.sh_degree,
+            channels,
+            training: true,
+        }
+    }
+
     /// Bytes per splat of all buffers whose length is the number of splats.
     pub const fn splat_bytes(sh_degree: u32, training: bool) -> usize {
         let parameters = 4 * rows_per_block(sh_degree);

@@ -6,13 +6,15 @@
 //! direction and distance. Ground belongs to the model most of whose cameras see it, to the first of equals: every
 //! place has one owner, whoever compresses and in whatever order, so that nobody deletes what another deletes as well.
 
-use cosurf_engine::Renderer;
 use cosurf_scene::{Camera, Splats};
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::computer::Computer;
-use super::{MergeError, worth};
+use crate::backend::Channels;
+use crate::cpu::CpuCapacity;
+use crate::device::{Device, DeviceError};
+use crate::prune;
+use crate::render::Renderer;
 
 /// Share of a picture's surface that must be seen from elsewhere for its camera to overlap.
 const SHARE_MIN: f64 = 0.3;
@@ -31,28 +33,30 @@ const SIZE_PX: u32 = 48;
 
 /// What goes of a model.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Compression {
+pub struct Compression {
     /// Ψ, the share of cameras that overlap, 0..=1.
-    pub(crate) overlap: f64,
+    pub overlap: f64,
     /// Indices of splats, ascending.
-    pub(crate) removed: Vec<u32>,
+    pub removed: Vec<u32>,
 }
 
 impl Compression {
-    /// Decides what goes of the model `own` of those that have these cameras.
-    pub(super) fn plan(
+    /// Decides what goes of `splats`, the model `own` of those that have these cameras; `threads` (at least 1) are the
+    /// processor's.
+    pub fn plan(
         splats: &Splats,
         own: usize,
         cameras: &[Vec<Camera>],
-        computer: &Computer,
-    ) -> Result<Self, MergeError> {
+        device: &Device,
+        threads: usize,
+    ) -> Result<Self, DeviceError> {
         let its = &cameras[own];
         let others: Vec<Camera> =
             cameras.iter().enumerate().filter(|(i, _)| *i != own).flat_map(|(_, c)| c).copied().collect();
         if others.is_empty() || splats.is_empty() || its.is_empty() {
             return Ok(Self::default());
         }
-        let mut renderer = Renderer::by(&computer.device, computer.threads, splats)?;
+        let mut renderer = Renderer::by(device, threads, splats)?;
         let overlapping = its.iter().map(|camera| overlaps(&mut renderer, camera, &others));
         let overlapping: Vec<bool> = overlapping.collect::<Result<_, _>>()?;
         drop(renderer);
@@ -63,14 +67,15 @@ impl Compression {
         let alone: Vec<Camera> =
             its.iter().zip(&overlapping).filter(|(_, o)| !**o).map(|(camera, _)| *camera).collect();
         let judges = if alone.is_empty() { its } else { &alone };
-        let worth = worth(splats, judges, computer)?;
+        let capacity = CpuCapacity::to_train(splats, judges, Channels::Color);
+        let worth = prune::worth(splats, judges, capacity, device, threads)?;
         let count = (overlap.min(OVERLAP_MAX) * splats.len() as f64) as usize;
         Ok(Self { overlap, removed: lowest(&worth, &left_to_others(splats, own, cameras), count) })
     }
 }
 
 /// Whether enough of what the model shows a camera is seen by some of `others`.
-fn overlaps(renderer: &mut Renderer, camera: &Camera, others: &[Camera]) -> Result<bool, MergeError> {
+fn overlaps(renderer: &mut Renderer, camera: &Camera, others: &[Camera]) -> Result<bool, DeviceError> {
     let camera = camera.resized(camera.fitted_size(SIZE_PX));
     let depth = renderer.try_render(&camera)?.depth;
     let pose = &camera.cam_from_world;
@@ -87,7 +92,7 @@ fn overlaps(renderer: &mut Renderer, camera: &Camera, others: &[Camera]) -> Resu
 }
 
 /// Whether `other` sees a point that `camera` sees from a similar direction and distance.
-pub(crate) fn sees_alike(camera: &Camera, other: &Camera, point: DVec3) -> bool {
+pub fn sees_alike(camera: &Camera, other: &Camera, point: DVec3) -> bool {
     let sight = |camera: &Camera| (point - camera.cam_from_world.center()).normalize_or_zero();
     let depth = |camera: &Camera| camera.cam_from_world.transform(point).z;
     other.sees(point)
