@@ -16,6 +16,7 @@ use cosurf_scene::{Camera, Splats, ply};
 use cosurf_wire::{ModelHeader, ModelId, ModelKind};
 use serde::{Deserialize, Serialize};
 
+use crate::flights::Flights;
 use crate::outputs::write_json;
 
 /// Longest wait for something to hear before the time is looked at again.
@@ -31,6 +32,8 @@ pub struct Publication<'a> {
     pub cameras: &'a [Camera],
     /// What each splat gives to the pictures, in any unit: what gives most is sent first.
     pub importance: &'a [f32],
+    /// Set where ground that other devices show as well is left to its owner.
+    pub sharing: Option<Sharing<'a>>,
     /// The frame of the model, the key that signs it, and whose global models are believed.
     pub credentials: &'a Credentials,
     /// The agent's folder.
@@ -43,11 +46,46 @@ pub struct Publication<'a> {
     pub farewell: Duration,
 }
 
+/// How ground is shared with other devices: see [`crate::flights`].
+#[derive(Clone, Copy)]
+pub struct Sharing<'a> {
+    /// What this device has photographed, as it was told by [`tell`].
+    pub flight: &'a [Camera],
+    /// How long no other device must have told its flight.
+    pub quiet: Duration,
+    /// To compute with, at least 1.
+    pub threads: usize,
+}
+
 /// What was published last: so that the same model keeps its number, and another one gets the next.
 #[derive(Debug, Default, Serialize, Deserialize)]
 struct Published {
     model: u64,
     blake3: String,
+}
+
+/// Tells other devices what this one has photographed. Gives up after `patience` where nobody answers.
+pub fn tell<T: Transport>(
+    identity: Identity,
+    credentials: &Credentials,
+    flight: &[Camera],
+    transport: &mut T,
+    now: impl Fn() -> Duration,
+    patience: Duration,
+    farewell: Duration,
+) {
+    let mut node = Node::new(identity, InboxLimits::default(), &[]);
+    node.believe(credentials.clone());
+    node.tell_flight(flight);
+    let mut end = now() + patience;
+    let mut is_told = false;
+    while now() < end {
+        let event = node.step(transport, &now, LOOK_UP);
+        if matches!(event, Some(NodeEvent::Connected)) && !is_told {
+            is_told = true;
+            end = now() + farewell;
+        }
+    }
 }
 
 /// Sends the model, and stays until it is acknowledged and, if wanted, a global model is stored. `now` is
@@ -68,12 +106,19 @@ pub fn publish<T: Transport>(
     };
     let mut node = Node::new(identity, limits, &known);
     node.believe(publication.credentials.clone());
-    let offer = offer(publication)?;
-    let (own, bytes_total) = (offer.header.model, offer.header.body_bytes);
-    node.upload(offer);
+    let mut waiting = publication.sharing.map(|sharing| Waiting::of(&sharing, &mut node, identity));
+    let mut bytes_total = None;
     let mut is_acknowledged = false;
     let mut has_global = false;
     loop {
+        if bytes_total.is_none() && waiting.as_ref().is_none_or(|waiting| waiting.is_over(now())) {
+            let offer = match waiting.take() {
+                Some(waiting) => shared(publication, &waiting, &mut on_event)?,
+                None => offer(publication, publication.splats, publication.importance, ModelKind::Local)?,
+            };
+            bytes_total = Some(offer.header.body_bytes);
+            node.upload(offer);
+        }
         if is_acknowledged && (has_global || !wait_global) {
             break;
         }
@@ -82,15 +127,27 @@ pub fn publish<T: Transport>(
             NodeEvent::Disconnected { attempt, reason } => {
                 on_event(AgentEvent::Retrying { what: who_is_silent(&reason).to_owned(), attempt });
             }
+            NodeEvent::Connected => {
+                if let Some(waiting) = &mut waiting {
+                    waiting.quiet_since.get_or_insert(now());
+                }
+            }
+            NodeEvent::Flight(device, cameras) => {
+                if let Some(waiting) = &mut waiting {
+                    waiting.flights.note(device, cameras);
+                    waiting.quiet_since = Some(now());
+                }
+            }
             NodeEvent::Progress(_, progress) => {
+                let bytes_total = bytes_total.unwrap_or_default();
                 on_event(AgentEvent::Publishing { bytes_sent: progress.bytes_sent, bytes_total });
             }
             NodeEvent::Uploaded(_, progress) => {
                 is_acknowledged = true;
                 on_event(AgentEvent::Acknowledged { bytes_sent: progress.bytes_sent });
             }
-            NodeEvent::UploadRefused { reason, .. } if !reason.is_passing() => {
-                bail!("the aggregator refuses model {}: {reason}", own.0);
+            NodeEvent::UploadRefused { key, reason, .. } if !reason.is_passing() => {
+                bail!("the aggregator refuses model {}: {reason}", key.model);
             }
             NodeEvent::UploadRefused { reason, .. } => {
                 on_event(AgentEvent::Retrying { what: format!("the aggregator ({reason})"), attempt: 1 });
@@ -121,6 +178,41 @@ pub fn publish<T: Transport>(
     Ok(())
 }
 
+/// An upload that waits for the flights of others.
+struct Waiting<'a> {
+    sharing: Sharing<'a>,
+    flights: Flights,
+    quiet_since: Option<Duration>,
+}
+
+impl<'a> Waiting<'a> {
+    fn of(sharing: &Sharing<'a>, node: &mut Node, identity: Identity) -> Self {
+        node.tell_flight(sharing.flight);
+        let flights = Flights::new(identity.device, sharing.flight);
+        Self { sharing: *sharing, flights, quiet_since: None }
+    }
+
+    fn is_over(&self, now: Duration) -> bool {
+        self.quiet_since.is_some_and(|since| now >= since + self.sharing.quiet)
+    }
+}
+
+/// The model but for what is left to others.
+fn shared(
+    publication: &Publication,
+    waiting: &Waiting,
+    on_event: &mut impl FnMut(AgentEvent),
+) -> Result<Offer> {
+    let Publication { splats, cameras, importance, .. } = *publication;
+    let Waiting { sharing, flights, .. } = waiting;
+    let removed = flights.compression(splats, cameras, sharing.threads)?.removed;
+    on_event(AgentEvent::Compressed { removed: removed.len(), of: splats.len(), others: flights.others() });
+    let stays = |i: &usize| removed.binary_search(&(*i as u32)).is_err();
+    let importance: Vec<f32> = (0..splats.len()).filter(stays).map(|i| importance[i]).collect();
+    let kind = if removed.is_empty() { ModelKind::Local } else { ModelKind::Compressed };
+    offer(publication, &splats.without(&removed), &importance, kind)
+}
+
 fn received(header: &ModelHeader) -> AgentEvent {
     AgentEvent::GlobalReceived { revision: header.model.0, splats: header.splats as usize }
 }
@@ -131,9 +223,9 @@ fn who_is_silent(reason: &str) -> &str {
 }
 
 /// The model as it is sent, under the number that it had before if it was sent before.
-fn offer(publication: &Publication) -> Result<Offer> {
+fn offer(publication: &Publication, splats: &Splats, importance: &[f32], kind: ModelKind) -> Result<Offer> {
     let path = publication.out.join("published.json");
-    let body = model_to_body(publication.splats, publication.cameras, publication.importance)?;
+    let body = model_to_body(splats, publication.cameras, importance)?;
     let hash = blake3::hash(&body).to_hex().to_string();
     let mut published: Published = match fs::read(&path) {
         Ok(bytes) => serde_json::from_slice(&bytes)
@@ -145,13 +237,7 @@ fn offer(publication: &Publication) -> Result<Offer> {
         write_json(&path, &published)?;
     }
     let views = publication.cameras.len() as u32;
-    Ok(Offer::from_body(
-        publication.identity.device,
-        ModelId(published.model),
-        ModelKind::Local,
-        views,
-        body,
-    )?)
+    Ok(Offer::from_body(publication.identity.device, ModelId(published.model), kind, views, body)?)
 }
 
 /// Writes the global model for the agent's next flight, and as a PLY for people.

@@ -78,6 +78,13 @@ pub enum Split {
     },
 }
 
+/// The cameras that a training of this plan has, with pictures of their size on disk.
+pub fn flight(plan: &TrainPlan) -> Result<Vec<Camera>> {
+    let dataset = Dataset::open(&plan.data)?;
+    let (train, _) = split(&dataset, &plan.split)?;
+    Ok(train.into_iter().map(|i| dataset.views[i].camera).collect())
+}
+
 /// A training that is under way.
 pub struct Session {
     trainer: Trainer<AnyBackend>,

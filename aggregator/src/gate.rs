@@ -99,6 +99,10 @@ impl Locals for Admitted<'_> {
         }
         Ok(model)
     }
+
+    fn is_compressed(&self, index: usize) -> bool {
+        self.locals.is_compressed(self.places[index].local)
+    }
 }
 
 impl Admitted<'_> {

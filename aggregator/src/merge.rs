@@ -18,7 +18,7 @@ pub(crate) mod tests;
 
 use std::ops::ControlFlow;
 
-use cosurf_engine::{Compression, DeviceChoice, DeviceError};
+use cosurf_engine::{Compression, DeviceChoice, DeviceError, Fleet};
 use cosurf_link::{BodyFault, Model, StoreError};
 use cosurf_scene::{Camera, SceneError};
 use glam::DVec3;
@@ -67,6 +67,12 @@ pub trait Locals {
 
     /// Reads one.
     fn load(&self, index: usize) -> Result<Model, MergeError>;
+
+    /// Whether one has left ground to others before it was sent: there it shows nothing.
+    fn is_compressed(&self, index: usize) -> bool {
+        let _ = index;
+        false
+    }
 }
 
 /// Why models are not merged.
@@ -163,7 +169,10 @@ fn merge_by(
     for (i, &arrived) in surveyed.sizes.iter().enumerate() {
         let Model { splats, cameras } = surveyed.locals.load(i)?;
         let compression = match settings.compress {
-            true => Compression::plan(&splats, i, &surveyed.cameras, &computer.device, computer.threads)?,
+            true => {
+                let fleet = Fleet { cameras: &surveyed.cameras, own: i };
+                Compression::plan(&splats, &cameras, &fleet, &computer.device, computer.threads)?
+            }
             false => Compression::default(),
         };
         let splats = splats.without(&compression.removed);

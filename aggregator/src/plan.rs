@@ -37,6 +37,9 @@ pub struct Settings {
     pub seed: u64,
     /// Every n-th view by name is held out; 0 holds out none.
     pub eval_every: u32,
+    /// Whether agents leave shared ground to its owner before they send.
+    #[serde(default)]
+    pub compress_first: bool,
     /// How the agents' models are merged.
     pub merge: MergeSettings,
 }
@@ -210,6 +213,7 @@ impl Plan {
             key: None,
             trusted: None,
             alone: self.devices.len() == 1,
+            compress: settings.compress_first,
             wait_global: true,
         };
         let text = toml::to_string(&config)
@@ -300,6 +304,7 @@ mod tests {
             max_size_px: None,
             seed: 7,
             eval_every: 8,
+            compress_first: false,
             merge: MergeSettings::default(),
         }
     }

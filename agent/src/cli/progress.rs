@@ -119,6 +119,9 @@ fn in_words(event: &AgentEvent) -> Option<String> {
         }
         AgentEvent::Trained { .. } => return None,
         AgentEvent::Retrying { what, attempt } => format!("{what} does not answer (attempt {attempt})"),
+        AgentEvent::Compressed { removed, of, others } => {
+            format!("{removed} of {of} splats are left to {others} other agents")
+        }
         AgentEvent::Publishing { bytes_sent, bytes_total } => {
             format!("published {bytes_sent} of {bytes_total} bytes")
         }

@@ -9,14 +9,14 @@ use anyhow::{Context, Result, anyhow, bail};
 use clap::Args;
 use cosurf_agent::changes::compare;
 use cosurf_agent::outputs::write_json;
-use cosurf_agent::publish::{Publication, global_ply, publish};
-use cosurf_agent::session::{SH_DEGREE, Split, TrainPlan};
+use cosurf_agent::publish::{Publication, Sharing, global_ply, publish, tell};
+use cosurf_agent::session::{self, SH_DEGREE, Split, TrainPlan};
 use cosurf_agent::warm;
 use cosurf_engine::{DeviceChoice, PruneSettings, Renderer, SurfaceSettings};
 use cosurf_link::serial::{DEFAULT_BAUD, DEVICE_MESSAGE_BYTES};
 use cosurf_link::{
-    BrokerAddress, Credentials, Identity, MqttConfig, MqttTransport, Role, SerialConfig, SerialTransport,
-    Tls, next_session,
+    BrokerAddress, Credentials, Identity, MqttConfig, MqttTransport, Outgoing, PublishError, Role,
+    SerialConfig, SerialTransport, Tls, Transport, TransportEvent, next_session,
 };
 use cosurf_scene::report::{AgentEvent, Other};
 use cosurf_scene::{AgentConfig, Camera, ply};
@@ -24,6 +24,9 @@ use cosurf_wire::{DeviceId, FrameId, SiteId};
 
 use super::progress::Progress;
 use super::{beginning, cores, default_memory, train};
+
+/// How long a broker is waited for before the training, which needs none.
+const PATIENCE: Duration = Duration::from_secs(5);
 
 /// Train by the orders of a configuration file, publish the model to the aggregator, receive the global model,
 /// keep both. Started again after a stop or a kill, it goes on where it was.
@@ -48,6 +51,20 @@ pub(super) fn run(args: &RunArgs) -> Result<()> {
     let route = Route::of(&config)?;
     let plan = plan(&config).with_context(|| args.config.display().to_string())?;
     let mut progress = Progress::new(args.json);
+    let line = |route: &Route| -> Result<(Identity, Line)> {
+        let clock_s = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
+        let session = next_session(&config.out.join("session"), clock_s)?;
+        let identity = Identity { site, device, session, role: Role::Device };
+        Ok((identity, route.open(identity)))
+    };
+    let started = Instant::now();
+    let now = || started.elapsed() + Duration::from_secs(1);
+    let flight = config.compress.then(|| session::flight(&plan)).transpose()?;
+    if let Some(flight) = &flight {
+        fs::create_dir_all(&config.out).with_context(|| config.out.display().to_string())?;
+        let (identity, mut line) = line(&route)?;
+        tell(identity, &credentials, flight, &mut line, now, PATIENCE, route.farewell());
+    }
     train::train(&plan, &config.out, false, &mut progress)?;
 
     let splats = ply::read(&config.out.join("model.ply"))?;
@@ -61,33 +78,23 @@ pub(super) fn run(args: &RunArgs) -> Result<()> {
         compared.show(Other::Init, init, &mut renderer, &mut progress)?;
     }
     drop(renderer);
-    let clock_s = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
-    let session = next_session(&config.out.join("session"), clock_s)?;
-    let identity = Identity { site, device, session, role: Role::Device };
+    let sharing =
+        flight.as_ref().map(|flight| Sharing { flight, quiet: route.quiet(), threads: plan.threads });
+    let (identity, mut line) = line(&route)?;
     let publication = Publication {
         identity,
         splats: &splats,
         cameras: &cameras,
         importance: &importance,
+        sharing,
         credentials: &credentials,
         out: &config.out,
         wait_global: config.wait_global,
         inbox_bytes: plan.memory_bytes / 2,
         farewell: route.farewell(),
     };
-    let started = Instant::now();
-    let now = || started.elapsed() + Duration::from_secs(1);
-    let show = |event: AgentEvent| progress.show(&event);
-    match route {
-        Route::Broker { broker, tls } => {
-            let mut transport = MqttTransport::start(MqttConfig { broker, identity, tls });
-            publish(&publication, &mut transport, now, show)?;
-        }
-        Route::Serial { port, baud } => {
-            let line = SerialConfig::device(&port, baud, session, DEVICE_MESSAGE_BYTES);
-            publish(&publication, &mut SerialTransport::start(line), now, show)?;
-        }
-    }
+    publish(&publication, &mut line, now, |event| progress.show(&event))?;
+    drop(line);
     if config.wait_global {
         let mut renderer = Renderer::new(&splats, plan.threads);
         compared.show(Other::Global, &global_ply(&config.out), &mut renderer, &mut progress)?;
@@ -149,11 +156,55 @@ impl Route {
         }
     }
 
+    /// Opens the line.
+    fn open(&self, identity: Identity) -> Line {
+        match self {
+            Self::Broker { broker, tls } => {
+                let (broker, tls) = (broker.clone(), tls.clone());
+                Line::Broker(MqttTransport::start(MqttConfig { broker, identity, tls }))
+            }
+            Self::Serial { port, baud } => {
+                let config = SerialConfig::device(port, *baud, identity.session, DEVICE_MESSAGE_BYTES);
+                Line::Serial(SerialTransport::start(config))
+            }
+        }
+    }
+
+    /// What a broker has kept has come when nothing has for this long.
+    fn quiet(&self) -> Duration {
+        match self {
+            Self::Broker { .. } => Duration::from_secs(2),
+            Self::Serial { .. } => Duration::from_secs(20),
+        }
+    }
+
     /// After the last acknowledgement the link gets this long to carry it out.
     fn farewell(&self) -> Duration {
         match self {
             Self::Broker { .. } => Duration::from_secs(1),
             Self::Serial { .. } => Duration::from_secs(10),
+        }
+    }
+}
+
+/// An open line.
+enum Line {
+    Broker(MqttTransport),
+    Serial(SerialTransport),
+}
+
+impl Transport for Line {
+    fn publish(&mut self, message: &Outgoing) -> Result<(), PublishError> {
+        match self {
+            Self::Broker(line) => line.publish(message),
+            Self::Serial(line) => line.publish(message),
+        }
+    }
+
+    fn poll(&mut self, timeout: Duration) -> Option<TransportEvent> {
+        match self {
+            Self::Broker(line) => line.poll(timeout),
+            Self::Serial(line) => line.poll(timeout),
         }
     }
 }

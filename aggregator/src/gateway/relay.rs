@@ -65,7 +65,9 @@ impl Relay {
             Err(error) => return refuse(&error.to_string()),
         };
         let (device, is_retained) = match parsed {
-            Topic::State { device } | Topic::LocalHeader { device, .. } => (device, true),
+            Topic::State { device } | Topic::Flight { device } | Topic::LocalHeader { device, .. } => {
+                (device, true)
+            }
             Topic::LocalChunk { device, .. } | Topic::GlobalReply { device, .. } => (device, false),
             _ => return refuse("a device does not say this"),
         };
@@ -191,6 +193,9 @@ mod tests {
         assert_eq!((identity.device, identity.session), (device("drone"), 5));
         let Passage::Pass(message) = relay.hear_device(&header, vec![1]) else { panic!("passes") };
         assert!(message.retain, "headers are retained");
+        let flight = Topic::Flight { device: device("drone") }.to_text(&site());
+        let Passage::Pass(message) = relay.hear_device(&flight, vec![1]) else { panic!("passes") };
+        assert!(message.retain, "flights are retained");
         for topic in [
             Topic::LocalHeader { device: device("other"), model: ModelId(1) },
             Topic::GlobalHeader { tile: TileId::WHOLE },

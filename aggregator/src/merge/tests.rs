@@ -3,10 +3,10 @@
 
 mod device;
 
-use cosurf_engine::Renderer;
-use cosurf_scene::Pose;
+use cosurf_engine::{Device, Renderer};
 use cosurf_scene::metrics::psnr;
 use cosurf_scene::splats::SH_C0;
+use cosurf_scene::{Pose, Splats};
 use glam::DVec2;
 
 use super::*;
@@ -22,6 +22,7 @@ pub(crate) fn model(count: usize, sh_degree: u32, seed: f32) -> Model {
 }
 
 /// Models in memory.
+#[derive(Clone)]
 pub(crate) struct InMemory(pub(crate) Vec<Model>);
 
 impl Locals for InMemory {
@@ -162,4 +163,41 @@ fn shared_ground_has_one_owner_and_stays_covered() {
         let holes = here.alpha.iter().zip(&there.alpha).filter(|(a, b)| **b > 0.95 && **a < 0.9).count();
         assert_eq!(holes, 0, "at {x}");
     }
+}
+
+/// Locals that have left shared ground to others before they came.
+struct Left(InMemory, bool);
+
+impl Locals for Left {
+    fn count(&self) -> usize {
+        self.0.count()
+    }
+
+    fn load(&self, index: usize) -> Result<Model, MergeError> {
+        self.0.load(index)
+    }
+
+    fn is_compressed(&self, _: usize) -> bool {
+        self.1
+    }
+}
+
+#[test]
+fn who_has_left_ground_to_others_does_not_teach_that_it_is_black() {
+    let models = overlapping();
+    let cameras: Vec<Vec<Camera>> = models.iter().map(|model| model.cameras.clone()).collect();
+    let left = models.into_iter().enumerate().map(|(own, Model { splats, cameras: its })| {
+        let fleet = Fleet { cameras: &cameras, own };
+        let removed = Compression::plan(&splats, &its, &fleet, &Device::Cpu, 1).unwrap().removed;
+        assert!(!removed.is_empty());
+        Model { splats: splats.without(&removed), cameras: its }
+    });
+    let left = InMemory(left.collect());
+    let taught = |is_told| {
+        let settings = MergeSettings { epochs: 10, device: DeviceChoice::Cpu, ..MergeSettings::default() };
+        let merged = merge(&Left(left.clone(), is_told), &settings, 1, &mut |_| ControlFlow::Continue(()));
+        quality(&merged.unwrap().model.splats)
+    };
+    let (told, untold) = (taught(true), taught(false));
+    assert!(told > untold + 1.0, "{told:.2} dB where it is known, {untold:.2} dB where it is not");
 }

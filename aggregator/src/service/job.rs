@@ -8,7 +8,7 @@ use std::thread::{self, JoinHandle};
 
 use cosurf_engine::Renderer;
 use cosurf_link::{Model, ModelKey, ModelStore, body_to_model, model_to_body, plain_importance};
-use cosurf_wire::ModelHeader;
+use cosurf_wire::{ModelHeader, ModelKind};
 
 use super::record::{Fitted, KeptOut};
 use crate::gate::admit;
@@ -103,6 +103,10 @@ impl Locals for Stored {
     fn load(&self, index: usize) -> Result<Model, MergeError> {
         let (_, body) = self.models.get(ModelKey::from(&self.headers[index]))?;
         Ok(body_to_model(&body)?)
+    }
+
+    fn is_compressed(&self, index: usize) -> bool {
+        self.headers[index].kind == ModelKind::Compressed
     }
 }
 

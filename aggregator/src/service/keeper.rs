@@ -125,9 +125,11 @@ impl Keeper {
                 ServiceEvent::Ignored { reason: format!("the link does not take our messages: {error}") }
             }
             NodeEvent::SameName(device) => ServiceEvent::SameName { device },
-            NodeEvent::State(_) | NodeEvent::Receiving(_) | NodeEvent::Known(_) | NodeEvent::Progress(..) => {
-                return None;
-            }
+            NodeEvent::State(_)
+            | NodeEvent::Flight(..)
+            | NodeEvent::Receiving(_)
+            | NodeEvent::Known(_)
+            | NodeEvent::Progress(..) => return None,
         })
     }
 

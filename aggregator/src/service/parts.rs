@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use cosurf_link::{ModelStore, Node, Offer, StoreError};
-use cosurf_wire::{DeviceId, ModelHeader, ModelId, ModelKind};
+use cosurf_wire::{DeviceId, ModelHeader, ModelId};
 
 use super::ServiceError;
 
@@ -37,12 +37,12 @@ impl Parts {
         node: &Node,
         unfinished: &ModelHeader,
     ) -> Result<Option<ModelHeader>, ServiceError> {
-        let ModelHeader { device, model, views, frame, .. } = *unfinished;
+        let ModelHeader { device, model, kind, views, frame, .. } = *unfinished;
         let before = self.headers.get(&device).copied();
         let is_more = |splats: usize| before.is_none_or(|before| splats > before.splats as usize);
         let part = node.part(unfinished.into()).filter(|part| is_more(part.splats.len()));
         let Some(part) = part else { return Ok(None) };
-        let mut offer = Offer::new(device, model, ModelKind::Local, views, &part.splats, &part.cameras)?;
+        let mut offer = Offer::new(device, model, kind, views, &part.splats, &part.cameras)?;
         offer.header.frame = frame;
         self.store.put(&offer.header, &offer.body)?;
         self.headers.insert(device, offer.header);

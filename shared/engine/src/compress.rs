@@ -40,19 +40,33 @@ pub struct Compression {
     pub removed: Vec<u32>,
 }
 
+/// The models that share some ground.
+#[derive(Clone, Copy, Debug)]
+pub struct Fleet<'a> {
+    /// What each has photographed. Whoever compresses must have the same cameras in the same order.
+    pub cameras: &'a [Vec<Camera>],
+    /// Which of them is compressed.
+    pub own: usize,
+}
+
 impl Compression {
-    /// Decides what goes of `splats`, the model `own` of those that have these cameras; `threads` (at least 1) are the
-    /// processor's.
+    /// Decides what goes of `splats`, a model of `fleet`, judged by `its` cameras, at the size of which it is rendered;
+    /// `threads` (at least 1) are the processor's.
     pub fn plan(
         splats: &Splats,
-        own: usize,
-        cameras: &[Vec<Camera>],
+        its: &[Camera],
+        fleet: &Fleet,
         device: &Device,
         threads: usize,
     ) -> Result<Self, DeviceError> {
-        let its = &cameras[own];
-        let others: Vec<Camera> =
-            cameras.iter().enumerate().filter(|(i, _)| *i != own).flat_map(|(_, c)| c).copied().collect();
+        let others: Vec<Camera> = fleet
+            .cameras
+            .iter()
+            .enumerate()
+            .filter(|(i, _)| *i != fleet.own)
+            .flat_map(|(_, c)| c)
+            .copied()
+            .collect();
         if others.is_empty() || splats.is_empty() || its.is_empty() {
             return Ok(Self::default());
         }
@@ -66,11 +80,11 @@ impl Compression {
         }
         let alone: Vec<Camera> =
             its.iter().zip(&overlapping).filter(|(_, o)| !**o).map(|(camera, _)| *camera).collect();
-        let judges = if alone.is_empty() { its } else { &alone };
+        let judges = if alone.is_empty() { its } else { &alone[..] };
         let capacity = CpuCapacity::to_train(splats, judges, Channels::Color);
         let worth = prune::worth(splats, judges, capacity, device, threads)?;
         let count = (overlap.min(OVERLAP_MAX) * splats.len() as f64) as usize;
-        Ok(Self { overlap, removed: lowest(&worth, &left_to_others(splats, own, cameras), count) })
+        Ok(Self { overlap, removed: lowest(&worth, &left_to_others(splats, fleet), count) })
     }
 }
 
@@ -100,14 +114,14 @@ pub fn sees_alike(camera: &Camera, other: &Camera, point: DVec3) -> bool {
         && DEPTH_RATIO.contains(&(depth(other) / depth(camera)))
 }
 
-/// Indices of the splats on ground that belongs to another model than `own`.
-fn left_to_others(splats: &Splats, own: usize, cameras: &[Vec<Camera>]) -> Vec<u32> {
+/// Indices of the splats on ground that belongs to another model of the fleet.
+fn left_to_others(splats: &Splats, fleet: &Fleet) -> Vec<u32> {
     let is_left = |i: &u32| {
         let mean = DVec3::from_array(splats.means[*i as usize].map(f64::from));
         let seers = |cameras: &Vec<Camera>| cameras.iter().filter(|camera| camera.sees(mean)).count();
-        let seen: Vec<usize> = cameras.iter().map(seers).collect();
+        let seen: Vec<usize> = fleet.cameras.iter().map(seers).collect();
         let most = seen.iter().copied().max().unwrap_or(0);
-        most >= OWNER_CAMERAS_MIN && seen.iter().position(|count| *count == most) != Some(own)
+        most >= OWNER_CAMERAS_MIN && seen.iter().position(|count| *count == most) != Some(fleet.own)
     };
     (0..splats.len() as u32).into_par_iter().filter(is_left).collect()
 }

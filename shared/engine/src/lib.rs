@@ -29,7 +29,7 @@ pub mod train;
 pub use any::AnyBackend;
 pub use backend::{Backend, Rendering};
 pub use budget::Budget;
-pub use compress::Compression;
+pub use compress::{Compression, Fleet};
 pub use cpu::{CpuBackend, CpuCapacity};
 pub use device::{Device, DeviceChoice, DeviceError, DeviceLost};
 pub use distill::{DistillSettings, Distiller, Lesson};

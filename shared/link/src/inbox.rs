@@ -350,7 +350,7 @@ impl Inbox {
 fn is_honest(topic: &Topic, header: &ModelHeader) -> bool {
     match topic {
         Topic::LocalHeader { device, model } => {
-            header.kind == ModelKind::Local && (*device, *model) == (header.device, header.model)
+            header.kind != ModelKind::Global && (*device, *model) == (header.device, header.model)
         }
         Topic::GlobalHeader { .. } => header.kind == ModelKind::Global,
         _ => false,

@@ -33,7 +33,7 @@ pub use faults::{Faults, Line, Outages};
 pub use inbox::{Inbox, InboxLimits};
 pub use memory::{MemoryNetwork, MemoryTransport};
 pub use mqtt::{BrokerAddress, MqttConfig, MqttTransport, Tls};
-pub use node::{Identity, Node, NodeEvent, Role, UploadFault, upload_blocking};
+pub use node::{Identity, Node, NodeEvent, Role, UploadFault, told_cameras, upload_blocking};
 pub use serial::{SerialConfig, SerialTransport};
 pub use session::next_session;
 pub use store::{ModelStore, StoreError};

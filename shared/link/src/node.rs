@@ -5,10 +5,14 @@ use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::time::Duration;
 
+use cosurf_scene::Camera;
+use cosurf_wire::body::CAMERA_BYTES;
 use cosurf_wire::{
-    DeviceId, Message, ModelHeader, RefusalReason, SiteId, State, TileId, Topic, TopicString, WireError,
+    DeviceId, FLIGHT_CAMERAS_MAX, Flight, Message, ModelHeader, RefusalReason, SiteId, State, TileId, Topic,
+    TopicString, WireError,
 };
 
+use crate::body::{camera, camera_record};
 use crate::inbox::{Inbox, InboxAction, InboxEvent, InboxLimits};
 use crate::transport::{Outgoing, PublishError, Transport, TransportEvent};
 use crate::uploader::{UploadEvent, UploadProgress, Uploader};
@@ -75,6 +79,8 @@ pub enum NodeEvent {
     },
     /// A device is born or has died.
     State(State),
+    /// What another device has photographed, in this one's frame.
+    Flight(DeviceId, Vec<Camera>),
     /// Two participants take turns under one name; each throws the other out.
     SameName(DeviceId),
     /// A header was accepted; its body is being fetched.
@@ -137,6 +143,9 @@ pub struct Node {
     events: VecDeque<NodeEvent>,
     /// The birth notice, due after each connection.
     birth: Option<Outgoing>,
+    /// What this device has photographed, if it tells that.
+    flight: Option<Outgoing>,
+    is_flight_due: bool,
     /// The sessions of each device that was born; at most [`DEVICES_MAX`].
     sessions: BTreeMap<DeviceId, Sessions>,
     /// Handed out by a machine, not yet taken by the transport.
@@ -154,6 +163,8 @@ impl Node {
             uploaders: Vec::new(),
             events: VecDeque::new(),
             birth: None,
+            flight: None,
+            is_flight_due: false,
             sessions: BTreeMap::new(),
             pending: None,
             is_connected: false,
@@ -165,6 +176,16 @@ impl Node {
     /// they believe.
     pub fn believe(&mut self, credentials: Credentials) {
         self.inbox.believe(credentials);
+    }
+
+    /// From now on tells other devices what this one has photographed: [`told_cameras`].
+    pub fn tell_flight(&mut self, cameras: &[Camera]) {
+        let device = self.identity.device;
+        let bytes = camera_bytes(&told_cameras(cameras));
+        let flight = Flight { device, frame: self.inbox.credentials().frame, cameras: &bytes };
+        let message = Message::Flight(flight);
+        self.flight = Some(Outgoing::new(&self.identity.site, Topic::Flight { device }, &message, true));
+        self.is_flight_due = self.is_connected;
     }
 
     /// Begins to offer a device's own model to the aggregator. An offer of the same model that is under
@@ -265,8 +286,12 @@ impl Node {
             return Duration::MAX;
         }
         for _ in 0..BURST {
-            let Some(message) =
-                self.pending.take().or_else(|| self.birth.take()).or_else(|| self.next_outgoing())
+            let Some(message) = self
+                .pending
+                .take()
+                .or_else(|| self.birth.take())
+                .or_else(|| self.next_flight())
+                .or_else(|| self.next_outgoing())
             else {
                 let wakeup = self.next_wakeup().unwrap_or(Duration::MAX);
                 return wakeup.saturating_sub(self.now);
@@ -281,6 +306,10 @@ impl Node {
             }
         }
         Duration::ZERO
+    }
+
+    fn next_flight(&mut self) -> Option<Outgoing> {
+        std::mem::take(&mut self.is_flight_due).then(|| self.flight.clone()).flatten()
     }
 
     fn next_outgoing(&mut self) -> Option<Outgoing> {
@@ -313,6 +342,7 @@ impl Node {
             TransportEvent::Connected => {
                 self.is_connected = true;
                 self.birth = Some(self.identity.state_message(true));
+                self.is_flight_due = true;
                 let now = self.now;
                 self.uploaders.iter_mut().for_each(|uploader| uploader.on_connected(now));
                 self.events.push_back(NodeEvent::Connected);
@@ -353,6 +383,9 @@ impl Node {
             (Topic::State { device }, Message::State(state)) if state.device == device => {
                 self.hear_state(*state);
             }
+            (Topic::Flight { device }, Message::Flight(flight)) if flight.device == device => {
+                self.hear_flight(flight)?;
+            }
             (Topic::LocalHeader { .. } | Topic::GlobalHeader { .. }, Message::Header(header)) => {
                 let event = self.inbox.on_header(self.now, &topic, *header);
                 self.note_inbox(event);
@@ -370,6 +403,23 @@ impl Node {
             ) => self.hear_reply(&topic, &message),
             _ => return Err("the message does not belong under its topic".to_owned()),
         }
+        Ok(())
+    }
+
+    /// Flights are not signed: who believes some only believes none of them.
+    fn hear_flight(&mut self, flight: &Flight<'_>) -> Result<(), String> {
+        let Credentials { frame, trusted, .. } = self.inbox.credentials();
+        if flight.device == self.identity.device || self.identity.role != Role::Device {
+            return Ok(());
+        }
+        if trusted.is_some() {
+            return Err("flights are not signed, and only what is signed is believed".to_owned());
+        }
+        if flight.frame != *frame {
+            return Err("is in another world frame".to_owned());
+        }
+        let cameras = flight.records().map(|record| camera(&record)).collect();
+        self.events.push_back(NodeEvent::Flight(flight.device, cameras));
         Ok(())
     }
 
@@ -413,6 +463,20 @@ impl Node {
             Some(InboxEvent::BadChunk(..)) | None => {}
         }
     }
+}
+
+/// The cameras that a flight tells: all, or as many as it may, evenly spread.
+pub fn told_cameras(cameras: &[Camera]) -> Vec<Camera> {
+    let count = cameras.len().min(FLIGHT_CAMERAS_MAX);
+    (0..count).map(|i| cameras[i * cameras.len() / count]).collect()
+}
+
+fn camera_bytes(cameras: &[Camera]) -> Vec<u8> {
+    let mut bytes = vec![0; cameras.len() * CAMERA_BYTES];
+    for (camera, out) in cameras.iter().zip(bytes.as_chunks_mut().0) {
+        camera_record(camera).encode(out);
+    }
+    bytes
 }
 
 /// Uploads one model and returns when the aggregator has it on its disk, or why it refuses for good.

@@ -2,9 +2,7 @@
 
 use std::time::Duration;
 
-use cosurf_wire::{
-    MAX_CHUNK_BYTES, MAX_CONTROL_BYTES, MAX_MESSAGE_BYTES, Message, SiteId, Topic, TopicString,
-};
+use cosurf_wire::{Message, SiteId, Topic, TopicString};
 
 /// Carries bytes under topics, at least once while it is connected, and nothing more: messages may be
 /// lost with a connection, doubled and reordered. The conversation above copes.
@@ -67,10 +65,7 @@ pub struct Outgoing {
 impl Outgoing {
     /// A message, encoded.
     pub(crate) fn new(site: &SiteId, topic: Topic, message: &Message<'_>, retain: bool) -> Self {
-        let mut payload = match message {
-            Message::Chunk(chunk) => vec![0; chunk.payload.len() + MAX_MESSAGE_BYTES - MAX_CHUNK_BYTES],
-            _ => vec![0; MAX_CONTROL_BYTES],
-        };
+        let mut payload = vec![0; message.bytes_max()];
         // A test of the wire holds every message to these sizes.
         let used = message.encode(&mut payload).expect("every message fits its largest size").len();
         payload.truncate(used);

@@ -88,6 +88,10 @@ pub struct AgentConfig {
     /// keep ground that a single view observes.
     #[serde(default)]
     pub alone: bool,
+    /// Whether to leave ground that other agents show as well to its owner before the upload: half the bytes, for a
+    /// slow link, and a merged model that is some tenths of a dB worse. All agents of the site should do the same.
+    #[serde(default)]
+    pub compress: bool,
     /// Whether to wait, after the upload, for the global model and keep it.
     #[serde(default)]
     pub wait_global: bool,

@@ -54,6 +54,15 @@ pub enum AgentEvent {
         /// How often it was tried so far.
         attempt: u32,
     },
+    /// Ground that other devices show as well was left to its owners before the upload.
+    Compressed {
+        /// Splats that are not sent.
+        removed: usize,
+        /// Splats of the model.
+        of: usize,
+        /// Devices whose flights are known.
+        others: usize,
+    },
     /// The upload goes on.
     Publishing {
         /// Bytes sent so far, resends included.

@@ -21,6 +21,7 @@
 //! | [`ModelHeader`] | aggregator → devices | `/global/{tile}/m` | yes | the newest revision of the global model |
 //! | [`Chunk`] | aggregator → devices | `/global/{tile}/{model}/c/{index}` | no | its bytes, to all at once |
 //! | [`Want`], [`Done`], [`Refused`] | device → aggregator | `/{device}/global/{want,done,refused}` | no | as above |
+//! | [`Flight`] | device → devices | `/{device}/flight` | yes | what I have photographed |
 //! | [`State`] | device → all | `/{device}/state` | yes | birth, or by the last will death, of a session |
 //!
 //! Every message is one byte of [`VERSION`], then [postcard](https://postcard.jamesmunns.com/wire-format)
@@ -44,8 +45,9 @@ pub mod topic;
 pub use body::{Bounds, CameraRecord};
 pub use id::{DeviceId, FrameId, IdError, ModelId, SiteId, TileId};
 pub use message::{
-    BodyCodec, BodyHash, Chunk, Done, HeaderError, MAX_CHUNK_BYTES, MAX_CONTROL_BYTES, MAX_MESSAGE_BYTES,
-    Message, ModelHeader, ModelKind, RefusalReason, Refused, Signature, State, VERSION, Want, WireError,
+    BodyCodec, BodyHash, Chunk, Done, FLIGHT_CAMERAS_MAX, Flight, HeaderError, MAX_CHUNK_BYTES,
+    MAX_CONTROL_BYTES, MAX_MESSAGE_BYTES, Message, ModelHeader, ModelKind, RefusalReason, Refused, Signature,
+    State, VERSION, Want, WireError,
 };
 pub use missing::{Knowledge, Missing};
 pub use topic::{MAX_TOPIC_BYTES, Reply, Topic, TopicError, TopicString};

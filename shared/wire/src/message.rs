@@ -5,7 +5,7 @@ use core::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use crate::body::{Bounds, CAMERA_BYTES, MAX_SH_DEGREE, body_bytes_range, sh_rest};
+use crate::body::{Bounds, CAMERA_BYTES, CameraRecord, MAX_SH_DEGREE, body_bytes_range, sh_rest};
 use crate::id::{DeviceId, FrameId, ModelId, SiteId};
 use crate::missing::Missing;
 
@@ -15,10 +15,13 @@ pub const VERSION: u8 = 2;
 const CHECKSUM_BYTES: usize = 4;
 /// Largest payload of a chunk. Brokers take 64 KiB everywhere and gain little beyond.
 pub const MAX_CHUNK_BYTES: usize = 64 * 1024;
-/// Largest encoding of any message but a chunk (a [`ModelHeader`]; a test holds it to that).
+/// Largest encoding of any message but a chunk or a flight (a [`ModelHeader`]; a test holds it to that).
 pub const MAX_CONTROL_BYTES: usize = 300;
 /// Largest encoding of any message (a [`Chunk`]; a test holds it to that).
 pub const MAX_MESSAGE_BYTES: usize = MAX_CHUNK_BYTES + 89;
+
+/// Most cameras that a [`Flight`] tells: with them it is still a message that serial lines take.
+pub const FLIGHT_CAMERAS_MAX: usize = 160;
 
 /// Largest statement that is signed (a test holds it to that).
 pub const MAX_STATEMENT_BYTES: usize = 384;
@@ -41,6 +44,9 @@ pub enum Message<'a> {
     State(State),
     /// The receiver will not take it.
     Refused(Refused),
+    /// What a device has photographed.
+    #[serde(borrow)]
+    Flight(Flight<'a>),
 }
 
 /// Announces a model and fixes its sizes.
@@ -92,6 +98,8 @@ pub enum ModelKind {
     Local,
     /// What an aggregator joined.
     Global,
+    /// What one device saw, but for what it has left to others whose [`Flight`] it has heard.
+    Compressed,
 }
 
 /// How a body is laid out.
@@ -165,6 +173,32 @@ pub struct State {
     pub session: u64,
     /// Birth, or death.
     pub alive: bool,
+}
+
+/// What a device has photographed: each knows what the others see before it sends a model, and can leave shared ground
+/// to whom it belongs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Flight<'a> {
+    /// Whose.
+    pub device: DeviceId,
+    /// The world frame of its cameras.
+    pub frame: FrameId,
+    /// Its cameras, [`CAMERA_BYTES`] each; of more than [`FLIGHT_CAMERAS_MAX`] as many, evenly spread.
+    pub cameras: &'a [u8],
+}
+
+impl Flight<'_> {
+    /// The cameras.
+    pub fn records(&self) -> impl ExactSizeIterator<Item = CameraRecord> {
+        self.cameras.as_chunks().0.iter().map(CameraRecord::decode)
+    }
+
+    /// Whether it holds whole cameras, not too many, that a renderer could use.
+    fn is_sane(&self) -> bool {
+        self.cameras.len() <= FLIGHT_CAMERAS_MAX * CAMERA_BYTES
+            && self.cameras.len().is_multiple_of(CAMERA_BYTES)
+            && self.records().all(|camera| camera.is_sane())
+    }
 }
 
 /// The receiver will not take a model.
@@ -269,6 +303,8 @@ pub enum WireError {
     ChunkTooLong,
     /// A header that contradicts itself.
     Header(HeaderError),
+    /// A flight of too many cameras, or of such as cannot be.
+    BadFlight,
     /// The buffer to encode into is too small.
     BufferTooSmall,
 }
@@ -284,6 +320,7 @@ impl fmt::Display for WireError {
             Self::Malformed => write!(f, "malformed message"),
             Self::TrailingBytes => write!(f, "bytes after the end of a message"),
             Self::ChunkTooLong => write!(f, "chunk of more than {MAX_CHUNK_BYTES} bytes"),
+            Self::BadFlight => write!(f, "flight of too many or impossible cameras"),
             Self::Header(what) => write!(f, "header with an impossible {what:?}"),
             Self::BufferTooSmall => write!(f, "no room to encode a message"),
         }
@@ -341,8 +378,18 @@ impl ModelHeader {
 }
 
 impl<'a> Message<'a> {
+    /// Most bytes that its encoding takes.
+    pub fn bytes_max(&self) -> usize {
+        MAX_CONTROL_BYTES
+            + match self {
+                Self::Chunk(chunk) => chunk.payload.len(),
+                Self::Flight(flight) => flight.cameras.len(),
+                _ => 0,
+            }
+    }
+
     /// Writes the message to the start of `out`, which [`MAX_MESSAGE_BYTES`] always fit, and
-    /// [`MAX_CONTROL_BYTES`] where it is not a chunk. Returns the bytes written.
+    /// [`MAX_CONTROL_BYTES`] where it is neither chunk nor flight. Returns the bytes written.
     pub fn encode<'o>(&self, out: &'o mut [u8]) -> Result<&'o [u8], WireError> {
         let (version, rest) = out.split_first_mut().ok_or(WireError::BufferTooSmall)?;
         *version = VERSION;
@@ -353,7 +400,7 @@ impl<'a> Message<'a> {
         Ok(&out[..used + CHECKSUM_BYTES])
     }
 
-    /// Reads a message; a chunk's payload stays where it is.
+    /// Reads a message; what a chunk or a flight holds stays where it is.
     pub fn decode(bytes: &'a [u8]) -> Result<Self, WireError> {
         if bytes.is_empty() {
             return Err(WireError::Empty);
@@ -376,6 +423,7 @@ impl<'a> Message<'a> {
             Self::Chunk(chunk) if chunk.payload.len() > MAX_CHUNK_BYTES => {
                 return Err(WireError::ChunkTooLong);
             }
+            Self::Flight(flight) if !flight.is_sane() => return Err(WireError::BadFlight),
             _ => {}
         }
         Ok(message)

@@ -23,6 +23,11 @@ pub enum Topic {
         /// Whose.
         device: DeviceId,
     },
+    /// What a device has photographed.
+    Flight {
+        /// Whose.
+        device: DeviceId,
+    },
     /// The header of a device's model.
     LocalHeader {
         /// Who made it.
@@ -152,6 +157,7 @@ impl Topic {
                 index: parse_index(index)?,
             },
             [Some(device), Some("state"), None, ..] => Self::State { device: DeviceId::new(device)? },
+            [Some(device), Some("flight"), None, ..] => Self::Flight { device: DeviceId::new(device)? },
             [Some(device), Some("up"), Some(model), Some("m"), None, ..] => {
                 Self::LocalHeader { device: DeviceId::new(device)?, model: model.parse()? }
             }
@@ -177,10 +183,10 @@ impl Topic {
     }
 
     /// What `device` subscribes to.
-    pub fn device_filters(site: &SiteId, device: &DeviceId) -> [TopicString; 2] {
+    pub fn device_filters(site: &SiteId, device: &DeviceId) -> [TopicString; 3] {
         let mut own = filter(site, device.as_str());
         let _ = own.push_str("/dn/+");
-        [own, filter(site, "global/#")]
+        [own, filter(site, "global/#"), filter(site, "+/flight")]
     }
 }
 
@@ -188,6 +194,7 @@ impl fmt::Display for Topic {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::State { device } => write!(f, "{device}/state"),
+            Self::Flight { device } => write!(f, "{device}/flight"),
             Self::LocalHeader { device, model } => write!(f, "{device}/up/{model}/m"),
             Self::LocalChunk { device, model, index } => write!(f, "{device}/up/{model}/c/{index}"),
             Self::LocalReply { device, reply } => write!(f, "{device}/dn/{}", reply.as_str()),

@@ -2,15 +2,15 @@
 #![allow(clippy::unwrap_used)]
 
 use cosurf_wire::body::{
-    BodyHead, BodyPlan, HEAD_BYTES, PACK_ENTRY_BYTES, PackEntry, PackForm, PackKind, SHAPE_BYTES, ShLayout,
-    Shape, read_shapes, write_shapes,
+    BodyHead, BodyPlan, CAMERA_BYTES, HEAD_BYTES, PACK_ENTRY_BYTES, PackEntry, PackForm, PackKind,
+    SHAPE_BYTES, ShLayout, Shape, read_shapes, write_shapes,
 };
 use cosurf_wire::message::MAX_STATEMENT_BYTES;
 use cosurf_wire::missing::MISSING_BITMAP_BYTES;
 use cosurf_wire::{
-    BodyCodec, BodyHash, Bounds, Chunk, DeviceId, Done, FrameId, HeaderError, MAX_CHUNK_BYTES,
-    MAX_CONTROL_BYTES, MAX_MESSAGE_BYTES, Message, Missing, ModelHeader, ModelId, ModelKind, RefusalReason,
-    Refused, Signature, SiteId, State, VERSION, Want, WireError,
+    BodyCodec, BodyHash, Bounds, CameraRecord, Chunk, DeviceId, Done, FLIGHT_CAMERAS_MAX, Flight, FrameId,
+    HeaderError, MAX_CHUNK_BYTES, MAX_CONTROL_BYTES, MAX_MESSAGE_BYTES, Message, Missing, ModelHeader,
+    ModelId, ModelKind, RefusalReason, Refused, Signature, SiteId, State, VERSION, Want, WireError,
 };
 
 fn header() -> ModelHeader {
@@ -30,6 +30,36 @@ fn header() -> ModelHeader {
         blake3: BodyHash([0xab; 32]),
         signature: Some(Signature { r: [0x11; 32], s: [0x22; 32] }),
     }
+}
+
+fn camera_bytes(count: usize) -> Vec<u8> {
+    let camera = CameraRecord {
+        quat: [1.0, 0.0, 0.0, 0.0],
+        translation: [1.0, 2.0, 3.0],
+        focal_px: [500.0; 2],
+        center_px: [320.0, 240.0],
+        size_px: [640, 480],
+    };
+    let mut bytes = [0; CAMERA_BYTES];
+    camera.encode(&mut bytes);
+    bytes.repeat(count)
+}
+
+#[test]
+fn flights_of_what_is_no_camera_are_refused() {
+    let (device, frame) = (DeviceId::new("d").unwrap(), FrameId::default());
+    let decoded = |cameras: &[u8]| {
+        let mut buffer = vec![0; MAX_MESSAGE_BYTES];
+        let message = Message::Flight(Flight { device, frame, cameras });
+        Message::decode(message.encode(&mut buffer).unwrap()).map(|_| ())
+    };
+    assert_eq!(decoded(&camera_bytes(FLIGHT_CAMERAS_MAX)), Ok(()));
+    assert_eq!(decoded(&[]), Ok(()), "who has photographed nothing leaves nothing to others");
+    assert_eq!(decoded(&camera_bytes(FLIGHT_CAMERAS_MAX + 1)), Err(WireError::BadFlight));
+    assert_eq!(decoded(&camera_bytes(2)[1..]), Err(WireError::BadFlight));
+    let mut unsound = camera_bytes(1);
+    unsound[7] = 0xff;
+    assert_eq!(decoded(&unsound), Err(WireError::BadFlight), "a rotation that is not a number");
 }
 
 fn hex(bytes: &[u8]) -> String {
@@ -56,6 +86,7 @@ fn messages_have_these_bytes() {
         + &"ab".repeat(32) // hash
         + "01" + &"11".repeat(32) + &"22".repeat(32); // signature
     let missing = Missing::of(20, |i| i < 3 || i == 5);
+    let cameras = camera_bytes(1);
     let table = [
         (Message::Header(header()), header_bytes),
         (
@@ -74,6 +105,10 @@ fn messages_have_these_bytes() {
         (
             Message::Refused(Refused { device, model, reason: RefusalReason::Replayed }),
             "0205 03642d31 ac02 0b".into(),
+        ),
+        (
+            Message::Flight(Flight { device, frame: FrameId::new("enu").unwrap(), cameras: &cameras }),
+            "0206 03642d31 03656e75 60".to_owned() + &hex(&cameras),
         ),
     ];
     for (message, expected) in table {
@@ -143,6 +178,10 @@ fn the_largest_messages_are_as_large_as_is_said() {
     let payload = vec![0; MAX_CHUNK_BYTES];
     let chunk = bytes_of(Message::Chunk(Chunk { device, model, index: u32::MAX, payload: &payload }));
     assert_eq!(chunk, MAX_MESSAGE_BYTES);
+    let cameras = camera_bytes(FLIGHT_CAMERAS_MAX);
+    let flight = Message::Flight(Flight { device, frame, cameras: &cameras });
+    let most = flight.bytes_max();
+    assert!(bytes_of(flight) <= most && most <= 16 * 1024, "a flight goes over a serial line");
     let site = SiteId::new(&name).unwrap();
     let mut statement = [0; MAX_STATEMENT_BYTES];
     assert!(largest.statement(&site, &mut statement).len() > 200, "the longest statement fits");

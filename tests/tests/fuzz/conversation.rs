@@ -4,10 +4,11 @@ use std::time::Duration;
 
 use cosurf_link::inbox::{Inbox, InboxEvent};
 use cosurf_link::{Identity, InboxLimits, Offer, Role};
+use cosurf_wire::body::CAMERA_BYTES;
 use cosurf_wire::frame::{Frame, FrameReader, MAX_FRAME_BYTES, Piece, Sessions, Turn};
 use cosurf_wire::{
-    Chunk, DeviceId, Done, MAX_MESSAGE_BYTES, Message, Missing, ModelId, ModelKind, RefusalReason, Refused,
-    SiteId, State, Topic, Want,
+    CameraRecord, Chunk, DeviceId, Done, Flight, MAX_MESSAGE_BYTES, Message, Missing, ModelId, ModelKind,
+    RefusalReason, Refused, SiteId, State, Topic, Want,
 };
 
 use crate::body::splats;
@@ -27,11 +28,25 @@ fn encoded(message: &Message<'_>) -> Vec<u8> {
     message.encode(&mut [0; MAX_MESSAGE_BYTES]).unwrap().to_vec()
 }
 
+fn camera() -> [u8; CAMERA_BYTES] {
+    let camera = CameraRecord {
+        quat: [0.5; 4],
+        translation: [1.0, 2.0, 3.0],
+        focal_px: [500.0; 2],
+        center_px: [320.0, 240.0],
+        size_px: [640, 480],
+    };
+    let mut bytes = [0; CAMERA_BYTES];
+    camera.encode(&mut bytes);
+    bytes
+}
+
 fn messages() -> Vec<Vec<u8>> {
     let Offer { header, body } = offer(30);
     let (device, model) = (header.device, header.model);
     let chunk = Chunk { device, model, index: 1, payload: &body[200..400] };
     let missing = Missing::of(500, |i| i % 3 == 0 || i > 400);
+    let cameras = camera().repeat(2);
     [
         Message::Header(header),
         Message::Chunk(chunk),
@@ -39,6 +54,7 @@ fn messages() -> Vec<Vec<u8>> {
         Message::Done(Done { device, model, blake3: header.blake3 }),
         Message::State(State { device, session: u64::MAX, alive: true }),
         Message::Refused(Refused { device, model, reason: RefusalReason::Busy }),
+        Message::Flight(Flight { device, frame: header.frame, cameras: &cameras }),
     ]
     .iter()
     .map(encoded)
@@ -77,6 +93,7 @@ fn topics_are_read_or_refused() {
     let (device, model) = (device(), ModelId(41));
     let topics = [
         Topic::State { device },
+        Topic::Flight { device },
         Topic::LocalHeader { device, model },
         Topic::LocalChunk { device, model, index: 70 },
         Topic::LocalReply { device, reply: cosurf_wire::Reply::Want },

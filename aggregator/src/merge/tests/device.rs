@@ -78,7 +78,7 @@ fn a_card_leaves_the_same_splats_to_others() {
     let cameras: Vec<Vec<Camera>> = models.iter().map(|model| model.cameras.clone()).collect();
     for (own, Model { splats, .. }) in models.iter().enumerate() {
         let removed = |device: &Device, cameras: &[Vec<Camera>]| {
-            Compression::plan(splats, own, cameras, device, 2).unwrap().removed
+            Compression::plan(splats, &cameras[own], &Fleet { cameras, own }, device, 2).unwrap().removed
         };
         let expected = removed(&Device::Cpu, &cameras);
         let differs = |got: &[u32]| got.iter().filter(|i| expected.binary_search(i).is_err()).count();

@@ -1,0 +1,77 @@
+//! What devices have photographed is told to all other devices, also to those that come later.
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use std::time::Duration;
+
+use common::{Member, cameras, run};
+use cosurf_link::{Credentials, Faults, InboxLimits, MemoryNetwork, NodeEvent, Role, Trusted, told_cameras};
+use cosurf_scene::Camera;
+use cosurf_wire::{FLIGHT_CAMERAS_MAX, FrameId};
+
+/// The flights that a member has heard.
+fn heard(member: &Member) -> Vec<(String, Vec<Camera>)> {
+    let flight = |event: &NodeEvent| match event {
+        NodeEvent::Flight(device, cameras) => Some((device.to_string(), cameras.clone())),
+        _ => None,
+    };
+    member.events.iter().filter_map(flight).collect()
+}
+
+#[test]
+fn who_comes_later_hears_every_flight_but_its_own() {
+    let network = MemoryNetwork::new(5, Faults { duplication: 0.2, ..Faults::NONE });
+    let join = |role, name: &str| Member::new(&network, role, name, InboxLimits::default());
+    let mut early = join(Role::Device, "early");
+    early.node.tell_flight(&cameras(7));
+    let mut elsewhere = join(Role::Device, "elsewhere");
+    elsewhere.node.believe(Credentials { frame: FrameId::new("utm-33n").unwrap(), ..Credentials::default() });
+    elsewhere.node.tell_flight(&cameras(2));
+    let mut fleet = vec![early, elsewhere, join(Role::Aggregator, "ground")];
+    let is_told = |fleet: &mut [Member]| fleet.iter().all(|member| !member.events.is_empty());
+    run(&network, &mut fleet, Duration::from_secs(5), is_told);
+    let mut late = join(Role::Device, "late");
+    late.node.tell_flight(&cameras(3));
+    fleet.push(late);
+    run(&network, &mut fleet, Duration::from_secs(30), |fleet| {
+        !heard(&fleet[0]).is_empty() && !heard(&fleet[3]).is_empty()
+    });
+    let [early, elsewhere, ground, late] = &fleet[..] else { panic!("four") };
+    assert!(heard(early).iter().all(|flight| *flight == ("late".to_owned(), cameras(3))), "camera by camera");
+    assert!(heard(late).iter().all(|flight| *flight == ("early".to_owned(), cameras(7))));
+    assert!(heard(elsewhere).is_empty(), "another frame");
+    assert!(heard(ground).is_empty(), "it is no matter of the aggregator");
+}
+
+/// Flights are not signed.
+#[test]
+fn who_believes_some_only_believes_no_flight() {
+    let network = MemoryNetwork::new(6, Faults::NONE);
+    let mut liar = Member::new(&network, Role::Device, "liar", InboxLimits::default());
+    liar.node.tell_flight(&cameras(7));
+    let mut careful = Member::new(&network, Role::Device, "careful", InboxLimits::default());
+    let trusted = Some(Trusted::default());
+    careful.node.believe(Credentials { trusted, ..Credentials::default() });
+    let mut fleet = [liar, careful];
+    let is_ignored = |member: &Member| {
+        member
+            .events
+            .iter()
+            .any(|event| matches!(event, NodeEvent::Ignored { topic, .. } if topic.ends_with("flight")))
+    };
+    run(&network, &mut fleet, Duration::from_secs(30), |fleet| is_ignored(&fleet[1]));
+    assert!(heard(&fleet[1]).is_empty());
+}
+
+#[test]
+fn of_a_long_flight_as_many_cameras_as_a_message_holds_are_told() {
+    let told = told_cameras(&cameras(3 * FLIGHT_CAMERAS_MAX));
+    assert_eq!(told.len(), FLIGHT_CAMERAS_MAX);
+    assert!(
+        told.iter().zip(cameras(3 * FLIGHT_CAMERAS_MAX).chunks(3)).all(|(told, of)| *told == of[0]),
+        "spread"
+    );
+    assert_eq!(told_cameras(&cameras(5)), cameras(5));
+    assert!(told_cameras(&[]).is_empty());
+}
