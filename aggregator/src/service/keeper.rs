@@ -43,6 +43,8 @@ pub(super) struct Keeper {
     parts: Parts,
     /// The last model of each withdrawn device that does not count.
     withdrawn: BTreeMap<DeviceId, ModelId>,
+    /// Withdrawn devices to which agents may still leave ground.
+    to_void: Vec<DeviceId>,
     withdrawals_at: Duration,
     global: Option<ModelHeader>,
     expected: Expected,
@@ -74,6 +76,7 @@ impl Keeper {
             stored: BTreeMap::new(),
             parts,
             withdrawn: BTreeMap::new(),
+            to_void: Vec::new(),
             withdrawals_at: Duration::ZERO,
             global: revisions.into_iter().max_by_key(|header| header.model),
             expected: config.expected,
@@ -209,6 +212,7 @@ impl Keeper {
 
     /// Withdraws devices, begins a merge when one is due, and looks after the one under way.
     pub(super) fn work(&mut self, node: &mut Node, now: Duration) -> Option<ServiceEvent> {
+        self.to_void.drain(..).for_each(|device| node.void_flight(device));
         if let Some(event) = self.told.pop_front() {
             return Some(event);
         }
@@ -252,6 +256,7 @@ impl Keeper {
                     let part = self.parts.model_of(&device);
                     let last = its.last_key_value().map(|(model, _)| *model).max(part).unwrap_or(ModelId(0));
                     settle_withdrawal(&self.folder, &device, last)?;
+                    self.to_void.push(device);
                     last
                 }
             };

@@ -12,7 +12,7 @@ use cosurf_link::{Faults, MemoryNetwork, MemoryTransport, Role};
 
 use cosurf_link::{Model, ModelKey, NodeEvent, Offer};
 use cosurf_scene::ply;
-use cosurf_wire::{ModelId, ModelKind};
+use cosurf_wire::{ModelId, ModelKind, Topic};
 
 use super::*;
 use crate::merge::tests::model;

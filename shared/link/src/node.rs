@@ -146,6 +146,8 @@ pub struct Node {
     /// What this device has photographed, if it tells that.
     flight: Option<Outgoing>,
     is_flight_due: bool,
+    /// Flights of others that do not count any more, to be taken back.
+    void_flights: VecDeque<DeviceId>,
     /// The sessions of each device that was born; at most [`DEVICES_MAX`].
     sessions: BTreeMap<DeviceId, Sessions>,
     /// Handed out by a machine, not yet taken by the transport.
@@ -165,6 +167,7 @@ impl Node {
             birth: None,
             flight: None,
             is_flight_due: false,
+            void_flights: VecDeque::new(),
             sessions: BTreeMap::new(),
             pending: None,
             is_connected: false,
@@ -186,6 +189,11 @@ impl Node {
         let message = Message::Flight(flight);
         self.flight = Some(Outgoing::new(&self.identity.site, Topic::Flight { device }, &message, true));
         self.is_flight_due = self.is_connected;
+    }
+
+    /// Takes back what a device has told of its flight, for nobody must leave ground to it any more.
+    pub fn void_flight(&mut self, device: DeviceId) {
+        self.void_flights.push_back(device);
     }
 
     /// Begins to offer a device's own model to the aggregator. An offer of the same model that is under
@@ -309,6 +317,9 @@ impl Node {
     }
 
     fn next_flight(&mut self) -> Option<Outgoing> {
+        if let Some(device) = self.void_flights.pop_front() {
+            return Some(Outgoing::clear(&self.identity.site, Topic::Flight { device }));
+        }
         std::mem::take(&mut self.is_flight_due).then(|| self.flight.clone()).flatten()
     }
 

@@ -44,6 +44,27 @@ fn who_comes_later_hears_every_flight_but_its_own() {
     assert!(heard(ground).is_empty(), "it is no matter of the aggregator");
 }
 
+#[test]
+fn a_flight_that_is_taken_back_is_not_heard_by_who_comes_later() {
+    let network = MemoryNetwork::new(7, Faults::NONE);
+    let join = |role, name: &str| Member::new(&network, role, name, InboxLimits::default());
+    let mut fleet =
+        vec![join(Role::Device, "lost"), join(Role::Device, "sound"), join(Role::Aggregator, "ground")];
+    fleet[0].node.tell_flight(&cameras(7));
+    fleet[1].node.tell_flight(&cameras(5));
+    run(&network, &mut fleet, Duration::from_secs(5), |fleet| {
+        !heard(&fleet[0]).is_empty() && !heard(&fleet[1]).is_empty()
+    });
+    let lost = fleet.remove(0).identity.device;
+    let is_kept = || network.retained("gs/v1/site/lost/flight").is_some_and(|bytes| !bytes.is_empty());
+    assert!(is_kept());
+    fleet[1].node.void_flight(lost);
+    run(&network, &mut fleet, Duration::from_secs(9), |_| !is_kept());
+    fleet.push(join(Role::Device, "late"));
+    run(&network, &mut fleet, Duration::from_secs(19), |fleet| !heard(&fleet[2]).is_empty());
+    assert_eq!(heard(&fleet[2]), [("sound".to_owned(), cameras(5))]);
+}
+
 /// Flights are not signed.
 #[test]
 fn who_believes_some_only_believes_no_flight() {

@@ -118,3 +118,19 @@ fn a_part_is_withdrawn_with_its_device_and_one_of_a_later_model_counts() {
     let is_withdrawn = |event: &ServiceEvent| matches!(event, ServiceEvent::Withdrawn { .. });
     assert!(!events.iter().any(is_withdrawn) && splats_beyond(folder.path()) > 0, "{events:?}");
 }
+
+#[test]
+fn agents_leave_no_ground_to_a_device_that_is_withdrawn() {
+    let models = flights();
+    let folder = tempfile::tempdir().unwrap();
+    let network = MemoryNetwork::new(5, Faults::NONE);
+    let mut ground = open_with(&network, folder.path(), fleet(&["agent-1", "agent-2"]), QUICK);
+    let mut drones = vec![Drone::new(&network, "agent-2", 1, &models[2])];
+    drones[0].node.tell_flight(&models[2].cameras);
+    let device = DeviceId::new("agent-2").unwrap();
+    let flight = Topic::Flight { device }.to_text(&identity("agent-2", Role::Device).site);
+    let is_told = || network.retained(&flight).is_some_and(|bytes| !bytes.is_empty());
+    simulate(&network, &mut ground, &mut drones, |_, _| is_told());
+    withdraw(folder.path(), &device).unwrap();
+    simulate(&network, &mut ground, &mut drones, |_, _| !is_told());
+}
