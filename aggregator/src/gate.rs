@@ -168,7 +168,7 @@ fn doubts(
     let mut shown = Vec::with_capacity(locals.count());
     for i in 0..locals.count() {
         go_on()?;
-        shown.push(Shown::of(locals.load(i)?, threads));
+        shown.push(Shown::of(locals.load(i)?, locals.is_compressed(i), threads));
     }
     let mut relations = Relations::default();
     relations.note_distances(&shown);
@@ -195,14 +195,14 @@ struct Shown {
 }
 
 impl Shown {
-    fn of(model: Model, threads: usize) -> Self {
+    fn of(model: Model, is_compressed: bool, threads: usize) -> Self {
         let Model { splats, cameras } = model;
         let is_unseen = |mean: &&[f32; 3]| {
             let mean = DVec3::from_array(mean.map(f64::from));
             !cameras.is_empty() && !cameras.iter().any(|camera| camera.sees(mean))
         };
         let unseen = splats.means.iter().filter(is_unseen).count() as f64 / splats.len().max(1) as f64;
-        let glimpses = Glimpse::some(&splats, &cameras, threads);
+        let glimpses = Glimpse::some(&splats, &cameras, is_compressed, threads);
         let middle = middle(&cameras);
         let radius = radius(&cameras, middle);
         Self { cameras, glimpses, unseen, middle, radius }
@@ -250,6 +250,7 @@ impl Relations {
         threads: usize,
     ) -> Result<(), MergeError> {
         let cameras = &shown[judged].cameras;
+        let is_compressed = locals.is_compressed(judged);
         let mut renderer = None;
         for (other, its) in shown.iter().enumerate().filter(|(other, _)| *other != judged) {
             for glimpse in &its.glimpses {
@@ -258,7 +259,7 @@ impl Relations {
                     Some(renderer) => renderer,
                     none => none.insert(Renderer::new(&locals.load(judged)?.splats, threads)),
                 };
-                if let Some(is_confirmed) = glimpse.is_confirmed_by(renderer, &shared) {
+                if let Some(is_confirmed) = glimpse.is_confirmed_by(renderer, &shared, is_compressed) {
                     self.note(judged, other, is_confirmed, 1);
                 }
             }

@@ -24,9 +24,9 @@ fn program(name: &str) -> PathBuf {
     path
 }
 
-fn start(data: &Path, out: &Path) -> Child {
+fn start(data: &Path, out: &Path, more: &[&str]) -> Child {
     let mut command = Command::new(program("cosurf-aggregator"));
-    command.args(["mission", "--agents", "2", "--steps", "300", "--data"]).arg(data).arg("--out").arg(out);
+    command.args(["mission", "--agents", "2", "--data"]).arg(data).arg("--out").arg(out).args(more);
     command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap()
 }
 
@@ -121,6 +121,29 @@ fn changes_are_told(out: &Path) {
     }
 }
 
+/// Agents that know of each other's flights send each place once, and the model is the one that the aggregator would
+/// have made of everything, but for what borders teach.
+#[test]
+fn agents_that_share_ground_send_each_place_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let (data, out) = (folder.path().join("data"), folder.path().join("out"));
+    let settings = CitySettings { extent_m: 60.0, views: 16, size_px: [160, 120], ..CitySettings::default() };
+    City::build(&settings).unwrap().write(&data, |_, _| ()).unwrap();
+    let report = |more: &[&str]| -> serde_json::Value {
+        let _ = fs::remove_dir_all(&out);
+        let mission = start(&data, &out, &[&["--steps", "150"], more].concat());
+        finish(mission, &out);
+        serde_json::from_slice(&fs::read(out.join("report.json")).unwrap()).unwrap()
+    };
+    let [all, shared] = [report(&[]), report(&["--compress-first"])];
+    let figure =
+        |report: &serde_json::Value, pointer: &str| report.pointer(pointer).unwrap().as_f64().unwrap();
+    let [sent, less] = [&all, &shared].map(|report| figure(report, "/whole/bytes_sent"));
+    assert!(less < 0.85 * sent, "{less} bytes instead of {sent}");
+    let [best, good] = [&all, &shared].map(|report| figure(report, "/whole/quality/psnr"));
+    assert!(good > best - 1.0, "{good:.2} dB instead of {best:.2} dB");
+}
+
 #[cfg(target_os = "linux")]
 #[test]
 fn an_agent_killed_in_training_changes_nothing() {
@@ -130,10 +153,10 @@ fn an_agent_killed_in_training_changes_nothing() {
     let settings = CitySettings { extent_m: 60.0, views: 16, size_px: [160, 120], ..CitySettings::default() };
     City::build(&settings).unwrap().write(&data, |_, _| ()).unwrap();
 
-    let undisturbed = finish(start(&data, &calm), &calm);
+    let undisturbed = finish(start(&data, &calm, &["--steps", "300"]), &calm);
     no_photograph_left(&data, &calm);
     changes_are_told(&calm);
-    let mission = start(&data, &wild);
+    let mission = start(&data, &wild, &["--steps", "300"]);
     let agent = agent_in_training(&mission, &wild).expect("an agent that trains");
     assert!(Command::new("kill").args(["-9", &agent.to_string()]).status().unwrap().success());
     assert!(finish(mission, &wild) == undisturbed, "the global models differ");

@@ -51,20 +51,27 @@ pub(super) struct Glimpse {
 }
 
 impl Glimpse {
-    /// What a model shows some of its cameras.
-    pub(super) fn some(splats: &Splats, cameras: &[Camera], threads: usize) -> Vec<Self> {
+    /// What a model shows some of its cameras; where it has left ground to others, that is not looked at.
+    pub(super) fn some(
+        splats: &Splats,
+        cameras: &[Camera],
+        is_compressed: bool,
+        threads: usize,
+    ) -> Vec<Self> {
         if splats.is_empty() {
             return Vec::new();
         }
         let mut renderer = Renderer::new(splats, threads);
         let views = VIEWS.min(cameras.len());
-        (0..views).map(|i| Self::of(&mut renderer, &cameras[i * cameras.len() / views])).collect()
+        let view = |i: usize| Self::of(&mut renderer, &cameras[i * cameras.len() / views], is_compressed);
+        (0..views).map(view).collect()
     }
 
-    fn of(renderer: &mut Renderer, camera: &Camera) -> Self {
+    fn of(renderer: &mut Renderer, camera: &Camera, is_compressed: bool) -> Self {
+        let alpha_min = if is_compressed { OPAQUE_MIN } else { ALPHA_MIN };
         let camera = camera.resized(camera.fitted_size(SIZE_PX));
         let rendering = renderer.render(&camera);
-        let opaque = |(depth, alpha): (&f32, &f32)| if *alpha > ALPHA_MIN { *depth } else { 0.0 };
+        let opaque = |(depth, alpha): (&f32, &f32)| if *alpha > alpha_min { *depth } else { 0.0 };
         let depth = rendering.depth.iter().zip(&rendering.alpha).map(opaque).collect();
         Self { camera, rgb: rendering.rgb, depth, alpha: rendering.alpha }
     }
@@ -90,9 +97,19 @@ impl Glimpse {
         (shared.len() >= enough).then_some(shared)
     }
 
-    /// Whether another model shows the same at these pixels; `None` where that cannot be told.
-    pub(super) fn is_confirmed_by(&self, renderer: &mut Renderer, shared: &[usize]) -> Option<bool> {
-        let other = Self::of(renderer, &self.camera);
+    /// Whether another model shows the same at these pixels; `None` where that cannot be told, or where it has left most
+    /// of them to others.
+    pub(super) fn is_confirmed_by(
+        &self,
+        renderer: &mut Renderer,
+        shared: &[usize],
+        is_compressed: bool,
+    ) -> Option<bool> {
+        let other = Self::of(renderer, &self.camera, is_compressed);
+        let told = shared.iter().filter(|i| other.depth[**i] > 0.0).count();
+        if is_compressed && (told as f64) < SHARE_MIN * shared.len() as f64 {
+            return None;
+        }
         let is_deep = self.is_as_deep(&other, shared)?;
         let in_place = self.correlation(&other, shared, [0, 0])?;
         let nearby = (-REACH_PX..=REACH_PX).flat_map(|dy| (-REACH_PX..=REACH_PX).map(move |dx| [dx, dy]));
@@ -105,7 +122,7 @@ impl Glimpse {
 
     /// The colours here and of another model at those of these pixels where both show the same surface.
     pub(super) fn colors_with(&self, renderer: &mut Renderer, shared: &[usize]) -> Vec<[[f32; 3]; 2]> {
-        let other = Self::of(renderer, &self.camera);
+        let other = Self::of(renderer, &self.camera, true);
         let is_same = |i: &usize| {
             let is_opaque = self.alpha[*i].min(other.alpha[*i]) > OPAQUE_MIN;
             is_opaque && f64::from(self.depth[*i] / other.depth[*i]).ln().abs() <= DEPTH_MAX

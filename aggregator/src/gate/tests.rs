@@ -134,7 +134,7 @@ fn trained_models_are_judged_rightly() {
         println!("{mission}: {doubts:?} in {:.1?}", begun.elapsed());
         assert!(doubts.iter().all(Option::is_none));
         for wrong in 0..models.len() {
-            let radius = Shown::of(models[wrong].clone(), 2).radius;
+            let radius = Shown::of(models[wrong].clone(), false, 2).radius;
             for (what, scale, by) in [
                 ("moved", 1.0, 0.05 * DVec3::X),
                 ("raised", 1.0, 0.05 * DVec3::Z),

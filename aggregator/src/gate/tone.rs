@@ -124,7 +124,7 @@ fn compare(locals: &dyn Locals, threads: usize, is_given_up: &dyn Fn() -> bool) 
     let mut shown = Vec::with_capacity(locals.count());
     for i in 0..locals.count() {
         let model = locals.load(i)?;
-        shown.push(Glimpse::some(&model.splats, &model.cameras, threads));
+        shown.push(Glimpse::some(&model.splats, &model.cameras, locals.is_compressed(i), threads));
     }
     for i in 0..locals.count() {
         if is_given_up() {
