@@ -189,6 +189,13 @@ pub(crate) fn merge_texts(report: &MissionReport) -> Vec<String> {
     if let Some(joined) = whole.joined {
         last += &format!(" Joined as they are, the agents' models are worth {:.2} dB.", joined.psnr);
     }
+    let arrived: usize = merging.summary.locals.iter().map(|local| local.arrived).sum();
+    let trained =
+        report.agents.iter().filter_map(|agent| Some(agent.training.as_ref()?.splats)).sum::<usize>();
+    let are_all_here = report.edges.is_empty() && merging.summary.locals.len() == report.agents.len();
+    if are_all_here && trained > arrived {
+        last += &format!(" The agents had left {} splats to each other before they sent.", trained - arrived);
+    }
     texts.push(last);
     texts
 }
