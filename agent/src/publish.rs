@@ -74,7 +74,10 @@ pub fn tell<T: Transport>(
     patience: Duration,
     farewell: Duration,
 ) {
-    let mut node = Node::new(identity, InboxLimits::default(), &[]);
+    // A global model that is offered meanwhile is for later.
+    let busy =
+        InboxLimits { body_bytes_max: u64::MAX, total_bytes_max: u64::MAX, models_max: 0, stored_max: 0 };
+    let mut node = Node::new(identity, busy, &[]);
     node.believe(credentials.clone());
     node.tell_flight(flight);
     let mut end = now() + patience;

@@ -23,7 +23,8 @@ use crate::warm::beginning;
 pub const SH_DEGREE: u32 = 3;
 
 /// Training pixels per splat that a training may make at most, memory permitting: finer splats than this
-/// would see too few pixels each to be told apart from noise.
+/// would see too few pixels each to be told apart from noise. With 48, at the same processor time, rendered Boruszyn
+/// (160 px) has 0.62 dB less, Boruszyn (320 px) 0.39, Caliterra (240 px) 0.27.
 const PIXELS_PER_SPLAT: u64 = 24;
 /// The same where the model is one of several. Around its cell it sees others' ground in few pictures of its own: a
 /// quarter of rendered Boruszyn's pictures shows two thirds of the ground, so that by the same rule it would have half

@@ -48,6 +48,11 @@ pub(super) fn run(args: &RunArgs) -> Result<()> {
     let frame = config.frame.as_deref().map(FrameId::new).transpose().context("frame")?;
     let credentials =
         Credentials::load(frame.unwrap_or_default(), config.key.as_deref(), config.trusted.as_deref())?;
+    if config.compress && config.trusted.is_some() {
+        bail!(
+            "compress = true: what others have photographed is not signed; leave out either it or `trusted`"
+        );
+    }
     let route = Route::of(&config)?;
     let plan = plan(&config).with_context(|| args.config.display().to_string())?;
     let mut progress = Progress::new(args.json);

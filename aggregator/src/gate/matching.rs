@@ -1,12 +1,11 @@
 //! The same ground in two models' pictures: patches of one are looked for in the other by normalised cross-correlation,
 //! and what is found becomes pairs of points in space.
 
+use cosurf_engine::compress::sees_alike;
 use cosurf_engine::{Renderer, Rendering};
 use cosurf_scene::Camera;
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
-
-use cosurf_engine::compress::sees_alike;
 
 /// A surface that shows less than this is none.
 const ALPHA_MIN: f32 = 0.95;

@@ -95,6 +95,8 @@ impl Relay {
         let Ok((site, parsed)) = Topic::parse(topic) else { return };
         let message = Outgoing { topic: parsed.to_text(&site), payload, retain: false };
         match parsed {
+            // Its own words.
+            Topic::Flight { device } if self.device == Some(device) => {}
             Topic::GlobalChunk { model, index, .. } => {
                 let is_wanted = self.want.as_ref().is_some_and(|want| {
                     want.model == model && want.missing.of_chunk(index) == Knowledge::Missing
@@ -207,6 +209,17 @@ mod tests {
         let elsewhere = SiteId::new("elsewhere").unwrap();
         let topic = Topic::State { device: device("drone") }.to_text(&elsewhere);
         assert!(matches!(relay.hear_device(&topic, vec![1]), Passage::Refuse(_)));
+    }
+
+    #[test]
+    fn flights_of_others_pass_and_its_own_does_not() {
+        let mut relay = Relay::new(site());
+        born(&mut relay, "drone");
+        for (i, name) in ["drone", "other"].into_iter().enumerate() {
+            let topic = Topic::Flight { device: device(name) };
+            relay.hear_broker(&topic.to_text(&site()), vec![i as u8]);
+        }
+        assert_eq!(all_down(&mut relay), [1]);
     }
 
     #[test]
