@@ -30,7 +30,7 @@ use glam::DVec3;
 
 use crate::merge::{Locals, MergeError, middle, radius};
 use glimpse::Glimpse;
-use refine::refine;
+use refine::{refine, settle};
 pub use similarity::Similarity;
 pub use tone::Tone;
 use tone::tones;
@@ -138,12 +138,12 @@ pub fn admit<'a>(
         let Some(Doubt::Contradicts(others)) = doubts[local].clone() else { continue };
         let sound: Vec<usize> =
             others.into_iter().filter(|other| doubts[*other].is_none() && moves[*other].is_none()).collect();
-        for other in sound {
+        for &other in &sound {
             if is_given_up() {
                 return Err(MergeError::GivenUp);
             }
-            moves[local] = refine(locals, local, other, threads)?;
-            if moves[local].is_some() {
+            if let Some(by) = refine(locals, local, other, threads)? {
+                moves[local] = Some(settle(locals, local, &sound, by, threads)?);
                 doubts[local] = None;
                 break;
             }

@@ -68,7 +68,7 @@ pub trait Locals {
     /// Reads one.
     fn load(&self, index: usize) -> Result<Model, MergeError>;
 
-    /// Whether one has left ground to others before it was sent: there it shows nothing.
+    /// Whether one has left ground to others before it was sent: there it shows nothing, and it teaches nothing.
     fn is_compressed(&self, index: usize) -> bool {
         let _ = index;
         false

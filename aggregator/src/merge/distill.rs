@@ -10,7 +10,7 @@ use cosurf_engine::backend::{Channels, TargetSurface};
 use cosurf_engine::budget::{Costs, DRIVER_BYTES};
 use cosurf_engine::cpu::PAIRS_PER_SPLAT;
 use cosurf_engine::train::view_order;
-use cosurf_engine::{AnyBackend, Backend, CpuCapacity, Device, DistillSettings, Distiller, Lesson, Renderer};
+use cosurf_engine::{AnyBackend, Backend, CpuCapacity, Device, DistillSettings, Distiller, Lesson};
 use cosurf_scene::{Camera, Splats};
 use glam::DVec3;
 
@@ -41,20 +41,15 @@ pub(crate) fn distill(
     let device = &computer.device;
     let room = student_room(device, settings, joined.sh_degree, cameras);
     let parts = parts(sizes, room);
-    let lessons = lessons(cameras);
+    let lessons = lessons(cameras, |local| !locals.is_compressed(local));
     let steps = settings.epochs * lessons.iter().map(Vec::len).sum::<usize>() as u32;
+    if steps == 0 {
+        return Ok(Distilled { splats: joined, steps });
+    }
     let teachers_bytes = ((1.0 - STUDENT_SHARE) * bytes_beside_driver(device, settings)) as u64;
     let largest = surveyed.sizes.iter().copied().max().unwrap_or(0);
     let teacher_bytes = renderer_bytes(device, largest, joined.sh_degree, cameras);
-    let (frozen, frozen_bytes) = match (0..sizes.len()).any(|local| locals.is_compressed(local)) {
-        true => {
-            let bytes = renderer_bytes(device, joined.len(), joined.sh_degree, cameras);
-            (Some(Renderer::by(device, computer.threads, &joined)?), bytes)
-        }
-        false => (None, 0),
-    };
-    let teachers_bytes = teachers_bytes.saturating_sub(frozen_bytes);
-    let mut teachers = Teachers::new(*locals, frozen, computer, teacher_bytes, teachers_bytes);
+    let mut teachers = Teachers::new(*locals, computer, teacher_bytes, teachers_bytes);
     let depth = median_depth(&mut teachers, cameras)?;
     let all: Vec<Camera> = cameras.iter().flatten().copied().collect();
     let extent = extent(&all);

@@ -3,6 +3,10 @@
 //! Cells with a margin share cameras. Such a camera is left to the model in the middle of whose flight it stands, which
 //! saw its ground most often. On rendered Boruszyn (160 px, four agents) that is as good as being taught by both (within
 //! 0.02 dB, the same F-score) and takes 22 % fewer steps with a margin of 0.1, 46 % fewer with one of 0.3.
+//!
+//! Who has left ground to others before it was sent teaches nothing: its pictures are black there, and what is not black
+//! the joined model shows already. With what it left filled in from the joined model, Caliterra (240 px) has 32.92 dB
+//! after five epochs, 33.81 dB without them; rendered Boruszyn (160 px) 32.95 and 32.97 dB.
 
 use std::collections::BTreeMap;
 
@@ -11,12 +15,12 @@ use glam::DVec3;
 
 use super::middle;
 
-/// Indices of the cameras that each local model teaches, ascending: all but those that another one has as well and is
-/// nearer to; the first of equals.
-pub(super) fn lessons(cameras: &[Vec<Camera>]) -> Vec<Vec<usize>> {
+/// Indices of the cameras that each local model teaches, if `teaches` says that it does, ascending: all but those that
+/// another teacher has as well and is nearer to; the first of equals.
+pub(super) fn lessons(cameras: &[Vec<Camera>], teaches: impl Fn(usize) -> bool) -> Vec<Vec<usize>> {
     let middles: Vec<DVec3> = cameras.iter().map(|its| middle(its)).collect();
     let mut nearest: BTreeMap<[u64; 13], (f64, usize, usize)> = BTreeMap::new();
-    for (local, its) in cameras.iter().enumerate() {
+    for (local, its) in cameras.iter().enumerate().filter(|(local, _)| teaches(*local)) {
         for (i, camera) in its.iter().enumerate() {
             let distance = camera.cam_from_world.center().distance(middles[local]);
             let teacher = nearest.entry(bits(camera)).or_insert((distance, local, i));
@@ -53,14 +57,20 @@ mod tests {
     fn a_shared_camera_is_left_to_the_flight_in_whose_middle_it_stands() {
         let west = flight(&[0.0, 1.0, 2.0, 3.0, 4.0]); // about 2
         let east = flight(&[3.0, 4.0, 5.0, 6.0, 7.0, 8.0]); // about 5.5
-        assert_eq!(lessons(&[west, east]), [vec![0, 1, 2, 3], vec![1, 2, 3, 4, 5]]);
+        let both = [west, east];
+        assert_eq!(lessons(&both, |_| true), [vec![0, 1, 2, 3], vec![1, 2, 3, 4, 5]]);
+        assert_eq!(
+            lessons(&both, |local| local == 1),
+            [vec![], vec![0, 1, 2, 3, 4, 5]],
+            "west has other things to do"
+        );
     }
 
     #[test]
     fn what_nobody_shares_everybody_teaches_and_nothing_twice() {
         let [west, east] = [flight(&[0.0, 1.0, 1.0]), flight(&[5.0, 6.0])];
-        assert_eq!(lessons(&[west.clone(), east]), [vec![0, 1], vec![0, 1]]);
-        assert_eq!(lessons(&[west.clone(), west, Vec::new()]), [vec![0, 1], vec![], vec![]]);
-        assert!(lessons(&[]).is_empty());
+        assert_eq!(lessons(&[west.clone(), east], |_| true), [vec![0, 1], vec![0, 1]]);
+        assert_eq!(lessons(&[west.clone(), west, Vec::new()], |_| true), [vec![0, 1], vec![], vec![]]);
+        assert!(lessons(&[], |_| true).is_empty());
     }
 }

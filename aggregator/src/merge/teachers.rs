@@ -18,9 +18,6 @@ use super::{Locals, MergeError};
 /// of the photograph even where its surface is not, and leaving out what is not opaque costs 0.7 dB (real drone
 /// pictures, Caliterra at 240 px: 32.65 instead of 33.31 dB held out).
 const ALPHA_MIN: f32 = 0.95;
-/// Where a model that was compressed before it was sent shows less than this, it has left the ground to others: what it
-/// teaches there is what the joined models show.
-const LEFT_ALPHA: f32 = 0.9;
 /// A surface that does not come back from another camera of the teacher to within this is not believed.
 const RETURN_PX: f64 = 1.0;
 /// Points that tell how deep a teacher's cameras look.
@@ -62,8 +59,6 @@ pub(crate) struct Teachers<'a> {
     shelf: VecDeque<(usize, Teacher)>,
     /// By local and camera, once it is known.
     trusts: Vec<Vec<Option<Bits>>>,
-    /// All models joined, where one of them was compressed before it was sent.
-    joined: Option<Renderer>,
     kept: BTreeMap<ViewKey, Rc<Taught>>,
     /// Bytes that more may take.
     free_bytes: u64,
@@ -79,7 +74,6 @@ impl<'a> Teachers<'a> {
     /// Teachers of `locals`, of up to `teacher_bytes` each, within `memory_bytes`; one is held whatever that takes.
     pub(super) fn new(
         locals: &'a dyn Locals,
-        joined: Option<Renderer>,
         computer: &'a Computer,
         teacher_bytes: u64,
         memory_bytes: u64,
@@ -91,7 +85,6 @@ impl<'a> Teachers<'a> {
             shelf_max: shelf_max as usize,
             shelf: VecDeque::new(),
             trusts: vec![Vec::new(); locals.count()],
-            joined,
             kept: BTreeMap::new(),
             free_bytes: memory_bytes.saturating_sub(shelf_max * teacher_bytes),
         }
@@ -127,10 +120,7 @@ impl<'a> Teachers<'a> {
             none => none.insert(teacher.trust(view.camera, &rendering)?),
         };
         let trust = trust.weights().take(rendering.alpha.len()).collect();
-        let Rendering { mut rgb, depth, normal, alpha, .. } = rendering;
-        if let Some(joined) = self.joined.as_mut().filter(|_| self.locals.is_compressed(view.local)) {
-            fill_in(&mut rgb, &alpha, &joined.try_render(&camera)?.rgb);
-        }
+        let Rendering { rgb, depth, normal, .. } = rendering;
         Ok(Taught { camera, rgb, depth, normal, trust })
     }
 
@@ -149,15 +139,6 @@ impl<'a> Teachers<'a> {
         let renderer = Renderer::by(&self.computer.device, self.computer.threads, &model.splats)?;
         self.shelf.push_back((local, Teacher { renderer, cameras: model.cameras, neighbours }));
         Ok(())
-    }
-}
-
-/// Colours of `joined` where `rgb` shows little.
-fn fill_in(rgb: &mut [f32], alpha: &[f32], joined: &[f32]) {
-    for ((its, alpha), joined) in rgb.as_chunks_mut::<3>().0.iter_mut().zip(alpha).zip(joined.as_chunks().0) {
-        if *alpha < LEFT_ALPHA {
-            *its = *joined;
-        }
     }
 }
 

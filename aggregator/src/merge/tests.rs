@@ -193,11 +193,12 @@ fn who_has_left_ground_to_others_does_not_teach_that_it_is_black() {
         Model { splats: splats.without(&removed), cameras: its }
     });
     let left = InMemory(left.collect());
-    let taught = |is_told| {
+    let merged = |is_told| {
         let settings = MergeSettings { epochs: 10, device: DeviceChoice::Cpu, ..MergeSettings::default() };
-        let merged = merge(&Left(left.clone(), is_told), &settings, 1, &mut |_| ControlFlow::Continue(()));
-        quality(&merged.unwrap().model.splats)
+        merge(&Left(left.clone(), is_told), &settings, 1, &mut |_| ControlFlow::Continue(())).unwrap()
     };
-    let (told, untold) = (taught(true), taught(false));
+    let (told, untold) = (merged(true), merged(false));
+    assert_eq!((told.summary.steps, told.summary.splats), (0, told.summary.joined));
+    let [told, untold] = [told, untold].map(|merged| quality(&merged.model.splats));
     assert!(told > untold + 1.0, "{told:.2} dB where it is known, {untold:.2} dB where it is not");
 }
