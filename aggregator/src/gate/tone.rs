@@ -3,7 +3,8 @@
 //!
 //! Models are compared where their surfaces agree ([`Glimpse`]): of each pair, mean and spread of the colours that both
 //! show. Gains, then offsets, are those with which all pairs agree best, weighted by their pixels, and which leave the
-//! models on the whole as they are. Where nobody differs by more than training leaves between models of one camera
+//! models on the whole as they are. Models that were compressed before they were sent are compared with nobody (Caliterra
+//! at 240 px then had 32.95 instead of 33.81 dB). Where nobody differs by more than training leaves between models of one camera
 //! anyway, nobody is changed.
 
 use std::collections::BTreeMap;
@@ -124,7 +125,7 @@ fn compare(locals: &dyn Locals, threads: usize, is_given_up: &dyn Fn() -> bool) 
     let mut shown = Vec::with_capacity(locals.count());
     for i in 0..locals.count() {
         let model = locals.load(i)?;
-        shown.push(Glimpse::some(&model.splats, &model.cameras, locals.is_compressed(i), threads));
+        shown.push(Glimpse::some(&model.splats, &model.cameras, false, threads));
     }
     for i in 0..locals.count() {
         if is_given_up() {
@@ -132,7 +133,9 @@ fn compare(locals: &dyn Locals, threads: usize, is_given_up: &dyn Fn() -> bool) 
         }
         let model = locals.load(i)?;
         let mut renderer = None;
-        for (other, glimpses) in shown.iter().enumerate().filter(|(other, _)| *other != i) {
+        // Where one has left ground to the other, what both show is what neither shows well.
+        let is_told = |other: usize| other != i && !locals.is_compressed(i) && !locals.is_compressed(other);
+        for (other, glimpses) in shown.iter().enumerate().filter(|(other, _)| is_told(*other)) {
             for glimpse in glimpses {
                 let Some(places) = glimpse.shared_with(&model.cameras) else { continue };
                 let renderer = renderer.get_or_insert_with(|| Renderer::new(&model.splats, threads));
