@@ -8,11 +8,11 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use cosurf_link::{
-    Credentials, Identity, InboxLimits, ModelStore, Node, NodeEvent, Offer, Transport, body_to_model,
-    model_to_body,
+    Credentials, First, Identity, InboxLimits, ModelStore, Node, NodeEvent, Offer, Transport, body_to_model,
+    model_to_body, plain_importance,
 };
 use cosurf_scene::report::AgentEvent;
-use cosurf_scene::{Camera, Splats, ply};
+use cosurf_scene::{Base, Camera, Splats, ply};
 use cosurf_wire::{ModelHeader, ModelId, ModelKind};
 use serde::{Deserialize, Serialize};
 
@@ -30,8 +30,8 @@ pub struct Publication<'a> {
     pub splats: &'a Splats,
     /// The cameras that it saw.
     pub cameras: &'a [Camera],
-    /// What each splat gives to the pictures, in any unit: what gives most is sent first.
-    pub importance: &'a [f32],
+    /// What is sent first, to stand in for the model; without one, the splats that seem to matter most.
+    pub base: Option<&'a Base>,
     /// Set where ground that other devices show as well is left to its owner.
     pub sharing: Option<Sharing<'a>>,
     /// The frame of the model, the key that signs it, and whose global models are believed.
@@ -117,7 +117,7 @@ pub fn publish<T: Transport>(
         if bytes_total.is_none() && waiting.as_ref().is_none_or(|waiting| waiting.is_over(now())) {
             let offer = match waiting.take() {
                 Some(waiting) => shared(publication, &waiting, &mut on_event)?,
-                None => offer(publication, publication.splats, publication.importance, ModelKind::Local)?,
+                None => offer(publication, publication.splats, publication.base, ModelKind::Local)?,
             };
             bytes_total = Some(offer.header.body_bytes);
             node.upload(offer);
@@ -206,14 +206,13 @@ fn shared(
     waiting: &Waiting,
     on_event: &mut impl FnMut(AgentEvent),
 ) -> Result<Offer> {
-    let Publication { splats, cameras, importance, .. } = *publication;
+    let Publication { splats, cameras, base, .. } = *publication;
     let Waiting { sharing, flights, .. } = waiting;
     let removed = flights.compression(splats, cameras, sharing.threads)?.removed;
     on_event(AgentEvent::Compressed { removed: removed.len(), of: splats.len(), others: flights.others() });
-    let stays = |i: &usize| removed.binary_search(&(*i as u32)).is_err();
-    let importance: Vec<f32> = (0..splats.len()).filter(stays).map(|i| importance[i]).collect();
+    let base = base.map(|base| base.without(&removed));
     let kind = if removed.is_empty() { ModelKind::Local } else { ModelKind::Compressed };
-    offer(publication, &splats.without(&removed), &importance, kind)
+    offer(publication, &splats.without(&removed), base.as_ref(), kind)
 }
 
 fn received(header: &ModelHeader) -> AgentEvent {
@@ -226,9 +225,15 @@ fn who_is_silent(reason: &str) -> &str {
 }
 
 /// The model as it is sent, under the number that it had before if it was sent before.
-fn offer(publication: &Publication, splats: &Splats, importance: &[f32], kind: ModelKind) -> Result<Offer> {
+fn offer(publication: &Publication, splats: &Splats, base: Option<&Base>, kind: ModelKind) -> Result<Offer> {
     let path = publication.out.join("published.json");
-    let body = model_to_body(splats, publication.cameras, importance)?;
+    let body = match base {
+        Some(base) => model_to_body(splats, publication.cameras, First::Base(base)),
+        None => {
+            let importance = plain_importance(splats);
+            model_to_body(splats, publication.cameras, First::Important(&importance))
+        }
+    }?;
     let hash = blake3::hash(&body).to_hex().to_string();
     let mut published: Published = match fs::read(&path) {
         Ok(bytes) => serde_json::from_slice(&bytes)

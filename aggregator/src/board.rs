@@ -82,7 +82,10 @@ impl Status {
                 (self.steps_per_s, self.seconds_left) = (*steps_per_s, *seconds_left);
                 self.extend_curve(*step, *psnr);
             }
-            AgentEvent::DeviceLost { .. } | AgentEvent::Compared { .. } | AgentEvent::Compressed { .. } => {}
+            AgentEvent::DeviceLost { .. }
+            | AgentEvent::Preparing { .. }
+            | AgentEvent::Compared { .. }
+            | AgentEvent::Compressed { .. } => {}
             AgentEvent::Trained { report } => {
                 self.phase = Phase::Publishing;
                 (self.step, self.steps, self.splats) = (report.steps, report.steps, report.splats);

@@ -20,7 +20,7 @@ use std::ops::ControlFlow;
 
 use cosurf_engine::{Compression, DeviceChoice, DeviceError, Fleet};
 use cosurf_link::{BodyFault, Model, StoreError};
-use cosurf_scene::{Camera, SceneError};
+use cosurf_scene::{Camera, SceneError, camera};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
@@ -216,7 +216,7 @@ fn survey(locals: &dyn Locals) -> Result<Surveyed<'_>, MergeError> {
 
 /// 1.1 × the largest distance of a camera from their mean (3DGS), world units.
 fn extent(cameras: &[Camera]) -> f64 {
-    let reach = 1.1 * radius(cameras, middle(cameras));
+    let reach = camera::extent(cameras.iter());
     if reach > 0.0 { reach } else { 1.0 }
 }
 

@@ -8,11 +8,11 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 use clap::Parser;
 use cosurf_aggregator::eval::{EvalOrder, judge};
-use cosurf_engine::{Renderer, Rendering};
-use cosurf_link::{Model, model_to_body, part_to_model};
+use cosurf_engine::{Renderer, Rendering, base_of};
+use cosurf_link::{First, Model, model_to_body, part_to_model};
 use cosurf_scene::metrics::psnr;
 use cosurf_scene::splats::sh_coefficients;
 use cosurf_scene::{Camera, Dataset, Picture, Splats, ply};
@@ -45,8 +45,9 @@ fn main() -> Result<()> {
     let Arguments { model, data, sh_degree, max_size, .. } = Arguments::parse();
     let splats = of_degree(&ply::read(&model)?, sh_degree);
     let views = Views::read(&Dataset::open(&data)?, max_size)?;
-    let importance = Renderer::new(&splats, THREADS).importance(&views.taught);
-    let body = model_to_body(&splats, &views.taught, &importance)?;
+    let base =
+        base_of(&splats, &views.taught, THREADS, usize::MAX, |_, _| ()).context("a model too small")?;
+    let body = model_to_body(&splats, &views.taught, First::Base(&base))?;
     let whole = views.render(&splats);
     println!("{} splats of degree {}, {} cameras", splats.len(), splats.sh_degree, views.taught.len());
     println!("{} bytes, {:.2} a splat", body.len(), body.len() as f64 / splats.len() as f64);

@@ -64,6 +64,21 @@ impl Progress {
         (self.last, self.last_step, self.psnr) = (Instant::now(), step, (0.0, 0));
     }
 
+    /// A step towards the upload was done; reports every now and then.
+    pub(super) fn preparing(&mut self, step: u32, steps: u32) {
+        if step == 1 {
+            (self.last, self.last_step) = (Instant::now(), step);
+        }
+        let elapsed = self.last.elapsed();
+        if elapsed < LINE_EVERY {
+            return;
+        }
+        let steps_per_s = (step - self.last_step) as f32 / elapsed.as_secs_f32();
+        let seconds_left = (steps - step) as f32 / steps_per_s.max(1e-6);
+        self.show(&AgentEvent::Preparing { step, steps, seconds_left });
+        (self.last, self.last_step) = (Instant::now(), step);
+    }
+
     /// Shows an event.
     pub(super) fn show(&mut self, event: &AgentEvent) {
         if let AgentEvent::Started { resumed_at, .. } = event {
@@ -118,6 +133,9 @@ fn in_words(event: &AgentEvent) -> Option<String> {
             format!("{reason}; the processor goes on from the last checkpoint")
         }
         AgentEvent::Trained { .. } => return None,
+        AgentEvent::Preparing { step, steps, seconds_left } => {
+            format!("preparing the upload: step {step}/{steps}, {seconds_left:.0} s left")
+        }
         AgentEvent::Retrying { what, attempt } => format!("{what} does not answer (attempt {attempt})"),
         AgentEvent::Compressed { removed, of, others } => {
             format!("{removed} of {of} splats are left to {others} other agents")

@@ -12,7 +12,7 @@ use cosurf_agent::outputs::write_json;
 use cosurf_agent::publish::{Publication, Sharing, global_ply, publish, tell};
 use cosurf_agent::session::{self, SH_DEGREE, Split, TrainPlan};
 use cosurf_agent::warm;
-use cosurf_engine::{DeviceChoice, PruneSettings, Renderer, SurfaceSettings};
+use cosurf_engine::{DeviceChoice, PruneSettings, Renderer, SurfaceSettings, base_of};
 use cosurf_link::serial::{DEFAULT_BAUD, DEVICE_MESSAGE_BYTES};
 use cosurf_link::{
     BrokerAddress, Credentials, Identity, MqttConfig, MqttTransport, Outgoing, PublishError, Role,
@@ -76,13 +76,14 @@ pub(super) fn run(args: &RunArgs) -> Result<()> {
     let cameras = config.out.join("cameras.json");
     let cameras: Vec<Camera> =
         serde_json::from_slice(&fs::read(&cameras).with_context(|| cameras.display().to_string())?)?;
-    let mut renderer = Renderer::new(&splats, plan.threads);
-    let importance = renderer.importance(&cameras);
+    let kept_bytes = (plan.memory_bytes / 4) as usize;
+    let base =
+        base_of(&splats, &cameras, plan.threads, kept_bytes, |step, steps| progress.preparing(step, steps));
     let compared = Compared { plan: &plan, cameras: &cameras, out: &config.out };
     if let Some(init) = &plan.init {
+        let mut renderer = Renderer::new(&splats, plan.threads);
         compared.show(Other::Init, init, &mut renderer, &mut progress)?;
     }
-    drop(renderer);
     let sharing =
         flight.as_ref().map(|flight| Sharing { flight, quiet: route.quiet(), threads: plan.threads });
     let (identity, mut line) = line(&route)?;
@@ -90,7 +91,7 @@ pub(super) fn run(args: &RunArgs) -> Result<()> {
         identity,
         splats: &splats,
         cameras: &cameras,
-        importance: &importance,
+        base: base.as_ref(),
         sharing,
         credentials: &credentials,
         out: &config.out,

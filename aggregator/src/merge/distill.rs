@@ -10,7 +10,9 @@ use cosurf_engine::backend::{Channels, TargetSurface};
 use cosurf_engine::budget::{Costs, DRIVER_BYTES};
 use cosurf_engine::cpu::PAIRS_PER_SPLAT;
 use cosurf_engine::train::view_order;
-use cosurf_engine::{AnyBackend, Backend, CpuCapacity, Device, DistillSettings, Distiller, Lesson};
+use cosurf_engine::{
+    AnyBackend, Backend, CpuCapacity, Device, DistillSettings, Distiller, Lesson, StudentRates,
+};
 use cosurf_scene::{Camera, Splats};
 use glam::DVec3;
 
@@ -72,6 +74,7 @@ pub(crate) fn distill(
             DistillSettings {
                 steps: settings.epochs * views.len() as u32,
                 settle: views.len() as u32,
+                rates: StudentRates::TRAINED,
                 extent,
                 depth,
                 sh_degree: joined.sh_degree,

@@ -4,7 +4,7 @@
 use std::ops::ControlFlow;
 use std::sync::mpsc;
 
-use cosurf_link::{MemoryNetwork, MemoryTransport, Model, Role, model_to_body, plain_importance};
+use cosurf_link::{First, MemoryNetwork, MemoryTransport, Model, Role, model_to_body, plain_importance};
 use cosurf_wire::{BodyHash, ModelId};
 
 use super::*;
@@ -18,7 +18,7 @@ const SETTINGS: MergeSettings = MergeSettings { seed: 3, ..QUICK };
 
 /// What a drone sends of its model.
 fn sent(Model { splats, cameras }: &Model) -> Vec<u8> {
-    model_to_body(splats, cameras, &plain_importance(splats)).unwrap()
+    model_to_body(splats, cameras, First::Important(&plain_importance(splats))).unwrap()
 }
 
 /// What is sent of what models that were sent are merged to.

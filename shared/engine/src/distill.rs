@@ -15,8 +15,10 @@ use crate::train::SSIM_WEIGHT;
 pub struct DistillSettings {
     /// Steps in all.
     pub steps: u32,
-    /// Steps of the last epoch, in which everything moves ten times less.
+    /// Steps at the end in which everything moves ten times less.
     pub settle: u32,
+    /// How fast it learns until then.
+    pub rates: StudentRates,
     /// Scene extent: 1.1 × the largest distance of a camera from their mean, world units.
     pub extent: f64,
     /// Median depth of what the cameras see, world units.
@@ -43,16 +45,31 @@ const NORMAL_WEIGHT: f32 = 0.01;
 const DEPTH_WEIGHT: f64 = 0.015;
 const TEACHER_NORMAL_WEIGHT: f32 = 0.015;
 
-/// Learning rates of 3DGS; that of means, per world unit of extent and falling to a hundredth, is a tenth of it (DOGS).
-const MEAN_RATE: f64 = 1.6e-5;
-const MEAN_RATE_FALL: f64 = 0.01;
-const QUAT_RATE: f32 = 0.001;
-const LOG_SCALE_RATE: f32 = 0.005;
-const OPACITY_RATE: f32 = 0.05;
-const SH_DC_RATE: f32 = 0.0025;
-const SH_REST_RATE: f32 = SH_DC_RATE / 20.0;
+/// How fast a student learns; [`AdamRates`] but for the mean's, which is per world unit of extent and falls
+/// log-linearly to a hundredth.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StudentRates {
+    /// Of means.
+    pub mean: f64,
+    /// Of quaternions.
+    pub quat: f32,
+    /// Of log scales.
+    pub log_scale: f32,
+    /// Of opacity logits.
+    pub opacity: f32,
+    /// Of the constant colour term; that of the others is a twentieth.
+    pub sh_dc: f32,
+}
 
-/// Share of the rates that is left in the last epoch.
+impl StudentRates {
+    /// Of a model that others have trained: those of 3DGS, a tenth of it for means (DOGS).
+    pub const TRAINED: Self =
+        Self { mean: 1.6e-5, quat: 0.001, log_scale: 0.005, opacity: 0.05, sh_dc: 0.0025 };
+}
+
+const MEAN_RATE_FALL: f64 = 0.01;
+
+/// Share of the rates that is left at the end.
 const SETTLED: f32 = 0.1;
 
 /// Opacity below which a splat goes at the end (3DGS).
@@ -121,16 +138,16 @@ impl<B: Backend> Distiller<B> {
     }
 
     fn rates(&self) -> AdamRates {
-        let DistillSettings { steps, settle, extent, .. } = self.settings;
+        let DistillSettings { steps, settle, rates, extent, .. } = self.settings;
         let share = if self.steps_done + settle >= steps { SETTLED } else { 1.0 };
         let progress = f64::from(self.steps_done) / f64::from(steps.max(1));
         AdamRates {
-            mean: (MEAN_RATE * MEAN_RATE_FALL.powf(progress) * extent) as f32,
-            quat: share * QUAT_RATE,
-            log_scale: share * LOG_SCALE_RATE,
-            opacity: share * OPACITY_RATE,
-            sh_dc: share * SH_DC_RATE,
-            sh_rest: share * SH_REST_RATE,
+            mean: (rates.mean * MEAN_RATE_FALL.powf(progress) * extent) as f32,
+            quat: share * rates.quat,
+            log_scale: share * rates.log_scale,
+            opacity: share * rates.opacity,
+            sh_dc: share * rates.sh_dc,
+            sh_rest: share * rates.sh_dc / 20.0,
             first_correction: 1.0,
             second_correction: 1.0,
         }

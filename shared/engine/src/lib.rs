@@ -7,6 +7,7 @@
 
 mod any;
 pub mod backend;
+mod base;
 pub mod budget;
 pub mod compress;
 pub mod cpu;
@@ -28,11 +29,12 @@ pub mod train;
 
 pub use any::AnyBackend;
 pub use backend::{Backend, Rendering};
+pub use base::base_of;
 pub use budget::Budget;
 pub use compress::{Compression, Fleet};
 pub use cpu::{CpuBackend, CpuCapacity};
 pub use device::{Device, DeviceChoice, DeviceError, DeviceLost};
-pub use distill::{DistillSettings, Distiller, Lesson};
+pub use distill::{DistillSettings, Distiller, Lesson, StudentRates};
 pub use neighbours::Neighbours;
 pub use prune::PruneScore;
 pub use render::Renderer;

@@ -7,7 +7,7 @@ use cosurf_wire::{
 };
 use glam::{DQuat, DVec2, DVec3};
 
-use crate::codec::{check_body, model_to_body, plain_importance};
+use crate::codec::{First, check_body, model_to_body, plain_importance};
 use crate::trust::Credentials;
 
 /// What travels of a model: splats and the cameras that saw them; pictures stay home.
@@ -82,7 +82,7 @@ impl Offer {
             model,
             kind,
             views,
-            model_to_body(splats, cameras, &plain_importance(splats))?,
+            model_to_body(splats, cameras, First::Important(&plain_importance(splats)))?,
         )
     }
 

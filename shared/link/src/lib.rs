@@ -28,7 +28,7 @@ pub mod trust;
 pub mod uploader;
 
 pub use body::{BodyFault, Model, Offer};
-pub use codec::{body_to_model, check_body, model_to_body, part_to_model, plain_importance};
+pub use codec::{First, body_to_model, check_body, model_to_body, part_to_model, plain_importance};
 pub use faults::{Faults, Line, Outages};
 pub use inbox::{Inbox, InboxLimits};
 pub use memory::{MemoryNetwork, MemoryTransport};

@@ -111,3 +111,10 @@ pub fn fitted_size(size_px: [u32; 2], long_side_px: u32) -> [u32; 2] {
     };
     [fit(size_px[0]), fit(size_px[1])]
 }
+/// The size of a scene as 3DGS defines it, world units: 1.1 times the largest distance of a camera from the cameras' mean;
+/// 0 where there is at most one.
+pub fn extent<'a>(cameras: impl Iterator<Item = &'a Camera> + Clone) -> f64 {
+    let centers = cameras.map(|camera| camera.cam_from_world.center());
+    let mean = centers.clone().sum::<DVec3>() / centers.clone().count().max(1) as f64;
+    1.1 * centers.map(|center| center.distance(mean)).fold(0.0, f64::max)
+}

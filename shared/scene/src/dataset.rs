@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 
 use glam::DVec3;
 
+use crate::camera::extent;
 use crate::{Camera, SceneError};
 
 /// A picture that was taken: its name, its camera, its file.
@@ -95,8 +96,6 @@ impl Dataset {
     /// The scene's size as 3DGS defines it, world units: 1.1 times the largest distance of a camera
     /// from the cameras' mean; 0 where there is at most one.
     pub fn extent(&self) -> f64 {
-        let centers = self.views.iter().map(|view| view.camera.cam_from_world.center());
-        let mean = centers.clone().sum::<DVec3>() / self.views.len().max(1) as f64;
-        1.1 * centers.map(|center| center.distance(mean)).fold(0.0, f64::max)
+        extent(self.views.iter().map(|view| &view.camera))
     }
 }

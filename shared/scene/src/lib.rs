@@ -10,6 +10,7 @@
 //! on, then [`splats`], then [`dataset`].
 
 pub mod atomic;
+mod base;
 mod bvh;
 pub mod bytes;
 pub mod cache;
@@ -30,6 +31,7 @@ pub mod splats;
 pub mod spz;
 mod transforms;
 
+pub use base::Base;
 pub use cache::PictureCache;
 pub use camera::{Camera, Pose};
 pub use city::{City, CityError, CityFrame, CitySettings, TruthPoint};

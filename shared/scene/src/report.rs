@@ -47,6 +47,15 @@ pub enum AgentEvent {
         /// The figures.
         report: TrainReport,
     },
+    /// What goes out first is taught to stand in for the whole model.
+    Preparing {
+        /// Steps done.
+        step: u32,
+        /// Steps to do in all.
+        steps: u32,
+        /// Estimate of the time left, seconds.
+        seconds_left: f32,
+    },
     /// Something outside did not answer; the agent tries again.
     Retrying {
         /// What is tried, for example the broker's address.

@@ -2,8 +2,9 @@
 #![allow(clippy::unwrap_used)]
 
 use cosurf_wire::body::{
-    BodyHead, BodyPlan, CAMERA_BYTES, HEAD_BYTES, PACK_ENTRY_BYTES, PackEntry, PackForm, PackKind,
-    SHAPE_BYTES, ShLayout, Shape, read_shapes, write_shapes,
+    BodyError, BodyHead, BodyPlan, CAMERA_BYTES, HEAD_BYTES, PACK_ENTRY_BYTES, Pack, PackEntry, PackForm,
+    PackKind, SHAPE_BYTES, ShLayout, Shape, SplatPacks, read_changes, read_shapes, write_changes,
+    write_shapes,
 };
 use cosurf_wire::message::MAX_STATEMENT_BYTES;
 use cosurf_wire::missing::MISSING_BITMAP_BYTES;
@@ -270,7 +271,7 @@ fn a_body_begins_with_these_bytes() {
     let bounds = Bounds { min: [-1.0, 0.0, 0.5], max: [1.0, 2.0, 4.0] };
     let head = BodyHead { splats: 9, cameras: 1, sh_degree: 0, packs: 2, bounds };
     head.encode(&mut body);
-    let expected = "43534742 02 00 0200 09000000 01000000".to_owned()
+    let expected = "43534742 03 00 0200 09000000 01000000".to_owned()
         + "000080bf000000000000003f0000803f0000004000008040"
         + "CHECKSUM"
         + "80 00 0000 60000000 07000000"
@@ -300,6 +301,100 @@ fn shapes_have_these_planes() {
         "1401 0000 0400 0200 0000 0000 ffff 7f7f 0000 1e1e 0505 0606 0707 fefe 5757 0202 5e5e 0202 5858 0202";
     assert_eq!(hex(&planes), expected.replace(' ', ""));
     assert_eq!(read_shapes(&planes).collect::<Vec<_>>(), shapes);
+}
+
+#[test]
+fn changes_have_these_planes_and_lead_from_one_shape_to_the_other() {
+    let base = Shape {
+        position: [10, 2, 0],
+        quat: [511, 1008, 15],
+        log_scale: [5, 6],
+        thickness: 7,
+        opacity: -2,
+        color: [3, -300, 0],
+    };
+    let becomes = Shape {
+        position: [9, 65535, 300],
+        quat: [510, 1, 1022],
+        log_scale: [3, 200],
+        thickness: 0,
+        opacity: 127,
+        color: [-32768, 5, 32767],
+    };
+    let change = base.change_to(&becomes);
+    assert_eq!(base.changed(&change), becomes);
+    let mut planes = vec![0; 2 * SHAPE_BYTES];
+    write_changes(&[change, Shape::default()], &mut planes);
+    let expected =
+        "0100 0000 0500 0000 5800 0200 ff00 0400 fb00 3700 fe00 c200 f900 8100 6200 0200 9800 fd00 9c00 fd00";
+    assert_eq!(hex(&planes), expected.replace(' ', ""));
+    assert_eq!(read_changes(&planes).collect::<Vec<_>>(), [change, Shape::default()]);
+}
+
+/// Packs of so many splats: kind, layer, splats.
+fn plan_of(packs: &[(PackKind, u8, u16)]) -> Result<Vec<SplatPacks>, BodyError> {
+    let mut body = vec![0; HEAD_BYTES + packs.len() * PACK_ENTRY_BYTES];
+    for ((kind, layer, splats), out) in packs.iter().zip(body[HEAD_BYTES..].as_chunks_mut().0) {
+        let bytes = match kind {
+            PackKind::Shapes => 20 + 20 * u32::from(*splats),
+            PackKind::Basis => 6 + 4 * 9 + 2 * 81,
+            _ => 9 * u32::from(*splats),
+        };
+        let form = if *kind == PackKind::Changes { PackForm::Zstd } else { PackForm::Stored };
+        PackEntry { kind: *kind, form, layer: *layer, splats: *splats, bytes, crc32: 0 }.encode(out);
+    }
+    let splats = packs.iter().filter(|pack| pack.0 == PackKind::Shapes).map(|pack| u32::from(pack.2)).sum();
+    let bounds = Bounds { min: [0.0; 3], max: [1.0; 3] };
+    BodyHead { splats, cameras: 0, sh_degree: 1, packs: packs.len() as u16, bounds }.encode(&mut body);
+    BodyPlan::new(&body).map(|plan| plan.splat_packs().collect())
+}
+
+#[test]
+fn a_base_has_changes_for_each_of_its_packs_and_the_others_have_room_by_them() {
+    use PackKind::{Basis, Changes, Sh, Shapes};
+    let right = [
+        (Basis, 0, 0),
+        (Shapes, 0, 5),
+        (Shapes, 0, 4),
+        (Shapes, 1, 9),
+        (Changes, 0, 5),
+        (Sh, 0, 5),
+        (Sh, 1, 9),
+        (Shapes, 1, 7),
+        (Shapes, 1, 6),
+        (Changes, 0, 4),
+        (Sh, 0, 4),
+        (Sh, 1, 7),
+        (Sh, 1, 6),
+    ];
+    let counts = |packs: &SplatPacks| {
+        let splats = |pack: &Option<Pack>| pack.as_ref().map(|pack| pack.entry.splats);
+        (packs.shapes.entry.splats, splats(&packs.changes), splats(&packs.sh), splats(&packs.room))
+    };
+    let plan: Vec<_> = plan_of(&right).unwrap().iter().map(counts).collect();
+    assert_eq!(
+        plan,
+        [
+            (5, Some(5), Some(5), None),
+            (4, Some(4), Some(4), None),
+            (9, None, Some(9), Some(5)),
+            (7, None, Some(7), Some(4)),
+            (6, None, Some(6), Some(4)),
+        ]
+    );
+    type Spoil = fn(&mut Vec<(PackKind, u8, u16)>);
+    let wrong: [Spoil; 5] = [
+        |packs| _ = packs.remove(4),               // changes of one pack only
+        |packs| packs[4].2 = 4,                    // of other splats
+        |packs| packs[4].1 = 1,                    // of another layer
+        |packs| (packs[5].1, packs[6].1) = (1, 0), // colours of other splats
+        |packs| packs.swap(0, 1),                  // shapes before the basis
+    ];
+    for (i, spoil) in wrong.iter().enumerate() {
+        let mut packs = right.to_vec();
+        spoil(&mut packs);
+        assert_eq!(plan_of(&packs), Err(BodyError::BadTable), "{i}");
+    }
 }
 
 #[test]

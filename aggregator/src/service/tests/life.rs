@@ -2,7 +2,7 @@
 //! at its post or in the middle of a merge; a device is withdrawn. Whatever happened, the same models end in the same
 //! bytes, those of a merge of the models by themselves.
 
-use cosurf_link::{model_to_body, plain_importance};
+use cosurf_link::{First, model_to_body, plain_importance};
 use cosurf_wire::BodyHash;
 
 use super::*;
@@ -35,7 +35,8 @@ fn models() -> Vec<Model> {
 /// A model as it arrives after its way over the wire.
 fn arrived(model: &Model) -> Model {
     let Model { splats, cameras } = model;
-    body_to_model(&model_to_body(splats, cameras, &plain_importance(splats)).unwrap()).unwrap()
+    body_to_model(&model_to_body(splats, cameras, First::Important(&plain_importance(splats))).unwrap())
+        .unwrap()
 }
 
 /// The hash of what models are merged to by themselves.

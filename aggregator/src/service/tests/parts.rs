@@ -1,6 +1,6 @@
 //! An upload that stalls: what has arrived takes part, until the rest is there.
 
-use cosurf_link::model_to_body;
+use cosurf_link::{First, model_to_body};
 
 use super::*;
 use crate::gate::tests::flights;
@@ -15,7 +15,7 @@ fn slow_drone(network: &MemoryNetwork, number: u64, model: &Model) -> Drone {
     let Model { splats, cameras } = model;
     let device = DeviceId::new("agent-2").unwrap();
     let east: Vec<f32> = splats.means.iter().map(|mean| mean[0]).collect();
-    let body = model_to_body(splats, cameras, &east).unwrap();
+    let body = model_to_body(splats, cameras, First::Important(&east)).unwrap();
     let mut offer = Offer::from_body(device, ModelId(number), ModelKind::Local, 3, body).unwrap();
     offer.header.chunk_bytes = 256;
     drone.node = Node::new(identity("agent-2", Role::Device), LIMITS, &[]);

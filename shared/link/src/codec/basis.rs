@@ -80,6 +80,11 @@ impl Basis {
         coarser
     }
 
+    /// What is nearest to all where nothing else is known.
+    pub(super) fn mean(&self) -> &[f32] {
+        &self.mean
+    }
+
     /// How far `sh` lies along direction `k`.
     fn along(&self, k: usize, sh: &[f32]) -> f32 {
         let m = self.mean.len();

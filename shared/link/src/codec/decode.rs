@@ -7,12 +7,12 @@ use cosurf_scene::splats::sh_coefficients;
 use cosurf_wire::ModelHeader;
 use cosurf_wire::body::{
     BodyError, BodyPlan, CameraRecord, HEAD_BYTES, LOG_SCALE_MAX, Pack, PackKind, SHAPE_FRAME_BYTES,
-    ShLayout, ShapeFrame, plan_bytes, read_shapes,
+    ShLayout, Shape, ShapeFrame, SplatPacks, plan_bytes, read_changes, read_shapes,
 };
 
 use super::basis::Basis;
 use super::pack::unpack;
-use super::shapes::{Rounded, unround};
+use super::shapes::{Form, unround};
 use crate::body::{BodyFault, Model, camera};
 
 /// Where only one splat in k is here its lengths grow by k to this power. To cover the same area it would be a
@@ -27,8 +27,8 @@ pub fn check_body(header: &ModelHeader, body: &[u8]) -> Result<(), BodyFault> {
     check_announced(&plan, header)?;
     let mut unpacker = Unpacker::new(plan, body);
     unpacker.cameras()?;
-    for pack in plan.packs_of(PackKind::Shapes) {
-        unpacker.shapes(&pack, |_| ())?;
+    for SplatPacks { shapes, changes, .. } in plan.splat_packs() {
+        unpacker.shapes(&shapes, changes.as_ref(), |_| ())?;
     }
     if let Some(basis) = unpacker.basis()? {
         for pack in plan.packs_of(PackKind::Sh) {
@@ -55,7 +55,8 @@ pub fn body_to_model(body: &[u8]) -> Result<Model, BodyFault> {
 /// whether its bytes are right. `None` as long as no splat is there. What comes later adds splats and colours
 /// that depend on the direction.
 ///
-/// Where splats are missing, those that are here are made larger to stand in for them ([`GROWTH`]).
+/// Where splats are missing, those of a base are what stands in for them; without a base those that are here are made
+/// larger ([`GROWTH`]).
 pub fn part_to_model(
     body: &[u8],
     is_here: impl Fn(Range<usize>) -> bool,
@@ -100,7 +101,9 @@ fn part(
 ) -> Result<Option<Model>, BodyFault> {
     let whole = plan.head().splats as usize;
     let mut model = model(plan, body, |pack| is_here(pack.range.clone()))?;
-    stand_in(&mut model.splats, whole);
+    if !plan.has_base() {
+        stand_in(&mut model.splats, whole);
+    }
     Ok((!model.splats.is_empty()).then_some(model))
 }
 
@@ -115,14 +118,22 @@ fn stand_in(splats: &mut Splats, whole: usize) {
 fn model(plan: BodyPlan<'_>, body: &[u8], is_here: impl Fn(&Pack) -> bool) -> Result<Model, BodyFault> {
     let mut unpacker = Unpacker::new(plan, body);
     let sh_degree = plan.head().sh_degree;
-    let splats_here = |kind| {
-        let packs = plan.packs_of(kind).filter(&is_here);
-        packs.map(|pack| usize::from(pack.entry.splats)).sum::<usize>()
+    let packs_here = || {
+        let here = plan
+            .splat_packs()
+            .filter(|packs| is_here(&packs.shapes) && packs.room.as_ref().is_none_or(&is_here));
+        // A base has colours of its own until it changes.
+        here.map(|packs| match &packs.changes {
+            Some(changes) if !is_here(changes) => SplatPacks { changes: None, sh: None, ..packs },
+            _ => packs,
+        })
     };
-    let mut splats = Splats::with_capacity(splats_here(PackKind::Shapes), u32::from(sh_degree));
+    let count = |packs: &SplatPacks| usize::from(packs.shapes.entry.splats);
+    let splats_here = packs_here().map(|packs| count(&packs)).sum();
+    let mut splats = Splats::with_capacity(splats_here, u32::from(sh_degree));
     let mut sh = vec![0.0; splats.sh_stride()];
-    for pack in plan.packs_of(PackKind::Shapes).filter(&is_here) {
-        unpacker.shapes(&pack, |splat| {
+    for SplatPacks { shapes, changes, .. } in packs_here() {
+        unpacker.shapes(&shapes, changes.as_ref(), |splat| {
             sh[..3].copy_from_slice(&splat.color);
             splats.push(splat.mean, splat.quat, splat.log_scale, splat.opacity_logit, &sh);
         })?;
@@ -132,17 +143,18 @@ fn model(plan: BodyPlan<'_>, body: &[u8], is_here: impl Fn(&Pack) -> bool) -> Re
     {
         let stride = 3 * sh_coefficients(u32::from(sh_degree));
         let mut rows = splats.sh.chunks_exact_mut(stride);
-        let pairs = plan.packs_of(PackKind::Shapes).zip(plan.packs_of(PackKind::Sh));
-        for (shapes, pack) in pairs.filter(|(shapes, _)| is_here(shapes)) {
-            let count = usize::from(shapes.entry.splats);
+        for packs in packs_here() {
+            let count = count(&packs);
             let rows = rows.by_ref().take(count);
-            if is_here(&pack) {
-                let planes = unpacker.unpack(&pack, basis.layout)?;
-                for (i, row) in rows.enumerate() {
-                    basis.unround(|k| basis.layout.read(planes, count, i, k), &mut row[3..]);
+            match &packs.sh {
+                Some(pack) if is_here(pack) => {
+                    let planes = unpacker.unpack(pack, basis.layout)?;
+                    for (i, row) in rows.enumerate() {
+                        basis.unround(|k| basis.layout.read(planes, count, i, k), &mut row[3..]);
+                    }
                 }
-            } else {
-                rows.for_each(drop);
+                Some(_) => rows.for_each(|row| row[3..].copy_from_slice(basis.mean())),
+                None => rows.for_each(drop),
             }
         }
     }
@@ -156,18 +168,18 @@ struct Unpacker<'a> {
     plan: BodyPlan<'a>,
     body: &'a [u8],
     unpacked: Vec<u8>,
+    /// Changes of what is unpacked.
+    changes: Vec<u8>,
 }
 
 impl<'a> Unpacker<'a> {
     fn new(plan: BodyPlan<'a>, body: &'a [u8]) -> Self {
-        Self { plan, body, unpacked: Vec::new() }
+        Self { plan, body, unpacked: Vec::new(), changes: Vec::new() }
     }
 
-    /// What a pack unpacks to. The sizes in the plan bound what this takes.
+    /// What a pack unpacks to.
     fn unpack(&mut self, pack: &Pack, layout: ShLayout) -> Result<&[u8], BodyError> {
-        let bytes = self.body.get(pack.range.clone()).ok_or(BodyError::Truncated)?;
-        self.unpacked.resize(self.plan.unpacked_bytes(&pack.entry, layout), 0);
-        unpack(&pack.entry, bytes, &mut self.unpacked)?;
+        unpack_into(&mut self.unpacked, &self.plan, self.body, pack, layout)?;
         Ok(&self.unpacked)
     }
 
@@ -190,22 +202,53 @@ impl<'a> Unpacker<'a> {
         self.only(PackKind::Basis)?.map(|bytes| Basis::decode(sh_degree, bytes)).transpose()
     }
 
-    fn shapes(&mut self, pack: &Pack, mut visit: impl FnMut(&Rounded)) -> Result<(), BodyFault> {
+    /// Visits the splats of a pack as its `changes` make them, if they are here.
+    fn shapes(
+        &mut self,
+        pack: &Pack,
+        changes: Option<&Pack>,
+        mut visit: impl FnMut(&Form),
+    ) -> Result<(), BodyFault> {
         let bounds = self.plan.head().bounds;
-        let unpacked = self.unpack(pack, ShLayout::NONE)?;
-        let (frame, planes) = unpacked.split_first_chunk::<SHAPE_FRAME_BYTES>().ok_or(BodyError::BadPack)?;
+        if let Some(changes) = changes {
+            unpack_into(&mut self.changes, &self.plan, self.body, changes, ShLayout::NONE)?;
+        }
+        unpack_into(&mut self.unpacked, &self.plan, self.body, pack, ShLayout::NONE)?;
+        let unpacked = self.unpacked.split_first_chunk::<SHAPE_FRAME_BYTES>();
+        let (frame, planes) = unpacked.ok_or(BodyError::BadPack)?;
         let frame = ShapeFrame::decode(frame)?;
-        // Rounding takes a mean half a step out of the bounds at most, and 32 bits a little more.
-        let step = f32::from(frame.step_exponent).exp2();
-        for (index, shape) in read_shapes(planes).enumerate() {
-            let mut splat = unround(&frame, &shape);
-            let inside = bounds.clamp(splat.mean);
-            if (0..3).any(|k| (inside[k] - splat.mean[k]).abs() > step) {
+        // Rounding takes a mean a step out of the bounds at most, and 32 bits a little more.
+        let reach = 1.5 * f32::from(frame.step_exponent).exp2();
+        let sane = |index: usize, shape: &Shape| {
+            let mut form = unround(&frame, shape);
+            let inside = bounds.clamp(form.mean);
+            if (0..3).any(|k| (inside[k] - form.mean[k]).abs() > reach) {
                 return Err(BodyFault::OutOfBounds { index });
             }
-            splat.mean = inside;
-            visit(&splat);
+            form.mean = inside;
+            Ok(form)
+        };
+        let mut changes = changes.map(|_| read_changes(&self.changes));
+        for (index, shape) in read_shapes(planes).enumerate() {
+            let base = sane(index, &shape)?;
+            match changes.as_mut().and_then(Iterator::next) {
+                Some(change) => visit(&sane(index, &shape.changed(&change))?),
+                None => visit(&base),
+            }
         }
         Ok(())
     }
+}
+
+/// Unpacks a pack into memory that is used again. The sizes in the plan bound what this takes.
+fn unpack_into(
+    unpacked: &mut Vec<u8>,
+    plan: &BodyPlan,
+    body: &[u8],
+    pack: &Pack,
+    layout: ShLayout,
+) -> Result<(), BodyError> {
+    let bytes = body.get(pack.range.clone()).ok_or(BodyError::Truncated)?;
+    unpacked.resize(plan.unpacked_bytes(&pack.entry, layout), 0);
+    unpack(&pack.entry, bytes, unpacked)
 }

@@ -1,7 +1,8 @@
 //! In which order splats go: the most important first, neighbours together.
 
-use cosurf_scene::Splats;
+use cosurf_scene::{Base, Splats};
 use cosurf_wire::Bounds;
+use cosurf_wire::body::PACK_SPLATS_MAX;
 
 /// Shares of the splats that go with each layer and those before it. Shapes are about three quarters of a body,
 /// so the first layer ends at a fifth of its bytes.
@@ -37,6 +38,43 @@ pub(super) fn layers(means: &[[f32; 3]], importance: &[f32], bounds: &Bounds) ->
         layer
     };
     LAYERS.map(cut).into()
+}
+
+/// What lies next to each other along the curve: first some splats of the base, then the others there.
+pub(super) struct Region {
+    /// Places in the base.
+    pub(super) base: Vec<usize>,
+    /// Indices of splats.
+    pub(super) rest: Vec<u32>,
+}
+
+/// Cuts a model where a pack of its base ends, along the Morton curve.
+pub(super) fn regions(means: &[[f32; 3]], base: &Base, bounds: &Bounds) -> Vec<Region> {
+    let curve = Curve::new(bounds);
+    let code = |id: u32| (curve.code(means[id as usize]), id);
+    let mut places: Vec<usize> = (0..base.ids.len()).collect();
+    places.sort_by_cached_key(|&place| code(base.ids[place]));
+    let mut rest: Vec<u32> =
+        (0..means.len() as u32).filter(|id| base.ids.binary_search(id).is_err()).collect();
+    rest.sort_by_cached_key(|&id| code(id));
+    let cuts: Vec<&[usize]> = even_chunks(&places, PACK_SPLATS_MAX).collect();
+    let mut rest = &rest[..];
+    let mut region = |(k, places): (usize, &&[usize])| {
+        let end = match cuts.get(k + 1) {
+            Some(next) => rest.partition_point(|&id| code(id) < code(base.ids[next[0]])),
+            None => rest.len(),
+        };
+        let (here, beyond) = rest.split_at(end);
+        rest = beyond;
+        Region { base: places.to_vec(), rest: here.to_vec() }
+    };
+    cuts.iter().enumerate().map(&mut region).collect()
+}
+
+/// Cuts into chunks of nearly the same size, none above `max`.
+pub(super) fn even_chunks<T>(all: &[T], max: usize) -> impl Iterator<Item = &[T]> {
+    let chunks = all.len().div_ceil(max).max(1);
+    all.chunks(all.len().div_ceil(chunks).max(1))
 }
 
 /// A Morton curve through a box.

@@ -1,6 +1,8 @@
 //! What goes through the codec comes back within half a step, in any part; what is forged does not come in.
 #![allow(clippy::unwrap_used)]
 
+mod base;
+
 use cosurf_scene::{Camera, Pose, Splats};
 use cosurf_wire::body::{
     BodyPlan, COLOR_STEP, HEAD_BYTES, OPACITY_STEP, PACK_ENTRY_BYTES, PackForm, PackKind,
@@ -55,7 +57,7 @@ fn cameras(count: usize) -> Vec<Camera> {
 /// The body of `count` splats of which the first are the most important.
 fn body(splats: &Splats) -> Vec<u8> {
     let importance: Vec<f32> = (0..splats.len()).map(|i| -(i as f32)).collect();
-    model_to_body(splats, &cameras(3), &importance).unwrap()
+    model_to_body(splats, &cameras(3), First::Important(&importance)).unwrap()
 }
 
 fn axes(splats: &Splats, i: usize) -> (Mat3, Vec3) {
@@ -170,12 +172,13 @@ fn what_nobody_could_render_is_not_packed() {
     for (spoil, field) in spoils {
         let mut splats = splats(5, 1);
         spoil(&mut splats);
-        let fault = model_to_body(&splats, &[], &[0.0; 5]).unwrap_err();
+        let fault = model_to_body(&splats, &[], First::Important(&[0.0; 5])).unwrap_err();
         assert_eq!(fault, BodyFault::Splat { index: 3, field });
     }
     let mut cameras = cameras(2);
     cameras[1].size_px[0] = 0;
-    assert_eq!(model_to_body(&splats(1, 0), &cameras, &[0.0]).unwrap_err(), BodyFault::Camera { index: 1 });
+    let fault = model_to_body(&splats(1, 0), &cameras, First::Important(&[0.0])).unwrap_err();
+    assert_eq!(fault, BodyFault::Camera { index: 1 });
 }
 
 #[test]
@@ -253,7 +256,7 @@ fn harmonics_give_way_before_a_splat_takes_more_than_sixteen_bytes() {
 #[test]
 fn fault_05_bombs_do_not_go_off() {
     let splats = splats(8000, 0);
-    let sane = model_to_body(&splats, &[], &vec![1.0; 8000]).unwrap();
+    let sane = model_to_body(&splats, &[], First::Important(&vec![1.0; 8000])).unwrap();
     let plan = BodyPlan::new(&sane).unwrap();
     let first = plan.packs().next().unwrap();
     assert_eq!((first.entry.kind, first.entry.form), (PackKind::Shapes, PackForm::Zstd));

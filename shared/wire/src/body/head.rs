@@ -6,7 +6,7 @@ use super::basis::basis_bytes;
 use super::bytes::{Reader, Writer};
 use super::{
     BodyError, Bounds, CAMERA_BYTES, MAX_SH_DEGREE, PACK_SPLATS_MAX, RATIO_MAX, SHAPE_BYTES,
-    SHAPE_FRAME_BYTES, ShLayout, sh_rest,
+    SHAPE_FRAME_BYTES, sh_rest,
 };
 
 /// Bytes of the head.
@@ -14,7 +14,7 @@ pub const HEAD_BYTES: usize = 44;
 /// Bytes of an entry of the table.
 pub const PACK_ENTRY_BYTES: usize = 12;
 /// Version of the layout.
-pub(super) const LAYOUT: u8 = 2;
+pub(super) const LAYOUT: u8 = 3;
 
 const MAGIC: [u8; 4] = *b"CSGB";
 /// Where the checksum stands in the head.
@@ -38,7 +38,7 @@ pub struct BodyHead {
 }
 
 /// What a pack holds.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PackKind {
     /// All cameras.
     Cameras,
@@ -48,6 +48,19 @@ pub enum PackKind {
     Basis,
     /// Spherical harmonics of the splats of a pack of shapes.
     Sh,
+    /// What becomes of the shapes of a pack of the base.
+    Changes,
+}
+
+impl PackKind {
+    /// Its place in the order of packs; equals mix.
+    pub(super) fn place(self) -> u8 {
+        match self {
+            Self::Cameras => 0,
+            Self::Basis => 1,
+            Self::Shapes | Self::Changes | Self::Sh => 2,
+        }
+    }
 }
 
 /// How a pack is written.
@@ -66,7 +79,7 @@ pub struct PackEntry {
     pub kind: PackKind,
     /// How it is written.
     pub form: PackForm,
-    /// Layer of its splats, 0 for the most important.
+    /// Layer of its splats, 0 for the most important, or the base.
     pub layer: u8,
     /// How many splats; 0 where it holds none.
     pub splats: u16,
@@ -87,7 +100,7 @@ impl PackEntry {
         writer.bytes(self.crc32.to_le_bytes());
     }
 
-    fn decode(bytes: &[u8; PACK_ENTRY_BYTES]) -> Option<Self> {
+    pub(super) fn decode(bytes: &[u8; PACK_ENTRY_BYTES]) -> Option<Self> {
         let mut reader = Reader(bytes);
         let [kind, layer] = reader.bytes();
         Some(Self {
@@ -96,6 +109,7 @@ impl PackEntry {
                 1 => PackKind::Shapes,
                 2 => PackKind::Basis,
                 3 => PackKind::Sh,
+                4 => PackKind::Changes,
                 _ => return None,
             },
             form: if kind & STORED != 0 { PackForm::Stored } else { PackForm::Zstd },
@@ -131,7 +145,7 @@ impl BodyHead {
         HEAD_BYTES + usize::from(self.packs) * PACK_ENTRY_BYTES
     }
 
-    fn decode(body: &[u8]) -> Result<Self, BodyError> {
+    pub(super) fn decode(body: &[u8]) -> Result<Self, BodyError> {
         let head: &[u8; HEAD_BYTES] = body.first_chunk().ok_or(BodyError::Truncated)?;
         let mut reader = Reader(head);
         if reader.bytes() != MAGIC {
@@ -158,21 +172,22 @@ impl BodyHead {
     }
 
     /// What a pack unpacks to, bytes; of spherical harmonics the most that it may be.
-    fn unpacked_bytes(&self, entry: &PackEntry) -> usize {
+    pub(super) fn unpacked_bytes(&self, entry: &PackEntry) -> usize {
         let splats = usize::from(entry.splats);
         match entry.kind {
             PackKind::Cameras => (self.cameras as usize).saturating_mul(CAMERA_BYTES),
             PackKind::Shapes => SHAPE_FRAME_BYTES + splats * SHAPE_BYTES,
             PackKind::Basis => basis_bytes(self.sh_degree),
             PackKind::Sh => splats * sh_rest(self.sh_degree),
+            PackKind::Changes => splats * SHAPE_BYTES,
         }
     }
 
     /// Whether an entry's sizes can be.
-    fn fits(&self, entry: &PackEntry) -> bool {
+    pub(super) fn fits(&self, entry: &PackEntry) -> bool {
         let unpacked = self.unpacked_bytes(entry);
         let bytes = entry.bytes as usize;
-        let has_splats = matches!(entry.kind, PackKind::Shapes | PackKind::Sh);
+        let has_splats = !matches!(entry.kind, PackKind::Cameras | PackKind::Basis);
         let count_fits = match has_splats {
             true => (1..=PACK_SPLATS_MAX).contains(&usize::from(entry.splats)),
             false => entry.splats == 0,
@@ -195,110 +210,17 @@ pub fn plan_bytes(head: &[u8; HEAD_BYTES]) -> usize {
 /// How many bytes a body with these counts can have.
 pub fn body_bytes_range(splats: u32, cameras: u32, sh_degree: u8) -> Range<u64> {
     let (splats, cameras) = (u64::from(splats), u64::from(cameras));
-    let stored_splats = splats * (SHAPE_BYTES + sh_rest(sh_degree)) as u64;
+    let stored_splats = splats * (2 * SHAPE_BYTES + sh_rest(sh_degree)) as u64;
     let least =
         HEAD_BYTES as u64 + (splats * SHAPE_BYTES as u64 + cameras * CAMERA_BYTES as u64) / RATIO_MAX as u64;
     // At worst every splat has packs of its own.
-    let table = (2 * splats + 2) * (PACK_ENTRY_BYTES + SHAPE_FRAME_BYTES) as u64;
+    let table = (3 * splats + 2) * (PACK_ENTRY_BYTES + SHAPE_FRAME_BYTES) as u64;
     let most = HEAD_BYTES as u64
         + cameras * CAMERA_BYTES as u64
         + stored_splats
         + table
         + basis_bytes(sh_degree) as u64;
     least..most + 1
-}
-
-/// A pack and where it is.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Pack {
-    /// Its entry in the table.
-    pub entry: PackEntry,
-    /// Its bytes in the body.
-    pub range: Range<usize>,
-}
-
-/// Head and table of a body, checked: where everything is, and that it can be.
-#[derive(Clone, Copy, Debug)]
-pub struct BodyPlan<'a> {
-    head: BodyHead,
-    table: &'a [[u8; PACK_ENTRY_BYTES]],
-}
-
-impl<'a> BodyPlan<'a> {
-    /// Reads the plan at the start of a body, of which head and table at least must be there.
-    pub fn new(body: &'a [u8]) -> Result<Self, BodyError> {
-        let head = BodyHead::decode(body)?;
-        let plan = Self { head, table: body[HEAD_BYTES..head.packs_at()].as_chunks().0 };
-        plan.check_table()?;
-        Ok(plan)
-    }
-
-    /// The same of a body that is all there.
-    pub fn of_whole(body: &'a [u8]) -> Result<Self, BodyError> {
-        let plan = Self::new(body)?;
-        let (expected, found) = (plan.body_bytes(), body.len() as u64);
-        if expected != found {
-            return Err(BodyError::WrongSize { expected, found });
-        }
-        Ok(plan)
-    }
-
-    /// The head.
-    pub fn head(&self) -> &BodyHead {
-        &self.head
-    }
-
-    /// Bytes of the whole body.
-    pub fn body_bytes(&self) -> u64 {
-        self.head.packs_at() as u64 + self.entries().map(|entry| u64::from(entry.bytes)).sum::<u64>()
-    }
-
-    /// The packs in order.
-    pub fn packs(&self) -> impl Iterator<Item = Pack> + 'a {
-        let mut at = self.head.packs_at();
-        self.entries().map(move |entry| {
-            let start = at;
-            at = at.saturating_add(entry.bytes as usize);
-            Pack { entry, range: start..at }
-        })
-    }
-
-    /// The packs of one kind, in order.
-    pub fn packs_of(&self, kind: PackKind) -> impl Iterator<Item = Pack> + 'a {
-        self.packs().filter(move |pack| pack.entry.kind == kind)
-    }
-
-    /// Bytes that `pack` unpacks to; of spherical harmonics with the layout that the basis says.
-    pub fn unpacked_bytes(&self, entry: &PackEntry, layout: ShLayout) -> usize {
-        match entry.kind {
-            PackKind::Sh => usize::from(entry.splats) * layout.splat_bytes(),
-            _ => self.head.unpacked_bytes(entry),
-        }
-    }
-
-    fn entries(&self) -> impl Iterator<Item = PackEntry> + 'a {
-        // An entry that is none does not pass `check_table`.
-        self.table.iter().map_while(PackEntry::decode)
-    }
-
-    fn check_table(&self) -> Result<(), BodyError> {
-        let head = &self.head;
-        let of = |kind| self.entries().filter(move |entry| entry.kind == kind);
-        let count = |kind| of(kind).count();
-        let shapes = count(PackKind::Shapes);
-        let colored = if head.sh_degree > 0 { shapes } else { 0 };
-        let splats: u64 = of(PackKind::Shapes).map(|entry| u64::from(entry.splats)).sum();
-        let same = |(shape, sh): (PackEntry, PackEntry)| (shape.splats, shape.layer) == (sh.splats, sh.layer);
-        let is_sane = self.entries().count() == self.table.len()
-            && self.entries().is_sorted_by_key(|entry| entry.kind)
-            && self.entries().all(|entry| head.fits(&entry))
-            && count(PackKind::Cameras) == usize::from(head.cameras > 0)
-            && count(PackKind::Basis) == usize::from(colored > 0)
-            && count(PackKind::Sh) == colored
-            && splats == u64::from(head.splats)
-            && of(PackKind::Shapes).zip(of(PackKind::Sh)).all(same);
-        is_sane.then_some(()).ok_or(BodyError::BadTable)
-    }
 }
 
 /// Of head and table, but for the place of the checksum itself.

@@ -5,12 +5,15 @@
 //!
 //! | Part | Bytes | Content |
 //! |---|---|---|
-//! | head | 44 | `b"CSGB"`, layout version 2, `sh_degree`, `packs: u16`, `splats: u32`, `cameras: u32`, bounds min xyz and max xyz `f32`, CRC-32 of the other 40 and the table |
+//! | head | 44 | `b"CSGB"`, layout version 3, `sh_degree`, `packs: u16`, `splats: u32`, `cameras: u32`, bounds min xyz and max xyz `f32`, CRC-32 of the other 40 and the table |
 //! | table | 12 each | kind, layer, `splats: u16`, `bytes: u32`, CRC-32 of the pack: [`PackEntry`] |
 //! | packs | `bytes` each | in the table's order |
 //!
-//! The packs are in this order: the cameras, the shapes of all layers, the basis of the spherical harmonics,
-//! and one pack of spherical harmonics for each pack of shapes, in the same order. A pack is one frame of
+//! The packs are in this order: the cameras, the basis of the spherical harmonics, then all others. Each pack of shapes
+//! has one of spherical harmonics: those of the first layer and those of the other layers are each in the order of their
+//! shapes. The first layer may be a *base*: splats as they must be to stand in for all. Then each of its packs has one of
+//! changes, in the same order; where that has come, these splats are what they become with it, and there is room for the
+//! splats of the packs of shapes before it. A pack is one frame of
 //! [zstd](https://datatracker.ietf.org/doc/html/rfc8878), or stored as it is where that would save nothing
 //! or too much ([`RATIO_MAX`]). So any part of a body is worth something: every pack that is there can be
 //! unpacked once the head and the table are.
@@ -19,6 +22,7 @@
 //! |---|---|---|
 //! | cameras | 96 each | [`CameraRecord`] |
 //! | shapes | 20 + 20 each | [`ShapeFrame`], then [`Shape`]s in planes of one byte |
+//! | changes | 20 each | differences of [`Shape`]s in planes of one byte |
 //! | basis | 6 + 4 m + 2 m² | [`basis`]: the directions in which the spherical harmonics of this model vary, m = 3 (sh_degree + 1)² - 3 |
 //! | spherical harmonics | [`ShLayout::splat_bytes`] each | whole steps along those directions, in planes |
 //!
@@ -29,18 +33,20 @@ pub mod basis;
 mod bytes;
 mod camera;
 mod head;
+mod plan;
 mod sh;
 mod shape;
 
 pub use camera::{CAMERA_BYTES, CameraRecord};
 pub use head::{
-    BodyHead, BodyPlan, HEAD_BYTES, PACK_ENTRY_BYTES, Pack, PackEntry, PackForm, PackKind, body_bytes_range,
-    plan_bytes,
+    BodyHead, HEAD_BYTES, PACK_ENTRY_BYTES, PackEntry, PackForm, PackKind, body_bytes_range, plan_bytes,
 };
+pub use plan::{BodyPlan, Pack, SplatPacks};
 pub use sh::ShLayout;
 pub use shape::{
     COLOR_STEP, LOG_SCALE_MAX, LOG_SCALE_STEP, OPACITY_STEP, POSITION_MAX, QUAT_ZERO, SHAPE_BYTES,
-    SHAPE_FRAME_BYTES, STEP_EXPONENTS, Shape, ShapeFrame, THICKNESS_STEP, read_shapes, write_shapes,
+    SHAPE_FRAME_BYTES, STEP_EXPONENTS, Shape, ShapeFrame, THICKNESS_STEP, read_changes, read_shapes,
+    write_changes, write_shapes,
 };
 
 use core::fmt;

@@ -1,5 +1,7 @@
 //! The shape of a splat in whole numbers: where, how it is turned, how large, how opaque, which colour.
 
+use core::array;
+
 use super::BodyError;
 use super::bytes::{Reader, Writer, unzigzag, zigzag};
 
@@ -9,6 +11,8 @@ pub const SHAPE_FRAME_BYTES: usize = 20;
 pub const SHAPE_BYTES: usize = 20;
 /// A component of the quaternion is `(value / QUAT_ZERO - 1) √½`: 10 bits, 0.07° for a normal.
 pub const QUAT_ZERO: u16 = 511;
+/// Bits of a component of the quaternion.
+const QUAT_MASK: u16 = 1023;
 /// One step of a log scale: 6 % of a length.
 pub const LOG_SCALE_STEP: f32 = 1.0 / 16.0;
 /// One step of a thickness: the least axis in parts of the middle one. What matters is the absolute length: most
@@ -80,51 +84,105 @@ pub struct Shape {
     pub color: [i16; 3],
 }
 
+impl Shape {
+    /// What makes `other` of this, field by field, each modulo its range.
+    pub fn change_to(&self, other: &Shape) -> Shape {
+        Shape {
+            position: array::from_fn(|k| other.position[k].wrapping_sub(self.position[k])),
+            quat: array::from_fn(|k| other.quat[k].wrapping_sub(self.quat[k]) & QUAT_MASK),
+            log_scale: array::from_fn(|k| other.log_scale[k].wrapping_sub(self.log_scale[k])),
+            thickness: other.thickness.wrapping_sub(self.thickness),
+            opacity: other.opacity.wrapping_sub(self.opacity),
+            color: array::from_fn(|k| other.color[k].wrapping_sub(self.color[k])),
+        }
+    }
+
+    /// What `change` makes of this; the inverse of [`Self::change_to`].
+    pub fn changed(&self, change: &Shape) -> Shape {
+        Shape {
+            position: array::from_fn(|k| self.position[k].wrapping_add(change.position[k])),
+            quat: array::from_fn(|k| self.quat[k].wrapping_add(change.quat[k]) & QUAT_MASK),
+            log_scale: array::from_fn(|k| self.log_scale[k].wrapping_add(change.log_scale[k])),
+            thickness: self.thickness.wrapping_add(change.thickness),
+            opacity: self.opacity.wrapping_add(change.opacity),
+            color: array::from_fn(|k| self.color[k].wrapping_add(change.color[k])),
+        }
+    }
+
+    /// Its byte in every plane, with `way` in the place of the position.
+    fn row(&self, way: [u16; 3]) -> [u8; SHAPE_BYTES] {
+        let [red, green, blue] = self.color;
+        let way = way.map(|steps| zigzag(steps as i16));
+        let colors = [green, red.wrapping_sub(green), blue.wrapping_sub(green)].map(zigzag);
+        let low_bits = (0..3).fold(0, |bits, k| bits | (self.quat[k] & 3) << (2 * k)) as u8;
+        array::from_fn(|plane| match plane {
+            0..=5 => way[plane / 2].to_le_bytes()[plane % 2],
+            6..=8 => (self.quat[plane - 6] >> 2) as u8,
+            9 => low_bits,
+            10 | 11 => self.log_scale[plane - 10],
+            12 => self.thickness,
+            13 => self.opacity as u8,
+            _ => colors[(plane - 14) / 2].to_le_bytes()[plane % 2],
+        })
+    }
+
+    /// The splat with these bytes; its position is the way.
+    fn of_row(byte: impl Fn(usize) -> u8) -> Self {
+        let pair = |plane: usize| unzigzag(u16::from_le_bytes([byte(plane), byte(plane + 1)]));
+        let green = pair(14);
+        Self {
+            position: array::from_fn(|k| pair(2 * k) as u16),
+            quat: array::from_fn(|k| u16::from(byte(6 + k)) << 2 | u16::from(byte(9) >> (2 * k) & 3)),
+            log_scale: array::from_fn(|k| byte(10 + k)),
+            thickness: byte(12),
+            opacity: byte(13) as i8,
+            color: [pair(16).wrapping_add(green), green, pair(18).wrapping_add(green)],
+        }
+    }
+}
+
 /// Writes `shapes` into exactly [`SHAPE_BYTES`] planes of one byte each: neighbours in a plane are alike,
 /// which a compressor likes. Positions go as differences from the splat before; red and blue from green.
 ///
 /// # Panics
 /// Where the lengths do not belong together.
 pub fn write_shapes(shapes: &[Shape], planes: &mut [u8]) {
+    let mut before = [0u16; 3];
+    write_rows(shapes, planes, |shape| {
+        let way = array::from_fn(|k| shape.position[k].wrapping_sub(before[k]));
+        before = shape.position;
+        way
+    });
+}
+
+/// Writes what becomes of shapes ([`Shape::change_to`]) into planes of the same kind, positions as they are.
+///
+/// # Panics
+/// Where the lengths do not belong together.
+pub fn write_changes(changes: &[Shape], planes: &mut [u8]) {
+    write_rows(changes, planes, |change| change.position);
+}
+
+fn write_rows(shapes: &[Shape], planes: &mut [u8], mut way: impl FnMut(&Shape) -> [u16; 3]) {
     let n = shapes.len();
     assert_eq!(planes.len(), n * SHAPE_BYTES, "bytes of {n} shapes");
-    let mut before = [0u16; 3];
     for (i, shape) in shapes.iter().enumerate() {
-        let [red, green, blue] = shape.color;
-        let steps: [u16; 3] =
-            core::array::from_fn(|k| zigzag(shape.position[k].wrapping_sub(before[k]) as i16));
-        let colors = [green, red.wrapping_sub(green), blue.wrapping_sub(green)].map(zigzag);
-        let low_bits = (0..3).fold(0, |bits, k| bits | (shape.quat[k] & 3) << (2 * k)) as u8;
-        let row: [u8; SHAPE_BYTES] = core::array::from_fn(|plane| match plane {
-            0..=5 => steps[plane / 2].to_le_bytes()[plane % 2],
-            6..=8 => (shape.quat[plane - 6] >> 2) as u8,
-            9 => low_bits,
-            10 | 11 => shape.log_scale[plane - 10],
-            12 => shape.thickness,
-            13 => shape.opacity as u8,
-            _ => colors[(plane - 14) / 2].to_le_bytes()[plane % 2],
-        });
+        let row = shape.row(way(shape));
         row.iter().enumerate().for_each(|(plane, byte)| planes[plane * n + i] = *byte);
-        before = shape.position;
     }
 }
 
 /// Reads what [`write_shapes`] wrote; any bytes are some shapes.
 pub fn read_shapes(planes: &[u8]) -> impl ExactSizeIterator<Item = Shape> + '_ {
-    let n = planes.len() / SHAPE_BYTES;
     let mut position = [0u16; 3];
-    (0..n).map(move |i| {
-        let byte = |plane: usize| planes[plane * n + i];
-        let pair = |plane: usize| unzigzag(u16::from_le_bytes([byte(plane), byte(plane + 1)]));
-        position = core::array::from_fn(|k| position[k].wrapping_add(pair(2 * k) as u16));
-        let green = pair(14);
-        Shape {
-            position,
-            quat: core::array::from_fn(|k| u16::from(byte(6 + k)) << 2 | u16::from(byte(9) >> (2 * k) & 3)),
-            log_scale: core::array::from_fn(|k| byte(10 + k)),
-            thickness: byte(12),
-            opacity: byte(13) as i8,
-            color: [pair(16).wrapping_add(green), green, pair(18).wrapping_add(green)],
-        }
+    read_changes(planes).map(move |shape| {
+        position = array::from_fn(|k| position[k].wrapping_add(shape.position[k]));
+        Shape { position, ..shape }
     })
+}
+
+/// Reads what [`write_changes`] wrote; any bytes are some changes.
+pub fn read_changes(planes: &[u8]) -> impl ExactSizeIterator<Item = Shape> + '_ {
+    let n = planes.len() / SHAPE_BYTES;
+    (0..n).map(move |i| Shape::of_row(|plane| planes[plane * n + i]))
 }
