@@ -3,8 +3,8 @@
 //!
 //! The most important splats as they are leave holes: with a fifth of the bytes of four agents' models of rendered Boruszyn
 //! (240 px) the merged model lost 8.4 dB. So they are distilled from what the whole model shows to its own cameras:
-//! first half of the splats, then those of them that turned out to give most. Left in their places they lose 1.9 dB
-//! there, and 1.4 dB where means may move. Quaternions stay, for telling how they turn back takes as much as they bring.
+//! first half of the splats, then those of them that turned out to give most. That loses 1.8 dB there, and where means
+//! stay in their places 0.5 dB more. Quaternions stay, for telling how they turn back takes as much as they bring.
 
 use std::rc::Rc;
 
