@@ -105,7 +105,7 @@ pub enum ModelKind {
 /// How a body is laid out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum BodyCodec {
-    /// [`crate::body`]: whole numbers in packs, the most important splats first.
+    /// [`crate::body`]: whole numbers in packs, what stands for most first.
     Packed,
 }
 

@@ -1,5 +1,5 @@
 //! How a model (splats and the cameras that saw them, never pictures) is laid out in bytes: whole numbers
-//! in *packs* that stand alone, the most important splats first.
+//! in *packs* that stand alone, what stands for most first.
 //!
 //! Little-endian throughout, no padding:
 //!
