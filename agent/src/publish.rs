@@ -7,9 +7,10 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
+use cosurf_engine::Renderer;
 use cosurf_link::{
     Credentials, First, Identity, InboxLimits, ModelStore, Node, NodeEvent, Offer, Transport, body_to_model,
-    model_to_body, plain_importance,
+    model_to_body,
 };
 use cosurf_scene::report::AgentEvent;
 use cosurf_scene::{Base, Camera, Splats, ply};
@@ -30,7 +31,7 @@ pub struct Publication<'a> {
     pub splats: &'a Splats,
     /// The cameras that it saw.
     pub cameras: &'a [Camera],
-    /// What is sent first, to stand in for the model; without one, the splats that seem to matter most.
+    /// What is sent first, to stand in for the model; without one, the splats that the pictures need most.
     pub base: Option<&'a Base>,
     /// Set where ground that other devices show as well is left to its owner.
     pub sharing: Option<Sharing<'a>>,
@@ -230,7 +231,7 @@ fn offer(publication: &Publication, splats: &Splats, base: Option<&Base>, kind: 
     let body = match base {
         Some(base) => model_to_body(splats, publication.cameras, First::Base(base)),
         None => {
-            let importance = plain_importance(splats);
+            let importance = Renderer::new(splats, 1).importance(publication.cameras);
             model_to_body(splats, publication.cameras, First::Important(&importance))
         }
     }?;

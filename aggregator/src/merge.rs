@@ -20,7 +20,7 @@ use std::ops::ControlFlow;
 
 use cosurf_engine::{Compression, DeviceChoice, DeviceError, Fleet};
 use cosurf_link::{BodyFault, Model, StoreError};
-use cosurf_scene::{Camera, SceneError, camera};
+use cosurf_scene::{Camera, SceneError};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
@@ -212,12 +212,6 @@ fn survey(locals: &dyn Locals) -> Result<Surveyed<'_>, MergeError> {
         surveyed.cameras.push(cameras);
     }
     Ok(surveyed)
-}
-
-/// 1.1 × the largest distance of a camera from their mean (3DGS), world units.
-fn extent(cameras: &[Camera]) -> f64 {
-    let reach = camera::extent(cameras.iter());
-    if reach > 0.0 { reach } else { 1.0 }
 }
 
 /// Mean of the places of some cameras; the origin for none.

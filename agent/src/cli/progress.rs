@@ -48,20 +48,26 @@ impl Progress {
     pub(super) fn step(&mut self, step: u32, steps: u32, outcome: &StepOutcome, splats: usize) {
         self.psnr = (self.psnr.0 + outcome.loss.psnr(), self.psnr.1 + 1);
         let every = if matches!(self.style, Style::Lines) { LINE_EVERY } else { BAR_EVERY };
-        let elapsed = self.last.elapsed();
-        if elapsed < every && step < steps {
+        if self.last.elapsed() < every && step < steps {
             return;
         }
-        let steps_per_s = (step - self.last_step.min(step)) as f32 / elapsed.as_secs_f32().max(1e-6);
+        let (steps_per_s, seconds_left) = self.rate(step, steps);
         self.show(&AgentEvent::Progress {
             step,
             steps,
             psnr: (self.psnr.0 / f64::from(self.psnr.1)) as f32,
             splats,
             steps_per_s,
-            seconds_left: (steps - step) as f32 / steps_per_s.max(1e-6),
+            seconds_left,
         });
         (self.last, self.last_step, self.psnr) = (Instant::now(), step, (0.0, 0));
+    }
+
+    /// Steps a second since the last report, and the seconds that are left at this rate.
+    fn rate(&self, step: u32, steps: u32) -> (f32, f32) {
+        let steps_since = step - self.last_step.min(step);
+        let steps_per_s = steps_since as f32 / self.last.elapsed().as_secs_f32().max(1e-6);
+        (steps_per_s, (steps - step) as f32 / steps_per_s.max(1e-6))
     }
 
     /// A step towards the upload was done; reports every now and then.
@@ -69,12 +75,10 @@ impl Progress {
         if step == 1 {
             (self.last, self.last_step) = (Instant::now(), step);
         }
-        let elapsed = self.last.elapsed();
-        if elapsed < LINE_EVERY {
+        if self.last.elapsed() < LINE_EVERY {
             return;
         }
-        let steps_per_s = (step - self.last_step) as f32 / elapsed.as_secs_f32();
-        let seconds_left = (steps - step) as f32 / steps_per_s.max(1e-6);
+        let (_, seconds_left) = self.rate(step, steps);
         self.show(&AgentEvent::Preparing { step, steps, seconds_left });
         (self.last, self.last_step) = (Instant::now(), step);
     }

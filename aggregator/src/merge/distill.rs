@@ -9,6 +9,7 @@ use std::ops::{ControlFlow, Range};
 use cosurf_engine::backend::{Channels, TargetSurface};
 use cosurf_engine::budget::{Costs, DRIVER_BYTES};
 use cosurf_engine::cpu::PAIRS_PER_SPLAT;
+use cosurf_engine::distill;
 use cosurf_engine::train::view_order;
 use cosurf_engine::{
     AnyBackend, Backend, CpuCapacity, Device, DistillSettings, Distiller, Lesson, StudentRates,
@@ -19,7 +20,7 @@ use glam::DVec3;
 use super::computer::Computer;
 use super::lessons::lessons;
 use super::teachers::{Taught, Teachers, ViewKey, renderer_bytes};
-use super::{MergeError, MergeProgress, MergeSettings, Surveyed, extent};
+use super::{MergeError, MergeProgress, MergeSettings, Surveyed};
 
 /// Share of the memory that is for the model that learns; the teachers have the rest.
 const STUDENT_SHARE: f64 = 0.6;
@@ -54,7 +55,7 @@ pub(crate) fn distill(
     let mut teachers = Teachers::new(*locals, computer, teacher_bytes, teachers_bytes);
     let depth = median_depth(&mut teachers, cameras)?;
     let all: Vec<Camera> = cameras.iter().flatten().copied().collect();
-    let extent = extent(&all);
+    let extent = distill::extent(&all);
     let mut useless = Vec::new();
     let mut done = 0;
     for part in &parts {
@@ -191,8 +192,7 @@ fn median_depth(teachers: &mut Teachers, cameras: &[Vec<Camera>]) -> Result<f64,
     let mut depths: Vec<f32> = Vec::new();
     for local in (0..cameras.len()).filter(|local| !cameras[*local].is_empty()) {
         let taught = teachers.teach(ViewKey { local, camera: 0 })?;
-        depths.extend(taught.depth.iter().step_by(STEP).filter(|depth| **depth > 0.0));
+        depths.extend(taught.depth.iter().step_by(STEP));
     }
-    depths.sort_unstable_by(f32::total_cmp);
-    Ok(depths.get(depths.len() / 2).map_or(1.0, |depth| f64::from(*depth)))
+    Ok(distill::median_depth(depths.into_iter()))
 }

@@ -7,6 +7,7 @@ use std::rc::Rc;
 
 use cosurf_engine::backend::Channels;
 use cosurf_engine::budget::Costs;
+use cosurf_engine::distill::TRUSTED_ALPHA_MIN;
 use cosurf_engine::{CpuCapacity, Device, Neighbours, Renderer, Rendering};
 use cosurf_scene::{Camera, SparsePoint, Splats};
 use glam::{DVec2, DVec3};
@@ -14,10 +15,6 @@ use glam::{DVec2, DVec3};
 use super::computer::Computer;
 use super::{Locals, MergeError};
 
-/// A surface that shows less than this is not believed. Colours are believed everywhere: a teacher's picture is that
-/// of the photograph even where its surface is not, and leaving out what is not opaque costs 0.7 dB (real drone
-/// pictures, Caliterra at 240 px: 32.65 instead of 33.31 dB held out).
-const ALPHA_MIN: f32 = 0.95;
 /// A surface that does not come back from another camera of the teacher to within this is not believed.
 const RETURN_PX: f64 = 1.0;
 /// Points that tell how deep a teacher's cameras look.
@@ -200,7 +197,7 @@ impl Teacher {
         let width = here.size_px[0] as usize;
         let believed = |i: usize| {
             let p_px = DVec2::new((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
-            here.alpha[i] > ALPHA_MIN
+            here.alpha[i] > TRUSTED_ALPHA_MIN
                 && there
                     .as_ref()
                     .is_none_or(|(other, seen)| returns(&camera, p_px, f64::from(here.depth[i]), other, seen))

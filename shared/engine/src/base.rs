@@ -8,11 +8,12 @@
 
 use std::rc::Rc;
 
-use cosurf_scene::{Base, Camera, Splats, camera};
+use cosurf_scene::{Base, Camera, Splats};
 
 use crate::backend::{Backend, Channels, Rendering, TargetSurface};
 use crate::cpu::{CpuBackend, CpuCapacity};
-use crate::distill::{DistillSettings, Distiller, Lesson, StudentRates};
+use crate::distill::{self, DistillSettings, Distiller, Lesson, StudentRates, TRUSTED_ALPHA_MIN};
+use crate::prune;
 use crate::render::Renderer;
 use crate::train::view_order;
 
@@ -34,9 +35,6 @@ const SETTLE: u32 = 26;
 const RATES: StudentRates =
     StudentRates { mean: 4.8e-4, quat: 0.0, log_scale: 0.02, opacity: 0.1, sh_dc: 0.0075 };
 
-/// A surface that shows less than this is not taught.
-const ALPHA_MIN: f32 = 0.95;
-
 /// The base of a model that `cameras` have seen; `None` where it is too small to need one. The processor makes it, with
 /// `threads`, at least 1; `kept_bytes` may be taken for renderings that are needed again. `tell` hears the steps done and
 /// those in all. The same model gives the same base.
@@ -50,12 +48,15 @@ pub fn base_of(
     if splats.len() < SPLATS_MIN || cameras.is_empty() {
         return None;
     }
-    let mut base = beginning(splats, cameras, threads);
-    let mut teacher = Teacher::new(splats, cameras, threads, kept_bytes);
+    let mut renderer = Renderer::new(splats, threads);
+    let importance = renderer.importance(cameras);
+    let mut base = keep(&of_one_color(splats), &importance, SHARE_AT_FIRST * splats.len() as f64);
+    grow(&mut base.splats, splats.len());
+    let mut teacher = Teacher::new(renderer, cameras, threads, kept_bytes);
     for (stage, steps) in STEPS.into_iter().enumerate() {
         if stage > 0 {
-            let count = (SHARE * splats.len() as f64) as usize;
-            base = chosen(&base, &most_important(&base.splats, cameras, count, threads));
+            let importance = Renderer::new(&base.splats, threads).importance(cameras);
+            base = keep(&base, &importance, SHARE * splats.len() as f64);
         }
         base.splats = teacher.teach(&base.splats, steps, |step| {
             tell(STEPS[..stage].iter().sum::<u32>() + step, STEPS.iter().sum());
@@ -64,35 +65,28 @@ pub fn base_of(
     Some(base)
 }
 
-/// The splats that the model needs most, larger, and of one colour in all directions.
-fn beginning(splats: &Splats, cameras: &[Camera], threads: usize) -> Base {
-    let count = (SHARE_AT_FIRST * splats.len() as f64) as usize;
-    let ids = most_important(splats, cameras, count, threads);
-    let growth = GROWTH * (splats.len() as f32 / count as f32).ln();
-    let mut grown = Splats::with_capacity(count, 0);
-    for i in ids.iter().map(|&i| i as usize) {
-        let log_scale = splats.log_scales[i].map(|v| v + growth);
-        let color = &splats.sh_of(i)[..3];
-        grown.push(splats.means[i], splats.quats[i], log_scale, splats.opacity_logits[i], color);
+/// All splats, each of one colour in all directions.
+fn of_one_color(splats: &Splats) -> Base {
+    let mut plain = Splats::with_capacity(splats.len(), 0);
+    for i in 0..splats.len() {
+        let (mean, quat, log_scale) = (splats.means[i], splats.quats[i], splats.log_scales[i]);
+        plain.push(mean, quat, log_scale, splats.opacity_logits[i], &splats.sh_of(i)[..3]);
     }
-    Base { ids, splats: grown }
+    Base { ids: (0..splats.len() as u32).collect(), splats: plain }
 }
 
-/// Indices of the `count` splats that the pictures of `cameras` need most, ascending; of equals the first.
-fn most_important(splats: &Splats, cameras: &[Camera], count: usize, threads: usize) -> Vec<u32> {
-    let importance = Renderer::new(splats, threads).importance(cameras);
-    let mut ranked: Vec<u32> = (0..splats.len() as u32).collect();
-    ranked.sort_by(|&a, &b| importance[b as usize].total_cmp(&importance[a as usize]));
-    ranked.truncate(count);
-    ranked.sort_unstable();
-    ranked
+/// The `count` splats that are worth most; of equals the first.
+fn keep(base: &Base, importance: &[f32], count: f64) -> Base {
+    let gone = prune::least(importance, base.ids.len() - count as usize);
+    let stays = |place: &usize| gone.binary_search(&(*place as u32)).is_err();
+    let ids = (0..base.ids.len()).filter(stays).map(|place| base.ids[place]).collect();
+    Base { ids, splats: base.splats.without(&gone) }
 }
 
-/// The base of those in `places`, ascending.
-fn chosen(base: &Base, places: &[u32]) -> Base {
-    let mut splats = Splats::with_capacity(places.len(), base.splats.sh_degree);
-    places.iter().for_each(|&place| splats.push_from(&base.splats, place as usize));
-    Base { ids: places.iter().map(|&place| base.ids[place as usize]).collect(), splats }
+/// Makes splats larger, in proportion, where they are some of `whole`.
+fn grow(splats: &mut Splats, whole: usize) {
+    let growth = GROWTH * (whole as f32 / splats.len() as f32).ln();
+    splats.log_scales.iter_mut().for_each(|log_scale| *log_scale = log_scale.map(|v| v + growth));
 }
 
 /// The whole model, which shows what it looks like.
@@ -106,14 +100,8 @@ struct Teacher<'a> {
 }
 
 impl<'a> Teacher<'a> {
-    fn new(splats: &Splats, cameras: &'a [Camera], threads: usize, kept_bytes: usize) -> Self {
-        Self {
-            threads,
-            cameras,
-            renderer: Renderer::new(splats, threads),
-            kept: vec![None; cameras.len()],
-            free_bytes: kept_bytes,
-        }
+    fn new(renderer: Renderer, cameras: &'a [Camera], threads: usize, kept_bytes: usize) -> Self {
+        Self { threads, cameras, renderer, kept: vec![None; cameras.len()], free_bytes: kept_bytes }
     }
 
     /// What `student` has learnt after so many steps.
@@ -125,22 +113,20 @@ impl<'a> Teacher<'a> {
             steps,
             settle: SETTLE,
             rates: RATES,
-            extent: Some(camera::extent(self.cameras.iter())).filter(|extent| *extent > 0.0).unwrap_or(1.0),
-            depth: median_depth(&self.show(0)),
+            extent: distill::extent(self.cameras),
+            depth: distill::median_depth(self.show(0).depth.iter().copied()),
             sh_degree: student.sh_degree,
         };
         let mut distiller = Distiller::new(backend, settings);
-        let views = self.cameras.len() as u32;
-        for step in 0..steps {
-            let order = view_order(0, u64::from(step / views), self.cameras.len());
-            let view = order[(step % views) as usize];
+        let views = (0..).flat_map(|epoch| view_order(0, epoch, self.cameras.len()));
+        for (done, view) in (1..).zip(views.take(steps as usize)) {
             let Rendering { rgb, alpha, depth, normal, .. } = &*self.show(view);
-            let trust: Vec<f32> = alpha.iter().map(|a| f32::from(u8::from(*a > ALPHA_MIN))).collect();
+            let trust: Vec<f32> = alpha.iter().map(|a| f32::from(u8::from(*a > TRUSTED_ALPHA_MIN))).collect();
             let surface = TargetSurface { depth, normal, trust: &trust };
             distiller.step(&Lesson { camera: &self.cameras[view], rgb, surface });
-            tell(step + 1);
+            tell(done);
         }
-        distiller.finish([]).0
+        distiller.into_splats()
     }
 
     fn show(&mut self, view: usize) -> Rc<Rendering> {
@@ -156,13 +142,6 @@ impl<'a> Teacher<'a> {
         }
         rendering
     }
-}
-
-/// Median depth of what a picture shows, world units.
-fn median_depth(rendering: &Rendering) -> f64 {
-    let mut depths: Vec<f32> = rendering.depth.iter().copied().filter(|depth| *depth > 0.0).collect();
-    depths.sort_unstable_by(f32::total_cmp);
-    depths.get(depths.len() / 2).map_or(1.0, |depth| f64::from(*depth))
 }
 
 #[cfg(test)]

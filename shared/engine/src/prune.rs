@@ -93,7 +93,11 @@ fn quantile(values: &[f32], share: f64) -> f32 {
 /// Indices, ascending, of the `ratio` (0..1) of all splats with the lowest priorities, exactly so many; of equal
 /// ones the later goes.
 pub(crate) fn lowest(priorities: &[f32], ratio: f64) -> Vec<u32> {
-    let count = (ratio.clamp(0.0, 1.0) * priorities.len() as f64) as usize;
+    least(priorities, (ratio.clamp(0.0, 1.0) * priorities.len() as f64) as usize)
+}
+
+/// The same of `count` splats.
+pub(crate) fn least(priorities: &[f32], count: usize) -> Vec<u32> {
     let mut order: Vec<u32> = (0..priorities.len() as u32).collect();
     let key = |i: u32| priorities[i as usize];
     order.sort_unstable_by(|&a, &b| key(a).total_cmp(&key(b)).then(b.cmp(&a)));
