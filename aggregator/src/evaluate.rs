@@ -84,7 +84,7 @@ impl<'a> Judge<'a> {
         let photograph = Picture::read_fitted(&view.path, camera.size_px)?;
         let mut rendering = self.renderer.render(&camera);
         rendering.rgb.iter_mut().for_each(|value| *value = value.clamp(0.0, 1.0));
-        let truth = self.yardsticks.truth.as_ref().map(|caster| caster.cast(&camera));
+        let truth = self.yardsticks.truth.as_ref().map(|caster| caster.cast_areas(&camera));
         Ok(Look { camera, photograph, rendering, truth })
     }
 }

@@ -11,6 +11,21 @@ use crate::{Camera, Mesh};
 /// The most triangles that can be cast at; see [`Caster::new`].
 pub const TRIANGLES_MAX: usize = crate::bvh::TRIANGLES_MAX;
 
+/// Places in a pixel, thirds of its side from its centre.
+const THIRDS: [[f64; 2]; 9] = [
+    [-1.0, -1.0],
+    [0.0, -1.0],
+    [1.0, -1.0],
+    [-1.0, 0.0],
+    [0.0, 0.0],
+    [1.0, 0.0],
+    [-1.0, 1.0],
+    [0.0, 1.0],
+    [1.0, 1.0],
+];
+/// Of these, the centre.
+const MIDDLE: usize = 4;
+
 /// What a camera sees of a surface. Through a hole of the surface it sees what lies behind: of the synthetic
 /// city's truth, which has holes where fewer than three cameras look, that is one pixel in 75.
 #[derive(Clone, Debug, PartialEq)]
@@ -41,20 +56,40 @@ impl Caster {
     /// Depth and normal at every pixel's centre; either side of a triangle is surface. Rows in parallel, the
     /// same for any number of threads.
     pub fn cast(&self, camera: &Camera) -> Cast {
-        let [width, height] = camera.size_px;
         let shooter = Shooter::new(camera);
-        let (depth, normals) = (0..height)
-            .into_par_iter()
-            .flat_map_iter(|y| (0..width).map(move |x| (x, y)))
-            .map(|(x, y)| self.look(&shooter, DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5)))
-            .unzip();
-        Cast { size_px: camera.size_px, depth, normals }
+        everywhere(camera.size_px, |p_px| self.look(&shooter, [p_px])[0].unwrap_or_default())
     }
 
-    fn look(&self, shooter: &Shooter, p_px: DVec2) -> (f32, [f32; 3]) {
-        let [hit] = self.bvh.nearest(&[shooter.ray(p_px)]);
-        hit.map_or((0.0, [0.0; 3]), |hit| shooter.meet(p_px, &self.corners[hit.triangle as usize]))
+    /// The same, but each normal is the mean over the pixel's area (3 × 3 rays): colours are, of photographs as of
+    /// renderings, and what is smaller than a pixel is nobody's error.
+    pub fn cast_areas(&self, camera: &Camera) -> Cast {
+        let shooter = Shooter::new(camera);
+        everywhere(camera.size_px, |p_px| {
+            let seen = self.look(&shooter, THIRDS.map(|[x, y]| p_px + DVec2::new(x, y) / 3.0));
+            let normal: Vec3 = seen.iter().flatten().map(|(_, normal)| Vec3::from(*normal)).sum();
+            seen[MIDDLE]
+                .map_or_else(Default::default, |(depth, _)| (depth, normal.normalize_or_zero().into()))
+        })
     }
+
+    /// Depth and normal where rays through pixel positions meet the surface.
+    fn look<const N: usize>(&self, shooter: &Shooter, at_px: [DVec2; N]) -> [Option<(f32, [f32; 3])>; N] {
+        let hits = self.bvh.nearest(&at_px.map(|p_px| shooter.ray(p_px)));
+        std::array::from_fn(|i| {
+            hits[i].map(|hit| shooter.meet(at_px[i], &self.corners[hit.triangle as usize]))
+        })
+    }
+}
+
+/// Depth and normal of each pixel by its centre.
+fn everywhere(size_px: [u32; 2], look: impl Fn(DVec2) -> (f32, [f32; 3]) + Sync) -> Cast {
+    let [width, height] = size_px;
+    let (depth, normals) = (0..height)
+        .into_par_iter()
+        .flat_map_iter(|y| (0..width).map(move |x| (x, y)))
+        .map(|(x, y)| look(DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5)))
+        .unzip();
+    Cast { size_px, depth, normals }
 }
 
 /// A camera ready to shoot rays.
@@ -150,6 +185,32 @@ mod tests {
         }
     }
 
+    /// Three ridges to a pixel, facets up and down by turns.
+    fn ridged() -> Mesh {
+        // A pixel shows 28 / 40 of the ground.
+        let ridge = |k: u32| (3.0 + (f64::from(k) / 3.0 - 16.3) * 0.7) as f32;
+        let corner = |k: u32, y: f32| [ridge(k), y, if k.is_multiple_of(2) { 2.0 } else { 2.07 }];
+        Mesh {
+            positions: (0..=96).flat_map(|k| [corner(k, -100.0), corner(k, 100.0)]).collect(),
+            triangles: (0..192).map(|i| [i, i + 1, i + 2]).collect(),
+            ..Mesh::default()
+        }
+    }
+
+    #[test]
+    fn the_normal_of_an_area_is_the_mean_of_what_lies_in_it() {
+        let caster = Caster::new(&ridged());
+        let (centers, areas) = (caster.cast(&from_above()), caster.cast_areas(&from_above()));
+        assert_eq!(centers.depth, areas.depth);
+        let slope = |normal: &[f32; 3]| f64::from(normal[0] / normal[2]);
+        for (i, (center, area)) in centers.normals.iter().zip(&areas.normals).enumerate() {
+            // Facets of one slope to the sides, and of the other in the middle.
+            let side = if i % 2 == 0 { 0.3 } else { -0.3 };
+            assert!((slope(center) + side).abs() < 1e-3, "{i}: {center:?}");
+            assert!((slope(area) - side / 3.0).abs() < 1e-3, "{i}: {area:?}");
+        }
+    }
+
     #[test]
     fn the_camera_sees_either_side_and_the_nearer_surface() {
         let mut mesh = slanted(0.0);
@@ -170,9 +231,11 @@ mod tests {
     fn where_nothing_is_there_is_no_depth() {
         let camera = from_above();
         for mesh in [Mesh::default(), Mesh { triangles: vec![[0, 0, 1]], ..slanted(0.0) }] {
-            let cast = Caster::new(&mesh).cast(&camera);
-            assert!(cast.depth.iter().all(|&z| z == 0.0) && cast.normals.iter().all(|&n| n == [0.0; 3]));
-            assert_eq!(cast.depth.len(), 32 * 24);
+            let caster = Caster::new(&mesh);
+            for cast in [caster.cast(&camera), caster.cast_areas(&camera)] {
+                assert!(cast.depth.iter().all(|&z| z == 0.0) && cast.normals.iter().all(|&n| n == [0.0; 3]));
+                assert_eq!(cast.depth.len(), 32 * 24);
+            }
         }
     }
 }
