@@ -2,6 +2,7 @@
 
 mod cli;
 
+use std::io;
 use std::process::ExitCode;
 
 use clap::Parser;
@@ -9,10 +10,16 @@ use clap::Parser;
 fn main() -> ExitCode {
     match cli::run(cli::Cli::parse()) {
         Ok(()) => ExitCode::SUCCESS,
+        Err(error) if has_closed_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => {
             // One line: what failed, then why.
             eprintln!("cosurf-agent: {error:#}");
             ExitCode::FAILURE
         }
     }
+}
+
+/// Whether who reads the results has seen enough, as `head` has.
+fn has_closed_pipe(error: &anyhow::Error) -> bool {
+    error.downcast_ref().is_some_and(|error: &io::Error| error.kind() == io::ErrorKind::BrokenPipe)
 }

@@ -96,6 +96,17 @@ fn threads_do_not_change_a_byte_but_the_seed_does() {
 }
 
 #[test]
+fn who_has_read_enough_may_close_the_pipe() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut command = train(town(), folder.path(), &["--steps", "1"]);
+    let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    drop(child.stdout.take());
+    let output = child.wait_with_output().unwrap();
+    assert!(output.status.success(), "{}", stderr(&output));
+    assert!(!stderr(&output).contains("panicked") && !model(folder.path()).is_empty(), "{}", stderr(&output));
+}
+
+#[test]
 fn a_training_that_begins_with_a_model_is_ahead() {
     let folder = tempfile::tempdir().unwrap();
     let [first, warm, cold] = ["first", "warm", "cold"].map(|name| folder.path().join(name));
@@ -141,6 +152,18 @@ fn has_gpu() -> bool {
     found
 }
 
+/// dB of the views trained on, all but every eighth.
+fn psnr_of_lessons(data: &Path, out: &Path) -> f64 {
+    let words = ["--eval-every", "1", "--max-size", "160", "--json", "--device", "cpu"];
+    let output = agent(&["eval"]).arg(out).arg(data).args(words).output().unwrap();
+    assert!(output.status.success(), "{}", stderr(&output));
+    let score: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let views = score["views"].as_array().unwrap().iter().enumerate();
+    let psnrs: Vec<f64> =
+        views.filter(|(i, _)| i % 8 != 0).map(|(_, view)| view["psnr"].as_f64().unwrap()).collect();
+    psnrs.iter().sum::<f64>() / psnrs.len() as f64
+}
+
 /// dB of the held-out views after a training.
 fn psnr_of(data: &Path, out: &Path, words: &[&str]) -> f64 {
     succeed(train(data, out, words));
@@ -152,7 +175,9 @@ fn report(out: &Path) -> serde_json::Value {
 }
 
 /// `DATA=FOLDER cargo test --release -p cosurf-agent -- --ignored five_hundred --nocapture`, with real pictures: in a
-/// scene of a few hundred splats a seed is worth tenths of a decibel, and so is how a device rounds.
+/// scene of a few hundred splats a seed is worth tenths of a decibel, and so is how a device rounds. What counts is what
+/// was learnt: at the rim of a held-out view there is ground that no other view shows, and what lies there is chance
+/// (Boruszyn: four seeds are worth 22.8 to 24.0 dB held out, and 26.18 to 26.26 dB on what they were trained on).
 #[test]
 #[ignore = "minutes on a software driver, and it needs pictures"]
 fn five_hundred_steps_end_alike() {
@@ -163,7 +188,9 @@ fn five_hundred_steps_end_alike() {
     let data = PathBuf::from(std::env::var_os("DATA").expect("DATA=FOLDER"));
     let [cpu, gpu] = ["cpu", "gpu"].map(|device| {
         let words = ["--steps", "500", "--max-size", "160", "--device", device];
-        psnr_of(&data, &folder.path().join(device), &words)
+        let out = folder.path().join(device);
+        succeed(train(&data, &out, &words));
+        psnr_of_lessons(&data, &out)
     });
     println!("500 steps: {cpu:.3} dB on the CPU, {gpu:.3} dB on the GPU");
     assert!((cpu - gpu).abs() < 0.1, "{cpu} dB on the CPU, {gpu} dB on the GPU");

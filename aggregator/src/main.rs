@@ -76,11 +76,17 @@ fn main() -> ExitCode {
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
+        Err(error) if has_closed_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("cosurf-aggregator: {error:#}");
             ExitCode::FAILURE
         }
     }
+}
+
+/// Whether who reads the results has seen enough, as `head` has.
+fn has_closed_pipe(error: &anyhow::Error) -> bool {
+    error.downcast_ref().is_some_and(|error: &io::Error| error.kind() == io::ErrorKind::BrokenPipe)
 }
 
 fn run(args: &RunArgs) -> Result<()> {

@@ -1,5 +1,7 @@
 //! `devices`: what there is to compute on.
 
+use std::io::{self, Write};
+
 use anyhow::Result;
 use clap::Args;
 use cosurf_engine::gpu::{AdapterSummary, adapters};
@@ -13,11 +15,12 @@ pub(super) struct DevicesArgs {
 }
 
 pub(super) fn run(args: &DevicesArgs) -> Result<()> {
-    let adapters = adapters();
+    let (adapters, mut stdout) = (adapters(), io::stdout().lock());
     for (index, adapter) in adapters.iter().enumerate() {
         let AdapterSummary { name, api, driver, is_software, binding_bytes_max, has_subgroups } = adapter;
         if args.json {
-            println!(
+            writeln!(
+                stdout,
                 "{}",
                 serde_json::json!({
                     "device": format!("gpu:{index}"),
@@ -28,16 +31,22 @@ pub(super) fn run(args: &DevicesArgs) -> Result<()> {
                     "binding_bytes_max": binding_bytes_max,
                     "has_subgroups": has_subgroups,
                 })
-            );
+            )?;
             continue;
         }
         let kind = if *is_software { ", software: slower than --device cpu" } else { "" };
         let subgroups = if *has_subgroups { ", subgroups" } else { "" };
         let binding_mib = binding_bytes_max >> 20;
-        println!("gpu:{index}  {name} ({api}, {driver}){kind}; buffers up to {binding_mib} MiB{subgroups}");
+        writeln!(
+            stdout,
+            "gpu:{index}  {name} ({api}, {driver}){kind}; buffers up to {binding_mib} MiB{subgroups}"
+        )?;
     }
     if adapters.is_empty() && !args.json {
-        println!("no graphics card with a Vulkan, Metal or DirectX 12 driver; --device cpu is all there is");
+        writeln!(
+            stdout,
+            "no graphics card with a Vulkan, Metal or DirectX 12 driver; --device cpu is all there is"
+        )?;
     }
     Ok(())
 }

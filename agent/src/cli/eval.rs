@@ -1,5 +1,6 @@
 //! `eval`: how well a model shows pictures that it was not trained on.
 
+use std::io::{self, Write};
 use std::path::PathBuf;
 
 use anyhow::{Result, ensure};
@@ -34,15 +35,16 @@ pub(super) fn run(args: &EvalArgs) -> Result<()> {
     let views: Vec<View> = held_out.into_iter().map(|i| dataset.views[i].clone()).collect();
     let mut renderer = Renderer::on(args.device.device, args.common.threads(), &splats)?;
     let score = evaluate::score(&mut renderer, &views, args.common.max_size_px())?;
+    let mut stdout = io::stdout().lock();
     if args.common.json {
-        println!("{}", serde_json::to_string(&score)?);
+        writeln!(stdout, "{}", serde_json::to_string(&score)?)?;
         return Ok(());
     }
     for view in &score.views {
-        println!("{}: PSNR {:.2} dB, SSIM {:.4}", view.name, view.psnr, view.ssim);
+        writeln!(stdout, "{}: PSNR {:.2} dB, SSIM {:.4}", view.name, view.psnr, view.ssim)?;
     }
     if let (Some(psnr), Some(ssim)) = (score.psnr, score.ssim) {
-        println!("mean of {}: PSNR {psnr:.2} dB, SSIM {ssim:.4}", score.views.len());
+        writeln!(stdout, "mean of {}: PSNR {psnr:.2} dB, SSIM {ssim:.4}", score.views.len())?;
     }
     Ok(())
 }

@@ -1,5 +1,6 @@
 //! `render`: pictures of what a model shows.
 
+use std::io::{self, Write};
 use std::path::PathBuf;
 
 use anyhow::{Context, Result};
@@ -36,10 +37,8 @@ pub(super) fn run(args: &RenderArgs) -> Result<()> {
     for (done, view) in dataset.views.iter().enumerate() {
         pictures::write(&mut renderer, view, args.common.max_size_px(), &args.out)?;
         if args.common.json {
-            println!(
-                "{}",
-                serde_json::json!({ "view": view.name, "done": done + 1, "of": dataset.views.len() })
-            );
+            let line = serde_json::json!({ "view": view.name, "done": done + 1, "of": dataset.views.len() });
+            writeln!(io::stdout(), "{line}")?;
         } else {
             eprintln!("{}/{} {}", done + 1, dataset.views.len(), view.name);
         }

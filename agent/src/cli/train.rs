@@ -1,5 +1,6 @@
 //! `train`: from a dataset to a model.
 
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -106,10 +107,7 @@ pub(super) fn run(args: &TrainArgs) -> Result<()> {
     };
     let mut progress = Progress::new(args.common.json);
     let report = train(&plan, &args.out, args.fresh, &mut progress)?;
-    if !args.common.json {
-        print_report(&report, &args.out);
-    }
-    Ok(())
+    if args.common.json { Ok(()) } else { print_report(&report, &args.out) }
 }
 
 /// Trains, with checkpoints, and writes all results into `out`. Where a graphics card that nobody asked for is lost,
@@ -193,8 +191,10 @@ fn finish(plan: &TrainPlan, session: Session, out: &Path, spent: Spent) -> Resul
     Ok(report)
 }
 
-fn print_report(report: &TrainReport, out: &Path) {
-    println!(
+fn print_report(report: &TrainReport, out: &Path) -> Result<()> {
+    let mut stdout = io::stdout().lock();
+    writeln!(
+        stdout,
         "{} splats after {} steps in {:.1} s ({:.1} steps/s, {}), peak memory {}",
         report.splats,
         report.steps,
@@ -202,12 +202,13 @@ fn print_report(report: &TrainReport, out: &Path) {
         report.steps_per_s,
         report.device,
         cosurf_scene::bytes::format_bytes(report.peak_memory_bytes)
-    );
+    )?;
     if let (Some(psnr), Some(ssim)) = (report.psnr, report.ssim) {
-        println!("held out {} views: PSNR {psnr:.2} dB, SSIM {ssim:.4}", report.held_out);
+        writeln!(stdout, "held out {} views: PSNR {psnr:.2} dB, SSIM {ssim:.4}", report.held_out)?;
     }
     for given_up in &report.given_up {
-        println!("given up for memory: {given_up}");
+        writeln!(stdout, "given up for memory: {given_up}")?;
     }
-    println!("{}", out.join("model.ply").display());
+    writeln!(stdout, "{}", out.join("model.ply").display())?;
+    Ok(())
 }

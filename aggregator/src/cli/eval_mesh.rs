@@ -1,5 +1,6 @@
 //! `eval-mesh`: a mesh beside the true surface.
 
+use std::io::{self, Write};
 use std::path::PathBuf;
 
 use anyhow::Result;
@@ -46,31 +47,34 @@ pub(crate) fn run(args: &EvalMeshArgs) -> Result<()> {
         mesh.write(out)?;
     }
     if args.json {
-        println!("{}", serde_json::json!(accuracy));
+        writeln!(io::stdout(), "{}", serde_json::json!(accuracy))?;
+        Ok(())
     } else {
-        print(&accuracy);
+        print(&accuracy)
     }
-    Ok(())
 }
 
-fn print(accuracy: &Accuracy) {
-    println!("at {} m       precision   recall   F-score", accuracy.threshold_m);
-    let row = |name: &str, score: &Score| {
-        println!("{name:12}  {:9.4}   {:6.4}   {:7.4}", score.precision, score.recall, score.f_score);
-    };
-    row("by area", &accuracy.samples);
-    row("by vertices", &accuracy.vertices);
-    println!(
+fn print(accuracy: &Accuracy) -> Result<()> {
+    let mut stdout = io::stdout().lock();
+    writeln!(stdout, "at {} m       precision   recall   F-score", accuracy.threshold_m)?;
+    for (name, score) in [("by area", &accuracy.samples), ("by vertices", &accuracy.vertices)] {
+        let Score { precision, recall, f_score } = score;
+        writeln!(stdout, "{name:12}  {precision:9.4}   {recall:6.4}   {f_score:7.4}")?;
+    }
+    writeln!(
+        stdout,
         "mesh to truth {:.4} m, truth to mesh {:.4} m, chamfer {:.4} m",
         accuracy.mesh_to_truth_m, accuracy.truth_to_mesh_m, accuracy.chamfer_m
-    );
+    )?;
     let disc = match accuracy.truth_disc_m {
         0.0 => String::new(),
         radius => format!(", truth points stand for discs of {radius:.3} m"),
     };
-    println!(
+    writeln!(
+        stdout,
         "{:.1} % of the mesh lie beyond the truth's footprint and were not judged; samples {:.3} m apart{disc}",
         100.0 * accuracy.cropped,
         accuracy.sample_spacing_m
-    );
+    )?;
+    Ok(())
 }

@@ -1,5 +1,6 @@
 //! `mesh`: the surface of a model as triangles.
 
+use std::io::{self, Write};
 use std::path::PathBuf;
 use std::thread::available_parallelism;
 use std::time::Instant;
@@ -61,24 +62,26 @@ pub(crate) fn run(args: &MeshArgs) -> Result<()> {
     })?;
     meter.finish();
     fused.mesh.write(&args.out)?;
-    print(args, &fused, begun.elapsed().as_secs_f64());
-    Ok(())
+    print(args, &fused, begun.elapsed().as_secs_f64())
 }
 
-fn print(args: &MeshArgs, fused: &Fused, seconds: f64) {
+fn print(args: &MeshArgs, fused: &Fused, seconds: f64) -> Result<()> {
     let Fused { mesh, voxel_m, pixel_m, blocks, peak_bytes } = fused;
+    let mut stdout = io::stdout().lock();
     let (vertices, triangles) = (mesh.positions.len(), mesh.triangles.len());
     if args.json {
         let line = serde_json::json!({
             "event": "mesh", "vertices": vertices, "triangles": triangles, "voxel_m": voxel_m,
             "pixel_m": pixel_m, "blocks": blocks, "peak_bytes": peak_bytes, "seconds": seconds,
         });
-        println!("{line}");
-        return;
+        writeln!(stdout, "{line}")?;
+        return Ok(());
     }
-    println!(
+    writeln!(
+        stdout,
         "{triangles} triangles, {vertices} vertices in {seconds:.1} s · voxels of {voxel_m:.3} m, a pixel covers {pixel_m:.3} m · {blocks} blocks, {}",
         format_bytes(*peak_bytes)
-    );
-    println!("{}", args.out.display());
+    )?;
+    writeln!(stdout, "{}", args.out.display())?;
+    Ok(())
 }
