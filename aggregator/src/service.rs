@@ -25,6 +25,7 @@ mod keeper;
 mod parts;
 mod record;
 mod round;
+mod shelf;
 
 use std::collections::BTreeMap;
 use std::fmt;

@@ -1,6 +1,6 @@
 //! What a service has and does with it. What is on the disk decides; everything here can be read back.
 
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::collections::{BTreeSet, VecDeque};
 use std::path::PathBuf;
 use std::sync::mpsc::{Receiver, TryRecvError};
 use std::time::Duration;
@@ -9,10 +9,10 @@ use cosurf_link::{ModelKey, ModelStore, Node, NodeEvent, Offer};
 use cosurf_scene::ply;
 use cosurf_wire::{DeviceId, ModelHeader, ModelId, ModelKind, RefusalReason, TileId};
 
-use super::job::{Inputs, Job, Look, Outcome, Stores};
-use super::parts::Parts;
-use super::record::{Fitted, Input, KeptOut, Merging, settle_withdrawal, withdrawn};
+use super::job::{Inputs, Job, Look, Outcome};
+use super::record::{Fitted, Input, KeptOut, Merging};
 use super::round::{Expected, Round};
+use super::shelf::Shelf;
 use super::{Command, ServiceConfig, ServiceError, ServiceEvent, global_ply, global_store};
 use crate::merge::{MergeSettings, Merged};
 
@@ -35,16 +35,8 @@ pub(super) enum Orders {
 pub(super) struct Keeper {
     device: DeviceId,
     folder: PathBuf,
-    models: ModelStore,
+    shelf: Shelf,
     globals: ModelStore,
-    /// Every model on the disk.
-    stored: BTreeMap<DeviceId, BTreeMap<ModelId, ModelHeader>>,
-    /// Of devices that have no model there.
-    parts: Parts,
-    /// The last model of each withdrawn device that does not count.
-    withdrawn: BTreeMap<DeviceId, ModelId>,
-    /// Withdrawn devices to which agents may still leave ground.
-    to_void: Vec<DeviceId>,
     withdrawals_at: Duration,
     global: Option<ModelHeader>,
     expected: Expected,
@@ -65,18 +57,13 @@ pub(super) struct Keeper {
 impl Keeper {
     /// Opens the folder; returns the models in it too.
     pub(super) fn open(config: ServiceConfig) -> Result<(Self, Vec<ModelHeader>), ServiceError> {
-        let (models, headers) = ModelStore::open(&config.folder.join("models"))?;
-        let parts = Parts::open(&config.folder)?;
+        let (shelf, headers) = Shelf::open(&config.folder)?;
         let (globals, revisions) = ModelStore::open(&global_store(&config.folder))?;
-        let mut keeper = Self {
+        let keeper = Self {
             device: config.identity.device,
             folder: config.folder,
-            models,
+            shelf,
             globals,
-            stored: BTreeMap::new(),
-            parts,
-            withdrawn: BTreeMap::new(),
-            to_void: Vec::new(),
             withdrawals_at: Duration::ZERO,
             global: revisions.into_iter().max_by_key(|header| header.model),
             expected: config.expected,
@@ -89,15 +76,13 @@ impl Keeper {
             told: VecDeque::new(),
             to_offer: false,
         };
-        headers.iter().for_each(|header| keeper.note(*header));
-        keeper.withdraw_devices()?;
         Ok((keeper, headers))
     }
 
     /// The models that count.
     #[cfg(test)]
     pub(super) fn counted(&self) -> Vec<ModelKey> {
-        self.newest().iter().map(ModelKey::from).collect()
+        self.shelf.newest().iter().map(ModelKey::from).collect()
     }
 
     /// What is announced of the newest revision.
@@ -138,58 +123,18 @@ impl Keeper {
 
     fn store(&mut self, node: &mut Node, header: ModelHeader, body: &[u8], now: Duration) -> ServiceEvent {
         let key = ModelKey::from(header);
-        if self.is_withdrawn(&header) {
+        if self.shelf.is_withdrawn(&header) {
             node.refuse(key, RefusalReason::Withdrawn);
             let reason = format!("model {key} is refused: {}", RefusalReason::Withdrawn);
             return ServiceEvent::Ignored { reason };
         }
-        if let Err(error) = self.models.put(&header, body) {
+        if let Err(error) = self.shelf.put(header, body) {
             node.store_failed(key);
             return ServiceEvent::DiskFailed { reason: format!("model {key} is not stored: {error}") };
         }
         node.stored(key);
-        self.note(header);
         self.round = Some(Round::extend(self.round, now));
         ServiceEvent::Stored { header }
-    }
-
-    fn note(&mut self, header: ModelHeader) {
-        self.parts.forget(&header.device);
-        self.stored.entry(header.device).or_default().insert(header.model, header);
-    }
-
-    fn is_withdrawn(&self, header: &ModelHeader) -> bool {
-        self.withdrawn.get(&header.device).is_some_and(|last| header.model <= *last)
-    }
-
-    /// The newest model of each device, in order of device id.
-    fn newest(&self) -> Vec<ModelHeader> {
-        self.stored.values().filter_map(|models| models.last_key_value()).map(|(_, header)| *header).collect()
-    }
-
-    /// What is merged: the newest models, and parts of those of others.
-    fn inputs(&self) -> Inputs {
-        Inputs { whole: self.newest(), parts: self.parts.headers().collect() }
-    }
-
-    /// Keeps what has arrived so far of the models of devices that have none here. Without it the others are merged
-    /// all the same.
-    fn take_parts(&mut self, node: &Node) {
-        for header in node.unfinished() {
-            let is_here = self.stored.get(&header.device).is_some_and(|models| !models.is_empty());
-            if is_here || self.is_withdrawn(header) {
-                continue;
-            }
-            let of_splats = header.splats;
-            self.told.extend(match self.parts.take(node, header) {
-                Ok(part) => part.map(|header| ServiceEvent::PartTaken { header, of_splats }),
-                Err(error) => {
-                    let reason =
-                        format!("what has arrived of the model of {} is not used: {error}", header.device);
-                    Some(ServiceEvent::DiskFailed { reason })
-                }
-            });
-        }
     }
 
     /// Does what was asked for.
@@ -212,7 +157,7 @@ impl Keeper {
 
     /// Withdraws devices, begins a merge when one is due, and looks after the one under way.
     pub(super) fn work(&mut self, node: &mut Node, now: Duration) -> Option<ServiceEvent> {
-        self.to_void.drain(..).for_each(|device| node.void_flight(device));
+        self.shelf.take_void_flights().for_each(|device| node.void_flight(device));
         if let Some(event) = self.told.pop_front() {
             return Some(event);
         }
@@ -238,54 +183,23 @@ impl Keeper {
             return Ok(None);
         }
         self.withdrawals_at = now + WITHDRAWALS_EVERY;
-        let withdrawn = self.withdraw_devices()?;
+        let withdrawn = self.shelf.withdraw_devices()?;
         if withdrawn.is_some() {
             self.round = Some(Round::extend(self.round, now));
         }
         Ok(withdrawn.map(|device| ServiceEvent::Withdrawn { device }))
     }
 
-    /// Removes the models of devices that were withdrawn since the last look; returns the first such device.
-    fn withdraw_devices(&mut self) -> Result<Option<DeviceId>, ServiceError> {
-        let mut first = None;
-        for (device, last) in withdrawn(&self.folder) {
-            let its = self.stored.get(&device).cloned().unwrap_or_default();
-            let last = match last {
-                Some(last) => last,
-                None => {
-                    let part = self.parts.model_of(&device);
-                    let last = its.last_key_value().map(|(model, _)| *model).max(part).unwrap_or(ModelId(0));
-                    settle_withdrawal(&self.folder, &device, last)?;
-                    self.to_void.push(device);
-                    last
-                }
-            };
-            self.withdrawn.insert(device, last);
-            if self.parts.model_of(&device).is_some_and(|part| part <= last) {
-                self.parts.forget(&device);
-                first = first.or(Some(device));
-            }
-            for model in its.range(..=last).map(|(model, _)| *model) {
-                self.models.remove(ModelKey { device, model })?;
-                first = first.or(Some(device));
-            }
-            if let Some(stored) = self.stored.get_mut(&device) {
-                stored.retain(|model, _| *model > last);
-            }
-        }
-        Ok(first)
-    }
-
     /// Ends the round if it is over. A merge of other models than those that count now is given up.
     fn begin_when_due(&mut self, node: &Node, now: Duration) {
-        let here = self.newest().iter().map(|header| header.device).collect();
+        let here = self.shelf.newest().iter().map(|header| header.device).collect();
         let is_over = |round: &Round| round.is_over(&self.expected, &here, &self.given_up, now);
         if !self.round.as_ref().is_some_and(is_over) {
             return;
         }
         self.round = None;
-        self.take_parts(node);
-        let inputs = self.inputs();
+        self.told.extend(self.shelf.take_parts(node));
+        let inputs = self.shelf.inputs();
         if inputs == Inputs::default() {
             return;
         }
@@ -294,8 +208,7 @@ impl Keeper {
             self.to_offer = true;
         } else if self.job.as_ref().is_none_or(|(job, _)| job.inputs != inputs) {
             self.job = None; // waits until the old one has stopped
-            let stores = Stores { whole: self.models.clone(), parts: self.parts.store().clone() };
-            self.job = Some((Job::start(stores, inputs, self.merge, self.threads), now));
+            self.job = Some((Job::start(self.shelf.stores(), inputs, self.merge, self.threads), now));
         }
     }
 
@@ -368,10 +281,10 @@ impl Keeper {
 
     fn broadcast(&self, node: &mut Node, offer: Offer, kept_out: Vec<KeptOut>) -> ServiceEvent {
         let header = offer.header;
-        let counted = self.stored.iter().filter(|(_, models)| !models.is_empty()).map(|(device, _)| *device);
-        let receivers: Vec<DeviceId> = counted.filter(|device| !self.given_up.contains(device)).collect();
+        let senders = self.shelf.newest().into_iter().map(|header| header.device);
+        let receivers: Vec<DeviceId> = senders.filter(|device| !self.given_up.contains(device)).collect();
         node.broadcast(TileId::WHOLE, offer, &receivers);
-        let models = self.inputs().headers().count() - kept_out.len();
+        let models = self.shelf.inputs().headers().count() - kept_out.len();
         ServiceEvent::Merged { header, models, kept_out }
     }
 }

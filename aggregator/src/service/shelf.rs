@@ -1,0 +1,144 @@
+//! The models of others on the disk: whole ones, what has arrived of those that were broken off, and which of them do
+//! not count any more.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use cosurf_link::{ModelKey, ModelStore, Node, StoreError};
+use cosurf_wire::{DeviceId, ModelHeader, ModelId};
+
+use super::job::{Inputs, Stores};
+use super::parts::Parts;
+use super::record::{settle_withdrawal, withdrawn};
+use super::{ServiceError, ServiceEvent};
+
+/// See the module.
+#[derive(Debug)]
+pub(super) struct Shelf {
+    folder: PathBuf,
+    models: ModelStore,
+    /// Every whole model.
+    stored: BTreeMap<DeviceId, BTreeMap<ModelId, ModelHeader>>,
+    /// Of devices that have no whole model.
+    parts: Parts,
+    /// The last model of each withdrawn device that does not count.
+    withdrawn: BTreeMap<DeviceId, ModelId>,
+    /// Withdrawn devices to which agents may still leave ground.
+    to_void: Vec<DeviceId>,
+}
+
+impl Shelf {
+    /// Opens the folder of a service; returns the models in it too.
+    pub(super) fn open(folder: &Path) -> Result<(Self, Vec<ModelHeader>), ServiceError> {
+        let (models, headers) = ModelStore::open(&folder.join("models"))?;
+        let mut shelf = Self {
+            folder: folder.into(),
+            models,
+            stored: BTreeMap::new(),
+            parts: Parts::open(folder)?,
+            withdrawn: BTreeMap::new(),
+            to_void: Vec::new(),
+        };
+        headers.iter().for_each(|header| shelf.note(*header));
+        shelf.withdraw_devices()?;
+        Ok((shelf, headers))
+    }
+
+    /// Where everything lies.
+    pub(super) fn stores(&self) -> Stores {
+        Stores { whole: self.models.clone(), parts: self.parts.store().clone() }
+    }
+
+    /// Writes a whole model.
+    pub(super) fn put(&mut self, header: ModelHeader, body: &[u8]) -> Result<(), StoreError> {
+        self.models.put(&header, body)?;
+        self.note(header);
+        Ok(())
+    }
+
+    fn note(&mut self, header: ModelHeader) {
+        self.parts.forget(&header.device);
+        self.stored.entry(header.device).or_default().insert(header.model, header);
+    }
+
+    /// Whether a model does not count.
+    pub(super) fn is_withdrawn(&self, header: &ModelHeader) -> bool {
+        self.withdrawn.get(&header.device).is_some_and(|last| header.model <= *last)
+    }
+
+    /// The newest model of each device, in order of device id.
+    pub(super) fn newest(&self) -> Vec<ModelHeader> {
+        self.stored.values().filter_map(|models| models.last_key_value()).map(|(_, header)| *header).collect()
+    }
+
+    /// What is merged: the newest models, and parts of those of others.
+    pub(super) fn inputs(&self) -> Inputs {
+        Inputs { whole: self.newest(), parts: self.parts.headers().collect() }
+    }
+
+    /// Keeps what has arrived so far of the models of devices that have none here. Without it the others are merged
+    /// all the same. Returns what is to be told.
+    pub(super) fn take_parts(&mut self, node: &Node) -> Vec<ServiceEvent> {
+        let wanted = node.unfinished().filter(|header| {
+            let is_here = self.stored.get(&header.device).is_some_and(|models| !models.is_empty());
+            !is_here && !self.is_withdrawn(header)
+        });
+        let wanted: Vec<ModelHeader> = wanted.copied().collect();
+        wanted.iter().filter_map(|header| take_part(&mut self.parts, node, header)).collect()
+    }
+
+    /// Removes the models of devices that were withdrawn since the last look; returns the first such device.
+    pub(super) fn withdraw_devices(&mut self) -> Result<Option<DeviceId>, ServiceError> {
+        let mut first = None;
+        for (device, last) in withdrawn(&self.folder) {
+            let last = match last {
+                Some(last) => last,
+                None => self.settle(device)?,
+            };
+            if self.withdraw(device, last)? {
+                first = first.or(Some(device));
+            }
+        }
+        Ok(first)
+    }
+
+    /// Writes down which model of a device is the last that does not count: the newest that is here now.
+    fn settle(&mut self, device: DeviceId) -> Result<ModelId, ServiceError> {
+        let newest = self.stored.get(&device).and_then(|models| models.keys().next_back().copied());
+        let last = newest.max(self.parts.model_of(&device)).unwrap_or(ModelId(0));
+        settle_withdrawal(&self.folder, &device, last)?;
+        self.to_void.push(device);
+        Ok(last)
+    }
+
+    /// Removes the models of a device up to `last`; says whether there were any.
+    fn withdraw(&mut self, device: DeviceId, last: ModelId) -> Result<bool, ServiceError> {
+        self.withdrawn.insert(device, last);
+        let has_part = self.parts.model_of(&device).is_some_and(|part| part <= last);
+        if has_part {
+            self.parts.forget(&device);
+        }
+        let Some(stored) = self.stored.get_mut(&device) else { return Ok(has_part) };
+        let gone: Vec<ModelId> = stored.range(..=last).map(|(model, _)| *model).collect();
+        for &model in &gone {
+            self.models.remove(ModelKey { device, model })?;
+            stored.remove(&model);
+        }
+        Ok(has_part || !gone.is_empty())
+    }
+
+    /// Devices whose flights do not count any more since the last time this was asked.
+    pub(super) fn take_void_flights(&mut self) -> impl Iterator<Item = DeviceId> {
+        self.to_void.drain(..)
+    }
+}
+
+fn take_part(parts: &mut Parts, node: &Node, header: &ModelHeader) -> Option<ServiceEvent> {
+    match parts.take(node, header) {
+        Ok(part) => part.map(|part| ServiceEvent::PartTaken { header: part, of_splats: header.splats }),
+        Err(error) => {
+            let reason = format!("what has arrived of the model of {} is not used: {error}", header.device);
+            Some(ServiceEvent::DiskFailed { reason })
+        }
+    }
+}
