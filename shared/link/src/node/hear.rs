@@ -1,0 +1,152 @@
+//! What a node makes of what it hears. What does not belong is thrown away, and the owner told.
+
+use cosurf_wire::{Flight, Message, State, Topic, WireError};
+
+use super::{Node, NodeEvent, Role};
+use crate::Credentials;
+use crate::body::camera;
+use crate::inbox::InboxEvent;
+use crate::transport::TransportEvent;
+use crate::uploader::UploadEvent;
+
+/// Devices whose sessions are remembered.
+pub(super) const DEVICES_MAX: usize = 1024;
+/// Births of an older session after a newer one that make two participants of one.
+const RETURNS_MAX: u32 = 3;
+
+/// What is known of a device's births.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Sessions {
+    newest: u64,
+    /// Times that an older session was born after the newest: once or twice a broker repeats what is past.
+    returns: u32,
+}
+
+impl Node {
+    pub(super) fn hear(&mut self, event: TransportEvent) {
+        match event {
+            TransportEvent::Connected => {
+                self.is_connected = true;
+                self.birth = Some(self.identity.state_message(true));
+                self.is_flight_due = true;
+                let now = self.now;
+                self.uploaders.iter_mut().for_each(|uploader| uploader.on_connected(now));
+                self.events.push_back(NodeEvent::Connected);
+            }
+            TransportEvent::Disconnected { attempt, reason } => {
+                self.is_connected = false;
+                self.events.push_back(NodeEvent::Disconnected { attempt, reason });
+            }
+            TransportEvent::Incoming { topic, payload } => {
+                if let Err(reason) = self.hear_message(&topic, &payload) {
+                    self.events.push_back(NodeEvent::Ignored { topic, reason });
+                }
+            }
+        }
+    }
+
+    /// `Err` says why the message was thrown away.
+    fn hear_message(&mut self, topic: &str, payload: &[u8]) -> Result<(), String> {
+        let (site, topic) = Topic::parse(topic).map_err(|error| error.to_string())?;
+        if site != self.identity.site {
+            return Err(format!("belongs to site {site}"));
+        }
+        if payload.is_empty() {
+            // Somebody took back what was retained.
+            return Ok(());
+        }
+        let is_header = matches!(topic, Topic::LocalHeader { .. } | Topic::GlobalHeader { .. });
+        let message = match Message::decode(payload) {
+            Ok(message) => message,
+            Err(error) => {
+                let is_refusable = is_header && error != WireError::Damaged;
+                let event = is_refusable.then(|| self.inbox.on_bad_header(&topic)).flatten();
+                self.note_inbox(event);
+                return Err(error.to_string());
+            }
+        };
+        match (topic, &message) {
+            (Topic::State { device }, Message::State(state)) if state.device == device => {
+                self.hear_state(*state);
+            }
+            (Topic::Flight { device }, Message::Flight(flight)) if flight.device == device => {
+                self.hear_flight(flight)?;
+            }
+            (Topic::LocalHeader { .. } | Topic::GlobalHeader { .. }, Message::Header(header)) => {
+                let event = self.inbox.on_header(self.now, &topic, *header);
+                self.note_inbox(event);
+            }
+            (Topic::LocalChunk { .. } | Topic::GlobalChunk { .. }, Message::Chunk(chunk)) => {
+                let event = self.inbox.on_chunk(self.now, &topic, chunk);
+                self.note_inbox(event);
+                if let Some(InboxEvent::BadChunk(key, index)) = event {
+                    return Err(format!("chunk {index} of {key} is not as announced"));
+                }
+            }
+            (
+                Topic::LocalReply { .. } | Topic::GlobalReply { .. },
+                Message::Want(_) | Message::Done(_) | Message::Refused(_),
+            ) => self.hear_reply(&topic, &message),
+            _ => return Err("the message does not belong under its topic".to_owned()),
+        }
+        Ok(())
+    }
+
+    /// Flights are not signed: who believes some only believes none of them.
+    fn hear_flight(&mut self, flight: &Flight<'_>) -> Result<(), String> {
+        let Credentials { frame, trusted, .. } = self.inbox.credentials();
+        if flight.device == self.identity.device || self.identity.role != Role::Device {
+            return Ok(());
+        }
+        if trusted.is_some() {
+            return Err("flights are not signed, and only what is signed is believed".to_owned());
+        }
+        if flight.frame != *frame {
+            return Err("is in another world frame".to_owned());
+        }
+        let cameras = flight.records().map(|record| camera(&record)).collect();
+        self.events.push_back(NodeEvent::Flight(flight.device, cameras));
+        Ok(())
+    }
+
+    /// A death of an earlier session than the newest birth is out of date: the broker published it late.
+    fn hear_state(&mut self, state: State) {
+        let known = self.sessions.get(&state.device).copied();
+        let is_past = known.is_some_and(|known| known.newest > state.session);
+        if !state.alive && is_past {
+            return;
+        }
+        if self.sessions.len() < DEVICES_MAX || known.is_some() {
+            let Sessions { newest, returns } = known.unwrap_or_default();
+            let returns = returns + u32::from(is_past);
+            if is_past && returns == RETURNS_MAX {
+                self.events.push_back(NodeEvent::SameName(state.device));
+            }
+            self.sessions.insert(state.device, Sessions { newest: newest.max(state.session), returns });
+        }
+        self.events.push_back(NodeEvent::State(state));
+    }
+
+    fn hear_reply(&mut self, topic: &Topic, message: &Message<'_>) {
+        for uploader in &mut self.uploaders {
+            let Some(event) = uploader.hear(self.now, topic, message) else { continue };
+            let (key, progress) = (uploader.key(), uploader.progress());
+            self.events.push_back(match event {
+                UploadEvent::Progress => NodeEvent::Progress(key, progress),
+                UploadEvent::Finished => NodeEvent::Uploaded(key, progress),
+                UploadEvent::Refused(by, reason) => NodeEvent::UploadRefused { key, by, reason },
+            });
+        }
+    }
+
+    fn note_inbox(&mut self, event: Option<InboxEvent>) {
+        match event {
+            Some(InboxEvent::Receiving(header)) => self.events.push_back(NodeEvent::Receiving(header)),
+            Some(InboxEvent::Known(header)) => self.events.push_back(NodeEvent::Known(header)),
+            Some(InboxEvent::Refused(key, reason)) => {
+                self.events.push_back(NodeEvent::Refused { key, reason });
+            }
+            Some(InboxEvent::BadChunk(..)) | None => {}
+        }
+    }
+}
