@@ -11,21 +11,6 @@ use crate::{Camera, Mesh};
 /// The most triangles that can be cast at; see [`Caster::new`].
 pub const TRIANGLES_MAX: usize = crate::bvh::TRIANGLES_MAX;
 
-/// Places in a pixel, thirds of its side from its centre.
-const THIRDS: [[f64; 2]; 9] = [
-    [-1.0, -1.0],
-    [0.0, -1.0],
-    [1.0, -1.0],
-    [-1.0, 0.0],
-    [0.0, 0.0],
-    [1.0, 0.0],
-    [-1.0, 1.0],
-    [0.0, 1.0],
-    [1.0, 1.0],
-];
-/// Of these, the centre.
-const MIDDLE: usize = 4;
-
 /// What a camera sees of a surface. Through a hole of the surface it sees what lies behind: of the synthetic
 /// city's truth, which has holes where fewer than three cameras look, that is one pixel in 75.
 #[derive(Clone, Debug, PartialEq)]
@@ -64,11 +49,12 @@ impl Caster {
     /// renderings, and what is smaller than a pixel is nobody's error.
     pub fn cast_areas(&self, camera: &Camera) -> Cast {
         let shooter = Shooter::new(camera);
-        everywhere(camera.size_px, |p_px| {
-            let seen = self.look(&shooter, THIRDS.map(|[x, y]| p_px + DVec2::new(x, y) / 3.0));
+        everywhere(camera.size_px, |center_px| {
+            let thirds = |i: usize| DVec2::new((i % 3) as f64, (i / 3) as f64) - 1.0;
+            let seen = self.look(&shooter, std::array::from_fn::<_, 9, _>(|i| center_px + thirds(i) / 3.0));
             let normal: Vec3 = seen.iter().flatten().map(|(_, normal)| Vec3::from(*normal)).sum();
-            seen[MIDDLE]
-                .map_or_else(Default::default, |(depth, _)| (depth, normal.normalize_or_zero().into()))
+            // The fifth of nine is the centre.
+            seen[4].map_or_else(Default::default, |(depth, _)| (depth, normal.normalize_or_zero().into()))
         })
     }
 
