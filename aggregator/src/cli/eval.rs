@@ -11,7 +11,7 @@ use cosurf_aggregator::eval::{EvalOrder, judge, table};
 /// Score a model on the held-out views of a dataset.
 ///
 /// PSNR and SSIM as 3DGS defines them; LPIPS where weights are given; errors of depth and normals where the
-/// dataset has a true surface, gt/mesh.ply, or one is named.
+/// dataset has a true surface, gt/mesh.ply, or one is named; its normals are means over pixels' areas.
 #[derive(Args)]
 pub(crate) struct EvalArgs {
     /// The model: a PLY, or the folder that an agent or a mission wrote

@@ -19,8 +19,8 @@ pub struct Cast {
     pub size_px: [u32; 2],
     /// `[height, width]` depth along the optical axis, world units; 0 where there is no surface.
     pub depth: Vec<f32>,
-    /// `[height, width]` unit normals of the triangles in the camera frame, on the side that the camera
-    /// sees; zero where there is no surface.
+    /// `[height, width]` unit normals in the camera frame, of triangles on the side that the camera sees; zero where
+    /// there is no surface.
     pub normals: Vec<[f32; 3]>,
 }
 
