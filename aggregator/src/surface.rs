@@ -21,8 +21,8 @@ pub struct SurfaceQuality {
     pub coverage: f64,
     /// `|z - z*| / z*` along the optical axis, percent; absent where nothing is covered.
     pub depth_error_percent: Option<Spread>,
-    /// Angle between the blended normals and the true ones, those of pixels' areas ([`cosurf_scene::Caster::cast_areas`]), degrees;
-    /// absent where nothing is covered.
+    /// Angle between the blended normals and the true ones, degrees; absent where nothing is covered. Of both normal
+    /// errors the true ones are those of pixels' areas: [`cosurf_scene::Caster::cast_areas`].
     pub normal_error_deg: Option<Spread>,
     /// Angle between the normals of the depth, from one pixel to the next, and the true ones, degrees: of the
     /// surface that a mesh is fused from. Absent where nothing is covered.
