@@ -102,6 +102,46 @@ fn spread(qualities: &[Quality]) -> Vec<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use cosurf_scene::{Mesh, Pose};
+    use glam::{DVec2, DVec3};
+
+    fn from_above() -> Camera {
+        Camera {
+            cam_from_world: Pose::look_at(DVec3::new(0.0, 0.0, 30.0), DVec3::ZERO, DVec3::Y),
+            focal_px: DVec2::splat(30.0),
+            center_px: DVec2::splat(16.0),
+            size_px: [32, 32],
+        }
+    }
+
+    /// Three furrows to a pixel, which is 1 m wide on the ground; facets up and down by 30 % in turns.
+    fn furrowed() -> Mesh {
+        let corner = |k: u32, y: f32| [k as f32 / 3.0 - 16.0, y, if k.is_multiple_of(2) { 0.0 } else { 0.1 }];
+        Mesh {
+            positions: (0..=96).flat_map(|k| [corner(k, -16.0), corner(k, 16.0)]).collect(),
+            triangles: (0..192).map(|i| [i, i + 1, i + 2]).collect(),
+            ..Mesh::default()
+        }
+    }
+
+    #[test]
+    fn a_pixel_is_judged_by_all_that_lies_in_it() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("grey.png");
+        let size_px = [32, 32];
+        Picture { size_px, rgb: vec![128; 3 * 32 * 32] }.write_png(&path).expect("a picture");
+        let mut level = Splats::with_capacity(1, 0);
+        level.push([0.0; 3], [1.0, 0.0, 0.0, 0.0], [6.0, 6.0, -6.0], 8.0, &[0.0; 3]);
+        let yardsticks = Yardsticks { lpips: None, truth: Some(Caster::new(&furrowed())) };
+        let view = View { name: "grey".into(), camera: from_above(), path };
+        let quality = Judge::new(&level, None, 1, &yardsticks).quality(&view).expect("a picture");
+        let surface = quality.surface.expect("a surface");
+        // By the facets at the centres of the pixels: 16.7°.
+        let third_deg = f64::atan(0.1).to_degrees();
+        for errors in [surface.normal_error_deg, surface.depth_normal_error_deg] {
+            assert!((errors.expect("pixels").median - third_deg).abs() < 0.1, "{errors:?}");
+        }
+    }
 
     #[test]
     fn showcases_go_from_the_best_to_the_worst() {
