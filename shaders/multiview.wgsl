@@ -25,9 +25,9 @@ const SAMPLES_AT_ONCE: u32 = 64u;
 // A pixel that comes back within this distance is seen by both views, px (CoSurfGS's θ).
 const RETURN_MAX_PX: f32 = 1.0;
 // Half the side of a patch, its side, its pixels.
-const PATCH_REACH: u32 = 2u;
-const PATCH_SIDE: u32 = 5u;
-const PATCH: u32 = 25u;
+const PATCH_REACH: u32 = 1u;
+const PATCH_SIDE: u32 = 3u;
+const PATCH: u32 = 9u;
 // Keeps the correlation of flat patches finite; luma in 0..1.
 const VARIANCES_MIN: f32 = 1e-8;
 // Patches that agree less than this show different things (PGSR).

@@ -1,7 +1,7 @@
 //! Models to bodies and back: what [`cosurf_wire::body`] lays out, in metres and colours.
 //!
 //! What it costs and what it keeps, on trained models, is in the README: below 16 bytes a splat with
-//! spherical harmonics, where 32-bit floats take 152 at degree 2 and 236 at degree 3. What makes the
+//! spherical harmonics of degree 2, 18 with degree 3, where 32-bit floats take 152 and 236. What makes the
 //! difference:
 //!
 //! - Splats are grouped into layers by importance, and within a layer along a Morton curve into packs of
