@@ -34,13 +34,15 @@ pub struct SurfaceSettings {
     pub ncc: f32,
     /// Whether the weights grow from nothing (the paper's smooth weight) or are what they are from the start.
     pub smooth: bool,
-    /// One pixel in each square of this side is compared with the neighbour: 1, 2, 4, 8 or 16 px.
+    /// One pixel in each square of this side is compared with the neighbour: 1, 2, 4, 8 or 16 px. By 4 instead of 2,
+    /// normals of the built-in town (320 px, 3,000 steps) are off by 10.0° (median) instead of 9.7°, those of rendered
+    /// Boruszyn (240 px) by 7.3° instead of 7.2°.
     pub cell_px: u32,
 }
 
 impl Default for SurfaceSettings {
     fn default() -> Self {
-        Self { scale: 100.0, normal: 0.05, reprojection: 0.05, ncc: 0.5, smooth: true, cell_px: 4 }
+        Self { scale: 100.0, normal: 0.05, reprojection: 0.05, ncc: 0.5, smooth: true, cell_px: 2 }
     }
 }
 
