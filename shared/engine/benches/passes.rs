@@ -124,7 +124,7 @@ fn losses(backend: &mut CpuBackend) {
 const COLOR: LossWeights = LossWeights { ssim: 0.2, scale: 0.0, surface: None, teacher: None };
 
 const SURFACE: LossWeights = LossWeights {
-    surface: Some(SurfaceWeights { normal: 0.01, reprojection: 0.05, ncc: 0.2, cell_px: 4, draw: 1 }),
+    surface: Some(SurfaceWeights { normal: 0.01, reprojection: 0.05, ncc: 0.2, cell_px: 2, draw: 1 }),
     ..COLOR
 };
 
