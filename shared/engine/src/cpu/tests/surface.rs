@@ -372,7 +372,8 @@ fn a_perfect_surface_costs_nothing_and_a_negative_does_not_match() {
     let negative: Vec<f32> = photographs[1].iter().map(|v| 1.0 - v).collect();
     let (loss, _) = engine(Isa::best(), &here, &there, [&photographs[0], &photographs[1]]);
     assert!(loss.returned > 0.5 && loss.matched > 0.4, "{loss:?}");
-    assert!(loss.normal < 1e-3 && loss.reprojection < 1e-3 && loss.ncc < 0.02, "{loss:?}");
+    // What is left of the patches, 0.0100, is what sampling between pixels blurs.
+    assert!(loss.normal < 1e-3 && loss.reprojection < 1e-3 && loss.ncc < 0.0105, "{loss:?}");
     let (loss, _) = engine(Isa::best(), &here, &there, [&photographs[0], &negative]);
     assert_eq!(loss.matched, 0.0, "a negative is not the same ground");
 }
