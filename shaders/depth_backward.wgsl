@@ -8,7 +8,7 @@
 @group(0) @binding(4) var<storage, read_write> gradient: array<f32>;
 
 // As in normals.wgsl.
-const REACH: u32 = 2u;
+const REACH: u32 = 1u;
 
 @compute @workgroup_size(GROUP)
 fn depth_backward(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {

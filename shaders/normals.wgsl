@@ -17,7 +17,7 @@
 @group(0) @binding(8) var<storage, read_write> sums: array<vec4<f32>>;
 
 // k, px.
-const REACH: u32 = 2u;
+const REACH: u32 = 1u;
 
 struct Given {
     normal: vec3<f32>,

@@ -15,8 +15,9 @@ use super::depth::{Rays, ray_y};
 use super::plane::Plane;
 use super::{Shown, band_row, bands};
 
-/// k, px. PGSR has 1; by 2 the noise of depth turns normals half as much.
-pub(crate) const REACH: usize = 2;
+/// k, px (PGSR). By 2 the noise of depth turns normals half as much, and what is small is lost: on rendered Boruszyn
+/// (480 px, 3,000 steps, NCC's weight 0.5) normals are off by 6.7° (median) instead of 6.6°.
+pub(crate) const REACH: usize = 1;
 
 /// The loss, not weighted; adds `weight` times its gradient to `gradient`.
 pub(super) fn loss(isa: Isa, scene: &Shown, weight: f32, gradient: &mut TileImage) -> f64 {

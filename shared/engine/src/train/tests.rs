@@ -1,0 +1,67 @@
+use cosurf_scene::{Camera, Splats};
+use glam::{DVec2, DVec3};
+
+use super::{Example, Flight, TrainSettings, Trainer};
+use crate::backend::{Channels, TargetRgb};
+use crate::cpu::tests::{camera, splats};
+use crate::{Backend, CpuBackend, CpuCapacity, Neighbours, Renderer, Schedule, SurfaceSettings};
+
+const STEPS: u32 = 40;
+
+/// A model when the losses of the surface end, and at the end.
+fn train(surface: Option<SurfaceSettings>) -> [Splats; 2] {
+    let truth = splats(60, 0.4, -1.6, 0.0, 0, 7);
+    let mut start = truth.clone();
+    start.sh.iter_mut().for_each(|v| *v = 0.0);
+    let eyes = [[3.0, 2.0, 1.5], [-3.0, 2.0, 1.5]];
+    let cameras: Vec<Camera> =
+        eyes.iter().map(|eye| camera(DVec3::from(*eye), 40.0, DVec2::new(22.0, 14.5))).collect();
+    let mut shown = Renderer::new(&truth, 1);
+    let photographs: Vec<Vec<f32>> = cameras.iter().map(|camera| shown.render(camera).rgb).collect();
+    let mut backend = CpuBackend::new(CpuCapacity::to_train(&start, &cameras, Channels::Geometry), 1);
+    backend.load(&start);
+    let settings = TrainSettings {
+        schedule: Schedule::new(STEPS),
+        extent: 4.0,
+        sh_degree: 0,
+        surface,
+        prune: None,
+        exposure: false,
+        observers_min: 2,
+        splats_max: 0,
+        seed: 5,
+    };
+    let mut trainer = Trainer::new(backend, settings, Flight { cameras, neighbours: Neighbours::none() });
+    let mut run_to = |end: u32| {
+        while trainer.steps_done() < end {
+            let view = trainer.view_index(0);
+            let rgb = TargetRgb::Floats(&photographs[view]);
+            trainer.step(&Example { view, rgb, neighbour: None });
+        }
+        trainer.backend().splats()
+    };
+    [settings.schedule.surface_until, STEPS].map(&mut run_to)
+}
+
+#[test]
+fn shapes_stay_once_the_losses_of_the_surface_are_over() {
+    let [before, after] = train(Some(SurfaceSettings::default()));
+    assert_eq!(before.quats, after.quats);
+    assert_eq!(before.log_scales, after.log_scales);
+    assert_ne!(before.means, after.means);
+    assert_ne!(before.sh, after.sh);
+}
+
+#[test]
+fn shapes_go_on_where_only_colours_are_trained() {
+    let [before, after] = train(None);
+    assert_ne!(before.quats, after.quats);
+    assert_ne!(before.log_scales, after.log_scales);
+}
+
+#[test]
+fn the_losses_of_the_surface_begin_and_end() {
+    let schedule = Schedule::new(1000);
+    let ramp = [0, 232, 233, 234, 849, 850, 999].map(|step| schedule.surface_ramp(step));
+    assert_eq!(ramp, [None, None, Some(0.0), Some(0.001), Some(0.616), None, None]);
+}
