@@ -4,7 +4,7 @@
 use std::path::Path;
 
 use cosurf_link::plain_importance;
-use cosurf_scene::{Camera, SceneError, Splats, ply};
+use cosurf_scene::{Camera, SceneError, Splats, Watchers, ply};
 use glam::DVec3;
 
 /// Reads a model and keeps of it what `cameras` look at, the most important where that is more than `splats_max`; at
@@ -20,9 +20,10 @@ pub fn beginning(
 }
 
 fn part(model: &Splats, cameras: &[Camera], splats_max: usize, sh_degree: u32) -> Splats {
+    let mut watchers = Watchers::new(cameras);
     let is_seen = |i: &usize| {
         let mean = DVec3::from_array(model.means[*i].map(f64::from));
-        cameras.iter().any(|camera| camera.sees(mean))
+        watchers.any(mean, |_| true)
     };
     let importance = plain_importance(model);
     let mut seen: Vec<usize> = (0..model.len()).filter(is_seen).collect();

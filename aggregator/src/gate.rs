@@ -25,7 +25,7 @@ use std::collections::BTreeMap;
 
 use cosurf_engine::Renderer;
 use cosurf_link::Model;
-use cosurf_scene::Camera;
+use cosurf_scene::{Camera, Watchers};
 use glam::DVec3;
 
 use crate::merge::{Locals, MergeError, middle, radius};
@@ -197,9 +197,10 @@ struct Shown {
 impl Shown {
     fn of(model: Model, is_compressed: bool, threads: usize) -> Self {
         let Model { splats, cameras } = model;
+        let mut watchers = Watchers::new(&cameras);
         let is_unseen = |mean: &&[f32; 3]| {
             let mean = DVec3::from_array(mean.map(f64::from));
-            !cameras.is_empty() && !cameras.iter().any(|camera| camera.sees(mean))
+            !cameras.is_empty() && !watchers.any(mean, |_| true)
         };
         let unseen = splats.means.iter().filter(is_unseen).count() as f64 / splats.len().max(1) as f64;
         let glimpses = Glimpse::some(&splats, &cameras, is_compressed, threads);

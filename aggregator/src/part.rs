@@ -6,7 +6,7 @@
 //! model takes its own place.
 
 use cosurf_link::Model;
-use cosurf_scene::Splats;
+use cosurf_scene::{Frustum, Splats};
 use glam::DVec3;
 
 use crate::merge::concatenate;
@@ -17,9 +17,10 @@ const OWNER_CAMERAS_MIN: usize = 2;
 /// Adds what a part shows to a model, where hardly any of the model's cameras looks.
 pub fn fill_in(model: Model, part: &Model) -> Model {
     let Model { splats, cameras } = part;
+    let frusta: Vec<Frustum> = model.cameras.iter().map(Frustum::new).collect();
     let is_left_over = |i: &usize| {
         let mean = DVec3::from_array(splats.means[*i].map(f64::from));
-        model.cameras.iter().filter(|camera| camera.sees(mean)).take(OWNER_CAMERAS_MIN).count()
+        frusta.iter().filter(|frustum| frustum.contains(mean)).take(OWNER_CAMERAS_MIN).count()
             < OWNER_CAMERAS_MIN
     };
     let mut kept = Splats::with_capacity(splats.len(), splats.sh_degree);

@@ -7,7 +7,7 @@
 //! no good depths (up to 13 %), but err here this way and there that way.
 
 use cosurf_engine::Renderer;
-use cosurf_scene::{Camera, Splats};
+use cosurf_scene::{Camera, Splats, Watchers};
 use glam::{DVec2, DVec3};
 
 /// Long side of the pictures, px.
@@ -86,11 +86,12 @@ impl Glimpse {
             eye + world_from_cam * (self.camera.ray(p_px) * f64::from(self.depth[i]))
         };
         let shown: Vec<usize> = (0..self.depth.len()).filter(|i| self.depth[*i] > 0.0).collect();
+        let mut watchers = Watchers::new(cameras);
         let is_seen = |i: &usize| {
             let point = point(*i);
             let sight = (point - eye).normalize_or_zero();
             let is_alike = |eye: DVec3| (point - eye).normalize_or_zero().dot(sight) >= SIGHT_COSINE_MIN;
-            cameras.iter().any(|camera| camera.sees(point) && is_alike(camera.cam_from_world.center()))
+            watchers.any(point, |camera| is_alike(camera.cam_from_world.center()))
         };
         let shared: Vec<usize> = shown.iter().copied().filter(is_seen).collect();
         let enough = SHARED_PX_MIN.max((SHARE_MIN * shown.len() as f64) as usize);

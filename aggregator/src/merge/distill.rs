@@ -12,13 +12,13 @@ use cosurf_engine::cpu::PAIRS_PER_SPLAT;
 use cosurf_engine::distill;
 use cosurf_engine::train::view_order;
 use cosurf_engine::{
-    AnyBackend, Backend, CpuCapacity, Device, DistillSettings, Distiller, Lesson, StudentRates,
+    AnyBackend, Backend, CpuCapacity, Device, DistillSettings, Distiller, Lesson, Rendering, StudentRates,
 };
-use cosurf_scene::{Camera, Splats};
+use cosurf_scene::{Camera, Splats, Watchers};
 use glam::DVec3;
 
 use super::computer::Computer;
-use super::lessons::lessons;
+use super::lessons::{distinct, lessons};
 use super::teachers::{Taught, Teachers, ViewKey, renderer_bytes};
 use super::{MergeError, MergeProgress, MergeSettings, Surveyed};
 
@@ -52,7 +52,7 @@ pub(crate) fn distill(
     let teachers_bytes = ((1.0 - STUDENT_SHARE) * bytes_beside_driver(device, settings)) as u64;
     let largest = surveyed.sizes.iter().copied().max().unwrap_or(0);
     let teacher_bytes = renderer_bytes(device, largest, joined.sh_degree, cameras);
-    let mut teachers = Teachers::new(*locals, computer, teacher_bytes, teachers_bytes);
+    let mut teachers = Teachers::new(surveyed, computer, teacher_bytes, teachers_bytes);
     let depth = median_depth(&mut teachers, cameras)?;
     let all: Vec<Camera> = cameras.iter().flatten().copied().collect();
     let extent = distill::extent(&all);
@@ -83,7 +83,7 @@ pub(crate) fn distill(
         );
         for epoch in 0..settings.epochs {
             for view in order(&views, teachers.shelf_max(), settings.seed, epoch) {
-                let psnr = learn(&mut distiller, &*teachers.teach(view)?);
+                let psnr = learn(&mut distiller, &teachers.teach(view)?);
                 device.check()?;
                 done += 1;
                 if tell(MergeProgress { step: done, steps, psnr }).is_break() {
@@ -91,7 +91,7 @@ pub(crate) fn distill(
                 }
             }
         }
-        let (learnt, its_useless) = distiller.finish(if parts.len() == 1 { &all } else { &its });
+        let (learnt, its_useless) = distiller.finish(&distinct(&cameras[part.clone()]));
         device.check()?;
         put_back(&mut joined, &learnt, own.clone());
         let count = own.len() as u32;
@@ -103,7 +103,8 @@ pub(crate) fn distill(
 
 /// One step.
 fn learn(distiller: &mut Distiller<AnyBackend>, taught: &Taught) -> f64 {
-    let Taught { camera, rgb, depth, normal, trust } = taught;
+    let Taught { camera, shown, trust } = taught;
+    let Rendering { rgb, depth, normal, .. } = &**shown;
     let lesson = Lesson { camera, rgb, surface: TargetSurface { depth, normal, trust } };
     distiller.step(&lesson).0.color.psnr()
 }
@@ -165,9 +166,10 @@ fn order(views: &[ViewKey], shelf: usize, seed: u64, epoch: u32) -> Vec<ViewKey>
 fn with_surroundings(joined: &Splats, own: Range<usize>, cameras: &[Camera], room: usize) -> (Splats, usize) {
     let mut student = Splats::with_capacity(own.len(), joined.sh_degree);
     own.clone().for_each(|i| student.push_from(joined, i));
+    let mut watchers = Watchers::new(cameras);
     let is_seen = |i: &usize| {
         let mean = DVec3::from_array(joined.means[*i].map(f64::from));
-        !own.contains(i) && cameras.iter().any(|camera| camera.sees(mean))
+        !own.contains(i) && watchers.any(mean, |_| true)
     };
     let free = room.saturating_sub(own.len());
     let around: Vec<usize> = (0..joined.len()).filter(is_seen).take(free).collect();
@@ -192,7 +194,7 @@ fn median_depth(teachers: &mut Teachers, cameras: &[Vec<Camera>]) -> Result<f64,
     let mut depths: Vec<f32> = Vec::new();
     for local in (0..cameras.len()).filter(|local| !cameras[*local].is_empty()) {
         let taught = teachers.teach(ViewKey { local, camera: 0 })?;
-        depths.extend(taught.depth.iter().step_by(STEP));
+        depths.extend(taught.shown.depth.iter().step_by(STEP));
     }
     Ok(distill::median_depth(depths.into_iter()))
 }

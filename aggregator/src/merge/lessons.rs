@@ -8,7 +8,7 @@
 //! the joined model shows already. With what it left filled in from the joined model, rendered Boruszyn (160 px) has
 //! 32.95 dB after five epochs, 32.97 dB without them.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use cosurf_scene::Camera;
 use glam::DVec3;
@@ -33,6 +33,12 @@ pub(super) fn lessons(cameras: &[Vec<Camera>], teaches: impl Fn(usize) -> bool) 
     nearest.into_values().for_each(|(_, local, i)| lessons[local].push(i));
     lessons.iter_mut().for_each(|its| its.sort_unstable());
     lessons
+}
+
+/// Each of some cameras once.
+pub(super) fn distinct(cameras: &[Vec<Camera>]) -> Vec<Camera> {
+    let mut known = BTreeSet::new();
+    cameras.iter().flatten().filter(|camera| known.insert(bits(camera))).copied().collect()
 }
 
 /// All that makes a camera: the same camera has the same bits.
@@ -64,6 +70,12 @@ mod tests {
             [vec![], vec![0, 1, 2, 3, 4, 5]],
             "west has other things to do"
         );
+    }
+
+    #[test]
+    fn distinct_cameras_are_all_of_them_once() {
+        let [west, east] = [flight(&[0.0, 1.0, 2.0]), flight(&[2.0, 1.0, 5.0])];
+        assert_eq!(distinct(&[west, Vec::new(), east]), flight(&[0.0, 1.0, 2.0, 5.0]));
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Frozen local models as teachers: what each shows its own cameras, and how far that is to be believed. Only as
-//! many as fit are held at once; the others wait on the disk. Memory that is left keeps what was shown for the next
-//! epochs.
+//! many as fit are held at once; the others wait on the disk. Memory that is left keeps what was shown, for neighbours
+//! and for the next epochs.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::rc::Rc;
@@ -9,11 +9,12 @@ use cosurf_engine::backend::Channels;
 use cosurf_engine::budget::Costs;
 use cosurf_engine::distill::TRUSTED_ALPHA_MIN;
 use cosurf_engine::{CpuCapacity, Device, Neighbours, Renderer, Rendering};
+use cosurf_link::Model;
 use cosurf_scene::{Camera, SparsePoint, Splats};
 use glam::{DVec2, DVec3};
 
 use super::computer::Computer;
-use super::{Locals, MergeError};
+use super::{Locals, MergeError, Surveyed};
 
 /// A surface that does not come back from another camera of the teacher to within this is not believed.
 const RETURN_PX: f64 = 1.0;
@@ -30,58 +31,51 @@ pub(crate) struct ViewKey {
 /// What a teacher shows.
 pub(crate) struct Taught {
     pub(crate) camera: Camera,
-    /// As in [`Rendering`].
-    pub(crate) rgb: Vec<f32>,
-    pub(crate) depth: Vec<f32>,
-    pub(crate) normal: Vec<f32>,
+    pub(crate) shown: Rc<Rendering>,
     /// `[height, width]`, 0 or 1: whether its surface is believed.
     pub(crate) trust: Vec<f32>,
-}
-
-impl Taught {
-    fn bytes(&self) -> u64 {
-        let values =
-            [&self.rgb, &self.depth, &self.normal, &self.trust].map(|values| size_of_val(&values[..]));
-        (size_of::<Self>() + values.iter().sum::<usize>()) as u64
-    }
 }
 
 /// All teachers.
 pub(crate) struct Teachers<'a> {
     locals: &'a dyn Locals,
+    /// Those of each.
+    cameras: &'a [Vec<Camera>],
     computer: &'a Computer,
     /// Teachers held at once.
     shelf_max: usize,
     /// The last used at the back.
     shelf: VecDeque<(usize, Teacher)>,
-    /// By local and camera, once it is known.
-    trusts: Vec<Vec<Option<Bits>>>,
-    kept: BTreeMap<ViewKey, Rc<Taught>>,
+    /// Once they are known.
+    trusts: BTreeMap<ViewKey, Bits>,
+    kept: BTreeMap<ViewKey, Rc<Rendering>>,
     /// Bytes that more may take.
     free_bytes: u64,
 }
 
 struct Teacher {
     renderer: Renderer,
-    cameras: Vec<Camera>,
     neighbours: Neighbours,
 }
 
 impl<'a> Teachers<'a> {
-    /// Teachers of `locals`, of up to `teacher_bytes` each, within `memory_bytes`; one is held whatever that takes.
+    /// Teachers of what was surveyed, of up to `teacher_bytes` each, within `memory_bytes`; one is held whatever that
+    /// takes.
     pub(super) fn new(
-        locals: &'a dyn Locals,
+        surveyed: &'a Surveyed,
         computer: &'a Computer,
         teacher_bytes: u64,
         memory_bytes: u64,
     ) -> Self {
-        let shelf_max = (memory_bytes / teacher_bytes.max(1)).clamp(1, locals.count().max(1) as u64);
+        let count = surveyed.cameras.len().max(1) as u64;
+        let shelf_max = (memory_bytes / teacher_bytes.max(1)).clamp(1, count);
         Self {
-            locals,
+            locals: surveyed.locals,
+            cameras: &surveyed.cameras,
             computer,
             shelf_max: shelf_max as usize,
             shelf: VecDeque::new(),
-            trusts: vec![Vec::new(); locals.count()],
+            trusts: BTreeMap::new(),
             kept: BTreeMap::new(),
             free_bytes: memory_bytes.saturating_sub(shelf_max * teacher_bytes),
         }
@@ -93,54 +87,80 @@ impl<'a> Teachers<'a> {
     }
 
     /// What the teacher of a view shows there.
-    pub(crate) fn teach(&mut self, view: ViewKey) -> Result<Rc<Taught>, MergeError> {
+    pub(crate) fn teach(&mut self, view: ViewKey) -> Result<Taught, MergeError> {
+        let shown = self.show(view)?;
+        if !self.trusts.contains_key(&view) {
+            let trust = self.trust(view, &shown)?;
+            self.trusts.insert(view, trust);
+        }
+        let trust = self.trusts[&view].weights().take(shown.alpha.len()).collect();
+        Ok(Taught { camera: self.camera(view), shown, trust })
+    }
+
+    fn camera(&self, view: ViewKey) -> Camera {
+        self.cameras[view.local][view.camera]
+    }
+
+    fn show(&mut self, view: ViewKey) -> Result<Rc<Rendering>, MergeError> {
         if let Some(kept) = self.kept.get(&view) {
             return Ok(kept.clone());
         }
-        let taught = Rc::new(self.show(view)?);
-        if taught.bytes() <= self.free_bytes {
-            self.free_bytes -= taught.bytes();
-            self.kept.insert(view, taught.clone());
+        let camera = self.camera(view);
+        let shown = Rc::new(self.fetch(view.local)?.renderer.try_render(&camera)?);
+        let bytes = bytes_of(&shown);
+        if bytes <= self.free_bytes {
+            self.free_bytes -= bytes;
+            self.kept.insert(view, shown.clone());
         }
-        Ok(taught)
+        Ok(shown)
     }
 
-    fn show(&mut self, view: ViewKey) -> Result<Taught, MergeError> {
-        self.fetch(view.local)?;
-        let (_, teacher) = self.shelf.back_mut().expect("just fetched");
-        let camera = teacher.cameras[view.camera];
-        let rendering = teacher.renderer.try_render(&camera)?;
-        let trusts = &mut self.trusts[view.local];
-        trusts.resize(teacher.cameras.len(), None);
-        let trust = match &mut trusts[view.camera] {
-            Some(known) => known,
-            none => none.insert(teacher.trust(view.camera, &rendering)?),
+    /// Pixels of a view whose surface another camera of the teacher sees in the same place, where one looks there.
+    fn trust(&mut self, view: ViewKey, here: &Rendering) -> Result<Bits, MergeError> {
+        let neighbour = self.fetch(view.local)?.neighbours.nearest(view.camera);
+        let other = neighbour.map(|camera| ViewKey { camera, ..view });
+        let there = match other {
+            Some(other) => Some((self.camera(other), self.show(other)?)),
+            None => None,
         };
-        let trust = trust.weights().take(rendering.alpha.len()).collect();
-        let Rendering { rgb, depth, normal, .. } = rendering;
-        Ok(Taught { camera, rgb, depth, normal, trust })
+        let camera = self.camera(view);
+        let width = here.size_px[0] as usize;
+        let believed = |i: usize| {
+            let p_px = DVec2::new((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
+            here.alpha[i] > TRUSTED_ALPHA_MIN
+                && there
+                    .as_ref()
+                    .is_none_or(|(other, seen)| returns(&camera, p_px, f64::from(here.depth[i]), other, seen))
+        };
+        Ok(Bits::of(here.alpha.len(), believed))
     }
 
     /// Brings a teacher to the back of the shelf.
-    fn fetch(&mut self, local: usize) -> Result<(), MergeError> {
+    fn fetch(&mut self, local: usize) -> Result<&mut Teacher, MergeError> {
         if let Some(place) = self.shelf.iter().position(|(held, _)| *held == local) {
             let held = self.shelf.remove(place).expect("it has just been found");
             self.shelf.push_back(held);
-            return Ok(());
+        } else {
+            while self.shelf.len() >= self.shelf_max {
+                self.shelf.pop_front();
+            }
+            let Model { splats, cameras } = self.locals.load(local)?;
+            let neighbours = Neighbours::find(&cameras, &probes(&splats));
+            let renderer = Renderer::by(&self.computer.device, self.computer.threads, &splats)?;
+            self.shelf.push_back((local, Teacher { renderer, neighbours }));
         }
-        while self.shelf.len() >= self.shelf_max {
-            self.shelf.pop_front();
-        }
-        let model = self.locals.load(local)?;
-        let neighbours = Neighbours::find(&model.cameras, &probes(&model.splats));
-        let renderer = Renderer::by(&self.computer.device, self.computer.threads, &model.splats)?;
-        self.shelf.push_back((local, Teacher { renderer, cameras: model.cameras, neighbours }));
-        Ok(())
+        let (_, teacher) = self.shelf.back_mut().expect("just put there");
+        Ok(teacher)
     }
 }
 
+fn bytes_of(shown: &Rendering) -> u64 {
+    let Rendering { rgb, alpha, depth, normal, .. } = shown;
+    let values = [rgb, alpha, depth, normal].map(|values| size_of_val(&values[..]));
+    (size_of::<Rendering>() + values.iter().sum::<usize>()) as u64
+}
+
 /// One bit a pixel: masks of all cameras are kept while their teachers come and go.
-#[derive(Clone)]
 struct Bits(Vec<u64>);
 
 impl Bits {
@@ -184,26 +204,6 @@ fn probes(splats: &Splats) -> Vec<SparsePoint> {
         views: Vec::new(),
     };
     splats.means.iter().step_by(step).map(point).collect()
-}
-
-impl Teacher {
-    /// Pixels of the camera `view` whose surface another camera sees in the same place, where one looks there.
-    fn trust(&mut self, view: usize, here: &Rendering) -> Result<Bits, MergeError> {
-        let there = match self.neighbours.nearest(view).map(|other| self.cameras[other]) {
-            Some(camera) => Some((camera, self.renderer.try_render(&camera)?)),
-            None => None,
-        };
-        let camera = self.cameras[view];
-        let width = here.size_px[0] as usize;
-        let believed = |i: usize| {
-            let p_px = DVec2::new((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
-            here.alpha[i] > TRUSTED_ALPHA_MIN
-                && there
-                    .as_ref()
-                    .is_none_or(|(other, seen)| returns(&camera, p_px, f64::from(here.depth[i]), other, seen))
-        };
-        Ok(Bits::of(here.alpha.len(), believed))
-    }
 }
 
 /// Whether a pixel's surface, seen from another camera, is the surface that this one shows.

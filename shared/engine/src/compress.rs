@@ -6,7 +6,7 @@
 //! direction and distance. Ground belongs to the model most of whose cameras see it, to the first of equals: every
 //! place has one owner, whoever compresses and in whatever order, so that nobody deletes what another deletes as well.
 
-use cosurf_scene::{Camera, Splats};
+use cosurf_scene::{Camera, Frustum, Splats, Watchers};
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -71,7 +71,8 @@ impl Compression {
             return Ok(Self::default());
         }
         let mut renderer = Renderer::by(device, threads, splats)?;
-        let overlapping = its.iter().map(|camera| overlaps(&mut renderer, camera, &others));
+        let mut others = Watchers::new(&others);
+        let overlapping = its.iter().map(|camera| overlaps(&mut renderer, camera, &mut others));
         let overlapping: Vec<bool> = overlapping.collect::<Result<_, _>>()?;
         drop(renderer);
         let overlap = overlapping.iter().filter(|o| **o).count() as f64 / its.len() as f64;
@@ -89,7 +90,7 @@ impl Compression {
 }
 
 /// Whether enough of what the model shows a camera is seen by some of `others`.
-fn overlaps(renderer: &mut Renderer, camera: &Camera, others: &[Camera]) -> Result<bool, DeviceError> {
+fn overlaps(renderer: &mut Renderer, camera: &Camera, others: &mut Watchers) -> Result<bool, DeviceError> {
     let camera = camera.resized(camera.fitted_size(SIZE_PX));
     let depth = renderer.try_render(&camera)?.depth;
     let pose = &camera.cam_from_world;
@@ -100,26 +101,32 @@ fn overlaps(renderer: &mut Renderer, camera: &Camera, others: &[Camera]) -> Resu
         let p_px = glam::DVec2::new((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
         let point = eye + world_from_cam * (camera.ray(p_px) * f64::from(*z));
         shown += 1;
-        seen += usize::from(others.iter().any(|other| sees_alike(&camera, other, point)));
+        seen += usize::from(others.any(point, |other| is_alike(&camera, other, point)));
     }
     Ok(shown > 0 && seen as f64 >= SHARE_MIN * shown as f64)
 }
 
 /// Whether `other` sees a point that `camera` sees from a similar direction and distance.
 pub fn sees_alike(camera: &Camera, other: &Camera, point: DVec3) -> bool {
+    other.sees(point) && is_alike(camera, other, point)
+}
+
+/// Whether the two look at it from a similar direction and distance.
+fn is_alike(camera: &Camera, other: &Camera, point: DVec3) -> bool {
     let sight = |camera: &Camera| (point - camera.cam_from_world.center()).normalize_or_zero();
     let depth = |camera: &Camera| camera.cam_from_world.transform(point).z;
-    other.sees(point)
-        && sight(camera).dot(sight(other)) >= SIGHT_COSINE_MIN
+    sight(camera).dot(sight(other)) >= SIGHT_COSINE_MIN
         && DEPTH_RATIO.contains(&(depth(other) / depth(camera)))
 }
 
 /// Indices of the splats on ground that belongs to another model of the fleet.
 fn left_to_others(splats: &Splats, fleet: &Fleet) -> Vec<u32> {
+    let frusta: Vec<Vec<Frustum>> =
+        fleet.cameras.iter().map(|its| its.iter().map(Frustum::new).collect()).collect();
     let is_left = |i: &u32| {
         let mean = DVec3::from_array(splats.means[*i as usize].map(f64::from));
-        let seers = |cameras: &Vec<Camera>| cameras.iter().filter(|camera| camera.sees(mean)).count();
-        let seen: Vec<usize> = fleet.cameras.iter().map(seers).collect();
+        let seers = |its: &Vec<Frustum>| its.iter().filter(|frustum| frustum.contains(mean)).count();
+        let seen: Vec<usize> = frusta.iter().map(seers).collect();
         let most = seen.iter().copied().max().unwrap_or(0);
         most >= OWNER_CAMERAS_MIN && seen.iter().position(|count| *count == most) != Some(fleet.own)
     };

@@ -1,0 +1,123 @@
+//! Who sees a place, asked of many places and many cameras: the most frequent question of a merge.
+
+use glam::{DVec2, DVec3};
+
+use crate::camera::Camera;
+
+/// What a camera sees, worked out once so that each place costs nine products and no division.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Frustum {
+    /// `rows[k] · p_world + offset[k]` are column and row times depth, and depth; px and world units.
+    rows: [DVec3; 3],
+    offset: DVec3,
+    size_px: DVec2,
+}
+
+impl Frustum {
+    /// That of a camera.
+    pub fn new(camera: &Camera) -> Self {
+        let Camera { cam_from_world: pose, focal_px, center_px, size_px } = camera;
+        let world_from_cam = pose.rotation.inverse();
+        let [x, y, z] = [DVec3::X, DVec3::Y, DVec3::Z].map(|axis| world_from_cam * axis);
+        let at = pose.translation;
+        Self {
+            rows: [focal_px.x * x + center_px.x * z, focal_px.y * y + center_px.y * z, z],
+            offset: DVec3::new(
+                focal_px.x * at.x + center_px.x * at.z,
+                focal_px.y * at.y + center_px.y * at.z,
+                at.z,
+            ),
+            size_px: DVec2::new(f64::from(size_px[0]), f64::from(size_px[1])),
+        }
+    }
+
+    /// Whether a world point lies in front of the camera and inside its picture, as [`Camera::sees`] says but for what
+    /// rounding does on the very rim.
+    pub fn contains(&self, p_world: DVec3) -> bool {
+        let [x, y, z] = self.rows.map(|row| row.dot(p_world));
+        let [x, y, z] = [x + self.offset.x, y + self.offset.y, z + self.offset.z];
+        // Behind the camera nothing lies between 0 and a negative side.
+        x >= 0.0 && y >= 0.0 && x < self.size_px.x * z && y < self.size_px.y * z
+    }
+}
+
+/// Some cameras, one of which may see a place. Neighbouring places are mostly seen by the same camera, so the one
+/// that saw the last is asked first.
+#[derive(Clone, Debug)]
+pub struct Watchers<'a> {
+    cameras: &'a [Camera],
+    frusta: Vec<Frustum>,
+    last: usize,
+}
+
+impl<'a> Watchers<'a> {
+    /// These cameras.
+    pub fn new(cameras: &'a [Camera]) -> Self {
+        Self { cameras, frusta: cameras.iter().map(Frustum::new).collect(), last: 0 }
+    }
+
+    /// Whether any of them sees a world point, and `is_wanted`.
+    pub fn any(&mut self, p_world: DVec3, is_wanted: impl Fn(&Camera) -> bool) -> bool {
+        let sees = |i: usize| {
+            self.frusta.get(i).is_some_and(|it| it.contains(p_world)) && is_wanted(&self.cameras[i])
+        };
+        if sees(self.last) {
+            return true;
+        }
+        let seer = (0..self.frusta.len()).find(|i| sees(*i));
+        self.last = seer.unwrap_or(self.last);
+        seer.is_some()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::Pose;
+
+    /// Cameras on a ring that look at its middle, one of them a little past it.
+    fn cameras() -> Vec<Camera> {
+        let camera = |i: u32| {
+            let angle = f64::from(i);
+            let eye = DVec3::new(7.0 * angle.cos(), 7.0 * angle.sin(), 5.0 + 0.3 * angle);
+            Camera {
+                cam_from_world: Pose::look_at(eye, DVec3::new(0.1 * angle, 0.0, 0.0), DVec3::Z),
+                focal_px: DVec2::new(90.0, 110.0),
+                center_px: DVec2::new(41.5, 28.0),
+                size_px: [80, 60],
+            }
+        };
+        (0..6).map(camera).collect()
+    }
+
+    /// Places around the ring and behind it.
+    fn places() -> impl Iterator<Item = DVec3> {
+        let at = |i: i32| f64::from(i) * 0.83;
+        (-12..12).flat_map(move |x| {
+            (-12..12).flat_map(move |y| (-9..9).map(move |z| DVec3::new(at(x), at(y), at(z))))
+        })
+    }
+
+    #[test]
+    fn a_frustum_holds_what_its_camera_sees() {
+        for camera in cameras() {
+            let frustum = Frustum::new(&camera);
+            let seen = places().filter(|place| camera.sees(*place)).count();
+            assert!(seen > 100 && seen < places().count() / 2, "{seen}");
+            assert!(places().all(|place| frustum.contains(place) == camera.sees(place)));
+        }
+    }
+
+    #[test]
+    fn watchers_see_what_any_of_them_does_whoever_saw_the_last() {
+        let cameras = cameras();
+        let mut watchers = Watchers::new(&cameras);
+        let is_wanted = |camera: &Camera| camera.cam_from_world.center().x > 0.0;
+        for place in places() {
+            assert_eq!(watchers.any(place, |_| true), cameras.iter().any(|camera| camera.sees(place)));
+            let wanted = cameras.iter().any(|camera| camera.sees(place) && is_wanted(camera));
+            assert_eq!(watchers.any(place, is_wanted), wanted);
+        }
+        assert!(!Watchers::new(&[]).any(DVec3::ZERO, |_| true));
+    }
+}
