@@ -15,9 +15,11 @@ use crate::backend::{
 use crate::random::{Purpose, Random};
 
 /// Share of the numbers that may be off by more than a thousandth: a sample that comes back on one side only has a
-/// gradient for all splats of its pixel, and a normal's four depths pull against each other, so that what is left is of
-/// the size of their rounding where a splat covers all four.
-const OFF_MAX: f64 = 0.02;
+/// gradient for all splats of its pixel.
+const OFF_MAX: f64 = 0.01;
+/// The same with normals: the four depths of one pull against each other, so that what is left is of the size of their
+/// rounding where a splat covers all four.
+const NORMALS_OFF_MAX: f64 = 0.02;
 /// Largest difference of a loss, and of the shares of samples.
 const LOSS_OFF_MAX: f64 = 1e-3;
 
@@ -126,7 +128,12 @@ fn surface_losses_agree_with_the_cpu() {
             if size_px[0] < 100 {
                 continue;
             }
-            assert!(off as f64 <= OFF_MAX * count as f64, "{size_px:?} {only:?}: {off} of {count} are off");
+            let off_max = if weights.surface.is_some_and(|surface| surface.normal > 0.0) {
+                NORMALS_OFF_MAX
+            } else {
+                OFF_MAX
+            };
+            assert!(off as f64 <= off_max * count as f64, "{size_px:?} {only:?}: {off} of {count} are off");
             assert!(losses.surface.returned > 0.5 && losses.surface.matched > 0.1, "{losses:?}");
             // The comparison sees a weight that is a percent too large.
             let mut heavier = weights;
@@ -138,7 +145,7 @@ fn surface_losses_agree_with_the_cpu() {
             }
             let (_, wrong) = shown.step(&mut on_gpu(&gpu, &model, size_px), &heavier);
             let (_, off) = compare(&wrong, &expected);
-            assert!(off as f64 > OFF_MAX * count as f64, "{only:?}: a wrong weight went unnoticed ({off})");
+            assert!(off as f64 > off_max * count as f64, "{only:?}: a wrong weight went unnoticed ({off})");
         }
     }
 }
