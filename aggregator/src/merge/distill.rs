@@ -61,7 +61,7 @@ pub(crate) fn distill(
     for part in &parts {
         let own: Range<usize> = sizes[..part.start].iter().sum()..sizes[..part.end].iter().sum();
         let views = views_of(part.clone(), &lessons);
-        let its: Vec<Camera> = cameras[part.clone()].iter().flatten().copied().collect();
+        let its = distinct(&cameras[part.clone()]);
         if own.is_empty() || views.is_empty() {
             continue;
         }
@@ -91,7 +91,7 @@ pub(crate) fn distill(
                 }
             }
         }
-        let (learnt, its_useless) = distiller.finish(&distinct(&cameras[part.clone()]));
+        let (learnt, its_useless) = distiller.finish(&its);
         device.check()?;
         put_back(&mut joined, &learnt, own.clone());
         let count = own.len() as u32;

@@ -107,7 +107,7 @@ impl<'a> Teachers<'a> {
         }
         let camera = self.camera(view);
         let shown = Rc::new(self.fetch(view.local)?.renderer.try_render(&camera)?);
-        let bytes = bytes_of(&shown);
+        let bytes = shown.bytes() as u64;
         if bytes <= self.free_bytes {
             self.free_bytes -= bytes;
             self.kept.insert(view, shown.clone());
@@ -152,12 +152,6 @@ impl<'a> Teachers<'a> {
         let (_, teacher) = self.shelf.back_mut().expect("just put there");
         Ok(teacher)
     }
-}
-
-fn bytes_of(shown: &Rendering) -> u64 {
-    let Rendering { rgb, alpha, depth, normal, .. } = shown;
-    let values = [rgb, alpha, depth, normal].map(|values| size_of_val(&values[..]));
-    (size_of::<Rendering>() + values.iter().sum::<usize>()) as u64
 }
 
 /// One bit a pixel: masks of all cameras are kept while their teachers come and go.

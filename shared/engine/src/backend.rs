@@ -216,6 +216,15 @@ pub struct Rendering {
     pub normal: Vec<f32>,
 }
 
+impl Rendering {
+    /// What it takes in memory.
+    pub fn bytes(&self) -> usize {
+        let Self { rgb, alpha, depth, normal, .. } = self;
+        let values = [rgb, alpha, depth, normal].map(|values| size_of_val(&values[..]));
+        size_of::<Self>() + values.iter().sum::<usize>()
+    }
+}
+
 /// Shapes and statistics that refinement decides by; entry `i` is splat `i`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Shapes {

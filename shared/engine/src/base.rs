@@ -135,8 +135,7 @@ impl<'a> Teacher<'a> {
             return kept.clone();
         }
         let rendering = Rc::new(self.renderer.render(&self.cameras[view]));
-        let Rendering { rgb, alpha, depth, normal, .. } = &*rendering;
-        let bytes: usize = [rgb, alpha, depth, normal].map(|values| size_of_val(&values[..])).iter().sum();
+        let bytes = rendering.bytes();
         if bytes <= self.free_bytes {
             self.free_bytes -= bytes;
             self.kept[view] = Some(rendering.clone());

@@ -20,7 +20,7 @@ pub mod colmap;
 pub mod colormap;
 pub mod dataset;
 pub mod error;
-pub mod frustum;
+mod frustum;
 pub mod mesh;
 pub mod metrics;
 pub mod mission_config;
