@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::evaluate::Judge;
 use crate::quality::{Quality, YardstickError, Yardsticks};
-use crate::table::aligned;
+use crate::terminal::aligned;
 
 /// Names of models in folders that agents and missions leave.
 const MODELS: [&str; 2] = ["model.ply", "global.ply"];

@@ -6,10 +6,10 @@ use cosurf_scene::bytes::format_bytes;
 use image::ImageError;
 
 use crate::embed::data_uri;
-use crate::progress::format_seconds;
 use crate::quality::Quality;
 use crate::report::{self, MeshSummary, MissionReport};
 use crate::showcase::{Captioned, Showcase};
+use crate::terminal::format_seconds;
 use crate::{chart, map};
 
 /// What the page draws beside the figures of the report.

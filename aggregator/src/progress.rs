@@ -9,23 +9,13 @@ use serde_json::json;
 
 use crate::board::{Phase, Status};
 use crate::fleet::{FleetEvent, FleetEventKind};
+use crate::terminal::{Display, format_seconds};
 
 /// Seconds between two rounds of plain lines.
 const LINES_EVERY_S: f64 = 5.0;
 
 /// Pictures of the city between two plain lines.
 const PICTURES_EVERY: usize = 32;
-
-/// How a mission is shown.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Display {
-    /// Bars on standard error, redrawn in place.
-    Bars,
-    /// Plain lines on standard error.
-    Lines,
-    /// Every event as a line of JSON on standard output, notices on standard error.
-    Json,
-}
 
 /// The view of a mission.
 pub(crate) struct Progress {
@@ -134,19 +124,6 @@ fn describe(status: &Status) -> String {
     }
 }
 
-/// `47 s`, `3 min 05 s`, `2 h 07 min`; a dash where it is not known.
-pub(crate) fn format_seconds(seconds: f64) -> String {
-    if !seconds.is_finite() {
-        return "–".into();
-    }
-    let whole = seconds.round().max(0.0) as u64;
-    match whole {
-        0..60 => format!("{whole} s"),
-        60..3600 => format!("{} min {:02} s", whole / 60, whole % 60),
-        _ => format!("{} h {:02} min", whole / 3600, whole % 3600 / 60),
-    }
-}
-
 fn json_line(agent: &str, event: &FleetEventKind) -> String {
     let mut line = match event {
         FleetEventKind::Said(event) => json!(event),
@@ -165,20 +142,6 @@ mod tests {
     use cosurf_scene::report::AgentEvent;
 
     use super::*;
-
-    #[test]
-    fn times_are_written_for_people() {
-        for (seconds, text) in [
-            (0.4, "0 s"),
-            (59.4, "59 s"),
-            (59.6, "1 min 00 s"),
-            (185.0, "3 min 05 s"),
-            (7620.0, "2 h 07 min"),
-            (f64::INFINITY, "–"),
-        ] {
-            assert_eq!(format_seconds(seconds), text);
-        }
-    }
 
     #[test]
     fn a_script_reads_the_agents_events_with_its_name() {

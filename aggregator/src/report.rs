@@ -11,10 +11,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::board::{Phase, Status};
 use crate::plan::{Plan, Settings};
-use crate::progress::format_seconds;
 use crate::quality::Quality;
 use crate::service::Merging;
-use crate::table::aligned;
+use crate::terminal::{aligned, format_seconds};
 pub(crate) use rows::{depth_normal_text, depth_text, lpips_text, normal_text, rows};
 
 /// A mission's figures, also `report.json`.

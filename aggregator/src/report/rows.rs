@@ -4,8 +4,8 @@ use cosurf_scene::bytes::format_bytes;
 use cosurf_scene::report::TrainReport;
 
 use super::{AgentSummary, MissionReport, WholeSummary};
-use crate::progress::format_seconds;
 use crate::quality::Quality;
+use crate::terminal::format_seconds;
 
 /// The table that report, page and terminal share: headings, a row per agent and one for the whole. Figures
 /// that this mission has not have no column.

@@ -6,9 +6,8 @@ use std::io::{self, Write};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde_json::json;
 
-use crate::Display;
+use super::display::{Display, format_seconds};
 use crate::mesh::{FuseEvent, Stage};
-use crate::progress::format_seconds;
 
 /// Seconds between two plain lines.
 const LINES_EVERY_S: f64 = 5.0;
