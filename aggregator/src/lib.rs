@@ -15,7 +15,6 @@ pub mod eval;
 mod evaluate;
 pub mod field;
 mod fleet;
-mod footprint;
 pub mod gate;
 pub mod gateway;
 pub mod lpips;

@@ -4,30 +4,16 @@ use std::fmt::Write;
 
 use glam::DVec2;
 
-use crate::footprint::Footprint;
 use crate::page::{agent_color, escape};
-use crate::partition::Cell;
+use crate::partition::{AssignedView, Cell};
 
 /// Width of the drawing in its own units; the page scales it.
 const WIDTH: f64 = 1000.0;
 /// Share of the cells' size that is drawn around them.
 const MARGIN: f64 = 0.15;
 
-/// A view on the map.
-#[derive(Clone, Debug)]
-pub(crate) struct MapView {
-    /// Name of the view.
-    pub(crate) name: String,
-    /// Where it looks.
-    pub(crate) footprint: Footprint,
-    /// Index of its cell.
-    pub(crate) cell: usize,
-    /// Whether it is held out.
-    pub(crate) held_out: bool,
-}
-
 /// Draws cells and views; cell `i` is agent `i`'s.
-pub(crate) fn draw(cells: &[Cell], views: &[MapView]) -> String {
+pub(crate) fn draw(cells: &[Cell], views: &[AssignedView]) -> String {
     let frame = Frame::around(cells);
     let mut svg = String::new();
     let height = frame.height();
@@ -63,7 +49,7 @@ fn draw_cell(svg: &mut String, frame: &Frame, agent: usize, cell: &Cell) {
     );
 }
 
-fn draw_middle(svg: &mut String, frame: &Frame, view: &MapView) {
+fn draw_middle(svg: &mut String, frame: &Frame, view: &AssignedView) {
     let at = frame.place(view.footprint.center);
     let color = agent_color(view.cell);
     let (fill, what) = if view.held_out { ("none", ", held out") } else { (color.as_str(), "") };
@@ -130,6 +116,7 @@ impl Frame {
 mod tests {
     use super::*;
     use crate::partition::Outline;
+    use crate::partition::footprint::Footprint;
 
     #[test]
     fn the_map_shows_every_cell_and_view_with_north_up() {
@@ -137,7 +124,7 @@ mod tests {
             let bounds = [DVec2::new(0.0, low), DVec2::new(100.0, high)];
             Cell::new(Vec::new(), Outline::rectangle(bounds))
         };
-        let view = |y: f64, cell, held_out| MapView {
+        let view = |y: f64, cell, held_out| AssignedView {
             name: format!("<{y}>"),
             footprint: Footprint { center: DVec2::new(50.0, y), outline: [DVec2::ZERO; 4] },
             cell,

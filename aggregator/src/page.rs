@@ -6,6 +6,7 @@ use cosurf_scene::bytes::format_bytes;
 use image::ImageError;
 
 use crate::embed::data_uri;
+use crate::partition::{AssignedView, Cell};
 use crate::quality::Quality;
 use crate::report::{self, MeshSummary, MissionReport};
 use crate::showcase::{Captioned, Showcase};
@@ -15,9 +16,9 @@ use crate::{chart, map};
 /// What the page draws beside the figures of the report.
 pub(crate) struct Drawings<'a> {
     /// Cell `i` is that of the report's agent `i`.
-    pub(crate) cells: &'a [crate::partition::Cell],
+    pub(crate) cells: &'a [Cell],
     /// All views, trained on and held out.
-    pub(crate) views: &'a [map::MapView],
+    pub(crate) views: &'a [AssignedView],
     /// A few held-out views.
     pub(crate) showcases: &'a [Showcase],
 }

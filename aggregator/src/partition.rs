@@ -5,13 +5,21 @@
 //! views. Or a grid of cells of one size (CoSurfGS), or polygons that a person drew. Ground at a
 //! border is seen by too few views of either side alone: with a margin, each agent also gets the views of
 //! others that look just beyond its borders.
+//!
+//! It refuses to know missions, devices and training: cells are numbers, and views are positions on a map.
+//!
+//! Where to start reading: [`partition`]; then [`footprint`], where a view looks, and [`outline`], the border of a cell.
 
+pub(crate) mod footprint;
 mod outline;
+mod view;
 
 use glam::DVec2;
 use serde::{Deserialize, Serialize};
 
+pub(crate) use footprint::{Ground, footprints};
 pub(crate) use outline::Outline;
+pub(crate) use view::AssignedView;
 
 /// How the ground is divided.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -11,10 +11,10 @@ use cosurf_scene::{AgentConfig, Dataset, SceneError, atomic};
 use cosurf_wire::{DeviceId, IdError, SiteId};
 use serde::{Deserialize, Serialize};
 
-use crate::footprint::{Ground, footprints};
-use crate::map::MapView;
 use crate::merge::MergeSettings;
-use crate::partition::{Cell, Division, PartitionError, invite, nearest_cell, partition};
+use crate::partition::{
+    AssignedView, Cell, Division, Ground, PartitionError, footprints, invite, nearest_cell, partition,
+};
 
 /// What decides the result of a mission.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -116,7 +116,7 @@ pub(crate) struct Plan {
     /// Agent `i`'s ground.
     pub(crate) cells: Vec<Cell>,
     /// All views in the dataset's order, with cell and footprint.
-    pub(crate) views: Vec<MapView>,
+    pub(crate) views: Vec<AssignedView>,
 }
 
 impl Plan {
@@ -144,7 +144,7 @@ impl Plan {
             cell.views.iter().for_each(|&view| cell_of[view] = i);
         }
         let views = dataset.views.iter().zip(prints).zip(cell_of).enumerate();
-        let views = views.map(|(i, ((view, footprint), cell))| MapView {
+        let views = views.map(|(i, ((view, footprint), cell))| AssignedView {
             name: view.name.clone(),
             footprint,
             cell,
@@ -169,7 +169,7 @@ impl Plan {
     /// Names of the views of agent `i`: to train on (guests too), or held out.
     pub(crate) fn names_of(&self, agent: usize, held_out: bool) -> Vec<String> {
         let guests = &self.cells[agent].guests;
-        let its = |(i, view): &(usize, &MapView)| {
+        let its = |(i, view): &(usize, &AssignedView)| {
             view.held_out == held_out && (view.cell == agent || guests.binary_search(i).is_ok())
         };
         self.views.iter().enumerate().filter(its).map(|(_, view)| view.name.clone()).collect()

@@ -1,0 +1,16 @@
+//! A view of the dataset with the cell that it was given to.
+
+use super::footprint::Footprint;
+
+/// A view of the dataset, where it looks, and whose it is.
+#[derive(Clone, Debug)]
+pub(crate) struct AssignedView {
+    /// Name of the view.
+    pub(crate) name: String,
+    /// Where it looks.
+    pub(crate) footprint: Footprint,
+    /// Index of its cell.
+    pub(crate) cell: usize,
+    /// Whether it is held out.
+    pub(crate) held_out: bool,
+}
