@@ -3,7 +3,7 @@
 //!
 //! `cargo bench -p cosurf-aggregator`
 
-use cosurf_aggregator::accuracy::judge;
+use cosurf_aggregator::evaluate::accuracy::judge;
 use cosurf_aggregator::mesh::{FuseSettings, fuse};
 use cosurf_engine::Rendering;
 use cosurf_scene::{Camera, Mesh, Pose};

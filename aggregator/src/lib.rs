@@ -6,18 +6,15 @@
 //! Where to start reading: [`service`], what runs in the field; then [`mission`], which runs service and
 //! agents on one machine and leaves a report.
 
-pub mod accuracy;
 mod board;
 pub mod broker;
 mod chart;
 mod embed;
-pub mod eval;
-mod evaluate;
+pub mod evaluate;
 pub mod field;
 mod fleet;
 pub mod gate;
 pub mod gateway;
-pub mod lpips;
 mod map;
 pub mod merge;
 pub mod mesh;
@@ -27,7 +24,6 @@ pub mod part;
 pub mod partition;
 pub mod plan;
 mod progress;
-pub mod quality;
 mod relief;
 pub mod report;
 pub mod service;
@@ -35,7 +31,6 @@ mod showcase;
 #[cfg(test)]
 mod simulation;
 mod station;
-pub mod surface;
 mod terminal;
 pub mod town;
 mod tree;

@@ -19,16 +19,16 @@ use image::ImageError;
 
 use crate::board::{Phase, Status};
 use crate::broker::{Broker, BrokerError};
-use crate::evaluate::{Evaluation, Judge, evaluate};
+use crate::evaluate::{Judge, Quality, YardstickError, Yardsticks};
 use crate::field::local_address;
 use crate::fleet::{Fleet, Orders};
 use crate::page::{Drawings, page};
 use crate::plan::{Edge, Plan, PlanError, Settings, write_text};
 use crate::progress::show_pictures;
-use crate::quality::{Quality, YardstickError, Yardsticks};
 use crate::relief::{Relief, relief};
 use crate::report::{EdgeSummary, MissionReport, summarize};
 use crate::service::{BROKER_ATTEMPTS_MAX, Merging, ServiceError, global_ply, joined};
+use crate::showcase::{Showcase, showcases};
 use crate::terminal::{Display, Meter};
 use crate::town::{self, TownError};
 use crate::tree::{Tree, edge_folder, lowest_folders};
@@ -267,6 +267,14 @@ fn mesh(
     Ok(relief)
 }
 
+/// What the global model is worth.
+struct Evaluation {
+    /// One per held-out view, in their order.
+    qualities: Vec<Quality>,
+    /// A few of them, the best first.
+    showcases: Vec<Showcase>,
+}
+
 /// Compares the global model, as it is on the disk, with the photographs held out and the true surface.
 fn judge(
     order: &MissionOrder,
@@ -284,7 +292,9 @@ fn judge(
         Relief::Made { caster, .. } => Some(caster),
         Relief::Missing(_) => None,
     };
-    Ok(evaluate(&mut judge, &views, mesh)?)
+    let qualities = judge.qualities(&views)?;
+    let showcases = showcases(&mut judge, &views, &qualities, mesh)?;
+    Ok(Evaluation { qualities, showcases })
 }
 
 /// The colours of the agents' models joined as they are, for comparison.
@@ -298,8 +308,8 @@ fn judge_joined(
     let without = Yardsticks { lpips: None, truth: None };
     let mut judge = Judge::new(&splats, order.settings.max_size_px, around.cores, &without);
     let held_out = dataset.views.iter().zip(&plan.views).filter(|(_, view)| view.held_out);
-    let qualities = held_out.map(|(view, _)| judge.quality(view)).collect::<Result<Vec<_>, _>>()?;
-    Ok(Quality::mean(&qualities))
+    let views: Vec<&View> = held_out.map(|(view, _)| view).collect();
+    Ok(Quality::mean(&judge.qualities(&views)?))
 }
 
 fn write_report(

@@ -6,8 +6,8 @@ use cosurf_scene::bytes::format_bytes;
 use image::ImageError;
 
 use crate::embed::data_uri;
+use crate::evaluate::Quality;
 use crate::partition::{AssignedView, Cell};
-use crate::quality::Quality;
 use crate::report::{self, MeshSummary, MissionReport};
 use crate::showcase::{Captioned, Showcase};
 use crate::terminal::format_seconds;

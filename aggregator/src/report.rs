@@ -10,8 +10,8 @@ use cosurf_wire::ModelHeader;
 use serde::{Deserialize, Serialize};
 
 use crate::board::{Phase, Status};
+use crate::evaluate::Quality;
 use crate::plan::{Plan, Settings};
-use crate::quality::Quality;
 use crate::service::Merging;
 use crate::terminal::{aligned, format_seconds};
 pub(crate) use rows::{depth_normal_text, depth_text, lpips_text, normal_text, rows};
@@ -241,9 +241,8 @@ pub(crate) fn remarks(report: &MissionReport) -> Vec<String> {
 pub(crate) mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use crate::lpips::LpipsScore;
+    use crate::evaluate::{LpipsScore, Spread, SurfaceQuality};
     use crate::merge::{MergeSettings, MergeSummary};
-    use crate::surface::{Spread, SurfaceQuality};
 
     fn quality(psnr: f64) -> Quality {
         let (depth, normal) = (Spread { median: 0.42, mean: 1.1 }, Spread { median: 12.3, mean: 20.0 });

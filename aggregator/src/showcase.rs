@@ -1,11 +1,11 @@
 //! A held-out view in pictures: the photograph, what the model shows there, and where they differ.
 
-use cosurf_scene::{Cast, Picture, colormap};
+use cosurf_scene::{Cast, Caster, Picture, SceneError, View, colormap};
 
-use crate::evaluate::Look;
-use crate::quality::Quality;
-use crate::surface::{depth_errors_percent, normal_errors_deg};
+use crate::evaluate::{Comparison, Judge, Quality, depth_errors_percent, normal_errors_deg};
 
+/// Views shown in the report, spread from the worst to the best.
+const SHOWCASES: usize = 4;
 /// Differences of colour that are shown in the brightest colour, percent of the brightest value.
 const COLOR_BRIGHT_PERCENT: f32 = 20.0;
 /// Errors of depth that are shown in the brightest colour, percent of the depth.
@@ -31,8 +31,8 @@ pub(crate) struct Showcase {
 }
 
 impl Showcase {
-    pub(crate) fn new(name: &str, quality: Quality, look: Look, mesh: Option<Cast>) -> Self {
-        let Look { photograph, rendering, truth, .. } = look;
+    pub(crate) fn new(name: &str, quality: Quality, comparison: Comparison, mesh: Option<Cast>) -> Self {
+        let Comparison { photograph, rendering, truth, .. } = comparison;
         let size_px = rendering.size_px;
         let range_m = colormap::depth_range(truth.as_ref().map_or(&rendering.depth, |truth| &truth.depth));
         let [near_m, far_m] = range_m;
@@ -65,6 +65,31 @@ impl Showcase {
         }
         Self { name: name.into(), quality, pictures }
     }
+}
+
+/// A few of `views`, of these `qualities`, the best first, with what they see of the `mesh`.
+pub(crate) fn showcases(
+    judge: &mut Judge,
+    views: &[&View],
+    qualities: &[Quality],
+    mesh: Option<&Caster>,
+) -> Result<Vec<Showcase>, SceneError> {
+    let show = |i: usize| {
+        let comparison = judge.compare(views[i])?;
+        let mesh = mesh.map(|mesh| mesh.cast(&comparison.camera));
+        Ok(Showcase::new(&views[i].name, qualities[i], comparison, mesh))
+    };
+    spread(qualities).into_iter().map(show).collect()
+}
+
+/// Indices of up to [`SHOWCASES`] views, evenly spread over the ranks by PSNR, the best first and the
+/// worst last.
+fn spread(qualities: &[Quality]) -> Vec<usize> {
+    let mut ranked: Vec<usize> = (0..qualities.len()).collect();
+    ranked.sort_by(|&a, &b| qualities[b].psnr.total_cmp(&qualities[a].psnr));
+    let count = SHOWCASES.min(ranked.len());
+    let last = ranked.len().saturating_sub(1);
+    (0..count).map(|i| ranked[i * last / (count - 1).max(1)]).collect()
 }
 
 /// The mean of the channels' absolute differences.
@@ -100,9 +125,10 @@ mod tests {
             depth: vec![30.0, 61.0],
             normal: vec![0.0; 6],
         };
-        let look = Look { camera, photograph: Picture::new([2, 1], vec![9; 6]), rendering, truth };
+        let comparison =
+            Comparison { camera, photograph: Picture::new([2, 1], vec![9; 6]), rendering, truth };
         let quality = Quality { psnr: 20.0, ssim: 0.5, lpips: None, surface: None };
-        let Showcase { pictures, .. } = Showcase::new("view", quality, look, mesh);
+        let Showcase { pictures, .. } = Showcase::new("view", quality, comparison, mesh);
         assert!(pictures.iter().all(|captioned| captioned.picture.size_px == [2, 1]));
         pictures.into_iter().map(|captioned| captioned.caption).collect()
     }
@@ -124,5 +150,15 @@ mod tests {
         let picture = color_error(&photograph, &[0.0, 0.0, 0.0, 0.05, 0.0, 0.1, 0.0, 0.0, 0.0]);
         let luma = |i: usize| picture.rgb[3 * i..3 * i + 3].iter().map(|&byte| u32::from(byte)).sum::<u32>();
         assert!(luma(0) < luma(1) && luma(1) < luma(2), "{:?}", picture.rgb);
+    }
+
+    #[test]
+    fn showcases_go_from_the_best_to_the_worst() {
+        let quality = |&psnr: &f64| Quality { psnr, ssim: 0.0, lpips: None, surface: None };
+        let qualities = |psnrs: &[f64]| -> Vec<Quality> { psnrs.iter().map(quality).collect() };
+        assert_eq!(spread(&qualities(&[3.0, 9.0, 1.0, 7.0, 5.0, 8.0, 2.0])), [1, 3, 0, 2]);
+        assert_eq!(spread(&qualities(&[3.0, 9.0])), [1, 0]);
+        assert_eq!(spread(&qualities(&[3.0])), [0]);
+        assert!(spread(&[]).is_empty());
     }
 }

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use clap::Parser;
-use cosurf_aggregator::eval::{EvalOrder, judge};
+use cosurf_aggregator::evaluate::{EvalOrder, evaluate_model};
 use cosurf_engine::{Renderer, Rendering, base_of};
 use cosurf_link::{First, Model, model_to_body, part_to_model};
 use cosurf_scene::metrics::psnr;
@@ -95,7 +95,7 @@ impl NormalErrors {
     /// `None` where there is no true surface.
     fn median_deg(&self, splats: &Splats) -> Result<Option<f64>> {
         ply::write(&self.folder.path().join("model.ply"), splats)?;
-        let surface = judge(&self.order)?.mean.surface;
+        let surface = evaluate_model(&self.order)?.mean.surface;
         Ok(surface.and_then(|surface| surface.normal_error_deg).map(|error| error.median))
     }
 }

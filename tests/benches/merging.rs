@@ -15,7 +15,7 @@ use std::process::{Command, Stdio};
 
 use anyhow::{Context, Result, ensure};
 use clap::Parser;
-use cosurf_aggregator::accuracy;
+use cosurf_aggregator::evaluate::accuracy;
 use cosurf_aggregator::report::MissionReport;
 use cosurf_scene::bytes::format_bytes;
 use cosurf_scene::{Dataset, Mesh};

@@ -6,7 +6,7 @@ use std::thread::available_parallelism;
 
 use anyhow::Result;
 use clap::Args;
-use cosurf_aggregator::eval::{EvalOrder, judge, table};
+use cosurf_aggregator::evaluate::{EvalOrder, evaluate_model, table};
 
 /// Score a model on the held-out views of a dataset.
 ///
@@ -36,7 +36,7 @@ pub(crate) struct EvalArgs {
 }
 
 pub(crate) fn run(args: EvalArgs) -> Result<()> {
-    let report = judge(&EvalOrder {
+    let report = evaluate_model(&EvalOrder {
         model: args.model,
         data: args.data,
         lpips: args.lpips,

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::Args;
-use cosurf_aggregator::accuracy::{Accuracy, Score, judge};
+use cosurf_aggregator::evaluate::accuracy::{Accuracy, Score, judge};
 use cosurf_scene::{Mesh, colormap};
 
 use super::mesh::parse_length;

@@ -8,7 +8,7 @@ use std::time::Instant;
 use anyhow::{Result, bail};
 use clap::Args;
 use cosurf_aggregator::Meter;
-use cosurf_aggregator::eval::model_path;
+use cosurf_aggregator::evaluate::model_path;
 use cosurf_aggregator::mesh::{FuseSettings, Fused, mesh_model};
 use cosurf_scene::bytes::{format_bytes, parse_bytes};
 use cosurf_scene::{Dataset, ply};

@@ -4,7 +4,7 @@ use cosurf_scene::bytes::format_bytes;
 use cosurf_scene::report::TrainReport;
 
 use super::{AgentSummary, MissionReport, WholeSummary};
-use crate::quality::Quality;
+use crate::evaluate::Quality;
 use crate::terminal::format_seconds;
 
 /// The table that report, page and terminal share: headings, a row per agent and one for the whole. Figures

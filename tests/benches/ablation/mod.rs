@@ -14,10 +14,8 @@ use std::time::Instant;
 use anyhow::{Context, Result};
 use clap::Parser;
 use cosurf_agent::session::{Session, Split, TrainPlan};
-use cosurf_aggregator::accuracy;
-use cosurf_aggregator::eval::{EvalOrder, EvalReport, judge};
+use cosurf_aggregator::evaluate::{EvalOrder, EvalReport, Spread, accuracy, evaluate_model};
 use cosurf_aggregator::mesh::{FuseSettings, mesh_model};
-use cosurf_aggregator::surface::Spread;
 use cosurf_engine::{DeviceChoice, PruneSettings, SurfaceSettings};
 use cosurf_scene::{Camera, Mesh, Splats, ply};
 use scene::usual_data;
@@ -75,7 +73,7 @@ pub(crate) fn compare(variants: &[Variant]) -> Result<()> {
         let relative = trained.seconds / *first_s.get_or_insert(trained.seconds);
         let file = folder.path().join("model.ply");
         ply::write(&file, &trained.splats)?;
-        let eval = judge(&order(&arguments, &data, &file))?;
+        let eval = evaluate_model(&order(&arguments, &data, &file))?;
         let f_score = f_score(&arguments, trained, &truth);
         println!("{}", row(variant, &eval, f_score.as_ref().ok().copied(), relative));
         if let Err(error) = f_score {

@@ -2,7 +2,7 @@
 
 /// The network whose features are compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Network {
+pub(super) enum Network {
     /// VGG16, to its 13th convolution.
     Vgg,
     /// AlexNet, to its fifth convolution.
@@ -42,7 +42,7 @@ impl Network {
     }
 
     /// The shortest side of a picture of which something is left after the last pooling.
-    pub fn size_min_px(self) -> u32 {
+    pub(super) fn size_min_px(self) -> u32 {
         match self {
             Self::Vgg => 16,
             Self::Alex => 31,

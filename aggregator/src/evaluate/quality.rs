@@ -6,8 +6,8 @@ use cosurf_scene::raycast::TRIANGLES_MAX;
 use cosurf_scene::{Caster, Mesh, SceneError};
 use serde::{Deserialize, Serialize};
 
-use crate::lpips::{LpipsError, LpipsPair, LpipsScore};
-use crate::surface::SurfaceQuality;
+use super::lpips::{LpipsError, LpipsPair, LpipsScore};
+use super::surface::SurfaceQuality;
 
 /// Where a dataset that knows its true surface has it.
 const TRUE_MESH: &str = "gt/mesh.ply";

@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use cosurf_scene::{Dataset, SceneError, View, ply};
 use serde::{Deserialize, Serialize};
 
-use crate::evaluate::Judge;
-use crate::quality::{Quality, YardstickError, Yardsticks};
+use super::judge::Judge;
+use super::quality::{Quality, YardstickError, Yardsticks};
 use crate::terminal::aligned;
 
 /// Names of models in folders that agents and missions leave.
@@ -78,7 +78,7 @@ pub enum EvalError {
 }
 
 /// Renders every held-out view and compares.
-pub fn judge(order: &EvalOrder) -> Result<EvalReport, EvalError> {
+pub fn evaluate_model(order: &EvalOrder) -> Result<EvalReport, EvalError> {
     let splats = ply::read(&model_path(&order.model)?)?;
     let dataset = Dataset::open(&order.data)?;
     let yardsticks = Yardsticks::read(&order.data, order.lpips.as_deref(), order.truth.as_deref())?;
@@ -163,7 +163,7 @@ mod tests {
     fn a_model_is_judged_on_held_out_views_and_the_datasets_own_truth() {
         let folder = tempfile::tempdir().unwrap();
         let order = untrained(folder.path());
-        let report = judge(&order).unwrap();
+        let report = evaluate_model(&order).unwrap();
         assert_eq!(report.views.len(), 3);
         let surface = report.mean.surface.unwrap();
         assert!((0.0..=1.0).contains(&surface.coverage) && surface.depth_error_percent.unwrap().median > 0.0);
@@ -177,7 +177,7 @@ mod tests {
         mesh.positions.iter_mut().for_each(|position| position[2] += 1.0);
         let raised = folder.path().join("raised.ply");
         mesh.write_ply(&raised).unwrap();
-        let other = judge(&EvalOrder { truth: Some(raised), ..order }).unwrap();
+        let other = evaluate_model(&EvalOrder { truth: Some(raised), ..order }).unwrap();
         assert_eq!(other.mean.psnr, report.mean.psnr);
         assert_ne!(other.mean.surface, report.mean.surface);
     }

@@ -21,8 +21,9 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
-use convolution::{Convolution, FeatureMap};
-pub use network::Network;
+use convolution::FeatureMap;
+use network::Network;
+use weights::Weights;
 
 /// Input normalisation of the published heads, per channel of colours in -1 to 1.
 const SHIFT: [f32; 3] = [-0.030, -0.088, -0.188];
@@ -56,19 +57,23 @@ pub enum LpipsError {
 
 /// A network with its heads.
 #[derive(Debug)]
-pub struct Lpips {
+struct Lpips {
     network: Network,
-    convolutions: Vec<Convolution>,
-    /// Weights of the squared differences of each tapped convolution's channels.
-    heads: Vec<Vec<f32>>,
+    weights: Weights,
 }
 
 impl Lpips {
     /// Reads a safetensors file with `conv{i}.weight` (OIHW), `conv{i}.bias` and `lin{i}.weight`, as
     /// 16-bit or 32-bit floats. Shapes must fit together and numbers be finite.
-    pub fn read(path: &Path, network: Network) -> Result<Self, LpipsError> {
+    fn read(path: &Path, network: Network) -> Result<Self, LpipsError> {
         let bytes = std::fs::read(path).map_err(|cause| LpipsError::Io { path: path.into(), cause })?;
-        weights::parse(&bytes, network).map_err(|reason| LpipsError::Malformed { path: path.into(), reason })
+        let malformed = |reason| LpipsError::Malformed { path: path.into(), reason };
+        Self::parse(&bytes, network).map_err(malformed)
+    }
+
+    /// The network of a file's bytes, or what is wrong with them.
+    fn parse(bytes: &[u8], network: Network) -> Result<Self, String> {
+        Ok(Self { network, weights: weights::parse(bytes, network)? })
     }
 
     /// The distance of two pictures `[height, width, rgb]` with values 0 to 1; `None` where they are
@@ -76,13 +81,13 @@ impl Lpips {
     /// kilobyte of memory per pixel while it works.
     ///
     /// Panics where a length is not `3 · width · height`.
-    pub fn distance(&self, a: &[f32], b: &[f32], size_px: [u32; 2]) -> Option<f64> {
+    fn distance(&self, a: &[f32], b: &[f32], size_px: [u32; 2]) -> Option<f64> {
         if size_px.iter().any(|&side| side < self.network.size_min_px()) {
             return None;
         }
         let mut maps = [a, b].map(|rgb| input(rgb, size_px));
-        let (mut sum, mut heads) = (0.0, self.heads.iter());
-        for (convolution, step) in self.convolutions.iter().zip(self.network.steps()) {
+        let (mut sum, mut heads) = (0.0, self.weights.heads.iter());
+        for (convolution, step) in self.weights.convolutions.iter().zip(self.network.steps()) {
             if step.pooled {
                 maps = maps.map(|map| map.max_pooled(self.network.pool_side_px()));
             }
@@ -138,7 +143,7 @@ pub struct LpipsScore {
 
 impl LpipsScore {
     /// The mean over views; `None` of none.
-    pub(crate) fn mean(of: impl Iterator<Item = Self>) -> Option<Self> {
+    pub(super) fn mean(of: impl Iterator<Item = Self>) -> Option<Self> {
         let all: Vec<Self> = of.collect();
         let mean = |value: fn(&Self) -> f64| all.iter().map(value).sum::<f64>() / all.len() as f64;
         (!all.is_empty()).then(|| Self { vgg: mean(|score| score.vgg), alex: mean(|score| score.alex) })
@@ -147,14 +152,14 @@ impl LpipsScore {
 
 /// Both networks.
 #[derive(Debug)]
-pub struct LpipsPair {
+pub(crate) struct LpipsPair {
     vgg: Lpips,
     alex: Lpips,
 }
 
 impl LpipsPair {
     /// Reads `vgg.safetensors` and `alex.safetensors` of a folder.
-    pub fn read(folder: &Path) -> Result<Self, LpipsError> {
+    pub(super) fn read(folder: &Path) -> Result<Self, LpipsError> {
         Ok(Self {
             vgg: Lpips::read(&folder.join("vgg.safetensors"), Network::Vgg)?,
             alex: Lpips::read(&folder.join("alex.safetensors"), Network::Alex)?,
@@ -162,7 +167,7 @@ impl LpipsPair {
     }
 
     /// [`Lpips::distance`] by both; `None` where the pictures are too small for either.
-    pub fn score(&self, a: &[f32], b: &[f32], size_px: [u32; 2]) -> Option<LpipsScore> {
+    pub(super) fn score(&self, a: &[f32], b: &[f32], size_px: [u32; 2]) -> Option<LpipsScore> {
         Some(LpipsScore { vgg: self.vgg.distance(a, b, size_px)?, alex: self.alex.distance(a, b, size_px)? })
     }
 }

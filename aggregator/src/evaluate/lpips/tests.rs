@@ -132,7 +132,7 @@ fn small_networks_do_what_another_implementation_does() {
         (Network::Vgg, [0.143_381_69, 0.618_617_09, 0.029_515_40]),
         (Network::Alex, [0.226_971_97, 0.893_418_73, 0.108_672_75]),
     ] {
-        let lpips = weights::parse(&file_of(&small_tensors(network)), network).unwrap();
+        let lpips = Lpips::parse(&file_of(&small_tensors(network)), network).unwrap();
         assert_distances(&lpips, expected, 1e-5);
     }
 }
@@ -140,7 +140,7 @@ fn small_networks_do_what_another_implementation_does() {
 #[test]
 fn pictures_of_which_nothing_would_be_left_have_no_distance() {
     for network in [Network::Vgg, Network::Alex] {
-        let lpips = weights::parse(&file_of(&small_tensors(network)), network).unwrap();
+        let lpips = Lpips::parse(&file_of(&small_tensors(network)), network).unwrap();
         let min = network.size_min_px();
         let of_size = |size_px: [u32; 2]| {
             let gray = vec![0.5; (3 * size_px[0] * size_px[1]) as usize];
@@ -154,7 +154,7 @@ fn pictures_of_which_nothing_would_be_left_have_no_distance() {
 #[test]
 fn weights_that_do_not_fit_are_refused_in_a_line() {
     let good = small_tensors(Network::Alex);
-    let refused = |tensors: &Tensors| weights::parse(&file_of(tensors), Network::Alex).unwrap_err();
+    let refused = |tensors: &Tensors| Lpips::parse(&file_of(tensors), Network::Alex).unwrap_err();
     let with = |name: &str, shape: Vec<usize>, value: f32| {
         let values = vec![value; shape.iter().product()];
         let mut tensors = good.clone();
@@ -169,7 +169,7 @@ fn weights_that_do_not_fit_are_refused_in_a_line() {
     assert!(with("conv2.bias", vec![6], f32::INFINITY).contains("not finite"));
     let whole = file_of(&good);
     for length in [0, 7, 100, whole.len() - 1] {
-        let reason = weights::parse(&whole[..length], Network::Alex).unwrap_err();
+        let reason = Lpips::parse(&whole[..length], Network::Alex).unwrap_err();
         assert!(reason.contains("not a safetensors file") && !reason.contains('\n'), "{reason}");
     }
 }

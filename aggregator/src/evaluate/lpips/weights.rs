@@ -5,14 +5,21 @@ use ndarray::Array2;
 use safetensors::{Dtype, SafeTensors};
 
 use super::convolution::Convolution;
-use super::network::Step;
-use super::{Lpips, Network};
+use super::network::{Network, Step};
 
 /// Colours of the first convolution's input.
 const COLORS: usize = 3;
 
-/// The network of a file's bytes, or what is wrong with them.
-pub(super) fn parse(bytes: &[u8], network: Network) -> Result<Lpips, String> {
+/// What a file says of a network.
+#[derive(Debug)]
+pub(super) struct Weights {
+    pub(super) convolutions: Vec<Convolution>,
+    /// Weights of the squared differences of each tapped convolution's channels.
+    pub(super) heads: Vec<Vec<f32>>,
+}
+
+/// The weights of a file's bytes, or what is wrong with them.
+pub(super) fn parse(bytes: &[u8], network: Network) -> Result<Weights, String> {
     let file =
         SafeTensors::deserialize(bytes).map_err(|error| format!("not a safetensors file ({error})"))?;
     let (mut convolutions, mut heads) = (Vec::new(), Vec::new());
@@ -25,7 +32,7 @@ pub(super) fn parse(bytes: &[u8], network: Network) -> Result<Lpips, String> {
             heads.push(tensor(&file, &format!("lin{}.weight", heads.len()), &[Some(channels)])?.1);
         }
     }
-    Ok(Lpips { network, convolutions, heads })
+    Ok(Weights { convolutions, heads })
 }
 
 fn convolution(file: &SafeTensors, i: usize, step: Step, channels_in: usize) -> Result<Convolution, String> {

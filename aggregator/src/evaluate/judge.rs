@@ -1,0 +1,113 @@
+//! A model on held-out photographs, and on the true surface where there is one. Only who has the photographs
+//! at hand can do this, as a mission or a person does; the receiving service never does.
+
+use cosurf_engine::{Renderer, Rendering};
+use cosurf_scene::{Camera, Cast, Picture, SceneError, Splats, View, metrics};
+
+use super::quality::{Quality, Yardsticks};
+use super::surface::SurfaceQuality;
+
+/// Renders a model where photographs were taken.
+pub(crate) struct Judge<'a> {
+    renderer: Renderer,
+    max_size_px: u32,
+    yardsticks: &'a Yardsticks,
+}
+
+/// A photograph beside its rendering.
+pub(crate) struct Comparison {
+    /// Whose pixels these are.
+    pub(crate) camera: Camera,
+    /// The photograph.
+    pub(crate) photograph: Picture,
+    /// What the model shows there, colours clamped to 0..=1, as in a picture file.
+    pub(crate) rendering: Rendering,
+    /// The true surface as the camera sees it.
+    pub(crate) truth: Option<Cast>,
+}
+
+impl<'a> Judge<'a> {
+    /// Takes a copy of the splats. Pictures are shrunk until they are at most `max_size_px` long.
+    pub(crate) fn new(
+        splats: &Splats,
+        max_size_px: Option<u32>,
+        threads: usize,
+        yardsticks: &'a Yardsticks,
+    ) -> Self {
+        let max_size_px = max_size_px.unwrap_or(u32::MAX);
+        Self { renderer: Renderer::new(splats, threads), max_size_px, yardsticks }
+    }
+
+    /// The figures of some views, in their order.
+    pub(crate) fn qualities(&mut self, views: &[&View]) -> Result<Vec<Quality>, SceneError> {
+        views.iter().map(|view| self.quality(view)).collect()
+    }
+
+    /// Every figure of a view.
+    pub(crate) fn quality(&mut self, view: &View) -> Result<Quality, SceneError> {
+        let Comparison { camera, photograph, rendering, truth } = self.compare(view)?;
+        let (size_px, wanted) = (photograph.size_px, photograph.to_unit());
+        let lpips = self.yardsticks.lpips.as_ref();
+        Ok(Quality {
+            psnr: metrics::psnr(&rendering.rgb, &wanted),
+            ssim: metrics::ssim(&rendering.rgb, &wanted, size_px),
+            lpips: lpips.and_then(|lpips| lpips.score(&rendering.rgb, &wanted, size_px)),
+            surface: truth.and_then(|truth| SurfaceQuality::of(&rendering, &camera, &truth)),
+        })
+    }
+
+    /// Renders what the camera of a photograph sees.
+    pub(crate) fn compare(&mut self, view: &View) -> Result<Comparison, SceneError> {
+        let camera = view.camera.resized(view.camera.fitted_size(self.max_size_px));
+        let photograph = Picture::read_fitted(&view.path, camera.size_px)?;
+        let mut rendering = self.renderer.render(&camera);
+        rendering.rgb.iter_mut().for_each(|value| *value = value.clamp(0.0, 1.0));
+        let truth = self.yardsticks.truth.as_ref().map(|caster| caster.cast_areas(&camera));
+        Ok(Comparison { camera, photograph, rendering, truth })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use cosurf_scene::{Caster, Mesh, Pose};
+    use glam::{DVec2, DVec3};
+
+    fn from_above() -> Camera {
+        Camera {
+            cam_from_world: Pose::look_at(DVec3::new(0.0, 0.0, 30.0), DVec3::ZERO, DVec3::Y),
+            focal_px: DVec2::splat(30.0),
+            center_px: DVec2::splat(16.0),
+            size_px: [32, 32],
+        }
+    }
+
+    /// Three furrows to a pixel, which is 1 m wide on the ground; facets up and down by 30 % in turns.
+    fn furrowed() -> Mesh {
+        let corner = |k: u32, y: f32| [k as f32 / 3.0 - 16.0, y, if k.is_multiple_of(2) { 0.0 } else { 0.1 }];
+        Mesh {
+            positions: (0..=96).flat_map(|k| [corner(k, -16.0), corner(k, 16.0)]).collect(),
+            triangles: (0..192).map(|i| [i, i + 1, i + 2]).collect(),
+            ..Mesh::default()
+        }
+    }
+
+    #[test]
+    fn a_pixel_is_judged_by_all_that_lies_in_it() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("grey.png");
+        let size_px = [32, 32];
+        Picture { size_px, rgb: vec![128; 3 * 32 * 32] }.write_png(&path).expect("a picture");
+        let mut level = Splats::with_capacity(1, 0);
+        level.push([0.0; 3], [1.0, 0.0, 0.0, 0.0], [6.0, 6.0, -6.0], 8.0, &[0.0; 3]);
+        let yardsticks = Yardsticks { lpips: None, truth: Some(Caster::new(&furrowed())) };
+        let view = View { name: "grey".into(), camera: from_above(), path };
+        let quality = Judge::new(&level, None, 1, &yardsticks).quality(&view).expect("a picture");
+        let surface = quality.surface.expect("a surface");
+        // By the facets at the centres of the pixels: 16.7°.
+        let third_deg = f64::atan(0.1).to_degrees();
+        for errors in [surface.normal_error_deg, surface.depth_normal_error_deg] {
+            assert!((errors.expect("pixels").median - third_deg).abs() < 0.1, "{errors:?}");
+        }
+    }
+}
