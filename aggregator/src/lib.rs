@@ -8,18 +8,14 @@
 
 mod board;
 pub mod broker;
-mod chart;
-mod embed;
 pub mod evaluate;
 pub mod field;
 mod fleet;
 pub mod gate;
 pub mod gateway;
-mod map;
 pub mod merge;
 pub mod mesh;
 pub mod mission;
-mod page;
 pub mod part;
 pub mod partition;
 pub mod plan;
@@ -27,7 +23,6 @@ mod progress;
 mod relief;
 pub mod report;
 pub mod service;
-mod showcase;
 #[cfg(test)]
 mod simulation;
 mod station;

@@ -4,6 +4,8 @@
 //! channel, which one loop ([`crate::watch`]) reads. Whatever ends the mission early ends the agents too and
 //! keeps what is on the disk: the same command goes on from there.
 
+mod summary;
+
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -22,17 +24,16 @@ use crate::broker::{Broker, BrokerError};
 use crate::evaluate::{Judge, Quality, YardstickError, Yardsticks};
 use crate::field::local_address;
 use crate::fleet::{Fleet, Orders};
-use crate::page::{Drawings, page};
 use crate::plan::{Edge, Plan, PlanError, Settings, write_text};
 use crate::progress::show_pictures;
 use crate::relief::{Relief, relief};
-use crate::report::{EdgeSummary, MissionReport, summarize};
+use crate::report::{Drawings, EdgeSummary, MissionReport, Showcase, page, showcases};
 use crate::service::{BROKER_ATTEMPTS_MAX, Merging, ServiceError, global_ply, joined};
-use crate::showcase::{Showcase, showcases};
 use crate::terminal::{Display, Meter};
 use crate::town::{self, TownError};
 use crate::tree::{Tree, edge_folder, lowest_folders};
 use crate::watch::{EdgeStatus, Signal, Watch};
+use summary::summarize;
 
 /// A mission as ordered.
 #[derive(Clone, Debug)]

@@ -3,7 +3,7 @@
 use cosurf_scene::bytes::format_bytes;
 use cosurf_scene::report::TrainReport;
 
-use super::{AgentSummary, MissionReport, WholeSummary};
+use super::figures::{AgentSummary, MissionReport, WholeSummary};
 use crate::evaluate::Quality;
 use crate::terminal::format_seconds;
 

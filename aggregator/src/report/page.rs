@@ -5,13 +5,16 @@ use std::fmt::Write;
 use cosurf_scene::bytes::format_bytes;
 use image::ImageError;
 
-use crate::embed::data_uri;
+use super::embed::data_uri;
+use super::figures::{MeshSummary, MissionReport};
+use super::rows::{depth_normal_text, depth_text, lpips_text, normal_text, rows};
+use super::showcase::{Captioned, Showcase};
+use super::svg::{agent_color, escape};
+use super::texts::{merge_texts, remarks};
+use super::{chart, map};
 use crate::evaluate::Quality;
 use crate::partition::{AssignedView, Cell};
-use crate::report::{self, MeshSummary, MissionReport};
-use crate::showcase::{Captioned, Showcase};
 use crate::terminal::format_seconds;
-use crate::{chart, map};
 
 /// What the page draws beside the figures of the report.
 pub(crate) struct Drawings<'a> {
@@ -41,28 +44,6 @@ pub(crate) fn page(report: &MissionReport, drawings: &Drawings) -> Result<String
     Ok(html)
 }
 
-/// Colour of agent `i`: hues a golden angle apart, so that any number of neighbours differ, legible
-/// on white and on black.
-pub(crate) fn agent_color(agent: usize) -> String {
-    format!("hsl({:.0} 62% 48%)", (212.0 + 137.508 * agent as f64) % 360.0)
-}
-
-/// Text as HTML and SVG show it literally, also inside quoted attributes.
-pub(crate) fn escape(text: &str) -> String {
-    let mut escaped = String::with_capacity(text.len());
-    for c in text.chars() {
-        match c {
-            '&' => escaped.push_str("&amp;"),
-            '<' => escaped.push_str("&lt;"),
-            '>' => escaped.push_str("&gt;"),
-            '"' => escaped.push_str("&quot;"),
-            '\'' => escaped.push_str("&#39;"),
-            c => escaped.push(c),
-        }
-    }
-    escaped
-}
-
 fn header(html: &mut String, report: &MissionReport) {
     let whole = &report.whole;
     let _ = write!(
@@ -77,10 +58,10 @@ fn header(html: &mut String, report: &MissionReport) {
     for (value, label) in [
         (quality(|q| Some(format!("{:.2} dB", q.psnr))).or(Some("–".into())), "PSNR, held-out views"),
         (quality(|q| Some(format!("{:.3}", q.ssim))).or(Some("–".into())), "SSIM, held-out views"),
-        (quality(report::lpips_text), "LPIPS (VGG)"),
-        (quality(report::depth_text), "median error of depth"),
-        (quality(report::normal_text), "median error of normals"),
-        (quality(report::depth_normal_text), "median error of the depth's normals"),
+        (quality(lpips_text), "LPIPS (VGG)"),
+        (quality(depth_text), "median error of depth"),
+        (quality(normal_text), "median error of normals"),
+        (quality(depth_normal_text), "median error of the depth's normals"),
         (Some(group_digits(whole.splats)), "splats"),
         (whole.mesh.map(|mesh| group_digits(mesh.triangles)), "triangles of the mesh"),
         (Some(format_seconds(whole.seconds)), "start to report"),
@@ -95,7 +76,7 @@ fn header(html: &mut String, report: &MissionReport) {
 
 fn agents(html: &mut String, report: &MissionReport) {
     html.push_str("<h2>Agents</h2>\n<div class=\"scroll\"><table><thead><tr>");
-    let lines = report::rows(report);
+    let lines = rows(report);
     let (headings, rows) = lines.split_first().expect("headings");
     for heading in headings {
         let _ = write!(html, "<th>{heading}</th>");
@@ -112,10 +93,10 @@ fn agents(html: &mut String, report: &MissionReport) {
     }
     html.push_str("</tbody></table></div>\n");
     explanation(html, report.whole.quality.as_ref());
-    for text in report::merge_texts(report) {
+    for text in merge_texts(report) {
         let _ = write!(html, "<p>{}</p>", escape(&text));
     }
-    let remarks = report::remarks(report);
+    let remarks = remarks(report);
     if !remarks.is_empty() {
         html.push_str("<ul class=\"remarks\">");
         for remark in remarks {
@@ -181,9 +162,9 @@ fn pictures(html: &mut String, showcases: &[Showcase]) -> Result<(), ImageError>
 
 /// A view's figures in a line.
 fn figures(quality: &Quality) -> String {
-    let lpips = report::lpips_text(quality).map(|text| format!("LPIPS {text}"));
-    let depth = report::depth_text(quality).map(|text| format!("depth off by {text}"));
-    let normal = report::normal_text(quality).map(|text| format!("normals by {text}"));
+    let lpips = lpips_text(quality).map(|text| format!("LPIPS {text}"));
+    let depth = depth_text(quality).map(|text| format!("depth off by {text}"));
+    let normal = normal_text(quality).map(|text| format!("normals by {text}"));
     let mut line = format!("{:.2} dB, SSIM {:.3}", quality.psnr, quality.ssim);
     for figure in [lpips, depth, normal].into_iter().flatten() {
         let _ = write!(line, ", {figure}");
@@ -252,7 +233,7 @@ mod tests {
 
     fn example_page() -> String {
         let cells = [Cell::new(vec![0], Outline::rectangle([DVec2::ZERO, DVec2::ONE]))];
-        let report = report::tests::example();
+        let report = super::super::texts::tests::example();
         let picture = |caption: &str| Captioned {
             caption: caption.into(),
             picture: Picture::new([2, 2], vec![99; 12]),

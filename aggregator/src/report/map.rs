@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use glam::DVec2;
 
-use crate::page::{agent_color, escape};
+use super::svg::{agent_color, escape};
 use crate::partition::{AssignedView, Cell};
 
 /// Width of the drawing in its own units; the page scales it.

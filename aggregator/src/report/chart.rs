@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use crate::page::agent_color;
+use super::svg::agent_color;
 
 const WIDTH: f32 = 1000.0;
 const HEIGHT: f32 = 360.0;

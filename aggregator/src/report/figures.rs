@@ -1,0 +1,104 @@
+//! The figures of a mission, as they stand in `report.json`.
+
+use std::path::PathBuf;
+
+use cosurf_scene::report::TrainReport;
+use serde::{Deserialize, Serialize};
+
+use crate::evaluate::Quality;
+use crate::service::Merging;
+
+/// A mission's figures, also `report.json`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MissionReport {
+    /// The dataset's folder.
+    pub data: PathBuf,
+    /// Seed of every random choice.
+    pub seed: u64,
+    /// In order of device id.
+    pub agents: Vec<AgentSummary>,
+    /// The aggregators between the agents and the one above all, in order of device id.
+    pub edges: Vec<EdgeSummary>,
+    /// The mission as one.
+    pub whole: WholeSummary,
+}
+
+/// One agent's figures.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct AgentSummary {
+    /// Device id.
+    pub device: String,
+    /// Views given to train on.
+    pub views: usize,
+    /// Views held out, those whose middle lies in the agent's cell.
+    pub held_out: usize,
+    /// The figures of its training; absent where it did not get so far.
+    pub training: Option<TrainReport>,
+    /// Bytes sent to the aggregator, resends included.
+    pub bytes_sent: u64,
+    /// How often its process died and was started again.
+    pub restarts: u32,
+    /// The global model on this agent's held-out views; absent where there are none.
+    pub in_global: Option<Quality>,
+    /// Why it did not do its work; absent where it did.
+    pub failure: Option<String>,
+    /// `[step, dB]` of the training pictures seen lately.
+    pub curve: Vec<[f32; 2]>,
+}
+
+/// One edge's figures.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct EdgeSummary {
+    /// What it is called above.
+    pub device: String,
+    /// Its agents.
+    pub agents: Vec<String>,
+    /// Bytes sent up, resends included.
+    pub bytes_sent: u64,
+    /// How it merged their models; absent where none arrived.
+    pub merging: Option<Merging>,
+}
+
+/// The mission's figures as one.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct WholeSummary {
+    /// Views trained on, by all agents together.
+    pub views: usize,
+    /// Views held out.
+    pub held_out: usize,
+    /// Splats of the global model.
+    pub splats: usize,
+    /// Revision of the global model.
+    pub revision: u64,
+    /// Steps of all agents together.
+    pub steps: u64,
+    /// From the mission's start to its end, seconds.
+    pub seconds: f64,
+    /// Steps of all agents together per second of the longest training.
+    pub steps_per_s: f64,
+    /// Peak resident memory of the largest agent.
+    pub peak_memory_bytes: u64,
+    /// Peak resident memory of the aggregator; absent where the system does not tell.
+    pub aggregator_peak_memory_bytes: Option<u64>,
+    /// Bytes that all agents sent, resends included.
+    pub bytes_sent: u64,
+    /// The global model on all held-out views; absent where none is held out.
+    pub quality: Option<Quality>,
+    /// The agents' models joined as they are, on the same views.
+    pub joined: Option<Quality>,
+    /// How they were merged instead.
+    pub merging: Option<Merging>,
+    /// The mesh of the global model; absent where it has none.
+    pub mesh: Option<MeshSummary>,
+    /// Why it has none.
+    pub mesh_failure: Option<String>,
+}
+
+/// A mesh's figures.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MeshSummary {
+    /// Its triangles.
+    pub triangles: usize,
+    /// Edge of a voxel, world units.
+    pub voxel_m: f64,
+}

@@ -1,0 +1,227 @@
+//! What is said of a mission's figures: the table for a terminal, sentences on merges, remarks.
+
+use cosurf_scene::bytes::format_bytes;
+
+use super::figures::{EdgeSummary, MissionReport};
+use super::rows::rows;
+use crate::service::Merging;
+use crate::terminal::{aligned, format_seconds};
+
+/// The table for a terminal.
+pub fn table(report: &MissionReport) -> String {
+    let sentences: String = merge_texts(report).iter().map(|text| format!("\n{text}\n")).collect();
+    aligned(&rows(report)) + &sentences
+}
+
+/// A sentence or two on every merge that is known: those of the edges, then the last.
+pub(crate) fn merge_texts(report: &MissionReport) -> Vec<String> {
+    let whole = &report.whole;
+    let merge = |edge: &EdgeSummary| {
+        let (merging, sent) = (edge.merging.as_ref()?, format_bytes(edge.bytes_sent));
+        Some(format!(
+            "{} of {}: {} {sent} sent up.",
+            edge.device,
+            edge.agents.join(", "),
+            merge_text(merging)
+        ))
+    };
+    let mut texts: Vec<String> = report.edges.iter().filter_map(merge).collect();
+    let Some(merging) = &whole.merging else { return texts };
+    let mut last = merge_text(merging);
+    if let Some(joined) = whole.joined {
+        last += &format!(" Joined as they are, the agents' models are worth {:.2} dB.", joined.psnr);
+    }
+    let arrived: usize = merging.summary.locals.iter().map(|local| local.arrived).sum();
+    let trained =
+        report.agents.iter().filter_map(|agent| Some(agent.training.as_ref()?.splats)).sum::<usize>();
+    let are_all_here = report.edges.is_empty() && merging.summary.locals.len() == report.agents.len();
+    if are_all_here && trained > arrived {
+        last += &format!(" The agents had left {} splats to each other before they sent.", trained - arrived);
+    }
+    texts.push(last);
+    texts
+}
+
+fn merge_text(Merging { summary, seconds, .. }: &Merging) -> String {
+    let removed: usize = summary.locals.iter().map(|local| local.removed).sum();
+    let (time, joined) = (format_seconds(*seconds), summary.joined);
+    format!(
+        "Merged in {time}: {removed} splats left to others, {joined} joined, {} after {} steps.",
+        summary.splats, summary.steps
+    )
+}
+
+/// Everything that was given up for memory or did not work, one sentence each with its agent.
+pub(crate) fn remarks(report: &MissionReport) -> Vec<String> {
+    let mut remarks = Vec::new();
+    for agent in &report.agents {
+        let device = &agent.device;
+        if let Some(failure) = &agent.failure {
+            remarks.push(format!("{device} failed: {failure}"));
+        }
+        match agent.restarts {
+            0 => {}
+            1 => remarks.push(format!("{device} died once and went on from its checkpoint")),
+            times => remarks.push(format!("{device} died {times} times and went on from its checkpoint")),
+        }
+        let given_up = agent.training.iter().flat_map(|training| &training.given_up);
+        remarks.extend(given_up.map(|sentence| format!("{device}: {sentence}")));
+    }
+    let merges = report.edges.iter().map(|edge| &edge.merging).chain([&report.whole.merging]);
+    for merging in merges.flatten() {
+        remarks.extend(merging.inputs.iter().filter_map(|input| {
+            let (device, splats) = (&input.device, input.part_splats?);
+            Some(format!("of the model of {device} only {splats} splats had arrived when models were merged"))
+        }));
+        remarks.extend(merging.kept_out.iter().map(|kept_out| format!("{kept_out} and is kept out")));
+        remarks.extend(merging.fitted.iter().map(ToString::to_string));
+    }
+    remarks.extend(report.whole.mesh_failure.iter().map(|failure| format!("no mesh: {failure}")));
+    remarks
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    #![allow(clippy::unwrap_used)]
+    use cosurf_scene::report::TrainReport;
+
+    use super::super::figures::{AgentSummary, MeshSummary, WholeSummary};
+    use super::*;
+    use crate::evaluate::{LpipsScore, Quality, Spread, SurfaceQuality};
+    use crate::merge::{MergeSettings, MergeSummary};
+
+    fn quality(psnr: f64) -> Quality {
+        let (depth, normal) = (Spread { median: 0.42, mean: 1.1 }, Spread { median: 12.3, mean: 20.0 });
+        let surface = SurfaceQuality {
+            coverage: 0.99,
+            depth_error_percent: Some(depth),
+            normal_error_deg: Some(normal),
+            depth_normal_error_deg: Some(normal),
+        };
+        Quality {
+            psnr,
+            ssim: 0.7,
+            lpips: Some(LpipsScore { vgg: 0.25, alex: 0.125 }),
+            surface: Some(surface),
+        }
+    }
+
+    /// A mission of two agents, one of which failed.
+    pub(crate) fn example() -> MissionReport {
+        let training = TrainReport {
+            steps: 600,
+            seconds: 61.0,
+            cpu_seconds: 60.0,
+            steps_per_s: 9.8,
+            splats: 12_345,
+            peak_memory_bytes: 200 << 20,
+            psnr: Some(24.5),
+            ssim: Some(0.8),
+            seed: 1,
+            device: "cpu".into(),
+            views: 10,
+            held_out: 2,
+            size_px: [320, 240],
+            given_up: vec!["pictures were shrunk to 160 px".into()],
+        };
+        let good = AgentSummary {
+            device: "agent-1".into(),
+            views: 10,
+            held_out: 2,
+            training: Some(training),
+            bytes_sent: 3 << 20,
+            restarts: 1,
+            in_global: Some(quality(23.0)),
+            failure: None,
+            curve: vec![[100.0, 15.0], [600.0, 25.0]],
+        };
+        let failed = AgentSummary {
+            device: "agent-2".into(),
+            training: None,
+            bytes_sent: 0,
+            restarts: 0,
+            in_global: None,
+            failure: Some("no images in <x> & \"y\"".into()),
+            curve: Vec::new(),
+            ..good.clone()
+        };
+        MissionReport {
+            data: "city".into(),
+            seed: 1,
+            agents: vec![good, failed],
+            edges: Vec::new(),
+            whole: WholeSummary {
+                views: 20,
+                held_out: 4,
+                splats: 12_345,
+                revision: 1,
+                steps: 600,
+                seconds: 75.0,
+                steps_per_s: 9.8,
+                peak_memory_bytes: 200 << 20,
+                aggregator_peak_memory_bytes: None,
+                bytes_sent: 3 << 20,
+                quality: Some(quality(22.0)),
+                joined: None,
+                merging: None,
+                mesh: Some(MeshSummary { triangles: 4321, voxel_m: 0.25 }),
+                mesh_failure: None,
+            },
+        }
+    }
+
+    #[test]
+    fn the_table_is_aligned_and_dashes_what_is_not_known() {
+        let table = table(&example());
+        let lines: Vec<&str> = table.lines().collect();
+        assert_eq!(lines.len(), 4, "{table}");
+        let end_of = |line: &str, cell: &str| line.split(cell).next().unwrap().chars().count() + cell.len();
+        assert_eq!(end_of(lines[0], "PSNR"), end_of(lines[1], "24.50 dB"), "{table}");
+        assert_eq!(end_of(lines[0], "PSNR"), end_of(lines[3], "22.00 dB"), "{table}");
+        assert!(lines[2].starts_with("agent-2") && lines[2].matches('–').count() == 12, "{table}");
+        assert!(lines[0].ends_with("LPIPS   depth  normal  normal of depth"), "{table}");
+        assert!(lines[3].ends_with("0.250  0.42 %   12.3°            12.3°"), "{table}");
+    }
+
+    #[test]
+    fn what_was_not_measured_has_no_column() {
+        let mut report = example();
+        report.whole.quality =
+            report.whole.quality.map(|quality| Quality { lpips: None, surface: None, ..quality });
+        let table = super::table(&report);
+        assert!(table.lines().next().unwrap().ends_with("in global"), "{table}");
+        assert!(table.trim_end().ends_with("22.00 dB"), "{table}");
+    }
+
+    #[test]
+    fn remarks_tell_of_failures_restarts_and_what_was_given_up() {
+        let remarks = remarks(&example());
+        assert_eq!(remarks.len(), 3, "{remarks:?}");
+        assert!(remarks[0].contains("died once") && remarks[1].contains("shrunk"), "{remarks:?}");
+        assert!(remarks[2].starts_with("agent-2 failed"), "{remarks:?}");
+    }
+
+    #[test]
+    fn every_merge_has_its_sentence() {
+        let mut report = example();
+        let summary = MergeSummary { joined: 7, splats: 6, steps: 5, ..MergeSummary::default() };
+        let (settings, inputs, kept_out) = (MergeSettings::default(), Vec::new(), Vec::new());
+        let fitted = Vec::new();
+        let merging = Merging { revision: 1, inputs, kept_out, fitted, settings, summary, seconds: 12.0 };
+        report.whole.merging = Some(merging.clone());
+        let agents = vec!["agent-1".into(), "agent-2".into()];
+        let edge = EdgeSummary { device: "edge-1".into(), agents, bytes_sent: 3 << 20, merging: None };
+        report.edges = vec![edge.clone(), EdgeSummary { merging: Some(merging), ..edge }];
+        let texts = merge_texts(&report);
+        assert_eq!(texts.len(), 2, "an edge without models has merged none: {texts:?}");
+        assert!(texts[0].starts_with("edge-1 of agent-1, agent-2: Merged in"), "{texts:?}");
+        assert!(texts[1].ends_with("7 joined, 6 after 5 steps."), "{texts:?}");
+    }
+
+    #[test]
+    fn the_report_survives_json() {
+        let report = example();
+        let json = serde_json::to_string(&report).unwrap();
+        assert_eq!(serde_json::from_str::<MissionReport>(&json).unwrap(), report);
+    }
+}
