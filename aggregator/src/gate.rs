@@ -28,7 +28,8 @@ use cosurf_link::Model;
 use cosurf_scene::{Camera, Watchers};
 use glam::DVec3;
 
-use crate::merge::{Locals, MergeError, middle, radius};
+use crate::merge::cameras::{middle, radius};
+use crate::merge::{Locals, MergeError};
 use glimpse::Glimpse;
 use refine::{refine, settle};
 pub use similarity::Similarity;

@@ -16,7 +16,6 @@ pub mod gateway;
 pub mod merge;
 pub mod mesh;
 pub mod mission;
-pub mod part;
 pub mod partition;
 pub mod plan;
 mod progress;

@@ -5,107 +5,39 @@
 //! The result is a function of the models in their order, of the settings and of the device: the same bytes whoever
 //! merges, with any number of threads, interrupted or not.
 //!
-//! Reading order: [`merge`], which reads as the list of steps; [`cosurf_engine::compress`]; [`distill`], its [`lessons`] and
-//! [`teachers`].
+//! It refuses to know where models come from ([`Locals`]) and which of them are to be trusted ([`crate::gate`]).
+//!
+//! Where to start reading: [`merge`], which reads as the list of steps; [`cosurf_engine::compress`]; [`distill`], its
+//! [`lessons`] and [`teachers`]; [`memory`] for what fits; [`fill_in`] for models that have not arrived as a whole.
 
+pub(crate) mod cameras;
 mod computer;
 mod concat;
 mod distill;
+mod error;
+mod fill_in;
 mod lessons;
+mod locals;
+mod memory;
+mod settings;
 mod teachers;
 #[cfg(test)]
 pub(crate) mod tests;
 
 use std::ops::ControlFlow;
 
-use cosurf_engine::{Compression, DeviceChoice, DeviceError, Fleet};
-use cosurf_link::{BodyFault, Model, StoreError};
-use cosurf_scene::{Camera, SceneError};
-use glam::DVec3;
+use cosurf_engine::{Compression, Fleet};
+use cosurf_link::Model;
 use serde::{Deserialize, Serialize};
 
 use computer::Computer;
 pub(crate) use concat::concatenate;
-
-/// How models are merged.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct MergeSettings {
-    /// Times that every camera is learnt from (CoSurfGS: 5); 0 leaves the models as they were joined.
-    pub epochs: u32,
-    /// Whether what several models show is left to one of them first.
-    pub compress: bool,
-    /// Whether models that lie in another frame than the others are moved to where they fit, rather than kept out; see
-    /// [`crate::gate`].
-    pub refine: bool,
-    /// Bytes that the models and their training may take together. Where they do not suffice for all at once,
-    /// teachers wait on the disk and the cells are distilled one after the other; that changes the result.
-    pub memory_bytes: u64,
-    /// Seed of every random choice.
-    pub seed: u64,
-    /// What computes; the same bytes are those of one device.
-    #[serde(default)]
-    pub device: DeviceChoice,
-}
-
-impl Default for MergeSettings {
-    fn default() -> Self {
-        Self {
-            epochs: 5,
-            compress: true,
-            refine: false,
-            memory_bytes: 4 << 30,
-            seed: 0,
-            device: DeviceChoice::Auto,
-        }
-    }
-}
-
-/// Local models in a fixed order, read when they are needed.
-pub trait Locals {
-    /// How many there are.
-    fn count(&self) -> usize;
-
-    /// Reads one.
-    fn load(&self, index: usize) -> Result<Model, MergeError>;
-
-    /// Whether one has left ground to others before it was sent: there it shows nothing, and it teaches nothing.
-    fn is_compressed(&self, index: usize) -> bool {
-        let _ = index;
-        false
-    }
-}
-
-/// Why models are not merged.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum MergeError {
-    /// A model could not be read from its store.
-    #[error(transparent)]
-    Store(#[from] StoreError),
-    /// A model could not be read from its folder.
-    #[error(transparent)]
-    Scene(#[from] SceneError),
-    /// A model is not what it should be.
-    #[error(transparent)]
-    Body(#[from] BodyFault),
-    /// What was to compute cannot, or could not to the end.
-    #[error(transparent)]
-    Device(#[from] DeviceError),
-    /// The owner said stop.
-    #[error("the merge was given up")]
-    GivenUp,
-}
-
-/// How far a merge has come.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct MergeProgress {
-    /// Steps of distillation done.
-    pub step: u32,
-    /// Steps in all.
-    pub steps: u32,
-    /// Agreement with the teacher at the last step, dB.
-    pub psnr: f64,
-}
+pub use distill::MergeProgress;
+pub use error::MergeError;
+pub use fill_in::fill_in;
+pub use locals::Locals;
+use locals::{Surveyed, survey};
+pub use settings::MergeSettings;
 
 /// A merged model and what became of the local ones.
 #[derive(Clone, Debug, PartialEq)]
@@ -190,36 +122,4 @@ fn merge_by(
     }
     summary.splats = model.splats.len();
     Ok(Merged { model, summary })
-}
-
-/// Local models, and what is known of them before the first is merged.
-pub(crate) struct Surveyed<'a> {
-    locals: &'a dyn Locals,
-    /// Those of each.
-    cameras: Vec<Vec<Camera>>,
-    /// Splats of each.
-    sizes: Vec<usize>,
-    /// The highest.
-    sh_degree: u32,
-}
-
-fn survey(locals: &dyn Locals) -> Result<Surveyed<'_>, MergeError> {
-    let mut surveyed = Surveyed { locals, cameras: Vec::new(), sizes: Vec::new(), sh_degree: 0 };
-    for i in 0..locals.count() {
-        let Model { splats, cameras } = locals.load(i)?;
-        surveyed.sizes.push(splats.len());
-        surveyed.sh_degree = surveyed.sh_degree.max(splats.sh_degree);
-        surveyed.cameras.push(cameras);
-    }
-    Ok(surveyed)
-}
-
-/// Mean of the places of some cameras; the origin for none.
-pub(crate) fn middle(cameras: &[Camera]) -> DVec3 {
-    cameras.iter().map(|camera| camera.cam_from_world.center()).sum::<DVec3>() / cameras.len().max(1) as f64
-}
-
-/// From there to the farthest of them, world units.
-pub(crate) fn radius(cameras: &[Camera], middle: DVec3) -> f64 {
-    cameras.iter().map(|camera| camera.cam_from_world.center().distance(middle)).fold(0.0, f64::max)
 }

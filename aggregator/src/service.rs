@@ -6,7 +6,7 @@
 //! | in the folder | |
 //! |---|---|
 //! | `models/` | every local model as it arrived |
-//! | `parts/` | what had arrived of other models when models were merged: [`crate::part`] |
+//! | `parts/` | what had arrived of other models when models were merged: [`crate::merge::fill_in`] |
 //! | `global/` | every revision of the global model, as sent to the agents |
 //! | `global.ply` | the newest revision, for viewers |
 //! | `merged.json` | what the newest revision was merged from, and how |
@@ -16,7 +16,7 @@
 //! The newest model of each device counts, unless it contradicts the others ([`crate::gate`]); they are merged in
 //! order of device id, so the same models give the same bytes in whatever order they arrive. Merging runs on a thread
 //! of its own while the service goes on listening; what arrives meanwhile makes it begin anew. Of a device that has sent
-//! none as a whole what has arrived so far is used ([`crate::part`]).
+//! none as a whole what has arrived so far is used ([`crate::merge::fill_in`]).
 //!
 //! Reading order: [`Service`], [`round`] for when models are merged, [`keeper`] for what is kept and done.
 

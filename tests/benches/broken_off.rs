@@ -8,8 +8,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use clap::Parser;
-use cosurf_aggregator::merge::{Locals, MergeError, MergeSettings, merge};
-use cosurf_aggregator::part::fill_in;
+use cosurf_aggregator::merge::{Locals, MergeError, MergeSettings, fill_in, merge};
 use cosurf_engine::{Renderer, base_of};
 use cosurf_link::{First, Model, body_to_model, model_to_body, part_to_model};
 use cosurf_scene::metrics::psnr;

@@ -4,8 +4,9 @@ use cosurf_engine::budget::DRIVER_BYTES;
 use cosurf_engine::{Device, DeviceChoice, DeviceError};
 use cosurf_scene::Camera;
 
-use super::distill::student_room;
-use super::{MergeError, MergeSettings};
+use super::error::MergeError;
+use super::memory::student_room;
+use super::settings::MergeSettings;
 
 /// A device, and the threads (at least 1) of the processor.
 #[derive(Clone, Debug)]

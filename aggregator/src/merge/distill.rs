@@ -7,32 +7,42 @@
 use std::ops::{ControlFlow, Range};
 
 use cosurf_engine::backend::{Channels, TargetSurface};
-use cosurf_engine::budget::{Costs, DRIVER_BYTES};
-use cosurf_engine::cpu::PAIRS_PER_SPLAT;
 use cosurf_engine::distill;
 use cosurf_engine::train::view_order;
 use cosurf_engine::{
-    AnyBackend, Backend, CpuCapacity, Device, DistillSettings, Distiller, Lesson, Rendering, StudentRates,
+    AnyBackend, Backend, CpuCapacity, DistillSettings, Distiller, Lesson, Rendering, StudentRates,
 };
 use cosurf_scene::{Camera, Splats, Watchers};
 use glam::DVec3;
+use serde::Serialize;
 
 use super::computer::Computer;
+use super::error::MergeError;
 use super::lessons::{distinct, lessons};
-use super::teachers::{Taught, Teachers, ViewKey, renderer_bytes};
-use super::{MergeError, MergeProgress, MergeSettings, Surveyed};
+use super::locals::Surveyed;
+use super::memory::{renderer_bytes, student_room, teachers_bytes};
+use super::settings::MergeSettings;
+use super::teachers::{Taught, Teachers, ViewKey};
 
-/// Share of the memory that is for the model that learns; the teachers have the rest.
-const STUDENT_SHARE: f64 = 0.6;
+/// How far a merge has come.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct MergeProgress {
+    /// Steps of distillation done.
+    pub step: u32,
+    /// Steps in all.
+    pub steps: u32,
+    /// Agreement with the teacher at the last step, dB.
+    pub psnr: f64,
+}
 
 /// What came of it.
-pub(crate) struct Distilled {
-    pub(crate) splats: Splats,
-    pub(crate) steps: u32,
+pub(super) struct Distilled {
+    pub(super) splats: Splats,
+    pub(super) steps: u32,
 }
 
 /// Teaches `joined`, in which local `i` has the next `sizes[i]` splats.
-pub(crate) fn distill(
+pub(super) fn distill(
     surveyed: &Surveyed,
     sizes: &[usize],
     mut joined: Splats,
@@ -49,10 +59,9 @@ pub(crate) fn distill(
     if steps == 0 {
         return Ok(Distilled { splats: joined, steps });
     }
-    let teachers_bytes = ((1.0 - STUDENT_SHARE) * bytes_beside_driver(device, settings)) as u64;
     let largest = surveyed.sizes.iter().copied().max().unwrap_or(0);
     let teacher_bytes = renderer_bytes(device, largest, joined.sh_degree, cameras);
-    let mut teachers = Teachers::new(surveyed, computer, teacher_bytes, teachers_bytes);
+    let mut teachers = Teachers::new(surveyed, computer, teacher_bytes, teachers_bytes(device, settings));
     let depth = median_depth(&mut teachers, cameras)?;
     let all: Vec<Camera> = cameras.iter().flatten().copied().collect();
     let extent = distill::extent(&all);
@@ -107,27 +116,6 @@ fn learn(distiller: &mut Distiller<AnyBackend>, taught: &Taught) -> f64 {
     let Rendering { rgb, depth, normal, .. } = &**shown;
     let lesson = Lesson { camera, rgb, surface: TargetSurface { depth, normal, trust } };
     distiller.step(&lesson).0.color.psnr()
-}
-
-/// Bytes for all buffers.
-fn bytes_beside_driver(device: &Device, settings: &MergeSettings) -> f64 {
-    let driver = if device.is_gpu() { DRIVER_BYTES } else { 0 };
-    settings.memory_bytes.saturating_sub(driver) as f64
-}
-
-/// Splats that may learn at once: those that fit into the memory, and on a graphics card into what it binds.
-pub(super) fn student_room(
-    device: &Device,
-    settings: &MergeSettings,
-    sh_degree: u32,
-    cameras: &[Vec<Camera>],
-) -> usize {
-    let all: Vec<Camera> = cameras.iter().flatten().copied().collect();
-    let shape = CpuCapacity::to_train(&Splats::with_capacity(0, sh_degree), &all, Channels::Geometry);
-    let costs = Costs::of(&shape, device.binding_bytes_max());
-    let each = costs.splat + PAIRS_PER_SPLAT * costs.pair;
-    let bytes = STUDENT_SHARE * bytes_beside_driver(device, settings) - costs.pictures as f64;
-    ((bytes.max(0.0) / each as f64) as usize).min(costs.splats_max(PAIRS_PER_SPLAT))
 }
 
 /// Locals that learn together: as many in a row as fit, at least one. A part may take two thirds of the room, so

@@ -13,7 +13,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use cosurf_scene::Camera;
 use glam::DVec3;
 
-use super::middle;
+use super::cameras::middle;
 
 /// Indices of the cameras that each local model teaches, if `teaches` says that it does, ascending: all but those that
 /// another teacher has as well and is nearer to; the first of equals.

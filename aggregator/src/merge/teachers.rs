@@ -5,16 +5,15 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::rc::Rc;
 
-use cosurf_engine::backend::Channels;
-use cosurf_engine::budget::Costs;
 use cosurf_engine::distill::TRUSTED_ALPHA_MIN;
-use cosurf_engine::{CpuCapacity, Device, Neighbours, Renderer, Rendering};
+use cosurf_engine::{Neighbours, Renderer, Rendering};
 use cosurf_link::Model;
 use cosurf_scene::{Camera, SparsePoint, Splats};
 use glam::{DVec2, DVec3};
 
 use super::computer::Computer;
-use super::{Locals, MergeError, Surveyed};
+use super::error::MergeError;
+use super::locals::{Locals, Surveyed};
 
 /// A surface that does not come back from another camera of the teacher to within this is not believed.
 const RETURN_PX: f64 = 1.0;
@@ -170,23 +169,6 @@ impl Bits {
     fn weights(&self) -> impl Iterator<Item = f32> {
         self.0.iter().flat_map(|word| (0..64).map(move |bit| (word >> bit & 1) as f32))
     }
-}
-
-/// Bytes of a teacher of so many splats.
-pub(super) fn renderer_bytes(device: &Device, splats: usize, sh_degree: u32, cameras: &[Vec<Camera>]) -> u64 {
-    /// Pairs that a renderer makes room for, and the copy of the model that it is made from.
-    const PAIRS_PER_SPLAT: usize = 4;
-    let pixels = cameras.iter().flatten().map(|c| c.size_px[0] as usize * c.size_px[1] as usize).max();
-    let shape = CpuCapacity {
-        splats: 0,
-        pairs: 0,
-        size_px: [1, 1],
-        sh_degree,
-        channels: Channels::Geometry,
-        training: false,
-    };
-    let costs = Costs::of(&shape, device.binding_bytes_max());
-    (splats * (costs.splat + PAIRS_PER_SPLAT * costs.pair) + 64 * pixels.unwrap_or(0)) as u64
 }
 
 /// Some splats as points of which nobody says who sees them.

@@ -3,11 +3,11 @@
 
 mod device;
 
-use cosurf_engine::{Device, Renderer};
+use cosurf_engine::{Device, DeviceChoice, Renderer};
 use cosurf_scene::metrics::psnr;
 use cosurf_scene::splats::SH_C0;
-use cosurf_scene::{Pose, Splats};
-use glam::DVec2;
+use cosurf_scene::{Camera, Pose, Splats};
+use glam::{DVec2, DVec3};
 
 use super::*;
 

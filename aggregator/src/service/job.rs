@@ -12,8 +12,7 @@ use cosurf_wire::{ModelHeader, ModelKind};
 
 use super::record::{Fitted, KeptOut};
 use crate::gate::admit;
-use crate::merge::{Locals, MergeError, MergeProgress, MergeSettings, Merged, merge};
-use crate::part::fill_in;
+use crate::merge::{Locals, MergeError, MergeProgress, MergeSettings, Merged, fill_in, merge};
 
 /// Steps between two reports.
 const TELL_EVERY: u32 = 50;

@@ -1,4 +1,4 @@
-//! What had arrived of unfinished models when models were merged ([`crate::part`]).
+//! What had arrived of unfinished models when models were merged ([`crate::merge::fill_in`]).
 
 use std::collections::BTreeMap;
 use std::path::Path;

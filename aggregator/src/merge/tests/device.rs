@@ -1,6 +1,6 @@
 //! Merging on a graphics card, a software driver being enough, against the processor.
 
-use cosurf_engine::Device;
+use cosurf_engine::DeviceError;
 
 use super::*;
 

@@ -9,7 +9,7 @@ use cosurf_link::Model;
 use cosurf_scene::{Frustum, Splats};
 use glam::DVec3;
 
-use crate::merge::concatenate;
+use super::concat::concatenate;
 
 /// Cameras that must see ground for it to be left to what is there: what a single one sees it may not show.
 const OWNER_CAMERAS_MIN: usize = 2;

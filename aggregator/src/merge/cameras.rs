@@ -1,0 +1,14 @@
+//! Where the cameras of a model stand.
+
+use cosurf_scene::Camera;
+use glam::DVec3;
+
+/// Mean of the places of some cameras; the origin for none.
+pub(crate) fn middle(cameras: &[Camera]) -> DVec3 {
+    cameras.iter().map(|camera| camera.cam_from_world.center()).sum::<DVec3>() / cameras.len().max(1) as f64
+}
+
+/// From there to the farthest of them, world units.
+pub(crate) fn radius(cameras: &[Camera], middle: DVec3) -> f64 {
+    cameras.iter().map(|camera| camera.cam_from_world.center().distance(middle)).fold(0.0, f64::max)
+}
