@@ -5,7 +5,10 @@ use cosurf_engine::budget::PROCESS_BYTES;
 use cosurf_engine::{CpuBackend, CpuCapacity};
 use cosurf_scene::{Camera, Splats};
 
-use super::{FuseEvent, FuseSettings, Fused, MeshError, fuse, plan};
+use super::error::MeshError;
+use super::event::FuseEvent;
+use super::fuse::{FuseSettings, Fused, fuse};
+use super::plan;
 
 /// Splat–tile pairs that there is room for, per splat, and at least; a view that has more loses its
 /// farthest splats, hence its farthest surface, which other views see better.

@@ -2,9 +2,12 @@
 
 use cosurf_scene::Camera;
 
+use super::extract::LAYOUT_BYTES;
 use super::frame::Texel;
-use super::volume::BLOCK_BYTES;
+use super::volume::STORED_BLOCK_BYTES;
 
+/// Bytes that a block takes: in the volume, and while triangles are made of it.
+pub(super) const BLOCK_BYTES: u64 = STORED_BLOCK_BYTES + LAYOUT_BYTES as u64;
 /// Bytes kept for the mesh, per block: one in which the surface lies has about 80 vertices of 75 bytes
 /// with their triangles, and every second or third is such a one. Where a wild surface has more, the
 /// fusion is done again with larger voxels.
@@ -42,7 +45,7 @@ pub(super) fn frame_bytes(cameras: &[Camera]) -> u64 {
     cameras.iter().map(pixels).max().unwrap_or(0) * (size_of::<Texel>() as u64 + SEARCH_BYTES_PER_PIXEL)
 }
 
-/// The least with which [`super::fuse`] keeps its promise.
+/// The least with which [`super::fuse()`] keeps its promise.
 pub(super) fn least_bytes(cameras: &[Camera]) -> u64 {
     let per_block = BLOCK_BYTES + MESH_BYTES_PER_BLOCK + SEARCH_BYTES_PER_BLOCK;
     frame_bytes(cameras) + BLOCKS_LEAST * per_block

@@ -7,9 +7,9 @@ use cosurf_engine::Rendering;
 use cosurf_scene::Camera;
 use rayon::prelude::*;
 
+use super::event::{FuseEvent, Stage};
 use super::frame::Frame;
 use super::volume::{Key, blocks_around};
-use super::{FuseEvent, Stage};
 
 /// Long side of the pictures for the very first look, pixels.
 const LOOK_PX: u32 = 160;

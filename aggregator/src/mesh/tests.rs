@@ -5,9 +5,12 @@
 
 use std::collections::HashMap;
 
-use cosurf_scene::{Pose, Splats};
+use cosurf_engine::Rendering;
+use cosurf_scene::{Camera, Mesh, Pose, Splats};
 use glam::{DVec2, DVec3, Vec3};
 
+use super::extract::Layout;
+use super::volume::Volume;
 use super::*;
 
 const SPHERE_RADIUS: f64 = 2.0;
@@ -216,7 +219,7 @@ fn a_volume_takes_what_it_says() {
     let keys: Vec<_> = (0..100).filter_map(|x| volume::Key::new(glam::IVec3::new(x, 2, 3))).collect();
     let volume = Volume::new(keys, 0.1);
     let layout = Layout::new(&volume);
-    assert_eq!(volume.bytes() + layout.bytes(), 100 * volume::BLOCK_BYTES);
+    assert_eq!(volume.bytes() + layout.bytes(), 100 * plan::BLOCK_BYTES);
 }
 
 #[test]

@@ -17,9 +17,8 @@ pub(super) const TRUNCATION: f64 = 4.0;
 /// would else fill. Fading from the surface on would be better still for views that agree, but where
 /// they do not, it lets the farthest win: on models trained on colour alone it cost 0.05 of F-score.
 const FADING: f32 = 0.5;
-/// Bytes that a block takes: its voxels, its key, and what [`super::extract::Layout`] notes about it.
-pub(super) const BLOCK_BYTES: u64 =
-    (VOXELS * size_of::<Voxel>() + size_of::<Key>() + super::extract::LAYOUT_BYTES) as u64;
+/// Bytes that a block takes in the volume: its voxels and its key.
+pub(super) const STORED_BLOCK_BYTES: u64 = (VOXELS * size_of::<Voxel>() + size_of::<Key>()) as u64;
 /// Keys hold this many bits of each coordinate.
 const KEY_BITS: u32 = 21;
 /// Blocks lie at -COORDINATE_END..COORDINATE_END along each axis.

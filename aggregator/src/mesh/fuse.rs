@@ -1,0 +1,115 @@
+//! The fusion as its list of stages, repeated with larger voxels until it fits into the memory.
+
+use cosurf_engine::Rendering;
+use cosurf_scene::{Camera, Mesh};
+
+use super::clean;
+use super::error::MeshError;
+use super::event::{FuseEvent, Stage};
+use super::extract::{self, Layout};
+use super::frame::Frame;
+use super::plan::Plan;
+use super::scout::{self, PixelSize};
+use super::volume::Volume;
+
+/// By how much voxels grow where the memory does not suffice: their surface then takes 0.63 times as
+/// many blocks.
+const COARSER: f64 = 1.26;
+
+/// What a fusion should be like.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FuseSettings {
+    /// Edge of a voxel in world units; by default what a pixel covers of the surface, see [`fuse`].
+    pub voxel_m: Option<f64>,
+    /// The most bytes to take, those of the renderer not included.
+    pub memory_bytes: u64,
+}
+
+/// A fused surface.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Fused {
+    /// Shared vertices with normals and colours, outside counter-clockwise; never without triangles.
+    pub mesh: Mesh,
+    /// Edge of a voxel, world units.
+    pub voxel_m: f64,
+    /// Median over the views of what a pixel covers at the surface's depth, world units.
+    pub pixel_m: f64,
+    /// Blocks of 8³ voxels that the volume had.
+    pub blocks: usize,
+    /// Bytes that the volume and the mesh took at most.
+    pub peak_bytes: u64,
+}
+
+/// Fuses what `render` shows of each camera to a mesh. Pixels are skipped where alpha or depth says
+/// that there is no surface, where it is seen at a grazing angle or ends, and where it is so far away
+/// that a pixel covers more than four times what is usual.
+///
+/// Voxels are as large as the surface that a pixel covers in the median view, unless `settings` say
+/// otherwise; larger where that takes too much memory.
+pub fn fuse(
+    cameras: &[Camera],
+    mut render: impl FnMut(&Camera) -> Rendering,
+    settings: &FuseSettings,
+    mut on_event: impl FnMut(FuseEvent),
+) -> Result<Fused, MeshError> {
+    if cameras.is_empty() {
+        return Err(MeshError::NoCameras);
+    }
+    let plan = Plan::new(settings.memory_bytes, cameras);
+    let pixel_m = scout::pixel_m(cameras, &mut render, &mut on_event).ok_or(MeshError::NoSurface)?;
+    let pixel = PixelSize { usual_m: pixel_m, most_m: scout::FARTHEST * pixel_m };
+    let wanted_m = settings.voxel_m.unwrap_or(pixel_m);
+    let mut voxel_m = wanted_m;
+    loop {
+        let stages = Stages { cameras, pixel, voxel_m, plan };
+        match stages.run(&mut render, &mut on_event)? {
+            Some(fused) => return Ok(fused),
+            None => voxel_m *= COARSER,
+        }
+        on_event(FuseEvent::Coarser { wanted_m, voxel_m });
+    }
+}
+
+/// A fusion with voxels of one size.
+struct Stages<'a> {
+    cameras: &'a [Camera],
+    pixel: PixelSize,
+    voxel_m: f64,
+    plan: Plan,
+}
+
+impl Stages<'_> {
+    /// The mesh; `None` where it or the volume takes too much memory.
+    fn run(
+        &self,
+        render: &mut impl FnMut(&Camera) -> Rendering,
+        on_event: &mut impl FnMut(FuseEvent),
+    ) -> Result<Option<Fused>, MeshError> {
+        let Self { cameras, pixel, voxel_m, plan } = *self;
+        let Some(keys) = scout::find_blocks(cameras, render, pixel, voxel_m, plan.blocks_max, on_event)
+        else {
+            return Ok(None);
+        };
+        if keys.is_empty() {
+            return Err(MeshError::NoSurface);
+        }
+        let mut volume = Volume::new(keys, voxel_m);
+        for (i, camera) in cameras.iter().enumerate() {
+            volume.fuse(&Frame::new(camera, &render(camera), pixel.most_m));
+            on_event(FuseEvent::Progress { stage: Stage::Fuse, done: i + 1, of: cameras.len() });
+        }
+        let layout = Layout::new(&volume);
+        let (blocks, peak_bytes) = (volume.len(), volume.bytes() + layout.bytes());
+        if peak_bytes > plan.volume_bytes || !layout.fits_indices() {
+            return Ok(None);
+        }
+        let mut mesh = extract::extract(&volume, &layout);
+        drop((volume, layout));
+        clean::remove_specks(&mut mesh);
+        if mesh.triangles.is_empty() {
+            return Err(MeshError::NoAgreement);
+        }
+        mesh.normals = clean::normals(&mesh);
+        Ok(Some(Fused { mesh, voxel_m, pixel_m: pixel.usual_m, blocks, peak_bytes }))
+    }
+}
