@@ -29,6 +29,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 
+use cosurf_link::BrokerAddress;
+
 use connection::Hub;
 
 /// Why the broker did not start.
@@ -123,6 +125,12 @@ fn accept(listener: &TcpListener, hub: &Arc<Hub>, is_stopping: &AtomicBool) {
     }
 }
 
+/// How this machine reaches a broker of its own that listens there.
+pub(crate) fn local_address(listening: SocketAddr) -> BrokerAddress {
+    let address = reachable(listening);
+    BrokerAddress { host: address.ip().to_string(), port: address.port(), is_tls: false }
+}
+
 /// How this machine reaches an address that may mean every one of its own.
 fn reachable(address: SocketAddr) -> SocketAddr {
     let ip = match address.ip() {
@@ -131,4 +139,20 @@ fn reachable(address: SocketAddr) -> SocketAddr {
         ip => ip,
     };
     SocketAddr::new(ip, address.port())
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn a_broker_that_listens_everywhere_is_reached_here() {
+        for (listening, host) in
+            [("0.0.0.0:7", "127.0.0.1"), ("[::]:7", "::1"), ("192.168.0.9:7", "192.168.0.9")]
+        {
+            let address = local_address(listening.parse().unwrap());
+            assert_eq!((address.host.as_str(), address.port), (host, 7));
+        }
+    }
 }

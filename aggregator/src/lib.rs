@@ -9,7 +9,6 @@
 mod board;
 pub mod broker;
 pub mod evaluate;
-pub mod field;
 mod fleet;
 pub mod gate;
 pub mod gateway;
@@ -24,11 +23,9 @@ pub mod report;
 pub mod service;
 #[cfg(test)]
 mod simulation;
-mod station;
 mod terminal;
 pub mod town;
 mod tree;
-pub mod upstream;
 mod watch;
 
 pub use terminal::{Display, Meter};

@@ -13,8 +13,7 @@ use std::time::Instant;
 
 use anyhow::{Context, Result};
 use clap::{Args, Parser, Subcommand};
-use cosurf_aggregator::field::{self, AggregatorConfig, Host};
-use cosurf_aggregator::service::Command;
+use cosurf_aggregator::service::{AggregatorConfig, Command, Host, serve};
 use cosurf_link::SerialConfig;
 use cosurf_link::serial::{DEFAULT_BAUD, GATEWAY_MESSAGE_BYTES};
 use serde::Serialize;
@@ -98,7 +97,7 @@ fn run(args: &RunArgs) -> Result<()> {
     .context("Ctrl-C cannot be caught")?;
     let (begun, json) = (Instant::now(), args.json);
     let line = |port: &String| SerialConfig::device(port, args.baud, cli::session(), GATEWAY_MESSAGE_BYTES);
-    field::serve(
+    serve(
         &config,
         Host { clock_s: cli::session(), threads: cli::cores() },
         args.serial.iter().map(line).collect(),

@@ -20,9 +20,8 @@ use cosurf_wire::{DeviceId, IdError, ModelHeader, SiteId};
 use image::ImageError;
 
 use crate::board::{Phase, Status};
-use crate::broker::{Broker, BrokerError};
+use crate::broker::{Broker, BrokerError, local_address};
 use crate::evaluate::{Judge, Quality, YardstickError, Yardsticks};
-use crate::field::local_address;
 use crate::fleet::{Fleet, Orders};
 use crate::plan::{Edge, Plan, PlanError, Settings, write_text};
 use crate::progress::show_pictures;

@@ -11,9 +11,7 @@ use cosurf_wire::{DeviceId, ModelHeader, SiteId};
 
 use crate::mission::{MissionError, MissionOrder, Surroundings};
 use crate::plan::{Edge, Plan};
-use crate::service::{Expected, Service, ServiceConfig, ServiceError};
-use crate::station::Station;
-use crate::upstream::{Ascent, Upstream};
+use crate::service::{Expected, Service, ServiceConfig, ServiceError, Station, Upstream, UpstreamNode};
 use crate::watch::Signal;
 
 /// Bytes of models that may be on their way in at once; more agents wait their turn.
@@ -76,7 +74,7 @@ impl Tree {
         };
         let branch = |(i, edge): (usize, &Edge)| {
             let folder = edge_folder(&order.out, edge);
-            let upstream = climb(i, edge, &folder, plan, around, address, say)?;
+            let upstream = start_upstream(i, edge, &folder, plan, around, address, say)?;
             let station = Some(serve(1 + i, edge.site, folder, plan.devices[edge.agents.clone()].to_vec())?);
             Ok::<Branch, ServiceError>(Branch {
                 device: edge.device,
@@ -165,7 +163,7 @@ fn limits(devices: usize) -> InboxLimits {
 }
 
 /// Starts the way up of edge `i`.
-fn climb(
+fn start_upstream(
     i: usize,
     edge: &Edge,
     folder: &Path,
@@ -176,11 +174,11 @@ fn climb(
 ) -> Result<Upstream, ServiceError> {
     let identity =
         Identity { site: plan.site, device: edge.device, session: around.session, role: Role::Device };
-    let ascent = Ascent::open(identity, Credentials::default(), folder, limits(1))?;
+    let node = UpstreamNode::open(identity, Credentials::default(), folder, limits(1))?;
     let link = MqttConfig { broker: address.clone(), identity, tls: None };
     let (now, tell) = (around.now.clone(), say.clone());
     Ok(Upstream::start(
-        ascent,
+        node,
         link,
         move || now(),
         move |event| {

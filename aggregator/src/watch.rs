@@ -9,9 +9,8 @@ use crate::fleet::{FleetEvent, FleetEventKind};
 use crate::mission::{MissionError, Surroundings};
 use crate::plan::Plan;
 use crate::progress::Progress;
-use crate::service::{BROKER_ATTEMPTS_MAX, ServiceEvent};
+use crate::service::{BROKER_ATTEMPTS_MAX, ServiceEvent, UpstreamEvent};
 use crate::tree::Tree;
-use crate::upstream::UpstreamEvent;
 
 /// How often the loop looks up from listening.
 const LOOK_UP: Duration = Duration::from_millis(100);

@@ -5,8 +5,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result};
 use clap::Args;
-use cosurf_aggregator::field::AggregatorConfig;
-use cosurf_aggregator::service::withdraw;
+use cosurf_aggregator::service::{AggregatorConfig, withdraw};
 use cosurf_wire::DeviceId;
 
 /// Withdraw a device: the global model is rebuilt as if it had never sent what it has sent.

@@ -9,11 +9,15 @@ use cosurf_link::{ModelKey, ModelStore, Node, NodeEvent, Offer};
 use cosurf_scene::ply;
 use cosurf_wire::{DeviceId, ModelHeader, ModelId, ModelKind, RefusalReason, TileId};
 
+use super::control::{Command, ServiceConfig};
+use super::error::ServiceError;
+use super::event::ServiceEvent;
+use super::folder::{global_ply, global_store};
 use super::job::{Inputs, Job, Look, Outcome};
 use super::record::{Fitted, Input, KeptOut, Merging};
 use super::round::{Expected, Round};
 use super::shelf::Shelf;
-use super::{Command, ServiceConfig, ServiceError, ServiceEvent, global_ply, global_store};
+
 use crate::merge::{MergeSettings, Merged};
 
 /// Pause before what the disk refused is tried again.

@@ -6,7 +6,7 @@ use std::path::Path;
 use cosurf_link::{ModelStore, Node, Offer, StoreError};
 use cosurf_wire::{DeviceId, ModelHeader, ModelId};
 
-use super::ServiceError;
+use super::error::ServiceError;
 
 /// At most one part of each device, on the disk.
 #[derive(Debug)]

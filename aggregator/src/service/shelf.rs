@@ -7,10 +7,11 @@ use std::path::{Path, PathBuf};
 use cosurf_link::{ModelKey, ModelStore, Node, StoreError};
 use cosurf_wire::{DeviceId, ModelHeader, ModelId};
 
+use super::error::ServiceError;
+use super::event::ServiceEvent;
 use super::job::{Inputs, Stores};
 use super::parts::Parts;
 use super::record::{settle_withdrawal, withdrawn};
-use super::{ServiceError, ServiceEvent};
 
 /// See the module.
 #[derive(Debug)]

@@ -6,15 +6,21 @@ mod life;
 mod parts;
 
 use std::fs;
+use std::ops::ControlFlow;
+use std::path::Path;
 use std::sync::mpsc;
+use std::time::Duration;
 
-use cosurf_link::{Faults, MemoryNetwork, MemoryTransport, Role};
+use cosurf_link::{Faults, Identity, MemoryNetwork, MemoryTransport, Node, Role, body_to_model};
 
 use cosurf_link::{Model, ModelKey, NodeEvent, Offer};
 use cosurf_scene::ply;
-use cosurf_wire::{ModelId, ModelKind, Topic};
+use cosurf_wire::{DeviceId, ModelHeader, ModelId, ModelKind, Topic};
 
+use super::job::packed;
+use super::keeper::Orders;
 use super::*;
+use crate::merge::MergeSettings;
 use crate::merge::tests::model;
 use crate::simulation::{self, BAD_WEATHER, LIMITS, PATIENCE};
 

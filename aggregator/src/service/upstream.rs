@@ -24,7 +24,8 @@ use cosurf_scene::ply;
 use cosurf_wire::{DeviceId, ModelHeader, ModelKind, RefusalReason};
 use serde::Serialize;
 
-use crate::service::{ServiceError, global_ply, global_store};
+use super::error::ServiceError;
+use super::folder::{global_ply, global_store};
 
 /// Longest wait for something to hear before orders are looked at.
 const LOOK_UP: Duration = Duration::from_millis(50);
@@ -92,7 +93,7 @@ impl fmt::Display for UpstreamEvent {
 
 /// The side of the link that an edge has, to be given a transport and the time again and again.
 #[derive(Debug)]
-pub(crate) struct Ascent {
+pub(crate) struct UpstreamNode {
     node: Node,
     device: DeviceId,
     /// Own revisions.
@@ -101,7 +102,7 @@ pub(crate) struct Ascent {
     folder: PathBuf,
 }
 
-impl Ascent {
+impl UpstreamNode {
     /// For the service with this folder.
     pub(crate) fn open(
         identity: Identity,
@@ -185,7 +186,7 @@ pub(crate) struct Upstream {
 impl Upstream {
     /// Starts to speak with the aggregator above; `now` is time since any moment.
     pub(crate) fn start(
-        mut ascent: Ascent,
+        mut node: UpstreamNode,
         link: MqttConfig,
         now: impl Fn() -> Duration + Send + 'static,
         say: impl Fn(UpstreamEvent) + Send + 'static,
@@ -196,14 +197,14 @@ impl Upstream {
             loop {
                 match queue.try_recv() {
                     Ok(revision) => {
-                        if let Err(error) = ascent.send(&revision) {
+                        if let Err(error) = node.send(&revision) {
                             say(UpstreamEvent::UpstreamDiskFailed { reason: error.to_string() });
                         }
                     }
                     Err(TryRecvError::Empty) => {}
                     Err(TryRecvError::Disconnected) => return,
                 }
-                if let Some(event) = ascent.step(&mut transport, &now, LOOK_UP) {
+                if let Some(event) = node.step(&mut transport, &now, LOOK_UP) {
                     say(event);
                 }
             }

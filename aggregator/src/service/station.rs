@@ -9,7 +9,9 @@ use std::time::Duration;
 use cosurf_link::{BrokerAddress, Identity, MqttConfig, MqttTransport};
 use cosurf_wire::{DeviceId, ModelHeader};
 
-use crate::service::{Command, Service, ServiceEvent};
+use super::control::Command;
+use super::event::ServiceEvent;
+use super::receive::Service;
 
 /// A running service. Dropping it ends the service.
 pub(crate) struct Station {

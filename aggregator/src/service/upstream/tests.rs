@@ -11,7 +11,8 @@ use super::*;
 use crate::gate::admit;
 use crate::merge::tests::InMemory;
 use crate::merge::{MergeSettings, merge};
-use crate::service::{Expected, Service, ServiceConfig, ServiceEvent, packed};
+use crate::service::job::packed;
+use crate::service::{Expected, Service, ServiceConfig, ServiceEvent};
 use crate::simulation::{BAD_WEATHER, LIMITS, PATIENCE, QUICK, identity, model_at};
 
 const SETTINGS: MergeSettings = MergeSettings { seed: 3, ..QUICK };
@@ -33,7 +34,7 @@ fn merged(bodies: &[Vec<u8>]) -> Vec<u8> {
 struct Level {
     service: Service,
     transport: MemoryTransport,
-    above: Option<(Ascent, MemoryTransport)>,
+    above: Option<(UpstreamNode, MemoryTransport)>,
     has_come_down: bool,
 }
 
@@ -51,8 +52,8 @@ impl Level {
         })
         .unwrap();
         let above = is_edge.then(|| {
-            let ascent = Ascent::open(device, Credentials::default(), folder, LIMITS).unwrap();
-            (ascent, network.join(&device))
+            let node = UpstreamNode::open(device, Credentials::default(), folder, LIMITS).unwrap();
+            (node, network.join(&device))
         });
         Self { service, transport: network.join(&ground), above, has_come_down: false }
     }
@@ -70,11 +71,11 @@ impl Level {
                 ControlFlow::Continue(())
             },
         );
-        let Some((ascent, transport)) = &mut self.above else { return };
+        let Some((node, transport)) = &mut self.above else { return };
         if let Some(revision) = revision {
-            ascent.send(&revision).unwrap();
+            node.send(&revision).unwrap();
         }
-        let event = ascent.step(transport, || now, Duration::ZERO);
+        let event = node.step(transport, || now, Duration::ZERO);
         self.has_come_down |= matches!(event, Some(UpstreamEvent::CameDown { .. }));
     }
 }
@@ -148,13 +149,13 @@ fn a_cloud_makes_of_its_edges_what_they_made_of_their_drones() {
 fn a_thread_of_its_own_ends_although_nobody_is_above() {
     let folder = tempfile::tempdir().unwrap();
     let identity = identity("cloud", "edge-1", Role::Device);
-    let ascent = Ascent::open(identity, Credentials::default(), folder.path(), LIMITS).unwrap();
+    let node = UpstreamNode::open(identity, Credentials::default(), folder.path(), LIMITS).unwrap();
     let (say, events) = mpsc::channel();
     let broker = "mqtt://127.0.0.1:1".parse().unwrap();
     let begun = std::time::Instant::now();
     let link = MqttConfig { broker, identity, tls: None };
     let upstream =
-        Upstream::start(ascent, link, move || begun.elapsed(), move |event| say.send(event).unwrap());
+        Upstream::start(node, link, move || begun.elapsed(), move |event| say.send(event).unwrap());
     let first = events.recv_timeout(PATIENCE).unwrap();
     assert!(matches!(first, UpstreamEvent::UpstreamDisconnected { attempt: 1, .. }), "{first}");
     drop(upstream);

@@ -1,0 +1,41 @@
+//! What the owner of a service says: how it is to be, and what it is to do.
+
+use std::path::PathBuf;
+
+use cosurf_link::{Identity, InboxLimits};
+use cosurf_wire::DeviceId;
+
+use super::round::Expected;
+use crate::merge::MergeSettings;
+
+/// Attempts to reach the broker before an owner should give up. Once it has been reached there is no
+/// limit: a service outlasts a broker that is down.
+pub(crate) const BROKER_ATTEMPTS_MAX: u32 = 8;
+
+/// What a service is and whom it serves.
+#[derive(Clone, Debug)]
+pub struct ServiceConfig {
+    /// Who it is.
+    pub identity: Identity,
+    /// Its folder; see the module.
+    pub folder: PathBuf,
+    /// The most it takes in at once.
+    pub limits: InboxLimits,
+    /// When to merge models.
+    pub expected: Expected,
+    /// How to merge them.
+    pub merge: MergeSettings,
+    /// Threads to merge with, at least 1.
+    pub threads: usize,
+}
+
+/// What the owner of a running service asks of it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Command {
+    /// Do not wait for this device any more; what it sent still counts.
+    GiveUp(DeviceId),
+    /// Merge what is due, then end.
+    Finish,
+    /// End at once; a merge under way begins anew at the next start.
+    Stop,
+}

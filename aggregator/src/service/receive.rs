@@ -1,0 +1,86 @@
+//! A service as a loop: it listens, keeps and merges, and tells its owner.
+
+use std::ops::ControlFlow;
+use std::sync::mpsc::Receiver;
+use std::time::Duration;
+
+use cosurf_link::{Credentials, Node, Transport};
+use cosurf_wire::ModelHeader;
+
+use super::control::{Command, ServiceConfig};
+use super::error::ServiceError;
+use super::event::ServiceEvent;
+use super::keeper::{Keeper, Orders};
+
+/// How often the service looks up from listening.
+const LOOK_UP: Duration = Duration::from_millis(50);
+
+/// A service with its folder open, not running yet.
+#[derive(Debug)]
+pub struct Service {
+    pub(super) node: Node,
+    pub(super) keeper: Keeper,
+}
+
+impl Service {
+    /// Opens the folder, making it where it is missing.
+    pub fn open(config: ServiceConfig) -> Result<Self, ServiceError> {
+        let (identity, limits) = (config.identity, config.limits);
+        let (keeper, known) = Keeper::open(config)?;
+        Ok(Self { node: Node::new(identity, limits, &known), keeper })
+    }
+
+    /// Signs what it sends by these, and takes only what they believe.
+    pub fn with(mut self, credentials: Credentials) -> Self {
+        self.node.believe(credentials);
+        self
+    }
+
+    /// Serves until told to finish, or until `on_event` breaks. Returns what is announced of the newest
+    /// global model, if there is one.
+    pub fn run<T: Transport>(
+        mut self,
+        transport: &mut T,
+        now: impl Fn() -> Duration,
+        commands: &Receiver<Command>,
+        mut on_event: impl FnMut(ServiceEvent) -> ControlFlow<()>,
+    ) -> Option<ModelHeader> {
+        let mut orders = Orders::GoOn;
+        loop {
+            orders = orders.max(self.keeper.obey(&self.node, commands, now()));
+            let broke = self.step(transport, &now, LOOK_UP, &mut on_event).is_break();
+            let ends = match orders {
+                Orders::GoOn => false,
+                Orders::Finish => !self.keeper.is_merging(),
+                Orders::Stop => true,
+            };
+            if ends || broke {
+                return self.keeper.global();
+            }
+        }
+    }
+
+    /// Whether models are being merged.
+    #[cfg(test)]
+    pub(crate) fn is_merging(&self) -> bool {
+        self.keeper.is_merging()
+    }
+
+    /// Listens for at most `wait`, does what that asks for, and merges models when that is due.
+    pub(crate) fn step<T: Transport>(
+        &mut self,
+        transport: &mut T,
+        now: impl Fn() -> Duration,
+        wait: Duration,
+        mut on_event: impl FnMut(ServiceEvent) -> ControlFlow<()>,
+    ) -> ControlFlow<()> {
+        let heard = self.node.step(transport, &now, wait);
+        if let Some(event) = heard.and_then(|event| self.keeper.take(&mut self.node, event, now())) {
+            on_event(event)?;
+        }
+        match self.keeper.work(&mut self.node, now()) {
+            Some(event) => on_event(event),
+            None => ControlFlow::Continue(()),
+        }
+    }
+}

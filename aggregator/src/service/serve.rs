@@ -1,0 +1,261 @@
+//! A service that runs until it is stopped: what `cosurf-aggregator run` does with its configuration.
+
+use std::fmt;
+use std::fs;
+use std::ops::ControlFlow;
+use std::sync::mpsc::Receiver;
+use std::time::Duration;
+
+use cosurf_link::mqtt::{BadAddress, TlsError};
+use cosurf_link::{
+    BrokerAddress, Credentials, Identity, InboxLimits, MqttConfig, MqttTransport, Role, SerialConfig, Tls,
+    next_session,
+};
+use cosurf_scene::SceneError;
+use cosurf_wire::{DeviceId, SiteId};
+use serde::Serialize;
+
+use super::config::{AggregatorConfig, UpstreamConfig};
+use super::control::{BROKER_ATTEMPTS_MAX, Command, ServiceConfig};
+use super::error::ServiceError;
+use super::event::ServiceEvent;
+use super::receive::Service;
+use super::round::{Expected, Rounds};
+use super::upstream::{Upstream, UpstreamEvent, UpstreamNode};
+use crate::broker::{Broker, BrokerError, local_address};
+use crate::gateway::{Gateway, GatewayEvent};
+use crate::merge::MergeSettings;
+
+/// Limit on concurrent uploads, far more than the drones of a site.
+const MODELS_MAX: usize = 256;
+/// Limit on the stored models that the inbox remembers.
+const STORED_MAX: usize = 4096;
+
+/// An event of the connections beside the service's own.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(untagged)]
+pub enum SideEvent {
+    /// Of a serial line.
+    Line(GatewayEvent),
+    /// Of the connection to the aggregator above.
+    Upstream(UpstreamEvent),
+}
+
+impl fmt::Display for SideEvent {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Line(event) => event.fmt(f),
+            Self::Upstream(event) => event.fmt(f),
+        }
+    }
+}
+
+/// Why a service did not start, or ended by itself.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ServeError {
+    /// Neither or both of `bind` and `broker` are configured.
+    #[error("write either bind = \"0.0.0.0:1883\" (a broker of its own) or broker = \"mqtt://host:port\"")]
+    OneBroker,
+    /// The broker's URL cannot be parsed.
+    #[error(transparent)]
+    Address(#[from] BadAddress),
+    /// The certificates for the broker cannot be used.
+    #[error(transparent)]
+    Tls(#[from] TlsError),
+    /// The aggregator's device id is not valid.
+    #[error("device: {0}")]
+    Name(#[from] cosurf_wire::IdError),
+    /// The embedded broker did not start.
+    #[error(transparent)]
+    Broker(#[from] BrokerError),
+    /// The service's folder could not be made or written to.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// The stores in the service's folder could not be opened.
+    #[error(transparent)]
+    Service(#[from] ServiceError),
+    /// The broker was never reached.
+    #[error("{reason}; gave up after {BROKER_ATTEMPTS_MAX} attempts: check `broker` in the configuration")]
+    NoBroker {
+        /// The last error of the link.
+        reason: String,
+    },
+}
+
+/// What only `main` knows of the machine.
+#[derive(Clone, Copy, Debug)]
+pub struct Host {
+    /// Seconds since 1970 as far as the machine knows. A wrong clock does no harm: each session's number is greater
+    /// than the last one's in any case.
+    pub clock_s: u64,
+    /// Threads to merge with, at least 1.
+    pub threads: usize,
+}
+
+/// Serves a site, and the devices on the serial `lines`, until `commands` says to end or its sender is dropped. `now` is
+/// the time since any fixed moment. `say` shows the events of the service, `say_beside` those of the other connections.
+pub fn serve(
+    config: &AggregatorConfig,
+    host: Host,
+    lines: Vec<SerialConfig>,
+    now: impl Fn() -> Duration + Clone + Send + 'static,
+    commands: &Receiver<Command>,
+    mut say: impl FnMut(&ServiceEvent),
+    say_beside: impl Fn(SideEvent) + Clone + Send + 'static,
+) -> Result<(), ServeError> {
+    let credentials = Credentials::load(
+        config.frame.unwrap_or_default(),
+        config.key.as_deref(),
+        config.trusted.as_deref(),
+    )?;
+    let (_embedded, broker) = reach_broker(config)?;
+    let tls = Tls::for_broker(&broker, config.tls.as_ref())?;
+    let _gateways = start_gateways(config.site, &broker, tls.as_ref(), lines, &say_beside);
+    let identity = open_session(config, host.clock_s)?;
+    let service = Service::open(service_config(config, identity, host.threads))?.with(credentials.clone());
+    let upstream = config.upstream.as_ref().map(|above| {
+        let say = move |event| say_beside(SideEvent::Upstream(event));
+        start_upstream(config, above, identity.session, credentials, now.clone(), say)
+    });
+    let upstream = upstream.transpose()?;
+    let mut transport = MqttTransport::start(MqttConfig { broker, identity, tls });
+    let mut connections = Connections { upstream, was_connected: false, failure: None };
+    service.run(&mut transport, now, commands, |event| {
+        say(&event);
+        connections.follow(event)
+    });
+    connections.failure.map_or(Ok(()), Err)
+}
+
+/// The service's connections to the broker and to the aggregator above.
+struct Connections {
+    upstream: Option<Upstream>,
+    /// The broker has been reached. From then on a broken connection is retried without a limit.
+    was_connected: bool,
+    failure: Option<ServeError>,
+}
+
+impl Connections {
+    /// Sends each new revision up, and ends a service whose broker was never reached.
+    fn follow(&mut self, event: ServiceEvent) -> ControlFlow<()> {
+        match event {
+            ServiceEvent::Connected => self.was_connected = true,
+            ServiceEvent::Merged { header, .. } => {
+                if let Some(upstream) = &self.upstream {
+                    upstream.send(header);
+                }
+            }
+            ServiceEvent::Disconnected { attempt, reason }
+                if !self.was_connected && attempt >= BROKER_ATTEMPTS_MAX =>
+            {
+                self.failure = Some(ServeError::NoBroker { reason });
+                return ControlFlow::Break(());
+            }
+            _ => {}
+        }
+        ControlFlow::Continue(())
+    }
+}
+
+/// Starts one gateway for each serial line.
+fn start_gateways(
+    site: SiteId,
+    broker: &BrokerAddress,
+    tls: Option<&Tls>,
+    lines: Vec<SerialConfig>,
+    say_beside: &(impl Fn(SideEvent) + Clone + Send + 'static),
+) -> Vec<Gateway> {
+    let gateway = |line| {
+        let say = say_beside.clone();
+        let say = move |event| say(SideEvent::Line(event));
+        Gateway::start(site, broker.clone(), tls.cloned(), line, say)
+    };
+    lines.into_iter().map(gateway).collect()
+}
+
+/// Makes the service's folder and takes the number of a new session from it.
+fn open_session(config: &AggregatorConfig, clock_s: u64) -> Result<Identity, ServeError> {
+    let device = DeviceId::new(&config.device)?;
+    fs::create_dir_all(&config.out).map_err(|cause| SceneError::io(&config.out, cause))?;
+    let session = next_session(&config.out.join("session"), clock_s)?;
+    Ok(Identity { site: config.site, device, session, role: Role::Aggregator })
+}
+
+fn inbox_limits(config: &AggregatorConfig) -> InboxLimits {
+    InboxLimits {
+        body_bytes_max: config.memory_bytes,
+        total_bytes_max: config.memory_bytes,
+        models_max: MODELS_MAX,
+        stored_max: STORED_MAX,
+    }
+}
+
+fn service_config(config: &AggregatorConfig, identity: Identity, threads: usize) -> ServiceConfig {
+    ServiceConfig {
+        identity,
+        folder: config.out.clone(),
+        limits: inbox_limits(config),
+        expected: Expected::Anybody(Rounds {
+            quorum: config.quorum,
+            quiet: Duration::from_secs(config.quiet_s),
+            deadline: Duration::from_secs(config.deadline_s),
+        }),
+        merge: MergeSettings {
+            memory_bytes: config.merge_memory_bytes,
+            refine: config.refine,
+            device: config.compute,
+            ..MergeSettings::default()
+        },
+        threads,
+    }
+}
+
+/// Connects an edge to the aggregator above.
+fn start_upstream(
+    config: &AggregatorConfig,
+    above: &UpstreamConfig,
+    session: u64,
+    credentials: Credentials,
+    now: impl Fn() -> Duration + Send + 'static,
+    say: impl Fn(UpstreamEvent) + Send + 'static,
+) -> Result<Upstream, ServeError> {
+    let broker: BrokerAddress = above.broker.parse()?;
+    let tls = Tls::for_broker(&broker, above.tls.as_ref())?;
+    let identity = Identity { site: above.site, device: above.device, session, role: Role::Device };
+    let node = UpstreamNode::open(identity, credentials, &config.out, inbox_limits(config));
+    let link = MqttConfig { broker, identity, tls };
+    Ok(Upstream::start(node.map_err(ServiceError::from)?, link, now, say))
+}
+
+/// The address of the broker; the embedded one is started where the configuration asks for it.
+fn reach_broker(config: &AggregatorConfig) -> Result<(Option<Broker>, BrokerAddress), ServeError> {
+    match (config.bind, &config.broker) {
+        (Some(bind), None) => {
+            let broker = Broker::start(bind)?;
+            let address = local_address(broker.address());
+            Ok((Some(broker), address))
+        }
+        (None, Some(text)) => Ok((None, text.parse()?)),
+        _ => Err(ServeError::OneBroker),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn one_broker_is_needed_and_one_only() {
+        let base = "site = \"s\"\nout = \"o\"\n";
+        for brokers in ["", "bind = \"0.0.0.0:0\"\nbroker = \"mqtt://h:1\"\n"] {
+            let config: AggregatorConfig = toml::from_str(&format!("{base}{brokers}")).unwrap();
+            assert!(matches!(reach_broker(&config), Err(ServeError::OneBroker)), "{brokers}");
+        }
+        assert!(toml::from_str::<AggregatorConfig>(&format!("{base}bnid = 1")).is_err());
+        let refused = toml::from_str::<AggregatorConfig>(&format!("{base}compute = \"cuda\"")).unwrap_err();
+        assert!(refused.to_string().contains("auto, cpu, gpu or gpu:N"), "{refused}");
+        assert!(toml::from_str::<AggregatorConfig>("site = \"a b\"\nout = \"o\"").is_err());
+    }
+}
