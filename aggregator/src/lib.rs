@@ -6,26 +6,18 @@
 //! Where to start reading: [`service`], what runs in the field; then [`mission`], which runs service and
 //! agents on one machine and leaves a report.
 
-mod board;
 pub mod broker;
 pub mod evaluate;
-mod fleet;
 pub mod gate;
 pub mod gateway;
 pub mod merge;
 pub mod mesh;
 pub mod mission;
 pub mod partition;
-pub mod plan;
-mod progress;
-mod relief;
 pub mod report;
 pub mod service;
 #[cfg(test)]
 mod simulation;
 mod terminal;
-pub mod town;
-mod tree;
-mod watch;
 
 pub use terminal::{Display, Meter};

@@ -1,137 +1,52 @@
 //! A mission from pictures to report, on one machine: plan, service, agents, evaluation.
 //!
-//! The aggregators run on threads ([`crate::tree`]), each agent as a process; all tell what happens through one
-//! channel, which one loop ([`crate::watch`]) reads. Whatever ends the mission early ends the agents too and
-//! keeps what is on the disk: the same command goes on from there.
+//! The aggregators run on threads ([`hierarchy`]), each agent as a process ([`agents`]); all tell what happens through
+//! one channel, which one loop ([`watch`]) reads. Whatever ends the mission early ends the agents too and keeps what is
+//! on the disk: the same command goes on from there.
+//!
+//! It refuses to know how agents train and how models are merged: it starts those who do, and reads what they print.
+//!
+//! Where to start reading: [`fly`], which reads as the list of steps; [`plan`], what is decided before anything runs.
 
+mod agents;
+mod board;
+mod error;
+mod hierarchy;
+mod order;
+mod plan;
+mod progress;
+mod relief;
+mod signal;
 mod summary;
+mod town;
+mod watch;
 
 use std::fs;
-use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
+use std::path::Path;
 use std::sync::mpsc;
-use std::time::Duration;
 
 use cosurf_link::BrokerAddress;
-use cosurf_scene::city::CitySettings;
 use cosurf_scene::{Camera, Dataset, SceneError, Splats, View, ply};
-use cosurf_wire::{DeviceId, IdError, ModelHeader, SiteId};
-use image::ImageError;
+use cosurf_wire::{ModelHeader, SiteId};
 
-use crate::board::{Phase, Status};
-use crate::broker::{Broker, BrokerError, local_address};
-use crate::evaluate::{Judge, Quality, YardstickError, Yardsticks};
-use crate::fleet::{Fleet, Orders};
-use crate::plan::{Edge, Plan, PlanError, Settings, write_text};
-use crate::progress::show_pictures;
-use crate::relief::{Relief, relief};
+use crate::broker::{Broker, local_address};
+use crate::evaluate::{Judge, Quality, Yardsticks};
 use crate::report::{Drawings, EdgeSummary, MissionReport, Showcase, page, showcases};
-use crate::service::{BROKER_ATTEMPTS_MAX, Merging, ServiceError, global_ply, joined};
-use crate::terminal::{Display, Meter};
-use crate::town::{self, TownError};
-use crate::tree::{Tree, edge_folder, lowest_folders};
-use crate::watch::{EdgeStatus, Signal, Watch};
+use crate::service::{Merging, global_ply, joined};
+use crate::terminal::Meter;
+use agents::{AgentCommand, AgentProcesses};
+use board::{Phase, Status};
+pub use error::MissionError;
+use hierarchy::{Hierarchy, edge_folder, lowest_folders};
+pub use order::{MissionOrder, Surroundings};
+use plan::{Edge, Plan, write_text};
+pub use plan::{PlanError, Settings};
+use progress::show_pictures;
+use relief::{Relief, relief};
+use signal::Signal;
 use summary::summarize;
-
-/// A mission as ordered.
-#[derive(Clone, Debug)]
-pub struct MissionOrder {
-    /// What decides the result; paths absolute.
-    pub settings: Settings,
-    /// The synthetic city to make first where the data should be; `None` where there are data.
-    pub city: Option<CitySettings>,
-    /// Where everything goes, absolute; made where it is missing.
-    pub out: PathBuf,
-    /// The broker to use; `None` for an embedded one on a free port of this machine.
-    pub broker: Option<BrokerAddress>,
-    /// Folder of LPIPS weights to judge the global model by too; `None` for no LPIPS.
-    pub lpips: Option<PathBuf>,
-}
-
-/// What only a main knows of the world.
-#[derive(Clone)]
-pub struct Surroundings {
-    /// Time since the program began.
-    pub now: Arc<dyn Fn() -> Duration + Send + Sync>,
-    /// Seconds since 1970 at the start: numbers the session, names the site of a fresh mission.
-    pub session: u64,
-    /// Cores to compute on, at least 1.
-    pub cores: usize,
-    /// The agent's executable.
-    pub agent: PathBuf,
-    /// How to show progress.
-    pub display: Display,
-    /// Set when the person wants to stop.
-    pub interrupted: Arc<AtomicBool>,
-    /// Peak resident memory of this process, where the system tells.
-    pub peak_memory_bytes: fn() -> Option<u64>,
-}
-
-/// Why a mission did not end with a report.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum MissionError {
-    /// No plan could be made.
-    #[error(transparent)]
-    Plan(#[from] PlanError),
-    /// The city could not be made.
-    #[error(transparent)]
-    Town(#[from] TownError),
-    /// A name of the mission is none.
-    #[error(transparent)]
-    Name(#[from] IdError),
-    /// A file could not be read or written.
-    #[error(transparent)]
-    Scene(#[from] SceneError),
-    /// What the global model is to be measured by cannot be read.
-    #[error(transparent)]
-    Yardstick(#[from] YardstickError),
-    /// The embedded broker did not start.
-    #[error(transparent)]
-    Broker(#[from] BrokerError),
-    /// The service could not open its folder.
-    #[error(transparent)]
-    Service(#[from] ServiceError),
-    /// The agent's executable is not there.
-    #[error("{path} is missing: build it with `cargo build --release --workspace`")]
-    NoAgent {
-        /// Where it should be.
-        path: PathBuf,
-    },
-    /// The broker cannot be reached.
-    #[error("{reason}; gave up after {BROKER_ATTEMPTS_MAX} attempts: check --broker, or leave it out")]
-    NoBroker {
-        /// What the link said last.
-        reason: String,
-    },
-    /// The aggregator's disk refused.
-    #[error("{reason}; what arrived before is kept: free space, then run the same command again")]
-    Disk {
-        /// What the disk said.
-        reason: String,
-    },
-    /// The person asked to stop.
-    #[error("interrupted; what is done is kept: the same command goes on from there")]
-    Interrupted,
-    /// A defect of the service.
-    #[error("the receiving service stopped by itself, a defect; the same command goes on from there")]
-    ServiceDied,
-    /// No agent sent a model.
-    #[error("no model arrived; {device} failed: {reason}")]
-    NothingArrived {
-        /// The first agent that failed.
-        device: DeviceId,
-        /// Why.
-        reason: String,
-    },
-    /// The report cannot be written.
-    #[error("pictures of the report: {0}")]
-    Pictures(#[from] ImageError),
-    /// The report cannot be written as JSON.
-    #[error("report.json: {0}")]
-    Json(#[from] serde_json::Error),
-}
+pub use town::TownError;
+use watch::{EdgeStatus, Watch};
 
 /// Flies the mission and leaves `global.ply`, `mesh.ply`, `report.json` and `report.html` in its folder. `Ok` even
 /// where agents failed, as long as there is a global model: the report tells.
@@ -183,17 +98,17 @@ fn gather(order: &MissionOrder, around: &Surroundings, plan: &Plan) -> Result<Ga
     }
     let (broker, address) = reach_broker(order)?;
     let (say, signals) = mpsc::channel();
-    let mut tree = Tree::start(order, around, plan, &address, &say)?;
+    let mut hierarchy = Hierarchy::start(order, around, plan, &address, &say)?;
     let mut watch = Watch::new(plan, around, signals);
-    watch.await_broker(&tree)?;
-    let fleet = Fleet::start(agents(order, around, plan, &address)?, move |event| {
-        let _ = say.send(Signal::Fleet(event)); // nobody listens any more where the mission is over
+    watch.await_broker(&hierarchy)?;
+    let processes = AgentProcesses::start(agent_commands(order, around, plan, &address)?, move |event| {
+        let _ = say.send(Signal::Agent(event)); // nobody listens any more where the mission is over
     });
-    watch.await_agents(&tree)?;
-    drop(fleet);
-    watch.await_edges(&mut tree)?;
+    watch.await_agents(&hierarchy)?;
+    drop(processes);
+    watch.await_edges(&mut hierarchy)?;
     let (board, edges) = watch.into_boards();
-    let global = tree.finish();
+    let global = hierarchy.finish();
     if let Some(broker) = broker {
         broker.shutdown();
     }
@@ -220,24 +135,24 @@ fn reach_broker(order: &MissionOrder) -> Result<(Option<Broker>, BrokerAddress),
 }
 
 /// Writes every agent's orders and says how to start it; the cores are shared evenly.
-fn agents(
+fn agent_commands(
     order: &MissionOrder,
     around: &Surroundings,
     plan: &Plan,
     address: &BrokerAddress,
-) -> Result<Vec<Orders>, MissionError> {
+) -> Result<Vec<AgentCommand>, MissionError> {
     let threads = (around.cores / plan.devices.len()).max(1);
     let broker = format!("mqtt://{address}");
-    let orders = |agent| {
-        let folder = plan.write_orders(agent, &order.settings, &order.out, &broker, threads)?;
+    let command = |agent| {
+        let folder = plan.write_agent_config(agent, &order.settings, &order.out, &broker, threads)?;
         let config = folder.join("agent.toml").display().to_string();
-        Ok(Orders {
+        Ok(AgentCommand {
             program: around.agent.clone(),
             arguments: ["run", "--config", &config, "--json"].map(String::from).to_vec(),
             log: folder.join("agent.log"),
         })
     };
-    (0..plan.devices.len()).map(orders).collect()
+    (0..plan.devices.len()).map(command).collect()
 }
 
 fn first_failure(plan: &Plan, board: &[Status]) -> MissionError {

@@ -80,7 +80,7 @@ fn radio_and_network_share_a_mission() {
         identity: ground,
         folder: folder.path().to_owned(),
         limits: InboxLimits::default(),
-        expected: Expected::Fleet(["by-radio", "by-net"].map(|name| DeviceId::new(name).unwrap()).into()),
+        expected: Expected::Devices(["by-radio", "by-net"].map(|name| DeviceId::new(name).unwrap()).into()),
         merge: MergeSettings::default(),
         threads: 1,
     })

@@ -42,7 +42,7 @@ fn serve(address: &BrokerAddress, folder: &Path, fly: impl FnOnce()) -> Vec<u8> 
         identity: ground,
         folder: folder.to_owned(),
         limits: InboxLimits::default(),
-        expected: Expected::Fleet(DRONES.map(|name| DeviceId::new(name).unwrap()).into()),
+        expected: Expected::Devices(DRONES.map(|name| DeviceId::new(name).unwrap()).into()),
         merge: MergeSettings { epochs: 1, ..MergeSettings::default() },
         threads: 1,
     })

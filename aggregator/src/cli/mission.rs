@@ -8,9 +8,8 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use cosurf_aggregator::mission::{MissionOrder, Surroundings, fly};
+use cosurf_aggregator::mission::{MissionOrder, Settings, Surroundings, fly};
 use cosurf_aggregator::partition::Division;
-use cosurf_aggregator::plan::Settings;
 use cosurf_aggregator::report::{MissionReport, table};
 use cosurf_link::BrokerAddress;
 use cosurf_scene::bytes::parse_bytes;

@@ -2,9 +2,9 @@
 
 use cosurf_wire::ModelHeader;
 
-use crate::board::{Phase, Status};
+use super::board::{Phase, Status};
+use super::plan::{Plan, Settings};
 use crate::evaluate::Quality;
-use crate::plan::{Plan, Settings};
 use crate::report::{AgentSummary, MissionReport, WholeSummary};
 
 /// Sums up what the agents told and what the global model is worth; `qualities` are those of the held-out

@@ -9,7 +9,7 @@ use cosurf_wire::DeviceId;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Expected {
     /// Each of these devices: models are merged as soon as the last has sent one.
-    Fleet(BTreeSet<DeviceId>),
+    Devices(BTreeSet<DeviceId>),
     /// Anybody: models are merged in rounds.
     Anybody(Rounds),
 }
@@ -54,8 +54,8 @@ impl Round {
         now: Duration,
     ) -> bool {
         match expected {
-            Expected::Fleet(fleet) => {
-                fleet.iter().all(|device| here.contains(device) || given_up.contains(device))
+            Expected::Devices(devices) => {
+                devices.iter().all(|device| here.contains(device) || given_up.contains(device))
             }
             Expected::Anybody(rounds) => {
                 let enough = here.len() >= rounds.quorum && now >= self.last + rounds.quiet;

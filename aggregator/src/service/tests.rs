@@ -87,7 +87,7 @@ fn open_with(network: &MemoryNetwork, folder: &Path, expected: Expected, merge: 
 }
 
 fn fleet(names: &[&str]) -> Expected {
-    Expected::Fleet(names.iter().map(|name| DeviceId::new(name).unwrap()).collect())
+    Expected::Devices(names.iter().map(|name| DeviceId::new(name).unwrap()).collect())
 }
 
 /// Runs service and drones until `enough` of the events so far, and returns them.

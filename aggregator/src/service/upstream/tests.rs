@@ -46,7 +46,7 @@ impl Level {
             identity: ground,
             folder: folder.into(),
             limits: LIMITS,
-            expected: Expected::Fleet(below.iter().map(|name| DeviceId::new(name).unwrap()).collect()),
+            expected: Expected::Devices(below.iter().map(|name| DeviceId::new(name).unwrap()).collect()),
             merge: SETTINGS,
             threads: 1,
         })

@@ -2,7 +2,7 @@
 
 use cosurf_scene::report::{AgentEvent, TrainReport};
 
-use crate::fleet::FleetEventKind;
+use super::agents::{ProcessEventKind, RESTARTS_MAX};
 
 /// Points that a training curve keeps at most; then every other one goes.
 const CURVE_POINTS_MAX: usize = 256;
@@ -53,16 +53,16 @@ pub(crate) struct Status {
 impl Status {
     /// Takes in what happened. Returns a line for the person who watches, where there is something
     /// out of the ordinary.
-    pub(crate) fn take(&mut self, event: &FleetEventKind) -> Option<String> {
+    pub(crate) fn take(&mut self, event: &ProcessEventKind) -> Option<String> {
         match event {
-            FleetEventKind::Said(event) => return self.listen(event),
-            FleetEventKind::Restarting { attempt, reason } => {
+            ProcessEventKind::Said(event) => return self.listen(event),
+            ProcessEventKind::Restarting { attempt, reason } => {
                 self.restarts = *attempt;
                 self.phase = Phase::Starting;
-                return Some(format!("died ({reason}); restart {attempt} of {}", crate::fleet::RESTARTS_MAX));
+                return Some(format!("died ({reason}); restart {attempt} of {RESTARTS_MAX}"));
             }
-            FleetEventKind::Ended => self.phase = Phase::Ended,
-            FleetEventKind::Failed { reason } => {
+            ProcessEventKind::Ended => self.phase = Phase::Ended,
+            ProcessEventKind::Failed { reason } => {
                 self.phase = Phase::Failed { reason: reason.clone() };
                 return Some(format!("failed: {reason}"));
             }
@@ -130,8 +130,8 @@ impl Status {
 mod tests {
     use super::*;
 
-    fn progress(step: u32) -> FleetEventKind {
-        FleetEventKind::Said(AgentEvent::Progress {
+    fn progress(step: u32) -> ProcessEventKind {
+        ProcessEventKind::Said(AgentEvent::Progress {
             step,
             steps: 1000,
             psnr: 20.0,
@@ -147,7 +147,7 @@ mod tests {
         for step in [100, 200, 300] {
             assert_eq!(status.take(&progress(step)), None);
         }
-        let restart = FleetEventKind::Restarting { attempt: 1, reason: "signal: 9".into() };
+        let restart = ProcessEventKind::Restarting { attempt: 1, reason: "signal: 9".into() };
         assert!(status.take(&restart).is_some_and(|line| line.contains("restart 1 of 5")));
         status.take(&progress(150));
         let steps: Vec<f32> = status.curve.iter().map(|point| point[0]).collect();

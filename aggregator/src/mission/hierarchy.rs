@@ -9,10 +9,11 @@ use std::sync::mpsc::Sender;
 use cosurf_link::{BrokerAddress, Credentials, Identity, InboxLimits, MqttConfig, Role};
 use cosurf_wire::{DeviceId, ModelHeader, SiteId};
 
-use crate::mission::{MissionError, MissionOrder, Surroundings};
-use crate::plan::{Edge, Plan};
+use super::error::MissionError;
+use super::order::{MissionOrder, Surroundings};
+use super::plan::{Edge, Plan};
+use super::signal::Signal;
 use crate::service::{Expected, Service, ServiceConfig, ServiceError, Station, Upstream, UpstreamNode};
-use crate::watch::Signal;
 
 /// Bytes of models that may be on their way in at once; more agents wait their turn.
 const INBOX_BYTES_MAX: u64 = 1 << 30;
@@ -31,14 +32,14 @@ pub(crate) fn lowest_folders(out: &Path, plan: &Plan) -> Vec<PathBuf> {
 }
 
 /// Running aggregators. Dropping them ends them.
-pub(crate) struct Tree {
+pub(crate) struct Hierarchy {
     /// Above all.
     top: Station,
-    edges: Vec<Branch>,
+    edges: Vec<RunningEdge>,
 }
 
 /// A running edge.
-struct Branch {
+struct RunningEdge {
     device: DeviceId,
     agents: Range<usize>,
     /// `None` once it has made the last of its revisions.
@@ -46,7 +47,7 @@ struct Branch {
     upstream: Upstream,
 }
 
-impl Tree {
+impl Hierarchy {
     /// Opens all folders, then starts to serve through one broker; what happens is told to `say`.
     pub(crate) fn start(
         order: &MissionOrder,
@@ -72,11 +73,11 @@ impl Tree {
                 tell,
             ))
         };
-        let branch = |(i, edge): (usize, &Edge)| {
+        let start_edge = |(i, edge): (usize, &Edge)| {
             let folder = edge_folder(&order.out, edge);
             let upstream = start_upstream(i, edge, &folder, plan, around, address, say)?;
             let station = Some(serve(1 + i, edge.site, folder, plan.devices[edge.agents.clone()].to_vec())?);
-            Ok::<Branch, ServiceError>(Branch {
+            Ok::<RunningEdge, ServiceError>(RunningEdge {
                 device: edge.device,
                 agents: edge.agents.clone(),
                 station,
@@ -89,7 +90,7 @@ impl Tree {
         };
         Ok(Self {
             top: serve(0, plan.site, order.out.clone(), below)?,
-            edges: plan.edges.iter().enumerate().map(branch).collect::<Result<_, _>>()?,
+            edges: plan.edges.iter().enumerate().map(start_edge).collect::<Result<_, _>>()?,
         })
     }
 
@@ -101,7 +102,7 @@ impl Tree {
     /// Whoever waits for this agent does not any more.
     pub(crate) fn give_up(&self, agent: usize, device: DeviceId) {
         match self.edges.iter().find(|edge| edge.agents.contains(&agent)) {
-            Some(Branch { station: Some(station), .. }) => station.give_up(device),
+            Some(RunningEdge { station: Some(station), .. }) => station.give_up(device),
             Some(_) => {}
             None => self.top.give_up(device),
         }
@@ -117,7 +118,7 @@ impl Tree {
     /// Lets every edge merge what is due and end, but for its way up. Returns for each whether it has a model to
     /// send; those that have none are not waited for above.
     pub(crate) fn close_edges(&mut self) -> Vec<bool> {
-        let close = |edge: &mut Branch| {
+        let close = |edge: &mut RunningEdge| {
             let has_model = edge.station.take().and_then(Station::finish).is_some();
             if !has_model {
                 self.top.give_up(edge.device);
@@ -146,7 +147,7 @@ fn service_config(
         identity,
         folder,
         limits: limits(below.len()),
-        expected: Expected::Fleet(below.into_iter().collect()),
+        expected: Expected::Devices(below.into_iter().collect()),
         merge: order.settings.merge,
         threads,
     }

@@ -6,7 +6,7 @@ use std::path::Path;
 use cosurf_scene::SceneError;
 use cosurf_scene::city::{City, CityError, CitySettings};
 
-use crate::plan::write_text;
+use super::plan::write_text;
 
 /// Why there is no city.
 #[derive(Debug, thiserror::Error)]

@@ -4,36 +4,18 @@ use std::sync::atomic::Ordering;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::Duration;
 
-use crate::board::{Phase, Status};
-use crate::fleet::{FleetEvent, FleetEventKind};
-use crate::mission::{MissionError, Surroundings};
-use crate::plan::Plan;
-use crate::progress::Progress;
+use super::agents::{ProcessEvent, ProcessEventKind};
+use super::board::{Phase, Status};
+use super::error::MissionError;
+use super::hierarchy::Hierarchy;
+use super::order::Surroundings;
+use super::plan::Plan;
+use super::progress::Progress;
+use super::signal::Signal;
 use crate::service::{BROKER_ATTEMPTS_MAX, ServiceEvent, UpstreamEvent};
-use crate::tree::Tree;
 
 /// How often the loop looks up from listening.
 const LOOK_UP: Duration = Duration::from_millis(100);
-
-/// What happens in a mission.
-pub(crate) enum Signal {
-    /// To an agent.
-    Fleet(FleetEvent),
-    /// To an aggregator.
-    Service {
-        /// Its post in the tree.
-        post: usize,
-        /// What.
-        event: ServiceEvent,
-    },
-    /// On the way up of an edge.
-    Upstream {
-        /// Its index.
-        edge: usize,
-        /// What.
-        event: UpstreamEvent,
-    },
-}
 
 /// What is known of an edge.
 #[derive(Clone, Copy, Debug, Default)]
@@ -71,28 +53,28 @@ impl<'a> Watch<'a> {
     }
 
     /// Returns once every aggregator has reached the broker.
-    pub(crate) fn await_broker(&mut self, tree: &Tree) -> Result<(), MissionError> {
+    pub(crate) fn await_broker(&mut self, hierarchy: &Hierarchy) -> Result<(), MissionError> {
         while !self.connected.iter().all(|connected| *connected) {
-            self.step(tree)?;
+            self.step(hierarchy)?;
         }
         Ok(())
     }
 
     /// Returns once every agent has ended, well or not.
-    pub(crate) fn await_agents(&mut self, tree: &Tree) -> Result<(), MissionError> {
+    pub(crate) fn await_agents(&mut self, hierarchy: &Hierarchy) -> Result<(), MissionError> {
         let ended = |status: &Status| matches!(status.phase, Phase::Ended | Phase::Failed { .. });
         while !self.board.iter().all(ended) {
-            self.step(tree)?;
+            self.step(hierarchy)?;
         }
         self.progress.finish();
         Ok(())
     }
 
     /// Ends the edges. Returns once each that has a model has got the global model of the one above for it.
-    pub(crate) fn await_edges(&mut self, tree: &mut Tree) -> Result<(), MissionError> {
-        let have_models = tree.close_edges();
+    pub(crate) fn await_edges(&mut self, hierarchy: &mut Hierarchy) -> Result<(), MissionError> {
+        let have_models = hierarchy.close_edges();
         while self.edges.iter().zip(&have_models).any(|(edge, has_model)| *has_model && !edge.is_served) {
-            self.step(tree)?;
+            self.step(hierarchy)?;
         }
         Ok(())
     }
@@ -102,12 +84,12 @@ impl<'a> Watch<'a> {
         (self.board, self.edges)
     }
 
-    fn step(&mut self, tree: &Tree) -> Result<(), MissionError> {
+    fn step(&mut self, hierarchy: &Hierarchy) -> Result<(), MissionError> {
         match self.signals.recv_timeout(LOOK_UP) {
-            Ok(Signal::Fleet(event)) => self.take_fleet(&event, tree),
-            Ok(Signal::Service { post, event }) => self.take_service(post, event, tree)?,
+            Ok(Signal::Agent(event)) => self.take_agent(&event, hierarchy),
+            Ok(Signal::Service { post, event }) => self.take_service(post, event, hierarchy)?,
             Ok(Signal::Upstream { edge, event }) => self.take_upstream(edge, &event),
-            Err(RecvTimeoutError::Timeout) if !tree.has_died() => {}
+            Err(RecvTimeoutError::Timeout) if !hierarchy.has_died() => {}
             Err(_) => return Err(MissionError::ServiceDied),
         }
         self.progress.tick(&self.board, (self.around.now)().as_secs_f64());
@@ -117,18 +99,23 @@ impl<'a> Watch<'a> {
         Ok(())
     }
 
-    fn take_fleet(&mut self, event: &FleetEvent, tree: &Tree) {
+    fn take_agent(&mut self, event: &ProcessEvent, hierarchy: &Hierarchy) {
         let (device, status) = (self.plan.devices[event.agent], &mut self.board[event.agent]);
         if let Some(line) = status.take(&event.kind) {
             self.progress.notice(&format!("{device}: {line}"));
         }
-        if matches!(event.kind, FleetEventKind::Failed { .. }) {
-            tree.give_up(event.agent, device);
+        if matches!(event.kind, ProcessEventKind::Failed { .. }) {
+            hierarchy.give_up(event.agent, device);
         }
         self.progress.show(event, status);
     }
 
-    fn take_service(&mut self, post: usize, event: ServiceEvent, tree: &Tree) -> Result<(), MissionError> {
+    fn take_service(
+        &mut self,
+        post: usize,
+        event: ServiceEvent,
+        hierarchy: &Hierarchy,
+    ) -> Result<(), MissionError> {
         match &event {
             ServiceEvent::Connected => {
                 self.connected[post] = true;
@@ -142,7 +129,7 @@ impl<'a> Watch<'a> {
             ServiceEvent::DiskFailed { reason } => {
                 return Err(MissionError::Disk { reason: reason.clone() });
             }
-            ServiceEvent::Merged { header, .. } => tree.send_up(post, *header),
+            ServiceEvent::Merged { header, .. } => hierarchy.send_up(post, *header),
             _ => {}
         }
         let name = match post.checked_sub(1) {

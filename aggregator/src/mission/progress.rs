@@ -7,8 +7,8 @@ use cosurf_scene::bytes::format_bytes;
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde_json::json;
 
-use crate::board::{Phase, Status};
-use crate::fleet::{FleetEvent, FleetEventKind};
+use super::agents::{ProcessEvent, ProcessEventKind};
+use super::board::{Phase, Status};
 use crate::terminal::{Display, format_seconds};
 
 /// Seconds between two rounds of plain lines.
@@ -55,7 +55,7 @@ impl Progress {
     }
 
     /// Shows what happened to an agent; `status` has taken it in already.
-    pub(crate) fn show(&self, event: &FleetEvent, status: &Status) {
+    pub(crate) fn show(&self, event: &ProcessEvent, status: &Status) {
         if self.display == Display::Json {
             let line = json_line(&self.names[event.agent], &event.kind);
             let _ = writeln!(io::stdout(), "{line}");
@@ -124,14 +124,14 @@ fn describe(status: &Status) -> String {
     }
 }
 
-fn json_line(agent: &str, event: &FleetEventKind) -> String {
+fn json_line(agent: &str, event: &ProcessEventKind) -> String {
     let mut line = match event {
-        FleetEventKind::Said(event) => json!(event),
-        FleetEventKind::Restarting { attempt, reason } => {
+        ProcessEventKind::Said(event) => json!(event),
+        ProcessEventKind::Restarting { attempt, reason } => {
             json!({"event": "restarting", "attempt": attempt, "reason": reason})
         }
-        FleetEventKind::Ended => json!({"event": "ended"}),
-        FleetEventKind::Failed { reason } => json!({"event": "failed", "reason": reason}),
+        ProcessEventKind::Ended => json!({"event": "ended"}),
+        ProcessEventKind::Failed { reason } => json!({"event": "failed", "reason": reason}),
     };
     line["agent"] = agent.into();
     line.to_string()
@@ -145,7 +145,7 @@ mod tests {
 
     #[test]
     fn a_script_reads_the_agents_events_with_its_name() {
-        let event = FleetEventKind::Said(AgentEvent::Acknowledged { bytes_sent: 7 });
+        let event = ProcessEventKind::Said(AgentEvent::Acknowledged { bytes_sent: 7 });
         assert_eq!(
             json_line("agent-1", &event),
             r#"{"agent":"agent-1","bytes_sent":7,"event":"acknowledged"}"#

@@ -31,7 +31,7 @@ const PANIC_CODE: i32 = 101;
 
 /// How to start one agent.
 #[derive(Clone, Debug)]
-pub(crate) struct Orders {
+pub(crate) struct AgentCommand {
     /// The executable.
     pub(crate) program: PathBuf,
     /// Its arguments.
@@ -42,16 +42,16 @@ pub(crate) struct Orders {
 
 /// What happened to an agent.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct FleetEvent {
+pub(crate) struct ProcessEvent {
     /// Index into the orders.
     pub(crate) agent: usize,
     /// What.
-    pub(crate) kind: FleetEventKind,
+    pub(crate) kind: ProcessEventKind,
 }
 
-/// See [`FleetEvent`].
+/// See [`ProcessEvent`].
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) enum FleetEventKind {
+pub(crate) enum ProcessEventKind {
     /// It said something.
     Said(AgentEvent),
     /// It died and is about to be started again.
@@ -71,35 +71,38 @@ pub(crate) enum FleetEventKind {
 }
 
 /// Running agents. Dropping it ends them all.
-pub(crate) struct Fleet {
+pub(crate) struct AgentProcesses {
     stopping: Arc<AtomicBool>,
     children: Vec<Arc<Mutex<Option<Child>>>>,
     threads: Vec<JoinHandle<()>>,
 }
 
-impl Fleet {
+impl AgentProcesses {
     /// Starts one process per order, each watched by a thread that tells `events` what happens.
-    pub(crate) fn start(orders: Vec<Orders>, events: impl Fn(FleetEvent) + Clone + Send + 'static) -> Self {
-        let mut fleet = Self {
+    pub(crate) fn start(
+        commands: Vec<AgentCommand>,
+        events: impl Fn(ProcessEvent) + Clone + Send + 'static,
+    ) -> Self {
+        let mut processes = Self {
             stopping: Arc::new(AtomicBool::new(false)),
-            children: orders.iter().map(|_| Arc::default()).collect(),
-            threads: Vec::with_capacity(orders.len()),
+            children: commands.iter().map(|_| Arc::default()).collect(),
+            threads: Vec::with_capacity(commands.len()),
         };
-        for (agent, orders) in orders.into_iter().enumerate() {
+        for (agent, command) in commands.into_iter().enumerate() {
             let events = events.clone();
-            let watch = Watch {
-                orders,
-                child: fleet.children[agent].clone(),
-                stopping: fleet.stopping.clone(),
-                say: Box::new(move |kind| events(FleetEvent { agent, kind })),
+            let supervisor = Supervisor {
+                command,
+                child: processes.children[agent].clone(),
+                stopping: processes.stopping.clone(),
+                say: Box::new(move |kind| events(ProcessEvent { agent, kind })),
             };
-            fleet.threads.push(thread::spawn(move || watch.run()));
+            processes.threads.push(thread::spawn(move || supervisor.run()));
         }
-        fleet
+        processes
     }
 }
 
-impl Drop for Fleet {
+impl Drop for AgentProcesses {
     fn drop(&mut self) {
         self.stopping.store(true, Ordering::SeqCst);
         for child in &self.children {
@@ -114,14 +117,14 @@ impl Drop for Fleet {
 }
 
 /// One thread's view of one agent.
-struct Watch {
-    orders: Orders,
+struct Supervisor {
+    command: AgentCommand,
     child: Arc<Mutex<Option<Child>>>,
     stopping: Arc<AtomicBool>,
-    say: Box<dyn Fn(FleetEventKind) + Send>,
+    say: Box<dyn Fn(ProcessEventKind) + Send>,
 }
 
-impl Watch {
+impl Supervisor {
     fn run(&self) {
         for restarts in 0.. {
             let outcome = self.run_once();
@@ -129,19 +132,19 @@ impl Watch {
                 return;
             }
             let (reason, died) = match outcome {
-                Ok(status) if status.success() => return (self.say)(FleetEventKind::Ended),
+                Ok(status) if status.success() => return (self.say)(ProcessEventKind::Ended),
                 Ok(status) => (self.reason(status), is_death(status)),
-                Err(error) => (format!("cannot start {}: {error}", self.orders.program.display()), false),
+                Err(error) => (format!("cannot start {}: {error}", self.command.program.display()), false),
             };
             if !died {
-                return (self.say)(FleetEventKind::Failed { reason });
+                return (self.say)(ProcessEventKind::Failed { reason });
             }
             let attempt = restarts + 1;
             if attempt > RESTARTS_MAX {
                 let reason = format!("{reason}, and so after each of {RESTARTS_MAX} restarts");
-                return (self.say)(FleetEventKind::Failed { reason });
+                return (self.say)(ProcessEventKind::Failed { reason });
             }
-            (self.say)(FleetEventKind::Restarting { attempt, reason });
+            (self.say)(ProcessEventKind::Restarting { attempt, reason });
             thread::sleep(RESTART_PAUSE * attempt);
         }
     }
@@ -161,13 +164,13 @@ impl Watch {
 
     /// Starts the process, unless the fleet is being ended: then none may be born any more.
     fn spawn(&self) -> io::Result<Option<ChildStdout>> {
-        let log = File::options().create(true).append(true).open(&self.orders.log)?;
+        let log = File::options().create(true).append(true).open(&self.command.log)?;
         let mut slot = lock(&self.child);
         if self.stopping.load(Ordering::SeqCst) {
             return Err(io::ErrorKind::Interrupted.into());
         }
-        let mut child = Command::new(&self.orders.program)
-            .args(&self.orders.arguments)
+        let mut child = Command::new(&self.command.program)
+            .args(&self.command.arguments)
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .stderr(log)
@@ -184,7 +187,7 @@ impl Watch {
         let mut line = Vec::new();
         while matches!(reader.by_ref().take(LINE_BYTES_MAX).read_until(b'\n', &mut line), Ok(1..)) {
             if let Ok(event) = serde_json::from_slice::<AgentEvent>(&line) {
-                (self.say)(FleetEventKind::Said(event));
+                (self.say)(ProcessEventKind::Said(event));
             }
             line.clear();
         }
@@ -192,12 +195,12 @@ impl Watch {
 
     /// How the process ended, with the last line of its log.
     fn reason(&self, status: ExitStatus) -> String {
-        let last_words = read_tail(&self.orders.log).ok().and_then(|tail| last_words(&tail));
+        let last_words = read_tail(&self.command.log).ok().and_then(|tail| last_words(&tail));
         match (is_death(status), last_words) {
             (true, Some(words)) => format!("{status}; its last words: {words}"),
             (true, None) => status.to_string(),
             (false, Some(words)) => words,
-            (false, None) => format!("{status} without a word; see {}", self.orders.log.display()),
+            (false, None) => format!("{status} without a word; see {}", self.command.log.display()),
         }
     }
 }
@@ -241,26 +244,26 @@ mod tests {
     use super::*;
 
     /// Starts one agent that runs `script` in a shell, in a folder of its own.
-    fn start(script: &str, folder: &TempDir) -> (Fleet, Receiver<FleetEventKind>) {
-        let orders = Orders {
+    fn start(script: &str, folder: &TempDir) -> (AgentProcesses, Receiver<ProcessEventKind>) {
+        let command = AgentCommand {
             program: "/bin/sh".into(),
             arguments: vec!["-c".into(), format!("cd '{}'; {script}", folder.path().display())],
             log: folder.path().join("agent.log"),
         };
         let (sender, receiver) = mpsc::channel();
-        (Fleet::start(vec![orders], move |event| sender.send(event.kind).unwrap()), receiver)
+        (AgentProcesses::start(vec![command], move |event| sender.send(event.kind).unwrap()), receiver)
     }
 
-    fn acknowledged(bytes_sent: u64) -> FleetEventKind {
-        FleetEventKind::Said(AgentEvent::Acknowledged { bytes_sent })
+    fn acknowledged(bytes_sent: u64) -> ProcessEventKind {
+        ProcessEventKind::Said(AgentEvent::Acknowledged { bytes_sent })
     }
 
     #[test]
     fn events_arrive_and_other_talk_does_not() {
         let folder = tempfile::tempdir().unwrap();
         let script = r#"echo hello; echo '{"event":"acknowledged","bytes_sent":7}'; echo '{"event":"no"}'"#;
-        let (_fleet, events) = start(script, &folder);
-        assert_eq!(events.iter().take(2).collect::<Vec<_>>(), [acknowledged(7), FleetEventKind::Ended]);
+        let (_processes, events) = start(script, &folder);
+        assert_eq!(events.iter().take(2).collect::<Vec<_>>(), [acknowledged(7), ProcessEventKind::Ended]);
     }
 
     #[test]
@@ -269,20 +272,20 @@ mod tests {
         let script = r#"
             if [ ! -e once ]; then touch once; kill -9 $$; fi
             echo '{"event":"acknowledged","bytes_sent":8}'"#;
-        let (_fleet, events) = start(script, &folder);
+        let (_processes, events) = start(script, &folder);
         let events: Vec<_> = events.iter().take(3).collect();
-        let FleetEventKind::Restarting { attempt: 1, reason } = &events[0] else { panic!("{events:?}") };
+        let ProcessEventKind::Restarting { attempt: 1, reason } = &events[0] else { panic!("{events:?}") };
         assert!(reason.contains("signal: 9"), "{reason}");
-        assert_eq!(events[1..], [acknowledged(8), FleetEventKind::Ended]);
+        assert_eq!(events[1..], [acknowledged(8), ProcessEventKind::Ended]);
     }
 
     #[test]
     fn an_agent_that_always_dies_fails_after_its_restarts() {
         let folder = tempfile::tempdir().unwrap();
-        let (_fleet, events) = start("echo x >> runs; kill -9 $$", &folder);
+        let (_processes, events) = start("echo x >> runs; kill -9 $$", &folder);
         let events: Vec<_> = events.iter().collect();
         assert_eq!(events.len(), 6, "{events:?}");
-        let FleetEventKind::Failed { reason } = &events[5] else { panic!("{events:?}") };
+        let ProcessEventKind::Failed { reason } = &events[5] else { panic!("{events:?}") };
         assert!(reason.contains("after each of 5 restarts"), "{reason}");
         assert_eq!(fs::read_to_string(folder.path().join("runs")).unwrap().lines().count(), 6);
     }
@@ -290,24 +293,24 @@ mod tests {
     #[test]
     fn an_agent_that_gives_up_itself_fails_at_once_with_its_own_words() {
         let folder = tempfile::tempdir().unwrap();
-        let (_fleet, events) = start("echo 'error: no images in x' >&2; exit 1", &folder);
+        let (_processes, events) = start("echo 'error: no images in x' >&2; exit 1", &folder);
         let reason = "no images in x".to_string();
-        assert_eq!(events.iter().collect::<Vec<_>>(), [FleetEventKind::Failed { reason }]);
+        assert_eq!(events.iter().collect::<Vec<_>>(), [ProcessEventKind::Failed { reason }]);
     }
 
     #[test]
     fn a_missing_executable_is_named() {
         let folder = tempfile::tempdir().unwrap();
-        let orders = Orders {
+        let command = AgentCommand {
             program: folder.path().join("nobody"),
             arguments: Vec::new(),
             log: folder.path().join("agent.log"),
         };
         let (sender, events) = mpsc::channel();
-        let _fleet = Fleet::start(vec![orders], move |event| sender.send(event.kind).unwrap());
+        let _processes = AgentProcesses::start(vec![command], move |event| sender.send(event.kind).unwrap());
         let event = events.recv().unwrap();
         assert!(
-            matches!(&event, FleetEventKind::Failed { reason } if reason.contains("nobody")),
+            matches!(&event, ProcessEventKind::Failed { reason } if reason.contains("nobody")),
             "{event:?}"
         );
     }
@@ -316,10 +319,10 @@ mod tests {
     fn dropping_the_fleet_ends_its_processes() {
         let folder = tempfile::tempdir().unwrap();
         let script = r#"echo $$ > pid; echo '{"event":"acknowledged","bytes_sent":9}'; exec sleep 60"#;
-        let (fleet, events) = start(script, &folder);
+        let (processes, events) = start(script, &folder);
         assert_eq!(events.recv().unwrap(), acknowledged(9));
         let begun = Instant::now();
-        drop(fleet);
+        drop(processes);
         assert!(begun.elapsed() < Duration::from_secs(5), "it did not wait for the sleeper");
         let pid = fs::read_to_string(folder.path().join("pid")).unwrap();
         let alive =

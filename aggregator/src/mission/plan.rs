@@ -82,7 +82,7 @@ pub enum PlanError {
     },
     /// The orders of an agent cannot be written.
     #[error("orders of {device}: {reason}")]
-    BadOrders {
+    BadAgentConfig {
         /// The agent.
         device: DeviceId,
         /// What is wrong.
@@ -151,7 +151,7 @@ impl Plan {
             held_out: held_out.binary_search(&i).is_ok(),
         });
         let devices = names("agent", agents)?;
-        let site = settle(settings, out, fresh_site)?;
+        let site = open_record(settings, out, fresh_site)?;
         let edge = |(i, device): (usize, DeviceId)| {
             let site = SiteId::new(&format!("{site}-{device}"))?;
             Ok(Edge { device, site, agents: i * each..(i + 1) * each })
@@ -176,7 +176,7 @@ impl Plan {
     }
 
     /// Writes agent `i`'s orders into its folder below `out`, and returns that folder.
-    pub(crate) fn write_orders(
+    pub(crate) fn write_agent_config(
         &self,
         agent: usize,
         settings: &Settings,
@@ -217,7 +217,7 @@ impl Plan {
             wait_global: true,
         };
         let text = toml::to_string(&config)
-            .map_err(|error| PlanError::BadOrders { device, reason: error.to_string() })?;
+            .map_err(|error| PlanError::BadAgentConfig { device, reason: error.to_string() })?;
         write_text(&folder.join("agent.toml"), &text)?;
         Ok(folder)
     }
@@ -231,7 +231,7 @@ fn names(of: &str, count: usize) -> Result<Vec<DeviceId>, IdError> {
 
 /// The site of the mission in `out`: that of its record, where the settings are the same; where there
 /// is no record, one is made.
-fn settle(settings: &Settings, out: &Path, fresh_site: SiteId) -> Result<SiteId, PlanError> {
+fn open_record(settings: &Settings, out: &Path, fresh_site: SiteId) -> Result<SiteId, PlanError> {
     let path = out.join("mission.json");
     let bad = |reason: String| PlanError::BadRecord { path: path.clone(), reason };
     match fs::read(&path) {
@@ -336,7 +336,7 @@ mod tests {
     fn orders_are_what_the_agent_reads() {
         let out = tempfile::tempdir().unwrap();
         let plan = Plan::make(&row(18), &settings(), out.path(), site("a")).unwrap();
-        let folder = plan.write_orders(1, &settings(), out.path(), "mqtt://h:1", 3).unwrap();
+        let folder = plan.write_agent_config(1, &settings(), out.path(), "mqtt://h:1", 3).unwrap();
         let text = fs::read_to_string(folder.join("agent.toml")).unwrap();
         let config: AgentConfig = toml::from_str(&text).unwrap();
         assert_eq!((config.device.as_str(), config.site.as_str()), ("agent-2", "a"));
@@ -351,7 +351,7 @@ mod tests {
             let out = tempfile::tempdir().unwrap();
             let settings = Settings { division: Division::Evenly { agents }, ..settings() };
             let plan = Plan::make(&row(18), &settings, out.path(), site("a")).unwrap();
-            let folder = plan.write_orders(0, &settings, out.path(), "mqtt://h:1", 1).unwrap();
+            let folder = plan.write_agent_config(0, &settings, out.path(), "mqtt://h:1", 1).unwrap();
             let text = fs::read_to_string(folder.join("agent.toml")).unwrap();
             assert_eq!(toml::from_str::<AgentConfig>(&text).unwrap().alone, is_alone);
         }
