@@ -16,8 +16,8 @@ pub mod mission;
 pub mod partition;
 pub mod report;
 pub mod service;
-#[cfg(test)]
-mod simulation;
 mod terminal;
+#[cfg(test)]
+mod testing;
 
 pub use terminal::{Display, Meter};

@@ -22,7 +22,7 @@ mod memory;
 mod settings;
 mod teachers;
 #[cfg(test)]
-pub(crate) mod tests;
+mod tests;
 
 use std::ops::ControlFlow;
 

@@ -213,7 +213,7 @@ pub(crate) mod tests {
     use cosurf_engine::Renderer;
 
     use super::*;
-    use crate::merge::tests::{above, ground};
+    use crate::testing::{above, ground};
 
     /// The wrong frame of the tests: 5°, 1.1, 2 m.
     pub(crate) fn wrong() -> Similarity {

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use glam::DQuat;
 
 use super::*;
-use crate::merge::tests::{InMemory, above, ground};
+use crate::testing::{InMemory, above, ground};
 
 /// A model of the ground below a flight of five cameras along `x`.
 pub(crate) fn flight(west: f64) -> Model {

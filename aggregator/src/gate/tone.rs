@@ -195,7 +195,7 @@ mod tests {
     use super::super::admit;
     use super::super::tests::flights;
     use super::*;
-    use crate::merge::tests::{InMemory, above};
+    use crate::testing::{InMemory, above};
 
     fn tones_of(locals: &InMemory) -> Option<Vec<Tone>> {
         tones(locals, 1, &|| false).unwrap()

@@ -24,7 +24,7 @@ pub(crate) fn concatenate(models: &[Model]) -> Model {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::merge::tests::model;
+    use crate::testing::model;
 
     #[test]
     fn splats_keep_their_order_and_lower_degrees_are_padded_with_zeros() {

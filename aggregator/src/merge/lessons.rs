@@ -52,8 +52,8 @@ fn bits(camera: &Camera) -> [u64; 13] {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::above;
     use super::*;
+    use crate::testing::above;
 
     fn flight(places: &[f64]) -> Vec<Camera> {
         places.iter().map(|x| above(*x)).collect()

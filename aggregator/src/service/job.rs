@@ -170,7 +170,7 @@ mod tests {
 
     use super::*;
     use crate::merge::concatenate;
-    use crate::merge::tests::{above, ground};
+    use crate::testing::{above, ground};
 
     #[test]
     fn what_the_cameras_need_most_goes_first() {

@@ -21,13 +21,13 @@ use super::job::packed;
 use super::keeper::Orders;
 use super::*;
 use crate::merge::MergeSettings;
-use crate::merge::tests::model;
-use crate::simulation::{self, BAD_WEATHER, LIMITS, PATIENCE};
+use crate::testing::model;
+use crate::testing::{self, BAD_WEATHER, LIMITS, PATIENCE};
 
 const AT_ONCE: Rounds = Rounds { quorum: 1, quiet: Duration::ZERO, deadline: Duration::ZERO };
 
 fn identity(name: &str, role: Role) -> Identity {
-    simulation::identity("test", name, role)
+    testing::identity("test", name, role)
 }
 
 /// A drone that sends one model and keeps the global one.

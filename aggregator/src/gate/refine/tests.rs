@@ -8,7 +8,7 @@ use glam::{DVec2, DVec3};
 use super::*;
 use crate::gate::similarity::tests::wrong;
 use crate::gate::{Doubt, admit};
-use crate::merge::tests::InMemory;
+use crate::testing::InMemory;
 use cosurf_link::Model;
 
 /// A number from 0 to 1 for each place of a lattice.

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::gate::tests::{elsewhere, flights};
-use crate::simulation::QUICK;
+use crate::testing::QUICK;
 use glam::DVec3;
 
 const NAMES: [&str; 4] = ["agent-1", "agent-2", "agent-3", "agent-4"];

@@ -6,9 +6,9 @@ use cosurf_link::{First, model_to_body, plain_importance};
 use cosurf_wire::BodyHash;
 
 use super::*;
-use crate::merge::tests::InMemory;
 use crate::merge::{MergeProgress, merge};
-use crate::simulation::{QUICK, model_at};
+use crate::testing::InMemory;
+use crate::testing::{QUICK, model_at};
 
 /// Lives that are simulated.
 const SEEDS: u64 = 200;

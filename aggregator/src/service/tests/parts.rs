@@ -4,7 +4,7 @@ use cosurf_link::{First, model_to_body};
 
 use super::*;
 use crate::gate::tests::flights;
-use crate::simulation::QUICK;
+use crate::testing::QUICK;
 
 /// East of what agent-1 saw.
 const BEYOND: f32 = 16.0;

@@ -1,14 +1,16 @@
-//! What tests of whole fleets share: the weather, the limits, and small models.
+//! What the tests of several rooms share: the weather of a simulated network, limits, and small models.
 #![allow(clippy::unwrap_used)]
+
+mod models;
 
 use std::time::Duration;
 
 use cosurf_engine::DeviceChoice;
-use cosurf_link::{Faults, Identity, InboxLimits, Model, Role};
+use cosurf_link::{Faults, Identity, InboxLimits, Role};
 use cosurf_wire::{DeviceId, SiteId};
 
 use crate::merge::MergeSettings;
-use crate::merge::tests::{above, ground};
+pub(crate) use models::{InMemory, above, ground, model, model_at};
 
 pub(crate) const BAD_WEATHER: Faults = Faults {
     loss: 0.1,
@@ -33,10 +35,4 @@ pub(crate) const PATIENCE: Duration = Duration::from_secs(300);
 
 pub(crate) fn identity(site: &str, device: &str, role: Role) -> Identity {
     Identity { site: SiteId::new(site).unwrap(), device: DeviceId::new(device).unwrap(), session: 1, role }
-}
-
-/// A small model of the ground at `place`, seen by two small cameras.
-pub(crate) fn model_at(place: f32) -> Model {
-    let cameras = [-0.5, 0.5].map(|x| above(f64::from(place) + x).resized([24, 16]));
-    Model { splats: ground(place - 2.0, place + 2.0), cameras: cameras.to_vec() }
 }
