@@ -1,36 +1,18 @@
-//! Commands of `cosurf-aggregator`, each with its arguments.
+//! Commands of `cosurf-aggregator`, each with its arguments: they parse, call the library and print.
+//!
+//! They refuse to know how anything is computed. What only a program may ask of the machine is in [`host`].
+//!
+//! Where to start reading: any command; each has a file of its name.
 
-pub(crate) mod cells;
+mod arguments;
+mod cells;
 pub(crate) mod convert;
 pub(crate) mod eval;
 pub(crate) mod eval_mesh;
 pub(crate) mod forget;
+pub(crate) mod host;
 pub(crate) mod key;
 pub(crate) mod merge;
 pub(crate) mod mesh;
 pub(crate) mod mission;
 pub(crate) mod tap;
-
-use std::io::{self, IsTerminal};
-use std::thread::available_parallelism;
-use std::time::{SystemTime, UNIX_EPOCH};
-
-use cosurf_aggregator::Display;
-
-/// How progress is shown.
-pub(crate) fn display(json: bool) -> Display {
-    match (json, io::stderr().is_terminal()) {
-        (true, _) => Display::Json,
-        (false, true) => Display::Bars,
-        (false, false) => Display::Lines,
-    }
-}
-
-pub(crate) fn cores() -> usize {
-    available_parallelism().map_or(1, usize::from)
-}
-
-/// Seconds since 1970; a clock before that is a clock that was never set.
-pub(crate) fn session() -> u64 {
-    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs())
-}

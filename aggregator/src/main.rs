@@ -96,10 +96,11 @@ fn run(args: &RunArgs) -> Result<()> {
     })
     .context("Ctrl-C cannot be caught")?;
     let (begun, json) = (Instant::now(), args.json);
-    let line = |port: &String| SerialConfig::device(port, args.baud, cli::session(), GATEWAY_MESSAGE_BYTES);
+    let line =
+        |port: &String| SerialConfig::device(port, args.baud, cli::host::session(), GATEWAY_MESSAGE_BYTES);
     serve(
         &config,
-        Host { clock_s: cli::session(), threads: cli::cores() },
+        Host { clock_s: cli::host::session(), threads: cli::host::cores() },
         args.serial.iter().map(line).collect(),
         move || begun.elapsed(),
         &orders,

@@ -8,7 +8,7 @@ use clap::Args;
 use cosurf_aggregator::evaluate::accuracy::{Accuracy, Score, judge};
 use cosurf_scene::{Mesh, colormap};
 
-use super::mesh::parse_length;
+use super::arguments::parse_length;
 
 /// Errors of so many thresholds have the brightest colour.
 const BRIGHTEST: f32 = 2.0;

@@ -13,6 +13,9 @@ use cosurf_aggregator::mesh::{FuseSettings, Fused, mesh_model};
 use cosurf_scene::bytes::{format_bytes, parse_bytes};
 use cosurf_scene::{Dataset, ply};
 
+use super::arguments::parse_length;
+use super::host::display;
+
 /// Make a mesh of a model: its depth, seen from every camera, fused.
 ///
 /// Needs the cameras only, no photographs. Where memory is short, voxels become larger, and a line says
@@ -41,12 +44,6 @@ pub(crate) struct MeshArgs {
     json: bool,
 }
 
-/// A length in metres: a number, finite and above zero.
-pub(crate) fn parse_length(text: &str) -> Result<f64, String> {
-    let length: Option<f64> = text.parse().ok().filter(|v: &f64| v.is_finite() && *v > 0.0);
-    length.ok_or_else(|| format!("'{text}' is no length in metres; write for example 0.25"))
-}
-
 pub(crate) fn run(args: &MeshArgs) -> Result<()> {
     if !matches!(args.out.extension().and_then(|e| e.to_str()), Some("ply" | "glb")) {
         bail!("{}: meshes are written as .ply or .glb; choose one of these", args.out.display());
@@ -56,7 +53,7 @@ pub(crate) fn run(args: &MeshArgs) -> Result<()> {
     let settings = FuseSettings { voxel_m: args.voxel, memory_bytes: args.memory };
     let threads = available_parallelism().map_or(1, usize::from);
     let begun = Instant::now();
-    let mut meter = Meter::new(super::display(args.json));
+    let mut meter = Meter::new(display(args.json));
     let fused = mesh_model(splats, &cameras, args.max_size, &settings, threads, |event| {
         meter.show_fusion(event, begun.elapsed().as_secs_f64());
     })?;

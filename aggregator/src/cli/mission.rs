@@ -15,8 +15,9 @@ use cosurf_link::BrokerAddress;
 use cosurf_scene::bytes::parse_bytes;
 use cosurf_scene::city::CitySettings;
 
+use super::cells;
+use super::host::{cores, display, session};
 use super::merge::Ways;
-use super::{cells, cores, display, session};
 
 /// From drone pictures to a global model and a report, on this machine.
 ///
