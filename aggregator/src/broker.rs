@@ -17,7 +17,9 @@
 //! Ours adds no package, is ready as soon as [`Broker::start`] returns, and holds back a publisher
 //! instead of dropping QoS 1 messages for a slow consumer.
 //!
-//! [`router`] decides and knows no socket; [`connection`] reads and writes and decides nothing.
+//! It refuses to know what the messages mean: any MQTT 5 client may use it.
+//!
+//! Where to start reading: [`router`] decides and knows no socket; [`connection`] reads and writes and decides nothing.
 
 mod connection;
 mod router;

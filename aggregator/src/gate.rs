@@ -11,6 +11,11 @@
 //!
 //! Who contradicts others may be moved to where it fits them (`refine`), if the owner of all says so. Those that take
 //! part get colours that agree ([`tone`]).
+//!
+//! It refuses to know who sent a model and when: it judges models by what they show, and merges nothing.
+//!
+//! Where to start reading: [`admit`]; then [`glimpse`] for how two models are compared, [`refine`](mod@refine) and
+//! [`matching`] for how one is moved to where it fits.
 
 mod consensus;
 mod glimpse;
@@ -31,7 +36,7 @@ use glam::DVec3;
 use crate::merge::cameras::{middle, radius};
 use crate::merge::{Locals, MergeError};
 use glimpse::Glimpse;
-use refine::{refine, settle};
+use refine::{refine, refine_against_all};
 pub use similarity::Similarity;
 pub use tone::Tone;
 use tone::tones;
@@ -144,7 +149,7 @@ pub fn admit<'a>(
                 return Err(MergeError::GivenUp);
             }
             if let Some(by) = refine(locals, local, other, threads)? {
-                moves[local] = Some(settle(locals, local, &sound, by, threads)?);
+                moves[local] = Some(refine_against_all(locals, local, &sound, by, threads)?);
                 doubts[local] = None;
                 break;
             }
@@ -179,7 +184,7 @@ fn doubts(
     }
     let unseen = |shown: &Shown| (shown.unseen > UNSEEN_MAX).then_some(Doubt::Unseen(shown.unseen));
     let mut doubts: Vec<Option<Doubt>> = shown.iter().map(unseen).collect();
-    relations.settle(&shown, &mut doubts);
+    relations.doubt_contradicting(&shown, &mut doubts);
     Ok(doubts)
 }
 
@@ -291,7 +296,7 @@ impl Relations {
     }
 
     /// Doubts the worst until nobody contradicts anybody.
-    fn settle(&self, shown: &[Shown], doubts: &mut [Option<Doubt>]) {
+    fn doubt_contradicting(&self, shown: &[Shown], doubts: &mut [Option<Doubt>]) {
         loop {
             let sound = (0..shown.len()).filter(|i| doubts[*i].is_none());
             let contradicting =

@@ -4,6 +4,10 @@
 //! When the device says its birth, a client of the broker is started as that device; when the line is
 //! silent, the client ends without a word, and the broker publishes the device's last will. [`relay`]
 //! decides what passes; this file moves it.
+//!
+//! It refuses to know what models are: it passes frames on, and looks at topics only.
+//!
+//! Where to start reading: [`Gateway::start`], then [`relay`].
 
 mod relay;
 

@@ -90,7 +90,7 @@ fn has_closed_pipe(error: &anyhow::Error) -> bool {
 
 fn run(args: &RunArgs) -> Result<()> {
     let config = AggregatorConfig::read(&args.config)?;
-    let (commands, orders) = mpsc::channel();
+    let (commands, receiver) = mpsc::channel();
     ctrlc::set_handler(move || {
         let _ = commands.send(Command::Stop); // fails only where the service has ended already
     })
@@ -103,7 +103,7 @@ fn run(args: &RunArgs) -> Result<()> {
         Host { clock_s: cli::host::session(), threads: cli::host::cores() },
         args.serial.iter().map(line).collect(),
         move || begun.elapsed(),
-        &orders,
+        &receiver,
         |event| show(event, json),
         move |event| show(&event, json),
     )?;

@@ -8,7 +8,7 @@
 //! It refuses to know where models come from ([`Locals`]) and which of them are to be trusted ([`crate::gate`]).
 //!
 //! Where to start reading: [`merge`], which reads as the list of steps; [`cosurf_engine::compress`]; [`distill`], its
-//! [`lessons`] and [`teachers`]; [`memory`] for what fits; [`fill_in`] for models that have not arrived as a whole.
+//! [`lessons`] and [`teachers`]; [`memory`] for what fits; [`fill_in()`] for models that have not arrived as a whole.
 
 pub(crate) mod cameras;
 mod computer;

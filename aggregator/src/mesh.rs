@@ -11,6 +11,7 @@
 //!
 //! Where to start reading: [`fuse()`], then `volume`, `extract`; [`mesh_model`] renders a model for it.
 
+mod budget;
 mod cases;
 mod clean;
 mod error;
@@ -19,7 +20,6 @@ mod extract;
 mod frame;
 mod fuse;
 mod model;
-mod plan;
 mod scout;
 #[cfg(test)]
 mod tests;

@@ -2,7 +2,7 @@
 //!
 //! It refuses to know how a mission runs: it gets figures, cells and views, and returns text.
 //!
-//! Where to start reading: [`MissionReport`], the figures; [`texts`], what is said of them; [`page`].
+//! Where to start reading: [`MissionReport`], the figures; [`texts`], what is said of them; [`page()`].
 
 mod chart;
 mod embed;

@@ -1,12 +1,11 @@
 //! The receiving service: local models in, verified, kept on disk, joined; the global model out.
 //!
-//! It reads no photograph. What is on the disk decides: a
-//! service that is stopped and started again goes on from its folder:
+//! What is on the disk decides: a service that is stopped and started again goes on from its folder:
 //!
 //! | in the folder | |
 //! |---|---|
 //! | `models/` | every local model as it arrived |
-//! | `parts/` | what had arrived of other models when models were merged: [`crate::merge::fill_in`] |
+//! | `parts/` | what had arrived of other models when models were merged: [`crate::merge::fill_in()`] |
 //! | `global/` | every revision of the global model, as sent to the agents |
 //! | `global.ply` | the newest revision, for viewers |
 //! | `merged.json` | what the newest revision was merged from, and how |
@@ -16,9 +15,9 @@
 //! The newest model of each device counts, unless it contradicts the others ([`crate::gate`]); they are merged in
 //! order of device id, so the same models give the same bytes in whatever order they arrive. Merging runs on a thread
 //! of its own while the service goes on listening; what arrives meanwhile makes it begin anew. Of a device that has sent
-//! none as a whole what has arrived so far is used ([`crate::merge::fill_in`]).
+//! none as a whole what has arrived so far is used ([`crate::merge::fill_in()`]).
 //!
-//! It refuses to know what agents do before they send, and how they are started: it knows them by what arrives.
+//! It refuses to know photographs, how agents train and how they are started: it knows them by what arrives.
 //!
 //! Where to start reading: [`serve()`], all that `cosurf-aggregator run` does; [`Service`], the loop; [`keeper`] for what
 //! is kept and done, [`round`] for when models are merged, [`upstream`] for an aggregator below another one.

@@ -65,7 +65,7 @@ pub(super) fn refine(
 
 /// The same more exactly: where the model `other`, which `from_other` takes to where it fits, fits all of `trusted` best.
 /// On Caliterra (240 px, four agents) what a single one leaves is up to 0.4 % of the extent.
-pub(super) fn settle(
+pub(super) fn refine_against_all(
     locals: &dyn Locals,
     other: usize,
     trusted: &[usize],

@@ -141,7 +141,9 @@ fn trained_models_are_moved_back() {
         let extent = 1.1 * radius(&all, middle(&all));
         for wrong in 0..models.len() {
             let others: Vec<usize> = (0..models.len()).filter(|i| *i != wrong).collect();
-            let wanted = settle(&InMemory(models.clone()), wrong, &others, Similarity::IDENTITY, 2).unwrap();
+            let wanted =
+                refine_against_all(&InMemory(models.clone()), wrong, &others, Similarity::IDENTITY, 2)
+                    .unwrap();
             let mut moved = models.clone();
             moved[wrong] = elsewhere(moved[wrong].clone(), 1.1, 5f64.to_radians(), 2.0 * DVec3::X);
             let moved = InMemory(moved);

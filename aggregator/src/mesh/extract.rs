@@ -156,8 +156,8 @@ fn write_vertices(
 
 /// Of two voxels' colours, more of the nearer and of the better known.
 fn mix_colors(a: &Voxel, b: &Voxel, t: f32) -> [u8; 3] {
-    let ((a, a_worth), (b, b_worth)) = (a.color(), b.color());
-    let (a_share, b_share) = ((1.0 - t) * a_worth, t * b_worth);
+    let ((a, a_weight), (b, b_weight)) = (a.color(), b.color());
+    let (a_share, b_share) = ((1.0 - t) * a_weight, t * b_weight);
     let whole = (a_share + b_share).max(f32::MIN_POSITIVE);
     [0, 1, 2].map(|c| ((a[c] * a_share + b[c] * b_share) / whole + 0.5) as u8)
 }

@@ -3,12 +3,12 @@
 use cosurf_engine::Rendering;
 use cosurf_scene::{Camera, Mesh};
 
+use super::budget::VolumeBudget;
 use super::clean;
 use super::error::MeshError;
 use super::event::{FuseEvent, Stage};
 use super::extract::{self, Layout};
 use super::frame::Frame;
-use super::plan::Plan;
 use super::scout::{self, PixelSize};
 use super::volume::Volume;
 
@@ -55,13 +55,13 @@ pub fn fuse(
     if cameras.is_empty() {
         return Err(MeshError::NoCameras);
     }
-    let plan = Plan::new(settings.memory_bytes, cameras);
+    let budget = VolumeBudget::new(settings.memory_bytes, cameras);
     let pixel_m = scout::pixel_m(cameras, &mut render, &mut on_event).ok_or(MeshError::NoSurface)?;
     let pixel = PixelSize { usual_m: pixel_m, most_m: scout::FARTHEST * pixel_m };
     let wanted_m = settings.voxel_m.unwrap_or(pixel_m);
     let mut voxel_m = wanted_m;
     loop {
-        let stages = Stages { cameras, pixel, voxel_m, plan };
+        let stages = Stages { cameras, pixel, voxel_m, budget };
         match stages.run(&mut render, &mut on_event)? {
             Some(fused) => return Ok(fused),
             None => voxel_m *= COARSER,
@@ -75,7 +75,7 @@ struct Stages<'a> {
     cameras: &'a [Camera],
     pixel: PixelSize,
     voxel_m: f64,
-    plan: Plan,
+    budget: VolumeBudget,
 }
 
 impl Stages<'_> {
@@ -85,8 +85,8 @@ impl Stages<'_> {
         render: &mut impl FnMut(&Camera) -> Rendering,
         on_event: &mut impl FnMut(FuseEvent),
     ) -> Result<Option<Fused>, MeshError> {
-        let Self { cameras, pixel, voxel_m, plan } = *self;
-        let Some(keys) = scout::find_blocks(cameras, render, pixel, voxel_m, plan.blocks_max, on_event)
+        let Self { cameras, pixel, voxel_m, budget } = *self;
+        let Some(keys) = scout::find_blocks(cameras, render, pixel, voxel_m, budget.blocks_max, on_event)
         else {
             return Ok(None);
         };
@@ -100,7 +100,7 @@ impl Stages<'_> {
         }
         let layout = Layout::new(&volume);
         let (blocks, peak_bytes) = (volume.len(), volume.bytes() + layout.bytes());
-        if peak_bytes > plan.volume_bytes || !layout.fits_indices() {
+        if peak_bytes > budget.volume_bytes || !layout.fits_indices() {
             return Ok(None);
         }
         let mut mesh = extract::extract(&volume, &layout);

@@ -5,10 +5,10 @@ use cosurf_engine::budget::PROCESS_BYTES;
 use cosurf_engine::{CpuBackend, CpuCapacity};
 use cosurf_scene::{Camera, Splats};
 
+use super::budget;
 use super::error::MeshError;
 use super::event::FuseEvent;
 use super::fuse::{FuseSettings, Fused, fuse};
-use super::plan;
 
 /// Splat–tile pairs that there is room for, per splat, and at least; a view that has more loses its
 /// farthest splats, hence its farthest surface, which other views see better.
@@ -37,7 +37,7 @@ pub fn mesh_model(
     let cameras = fitted(&needs, cameras, max_size_px.unwrap_or(u32::MAX), settings.memory_bytes)?;
     let left = settings.memory_bytes - needs.bytes(&cameras);
     let mut renderer = BoundedRenderer::new(splats, &needs, threads);
-    let settings = FuseSettings { memory_bytes: left + plan::frame_bytes(&cameras), ..*settings };
+    let settings = FuseSettings { memory_bytes: left + budget::frame_bytes(&cameras), ..*settings };
     fuse(&cameras, |camera| renderer.render(camera), &settings, on_event)
 }
 
@@ -60,7 +60,7 @@ impl Needs {
 
     /// With pictures of these cameras and the least of volumes.
     fn bytes(&self, cameras: &[Camera]) -> u64 {
-        self.bytes + picture_bytes(cameras) + plan::frame_bytes(cameras)
+        self.bytes + picture_bytes(cameras) + budget::frame_bytes(cameras)
     }
 }
 
@@ -88,12 +88,12 @@ fn fitted(
     loop {
         let cameras = shrunk(long_side_px);
         let left = memory_bytes.saturating_sub(needs.bytes);
-        let pictures = picture_bytes(&cameras) + plan::frame_bytes(&cameras);
-        if pictures <= left / PICTURE_SHARE && pictures + plan::least_bytes(&[]) <= left {
+        let pictures = picture_bytes(&cameras) + budget::frame_bytes(&cameras);
+        if pictures <= left / PICTURE_SHARE && pictures + budget::least_bytes(&[]) <= left {
             return Ok(cameras);
         }
         if long_side_px <= 64 {
-            let needed_bytes = needs.bytes + PICTURE_SHARE * pictures + plan::least_bytes(&[]);
+            let needed_bytes = needs.bytes + PICTURE_SHARE * pictures + budget::least_bytes(&[]);
             return Err(MeshError::TooLittleMemory { splats: needs.splats, needed_bytes, memory_bytes });
         }
         long_side_px = long_side_px * 7 / 8;

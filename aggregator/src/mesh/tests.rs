@@ -219,7 +219,7 @@ fn a_volume_takes_what_it_says() {
     let keys: Vec<_> = (0..100).filter_map(|x| volume::Key::new(glam::IVec3::new(x, 2, 3))).collect();
     let volume = Volume::new(keys, 0.1);
     let layout = Layout::new(&volume);
-    assert_eq!(volume.bytes() + layout.bytes(), 100 * plan::BLOCK_BYTES);
+    assert_eq!(volume.bytes() + layout.bytes(), 100 * budget::BLOCK_BYTES);
 }
 
 #[test]

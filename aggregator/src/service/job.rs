@@ -59,11 +59,11 @@ pub(super) struct Outcome {
 }
 
 /// What a look at a merge finds.
-pub(super) enum Look {
+pub(super) enum JobState {
     /// Nothing new.
-    Busy,
+    Unchanged,
     /// It has come further.
-    Further(MergeProgress),
+    Advanced(MergeProgress),
     /// It is done.
     Done(Box<Result<Outcome, MergeError>>),
 }
@@ -142,14 +142,14 @@ impl Job {
         Self { inputs, stop, progress, thread: Some(thread) }
     }
 
-    /// Looks how far it has come, without waiting. After [`Look::Done`] there is nothing more to see.
-    pub(super) fn look(&mut self) -> Look {
+    /// Looks how far it has come, without waiting. After [`JobState::Done`] there is nothing more to see.
+    pub(super) fn poll(&mut self) -> JobState {
         if let Ok(progress) = self.progress.try_recv() {
-            return Look::Further(progress);
+            return JobState::Advanced(progress);
         }
         match self.thread.take_if(|thread| thread.is_finished()) {
-            Some(thread) => Look::Done(Box::new(thread.join().unwrap_or(Err(MergeError::GivenUp)))),
-            None => Look::Busy,
+            Some(thread) => JobState::Done(Box::new(thread.join().unwrap_or(Err(MergeError::GivenUp)))),
+            None => JobState::Unchanged,
         }
     }
 }

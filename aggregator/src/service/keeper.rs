@@ -13,7 +13,7 @@ use super::control::{Command, ServiceConfig};
 use super::error::ServiceError;
 use super::event::ServiceEvent;
 use super::folder::{global_ply, global_store};
-use super::job::{Inputs, Job, Look, Outcome};
+use super::job::{Inputs, Job, JobState, Outcome};
 use super::record::{Fitted, Input, KeptOut, Merging};
 use super::round::{Expected, Round};
 use super::shelf::Shelf;
@@ -27,11 +27,11 @@ const WITHDRAWALS_EVERY: Duration = Duration::from_secs(1);
 
 /// What the owner wants.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) enum Orders {
-    GoOn,
+pub(super) enum RunState {
+    Running,
     /// Merge what is due, then end.
-    Finish,
-    Stop,
+    Finishing,
+    Stopping,
 }
 
 /// See the module.
@@ -142,7 +142,7 @@ impl Keeper {
     }
 
     /// Does what was asked for.
-    pub(super) fn obey(&mut self, node: &Node, commands: &Receiver<Command>, now: Duration) -> Orders {
+    pub(super) fn obey(&mut self, node: &Node, commands: &Receiver<Command>, now: Duration) -> RunState {
         loop {
             match commands.try_recv() {
                 Ok(Command::GiveUp(device)) => {
@@ -151,10 +151,10 @@ impl Keeper {
                 }
                 Ok(Command::Finish) => {
                     self.begin_when_due(node, now);
-                    return Orders::Finish;
+                    return RunState::Finishing;
                 }
-                Ok(Command::Stop) | Err(TryRecvError::Disconnected) => return Orders::Stop,
-                Err(TryRecvError::Empty) => return Orders::GoOn,
+                Ok(Command::Stop) | Err(TryRecvError::Disconnected) => return RunState::Stopping,
+                Err(TryRecvError::Empty) => return RunState::Running,
             }
         }
     }
@@ -235,10 +235,10 @@ impl Keeper {
             return self.offer_again(node).map(Some);
         }
         let Some((job, begun)) = &mut self.job else { return Ok(None) };
-        let outcome = match job.look() {
-            Look::Busy => return Ok(None),
-            Look::Further(progress) => return Ok(Some(ServiceEvent::Merging(progress))),
-            Look::Done(outcome) => outcome,
+        let outcome = match job.poll() {
+            JobState::Unchanged => return Ok(None),
+            JobState::Advanced(progress) => return Ok(Some(ServiceEvent::Merging(progress))),
+            JobState::Done(outcome) => outcome,
         };
         let (inputs, seconds) = (std::mem::take(&mut job.inputs), (now - *begun).as_secs_f64());
         self.job = None;

@@ -10,7 +10,7 @@ use cosurf_wire::ModelHeader;
 use super::control::{Command, ServiceConfig};
 use super::error::ServiceError;
 use super::event::ServiceEvent;
-use super::keeper::{Keeper, Orders};
+use super::keeper::{Keeper, RunState};
 
 /// How often the service looks up from listening.
 const LOOK_UP: Duration = Duration::from_millis(50);
@@ -45,14 +45,14 @@ impl Service {
         commands: &Receiver<Command>,
         mut on_event: impl FnMut(ServiceEvent) -> ControlFlow<()>,
     ) -> Option<ModelHeader> {
-        let mut orders = Orders::GoOn;
+        let mut state = RunState::Running;
         loop {
-            orders = orders.max(self.keeper.obey(&self.node, commands, now()));
+            state = state.max(self.keeper.obey(&self.node, commands, now()));
             let broke = self.step(transport, &now, LOOK_UP, &mut on_event).is_break();
-            let ends = match orders {
-                Orders::GoOn => false,
-                Orders::Finish => !self.keeper.is_merging(),
-                Orders::Stop => true,
+            let ends = match state {
+                RunState::Running => false,
+                RunState::Finishing => !self.keeper.is_merging(),
+                RunState::Stopping => true,
             };
             if ends || broke {
                 return self.keeper.global();

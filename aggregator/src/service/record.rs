@@ -148,7 +148,7 @@ pub(super) fn withdrawn(folder: &Path) -> BTreeMap<DeviceId, Option<ModelId>> {
 }
 
 /// Fills in up to which model a device is withdrawn.
-pub(super) fn settle_withdrawal(folder: &Path, device: &DeviceId, last: ModelId) -> Result<(), SceneError> {
+pub(super) fn write_withdrawal(folder: &Path, device: &DeviceId, last: ModelId) -> Result<(), SceneError> {
     let path = folder.join(WITHDRAWN).join(device.as_str());
     atomic::write(&path, |file| io::Write::write_all(file, last.0.to_string().as_bytes()))
 }

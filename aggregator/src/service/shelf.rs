@@ -11,7 +11,7 @@ use super::error::ServiceError;
 use super::event::ServiceEvent;
 use super::job::{Inputs, Stores};
 use super::parts::Parts;
-use super::record::{settle_withdrawal, withdrawn};
+use super::record::{withdrawn, write_withdrawal};
 
 /// See the module.
 #[derive(Debug)]
@@ -94,7 +94,7 @@ impl Shelf {
         for (device, last) in withdrawn(&self.folder) {
             let last = match last {
                 Some(last) => last,
-                None => self.settle(device)?,
+                None => self.record_withdrawal(device)?,
             };
             if self.withdraw(device, last)? {
                 first = first.or(Some(device));
@@ -104,10 +104,10 @@ impl Shelf {
     }
 
     /// Writes down which model of a device is the last that does not count: the newest that is here now.
-    fn settle(&mut self, device: DeviceId) -> Result<ModelId, ServiceError> {
+    fn record_withdrawal(&mut self, device: DeviceId) -> Result<ModelId, ServiceError> {
         let newest = self.stored.get(&device).and_then(|models| models.keys().next_back().copied());
         let last = newest.max(self.parts.model_of(&device)).unwrap_or(ModelId(0));
-        settle_withdrawal(&self.folder, &device, last)?;
+        write_withdrawal(&self.folder, &device, last)?;
         self.to_void.push(device);
         Ok(last)
     }

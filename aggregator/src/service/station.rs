@@ -28,13 +28,13 @@ impl Station {
         now: Arc<dyn Fn() -> Duration + Send + Sync>,
         on_event: impl Fn(ServiceEvent) + Send + 'static,
     ) -> Self {
-        let (commands, orders) = mpsc::channel();
+        let (commands, receiver) = mpsc::channel();
         let thread = thread::spawn(move || {
             let mut transport = MqttTransport::start(MqttConfig { broker, identity, tls: None });
             service.run(
                 &mut transport,
                 || now(),
-                &orders,
+                &receiver,
                 |event| {
                     on_event(event);
                     ControlFlow::Continue(())

@@ -18,7 +18,7 @@ use cosurf_scene::ply;
 use cosurf_wire::{DeviceId, ModelHeader, ModelId, ModelKind, Topic};
 
 use super::job::packed;
-use super::keeper::Orders;
+use super::keeper::RunState;
 use super::*;
 use crate::merge::MergeSettings;
 use crate::testing::model;
@@ -199,7 +199,10 @@ fn a_drone_that_is_given_up_is_not_waited_for_and_what_it_sent_counts() {
     for name in ["agent-2", "agent-3"] {
         say.send(Command::GiveUp(DeviceId::new(name).unwrap())).unwrap();
     }
-    assert_eq!(ground.service.keeper.obey(&ground.service.node, &commands, Duration::ZERO), Orders::GoOn);
+    assert_eq!(
+        ground.service.keeper.obey(&ground.service.node, &commands, Duration::ZERO),
+        RunState::Running
+    );
     let delivered = |events: &[ServiceEvent], _: &[Drone]| events.contains(&ServiceEvent::Delivered);
     simulate(&network, &mut ground, &mut drones, delivered);
     assert_eq!(drones[0].global.unwrap().splats, 1600, "agent-2 sent before it was given up");

@@ -37,7 +37,7 @@ fn stall(network: &MemoryNetwork, ground: &mut Ground, drones: &mut Vec<Drone>, 
     let (say, commands) = mpsc::channel();
     say.send(Command::GiveUp(key.device)).unwrap();
     let Service { keeper, node } = &mut ground.service;
-    assert_eq!(keeper.obey(node, &commands, network.now()), Orders::GoOn);
+    assert_eq!(keeper.obey(node, &commands, network.now()), RunState::Running);
 }
 
 fn has_merged(events: &[ServiceEvent], of: usize) -> bool {

@@ -22,14 +22,14 @@ const BLOCKS_LEAST: u64 = 64;
 
 /// What fits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Plan {
+pub(super) struct VolumeBudget {
     /// Most blocks.
     pub(super) blocks_max: usize,
     /// Bytes for blocks and mesh together.
     pub(super) volume_bytes: u64,
 }
 
-impl Plan {
+impl VolumeBudget {
     /// Divides the bytes.
     pub(super) fn new(memory_bytes: u64, cameras: &[Camera]) -> Self {
         let volume_bytes = memory_bytes.saturating_sub(frame_bytes(cameras));
