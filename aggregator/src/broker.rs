@@ -1,21 +1,19 @@
-//! The embedded MQTT 5 broker: so that one program is enough on the ground.
+//! An embedded MQTT 5 broker, so that one program is enough on the ground.
 //!
-//! It is small on purpose: QoS 0 and 1, retained messages, last wills, sessions that outlive a
-//! connection, wildcards. No authentication, no TLS, no disk: it listens on loopback unless told
-//! otherwise, and where strangers share the network, Mosquitto takes its place by URL. What is lost when
-//! it stops is offered again by the devices.
+//! It is small on purpose: QoS 0 and 1, retained messages, last wills, wildcards, and sessions that outlive
+//! a connection. It has no authentication, no TLS and no storage on disk, so it listens on loopback by
+//! default; on a shared network use Mosquitto by its URL instead. When the broker restarts, devices publish
+//! again what it has lost.
 //!
-//! Why our own, on the packet codec of rumqttc, which is linked anyway. The crates measured for the job
-//! (2-core x86-64, rustc 1.95):
+//! Why our own: it needs only the packet codec of rumqttc, which is linked anyway. The alternatives:
 //!
-//! - `mqtt5` 0.49, features cut to `broker`: 126 more packages (argon2, hyper, ring, regex, ICU tables)
-//!   beside rumqttc's 28; 102 s instead of 11 s for a cold release build; for tests, whose dependencies
-//!   are optimised too, 4 more minutes of CPU. A shutdown requested before its loop has subscribed to the
-//!   signal is lost and `run` never returns. Its limit of one client's queue drops QoS 1 messages.
-//! - `rumqttd` 0.20: no shutdown (rumqtt#771), at most 100 retained messages for a new subscriber.
+//! - `mqtt5` 0.49 adds many times the packages and build time of rumqttc. A shutdown requested before its
+//!   loop has subscribed to the signal is lost, and `run` never returns. A full client queue drops QoS 1
+//!   messages.
+//! - `rumqttd` 0.20 has no shutdown (rumqtt#771) and sends a new subscriber at most 100 retained messages.
 //!
-//! Ours adds no package, is ready as soon as [`Broker::start`] returns, and holds back a publisher
-//! instead of dropping QoS 1 messages for a slow consumer.
+//! Ours adds no package, accepts clients as soon as [`Broker::start`] returns, and holds a publisher back
+//! before it drops QoS 1 messages for a slow subscriber.
 //!
 //! It refuses to know what the messages mean: any MQTT 5 client may use it.
 //!
@@ -39,18 +37,18 @@ use connection::Hub;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum BrokerError {
-    /// Somebody else listens there.
+    /// Another program listens on this port.
     #[error(
-        "port {port} on {host} is in use: stop what listens there, choose another port, or use it by its URL",
+        "port {port} on {host} is in use: stop the program that listens there, choose another port, or use that broker by its URL",
         port = .0.port(), host = .0.ip()
     )]
     PortInUse(SocketAddr),
-    /// Anything else the operating system says.
-    #[error("broker on {address}: {source}")]
+    /// Any other error of the operating system.
+    #[error("the broker cannot listen on {address}: {source}")]
     Io {
-        /// Where it should listen.
+        /// The address to listen on.
         address: SocketAddr,
-        /// What the operating system said.
+        /// The operating system's error.
         source: std::io::Error,
     },
 }
@@ -65,7 +63,7 @@ pub struct Broker {
 }
 
 impl Broker {
-    /// Listens on `address`; port 0 takes a free one, see [`Self::address`]. Clients may connect as soon
+    /// Listens on `address`; port 0 takes a free port, see [`Self::address`]. Clients may connect as soon
     /// as this returns.
     pub fn start(address: SocketAddr) -> Result<Self, BrokerError> {
         let io = |source: std::io::Error| match source.kind() {
@@ -80,7 +78,7 @@ impl Broker {
         Ok(Self { address, hub, is_stopping, thread: Some(thread) })
     }
 
-    /// Where it listens.
+    /// The address it listens on.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
@@ -94,7 +92,7 @@ impl Broker {
 impl Drop for Broker {
     fn drop(&mut self) {
         self.is_stopping.store(true, Ordering::SeqCst);
-        // Wakes the accepting thread; if nobody listens any more, it has ended already.
+        // Wakes the accepting thread. If this fails, the thread has ended already.
         let _ = TcpStream::connect(reachable(self.address));
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
@@ -115,9 +113,9 @@ fn accept(listener: &TcpListener, hub: &Arc<Hub>, is_stopping: &AtomicBool) {
                 let hub = Arc::clone(hub);
                 readers.push(std::thread::spawn(move || connection::serve(stream, &hub)));
             }
-            // Too many: closed by being dropped.
+            // Too many clients: dropping the stream closes it.
             Ok(_) => {}
-            // Out of file descriptors, or gone before it was accepted.
+            // Out of file descriptors, or the client left before it was accepted.
             Err(_) => std::thread::sleep(connection::ACCEPT_PAUSE),
         }
     }
@@ -133,7 +131,7 @@ pub(crate) fn local_address(listening: SocketAddr) -> BrokerAddress {
     BrokerAddress { host: address.ip().to_string(), port: address.port(), is_tls: false }
 }
 
-/// How this machine reaches an address that may mean every one of its own.
+/// The address by which this machine reaches `address`: loopback if that means all interfaces.
 fn reachable(address: SocketAddr) -> SocketAddr {
     let ip = match address.ip() {
         IpAddr::V4(ip) if ip.is_unspecified() => Ipv4Addr::LOCALHOST.into(),

@@ -1,13 +1,13 @@
-//! Who may take part in a merge: a model that contradicts the others is kept out, and on the disk, until it
-//! contradicts nobody any more.
+//! Decides which models take part in a merge. A model that contradicts others is kept out, but stays on the disk, until
+//! it contradicts no other model.
 //!
-//! Every model shows some of its own views; another one whose cameras look at the same ground must show the same
-//! there ([`glimpse`]). One that lies in another frame, has another scale, or was forged does not. A model most of
-//! whose splats are where none of its own cameras looks is kept out as well, and so is one that lies so far from all
-//! others that its origin must be another one. Who shares no ground with anybody is taken as it is.
+//! The gate renders some views of each model. Every other model whose cameras see the same ground must show the same
+//! there ([`glimpse`]); a model that was forged, or lies in another frame or scale, does not. Also kept out is a model
+//! with most of its splats where none of its own cameras looks, and a model so far from all others that its origin must
+//! be wrong. A model that shares no ground with others is accepted.
 //!
-//! Of two that contradict each other the one goes that contradicts more of the others, then the one with fewer
-//! cameras, then the later one: the verdict depends on the models alone, not on who came first.
+//! Of two conflicting models, the gate drops the one with more conflicts net of confirmations; on a tie the one with
+//! fewer cameras, then the one with the higher index. So the verdict does not depend on the order of arrival.
 //!
 //! Who contradicts others may be moved to where it fits them (`refine`), if the owner of all says so. Those that take
 //! part get colours that agree ([`tone`]).
@@ -41,51 +41,53 @@ pub use similarity::Similarity;
 pub use tone::Tone;
 use tone::tones;
 
-/// Largest share of a model's splats that none of its own cameras sees. Trained models have up to 0.01.
+/// Largest share of a model's splats that none of its own cameras sees; trained models stay far below it.
 const UNSEEN_MAX: f64 = 0.5;
-/// Two flights that are so many times their own size apart have not the same origin.
-const APART: f64 = 20.0;
-/// Views in which two models must contradict each other.
+/// Flights with a wider gap, in radii of the larger flight, do not have the same origin.
+const GAP_MAX_RADII: f64 = 20.0;
+/// Two models contradict each other if they do so in at least this many views.
 const CONTRADICTIONS_MIN: u32 = 2;
 
 /// Why a model is kept out of a merge.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Doubt {
-    /// So much of it, 0..=1, lies where none of its own cameras looks.
+    /// This share of its splats, 0..=1, lies where none of its own cameras looks.
     Unseen(f64),
-    /// It contradicts these others, positions in the order of models.
+    /// It contradicts the models with these indices.
     Contradicts(Vec<usize>),
 }
 
 impl Doubt {
-    /// One sentence without its subject; `names` are those of all models.
+    /// A sentence without its subject; `names` has the name of every model.
     pub(crate) fn reason<N: AsRef<str>>(&self, names: &[N]) -> String {
         match self {
-            Self::Unseen(share) => format!("lies to {:.0} % where it saw nothing", 100.0 * share),
+            Self::Unseen(share) => {
+                format!("has {:.0} % of its splats where none of its cameras looks", 100.0 * share)
+            }
             Self::Contradicts(others) => {
                 let names: Vec<&str> = others.iter().map(|other| names[*other].as_ref()).collect();
-                format!("shows another ground, place or scale than {}", names.join(", "))
+                format!("contradicts {} (different ground, place or scale)", names.join(", "))
             }
         }
     }
 }
 
-/// The local models that take part in a merge, where they belong.
+/// The local models that take part in a merge, with positions and colours that fit each other.
 pub struct Admitted<'a> {
     locals: &'a dyn Locals,
     doubts: Vec<Option<Doubt>>,
-    /// Those that take part.
+    /// One per model that takes part.
     places: Vec<Place>,
 }
 
 /// How a model takes part in a merge.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Place {
-    /// Which of all models.
+    /// Index among all models.
     pub local: usize,
-    /// By what it is moved to where it fits.
+    /// Moves the model to where it fits; `None` if it lies right.
     pub by: Option<Similarity>,
-    /// By what its colours are made to agree with the others'.
+    /// Matches its colours to the others'; `None` if they match already.
     pub tone: Option<Tone>,
 }
 
@@ -112,26 +114,27 @@ impl Locals for Admitted<'_> {
 }
 
 impl Admitted<'_> {
-    /// How the `index`-th of those that take part does.
+    /// How the `index`-th admitted model takes part.
     pub fn place(&self, index: usize) -> Place {
         self.places[index]
     }
 
-    /// Those that are kept out, each with a sentence without its subject; `names` are those of all models.
+    /// Index and reason of each model that is kept out. The reason is a sentence without its subject; `names` has the
+    /// name of every model.
     pub fn kept_out<N: AsRef<str>>(&self, names: &[N]) -> impl Iterator<Item = (usize, String)> {
         let doubts = self.doubts.iter().enumerate();
         doubts.filter_map(|(i, doubt)| Some((i, doubt.as_ref()?.reason(names))))
     }
 
-    /// What speaks against each of all models, in their order.
+    /// The doubt about each model, by index.
     #[cfg(test)]
     pub(crate) fn doubts(&self) -> &[Option<Doubt>] {
         &self.doubts
     }
 }
 
-/// Decides which of `locals` take part in a merge; who lies in another frame is moved to where it fits, if `refines`
-/// says so. `is_given_up` is asked between two models.
+/// Decides which of `locals` take part in a merge. With `refines`, a model in another frame is moved to where it fits.
+/// `is_given_up` is polled between models.
 pub fn admit<'a>(
     locals: &'a dyn Locals,
     refines: bool,
@@ -164,7 +167,7 @@ pub fn admit<'a>(
     Ok(admitted)
 }
 
-/// What speaks against each of `locals`, in their order. `is_given_up` is asked between two models.
+/// The doubt about each of `locals`, by index. `is_given_up` is polled between models.
 fn doubts(
     locals: &dyn Locals,
     threads: usize,
@@ -188,15 +191,15 @@ fn doubts(
     Ok(doubts)
 }
 
-/// What is kept of a model to judge it, and others by it.
+/// What the gate keeps of a model, to judge it and to judge others by it.
 struct Shown {
     cameras: Vec<Camera>,
     glimpses: Vec<Glimpse>,
     /// Share of its splats that none of its cameras sees.
     unseen: f64,
-    /// Middle of the flight, world units.
+    /// Mean position of the cameras, world units.
     middle: DVec3,
-    /// From there to the farthest camera, world units.
+    /// Distance from `middle` to the farthest camera, world units.
     radius: f64,
 }
 
@@ -215,8 +218,8 @@ impl Shown {
         Self { cameras, glimpses, unseen, middle, radius }
     }
 
-    /// How far another flight is away, in sizes of the larger of the two.
-    fn sizes_to(&self, other: &Self) -> f64 {
+    /// Gap to another flight, in radii of the larger flight.
+    fn gap_radii(&self, other: &Self) -> f64 {
         let gap = self.middle.distance(other.middle) - self.radius - other.radius;
         gap / self.radius.max(other.radius).max(1.0)
     }
@@ -225,7 +228,7 @@ impl Shown {
 /// Which models confirm and which contradict each other.
 #[derive(Default)]
 struct Relations {
-    /// Views in which the two of a pair, the lower first, confirm and contradict each other.
+    /// Per pair of models, lower index first: the number of views that confirm, and that contradict.
     views: BTreeMap<[usize; 2], [u32; 2]>,
 }
 
@@ -235,20 +238,20 @@ impl Relations {
         self.views.entry(pair).or_default()[usize::from(!is_confirmed)] += views;
     }
 
-    /// A flight contradicts the nearest other one if that is still too far.
+    /// Notes a contradiction between a flight and the nearest other flight if even that is too far away.
     fn note_distances(&mut self, shown: &[Shown]) {
         let flights: Vec<usize> = (0..shown.len()).filter(|i| !shown[*i].cameras.is_empty()).collect();
         for &one in &flights {
-            let sizes = |other: usize| shown[one].sizes_to(&shown[other]);
+            let gap = |other: usize| shown[one].gap_radii(&shown[other]);
             let others = flights.iter().copied().filter(|other| *other != one);
-            let nearest = others.min_by(|a, b| sizes(*a).total_cmp(&sizes(*b)));
-            if let Some(nearest) = nearest.filter(|nearest| sizes(*nearest) > APART) {
+            let nearest = others.min_by(|a, b| gap(*a).total_cmp(&gap(*b)));
+            if let Some(nearest) = nearest.filter(|nearest| gap(*nearest) > GAP_MAX_RADII) {
                 self.note(one, nearest, false, CONTRADICTIONS_MIN);
             }
         }
     }
 
-    /// Shows a model the views of all others.
+    /// Compares a model with the views of all others.
     fn note_views(
         &mut self,
         shown: &[Shown],
@@ -274,7 +277,7 @@ impl Relations {
         Ok(())
     }
 
-    /// Models that a model contradicts, and how many confirm it, among those of which nothing is to be doubted.
+    /// Among the models without doubt: those that contradict a model, and the number that confirm it.
     fn of(&self, one: usize, doubts: &[Option<Doubt>]) -> (Vec<usize>, usize) {
         let (mut foes, mut friends) = (Vec::new(), 0);
         for (pair, [confirmed, contradicted]) in &self.views {
@@ -295,7 +298,7 @@ impl Relations {
         (foes, friends)
     }
 
-    /// Doubts the worst until nobody contradicts anybody.
+    /// Marks the worst model as doubtful, one after another, until no two of the rest contradict each other.
     fn doubt_contradicting(&self, shown: &[Shown], doubts: &mut [Option<Doubt>]) {
         loop {
             let sound = (0..shown.len()).filter(|i| doubts[*i].is_none());

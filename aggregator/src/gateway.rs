@@ -1,5 +1,5 @@
-//! Brings the device at the other end of a serial line onto the broker, under its own name: so devices by
-//! radio and devices by network share one mission, and the service knows no difference.
+//! Connects the device at the other end of a serial line to the broker, under the device's own name. So
+//! devices on radio and devices on the network share a mission, and the service sees no difference.
 //!
 //! When the device says its birth, a client of the broker is started as that device; when the line is
 //! silent, the client ends without a word, and the broker publishes the device's last will. [`relay`]
@@ -29,23 +29,23 @@ use relay::{Passage, Relay};
 /// Longest that one side is listened to before the other has its turn.
 const LISTEN: Duration = Duration::from_millis(10);
 
-/// What a gateway tells its owner.
+/// What a gateway reports.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 #[serde(tag = "event", rename_all = "snake_case")]
 pub enum GatewayEvent {
-    /// A device is at the other end of a line.
+    /// A device has announced itself at the other end of a line.
     OnLine {
         /// The line's name.
         line: String,
-        /// Who.
+        /// The device.
         device: DeviceId,
     },
-    /// Nobody is, or the port does not open.
+    /// The line is silent, or its port cannot be opened.
     OffLine {
         /// One line.
         reason: String,
     },
-    /// Something was heard and thrown away.
+    /// A message was discarded.
     IgnoredOnLine {
         /// The line's name.
         line: String,
@@ -57,7 +57,7 @@ pub enum GatewayEvent {
 impl fmt::Display for GatewayEvent {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::OnLine { line, device } => write!(f, "serial line {line}: {device} is there"),
+            Self::OnLine { line, device } => write!(f, "serial line {line}: {device} is connected"),
             Self::OffLine { reason } => write!(f, "{reason}"),
             Self::IgnoredOnLine { line, reason } => write!(f, "serial line {line}: ignored: {reason}"),
         }
@@ -100,28 +100,28 @@ impl Drop for Gateway {
     fn drop(&mut self) {
         self.is_stopping.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {
-            // A panic there has been printed; there is nothing to add.
+            // A panic of that thread has been printed already.
             let _ = thread.join();
         }
     }
 }
 
-/// The two sides.
+/// Both sides of the gateway: the line, and the client at the broker.
 struct Bridge<F> {
     name: String,
     broker: BrokerAddress,
     tls: Option<Tls>,
     line: SerialTransport,
-    /// At the broker, in the device's name.
+    /// The client at the broker, in the device's name.
     client: Option<MqttTransport>,
     relay: Relay,
-    /// For the broker, as soon as it has room; until then the line is not listened to.
+    /// Waits for room at the broker; until it is sent, nothing is read from the line.
     up: Option<Outgoing>,
     say: F,
 }
 
 impl<F: Fn(GatewayEvent)> Bridge<F> {
-    /// From the device to the broker.
+    /// Moves a message from the device to the broker.
     fn up(&mut self) {
         if let (Some(message), Some(client)) = (self.up.take(), &mut self.client)
             && client.publish(&message) == Err(PublishError::Busy)
@@ -153,13 +153,13 @@ impl<F: Fn(GatewayEvent)> Bridge<F> {
         }
     }
 
-    /// From the broker to the device.
+    /// Moves messages from the broker to the device.
     fn down(&mut self) {
         let Some(client) = &mut self.client else { return };
         while let Some(event) = client.poll(Duration::ZERO) {
             match event {
                 TransportEvent::Incoming { topic, payload } => self.relay.hear_broker(&topic, payload),
-                // The broker may have forgotten that the device lives.
+                // The broker may have lost the device's birth notice.
                 TransportEvent::Connected => self.up = self.up.take().or_else(|| self.relay.birth()),
                 TransportEvent::Disconnected { .. } => {}
             }

@@ -1,14 +1,14 @@
-//! Local models to one (CoSurfGS, "Local Model Compression" and "Model Aggregation Scheme"): what several models
-//! show is left to one of them, the rest is joined, and the joined model is taught by what each local model
-//! showed its own cameras. No photograph is needed, nor is there one to be had.
+//! Merges local models into one (CoSurfGS, "Local Model Compression" and "Model Aggregation Scheme"). Where models
+//! overlap, one model keeps its splats; the rest is joined; then the joined model is distilled: it learns from what
+//! each local model shows its own cameras. Photographs are neither needed nor available.
 //!
-//! The result is a function of the models in their order, of the settings and of the device: the same bytes whoever
-//! merges, with any number of threads, interrupted or not.
+//! The result is a function of the models in their order, of the settings and of the device: it has the same bytes for
+//! any caller, with any number of threads, interrupted or not.
 //!
 //! It refuses to know where models come from ([`Locals`]) and which of them are to be trusted ([`crate::gate`]).
 //!
 //! Where to start reading: [`merge`], which reads as the list of steps; [`cosurf_engine::compress`]; [`distill`], its
-//! [`lessons`] and [`teachers`]; [`memory`] for what fits; [`fill_in()`] for models that have not arrived as a whole.
+//! [`lessons`] and [`teachers`]; [`memory`] for what fits; [`fill_in()`] for models that have arrived only in part.
 
 pub(crate) mod cameras;
 mod computer;
@@ -39,7 +39,7 @@ pub use locals::Locals;
 use locals::{Surveyed, survey};
 pub use settings::MergeSettings;
 
-/// A merged model and what became of the local ones.
+/// A merged model and the figures of its merge.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Merged {
     /// The global model: its splats and all cameras.
@@ -53,13 +53,13 @@ pub struct Merged {
 pub struct MergeSummary {
     /// Per local model, in their order.
     pub locals: Vec<LocalSummary>,
-    /// Splats that were joined, after compression.
+    /// Splats of the joined model, after compression.
     pub joined: usize,
     /// Splats after distillation and its last pruning.
     pub splats: usize,
     /// Steps of distillation.
     pub steps: u32,
-    /// What computed.
+    /// The device that computed.
     #[serde(default)]
     pub device: String,
 }
@@ -75,8 +75,8 @@ pub struct LocalSummary {
     pub removed: usize,
 }
 
-/// Merges all of `locals`; `threads` (at least 1) are the processor's. `tell` hears of every step and may give up. Where
-/// a graphics card that nobody asked for fails, the processor begins anew.
+/// Merges all of `locals` with `threads` (at least 1) threads of the CPU. `tell` is called after every step and may
+/// stop the merge. If a graphics card fails that was chosen automatically, the merge starts over on the CPU.
 pub fn merge(
     locals: &dyn Locals,
     settings: &MergeSettings,

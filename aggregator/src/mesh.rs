@@ -1,11 +1,10 @@
-//! From rendered depth to a mesh: truncated signed distances are fused in a sparse volume of small
-//! blocks (Curless and Levoy 1996; blocks as in Nießner et al. 2013), of which marching cubes makes
-//! triangles.
+//! Makes a mesh from rendered depth: fuses truncated signed distances in a sparse volume of small blocks
+//! (Curless and Levoy 1996; blocks as in Nießner et al. 2013), then extracts triangles by marching cubes.
 //!
-//! First a look at the surface with small pictures says how large voxels should be and which blocks
-//! the surface passes through; then, all sizes known, the volume is allocated once and every view is
-//! fused into it, one after the other, its blocks in parallel. So the mesh has the same bytes for any
-//! number of threads, and memory is a promise: where it does not suffice, voxels become larger.
+//! A first pass over small pictures determines the size of voxels and the blocks that the surface passes
+//! through. Then the volume is allocated once, and the views are fused into it one after the other, each
+//! into all blocks in parallel. So the mesh has the same bytes for any number of threads. The memory limit
+//! is never exceeded: if it is too small, voxels become larger.
 //!
 //! What it refuses to know: who renders. [`fuse()`] takes a function from cameras to [`cosurf_engine::Rendering`]s.
 //!

@@ -1,4 +1,5 @@
-//! The receiving service: local models in, verified, kept on disk, joined; the global model out.
+//! The receiving service: receives local models, verifies, stores and merges them, and broadcasts the global
+//! model.
 //!
 //! What is on the disk decides: a service that is stopped and started again goes on from its folder:
 //!
@@ -9,8 +10,8 @@
 //! | `global/` | every revision of the global model, as sent to the agents |
 //! | `global.ply` | the newest revision, for viewers |
 //! | `merged.json` | what the newest revision was merged from, and how |
-//! | `withdrawn/` | devices that do not count any more, each with its last model that does not |
-//! | `upstream/` | what came from the aggregator above, where there is one: [`upstream`] |
+//! | `withdrawn/` | withdrawn devices, each with its last model that no longer counts |
+//! | `upstream/` | models from the aggregator above, if there is one: [`upstream`] |
 //!
 //! The newest model of each device counts, unless it contradicts the others ([`crate::gate`]); they are merged in
 //! order of device id, so the same models give the same bytes in whatever order they arrive. Merging runs on a thread
@@ -19,8 +20,8 @@
 //!
 //! It refuses to know photographs, how agents train and how they are started: it knows them by what arrives.
 //!
-//! Where to start reading: [`serve()`], all that `cosurf-aggregator run` does; [`Service`], the loop; [`keeper`] for what
-//! is kept and done, [`round`] for when models are merged, [`upstream`] for an aggregator below another one.
+//! Where to start reading: [`serve()`], all that `cosurf-aggregator run` does; [`Service`], the loop; [`keeper`] for
+//! the service's state and actions, [`round`] for when models are merged, [`upstream`] for an aggregator below another one.
 
 mod config;
 mod control;

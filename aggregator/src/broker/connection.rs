@@ -1,4 +1,4 @@
-//! Sockets and threads: one thread reads a client, one writes to it.
+//! Sockets and threads: one thread reads from a client, another writes to it.
 
 use std::io::{self, Read, Write};
 use std::net::{Shutdown, TcpStream};
@@ -14,33 +14,33 @@ use rumqttc::v5::mqttbytes::{Error, QoS};
 
 use super::router::{LinkKey, PACKET_BYTES_MAX, Router, Work};
 
-/// Before the next client is accepted after a failure.
+/// Pause after a failed accept.
 pub(super) const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
-/// A client says who it is within this time.
-const INTRODUCTION: Duration = Duration::from_secs(5);
-/// A client that takes nothing for so long is gone.
+/// A new client must send CONNECT within this time.
+const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
+/// A client that accepts no bytes for this long is disconnected.
 const WRITE_TIMEOUT: Duration = Duration::from_secs(30);
-/// A publisher waits so long for a slow receiver; then that receiver goes without.
-const PATIENCE: Duration = Duration::from_secs(5);
-/// How often a waiting thread looks whether its connection still stands.
-const LOOK_UP: Duration = Duration::from_secs(1);
-/// Bytes read at once, and encoded before they are written.
+/// Longest that a publisher waits for a slow subscriber; after that the subscriber misses the message.
+const BACKPRESSURE_MAX: Duration = Duration::from_secs(5);
+/// How often a waiting thread checks whether its connection still exists.
+const CHECK_EVERY: Duration = Duration::from_secs(1);
+/// Bytes per read, and bytes encoded before a write.
 const BATCH_BYTES: usize = 128 * 1024;
-/// The refusal of a client that speaks MQTT 3.1.1, in its own tongue: unacceptable protocol version.
+/// CONNACK of MQTT 3.1.1, "unacceptable protocol version": refuses a client of that version.
 const REFUSAL_V4: [u8; 4] = [0x20, 0x02, 0x00, 0x01];
-/// The graceful farewell that the codec does not read: DISCONNECT without a reason.
+/// DISCONNECT without a reason code: a graceful end, which the codec cannot parse.
 const SHORT_DISCONNECT: [u8; 2] = [0xE0, 0x00];
 
 /// What all connections share.
 #[derive(Debug, Default)]
 pub(super) struct Hub {
     router: Mutex<Router>,
-    /// Some queue may have got room.
+    /// Signalled when a queue may have room again.
     space: Condvar,
 }
 
 impl Hub {
-    /// A thread that panicked held no half-done change: the router is whole between calls.
+    /// Ignores a poisoned lock: a thread that panics leaves no half-done change in the router.
     fn router(&self) -> MutexGuard<'_, Router> {
         self.router.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -58,10 +58,10 @@ impl Hub {
         on.wait_timeout(guard, time).unwrap_or_else(PoisonError::into_inner).0
     }
 
-    /// Holds a publisher back until every receiver has room, or for as long as patience lasts.
+    /// Delivers a message once every subscriber has room, at the latest after [`BACKPRESSURE_MAX`].
     fn publish(&self, key: &LinkKey, publish: Publish) {
         let (qos, pkid) = (publish.qos, publish.pkid);
-        let until = Instant::now() + PATIENCE;
+        let until = Instant::now() + BACKPRESSURE_MAX;
         let mut router = self.router();
         while router.is_blocked(key, &publish) {
             let left = until.saturating_duration_since(Instant::now());
@@ -69,7 +69,7 @@ impl Hub {
                 router.give_up_on_blocking(key, &publish);
                 break;
             }
-            router = self.wait(&self.space, router, left.min(LOOK_UP));
+            router = self.wait(&self.space, router, left.min(CHECK_EVERY));
         }
         let reason = router.publish(key, publish);
         if qos == QoS::AtLeastOnce {
@@ -78,23 +78,23 @@ impl Hub {
     }
 }
 
-/// Why a client is read no more.
+/// Why reading from a client has ended.
 enum End {
-    /// It said farewell.
+    /// The client sent DISCONNECT.
     Graceful,
-    /// It vanished, or was thrown out.
+    /// The connection broke or was closed, or DISCONNECT asked for the will.
     Lost,
-    /// It did what it must not.
+    /// The client violated the protocol.
     Offence(DisconnectReasonCode),
 }
 
-/// Serves one client until it goes.
+/// Serves one client until it disconnects.
 pub(super) fn serve(stream: TcpStream, hub: &Arc<Hub>) {
-    // Failures here show again when the stream is used.
+    // If these fail, so will the first use of the stream.
     let _ = stream.set_nodelay(true);
     let _ = stream.set_write_timeout(Some(WRITE_TIMEOUT));
     let mut reader = Reader { stream, buffer: BytesMut::new() };
-    let Some((connect, will)) = reader.introduction() else { return };
+    let Some((connect, will)) = reader.read_connect() else { return };
     let keep_alive = connect.keep_alive;
     let entered = hub.router().connect(Instant::now(), connect, will);
     let (key, work) = match entered {
@@ -107,18 +107,18 @@ pub(super) fn serve(stream: TcpStream, hub: &Arc<Hub>) {
     };
     let (sender, writing_hub) = (key.clone(), Arc::clone(hub));
     let writer = std::thread::spawn(move || write(stream, &writing_hub, &sender, &work));
-    // One and a half times the keep-alive, as MQTT demands; 0 means never.
+    // MQTT limits silence to 1.5 times the keep-alive; a keep-alive of 0 means no limit.
     let silence = (keep_alive > 0).then(|| Duration::from_millis(1500) * u32::from(keep_alive));
     let mut visit = Visit { hub, key, is_graceful: false };
     match visit.run(&mut reader, silence) {
-        // The writer says why, before the router hears that the client is gone.
+        // The writer sends the reason before the router removes the client.
         Some(offence) => hub.router().close(&visit.key, offence),
         None => drop(visit),
     }
     let _ = writer.join();
 }
 
-/// A client's stay: however it ends, even by a panic of the codec, the router hears of it.
+/// One client's connection. Dropping it informs the router, even after a panic of the codec.
 struct Visit<'a> {
     hub: &'a Hub,
     key: LinkKey,
@@ -126,7 +126,7 @@ struct Visit<'a> {
 }
 
 impl Visit<'_> {
-    /// Takes the client's packets until it goes; returns its offence if it is to be thrown out.
+    /// Handles the client's packets until it disconnects; returns its offence if it violated the protocol.
     fn run(&mut self, reader: &mut Reader, silence: Option<Duration>) -> Option<DisconnectReasonCode> {
         let _ = reader.stream.set_read_timeout(silence);
         loop {
@@ -145,7 +145,7 @@ impl Visit<'_> {
     fn take(&self, packet: Packet) -> Result<(), End> {
         let mut router = self.hub.router();
         while router.is_flooded(&self.key) {
-            router = self.hub.wait(&self.hub.space, router, LOOK_UP);
+            router = self.hub.wait(&self.hub.space, router, CHECK_EVERY);
         }
         match packet {
             Packet::Publish(publish) => {
@@ -183,14 +183,14 @@ impl Drop for Visit<'_> {
     }
 }
 
-/// Writes what the router has for a connection until that ends, then closes the socket, which wakes the
-/// reader too.
+/// Writes the router's packets for a connection until the connection ends. Then closes the socket, which
+/// also wakes the reader.
 fn write(mut stream: TcpStream, hub: &Hub, key: &LinkKey, work: &Condvar) {
     let mut buffer = BytesMut::with_capacity(BATCH_BYTES);
     let mut router = hub.router();
     loop {
         match router.take(key, BATCH_BYTES) {
-            Work::Wait => router = hub.wait(work, router, LOOK_UP),
+            Work::Wait => router = hub.wait(work, router, CHECK_EVERY),
             Work::End(reason) => {
                 drop(router);
                 if let Some(reason_code) = reason {
@@ -206,7 +206,7 @@ fn write(mut stream: TcpStream, hub: &Hub, key: &LinkKey, work: &Condvar) {
                 drop(router);
                 hub.space.notify_all();
                 buffer.clear();
-                // A packet that came in through this codec goes out through it.
+                // Cannot fail: each packet is our own answer or was decoded by this codec.
                 packets.iter().for_each(|packet| {
                     let _ = packet.write(&mut buffer, None);
                 });
@@ -220,16 +220,16 @@ fn write(mut stream: TcpStream, hub: &Hub, key: &LinkKey, work: &Condvar) {
     let _ = stream.shutdown(Shutdown::Both);
 }
 
-/// Bytes of a socket as packets.
+/// Reads a socket's bytes as packets.
 struct Reader {
     stream: TcpStream,
     buffer: BytesMut,
 }
 
 impl Reader {
-    /// The first packet, which must be CONNECT.
-    fn introduction(&mut self) -> Option<(Connect, Option<LastWill>)> {
-        let _ = self.stream.set_read_timeout(Some(INTRODUCTION));
+    /// Reads the first packet, which must be CONNECT.
+    fn read_connect(&mut self) -> Option<(Connect, Option<LastWill>)> {
+        let _ = self.stream.set_read_timeout(Some(CONNECT_TIMEOUT));
         match self.packet() {
             Ok(Packet::Connect(connect, will, _)) => Some((connect, will)),
             Err(End::Offence(DisconnectReasonCode::ImplementationSpecificError)) => {

@@ -1,4 +1,4 @@
-//! Who gets what: sessions, subscriptions, retained messages. No socket, no thread, no clock of its own.
+//! Routes messages by sessions, subscriptions and retained messages. It has no socket, thread or clock.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Condvar};
@@ -14,23 +14,23 @@ use rumqttc::v5::mqttbytes::{QoS, matches, valid_filter, valid_topic};
 
 use super::session::{FILTERS_MAX, Link, Session, bytes_of};
 
-/// Clients connected at once.
+/// Limit on connected clients.
 pub(super) const CLIENTS_MAX: usize = 1024;
-/// Largest packet taken: the largest message of ours, with room for the properties of others.
+/// Largest packet accepted: our largest message, with room for other programs' MQTT properties.
 pub(super) const PACKET_BYTES_MAX: u32 = (MAX_MESSAGE_BYTES + MAX_TOPIC_BYTES + 4096) as u32;
-/// Sessions kept, connected or not; beyond that the one longest away is forgotten.
+/// Limit on sessions, connected or not; beyond it the session that expires first is dropped.
 const SESSIONS_MAX: usize = 2 * CLIENTS_MAX;
 /// Longest that a session outlives its connection.
 const SESSION_EXPIRY_S_MAX: u32 = 24 * 3600;
-/// Retained messages, and their bytes.
+/// Limits on retained messages and on their bytes.
 const RETAINED_MAX: usize = 8192;
 const RETAINED_BYTES_MAX: usize = 64 << 20;
-/// Messages under way to one client without its acknowledgement.
+/// Limit on QoS 1 messages that one client has not acknowledged.
 const IN_FLIGHT_MAX: u16 = 64;
-/// Longest client id and topic filter: four names of ours.
+/// Longest client id and topic filter, bytes: room for four of our names.
 const TEXT_BYTES_MAX: usize = 256;
 
-/// All that the broker knows.
+/// The whole state of the broker.
 #[derive(Debug, Default)]
 pub(super) struct Router {
     sessions: BTreeMap<String, Session>,
@@ -47,7 +47,7 @@ pub(super) struct LinkKey {
 }
 
 impl Router {
-    /// Lets a client in, throwing out an older connection of the same name; or says why not.
+    /// Connects a client, closing an older connection with the same client id; an error says why not.
     pub(super) fn connect(
         &mut self,
         now: Instant,
@@ -79,7 +79,7 @@ impl Router {
         Ok((LinkKey { client, id }, work))
     }
 
-    /// A connection has ended; `is_graceful` where the client said so and wants no will published.
+    /// Ends a connection. `is_graceful`: the client sent DISCONNECT, so its will is not published.
     pub(super) fn disconnect(&mut self, now: Instant, key: &LinkKey, is_graceful: bool) {
         let Some(session) = self.linked(key) else { return };
         let Some(link) = session.link.take() else { return };
@@ -97,7 +97,7 @@ impl Router {
         }
     }
 
-    /// Ends a connection with a last word.
+    /// Ends a connection with DISCONNECT.
     pub(super) fn close(&mut self, key: &LinkKey, reason: DisconnectReasonCode) {
         if let Some(link) = self.linked(key).and_then(|session| session.link.as_mut()) {
             link.closing = Some(reason);
@@ -105,7 +105,7 @@ impl Router {
         }
     }
 
-    /// Ends all connections with a last word.
+    /// Ends all connections with DISCONNECT.
     pub(super) fn close_all(&mut self, reason: DisconnectReasonCode) {
         for link in self.sessions.values_mut().filter_map(|session| session.link.as_mut()) {
             link.closing = Some(reason);
@@ -125,7 +125,7 @@ impl Router {
         }
     }
 
-    /// Subscribes; what is retained under the filters follows.
+    /// Subscribes, then queues the retained messages that match the filters.
     pub(super) fn subscribe(&mut self, key: &LinkKey, subscribe: Subscribe) {
         let retained: Vec<_> =
             subscribe.filters.iter().map(|filter| self.retained_for(key, filter)).collect();
@@ -162,7 +162,7 @@ impl Router {
         session.answer(Packet::UnsubAck(ack));
     }
 
-    /// Why a message is not acceptable, if it is not.
+    /// The reason to refuse a message, if there is one.
     pub(super) fn objection(publish: &Publish) -> Option<DisconnectReasonCode> {
         let topic = std::str::from_utf8(&publish.topic).unwrap_or_default();
         let has_alias =
@@ -177,14 +177,14 @@ impl Router {
         }
     }
 
-    /// Whether some connected receiver has no room for a message, so that its publisher must wait.
+    /// Whether some connected subscriber has no room for a message, so that its publisher must wait.
     pub(super) fn is_blocked(&self, key: &LinkKey, publish: &Publish) -> bool {
         self.receivers(key, publish).any(|session| {
             session.link.is_some() && !session.is_stalled && session.is_full(bytes_of(publish))
         })
     }
 
-    /// Nobody waits any more for those who have no room for a message.
+    /// Marks subscribers without room for a message as stalled: publishers no longer wait for them.
     pub(super) fn give_up_on_blocking(&mut self, key: &LinkKey, publish: &Publish) {
         let topic = std::str::from_utf8(&publish.topic).unwrap_or_default();
         for (client, session) in &mut self.sessions {
@@ -193,7 +193,7 @@ impl Router {
         }
     }
 
-    /// Hands a message to all that subscribed to its topic; those without room go without.
+    /// Queues a message for all subscribers of its topic; subscribers without room miss it.
     pub(super) fn publish(&mut self, key: &LinkKey, publish: Publish) -> PubAckReason {
         let Ok(topic) = std::str::from_utf8(&publish.topic) else { return PubAckReason::TopicNameInvalid };
         let mut is_heard = false;
@@ -233,12 +233,12 @@ impl Router {
         }
     }
 
-    /// Whether a client asks faster than it takes answers.
+    /// Whether a client sends requests faster than it reads the answers.
     pub(super) fn is_flooded(&mut self, key: &LinkKey) -> bool {
         self.linked(key).is_some_and(|session| session.is_flooded())
     }
 
-    /// Whether a connection is (still) its client's.
+    /// Whether a connection is still its client's current one.
     pub(super) fn is_linked(&mut self, key: &LinkKey) -> bool {
         self.linked(key).is_some()
     }
@@ -249,11 +249,11 @@ impl Router {
         is_current.then_some(session)
     }
 
-    /// Throws out an older connection; forgets the session if that is wished.
+    /// Closes a client's older connection; `clean_start` also drops its session.
     fn take_over(&mut self, client: &str, clean_start: bool) {
         let Some(session) = self.sessions.get_mut(client) else { return };
         if let Some(link) = session.link.take() {
-            // Its writer finds itself unlinked, and ends.
+            // The writer finds that its link is gone, and ends.
             link.work.notify_one();
             session.unlink();
         }
@@ -279,7 +279,7 @@ impl Router {
         self.sessions.iter().filter(wants).map(|(_, session)| session)
     }
 
-    /// Keeps a retained message, or with an empty one forgets; `false` where there is no room.
+    /// Stores a retained message; an empty one removes the stored one. `false` if there is no room.
     fn retain(&mut self, publish: Publish) -> bool {
         let topic = String::from_utf8_lossy(&publish.topic).into_owned();
         let old = self.retained.get(&topic).map_or(0, bytes_of);
@@ -319,7 +319,7 @@ impl Router {
 pub(super) enum Work {
     Write(Vec<Packet>),
     Wait,
-    /// End the connection, with a last word if there is one.
+    /// End the connection, with DISCONNECT if there is a reason.
     End(Option<DisconnectReasonCode>),
 }
 
@@ -344,7 +344,7 @@ fn add_filter(session: &mut Session, mut filter: Filter) -> SubscribeReasonCode 
     SubscribeReasonCode::Success(granted)
 }
 
-/// Tells the client what this broker does and does not.
+/// CONNACK with the limits and features of this broker.
 fn connack(session_present: bool, expiry_s: u32, assigned: Option<String>) -> ConnAck {
     let properties = ConnAckProperties {
         session_expiry_interval: Some(expiry_s),

@@ -1,4 +1,4 @@
-//! What the broker keeps of one client: subscriptions, messages that wait, messages under way.
+//! The broker's state of one client: subscriptions, queued messages, unacknowledged messages.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Condvar};
@@ -7,13 +7,13 @@ use std::time::Instant;
 use rumqttc::v5::mqttbytes::v5::{DisconnectReasonCode, Filter, LastWill, Packet, Publish};
 use rumqttc::v5::mqttbytes::{QoS, matches};
 
-/// Messages that wait for one client, beside retained ones that it has just asked for.
+/// Limit on messages queued for one client; retained messages of a new subscription may exceed it.
 const QUEUE_MAX: usize = 512;
-/// Their bytes: 256 chunks of 64 KiB.
+/// Limit on their bytes: 256 chunks of 64 KiB.
 const QUEUE_BYTES_MAX: usize = 16 << 20;
-/// Answers that wait for one client; a client that asks faster is not read from.
+/// Limit on answers queued for one client; beyond it nothing is read from the client.
 const ANSWERS_MAX: usize = 1024;
-/// Subscriptions of one client.
+/// Limit on the subscriptions of one client.
 pub(super) const FILTERS_MAX: usize = 32;
 
 /// One client, connected or not.
@@ -26,28 +26,28 @@ pub(super) struct Session {
     in_flight: VecDeque<Publish>,
     last_pkid: u16,
     pub(super) link: Option<Link>,
-    /// It let its queue stay full for too long: nobody waits for it until it takes something.
+    /// Its queue stayed full for too long: no publisher waits for it until it takes a message.
     pub(super) is_stalled: bool,
-    /// When it is forgotten, if it is not connected.
+    /// When the session is dropped; `None` while connected.
     pub(super) expires: Option<Instant>,
 }
 
 /// The connection of a session.
 #[derive(Debug)]
 pub(super) struct Link {
-    /// Which connection: a session may be taken over by a newer one.
+    /// Number of the connection; a newer connection may take the session over.
     pub(super) id: u64,
-    /// What the client takes without acknowledgement.
+    /// Limit on unacknowledged messages.
     pub(super) receive_max: usize,
-    /// The largest packet that it takes.
+    /// The largest packet that the client accepts.
     pub(super) packet_bytes_max: usize,
-    /// Published if the connection ends without a word.
+    /// Published if the connection ends without DISCONNECT.
     pub(super) will: Option<LastWill>,
     /// Seconds that the session outlives the connection.
     pub(super) expiry_s: u32,
-    /// Wakes the thread that writes.
+    /// Wakes the writer thread.
     pub(super) work: Arc<Condvar>,
-    /// Said last, then the connection ends.
+    /// Set when the connection is to end: the reason of its DISCONNECT.
     pub(super) closing: Option<DisconnectReasonCode>,
     answers: VecDeque<Packet>,
 }
@@ -68,7 +68,7 @@ impl Link {
 }
 
 impl Session {
-    /// The highest QoS at which this client wants `topic`, if it does.
+    /// This client's subscription to `topic` with the highest QoS, if there is one.
     pub(super) fn wants(&self, topic: &str, is_own: bool) -> Option<&Filter> {
         let wanted = self.filters.iter().filter(|filter| !(is_own && filter.nolocal));
         wanted.filter(|filter| matches(topic, &filter.path)).max_by_key(|filter| filter.qos as u8)
@@ -79,15 +79,15 @@ impl Session {
         self.queue.len() >= QUEUE_MAX || self.queue_bytes + bytes > QUEUE_BYTES_MAX
     }
 
-    /// Whether the client must be read from no more until it has taken answers.
+    /// Whether nothing may be read from the client until it has taken answers.
     pub(super) fn is_flooded(&self) -> bool {
         self.link.as_ref().is_some_and(|link| link.answers.len() >= ANSWERS_MAX)
     }
 
-    /// Queues a message whatever its size; a client that could not take it loses it, as MQTT demands.
+    /// Queues a message, even in a full queue. Drops a packet larger than the client accepts, as MQTT demands.
     pub(super) fn enqueue(&mut self, publish: Publish) {
         let Some(link) = &self.link else {
-            // For those who are away, QoS 1 only.
+            // Only QoS 1 messages wait for a disconnected client.
             if publish.qos == QoS::AtLeastOnce {
                 self.push(publish);
             }
@@ -107,7 +107,7 @@ impl Session {
         }
     }
 
-    /// What is to be written next: answers first, then messages as far as the client takes them.
+    /// The packets to write next: all answers, then as many messages as the client accepts.
     pub(super) fn take(&mut self, bytes_max: usize) -> Vec<Packet> {
         let Some(link) = &mut self.link else { return Vec::new() };
         let mut packets: Vec<Packet> = link.answers.drain(..).collect();
@@ -125,7 +125,7 @@ impl Session {
         packets
     }
 
-    /// The client has taken a message.
+    /// Removes a message that the client has acknowledged.
     pub(super) fn acknowledge(&mut self, pkid: u16) {
         if let Some(place) = self.in_flight.iter().position(|publish| publish.pkid == pkid) {
             self.in_flight.remove(place);
@@ -136,7 +136,7 @@ impl Session {
         }
     }
 
-    /// The connection is gone: what was under way waits again, first.
+    /// Ends the connection: unacknowledged messages go back to the front of the queue.
     pub(super) fn unlink(&mut self) {
         self.link = None;
         self.is_stalled = false;
@@ -157,7 +157,7 @@ impl Session {
         let mut publish = self.queue.pop_front()?;
         self.queue_bytes -= bytes_of(&publish);
         if publish.qos == QoS::AtLeastOnce {
-            // What was under way when a connection broke keeps its number.
+            // A message sent on an earlier connection keeps its packet id.
             if publish.pkid == 0 {
                 publish.pkid = self.next_pkid();
             }
@@ -168,7 +168,7 @@ impl Session {
         Some(publish)
     }
 
-    /// A number that no message under way has; there are fewer of those than numbers.
+    /// A packet id that no unacknowledged message has; ids outnumber these messages.
     fn next_pkid(&mut self) -> u16 {
         loop {
             self.last_pkid = self.last_pkid.checked_add(1).unwrap_or(1);
@@ -179,7 +179,7 @@ impl Session {
     }
 }
 
-/// What a message weighs in a queue.
+/// Bytes that a message counts in a queue.
 pub(super) fn bytes_of(publish: &Publish) -> usize {
     publish.topic.len() + publish.payload.len()
 }

@@ -1,19 +1,19 @@
-//! The similarity that most pairs of points agree with.
+//! Finds the similarity that most pairs of points agree with (RANSAC).
 
 use glam::DVec3;
 
 use super::matching::Pair;
 use super::similarity::Similarity;
 
-/// Triples that are tried.
+/// Random triples tried.
 const TRIES: usize = 400;
-/// Times that the similarity is found anew from the pairs that agree with it.
-const POLISH: usize = 5;
-/// A frame does not differ by more than this factor.
+/// Times that the similarity is fitted again to all pairs that agree with it.
+const REFITS: usize = 5;
+/// Accepted scales between two frames.
 const SCALES: std::ops::RangeInclusive<f64> = 0.5..=2.0;
 
-/// The similarity, from the other model to the trusted one, with which most pairs agree to within `tolerance_px`, and
-/// how many these are; `None` where not even three do.
+/// The similarity from the other model to the trusted one with which most pairs agree to within `tolerance_px`, and the
+/// number of these pairs; `None` if fewer than three agree.
 pub(super) fn consensus(pairs: &[Pair], tolerance_px: f64) -> Option<(Similarity, usize)> {
     let mut dice = Dice(pairs.len() as u64);
     let mut best: Option<(Similarity, usize)> = None;
@@ -26,13 +26,13 @@ pub(super) fn consensus(pairs: &[Pair], tolerance_px: f64) -> Option<(Similarity
         }
     }
     let (mut found, _) = best?;
-    for _ in 0..POLISH {
+    for _ in 0..REFITS {
         found = between(&agreeing(pairs, &found, tolerance_px)).unwrap_or(found);
     }
     Some((found, agreeing(pairs, &found, tolerance_px).len()))
 }
 
-/// How far a pair is from agreeing with `from_other`, px.
+/// Distance between the points of a pair after `from_other` has moved one of them, px.
 pub(super) fn distance_px(pair: &Pair, from_other: &Similarity) -> f64 {
     from_other.apply(pair.other).distance(pair.trusted) / pair.pixel_m
 }
@@ -47,7 +47,7 @@ fn between(pairs: &[Pair]) -> Option<Similarity> {
     Similarity::between(&other, &trusted)
 }
 
-/// Numbers from a seed (SplitMix64).
+/// Random numbers from a seed (SplitMix64).
 struct Dice(u64);
 
 impl Dice {
@@ -66,7 +66,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_most_pairs_say_is_found_among_liars() {
+    fn the_similarity_is_found_although_a_third_of_the_pairs_are_wrong() {
         let mut dice = Dice(1);
         let mut point = || DVec3::from_array([(); 3].map(|()| dice.below(1000) as f64 / 10.0));
         let pairs: Vec<Pair> = (0..120)

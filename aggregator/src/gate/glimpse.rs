@@ -1,10 +1,8 @@
-//! A small picture of a model from one of its own cameras, and whether another model shows the same there.
+//! Renders a small picture of a model from one of its own cameras, and decides whether another model shows the same.
 //!
-//! How far two trained models of the same ground differ in such a picture (three missions of four agents, 41 views:
-//! real Caliterra, rendered Boruszyn, the built-in town): their colours correlate by 0.70 to 0.99, most in place,
-//! their median depths differ by at most 2.2 %. Moved by a few per cent of the distance of the cameras, or made 10 %
-//! larger, they correlate better some pixels off, or their depths differ by more than 3 %. Models of colours only have
-//! no good depths (up to 13 %), but err here this way and there that way.
+//! The thresholds come from pairs of trained models in real and rendered missions. Right models of the same ground
+//! correlate in place and agree in median depth. A moved or scaled model correlates better some pixels off, or differs
+//! in depth. Models trained on colour alone have poor depths, but their errors have both signs.
 
 use cosurf_engine::Renderer;
 use cosurf_scene::{Camera, Splats, Watchers};
@@ -12,34 +10,34 @@ use glam::{DVec2, DVec3};
 
 /// Long side of the pictures, px.
 const SIZE_PX: u32 = 64;
-/// Views of each model that are looked at.
+/// Views rendered of each model.
 const VIEWS: usize = 8;
-/// Largest angle between two lines of sight to the same place, 30°, as a cosine.
+/// Cosine of the largest angle, 30°, between two lines of sight to the same point.
 const SIGHT_COSINE_MIN: f64 = 0.866_025_403_784_438_6;
-/// A surface that shows less than this is none.
+/// Pixels of less alpha show no surface.
 const ALPHA_MIN: f32 = 0.5;
-/// One that shows less than this has the colour of what is behind it too.
+/// Pixels of less alpha also have the colour of what lies behind the surface.
 const OPAQUE_MIN: f32 = 0.95;
-/// Share of a picture's surface that the other model's cameras must see, and pixels at least.
+/// The other model's cameras must see at least this share of a picture's surface, and this many pixels.
 const SHARE_MIN: f64 = 0.3;
 const SHARED_PX_MIN: usize = 64;
-/// Places are compared up to so many pixels away, each axis.
+/// Largest shift at which two pictures are compared, px along each axis.
 const REACH_PX: isize = 6;
-/// A pattern that is found this far off, px, is in the wrong place ...
+/// A model is in the wrong place if its picture correlates best at a larger shift than this, px ...
 const OFF_PX: f64 = 1.5;
-/// ... if it is found there clearly, and clearly better than in place.
+/// ... with more than this correlation, and by this much more than in place.
 const FOUND_MIN: f64 = 0.5;
 const BETTER_MIN: f64 = 0.05;
-/// Pictures that correlate less show something else.
+/// Pictures that correlate less show different ground.
 const ALIKE_MIN: f64 = 0.4;
-/// Depths whose ratio has this |ln|, in the median, contradict each other ...
+/// Depths contradict each other if the median ln of their ratio is farther from 0 than this ...
 const DEPTH_MAX: f64 = 0.03;
-/// ... if half of them lie within so much of the median.
+/// ... and half of the logarithms differ from the median by at most this share of it.
 const DEPTH_SPREAD_MAX: f64 = 0.25;
-/// Colours of a picture that vary less, rms, tell nothing.
+/// Pictures whose colours vary less, rms, cannot be compared.
 const CONTRAST_MIN: f64 = 0.02;
 
-/// See the module.
+/// A small picture of a model from one of its own cameras.
 pub(super) struct Glimpse {
     camera: Camera,
     /// `[height, width, rgb]`.
@@ -51,7 +49,7 @@ pub(super) struct Glimpse {
 }
 
 impl Glimpse {
-    /// What a model shows some of its cameras; where it has left ground to others, that is not looked at.
+    /// Renders some views of a model. Of a model pruned before upload, only opaque pixels count.
     pub(super) fn some(
         splats: &Splats,
         cameras: &[Camera],
@@ -76,7 +74,7 @@ impl Glimpse {
         Self { camera, rgb: rendering.rgb, depth, alpha: rendering.alpha }
     }
 
-    /// Pixels whose surface some of `cameras` see from a similar direction, if these are enough.
+    /// Pixels whose surface some of `cameras` see from a similar direction; `None` if they are too few.
     pub(super) fn shared_with(&self, cameras: &[Camera]) -> Option<Vec<usize>> {
         let pose = &self.camera.cam_from_world;
         let (world_from_cam, eye) = (pose.rotation.inverse(), pose.center());
@@ -98,8 +96,8 @@ impl Glimpse {
         (shared.len() >= enough).then_some(shared)
     }
 
-    /// Whether another model shows the same at these pixels; `None` where that cannot be told, or where it has left most
-    /// of them to others.
+    /// Whether another model shows the same at these pixels; `None` if that cannot be decided, or if that model was
+    /// pruned at most of them before upload.
     pub(super) fn is_confirmed_by(
         &self,
         renderer: &mut Renderer,
@@ -121,7 +119,7 @@ impl Glimpse {
         Some(is_deep && !is_moved && in_place >= ALIKE_MIN)
     }
 
-    /// The colours here and of another model at those of these pixels where both show the same surface.
+    /// The colours of this and of another model, at the `shared` pixels where both show the same surface.
     pub(super) fn colors_with(&self, renderer: &mut Renderer, shared: &[usize]) -> Vec<[[f32; 3]; 2]> {
         let other = Self::of(renderer, &self.camera, true);
         let is_same = |i: &usize| {
@@ -132,7 +130,7 @@ impl Glimpse {
         shared.iter().copied().filter(is_same).map(|i| [color(self, i), color(&other, i)]).collect()
     }
 
-    /// Whether depths agree where both have a surface.
+    /// Whether depths agree where both have a surface; `None` if that is in too few pixels.
     fn is_as_deep(&self, other: &Self, shared: &[usize]) -> Option<bool> {
         let both = shared.iter().filter(|&&i| other.depth[i] > 0.0);
         let ratios: Vec<f64> = both.map(|&i| f64::from(self.depth[i] / other.depth[i]).ln()).collect();
@@ -144,8 +142,8 @@ impl Glimpse {
         Some(middle.abs() <= DEPTH_MAX || spread > DEPTH_SPREAD_MAX * middle.abs())
     }
 
-    /// Of the colours here with those of `other`, moved by so many pixels: -1..=1. `None` where too few pixels are
-    /// left or they are all alike.
+    /// Correlation, -1..=1, of the colours here with those of `other` shifted by `[dx, dy]` px. `None` if too few
+    /// pixels are left or their colours hardly vary.
     fn correlation(&self, other: &Self, shared: &[usize], [dx, dy]: [isize; 2]) -> Option<f64> {
         let [width, height] = self.camera.size_px.map(|size| size as usize);
         let pairs: Vec<[usize; 2]> = shared

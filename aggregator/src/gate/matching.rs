@@ -1,5 +1,5 @@
-//! The same ground in two models' pictures: patches of one are looked for in the other by normalised cross-correlation,
-//! and what is found becomes pairs of points in space.
+//! Finds the same ground in pictures of two models: patches of one are searched in the other by normalised
+//! cross-correlation, and each match gives a pair of points in space.
 
 use cosurf_engine::compress::sees_alike;
 use cosurf_engine::{Renderer, Rendering};
@@ -7,24 +7,24 @@ use cosurf_scene::Camera;
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
-/// A surface that shows less than this is none.
+/// Pixels of less alpha show no surface.
 const ALPHA_MIN: f32 = 0.95;
-/// Cameras of its own model that must see a point in the same way: what a single one sees may lie anywhere in depth.
+/// Cameras of its own model that must see a point alike: a single camera does not fix the depth.
 const SEERS_MIN: usize = 2;
 /// Half the side of a patch, px.
 const PATCH_PX: usize = 5;
-/// One patch at most is taken from each square of this side, px.
+/// Each square with sides of this length, px, gives at most one patch.
 const CELL_PX: usize = 12;
-/// Least mean square of the grey gradient along its weaker direction, of a patch that can be told from those beside it.
+/// Least mean squared grey gradient of a patch along its weaker direction; below it a patch looks like its neighbours.
 const GRADIENT2_MIN: f32 = 2e-5;
-/// Least correlation of a patch that was found.
+/// Least correlation of a match.
 const CORRELATION_MIN: f32 = 0.7;
-/// By how much the best place must correlate better than any that is not next to it.
+/// Least lead of the best position's correlation over that of every position not next to it.
 const LEAD_MIN: f32 = 0.05;
-/// Places next to the best one, px.
+/// Positions within this distance of the best are next to it, px along each axis.
 const BESIDE_PX: usize = 2;
 
-/// What a model shows a camera.
+/// A model rendered from one camera.
 pub(super) struct Sight {
     camera: Camera,
     rendering: Rendering,
@@ -33,23 +33,23 @@ pub(super) struct Sight {
     height: usize,
 }
 
-/// What became of the patches of one picture.
+/// The result of searching patches of one or more pictures.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Matches {
-    /// Patches that were looked for.
+    /// Number of patches searched.
     pub(super) sought: usize,
-    /// Those that were found.
+    /// Matches found.
     pub(super) found: Vec<Pair>,
 }
 
-/// One place in two models.
+/// The same point in two models.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Pair {
-    /// Where the trusted model has it.
+    /// Its position in the trusted model.
     pub(super) trusted: DVec3,
-    /// Where the other one has it, in its own frame.
+    /// Its position in the other model, in that model's own frame.
     pub(super) other: DVec3,
-    /// What a pixel covers there, world units of the trusted model.
+    /// Size of a pixel there, world units of the trusted model.
     pub(super) pixel_m: f64,
 }
 
@@ -73,14 +73,14 @@ impl Sight {
         self.rendering.alpha[i] > ALPHA_MIN && self.rendering.depth[i] > 0.0
     }
 
-    /// Where in space the surface of a pixel lies that is shown at `at_px`, close to the pixel's middle.
+    /// The point in space seen at `at_px`, at the depth of the pixel `x, y` around it.
     fn point(&self, x: usize, y: usize, at_px: DVec2) -> DVec3 {
         let depth = f64::from(self.rendering.depth[y * self.width + x]);
         let pose = &self.camera.cam_from_world;
         pose.rotation.inverse() * (self.camera.ray(at_px) * depth - pose.translation)
     }
 
-    /// Share of the picture that several of `cameras` see as this one does.
+    /// Share of the picture that at least [`SEERS_MIN`] of `cameras` see as this one does.
     pub(super) fn shared(&self, cameras: &[Camera]) -> f64 {
         let (mut seen, mut of) = (0usize, 0usize);
         for y in (0..self.height).step_by(2) {
@@ -97,7 +97,7 @@ impl Sight {
         cameras.iter().filter(|camera| sees_alike(&self.camera, camera, point)).nth(SEERS_MIN - 1).is_some()
     }
 
-    /// The corners that can be told from what is beside them, of what several of `cameras` see.
+    /// The distinctive corners that at least [`SEERS_MIN`] of `cameras` see.
     fn corners(&self, cameras: &[Camera]) -> Vec<[usize; 2]> {
         let cells = |length: usize| (PATCH_PX + 1..length.saturating_sub(PATCH_PX + 1)).step_by(CELL_PX);
         let starts: Vec<[usize; 2]> =
@@ -105,7 +105,7 @@ impl Sight {
         starts.into_par_iter().filter_map(|start| self.corner(start, cameras)).collect()
     }
 
-    /// The best corner of the cell that begins at `start`, if one is good enough.
+    /// The best corner of the square that begins at `start`, if it is good enough.
     fn corner(&self, start: [usize; 2], cameras: &[Camera]) -> Option<[usize; 2]> {
         let end = |axis: usize, length: usize| (start[axis] + CELL_PX).min(length - PATCH_PX - 1);
         let mut best = (GRADIENT2_MIN, None);
@@ -148,7 +148,8 @@ impl Sight {
         Patch { values, length }
     }
 
-    /// Where a patch is, at most `reach_px` from `around`: pixel and place in it; `None` where no place stands out.
+    /// Searches a patch within `reach_px` of `around`. Returns its pixel and its sub-pixel position; `None` if no
+    /// position stands out.
     fn find(&self, patch: &Patch, around: [usize; 2], reach_px: usize) -> Option<([usize; 2], DVec2)> {
         let range = |axis: usize, length: usize| {
             around[axis].saturating_sub(reach_px).max(PATCH_PX)
@@ -169,7 +170,7 @@ impl Sight {
         if scores[best] < CORRELATION_MIN || scores[best] - second < LEAD_MIN {
             return None;
         }
-        // A best place at the rim may lie beyond it.
+        // At the rim, the true position may lie outside the searched area.
         if u == 0 || v == 0 || u + 1 == across || v + 1 == rows.len() {
             return None;
         }
@@ -189,14 +190,14 @@ impl Sight {
 /// Pixels of a patch.
 const AREA: f32 = ((2 * PATCH_PX + 1) * (2 * PATCH_PX + 1)) as f32;
 
-/// Grey values without their mean, and the length of their vector.
+/// Grey values minus their mean, and the Euclidean norm of the result.
 struct Patch {
     values: [f32; AREA as usize],
     length: f32,
 }
 
 impl Patch {
-    /// -1 to 1; 0 where either is all of one grey.
+    /// Normalised cross-correlation, -1..=1; 0 if either patch is uniform.
     fn correlation(&self, other: &Self) -> f32 {
         let product: f32 = self.values.iter().zip(&other.values).map(|(a, b)| a * b).sum();
         let lengths = self.length * other.length;
@@ -209,8 +210,8 @@ fn middle(x: usize, y: usize) -> DVec2 {
     DVec2::new(x as f64 + 0.5, y as f64 + 0.5)
 }
 
-/// Looks for the corners that the trusted model shows, as far as several of its own `cameras` see them, in what the
-/// other model shows, at most `reach_px` away. Both pictures have the same size.
+/// Searches corners of the trusted model's picture in the other model's picture, at most `reach_px` away. Only corners
+/// that several of the trusted model's own `cameras` see are searched. Both pictures have the same size.
 pub(super) fn matches(trusted: &Sight, cameras: &[Camera], other: &Sight, reach_px: usize) -> Matches {
     let corners = trusted.corners(cameras);
     let find = |&[x, y]: &[usize; 2]| {

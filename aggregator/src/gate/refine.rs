@@ -1,9 +1,9 @@
-//! Where a model belongs that lies in another frame than the others: turned, scaled and moved to where what it shows
-//! of common ground lies with what a trusted model shows.
+//! Finds where a model from another frame belongs: rotates, scales and moves it until common ground lies where a
+//! trusted model has it.
 //!
-//! Patches of what one shows are looked for in what the other shows ([`super::matching`]); pairs of points in space
-//! come of it, and the similarity that most of them agree with ([`super::consensus`]). It is found in rounds, from
-//! small pictures, in which much of them is searched, to larger ones. What does not come to lie together is not moved.
+//! Patches of one model's picture are searched in the other's ([`super::matching`]). The matches give pairs of points
+//! in space, and the similarity that most pairs agree with is taken ([`super::consensus`]). Rounds go from small
+//! pictures, searched widely, to larger ones. A model that does not fit after the last round is not moved.
 
 use cosurf_engine::Renderer;
 use cosurf_scene::Camera;
@@ -13,34 +13,32 @@ use super::matching::{Matches, Sight, matches};
 use super::similarity::Similarity;
 use crate::merge::{Locals, MergeError};
 
-/// Points lie together up to this distance, in pixels of the pictures compared. Where right models of real drone
-/// pictures overlap (Caliterra at 240 px, four agents), three quarters of the pairs are less than 0.9 px apart, and
-/// 0.48 to 0.65 of the patches are found.
+/// Largest distance of a pair that fits, px of the pictures compared. Most pairs of right models are within half of it.
 const FIT_PX: f64 = 2.0;
-/// Share of the patches found that must lie together, and of those looked for that must be found.
+/// Least share of matches that must fit, and least share of searched patches that must be found.
 const FIT_SHARE_MIN: f64 = 0.5;
 const FOUND_SHARE_MIN: f64 = 0.2;
-/// Patches that must have been looked for.
+/// Least number of patches searched.
 const SOUGHT_MIN: usize = 24;
-/// Pairs that must agree with a similarity, and their share of those found.
+/// Least number of pairs that must agree with a similarity, and their least share of all pairs.
 const AGREEING_MIN: usize = 8;
 const AGREEING_SHARE_MIN: f64 = 0.3;
-/// Share of a picture that both models must show.
+/// Least share of a picture that both models must show.
 const SHARED_MIN: f64 = 0.15;
-/// Cameras of the model through which the two are compared.
+/// Limit on the cameras through which two models are compared.
 const VIEWS: usize = 8;
-/// Long side of the pictures in which common ground is looked for, px.
+/// Long side of the pictures that measure the common ground, px.
 const SCOUT_PX: u32 = 48;
 /// Long side of the largest pictures compared, px.
 const SIZE_PX: u32 = 320;
-/// Long side of the pictures, reach of the search, and tolerance of agreement of each round, px: at first a frame may
-/// be off by almost half the picture.
+/// Per round: long side of the pictures, reach of the search, and tolerance of agreement, px. At first, a frame may be
+/// off by almost half a picture.
 const ROUNDS: [(u32, usize, f64); 5] =
     [(80, 40, 3.0), (160, 20, 3.0), (SIZE_PX, 12, 3.0), (SIZE_PX, 6, 2.0), (SIZE_PX, 4, 1.5)];
-/// Those in which it is compared with all.
+/// The same for the rounds that compare with all trusted models.
 const LAST_ROUNDS: [(u32, usize, f64); 2] = [(SIZE_PX, 4, 1.5), (SIZE_PX, 4, 1.5)];
 
-/// The similarity that takes the model `other` to where it fits the model `trusted`, if there is one.
+/// The similarity that moves the model `other` to where it fits the model `trusted`; `None` if it fits nowhere.
 pub(super) fn refine(
     locals: &dyn Locals,
     other: usize,
@@ -63,8 +61,8 @@ pub(super) fn refine(
     Ok(fits(&seen, &from_other).then_some(from_other))
 }
 
-/// The same more exactly: where the model `other`, which `from_other` takes to where it fits, fits all of `trusted` best.
-/// On Caliterra (240 px, four agents) what a single one leaves is up to 0.4 % of the extent.
+/// Improves `from_other`, which moves the model `other` to where it fits one trusted model, by fitting it to all of
+/// `trusted`: a single trusted model leaves a small error.
 pub(super) fn refine_against_all(
     locals: &dyn Locals,
     other: usize,
@@ -88,7 +86,7 @@ pub(super) fn refine_against_all(
     Ok(from_other)
 }
 
-/// A model at hand.
+/// A loaded model and its renderer.
 struct Held {
     cameras: Vec<Camera>,
     renderer: Renderer,
@@ -101,7 +99,7 @@ impl Held {
     }
 }
 
-/// Looks for what `trusted` shows in what `other` shows its own cameras, if the latter is moved by `from_other`.
+/// Searches patches of `trusted` in views of `other`, whose cameras `from_other` moves into the frame of `trusted`.
 fn look(
     other: &mut Held,
     trusted: &mut Held,
@@ -128,7 +126,7 @@ fn look(
     seen
 }
 
-/// Whether enough was found, and enough of it lies together.
+/// Whether enough patches were found and enough matches fit.
 fn fits(seen: &Matches, from_other: &Similarity) -> bool {
     let found = seen.found.len() as f64;
     let near = seen.found.iter().filter(|pair| distance_px(pair, from_other) <= FIT_PX).count() as f64;

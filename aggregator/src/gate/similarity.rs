@@ -1,4 +1,4 @@
-//! Similarities of space: turn, scale, move. Of points, cameras and splats, whose spherical harmonics turn with them.
+//! Similarity transforms (rotation, scale, translation) of points, cameras, and splats with their spherical harmonics.
 
 use cosurf_link::Model;
 use cosurf_scene::splats::SH_C0;
@@ -18,15 +18,15 @@ pub struct Similarity {
 }
 
 impl Similarity {
-    /// What leaves everything where it is.
+    /// Leaves everything where it is.
     pub const IDENTITY: Self = Self { scale: 1.0, rotation: DQuat::IDENTITY, translation: DVec3::ZERO };
 
-    /// Of a point.
+    /// Moves a point.
     pub fn apply(&self, p: DVec3) -> DVec3 {
         self.scale * (self.rotation * p) + self.translation
     }
 
-    /// A camera that shows a model so moved as this one shows the model: the same picture, with depths scaled.
+    /// Moves a camera along with a model: it gives the same picture of the moved model, with depths scaled.
     pub fn camera(&self, camera: &Camera) -> Camera {
         let Pose { rotation, translation } = camera.cam_from_world;
         let rotation = (rotation * self.rotation.inverse()).normalize();
@@ -34,7 +34,7 @@ impl Similarity {
         Camera { cam_from_world: Pose { rotation, translation }, ..*camera }
     }
 
-    /// Of a whole model.
+    /// Moves a whole model.
     pub fn model(&self, model: &Model) -> Model {
         let cameras = model.cameras.iter().map(|camera| self.camera(camera)).collect();
         Model { splats: self.splats(&model.splats), cameras }
@@ -59,8 +59,8 @@ impl Similarity {
         moved
     }
 
-    /// The one that takes `from` closest to `to` (Horn, "Closed-form solution of absolute orientation using unit
-    /// quaternions"); `None` of fewer than 3 pairs and where `from` is a single point.
+    /// The similarity that moves `from` closest to `to` (Horn, "Closed-form solution of absolute orientation using unit
+    /// quaternions"); `None` for fewer than 3 pairs, or if all of `from` are one point.
     pub fn between(from: &[DVec3], to: &[DVec3]) -> Option<Self> {
         if from.len() < 3 || from.len() != to.len() {
             return None;
@@ -90,9 +90,9 @@ impl Similarity {
     }
 }
 
-/// The eigenvector of the largest eigenvalue of a symmetric matrix, by Jacobi's rotations.
+/// The eigenvector of the largest eigenvalue of a symmetric matrix, by Jacobi rotations.
 fn strongest_axis(mut a: [[f64; 4]; 4]) -> [f64; 4] {
-    /// Far more than it takes.
+    /// Far more than convergence takes.
     const SWEEPS: usize = 24;
     let mut v = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
     for _ in 0..SWEEPS {
@@ -120,8 +120,8 @@ fn strongest_axis(mut a: [[f64; 4]; 4]) -> [f64; 4] {
     v.map(|row| row[strongest])
 }
 
-/// How one degree's coefficients turn: the matrix that gives the turned function in every direction the value which
-/// the function had in the direction before. It is found from as many directions as there are coefficients.
+/// Rotates the spherical harmonics of one degree. The rotated function must have, in each rotated direction, the value
+/// that the original has in the direction itself; as many directions as coefficients determine the matrix.
 struct Turn {
     degree: usize,
     /// `[2 degree + 1]²`, by rows.
@@ -136,7 +136,7 @@ impl Turn {
         Self { degree, matrix: solve(rows(rotation), rows(DQuat::IDENTITY)) }
     }
 
-    /// Turns the coefficients `[(degree + 1)², rgb]` of a splat.
+    /// Rotates this degree's part of a splat's coefficients `[(degree + 1)², rgb]`.
     fn apply(&self, sh: &mut [f32]) {
         let first = 3 * self.degree * self.degree;
         let before: Vec<f32> = sh[first..first + 3 * self.matrix.len()].to_vec();
@@ -163,7 +163,7 @@ fn direction(i: usize, count: usize) -> DVec3 {
 fn band(degree: usize, d: DVec3) -> Vec<f64> {
     let DVec3 { x, y, z } = d;
     let (xx, yy, zz) = (x * x, y * y, z * z);
-    // Each is the root of a rational number times C0.
+    // Each factor is C0 times the root of a rational number.
     let c = |square: f64| square.sqrt() * f64::from(SH_C0);
     match degree {
         1 => vec![-c(3.0) * y, c(3.0) * z, -c(3.0) * x],
@@ -215,13 +215,13 @@ pub(crate) mod tests {
     use super::*;
     use crate::testing::{above, ground};
 
-    /// The wrong frame of the tests: 5°, 1.1, 2 m.
+    /// The wrong frame of the tests: rotated by 5°, scaled by 1.1, moved by 2 m.
     pub(crate) fn wrong() -> Similarity {
         let rotation = DQuat::from_axis_angle(DVec3::new(0.6, 0.0, 0.8), 5f64.to_radians());
         Similarity { scale: 1.1, rotation, translation: DVec3::new(1.2, -1.6, 0.0) }
     }
 
-    /// Ground whose colours depend on where one looks from, up to degree 3.
+    /// Ground with view-dependent colours, harmonics up to degree 3.
     fn shimmering() -> Splats {
         let plain = ground(-4.0, 4.0);
         let mut splats = Splats::with_capacity(plain.len(), 3);
@@ -235,7 +235,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn a_moved_model_looks_to_moved_cameras_as_before() {
+    fn a_moved_model_looks_the_same_to_moved_cameras() {
         let model = Model { splats: shimmering(), cameras: vec![above(-1.0), above(1.5)] };
         for moved in [wrong(), Similarity { scale: 0.4, ..wrong() }] {
             let there = moved.model(&model);
@@ -251,12 +251,12 @@ pub(crate) mod tests {
             let unturned = Splats { sh: model.splats.sh.clone(), ..there.splats.clone() };
             let (a, b) = (before.render(&above(1.5)), Renderer::new(&unturned, 1).render(&there.cameras[1]));
             let off = a.rgb.iter().zip(&b.rgb).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
-            assert!(off > 1e-2, "harmonics that do not turn are seen: {off}");
+            assert!(off > 1e-2, "the comparison notices harmonics that were not rotated: {off}");
         }
     }
 
     #[test]
-    fn the_similarity_between_points_is_found_and_a_mirror_is_none() {
+    fn the_similarity_between_points_is_found_and_a_mirror_image_has_none() {
         let from: Vec<DVec3> = (0..9).map(|i| direction(i, 9) * (1.0 + i as f64)).collect();
         let to: Vec<DVec3> = from.iter().map(|p| wrong().apply(*p)).collect();
         let found = Similarity::between(&from, &to).unwrap();

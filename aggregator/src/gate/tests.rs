@@ -1,4 +1,4 @@
-//! Flights over one painted ground, of which one is wrong.
+//! Flights over one painted ground; one of them is wrong.
 #![allow(clippy::unwrap_used)]
 
 use std::f64::consts::FRAC_PI_2;
@@ -16,12 +16,12 @@ pub(crate) fn flight(west: f64) -> Model {
     Model { splats: ground(west as f32 - 6.0, west as f32 + 14.0), cameras: cameras.collect() }
 }
 
-/// Four flights; each sees ground of its neighbours.
+/// Four flights; each overlaps its neighbours.
 pub(crate) fn flights() -> Vec<Model> {
     [0.0, 4.0, 8.0, 12.0].map(flight).to_vec()
 }
 
-/// The same model in another frame: made larger, then turned about the vertical, then moved.
+/// The same model in another frame: scaled, then rotated about the vertical, then moved.
 pub(crate) fn elsewhere(mut model: Model, scale: f64, turn: f64, by: DVec3) -> Model {
     let turn = DQuat::from_rotation_z(turn);
     let Model { splats, cameras } = &mut model;
@@ -48,14 +48,14 @@ fn judge(models: Vec<Model>) -> Vec<Option<Doubt>> {
 }
 
 #[test]
-fn who_agrees_is_kept() {
+fn models_that_agree_are_admitted() {
     assert_eq!(judge(flights()), [None, None, None, None]);
     assert_eq!(judge(vec![flight(0.0)]), [None], "alone");
     let far = judge(vec![flight(0.0), flight(60.0)]);
-    assert_eq!(far, [None, None], "they share nothing, and are not too far");
+    assert_eq!(far, [None, None], "they share no ground and are not too far apart");
 }
 
-/// The frame's name is right, its content is not.
+/// The frame has the right name but the wrong coordinates.
 #[test]
 fn fault_09_wrong_frame_scale_datum_or_origin() {
     let wrongs: [(&str, f64, f64, DVec3); 6] = [
@@ -69,7 +69,7 @@ fn fault_09_wrong_frame_scale_datum_or_origin() {
     for (what, scale, turn, by) in wrongs {
         for wrong in 0..4 {
             let mut models = flights();
-            // Made larger and turned about the ground below it: otherwise it shares none with anybody.
+            // Scaled and rotated about the ground below it: otherwise it would overlap no other flight.
             let middle = DVec3::X * (4.0 * wrong as f64 + 4.0);
             let about = middle - DQuat::from_rotation_z(turn) * (scale * middle);
             models[wrong] = elsewhere(models[wrong].clone(), scale, turn, by + about);
@@ -80,9 +80,9 @@ fn fault_09_wrong_frame_scale_datum_or_origin() {
     }
 }
 
-/// What two say is held against each other: one stays, the same in any order.
+/// The same model stays in either order.
 #[test]
-fn of_two_that_contradict_one_stays() {
+fn of_two_contradicting_models_one_stays() {
     let (right, mut wrong) = (flight(0.0), elsewhere(flight(4.0), 1.0, 0.0, DVec3::Z));
     wrong.cameras.pop();
     assert!(matches!(judge(vec![right.clone(), wrong.clone()])[..], [None, Some(_)]));
@@ -92,7 +92,7 @@ fn of_two_that_contradict_one_stays() {
 #[test]
 fn fault_07_poisoned_models() {
     let clean = flights();
-    // The ground of others painted anew, a wall before the cameras, and heaps where it never was.
+    // Repainted ground, a wall in front of the cameras, and splats where no camera of the model looks.
     let mut repainted = clean[1].clone();
     for (i, value) in repainted.splats.sh.iter_mut().enumerate() {
         *value = ((i * 7919 % 1000) as f32 / 500.0 - 1.0) * 1.5;
@@ -116,7 +116,7 @@ fn fault_07_poisoned_models() {
     }
 }
 
-/// Missions of four agents, by folder, and their models.
+/// The missions of the environment variable `MISSIONS`: folder, and models of four agents.
 fn trained() -> Vec<(String, Vec<Model>)> {
     let load = |folder: PathBuf| {
         let cameras = fs::read(folder.join("cameras.json")).unwrap();
@@ -131,8 +131,8 @@ fn trained() -> Vec<(String, Vec<Model>)> {
     missions.split(':').map(models).collect()
 }
 
-/// The same command: how near to its place a model comes that is turned by 5°, 1.1 times as large and 2 m off. Models
-/// of real pictures differ by themselves, so that one that lies where it was trained would be moved a little as well.
+/// Run by the command below. Measures how exactly a model is moved back after it was rotated by 5°, scaled by 1.1 and
+/// moved by 2 m. Models of real pictures differ anyway, so `wanted` is where the others would move the unchanged model.
 #[test]
 #[ignore = "needs trained models"]
 fn trained_models_are_moved_back() {
@@ -160,8 +160,8 @@ fn trained_models_are_moved_back() {
             };
             let (trained, wanted) = (off(&Similarity::IDENTITY), off(&wanted));
             println!(
-                "{mission}: {wrong} comes back to within {:.3} % of the extent, and to within {:.3} % of where the \
-                 others want it",
+                "{mission}: model {wrong} comes back to within {:.3} % of the extent, and to within {:.3} % of where \
+                 it fits the others",
                 100.0 * trained,
                 100.0 * wanted
             );
@@ -170,8 +170,8 @@ fn trained_models_are_moved_back() {
     }
 }
 
-/// `MISSIONS=DIR:DIR cargo test --release -p cosurf-aggregator --lib -- --ignored trained_models --nocapture`: what is
-/// said of the four agents of real missions, as they are and with one of them moved.
+/// `MISSIONS=DIR:DIR cargo test --release -p cosurf-aggregator --lib -- --ignored trained_models --nocapture`: judges
+/// the models of real missions, as they are and with one of them moved.
 #[test]
 #[ignore = "needs trained models"]
 fn trained_models_are_judged_rightly() {

@@ -1,11 +1,10 @@
-//! One affine colour per model: every drone's camera chooses exposure and white balance for itself, and where two of
-//! them meet a seam would stay.
+//! Matches the models' colours by one affine transform per model: every drone's camera chooses its own exposure and
+//! white balance, which would leave a seam where two models meet.
 //!
-//! Models are compared where their surfaces agree ([`Glimpse`]): of each pair, mean and spread of the colours that both
-//! show. Gains, then offsets, are those with which all pairs agree best, weighted by their pixels, and which leave the
-//! models on the whole as they are. Models that were compressed before they were sent are compared with nobody (Caliterra
-//! at 240 px then had 32.95 instead of 33.81 dB). Where nobody differs by more than training leaves between models of one camera
-//! anyway, nobody is changed.
+//! Models are compared where their surfaces agree ([`Glimpse`]): per pair, the mean and spread of the colours that both
+//! show. Gains, then offsets, are chosen so that all pairs agree best, weighted by their pixels, and so that the models
+//! stay unchanged on average. Models pruned before upload are not compared, as that makes the result worse. If no pair
+//! differs by more than models of one camera do after training, no model is changed.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -19,16 +18,14 @@ use super::glimpse::Glimpse;
 use super::similarity::solve;
 use crate::merge::{Locals, MergeError};
 
-/// How far mean colours of a pair, and the |ln| of the ratio of their spreads, must be apart for any model to be changed. Those
-/// of one camera are by up to 0.024 and 0.13 where it chose its exposures (real Caliterra, four agents), by 0.004 and
-/// 0.008 where it did not (rendered Boruszyn).
+/// Colours are changed only if some pair differs by this much: in the mean colours, or in |ln| of the ratio of their
+/// spreads. Models of one camera differ by less, even if it varied its exposure.
 const MEANS_MIN: f64 = 0.03;
 const SPREADS_MIN: f64 = 0.2;
-/// Colours that vary less tell no gain.
+/// Least spread of colours from which a gain can be derived.
 const SPREAD_MIN: f64 = 0.03;
-/// How strongly models hold to their own colours: far less than one shared picture does, enough for those that share
-/// nothing.
-const HOLD: f64 = 1e-6;
+/// Weight of a model's own colours: negligible beside one shared picture, but enough to fix a model that shares none.
+const OWN_WEIGHT: f64 = 1e-6;
 
 /// `c ↦ gain c + offset`, by channel.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -40,7 +37,7 @@ pub struct Tone {
 }
 
 impl Tone {
-    /// Of splats: a colour is 0.5 and the sum of its harmonics, of which the first is constant.
+    /// Changes the colours of splats. A colour is 0.5 plus the sum of its harmonics; the first of them is constant.
     pub(super) fn apply(&self, splats: &mut Splats) {
         let stride = splats.sh_stride();
         for sh in splats.sh.chunks_exact_mut(stride) {
@@ -60,11 +57,11 @@ impl fmt::Display for Tone {
     }
 }
 
-/// What two models show of the same places.
+/// Sums over the colours that two models show of the same points.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Shared {
     count: f64,
-    /// By model and channel.
+    /// `[model, channel]`.
     sums: [[f64; 3]; 2],
     squares: [[f64; 3]; 2],
 }
@@ -88,13 +85,13 @@ impl Shared {
         (self.squares[model][channel] / self.count - self.mean(model, channel).powi(2)).max(0.0).sqrt()
     }
 
-    /// ln of how much more the second model's colours vary; 0 where that cannot be told.
+    /// ln of the ratio of spreads, second model to first; 0 if colours vary too little.
     fn log_ratio(&self, channel: usize) -> f64 {
         let spreads = [0, 1].map(|model| self.spread(model, channel));
         if spreads.iter().all(|spread| *spread >= SPREAD_MIN) { (spreads[1] / spreads[0]).ln() } else { 0.0 }
     }
 
-    /// Whether the two are those of one camera, as far as training lets them be.
+    /// Whether the colours differ no more than those of two models of one camera.
     fn agrees(&self) -> bool {
         (0..3).all(|channel| {
             (self.mean(0, channel) - self.mean(1, channel)).abs() < MEANS_MIN
@@ -103,7 +100,7 @@ impl Shared {
     }
 }
 
-/// By what the colours of each of `locals` are to be changed, in their order; `None` where nobody's are.
+/// The change of colours for each of `locals`, in their order; `None` if none is needed.
 pub(super) fn tones(
     locals: &dyn Locals,
     threads: usize,
@@ -114,7 +111,7 @@ pub(super) fn tones(
     Ok((!agree_already).then(|| agree(&pairs, locals.count())))
 }
 
-/// What is shared by which models, the lower first.
+/// Shared colours per pair of models, lower index first.
 type Pairs = BTreeMap<[usize; 2], Shared>;
 
 fn compare(locals: &dyn Locals, threads: usize, is_given_up: &dyn Fn() -> bool) -> Result<Pairs, MergeError> {
@@ -133,7 +130,7 @@ fn compare(locals: &dyn Locals, threads: usize, is_given_up: &dyn Fn() -> bool) 
         }
         let model = locals.load(i)?;
         let mut renderer = None;
-        // Where one has left ground to the other, what both show is what neither shows well.
+        // Ground that a pruned model still shares with another is ground that neither shows well.
         let is_told = |other: usize| other != i && !locals.is_compressed(i) && !locals.is_compressed(other);
         for (other, glimpses) in shown.iter().enumerate().filter(|(other, _)| is_told(*other)) {
             for glimpse in glimpses {
@@ -158,7 +155,7 @@ fn agree(pairs: &Pairs, count: usize) -> Vec<Tone> {
         for (tone, gain) in tones.iter_mut().zip(balance(pairs, count, ratio)) {
             tone.gain[channel] = gain.exp();
         }
-        // A pair's models are as bright as each other when their offsets differ by what is left between them.
+        // Two models are equally bright if their offsets differ by what the gains leave between their means.
         let gains: Vec<f64> = tones.iter().map(|tone| tone.gain[channel]).collect();
         let left = |[a, b]: [usize; 2], shared: &Shared| {
             gains[b] * shared.mean(1, channel) - gains[a] * shared.mean(0, channel)
@@ -170,13 +167,13 @@ fn agree(pairs: &Pairs, count: usize) -> Vec<Tone> {
     tones
 }
 
-/// One number per model so that those of a pair `[a, b]` differ by `difference`, `x_a − x_b`, as nearly as can be,
-/// weighted by pixels; on the whole they are 0.
+/// Least squares, weighted by pixels: one number per model, so that `x_a − x_b` comes closest to `difference` of each
+/// pair `[a, b]`. The numbers sum to 0.
 fn balance(pairs: &Pairs, count: usize, difference: impl Fn([usize; 2], &Shared) -> f64) -> Vec<f64> {
     let all: f64 = pairs.values().map(|shared| shared.count).sum();
     let mut matrix = vec![vec![0.0; count]; count];
     let mut right = vec![vec![0.0]; count];
-    (0..count).for_each(|i| matrix[i][i] = HOLD * all.max(1.0));
+    (0..count).for_each(|i| matrix[i][i] = OWN_WEIGHT * all.max(1.0));
     for (&[a, b], shared) in pairs {
         let weight = shared.count;
         matrix[a][a] += weight;
@@ -201,30 +198,30 @@ mod tests {
         tones(locals, 1, &|| false).unwrap()
     }
 
-    /// A model as a camera of another exposure makes it.
+    /// Changes a model as another exposure of the camera would.
     fn exposed(locals: &mut InMemory, model: usize, gain: [f64; 3], offset: [f64; 3]) {
         Tone { gain, offset }.apply(&mut locals.0[model].splats);
     }
 
     #[test]
-    fn models_of_one_camera_stay_as_they_are() {
+    fn models_of_one_camera_keep_their_colours() {
         assert_eq!(tones_of(&InMemory(flights())), None);
         assert_eq!(tones_of(&InMemory(flights()[..1].to_vec())), None);
     }
 
     #[test]
-    fn an_exposure_of_its_own_is_found_and_shared_out() {
+    fn one_models_exposure_is_found_and_evened_out_over_all() {
         let mut locals = InMemory(flights());
         exposed(&mut locals, 1, [0.7, 0.8, 0.9], [0.05, 0.0, -0.02]);
         let tones = tones_of(&locals).unwrap();
         let by = [[0.7, 0.05], [0.8, 0.0], [0.9, -0.02]];
         for (channel, [gain, offset]) in by.into_iter().enumerate() {
             let total = tones.iter().map(|tone| tone.gain[channel].ln()).sum::<f64>();
-            assert!(total.abs() < 1e-4, "gains are 1 on the whole: {tones:?}");
+            assert!(total.abs() < 1e-4, "the product of the gains is 1: {tones:?}");
             for other in [0, 2, 3] {
                 let found = tones[1].gain[channel] / tones[other].gain[channel];
                 assert!((found * gain - 1.0).abs() < 0.02, "channel {channel}: {tones:?}");
-                // A grey of the others as this model shows it, and as both show it afterwards.
+                // The others' mid grey, as this model shows it; afterwards both must show it alike.
                 let its = tones[1].gain[channel] * (gain * 0.5 + offset) + tones[1].offset[channel];
                 let theirs = tones[other].gain[channel] * 0.5 + tones[other].offset[channel];
                 assert!((its - theirs).abs() < 0.01, "channel {channel}: {its} and {theirs}");
@@ -250,7 +247,7 @@ mod tests {
     }
 
     #[test]
-    fn who_shares_nothing_keeps_its_colours() {
+    fn a_model_that_shares_no_ground_keeps_its_colours() {
         let mut locals = InMemory(flights());
         locals.0.push(super::super::tests::flight(60.0));
         exposed(&mut locals, 0, [0.7; 3], [0.0; 3]);

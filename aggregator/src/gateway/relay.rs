@@ -1,39 +1,39 @@
-//! What passes between a serial line and the broker. No port, no socket, no clock.
+//! Decides which messages pass between a serial line and the broker. It has no port, socket or clock.
 //!
-//! A radio is slower than the network by a factor of thousands, and what the aggregator sends to all is
-//! sent at the network's speed. So of a global model's chunks only those pass that this device has said to
-//! lack, each once, and as many wait here as the sender has under way at most.
+//! A radio is thousands of times slower than the network, but the aggregator broadcasts at the network's
+//! speed. So a chunk of a global model passes only if this device has reported it missing, and only once.
+//! At most as many chunks wait here as a sender keeps in flight.
 
 use std::collections::{BTreeSet, VecDeque};
 
 use cosurf_link::{Identity, Outgoing, Role};
 use cosurf_wire::{DeviceId, Knowledge, Message, ModelId, Reply, SiteId, State, Topic, Want};
 
-/// Chunks that wait for the line: 2 MiB at 64 KiB, a sender's window.
+/// Limit on chunks that wait for the line: 2 MiB at 64 KiB each, a sender's window.
 const CHUNKS_MAX: usize = 32;
-/// Other messages that wait for the line.
+/// Limit on other messages that wait for the line.
 const OTHERS_MAX: usize = 64;
 
-/// What becomes of a message of the device.
+/// What to do with a message of the device.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Passage {
-    /// The device begins a session: it needs a client of its own at the broker.
+    /// The device begins a session: start its client at the broker.
     Born(Identity),
-    /// It goes to the broker.
+    /// Send this to the broker.
     Pass(Outgoing),
-    /// It goes nowhere.
+    /// Discard the message, for this reason.
     Refuse(String),
 }
 
-/// One line's memory.
+/// State of one line.
 #[derive(Debug)]
 pub(super) struct Relay {
     site: SiteId,
     device: Option<DeviceId>,
     birth: Option<Outgoing>,
-    /// What the device lacks of which global model.
+    /// The global model that the device wants, and the chunks that it lacks.
     want: Option<Want>,
-    /// Chunks of it that were passed since.
+    /// Chunks of that model that were passed already.
     passed: BTreeSet<u32>,
     others: VecDeque<Outgoing>,
     chunks: VecDeque<(ModelId, u32, Outgoing)>,
@@ -57,7 +57,7 @@ impl Relay {
         self.birth.clone()
     }
 
-    /// Takes a message of the device. It may speak for itself only.
+    /// Handles a message of the device, which may publish only under its own name.
     pub(super) fn hear_device(&mut self, topic: &str, payload: Vec<u8>) -> Passage {
         let refuse = |reason: &str| Passage::Refuse(format!("{topic}: {reason}"));
         let (site, parsed) = match Topic::parse(topic) {
@@ -69,7 +69,7 @@ impl Relay {
                 (device, true)
             }
             Topic::LocalChunk { device, .. } | Topic::GlobalReply { device, .. } => (device, false),
-            _ => return refuse("a device does not say this"),
+            _ => return refuse("devices do not publish on this topic"),
         };
         if site != self.site {
             return refuse("belongs to another site");
@@ -86,16 +86,16 @@ impl Relay {
         match self.device {
             Some(known) if known == device => Passage::Pass(message),
             Some(_) => refuse("the line belongs to another device"),
-            None => refuse("nobody has said a birth on this line"),
+            None => refuse("no device has announced its birth on this line"),
         }
     }
 
-    /// Takes a message of the broker for the device; what it does not want goes no further.
+    /// Handles a message of the broker; discards what the device does not want.
     pub(super) fn hear_broker(&mut self, topic: &str, payload: Vec<u8>) {
         let Ok((site, parsed)) = Topic::parse(topic) else { return };
         let message = Outgoing { topic: parsed.to_text(&site), payload, retain: false };
         match parsed {
-            // Its own words.
+            // The device's own message.
             Topic::Flight { device } if self.device == Some(device) => {}
             Topic::GlobalChunk { model, index, .. } => {
                 let is_wanted = self.want.as_ref().is_some_and(|want| {
@@ -112,19 +112,19 @@ impl Relay {
         }
     }
 
-    /// What is next for the device.
+    /// The next message for the device.
     pub(super) fn next_down(&self) -> Option<&Outgoing> {
         self.others.front().or_else(|| self.chunks.front().map(|(_, _, message)| message))
     }
 
-    /// The line has taken it.
+    /// Removes the next message, once the line has accepted it.
     pub(super) fn passed_down(&mut self) {
         if self.others.pop_front().is_none() {
             self.chunks.pop_front();
         }
     }
 
-    /// The device says what it lacks; if nothing has come to it for a while, what was passed is lost.
+    /// Notes the chunks that the device lacks. If it is idle, the chunks passed before are lost and may pass again.
     fn note(&mut self, want: Want) {
         let is_other = self.want.as_ref().is_none_or(|before| before.model != want.model);
         if is_other {
@@ -187,10 +187,10 @@ mod tests {
     }
 
     #[test]
-    fn a_device_speaks_after_its_birth_and_for_itself_only() {
+    fn a_device_publishes_only_after_its_birth_and_under_its_own_name() {
         let mut relay = Relay::new(site());
         let header = Topic::LocalHeader { device: device("drone"), model: ModelId(1) }.to_text(&site());
-        assert!(matches!(relay.hear_device(&header, vec![1]), Passage::Refuse(_)), "not born");
+        assert!(matches!(relay.hear_device(&header, vec![1]), Passage::Refuse(_)), "before its birth");
         let Passage::Born(identity) = born(&mut relay, "drone") else { panic!("a birth") };
         assert_eq!((identity.device, identity.session), (device("drone"), 5));
         let Passage::Pass(message) = relay.hear_device(&header, vec![1]) else { panic!("passes") };
@@ -212,7 +212,7 @@ mod tests {
     }
 
     #[test]
-    fn flights_of_others_pass_and_its_own_does_not() {
+    fn flights_of_other_devices_pass_but_not_its_own() {
         let mut relay = Relay::new(site());
         born(&mut relay, "drone");
         for (i, name) in ["drone", "other"].into_iter().enumerate() {
@@ -223,23 +223,23 @@ mod tests {
     }
 
     #[test]
-    fn only_wanted_chunks_pass_and_each_once_until_it_is_lost() {
+    fn only_wanted_chunks_pass_and_again_only_if_lost() {
         let mut relay = Relay::new(site());
         born(&mut relay, "drone");
         chunk(&mut relay, 3);
-        assert_eq!(all_down(&mut relay), [0; 0], "nobody asked");
+        assert_eq!(all_down(&mut relay), [0; 0], "no chunk is wanted yet");
         want(&mut relay, false, &[0, 1]);
         [0, 2, 3, 3].iter().for_each(|index| chunk(&mut relay, *index));
         assert_eq!(all_down(&mut relay), [2, 3]);
         chunk(&mut relay, 2);
-        assert_eq!(all_down(&mut relay), [0; 0], "under way");
+        assert_eq!(all_down(&mut relay), [0; 0], "it has passed already");
         want(&mut relay, true, &[0, 1, 3]);
         [2, 3].iter().for_each(|index| chunk(&mut relay, *index));
-        assert_eq!(all_down(&mut relay), [2], "what was lost passes again");
+        assert_eq!(all_down(&mut relay), [2], "a lost chunk passes again");
     }
 
     #[test]
-    fn what_waits_is_bounded_and_chunks_wait_for_news() {
+    fn queues_are_bounded_and_other_messages_go_before_chunks() {
         let mut relay = Relay::new(site());
         born(&mut relay, "drone");
         want(&mut relay, false, &[]);
@@ -250,6 +250,6 @@ mod tests {
         }
         let down = all_down(&mut relay);
         assert_eq!(down.len(), CHUNKS_MAX + OTHERS_MAX);
-        assert!(down[..OTHERS_MAX].iter().all(|byte| *byte == 200), "news goes first");
+        assert!(down[..OTHERS_MAX].iter().all(|byte| *byte == 200), "other messages go first");
     }
 }

@@ -3,12 +3,12 @@
 use cosurf_scene::Camera;
 use glam::DVec3;
 
-/// Mean of the places of some cameras; the origin for none.
+/// Mean position of the cameras; the origin if there are none.
 pub(crate) fn middle(cameras: &[Camera]) -> DVec3 {
     cameras.iter().map(|camera| camera.cam_from_world.center()).sum::<DVec3>() / cameras.len().max(1) as f64
 }
 
-/// From there to the farthest of them, world units.
+/// Distance from `middle` to the farthest camera, world units.
 pub(crate) fn radius(cameras: &[Camera], middle: DVec3) -> f64 {
     cameras.iter().map(|camera| camera.cam_from_world.center().distance(middle)).fold(0.0, f64::max)
 }

@@ -1,10 +1,10 @@
-//! Local models to one: here, plain concatenation.
+//! Joins local models by plain concatenation.
 
 use cosurf_link::Model;
 use cosurf_scene::Splats;
 
-/// Joins models in the order given: all splats, at the highest degree of spherical harmonics among
-/// them (the others have nothing to say there: zeros), and all cameras.
+/// Joins all splats and all cameras, in the order of the models. The result has the highest degree of
+/// spherical harmonics among them; missing coefficients are 0.
 pub(crate) fn concatenate(models: &[Model]) -> Model {
     let degree = models.iter().map(|model| model.splats.sh_degree).max().unwrap_or(0);
     let count = models.iter().map(|model| model.splats.len()).sum();
@@ -37,7 +37,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_joined_is_nothing() {
+    fn joining_no_models_gives_no_splats() {
         assert!(concatenate(&[]).splats.is_empty());
     }
 }

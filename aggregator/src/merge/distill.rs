@@ -1,8 +1,7 @@
-//! Distillation: the joined model learns, camera by camera, what the local models showed.
+//! Distillation: the joined model learns, camera by camera, what the local models show.
 //!
-//! Where the whole model does not fit into the memory, its parts are distilled one after the other: a part is some
-//! local models' splats; what their cameras see of other parts stands around them while they learn, and stays as it
-//! was.
+//! If the whole model does not fit into the memory, it is distilled in parts, one after the other. A part is the splats
+//! of some local models. Splats of other parts that its cameras see are rendered with it, but keep their values.
 
 use std::ops::{ControlFlow, Range};
 
@@ -24,24 +23,24 @@ use super::memory::{renderer_bytes, student_room, teachers_bytes};
 use super::settings::MergeSettings;
 use super::teachers::{Taught, Teachers, ViewKey};
 
-/// How far a merge has come.
+/// Progress of a merge.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct MergeProgress {
     /// Steps of distillation done.
     pub step: u32,
     /// Steps in all.
     pub steps: u32,
-    /// Agreement with the teacher at the last step, dB.
+    /// PSNR against the teacher's rendering at the last step, dB.
     pub psnr: f64,
 }
 
-/// What came of it.
+/// The result of a distillation.
 pub(super) struct Distilled {
     pub(super) splats: Splats,
     pub(super) steps: u32,
 }
 
-/// Teaches `joined`, in which local `i` has the next `sizes[i]` splats.
+/// Distils `joined`, which has `sizes[i]` splats of each local model `i`, in order.
 pub(super) fn distill(
     surveyed: &Surveyed,
     sizes: &[usize],
@@ -110,7 +109,7 @@ pub(super) fn distill(
     Ok(Distilled { splats: joined.without(&useless), steps: done })
 }
 
-/// One step.
+/// One step; returns the PSNR against the teacher, dB.
 fn learn(distiller: &mut Distiller<AnyBackend>, taught: &Taught) -> f64 {
     let Taught { camera, shown, trust } = taught;
     let Rendering { rgb, depth, normal, .. } = &**shown;
@@ -118,8 +117,8 @@ fn learn(distiller: &mut Distiller<AnyBackend>, taught: &Taught) -> f64 {
     distiller.step(&lesson).0.color.psnr()
 }
 
-/// Locals that learn together: as many in a row as fit, at least one. A part may take two thirds of the room, so
-/// that something can stand around it, unless all fit.
+/// Consecutive locals that learn together: as many as fit, at least one. Unless all fit, a part takes at most two
+/// thirds of the room, to leave some for the splats around it.
 fn parts(sizes: &[usize], room: usize) -> Vec<Range<usize>> {
     let room = if sizes.iter().sum::<usize>() <= room { room } else { room / 3 * 2 };
     let (mut parts, mut start, mut taken) = (Vec::new(), 0, 0);
@@ -134,13 +133,13 @@ fn parts(sizes: &[usize], room: usize) -> Vec<Range<usize>> {
     parts
 }
 
-/// All that some locals teach.
+/// All views that some locals teach.
 fn views_of(locals: Range<usize>, lessons: &[Vec<usize>]) -> Vec<ViewKey> {
     locals.flat_map(|local| lessons[local].iter().map(move |&camera| ViewKey { local, camera })).collect()
 }
 
-/// The order of an epoch. Where not all teachers fit on the shelf, as many as fit take turns: the order is drawn
-/// among their views, then the next ones come.
+/// The order of views in an epoch, drawn at random. If not all teachers fit on the shelf, they teach in groups of
+/// `shelf`, one group after the other, and the order is random within a group.
 fn order(views: &[ViewKey], shelf: usize, seed: u64, epoch: u32) -> Vec<ViewKey> {
     let drawn = view_order(seed, u64::from(epoch), views.len()).into_iter().map(|place| views[place]);
     let mut order: Vec<ViewKey> = drawn.collect();
@@ -149,8 +148,8 @@ fn order(views: &[ViewKey], shelf: usize, seed: u64, epoch: u32) -> Vec<ViewKey>
     order
 }
 
-/// The splats of `own`, and behind them those of others that `cameras` see, as many as fit into `room`; and how many
-/// these are.
+/// The splats of `own`, followed by other splats that `cameras` see, `room` in all at most; and the number of the other
+/// splats.
 fn with_surroundings(joined: &Splats, own: Range<usize>, cameras: &[Camera], room: usize) -> (Splats, usize) {
     let mut student = Splats::with_capacity(own.len(), joined.sh_degree);
     own.clone().for_each(|i| student.push_from(joined, i));
@@ -165,7 +164,7 @@ fn with_surroundings(joined: &Splats, own: Range<usize>, cameras: &[Camera], roo
     (student, around.len())
 }
 
-/// Writes the first splats of `learnt` to their places.
+/// Writes the first splats of `learnt` back to their places in `joined`.
 fn put_back(joined: &mut Splats, learnt: &Splats, own: Range<usize>) {
     let (count, stride) = (own.len(), joined.sh_stride());
     joined.means[own.clone()].copy_from_slice(&learnt.means[..count]);
@@ -175,9 +174,9 @@ fn put_back(joined: &mut Splats, learnt: &Splats, own: Range<usize>) {
     joined.sh[own.start * stride..own.end * stride].copy_from_slice(&learnt.sh[..count * stride]);
 }
 
-/// Median depth of what the teachers show their first cameras.
+/// Median depth of the first views of all teachers.
 fn median_depth(teachers: &mut Teachers, cameras: &[Vec<Camera>]) -> Result<f64, MergeError> {
-    /// Every so many pixels.
+    /// Pixels from one sample to the next.
     const STEP: usize = 17;
     let mut depths: Vec<f32> = Vec::new();
     for local in (0..cameras.len()).filter(|local| !cameras[*local].is_empty()) {

@@ -14,13 +14,13 @@ pub enum MergeError {
     /// A model could not be read from its folder.
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// A model is not what it should be.
+    /// The body of a model is invalid.
     #[error(transparent)]
     Body(#[from] BodyFault),
-    /// What was to compute cannot, or could not to the end.
+    /// The device is not available, or failed during the merge.
     #[error(transparent)]
     Device(#[from] DeviceError),
-    /// The owner said stop.
-    #[error("the merge was given up")]
+    /// The caller stopped the merge.
+    #[error("the merge was stopped")]
     GivenUp,
 }

@@ -1,9 +1,8 @@
-//! Models of which only a part has arrived when models are merged: better a coarse piece of ground than none.
+//! Uses models that have arrived only in part when models are merged: coarse ground is better than none.
 //!
-//! What has arrived of a model is its most important splats ([`cosurf_link::part_to_model`]). They are put beside what
-//! the whole models were merged to, where nobody else has been, and teach nobody, for they would teach a blur. Ground
-//! that whole models show is left to them, so what is wrong with a part cannot spoil it. When the rest arrives the
-//! model takes its own place.
+//! The part of a model that has arrived holds its most important splats ([`cosurf_link::part_to_model`]). They are
+//! added to the merged model where no whole model has ground, so errors of a part cannot spoil ground of whole models.
+//! A part is no teacher, because it would teach blur. Once the upload completes, the model is merged as a whole.
 
 use cosurf_link::Model;
 use cosurf_scene::{Frustum, Splats};
@@ -11,10 +10,10 @@ use glam::DVec3;
 
 use super::concat::concatenate;
 
-/// Cameras that must see ground for it to be left to what is there: what a single one sees it may not show.
+/// Ground that fewer cameras of the merged model see is filled in: a model may not show what a single camera saw.
 const OWNER_CAMERAS_MIN: usize = 2;
 
-/// Adds what a part shows to a model, where hardly any of the model's cameras looks.
+/// Adds the splats of `part` to `model` where hardly any of the model's cameras looks.
 pub fn fill_in(model: Model, part: &Model) -> Model {
     let Model { splats, cameras } = part;
     let frusta: Vec<Frustum> = model.cameras.iter().map(Frustum::new).collect();

@@ -5,29 +5,29 @@ use cosurf_scene::Camera;
 
 use super::error::MergeError;
 
-/// Local models in a fixed order, read when they are needed.
+/// Local models in a fixed order, loaded when they are needed.
 pub trait Locals {
-    /// How many there are.
+    /// Number of models.
     fn count(&self) -> usize;
 
-    /// Reads one.
+    /// Loads a model.
     fn load(&self, index: usize) -> Result<Model, MergeError>;
 
-    /// Whether one has left ground to others before it was sent: there it shows nothing, and it teaches nothing.
+    /// True if a model was pruned before upload: it renders black where it removed splats, so it cannot teach.
     fn is_compressed(&self, index: usize) -> bool {
         let _ = index;
         false
     }
 }
 
-/// Local models, and what is known of them before the first is merged.
+/// Local models, with what a first pass over them has gathered.
 pub(super) struct Surveyed<'a> {
     pub(super) locals: &'a dyn Locals,
     /// Those of each.
     pub(super) cameras: Vec<Vec<Camera>>,
-    /// Splats of each.
+    /// Number of splats of each model.
     pub(super) sizes: Vec<usize>,
-    /// The highest.
+    /// The highest of all models.
     pub(super) sh_degree: u32,
 }
 

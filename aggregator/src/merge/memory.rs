@@ -8,16 +8,16 @@ use cosurf_scene::{Camera, Splats};
 
 use super::settings::MergeSettings;
 
-/// Share of the memory that is for the model that learns; the teachers have the rest.
+/// Share of the memory for the model that learns, the student; the teachers get the rest.
 const STUDENT_SHARE: f64 = 0.6;
 
-/// Bytes for all buffers.
+/// Bytes of the memory that the driver leaves for buffers.
 fn bytes_beside_driver(device: &Device, settings: &MergeSettings) -> f64 {
     let driver = if device.is_gpu() { DRIVER_BYTES } else { 0 };
     settings.memory_bytes.saturating_sub(driver) as f64
 }
 
-/// Splats that may learn at once: those that fit into the memory, and on a graphics card into what it binds.
+/// Limit on splats that learn at once: they must fit into the memory, and on a graphics card into one binding.
 pub(super) fn student_room(
     device: &Device,
     settings: &MergeSettings,

@@ -6,19 +6,18 @@ use serde::{Deserialize, Serialize};
 /// How models are merged.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MergeSettings {
-    /// Times that every camera is learnt from (CoSurfGS: 5); 0 leaves the models as they were joined.
+    /// Epochs of distillation, each over every camera (CoSurfGS: 5); 0 leaves the joined model as it is.
     pub epochs: u32,
-    /// Whether what several models show is left to one of them first.
+    /// Whether overlaps are first reduced to the splats of one model (Local Model Compression).
     pub compress: bool,
-    /// Whether models that lie in another frame than the others are moved to where they fit, rather than kept out; see
-    /// [`crate::gate`].
+    /// Whether models in another frame are moved to where they fit instead of being kept out; see [`crate::gate`].
     pub refine: bool,
-    /// Bytes that the models and their training may take together. Where they do not suffice for all at once,
-    /// teachers wait on the disk and the cells are distilled one after the other; that changes the result.
+    /// Limit on the bytes of the models and their training together. If it is too small for all at once, teachers wait
+    /// on the disk and parts of the model are distilled one after the other, which changes the result.
     pub memory_bytes: u64,
     /// Seed of every random choice.
     pub seed: u64,
-    /// What computes; the same bytes are those of one device.
+    /// What computes; another device gives other bytes.
     #[serde(default)]
     pub device: DeviceChoice,
 }

@@ -1,4 +1,4 @@
-//! Two small models of one painted ground, each with something in the air that its own cameras do not mind.
+//! Two small models of one painted ground, each with a cloud that its own cameras do not see.
 #![allow(clippy::unwrap_used)]
 
 mod device;
@@ -10,7 +10,7 @@ use cosurf_scene::{Camera, Splats};
 use super::*;
 use crate::testing::{InMemory, above, ground};
 
-/// A model of the ground around the `places` of its cameras, with black clouds just beside what they see.
+/// A model of the ground between `west` and `east`, with cameras at `places` and black clouds outside their view.
 fn local(west: f32, east: f32, places: &[f64], clouds: &[f32]) -> Model {
     let mut splats = ground(west, east);
     for x in clouds {
@@ -30,12 +30,12 @@ fn run(locals: &InMemory, settings: &MergeSettings, threads: usize) -> Merged {
     merge(locals, settings, threads, &mut |_| ControlFlow::Continue(())).unwrap()
 }
 
-/// dB of what a model shows at places between those that were learnt from.
+/// PSNR of a model against the true ground at fixed positions, dB.
 fn quality(splats: &Splats) -> f64 {
     agreement(splats, &ground(-30.0, 30.0))
 }
 
-/// dB between what two models show at these places.
+/// Mean PSNR between two models at fixed positions, dB.
 fn agreement(splats: &Splats, others: &Splats) -> f64 {
     let (mut truth, mut shown) = (Renderer::new(others, 1), Renderer::new(splats, 1));
     let places = [-9.0, -5.0, -3.0, 3.0, 5.0, 9.0];
@@ -43,7 +43,7 @@ fn agreement(splats: &Splats, others: &Splats) -> f64 {
 }
 
 #[test]
-fn distillation_clears_what_teachers_do_not_show() {
+fn distillation_removes_clouds_that_teachers_do_not_show() {
     let locals = neighbours();
     let joined = run(&locals, &MergeSettings { epochs: 0, ..MergeSettings::default() }, 1);
     let mut steps = Vec::new();
@@ -55,7 +55,7 @@ fn distillation_clears_what_teachers_do_not_show() {
     let taught = taught.unwrap();
     assert_eq!(steps, (1..=120).collect::<Vec<_>>());
     let (before, after) = (quality(&joined.model.splats), quality(&taught.model.splats));
-    assert!(after > before + 3.0, "{before:.2} dB joined, {after:.2} dB taught");
+    assert!(after > before + 3.0, "{before:.2} dB joined, {after:.2} dB distilled");
     assert_eq!(taught.model.cameras, joined.model.cameras);
     assert_eq!((taught.summary.joined, taught.summary.steps), (joined.model.splats.len(), 120));
 }
@@ -65,21 +65,25 @@ fn the_same_models_give_the_same_bytes_with_any_number_of_threads() {
     let settings = MergeSettings { epochs: 2, compress: true, ..MergeSettings::default() };
     let [one, three] = [1, 3].map(|threads| run(&neighbours(), &settings, threads));
     assert_eq!(one, three);
-    assert_ne!(one, run(&neighbours(), &MergeSettings { seed: 1, ..settings }, 1), "the order is drawn anew");
+    assert_ne!(
+        one,
+        run(&neighbours(), &MergeSettings { seed: 1, ..settings }, 1),
+        "another seed gives another order"
+    );
 }
 
 #[test]
-fn without_room_for_all_parts_learn_in_turns_and_well_enough() {
+fn with_too_little_memory_parts_learn_in_turns_almost_as_well() {
     let all = run(&neighbours(), &MergeSettings { epochs: 10, ..MergeSettings::default() }, 1);
     let tight = MergeSettings { epochs: 10, memory_bytes: 2_200_000, ..MergeSettings::default() };
     let parts = run(&neighbours(), &tight, 1);
-    assert_ne!(all.model.splats, parts.model.splats, "the memory is short");
+    assert_ne!(all.model.splats, parts.model.splats, "the memory is too small for all at once");
     let (all, parts) = (quality(&all.model.splats), quality(&parts.model.splats));
     assert!(parts > all - 3.0, "{all:.2} dB at once, {parts:.2} dB in turns");
 }
 
 #[test]
-fn who_says_stop_is_heard() {
+fn a_merge_stops_when_told_to() {
     let mut steps = 0;
     let given_up = merge(&neighbours(), &MergeSettings::default(), 1, &mut |_| {
         steps += 1;
@@ -116,10 +120,10 @@ fn shared_ground_has_one_owner_and_stays_covered() {
     }
 }
 
-/// Locals that have left shared ground to others before they came.
-struct Left(InMemory, bool);
+/// Locals that were pruned before upload; the flag says whether the merge knows.
+struct Pruned(InMemory, bool);
 
-impl Locals for Left {
+impl Locals for Pruned {
     fn count(&self) -> usize {
         self.0.count()
     }
@@ -134,22 +138,22 @@ impl Locals for Left {
 }
 
 #[test]
-fn who_has_left_ground_to_others_does_not_teach_that_it_is_black() {
+fn a_model_pruned_before_upload_does_not_teach_black() {
     let models = overlapping();
     let cameras: Vec<Vec<Camera>> = models.iter().map(|model| model.cameras.clone()).collect();
-    let left = models.into_iter().enumerate().map(|(own, Model { splats, cameras: its })| {
+    let pruned = models.into_iter().enumerate().map(|(own, Model { splats, cameras: its })| {
         let fleet = Fleet { cameras: &cameras, own };
         let removed = Compression::plan(&splats, &its, &fleet, &Device::Cpu, 1).unwrap().removed;
         assert!(!removed.is_empty());
         Model { splats: splats.without(&removed), cameras: its }
     });
-    let left = InMemory(left.collect());
+    let pruned = InMemory(pruned.collect());
     let merged = |is_told| {
         let settings = MergeSettings { epochs: 10, device: DeviceChoice::Cpu, ..MergeSettings::default() };
-        merge(&Left(left.clone(), is_told), &settings, 1, &mut |_| ControlFlow::Continue(())).unwrap()
+        merge(&Pruned(pruned.clone(), is_told), &settings, 1, &mut |_| ControlFlow::Continue(())).unwrap()
     };
     let (told, untold) = (merged(true), merged(false));
     assert_eq!((told.summary.steps, told.summary.splats), (0, told.summary.joined));
     let [told, untold] = [told, untold].map(|merged| quality(&merged.model.splats));
-    assert!(told > untold + 1.0, "{told:.2} dB where it is known, {untold:.2} dB where it is not");
+    assert!(told > untold + 1.0, "{told:.2} dB if the merge knows of the pruning, {untold:.2} dB if not");
 }

@@ -1,11 +1,11 @@
-//! What marching cubes leaves to be done: specks away, normals.
+//! Cleans a mesh after marching cubes: removes specks and computes normals.
 
 use cosurf_scene::Mesh;
 use glam::Vec3;
 
-/// Connected pieces of fewer triangles are specks: a ball of one truncation's radius, the least that
-/// fusion can tell, has about as many. An aerial scene may well have several large pieces, so all
-/// others stay.
+/// Connected pieces of fewer triangles are specks. A ball with one truncation distance as its radius, the
+/// smallest body that fusion resolves, has about as many. All larger pieces stay, as an aerial scene may
+/// have several.
 const TRIANGLES_MIN: u32 = 400;
 
 /// Removes small pieces and vertices without triangles; the rest keeps its order.
@@ -19,7 +19,7 @@ pub(super) fn remove_specks(mesh: &mut Mesh) {
     for &[a, ..] in &mesh.triangles {
         triangles_of[root(&mut parents, a) as usize] += 1;
     }
-    // Parents become new indices; what goes away has none.
+    // Moves the kept vertices to the front; `renumber` then turns the parents into new indices.
     let mut kept = 0;
     for vertex in 0..parents.len() {
         let piece = root(&mut parents, vertex as u32);
@@ -35,7 +35,7 @@ pub(super) fn remove_specks(mesh: &mut Mesh) {
     mesh.rgb.truncate(kept);
 }
 
-/// Gives the triangles that stay the new indices of their vertices.
+/// Removes the triangles of specks, and gives the others the new indices of their vertices.
 fn renumber(mesh: &mut Mesh, parents: &mut [u32], triangles_of: &[u32]) {
     mesh.triangles.retain(|&[a, ..]| triangles_of[root(parents, a) as usize] >= TRIANGLES_MIN);
     let stays: Vec<bool> = (0..parents.len() as u32)
@@ -60,13 +60,13 @@ fn root(parents: &mut [u32], mut vertex: u32) -> u32 {
     vertex
 }
 
-/// The smaller index becomes the root, so that the outcome does not hang on sizes.
+/// Joins two pieces. The smaller index becomes the root, so the result does not depend on their sizes.
 fn join(parents: &mut [u32], a: u32, b: u32) {
     let (a, b) = (root(parents, a), root(parents, b));
     parents[a.max(b) as usize] = a.min(b);
 }
 
-/// Unit normals of the vertices: means of their triangles', weighted by area.
+/// Unit normals of the vertices: means of their triangles' normals, weighted by area.
 pub(super) fn normals(mesh: &Mesh) -> Vec<[f32; 3]> {
     let mut normals = vec![[0.0; 3]; mesh.positions.len()];
     for (i, triangle) in mesh.triangles.iter().enumerate() {

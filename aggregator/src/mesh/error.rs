@@ -4,27 +4,27 @@
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum MeshError {
-    /// Nothing to look with.
-    #[error("there are no cameras to look at the model with")]
+    /// There are no cameras.
+    #[error("there are no cameras to render the model; use those that it was trained with")]
     NoCameras,
-    /// No view shows anything.
+    /// No view shows a surface.
     #[error(
         "no view shows a surface: the model is empty, or these cameras look elsewhere; use the cameras that it was trained with"
     )]
     NoSurface,
-    /// What the views show does not agree.
+    /// The views do not agree on a surface.
     #[error(
-        "the views agree on no surface: all that was found are specks; use more views, or larger voxels (--voxel)"
+        "the views agree on no surface, only on small pieces; use more views, or larger voxels (--voxel)"
     )]
     NoAgreement,
-    /// Not even the renderer fits.
-    #[error("the model with {splats} splats needs {} of memory to be rendered, but may take {}; allow more memory (--memory)", cosurf_scene::bytes::format_bytes(*needed_bytes), cosurf_scene::bytes::format_bytes(*memory_bytes))]
+    /// The memory is too small to render the model.
+    #[error("rendering {splats} splats needs {} of memory, but the limit is {}; allow more memory (--memory)", cosurf_scene::bytes::format_bytes(*needed_bytes), cosurf_scene::bytes::format_bytes(*memory_bytes))]
     TooLittleMemory {
-        /// In the model.
+        /// Splats of the model.
         splats: usize,
-        /// The least that would do.
+        /// The least memory that would suffice.
         needed_bytes: u64,
-        /// What was given.
+        /// The limit.
         memory_bytes: u64,
     },
 }

@@ -1,22 +1,22 @@
 //! What a fusion tells while it works.
 
-/// What a fusion is about.
+/// What a fusion reports.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum FuseEvent {
-    /// A stage has done with some of its views.
+    /// Progress of a stage.
     Progress {
-        /// What is being done.
+        /// The stage.
         stage: Stage,
         /// Views done.
         done: usize,
         /// Views in all.
         of: usize,
     },
-    /// The memory does not suffice for voxels of the size wanted.
+    /// The memory is too small for these voxels; the fusion starts over with larger ones.
     Coarser {
-        /// Edge of a voxel as it was to be, world units.
+        /// Edge of a voxel as wanted, world units.
         wanted_m: f64,
-        /// As it will be.
+        /// Edge of a voxel in the next attempt, world units.
         voxel_m: f64,
     },
 }
@@ -24,10 +24,10 @@ pub enum FuseEvent {
 /// The stages of a fusion that go through all views.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stage {
-    /// How far away the surface is.
+    /// Measures how far away the surface is.
     Look,
-    /// Which blocks it passes through.
+    /// Finds the blocks that the surface passes through.
     Find,
-    /// Signed distances.
+    /// Fuses signed distances.
     Fuse,
 }

@@ -1,5 +1,5 @@
-//! Marching cubes over the blocks: first counted, so that the mesh's size is known before it is
-//! allocated, then written, each block into its own stretch.
+//! Marching cubes over the blocks, in two passes. The first counts vertices and triangles, so that the mesh
+//! is allocated at its final size. The second writes each block into its own range of the mesh.
 
 use cosurf_scene::Mesh;
 use glam::{DVec3, IVec3};
@@ -8,18 +8,18 @@ use rayon::prelude::*;
 use super::cases::{EDGE_STARTS, cases};
 use super::volume::{SIDE, VOXELS, Volume, Voxel};
 
-/// Samples along the edge of a block with those of the next block's first layer.
+/// Samples along the edge of a block, including the first layer of the next block.
 const WIDE: usize = SIDE + 1;
-/// Bytes that extraction takes per block: its layout, and four pointers to stretches of the mesh.
+/// Bytes that extraction takes per block: its layout, and its slices of the mesh.
 pub(super) const LAYOUT_BYTES: usize = size_of::<BlockLayout>() + 4 * 24;
-/// Bytes of a vertex: position, normal, colour, and two numbers while specks are removed.
+/// Bytes of a vertex: position, normal, colour, and work space for removing specks.
 const VERTEX_BYTES: u64 = 12 + 12 + 3 + 9;
 const TRIANGLE_BYTES: u64 = 12;
 
 /// What a block adds to the mesh.
 #[derive(Clone, Copy, Debug, Default)]
 struct BlockLayout {
-    /// One bit for each edge that the surface passes, `[axis, z]` of bits `[y, x]`.
+    /// One bit for each edge that the surface crosses, `[axis, z]` of bits `[y, x]`.
     edges: [[u64; SIDE]; 3],
     /// Index of its first vertex and triangle.
     first_vertex: u32,
@@ -31,7 +31,7 @@ impl BlockLayout {
         self.edges.as_flattened().iter().map(|bits| bits.count_ones()).sum()
     }
 
-    /// Index of the vertex on the edge from a voxel along an axis.
+    /// Index of the vertex on the edge that starts at a voxel and runs along `axis`.
     fn vertex(&self, [x, y, z]: [usize; 3], axis: usize) -> u32 {
         let word = axis * SIDE + z;
         let before: u32 = self.edges.as_flattened()[..word].iter().map(|bits| bits.count_ones()).sum();
@@ -40,7 +40,7 @@ impl BlockLayout {
     }
 }
 
-/// Where everything goes.
+/// The ranges of the mesh into which the blocks write.
 #[derive(Debug)]
 pub(super) struct Layout {
     blocks: Vec<BlockLayout>,
@@ -65,7 +65,7 @@ impl Layout {
             .collect();
         let mut sums = (0u64, 0u64);
         for (block, triangles) in blocks.iter_mut().zip(&triangles) {
-            // Counts beyond 32 bits are refused by their size before these are used.
+            // These may overflow: a mesh that large is refused by `fits_indices` before they are used.
             (block.first_vertex, block.first_triangle) = (sums.0 as u32, sums.1 as u32);
             sums = (sums.0 + u64::from(block.vertices()), sums.1 + u64::from(*triangles));
         }
@@ -110,7 +110,7 @@ pub(super) fn extract(volume: &Volume, layout: &Layout) -> Mesh {
     mesh
 }
 
-/// Cuts a slice where the stretches begin, the first of them at 0.
+/// Splits a slice at the starts of its parts; the first start must be 0.
 fn split<T>(mut slice: &mut [T], firsts: impl Iterator<Item = usize>) -> Vec<&mut [T]> {
     let mut parts = Vec::new();
     let mut begin = 0;
@@ -154,7 +154,7 @@ fn write_vertices(
     }
 }
 
-/// Of two voxels' colours, more of the nearer and of the better known.
+/// Mixes two voxels' colours, weighted by nearness and by colour weight.
 fn mix_colors(a: &Voxel, b: &Voxel, t: f32) -> [u8; 3] {
     let ((a, a_weight), (b, b_weight)) = (a.color(), b.color());
     let (a_share, b_share) = ((1.0 - t) * a_weight, t * b_weight);
@@ -206,7 +206,7 @@ impl<'a> Samples<'a> {
         Self { volume, block, blocks: std::array::from_fn(neighbour) }
     }
 
-    /// A voxel of 0..=8 along each axis; one without weight where there is no block.
+    /// The voxel at 0..=8 along each axis; one without weight if its block does not exist.
     fn at(&self, place: [usize; 3]) -> &Voxel {
         const UNKNOWN: Voxel = Voxel::UNKNOWN;
         let [x, y, z] = place.map(|v| v % SIDE);
@@ -224,7 +224,7 @@ impl<'a> Samples<'a> {
         })
     }
 
-    /// The edges that the surface passes, as in [`BlockLayout`].
+    /// The edges that the surface crosses, as in [`BlockLayout`].
     fn edges(&self) -> [[u64; SIDE]; 3] {
         let distances = self.distances();
         let mut edges = [[0; SIDE]; 3];
@@ -241,8 +241,8 @@ impl<'a> Samples<'a> {
         edges
     }
 
-    /// Shows `visit` every cell of the block whose corners are all known and of both signs, with its
-    /// case.
+    /// Calls `visit` with every cell of the block whose corners are all known and differ in sign, and with
+    /// its case.
     fn for_each_cell(&self, mut visit: impl FnMut([usize; 3], usize)) {
         let distances = self.distances();
         for i in 0..VOXELS {

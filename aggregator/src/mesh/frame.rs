@@ -1,5 +1,5 @@
-//! A rendered view as fusion wants it: which pixels to trust, how much, and how depth turns into
-//! distance from the surface.
+//! A rendered view prepared for fusion: which pixels are trusted, with what weight, and how depth
+//! converts to distance from the surface.
 
 use cosurf_engine::Rendering;
 use cosurf_scene::Camera;
@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 /// Pixels of less alpha show no surface.
 const ALPHA_MIN: f32 = 0.5;
-/// Cosine of the incidence from which on depth is trusted: 80°, as PGSR has it.
+/// Depth is trusted if the cosine of the angle of incidence is at least this: 80°, as in PGSR.
 const COSINE_MIN: f32 = 0.173_648;
 
 /// A pixel.
@@ -16,11 +16,11 @@ const COSINE_MIN: f32 = 0.173_648;
 pub(super) struct Texel {
     /// Along the optical axis, world units.
     pub(super) depth_m: f32,
-    /// Distance from the surface's plane per depth: the ray (of z = 1) times the unit normal.
+    /// Distance from the surface's plane per unit of depth: dot product of the ray (z = 1) and the unit normal.
     pub(super) facing: f32,
-    /// Cosine of the incidence; 0 where the pixel is not trusted.
+    /// Cosine of the angle of incidence; 0 if the pixel is not trusted.
     pub(super) weight: f32,
-    /// 8-bit sRGB, and a filler.
+    /// 8-bit sRGB, and padding.
     pub(super) rgb: [u8; 4],
 }
 
@@ -39,8 +39,8 @@ pub(super) struct Frame {
 }
 
 impl Frame {
-    /// Judges every pixel; those are not trusted that cover more than `pixel_most_m` of a surface
-    /// across the line of sight.
+    /// Decides which pixels are trusted. A pixel that covers more than `pixel_most_m`, across the line of
+    /// sight, is not.
     pub(super) fn new(camera: &Camera, rendering: &Rendering, pixel_most_m: f64) -> Self {
         let size_px = rendering.size_px.map(|side| side as usize);
         let pose = camera.cam_from_world;
@@ -75,7 +75,7 @@ impl Frame {
         let (Some(du), Some(dv)) = (step(0), step(1)) else { return Texel::default() };
         let ray = self.ray(x as f32 + 0.5, y as f32 + 0.5);
         let (a, b) = (du * self.focal_px.x, dv * self.focal_px.y);
-        // The tangents' cross product, scaled so that its product with the ray is the depth.
+        // The tangents' cross product, scaled so that its dot product with the ray is the depth.
         let normal = Vec3::new(-a, -b, depth_m + ray.x * a + ray.y * b);
         let facing = depth_m / normal.length();
         let cosine = facing / ray.length();
@@ -86,8 +86,8 @@ impl Frame {
         Texel { depth_m, facing, weight: cosine, rgb: [byte(0), byte(1), byte(2), 0] }
     }
 
-    /// How depth changes to the next pixel along an axis: the smaller of the steps to either side, so
-    /// that the edge of a roof is not taken for a slope; `None` between two edges.
+    /// Change of depth per pixel along an axis: the smaller of the steps to the two neighbours, so that the
+    /// edge of a roof is not taken for a slope. `None` if neither neighbour shows a surface.
     fn slope(&self, depth: &[f32], at: [usize; 2], along: usize) -> Option<f32> {
         let stride = [1, self.size_px[0]][along];
         let i = at[1] * self.size_px[0] + at[0];
@@ -110,8 +110,8 @@ impl Frame {
         self.center + (self.rotation.transpose() * (ray * texel.depth_m)).as_dvec3()
     }
 
-    /// What is seen at a position in the picture: depth between pixels where all four around show one
-    /// surface (their depths within `reach_m` of each other, across it), all else of the pixel itself.
+    /// The texel at a position in the picture. Its depth is interpolated if the four pixels around show one
+    /// surface: depths within `reach_m` of each other, measured along its normal. All else is the pixel's own.
     #[inline]
     pub(super) fn sample(&self, p_px: Vec2, reach_m: f32) -> Option<Texel> {
         let [width, height] = self.size_px;
@@ -137,7 +137,7 @@ impl Frame {
     }
 }
 
-/// Bilinear depth of four pixels that are all trusted and within `reach_m`.
+/// Bilinear depth of four pixels; `None` unless all are trusted and within `reach_m` of each other.
 #[inline]
 fn blend(around: [&Texel; 4], t: Vec2, reach_m: f32) -> Option<f32> {
     let z = around.map(|texel| texel.depth_m);

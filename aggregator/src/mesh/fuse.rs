@@ -12,40 +12,40 @@ use super::frame::Frame;
 use super::scout::{self, PixelSize};
 use super::volume::Volume;
 
-/// By how much voxels grow where the memory does not suffice: their surface then takes 0.63 times as
-/// many blocks.
+/// Factor by which voxels grow if the memory is too small; the surface then takes 0.63 times as many
+/// blocks.
 const COARSER: f64 = 1.26;
 
-/// What a fusion should be like.
+/// Settings of a fusion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FuseSettings {
-    /// Edge of a voxel in world units; by default what a pixel covers of the surface, see [`fuse`].
+    /// Edge of a voxel, world units; `None` takes the size of a pixel on the surface, see [`fuse`].
     pub voxel_m: Option<f64>,
-    /// The most bytes to take, those of the renderer not included.
+    /// Limit on bytes, those of the renderer not included.
     pub memory_bytes: u64,
 }
 
 /// A fused surface.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Fused {
-    /// Shared vertices with normals and colours, outside counter-clockwise; never without triangles.
+    /// Has normals, colours and at least one triangle; triangles are counter-clockwise from outside.
     pub mesh: Mesh,
     /// Edge of a voxel, world units.
     pub voxel_m: f64,
-    /// Median over the views of what a pixel covers at the surface's depth, world units.
+    /// Median over the views of the size of a pixel at the surface's depth, world units.
     pub pixel_m: f64,
-    /// Blocks of 8³ voxels that the volume had.
+    /// Number of blocks in the volume, 8³ voxels each.
     pub blocks: usize,
-    /// Bytes that the volume and the mesh took at most.
+    /// Largest number of bytes that the volume and the mesh took together.
     pub peak_bytes: u64,
 }
 
-/// Fuses what `render` shows of each camera to a mesh. Pixels are skipped where alpha or depth says
-/// that there is no surface, where it is seen at a grazing angle or ends, and where it is so far away
-/// that a pixel covers more than four times what is usual.
+/// Fuses what `render` returns for each camera into a mesh. Skips pixels that show no surface by alpha or
+/// depth, pixels where the surface ends or is seen at a grazing angle, and pixels so far away that they
+/// cover more than four times the usual size.
 ///
-/// Voxels are as large as the surface that a pixel covers in the median view, unless `settings` say
-/// otherwise; larger where that takes too much memory.
+/// By default, a voxel is as large as a pixel on the surface in the median view. Voxels become larger if
+/// they take too much memory.
 pub fn fuse(
     cameras: &[Camera],
     mut render: impl FnMut(&Camera) -> Rendering,
@@ -79,7 +79,7 @@ struct Stages<'a> {
 }
 
 impl Stages<'_> {
-    /// The mesh; `None` where it or the volume takes too much memory.
+    /// The mesh; `None` if it or the volume takes too much memory.
     fn run(
         &self,
         render: &mut impl FnMut(&Camera) -> Rendering,

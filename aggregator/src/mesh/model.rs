@@ -1,4 +1,4 @@
-//! A splat model to a mesh, within one amount of memory for everything.
+//! Makes a mesh from a splat model, within one memory limit for everything.
 
 use cosurf_engine::backend::{Backend, Channels, Rendering};
 use cosurf_engine::budget::PROCESS_BYTES;
@@ -10,18 +10,18 @@ use super::error::MeshError;
 use super::event::FuseEvent;
 use super::fuse::{FuseSettings, Fused, fuse};
 
-/// Splat–tile pairs that there is room for, per splat, and at least; a view that has more loses its
-/// farthest splats, hence its farthest surface, which other views see better.
+/// Room for splat–tile pairs, per splat and at least. A view with more pairs loses its farthest splats,
+/// whose surface other views see better.
 const PAIRS_PER_SPLAT: usize = 12;
 const PAIRS_LEAST: usize = 1 << 18;
-/// Bytes per pixel of what the renderer hands over: colour, alpha, depth and normal, while they grow.
+/// Bytes per pixel of a [`Rendering`]: colour, alpha, depth and normal, twice while the vectors grow.
 const RENDERING_BYTES_PER_PIXEL: u64 = 2 * 32;
-/// Pictures take at most this share of the memory that the splats leave.
+/// Pictures take at most one in this many bytes of the memory that the splats leave.
 const PICTURE_SHARE: u64 = 4;
 
-/// Renders every camera, its long side at most `max_size_px`, and fuses what it shows.
-/// `settings.memory_bytes` is for the whole process; where it is short, pictures shrink and voxels
-/// grow. `threads` (at least 1) render; the fusion runs in rayon's pool.
+/// Renders every camera, with a long side of at most `max_size_px`, and fuses the renderings.
+/// `settings.memory_bytes` is for the whole process; if it is too small, pictures shrink and voxels grow.
+/// `threads` (at least 1) render; the fusion runs in rayon's pool.
 pub fn mesh_model(
     splats: Splats,
     cameras: &[Camera],
@@ -41,7 +41,7 @@ pub fn mesh_model(
     fuse(&cameras, |camera| renderer.render(camera), &settings, on_event)
 }
 
-/// What rendering takes.
+/// What rendering needs.
 struct Needs {
     splats: usize,
     pairs: usize,
@@ -58,7 +58,7 @@ impl Needs {
         Self { splats: splats.len(), pairs, bytes }
     }
 
-    /// With pictures of these cameras and the least of volumes.
+    /// Bytes for rendering these cameras and for the view being fused.
     fn bytes(&self, cameras: &[Camera]) -> u64 {
         self.bytes + picture_bytes(cameras) + budget::frame_bytes(cameras)
     }
@@ -73,7 +73,7 @@ fn picture_bytes(cameras: &[Camera]) -> u64 {
     cameras.iter().map(of).max().unwrap_or(0)
 }
 
-/// Cameras of pictures small enough for the memory.
+/// The cameras with pictures small enough for the memory.
 fn fitted(
     needs: &Needs,
     cameras: &[Camera],

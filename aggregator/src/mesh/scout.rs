@@ -1,5 +1,5 @@
-//! A first look with small pictures: how large voxels should be, and which blocks the surface passes
-//! through.
+//! The first pass, over small pictures: determines the size of voxels, and finds the blocks that the surface
+//! passes through.
 
 use std::collections::HashSet;
 
@@ -11,24 +11,24 @@ use super::event::{FuseEvent, Stage};
 use super::frame::Frame;
 use super::volume::{Key, blocks_around};
 
-/// Long side of the pictures for the very first look, pixels.
+/// Long side of the pictures that measure the distance of the surface, px.
 const LOOK_PX: u32 = 160;
-/// While blocks are searched, a pixel covers at most so many voxels; a block has eight.
+/// Voxels that a pixel covers at most, along each axis, while blocks are searched; a block has eight.
 const VOXELS_PER_PIXEL: f64 = 2.0;
-/// Times the usual size of a pixel on the surface up to which it is fused.
+/// Pixels are fused up to this multiple of the usual pixel size on the surface.
 pub(super) const FARTHEST: f64 = 4.0;
 
-/// What a pixel covers across the line of sight, world units.
+/// Size of a pixel on the surface, across the line of sight, world units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct PixelSize {
     /// In the median view, at its full size.
     pub(super) usual_m: f64,
-    /// Beyond this it is not trusted.
+    /// Larger pixels are not trusted.
     pub(super) most_m: f64,
 }
 
-/// Median over the views of what a pixel covers at the view's median depth; `None` where no view shows
-/// a surface.
+/// Median over the views of the size of a pixel at the view's median depth; `None` if no view shows a
+/// surface.
 pub(super) fn pixel_m(
     cameras: &[Camera],
     render: &mut impl FnMut(&Camera) -> Rendering,
@@ -50,8 +50,8 @@ fn median(values: &mut [f32]) -> Option<f32> {
     (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f32::total_cmp).1)
 }
 
-/// The blocks within the truncation of what the views show, ascending; `None` where they are more than
-/// `blocks_max`.
+/// The blocks within the truncation distance of the surface that the views show, ascending; `None` if they
+/// are more than `blocks_max`.
 pub(super) fn find_blocks(
     cameras: &[Camera],
     render: &mut impl FnMut(&Camera) -> Rendering,
@@ -79,7 +79,7 @@ pub(super) fn find_blocks(
     Some(keys)
 }
 
-/// The blocks near what a view shows, each at least once.
+/// The blocks near the surface that a view shows, each at least once.
 fn blocks_of(frame: &Frame, voxel_m: f64) -> Vec<Key> {
     let [width, height] = frame.size_px;
     let row = |y: usize| {

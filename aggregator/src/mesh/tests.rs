@@ -1,5 +1,5 @@
-//! Bodies whose surface is known, seen from all around, become closed meshes of the right size; memory
-//! is kept, whatever it is; input without a surface is refused in words.
+//! Bodies with a known surface, seen from all around, become closed meshes of the right size. Any memory
+//! limit is kept. Input without a surface gives a clear error.
 
 #![allow(clippy::unwrap_used)]
 
@@ -14,10 +14,10 @@ use super::volume::Volume;
 use super::*;
 
 const SPHERE_RADIUS: f64 = 2.0;
-/// Fine enough that the box is large beside the truncation.
+/// Fine enough that the box is large compared with the truncation distance.
 const BOX_VOXEL_M: f64 = 0.05;
 const BOX_HALF: DVec3 = DVec3::new(2.0, 1.5, 1.0);
-/// A place where nothing is symmetric to the voxels.
+/// The bodies' centre, not symmetric to the voxel grid.
 const CENTER: DVec3 = DVec3::new(1003.217, -411.893, 52.341);
 
 /// Distance along a ray to a body around the origin.
@@ -36,7 +36,7 @@ fn cuboid(eye: DVec3, ray: DVec3) -> Option<f64> {
     (enter <= leave).then_some(enter)
 }
 
-/// Evenly spread directions (a Fibonacci spiral), looking at the body from 10 m.
+/// Cameras in evenly spread directions (a Fibonacci spiral), looking at the body from 10 m.
 fn cameras(count: usize, size_px: u32) -> Vec<Camera> {
     let camera = |i: usize| {
         let z = 1.0 - (2 * i + 1) as f64 / count as f64;
@@ -54,7 +54,7 @@ fn cameras(count: usize, size_px: u32) -> Vec<Camera> {
     (0..count).map(camera).collect()
 }
 
-/// What a camera sees of a body: white on red's side, and nothing around it.
+/// Renders an orange body with nothing around it.
 fn look(body: Body, camera: &Camera) -> Rendering {
     let [width, height] = camera.size_px;
     let rotation = camera.cam_from_world.rotation.inverse();
@@ -139,12 +139,12 @@ fn a_box_is_closed_and_of_the_right_size() {
     assert!((found / volume - 1.0).abs() < 0.02, "{found} of {volume}");
     let (most, mean) = offsets(&mesh, distance_to_box);
     eprintln!("OFF {most} {mean}");
-    // Its edges, behind which fusion cannot tell air from box at once, bulge a little.
+    // The box's edges bulge a little, because fusion cannot at once tell air from box behind them.
     assert!(most < 2.0 * BOX_VOXEL_M && mean < 0.3 * BOX_VOXEL_M, "{most} {mean}");
 }
 
 #[test]
-fn the_checks_see_a_hole_and_a_flipped_side() {
+fn the_checks_notice_a_hole_and_a_flipped_triangle() {
     let mut mesh = fuse_body(sphere, 0.2);
     assert!(is_closed(&mesh) && signed_volume(&mesh) > 0.0);
     let [a, b, c] = mesh.triangles[7];
@@ -157,7 +157,7 @@ fn the_checks_see_a_hole_and_a_flipped_side() {
 }
 
 #[test]
-fn normals_point_outwards_and_colors_are_the_pictures() {
+fn normals_point_outwards_and_colors_match_the_pictures() {
     let mesh = fuse_body(sphere, 0.1);
     for ((position, normal), rgb) in mesh.positions.iter().zip(&mesh.normals).zip(&mesh.rgb) {
         let outward = (Vec3::from_array(*position).as_dvec3() - CENTER).normalize().as_vec3();
@@ -176,11 +176,11 @@ fn the_mesh_is_the_same_for_any_number_of_threads() {
     };
     let one = with(1);
     assert!(one == with(3));
-    assert!(one != fuse_body(cuboid, 0.1001), "the comparison sees differences");
+    assert!(one != fuse_body(cuboid, 0.1001), "the comparison notices differences");
 }
 
 #[test]
-fn voxels_are_as_large_as_pixels_unless_told() {
+fn voxels_are_as_large_as_pixels_by_default() {
     let cameras = cameras(20, 100);
     let fused = fuse(&cameras, |camera| look(sphere, camera), &settings(None, 1 << 30), |_| ()).unwrap();
     // Most of the sphere is 8 to 9 m away; pixels are 1/160 of that.
@@ -188,10 +188,10 @@ fn voxels_are_as_large_as_pixels_unless_told() {
     assert_eq!(fused.voxel_m, fused.pixel_m);
 }
 
-/// Goal: whatever the memory, it is kept, by larger voxels and with a word about it. Method: many views
-/// of a body whose wanted voxels would take ten to a thousand times as much.
+/// Goal: any memory limit is kept by larger voxels, and the growth is reported. Method: many views of a
+/// body whose wanted voxels would take ten to a thousand times the limit.
 #[test]
-fn memory_is_a_promise() {
+fn the_memory_limit_is_kept_by_larger_voxels() {
     let cameras = cameras(200, 64);
     for memory_bytes in [4 << 20, 16 << 20, 64 << 20] {
         let mut sizes = Vec::new();
@@ -215,7 +215,7 @@ fn memory_is_a_promise() {
 }
 
 #[test]
-fn a_volume_takes_what_it_says() {
+fn a_volume_takes_the_bytes_that_it_reports() {
     let keys: Vec<_> = (0..100).filter_map(|x| volume::Key::new(glam::IVec3::new(x, 2, 3))).collect();
     let volume = Volume::new(keys, 0.1);
     let layout = Layout::new(&volume);
@@ -223,7 +223,7 @@ fn a_volume_takes_what_it_says() {
 }
 
 #[test]
-fn input_without_a_surface_is_refused_in_words() {
+fn input_without_a_surface_gives_a_clear_error() {
     let all = cameras(12, 64);
     let refusal = |cameras: &[Camera], spoil: fn(&mut Rendering)| {
         let render = |camera: &Camera| {
@@ -257,7 +257,7 @@ fn input_without_a_surface_is_refused_in_words() {
 }
 
 #[test]
-fn some_nan_among_the_depths_do_no_harm() {
+fn some_nan_among_depths_and_colours_does_no_harm() {
     let cameras = cameras(60, 160);
     let spoilt = |camera: &Camera| {
         let mut rendering = look(sphere, camera);
@@ -271,7 +271,7 @@ fn some_nan_among_the_depths_do_no_harm() {
 }
 
 #[test]
-fn one_camera_gives_the_side_that_it_sees() {
+fn one_camera_gives_the_side_of_the_body_that_it_sees() {
     let one = &cameras(3, 160)[1..2];
     let mesh = fuse(one, |camera| look(sphere, camera), &settings(Some(0.1), 1 << 28), |_| ()).unwrap().mesh;
     assert!(!is_closed(&mesh));

@@ -10,12 +10,12 @@ use super::frame::Frame;
 pub(super) const SIDE: usize = 8;
 /// Voxels in a block.
 pub(super) const VOXELS: usize = SIDE * SIDE * SIDE;
-/// Voxels from the surface to where distances are cut off.
+/// Truncation distance, voxels: signed distances are cut off this far from the surface.
 pub(super) const TRUNCATION: f64 = 4.0;
-/// Behind the surface, measurements count less over this part of the truncation, and nothing at its end
-/// (after Bylow et al. 2013): behind the edge of a roof lies open air, which the view from one side
-/// would else fill. Fading from the surface on would be better still for views that agree, but where
-/// they do not, it lets the farthest win: on models trained on colour alone it cost 0.05 of F-score.
+/// Behind the surface, the weight of a measurement fades to 0 over this last part of the truncation
+/// distance (after Bylow et al. 2013): behind the edge of a roof lies open air, which a view from one side
+/// would otherwise fill. Fading from the surface on lets the farthest view win where views do not agree,
+/// and lowers the F-score.
 const FADING: f32 = 0.5;
 /// Bytes that a block takes in the volume: its voxels and its key.
 pub(super) const STORED_BLOCK_BYTES: u64 = (VOXELS * size_of::<Voxel>() + size_of::<Key>()) as u64;
@@ -23,7 +23,7 @@ pub(super) const STORED_BLOCK_BYTES: u64 = (VOXELS * size_of::<Voxel>() + size_o
 const KEY_BITS: u32 = 21;
 /// Blocks lie at -COORDINATE_END..COORDINATE_END along each axis.
 const COORDINATE_END: i32 = 1 << (KEY_BITS - 1);
-/// Colour weights count 1/256; beyond 255 they stay, so colours are averages over the last views.
+/// Colour weights are stored in units of 1/256 and saturate: beyond 255, colours average the latest views.
 const RGB_WEIGHT_UNIT: f32 = 256.0;
 
 /// A voxel; its sample point is its lowest corner.
@@ -32,7 +32,7 @@ const RGB_WEIGHT_UNIT: f32 = 256.0;
 pub(super) struct Voxel {
     /// Signed distance, truncations; -1..=1.
     pub(super) distance: f32,
-    /// 0 where no view says anything.
+    /// 0 if no view has measured the voxel.
     pub(super) weight: f32,
     /// sRGB, 0..=65280.
     rgb: [u16; 3],
@@ -40,12 +40,12 @@ pub(super) struct Voxel {
     rgb_weight: u16,
 }
 
-/// Place of a block: its coordinates, in blocks, so that keys ascend with z, then y, then x.
+/// A block's coordinates, in blocks, packed so that keys ascend with z, then y, then x.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(super) struct Key(u64);
 
 impl Key {
-    /// `None` where a block lies too far from the origin.
+    /// `None` if the block lies too far from the origin.
     pub(super) fn new(block: IVec3) -> Option<Self> {
         let end = IVec3::splat(COORDINATE_END);
         let inside = block.cmpge(-end).all() && block.cmplt(end).all();
@@ -61,7 +61,7 @@ impl Key {
     }
 }
 
-/// The blocks within the truncation of a point; none where it is too far from the origin.
+/// The blocks within the truncation distance of a point, without those too far from the origin.
 pub(super) fn blocks_around(point: DVec3, voxel_m: f64) -> impl Iterator<Item = Key> {
     let block_m = SIDE as f64 * voxel_m;
     let reach_m = DVec3::splat(TRUNCATION * voxel_m);
@@ -86,7 +86,7 @@ impl Volume {
     /// Allocates the blocks of `keys`, which must ascend.
     pub(super) fn new(mut keys: Vec<Key>, voxel_m: f64) -> Self {
         keys.shrink_to_fit();
-        assert!(keys.is_sorted(), "blocks in order");
+        assert!(keys.is_sorted(), "the keys of blocks must ascend");
         let voxels = vec![Voxel::default(); keys.len() * VOXELS];
         Self { keys, voxels, voxel_m }
     }
@@ -119,12 +119,12 @@ impl Volume {
         block.as_dvec3() * (SIDE as f64 * self.voxel_m)
     }
 
-    /// Takes a view in.
+    /// Fuses a view into the volume.
     pub(super) fn fuse(&mut self, frame: &Frame) {
         let Self { keys, voxels, voxel_m } = self;
         let block_m = SIDE as f64 * *voxel_m;
         keys.par_iter().zip(voxels.par_chunks_exact_mut(VOXELS)).for_each(|(key, voxels)| {
-            // Relative to the camera, so that far origins cost no precision.
+            // Relative to the camera, so that a distant world origin costs no precision.
             let origin = (key.block().as_dvec3() * block_m - frame.center).as_vec3();
             if may_see(frame, origin, block_m as f32) {
                 fuse_block(frame, origin, *voxel_m as f32, voxels);
@@ -133,7 +133,7 @@ impl Volume {
     }
 }
 
-/// Whether the view's pyramid may touch a block, whose lowest corner is given from the camera.
+/// Whether the view's frustum may touch a block; `origin` is the block's lowest corner relative to the camera.
 fn may_see(frame: &Frame, origin: Vec3, block_m: f32) -> bool {
     let radius = 0.867 * block_m;
     let middle = frame.rotation * (origin + 0.5 * block_m);
@@ -142,8 +142,8 @@ fn may_see(frame: &Frame, origin: Vec3, block_m: f32) -> bool {
     }
     let size = Vec2::new(frame.size_px[0] as f32, frame.size_px[1] as f32);
     let (low, high) = (frame.ray(0.0, 0.0), frame.ray(size.x, size.y));
-    // How far it is beyond the planes through the centre and the picture's sides, in lengths of their
-    // normals, which are no longer than the rays.
+    // Distances beyond the planes through the camera's centre and the picture's sides, times the lengths of
+    // the planes' normals; a ray is at least as long as the normal.
     let beyond = [
         (low.x * middle.z - middle.x, low),
         (middle.x - high.x * middle.z, high),
@@ -174,14 +174,14 @@ fn fuse_block(frame: &Frame, origin: Vec3, voxel_m: f32, voxels: &mut [Voxel]) {
 }
 
 impl Voxel {
-    /// Of which no view says anything.
+    /// A voxel that no view has measured.
     pub(super) const UNKNOWN: Self = Self { distance: 0.0, weight: 0.0, rgb: [0; 3], rgb_weight: 0 };
 
     #[inline]
     fn add(&mut self, distance: f32, weight: f32, [r, g, b, _]: [u8; 4]) {
         self.weight += weight;
         self.distance += (distance.min(1.0) - self.distance) * (weight / self.weight);
-        // What is seen through a voxel far before the surface is not the surface's colour.
+        // Far in front of the surface, the pixel's colour says nothing about the voxel.
         if distance < 1.0 {
             let old = f32::from(self.rgb_weight);
             let new = (old + weight * RGB_WEIGHT_UNIT).min(f32::from(u16::MAX));
@@ -194,7 +194,7 @@ impl Voxel {
         }
     }
 
-    /// Colour and how much it is worth.
+    /// Colour, 0..=255, and its weight.
     pub(super) fn color(&self) -> ([f32; 3], f32) {
         (self.rgb.map(|v| f32::from(v) / 256.0), f32::from(self.rgb_weight))
     }

@@ -8,18 +8,18 @@ use cosurf_wire::DeviceId;
 use super::round::Expected;
 use crate::merge::MergeSettings;
 
-/// Attempts to reach the broker before an owner should give up. Once it has been reached there is no
-/// limit: a service outlasts a broker that is down.
+/// Attempts to reach the broker before the caller should give up. Once connected, there is no limit: a
+/// service outlasts a broker that is down.
 pub(crate) const BROKER_ATTEMPTS_MAX: u32 = 8;
 
-/// What a service is and whom it serves.
+/// Configuration of a service.
 #[derive(Clone, Debug)]
 pub struct ServiceConfig {
-    /// Who it is.
+    /// Site, device and role under which it joins the link.
     pub identity: Identity,
     /// Its folder; see the module.
     pub folder: PathBuf,
-    /// The most it takes in at once.
+    /// Limits on what it receives.
     pub limits: InboxLimits,
     /// When to merge models.
     pub expected: Expected,
@@ -29,13 +29,13 @@ pub struct ServiceConfig {
     pub threads: usize,
 }
 
-/// What the owner of a running service asks of it.
+/// A command to a running service.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Command {
     /// Do not wait for this device any more; what it sent still counts.
     GiveUp(DeviceId),
     /// Merge what is due, then end.
     Finish,
-    /// End at once; a merge under way begins anew at the next start.
+    /// End at once; a running merge starts over at the next start.
     Stop,
 }

@@ -5,7 +5,7 @@ use cosurf_scene::SceneError;
 
 use crate::merge::MergeError;
 
-/// Why a service cannot work.
+/// Why a service failed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ServiceError {
@@ -15,10 +15,10 @@ pub enum ServiceError {
     /// The PLY could not be written.
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// The models cannot be one.
-    #[error("the models cannot be joined: {0}")]
+    /// The body of a model is invalid.
+    #[error("the body of a model is invalid: {0}")]
     Body(#[from] BodyFault),
-    /// The models are not merged.
+    /// The merge failed.
     #[error(transparent)]
     Merge(#[from] MergeError),
 }

@@ -9,72 +9,72 @@ use serde::Serialize;
 use super::record::KeptOut;
 use crate::merge::MergeProgress;
 
-/// What a service tells its owner.
+/// What a service reports.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(tag = "event", rename_all = "snake_case")]
 pub enum ServiceEvent {
-    /// The link stands (again).
+    /// The link is up (again).
     Connected,
-    /// The link does not stand and is tried again.
+    /// The link is down; the service keeps trying.
     Disconnected {
-        /// Failed attempts since it last stood, from 1.
+        /// Failed attempts since it was last up, from 1.
         attempt: u32,
         /// One line.
         reason: String,
     },
     /// A model is safe on the disk.
     Stored {
-        /// What is announced of it.
+        /// Its header.
         header: ModelHeader,
     },
-    /// The disk refused; it is tried again.
+    /// The disk failed; the service tries again.
     DiskFailed {
         /// One line.
         reason: String,
     },
-    /// A model has not arrived as a whole; what has is used until the rest is there.
+    /// A model has arrived only in part; the part is used until the rest arrives.
     PartTaken {
-        /// What has arrived, as a model of its own.
+        /// Header of the part, as a model of its own.
         header: ModelHeader,
-        /// Splats of the whole.
+        /// Splats of the whole model.
         of_splats: u32,
     },
-    /// A merge has come further.
+    /// Progress of a merge.
     Merging(MergeProgress),
-    /// A device does not count any more.
+    /// A device is withdrawn: its models no longer count.
     Withdrawn {
-        /// Which.
+        /// The device.
         device: DeviceId,
     },
-    /// There is a new global model, safe on the disk.
+    /// A new global model is safe on the disk.
     Merged {
-        /// What is announced of it; the model's number is the revision.
+        /// Its header; the model's number is the revision.
         header: ModelHeader,
         /// Local models in it.
         models: usize,
-        /// Local models that are not, for what they contradict.
+        /// Local models that are kept out, with reasons.
         kept_out: Vec<KeptOut>,
     },
-    /// There is no new global model: nobody is believed.
+    /// There is no new global model: all local models are kept out.
     NothingMerged {
-        /// The local models.
+        /// The local models, with reasons.
         kept_out: Vec<KeptOut>,
     },
-    /// Every agent that is still counted on has the global model on its disk.
+    /// Every agent that is not given up has the global model on its disk.
     Delivered,
     /// An agent refuses the global model.
     Refused {
-        /// Who.
+        /// The agent.
         by: DeviceId,
         /// Why.
         reason: RefusalReason,
     },
-    /// Two drones have one name: neither gets far.
+    /// Two drones use the same device name, so they disturb each other's uploads.
     SameName {
-        /// Which.
+        /// The name.
         device: DeviceId,
     },
-    /// Something was heard and thrown away.
+    /// A message was discarded.
     Ignored {
         /// One line.
         reason: String,
@@ -94,26 +94,26 @@ impl fmt::Display for ServiceEvent {
                 let (device, splats) = (header.device, header.splats);
                 write!(
                     f,
-                    "of the model of {device} {splats} of {of_splats} splats have arrived; they are used"
+                    "the model of {device} has arrived in part: {splats} of {of_splats} splats are used"
                 )
             }
             Self::Merging(MergeProgress { step, steps, psnr }) => {
-                write!(f, "merging, step {step} of {steps}: {psnr:.2} dB of what the local models showed")
+                write!(f, "merging, step {step} of {steps}: PSNR {psnr:.2} dB against the local models")
             }
             Self::Withdrawn { device } => write!(f, "{device} is withdrawn"),
             Self::Merged { header, models, kept_out } => {
                 let (revision, splats) = (header.model, header.splats);
-                write!(f, "global model, revision {revision}: {splats} splats of {models} models")?;
+                write!(f, "global model, revision {revision}: {splats} splats from {models} models")?;
                 kept_out.iter().try_for_each(|kept_out| write!(f, "; {kept_out} and is kept out"))
             }
             Self::NothingMerged { kept_out } => {
-                write!(f, "no model is merged")?;
+                write!(f, "no global model: all local models are kept out")?;
                 kept_out.iter().try_for_each(|kept_out| write!(f, "; {kept_out}"))
             }
             Self::Delivered => write!(f, "every agent has the global model"),
             Self::Refused { by, reason } => write!(f, "{by} refuses the global model: {reason}"),
             Self::SameName { device } => {
-                write!(f, "two drones call themselves {device}; give each a device name of its own")
+                write!(f, "two drones use the device name {device}; give each its own")
             }
             Self::Ignored { reason } => write!(f, "ignored: {reason}"),
         }

@@ -9,7 +9,7 @@ use cosurf_wire::{DeviceId, ModelHeader};
 use super::error::ServiceError;
 use crate::merge::concatenate;
 
-/// The newest model of each device in the folders of services, joined as they are.
+/// Joins the newest model of each device in the folders of services, without merging.
 pub(crate) fn joined(folders: &[PathBuf]) -> Result<Model, ServiceError> {
     let mut parts = Vec::new();
     for folder in folders {

@@ -1,4 +1,4 @@
-//! A merge on a thread of its own: first it is judged who takes part ([`crate::gate`]).
+//! A merge on its own thread. The gate first decides which models take part ([`crate::gate`]).
 
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -17,12 +17,12 @@ use crate::merge::{Locals, MergeError, MergeProgress, MergeSettings, Merged, fil
 /// Steps between two reports.
 const TELL_EVERY: u32 = 50;
 
-/// What is merged, each in order of device id.
+/// What is merged, each list in order of device id.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Inputs {
-    /// Models that have arrived as a whole.
+    /// Models that have arrived completely.
     pub(super) whole: Vec<ModelHeader>,
-    /// What has arrived of those of others, as models of their own.
+    /// Parts of other models, as models of their own.
     pub(super) parts: Vec<ModelHeader>,
 }
 
@@ -32,14 +32,14 @@ impl Inputs {
     }
 }
 
-/// Where that lies.
+/// Where these models are stored.
 #[derive(Clone, Debug)]
 pub(super) struct Stores {
     pub(super) whole: ModelStore,
     pub(super) parts: ModelStore,
 }
 
-/// A merge under way. Dropping it gives it up.
+/// A running merge. Dropping it stops the merge.
 #[derive(Debug)]
 pub(super) struct Job {
     pub(super) inputs: Inputs,
@@ -48,27 +48,27 @@ pub(super) struct Job {
     thread: Option<JoinHandle<Result<Outcome, MergeError>>>,
 }
 
-/// What came of a merge.
+/// The result of a merge.
 pub(super) struct Outcome {
-    /// The global model, and the same packed; `None` where nobody took part.
+    /// The global model and its body; `None` if no model took part.
     pub(super) merged: Option<(Merged, Vec<u8>)>,
-    /// Who took no part.
+    /// Models that took no part.
     pub(super) kept_out: Vec<KeptOut>,
-    /// Who was changed to fit the others.
+    /// Models that were changed to fit the others.
     pub(super) fitted: Vec<Fitted>,
 }
 
-/// What a look at a merge finds.
+/// The state of a merge.
 pub(super) enum JobState {
     /// Nothing new.
     Unchanged,
-    /// It has come further.
+    /// It has made progress.
     Advanced(MergeProgress),
     /// It is done.
     Done(Box<Result<Outcome, MergeError>>),
 }
 
-/// The body of a global model: what its cameras need most goes first.
+/// Packs a global model into a body, the splats most important to its cameras first.
 pub(crate) fn packed(model: &Model, threads: usize) -> Result<Vec<u8>, MergeError> {
     let Model { splats, cameras } = model;
     let importance = match cameras[..] {
@@ -85,8 +85,8 @@ struct Stored {
 }
 
 impl Stored {
-    /// The models to be merged, and the parts to be added to them. Parts are merged among themselves where nothing has
-    /// arrived as a whole.
+    /// The models to merge, and the parts to add to them. If no model has arrived completely, the parts are merged with
+    /// each other.
     fn of(stores: Stores, inputs: Inputs) -> (Self, Self) {
         let whole = Self { models: stores.whole, headers: inputs.whole };
         let parts = Self { models: stores.parts, headers: inputs.parts };
@@ -128,7 +128,7 @@ impl Job {
             }
             let mut merged = merge(&admitted, &settings, threads, &mut |progress: MergeProgress| {
                 if progress.step.is_multiple_of(TELL_EVERY) {
-                    let _ = say.send(progress); // nobody listens any more where the job was given up
+                    let _ = say.send(progress); // fails only if the job was dropped
                 }
                 if is_stopped() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
             })?;
@@ -173,7 +173,7 @@ mod tests {
     use crate::testing::{above, ground};
 
     #[test]
-    fn what_the_cameras_need_most_goes_first() {
+    fn the_most_important_splats_go_first() {
         let seen = Model { splats: ground(-2.0, 2.0), cameras: vec![above(0.0)] };
         let mut unseen = Model { splats: ground(60.0, 64.0), cameras: Vec::new() };
         unseen.splats.log_scales.iter_mut().flatten().for_each(|log_scale| *log_scale += 1.0);
@@ -182,7 +182,7 @@ mod tests {
         assert!(!part.splats.is_empty());
         assert!(
             part.splats.means.iter().all(|mean| mean[0] < 30.0),
-            "larger ones that nobody sees went first"
+            "larger splats that no camera sees went first"
         );
     }
 }

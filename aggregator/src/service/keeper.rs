@@ -1,4 +1,4 @@
-//! What a service has and does with it. What is on the disk decides; everything here can be read back.
+//! State and actions of a service. The disk is authoritative: all of this state can be read back from it.
 
 use std::collections::{BTreeSet, VecDeque};
 use std::path::PathBuf;
@@ -20,12 +20,12 @@ use super::shelf::Shelf;
 
 use crate::merge::{MergeSettings, Merged};
 
-/// Pause before what the disk refused is tried again.
+/// Pause before a failed write is tried again.
 const DISK_RETRY: Duration = Duration::from_secs(5);
-/// How often withdrawals are looked for.
+/// How often the folder is checked for withdrawals.
 const WITHDRAWALS_EVERY: Duration = Duration::from_secs(1);
 
-/// What the owner wants.
+/// What the commands so far ask for, in ascending urgency.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum RunState {
     Running,
@@ -48,18 +48,18 @@ pub(super) struct Keeper {
     merge: MergeSettings,
     threads: usize,
     round: Option<Round>,
-    /// When the disk may be tried again.
+    /// When a failed write may be tried again.
     retry_at: Duration,
-    /// The merge under way, and when it began.
+    /// The running merge, and when it began.
     job: Option<(Job, Duration)>,
-    /// To be told.
+    /// Events still to be reported.
     told: VecDeque<ServiceEvent>,
     /// The newest revision is up to date and is to be offered.
     to_offer: bool,
 }
 
 impl Keeper {
-    /// Opens the folder; returns the models in it too.
+    /// Opens the folder; also returns the headers of the models in it.
     pub(super) fn open(config: ServiceConfig) -> Result<(Self, Vec<ModelHeader>), ServiceError> {
         let (shelf, headers) = Shelf::open(&config.folder)?;
         let (globals, revisions) = ModelStore::open(&global_store(&config.folder))?;
@@ -89,17 +89,17 @@ impl Keeper {
         self.shelf.newest().iter().map(ModelKey::from).collect()
     }
 
-    /// What is announced of the newest revision.
+    /// The header of the newest revision.
     pub(super) fn global(&self) -> Option<ModelHeader> {
         self.global
     }
 
-    /// Whether models are being merged, or what was merged is not on its way yet.
+    /// Whether a merge is running, or its result is not yet offered to the agents.
     pub(super) fn is_merging(&self) -> bool {
         self.job.is_some() || self.to_offer
     }
 
-    /// Takes what the link heard.
+    /// Handles an event of the link.
     pub(super) fn take(&mut self, node: &mut Node, event: NodeEvent, now: Duration) -> Option<ServiceEvent> {
         Some(match event {
             NodeEvent::Connected => ServiceEvent::Connected,
@@ -114,7 +114,7 @@ impl Keeper {
                 ServiceEvent::Ignored { reason: format!("model {key} is refused: {reason}") }
             }
             NodeEvent::LinkTooNarrow(error) => {
-                ServiceEvent::Ignored { reason: format!("the link does not take our messages: {error}") }
+                ServiceEvent::Ignored { reason: format!("the link cannot carry our messages: {error}") }
             }
             NodeEvent::SameName(device) => ServiceEvent::SameName { device },
             NodeEvent::State(_)
@@ -141,7 +141,7 @@ impl Keeper {
         ServiceEvent::Stored { header }
     }
 
-    /// Does what was asked for.
+    /// Carries out the commands that have arrived.
     pub(super) fn obey(&mut self, node: &Node, commands: &Receiver<Command>, now: Duration) -> RunState {
         loop {
             match commands.try_recv() {
@@ -159,7 +159,7 @@ impl Keeper {
         }
     }
 
-    /// Withdraws devices, begins a merge when one is due, and looks after the one under way.
+    /// Withdraws devices, begins a merge when one is due, and publishes a finished one.
     pub(super) fn work(&mut self, node: &mut Node, now: Duration) -> Option<ServiceEvent> {
         self.shelf.take_void_flights().for_each(|device| node.void_flight(device));
         if let Some(event) = self.told.pop_front() {
@@ -175,7 +175,7 @@ impl Keeper {
         done.map(|outcome| outcome.unwrap_or_else(|error| self.disk_failed(&error, now)))
     }
 
-    /// Tries again later.
+    /// Schedules another attempt.
     fn disk_failed(&mut self, error: &ServiceError, now: Duration) -> ServiceEvent {
         self.retry_at = now + DISK_RETRY;
         self.round = Some(Round::extend(self.round, now));
@@ -194,7 +194,7 @@ impl Keeper {
         Ok(withdrawn.map(|device| ServiceEvent::Withdrawn { device }))
     }
 
-    /// Ends the round if it is over. A merge of other models than those that count now is given up.
+    /// Ends the round if it is over, and begins a merge. A running merge of other models is stopped.
     fn begin_when_due(&mut self, node: &Node, now: Duration) {
         let here = self.shelf.newest().iter().map(|header| header.device).collect();
         let is_over = |round: &Round| round.is_over(&self.expected, &here, &self.given_up, now);
@@ -216,7 +216,7 @@ impl Keeper {
         }
     }
 
-    /// Whether the newest revision is what these models would be merged to.
+    /// Whether the newest revision was merged from these models with the present settings.
     fn is_merged(&self, inputs: &Inputs) -> bool {
         let Some(record) = Merging::read(&self.folder) else { return false };
         record.inputs == recorded(inputs)
@@ -225,7 +225,7 @@ impl Keeper {
             && global_ply(&self.folder).is_file()
     }
 
-    /// Stores and offers what a merge that is done has made.
+    /// Stores and offers the result of a finished merge.
     fn publish_when_done(
         &mut self,
         node: &mut Node,
@@ -250,7 +250,7 @@ impl Keeper {
         Ok(Some(self.broadcast(node, offer, kept_out)))
     }
 
-    /// Writes a merged model: revision, record, and the PLY for viewers. The same bytes keep their revision.
+    /// Writes a merged model: revision, record, and the PLY for viewers. Unchanged bytes keep their revision.
     fn keep(
         &mut self,
         (merged, body): (Merged, Vec<u8>),
@@ -293,7 +293,7 @@ impl Keeper {
     }
 }
 
-/// Inputs as they are recorded.
+/// The inputs as `merged.json` records them.
 fn recorded(inputs: &Inputs) -> Vec<Input> {
     let (whole, parts) = (inputs.whole.iter().map(Input::whole), inputs.parts.iter().map(Input::part));
     let mut recorded: Vec<Input> = whole.chain(parts).collect();

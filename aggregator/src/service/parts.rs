@@ -1,4 +1,4 @@
-//! What had arrived of unfinished models when models were merged ([`crate::merge::fill_in`]).
+//! Stored parts of unfinished uploads, as last merged ([`crate::merge::fill_in`]).
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -31,7 +31,7 @@ impl Parts {
         self.headers.values().copied()
     }
 
-    /// Keeps what `node` has of an unfinished model, if that is more than was kept of its device.
+    /// Stores what `node` has of an unfinished model, if it has more splats than the device's stored part.
     pub(super) fn take(
         &mut self,
         node: &Node,
@@ -52,15 +52,15 @@ impl Parts {
         Ok(Some(offer.header))
     }
 
-    /// Of which model of a device there is a part.
+    /// The model to which a device's stored part belongs.
     pub(super) fn model_of(&self, device: &DeviceId) -> Option<ModelId> {
         self.headers.get(device).map(|part| part.model)
     }
 
-    /// All of its model is here, or none of it counts.
+    /// Removes a device's part, because its model has arrived completely or was withdrawn.
     pub(super) fn forget(&mut self, device: &DeviceId) {
         if let Some(part) = self.headers.remove(device) {
-            // What cannot be removed now is at the next start.
+            // If this fails, the next start removes it.
             let _ = self.store.remove(part.into());
         }
     }

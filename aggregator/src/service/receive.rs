@@ -12,8 +12,8 @@ use super::error::ServiceError;
 use super::event::ServiceEvent;
 use super::keeper::{Keeper, RunState};
 
-/// How often the service looks up from listening.
-const LOOK_UP: Duration = Duration::from_millis(50);
+/// Longest wait for a message before commands and merges are checked.
+const LISTEN: Duration = Duration::from_millis(50);
 
 /// A service with its folder open, not running yet.
 #[derive(Debug)]
@@ -23,21 +23,21 @@ pub struct Service {
 }
 
 impl Service {
-    /// Opens the folder, making it where it is missing.
+    /// Opens the folder; creates it if it is missing.
     pub fn open(config: ServiceConfig) -> Result<Self, ServiceError> {
         let (identity, limits) = (config.identity, config.limits);
         let (keeper, known) = Keeper::open(config)?;
         Ok(Self { node: Node::new(identity, limits, &known), keeper })
     }
 
-    /// Signs what it sends by these, and takes only what they believe.
+    /// Signs outgoing messages with `credentials`, and accepts only messages that these trust.
     pub fn with(mut self, credentials: Credentials) -> Self {
         self.node.believe(credentials);
         self
     }
 
-    /// Serves until told to finish, or until `on_event` breaks. Returns what is announced of the newest
-    /// global model, if there is one.
+    /// Serves until a command ends it, or until `on_event` breaks. Returns the header of the newest global
+    /// model, if there is one.
     pub fn run<T: Transport>(
         mut self,
         transport: &mut T,
@@ -48,7 +48,7 @@ impl Service {
         let mut state = RunState::Running;
         loop {
             state = state.max(self.keeper.obey(&self.node, commands, now()));
-            let broke = self.step(transport, &now, LOOK_UP, &mut on_event).is_break();
+            let broke = self.step(transport, &now, LISTEN, &mut on_event).is_break();
             let ends = match state {
                 RunState::Running => false,
                 RunState::Finishing => !self.keeper.is_merging(),
@@ -66,7 +66,7 @@ impl Service {
         self.keeper.is_merging()
     }
 
-    /// Listens for at most `wait`, does what that asks for, and merges models when that is due.
+    /// Listens for at most `wait`, handles what arrives, and merges models when a merge is due.
     pub(crate) fn step<T: Transport>(
         &mut self,
         transport: &mut T,

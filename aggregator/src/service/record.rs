@@ -1,4 +1,4 @@
-//! Small files beside the models: what the newest revision was merged from, and who is withdrawn.
+//! Small files beside the models: what the newest revision was merged from, and which devices are withdrawn.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -16,37 +16,37 @@ use crate::merge::{MergeSettings, MergeSummary};
 const MERGED: &str = "merged.json";
 const WITHDRAWN: &str = "withdrawn";
 
-/// How the newest revision came about: the content of `merged.json`.
+/// How the newest revision was merged: the content of `merged.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Merging {
     /// The revision.
     pub revision: u64,
     /// The models, in order of device id.
     pub inputs: Vec<Input>,
-    /// Those of them that took no part.
+    /// Models among them that took no part.
     #[serde(default)]
     pub kept_out: Vec<KeptOut>,
-    /// Those that were changed to fit the others.
+    /// Models among them that were changed to fit the others.
     #[serde(default)]
     pub fitted: Vec<Fitted>,
-    /// How the others were merged.
+    /// Settings of the merge.
     pub settings: MergeSettings,
-    /// What became of these, in their order.
+    /// Figures of the merge; its locals are the models that took part, in their order.
     pub summary: MergeSummary,
-    /// How long it took.
+    /// Duration of the merge, seconds.
     pub seconds: f64,
 }
 
 /// A model that was merged.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Input {
-    /// Whose.
+    /// The device that sent it.
     pub device: String,
-    /// Which.
+    /// Number of the model.
     pub model: u64,
-    /// Its hash.
+    /// BLAKE3 hash of its body.
     pub blake3: String,
-    /// Splats that had arrived where the model had not arrived as a whole.
+    /// Splats that had arrived, if the model had arrived only in part.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub part_splats: Option<u32>,
 }
@@ -54,11 +54,11 @@ pub struct Input {
 /// A model that was kept out of a merge, and why.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct KeptOut {
-    /// Whose.
+    /// The device that sent it.
     pub device: String,
-    /// Which.
+    /// Number of the model.
     pub model: u64,
-    /// One sentence without its subject.
+    /// A sentence without its subject.
     pub reason: String,
 }
 
@@ -77,16 +77,16 @@ impl KeptOut {
 /// A model that was changed to fit the others.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Fitted {
-    /// Whose.
+    /// The device that sent it.
     pub device: String,
-    /// From its own frame to that of the others, where it lay in another.
+    /// Moves it from its own frame to that of the others; `None` if it was not moved.
     pub by: Option<Similarity>,
-    /// From its own colours to those of all, where these differed.
+    /// Matches its colours to those of the others; `None` if they were not changed.
     pub tone: Option<Tone>,
 }
 
 impl Fitted {
-    /// `None` where nothing was changed.
+    /// `None` if the model was not changed.
     pub(super) fn of(device: &str, place: Place) -> Option<Self> {
         let Place { by, tone, .. } = place;
         (by.is_some() || tone.is_some()).then(|| Self { device: device.to_string(), by, tone })
@@ -113,8 +113,8 @@ impl Input {
 }
 
 impl Merging {
-    /// Reads the record of a service's folder; `None` where there is none that this build understands: then the
-    /// models are merged anew.
+    /// Reads the record of a service's folder; `None` if it is missing or this build cannot read it. The models are
+    /// then merged again.
     pub fn read(folder: &Path) -> Option<Self> {
         serde_json::from_slice(&fs::read(folder.join(MERGED)).ok()?).ok()
     }
@@ -126,16 +126,16 @@ impl Merging {
     }
 }
 
-/// Withdraws a device from the service with this folder, running or not: none of its models that has arrived counts
-/// any more; one that it makes later does.
+/// Withdraws a device from the service with this folder, whether the service is running or not. Models that have
+/// arrived from the device no longer count; later ones do.
 pub fn withdraw(folder: &Path, device: &DeviceId) -> Result<(), SceneError> {
     let withdrawn = folder.join(WITHDRAWN);
     fs::create_dir_all(&withdrawn).map_err(|cause| SceneError::io(&withdrawn, cause))?;
-    // The service fills in up to which model.
+    // The service writes the number of the last withdrawn model into the file.
     atomic::write(&withdrawn.join(device.as_str()), |_| Ok(()))
 }
 
-/// The devices that are withdrawn, each up to a model; `None` where that is still to be filled in.
+/// Withdrawn devices, each with its last withdrawn model; `None` if the service has not yet written it.
 pub(super) fn withdrawn(folder: &Path) -> BTreeMap<DeviceId, Option<ModelId>> {
     let entries = fs::read_dir(folder.join(WITHDRAWN)).into_iter().flatten().flatten();
     entries
@@ -147,7 +147,7 @@ pub(super) fn withdrawn(folder: &Path) -> BTreeMap<DeviceId, Option<ModelId>> {
         .collect()
 }
 
-/// Fills in up to which model a device is withdrawn.
+/// Writes the last withdrawn model of a device.
 pub(super) fn write_withdrawal(folder: &Path, device: &DeviceId, last: ModelId) -> Result<(), SceneError> {
     let path = folder.join(WITHDRAWN).join(device.as_str());
     atomic::write(&path, |file| io::Write::write_all(file, last.0.to_string().as_bytes()))

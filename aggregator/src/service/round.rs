@@ -1,28 +1,28 @@
-//! When models are merged.
+//! Decides when models are merged.
 
 use std::collections::BTreeSet;
 use std::time::Duration;
 
 use cosurf_wire::DeviceId;
 
-/// Whom a service waits for.
+/// The devices that a service waits for.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Expected {
-    /// Each of these devices: models are merged as soon as the last has sent one.
+    /// All of these devices: models are merged as soon as each has sent one.
     Devices(BTreeSet<DeviceId>),
-    /// Anybody: models are merged in rounds.
+    /// Any devices: models are merged in rounds.
     Anybody(Rounds),
 }
 
-/// A round begins when a model arrives and ends with a merge: once enough devices have sent one and no more have
-/// come for a while, or when it has lasted long enough.
+/// A round begins when a model arrives and ends with a merge: once `quorum` devices have sent a model and none has
+/// arrived for `quiet`, or at `deadline`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Rounds {
-    /// Devices that are enough.
+    /// Least number of devices with a model.
     pub quorum: usize,
-    /// How long no model must have come.
+    /// Time without a new model.
     pub quiet: Duration,
-    /// How long a round lasts at most.
+    /// Longest duration of a round.
     pub deadline: Duration,
 }
 
@@ -32,7 +32,7 @@ impl Default for Rounds {
     }
 }
 
-/// A round under way.
+/// A running round.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Round {
     begun: Duration,
@@ -40,12 +40,12 @@ pub(super) struct Round {
 }
 
 impl Round {
-    /// Something came at `now`: a round begins, or goes on.
+    /// A model or command came at `now`: begins a round, or extends `round`.
     pub(super) fn extend(round: Option<Self>, now: Duration) -> Self {
         Self { begun: round.map_or(now, |round| round.begun), last: now }
     }
 
-    /// Whether it ends at `now`, where models of `here` count and `given_up` are not waited for.
+    /// Whether the round ends at `now`. Devices `here` have sent a model; those `given_up` are not waited for.
     pub(super) fn is_over(
         &self,
         expected: &Expected,
@@ -77,10 +77,10 @@ mod tests {
         let devices = |names: &[&str]| names.iter().map(|name| DeviceId::new(name).unwrap()).collect();
         let (one, two): (BTreeSet<_>, BTreeSet<_>) = (devices(&["a"]), devices(&["a", "b"]));
         let round = Round::extend(None, s(10));
-        assert!(!round.is_over(&rounds, &one, &one, s(69)), "one is not enough");
-        assert!(round.is_over(&rounds, &one, &one, s(70)), "but for the deadline");
+        assert!(!round.is_over(&rounds, &one, &one, s(69)), "one device is no quorum");
+        assert!(round.is_over(&rounds, &one, &one, s(70)), "the deadline ends the round");
         let round = Round::extend(Some(round), s(20));
-        assert!(!round.is_over(&rounds, &two, &one, s(24)), "another may come at once");
+        assert!(!round.is_over(&rounds, &two, &one, s(24)), "another model may follow soon");
         assert!(round.is_over(&rounds, &two, &one, s(25)));
         let round = Round::extend(Some(round), s(69));
         assert!(round.is_over(&rounds, &two, &one, s(70)), "a late arrival does not move the deadline");

@@ -1,5 +1,4 @@
-//! The models of others on the disk: whole ones, what has arrived of those that were broken off, and which of them do
-//! not count any more.
+//! Received models on the disk: complete ones, parts of interrupted uploads, and which of them are withdrawn.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -18,18 +17,18 @@ use super::record::{withdrawn, write_withdrawal};
 pub(super) struct Shelf {
     folder: PathBuf,
     models: ModelStore,
-    /// Every whole model.
+    /// Every complete model.
     stored: BTreeMap<DeviceId, BTreeMap<ModelId, ModelHeader>>,
-    /// Of devices that have no whole model.
+    /// Parts of devices that have no complete model.
     parts: Parts,
-    /// The last model of each withdrawn device that does not count.
+    /// The last withdrawn model of each withdrawn device.
     withdrawn: BTreeMap<DeviceId, ModelId>,
-    /// Withdrawn devices to which agents may still leave ground.
+    /// Withdrawn devices whose flights are still announced: agents may still prune ground in their favour.
     to_void: Vec<DeviceId>,
 }
 
 impl Shelf {
-    /// Opens the folder of a service; returns the models in it too.
+    /// Opens the folder of a service; also returns the headers of the models in it.
     pub(super) fn open(folder: &Path) -> Result<(Self, Vec<ModelHeader>), ServiceError> {
         let (models, headers) = ModelStore::open(&folder.join("models"))?;
         let mut shelf = Self {
@@ -45,12 +44,12 @@ impl Shelf {
         Ok((shelf, headers))
     }
 
-    /// Where everything lies.
+    /// Where the models are stored.
     pub(super) fn stores(&self) -> Stores {
         Stores { whole: self.models.clone(), parts: self.parts.store().clone() }
     }
 
-    /// Writes a whole model.
+    /// Writes a complete model.
     pub(super) fn put(&mut self, header: ModelHeader, body: &[u8]) -> Result<(), StoreError> {
         self.models.put(&header, body)?;
         self.note(header);
@@ -62,7 +61,7 @@ impl Shelf {
         self.stored.entry(header.device).or_default().insert(header.model, header);
     }
 
-    /// Whether a model does not count.
+    /// Whether a model is withdrawn.
     pub(super) fn is_withdrawn(&self, header: &ModelHeader) -> bool {
         self.withdrawn.get(&header.device).is_some_and(|last| header.model <= *last)
     }
@@ -72,13 +71,13 @@ impl Shelf {
         self.stored.values().filter_map(|models| models.last_key_value()).map(|(_, header)| *header).collect()
     }
 
-    /// What is merged: the newest models, and parts of those of others.
+    /// What is merged: the newest model of each device, and the parts of devices without one.
     pub(super) fn inputs(&self) -> Inputs {
         Inputs { whole: self.newest(), parts: self.parts.headers().collect() }
     }
 
-    /// Keeps what has arrived so far of the models of devices that have none here. Without it the others are merged
-    /// all the same. Returns what is to be told.
+    /// Stores what has arrived so far from devices without a complete model. A failed write does not stop the merge of
+    /// the others. Returns the events to report.
     pub(super) fn take_parts(&mut self, node: &Node) -> Vec<ServiceEvent> {
         let wanted = node.unfinished().filter(|header| {
             let is_here = self.stored.get(&header.device).is_some_and(|models| !models.is_empty());
@@ -88,7 +87,7 @@ impl Shelf {
         wanted.iter().filter_map(|header| take_part(&mut self.parts, node, header)).collect()
     }
 
-    /// Removes the models of devices that were withdrawn since the last look; returns the first such device.
+    /// Removes the models of devices that were withdrawn since the last call; returns the first such device.
     pub(super) fn withdraw_devices(&mut self) -> Result<Option<DeviceId>, ServiceError> {
         let mut first = None;
         for (device, last) in withdrawn(&self.folder) {
@@ -103,7 +102,7 @@ impl Shelf {
         Ok(first)
     }
 
-    /// Writes down which model of a device is the last that does not count: the newest that is here now.
+    /// Records the newest model received from a device as its last withdrawn one.
     fn record_withdrawal(&mut self, device: DeviceId) -> Result<ModelId, ServiceError> {
         let newest = self.stored.get(&device).and_then(|models| models.keys().next_back().copied());
         let last = newest.max(self.parts.model_of(&device)).unwrap_or(ModelId(0));
@@ -112,7 +111,7 @@ impl Shelf {
         Ok(last)
     }
 
-    /// Removes the models of a device up to `last`; says whether there were any.
+    /// Removes the models of a device up to `last`; returns whether there were any.
     fn withdraw(&mut self, device: DeviceId, last: ModelId) -> Result<bool, ServiceError> {
         self.withdrawn.insert(device, last);
         let has_part = self.parts.model_of(&device).is_some_and(|part| part <= last);
@@ -128,7 +127,7 @@ impl Shelf {
         Ok(has_part || !gone.is_empty())
     }
 
-    /// Devices whose flights do not count any more since the last time this was asked.
+    /// Devices withdrawn since the last call, whose flights are no longer valid.
     pub(super) fn take_void_flights(&mut self) -> impl Iterator<Item = DeviceId> {
         self.to_void.drain(..)
     }
@@ -138,7 +137,8 @@ fn take_part(parts: &mut Parts, node: &Node, header: &ModelHeader) -> Option<Ser
     match parts.take(node, header) {
         Ok(part) => part.map(|part| ServiceEvent::PartTaken { header: part, of_splats: header.splats }),
         Err(error) => {
-            let reason = format!("what has arrived of the model of {} is not used: {error}", header.device);
+            let reason =
+                format!("the part of the model of {} that has arrived is not used: {error}", header.device);
             Some(ServiceEvent::DiskFailed { reason })
         }
     }

@@ -1,4 +1,4 @@
-//! The receiving service on a thread of its own, linked by MQTT, for a mission on one machine.
+//! The receiving service on its own thread, linked by MQTT, for a mission on one machine.
 
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -20,7 +20,7 @@ pub(crate) struct Station {
 }
 
 impl Station {
-    /// Starts to serve through `broker`; what happens is told to `on_event`.
+    /// Starts to serve through `broker`; `on_event` gets the service's events.
     pub(crate) fn start(
         service: Service,
         broker: BrokerAddress,
@@ -44,25 +44,25 @@ impl Station {
         Self { commands: Some(commands), thread: Some(thread) }
     }
 
-    /// Does not wait for this device any more.
+    /// Stops waiting for this device.
     pub(crate) fn give_up(&self, device: DeviceId) {
         self.tell(Command::GiveUp(device));
     }
 
-    /// Joins what is due and ends. Returns what is announced of the newest global model.
+    /// Merges what is due and ends. Returns the header of the newest global model, if there is one.
     pub(crate) fn finish(mut self) -> Option<ModelHeader> {
         self.tell(Command::Finish);
         self.thread.take().and_then(|thread| thread.join().ok().flatten())
     }
 
-    /// Whether it ended without being told to.
+    /// Whether the service has ended without a command.
     pub(crate) fn has_died(&self) -> bool {
         self.thread.as_ref().is_none_or(JoinHandle::is_finished)
     }
 
     fn tell(&self, command: Command) {
         if let Some(commands) = &self.commands {
-            let _ = commands.send(command); // fails only where the service has ended already
+            let _ = commands.send(command); // fails only if the service has ended already
         }
     }
 }

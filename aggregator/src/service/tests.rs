@@ -1,4 +1,4 @@
-//! Whole fleets on one thread, over a simulated network that loses, doubles, damages and delays.
+//! Whole fleets on one thread, over a simulated network that loses, duplicates, corrupts and delays messages.
 #![allow(clippy::unwrap_used)]
 
 mod doubt;
@@ -30,7 +30,7 @@ fn identity(name: &str, role: Role) -> Identity {
     testing::identity("test", name, role)
 }
 
-/// A drone that sends one model and keeps the global one.
+/// A drone that sends one model and stores the global model.
 struct Drone {
     node: Node,
     transport: MemoryTransport,
@@ -60,8 +60,8 @@ impl Drone {
     }
 }
 
-/// The first `count` of three drones. A drone that joined must be stepped to the end: while a message
-/// waits for somebody, virtual time stands still.
+/// The first `count` of three drones. A drone that joined must be stepped to the end: virtual time stands
+/// still while a message waits for its receiver.
 fn drones(network: &MemoryNetwork, count: usize) -> Vec<Drone> {
     let models =
         [("agent-1", model(900, 1, 1.0)), ("agent-2", model(700, 0, 2.0)), ("agent-3", model(2, 1, 3.0))];
@@ -90,7 +90,7 @@ fn fleet(names: &[&str]) -> Expected {
     Expected::Devices(names.iter().map(|name| DeviceId::new(name).unwrap()).collect())
 }
 
-/// Runs service and drones until `enough` of the events so far, and returns them.
+/// Runs service and drones until `enough` accepts the events so far, and returns them.
 fn simulate(
     network: &MemoryNetwork,
     ground: &mut Ground,
@@ -104,7 +104,7 @@ fn simulate(
     events
 }
 
-/// The same until the service itself has come far enough.
+/// The same until `enough` accepts the state of the service.
 fn simulate_until(
     network: &MemoryNetwork,
     ground: &mut Ground,
@@ -154,7 +154,7 @@ fn is_merged(event: &ServiceEvent) -> bool {
 }
 
 #[test]
-fn the_global_model_is_the_same_bytes_in_any_weather_and_reaches_everybody() {
+fn the_global_model_has_the_same_bytes_despite_faults_and_reaches_every_drone() {
     let mut bytes = Vec::new();
     for seed in [1, 2, 3] {
         let folder = tempfile::tempdir().unwrap();
@@ -163,7 +163,7 @@ fn the_global_model_is_the_same_bytes_in_any_weather_and_reaches_everybody() {
         let mut ground = open(&network, folder.path(), fleet(&["agent-1", "agent-2", "agent-3"]));
         let delivered = |events: &[ServiceEvent], _: &[Drone]| events.contains(&ServiceEvent::Delivered);
         let events = simulate(&network, &mut ground, &mut drones, delivered);
-        assert_eq!(count(&events, is_merged), 1, "joined once, when all are there");
+        assert_eq!(count(&events, is_merged), 1, "merged once, after all models have arrived");
         assert!(drones.iter().all(|drone| drone.global == ground.service.keeper.global()));
         let splats = ply::read(&global_ply(folder.path())).unwrap();
         assert_eq!((splats.len(), splats.means[900][0]), (1602, 2.0), "in order of device id");
@@ -187,7 +187,7 @@ fn without_a_fleet_every_arrival_makes_a_revision() {
 }
 
 #[test]
-fn a_drone_that_is_given_up_is_not_waited_for_and_what_it_sent_counts() {
+fn a_drone_that_is_given_up_is_not_waited_for_but_its_model_counts() {
     let folder = tempfile::tempdir().unwrap();
     let network = MemoryNetwork::new(6, BAD_WEATHER);
     let mut drones = drones(&network, 2);
@@ -209,7 +209,7 @@ fn a_drone_that_is_given_up_is_not_waited_for_and_what_it_sent_counts() {
 }
 
 #[test]
-fn a_service_started_again_keeps_models_and_revision() {
+fn a_restarted_service_keeps_models_and_revision() {
     let folder = tempfile::tempdir().unwrap();
     let network = MemoryNetwork::new(7, BAD_WEATHER);
     let names = fleet(&["agent-1", "agent-2", "agent-3"]);
@@ -231,7 +231,7 @@ fn a_service_started_again_keeps_models_and_revision() {
 }
 
 #[test]
-fn a_disk_that_refuses_is_told_and_the_model_is_not_acknowledged_until_it_is_stored() {
+fn a_failed_write_is_reported_and_a_model_is_acknowledged_only_once_stored() {
     let folder = tempfile::tempdir().unwrap();
     let network = MemoryNetwork::new(8, BAD_WEATHER);
     let mut drones = drones(&network, 3);
@@ -245,11 +245,11 @@ fn a_disk_that_refuses_is_told_and_the_model_is_not_acknowledged_until_it_is_sto
     fs::rename(&away, &models).unwrap();
     let delivered = |events: &[ServiceEvent], _: &[Drone]| events.contains(&ServiceEvent::Delivered);
     let events = simulate(&network, &mut ground, &mut drones, delivered);
-    assert_eq!(count(&events, is_stored), 3, "each was asked for again, and arrived");
+    assert_eq!(count(&events, is_stored), 3, "each model was requested again and arrived");
 }
 
 #[test]
-fn fault_16_killed_in_mid_merge_the_same_bytes() {
+fn fault_16_a_kill_during_a_merge_does_not_change_the_bytes() {
     let names = fleet(&["agent-1", "agent-2", "agent-3"]);
     let delivered = |events: &[ServiceEvent], _: &[Drone]| events.contains(&ServiceEvent::Delivered);
     let fly = |folder: &Path, seed: u64| {

@@ -1,13 +1,13 @@
-//! The way up: an aggregator with another above it (an edge below its cloud) is a device to that one.
+//! The link from an edge aggregator to the aggregator above it (its cloud), to which the edge is a device.
 //!
-//! Every new revision of its own global model goes up as a local model under the revision's number, the very bytes
-//! that its agents get; what the aggregator above makes of all its edges comes back and is kept. The way up has a
-//! link, a session and a thread of its own: a cloud that is out of reach holds nothing up on the ground.
+//! Each new revision of the edge's global model is uploaded as a local model with the revision's number, in the same
+//! bytes that its agents get. The global model that the aggregator above merges from all edges comes back and is
+//! stored. The upstream link has its own session and thread, so an unreachable cloud delays nothing on the ground.
 //!
-//! | in the folder `upstream` of the service's own | |
+//! | in `upstream/` of the service's folder | |
 //! |---|---|
-//! | `global/` | every revision of the global model above that came back |
-//! | `global.ply` | the newest one, for viewers |
+//! | `global/` | every revision received of the global model above |
+//! | `global.ply` | the newest of these, for viewers |
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -27,18 +27,18 @@ use serde::Serialize;
 use super::error::ServiceError;
 use super::folder::{global_ply, global_store};
 
-/// Longest wait for something to hear before orders are looked at.
-const LOOK_UP: Duration = Duration::from_millis(50);
+/// Longest wait for a message before new revisions are checked for.
+const LISTEN: Duration = Duration::from_millis(50);
 
-/// What the way up tells its owner.
+/// What the upstream link reports.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(tag = "event", rename_all = "snake_case")]
 pub enum UpstreamEvent {
-    /// The link to the aggregator above stands (again).
+    /// The link to the aggregator above is up (again).
     UpstreamConnected,
-    /// It does not stand and is tried again.
+    /// The link is down; it keeps trying.
     UpstreamDisconnected {
-        /// Failed attempts since it last stood, from 1.
+        /// Failed attempts since it was last up, from 1.
         attempt: u32,
         /// One line.
         reason: String,
@@ -79,31 +79,31 @@ impl fmt::Display for UpstreamEvent {
                 write!(f, "upstream: {reason}")
             }
             Self::SentUp { revision, bytes_sent } => {
-                write!(f, "upstream: revision {revision} is there, {} sent", format_bytes(*bytes_sent))
+                write!(f, "upstream: revision {revision} is delivered, {} sent", format_bytes(*bytes_sent))
             }
             Self::RefusedAbove { revision, reason } => {
                 write!(f, "upstream: revision {revision} is refused: {reason}")
             }
             Self::CameDown { revision, splats } => {
-                write!(f, "upstream: its revision {revision} came, {splats} splats")
+                write!(f, "upstream: global model received, revision {revision}: {splats} splats")
             }
         }
     }
 }
 
-/// The side of the link that an edge has, to be given a transport and the time again and again.
+/// The edge's side of the link. The caller drives it by `step`, with a transport and the time.
 #[derive(Debug)]
 pub(crate) struct UpstreamNode {
     node: Node,
     device: DeviceId,
-    /// Own revisions.
+    /// Revisions of the edge's own global model.
     own: ModelStore,
     above: ModelStore,
     folder: PathBuf,
 }
 
 impl UpstreamNode {
-    /// For the service with this folder.
+    /// Opens the link of the service whose folder is `service`.
     pub(crate) fn open(
         identity: Identity,
         credentials: Credentials,
@@ -118,7 +118,7 @@ impl UpstreamNode {
         Ok(Self { node, device: identity.device, own, above, folder })
     }
 
-    /// Begins to send a revision of the service's global model.
+    /// Begins to upload a revision of the service's global model.
     pub(crate) fn send(&mut self, revision: &ModelHeader) -> Result<(), ServiceError> {
         let (header, body) = self.own.get(ModelKey::from(revision))?;
         let offer = Offer::from_body(self.device, header.model, ModelKind::Local, header.views, body)?;
@@ -126,7 +126,7 @@ impl UpstreamNode {
         Ok(())
     }
 
-    /// Hears and says what there is, waiting at most `wait` for something to hear.
+    /// Sends what is due and handles what arrives, waiting at most `wait` for a message.
     pub(crate) fn step<T: Transport>(
         &mut self,
         transport: &mut T,
@@ -144,7 +144,7 @@ impl UpstreamNode {
             NodeEvent::UploadRefused { key, reason, .. } => {
                 Some(UpstreamEvent::RefusedAbove { revision: key.model.0, reason })
             }
-            // Kept before the last stop.
+            // Stored before the last stop.
             NodeEvent::Known(header) => Some(came_down(&header)),
             NodeEvent::Store { header, body } => Some(self.store(header, &body)),
             _ => None,
@@ -176,7 +176,7 @@ fn came_down(header: &ModelHeader) -> UpstreamEvent {
     UpstreamEvent::CameDown { revision: header.model.0, splats: header.splats }
 }
 
-/// A way up on a thread of its own. Dropping it ends it.
+/// An upstream link on its own thread. Dropping it ends the thread.
 #[derive(Debug)]
 pub(crate) struct Upstream {
     revisions: Option<Sender<ModelHeader>>,
@@ -184,7 +184,7 @@ pub(crate) struct Upstream {
 }
 
 impl Upstream {
-    /// Starts to speak with the aggregator above; `now` is time since any moment.
+    /// Starts the link to the aggregator above; `now` is the time since any fixed moment.
     pub(crate) fn start(
         mut node: UpstreamNode,
         link: MqttConfig,
@@ -204,7 +204,7 @@ impl Upstream {
                     Err(TryRecvError::Empty) => {}
                     Err(TryRecvError::Disconnected) => return,
                 }
-                if let Some(event) = node.step(&mut transport, &now, LOOK_UP) {
+                if let Some(event) = node.step(&mut transport, &now, LISTEN) {
                     say(event);
                 }
             }
@@ -212,10 +212,10 @@ impl Upstream {
         Self { revisions: Some(revisions), thread: Some(thread) }
     }
 
-    /// Sends a revision of the service's own global model, safe on its disk.
+    /// Uploads a revision of the service's global model, which must be on the disk already.
     pub(crate) fn send(&self, revision: ModelHeader) {
         if let Some(revisions) = &self.revisions {
-            let _ = revisions.send(revision); // fails only where the thread has died of a defect
+            let _ = revisions.send(revision); // fails only if the thread has panicked
         }
     }
 }

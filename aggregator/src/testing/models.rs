@@ -7,7 +7,7 @@ use glam::{DVec2, DVec3};
 
 use crate::merge::{Locals, MergeError};
 
-/// `count` splats of `sh_degree` whose every value tells `seed`.
+/// `count` splats of `sh_degree`, with values made from `seed`.
 pub(crate) fn model(count: usize, sh_degree: u32, seed: f32) -> Model {
     let mut splats = Splats::with_capacity(count, sh_degree);
     let sh: Vec<f32> = (0..splats.sh_stride()).map(|i| seed + i as f32).collect();
@@ -41,7 +41,7 @@ pub(crate) fn above(x: f64) -> Camera {
     }
 }
 
-/// The ground between `west` and `east`: flat opaque splats, half a metre apart, painted by place.
+/// The ground between `west` and `east`: flat opaque splats, half a metre apart, coloured by position.
 pub(crate) fn ground(west: f32, east: f32) -> Splats {
     let mut splats = Splats::with_capacity(0, 0);
     for i in 0..((east - west) * 2.0) as i32 {

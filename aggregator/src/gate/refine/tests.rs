@@ -1,4 +1,4 @@
-//! Models of one town of coloured stones, of which one lies elsewhere or shows nothing.
+//! Models of one ground of coloured stones; one of them lies in another frame or shows nonsense.
 #![allow(clippy::unwrap_used)]
 
 use cosurf_scene::splats::SH_C0;
@@ -11,7 +11,7 @@ use crate::gate::{Doubt, admit};
 use crate::testing::InMemory;
 use cosurf_link::Model;
 
-/// A number from 0 to 1 for each place of a lattice.
+/// A pseudo-random number, 0..1, for each lattice point.
 fn noise(x: i32, y: i32, salt: u32) -> f32 {
     let mut h = (x as u32).wrapping_mul(0x9e37_79b9) ^ (y as u32).wrapping_mul(0x85eb_ca6b) ^ salt;
     h = (h ^ (h >> 15)).wrapping_mul(0x2c1b_3c6d);
@@ -19,8 +19,8 @@ fn noise(x: i32, y: i32, salt: u32) -> f32 {
     ((h ^ (h >> 15)) >> 8) as f32 / (1 << 24) as f32
 }
 
-/// Stones of about a metre, each of a colour of its own, on hilly ground, between `west` and `east`; models of other
-/// `salt` have other splats for the same stones.
+/// Stones of about a metre, each of its own colour, on hilly ground between `west` and `east`. Another `salt` gives
+/// other splats for the same stones.
 fn stones(west: f32, east: f32, salt: u32) -> Splats {
     const STEP: f32 = 0.2;
     let mut splats = Splats::with_capacity(0, 0);
@@ -46,7 +46,7 @@ fn camera(x: f64, y: f64) -> Camera {
     }
 }
 
-/// A model of what is around `place`.
+/// A model of the ground around `place`.
 fn local(place: f32, salt: u32) -> Model {
     let x = f64::from(place);
     let places = [-3.0, -1.0, 1.0, 3.0].into_iter().flat_map(|dx| [-1.5, 1.5].map(|y| camera(x + dx, y)));
@@ -59,7 +59,7 @@ fn mirrored(model: &Model) -> Model {
     mirrored
 }
 
-/// Stones that lie anywhere.
+/// The model with its colours shuffled and its splats lifted to random heights.
 fn nonsense(model: &Model) -> Model {
     let mut nonsense = model.clone();
     let colors = model.splats.sh.clone();
@@ -77,7 +77,7 @@ fn find(one: &Model, other: &Model) -> Option<Similarity> {
 }
 
 #[test]
-fn a_model_of_another_frame_is_moved_to_a_thousandth_of_the_extent() {
+fn a_model_in_another_frame_is_moved_back_to_a_thousandth_of_the_extent() {
     let [one, right] = [local(-3.0, 10), local(3.0, 10)];
     let there = wrong().model(&right);
     let back = find(&one, &there).unwrap().model(&there);
@@ -91,14 +91,14 @@ fn a_model_of_another_frame_is_moved_to_a_thousandth_of_the_extent() {
 }
 
 #[test]
-fn what_is_mirrored_or_nonsense_fits_nowhere() {
+fn a_mirrored_or_shuffled_model_fits_nowhere() {
     for bad in [mirrored(&local(3.0, 20)), nonsense(&local(3.0, 20))] {
         assert_eq!(find(&local(-3.0, 10), &bad), None);
     }
 }
 
 #[test]
-fn who_lies_in_another_frame_is_moved_if_told_and_kept_out_otherwise() {
+fn a_model_in_another_frame_is_moved_if_allowed_and_kept_out_otherwise() {
     let models = [local(-3.0, 10), wrong().model(&local(0.0, 20)), local(3.0, 30)].to_vec();
     let locals = InMemory(models);
     let kept_out = admit(&locals, false, 1, &|| false).unwrap();

@@ -1,17 +1,17 @@
-//! Merging on a graphics card, a software driver being enough, against the processor.
+//! Compares merging on a graphics card, or its software driver, with merging on the CPU.
 
 use cosurf_engine::DeviceError;
 
 use super::*;
 
-/// Largest difference of what both give, dB.
+/// Largest difference in quality between the two, dB.
 const QUALITY_OFF_MAX: f64 = 0.1;
-/// Least agreement of the pictures of both, dB.
+/// Least PSNR between the pictures of the two, dB.
 const AGREEMENT_MIN: f64 = 56.0;
-/// Share of a model's splats that one removes and the other does not: those of equal worth but for rounding.
+/// Largest share of a model's splats that only one of the two removes: rounding decides between equal importances.
 const TIES_MAX: f64 = 0.005;
 
-/// The best graphics card, or `None` after saying so.
+/// The best graphics card; `None`, with a notice, if there is none.
 fn card() -> Option<Device> {
     match DeviceChoice::Gpu(None).open() {
         Ok(device) => Some(device),
@@ -23,8 +23,8 @@ fn card() -> Option<Device> {
     }
 }
 
-/// Two flights, each with its own errors, as trainings leave them. Where there is nothing to learn, rounding decides what
-/// a step changes, and devices drift apart.
+/// Two flights, each with errors like those of training. With nothing to learn, rounding would decide what a step
+/// changes, and the devices would drift apart.
 fn with_errors() -> InMemory {
     let mut models = overlapping();
     for (model, of) in models.iter_mut().zip([0.0, 0.5]) {
@@ -41,7 +41,7 @@ fn with_errors() -> InMemory {
     InMemory(models)
 }
 
-/// Numbers in -1..1 that look random.
+/// Pseudo-random numbers in -1..1.
 fn error(of: f64) -> f32 {
     let x = (12.9898 * of).sin() * 43_758.545_3;
     (2.0 * (x - x.floor()) - 1.0) as f32
@@ -52,7 +52,7 @@ fn by(device: DeviceChoice, locals: &InMemory) -> Merged {
 }
 
 #[test]
-fn a_card_merges_as_the_processor_does_and_twice_the_same() {
+fn a_card_merges_like_the_cpu_and_always_to_the_same_bytes() {
     if card().is_none() {
         return;
     }
@@ -61,18 +61,18 @@ fn a_card_merges_as_the_processor_does_and_twice_the_same() {
     assert!(gpu == by(DeviceChoice::Gpu(None), &locals), "two merges on the card give the same bytes");
     assert!(cpu.summary.device == "cpu" && gpu.summary.device != "cpu", "{:?}", gpu.summary);
     assert!(cpu.summary.joined < cpu.summary.locals.iter().map(|local| local.arrived).sum());
-    assert_eq!(cpu.summary.locals, gpu.summary.locals, "as many are left to others");
+    assert_eq!(cpu.summary.locals, gpu.summary.locals, "both remove equally many splats");
     let [by_cpu, by_gpu] = [&cpu, &gpu].map(|merged| quality(&merged.model.splats));
     let untaught = run(&locals, &MergeSettings { epochs: 0, ..MergeSettings::default() }, 2);
     let [alike, other] = [&gpu, &untaught].map(|merged| agreement(&merged.model.splats, &cpu.model.splats));
-    println!("{by_cpu:.3} dB on the processor, {by_gpu:.3} dB on the card; {alike:.1} dB between them");
+    println!("{by_cpu:.3} dB on the CPU, {by_gpu:.3} dB on the card; {alike:.1} dB between them");
     assert!((by_cpu - by_gpu).abs() < QUALITY_OFF_MAX, "{by_cpu} dB and {by_gpu} dB");
-    assert!(alike > AGREEMENT_MIN, "the pictures are {alike:.1} dB alike");
-    assert!(other < AGREEMENT_MIN, "the comparison sees who was not taught: {other:.1} dB");
+    assert!(alike > AGREEMENT_MIN, "the PSNR between the pictures is {alike:.1} dB");
+    assert!(other < AGREEMENT_MIN, "the comparison notices a model that was not distilled: {other:.1} dB");
 }
 
 #[test]
-fn a_card_leaves_the_same_splats_to_others() {
+fn a_card_removes_the_same_splats() {
     let Some(card) = card() else { return };
     let InMemory(models) = with_errors();
     let cameras: Vec<Vec<Camera>> = models.iter().map(|model| model.cameras.clone()).collect();
@@ -83,19 +83,19 @@ fn a_card_leaves_the_same_splats_to_others() {
         let expected = removed(&Device::Cpu, &cameras);
         let differs = |got: &[u32]| got.iter().filter(|i| expected.binary_search(i).is_err()).count();
         let got = removed(&card, &cameras);
-        println!("{} of {} that go are others", differs(&got), expected.len());
+        println!("{} of {} removed splats differ", differs(&got), expected.len());
         assert_eq!(got.len(), expected.len());
         let ties_max = TIES_MAX * splats.len() as f64;
         assert!(differs(&got) as f64 <= ties_max, "{} of {} differ", differs(&got), expected.len());
-        // The comparison sees a model that has lost half of its cameras.
+        // The comparison must notice a model that has lost half of its cameras.
         let mut fewer = cameras.clone();
         fewer[own].truncate(3);
-        assert!(differs(&removed(&card, &fewer)) as f64 > ties_max, "other cameras went unnoticed");
+        assert!(differs(&removed(&card, &fewer)) as f64 > ties_max, "fewer cameras went unnoticed");
     }
 }
 
 #[test]
-fn where_a_card_fails_the_processor_begins_anew_unless_the_card_was_asked_for() {
+fn when_a_card_fails_the_cpu_starts_over_unless_the_card_was_asked_for() {
     let Some(device) = card() else { return };
     let tried = |choice, failure: fn() -> MergeError| {
         let mut tried = Vec::new();
@@ -113,7 +113,7 @@ fn where_a_card_fails_the_processor_begins_anew_unless_the_card_was_asked_for() 
 }
 
 #[test]
-fn who_asks_for_a_card_that_is_not_there_hears_it() {
+fn asking_for_a_missing_card_is_an_error() {
     let settings = MergeSettings { device: DeviceChoice::Gpu(Some(99)), ..MergeSettings::default() };
     let refused = merge(&neighbours(), &settings, 1, &mut |_| ControlFlow::Continue(()));
     assert!(matches!(refused, Err(MergeError::Device(_))), "{refused:?}");

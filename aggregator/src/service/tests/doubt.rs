@@ -1,4 +1,4 @@
-//! A model that contradicts the others: kept out, told, and no longer once its device has sent another.
+//! A model that contradicts the others is kept out and reported, until its device sends a sound one.
 
 use super::*;
 use crate::gate::tests::{elsewhere, flights};
@@ -7,7 +7,7 @@ use glam::DVec3;
 
 const NAMES: [&str; 4] = ["agent-1", "agent-2", "agent-3", "agent-4"];
 
-/// Some send their models; returns the global model once as many as named are kept out of it.
+/// Drones send the models of `sent`; returns the global model once exactly the `outsiders` are kept out of it.
 fn fly(folder: &Path, waited_for: &[&str], sent: &[(&str, u64, &Model)], outsiders: &[&str]) -> Vec<u8> {
     let network = MemoryNetwork::new(sent.len() as u64, BAD_WEATHER);
     let mut ground = open_with(&network, folder, fleet(waited_for), QUICK);
@@ -39,8 +39,11 @@ fn a_poisoned_model_is_kept_out_until_its_device_sends_a_sound_one() {
     let [site, three, four] = folders.each_ref().map(|folder| folder.path());
     let others: Vec<&str> = without.iter().map(|(name, ..)| *name).collect();
     let clean = fly(three, &others, &without, &[]);
-    assert!(fly(site, &NAMES, &poisoned, &["agent-2"]) == clean, "it left something behind");
+    assert!(fly(site, &NAMES, &poisoned, &["agent-2"]) == clean, "the poisoned model left a trace");
     let complete = fly(four, &NAMES, &all, &[]);
     assert!(complete != clean);
-    assert!(fly(site, &NAMES, &[("agent-2", 2, &right[1])], &[]) == complete, "its next model counts");
+    assert!(
+        fly(site, &NAMES, &[("agent-2", 2, &right[1])], &[]) == complete,
+        "the device's next model counts"
+    );
 }

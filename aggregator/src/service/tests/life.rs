@@ -1,6 +1,6 @@
-//! The life of a site from a seed: models come in any order, late, doubled, in new revisions; the service is killed
-//! at its post or in the middle of a merge; a device is withdrawn. Whatever happened, the same models end in the same
-//! bytes, those of a merge of the models by themselves.
+//! Random histories of a site, from seeds: models arrive in any order, late, duplicated, and in new versions; the
+//! service is killed while waiting or merging; a device is withdrawn. Every history with the same final models must
+//! end with the bytes of a direct merge of these models.
 
 use cosurf_link::{First, model_to_body, plain_importance};
 use cosurf_wire::BodyHash;
@@ -10,14 +10,14 @@ use crate::merge::{MergeProgress, merge};
 use crate::testing::InMemory;
 use crate::testing::{QUICK, model_at};
 
-/// Lives that are simulated.
+/// Number of histories.
 const SEEDS: u64 = 200;
 const NAMES: [&str; 3] = ["agent-1", "agent-2", "agent-3"];
-/// Who flies too, and is withdrawn.
+/// A device that may fly too, and is withdrawn.
 const STRANGER: &str = "agent-0";
 const SETTINGS: MergeSettings = MergeSettings { seed: 3, ..QUICK };
 
-/// Numbers from a seed.
+/// Random numbers from a seed.
 struct Dice(u64);
 
 impl Dice {
@@ -32,14 +32,14 @@ fn models() -> Vec<Model> {
     [-2.0, 0.0, 2.0].map(model_at).to_vec()
 }
 
-/// A model as it arrives after its way over the wire.
+/// A model as it arrives, encoded and decoded.
 fn arrived(model: &Model) -> Model {
     let Model { splats, cameras } = model;
     body_to_model(&model_to_body(splats, cameras, First::Important(&plain_importance(splats))).unwrap())
         .unwrap()
 }
 
-/// The hash of what models are merged to by themselves.
+/// The hash of a direct merge of the models.
 fn merged_hash(models: &[Model]) -> BodyHash {
     let locals = InMemory(models.iter().map(arrived).collect());
     let mut go_on = |_: MergeProgress| ControlFlow::Continue(());
@@ -48,7 +48,7 @@ fn merged_hash(models: &[Model]) -> BodyHash {
     Offer::from_body(device, ModelId(1), ModelKind::Global, 1, body).unwrap().header.blake3
 }
 
-/// What is in the air in one sitting of the service, and how the sitting ends.
+/// One run of the service: the drones in the air, and when the service is killed.
 struct Sitting {
     drones: Vec<(usize, u64)>,
     with_stranger: bool,
@@ -57,13 +57,13 @@ struct Sitting {
 
 #[derive(Clone, Copy, PartialEq)]
 enum Kill {
-    /// As soon as all have sent, before anything is merged, or while it is.
+    /// As soon as all models are stored, before or during the merge.
     BeforeOrInTheMerge,
     /// After the merge.
     AfterTheMerge,
 }
 
-/// One after another the drones come, the first with an older model of another place at first.
+/// The drones come in random order; the first one sends an older model of another place at first.
 fn sittings(dice: &mut Dice) -> Vec<Sitting> {
     let mut order = [0, 1, 2];
     for last in (1..3).rev() {
@@ -89,7 +89,7 @@ fn sittings(dice: &mut Dice) -> Vec<Sitting> {
     sittings
 }
 
-/// Lives through all sittings and returns the hash of the last global model.
+/// Simulates all runs of a history and returns the hash of the last global model.
 fn live(seed: u64) -> BodyHash {
     let mut dice = Dice(seed);
     let folder = tempfile::tempdir().unwrap();
@@ -129,7 +129,7 @@ fn live(seed: u64) -> BodyHash {
 }
 
 #[test]
-fn every_life_ends_in_the_same_bytes() {
+fn every_history_ends_with_the_same_bytes() {
     let expected = merged_hash(&models());
     for seed in 0..SEEDS {
         assert_eq!(live(seed), expected, "seed {seed}");
@@ -137,7 +137,7 @@ fn every_life_ends_in_the_same_bytes() {
 }
 
 #[test]
-fn other_models_end_in_other_bytes() {
+fn other_models_end_with_other_bytes() {
     let mut others = models();
     others[1].splats.opacity_logits[0] += 0.5;
     assert_ne!(merged_hash(&others), merged_hash(&models()), "the comparison can fail");

@@ -1,4 +1,4 @@
-//! An upload that stalls: what has arrived takes part, until the rest is there.
+//! An upload that stalls: the part that has arrived is merged, until the rest arrives.
 
 use cosurf_link::{First, model_to_body};
 
@@ -6,10 +6,10 @@ use super::*;
 use crate::gate::tests::flights;
 use crate::testing::QUICK;
 
-/// East of what agent-1 saw.
+/// Agent-1 saw no ground east of this x.
 const BEYOND: f32 = 16.0;
 
-/// A drone that sends `model` in small chunks, the east first.
+/// A drone that sends `model` in small chunks, the easternmost splats first.
 fn slow_drone(network: &MemoryNetwork, number: u64, model: &Model) -> Drone {
     let mut drone = Drone::new(network, "agent-2", number, model);
     let Model { splats, cameras } = model;
@@ -23,12 +23,12 @@ fn slow_drone(network: &MemoryNetwork, number: u64, model: &Model) -> Drone {
     drone
 }
 
-/// A network on which uploads can be interrupted.
+/// A network slow enough to interrupt uploads.
 fn slow_network(seed: u64) -> MemoryNetwork {
     MemoryNetwork::new(seed, Faults { bytes_per_s: std::num::NonZeroU32::new(3000), ..Faults::NONE })
 }
 
-/// A slow drone comes, says nothing any more when something of its model has arrived, and is given up.
+/// A slow drone comes, falls silent once a part of its model has arrived, and is given up.
 fn stall(network: &MemoryNetwork, ground: &mut Ground, drones: &mut Vec<Drone>, number: u64, model: &Model) {
     drones.push(slow_drone(network, number, model));
     let key = ModelKey { device: DeviceId::new("agent-2").unwrap(), model: ModelId(number) };
@@ -49,7 +49,7 @@ fn splats_beyond(folder: &Path) -> usize {
 }
 
 #[test]
-fn a_stalled_upload_counts_as_far_as_it_came_until_the_rest_arrives() {
+fn the_part_of_a_stalled_upload_is_used_until_the_rest_arrives() {
     let models = flights();
     let names = fleet(&["agent-1", "agent-2"]);
     let folders = [(); 2].map(|()| tempfile::tempdir().unwrap());
@@ -71,14 +71,14 @@ fn a_stalled_upload_counts_as_far_as_it_came_until_the_rest_arrives() {
         ServiceEvent::PartTaken { header, of_splats } => Some((header.splats, *of_splats)),
         _ => None,
     });
-    let (some, all) = part.expect("it is told");
+    let (some, all) = part.expect("the part is reported");
     assert!(some > 0 && some < all, "{some} of {all}");
     let record = Merging::read(site).unwrap();
     assert_eq!(record.inputs.iter().map(|input| input.part_splats).collect::<Vec<_>>(), [None, Some(some)]);
     let (coarse, fine) = (splats_beyond(site), splats_beyond(calm));
-    assert!(coarse > 0 && coarse < fine, "{coarse} of {fine} splats where only the stalled one has been");
+    assert!(coarse > 0 && coarse < fine, "{coarse} of {fine} splats where only the stalled drone has been");
 
-    // The service forgets nothing of it, and takes the rest when that comes.
+    // A restarted service still has the part, and replaces it once the rest arrives.
     drop(ground);
     let network = MemoryNetwork::new(3, Faults::NONE);
     let mut ground = open_with(&network, site, names, QUICK);
@@ -88,13 +88,13 @@ fn a_stalled_upload_counts_as_far_as_it_came_until_the_rest_arrives() {
     simulate(&network, &mut ground, &mut drones, all_here);
     assert!(
         fs::read(global_ply(site)).unwrap() == whole,
-        "what is there as a whole is as if it had come at once"
+        "a resumed upload gives the same bytes as an uninterrupted one"
     );
     assert_eq!(fs::read_dir(site.join("parts")).unwrap().count(), 0);
 }
 
 #[test]
-fn a_part_is_withdrawn_with_its_device_and_one_of_a_later_model_counts() {
+fn a_part_is_withdrawn_with_its_device_but_a_part_of_a_later_model_counts() {
     let models = flights();
     let folder = tempfile::tempdir().unwrap();
     let network = slow_network(4);
@@ -120,7 +120,7 @@ fn a_part_is_withdrawn_with_its_device_and_one_of_a_later_model_counts() {
 }
 
 #[test]
-fn agents_leave_no_ground_to_a_device_that_is_withdrawn() {
+fn the_flight_of_a_withdrawn_device_is_withdrawn_too() {
     let models = flights();
     let folder = tempfile::tempdir().unwrap();
     let network = MemoryNetwork::new(5, Faults::NONE);

@@ -1,4 +1,4 @@
-//! A tree on one thread: three drones below two edges below a cloud, in bad weather.
+//! A hierarchy on one thread: three drones below two edges below a cloud, on a faulty network.
 #![allow(clippy::unwrap_used)]
 
 use std::ops::ControlFlow;
@@ -17,12 +17,12 @@ use crate::testing::{BAD_WEATHER, LIMITS, PATIENCE, QUICK, identity, model_at};
 
 const SETTINGS: MergeSettings = MergeSettings { seed: 3, ..QUICK };
 
-/// What a drone sends of its model.
+/// The body that a drone sends of its model.
 fn sent(Model { splats, cameras }: &Model) -> Vec<u8> {
     model_to_body(splats, cameras, First::Important(&plain_importance(splats))).unwrap()
 }
 
-/// What is sent of what models that were sent are merged to.
+/// The body of the model to which the models in `bodies` are merged.
 fn merged(bodies: &[Vec<u8>]) -> Vec<u8> {
     let locals = InMemory(bodies.iter().map(|body| body_to_model(body).unwrap()).collect());
     let admitted = admit(&locals, SETTINGS.refine, 1, &|| false).unwrap();
@@ -30,7 +30,7 @@ fn merged(bodies: &[Vec<u8>]) -> Vec<u8> {
     packed(&merged.model, 1).unwrap()
 }
 
-/// A service, its link, and for an edge its way up.
+/// A service, its link, and for an edge its upstream link.
 struct Level {
     service: Service,
     transport: MemoryTransport,
@@ -104,12 +104,12 @@ fn tree(network: &MemoryNetwork, folder: &Path) -> [Level; 3] {
     [level("cloud", &["edge-1", "edge-2"]), level("edge-1", &["a", "b"]), level("edge-2", &["c"])]
 }
 
-/// Runs until both edges have what the cloud made of them; returns the hashes of what they have.
+/// Runs until both edges have received the cloud's global model; returns the hashes of what they have.
 fn run(network: &MemoryNetwork, folder: &Path, drones: &mut [Drone]) -> [BodyHash; 2] {
     let mut levels = tree(network, folder);
     while !levels[1..].iter().all(|level| level.has_come_down) {
         let now = network.now();
-        assert!(now < PATIENCE, "nothing came down");
+        assert!(now < PATIENCE, "no global model came from the cloud");
         drones.iter_mut().for_each(|drone| drone.step(now));
         levels.iter_mut().for_each(|level| level.step(now));
         match levels.iter().any(|level| level.service.is_merging()) {
@@ -124,7 +124,7 @@ fn run(network: &MemoryNetwork, folder: &Path, drones: &mut [Drone]) -> [BodyHas
 }
 
 #[test]
-fn a_cloud_makes_of_its_edges_what_they_made_of_their_drones() {
+fn the_cloud_merges_its_edges_models_and_both_edges_receive_the_result() {
     let folder = tempfile::tempdir().unwrap();
     let models = [-2.0, 0.0, 2.0].map(model_at);
     let drones = models.each_ref().map(sent);
@@ -140,13 +140,13 @@ fn a_cloud_makes_of_its_edges_what_they_made_of_their_drones() {
     let splats = |file| ply::read(&folder.path().join(file)).unwrap().len();
     assert_eq!(splats("edge-2/upstream/global.ply"), splats("cloud/global.ply"));
 
-    // Everybody is killed and started again, without the drones: what is on the disks is enough.
+    // All aggregators are killed and restarted without the drones: their disks hold enough.
     let network = MemoryNetwork::new(2, BAD_WEATHER);
     assert_eq!(run(&network, folder.path(), &mut []), [expected; 2]);
 }
 
 #[test]
-fn a_thread_of_its_own_ends_although_nobody_is_above() {
+fn the_thread_ends_although_the_aggregator_above_is_unreachable() {
     let folder = tempfile::tempdir().unwrap();
     let identity = identity("cloud", "edge-1", Role::Device);
     let node = UpstreamNode::open(identity, Credentials::default(), folder.path(), LIMITS).unwrap();
