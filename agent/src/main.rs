@@ -19,7 +19,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// Whether who reads the results has seen enough, as `head` has.
+/// True if the reader closed the pipe early, as `head` does: that is no failure.
 fn has_closed_pipe(error: &anyhow::Error) -> bool {
     error.downcast_ref().is_some_and(|error: &io::Error| error.kind() == io::ErrorKind::BrokenPipe)
 }

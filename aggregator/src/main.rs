@@ -1,4 +1,4 @@
-//! `cosurf-aggregator`: the command line, and all that the library must not know by itself: clock,
+//! `cosurf-aggregator`: the command line. It hands the library what the library must not read itself: clock,
 //! environment, signals.
 
 mod cli;
@@ -18,7 +18,7 @@ use cosurf_link::SerialConfig;
 use cosurf_link::serial::{DEFAULT_BAUD, GATEWAY_MESSAGE_BYTES};
 use serde::Serialize;
 
-/// The ground side of cosurf: takes in the splat models that drones send, joins them, sends them back.
+/// Ground station of cosurf: receives the splat models that drones send, merges them, sends the result back.
 #[derive(Parser)]
 #[command(version, propagate_version = true, arg_required_else_help = true)]
 struct Cli {
@@ -41,14 +41,13 @@ enum Commands {
     Run(RunArgs),
 }
 
-/// Serve a site until stopped: receive models, join them, send the global model back.
+/// Serve a site until stopped: receive models, merge them, send the global model back.
 #[derive(Args)]
 struct RunArgs {
-    /// The configuration: site, out, and either bind or broker
+    /// Configuration file; it must set site, out, and either bind or broker
     #[arg(long, value_name = "FILE")]
     config: PathBuf,
-    /// Serve the device at the other end of this serial port too, by a telemetry radio for example; may be
-    /// given several times
+    /// Also serve the device on this serial port, for example a telemetry radio; may be given several times
     #[arg(long, value_name = "PORT")]
     serial: Vec<String>,
     /// Speed of the serial ports in bits per second
@@ -83,7 +82,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// Whether who reads the results has seen enough, as `head` has.
+/// True if the reader closed the pipe early, as `head` does: that is no failure.
 fn has_closed_pipe(error: &anyhow::Error) -> bool {
     error.downcast_ref().is_some_and(|error: &io::Error| error.kind() == io::ErrorKind::BrokenPipe)
 }
@@ -92,9 +91,9 @@ fn run(args: &RunArgs) -> Result<()> {
     let config = AggregatorConfig::read(&args.config)?;
     let (commands, receiver) = mpsc::channel();
     ctrlc::set_handler(move || {
-        let _ = commands.send(Command::Stop); // fails only where the service has ended already
+        let _ = commands.send(Command::Stop); // fails only if the service has already ended
     })
-    .context("Ctrl-C cannot be caught")?;
+    .context("cannot install the Ctrl-C handler")?;
     let (begun, json) = (Instant::now(), args.json);
     let line =
         |port: &String| SerialConfig::device(port, args.baud, cli::host::session(), GATEWAY_MESSAGE_BYTES);
@@ -110,7 +109,7 @@ fn run(args: &RunArgs) -> Result<()> {
     Ok(())
 }
 
-/// Prints an event on a line of its own; it serves on although nobody looks.
+/// Prints an event on a line of its own. Write errors are ignored: the service runs on without a reader.
 fn show(event: &(impl Display + Serialize), json: bool) {
     let mut stdout = io::stdout().lock();
     let _ = match json {

@@ -1,4 +1,4 @@
-//! `key`: a key to sign with.
+//! `key`: makes a signing key.
 
 use std::io::{self, Write};
 use std::path::PathBuf;
@@ -14,7 +14,7 @@ use cosurf_wire::DeviceId;
 /// printed goes into the file that aggregator.toml names as `trusted`.
 #[derive(Args, Debug)]
 pub(super) struct KeyArgs {
-    /// Where the secret goes; a file that is there is not overwritten
+    /// File for the secret key; an existing file is not overwritten
     file: PathBuf,
     /// This device's name on its site, as in agent.toml
     #[arg(long, value_name = "NAME")]
@@ -23,7 +23,7 @@ pub(super) struct KeyArgs {
 
 pub(super) fn run(args: &KeyArgs) -> Result<()> {
     let mut random = [0; 32];
-    getrandom::fill(&mut random).context("the system has no random numbers")?;
+    getrandom::fill(&mut random).context("the system provides no random numbers")?;
     let key = SecretKey::new(&random);
     key.write_new(&args.file)?;
     writeln!(io::stdout().lock(), "{}", key.public_line(&args.device))?;

@@ -12,7 +12,7 @@ const LINE_EVERY: Duration = Duration::from_secs(5);
 /// Time between two reports on a terminal or for a program that reads along.
 const BAR_EVERY: Duration = Duration::from_millis(500);
 
-/// How progress is shown.
+/// Chooses how to show progress: JSON if asked for, bars on a terminal, else plain lines.
 pub(super) struct Progress {
     style: Style,
     last: Instant,

@@ -17,7 +17,7 @@ use super::{Common, DeviceArgs, model_path};
 pub(super) struct RenderArgs {
     /// The model: a PLY, or the folder that training wrote
     model: PathBuf,
-    /// The dataset whose cameras to look through
+    /// Dataset whose cameras to render from
     #[arg(long, value_name = "DATA")]
     cameras: PathBuf,
     /// Where the pictures go

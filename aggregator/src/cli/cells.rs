@@ -1,4 +1,4 @@
-//! Cells that a person drew, as a GeoJSON file: what every map program writes.
+//! Hand-drawn cells from a GeoJSON file, the format that every map program writes.
 
 use std::fs;
 use std::path::Path;
@@ -7,7 +7,7 @@ use anyhow::{Context, Result, bail};
 use cosurf_aggregator::partition::Division;
 use serde::Deserialize;
 
-/// What is read of GeoJSON (RFC 7946); other members are passed over.
+/// The parts of GeoJSON (RFC 7946) that are read; other members are ignored.
 #[derive(Deserialize)]
 #[serde(tag = "type")]
 enum GeoJson {
@@ -17,7 +17,7 @@ enum GeoJson {
     Feature {
         geometry: Option<Box<GeoJson>>,
     },
-    /// Rings of positions: the border, then holes.
+    /// Rings of positions: the outer border, then the holes.
     Polygon {
         coordinates: Vec<Vec<Vec<f64>>>,
     },
@@ -25,7 +25,7 @@ enum GeoJson {
     Other,
 }
 
-/// The polygons of a file, in its order.
+/// The polygons of a file, in file order.
 pub(super) fn read(file: &Path) -> Result<Division> {
     let text = fs::read_to_string(file).with_context(|| format!("--cells {}", file.display()))?;
     parse(&text).with_context(|| format!("--cells {}", file.display()))
@@ -33,7 +33,7 @@ pub(super) fn read(file: &Path) -> Result<Division> {
 
 fn parse(text: &str) -> Result<Division> {
     let mut polygons = Vec::new();
-    collect(serde_json::from_str(text).context("this is no GeoJSON")?, &mut polygons)?;
+    collect(serde_json::from_str(text).context("not valid GeoJSON")?, &mut polygons)?;
     Ok(Division::Polygons(polygons))
 }
 
@@ -46,13 +46,13 @@ fn collect(part: GeoJson, polygons: &mut Vec<Vec<[f64; 2]>>) -> Result<()> {
         GeoJson::Polygon { coordinates } if coordinates.len() == 1 => {
             let corner = |position: &Vec<f64>| match position[..] {
                 [x, y, ..] => Ok([x, y]),
-                _ => bail!("cell {}: a position has two coordinates", polygons.len() + 1),
+                _ => bail!("cell {}: a position needs two coordinates", polygons.len() + 1),
             };
             let corners = coordinates[0].iter().map(corner).collect::<Result<_>>()?;
             polygons.push(corners);
             Ok(())
         }
-        _ => bail!("cell {} is not a polygon without holes: draw one polygon a cell", polygons.len() + 1),
+        _ => bail!("cell {} is not a polygon without holes: draw one polygon per cell", polygons.len() + 1),
     }
 }
 
@@ -62,7 +62,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn polygons_are_read_and_heights_and_names_passed_over() {
+    fn polygons_are_read_and_heights_and_names_ignored() {
         let text = r#"{"type":"FeatureCollection","name":"cells","features":[
             {"type":"Feature","properties":{"id":1},"geometry":{"type":"Polygon","coordinates":[[[0,0],[9,0,5.5],[9,9]]]}},
             {"type":"Feature","properties":null,"geometry":{"type":"Polygon","coordinates":[[[1,2],[3,4],[5,7]]]}}]}"#;
@@ -72,9 +72,9 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_polygon_is_named() {
+    fn an_invalid_cell_is_refused_with_its_number() {
         for (text, what) in [
-            ("{", "no GeoJSON"),
+            ("{", "not valid GeoJSON"),
             (r#"{"type":"Point","coordinates":[0,0]}"#, "cell 1 is not a polygon"),
             (r#"{"type":"Polygon","coordinates":[[[0]]]}"#, "two coordinates"),
             (r#"{"type":"Polygon","coordinates":[[[0,0]],[[0,0]]]}"#, "without holes"),

@@ -1,4 +1,4 @@
-//! `convert`: a model in another file format.
+//! `convert`: writes a model in another file format.
 
 use std::path::{Path, PathBuf};
 
@@ -6,15 +6,15 @@ use anyhow::{Context, Result, bail};
 use clap::Args;
 use cosurf_scene::{Splats, ply, spz};
 
-/// Convert a model between PLY and SPZ, told by the files' names.
+/// Convert a model between PLY and SPZ; the file extensions select the formats.
 ///
-/// SPZ is ten times smaller and rounds accordingly: it is for viewers. The axes are turned as other converters
-/// do it, so both show the same.
+/// SPZ is about ten times smaller because it quantises the splats; use it for viewers. The axes are converted as
+/// in other tools, so that both files look the same.
 #[derive(Args)]
 pub(crate) struct ConvertArgs {
-    /// The model: .ply, or .spz of version 2 or 3
+    /// Model to read: .ply, or .spz of version 2 or 3
     model: PathBuf,
-    /// Where to write it: .ply or .spz
+    /// File to write: .ply or .spz
     out: PathBuf,
 }
 
@@ -44,5 +44,5 @@ pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
         Format::Ply => ply::write(&args.out, &splats),
         Format::Spz => spz::write(&args.out, &splats),
     }
-    .with_context(|| format!("{} splats", splats.len()))
+    .with_context(|| format!("cannot write {} splats", splats.len()))
 }

@@ -1,4 +1,4 @@
-//! `eval`: how good a model is.
+//! `eval`: scores a model.
 
 use std::io::{self, Write};
 use std::path::PathBuf;
@@ -10,21 +10,22 @@ use cosurf_aggregator::evaluate::{EvalOrder, evaluate_model, table};
 
 /// Score a model on the held-out views of a dataset.
 ///
-/// PSNR and SSIM as 3DGS defines them; LPIPS where weights are given; errors of depth and normals where the
-/// dataset has a true surface, gt/mesh.ply, or one is named; its normals are means over pixels' areas.
+/// Prints PSNR and SSIM as 3DGS defines them, and LPIPS if --lpips is given. If there is a true surface
+/// (gt/mesh.ply in the dataset, or --truth), also prints the errors of depth and normals; the true normal of a pixel
+/// is the mean over its area.
 #[derive(Args)]
 pub(crate) struct EvalArgs {
-    /// The model: a PLY, or the folder that an agent or a mission wrote
+    /// The model: a PLY file, or the output folder of an agent or a mission
     model: PathBuf,
     /// The dataset's folder
     data: PathBuf,
-    /// Folder of the LPIPS weights, vgg.safetensors and alex.safetensors
+    /// Folder with the LPIPS weights, vgg.safetensors and alex.safetensors
     #[arg(long, value_name = "FOLDER")]
     lpips: Option<PathBuf>,
-    /// The true surface as a mesh [default: DATA/gt/mesh.ply, where there is one]
+    /// The true surface as a mesh [default: DATA/gt/mesh.ply if it exists]
     #[arg(long, value_name = "MESH.ply")]
     truth: Option<PathBuf>,
-    /// Every N-th view by name is held out
+    /// Score every N-th view by name; give the N with which training held out views
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..))]
     eval_every: u32,
     /// Shrink pictures until their long side is at most this many pixels [default: full size]

@@ -1,4 +1,4 @@
-//! `eval-mesh`: a mesh beside the true surface.
+//! `eval-mesh`: scores a mesh against the true surface.
 
 use std::io::{self, Write};
 use std::path::PathBuf;
@@ -10,28 +10,28 @@ use cosurf_scene::{Mesh, colormap};
 
 use super::arguments::parse_length;
 
-/// Errors of so many thresholds have the brightest colour.
+/// Errors of this many thresholds or more get the brightest colour.
 const BRIGHTEST: f32 = 2.0;
-/// Colour of what was cropped away.
+/// Colour of cropped vertices, which are not scored.
 const CROPPED: [u8; 3] = [128; 3];
 
-/// Judge a mesh by the true surface: precision, recall and F-score, mean distances.
+/// Score a mesh against the true surface: precision, recall, F-score and mean distances.
 ///
-/// Only what lies over the truth's footprint on the ground, a few thresholds wider, is judged.
+/// Only the part above the truth's footprint on the ground, plus a margin of at least the threshold, is scored.
 #[derive(Args)]
 pub(crate) struct EvalMeshArgs {
-    /// The mesh, .ply
+    /// Mesh to score, .ply
     mesh: PathBuf,
-    /// The true surface, .ply: a mesh, or points (with normals where they are sparse)
+    /// The true surface, .ply: a mesh, or points (sparse points need normals)
     truth: PathBuf,
-    /// Distance up to which the mesh counts as right, metres
+    /// Largest distance that counts as correct, metres
     #[arg(long, value_name = "M", value_parser = parse_length)]
     threshold: f64,
-    /// Write the mesh with its errors as colours: dark where it is right, yellow at two thresholds and
-    /// beyond, grey where it was not judged
+    /// Write the mesh coloured by error: dark for none, yellow for two thresholds or more, grey where it was
+    /// not scored
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// Print JSON
+    /// Print the figures as a line of JSON
     #[arg(long)]
     json: bool,
 }
@@ -68,11 +68,11 @@ fn print(accuracy: &Accuracy) -> Result<()> {
     )?;
     let disc = match accuracy.truth_disc_m {
         0.0 => String::new(),
-        radius => format!(", truth points stand for discs of {radius:.3} m"),
+        radius => format!(", each truth point stands for a disc of radius {radius:.3} m"),
     };
     writeln!(
         stdout,
-        "{:.1} % of the mesh lie beyond the truth's footprint and were not judged; samples {:.3} m apart{disc}",
+        "{:.1} % of the mesh lies outside the truth's footprint and was not scored; samples {:.3} m apart{disc}",
         100.0 * accuracy.cropped,
         accuracy.sample_spacing_m
     )?;

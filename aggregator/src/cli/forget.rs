@@ -1,4 +1,4 @@
-//! `forget`: a device does not count any more.
+//! `forget`: withdraws a device's models from the global model.
 
 use std::io::{self, Write};
 use std::path::PathBuf;
@@ -8,14 +8,14 @@ use clap::Args;
 use cosurf_aggregator::service::{AggregatorConfig, withdraw};
 use cosurf_wire::DeviceId;
 
-/// Withdraw a device: the global model is rebuilt as if it had never sent what it has sent.
+/// Withdraw a device: the global model is rebuilt without the models that it has sent so far.
 ///
-/// A service that runs notices within a second, another one when it starts. What the device makes later is welcome.
+/// A running service notices within a second, a stopped one when it starts. Later models of the device are accepted.
 #[derive(Args)]
 pub(crate) struct ForgetArgs {
-    /// The device's id
+    /// Id of the device
     device: String,
-    /// The service's configuration
+    /// Configuration file of the service
     #[arg(long, value_name = "FILE", default_value = "aggregator.toml")]
     config: PathBuf,
 }

@@ -19,7 +19,7 @@ pub(crate) fn cores() -> usize {
     available_parallelism().map_or(1, usize::from)
 }
 
-/// Seconds since 1970; a clock before that is a clock that was never set.
+/// The session number: seconds since 1970, or 0 if the clock was never set.
 pub(crate) fn session() -> u64 {
     SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs())
 }

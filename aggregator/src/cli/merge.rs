@@ -1,4 +1,4 @@
-//! `merge`: models of agents to one.
+//! `merge`: merges the models of several agents into one.
 
 use std::io::{self, IsTerminal, Write};
 use std::ops::ControlFlow;
@@ -17,16 +17,16 @@ use cosurf_link::Model;
 use cosurf_scene::bytes::parse_bytes;
 use cosurf_scene::{Camera, SceneError, ply};
 
-/// How models are merged, wherever.
+/// Options of merging, shared by `merge` and `mission`.
 #[derive(Args)]
 pub(super) struct Ways {
-    /// Times that the global model learns from every camera; 0 joins the models as they are
+    /// Epochs of distillation: times that the merged model is trained on each camera; 0 only joins the models
     #[arg(long, value_name = "N", default_value_t = MergeSettings::default().epochs)]
     epochs: u32,
-    /// Join all splats, also where several models show the same
+    /// Keep all splats, even where models overlap
     #[arg(long)]
     no_compress: bool,
-    /// Move models that lie in another frame than the others to where they fit, rather than keep them out
+    /// Align models that lie in another coordinate frame than the others, instead of keeping them out
     #[arg(long)]
     refine: bool,
 }
@@ -45,27 +45,27 @@ impl Ways {
     }
 }
 
-/// Merge models that agents trained: no photograph is needed.
+/// Merge models that agents trained; needs no photographs.
 ///
-/// What several models show is left to the one that sees it best (Local Model Compression); the rest is joined and
-/// taught by what every model showed its own cameras (Model Aggregation Scheme).
+/// Where models overlap, keeps only the splats of the model that observed that area best (Local Model Compression).
+/// Then trains the joined splats on what each model renders for its own cameras (Model Aggregation Scheme).
 #[derive(Args)]
 pub(crate) struct MergeArgs {
-    /// Folders that agents or a merge wrote, each with model.ply or global.ply, and cameras.json
+    /// Output folders of agents or merges, each with cameras.json and either model.ply or global.ply
     #[arg(required = true, value_name = "FOLDER")]
     models: Vec<PathBuf>,
-    /// Where global.ply and cameras.json go
+    /// Output folder for global.ply and cameras.json
     #[arg(long, value_name = "DIR", default_value = "out")]
     out: PathBuf,
     #[command(flatten)]
     ways: Ways,
-    /// The most memory to take, for example 500MiB
+    /// Memory limit, for example 500MiB
     #[arg(long, value_name = "BYTES", default_value = "4GiB", value_parser = parse_bytes)]
     memory: u64,
     /// Seed of every random choice; the same seed gives the same bytes
     #[arg(long, value_name = "S", default_value_t = 0)]
     seed: u64,
-    /// What computes: auto (a real graphics card if there is one), cpu, gpu, or gpu:N as `cosurf-agent devices` counts
+    /// Where to compute: auto (a hardware graphics card if there is one), cpu, gpu, or gpu:N from `cosurf-agent devices`
     #[arg(long, value_name = "DEVICE", default_value_t)]
     device: DeviceChoice,
     /// Print the figures as a line of JSON
@@ -123,7 +123,7 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
         let LocalSummary { arrived, overlap, removed } = local;
         let Place { local, by, tone } = admitted.place(place);
         let (folder, percent) = (&names[local], 100.0 * overlap);
-        let moved = if by.is_some() { ", moved to where it fits" } else { "" };
+        let moved = if by.is_some() { ", aligned to the others" } else { "" };
         let toned = tone.map(|tone| format!(", {tone}")).unwrap_or_default();
         writeln!(
             stdout,
@@ -137,11 +137,11 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
     Ok(())
 }
 
-/// One line that is written over, for people.
+/// Redraws the progress line on a terminal; prints nothing elsewhere.
 fn show(progress: &MergeProgress) {
     let mut stderr = io::stderr().lock();
     if stderr.is_terminal() {
         let MergeProgress { step, steps, psnr } = progress;
-        let _ = write!(stderr, "\rstep {step} of {steps} · {psnr:.2} dB "); // nobody has to look
+        let _ = write!(stderr, "\rstep {step} of {steps} · {psnr:.2} dB "); // goes on without a reader
     }
 }

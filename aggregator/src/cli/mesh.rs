@@ -1,4 +1,4 @@
-//! `mesh`: the surface of a model as triangles.
+//! `mesh`: writes the surface of a model as triangles.
 
 use std::io::{self, Write};
 use std::path::PathBuf;
@@ -16,37 +16,37 @@ use cosurf_scene::{Dataset, ply};
 use super::arguments::parse_length;
 use super::host::display;
 
-/// Make a mesh of a model: its depth, seen from every camera, fused.
+/// Make a mesh of a model by fusing the depth that every camera sees.
 ///
-/// Needs the cameras only, no photographs. Where memory is short, voxels become larger, and a line says
-/// so. The same model gives the same mesh with any number of threads.
+/// Needs only the cameras, no photographs. If memory is short, voxels become larger, and a line says so. The same
+/// model gives the same mesh with any number of threads.
 #[derive(Args)]
 pub(crate) struct MeshArgs {
-    /// The model: a PLY of splats, or the folder that training or a mission wrote
+    /// The model: a PLY file of splats, or the output folder of an agent or a mission
     model: PathBuf,
-    /// The dataset whose cameras to look through
+    /// Dataset whose cameras to render from
     #[arg(long, value_name = "DATA")]
     cameras: PathBuf,
-    /// The mesh, .ply or .glb
+    /// Mesh to write, .ply or .glb
     #[arg(long, value_name = "FILE", default_value = "mesh.ply")]
     out: PathBuf,
-    /// Edge of a voxel, metres [default: what a pixel covers on the ground]
+    /// Edge length of a voxel, metres [default: size of a pixel on the ground]
     #[arg(long, value_name = "M", value_parser = parse_length)]
     voxel: Option<f64>,
-    /// The most memory to take, for example 500MiB; where it is short, voxels become larger
+    /// Memory limit, for example 500MiB; if it is short, voxels become larger
     #[arg(long, value_name = "BYTES", default_value = "2GiB", value_parser = parse_bytes)]
     memory: u64,
     /// Render pictures whose long side is at most this many pixels [default: the cameras' size]
     #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(16..))]
     max_size: Option<u32>,
-    /// Print lines of JSON
+    /// Print progress and result as lines of JSON
     #[arg(long)]
     json: bool,
 }
 
 pub(crate) fn run(args: &MeshArgs) -> Result<()> {
     if !matches!(args.out.extension().and_then(|e| e.to_str()), Some("ply" | "glb")) {
-        bail!("{}: meshes are written as .ply or .glb; choose one of these", args.out.display());
+        bail!("{}: name a file that ends in .ply or .glb", args.out.display());
     }
     let splats = ply::read(&model_path(&args.model)?)?;
     let cameras = Dataset::cameras(&args.cameras)?;

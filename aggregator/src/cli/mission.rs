@@ -1,4 +1,4 @@
-//! `mission`: everything on this machine, from pictures to a report.
+//! `mission`: a whole mission on this machine, from pictures to a report.
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf, absolute};
@@ -19,39 +19,39 @@ use super::cells;
 use super::host::{cores, display, session};
 use super::merge::Ways;
 
-/// From drone pictures to a global model and a report, on this machine.
+/// Run a whole mission on this machine, from drone pictures to a global model and a report.
 ///
-/// Divides the pictures among agents by area, starts a broker and each agent as a process of its own,
-/// lets them train, send and receive, and leaves global.ply, mesh.ply, report.json and report.html in the
-/// output folder. The same command in the same folder goes on where it was stopped.
+/// Divides the pictures among agents by area, starts a broker and one process per agent, and merges the models that
+/// the agents train. Writes global.ply, mesh.ply, report.json and report.html to the output folder. The same command
+/// in the same folder resumes a mission that was stopped.
 #[derive(Args)]
 pub(crate) struct MissionArgs {
-    /// Pictures with poses: a COLMAP model or a transforms.json [default: a synthetic city is made]
+    /// Pictures with poses: a COLMAP model or a transforms.json [default: a synthetic city is rendered]
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
-    /// Where everything goes
+    /// Output folder
     #[arg(long, value_name = "DIR", default_value = "out")]
     out: PathBuf,
-    /// Aggregators between the agents and the one above all, each with agents of its own; 0 for none
+    /// Number of edge aggregators below the root aggregator, each with agents of its own; 0 for none
     #[arg(long, value_name = "E", default_value_t = 0, value_parser = clap::value_parser!(u16).range(0..=99))]
     edges: u16,
-    /// Agents to divide the pictures among; with --edges, agents of each edge
+    /// Number of agents that share the pictures; with --edges, agents of each edge aggregator
     #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u16).range(1..=999))]
     agents: u16,
-    /// Instead of --agents, an agent for each cell of a grid: cells side by side and one above the other
+    /// Instead of --agents, one agent for each cell of a grid; with --edges, one grid for each edge
     #[arg(long, value_name = "COLUMNSxROWS", value_parser = parse_grid, conflicts_with_all = ["agents", "cells"])]
     grid: Option<Division>,
-    /// Instead of --agents, an agent for each polygon of this GeoJSON file, in world coordinates of the data (x and y
-    /// where z is up); with --edges, the first ones are the first edge's
+    /// Instead of --agents, one agent for each polygon of this GeoJSON file, in world coordinates of the data (x and y
+    /// if z is up); with --edges, each edge takes the same number of polygons, in file order
     #[arg(long, value_name = "FILE", conflicts_with = "agents")]
     cells: Option<PathBuf>,
-    /// How far each agent looks beyond its cell, as a share of the cell's size; 0 for no shared views
+    /// Margin around each cell whose views its agent also gets, as a share of the cell's size; 0 shares no views
     #[arg(long, value_name = "SHARE", default_value_t = 0.2, value_parser = parse_margin)]
     margin: f64,
     /// Training steps of each agent
     #[arg(long, value_name = "N", default_value_t = 1500, value_parser = clap::value_parser!(u32).range(1..))]
     steps: u32,
-    /// The most memory that each agent may take, for example 500MiB
+    /// Memory limit of each agent, for example 500MiB
     #[arg(long, value_name = "BYTES", default_value = "1GiB", value_parser = parse_bytes)]
     memory: u64,
     /// Shrink pictures until their long side is at most this many pixels [default: full size]
@@ -60,22 +60,22 @@ pub(crate) struct MissionArgs {
     /// Seed of every random choice; the same seed gives the same bytes
     #[arg(long, value_name = "S", default_value_t = 0, value_parser = clap::value_parser!(u64).range(..1 << 62))]
     seed: u64,
-    /// Use this MQTT broker, for example mqtt://127.0.0.1:1883 [default: one is started]
+    /// Use this MQTT broker, for example mqtt://127.0.0.1:1883 [default: an embedded broker is started]
     #[arg(long, value_name = "URL")]
     broker: Option<BrokerAddress>,
-    /// Hold every N-th picture by name out of training, to judge the models by; 0 holds out none
+    /// Hold out every N-th picture by name from training, to score the models; 0 holds out none
     #[arg(long, value_name = "N", default_value_t = 8)]
     eval_every: u32,
-    /// Let agents leave ground that others show as well to its owner before they send: half the bytes, some tenths of a
-    /// dB less
+    /// Let each agent drop, before upload, the splats of ground that another agent observed better: half the bytes, some
+    /// tenths of a dB less
     #[arg(long)]
     compress_first: bool,
     #[command(flatten)]
     ways: Ways,
-    /// The most memory that merging may take
+    /// Memory limit of merging
     #[arg(long, value_name = "BYTES", default_value = "4GiB", value_parser = parse_bytes)]
     merge_memory: u64,
-    /// Judge the global model by LPIPS too: folder of vgg.safetensors and alex.safetensors
+    /// Also score the global model by LPIPS; folder with vgg.safetensors and alex.safetensors
     #[arg(long, value_name = "FOLDER")]
     lpips: Option<PathBuf>,
     /// Print every event, and at the end the report, as lines of JSON
@@ -87,7 +87,7 @@ pub(crate) fn run(args: MissionArgs) -> Result<()> {
     let out = absolute(&args.out).context("--out")?;
     let data = args.data.as_ref().map(absolute).transpose().context("--data")?;
     if args.broker.as_ref().is_some_and(|broker| broker.is_tls) {
-        bail!("--broker: a mission on one machine speaks without TLS; write mqtt://");
+        bail!("--broker: a mission does not use TLS; give an mqtt:// address");
     }
     let order = MissionOrder {
         settings: Settings {
@@ -103,7 +103,7 @@ pub(crate) fn run(args: MissionArgs) -> Result<()> {
             compress_first: args.compress_first,
             merge: args.ways.settings(args.merge_memory, args.seed),
         },
-        city: data.is_none().then(|| another_city(args.seed)),
+        city: data.is_none().then(|| city_of_seed(args.seed)),
         out,
         broker: args.broker,
         lpips: args.lpips,
@@ -114,7 +114,7 @@ pub(crate) fn run(args: MissionArgs) -> Result<()> {
         report.agents.iter().filter_map(|agent| agent.failure.as_ref().map(|why| (&agent.device, why)));
     let failed: Vec<String> = failed.map(|(device, why)| format!("{device} failed: {why}")).collect();
     if !failed.is_empty() {
-        bail!("the global model lacks agents: {}", failed.join("; "));
+        bail!("the global model lacks the models of some agents: {}", failed.join("; "));
     }
     Ok(())
 }
@@ -130,17 +130,17 @@ fn division(args: &MissionArgs) -> Result<Division> {
 fn parse_grid(text: &str) -> Result<Division, String> {
     let count = |text: &str| text.parse().ok().filter(|count| (1..=99).contains(count));
     let counts = text.split_once('x').and_then(|(columns, rows)| Some((count(columns)?, count(rows)?)));
-    let (columns, rows) = counts.ok_or("a grid is written like 3x2, up to 99x99")?;
+    let (columns, rows) = counts.ok_or("write a grid as COLUMNSxROWS, for example 3x2, up to 99x99")?;
     Ok(Division::Grid { columns, rows })
 }
 
 fn parse_margin(text: &str) -> Result<f64, String> {
     let margin: f64 = text.parse().map_err(|error| format!("{error}"))?;
-    if (0.0..=1.0).contains(&margin) { Ok(margin) } else { Err("a margin is between 0 and 1".into()) }
+    if (0.0..=1.0).contains(&margin) { Ok(margin) } else { Err("give a number from 0 to 1".into()) }
 }
 
-/// Every seed flies over a town of its own.
-fn another_city(seed: u64) -> CitySettings {
+/// The default city, generated from another seed for every mission seed.
+fn city_of_seed(seed: u64) -> CitySettings {
     let usual = CitySettings::default();
     CitySettings { seed: usual.seed.wrapping_add(seed), ..usual }
 }
@@ -164,8 +164,9 @@ fn surroundings(json: bool) -> Result<Surroundings> {
     let begun = Instant::now();
     let interrupted = Arc::new(AtomicBool::new(false));
     let flag = interrupted.clone();
-    ctrlc::set_handler(move || flag.store(true, Ordering::SeqCst)).context("Ctrl-C cannot be caught")?;
-    let executable = std::env::current_exe().context("where this program lies")?;
+    ctrlc::set_handler(move || flag.store(true, Ordering::SeqCst))
+        .context("cannot install the Ctrl-C handler")?;
+    let executable = std::env::current_exe().context("cannot find the path of this program")?;
     Ok(Surroundings {
         now: Arc::new(move || begun.elapsed()),
         session: session(),
@@ -177,7 +178,7 @@ fn surroundings(json: bool) -> Result<Surroundings> {
     })
 }
 
-/// `VmHWM` of Linux: the most memory that was resident at once.
+/// Peak resident memory of this process: `VmHWM` on Linux, `None` elsewhere.
 fn peak_memory_bytes() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;

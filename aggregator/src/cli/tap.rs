@@ -1,4 +1,4 @@
-//! `record` and `replay`: what was said on a broker, to a file and back.
+//! `record` and `replay`: write a broker's messages to a file, and publish them again.
 
 use std::fs::File;
 use std::io::{self, BufReader, BufWriter, Write};
@@ -14,19 +14,19 @@ use cosurf_link::recording::Recording;
 use cosurf_link::{BrokerAddress, Faults, Tls};
 use cosurf_scene::TlsFiles;
 
-/// Where a broker is, and how to come in.
+/// Address of a broker, and the files for TLS.
 #[derive(Args)]
 struct BrokerArgs {
-    /// The broker, for example mqtt://10.0.0.2:1883, or mqtts:// with the three files
+    /// The broker, for example mqtt://10.0.0.2:1883; mqtts:// needs --ca, --cert and --key
     #[arg(long, value_name = "URL")]
     broker: BrokerAddress,
-    /// Certificates of the authorities to trust
+    /// Certificates of the trusted authorities
     #[arg(long, value_name = "FILE", requires_all = ["cert", "key"])]
     ca: Option<PathBuf>,
-    /// Our certificate
+    /// Certificate of this client
     #[arg(long, value_name = "FILE", requires = "ca")]
     cert: Option<PathBuf>,
-    /// Our private key
+    /// Private key of this client
     #[arg(long, value_name = "FILE", requires = "ca")]
     key: Option<PathBuf>,
 }
@@ -43,50 +43,50 @@ impl BrokerArgs {
     }
 }
 
-/// Record all that is said on a broker to a file, until stopped with Ctrl-C.
+/// Record a broker's messages to a file, until stopped with Ctrl-C.
 ///
-/// The file holds time, topic, QoS, retain flag and payload of every message. Cut off at any moment, it is
-/// readable up to its last whole message.
+/// The file holds time, topic, QoS, retain flag and payload of every message. A file that was cut off is readable up
+/// to its last complete message.
 #[derive(Args)]
 pub(crate) struct RecordArgs {
-    /// Where to
+    /// File to write
     file: PathBuf,
     #[command(flatten)]
     broker: BrokerArgs,
-    /// Record what is published under topics like this
+    /// MQTT topic filter of the messages to record
     #[arg(long, value_name = "FILTER", default_value = "gs/v1/#")]
     filter: String,
-    /// Print the outcome as a line of JSON
+    /// Print the number of messages as a line of JSON
     #[arg(long)]
     json: bool,
 }
 
-/// Publish a recording again, with faults if wished.
+/// Publish a recording again, optionally with injected faults.
 #[derive(Args)]
 pub(crate) struct ReplayArgs {
-    /// The recording
+    /// Recording to publish
     file: PathBuf,
     #[command(flatten)]
     broker: BrokerArgs,
-    /// So many times as fast as it was [default: as fast as the broker takes it]
+    /// Playback speed relative to the recording [default: as fast as the broker accepts]
     #[arg(long, value_name = "TIMES", value_parser = parse_speed)]
     speed: Option<f64>,
-    /// Lose this share of the messages
+    /// Share of the messages that are lost, 0 to 1
     #[arg(long, value_name = "SHARE", default_value_t = 0.0, value_parser = parse_share)]
     loss: f64,
-    /// Double this share of the messages
+    /// Share of the messages that are sent twice, 0 to 1
     #[arg(long, value_name = "SHARE", default_value_t = 0.0, value_parser = parse_share)]
     duplication: f64,
-    /// Change a bit in this share of the messages
+    /// Share of the messages in which a bit is flipped, 0 to 1
     #[arg(long, value_name = "SHARE", default_value_t = 0.0, value_parser = parse_share)]
     corruption: f64,
-    /// Delay each message by up to this many milliseconds of the recording, so that they overtake each other
+    /// Delay each message at random by up to this many milliseconds of recording time, which changes their order
     #[arg(long, value_name = "MS", default_value_t = 0)]
     delay_ms: u32,
-    /// Seed of the faults
+    /// Seed of the injected faults
     #[arg(long, value_name = "S", default_value_t = 0)]
     seed: u64,
-    /// Print the outcome as a line of JSON
+    /// Print the number of messages as a line of JSON
     #[arg(long)]
     json: bool,
 }
@@ -119,7 +119,8 @@ pub(crate) fn replay(args: &ReplayArgs) -> Result<()> {
 fn stop_on_interrupt() -> Result<Arc<AtomicBool>> {
     let stop = Arc::new(AtomicBool::new(false));
     let flag = Arc::clone(&stop);
-    ctrlc::set_handler(move || flag.store(true, Ordering::SeqCst)).context("Ctrl-C cannot be caught")?;
+    ctrlc::set_handler(move || flag.store(true, Ordering::SeqCst))
+        .context("cannot install the Ctrl-C handler")?;
     Ok(stop)
 }
 
