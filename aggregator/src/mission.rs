@@ -182,11 +182,11 @@ fn mesh(
     Ok(relief)
 }
 
-/// What the global model is worth.
+/// The scores of the global model.
 struct Evaluation {
     /// One per held-out view, in their order.
     qualities: Vec<Quality>,
-    /// A few of them, the best first.
+    /// A few of the views as pictures, the best first.
     showcases: Vec<Showcase>,
 }
 

@@ -1,19 +1,19 @@
-//! How true a mesh is: precision, recall and F-score at a threshold, as in Tanks and Temples (Knapitsch
-//! et al. 2017), and mean distances both ways.
+//! Accuracy of a mesh: precision, recall and F-score at a threshold, as in Tanks and Temples (Knapitsch
+//! et al. 2017), and mean distances in both directions.
 //!
-//! The mesh is judged by samples spread evenly over its area, and once more by its vertices, as the
-//! benchmark does: vertices reward whoever cuts plane ground into few triangles and noise into many.
+//! The mesh is scored by samples spread evenly over its area, and again by its vertices, as the benchmark
+//! does. The score by vertices also depends on how finely each part of the mesh is triangulated.
 //!
-//! Two decisions, the same for every method:
+//! Two rules hold for every mesh:
 //!
-//! - Truth often covers only part of what was reconstructed. The mesh counts where the truth's footprint
-//!   on the ground (z is up) is no farther than the threshold (see `region`), at whatever height, so
-//!   that floaters count. How much was cropped away is part of the result.
-//! - Truth given as points is a sample itself. Where its points lie so far apart that a perfect mesh
-//!   would miss them, each point that has a normal stands for a disc of its share of the surface,
-//!   of at most the threshold's radius.
+//! - The truth often covers only part of the reconstruction. The mesh is scored above the truth's footprint
+//!   on the ground (z is up) plus a margin (see `region`), at any height, so that floaters count. The
+//!   result states which share of the mesh was cropped.
+//! - Truth given as points is itself a sample. Parts of a perfect mesh are far from sparse points, so each
+//!   point with a normal stands for a disc as large as its share of the surface. The radius of a disc is
+//!   at most the threshold.
 //!
-//! What it refuses to know: where meshes come from, alignment (poses are given, nothing is fitted).
+//! What it refuses to know: where meshes come from, and alignment (poses are given, nothing is fitted).
 
 mod nearest;
 mod region;
@@ -32,67 +32,67 @@ use nearest::Tree;
 use region::Region;
 use sample::sample;
 
-/// Samples of a surface are this share of the threshold apart.
+/// Distance between the samples of a surface, as a share of the threshold.
 const SPACING: f64 = 0.25;
-/// Truth points among which the closest disc is searched.
+/// Number of nearest truth points among which the closest disc is searched.
 const DISCS: usize = 6;
 
-/// Shares, 0..=1.
+/// Scores of a mesh at one threshold, each 0..=1.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Score {
-    /// Of the mesh: as close to the truth as the threshold.
+    /// Share of the mesh within the threshold of the truth.
     pub precision: f64,
-    /// Of the truth: as close to the mesh.
+    /// Share of the truth within the threshold of the mesh.
     pub recall: f64,
-    /// Their harmonic mean.
+    /// Harmonic mean of precision and recall.
     pub f_score: f64,
 }
 
-/// What a mesh is worth.
+/// All figures of a mesh.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Accuracy {
-    /// World units.
+    /// Largest distance that counts as correct, world units.
     pub threshold_m: f64,
-    /// By samples spread evenly over the area.
+    /// Scores of samples spread evenly over the area.
     pub samples: Score,
-    /// By vertices.
+    /// Scores of the vertices.
     pub vertices: Score,
     /// Mean distance from the mesh's samples to the truth, world units.
     pub mesh_to_truth_m: f64,
     /// Mean distance from the truth to the mesh's samples.
     pub truth_to_mesh_m: f64,
-    /// Mean of the two.
+    /// Mean of `mesh_to_truth_m` and `truth_to_mesh_m`.
     pub chamfer_m: f64,
-    /// Share of the mesh's area that was cropped away, 0..=1.
+    /// Share of the mesh's area that was cropped, 0..=1.
     pub cropped: f64,
     /// Distance between the mesh's samples.
     pub sample_spacing_m: f64,
-    /// Radius of the discs for which the truth's points stand; 0 where it is a mesh, or dense enough.
+    /// Radius of the disc that each truth point stands for; 0 if the truth is a mesh or has no normals.
     pub truth_disc_m: f64,
 }
 
-/// Why a mesh cannot be judged.
+/// Why a mesh cannot be scored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum AccuracyError {
-    /// Nothing to judge.
-    #[error("the mesh has no triangles; is it a cloud of points?")]
+    /// The mesh has no triangles.
+    #[error("the mesh has no triangles: pass a triangle mesh, not a point cloud")]
     NoTriangles,
-    /// Nothing to judge by.
-    #[error("the truth has no points")]
+    /// The truth has no points.
+    #[error("the true surface has no points: pass a mesh or a point cloud")]
     NoTruth,
-    /// More samples than memory should take.
+    /// The threshold needs more samples than the limit.
     #[error(
-        "the threshold is so small that the surface would need more than {SAMPLES_MAX} samples; choose a larger one"
+        "the threshold is so small that the surface needs more than {SAMPLES_MAX} samples: choose a larger one"
     )]
     TooFine,
 }
 
-/// About 3 GB with all that is derived from them.
+/// Most samples of a surface: about 3 GB with the data derived from them.
 const SAMPLES_MAX: usize = 60_000_000;
 
-/// Judges `mesh` by `truth`, a mesh or (without triangles) points of the surface. Returns also the
-/// distance of each vertex from the truth, NaN where it was cropped away.
+/// Scores `mesh` against `truth`, which is a mesh or, without triangles, points of the surface. Also returns
+/// the distance of each vertex from the truth, NaN for cropped vertices.
 pub fn judge(
     mesh: &Mesh,
     truth: &Mesh,
@@ -130,12 +130,12 @@ pub fn judge(
     Ok((accuracy, vertex_errors))
 }
 
-/// The surface as it is.
+/// The true surface, as points.
 struct Truth {
     points: Vec<Vec3>,
-    /// Mean distance between them.
+    /// Mean distance between the points.
     spacing_m: f64,
-    /// Of the points, or empty where they stand for nothing but themselves.
+    /// Normals of the points; empty if the points do not stand for discs.
     normals: Vec<[f32; 3]>,
     disc_m: f32,
     tree: Tree,
@@ -144,7 +144,7 @@ struct Truth {
 impl Truth {
     fn new(truth: &Mesh, threshold_m: f64, spacing_m: f64, seed: u64) -> Result<Self, AccuracyError> {
         let is_cloud = truth.triangles.is_empty();
-        // Another seed, so that a mesh judged by itself meets other samples.
+        // Another seed, so that a mesh scored against itself does not meet the same samples.
         let points = match truth.triangles[..] {
             [] => truth.positions.iter().copied().map(Vec3::from_array).collect(),
             _ => sample(truth, spacing_m, seed ^ 1, SAMPLES_MAX).ok_or(AccuracyError::TooFine)?,
@@ -168,8 +168,8 @@ impl Truth {
         Ok(truth)
     }
 
-    /// Radius of a disc as large as the surface for each point: for points spread evenly at random,
-    /// a disc about one as far as its second neighbour holds two of them on average.
+    /// Radius of a disc as large as each point's share of the surface. Among points spread at random, a disc
+    /// that reaches to the second neighbour has the area of two shares on average.
     fn share_radius(&self) -> f32 {
         let squares: Vec<f32> = self
             .points
@@ -194,12 +194,12 @@ impl Truth {
         let normal = Vec3::from_array(self.normals[i]);
         let height = offset.dot(normal);
         let aside = (offset - height * normal).length();
-        // Without a normal, the height is 0: the disc would be a ball.
+        // Without a normal the height is 0, and a disc would be a ball: use the point itself.
         let radius = if normal == Vec3::ZERO { 0.0 } else { self.disc_m };
         Vec3::new(height, (aside - radius).max(0.0), 0.0).length()
     }
 
-    /// Distances from the truth to points of the mesh.
+    /// Distance from each truth point to the nearest of `to`, points of the mesh.
     fn gaps(&self, to: &[Vec3]) -> Vec<f32> {
         let tree = Tree::new(to);
         self.points.par_iter().map(|p| tree.nearest::<1>(*p)[0].0.sqrt()).collect()
@@ -217,7 +217,7 @@ fn score(errors: &[f32], gaps: &[f32], threshold_m: f64) -> Score {
     Score { precision, recall, f_score }
 }
 
-/// Of the values that are not NaN; infinite where there are none.
+/// Mean of the values that are not NaN; infinite if there are none.
 fn mean(distances: &[f32]) -> f64 {
     let counted = || distances.iter().filter(|d| !d.is_nan());
     match counted().count() {

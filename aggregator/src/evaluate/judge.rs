@@ -1,5 +1,5 @@
-//! A model on held-out photographs, and on the true surface where there is one. Only who has the photographs
-//! at hand can do this, as a mission or a person does; the receiving service never does.
+//! Scores a model on held-out photographs, and on the true surface where there is one. This needs the photographs,
+//! which a mission or a user has; the receiving service never has them.
 
 use cosurf_engine::{Renderer, Rendering};
 use cosurf_scene::{Camera, Cast, Picture, SceneError, Splats, View, metrics};
@@ -7,27 +7,27 @@ use cosurf_scene::{Camera, Cast, Picture, SceneError, Splats, View, metrics};
 use super::quality::{Quality, Yardsticks};
 use super::surface::SurfaceQuality;
 
-/// Renders a model where photographs were taken.
+/// Scores a model by rendering it from the cameras of photographs.
 pub(crate) struct Judge<'a> {
     renderer: Renderer,
     max_size_px: u32,
     yardsticks: &'a Yardsticks,
 }
 
-/// A photograph beside its rendering.
+/// A photograph and the model's rendering from the same camera.
 pub(crate) struct Comparison {
-    /// Whose pixels these are.
+    /// The camera, at the size of both pictures.
     pub(crate) camera: Camera,
     /// The photograph.
     pub(crate) photograph: Picture,
-    /// What the model shows there, colours clamped to 0..=1, as in a picture file.
+    /// The rendering; colours are clamped to 0..=1, as in a picture file.
     pub(crate) rendering: Rendering,
-    /// The true surface as the camera sees it.
+    /// The true surface as the camera sees it; `None` if it is not known.
     pub(crate) truth: Option<Cast>,
 }
 
 impl<'a> Judge<'a> {
-    /// Takes a copy of the splats. Pictures are shrunk until they are at most `max_size_px` long.
+    /// Copies the splats. Pictures are shrunk until their long side is at most `max_size_px`.
     pub(crate) fn new(
         splats: &Splats,
         max_size_px: Option<u32>,
@@ -43,7 +43,7 @@ impl<'a> Judge<'a> {
         views.iter().map(|view| self.quality(view)).collect()
     }
 
-    /// Every figure of a view.
+    /// Computes every figure of a view.
     pub(crate) fn quality(&mut self, view: &View) -> Result<Quality, SceneError> {
         let Comparison { camera, photograph, rendering, truth } = self.compare(view)?;
         let (size_px, wanted) = (photograph.size_px, photograph.to_unit());
@@ -82,7 +82,7 @@ mod tests {
         }
     }
 
-    /// Three furrows to a pixel, which is 1 m wide on the ground; facets up and down by 30 % in turns.
+    /// Three facets to a pixel, which is 1 m wide on the ground; they rise and fall by 30 % in turn.
     fn furrowed() -> Mesh {
         let corner = |k: u32, y: f32| [k as f32 / 3.0 - 16.0, y, if k.is_multiple_of(2) { 0.0 } else { 0.1 }];
         Mesh {
@@ -93,7 +93,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pixel_is_judged_by_all_that_lies_in_it() {
+    fn the_true_normal_of_a_pixel_is_the_mean_over_its_area() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("grey.png");
         let size_px = [32, 32];
@@ -104,7 +104,7 @@ mod tests {
         let view = View { name: "grey".into(), camera: from_above(), path };
         let quality = Judge::new(&level, None, 1, &yardsticks).quality(&view).expect("a picture");
         let surface = quality.surface.expect("a surface");
-        // By the facets at the centres of the pixels: 16.7°.
+        // The facets at the centres of the pixels alone would give 16.7°.
         let third_deg = f64::atan(0.1).to_degrees();
         for errors in [surface.normal_error_deg, surface.depth_normal_error_deg] {
             assert!((errors.expect("pixels").median - third_deg).abs() < 0.1, "{errors:?}");

@@ -1,14 +1,11 @@
-//! LPIPS (Zhang et al. 2018, version 0.1): how different two pictures look to a network that was trained
-//! on photographs. 0 where they are equal; held-out views of good models score 0.1 to 0.4.
+//! LPIPS (Zhang et al. 2018, version 0.1): the difference of two pictures in the features of a network that was
+//! trained on photographs. Equal pictures score 0; held-out views of good models score 0.1 to 0.4.
 //!
-//! What it is: the features of VGG16 or AlexNet, forward only, and their linear heads, from weight files
-//! that a person names. What it refuses to know: models, cameras, reports, where weights come from.
+//! Computes the features of VGG16 or AlexNet, forward only, and their linear heads, with weights from files
+//! that the user names. What it refuses to know: models, cameras, reports, where weights come from.
 //!
-//! Two networks of plain convolutions need a matrix product, threads and a file format, not a framework.
-//! Measured with VGG16's features of 640 × 480 pixels on two shared cores, cold release build: ndarray's
-//! product (matrixmultiply, which chooses its instructions at run time) 3.0 s, 0.2 GB and 5 new
-//! packages, with which the safetensors reader are 9; candle-core 0.9 8.4 s, 0.35 GB, 41 new packages and
-//! three minutes of compiling. candle-core 0.11 would be 83 new packages, tract-core 44, burn-ndarray 83.
+//! Two networks of plain convolutions need a matrix product, threads and a file format, not a framework: ndarray's
+//! product was faster than the frameworks that were tried, and needs far fewer packages.
 
 mod convolution;
 mod network;
@@ -25,27 +22,27 @@ use convolution::FeatureMap;
 use network::Network;
 use weights::Weights;
 
-/// Input normalisation of the published heads, per channel of colours in -1 to 1.
+/// Input normalisation of the published networks, per channel, for colours in -1 to 1.
 const SHIFT: [f32; 3] = [-0.030, -0.088, -0.188];
 const SCALE: [f32; 3] = [0.458, 0.448, 0.450];
 /// Added to a feature vector's length before division, as published.
 const LENGTH_EPSILON: f32 = 1e-10;
-/// Pixels that one thread compares at a time; fixed, so that sums do not depend on the threads.
+/// Pixels that one thread compares at a time; fixed, so that sums do not depend on the number of threads.
 const PIXELS_A_TASK: usize = 4096;
 
-/// Why there are no weights.
+/// Why weights cannot be loaded.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum LpipsError {
     /// The file cannot be read.
-    #[error("{}: {cause}; --lpips names a folder with vgg.safetensors and alex.safetensors", path.display())]
+    #[error("{}: {cause}; --lpips must name a folder with vgg.safetensors and alex.safetensors", path.display())]
     Io {
         /// The file.
         path: PathBuf,
-        /// What the operating system said.
+        /// The error of the operating system.
         cause: io::Error,
     },
-    /// The file is not what it should be.
+    /// The file does not hold this network's weights.
     #[error("{}: {reason}; fetch the LPIPS weights again", path.display())]
     Malformed {
         /// The file.
@@ -64,23 +61,23 @@ struct Lpips {
 
 impl Lpips {
     /// Reads a safetensors file with `conv{i}.weight` (OIHW), `conv{i}.bias` and `lin{i}.weight`, as
-    /// 16-bit or 32-bit floats. Shapes must fit together and numbers be finite.
+    /// 16-bit or 32-bit floats. Shapes must be those of the network, and all numbers finite.
     fn read(path: &Path, network: Network) -> Result<Self, LpipsError> {
         let bytes = std::fs::read(path).map_err(|cause| LpipsError::Io { path: path.into(), cause })?;
         let malformed = |reason| LpipsError::Malformed { path: path.into(), reason };
         Self::parse(&bytes, network).map_err(malformed)
     }
 
-    /// The network of a file's bytes, or what is wrong with them.
+    /// Parses the bytes of a weight file, or says in one line what is wrong with them.
     fn parse(bytes: &[u8], network: Network) -> Result<Self, String> {
         Ok(Self { network, weights: weights::parse(bytes, network)? })
     }
 
-    /// The distance of two pictures `[height, width, rgb]` with values 0 to 1; `None` where they are
-    /// smaller than [`Network::size_min_px`]. The same bits for any number of threads. Takes about a
-    /// kilobyte of memory per pixel while it works.
+    /// The LPIPS distance of two pictures `[height, width, rgb]` with values 0 to 1; `None` if a side is shorter
+    /// than [`Network::size_min_px`]. Gives the same bits for any number of threads. Needs about a kilobyte of
+    /// memory per pixel.
     ///
-    /// Panics where a length is not `3 · width · height`.
+    /// Panics if a length is not `3 · width · height`.
     fn distance(&self, a: &[f32], b: &[f32], size_px: [u32; 2]) -> Option<f64> {
         if size_px.iter().any(|&side| side < self.network.size_min_px()) {
             return None;
@@ -100,7 +97,7 @@ impl Lpips {
     }
 }
 
-/// A picture as the networks want it.
+/// A picture as normalised input of the networks.
 fn input(rgb: &[f32], size_px: [u32; 2]) -> FeatureMap {
     let (pixels, rest) = rgb.as_chunks::<3>();
     let size_px = size_px.map(|side| side as usize);
@@ -109,7 +106,7 @@ fn input(rgb: &[f32], size_px: [u32; 2]) -> FeatureMap {
     FeatureMap { size_px, channels: 3, values: pixels.iter().flat_map(normalised).collect() }
 }
 
-/// Mean over pixels of the weighted squared difference of feature vectors of unit length.
+/// Mean over pixels of the weighted squared difference of feature vectors that are scaled to unit length.
 fn mean_difference(maps: &[FeatureMap; 2], head: &[f32]) -> f64 {
     let channels = head.len();
     let task = PIXELS_A_TASK * channels;
@@ -132,17 +129,17 @@ fn difference(a: &[f32], b: &[f32], head: &[f32]) -> f32 {
     squares.zip(head).map(|(square, weight)| square * weight).sum()
 }
 
-/// How different pictures look to both networks.
+/// The LPIPS distances by both networks.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct LpipsScore {
-    /// By VGG16, the one that the field's papers quote.
+    /// By VGG16, the network that papers usually quote.
     pub vgg: f64,
     /// By AlexNet.
     pub alex: f64,
 }
 
 impl LpipsScore {
-    /// The mean over views; `None` of none.
+    /// The mean over views; `None` without views.
     pub(super) fn mean(of: impl Iterator<Item = Self>) -> Option<Self> {
         let all: Vec<Self> = of.collect();
         let mean = |value: fn(&Self) -> f64| all.iter().map(value).sum::<f64>() / all.len() as f64;
@@ -166,7 +163,7 @@ impl LpipsPair {
         })
     }
 
-    /// [`Lpips::distance`] by both; `None` where the pictures are too small for either.
+    /// [`Lpips::distance`] by both networks; `None` if the pictures are too small for one of them.
     pub(super) fn score(&self, a: &[f32], b: &[f32], size_px: [u32; 2]) -> Option<LpipsScore> {
         Some(LpipsScore { vgg: self.vgg.distance(a, b, size_px)?, alex: self.alex.distance(a, b, size_px)? })
     }

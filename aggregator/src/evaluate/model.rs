@@ -1,5 +1,5 @@
-//! `eval`: a finished model against the photographs and the true surface of a dataset, as a mission judges its
-//! global model at the end.
+//! `eval`: scores a model against the photographs and the true surface of a dataset, as a mission scores its global
+//! model at the end.
 
 use std::path::{Path, PathBuf};
 
@@ -10,23 +10,23 @@ use super::judge::Judge;
 use super::quality::{Quality, YardstickError, Yardsticks};
 use crate::terminal::aligned;
 
-/// Names of models in folders that agents and missions leave.
+/// File names of the model in the output folder of an agent or a mission.
 const MODELS: [&str; 2] = ["model.ply", "global.ply"];
 
-/// What to judge, and by what.
+/// Which model to score, and against what.
 #[derive(Clone, Debug)]
 pub struct EvalOrder {
-    /// A PLY of splats, or the folder that an agent or a mission wrote.
+    /// A PLY file of splats, or the output folder of an agent or a mission.
     pub model: PathBuf,
     /// The dataset.
     pub data: PathBuf,
     /// Folder of LPIPS weights; `None` for no LPIPS.
     pub lpips: Option<PathBuf>,
-    /// The true surface; `None` for the one that the dataset has, if it does.
+    /// Mesh of the true surface; `None` for that of the dataset, if it has one.
     pub truth: Option<PathBuf>,
     /// Every n-th view by name is held out, at least 1.
     pub eval_every: u32,
-    /// Long side of the pictures compared; `None` for their full size.
+    /// Longest side of the compared pictures; `None` for their full size.
     pub max_size_px: Option<u32>,
     /// Threads to render with, at least 1.
     pub threads: usize,
@@ -53,31 +53,31 @@ pub struct ViewQuality {
     pub quality: Quality,
 }
 
-/// Why a model cannot be judged.
+/// Why a model cannot be scored.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum EvalError {
     /// The model, the dataset or a picture cannot be read.
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// Weights or truth cannot be read.
+    /// The LPIPS weights or the true surface cannot be read.
     #[error(transparent)]
     Yardstick(#[from] YardstickError),
-    /// There is no model in the folder.
-    #[error("{folder} has neither model.ply nor global.ply: name the PLY of the model")]
+    /// The folder has no model.
+    #[error("{folder} has neither model.ply nor global.ply: name the model's PLY file")]
     NoModel {
         /// The folder.
         folder: PathBuf,
     },
-    /// There is nothing to compare with.
-    #[error("{data} has no views")]
+    /// The dataset has no views to compare with.
+    #[error("{data} has no views: name a dataset with pictures")]
     NoViews {
         /// The dataset.
         data: PathBuf,
     },
 }
 
-/// Renders every held-out view and compares.
+/// Scores every held-out view.
 pub fn evaluate_model(order: &EvalOrder) -> Result<EvalReport, EvalError> {
     let splats = ply::read(&model_path(&order.model)?)?;
     let dataset = Dataset::open(&order.data)?;
@@ -92,7 +92,7 @@ pub fn evaluate_model(order: &EvalOrder) -> Result<EvalReport, EvalError> {
     Ok(EvalReport { splats: splats.len(), mean, views })
 }
 
-/// What an agent or a mission left in a folder; a file is the model itself.
+/// The model file in the output folder of an agent or a mission; any other path is taken as the model file itself.
 pub fn model_path(model: &Path) -> Result<PathBuf, EvalError> {
     if !model.is_dir() {
         return Ok(model.into());
@@ -101,7 +101,7 @@ pub fn model_path(model: &Path) -> Result<PathBuf, EvalError> {
     inside.ok_or_else(|| EvalError::NoModel { folder: model.into() })
 }
 
-/// The figures for a terminal: a row per view and one of the means, a column per figure that there is.
+/// The figures for a terminal: a row per view and one for the means, a column per known figure.
 pub fn table(report: &EvalReport) -> String {
     let columns: Vec<Column> = COLUMNS.into_iter().filter(|(_, cell)| cell(&report.mean).is_some()).collect();
     let row = |name: &str, quality: &Quality| {
@@ -115,7 +115,7 @@ pub fn table(report: &EvalReport) -> String {
     aligned(&lines)
 }
 
-/// A heading and what stands below it; nothing where the figure is not known.
+/// A heading and the text of its cells; `None` if a figure is not known.
 type Column = (&'static str, fn(&Quality) -> Option<String>);
 
 const COLUMNS: [Column; 11] = [
@@ -127,7 +127,9 @@ const COLUMNS: [Column; 11] = [
     ("mean", |q| q.surface?.depth_error_percent.map(|error| format!("{:.3} %", error.mean))),
     ("normal median", |q| q.surface?.normal_error_deg.map(|error| format!("{:.2}°", error.median))),
     ("mean", |q| q.surface?.normal_error_deg.map(|error| format!("{:.2}°", error.mean))),
-    ("of depth, median", |q| q.surface?.depth_normal_error_deg.map(|error| format!("{:.2}°", error.median))),
+    ("depth-normal median", |q| {
+        q.surface?.depth_normal_error_deg.map(|error| format!("{:.2}°", error.median))
+    }),
     ("mean", |q| q.surface?.depth_normal_error_deg.map(|error| format!("{:.2}°", error.mean))),
     ("covered", |q| q.surface.map(|surface| format!("{:.2} %", 100.0 * surface.coverage))),
 ];
@@ -160,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn a_model_is_judged_on_held_out_views_and_the_datasets_own_truth() {
+    fn a_model_is_scored_on_held_out_views_and_the_datasets_own_truth() {
         let folder = tempfile::tempdir().unwrap();
         let order = untrained(folder.path());
         let report = evaluate_model(&order).unwrap();
@@ -172,7 +174,7 @@ mod tests {
         assert!(text.contains("covered") && !text.contains("LPIPS") && text.contains("mean of 3"), "{text}");
         let json = serde_json::to_string(&report).unwrap();
         assert_eq!(serde_json::from_str::<EvalReport>(&json).unwrap(), report);
-        // A truth that lies 1 m higher is another one.
+        // A truth that is raised by 1 m gives other errors.
         let mut mesh = cosurf_scene::Mesh::read(&folder.path().join("gt/mesh.ply")).unwrap();
         mesh.positions.iter_mut().for_each(|position| position[2] += 1.0);
         let raised = folder.path().join("raised.ply");

@@ -1,4 +1,5 @@
-//! The figures by which a model is judged, and what judges it beside photographs: networks and a true surface.
+//! The figures of a model's quality, and the references for them beside photographs: LPIPS networks and a true
+//! surface.
 
 use std::path::Path;
 
@@ -9,24 +10,24 @@ use serde::{Deserialize, Serialize};
 use super::lpips::{LpipsError, LpipsPair, LpipsScore};
 use super::surface::SurfaceQuality;
 
-/// Where a dataset that knows its true surface has it.
+/// Path of the true surface inside a dataset's folder.
 const TRUE_MESH: &str = "gt/mesh.ply";
 
-/// How well a model agrees with the truth, in a view or as a mean over views.
+/// How well a model agrees with photographs and true surface, in one view or as a mean over views.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Quality {
     /// dB.
     pub psnr: f64,
     /// 0 to 1.
     pub ssim: f64,
-    /// Absent without weights, and where pictures are too small.
+    /// Absent without LPIPS weights, and if pictures are too small.
     pub lpips: Option<LpipsScore>,
     /// Absent without a true surface.
     pub surface: Option<SurfaceQuality>,
 }
 
 impl Quality {
-    /// The mean over views, of each figure over those that have it; `None` of none.
+    /// The mean of each figure over the views that have it; `None` without views.
     pub(crate) fn mean(of: &[Quality]) -> Option<Self> {
         let mean = |value: fn(&Quality) -> f64| of.iter().map(value).sum::<f64>() / of.len() as f64;
         let surfaces: Vec<SurfaceQuality> = of.iter().filter_map(|quality| quality.surface).collect();
@@ -39,7 +40,7 @@ impl Quality {
     }
 }
 
-/// Why a model cannot be measured as asked.
+/// Why the references cannot be read.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum YardstickError {
@@ -51,7 +52,7 @@ pub enum YardstickError {
     Truth(#[from] SceneError),
 }
 
-/// What models are measured by, beside photographs.
+/// The references that models are compared with, beside photographs.
 #[derive(Debug)]
 pub(crate) struct Yardsticks {
     pub(crate) lpips: Option<LpipsPair>,
@@ -59,7 +60,8 @@ pub(crate) struct Yardsticks {
 }
 
 impl Yardsticks {
-    /// Reads the weights of the folder `lpips`, and the mesh `truth`, or that which the dataset `data` has.
+    /// Reads the LPIPS weights from the folder `lpips`, and the true surface from the mesh `truth` or, without it, from
+    /// the dataset `data` if it has one.
     pub(crate) fn read(
         data: &Path,
         lpips: Option<&Path>,

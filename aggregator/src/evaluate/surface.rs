@@ -1,5 +1,4 @@
-//! A model's surface beside the true one, pixel by pixel of a camera: depth, normals, and how much of it is
-//! there at all.
+//! Compares a model's surface with the true one, pixel by pixel of a camera: depth, normals and coverage.
 //!
 //! What it refuses to know: where models and truths come from.
 
@@ -8,24 +7,24 @@ use cosurf_scene::{Camera, Cast};
 use glam::{DVec2, Vec3};
 use serde::{Deserialize, Serialize};
 
-/// A pixel has a surface where the model hides more than this part of what lies behind.
+/// A pixel has a surface if its accumulated opacity (alpha) is above this.
 const ALPHA_MIN: f32 = 0.5;
-/// Blended normals shorter than this have no direction to speak of.
+/// Blended normals shorter than this have no reliable direction.
 const NORMAL_LENGTH_MIN: f32 = 1e-3;
 
 /// How far a model's surface is from the true one.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SurfaceQuality {
-    /// Part of the pixels with a true surface where the model has one, 0 to 1. The errors are those of
-    /// these pixels, so they mean little where it is low.
+    /// Share of the pixels with a true surface in which the model has one too, 0 to 1. The errors are those of
+    /// these pixels only, so they mean little if the share is low.
     pub coverage: f64,
-    /// `|z - z*| / z*` along the optical axis, percent; absent where nothing is covered.
+    /// `|z - z*| / z*` along the optical axis, percent; absent if no pixel is covered.
     pub depth_error_percent: Option<Spread>,
-    /// Angle between the blended normals and the true ones, degrees; absent where nothing is covered. Of both normal
-    /// errors the true ones are those of pixels' areas: [`cosurf_scene::Caster::cast_areas`].
+    /// Angle between the blended normals and the true ones, degrees; absent if no pixel is covered. For both normal
+    /// errors, a true normal is the mean over a pixel's area: [`cosurf_scene::Caster::cast_areas`].
     pub normal_error_deg: Option<Spread>,
-    /// Angle between the normals of the depth, from one pixel to the next, and the true ones, degrees: of the
-    /// surface that a mesh is fused from. Absent where nothing is covered.
+    /// Angle between the normals of depth and the true ones, degrees. The normals of depth come from the depths of
+    /// neighbouring pixels, which a mesh is fused from. Absent if no pixel is covered.
     #[serde(default)]
     pub depth_normal_error_deg: Option<Spread>,
 }
@@ -33,9 +32,9 @@ pub struct SurfaceQuality {
 /// Errors of many pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Spread {
-    /// Half of them are smaller.
+    /// Half of the errors are smaller.
     pub median: f64,
-    /// The few large ones count here.
+    /// The mean, which a few large errors can raise.
     pub mean: f64,
 }
 
@@ -60,7 +59,7 @@ impl Spread {
 }
 
 impl SurfaceQuality {
-    /// Compares what a model shows with the truth as the same camera sees it; `None` where that sees none.
+    /// Compares a rendering with the truth from the same camera; `None` if the camera sees no true surface.
     pub fn of(rendering: &Rendering, camera: &Camera, truth: &Cast) -> Option<Self> {
         let seen: Vec<usize> = (0..truth.depth.len()).filter(|&i| truth.depth[i] > 0.0).collect();
         let covered = seen.iter().filter(|&&i| has_surface(rendering, i)).count();
@@ -72,7 +71,7 @@ impl SurfaceQuality {
         })
     }
 
-    /// The mean over views of each figure; `None` of none.
+    /// The mean over views of each figure; `None` without views.
     pub(crate) fn mean(of: &[Self]) -> Option<Self> {
         let coverage = of.iter().map(|quality| quality.coverage).sum::<f64>() / of.len() as f64;
         (!of.is_empty()).then(|| Self {
@@ -98,7 +97,7 @@ pub(crate) fn depth_errors_percent(rendering: &Rendering, truth: &Cast) -> Vec<f
 }
 
 /// The angle between the blended normal and the true one of each pixel in degrees, NaN where the model or the truth
-/// has none.
+/// has no surface, or the blended normal no direction.
 pub(crate) fn normal_errors_deg(rendering: &Rendering, truth: &Cast) -> Vec<f32> {
     let normals = rendering.normal.as_chunks::<3>().0;
     errors(rendering, truth, |i| {
@@ -108,8 +107,8 @@ pub(crate) fn normal_errors_deg(rendering: &Rendering, truth: &Cast) -> Vec<f32>
     })
 }
 
-/// The angle between the normal of the depth and the true one of each pixel in degrees, NaN where the model or the
-/// truth has no surface, there or in one of the pixels around.
+/// The angle between the normal of depth and the true one of each pixel in degrees, NaN where the model or the
+/// truth has no surface, or the model has none in a neighbouring pixel.
 fn depth_normal_errors_deg(rendering: &Rendering, camera: &Camera, truth: &Cast) -> Vec<f32> {
     let [width, height] = rendering.size_px.map(|side| side as usize);
     let point = |i: usize| {
@@ -119,7 +118,7 @@ fn depth_normal_errors_deg(rendering: &Rendering, camera: &Camera, truth: &Cast)
     let normal = |i: usize| {
         let inside = (1..width - 1).contains(&(i % width)) && (1..height - 1).contains(&(i / width));
         let way = |to: usize, from: usize| Some(point(to)? - point(from)?);
-        // The picture's y points down: this faces the camera.
+        // The picture's y points down, so the product in this order faces the camera.
         inside.then(|| Some(way(i + 1, i - 1)?.cross(way(i - width, i + width)?).as_vec3()))?
     };
     errors(rendering, truth, |i| {
@@ -127,13 +126,13 @@ fn depth_normal_errors_deg(rendering: &Rendering, camera: &Camera, truth: &Cast)
     })
 }
 
-/// By sine and cosine: the arc cosine alone loses small angles to rounding.
+/// From sine and cosine: the arc cosine alone loses small angles to rounding.
 fn angle_deg(a: Vec3, b: Vec3) -> f32 {
     a.cross(b).length().atan2(a.dot(b)).to_degrees()
 }
 
 fn errors(rendering: &Rendering, truth: &Cast, error: impl Fn(usize) -> f32) -> Vec<f32> {
-    assert_eq!(rendering.size_px, truth.size_px, "two pictures of one camera");
+    assert_eq!(rendering.size_px, truth.size_px, "rendering and truth differ in size");
     let both = |i: usize| truth.depth[i] > 0.0 && has_surface(rendering, i);
     (0..truth.depth.len()).map(|i| if both(i) { error(i) } else { f32::NAN }).collect()
 }
@@ -146,7 +145,7 @@ mod tests {
 
     use super::*;
 
-    /// A wall at depth 20 that looks at the camera, with a hole in the last of ten pixels.
+    /// A wall at depth 20 that faces the camera, with a hole in the last of ten pixels.
     fn truth() -> Cast {
         let mut depth = vec![20.0; 10];
         let mut normals = vec![[0.0, 0.0, -1.0]; 10];
@@ -154,7 +153,7 @@ mod tests {
         Cast { size_px: [5, 2], depth, normals }
     }
 
-    /// A model that has the wall, and something in the hole; its normals are blended.
+    /// A model of the wall that fills the hole; its blended normals are shorter than 1.
     fn model() -> Rendering {
         Rendering {
             size_px: [5, 2],
@@ -187,14 +186,14 @@ mod tests {
             coverage: 1.0,
             depth_error_percent: none,
             normal_error_deg: none,
-            // In two lines of pixels none has neighbours on every side.
+            // In two rows, no pixel has neighbours on every side.
             depth_normal_error_deg: None,
         };
         assert_eq!(quality, expected);
     }
 
     #[test]
-    fn the_depth_of_a_slope_has_its_normal() {
+    fn the_normals_of_depth_are_those_of_the_slope() {
         let camera = camera([6, 5]);
         let normal = Vec3::new(0.3, -0.5, -0.8).normalize();
         let place = |i: usize| DVec2::new((i % 6) as f64, (i / 6) as f64) + 0.5;
@@ -223,7 +222,7 @@ mod tests {
         shifted.depth.iter_mut().for_each(|z| *z += 0.5);
         let error = |model: &Rendering| judged(model).unwrap().depth_error_percent.unwrap();
         assert_eq!(error(&shifted), Spread { median: 2.5, mean: 2.5 });
-        // One pixel far off moves the mean, not the median; what is in the hole counts for nothing.
+        // One pixel far off moves the mean, not the median; the pixel of the hole does not count.
         let mut spoiled = model();
         (spoiled.depth[3], spoiled.depth[9]) = (200.0, 1.0);
         assert_eq!(error(&spoiled), Spread { median: 0.0, mean: 100.0 });
@@ -242,7 +241,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_covered_lowers_the_coverage_and_has_no_error() {
+    fn uncovered_pixels_lower_the_coverage_and_have_no_error() {
         let mut thin = model();
         thin.alpha[..3].fill(0.5);
         thin.depth[..2].fill(99.0);
@@ -260,7 +259,7 @@ mod tests {
         assert_eq!(judged(&thin), Some(nothing));
         let empty = Cast { depth: vec![0.0; 10], ..truth() };
         assert_eq!(SurfaceQuality::of(&model(), &camera([5, 2]), &empty), None);
-        // The mean keeps the view without coverage, but has no errors of it.
+        // The mean of coverage includes the uncovered view; the mean error does not, as the view has no error.
         let mean = SurfaceQuality::mean(&[quality, nothing]).unwrap();
         assert!((mean.coverage - 2.5 / 9.0).abs() < 1e-12);
         assert_eq!(mean.depth_error_percent, quality.depth_error_percent);

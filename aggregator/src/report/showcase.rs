@@ -4,7 +4,7 @@ use cosurf_scene::{Cast, Caster, Picture, SceneError, View, colormap};
 
 use crate::evaluate::{Comparison, Judge, Quality, depth_errors_percent, normal_errors_deg};
 
-/// Views shown in the report, spread from the worst to the best.
+/// Number of views shown in the report, spread from the best to the worst.
 const SHOWCASES: usize = 4;
 /// Differences of colour that are shown in the brightest colour, percent of the brightest value.
 const COLOR_BRIGHT_PERCENT: f32 = 20.0;

@@ -17,7 +17,7 @@ pub enum SceneError {
     Io {
         /// The file or folder.
         path: PathBuf,
-        /// What the operating system said.
+        /// The error of the operating system.
         cause: io::Error,
     },
     /// The file's content is not what its format promises.

@@ -1,23 +1,22 @@
-//! Where a mesh is judged: over the truth's footprint on the ground.
+//! The region in which a mesh is scored: above the truth's footprint on the ground.
 
 use glam::Vec3;
 
 use super::nearest::Tree;
 
-/// The footprint reaches so far beyond the truth's points, in their mean distances: at random, less
-/// than one place in a hundred thousand within it is farther from all of them.
+/// Reach of the footprint beyond the truth's points, in mean point distances. Between random points, less than
+/// one place in a hundred thousand is farther than this from all of them.
 const SPACINGS: f64 = 2.0;
 
-/// The places that are near the truth when both are seen from above.
+/// The positions that are near the truth when seen from above.
 pub(super) struct Region {
     tree: Tree,
     reach2_m2: f32,
 }
 
 impl Region {
-    /// The truth's points, which lie `spacing_m` apart, and what is within the threshold of them, or
-    /// within two such spacings where these are more. Farther out would count what is right, but of
-    /// which nobody knows the truth, as wrong.
+    /// `truth` are points about `spacing_m` apart. The region reaches beyond them by the threshold or by two
+    /// spacings, whichever is larger. A larger region would count correct surface of unknown truth as wrong.
     pub(super) fn new(truth: &[Vec3], spacing_m: f64, threshold_m: f64) -> Self {
         let flat: Vec<Vec3> = truth.iter().map(|p| flatten(*p)).collect();
         let reach_m = threshold_m.max(SPACINGS * spacing_m) as f32;

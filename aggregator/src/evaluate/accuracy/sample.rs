@@ -4,8 +4,8 @@ use cosurf_scene::Mesh;
 use glam::Vec3;
 use rayon::prelude::*;
 
-/// One point for each square of `spacing_m` on average, the same for the same seed; `None` where they
-/// would be more than `most`.
+/// Samples one point per square of `spacing_m` on average; the same seed gives the same points. `None` if
+/// there would be more than `most`.
 pub(super) fn sample(mesh: &Mesh, spacing_m: f64, seed: u64, most: usize) -> Option<Vec<Vec3>> {
     let per_area = 1.0 / (spacing_m * spacing_m);
     let areas: Vec<f64> = mesh.areas().collect();
@@ -17,20 +17,20 @@ pub(super) fn sample(mesh: &Mesh, spacing_m: f64, seed: u64, most: usize) -> Opt
     let of_triangle = |(i, area): (usize, &f64)| {
         let mut random = Random::new(seed, i as u64);
         let corners = mesh.corners(i);
-        // Rounded at random, so that small triangles get their share.
+        // Rounded at random, so that small triangles get samples too.
         let count = (area * per_area + f64::from(random.unit())) as usize;
         (0..count).map(move |_| inside(corners, random.unit(), random.unit()))
     };
     Some(areas.par_iter().enumerate().flat_map_iter(of_triangle).collect())
 }
 
-/// A place in a triangle by two numbers in 0..1.
+/// The point of a triangle for two numbers in 0..1.
 fn inside([a, b, c]: [Vec3; 3], u: f32, v: f32) -> Vec3 {
     let (u, v) = if u + v > 1.0 { (1.0 - u, 1.0 - v) } else { (u, v) };
     a + (b - a) * u + (c - a) * v
 }
 
-/// SplitMix64 (Steele, Lea and Flood 2014), one stream a triangle.
+/// SplitMix64 (Steele, Lea and Flood 2014), one stream per triangle.
 struct Random(u64);
 
 impl Random {
@@ -46,7 +46,7 @@ impl Random {
         z ^ (z >> 31)
     }
 
-    /// 0..1.
+    /// Uniform in 0..1.
     fn unit(&mut self) -> f32 {
         (self.next() >> 40) as f32 / (1u32 << 24) as f32
     }

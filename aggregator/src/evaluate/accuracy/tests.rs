@@ -1,10 +1,10 @@
-//! Surfaces whose scores are known by thought.
+//! Surfaces whose scores follow from their geometry.
 
 #![allow(clippy::unwrap_used)]
 
 use super::*;
 
-/// A level square of `side_m` with its corner at the origin, in squares of half a metre.
+/// A level square with sides of `side_m` and a corner above the origin, made of half-metre squares.
 fn square(side_m: f32) -> Mesh {
     let n = (2.0 * side_m) as u32;
     let at = |i: u32| [0.5 * (i % (n + 1)) as f32, 0.5 * (i / (n + 1)) as f32, 3.0];
@@ -33,7 +33,7 @@ fn joined(a: &Mesh, b: &Mesh) -> Mesh {
     mesh
 }
 
-/// Every `every`-th sample of a mesh, as a cloud with upward normals.
+/// Samples of a mesh as a point cloud with upward normals.
 fn cloud(mesh: &Mesh, spacing_m: f64) -> Mesh {
     let points = sample(mesh, spacing_m, 5, SAMPLES_MAX).unwrap();
     let normals = vec![[0.0, 0.0, 1.0]; points.len()];
@@ -49,12 +49,12 @@ fn near(value: f64, wanted: f64, tolerance: f64) -> bool {
 }
 
 #[test]
-fn a_mesh_is_true_to_itself() {
+fn a_mesh_scores_one_against_itself() {
     let mesh = square(20.0);
     let found = accuracy(&mesh, &mesh);
     assert_eq!((found.samples.precision, found.samples.recall, found.samples.f_score), (1.0, 1.0, 1.0));
     assert_eq!(found.vertices.precision, 1.0);
-    // Random samples an eighth of a metre apart are 0.0625 m from their nearest on average.
+    // From any place, the nearest of random samples an eighth of a metre apart is 0.0625 m away on average.
     assert!(near(found.chamfer_m, 0.0625, 0.005), "{}", found.chamfer_m);
     assert_eq!((found.cropped, found.truth_disc_m), (0.0, 0.0));
 }
@@ -72,11 +72,11 @@ fn a_mesh_two_thresholds_off_is_wrong_everywhere() {
 }
 
 #[test]
-fn what_is_missing_costs_recall_and_what_is_too_much_precision() {
+fn missing_surface_costs_recall_and_a_floater_costs_precision() {
     let truth = square(20.0);
     let half = Mesh { triangles: truth.triangles[..truth.triangles.len() / 2].to_vec(), ..truth.clone() };
     let found = accuracy(&half, &truth);
-    // Half, and a strip as wide as the threshold.
+    // Half of the truth, and a strip as wide as the threshold.
     assert!(near(found.samples.recall, 0.525, 0.003), "{found:?}");
     assert_eq!(found.samples.precision, 1.0);
     let floater = joined(&truth, &moved(&square(20.0), [0.0, 0.0, 15.0]));
@@ -87,7 +87,7 @@ fn what_is_missing_costs_recall_and_what_is_too_much_precision() {
 }
 
 #[test]
-fn the_mesh_counts_only_over_the_truths_footprint() {
+fn the_mesh_is_scored_only_above_the_truths_footprint() {
     let (mesh, truth) = (square(40.0), square(20.0));
     let (found, errors) = judge(&mesh, &truth, 0.5, 0).unwrap();
     assert!(near(found.cropped, 1.0 - (20.5 / 40.0f64).powi(2), 0.005), "{found:?}");
@@ -97,7 +97,7 @@ fn the_mesh_counts_only_over_the_truths_footprint() {
 }
 
 #[test]
-fn nothing_over_the_footprint_is_no_precision() {
+fn a_mesh_outside_the_footprint_has_zero_precision() {
     let truth = square(20.0);
     let found = accuracy(&moved(&truth, [100.0, 0.0, 0.0]), &truth);
     assert_eq!((found.samples.precision, found.samples.f_score, found.cropped), (0.0, 0.0, 1.0));
@@ -109,13 +109,13 @@ fn sparse_truth_points_stand_for_discs() {
     let mesh = square(30.0);
     let truth = cloud(&mesh, 0.8);
     let found = accuracy(&mesh, &truth);
-    // A disc of the area of a square of 0.8 m; somewhat more, for points at the border have fewer
+    // A disc with the area of a 0.8 m square; slightly more, as points at the border have fewer
     // neighbours.
     assert!(near(found.truth_disc_m, 0.451, 0.03), "{found:?}");
     assert!(found.samples.precision > 0.985 && found.samples.recall == 1.0, "{found:?}");
     let bare = Mesh { normals: Vec::new(), ..truth.clone() };
     let without = accuracy(&mesh, &bare);
-    // exp(-π 0.5² / 0.8²) of the places are farther than the threshold from all points.
+    // A share of exp(-π 0.5² / 0.8²) of the area is farther than the threshold from all points.
     assert!(near(without.samples.precision, 1.0 - 0.293, 0.02), "{without:?}");
     let lifted = accuracy(&moved(&mesh, [0.0, 0.0, 0.6]), &truth);
     assert_eq!(lifted.samples.precision, 0.0, "discs are flat");
@@ -136,7 +136,7 @@ fn sampling_is_even_and_the_same_for_the_same_seed() {
     assert!(near(large, 40_000.0, 2.0) && near(points.len() as f64 - large, 10_000.0, 300.0));
     assert_eq!(points, sample(&mesh, 0.1, 3, SAMPLES_MAX).unwrap());
     assert_ne!(points, sample(&mesh, 0.1, 4, SAMPLES_MAX).unwrap());
-    assert_eq!(sample(&mesh, 0.1, 3, 40_000), None, "more than wanted");
+    assert_eq!(sample(&mesh, 0.1, 3, 40_000), None, "more than the limit");
 }
 
 #[test]
@@ -157,7 +157,7 @@ fn the_tree_finds_what_comparing_all_finds() {
 }
 
 #[test]
-fn what_cannot_be_judged_is_refused() {
+fn input_that_cannot_be_scored_is_refused() {
     let mesh = square(5.0);
     let empty = Mesh::default();
     assert_eq!(judge(&cloud(&mesh, 0.5), &mesh, 0.5, 0).unwrap_err(), AccuracyError::NoTriangles);

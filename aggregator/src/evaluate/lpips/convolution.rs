@@ -1,5 +1,5 @@
-//! Convolution as a matrix product: windows of the input as rows, a few megabytes of them at a time, so
-//! that memory does not grow with the picture beyond the features themselves.
+//! Convolution as a matrix product whose rows are windows of the input. Each thread lays out a megabyte of
+//! windows at a time, so that only the features themselves grow with the picture.
 
 use ndarray::linalg::general_mat_mul;
 use ndarray::{Array2, ArrayView2, ArrayViewMut2};
@@ -7,23 +7,23 @@ use rayon::prelude::*;
 
 use super::network::Step;
 
-/// Values of the windows that a thread lays out at a time: 1 MiB, what a core's cache holds.
+/// Values of the windows that a thread lays out at a time: 1 MiB, which fits a core's cache.
 const WINDOW_VALUES: usize = 1 << 18;
 
-/// What a layer gives, pixel by pixel.
+/// The output of a layer, pixel by pixel.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct FeatureMap {
     /// Width and height, each at least 1.
     pub(super) size_px: [usize; 2],
-    /// Values of a pixel.
+    /// Values per pixel.
     pub(super) channels: usize,
     /// `[height, width, channels]`.
     pub(super) values: Vec<f32>,
 }
 
 impl FeatureMap {
-    /// The greatest value of each channel in windows of `side_px`, two pixels apart; what is left over at
-    /// the right and below is left out. The map is at least one window large.
+    /// Max pooling with windows of `side_px` and a stride of two pixels. Incomplete windows at the right and
+    /// bottom are dropped. The map must be at least as large as a window.
     pub(super) fn max_pooled(&self, side_px: usize) -> Self {
         let [width, height] = self.size_px.map(|side| (side - side_px) / 2 + 1);
         let mut values = vec![f32::NEG_INFINITY; width * height * self.channels];
@@ -42,7 +42,7 @@ impl FeatureMap {
         &self.values[first..first + self.channels]
     }
 
-    /// The window whose corner is at `(left, top)`, which may lie outside: zeros there.
+    /// Copies the window with its corner at `(left, top)` into `window`, with zeros outside the map.
     fn window(&self, left: isize, top: isize, side_px: usize, window: &mut [f32]) {
         let inside = |at: isize, side: usize| usize::try_from(at).ok().filter(|&at| at < side);
         for (i, part) in window.chunks_exact_mut(self.channels).enumerate() {
@@ -56,7 +56,7 @@ impl FeatureMap {
     }
 }
 
-/// A convolution and the cut-off after it.
+/// A convolution and the ReLU after it.
 #[derive(Debug)]
 pub(super) struct Convolution {
     pub(super) step: Step,
@@ -67,7 +67,7 @@ pub(super) struct Convolution {
 }
 
 impl Convolution {
-    /// Panics where the input has not as many channels as the kernel, or is smaller than the window.
+    /// Panics if the input has another number of channels than the kernel, or is smaller than a window.
     pub(super) fn run(&self, input: &FeatureMap) -> FeatureMap {
         let Step { side_px, stride_px, padding_px, .. } = self.step;
         let (window, channels) = self.kernel.dim();
@@ -91,7 +91,7 @@ impl Convolution {
         FeatureMap { size_px: [width, height], channels, values }
     }
 
-    /// `out = max(0, windows · kernel + bias)`, each row by row.
+    /// `out = max(0, windows · kernel + bias)`, row by row.
     fn product(&self, windows: &[f32], out: &mut [f32]) {
         let (window, channels) = self.kernel.dim();
         let pixels = out.len() / channels;

@@ -9,14 +9,14 @@ pub(super) enum Network {
     Alex,
 }
 
-/// A convolution with what happens around it; the negative part of what it gives is cut off.
+/// A convolution, the pooling before it, and the ReLU after it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Step {
     /// Side of its square window.
     pub(super) side_px: usize,
-    /// From one window to the next.
+    /// Distance from one window to the next.
     pub(super) stride_px: usize,
-    /// Zeros around its input.
+    /// Width of the border of zeros around its input.
     pub(super) padding_px: usize,
     /// Whether its input is pooled first.
     pub(super) pooled: bool,
@@ -33,7 +33,7 @@ impl Network {
         }
     }
 
-    /// Side of the windows, two pixels apart, of which pooling takes the greatest value.
+    /// Side of the windows of max pooling, whose stride is two pixels.
     pub(super) fn pool_side_px(self) -> usize {
         match self {
             Self::Vgg => 2,
@@ -41,7 +41,7 @@ impl Network {
         }
     }
 
-    /// The shortest side of a picture of which something is left after the last pooling.
+    /// The shortest side of a picture that leaves a pixel after the last pooling.
     pub(super) fn size_min_px(self) -> u32 {
         match self {
             Self::Vgg => 16,

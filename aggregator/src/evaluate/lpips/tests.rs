@@ -1,9 +1,9 @@
-//! Goal: the published figures. Method: pairs of pictures and small networks from an integer hash, so that
-//! another implementation can be given the very same; its answers are written here.
+//! Goal: the same distances as the published implementation. Method: pictures and small networks come from an
+//! integer hash, so that another implementation can get the same input; its results are the constants here.
 //!
-//! The answers for the real weights come from the published implementation (`lpips` 0.1.4 under PyTorch
-//! 1.13.1) with the features of these files and its own heads; those for the small networks from the same
-//! operations of PyTorch, on weights from the hash.
+//! The results for the real weights come from the published implementation (`lpips` 0.1.4 under PyTorch
+//! 1.13.1) with the features of these files and its own heads. The results for the small networks come from the
+//! same operations in PyTorch, on weights from the hash.
 #![allow(clippy::unwrap_used)]
 
 use std::collections::HashMap;
@@ -15,7 +15,7 @@ use safetensors::tensor::TensorView;
 use super::*;
 
 const SIZE_PX: [u32; 2] = [80, 64];
-/// What the project promises.
+/// Largest error that the project promises.
 const TOLERANCE: f64 = 1e-3;
 
 fn hash(i: u32) -> u32 {
@@ -44,7 +44,8 @@ fn picture(byte: impl Fn([u32; 3]) -> u32) -> Vec<f32> {
     places.map(|place| byte(place) as f32 / 255.0).collect()
 }
 
-/// Noise, and other noise mixed in; a chessboard, and moved by (3, 1); a gradient, and grain on it.
+/// Noise, and the same mixed with other noise; a chessboard, and the same moved by (3, 1); a gradient, and the same
+/// with grain.
 fn pairs() -> [[Vec<f32>; 2]; 3] {
     let mixed = |p| (3 * noise(1, p) + noise(2, p)) / 4;
     let grain = |p| (7 * gradient(p) + noise(3, p)) / 8;
@@ -70,7 +71,7 @@ fn weights() -> Option<PathBuf> {
     if folder.join("vgg.safetensors").is_file() {
         return Some(folder);
     }
-    // Past the test harness, which shows no output of tests that pass.
+    // Written to standard error directly: the test harness hides the output of tests that pass.
     let _ = std::io::Write::write_all(
         &mut std::io::stderr(),
         format!("skipped: no LPIPS weights in {}; COSURF_LPIPS names another folder\n", folder.display())
@@ -80,7 +81,7 @@ fn weights() -> Option<PathBuf> {
 }
 
 #[test]
-fn distances_are_the_published_ones() {
+fn distances_match_the_published_implementation() {
     let Some(folder) = weights() else { return };
     let LpipsPair { vgg, alex } = LpipsPair::read(&folder).unwrap();
     assert_distances(&vgg, [0.069_821, 0.346_423, 0.254_217], TOLERANCE);
@@ -127,7 +128,7 @@ fn file_of(tensors: &Tensors) -> Vec<u8> {
 }
 
 #[test]
-fn small_networks_do_what_another_implementation_does() {
+fn small_networks_match_another_implementation() {
     for (network, expected) in [
         (Network::Vgg, [0.143_381_69, 0.618_617_09, 0.029_515_40]),
         (Network::Alex, [0.226_971_97, 0.893_418_73, 0.108_672_75]),
@@ -138,7 +139,7 @@ fn small_networks_do_what_another_implementation_does() {
 }
 
 #[test]
-fn pictures_of_which_nothing_would_be_left_have_no_distance() {
+fn pictures_below_the_minimum_size_have_no_distance() {
     for network in [Network::Vgg, Network::Alex] {
         let lpips = Lpips::parse(&file_of(&small_tensors(network)), network).unwrap();
         let min = network.size_min_px();
@@ -152,7 +153,7 @@ fn pictures_of_which_nothing_would_be_left_have_no_distance() {
 }
 
 #[test]
-fn weights_that_do_not_fit_are_refused_in_a_line() {
+fn weights_of_another_network_are_refused_in_one_line() {
     let good = small_tensors(Network::Alex);
     let refused = |tensors: &Tensors| Lpips::parse(&file_of(tensors), Network::Alex).unwrap_err();
     let with = |name: &str, shape: Vec<usize>, value: f32| {

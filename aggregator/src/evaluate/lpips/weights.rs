@@ -7,14 +7,14 @@ use safetensors::{Dtype, SafeTensors};
 use super::convolution::Convolution;
 use super::network::{Network, Step};
 
-/// Colours of the first convolution's input.
+/// Channels of the first convolution's input.
 const COLORS: usize = 3;
 
 /// What a file says of a network.
 #[derive(Debug)]
 pub(super) struct Weights {
     pub(super) convolutions: Vec<Convolution>,
-    /// Weights of the squared differences of each tapped convolution's channels.
+    /// For each tapped convolution, the weight of each channel's squared difference.
     pub(super) heads: Vec<Vec<f32>>,
 }
 
@@ -59,7 +59,7 @@ fn tensor(
     let shape = view.shape();
     let fits = |(&side, wanted): (&usize, &Option<usize>)| wanted.map_or(side > 0, |wanted| side == wanted);
     if shape.len() != wanted.len() || !shape.iter().zip(wanted).all(fits) {
-        return Err(format!("{name} has the shape {shape:?} of another network"));
+        return Err(format!("{name} has the shape {shape:?}, which is that of another network"));
     }
     let values: Vec<f32> = match view.dtype() {
         Dtype::F16 => {
@@ -74,9 +74,9 @@ fn tensor(
     Ok((shape.to_vec(), values))
 }
 
-/// An IEEE 754 half; infinities become NaN.
+/// Converts an IEEE 754 half; infinities become NaN.
 fn f32_from_f16(bits: u16) -> f32 {
-    // Exponents differ by 112; the product moves numbers without leading one into place too.
+    // The exponents' biases differ by 112; a product by 2^112 also normalises subnormal numbers.
     let rebias = f32::from_bits((127 + 112) << 23);
     let magnitude = f32::from_bits(u32::from(bits & 0x7fff) << 13) * rebias;
     let magnitude = if bits & 0x7c00 == 0x7c00 { f32::NAN } else { magnitude };
