@@ -96,7 +96,7 @@ pub enum PlanError {
 /// An aggregator between some agents and the one above all.
 #[derive(Clone, Debug)]
 pub(crate) struct Edge {
-    /// What it is called above.
+    /// Its id on the root's site.
     pub(crate) device: DeviceId,
     /// The site of its agents.
     pub(crate) site: SiteId,

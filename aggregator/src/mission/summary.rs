@@ -7,9 +7,8 @@ use super::plan::{Plan, Settings};
 use crate::evaluate::Quality;
 use crate::report::{AgentSummary, MissionReport, WholeSummary};
 
-/// Sums up what the agents told and what the global model is worth; `qualities` are those of the held-out
-/// views in their order. Time and memory of the aggregators, and the mesh, are left
-/// for their owner to fill in.
+/// Sums up the agents' statuses and the global model's scores; `qualities` are those of the held-out views in their
+/// order. The caller fills in time, mesh, merges, edges and the aggregators' memory.
 pub(crate) fn summarize(
     plan: &Plan,
     settings: &Settings,

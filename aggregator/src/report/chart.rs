@@ -1,4 +1,4 @@
-//! Training curves as SVG: PSNR over steps, a line per agent.
+//! Draws training curves as SVG: PSNR over steps, one line per agent.
 
 use std::fmt::Write;
 
@@ -6,10 +6,10 @@ use super::svg::agent_color;
 
 const WIDTH: f32 = 1000.0;
 const HEIGHT: f32 = 360.0;
-/// Room for the labels, left and below.
+/// Space for the labels, left and below.
 const GUTTER: [f32; 2] = [70.0, 40.0];
 
-/// Draws one curve of `[step, dB]` per agent; nothing where no curve has two points.
+/// Draws one curve of `[step, dB]` per agent; `None` if no curve has two points.
 pub(crate) fn draw(curves: &[&[[f32; 2]]]) -> Option<String> {
     let points = || curves.iter().flat_map(|curve| curve.iter());
     if curves.iter().all(|curve| curve.len() < 2) {
@@ -60,7 +60,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_to_draw_is_no_drawing() {
+    fn curves_without_two_points_give_no_drawing() {
         assert_eq!(draw(&[&[], &[[1.0, 2.0]]]), None);
         assert_eq!(draw(&[]), None);
     }

@@ -1,14 +1,14 @@
-//! Pictures inside a page: JPEG as a `data:` address, so that the page is one file.
+//! Embeds pictures in a page as JPEG `data:` URIs, so that the page is one file.
 
 use cosurf_scene::Picture;
 use image::codecs::jpeg::JpegEncoder;
 use image::{ExtendedColorType, ImageError};
 
-/// Quality at which a seam between blocks is not seen, 1 to 100.
+/// JPEG quality, 1 to 100, at which the borders of blocks are not visible.
 const JPEG_QUALITY: u8 = 88;
 const ALPHABET: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
 
-/// The picture as an address that an `<img>` can have.
+/// The picture as a URI for the `src` of an `<img>`.
 pub(crate) fn data_uri(picture: &Picture) -> Result<String, ImageError> {
     let mut jpeg = Vec::new();
     let [width, height] = picture.size_px;
@@ -40,9 +40,9 @@ mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
 
-    /// The test vectors of RFC 4648 §10, and the two digits beyond letters and numbers.
+    /// The test vectors of RFC 4648 §10, and the digits `+` and `/`.
     #[test]
-    fn base64_is_the_standards() {
+    fn base64_matches_the_test_vectors() {
         for (bytes, text) in [
             ("", ""),
             ("f", "Zg=="),

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use crate::evaluate::Quality;
 use crate::service::Merging;
 
-/// A mission's figures, also `report.json`.
+/// The figures of a mission, as in `report.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MissionReport {
     /// The dataset's folder.
@@ -17,7 +17,7 @@ pub struct MissionReport {
     pub seed: u64,
     /// In order of device id.
     pub agents: Vec<AgentSummary>,
-    /// The aggregators between the agents and the one above all, in order of device id.
+    /// The edge aggregators, in order of device id.
     pub edges: Vec<EdgeSummary>,
     /// The mission as one.
     pub whole: WholeSummary,
@@ -30,19 +30,19 @@ pub struct AgentSummary {
     pub device: String,
     /// Views given to train on.
     pub views: usize,
-    /// Views held out, those whose middle lies in the agent's cell.
+    /// Held-out views whose footprint centre lies in the agent's cell.
     pub held_out: usize,
-    /// The figures of its training; absent where it did not get so far.
+    /// The figures of its training; absent if the training did not finish.
     pub training: Option<TrainReport>,
     /// Bytes sent to the aggregator, resends included.
     pub bytes_sent: u64,
-    /// How often its process died and was started again.
+    /// How often its process died and was restarted.
     pub restarts: u32,
     /// The global model on this agent's held-out views; absent where there are none.
     pub in_global: Option<Quality>,
-    /// Why it did not do its work; absent where it did.
+    /// Why the agent failed; absent if it did not.
     pub failure: Option<String>,
-    /// `[step, dB]` of the training pictures seen lately.
+    /// `[step, dB]`: PSNR over steps, each a mean over the latest training pictures.
     pub curve: Vec<[f32; 2]>,
 }
 
@@ -53,13 +53,13 @@ pub struct EdgeSummary {
     pub device: String,
     /// Its agents.
     pub agents: Vec<String>,
-    /// Bytes sent up, resends included.
+    /// Bytes sent to the root, resends included.
     pub bytes_sent: u64,
-    /// How it merged their models; absent where none arrived.
+    /// How it merged its agents' models; absent if none arrived.
     pub merging: Option<Merging>,
 }
 
-/// The mission's figures as one.
+/// The figures of the whole mission.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct WholeSummary {
     /// Views trained on, by all agents together.
@@ -78,15 +78,15 @@ pub struct WholeSummary {
     pub steps_per_s: f64,
     /// Peak resident memory of the largest agent.
     pub peak_memory_bytes: u64,
-    /// Peak resident memory of the aggregator; absent where the system does not tell.
+    /// Peak resident memory of the aggregator; absent if the system does not report it.
     pub aggregator_peak_memory_bytes: Option<u64>,
     /// Bytes that all agents sent, resends included.
     pub bytes_sent: u64,
     /// The global model on all held-out views; absent where none is held out.
     pub quality: Option<Quality>,
-    /// The agents' models joined as they are, on the same views.
+    /// The agents' models joined but not merged, on the same views.
     pub joined: Option<Quality>,
-    /// How they were merged instead.
+    /// How the models were merged.
     pub merging: Option<Merging>,
     /// The mesh of the global model; absent where it has none.
     pub mesh: Option<MeshSummary>,

@@ -1,4 +1,4 @@
-//! The map of a partition as SVG: every agent's cell, the footprints of its views, and their middles.
+//! Draws the map of a partition as SVG: every agent's cell, the footprints of its views, and their centres.
 
 use std::fmt::Write;
 
@@ -9,7 +9,7 @@ use crate::partition::{AssignedView, Cell};
 
 /// Width of the drawing in its own units; the page scales it.
 const WIDTH: f64 = 1000.0;
-/// Share of the cells' size that is drawn around them.
+/// Margin drawn around the cells, as a share of their size.
 const MARGIN: f64 = 0.15;
 
 /// Draws cells and views; cell `i` is agent `i`'s.
@@ -33,7 +33,7 @@ pub(crate) fn draw(cells: &[Cell], views: &[AssignedView]) -> String {
         draw_cell(&mut svg, &frame, i, cell);
     }
     for view in views {
-        draw_middle(&mut svg, &frame, view);
+        draw_center(&mut svg, &frame, view);
     }
     draw_scale(&mut svg, &frame);
     svg.push_str("</svg>");
@@ -49,7 +49,7 @@ fn draw_cell(svg: &mut String, frame: &Frame, agent: usize, cell: &Cell) {
     );
 }
 
-fn draw_middle(svg: &mut String, frame: &Frame, view: &AssignedView) {
+fn draw_center(svg: &mut String, frame: &Frame, view: &AssignedView) {
     let at = frame.place(view.footprint.center);
     let color = agent_color(view.cell);
     let (fill, what) = if view.held_out { ("none", ", held out") } else { (color.as_str(), "") };
@@ -82,7 +82,7 @@ fn round_length(about: f64) -> f64 {
     factor.unwrap_or(1.0) * power
 }
 
-/// Map coordinates to the drawing's, north up.
+/// Converts map coordinates to those of the drawing, north up.
 struct Frame {
     low: DVec2,
     high: DVec2,
@@ -133,7 +133,7 @@ mod tests {
         let views = [view(10.0, 0, false), view(90.0, 1, false), view(30.0, 0, true)];
         let svg = draw(&[cell(0.0, 50.0), cell(50.0, 100.0)], &views);
         assert_eq!((svg.matches("<circle").count(), svg.matches("<polygon").count()), (3, 2 + 2));
-        // 100 m and 15 m around are 1000 units: 1 m is 7.69 units, and north (y = 90) is up.
+        // 100 m and a margin of 15 m on each side are 1000 units: 1 m is 7.69 units, and north (y = 90) is up.
         assert!(svg.contains(r#"cx="500.0" cy="192.3""#) && svg.contains(r#"cy="807.7""#), "{svg}");
         assert!(svg.contains("&lt;10&gt;") && !svg.contains("<10>"), "names are escaped");
         assert!(svg.contains(">20 m<"), "{svg}");

@@ -1,4 +1,4 @@
-//! `report.html`: one file without scripts, with everything inside it, for phone and desktop.
+//! `report.html`: one self-contained file without scripts, for phone and desktop.
 
 use std::fmt::Write;
 
@@ -61,12 +61,12 @@ fn header(html: &mut String, report: &MissionReport) {
         (quality(lpips_text), "LPIPS (VGG)"),
         (quality(depth_text), "median error of depth"),
         (quality(normal_text), "median error of normals"),
-        (quality(depth_normal_text), "median error of the depth's normals"),
+        (quality(depth_normal_text), "median error of the normals of depth"),
         (Some(group_digits(whole.splats)), "splats"),
         (whole.mesh.map(|mesh| group_digits(mesh.triangles)), "triangles of the mesh"),
-        (Some(format_seconds(whole.seconds)), "start to report"),
+        (Some(format_seconds(whole.seconds)), "from start to report"),
         (Some(format_bytes(whole.bytes_sent)), "sent by the agents"),
-        (Some(format_bytes(whole.peak_memory_bytes)), "largest agent"),
+        (Some(format_bytes(whole.peak_memory_bytes)), "peak memory of an agent"),
     ] {
         let Some(value) = value else { continue };
         let _ = write!(html, "<div class=\"tile\"><b>{value}</b><span>{label}</span></div>");
@@ -109,19 +109,19 @@ fn agents(html: &mut String, report: &MissionReport) {
 /// What the columns of the table mean.
 fn explanation(html: &mut String, quality: Option<&Quality>) {
     html.push_str(
-        "<p class=\"soft\">Views are those trained on + held out. PSNR and SSIM are means over held-out views: of \
-         an agent's own model over its own views, in the last row of the global model over all. “In global” is \
-         the global model's PSNR over the agent's views. Memory is the peak of the process, for the whole that \
-         of the largest agent.",
+        "<p class=\"soft\">Views: training views + held-out views. PSNR and SSIM are means over held-out views: in an \
+         agent's row, of its own model on its own views; in the last row, of the global model on all views. “In \
+         global” is the global model's PSNR on the agent's held-out views. Memory is the peak of a process; the last \
+         row shows the largest agent's.",
     );
     if quality.is_some_and(|quality| quality.lpips.is_some()) {
-        html.push_str(" LPIPS, by VGG, is the global model's.");
+        html.push_str(" LPIPS is that of the global model, by VGG.");
     }
     if let Some(surface) = quality.and_then(|quality| quality.surface) {
         let _ = write!(
             html,
-            " Depth and normal are the global model's median errors, of depth in percent of the true depth, over \
-             the {:.1} % of the true surface's pixels that it covers.",
+            " Depth and normal are the global model's median errors over the {:.1} % of the true surface's pixels \
+             that it covers; the error of depth is in percent of the true depth.",
             100.0 * surface.coverage
         );
     }
@@ -136,7 +136,7 @@ fn pictures(html: &mut String, showcases: &[Showcase]) -> Result<(), ImageError>
     if showcases.is_empty() {
         return Ok(());
     }
-    html.push_str("<h2>Held-out views: the truth, and what the global model shows</h2>\n");
+    html.push_str("<h2>Held-out views: photograph and global model</h2>\n");
     for showcase in showcases {
         let name = escape(&showcase.name);
         let _ = write!(
@@ -148,10 +148,10 @@ fn pictures(html: &mut String, showcases: &[Showcase]) -> Result<(), ImageError>
         let _ = write!(html, "<div class=\"strip\" style=\"--columns:{columns}\">");
         for Captioned { caption, picture } in &showcase.pictures {
             let [width, height] = picture.size_px;
-            let address = data_uri(picture)?;
+            let uri = data_uri(picture)?;
             let _ = write!(
                 html,
-                "<figure><img src=\"{address}\" width=\"{width}\" height=\"{height}\" alt=\"{name}: {caption}\">\
+                "<figure><img src=\"{uri}\" width=\"{width}\" height=\"{height}\" alt=\"{name}: {caption}\">\
                  <figcaption>{caption}</figcaption></figure>"
             );
         }
@@ -163,8 +163,8 @@ fn pictures(html: &mut String, showcases: &[Showcase]) -> Result<(), ImageError>
 /// A view's figures in a line.
 fn figures(quality: &Quality) -> String {
     let lpips = lpips_text(quality).map(|text| format!("LPIPS {text}"));
-    let depth = depth_text(quality).map(|text| format!("depth off by {text}"));
-    let normal = normal_text(quality).map(|text| format!("normals by {text}"));
+    let depth = depth_text(quality).map(|text| format!("depth error {text}"));
+    let normal = normal_text(quality).map(|text| format!("normal error {text}"));
     let mut line = format!("{:.2} dB, SSIM {:.3}", quality.psnr, quality.ssim);
     for figure in [lpips, depth, normal].into_iter().flatten() {
         let _ = write!(line, ", {figure}");
@@ -173,19 +173,19 @@ fn figures(quality: &Quality) -> String {
 }
 
 fn ground(html: &mut String, report: &MissionReport, drawings: &Drawings) {
-    html.push_str("<div class=\"pair\"><section><h2>Who looked where</h2>\n");
+    html.push_str("<div class=\"pair\"><section><h2>Cells and views</h2>\n");
     html.push_str(&map::draw(drawings.cells, drawings.views));
     html.push_str("<p class=\"soft\">");
     for (i, agent) in report.agents.iter().enumerate() {
         let _ = write!(html, "{}{} &ensp;", dot(i), escape(&agent.device));
     }
-    html.push_str("Filled: middle of a view trained on; ring: held out.</p></section>\n");
+    html.push_str("Dot: footprint centre of a training view; ring: that of a held-out view.</p></section>\n");
     let curves: Vec<&[[f32; 2]]> = report.agents.iter().map(|agent| agent.curve.as_slice()).collect();
     if let Some(svg) = chart::draw(&curves) {
         let _ = write!(
             html,
             "<section><h2>Training</h2>\n{svg}\
-             <p class=\"soft\">PSNR in dB of the training pictures seen lately.</p></section>"
+             <p class=\"soft\">PSNR in dB, mean over the latest training pictures.</p></section>"
         );
     }
     html.push_str("</div>\n");
@@ -194,8 +194,8 @@ fn ground(html: &mut String, report: &MissionReport, drawings: &Drawings) {
 fn footer(html: &mut String, report: &MissionReport) {
     let _ = write!(
         html,
-        "<h2>The model</h2>\n<p><code>global.ply</code> beside this file is revision {} in the usual 3DGS layout: drop \
-         it into any splat viewer. It joins the agents' models. {}<code>report.json</code> \
+        "<h2>The model</h2>\n<p><code>global.ply</code> beside this file is revision {} of the global model in the standard 3DGS layout, \
+         which every splat viewer opens. {}<code>report.json</code> \
          has these figures for scripts.</p>\n",
         report.whole.revision,
         report.whole.mesh.map_or(String::new(), mesh_sentence)
@@ -204,7 +204,7 @@ fn footer(html: &mut String, report: &MissionReport) {
 
 fn mesh_sentence(mesh: MeshSummary) -> String {
     format!(
-        "<code>mesh.ply</code> is its surface, fused of the depth that all cameras see in voxels of {:.2} m. ",
+        "<code>mesh.ply</code> is its surface, fused from the depth that all cameras see, in voxels of {:.2} m. ",
         mesh.voxel_m
     )
 }
@@ -247,7 +247,7 @@ mod tests {
     }
 
     #[test]
-    fn the_page_needs_nothing_from_outside() {
+    fn the_page_loads_nothing_from_outside() {
         let html = example_page();
         for outside in ["http:", "https:", "<script", "<link", "@import", "url("] {
             assert!(!html.contains(outside), "{outside}");
@@ -257,7 +257,7 @@ mod tests {
     }
 
     #[test]
-    fn the_page_has_the_figures_and_escapes_what_comes_from_outside() {
+    fn the_page_has_the_figures_and_escapes_outside_text() {
         let html = example_page();
         for part in [
             "22.00 dB",

@@ -1,4 +1,4 @@
-//! The rows that the table of the report, the page and the terminal share.
+//! The rows of the table of agents, shared by the page and the terminal.
 
 use cosurf_scene::bytes::format_bytes;
 use cosurf_scene::report::TrainReport;
@@ -7,8 +7,8 @@ use super::figures::{AgentSummary, MissionReport, WholeSummary};
 use crate::evaluate::Quality;
 use crate::terminal::format_seconds;
 
-/// The table that report, page and terminal share: headings, a row per agent and one for the whole. Figures
-/// that this mission has not have no column.
+/// Headings, a row per agent and one for the whole mission. Figures that this mission does not have get no
+/// column.
 pub(crate) fn rows(report: &MissionReport) -> Vec<Vec<String>> {
     let mut headings =
         ["", "views", "splats", "steps", "time", "steps/s", "memory", "sent", "PSNR", "SSIM", "in global"]
@@ -22,10 +22,10 @@ pub(crate) fn rows(report: &MissionReport) -> Vec<Vec<String>> {
     rows
 }
 
-/// A heading and a figure of the global model; nothing where it is not known.
+/// A heading, and a figure of the global model as text; `None` if it is not known.
 type Measure = (&'static str, fn(&Quality) -> Option<String>);
 
-/// The figures beyond colour that the mission has.
+/// The figures beyond PSNR and SSIM that the mission has.
 fn measures(whole: &WholeSummary) -> Vec<Measure> {
     let all: [Measure; 4] = [
         ("LPIPS", lpips_text),
@@ -46,7 +46,7 @@ pub(crate) fn depth_text(quality: &Quality) -> Option<String> {
     quality.surface?.depth_error_percent.map(|error| format!("{:.2} %", error.median))
 }
 
-/// Median error of the depth's normals.
+/// Median error of the normals of depth.
 pub(crate) fn depth_normal_text(quality: &Quality) -> Option<String> {
     quality.surface?.depth_normal_error_deg.map(|error| format!("{:.1}°", error.median))
 }
@@ -94,7 +94,7 @@ fn whole_row(whole: &WholeSummary, measures: &[Measure]) -> Vec<String> {
     row
 }
 
-/// What the global model is worth on some views.
+/// The figures of the global model on some views.
 fn in_global(quality: Option<&Quality>, measures: &[Measure]) -> Vec<String> {
     let psnr: Measure = ("PSNR", |quality| Some(format!("{:.2} dB", quality.psnr)));
     let cell = |(_, text): &Measure| quality.and_then(text).unwrap_or("–".into());

@@ -1,4 +1,4 @@
-//! A held-out view in pictures: the photograph, what the model shows there, and where they differ.
+//! A held-out view in pictures: the photograph, the renderings of the model, and their errors.
 
 use cosurf_scene::{Cast, Caster, Picture, SceneError, View, colormap};
 
@@ -6,27 +6,27 @@ use crate::evaluate::{Comparison, Judge, Quality, depth_errors_percent, normal_e
 
 /// Number of views shown in the report, spread from the best to the worst.
 const SHOWCASES: usize = 4;
-/// Differences of colour that are shown in the brightest colour, percent of the brightest value.
+/// Error of colour that gets the brightest colour, percent of the largest value.
 const COLOR_BRIGHT_PERCENT: f32 = 20.0;
-/// Errors of depth that are shown in the brightest colour, percent of the depth.
+/// Error of depth that gets the brightest colour, percent of the depth.
 const DEPTH_BRIGHT_PERCENT: f32 = 2.0;
-/// Errors of normals that are shown in the brightest colour.
+/// Error of normals that gets the brightest colour.
 const NORMAL_BRIGHT_DEG: f32 = 45.0;
 
-/// A picture and what it shows, as plain text.
+/// A picture and its caption, as plain text.
 pub(crate) struct Captioned {
     pub(crate) caption: String,
     pub(crate) picture: Picture,
 }
 
-/// A held-out view next to what the global model shows there.
+/// A held-out view beside the renderings of the global model.
 pub(crate) struct Showcase {
     /// Name of the view.
     pub(crate) name: String,
     /// Its figures.
     pub(crate) quality: Quality,
-    /// All of one size. Besides photograph, colour, its error, depth and normal: the mesh, where there is one,
-    /// and the errors of depth and normal, where the true surface is known.
+    /// All of one size: photograph, colour, its error, depth and normal; the mesh, if there is one; the errors of
+    /// depth and normal, if the true surface is known.
     pub(crate) pictures: Vec<Captioned>,
 }
 
@@ -39,7 +39,7 @@ impl Showcase {
         let captioned = |caption: String, picture| Captioned { caption, picture };
         let color_error = color_error(&photograph, &rendering.rgb);
         let mut pictures = vec![
-            captioned("truth".into(), photograph),
+            captioned("photograph".into(), photograph),
             captioned("colour".into(), Picture::from_unit(size_px, &rendering.rgb)),
             captioned(format!("colour error, 0 to {COLOR_BRIGHT_PERCENT} % (bright)"), color_error),
             captioned(
@@ -134,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn errors_of_depth_are_shown_where_the_truth_is_known() {
+    fn errors_of_depth_are_shown_if_the_truth_is_known() {
         let cast = Cast { size_px: [2, 1], depth: vec![30.0, 60.0], normals: vec![[0.0, 0.0, -1.0]; 2] };
         let with = captions(Some(cast.clone()), Some(cast));
         assert_eq!((with.len(), &with[3][..]), (8, "depth, 30.0 (bright) to 60.0 m"));

@@ -13,13 +13,13 @@ pub fn table(report: &MissionReport) -> String {
     aligned(&rows(report)) + &sentences
 }
 
-/// A sentence or two on every merge that is known: those of the edges, then the last.
+/// A sentence or two on each known merge: those of the edges, then that of the root.
 pub(crate) fn merge_texts(report: &MissionReport) -> Vec<String> {
     let whole = &report.whole;
     let merge = |edge: &EdgeSummary| {
         let (merging, sent) = (edge.merging.as_ref()?, format_bytes(edge.bytes_sent));
         Some(format!(
-            "{} of {}: {} {sent} sent up.",
+            "{} of {}: {} {sent} sent to the root.",
             edge.device,
             edge.agents.join(", "),
             merge_text(merging)
@@ -29,14 +29,15 @@ pub(crate) fn merge_texts(report: &MissionReport) -> Vec<String> {
     let Some(merging) = &whole.merging else { return texts };
     let mut last = merge_text(merging);
     if let Some(joined) = whole.joined {
-        last += &format!(" Joined as they are, the agents' models are worth {:.2} dB.", joined.psnr);
+        last += &format!(" Joined but not merged, the agents' models reach {:.2} dB.", joined.psnr);
     }
     let arrived: usize = merging.summary.locals.iter().map(|local| local.arrived).sum();
     let trained =
         report.agents.iter().filter_map(|agent| Some(agent.training.as_ref()?.splats)).sum::<usize>();
     let are_all_here = report.edges.is_empty() && merging.summary.locals.len() == report.agents.len();
     if are_all_here && trained > arrived {
-        last += &format!(" The agents had left {} splats to each other before they sent.", trained - arrived);
+        last +=
+            &format!(" Before upload, the agents had dropped {} splats that others own.", trained - arrived);
     }
     texts.push(last);
     texts
@@ -46,12 +47,12 @@ fn merge_text(Merging { summary, seconds, .. }: &Merging) -> String {
     let removed: usize = summary.locals.iter().map(|local| local.removed).sum();
     let (time, joined) = (format_seconds(*seconds), summary.joined);
     format!(
-        "Merged in {time}: {removed} splats left to others, {joined} joined, {} after {} steps.",
+        "Merged in {time}: {removed} overlapping splats removed, {joined} joined, {} after {} steps.",
         summary.splats, summary.steps
     )
 }
 
-/// Everything that was given up for memory or did not work, one sentence each with its agent.
+/// What failed or was given up for memory: one sentence each, with the agent's name.
 pub(crate) fn remarks(report: &MissionReport) -> Vec<String> {
     let mut remarks = Vec::new();
     for agent in &report.agents {
@@ -61,8 +62,8 @@ pub(crate) fn remarks(report: &MissionReport) -> Vec<String> {
         }
         match agent.restarts {
             0 => {}
-            1 => remarks.push(format!("{device} died once and went on from its checkpoint")),
-            times => remarks.push(format!("{device} died {times} times and went on from its checkpoint")),
+            1 => remarks.push(format!("{device} died once and resumed from its checkpoint")),
+            times => remarks.push(format!("{device} died {times} times and resumed from its checkpoint")),
         }
         let given_up = agent.training.iter().flat_map(|training| &training.given_up);
         remarks.extend(given_up.map(|sentence| format!("{device}: {sentence}")));
@@ -71,7 +72,9 @@ pub(crate) fn remarks(report: &MissionReport) -> Vec<String> {
     for merging in merges.flatten() {
         remarks.extend(merging.inputs.iter().filter_map(|input| {
             let (device, splats) = (&input.device, input.part_splats?);
-            Some(format!("of the model of {device} only {splats} splats had arrived when models were merged"))
+            Some(format!(
+                "only {splats} splats of the model of {device} had arrived when the models were merged"
+            ))
         }));
         remarks.extend(merging.kept_out.iter().map(|kept_out| format!("{kept_out} and is kept out")));
         remarks.extend(merging.fitted.iter().map(ToString::to_string));
@@ -171,7 +174,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn the_table_is_aligned_and_dashes_what_is_not_known() {
+    fn the_table_is_aligned_and_shows_dashes_for_unknown_figures() {
         let table = table(&example());
         let lines: Vec<&str> = table.lines().collect();
         assert_eq!(lines.len(), 4, "{table}");
@@ -184,7 +187,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn what_was_not_measured_has_no_column() {
+    fn figures_that_were_not_measured_have_no_column() {
         let mut report = example();
         report.whole.quality =
             report.whole.quality.map(|quality| Quality { lpips: None, surface: None, ..quality });
@@ -194,7 +197,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn remarks_tell_of_failures_restarts_and_what_was_given_up() {
+    fn remarks_list_failures_restarts_and_what_was_given_up() {
         let remarks = remarks(&example());
         assert_eq!(remarks.len(), 3, "{remarks:?}");
         assert!(remarks[0].contains("died once") && remarks[1].contains("shrunk"), "{remarks:?}");
@@ -213,7 +216,7 @@ pub(crate) mod tests {
         let edge = EdgeSummary { device: "edge-1".into(), agents, bytes_sent: 3 << 20, merging: None };
         report.edges = vec![edge.clone(), EdgeSummary { merging: Some(merging), ..edge }];
         let texts = merge_texts(&report);
-        assert_eq!(texts.len(), 2, "an edge without models has merged none: {texts:?}");
+        assert_eq!(texts.len(), 2, "an edge that merged nothing has a sentence: {texts:?}");
         assert!(texts[0].starts_with("edge-1 of agent-1, agent-2: Merged in"), "{texts:?}");
         assert!(texts[1].ends_with("7 joined, 6 after 5 steps."), "{texts:?}");
     }
