@@ -48,8 +48,8 @@ use summary::summarize;
 pub use town::TownError;
 use watch::{EdgeStatus, Watch};
 
-/// Flies the mission and leaves `global.ply`, `mesh.ply`, `report.json` and `report.html` in its folder. `Ok` even
-/// where agents failed, as long as there is a global model: the report tells.
+/// Runs the mission and writes `global.ply`, `mesh.ply`, `report.json` and `report.html` to its folder. Returns `Ok`
+/// if there is a global model, even if agents failed: the report lists the failures.
 pub fn fly(order: &MissionOrder, around: &Surroundings) -> Result<MissionReport, MissionError> {
     let begun = (around.now)();
     fs::create_dir_all(&order.out).map_err(|cause| SceneError::io(&order.out, cause))?;
@@ -58,7 +58,7 @@ pub fn fly(order: &MissionOrder, around: &Surroundings) -> Result<MissionReport,
         town::make(city, &order.settings.data, progress)?;
     }
     let dataset = Dataset::open(&order.settings.data)?;
-    // Read before anything long begins, so that a wrong folder is told at once.
+    // Read before anything slow begins, so that a wrong folder is reported at once.
     let yardsticks = Yardsticks::read(&order.settings.data, order.lpips.as_deref(), None)?;
     let fresh_site = SiteId::new(&format!("mission-{}", around.session))?;
     let plan = Plan::make(&dataset, &order.settings, &order.out, fresh_site)?;
@@ -82,16 +82,16 @@ pub fn fly(order: &MissionOrder, around: &Surroundings) -> Result<MissionReport,
     Ok(report)
 }
 
-/// What came of agents and aggregators.
+/// The results of agents and aggregators.
 struct Gathered {
-    /// What is announced of the global model.
+    /// The header that announced the global model.
     global: ModelHeader,
-    /// What the agents told.
+    /// The status of each agent.
     board: Vec<Status>,
     edges: Vec<EdgeStatus>,
 }
 
-/// Has the agents train and send, and the aggregators merge what they sent.
+/// Runs agents and aggregators until the agents' models are merged.
 fn gather(order: &MissionOrder, around: &Surroundings, plan: &Plan) -> Result<Gathered, MissionError> {
     if !around.agent.is_file() {
         return Err(MissionError::NoAgent { path: around.agent.clone() });
@@ -115,7 +115,7 @@ fn gather(order: &MissionOrder, around: &Surroundings, plan: &Plan) -> Result<Ga
     Ok(Gathered { global: global.ok_or_else(|| first_failure(plan, &board))?, board, edges })
 }
 
-/// What an edge did.
+/// The figures of an edge aggregator.
 fn summary(order: &MissionOrder, plan: &Plan, edge: &Edge, status: &EdgeStatus) -> EdgeSummary {
     EdgeSummary {
         device: edge.device.to_string(),
@@ -134,7 +134,7 @@ fn reach_broker(order: &MissionOrder) -> Result<(Option<Broker>, BrokerAddress),
     Ok((Some(broker), address))
 }
 
-/// Writes every agent's orders and says how to start it; the cores are shared evenly.
+/// Writes the configuration of each agent and returns how to start it; agents share the cores evenly.
 fn agent_commands(
     order: &MissionOrder,
     around: &Surroundings,
@@ -190,7 +190,7 @@ struct Evaluation {
     showcases: Vec<Showcase>,
 }
 
-/// Compares the global model, as it is on the disk, with the photographs held out and the true surface.
+/// Scores the global model, as it is on disk, on the held-out photographs and the true surface.
 fn judge(
     order: &MissionOrder,
     around: &Surroundings,
@@ -212,7 +212,7 @@ fn judge(
     Ok(Evaluation { qualities, showcases })
 }
 
-/// The colours of the agents' models joined as they are, for comparison.
+/// PSNR and SSIM of the agents' models joined but not merged, for comparison.
 fn judge_joined(
     order: &MissionOrder,
     around: &Surroundings,

@@ -1,10 +1,10 @@
-//! Divides views among agents: cells of the ground, by [`Division`].
+//! Divides the views among agents by cells of the ground; see [`Division`].
 //!
-//! Left to itself, recursive bisection: the views' footprint centres are cut across the longer side of their
-//! bounding box, in proportion to the agents on either side, until each agent has one cell; all have equally many
-//! views. Or a grid of cells of one size (CoSurfGS), or polygons that a person drew. Ground at a
-//! border is seen by too few views of either side alone: with a margin, each agent also gets the views of
-//! others that look just beyond its borders.
+//! The default is recursive bisection: the bounding box of the views' footprint centres is cut across its longer
+//! side, in proportion to the agents on each side, until each agent has one cell. All cells have equally many
+//! views. The alternatives are a grid of equal cells (CoSurfGS) and hand-drawn polygons. At a border, the views of
+//! one side alone show too little of the ground. With a margin, each agent therefore also gets views of other
+//! cells that look just beyond its border.
 //!
 //! It refuses to know missions, devices and training: cells are numbers, and views are positions on a map.
 //!
@@ -27,17 +27,17 @@ pub(crate) use view::AssignedView;
 pub enum Division {
     /// Rectangles with equally many views each, give or take one.
     Evenly {
-        /// Cells of each edge.
+        /// Number of cells of each edge aggregator.
         agents: usize,
     },
-    /// Rectangles of one size within the rectangle of each edge, row by row.
+    /// Equal rectangles within the rectangle of each edge aggregator, row by row.
     Grid {
-        /// Cells side by side.
+        /// Number of columns.
         columns: usize,
-        /// Cells one above the other.
+        /// Number of rows.
         rows: usize,
     },
-    /// Polygons, the first ones of the first edge. A view beyond all of them goes to the nearest.
+    /// Polygons, in the order of edge aggregators. A view outside all polygons goes to the nearest.
     Polygons(
         /// Corners in map coordinates.
         Vec<Vec<[f64; 2]>>,
@@ -45,7 +45,7 @@ pub enum Division {
 }
 
 impl Division {
-    /// Agents of each of `edges`, at least 1.
+    /// Number of agents of each edge aggregator; `edges` is at least 1.
     pub(crate) fn agents(&self, edges: usize) -> usize {
         match self {
             Self::Evenly { agents } => *agents,
@@ -55,14 +55,14 @@ impl Division {
     }
 }
 
-/// The views of one agent and the ground they stand for.
+/// The views of one agent and their area on the map.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Cell {
     /// Indices into the centres given to [`partition`], ascending.
     pub(crate) views: Vec<usize>,
     /// Views of other cells that look at the margin of this one, ascending.
     pub(crate) guests: Vec<usize>,
-    /// Its ground.
+    /// Its area on the map.
     pub(crate) outline: Outline,
 }
 
@@ -87,18 +87,18 @@ impl Cell {
 /// Why views cannot be divided.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PartitionError {
-    /// Nobody to divide among.
+    /// There are no agents.
     #[error("a mission needs at least one agent: pass --agents 1 or more")]
     NoAgents,
     /// An agent would have no view.
     #[error("{agents} agents cannot share {views} training views: pass --agents {views} or fewer")]
     TooFewViews {
-        /// Agents asked for.
+        /// Number of agents.
         agents: usize,
-        /// Views there are.
+        /// Number of training views.
         views: usize,
     },
-    /// There is nothing to train on.
+    /// There are no training views.
     #[error("there is no view to train on: add photographs or hold fewer out (--eval-every)")]
     NoViews,
     /// No view looks at a cell.
@@ -106,29 +106,29 @@ pub enum PartitionError {
         "no training view looks at cell {cell} of {cells}: make cells larger, or leave --grid and --cells out"
     )]
     EmptyCell {
-        /// Which, from 1.
+        /// Number of the cell, from 1.
         cell: usize,
-        /// Cells there are.
+        /// Number of cells.
         cells: usize,
     },
-    /// A polygon is none.
-    #[error("cell {cell} is no polygon: it needs three corners or more, of finite coordinates")]
+    /// A polygon is not valid.
+    #[error("cell {cell} is not a polygon: it needs at least three corners with finite coordinates")]
     NoPolygon {
-        /// Which, from 1.
+        /// Number of the cell, from 1.
         cell: usize,
     },
-    /// Edges would have unequally many polygons.
-    #[error("{cells} cells cannot be shared by {edges} edges: draw equally many for each")]
+    /// The edge aggregators would have different numbers of polygons.
+    #[error("{cells} cells cannot be shared by {edges} edges: draw the same number for each")]
     UnevenEdges {
-        /// Polygons there are.
+        /// Number of polygons.
         cells: usize,
-        /// Edges asked for.
+        /// Number of edge aggregators.
         edges: usize,
     },
 }
 
-/// Cuts the ground into one cell per agent: first into `edges` (at least 1), then each of them as `division` says, one
-/// edge's cells after the other's. The same centres give the same cells. Centres must be finite.
+/// Divides the ground into one cell per agent: first among `edges` (at least 1), then among the agents of each edge by
+/// `division`. The cells are in the order of edges. The same centres give the same cells. Centres must be finite.
 pub(crate) fn partition(
     centers: &[DVec2],
     edges: usize,
@@ -166,7 +166,7 @@ pub(crate) fn partition(
     }
 }
 
-/// Lets each cell have the views of others whose centres lie within `margin` of its size around it.
+/// Adds guests to each cell: views of other cells whose centres lie in the cell grown by `margin` of its size.
 pub(crate) fn invite(cells: &mut [Cell], centers: &[DVec2], margin: f64) {
     for cell in cells {
         let near = |view: &usize| margin > 0.0 && cell.reaches(centers[*view], margin);
@@ -175,7 +175,7 @@ pub(crate) fn invite(cells: &mut [Cell], centers: &[DVec2], margin: f64) {
     }
 }
 
-/// The cell that a position belongs to: the one it is in, else the nearest; the first of equals.
+/// Index of the cell that contains a position, else of the nearest cell; the first of equals.
 /// There must be at least one cell.
 pub(crate) fn nearest_cell(cells: &[Cell], at: DVec2) -> usize {
     let distance = |i: &usize| cells[*i].distance(at);
@@ -183,7 +183,7 @@ pub(crate) fn nearest_cell(cells: &[Cell], at: DVec2) -> usize {
     nearest.unwrap_or(0)
 }
 
-/// A cell of these grounds for each, with the views that are nearest to it.
+/// Makes a cell of each outline, and assigns each view to the nearest cell.
 fn assign(outlines: Vec<Outline>, centers: &[DVec2]) -> Result<Vec<Cell>, PartitionError> {
     let mut cells: Vec<Cell> = outlines.into_iter().map(|outline| Cell::new(Vec::new(), outline)).collect();
     for (view, center) in centers.iter().enumerate() {
@@ -196,7 +196,7 @@ fn assign(outlines: Vec<Outline>, centers: &[DVec2]) -> Result<Vec<Cell>, Partit
     }
 }
 
-/// Rectangles of one size, row by row from the lowest.
+/// Equal rectangles, row by row from the lowest.
 fn grid([low, high]: [DVec2; 2], columns: usize, rows: usize) -> Vec<Outline> {
     let counts = DVec2::new(columns as f64, rows as f64);
     let corner = |x: usize, y: usize| low + (high - low) * DVec2::new(x as f64, y as f64) / counts;
@@ -204,7 +204,7 @@ fn grid([low, high]: [DVec2; 2], columns: usize, rows: usize) -> Vec<Outline> {
     places.map(|(x, y)| Outline::rectangle([corner(x, y), corner(x + 1, y + 1)])).collect()
 }
 
-/// Views and the rectangle they lie in, to be cut.
+/// A rectangle that is still to be cut, and the views in it.
 struct Plot {
     views: Vec<usize>,
     bounds: [DVec2; 2],
@@ -216,7 +216,7 @@ impl Plot {
     }
 }
 
-/// Divides `plot` among `agents`, appending theirs from the lower side to the upper.
+/// Divides `plot` among `agents`, and appends their plots from the lower side to the upper.
 fn divide(mut plot: Plot, agents: usize, centers: &[DVec2], plots: &mut Vec<Plot>) {
     if agents == 1 {
         plot.views.sort_unstable();
@@ -242,8 +242,8 @@ fn divide(mut plot: Plot, agents: usize, centers: &[DVec2], plots: &mut Vec<Plot
     divide(Plot { views: upper, bounds: bounds[1] }, agents - lower_agents, centers, plots);
 }
 
-/// How many of `views`, shared by `agents` as evenly as whole views can be, go to the first `some`
-/// of the agents: the odd ones go to the last agents, one each.
+/// How many of `views` go to the first `some` of `agents`, when all agents get equally many. Each of the
+/// last agents gets one of the views that remain.
 fn share(views: usize, agents: usize, some: usize) -> usize {
     let odd_ones = views % agents;
     views / agents * some + odd_ones.saturating_sub(agents - some)
@@ -266,7 +266,7 @@ mod tests {
         cell.outline.bounds()
     }
 
-    /// Centres scattered by a small generator over 300 × 100 m.
+    /// Pseudo-random centres over 300 × 100 m.
     fn scattered(count: usize, seed: u64) -> Vec<DVec2> {
         let mut state = seed;
         let mut next = || {
@@ -328,7 +328,7 @@ mod tests {
     fn guests_are_the_views_of_others_just_beyond_the_border() {
         let centers: Vec<DVec2> = (0..20).map(|i| DVec2::new(f64::from(i) * 10.0, 0.0)).collect();
         let mut cells = bisect(&centers, 1, 2).unwrap();
-        invite(&mut cells, &centers, 0.2); // 95 m, so 19 m
+        invite(&mut cells, &centers, 0.2); // cells of 95 m, so a margin of 19 m
         assert_eq!((&cells[0].guests[..], &cells[1].guests[..]), (&[10, 11][..], &[8, 9][..]));
         invite(&mut cells, &centers, 0.0);
         assert!(cells.iter().all(|cell| cell.guests.is_empty() && cell.views.len() == 10));
@@ -344,7 +344,7 @@ mod tests {
     }
 
     #[test]
-    fn the_same_centers_give_the_same_cells_even_where_they_coincide() {
+    fn the_same_centers_give_the_same_cells_even_if_centers_coincide() {
         let mut centers = scattered(20, 9);
         centers.extend(vec![DVec2::new(1.0, 1.0); 20]);
         assert_eq!(bisect(&centers, 1, 5), bisect(&centers, 1, 5));
@@ -353,7 +353,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_divided_is_refused_in_one_line() {
+    fn too_few_agents_or_views_are_refused_in_one_line() {
         let centers = scattered(3, 1);
         let error = bisect(&centers, 1, 4).unwrap_err();
         assert_eq!(error, PartitionError::TooFewViews { agents: 4, views: 3 });
@@ -392,27 +392,27 @@ mod tests {
     }
 
     #[test]
-    fn polygons_have_the_views_in_them_and_the_nearest_the_others() {
+    fn polygons_have_the_views_inside_and_the_nearest_of_the_others() {
         let centers: Vec<DVec2> = (0..20).map(|i| DVec2::new(f64::from(i) * 10.0, 0.0)).collect();
         let triangle = |x: f64| vec![[x, -5.0], [x + 60.0, -5.0], [x + 30.0, 5.0]];
         let polygons = Division::Polygons(vec![triangle(100.0), triangle(0.0)]);
         let mut cells = partition(&centers, 1, &polygons).unwrap();
         assert_eq!(cells[1].views, (0..8).collect::<Vec<_>>());
-        assert_eq!(cells[0].views, (8..20).collect::<Vec<_>>(), "those beyond its border too");
+        assert_eq!(cells[0].views, (8..20).collect::<Vec<_>>(), "views outside all polygons too");
         invite(&mut cells, &centers, 0.5);
         assert_eq!(cells[1].guests, [8, 9]);
         assert_eq!(polygons.agents(2), 1);
     }
 
     #[test]
-    fn cells_that_cannot_be_are_refused_in_one_line() {
+    fn invalid_cells_are_refused_in_one_line() {
         let centers = scattered(30, 1);
         let refused = |edges, division| partition(&centers, edges, &division).unwrap_err().to_string();
         let square = |x: f64| vec![[x, 0.0], [x + 100.0, 0.0], [x + 100.0, 100.0], [x, 100.0]];
         let error = refused(1, Division::Grid { columns: 9, rows: 3 });
         assert!(error.contains("no training view looks at cell"), "{error}");
         let error = refused(1, Division::Polygons(vec![square(0.0), vec![[0.0, 0.0]; 2]]));
-        assert!(error.contains("cell 2 is no polygon"), "{error}");
+        assert!(error.contains("cell 2 is not a polygon"), "{error}");
         let error = refused(2, Division::Polygons(vec![square(0.0), square(100.0), square(200.0)]));
         assert!(error.contains("3 cells cannot be shared by 2 edges"), "{error}");
         assert_eq!(refused(1, Division::Polygons(Vec::new())), PartitionError::NoAgents.to_string());

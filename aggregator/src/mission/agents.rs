@@ -1,9 +1,9 @@
-//! Agents as processes: started, listened to, started again when they die, ended with the mission.
+//! Runs agents as processes: starts them, reads their events, restarts them when they die, and ends them with
+//! the mission.
 //!
-//! An agent speaks in [`AgentEvent`] lines on its standard output; its standard error goes to
-//! `agent.log` in its folder. A process that dies (killed, crashed, panicked) is started again and
-//! goes on from its checkpoint, at most [`RESTARTS_MAX`] times. A process that ends with an error of
-//! its own has said why, and would say so again: that is for good.
+//! An agent prints [`AgentEvent`] lines on its standard output; its standard error goes to `agent.log` in its
+//! folder. A process that dies (killed, crashed, panicked) is restarted at most [`RESTARTS_MAX`] times and
+//! resumes from its checkpoint. A process that exits with an error is not restarted: it would fail again.
 
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
@@ -16,15 +16,15 @@ use std::time::Duration;
 
 use cosurf_scene::report::AgentEvent;
 
-/// How often a process that dies is started again.
+/// Most restarts of a process that dies.
 pub(crate) const RESTARTS_MAX: u32 = 5;
-/// Pause before the n-th restart, times n: what kills a process at once need not kill it at once again.
+/// The pause before restart `n` is `n` times this, so that a temporary cause has time to end.
 const RESTART_PAUSE: Duration = Duration::from_millis(300);
-/// How often an ending process is looked at.
+/// Interval at which the exit of a process is polled.
 const POLL: Duration = Duration::from_millis(20);
-/// The longest line that an agent may say; events stay far below.
+/// Longest line that is read from an agent; events are far shorter.
 const LINE_BYTES_MAX: u64 = 1 << 16;
-/// How much of the end of a log is looked at for the reason of a failure.
+/// Size of the end of a log that is searched for the reason of a failure.
 const LOG_TAIL_BYTES: u64 = 4096;
 /// The exit code of a Rust process that panicked.
 const PANIC_CODE: i32 = 101;
@@ -36,11 +36,11 @@ pub(crate) struct AgentCommand {
     pub(crate) program: PathBuf,
     /// Its arguments.
     pub(crate) arguments: Vec<String>,
-    /// Where its standard error is appended to.
+    /// The file to which its standard error is appended.
     pub(crate) log: PathBuf,
 }
 
-/// What happened to an agent.
+/// An event of one agent.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct ProcessEvent {
     /// Index into the orders.
@@ -54,23 +54,23 @@ pub(crate) struct ProcessEvent {
 pub(crate) enum ProcessEventKind {
     /// It said something.
     Said(AgentEvent),
-    /// It died and is about to be started again.
+    /// The process died and is about to be restarted.
     Restarting {
         /// 1 for the first restart.
         attempt: u32,
-        /// How it died.
+        /// How the process died.
         reason: String,
     },
-    /// It ended well.
+    /// The process exited without an error.
     Ended,
-    /// It ended for good without having done its work.
+    /// The process failed and is not restarted.
     Failed {
         /// Why, one line.
         reason: String,
     },
 }
 
-/// Running agents. Dropping it ends them all.
+/// Running agents. Dropping the fleet ends them all.
 pub(crate) struct AgentProcesses {
     stopping: Arc<AtomicBool>,
     children: Vec<Arc<Mutex<Option<Child>>>>,
@@ -78,7 +78,7 @@ pub(crate) struct AgentProcesses {
 }
 
 impl AgentProcesses {
-    /// Starts one process per order, each watched by a thread that tells `events` what happens.
+    /// Starts one process per order. A thread per process passes its events to `events`.
     pub(crate) fn start(
         commands: Vec<AgentCommand>,
         events: impl Fn(ProcessEvent) + Clone + Send + 'static,
@@ -107,7 +107,7 @@ impl Drop for AgentProcesses {
         self.stopping.store(true, Ordering::SeqCst);
         for child in &self.children {
             if let Some(child) = lock(child).as_mut() {
-                let _ = child.kill(); // fails only where it ended by itself
+                let _ = child.kill(); // fails only if the process has already exited
             }
         }
         for thread in self.threads.drain(..) {
@@ -116,7 +116,7 @@ impl Drop for AgentProcesses {
     }
 }
 
-/// One thread's view of one agent.
+/// The thread that runs one agent.
 struct Supervisor {
     command: AgentCommand,
     child: Arc<Mutex<Option<Child>>>,
@@ -141,7 +141,7 @@ impl Supervisor {
             }
             let attempt = restarts + 1;
             if attempt > RESTARTS_MAX {
-                let reason = format!("{reason}, and so after each of {RESTARTS_MAX} restarts");
+                let reason = format!("{reason}, again after each of {RESTARTS_MAX} restarts");
                 return (self.say)(ProcessEventKind::Failed { reason });
             }
             (self.say)(ProcessEventKind::Restarting { attempt, reason });
@@ -162,7 +162,7 @@ impl Supervisor {
         }
     }
 
-    /// Starts the process, unless the fleet is being ended: then none may be born any more.
+    /// Starts the process, unless the fleet is being dropped: then no process may start any more.
     fn spawn(&self) -> io::Result<Option<ChildStdout>> {
         let log = File::options().create(true).append(true).open(&self.command.log)?;
         let mut slot = lock(&self.child);
@@ -180,7 +180,7 @@ impl Supervisor {
         Ok(stdout)
     }
 
-    /// Passes events on until the process closes its standard output. What is no event is left out.
+    /// Passes events on until the process closes its standard output. Other lines are ignored.
     fn listen(&self, stdout: Option<ChildStdout>) {
         let Some(stdout) = stdout else { return };
         let mut reader = BufReader::new(stdout);
@@ -195,17 +195,17 @@ impl Supervisor {
 
     /// How the process ended, with the last line of its log.
     fn reason(&self, status: ExitStatus) -> String {
-        let last_words = read_tail(&self.command.log).ok().and_then(|tail| last_words(&tail));
-        match (is_death(status), last_words) {
-            (true, Some(words)) => format!("{status}; its last words: {words}"),
+        let last_message = read_tail(&self.command.log).ok().and_then(|tail| last_message(&tail));
+        match (is_death(status), last_message) {
+            (true, Some(message)) => format!("{status}; the last line of its log: {message}"),
             (true, None) => status.to_string(),
-            (false, Some(words)) => words,
-            (false, None) => format!("{status} without a word; see {}", self.command.log.display()),
+            (false, Some(message)) => message,
+            (false, None) => format!("{status} without an error message; see {}", self.command.log.display()),
         }
     }
 }
 
-/// Whether a process was ended from outside or by a defect, rather than by its own judgement.
+/// True if a process was killed or panicked, rather than exited by itself.
 fn is_death(status: ExitStatus) -> bool {
     status.code().is_none_or(|code| code == PANIC_CODE)
 }
@@ -219,8 +219,8 @@ fn read_tail(log: &Path) -> io::Result<String> {
     Ok(String::from_utf8_lossy(&tail).into_owned())
 }
 
-/// The last line that says something, without the prefix that says it is an error.
-fn last_words(log: &str) -> Option<String> {
+/// The last line of a log that is neither empty nor a `note: `, without its error prefix.
+fn last_message(log: &str) -> Option<String> {
     let mut lines = log.lines().rev().map(str::trim);
     let line = lines.find(|line| !line.is_empty() && !line.starts_with("note: "))?;
     let prefixes = ["cosurf-agent: ", "error: ", "Error: "];
@@ -233,7 +233,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 
 #[cfg(all(test, unix))]
 mod tests {
-    //! The agents here are shell scripts, so that they can be made to crash at will.
+    //! Shell scripts stand in for agents, so that a test can make them crash.
     #![allow(clippy::unwrap_used)]
     use std::fs;
     use std::sync::mpsc::{self, Receiver};
@@ -259,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn events_arrive_and_other_talk_does_not() {
+    fn events_arrive_and_other_output_is_ignored() {
         let folder = tempfile::tempdir().unwrap();
         let script = r#"echo hello; echo '{"event":"acknowledged","bytes_sent":7}'; echo '{"event":"no"}'"#;
         let (_processes, events) = start(script, &folder);
@@ -267,7 +267,7 @@ mod tests {
     }
 
     #[test]
-    fn a_killed_agent_is_started_again() {
+    fn a_killed_agent_is_restarted() {
         let folder = tempfile::tempdir().unwrap();
         let script = r#"
             if [ ! -e once ]; then touch once; kill -9 $$; fi
@@ -291,7 +291,7 @@ mod tests {
     }
 
     #[test]
-    fn an_agent_that_gives_up_itself_fails_at_once_with_its_own_words() {
+    fn an_agent_that_exits_with_an_error_fails_at_once_with_its_message() {
         let folder = tempfile::tempdir().unwrap();
         let (_processes, events) = start("echo 'error: no images in x' >&2; exit 1", &folder);
         let reason = "no images in x".to_string();
@@ -323,11 +323,11 @@ mod tests {
         assert_eq!(events.recv().unwrap(), acknowledged(9));
         let begun = Instant::now();
         drop(processes);
-        assert!(begun.elapsed() < Duration::from_secs(5), "it did not wait for the sleeper");
+        assert!(begun.elapsed() < Duration::from_secs(5), "the drop waited for the sleeping process");
         let pid = fs::read_to_string(folder.path().join("pid")).unwrap();
         let alive =
             Command::new("/bin/kill").args(["-0", pid.trim()]).stderr(Stdio::null()).status().unwrap();
-        assert!(!alive.success(), "process {pid} is gone");
-        assert_eq!(events.iter().count(), 0, "and nobody complains");
+        assert!(!alive.success(), "process {pid} still runs");
+        assert_eq!(events.iter().count(), 0, "an event came after the drop");
     }
 }

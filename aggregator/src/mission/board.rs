@@ -1,42 +1,42 @@
-//! What is known of every agent of a mission: the sum of what they said.
+//! The status of every agent of a mission, gathered from its events.
 
 use cosurf_scene::report::{AgentEvent, TrainReport};
 
 use super::agents::{ProcessEventKind, RESTARTS_MAX};
 
-/// Points that a training curve keeps at most; then every other one goes.
+/// Most points of a training curve; a longer curve drops every other point.
 const CURVE_POINTS_MAX: usize = 256;
 
-/// How far an agent is.
+/// The phase of an agent's work.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) enum Phase {
-    /// Its process was started and has said nothing yet.
+    /// Its process was started and has printed no event yet.
     #[default]
     Starting,
-    /// It trains.
+    /// The agent trains.
     Training,
-    /// It trained and sends its model.
+    /// The training is done, and the agent uploads its model.
     Publishing,
-    /// Its model arrived; it waits for the global model.
+    /// The upload is acknowledged, and the agent waits for the global model.
     Waiting,
-    /// It has the global model.
+    /// The agent has the global model.
     Done,
-    /// Its process ended well.
+    /// The process exited without an error.
     Ended,
-    /// It ended for good without having done its work.
+    /// The process failed and is not restarted.
     Failed {
         /// Why, one line.
         reason: String,
     },
 }
 
-/// What is known of one agent.
+/// The status of one agent.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Status {
     pub(crate) phase: Phase,
     pub(crate) step: u32,
     pub(crate) steps: u32,
-    /// Mean over the training pictures seen lately, dB.
+    /// Mean over the latest training pictures, dB.
     pub(crate) psnr: f32,
     pub(crate) splats: usize,
     pub(crate) steps_per_s: f32,
@@ -51,8 +51,7 @@ pub(crate) struct Status {
 }
 
 impl Status {
-    /// Takes in what happened. Returns a line for the person who watches, where there is something
-    /// out of the ordinary.
+    /// Updates the status with an event. Returns a line to show to the user if the event is unusual.
     pub(crate) fn take(&mut self, event: &ProcessEventKind) -> Option<String> {
         match event {
             ProcessEventKind::Said(event) => return self.listen(event),
@@ -75,7 +74,7 @@ impl Status {
             AgentEvent::Started { splats, steps, resumed_at, .. } => {
                 self.phase = Phase::Training;
                 (self.step, self.steps, self.splats) = (*resumed_at, *steps, *splats);
-                return (*resumed_at > 0).then(|| format!("goes on from step {resumed_at}"));
+                return (*resumed_at > 0).then(|| format!("resumes from step {resumed_at}"));
             }
             AgentEvent::Progress { step, steps, psnr, splats, steps_per_s, seconds_left } => {
                 (self.step, self.steps, self.psnr, self.splats) = (*step, *steps, *psnr, *splats);
@@ -107,7 +106,7 @@ impl Status {
         None
     }
 
-    /// A restarted agent goes back to its checkpoint: what it did beyond is forgotten.
+    /// Appends a point. A restarted agent resumes from its checkpoint: later points are dropped first.
     fn extend_curve(&mut self, step: u32, psnr: f32) {
         let step = step as f32;
         while self.curve.last().is_some_and(|last| last[0] >= step) {

@@ -22,13 +22,13 @@ pub enum MissionError {
     /// The city could not be made.
     #[error(transparent)]
     Town(#[from] TownError),
-    /// A name of the mission is none.
+    /// The name of a site or device is not valid.
     #[error(transparent)]
     Name(#[from] IdError),
     /// A file could not be read or written.
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// What the global model is to be measured by cannot be read.
+    /// The LPIPS weights or the true surface cannot be read.
     #[error(transparent)]
     Yardstick(#[from] YardstickError),
     /// The embedded broker did not start.
@@ -44,22 +44,28 @@ pub enum MissionError {
         path: PathBuf,
     },
     /// The broker cannot be reached.
-    #[error("{reason}; gave up after {BROKER_ATTEMPTS_MAX} attempts: check --broker, or leave it out")]
+    #[error(
+        "{reason}; gave up after {BROKER_ATTEMPTS_MAX} attempts: check --broker, or leave it out to start an embedded broker"
+    )]
     NoBroker {
-        /// What the link said last.
+        /// The link's last error.
         reason: String,
     },
-    /// The aggregator's disk refused.
-    #[error("{reason}; what arrived before is kept: free space, then run the same command again")]
+    /// The aggregator cannot write to its disk.
+    #[error(
+        "{reason}; models that arrived before are kept: free some disk space, then run the same command again"
+    )]
     Disk {
         /// What the disk said.
         reason: String,
     },
-    /// The person asked to stop.
-    #[error("interrupted; what is done is kept: the same command goes on from there")]
+    /// The user asked to stop.
+    #[error("interrupted; run the same command again to resume the mission")]
     Interrupted,
-    /// A defect of the service.
-    #[error("the receiving service stopped by itself, a defect; the same command goes on from there")]
+    /// An aggregator ended because of a bug.
+    #[error(
+        "an aggregator stopped unexpectedly, which is a bug; run the same command again to resume the mission"
+    )]
     ServiceDied,
     /// No agent sent a model.
     #[error("no model arrived; {device} failed: {reason}")]
@@ -69,10 +75,10 @@ pub enum MissionError {
         /// Why.
         reason: String,
     },
-    /// The report cannot be written.
-    #[error("pictures of the report: {0}")]
+    /// The pictures of the report cannot be encoded.
+    #[error("cannot encode the pictures of the report: {0}")]
     Pictures(#[from] ImageError),
     /// The report cannot be written as JSON.
-    #[error("report.json: {0}")]
+    #[error("cannot write report.json: {0}")]
     Json(#[from] serde_json::Error),
 }

@@ -1,6 +1,6 @@
-//! The aggregators of a mission, all on this machine: one, or edges with another above them. Each serves a site of
-//! its own from a folder of its own, on a thread of its own; an edge has one more for its way up. Their *posts* are 0
-//! for the one above all, then one for each edge.
+//! The aggregators of a mission, all on this machine: the root and, if there are any, the edges below it. Each serves
+//! its own site from its own folder on its own thread; an edge has a second thread for its upstream link. *Post* 0 is
+//! the root, and post `1 + i` is edge `i`.
 
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -15,15 +15,15 @@ use super::plan::{Edge, Plan};
 use super::signal::Signal;
 use crate::service::{Expected, Service, ServiceConfig, ServiceError, Station, Upstream, UpstreamNode};
 
-/// Bytes of models that may be on their way in at once; more agents wait their turn.
+/// Limit on the bytes of concurrent uploads; further agents wait.
 const INBOX_BYTES_MAX: u64 = 1 << 30;
 
-/// The folder of an edge in the mission's.
+/// The folder of an edge inside `out`, the folder of the mission.
 pub(crate) fn edge_folder(out: &Path, edge: &Edge) -> PathBuf {
     out.join("edges").join(edge.device.as_str())
 }
 
-/// The folders of those aggregators to which agents send.
+/// The folders of the aggregators to which agents send.
 pub(crate) fn lowest_folders(out: &Path, plan: &Plan) -> Vec<PathBuf> {
     match plan.edges.is_empty() {
         true => vec![out.to_path_buf()],
@@ -31,7 +31,7 @@ pub(crate) fn lowest_folders(out: &Path, plan: &Plan) -> Vec<PathBuf> {
     }
 }
 
-/// Running aggregators. Dropping them ends them.
+/// Running aggregators. Dropping the tree ends them.
 pub(crate) struct Hierarchy {
     /// Above all.
     top: Station,
@@ -42,13 +42,13 @@ pub(crate) struct Hierarchy {
 struct RunningEdge {
     device: DeviceId,
     agents: Range<usize>,
-    /// `None` once it has made the last of its revisions.
+    /// `None` once the edge has made its last revision.
     station: Option<Station>,
     upstream: Upstream,
 }
 
 impl Hierarchy {
-    /// Opens all folders, then starts to serve through one broker; what happens is told to `say`.
+    /// Opens all folders, then starts to serve through one broker; all events go to `say`.
     pub(crate) fn start(
         order: &MissionOrder,
         around: &Surroundings,
@@ -63,7 +63,7 @@ impl Hierarchy {
             let service = Service::open(service_config(order, identity, folder, below, around.cores))?;
             let tell = say.clone();
             let tell = move |event| {
-                let _ = tell.send(Signal::Service { post, event }); // nobody listens where the mission is over
+                let _ = tell.send(Signal::Service { post, event }); // fails only after the end of the mission
             };
             Ok::<Station, ServiceError>(Station::start(
                 service,
@@ -94,12 +94,12 @@ impl Hierarchy {
         })
     }
 
-    /// Whether one ended without being told to.
+    /// Whether an aggregator ended without being asked to.
     pub(crate) fn has_died(&self) -> bool {
         self.edges.iter().filter_map(|edge| edge.station.as_ref()).chain([&self.top]).any(Station::has_died)
     }
 
-    /// Whoever waits for this agent does not any more.
+    /// Tells the agent's aggregator not to wait for it any longer.
     pub(crate) fn give_up(&self, agent: usize, device: DeviceId) {
         match self.edges.iter().find(|edge| edge.agents.contains(&agent)) {
             Some(RunningEdge { station: Some(station), .. }) => station.give_up(device),
@@ -108,15 +108,15 @@ impl Hierarchy {
         }
     }
 
-    /// Has the aggregator of a post send a revision up, where somebody is above.
+    /// Sends a revision of the aggregator at `post` upstream; does nothing for the root.
     pub(crate) fn send_up(&self, post: usize, revision: ModelHeader) {
         if let Some(edge) = post.checked_sub(1).and_then(|edge| self.edges.get(edge)) {
             edge.upstream.send(revision);
         }
     }
 
-    /// Lets every edge merge what is due and end, but for its way up. Returns for each whether it has a model to
-    /// send; those that have none are not waited for above.
+    /// Lets every edge finish its due merge and stop serving; its upstream link stays. Returns for each edge whether
+    /// it has a model to send. The root does not wait for an edge that has none.
     pub(crate) fn close_edges(&mut self) -> Vec<bool> {
         let close = |edge: &mut RunningEdge| {
             let has_model = edge.station.take().and_then(Station::finish).is_some();
@@ -128,7 +128,7 @@ impl Hierarchy {
         self.edges.iter_mut().map(close).collect()
     }
 
-    /// Merges what is due and ends. Returns what is announced of the newest global model.
+    /// Finishes the due merge and ends all aggregators. Returns the header of the newest global model.
     pub(crate) fn finish(self) -> Option<ModelHeader> {
         let global = self.top.finish();
         drop(self.edges);
@@ -153,7 +153,7 @@ fn service_config(
     }
 }
 
-/// The most that is taken in from so many.
+/// Limits of the inbox for this many devices.
 fn limits(devices: usize) -> InboxLimits {
     InboxLimits {
         body_bytes_max: INBOX_BYTES_MAX,
@@ -163,7 +163,7 @@ fn limits(devices: usize) -> InboxLimits {
     }
 }
 
-/// Starts the way up of edge `i`.
+/// Starts the upstream link of edge `i`.
 fn start_upstream(
     i: usize,
     edge: &Edge,
@@ -183,7 +183,7 @@ fn start_upstream(
         link,
         move || now(),
         move |event| {
-            let _ = tell.send(Signal::Upstream { edge: i, event }); // nobody listens where the mission is over
+            let _ = tell.send(Signal::Upstream { edge: i, event }); // fails only after the end of the mission
         },
     ))
 }

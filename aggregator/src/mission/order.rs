@@ -11,27 +11,27 @@ use cosurf_scene::city::CitySettings;
 use super::plan::Settings;
 use crate::terminal::Display;
 
-/// A mission as ordered.
+/// Which mission to run.
 #[derive(Clone, Debug)]
 pub struct MissionOrder {
-    /// What decides the result; paths absolute.
+    /// Settings that decide the result; paths are absolute.
     pub settings: Settings,
-    /// The synthetic city to make first where the data should be; `None` where there are data.
+    /// The synthetic city to render first as the dataset; `None` if the dataset exists.
     pub city: Option<CitySettings>,
-    /// Where everything goes, absolute; made where it is missing.
+    /// The output folder, absolute; created if it is missing.
     pub out: PathBuf,
     /// The broker to use; `None` for an embedded one on a free port of this machine.
     pub broker: Option<BrokerAddress>,
-    /// Folder of LPIPS weights to judge the global model by too; `None` for no LPIPS.
+    /// Folder of LPIPS weights; `None` to leave LPIPS out.
     pub lpips: Option<PathBuf>,
 }
 
-/// What only a main knows of the world.
+/// What only `main` may read from the system.
 #[derive(Clone)]
 pub struct Surroundings {
     /// Time since the program began.
     pub now: Arc<dyn Fn() -> Duration + Send + Sync>,
-    /// Seconds since 1970 at the start: numbers the session, names the site of a fresh mission.
+    /// Seconds since 1970 at the start: the number of the session, and part of a new mission's site name.
     pub session: u64,
     /// Cores to compute on, at least 1.
     pub cores: usize,
@@ -39,8 +39,8 @@ pub struct Surroundings {
     pub agent: PathBuf,
     /// How to show progress.
     pub display: Display,
-    /// Set when the person wants to stop.
+    /// Set when the user asks to stop.
     pub interrupted: Arc<AtomicBool>,
-    /// Peak resident memory of this process, where the system tells.
+    /// Peak resident memory of this process, bytes; `None` if the system does not report it.
     pub peak_memory_bytes: fn() -> Option<u64>,
 }

@@ -1,7 +1,7 @@
-//! What a mission will do, decided before anything runs: which views each agent gets, and its orders.
+//! The plan of a mission, made before anything runs: the views and the configuration of each agent.
 //!
-//! The settings stay in `mission.json`: the same command in the same folder goes on with the mission
-//! there, other settings are refused rather than mixed.
+//! `mission.json` keeps the settings: the same command in the same folder resumes the mission, and a command
+//! with other settings is refused.
 
 use std::fs;
 use std::ops::Range;
@@ -16,28 +16,28 @@ use crate::partition::{
     AssignedView, Cell, Division, Ground, PartitionError, footprints, invite, nearest_cell, partition,
 };
 
-/// What decides the result of a mission.
+/// The settings that decide the result of a mission.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Settings {
     /// The dataset's folder.
     pub data: PathBuf,
-    /// Aggregators between the agents and the one above all; 0 for none.
+    /// Number of edge aggregators below the root aggregator; 0 for none.
     pub edges: usize,
-    /// How the ground is divided among their agents, or among those of the one above all.
+    /// How the ground is divided among the agents of each edge or, without edges, of the root.
     pub division: Division,
-    /// How far each agent looks beyond its cell, as a share of the cell's size; see `partition`.
+    /// Margin around each cell whose views its agent also gets, as a share of the cell's size; see `partition`.
     pub margin: f64,
-    /// Training steps of each.
+    /// Training steps of each agent.
     pub steps: u32,
-    /// Most memory of each, bytes.
+    /// Memory limit of each agent, bytes.
     pub memory_bytes: Option<u64>,
-    /// Long side of the pictures trained on.
+    /// Longest side of the training pictures; `None` for their full size.
     pub max_size_px: Option<u32>,
     /// Seed of every random choice.
     pub seed: u64,
     /// Every n-th view by name is held out; 0 holds out none.
     pub eval_every: u32,
-    /// Whether agents leave shared ground to its owner before they send.
+    /// Whether agents drop, before upload, the splats of ground that another agent owns.
     #[serde(default)]
     pub compress_first: bool,
     /// How the agents' models are merged.
@@ -47,12 +47,12 @@ pub struct Settings {
 /// The content of `mission.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 struct Record {
-    /// Set once, so that a mission that goes on meets its own messages at the broker, and no others'.
+    /// Chosen once, so that a resumed mission finds its own messages at the broker, and no others.
     site: SiteId,
     settings: Settings,
 }
 
-/// Why there is no plan.
+/// Why a mission cannot be planned.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum PlanError {
@@ -62,9 +62,9 @@ pub enum PlanError {
     /// The views cannot be divided.
     #[error(transparent)]
     Partition(#[from] PartitionError),
-    /// The folder has another mission.
+    /// The folder has a mission with other settings.
     #[error(
-        "{out} holds a mission with other settings ({what}): choose another --out, or remove it to start anew"
+        "{out} holds a mission with other settings ({what}): choose another --out, or remove that folder to start anew"
     )]
     OtherMission {
         /// The folder.
@@ -72,56 +72,56 @@ pub enum PlanError {
         /// The first difference.
         what: String,
     },
-    /// The record of the mission is not one.
+    /// The mission's record cannot be parsed or serialised.
     #[error("{path}: {reason}; remove the folder to start the mission anew")]
     BadRecord {
-        /// The record.
+        /// Path of the record.
         path: PathBuf,
         /// What is wrong.
         reason: String,
     },
-    /// The orders of an agent cannot be written.
-    #[error("orders of {device}: {reason}")]
+    /// The configuration of an agent cannot be serialised.
+    #[error("cannot write the configuration of {device}: {reason}")]
     BadAgentConfig {
         /// The agent.
         device: DeviceId,
         /// What is wrong.
         reason: String,
     },
-    /// More agents than names for them.
+    /// The name of a site or device is not valid.
     #[error(transparent)]
     Name(#[from] IdError),
 }
 
-/// An aggregator between some agents and the one above all.
+/// An edge aggregator, between some agents and the root aggregator.
 #[derive(Clone, Debug)]
 pub(crate) struct Edge {
     /// Its id on the root's site.
     pub(crate) device: DeviceId,
     /// The site of its agents.
     pub(crate) site: SiteId,
-    /// Its agents.
+    /// Indices of its agents.
     pub(crate) agents: Range<usize>,
 }
 
-/// A mission ready to begin.
+/// A mission that is ready to run.
 #[derive(Clone, Debug)]
 pub(crate) struct Plan {
-    /// Of the aggregator above all.
+    /// The site of the root aggregator.
     pub(crate) site: SiteId,
-    /// Empty where all agents send to the aggregator above all.
+    /// The edge aggregators; empty if all agents send to the root.
     pub(crate) edges: Vec<Edge>,
-    /// Agent `i`'s id, in order.
+    /// The id of each agent.
     pub(crate) devices: Vec<DeviceId>,
-    /// Agent `i`'s ground.
+    /// The cell of each agent.
     pub(crate) cells: Vec<Cell>,
     /// All views in the dataset's order, with cell and footprint.
     pub(crate) views: Vec<AssignedView>,
 }
 
 impl Plan {
-    /// Divides the dataset, and finds or makes the mission's record in `out`, an existing folder.
-    /// `fresh_site` names the site of a mission that begins.
+    /// Divides the dataset, and reads or creates the mission's record in `out`, an existing folder.
+    /// A new mission gets the site `fresh_site`.
     pub(crate) fn make(
         dataset: &Dataset,
         settings: &Settings,
@@ -166,7 +166,7 @@ impl Plan {
         self.edges.iter().find(|edge| edge.agents.contains(&agent)).map_or(self.site, |edge| edge.site)
     }
 
-    /// Names of the views of agent `i`: to train on (guests too), or held out.
+    /// Names of an agent's views: those to train on, guests included, or those held out.
     pub(crate) fn names_of(&self, agent: usize, held_out: bool) -> Vec<String> {
         let guests = &self.cells[agent].guests;
         let its = |(i, view): &(usize, &AssignedView)| {
@@ -175,7 +175,7 @@ impl Plan {
         self.views.iter().enumerate().filter(its).map(|(_, view)| view.name.clone()).collect()
     }
 
-    /// Writes agent `i`'s orders into its folder below `out`, and returns that folder.
+    /// Writes an agent's configuration into its folder below `out`, and returns that folder.
     pub(crate) fn write_agent_config(
         &self,
         agent: usize,
@@ -223,14 +223,14 @@ impl Plan {
     }
 }
 
-/// `agent-1` and so on, padded with zeros so that their order is that of their numbers.
+/// Ids such as `agent-1`, padded with zeros so that they sort by number.
 fn names(of: &str, count: usize) -> Result<Vec<DeviceId>, IdError> {
     let width = count.to_string().len();
     (1..=count).map(|number| DeviceId::new(&format!("{of}-{number:0width$}"))).collect()
 }
 
-/// The site of the mission in `out`: that of its record, where the settings are the same; where there
-/// is no record, one is made.
+/// The site of the mission in `out`, from its record; a record with other settings is an error. If there is
+/// no record, creates one with `fresh_site`.
 fn open_record(settings: &Settings, out: &Path, fresh_site: SiteId) -> Result<SiteId, PlanError> {
     let path = out.join("mission.json");
     let bad = |reason: String| PlanError::BadRecord { path: path.clone(), reason };
@@ -313,12 +313,16 @@ mod tests {
     fn every_view_has_one_agent_and_held_out_views_are_not_trained_on() {
         let out = tempfile::tempdir().unwrap();
         let plan = Plan::make(&row(18), &settings(), out.path(), site("a")).unwrap();
-        assert_eq!(plan.names_of(0, true), ["000.jpg", "008.jpg"], "on the border: the first");
+        assert_eq!(
+            plan.names_of(0, true),
+            ["000.jpg", "008.jpg"],
+            "a view on the border goes to the first cell"
+        );
         assert_eq!(plan.names_of(1, true), ["016.jpg"]);
         let trained: Vec<usize> = (0..2).map(|agent| plan.names_of(agent, false).len()).collect();
         assert_eq!(trained, [7, 8]);
         assert_eq!(plan.names_of(0, false)[6], "007.jpg", "from west to east");
-        assert_eq!(plan.cells[1].views[0], 9, "cells name views by their place in the dataset");
+        assert_eq!(plan.cells[1].views[0], 9, "cells hold indices into the views of the dataset");
     }
 
     #[test]
@@ -333,7 +337,7 @@ mod tests {
     }
 
     #[test]
-    fn orders_are_what_the_agent_reads() {
+    fn the_written_configuration_is_what_the_agent_reads() {
         let out = tempfile::tempdir().unwrap();
         let plan = Plan::make(&row(18), &settings(), out.path(), site("a")).unwrap();
         let folder = plan.write_agent_config(1, &settings(), out.path(), "mqtt://h:1", 3).unwrap();
@@ -346,7 +350,7 @@ mod tests {
     }
 
     #[test]
-    fn who_flies_alone_is_told_so() {
+    fn a_single_agent_is_told_that_it_is_alone() {
         for (agents, is_alone) in [(1, true), (2, false)] {
             let out = tempfile::tempdir().unwrap();
             let settings = Settings { division: Division::Evenly { agents }, ..settings() };
@@ -369,7 +373,7 @@ mod tests {
     }
 
     #[test]
-    fn the_same_mission_goes_on_and_another_is_refused() {
+    fn the_same_mission_resumes_and_other_settings_are_refused() {
         let out = tempfile::tempdir().unwrap();
         Plan::make(&row(18), &settings(), out.path(), site("first")).unwrap();
         let again = Plan::make(&row(18), &settings(), out.path(), site("second")).unwrap();

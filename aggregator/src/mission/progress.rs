@@ -1,5 +1,5 @@
-//! Shows a mission while it runs: a bar per agent on a terminal, else a line per agent every few
-//! seconds, else (for scripts) every event as a line of JSON.
+//! Shows the progress of a mission: a bar per agent on a terminal, else a line per agent every few seconds, or
+//! every event as a line of JSON for scripts.
 
 use std::io::{self, Write};
 
@@ -17,7 +17,7 @@ const LINES_EVERY_S: f64 = 5.0;
 /// Pictures of the city between two plain lines.
 const PICTURES_EVERY: usize = 32;
 
-/// The view of a mission.
+/// The progress display of a mission.
 pub(crate) struct Progress {
     names: Vec<String>,
     display: Display,
@@ -27,7 +27,7 @@ pub(crate) struct Progress {
 }
 
 impl Progress {
-    /// A view of agents of these names.
+    /// A display of agents with these names.
     pub(crate) fn new(names: Vec<String>, display: Display) -> Self {
         let bars = MultiProgress::with_draw_target(match display {
             Display::Bars => ProgressDrawTarget::stderr_with_hz(8),
@@ -38,23 +38,23 @@ impl Progress {
             .progress_chars("━╸─");
         let bar = |name: &String| {
             let bar = bars.add(ProgressBar::new(1).with_style(style.clone()).with_prefix(name.clone()));
-            bar.set_message("starts");
+            bar.set_message("starting");
             bar
         };
         let bar_of = names.iter().map(bar).collect();
         Self { names, display, bars, bar_of, shown_at_s: 0.0 }
     }
 
-    /// Shows something out of the ordinary, at once.
+    /// Prints an unusual event at once.
     pub(crate) fn notice(&self, line: &str) {
         let shown = match self.display {
             Display::Bars => self.bars.println(line),
             Display::Lines | Display::Json => writeln!(io::stderr(), "{line}"),
         };
-        let _ = shown; // a mission goes on although nobody looks
+        let _ = shown; // write errors are ignored: the mission goes on
     }
 
-    /// Shows what happened to an agent; `status` has taken it in already.
+    /// Shows an agent's event; `status` already includes it.
     pub(crate) fn show(&self, event: &ProcessEvent, status: &Status) {
         if self.display == Display::Json {
             let line = json_line(&self.names[event.agent], &event.kind);
@@ -66,7 +66,7 @@ impl Progress {
         bar.set_message(describe(status));
     }
 
-    /// Shows what is due by now, in seconds since any fixed moment.
+    /// Prints the lines that are due at `now_s`, in seconds since any fixed moment.
     pub(crate) fn tick(&mut self, board: &[Status], now_s: f64) {
         if self.display != Display::Lines || now_s - self.shown_at_s < LINES_EVERY_S {
             return;
@@ -77,13 +77,13 @@ impl Progress {
         }
     }
 
-    /// Ends the view; what was shown last stays.
+    /// Ends the display; the bars stay as they are.
     pub(crate) fn finish(&self) {
         self.bar_of.iter().for_each(|bar| bar.abandon());
     }
 }
 
-/// Shows how many pictures of the synthetic city are made: in place on a terminal, else now and then.
+/// Shows how many pictures of the synthetic city are rendered: in place on a terminal, else a line now and then.
 pub(crate) fn show_pictures(display: Display, done: usize, of: usize) {
     let mut stderr = io::stderr().lock();
     let shown = match display {
@@ -96,13 +96,13 @@ pub(crate) fn show_pictures(display: Display, done: usize, of: usize) {
         }
         Display::Lines | Display::Json => Ok(()),
     };
-    let _ = shown; // a mission goes on although nobody looks
+    let _ = shown; // write errors are ignored: the mission goes on
 }
 
-/// One line on where an agent stands.
+/// One line on the status of an agent.
 fn describe(status: &Status) -> String {
     match &status.phase {
-        Phase::Starting => "starts".into(),
+        Phase::Starting => "starting".into(),
         Phase::Training => format!(
             "step {} of {} · {:.1} steps/s · {:.2} dB · {} splats · {} left",
             status.step,
@@ -113,12 +113,12 @@ fn describe(status: &Status) -> String {
             format_seconds(f64::from(status.seconds_left)),
         ),
         Phase::Publishing => format!(
-            "trained · {} splats · sends {} of {}",
+            "trained · {} splats · sent {} of {}",
             status.splats,
             format_bytes(status.bytes_sent),
             format_bytes(status.bytes_total)
         ),
-        Phase::Waiting => format!("{} splats arrived · waits for the global model", status.splats),
+        Phase::Waiting => format!("{} splats uploaded · waiting for the global model", status.splats),
         Phase::Done | Phase::Ended => format!("done · {} splats", status.splats),
         Phase::Failed { reason } => format!("failed: {reason}"),
     }
@@ -144,7 +144,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_script_reads_the_agents_events_with_its_name() {
+    fn a_json_event_has_the_name_of_its_agent() {
         let event = ProcessEventKind::Said(AgentEvent::Acknowledged { bytes_sent: 7 });
         assert_eq!(
             json_line("agent-1", &event),

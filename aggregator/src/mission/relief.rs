@@ -1,5 +1,5 @@
-//! A mission's mesh: the global model's surface as all cameras together see it, written beside the model and
-//! ready to be looked at.
+//! A mission's mesh: the global model's surface, fused over all cameras, written beside the model and ready to be
+//! rendered.
 
 use std::path::Path;
 
@@ -8,19 +8,19 @@ use cosurf_scene::{Camera, Caster, Mesh, SceneError, Splats};
 use crate::mesh::{FuseEvent, FuseSettings, MeshError, mesh_model};
 use crate::report::MeshSummary;
 
-/// Memory for the making; where it is short, voxels become larger.
+/// Memory limit of the fusion; if it is short, voxels become larger.
 const MEMORY_BYTES: u64 = 2 << 30;
 
 /// The mesh of a mission.
 pub(crate) enum Relief {
-    /// It is there.
+    /// The mesh was made.
     Made { summary: MeshSummary, caster: Caster },
-    /// The model has no surface to speak of; the mission goes on without.
+    /// No mesh could be made; the mission goes on without one.
     Missing(MeshError),
 }
 
-/// Makes the mesh and writes it to `file`. Pictures are shrunk until they are at most `max_size_px` long;
-/// `threads` (at least 1) render.
+/// Makes the mesh and writes it to `file`. The long side of the renderings is at most `max_size_px`; `threads` (at
+/// least 1) render.
 pub(crate) fn relief(
     splats: Splats,
     cameras: &[Camera],

@@ -3,18 +3,18 @@
 use super::agents::ProcessEvent;
 use crate::service::{ServiceEvent, UpstreamEvent};
 
-/// What happens in a mission.
+/// An event of a mission.
 pub(crate) enum Signal {
     /// To an agent.
     Agent(ProcessEvent),
     /// To an aggregator.
     Service {
-        /// Its post in the tree.
+        /// The aggregator's post in the tree.
         post: usize,
         /// What.
         event: ServiceEvent,
     },
-    /// On the way up of an edge.
+    /// An event of an edge's upstream link.
     Upstream {
         /// Its index.
         edge: usize,

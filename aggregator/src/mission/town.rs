@@ -1,4 +1,4 @@
-//! The synthetic city of a mission without data of its own: made once, kept beside the results.
+//! The synthetic city of a mission without data of its own: rendered once, and kept beside the results.
 
 use std::fs;
 use std::path::Path;
@@ -8,26 +8,26 @@ use cosurf_scene::city::{City, CityError, CitySettings};
 
 use super::plan::write_text;
 
-/// Why there is no city.
+/// Why the city cannot be made.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum TownError {
-    /// It cannot be built.
+    /// The city cannot be built.
     #[error(transparent)]
     City(#[from] CityError),
-    /// It cannot be written.
+    /// The city cannot be written.
     #[error(transparent)]
     Scene(#[from] SceneError),
 }
 
-/// Makes the city in `folder`, unless just this one is there whole. `progress` is told how many pictures
-/// are done, of how many.
+/// Makes the city in `folder`, unless the complete city of the same settings is there. Calls `progress` with the
+/// number of rendered pictures and their total.
 pub(crate) fn make(
     settings: &CitySettings,
     folder: &Path,
     progress: impl FnMut(usize, usize),
 ) -> Result<(), TownError> {
-    // Written last, so that a city without it is one that was interrupted.
+    // Written last: a city without this file was interrupted.
     let record = folder.join("city.txt");
     let content = format!("{settings:?}\n");
     if fs::read_to_string(&record).is_ok_and(|there| there == content) {
@@ -45,7 +45,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_city_is_made_once_and_made_again_where_it_is_not_whole_or_another() {
+    fn a_city_is_made_again_only_if_it_is_incomplete_or_another() {
         let folder = tempfile::tempdir().unwrap();
         let small = CitySettings { extent_m: 40.0, views: 4, size_px: [32, 24], ..CitySettings::default() };
         let pictures = |settings: &CitySettings| {

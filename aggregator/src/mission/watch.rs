@@ -1,4 +1,4 @@
-//! The loop that watches a mission: everything that happens comes here, is shown, and is acted upon.
+//! The event loop of a mission: receives every event, shows it, and acts on it.
 
 use std::sync::atomic::Ordering;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
@@ -14,19 +14,19 @@ use super::progress::Progress;
 use super::signal::Signal;
 use crate::service::{BROKER_ATTEMPTS_MAX, ServiceEvent, UpstreamEvent};
 
-/// How often the loop looks up from listening.
+/// Longest wait for an event before the loop checks for an interruption.
 const LOOK_UP: Duration = Duration::from_millis(100);
 
-/// What is known of an edge.
+/// The status of an edge.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct EdgeStatus {
-    /// Bytes that it sent up, resends included.
+    /// Bytes that it sent to the root, resends included.
     pub(crate) bytes_sent: u64,
-    /// It has the global model of the aggregator above, or that one does not want its model.
+    /// True once the edge has the root's global model, or the root has refused the edge's model for good.
     is_served: bool,
 }
 
-/// The watch over one mission.
+/// The state of the event loop.
 pub(crate) struct Watch<'a> {
     plan: &'a Plan,
     around: &'a Surroundings,
@@ -34,7 +34,7 @@ pub(crate) struct Watch<'a> {
     progress: Progress,
     board: Vec<Status>,
     edges: Vec<EdgeStatus>,
-    /// By post.
+    /// Whether the aggregator at each post has reached the broker.
     connected: Vec<bool>,
 }
 
@@ -60,7 +60,7 @@ impl<'a> Watch<'a> {
         Ok(())
     }
 
-    /// Returns once every agent has ended, well or not.
+    /// Returns once every agent has ended or failed.
     pub(crate) fn await_agents(&mut self, hierarchy: &Hierarchy) -> Result<(), MissionError> {
         let ended = |status: &Status| matches!(status.phase, Phase::Ended | Phase::Failed { .. });
         while !self.board.iter().all(ended) {
@@ -70,7 +70,7 @@ impl<'a> Watch<'a> {
         Ok(())
     }
 
-    /// Ends the edges. Returns once each that has a model has got the global model of the one above for it.
+    /// Closes the edges. Returns once each edge with a model has the root's global model or a final refusal.
     pub(crate) fn await_edges(&mut self, hierarchy: &mut Hierarchy) -> Result<(), MissionError> {
         let have_models = hierarchy.close_edges();
         while self.edges.iter().zip(&have_models).any(|(edge, has_model)| *has_model && !edge.is_served) {
@@ -79,7 +79,7 @@ impl<'a> Watch<'a> {
         Ok(())
     }
 
-    /// What is known of each agent and each edge.
+    /// The status of each agent and of each edge.
     pub(crate) fn into_boards(self) -> (Vec<Status>, Vec<EdgeStatus>) {
         (self.board, self.edges)
     }

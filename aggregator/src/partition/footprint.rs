@@ -1,40 +1,40 @@
-//! Where on the ground a view looks: what the partition divides and what the map draws.
+//! The ground that each view sees: the partition divides it, and the map draws it.
 //!
-//! No frame is assumed: the vertical is that world axis along which the sparse cloud spreads least,
-//! pointing to where the cameras are. A view looks at the median of the points it sees, which
-//! copes with outliers and with a background up to the horizon; a view that sees too few of them
-//! looks to where its optical axis meets the ground.
+//! The up axis is not given: it is the world axis along which the sparse points spread least, directed
+//! towards the cameras. The centre of a footprint is the median of the sparse points that the view sees,
+//! which is robust against outliers and against background up to the horizon. If a view sees too few
+//! points, the centre is where its optical axis meets the ground.
 
 use cosurf_scene::{Camera, Dataset};
 use glam::{DVec2, DVec3};
 
-/// Fewer points than this say too little of where a view looks.
+/// Fewest points whose median gives the centre of a footprint.
 const POINTS_MIN: usize = 8;
-/// A ray is followed sideways for at most this many heights above ground: flatter ones pass over
-/// everything that matters, and those at the horizon never land.
+/// A ray is followed sideways for at most this many camera heights above the ground: rays near the horizon
+/// meet the ground far outside the scene, or never.
 const REACH_HEIGHTS: f64 = 3.0;
 
 /// The ground as a horizontal plane, with map coordinates on it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Ground {
-    /// Directions in the world frame of the map's first and second coordinate and of up: a
-    /// right-handed frame of coordinate axes.
+    /// World directions of the map's first coordinate, its second and up: axes of the world frame,
+    /// right-handed.
     axes: [DVec3; 3],
-    /// Height of the ground along up, world units; `None` where no sparse point tells.
+    /// Height of the ground along up, world units; `None` without sparse points.
     height_m: Option<f64>,
 }
 
-/// Where a view looks, in map coordinates.
+/// The ground that a view sees, in map coordinates.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Footprint {
-    /// The middle of what it sees.
+    /// The centre of that ground.
     pub(crate) center: DVec2,
     /// Where the rays through the picture's corners meet the ground, in order around the picture.
     pub(crate) outline: [DVec2; 4],
 }
 
 impl Ground {
-    /// Finds the vertical and the ground's height.
+    /// Finds the up axis and the height of the ground.
     pub(crate) fn of(dataset: &Dataset) -> Self {
         let eyes: Vec<DVec3> = dataset.views.iter().map(|v| v.camera.cam_from_world.center()).collect();
         let points: Vec<DVec3> = dataset.points.iter().map(|p| p.position).collect();
@@ -53,7 +53,7 @@ impl Ground {
         DVec2::new(self.axes[0].dot(p_world), self.axes[1].dot(p_world))
     }
 
-    /// Where a ray from `eye` meets the ground, or how far it is followed; see [`REACH_HEIGHTS`].
+    /// Map position where a ray from `eye` meets the ground, or where it is cut off by [`REACH_HEIGHTS`].
     fn meet(&self, eye: DVec3, direction: DVec3) -> DVec2 {
         let from = self.map(eye);
         let above = self.height_m.map_or(0.0, |ground| self.axes[2].dot(eye) - ground);
@@ -96,7 +96,7 @@ pub(crate) fn footprints(dataset: &Dataset, ground: &Ground) -> Vec<Footprint> {
     dataset.views.iter().zip(seen).map(footprint).collect()
 }
 
-/// The median of either coordinate; `None` for fewer than [`POINTS_MIN`] points.
+/// The median of each coordinate; `None` for fewer than [`POINTS_MIN`] points.
 fn middle(points: &[DVec2]) -> Option<DVec2> {
     if points.len() < POINTS_MIN {
         return None;
@@ -106,7 +106,7 @@ fn middle(points: &[DVec2]) -> Option<DVec2> {
     Some(DVec2::new(x, y))
 }
 
-/// 0, 1 or 2 for x, y, z: the axis with the smallest distance between the quartiles; z on a tie.
+/// 0, 1 or 2 for x, y, z: the axis with the smallest interquartile range; z on a tie.
 fn axis_of_least_spread(points: &[DVec3]) -> usize {
     let spread = |axis: usize| {
         let mut along: Vec<f64> = points.iter().map(|p| p[axis]).collect();
@@ -146,7 +146,7 @@ mod tests {
         }
     }
 
-    /// A field of 21 × 21 points a metre apart, flat but for a little roughness, all at `up = 5`.
+    /// A field of 21 × 21 points a metre apart, flat except for a little roughness, all at `up = 5`.
     fn field(place: impl Fn(f64, f64, f64) -> DVec3, views: &[u32]) -> Vec<(DVec3, Vec<u32>)> {
         let grid = (-10..=10).flat_map(|x| (-10..=10).map(move |y| (x, y)));
         grid.map(|(x, y)| {
@@ -164,13 +164,13 @@ mod tests {
         let ground = Ground::of(&data);
         let print = &footprints(&data, &ground)[0];
         assert!((print.center - DVec2::new(3.0, 4.0)).length() < 1e-9, "{print:?}");
-        // 20 m up with half a picture per focal length: 10 m to either side, north edge first.
+        // 20 m up, and half a picture is half the focal length: 10 m to each side, north edge first.
         let first = print.outline[0] - DVec2::new(-7.0, 14.0);
         assert!(first.abs().max_element() < 0.15, "{print:?}");
     }
 
     #[test]
-    fn the_median_of_the_points_seen_goes_before_the_axis_and_ignores_outliers() {
+    fn the_center_is_the_median_of_the_points_seen_and_ignores_outliers() {
         let eye = DVec3::new(3.0, 4.0, 25.0);
         let mut points = field(DVec3::new, &[]);
         points.extend((0..9).map(|_| (DVec3::new(7.0, -2.0, 5.0), vec![0])));
@@ -181,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn a_flat_view_is_followed_only_so_far() {
+    fn a_ray_towards_the_horizon_is_cut_off() {
         let eye = DVec3::new(0.0, 0.0, 25.0);
         let data = dataset(vec![camera(eye, eye + DVec3::X, DVec3::Z)], field(DVec3::new, &[]));
         let print = &footprints(&data, &Ground::of(&data))[0];
@@ -189,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn a_world_whose_up_is_minus_y_is_seen_from_above() {
+    fn a_world_whose_up_is_minus_y_is_mapped_from_above() {
         // COLMAP without georeference: y down. East is x, so north must be z.
         let points = field(|east, north, up| DVec3::new(east, -up, north), &[]);
         let eye = DVec3::new(2.0, -25.0, 3.0);
@@ -202,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    fn without_any_points_a_view_looks_where_it_is() {
+    fn without_any_points_the_center_is_below_the_camera() {
         let eyes = [DVec3::new(0.0, 0.0, 9.0), DVec3::new(5.0, 7.0, 9.0)];
         let cameras = eyes.map(|eye| camera(eye, eye - DVec3::Z, DVec3::Y)).to_vec();
         let data = dataset(cameras, Vec::new());

@@ -1,19 +1,19 @@
-//! The ground of a cell, a polygon on the map.
+//! The outline of a cell: a polygon on the map.
 
 use glam::DVec2;
 
-/// Corners in order around it, at least three. It may be flat: a row of views has no width.
+/// At least three corners, in order around the polygon. Its area may be zero: a row of views has no width.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Outline(Vec<DVec2>);
 
 impl Outline {
-    /// Of lowest and highest coordinates.
+    /// A rectangle from its lowest and highest coordinates.
     pub(crate) fn rectangle([low, high]: [DVec2; 2]) -> Self {
         Self(vec![low, DVec2::new(high.x, low.y), high, DVec2::new(low.x, high.y)])
     }
 
-    /// Of corners in either order around; the first may stand at the end again. `None` of fewer than three, and where
-    /// one is not finite.
+    /// A polygon from its corners, in either direction; the last may repeat the first. `None` if there are fewer than
+    /// three, or if one is not finite.
     pub(crate) fn polygon(corners: &[[f64; 2]]) -> Option<Self> {
         let mut corners: Vec<DVec2> = corners.iter().copied().map(DVec2::from_array).collect();
         if corners.len() > 1 && corners.first() == corners.last() {
@@ -22,7 +22,7 @@ impl Outline {
         (corners.len() >= 3 && corners.iter().all(|corner| corner.is_finite())).then_some(Self(corners))
     }
 
-    /// In order around.
+    /// The corners, in order around the polygon.
     pub(crate) fn corners(&self) -> &[DVec2] {
         &self.0
     }
@@ -34,7 +34,7 @@ impl Outline {
             .fold([DVec2::MAX, DVec2::MIN], |[low, high], corner| [low.min(*corner), high.max(*corner)])
     }
 
-    /// The point of it, border included, that is nearest to `at`: `at` itself inside.
+    /// The nearest point of the polygon: `at` itself if it lies inside or on the border.
     pub(crate) fn nearest(&self, at: DVec2) -> DVec2 {
         let borders = || self.0.iter().zip(self.0.iter().cycle().skip(1)).map(|(a, b)| on_border(*a, *b, at));
         if self.surrounds(at) || borders().any(|point| point == at) {
@@ -44,7 +44,7 @@ impl Outline {
         nearest.unwrap_or(at)
     }
 
-    /// Whether a ray from `at` crosses the border an odd number of times.
+    /// True if `at` lies inside: a ray from it crosses the border an odd number of times.
     fn surrounds(&self, at: DVec2) -> bool {
         let borders = self.0.iter().zip(self.0.iter().cycle().skip(1));
         let crosses = |(a, b): &(&DVec2, &DVec2)| {
@@ -54,7 +54,7 @@ impl Outline {
     }
 }
 
-/// The point between `a` and `b` that is nearest to `at`; `at` itself, to the bit, on lines along a coordinate.
+/// The point between `a` and `b` that is nearest to `at`. On a line parallel to an axis, `at` itself is returned exactly.
 fn on_border(a: DVec2, b: DVec2, at: DVec2) -> DVec2 {
     let along = b - a;
     let (low, high) = (a.min(b), a.max(b));
@@ -71,7 +71,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_nearest_point_is_found_inside_beside_and_in_a_notch() {
+    fn the_nearest_point_is_found_inside_outside_and_in_a_notch() {
         let outline =
             Outline::polygon(&[[0.0, 0.0], [4.0, 0.0], [4.0, 4.0], [2.0, 1.0], [0.0, 4.0]]).unwrap();
         for (at, nearest) in [
@@ -90,7 +90,7 @@ mod tests {
     }
 
     #[test]
-    fn a_polygon_may_be_closed_and_must_be_one() {
+    fn a_polygon_may_repeat_its_first_corner_and_needs_three_finite_ones() {
         let open = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]];
         let closed = [open[0], open[1], open[2], open[0]];
         assert_eq!(Outline::polygon(&open), Outline::polygon(&closed));
@@ -99,7 +99,7 @@ mod tests {
     }
 
     #[test]
-    fn a_row_has_no_width_and_a_point_no_size() {
+    fn a_rectangle_without_area_has_a_nearest_point() {
         let row = Outline::rectangle([DVec2::ZERO, DVec2::new(5.0, 0.0)]);
         assert_eq!(row.nearest(DVec2::new(3.0, 0.0)), DVec2::new(3.0, 0.0));
         assert_eq!(row.nearest(DVec2::new(7.0, 1.0)), DVec2::new(5.0, 0.0));

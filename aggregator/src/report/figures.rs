@@ -49,7 +49,7 @@ pub struct AgentSummary {
 /// One edge's figures.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct EdgeSummary {
-    /// What it is called above.
+    /// Its id on the root's site.
     pub device: String,
     /// Its agents.
     pub agents: Vec<String>,

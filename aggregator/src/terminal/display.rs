@@ -11,7 +11,7 @@ pub enum Display {
     Json,
 }
 
-/// `47 s`, `3 min 05 s`, `2 h 07 min`; a dash where it is not known.
+/// `47 s`, `3 min 05 s`, `2 h 07 min`; a dash if it is not known.
 pub(crate) fn format_seconds(seconds: f64) -> String {
     if !seconds.is_finite() {
         return "–".into();
@@ -29,7 +29,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn times_are_written_for_people() {
+    fn durations_are_readable() {
         for (seconds, text) in [
             (0.4, "0 s"),
             (59.4, "59 s"),

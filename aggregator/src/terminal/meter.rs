@@ -1,5 +1,5 @@
-//! Shows how far a long task has come: in place on a terminal, else a line every few seconds, else (for
-//! scripts) as lines of JSON.
+//! Shows the progress of a long task: a bar on a terminal, else a line every few seconds, or lines of JSON for
+//! scripts.
 
 use std::io::{self, Write};
 
@@ -12,16 +12,16 @@ use crate::mesh::{FuseEvent, Stage};
 /// Seconds between two plain lines.
 const LINES_EVERY_S: f64 = 5.0;
 
-/// The view of a task.
+/// The progress display of a task.
 pub struct Meter {
     display: Display,
     bar: ProgressBar,
-    /// What is being done, since when, and when it was last shown; seconds.
+    /// Name of the current stage, when it began, and when it was last shown; seconds.
     stage: Option<(&'static str, f64, f64)>,
 }
 
 impl Meter {
-    /// Shows nothing yet.
+    /// A display that shows nothing yet.
     pub fn new(display: Display) -> Self {
         let bar = ProgressBar::with_draw_target(
             Some(1),
@@ -36,7 +36,7 @@ impl Meter {
         Self { display, bar: bar.with_style(style), stage: None }
     }
 
-    /// `stage` has done `done` of `of` views; `now_s` counts from any fixed moment.
+    /// Shows that `stage` has finished `done` of `of` views; `now_s` counts from any fixed moment.
     pub fn show(&mut self, stage: &'static str, done: usize, of: usize, now_s: f64) {
         let (begun_s, shown_s) = match self.stage {
             Some((shown, begun_s, shown_s)) if shown == stage && done > 1 => (begun_s, shown_s),
@@ -44,7 +44,7 @@ impl Meter {
         };
         let is_due = done == of || now_s - shown_s >= LINES_EVERY_S;
         self.stage = Some((stage, begun_s, if is_due { now_s } else { shown_s }));
-        // The first view's end is where time is counted from.
+        // Time is counted from the end of the first view.
         let per_s = (done - 1) as f64 / (now_s - begun_s);
         let text = format!(
             "{done} of {of} views · {per_s:.1} views/s · {} left",
@@ -60,13 +60,13 @@ impl Meter {
             Display::Lines if is_due => self.notice(&format!("{stage}  {text}")),
             Display::Json if is_due => {
                 let line = json!({"event": "progress", "stage": stage, "done": done, "of": of});
-                let _ = writeln!(io::stdout(), "{line}"); // it goes on although nobody looks
+                let _ = writeln!(io::stdout(), "{line}"); // write errors are ignored: the task goes on
             }
             Display::Lines | Display::Json => {}
         }
     }
 
-    /// Shows what a fusion to a mesh is about.
+    /// Shows an event of the fusion of a mesh.
     pub fn show_fusion(&mut self, event: FuseEvent, now_s: f64) {
         match event {
             FuseEvent::Progress { stage, done, of } => {
@@ -77,12 +77,13 @@ impl Meter {
                 };
                 self.show(stage, done, of, now_s);
             }
-            FuseEvent::Coarser { wanted_m, voxel_m } => self
-                .notice(&format!("voxels of {voxel_m:.3} m instead of {wanted_m:.3} m, for want of memory")),
+            FuseEvent::Coarser { wanted_m, voxel_m } => {
+                self.notice(&format!("memory is short: voxels of {voxel_m:.3} m instead of {wanted_m:.3} m"))
+            }
         }
     }
 
-    /// Shows something out of the ordinary, at once.
+    /// Prints an unusual event at once.
     pub fn notice(&self, line: &str) {
         let shown = match self.display {
             Display::Bars => {
@@ -91,10 +92,10 @@ impl Meter {
             }
             Display::Lines | Display::Json => writeln!(io::stderr(), "{line}"),
         };
-        let _ = shown; // it goes on although nobody looks
+        let _ = shown; // write errors are ignored: the task goes on
     }
 
-    /// Takes the bar away.
+    /// Removes the bar.
     pub fn finish(self) {
         self.bar.finish_and_clear();
     }
