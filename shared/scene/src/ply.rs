@@ -1,11 +1,25 @@
 //! Splats as PLY in the layout of the original 3DGS code, which viewers and other trainers open:
-//! `x y z nx ny nz f_dc_0..2 f_rest_0..K opacity scale_0..2 rot_0..3`, all 32-bit floats, with
-//! `f_rest` channel by channel (all of red, then green, then blue), scales as natural logarithms,
-//! opacity before the logistic function, quaternions as wxyz.
+//! `x y z nx ny nz f_dc_0..2 f_rest_0..K opacity scale_0..2 rot_0..3`, all 32-bit floats. `f_rest`
+//! goes channel by channel (all of red, then green, then blue). Scales are natural logarithms,
+//! opacity is the value before the logistic function, quaternions are wxyz.
 //!
-//! Written: binary little-endian, normals 0. Read: also ascii, any order, extra properties, other
-//! number types, without normals. Rows pass through one at a time, so reading and writing need no
-//! memory beside the splats.
+//! Files are written as binary little-endian with normals of 0. The reader also accepts ascii, any
+//! order of the properties, other number types, extra properties and missing normals. Reading and
+//! writing go row by row, so they need no memory besides the splats.
+//!
+//! ```
+//! use cosurf_scene::{Splats, ply};
+//!
+//! let mut splats = Splats::with_capacity(1, 0);
+//! let (mean, quat, log_scale) = ([1.0, 2.0, 3.0], [1.0, 0.0, 0.0, 0.0], [-4.0, -4.0, -6.0]);
+//! splats.push(mean, quat, log_scale, 2.0, &[0.5, 0.0, -0.5]);
+//!
+//! let folder = tempfile::tempdir()?;
+//! let path = folder.path().join("model.ply");
+//! ply::write(&path, &splats)?;
+//! assert_eq!(ply::read(&path)?, splats);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod header;
 mod mesh;
@@ -25,8 +39,8 @@ pub(crate) use mesh::{read_mesh, write_mesh};
 pub use points::read_points;
 use rows::{Rows, read_vertices};
 
-/// Writes `splats` as a binary little-endian PLY, atomically: on any error the file that was there
-/// stays.
+/// Writes `splats` as a binary little-endian PLY, atomically: after an error an earlier file at
+/// `path` is unchanged.
 pub fn write(path: &Path, splats: &Splats) -> Result<(), SceneError> {
     atomic::write(path, |out| {
         out.write_all(header_of(splats).as_bytes())?;
@@ -69,9 +83,9 @@ fn write_row(out: &mut impl Write, splats: &Splats, i: usize) -> io::Result<()> 
     put(&splats.quats[i])
 }
 
-/// Reads splats. What comes back holds no bad value ([`Splats::find_bad_value`]); a file that has
-/// one is refused with the vertex and the property. Nothing is allocated for vertices that the
-/// file is too short to hold.
+/// Reads splats. Errors: a missing property, or a value that cannot be rendered
+/// ([`Splats::find_bad_value`]); the error names the vertex and the property. The number of vertices
+/// is checked against the file's length before anything is allocated.
 pub fn read(path: &Path) -> Result<Splats, SceneError> {
     read_vertices(path, |element, rows| {
         let columns = Columns::find(element)?;
@@ -81,7 +95,7 @@ pub fn read(path: &Path) -> Result<Splats, SceneError> {
     })
 }
 
-/// Where in a row the numbers of a splat are.
+/// The columns of a row that hold the numbers of a splat.
 struct Columns {
     sh_degree: u32,
     mean: [usize; 3],
@@ -97,7 +111,7 @@ impl Columns {
         let column = |name: &str| {
             element.column(name).ok_or_else(|| {
                 Refusal::from(format!(
-                    "has no property {name} for its vertices: these are no Gaussian splats"
+                    "has no property {name} for its vertices, so they are not Gaussian splats"
                 ))
             })
         };
@@ -147,7 +161,7 @@ fn read_rows(
     Ok(())
 }
 
-/// Refuses the splat just read where no renderer could use it, naming the property.
+/// Refuses the last splat if it cannot be rendered, and names the property.
 fn check_last(element: &Element, columns: &Columns, row: &[f64], splats: &Splats) -> Result<(), Refusal> {
     let last = splats.len() - 1;
     let Some(bad) = splats.find_bad_value_of(last) else { return Ok(()) };
@@ -159,11 +173,11 @@ fn check_last(element: &Element, columns: &Columns, row: &[f64], splats: &Splats
         _ => &columns.sh[..],
     };
     let is_bad = |&&column: &&usize| !(row[column] as f32).is_finite();
-    let say = |column: usize| format!("{} is {:?}", element.properties[column].name, row[column]);
-    let what = match (columns.iter().find(is_bad), bad.field) {
-        (Some(&column), _) => say(column),
-        (None, "quat") => "rot_0 to rot_3 are a quaternion of no usable length".into(),
-        (None, _) => columns.iter().map(|&column| say(column)).collect::<Vec<_>>().join(", "),
+    let describe = |column: usize| format!("{} is {:?}", element.properties[column].name, row[column]);
+    let fault = match (columns.iter().find(is_bad), bad.field) {
+        (Some(&column), _) => describe(column),
+        (None, "quat") => "rot_0 to rot_3 are a quaternion too short or too long to normalise".into(),
+        (None, _) => columns.iter().map(|&column| describe(column)).collect::<Vec<_>>().join(", "),
     };
-    Err(format!("vertex {last}: {what}; no renderer can use that, remove or mend the vertex").into())
+    Err(format!("vertex {last}: {fault}, which cannot be rendered; remove or repair the vertex").into())
 }

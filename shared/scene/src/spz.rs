@@ -2,11 +2,27 @@
 //! stream of a 16-byte header, then all positions, opacities, colours, scales, rotations and spherical
 //! harmonics.
 //!
-//! Written: version 3. Read: versions 2 and 3. SPZ's axes are right, up, back where those of the 3DGS PLY are
-//! right, down, forward: y and z change their signs on the way, as other converters have it, so that an SPZ
-//! shows in a viewer as the PLY does. Rounding is that of the format (0.24 mm for coordinates below 2 km, 6 %
-//! for scales, 0.1° or, in version 2, 1° for rotations, 4 to 5 bits for spherical harmonics): use it to look
-//! at models, not to keep them.
+//! Version 3 is written, versions 2 and 3 are read. SPZ's axes are right, up, back; those of the 3DGS PLY are
+//! right, down, forward. So y and z change sign, as in other converters, and viewers show the SPZ like the PLY.
+//!
+//! The format is lossy: use it for viewing models, not for keeping them. Its steps are 0.24 mm for coordinates
+//! below 2 km, 6 % for scales, 0.1° for rotations (version 2: 1°), and 4 to 5 bits for spherical harmonics.
+//!
+//! ```
+//! use cosurf_scene::{Splats, spz};
+//!
+//! let mut splats = Splats::with_capacity(1, 0);
+//! let (mean, quat, log_scale) = ([1.0, 2.0, 3.0], [1.0, 0.0, 0.0, 0.0], [-4.0, -4.0, -6.0]);
+//! splats.push(mean, quat, log_scale, 2.0, &[0.5, 0.0, -0.5]);
+//!
+//! let folder = tempfile::tempdir()?;
+//! let path = folder.path().join("model.spz");
+//! spz::write(&path, &splats)?;
+//! let read = spz::read(&path)?;
+//! assert_eq!(read.means, splats.means);
+//! assert!((read.sh[0] - splats.sh[0]).abs() < 0.02);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 #[cfg(test)]
 mod tests;
@@ -26,23 +42,25 @@ use crate::{SceneError, Splats, atomic};
 const MAGIC: [u8; 4] = *b"NGSP";
 const VERSION: u32 = 3;
 const HEADER_BYTES: usize = 16;
-/// Binary digits behind the point of a coordinate, at most.
+/// Most fractional bits of a coordinate.
 const FRACTION_BITS: u8 = 12;
-/// Coordinates are whole numbers of this many bits.
+/// Bits of a coordinate, which is a signed fixed-point number.
 const COORDINATE_BITS: u8 = 24;
-/// A colour's zeroth harmonic beside its byte: wider than what is seen, for higher harmonics may bring it back.
+/// A colour byte is `255 · (0.5 + COLOR_SCALE · sh[0])`. Its range exceeds that of visible colours, as higher
+/// harmonics may bring a colour back into view.
 const COLOR_SCALE: f32 = 0.15;
-/// Bits of the first degree's harmonics, and of the higher ones'.
+/// Bits of the harmonics of degree 1, and of higher degrees.
 const SH_BITS: [u32; 2] = [5, 4];
-/// A file that unpacks to more than this many times its bytes is refused.
+/// Largest accepted ratio of unpacked to packed bytes.
 const RATIO_MAX: u64 = 32;
-/// Signs of y and z, and with them of each harmonic, in the other axes: harmonics that are odd in y and z
-/// together change theirs.
+/// Factors between the harmonics in the two systems of axes: those of odd degree in y and z together change sign.
 const SH_SIGNS: [f32; 16] =
     [1.0, -1.0, -1.0, 1.0, -1.0, 1.0, 1.0, -1.0, 1.0, -1.0, 1.0, -1.0, -1.0, 1.0, -1.0, 1.0];
+/// Factors between the coordinates xyz in the two systems of axes.
 const AXIS_SIGNS: [f32; 3] = [1.0, -1.0, -1.0];
 
-/// Writes `splats` as SPZ, atomically: on any error the file that was there stays.
+/// Writes `splats` as SPZ, atomically: after an error an earlier file at `path` is unchanged. Errors: a
+/// coordinate beyond ±8,388,607.
 pub fn write(path: &Path, splats: &Splats) -> Result<(), SceneError> {
     let fraction_bits = fraction_bits(splats).ok_or_else(|| {
         SceneError::malformed(path, "SPZ cannot hold coordinates beyond 8,388,607; write a PLY instead")
@@ -55,7 +73,7 @@ pub fn write(path: &Path, splats: &Splats) -> Result<(), SceneError> {
     })
 }
 
-/// The most bits behind the point with which every coordinate fits.
+/// The most fractional bits with which every coordinate fits; `None` if a coordinate is too large.
 fn fraction_bits(splats: &Splats) -> Option<u8> {
     let farthest = splats.means.iter().flatten().fold(0.0f32, |far, v| far.max(v.abs()));
     let most = ((1u32 << (COORDINATE_BITS - 1)) - 1) as f32;
@@ -95,15 +113,15 @@ fn body(splats: &Splats, fraction_bits: u8) -> Vec<u8> {
     body
 }
 
-/// To the middle of the nearest of `2^bits` parts.
+/// Rounds a harmonic to the nearest of `2^bits` levels.
 fn pack_sh(value: f32, bits: u32) -> u8 {
     let part = 1 << (8 - bits);
     let rounded = (value * 128.0).round() as i32 + 128;
     ((rounded + part / 2).div_euclid(part) * part).clamp(0, 255) as u8
 }
 
-/// The largest component's index in two bits, then sign and nine bits of each of the others, in the order
-/// xyzw, the first in the highest bits.
+/// Packs a quaternion from the highest bit down: the index of the largest component (two bits), then sign and
+/// nine bits of each other component in the order xyzw.
 fn pack_quat([w, x, y, z]: [f32; 4]) -> [u8; 4] {
     let length = (w * w + x * x + y * y + z * z).sqrt();
     let q = [x, y * AXIS_SIGNS[1], z * AXIS_SIGNS[2], w].map(|v| v / length);
@@ -117,8 +135,8 @@ fn pack_quat([w, x, y, z]: [f32; 4]) -> [u8; 4] {
     bits.to_le_bytes()
 }
 
-/// Reads splats. What comes back holds no bad value ([`Splats::find_bad_value`]), whatever the bytes; a
-/// number of splats that the file is too small to hold is refused before anything is allocated.
+/// Reads splats. All values can be rendered ([`Splats::find_bad_value`]), whatever the file's bytes. The number
+/// of splats is checked against the file's length before anything is allocated.
 pub fn read(path: &Path) -> Result<Splats, SceneError> {
     let size = fs::metadata(path).map_err(|cause| SceneError::io(path, cause))?.len();
     let file = File::open(path).map_err(|cause| SceneError::io(path, cause))?;
@@ -127,11 +145,11 @@ pub fn read(path: &Path) -> Result<Splats, SceneError> {
 
 fn read_stream(mut file: impl std::io::BufRead, size: u64) -> Result<Splats, Refusal> {
     if file.fill_buf()?.starts_with(&MAGIC) {
-        return Err("is SPZ of version 4 or later; write it as version 3, or as PLY".into());
+        return Err("is SPZ of version 4 or later; export it as version 3 or as PLY".into());
     }
     let mut gzip = GzDecoder::new(file);
     let mut header = [0; HEADER_BYTES];
-    let not_spz = |_| "is no SPZ file: it holds no gzip stream with an SPZ header";
+    let not_spz = |_| "is not an SPZ file: it holds no gzip stream with an SPZ header";
     gzip.read_exact(&mut header).map_err(not_spz)?;
     let header = Header::parse(header)?;
     let bytes = header.body_bytes();
@@ -145,9 +163,11 @@ fn read_stream(mut file: impl std::io::BufRead, size: u64) -> Result<Splats, Ref
     let mut body = Vec::new();
     gzip.take(bytes).read_to_end(&mut body)?;
     if body.len() as u64 != bytes {
-        return Err(
-            format!("ends before its {} splats do; it was cut short, fetch it again", header.splats).into()
-        );
+        return Err(format!(
+            "holds fewer than its {} splats; it was cut short, fetch it again",
+            header.splats
+        )
+        .into());
     }
     Ok(header.splats_of(&body))
 }
@@ -164,20 +184,20 @@ impl Header {
     fn parse(bytes: [u8; HEADER_BYTES]) -> Result<Self, Refusal> {
         let number = |at: usize| u32::from_le_bytes([0, 1, 2, 3].map(|i| bytes[at + i]));
         if bytes[..4] != MAGIC {
-            return Err("is no SPZ file: it does not begin with NGSP".into());
+            return Err("is not an SPZ file: it does not begin with NGSP".into());
         }
         let quat_bytes = match number(4) {
             2 => 3,
             3 => 4,
             version => {
                 return Err(
-                    format!("is SPZ of version {version}; versions 2 and 3 are read, write it so").into()
+                    format!("is SPZ of version {version}; export it as version 2 or 3, or as PLY").into()
                 );
             }
         };
         let (sh_degree, fraction_bits) = (u32::from(bytes[12]), bytes[13]);
         if sh_degree > 3 || fraction_bits >= COORDINATE_BITS {
-            return Err("has spherical harmonics above degree 3, or coordinates without whole numbers".into());
+            return Err("has spherical harmonics above degree 3, or coordinates without integer bits".into());
         }
         Ok(Self { quat_bytes, splats: number(8) as usize, sh_degree, fraction_bits })
     }
@@ -206,7 +226,7 @@ impl Header {
             let position = of(positions, i);
             let mean = std::array::from_fn(|k| {
                 let [a, b, c] = [0, 1, 2].map(|byte| position[3 * k + byte]);
-                // The sign is in the highest of three bytes.
+                // The arithmetic shift extends the sign of the highest of the three bytes.
                 (i32::from_le_bytes([0, a, b, c]) >> 8) as f32 / unit * AXIS_SIGNS[k]
             });
             let opacity = (f32::from(of(opacities, i)[0]) / 255.0).clamp(1.0 / 255.0, 254.0 / 255.0);
@@ -226,7 +246,8 @@ impl Header {
     }
 }
 
-/// A quaternion of version 3 (four bytes) or 2 (x, y and z in a byte each, w positive), wxyz in our axes.
+/// Unpacks a quaternion of version 3 (four bytes) or 2 (a byte each for x, y and z; w is positive), as wxyz in
+/// the axes of 3DGS.
 fn unpack_quat(bytes: &[u8]) -> [f32; 4] {
     let mut q = [0.0f32; 4];
     let dropped = match *bytes {

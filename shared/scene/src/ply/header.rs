@@ -1,4 +1,4 @@
-//! The text that opens every PLY: its format, and which properties of which type each element has.
+//! The text header of a PLY: the file's format, and each element's properties with their types.
 
 use std::io::{self, BufRead, Read};
 
@@ -7,16 +7,16 @@ use crate::error::Refusal;
 /// A header longer than this is refused: the standard splat header has about 1,500 bytes.
 const HEADER_BYTES_MAX: u64 = 1 << 16;
 
-/// How the values after the header are written.
+/// Encoding of the values after the header.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Format {
-    /// Numbers in words, separated by white space.
+    /// Numbers as text, separated by white space.
     Ascii,
     /// Little-endian binary.
     Binary,
 }
 
-/// A number's type in a file.
+/// The type of a number in a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Scalar {
     I8,
@@ -80,7 +80,7 @@ pub(super) struct Element {
 }
 
 impl Element {
-    /// Index of the property called `name`, where it is a single number.
+    /// Index of the property called `name`; `None` if it is missing or a list.
     pub(super) fn column(&self, name: &str) -> Option<usize> {
         self.properties.iter().position(|p| p.name == name && matches!(p.kind, Kind::One(_)))
     }
@@ -109,7 +109,7 @@ impl Header {
     pub(super) fn read(input: &mut impl BufRead) -> Result<Self, Refusal> {
         let mut lines = Lines { input: input.take(HEADER_BYTES_MAX), line: Vec::new(), size_bytes: 0 };
         if lines.next()? != "ply" {
-            return Err("does not begin with 'ply': this is no PLY file".into());
+            return Err("is not a PLY file: it does not begin with 'ply'".into());
         }
         let mut format = None;
         let mut elements = Vec::new();
@@ -145,7 +145,7 @@ fn parse_format(name: &str) -> Result<Format, Refusal> {
 }
 
 fn parse_element(name: &str, count: &str) -> Result<Element, Refusal> {
-    let wrong = |_| format!("the count '{count}' of element {name} is no whole number");
+    let wrong = |_| format!("the count '{count}' of element {name} is not a whole number");
     Ok(Element { name: name.into(), count: count.parse().map_err(wrong)?, properties: Vec::new() })
 }
 
@@ -156,7 +156,7 @@ fn add_property(element: &mut Element, kind: &[&str], name: &str) -> Result<(), 
     let kind = match *kind {
         [one] => Kind::One(scalar(one)?),
         ["list", count, item] => Kind::List { count: scalar(count)?, item: scalar(item)? },
-        _ => return Err(format!("the property {name} has no type that is understood").into()),
+        _ => return Err(format!("the type of property {name} is not understood").into()),
     };
     if element.properties.iter().any(|property| property.name == name) {
         return Err(format!("element {} has two properties called {name}", element.name).into());
@@ -165,7 +165,7 @@ fn add_property(element: &mut Element, kind: &[&str], name: &str) -> Result<(), 
     Ok(())
 }
 
-/// The header's lines, their bytes counted and bounded.
+/// Reads the header's lines; counts and limits their bytes.
 struct Lines<R> {
     input: io::Take<R>,
     line: Vec<u8>,
@@ -177,9 +177,9 @@ impl<R: BufRead> Lines<R> {
         self.line.clear();
         self.size_bytes += self.input.read_until(b'\n', &mut self.line)? as u64;
         if self.line.pop() != Some(b'\n') {
-            return Err("the header has no end; this is no PLY file, or it was cut short".into());
+            return Err("the header has no end; the file is not a PLY file or was cut short".into());
         }
-        let line = std::str::from_utf8(&self.line).map_err(|_| "the header is no text")?;
+        let line = std::str::from_utf8(&self.line).map_err(|_| "the header is not UTF-8 text")?;
         Ok(line.trim_ascii_end())
     }
 }

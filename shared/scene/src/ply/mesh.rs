@@ -95,25 +95,29 @@ fn read_vertices(element: &Element, rows: &mut Rows, mesh: &mut Mesh) -> Result<
     Ok(())
 }
 
-/// Other tools leave NaN or zero where no face gave a vertex a normal.
+/// Normalises, with zero for an unusable normal: other tools write NaN or zero for vertices without faces.
 fn unit_or_zero(normal: [f64; 3]) -> [f32; 3] {
     let length = normal.iter().map(|v| v * v).sum::<f64>().sqrt();
     if length.is_finite() && length > 1e-12 { normal.map(|v| (v / length) as f32) } else { [0.0; 3] }
 }
 
 fn read_faces(element: &Element, rows: &mut Rows, mesh: &mut Mesh) -> Result<(), Refusal> {
-    let is_list = |name: &str| {
+    let list_column = |name: &str| {
         element.properties.iter().position(|p| p.name == name && matches!(p.kind, Kind::List { .. }))
     };
-    let column = is_list("vertex_indices")
-        .or_else(|| is_list("vertex_index"))
+    let column = list_column("vertex_indices")
+        .or_else(|| list_column("vertex_index"))
         .ok_or("has no list vertex_indices for its faces")?;
     let mut face = Vec::new();
-    // A row may be a single byte as far as its declaration goes, so nothing is reserved on its word.
+    // A face with an empty list takes one byte, so a forged count of faces could reserve too much.
     while rows.next_list(column, &mut face)? {
-        let [first, rest @ ..] = face.as_slice() else { return Err("has a face without corners".into()) };
+        let [first, rest @ ..] = face.as_slice() else {
+            return Err("has a face without corners; remove the face".into());
+        };
         if rest.len() < 2 {
-            return Err(format!("has a face of {} corners; faces need three", face.len()).into());
+            return Err(
+                format!("has a face of {} corners, but a face needs three; remove it", face.len()).into()
+            );
         }
         for pair in rest.windows(2) {
             mesh.triangles.push([index(*first)?, index(pair[0])?, index(pair[1])?]);
@@ -124,7 +128,7 @@ fn read_faces(element: &Element, rows: &mut Rows, mesh: &mut Mesh) -> Result<(),
 
 fn index(value: f64) -> Result<u32, Refusal> {
     let index = value as u32;
-    if f64::from(index) == value { Ok(index) } else { Err(format!("{value} is no index of a vertex").into()) }
+    if f64::from(index) == value { Ok(index) } else { Err(format!("{value} is not a vertex index").into()) }
 }
 
 fn check(mesh: &Mesh, has_vertices: bool) -> Result<(), Refusal> {
@@ -134,7 +138,7 @@ fn check(mesh: &Mesh, has_vertices: bool) -> Result<(), Refusal> {
     let vertices = mesh.positions.len();
     let out_of_range = |triangle: &&[u32; 3]| triangle.iter().any(|&vertex| vertex as usize >= vertices);
     match mesh.triangles.iter().find(out_of_range) {
-        Some(triangle) => Err(format!("has a triangle of the vertices {triangle:?}, but only {vertices} vertices; the file is damaged or forged").into()),
+        Some(triangle) => Err(format!("has a triangle with the vertex indices {triangle:?}, but only {vertices} vertices; the file is damaged or forged").into()),
         None => Ok(()),
     }
 }

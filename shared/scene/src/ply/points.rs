@@ -7,8 +7,8 @@ use glam::DVec3;
 use super::rows::read_vertices;
 use crate::{SceneError, SparsePoint};
 
-/// Reads the vertices as points that no view is known to see; grey where the file has no colours.
-/// A position that is not finite is refused.
+/// Reads the vertices as points whose tracks are empty; grey if the file has no colours. Errors: a
+/// position that is not finite.
 pub fn read_points(path: &Path) -> Result<Vec<SparsePoint>, SceneError> {
     read_vertices(path, |element, rows| {
         let position = [element.column("x"), element.column("y"), element.column("z")];

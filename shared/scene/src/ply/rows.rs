@@ -1,4 +1,4 @@
-//! The values after a PLY's header, row by row as `f64`, whatever their type and format.
+//! The values after a PLY's header, read row by row and converted to `f64` from any type and format.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, ErrorKind, Read};
@@ -9,14 +9,14 @@ use super::header::{Element, Format, Header, Kind, Scalar};
 use crate::SceneError;
 use crate::error::Refusal;
 
-/// Bytes asked of the operating system at a time.
+/// Size of the read buffer.
 const BUFFER_BYTES: usize = 256 * 1024;
 
-/// No number in words is longer.
+/// Longest accepted number in an ascii file.
 const WORD_BYTES_MAX: usize = 64;
 
-/// Shows `visit` each element of `path` with its rows, in the order of the file, after the number of
-/// rows was found to fit into the file. Rows that it leaves are skipped.
+/// Calls `visit` with each element of `path` and its rows, in file order. Checks first that the file
+/// is long enough for the rows. Skips the rows that `visit` does not read.
 pub(super) fn read_elements(
     path: &Path,
     mut visit: impl FnMut(&Element, &mut Rows) -> Result<(), Refusal>,
@@ -24,8 +24,7 @@ pub(super) fn read_elements(
     visit_elements(path, |element, rows| visit(element, rows).map(ControlFlow::<()>::Continue)).map(|_| ())
 }
 
-/// Reads the element called `vertex` of `path`, and nothing after it. `read` sees its declaration and
-/// its rows.
+/// Calls `read` with the element called `vertex` of `path` and its rows. Reads nothing after it.
 pub(super) fn read_vertices<T>(
     path: &Path,
     read: impl Fn(&Element, &mut Rows) -> Result<T, Refusal>,
@@ -37,7 +36,7 @@ pub(super) fn read_vertices<T>(
     found?.ok_or_else(|| SceneError::malformed(path, "has no element called vertex"))
 }
 
-/// Visits elements until one breaks; returns what it broke with.
+/// Visits elements until `visit` breaks; returns the value of the break.
 fn visit_elements<T>(
     path: &Path,
     mut visit: impl FnMut(&Element, &mut Rows) -> Result<ControlFlow<T>, Refusal>,
@@ -60,11 +59,11 @@ fn visit_elements<T>(
     result.map_err(|refusal| refusal.of(path))
 }
 
-/// Refuses an element with more rows than `left_bytes` could hold; returns what is left for those
-/// that follow.
+/// Refuses an element with more rows than `left_bytes` could hold; returns the bytes left for the
+/// elements that follow.
 fn check_size(element: &Element, format: Format, left_bytes: u64) -> Result<u64, Refusal> {
     let row_bytes = element.row_bytes_min(format);
-    // The last word of a text needs no separator.
+    // The last number of an ascii file needs no separator.
     let slack = u64::from(format == Format::Ascii);
     let needed = u128::from(element.count) * u128::from(row_bytes);
     if needed > u128::from(left_bytes + slack) || (row_bytes == 0 && element.count > 0) {
@@ -98,7 +97,7 @@ impl<'a> Rows<'a> {
         Ok(some.then_some(&self.values))
     }
 
-    /// Puts into `list` the items that the next row has in the list `column`; false after the last.
+    /// Reads the next row and puts the items of its list in `column` into `list`; false after the last row.
     pub(super) fn next_list(&mut self, column: usize, list: &mut Vec<f64>) -> Result<bool, Refusal> {
         list.clear();
         self.row(Some((column, list)))
@@ -119,7 +118,7 @@ impl<'a> Rows<'a> {
         Ok(true)
     }
 
-    /// A number; of a list 0, and its items into `keep`.
+    /// Reads a number and returns it, or reads a list into `keep` and returns 0.
     fn property(&mut self, kind: Kind, mut keep: Option<&mut Vec<f64>>) -> Result<f64, Refusal> {
         match kind {
             Kind::One(scalar) => self.value(scalar),
@@ -179,7 +178,7 @@ impl<'a> Rows<'a> {
             return Err(Refusal::Io(ErrorKind::UnexpectedEof.into()));
         }
         let word = String::from_utf8_lossy(&self.word);
-        word.parse().map_err(|_| format!("'{}' is no number", word.escape_default()).into())
+        word.parse().map_err(|_| format!("'{}' is not a number", word.escape_default()).into())
     }
 
     fn place(&self) -> String {

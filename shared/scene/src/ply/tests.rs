@@ -7,7 +7,7 @@ use std::path::PathBuf;
 
 use super::*;
 
-/// `n` splats of `degree` whose every value is another one.
+/// `n` splats of `degree` whose values all differ.
 fn made_up(n: usize, degree: u32) -> Splats {
     let mut splats = Splats::with_capacity(n, degree);
     let mut last = 0.0;
@@ -24,13 +24,13 @@ fn made_up(n: usize, degree: u32) -> Splats {
 }
 
 thread_local! {
-    /// One for each test: making thousands of folders would take longer than all else.
+    /// One folder per test: creating one per file would dominate the test's time.
     static FOLDER: tempfile::TempDir = tempfile::tempdir().unwrap();
 }
 
 fn in_file<T>(content: &[u8], then: impl FnOnce(PathBuf) -> T) -> T {
     let path = FOLDER.with(|folder| folder.path().join("a.ply"));
-    // Some file systems wait for the disk where a file is written over.
+    // On some file systems, overwriting a file waits for the disk.
     let _ = fs::remove_file(&path);
     fs::write(&path, content).unwrap();
     then(path)
@@ -47,7 +47,7 @@ fn bytes_of(splats: &Splats) -> Vec<u8> {
     })
 }
 
-/// An ascii file of one vertex with `changes` over a good one.
+/// An ascii file of one valid vertex, with the values of `changes` replaced.
 fn ascii(changes: &[(&str, &str)]) -> Vec<u8> {
     let mut header = String::from("ply\nformat ascii 1.0\nelement vertex 1\n");
     let mut row = String::new();
@@ -71,7 +71,7 @@ fn every_degree_survives_the_round_trip() {
 }
 
 #[test]
-fn the_bytes_are_those_of_3dgs() {
+fn files_have_the_bytes_that_3dgs_writes() {
     let mut splats = Splats::with_capacity(1, 1);
     let sh: Vec<f32> = (0..12).map(|i| i as f32).collect();
     splats.push([100.0, 101.0, 102.0], [1.0, 0.0, 0.0, 2.0], [-1.0, -2.0, -3.0], 0.25, &sh);
@@ -83,7 +83,7 @@ fn the_bytes_are_those_of_3dgs() {
         expected += &format!("property float {name}\n");
     }
     let mut expected = (expected + "end_header\n").into_bytes();
-    // Coefficients 1 to 3 are 3 4 5, 6 7 8, 9 10 11 as rgb; the file wants channel after channel.
+    // Coefficients 1 to 3 are 3 4 5, 6 7 8, 9 10 11 as rgb; the file has them channel by channel.
     for value in [
         100.0, 101.0, 102.0, 0.0, 0.0, 0.0, 0.0, 1.0, 2.0, 3.0, 6.0, 9.0, 4.0, 7.0, 10.0, 5.0, 8.0, 11.0,
         0.25, -1.0, -2.0, -3.0, 1.0, 0.0, 0.0, 2.0_f32,
@@ -103,7 +103,7 @@ fn other_dialects_are_read() {
         property float scale_1\r\nproperty float scale_0\r\nproperty uint z\r\nproperty ushort y\r\n\
         property float x\r\nelement edge 1000000\r\nproperty int unread\r\nend_header\r\n";
     let mut file = header.as_bytes().to_vec();
-    file.extend([2, 1, 0, 0, 0, 2, 0, 0, 0, 9]); // a face of two
+    file.extend([2, 1, 0, 0, 0, 2, 0, 0, 0, 9]); // a face of two corners
     file.extend([0, 9]); // an empty face
     file.extend(0.5_f64.to_le_bytes());
     for value in [0.1_f32, 0.2, 0.3] {
@@ -151,8 +151,8 @@ fn bad_values_are_named() {
         (&[("rot_2", "NaN")], "vertex 0: rot_2 is NaN"),
         (&[("rot_0", "0"), ("rot_1", "0"), ("rot_2", "-0.0"), ("rot_3", "1e-7")], "vertex 0: rot_0 to rot_3"),
         (&[("rot_0", "1e30")], "vertex 0: rot_0 to rot_3"),
-        (&[("x", "0,5")], "vertex 0 of 1: '0,5' is no number"),
-        (&[("x", "\u{1b}[31m")], "is no number"),
+        (&[("x", "0,5")], "vertex 0 of 1: '0,5' is not a number"),
+        (&[("x", "\u{1b}[31m")], "is not a number"),
     ] {
         let text = read_bytes(&ascii(changes)).unwrap_err().to_string();
         assert!(text.contains(complaint), "{changes:?}: {text}");
@@ -161,7 +161,7 @@ fn bad_values_are_named() {
 }
 
 #[test]
-fn claims_are_compared_with_the_file_before_allocating() {
+fn row_counts_are_checked_against_the_files_length() {
     let good = String::from_utf8(ascii(&[])).unwrap();
     for count in ["3", "1000000000000", "18446744073709551615"] {
         for format in ["ascii", "binary_little_endian"] {
@@ -175,11 +175,11 @@ fn claims_are_compared_with_the_file_before_allocating() {
 }
 
 #[test]
-fn what_is_no_splat_file_is_refused_in_words() {
+fn files_that_hold_no_splats_are_refused_with_a_reason() {
     let good = String::from_utf8(ascii(&[])).unwrap();
     for (file, complaint) in [
-        (String::new(), "no PLY file"),
-        ("solid cube\n".into(), "no PLY file"),
+        (String::new(), "not a PLY file"),
+        ("solid cube\n".into(), "not a PLY file"),
         ("ply\n".into(), "cut short"),
         (good.replace("ascii", "binary_big_endian"), "big-endian; save it again"),
         (good.replace("ascii", "gzip"), "'gzip' is not known"),
@@ -210,7 +210,7 @@ fn a_file_cut_anywhere_is_refused() {
     }
     let whole = ascii(&[]);
     for length in 0..whole.len() {
-        // Without its last digit or space a text may still be good.
+        // An ascii file may still be valid without its last digit or space.
         assert!(read_bytes(&whole[..length]).is_err() || length + 4 > whole.len(), "cut to {length}");
     }
 }

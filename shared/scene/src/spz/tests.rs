@@ -1,4 +1,4 @@
-//! Against files put together by hand as the published format says, and there and back.
+//! Files assembled by hand from the published format, round trips, and hostile files.
 #![allow(clippy::unwrap_used)]
 
 use std::io::Write as _;
@@ -26,7 +26,7 @@ fn by_hand(version: u8, quat: &[u8]) -> Vec<u8> {
 
 #[test]
 fn files_by_hand_are_read_as_the_format_says() {
-    // Largest w, then x = 0, y = -√½ · 256/511, z = 0 (sign in bit 9 of each ten).
+    // w is the largest; x = 0, y = -√½ · 256/511, z = 0 (bit 9 of each ten is the sign).
     let packed = (3u32 << 30 | (1 << 9 | 256) << 10).to_le_bytes();
     let splats = read_bytes(&by_hand(3, &packed)).unwrap();
     assert_eq!((splats.len(), splats.sh_degree), (1, 1));
@@ -38,7 +38,7 @@ fn files_by_hand_are_read_as_the_format_says() {
     assert!((w - (1.0 - y * y).sqrt()).abs() < 1e-6 && qx == 0.0 && (qy - y).abs() < 1e-6 && qz == 0.0);
     let color = [0.5 / 255.0, 127.5 / 255.0, -127.5 / 255.0].map(|v| v / COLOR_SCALE);
     splats.sh[..3].iter().zip(color).for_each(|(a, b)| assert!((a - b).abs() < 1e-5, "{a} {b}"));
-    // Harmonics of y and z change their signs, that of x does not.
+    // The harmonics of y and z change sign, that of x does not.
     assert_eq!(splats.sh[3..], [-0.0, -0.125, 0.125, -0.5, 0.5, -0.0, 0.0625, -0.0625, -1.0]);
     let old = read_bytes(&by_hand(2, &[255, 128, 0])).unwrap();
     let [w, x, y, z] = old.quats[0];
@@ -61,7 +61,7 @@ fn splats(sh_degree: u32) -> Splats {
 }
 
 #[test]
-fn what_is_written_is_read_within_the_formats_rounding() {
+fn round_trips_are_exact_to_the_formats_rounding() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.spz");
     for sh_degree in 0..=3 {
@@ -83,7 +83,7 @@ fn what_is_written_is_read_within_the_formats_rounding() {
 }
 
 #[test]
-fn far_coordinates_get_fewer_digits_and_too_far_ones_are_refused() {
+fn far_coordinates_get_fewer_bits_and_farther_ones_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.spz");
     let mut far = splats(0);
@@ -95,7 +95,7 @@ fn far_coordinates_get_fewer_digits_and_too_far_ones_are_refused() {
 }
 
 #[test]
-fn what_is_no_spz_is_refused_in_words() {
+fn files_that_are_not_spz_are_refused_with_a_reason() {
     let sane = [&header(&splats(0), 12)[..], &body(&splats(0), 12)].concat();
     let spoilt = |change: &dyn Fn(&mut Vec<u8>)| {
         let mut bytes = sane.clone();
