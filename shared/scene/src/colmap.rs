@@ -1,8 +1,8 @@
 //! COLMAP models, binary and text: `cameras`, `images` and `points3D`.
 //!
-//! Cameras must be `PINHOLE` or `SIMPLE_PINHOLE`: splats are projected without lens distortion, so
-//! pictures are undistorted once, by COLMAP itself, whose command the refusal spells out. Frames and
-//! pixels are as in [`crate::camera`]; quaternions are stored as wxyz.
+//! Cameras must be `PINHOLE` or `SIMPLE_PINHOLE`, as splats are projected without lens distortion. The
+//! error for other cameras gives the COLMAP command that undistorts the pictures. Coordinate frames
+//! and pixels are as in [`crate::camera`]; quaternions are stored as wxyz.
 
 mod binary;
 mod model;
@@ -19,7 +19,7 @@ use crate::{Dataset, SceneError};
 use model::Undistortion;
 pub use write::write;
 
-/// The folder of the model that belongs to `root`, if there is one.
+/// The folder below `root` that holds a model, if there is one.
 pub(crate) fn find_model(root: &Path) -> Option<PathBuf> {
     let candidates = [root.join("sparse").join("0"), root.join("sparse"), root.join("0"), root.to_owned()];
     candidates.into_iter().find(|folder| is_binary(folder) || folder.join("cameras.txt").is_file())
@@ -29,14 +29,14 @@ fn is_binary(model: &Path) -> bool {
     model.join("cameras.bin").is_file()
 }
 
-/// Where the pictures of the model in the folder `model` may lie, best first.
+/// Folders that may hold the pictures of the model in the folder `model`, likeliest first.
 fn picture_folders(root: &Path, model: &Path) -> Vec<PathBuf> {
     let above = model.ancestors().skip(1).take(2).map(|above| above.join("images"));
     std::iter::once(root.join("images")).chain(above).collect()
 }
 
-/// Reads the model in the folder `model`. Views come in the file's order, their paths are where
-/// their pictures should be; it was not looked whether they are there.
+/// Reads the model in the folder `model`. Views keep the file's order. Their paths are where their
+/// pictures should be; the pictures may be missing.
 pub(crate) fn read(root: &Path, model: &Path) -> Result<Dataset, SceneError> {
     let folders = picture_folders(root, model);
     let likely = folders.iter().find(|folder| folder.is_dir()).unwrap_or(&folders[0]);
@@ -62,7 +62,7 @@ fn open_file(path: &Path) -> io::Result<(BufReader<File>, u64)> {
     Ok((BufReader::new(file), bytes))
 }
 
-/// In which of its two forms a model is.
+/// The two forms of a model's files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Form {
     /// `*.bin`
@@ -71,7 +71,7 @@ pub enum Form {
     Text,
 }
 
-/// Reads a model that is in memory: the bytes of `cameras`, `images` and `points3D`. Its views have no paths.
+/// Parses a model in memory: the contents of `cameras`, `images` and `points3D`. The paths of its views are empty.
 pub fn parse(form: Form, files: [&[u8]; 3]) -> Result<Dataset, SceneError> {
     let open = |path: &Path| {
         let stem = path.file_stem().unwrap_or_default();

@@ -1,4 +1,4 @@
-//! Datasets: pictures with poses and a sparse cloud, wherever they come from.
+//! Datasets: pictures with poses and a sparse cloud, from any supported source.
 
 mod open;
 #[cfg(test)]
@@ -11,14 +11,14 @@ use glam::DVec3;
 use crate::camera::extent;
 use crate::{Camera, SceneError};
 
-/// A picture that was taken: its name, its camera, its file.
+/// A photograph with its camera.
 #[derive(Clone, Debug, PartialEq)]
 pub struct View {
     /// File name as the dataset gives it, unique in the dataset; views are sorted by it.
     pub name: String,
     /// The camera, for the picture's own size on disk.
     pub camera: Camera,
-    /// Where the picture lies.
+    /// The picture's file.
     pub path: PathBuf,
 }
 
@@ -29,8 +29,8 @@ pub struct SparsePoint {
     pub position: DVec3,
     /// 8-bit colour.
     pub rgb: [u8; 3],
-    /// Indices into [`Dataset::views`] of the views that see it, ascending; empty where the format
-    /// does not say.
+    /// The track: indices into [`Dataset::views`] of the views that see the point, ascending; empty if
+    /// the format has no tracks.
     pub views: Vec<u32>,
 }
 
@@ -44,22 +44,22 @@ pub struct Dataset {
 }
 
 impl Dataset {
-    /// The field's split: with names sorted, view `i` is held out where `i % every == 0`; 0 holds
-    /// out none. Returns indices of the views to train on and of those held out.
+    /// The split that 3DGS evaluates on: view `i`, sorted by name, is held out if `i % every == 0`; an
+    /// `every` of 0 holds out none. Returns the indices of training views and of held-out views.
     pub fn split(&self, every: u32) -> (Vec<usize>, Vec<usize>) {
         (0..self.views.len()).partition(|i| every == 0 || i % every as usize != 0)
     }
 
     /// Opens a COLMAP model (`path/sparse/0`, `path/sparse` or `path` itself, pictures in
     /// `path/images` or beside the model) or a `transforms.json` (the file, or the folder that has
-    /// it). Every picture's header is read: a camera whose picture has another size of the same
-    /// aspect is rescaled to it. Pictures that are missing, empty or of another shape are errors.
+    /// it). Reads the header of every picture, and rescales a camera whose picture has another size of
+    /// the same aspect ratio. Errors: pictures that are missing, empty or of another aspect ratio.
     pub fn open(path: &Path) -> Result<Self, SceneError> {
         open::open(path)
     }
 
-    /// The cameras of a dataset that [`Self::open`] understands, in the file's order, whether their
-    /// pictures are there or not.
+    /// The cameras of a dataset that [`Self::open`] understands, in the file's order. The pictures may
+    /// be missing.
     pub fn cameras(path: &Path) -> Result<Vec<Camera>, SceneError> {
         open::cameras(path)
     }
@@ -69,9 +69,9 @@ impl Dataset {
         self.views.binary_search_by(|view| view.name.as_str().cmp(name)).ok()
     }
 
-    /// The dataset of the chosen views (indices, any order, repeats ignored) and of the points that
-    /// they see: by their tracks, or, where a point has none, by projection into the pictures. The
-    /// tracks that are left name only chosen views.
+    /// The dataset of the chosen views (indices in any order, repeats ignored) and of the points that
+    /// they see. A point without a track is seen by the pictures that it projects into. The tracks of
+    /// the new dataset name only chosen views.
     pub fn subset(&self, views: &[usize]) -> Self {
         let mut chosen = views.to_vec();
         chosen.sort_unstable();
@@ -93,8 +93,7 @@ impl Dataset {
         Self { views, points }
     }
 
-    /// The scene's size as 3DGS defines it, world units: 1.1 times the largest distance of a camera
-    /// from the cameras' mean; 0 where there is at most one.
+    /// The size of the scene as 3DGS defines it, in world units; see [`extent`].
     pub fn extent(&self) -> f64 {
         extent(self.views.iter().map(|view| &view.camera))
     }

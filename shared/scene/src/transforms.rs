@@ -1,8 +1,8 @@
-//! `transforms.json` of nerfstudio and instant-ngp: a pose per frame and the intrinsics, for all
-//! frames or for each.
+//! `transforms.json` of nerfstudio and instant-ngp: a pose per frame, and intrinsics for all frames or
+//! for each.
 //!
-//! Poses there are `world_from_cam` with OpenGL's camera axes (x right, y up, z backward); ours are
-//! `cam_from_world` with y down and z forward. The world frame stays the file's own.
+//! The file's poses are `world_from_cam` with OpenGL's camera axes (x right, y up, z backward); ours
+//! are `cam_from_world` with y down and z forward. The world frame is that of the file.
 
 use std::fs::File;
 use std::io::BufReader;
@@ -20,7 +20,7 @@ const FILE_BYTES_MAX: u64 = 1 << 28;
 /// How far the axes of a pose may be from unit length and right angles.
 const ROTATION_TOLERANCE: f64 = 1e-3;
 
-/// What instant-ngp's frames without an extension may mean.
+/// Extensions to try for frames without one, as instant-ngp writes them.
 const EXTENSIONS: [&str; 5] = ["png", "jpg", "jpeg", "JPG", "PNG"];
 
 #[derive(Deserialize)]
@@ -40,7 +40,7 @@ struct Frame {
     own: Intrinsics,
 }
 
-/// What may stand for all frames or for one.
+/// Intrinsics, for all frames or for one.
 #[derive(Clone, Deserialize)]
 struct Intrinsics {
     camera_model: Option<String>,
@@ -62,8 +62,8 @@ struct Intrinsics {
     p2: Option<f64>,
 }
 
-/// Reads the file at `path`. Views come in the file's order; pictures were looked for only where
-/// the file leaves something open.
+/// Reads the file at `path`. Views keep the file's order. The pictures may be missing, unless the file
+/// omits their sizes.
 pub(crate) fn read(path: &Path) -> Result<Dataset, SceneError> {
     let transforms = parse(path).map_err(|refusal| refusal.of(path))?;
     let folder = path.parent().unwrap_or(Path::new(""));
@@ -79,10 +79,10 @@ pub(crate) fn read(path: &Path) -> Result<Dataset, SceneError> {
 fn parse(path: &Path) -> Result<Transforms, Refusal> {
     let file = File::open(path)?;
     if file.metadata()?.len() > FILE_BYTES_MAX {
-        return Err("is too long for a transforms.json".into());
+        return Err("is longer than 256 MiB, too long for a transforms.json".into());
     }
     serde_json::from_reader(BufReader::new(file))
-        .map_err(|error| format!("is not as expected: {error}").into())
+        .map_err(|error| format!("is not a valid transforms.json: {error}").into())
 }
 
 fn view_of(folder: &Path, shared: &Intrinsics, frame: &Frame) -> Result<View, Refusal> {
@@ -97,7 +97,7 @@ fn view_of(folder: &Path, shared: &Intrinsics, frame: &Frame) -> Result<View, Re
     Ok(View { name: frame.file_path.clone(), camera, path })
 }
 
-/// Where the picture lies; with an extension added if it is only there with one.
+/// The picture's path, with an extension added if only that file exists.
 fn picture_path(folder: &Path, file_path: &str) -> PathBuf {
     let path = folder.join(file_path);
     if path.is_file() {
@@ -107,7 +107,7 @@ fn picture_path(folder: &Path, file_path: &str) -> PathBuf {
     EXTENSIONS.iter().map(with).find(|path| path.is_file()).unwrap_or(path)
 }
 
-/// From rows of `world_from_cam` with OpenGL's axes.
+/// The pose from the rows of `world_from_cam` with OpenGL's axes.
 fn pose(rows: &[[f64; 4]]) -> Result<Pose, Refusal> {
     let (first, last) = rows.split_at(rows.len().min(3));
     let &[x, y, z] = first else { return Err("transform_matrix has fewer than 3 rows".into()) };
@@ -121,14 +121,14 @@ fn pose(rows: &[[f64; 4]]) -> Result<Pose, Refusal> {
     let is_rotation = residual.to_cols_array().iter().all(|v| v.abs() < ROTATION_TOLERANCE);
     let center = column(3);
     if !(is_rotation && world_from_cam.determinant() > 0.0 && center.is_finite()) {
-        return Err("transform_matrix is no rotation and translation".into());
+        return Err("transform_matrix is not a rotation and translation".into());
     }
     let rotation = DQuat::from_mat3(&world_from_cam.transpose()).normalize();
     Ok(Pose { rotation, translation: -(rotation * center) })
 }
 
 impl Intrinsics {
-    /// What is said here, and for the rest what `shared` says.
+    /// These intrinsics, with missing values taken from `shared`.
     fn over(&self, shared: &Self) -> Self {
         let own = self.clone();
         let shared = shared.clone();
@@ -187,12 +187,12 @@ impl Intrinsics {
         let focal_px = DVec2::new(fl_x, fl_y);
         let center_px = DVec2::new(self.cx.unwrap_or(0.5 * width), self.cy.unwrap_or(0.5 * height));
         if !(focal_px.min_element() > 0.0 && focal_px.is_finite() && center_px.is_finite()) {
-            return Err(format!("focal length {focal_px} px and centre {center_px} px cannot be").into());
+            return Err(format!("the focal length {focal_px} px or centre {center_px} px is invalid").into());
         }
         Ok(Camera { cam_from_world, focal_px, center_px, size_px })
     }
 
-    /// The size given, or the picture's.
+    /// The size in the file, or else that of the picture.
     fn size_px(&self, picture: &Path) -> Result<[u32; 2], Refusal> {
         let (Some(w), Some(h)) = (self.w, self.h) else {
             return Picture::size_of(picture)
@@ -200,7 +200,7 @@ impl Intrinsics {
         };
         let whole = |side: f64| (1.0..1e6).contains(&side) && side.fract() == 0.0;
         if !(whole(w) && whole(h)) {
-            return Err(format!("a picture of {w} × {h} pixels cannot be").into());
+            return Err(format!("the picture size {w} × {h} pixels is invalid").into());
         }
         Ok([w as u32, h as u32])
     }

@@ -1,5 +1,5 @@
-//! The binary form, little-endian. Every count is compared with what is left of the file before
-//! anything is allocated for it.
+//! The binary form, little-endian. Every count is checked against the bytes left in the file before
+//! anything is allocated.
 
 use std::io::{self, BufRead, ErrorKind, Read, Seek};
 use std::path::Path;
@@ -35,7 +35,7 @@ const POINT_3D_BYTES: u64 = 8 + 24 + 3 + 8 + 8;
 /// An element of a track: image and 2D point.
 const TRACK_BYTES: u64 = 4 + 4;
 
-/// Names longer than any file system allows are refused.
+/// Longest accepted name, above the limit of any file system.
 const NAME_BYTES_MAX: u64 = 4096;
 
 pub(super) fn read<R: BufRead + Seek>(
@@ -122,7 +122,7 @@ fn read_point<R: BufRead + Seek>(input: &mut Input<R>, out: &mut Assembly) -> Re
     out.add_point(Point { position, rgb, image_ids })
 }
 
-/// A record's place, for people, who count from 1.
+/// A record's place in an error message: its kind, its index (displayed from 1) and the count.
 struct Nth(&'static str, u64, u64);
 
 impl std::fmt::Display for Nth {
@@ -131,7 +131,7 @@ impl std::fmt::Display for Nth {
     }
 }
 
-/// A file and how much of it is left.
+/// A file and the number of its bytes left.
 struct Input<R> {
     file: R,
     left_bytes: u64,
@@ -167,7 +167,7 @@ impl<R: BufRead + Seek> Input<R> {
         Ok(values)
     }
 
-    /// A count of things of at least `bytes` each, refused where the file cannot hold them.
+    /// Reads a count of records of at least `bytes` each; refuses a count that the file cannot hold.
     fn count(&mut self, bytes: u64) -> Result<u64, Refusal> {
         let count = self.u64()?;
         if count > self.left_bytes / bytes {
@@ -182,7 +182,7 @@ impl<R: BufRead + Seek> Input<R> {
 
     fn skip(&mut self, bytes: u64) -> Result<(), Refusal> {
         self.take(bytes)?;
-        // It fits: the file is at least this long.
+        // The cast is exact: the file has at least this many bytes.
         Ok(self.file.seek_relative(bytes as i64)?)
     }
 
@@ -194,7 +194,7 @@ impl<R: BufRead + Seek> Input<R> {
         match name.pop() {
             Some(0) => {}
             _ if self.left_bytes == 0 => return Err(Refusal::Io(ErrorKind::UnexpectedEof.into())),
-            _ => return Err("its name has no end".into()),
+            _ => return Err("its name is too long".into()),
         }
         String::from_utf8(name).map_err(|_| "its name is not UTF-8".into())
     }

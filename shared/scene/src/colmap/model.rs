@@ -1,5 +1,5 @@
-//! What both forms of a model have in common: cameras and images that refer to each other by id,
-//! checked and turned into a [`Dataset`].
+//! The common part of both forms: records that refer to each other by id are checked and turned into
+//! a [`Dataset`].
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -9,10 +9,10 @@ use glam::{DQuat, DVec2, DVec3};
 use crate::error::Refusal;
 use crate::{Camera, Dataset, Pose, SceneError, SparsePoint, View};
 
-/// No picture's side is longer; COLMAP stores 64 bits.
+/// Longest accepted side of a picture; COLMAP stores 64 bits.
 const SIDE_PX_MAX: u64 = 1 << 20;
 
-/// What it takes to mend a model whose cameras distort.
+/// The paths in the command that undistorts a model's pictures.
 pub(super) struct Undistortion<'a> {
     pub(super) images: &'a Path,
     pub(super) model: &'a Path,
@@ -67,16 +67,16 @@ impl Intrinsics {
             _ => return Err(refuse_distortion(model, undistortion)),
         };
         if size_px.iter().any(|side| !(1..=SIDE_PX_MAX).contains(side)) {
-            return Err(format!("a picture of {} × {} pixels cannot be", size_px[0], size_px[1]).into());
+            return Err(format!("the picture size {} × {} pixels is invalid", size_px[0], size_px[1]).into());
         }
         if !(focal_px.min_element() > 0.0 && focal_px.is_finite() && center_px.is_finite()) {
-            return Err(format!("focal length {focal_px} px and centre {center_px} px cannot be").into());
+            return Err(format!("the focal length {focal_px} px or centre {center_px} px is invalid").into());
         }
         Ok(Self { focal_px, center_px, size_px: size_px.map(|side| side as u32) })
     }
 }
 
-/// Refuses a camera model that this project does not project with.
+/// The error for a camera model other than the two pinhole models.
 pub(super) fn refuse_distortion(model: &str, undistortion: &Undistortion) -> Refusal {
     format!(
         "the camera model {model} is not supported, only PINHOLE and SIMPLE_PINHOLE; undistort the pictures with `{}` and open {}",
@@ -94,19 +94,19 @@ pub(super) struct Image {
     pub(super) name: String,
 }
 
-/// A pose from COLMAP's numbers: a quaternion wxyz of any usable length, and a translation.
+/// A pose from COLMAP's numbers: a quaternion wxyz of any non-zero length, and a translation.
 pub(super) fn pose(wxyz: [f64; 4], translation: [f64; 3]) -> Result<Pose, Refusal> {
     let [w, x, y, z] = wxyz;
     let rotation = DQuat::from_xyzw(x, y, z, w);
     let translation = DVec3::from(translation);
     let length = rotation.length();
     if !(length.is_finite() && length > 1e-6 && translation.is_finite()) {
-        return Err(format!("its pose {wxyz:?} {translation} cannot be").into());
+        return Err(format!("its pose {wxyz:?} {translation} is invalid").into());
     }
     Ok(Pose { rotation: rotation.normalize(), translation })
 }
 
-/// A 3D point, its track as ids of images.
+/// A 3D point with its track as image ids.
 pub(super) struct Point {
     pub(super) position: [f64; 3],
     pub(super) rgb: [u8; 3],
@@ -126,25 +126,25 @@ impl Assembly {
     pub(super) fn add_camera(&mut self, id: u32, camera: Intrinsics) -> Result<(), Refusal> {
         match self.cameras.insert(id, camera) {
             None => Ok(()),
-            Some(_) => Err("this id was there before".into()),
+            Some(_) => Err(format!("the camera id {id} occurs twice").into()),
         }
     }
 
     pub(super) fn add_image(&mut self, image: Image) -> Result<(), Refusal> {
         let Some(camera) = self.cameras.get(&image.camera_id) else {
-            return Err(format!("{} has the unknown camera {}", image.name, image.camera_id).into());
+            return Err(format!("{} refers to the unknown camera {}", image.name, image.camera_id).into());
         };
         let &Intrinsics { focal_px, center_px, size_px } = camera;
         let camera = Camera { cam_from_world: image.cam_from_world, focal_px, center_px, size_px };
         if self.view_of.insert(image.id, self.dataset.views.len() as u32).is_some() {
-            return Err(format!("the id {} was there before", image.id).into());
+            return Err(format!("the image id {} occurs twice", image.id).into());
         }
         self.dataset.views.push(View { name: image.name, camera, path: PathBuf::new() });
         Ok(())
     }
 
-    /// Adds a point. Images of its track that the model does not have are passed over: tools that
-    /// remove images leave such tracks.
+    /// Adds a point. Its track may name images that the model lacks, as tools that remove images leave
+    /// them in tracks; these are skipped.
     pub(super) fn add_point(&mut self, point: Point) -> Result<(), Refusal> {
         let position = DVec3::from(point.position);
         if !position.is_finite() {
@@ -163,7 +163,7 @@ impl Assembly {
     }
 }
 
-/// Runs `read` on the file `name` of the folder `model`.
+/// Runs `read` on the file `name` of the folder `model`; adds the path to its errors.
 pub(super) fn with_file(
     model: &Path,
     name: &str,

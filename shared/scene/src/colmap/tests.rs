@@ -9,7 +9,7 @@ use glam::{DQuat, DVec2, DVec3};
 use super::*;
 use crate::{Camera, Pose, SparsePoint, View};
 
-/// Two pictures by different cameras, three points; every value can be written in binary exactly.
+/// Two pictures by different cameras, and three points. Every value is exact in binary.
 fn made_up(root: &Path) -> Dataset {
     let view = |name: &str, wxyz: [f64; 4], focal_px: DVec2| View {
         name: name.into(),
@@ -74,7 +74,7 @@ fn a_model_survives_the_round_trip() {
 }
 
 #[test]
-fn text_says_the_same() {
+fn the_text_form_gives_the_same_dataset() {
     let root = tempfile::tempdir().unwrap();
     write_text(root.path(), TEXT_CAMERAS, TEXT_IMAGES, TEXT_POINTS);
     assert_eq!(read_at(root.path()).unwrap(), made_up(root.path()));
@@ -94,7 +94,7 @@ fn quaternions_of_any_length_are_taken() {
 }
 
 #[test]
-fn the_bytes_are_those_of_colmap() {
+fn files_have_the_bytes_that_colmap_writes() {
     let root = tempfile::tempdir().unwrap();
     let mut dataset = made_up(root.path());
     dataset.views.truncate(1);
@@ -132,7 +132,7 @@ fn the_bytes_are_those_of_colmap() {
 }
 
 #[test]
-fn cameras_are_shared_where_they_are_equal() {
+fn equal_cameras_are_written_once() {
     let root = tempfile::tempdir().unwrap();
     let mut dataset = made_up(root.path());
     dataset.views[1].camera.focal_px = dataset.views[0].camera.focal_px;
@@ -180,32 +180,42 @@ fn a_distorted_camera_is_refused_with_its_remedy() {
 }
 
 #[test]
-fn wrong_text_is_refused_in_words() {
+fn invalid_text_is_refused_with_a_reason() {
     let root = tempfile::tempdir().unwrap();
     let root = root.path();
     for (cameras, images, points, said) in [
         ("7 PINHOLE 8 6 10 11 3.5\n", "", "", "cameras.txt: line 1: PINHOLE with 3 parameters"),
-        ("7 PINHOLE 0 6 10 11 3.5 2\n", "", "", "0 × 6 pixels cannot be"),
-        ("7 PINHOLE 8 9999999 10 11 3.5 2\n", "", "", "8 × 9999999 pixels cannot be"),
+        ("7 PINHOLE 0 6 10 11 3.5 2\n", "", "", "0 × 6 pixels is invalid"),
+        ("7 PINHOLE 8 9999999 10 11 3.5 2\n", "", "", "8 × 9999999 pixels is invalid"),
         ("7 PINHOLE 8 6 -1 11 3.5 2\n", "", "", "focal length"),
         ("7 PINHOLE 8 6 1 11 nan 2\n", "", "", "focal length"),
         ("7 PINHOLE 8 6 1 inf 3 2\n", "", "", "focal length"),
         ("7 PINHOLE eight 6 1 11 3 2\n", "", "", "the width cannot be 'eight'"),
         ("7\n", "", "", "the camera model is missing"),
-        ("\n\n7 PINHOLE 8 6 1 1 3 2\n7 PINHOLE 8 6 1 1 3 2\n", "", "", "line 4: this id was there before"),
-        (TEXT_CAMERAS, "5 1 0 0 0 0 0 7 8 a.jpg\n", "", "images.txt: line 1: a.jpg has the unknown camera 8"),
+        (
+            "\n\n7 PINHOLE 8 6 1 1 3 2\n7 PINHOLE 8 6 1 1 3 2\n",
+            "",
+            "",
+            "line 4: the camera id 7 occurs twice",
+        ),
+        (
+            TEXT_CAMERAS,
+            "5 1 0 0 0 0 0 7 8 a.jpg\n",
+            "",
+            "images.txt: line 1: a.jpg refers to the unknown camera 8",
+        ),
         (TEXT_CAMERAS, "5 0 0 0 0 0 0 7 7 a.jpg\n", "", "its pose"),
         (TEXT_CAMERAS, "5 1 0 0 0 0 NaN 7 7 a.jpg\n", "", "its pose"),
         (
             TEXT_CAMERAS,
             "5 1 0 0 0 0 0 7 7 a\n\n5 1 0 0 0 0 0 7 7 b\n",
             "",
-            "line 3: the id 5 was there before",
+            "line 3: the image id 5 occurs twice",
         ),
         (TEXT_CAMERAS, "5 1 0 0 0 0 0 7 7\u{e9}\n", "", "camera id cannot be '7\\u{e9}'"),
         (TEXT_CAMERAS, TEXT_IMAGES, "1 0 inf 2 1 2 3 0\n", "points3D.txt: line 1: its position"),
         (TEXT_CAMERAS, TEXT_IMAGES, "1 0 0 2 1 256 3 0\n", "the colour cannot be '256'"),
-        (TEXT_CAMERAS, TEXT_IMAGES, "1 0 0 2 1 2 3 0 5\n", "no list of pairs"),
+        (TEXT_CAMERAS, TEXT_IMAGES, "1 0 0 2 1 2 3 0 5\n", "not a list of pairs"),
     ] {
         write_text(root, cameras, images, points);
         let text = complaint(root);
@@ -229,7 +239,7 @@ fn files_cut_anywhere_are_refused() {
         let path = root.path().join("sparse/0").join(name);
         let whole = fs::read(&path).unwrap();
         for length in 0..whole.len() {
-            // Some file systems wait for the disk where a file is written over.
+            // On some file systems, overwriting a file waits for the disk.
             fs::remove_file(&path).unwrap();
             fs::write(&path, &whole[..length]).unwrap();
             let text = complaint(root.path());

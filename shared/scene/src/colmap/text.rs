@@ -1,5 +1,5 @@
-//! The text form: a record per line, `#` before comments; in `images.txt` every second line, which
-//! may be blank, lists 2D points and is passed over.
+//! The text form: one record per line; `#` begins a comment. In `images.txt` each record is followed
+//! by a line of 2D points, which may be blank and is skipped.
 
 use std::io::{self, BufRead, Read};
 use std::path::Path;
@@ -9,7 +9,7 @@ use super::model::{Assembly, Image, Intrinsics, Point, Undistortion, pose, with_
 use crate::error::Refusal;
 use crate::{Dataset, SceneError};
 
-/// Longer lines are refused: a track through a million pictures would fit.
+/// Longest accepted line: a track through a million pictures fits.
 const LINE_BYTES_MAX: u64 = 1 << 24;
 
 pub(super) fn read<R: BufRead>(
@@ -31,7 +31,7 @@ pub(super) fn read<R: BufRead>(
     Ok(out.end())
 }
 
-/// Hands every record's line to `read`; with `skip_next`, the line after each is passed over.
+/// Calls `read` with the line of each record; with `skip_next`, skips the line after each record.
 fn each_record(
     mut file: impl BufRead,
     skip_next: bool,
@@ -52,7 +52,7 @@ fn each_record(
     Ok(())
 }
 
-/// Whether the line was blank or a comment, and so no record.
+/// Calls `read` with the line, unless it is blank or a comment. Returns whether it was skipped.
 fn read_line(line: &[u8], read: &mut impl FnMut(&str) -> Result<(), Refusal>) -> Result<bool, Refusal> {
     if line.len() as u64 == LINE_BYTES_MAX {
         return Err("the line is too long".into());
@@ -96,12 +96,12 @@ fn read_point(record: &str, out: &mut Assembly) -> Result<(), Refusal> {
     let _: f64 = words.next("error")?;
     let track: Vec<u32> = words.rest("track")?;
     if !track.len().is_multiple_of(2) {
-        return Err("the track is no list of pairs".into());
+        return Err("the track is not a list of pairs".into());
     }
     out.add_point(Point { position, rgb, image_ids: track.into_iter().step_by(2).collect() })
 }
 
-/// The words of a record, parsed as they are asked for.
+/// The words of a record, parsed on demand.
 struct Words<'a>(SplitAsciiWhitespace<'a>);
 
 impl Words<'_> {

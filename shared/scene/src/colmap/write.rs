@@ -1,4 +1,4 @@
-//! Models into files, in the binary form.
+//! Writes models in the binary form.
 
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
@@ -11,7 +11,7 @@ use crate::{Camera, Dataset, SceneError, View, atomic};
 /// COLMAP's number for `PINHOLE`.
 const PINHOLE: u32 = 1;
 
-/// Writes cameras, poses and points as a binary model into `root/sparse/0`, which is made. Views
+/// Writes cameras, poses and points as a binary model into `root/sparse/0`, which is created. Views
 /// with the same intrinsics share a camera. Each picture's 2D points are the projections of the
 /// points whose tracks name it. Pictures are not copied: they belong at `root/images/NAME`.
 pub fn write(root: &Path, dataset: &Dataset) -> Result<(), SceneError> {
@@ -38,7 +38,7 @@ impl<'a> Cameras<'a> {
             (a.focal_px, a.center_px, a.size_px) == (b.focal_px, b.center_px, b.size_px)
         };
         let of_view = views.iter().map(|View { camera, .. }| {
-            // The one found last is the likeliest.
+            // The latest camera is the likeliest match.
             let found = distinct.iter().rposition(|other| same(other, camera));
             found.unwrap_or_else(|| {
                 distinct.push(camera);
@@ -62,11 +62,11 @@ impl<'a> Cameras<'a> {
     }
 }
 
-/// Who sees what, from both sides.
+/// Which views see which points, indexed both ways.
 struct Tracks {
     /// Indices of the points in each view.
     points: Vec<Vec<u32>>,
-    /// For each point and each view of its track: the point's place in that view's list.
+    /// For each point and each view of its track: the point's index in that view's list.
     places: Vec<Vec<u32>>,
 }
 
@@ -113,7 +113,7 @@ fn write_points(out: &mut Out, dataset: &Dataset, tracks: &Tracks) -> io::Result
         out.write_all(&(i as u64 + 1).to_le_bytes())?;
         put_f64s(out, &point.position.to_array())?;
         out.write_all(&point.rgb)?;
-        put_f64s(out, &[0.0])?; // its error: the 2D points are its projections
+        put_f64s(out, &[0.0])?; // its error is 0, as the 2D points are its projections
         out.write_all(&(point.views.len() as u64).to_le_bytes())?;
         for (view, place) in point.views.iter().zip(&tracks.places[i]) {
             put_u32s(out, &[view + 1, *place])?;

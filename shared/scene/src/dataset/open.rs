@@ -1,5 +1,4 @@
-//! From a folder to a checked dataset: which layout it is, whether every picture is there and fits
-//! its camera.
+//! Opens a dataset: recognises its layout, and checks that every picture exists and fits its camera.
 
 use std::path::{Component, Path};
 
@@ -13,8 +12,9 @@ pub(super) fn open(path: &Path) -> Result<Dataset, SceneError> {
         return Err(SceneError::malformed(path, "has no pictures with poses"));
     }
     for view in &mut dataset.views {
-        view.name = inner_name(&view.name)
-            .ok_or_else(|| SceneError::malformed(path, format!("'{}' is no picture's name", view.name)))?;
+        view.name = inner_name(&view.name).ok_or_else(|| {
+            SceneError::malformed(path, format!("'{}' is not a valid picture name", view.name))
+        })?;
     }
     sort(&mut dataset);
     if let Some(pair) = dataset.views.windows(2).find(|pair| pair[0].name == pair[1].name) {
@@ -55,7 +55,8 @@ fn read(path: &Path) -> Result<Dataset, SceneError> {
     Err(SceneError::malformed(path, reason))
 }
 
-/// A name without what could lead out of a folder: results are filed under it.
+/// The name without components that lead out of a folder, as results are stored under it; `None` if
+/// it is empty or has control characters.
 fn inner_name(name: &str) -> Option<String> {
     let parts = Path::new(name).components().filter_map(|component| match component {
         Component::Normal(part) => part.to_str(),
@@ -65,7 +66,7 @@ fn inner_name(name: &str) -> Option<String> {
     (!inner.is_empty() && !inner.contains(|c: char| c.is_control())).then_some(inner)
 }
 
-/// Sorts the views by name, and the tracks with them.
+/// Sorts the views by name, and renumbers the tracks.
 fn sort(dataset: &mut Dataset) {
     let mut order: Vec<usize> = (0..dataset.views.len()).collect();
     order.sort_by(|&a, &b| dataset.views[a].name.cmp(&dataset.views[b].name));
@@ -85,23 +86,23 @@ fn refuse_missing(views: &[View]) -> Result<(), SceneError> {
     let Some(first) = missing.next() else { return Ok(()) };
     let others = missing.count();
     let reason = format!(
-        "this picture is missing, and {others} more of the dataset's {}; put them there, or remove them from the dataset",
+        "this picture is missing, and {others} more of the dataset's {}; add them, or remove them from the dataset",
         views.len()
     );
     Err(SceneError::malformed(&first.path, reason))
 }
 
-/// Gives the view the camera of its picture as it lies on the disk.
+/// Rescales the view's camera to the size of its picture on disk.
 fn fit_camera(view: &mut View) -> Result<(), SceneError> {
     let found = Picture::size_of(&view.path)?;
     let [width, height] = view.camera.size_px.map(f64::from);
     let ([w, h], [found_width, found_height]) = (found.map(f64::from), found);
-    // Whoever shrank it rounded one side or the other to whole pixels.
+    // A tool that shrank the picture rounded one of its sides to whole pixels.
     let same_aspect = (w * height / width - h).abs() <= 1.0 || (h * width / height - w).abs() <= 1.0;
     if !same_aspect {
         let [width, height] = view.camera.size_px;
         let reason = format!(
-            "has {found_width} × {found_height} pixels, but its camera {width} × {height}, another shape; take the picture that belongs to the camera"
+            "has {found_width} × {found_height} pixels, but its camera has {width} × {height}, another aspect ratio; use the picture that belongs to the camera"
         );
         return Err(SceneError::malformed(&view.path, reason));
     }

@@ -9,8 +9,8 @@ use glam::DVec2;
 use super::*;
 use crate::{Picture, Pose, colmap};
 
-/// Three pictures of 8 × 6 in a row along x, 2 apart, looking along y at points 4 away; written
-/// below `root` as COLMAP does.
+/// Three pictures of 8 × 6, 2 apart along x, that look along y at points at a distance of 4; written
+/// below `root` in COLMAP's layout.
 fn made_up(root: &Path) -> Dataset {
     let view = |i: u32| {
         let eye = DVec3::new(2.0 * f64::from(i), 0.0, 0.0);
@@ -55,7 +55,7 @@ fn complaint(root: &Path) -> String {
     text
 }
 
-fn same(a: &Dataset, b: &Dataset) {
+fn assert_same(a: &Dataset, b: &Dataset) {
     let facts = |dataset: &Dataset| {
         let views = dataset.views.iter().map(|view| (view.name.clone(), view.camera.size_px));
         (views.collect::<Vec<_>>(), dataset.points.clone())
@@ -68,18 +68,18 @@ fn same(a: &Dataset, b: &Dataset) {
 }
 
 #[test]
-fn every_place_for_a_model_is_found() {
+fn a_model_is_found_in_every_layout() {
     let folder = tempfile::tempdir().unwrap();
     let root = folder.path().join("data");
     let dataset = made_up(&root);
-    same(&Dataset::open(&root).unwrap(), &dataset);
-    same(&Dataset::open(&root.join("sparse")).unwrap(), &dataset);
-    same(&Dataset::open(&root.join("sparse/0")).unwrap(), &dataset);
-    // As COLMAP's undistorter leaves it.
+    assert_same(&Dataset::open(&root).unwrap(), &dataset);
+    assert_same(&Dataset::open(&root.join("sparse")).unwrap(), &dataset);
+    assert_same(&Dataset::open(&root.join("sparse/0")).unwrap(), &dataset);
+    // The layout of COLMAP's undistorter.
     for name in ["cameras.bin", "images.bin", "points3D.bin"] {
         fs::rename(root.join("sparse/0").join(name), root.join("sparse").join(name)).unwrap();
     }
-    same(&Dataset::open(&root).unwrap(), &dataset);
+    assert_same(&Dataset::open(&root).unwrap(), &dataset);
     // All in one folder.
     for entry in fs::read_dir(root.join("sparse")).unwrap().chain(fs::read_dir(root.join("images")).unwrap())
     {
@@ -100,7 +100,7 @@ fn views_are_sorted_and_tracks_follow() {
         point.views.iter_mut().for_each(|view| *view = 2 - *view);
     }
     colmap::write(root.path(), &dataset).unwrap();
-    same(&Dataset::open(root.path()).unwrap(), &sorted);
+    assert_same(&Dataset::open(root.path()).unwrap(), &sorted);
 }
 
 #[test]
@@ -144,7 +144,7 @@ fn an_empty_picture_is_named() {
 }
 
 #[test]
-fn a_folder_without_dataset_is_told_what_is_wanted() {
+fn the_error_for_a_folder_without_dataset_names_the_layouts() {
     let root = tempfile::tempdir().unwrap();
     let text = complaint(root.path());
     assert!(text.contains("sparse/0/cameras.bin") && text.contains("transforms.json"), "{text}");
@@ -163,7 +163,7 @@ fn names_cannot_lead_out_of_the_folder() {
     for name in ["..", "", "a\u{7}b"] {
         dataset.views[0].name = name.into();
         colmap::write(root.path(), &dataset).unwrap();
-        assert!(complaint(root.path()).contains("is no picture's name"), "{name:?}");
+        assert!(complaint(root.path()).contains("is not a valid picture name"), "{name:?}");
     }
     dataset.views[0].name = "./1.png".into();
     colmap::write(root.path(), &dataset).unwrap();
@@ -183,27 +183,27 @@ fn every_eighth_view_is_held_out() {
 }
 
 #[test]
-fn a_subset_keeps_what_its_views_see() {
+fn a_subset_keeps_the_points_that_its_views_see() {
     let root = tempfile::tempdir().unwrap();
     let dataset = made_up(root.path());
     let subset = dataset.subset(&[2, 1, 2]);
     assert_eq!(subset.views, dataset.views[1..]);
     let kept: Vec<_> = subset.points.iter().map(|point| (point.position.x, point.views.clone())).collect();
-    // At 4 there is no track, but the last view looks at it.
+    // The point at 4 has no track, but projects into the last view.
     assert_eq!(kept, [(1.0, vec![0]), (3.0, vec![0, 1]), (4.0, vec![])]);
     assert_eq!(dataset.subset(&[]), Dataset::default());
     assert_eq!(dataset.subset(&[0]).points.len(), 2);
 }
 
 #[test]
-fn the_extent_is_that_of_3dgs() {
+fn the_extent_follows_3dgs() {
     let root = tempfile::tempdir().unwrap();
     let dataset = made_up(root.path());
     assert!((dataset.extent() - 2.2).abs() < 1e-12);
     assert_eq!(Dataset::default().extent(), 0.0);
 }
 
-/// The real scenes, where they are.
+/// Opens the real scenes that are present.
 #[test]
 fn real_scenes_are_opened() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
@@ -223,12 +223,12 @@ fn real_scenes_are_opened() {
         assert!(dataset.views.iter().all(|view| view.camera.size_px == size_px), "{name}");
         let (mut seen, mut in_picture) = (0, 0);
         for point in &dataset.points {
-            assert!(point.views.len() >= 2, "{name}: a point that {} views see", point.views.len());
+            assert!(point.views.len() >= 2, "{name}: only {} views see a point", point.views.len());
             seen += point.views.len();
             let sees = |view: &&u32| dataset.views[**view as usize].camera.sees(point.position);
             in_picture += point.views.iter().filter(sees).count();
         }
-        // Tracks and cameras agree, up to the outliers: frames and ids were understood.
+        // Tracks and cameras agree except for outliers, so coordinate frames and ids are right.
         assert!(in_picture * 100 > seen * 95, "{name}: {in_picture} of {seen}");
         assert!(Picture::read(&dataset.views[0].path).unwrap().rgb.iter().any(|&value| value > 60));
     }

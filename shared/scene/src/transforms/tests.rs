@@ -1,4 +1,4 @@
-//! Frames and intrinsics in their dialects, and files that are refused.
+//! Frames and intrinsics in the dialects of several tools, and files that are refused.
 
 #![allow(clippy::unwrap_used)]
 
@@ -67,17 +67,17 @@ fn nerfstudio_is_read() {
     let camera = dataset.views[1].camera;
     assert_eq!((camera.focal_px, camera.center_px), (DVec2::new(10.5, 11.0), DVec2::new(3.5, 3.25)));
     assert_eq!(camera.size_px, [8, 6]);
-    assert_eq!(dataset.views[0].camera.focal_px, DVec2::new(20.0, 11.0), "a frame's own comes first");
+    assert_eq!(dataset.views[0].camera.focal_px, DVec2::new(20.0, 11.0), "a frame's own value comes first");
     let pose = camera.cam_from_world;
     assert!(pose.center().abs_diff_eq(DVec3::new(1.0, 2.0, 3.0), 1e-12));
     assert!(pose.forward().abs_diff_eq(DVec3::Y, 1e-12));
-    // What is higher in the world is higher in the picture, where y points down; east is to the right.
+    // A point higher in the world is higher in the picture, whose y points down; east is to the right.
     assert!(pose.transform(DVec3::new(1.0, 9.0, 5.0)).abs_diff_eq(DVec3::new(0.0, -2.0, 7.0), 1e-12));
     assert!(pose.transform(DVec3::new(4.0, 9.0, 3.0)).abs_diff_eq(DVec3::new(3.0, 0.0, 7.0), 1e-12));
 }
 
 #[test]
-fn instant_ngp_gets_by_with_an_angle() {
+fn an_angle_of_instant_ngp_gives_the_focal_length() {
     let scene = Scene::new();
     let transforms = json!({
         "camera_angle_x": 2.0 * (0.5_f64).atan(), "aabb_scale": 16,
@@ -89,7 +89,7 @@ fn instant_ngp_gets_by_with_an_angle() {
 }
 
 #[test]
-fn the_file_itself_can_be_opened() {
+fn the_path_of_the_file_can_be_opened() {
     let scene = Scene::new();
     let dataset = scene.open(&nerfstudio()).unwrap();
     fs::rename(scene.0.path().join("transforms.json"), scene.0.path().join("other.json")).unwrap();
@@ -110,7 +110,7 @@ fn the_sparse_cloud_is_read() {
 }
 
 #[test]
-fn what_cannot_be_used_is_refused_in_words() {
+fn unusable_values_are_refused_with_a_reason() {
     let scene = Scene::new();
     let with = |key: &str, value: Value| {
         let mut transforms = nerfstudio();
@@ -133,17 +133,17 @@ fn what_cannot_be_used_is_refused_in_words() {
         (with("p2", json!(1e-9)), "p2 is not 0"),
         (with("camera_model", json!("OPENCV_FISHEYE")), "OPENCV_FISHEYE is not supported"),
         (with("is_fisheye", json!(true)), "fisheye is not supported"),
-        (with("fl_x", json!(-3.0)), "frame images/b.png: focal length"),
+        (with("fl_x", json!(-3.0)), "frame images/b.png: the focal length"),
         (with("fl_x", json!(null)), "neither fl_x nor camera_angle_x"),
-        (with("w", json!(0)), "a picture of 0 × 6 pixels"),
-        (with("w", json!(8.5)), "a picture of 8.5 × 6 pixels"),
+        (with("w", json!(0)), "the picture size 0 × 6 pixels"),
+        (with("w", json!(8.5)), "the picture size 8.5 × 6 pixels"),
         (with("frames", json!([])), "no pictures with poses"),
-        (with("frames", json!(3)), "is not as expected"),
-        (with_matrix(scaled), "frame ./images/a.jpg: transform_matrix is no rotation"),
-        (with_matrix(mirrored), "no rotation"),
+        (with("frames", json!(3)), "is not a valid transforms.json"),
+        (with_matrix(scaled), "frame ./images/a.jpg: transform_matrix is not a rotation"),
+        (with_matrix(mirrored), "not a rotation"),
         (with_matrix(projective), "does not end with the row 0 0 0 1"),
         (with_matrix(json!([[1, 0, 0, 1], [0, 0, -1, 2]])), "fewer than 3 rows"),
-        (with_matrix(json!([[1, 0, 0, 1e300], [0, 0, -1, "x"]])), "is not as expected"),
+        (with_matrix(json!([[1, 0, 0, 1e300], [0, 0, -1, "x"]])), "is not a valid transforms.json"),
     ] {
         let text = scene.complaint(&transforms);
         assert!(text.contains(said), "{said}: {text}");
