@@ -1,16 +1,17 @@
-//! The training pictures at training size, within a byte budget: decoded once, shrunk once, then
-//! kept raw where all of them fit, else compressed (`pack`), else read again from disk.
+//! A cache of the training pictures at training size, within a byte budget. Each picture is decoded
+//! and shrunk once. It is then kept raw if all pictures fit, else compressed (`pack`) while there is
+//! room, else read from disk again.
 //!
-//! What is compressed stays, unless callers hold more than two pictures: with more pictures than fit, throwing the oldest out for the newest
-//! would in an epoch of training throw out each just before it is wanted again.
+//! Compressed pictures stay in the cache unless callers hold more than two pictures. Evicting the
+//! oldest for the newest would, in each epoch of training, evict every picture just before its use.
 //!
-//! An eighth of the budget, and at least two pictures, is for copies: those handed out, those made
-//! ahead and the one being made. The rest is for what is kept.
+//! An eighth of the budget, and at least two pictures, is reserved for copies: raw pictures that are
+//! handed out, prefetched or being made. The rest is for the pictures that are kept.
 //!
-//! One picture at a time is decoded, by whoever wants it: the caller of [`PictureCache::get`] or the
-//! thread that [`PictureCache::prefetch`] keeps busy. So the memory that decoding takes is known
-//! beforehand ([`PictureCache::scratch_bytes`]). Every form holds the same pixels, so nothing that is
-//! computed from a picture depends on timing or budget.
+//! Only one picture is decoded at a time, by the caller of [`PictureCache::get`] or by the thread that
+//! serves [`PictureCache::prefetch`]. So the memory for decoding is known in advance
+//! ([`PictureCache::scratch_bytes`]). Every form holds the same pixels, so results computed from a
+//! picture do not depend on timing or budget.
 
 mod pack;
 mod state;
@@ -25,12 +26,12 @@ use crate::picture::bytes_of;
 use crate::{Picture, SceneError, View};
 use state::{Slot, State};
 
-/// A picture to keep ready: where it lies and the size it is wanted at.
+/// A picture to cache: its file, and the size to shrink it to.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Source {
     /// The file.
     pub path: PathBuf,
-    /// Width and height wanted.
+    /// Width and height after shrinking.
     pub size_px: [u32; 2],
 }
 
@@ -41,23 +42,23 @@ impl Source {
     }
 }
 
-/// What a cache holds now.
+/// The contents of a cache at one moment.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct CacheUse {
-    /// Bytes of pictures in whatever form, those handed out and being made included; never above
-    /// the budget.
+    /// Bytes of pictures in any form, including those handed out and being made; never above the
+    /// budget.
     pub used_bytes: u64,
     /// Pictures kept raw.
     pub raw: usize,
     /// Pictures kept compressed.
     pub packed: usize,
-    /// Pictures read again from disk whenever they are wanted.
+    /// Pictures that are read from disk at each request.
     pub on_disk: usize,
-    /// How often a file was decoded.
+    /// Number of times that a file was decoded.
     pub decoded: u64,
 }
 
-/// A byte-bounded cache of pictures; see the module. Shared by reference between threads.
+/// A cache of pictures within a byte budget; see the module. Threads share it by reference.
 pub struct PictureCache {
     shared: Arc<Shared>,
     prefetcher: Option<JoinHandle<()>>,
@@ -66,14 +67,13 @@ pub struct PictureCache {
 struct Shared {
     sources: Vec<Source>,
     state: Mutex<State>,
-    /// Something in the state changed that another thread may wait for.
+    /// Wakes the threads that wait for a change of the state.
     changed: Condvar,
 }
 
 impl PictureCache {
-    /// A cache over `sources` that holds at most `budget_bytes` of pictures, those handed out and
-    /// those decoded ahead included. Reads nothing yet. A budget below [`Self::least_bytes`] is an
-    /// error that says so.
+    /// A cache over `sources` that holds at most `budget_bytes` of pictures, including those handed out
+    /// and prefetched. Reads no file yet. Errors: a budget below [`Self::least_bytes`].
     pub fn new(sources: Vec<Source>, budget_bytes: u64) -> Result<Self, SceneError> {
         let needed_bytes = Self::least_bytes(&sources);
         if budget_bytes < needed_bytes {
@@ -84,7 +84,7 @@ impl PictureCache {
         let for_thread = Arc::clone(&shared);
         let prefetcher =
             thread::Builder::new().name("pictures".into()).spawn(move || for_thread.prefetch_all());
-        // Without the thread pictures are decoded when they are wanted.
+        // If the thread cannot be started, `get` decodes every picture.
         Ok(Self { shared, prefetcher: prefetcher.ok() })
     }
 
@@ -94,13 +94,13 @@ impl PictureCache {
         (2 * largest_bytes(sources)).min(Self::most_bytes(sources))
     }
 
-    /// The budget at which nothing is compressed: all pictures raw.
+    /// The budget that holds all pictures raw; a larger one brings no gain.
     pub fn most_bytes(sources: &[Source]) -> u64 {
         sources.iter().map(|source| bytes_of(source.size_px)).sum()
     }
 
-    /// Bytes that decoding, shrinking and compressing the most demanding source needs beside the
-    /// budget, while it lasts. Reads every header.
+    /// Bytes that decoding, shrinking and compressing the most demanding source takes temporarily, on
+    /// top of the budget. Reads the header of every file.
     pub fn scratch_bytes(sources: &[Source]) -> Result<u64, SceneError> {
         let mut most = pack::scratch_bytes(largest_bytes(sources));
         for source in sources {
@@ -109,13 +109,13 @@ impl PictureCache {
         Ok(most)
     }
 
-    /// Picture `index` at its wanted size; the same pixels whatever was cached. What is handed out
-    /// counts until it is dropped, and getting another for which the budget then has no room is an
-    /// error; the least budget has room for one while another is held.
+    /// Picture `index` at its source's size. A returned picture counts towards the budget until it is
+    /// dropped. Errors: an unreadable file, or a budget without room for the picture; the least budget
+    /// has room for one picture while another is held.
     pub fn get(&self, index: usize) -> Result<Arc<Picture>, SceneError> {
         let shared = &self.shared;
         let mut state = shared.lock();
-        // The prefetcher may wait for what the caller dropped since.
+        // The prefetcher may be waiting for memory that the caller has released by now.
         shared.changed.notify_all();
         loop {
             if let Some(picture) = state.take(index) {
@@ -130,14 +130,14 @@ impl PictureCache {
         shared.make(state, index, false)
     }
 
-    /// Asks the background thread to have picture `index` ready soon. Never blocks; passed over
-    /// where too much was asked already.
+    /// Asks the background thread to make picture `index` ahead of its use. Returns at once; ignored if
+    /// too many requests are waiting.
     pub fn prefetch(&self, index: usize) {
-        self.shared.lock().order(index);
+        self.shared.lock().request(index);
         self.shared.changed.notify_all();
     }
 
-    /// What it holds now.
+    /// The current contents of the cache.
     pub fn usage(&self) -> CacheUse {
         self.shared.lock().usage()
     }
@@ -148,7 +148,7 @@ impl Drop for PictureCache {
         self.shared.lock().close();
         self.shared.changed.notify_all();
         if let Some(prefetcher) = self.prefetcher.take() {
-            // Had it panicked, its message was printed, and pictures came without it.
+            // If the thread panicked, its message was printed, and `get` decoded the pictures.
             let _ = prefetcher.join();
         }
     }
@@ -167,13 +167,13 @@ impl Shared {
         self.changed.wait(state).unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The background thread: makes what was ordered, as room allows.
+    /// The background thread: makes the requested pictures as room allows.
     fn prefetch_all(&self) {
         let mut state = self.lock();
         while !state.is_closed() {
-            match state.next_order() {
+            match state.next_request() {
                 Some(index) => {
-                    // An error comes again, to the caller, when the picture is wanted.
+                    // `get` of the same picture meets the same error and returns it.
                     let _ = self.make(state, index, true);
                     state = self.lock();
                 }
@@ -182,9 +182,9 @@ impl Shared {
         }
     }
 
-    /// Makes picture `index` from its compressed form or its file, without holding the lock
-    /// meanwhile, to be held ready if it is made `ahead`. There must be room, and nothing else being
-    /// made.
+    /// Makes picture `index` from its compressed form or its file, with the lock released meanwhile;
+    /// keeps it ready for `get` if it is made `ahead`. There must be room for it, and no other picture
+    /// may be in the making.
     fn make(
         &self,
         mut state: MutexGuard<'_, State>,
@@ -217,7 +217,7 @@ impl Shared {
         Ok(Arc::new(picture))
     }
 
-    /// The form in which a picture that was decoded for the first time would best be kept.
+    /// The best form in which to keep a picture that was decoded for the first time.
     fn form_of(&self, picture: &Arc<Picture>) -> Slot {
         if self.lock().keeps_raw() {
             return Slot::Raw(Arc::clone(picture));
@@ -226,7 +226,7 @@ impl Shared {
     }
 }
 
-/// Says that making is over, however it ended.
+/// Ends the making of a picture on drop, whether it succeeded or not.
 struct Making<'a> {
     shared: &'a Shared,
     index: usize,

@@ -1,4 +1,4 @@
-//! What can be wrong with files from outside: one line each, naming the thing and the remedy.
+//! Errors of reading and writing files. Each is one line that names the file and the remedy.
 
 use std::fmt;
 use std::io;
@@ -8,11 +8,11 @@ use crate::bytes::format_bytes;
 
 /// An error of reading or writing a scene.
 ///
-/// `Display` says all there is to say in one line; there is no further `source`.
+/// `Display` gives the complete message in one line; there is no `source`.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum SceneError {
-    /// The operating system refused.
+    /// The operating system could not read or write the file.
     #[error("{}: {}", path.display(), InWords(cause))]
     Io {
         /// The file or folder.
@@ -20,47 +20,47 @@ pub enum SceneError {
         /// The error of the operating system.
         cause: io::Error,
     },
-    /// The file's content is not what its format promises.
+    /// The file's content violates its format, or the format cannot hold what was to be written.
     #[error("{}: {reason}", path.display())]
     Malformed {
         /// The file.
         path: PathBuf,
-        /// What is wrong and what mends it, one line.
+        /// The fault and its remedy, one line.
         reason: String,
     },
     /// A memory budget is too small for the pictures.
-    #[error("the pictures need {}, but have {}; allow more memory or smaller pictures", format_bytes(*needed_bytes), format_bytes(*budget_bytes))]
+    #[error("the pictures need {}, but their memory budget is {}; raise the budget or use smaller pictures", format_bytes(*needed_bytes), format_bytes(*budget_bytes))]
     OverBudget {
-        /// The least that would do.
+        /// The least budget that suffices.
         needed_bytes: u64,
-        /// What was given.
+        /// The given budget.
         budget_bytes: u64,
     },
 }
 
 impl SceneError {
-    /// The operating system's refusal of `path`.
+    /// An operating system's error about `path`.
     pub fn io(path: &Path, cause: io::Error) -> Self {
         Self::Io { path: path.to_owned(), cause }
     }
 
-    /// A complaint about the content of `path`, one line that also says what mends it.
+    /// An error in the content of `path`; `reason` is one line that also gives the remedy.
     pub fn malformed(path: &Path, reason: impl Into<String>) -> Self {
         Self::Malformed { path: path.to_owned(), reason: reason.into() }
     }
 }
 
-/// Why a file cannot be read, said by a parser that does not know the file's path.
+/// A parser's error that does not name the file yet; [`Refusal::of`] adds the path.
 #[derive(Debug)]
 pub(crate) enum Refusal {
     /// The operating system failed, or the file ends too early.
     Io(io::Error),
-    /// The content is wrong; one line.
+    /// The content is invalid; one line.
     Content(String),
 }
 
 impl Refusal {
-    /// The same, of the file at `path`.
+    /// The error with the path of the file.
     pub(crate) fn of(self, path: &Path) -> SceneError {
         match self {
             Self::Io(cause) => SceneError::io(path, cause),
@@ -68,11 +68,11 @@ impl Refusal {
         }
     }
 
-    /// The same, with the place in the file where it happened, for example `row 3 of 8`.
+    /// Prepends the place in the file where the error occurred, for example `row 3 of 8`.
     pub(crate) fn at(self, place: impl fmt::Display) -> Self {
         match self {
             Self::Io(cause) if cause.kind() == io::ErrorKind::UnexpectedEof => {
-                Self::Content(format!("ends within {place}; it was cut short, fetch it again"))
+                Self::Content(format!("ends within {place}; the file was cut short, fetch it again"))
             }
             Self::Content(reason) => Self::Content(format!("{place}: {reason}")),
             other => other,
@@ -98,7 +98,7 @@ impl From<&str> for Refusal {
     }
 }
 
-/// An operating system's error with its remedy where there is a plain one.
+/// Displays an operating system's error, with a remedy for the common kinds.
 struct InWords<'a>(&'a io::Error);
 
 impl fmt::Display for InWords<'_> {

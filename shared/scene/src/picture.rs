@@ -1,4 +1,4 @@
-//! Pictures: 8-bit colour, row by row, and their JPEG and PNG files.
+//! 8-bit colour pictures in memory, and their JPEG and PNG files.
 
 mod files;
 mod header;
@@ -21,20 +21,20 @@ pub struct Picture {
 }
 
 impl Picture {
-    /// Wraps bytes of the right length: `3 * width * height`.
+    /// Wraps `3 * width * height` bytes, `[height, width, rgb]`. Panics on any other length.
     pub fn new(size_px: [u32; 2], rgb: Vec<u8>) -> Self {
         assert_eq!(rgb.len() as u64, bytes_of(size_px), "bytes of a {size_px:?} picture");
         Self { size_px, rgb }
     }
 
     /// Decodes a JPEG or PNG file. Alpha is composited over black, 16 bits become 8, grey becomes
-    /// colour. Orientation tags are not obeyed, as in COLMAP, whose cameras are those of the stored
-    /// rows. A file that is empty, cut short or damaged is an error that names it.
+    /// colour. Orientation tags are ignored, as in COLMAP, whose cameras describe the pixels as they are
+    /// stored. Errors: a file that is empty, cut short or damaged.
     pub fn read(path: &Path) -> Result<Self, SceneError> {
         files::read(path)
     }
 
-    /// [`Self::read`], then [`Self::resized`] where the size differs.
+    /// [`Self::read`], then [`Self::resized`] if the size differs.
     pub fn read_fitted(path: &Path, size_px: [u32; 2]) -> Result<Self, SceneError> {
         let picture = Self::read(path)?;
         Ok(if picture.size_px == size_px { picture } else { picture.resized(size_px) })
@@ -45,14 +45,14 @@ impl Picture {
         Ok(PictureHeader::read(path)?.size_px)
     }
 
-    /// The most memory that [`Self::read_fitted`] takes while it works, beside the picture that it
-    /// returns. From the file's header.
+    /// Bound on the bytes that [`Self::read_fitted`] allocates besides the picture that it returns.
+    /// Computed from the file's header.
     pub fn scratch_bytes(path: &Path, size_px: [u32; 2]) -> Result<u64, SceneError> {
         Ok(PictureHeader::read(path)?.decode_bytes + resize::scratch_bytes(size_px))
     }
 
-    /// The exact area average at another size: no aliasing, nothing lost when it shrinks; blocks
-    /// when it grows. In integers, so the bytes are the same everywhere.
+    /// Resamples by exact area average: shrinks without aliasing, enlarges to blocks. Computed in
+    /// integers, so the bytes are the same on every machine.
     pub fn resized(&self, size_px: [u32; 2]) -> Self {
         resize::area_average(self, size_px)
     }
@@ -67,8 +67,8 @@ impl Picture {
         files::write_jpeg(self, path, quality)
     }
 
-    /// The picture of colours 0 to 1, `[height, width, rgb]`; values beyond are clamped, and the
-    /// rest rounded to the nearest of 256 levels.
+    /// A picture from colours 0 to 1, `[height, width, rgb]`, clamped and rounded to the nearest of 256
+    /// levels. NaN becomes 0.
     pub fn from_unit(size_px: [u32; 2], rgb: &[f32]) -> Self {
         Self::new(size_px, rgb.iter().map(|v| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8).collect())
     }

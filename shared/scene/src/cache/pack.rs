@@ -1,23 +1,24 @@
-//! A picture's pixels compressed without loss: each value less what its neighbours to the left,
-//! above and above left foretell, then zstd level 1. On photographs from drones 0.40 to 0.59 of the
-//! pixels' bytes, where zstd alone makes 0.69 to 0.90.
+//! Lossless compression of a picture's pixels: subtracts from each value a prediction from its left,
+//! upper and upper-left neighbours, then applies zstd level 1. The prediction makes drone photographs
+//! much smaller than zstd alone.
 
 use std::io::{self, Read, Write};
 
 use crate::Picture;
 
-/// Higher levels gain a few percent on photographs and cost several times the time.
+/// zstd's level. Higher levels save a few percent on photographs and take several times as long.
 const LEVEL: i32 = 1;
 
-/// Beside input and output, zstd at level 1 takes below 2 MiB for its window and tables.
+/// Bound on zstd's own memory: its window and tables take less than half of this at level 1.
 const ZSTD_BYTES: u64 = 4 << 20;
 
-/// Bytes that packing or unpacking needs beside the picture.
+/// Bytes that packing or unpacking takes on top of the picture.
 pub(super) fn scratch_bytes(picture_bytes: u64) -> u64 {
-    // The output grows by doubling, and noise does not get smaller.
+    // The output's capacity grows by doubling, and noise does not compress.
     2 * picture_bytes + ZSTD_BYTES
 }
 
+/// Compresses a picture.
 pub(super) fn pack(picture: &Picture) -> io::Result<Vec<u8>> {
     let row_bytes = 3 * picture.size_px[0] as usize;
     let mut above = &vec![0; row_bytes][..];
@@ -25,7 +26,7 @@ pub(super) fn pack(picture: &Picture) -> io::Result<Vec<u8>> {
     let mut out = zstd::Encoder::new(Vec::new(), LEVEL)?;
     for row in picture.rgb.chunks_exact(row_bytes) {
         for i in 0..row_bytes {
-            differences[i] = row[i].wrapping_sub(foretold(row, above, i));
+            differences[i] = row[i].wrapping_sub(predict(row, above, i));
         }
         out.write_all(&differences)?;
         above = row;
@@ -35,7 +36,7 @@ pub(super) fn pack(picture: &Picture) -> io::Result<Vec<u8>> {
     Ok(packed)
 }
 
-/// The picture of `size_px` that was packed.
+/// Decompresses a picture of `size_px`.
 pub(super) fn unpack(packed: &[u8], size_px: [u32; 2]) -> io::Result<Picture> {
     let row_bytes = 3 * size_px[0] as usize;
     let mut rgb = vec![0; row_bytes * size_px[1] as usize];
@@ -46,14 +47,14 @@ pub(super) fn unpack(packed: &[u8], size_px: [u32; 2]) -> io::Result<Picture> {
         let above = if y == 0 { &zeros } else { &done[(y - 1) * row_bytes..] };
         let row = &mut rest[..row_bytes];
         for i in 0..row_bytes {
-            row[i] = row[i].wrapping_add(foretold(row, above, i));
+            row[i] = row[i].wrapping_add(predict(row, above, i));
         }
     }
     Ok(Picture::new(size_px, rgb))
 }
 
-/// What value `i` of `row` would be if brightness were a plane over it and its neighbours.
-fn foretold(row: &[u8], above: &[u8], i: usize) -> u8 {
+/// Predicts value `i` of `row` as if brightness were a plane over it and its neighbours.
+fn predict(row: &[u8], above: &[u8], i: usize) -> u8 {
     match i {
         0..3 => above[i],
         _ => row[i - 3].wrapping_add(above[i]).wrapping_sub(above[i - 3]),
@@ -66,7 +67,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_byte_comes_back() {
+    fn every_byte_survives_packing() {
         for size_px in [[1, 1], [1, 9], [9, 1], [40, 30]] {
             let n: u32 = 3 * size_px[0] * size_px[1];
             for step in [0, 1, 7, 2_654_435_761_u32] {

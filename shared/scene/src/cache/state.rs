@@ -1,5 +1,5 @@
-//! What the cache holds and the count of its bytes: the part that one lock guards. Nothing here
-//! decodes, waits or reads files.
+//! The contents of the cache and the count of its bytes, which one lock guards. Nothing here decodes,
+//! waits or reads files.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Weak};
@@ -8,10 +8,10 @@ use super::{CacheUse, PictureCache, Source, largest_bytes};
 use crate::picture::bytes_of;
 use crate::{Picture, SceneError};
 
-/// Orders beyond these are passed over: nobody plans further ahead than a few steps.
-const ORDERS_MAX: usize = 8;
+/// Longest queue of prefetch requests; training looks only a few steps ahead.
+const REQUESTS_MAX: usize = 8;
 
-/// The part of a budget that goes into copies; at least two.
+/// Copies get the budget divided by this, and at least two pictures.
 const COPIES_SHARE: u64 = 8;
 
 /// How a picture is kept.
@@ -19,17 +19,17 @@ const COPIES_SHARE: u64 = 8;
 pub(super) enum Slot {
     /// Not decoded yet.
     Unseen,
-    /// As it is.
+    /// Uncompressed.
     Raw(Arc<Picture>),
     /// Compressed.
     Packed(Arc<[u8]>),
-    /// Not at all.
+    /// Not kept: read from disk at each request.
     OnDisk,
 }
 
 pub(super) struct State {
     budget_bytes: u64,
-    /// For copies in use, made ahead and being made; the rest is for what is kept.
+    /// Budget for copies that are handed out, made ahead or being made; `slots` have the rest.
     copies_bytes_max: u64,
     /// Whether all pictures fit raw.
     keeps_raw: bool,
@@ -37,11 +37,13 @@ pub(super) struct State {
     slots: Vec<Slot>,
     /// Bytes in `slots`.
     kept_bytes: u64,
-    /// Copies, beside `slots`, that somebody may still hold.
+    /// Copies outside `slots` that may still be held.
     copies: Vec<(usize, Weak<Picture>)>,
-    /// Copies made ahead that nobody has got yet, oldest first.
+    /// Copies made ahead that `get` has not returned yet, oldest first.
     ready: VecDeque<(usize, Arc<Picture>)>,
-    orders: VecDeque<usize>,
+    /// Pictures to make ahead, oldest request first.
+    requests: VecDeque<usize>,
+    /// The picture that is being made.
     making: Option<usize>,
     decoded: u64,
     closed: bool,
@@ -58,7 +60,7 @@ impl State {
             kept_bytes: 0,
             copies: Vec::new(),
             ready: VecDeque::new(),
-            orders: VecDeque::new(),
+            requests: VecDeque::new(),
             making: None,
             decoded: 0,
             closed: false,
@@ -73,7 +75,7 @@ impl State {
         self.making.is_some()
     }
 
-    /// The picture, if it is there uncompressed; it is no longer held ready.
+    /// The picture if it is in memory uncompressed; removes it from those made ahead.
     pub(super) fn take(&mut self, index: usize) -> Option<Arc<Picture>> {
         let picture = self.find(index)?;
         self.ready.retain(|(ready, _)| *ready != index);
@@ -87,28 +89,28 @@ impl State {
         }
     }
 
-    /// Orders picture `index` to be made ahead.
-    pub(super) fn order(&mut self, index: usize) {
+    /// Requests that picture `index` is made ahead.
+    pub(super) fn request(&mut self, index: usize) {
         assert!(index < self.slots.len(), "picture {index} of {}", self.slots.len());
-        if self.orders.len() < ORDERS_MAX && !self.orders.contains(&index) {
-            self.orders.push_back(index);
+        if self.requests.len() < REQUESTS_MAX && !self.requests.contains(&index) {
+            self.requests.push_back(index);
         }
     }
 
-    /// The next order that there is room for, if nothing is being made.
-    pub(super) fn next_order(&mut self) -> Option<usize> {
-        while let Some(&index) = self.orders.front() {
+    /// Takes the next request, if there is room for its picture and no other is being made.
+    pub(super) fn next_request(&mut self) -> Option<usize> {
+        while let Some(&index) = self.requests.front() {
             if self.find(index).is_none() {
                 let has_room = self.fits_copies(index) && self.missing_bytes(index) == 0;
-                return if has_room && !self.is_making() { self.orders.pop_front() } else { None };
+                return if has_room && !self.is_making() { self.requests.pop_front() } else { None };
             }
-            self.orders.pop_front();
+            self.requests.pop_front();
         }
         None
     }
 
-    /// Gives up what was made ahead, oldest first, until picture `index` fits among the copies; and
-    /// what is kept compressed where callers hold more copies than that.
+    /// Drops pictures made ahead, oldest first, until picture `index` fits among the copies. If callers
+    /// hold too many copies for that, drops compressed pictures until it fits into the budget.
     pub(super) fn make_room(&mut self, index: usize) -> Result<(), SceneError> {
         while !self.fits_copies(index) && self.ready.pop_front().is_some() {}
         while self.missing_bytes(index) > 0 {
@@ -125,12 +127,12 @@ impl State {
         self.keeps_raw || self.copies_bytes() + self.picture_bytes[index] <= self.copies_bytes_max
     }
 
-    /// What the budget lacks to hold picture `index` too.
+    /// Bytes that the budget lacks for holding picture `index` too.
     fn missing_bytes(&mut self, index: usize) -> u64 {
         (self.used_bytes() + self.picture_bytes[index]).saturating_sub(self.budget_bytes)
     }
 
-    /// Stops keeping one compressed picture, if there is one.
+    /// Drops one compressed picture; false if there is none.
     fn drop_packed(&mut self) -> bool {
         let Some(slot) = self.slots.iter_mut().find(|slot| matches!(slot, Slot::Packed(_))) else {
             return false;
@@ -142,15 +144,15 @@ impl State {
         true
     }
 
-    /// Picture `index` is being made from now on. Returns from what.
+    /// Marks picture `index` as being made. Returns the form to make it from.
     pub(super) fn begin(&mut self, index: usize) -> Slot {
-        assert!(self.making.is_none(), "two pictures are made at a time");
+        assert!(self.making.is_none(), "only one picture may be made at a time");
         self.making = Some(index);
         self.slots[index].clone()
     }
 
-    /// Picture `index` was made, to be kept as `slot` if it was decoded for the first time, and to
-    /// be held ready if it was made `ahead`.
+    /// Records that picture `index` was made. Keeps `slot`, given if it was decoded for the first time,
+    /// and holds the picture ready if it was made `ahead`.
     pub(super) fn finish(&mut self, index: usize, picture: &Arc<Picture>, slot: Option<Slot>, ahead: bool) {
         self.end(index);
         let is_raw = matches!(slot, Some(Slot::Raw(_)));
@@ -165,7 +167,7 @@ impl State {
         }
     }
 
-    /// Keeps what there is room for.
+    /// Keeps `slot` if there is room for it, else leaves the picture on disk.
     fn keep(&mut self, index: usize, slot: Slot) {
         let (bytes, bytes_max) = match &slot {
             Slot::Raw(_) => (self.picture_bytes[index], self.budget_bytes),
@@ -179,7 +181,7 @@ impl State {
         self.kept_bytes += if fits { bytes } else { 0 };
     }
 
-    /// Picture `index` is no longer being made, whether it was made or not.
+    /// Marks picture `index` as no longer being made, after success or failure.
     pub(super) fn end(&mut self, index: usize) {
         if self.making == Some(index) {
             self.making = None;
@@ -212,7 +214,7 @@ impl State {
         self.kept_bytes + self.copies_bytes()
     }
 
-    /// What is being made, and every copy that is still held somewhere.
+    /// Bytes of the picture being made and of every copy that is still held.
     fn copies_bytes(&mut self) -> u64 {
         self.copies.retain(|(_, copy)| copy.strong_count() > 0);
         let copies = self.copies.iter().map(|(index, _)| *index).chain(self.making);

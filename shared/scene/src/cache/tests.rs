@@ -1,4 +1,4 @@
-//! The same pixels and never more bytes than allowed, whatever the budget and whoever is faster.
+//! The pixels are right and the budget holds, for any budget and any timing of the threads.
 
 #![allow(clippy::unwrap_used)]
 
@@ -10,7 +10,7 @@ use super::*;
 const SIZE_PX: [u32; 2] = [24, 16];
 const RAW_BYTES: u64 = 24 * 16 * 3;
 
-/// `n` pictures of twice the wanted size, noisy so that they do not compress to nothing.
+/// `n` picture files of twice the source's size, with noise so that they compress only partly.
 fn made_up(folder: &Path, n: u32) -> Vec<Source> {
     let source = |i: u32| {
         let noise = |x: u32, y: u32| ((x * 48 + y * 977 + i) ^ 0x5A5A).wrapping_mul(2_654_435_761) >> 25;
@@ -27,7 +27,7 @@ fn expected(sources: &[Source]) -> Vec<Picture> {
     sources.iter().map(|source| Picture::read_fitted(&source.path, source.size_px).unwrap()).collect()
 }
 
-/// Two epochs with so many pictures prefetched, every picture and every count of bytes checked.
+/// Runs two epochs that prefetch `prefetched` pictures ahead; checks every picture and byte count.
 fn two_epochs(sources: &[Source], budget_bytes: u64, prefetched: usize) -> CacheUse {
     let expected = expected(sources);
     let cache = PictureCache::new(sources.to_vec(), budget_bytes).unwrap();
@@ -46,7 +46,7 @@ fn two_epochs(sources: &[Source], budget_bytes: u64, prefetched: usize) -> Cache
 }
 
 #[test]
-fn what_fits_is_decoded_once_and_kept_raw() {
+fn pictures_that_fit_are_decoded_once_and_kept_raw() {
     let folder = tempfile::tempdir().unwrap();
     let sources = made_up(folder.path(), 10);
     assert_eq!(PictureCache::most_bytes(&sources), 10 * RAW_BYTES);
@@ -55,7 +55,7 @@ fn what_fits_is_decoded_once_and_kept_raw() {
 }
 
 #[test]
-fn what_does_not_fit_raw_is_compressed_and_still_decoded_once() {
+fn pictures_that_do_not_fit_raw_are_compressed_and_decoded_once() {
     let folder = tempfile::tempdir().unwrap();
     let sources = made_up(folder.path(), 10);
     let usage = two_epochs(&sources, 10 * RAW_BYTES - 1, 3);
@@ -63,7 +63,7 @@ fn what_does_not_fit_raw_is_compressed_and_still_decoded_once() {
 }
 
 #[test]
-fn what_does_not_fit_compressed_is_read_again() {
+fn pictures_that_do_not_fit_compressed_are_read_again() {
     let folder = tempfile::tempdir().unwrap();
     let sources = made_up(folder.path(), 10);
     assert_eq!(PictureCache::least_bytes(&sources), 2 * RAW_BYTES);
@@ -77,22 +77,25 @@ fn what_does_not_fit_compressed_is_read_again() {
 }
 
 #[test]
-fn a_budget_too_small_is_refused_with_the_least() {
+fn the_error_for_a_small_budget_names_the_least() {
     let folder = tempfile::tempdir().unwrap();
     let sources = made_up(folder.path(), 3);
     let text = PictureCache::new(sources.clone(), 2 * RAW_BYTES - 1).err().unwrap().to_string();
-    assert_eq!(text, "the pictures need 2.25 KiB, but have 2.25 KiB; allow more memory or smaller pictures");
+    assert_eq!(
+        text,
+        "the pictures need 2.25 KiB, but their memory budget is 2.25 KiB; raise the budget or use smaller pictures"
+    );
     assert!(PictureCache::new(sources[..1].to_vec(), RAW_BYTES).is_ok());
     assert!(PictureCache::new(Vec::new(), 0).is_ok());
 }
 
 #[test]
-fn what_is_handed_out_counts() {
+fn held_pictures_count_towards_the_budget() {
     let folder = tempfile::tempdir().unwrap();
     let cache = PictureCache::new(made_up(folder.path(), 4), 2 * RAW_BYTES).unwrap();
     let first = cache.get(0).unwrap();
     let second = cache.get(1).unwrap();
-    assert!(Arc::ptr_eq(&first, &cache.get(0).unwrap()), "a copy that is there is shared");
+    assert!(Arc::ptr_eq(&first, &cache.get(0).unwrap()), "a copy in memory must be shared");
     assert_eq!(cache.usage().used_bytes, 2 * RAW_BYTES);
     assert!(matches!(cache.get(2), Err(SceneError::OverBudget { .. })));
     drop(second);
@@ -102,7 +105,7 @@ fn what_is_handed_out_counts() {
 }
 
 #[test]
-fn whoever_holds_many_costs_what_is_compressed() {
+fn holding_many_pictures_evicts_compressed_ones() {
     let folder = tempfile::tempdir().unwrap();
     let cache = PictureCache::new(made_up(folder.path(), 6), 4 * RAW_BYTES).unwrap();
     (0..6).for_each(|index| drop(cache.get(index).unwrap()));
@@ -117,7 +120,7 @@ fn whoever_holds_many_costs_what_is_compressed() {
 }
 
 #[test]
-fn what_was_prefetched_is_there_without_its_file() {
+fn a_prefetched_picture_needs_its_file_no_more() {
     let folder = tempfile::tempdir().unwrap();
     let sources = made_up(folder.path(), 4);
     let expected = expected(&sources);
@@ -135,7 +138,7 @@ fn what_was_prefetched_is_there_without_its_file() {
 }
 
 #[test]
-fn prefetching_gives_way_to_what_is_wanted() {
+fn prefetched_pictures_make_room_for_requested_ones() {
     let folder = tempfile::tempdir().unwrap();
     let sources = made_up(folder.path(), 12);
     let expected = expected(&sources);
@@ -168,7 +171,7 @@ fn several_threads_get_the_same_pixels() {
 }
 
 #[test]
-fn a_damaged_file_is_named_each_time_and_stops_nothing() {
+fn a_damaged_file_is_an_error_each_time_and_affects_no_other() {
     let folder = tempfile::tempdir().unwrap();
     let sources = made_up(folder.path(), 3);
     fs::remove_file(&sources[1].path).unwrap();

@@ -1,4 +1,4 @@
-//! Pictures from JPEG and PNG files and into them.
+//! Reads and writes pictures as JPEG and PNG files.
 
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Seek, SeekFrom};
@@ -17,7 +17,7 @@ pub(super) fn read(path: &Path) -> Result<Picture, SceneError> {
     let header = PictureHeader::read(path)?;
     let open = || File::open(path).map(BufReader::new).map_err(|cause| SceneError::io(path, cause));
     if header.format == ImageFormat::Jpeg && !has_end(open()?, header.data_offset).unwrap_or(false) {
-        // The decoder would fill what is missing with grey.
+        // The decoder would fill the missing pixels with grey.
         let reason = "ends before its last pixel; it was cut short, fetch the picture again or leave it out";
         return Err(SceneError::malformed(path, reason));
     }
@@ -53,7 +53,7 @@ fn has_end(mut input: impl BufRead + Seek, offset: u64) -> io::Result<bool> {
     }
 }
 
-/// 8 bits per channel, with alpha composited over black. [`PictureHeader`] counts what this allocates.
+/// 8 bits per channel, with alpha composited over black. [`PictureHeader`] counts its allocations.
 fn rgb_over_black(image: DynamicImage) -> Vec<u8> {
     let over = |color: u8, alpha: u8| ((u16::from(color) * u16::from(alpha) + 127) / 255) as u8;
     match image {

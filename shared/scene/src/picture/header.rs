@@ -1,6 +1,6 @@
-//! What a JPEG or PNG file says of itself before it is decoded: the picture's size, and how much
-//! memory decoding will take. Reads a few hundred bytes, so a dataset of thousands of pictures is
-//! checked in no time, and a forged size is refused before anything is allocated for it.
+//! Reads the headers of JPEG and PNG files: the picture's size, and a bound on the memory for
+//! decoding it. A header takes a few hundred bytes, so thousands of pictures are checked quickly, and
+//! a forged size is refused before anything is allocated.
 
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read, Seek};
@@ -10,27 +10,27 @@ use image::ImageFormat;
 
 use crate::SceneError;
 
-/// More pixels than any drone's camera has; beyond that, a header is taken for damaged.
+/// Largest accepted number of pixels, above that of any drone's camera.
 const PIXELS_MAX: u64 = 1 << 28;
 
-/// A PNG cannot pack more pixels into a byte: one bit per pixel, deflated 1:1032.
+/// Most pixels per byte of a PNG: one bit per pixel, deflated 1:1032.
 const PNG_PIXELS_PER_BYTE_MAX: u64 = 8 * 1032;
 
-/// Nor a JPEG: at least one bit for each block of 8 × 8.
+/// Most pixels per byte of a JPEG: at least one bit for each block of 8 × 8.
 const JPEG_PIXELS_PER_BYTE_MAX: u64 = 8 * 64;
 
-/// The facts of a header.
+/// The checked facts of a picture's file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct PictureHeader {
     pub(super) format: ImageFormat,
     pub(super) size_px: [u32; 2],
-    /// Bytes that the decoder needs while it works, the result included, at most.
+    /// Bound on the bytes that decoding allocates, including the decoded picture.
     pub(super) decode_bytes: u64,
     /// Where compressed pixels begin, bytes from the file's start.
     pub(super) data_offset: u64,
 }
 
-/// What the formats' own headers say.
+/// The unchecked facts of a file's header.
 struct Facts {
     format: ImageFormat,
     size_px: [u32; 2],
@@ -66,7 +66,7 @@ impl PictureHeader {
                 "claims {width} × {height} pixels in {file_bytes} bytes; the file is damaged, fetch it again"
             )));
         }
-        // Decoders also keep a few rows and tables.
+        // Decoders also allocate a few rows and tables.
         let rows_bytes = 256 * u64::from(width) + (1 << 18);
         Ok(Self {
             format: facts.format,
@@ -95,7 +95,7 @@ fn read_array<const N: usize>(input: &mut impl Read) -> io::Result<[u8; N]> {
     Ok(bytes)
 }
 
-/// The rest of a PNG's signature, its first chunk, and on to the first chunk of pixels.
+/// Reads the rest of a PNG's signature, and its chunks up to the first one of pixels.
 fn read_png(input: &mut (impl Read + Seek)) -> io::Result<Facts> {
     let rest: [u8; 14] = read_array(input)?;
     if rest != *b"NG\r\n\x1a\n\0\0\0\rIHDR" {
@@ -114,8 +114,8 @@ fn read_png(input: &mut (impl Read + Seek)) -> io::Result<Facts> {
     Ok(Facts { format: ImageFormat::Png, size_px: [width, height], bytes_per_pixel, data_offset: 0 })
 }
 
-/// Whether one of the chunks before the pixels makes some colour transparent. Begins at the first
-/// chunk's checksum.
+/// Whether a chunk before the pixels makes some colour transparent. `input` must be at the checksum of
+/// the first chunk.
 fn has_transparency(input: &mut (impl Read + Seek)) -> io::Result<bool> {
     let mut skip = 4;
     loop {
@@ -129,7 +129,7 @@ fn has_transparency(input: &mut (impl Read + Seek)) -> io::Result<bool> {
     }
 }
 
-/// Walks a JPEG's segments up to the first scan.
+/// Reads a JPEG's segments up to the first scan.
 fn read_jpeg(input: &mut (impl BufRead + Seek)) -> io::Result<Facts> {
     let mut frame = None;
     loop {
@@ -138,7 +138,7 @@ fn read_jpeg(input: &mut (impl BufRead + Seek)) -> io::Result<Facts> {
         let length = i64::from(length.checked_sub(2).ok_or_else(|| invalid(DAMAGED))?);
         let next = input.stream_position()? as i64 + length;
         match marker {
-            // Start of frame; the other three of the range are tables.
+            // Start of frame; the three excluded markers are tables and an extension.
             0xC0..=0xCF if !matches!(marker, 0xC4 | 0xC8 | 0xCC) => frame = Some(read_frame(input, marker)?),
             // Start of scan.
             0xDA => {
@@ -160,7 +160,7 @@ fn read_jpeg(input: &mut (impl BufRead + Seek)) -> io::Result<Facts> {
 
 const DAMAGED: &str = "is a damaged JPEG; fetch the picture again or leave it out";
 
-/// The next marker's second byte, past any padding.
+/// The second byte of the next marker, after any padding.
 fn read_marker(input: &mut impl Read) -> io::Result<u8> {
     let [first] = read_array(input)?;
     if first != 0xFF {
@@ -175,7 +175,7 @@ fn read_marker(input: &mut impl Read) -> io::Result<u8> {
     }
 }
 
-/// A JPEG's start of frame.
+/// The start of frame of a JPEG.
 struct Frame {
     size_px: [u32; 2],
     components: u8,
@@ -183,8 +183,8 @@ struct Frame {
 }
 
 impl Frame {
-    /// Decoded bytes; where not all of a pixel comes in one scan, 16-bit coefficients are kept too.
-    /// Grey becomes RGB.
+    /// Bytes per pixel that decoding allocates, including the conversion of grey to RGB. If a pixel is
+    /// spread over several scans, the decoder also keeps 16-bit coefficients.
     fn bytes_per_pixel(&self, scan_components: u8) -> u64 {
         let components = u64::from(self.components);
         let in_scans = self.progressive || scan_components < self.components;

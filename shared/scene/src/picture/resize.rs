@@ -1,5 +1,6 @@
-//! The exact area average: each new pixel is the mean of the old picture over the area it covers,
-//! pixels covered in part counted by that part. In integers, so every machine gets the same bytes.
+//! Exact area average: each new pixel is the mean of the old picture over the area that it covers,
+//! where a partly covered pixel counts by its covered part. Computed in integers, so every machine
+//! gets the same bytes.
 
 use super::Picture;
 
@@ -9,7 +10,7 @@ pub(super) fn area_average(picture: &Picture, size_px: [u32; 2]) -> Picture {
     let rows = spans(picture.size_px[1], size_px[1]);
     let old_row = 3 * picture.size_px[0] as usize;
     let area = u64::from(picture.size_px[0]) * u64::from(picture.size_px[1]);
-    // The row of the old picture that was shrunk last; neighbours share the one on their border.
+    // The last shrunk row of the old picture. Neighbouring new rows share the old row at their border.
     let mut shrunk = vec![0_u32; 3 * columns.len()];
     let mut shrunk_y = None;
     let mut sums = vec![0_u64; shrunk.len()];
@@ -29,17 +30,18 @@ pub(super) fn area_average(picture: &Picture, size_px: [u32; 2]) -> Picture {
     Picture::new(size_px, rgb)
 }
 
-/// Bytes that [`area_average`] takes beside both pictures, generously.
+/// Bound on the bytes that [`area_average`] allocates besides both pictures.
 pub(super) fn scratch_bytes(size_px: [u32; 2]) -> u64 {
-    // A row of sums in 64 and one in 32 bits, and the spans of both axes with up to 65,535 old pixels.
+    // A row of 64-bit sums, a row of 32-bit sums, and the spans of both axes for up to 65,535 old pixels.
     36 * u64::from(size_px[0]) + 64 * u64::from(size_px[0].max(size_px[1])) + (1 << 20)
 }
 
-/// What a new pixel covers along one axis, in units of one old pixel divided by the new length.
+/// The old pixels that a new pixel covers along one axis.
 struct Span {
-    /// First old pixel that is touched.
+    /// First old pixel that is covered.
     first: usize,
-    /// How much of it, and of each that follows, is covered; they sum to the old length.
+    /// Covered part of this and of each following old pixel, in units of 1 / new length; they sum to the
+    /// old length.
     weights: Vec<u32>,
 }
 
@@ -58,7 +60,7 @@ fn shrink_row(old: &[u8], columns: &[Span], new: &mut [u32]) {
     for (new, column) in new.chunks_exact_mut(3).zip(columns) {
         let mut sums = [0_u32; 3];
         for (pixel, &weight) in old[3 * column.first..].chunks_exact(3).zip(&column.weights) {
-            // At most 255 times the old width, which is far below 2²⁴.
+            // No overflow: at most 255 times the old width, which is far below 2²⁴.
             sums.iter_mut().zip(pixel).for_each(|(sum, &value)| *sum += weight * u32::from(value));
         }
         new.copy_from_slice(&sums);
@@ -74,7 +76,7 @@ mod tests {
         Picture::new(size_px, (0..n).map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8).collect())
     }
 
-    /// The mean over the area of one new pixel, in floating point, from the definition.
+    /// The mean over the area of one new pixel by the definition, in floating point.
     fn mean_over(picture: &Picture, size_px: [u32; 2], x: u32, y: u32, channel: u32) -> f64 {
         let overlap = |i: u32, axis: usize, new: u32| {
             let scale = f64::from(picture.size_px[axis]) / f64::from(size_px[axis]);

@@ -1,4 +1,4 @@
-//! Files in every form that is promised, and hostile ones.
+//! Files of every supported kind, and hostile files.
 
 #![allow(clippy::unwrap_used)]
 
@@ -9,7 +9,7 @@ use image::{ExtendedColorType, ImageEncoder};
 
 use super::*;
 
-/// A smooth picture, so that JPEG keeps it nearly.
+/// A smooth picture, which JPEG changes little.
 fn smooth(size_px: [u32; 2]) -> Picture {
     let [width, height] = size_px;
     let at = |x: u32, y: u32| [255 * x / width, 255 * y / height, 128].map(|v| v as u8);
@@ -31,13 +31,13 @@ fn jpeg(picture: &Picture) -> Vec<u8> {
 }
 
 thread_local! {
-    /// One for each test: making thousands of folders would take longer than all else.
+    /// One folder per test: creating one per file would dominate the test's time.
     static FOLDER: tempfile::TempDir = tempfile::tempdir().unwrap();
 }
 
 fn read_bytes(file: &[u8]) -> Result<Picture, SceneError> {
     let path = FOLDER.with(|folder| folder.path().join("a.jpg"));
-    // Some file systems wait for the disk where a file is written over.
+    // On some file systems, overwriting a file waits for the disk.
     let _ = fs::remove_file(&path);
     fs::write(&path, file).unwrap();
     let header = Picture::size_of(&path);
@@ -66,7 +66,7 @@ fn png_keeps_every_byte() {
 }
 
 #[test]
-fn jpeg_keeps_nearly_every_byte() {
+fn jpeg_changes_smooth_pictures_little() {
     let picture = smooth([64, 40]);
     let again = read_bytes(&jpeg(&picture)).unwrap();
     assert_eq!(again.size_px, [64, 40]);
@@ -90,9 +90,9 @@ fn other_colors_become_rgb() {
     }
 }
 
-/// Bytes per pixel that decoding needs, as measured once with 12-megapixel files.
+/// The expected bytes per pixel were measured once with 12-megapixel files.
 #[test]
-fn scratch_follows_the_kind_of_file() {
+fn scratch_bytes_follow_the_colour_type() {
     use ExtendedColorType::*;
     let size_px = [1_000, 1_000];
     for (color, bytes_per_pixel, scratch_per_pixel) in
@@ -115,7 +115,7 @@ fn unit_colors_are_rounded_and_clamped() {
 }
 
 #[test]
-fn what_is_no_picture_is_refused_in_words() {
+fn files_that_are_not_pictures_are_refused_with_a_reason() {
     assert!(complaint(b"").contains("is empty (0 bytes)"));
     assert!(complaint(b"GIF89a, perhaps").contains("neither JPEG nor PNG"));
     assert!(complaint(b"\x89PiNG\r\n\x1a\n and so on").contains("neither JPEG nor PNG"));
@@ -141,12 +141,12 @@ fn a_jpeg_cut_anywhere_is_refused() {
     for length in 0..whole.len() {
         complaint(&whole[..length]);
     }
-    // Cameras append thumbnails and padding; these do no harm.
+    // Bytes after the end are ignored: cameras append thumbnails and padding.
     assert_eq!(read_bytes(&[&whole[..], b"\0\0padding"].concat()).unwrap(), read_bytes(&whole).unwrap());
 }
 
 #[test]
-fn a_png_cut_anywhere_is_refused_or_whole() {
+fn a_png_cut_anywhere_is_refused_or_complete() {
     let picture = smooth([9, 5]);
     let whole = png(&picture.rgb, [9, 5], ExtendedColorType::Rgb8);
     for length in 0..whole.len() {
