@@ -1,9 +1,9 @@
-//! A bounding volume hierarchy over triangles, four boxes a node and four triangles a leaf, so that
-//! each step is a handful of four-wide vector operations.
+//! A bounding volume hierarchy over triangles, with four boxes per node and four triangles per leaf,
+//! so that each step is a handful of four-wide vector operations.
 //!
-//! Rays go in bundles: those of a pixel, or from neighbouring places to the sun, meet nearly the
-//! same boxes, so a bundle walks the tree once, as a beam that holds all its rays, and only the
-//! triangles are tried ray by ray.
+//! Rays are traced in bundles. The rays of a pixel, or from neighbouring points to the sun, meet
+//! nearly the same boxes. So a bundle traverses the tree once, as a beam that encloses its rays, and
+//! only triangles are tested ray by ray.
 
 mod build;
 
@@ -11,59 +11,61 @@ use glam::{Vec3, Vec4};
 
 /// Triangles in a leaf; also boxes in a node.
 const WIDTH: usize = 4;
-/// From this depth on parts are halved by count, which bounds the depth for any input.
+/// From this depth on, nodes are split into halves by count, which bounds the tree's depth.
 const MEDIAN_DEPTH: usize = 12;
-/// The most triangles that a hierarchy holds.
+/// Largest number of triangles in a hierarchy.
 pub(crate) const TRIANGLES_MAX: usize = 1 << 26;
-/// Three boxes wait on each level: [`MEDIAN_DEPTH`] levels and the 13 that [`TRIANGLES_MAX`] need beyond.
+/// Entries of the traversal stack: at most three wait per level, on [`MEDIAN_DEPTH`] levels and the 13
+/// below them that [`TRIANGLES_MAX`] needs.
 const STACK: usize = 80;
-/// Bit of a child that tells a leaf from a node.
+/// Bit of a child's index that marks a leaf.
 const LEAF: u32 = 1 << 31;
-/// By how much, in barycentric units, a ray may miss a triangle: closes the cracks that rounding
-/// opens between neighbours.
+/// How far a ray may miss a triangle and still hit it, in barycentric units: closes the cracks that
+/// rounding opens between neighbours.
 const EDGE_SLACK: f32 = 1e-6;
-/// Lengthens the part of a beam inside a box by more than rounding can shorten it.
+/// Factor on the `t` at which a beam leaves a box; it exceeds the rounding error.
 const BOX_SLACK: f32 = 1.0 + 1e-6;
 /// Far beyond any surface, world units.
 const FAR: f32 = 1e30;
 
-/// A ray; `t` counts lengths of `direction`.
+/// The ray `origin + t · direction` for `t_min < t < t_max`.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Ray {
-    /// Start.
+    /// World position at `t = 0`.
     pub(crate) origin: Vec3,
-    /// Any length but zero.
+    /// Any non-zero length.
     pub(crate) direction: Vec3,
-    /// Where it begins.
+    /// Hits must lie beyond this `t`.
     pub(crate) t_min: f32,
-    /// Where it ends.
+    /// Hits must lie before this `t`.
     pub(crate) t_max: f32,
 }
 
 /// Where a ray met a triangle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Hit {
-    /// Lengths of the ray's direction.
+    /// Distance in lengths of the ray's direction.
     pub(crate) t: f32,
-    /// Index into the triangles the hierarchy was built from.
+    /// Index into the triangles that the hierarchy was built from.
     pub(crate) triangle: u32,
     /// Weights of the second and third corner.
     pub(crate) barycentric: [f32; 2],
 }
 
-/// Three coordinates of four vectors.
+/// Four 3D vectors, one `Vec4` per coordinate.
 type Lanes = [Vec4; 3];
 
-/// Four boxes and what they hold: a node, or with [`LEAF`] a leaf. Unused ones are inside out.
+/// Four boxes and their children: indices of nodes, or with the bit [`LEAF`] of leaves. Unused boxes
+/// are inverted.
 #[derive(Clone, Copy, Debug)]
 #[repr(align(64))]
 struct Node {
-    /// Least and greatest corners.
+    /// Minimum and maximum corners.
     bounds: [Lanes; 2],
     children: [u32; WIDTH],
 }
 
-/// Four triangles as the intersection test wants them. Unused ones are degenerate.
+/// Four triangles in the layout of the intersection test. Unused ones are degenerate.
 #[derive(Clone, Copy, Debug)]
 struct Leaf {
     corner: Lanes,
@@ -78,7 +80,7 @@ pub(crate) struct Bvh {
     leaves: Vec<Leaf>,
 }
 
-/// A ray with each coordinate in all four lanes.
+/// A ray with each coordinate repeated in all four lanes.
 #[derive(Clone, Copy)]
 struct WideRay {
     origin: Lanes,
@@ -93,13 +95,13 @@ impl WideRay {
     }
 }
 
-/// What holds all rays of a bundle: for each axis the two outermost inverse directions, and the
-/// origins from which boxes are entered soonest and left latest.
+/// Encloses all rays of a bundle. Per axis it has the two extreme inverse directions, and the origins
+/// that give the earliest entry into a box and the latest exit.
 struct Beam {
     inverses: [Lanes; 2],
     enter_from: Lanes,
     leave_from: Lanes,
-    /// For each axis which of a box's bounds is met first.
+    /// Per axis, the index of the box's bound that is met first.
     first: [usize; 3],
     t_min: Vec4,
 }
@@ -121,10 +123,10 @@ impl Beam {
         for axis in 0..3 {
             let (low, high) = (direction.0[axis], direction.1[axis]);
             if low * high <= 0.0 && low < high {
-                // Some rays go one way, some the other: the axis excludes nothing.
+                // The rays go both ways along this axis, so it excludes no box.
                 continue;
             }
-            // A zero is replaced so that no box test sees 0 * infinity.
+            // Zero is replaced, so that no box test computes 0 * infinity.
             let inverse = |x: f32| Vec4::splat(if x.abs() < 1e-20 { 1e20 } else { 1.0 / x });
             beam.inverses[0][axis] = inverse(low);
             beam.inverses[1][axis] = inverse(high);
@@ -141,7 +143,7 @@ impl Beam {
 impl Node {
     const EMPTY: Self = Self { bounds: [[Vec4::MAX; 3], [Vec4::MIN; 3]], children: [LEAF; WIDTH] };
 
-    /// Where the beam enters each box, and which boxes it meets before `t_max`, one bit each.
+    /// The `t` at which the beam enters each box, and a bit mask of the boxes it meets before `t_max`.
     #[inline]
     fn enter(&self, beam: &Beam, t_max: f32) -> (Vec4, u32) {
         let mut enter = beam.t_min;
@@ -160,7 +162,7 @@ impl Node {
 impl Leaf {
     const EMPTY: Self = Self { corner: [Vec4::ZERO; 3], edges: [[Vec4::ZERO; 3]; 2], triangles: [0; WIDTH] };
 
-    /// Möller–Trumbore, both sides: weights, `t`, and which triangles are met before `t_max`.
+    /// Möller–Trumbore, both sides: two weights, `t`, and a bit mask of the triangles met before `t_max`.
     #[inline]
     fn intersect(&self, ray: &WideRay, t_max: f32) -> (Vec4, Vec4, Vec4, u32) {
         let across = cross(&ray.direction, &self.edges[1]);
@@ -189,12 +191,12 @@ fn dot(a: &Lanes, b: &Lanes) -> Vec4 {
 }
 
 impl Bvh {
-    /// Builds over at most [`TRIANGLES_MAX`] triangles given by their corners; there may be none.
+    /// Builds a hierarchy over 0 to [`TRIANGLES_MAX`] triangles, given by their corners.
     pub(crate) fn build(triangles: &[[Vec3; 3]]) -> Self {
         build::build(triangles)
     }
 
-    /// The nearest triangle of each ray. Fast where the rays are close together.
+    /// The nearest hit of each ray. Fast if the rays are close together.
     pub(crate) fn nearest<const N: usize>(&self, rays: &[Ray; N]) -> [Option<Hit>; N] {
         let wide = rays.each_ref().map(WideRay::new);
         let mut t_max = rays.each_ref().map(|ray| ray.t_max);
@@ -217,7 +219,7 @@ impl Bvh {
         nearest
     }
 
-    /// For each ray whether anything is in its way. Fast where the rays are close together.
+    /// Whether each ray hits any triangle. Fast if the rays are close together.
     pub(crate) fn blocked<const N: usize>(&self, rays: &[Ray; N]) -> [bool; N] {
         let wide = rays.each_ref().map(WideRay::new);
         let longest = rays.iter().map(|ray| ray.t_max).fold(f32::NEG_INFINITY, f32::max);
@@ -231,8 +233,8 @@ impl Bvh {
         blocked
     }
 
-    /// Shows `visit` the leaves whose boxes the rays may meet, nearer ones first. `visit` says how
-    /// far the rays still go; negative infinity ends the walk.
+    /// Calls `visit` with the leaves whose boxes the rays may meet, nearer leaves first. `visit` returns
+    /// the largest `t` that still matters; negative infinity ends the walk.
     #[inline]
     fn walk(&self, rays: &[Ray], mut visit: impl FnMut(&Leaf) -> f32) {
         let beam = Beam::new(rays);
@@ -259,7 +261,7 @@ impl Bvh {
             while met != 0 {
                 let lane = met.trailing_zeros() as usize;
                 met &= met - 1;
-                // Sorted in as it comes: the nearest ends on top.
+                // Insertion sort: the nearest box ends on top of the stack.
                 let mut at = depth;
                 while at > first && stack[at - 1].1 < enter[lane] {
                     stack[at] = stack[at - 1];

@@ -1,4 +1,4 @@
-//! What a camera sees of triangles, by rays: the exact depth and normal at each pixel's centre.
+//! Ray casting of triangle meshes: the exact depth and normal at each pixel's centre.
 //!
 //! What it refuses to know: colours, and what the depth is compared with.
 
@@ -8,23 +8,22 @@ use rayon::prelude::*;
 use crate::bvh::{Bvh, Ray};
 use crate::{Camera, Mesh};
 
-/// The most triangles that can be cast at; see [`Caster::new`].
+/// Largest number of triangles of a [`Caster`].
 pub const TRIANGLES_MAX: usize = crate::bvh::TRIANGLES_MAX;
 
-/// What a camera sees of a surface. Through a hole of the surface it sees what lies behind: of the synthetic
-/// city's truth, which has holes where fewer than three cameras look, that is one pixel in 75.
+/// Depth and normals of a surface as a camera sees them. A hole in the surface shows what lies behind it; the
+/// synthetic city's true mesh has holes where fewer than three cameras look.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Cast {
     /// Width and height.
     pub size_px: [u32; 2],
     /// `[height, width]` depth along the optical axis, world units; 0 where there is no surface.
     pub depth: Vec<f32>,
-    /// `[height, width]` unit normals in the camera frame, of triangles on the side that the camera sees; zero where
-    /// there is no surface.
+    /// `[height, width]` unit normals in the camera frame, facing the camera; zero where there is no surface.
     pub normals: Vec<[f32; 3]>,
 }
 
-/// A surface that cameras can be cast at, any number of them.
+/// A mesh prepared for casting the rays of any number of cameras.
 #[derive(Debug)]
 pub struct Caster {
     bvh: Bvh,
@@ -32,34 +31,39 @@ pub struct Caster {
 }
 
 impl Caster {
-    /// Takes a copy of the triangles and sorts them. Panics beyond [`TRIANGLES_MAX`] of them.
+    /// Copies the triangles and builds a hierarchy over them. Panics above [`TRIANGLES_MAX`] triangles.
     pub fn new(mesh: &Mesh) -> Self {
         let corners: Vec<[Vec3; 3]> = (0..mesh.triangles.len()).map(|i| mesh.corners(i)).collect();
         Self { bvh: Bvh::build(&corners), corners }
     }
 
-    /// Depth and normal at every pixel's centre; either side of a triangle is surface. Rows in parallel, the
-    /// same for any number of threads.
+    /// Depth and normal at every pixel's centre; both sides of a triangle are surface. Runs in parallel; the
+    /// result does not depend on the number of threads.
     pub fn cast(&self, camera: &Camera) -> Cast {
         let shooter = Shooter::new(camera);
-        everywhere(camera.size_px, |p_px| self.look(&shooter, [p_px])[0].unwrap_or_default())
+        cast_pixels(camera.size_px, |p_px| self.intersect(&shooter, [p_px])[0].unwrap_or_default())
     }
 
-    /// The same, but each normal is the mean over the pixel's area (3 × 3 rays): colours are, of photographs as of
-    /// renderings, and what is smaller than a pixel is nobody's error.
+    /// Like [`Self::cast`], but each normal is the mean over the pixel's area (3 × 3 rays), as its colour is in
+    /// photographs and renderings. So detail smaller than a pixel does not count as an error.
     pub fn cast_areas(&self, camera: &Camera) -> Cast {
         let shooter = Shooter::new(camera);
-        everywhere(camera.size_px, |center_px| {
+        cast_pixels(camera.size_px, |center_px| {
             let thirds = |i: usize| DVec2::new((i % 3) as f64, (i / 3) as f64) - 1.0;
-            let seen = self.look(&shooter, std::array::from_fn::<_, 9, _>(|i| center_px + thirds(i) / 3.0));
-            let normal: Vec3 = seen.iter().flatten().map(|(_, normal)| Vec3::from(*normal)).sum();
-            // The fifth of nine is the centre.
-            seen[4].map_or_else(Default::default, |(depth, _)| (depth, normal.normalize_or_zero().into()))
+            let hits =
+                self.intersect(&shooter, std::array::from_fn::<_, 9, _>(|i| center_px + thirds(i) / 3.0));
+            let normal: Vec3 = hits.iter().flatten().map(|(_, normal)| Vec3::from(*normal)).sum();
+            // Ray 4 of the nine goes through the centre.
+            hits[4].map_or_else(Default::default, |(depth, _)| (depth, normal.normalize_or_zero().into()))
         })
     }
 
-    /// Depth and normal where rays through pixel positions meet the surface.
-    fn look<const N: usize>(&self, shooter: &Shooter, at_px: [DVec2; N]) -> [Option<(f32, [f32; 3])>; N] {
+    /// Depth and normal where the rays through pixel positions first meet the surface.
+    fn intersect<const N: usize>(
+        &self,
+        shooter: &Shooter,
+        at_px: [DVec2; N],
+    ) -> [Option<(f32, [f32; 3])>; N] {
         let hits = self.bvh.nearest(&at_px.map(|p_px| shooter.ray(p_px)));
         std::array::from_fn(|i| {
             hits[i].map(|hit| shooter.meet(at_px[i], &self.corners[hit.triangle as usize]))
@@ -67,18 +71,18 @@ impl Caster {
     }
 }
 
-/// Depth and normal of each pixel by its centre.
-fn everywhere(size_px: [u32; 2], look: impl Fn(DVec2) -> (f32, [f32; 3]) + Sync) -> Cast {
+/// Calls `cast` with the centre of each pixel and collects the depths and normals that it returns.
+fn cast_pixels(size_px: [u32; 2], cast: impl Fn(DVec2) -> (f32, [f32; 3]) + Sync) -> Cast {
     let [width, height] = size_px;
     let (depth, normals) = (0..height)
         .into_par_iter()
         .flat_map_iter(|y| (0..width).map(move |x| (x, y)))
-        .map(|(x, y)| look(DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5)))
+        .map(|(x, y)| cast(DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5)))
         .unzip();
     Cast { size_px, depth, normals }
 }
 
-/// A camera ready to shoot rays.
+/// A camera prepared for generating rays.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Shooter {
     camera: Camera,
@@ -110,8 +114,8 @@ impl Shooter {
         }
     }
 
-    /// Where the ray through a pixel position meets a triangle's plane, in double precision: depth, and the
-    /// unit normal in the camera frame, towards the camera.
+    /// Intersects the ray through a pixel position with a triangle's plane, in double precision. Returns the
+    /// depth, and the unit normal in the camera frame, facing the camera.
     pub(crate) fn meet(&self, p_px: DVec2, corners: &[Vec3; 3]) -> (f32, [f32; 3]) {
         let [a, b, c] = corners.map(|p| p.as_dvec3());
         let normal = (b - a).cross(c - a).normalize();
@@ -126,7 +130,7 @@ impl Shooter {
 
 #[cfg(test)]
 mod tests {
-    //! Against planes whose depth and normal are known in closed form.
+    //! Tests against planes whose depth and normal are known in closed form.
 
     use super::*;
     use crate::Pose;
@@ -171,9 +175,9 @@ mod tests {
         }
     }
 
-    /// Three ridges to a pixel, facets up and down by turns.
+    /// Three facets per pixel along x, alternately rising and falling.
     fn ridged() -> Mesh {
-        // A pixel shows 28 / 40 of the ground.
+        // A pixel covers 28 / 40 = 0.7 world units of the ground.
         let ridge = |k: u32| (3.0 + (f64::from(k) / 3.0 - 16.3) * 0.7) as f32;
         let corner = |k: u32, y: f32| [ridge(k), y, if k.is_multiple_of(2) { 2.0 } else { 2.07 }];
         Mesh {
@@ -184,13 +188,13 @@ mod tests {
     }
 
     #[test]
-    fn the_normal_of_an_area_is_the_mean_of_what_lies_in_it() {
+    fn the_normal_of_a_pixel_is_the_mean_of_its_facets() {
         let caster = Caster::new(&ridged());
         let (centers, areas) = (caster.cast(&from_above()), caster.cast_areas(&from_above()));
         assert_eq!(centers.depth, areas.depth);
         let slope = |normal: &[f32; 3]| f64::from(normal[0] / normal[2]);
         for (i, (center, area)) in centers.normals.iter().zip(&areas.normals).enumerate() {
-            // Facets of one slope to the sides, and of the other in the middle.
+            // The two outer facets of a pixel have one slope, the middle facet has the other.
             let side = if i % 2 == 0 { 0.3 } else { -0.3 };
             assert!((slope(center) + side).abs() < 1e-3, "{i}: {center:?}");
             assert!((slope(area) - side / 3.0).abs() < 1e-3, "{i}: {area:?}");
@@ -203,8 +207,8 @@ mod tests {
         mesh.triangles = mesh.triangles.iter().map(|&[a, b, c]| [a, c, b]).collect();
         let camera = from_above();
         let flipped = Caster::new(&mesh).cast(&camera);
-        assert!(flipped.normals.iter().all(|n| n[2] < -0.999), "towards the camera");
-        // A small triangle before it hides some of it.
+        assert!(flipped.normals.iter().all(|n| n[2] < -0.999), "normals must face the camera");
+        // A small triangle in front hides part of the plane.
         mesh.positions.extend([[3.0, -4.0, 20.0], [6.0, -4.0, 20.0], [3.0, -1.0, 20.0]]);
         mesh.triangles.push([4, 5, 6]);
         let cast = Caster::new(&mesh).cast(&camera);
@@ -214,7 +218,7 @@ mod tests {
     }
 
     #[test]
-    fn where_nothing_is_there_is_no_depth() {
+    fn empty_and_degenerate_meshes_have_no_depth() {
         let camera = from_above();
         for mesh in [Mesh::default(), Mesh { triangles: vec![[0, 0, 1]], ..slanted(0.0) }] {
             let caster = Caster::new(&mesh);

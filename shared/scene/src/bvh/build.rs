@@ -1,15 +1,19 @@
-//! Building the hierarchy: binned surface-area heuristic, opened four wide.
+//! Builds the hierarchy: splits each node by the binned surface-area heuristic until it has four children.
 
 use glam::Vec3;
 
 use super::{Bvh, LEAF, Leaf, MEDIAN_DEPTH, Node, TRIANGLES_MAX, WIDTH};
 
-/// Bins of the surface-area heuristic: beyond 12 to 16 finer ones stop paying (Wald 2007).
+/// Bins of the surface-area heuristic: more than 12 to 16 bring no gain (Wald 2007).
 const BINS: usize = 16;
 
 /// Builds over at most [`TRIANGLES_MAX`] triangles.
 pub(super) fn build(triangles: &[[Vec3; 3]]) -> Bvh {
-    assert!(triangles.len() <= TRIANGLES_MAX, "{} triangles are more than the stack is for", triangles.len());
+    assert!(
+        triangles.len() <= TRIANGLES_MAX,
+        "{} triangles exceed the limit of {TRIANGLES_MAX}",
+        triangles.len()
+    );
     let boxes: Vec<Aabb> = triangles.iter().map(Aabb::of).collect();
     let mut order: Vec<u32> = (0..triangles.len() as u32).collect();
     let mut builder = Builder { triangles, boxes: &boxes, nodes: vec![Node::EMPTY], leaves: Vec::new() };
@@ -51,7 +55,7 @@ struct Builder<'a> {
     leaves: Vec<Leaf>,
 }
 
-/// A plane between two bins.
+/// A split plane between two bins.
 struct Cut {
     cost: f32,
     axis: usize,
@@ -64,7 +68,7 @@ impl Builder<'_> {
     fn split(&mut self, node: usize, order: &mut [u32], depth: usize) {
         let mut parts: Vec<&mut [u32]> = vec![order];
         while parts.len() < WIDTH {
-            // The part most rays will enter is opened next.
+            // Next to split is the part with the largest surface, which most rays enter.
             let widest = (0..parts.len()).filter(|&i| parts[i].len() > WIDTH).max_by(|&i, &j| {
                 self.bounds(parts[i]).half_area().total_cmp(&self.bounds(parts[j]).half_area())
             });
@@ -117,7 +121,7 @@ impl Builder<'_> {
         (b.min + b.max) * 0.5
     }
 
-    /// Reorders `order` into two parts of least expected cost; returns where the second begins.
+    /// Reorders `order` into the two parts of least expected cost; returns where the second begins.
     fn partition(&self, order: &mut [u32]) -> usize {
         let (mut low, mut high) = (Vec3::MAX, Vec3::MIN);
         for &i in order.iter() {
@@ -146,7 +150,7 @@ impl Builder<'_> {
             slot.0.grow(&self.boxes[i as usize]);
             slot.1 += 1;
         }
-        // A leaf costs the same however full, so what counts is how many there will be.
+        // A leaf costs the same however full it is, so the cost counts leaves.
         let cost = |bounds: &Aabb, count: usize| match count {
             0 => 0.0,
             _ => bounds.half_area() * count.div_ceil(WIDTH) as f32,
