@@ -1,6 +1,6 @@
-//! Files that are whole or absent: written beside their place, synced, then renamed into it. Every
-//! file that cosurf leaves behind goes through here, so a full disk, a kill or a power cut leaves
-//! the file's last good version (or none), never half of a new one.
+//! Atomic writes: content goes to a temporary file beside its path, is synced, then renamed to the
+//! path. Every file that cosurf keeps is written this way. So after a full disk, a kill or a power
+//! cut, a path holds the last complete version (or none), never part of a new one.
 
 use std::ffi::OsString;
 use std::fs::{self, File};
@@ -10,15 +10,15 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::SceneError;
 
-/// Bytes gathered before the operating system is asked to write; larger gains nothing measurable.
+/// Size of the write buffer; a larger one brings no measurable gain.
 const BUFFER_BYTES: usize = 256 * 1024;
 
-/// Ends the names of files that are not whole yet.
+/// Suffix of temporary files.
 const SUFFIX: &str = ".partial";
 
-/// Writes `path` through `fill`, atomically and durably: when it returns `Ok`, the content is on
-/// the disk; when it returns an error, `path` is as it was and nothing is left beside it. The
-/// folder must exist. Of several writers of one path, the last to end wins.
+/// Writes `path` through `fill`, atomically and durably. After `Ok` the content is on the disk; after
+/// an error `path` is unchanged and no temporary file remains. The folder must exist. If several
+/// threads or processes write one path, the last to finish wins.
 pub fn write(
     path: &Path,
     fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
@@ -27,8 +27,8 @@ pub fn write(
     write_and_rename(&RealDisk, &partial.0, path, fill).map_err(|cause| SceneError::io(path, cause))
 }
 
-/// Deletes what [`write()`] left in `folder` when its process was killed. Only for a folder's owner,
-/// while nobody writes there.
+/// Deletes the temporary files of [`write()`] that a killed process left in `folder`. Nothing may be
+/// writing to the folder meanwhile.
 pub fn remove_partial_files(folder: &Path) -> Result<(), SceneError> {
     let io = |cause| SceneError::io(folder, cause);
     for entry in fs::read_dir(folder).map_err(io)? {
@@ -55,13 +55,13 @@ fn write_and_rename<D: Disk>(
     disk.sync_folder(folder_of(path))
 }
 
-/// What a disk does, so that a test can cut its power between any two of them.
+/// The operations of a disk, so that a test can cut its power between any two of them.
 trait Disk {
     type File: Write;
     fn create(&self, path: &Path) -> io::Result<Self::File>;
     fn sync(&self, file: &Self::File) -> io::Result<()>;
     fn rename(&self, from: &Path, to: &Path) -> io::Result<()>;
-    /// Makes a rename in `folder` outlast a power cut.
+    /// Makes renames in `folder` survive a power cut.
     fn sync_folder(&self, folder: &Path) -> io::Result<()>;
 }
 
@@ -84,22 +84,22 @@ impl Disk for RealDisk {
     }
 
     fn sync_folder(&self, folder: &Path) -> io::Result<()> {
-        // Elsewhere folders cannot be opened as files, and renames need no such help.
+        // Other systems cannot open folders as files, and their renames need no sync.
         if cfg!(unix) { File::open(folder)?.sync_all() } else { Ok(()) }
     }
 }
 
-/// A file that is removed when this goes, unless it was renamed away before.
+/// A temporary file, removed on drop unless it was renamed before.
 struct Partial(PathBuf);
 
 impl Drop for Partial {
     fn drop(&mut self) {
-        // After the rename there is nothing to remove; before it, nothing more can be done.
+        // Fails after the rename, as there is nothing to remove. Other failures cannot be mended here.
         let _ = fs::remove_file(&self.0);
     }
 }
 
-/// A hidden sibling of `path`, another one for each call and process.
+/// A hidden file beside `path`, with a name that is unique to this call and process.
 fn partial_path(path: &Path) -> PathBuf {
     static CALLS: AtomicU64 = AtomicU64::new(0);
     let mut name = OsString::from(".");
@@ -126,7 +126,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_is_replaced_whole() {
+    fn a_file_is_replaced_by_its_next_version() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.bin");
         write(&path, |out| out.write_all(b"first")).unwrap();
@@ -159,7 +159,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_kill_left_is_swept() {
+    fn temporary_files_of_a_killed_process_are_removed() {
         let folder = tempfile::tempdir().unwrap();
         fs::write(partial_path(&folder.path().join("a.bin")), b"half").unwrap();
         fs::write(folder.path().join("b.partial"), b"somebody's").unwrap();

@@ -1,4 +1,4 @@
-//! A disk in memory that loses its power: what was not synced may be there, or half, or not at all.
+//! A simulated disk that loses power: unsynced data may survive whole, in half or not at all.
 #![allow(clippy::unwrap_used)]
 
 use std::cell::{Cell, RefCell};
@@ -10,7 +10,7 @@ use super::*;
 const PATH: &str = "folder/model";
 const PARTIAL: &str = "folder/.model.partial";
 
-/// What is written, and what of it survives.
+/// The bytes written to a file, and those of them that are synced.
 #[derive(Clone, Debug, Default)]
 struct Content {
     written: Vec<u8>,
@@ -18,16 +18,16 @@ struct Content {
 }
 
 #[derive(Clone, Debug, Default)]
-struct Shaky {
+struct FailingDisk {
     files: Rc<RefCell<Vec<Content>>>,
     names: Rc<RefCell<BTreeMap<PathBuf, usize>>>,
     synced_names: Rc<RefCell<BTreeMap<PathBuf, usize>>>,
-    /// So many things are still done before the power goes.
+    /// Number of operations until the power fails.
     left: Rc<Cell<u32>>,
 }
 
-impl Shaky {
-    /// With `old` safe at [`PATH`].
+impl FailingDisk {
+    /// A disk with `old` synced at [`PATH`], which loses power after `left` operations.
     fn new(old: &[u8], left: u32) -> Self {
         let disk = Self::default();
         disk.files.borrow_mut().push(Content { written: old.to_vec(), synced: old.to_vec() });
@@ -43,7 +43,7 @@ impl Shaky {
         Ok(())
     }
 
-    /// Every content that [`PATH`] may have after the power is back.
+    /// Every content that [`PATH`] may have when the power returns.
     fn survivors(&self) -> Vec<Vec<u8>> {
         let files = self.files.borrow();
         let mut found = Vec::new();
@@ -57,12 +57,12 @@ impl Shaky {
     }
 }
 
-struct ShakyFile {
-    disk: Shaky,
+struct FailingFile {
+    disk: FailingDisk,
     file: usize,
 }
 
-impl Write for ShakyFile {
+impl Write for FailingFile {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         self.disk.power()?;
         let some = bytes.len().min(100);
@@ -75,18 +75,18 @@ impl Write for ShakyFile {
     }
 }
 
-impl Disk for Shaky {
-    type File = ShakyFile;
+impl Disk for FailingDisk {
+    type File = FailingFile;
 
-    fn create(&self, path: &Path) -> io::Result<ShakyFile> {
+    fn create(&self, path: &Path) -> io::Result<FailingFile> {
         self.power()?;
         let mut files = self.files.borrow_mut();
         files.push(Content::default());
         self.names.borrow_mut().insert(path.to_owned(), files.len() - 1);
-        Ok(ShakyFile { disk: self.clone(), file: files.len() - 1 })
+        Ok(FailingFile { disk: self.clone(), file: files.len() - 1 })
     }
 
-    fn sync(&self, file: &ShakyFile) -> io::Result<()> {
+    fn sync(&self, file: &FailingFile) -> io::Result<()> {
         self.power()?;
         let content = &mut self.files.borrow_mut()[file.file];
         content.synced = content.written.clone();
@@ -108,13 +108,13 @@ impl Disk for Shaky {
     }
 }
 
-/// Every file that is acknowledged goes through here: models, checkpoints, session numbers.
+/// Every acknowledged file is written this way: models, checkpoints, session numbers.
 #[test]
 fn fault_11_power_loss_between_any_two_steps() {
     let (old, new) = (vec![1; 350], vec![2; 450]);
     let mut outcomes = [0, 0];
     for left in 0..20 {
-        let disk = Shaky::new(&old, left);
+        let disk = FailingDisk::new(&old, left);
         let done =
             write_and_rename(&disk, Path::new(PARTIAL), Path::new(PATH), |out| out.write_all(&new)).is_ok();
         outcomes[usize::from(done)] += 1;
