@@ -1,18 +1,20 @@
-//! A small model that stands in for a large one.
+//! A reduced model that stands in for the full model until all of it has arrived.
 
 use crate::Splats;
 
-/// Some splats of a model as they must be to stand in for all of them until the others are there.
+/// Some of a model's splats, adjusted so that they approximate the whole model while the others are
+/// missing.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Base {
-    /// Which splats of the model, ascending.
+    /// Indices of these splats in the full model, ascending.
     pub ids: Vec<u32>,
-    /// What they are meanwhile, in the same order: of SH degree 0, and turned as in the model.
+    /// The adjusted splats in the order of `ids`, of SH degree 0. Rotations are those of the model.
     pub splats: Splats,
 }
 
 impl Base {
-    /// The base of what is left of the model without `removed`, ascending indices.
+    /// The base of the model after its splats `removed` (ascending, unique indices) are deleted: drops
+    /// these splats and renumbers the others.
     pub fn without(&self, removed: &[u32]) -> Self {
         let mut left = Self { ids: Vec::new(), splats: Splats::with_capacity(0, self.splats.sh_degree) };
         for (i, id) in self.ids.iter().enumerate() {
@@ -30,7 +32,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn it_stays_the_base_of_what_is_left() {
+    fn removing_splats_drops_and_renumbers_their_ids() {
         let mut splats = Splats::with_capacity(4, 0);
         (0..4u8).for_each(|i| splats.push([f32::from(i); 3], [1.0; 4], [0.0; 3], 0.0, &[0.0; 3]));
         let base = Base { ids: vec![1, 4, 6, 9], splats };

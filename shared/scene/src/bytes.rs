@@ -1,6 +1,6 @@
-//! Amounts of memory as people write and read them: `300MiB`, `1.5GB`, `1048576`.
+//! Parsing and formatting of amounts of memory: `300MiB`, `1.5GB`, `1048576`.
 
-/// Suffixes and what they multiply by, longest first; the bare letters are binary, as in `dd`.
+/// Suffixes and their factors, longest first. The bare letters are binary, as in `dd`.
 const UNITS: [(&str, u64); 10] = [
     ("kib", 1 << 10),
     ("mib", 1 << 20),
@@ -14,8 +14,8 @@ const UNITS: [(&str, u64); 10] = [
     ("b", 1),
 ];
 
-/// Reads an amount such as `300MiB`, `1.5 GB` or `1048576`; the letters' case does not matter. The
-/// error is one line that says what would be understood.
+/// Parses an amount such as `300MiB`, `1.5 GB` or `1048576` to bytes, ignoring case. The error is
+/// one line that quotes `text` and gives valid examples.
 pub fn parse_bytes(text: &str) -> Result<u64, String> {
     let lower = text.trim().to_ascii_lowercase();
     let (number, unit) = UNITS
@@ -31,7 +31,7 @@ pub fn parse_bytes(text: &str) -> Result<u64, String> {
     Ok(bytes as u64)
 }
 
-/// Writes an amount with three significant digits: `300 MiB`, `1.46 GiB`, `12 B`.
+/// Formats an amount with three significant digits: `300 MiB`, `1.46 GiB`, `12 B`.
 pub fn format_bytes(bytes: u64) -> String {
     let mut value = bytes as f64;
     let mut unit = "B";
@@ -57,7 +57,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn amounts_are_read() {
+    fn amounts_are_parsed() {
         for (text, bytes) in [
             ("0", 0),
             ("1048576", 1 << 20),
@@ -75,7 +75,7 @@ mod tests {
     }
 
     #[test]
-    fn amounts_are_written() {
+    fn amounts_are_formatted() {
         for (bytes, text) in [
             (0, "0 B"),
             (999, "999 B"),

@@ -1,4 +1,4 @@
-//! Cameras: where a picture was taken from and how rays map to its pixels.
+//! Cameras: the pose of a picture, and the mapping between rays and its pixels.
 //!
 //! World frame: any right-handed metric frame (the drone scenes use east, north, up).
 //! Camera frame: x right, y down, z forward. Pixel `(i, j)` covers `[i, i+1) × [j, j+1)`; its
@@ -33,8 +33,8 @@ impl Pose {
         self.rotation.inverse() * DVec3::Z
     }
 
-    /// A camera at `eye` that looks at `target`; `up` points up in its picture. All in world units.
-    /// `up` must not be parallel to the line of sight.
+    /// The pose of a camera at `eye` that looks at `target`, in world coordinates. `up` points up in
+    /// its picture and must not be parallel to the line of sight.
     pub fn look_at(eye: DVec3, target: DVec3, up: DVec3) -> Self {
         let z = (target - eye).normalize();
         let x = z.cross(up).normalize();
@@ -47,7 +47,7 @@ impl Pose {
 /// A pinhole camera with an off-centre principal point.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Camera {
-    /// Takes world points into this camera's frame.
+    /// Maps world points into this camera's frame.
     pub cam_from_world: Pose,
     /// Focal lengths in x and y, pixels, finite and positive.
     pub focal_px: DVec2,
@@ -58,7 +58,7 @@ pub struct Camera {
 }
 
 impl Camera {
-    /// Projects a world point to pixels; `None` where it is not in front of the camera.
+    /// Projects a world point to pixels; `None` if the point is not in front of the camera.
     pub fn project(&self, p_world: DVec3) -> Option<DVec2> {
         let p = self.cam_from_world.transform(p_world);
         (p.z > 0.0).then(|| self.focal_px * p.truncate() / p.z + self.center_px)
@@ -82,8 +82,8 @@ impl Camera {
         self.project(p_world).is_some_and(|p_px| self.contains(p_px))
     }
 
-    /// The same camera for a picture resampled to `size_px`: intrinsics scale by the exact ratio
-    /// of the sizes, axis by axis.
+    /// The same camera for a picture resampled to `size_px`: each axis of the intrinsics scales by
+    /// the ratio of the new size to the old.
     pub fn resized(&self, size_px: [u32; 2]) -> Self {
         let ratio = DVec2::new(
             f64::from(size_px[0]) / f64::from(self.size_px[0]),
@@ -92,14 +92,15 @@ impl Camera {
         Self { focal_px: self.focal_px * ratio, center_px: self.center_px * ratio, size_px, ..*self }
     }
 
-    /// The size, no larger than today's, whose long side is at most `long_side_px` (at least 1).
+    /// This camera's picture size, shrunk by [`fitted_size`] if its long side exceeds `long_side_px`
+    /// (at least 1).
     pub fn fitted_size(&self, long_side_px: u32) -> [u32; 2] {
         fitted_size(self.size_px, long_side_px)
     }
 }
 
-/// Shrinks `size_px` so that its long side is at most `long_side_px`, rounding the short side to
-/// the nearest pixel; never enlarges, never returns 0.
+/// Shrinks `size_px` so that its long side is at most `long_side_px`, with the short side rounded to
+/// the nearest pixel. Never enlarges a side, and never returns 0.
 pub fn fitted_size(size_px: [u32; 2], long_side_px: u32) -> [u32; 2] {
     let long = size_px[0].max(size_px[1]);
     if long <= long_side_px {
@@ -111,8 +112,9 @@ pub fn fitted_size(size_px: [u32; 2], long_side_px: u32) -> [u32; 2] {
     };
     [fit(size_px[0]), fit(size_px[1])]
 }
-/// The size of a scene as 3DGS defines it, world units: 1.1 times the largest distance of a camera from the cameras' mean;
-/// 0 where there is at most one.
+
+/// The size of a scene as 3DGS defines it, in world units: 1.1 times the largest distance of a camera
+/// from the mean of all cameras; 0 for fewer than two cameras.
 pub fn extent<'a>(cameras: impl Iterator<Item = &'a Camera> + Clone) -> f64 {
     let centers = cameras.map(|camera| camera.cam_from_world.center());
     let mean = centers.clone().sum::<DVec3>() / centers.clone().count().max(1) as f64;

@@ -1,9 +1,9 @@
-//! Pictures of what is not a colour: depth, normals and errors, for the eye.
+//! Colour pictures of depth, normals and errors, for people to look at.
 //!
-//! Depth goes through a perceptual map of our own: a path through OKLCh on which lightness rises
-//! evenly from far (dark violet) over blue and green to near (bright yellow), so equal steps of
-//! depth look equal, and a grey copy still reads. The conversion from Oklab to linear sRGB is
-//! Ottosson's ("A perceptual color space for image processing", 2020).
+//! Depth uses a perceptual colour map of our own: a path through OKLCh on which lightness rises
+//! evenly from far (dark violet) through blue and green to near (bright yellow). Equal steps of
+//! depth look equal, and a greyscale copy keeps their order. The conversion from Oklab to linear
+//! sRGB is Ottosson's ("A perceptual color space for image processing", 2020).
 
 use std::sync::OnceLock;
 
@@ -17,16 +17,17 @@ const EMPTY: [u8; 3] = [24, 24, 27];
 const LIGHTNESS: [f32; 2] = [0.22, 0.94];
 /// Hue in degrees at the far and the near end: violet to yellow.
 const HUE_DEG: [f32; 2] = [300.0, 95.0];
-/// Chroma at 0, ¼, ½, ¾ and 1, each the largest round number inside sRGB there.
+/// Chroma at 0, ¼, ½, ¾ and 1 of the map: the largest round numbers that stay inside sRGB.
 const CHROMA: [f32; 5] = [0.11, 0.09, 0.09, 0.15, 0.09];
-/// The share of surface pixels beyond either end of the colour scale.
+/// Share of the surface pixels that [`depth_range`] leaves out at each end.
 const OUTLIERS: f64 = 0.02;
-/// Linear colour of a clay surface in full light, and the share of light that comes from everywhere.
+/// Linear colour of a fully lit clay surface.
 const CLAY: [f32; 3] = [0.86, 0.83, 0.79];
+/// Share of the light that is ambient.
 const AMBIENT: f32 = 0.08;
 
-/// Depths, `[h, w]` in metres along z, 0 or not finite where there is no surface, as colours. `range_m`
-/// is the depth of the bright and of the dark end; see [`depth_range`].
+/// Colours depths, `[h, w]` in metres along z, 0 or not finite where there is no surface. `range_m`
+/// is the depth of the brightest and of the darkest colour; see [`depth_range`].
 pub fn depth_picture(depth: &[f32], size_px: [u32; 2], range_m: [f32; 2]) -> Picture {
     let [near, far] = range_m;
     let span = (far - near).max(f32::MIN_POSITIVE);
@@ -37,8 +38,8 @@ pub fn depth_picture(depth: &[f32], size_px: [u32; 2], range_m: [f32; 2]) -> Pic
     Picture::new(size_px, rgb.collect())
 }
 
-/// The depths between which a picture's colours are spread: all but the nearest and the farthest
-/// fiftieth of the pixels that show a surface. `[0, 1]` where none does.
+/// The range `[near, far]` for [`depth_picture`]: the 2nd and 98th percentiles of the depths of
+/// surface pixels, in metres; `[0, 1]` if no pixel shows a surface.
 pub fn depth_range(depth: &[f32]) -> [f32; 2] {
     let mut depths: Vec<f32> = depth.iter().copied().filter(|&z| is_surface(z)).collect();
     if depths.is_empty() {
@@ -50,16 +51,16 @@ pub fn depth_range(depth: &[f32]) -> [f32; 2] {
     [at(OUTLIERS), at(1.0 - OUTLIERS)]
 }
 
-/// Errors, `[h, w]` from 0 up, NaN where there is nothing to compare, as colours: dark where there is none,
-/// bright from `bright` on, which is above 0.
+/// Colours errors, `[h, w]`, at least 0, NaN where there is nothing to compare: an error of 0 is dark, an
+/// error of `bright` (above 0) or more is brightest.
 pub fn error_picture(errors: &[f32], size_px: [u32; 2], bright: f32) -> Picture {
     let color = |&error: &f32| if error.is_nan() { EMPTY } else { ramp(error / bright) };
     let rgb = errors.iter().flat_map(color);
     Picture::new(size_px, rgb.collect())
 }
 
-/// Normals, `[h, w, xyz]` in the camera frame (x right, y down, z forward), of any length, zero where
-/// there is no surface, as the usual normal map: red to the right, green up, blue towards the camera.
+/// Colours normals, `[h, w, xyz]` in the camera frame (x right, y down, z forward), of any length, zero
+/// where there is no surface, as a normal map: red points right, green up, blue towards the camera.
 pub fn normal_picture(normals: &[f32], size_px: [u32; 2]) -> Picture {
     let (normals, _) = normals.as_chunks::<3>();
     let rgb = normals.iter().flat_map(|&[x, y, z]| {
@@ -70,8 +71,8 @@ pub fn normal_picture(normals: &[f32], size_px: [u32; 2]) -> Picture {
     Picture::new(size_px, rgb.collect())
 }
 
-/// Unit normals, `[h, w]` in the camera frame, zero where there is no surface, as light clay with a lamp to the
-/// upper left of the camera.
+/// Shades unit normals, `[h, w]` in the camera frame, zero where there is no surface, as light clay under a
+/// lamp to the upper left of the camera.
 pub fn clay_picture(normals: &[[f32; 3]], size_px: [u32; 2]) -> Picture {
     let lamp = Vec3::new(-0.5, -0.6, -0.62).normalize();
     let rgb = normals.iter().flat_map(|&normal| {
@@ -81,7 +82,7 @@ pub fn clay_picture(normals: &[[f32; 3]], size_px: [u32; 2]) -> Picture {
     Picture::new(size_px, rgb.collect())
 }
 
-/// The colour of a quantity: dark violet at 0 and below, bright yellow at 1 and beyond.
+/// The colour of the map at `t`: dark violet at 0 and below, bright yellow at 1 and above.
 pub fn ramp(t: f32) -> [u8; 3] {
     palette()[(t.clamp(0.0, 1.0) * 255.0).round() as usize]
 }
@@ -90,7 +91,7 @@ fn is_surface(depth_m: f32) -> bool {
     depth_m.is_finite() && depth_m > 0.0
 }
 
-/// The colours from far to near.
+/// The 256 colours of the map, from far to near.
 fn palette() -> &'static [[u8; 3]; 256] {
     static PALETTE: OnceLock<[[u8; 3]; 256]> = OnceLock::new();
     PALETTE.get_or_init(|| std::array::from_fn(|i| color(i as f32 / 255.0).map(byte_from_linear)))
@@ -127,7 +128,7 @@ fn byte_from_linear(v: f32) -> u8 {
 mod tests {
     use super::*;
 
-    /// Rec. 709 luma of encoded bytes: what a grey copy shows.
+    /// Rec. 709 luma of encoded bytes: the brightness of a greyscale copy.
     fn luma([r, g, b]: [u8; 3]) -> f32 {
         0.2126 * f32::from(r) + 0.7152 * f32::from(g) + 0.0722 * f32::from(b)
     }

@@ -1,20 +1,21 @@
-//! Who sees a place, asked of many places and many cameras: the most frequent question of a merge.
+//! Fast tests of which cameras see a point: the most frequent operation of a merge.
 
 use glam::{DVec2, DVec3};
 
 use crate::camera::Camera;
 
-/// What a camera sees, worked out once so that each place costs nine products and no division.
+/// The volume that a camera sees, precomputed so that testing a point needs no division.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Frustum {
-    /// `rows[k] · p_world + offset[k]` are column and row times depth, and depth; px and world units.
+    /// `rows[k] · p_world + offset[k]` is column × depth, row × depth and depth for k = 0, 1, 2, in
+    /// pixels and world units.
     rows: [DVec3; 3],
     offset: DVec3,
     size_px: DVec2,
 }
 
 impl Frustum {
-    /// That of a camera.
+    /// The frustum of `camera`.
     pub fn new(camera: &Camera) -> Self {
         let Camera { cam_from_world: pose, focal_px, center_px, size_px } = camera;
         let world_from_cam = pose.rotation.inverse();
@@ -31,18 +32,18 @@ impl Frustum {
         }
     }
 
-    /// Whether a world point lies in front of the camera and inside its picture, as [`Camera::sees`] says but for what
-    /// rounding does on the very rim.
+    /// Whether a world point lies in front of the camera and inside its picture. Equals [`Camera::sees`] except for
+    /// rounding at the border of the picture.
     pub fn contains(&self, p_world: DVec3) -> bool {
         let [x, y, z] = self.rows.map(|row| row.dot(p_world));
         let [x, y, z] = [x + self.offset.x, y + self.offset.y, z + self.offset.z];
-        // Behind the camera nothing lies between 0 and a negative side.
+        // Behind the camera `size_px * z` is negative, so no `x >= 0` is below it.
         x >= 0.0 && y >= 0.0 && x < self.size_px.x * z && y < self.size_px.y * z
     }
 }
 
-/// Some cameras, one of which may see a place. Neighbouring places are mostly seen by the same camera, so the one
-/// that saw the last is asked first.
+/// Tests whether any of several cameras sees a point. Neighbouring points are mostly seen by the same camera, so the
+/// camera that saw the last point is tried first.
 #[derive(Clone, Debug)]
 pub struct Watchers<'a> {
     cameras: &'a [Camera],
@@ -51,22 +52,22 @@ pub struct Watchers<'a> {
 }
 
 impl<'a> Watchers<'a> {
-    /// These cameras.
+    /// Watchers over `cameras`.
     pub fn new(cameras: &'a [Camera]) -> Self {
         Self { cameras, frusta: cameras.iter().map(Frustum::new).collect(), last: 0 }
     }
 
-    /// Whether any of them sees a world point, and `is_wanted`.
+    /// Whether any camera sees a world point and satisfies `is_wanted`.
     pub fn any(&mut self, p_world: DVec3, is_wanted: impl Fn(&Camera) -> bool) -> bool {
         let sees = |i: usize| {
-            self.frusta.get(i).is_some_and(|it| it.contains(p_world)) && is_wanted(&self.cameras[i])
+            self.frusta.get(i).is_some_and(|frustum| frustum.contains(p_world)) && is_wanted(&self.cameras[i])
         };
         if sees(self.last) {
             return true;
         }
-        let seer = (0..self.frusta.len()).find(|i| sees(*i));
-        self.last = seer.unwrap_or(self.last);
-        seer.is_some()
+        let found = (0..self.frusta.len()).find(|i| sees(*i));
+        self.last = found.unwrap_or(self.last);
+        found.is_some()
     }
 }
 
@@ -75,7 +76,7 @@ mod tests {
     use super::*;
     use crate::camera::Pose;
 
-    /// Cameras on a ring that look at its middle, one of them a little past it.
+    /// Six cameras on a ring, aimed near its centre.
     fn cameras() -> Vec<Camera> {
         let camera = |i: u32| {
             let angle = f64::from(i);
@@ -90,7 +91,7 @@ mod tests {
         (0..6).map(camera).collect()
     }
 
-    /// Places around the ring and behind it.
+    /// A grid of points inside and outside the ring.
     fn places() -> impl Iterator<Item = DVec3> {
         let at = |i: i32| f64::from(i) * 0.83;
         (-12..12).flat_map(move |x| {
@@ -99,7 +100,7 @@ mod tests {
     }
 
     #[test]
-    fn a_frustum_holds_what_its_camera_sees() {
+    fn a_frustum_agrees_with_its_camera() {
         for camera in cameras() {
             let frustum = Frustum::new(&camera);
             let seen = places().filter(|place| camera.sees(*place)).count();
@@ -109,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn watchers_see_what_any_of_them_does_whoever_saw_the_last() {
+    fn watchers_agree_with_asking_every_camera() {
         let cameras = cameras();
         let mut watchers = Watchers::new(&cameras);
         let is_wanted = |camera: &Camera| camera.cam_from_world.center().x > 0.0;

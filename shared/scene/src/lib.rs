@@ -1,4 +1,4 @@
-//! The vocabulary of cosurf and its files.
+//! The data types of cosurf and the files that hold them.
 //!
 //! What it is: [`Splats`], [`Camera`], [`View`], [`Picture`], [`Dataset`], [`Mesh`], their files
 //! (COLMAP, `transforms.json`, PLY, SPZ, GLB, JPEG and PNG), picture quality ([`metrics`]), exact
@@ -6,8 +6,8 @@
 //!
 //! What it refuses to know: rendering of splats, training, wires, clocks, command lines.
 //!
-//! Where to start reading: [`camera`] for the frames and pixel conventions everything else relies
-//! on, then [`splats`], then [`dataset`].
+//! Where to start reading: [`camera`] for the coordinate frames and pixel conventions of the whole
+//! workspace, then [`splats`], then [`dataset`].
 
 pub mod atomic;
 mod base;

@@ -1,6 +1,6 @@
 //! Triangle meshes and clouds of surface points, and their files.
 //!
-//! What it refuses to know: where meshes come from, and what they are judged by.
+//! What it refuses to know: how meshes are made, and how they are evaluated.
 
 mod glb;
 #[cfg(test)]
@@ -12,13 +12,13 @@ use glam::Vec3;
 
 use crate::{SceneError, ply};
 
-/// A surface of triangles that share vertices; a cloud of points of a surface where there are no
-/// triangles. World frame, world units (metres).
+/// A mesh of triangles that share vertices, or a cloud of surface points if `triangles` is empty.
+/// World frame, world units (metres).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Mesh {
     /// World positions, `[vertices]` of xyz, finite.
     pub positions: Vec<[f32; 3]>,
-    /// Unit normals on the outer side, `[vertices]`, or empty; zero where one is not known.
+    /// Unit normals that point outwards, `[vertices]`, or empty; zero where a normal is unknown.
     pub normals: Vec<[f32; 3]>,
     /// 8-bit sRGB, `[vertices]`, or empty.
     pub rgb: Vec<[u8; 3]>,
@@ -27,17 +27,16 @@ pub struct Mesh {
 }
 
 impl Mesh {
-    /// Reads a PLY, ascii or binary little-endian, numbers of any type, other properties skipped.
-    /// Faces of more corners become fans of triangles (right where they are convex). A file without
-    /// faces gives a cloud of points: `triangles` is empty. Refused: positions that are not finite,
-    /// indices of vertices that do not exist. Coordinates become 32-bit: files whose origin is far
-    /// away (UTM) lose precision.
+    /// Reads a PLY, ascii or binary little-endian, with numbers of any type; skips other properties.
+    /// Larger faces become fans of triangles, which is correct for convex faces. A file without
+    /// faces gives a cloud of points. Positions become `f32`, so coordinates far from the origin
+    /// (UTM) lose precision. Errors: positions that are not finite, indices of missing vertices.
     pub fn read(path: &Path) -> Result<Self, SceneError> {
         ply::read_mesh(path)
     }
 
-    /// Writes, atomically, what the path's extension says: `.ply` (binary little-endian) or `.glb`
-    /// (glTF 2.0, see [`Mesh::write_glb`]).
+    /// Writes, atomically, in the format of the path's extension: `.ply` (binary little-endian) or
+    /// `.glb` (glTF 2.0, see [`Mesh::write_glb`]). Errors: any other extension.
     pub fn write(&self, path: &Path) -> Result<(), SceneError> {
         match path.extension().and_then(|extension| extension.to_str()) {
             Some("ply") => self.write_ply(path),
@@ -52,8 +51,8 @@ impl Mesh {
         ply::write_mesh(path, self)
     }
 
-    /// Writes a binary glTF 2.0, atomically. The world's z axis is taken for up, as in the drone scenes;
-    /// a rotation of the node turns it to glTF's y.
+    /// Writes a binary glTF 2.0, atomically. The world's z axis is taken as up, as in the drone scenes;
+    /// the node's rotation maps it to glTF's y. Errors: no triangles, or more than 4 GiB.
     pub fn write_glb(&self, path: &Path) -> Result<(), SceneError> {
         self.assert_whole();
         glb::write(path, self)
@@ -74,7 +73,8 @@ impl Mesh {
 
     fn assert_whole(&self) {
         let vertices = self.positions.len();
-        assert!([0, vertices].contains(&self.normals.len()), "{} normals", self.normals.len());
-        assert!([0, vertices].contains(&self.rgb.len()), "{} colours", self.rgb.len());
+        let (normals, colors) = (self.normals.len(), self.rgb.len());
+        assert!([0, vertices].contains(&normals), "{normals} normals of {vertices} vertices");
+        assert!([0, vertices].contains(&colors), "{colors} colours of {vertices} vertices");
     }
 }

@@ -1,4 +1,4 @@
-//! Picture quality as the original 3DGS code defines it, for held-out views.
+//! Picture quality (PSNR, SSIM) as the original 3DGS code measures it on held-out views.
 
 /// Side of SSIM's window.
 const WINDOW: usize = 11;
@@ -6,7 +6,8 @@ const WINDOW: usize = 11;
 /// Standard deviation of SSIM's window, pixels.
 const SIGMA_PX: f64 = 1.5;
 
-/// Keep SSIM's quotients defined where a picture is black or flat (Wang et al. 2004, for values 0 to 1).
+/// SSIM's constants for values 0 to 1 (Wang et al. 2004): they keep its quotients defined where a picture is
+/// black or flat.
 const C1: f64 = 0.01 * 0.01;
 const C2: f64 = 0.03 * 0.03;
 
@@ -14,30 +15,30 @@ const C2: f64 = 0.03 * 0.03;
 const MAPS: usize = 5;
 
 /// Peak signal-to-noise ratio in dB of two pictures with values 0 to 1: `20 log10(1 / sqrt(mse))`
-/// over all values of all channels; infinite where they are equal.
+/// over all values of all channels; infinite if the pictures are equal.
 ///
-/// Panics where the lengths differ or are 0.
+/// Panics if the lengths differ or are 0.
 pub fn psnr(a: &[f32], b: &[f32]) -> f64 {
-    assert_eq!(a.len(), b.len(), "values of two pictures");
-    assert!(!a.is_empty(), "a picture of no pixels");
+    assert_eq!(a.len(), b.len(), "two pictures must have as many values");
+    assert!(!a.is_empty(), "a picture must have pixels");
     let squares = a.iter().zip(b).map(|(&a, &b)| (f64::from(a) - f64::from(b)).powi(2));
     let mse = squares.sum::<f64>() / a.len() as f64;
     -10.0 * mse.log10()
 }
 
-/// Mean structural similarity of two pictures `[height, width, rgb]` with values 0 to 1: 11 × 11
-/// Gaussian window of σ 1.5 px, zeros beyond the border, C1 = 0.01², C2 = 0.03², each channel by
-/// itself, mean over all pixels and channels. 1 where they are equal.
+/// Mean structural similarity of two pictures `[height, width, rgb]` with values 0 to 1; 1 if they
+/// are equal. Gaussian window of 11 × 11 pixels and σ 1.5 px, zeros beyond the border, C1 = 0.01²,
+/// C2 = 0.03²; the mean over all pixels and channels.
 ///
-/// Panics where a length is not `3 · width · height` or is 0.
+/// Panics if a length is 0 or not `3 · width · height`.
 pub fn ssim(a: &[f32], b: &[f32], size_px: [u32; 2]) -> f64 {
     let [width, height] = size_px.map(|side| side as usize);
     let row = 3 * width;
-    assert!(a.len() == row * height && b.len() == a.len(), "values of two {size_px:?} pictures");
-    assert!(!a.is_empty(), "a picture of no pixels");
+    assert!(a.len() == row * height && b.len() == a.len(), "both pictures must have {size_px:?} pixels");
+    assert!(!a.is_empty(), "a picture must have pixels");
     let window = window();
     let mut blur = RowBlur::new(row);
-    // The last rows, blurred along x; rows above the picture are zeros like those below it.
+    // Ring of the latest rows, blurred along x. Rows outside the picture are zero.
     let mut ring = vec![vec![0.0; MAPS * row]; WINDOW];
     let mut blurred = vec![0.0; MAPS * row];
     let mut sum = 0.0;
@@ -58,7 +59,7 @@ pub fn ssim(a: &[f32], b: &[f32], size_px: [u32; 2]) -> f64 {
     sum / a.len() as f64
 }
 
-/// The normalised Gaussian.
+/// Weights of the Gaussian window along one axis, summing to 1.
 fn window() -> [f64; WINDOW] {
     let center = (WINDOW / 2) as f64;
     let weights: [f64; WINDOW] =
@@ -67,7 +68,7 @@ fn window() -> [f64; WINDOW] {
     weights.map(|weight| weight / sum)
 }
 
-/// `out = Σ weights[k] · rows[k]`, one row after the other so that each loop is a plain one.
+/// `out = Σ weights[k] · rows[k]`, accumulated row by row in loops that the compiler vectorises.
 fn weighted_sum<'a>(weights: &[f64], rows: impl Iterator<Item = &'a [f64]>, out: &mut [f64]) {
     out.fill(0.0);
     for (weight, row) in weights.iter().zip(rows) {
@@ -100,7 +101,7 @@ impl RowBlur {
     }
 }
 
-/// Sum of the similarity over a row of blurred maps.
+/// Sum of the similarities along a row, from its blurred maps.
 fn sum_of_row(blurred: &[f64], row: usize) -> f64 {
     let [a, b, aa, bb, ab] = std::array::from_fn(|map| &blurred[map * row..(map + 1) * row]);
     let at = |i: usize| {
@@ -113,11 +114,11 @@ fn sum_of_row(blurred: &[f64], row: usize) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    //! Against a direct, non-separable implementation, written here from the definition.
+    //! Tests against a direct, non-separable implementation of the definition.
 
     use super::*;
 
-    /// A repeatable value in 0 to 1.
+    /// A pseudo-random value in 0 to 1 that depends only on `i`.
     fn noise(i: usize) -> f32 {
         let hashed = (i as u64 + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
         ((hashed ^ (hashed >> 29)).wrapping_mul(0xBF58_476D_1CE4_E5B9) >> 40) as f32 / (1 << 24) as f32

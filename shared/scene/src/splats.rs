@@ -1,13 +1,13 @@
 //! Splats: flat or round 3D Gaussians as a structure of arrays, in the stored (pre-activation) form
-//! that training, files and wires share.
+//! that training, files and the wire format share.
 
 /// Constant of the zeroth spherical harmonic, `1 / (2 √π)`: `rgb = 0.5 + SH_C0 * sh[0]`.
 pub const SH_C0: f32 = 0.282_094_8;
 
-/// A squared quaternion length below this counts as zero: normalising it would lose all precision.
+/// Quaternions whose squared length is below this cannot be normalised with any precision.
 const QUAT_NORM2_MIN: f32 = 1e-12;
 
-/// No logarithm of a scale may reach this: the square of its exponential must fit into 32 bits.
+/// Exclusive bound on the absolute value of a log scale: the squared scale must be a finite `f32`.
 const LOG_SCALE_MAX: f32 = 40.0;
 
 /// Spherical-harmonic coefficients per colour channel at `degree`: 1, 4, 9 or 16.
@@ -33,7 +33,7 @@ pub struct Splats {
 }
 
 impl Splats {
-    /// An empty set with room for `capacity` splats.
+    /// An empty set with room for `capacity` splats. Panics if `sh_degree` is above 3.
     pub fn with_capacity(capacity: usize, sh_degree: u32) -> Self {
         assert!(sh_degree <= 3, "sh_degree {sh_degree} is not in 0..=3");
         Self {
@@ -46,12 +46,12 @@ impl Splats {
         }
     }
 
-    /// How many splats there are.
+    /// Number of splats.
     pub fn len(&self) -> usize {
         self.means.len()
     }
 
-    /// Whether there are none.
+    /// True if there are no splats.
     pub fn is_empty(&self) -> bool {
         self.means.is_empty()
     }
@@ -67,7 +67,7 @@ impl Splats {
         &self.sh[i * stride..(i + 1) * stride]
     }
 
-    /// All but those of `removed`, ascending indices.
+    /// A copy without the splats at the indices `removed`, which must be ascending and unique.
     pub fn without(&self, removed: &[u32]) -> Self {
         let mut kept = Self::with_capacity(self.len() - removed.len(), self.sh_degree);
         let stays = |i: &usize| removed.binary_search(&(*i as u32)).is_err();
@@ -75,7 +75,7 @@ impl Splats {
         kept
     }
 
-    /// Appends one splat. `sh` must have [`Self::sh_stride`] values.
+    /// Appends one splat. Panics unless `sh` has [`Self::sh_stride`] values.
     pub fn push(
         &mut self,
         mean: [f32; 3],
@@ -92,13 +92,13 @@ impl Splats {
         self.sh.extend_from_slice(sh);
     }
 
-    /// Appends splat `i` of another set of the same degree.
+    /// Appends splat `i` of `from`. Panics if the SH degrees differ.
     pub fn push_from(&mut self, from: &Self, i: usize) {
         let (mean, quat, log_scale) = (from.means[i], from.quats[i], from.log_scales[i]);
         self.push(mean, quat, log_scale, from.opacity_logits[i], from.sh_of(i));
     }
 
-    /// Appends all splats of `other`, padding or refusing nothing: both must have the same degree.
+    /// Appends all splats of `other`. Panics if the SH degrees differ.
     pub fn extend(&mut self, other: &Splats) {
         assert_eq!(self.sh_degree, other.sh_degree, "sh degrees of joined splats");
         self.means.extend_from_slice(&other.means);
@@ -108,8 +108,8 @@ impl Splats {
         self.sh.extend_from_slice(&other.sh);
     }
 
-    /// The first value that no renderer could use, named, or `None` where all is well: every number
-    /// finite, no quaternion of zero length, every scale's exponential finite.
+    /// The first value that cannot be rendered, or `None`. Every number must be finite, every
+    /// quaternion longer than 1e-6, and every log scale between -40 and 40.
     pub fn find_bad_value(&self) -> Option<BadValue> {
         (0..self.len()).find_map(|splat| self.find_bad_value_of(splat))
     }

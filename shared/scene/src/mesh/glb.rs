@@ -1,5 +1,5 @@
-//! Binary glTF 2.0 (Khronos, "glTF 2.0 Specification", §4.4): a header, a chunk of JSON, a chunk of
-//! numbers.
+//! Binary glTF 2.0 (Khronos, "glTF 2.0 Specification", §4.4): a header, a JSON chunk and a binary
+//! chunk.
 
 use std::io::{self, Write};
 use std::path::Path;
@@ -16,9 +16,9 @@ const FLOAT: u32 = 5126;
 /// Uses of buffer views.
 const ARRAY_BUFFER: u32 = 34962;
 const ELEMENT_ARRAY_BUFFER: u32 = 34963;
-/// Bytes before and between the two chunks: the file's header and a head for each.
+/// Bytes of the file's header and of both chunks' headers.
 const HEADS_BYTES: u64 = 12 + 8 + 8;
-/// A quarter turn about x that takes z to y, as xyzw.
+/// Rotation by -90° about x, which maps z to y, as xyzw.
 const Y_FROM_Z: [f32; 4] = [-std::f32::consts::FRAC_1_SQRT_2, 0.0, 0.0, std::f32::consts::FRAC_1_SQRT_2];
 
 pub(super) fn write(path: &Path, mesh: &Mesh) -> Result<(), SceneError> {
@@ -26,11 +26,11 @@ pub(super) fn write(path: &Path, mesh: &Mesh) -> Result<(), SceneError> {
         return Err(SceneError::malformed(path, "a glb file needs triangles; write the points as .ply"));
     }
     let (mut json, numbers_bytes) = describe(mesh);
-    // Chunks end at multiples of four bytes; those of JSON are filled with spaces.
+    // The length of a chunk is a multiple of four bytes; JSON is padded with spaces.
     json.resize(json.len().next_multiple_of(4), b' ');
     let total_bytes = HEADS_BYTES + json.len() as u64 + numbers_bytes;
     let (Ok(total), Ok(numbers)) = (u32::try_from(total_bytes), u32::try_from(numbers_bytes)) else {
-        return Err(SceneError::malformed(path, "the mesh is too large for glb's 4 GiB; write .ply"));
+        return Err(SceneError::malformed(path, "the mesh exceeds the 4 GiB of a glb file; write .ply"));
     };
     atomic::write(path, |out| {
         out.write_all(b"glTF")?;
@@ -43,7 +43,7 @@ pub(super) fn write(path: &Path, mesh: &Mesh) -> Result<(), SceneError> {
     })
 }
 
-/// The arrays of the file, one after the other: what they are and where they begin.
+/// Buffer views and accessors of the arrays in the binary chunk, in file order.
 #[derive(Default)]
 struct Arrays {
     views: Vec<Value>,
@@ -52,7 +52,7 @@ struct Arrays {
 }
 
 impl Arrays {
-    /// Appends an array of `count` items of `item_bytes`; returns its index.
+    /// Appends an array of `count` items of `item_bytes`; returns the index of its accessor.
     fn push(&mut self, count: usize, item_bytes: u64, target: u32, mut accessor: Value) -> usize {
         let length = count as u64 * item_bytes;
         self.views
@@ -65,7 +65,7 @@ impl Arrays {
     }
 }
 
-/// The JSON, and how many bytes of numbers it describes.
+/// The JSON, and the length in bytes of the binary chunk that it describes.
 fn describe(mesh: &Mesh) -> (Vec<u8>, u64) {
     let mut arrays = Arrays::default();
     let (min, max) = bounds(mesh);
@@ -84,7 +84,7 @@ fn describe(mesh: &Mesh) -> (Vec<u8>, u64) {
     let indices = arrays.push(3 * mesh.triangles.len(), 4, ELEMENT_ARRAY_BUFFER, index);
     let material = json!({
         "pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 1},
-        "doubleSided": true, // the surface has borders, behind which it would vanish
+        "doubleSided": true, // the surface is open: its back would be invisible
     });
     let document = json!({
         "asset": {"version": "2.0", "generator": "cosurf"},
@@ -100,7 +100,7 @@ fn describe(mesh: &Mesh) -> (Vec<u8>, u64) {
     (document.to_string().into_bytes(), arrays.bytes)
 }
 
-/// Least and greatest coordinates, which the format demands for positions.
+/// Minimum and maximum coordinates, which the format requires for positions.
 fn bounds(mesh: &Mesh) -> ([f32; 3], [f32; 3]) {
     let mut bounds = ([f32::MAX; 3], [f32::MIN; 3]);
     for position in &mesh.positions {
@@ -112,13 +112,13 @@ fn bounds(mesh: &Mesh) -> ([f32; 3], [f32; 3]) {
     bounds
 }
 
-/// The arrays in the order of [`describe`].
+/// Writes the arrays in the order of [`describe`].
 fn write_numbers(out: &mut impl Write, mesh: &Mesh) -> io::Result<()> {
     for position in &mesh.positions {
         out.write_all(position.map(f32::to_le_bytes).as_flattened())?;
     }
     for normal in &mesh.normals {
-        // Zero is no direction in glTF; where none is known, up is as good as any.
+        // glTF requires unit normals, so unknown ones are written as up.
         let normal = if *normal == [0.0; 3] { [0.0, 0.0, 1.0] } else { *normal };
         out.write_all(normal.map(f32::to_le_bytes).as_flattened())?;
     }
@@ -132,7 +132,7 @@ fn write_numbers(out: &mut impl Write, mesh: &Mesh) -> io::Result<()> {
     Ok(())
 }
 
-/// Vertex colours of glTF are linear; 16 bits keep the dark ones apart. IEC 61966-2-1.
+/// sRGB decoding (IEC 61966-2-1). glTF's vertex colours are linear; 16 bits keep dark shades distinct.
 fn linear_from_srgb(byte: u8) -> u16 {
     let v = f32::from(byte) / 255.0;
     let linear = if v <= 0.040_45 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) };

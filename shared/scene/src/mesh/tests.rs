@@ -1,4 +1,4 @@
-//! Round trips, other tools' dialects, hostile files, and what glTF demands.
+//! Round trips, other tools' dialects, hostile files, and the requirements of glTF.
 
 #![allow(clippy::unwrap_used)]
 
@@ -70,8 +70,8 @@ fn hostile_files_are_refused_in_one_line() {
     let faces = "element face 1\nproperty list uchar int vertex_indices\nend_header\n";
     for (body, complaint) in [
         (format!("{vertices}{faces}0 0 0 3 0 0 1\n"), "only 1 vertices"),
-        (format!("{vertices}{faces}0 0 0 3 0 0 -1\n"), "-1 is no index"),
-        (format!("{vertices}{faces}0 0 0 3 0 0 0.5\n"), "0.5 is no index"),
+        (format!("{vertices}{faces}0 0 0 3 0 0 -1\n"), "-1 is not a vertex index"),
+        (format!("{vertices}{faces}0 0 0 3 0 0 0.5\n"), "0.5 is not a vertex index"),
         (format!("{vertices}{faces}0 0 0 2 0 0\n"), "2 corners"),
         (format!("{vertices}{faces}0 0 0 0\n"), "without corners"),
         (format!("{vertices}{faces}0 0 0 3 0 0\n"), "cut short"),
@@ -99,7 +99,7 @@ fn a_mesh_cut_short_anywhere_is_refused() {
 }
 
 #[test]
-fn glb_is_what_gltf_demands() {
+fn glb_files_follow_the_specification() {
     let bytes = written(&corner(), "a.glb");
     let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) as usize;
     assert_eq!((&bytes[..4], word(4), word(8)), (&b"glTF"[..], 2, bytes.len()));
@@ -120,16 +120,16 @@ fn glb_is_what_gltf_demands() {
     let position = array(&primitive["attributes"]["POSITION"]);
     assert_eq!(position[12..16], 2.0f32.to_le_bytes());
     let normal = array(&primitive["attributes"]["NORMAL"]);
-    assert_eq!(normal[44..48], 1.0f32.to_le_bytes(), "a direction although none is known");
+    assert_eq!(normal[44..48], 1.0f32.to_le_bytes(), "an unknown normal is written as up");
     let color = array(&primitive["attributes"]["COLOR_0"]);
-    // sRGB 128 is 0.2159 of the light.
+    // sRGB 128 is 0.2159 in linear light.
     assert_eq!(color[16..24], [14_146u16, 14_146, 14_146, 65_535].map(u16::to_le_bytes).concat());
     let indices = array(&primitive["indices"]);
     assert_eq!(indices[4..8], 2u32.to_le_bytes());
 }
 
 #[test]
-fn the_world_stands_upright_in_gltf() {
+fn the_worlds_z_axis_is_up_in_gltf() {
     let json_of = |bytes: &[u8]| -> Value {
         let length = u32::from_le_bytes(bytes[12..16].try_into().unwrap()) as usize;
         serde_json::from_slice(&bytes[20..20 + length]).unwrap()
@@ -141,7 +141,7 @@ fn the_world_stands_upright_in_gltf() {
 }
 
 #[test]
-fn only_known_files_are_written() {
+fn unknown_extensions_and_empty_glb_files_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let refuse = |mesh: &Mesh, name: &str| mesh.write(&folder.path().join(name)).unwrap_err().to_string();
     assert!(refuse(&corner(), "a.obj").contains(".ply or .glb"));
@@ -149,6 +149,6 @@ fn only_known_files_are_written() {
 }
 
 #[test]
-fn areas_are_those_of_triangles() {
+fn areas_of_right_triangles_are_exact() {
     assert_eq!(corner().areas().collect::<Vec<_>>(), [3.0, 4.0, 6.0]);
 }
