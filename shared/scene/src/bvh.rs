@@ -6,20 +6,17 @@
 //! only triangles are tested ray by ray.
 
 mod build;
+mod node;
 
 use glam::{Vec3, Vec4};
 
-/// Triangles in a leaf; also boxes in a node.
-const WIDTH: usize = 4;
-/// From this depth on, nodes are split into halves by count, which bounds the tree's depth.
-const MEDIAN_DEPTH: usize = 12;
+use node::{LEAF, Lanes, Leaf, Node, Tree};
+
 /// Largest number of triangles in a hierarchy.
-pub(crate) const TRIANGLES_MAX: usize = 1 << 26;
-/// Entries of the traversal stack: at most three wait per level, on [`MEDIAN_DEPTH`] levels and the 13
-/// below them that [`TRIANGLES_MAX`] needs.
+pub(crate) const TRIANGLES_MAX: usize = build::TRIANGLES_MAX;
+/// Entries of the traversal stack: at most three wait per level, on [`build::MEDIAN_DEPTH`] levels and the
+/// 13 below them that [`TRIANGLES_MAX`] needs.
 const STACK: usize = 80;
-/// Bit of a child's index that marks a leaf.
-const LEAF: u32 = 1 << 31;
 /// How far a ray may miss a triangle and still hit it, in barycentric units: closes the cracks that
 /// rounding opens between neighbours.
 const EDGE_SLACK: f32 = 1e-6;
@@ -52,32 +49,10 @@ pub(crate) struct Hit {
     pub(crate) barycentric: [f32; 2],
 }
 
-/// Four 3D vectors, one `Vec4` per coordinate.
-type Lanes = [Vec4; 3];
-
-/// Four boxes and their children: indices of nodes, or with the bit [`LEAF`] of leaves. Unused boxes
-/// are inverted.
-#[derive(Clone, Copy, Debug)]
-#[repr(align(64))]
-struct Node {
-    /// Minimum and maximum corners.
-    bounds: [Lanes; 2],
-    children: [u32; WIDTH],
-}
-
-/// Four triangles in the layout of the intersection test. Unused ones are degenerate.
-#[derive(Clone, Copy, Debug)]
-struct Leaf {
-    corner: Lanes,
-    edges: [Lanes; 2],
-    triangles: [u32; WIDTH],
-}
-
-/// The hierarchy.
+/// A hierarchy over triangles that answers rays.
 #[derive(Debug)]
 pub(crate) struct Bvh {
-    nodes: Vec<Node>,
-    leaves: Vec<Leaf>,
+    tree: Tree,
 }
 
 /// A ray with each coordinate repeated in all four lanes.
@@ -141,8 +116,6 @@ impl Beam {
 }
 
 impl Node {
-    const EMPTY: Self = Self { bounds: [[Vec4::MAX; 3], [Vec4::MIN; 3]], children: [LEAF; WIDTH] };
-
     /// The `t` at which the beam enters each box, and a bit mask of the boxes it meets before `t_max`.
     #[inline]
     fn enter(&self, beam: &Beam, t_max: f32) -> (Vec4, u32) {
@@ -160,8 +133,6 @@ impl Node {
 }
 
 impl Leaf {
-    const EMPTY: Self = Self { corner: [Vec4::ZERO; 3], edges: [[Vec4::ZERO; 3]; 2], triangles: [0; WIDTH] };
-
     /// Möller–Trumbore, both sides: two weights, `t`, and a bit mask of the triangles met before `t_max`.
     #[inline]
     fn intersect(&self, ray: &WideRay, t_max: f32) -> (Vec4, Vec4, Vec4, u32) {
@@ -193,7 +164,7 @@ fn dot(a: &Lanes, b: &Lanes) -> Vec4 {
 impl Bvh {
     /// Builds a hierarchy over 0 to [`TRIANGLES_MAX`] triangles, given by their corners.
     pub(crate) fn build(triangles: &[[Vec3; 3]]) -> Self {
-        build::build(triangles)
+        Self { tree: build::build(triangles) }
     }
 
     /// The nearest hit of each ray. Fast if the rays are close together.
@@ -248,13 +219,13 @@ impl Bvh {
                 continue;
             }
             if child & LEAF != 0 {
-                t_max = visit(&self.leaves[(child ^ LEAF) as usize]);
+                t_max = visit(&self.tree.leaves[(child ^ LEAF) as usize]);
                 if t_max == f32::NEG_INFINITY {
                     return;
                 }
                 continue;
             }
-            let node = &self.nodes[child as usize];
+            let node = &self.tree.nodes[child as usize];
             let (enter, mut met) = node.enter(&beam, t_max);
             let enter = enter.to_array();
             let first = depth;

@@ -2,13 +2,19 @@
 
 use glam::Vec3;
 
-use super::{Bvh, LEAF, Leaf, MEDIAN_DEPTH, Node, TRIANGLES_MAX, WIDTH};
+use super::node::{LEAF, Leaf, Node, Tree, WIDTH};
 
 /// Bins of the surface-area heuristic: more than 12 to 16 bring no gain (Wald 2007).
 const BINS: usize = 16;
 
+/// From this depth on, nodes are split into halves by count, which bounds the tree's depth.
+pub(super) const MEDIAN_DEPTH: usize = 12;
+
+/// Largest number of triangles in a hierarchy.
+pub(super) const TRIANGLES_MAX: usize = 1 << 26;
+
 /// Builds over at most [`TRIANGLES_MAX`] triangles.
-pub(super) fn build(triangles: &[[Vec3; 3]]) -> Bvh {
+pub(super) fn build(triangles: &[[Vec3; 3]]) -> Tree {
     assert!(
         triangles.len() <= TRIANGLES_MAX,
         "{} triangles exceed the limit of {TRIANGLES_MAX}",
@@ -18,7 +24,7 @@ pub(super) fn build(triangles: &[[Vec3; 3]]) -> Bvh {
     let mut order: Vec<u32> = (0..triangles.len() as u32).collect();
     let mut builder = Builder { triangles, boxes: &boxes, nodes: vec![Node::EMPTY], leaves: Vec::new() };
     builder.split(0, &mut order, 0);
-    Bvh { nodes: builder.nodes, leaves: builder.leaves }
+    Tree { nodes: builder.nodes, leaves: builder.leaves }
 }
 
 #[derive(Clone, Copy, Debug)]
