@@ -14,49 +14,19 @@
 //! picture do not depend on timing or budget.
 
 mod pack;
+mod source;
 mod state;
 #[cfg(test)]
 mod tests;
 
-use std::path::PathBuf;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
 
-use crate::picture::bytes_of;
-use crate::{Picture, SceneError, View};
+use crate::{Picture, SceneError};
+pub use source::Source;
+use source::{largest_bytes, total_bytes};
+pub use state::CacheUse;
 use state::{Slot, State};
-
-/// A picture to cache: its file, and the size to shrink it to.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Source {
-    /// The file.
-    pub path: PathBuf,
-    /// Width and height after shrinking.
-    pub size_px: [u32; 2],
-}
-
-impl Source {
-    /// The picture of `view`, shrunk until its long side is at most `long_side_px`.
-    pub fn of(view: &View, long_side_px: u32) -> Self {
-        Self { path: view.path.clone(), size_px: view.camera.fitted_size(long_side_px) }
-    }
-}
-
-/// The contents of a cache at one moment.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct CacheUse {
-    /// Bytes of pictures in any form, including those handed out and being made; never above the
-    /// budget.
-    pub used_bytes: u64,
-    /// Pictures kept raw.
-    pub raw: usize,
-    /// Pictures kept compressed.
-    pub packed: usize,
-    /// Pictures that are read from disk at each request.
-    pub on_disk: usize,
-    /// Number of times that a file was decoded.
-    pub decoded: u64,
-}
 
 /// A cache of pictures within a byte budget; see the module. Threads share it by reference.
 pub struct PictureCache {
@@ -91,12 +61,12 @@ impl PictureCache {
     /// The smallest budget that works: two pictures of the largest size, one in use and one being
     /// made, or all pictures if that is less.
     pub fn least_bytes(sources: &[Source]) -> u64 {
-        (2 * largest_bytes(sources)).min(Self::most_bytes(sources))
+        (2 * largest_bytes(sources)).min(total_bytes(sources))
     }
 
     /// The budget that holds all pictures raw; a larger one brings no gain.
     pub fn most_bytes(sources: &[Source]) -> u64 {
-        sources.iter().map(|source| bytes_of(source.size_px)).sum()
+        total_bytes(sources)
     }
 
     /// Bytes that decoding, shrinking and compressing the most demanding source takes temporarily, on
@@ -152,10 +122,6 @@ impl Drop for PictureCache {
             let _ = prefetcher.join();
         }
     }
-}
-
-fn largest_bytes(sources: &[Source]) -> u64 {
-    sources.iter().map(|source| bytes_of(source.size_px)).max().unwrap_or(0)
 }
 
 impl Shared {

@@ -4,7 +4,7 @@
 use std::collections::VecDeque;
 use std::sync::{Arc, Weak};
 
-use super::{CacheUse, PictureCache, Source, largest_bytes};
+use super::source::{Source, largest_bytes, total_bytes};
 use crate::picture::bytes_of;
 use crate::{Picture, SceneError};
 
@@ -13,6 +13,22 @@ const REQUESTS_MAX: usize = 8;
 
 /// Copies get the budget divided by this, and at least two pictures.
 const COPIES_SHARE: u64 = 8;
+
+/// The contents of a cache at one moment.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct CacheUse {
+    /// Bytes of pictures in any form, including those handed out and being made; never above the
+    /// budget.
+    pub used_bytes: u64,
+    /// Pictures kept raw.
+    pub raw: usize,
+    /// Pictures kept compressed.
+    pub packed: usize,
+    /// Pictures that are read from disk at each request.
+    pub on_disk: usize,
+    /// Number of times that a file was decoded.
+    pub decoded: u64,
+}
 
 /// How a picture is kept.
 #[derive(Clone)]
@@ -54,7 +70,7 @@ impl State {
         Self {
             budget_bytes,
             copies_bytes_max: (budget_bytes / COPIES_SHARE).max(2 * largest_bytes(sources)),
-            keeps_raw: PictureCache::most_bytes(sources) <= budget_bytes,
+            keeps_raw: total_bytes(sources) <= budget_bytes,
             picture_bytes: sources.iter().map(|source| bytes_of(source.size_px)).collect(),
             slots: vec![Slot::Unseen; sources.len()],
             kept_bytes: 0,

@@ -1,0 +1,32 @@
+//! The pictures that a cache is made for, and their sizes.
+
+use std::path::PathBuf;
+
+use crate::View;
+use crate::picture::bytes_of;
+
+/// A picture to cache: its file, and the size to shrink it to.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Source {
+    /// The file.
+    pub path: PathBuf,
+    /// Width and height after shrinking.
+    pub size_px: [u32; 2],
+}
+
+impl Source {
+    /// The picture of `view`, shrunk until its long side is at most `long_side_px`.
+    pub fn of(view: &View, long_side_px: u32) -> Self {
+        Self { path: view.path.clone(), size_px: view.camera.fitted_size(long_side_px) }
+    }
+}
+
+/// Bytes of the largest picture, raw.
+pub(super) fn largest_bytes(sources: &[Source]) -> u64 {
+    sources.iter().map(|source| bytes_of(source.size_px)).max().unwrap_or(0)
+}
+
+/// Bytes of all pictures, raw.
+pub(super) fn total_bytes(sources: &[Source]) -> u64 {
+    sources.iter().map(|source| bytes_of(source.size_px)).sum()
+}
