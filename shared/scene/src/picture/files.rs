@@ -8,8 +8,8 @@ use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::PngEncoder;
 use image::{DynamicImage, ExtendedColorType, ImageEncoder, ImageError, ImageFormat, ImageReader, Limits};
 
-use super::Picture;
 use super::header::PictureHeader;
+use super::pixels::Picture;
 use crate::{SceneError, atomic};
 
 /// Decodes the whole file.

@@ -2,7 +2,7 @@
 //! where a partly covered pixel counts by its covered part. Computed in integers, so every machine
 //! gets the same bytes.
 
-use super::Picture;
+use super::pixels::Picture;
 
 /// Resamples `picture` to `size_px`.
 pub(super) fn area_average(picture: &Picture, size_px: [u32; 2]) -> Picture {

@@ -1,0 +1,34 @@
+//! The pixels of a picture.
+
+/// An 8-bit sRGB picture without alpha.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Picture {
+    /// Width and height, each at least 1.
+    pub size_px: [u32; 2],
+    /// `[height, width, rgb]`, flattened in that order.
+    pub rgb: Vec<u8>,
+}
+
+impl Picture {
+    /// Wraps `3 * width * height` bytes, `[height, width, rgb]`. Panics on any other length.
+    pub fn new(size_px: [u32; 2], rgb: Vec<u8>) -> Self {
+        assert_eq!(rgb.len() as u64, bytes_of(size_px), "bytes of a {size_px:?} picture");
+        Self { size_px, rgb }
+    }
+
+    /// A picture from colours 0 to 1, `[height, width, rgb]`, clamped and rounded to the nearest of 256
+    /// levels. NaN becomes 0.
+    pub fn from_unit(size_px: [u32; 2], rgb: &[f32]) -> Self {
+        Self::new(size_px, rgb.iter().map(|v| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8).collect())
+    }
+
+    /// Colours 0 to 1, `[height, width, rgb]`.
+    pub fn to_unit(&self) -> Vec<f32> {
+        self.rgb.iter().map(|&v| f32::from(v) / 255.0).collect()
+    }
+}
+
+/// Bytes of the pixels of a picture.
+pub(crate) fn bytes_of(size_px: [u32; 2]) -> u64 {
+    3 * u64::from(size_px[0]) * u64::from(size_px[1])
+}
