@@ -22,7 +22,6 @@
 //! ```
 
 mod header;
-mod mesh;
 mod points;
 mod rows;
 #[cfg(test)]
@@ -34,10 +33,10 @@ use std::path::Path;
 use crate::error::Refusal;
 use crate::splats::sh_coefficients;
 use crate::{SceneError, Splats, atomic};
-use header::Element;
-pub(crate) use mesh::{read_mesh, write_mesh};
+pub(crate) use header::{Element, Kind};
 pub use points::read_points;
-use rows::{Rows, read_vertices};
+use rows::read_vertices;
+pub(crate) use rows::{Rows, read_elements};
 
 /// Writes `splats` as a binary little-endian PLY, atomically: after an error an earlier file at
 /// `path` is unchanged.

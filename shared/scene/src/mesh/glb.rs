@@ -6,7 +6,7 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 
-use super::Mesh;
+use super::data::Mesh;
 use crate::{SceneError, atomic};
 
 /// Component types of accessors.

@@ -4,6 +4,7 @@
 
 use std::fs;
 
+use glam::{Quat, Vec3};
 use serde_json::Value;
 
 use super::*;
@@ -136,7 +137,7 @@ fn the_worlds_z_axis_is_up_in_gltf() {
     };
     let json = json_of(&written(&corner(), "a.glb"));
     let rotation: [f32; 4] = serde_json::from_value(json["nodes"][0]["rotation"].clone()).unwrap();
-    let up = glam::Quat::from_array(rotation) * Vec3::Z;
+    let up = Quat::from_array(rotation) * Vec3::Z;
     assert!(up.distance(Vec3::Y) < 1e-6, "{up}");
 }
 

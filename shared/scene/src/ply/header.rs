@@ -18,7 +18,7 @@ pub(super) enum Format {
 
 /// The type of a number in a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Scalar {
+pub(crate) enum Scalar {
     I8,
     U8,
     I16,
@@ -57,7 +57,7 @@ impl Scalar {
 
 /// What a property holds in each row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Kind {
+pub(crate) enum Kind {
     /// One number.
     One(Scalar),
     /// A count, then that many numbers.
@@ -66,22 +66,22 @@ pub(super) enum Kind {
 
 /// A named column of an element.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Property {
-    pub(super) name: String,
-    pub(super) kind: Kind,
+pub(crate) struct Property {
+    pub(crate) name: String,
+    pub(crate) kind: Kind,
 }
 
 /// A table of the file.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Element {
-    pub(super) name: String,
-    pub(super) count: u64,
-    pub(super) properties: Vec<Property>,
+pub(crate) struct Element {
+    pub(crate) name: String,
+    pub(crate) count: u64,
+    pub(crate) properties: Vec<Property>,
 }
 
 impl Element {
     /// Index of the property called `name`; `None` if it is missing or a list.
-    pub(super) fn column(&self, name: &str) -> Option<usize> {
+    pub(crate) fn column(&self, name: &str) -> Option<usize> {
         self.properties.iter().position(|p| p.name == name && matches!(p.kind, Kind::One(_)))
     }
 

@@ -17,7 +17,7 @@ const WORD_BYTES_MAX: usize = 64;
 
 /// Calls `visit` with each element of `path` and its rows, in file order. Checks first that the file
 /// is long enough for the rows. Skips the rows that `visit` does not read.
-pub(super) fn read_elements(
+pub(crate) fn read_elements(
     path: &Path,
     mut visit: impl FnMut(&Element, &mut Rows) -> Result<(), Refusal>,
 ) -> Result<(), SceneError> {
@@ -77,7 +77,7 @@ fn check_size(element: &Element, format: Format, left_bytes: u64) -> Result<u64,
 }
 
 /// The rows of one element.
-pub(super) struct Rows<'a> {
+pub(crate) struct Rows<'a> {
     input: &'a mut BufReader<File>,
     format: Format,
     element: &'a Element,
@@ -92,13 +92,13 @@ impl<'a> Rows<'a> {
     }
 
     /// The next row, one value per property (0 for lists), or `None` after the last.
-    pub(super) fn next(&mut self) -> Result<Option<&[f64]>, Refusal> {
+    pub(crate) fn next(&mut self) -> Result<Option<&[f64]>, Refusal> {
         let some = self.row(None)?;
         Ok(some.then_some(&self.values))
     }
 
     /// Reads the next row and puts the items of its list in `column` into `list`; false after the last row.
-    pub(super) fn next_list(&mut self, column: usize, list: &mut Vec<f64>) -> Result<bool, Refusal> {
+    pub(crate) fn next_list(&mut self, column: usize, list: &mut Vec<f64>) -> Result<bool, Refusal> {
         list.clear();
         self.row(Some((column, list)))
     }

@@ -4,13 +4,13 @@
 use std::io::Write;
 use std::path::Path;
 
-use super::header::{Element, Kind};
-use super::rows::{Rows, read_elements};
+use super::data::Mesh;
 use crate::error::Refusal;
-use crate::{Mesh, SceneError, atomic};
+use crate::ply::{Element, Kind, Rows, read_elements};
+use crate::{SceneError, atomic};
 
 /// See [`Mesh::write_ply`].
-pub(crate) fn write_mesh(path: &Path, mesh: &Mesh) -> Result<(), SceneError> {
+pub(super) fn write(path: &Path, mesh: &Mesh) -> Result<(), SceneError> {
     atomic::write(path, |out| {
         out.write_all(header_of(mesh).as_bytes())?;
         for (i, position) in mesh.positions.iter().enumerate() {
@@ -51,7 +51,7 @@ fn header_of(mesh: &Mesh) -> String {
 }
 
 /// See [`Mesh::read`].
-pub(crate) fn read_mesh(path: &Path) -> Result<Mesh, SceneError> {
+pub(super) fn read(path: &Path) -> Result<Mesh, SceneError> {
     let mut mesh = Mesh::default();
     let mut has_vertices = false;
     read_elements(path, |element, rows| match element.name.as_str() {
