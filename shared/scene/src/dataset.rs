@@ -1,15 +1,11 @@
 //! Datasets: pictures with poses and a sparse cloud, from any supported source.
 
-mod open;
-#[cfg(test)]
-mod tests;
-
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use glam::DVec3;
 
+use crate::Camera;
 use crate::camera::extent;
-use crate::{Camera, SceneError};
 
 /// A photograph with its camera.
 #[derive(Clone, Debug, PartialEq)]
@@ -48,20 +44,6 @@ impl Dataset {
     /// `every` of 0 holds out none. Returns the indices of training views and of held-out views.
     pub fn split(&self, every: u32) -> (Vec<usize>, Vec<usize>) {
         (0..self.views.len()).partition(|i| every == 0 || i % every as usize != 0)
-    }
-
-    /// Opens a COLMAP model (`path/sparse/0`, `path/sparse` or `path` itself, pictures in
-    /// `path/images` or beside the model) or a `transforms.json` (the file, or the folder that has
-    /// it). Reads the header of every picture, and rescales a camera whose picture has another size of
-    /// the same aspect ratio. Errors: pictures that are missing, empty or of another aspect ratio.
-    pub fn open(path: &Path) -> Result<Self, SceneError> {
-        open::open(path)
-    }
-
-    /// The cameras of a dataset that [`Self::open`] understands, in the file's order. The pictures may
-    /// be missing.
-    pub fn cameras(path: &Path) -> Result<Vec<Camera>, SceneError> {
-        open::cameras(path)
     }
 
     /// Index of the view called `name`.

@@ -21,6 +21,7 @@ pub mod colormap;
 pub mod dataset;
 pub mod error;
 mod frustum;
+mod loader;
 pub mod mesh;
 pub mod metrics;
 pub mod mission_config;

@@ -4,10 +4,10 @@
 
 use std::fs;
 
-use glam::DVec2;
+use glam::{DVec2, DVec3};
 
 use super::*;
-use crate::{Picture, Pose, colmap};
+use crate::{Pose, SparsePoint};
 
 /// Three pictures of 8 × 6, 2 apart along x, that look along y at points at a distance of 4; written
 /// below `root` in COLMAP's layout.

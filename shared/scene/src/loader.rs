@@ -1,38 +1,49 @@
-//! Opens a dataset: recognises its layout, and checks that every picture exists and fits its camera.
+//! Opens datasets: recognises their layout, and checks that every picture exists and fits its camera.
+
+#[cfg(test)]
+mod tests;
 
 use std::path::{Component, Path};
 
-use super::{Dataset, View};
-use crate::{Camera, Picture, SceneError, colmap, transforms};
+use crate::{Camera, Dataset, Picture, SceneError, View, colmap, transforms};
 
-/// See [`Dataset::open`].
-pub(super) fn open(path: &Path) -> Result<Dataset, SceneError> {
-    let mut dataset = read(path)?;
-    if dataset.views.is_empty() {
-        return Err(SceneError::malformed(path, "has no pictures with poses"));
-    }
-    for view in &mut dataset.views {
-        view.name = inner_name(&view.name).ok_or_else(|| {
-            SceneError::malformed(path, format!("'{}' is not a valid picture name", view.name))
-        })?;
-    }
-    sort(&mut dataset);
-    if let Some(pair) = dataset.views.windows(2).find(|pair| pair[0].name == pair[1].name) {
-        let reason = format!("two pictures are called {}; rename one of them", pair[0].name);
-        return Err(SceneError::malformed(path, reason));
-    }
-    refuse_missing(&dataset.views)?;
-    dataset.views.iter_mut().try_for_each(fit_camera)?;
-    Ok(dataset)
-}
+/// Reason of the error for a dataset without views.
+const NO_VIEWS: &str = "has no pictures with poses";
 
-/// See [`Dataset::cameras`].
-pub(super) fn cameras(path: &Path) -> Result<Vec<Camera>, SceneError> {
-    let cameras: Vec<Camera> = read(path)?.views.iter().map(|view| view.camera).collect();
-    if cameras.is_empty() {
-        return Err(SceneError::malformed(path, "has no pictures with poses"));
+impl Dataset {
+    /// Opens a COLMAP model (`path/sparse/0`, `path/sparse` or `path` itself, pictures in
+    /// `path/images` or beside the model) or a `transforms.json` (the file, or the folder that has
+    /// it). Reads the header of every picture, and rescales a camera whose picture has another size of
+    /// the same aspect ratio. Errors: pictures that are missing, empty or of another aspect ratio.
+    pub fn open(path: &Path) -> Result<Self, SceneError> {
+        let mut dataset = read(path)?;
+        if dataset.views.is_empty() {
+            return Err(SceneError::malformed(path, NO_VIEWS));
+        }
+        for view in &mut dataset.views {
+            view.name = inner_name(&view.name).ok_or_else(|| {
+                SceneError::malformed(path, format!("'{}' is not a valid picture name", view.name))
+            })?;
+        }
+        sort(&mut dataset);
+        if let Some(pair) = dataset.views.windows(2).find(|pair| pair[0].name == pair[1].name) {
+            let reason = format!("two pictures are called {}; rename one of them", pair[0].name);
+            return Err(SceneError::malformed(path, reason));
+        }
+        refuse_missing(&dataset.views)?;
+        dataset.views.iter_mut().try_for_each(fit_camera)?;
+        Ok(dataset)
     }
-    Ok(cameras)
+
+    /// The cameras of a dataset that [`Self::open`] understands, in the file's order. The pictures may
+    /// be missing.
+    pub fn cameras(path: &Path) -> Result<Vec<Camera>, SceneError> {
+        let cameras: Vec<Camera> = read(path)?.views.iter().map(|view| view.camera).collect();
+        if cameras.is_empty() {
+            return Err(SceneError::malformed(path, NO_VIEWS));
+        }
+        Ok(cameras)
+    }
 }
 
 fn read(path: &Path) -> Result<Dataset, SceneError> {
