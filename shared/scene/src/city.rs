@@ -45,7 +45,7 @@ pub use truth::TruthPoint;
 use std::path::Path;
 
 use crate::{Camera, Dataset, Mesh, SceneError, View};
-use flight::Flight;
+use flight::FlightPath;
 use render::World;
 
 /// A town and the flight over it.
@@ -60,13 +60,13 @@ impl City {
     /// Builds the town. Nothing is rendered yet.
     pub fn build(settings: &CitySettings) -> Result<Self, CityError> {
         settings.check()?;
-        let flight = Flight::new(settings);
+        let flight = FlightPath::new(settings);
         let (flown_half_m, reach_m) = (0.5 * settings.extent_m, flight.reach_m());
         let world = World::build(settings.seed, flown_half_m as f32, reach_m as f32, flight.pixel_m() as f32);
         Ok(Self { settings: *settings, world, cameras: flight.cameras() })
     }
 
-    /// What the city was made from.
+    /// The settings that the city was built from.
     pub fn settings(&self) -> &CitySettings {
         &self.settings
     }
@@ -76,14 +76,14 @@ impl City {
         &self.cameras
     }
 
-    /// How many triangles the town has.
+    /// Number of triangles of the town.
     pub fn triangle_count(&self) -> usize {
         self.world.mesh.triangles.len()
     }
 
-    /// The views, whose pictures have yet to be written to the relative paths they name, and the
-    /// sparse cloud: points on surfaces that at least three cameras see, as a reconstruction would
-    /// find them, with noise and a few outliers.
+    /// The views and the sparse cloud. The paths of the views are relative; no picture is written. The
+    /// cloud has points on surfaces that at least three cameras see, with noise and a few outliers, as
+    /// a reconstruction would find them.
     pub fn dataset(&self) -> Dataset {
         let digits = self.cameras.len().saturating_sub(1).to_string().len().max(4);
         let view = |(i, camera): (usize, &Camera)| {
@@ -96,25 +96,25 @@ impl City {
         }
     }
 
-    /// The true surface, as far as at least three cameras see it, in small triangles.
+    /// The part of the true surface that at least three cameras see, in small triangles.
     pub fn truth_mesh(&self) -> Mesh {
         truth::mesh(&self.world, &self.cameras)
     }
 
-    /// `count` points spread evenly over the area that at least three cameras see; fewer only where
-    /// hardly any surface is seen so.
+    /// `count` points spread evenly over the surface that at least three cameras see; fewer if there is
+    /// hardly any such surface.
     pub fn truth_points(&self, count: usize, seed: u64) -> Vec<TruthPoint> {
         truth::points(&self.world, &self.cameras, count, seed)
     }
 
     /// Renders all pictures and writes them with poses, cloud and truth into `folder`, which is
-    /// made: `images/*.jpg`, `sparse/0/*.bin`, `gt/mesh.ply`, `gt/points.ply`. `progress` is told how
-    /// many pictures are done, of how many. Returns the dataset with its paths.
+    /// created: `images/*.jpg`, `sparse/0/*.bin`, `gt/mesh.ply`, `gt/points.ply`. Calls `progress` with
+    /// the number of pictures done and their total. Returns the dataset with the paths written to.
     pub fn write(&self, folder: &Path, progress: impl FnMut(usize, usize)) -> Result<Dataset, SceneError> {
         write::write(self, folder, progress)
     }
 
-    /// Renders what a camera sees: any camera, not only those of the flight.
+    /// Renders the view of any camera, not only of those of the flight.
     pub fn render(&self, camera: &Camera) -> CityFrame {
         self.world.render(camera)
     }

@@ -1,4 +1,4 @@
-//! What stands on the blocks: one file for each sort.
+//! Builds on the blocks: one file per group of block kinds.
 
 mod common;
 mod country;
@@ -18,12 +18,12 @@ use super::terrain::Terrain;
 pub(super) use park::Pond;
 use site::Site;
 
-/// Digs the ponds of the parks; for each block the pond it got.
+/// Digs the ponds of the parks. Returns the pond of each block, if it has one.
 pub(super) fn dig_ponds(plan: &Plan, terrain: &mut Terrain) -> Vec<Option<Pond>> {
     plan.blocks.iter().map(|block| Pond::dig(block, plan, terrain)).collect()
 }
 
-/// Builds on all blocks; returns what covers the ground of each.
+/// Builds on all blocks; returns the ground patches of each.
 pub(super) fn build(
     mesh: &mut Mesh,
     plan: &Plan,

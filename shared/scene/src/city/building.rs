@@ -1,4 +1,4 @@
-//! Buildings: walls on a footprint, and what stands on flat roofs.
+//! Buildings: walls on a footprint, flat roofs and the objects on them.
 
 use glam::{Vec2, Vec3};
 
@@ -9,15 +9,16 @@ use super::palette::Palette;
 use super::random::Rng;
 use super::roofing::{Cover, Roofing};
 
-/// Where a building stands: its floor's frame, and how far down the ground may lie.
+/// The site of a building.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Lot {
+    /// Frame of the ground floor.
     pub(super) frame: Frame,
-    /// From the floor down to below the lowest ground around.
+    /// Depth from the floor to below the lowest ground around, metres.
     pub(super) depth_m: f32,
 }
 
-/// The materials and measures of one building.
+/// The materials and dimensions of one building.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Style {
     pub(super) facade: u32,
@@ -30,7 +31,7 @@ pub(super) struct Style {
 }
 
 impl Style {
-    /// Draws a building's look.
+    /// A random style with these walls and this roof cover.
     pub(super) fn random(mesh: &mut Mesh, rng: &mut Rng, wall: Wall, cover: Cover, shops: bool) -> Self {
         let facade = Facade { shops, ..Facade::random(wall, rng) };
         let (bay_m, floor_m, trim) = (facade.bay_m, facade.floor_m, facade.trim);
@@ -46,7 +47,7 @@ impl Style {
         }
     }
 
-    /// Height of this many floors.
+    /// Height of this many floors, metres.
     pub(super) fn height_m(&self, floors: u32) -> f32 {
         self.floor_m * floors as f32
     }
@@ -73,7 +74,7 @@ impl Footprint {
         (self.min + self.max) * 0.5
     }
 
-    /// Smaller by `by_m` on every side.
+    /// This rectangle, smaller by `by_m` on every side.
     pub(super) fn inset(&self, by_m: f32) -> Self {
         Self { min: self.min + by_m, max: self.max - by_m }
     }
@@ -84,7 +85,7 @@ impl Footprint {
     }
 }
 
-/// Walls over a counter-clockwise outline, from height 0 up to `top_m`, and the plinth below.
+/// Adds walls over a counter-clockwise outline from height 0 to `top_m`, and the plinth below them.
 pub(super) fn walls(mesh: &mut Mesh, lot: &Lot, outline: &[Vec2], top_m: f32, style: &Style, rng: &mut Rng) {
     raised_walls(mesh, &lot.frame, outline, [0.0, top_m], style, rng);
     for (i, &a) in outline.iter().enumerate() {
@@ -101,7 +102,7 @@ pub(super) fn walls(mesh: &mut Mesh, lot: &Lot, outline: &[Vec2], top_m: f32, st
     }
 }
 
-/// Walls between two heights.
+/// Adds walls over an outline between two heights.
 pub(super) fn raised_walls(
     mesh: &mut Mesh,
     frame: &Frame,
@@ -133,7 +134,7 @@ pub(super) fn raised_walls(
     }
 }
 
-/// A flat roof at height `z_m` over the parts of a footprint, with a parapet along its outline.
+/// Adds a flat roof at height `z_m` over the parts of a footprint, with a parapet along its outline.
 pub(super) fn flat_roof(
     mesh: &mut Mesh,
     frame: &Frame,
@@ -157,7 +158,7 @@ pub(super) fn flat_roof(
     }
 }
 
-/// Boxes, vents, skylights, solar panels on a flat roof's part.
+/// Adds boxes, vents, skylights and solar panels to a part of a flat roof.
 pub(super) fn roof_clutter(
     mesh: &mut Mesh,
     frame: &Frame,
@@ -224,7 +225,7 @@ fn solar_rows(mesh: &mut Mesh, frame: &Frame, inner: &Footprint, z_m: f32, palet
     for row in 0..rows {
         let y = inner.min.y + 2.4 * row as f32;
         let corner = frame.at(inner.min.x, y, z_m + 0.25);
-        // 1.65 m modules tilted by the 3-4-5 triangle's smaller angle, halved in height.
+        // Modules 1.65 m long, tilted by about 17 degrees.
         let tilt = frame.y * 1.58 + Vec3::Z * 0.47;
         mesh.panel(corner, frame.x * modules as f32, tilt, palette.solar);
         let back = corner + tilt;
@@ -232,7 +233,7 @@ fn solar_rows(mesh: &mut Mesh, frame: &Frame, inner: &Footprint, z_m: f32, palet
     }
 }
 
-/// A chimney whose foot lies somewhere below the roof.
+/// Adds a chimney between two heights, the lower of them below the roof.
 pub(super) fn chimney(mesh: &mut Mesh, frame: &Frame, at: Vec2, heights_m: [f32; 2], palette: &Palette) {
     let shaft = Block3 {
         min: Vec3::new(at.x - 0.35, at.y - 0.3, heights_m[0]),
@@ -250,7 +251,7 @@ pub(super) fn chimney(mesh: &mut Mesh, frame: &Frame, at: Vec2, heights_m: [f32;
     );
 }
 
-/// A balcony with a parapet, on the wall `y = wall_y` seen from outside at smaller y.
+/// Adds a balcony with a parapet to the wall at `y = wall_y`, on its side of smaller y.
 pub(super) fn balcony(mesh: &mut Mesh, frame: &Frame, x: f32, wall_y: f32, z_m: f32, style: &Style) {
     let slab =
         Block3 { min: Vec3::new(x - 1.5, wall_y - 1.3, z_m - 0.15), max: Vec3::new(x + 1.5, wall_y, z_m) };

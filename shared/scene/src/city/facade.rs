@@ -1,4 +1,4 @@
-//! Walls with windows, doors and shop fronts.
+//! Textures of walls with windows, doors and shop fronts.
 
 use glam::{Vec2, Vec3};
 
@@ -6,14 +6,14 @@ use super::material::{Look, Spot};
 use super::noise::{fractal, grain, mix, step, visible};
 use super::random::{Rng, floor_i32, fraction, unit2};
 
-/// What a wall is made of.
+/// The construction of a wall.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Wall {
     Brick,
     Plaster,
     /// Plaster between visible beams.
     Timbered,
-    /// Precast concrete panels, one to a bay and floor.
+    /// Precast concrete panels, one per bay and floor.
     Panels,
     /// Glass from floor to floor between mullions.
     Curtain,
@@ -23,31 +23,31 @@ pub(super) enum Wall {
     Stone,
 }
 
-/// The look of a building's walls. Texture position is (bays, floors) from a corner at floor level.
+/// The texture of a building's walls. The texture position is (bays, floors) from a corner at floor level.
 #[derive(Clone, Debug)]
 pub(super) struct Facade {
     pub(super) wall: Wall,
     /// Mean colour of the wall.
     pub(super) albedo: Vec3,
-    /// Frames, sills and bands.
+    /// Colour of frames, sills and bands.
     pub(super) trim: Vec3,
-    /// Doors, shutters and signs.
+    /// Colour of doors, shutters and signs.
     pub(super) accent: Vec3,
     /// Width of a bay.
     pub(super) bay_m: f32,
     /// Height of a floor.
     pub(super) floor_m: f32,
-    /// Part of bays that have windows, 0 to 1.
+    /// Fraction of bays with windows, 0 to 1.
     pub(super) windows: f32,
-    /// Whether the ground floor is shops.
+    /// Whether the ground floor has shops.
     pub(super) shops: bool,
     pub(super) shutters: bool,
     pub(super) seed: u32,
 }
 
-/// Where a spot lies in its bay.
+/// The position of a spot in its bay.
 struct Bay {
-    /// From the bay's lower left corner, metres.
+    /// Offset from the bay's lower left corner, metres.
     at_m: Vec2,
     column: i32,
     floor: i32,
@@ -83,7 +83,7 @@ const ACCENTS: [Vec3; 8] = [
 ];
 
 impl Facade {
-    /// Draws the colours and measures of a building whose walls are of this kind.
+    /// A facade with walls of this kind, in random colours and dimensions.
     pub(super) fn random(wall: Wall, rng: &mut Rng) -> Self {
         let albedo = match wall {
             Wall::Brick => rng.pick(&BRICKS),
@@ -120,7 +120,7 @@ impl Facade {
         }
     }
 
-    /// The wall at a spot.
+    /// The wall's appearance at a spot.
     pub(super) fn look(&self, spot: &Spot) -> Look {
         let (column, floor) = (floor_i32(spot.uv.x), floor_i32(spot.uv.y));
         let at_m = Vec2::new(fraction(spot.uv.x) * self.bay_m, fraction(spot.uv.y) * self.floor_m);
@@ -179,7 +179,7 @@ impl Facade {
         None
     }
 
-    /// Glass: dark rooms, blinds and curtains behind a reflection. `depth` runs 0 to 1 from the lintel.
+    /// Glass with dark rooms, blinds and curtains behind it. `depth` runs from 0 at the lintel to 1 at the sill.
     fn pane(&self, bay: &Bay, depth: f32, y: f32) -> Look {
         let room = 0.02 + 0.05 * self.chance(bay, 2);
         let mut albedo = Vec3::new(0.8, 0.95, 1.1) * room;
@@ -281,7 +281,7 @@ impl Facade {
     }
 }
 
-/// Brightness of a bond of stones of `size_m` with mortar joints; each stone has its own tone.
+/// Brightness of masonry with stones of `size_m`, each in its own tone, and mortar joints.
 pub(super) fn bricks(p: Vec2, size_m: Vec2, f: f32, seed: u32) -> f32 {
     let row = floor_i32(p.y / size_m.y);
     let shifted = p.x / size_m.x + 0.5 * (row & 1) as f32;
@@ -289,7 +289,7 @@ pub(super) fn bricks(p: Vec2, size_m: Vec2, f: f32, seed: u32) -> f32 {
     let tone = 0.45 * (unit2(floor_i32(shifted), row, seed) - 0.5);
     let (fx, fy) = (fraction(shifted) * size_m.x, fraction(p.y / size_m.y) * size_m.y);
     let joint = if fx < 0.1 * size_m.y.max(0.1) || fy < 0.14 * size_m.y { 0.35 } else { 0.0 };
-    // Groups of courses fired together keep their tone where single bricks cannot be told apart.
+    // Bricks fired together share a tone, which stays visible where single bricks are too small.
     let lot = 0.16 * (unit2(floor_i32(p.x / (4.0 * size_m.x)), row.div_euclid(5), seed ^ 11) - 0.5);
     1.0 + (tone + joint) * seen + lot * visible(size_m.x * 3.0, f)
 }

@@ -1,5 +1,5 @@
-//! The flight: a lawn-mower over the square looking down, then one more for each of four headings
-//! looking forward and down.
+//! The flight: a lawn-mower pattern over the square with the camera looking straight down, then a
+//! pattern with an oblique camera for each of four headings.
 
 use glam::{DVec2, DVec3};
 
@@ -7,49 +7,49 @@ use super::random::Rng;
 use super::settings::CitySettings;
 use crate::{Camera, Pose};
 
-/// Focal length over the picture's long side: a field of view of 60 degrees across it.
+/// Focal length divided by the picture's long side: a field of view of 60 degrees across it.
 const FOCAL_PER_LONG_SIDE: f64 = 0.866;
-/// Width on the ground of a picture taken straight down, over the distance between neighbours.
+/// Ground width of a straight-down picture, divided by the distance between neighbouring pictures.
 const OVERLAP: f64 = 3.0;
-/// Least height of flight: clear of every roof and mast on every hill, metres.
+/// Least height of flight, metres: above every roof and mast on every hill.
 const HEIGHT_MIN_M: f64 = 62.0;
-/// Greatest height of flight, metres: what larger squares lose in overlap they win in detail, and the
-/// land that must be built stays bounded.
+/// Greatest height of flight, metres. It bounds the land that must be built; larger squares have less
+/// overlap instead, but more detail.
 const HEIGHT_MAX_M: f64 = 180.0;
-/// Height of the oblique flight over that of the first.
+/// Height of the oblique flights, divided by that of the first flight.
 const OBLIQUE_HEIGHT: f64 = 0.92;
-/// Part of the square that oblique cameras aim at, per axis; their far halves see the rest.
+/// Fraction of the square's side that oblique cameras aim at; the far halves of their pictures show the rest.
 const OBLIQUE_AIM: f64 = 0.8;
-/// The principal point's offset from the middle, over the picture's size.
+/// Offset of the principal point from the centre, divided by the picture's size.
 const OFF_CENTER: DVec2 = DVec2::new(0.019, -0.023);
-/// Half ranges of the jitter: position, and where a camera looks, over the height of flight.
+/// Half ranges of the jitter of a camera's position and of its target, divided by the height of flight.
 const JITTER: (f64, f64) = (0.018, 0.035);
 
-/// The flight's measures.
+/// The path of the flight.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Flight {
+pub(super) struct FlightPath {
     settings: CitySettings,
     height_m: f64,
 }
 
-impl Flight {
+impl FlightPath {
     pub(super) fn new(settings: &CitySettings) -> Self {
         let spacing_m = settings.extent_m / f64::from(down_count(settings.views)).sqrt();
         let height_m = (OVERLAP * spacing_m * FOCAL_PER_LONG_SIDE).clamp(HEIGHT_MIN_M, HEIGHT_MAX_M);
         Self { settings: *settings, height_m }
     }
 
-    /// Width of a pixel on the ground straight below, metres.
+    /// Width on the ground of a pixel that looks straight down, metres.
     pub(super) fn pixel_m(&self) -> f64 {
         let long_side = self.settings.size_px[0].max(self.settings.size_px[1]);
         self.height_m / (FOCAL_PER_LONG_SIDE * f64::from(long_side))
     }
 
-    /// How far from the centre the cameras see ground, metres.
+    /// Distance from the centre up to which the cameras see ground, metres.
     pub(super) fn reach_m(&self) -> f64 {
         let [width, height] = self.settings.size_px.map(f64::from);
         let focal = FOCAL_PER_LONG_SIDE * width.max(height);
-        // The slope of the ray through the upper edge, 45 degrees down being the middle.
+        // Slope of the ray through the picture's upper edge; its middle looks 45 degrees down.
         let half = (0.5 + OFF_CENTER.y.abs()) * height / focal;
         let slope = ((1.0 - half) / (1.0 + half)).max(0.22);
         let beyond = OBLIQUE_HEIGHT * self.height_m * (1.0 / slope - 1.0) * 1.12;
@@ -78,7 +78,7 @@ impl Flight {
         poses.into_iter().map(|pose| self.camera(pose)).collect()
     }
 
-    /// A jittered pose at `eye` looking at `target`.
+    /// A jittered pose at `eye` that looks at `target`.
     fn look(&self, rng: &mut Rng, eye: DVec3, target: DVec3, up: DVec3) -> Pose {
         let mut jitter = |range: f64| {
             let mut one = || (2.0 * rng.unit_f64() - 1.0) * range * self.height_m;
@@ -99,12 +99,12 @@ impl Flight {
     }
 }
 
-/// How many of the views look straight down.
+/// Number of views that look straight down.
 fn down_count(views: u32) -> u32 {
     views.div_ceil(2)
 }
 
-/// `count` positions on rows to and fro over a square, and the heading of flight at each.
+/// `count` positions along rows over a square, flown in alternating directions, with the heading at each.
 fn lawn_mower(count: u32, half_m: f64) -> impl Iterator<Item = (DVec2, DVec3)> {
     let rows = f64::from(count).sqrt().round().max(1.0) as u32;
     (0..rows).flat_map(move |row| {

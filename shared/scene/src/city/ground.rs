@@ -1,4 +1,4 @@
-//! The ground as triangles: streets, and the blocks a kerb higher, with rounded corners.
+//! The ground as triangles: streets, and blocks that are a kerb higher and have rounded corners.
 
 use glam::{Vec2, Vec3};
 
@@ -7,14 +7,14 @@ use super::mesh::{Mesh, unit_circle};
 use super::plan::{Block, CORNER_RADIUS_M, KERB_HEIGHT_M, Plan};
 use super::terrain::Terrain;
 
-/// Longest side of a ground cell in town and beyond it, metres.
+/// Longest side of a ground cell in town and outside it, metres.
 const CELL_M: [f32; 2] = [2.2, 5.0];
-/// Straight pieces of a rounded corner.
+/// Number of straight pieces of a rounded corner.
 const CORNER_PIECES: usize = 5;
-/// How deep a kerb reaches below its top: into the street's surface.
+/// Height of a kerb, metres: it reaches into the street's surface.
 const KERB_DEPTH_M: f32 = KERB_HEIGHT_M + 0.05;
 
-/// Puts the ground into the mesh.
+/// Adds the ground to the mesh.
 pub(super) fn build(mesh: &mut Mesh, plan: &Plan, terrain: &Terrain, town_half_m: f32) {
     let street = mesh.add(Material::Street);
     let kerb = mesh.add(Material::Kerb);
@@ -28,8 +28,8 @@ pub(super) fn build(mesh: &mut Mesh, plan: &Plan, terrain: &Terrain, town_half_m
     }
 }
 
-/// Where the ground is cut along one axis: at kerbs, at the ends of rounded corners, and between
-/// them so that no cell is too long.
+/// Coordinates at which the ground is cut along one axis: at kerbs, at the ends of rounded corners,
+/// and in between so that no cell is too long.
 fn grid_lines(plan: &Plan, axis: usize, town_half_m: f32) -> Vec<f32> {
     let mut lines = vec![-plan.half_side_m];
     let mut cut_to = |to: f32, whole: bool| {
@@ -107,7 +107,7 @@ impl Ground<'_> {
         self.mesh.quad([top_a + down, top_b + down, top_b, top_a], [a, b, b, a], self.kerb);
     }
 
-    /// A cell at a block's corner: a quarter disc of block, the rest street.
+    /// Adds a cell at a block's corner: a quarter disc belongs to the block, the rest to the street.
     fn corner(&mut self, min: Vec2, max: Vec2, outward: Vec2, raised_m: f32, block: usize) {
         let half = (max - min) * 0.5;
         let (tip, center) = ((min + max) * 0.5 + outward * half, (min + max) * 0.5 - outward * half);
@@ -153,7 +153,7 @@ impl Edges {
         }
     }
 
-    /// The direction in which the block's corner lies, if the cell is at one.
+    /// The direction towards the block's corner, if the cell is at a corner.
     fn corner(&self) -> Option<Vec2> {
         let side = |low: bool, high: bool| {
             if low == high {

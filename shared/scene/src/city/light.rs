@@ -1,4 +1,4 @@
-//! Light: a sun that casts shadows, a sky that corners see little of, reflections of the sky.
+//! Lighting: a sun that casts shadows, a sky that surroundings hide in part, and its reflections.
 
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
@@ -7,26 +7,26 @@ use super::material::Look;
 use super::mesh::Triangle;
 use crate::bvh::{Bvh, Ray};
 
-/// The sun's irradiance and the sky's on level ground, linear; a white level surface in the sun
-/// comes out just short of white in the picture.
+/// Irradiance of the sun, linear. A white horizontal surface in the sun is slightly below white in the picture.
 const SUN: Vec3 = Vec3::new(1.42, 1.30, 1.10);
+/// Irradiance of the sky on horizontal ground, linear.
 const SKY: Vec3 = Vec3::new(0.27, 0.33, 0.42);
-/// Light that comes back from the ground onto what looks down.
+/// Light that the ground reflects onto surfaces that face down.
 const BOUNCE: Vec3 = Vec3::new(0.20, 0.175, 0.14);
-/// Cell of the height maps, metres.
+/// Cell size of the height maps, metres.
 const CELL_M: f32 = 1.5;
-/// Radii over which heights are averaged to tell how much of the sky is hidden, metres.
+/// Radii over which heights are averaged to estimate how much of the sky is hidden, metres.
 const RADII_M: [f32; 2] = [2.6, 8.0];
-/// Rays to the sun go in one bundle from places no farther apart than this, metres.
+/// Rays to the sun form one bundle if their origins are no farther apart than this, metres.
 const BUNDLE_M: f32 = 1.0;
-/// Rays start this far off the surface, metres.
+/// Distance from the surface at which rays start, metres.
 const LIFT_M: f32 = 0.012;
 
-/// Where a ray met the town, as lighting needs it.
+/// A surface point to be lit.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Lit {
     pub(super) position: Vec3,
-    /// Unit, towards the viewer's side.
+    /// Unit, on the viewer's side.
     pub(super) normal: Vec3,
     /// Unit, from the surface to the viewer.
     pub(super) to_viewer: Vec3,
@@ -40,7 +40,7 @@ pub(super) struct Light {
     heights: [HeightMap; 2],
 }
 
-/// Averaged heights of the highest surface.
+/// Heights of the topmost surface, averaged.
 #[derive(Debug)]
 struct HeightMap {
     origin: Vec2,
@@ -49,7 +49,7 @@ struct HeightMap {
 }
 
 impl Light {
-    /// Looks from above at everything within `half_side_m` of the centre.
+    /// Measures the heights of the topmost surface within `half_side_m` of the centre, by rays from above.
     pub(super) fn new(bvh: &Bvh, triangles: &[Triangle], half_side_m: f32, sun: Vec3) -> Self {
         let highest = triangles.iter().flat_map(|t| t.corners).map(|p| p.z).fold(0.0, f32::max) + 1.0;
         let side = (2.0 * half_side_m / CELL_M) as usize + 2;
@@ -69,14 +69,14 @@ impl Light {
             .collect();
         let heights = RADII_M.map(|radius_m| {
             let reach = (0.5 * radius_m / CELL_M + 0.5) as usize;
-            // Two boxes make a tent.
+            // Two box filters make a tent filter.
             let values = (0..2).fold(tops.clone(), |values, _| box_blurred(&values, side, reach));
             HeightMap { origin, side, values }
         });
         Self { sun: sun.normalize(), heights }
     }
 
-    /// What the viewer sees, linear, where the sun shines or not.
+    /// The linear colour that the viewer sees; `sunny` tells whether the sun shines on the point.
     pub(super) fn radiance(&self, lit: &Lit, look: &Look, sunny: bool) -> Vec3 {
         let facing = lit.normal.dot(self.sun);
         let front = facing.max(0.0);
@@ -97,16 +97,16 @@ impl Light {
         diffuse * (1.0 - part) + (sky(mirrored) * (0.35 + 0.65 * open) + SUN * glint) * part
     }
 
-    /// Whether the sun would light a surface if nothing stood in its way.
+    /// Whether the sun would light a surface if nothing shaded it.
     pub(super) fn reaches(&self, lit: &Lit, look: &Look) -> bool {
         lit.normal.dot(self.sun) > 0.0 || look.translucent > 0.0
     }
 
-    /// Whether the sun shines on each of several places, close together at best; not on absent ones.
+    /// Whether the sun shines on each of several points; false for `None`. Faster if they are close together.
     pub(super) fn sunny<const N: usize>(&self, bvh: &Bvh, places: &[Option<Lit>; N]) -> [bool; N] {
         let Some(any) = places.iter().flatten().next() else { return [false; N] };
         let rays = places.each_ref().map(|place| {
-            // What is absent asks for its neighbour, which costs next to nothing in a bundle.
+            // A missing point repeats another point's ray, which costs next to nothing in a bundle.
             let lit = place.as_ref().unwrap_or(any);
             let side = if lit.normal.dot(self.sun) >= 0.0 { LIFT_M } else { -LIFT_M };
             Ray {
@@ -126,7 +126,7 @@ impl Light {
         std::array::from_fn(|i| places[i].is_some() && !bvh.blocked(&[rays[i]])[0])
     }
 
-    /// How much of the sky is left over what stands around, 0 to 1.
+    /// Fraction of the sky that the surroundings leave visible, 0 to 1.
     fn openness(&self, p: Vec3, normal: Vec3) -> f32 {
         let mut open = 1.0;
         for (map, radius_m) in self.heights.iter().zip(RADII_M) {
@@ -153,7 +153,7 @@ impl HeightMap {
     }
 }
 
-/// Averages over a square of `2 reach + 1` cells; the border goes on outwards.
+/// Averages over squares of `2 reach + 1` cells; border values are repeated outwards.
 fn box_blurred(values: &[f32], side: usize, reach: usize) -> Vec<f32> {
     let window = |line: &dyn Fn(usize) -> f32, i: usize| {
         let sum: f32 = (0..=2 * reach).map(|k| line((i + k).saturating_sub(reach).min(side - 1))).sum();
@@ -166,7 +166,7 @@ fn box_blurred(values: &[f32], side: usize, reach: usize) -> Vec<f32> {
     (0..side * side).into_par_iter().map(|i| window(&|y| rows[y * side + i % side], i / side)).collect()
 }
 
-/// The sky in a direction, and the ground's mean where it looks down.
+/// Colour of the sky in a direction; the ground's mean colour for directions that point down.
 fn sky(direction: Vec3) -> Vec3 {
     if direction.z < 0.0 {
         return Vec3::new(0.16, 0.16, 0.13);
@@ -175,7 +175,7 @@ fn sky(direction: Vec3) -> Vec3 {
     Vec3::new(0.78, 0.84, 0.92).lerp(Vec3::new(0.24, 0.40, 0.74), high)
 }
 
-/// A whole power by multiplication alone.
+/// An integer power by multiplications only.
 fn power(base: f32, exponent: u32) -> f32 {
     let (mut result, mut square, mut left) = (1.0, base, exponent);
     while left > 0 {
@@ -188,11 +188,11 @@ fn power(base: f32, exponent: u32) -> f32 {
     result
 }
 
-/// Linear to sRGB in 8 bits, within 1.5 steps of the standard's curve, from square roots alone (the
-/// standard's power differs between platforms' libraries).
+/// Linear to 8-bit sRGB, within 1.5 steps of the standard's curve. Uses square roots only, as powers
+/// differ between platforms' libraries.
 pub(super) fn encode(linear: Vec3) -> [u8; 3] {
     linear.to_array().map(|x| {
-        // A gentle shoulder keeps texture in the brightest walls.
+        // A soft shoulder preserves texture on the brightest walls.
         let x = (x * 1.12 / (1.0 + 0.12 * x)).clamp(0.0, 1.0);
         let (a, b) = (x.sqrt(), x.sqrt().sqrt());
         let y = 0.662_002_7 * a + 0.684_122 * b - 0.323_583_6 * b.sqrt() - 0.022_541_15 * x;

@@ -1,7 +1,7 @@
-//! What surfaces look like: from a place on a surface to its own colour and its gloss.
+//! Materials: functions from a position on a surface to its colour and gloss.
 //!
-//! Textures are functions of position, so they have detail at every scale; each is told how far
-//! apart its samples lie and leaves out what they could only alias.
+//! Textures are functions of position, so they have detail at every scale. Each gets the distance of
+//! its samples and omits detail that would alias.
 
 use glam::{Vec2, Vec3};
 
@@ -13,7 +13,7 @@ use super::random::{floor_i32, fraction, unit2};
 use super::roofing::Roofing;
 use super::street;
 
-/// A place on a surface as its material sees it.
+/// The inputs of a material at a position on a surface.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Spot {
     pub(super) position: Vec3,
@@ -22,14 +22,14 @@ pub(super) struct Spot {
     pub(super) footprint_m: f32,
 }
 
-/// A surface's own colour and gloss.
+/// How a surface reflects light at one position.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Look {
-    /// Linear, diffusely reflected part of white light, 0 to 1 each.
+    /// Fraction of light that is reflected diffusely, linear rgb, 0 to 1 each.
     pub(super) albedo: Vec3,
-    /// Part of light mirrored at normal incidence, 0 to 1.
+    /// Fraction of light that is mirrored at normal incidence, 0 to 1.
     pub(super) mirror: f32,
-    /// Part of the light that passes through instead of being stopped, 0 to 1 (leaves).
+    /// Fraction of light that passes through, as through leaves, 0 to 1.
     pub(super) translucent: f32,
 }
 
@@ -43,16 +43,16 @@ impl Look {
     }
 }
 
-/// A material. Texture positions are metres unless said otherwise.
+/// A material. Texture positions are in metres unless stated otherwise.
 #[derive(Clone, Debug)]
 pub(super) enum Material {
-    /// Carriageways; texture position is the plan's.
+    /// Carriageways; the texture position is the plan position.
     Street,
-    /// Kerbstones; texture position is the plan's.
+    /// Kerbstones; the texture position is the plan position.
     Kerb,
-    /// The ground of a block, by index; texture position is the plan's.
+    /// The ground of the block with this index; the texture position is the plan position.
     Ground(u32),
-    /// Walls with windows; texture position is bays and floors.
+    /// Walls with windows; the texture position counts bays and floors.
     Facade(Facade),
     /// Roofs, steep and flat.
     Roofing(Roofing),
@@ -62,14 +62,14 @@ pub(super) enum Material {
         albedo: Vec3,
         /// Strength of the blotches, 0 to 1.
         contrast: f32,
-        /// Texture.
+        /// Seed of the texture.
         seed: u32,
     },
-    /// Crowns; texture position is (light that gets in, 0 to 1; hue, −1 to 1).
+    /// Tree crowns; the texture position is (exposure to light, 0 to 1; hue, −1 to 1).
     Leaves {
         /// Mean colour.
         albedo: Vec3,
-        /// Texture.
+        /// Seed of the texture.
         seed: u32,
     },
     /// Stripes across u of two colours, such as awnings, fences and containers.
@@ -79,7 +79,7 @@ pub(super) enum Material {
         /// Width of one stripe.
         width_m: f32,
     },
-    /// Varnish over a colour.
+    /// Glossy paint of one colour.
     Paint(Vec3),
     /// Window panes.
     Glass,
@@ -121,7 +121,7 @@ impl Material {
     }
 }
 
-/// Stones 0.9 m long with joints.
+/// Colour of kerbstones 0.9 m long with joints.
 pub(super) fn kerbstone(along_m: f32, footprint_m: f32) -> Vec3 {
     let stone = along_m / 0.9;
     let joint = if fraction(stone) < 0.05 { 0.5 * visible(0.2, footprint_m) } else { 0.0 };
@@ -140,7 +140,7 @@ fn leaves(albedo: Vec3, seed: u32, spot: &Spot) -> Look {
 }
 
 fn solar(p: Vec2, footprint_m: f32) -> Look {
-    // Modules of 1.0 by 1.65 m with aluminium frames, cells of 0.16 m.
+    // Modules are 1.0 by 1.65 m with aluminium frames, cells are 0.16 m wide.
     let module = Vec2::new(fraction(p.x) - 0.5, fraction(p.y / 1.65) - 0.5).abs();
     if module.x > 0.465 || module.y > 0.48 {
         return Look::matt(Vec3::splat(0.42));

@@ -1,10 +1,10 @@
-//! The town as triangles with materials, and the small shapes everything is made of.
+//! The town's triangles with their materials, and the basic shapes that all objects consist of.
 
 use glam::{Vec2, Vec3};
 
 use super::material::Material;
 
-/// Four times the square of the least area of a triangle, m⁴: a sliver of a square millimetre.
+/// Triangles of less than a square millimetre are dropped: those with `(2 · area)²` below this, m⁴.
 const AREA_MIN: f32 = 4e-12;
 
 /// A triangle of the town.
@@ -12,41 +12,41 @@ const AREA_MIN: f32 = 4e-12;
 pub(super) struct Triangle {
     /// World position of each corner.
     pub(super) corners: [Vec3; 3],
-    /// Texture position of each corner; its unit is the material's.
+    /// Texture position of each corner; its unit depends on the material.
     pub(super) uvs: [Vec2; 3],
     /// Index into [`Mesh::materials`].
     pub(super) material: u32,
 }
 
-/// Triangles and what they are made of.
+/// Triangles and the materials that they refer to.
 #[derive(Debug, Default)]
 pub(super) struct Mesh {
     pub(super) triangles: Vec<Triangle>,
     pub(super) materials: Vec<Material>,
 }
 
-/// A place to build at: z is up.
+/// A local coordinate frame to build in; z is up.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Frame {
     pub(super) origin: Vec3,
-    /// Unit, level.
+    /// Unit, horizontal.
     pub(super) x: Vec3,
-    /// Unit, level, left of x.
+    /// Unit, horizontal, to the left of x.
     pub(super) y: Vec3,
 }
 
 impl Frame {
-    /// Local to world.
+    /// The world position of local coordinates.
     pub(super) fn at(&self, x: f32, y: f32, z: f32) -> Vec3 {
         self.origin + self.x * x + self.y * y + Vec3::Z * z
     }
 
-    /// A frame whose origin is moved by a local offset.
+    /// This frame with its origin moved by a local offset.
     pub(super) fn moved(&self, x: f32, y: f32, z: f32) -> Self {
         Self { origin: self.at(x, y, z), ..*self }
     }
 
-    /// A frame turned so that its x axis has the local direction `along` (any length but zero).
+    /// This frame rotated so that its x axis has the local direction `along` (of any non-zero length).
     pub(super) fn turned(&self, along: Vec2) -> Self {
         let a = along.normalize();
         Self { x: self.x * a.x + self.y * a.y, y: self.y * a.x - self.x * a.y, ..*self }
@@ -61,7 +61,7 @@ pub(super) struct Block3 {
 }
 
 impl Block3 {
-    /// A box on `z_min` with its middle at `(x, y)`.
+    /// A box of `size` that stands at height `z_min`, centred at `(x, y)`.
     pub(super) fn standing(x: f32, y: f32, z_min: f32, size: Vec3) -> Self {
         let half = Vec3::new(0.5 * size.x, 0.5 * size.y, 0.0);
         let foot = Vec3::new(x, y, z_min);
@@ -76,7 +76,7 @@ impl Mesh {
         self.materials.len() as u32 - 1
     }
 
-    /// A triangle, unless it has no area.
+    /// Adds a triangle unless it has hardly any area.
     pub(super) fn triangle(&mut self, corners: [Vec3; 3], uvs: [Vec2; 3], material: u32) {
         let [a, b, c] = corners;
         if (b - a).cross(c - a).length_squared() < AREA_MIN {
@@ -85,13 +85,14 @@ impl Mesh {
         self.triangles.push(Triangle { corners, uvs, material });
     }
 
-    /// A quadrilateral, corners in order around it.
+    /// Adds a quadrilateral with its corners in order.
     pub(super) fn quad(&mut self, c: [Vec3; 4], uv: [Vec2; 4], material: u32) {
         self.triangle([c[0], c[1], c[2]], [uv[0], uv[1], uv[2]], material);
         self.triangle([c[0], c[2], c[3]], [uv[0], uv[2], uv[3]], material);
     }
 
-    /// A parallelogram from three of its corners, textured in metres from the first along its sides.
+    /// Adds a parallelogram, given by a corner and two sides. Its texture position is in metres along the
+    /// sides.
     pub(super) fn panel(&mut self, corner: Vec3, side_u: Vec3, side_v: Vec3, material: u32) {
         let (u, v) = (Vec2::X * side_u.length(), Vec2::Y * side_v.length());
         self.quad(
@@ -101,7 +102,7 @@ impl Mesh {
         );
     }
 
-    /// A box without a bottom, textured in metres.
+    /// Adds a box without a bottom, textured in metres.
     pub(super) fn block(&mut self, frame: &Frame, b: Block3, side: u32, top: u32) {
         let size = b.max - b.min;
         let (x, y, z) = (frame.x * size.x, frame.y * size.y, Vec3::Z * size.z);
@@ -114,15 +115,15 @@ impl Mesh {
         self.panel(low + z, x, y, top);
     }
 
-    /// A box with a bottom, for what hangs in the air.
+    /// Adds a box with a bottom, for objects above the ground.
     pub(super) fn hanging_block(&mut self, frame: &Frame, b: Block3, material: u32) {
         self.block(frame, b, material, material);
         let size = b.max - b.min;
         self.panel(frame.at(b.min.x, b.min.y, b.min.z), frame.y * size.y, frame.x * size.x, material);
     }
 
-    /// An upright prism or truncated pyramid over a regular polygon: `radii_m` below and above,
-    /// `heights_m` of its two ends; closed above where it is wide there.
+    /// Adds an upright prism or truncated pyramid over a regular polygon. `radii_m` and `heights_m` are
+    /// those of its lower and upper end, `materials` those of sides and lid. A pointed top has no lid.
     pub(super) fn drum(
         &mut self,
         frame: &Frame,
@@ -155,18 +156,17 @@ impl Mesh {
     }
 }
 
-/// Corners of a regular polygon on the unit circle, counter-clockwise from the x axis. Turned step
-/// by step from a rational rotation and scaled back, so that no sine of the platform is needed.
+/// Corners of a regular polygon on the unit circle, counter-clockwise from the x axis.
 pub(super) fn regular_polygon(sides: usize) -> Vec<Vec2> {
     (0..sides).map(|i| unit_circle(i as f32 / sides as f32)).collect()
 }
 
-/// The point of the unit circle at `turns` full turns from the x axis, good to 1e-3 of a turn and
-/// exactly on the circle to rounding; polynomials only.
+/// The point of the unit circle at `turns` full turns from the x axis, with an error of at most 1e-3
+/// turns along the circle. Uses polynomials only, as sines differ between platforms.
 pub(super) fn unit_circle(turns: f32) -> Vec2 {
     let quarter = (turns - super::random::floor_i32(turns) as f32) * 4.0;
     let whole = super::random::floor_i32(quarter);
-    // Parabolas of sine and cosine over a quarter turn around its middle, then normalised.
+    // Series of sine and cosine around the middle of the quarter turn, then normalised.
     let t = (quarter - whole as f32 - 0.5) * std::f32::consts::FRAC_PI_2;
     let (sine, cosine) = (t - t * t * t * (1.0 / 6.0), 1.0 - 0.5 * t * t + t * t * t * t * (1.0 / 24.0));
     let half = std::f32::consts::FRAC_1_SQRT_2;

@@ -1,4 +1,4 @@
-//! Materials that things all over town share.
+//! The materials that objects all over the town share.
 
 use glam::Vec3;
 
@@ -59,7 +59,7 @@ impl Palette {
             [0.120, 0.062, 0.036],
         ];
         let crowns = crowns.map(leaves);
-        // The commoner the species, the more often it is named.
+        // Common species are listed several times.
         let leaves = [0, 1, 2, 0, 1, 2, 3, 4, 0, 1, 2, 5].map(|species| crowns[species]).to_vec();
         let paints = [
             [0.60, 0.60, 0.60],

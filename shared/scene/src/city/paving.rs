@@ -1,4 +1,4 @@
-//! The ground of blocks: pavements, lawns, yards, fields, and patches laid on them.
+//! Textures of the ground of blocks: pavements, lawns, yards and fields, with patches on top.
 
 use glam::{Vec2, Vec3};
 
@@ -9,13 +9,13 @@ use super::plan::{Block, BlockKind, Plan};
 use super::random::{floor_i32, fraction, unit2};
 use super::street::asphalt;
 
-/// What covers the ground.
+/// The covering of the ground.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Surface {
     Lawn,
     /// Tall grass with flowers.
     Meadow,
-    /// Concrete flags, this long.
+    /// Concrete flags of this side, metres.
     Flags(f32),
     /// Setts with bands.
     Cobbles,
@@ -31,9 +31,9 @@ pub(super) enum Surface {
     Deck,
     /// A swimming pool.
     Pool,
-    /// Crops: rows along v (`false`) or u (`true`), and which crop.
+    /// Crops: rows along v (`false`) or u (`true`), and the number of the crop.
     Crop(bool, u8),
-    /// What lies under trees.
+    /// Leaf litter under trees.
     Litter,
     /// Red rubber of playgrounds and tracks.
     Rubber,
@@ -42,24 +42,24 @@ pub(super) enum Surface {
 /// The outline of a patch, in plan metres.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Outline {
-    /// From corner to corner.
+    /// Corners of least and greatest coordinates.
     Rectangle(Vec2, Vec2),
-    /// Centre, radius; its border wanders by a tenth.
+    /// Centre and radius, which varies by a tenth.
     Disc(Vec2, f32),
-    /// Middle line from, to; width. Ends are round.
+    /// Ends of the centre line, and width. The ends are round.
     Strip(Vec2, Vec2, f32),
-    /// Centre, middle radius, width.
+    /// Centre, radius of the centre line, and width.
     Ring(Vec2, f32, f32),
 }
 
-/// A piece of ground that differs from its block's.
+/// A piece of ground with another covering than its block.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Patch {
     pub(super) outline: Outline,
     pub(super) surface: Surface,
 }
 
-/// Every block's patches; later ones lie on top.
+/// The patches of every block; later patches lie on top.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Land {
     pub(super) patches: Vec<Vec<Patch>>,
@@ -89,7 +89,7 @@ fn distance_to_segment(p: Vec2, a: Vec2, b: Vec2) -> f32 {
 }
 
 impl Land {
-    /// The ground of a block at a spot whose texture position is the plan's.
+    /// The appearance of a block's ground at a spot whose texture position is the plan position.
     pub(super) fn look(&self, block: usize, spot: &Spot, plan: &Plan) -> Look {
         let p = spot.uv;
         let (land, seed) = (&plan.blocks[block], plan.blocks[block].seed);
@@ -107,7 +107,7 @@ impl Land {
     }
 }
 
-/// What covers a block where no patch lies.
+/// The covering of a block outside its patches.
 fn ground_of(block: &Block) -> Surface {
     match block.kind {
         BlockKind::Perimeter => Surface::Gravel,
@@ -138,7 +138,7 @@ fn flags(p: Vec2, size_m: f32, f: f32, seed: u32) -> Vec3 {
     Vec3::new(0.275, 0.26, 0.235) * (1.0 + tone + group - joint)
 }
 
-/// A surface at a spot. `outline` is the patch's, for what is drawn relative to it.
+/// A surface's appearance at a spot. `outline` is that of the patch, for markings relative to it.
 fn surface(surface: Surface, outline: Option<&Outline>, spot: &Spot, seed: u32) -> Look {
     let (p, f) = (spot.uv, spot.footprint_m);
     let coarse = fractal(p, 6.5, 6, f, seed ^ 51);
@@ -217,7 +217,7 @@ fn car_park(p: Vec2, turned: bool, outline: Option<&Outline>, f: f32, seed: u32)
     let ground = asphalt(p, f, seed);
     let Some(Outline::Rectangle(min, _)) = outline else { return ground };
     let q = if turned { Vec2::new(p.y - min.y, p.x - min.x) } else { p - *min };
-    // Two rows of bays 5 m deep on both sides of a 6 m lane; bays 2.5 m wide.
+    // A row of bays on each side of a 6 m lane; bays are 5 m deep and 2.5 m wide.
     let depth = fraction(q.y / 16.0) * 16.0;
     let bay = !(5.0..11.0).contains(&depth);
     let line = bay && fraction(q.x / 2.5) < 0.05;

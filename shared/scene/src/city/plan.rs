@@ -1,5 +1,5 @@
-//! The town plan: streets and blocks on a grid, in a plane of their own that is bent into the world,
-//! so that streets curve and blocks differ while the plan stays a grid of rectangles.
+//! The town plan: a grid of streets and rectangular blocks in plan coordinates (u, v). A smooth bend
+//! maps plan coordinates to the world, so that streets curve and blocks differ.
 
 use glam::{Vec2, Vec3};
 
@@ -9,19 +9,19 @@ use super::random::{Rng, hash2};
 use super::terrain::Terrain;
 use super::tree::Detail;
 
-/// How far a block's ground lies above the street in town, metres.
+/// Height of a town block's ground above the street, metres.
 pub(super) const KERB_HEIGHT_M: f32 = 0.14;
 /// Radius of the kerb at a block's corners, metres.
 pub(super) const CORNER_RADIUS_M: f32 = 3.2;
-/// How far the town goes on beyond the flown square, metres.
+/// Width of the town beyond the flown square, metres.
 const TOWN_MARGIN_M: f32 = 30.0;
-/// Wavelength and amplitude of the bend from plan to world, metres.
+/// Wavelength and amplitude of the bend between plan and world, metres.
 const BEND_M: (f32, f32) = (150.0, 11.0);
 
 /// What stands on a block.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum BlockKind {
-    /// Houses wall to wall around courtyards.
+    /// Terraced houses around a courtyard.
     Perimeter,
     /// A church on a paved square.
     Plaza,
@@ -59,9 +59,9 @@ impl BlockKind {
 /// A street along one axis of the plan.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Street {
-    /// Its axis, plan metres.
+    /// Position of its centre line, plan metres.
     pub(super) at: f32,
-    /// From the axis to the kerb.
+    /// Distance from the centre line to the kerb.
     pub(super) half_width_m: f32,
     /// Whether it has lanes with markings.
     pub(super) main: bool,
@@ -72,7 +72,7 @@ pub(super) struct Street {
 pub(super) struct Block {
     /// Corner of least u and v, at the kerb.
     pub(super) min: Vec2,
-    /// Corner of greatest u and v.
+    /// Corner of greatest u and v, at the kerb.
     pub(super) max: Vec2,
     pub(super) kind: BlockKind,
     pub(super) seed: u32,
@@ -82,11 +82,11 @@ pub(super) struct Block {
 #[derive(Clone, Debug)]
 pub(super) struct Plan {
     seed: u32,
-    /// Cosine and sine of the plan's turn against the world.
+    /// Cosine and sine of the plan's rotation relative to the world.
     turn: Vec2,
-    /// Whether what stands in town is made finely.
+    /// Whether objects in town have fine detail.
     fine: bool,
-    /// Half the side of the square the plan covers, plan metres.
+    /// Half the side of the square that the plan covers, plan metres.
     pub(super) half_side_m: f32,
     /// Half the side of the world square that is town.
     town_half_m: f32,
@@ -103,7 +103,7 @@ impl Plan {
         let mut rng = Rng::new(seed, 1);
         let t = rng.range(0.06, 0.22);
         let turn = Vec2::new(1.0 - t * t, 2.0 * t) * (1.0 / (1.0 + t * t));
-        // The turned square must cover the world's; the bend moves its border inwards.
+        // The rotated plan must cover the world's square even where the bend moves its border inwards.
         let half_side_m = reach_m * (turn.x + turn.y) + BEND_M.1;
         let town_half_m = flown_half_m + TOWN_MARGIN_M;
         let streets = [(); 2].map(|()| lay_streets(&mut rng, half_side_m, town_half_m));
@@ -122,7 +122,7 @@ impl Plan {
         plan
     }
 
-    /// Plan to world.
+    /// The world position of a plan position.
     pub(super) fn to_world(&self, uv: Vec2) -> Vec2 {
         let p = uv * (1.0 / BEND_M.0);
         let bend = Vec2::new(noise2(p, self.seed), noise2(p, self.seed ^ 0x2545_f491)) * BEND_M.1;
@@ -130,7 +130,7 @@ impl Plan {
         Vec2::new(self.turn.x * q.x - self.turn.y * q.y, self.turn.y * q.x + self.turn.x * q.y)
     }
 
-    /// A level frame on the ground at `uv` whose x axis follows the plan's direction `along`.
+    /// A horizontal frame on the ground at `uv` whose x axis follows the plan direction `along`.
     pub(super) fn frame(&self, terrain: &Terrain, uv: Vec2, along: Vec2) -> Frame {
         let origin = self.to_world(uv);
         let x = (self.to_world(uv + along) - self.to_world(uv - along)).normalize();
@@ -145,17 +145,17 @@ impl Plan {
         }
     }
 
-    /// Whether a place is in town.
+    /// Whether a plan position is in town.
     pub(super) fn in_town(&self, uv: Vec2) -> bool {
         self.to_world(uv).abs().max_element() < self.town_half_m
     }
 
-    /// How finely things at a place are made.
+    /// The detail of objects at a plan position.
     pub(super) fn detail(&self, uv: Vec2) -> Detail {
         if self.fine && self.in_town(uv) { Detail::Fine } else { Detail::Coarse }
     }
 
-    /// The block at `uv`; none on a street.
+    /// Index of the block at `uv`; `None` on a street.
     pub(super) fn block_at(&self, uv: Vec2) -> Option<usize> {
         let (u, v) = (self.columns(0, uv.x), self.columns(1, uv.y));
         let first = self.cell(u[0], v[0]);
@@ -163,19 +163,19 @@ impl Plan {
         same.then_some(first as usize)
     }
 
-    /// The street of constant u (`axis` 0) or v (1) whose width holds `x`, as an index.
+    /// Index of the street of constant u (`axis` 0) or v (1) that covers the coordinate `x`.
     pub(super) fn street_at(&self, axis: usize, x: f32) -> Option<usize> {
         let streets = &self.streets[axis];
         let next = streets.partition_point(|s| s.at + s.half_width_m < x);
         (next < streets.len() && x >= streets[next].at - streets[next].half_width_m).then_some(next)
     }
 
-    /// A number of its own for each place of the street grid.
+    /// A hash of a cell of the street grid.
     pub(super) fn hash(&self, i: usize, j: usize) -> u32 {
         hash2(i as i32, j as i32, self.seed)
     }
 
-    /// The column left and right of a street, or twice the column `x` is in.
+    /// The columns on both sides of the street at `x`, or twice the column that contains `x`.
     fn columns(&self, axis: usize, x: f32) -> [usize; 2] {
         match self.street_at(axis, x) {
             Some(street) => [street, street + 1],
@@ -187,7 +187,7 @@ impl Plan {
         self.cells[v * (self.streets[0].len() + 1) + u]
     }
 
-    /// Where column `i` begins and ends, kerb to kerb.
+    /// The begin and end of column `i`, from kerb to kerb.
     fn span(&self, axis: usize, i: usize) -> (f32, f32) {
         let streets = &self.streets[axis];
         let low = if i == 0 { -self.half_side_m } else { streets[i - 1].at + streets[i - 1].half_width_m };
@@ -195,7 +195,7 @@ impl Plan {
         (low, high)
     }
 
-    /// Joins neighbouring cells into blocks: now and then in town, mostly in the country.
+    /// Joins neighbouring cells into blocks: seldom in town, mostly in the country.
     fn join_cells(&mut self, rng: &mut Rng) {
         let [nu, nv] = [self.streets[0].len() + 1, self.streets[1].len() + 1];
         for v in 0..nv {
@@ -250,10 +250,10 @@ impl Plan {
         self.in_town(Vec2::new(u0 + u1, v0 + v1) * 0.5)
     }
 
-    /// Town kinds from the centre outwards, country kinds by chance.
+    /// Assigns kinds to town blocks from the centre outwards, and to country blocks at random.
     fn assign_kinds(&mut self, rng: &mut Rng) {
         use BlockKind::*;
-        // The first blocks show every kind once; beyond them houses prevail.
+        // The inner blocks have every kind at least once; farther out, houses prevail.
         const INNER: [BlockKind; 11] =
             [Perimeter, Plaza, Towers, Perimeter, Park, Villas, Slabs, Perimeter, School, Villas, Hall];
         const OUTER: [BlockKind; 8] = [Villas, Villas, Perimeter, Slabs, Villas, Hall, Park, Villas];
@@ -272,7 +272,7 @@ impl Plan {
             let block = &mut self.blocks[i];
             if block.kind == Villas {
                 let size = block.max - block.min;
-                // A square on two blocks would be a desert.
+                // A square on a double block would look empty.
                 let fits = |kind: &BlockKind| *kind != Plaza || size.max_element() < 1.5 * size.min_element();
                 let next = wanted.iter().position(fits).map(|at| wanted.remove(at));
                 block.kind = next.unwrap_or_else(|| rng.pick(&OUTER));

@@ -1,4 +1,4 @@
-//! Cars, lamps, benches and other things that stand about.
+//! Small objects: vehicles, lamps, benches, fences and the like.
 
 use glam::{Vec2, Vec3};
 
@@ -6,7 +6,7 @@ use super::mesh::{Block3, Frame, Mesh};
 use super::palette::Palette;
 use super::random::Rng;
 
-/// A road vehicle's measures.
+/// A kind of road vehicle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Vehicle {
     Car,
@@ -14,12 +14,12 @@ pub(super) enum Vehicle {
     Lorry,
 }
 
-/// Draws a kind of vehicle as streets have them.
+/// A random kind of vehicle: mostly cars.
 pub(super) fn any_vehicle(rng: &mut Rng) -> Vehicle {
     if rng.chance(0.86) { Vehicle::Car } else { Vehicle::Van }
 }
 
-/// A vehicle in the middle of a frame, heading along x.
+/// Adds a vehicle at a frame's origin, heading along x.
 pub(super) fn vehicle(mesh: &mut Mesh, frame: &Frame, kind: Vehicle, palette: &Palette, rng: &mut Rng) {
     let paint = rng.pick(&palette.paints);
     match kind {
@@ -68,7 +68,7 @@ fn car(mesh: &mut Mesh, frame: &Frame, paint: u32, palette: &Palette, rng: &mut 
     hull(mesh, frame, &body, width, paint);
     let rear = if estate { -half * 0.93 } else { -half * 0.68 };
     let (front_top, rear_top) = (half * 0.08, rear + if estate { 0.22 } else { 0.55 });
-    // The cabin: glass all around, narrower above, under a painted roof.
+    // The cabin: glass on all sides, narrower at the top, under a painted roof.
     let (low, top) = (width - 0.03, width - 0.2);
     let lower = [(half * 0.44, -low), (half * 0.44, low), (rear, low), (rear, -low)];
     let upper = [(front_top, -top), (front_top, top), (rear_top, top), (rear_top, -top)];
@@ -88,7 +88,7 @@ fn car(mesh: &mut Mesh, frame: &Frame, paint: u32, palette: &Palette, rng: &mut 
     mesh.block(frame, roof, paint, paint);
 }
 
-/// A body of constant width over a convex side view, counter-clockwise from the lower rear.
+/// Adds a body of constant width with a convex side view, given counter-clockwise from the lower rear.
 fn hull(mesh: &mut Mesh, frame: &Frame, profile: &[(f32, f32)], half_width: f32, material: u32) {
     let at = |i: usize, side: f32| {
         let (x, z) = profile[i % profile.len()];
@@ -104,7 +104,7 @@ fn hull(mesh: &mut Mesh, frame: &Frame, profile: &[(f32, f32)], half_width: f32,
     }
 }
 
-/// A pane across the vehicle from `(x, z)` below to `(x, z)` above.
+/// Adds a pane across the vehicle between `low` and `high`, each `(x, z)`.
 fn screen(mesh: &mut Mesh, frame: &Frame, low: [f32; 2], high: [f32; 2], half_width: f32, glass: u32) {
     let lift = 0.02;
     let corner = frame.at(low[0] + lift, -half_width, low[1]);
@@ -169,7 +169,7 @@ pub(super) fn stall(mesh: &mut Mesh, frame: &Frame, palette: &Palette, rng: &mut
     }
 }
 
-/// A round basin with a column of water steps.
+/// A fountain: a round basin with a smaller basin above its centre.
 pub(super) fn fountain(mesh: &mut Mesh, frame: &Frame, palette: &Palette) {
     mesh.drum(frame, [3.6, 3.5], [-0.4, 0.55], 14, [palette.stone, palette.stone]);
     mesh.drum(frame, [3.1, 3.1], [0.5, 0.58], 14, [palette.stone, palette.water]);

@@ -1,9 +1,9 @@
-//! Seeded chance: a generator for building and an integer hash for textures.
+//! Seeded random numbers: a generator for building, and an integer hash for textures.
 //!
-//! Only integer arithmetic and exactly rounded floating-point operations, so that the same seed
+//! Uses only integer arithmetic and exactly rounded floating-point operations, so that the same seed
 //! gives the same town on every machine.
 
-/// SplitMix64 (Steele, Lea, Flood 2014): a counter and a mixer, passes BigCrush.
+/// SplitMix64 (Steele, Lea, Flood 2014): a counter and a mixer that pass BigCrush.
 #[derive(Clone, Debug)]
 pub(super) struct Rng(u64);
 
@@ -60,19 +60,19 @@ impl Rng {
         self.unit() < probability
     }
 
-    /// One of several.
+    /// A uniformly chosen item of `of`, which must not be empty.
     pub(super) fn pick<T: Copy>(&mut self, of: &[T]) -> T {
         of[self.index(of.len())]
     }
 
-    /// Nearly normal with mean 0 and standard deviation 1: the sum of twelve uniforms less six, so
-    /// that no logarithm of the platform's library is needed.
+    /// Nearly normal with mean 0 and standard deviation 1: the sum of twelve uniform numbers minus six.
+    /// This avoids the platform's logarithm.
     pub(super) fn normal(&mut self) -> f64 {
         (0..12).map(|_| self.unit_f64()).sum::<f64>() - 6.0
     }
 }
 
-/// 32 well-mixed bits of a lattice point.
+/// A hash of a lattice point: 32 well-mixed bits.
 #[inline]
 pub(super) fn hash2(x: i32, y: i32, seed: u32) -> u32 {
     let h = seed ^ (x as u32).wrapping_mul(0x8da6_b343) ^ (y as u32).wrapping_mul(0xd816_3841);
@@ -81,21 +81,21 @@ pub(super) fn hash2(x: i32, y: i32, seed: u32) -> u32 {
     h ^ (h >> 15)
 }
 
-/// A lattice point's own number in `[0, 1)`.
+/// A hash of a lattice point as a number in `[0, 1)`.
 #[inline]
 pub(super) fn unit2(x: i32, y: i32, seed: u32) -> f32 {
     (hash2(x, y, seed) >> 8) as f32 * (1.0 / 16_777_216.0)
 }
 
-/// The largest integer not above `x`, for `|x|` below 2³¹ (cheaper than the library's `floor`
-/// where the processor has no instruction for it).
+/// The largest integer not above `x`, for `|x|` below 2³¹. Cheaper than the library's `floor` on
+/// processors without an instruction for it.
 #[inline]
 pub(super) fn floor_i32(x: f32) -> i32 {
     let whole = x as i32;
     whole - i32::from((whole as f32) > x)
 }
 
-/// What `x` has above its floor, in `[0, 1]`.
+/// The fractional part of `x` above its floor, in `[0, 1]`.
 #[inline]
 pub(super) fn fraction(x: f32) -> f32 {
     x - floor_i32(x) as f32

@@ -1,4 +1,4 @@
-//! From a camera to a picture with depth and normals: rays, three by three to a pixel where it pays.
+//! Renders a camera's picture, depth and normals with five rays per pixel, or nine where colours vary.
 
 use glam::{DVec2, Vec3};
 use rayon::prelude::*;
@@ -12,19 +12,20 @@ use crate::bvh::{Bvh, Hit, Ray};
 use crate::raycast::Shooter;
 use crate::{Camera, Picture};
 
-/// What a camera sees.
+/// A rendering of the town by a camera.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CityFrame {
-    /// Colour; black where nothing is.
+    /// Colour; black where there is no surface.
     pub picture: Picture,
-    /// Depth along the optical axis in metres at each pixel's centre, `[height, width]`; 0 where nothing is.
+    /// Depth along the optical axis in metres at each pixel's centre, `[height, width]`; 0 where there is
+    /// no surface.
     pub depth: Vec<f32>,
-    /// Unit normals in the camera frame, towards the camera, at each pixel's centre,
-    /// `[height, width]`; zero where nothing is.
+    /// Unit normals in the camera frame, facing the camera, at each pixel's centre, `[height, width]`;
+    /// zero where there is no surface.
     pub normals: Vec<[f32; 3]>,
 }
 
-/// Everything a ray can meet.
+/// The complete town: geometry, materials and light.
 #[derive(Debug)]
 pub(super) struct World {
     pub(super) plan: Plan,
@@ -34,11 +35,12 @@ pub(super) struct World {
     pub(super) light: Light,
 }
 
-/// Positions within a pixel in thirds: first the middle and the corners, then the rest.
+/// Sample positions within a pixel, in thirds of a pixel from its centre.
 const MIDDLE_AND_CORNERS: [(f64, f64); 5] = [(0.0, 0.0), (-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)];
+/// The other four of the 3 × 3 positions.
 const SIDES: [(f64, f64); 4] = [(0.0, -1.0), (-1.0, 0.0), (1.0, 0.0), (0.0, 1.0)];
-/// Differences of the square roots of linear values above this call for all nine samples: about
-/// fifteen steps of 255 in the picture.
+/// A pixel gets all nine samples if the square roots of its linear colours differ by more than this,
+/// about 15 of 255 levels in the picture.
 const UNEVEN: f32 = 0.06;
 
 /// A pixel's values.
@@ -49,7 +51,8 @@ struct Pixel {
 }
 
 impl World {
-    /// Renders a picture with depth and normals; rows in parallel, the same for any number of threads.
+    /// Renders a picture with depth and normals, in parallel; the result does not depend on the number of
+    /// threads.
     pub(super) fn render(&self, camera: &Camera) -> CityFrame {
         let [width, height] = camera.size_px;
         let shooter = Shooter::new(camera);
@@ -81,7 +84,7 @@ impl World {
         Pixel { rgb: light::encode(color), depth, normal }
     }
 
-    /// What is seen around a pixel's centre, at these thirds of a pixel.
+    /// Hits and colours at offsets from a pixel's centre, given in thirds of a pixel.
     fn samples<const N: usize>(
         &self,
         shooter: &Shooter,
@@ -93,8 +96,8 @@ impl World {
         (hits, self.shade(&rays, &hits, shooter.half_pixel()))
     }
 
-    /// What rays see where they hit, linear; black where they hit nothing. `footprint`: metres between
-    /// samples per metre of distance; half a pixel is the mean distance of samples in a pixel.
+    /// Linear colours that the rays see; black for a ray that hits nothing. `footprint` is the distance
+    /// between samples in metres per metre of ray; half a pixel for the samples within a pixel.
     pub(super) fn shade<const N: usize>(
         &self,
         rays: &[Ray; N],
@@ -105,9 +108,9 @@ impl World {
         for i in 0..N {
             seen[i] = hits[i].map(|hit| self.surface(&rays[i], &hit, footprint));
         }
-        let in_question = |(lit, look): (Lit, Look)| self.light.reaches(&lit, &look).then_some(lit);
-        let asked = seen.map(|surface| surface.and_then(in_question));
-        let sunny = self.light.sunny(&self.bvh, &asked);
+        let if_reached = |(lit, look): (Lit, Look)| self.light.reaches(&lit, &look).then_some(lit);
+        let reached = seen.map(|surface| surface.and_then(if_reached));
+        let sunny = self.light.sunny(&self.bvh, &reached);
         let mut colors = [Vec3::ZERO; N];
         for i in 0..N {
             if let Some((lit, look)) = &seen[i] {
@@ -117,7 +120,7 @@ impl World {
         colors
     }
 
-    /// The surface that a ray hit.
+    /// The surface point that a ray hit, and its appearance.
     fn surface(&self, ray: &Ray, hit: &Hit, footprint: f32) -> (Lit, Look) {
         let length = ray.direction.length();
         let to_viewer = -ray.direction * (1.0 / length);
@@ -125,14 +128,14 @@ impl World {
         let cross = (b - a).cross(c - a).normalize();
         let cosine = cross.dot(to_viewer);
         let normal = if cosine < 0.0 { -cross } else { cross };
-        // Slanted surfaces stretch the footprint; the mean of both its sides is what counts.
+        // Slanted surfaces stretch the footprint along one side; the textures get the mean of both sides.
         let stretch = 0.5 + 0.5 / cosine.abs().max(0.2);
         let footprint_m = footprint * hit.t * length * stretch;
         let spot = self.spot(hit.triangle, hit.barycentric, footprint_m);
         (Lit { position: spot.position, normal, to_viewer }, self.look(hit.triangle, &spot))
     }
 
-    /// A place's colour in its light, linear, without what depends on the view.
+    /// The linear colour of a lit surface point, without view-dependent reflections.
     pub(super) fn matt_shade(
         &self,
         triangle: u32,

@@ -1,4 +1,4 @@
-//! Along the streets: parked and moving cars, lamps, poles, street trees.
+//! Objects along the streets: parked and moving cars, lamps, poles, street trees.
 
 use glam::Vec2;
 
@@ -10,12 +10,12 @@ use super::random::Rng;
 use super::terrain::Terrain;
 use super::tree::{self, Habit};
 
-/// Distance between places where something may stand, metres: a parking bay.
+/// Distance between possible positions of objects, metres: the length of a parking bay.
 const STEP_M: f32 = 5.6;
-/// How far from a crossing's kerb nothing is parked, metres.
+/// Least distance of parked cars from a crossing street's kerb, metres.
 const CROSSING_M: f32 = 9.0;
 
-/// Furnishes all streets.
+/// Adds the objects along all streets.
 pub(super) fn furnish(mesh: &mut Mesh, plan: &Plan, terrain: &Terrain, palette: &Palette, rng: &mut Rng) {
     for axis in 0..2 {
         for (index, street) in plan.streets[axis].iter().enumerate() {
@@ -58,7 +58,7 @@ impl Walk<'_> {
             self.plan.streets[1 - self.axis].iter().all(|s| (s.at - at).abs() > s.half_width_m + CROSSING_M);
         let town = self.plan.in_town(self.uv(at, 0.0));
         let half = self.street.half_width_m;
-        // Across grows to the right of one axis and to the left of the other.
+        // `across` grows to the right of streets along one axis, and to the left along the other.
         let handed = if self.axis == 0 { 1.0 } else { -1.0 };
         for side in [-1.0, 1.0] {
             if town && clear {

@@ -7,12 +7,12 @@ use super::mesh::{Block3, Frame, Mesh};
 use super::palette::Palette;
 use super::random::Rng;
 
-/// How far eaves and verges reach beyond the walls, metres.
+/// Overhang of eaves beyond the walls, metres.
 const EAVES_M: f32 = 0.55;
 /// Thickness of a roof, metres.
 const THICKNESS_M: f32 = 0.2;
 
-/// A gabled roof whose ridge runs along x; its walls end at `z_m` and go on into the gables.
+/// Adds a gabled roof whose ridge runs along x, and the gables above the walls, which end at `z_m`.
 pub(super) fn gabled(
     mesh: &mut Mesh,
     frame: &Frame,
@@ -60,7 +60,7 @@ fn gable(
     );
 }
 
-/// One side of a gabled roof: a slab with eaves and verges.
+/// Adds one side of a gabled roof: a slab with eaves and verges.
 fn slope(mesh: &mut Mesh, frame: &Frame, half: Vec2, side: f32, pitch: f32, style: &Style) {
     let (x, y) = (half.x + EAVES_M * 0.7, side * (half.y + EAVES_M));
     let (low, high) = (-pitch * EAVES_M, pitch * half.y);
@@ -76,7 +76,7 @@ fn slope(mesh: &mut Mesh, frame: &Frame, half: Vec2, side: f32, pitch: f32, styl
     mesh.panel(eave + along, up, down, style.trim);
 }
 
-/// A hipped roof, all four sides of the same pitch; a pyramid over a square.
+/// Adds a hipped roof with the same pitch on all four sides; over a square it is a pyramid.
 pub(super) fn hipped(mesh: &mut Mesh, frame: &Frame, part: &Footprint, z_m: f32, pitch: f32, style: &Style) {
     let (size, center) = (part.size(), part.center());
     let turned = size.y > size.x;
@@ -111,7 +111,7 @@ pub(super) fn hipped(mesh: &mut Mesh, frame: &Frame, part: &Footprint, z_m: f32,
     mesh.panel(corner[0] - t, corner[3] - corner[0], corner[1] - corner[0], style.trim);
 }
 
-/// A mansard: a steep storey set back all around, then a flat top. Returns the top.
+/// Adds a mansard: a steep storey that narrows to a flat top. Returns the footprint of the top.
 pub(super) fn mansard(
     mesh: &mut Mesh,
     frame: &Frame,
@@ -144,7 +144,7 @@ pub(super) fn mansard(
     top
 }
 
-/// Rows of sheds with glazed north sides, over the whole part; teeth follow each other along x.
+/// Adds a sawtooth roof over the whole part: teeth along x, each with a glazed upright side.
 pub(super) fn sawtooth(
     mesh: &mut Mesh,
     frame: &Frame,
@@ -170,7 +170,7 @@ pub(super) fn sawtooth(
     }
 }
 
-/// A dormer on the slope that rises towards +y: its front stands at local `y_m`, its window's sill at `z_m`.
+/// Adds a dormer to the slope that rises towards +y, with its front at local `y_m` and the foot of the front at `z_m`.
 pub(super) fn dormer(mesh: &mut Mesh, frame: &Frame, x_m: f32, y_m: f32, z_m: f32, style: &Style) {
     let (half, height, depth) = (0.75, 1.5, 2.6);
     let front = frame.at(x_m - half, y_m, z_m);

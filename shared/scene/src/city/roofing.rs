@@ -1,4 +1,4 @@
-//! Roofs: tiles, slate, sheet metal, and what lies on flat ones.
+//! Textures of roofs: tiles, slate and sheet metal, and the covers of flat roofs.
 
 use glam::{Vec2, Vec3};
 
@@ -6,7 +6,7 @@ use super::material::{Look, Spot};
 use super::noise::{fractal, grain, mix, step, visible};
 use super::random::{Rng, floor_i32, fraction, unit2};
 
-/// What covers a roof.
+/// The covering of a roof.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Cover {
     /// Clay tiles in courses.
@@ -22,12 +22,12 @@ pub(super) enum Cover {
     Sedum,
 }
 
-/// The look of a roof. Texture position: metres along the eaves, metres up the slope.
+/// The texture of a roof. The texture position is in metres along the eaves and up the slope.
 #[derive(Clone, Debug)]
 pub(super) struct Roofing {
     pub(super) cover: Cover,
     pub(super) albedo: Vec3,
-    /// Part of the 2.5 by 3 m fields that have a roof window, 0 to 1.
+    /// Fraction of the 2.5 by 3 m fields with a roof window, 0 to 1.
     pub(super) windows: f32,
     pub(super) seed: u32,
 }
@@ -49,7 +49,7 @@ const SHEETS: [Vec3; 5] = [
 ];
 
 impl Roofing {
-    /// Draws the colours of a roof with this cover.
+    /// A roof with this cover in random colours.
     pub(super) fn random(cover: Cover, rng: &mut Rng) -> Self {
         let albedo = match cover {
             Cover::Tiles => rng.pick(&TILES),
@@ -67,7 +67,7 @@ impl Roofing {
         Self { cover, albedo: albedo * rng.range(0.85, 1.15), windows, seed: rng.seed() }
     }
 
-    /// The roof at a spot.
+    /// The roof's appearance at a spot.
     pub(super) fn look(&self, spot: &Spot) -> Look {
         let (p, f) = (spot.uv, spot.footprint_m);
         if let Some(window) = self.window(p) {
@@ -119,7 +119,7 @@ impl Roofing {
         let seen = visible(size_m.x * 1.5, f);
         let rounded = (fraction(across) - 0.5).abs();
         let step_down = 0.30 * (1.0 - step(0.0, 0.25, fraction(course))) + 0.35 * (rounded - 0.25);
-        // Courses laid from one pallet share a tone, seen from farther away.
+        // Tiles of one pallet share a tone, which is visible from farther away.
         let lot = unit2(floor_i32(p.x / 1.7), row.div_euclid(3), self.seed ^ 5) - 0.5;
         let tone = 1.0 + seen * (0.5 * (tile - 0.5) - step_down) + 0.22 * lot + 0.30 * weather;
         let runs = grain(Vec2::new(p.x, 0.15 * p.y), 0.4, f, self.seed ^ 31);

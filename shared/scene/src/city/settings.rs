@@ -1,20 +1,20 @@
-//! What city to build, and what cannot be built.
+//! The settings of a city, and the errors of impossible settings.
 
-/// What a city is made from. The same settings give the same bytes on every machine.
+/// The settings of a city. The same settings give the same bytes on every machine.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CitySettings {
-    /// Seed of every choice.
+    /// Seed of all random choices.
     pub seed: u64,
-    /// Side of the flown square in metres, 10 to 1000; land goes on around it as far as cameras see.
+    /// Side of the flown square in metres, 10 to 1000. Land is built around it as far as cameras see.
     pub extent_m: f64,
-    /// Pictures taken, 3 to 9999: half straight down, half oblique.
+    /// Number of pictures, 3 to 9999: half straight down, half oblique.
     pub views: u32,
     /// Width and height of the pictures in pixels, each 16 to 8192.
     pub size_px: [u32; 2],
 }
 
 impl Default for CitySettings {
-    /// The mission's scene: a small town made within seconds.
+    /// The scene of the built-in mission: a small town that is built within seconds.
     fn default() -> Self {
         Self { seed: 7, extent_m: 180.0, views: 96, size_px: [320, 240] }
     }
@@ -27,16 +27,16 @@ pub enum CityError {
     /// Too small for a street, too large for memory, or not a number.
     #[error("city: extent {0} m is not possible, choose 10 to 1000 m")]
     Extent(f64),
-    /// No surface could be seen by three cameras, or names would not sort.
+    /// Too few for a surface seen by three cameras, or too many for four digits in the names.
     #[error("city: {0} views are not possible, choose 3 to 9999")]
     Views(u32),
-    /// No picture worth the name, or too large for memory.
+    /// Too small for a useful picture, or too large for memory.
     #[error("city: pictures of {} x {} px are not possible, choose 16 to 8192 a side", .0[0], .0[1])]
     Size([u32; 2]),
 }
 
 impl CitySettings {
-    /// Whether such a city can be built.
+    /// Refuses settings outside their ranges.
     pub(super) fn check(&self) -> Result<(), CityError> {
         if !(10.0..=1000.0).contains(&self.extent_m) {
             return Err(CityError::Extent(self.extent_m));

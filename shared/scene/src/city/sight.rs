@@ -1,14 +1,14 @@
-//! Which cameras see a place.
+//! Tests which cameras see a point.
 
 use glam::{DMat3, DVec3, Vec3};
 
 use crate::Camera;
 use crate::bvh::{Bvh, Ray};
 
-/// How much of the line of sight at its end may lie inside the surface, metres.
+/// Length at the end of a line of sight that may lie inside the surface, metres.
 const SLACK_M: f32 = 0.03;
 
-/// A flight's cameras, asked who sees what.
+/// Tests what a flight's cameras see of the town.
 #[derive(Clone, Debug)]
 pub(super) struct Sight<'a> {
     bvh: &'a Bvh,
@@ -16,13 +16,13 @@ pub(super) struct Sight<'a> {
     eyes: Vec<Eye>,
 }
 
-/// A camera as the question wants it.
+/// A camera in the form that the tests need.
 #[derive(Clone, Copy, Debug)]
 struct Eye {
     center: DVec3,
-    /// World to pixels times depth, and depth.
+    /// Maps an offset from the centre to column × depth, row × depth and depth.
     pixels_from_world: DMat3,
-    /// By how much each of its results can change over a metre.
+    /// Lengths of its rows: the largest change of each result per metre.
     row_lengths: [f64; 3],
     width: f64,
     height: f64,
@@ -44,13 +44,13 @@ impl Eye {
         }
     }
 
-    /// Whether a point lies in the picture, or would if nothing were before it.
+    /// Whether a point projects into the picture, whether or not it is occluded.
     fn faces(&self, point: DVec3) -> bool {
         let p = self.pixels_from_world * (point - self.center);
         p.z > 0.0 && p.x >= 0.0 && p.y >= 0.0 && p.x < self.width * p.z && p.y < self.height * p.z
     }
 
-    /// Whether some of a ball may lie in the picture; never no where it does.
+    /// Whether part of a ball may project into the picture. May err towards true, never towards false.
     fn may_face(&self, center: DVec3, radius_m: f64) -> bool {
         let p = self.pixels_from_world * (center - self.center);
         let [x, y, z] = self.row_lengths.map(|length| length * radius_m);
@@ -67,12 +67,12 @@ impl<'a> Sight<'a> {
         Self { bvh, cameras, eyes: cameras.iter().map(Eye::new).collect() }
     }
 
-    /// Whether camera `i` sees the point: in its picture and nothing before it.
+    /// Whether camera `i` sees the point: it projects into the picture and is not occluded.
     pub(super) fn sees(&self, i: usize, point: DVec3) -> bool {
         self.eyes[i].faces(point) && self.is_clear(i, point)
     }
 
-    /// Whether `count` cameras may see some of a triangle; never no where they do.
+    /// Whether `count` cameras may see part of a triangle. May err towards true, never towards false.
     pub(super) fn may_be_seen_by(&self, corners: &[Vec3; 3], count: usize) -> bool {
         let center = (corners[0] + corners[1] + corners[2]) * (1.0 / 3.0);
         let radius = corners.iter().map(|corner| corner.distance(center)).fold(0.0, f32::max);
@@ -80,7 +80,7 @@ impl<'a> Sight<'a> {
         self.eyes.iter().filter(|eye| eye.may_face(center, radius)).take(count).count() == count
     }
 
-    /// The first `count` cameras that see the point, if there are so many.
+    /// The first `count` cameras that see the point; `None` if there are fewer.
     pub(super) fn seen_by(&self, point: DVec3, count: usize) -> Option<Vec<usize>> {
         let facing: Vec<usize> = (0..self.eyes.len()).filter(|&i| self.eyes[i].faces(point)).collect();
         let mut seen = Vec::with_capacity(count);
@@ -98,8 +98,8 @@ impl<'a> Sight<'a> {
         None
     }
 
-    /// Whether nothing is between a camera and a point. Followed from the point, since what hides
-    /// a place is most often close to it.
+    /// Whether nothing occludes a point from a camera. The ray starts at the point, as occluders are
+    /// mostly close to it.
     fn is_clear(&self, i: usize, point: DVec3) -> bool {
         let line = (self.eyes[i].center - point).as_vec3();
         let t_min = SLACK_M / line.length();

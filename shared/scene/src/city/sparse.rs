@@ -1,5 +1,5 @@
-//! The sparse cloud, as structure from motion would find it: features on contrasty pixels, tracks
-//! through the pictures that see them, and positions triangulated from noisy observations.
+//! The sparse cloud, made as structure from motion makes it: features at pixels of high contrast,
+//! tracks through the pictures that see them, and positions triangulated from noisy observations.
 
 use glam::{DMat3, DVec2, DVec3, Vec3};
 use rayon::prelude::*;
@@ -13,16 +13,16 @@ use crate::{Camera, SparsePoint};
 
 /// Standard deviation of an observation, per axis.
 const NOISE_PX: f64 = 0.7;
-/// Part of the points that a wrong match put elsewhere.
+/// Fraction of the points that are outliers, as from wrong matches.
 const OUTLIERS: f32 = 0.03;
-/// Least cameras of a track.
+/// Least number of views of a track.
 const TRACK_MIN: usize = 3;
-/// Largest cosine between two lines of sight of a track, COLMAP's least angle of 1.5 degrees.
+/// Cosine of COLMAP's minimum triangulation angle of 1.5 degrees.
 const COSINE_MAX: f64 = 0.999_66;
-/// A picture of 320 pixels gives one feature in every square of this side; larger pictures have
+/// Side of the squares that get one feature each, in pictures of 320 pixels. Larger pictures have
 /// larger squares, but more of them.
 const SQUARE_PX: f64 = 25.0;
-/// Pixels looked at in each square; the one with most contrast becomes the feature.
+/// Pixels tried in each square; the pixel of highest contrast becomes the feature.
 const TRIES: usize = 4;
 
 /// The cloud of a flight.
@@ -45,7 +45,7 @@ struct Finder<'a> {
     rng: Rng,
 }
 
-/// A place that stands out.
+/// A surface point with its colour and local contrast.
 struct Feature {
     position: DVec3,
     color: Vec3,
@@ -121,7 +121,8 @@ impl Finder<'_> {
         Some(SparsePoint { position, rgb: light::encode(feature.color), views })
     }
 
-    /// The views that see a place and recognise it: the more a view's direction differs, the fewer.
+    /// The views that see and recognise a position. A view is less likely to recognise it the more its
+    /// direction differs.
     fn track(&mut self, position: DVec3) -> Vec<usize> {
         let direction =
             |view: usize| (position - self.sight.cameras[view].cam_from_world.center()).normalize();
@@ -140,14 +141,14 @@ impl Finder<'_> {
             .collect()
     }
 
-    /// Whether all lines of sight are nearly the same.
+    /// Whether all lines of sight are nearly parallel.
     fn narrow(&self, position: DVec3, views: &[usize]) -> bool {
         let line = |view: usize| (position - self.sight.cameras[view].cam_from_world.center()).normalize();
         let first = line(views[0]);
         views.iter().all(|&view| line(view).dot(first) > COSINE_MAX)
     }
 
-    /// Somewhere else: along the line of sight for the most part.
+    /// The position of an outlier: displaced mostly along the line of sight.
     fn misplaced(&mut self, position: DVec3) -> DVec3 {
         let center = self.camera().cam_from_world.center();
         let line = position - center;
@@ -157,7 +158,7 @@ impl Finder<'_> {
     }
 }
 
-/// The point whose projections are nearest to the observations, by Gauss-Newton from nearby.
+/// The point whose projections best fit the observations, by Gauss-Newton steps from `start`.
 fn triangulate(cameras: &[Camera], observations: &[(usize, DVec2)], start: DVec3) -> Option<DVec3> {
     const STEPS: usize = 3;
     let mut position = start;

@@ -1,4 +1,4 @@
-//! Carriageways: asphalt with patches, cracks and covers, and what is painted on it.
+//! Carriageways: asphalt with patches, cracks, manhole covers and painted markings.
 
 use glam::{Vec2, Vec3};
 
@@ -7,24 +7,24 @@ use super::noise::{fractal, grain, step, visible};
 use super::plan::{Plan, Street};
 use super::random::{floor_i32, fraction, unit2};
 
-/// Old road paint.
+/// Colour of worn road paint.
 const PAINT: Vec3 = Vec3::new(0.58, 0.57, 0.53);
-/// Depth of a zebra crossing along the street and its distance from the crossing kerb, metres.
+/// Depth of a zebra crossing along the street, and its distance from the crossing street's kerb, metres.
 const ZEBRA_M: (f32, f32) = (3.0, 3.6);
 
-/// A street as seen from a place on it.
+/// A position on a street, relative to that street.
 struct Lane {
     street: Street,
     index: usize,
-    /// Signed distance from the axis, metres.
+    /// Signed distance from the centre line, metres.
     across_m: f32,
-    /// Along the street, plan metres.
+    /// Coordinate along the street, plan metres.
     along_m: f32,
     /// The nearest crossing street: its index and the distance to its kerb line, metres.
     crossing: (usize, f32),
 }
 
-/// The street's surface at a spot whose texture position is the plan's.
+/// The street's appearance at a spot whose texture position is the plan position.
 pub(super) fn carriageway(spot: &Spot, plan: &Plan) -> Look {
     let (p, f) = (spot.uv, spot.footprint_m);
     let lanes = [plan.street_at(0, p.x), plan.street_at(1, p.y)];
@@ -59,7 +59,7 @@ fn lane(plan: &Plan, axis: usize, index: usize, p: Vec2) -> Lane {
     Lane { street, index, across_m: across - street.at, along_m: along, crossing }
 }
 
-/// Asphalt: chippings, repairs with seams, stains, cracks.
+/// Colour of asphalt with chippings, repairs, stains and cracks.
 pub(super) fn asphalt(p: Vec2, f: f32, seed: u32) -> Vec3 {
     let chippings = grain(p, 0.12, f, seed ^ 1) * 0.16 + grain(p, 0.5, f, seed ^ 2) * 0.08;
     let age = fractal(p, 11.0, 5, f, seed ^ 3);
@@ -76,7 +76,7 @@ pub(super) fn asphalt(p: Vec2, f: f32, seed: u32) -> Vec3 {
     Vec3::new(0.128, 0.126, 0.124) * tone.max(0.25)
 }
 
-/// Wheel tracks are polished, gutters dirty, covers dark.
+/// Brightness factor of wear: darker in wheel tracks, gutters and manhole covers.
 fn worn(lane: &Lane, f: f32) -> f32 {
     let half = lane.street.half_width_m;
     let from_kerb = half - lane.across_m.abs();
@@ -93,7 +93,7 @@ fn worn(lane: &Lane, f: f32) -> f32 {
     gutter * tracks * (1.0 - cover)
 }
 
-/// How strongly the spot is painted, if at all.
+/// Strength of the paint at the spot; `None` if there is none.
 fn painted(lane: &Lane, plan: &Plan, town: bool) -> Option<f32> {
     let half = lane.street.half_width_m;
     let (across, along) = (lane.across_m, lane.along_m);

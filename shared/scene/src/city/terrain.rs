@@ -1,10 +1,10 @@
-//! The lie of the land: gentle hills, levelled where something needs level ground.
+//! The terrain: gentle hills, levelled where a pond needs level ground.
 
 use glam::Vec2;
 
 use super::noise::{noise2, step};
 
-/// A round place where the ground is level, or a bowl below that level.
+/// A round area of level ground, with a bowl in it if `bowl_depth_m` is above 0.
 #[derive(Clone, Copy, Debug)]
 struct Level {
     center: Vec2,
@@ -20,7 +20,7 @@ pub(super) struct Terrain {
     levels: Vec<Level>,
 }
 
-/// Wavelength, half height (metres) of the hills; their slopes stay below about 12 %.
+/// Wavelength and half height of the hills, metres. Their slopes stay below about 12 %.
 const HILLS: [(f32, f32); 3] = [(190.0, 4.2), (83.0, 1.5), (31.0, 0.35)];
 
 impl Terrain {
@@ -42,8 +42,8 @@ impl Terrain {
         height
     }
 
-    /// Levels the ground around `center` and digs a bowl into it (depth 0: none). Returns the
-    /// height of the level.
+    /// Levels the ground around `center` and digs a bowl into it (none if its depth is 0). Returns the
+    /// height of the level ground.
     pub(super) fn level(&mut self, center: Vec2, radius_m: f32, bowl_depth_m: f32) -> f32 {
         let height_m = self.natural(center);
         self.levels.push(Level { center, radius_m, height_m, bowl_depth_m });

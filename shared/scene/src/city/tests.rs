@@ -1,5 +1,5 @@
-//! The city against what it promises. The checks are independent of the code they check: rays and
-//! distances by brute force over all triangles, in double precision.
+//! Tests of the city's promises. They compute rays and distances independently of the tested code: by
+//! brute force over all triangles, in double precision.
 
 #![allow(clippy::unwrap_used)]
 
@@ -20,22 +20,22 @@ use crate::{Camera, Dataset};
 
 const SMALL: CitySettings = CitySettings { seed: 3, extent_m: 30.0, views: 8, size_px: [64, 48] };
 
-/// One small city for all tests that only look at it.
+/// A small city that the read-only tests share.
 fn small() -> &'static City {
     static CITY: OnceLock<City> = OnceLock::new();
     CITY.get_or_init(|| City::build(&SMALL).unwrap())
 }
 
-/// FNV-1a.
+/// The 64-bit FNV-1a hash.
 fn hash(bytes: impl IntoIterator<Item = u8>) -> u64 {
     bytes.into_iter().fold(0xcbf2_9ce4_8422_2325, |h, b| (h ^ u64::from(b)).wrapping_mul(0x100_0000_01b3))
 }
 
-/// The fingerprint of [`SMALL`] on x86-64; other machines must give the same.
+/// The fingerprint of [`SMALL`], recorded on x86-64; every machine must give the same.
 const FINGERPRINT: [u64; 4] =
     [0x40ea_4a9a_a31e_3978, 0x8856_b155_cb29_109c, 0xb6ae_638e_5895_eab7, 0x6aa5_87e6_7612_4a05];
 
-/// A fingerprint of a picture with depth and normals, the cloud and the truth.
+/// Hashes of a picture, its depth and normals, the sparse cloud and the truth.
 fn fingerprint(city: &City) -> [u64; 4] {
     let frame = city.render(&city.cameras()[5]);
     let depth = frame.depth.iter().flat_map(|d| d.to_le_bytes());
@@ -56,9 +56,12 @@ fn the_same_settings_give_the_same_bytes_with_any_number_of_threads() {
     let one = with_threads(1, || fingerprint(&City::build(&SMALL).unwrap()));
     let two = with_threads(2, || fingerprint(&City::build(&SMALL).unwrap()));
     assert_eq!(one, two);
-    assert_eq!(one, FINGERPRINT, "the city is another one on this machine, or was changed: if so, note it");
+    assert_eq!(
+        one, FINGERPRINT,
+        "this machine builds another city, or the city was changed; update the constant only for a change"
+    );
     let other = City::build(&CitySettings { seed: 4, ..SMALL }).unwrap();
-    assert!(fingerprint(&other).iter().zip(one).all(|(a, b)| *a != b), "another seed is another city");
+    assert!(fingerprint(&other).iter().zip(one).all(|(a, b)| *a != b), "another seed must give another city");
 }
 
 fn corners(city: &City) -> Vec<[DVec3; 3]> {
@@ -80,7 +83,7 @@ fn depth_and_normals_are_those_of_the_mesh() {
             let direction = camera.cam_from_world.rotation.inverse() * ray;
             let (depth, normal) = brute_force(&triangles, center, direction).unwrap();
             let traced = f64::from(frame.depth[y * 64 + x]);
-            // A ray through an edge may go either way.
+            // A ray through an edge may hit either side of it.
             if (traced - depth).abs() < 1e-4 * depth {
                 let normal = (camera.cam_from_world.rotation * normal).as_vec3();
                 let agree = Vec3::from(frame.normals[y * 64 + x]).dot(normal);
@@ -120,10 +123,13 @@ fn the_hierarchy_finds_what_brute_force_finds() {
             if let (Some(Hit { t, .. }), Some((depth, _))) = (found, expected) {
                 met += 1;
                 assert!((f64::from(t) - depth).abs() < 1e-4 * depth.max(1.0), "{t} {depth}");
-                assert!(!bvh.blocked(&[Ray { t_max: 0.999 * t, ..ray }])[0], "nothing is before the nearest");
+                assert!(
+                    !bvh.blocked(&[Ray { t_max: 0.999 * t, ..ray }])[0],
+                    "nothing may block the ray before its nearest hit"
+                );
             }
         }
-        assert!(count < 300 || met > 100, "{met} rays met something");
+        assert!(count < 300 || met > 100, "{met} rays hit a triangle");
     }
 }
 
@@ -133,8 +139,8 @@ fn a_bundle_of_rays_finds_what_each_ray_finds_alone() {
     let mut rng = Rng::new(3, 3);
     let mut met = 0;
     for i in 0..300 {
-        // From one place to near directions, or from near places in one direction; some go straight
-        // down or both ways along an axis.
+        // Rays from one point in similar directions, or from neighbouring points in one direction. Some go
+        // straight down, or both ways along an axis.
         let spread = [0.0, 0.01, 0.3][i % 3];
         let mut jitter = || Vec3::new(rng.signed(), rng.signed(), rng.signed()) * spread;
         let steep = if i % 5 == 0 { Vec3::NEG_Z } else { Vec3::new(0.4, -0.2, -1.0) };
@@ -153,12 +159,12 @@ fn a_bundle_of_rays_finds_what_each_ray_finds_alone() {
             met += usize::from(alone.is_some());
         }
     }
-    assert!(met > 1000, "{met} rays met something");
+    assert!(met > 1000, "{met} rays hit a triangle");
 }
 
 #[test]
-fn sparse_points_lie_on_the_surface_but_for_the_outliers() {
-    // Large pictures, whose noise is small in metres: what is far off is an outlier.
+fn sparse_points_lie_on_the_surface_except_for_outliers() {
+    // In large pictures the noise is small in metres, so points far off the surface are outliers.
     let city = City::build(&CitySettings { views: 16, size_px: [1200, 900], ..SMALL }).unwrap();
     let cloud = city.dataset();
     let triangles = corners(&city);
@@ -178,11 +184,11 @@ fn sparse_points_lie_on_the_surface_but_for_the_outliers() {
     }
     let share = |of: &[f64], limit: f64| of.iter().filter(|&&x| x > limit).count() as f64 / of.len() as f64;
     let outliers = share(&distances_m, 1.5);
-    assert!((0.008..0.06).contains(&outliers), "about 3 % are outliers: {outliers}");
+    assert!((0.008..0.06).contains(&outliers), "about 3 % must be outliers: {outliers}");
     errors_px.sort_by(f64::total_cmp);
     let median_px = errors_px[errors_px.len() / 2];
-    assert!((0.1..0.7).contains(&median_px), "noise of less than a pixel: {median_px}");
-    assert!(share(&errors_px, 3.0) < 0.1, "most lie within the noise: {}", share(&errors_px, 3.0));
+    assert!((0.1..0.7).contains(&median_px), "the noise must be below a pixel: {median_px}");
+    assert!(share(&errors_px, 3.0) < 0.1, "most errors must be below 3 px: {}", share(&errors_px, 3.0));
 }
 
 #[test]
@@ -194,7 +200,7 @@ fn tracks_name_cameras_that_see_the_point() {
         for &view in &point.views {
             let center = city.cameras()[view as usize].cam_from_world.center();
             let line = point.position - center;
-            // An outlier or a noisy point may lie behind the surface; count instead.
+            // An outlier or a noisy point may lie behind the surface, so agreements are counted.
             let clear =
                 brute_force(&triangles, center, line).is_none_or(|(t, _)| t > 1.0 - 1.5 / line.length());
             agree = (agree.0 + usize::from(clear), agree.1 + 1);
@@ -204,7 +210,7 @@ fn tracks_name_cameras_that_see_the_point() {
 }
 
 #[test]
-fn every_camera_sees_ground_and_nearly_no_void() {
+fn every_camera_sees_ground_in_nearly_all_pixels() {
     for settings in [SMALL, CitySettings { size_px: [48, 64], seed: 11, ..SMALL }] {
         let city = City::build(&settings).unwrap();
         for (i, camera) in city.cameras().iter().enumerate() {
@@ -223,7 +229,7 @@ fn every_camera_sees_ground_and_nearly_no_void() {
 #[test]
 fn void_is_black_and_empty() {
     let mut camera = small().cameras()[0];
-    // Turned over: it looks at the sky.
+    // A camera that looks up into the sky.
     camera.cam_from_world = crate::Pose::look_at(DVec3::Z * 50.0, DVec3::Z * 90.0, DVec3::Y);
     let frame = small().render(&camera);
     assert!(frame.picture.rgb.iter().all(|&byte| byte == 0));
@@ -292,12 +298,12 @@ fn the_principal_point_is_off_centre_and_names_sort_in_flight_order() {
     assert_eq!(names[..2], ["0000.jpg", "0001.jpg"]);
     assert!(names.is_sorted());
     let down = |camera: &Camera| -camera.cam_from_world.forward().z;
-    assert!(dataset.views[..4].iter().all(|view| down(&view.camera) > 0.97), "the first half looks down");
+    assert!(dataset.views[..4].iter().all(|view| down(&view.camera) > 0.97), "the first half must look down");
     assert!(dataset.views[4..].iter().all(|view| (0.5..0.9).contains(&down(&view.camera))));
 }
 
 #[test]
-fn truth_is_the_seen_surface_evenly() {
+fn truth_points_cover_the_seen_surface_evenly() {
     let city = small();
     let triangles = corners(city);
     let mesh = city.truth_mesh();
@@ -315,7 +321,7 @@ fn truth_is_the_seen_surface_evenly() {
     assert_eq!(points.len(), 4000);
     let mut places: Vec<[u32; 3]> = points.iter().map(|p| p.position.map(f32::to_bits)).collect();
     places.sort_unstable();
-    assert!(places.windows(2).all(|pair| pair[0] != pair[1]), "no two points coincide");
+    assert!(places.windows(2).all(|pair| pair[0] != pair[1]), "no two points may coincide");
     let share = points.iter().filter(|p| east(f64::from(p.position[0]))).count() as f64 / 4000.0;
     assert!((share - eastern / total).abs() < 0.04, "{share} {}", eastern / total);
     for point in points.iter().step_by(100) {
@@ -331,10 +337,10 @@ fn truth_is_the_seen_surface_evenly() {
     }
 }
 
-/// The mesh on the disk, by which models are judged, looks as the town's own rays see it: never nearer, and
-/// farther only through the holes of what fewer than three cameras see.
+/// Models are evaluated against the true mesh, so its depth must equal that of the town's renderings. It is never
+/// nearer, and it is farther only through holes, where fewer than three cameras see the surface.
 #[test]
-fn casting_at_the_truth_gives_the_towns_own_depth() {
+fn the_true_mesh_has_the_depth_of_the_renderings() {
     let caster = crate::Caster::new(&small().truth_mesh());
     let (mut met, mut nearer, mut farther) = (0, 0, 0);
     for camera in small().cameras() {
@@ -365,5 +371,5 @@ fn a_written_city_opens_as_a_dataset() {
     let truth = crate::ply::read_points(&folder.path().join("gt/points.ply")).unwrap();
     assert_eq!(truth.len(), 20_000);
     let mesh = crate::Mesh::read(&folder.path().join("gt/mesh.ply")).unwrap();
-    assert!(mesh == small().truth_mesh(), "the mesh changed on the disk");
+    assert!(mesh == small().truth_mesh(), "the mesh must survive writing and reading");
 }

@@ -1,4 +1,4 @@
-//! Trees, bushes, hedges: trunks under crowns of irregular facets and loose sprays of leaves.
+//! Trees, bushes and hedges: trunks under crowns of irregular facets and loose sprays of leaves.
 
 use glam::{Vec2, Vec3};
 
@@ -7,7 +7,7 @@ use super::noise::noise3;
 use super::palette::Palette;
 use super::random::Rng;
 
-/// How a tree grows.
+/// The growth form of a tree.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Habit {
     /// A crown of several rounded masses.
@@ -20,7 +20,7 @@ pub(super) enum Habit {
     Bush,
 }
 
-/// How finely a tree is made: near the flown square or far from it.
+/// Number of triangles of a tree: many near the flown square, few far from it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Detail {
     Fine,
@@ -108,7 +108,7 @@ impl Crown {
         }
     }
 
-    /// A closed lump, dented and bulged.
+    /// Adds the closed, irregular surface of the crown.
     fn core(&self, mesh: &mut Mesh, detail: Detail, rng: &mut Rng) {
         let seed = rng.seed();
         let (points, faces) = if detail == Detail::Fine { sphere() } else { icosahedron() };
@@ -124,7 +124,7 @@ impl Crown {
         }
     }
 
-    /// One loose facet on the outside.
+    /// Adds a loose facet near the crown's surface.
     fn spray(&self, mesh: &mut Mesh, detail: Detail, rng: &mut Rng) {
         let d = direction(rng);
         let out = rng.range(0.76, 1.13);
@@ -171,7 +171,7 @@ fn conifer(mesh: &mut Mesh, frame: &Frame, height_m: f32, detail: Detail, palett
     }
 }
 
-/// A hedge along a frame's x axis, from its origin: a lumpy bank of leaves.
+/// Adds an uneven hedge between two points on the ground.
 pub(super) fn hedge(mesh: &mut Mesh, from: Vec3, to: Vec3, height_m: f32, palette: &Palette, rng: &mut Rng) {
     let pieces = ((to - from).length() / 1.3).max(1.0) as usize;
     let across = (to - from).truncate().perp().normalize_or_zero().extend(0.0);
@@ -205,7 +205,7 @@ pub(super) fn hedge(mesh: &mut Mesh, from: Vec3, to: Vec3, height_m: f32, palett
     }
 }
 
-/// A uniform direction.
+/// A random unit vector, uniform over directions.
 fn direction(rng: &mut Rng) -> Vec3 {
     loop {
         let p = Vec3::new(rng.signed(), rng.signed(), rng.signed());
@@ -262,13 +262,13 @@ fn icosahedron() -> (Vec<Vec3>, Vec<[usize; 3]>) {
     (points.map(|(x, y, z)| Vec3::new(x, y, z).normalize()).to_vec(), ICOSAHEDRON_FACES.to_vec())
 }
 
-/// An icosahedron with each face cut in four: 80 faces.
+/// Unit directions and faces of an icosahedron with each face divided into four: 80 faces.
 fn sphere() -> (Vec<Vec3>, Vec<[usize; 3]>) {
     let (mut points, faces) = icosahedron();
     let mut finer = Vec::with_capacity(4 * faces.len());
     for [a, b, c] in faces {
         let [ab, bc, ca] = [(a, b), (b, c), (c, a)].map(|(i, j)| {
-            // Equal for both faces at an edge, bit for bit, since addition commutes.
+            // Both faces at an edge get the same bits, since addition commutes.
             let middle = (points[i] + points[j]).normalize();
             points.iter().position(|&p| p == middle).unwrap_or_else(|| {
                 points.push(middle);

@@ -1,4 +1,4 @@
-//! The true surface: as a mesh, and as points spread evenly over its area.
+//! The true surface as a mesh, and as points spread evenly over its area.
 
 use std::collections::HashMap;
 
@@ -12,15 +12,15 @@ use super::render::World;
 use super::sight::Sight;
 use crate::{Camera, Mesh};
 
-/// The surface counts as seen where this many cameras see it.
+/// Surface that this many cameras see counts as seen.
 const CAMERAS_MIN: usize = 3;
 /// Longest edge of the mesh's triangles, metres.
 const EDGE_M: f32 = 1.6;
-/// Colours are those of places this large, metres.
+/// Colours are averaged over an area of this size, metres.
 const FOOTPRINT_M: f32 = 0.12;
-/// Points tried at once by one thread.
+/// Random points that a thread tries at once.
 const BATCH: usize = 1024;
-/// Times that as many points are tried as are wanted, before giving up.
+/// Rounds before giving up; a round tries as many points as are wanted.
 const ROUNDS: usize = 30;
 
 /// A point of the surface.
@@ -38,9 +38,9 @@ pub struct TruthPoint {
 struct Piece {
     /// Index of the town's triangle.
     of: u32,
-    /// Positions of the corners in it: weights of its second and third corner.
+    /// The piece's corners, as weights of the triangle's second and third corner.
     corners: [Vec2; 3],
-    /// Unit, on the side that is seen.
+    /// Unit normal on the side that is seen.
     normal: Vec3,
 }
 
@@ -49,7 +49,7 @@ fn position(triangle: &Triangle, weights: Vec2) -> Vec3 {
     a + (b - a) * weights.x + (c - a) * weights.y
 }
 
-/// The seen surface in small triangles.
+/// The seen surface, cut into small triangles.
 pub(super) fn mesh(world: &World, cameras: &[Camera]) -> Mesh {
     let sight = Sight::new(&world.bvh, cameras);
     let pieces: Vec<Piece> = (0..world.mesh.triangles.len())
@@ -68,7 +68,7 @@ pub(super) fn mesh(world: &World, cameras: &[Camera]) -> Mesh {
     weld(world, &pieces)
 }
 
-/// Cuts a triangle into similar ones with edges of at most [`EDGE_M`], as weights of its corners.
+/// Cuts a triangle into similar triangles with edges of at most [`EDGE_M`], given as weights of its corners.
 fn cut(triangle: &Triangle) -> Vec<[Vec2; 3]> {
     let [a, b, c] = triangle.corners;
     let longest = a.distance(b).max(b.distance(c)).max(c.distance(a));
@@ -86,7 +86,7 @@ fn cut(triangle: &Triangle) -> Vec<[Vec2; 3]> {
     pieces
 }
 
-/// The normal on the side from which enough cameras see a place, if they do.
+/// The normal on the side from which cameras see a point; `None` if too few do.
 fn seen_side(sight: &Sight, triangle: &Triangle, weights: Vec2) -> Option<Vec3> {
     let point = position(triangle, weights).as_dvec3();
     let [a, b, c] = triangle.corners;
@@ -96,11 +96,11 @@ fn seen_side(sight: &Sight, triangle: &Triangle, weights: Vec2) -> Option<Vec3> 
     Some(if normal.dot(to_camera.as_vec3()) < 0.0 { -normal } else { normal })
 }
 
-/// Joins pieces at equal corners of the same material, so that edges between materials stay sharp.
+/// Merges equal corners of pieces with the same material, so that edges between materials stay sharp.
 fn weld(world: &World, pieces: &[Piece]) -> Mesh {
     let mut mesh = Mesh::default();
     let mut known: HashMap<([u32; 3], u32), u32> = HashMap::new();
-    // What each vertex takes its colour from: a piece and a corner of it.
+    // The piece and its corner that each vertex takes its colour from.
     let mut sources = Vec::new();
     for (i, piece) in pieces.iter().enumerate() {
         let triangle = &world.mesh.triangles[piece.of as usize];
@@ -119,7 +119,7 @@ fn weld(world: &World, pieces: &[Piece]) -> Mesh {
         .map(|&(i, k)| {
             let piece = &pieces[i];
             let middle = (piece.corners[0] + piece.corners[1] + piece.corners[2]) * (1.0 / 3.0);
-            // A little inside the piece, clear of what adjoins.
+            // Slightly inside the piece, so that adjoining surfaces do not shade it.
             let inside = piece.corners[k].lerp(middle, 0.05);
             light::encode(world.matt_shade(piece.of, inside.to_array(), piece.normal, FOOTPRINT_M))
         })
@@ -150,7 +150,7 @@ pub(super) fn points(world: &World, cameras: &[Camera], count: usize, seed: u64)
     points
 }
 
-/// The area of all triangles up to each, of those only that cameras may see.
+/// Cumulative sum of the triangles' areas; triangles that too few cameras may see count as 0.
 fn cumulated_areas(triangles: &[Triangle], sight: &Sight) -> Vec<f64> {
     let area = |t: &Triangle| {
         let [a, b, c] = t.corners;

@@ -1,4 +1,4 @@
-//! Putting the town together: plan, terrain, ground, blocks, streets, light.
+//! Assembles the town from plan, terrain, ground, blocks, streets and light.
 
 use glam::Vec3;
 
@@ -13,7 +13,7 @@ use super::terrain::Terrain;
 use super::{blocks, ground, roadside};
 use crate::bvh::Bvh;
 
-/// Pixels smaller than this on the ground show single sprays of leaves, metres.
+/// If pixels are smaller than this on the ground, trees get single sprays of leaves, metres.
 const FINE_PIXEL_M: f32 = 0.45;
 
 impl World {

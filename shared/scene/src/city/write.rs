@@ -1,4 +1,4 @@
-//! The city as a dataset on disk, in the layout that real scenes have.
+//! Writes the city as a dataset, in the layout of real scenes.
 
 use std::fs;
 use std::path::Path;
@@ -12,8 +12,9 @@ pub(super) const PICTURES: &str = "images";
 const TRUTH: &str = "gt";
 /// JPEG quality of the pictures.
 const QUALITY: u8 = 95;
-/// Truth points per square metre of the flown square, and how many there are at least and at most.
+/// Truth points per square metre of the flown square.
 const POINTS_PER_M2: f64 = 2.0;
+/// Least and greatest number of truth points.
 const POINTS_RANGE: (f64, f64) = (20_000.0, 400_000.0);
 
 pub(super) fn write(
@@ -41,7 +42,7 @@ pub(super) fn write(
     Ok(dataset)
 }
 
-/// A cloud is a mesh without triangles.
+/// The points as a mesh without triangles.
 fn cloud(points: &[TruthPoint]) -> Mesh {
     Mesh {
         positions: points.iter().map(|point| point.position).collect(),

@@ -1,4 +1,4 @@
-//! What several kinds of blocks have.
+//! Objects that several kinds of blocks share.
 
 use glam::Vec2;
 
@@ -28,7 +28,7 @@ pub(super) fn shed(site: &mut Site, uv: Vec2, along: Vec2, size_m: Vec2) {
     }
 }
 
-/// Trees in line just inside the pavement.
+/// Adds rows of trees just inside the pavement.
 pub(super) fn avenue(site: &mut Site, every_m: f32, height_m: f32) {
     for side in site.sides() {
         let count = ((side.length_m - 10.0) / every_m).max(0.0) as usize;

@@ -10,23 +10,23 @@ use crate::city::props;
 use crate::city::terrain::Terrain;
 use crate::city::tree::{self, Habit};
 
-/// How far the water of a pond stands below its banks, metres.
+/// Depth of a pond's water level below its banks, metres.
 const BANK_M: f32 = 0.4;
-/// Depth of the bowl a pond lies in, metres.
+/// Depth of a pond's bowl, metres.
 const BOWL_M: f32 = 1.1;
 
 /// A pond in a park.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::city) struct Pond {
-    /// Its middle in the plan.
+    /// Plan position of its centre.
     uv: Vec2,
     radius_m: f32,
-    /// Height of the water.
+    /// Height of the water level.
     level_m: f32,
 }
 
 impl Pond {
-    /// Digs the pond of a park that has room for one.
+    /// Digs a pond if the block is a park with enough room.
     pub(super) fn dig(block: &Block, plan: &Plan, terrain: &mut Terrain) -> Option<Self> {
         let size = block.max - block.min;
         let radius_m = 0.17 * size.min_element();
@@ -38,7 +38,7 @@ impl Pond {
     }
 }
 
-/// Lawns and groves, winding paths, and a pond where the terrain has its bowl.
+/// Builds a park: groves, winding paths, and the pond, whose bowl the terrain already has.
 pub(super) fn park(site: &mut Site, pond: Option<&Pond>) {
     let size = site.size();
     let at = |x: f32, y: f32| site.block.min + size * Vec2::new(x, y);

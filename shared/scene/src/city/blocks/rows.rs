@@ -1,4 +1,4 @@
-//! Houses wall to wall around a courtyard.
+//! Terraced houses around a courtyard.
 
 use glam::{Vec2, Vec3};
 
@@ -11,7 +11,7 @@ use crate::city::props;
 use crate::city::roof;
 use crate::city::tree::Habit;
 
-/// Houses wall to wall along all four sides, with a courtyard.
+/// Terraced houses along all four sides, with a courtyard.
 pub(super) fn perimeter(site: &mut Site) {
     let setback = PAVEMENT_M + 0.2;
     let depth = (0.34 * site.size().min_element() - setback).clamp(6.0, 11.0);
@@ -25,7 +25,7 @@ pub(super) fn perimeter(site: &mut Site) {
         );
     }
     for (i, side) in site.sides().into_iter().enumerate() {
-        // Two sides take the corners, the others fill in between.
+        // Two opposite sides include the corners, the other two lie between them.
         let (from, to) = if i % 2 == 0 {
             (setback, side.length_m - setback)
         } else {
@@ -57,7 +57,7 @@ fn row(site: &mut Site, side: &Side, from: f32, to: f32, setback: f32, depth: f3
     }
 }
 
-/// A house of a row: the ridge follows the street.
+/// A terraced house, whose ridge follows the street.
 fn town_house(site: &mut Site, uv: Vec2, along: Vec2, size_m: Vec2) {
     let floors = 2 + site.rng.index(4) as u32;
     let wall = site.town_wall();
@@ -74,7 +74,7 @@ fn town_house(site: &mut Site, uv: Vec2, along: Vec2, size_m: Vec2) {
         0..5 => {
             let pitch = site.rng.range(0.7, 1.05);
             roof::gabled(site.mesh, &lot.frame, &part, top_m, pitch, &style, &mut site.rng);
-            roof_life(site, &lot, &part, top_m, pitch, &style);
+            roof_details(site, &lot, &part, top_m, pitch, &style);
         }
         5..7 => {
             let height = site.rng.range(2.4, 3.2);
@@ -95,8 +95,8 @@ fn town_house(site: &mut Site, uv: Vec2, along: Vec2, size_m: Vec2) {
     }
 }
 
-/// Chimneys, dormers and solar panels of a gabled roof.
-fn roof_life(site: &mut Site, lot: &Lot, part: &Footprint, top_m: f32, pitch: f32, style: &Style) {
+/// Adds chimneys, dormers and solar panels to a gabled roof.
+fn roof_details(site: &mut Site, lot: &Lot, part: &Footprint, top_m: f32, pitch: f32, style: &Style) {
     let half = part.size() * 0.5;
     let ridge = top_m + pitch * half.y;
     for _ in 0..1 + site.rng.index(2) {

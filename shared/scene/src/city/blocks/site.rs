@@ -1,4 +1,4 @@
-//! A block under construction: where things may go, and the helpers all kinds of blocks share.
+//! A block under construction: which positions are free, and helpers for all kinds of blocks.
 
 use glam::{Vec2, Vec3};
 
@@ -22,11 +22,11 @@ pub(super) struct Site<'a> {
     pub(super) block: Block,
     pub(super) rng: Rng,
     pub(super) patches: Vec<Patch>,
-    /// Plan rectangles where nothing else may stand.
+    /// Plan rectangles that are occupied or reserved.
     taken: Vec<(Vec2, Vec2)>,
 }
 
-/// A side of a block, seen from the street: `along` runs with the block on its left.
+/// A side of a block. The block lies to the left of the direction `along`.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Side {
     pub(super) start: Vec2,
@@ -37,12 +37,12 @@ pub(super) struct Side {
 }
 
 impl Side {
-    /// A plan position `along_m` from the side's start and `depth_m` into the block.
+    /// The plan position `along_m` from the side's start and `depth_m` into the block.
     pub(super) fn at(&self, along_m: f32, depth_m: f32) -> Vec2 {
         self.start + self.along * along_m + self.inward * depth_m
     }
 
-    /// The plan rectangle between two such positions.
+    /// The plan rectangle between two positions, each `(along_m, depth_m)`.
     pub(super) fn rectangle(&self, a: (f32, f32), b: (f32, f32)) -> (Vec2, Vec2) {
         let (p, q) = (self.at(a.0, a.1), self.at(b.0, b.1));
         (p.min(q), p.max(q))
@@ -69,7 +69,7 @@ impl<'a> Site<'a> {
         (self.block.min + self.block.max) * 0.5
     }
 
-    /// South, east, north and west side.
+    /// The south, east, north and west side.
     pub(super) fn sides(&self) -> [Side; 4] {
         let (min, max) = (self.block.min, self.block.max);
         let size = self.size();
@@ -82,18 +82,18 @@ impl<'a> Site<'a> {
         ]
     }
 
-    /// A frame on the ground.
+    /// A frame on the ground; see [`Plan::frame`].
     pub(super) fn frame(&self, uv: Vec2, along: Vec2) -> Frame {
         self.plan.frame(self.terrain, uv, along)
     }
 
-    /// The ground at a plan position.
+    /// The world position of the ground at a plan position.
     pub(super) fn ground(&self, uv: Vec2) -> Vec3 {
         self.frame(uv, Vec2::X).origin
     }
 
-    /// Makes room for a building of `size_m` whose middle is at `uv`: the floor lies on the highest
-    /// ground under it.
+    /// Reserves a lot for a building of `size_m` centred at `uv`. Its floor lies above the highest ground
+    /// under it.
     pub(super) fn lot(&mut self, uv: Vec2, along: Vec2, size_m: Vec2) -> Lot {
         let mut frame = self.frame(uv, along);
         let half = size_m * 0.5;
@@ -112,12 +112,12 @@ impl<'a> Site<'a> {
         Lot { frame, depth_m: high - low + 0.6 }
     }
 
-    /// Keeps trees and the like off a plan rectangle.
+    /// Keeps later objects off a plan rectangle.
     pub(super) fn reserve(&mut self, (min, max): (Vec2, Vec2)) {
         self.taken.push((min, max));
     }
 
-    /// Covers ground; what comes later lies on top.
+    /// Covers ground with a patch; later patches lie on top.
     pub(super) fn cover(&mut self, outline: Outline, surface: Surface) {
         self.patches.push(Patch { outline, surface });
     }
@@ -127,7 +127,7 @@ impl<'a> Site<'a> {
         self.cover(Outline::Rectangle(min, max), surface);
     }
 
-    /// Whether nothing stands within `margin_m` of a plan position inside the block.
+    /// Whether a plan position lies inside the block and nothing occupies the ground within `margin_m`.
     pub(super) fn is_free(&self, uv: Vec2, margin_m: f32) -> bool {
         let edge = if self.block.kind.in_town() { PAVEMENT_M } else { 0.0 };
         let inside = (uv - self.block.min).min(self.block.max - uv).min_element() > edge + 0.5 * margin_m;
@@ -138,7 +138,7 @@ impl<'a> Site<'a> {
         inside && self.taken.iter().all(clear)
     }
 
-    /// A random free position, if one is found in a few tries.
+    /// A random free position; `None` after eight failed tries.
     pub(super) fn free_spot(&mut self, margin_m: f32) -> Option<Vec2> {
         (0..8).find_map(|_| {
             let t = Vec2::new(self.rng.unit(), self.rng.unit());
@@ -147,7 +147,7 @@ impl<'a> Site<'a> {
         })
     }
 
-    /// Plants a tree and keeps its trunk's surroundings free.
+    /// Plants a tree and reserves the ground around its trunk.
     pub(super) fn plant(&mut self, uv: Vec2, habit: Habit, height_m: f32) {
         let frame = self.frame(uv, Vec2::X);
         let detail = self.plan.detail(uv);
@@ -156,7 +156,7 @@ impl<'a> Site<'a> {
         self.taken.push((uv - room, uv + room));
     }
 
-    /// Plants up to `count` trees where there is room.
+    /// Plants up to `count` trees at random free positions.
     pub(super) fn scatter(&mut self, count: usize, habits: &[Habit], heights_m: (f32, f32)) {
         for _ in 0..count {
             let height_m = self.rng.range(heights_m.0, heights_m.1);
@@ -167,19 +167,19 @@ impl<'a> Site<'a> {
         }
     }
 
-    /// A wall as the old town has them.
+    /// A random wall of the old town.
     pub(super) fn town_wall(&mut self) -> Wall {
         use Wall::*;
         self.rng.pick(&[Plaster, Plaster, Plaster, Brick, Brick, Timbered, Stone])
     }
 
-    /// A cover for a steep roof.
+    /// A random cover for a steep roof.
     pub(super) fn steep_cover(&mut self) -> Cover {
         use Cover::*;
         self.rng.pick(&[Tiles, Tiles, Tiles, Tiles, Slate, Sheet])
     }
 
-    /// A cover for a flat roof.
+    /// A random cover for a flat roof.
     pub(super) fn flat_cover(&mut self) -> Cover {
         use Cover::*;
         self.rng.pick(&[Gravel, Felt, Felt, Sedum, Gravel])

@@ -115,13 +115,13 @@ fn apartment_house(site: &mut Site, uv: Vec2, along: Vec2, size_m: Vec2) {
     let cover = site.flat_cover();
     let style = Style::random(site.mesh, &mut site.rng, wall, cover, false);
     let floors = 3 + site.rng.index(3) as u32;
-    // An L now and then: a wing towards the garden side, y < 0 being the balcony side.
     let lot = site.lot(uv, along, size_m);
     let main = Footprint::around(0.0, 0.0, size_m);
     let top_m = style.height_m(floors) + 0.4;
     building::walls(site.mesh, &lot, &main.outline(), top_m, &style, &mut site.rng);
     building::flat_roof(site.mesh, &lot.frame, &main.outline(), &[main], top_m, &style);
     building::roof_clutter(site.mesh, &lot.frame, &main, top_m, &style, site.palette, &mut site.rng);
+    // Balconies are on the side y < 0.
     let columns = (size_m.x / 7.0) as usize;
     for column in 0..columns {
         let x = (column as f32 + 0.5 - 0.5 * columns as f32) * 7.0;

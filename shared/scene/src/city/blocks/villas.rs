@@ -29,7 +29,7 @@ pub(super) fn villas(site: &mut Site) {
     site.scatter((area / 60.0) as usize, &[Habit::Bush], (1.0, 2.4));
 }
 
-/// One plot of `width_m` from `from_m` on along a side, `depth_m` deep.
+/// A plot along a side that begins at `from_m`, `width_m` wide and `depth_m` deep.
 fn plot(site: &mut Site, side: &Side, from_m: f32, width_m: f32, depth_m: f32) {
     let house = Vec2::new((width_m - 5.5).clamp(6.5, 11.5), (0.36 * depth_m).clamp(6.5, 9.5));
     let setback = (PAVEMENT_M + site.rng.range(2.5, 5.0)).min(depth_m - house.y - 2.0);
@@ -109,7 +109,7 @@ fn detached_house(site: &mut Site, uv: Vec2, along: Vec2, size_m: Vec2) {
     building::chimney(site.mesh, &lot.frame, at, [top_m - 1.0, ridge + 0.5], site.palette);
 }
 
-/// A gabled wing towards the garden: the house becomes an L.
+/// Adds a gabled wing towards the garden, so that the house becomes L-shaped.
 fn wing(site: &mut Site, lot: &building::Lot, size_m: Vec2, top_m: f32, pitch: f32, style: &Style) {
     let width = 0.45 * size_m.x;
     let x = 0.5 * (size_m.x - width) * if site.rng.chance(0.5) { 1.0 } else { -1.0 };
@@ -121,7 +121,7 @@ fn wing(site: &mut Site, lot: &building::Lot, size_m: Vec2, top_m: f32, pitch: f
     roof::gabled(site.mesh, &frame, &part, top_m, pitch, style, &mut site.rng);
 }
 
-/// What a back garden between these distances may have.
+/// Adds a pool, beds, a trampoline or a shed to the back garden between these distances.
 fn garden(site: &mut Site, side: &Side, along: (f32, f32), depth: (f32, f32)) {
     if depth.1 - depth.0 < 4.5 {
         return;

@@ -102,7 +102,7 @@ pub(super) fn hall(site: &mut Site) {
     site.scatter(6, &[Habit::Broad], (4.0, 7.0));
 }
 
-/// Bays in double rows as the surface paints them, partly taken.
+/// Adds a car park: vehicles in some of the bays that [`Surface::CarPark`] paints.
 fn car_park(site: &mut Site, (min, max): (Vec2, Vec2), turned: bool) {
     site.cover_rectangle((min, max), Surface::CarPark(turned));
     site.reserve((min, max));
@@ -136,7 +136,7 @@ fn car_park(site: &mut Site, (min, max): (Vec2, Vec2), turned: bool) {
     }
 }
 
-/// A facade for a school or hall: the given wall with this share of windows.
+/// A style for a school or hall: this wall with this fraction of windows.
 fn hall_style(site: &mut Site, wall: Wall, cover: Cover, windows: f32) -> Style {
     let style = Style::random(site.mesh, &mut site.rng, wall, cover, false);
     let facade =

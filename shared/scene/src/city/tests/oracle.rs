@@ -1,16 +1,16 @@
-//! What the tests believe: rays and distances by brute force, in double precision, sharing nothing
-//! with the code under test.
+//! Reference results for the tests: rays and distances by brute force, in double precision, without any
+//! code under test.
 
 use glam::DVec3;
 
-/// Where a ray first meets any of the triangles: depth and unit normal towards the ray's start.
+/// The first hit of a ray on any of the triangles: depth, and the unit normal that faces the ray's start.
 pub(super) fn brute_force(triangles: &[[DVec3; 3]], origin: DVec3, direction: DVec3) -> Option<(f64, DVec3)> {
     let mut nearest: Option<(f64, DVec3)> = None;
     for [a, b, c] in triangles {
         let normal = (*b - *a).cross(*c - *a);
         let t = normal.dot(*a - origin) / normal.dot(direction);
         let p = origin + direction * t;
-        // Inside where the point is on the same side of all three edges.
+        // The point is inside if it is on the same side of all three edges.
         let side = |from: DVec3, to: DVec3| (to - from).cross(p - from).dot(normal) >= 0.0;
         let inside = side(*a, *b) && side(*b, *c) && side(*c, *a);
         if inside && t > 0.0 && nearest.is_none_or(|(best, _)| t < best) {
@@ -20,7 +20,7 @@ pub(super) fn brute_force(triangles: &[[DVec3; 3]], origin: DVec3, direction: DV
     nearest
 }
 
-/// Distance of a point from a triangle: the plane's where it projects inside, else the nearest edge's.
+/// Distance of a point from a triangle: from its plane if the point projects inside, else from the nearest edge.
 fn distance(p: DVec3, [a, b, c]: &[DVec3; 3]) -> f64 {
     let normal = (*b - *a).cross(*c - *a);
     let inside = |from: DVec3, to: DVec3| (to - from).cross(p - from).dot(normal) >= 0.0;
