@@ -9,7 +9,7 @@ use std::time::Instant;
 
 use cosurf_scene::{City, CitySettings, Dataset, Picture, SceneError};
 
-/// Thumbnails in a row of the contact sheet, and rows at most.
+/// Columns of the contact sheet, and its largest number of rows.
 const SHEET: [u32; 2] = [5, 6];
 
 fn main() -> ExitCode {
@@ -59,7 +59,7 @@ fn run(folder: &std::path::Path, settings: &CitySettings) -> Result<(), Box<dyn 
     Ok(())
 }
 
-/// At most a sheet full of the pictures, evenly spread over the flight, side by side.
+/// Thumbnails of pictures that are evenly spread over the flight.
 fn contact_sheet(dataset: &Dataset) -> Result<Picture, SceneError> {
     let columns = SHEET[0];
     let shown = (SHEET[0] * SHEET[1]).min(dataset.views.len() as u32);

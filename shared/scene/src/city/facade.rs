@@ -2,7 +2,7 @@
 
 use glam::{Vec2, Vec3};
 
-use super::material::{Look, Spot};
+use super::material::{Appearance, Spot};
 use super::noise::{fractal, grain, mix, step, visible};
 use super::random::{Rng, floor_i32, fraction, unit2};
 
@@ -121,7 +121,7 @@ impl Facade {
     }
 
     /// The wall's appearance at a spot.
-    pub(super) fn look(&self, spot: &Spot) -> Look {
+    pub(super) fn appearance(&self, spot: &Spot) -> Appearance {
         let (column, floor) = (floor_i32(spot.uv.x), floor_i32(spot.uv.y));
         let at_m = Vec2::new(fraction(spot.uv.x) * self.bay_m, fraction(spot.uv.y) * self.floor_m);
         let bay = Bay { at_m, column, floor };
@@ -132,7 +132,7 @@ impl Facade {
             0 => self.door(&bay).or_else(|| self.window(&bay)),
             _ => self.window(&bay),
         };
-        opening.unwrap_or_else(|| Look::matt(self.masonry(&bay, wall_m, spot.footprint_m)))
+        opening.unwrap_or_else(|| Appearance::matt(self.masonry(&bay, wall_m, spot.footprint_m)))
     }
 
     fn chance(&self, bay: &Bay, salt: u32) -> f32 {
@@ -151,7 +151,7 @@ impl Facade {
         }
     }
 
-    fn window(&self, bay: &Bay) -> Option<Look> {
+    fn window(&self, bay: &Bay) -> Option<Appearance> {
         if self.chance(bay, 1) > self.windows {
             return None;
         }
@@ -163,24 +163,24 @@ impl Facade {
             let border = (half - x.abs()).min(lintel - y).min(y - sill) < frame_m;
             let bars = self.wall != Wall::Curtain && self.wall != Wall::Panels;
             if border || (bars && x.abs() < 0.045) {
-                return Some(Look::matt(self.trim));
+                return Some(Appearance::matt(self.trim));
             }
             return Some(self.pane(bay, (lintel - y) / (lintel - sill), y));
         }
         let sill_band = self.wall != Wall::Curtain && x.abs() < half + 0.12 && y <= sill && y > sill - 0.14;
         if sill_band {
-            return Some(Look::matt(self.trim * 0.9));
+            return Some(Appearance::matt(self.trim * 0.9));
         }
         let beside = self.shutters && x.abs() < 1.75 * half && y > sill && y < lintel;
         if beside {
             let slat = 0.8 + 0.4 * fraction(y / 0.22);
-            return Some(Look::matt(self.accent * slat));
+            return Some(Appearance::matt(self.accent * slat));
         }
         None
     }
 
     /// Glass with dark rooms, blinds and curtains behind it. `depth` runs from 0 at the lintel to 1 at the sill.
-    fn pane(&self, bay: &Bay, depth: f32, y: f32) -> Look {
+    fn pane(&self, bay: &Bay, depth: f32, y: f32) -> Appearance {
         let room = 0.02 + 0.05 * self.chance(bay, 2);
         let mut albedo = Vec3::new(0.8, 0.95, 1.1) * room;
         let blind = 1.3 * self.chance(bay, 3) - 0.3;
@@ -193,10 +193,10 @@ impl Facade {
         }
         // The lintel's shadow on the recessed pane.
         albedo *= mix(0.35, 1.0, step(0.0, 0.14, depth));
-        Look::glossy(albedo, if self.wall == Wall::Curtain { 0.16 } else { 0.09 })
+        Appearance::glossy(albedo, if self.wall == Wall::Curtain { 0.16 } else { 0.09 })
     }
 
-    fn door(&self, bay: &Bay) -> Option<Look> {
+    fn door(&self, bay: &Bay) -> Option<Appearance> {
         let every = if self.wall == Wall::Boards { 0.5 } else { 0.17 };
         if self.chance(bay, 5) > every {
             return None;
@@ -209,25 +209,25 @@ impl Facade {
             return None;
         }
         if x.abs() > half || y > height - 0.12 {
-            return Some(Look::matt(self.trim));
+            return Some(Appearance::matt(self.trim));
         }
         let panel = if fraction(y / 0.55) < 0.12 { 0.6 } else { 1.0 };
-        Some(Look::matt(self.accent * panel))
+        Some(Appearance::matt(self.accent * panel))
     }
 
-    fn shop(&self, bay: &Bay) -> Option<Look> {
+    fn shop(&self, bay: &Bay) -> Option<Appearance> {
         let (x, y) = (bay.at_m.x / self.bay_m, bay.at_m.y / self.floor_m);
         let unit = bay.column.div_euclid(2);
         if (0.76..0.94).contains(&y) {
             let tone = unit2(unit, 1, self.seed);
             let sign = ACCENTS[(tone * 7.99) as usize];
             let letters = fraction(bay.at_m.x / 0.45) < 0.6 && (0.81..0.89).contains(&y) && tone > 0.3;
-            return Some(Look::matt(if letters { Vec3::splat(0.6) } else { sign }));
+            return Some(Appearance::matt(if letters { Vec3::splat(0.6) } else { sign }));
         }
         if (0.06..0.94).contains(&x) && (0.1..0.72).contains(&y) {
             let goods =
                 self.chance(&Bay { at_m: bay.at_m, column: floor_i32(bay.at_m.x * 2.5), floor: unit }, 6);
-            return Some(Look::glossy(Vec3::new(0.06, 0.05, 0.04) * (0.3 + 2.0 * goods), 0.09));
+            return Some(Appearance::glossy(Vec3::new(0.06, 0.05, 0.04) * (0.3 + 2.0 * goods), 0.09));
         }
         None
     }

@@ -63,7 +63,9 @@ impl FlightPath {
         let oblique = self.settings.views - down;
         let half = 0.5 * self.settings.extent_m;
         let mut poses: Vec<Pose> = lawn_mower(down, half)
-            .map(|(at, heading)| self.look(&mut rng, at.extend(self.height_m), at.extend(0.0), heading))
+            .map(|(at, heading)| {
+                self.jittered_pose(&mut rng, at.extend(self.height_m), at.extend(0.0), heading)
+            })
             .collect();
         let headings = [DVec3::Y, DVec3::X, DVec3::NEG_Y, DVec3::NEG_X];
         for (i, heading) in (0..).zip(headings) {
@@ -72,14 +74,14 @@ impl FlightPath {
             for (at, _) in lawn_mower(count, half * OBLIQUE_AIM) {
                 let target = at.extend(0.0);
                 let eye = target - heading * height + DVec3::Z * height;
-                poses.push(self.look(&mut rng, eye, target, DVec3::Z));
+                poses.push(self.jittered_pose(&mut rng, eye, target, DVec3::Z));
             }
         }
         poses.into_iter().map(|pose| self.camera(pose)).collect()
     }
 
     /// A jittered pose at `eye` that looks at `target`.
-    fn look(&self, rng: &mut Rng, eye: DVec3, target: DVec3, up: DVec3) -> Pose {
+    fn jittered_pose(&self, rng: &mut Rng, eye: DVec3, target: DVec3, up: DVec3) -> Pose {
         let mut jitter = |range: f64| {
             let mut one = || (2.0 * rng.unit_f64() - 1.0) * range * self.height_m;
             DVec3::new(one(), one(), one())

@@ -3,7 +3,7 @@
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
-use super::material::Look;
+use super::material::Appearance;
 use super::mesh::Triangle;
 use crate::bvh::{Bvh, Ray};
 
@@ -77,29 +77,30 @@ impl Light {
     }
 
     /// The linear colour that the viewer sees; `sunny` tells whether the sun shines on the point.
-    pub(super) fn radiance(&self, lit: &Lit, look: &Look, sunny: bool) -> Vec3 {
+    pub(super) fn radiance(&self, lit: &Lit, appearance: &Appearance, sunny: bool) -> Vec3 {
         let facing = lit.normal.dot(self.sun);
         let front = facing.max(0.0);
-        let through = look.translucent * (0.35 * (1.0 - front) + (-facing).max(0.0));
+        let through = appearance.translucent * (0.35 * (1.0 - front) + (-facing).max(0.0));
         let sun = if sunny { front + through } else { 0.0 };
         let open = self.openness(lit.position, lit.normal);
         let upward = 0.5 + 0.5 * lit.normal.z;
         let ambient = SKY * (upward * open) + BOUNCE * ((1.0 - upward) * (0.4 + 0.6 * open));
-        let diffuse = look.albedo * (SUN * sun + ambient);
-        if look.mirror <= 0.0 {
+        let diffuse = appearance.albedo * (SUN * sun + ambient);
+        if appearance.mirror <= 0.0 {
             return diffuse;
         }
         let cosine = lit.normal.dot(lit.to_viewer).clamp(0.0, 1.0);
         let grazing = power(1.0 - cosine, 5);
-        let part = look.mirror + (1.0 - look.mirror) * grazing * (look.mirror * 8.0).min(1.0);
+        let part =
+            appearance.mirror + (1.0 - appearance.mirror) * grazing * (appearance.mirror * 8.0).min(1.0);
         let mirrored = lit.normal * (2.0 * cosine) - lit.to_viewer;
         let glint = if sun > 0.0 { 5.0 * power(mirrored.dot(self.sun).max(0.0), 48) } else { 0.0 };
         diffuse * (1.0 - part) + (sky(mirrored) * (0.35 + 0.65 * open) + SUN * glint) * part
     }
 
     /// Whether the sun would light a surface if nothing shaded it.
-    pub(super) fn reaches(&self, lit: &Lit, look: &Look) -> bool {
-        lit.normal.dot(self.sun) > 0.0 || look.translucent > 0.0
+    pub(super) fn reaches(&self, lit: &Lit, appearance: &Appearance) -> bool {
+        lit.normal.dot(self.sun) > 0.0 || appearance.translucent > 0.0
     }
 
     /// Whether the sun shines on each of several points; false for `None`. Faster if they are close together.

@@ -24,7 +24,7 @@ pub(super) struct Spot {
 
 /// How a surface reflects light at one position.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Look {
+pub(super) struct Appearance {
     /// Fraction of light that is reflected diffusely, linear rgb, 0 to 1 each.
     pub(super) albedo: Vec3,
     /// Fraction of light that is mirrored at normal incidence, 0 to 1.
@@ -33,7 +33,7 @@ pub(super) struct Look {
     pub(super) translucent: f32,
 }
 
-impl Look {
+impl Appearance {
     pub(super) fn matt(albedo: Vec3) -> Self {
         Self { albedo, mirror: 0.0, translucent: 0.0 }
     }
@@ -91,30 +91,30 @@ pub(super) enum Material {
 
 impl Material {
     /// The surface at a spot.
-    pub(super) fn look(&self, spot: &Spot, plan: &Plan, land: &Land) -> Look {
+    pub(super) fn appearance(&self, spot: &Spot, plan: &Plan, land: &Land) -> Appearance {
         let (p, f) = (spot.uv, spot.footprint_m);
         match self {
             Self::Street => street::carriageway(spot, plan),
-            Self::Kerb => Look::matt(kerbstone(p.x + p.y, f)),
-            Self::Ground(block) => land.look(*block as usize, spot, plan),
-            Self::Facade(facade) => facade.look(spot),
-            Self::Roofing(roofing) => roofing.look(spot),
+            Self::Kerb => Appearance::matt(kerbstone(p.x + p.y, f)),
+            Self::Ground(block) => land.appearance(*block as usize, spot, plan),
+            Self::Facade(facade) => facade.appearance(spot),
+            Self::Roofing(roofing) => roofing.appearance(spot),
             Self::Plain { albedo, contrast, seed } => {
                 let blotches = noise3(spot.position * 1.1, *seed) * visible(0.9, f)
                     + 0.6 * noise3(spot.position * 4.3, *seed ^ 1) * visible(0.23, f);
-                Look::matt(*albedo * (1.0 + contrast * blotches))
+                Appearance::matt(*albedo * (1.0 + contrast * blotches))
             }
             Self::Leaves { albedo, seed } => leaves(*albedo, *seed, spot),
             Self::Stripes { albedos, width_m } => {
                 let stripe = floor_i32(p.x / width_m);
                 let worn = 1.0 + 0.12 * grain(p, 0.7, f, stripe as u32);
-                Look::matt(albedos[(stripe & 1) as usize] * worn)
+                Appearance::matt(albedos[(stripe & 1) as usize] * worn)
             }
-            Self::Paint(albedo) => Look::glossy(*albedo, 0.10),
-            Self::Glass => Look::glossy(Vec3::new(0.025, 0.032, 0.038), 0.16),
+            Self::Paint(albedo) => Appearance::glossy(*albedo, 0.10),
+            Self::Glass => Appearance::glossy(Vec3::new(0.025, 0.032, 0.038), 0.16),
             Self::Water => {
                 let murk = 1.0 + 0.25 * fractal(spot.position.truncate(), 7.0, 4, f, 77);
-                Look::glossy(Vec3::new(0.020, 0.042, 0.036) * murk, 0.05)
+                Appearance::glossy(Vec3::new(0.020, 0.042, 0.036) * murk, 0.05)
             }
             Self::Solar => solar(p, f),
         }
@@ -128,7 +128,7 @@ pub(super) fn kerbstone(along_m: f32, footprint_m: f32) -> Vec3 {
     Vec3::new(0.36, 0.35, 0.33) * ((0.85 + 0.3 * unit2(floor_i32(stone), 3, 9)) * (1.0 - joint))
 }
 
-fn leaves(albedo: Vec3, seed: u32, spot: &Spot) -> Look {
+fn leaves(albedo: Vec3, seed: u32, spot: &Spot) -> Appearance {
     let f = spot.footprint_m;
     let clumps = noise3(spot.position * 0.9, seed);
     let sprays = noise3(spot.position * 3.1, seed ^ 7) * visible(0.32, f);
@@ -136,16 +136,16 @@ fn leaves(albedo: Vec3, seed: u32, spot: &Spot) -> Look {
     let light = 1.0 + 0.22 * clumps + 0.38 * sprays + 0.3 * leaf;
     let yellow = 0.25 * spot.uv.y + 0.15 * clumps;
     let tint = Vec3::new(1.0 + 0.55 * yellow, 1.0 + 0.2 * yellow, 1.0 - 0.3 * yellow);
-    Look { albedo: albedo * tint * (light * spot.uv.x).max(0.1), mirror: 0.0, translucent: 0.35 }
+    Appearance { albedo: albedo * tint * (light * spot.uv.x).max(0.1), mirror: 0.0, translucent: 0.35 }
 }
 
-fn solar(p: Vec2, footprint_m: f32) -> Look {
+fn solar(p: Vec2, footprint_m: f32) -> Appearance {
     // Modules are 1.0 by 1.65 m with aluminium frames, cells are 0.16 m wide.
     let module = Vec2::new(fraction(p.x) - 0.5, fraction(p.y / 1.65) - 0.5).abs();
     if module.x > 0.465 || module.y > 0.48 {
-        return Look::matt(Vec3::splat(0.42));
+        return Appearance::matt(Vec3::splat(0.42));
     }
     let cell = Vec2::new(fraction(p.x / 0.16) - 0.5, fraction(p.y / 0.16) - 0.5).abs();
     let line = step(0.42, 0.5, cell.max_element()) * visible(0.16, footprint_m);
-    Look::glossy(Vec3::new(0.014, 0.02, 0.05) + Vec3::splat(0.08 * line), 0.12)
+    Appearance::glossy(Vec3::new(0.014, 0.02, 0.05) + Vec3::splat(0.08 * line), 0.12)
 }

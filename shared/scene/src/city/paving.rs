@@ -3,7 +3,7 @@
 use glam::{Vec2, Vec3};
 
 use super::facade::bricks;
-use super::material::{Look, Spot, kerbstone};
+use super::material::{Appearance, Spot, kerbstone};
 use super::noise::{fractal, grain, mix, noise2, step, visible};
 use super::plan::{Block, BlockKind, Plan};
 use super::random::{floor_i32, fraction, unit2};
@@ -90,13 +90,13 @@ fn distance_to_segment(p: Vec2, a: Vec2, b: Vec2) -> f32 {
 
 impl Land {
     /// The appearance of a block's ground at a spot whose texture position is the plan position.
-    pub(super) fn look(&self, block: usize, spot: &Spot, plan: &Plan) -> Look {
+    pub(super) fn appearance(&self, block: usize, spot: &Spot, plan: &Plan) -> Appearance {
         let p = spot.uv;
         let (land, seed) = (&plan.blocks[block], plan.blocks[block].seed);
         if land.kind.in_town() {
             let inside = (p - land.min).min(land.max - p).min_element();
             if inside < PAVEMENT_M {
-                return Look::matt(pavement(p, inside, spot.footprint_m, seed));
+                return Appearance::matt(pavement(p, inside, spot.footprint_m, seed));
             }
         }
         let patch = self.patches[block].iter().rev().find(|patch| patch.outline.holds(p));
@@ -139,10 +139,10 @@ fn flags(p: Vec2, size_m: f32, f: f32, seed: u32) -> Vec3 {
 }
 
 /// A surface's appearance at a spot. `outline` is that of the patch, for markings relative to it.
-fn surface(surface: Surface, outline: Option<&Outline>, spot: &Spot, seed: u32) -> Look {
+fn surface(surface: Surface, outline: Option<&Outline>, spot: &Spot, seed: u32) -> Appearance {
     let (p, f) = (spot.uv, spot.footprint_m);
     let coarse = fractal(p, 6.5, 6, f, seed ^ 51);
-    let matt = |albedo: Vec3| Look::matt(albedo);
+    let matt = |albedo: Vec3| Appearance::matt(albedo);
     match surface {
         Surface::Lawn => matt(lawn(p, f, coarse, seed)),
         Surface::Meadow => matt(meadow(p, f, coarse, seed)),
@@ -172,7 +172,7 @@ fn surface(surface: Surface, outline: Option<&Outline>, spot: &Spot, seed: u32) 
             if rim < 0.45 {
                 return matt(Vec3::new(0.52, 0.48, 0.40) * (1.0 + 0.2 * coarse));
             }
-            Look::glossy(Vec3::new(0.045, 0.27, 0.33) * caustics, 0.04)
+            Appearance::glossy(Vec3::new(0.045, 0.27, 0.33) * caustics, 0.04)
         }
         Surface::Crop(turned, kind) => matt(crop(p, turned, kind, f, coarse, seed)),
         Surface::Litter => {

@@ -4,7 +4,7 @@ use glam::{DVec2, Vec3};
 use rayon::prelude::*;
 
 use super::light::{self, Light, Lit};
-use super::material::{Look, Spot};
+use super::material::{Appearance, Spot};
 use super::mesh::{Mesh, Triangle};
 use super::paving::Land;
 use super::plan::Plan;
@@ -104,24 +104,25 @@ impl World {
         hits: &[Option<Hit>; N],
         footprint: f32,
     ) -> [Vec3; N] {
-        let mut seen: [Option<(Lit, Look)>; N] = [None; N];
+        let mut seen: [Option<(Lit, Appearance)>; N] = [None; N];
         for i in 0..N {
             seen[i] = hits[i].map(|hit| self.surface(&rays[i], &hit, footprint));
         }
-        let if_reached = |(lit, look): (Lit, Look)| self.light.reaches(&lit, &look).then_some(lit);
+        let if_reached =
+            |(lit, appearance): (Lit, Appearance)| self.light.reaches(&lit, &appearance).then_some(lit);
         let reached = seen.map(|surface| surface.and_then(if_reached));
         let sunny = self.light.sunny(&self.bvh, &reached);
         let mut colors = [Vec3::ZERO; N];
         for i in 0..N {
-            if let Some((lit, look)) = &seen[i] {
-                colors[i] = self.light.radiance(lit, look, sunny[i]);
+            if let Some((lit, appearance)) = &seen[i] {
+                colors[i] = self.light.radiance(lit, appearance, sunny[i]);
             }
         }
         colors
     }
 
     /// The surface point that a ray hit, and its appearance.
-    fn surface(&self, ray: &Ray, hit: &Hit, footprint: f32) -> (Lit, Look) {
+    fn surface(&self, ray: &Ray, hit: &Hit, footprint: f32) -> (Lit, Appearance) {
         let length = ray.direction.length();
         let to_viewer = -ray.direction * (1.0 / length);
         let [a, b, c] = self.mesh.triangles[hit.triangle as usize].corners;
@@ -132,7 +133,7 @@ impl World {
         let stretch = 0.5 + 0.5 / cosine.abs().max(0.2);
         let footprint_m = footprint * hit.t * length * stretch;
         let spot = self.spot(hit.triangle, hit.barycentric, footprint_m);
-        (Lit { position: spot.position, normal, to_viewer }, self.look(hit.triangle, &spot))
+        (Lit { position: spot.position, normal, to_viewer }, self.appearance(hit.triangle, &spot))
     }
 
     /// The linear colour of a lit surface point, without view-dependent reflections.
@@ -145,14 +146,14 @@ impl World {
     ) -> Vec3 {
         let spot = self.spot(triangle, weights, footprint_m);
         let lit = Lit { position: spot.position, normal, to_viewer: normal };
-        let look = Look { mirror: 0.0, ..self.look(triangle, &spot) };
-        let [sunny] = self.light.sunny(&self.bvh, &[self.light.reaches(&lit, &look).then_some(lit)]);
-        self.light.radiance(&lit, &look, sunny)
+        let appearance = Appearance { mirror: 0.0, ..self.appearance(triangle, &spot) };
+        let [sunny] = self.light.sunny(&self.bvh, &[self.light.reaches(&lit, &appearance).then_some(lit)]);
+        self.light.radiance(&lit, &appearance, sunny)
     }
 
-    fn look(&self, triangle: u32, spot: &Spot) -> Look {
+    fn appearance(&self, triangle: u32, spot: &Spot) -> Appearance {
         let material = self.mesh.triangles[triangle as usize].material;
-        self.mesh.materials[material as usize].look(spot, &self.plan, &self.land)
+        self.mesh.materials[material as usize].appearance(spot, &self.plan, &self.land)
     }
 
     fn spot(&self, triangle: u32, [v, w]: [f32; 2], footprint_m: f32) -> Spot {

@@ -2,7 +2,7 @@
 
 use glam::{Vec2, Vec3};
 
-use super::material::{Look, Spot};
+use super::material::{Appearance, Spot};
 use super::noise::{fractal, grain, mix, step, visible};
 use super::random::{Rng, floor_i32, fraction, unit2};
 
@@ -68,30 +68,30 @@ impl Roofing {
     }
 
     /// The roof's appearance at a spot.
-    pub(super) fn look(&self, spot: &Spot) -> Look {
+    pub(super) fn appearance(&self, spot: &Spot) -> Appearance {
         let (p, f) = (spot.uv, spot.footprint_m);
         if let Some(window) = self.window(p) {
             return window;
         }
         let weather = fractal(p, 4.3, 5, f, self.seed ^ 21);
         match self.cover {
-            Cover::Tiles => Look::matt(self.tiles(p, f, weather, Vec2::new(0.30, 0.38))),
-            Cover::Slate => Look::glossy(self.tiles(p, f, weather, Vec2::new(0.34, 0.26)), 0.03),
+            Cover::Tiles => Appearance::matt(self.tiles(p, f, weather, Vec2::new(0.30, 0.38))),
+            Cover::Slate => Appearance::glossy(self.tiles(p, f, weather, Vec2::new(0.34, 0.26)), 0.03),
             Cover::Sheet => self.sheet(p, f, weather),
             Cover::Gravel => {
                 let stones = grain(p, 0.45, f, self.seed) + grain(p * 2.9, 0.45, f * 2.9, self.seed ^ 1);
-                Look::matt(self.albedo * (1.0 + 0.20 * stones + 0.22 * weather))
+                Appearance::matt(self.albedo * (1.0 + 0.20 * stones + 0.22 * weather))
             }
             Cover::Felt => self.felt(p, f, weather),
             Cover::Sedum => {
                 let red = step(-0.1, 0.5, fractal(p, 2.2, 4, f, self.seed ^ 4));
                 let tint = Vec3::new(mix(0.8, 1.7, red), mix(1.15, 0.8, red), 1.0);
-                Look::matt(self.albedo * tint * (1.0 + 0.5 * weather))
+                Appearance::matt(self.albedo * tint * (1.0 + 0.5 * weather))
             }
         }
     }
 
-    fn window(&self, p: Vec2) -> Option<Look> {
+    fn window(&self, p: Vec2) -> Option<Appearance> {
         if self.windows <= 0.0 {
             return None;
         }
@@ -105,9 +105,9 @@ impl Roofing {
         }
         let frame = at.x > 0.42 || at.y > 0.65;
         Some(if frame {
-            Look::matt(Vec3::splat(0.13))
+            Appearance::matt(Vec3::splat(0.13))
         } else {
-            Look::glossy(Vec3::new(0.03, 0.04, 0.05), 0.12)
+            Appearance::glossy(Vec3::new(0.03, 0.04, 0.05), 0.12)
         })
     }
 
@@ -128,7 +128,7 @@ impl Roofing {
         clay + (Vec3::new(0.085, 0.10, 0.05) - clay) * moss
     }
 
-    fn sheet(&self, p: Vec2, f: f32, weather: f32) -> Look {
+    fn sheet(&self, p: Vec2, f: f32, weather: f32) -> Appearance {
         let at = fraction(p.x / 0.6);
         let seam = if at < 0.12 {
             -0.35
@@ -142,10 +142,13 @@ impl Roofing {
         let tone = 1.0 + (seam + 0.14 * sheet) * visible(0.6, f) + lap + 0.15 * weather;
         let rust = step(0.25, 0.7, weather + 0.3 * grain(Vec2::new(p.x, 0.1 * p.y), 0.5, f, self.seed));
         let albedo = self.albedo * tone;
-        Look::glossy(albedo + (Vec3::new(0.22, 0.10, 0.05) - albedo) * (0.6 * rust), 0.05 * (1.0 - rust))
+        Appearance::glossy(
+            albedo + (Vec3::new(0.22, 0.10, 0.05) - albedo) * (0.6 * rust),
+            0.05 * (1.0 - rust),
+        )
     }
 
-    fn felt(&self, p: Vec2, f: f32, weather: f32) -> Look {
+    fn felt(&self, p: Vec2, f: f32, weather: f32) -> Appearance {
         let strip = p.x / 1.05;
         let tone = 0.30 * (unit2(floor_i32(strip), floor_i32(p.y / 7.3), self.seed) - 0.5);
         let seam = if fraction(strip) < 0.07 || fraction(p.y / 7.3) < 0.012 { 0.35 } else { 0.0 };
@@ -154,6 +157,6 @@ impl Roofing {
         let patch = if patched && fraction(p.x / 3.1) < 0.5 && fraction(p.y / 2.3) < 0.6 { 0.4 } else { 0.0 };
         let puddle = step(0.28, 0.4, fractal(p, 6.0, 3, f, self.seed ^ 17));
         let tone = 1.0 + tone + patch - seam * visible(0.5, f) + 0.2 * weather - 0.35 * puddle;
-        Look::glossy(self.albedo * tone.max(0.2), 0.03 * puddle)
+        Appearance::glossy(self.albedo * tone.max(0.2), 0.03 * puddle)
     }
 }

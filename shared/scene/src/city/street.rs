@@ -2,7 +2,7 @@
 
 use glam::{Vec2, Vec3};
 
-use super::material::{Look, Spot};
+use super::material::{Appearance, Spot};
 use super::noise::{fractal, grain, step, visible};
 use super::plan::{Plan, Street};
 use super::random::{floor_i32, fraction, unit2};
@@ -25,7 +25,7 @@ struct Lane {
 }
 
 /// The street's appearance at a spot whose texture position is the plan position.
-pub(super) fn carriageway(spot: &Spot, plan: &Plan) -> Look {
+pub(super) fn carriageway(spot: &Spot, plan: &Plan) -> Appearance {
     let (p, f) = (spot.uv, spot.footprint_m);
     let lanes = [plan.street_at(0, p.x), plan.street_at(1, p.y)];
     let lane = match lanes {
@@ -42,7 +42,7 @@ pub(super) fn carriageway(spot: &Spot, plan: &Plan) -> Look {
             albedo += (PAINT - albedo) * (strength * wear);
         }
     }
-    Look::glossy(albedo, 0.012)
+    Appearance::glossy(albedo, 0.012)
 }
 
 fn lane(plan: &Plan, axis: usize, index: usize, p: Vec2) -> Lane {

@@ -13,7 +13,7 @@ use crate::bvh::{Bvh, Hit, Ray};
 use oracle::{brute_force, distance_to_surface};
 
 use super::light::Lit;
-use super::material::Look;
+use super::material::Appearance;
 use super::random::Rng;
 use super::{City, CityError, CitySettings};
 use crate::{Camera, Dataset};
@@ -250,14 +250,15 @@ fn pictures_have_contrast_and_change_with_the_view() {
 #[test]
 fn glossy_surfaces_depend_on_the_view_and_matt_ones_do_not() {
     let light = &small().world.light;
-    let seen = |to_viewer: Vec3, look: &Look| {
+    let seen = |to_viewer: Vec3, appearance: &Appearance| {
         let lit = Lit { position: Vec3::Z * 40.0, normal: Vec3::Z, to_viewer: to_viewer.normalize() };
-        light.radiance(&lit, look, true)
+        light.radiance(&lit, appearance, true)
     };
     let (steep, flat) = (Vec3::new(0.1, 0.0, 1.0), Vec3::new(0.9, 0.3, 0.4));
-    let difference = |look: &Look| (seen(steep, look) - seen(flat, look)).abs().max_element();
-    assert_eq!(difference(&Look::matt(Vec3::splat(0.2))), 0.0);
-    assert!(difference(&Look::glossy(Vec3::splat(0.02), 0.1)) > 0.03);
+    let difference =
+        |appearance: &Appearance| (seen(steep, appearance) - seen(flat, appearance)).abs().max_element();
+    assert_eq!(difference(&Appearance::matt(Vec3::splat(0.2))), 0.0);
+    assert!(difference(&Appearance::glossy(Vec3::splat(0.02), 0.1)) > 0.03);
 }
 
 #[test]
