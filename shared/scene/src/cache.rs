@@ -100,8 +100,8 @@ impl PictureCache {
         shared.make(state, index, false)
     }
 
-    /// Asks the background thread to make picture `index` ahead of its use. Returns at once; ignored if
-    /// too many requests are waiting.
+    /// Asks the background thread to prefetch picture `index`. Returns at once; ignored if too many
+    /// requests are waiting.
     pub fn prefetch(&self, index: usize) {
         self.shared.lock().request(index);
         self.shared.changed.notify_all();
@@ -149,13 +149,13 @@ impl Shared {
     }
 
     /// Makes picture `index` from its compressed form or its file, with the lock released meanwhile;
-    /// keeps it ready for `get` if it is made `ahead`. There must be room for it, and no other picture
-    /// may be in the making.
+    /// holds it for `get` if it is a `prefetch`. There must be room for it, and no other picture may be
+    /// in the making.
     fn make(
         &self,
         mut state: MutexGuard<'_, State>,
         index: usize,
-        ahead: bool,
+        prefetch: bool,
     ) -> Result<Arc<Picture>, SceneError> {
         let from = state.begin(index);
         drop(state);
@@ -172,7 +172,7 @@ impl Shared {
                 (picture, Some(slot))
             }
         };
-        self.lock().finish(index, &picture, slot, ahead);
+        self.lock().finish(index, &picture, slot, prefetch);
         Ok(picture)
     }
 

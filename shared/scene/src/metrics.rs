@@ -186,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn black_against_white_is_nearly_nothing() {
+    fn black_against_white_has_an_ssim_near_zero() {
         let n = 3 * 40 * 40;
         let got = ssim(&vec![0.0; n], &vec![1.0; n], [40, 40]);
         assert!((0.0..0.01).contains(&got), "{got}");

@@ -202,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    fn the_camera_sees_either_side_and_the_nearer_surface() {
+    fn both_sides_are_visible_and_nearer_surfaces_occlude() {
         let mut mesh = slanted(0.0);
         mesh.triangles = mesh.triangles.iter().map(|&[a, b, c]| [a, c, b]).collect();
         let camera = from_above();

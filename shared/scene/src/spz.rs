@@ -53,7 +53,7 @@ const COLOR_SCALE: f32 = 0.15;
 const SH_BITS: [u32; 2] = [5, 4];
 /// Largest accepted ratio of unpacked to packed bytes.
 const RATIO_MAX: u64 = 32;
-/// Factors between the harmonics in the two systems of axes: those of odd degree in y and z together change sign.
+/// Factors between the harmonics in the two systems of axes: harmonics that are odd in y and z together change sign.
 const SH_SIGNS: [f32; 16] =
     [1.0, -1.0, -1.0, 1.0, -1.0, 1.0, 1.0, -1.0, 1.0, -1.0, 1.0, -1.0, -1.0, 1.0, -1.0, 1.0];
 /// Factors between the coordinates xyz in the two systems of axes.

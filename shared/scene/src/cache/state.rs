@@ -45,7 +45,7 @@ pub(super) enum Slot {
 
 pub(super) struct State {
     budget_bytes: u64,
-    /// Budget for copies that are handed out, made ahead or being made; `slots` have the rest.
+    /// Budget for copies that are handed out, prefetched or being made; `slots` have the rest.
     copies_bytes_max: u64,
     /// Whether all pictures fit raw.
     keeps_raw: bool,
@@ -55,9 +55,9 @@ pub(super) struct State {
     kept_bytes: u64,
     /// Copies outside `slots` that may still be held.
     copies: Vec<(usize, Weak<Picture>)>,
-    /// Copies made ahead that `get` has not returned yet, oldest first.
+    /// Prefetched copies that `get` has not returned yet, oldest first.
     ready: VecDeque<(usize, Arc<Picture>)>,
-    /// Pictures to make ahead, oldest request first.
+    /// Pictures to prefetch, oldest request first.
     requests: VecDeque<usize>,
     /// The picture that is being made.
     making: Option<usize>,
@@ -91,7 +91,7 @@ impl State {
         self.making.is_some()
     }
 
-    /// The picture if it is in memory uncompressed; removes it from those made ahead.
+    /// The picture if it is in memory uncompressed; it no longer counts as prefetched.
     pub(super) fn take(&mut self, index: usize) -> Option<Arc<Picture>> {
         let picture = self.find(index)?;
         self.ready.retain(|(ready, _)| *ready != index);
@@ -105,7 +105,7 @@ impl State {
         }
     }
 
-    /// Requests that picture `index` is made ahead.
+    /// Requests that picture `index` is prefetched.
     pub(super) fn request(&mut self, index: usize) {
         assert!(index < self.slots.len(), "picture {index} of {}", self.slots.len());
         if self.requests.len() < REQUESTS_MAX && !self.requests.contains(&index) {
@@ -125,7 +125,7 @@ impl State {
         None
     }
 
-    /// Drops pictures made ahead, oldest first, until picture `index` fits among the copies. If callers
+    /// Drops prefetched pictures, oldest first, until picture `index` fits among the copies. If callers
     /// hold too many copies for that, drops compressed pictures until it fits into the budget.
     pub(super) fn make_room(&mut self, index: usize) -> Result<(), SceneError> {
         while !self.fits_copies(index) && self.ready.pop_front().is_some() {}
@@ -168,8 +168,14 @@ impl State {
     }
 
     /// Records that picture `index` was made. Keeps `slot`, given if it was decoded for the first time,
-    /// and holds the picture ready if it was made `ahead`.
-    pub(super) fn finish(&mut self, index: usize, picture: &Arc<Picture>, slot: Option<Slot>, ahead: bool) {
+    /// and holds the picture for `get` if it is a `prefetch`.
+    pub(super) fn finish(
+        &mut self,
+        index: usize,
+        picture: &Arc<Picture>,
+        slot: Option<Slot>,
+        prefetch: bool,
+    ) {
         self.end(index);
         let is_raw = matches!(slot, Some(Slot::Raw(_)));
         if !is_raw {
@@ -178,7 +184,7 @@ impl State {
         if let Some(slot) = slot {
             self.keep(index, slot);
         }
-        if ahead && !is_raw {
+        if prefetch && !is_raw {
             self.ready.push_back((index, Arc::clone(picture)));
         }
     }

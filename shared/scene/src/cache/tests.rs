@@ -120,7 +120,7 @@ fn holding_many_pictures_evicts_compressed_ones() {
 }
 
 #[test]
-fn a_prefetched_picture_needs_its_file_no_more() {
+fn a_prefetched_picture_does_not_need_its_file() {
     let folder = tempfile::tempdir().unwrap();
     let sources = made_up(folder.path(), 4);
     let expected = expected(&sources);

@@ -123,7 +123,7 @@ impl Mesh {
     }
 
     /// Adds an upright prism or truncated pyramid over a regular polygon. `radii_m` and `heights_m` are
-    /// those of its lower and upper end, `materials` those of sides and lid. A pointed top has no lid.
+    /// `[lower end, upper end]`, `materials` is `[sides, lid]`. A pointed top has no lid.
     pub(super) fn drum(
         &mut self,
         frame: &Frame,
