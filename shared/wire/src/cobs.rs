@@ -1,14 +1,16 @@
-//! Consistent Overhead Byte Stuffing (Cheshire and Baker 1999): bytes without zeros, one more in 254.
+//! Consistent Overhead Byte Stuffing (Cheshire and Baker 1999): encodes bytes without zeros, at the cost of
+//! one byte in 254.
 //!
-//! Why our own: thirty lines, against a second version of the crate of that name beside postcard's old one.
+//! The crate `cobs` is not used: postcard depends on an old version, and thirty lines of code are less than
+//! a second version of the crate.
 
-/// The most bytes that `len` bytes become.
+/// Largest encoding of `len` bytes.
 #[cfg(test)]
 const fn encoded_max(len: usize) -> usize {
     len + 1 + len / 254
 }
 
-/// Writes `bytes` without zeros to the start of `out`; `None` where there is no room.
+/// Encodes `bytes` at the start of `out` and returns the encoded size; `None` if `out` is too small.
 pub(crate) fn encode(bytes: &[u8], out: &mut [u8]) -> Option<usize> {
     let (mut code_at, mut used) = (0, 1);
     for (i, &byte) in bytes.iter().enumerate() {
@@ -27,8 +29,7 @@ pub(crate) fn encode(bytes: &[u8], out: &mut [u8]) -> Option<usize> {
     (used <= out.len()).then_some(used)
 }
 
-/// Reads back in place; returns how many bytes there are, or `None` where the bytes were not made by
-/// [`encode`].
+/// Decodes in place and returns the decoded size; `None` if [`encode`] cannot have written the bytes.
 pub(crate) fn decode_in_place(bytes: &mut [u8]) -> Option<usize> {
     let (mut read, mut written) = (0, 0);
     while read < bytes.len() {
@@ -55,7 +56,7 @@ mod tests {
 
     use super::*;
 
-    fn there_and_back(bytes: &[u8]) {
+    fn assert_round_trip(bytes: &[u8]) {
         let mut out = std::vec![0; encoded_max(bytes.len())];
         let used = encode(bytes, &mut out).unwrap();
         assert!(!out[..used].contains(&0));
@@ -64,21 +65,21 @@ mod tests {
     }
 
     #[test]
-    fn every_length_and_place_of_a_zero_survives() {
+    fn every_length_and_zero_position_round_trips() {
         for len in 0..600 {
-            there_and_back(&std::vec![0; len]);
-            there_and_back(&std::vec![1; len]);
+            assert_round_trip(&std::vec![0; len]);
+            assert_round_trip(&std::vec![1; len]);
             for zero in 0..len {
                 let mut bytes: Vec<u8> = (0..len).map(|i| (i % 255 + 1) as u8).collect();
                 bytes[zero] = 0;
-                there_and_back(&bytes);
+                assert_round_trip(&bytes);
             }
         }
     }
 
-    /// As commonly published.
+    /// The examples that descriptions of COBS usually give.
     #[test]
-    fn the_published_examples() {
+    fn published_examples_encode_as_published() {
         let mut out = [0; 8];
         for (bytes, encoded) in [
             (&[][..], &[1][..]),
@@ -93,7 +94,7 @@ mod tests {
     }
 
     #[test]
-    fn what_nobody_encoded_is_refused() {
+    fn invalid_encodings_are_rejected() {
         for bad in [&mut [][..], &mut [0], &mut [3, 1], &mut [2, 0], &mut [1, 0]] {
             assert_eq!(decode_in_place(bad), None);
         }

@@ -1,34 +1,34 @@
-//! Frames of a serial line: what carries messages over a radio that loses and damages bytes.
+//! Frames of a serial line. They carry messages over a radio that loses and damages bytes.
 //!
-//! A message is cut into *pieces* with consecutive numbers. Who has sent what it may sends a *turn*: it
-//! says what has arrived from the other side, and hands over the right to speak. So both never speak at
-//! once, as half-duplex radios need.
+//! A message is cut into *pieces* with consecutive numbers. A side that has used its share of the line
+//! sends a *turn*: it acknowledges the pieces that have arrived, and hands the line to the other side. The
+//! two sides therefore never send at the same time, as half-duplex radios require.
 //!
-//! | frame | bytes before the CRC |
+//! | Frame | Bytes before the CRC |
 //! |---|---|
 //! | piece | 0, its number (varint), payload |
 //! | last piece of a message | 1, its number (varint), payload |
 //! | turn | 2, [`FRAME_VERSION`], [`Turn`] in postcard |
 //!
-//! Then the CRC-32 of all that, little-endian; then the whole is stuffed (COBS) and ended by a zero.
-//! The CRC of a piece begins with the numbers of both sides' sessions, which are not sent: a piece from
-//! before a restart is a damaged one.
+//! The CRC-32 of these bytes follows, little-endian. Then all bytes are stuffed (COBS) and a zero ends the
+//! frame. A piece's CRC also covers the session numbers of both sides, which the piece does not contain:
+//! a piece from before a restart fails its CRC.
 
 use heapless::Vec;
 use serde::{Deserialize, Serialize};
 
 use crate::cobs;
 
-/// Version of the frames, in each turn.
+/// Version of the frame format. Every turn contains it.
 pub const FRAME_VERSION: u8 = 1;
-/// Largest payload of a piece. Ours: radios (SiK) send packets of at most 252 bytes.
+/// Largest payload of a piece. A frame then fits one packet of a SiK radio (at most 252 bytes).
 pub const MAX_PIECE_BYTES: usize = 200;
-/// Pieces under way in one direction at most, and bits of [`Turn::here`]. Ours: five turns of a radio, so
-/// that a piece lost four times does not yet stop the new ones.
+/// Maximum number of unacknowledged pieces in one direction, and of bits in [`Turn::here`]. It spans five
+/// turns of a radio, so a piece lost four times in a row does not yet hold back new pieces.
 pub const WINDOW_PIECES: u32 = 1400;
-/// Largest frame, its final zero included (a piece; a test holds it to that).
+/// Largest frame in bytes, with its final zero: that of a piece. A test checks it.
 pub const MAX_FRAME_BYTES: usize = MAX_RAW_BYTES + 2;
-/// Largest frame before it is stuffed; below 254, so that stuffing adds one byte.
+/// Largest frame before stuffing. Below 254, so stuffing adds one byte.
 const MAX_RAW_BYTES: usize = 210;
 const CHECKSUM_BYTES: usize = 4;
 const HERE_BYTES: usize = WINDOW_PIECES as usize / 8;
@@ -37,66 +37,66 @@ const PIECE: u8 = 0;
 const LAST_PIECE: u8 = 1;
 const TURN: u8 = 2;
 
-/// The numbers of two sessions that speak with each other, seen from one side of them.
+/// The session numbers of both sides, as one of them sees them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Sessions {
-    /// Of who sends.
+    /// Session of the sending side.
     pub sender: u32,
-    /// Of who receives; 0 where that is not known yet.
+    /// Session of the receiving side; 0 while it is unknown.
     pub receiver: u32,
 }
 
-/// One frame.
+/// A frame of a serial line.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Frame<'a> {
     /// Part of a message.
     Piece(Piece<'a>),
-    /// What has arrived, and the right to speak.
+    /// Acknowledges pieces and hands over the line.
     Turn(Turn),
 }
 
 /// Part of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Piece<'a> {
-    /// Counts all pieces of the sender's session, from 0.
+    /// Number of the piece in the sender's session, from 0.
     pub number: u32,
-    /// Whether the message ends with it.
+    /// Whether it is the last piece of its message.
     pub is_last: bool,
     /// At most [`MAX_PIECE_BYTES`].
     pub payload: &'a [u8],
 }
 
-/// What has arrived, and the right to speak.
+/// Acknowledges pieces and hands over the line.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Turn {
-    /// Who speaks with whom.
+    /// The sessions of both sides.
     pub sessions: Sessions,
-    /// Counts the turns of both sides; a turn repeated keeps its number.
+    /// Number of the turn, counting those of both sides. A repeated turn keeps its number.
     pub number: u32,
-    /// So many repetitions of it follow at once: the other side waits for their end before it speaks.
+    /// Number of copies of this turn that follow. The other side waits for the last before it sends.
     pub copies_left: u8,
-    /// The sender has more to say as soon as it may.
+    /// Whether the sender has more to send when it gets the line back.
     pub has_more: bool,
     /// All pieces below this number have arrived.
     pub next: u32,
-    /// Which have arrived from `next` on, one bit each; those beyond have not.
+    /// Bitmap of the pieces from `next` on: a set bit means arrived. Pieces beyond it have not arrived.
     pub here: Vec<u8, HERE_BYTES>,
 }
 
-/// Why bytes are no frame.
+/// Why bytes are not a valid frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum FrameError {
-    /// Changed on their way, or of another session.
+    /// The CRC does not match: the bytes changed in transit or belong to another session.
     Damaged,
-    /// Not the encoding of any frame, or of another version.
+    /// The bytes encode no frame of this version.
     Malformed,
 }
 
 impl core::fmt::Display for FrameError {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         f.write_str(match self {
-            Self::Damaged => "frame damaged on its way",
+            Self::Damaged => "frame damaged in transit, or of another session",
             Self::Malformed => "malformed frame, or of another version",
         })
     }
@@ -113,14 +113,15 @@ impl Turn {
 }
 
 impl Frame<'_> {
-    /// Writes the frame with its final zero to the start of `out`; `sessions` as the sender sees them.
+    /// Encodes the frame with its final zero at the start of `out`, and returns the bytes written. `sessions`
+    /// is this side's view.
     pub fn encode<'o>(&self, sessions: Sessions, out: &'o mut [u8; MAX_FRAME_BYTES]) -> &'o [u8] {
         let mut raw = [0; MAX_RAW_BYTES];
         let used = self.write(&mut raw);
         let (content, rest) = raw.split_at_mut(used);
         let checksum = checksum(self.salt(sessions), content).to_le_bytes();
         rest[..CHECKSUM_BYTES].copy_from_slice(&checksum);
-        // A test writes the largest frames.
+        // Cannot fail: a test encodes the largest frames.
         let stuffed = cobs::encode(&raw[..used + CHECKSUM_BYTES], out).unwrap_or(0);
         out[stuffed] = 0;
         &out[..=stuffed]
@@ -153,7 +154,7 @@ impl Frame<'_> {
 }
 
 impl<'a> Frame<'a> {
-    /// Reads a frame without its final zero, in place; `sessions` as its sender should see them.
+    /// Decodes a frame without its final zero, in place. `sessions` is the sender's view.
     pub fn decode(bytes: &'a mut [u8], sessions: Sessions) -> Result<Self, FrameError> {
         let used = cobs::decode_in_place(bytes).ok_or(FrameError::Damaged)?;
         let (content, found) = bytes[..used].split_last_chunk().ok_or(FrameError::Damaged)?;
@@ -190,7 +191,7 @@ fn checksum(salt: Sessions, content: &[u8]) -> u32 {
     hasher.finalize()
 }
 
-/// Cuts a stream of bytes into frames; keeps nothing of what is too long to be one.
+/// Splits a stream of bytes into frames. Drops byte sequences that are too long for a frame.
 #[derive(Debug)]
 pub struct FrameReader {
     bytes: [u8; MAX_FRAME_BYTES],
@@ -204,7 +205,7 @@ impl Default for FrameReader {
 }
 
 impl FrameReader {
-    /// Takes one byte; returns a frame without its final zero where one ends with it, for
+    /// Takes one byte. If it ends a frame, returns that frame without its final zero, for
     /// [`Frame::decode`].
     pub fn push(&mut self, byte: u8) -> Option<&mut [u8]> {
         if byte != 0 {
@@ -239,7 +240,7 @@ mod tests {
         Turn { sessions, number: u32::MAX, copies_left: u8::MAX, has_more: true, next: u32::MAX, here }
     }
 
-    /// Frames by name with their bytes, which must never change within [`FRAME_VERSION`].
+    /// The encoded bytes of three frames. They must not change without a new [`FRAME_VERSION`].
     #[test]
     fn golden_bytes() {
         let piece = Frame::Piece(Piece { number: 300, is_last: false, payload: &[1, 0, 2] });
@@ -258,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn every_frame_comes_back_and_none_is_larger_than_told() {
+    fn every_frame_round_trips_and_none_exceeds_the_maximum() {
         let payload: List<u8> = (0..MAX_PIECE_BYTES).map(|i| i as u8).collect();
         let number = u32::MAX;
         let frames = [
@@ -279,7 +280,7 @@ mod tests {
     }
 
     #[test]
-    fn any_changed_bit_or_missing_end_is_noticed() {
+    fn any_changed_bit_or_truncation_is_detected() {
         let payload: List<u8> = (0..MAX_PIECE_BYTES).map(|i| (i * 7) as u8).collect();
         let mut out = [0; MAX_FRAME_BYTES];
         for frame in
@@ -299,7 +300,7 @@ mod tests {
     }
 
     #[test]
-    fn a_piece_of_another_session_is_damaged() {
+    fn a_piece_of_another_session_fails_its_checksum() {
         let mut out = [0; MAX_FRAME_BYTES];
         let frame = Frame::Piece(Piece { number: 5, is_last: true, payload: b"old" });
         let bytes = frame.encode(SESSIONS, &mut out);
@@ -309,7 +310,7 @@ mod tests {
     }
 
     #[test]
-    fn noise_without_end_holds_no_memory_and_the_next_frame_is_read() {
+    fn endless_noise_is_dropped_and_the_next_frame_is_decoded() {
         let mut reader = FrameReader::default();
         assert!((0..10_000).all(|i| reader.push((i % 255 + 1) as u8).is_none()));
         assert!(reader.push(0).is_none(), "too long for a frame");
@@ -321,9 +322,9 @@ mod tests {
     }
 
     #[test]
-    fn a_turn_tells_piece_by_piece() {
+    fn a_turn_tells_for_each_piece_whether_it_arrived() {
         let turn = turn();
-        let there: List<u32> = (125..150).filter(|number| turn.has(*number)).collect();
-        assert_eq!(there, [125, 126, 127, 128, 129, 131, 144]);
+        let arrived: List<u32> = (125..150).filter(|number| turn.has(*number)).collect();
+        assert_eq!(arrived, [125, 126, 127, 128, 129, 131, 144]);
     }
 }

@@ -1,5 +1,5 @@
-//! Names of sites, devices, tiles and models, valid by construction, so that they can stand in a
-//! topic, a file name or a log line without escaping.
+//! Names of sites, devices, tiles and models. They are valid by construction: topics, file names and log
+//! lines can contain them without escaping.
 
 use core::fmt;
 use core::hash::{Hash, Hasher};
@@ -7,22 +7,22 @@ use core::str::FromStr;
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// Longest name, in bytes: a label of a host name (RFC 1035 has 63) fits.
+/// Maximum length of a name in bytes. A host name's label (at most 63 bytes, RFC 1035) fits.
 pub const MAX_ID_BYTES: usize = 64;
 
-/// Why a text is no name.
+/// Why a text is not a valid name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum IdError {
-    /// It has no character.
+    /// The text is empty.
     Empty,
-    /// It has more than [`MAX_ID_BYTES`] bytes.
+    /// The text has more than [`MAX_ID_BYTES`] bytes.
     TooLong,
-    /// It has a character outside `A-Z a-z 0-9 _ -`.
+    /// The text has a character outside `A-Z a-z 0-9 _ -`.
     BadCharacter(char),
-    /// The word has a meaning of its own in topics.
+    /// The text is a word that topics reserve.
     Reserved,
-    /// A model's number is not a decimal `u64` without sign or leading zeros.
+    /// The model number is not a decimal `u64` without sign or leading zeros.
     NotANumber,
 }
 
@@ -33,14 +33,14 @@ impl fmt::Display for IdError {
             Self::TooLong => write!(f, "a name has at most {MAX_ID_BYTES} characters"),
             Self::BadCharacter(c) => write!(f, "{c:?} in a name: use only A-Z a-z 0-9 _ -"),
             Self::Reserved => write!(f, "the name `global` is reserved for the aggregator's models"),
-            Self::NotANumber => write!(f, "a model's number is a plain decimal number below 2^64"),
+            Self::NotANumber => write!(f, "a model number must be a plain decimal number below 2^64"),
         }
     }
 }
 
 impl core::error::Error for IdError {}
 
-/// Up to [`MAX_ID_BYTES`] of `A-Z a-z 0-9 _ -`; bytes beyond `len` are zero.
+/// Up to [`MAX_ID_BYTES`] characters of `A-Z a-z 0-9 _ -`. Bytes beyond `len` are zero.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 struct Name {
     bytes: [u8; MAX_ID_BYTES],
@@ -64,7 +64,7 @@ impl Name {
         Ok(Self { bytes, len: text.len() as u8 })
     }
 
-    /// A name that is known to be one.
+    /// Makes a name from a constant that is known to be valid.
     const fn literal(text: &str) -> Self {
         let mut bytes = [0; MAX_ID_BYTES];
         let (head, _) = bytes.split_at_mut(text.len());
@@ -98,14 +98,14 @@ impl serde::de::Visitor<'_> for NameVisitor {
     }
 }
 
-macro_rules! named {
+macro_rules! define_name {
     ($name:ident, $reserved:expr, $doc:literal) => {
         #[doc = $doc]
         #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
         pub struct $name(Name);
 
         impl $name {
-            /// Takes 1 to [`MAX_ID_BYTES`] characters of `A-Z a-z 0-9 _ -`.
+            /// Checks a name: 1 to [`MAX_ID_BYTES`] characters of `A-Z a-z 0-9 _ -`.
             pub fn new(text: &str) -> Result<Self, IdError> {
                 if $reserved.contains(&text) {
                     return Err(IdError::Reserved);
@@ -154,26 +154,30 @@ macro_rules! named {
     };
 }
 
-named!(SiteId, [""; 0], "A survey site: everything below one aggregator.");
-named!(DeviceId, ["global"], "A drone, or an aggregator, unique in its site; not the word `global`.");
-named!(TileId, [""; 0], "A part of a site with a global model of its own.");
+define_name!(SiteId, [""; 0], "A survey site: one aggregator and its devices.");
+define_name!(
+    DeviceId,
+    ["global"],
+    "A drone or an aggregator, unique in its site. The name `global` is reserved."
+);
+define_name!(TileId, [""; 0], "A part of a site that has its own global model.");
 
-named!(FrameId, [""; 0], "A world frame: models that name the same one can be joined as they are.");
+define_name!(FrameId, [""; 0], "A world frame. Models in the same frame need no transform to be joined.");
 
 impl Default for FrameId {
-    /// `local`: whoever makes the models has put them into one frame.
+    /// `local`: all models of the site already share one frame.
     fn default() -> Self {
         Self(Name::literal("local"))
     }
 }
 
 impl TileId {
-    /// The one tile of a site that is not divided.
+    /// The only tile of a site that is not divided.
     pub const WHOLE: Self = Self(Name::literal("whole"));
 }
 
-/// A model of one device: a counter that the device keeps and never uses twice for different bytes.
-/// For global models it is the revision.
+/// The number of a model of one device, from a counter. The device never reuses a number for different
+/// bytes. For a global model it is the revision.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct ModelId(pub u64);
 
@@ -191,7 +195,7 @@ impl FromStr for ModelId {
     }
 }
 
-/// A decimal number in the one way that `Display` writes it.
+/// Parses a decimal number, accepting only the form that `Display` writes.
 pub(crate) fn parse_decimal(text: &str) -> Result<u64, IdError> {
     let canonical = text.bytes().all(|b| b.is_ascii_digit()) && (text == "0" || !text.starts_with('0'));
     if !canonical {

@@ -1,33 +1,35 @@
-//! What travels between drones and ground: messages, topics, and the layout of a model's body.
+//! The data that drones and ground exchange: messages, topics, and the byte layout of a model's body.
 //!
-//! What it refuses to know: transports, clocks, files, rendering. It is `no_std` and allocates
-//! nothing; every value is bounded by its type, so the largest encoding of each message is a constant.
+//! This crate knows no transport, clock, file or renderer. It is `no_std` and allocates nothing. Its
+//! types bound every value, so the largest encoding of each message is a constant.
 //!
-//! Where to start reading: [`message`] for the conversation, [`topic`] for where it is held,
-//! [`body`] for what a model looks like as bytes, [`frame`] for how messages cross a serial line.
+//! Where to start reading: [`message`] for the protocol, [`topic`] for the MQTT topics, [`body`] for the
+//! bytes of a model, [`frame`] for how messages cross a serial line.
 //!
-//! # The conversation
+//! # The protocol
 //!
-//! A *sender* announces a model by its header and sends only the chunks that the *receiver* wants.
-//! Every message may be lost, doubled, delayed or reordered; none is acted on twice to a different end.
+//! A *sender* announces a model by its header and sends only the chunks that the *receiver* asks for.
+//! Every message may be lost, duplicated, delayed or reordered. Handling a message twice has the same
+//! effect as handling it once.
 //!
-//! | Message | from → to | Topic under `gs/v1/{site}` | retained | means |
+//! | Message | from → to | Topic under `gs/v1/{site}` | retained | meaning |
 //! |---|---|---|---|---|
-//! | [`ModelHeader`] | device → aggregator | `/{device}/up/{model}/m` | yes | this model exists; sizes, bounds, frame, BLAKE3, signature |
+//! | [`ModelHeader`] | device → aggregator | `/{device}/up/{model}/m` | yes | a model is offered: its sizes, bounds, frame, BLAKE3 hash, signature |
 //! | [`Chunk`] | device → aggregator | `/{device}/up/{model}/c/{index}` | no | bytes `index * chunk_bytes ..` of the body |
-//! | [`Want`] | aggregator → device | `/{device}/dn/want` | no | what I have, and what I still lack |
-//! | [`Done`] | aggregator → device | `/{device}/dn/done` | no | the body with this hash is on my disk |
-//! | [`Refused`] | aggregator → device | `/{device}/dn/refused` | no | I will not take it, and why |
+//! | [`Want`] | aggregator → device | `/{device}/dn/want` | no | the chunks that the receiver has and lacks |
+//! | [`Done`] | aggregator → device | `/{device}/dn/done` | no | the receiver has stored the body with this hash on disk |
+//! | [`Refused`] | aggregator → device | `/{device}/dn/refused` | no | the receiver rejects the model, with the reason |
 //! | [`ModelHeader`] | aggregator → devices | `/global/{tile}/m` | yes | the newest revision of the global model |
-//! | [`Chunk`] | aggregator → devices | `/global/{tile}/{model}/c/{index}` | no | its bytes, to all at once |
+//! | [`Chunk`] | aggregator → devices | `/global/{tile}/{model}/c/{index}` | no | bytes of that model, sent once for all devices |
 //! | [`Want`], [`Done`], [`Refused`] | device → aggregator | `/{device}/global/{want,done,refused}` | no | as above |
-//! | [`Flight`] | device → devices | `/{device}/flight` | yes | what I have photographed |
-//! | [`State`] | device → all | `/{device}/state` | yes | birth, or by the last will death, of a session |
+//! | [`Flight`] | device → devices | `/{device}/flight` | yes | the cameras of the device's flight |
+//! | [`State`] | device → all | `/{device}/state` | yes | start of a session, or its end (published as the MQTT last will) |
 //!
-//! Every message is one byte of [`VERSION`], then [postcard](https://postcard.jamesmunns.com/wire-format)
-//! (the variant's index, then its fields in the order of their declaration), then the CRC-32 (of zip and
-//! Ethernet) of all that, little-endian. Every version keeps its first byte and
-//! its checksum there. A damaged message is thrown away like a lost one.
+//! A message is encoded as one byte of [`VERSION`], then
+//! [postcard](https://postcard.jamesmunns.com/wire-format) (the variant's index, then its fields in
+//! declaration order), then the CRC-32 (as in zip and Ethernet) of the bytes before it, little-endian.
+//! The version byte and the checksum stay in these places in all versions. A damaged message is dropped,
+//! as if it had been lost.
 #![no_std]
 #![forbid(unsafe_code)]
 

@@ -1,5 +1,5 @@
-//! The messages and their bytes. What is decoded has been checked: a [`ModelHeader`] out of
-//! [`Message::decode`] is one whose sizes agree with each other.
+//! The messages and their encoding. [`Message::decode`] checks what it returns: the sizes in a decoded
+//! [`ModelHeader`] agree with each other.
 
 use core::fmt;
 
@@ -9,107 +9,127 @@ use crate::body::{Bounds, CAMERA_BYTES, CameraRecord, MAX_SH_DEGREE, body_bytes_
 use crate::id::{DeviceId, FrameId, ModelId, SiteId};
 use crate::missing::Missing;
 
-/// Version of the messages: the first byte of each.
+/// Version of the message format: the first byte of every message.
 pub const VERSION: u8 = 2;
-/// Bytes of the CRC-32 that ends each message.
+/// Bytes of the CRC-32 at the end of every message.
 const CHECKSUM_BYTES: usize = 4;
-/// Largest payload of a chunk. Brokers take 64 KiB everywhere and gain little beyond.
+/// Largest payload of a chunk. All brokers accept 64 KiB; larger chunks gain little.
 pub const MAX_CHUNK_BYTES: usize = 64 * 1024;
-/// Largest encoding of any message but a chunk or a flight (a [`ModelHeader`]; a test holds it to that).
+/// Largest encoding of any message except [`Message::Chunk`] and [`Message::Flight`]: that of a
+/// [`ModelHeader`]. A test checks it.
 pub const MAX_CONTROL_BYTES: usize = 300;
-/// Largest encoding of any message (a [`Chunk`]; a test holds it to that).
+/// Largest encoding of any message: that of a [`Chunk`]. A test checks it.
 pub const MAX_MESSAGE_BYTES: usize = MAX_CHUNK_BYTES + 89;
 
-/// Most cameras that a [`Flight`] tells: with them it is still a message that serial lines take.
+/// Largest number of cameras in a [`Flight`]. Its message then still fits a serial line.
 pub const FLIGHT_CAMERAS_MAX: usize = 160;
 
-/// Largest statement that is signed (a test holds it to that).
+/// Largest encoding of [`ModelHeader::statement`]. A test checks it.
 pub const MAX_STATEMENT_BYTES: usize = 384;
-/// Begins every statement, so that a signature of something else is never one of a model.
+/// Prefix of every signed statement: a signature over other data is never valid for a model.
 const STATEMENT: &str = "cosurf model";
 
-/// All that is ever said.
+/// Any message of the protocol.
+///
+/// # Examples
+///
+/// ```
+/// use cosurf_wire::{DeviceId, MAX_CONTROL_BYTES, Message, State, WireError};
+///
+/// let device = DeviceId::new("drone-1")?;
+/// let message = Message::State(State { device, session: 1, alive: true });
+/// let mut buffer = [0; MAX_CONTROL_BYTES];
+/// let bytes = message.encode(&mut buffer)?;
+/// assert_eq!(Message::decode(bytes)?, message);
+///
+/// // The checksum detects damage in transit.
+/// let mut damaged = bytes.to_vec();
+/// damaged[3] ^= 1;
+/// assert_eq!(Message::decode(&damaged), Err(WireError::Damaged));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Message<'a> {
-    /// A model is offered.
+    /// A sender offers a model.
     Header(ModelHeader),
-    /// A piece of a body.
+    /// A part of a body.
     #[serde(borrow)]
     Chunk(Chunk<'a>),
-    /// What the receiver has and lacks.
+    /// The chunks that the receiver has and lacks.
     Want(Want),
-    /// The receiver has the whole on its disk.
+    /// The receiver has stored the whole body on disk.
     Done(Done),
-    /// Birth or death of a device.
+    /// Start or end of a device's session.
     State(State),
-    /// The receiver will not take it.
+    /// The receiver rejects a model.
     Refused(Refused),
-    /// What a device has photographed.
+    /// The cameras of a device's flight.
     #[serde(borrow)]
     Flight(Flight<'a>),
 }
 
-/// Announces a model and fixes its sizes.
+/// Announces a model and its sizes.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ModelHeader {
-    /// Who made it.
+    /// The device that made the model.
     pub device: DeviceId,
-    /// Which of its models.
+    /// The model's number on that device.
     pub model: ModelId,
-    /// What it covers.
+    /// Local, global or compressed.
     pub kind: ModelKind,
-    /// The world frame that its coordinates are in.
+    /// The world frame of its coordinates.
     pub frame: FrameId,
-    /// How the body is laid out.
+    /// The layout of the body.
     pub codec: BodyCodec,
-    /// 0 to 3.
+    /// Degree of the spherical harmonics, 0 to 3.
     pub sh_degree: u8,
-    /// How many splats the body has.
+    /// Number of splats in the body.
     pub splats: u32,
-    /// How many cameras the body has.
+    /// Number of cameras in the body.
     pub cameras: u32,
-    /// How many pictures taught it.
+    /// Number of pictures that the model was trained on.
     pub views: u32,
-    /// Holds every mean.
+    /// Box that contains the means of all splats.
     pub bounds: Bounds,
-    /// Bytes of the whole body.
+    /// Size of the whole body in bytes.
     pub body_bytes: u64,
-    /// Bytes of every chunk but the last, which has the rest; 1 to [`MAX_CHUNK_BYTES`].
+    /// Size of every chunk but the last in bytes, 1 to [`MAX_CHUNK_BYTES`]. The last chunk has the rest.
     pub chunk_bytes: u32,
-    /// BLAKE3 of the whole body.
+    /// BLAKE3 hash of the whole body.
     pub blake3: BodyHash,
-    /// Its maker's, of [`Self::statement`]; absent where nobody asks for it.
+    /// The device's signature of [`Self::statement`]. `None` if the device has no key.
     pub signature: Option<Signature>,
 }
 
 /// An ed25519 signature.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Signature {
-    /// Its first half.
+    /// First half of the signature: the point R.
     pub r: [u8; 32],
-    /// Its second half.
+    /// Second half of the signature: the scalar s.
     pub s: [u8; 32],
 }
 
-/// What a model covers.
+/// Which scene content a model contains.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ModelKind {
-    /// What one device saw.
+    /// All that one device observed.
     Local,
-    /// What an aggregator joined.
+    /// Merged by an aggregator from several models.
     Global,
-    /// What one device saw, but for what it has left to others whose [`Flight`] it has heard.
+    /// A local model pruned before upload: without the splats that belong to other devices, chosen by
+    /// the [`Flight`]s they sent.
     Compressed,
 }
 
-/// How a body is laid out.
+/// The layout of a body.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum BodyCodec {
-    /// [`crate::body`]: whole numbers in packs, what stands for most first.
+    /// [`crate::body`]: quantised to integers, in independently decodable packs, most important first.
     Packed,
 }
 
-/// BLAKE3 of a whole body.
+/// BLAKE3 hash of a whole body.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct BodyHash(pub [u8; 32]);
 
@@ -125,75 +145,76 @@ impl fmt::Debug for BodyHash {
     }
 }
 
-/// A piece of a body.
+/// A part of a body.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Chunk<'a> {
-    /// Who made the model.
+    /// The device that made the model.
     pub device: DeviceId,
-    /// Which of its models.
+    /// The model's number on that device.
     pub model: ModelId,
-    /// Which piece, from 0.
+    /// Index of the chunk, from 0.
     pub index: u32,
-    /// The bytes.
+    /// The chunk's bytes of the body.
     pub payload: &'a [u8],
 }
 
-/// What the receiver has and lacks of a model.
+/// Tells the sender which chunks of a model the receiver has and lacks.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Want {
-    /// Who made the model.
+    /// The device that made the model.
     pub device: DeviceId,
-    /// Which of its models.
+    /// The model's number on that device.
     pub model: ModelId,
-    /// Nothing has come for a while: what is missing is not under way any more.
+    /// No chunk has arrived for a while: the sender must treat the missing chunks as lost.
     pub idle: bool,
-    /// What is missing.
+    /// The missing chunks.
     pub missing: Missing,
 }
 
-/// The receiver has the body on its disk: written, synced and renamed.
+/// The receiver has stored the body on disk: written, synced and renamed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Done {
-    /// Who made the model.
+    /// The device that made the model.
     pub device: DeviceId,
-    /// Which of its models.
+    /// The model's number on that device.
     pub model: ModelId,
-    /// Hash of what is stored.
+    /// Hash of the stored body.
     pub blake3: BodyHash,
 }
 
-/// Birth or death of a device's session. The death is left with the broker as last will when the
-/// session begins, so it carries the same number.
+/// Start or end of a device's session. The device registers the end with the broker as its last will when
+/// the session starts, so both carry the same session number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct State {
-    /// Whose.
+    /// The device that sends this.
     pub device: DeviceId,
-    /// Number of the session, never used twice by a device: a death with an older number than the
-    /// newest birth is out of date.
+    /// Number of the session; a device never reuses one. The end of a session is outdated if a newer
+    /// session has started.
     pub session: u64,
-    /// Birth, or death.
+    /// `true` at the start of the session, `false` at its end.
     pub alive: bool,
 }
 
-/// What a device has photographed: each knows what the others see before it sends a model, and can leave shared ground
-/// to whom it belongs.
+/// The cameras of a device's flight. From them the other devices know what it observes, before they upload
+/// a model, and can leave the overlap to its owner.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Flight<'a> {
-    /// Whose.
+    /// The device that sends this.
     pub device: DeviceId,
     /// The world frame of its cameras.
     pub frame: FrameId,
-    /// Its cameras, [`CAMERA_BYTES`] each; of more than [`FLIGHT_CAMERAS_MAX`] as many, evenly spread.
+    /// The cameras, [`CAMERA_BYTES`] each. A flight with more than [`FLIGHT_CAMERAS_MAX`] sends an even
+    /// selection of that many.
     pub cameras: &'a [u8],
 }
 
 impl Flight<'_> {
-    /// The cameras.
+    /// Decodes the cameras.
     pub fn records(&self) -> impl ExactSizeIterator<Item = CameraRecord> {
         self.cameras.as_chunks().0.iter().map(CameraRecord::decode)
     }
 
-    /// Whether it holds whole cameras, not too many, that a renderer could use.
+    /// Whether it holds a whole number of valid cameras, and not too many.
     fn is_sane(&self) -> bool {
         self.cameras.len() <= FLIGHT_CAMERAS_MAX * CAMERA_BYTES
             && self.cameras.len().is_multiple_of(CAMERA_BYTES)
@@ -201,48 +222,48 @@ impl Flight<'_> {
     }
 }
 
-/// The receiver will not take a model.
+/// The receiver rejects a model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Refused {
-    /// Who made the model.
+    /// The device that made the model.
     pub device: DeviceId,
-    /// Which of its models.
+    /// The model's number on that device.
     pub model: ModelId,
-    /// Why.
+    /// The reason.
     pub reason: RefusalReason,
 }
 
-/// Why a model is refused.
+/// Why a receiver rejects a model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum RefusalReason {
-    /// The header cannot be read or contradicts itself or its topic.
+    /// The header is malformed, or contradicts itself or its topic.
     BadHeader,
-    /// The body is larger than the receiver takes.
+    /// The body is larger than the receiver accepts.
     TooLarge,
-    /// The receiver is full of unfinished models: offer it again later.
+    /// The receiver has no room for another unfinished model: offer it again later.
     Busy,
     /// The body contradicts its header, or holds values that cannot be rendered.
     BadBody,
     /// Another body is already stored under this device and number: offer it under a new number.
     NumberTaken,
-    /// The receiver could not store it: offer it again later.
+    /// The receiver could not write the model to disk: offer it again later.
     StoreFailed,
-    /// Its device was withdrawn; a newer model of it is welcome.
+    /// An operator withdrew the device's models. The receiver accepts newer ones.
     Withdrawn,
-    /// Its coordinates are in another world frame.
+    /// The model is in another world frame.
     WrongFrame,
-    /// The receiver has a list of keys, and none of its device.
+    /// The receiver's list of keys has no key of the device.
     UnknownDevice,
-    /// It is not signed, or not by its device, or has been changed since.
+    /// The signature is missing or invalid: another key made it, or the header has changed since.
     BadSignature,
-    /// The key that signed it counts no more.
+    /// The key that signed the model is revoked.
     Revoked,
-    /// A greater number of its device is stored: somebody sends an old one again.
+    /// The receiver has stored a model with a higher number from the device: this one is a replay.
     Replayed,
 }
 
 impl RefusalReason {
-    /// Whether the same offer may succeed later.
+    /// Whether a retry of the same offer may succeed.
     pub fn is_passing(self) -> bool {
         matches!(self, Self::Busy | Self::StoreFailed)
     }
@@ -253,59 +274,59 @@ impl fmt::Display for RefusalReason {
         f.write_str(match self {
             Self::BadHeader => "its header is malformed",
             Self::TooLarge => {
-                "it is larger than the receiver takes: train with fewer splats or raise the receiver's limit"
+                "it is larger than the receiver accepts: train with fewer splats or raise the receiver's limit"
             }
             Self::Busy => "the receiver is busy with other models",
             Self::BadBody => "its values cannot be rendered or contradict its header",
             Self::NumberTaken => "another model is stored under its number: publish it under a new number",
-            Self::Withdrawn => "its device was withdrawn: a model of a later flight is welcome",
-            Self::StoreFailed => "the receiver could not store it: look at the receiver's disk",
+            Self::Withdrawn => "its device was withdrawn: publish a model of a later flight",
+            Self::StoreFailed => "the receiver could not store it: check the receiver's disk",
             Self::WrongFrame => "it is in another world frame: set the same `frame` on both sides",
-            Self::UnknownDevice => "the receiver has no key of its device: add the device to its list",
+            Self::UnknownDevice => "the receiver has no key of its device: add the device's key to the receiver's list",
             Self::BadSignature => {
-                "it is not signed by its device: check `key` there, and the device's line in the receiver's list"
+                "its device did not sign it: check `key` on the device, and the device's line in the receiver's list"
             }
-            Self::Revoked => "the key that signed it is revoked: give the device a new one",
-            Self::Replayed => "a greater number of its device is stored: publish it under a new number",
+            Self::Revoked => "the key that signed it is revoked: give the device a new key",
+            Self::Replayed => "a model with a higher number is stored: publish it under a new number",
         })
     }
 }
 
-/// What contradicts itself in a header.
+/// Which field of a header is invalid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum HeaderError {
     /// The degree is above 3.
     ShDegree,
-    /// The size of chunks is 0 or above [`MAX_CHUNK_BYTES`], or asks for more chunks than a `u32` counts.
+    /// The chunk size is 0, above [`MAX_CHUNK_BYTES`], or so small that a `u32` cannot count the chunks.
     ChunkBytes,
-    /// `body_bytes` is less or more than the counts can make.
+    /// A body with these counts of splats and cameras cannot have `body_bytes` bytes.
     BodyBytes,
-    /// The bounds are not a finite box.
+    /// The bounds are not finite, or a minimum is above its maximum.
     Bounds,
 }
 
-/// Why bytes are no message.
+/// Why bytes are not a valid message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum WireError {
-    /// No bytes at all.
+    /// There are no bytes.
     Empty,
-    /// A version this build does not know.
+    /// This build does not know the message's version.
     UnknownVersion(u8),
-    /// The checksum does not fit the bytes: they have changed on their way.
+    /// The checksum does not match: the bytes were changed in transit.
     Damaged,
-    /// Not the encoding of any message.
+    /// The bytes do not encode any message.
     Malformed,
-    /// Bytes after the message.
+    /// Bytes follow the message.
     TrailingBytes,
-    /// A chunk of more than [`MAX_CHUNK_BYTES`].
+    /// The chunk has more than [`MAX_CHUNK_BYTES`] bytes.
     ChunkTooLong,
-    /// A header that contradicts itself.
+    /// The header contradicts itself.
     Header(HeaderError),
-    /// A flight of too many cameras, or of such as cannot be.
+    /// The flight has too many or invalid cameras.
     BadFlight,
-    /// The buffer to encode into is too small.
+    /// The output buffer is too small.
     BufferTooSmall,
 }
 
@@ -314,15 +335,15 @@ impl fmt::Display for WireError {
         match self {
             Self::Empty => write!(f, "empty message"),
             Self::UnknownVersion(found) => {
-                write!(f, "message of version {found}, this build speaks {VERSION}: update the older side")
+                write!(f, "message of version {found}, this build uses {VERSION}: update the older side")
             }
-            Self::Damaged => write!(f, "message damaged on its way"),
+            Self::Damaged => write!(f, "message damaged in transit"),
             Self::Malformed => write!(f, "malformed message"),
             Self::TrailingBytes => write!(f, "bytes after the end of a message"),
             Self::ChunkTooLong => write!(f, "chunk of more than {MAX_CHUNK_BYTES} bytes"),
-            Self::BadFlight => write!(f, "flight of too many or impossible cameras"),
-            Self::Header(what) => write!(f, "header with an impossible {what:?}"),
-            Self::BufferTooSmall => write!(f, "no room to encode a message"),
+            Self::BadFlight => write!(f, "flight with too many or invalid cameras"),
+            Self::Header(what) => write!(f, "header with an invalid {what:?}"),
+            Self::BufferTooSmall => write!(f, "buffer too small to encode a message"),
         }
     }
 }
@@ -330,7 +351,7 @@ impl fmt::Display for WireError {
 impl core::error::Error for WireError {}
 
 impl ModelHeader {
-    /// How many chunks the body has; 0 only where [`Self::check`] fails.
+    /// Number of chunks of the body. 0 only if [`Self::check`] fails.
     pub fn chunks(&self) -> u32 {
         if self.chunk_bytes == 0 {
             return 0;
@@ -338,28 +359,28 @@ impl ModelHeader {
         u32::try_from(self.body_bytes.div_ceil(u64::from(self.chunk_bytes))).unwrap_or(0)
     }
 
-    /// Where chunk `index` lies in the body, or `None` where there is no such chunk.
+    /// Byte range of chunk `index` in the body; `None` if there is no such chunk.
     pub fn chunk_range(&self, index: u32) -> Option<core::ops::Range<u64>> {
         let start = u64::from(index) * u64::from(self.chunk_bytes);
         (index < self.chunks()).then(|| start..self.body_bytes.min(start + u64::from(self.chunk_bytes)))
     }
 
-    /// Bytes of the model once it is unpacked to `f32`, which a receiver must have room for.
+    /// Bytes of the model when unpacked to `f32`: the memory that a receiver needs for it.
     pub fn unpacked_bytes(&self) -> u64 {
         let splat = 44 + 4 * (3 + sh_rest(self.sh_degree)) as u64;
         u64::from(self.splats) * splat + u64::from(self.cameras) * CAMERA_BYTES as u64
     }
 
-    /// What its maker signs: all that it says but for the size of chunks, which is the link's affair, and the
-    /// site that it is said on.
+    /// The bytes that the device signs: the site and all fields except the signature and the chunk size,
+    /// which the link may change.
     pub fn statement<'o>(&self, site: &SiteId, out: &'o mut [u8; MAX_STATEMENT_BYTES]) -> &'o [u8] {
-        let said = Self { chunk_bytes: 0, signature: None, ..*self };
-        // A test writes the longest.
-        let used = postcard::to_slice(&(STATEMENT, VERSION, site, said), out).map_or(0, |used| used.len());
+        let signed = Self { chunk_bytes: 0, signature: None, ..*self };
+        // Cannot fail: a test encodes the longest statement.
+        let used = postcard::to_slice(&(STATEMENT, VERSION, site, signed), out).map_or(0, |used| used.len());
         &out[..used]
     }
 
-    /// Whether the sizes agree with each other.
+    /// Checks that the fields agree with each other.
     pub fn check(&self) -> Result<(), HeaderError> {
         if self.sh_degree > MAX_SH_DEGREE {
             return Err(HeaderError::ShDegree);
@@ -378,7 +399,7 @@ impl ModelHeader {
 }
 
 impl<'a> Message<'a> {
-    /// Most bytes that its encoding takes.
+    /// Upper bound on the size of the encoding in bytes.
     pub fn bytes_max(&self) -> usize {
         MAX_CONTROL_BYTES
             + match self {
@@ -388,8 +409,8 @@ impl<'a> Message<'a> {
             }
     }
 
-    /// Writes the message to the start of `out`, which [`MAX_MESSAGE_BYTES`] always fit, and
-    /// [`MAX_CONTROL_BYTES`] where it is neither chunk nor flight. Returns the bytes written.
+    /// Encodes the message at the start of `out` and returns the bytes written. A buffer of
+    /// [`MAX_MESSAGE_BYTES`] always suffices; [`MAX_CONTROL_BYTES`] does for all but chunks and flights.
     pub fn encode<'o>(&self, out: &'o mut [u8]) -> Result<&'o [u8], WireError> {
         let (version, rest) = out.split_first_mut().ok_or(WireError::BufferTooSmall)?;
         *version = VERSION;
@@ -400,7 +421,7 @@ impl<'a> Message<'a> {
         Ok(&out[..used + CHECKSUM_BYTES])
     }
 
-    /// Reads a message; what a chunk or a flight holds stays where it is.
+    /// Decodes a message. The payload of a chunk and the cameras of a flight are borrowed from `bytes`.
     pub fn decode(bytes: &'a [u8]) -> Result<Self, WireError> {
         if bytes.is_empty() {
             return Err(WireError::Empty);

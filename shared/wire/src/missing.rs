@@ -1,15 +1,15 @@
-//! Which chunks a receiver lacks, told in a bounded number of bytes.
+//! Which chunks a receiver lacks, encoded in a bounded number of bytes.
 
 use heapless::Vec;
 use serde::{Deserialize, Serialize};
 
-/// Bytes of the bitmap: 1024 chunks, 64 MiB of a body in chunks of 64 KiB. Ours: far beyond what is
-/// ever in flight, and small beside one chunk.
+/// Bytes of the bitmap. It covers 1024 chunks (64 MiB in chunks of 64 KiB): far more than a sender has in
+/// flight, and small compared with one chunk.
 pub const MISSING_BITMAP_BYTES: usize = 128;
 
-/// What a receiver has and lacks. Chunks below `first` are here; those in the window of the bitmap
-/// are missing where their bit is set; those from `rest_from` on are missing; of any between, nothing
-/// is said.
+/// The chunks that a receiver has and lacks. It has all chunks below `first`. In the bitmap, which starts
+/// at `first`, a set bit marks a missing chunk. All chunks from `rest_from` on are missing. Chunks between
+/// the end of the bitmap and `rest_from` are not described.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Missing {
     first: u32,
@@ -17,25 +17,25 @@ pub struct Missing {
     rest_from: u32,
 }
 
-/// What a [`Missing`] says of one chunk.
+/// The state of one chunk according to a [`Missing`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Knowledge {
     /// The receiver has it.
     Here,
     /// The receiver lacks it.
     Missing,
-    /// It is outside the window.
+    /// The chunk is beyond the bitmap: the receiver may have it or not.
     Unsaid,
 }
 
 impl Missing {
-    /// Everything is missing.
+    /// All chunks are missing.
     pub fn all() -> Self {
         Self { first: 0, bitmap: Vec::new(), rest_from: 0 }
     }
 
-    /// Describes `count` chunks of which `here(index)` have arrived: the window starts at the first
-    /// that has not.
+    /// Describes `count` chunks, of which those with `here(index)` have arrived. The bitmap starts at the
+    /// first missing chunk.
     pub fn of(count: u32, here: impl Fn(u32) -> bool) -> Self {
         let first = (0..count).find(|&i| !here(i)).unwrap_or(count);
         let rest_from = (first..count).rev().find(|&i| here(i)).map_or(first, |i| i + 1);
@@ -43,13 +43,13 @@ impl Missing {
         let mut bitmap = Vec::new();
         for start in (first..first + window).step_by(8) {
             let byte = (0..8).filter(|bit| start + bit < rest_from && !here(start + bit));
-            // The window is no longer than the bitmap, so there is room.
+            // The window is at most as long as the bitmap, so the push succeeds.
             let _ = bitmap.push(byte.fold(0, |byte, bit| byte | 1 << bit));
         }
         Self { first, bitmap, rest_from }
     }
 
-    /// What is said of chunk `index`.
+    /// The state of chunk `index`.
     pub fn of_chunk(&self, index: u32) -> Knowledge {
         if index >= self.rest_from {
             return Knowledge::Missing;

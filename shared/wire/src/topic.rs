@@ -1,80 +1,80 @@
-//! MQTT topics, written and read back. The first level after `gs/v1/{site}` is the writing device, or
-//! `global`, or for the aggregator's answers the device they are for, so that a broker's access list can
-//! hold every device to its own branch: `gs/v1/{site}/%u/#`.
+//! MQTT topics: formatting and parsing. The level after `gs/v1/{site}` is `global` for global models, the
+//! addressed device for the aggregator's replies, and otherwise the publishing device. A broker's access
+//! list can therefore restrict every device to its own branch: `gs/v1/{site}/%u/#`.
 
 use core::fmt::{self, Write};
 
 use crate::id::{DeviceId, IdError, ModelId, SiteId, TileId, parse_decimal};
 
-/// Longest topic in bytes: a chunk of a global model with all names at their longest.
+/// Maximum length of a topic in bytes. The longest is that of a global model's chunk.
 pub const MAX_TOPIC_BYTES: usize = 176;
 
 /// A topic as text.
 pub type TopicString = heapless::String<MAX_TOPIC_BYTES>;
 
-/// The first two levels: our name and the version of this layout.
+/// The first two levels: the protocol's name and the version of the topic layout.
 const ROOT: &str = "gs/v1";
 
-/// What a message is about, and whose.
+/// A topic of the protocol: the kind of message, and the device or tile it concerns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Topic {
-    /// Birth and death of a device.
+    /// Start and end of a device's sessions.
     State {
-        /// Whose.
+        /// The device.
         device: DeviceId,
     },
-    /// What a device has photographed.
+    /// The cameras of a device's flight.
     Flight {
-        /// Whose.
+        /// The device.
         device: DeviceId,
     },
     /// The header of a device's model.
     LocalHeader {
-        /// Who made it.
+        /// The device that made the model.
         device: DeviceId,
-        /// Which of its models.
+        /// The model's number on that device.
         model: ModelId,
     },
     /// A chunk of a device's model.
     LocalChunk {
-        /// Who made it.
+        /// The device that made the model.
         device: DeviceId,
-        /// Which of its models.
+        /// The model's number on that device.
         model: ModelId,
-        /// Which chunk, from 0.
+        /// Index of the chunk, from 0.
         index: u32,
     },
-    /// The aggregator's answer to a device about that device's model.
+    /// The aggregator's reply to a device about that device's model.
     LocalReply {
-        /// Whom it answers.
+        /// The device that the reply is for.
         device: DeviceId,
-        /// What it answers.
+        /// The kind of reply.
         reply: Reply,
     },
     /// The header of the newest global model of a tile.
     GlobalHeader {
-        /// Which tile.
+        /// The tile.
         tile: TileId,
     },
     /// A chunk of a global model.
     GlobalChunk {
-        /// Which tile.
+        /// The tile.
         tile: TileId,
-        /// Which revision.
+        /// The model's revision.
         model: ModelId,
-        /// Which chunk, from 0.
+        /// Index of the chunk, from 0.
         index: u32,
     },
-    /// A device's answer to the aggregator about a global model.
+    /// A device's reply to the aggregator about a global model.
     GlobalReply {
-        /// Who answers.
+        /// The device that replies.
         device: DeviceId,
-        /// What it answers.
+        /// The kind of reply.
         reply: Reply,
     },
 }
 
-/// The answers a receiver gives.
+/// The kinds of replies that a receiver sends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reply {
     /// [`crate::Want`].
@@ -104,13 +104,13 @@ impl Reply {
     }
 }
 
-/// Why a text is no topic of ours.
+/// Why a text is not a topic of the protocol.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum TopicError {
-    /// It is none of the layouts above.
+    /// The text has none of the layouts of [`Topic`].
     Unknown,
-    /// One of its levels is no valid name or number.
+    /// A level is not a valid name or number.
     Id(IdError),
 }
 
@@ -132,15 +132,15 @@ impl From<IdError> for TopicError {
 }
 
 impl Topic {
-    /// The topic as text, below `site`.
+    /// Formats the topic for `site`.
     pub fn to_text(&self, site: &SiteId) -> TopicString {
         let mut text = TopicString::new();
-        // Names and numbers are bounded, and a test writes the longest.
+        // Cannot fail: every level is bounded, and the longest topic has MAX_TOPIC_BYTES.
         let _ = write!(text, "{ROOT}/{site}/{self}");
         text
     }
 
-    /// Reads a topic back: the site, and what is said there.
+    /// Parses a topic into its site and the rest.
     pub fn parse(text: &str) -> Result<(SiteId, Self), TopicError> {
         let rest = text.strip_prefix(ROOT).and_then(|rest| rest.strip_prefix('/'));
         let (site, rest) = rest.and_then(|rest| rest.split_once('/')).ok_or(TopicError::Unknown)?;
@@ -177,12 +177,12 @@ impl Topic {
         Ok((site, topic))
     }
 
-    /// What an aggregator of `site` subscribes to.
+    /// The subscriptions of an aggregator of `site`.
     pub fn aggregator_filters(site: &SiteId) -> [TopicString; 4] {
         ["+/state", "+/up/+/m", "+/up/+/c/+", "+/global/+"].map(|tail| filter(site, tail))
     }
 
-    /// What `device` subscribes to.
+    /// The subscriptions of `device`.
     pub fn device_filters(site: &SiteId, device: &DeviceId) -> [TopicString; 3] {
         let mut own = filter(site, device.as_str());
         let _ = own.push_str("/dn/+");

@@ -1,4 +1,4 @@
-//! Every message and every part of a body, byte for byte: who changes one of these changes the version.
+//! The exact bytes of every message and every part of a body. A change to any of them needs a new version.
 #![allow(clippy::unwrap_used)]
 
 use cosurf_wire::body::{
@@ -47,7 +47,7 @@ fn camera_bytes(count: usize) -> Vec<u8> {
 }
 
 #[test]
-fn flights_of_what_is_no_camera_are_refused() {
+fn flights_with_invalid_cameras_are_rejected() {
     let (device, frame) = (DeviceId::new("d").unwrap(), FrameId::default());
     let decoded = |cameras: &[u8]| {
         let mut buffer = vec![0; MAX_MESSAGE_BYTES];
@@ -55,19 +55,19 @@ fn flights_of_what_is_no_camera_are_refused() {
         Message::decode(message.encode(&mut buffer).unwrap()).map(|_| ())
     };
     assert_eq!(decoded(&camera_bytes(FLIGHT_CAMERAS_MAX)), Ok(()));
-    assert_eq!(decoded(&[]), Ok(()), "who has photographed nothing leaves nothing to others");
+    assert_eq!(decoded(&[]), Ok(()), "a flight without cameras is valid");
     assert_eq!(decoded(&camera_bytes(FLIGHT_CAMERAS_MAX + 1)), Err(WireError::BadFlight));
     assert_eq!(decoded(&camera_bytes(2)[1..]), Err(WireError::BadFlight));
-    let mut unsound = camera_bytes(1);
-    unsound[7] = 0xff;
-    assert_eq!(decoded(&unsound), Err(WireError::BadFlight), "a rotation that is not a number");
+    let mut invalid = camera_bytes(1);
+    invalid[7] = 0xff;
+    assert_eq!(decoded(&invalid), Err(WireError::BadFlight), "a rotation of NaN");
 }
 
 fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// Version, variant, fields in their order, CRC-32.
+/// Version, variant, fields in declaration order, CRC-32.
 #[test]
 fn messages_have_these_bytes() {
     let (device, model) = (DeviceId::new("d-1").unwrap(), ModelId(300));
@@ -122,7 +122,7 @@ fn messages_have_these_bytes() {
     }
 }
 
-/// The order of reasons is the wire's too.
+/// The order of the variants is part of the wire format.
 #[test]
 fn reasons_have_these_numbers() {
     use RefusalReason::*;
@@ -149,7 +149,7 @@ fn reasons_have_these_numbers() {
 }
 
 #[test]
-fn the_largest_messages_are_as_large_as_is_said() {
+fn the_largest_messages_have_the_documented_sizes() {
     let name = "x".repeat(cosurf_wire::id::MAX_ID_BYTES);
     let (device, model) = (DeviceId::new(&name).unwrap(), ModelId(u64::MAX));
     let frame = FrameId::new(&name).unwrap();
@@ -182,13 +182,13 @@ fn the_largest_messages_are_as_large_as_is_said() {
     let cameras = camera_bytes(FLIGHT_CAMERAS_MAX);
     let flight = Message::Flight(Flight { device, frame, cameras: &cameras });
     let most = flight.bytes_max();
-    assert!(bytes_of(flight) <= most && most <= 16 * 1024, "a flight goes over a serial line");
+    assert!(bytes_of(flight) <= most && most <= 16 * 1024, "a flight fits a serial line");
     let site = SiteId::new(&name).unwrap();
     let mut statement = [0; MAX_STATEMENT_BYTES];
     assert!(largest.statement(&site, &mut statement).len() > 200, "the longest statement fits");
 }
 
-/// What is signed is all but the size of chunks and the signature.
+/// The signature covers all fields except the chunk size and the signature itself.
 #[test]
 fn every_field_is_part_of_the_statement() {
     let site = SiteId::new("s").unwrap();
@@ -218,22 +218,28 @@ fn every_field_is_part_of_the_statement() {
 }
 
 #[test]
-fn versions_damage_and_contradictions_are_told_apart() {
+fn each_invalid_message_has_its_own_error() {
     let mut buffer = [0; MAX_CONTROL_BYTES];
-    let sane = Message::Header(header()).encode(&mut buffer).unwrap().to_vec();
-    let resealed = |change: &dyn Fn(&mut Vec<u8>)| {
-        let mut bytes = sane[..sane.len() - 4].to_vec();
+    let valid = Message::Header(header()).encode(&mut buffer).unwrap().to_vec();
+    let with_new_checksum = |change: &dyn Fn(&mut Vec<u8>)| {
+        let mut bytes = valid[..valid.len() - 4].to_vec();
         change(&mut bytes);
         let checksum = crc32fast::hash(&bytes).to_le_bytes();
         [bytes, checksum.to_vec()].concat()
     };
     let decoded = |bytes: &[u8]| Message::decode(bytes).map(|_| ()).unwrap_err();
     assert_eq!(decoded(&[]), WireError::Empty);
-    assert_eq!(decoded(&sane[..sane.len() - 1]), WireError::Damaged);
-    assert_eq!(decoded(&resealed(&|bytes| bytes[0] = VERSION + 1)), WireError::UnknownVersion(VERSION + 1));
-    assert_eq!(decoded(&resealed(&|bytes| bytes[0] = VERSION - 1)), WireError::UnknownVersion(VERSION - 1));
-    assert_eq!(decoded(&resealed(&|bytes| bytes[1] = 99)), WireError::Malformed);
-    assert_eq!(decoded(&resealed(&|bytes| bytes.push(0))), WireError::TrailingBytes);
+    assert_eq!(decoded(&valid[..valid.len() - 1]), WireError::Damaged);
+    assert_eq!(
+        decoded(&with_new_checksum(&|bytes| bytes[0] = VERSION + 1)),
+        WireError::UnknownVersion(VERSION + 1)
+    );
+    assert_eq!(
+        decoded(&with_new_checksum(&|bytes| bytes[0] = VERSION - 1)),
+        WireError::UnknownVersion(VERSION - 1)
+    );
+    assert_eq!(decoded(&with_new_checksum(&|bytes| bytes[1] = 99)), WireError::Malformed);
+    assert_eq!(decoded(&with_new_checksum(&|bytes| bytes.push(0))), WireError::TrailingBytes);
     type Spoil = fn(&mut ModelHeader);
     let contradictions: [(Spoil, HeaderError); 6] = [
         (|h| h.sh_degree = 4, HeaderError::ShDegree),
@@ -304,7 +310,7 @@ fn shapes_have_these_planes() {
 }
 
 #[test]
-fn changes_have_these_planes_and_lead_from_one_shape_to_the_other() {
+fn changes_have_these_planes_and_turn_one_shape_into_the_other() {
     let base = Shape {
         position: [10, 2, 0],
         quat: [511, 1008, 15],
@@ -331,7 +337,7 @@ fn changes_have_these_planes_and_lead_from_one_shape_to_the_other() {
     assert_eq!(read_changes(&planes).collect::<Vec<_>>(), [change, Shape::default()]);
 }
 
-/// Packs of so many splats: kind, layer, splats.
+/// The groups of a body with these packs: kind, layer and number of splats of each.
 fn plan_of(packs: &[(PackKind, u8, u16)]) -> Result<Vec<SplatPacks>, BodyError> {
     let mut body = vec![0; HEAD_BYTES + packs.len() * PACK_ENTRY_BYTES];
     for ((kind, layer, splats), out) in packs.iter().zip(body[HEAD_BYTES..].as_chunks_mut().0) {
@@ -350,7 +356,7 @@ fn plan_of(packs: &[(PackKind, u8, u16)]) -> Result<Vec<SplatPacks>, BodyError> 
 }
 
 #[test]
-fn a_base_has_changes_for_each_of_its_packs_and_the_others_have_room_by_them() {
+fn each_base_pack_has_changes_and_the_other_packs_require_those_of_their_region() {
     use PackKind::{Basis, Changes, Sh, Shapes};
     let right = [
         (Basis, 0, 0),
@@ -384,10 +390,10 @@ fn a_base_has_changes_for_each_of_its_packs_and_the_others_have_room_by_them() {
     );
     type Spoil = fn(&mut Vec<(PackKind, u8, u16)>);
     let wrong: [Spoil; 5] = [
-        |packs| _ = packs.remove(4),               // changes of one pack only
-        |packs| packs[4].2 = 4,                    // of other splats
-        |packs| packs[4].1 = 1,                    // of another layer
-        |packs| (packs[5].1, packs[6].1) = (1, 0), // colours of other splats
+        |packs| _ = packs.remove(4),               // changes are missing for one pack
+        |packs| packs[4].2 = 4,                    // changes of another number of splats
+        |packs| packs[4].1 = 1,                    // changes of another layer
+        |packs| (packs[5].1, packs[6].1) = (1, 0), // spherical harmonics in another order
         |packs| packs.swap(0, 1),                  // shapes before the basis
     ];
     for (i, spoil) in wrong.iter().enumerate() {

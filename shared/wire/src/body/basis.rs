@@ -1,30 +1,30 @@
-//! The basis of a model's spherical harmonics beside the colour: their mean, and orthonormal directions in
-//! which they vary, the greatest variance first.
+//! The basis of a model's view-dependent spherical harmonics: their mean, and their principal directions
+//! (orthonormal, in order of falling variance).
 //!
-//! With m = 3 (sh_degree + 1)² - 3: components and wide (`u8` each, [`ShLayout`]), the step along every
-//! direction as `f32`, the mean as m `f32`, and m directions of m `i16`, in units of 1/32767; those beyond
-//! `components` are zero.
+//! With m = 3 (sh_degree + 1)² - 3, a basis has these fields: `components` and `wide` (`u8` each, see
+//! [`ShLayout`]), the quantisation step along all directions (`f32`), the mean (m `f32`), and m directions
+//! of m `i16` in units of 1/32767. Directions beyond `components` are zero.
 
 use super::bytes::{Reader, Writer};
 use super::{BodyError, ShLayout, sh_rest};
 
-/// Largest magnitude of a mean that is let in; colours are about 1.
+/// Largest magnitude accepted in a mean. Colours are about 1.
 const MEAN_MAX: f32 = 1e6;
-/// Largest step that is let in.
+/// Largest step accepted.
 const STEP_MAX: f32 = 1e6;
 
-/// Bytes of a basis.
+/// Encoded size of a basis in bytes.
 pub const fn basis_bytes(sh_degree: u8) -> usize {
     let m = sh_rest(sh_degree);
     6 + 4 * m + 2 * m * m
 }
 
-/// Writes a basis into exactly [`basis_bytes`]; `directions` holds as many as the layout keeps.
+/// Encodes a basis into exactly [`basis_bytes`]. `directions` is `[components, m]`.
 ///
 /// # Panics
-/// Where the lengths do not belong together.
+/// If the lengths do not match.
 pub fn write_basis(layout: ShLayout, step: f32, mean: &[f32], directions: &[i16], out: &mut [u8]) {
-    assert_eq!(directions.len(), mean.len() * usize::from(layout.components), "directions kept");
+    assert_eq!(directions.len(), mean.len() * usize::from(layout.components), "length of the directions");
     let mut writer = Writer(out);
     writer.bytes([layout.components, layout.wide]);
     writer.f32s(&[step]);
@@ -33,10 +33,10 @@ pub fn write_basis(layout: ShLayout, step: f32, mean: &[f32], directions: &[i16]
     writer.0.fill(0);
 }
 
-/// Reads a basis: its layout and step, its mean into `mean`, its directions into `directions`.
+/// Decodes a basis: fills `mean`, `[m]`, and `directions`, `[m, m]`, and returns its layout and step.
 ///
 /// # Panics
-/// Where the lengths do not belong to the degree.
+/// If the lengths do not match the degree.
 pub fn read_basis(
     sh_degree: u8,
     bytes: &[u8],
@@ -44,13 +44,17 @@ pub fn read_basis(
     directions: &mut [i16],
 ) -> Result<(ShLayout, f32), BodyError> {
     let m = sh_rest(sh_degree);
-    assert_eq!((bytes.len(), mean.len(), directions.len()), (basis_bytes(sh_degree), m, m * m), "a basis");
+    assert_eq!(
+        (bytes.len(), mean.len(), directions.len()),
+        (basis_bytes(sh_degree), m, m * m),
+        "lengths of a basis"
+    );
     let mut reader = Reader(bytes);
     let [components, wide] = reader.bytes();
     let [step] = reader.f32s();
     mean.iter_mut().for_each(|v| *v = f32::from_le_bytes(reader.bytes()));
     directions.iter_mut().for_each(|v| *v = i16::from_le_bytes(reader.bytes()));
-    // Phrased so that NaN fails.
+    // These comparisons are false for NaN.
     if !(mean.iter().all(|v| v.abs() <= MEAN_MAX) && step > 0.0 && step <= STEP_MAX) {
         return Err(BodyError::BadPack);
     }

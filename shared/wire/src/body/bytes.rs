@@ -1,6 +1,6 @@
-//! Little-endian numbers in a row.
+//! Reads and writes sequences of little-endian numbers.
 
-/// Writes one number after the other.
+/// Writes numbers one after another.
 pub(super) struct Writer<'a>(pub(super) &'a mut [u8]);
 
 impl Writer<'_> {
@@ -19,7 +19,7 @@ impl Writer<'_> {
     }
 }
 
-/// Reads one number after the other.
+/// Reads numbers one after another.
 pub(super) struct Reader<'a>(pub(super) &'a [u8]);
 
 impl Reader<'_> {
@@ -38,12 +38,12 @@ impl Reader<'_> {
     }
 }
 
-/// Folds the sign into the lowest bit, so that small numbers of either sign have few bits.
+/// Zigzag encoding: moves the sign into the lowest bit, so that small numbers of either sign have few bits.
 pub(super) fn zigzag(value: i16) -> u16 {
     ((value << 1) ^ (value >> 15)) as u16
 }
 
-/// Undoes [`zigzag`].
+/// Inverse of [`zigzag`].
 pub(super) fn unzigzag(value: u16) -> i16 {
     (value >> 1) as i16 ^ -((value & 1) as i16)
 }

@@ -1,9 +1,9 @@
-//! Cameras, exactly.
+//! Cameras, encoded without loss.
 
 use super::bytes::{Reader, Writer};
 
-/// Bytes of one camera: quaternion wxyz, translation xyz, focal xy, centre xy as `f64`, width and height as
-/// `u32`.
+/// Encoded size of a camera in bytes: quaternion wxyz, translation xyz, focal xy and centre xy as `f64`,
+/// width and height as `u32`.
 pub const CAMERA_BYTES: usize = 96;
 
 /// A pinhole camera.
@@ -22,7 +22,7 @@ pub struct CameraRecord {
 }
 
 impl CameraRecord {
-    /// Writes the camera.
+    /// Encodes the camera.
     pub fn encode(&self, out: &mut [u8; CAMERA_BYTES]) {
         let mut writer = Writer(out);
         writer.f64s(&self.quat);
@@ -32,7 +32,7 @@ impl CameraRecord {
         self.size_px.iter().for_each(|size| writer.bytes(size.to_le_bytes()));
     }
 
-    /// Reads a camera; any bytes are some camera.
+    /// Decodes a camera. Never fails: check the result with [`Self::is_sane`].
     pub fn decode(bytes: &[u8; CAMERA_BYTES]) -> Self {
         let mut reader = Reader(bytes);
         Self {
@@ -44,8 +44,8 @@ impl CameraRecord {
         }
     }
 
-    /// Whether a renderer could use it: all finite, a rotation of unit length, focal lengths positive,
-    /// no empty picture.
+    /// Whether a renderer can use the camera: all values finite, a unit quaternion, positive focal lengths,
+    /// and a picture of at least one pixel.
     pub fn is_sane(&self) -> bool {
         let norm2: f64 = self.quat.iter().map(|v| v * v).sum();
         (norm2 - 1.0).abs() < 1e-6

@@ -1,4 +1,4 @@
-//! Head and table of a body: what it holds and where.
+//! Head and table of a body: its contents and their positions.
 
 use core::ops::Range;
 
@@ -9,52 +9,52 @@ use super::{
     SHAPE_FRAME_BYTES, sh_rest,
 };
 
-/// Bytes of the head.
+/// Size of the head in bytes.
 pub const HEAD_BYTES: usize = 44;
-/// Bytes of an entry of the table.
+/// Size of a table entry in bytes.
 pub const PACK_ENTRY_BYTES: usize = 12;
-/// Version of the layout.
+/// Version of the body layout.
 pub(super) const LAYOUT: u8 = 3;
 
 const MAGIC: [u8; 4] = *b"CSGB";
-/// Where the checksum stands in the head.
+/// Position of the checksum in the head.
 const CHECKSUM_AT: usize = HEAD_BYTES - 4;
-/// Marks a pack that is stored as it is, in the byte of its kind.
+/// Flag in an entry's kind byte: the pack is stored uncompressed.
 const STORED: u8 = 0x80;
 
-/// The first bytes of a body.
+/// The head: the first [`HEAD_BYTES`] of a body.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BodyHead {
-    /// How many splats.
+    /// Number of splats.
     pub splats: u32,
-    /// How many cameras.
+    /// Number of cameras.
     pub cameras: u32,
-    /// 0 to [`MAX_SH_DEGREE`].
+    /// Degree of the spherical harmonics, 0 to [`MAX_SH_DEGREE`].
     pub sh_degree: u8,
-    /// How many packs.
+    /// Number of packs.
     pub packs: u16,
-    /// Holds every mean.
+    /// Box that contains the means of all splats.
     pub bounds: Bounds,
 }
 
-/// What a pack holds.
+/// The content of a pack.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PackKind {
     /// All cameras.
     Cameras,
-    /// Shapes of some splats.
+    /// Shapes of a group of splats.
     Shapes,
     /// The basis of the spherical harmonics.
     Basis,
-    /// Spherical harmonics of the splats of a pack of shapes.
+    /// Spherical harmonics of the splats of one shapes pack.
     Sh,
-    /// What becomes of the shapes of a pack of the base.
+    /// Differences from the shapes in a base pack to the final shapes of the same splats.
     Changes,
 }
 
 impl PackKind {
-    /// Its place in the order of packs; equals mix.
-    pub(super) fn place(self) -> u8 {
+    /// Rank in the order of packs. Packs of equal rank may be mixed.
+    pub(super) fn rank(self) -> u8 {
         match self {
             Self::Cameras => 0,
             Self::Basis => 1,
@@ -63,34 +63,34 @@ impl PackKind {
     }
 }
 
-/// How a pack is written.
+/// The encoding of a pack.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PackForm {
-    /// One frame of zstd.
+    /// One zstd frame.
     Zstd,
-    /// As it is.
+    /// Uncompressed.
     Stored,
 }
 
-/// An entry of the table.
+/// A table entry, which describes one pack.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PackEntry {
-    /// What it holds.
+    /// The pack's content.
     pub kind: PackKind,
-    /// How it is written.
+    /// The pack's encoding.
     pub form: PackForm,
-    /// Layer of its splats, 0 for the most important, or the base.
+    /// Layer of its splats. Layer 0 holds the most important splats, or the base.
     pub layer: u8,
-    /// How many splats; 0 where it holds none.
+    /// Number of splats; 0 for cameras and the basis.
     pub splats: u16,
-    /// Bytes in the body.
+    /// Size in the body, in bytes.
     pub bytes: u32,
-    /// CRC-32 of those bytes.
+    /// CRC-32 of these bytes.
     pub crc32: u32,
 }
 
 impl PackEntry {
-    /// Writes the entry.
+    /// Encodes the entry.
     pub fn encode(&self, out: &mut [u8; PACK_ENTRY_BYTES]) {
         let kind = self.kind as u8 | if self.form == PackForm::Stored { STORED } else { 0 };
         let mut writer = Writer(out);
@@ -122,11 +122,11 @@ impl PackEntry {
 }
 
 impl BodyHead {
-    /// Writes the head and its checksum to the start of a body whose table, of [`Self::packs`] entries, is
-    /// already in its place.
+    /// Encodes the head at the start of `body`, which must already contain the table: the checksum covers
+    /// both.
     ///
     /// # Panics
-    /// Where the body is too short for that.
+    /// If `body` is shorter than head and table.
     pub fn encode(&self, body: &mut [u8]) {
         let mut writer = Writer(body);
         writer.bytes(MAGIC);
@@ -140,7 +140,7 @@ impl BodyHead {
         body[CHECKSUM_AT..HEAD_BYTES].copy_from_slice(&checksum);
     }
 
-    /// Where the packs begin: bytes of head and table.
+    /// Position of the first pack: the size of head and table in bytes.
     pub fn packs_at(&self) -> usize {
         HEAD_BYTES + usize::from(self.packs) * PACK_ENTRY_BYTES
     }
@@ -171,7 +171,7 @@ impl BodyHead {
         Ok(head)
     }
 
-    /// What a pack unpacks to, bytes; of spherical harmonics the most that it may be.
+    /// Unpacked size of a pack in bytes. For spherical harmonics, an upper bound.
     pub(super) fn unpacked_bytes(&self, entry: &PackEntry) -> usize {
         let splats = usize::from(entry.splats);
         match entry.kind {
@@ -183,7 +183,7 @@ impl BodyHead {
         }
     }
 
-    /// Whether an entry's sizes can be.
+    /// Whether an entry's counts and sizes are possible.
     pub(super) fn fits(&self, entry: &PackEntry) -> bool {
         let unpacked = self.unpacked_bytes(entry);
         let bytes = entry.bytes as usize;
@@ -193,7 +193,7 @@ impl BodyHead {
             false => entry.splats == 0,
         };
         let size_fits = match (entry.form, entry.kind) {
-            // How many bytes these unpack to is known only with the basis.
+            // Their exact unpacked size depends on the basis.
             (_, PackKind::Sh) => bytes <= unpacked,
             (PackForm::Stored, _) => bytes == unpacked,
             (PackForm::Zstd, _) => bytes < unpacked && unpacked <= bytes.saturating_mul(RATIO_MAX),
@@ -202,18 +202,18 @@ impl BodyHead {
     }
 }
 
-/// Bytes of head and table, as the first bytes of a body say before anything is checked.
+/// Size of head and table in bytes, read from an unchecked head.
 pub fn plan_bytes(head: &[u8; HEAD_BYTES]) -> usize {
     HEAD_BYTES + usize::from(u16::from_le_bytes([head[6], head[7]])) * PACK_ENTRY_BYTES
 }
 
-/// How many bytes a body with these counts can have.
+/// Possible sizes in bytes of a body with these counts.
 pub fn body_bytes_range(splats: u32, cameras: u32, sh_degree: u8) -> Range<u64> {
     let (splats, cameras) = (u64::from(splats), u64::from(cameras));
     let stored_splats = splats * (2 * SHAPE_BYTES + sh_rest(sh_degree)) as u64;
     let least =
         HEAD_BYTES as u64 + (splats * SHAPE_BYTES as u64 + cameras * CAMERA_BYTES as u64) / RATIO_MAX as u64;
-    // At worst every splat has packs of its own.
+    // Worst case: every splat has packs of its own.
     let table = (3 * splats + 2) * (PACK_ENTRY_BYTES + SHAPE_FRAME_BYTES) as u64;
     let most = HEAD_BYTES as u64
         + cameras * CAMERA_BYTES as u64
@@ -223,7 +223,7 @@ pub fn body_bytes_range(splats: u32, cameras: u32, sh_degree: u8) -> Range<u64> 
     least..most + 1
 }
 
-/// Of head and table, but for the place of the checksum itself.
+/// Checksum of head and table, without the checksum field.
 fn checksum(with_table: &[u8]) -> u32 {
     let mut hasher = crc32fast::Hasher::new();
     hasher.update(&with_table[..CHECKSUM_AT]);

@@ -1,33 +1,34 @@
-//! Where everything is in a body, and that it can be.
+//! The plan of a body: the position of every pack, from a checked head and table.
 
 use core::ops::Range;
 
 use super::head::{BodyHead, HEAD_BYTES, PACK_ENTRY_BYTES, PackEntry, PackKind};
 use super::{BodyError, ShLayout};
 
-/// A pack and where it is.
+/// A pack and its position.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Pack {
-    /// Its entry in the table.
+    /// The pack's table entry.
     pub entry: PackEntry,
-    /// Its bytes in the body.
+    /// The pack's byte range in the body.
     pub range: Range<usize>,
 }
 
-/// The packs of some splats.
+/// The packs that describe one group of splats.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SplatPacks {
-    /// Their shapes.
+    /// The shapes of the splats.
     pub shapes: Pack,
-    /// What becomes of these, where they belong to a base.
+    /// The changes to these shapes, if the group belongs to a base.
     pub changes: Option<Pack>,
-    /// Their spherical harmonics, where the model has some.
+    /// The spherical harmonics of the splats, if the model has any.
     pub sh: Option<Pack>,
-    /// The next changes of a base, which make room for them.
+    /// The changes to the base in the same region. Until they arrive, the base stands in for this group
+    /// and would overlap it.
     pub room: Option<Pack>,
 }
 
-/// Head and table of a body, checked: where everything is, and that it can be.
+/// The checked head and table of a body.
 #[derive(Clone, Copy, Debug)]
 pub struct BodyPlan<'a> {
     head: BodyHead,
@@ -35,7 +36,7 @@ pub struct BodyPlan<'a> {
 }
 
 impl<'a> BodyPlan<'a> {
-    /// Reads the plan at the start of a body, of which head and table at least must be there.
+    /// Reads and checks the head and table of a body. The packs may be absent.
     pub fn new(body: &'a [u8]) -> Result<Self, BodyError> {
         let head = BodyHead::decode(body)?;
         let plan = Self { head, table: body[HEAD_BYTES..head.packs_at()].as_chunks().0 };
@@ -43,7 +44,7 @@ impl<'a> BodyPlan<'a> {
         Ok(plan)
     }
 
-    /// The same of a body that is all there.
+    /// Like [`Self::new`], and checks that `body` has the size that the table requires.
     pub fn of_whole(body: &'a [u8]) -> Result<Self, BodyError> {
         let plan = Self::new(body)?;
         let (expected, found) = (plan.body_bytes(), body.len() as u64);
@@ -58,7 +59,7 @@ impl<'a> BodyPlan<'a> {
         &self.head
     }
 
-    /// Bytes of the whole body.
+    /// Size of the whole body in bytes.
     pub fn body_bytes(&self) -> u64 {
         self.head.packs_at() as u64 + self.entries().map(|entry| u64::from(entry.bytes)).sum::<u64>()
     }
@@ -78,29 +79,29 @@ impl<'a> BodyPlan<'a> {
         self.packs().filter(move |pack| pack.entry.kind == kind)
     }
 
-    /// What belongs together, in the order of the shapes.
+    /// The packs of each group of splats, in the order of the shapes packs.
     pub fn splat_packs(&self) -> impl Iterator<Item = SplatPacks> + 'a {
         let mut changes = self.packs_of(PackKind::Changes);
         let sh = |is_first: bool| {
             self.packs_of(PackKind::Sh).filter(move |pack| (pack.entry.layer == 0) == is_first)
         };
-        let (mut of_first, mut of_others) = (sh(true), sh(false));
-        let mut rooms = self.packs_of(PackKind::Changes).peekable();
+        let (mut first_sh, mut other_sh) = (sh(true), sh(false));
+        let mut later_changes = self.packs_of(PackKind::Changes).peekable();
         self.packs_of(PackKind::Shapes).map(move |shapes| {
             if shapes.entry.layer == 0 {
-                return SplatPacks { shapes, changes: changes.next(), sh: of_first.next(), room: None };
+                return SplatPacks { shapes, changes: changes.next(), sh: first_sh.next(), room: None };
             }
-            while rooms.next_if(|room| room.range.start < shapes.range.start).is_some() {}
-            SplatPacks { shapes, changes: None, sh: of_others.next(), room: rooms.peek().cloned() }
+            while later_changes.next_if(|changes| changes.range.start < shapes.range.start).is_some() {}
+            SplatPacks { shapes, changes: None, sh: other_sh.next(), room: later_changes.peek().cloned() }
         })
     }
 
-    /// Whether the first layer is a base, which stands in for the whole.
+    /// Whether the first layer is a base, which stands in for the whole model.
     pub fn has_base(&self) -> bool {
         self.packs_of(PackKind::Changes).next().is_some()
     }
 
-    /// Bytes that `pack` unpacks to; of spherical harmonics with the layout that the basis says.
+    /// Unpacked size of a pack in bytes. `layout` is that of the basis.
     pub fn unpacked_bytes(&self, entry: &PackEntry, layout: ShLayout) -> usize {
         match entry.kind {
             PackKind::Sh => usize::from(entry.splats) * layout.splat_bytes(),
@@ -109,34 +110,35 @@ impl<'a> BodyPlan<'a> {
     }
 
     fn entries(&self) -> impl Iterator<Item = PackEntry> + 'a {
-        // An entry that is none does not pass `check_table`.
+        // `check_table` rejects a table with an invalid entry.
         self.table.iter().map_while(PackEntry::decode)
     }
 
     fn check_table(&self) -> Result<(), BodyError> {
         let head = &self.head;
-        let of = |kind| self.entries().filter(move |entry| entry.kind == kind);
-        let count = |kind| of(kind).count();
+        let entries_of = |kind| self.entries().filter(move |entry| entry.kind == kind);
+        let count = |kind| entries_of(kind).count();
         let shapes = count(PackKind::Shapes);
-        let colored = if head.sh_degree > 0 { shapes } else { 0 };
-        let splats: u64 = of(PackKind::Shapes).map(|entry| u64::from(entry.splats)).sum();
-        let same = |(a, b): (PackEntry, PackEntry)| (a.splats, a.layer) == (b.splats, b.layer);
-        let in_layer = |kind, is_first: bool| of(kind).filter(move |entry| (entry.layer == 0) == is_first);
+        let sh = if head.sh_degree > 0 { shapes } else { 0 };
+        let splats: u64 = entries_of(PackKind::Shapes).map(|entry| u64::from(entry.splats)).sum();
+        let same_splats = |(a, b): (PackEntry, PackEntry)| (a.splats, a.layer) == (b.splats, b.layer);
+        let in_layer =
+            |kind, is_first: bool| entries_of(kind).filter(move |entry| (entry.layer == 0) == is_first);
         let base = || in_layer(PackKind::Shapes, true);
         let changes = count(PackKind::Changes);
-        let first_colored = if head.sh_degree > 0 { base().count() } else { 0 };
+        let first_sh = if head.sh_degree > 0 { base().count() } else { 0 };
         let is_sane = self.entries().count() == self.table.len()
-            && self.entries().is_sorted_by_key(|entry| entry.kind.place())
+            && self.entries().is_sorted_by_key(|entry| entry.kind.rank())
             && self.entries().all(|entry| head.fits(&entry))
             && count(PackKind::Cameras) == usize::from(head.cameras > 0)
-            && count(PackKind::Basis) == usize::from(colored > 0)
-            && count(PackKind::Sh) == colored
+            && count(PackKind::Basis) == usize::from(sh > 0)
+            && count(PackKind::Sh) == sh
             && splats == u64::from(head.splats)
-            && in_layer(PackKind::Sh, true).count() == first_colored
-            && base().zip(in_layer(PackKind::Sh, true)).all(same)
-            && in_layer(PackKind::Shapes, false).zip(in_layer(PackKind::Sh, false)).all(same)
+            && in_layer(PackKind::Sh, true).count() == first_sh
+            && base().zip(in_layer(PackKind::Sh, true)).all(same_splats)
+            && in_layer(PackKind::Shapes, false).zip(in_layer(PackKind::Sh, false)).all(same_splats)
             && (changes == 0 || changes == base().count())
-            && base().zip(of(PackKind::Changes)).all(same);
+            && base().zip(entries_of(PackKind::Changes)).all(same_splats);
         is_sane.then_some(()).ok_or(BodyError::BadTable)
     }
 }

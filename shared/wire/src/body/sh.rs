@@ -1,42 +1,42 @@
-//! Spherical harmonics in whole numbers along the directions of a basis.
+//! Spherical harmonics, quantised to integer steps along the directions of a basis.
 
 use super::{BodyError, sh_rest};
 
-/// How the spherical harmonics of a splat are laid out.
+/// Byte layout of the spherical harmonics of a splat.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ShLayout {
-    /// Directions that are kept, the one of the greatest variance first.
+    /// Number of directions kept, in order of falling variance.
     pub components: u8,
-    /// How many of them, from the first, have a byte of their own (-128 to 127 steps); the others share one by
-    /// two (-8 to 7 steps).
+    /// Number of leading directions that take one byte each (-128 to 127 steps). The other directions take
+    /// half a byte each (-8 to 7 steps).
     pub wide: u8,
 }
 
 impl ShLayout {
-    /// Of no spherical harmonics.
+    /// The layout of a model without view-dependent colour.
     pub const NONE: Self = Self { components: 0, wide: 0 };
 
-    /// Checks it against a degree.
+    /// Checks the layout against a degree.
     pub fn check(self, sh_degree: u8) -> Result<Self, BodyError> {
         let is_sane = self.wide <= self.components && usize::from(self.components) <= sh_rest(sh_degree);
         is_sane.then_some(self).ok_or(BodyError::BadPack)
     }
 
-    /// Bytes of one splat.
+    /// Bytes per splat.
     pub fn splat_bytes(self) -> usize {
         usize::from(self.wide) + usize::from(self.components - self.wide).div_ceil(2)
     }
 
-    /// The nearest number of steps along `component` that can be written.
+    /// Clamps `steps` to the range of `component`.
     pub fn clamp(self, component: usize, steps: i32) -> i8 {
         let is_wide = component < usize::from(self.wide);
         (if is_wide { steps.clamp(-128, 127) } else { steps.clamp(-8, 7) }) as i8
     }
 
-    /// Writes `steps`, `[n, components]`, into exactly [`Self::splat_bytes`] planes of `n` bytes.
+    /// Encodes `steps`, `[n, components]`, into [`Self::splat_bytes`] planes of `n` bytes each.
     ///
     /// # Panics
-    /// Where the lengths do not belong together.
+    /// If the lengths do not match.
     pub fn write(self, steps: &[i8], planes: &mut [u8]) {
         let (components, wide) = (usize::from(self.components), usize::from(self.wide));
         let n = steps.len().checked_div(components).unwrap_or(0);
@@ -52,7 +52,7 @@ impl ShLayout {
         }
     }
 
-    /// The steps of splat `i` of `n` along `component`.
+    /// Decodes the steps of splat `i` of `n` along `component`.
     pub fn read(self, planes: &[u8], n: usize, i: usize, component: usize) -> i8 {
         let wide = usize::from(self.wide);
         if component < wide {

@@ -1,48 +1,48 @@
-//! The shape of a splat in whole numbers: where, how it is turned, how large, how opaque, which colour.
+//! The shape of a splat, quantised to integers: position, rotation, scale, opacity and base colour.
 
 use core::array;
 
 use super::BodyError;
 use super::bytes::{Reader, Writer, unzigzag, zigzag};
 
-/// Bytes of a pack of shapes before its planes.
+/// Size of a [`ShapeFrame`], which precedes the planes of a shapes pack, in bytes.
 pub const SHAPE_FRAME_BYTES: usize = 20;
-/// Bytes of a splat in the planes.
+/// Number of planes: bytes per splat.
 pub const SHAPE_BYTES: usize = 20;
-/// A component of the quaternion is `(value / QUAT_ZERO - 1) √½`: 10 bits, 0.07° for a normal.
+/// A quaternion component is `(value / QUAT_ZERO - 1) √½`, in 10 bits: 0.07° for a normal.
 pub const QUAT_ZERO: u16 = 511;
-/// Bits of a component of the quaternion.
+/// Mask of a quaternion component's 10 bits.
 const QUAT_MASK: u16 = 1023;
-/// One step of a log scale: 6 % of a length.
+/// Step of a log scale: 6 % of a length.
 pub const LOG_SCALE_STEP: f32 = 1.0 / 16.0;
-/// One step of a thickness: the least axis in parts of the middle one. What matters is the absolute length: most
-/// splats are flat.
+/// Step of a thickness: the shortest axis divided by the middle one. Linear, not logarithmic: most splats
+/// are flat, so a relative error of their thickness is invisible.
 pub const THICKNESS_STEP: f32 = 1.0 / 32.0;
-/// One step of an opacity logit.
+/// Step of an opacity logit.
 pub const OPACITY_STEP: f32 = 1.0 / 8.0;
-/// One step of a coefficient of the zeroth spherical harmonic: 1/128 of the range of colour.
+/// Step of a degree-0 coefficient of the spherical harmonics: 1/128 of the colour range.
 pub const COLOR_STEP: f32 = 1.0 / 128.0 / 0.282_094_8;
 
-/// Largest magnitude of a log scale: e^±39 m is beyond any scene, and its square is still a finite `f32`.
+/// Largest magnitude of a log scale. e^±39 m exceeds any scene, and its square is still a finite `f32`.
 pub const LOG_SCALE_MAX: f32 = 39.0;
-/// Largest magnitude of a mean's coordinates, which the greatest step still reaches.
+/// Largest magnitude of a mean's coordinate. The largest position step still covers it.
 pub const POSITION_MAX: f32 = 1e22;
-/// Exponents of the step of positions.
+/// Allowed exponents of the position step.
 pub const STEP_EXPONENTS: core::ops::RangeInclusive<i8> = -60..=60;
 
-/// What the numbers of a pack of shapes are measured from.
+/// The reference values of a shapes pack, from which its integers are measured.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ShapeFrame {
-    /// Where positions are counted from, world units.
+    /// Origin of the positions, world units.
     pub origin: [f32; 3],
-    /// Where log scales are counted from.
+    /// Log scale that 0 steps stand for.
     pub log_scale: f32,
-    /// A position's step is 2 to this power, world units.
+    /// The position step is 2 to this power, world units.
     pub step_exponent: i8,
 }
 
 impl ShapeFrame {
-    /// Writes it.
+    /// Encodes the frame.
     pub fn encode(&self, out: &mut [u8; SHAPE_FRAME_BYTES]) {
         let mut writer = Writer(out);
         writer.f32s(&self.origin);
@@ -50,14 +50,14 @@ impl ShapeFrame {
         writer.bytes([self.step_exponent as u8, 0, 0, 0]);
     }
 
-    /// Reads it; every position counted from it is finite.
+    /// Decodes and checks a frame. Every position measured from it is finite.
     pub fn decode(bytes: &[u8; SHAPE_FRAME_BYTES]) -> Result<Self, BodyError> {
         let mut reader = Reader(bytes);
         let origin = reader.f32s();
         let [log_scale] = reader.f32s();
         let [exponent, reserved @ ..] = reader.bytes::<4>();
         let frame = Self { origin, log_scale, step_exponent: exponent as i8 };
-        // Phrased so that NaN fails.
+        // These comparisons are false for NaN.
         let is_sane = origin.iter().all(|v| v.abs() <= POSITION_MAX)
             && log_scale.abs() <= LOG_SCALE_MAX
             && STEP_EXPONENTS.contains(&frame.step_exponent)
@@ -66,26 +66,27 @@ impl ShapeFrame {
     }
 }
 
-/// A splat but for what its colour does with the direction, in whole numbers.
+/// A quantised splat, without its view-dependent colour.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Shape {
-    /// Steps from the frame's origin.
+    /// Position in steps from the frame's origin.
     pub position: [u16; 3],
-    /// The quaternion's x, y and z, twice [`QUAT_ZERO`] at most; its w is the largest and positive.
+    /// Quaternion components x, y and z, each 0 to twice [`QUAT_ZERO`]. The component w is not stored: it is
+    /// positive and the largest.
     pub quat: [u16; 3],
-    /// Steps of the largest log scale above the frame's, and of the middle one below that. Axes are in
-    /// falling order, so the third is the normal.
+    /// The largest log scale in steps above the frame's, and the middle one in steps below the largest. Axes
+    /// are in falling order, so the third is the normal.
     pub log_scale: [u8; 2],
-    /// Steps of the least axis; as many as make the middle one at most.
+    /// Shortest axis in steps of [`THICKNESS_STEP`], at most the length of the middle one.
     pub thickness: u8,
-    /// Steps of the opacity logit.
+    /// Opacity logit in steps.
     pub opacity: i8,
-    /// Steps of red, green and blue.
+    /// Red, green and blue in steps.
     pub color: [i16; 3],
 }
 
 impl Shape {
-    /// What makes `other` of this, field by field, each modulo its range.
+    /// The difference from this shape to `other`, field by field, each modulo its range.
     pub fn change_to(&self, other: &Shape) -> Shape {
         Shape {
             position: array::from_fn(|k| other.position[k].wrapping_sub(self.position[k])),
@@ -97,7 +98,7 @@ impl Shape {
         }
     }
 
-    /// What `change` makes of this; the inverse of [`Self::change_to`].
+    /// This shape with `change` applied: the inverse of [`Self::change_to`].
     pub fn changed(&self, change: &Shape) -> Shape {
         Shape {
             position: array::from_fn(|k| self.position[k].wrapping_add(change.position[k])),
@@ -109,14 +110,14 @@ impl Shape {
         }
     }
 
-    /// Its byte in every plane, with `way` in the place of the position.
-    fn row(&self, way: [u16; 3]) -> [u8; SHAPE_BYTES] {
+    /// The shape's byte in every plane, with `offset` in place of the position.
+    fn row(&self, offset: [u16; 3]) -> [u8; SHAPE_BYTES] {
         let [red, green, blue] = self.color;
-        let way = way.map(|steps| zigzag(steps as i16));
+        let offset = offset.map(|steps| zigzag(steps as i16));
         let colors = [green, red.wrapping_sub(green), blue.wrapping_sub(green)].map(zigzag);
         let low_bits = (0..3).fold(0, |bits, k| bits | (self.quat[k] & 3) << (2 * k)) as u8;
         array::from_fn(|plane| match plane {
-            0..=5 => way[plane / 2].to_le_bytes()[plane % 2],
+            0..=5 => offset[plane / 2].to_le_bytes()[plane % 2],
             6..=8 => (self.quat[plane - 6] >> 2) as u8,
             9 => low_bits,
             10 | 11 => self.log_scale[plane - 10],
@@ -126,8 +127,8 @@ impl Shape {
         })
     }
 
-    /// The splat with these bytes; its position is the way.
-    fn of_row(byte: impl Fn(usize) -> u8) -> Self {
+    /// Inverse of [`Self::row`]: the position is the offset.
+    fn from_row(byte: impl Fn(usize) -> u8) -> Self {
         let pair = |plane: usize| unzigzag(u16::from_le_bytes([byte(plane), byte(plane + 1)]));
         let green = pair(14);
         Self {
@@ -141,38 +142,39 @@ impl Shape {
     }
 }
 
-/// Writes `shapes` into exactly [`SHAPE_BYTES`] planes of one byte each: neighbours in a plane are alike,
-/// which a compressor likes. Positions go as differences from the splat before; red and blue from green.
+/// Encodes `shapes` into [`SHAPE_BYTES`] planes of one byte per splat. Neighbouring bytes of a plane are
+/// similar, which helps the compressor. Positions are stored as differences from the previous splat, red
+/// and blue as differences from green.
 ///
 /// # Panics
-/// Where the lengths do not belong together.
+/// If the lengths do not match.
 pub fn write_shapes(shapes: &[Shape], planes: &mut [u8]) {
     let mut before = [0u16; 3];
     write_rows(shapes, planes, |shape| {
-        let way = array::from_fn(|k| shape.position[k].wrapping_sub(before[k]));
+        let offset = array::from_fn(|k| shape.position[k].wrapping_sub(before[k]));
         before = shape.position;
-        way
+        offset
     });
 }
 
-/// Writes what becomes of shapes ([`Shape::change_to`]) into planes of the same kind, positions as they are.
+/// Encodes changes ([`Shape::change_to`]) into the same planes, but with each position as it is.
 ///
 /// # Panics
-/// Where the lengths do not belong together.
+/// If the lengths do not match.
 pub fn write_changes(changes: &[Shape], planes: &mut [u8]) {
     write_rows(changes, planes, |change| change.position);
 }
 
-fn write_rows(shapes: &[Shape], planes: &mut [u8], mut way: impl FnMut(&Shape) -> [u16; 3]) {
+fn write_rows(shapes: &[Shape], planes: &mut [u8], mut offset: impl FnMut(&Shape) -> [u16; 3]) {
     let n = shapes.len();
     assert_eq!(planes.len(), n * SHAPE_BYTES, "bytes of {n} shapes");
     for (i, shape) in shapes.iter().enumerate() {
-        let row = shape.row(way(shape));
+        let row = shape.row(offset(shape));
         row.iter().enumerate().for_each(|(plane, byte)| planes[plane * n + i] = *byte);
     }
 }
 
-/// Reads what [`write_shapes`] wrote; any bytes are some shapes.
+/// Decodes the output of [`write_shapes`]. Never fails: any bytes decode to shapes.
 pub fn read_shapes(planes: &[u8]) -> impl ExactSizeIterator<Item = Shape> + '_ {
     let mut position = [0u16; 3];
     read_changes(planes).map(move |shape| {
@@ -181,8 +183,8 @@ pub fn read_shapes(planes: &[u8]) -> impl ExactSizeIterator<Item = Shape> + '_ {
     })
 }
 
-/// Reads what [`write_changes`] wrote; any bytes are some changes.
+/// Decodes the output of [`write_changes`]. Never fails: any bytes decode to changes.
 pub fn read_changes(planes: &[u8]) -> impl ExactSizeIterator<Item = Shape> + '_ {
     let n = planes.len() / SHAPE_BYTES;
-    (0..n).map(move |i| Shape::of_row(|plane| planes[plane * n + i]))
+    (0..n).map(move |i| Shape::from_row(|plane| planes[plane * n + i]))
 }
