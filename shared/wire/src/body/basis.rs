@@ -6,7 +6,9 @@
 //! of m `i16` in units of 1/32767. Directions beyond `components` are zero.
 
 use super::bytes::{Reader, Writer};
-use super::{BodyError, ShLayout, sh_rest};
+use super::error::BodyError;
+use super::limits::sh_rest;
+use super::sh::ShLayout;
 
 /// Largest magnitude accepted in a mean. Colours are about 1.
 const MEAN_MAX: f32 = 1e6;

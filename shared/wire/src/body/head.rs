@@ -3,18 +3,17 @@
 use core::ops::Range;
 
 use super::basis::basis_bytes;
+use super::bounds::Bounds;
 use super::bytes::{Reader, Writer};
-use super::{
-    BodyError, Bounds, CAMERA_BYTES, MAX_SH_DEGREE, PACK_SPLATS_MAX, RATIO_MAX, SHAPE_BYTES,
-    SHAPE_FRAME_BYTES, sh_rest,
-};
+use super::camera::CAMERA_BYTES;
+use super::error::BodyError;
+use super::limits::{LAYOUT, MAX_SH_DEGREE, PACK_SPLATS_MAX, RATIO_MAX, sh_rest};
+use super::shape::{SHAPE_BYTES, SHAPE_FRAME_BYTES};
 
 /// Size of the head in bytes.
 pub const HEAD_BYTES: usize = 44;
 /// Size of a table entry in bytes.
 pub const PACK_ENTRY_BYTES: usize = 12;
-/// Version of the body layout.
-pub(super) const LAYOUT: u8 = 3;
 
 const MAGIC: [u8; 4] = *b"CSGB";
 /// Position of the checksum in the head.

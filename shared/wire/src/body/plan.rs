@@ -2,8 +2,9 @@
 
 use core::ops::Range;
 
+use super::error::BodyError;
 use super::head::{BodyHead, HEAD_BYTES, PACK_ENTRY_BYTES, PackEntry, PackKind};
-use super::{BodyError, ShLayout};
+use super::sh::ShLayout;
 
 /// A pack and its position.
 #[derive(Clone, Debug, PartialEq, Eq)]

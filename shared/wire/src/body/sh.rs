@@ -1,6 +1,7 @@
 //! Spherical harmonics, quantised to integer steps along the directions of a basis.
 
-use super::{BodyError, sh_rest};
+use super::error::BodyError;
+use super::limits::sh_rest;
 
 /// Byte layout of the spherical harmonics of a splat.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -2,8 +2,8 @@
 
 use core::array;
 
-use super::BodyError;
 use super::bytes::{Reader, Writer, unzigzag, zigzag};
+use super::error::BodyError;
 
 /// Size of a [`ShapeFrame`], which precedes the planes of a shapes pack, in bytes.
 pub const SHAPE_FRAME_BYTES: usize = 20;
