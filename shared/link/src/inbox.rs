@@ -10,8 +10,8 @@ use cosurf_wire::{
     BodyHash, Chunk, Done, Message, ModelHeader, ModelId, ModelKind, RefusalReason, Refused, Reply, Topic,
 };
 
-use crate::ModelKey;
 use crate::body::Model;
+use crate::key::ModelKey;
 use crate::node::{Identity, Role};
 use crate::pacing::{ABANDONED, STALLED};
 use crate::transfer::{ChunkOutcome, Phase, Transfer};

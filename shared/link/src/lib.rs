@@ -13,6 +13,7 @@ pub mod body;
 pub mod codec;
 pub mod faults;
 pub mod inbox;
+mod key;
 pub mod memory;
 pub mod mqtt;
 pub mod node;
@@ -31,6 +32,7 @@ pub use body::{BodyFault, Model, Offer};
 pub use codec::{First, body_to_model, check_body, model_to_body, part_to_model, plain_importance};
 pub use faults::{Faults, Line, Outages};
 pub use inbox::{Inbox, InboxLimits};
+pub use key::ModelKey;
 pub use memory::{MemoryNetwork, MemoryTransport};
 pub use mqtt::{BrokerAddress, MqttConfig, MqttTransport, Tls};
 pub use node::{Identity, Node, NodeEvent, Role, UploadFault, told_cameras, upload_blocking};
@@ -40,32 +42,3 @@ pub use store::{ModelStore, StoreError};
 pub use transport::{Outgoing, PublishError, Transport, TransportEvent};
 pub use trust::{Credentials, SecretKey, Trusted};
 pub use uploader::{UploadProgress, Uploader};
-
-use cosurf_wire::{DeviceId, ModelHeader, ModelId};
-
-/// A model of a device; unique in a site.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct ModelKey {
-    /// Who made it.
-    pub device: DeviceId,
-    /// Which of its models.
-    pub model: ModelId,
-}
-
-impl From<&ModelHeader> for ModelKey {
-    fn from(header: &ModelHeader) -> Self {
-        Self { device: header.device, model: header.model }
-    }
-}
-
-impl From<ModelHeader> for ModelKey {
-    fn from(header: ModelHeader) -> Self {
-        Self::from(&header)
-    }
-}
-
-impl std::fmt::Display for ModelKey {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{}/{}", self.device, self.model)
-    }
-}

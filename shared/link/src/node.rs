@@ -20,9 +20,10 @@ use cosurf_scene::Camera;
 use cosurf_wire::{DeviceId, Flight, Message, ModelHeader, RefusalReason, TileId, Topic};
 
 use crate::inbox::{Inbox, InboxAction, InboxLimits};
+use crate::key::ModelKey;
 use crate::transport::{Outgoing, PublishError, Transport};
 use crate::uploader::Uploader;
-use crate::{Credentials, Model, ModelKey, Offer};
+use crate::{Credentials, Model, Offer};
 use hear::Sessions;
 
 /// Messages sent between two looks at what has come in. Ours: half a window.

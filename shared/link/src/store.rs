@@ -10,9 +10,9 @@ use std::path::{Path, PathBuf};
 use cosurf_scene::{SceneError, atomic};
 use cosurf_wire::{MAX_CONTROL_BYTES, Message, ModelHeader};
 
-use crate::ModelKey;
 use crate::body::body_hash;
 use crate::codec::check_body;
+use crate::key::ModelKey;
 
 const EXTENSION: &str = "model";
 

@@ -12,10 +12,11 @@ use cosurf_wire::{
     Want,
 };
 
+use crate::Offer;
+use crate::key::ModelKey;
 use crate::pacing::{ANNOUNCE, Backoff};
 use crate::peer::{Peer, Phase};
 use crate::transport::Outgoing;
-use crate::{ModelKey, Offer};
 
 /// Receivers of a global model served at once; more are ignored.
 const PEERS_MAX: usize = 1024;

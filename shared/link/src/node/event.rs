@@ -5,7 +5,7 @@ use std::sync::Arc;
 use cosurf_scene::Camera;
 use cosurf_wire::{DeviceId, ModelHeader, RefusalReason, State};
 
-use crate::ModelKey;
+use crate::key::ModelKey;
 use crate::transport::PublishError;
 use crate::uploader::UploadProgress;
 

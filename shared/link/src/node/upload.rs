@@ -6,9 +6,10 @@ use std::time::Duration;
 use cosurf_wire::RefusalReason;
 
 use super::{Node, NodeEvent};
+use crate::Offer;
+use crate::key::ModelKey;
 use crate::transport::{PublishError, Transport};
 use crate::uploader::UploadProgress;
-use crate::{ModelKey, Offer};
 
 /// Uploads one model and returns when the aggregator has it on its disk, or why it refuses for good.
 /// Everything else that happens is told to `on_event`, which must answer [`NodeEvent::Store`].
