@@ -19,11 +19,13 @@ use std::time::Duration;
 use cosurf_scene::Camera;
 use cosurf_wire::{DeviceId, Flight, Message, ModelHeader, RefusalReason, TileId, Topic};
 
+use crate::body::Model;
 use crate::inbox::{Inbox, InboxAction, InboxLimits};
 use crate::key::ModelKey;
+use crate::offer::Offer;
 use crate::transport::{Outgoing, PublishError, Transport};
+use crate::trust::Credentials;
 use crate::uploader::Uploader;
-use crate::{Credentials, Model, Offer};
 use hear::Sessions;
 
 /// Messages sent between two looks at what has come in. Ours: half a window.

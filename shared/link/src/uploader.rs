@@ -12,8 +12,8 @@ use cosurf_wire::{
     Want,
 };
 
-use crate::Offer;
 use crate::key::ModelKey;
+use crate::offer::Offer;
 use crate::pacing::{ANNOUNCE, Backoff};
 use crate::peer::{Peer, Phase};
 use crate::transport::Outgoing;

@@ -11,7 +11,8 @@ use cosurf_wire::{DeviceId, ModelId, ModelKind};
 use glam::{DQuat, DVec2, DVec3, Mat3, Quat, Vec3};
 
 use super::*;
-use crate::body::{BodyFault, Model, Offer};
+use crate::body::{BodyFault, Model};
+use crate::offer::Offer;
 
 /// Pseudo-random numbers in -1..1.
 fn noise(seed: u64) -> impl FnMut() -> f32 {

@@ -3,10 +3,10 @@
 use cosurf_wire::{Flight, Message, State, Topic, WireError};
 
 use super::{Node, NodeEvent, Role};
-use crate::Credentials;
 use crate::body::camera;
 use crate::inbox::InboxEvent;
 use crate::transport::TransportEvent;
+use crate::trust::Credentials;
 use crate::uploader::UploadEvent;
 
 /// Devices whose sessions are remembered.

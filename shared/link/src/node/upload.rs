@@ -6,8 +6,8 @@ use std::time::Duration;
 use cosurf_wire::RefusalReason;
 
 use super::{Node, NodeEvent};
-use crate::Offer;
 use crate::key::ModelKey;
+use crate::offer::Offer;
 use crate::transport::{PublishError, Transport};
 use crate::uploader::UploadProgress;
 
