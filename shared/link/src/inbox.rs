@@ -11,8 +11,8 @@ use cosurf_wire::{
 };
 
 use crate::body::Model;
+use crate::identity::{Identity, Role};
 use crate::key::ModelKey;
-use crate::node::{Identity, Role};
 use crate::pacing::{ABANDONED, STALLED};
 use crate::transfer::{ChunkOutcome, Phase, Transfer};
 use crate::transport::Outgoing;

@@ -10,7 +10,7 @@ use std::rc::Rc;
 use std::time::Duration;
 
 use crate::faults::{Arrival, Faults, Line, OutagePlan};
-use crate::node::Identity;
+use crate::identity::Identity;
 use crate::transport::{Outgoing, PublishError, Transport, TransportEvent};
 
 /// Messages that one client may have under way; then it is told [`PublishError::Busy`].

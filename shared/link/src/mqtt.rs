@@ -29,7 +29,7 @@ use std::time::Duration;
 
 use rumqttc::v5::mqttbytes::QoS;
 
-use crate::node::Identity;
+use crate::identity::Identity;
 use crate::transport::{Outgoing, PublishError, Transport, TransportEvent};
 pub use tls::{Tls, TlsError};
 use worker::{Shared, Worker};

@@ -4,12 +4,10 @@
 mod event;
 mod flight;
 mod hear;
-mod identity;
 mod upload;
 
 pub use event::NodeEvent;
 pub use flight::told_cameras;
-pub use identity::{Identity, Role};
 pub use upload::{UploadFault, upload_blocking};
 
 use std::collections::{BTreeMap, VecDeque};
@@ -20,6 +18,7 @@ use cosurf_scene::Camera;
 use cosurf_wire::{DeviceId, Flight, Message, ModelHeader, RefusalReason, TileId, Topic};
 
 use crate::body::Model;
+use crate::identity::Identity;
 use crate::inbox::{Inbox, InboxAction, InboxLimits};
 use crate::key::ModelKey;
 use crate::offer::Offer;

@@ -18,7 +18,7 @@ use rumqttc::{TlsConfiguration, Transport as TlsTransport};
 use tokio::time::{Instant, sleep, timeout};
 
 use super::{EVENTS_MAX, MqttConfig, PACKET_OVERHEAD_BYTES};
-use crate::node::Role;
+use crate::identity::Role;
 use crate::pacing::Backoff;
 use crate::transport::TransportEvent;
 

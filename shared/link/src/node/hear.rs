@@ -2,8 +2,9 @@
 
 use cosurf_wire::{Flight, Message, State, Topic, WireError};
 
-use super::{Node, NodeEvent, Role};
+use super::{Node, NodeEvent};
 use crate::body::camera;
+use crate::identity::Role;
 use crate::inbox::InboxEvent;
 use crate::transport::TransportEvent;
 use crate::trust::Credentials;
