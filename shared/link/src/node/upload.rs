@@ -5,7 +5,8 @@ use std::time::Duration;
 
 use cosurf_wire::RefusalReason;
 
-use super::{Node, NodeEvent};
+use super::event::NodeEvent;
+use super::state::Node;
 use crate::key::ModelKey;
 use crate::offer::Offer;
 use crate::transport::{PublishError, Transport};

@@ -2,7 +2,9 @@
 
 use cosurf_wire::{Flight, Message, State, Topic, WireError};
 
-use super::{Node, NodeEvent};
+use super::births::Notice;
+use super::event::NodeEvent;
+use super::state::Node;
 use crate::body::camera;
 use crate::identity::Role;
 use crate::inbox::InboxEvent;
@@ -10,21 +12,8 @@ use crate::transport::TransportEvent;
 use crate::trust::Credentials;
 use crate::uploader::UploadEvent;
 
-/// Devices whose sessions are remembered.
-pub(super) const DEVICES_MAX: usize = 1024;
-/// Births of an older session after a newer one that make two participants of one.
-const RETURNS_MAX: u32 = 3;
-
-/// What is known of a device's births.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Sessions {
-    newest: u64,
-    /// Times that an older session was born after the newest: once or twice a broker repeats what is past.
-    returns: u32,
-}
-
 impl Node {
-    pub(super) fn hear(&mut self, event: TransportEvent) {
+    pub(super) fn receive(&mut self, event: TransportEvent) {
         match event {
             TransportEvent::Connected => {
                 self.is_connected = true;
@@ -39,7 +28,7 @@ impl Node {
                 self.events.push_back(NodeEvent::Disconnected { attempt, reason });
             }
             TransportEvent::Incoming { topic, payload } => {
-                if let Err(reason) = self.hear_message(&topic, &payload) {
+                if let Err(reason) = self.receive_message(&topic, &payload) {
                     self.events.push_back(NodeEvent::Ignored { topic, reason });
                 }
             }
@@ -47,7 +36,7 @@ impl Node {
     }
 
     /// `Err` says why the message was thrown away.
-    fn hear_message(&mut self, topic: &str, payload: &[u8]) -> Result<(), String> {
+    fn receive_message(&mut self, topic: &str, payload: &[u8]) -> Result<(), String> {
         let (site, topic) = Topic::parse(topic).map_err(|error| error.to_string())?;
         if site != self.identity.site {
             return Err(format!("belongs to site {site}"));
@@ -68,10 +57,10 @@ impl Node {
         };
         match (topic, &message) {
             (Topic::State { device }, Message::State(state)) if state.device == device => {
-                self.hear_state(*state);
+                self.receive_state(*state);
             }
             (Topic::Flight { device }, Message::Flight(flight)) if flight.device == device => {
-                self.hear_flight(flight)?;
+                self.receive_flight(flight)?;
             }
             (Topic::LocalHeader { .. } | Topic::GlobalHeader { .. }, Message::Header(header)) => {
                 let event = self.inbox.on_header(self.now, &topic, *header);
@@ -87,14 +76,14 @@ impl Node {
             (
                 Topic::LocalReply { .. } | Topic::GlobalReply { .. },
                 Message::Want(_) | Message::Done(_) | Message::Refused(_),
-            ) => self.hear_reply(&topic, &message),
+            ) => self.receive_reply(&topic, &message),
             _ => return Err("the message does not belong under its topic".to_owned()),
         }
         Ok(())
     }
 
     /// Flights are not signed: who believes some only believes none of them.
-    fn hear_flight(&mut self, flight: &Flight<'_>) -> Result<(), String> {
+    fn receive_flight(&mut self, flight: &Flight<'_>) -> Result<(), String> {
         let Credentials { frame, trusted, .. } = self.inbox.credentials();
         if flight.device == self.identity.device || self.identity.role != Role::Device {
             return Ok(());
@@ -110,25 +99,16 @@ impl Node {
         Ok(())
     }
 
-    /// A death of an earlier session than the newest birth is out of date: the broker published it late.
-    fn hear_state(&mut self, state: State) {
-        let known = self.sessions.get(&state.device).copied();
-        let is_past = known.is_some_and(|known| known.newest > state.session);
-        if !state.alive && is_past {
-            return;
-        }
-        if self.sessions.len() < DEVICES_MAX || known.is_some() {
-            let Sessions { newest, returns } = known.unwrap_or_default();
-            let returns = returns + u32::from(is_past);
-            if is_past && returns == RETURNS_MAX {
-                self.events.push_back(NodeEvent::SameName(state.device));
-            }
-            self.sessions.insert(state.device, Sessions { newest: newest.max(state.session), returns });
+    fn receive_state(&mut self, state: State) {
+        match self.births.record(&state) {
+            Notice::Outdated => return,
+            Notice::SameName => self.events.push_back(NodeEvent::SameName(state.device)),
+            Notice::Valid => {}
         }
         self.events.push_back(NodeEvent::State(state));
     }
 
-    fn hear_reply(&mut self, topic: &Topic, message: &Message<'_>) {
+    fn receive_reply(&mut self, topic: &Topic, message: &Message<'_>) {
         for uploader in &mut self.uploaders {
             let Some(event) = uploader.hear(self.now, topic, message) else { continue };
             let (key, progress) = (uploader.key(), uploader.progress());

@@ -1,0 +1,84 @@
+//! The outgoing messages of a node.
+
+use std::time::Duration;
+
+use cosurf_wire::Topic;
+
+use super::event::NodeEvent;
+use super::state::Node;
+use crate::inbox::InboxAction;
+use crate::transport::{Outgoing, PublishError, Transport};
+use crate::uploader::Uploader;
+
+/// Messages sent between two looks at what has come in. Ours: half a window.
+const BURST: usize = 16;
+/// How soon a busy transport is tried again.
+const BUSY_WAIT: Duration = Duration::from_millis(2);
+
+impl Node {
+    /// When [`Self::step`] has something to do although nothing is heard.
+    pub fn next_wakeup(&self) -> Option<Duration> {
+        let uploads = self.uploaders.iter().filter_map(Uploader::next_wakeup);
+        uploads.chain(self.inbox.next_wakeup()).min().filter(|_| self.is_connected)
+    }
+
+    /// Sends what is due, up to [`BURST`]; returns how long there is nothing more to send.
+    pub(super) fn send<T: Transport>(&mut self, transport: &mut T) -> Duration {
+        if !self.is_connected {
+            return Duration::MAX;
+        }
+        for _ in 0..BURST {
+            let Some(message) = self
+                .pending
+                .take()
+                .or_else(|| self.birth.take())
+                .or_else(|| self.next_flight())
+                .or_else(|| self.next_outgoing())
+            else {
+                let wakeup = self.next_wakeup().unwrap_or(Duration::MAX);
+                return wakeup.saturating_sub(self.now);
+            };
+            match transport.publish(&message) {
+                Ok(()) => {}
+                Err(PublishError::Busy) => {
+                    self.pending = Some(message);
+                    return BUSY_WAIT;
+                }
+                Err(error @ PublishError::TooLarge { max_bytes, .. }) => self.on_too_large(error, max_bytes),
+            }
+        }
+        Duration::ZERO
+    }
+
+    fn next_flight(&mut self) -> Option<Outgoing> {
+        if let Some(device) = self.void_flights.pop_front() {
+            return Some(Outgoing::clear(&self.identity.site, Topic::Flight { device }));
+        }
+        std::mem::take(&mut self.is_flight_due).then(|| self.flight.clone()).flatten()
+    }
+
+    fn next_outgoing(&mut self) -> Option<Outgoing> {
+        while let Some(action) = self.inbox.next(self.now) {
+            match action {
+                InboxAction::Publish(message) => return Some(message),
+                InboxAction::Store { header, body } => {
+                    self.events.push_back(NodeEvent::Store { header, body });
+                }
+            }
+        }
+        let now = self.now;
+        let message = self.uploaders.iter_mut().find_map(|uploader| uploader.next(now));
+        self.uploaders.retain(|uploader| !uploader.is_over());
+        message
+    }
+
+    /// Only chunks are ever too large: all offers go out again in smaller ones.
+    fn on_too_large(&mut self, error: PublishError, max_bytes: usize) {
+        let now = self.now;
+        let before = self.uploaders.len();
+        self.uploaders.retain_mut(|uploader| uploader.shrink_chunks(now, max_bytes));
+        if self.uploaders.len() < before || before == 0 {
+            self.events.push_back(NodeEvent::LinkTooNarrow(error));
+        }
+    }
+}
