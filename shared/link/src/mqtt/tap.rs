@@ -12,8 +12,9 @@ use rumqttc::v5::mqttbytes::v5::{Filter, Packet, Publish};
 use rumqttc::v5::{Client, Connection, Event, MqttOptions};
 use rumqttc::{TlsConfiguration, Transport as TlsTransport};
 
+use super::address::BrokerAddress;
+use super::tls::Tls;
 use super::worker::{PACKET_BYTES_MAX, describe};
-use super::{BrokerAddress, Tls};
 use crate::faults::{Faults, Line};
 use crate::recording::{Entry, Recorder, Recording, RecordingError};
 

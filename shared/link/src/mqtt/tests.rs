@@ -8,7 +8,7 @@ use std::sync::atomic::AtomicU32;
 use cosurf_wire::{DeviceId, SiteId, Topic};
 
 use super::*;
-use crate::identity::Role;
+use crate::identity::{Identity, Role};
 
 /// Publishes that a broker of this sort swallows before it begins to acknowledge.
 struct Swallower {

@@ -12,6 +12,8 @@ use rustls::pki_types::pem::PemObject;
 use rustls::pki_types::{CertificateDer, PrivateKeyDer, pem};
 use rustls::{ClientConfig, RootCertStore};
 
+use super::address::BrokerAddress;
+
 /// Why certificates cannot be used.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -64,10 +66,7 @@ impl Tls {
     }
 
     /// What a broker's address needs: files where it says `mqtts://`, none where it does not.
-    pub fn for_broker(
-        broker: &super::BrokerAddress,
-        files: Option<&TlsFiles>,
-    ) -> Result<Option<Self>, TlsError> {
+    pub fn for_broker(broker: &BrokerAddress, files: Option<&TlsFiles>) -> Result<Option<Self>, TlsError> {
         match (broker.is_tls, files) {
             (true, Some(files)) => Self::read(files).map(Some),
             (false, None) => Ok(None),

@@ -17,7 +17,7 @@ use rumqttc::v5::{AsyncClient, ConnectionError, Event, EventLoop, MqttOptions, R
 use rumqttc::{TlsConfiguration, Transport as TlsTransport};
 use tokio::time::{Instant, sleep, timeout};
 
-use super::{EVENTS_MAX, MqttConfig, PACKET_OVERHEAD_BYTES};
+use super::config::{EVENTS_MAX, MqttConfig, PACKET_OVERHEAD_BYTES};
 use crate::identity::Role;
 use crate::pacing::Backoff;
 use crate::transport::TransportEvent;
