@@ -1,6 +1,6 @@
-//! A set of chunk numbers of a known count.
+//! A set of chunk indices.
 
-/// Numbers below `count`, one bit each.
+/// A set of numbers below a fixed count, one bit each.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct BitSet {
     words: Vec<u64>,
@@ -8,12 +8,12 @@ pub(crate) struct BitSet {
 }
 
 impl BitSet {
-    /// Room for the numbers `0..count`, none in it.
+    /// The empty set, with room for `0..count`.
     pub(crate) fn empty(count: u32) -> Self {
         Self { words: vec![0; count.div_ceil(64) as usize], ones: 0 }
     }
 
-    /// All of `0..count`.
+    /// The set `0..count`.
     pub(crate) fn full(count: u32) -> Self {
         let mut set = Self::empty(count);
         (0..count).for_each(|i| set.insert(i));
@@ -34,12 +34,12 @@ impl BitSet {
         self.words[i as usize / 64] &= !(1 << (i % 64));
     }
 
-    /// How many are in it.
+    /// Number of elements.
     pub(crate) fn len(&self) -> u32 {
         self.ones
     }
 
-    /// The least in it.
+    /// The smallest element.
     pub(crate) fn first(&self) -> Option<u32> {
         let word = self.words.iter().position(|word| *word != 0)?;
         Some(word as u32 * 64 + self.words[word].trailing_zeros())

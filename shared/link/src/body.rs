@@ -1,58 +1,58 @@
-//! Models as they travel: their content, what can be wrong with a body, and cameras as records.
+//! The content of a transmitted model, the errors of a body, and the conversion of cameras.
 
 use cosurf_scene::{Camera, Pose, Splats};
 use cosurf_wire::BodyHash;
 use cosurf_wire::body::{BodyError, CameraRecord};
 use glam::{DQuat, DVec2, DVec3};
 
-/// What travels of a model: splats and the cameras that saw them; pictures stay home.
+/// The transmitted part of a model: its splats and the cameras of its pictures. Pictures are never sent.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Model {
     /// The splats.
     pub splats: Splats,
-    /// The cameras of the training views.
+    /// The cameras of the training pictures.
     pub cameras: Vec<Camera>,
 }
 
-/// What is wrong with a body.
+/// Why a body is invalid or cannot be made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum BodyFault {
-    /// Its layout.
+    /// The layout is invalid.
     #[error(transparent)]
     Layout(#[from] BodyError),
-    /// Its counts, degree or bounds differ from those announced.
+    /// The counts, degree or bounds of the body differ from those in the header.
     #[error("body and header disagree")]
     NotAsAnnounced,
-    /// A camera that no renderer could use.
-    #[error("camera {index} is not finite, has no rotation, or an empty picture")]
+    /// A camera cannot be rendered.
+    #[error("camera {index} is not finite, has no valid rotation, or has an empty picture")]
     Camera {
-        /// Which.
+        /// Index of the camera.
         index: usize,
     },
-    /// A value that no renderer could use.
+    /// A splat cannot be rendered.
     #[error("{field} of splat {index} is not finite or out of range")]
     Splat {
-        /// Which.
+        /// Index of the splat.
         index: usize,
-        /// Its field, as in [`Splats`].
+        /// The invalid field, as named in [`Splats`].
         field: &'static str,
     },
-    /// A mean outside the announced bounds.
-    #[error("splat {index} of a pack lies outside the announced bounds")]
+    /// A splat's mean is outside the bounds in the header.
+    #[error("splat {index} of a pack lies outside the bounds in the header")]
     OutOfBounds {
-        /// Which of its pack.
+        /// Index of the splat in its pack.
         index: usize,
     },
-    /// More splats or cameras than a `u32` counts.
+    /// There are too many splats or cameras: more than a `u32` counts, or more packs than a `u16` counts.
     #[error("more splats or cameras than a body can count")]
     TooMany,
-    /// The compressor failed, for want of memory.
-    #[error("the body could not be compressed: there is too little memory")]
+    /// The compressor ran out of memory.
+    #[error("too little memory to compress the body")]
     Unpackable,
 }
 
-/// BLAKE3 of a body.
+/// BLAKE3 hash of a body.
 pub fn body_hash(body: &[u8]) -> BodyHash {
     BodyHash(*blake3::hash(body).as_bytes())
 }

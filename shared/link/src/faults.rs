@@ -1,41 +1,41 @@
-//! What goes wrong between two ends, from a seed: one kind of weather for the simulated broker, the
-//! simulated radio and the replayer.
+//! Seeded fault injection on a line between two ends. The simulated broker, the simulated radio and the
+//! replay of recordings all use it.
 
 use std::num::NonZeroU32;
 use std::time::Duration;
 
-/// What goes wrong on a line; probabilities 0 to 1 for each packet by itself.
+/// The faults of a line. Probabilities are 0 to 1 and independent for each packet.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Faults {
-    /// A packet is lost.
+    /// Probability that a packet is lost.
     pub loss: f64,
-    /// A packet comes twice.
+    /// Probability that a packet arrives twice.
     pub duplication: f64,
-    /// A packet has one bit changed.
+    /// Probability that one bit of a packet is flipped.
     pub corruption: f64,
-    /// A packet loses its end.
+    /// Probability that a packet loses its end.
     pub truncation: f64,
-    /// A packet takes at least this long.
+    /// Minimum delay of a packet.
     pub delay_min: Duration,
-    /// A packet takes at most this long, evenly; so what is sent later may come earlier.
+    /// Maximum delay of a packet. Delays are uniform between minimum and maximum, so packets may be reordered.
     pub delay_max: Duration,
-    /// Packets wait for each other to pass; `None` for as many at once as there are.
+    /// Bandwidth of the line; `None` for unlimited.
     pub bytes_per_s: Option<NonZeroU32>,
-    /// The line is cut from time to time.
+    /// Outages of the line; `None` for none.
     pub outages: Option<Outages>,
 }
 
-/// When a line is cut. Both times are spread evenly from half to one and a half of what is given.
+/// The outages of a line. Each duration is uniform between 0.5 and 1.5 times its mean.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Outages {
-    /// It stands this long, on average.
+    /// Mean time between two outages.
     pub apart: Duration,
-    /// Then it is cut for this long, on average.
+    /// Mean duration of an outage.
     pub lasting: Duration,
 }
 
 impl Faults {
-    /// All well, at once.
+    /// No faults, no delay, unlimited bandwidth.
     pub const NONE: Self = Self {
         loss: 0.0,
         duplication: 0.0,
@@ -53,21 +53,22 @@ impl Faults {
 pub struct Line {
     faults: Faults,
     dice: Dice,
-    /// When the last packet has passed.
+    /// When the line has finished sending the last packet.
     free_at: Duration,
 }
 
 /// A packet at the far end of a [`Line`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Arrival {
-    /// When.
+    /// Time of arrival.
     pub at: Duration,
-    /// What is left of it.
+    /// The packet's bytes, possibly damaged or truncated.
     pub bytes: Vec<u8>,
 }
 
 impl Line {
-    /// The same seed, the same faults. Outages are for the owner to make, from an [`OutagePlan`].
+    /// Makes a line. The same seed gives the same faults. `faults.outages` is ignored: the caller simulates
+    /// outages with an [`OutagePlan`].
     pub fn new(seed: u64, faults: Faults) -> Self {
         Self { faults, dice: Dice::new(seed), free_at: Duration::ZERO }
     }
@@ -77,7 +78,7 @@ impl Line {
         self.free_at
     }
 
-    /// What becomes of a packet handed over at `now`, in the order in which its dice fall.
+    /// Sends a packet at `now`. Returns its arrivals: none, one or two.
     pub fn carry(&mut self, now: Duration, packet: &[u8]) -> Vec<Arrival> {
         self.free_at = self.free_at.max(now) + self.passing_time(packet.len());
         let copies = 1 + usize::from(self.dice.falls(self.faults.duplication));
@@ -108,7 +109,7 @@ impl Line {
     }
 }
 
-/// When a line is cut and when it stands again, from a seed, without end.
+/// An endless seeded schedule of outages.
 #[derive(Debug)]
 pub struct OutagePlan {
     outages: Outages,
@@ -118,44 +119,44 @@ pub struct OutagePlan {
 }
 
 impl OutagePlan {
-    /// The line stands at first.
+    /// Makes a schedule that starts without an outage.
     pub fn new(seed: u64, outages: Outages) -> Self {
         let mut plan = Self { outages, dice: Dice::new(seed), is_out: true, changes_at: Duration::ZERO };
         plan.change();
         plan
     }
 
-    /// Whether the line is cut.
+    /// Whether there is an outage.
     pub fn is_out(&self) -> bool {
         self.is_out
     }
 
-    /// When that changes next.
+    /// When the outage starts or ends next.
     pub fn changes_at(&self) -> Duration {
         self.changes_at
     }
 
-    /// It has changed.
+    /// Starts or ends the outage, and draws the time of the next change.
     pub fn change(&mut self) {
         self.is_out = !self.is_out;
         let mean = if self.is_out { self.outages.lasting } else { self.outages.apart };
-        // Never at once, so that time goes on.
+        // At least one microsecond, so that time advances.
         let mean_us = (mean.as_micros() as u64).max(2);
         self.changes_at += Duration::from_micros(mean_us / 2 + self.dice.below(mean_us));
     }
 }
 
-/// SplitMix64 (Steele, Lea and Flood 2014).
+/// A random number generator: SplitMix64 (Steele, Lea and Flood 2014).
 #[derive(Clone, Debug)]
 pub struct Dice(u64);
 
 impl Dice {
-    /// The same seed, the same throws.
+    /// Seeds the generator.
     pub fn new(seed: u64) -> Self {
         Self(seed)
     }
 
-    /// 64 even bits.
+    /// 64 uniformly random bits.
     pub fn next_bits(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
         let mut z = self.0;
@@ -164,12 +165,12 @@ impl Dice {
         z ^ (z >> 31)
     }
 
-    /// 0 to `limit - 1`; the bias is below 2⁻²⁰ for the limits used here.
+    /// A uniform number below `limit`. The bias is below 2⁻²⁰ for limits below 2⁴⁴.
     pub fn below(&mut self, limit: u64) -> u64 {
         self.next_bits() % limit
     }
 
-    /// Whether something of this probability happens now.
+    /// `true` with the given probability.
     pub fn falls(&mut self, probability: f64) -> bool {
         ((self.next_bits() >> 11) as f64 / (1u64 << 53) as f64) < probability
     }
@@ -187,12 +188,12 @@ mod tests {
         (0..2000).map(|_| line.carry(Duration::ZERO, &PACKET)).collect()
     }
 
-    fn share(of: usize) -> f64 {
-        of as f64 / 2000.0
+    fn share(count: usize) -> f64 {
+        count as f64 / 2000.0
     }
 
     #[test]
-    fn each_fault_comes_as_often_as_told() {
+    fn each_fault_occurs_with_its_probability() {
         let lost = carried(Faults { loss: 0.2, ..Faults::NONE });
         assert!((share(lost.iter().filter(|arrivals| arrivals.is_empty()).count()) - 0.2).abs() < 0.03);
         let doubled = carried(Faults { duplication: 0.3, ..Faults::NONE });
@@ -210,24 +211,24 @@ mod tests {
     }
 
     #[test]
-    fn delays_reorder_and_a_rate_makes_packets_wait() {
+    fn delays_reorder_packets_and_bandwidth_delays_them() {
         let (delay_min, delay_max) = (Duration::from_millis(10), Duration::from_millis(50));
         let late = carried(Faults { delay_min, delay_max, ..Faults::NONE });
         let times: Vec<Duration> = late.iter().map(|arrivals| arrivals[0].at).collect();
         assert!(times.iter().all(|at| (delay_min..=delay_max).contains(at)));
-        assert!(times.windows(2).any(|pair| pair[1] < pair[0]), "nothing was overtaken");
+        assert!(times.windows(2).any(|pair| pair[1] < pair[0]), "no packet overtook another");
         let slow = carried(Faults { bytes_per_s: NonZeroU32::new(1000), ..Faults::NONE });
         assert_eq!(slow[1999][0].at, Duration::from_secs(200));
     }
 
     #[test]
-    fn an_outage_ends_and_comes_again() {
+    fn outages_have_the_requested_mean_durations() {
         let outages = Outages { apart: Duration::from_secs(10), lasting: Duration::from_secs(2) };
         let mut plan = OutagePlan::new(5, outages);
         let (mut last, mut out) = (Duration::ZERO, Duration::ZERO);
         for _ in 0..1000 {
-            let spell = plan.changes_at() - last;
-            out += if plan.is_out() { spell } else { Duration::ZERO };
+            let duration = plan.changes_at() - last;
+            out += if plan.is_out() { duration } else { Duration::ZERO };
             last = plan.changes_at();
             plan.change();
         }

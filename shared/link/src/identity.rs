@@ -1,23 +1,23 @@
-//! Who takes part, and on which side.
+//! The identity of a participant.
 
 use cosurf_wire::{DeviceId, Message, SiteId, State, Topic, TopicString};
 
 use crate::transport::Outgoing;
 
-/// Who takes part.
+/// The identity of a participant.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Identity {
-    /// In which site.
+    /// The site.
     pub site: SiteId,
-    /// Under which name; two at once under one name throw each other out.
+    /// The name, unique in the site. The broker disconnects a client when another connects under its name.
     pub device: DeviceId,
-    /// Number of this session, greater than any before: [`crate::next_session`].
+    /// Number of this session, greater than those of all earlier sessions: see [`crate::next_session`].
     pub session: u64,
-    /// On which side.
+    /// Device or aggregator.
     pub role: Role,
 }
 
-/// On which side.
+/// The two kinds of participants.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Role {
     /// Sends local models, receives global ones.
@@ -27,7 +27,7 @@ pub enum Role {
 }
 
 impl Identity {
-    /// What this participant listens to, with MQTT's wildcards.
+    /// The topic filters that this participant subscribes to, with MQTT wildcards.
     pub fn filters(&self) -> Vec<TopicString> {
         match self.role {
             Role::Device => Topic::device_filters(&self.site, &self.device).to_vec(),
@@ -35,7 +35,7 @@ impl Identity {
         }
     }
 
-    /// Its birth, or its death, as a retained message.
+    /// The retained message that announces the start (`alive`) or the end of the session.
     pub fn state_message(&self, alive: bool) -> Outgoing {
         let state = State { device: self.device, session: self.session, alive };
         Outgoing::new(&self.site, Topic::State { device: self.device }, &Message::State(state), true)

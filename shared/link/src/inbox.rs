@@ -1,6 +1,6 @@
-//! The receiving half of the conversation: collects models from headers and chunks in any order, doubled
-//! or damaged, within limits; asks for what is missing; says that it is done only after its owner has
-//! the body on a disk.
+//! The receiving half of the protocol. It collects models from headers and chunks, which may come in any
+//! order, duplicated or damaged. It bounds its memory and requests missing chunks. It acknowledges a model
+//! only after the caller has stored the body on disk.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
@@ -14,61 +14,96 @@ use crate::body::Model;
 use crate::identity::{Identity, Role};
 use crate::key::ModelKey;
 use crate::pacing::{ABANDONED, STALLED};
-use crate::transfer::{ChunkOutcome, Phase, Transfer};
+use crate::transfer::{ChunkOutcome, Transfer, TransferPhase};
 use crate::transport::Outgoing;
 use crate::trust::Credentials;
 
-/// Answers waiting to be sent; what does not fit is not answered, and asked again.
+/// Maximum number of queued replies. Beyond it a message gets no reply, and its sender retries.
 const REPLIES_MAX: usize = 256;
 
-/// What a receiver takes at most.
+/// The limits of a receiver.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct InboxLimits {
-    /// Bytes of one body, and of its model once it is unpacked.
+    /// Maximum size in bytes of a body, and of its unpacked model.
     pub body_bytes_max: u64,
-    /// Bytes of all unfinished bodies together; the memory the inbox may take.
+    /// Maximum size in bytes of all unfinished bodies together: the memory of the inbox.
     pub total_bytes_max: u64,
-    /// Unfinished models at once.
+    /// Maximum number of unfinished models.
     pub models_max: usize,
-    /// Finished models remembered, so that a repeated offer is answered without the body.
+    /// Number of stored models remembered, so that a repeated offer is acknowledged without a new transfer.
     pub stored_max: usize,
 }
 
 impl Default for InboxLimits {
-    /// For an aggregator: 2 million splats of degree 3 in a model, 1 GiB in all.
+    /// Limits for an aggregator: 2 million splats of degree 3 per model, and 1 GiB in total.
     fn default() -> Self {
         Self { body_bytes_max: 512 << 20, total_bytes_max: 1 << 30, models_max: 64, stored_max: 4096 }
     }
 }
 
-/// What an inbox asks of its owner.
+/// A task of the inbox for its caller.
 #[derive(Clone, Debug)]
 pub enum InboxAction {
-    /// Send this.
+    /// Publish this message.
     Publish(Outgoing),
-    /// Write this to a disk, then call [`Inbox::stored`], [`Inbox::store_failed`] or [`Inbox::refuse`].
+    /// Store this model on disk, then call [`Inbox::stored`], [`Inbox::store_failed`] or [`Inbox::refuse`].
     Store {
-        /// What was announced, and holds.
+        /// The model's header.
         header: ModelHeader,
         /// The body, checked by [`crate::check_body`].
         body: Arc<Vec<u8>>,
     },
 }
 
-/// What an inbox learns from a message.
+/// The effect of a message on the inbox.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum InboxEvent {
-    /// An offer was accepted; its chunks are asked for.
+    /// The inbox accepted an offer, and requests its chunks.
     Receiving(ModelHeader),
-    /// An offer of what is stored already; its sender is told so again.
+    /// The offered model is already stored. The inbox acknowledges it again.
     Known(ModelHeader),
-    /// An offer or a body was refused.
+    /// The inbox rejected an offer or a body.
     Refused(ModelKey, RefusalReason),
-    /// A chunk of the wrong size or under the wrong topic was thrown away.
+    /// The inbox dropped a chunk of the wrong size or under the wrong topic.
     BadChunk(ModelKey, u32),
 }
 
-/// Collects models.
+/// Collects models from headers and chunks.
+///
+/// # Examples
+///
+/// ```
+/// use std::time::Duration;
+///
+/// use cosurf_link::inbox::{InboxAction, InboxEvent};
+/// use cosurf_link::{Identity, Inbox, InboxLimits, Offer, Role};
+/// use cosurf_scene::Splats;
+/// use cosurf_wire::{Chunk, DeviceId, ModelId, ModelKind, SiteId, Topic};
+///
+/// let (device, model) = (DeviceId::new("drone-1")?, ModelId(1));
+/// let mut splats = Splats::with_capacity(1, 0);
+/// splats.push([0.0; 3], [1.0, 0.0, 0.0, 0.0], [-2.0; 3], 1.0, &[0.5; 3]);
+/// let Offer { header, body } = Offer::new(device, model, ModelKind::Local, 3, &splats, &[])?;
+///
+/// let (site, ground) = (SiteId::new("quarry")?, DeviceId::new("ground")?);
+/// let identity = Identity { site, device: ground, session: 1, role: Role::Aggregator };
+/// let mut inbox = Inbox::new(identity, InboxLimits::default(), &[]);
+///
+/// // The header announces the model, and the inbox replies with a Want.
+/// let now = Duration::ZERO;
+/// let event = inbox.on_header(now, &Topic::LocalHeader { device, model }, header);
+/// assert_eq!(event, Some(InboxEvent::Receiving(header)));
+/// assert!(matches!(inbox.next(now), Some(InboxAction::Publish(_))));
+///
+/// // This body fits one chunk. The inbox hands it out for storing, and then acknowledges it.
+/// let chunk = Chunk { device, model, index: 0, payload: &body };
+/// inbox.on_chunk(now, &Topic::LocalChunk { device, model, index: 0 }, &chunk);
+/// assert!(matches!(inbox.next(now), Some(InboxAction::Store { .. })));
+/// inbox.stored((&header).into());
+/// let Some(InboxAction::Publish(done)) = inbox.next(now) else { panic!("no acknowledgement") };
+/// assert_eq!(done.topic.as_str(), "gs/v1/quarry/drone-1/dn/done");
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug)]
 pub struct Inbox {
     identity: Identity,
@@ -82,7 +117,7 @@ pub struct Inbox {
 }
 
 impl Inbox {
-    /// An inbox that holds the models of `stored` already.
+    /// Makes an inbox. `stored` are the headers of the models that the caller already has on disk.
     pub fn new(identity: Identity, limits: InboxLimits, stored: &[ModelHeader]) -> Self {
         let mut inbox = Self {
             identity,
@@ -97,7 +132,7 @@ impl Inbox {
         inbox
     }
 
-    /// From now on takes only what these believe.
+    /// Sets the credentials. The inbox then accepts only models that they allow.
     pub fn believe(&mut self, credentials: Credentials) {
         self.credentials = credentials;
     }
@@ -106,31 +141,31 @@ impl Inbox {
         &self.credentials
     }
 
-    /// Takes an offer that came under `topic`.
+    /// Handles an offer that came under `topic`.
     pub fn on_header(&mut self, now: Duration, topic: &Topic, header: ModelHeader) -> Option<InboxEvent> {
         let key = ModelKey::from(&header);
-        let replies = self.replies_for(topic)?;
-        if !is_honest(topic, &header) {
+        let want_topic = self.want_topic(topic)?;
+        if !matches_topic(topic, &header) {
             return self.on_bad_header(topic);
         }
         if let Err(reason) = self.credentials.check(&self.identity.site, &header, self.newest_stored(key)) {
-            return self.turn_away(topic, key, reason);
+            return self.reject_offer(topic, key, reason);
         }
         if let Some(hash) = self.stored.get(&key) {
             return match *hash == header.blake3 {
                 true => {
-                    self.say_done(replies, key, header.blake3);
+                    self.send_done(want_topic, key, header.blake3);
                     Some(InboxEvent::Known(header))
                 }
-                false => self.turn_away(topic, key, RefusalReason::NumberTaken),
+                false => self.reject_offer(topic, key, RefusalReason::NumberTaken),
             };
         }
         if let Some(transfer) = self.transfers.get_mut(&key) {
             match transfer.phase {
-                Phase::ToStore { is_retry: true, .. } if transfer.header == header => {
-                    return self.turn_away(topic, key, RefusalReason::StoreFailed);
+                TransferPhase::ToStore { is_retry: true, .. } if transfer.header == header => {
+                    return self.reject_offer(topic, key, RefusalReason::StoreFailed);
                 }
-                Phase::Fetching { .. } if transfer.header != header => {}
+                TransferPhase::Fetching { .. } if transfer.header != header => {}
                 _ => {
                     transfer.on_offered_again(now);
                     return None;
@@ -141,18 +176,18 @@ impl Inbox {
         self.accept(now, topic, header)
     }
 
-    /// A message under a header's topic that cannot be read, or is not what the topic says.
+    /// Handles a header that cannot be decoded or does not match its topic.
     pub fn on_bad_header(&mut self, topic: &Topic) -> Option<InboxEvent> {
         match topic {
             Topic::LocalHeader { device, model } => {
                 let key = ModelKey { device: *device, model: *model };
-                self.turn_away(topic, key, RefusalReason::BadHeader)
+                self.reject_offer(topic, key, RefusalReason::BadHeader)
             }
             _ => None,
         }
     }
 
-    /// Takes a chunk that came under `topic`.
+    /// Handles a chunk that came under `topic`.
     pub fn on_chunk(&mut self, now: Duration, topic: &Topic, chunk: &Chunk<'_>) -> Option<InboxEvent> {
         let key = ModelKey { device: chunk.device, model: chunk.model };
         let agrees = match topic {
@@ -163,7 +198,7 @@ impl Inbox {
             _ => false,
         };
         let bad = Some(InboxEvent::BadChunk(key, chunk.index));
-        // Late chunks of a model that is stored or refused are no news.
+        // Late chunks of a stored or rejected model are ignored.
         let transfer = self.transfers.get_mut(&key)?;
         if !agrees {
             return bad;
@@ -171,22 +206,22 @@ impl Inbox {
         match transfer.on_chunk(now, chunk) {
             ChunkOutcome::Taken | ChunkOutcome::Known => None,
             ChunkOutcome::Bad => bad,
-            ChunkOutcome::Spoilt(reason) => self.refuse(key, reason),
+            ChunkOutcome::BadBody(reason) => self.refuse(key, reason),
         }
     }
 
-    /// What is to be done now.
+    /// Returns the next task that is due.
     pub fn next(&mut self, now: Duration) -> Option<InboxAction> {
         if let Some(reply) = self.replies.pop_front() {
             return Some(InboxAction::Publish(reply));
         }
         self.transfers.retain(|_, transfer| {
-            transfer.phase == Phase::Storing || now.saturating_sub(transfer.last_news) < ABANDONED
+            transfer.phase == TransferPhase::Storing || now.saturating_sub(transfer.last_news) < ABANDONED
         });
         let (_, transfer) =
             self.transfers.iter_mut().find(|(_, transfer)| transfer.due().is_some_and(|due| due <= now))?;
-        if let Phase::ToStore { .. } = transfer.phase {
-            transfer.phase = Phase::Storing;
+        if let TransferPhase::ToStore { .. } = transfer.phase {
+            transfer.phase = TransferPhase::Storing;
             return Some(InboxAction::Store { header: transfer.header, body: transfer.body() });
         }
         let want = transfer.want(now);
@@ -194,48 +229,50 @@ impl Inbox {
         Some(InboxAction::Publish(Outgoing::new(&self.identity.site, transfer.want_topic, &message, false)))
     }
 
-    /// When [`Self::next`] will have something although nothing is heard; `Duration::ZERO` for at once.
+    /// When [`Self::next`] will have a task if no message arrives before; `Duration::ZERO` for immediately.
     pub fn next_wakeup(&self) -> Option<Duration> {
         let replies = (!self.replies.is_empty()).then_some(Duration::ZERO);
         replies.or_else(|| self.transfers.values().filter_map(Transfer::due).min())
     }
 
-    /// The body that [`InboxAction::Store`] handed out is on the disk, synced and renamed: its sender is told.
+    /// Call this when the body of [`InboxAction::Store`] is on disk, synced and renamed. The inbox then
+    /// acknowledges the model.
     pub fn stored(&mut self, key: ModelKey) {
         let Some(transfer) = self.transfers.remove(&key) else { return };
         let hash = transfer.header.blake3;
         self.remember(key, hash);
-        self.say_done(transfer.want_topic, key, hash);
+        self.send_done(transfer.want_topic, key, hash);
     }
 
-    /// It is not, and may be tried again (disk full): the body is kept and handed out again after a while.
+    /// Call this when storing failed and a retry may succeed (for example on a full disk). The inbox keeps the
+    /// body and hands it out again later.
     pub fn store_failed(&mut self, now: Duration, key: ModelKey) {
         let Some(transfer) = self.transfers.get_mut(&key) else { return };
         transfer.on_store_failed(now);
         let topic = transfer.want_topic;
-        self.say_refused(topic, key, RefusalReason::StoreFailed);
+        self.send_refused(topic, key, RefusalReason::StoreFailed);
     }
 
-    /// An unfinished model is not wanted any more; its sender is told.
+    /// Drops an unfinished model and sends its sender `reason`.
     pub fn refuse(&mut self, key: ModelKey, reason: RefusalReason) -> Option<InboxEvent> {
         let transfer = self.transfers.remove(&key)?;
-        self.say_refused(transfer.want_topic, key, reason);
+        self.send_refused(transfer.want_topic, key, reason);
         Some(InboxEvent::Refused(key, reason))
     }
 
-    /// Bytes of all unfinished bodies.
+    /// Size of all unfinished bodies in bytes.
     pub fn unfinished_bytes(&self) -> u64 {
         self.transfers.values().map(|transfer| transfer.header.body_bytes).sum()
     }
 
-    /// Models whose chunks have not all come.
+    /// Headers of the models with missing chunks.
     pub fn unfinished(&self) -> impl Iterator<Item = &ModelHeader> {
-        let fetching = |transfer: &&Transfer| matches!(transfer.phase, Phase::Fetching { .. });
+        let fetching = |transfer: &&Transfer| matches!(transfer.phase, TransferPhase::Fetching { .. });
         self.transfers.values().filter(fetching).map(|transfer| &transfer.header)
     }
 
-    /// What has come of an unfinished model, as far as that is a model already. Nothing where only signed models are
-    /// believed: the signature holds the hash of the whole.
+    /// Decodes the packs of an unfinished model that have arrived. `None` if there are no splats yet, or if
+    /// models must be signed: the signature covers the hash of the whole body, which cannot be checked yet.
     pub fn part(&self, key: ModelKey) -> Option<Model> {
         self.transfers.get(&key).filter(|_| self.credentials.trusted.is_none())?.part()
     }
@@ -244,29 +281,30 @@ impl Inbox {
         let key = ModelKey::from(&header);
         let bytes = header.body_bytes.max(header.unpacked_bytes());
         if bytes > self.limits.body_bytes_max.min(self.limits.total_bytes_max) {
-            return self.turn_away(topic, key, RefusalReason::TooLarge);
+            return self.reject_offer(topic, key, RefusalReason::TooLarge);
         }
         if header.kind == ModelKind::Global {
-            self.forget_older_revisions(key);
+            self.drop_older_revisions(key);
         }
         if !self.make_room(now, header.body_bytes) {
-            return self.turn_away(topic, key, RefusalReason::Busy);
+            return self.reject_offer(topic, key, RefusalReason::Busy);
         }
-        self.transfers.insert(key, Transfer::new(now, header, self.replies_for(topic)?));
+        self.transfers.insert(key, Transfer::new(now, header, self.want_topic(topic)?));
         Some(InboxEvent::Receiving(header))
     }
 
-    /// The greatest number stored of a model's device, but for its own.
+    /// The highest number stored from the device of `key`; `None` if `key` itself is stored.
     fn newest_stored(&self, key: ModelKey) -> Option<ModelId> {
         let (first, last) =
             (ModelKey { model: ModelId(0), ..key }, ModelKey { model: ModelId(u64::MAX), ..key });
         let newest = self.stored.range(first..=last).next_back()?.0.model;
-        // What is stored under a number is asked about again where an answer was lost: that is no replay.
+        // A stored model is offered again when the acknowledgement was lost. That is not a replay.
         (!self.stored.contains_key(&key)).then_some(newest)
     }
 
-    /// Where wants about what came under `topic` go; `None` where this side receives no such thing.
-    fn replies_for(&self, topic: &Topic) -> Option<Topic> {
+    /// Topic of the `Want`s about an offer under `topic`; `None` if this participant does not receive such
+    /// offers.
+    fn want_topic(&self, topic: &Topic) -> Option<Topic> {
         match (self.identity.role, topic) {
             (Role::Aggregator, Topic::LocalHeader { device, .. }) => {
                 Some(Topic::LocalReply { device: *device, reply: Reply::Want })
@@ -278,14 +316,16 @@ impl Inbox {
         }
     }
 
-    /// A newer global model makes unfinished older ones of the same maker useless.
-    fn forget_older_revisions(&mut self, newest: ModelKey) {
+    /// Drops the unfinished older revisions of a global model.
+    fn drop_older_revisions(&mut self, newest: ModelKey) {
         self.transfers.retain(|key, transfer| {
-            key.device != newest.device || key.model > newest.model || transfer.phase == Phase::Storing
+            key.device != newest.device
+                || key.model > newest.model
+                || transfer.phase == TransferPhase::Storing
         });
     }
 
-    /// Whether there is room for one more body, after stalled ones have given way.
+    /// Drops stalled transfers until there is room for another body. Returns whether there is.
     fn make_room(&mut self, now: Duration, body_bytes: u64) -> bool {
         let has_room = |inbox: &Self| {
             inbox.transfers.len() < inbox.limits.models_max
@@ -293,7 +333,7 @@ impl Inbox {
         };
         while !has_room(self) {
             let is_stalled = |transfer: &Transfer| {
-                matches!(transfer.phase, Phase::Fetching { .. })
+                matches!(transfer.phase, TransferPhase::Fetching { .. })
                     && now.saturating_sub(transfer.last_news) >= STALLED
             };
             let stalled = self.transfers.iter().filter(|(_, transfer)| is_stalled(transfer));
@@ -316,25 +356,24 @@ impl Inbox {
         }
     }
 
-    fn turn_away(&mut self, topic: &Topic, key: ModelKey, reason: RefusalReason) -> Option<InboxEvent> {
-        let topic = self.replies_for(topic)?;
-        self.say_refused(topic, key, reason);
+    fn reject_offer(&mut self, topic: &Topic, key: ModelKey, reason: RefusalReason) -> Option<InboxEvent> {
+        let topic = self.want_topic(topic)?;
+        self.send_refused(topic, key, reason);
         Some(InboxEvent::Refused(key, reason))
     }
 
-    fn say_done(&mut self, topic: Topic, key: ModelKey, blake3: BodyHash) -> Option<InboxEvent> {
+    fn send_done(&mut self, topic: Topic, key: ModelKey, blake3: BodyHash) {
         let done = Done { device: key.device, model: key.model, blake3 };
-        self.reply(topic, Reply::Done, &Message::Done(done));
-        None
+        self.queue_reply(topic, Reply::Done, &Message::Done(done));
     }
 
-    fn say_refused(&mut self, topic: Topic, key: ModelKey, reason: RefusalReason) {
+    fn send_refused(&mut self, topic: Topic, key: ModelKey, reason: RefusalReason) {
         let refused = Refused { device: key.device, model: key.model, reason };
-        self.reply(topic, Reply::Refused, &Message::Refused(refused));
+        self.queue_reply(topic, Reply::Refused, &Message::Refused(refused));
     }
 
-    /// Queues an answer beside where wants go.
-    fn reply(&mut self, want_topic: Topic, reply: Reply, message: &Message<'_>) {
+    /// Queues a reply under the topic that corresponds to `want_topic`.
+    fn queue_reply(&mut self, want_topic: Topic, reply: Reply, message: &Message<'_>) {
         let topic = match want_topic {
             Topic::LocalReply { device, .. } => Topic::LocalReply { device, reply },
             Topic::GlobalReply { device, .. } => Topic::GlobalReply { device, reply },
@@ -346,8 +385,8 @@ impl Inbox {
     }
 }
 
-/// Whether a header is of the kind that belongs under its topic, from the device that the topic names.
-fn is_honest(topic: &Topic, header: &ModelHeader) -> bool {
+/// Whether a header has the kind, device and number that its topic requires.
+fn matches_topic(topic: &Topic, header: &ModelHeader) -> bool {
     match topic {
         Topic::LocalHeader { device, model } => {
             header.kind != ModelKind::Global && (*device, *model) == (header.device, header.model)

@@ -1,12 +1,13 @@
-//! Models out, models in: the conversation of [`cosurf_wire`] as state machines, and the transports
-//! that carry it.
+//! Sends and receives models: the protocol of [`cosurf_wire`] as state machines, and the transports that
+//! carry its messages.
 //!
-//! What it refuses to know: training, merging, files' places, clocks. [`Uploader`] and [`Inbox`] take
-//! `now` (a [`std::time::Duration`] since any fixed moment) and messages, and return what to publish and
-//! what to store; so a whole fleet runs in one test thread over [`MemoryNetwork`], from a seed.
+//! This crate knows no training, merging, file locations or clocks. [`Uploader`] and [`Inbox`] take
+//! messages and `now` (a [`std::time::Duration`] since any fixed moment), and return the messages to publish
+//! and the models to store. A whole fleet therefore runs in one test thread over [`MemoryNetwork`], from a
+//! seed.
 //!
-//! Where to start reading: [`node`], which holds the machines of one participant together, then
-//! [`uploader`] and [`inbox`] for the conversation's two halves, then [`transport`].
+//! Where to start reading: [`node`] combines the state machines of one participant, [`uploader`] and
+//! [`inbox`] are the two halves of the protocol, [`transport`] is what carries it.
 
 mod bits;
 pub mod body;

@@ -1,8 +1,9 @@
-//! A broker in memory on virtual time, with faults from a seed: whole fleets in one test thread.
+//! A simulated broker in memory, on virtual time, with seeded faults. Whole fleets run on it in one test
+//! thread.
 //!
-//! Every delivery rolls its own dice ([`Faults`]): lost, doubled, damaged, shortened, delayed (so
-//! reordered). Each client has a line of its own to the broker, with a bandwidth and outages; and the
-//! broker can be restarted, with or without its retained messages.
+//! Every delivery may be lost, duplicated, damaged, truncated or delayed, and thereby reordered ([`Faults`]).
+//! Each client has its own line to the broker, with its own bandwidth and outages. The broker can be
+//! restarted, with or without its retained messages.
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;
@@ -13,10 +14,11 @@ use crate::faults::{Arrival, Faults, Line, OutagePlan};
 use crate::identity::Identity;
 use crate::transport::{Outgoing, PublishError, Transport, TransportEvent};
 
-/// Messages that one client may have under way; then it is told [`PublishError::Busy`].
+/// Maximum number of undelivered messages from one client; beyond it, publishing fails with
+/// [`PublishError::Busy`].
 const QUEUE_MAX: usize = 64;
 
-/// The broker. Clones share it.
+/// The simulated broker. Clones share its state.
 #[derive(Clone, Debug)]
 pub struct MemoryNetwork(Rc<RefCell<Broker>>);
 
@@ -29,22 +31,22 @@ struct Broker {
     clients: Vec<Client>,
     retained: BTreeMap<String, Vec<u8>>,
     packet_bytes_max: usize,
-    /// Counts deliveries, so that those of one moment keep their order.
+    /// Number of deliveries so far. It orders deliveries of the same time.
     deliveries: u64,
 }
 
 #[derive(Debug)]
 struct Client {
     filters: Vec<String>,
-    /// To the broker: only its bandwidth counts, faults are rolled on the way down.
+    /// Line to the broker. It only limits bandwidth; the faults are on the line from the broker.
     up: Line,
-    /// From the broker.
+    /// Line from the broker.
     down: Line,
     outages: Option<OutagePlan>,
-    /// By time of arrival, then order of sending.
+    /// Deliveries by time of arrival, then order of sending.
     arriving: BTreeMap<(Duration, u64), Delivery>,
-    /// Deliveries to anybody of what this client sent.
-    under_way: usize,
+    /// Number of undelivered messages that this client sent.
+    in_flight: usize,
     has_left: bool,
 }
 
@@ -56,13 +58,13 @@ impl Client {
 
 #[derive(Debug)]
 struct Delivery {
-    /// Which client sent it; `None` for the broker's own.
+    /// The sending client; `None` for events of the broker.
     from: Option<usize>,
     event: TransportEvent,
 }
 
 impl MemoryNetwork {
-    /// The same seed, the same faults.
+    /// Starts a broker. The same seed gives the same faults.
     pub fn new(seed: u64, faults: Faults) -> Self {
         Self(Rc::new(RefCell::new(Broker {
             now: Duration::ZERO,
@@ -76,7 +78,7 @@ impl MemoryNetwork {
         })))
     }
 
-    /// Joins a client with the subscriptions of `identity`.
+    /// Adds a client with the subscriptions of `identity`.
     pub fn join(&self, identity: &Identity) -> MemoryTransport {
         let mut broker = self.0.borrow_mut();
         let filters = identity.filters().iter().map(|filter| filter.as_str().to_owned()).collect();
@@ -94,7 +96,7 @@ impl MemoryNetwork {
             down: Line::new(seed, faults),
             outages,
             arriving: BTreeMap::new(),
-            under_way: 0,
+            in_flight: 0,
             has_left: false,
         });
         if broker.is_up {
@@ -103,13 +105,13 @@ impl MemoryNetwork {
         MemoryTransport { network: self.clone(), client }
     }
 
-    /// Virtual time.
+    /// The virtual time.
     pub fn now(&self) -> Duration {
         self.0.borrow().now
     }
 
-    /// Moves virtual time to `until`, or less far, to where the next message arrives or the next line is
-    /// cut or mended.
+    /// Advances virtual time to the next event: the arrival of a message, or the start or end of an outage.
+    /// Advances at most to `until`.
     pub fn advance(&self, until: Duration) {
         let mut broker = self.0.borrow_mut();
         let arrivals = broker.clients.iter().filter_map(|client| client.arriving.keys().next());
@@ -118,10 +120,10 @@ impl MemoryNetwork {
         let changes = changes.map(OutagePlan::changes_at);
         let next = arrivals.chain(changes).fold(until, Duration::min);
         broker.now = broker.now.max(next);
-        (0..broker.clients.len()).for_each(|client| broker.weather(client));
+        (0..broker.clients.len()).for_each(|client| broker.update_outage(client));
     }
 
-    /// Forgets a client: its owner was killed.
+    /// Removes a client, as if its process had been killed.
     pub fn leave(&self, transport: MemoryTransport) {
         let mut broker = self.0.borrow_mut();
         broker.lose_arriving(transport.client);
@@ -131,12 +133,12 @@ impl MemoryNetwork {
         client.has_left = true;
     }
 
-    /// Takes no larger messages from now on.
+    /// Limits the size of messages, in bytes.
     pub fn limit_packets(&self, bytes: usize) {
         self.0.borrow_mut().packet_bytes_max = bytes;
     }
 
-    /// Stops the broker: all under way is lost and everyone is cut off.
+    /// Stops the broker. Undelivered messages are lost and all clients are disconnected.
     pub fn stop(&self, keep_retained: bool) {
         let mut broker = self.0.borrow_mut();
         broker.is_up = false;
@@ -146,26 +148,26 @@ impl MemoryNetwork {
         for client in 0..broker.clients.len() {
             broker.lose_arriving(client);
             let reason = "memory broker: stopped (attempt 1)".to_owned();
-            broker.tell(client, TransportEvent::Disconnected { attempt: 1, reason });
+            broker.notify(client, TransportEvent::Disconnected { attempt: 1, reason });
         }
     }
 
-    /// Starts it again; everyone reconnects.
+    /// Restarts the broker. All clients reconnect.
     pub fn start(&self) {
         let mut broker = self.0.borrow_mut();
         broker.is_up = true;
         (0..broker.clients.len()).for_each(|client| broker.connect(client));
     }
 
-    /// What is retained under a topic.
+    /// The retained message of a topic.
     pub fn retained(&self, topic: &str) -> Option<Vec<u8>> {
         self.0.borrow().retained.get(topic).cloned()
     }
 }
 
 impl Broker {
-    /// Cuts or mends a client's line where it is time.
-    fn weather(&mut self, client: usize) {
+    /// Starts or ends an outage of a client's line if one is due.
+    fn update_outage(&mut self, client: usize) {
         let now = self.now;
         let due = |plan: &&mut OutagePlan| plan.changes_at() <= now;
         let Some(plan) = self.clients[client].outages.as_mut().filter(due) else { return };
@@ -174,7 +176,7 @@ impl Broker {
         if is_out {
             self.lose_arriving(client);
             let reason = "memory broker: line cut (attempt 1)".to_owned();
-            self.tell(client, TransportEvent::Disconnected { attempt: 1, reason });
+            self.notify(client, TransportEvent::Disconnected { attempt: 1, reason });
         } else if self.is_up {
             self.connect(client);
         }
@@ -182,14 +184,14 @@ impl Broker {
 
     fn lose_arriving(&mut self, client: usize) {
         for delivery in std::mem::take(&mut self.clients[client].arriving).into_values() {
-            self.arrived(&delivery);
+            self.finish_delivery(&delivery);
         }
     }
 
-    /// One delivery less is on its way.
-    fn arrived(&mut self, delivery: &Delivery) {
+    /// Counts a delivery as arrived or lost.
+    fn finish_delivery(&mut self, delivery: &Delivery) {
         if let Some(from) = delivery.from {
-            self.clients[from].under_way -= 1;
+            self.clients[from].in_flight -= 1;
         }
     }
 
@@ -197,16 +199,16 @@ impl Broker {
         if self.clients[client].is_cut() {
             return;
         }
-        self.tell(client, TransportEvent::Connected);
+        self.notify(client, TransportEvent::Connected);
         let filters = &self.clients[client].filters;
-        let hears = |topic: &String| filters.iter().any(|filter| matches(filter, topic));
-        let kept: Vec<_> = self.retained.iter().filter(|(topic, _)| hears(topic)).collect();
+        let is_subscribed = |topic: &String| filters.iter().any(|filter| matches(filter, topic));
+        let kept: Vec<_> = self.retained.iter().filter(|(topic, _)| is_subscribed(topic)).collect();
         let kept: Vec<_> =
             kept.into_iter().map(|(topic, payload)| (topic.clone(), payload.clone())).collect();
         kept.iter().for_each(|(topic, payload)| self.deliver(self.now, None, client, topic, payload));
     }
 
-    /// Sends down one line what the broker has at `at`; who is cut off goes without.
+    /// Sends a message to client `to` at time `at`. A client in an outage does not get it.
     fn deliver(&mut self, at: Duration, from: Option<usize>, to: usize, topic: &str, payload: &[u8]) {
         if self.clients[to].is_cut() {
             return;
@@ -217,7 +219,7 @@ impl Broker {
         }
     }
 
-    fn tell(&mut self, client: usize, event: TransportEvent) {
+    fn notify(&mut self, client: usize, event: TransportEvent) {
         self.enqueue(self.now, client, Delivery { from: None, event });
     }
 
@@ -227,13 +229,13 @@ impl Broker {
         }
         self.deliveries += 1;
         if let Some(from) = delivery.from {
-            self.clients[from].under_way += 1;
+            self.clients[from].in_flight += 1;
         }
         self.clients[to].arriving.insert((at, self.deliveries), delivery);
     }
 }
 
-/// A client of a [`MemoryNetwork`]; `poll` never waits.
+/// A client of a [`MemoryNetwork`]. Its `poll` never waits.
 #[derive(Debug)]
 pub struct MemoryTransport {
     network: MemoryNetwork,
@@ -248,7 +250,7 @@ impl Transport for MemoryTransport {
             return Err(PublishError::TooLarge { bytes, max_bytes: broker.packet_bytes_max });
         }
         let client = &broker.clients[self.client];
-        if !broker.is_up || client.is_cut() || client.under_way >= QUEUE_MAX {
+        if !broker.is_up || client.is_cut() || client.in_flight >= QUEUE_MAX {
             return Err(PublishError::Busy);
         }
         let topic = message.topic.as_str();
@@ -274,12 +276,12 @@ impl Transport for MemoryTransport {
         let now = broker.now;
         let first = broker.clients[self.client].arriving.first_entry()?;
         let delivery = (first.key().0 <= now).then(|| first.remove())?;
-        broker.arrived(&delivery);
+        broker.finish_delivery(&delivery);
         Some(delivery.event)
     }
 }
 
-/// Whether a topic matches a filter with MQTT's wildcards.
+/// Whether a topic matches a filter with MQTT wildcards.
 fn matches(filter: &str, topic: &str) -> bool {
     let mut levels = topic.split('/');
     for wanted in filter.split('/') {

@@ -1,17 +1,17 @@
-//! MQTT 5 by rumqttc, on a thread of its own, so that the connection lives while its owner computes.
+//! MQTT 5 with rumqttc, on its own thread, so that the connection stays alive while the caller computes.
 //!
-//! What rumqttc 0.25 needs to be lived with:
-//! - QoS 1, a stable client id, `clean_start = false` and a session expiry: with clean sessions, what
-//!   was not acknowledged when a connection broke is dropped without a word.
-//! - Explicit packet sizes, and a size check before publishing: a QoS 1 message that the broker finds too
-//!   large is repeated, and the connection lost, for ever.
-//! - A watch: after certain collisions of packet ids the client never publishes again
-//!   (bytebeamio/rumqtt#1014); one without acknowledgements is thrown away and a new one started.
-//! - Version 5, since only there brokers say how large a packet and how many they take, and forget the
-//!   sessions of those who do not come back.
+//! rumqttc 0.25 requires these settings:
+//! - QoS 1, a stable client id, `clean_start = false` and a session expiry. With clean sessions, the client
+//!   silently drops unacknowledged messages when a connection breaks.
+//! - Explicit packet sizes, and a size check before publishing. Otherwise the client repeats a QoS 1 message
+//!   that is too large for the broker for ever, and loses the connection each time.
+//! - A watchdog. After certain collisions of packet ids the client never publishes again
+//!   (bytebeamio/rumqtt#1014). A client that gets no acknowledgements is replaced by a new one.
+//! - Version 5 of MQTT. Only there do brokers announce their maximum packet size and number of packets in
+//!   flight, and drop expired sessions.
 //!
-//! It keeps nothing on a disk; what is lost with it is asked for again by the conversation above. Clocks
-//! are read here for timeouts only: nothing that is computed depends on them.
+//! The client keeps nothing on disk; the protocol requests lost messages again. Clocks are read for timeouts
+//! only, so no result depends on them.
 
 mod address;
 mod config;
@@ -37,8 +37,8 @@ use crate::transport::{Outgoing, PublishError, Transport, TransportEvent};
 use config::{EVENTS_MAX, PACKET_OVERHEAD_BYTES};
 use worker::{Shared, Worker};
 
-/// A client of an MQTT broker. When it is dropped, what was published is carried out (for at most
-/// 2 seconds); then the connection is cut, and the broker publishes the last will.
+/// A client of an MQTT broker. Dropping it sends the queued messages for at most 2 seconds, and then closes
+/// the connection. The broker then publishes the last will.
 #[derive(Debug)]
 pub struct MqttTransport {
     shared: Arc<Shared>,
@@ -47,7 +47,7 @@ pub struct MqttTransport {
 }
 
 impl MqttTransport {
-    /// Starts to connect; success and failure come as events.
+    /// Starts connecting. [`Transport::poll`] reports success and failure as events.
     pub fn start(config: MqttConfig) -> Self {
         let shared = Arc::new(Shared::default());
         let (sender, events) = sync_channel(EVENTS_MAX);
@@ -66,13 +66,13 @@ impl Transport for MqttTransport {
         }
         let Some(client) = self.shared.client() else { return Err(PublishError::Busy) };
         let payload = message.payload.clone();
-        // Counted first, since the acknowledgement may come before this thread goes on.
+        // Counted before publishing, since the worker may see the acknowledgement at any time after it.
         self.shared.unacknowledged.fetch_add(1, Ordering::Relaxed);
-        let taken = client.try_publish(message.topic.as_str(), QoS::AtLeastOnce, message.retain, payload);
-        if taken.is_err() {
-            self.shared.acknowledged();
+        let queued = client.try_publish(message.topic.as_str(), QoS::AtLeastOnce, message.retain, payload);
+        if queued.is_err() {
+            self.shared.count_acknowledgement();
         }
-        taken.map_err(|_| PublishError::Busy)
+        queued.map_err(|_| PublishError::Busy)
     }
 
     fn poll(&mut self, timeout: Duration) -> Option<TransportEvent> {
@@ -84,7 +84,7 @@ impl Drop for MqttTransport {
     fn drop(&mut self) {
         self.shared.is_stopping.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {
-            // A panic there has been printed; there is nothing to add.
+            // A panic of the thread has already been printed.
             let _ = thread.join();
         }
     }

@@ -1,7 +1,7 @@
 //! A node: one participant with its inbox, its uploads and its session, on one transport.
 //!
-//! [`Node`] and the calls of its user are in `state`, the handling of incoming messages in `receive`, that of outgoing
-//! messages in `send`. [`Node::step`] runs both.
+//! The module `state` has [`Node`] and the calls that change it, `receive` handles incoming messages, and
+//! `send` outgoing ones. [`Node::step`] does both.
 
 mod births;
 mod event;

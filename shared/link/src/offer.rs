@@ -1,4 +1,4 @@
-//! Models packed to be sent.
+//! Models packed for sending.
 
 use cosurf_scene::{Camera, Splats};
 use cosurf_wire::body::{BodyHead, BodyPlan};
@@ -8,18 +8,19 @@ use crate::body::{BodyFault, body_hash};
 use crate::codec::{First, check_body, model_to_body, plain_importance};
 use crate::trust::Credentials;
 
-/// A model ready to be sent.
+/// A model packed for sending: its header and body.
 #[derive(Clone, Debug)]
 pub struct Offer {
-    /// What is announced.
+    /// The header that announces the model.
     pub header: ModelHeader,
-    /// What is sent in chunks; its size and hash are those of the header.
+    /// The body, sent in chunks. The header has its size and hash.
     pub body: Vec<u8>,
 }
 
 impl Offer {
-    /// Packs a model; `views` counts the pictures that taught it. Refuses what a receiver would refuse. What
-    /// matters most is judged by [`plain_importance`]; who has rendered the model knows better.
+    /// Packs a model. `views` is the number of pictures that it was trained on. Fails if a receiver would
+    /// reject the body. Estimates importance by [`plain_importance`]; a caller that has rendered the model
+    /// should measure importance, and use [`Self::from_body`].
     pub fn new(
         device: DeviceId,
         model: ModelId,
@@ -37,7 +38,7 @@ impl Offer {
         )
     }
 
-    /// The same from a body that is already packed.
+    /// Makes an offer of a packed body. `views` is the number of pictures that the model was trained on.
     pub fn from_body(
         device: DeviceId,
         model: ModelId,
@@ -66,7 +67,7 @@ impl Offer {
         Ok(Self { header, body })
     }
 
-    /// The same in its sender's frame, signed by its key where it has one.
+    /// Sets the world frame, and signs the header if `credentials` have a key.
     pub fn with(mut self, site: &SiteId, credentials: &Credentials) -> Self {
         self.header.frame = credentials.frame;
         self.header.signature = None;

@@ -1,40 +1,40 @@
-//! What a sender knows of one receiver.
+//! A sender's state for one receiver.
 
 use cosurf_wire::{DeviceId, Knowledge, RefusalReason, Want};
 
 use crate::bits::BitSet;
 use crate::pacing::{REORDER, WINDOW};
 
-/// One receiver of one model.
+/// The transfer of one model to one receiver.
 #[derive(Debug)]
 pub(crate) struct Peer {
     pub(crate) device: DeviceId,
-    pub(crate) phase: Phase,
-    /// Whether the sender waits for this receiver, or only serves it.
+    pub(crate) phase: PeerPhase,
+    /// Whether the upload is finished only when this receiver has the model.
     pub(crate) is_required: bool,
-    /// Missing there and not under way.
+    /// Chunks that the receiver lacks and that are not in flight.
     wanted: BitSet,
-    /// Under way; at most [`WINDOW`].
-    in_flight: Vec<Sent>,
+    /// Chunks sent and not acknowledged, at most [`WINDOW`].
+    in_flight: Vec<SentChunk>,
 }
 
-/// How far it is.
+/// The phase of a receiver.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Phase {
-    /// It has not said what it wants.
+pub(crate) enum PeerPhase {
+    /// The receiver has not sent a `Want`.
     Silent,
-    /// It wants chunks.
+    /// The receiver lacks chunks.
     Fetching,
-    /// It has all on its disk.
+    /// The receiver has stored the model.
     Done,
-    /// It will not have it.
+    /// The receiver has rejected the model.
     Refused(RefusalReason),
 }
 
 #[derive(Clone, Copy, Debug)]
-struct Sent {
+struct SentChunk {
     index: u32,
-    /// Counts all chunks sent to all receivers.
+    /// Sequence number among all chunks of the model sent to any receiver.
     order: u64,
 }
 
@@ -42,48 +42,49 @@ impl Peer {
     pub(crate) fn new(device: DeviceId, chunks: u32, is_required: bool) -> Self {
         Self {
             device,
-            phase: Phase::Silent,
+            phase: PeerPhase::Silent,
             is_required,
             wanted: BitSet::full(chunks),
             in_flight: Vec::with_capacity(WINDOW),
         }
     }
 
-    /// Whether nothing more is to be expected of it.
-    pub(crate) fn is_settled(&self) -> bool {
-        matches!(self.phase, Phase::Done | Phase::Refused(_))
+    /// Whether the receiver has stored or rejected the model.
+    pub(crate) fn is_closed(&self) -> bool {
+        matches!(self.phase, PeerPhase::Done | PeerPhase::Refused(_))
     }
 
-    /// Chunks that it has, as far as is known.
-    pub(crate) fn chunks_there(&self, chunks: u32) -> u32 {
+    /// Number of chunks that the receiver is known to have.
+    pub(crate) fn chunks_received(&self, chunks: u32) -> u32 {
         match self.phase {
-            Phase::Done => chunks,
+            PeerPhase::Done => chunks,
             _ => chunks - self.wanted.len() - self.in_flight.len() as u32,
         }
     }
 
-    /// The next chunk to send it, if it may have one more under way.
+    /// The next chunk to send, if the window has room for it.
     pub(crate) fn next_chunk(&self) -> Option<u32> {
-        let has_room = self.phase == Phase::Fetching && self.in_flight.len() < WINDOW;
+        let has_room = self.phase == PeerPhase::Fetching && self.in_flight.len() < WINDOW;
         has_room.then(|| self.wanted.first()).flatten()
     }
 
-    /// A chunk was published for all to hear.
+    /// A chunk was published. All receivers get it, whoever asked for it.
     pub(crate) fn on_sent(&mut self, index: u32, order: u64) {
-        if self.phase == Phase::Fetching && self.wanted.contains(index) && self.in_flight.len() < WINDOW {
+        if self.phase == PeerPhase::Fetching && self.wanted.contains(index) && self.in_flight.len() < WINDOW {
             self.wanted.remove(index);
-            self.in_flight.push(Sent { index, order });
+            self.in_flight.push(SentChunk { index, order });
         }
     }
 
-    /// It says what it has and lacks. What it lacks of the chunks under way is lost if a later one has
-    /// arrived, or if it says that none is coming any more.
+    /// Updates the state from a `Want`. A chunk in flight counts as lost if the receiver lacks it and either a
+    /// much later chunk has arrived, or the receiver is idle.
     pub(crate) fn on_want(&mut self, chunks: u32, want: &Want) {
-        self.phase = Phase::Fetching;
+        self.phase = PeerPhase::Fetching;
         let knowledge = |index| want.missing.of_chunk(index);
-        let arrived = |sent: &&Sent| knowledge(sent.index) == Knowledge::Here;
-        let newest = self.in_flight.iter().filter(arrived).map(|sent| sent.order).max();
-        let is_lost = |sent: &Sent| want.idle || newest.is_some_and(|newest| sent.order + REORDER < newest);
+        let has_arrived = |sent: &&SentChunk| knowledge(sent.index) == Knowledge::Here;
+        let newest = self.in_flight.iter().filter(has_arrived).map(|sent| sent.order).max();
+        let is_lost =
+            |sent: &SentChunk| want.idle || newest.is_some_and(|newest| sent.order + REORDER < newest);
         let wanted = &mut self.wanted;
         self.in_flight.retain(|sent| match knowledge(sent.index) {
             Knowledge::Here => false,
@@ -96,18 +97,18 @@ impl Peer {
         for index in 0..chunks {
             match knowledge(index) {
                 Knowledge::Here => self.wanted.remove(index),
-                Knowledge::Missing if !self.is_under_way(index) => self.wanted.insert(index),
+                Knowledge::Missing if !self.is_in_flight(index) => self.wanted.insert(index),
                 Knowledge::Missing | Knowledge::Unsaid => {}
             }
         }
     }
 
-    /// It refuses. What it will take later it is offered later.
+    /// The receiver rejects the model. If the reason is temporary, it is offered again later.
     pub(crate) fn on_refused(&mut self, reason: RefusalReason) {
-        self.phase = if reason.is_passing() { Phase::Silent } else { Phase::Refused(reason) };
+        self.phase = if reason.is_passing() { PeerPhase::Silent } else { PeerPhase::Refused(reason) };
     }
 
-    fn is_under_way(&self, index: u32) -> bool {
+    fn is_in_flight(&self, index: u32) -> bool {
         self.in_flight.iter().any(|sent| sent.index == index)
     }
 }

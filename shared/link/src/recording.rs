@@ -1,49 +1,50 @@
-//! What was said on a broker, as a file: one entry for each message, in the order in which they came.
+//! Recordings of a broker's messages as files: one entry per message, in order of arrival.
 //!
-//! The file begins with [`MAGIC`]. An entry is, little-endian: microseconds since the one before (`u32`),
-//! flags (`u8`: bit 0 retained, bits 1 and 2 the QoS), bytes of the topic (`u16`), bytes of the payload
-//! (`u32`), topic, payload, CRC-32 of all that (`u32`). A recording that was cut off by a kill or a power
-//! cut ends with its last whole entry.
+//! The file begins with [`MAGIC`]. An entry contains, little-endian: microseconds since the previous entry
+//! (`u32`), flags (`u8`: bit 0 retain, bits 1 and 2 QoS), size of the topic (`u16`), size of the payload
+//! (`u32`), topic, payload, CRC-32 of these bytes (`u32`). A recording truncated by a kill or a power cut
+//! ends with its last whole entry.
 
 use std::io::{self, Read, Write};
 use std::time::Duration;
 
 use cosurf_wire::{MAX_MESSAGE_BYTES, MAX_TOPIC_BYTES};
 
-/// First bytes of a recording; the last is the version.
+/// First bytes of a recording. The last one is the version of the format.
 pub const MAGIC: [u8; 8] = *b"cosurfR\x01";
-/// Largest topic and payload that are recorded: ours, with room for the messages of others.
+/// Largest topic and payload recorded, in bytes: four times those of this protocol, so that other messages
+/// on the broker fit too.
 const TOPIC_BYTES_MAX: usize = 4 * MAX_TOPIC_BYTES;
 const PAYLOAD_BYTES_MAX: usize = 4 * MAX_MESSAGE_BYTES;
 const HEAD_BYTES: usize = 4 + 1 + 2 + 4;
 
-/// One message.
+/// A recorded message.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Entry {
-    /// Since the recording began.
+    /// Time since the start of the recording.
     pub at: Duration,
-    /// Under which topic.
+    /// The message's topic.
     pub topic: String,
-    /// 0 or 1.
+    /// The MQTT quality of service of the delivery: 0 or 1.
     pub qos: u8,
-    /// Whether it was published to be retained.
+    /// Whether the message was published with the retain flag.
     pub retain: bool,
-    /// Its bytes.
+    /// The message's bytes.
     pub payload: Vec<u8>,
 }
 
-/// Why a recording cannot be read on.
+/// Why a recording cannot be read.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum RecordingError {
     /// The file cannot be read.
     #[error(transparent)]
     Io(#[from] io::Error),
-    /// It is something else.
-    #[error("not a recording of this version: `cosurf-aggregator record` makes them")]
+    /// The file is not a recording, or of another version.
+    #[error("not a recording of this version: make one with `cosurf-aggregator record`")]
     NotARecording,
-    /// An entry contradicts itself.
-    #[error("entry {0} is damaged; what comes before it is whole")]
+    /// An entry is damaged.
+    #[error("entry {0} is damaged; the entries before it are intact")]
     Damaged(u64),
 }
 
@@ -55,20 +56,20 @@ pub struct Recorder<W> {
 }
 
 impl<W: Write> Recorder<W> {
-    /// Begins.
+    /// Starts a recording.
     pub fn new(mut out: W) -> io::Result<Self> {
         out.write_all(&MAGIC)?;
         Ok(Self { out, last_us: 0 })
     }
 
-    /// Adds one message; returns `false` where it is larger than any that is recorded.
+    /// Adds a message. Returns `false` and skips the message if it is too large.
     pub fn add(&mut self, entry: &Entry) -> io::Result<bool> {
         let Entry { at, topic, qos, retain, payload } = entry;
         if topic.len() > TOPIC_BYTES_MAX || payload.len() > PAYLOAD_BYTES_MAX {
             return Ok(false);
         }
         let at_us = at.as_micros() as u64;
-        // A pause of more than 71 minutes is shortened to that.
+        // Shortens a longer pause to the 71 minutes that a `u32` can hold.
         let pause_us = u32::try_from(at_us.saturating_sub(self.last_us)).unwrap_or(u32::MAX);
         self.last_us = self.last_us.max(at_us);
         let mut bytes = Vec::with_capacity(HEAD_BYTES + topic.len() + payload.len() + 4);
@@ -84,13 +85,13 @@ impl<W: Write> Recorder<W> {
         Ok(true)
     }
 
-    /// Hands everything to the operating system.
+    /// Flushes the writer.
     pub fn flush(&mut self) -> io::Result<()> {
         self.out.flush()
     }
 }
 
-/// Reads a recording, entry by entry.
+/// Reads a recording entry by entry.
 #[derive(Debug)]
 pub struct Recording<R> {
     input: R,
@@ -99,7 +100,7 @@ pub struct Recording<R> {
 }
 
 impl<R: Read> Recording<R> {
-    /// Opens it.
+    /// Opens a recording.
     pub fn open(mut input: R) -> Result<Self, RecordingError> {
         let mut magic = [0; MAGIC.len()];
         input.read_exact(&mut magic).map_err(|_| RecordingError::NotARecording)?;
@@ -109,7 +110,7 @@ impl<R: Read> Recording<R> {
         Ok(Self { input, at: Duration::ZERO, entries: 0 })
     }
 
-    /// The next message; `None` at the end, also where the last entry was cut off.
+    /// The next message; `None` at the end of the recording, or at a truncated last entry.
     pub fn next_entry(&mut self) -> Result<Option<Entry>, RecordingError> {
         let mut head = [0; HEAD_BYTES];
         if !read_whole(&mut self.input, &mut head)? {
@@ -141,7 +142,7 @@ impl<R: Read> Recording<R> {
     }
 }
 
-/// Fills the buffer; `false` where the input ends before.
+/// Fills the buffer. Returns `false` if the input ends before.
 fn read_whole(input: &mut impl Read, buffer: &mut [u8]) -> io::Result<bool> {
     match input.read_exact(buffer) {
         Ok(()) => Ok(true),
@@ -174,7 +175,7 @@ mod tests {
         bytes
     }
 
-    /// The entries that can be read, and whether the end was clean.
+    /// The readable entries, and whether the recording ended without an error.
     fn read(bytes: &[u8]) -> (Vec<Entry>, bool) {
         let Ok(mut recording) = Recording::open(bytes) else { return (Vec::new(), false) };
         let mut found = Vec::new();
@@ -188,12 +189,12 @@ mod tests {
     }
 
     #[test]
-    fn a_recording_comes_back() {
+    fn a_recording_round_trips() {
         assert_eq!(read(&recorded()), (entries(), true));
     }
 
     #[test]
-    fn one_cut_off_ends_with_its_last_whole_entry() {
+    fn a_truncated_recording_ends_with_its_last_whole_entry() {
         let bytes = recorded();
         for end in (0..bytes.len()).step_by(13) {
             let (found, _) = read(&bytes[..end]);
@@ -202,7 +203,7 @@ mod tests {
     }
 
     #[test]
-    fn damage_is_noticed_and_takes_no_memory() {
+    fn a_recording_ends_before_a_damaged_entry() {
         let (bytes, mut dice) = (recorded(), Dice::new(1));
         for _ in 0..2000 {
             let mut changed = bytes.clone();
@@ -214,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_too_large_is_left_out() {
+    fn a_message_that_is_too_large_is_skipped() {
         let mut recorder = Recorder::new(Vec::new()).unwrap();
         let mut entry = entries().remove(0);
         entry.payload = vec![0; PAYLOAD_BYTES_MAX + 1];

@@ -1,12 +1,12 @@
-//! A serial line, such as a telemetry radio (SiK), between one device and a gateway: the conversation's
-//! messages over [`Arq`], on a thread of its own.
+//! A serial line between one device and a gateway, such as a telemetry radio (SiK). It carries the protocol's
+//! messages over [`Arq`], on its own thread.
 //!
-//! A line that is cut goes on where it was when it stands again; a device or gateway that starts anew is
-//! told apart by its session, and the chunks that are missing then are asked for by the conversation
-//! above. Clocks are read here to keep the line's pace.
+//! After an outage the transfer continues where it stopped. A restart of either side is detected by its
+//! session number, and the protocol requests the missing chunks again. Clocks are read to keep to the line's
+//! bandwidth.
 
 mod arq;
-mod letter;
+mod packet;
 mod receiving;
 mod sending;
 
@@ -25,51 +25,51 @@ pub use arq::{Arq, ArqEvent};
 use crate::pacing::Backoff;
 use crate::transport::{Outgoing, PublishError, Transport, TransportEvent};
 
-/// The usual speed of telemetry radios.
+/// The usual baud rate of telemetry radios.
 pub const DEFAULT_BAUD: NonZeroU32 = NonZeroU32::new(57_600).expect("not zero");
-/// Largest message that a device sends: three seconds of a radio.
+/// Largest message that a device sends, in bytes: three seconds of a radio's bandwidth.
 pub const DEVICE_MESSAGE_BYTES: usize = 16 * 1024;
-/// Largest message that a gateway sends: any.
-pub const GATEWAY_MESSAGE_BYTES: usize = letter::MAX_LETTER_BYTES - 1;
+/// Largest message that a gateway sends, in bytes: the largest message of the protocol.
+pub const GATEWAY_MESSAGE_BYTES: usize = packet::MAX_PACKET_BYTES - 1;
 
-/// Longest that the port is listened to before the time is looked at.
-const LISTEN: Duration = Duration::from_millis(10);
-/// A port that takes nothing for so long is broken.
+/// Timeout of a read from the port.
+const READ_TIMEOUT: Duration = Duration::from_millis(10);
+/// A port that accepts no bytes for this long is treated as lost.
 const WRITE_TIMEOUT: Duration = Duration::from_secs(5);
-/// Between attempts to open the port.
+/// Delays between attempts to open the port.
 const REOPEN: Backoff = Backoff::new(Duration::from_millis(200), Duration::from_secs(5));
-/// Bits on the line for a byte: start, eight of data, stop.
+/// Bits on the line per byte: a start bit, eight data bits, a stop bit.
 const BITS_PER_BYTE: u32 = 10;
-/// Messages that wait for the owner; then the line holds the other side back.
+/// Maximum number of queued events. A full queue holds back the other side (backpressure).
 const EVENTS_MAX: usize = 16;
 
-/// What bytes go through: a serial port, or anything else of that kind. Reading must return after some
-/// milliseconds with [`io::ErrorKind::TimedOut`] where there is nothing.
+/// A serial port, or another byte stream. Without input, a read must fail with [`io::ErrorKind::TimedOut`]
+/// after some milliseconds.
 pub trait Port: Read + Write + Send {}
 
 impl<T: Read + Write + Send> Port for T {}
 
-/// Opens a port, again and again where it is lost.
+/// Opens a port. It is called again whenever the port is lost.
 pub type OpenPort = Box<dyn FnMut() -> io::Result<Box<dyn Port>> + Send>;
 
-/// A line, by name.
+/// The settings of one end of a line.
 pub struct SerialConfig {
-    /// What messages call it, `/dev/ttyUSB0`.
+    /// Name of the line in messages, such as `/dev/ttyUSB0`.
     pub name: String,
-    /// What it takes.
+    /// Bandwidth of the line.
     pub bytes_per_s: NonZeroU32,
-    /// Number of this side's session, unlike the one before.
+    /// Number of this side's session. It must differ from that of the last session.
     pub session: u64,
-    /// Largest message that this side sends.
+    /// Largest message that this side sends, in bytes.
     pub message_bytes_max: usize,
-    /// How to open it.
+    /// Opens the port.
     pub open: OpenPort,
 }
 
 impl SerialConfig {
-    /// A serial port of this machine.
+    /// Settings for a serial port of this machine.
     pub fn device(path: &str, baud: NonZeroU32, session: u64, message_bytes_max: usize) -> Self {
-        let builder = serialport::new(path, baud.get()).timeout(LISTEN);
+        let builder = serialport::new(path, baud.get()).timeout(READ_TIMEOUT);
         Self {
             name: path.to_owned(),
             bytes_per_s: NonZeroU32::new(baud.get() / BITS_PER_BYTE).unwrap_or(NonZeroU32::MIN),
@@ -80,7 +80,7 @@ impl SerialConfig {
     }
 }
 
-/// One end of a serial line. Dropping it leaves unsent what has not gone out.
+/// One end of a serial line. Dropping it discards the unsent messages.
 pub struct SerialTransport {
     arq: Arc<Mutex<Arq>>,
     message_bytes_max: usize,
@@ -90,9 +90,9 @@ pub struct SerialTransport {
 }
 
 impl SerialTransport {
-    /// Starts to listen; success and failure come as events.
+    /// Starts the line. [`Transport::poll`] reports success and failure as events.
     pub fn start(config: SerialConfig) -> Self {
-        // Sessions are counted from day to day; the line's own numbers only tell neighbours apart.
+        // The lower 32 bits suffice: the line only has to tell consecutive sessions apart.
         let arq = Arc::new(Mutex::new(Arq::new(config.session as u32, config.bytes_per_s)));
         let is_stopping = Arc::new(AtomicBool::new(false));
         let (sender, events) = sync_channel(EVENTS_MAX);
@@ -104,7 +104,7 @@ impl SerialTransport {
             is_stopping: Arc::clone(&is_stopping),
             events: sender,
             held: None,
-            begun: Instant::now(),
+            start: Instant::now(),
             reader: FrameReader::default(),
             attempt: 0,
         };
@@ -123,7 +123,7 @@ impl Transport for SerialTransport {
         if !arq.has_room() {
             return Err(PublishError::Busy);
         }
-        arq.queue(letter::seal(&message.topic, &message.payload));
+        arq.queue(packet::join(&message.topic, &message.payload));
         Ok(())
     }
 
@@ -136,7 +136,7 @@ impl Drop for SerialTransport {
     fn drop(&mut self) {
         self.is_stopping.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {
-            // A panic there has been printed; there is nothing to add.
+            // A panic of the thread has already been printed.
             let _ = thread.join();
         }
     }
@@ -146,16 +146,16 @@ fn lock(arq: &Mutex<Arq>) -> MutexGuard<'_, Arq> {
     arq.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// The thread that holds the port.
+/// The thread that owns the port.
 struct Worker {
     name: String,
     open: OpenPort,
     arq: Arc<Mutex<Arq>>,
     is_stopping: Arc<AtomicBool>,
     events: SyncSender<TransportEvent>,
-    /// For the owner, as soon as it has room.
+    /// An event that the full queue has not accepted yet.
     held: Option<TransportEvent>,
-    begun: Instant,
+    start: Instant,
     reader: FrameReader,
     attempt: u32,
 }
@@ -174,41 +174,41 @@ impl Worker {
             self.fail(&error.to_string());
             let until = Instant::now() + reopen.delay();
             while Instant::now() < until && !self.is_stopping() {
-                self.hand_over();
-                std::thread::sleep(LISTEN);
+                self.queue_events();
+                std::thread::sleep(READ_TIMEOUT);
             }
         }
     }
 
-    /// Speaks and listens until the owner wishes to stop.
+    /// Sends and receives until the transport is dropped.
     fn drive(&mut self, port: &mut dyn Port, reopen: &mut Backoff) -> io::Result<()> {
         let mut buffer = [0; 1024];
         while !self.is_stopping() {
-            self.speak(port)?;
-            self.hand_over();
+            self.send(port)?;
+            self.queue_events();
             match port.read(&mut buffer) {
                 Ok(0) => return Err(io::ErrorKind::UnexpectedEof.into()),
                 Ok(read) => {
                     reopen.reset();
-                    self.listen(&buffer[..read]);
+                    self.receive(&buffer[..read]);
                 }
-                Err(error) if is_passing(&error) => {}
+                Err(error) if is_temporary(&error) => {}
                 Err(error) => return Err(error),
             }
         }
         Ok(())
     }
 
-    fn speak(&self, port: &mut dyn Port) -> io::Result<()> {
+    fn send(&self, port: &mut dyn Port) -> io::Result<()> {
         let mut arq = lock(&self.arq);
-        while let Some(frame) = arq.next_frame(self.begun.elapsed()) {
+        while let Some(frame) = arq.next_frame(self.start.elapsed()) {
             write_all(port, frame)?;
         }
         Ok(())
     }
 
-    fn listen(&mut self, bytes: &[u8]) {
-        let now = self.begun.elapsed();
+    fn receive(&mut self, bytes: &[u8]) {
+        let now = self.start.elapsed();
         let mut arq = lock(&self.arq);
         for byte in bytes {
             if let Some(frame) = self.reader.push(*byte) {
@@ -217,8 +217,9 @@ impl Worker {
         }
     }
 
-    /// Gives the owner what there is. What it has no room for stays, and holds the other side back.
-    fn hand_over(&mut self) {
+    /// Queues all events for the caller. If the queue is full, the rest stays in the ARQ, which holds back the
+    /// other side.
+    fn queue_events(&mut self) {
         loop {
             let next = self.held.take().or_else(|| self.next_event());
             let Some(event) = next else { return };
@@ -242,8 +243,8 @@ impl Worker {
             }
             None => {}
         }
-        while let Some(letter) = arq.message() {
-            if let Some((topic, payload)) = letter::open(letter) {
+        while let Some(packet) = arq.message() {
+            if let Some((topic, payload)) = packet::split(packet) {
                 return Some(TransportEvent::Incoming { topic, payload });
             }
         }
@@ -253,7 +254,7 @@ impl Worker {
     fn fail(&mut self, what: &str) {
         let event = self.disconnected(what);
         self.held.get_or_insert(event);
-        self.hand_over();
+        self.queue_events();
     }
 
     fn disconnected(&mut self, what: &str) -> TransportEvent {
@@ -268,19 +269,21 @@ impl Worker {
     }
 }
 
-/// Writes all, however often the port has no room for a moment.
+/// Writes all bytes. Retries while the port's buffer is full.
 fn write_all(port: &mut dyn Port, mut bytes: &[u8]) -> io::Result<()> {
     let until = Instant::now() + WRITE_TIMEOUT;
     while !bytes.is_empty() {
         match port.write(bytes) {
             Ok(written) => bytes = &bytes[written..],
-            Err(error) if is_passing(&error) && Instant::now() < until => std::thread::sleep(LISTEN / 5),
+            Err(error) if is_temporary(&error) && Instant::now() < until => {
+                std::thread::sleep(READ_TIMEOUT / 5)
+            }
             Err(error) => return Err(error),
         }
     }
     Ok(())
 }
 
-fn is_passing(error: &io::Error) -> bool {
+fn is_temporary(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::TimedOut | io::ErrorKind::WouldBlock | io::ErrorKind::Interrupted)
 }

@@ -1,5 +1,5 @@
-//! Numbers of sessions that only grow, whatever the clock does: boards without a battery wake in 1970, and
-//! a first fix of the satellites may move time by years.
+//! Session numbers that always increase, whatever the clock does: a board without a battery starts in 1970,
+//! and a first satellite fix may move its clock by years.
 
 use std::fs;
 use std::io::Write;
@@ -7,9 +7,9 @@ use std::path::Path;
 
 use cosurf_scene::{SceneError, atomic};
 
-/// The number of the session that begins, greater than all before that left their mark in the file at
-/// `path`: seconds since 1970 as the clock says, or one more than the last. It is on the disk when this
-/// returns. A file that cannot be read as a number is begun anew.
+/// Returns the number of a new session and writes it to the file at `path`, so that the next session gets a
+/// greater one. It is `clock_s` (seconds since 1970), or the last number plus one if that is greater. An
+/// unreadable file counts as missing.
 pub fn next_session(path: &Path, clock_s: u64) -> Result<u64, SceneError> {
     let last = fs::read_to_string(path).ok().and_then(|text| text.trim().parse().ok());
     let next = last.map_or(clock_s, |last: u64| clock_s.max(last.saturating_add(1)));
@@ -25,14 +25,14 @@ mod tests {
     const YEAR_S: u64 = 365 * 24 * 3600;
 
     #[test]
-    fn sessions_grow_whatever_the_clock_does() {
+    fn session_numbers_increase_whatever_the_clock_does() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("session");
         let now = 56 * YEAR_S;
         let clocks = [now, now + 10, now - YEAR_S, 0, now + YEAR_S, now, now];
         let sessions: Vec<u64> = clocks.map(|clock| next_session(&path, clock).unwrap()).to_vec();
         assert!(sessions.windows(2).all(|pair| pair[0] < pair[1]), "{sessions:?}");
-        assert_eq!((sessions[0], sessions[1]), (now, now + 10), "the clock's own where it can be");
+        assert_eq!((sessions[0], sessions[1]), (now, now + 10), "the clock's value while it increases");
         fs::write(&path, "torn").unwrap();
         assert_eq!(next_session(&path, 7).unwrap(), 7);
     }

@@ -1,7 +1,7 @@
-//! Models on a disk, one file each: written, synced and renamed before anyone is told that they are there.
+//! Models on disk, one file each. A model counts as stored once its file is written, synced and renamed.
 //!
-//! A file `{device}.{model}.model` is the length of the header as `u16` little-endian, the header as it
-//! was announced ([`cosurf_wire::Message`]), then the body.
+//! A file `{device}.{model}.model` holds the length of the header (`u16`, little-endian), the header as it
+//! was received (an encoded [`cosurf_wire::Message`]), and the body.
 
 use std::fs;
 use std::io::{self, Read, Write};
@@ -16,7 +16,7 @@ use crate::key::ModelKey;
 
 const EXTENSION: &str = "model";
 
-/// What is wrong with a model's file, or with the disk.
+/// An invalid model file, or an I/O error.
 #[derive(Debug, thiserror::Error)]
 #[error(transparent)]
 pub struct StoreError(#[from] SceneError);
@@ -28,8 +28,8 @@ pub struct ModelStore {
 }
 
 impl ModelStore {
-    /// Opens or makes the folder and reads the headers of the models in it, ordered by device and number.
-    /// What a killed process left unfinished is removed; a file that is no whole model is an error, named.
+    /// Opens or creates the folder, and returns the headers of its models, ordered by device and number.
+    /// Removes the partial files of a killed process. An invalid model file is an error that names the file.
     pub fn open(folder: &Path) -> Result<(Self, Vec<ModelHeader>), StoreError> {
         let failed = |cause| SceneError::io(folder, cause);
         fs::create_dir_all(folder).map_err(failed)?;
@@ -46,12 +46,12 @@ impl ModelStore {
         Ok((store, headers))
     }
 
-    /// Writes a model; when this returns, it survives a power cut.
+    /// Writes a model. After this returns, the model survives a power cut.
     pub fn put(&self, header: &ModelHeader, body: &[u8]) -> Result<(), StoreError> {
         let key = ModelKey::from(header);
         let mut buffer = [0; MAX_CONTROL_BYTES];
-        // A test of the wire holds every header to this size.
-        let head = Message::Header(*header).encode(&mut buffer).expect("every header fits its largest size");
+        // Cannot fail: a test of the wire crate checks the largest header.
+        let head = Message::Header(*header).encode(&mut buffer).expect("a header fits MAX_CONTROL_BYTES");
         atomic::write(&self.path(key), |out| {
             out.write_all(&(head.len() as u16).to_le_bytes())?;
             out.write_all(head)?;
@@ -60,20 +60,20 @@ impl ModelStore {
         Ok(())
     }
 
-    /// Reads a model back; its hash and all its values have been checked.
+    /// Reads a model, and checks its hash and all its values.
     pub fn get(&self, key: ModelKey) -> Result<(ModelHeader, Vec<u8>), StoreError> {
         let path = self.path(key);
         let (mut file, header) = open_file(&path)?;
         let mut body = vec![0; header.body_bytes as usize];
         file.read_exact(&mut body).map_err(|cause| SceneError::io(&path, cause))?;
         if body_hash(&body) != header.blake3 {
-            return Err(malformed(&path, "its bytes have changed").into());
+            return Err(malformed(&path, "its hash does not match").into());
         }
         check_body(&header, &body).map_err(|fault| malformed(&path, &fault.to_string()))?;
         Ok((header, body))
     }
 
-    /// Forgets a model, if it is there.
+    /// Deletes a model, if it is stored.
     pub fn remove(&self, key: ModelKey) -> Result<(), StoreError> {
         let path = self.path(key);
         match fs::remove_file(&path) {
@@ -87,7 +87,7 @@ impl ModelStore {
     }
 }
 
-/// Reads the header and holds the file's size against it; leaves the file at the start of the body.
+/// Reads the header and checks the file's size against it. Returns the file positioned at the body.
 fn open_file(path: &Path) -> Result<(fs::File, ModelHeader), SceneError> {
     let failed = |cause| SceneError::io(path, cause);
     let mut file = fs::File::open(path).map_err(failed)?;
@@ -105,11 +105,11 @@ fn open_file(path: &Path) -> Result<(fs::File, ModelHeader), SceneError> {
     };
     let size = file.metadata().map_err(failed)?.len();
     if size != 2 + u64::from(length) + header.body_bytes {
-        return Err(malformed(path, "its size is not what its header says"));
+        return Err(malformed(path, "its size does not match its header"));
     }
     Ok((file, header))
 }
 
 fn malformed(path: &Path, what: &str) -> SceneError {
-    SceneError::malformed(path, format!("{what}; delete it, its device will send it again"))
+    SceneError::malformed(path, format!("{what}; delete it, and its device will send it again"))
 }

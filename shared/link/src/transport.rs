@@ -1,52 +1,52 @@
-//! What a participant needs of a network: publish, and hear what it subscribed to.
+//! The network as a participant uses it: publish messages, and receive those of its subscriptions.
 
 use std::time::Duration;
 
 use cosurf_wire::{Message, SiteId, Topic, TopicString};
 
-/// Carries bytes under topics, at least once while it is connected, and nothing more: messages may be
-/// lost with a connection, doubled and reordered. The conversation above copes.
+/// Carries messages under topics. It delivers at least once while it is connected, and guarantees nothing
+/// more: messages may be lost with a connection, duplicated and reordered. The protocol tolerates this.
 pub trait Transport {
-    /// Hands over one message.
+    /// Queues a message for sending.
     fn publish(&mut self, message: &Outgoing) -> Result<(), PublishError>;
 
-    /// The next thing that happened, waiting for it at most `timeout`.
+    /// Returns the next event, waiting for it at most `timeout`.
     fn poll(&mut self, timeout: Duration) -> Option<TransportEvent>;
 }
 
-/// What happens on a transport.
+/// An event of a transport.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum TransportEvent {
-    /// A message.
+    /// A message has arrived.
     Incoming {
-        /// Under which topic.
+        /// The message's topic.
         topic: String,
-        /// Its bytes.
+        /// The message's bytes.
         payload: Vec<u8>,
     },
-    /// The connection stands (again) with all its subscriptions. What was published before may be lost.
+    /// The connection is up (again) with all its subscriptions. Messages published earlier may be lost.
     Connected,
-    /// The connection is lost or could not be made; it is tried again without being asked.
+    /// The connection was lost or could not be made. The transport retries by itself.
     Disconnected {
-        /// Failed attempts since it last stood, from 1.
+        /// Number of failed attempts since the last connection, from 1.
         attempt: u32,
-        /// One line: where to, why not, which attempt.
+        /// One line with the address, the error and the attempt.
         reason: String,
     },
 }
 
-/// Why a message was not taken.
+/// Why a message was not queued.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PublishError {
-    /// As many messages are under way as there is room for: poll, then try again.
-    #[error("too many messages under way")]
+    /// The queue is full (backpressure): poll, then retry.
+    #[error("too many messages are queued")]
     Busy,
-    /// It never can be sent.
-    #[error("message of {bytes} bytes, the link takes {max_bytes}")]
+    /// The message is too large for the link.
+    #[error("message of {bytes} bytes, but the link accepts at most {max_bytes}")]
     TooLarge {
-        /// Bytes of the whole packet.
+        /// Size of the packet in bytes.
         bytes: usize,
-        /// What the link takes.
+        /// Largest size that the link accepts, in bytes.
         max_bytes: usize,
     },
 }
@@ -54,25 +54,25 @@ pub enum PublishError {
 /// A message to publish.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Outgoing {
-    /// Under which topic.
+    /// The message's topic.
     pub topic: TopicString,
-    /// Its bytes; empty and retained takes back what was retained.
+    /// The message's bytes. An empty payload with `retain` deletes the retained message of the topic.
     pub payload: Vec<u8>,
-    /// Whether the broker keeps it for those who subscribe later.
+    /// Whether the broker keeps the message for later subscribers.
     pub retain: bool,
 }
 
 impl Outgoing {
-    /// A message, encoded.
+    /// Encodes a message.
     pub(crate) fn new(site: &SiteId, topic: Topic, message: &Message<'_>, retain: bool) -> Self {
         let mut payload = vec![0; message.bytes_max()];
-        // A test of the wire holds every message to these sizes.
-        let used = message.encode(&mut payload).expect("every message fits its largest size").len();
+        // Cannot fail: a test of the wire crate checks the largest messages.
+        let used = message.encode(&mut payload).expect("a message fits its bytes_max").len();
         payload.truncate(used);
         Self { topic: topic.to_text(site), payload, retain }
     }
 
-    /// Takes back what is retained under a topic.
+    /// Deletes the retained message of a topic.
     pub(crate) fn clear(site: &SiteId, topic: Topic) -> Self {
         Self { topic: topic.to_text(site), payload: Vec::new(), retain: true }
     }

@@ -1,10 +1,10 @@
-//! Who may send what: ed25519 signatures of what is announced, and the world frame that all must share.
+//! Authentication of models: ed25519 signatures of headers, and the world frame that all models must share.
 //!
-//! A signature binds device, number, hash of the body, sizes, kind, frame and site together
-//! ([`ModelHeader::statement`]); chunks need none, for the hash holds them. With a list of keys a receiver
-//! refuses who is not in it, who is revoked, and a number below one that it has stored of the same device.
-//! Without one it takes models from anybody whom the broker lets in. Answers ([`cosurf_wire::Want`] and its
-//! like) are not signed: a broker's access list keeps every device to its own branch.
+//! A signature binds device, number, body hash, sizes, kind, frame and site together
+//! ([`ModelHeader::statement`]). Chunks need no signature, since the hash covers them. A receiver with a list
+//! of keys rejects devices that are not in the list, revoked keys, and numbers below one already stored from
+//! the same device. A receiver without a list accepts models from every client of the broker. Replies such as
+//! [`cosurf_wire::Want`] are not signed: the broker's access list restricts every device to its own topics.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -16,31 +16,31 @@ use cosurf_wire::message::MAX_STATEMENT_BYTES;
 use cosurf_wire::{DeviceId, FrameId, ModelHeader, ModelId, RefusalReason, Signature, SiteId};
 use ed25519_dalek::{Signer, SigningKey, VerifyingKey};
 
-/// Longest list of keys that is read.
+/// Maximum size of a list of keys in bytes.
 const TRUSTED_BYTES_MAX: u64 = 1 << 20;
-/// Longest file of a secret key.
+/// Maximum size of a secret key's file in bytes.
 const KEY_BYTES_MAX: u64 = 1 << 10;
 
-/// What a participant signs with, and whom it believes.
+/// A participant's world frame, its secret key, and the keys that it trusts.
 #[derive(Clone, Debug, Default)]
 pub struct Credentials {
-    /// The world frame of its models.
+    /// World frame of the models. Models in other frames are rejected.
     pub frame: FrameId,
-    /// What it signs with, if it signs.
+    /// Key that signs the participant's models; `None` leaves them unsigned.
     pub key: Option<SecretKey>,
-    /// Whom it believes; everybody where there is no list.
+    /// Keys whose models are accepted; `None` accepts unsigned models.
     pub trusted: Option<Trusted>,
 }
 
 impl Credentials {
-    /// Reads the files that are named.
+    /// Reads the given key files.
     pub fn load(frame: FrameId, key: Option<&Path>, trusted: Option<&Path>) -> Result<Self, SceneError> {
         let key = key.map(SecretKey::read).transpose()?;
         let trusted = trusted.map(Trusted::read).transpose()?;
         Ok(Self { frame, key, trusted })
     }
 
-    /// Why a model is refused, if it is: `newest` is the greatest number stored of its device.
+    /// Checks a header. `newest` is the highest number stored from its device.
     pub(crate) fn check(
         &self,
         site: &SiteId,
@@ -59,7 +59,7 @@ impl Credentials {
     }
 }
 
-/// What a participant signs with.
+/// A secret key for signing models.
 #[derive(Clone)]
 pub struct SecretKey(SigningKey);
 
@@ -70,21 +70,21 @@ impl std::fmt::Debug for SecretKey {
 }
 
 impl SecretKey {
-    /// The key of 32 bytes that nobody can guess.
+    /// Makes a key from 32 random bytes. They must come from a cryptographic random number generator.
     pub fn new(random: &[u8; 32]) -> Self {
         Self(SigningKey::from_bytes(random))
     }
 
-    /// Reads what [`Self::write_new`] wrote.
+    /// Reads a file written by [`Self::write_new`].
     pub fn read(path: &Path) -> Result<Self, SceneError> {
         let text = read_text(path, KEY_BYTES_MAX)?;
         let bytes = parse_hex(text.trim()).ok_or_else(|| {
-            SceneError::malformed(path, "holds no secret key; write one with the command key")
+            SceneError::malformed(path, "holds no secret key; make one with the command key")
         })?;
         Ok(Self::new(&bytes))
     }
 
-    /// Writes the key into a new file that only its owner may read. A file that is there stays.
+    /// Writes the key to a new file that only the current user may read. An existing file is an error.
     pub fn write_new(&self, path: &Path) -> Result<(), SceneError> {
         let mut options = fs::OpenOptions::new();
         options.write(true).create_new(true);
@@ -96,18 +96,18 @@ impl SecretKey {
         });
         written.map_err(|cause| match cause.kind() {
             ErrorKind::AlreadyExists => {
-                SceneError::malformed(path, "is there already; a key is not overwritten, choose another name")
+                SceneError::malformed(path, "already exists; a key is not overwritten, choose another name")
             }
             _ => SceneError::io(path, cause),
         })
     }
 
-    /// The line for the lists of those who shall believe `device`.
+    /// The line with the public key of `device`, for the lists of keys of its receivers.
     pub fn public_line(&self, device: &DeviceId) -> String {
         format!("{device} {}", hex(self.0.verifying_key().as_bytes()))
     }
 
-    /// Signs an announcement.
+    /// Signs a header.
     pub fn sign(&self, site: &SiteId, header: &mut ModelHeader) {
         let mut buffer = [0; MAX_STATEMENT_BYTES];
         let signature = self.0.sign(header.statement(site, &mut buffer));
@@ -115,7 +115,7 @@ impl SecretKey {
     }
 }
 
-/// A list of keys.
+/// A list of trusted and revoked public keys.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Trusted {
     keys: BTreeMap<DeviceId, Vec<PublicKey>>,
@@ -134,9 +134,9 @@ impl Trusted {
         Self::parse(&text).map_err(|reason| SceneError::malformed(path, reason))
     }
 
-    /// Reads a list: a line `DEVICE KEY` for each key, as the command `key` prints it, `revoked DEVICE KEY` for
-    /// one that counts no more, and comments after `#`. A device may have several keys. The error names the
-    /// line.
+    /// Parses a list of keys. A line `DEVICE KEY`, as the command `key` prints it, adds a key. A line
+    /// `revoked DEVICE KEY` revokes a key. `#` starts a comment. A device may have several keys. An error
+    /// names the line.
     pub fn parse(text: &str) -> Result<Self, String> {
         let mut trusted = Self::default();
         for (i, line) in text.lines().enumerate() {
@@ -151,8 +151,9 @@ impl Trusted {
             };
             let device = DeviceId::new(device).map_err(|error| wrong(&error.to_string()))?;
             let key = parse_hex(key).and_then(|bytes| VerifyingKey::from_bytes(&bytes).ok());
-            let key =
-                key.ok_or_else(|| wrong("no public key; copy the line that the command key printed"))?;
+            let key = key.ok_or_else(|| {
+                wrong("this is not a public key; copy the line that the command key printed")
+            })?;
             trusted.keys.entry(device).or_default().push(PublicKey { key, is_revoked });
         }
         Ok(trusted)
@@ -167,7 +168,7 @@ impl Trusted {
         let signer = keys.iter().find(|known| known.key.verify_strict(statement, &signature).is_ok());
         match signer {
             None => Err(RefusalReason::BadSignature),
-            // A key that stands in the list twice is revoked if it is once.
+            // A key listed twice is revoked if either line says so.
             Some(signer) if keys.iter().any(|known| known.key == signer.key && known.is_revoked) => {
                 Err(RefusalReason::Revoked)
             }
@@ -179,7 +180,7 @@ impl Trusted {
 fn read_text(path: &Path, bytes_max: u64) -> Result<String, SceneError> {
     let size = fs::metadata(path).map_err(|cause| SceneError::io(path, cause))?.len();
     if size > bytes_max {
-        return Err(SceneError::malformed(path, "is too long for keys; name the right file"));
+        return Err(SceneError::malformed(path, "is too large for a file of keys; is it the right file?"));
     }
     fs::read_to_string(path).map_err(|cause| SceneError::io(path, cause))
 }

@@ -1,9 +1,8 @@
-//! The sending half of the conversation: offers a model, sends each receiver the chunks it wants, is
-//! done with a receiver when that has the right bytes on its disk.
+//! The sending half of the protocol: offers a model, and sends each receiver the chunks that it lacks, until
+//! the receiver has stored the model.
 //!
-//! Nothing is sent on suspicion: chunks leave only after a [`Want`], so a sender that starts again sends
-//! only what is still missing. Chunks of a global model are heard by all devices, so one sending serves
-//! all that want it.
+//! Chunks are sent only after a [`Want`], so a restarted sender sends only the missing chunks. All devices
+//! receive the chunks of a global model, so each chunk is sent once for all of them.
 
 use std::time::Duration;
 
@@ -15,51 +14,81 @@ use cosurf_wire::{
 use crate::key::ModelKey;
 use crate::offer::Offer;
 use crate::pacing::{ANNOUNCE, Backoff};
-use crate::peer::{Peer, Phase};
+use crate::peer::{Peer, PeerPhase};
 use crate::transport::Outgoing;
 
-/// Receivers of a global model served at once; more are ignored.
+/// Maximum number of receivers of a global model; further ones are ignored.
 const PEERS_MAX: usize = 1024;
-/// Smallest chunk that a sender falls back to when the link takes no larger message. Ours: below it the
-/// messages' own overhead tells.
+/// Smallest chunk size in bytes that a sender falls back to when the link limits messages. Below it, the
+/// overhead of the messages is too large.
 const CHUNK_BYTES_MIN: u32 = 1024;
 
-/// How far an offer has come.
+/// The progress of an upload.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct UploadProgress {
-    /// Chunks of the body.
+    /// Number of chunks of the body.
     pub chunks: u32,
-    /// Chunks that the slowest required receiver is known to have.
+    /// Number of chunks that the slowest required receiver is known to have.
     pub chunks_there: u32,
-    /// Bytes of topics and payloads of all messages published, repetitions included.
+    /// Bytes of the topics and payloads of all messages published, including retries.
     pub bytes_sent: u64,
 }
 
-/// What an uploader learns.
+/// The effect of a reply on an upload.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum UploadEvent {
-    /// A receiver has more than before.
+    /// A receiver has more chunks than before.
     Progress,
-    /// Every required receiver has it on its disk.
+    /// Every required receiver has stored the model.
     Finished,
-    /// A receiver refuses, for good unless the reason is passing.
+    /// A receiver rejects the model; finally, unless [`RefusalReason::is_passing`].
     Refused(DeviceId, RefusalReason),
 }
 
-/// To whom a model goes.
+/// The receivers of a model.
 #[derive(Clone, Copy, Debug)]
-enum Lane {
-    /// From a device to the aggregator.
-    Local,
-    /// From the aggregator to all devices.
-    Global(TileId),
+enum Destination {
+    /// The aggregator, for a device's model.
+    Aggregator,
+    /// All devices, for the global model of a tile.
+    Devices(TileId),
 }
 
-/// Offers one model until every receiver has it on its disk or refuses it.
+/// Offers one model until every required receiver has stored or rejected it.
+///
+/// # Examples
+///
+/// ```
+/// use std::time::Duration;
+///
+/// use cosurf_link::uploader::UploadEvent;
+/// use cosurf_link::{Offer, Uploader};
+/// use cosurf_scene::Splats;
+/// use cosurf_wire::{DeviceId, Done, Message, ModelId, ModelKind, Reply, SiteId, Topic};
+///
+/// let (site, device, model) = (SiteId::new("quarry")?, DeviceId::new("drone-1")?, ModelId(1));
+/// let mut splats = Splats::with_capacity(1, 0);
+/// splats.push([0.0; 3], [1.0, 0.0, 0.0, 0.0], [-2.0; 3], 1.0, &[0.5; 3]);
+/// let offer = Offer::new(device, model, ModelKind::Local, 3, &splats, &[])?;
+/// let blake3 = offer.header.blake3;
+/// let mut uploader = Uploader::local(site, offer);
+///
+/// // First it announces the model by its header.
+/// let now = Duration::ZERO;
+/// let announcement = uploader.next(now).expect("the header is due at once");
+/// assert_eq!(announcement.topic.as_str(), "gs/v1/quarry/drone-1/up/1/m");
+/// assert_eq!(uploader.next(now), None, "chunks are sent only after a Want");
+///
+/// // This aggregator has stored the body in an earlier session.
+/// let topic = Topic::LocalReply { device, reply: Reply::Done };
+/// let reply = Message::Done(Done { device, model, blake3 });
+/// assert_eq!(uploader.hear(now, &topic, &reply), Some(UploadEvent::Finished));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug)]
 pub struct Uploader {
     site: SiteId,
-    lane: Lane,
+    destination: Destination,
     offer: Offer,
     peers: Vec<Peer>,
     announce_at: Option<Duration>,
@@ -73,19 +102,19 @@ impl Uploader {
     /// Offers a device's model to the aggregator.
     pub fn local(site: SiteId, offer: Offer) -> Self {
         let device = offer.header.device;
-        Self::new(site, Lane::Local, offer, &[device])
+        Self::new(site, Destination::Aggregator, offer, &[device])
     }
 
-    /// Offers a global model to all devices, and waits for `receivers`.
+    /// Offers a global model to all devices. It is finished when `receivers` have stored it.
     pub fn global(site: SiteId, tile: TileId, offer: Offer, receivers: &[DeviceId]) -> Self {
-        Self::new(site, Lane::Global(tile), offer, receivers)
+        Self::new(site, Destination::Devices(tile), offer, receivers)
     }
 
-    fn new(site: SiteId, lane: Lane, offer: Offer, receivers: &[DeviceId]) -> Self {
+    fn new(site: SiteId, destination: Destination, offer: Offer, receivers: &[DeviceId]) -> Self {
         let chunks = offer.header.chunks();
         Self {
             site,
-            lane,
+            destination,
             offer,
             peers: receivers.iter().map(|device| Peer::new(*device, chunks, true)).collect(),
             announce_at: Some(Duration::ZERO),
@@ -96,44 +125,45 @@ impl Uploader {
         }
     }
 
-    /// Which model.
+    /// The model's key.
     pub fn key(&self) -> ModelKey {
         self.offer.header.into()
     }
 
     /// The tile of a global model.
     pub fn tile(&self) -> Option<TileId> {
-        match self.lane {
-            Lane::Local => None,
-            Lane::Global(tile) => Some(tile),
+        match self.destination {
+            Destination::Aggregator => None,
+            Destination::Devices(tile) => Some(tile),
         }
     }
 
-    /// How far it has come.
+    /// The progress of the upload.
     pub fn progress(&self) -> UploadProgress {
         let chunks = self.offer.header.chunks();
-        let there = self.peers.iter().filter(|peer| peer.is_required).map(|peer| peer.chunks_there(chunks));
-        UploadProgress { chunks, chunks_there: there.min().unwrap_or(chunks), bytes_sent: self.bytes_sent }
+        let received =
+            self.peers.iter().filter(|peer| peer.is_required).map(|peer| peer.chunks_received(chunks));
+        UploadProgress { chunks, chunks_there: received.min().unwrap_or(chunks), bytes_sent: self.bytes_sent }
     }
 
-    /// Whether every required receiver has it or has refused it for good.
-    pub fn is_settled(&self) -> bool {
-        self.peers.iter().all(|peer| !peer.is_required || peer.is_settled())
+    /// Whether every required receiver has stored or finally rejected the model.
+    pub fn is_closed(&self) -> bool {
+        self.peers.iter().all(|peer| !peer.is_required || peer.is_closed())
     }
 
-    /// Whether nothing is left to do. A global model is served until another takes its place.
+    /// Whether nothing is left to do. Never true for a global model, which is served until another replaces it.
     pub fn is_over(&self) -> bool {
         self.is_cleared
     }
 
-    /// The transport stands (again): the offer is repeated, in case the broker has lost it.
+    /// The transport is connected (again): repeats the offer, in case the broker has lost it.
     pub fn on_connected(&mut self, now: Duration) {
         self.backoff.reset();
         self.announce_at = Some(now);
     }
 
-    /// The link takes no larger message than `max_bytes`: the offer is repeated with smaller chunks.
-    /// `false` where that would be too small to make sense.
+    /// Repeats the offer with smaller chunks, since the link accepts at most `max_bytes` per message. Returns
+    /// `false` if such chunks would be too small to be useful.
     pub fn shrink_chunks(&mut self, now: Duration, max_bytes: usize) -> bool {
         let overhead = MAX_MESSAGE_BYTES - cosurf_wire::MAX_CHUNK_BYTES + 2 * cosurf_wire::MAX_TOPIC_BYTES;
         let fitting = u32::try_from(max_bytes.saturating_sub(overhead)).unwrap_or(u32::MAX);
@@ -143,49 +173,49 @@ impl Uploader {
         }
         self.offer.header.chunk_bytes = chunk_bytes;
         let chunks = self.offer.header.chunks();
-        for peer in self.peers.iter_mut().filter(|peer| !peer.is_settled()) {
+        for peer in self.peers.iter_mut().filter(|peer| !peer.is_closed()) {
             *peer = Peer::new(peer.device, chunks, peer.is_required);
         }
         self.on_connected(now);
         true
     }
 
-    /// Takes an answer of a receiver; `None` where it changes nothing or is not for this model.
+    /// Handles a receiver's reply. Returns `None` if it changes nothing or concerns another model.
     pub fn hear(&mut self, now: Duration, topic: &Topic, message: &Message<'_>) -> Option<UploadEvent> {
-        let (by, reply) = self.answer_on(topic)?;
-        if subject(message) != Some(self.key()) || self.is_cleared {
+        let (by, reply) = self.reply_on(topic)?;
+        if replied_model(message) != Some(self.key()) || self.is_cleared {
             return None;
         }
         let chunks = self.offer.header.chunks();
         let index = self.peer_index(by, chunks)?;
-        if self.peers[index].is_settled() {
+        if self.peers[index].is_closed() {
             return None;
         }
-        let before = self.peers[index].chunks_there(chunks);
+        let before = self.peers[index].chunks_received(chunks);
         match (reply, message) {
             (Reply::Want, Message::Want(want)) => self.peers[index].on_want(chunks, want),
             (Reply::Done, Message::Done(done)) if done.blake3 == self.offer.header.blake3 => {
-                self.peers[index].phase = Phase::Done;
+                self.peers[index].phase = PeerPhase::Done;
             }
             (Reply::Refused, Message::Refused(refused)) => {
                 self.peers[index].on_refused(refused.reason);
-                self.pause_announcing(now);
+                self.delay_announcement(now);
                 return Some(UploadEvent::Refused(by, refused.reason));
             }
             _ => return None,
         }
         self.backoff.reset();
-        self.pause_announcing(now);
-        if self.peers[index].is_required && self.is_finished() {
+        self.delay_announcement(now);
+        if self.peers[index].is_required && self.is_stored() {
             return Some(UploadEvent::Finished);
         }
-        (self.peers[index].chunks_there(chunks) != before).then_some(UploadEvent::Progress)
+        (self.peers[index].chunks_received(chunks) != before).then_some(UploadEvent::Progress)
     }
 
-    /// The next message to publish, if it is time for one. What is handed out here must be published.
+    /// Returns the next message that is due. The caller must publish it: it counts as sent.
     pub fn next(&mut self, now: Duration) -> Option<Outgoing> {
-        let message = match self.lane {
-            Lane::Local if self.is_settled() => self.take_back_offer(),
+        let message = match self.destination {
+            Destination::Aggregator if self.is_closed() => self.clear_offer(),
             _ if self.announce_at.is_some_and(|at| now >= at) => Some(self.announce(now)),
             _ => self.next_chunk(),
         }?;
@@ -193,28 +223,28 @@ impl Uploader {
         Some(message)
     }
 
-    /// When [`Self::next`] will have something although nothing is heard; it may have it before.
+    /// When [`Self::next`] will have a message at the latest, if no reply arrives before.
     pub fn next_wakeup(&self) -> Option<Duration> {
         if self.is_cleared { None } else { self.announce_at }
     }
 
-    fn is_finished(&self) -> bool {
-        self.peers.iter().all(|peer| !peer.is_required || peer.phase == Phase::Done)
+    fn is_stored(&self) -> bool {
+        self.peers.iter().all(|peer| !peer.is_required || peer.phase == PeerPhase::Done)
     }
 
-    /// Whether `topic` carries answers to this uploader, whose and which.
-    fn answer_on(&self, topic: &Topic) -> Option<(DeviceId, Reply)> {
-        match (self.lane, topic) {
-            (Lane::Local, Topic::LocalReply { device, reply }) => Some((*device, *reply)),
-            (Lane::Global(_), Topic::GlobalReply { device, reply }) => Some((*device, *reply)),
+    /// The device and kind of a reply, if `topic` carries replies to this uploader.
+    fn reply_on(&self, topic: &Topic) -> Option<(DeviceId, Reply)> {
+        match (self.destination, topic) {
+            (Destination::Aggregator, Topic::LocalReply { device, reply }) => Some((*device, *reply)),
+            (Destination::Devices(_), Topic::GlobalReply { device, reply }) => Some((*device, *reply)),
             _ => None,
         }
     }
 
-    /// The peer that answers. Devices that come late to a global model are taken in.
+    /// Index of the peer that replies. A device that joins late is added to a global model's peers.
     fn peer_index(&mut self, device: DeviceId, chunks: u32) -> Option<usize> {
         let known = self.peers.iter().position(|peer| peer.device == device);
-        let may_join = matches!(self.lane, Lane::Global(_)) && self.peers.len() < PEERS_MAX;
+        let may_join = matches!(self.destination, Destination::Devices(_)) && self.peers.len() < PEERS_MAX;
         if known.is_none() && may_join {
             self.peers.push(Peer::new(device, chunks, false));
             return Some(self.peers.len() - 1);
@@ -222,18 +252,18 @@ impl Uploader {
         known
     }
 
-    /// Offers again only after a silence; not at all when all that were waited for are settled.
-    fn pause_announcing(&mut self, now: Duration) {
-        self.announce_at = if self.is_settled() { None } else { Some(now + self.backoff.delay()) };
+    /// Schedules the next offer after a delay without replies; none if all required receivers are finished.
+    fn delay_announcement(&mut self, now: Duration) {
+        self.announce_at = if self.is_closed() { None } else { Some(now + self.backoff.delay()) };
     }
 
     fn announce(&mut self, now: Duration) -> Outgoing {
         let header = self.offer.header;
-        let topic = match self.lane {
-            Lane::Local => Topic::LocalHeader { device: header.device, model: header.model },
-            Lane::Global(tile) => Topic::GlobalHeader { tile },
+        let topic = match self.destination {
+            Destination::Aggregator => Topic::LocalHeader { device: header.device, model: header.model },
+            Destination::Devices(tile) => Topic::GlobalHeader { tile },
         };
-        self.pause_announcing(now);
+        self.delay_announcement(now);
         Outgoing::new(&self.site, topic, &Message::Header(header), true)
     }
 
@@ -246,15 +276,15 @@ impl Uploader {
         let payload = &self.offer.body[range.start as usize..range.end as usize];
         let (device, model) = (header.device, header.model);
         let chunk = Chunk { device, model, index, payload };
-        let topic = match self.lane {
-            Lane::Local => Topic::LocalChunk { device, model, index },
-            Lane::Global(tile) => Topic::GlobalChunk { tile, model, index },
+        let topic = match self.destination {
+            Destination::Aggregator => Topic::LocalChunk { device, model, index },
+            Destination::Devices(tile) => Topic::GlobalChunk { tile, model, index },
         };
         Some(Outgoing::new(&self.site, topic, &Message::Chunk(chunk), false))
     }
 
-    /// The retained header of a local model goes once it is of no more use.
-    fn take_back_offer(&mut self) -> Option<Outgoing> {
+    /// Deletes the retained header of a local model, which is no longer needed.
+    fn clear_offer(&mut self) -> Option<Outgoing> {
         let topic = Topic::LocalHeader { device: self.key().device, model: self.key().model };
         let clear = (!self.is_cleared).then(|| Outgoing::clear(&self.site, topic));
         self.is_cleared = true;
@@ -262,8 +292,8 @@ impl Uploader {
     }
 }
 
-/// The model that a receiver's answer is about.
-fn subject(message: &Message<'_>) -> Option<ModelKey> {
+/// The model that a receiver's reply is about.
+fn replied_model(message: &Message<'_>) -> Option<ModelKey> {
     let (device, model) = match message {
         Message::Want(Want { device, model, .. })
         | Message::Refused(Refused { device, model, .. })

@@ -94,7 +94,7 @@ mod tests {
     }
 
     #[test]
-    fn invalid_encodings_are_rejected() {
+    fn invalid_encodings_are_refused() {
         for bad in [&mut [][..], &mut [0], &mut [3, 1], &mut [2, 0], &mut [1, 0]] {
             assert_eq!(decode_in_place(bad), None);
         }

@@ -1,8 +1,8 @@
 //! Frames of a serial line. They carry messages over a radio that loses and damages bytes.
 //!
-//! A message is cut into *pieces* with consecutive numbers. A side that has used its share of the line
-//! sends a *turn*: it acknowledges the pieces that have arrived, and hands the line to the other side. The
-//! two sides therefore never send at the same time, as half-duplex radios require.
+//! A message is cut into *pieces* with consecutive numbers. Only the side that has the *floor* may send. When
+//! it has used its share of the line, it sends a *turn*: this acknowledges the pieces that have arrived, and
+//! passes the floor. The two sides therefore never send at the same time, as half-duplex radios require.
 //!
 //! | Frame | Bytes before the CRC |
 //! |---|---|
@@ -51,7 +51,7 @@ pub struct Sessions {
 pub enum Frame<'a> {
     /// Part of a message.
     Piece(Piece<'a>),
-    /// Acknowledges pieces and hands over the line.
+    /// Acknowledges pieces and passes the floor.
     Turn(Turn),
 }
 
@@ -66,7 +66,7 @@ pub struct Piece<'a> {
     pub payload: &'a [u8],
 }
 
-/// Acknowledges pieces and hands over the line.
+/// Acknowledges pieces and passes the floor.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Turn {
     /// The sessions of both sides.
@@ -75,7 +75,7 @@ pub struct Turn {
     pub number: u32,
     /// Number of copies of this turn that follow. The other side waits for the last before it sends.
     pub copies_left: u8,
-    /// Whether the sender has more to send when it gets the line back.
+    /// Whether the sender has more to send when it gets the floor back.
     pub has_more: bool,
     /// All pieces below this number have arrived.
     pub next: u32,

@@ -18,7 +18,7 @@
 //! | [`Chunk`] | device → aggregator | `/{device}/up/{model}/c/{index}` | no | bytes `index * chunk_bytes ..` of the body |
 //! | [`Want`] | aggregator → device | `/{device}/dn/want` | no | the chunks that the receiver has and lacks |
 //! | [`Done`] | aggregator → device | `/{device}/dn/done` | no | the receiver has stored the body with this hash on disk |
-//! | [`Refused`] | aggregator → device | `/{device}/dn/refused` | no | the receiver rejects the model, with the reason |
+//! | [`Refused`] | aggregator → device | `/{device}/dn/refused` | no | the receiver refuses the model, with the reason |
 //! | [`ModelHeader`] | aggregator → devices | `/global/{tile}/m` | yes | the newest revision of the global model |
 //! | [`Chunk`] | aggregator → devices | `/global/{tile}/{model}/c/{index}` | no | bytes of that model, sent once for all devices |
 //! | [`Want`], [`Done`], [`Refused`] | device → aggregator | `/{device}/global/{want,done,refused}` | no | as above |

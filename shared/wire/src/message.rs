@@ -61,7 +61,7 @@ pub enum Message<'a> {
     Done(Done),
     /// Start or end of a device's session.
     State(State),
-    /// The receiver rejects a model.
+    /// The receiver refuses a model.
     Refused(Refused),
     /// The cameras of a device's flight.
     #[serde(borrow)]
@@ -117,8 +117,8 @@ pub enum ModelKind {
     Local,
     /// Merged by an aggregator from several models.
     Global,
-    /// A local model pruned before upload: without the splats that belong to other devices, chosen by
-    /// the [`Flight`]s they sent.
+    /// A local model pruned before upload: it lacks the overlap that other devices own, as computed from
+    /// their [`Flight`]s.
     Compressed,
 }
 
@@ -222,7 +222,7 @@ impl Flight<'_> {
     }
 }
 
-/// The receiver rejects a model.
+/// The receiver refuses a model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Refused {
     /// The device that made the model.
@@ -233,7 +233,7 @@ pub struct Refused {
     pub reason: RefusalReason,
 }
 
-/// Why a receiver rejects a model.
+/// Why a receiver refuses a model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum RefusalReason {
     /// The header is malformed, or contradicts itself or its topic.

@@ -47,7 +47,7 @@ fn camera_bytes(count: usize) -> Vec<u8> {
 }
 
 #[test]
-fn flights_with_invalid_cameras_are_rejected() {
+fn flights_with_invalid_cameras_are_refused() {
     let (device, frame) = (DeviceId::new("d").unwrap(), FrameId::default());
     let decoded = |cameras: &[u8]| {
         let mut buffer = vec![0; MAX_MESSAGE_BYTES];

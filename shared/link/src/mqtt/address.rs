@@ -3,19 +3,20 @@
 use std::fmt;
 use std::str::FromStr;
 
-/// The ports of MQTT without and with TLS (IANA).
+/// Default port without TLS (IANA).
 const DEFAULT_PORT: u16 = 1883;
+/// Default port with TLS (IANA).
 const DEFAULT_PORT_TLS: u16 = 8883;
 
-/// Where a broker listens: `mqtt://host:port`, `host:port` or `host` (port 1883); or with TLS
-/// `mqtts://host:port` (port 8883).
+/// The address of a broker: `mqtt://host:port`, `host:port` or `host` without TLS (default port 1883),
+/// `mqtts://host:port` with TLS (default port 8883).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BrokerAddress {
-    /// Name or number of the host.
+    /// Host name or IP address.
     pub host: String,
     /// TCP port.
     pub port: u16,
-    /// Whether it wants TLS.
+    /// Whether the broker requires TLS.
     pub is_tls: bool,
 }
 
@@ -26,13 +27,13 @@ impl fmt::Display for BrokerAddress {
 }
 
 impl BrokerAddress {
-    /// The host as it stands before a port: IPv6 numbers in brackets.
+    /// The host as written before a port: an IPv6 address in brackets.
     pub(super) fn socket_host(&self) -> String {
         if self.host.contains(':') { format!("[{}]", self.host) } else { self.host.clone() }
     }
 }
 
-/// What is wrong with the text of an address.
+/// A text that is not a broker's address.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "broker address {text:?}: write mqtt://host:port, or mqtts://host:port for TLS (no password, no path)"
@@ -45,9 +46,9 @@ impl FromStr for BrokerAddress {
     type Err = BadAddress;
 
     fn from_str(text: &str) -> Result<Self, BadAddress> {
-        let bad = || BadAddress { text: text.to_owned() };
-        let secured = text.strip_prefix("mqtts://");
-        let rest = secured.or_else(|| text.strip_prefix("mqtt://")).unwrap_or(text);
+        let error = || BadAddress { text: text.to_owned() };
+        let after_mqtts = text.strip_prefix("mqtts://");
+        let rest = after_mqtts.or_else(|| text.strip_prefix("mqtt://")).unwrap_or(text);
         let rest = rest.strip_suffix('/').unwrap_or(rest);
         let (host, port) = match rest.strip_prefix('[').and_then(|rest| rest.split_once(']')) {
             Some((host, port)) => (host, port.strip_prefix(':')),
@@ -56,11 +57,11 @@ impl FromStr for BrokerAddress {
         let is_bracketed = rest.starts_with('[');
         let allowed = |c: char| c.is_ascii_alphanumeric() || "-._".contains(c) || (is_bracketed && c == ':');
         if host.is_empty() || !host.chars().all(allowed) {
-            return Err(bad());
+            return Err(error());
         }
-        let is_tls = secured.is_some();
-        let usual = if is_tls { DEFAULT_PORT_TLS } else { DEFAULT_PORT };
-        let port = port.map_or(Ok(usual), |port| port.parse().map_err(|_| bad()))?;
+        let is_tls = after_mqtts.is_some();
+        let default = if is_tls { DEFAULT_PORT_TLS } else { DEFAULT_PORT };
+        let port = port.map_or(Ok(default), |port| port.parse().map_err(|_| error()))?;
         Ok(Self { host: host.to_owned(), port, is_tls })
     }
 }

@@ -1,22 +1,22 @@
-//! The settings of a client, and limits that its two threads share.
+//! The settings of a client, and the limits that its two threads share.
 
 use super::address::BrokerAddress;
 use super::tls::Tls;
 use crate::identity::Identity;
 
-/// Events that wait for the owner: 4 MiB of chunks. What comes beyond that, while the owner computes, is
-/// dropped, and asked for again later.
+/// Maximum number of queued events: 4 MiB of chunks. Further messages are dropped while the caller computes,
+/// and requested again later.
 pub(super) const EVENTS_MAX: usize = 64;
-/// Bytes of a publish packet beside topic and payload, generously.
+/// Upper bound on the bytes of a publish packet besides topic and payload.
 pub(super) const PACKET_OVERHEAD_BYTES: usize = 16;
 
-/// How to connect.
+/// The settings of a client.
 #[derive(Clone, Debug)]
 pub struct MqttConfig {
-    /// Where to.
+    /// The broker's address.
     pub broker: BrokerAddress,
-    /// As whom: gives client id, subscriptions and last will.
+    /// The participant. It determines client id, subscriptions and last will.
     pub identity: Identity,
-    /// Certificates, for a broker that wants TLS.
+    /// Certificates, if the broker requires TLS.
     pub tls: Option<Tls>,
 }

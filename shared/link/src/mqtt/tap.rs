@@ -1,4 +1,4 @@
-//! Listens to all that is said on a broker, and says it again: [`record`] and [`replay`].
+//! Records the messages of a broker, and publishes a recording again: [`record`] and [`replay`].
 
 use std::collections::BTreeMap;
 use std::io::{self, Read, Write};
@@ -18,49 +18,49 @@ use super::worker::{PACKET_BYTES_MAX, describe};
 use crate::faults::{Faults, Line};
 use crate::recording::{Entry, Recorder, Recording, RecordingError};
 
-/// Messages that wait for the connection.
+/// Maximum number of messages queued for the connection.
 const QUEUE_MAX: usize = 64;
-/// How often the wish to stop is looked at, and what was recorded is handed to the disk.
-const LOOK_UP: Duration = Duration::from_millis(200);
-/// Between attempts to connect.
-const PAUSE: Duration = Duration::from_millis(500);
-/// Attempts to reach a broker that was never reached.
+/// Interval of the checks for a stop, and of flushes of the recording.
+const TICK: Duration = Duration::from_millis(200);
+/// Delay between attempts to connect.
+const RECONNECT_DELAY: Duration = Duration::from_millis(500);
+/// Maximum number of consecutive failed attempts to connect.
 const ATTEMPTS_MAX: u32 = 8;
-/// What was published last gets this long to be acknowledged.
-const FAREWELL: Duration = Duration::from_secs(30);
+/// Time to wait at the end for the last acknowledgements.
+const ACKNOWLEDGEMENT_TIMEOUT: Duration = Duration::from_secs(30);
 
-/// Why listening or saying again ended.
+/// Why recording or replaying failed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum TapError {
-    /// The recording.
+    /// The recording is invalid.
     #[error(transparent)]
     Recording(#[from] RecordingError),
-    /// The file cannot be written.
+    /// The recording cannot be written.
     #[error("the recording cannot be written: {0}")]
     Write(#[source] io::Error),
     /// The broker cannot be reached, or was lost for good.
     #[error("broker {broker}: {reason}; gave up after {ATTEMPTS_MAX} attempts")]
     NoBroker {
-        /// Where.
+        /// The broker's address.
         broker: String,
-        /// What it said last.
+        /// The last error.
         reason: String,
     },
 }
 
-/// How to say it again.
+/// Settings of a replay.
 #[derive(Clone, Copy, Debug)]
 pub struct ReplaySettings {
-    /// So many times as fast as it was; `None` for as fast as the broker takes it.
+    /// Playback speed relative to the recording; `None` publishes as fast as the broker accepts.
     pub speed: Option<f64>,
-    /// What goes wrong on the way.
+    /// Faults to inject.
     pub faults: Faults,
-    /// Of what goes wrong.
+    /// Seed of the faults.
     pub seed: u64,
 }
 
-/// Writes all that is published under `filter` to `out` until told to stop; returns how many messages.
+/// Records all messages whose topics match `filter`, until `is_stopping`. Returns the number of messages.
 pub fn record(
     broker: &BrokerAddress,
     tls: Option<&Tls>,
@@ -70,10 +70,10 @@ pub fn record(
 ) -> Result<u64, TapError> {
     let mut recorder = Recorder::new(out).map_err(TapError::Write)?;
     let (client, mut connection) = Client::new(options(broker, tls, "record"), QUEUE_MAX);
-    let (begun, mut count, mut attempt) = (Instant::now(), 0, 0);
-    let mut flushed = begun;
+    let (start, mut count, mut attempt) = (Instant::now(), 0, 0);
+    let mut flushed_at = start;
     while !is_stopping.load(Ordering::Relaxed) {
-        match connection.recv_timeout(LOOK_UP) {
+        match connection.recv_timeout(TICK) {
             Ok(Ok(Event::Incoming(Packet::ConnAck(_)))) => {
                 let filter = Filter {
                     path: filter.to_owned(),
@@ -81,34 +81,34 @@ pub fn record(
                     preserve_retain: true,
                     ..Filter::default()
                 };
-                // The queue is empty after a connection, so there is room.
+                // Cannot fail: the queue is empty after a connection.
                 let _ = client.try_subscribe_many([filter]);
                 attempt = 0;
             }
             Ok(Ok(Event::Incoming(Packet::Publish(publish)))) => {
-                let entry = entry(begun.elapsed(), &publish);
+                let entry = entry(start.elapsed(), &publish);
                 count += u64::from(recorder.add(&entry).map_err(TapError::Write)?);
             }
             Ok(Err(error)) => {
                 attempt += 1;
                 if attempt >= ATTEMPTS_MAX {
-                    return Err(lost(broker, describe(&error)));
+                    return Err(no_broker(broker, describe(&error)));
                 }
-                sleep(PAUSE);
+                sleep(RECONNECT_DELAY);
             }
             Ok(Ok(_)) | Err(_) => {}
         }
-        if flushed.elapsed() >= LOOK_UP {
+        if flushed_at.elapsed() >= TICK {
             recorder.flush().map_err(TapError::Write)?;
-            flushed = Instant::now();
+            flushed_at = Instant::now();
         }
     }
     recorder.flush().map_err(TapError::Write)?;
     Ok(count)
 }
 
-/// Publishes a recording again until its end, or until told to stop; returns how many messages were
-/// published and acknowledged.
+/// Publishes a recording to its end, or until `is_stopping`. Returns the number of messages that the broker
+/// acknowledged.
 pub fn replay(
     broker: &BrokerAddress,
     tls: Option<&Tls>,
@@ -118,23 +118,25 @@ pub fn replay(
 ) -> Result<u64, TapError> {
     let (client, connection) = Client::new(options(broker, tls, "replay"), QUEUE_MAX);
     let driver = Driver::start(connection);
-    driver.wait(Duration::MAX, is_stopping, |state| state.is_connected.load(Ordering::Relaxed));
-    let (begun, mut sent) = (Instant::now(), 0);
+    driver.wait_until(Duration::MAX, is_stopping, |state| state.is_connected.load(Ordering::Relaxed));
+    let (start, mut sent) = (Instant::now(), 0);
     let mut player = Player::new(recording, settings);
     while let Some(Entry { at, topic, retain, payload, .. }) = player.next_entry()? {
         let at = settings.speed.map_or(Duration::ZERO, |speed| at.div_f64(speed));
-        while begun.elapsed() < at && !driver.is_over(is_stopping) {
-            sleep(LOOK_UP.min(at.saturating_sub(begun.elapsed())));
+        while start.elapsed() < at && !driver.is_over(is_stopping) {
+            sleep(TICK.min(at.saturating_sub(start.elapsed())));
         }
         if driver.is_over(is_stopping) {
             break;
         }
-        // Fails only where the driver has ended, which is seen next.
+        // Fails only after the driver has ended; the next iteration checks that.
         if client.publish(topic, QoS::AtLeastOnce, retain, payload).is_ok() {
             sent += 1;
         }
     }
-    driver.wait(FAREWELL, is_stopping, |state| state.acknowledged.load(Ordering::Relaxed) >= sent);
+    driver.wait_until(ACKNOWLEDGEMENT_TIMEOUT, is_stopping, |state| {
+        state.acknowledged.load(Ordering::Relaxed) >= sent
+    });
     let _ = client.disconnect();
     driver.end(broker)
 }
@@ -159,17 +161,17 @@ fn options(broker: &BrokerAddress, tls: Option<&Tls>, role: &str) -> MqttOptions
     options
 }
 
-fn lost(broker: &BrokerAddress, reason: String) -> TapError {
+fn no_broker(broker: &BrokerAddress, reason: String) -> TapError {
     TapError::NoBroker { broker: broker.to_string(), reason }
 }
 
-/// A recording with faults: its entries in the order in which they are said again.
+/// Injects faults into a recording: yields its entries in the order of replay.
 struct Player<R> {
     recording: Recording<R>,
     line: Line,
     waiting: BTreeMap<(Duration, u64), Entry>,
     copies: u64,
-    /// How far the recording was read; `None` at its end.
+    /// Time of the last entry read; `None` at the end of the recording.
     read_to: Option<Duration>,
 }
 
@@ -231,7 +233,7 @@ impl Driver {
                         if attempt >= ATTEMPTS_MAX {
                             return Some(describe(&error));
                         }
-                        sleep(PAUSE);
+                        sleep(RECONNECT_DELAY);
                     }
                 }
             }
@@ -244,16 +246,21 @@ impl Driver {
         self.thread.is_finished() || is_stopping.load(Ordering::Relaxed)
     }
 
-    fn wait(&self, longest: Duration, is_stopping: &AtomicBool, is_done: impl Fn(&DriverState) -> bool) {
-        let begun = Instant::now();
-        while !is_done(&self.state) && !self.is_over(is_stopping) && begun.elapsed() < longest {
+    fn wait_until(
+        &self,
+        timeout: Duration,
+        is_stopping: &AtomicBool,
+        is_done: impl Fn(&DriverState) -> bool,
+    ) {
+        let start = Instant::now();
+        while !is_done(&self.state) && !self.is_over(is_stopping) && start.elapsed() < timeout {
             sleep(Duration::from_millis(5));
         }
     }
 
     fn end(self, broker: &BrokerAddress) -> Result<u64, TapError> {
         match self.thread.join() {
-            Ok(Some(reason)) => Err(lost(broker, reason)),
+            Ok(Some(reason)) => Err(no_broker(broker, reason)),
             _ => Ok(self.state.acknowledged.load(Ordering::Relaxed)),
         }
     }

@@ -1,4 +1,4 @@
-//! The client against brokers that misbehave.
+//! The client with a broker that misbehaves.
 #![allow(clippy::unwrap_used)]
 
 use std::io::{Read, Write};
@@ -10,40 +10,42 @@ use cosurf_wire::{DeviceId, SiteId, Topic};
 use super::*;
 use crate::identity::{Identity, Role};
 
-/// Publishes that a broker of this sort swallows before it begins to acknowledge.
-struct Swallower {
+/// A broker that does not acknowledge the messages of its first connection.
+struct SilentBroker {
     address: BrokerAddress,
-    swallowed: Arc<AtomicU32>,
+    /// Number of messages that it did not acknowledge.
+    unacknowledged: Arc<AtomicU32>,
 }
 
-impl Swallower {
-    /// The first connection gets no acknowledgement of what it publishes, for ever; later ones do.
+impl SilentBroker {
+    /// Starts the broker on a free port.
     fn start() -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let port = listener.local_addr().unwrap().port();
-        let swallowed = Arc::new(AtomicU32::new(0));
-        let count = Arc::clone(&swallowed);
+        let unacknowledged = Arc::new(AtomicU32::new(0));
+        let count = Arc::clone(&unacknowledged);
         std::thread::spawn(move || {
-            for (visit, stream) in listener.incoming().enumerate() {
+            for (connection, stream) in listener.incoming().enumerate() {
                 let count = Arc::clone(&count);
-                std::thread::spawn(move || serve(stream.unwrap(), (visit == 0).then_some(&*count)));
+                std::thread::spawn(move || serve(stream.unwrap(), (connection == 0).then_some(&*count)));
             }
         });
         let address = BrokerAddress { host: "127.0.0.1".to_owned(), port, is_tls: false };
-        Self { address, swallowed }
+        Self { address, unacknowledged }
     }
 }
 
-/// As much of MQTT 5 as the client needs to believe in a broker.
-fn serve(mut stream: TcpStream, swallow: Option<&AtomicU32>) {
-    while let Some((kind, body)) = packet(&mut stream) {
+/// The minimum of MQTT 5 that the client needs. With `unacknowledged`, counts published messages there
+/// instead of acknowledging them.
+fn serve(mut stream: TcpStream, unacknowledged: Option<&AtomicU32>) {
+    while let Some((kind, body)) = read_packet(&mut stream) {
         let answer: Vec<u8> = match kind >> 4 {
             1 => vec![0x20, 3, 0, 0, 0],
             8 => vec![0x90, 5, body[0], body[1], 0, 1, 1],
             12 => vec![0xD0, 0],
             3 => {
                 let topic = usize::from(u16::from_be_bytes([body[0], body[1]]));
-                match swallow {
+                match unacknowledged {
                     Some(count) => {
                         count.fetch_add(1, Ordering::Relaxed);
                         continue;
@@ -59,7 +61,7 @@ fn serve(mut stream: TcpStream, swallow: Option<&AtomicU32>) {
     }
 }
 
-fn packet(stream: &mut TcpStream) -> Option<(u8, Vec<u8>)> {
+fn read_packet(stream: &mut TcpStream) -> Option<(u8, Vec<u8>)> {
     let mut byte = [0];
     stream.read_exact(&mut byte).ok()?;
     let (kind, mut length, mut shift) = (byte[0], 0, 0);
@@ -76,23 +78,23 @@ fn packet(stream: &mut TcpStream) -> Option<(u8, Vec<u8>)> {
     Some((kind, body))
 }
 
-/// A client whose broker takes publishes and never acknowledges them would wait for ever.
+/// Without the watchdog, a client whose messages are never acknowledged would wait for ever.
 #[test]
-fn a_stuck_client_is_thrown_away_and_a_new_one_works() {
-    let broker = Swallower::start();
+fn a_client_without_acknowledgements_is_replaced() {
+    let broker = SilentBroker::start();
     let (site, device) = (SiteId::new("site").unwrap(), DeviceId::new("drone").unwrap());
     let identity = Identity { site, device, session: 1, role: Role::Device };
     let config = MqttConfig { broker: broker.address.clone(), identity, tls: None };
     let mut transport = MqttTransport::start(config);
-    let patience = Duration::from_secs(20);
-    assert_eq!(transport.poll(patience), Some(TransportEvent::Connected));
+    let timeout = Duration::from_secs(20);
+    assert_eq!(transport.poll(timeout), Some(TransportEvent::Connected));
     let topic = Topic::State { device }.to_text(&site);
     transport.publish(&Outgoing { topic, payload: vec![1], retain: false }).unwrap();
-    let event = transport.poll(patience);
+    let event = transport.poll(timeout);
     assert!(
         matches!(&event, Some(TransportEvent::Disconnected { reason, .. }) if reason.contains("no acknowledgement")),
         "{event:?}"
     );
-    assert!(broker.swallowed.load(Ordering::Relaxed) > 0, "nothing was published");
-    assert_eq!(transport.poll(patience), Some(TransportEvent::Connected));
+    assert!(broker.unacknowledged.load(Ordering::Relaxed) > 0, "nothing was published");
+    assert_eq!(transport.poll(timeout), Some(TransportEvent::Connected));
 }

@@ -1,8 +1,7 @@
-//! TLS with certificates on both sides (rustls, with ring): the broker shows that it is ours, the device
-//! that it is who it says.
+//! Mutual TLS (rustls with ring): the broker and the device each prove their identity by a certificate.
 //!
-//! rumqttc 0.25 also links rustls-webpki 0.102.8 (RUSTSEC-2026-0049, -0098, -0099, -0104), for an error's
-//! type only: what verifies certificates here is the one of rustls itself, 0.103.
+//! rumqttc 0.25 also links rustls-webpki 0.102.8 (RUSTSEC-2026-0049, -0098, -0099, -0104), but only for the
+//! type of an error. Certificates are verified by the rustls-webpki of rustls itself, 0.103.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -18,37 +17,37 @@ use super::address::BrokerAddress;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum TlsError {
-    /// A file is not there, or not what it should be.
+    /// A file is missing or has the wrong content.
     #[error("{path}: {cause}; it must hold {wanted} in PEM")]
     File {
-        /// Which.
+        /// The file's path.
         path: String,
-        /// What should be in it.
+        /// The expected content.
         wanted: &'static str,
-        /// What is wrong.
+        /// The underlying error.
         cause: pem::Error,
     },
-    /// The files do not fit together.
+    /// Certificate and key do not match, or a certificate is invalid.
     #[error("certificate {cert} and key {key}: {cause}")]
     Pair {
         /// The certificate's path.
         cert: String,
         /// The key's path.
         key: String,
-        /// What is wrong.
+        /// The underlying error.
         cause: rustls::Error,
     },
-    /// The address and the configuration disagree.
-    #[error("write tls = {{ ca, cert, key }} with a broker of mqtts://, and only with one")]
+    /// Either the address requires TLS without certificates, or the certificates have an address without TLS.
+    #[error("a broker at mqtts:// needs tls = {{ ca, cert, key }}, and one at mqtt:// must not have it")]
     OneWithoutOther,
 }
 
-/// What a client shows and whom it trusts.
+/// A client's certificate and key, and the root certificates that it trusts.
 #[derive(Clone, Debug)]
 pub struct Tls(pub(super) Arc<ClientConfig>);
 
 impl Tls {
-    /// Reads the files.
+    /// Reads the certificates and the key.
     pub fn read(files: &TlsFiles) -> Result<Self, TlsError> {
         let mut roots = RootCertStore::empty();
         for root in certificates(&files.ca)? {
@@ -65,7 +64,7 @@ impl Tls {
         Ok(Self(Arc::new(config)))
     }
 
-    /// What a broker's address needs: files where it says `mqtts://`, none where it does not.
+    /// Reads the certificates if the address is `mqtts://`. An address without TLS must come without files.
     pub fn for_broker(broker: &BrokerAddress, files: Option<&TlsFiles>) -> Result<Option<Self>, TlsError> {
         match (broker.is_tls, files) {
             (true, Some(files)) => Self::read(files).map(Some),

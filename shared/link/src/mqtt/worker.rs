@@ -22,33 +22,34 @@ use crate::identity::Role;
 use crate::pacing::Backoff;
 use crate::transport::TransportEvent;
 
-/// Messages that wait for the event loop, and as many on the wire without acknowledgement: 1 MiB each.
+/// Maximum number of messages queued for the event loop, and of unacknowledged messages: 1 MiB of chunks
+/// each.
 const QUEUE_MAX: usize = 16;
-/// Largest packet that this side takes.
+/// Largest packet that this client accepts, in bytes.
 pub(super) const PACKET_BYTES_MAX: usize = MAX_MESSAGE_BYTES + MAX_TOPIC_BYTES + PACKET_OVERHEAD_BYTES;
-/// A dead connection is noticed after this long at most one and a half times.
+/// MQTT keep-alive. A dead connection is detected within one and a half times this duration.
 const KEEP_ALIVE: Duration = Duration::from_secs(30);
-/// A broker forgets a client that stays away longer. Ours: a flight's change of battery.
+/// The broker keeps a client's session for this long: enough for a battery change.
 const SESSION_EXPIRY_S: u32 = 3600;
 const CONNECT_TIMEOUT_S: u64 = 5;
-/// Between attempts to connect.
+/// Delays between attempts to connect.
 const RECONNECT: Backoff = Backoff::new(Duration::from_millis(200), Duration::from_secs(5));
-/// Without an acknowledgement for this long the client is thrown away: longer than 64 KiB take at 3 kB/s.
-const STUCK: Duration = Duration::from_secs(if cfg!(test) { 1 } else { 30 });
-/// How often stuckness and the owner's wish to stop are looked at.
+/// A client without an acknowledgement for this long is replaced. It is longer than 64 KiB take at 3 kB/s.
+const ACKNOWLEDGEMENT_TIMEOUT: Duration = Duration::from_secs(if cfg!(test) { 1 } else { 30 });
+/// Interval of the checks for missing acknowledgements and for a stop.
 const TICK: Duration = Duration::from_millis(50);
-/// What was published before a stop gets this long.
-const FAREWELL: Duration = Duration::from_secs(2);
-/// An owner that lets events pile up holds back the connection this long, then events are dropped.
-const PATIENCE: Duration = Duration::from_secs(5);
+/// Time to send queued messages before a stop.
+const STOP_TIMEOUT: Duration = Duration::from_secs(2);
+/// A full event queue holds back the connection for this long. Then messages are dropped.
+const DELIVERY_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// What the owner's thread and the worker's share.
+/// The state that the caller's thread and the worker's thread share.
 #[derive(Debug)]
 pub(super) struct Shared {
     client: Mutex<Option<AsyncClient>>,
-    /// What the broker takes; known once connected.
+    /// Largest packet that the broker accepts, in bytes; `usize::MAX` before the connection.
     pub(super) packet_bytes_max: AtomicUsize,
-    /// Published, not acknowledged by the broker.
+    /// Number of published messages that the broker has not acknowledged.
     pub(super) unacknowledged: AtomicUsize,
     pub(super) is_stopping: AtomicBool,
 }
@@ -65,7 +66,7 @@ impl Default for Shared {
 }
 
 impl Shared {
-    /// The client of today.
+    /// The current client.
     pub(super) fn client(&self) -> Option<AsyncClient> {
         self.client.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
@@ -74,10 +75,10 @@ impl Shared {
         *self.client.lock().unwrap_or_else(PoisonError::into_inner) = Some(client);
     }
 
-    /// One message less is on its way.
-    pub(super) fn acknowledged(&self) {
-        let less = |count: usize| count.checked_sub(1);
-        let _ = self.unacknowledged.fetch_update(Ordering::Relaxed, Ordering::Relaxed, less);
+    /// Counts one acknowledged message.
+    pub(super) fn count_acknowledgement(&self) {
+        let decrement = |count: usize| count.checked_sub(1);
+        let _ = self.unacknowledged.fetch_update(Ordering::Relaxed, Ordering::Relaxed, decrement);
     }
 }
 
@@ -92,13 +93,13 @@ pub(super) struct Worker {
     is_dropping: bool,
 }
 
-/// Why an event loop is left.
+/// Why an event loop ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Leave {
-    /// The owner wishes it.
+enum Exit {
+    /// The caller has dropped the transport.
     Stop,
-    /// A new client is to take over.
-    Rebuild,
+    /// A new client must replace this one.
+    Replace,
 }
 
 impl Worker {
@@ -118,34 +119,34 @@ impl Worker {
     pub(super) fn run(mut self) {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
         match runtime {
-            Ok(runtime) => runtime.block_on(async { while self.drive().await == Leave::Rebuild {} }),
+            Ok(runtime) => runtime.block_on(async { while self.drive().await == Exit::Replace {} }),
             Err(error) => {
-                let reason = format!("broker {}: no I/O: {error}", self.config.broker);
+                let reason = format!("broker {}: cannot start the I/O: {error}", self.config.broker);
                 let _ = self.events.send(TransportEvent::Disconnected { attempt: 1, reason });
             }
         }
     }
 
-    /// Runs one client until it is to be left.
-    async fn drive(&mut self) -> Leave {
+    /// Runs one client until it must stop or be replaced.
+    async fn drive(&mut self) -> Exit {
         let (client, mut eventloop) = AsyncClient::new(self.options(), QUEUE_MAX);
         self.shared.set_client(client);
         self.shared.unacknowledged.store(0, Ordering::Relaxed);
         self.is_connected = false;
         loop {
-            let left = match self.turn(&mut eventloop).await {
+            let exit = match self.poll(&mut eventloop).await {
                 Ok(Ok(event)) => self.on_event(&mut eventloop, event).await,
                 Ok(Err(error)) => self.on_error(&error).await,
-                Err(leave) => Some(leave),
+                Err(exit) => Some(exit),
             };
-            if let Some(leave) = left {
-                return leave;
+            if let Some(exit) = exit {
+                return exit;
             }
         }
     }
 
-    /// Polls once. The poll is never abandoned half-way, but to leave the client.
-    async fn turn(&mut self, eventloop: &mut EventLoop) -> Result<Result<Event, ConnectionError>, Leave> {
+    /// Waits for the next event. The poll is never cancelled, except when the client ends.
+    async fn poll(&mut self, eventloop: &mut EventLoop) -> Result<Result<Event, ConnectionError>, Exit> {
         let mut poll = pin!(eventloop.poll());
         let mut stopping_since = None;
         loop {
@@ -158,25 +159,25 @@ impl Worker {
             }
             if self.is_stopping() {
                 let since = *stopping_since.get_or_insert_with(Instant::now);
-                if is_idle || !self.is_connected || since.elapsed() > FAREWELL {
-                    return Err(Leave::Stop);
+                if is_idle || !self.is_connected || since.elapsed() > STOP_TIMEOUT {
+                    return Err(Exit::Stop);
                 }
             }
-            if self.last_progress.elapsed() > STUCK {
-                return Err(self.on_stuck().await);
+            if self.last_progress.elapsed() > ACKNOWLEDGEMENT_TIMEOUT {
+                return Err(self.on_no_acknowledgement().await);
             }
         }
     }
 
-    async fn on_event(&mut self, eventloop: &mut EventLoop, event: Event) -> Option<Leave> {
+    async fn on_event(&mut self, eventloop: &mut EventLoop, event: Event) -> Option<Exit> {
         match event {
             Event::Incoming(Packet::ConnAck(ack)) => self.on_connack(eventloop, &ack),
             Event::Incoming(Packet::SubAck(ack)) => {
                 let is_granted = |code: &SubscribeReasonCode| matches!(code, SubscribeReasonCode::Success(_));
                 if !ack.return_codes.iter().all(is_granted) {
-                    let reason = "it refuses our subscriptions: give this name access to its topics";
+                    let reason = "subscriptions rejected: give this device access to its topics";
                     self.fail(reason).await;
-                    return self.pause().await.or(Some(Leave::Rebuild));
+                    return self.pause().await.or(Some(Exit::Replace));
                 }
                 self.is_connected = true;
                 self.attempt = 0;
@@ -184,7 +185,7 @@ impl Worker {
                 self.deliver(TransportEvent::Connected).await;
             }
             Event::Incoming(Packet::PubAck(_)) => {
-                self.shared.acknowledged();
+                self.shared.count_acknowledgement();
                 self.last_progress = Instant::now();
             }
             Event::Incoming(Packet::Publish(publish)) => self.on_publish(publish).await,
@@ -193,7 +194,7 @@ impl Worker {
         None
     }
 
-    /// Subscriptions go first, before what is left from an earlier connection.
+    /// Subscribes before the messages left over from an earlier connection are sent.
     fn on_connack(&mut self, eventloop: &mut EventLoop, ack: &ConnAck) {
         let announced = ack.properties.as_ref().and_then(|properties| properties.max_packet_size);
         let limit = announced.map_or(usize::MAX, |bytes| bytes as usize);
@@ -214,22 +215,23 @@ impl Worker {
     }
 
     async fn on_publish(&mut self, publish: Publish) {
-        // A topic of ours is ASCII; whatever else there is, the node throws away.
+        // Topics of the protocol are ASCII. The node drops all others.
         let topic = String::from_utf8_lossy(&publish.topic).into_owned();
         let payload = publish.payload.to_vec();
         self.deliver(TransportEvent::Incoming { topic, payload }).await;
     }
 
-    async fn on_error(&mut self, error: &ConnectionError) -> Option<Leave> {
+    async fn on_error(&mut self, error: &ConnectionError) -> Option<Exit> {
         self.fail(&describe(error)).await;
-        let is_poisoned = matches!(error, ConnectionError::MqttState(state) if is_too_large(state));
+        let is_too_large = matches!(error, ConnectionError::MqttState(state) if is_too_large(state));
         let stop = self.pause().await;
-        stop.or(is_poisoned.then_some(Leave::Rebuild))
+        stop.or(is_too_large.then_some(Exit::Replace))
     }
 
-    async fn on_stuck(&mut self) -> Leave {
-        self.fail(&format!("no acknowledgement for {STUCK:?}; starting afresh")).await;
-        Leave::Rebuild
+    async fn on_no_acknowledgement(&mut self) -> Exit {
+        self.fail(&format!("no acknowledgement for {ACKNOWLEDGEMENT_TIMEOUT:?}; starting a new client"))
+            .await;
+        Exit::Replace
     }
 
     async fn fail(&mut self, what: &str) {
@@ -240,19 +242,19 @@ impl Worker {
         self.deliver(TransportEvent::Disconnected { attempt, reason }).await;
     }
 
-    /// Waits before the next attempt, unless the owner wishes to stop.
-    async fn pause(&mut self) -> Option<Leave> {
+    /// Waits before the next attempt, unless the transport is dropped.
+    async fn pause(&mut self) -> Option<Exit> {
         let until = Instant::now() + self.reconnect.delay();
         while Instant::now() < until && !self.is_stopping() {
             sleep(TICK).await;
         }
-        self.is_stopping().then_some(Leave::Stop)
+        self.is_stopping().then_some(Exit::Stop)
     }
 
-    /// Hands an event to the owner. An owner that does not listen holds the connection back for a while;
-    /// then its messages are dropped until it listens again, so that the connection stays alive.
+    /// Queues an event for the caller. A full queue holds back the connection for [`DELIVERY_TIMEOUT`]
+    /// (backpressure). Then messages are dropped until the queue has room, so that the connection stays alive.
     async fn deliver(&mut self, mut event: TransportEvent) {
-        let until = Instant::now() + PATIENCE;
+        let until = Instant::now() + DELIVERY_TIMEOUT;
         let is_message = matches!(event, TransportEvent::Incoming { .. });
         loop {
             match self.events.try_send(event) {
@@ -312,7 +314,7 @@ fn is_too_large(error: &StateError) -> bool {
     )
 }
 
-/// An error in a few words.
+/// Describes an error in a few words.
 pub(super) fn describe(error: &ConnectionError) -> String {
     match error {
         ConnectionError::Io(error) | ConnectionError::MqttState(StateError::Io(error)) => {
@@ -323,16 +325,16 @@ pub(super) fn describe(error: &ConnectionError) -> String {
         }
         ConnectionError::Timeout(_) => "no answer".to_owned(),
         ConnectionError::Tls(error) => format!("TLS: {error}"),
-        ConnectionError::ConnectionRefused(code) => format!("it turns us away: {code:?}"),
+        ConnectionError::ConnectionRefused(code) => format!("connection refused: {code:?}"),
         ConnectionError::MqttState(
             StateError::ConnectionAborted | StateError::Deserialization(MqttError::Io(_)),
         ) => "connection lost".to_owned(),
-        ConnectionError::MqttState(StateError::AwaitPingResp) => "no sign of life".to_owned(),
+        ConnectionError::MqttState(StateError::AwaitPingResp) => "no reply to a ping".to_owned(),
         ConnectionError::MqttState(StateError::ServerDisconnect { reason_code, .. }) => match reason_code {
             DisconnectReasonCode::SessionTakenOver => {
-                "another program connected under our name: give every device a name of its own".to_owned()
+                "another program connected under the same name: give every device its own name".to_owned()
             }
-            code => format!("it closed the connection: {code:?}"),
+            code => format!("connection closed by the broker: {code:?}"),
         },
         other => other.to_string(),
     }

@@ -1,4 +1,4 @@
-//! What a node tells its owner.
+//! The events of a node.
 
 use std::sync::Arc;
 
@@ -9,63 +9,65 @@ use crate::key::ModelKey;
 use crate::transport::PublishError;
 use crate::uploader::UploadProgress;
 
-/// What a node tells its owner.
+/// An event that a node reports to its caller.
 #[derive(Clone, Debug)]
 pub enum NodeEvent {
     /// The transport is connected (again).
     Connected,
-    /// The transport is not connected and tries again.
+    /// The transport is not connected, and retries by itself.
     Disconnected {
-        /// Failed attempts since it last stood, from 1.
+        /// Number of failed attempts since the last connection, from 1.
         attempt: u32,
-        /// One line to show.
+        /// One line with the address, the error and the attempt.
         reason: String,
     },
-    /// A device is born or has died.
+    /// A device has started or ended a session.
     State(State),
-    /// What another device has photographed, in this one's frame.
+    /// The cameras of another device's flight, in this node's world frame.
     Flight(DeviceId, Vec<Camera>),
-    /// Two participants take turns under one name; each throws the other out.
+    /// Two participants use the same name, so the broker keeps disconnecting one of them.
     SameName(DeviceId),
-    /// A header was accepted; its body is being fetched.
+    /// The node accepted an offer, and requests the body.
     Receiving(ModelHeader),
-    /// A model was announced that is stored already, in this session or an earlier one.
+    /// The offered model is already stored, from this session or an earlier one.
     Known(ModelHeader),
-    /// A whole, verified body. Write it, sync it, rename it, then call [`super::Node::stored`]; or
-    /// [`super::Node::store_failed`], or [`super::Node::refuse`]. Until then its sender waits.
+    /// A complete, verified body. The caller must write, sync and rename it, and then call
+    /// [`super::Node::stored`], or else [`super::Node::store_failed`] or [`super::Node::refuse`]. Its sender
+    /// waits for that.
     Store {
-        /// What was announced, and holds.
+        /// The model's header.
         header: ModelHeader,
-        /// For [`crate::body_to_model`].
+        /// The body, for [`crate::body_to_model`].
         body: Arc<Vec<u8>>,
     },
-    /// A model from outside was refused; its sender has been told.
+    /// The node rejected an offered model, and has told its sender.
     Refused {
-        /// Which.
+        /// The model.
         key: ModelKey,
-        /// Why.
+        /// The reason.
         reason: RefusalReason,
     },
-    /// Something was heard and thrown away; worth a line in a log.
+    /// The node dropped a message. Worth a line in a log.
     Ignored {
-        /// Under which topic.
+        /// The message's topic.
         topic: String,
-        /// Why.
+        /// The reason.
         reason: String,
     },
-    /// An upload got on.
+    /// An upload has progressed.
     Progress(ModelKey, UploadProgress),
-    /// Every receiver that is waited for has the model on its disk.
+    /// Every required receiver has stored the model.
     Uploaded(ModelKey, UploadProgress),
-    /// A receiver refuses the model; for good, unless the reason [`RefusalReason::is_passing`].
+    /// A receiver rejects the model; finally, unless [`RefusalReason::is_passing`].
     UploadRefused {
-        /// Which model.
+        /// The model.
         key: ModelKey,
-        /// Who refuses: a device, or (for a local model) the aggregator, named as the model's own device.
+        /// The device that rejects the model. For a local model the aggregator rejects it, and this is the
+        /// model's own device.
         by: DeviceId,
-        /// Why.
+        /// The reason.
         reason: RefusalReason,
     },
-    /// The link takes no messages of a size that makes sense.
+    /// The link accepts only messages that are too small for useful chunks.
     LinkTooNarrow(PublishError),
 }

@@ -1,4 +1,4 @@
-//! What a device tells of its flight.
+//! The cameras that a device announces of its flight.
 
 use cosurf_scene::Camera;
 use cosurf_wire::FLIGHT_CAMERAS_MAX;
@@ -6,12 +6,13 @@ use cosurf_wire::body::CAMERA_BYTES;
 
 use crate::body::camera_record;
 
-/// The cameras that a flight tells: all, or as many as it may, evenly spread.
+/// Selects the cameras to announce: all, or an even selection of [`FLIGHT_CAMERAS_MAX`].
 pub fn told_cameras(cameras: &[Camera]) -> Vec<Camera> {
     let count = cameras.len().min(FLIGHT_CAMERAS_MAX);
     (0..count).map(|i| cameras[i * cameras.len() / count]).collect()
 }
 
+/// Encodes cameras for a flight message.
 pub(super) fn camera_bytes(cameras: &[Camera]) -> Vec<u8> {
     let mut bytes = vec![0; cameras.len() * CAMERA_BYTES];
     for (camera, out) in cameras.iter().zip(bytes.as_chunks_mut().0) {

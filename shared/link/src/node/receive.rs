@@ -1,4 +1,4 @@
-//! What a node makes of what it hears. What does not belong is thrown away, and the owner told.
+//! The incoming messages of a node. Invalid messages are dropped and reported as [`NodeEvent::Ignored`].
 
 use cosurf_wire::{Flight, Message, State, Topic, WireError};
 
@@ -35,14 +35,14 @@ impl Node {
         }
     }
 
-    /// `Err` says why the message was thrown away.
+    /// `Err` is the reason why the message is dropped.
     fn receive_message(&mut self, topic: &str, payload: &[u8]) -> Result<(), String> {
         let (site, topic) = Topic::parse(topic).map_err(|error| error.to_string())?;
         if site != self.identity.site {
-            return Err(format!("belongs to site {site}"));
+            return Err(format!("the message belongs to site {site}"));
         }
         if payload.is_empty() {
-            // Somebody took back what was retained.
+            // The publisher has deleted a retained message.
             return Ok(());
         }
         let is_header = matches!(topic, Topic::LocalHeader { .. } | Topic::GlobalHeader { .. });
@@ -51,7 +51,7 @@ impl Node {
             Err(error) => {
                 let is_refusable = is_header && error != WireError::Damaged;
                 let event = is_refusable.then(|| self.inbox.on_bad_header(&topic)).flatten();
-                self.note_inbox(event);
+                self.report_inbox(event);
                 return Err(error.to_string());
             }
         };
@@ -64,35 +64,35 @@ impl Node {
             }
             (Topic::LocalHeader { .. } | Topic::GlobalHeader { .. }, Message::Header(header)) => {
                 let event = self.inbox.on_header(self.now, &topic, *header);
-                self.note_inbox(event);
+                self.report_inbox(event);
             }
             (Topic::LocalChunk { .. } | Topic::GlobalChunk { .. }, Message::Chunk(chunk)) => {
                 let event = self.inbox.on_chunk(self.now, &topic, chunk);
-                self.note_inbox(event);
+                self.report_inbox(event);
                 if let Some(InboxEvent::BadChunk(key, index)) = event {
-                    return Err(format!("chunk {index} of {key} is not as announced"));
+                    return Err(format!("chunk {index} of {key} contradicts its header"));
                 }
             }
             (
                 Topic::LocalReply { .. } | Topic::GlobalReply { .. },
                 Message::Want(_) | Message::Done(_) | Message::Refused(_),
             ) => self.receive_reply(&topic, &message),
-            _ => return Err("the message does not belong under its topic".to_owned()),
+            _ => return Err("the message does not match its topic".to_owned()),
         }
         Ok(())
     }
 
-    /// Flights are not signed: who believes some only believes none of them.
+    /// Flights are not signed, so a node with a list of trusted keys ignores them.
     fn receive_flight(&mut self, flight: &Flight<'_>) -> Result<(), String> {
         let Credentials { frame, trusted, .. } = self.inbox.credentials();
         if flight.device == self.identity.device || self.identity.role != Role::Device {
             return Ok(());
         }
         if trusted.is_some() {
-            return Err("flights are not signed, and only what is signed is believed".to_owned());
+            return Err("flights are not signed, and a list of trusted keys is set".to_owned());
         }
         if flight.frame != *frame {
-            return Err("is in another world frame".to_owned());
+            return Err("the flight is in another world frame".to_owned());
         }
         let cameras = flight.records().map(|record| camera(&record)).collect();
         self.events.push_back(NodeEvent::Flight(flight.device, cameras));
@@ -120,7 +120,7 @@ impl Node {
         }
     }
 
-    fn note_inbox(&mut self, event: Option<InboxEvent>) {
+    fn report_inbox(&mut self, event: Option<InboxEvent>) {
         match event {
             Some(InboxEvent::Receiving(header)) => self.events.push_back(NodeEvent::Receiving(header)),
             Some(InboxEvent::Known(header)) => self.events.push_back(NodeEvent::Known(header)),

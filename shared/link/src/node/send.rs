@@ -10,19 +10,19 @@ use crate::inbox::InboxAction;
 use crate::transport::{Outgoing, PublishError, Transport};
 use crate::uploader::Uploader;
 
-/// Messages sent between two looks at what has come in. Ours: half a window.
+/// Maximum number of messages sent before the node polls for incoming ones: half a window.
 const BURST: usize = 16;
-/// How soon a busy transport is tried again.
+/// Delay before a retry of a busy transport.
 const BUSY_WAIT: Duration = Duration::from_millis(2);
 
 impl Node {
-    /// When [`Self::step`] has something to do although nothing is heard.
+    /// When [`Self::step`] has something to do if no message arrives before.
     pub fn next_wakeup(&self) -> Option<Duration> {
         let uploads = self.uploaders.iter().filter_map(Uploader::next_wakeup);
         uploads.chain(self.inbox.next_wakeup()).min().filter(|_| self.is_connected)
     }
 
-    /// Sends what is due, up to [`BURST`]; returns how long there is nothing more to send.
+    /// Sends the messages that are due, at most [`BURST`]. Returns the time until the next one is due.
     pub(super) fn send<T: Transport>(&mut self, transport: &mut T) -> Duration {
         if !self.is_connected {
             return Duration::MAX;
@@ -72,7 +72,7 @@ impl Node {
         message
     }
 
-    /// Only chunks are ever too large: all offers go out again in smaller ones.
+    /// Repeats all offers with smaller chunks: no other message can be too large.
     fn on_too_large(&mut self, error: PublishError, max_bytes: usize) {
         let now = self.now;
         let before = self.uploaders.len();

@@ -1,4 +1,4 @@
-//! The state of a node, and the calls by which its user changes it.
+//! The state of a node, and the calls that change it.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -18,30 +18,30 @@ use crate::transport::Outgoing;
 use crate::trust::Credentials;
 use crate::uploader::Uploader;
 
-/// A participant. Give it a transport and the time, again and again.
+/// A participant. Its caller runs it by calling [`Self::step`] repeatedly.
 #[derive(Debug)]
 pub struct Node {
     pub(super) identity: Identity,
     pub(super) inbox: Inbox,
     pub(super) uploaders: Vec<Uploader>,
     pub(super) events: VecDeque<NodeEvent>,
-    /// The birth notice, due after each connection.
+    /// The birth notice (the start of the session), sent after each connection.
     pub(super) birth: Option<Outgoing>,
-    /// What this device has photographed, if it tells that.
+    /// The cameras of this device's flight, if it announces them.
     pub(super) flight: Option<Outgoing>,
     pub(super) is_flight_due: bool,
-    /// Flights of others that do not count any more, to be taken back.
+    /// Devices whose retained flights are to be deleted.
     pub(super) void_flights: VecDeque<DeviceId>,
-    /// The sessions that other devices have started.
+    /// The sessions of other devices.
     pub(super) births: Births,
-    /// Handed out by a machine, not yet taken by the transport.
+    /// A message that the transport has not accepted yet.
     pub(super) pending: Option<Outgoing>,
     pub(super) is_connected: bool,
     pub(super) now: Duration,
 }
 
 impl Node {
-    /// A node that holds the models of `stored` already (their headers, as [`crate::ModelStore::open`] gives).
+    /// Makes a node. `stored` are the headers of the models already on disk, from [`crate::ModelStore::open`].
     pub fn new(identity: Identity, limits: InboxLimits, stored: &[ModelHeader]) -> Self {
         Self {
             identity,
@@ -59,13 +59,13 @@ impl Node {
         }
     }
 
-    /// From now on sends models in the frame of `credentials` and signed by their key, and takes only such as
-    /// they believe.
+    /// Sets the credentials. The node then sends models in their world frame, signed with their key, and
+    /// accepts only models that they allow.
     pub fn believe(&mut self, credentials: Credentials) {
         self.inbox.believe(credentials);
     }
 
-    /// From now on tells other devices what this one has photographed: [`told_cameras`].
+    /// Announces this device's flight to other devices: the cameras that [`told_cameras`] selects.
     pub fn tell_flight(&mut self, cameras: &[Camera]) {
         let device = self.identity.device;
         let bytes = camera_bytes(&told_cameras(cameras));
@@ -75,13 +75,12 @@ impl Node {
         self.is_flight_due = self.is_connected;
     }
 
-    /// Takes back what a device has told of its flight, for nobody must leave ground to it any more.
+    /// Deletes the announced flight of `device`, so that other devices no longer leave overlap to it.
     pub fn void_flight(&mut self, device: DeviceId) {
         self.void_flights.push_back(device);
     }
 
-    /// Begins to offer a device's own model to the aggregator. An offer of the same model that is under
-    /// way is replaced.
+    /// Offers a device's own model to the aggregator. Replaces an unfinished offer of the same model.
     pub fn upload(&mut self, offer: Offer) {
         let offer = offer.with(&self.identity.site, self.inbox.credentials());
         let uploader = Uploader::local(self.identity.site, offer);
@@ -89,40 +88,41 @@ impl Node {
         self.uploaders.push(uploader);
     }
 
-    /// Begins to offer a global model to all devices, in place of any older revision, and waits for
-    /// `receivers`.
+    /// Offers a global model to all devices, in place of any older revision. [`NodeEvent::Uploaded`] comes when
+    /// all `receivers` have stored it.
     pub fn broadcast(&mut self, tile: TileId, offer: Offer, receivers: &[DeviceId]) {
         self.uploaders.retain(|old| old.tile() != Some(tile));
         let offer = offer.with(&self.identity.site, self.inbox.credentials());
         self.uploaders.push(Uploader::global(self.identity.site, tile, offer, receivers));
     }
 
-    /// The body that [`NodeEvent::Store`] handed out is on the disk, synced and renamed.
+    /// Call this when the body of [`NodeEvent::Store`] is on disk, synced and renamed.
     pub fn stored(&mut self, key: ModelKey) {
         self.inbox.stored(key);
     }
 
-    /// It is not, and may be tried again (disk full): it is handed out again after a while.
+    /// Call this when storing failed and a retry may succeed (for example on a full disk). The node hands out
+    /// the body again later.
     pub fn store_failed(&mut self, key: ModelKey) {
         self.inbox.store_failed(self.now, key);
     }
 
-    /// It is not wanted.
+    /// Drops an unfinished model and sends its sender `reason`.
     pub fn refuse(&mut self, key: ModelKey, reason: RefusalReason) {
         self.inbox.refuse(key, reason);
     }
 
-    /// Bytes of models on their way in; never more than the limits allow.
+    /// Size of all unfinished bodies in bytes, at most [`InboxLimits::total_bytes_max`].
     pub fn unfinished_bytes(&self) -> u64 {
         self.inbox.unfinished_bytes()
     }
 
-    /// Models whose chunks have not all come.
+    /// Headers of the models with missing chunks.
     pub fn unfinished(&self) -> impl Iterator<Item = &ModelHeader> {
         self.inbox.unfinished()
     }
 
-    /// What has come of an unfinished model: [`Inbox::part`].
+    /// Decodes the packs of an unfinished model that have arrived: see [`Inbox::part`].
     pub fn part(&self, key: ModelKey) -> Option<Model> {
         self.inbox.part(key)
     }

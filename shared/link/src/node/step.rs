@@ -1,4 +1,4 @@
-//! Runs a node: [`Node::step`] sends and receives once, [`Node::serve`] does so repeatedly.
+//! Runs a node: [`Node::step`] sends and receives once, [`Node::serve`] repeatedly.
 
 use std::ops::ControlFlow;
 use std::time::Duration;
@@ -8,8 +8,8 @@ use super::state::Node;
 use crate::transport::Transport;
 
 impl Node {
-    /// Hears, answers and sends what there is, waiting at most `wait` for something to hear. Returns what
-    /// the owner must know; `None` says nothing about whether more is to be done.
+    /// Sends the messages that are due, and receives one, waiting for it at most `wait`. Returns the next event
+    /// for the caller. `None` does not mean that all work is done.
     pub fn step<T: Transport>(
         &mut self,
         transport: &mut T,
@@ -31,7 +31,8 @@ impl Node {
         self.events.pop_front()
     }
 
-    /// Calls [`Self::step`] until `on_event` breaks; it is called with `None` at least every `wait`.
+    /// Calls [`Self::step`] and then `on_event` with its result, until `on_event` breaks. Without events,
+    /// `on_event` is called with `None` at least every `wait`.
     pub fn serve<T: Transport, B>(
         &mut self,
         transport: &mut T,

@@ -1,4 +1,4 @@
-//! One model on its way, for those who wait for it.
+//! A blocking upload.
 
 use std::ops::ControlFlow;
 use std::time::Duration;
@@ -12,8 +12,8 @@ use crate::offer::Offer;
 use crate::transport::{PublishError, Transport};
 use crate::uploader::UploadProgress;
 
-/// Uploads one model and returns when the aggregator has it on its disk, or why it refuses for good.
-/// Everything else that happens is told to `on_event`, which must answer [`NodeEvent::Store`].
+/// Uploads a model. Returns when the aggregator has stored it, or has finally rejected it. Passes all other
+/// events to `on_event`, which must handle [`NodeEvent::Store`].
 pub fn upload_blocking<T: Transport>(
     node: &mut Node,
     transport: &mut T,
@@ -21,11 +21,11 @@ pub fn upload_blocking<T: Transport>(
     now: impl Fn() -> Duration,
     mut on_event: impl FnMut(&mut Node, NodeEvent),
 ) -> Result<UploadProgress, UploadFault> {
-    let mine = ModelKey::from(offer.header);
+    let own_key = ModelKey::from(offer.header);
     node.upload(offer);
     node.serve(transport, now, Duration::from_secs(1), |node, event| match event {
-        Some(NodeEvent::Uploaded(key, progress)) if key == mine => ControlFlow::Break(Ok(progress)),
-        Some(NodeEvent::UploadRefused { key, reason, .. }) if key == mine && !reason.is_passing() => {
+        Some(NodeEvent::Uploaded(key, progress)) if key == own_key => ControlFlow::Break(Ok(progress)),
+        Some(NodeEvent::UploadRefused { key, reason, .. }) if key == own_key && !reason.is_passing() => {
             ControlFlow::Break(Err(UploadFault::Refused(reason)))
         }
         Some(NodeEvent::LinkTooNarrow(error)) => ControlFlow::Break(Err(UploadFault::LinkTooNarrow(error))),
@@ -37,13 +37,13 @@ pub fn upload_blocking<T: Transport>(
     })
 }
 
-/// Why an upload ended without success.
+/// Why an upload failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum UploadFault {
-    /// The aggregator will not have it.
+    /// The aggregator rejects the model.
     #[error("the aggregator refuses the model: {0}")]
     Refused(RefusalReason),
-    /// The broker takes no messages of a size that makes sense.
-    #[error("the broker takes too small messages; raise its largest packet size: {0}")]
+    /// The broker accepts only messages that are too small for useful chunks.
+    #[error("the broker accepts only small messages; raise its maximum packet size: {0}")]
     LinkTooNarrow(PublishError),
 }

@@ -1,13 +1,15 @@
-//! Selective repeat in turns: two ends of a line that loses, damages and delays, and on which only one may
-//! speak at a time. No clock, no port: it takes the time and frames, and returns frames.
+//! A selective-repeat ARQ for a half-duplex line that loses, damages and delays frames. It has no clock and
+//! no port: it takes the time and frames, and returns frames.
 //!
-//! One side has the floor: it sends pieces at the line's pace, first those that were lost, then new ones,
-//! for at most fifty times what handing over costs; then a [`Turn`], three times, since it must not be
-//! lost. The turn tells what has arrived; so each turn settles the fate of every piece sent before it, and
-//! no piece has a timer. A side that hears nothing where it should repeats its turn, ever more rarely; only
-//! the newest turn gives the floor, so there is never more than one. After an outage both go on where they
-//! were. After a restart of one side its session's number is another one: both begin anew, and the owner
-//! is told.
+//! The side that may send *has the floor*. It sends pieces at the line's bandwidth, first the lost ones, then
+//! new ones, for at most [`BURST_ROUNDS`] round trips. Then it sends a [`Turn`], [`COPIES`] times, since its
+//! loss is expensive. The turn acknowledges pieces and passes the floor. Every piece was sent before the
+//! turn that answers it, so it has either arrived or is lost: pieces need no timers.
+//!
+//! A side that gets no answer repeats its turn with exponential backoff. Only the newest turn passes the
+//! floor, so never more than one side has it. After an outage both sides continue where they stopped. A
+//! restart of one side changes its session number: both sides then start from the beginning, and the caller
+//! gets an event.
 
 use std::collections::VecDeque;
 use std::num::NonZeroU32;
@@ -19,70 +21,104 @@ use super::receiving::Receiving;
 use super::sending::Sending;
 use crate::faults::Dice;
 
-/// A turn is said so often: at 20 % loss one in 125 is lost.
+/// Number of copies of each turn. With 20 % loss, one turn in 125 is lost.
 const COPIES: u8 = 3;
-/// A side keeps the floor at most so many times the time of handing it over: 2 % are lost by that.
-const TURNS: u32 = 50;
+/// A side keeps the floor for at most this many round trips. Passing it then costs 2 % of the bandwidth.
+const BURST_ROUNDS: u32 = 50;
+/// Lower limit of the time that a side keeps the floor.
 const BURST_MIN: Duration = Duration::from_millis(500);
+/// Upper limit of the time that a side keeps the floor.
 const BURST_MAX: Duration = Duration::from_secs(10);
-/// A side with nothing to say keeps the floor for so long.
+/// A side with nothing to send keeps the floor for this long.
 const IDLE: Duration = Duration::from_secs(2);
-/// What handing over takes before it was measured.
-const FIRST_ROUND: Duration = Duration::from_secs(1);
-/// Beyond twice that time the other side may have been slow to wake.
+/// Round-trip time assumed before the first measurement.
+const FIRST_ROUND_TRIP: Duration = Duration::from_secs(1);
+/// Time added to the timeout for a slow wake-up of the other side.
 const GRACE: Duration = Duration::from_millis(200);
-/// Longest wait before a turn is repeated.
+/// Longest timeout before a turn is repeated.
 const REPEAT_MAX: Duration = Duration::from_secs(5);
-/// Without a word for so long the line is told to be lost.
-const LOST: Duration = Duration::from_secs(30);
-/// How far frames may be ahead of the pace: what a thread on a busy computer oversleeps, and less than
-/// what radios (SiK) and ports hold.
+/// The line counts as lost after this long without a valid frame.
+const LOST_AFTER: Duration = Duration::from_secs(30);
+/// How far frames may be sent ahead of the line's bandwidth. It covers the oversleeping of a thread on a busy
+/// computer, and is less than the buffers of radios (SiK) and ports.
 const AHEAD: Duration = Duration::from_millis(200);
 
-/// What a line tells its owner beside messages.
+/// An event of a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ArqEvent {
-    /// The other side answers. What was on its way before may be lost.
+    /// The other side answers. Messages sent before may be lost.
     Linked,
-    /// The other side has not been heard for a while. What is on its way goes on when it is.
+    /// The other side has been silent for a while. Transfers continue when it answers again.
     Lost,
 }
 
-/// Who may speak.
+/// The side that has the floor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Floor {
-    /// This side, from then on.
-    Ours { from: Duration, has_spoken: bool },
-    /// This side says its turn, so many times more.
-    Giving { copies: u8 },
-    /// The other side; it was heard, or given the floor, then.
+    /// This side, from time `from`. `has_sent` is set after its first piece.
+    Ours { from: Duration, has_sent: bool },
+    /// This side is passing the floor, with `copies` of its turn left to send.
+    Passing { copies: u8 },
+    /// The other side. It last sent a frame, or got the floor, at time `since`.
     Theirs { since: Duration },
 }
 
 /// One end of a line.
+///
+/// # Examples
+///
+/// ```
+/// use std::num::NonZeroU32;
+/// use std::time::Duration;
+///
+/// use cosurf_link::serial::Arq;
+///
+/// let bandwidth = NonZeroU32::new(5760).expect("not zero");
+/// let mut ends = [Arq::new(1, bandwidth), Arq::new(2, bandwidth)];
+/// ends[0].queue(b"hello".to_vec());
+///
+/// // A line without loss or delay, on virtual time.
+/// let mut now = Duration::ZERO;
+/// let received = loop {
+///     for (sender, receiver) in [(0, 1), (1, 0)] {
+///         while let Some(frame) = ends[sender].next_frame(now) {
+///             let mut frame = frame.to_vec();
+///             let without_zero = frame.len() - 1;
+///             ends[receiver].hear(now, &mut frame[..without_zero]);
+///         }
+///     }
+///     if let Some(message) = ends[1].message() {
+///         break message;
+///     }
+///     now += Duration::from_millis(10);
+///     assert!(now < Duration::from_secs(10), "the message arrives");
+/// };
+/// assert_eq!(received, b"hello");
+/// ```
 #[derive(Debug)]
 pub struct Arq {
-    /// As this side sends.
+    /// Session numbers, as this side sends them.
     sessions: Sessions,
-    /// The other side knows this session.
+    /// Whether the other side knows this side's session.
     is_confirmed: bool,
     is_up: bool,
     heard_at: Duration,
     sending: Sending,
     receiving: Receiving,
     floor: Floor,
-    /// Of the newest turn.
-    number: u32,
-    /// This side said it.
-    is_own: bool,
-    /// The other side waits for the floor.
+    /// Number of the newest turn.
+    turn_number: u32,
+    /// Whether this side sent the newest turn.
+    is_own_turn: bool,
+    /// Whether the other side has more to send, and so waits for the floor.
     is_awaited: bool,
-    /// The other side knows this one to wait, so it answers a turn at once.
+    /// Whether the other side must answer the last turn without delay. Only then is the answer a measurement
+    /// of the round-trip time.
     is_prompt: bool,
-    /// What handing over and back takes.
-    round: Duration,
-    /// When the last turn was out, until it is answered.
-    asked_at: Option<Duration>,
+    /// Average round-trip time: passing the floor and getting it back.
+    round_trip: Duration,
+    /// When the last turn was sent; `None` once it is answered.
+    turn_sent_at: Option<Duration>,
     repeats: u32,
     pace: Pace,
     dice: Dice,
@@ -91,7 +127,7 @@ pub struct Arq {
 }
 
 impl Arq {
-    /// An end whose session has a number of its own, on a line that takes so many bytes a second.
+    /// Makes an end of a line with the given bandwidth. `session` must differ from this side's last session.
     pub fn new(session: u32, bytes_per_s: NonZeroU32) -> Self {
         let session = session.max(1);
         Self {
@@ -101,13 +137,13 @@ impl Arq {
             heard_at: Duration::ZERO,
             sending: Sending::default(),
             receiving: Receiving::default(),
-            floor: Floor::Ours { from: Duration::ZERO, has_spoken: false },
-            number: 0,
-            is_own: true,
+            floor: Floor::Ours { from: Duration::ZERO, has_sent: false },
+            turn_number: 0,
+            is_own_turn: true,
             is_awaited: false,
             is_prompt: false,
-            round: FIRST_ROUND,
-            asked_at: None,
+            round_trip: FIRST_ROUND_TRIP,
+            turn_sent_at: None,
             repeats: 0,
             pace: Pace { bytes_per_s, free_at: Duration::ZERO },
             dice: Dice::new(u64::from(session)),
@@ -116,55 +152,55 @@ impl Arq {
         }
     }
 
-    /// Whether one more message is taken: the other side answers, and not too many wait.
+    /// Whether another message may be queued: the other side has answered, and the queue has room.
     pub fn has_room(&self) -> bool {
         self.is_confirmed && self.sending.has_room()
     }
 
-    /// Takes a message to send; one that is on its way already is not sent twice.
+    /// Queues a message for sending, unless an identical one has not arrived yet.
     pub fn queue(&mut self, message: Vec<u8>) {
         self.sending.queue(message);
     }
 
-    /// The next message that arrived.
+    /// The next message that has arrived.
     pub fn message(&mut self) -> Option<Vec<u8>> {
         self.receiving.message()
     }
 
-    /// What else happened.
+    /// The next event.
     pub fn event(&mut self) -> Option<ArqEvent> {
         self.events.pop_front()
     }
 
-    /// Takes a frame without its final zero; what is damaged is lost.
+    /// Takes a frame without its final zero. Ignores damaged frames.
     pub fn hear(&mut self, now: Duration, frame: &mut [u8]) {
         if let Floor::Theirs { since } = &mut self.floor {
-            // Somebody speaks, whatever it is.
+            // Any frame, even a damaged one, shows that the other side is sending.
             *since = now;
         }
         let sessions = Sessions { sender: self.sessions.receiver, receiver: self.sessions.sender };
         let bytes = frame.len();
-        let is_news = match Frame::decode(frame, sessions) {
+        let is_answer = match Frame::decode(frame, sessions) {
             Ok(Frame::Piece(piece)) if self.sessions.receiver != 0 => {
                 self.receiving.take(&piece);
-                // Its checksum was made with our number.
+                // The piece's checksum covers this side's session number.
                 self.confirm(now);
                 true
             }
-            Ok(Frame::Turn(turn)) => self.hear_turn(now, &turn, bytes),
+            Ok(Frame::Turn(turn)) => self.on_turn(now, &turn, bytes),
             _ => return,
         };
         self.repeats = 0;
-        if let Some(asked_at) = self.asked_at.take_if(|_| is_news)
+        if let Some(sent_at) = self.turn_sent_at.take_if(|_| is_answer)
             && self.is_prompt
         {
-            self.round = (self.round + now.saturating_sub(asked_at)) / 2;
+            self.round_trip = (self.round_trip + now.saturating_sub(sent_at)) / 2;
         }
     }
 
-    /// The next frame, if it is time for one. What is handed out here must be sent.
+    /// Returns the next frame that is due. The caller must send it: it counts as sent.
     pub fn next_frame(&mut self, now: Duration) -> Option<&[u8]> {
-        if self.is_up && now.saturating_sub(self.heard_at) > LOST {
+        if self.is_up && now.saturating_sub(self.heard_at) > LOST_AFTER {
             self.is_up = false;
             self.events.push_back(ArqEvent::Lost);
         }
@@ -173,56 +209,57 @@ impl Arq {
         }
         match self.floor {
             Floor::Ours { from, .. } => {
-                let may_go_on = self.is_confirmed && now.saturating_sub(from) < self.burst();
-                match may_go_on.then(|| self.sending.next()).flatten() {
+                let may_continue = self.is_confirmed && now.saturating_sub(from) < self.burst();
+                match may_continue.then(|| self.sending.next()).flatten() {
                     Some(piece) => {
-                        self.floor = Floor::Ours { from, has_spoken: true };
+                        self.floor = Floor::Ours { from, has_sent: true };
                         return Some(self.pace.send(now, Frame::Piece(piece), self.sessions, &mut self.out));
                     }
-                    None => (self.number, self.is_own) = (self.number + 1, true),
+                    None => (self.turn_number, self.is_own_turn) = (self.turn_number + 1, true),
                 }
-                Some(self.say_turn(now, COPIES))
+                Some(self.send_turn(now, COPIES))
             }
-            Floor::Giving { copies } => Some(self.say_turn(now, copies)),
+            Floor::Passing { copies } => Some(self.send_turn(now, copies)),
             Floor::Theirs { .. } => {
                 self.repeats += 1;
-                Some(self.say_turn(now, COPIES))
+                Some(self.send_turn(now, COPIES))
             }
         }
     }
 
-    /// When [`Self::next_frame`] has something although nothing is heard.
+    /// When [`Self::next_frame`] has a frame if none arrives before.
     pub fn next_wakeup(&self) -> Duration {
         let next = match self.floor {
-            Floor::Ours { from, has_spoken } => {
+            Floor::Ours { from, has_sent } => {
                 let is_urgent = !self.is_confirmed
-                    || has_spoken
+                    || has_sent
                     || self.is_awaited
-                    || self.receiving.has_news
+                    || self.receiving.has_unacknowledged
                     || self.sending.has_more();
                 from + if is_urgent { Duration::ZERO } else { IDLE }
             }
-            Floor::Giving { .. } => Duration::ZERO,
-            Floor::Theirs { since } => since + self.patience(),
+            Floor::Passing { .. } => Duration::ZERO,
+            Floor::Theirs { since } => since + self.turn_timeout(),
         };
         next.max(self.pace.ready_at())
     }
 
-    fn say_turn(&mut self, now: Duration, copies: u8) -> &[u8] {
+    /// Sends a copy of the turn. `copies` includes this one.
+    fn send_turn(&mut self, now: Duration, copies: u8) -> &[u8] {
         let copies_left = copies - 1;
         let mut turn = Turn {
             sessions: self.sessions,
-            number: self.number,
+            number: self.turn_number,
             copies_left,
             has_more: self.sending.has_more(),
             ..Turn::default()
         };
-        self.receiving.describe(&mut turn);
+        self.receiving.acknowledge(&mut turn);
         let frame = self.pace.send(now, Frame::Turn(turn), self.sessions, &mut self.out);
         if copies_left > 0 {
-            self.floor = Floor::Giving { copies: copies_left };
+            self.floor = Floor::Passing { copies: copies_left };
         } else {
-            self.asked_at = Some(self.pace.free_at);
+            self.turn_sent_at = Some(self.pace.free_at);
             self.is_prompt = self.is_awaited || self.sending.has_more();
             self.floor = Floor::Theirs { since: self.pace.free_at };
             self.is_awaited = false;
@@ -230,7 +267,7 @@ impl Arq {
         frame
     }
 
-    /// The other side has shown that it knows this session.
+    /// The other side has shown that it knows this side's session.
     fn confirm(&mut self, now: Duration) {
         self.heard_at = now;
         self.is_confirmed = true;
@@ -240,51 +277,52 @@ impl Arq {
         }
     }
 
-    /// Returns whether it gives the floor.
-    fn hear_turn(&mut self, now: Duration, turn: &Turn, bytes: usize) -> bool {
+    /// Returns whether the turn passes the floor to this side.
+    fn on_turn(&mut self, now: Duration, turn: &Turn, bytes: usize) -> bool {
         if turn.sessions.sender == 0 {
             return false;
         }
-        let is_other = turn.sessions.sender != self.sessions.receiver;
-        if is_other {
-            self.begin_anew(turn);
+        let is_new_session = turn.sessions.sender != self.sessions.receiver;
+        if is_new_session {
+            self.reset(turn);
         }
         let knows_us = turn.sessions.receiver == self.sessions.sender;
         if knows_us {
             self.confirm(now);
         }
-        // At the start both may speak at once under one number: the higher session goes first.
-        let is_tie_won = self.is_own && turn.sessions.sender > self.sessions.sender;
-        let is_newest = turn.number > self.number || (turn.number == self.number && is_tie_won);
-        if !is_other && !is_newest {
-            self.hear_old_turn(now, turn, knows_us);
+        // At the start both sides may send turns of the same number. The one with the higher session wins.
+        let wins_tie = self.is_own_turn && turn.sessions.sender > self.sessions.sender;
+        let is_newest = turn.number > self.turn_number || (turn.number == self.turn_number && wins_tie);
+        if !is_new_session && !is_newest {
+            self.on_old_turn(now, turn, knows_us);
             return false;
         }
         if knows_us && !self.sending.on_turn(turn) {
             return false;
         }
-        (self.number, self.is_own) = (turn.number, false);
+        (self.turn_number, self.is_own_turn) = (turn.number, false);
         self.is_awaited = turn.has_more;
-        let copies = self.pace.time_of(bytes) * u32::from(turn.copies_left);
-        self.floor = Floor::Ours { from: now + copies.min(GRACE), has_spoken: false };
+        let copies_time = self.pace.time_of(bytes) * u32::from(turn.copies_left);
+        self.floor = Floor::Ours { from: now + copies_time.min(GRACE), has_sent: false };
         true
     }
 
-    /// A turn that gives nothing any more: a late copy, or the other side has not heard ours.
-    fn hear_old_turn(&mut self, now: Duration, turn: &Turn, knows_us: bool) {
+    /// Handles a turn that is not the newest: it is a late copy, or the other side has not received the newest
+    /// turn.
+    fn on_old_turn(&mut self, now: Duration, turn: &Turn, knows_us: bool) {
         if knows_us {
             self.sending.on_late_turn(turn);
         }
         self.is_awaited |= turn.has_more;
-        let has_not_heard = self.asked_at.is_some_and(|asked_at| now > asked_at + 2 * self.round);
-        if turn.number < self.number && has_not_heard && matches!(self.floor, Floor::Theirs { .. }) {
-            self.floor = Floor::Giving { copies: COPIES };
+        let is_turn_lost = self.turn_sent_at.is_some_and(|sent_at| now > sent_at + 2 * self.round_trip);
+        if turn.number < self.turn_number && is_turn_lost && matches!(self.floor, Floor::Theirs { .. }) {
+            self.floor = Floor::Passing { copies: COPIES };
         }
     }
 
-    /// The other side is another one than before. If anything has passed between the two, this side takes
-    /// another number too, so that nothing of then is taken for something of now.
-    fn begin_anew(&mut self, turn: &Turn) {
+    /// Starts from the beginning, since the other side has a new session. If the old one has transferred
+    /// anything, this side takes a new session number too, so that old frames fail their checksums.
+    fn reset(&mut self, turn: &Turn) {
         if !(self.sending.is_fresh() && self.receiving.is_fresh()) {
             self.sessions.sender = self.sessions.sender.checked_add(1).unwrap_or(1);
             self.sending = Sending::default();
@@ -295,26 +333,26 @@ impl Arq {
         self.is_up = false;
     }
 
+    /// How long this side may keep the floor.
     fn burst(&self) -> Duration {
-        (self.round * TURNS).clamp(BURST_MIN, BURST_MAX)
+        (self.round_trip * BURST_ROUNDS).clamp(BURST_MIN, BURST_MAX)
     }
 
-    /// How long to listen before the turn is repeated. The two sides must not do so at the same time again
-    /// and again.
-    fn patience(&self) -> Duration {
-        let once = 2 * self.round + GRACE;
+    /// Timeout before the turn is repeated. It has a random part, so that the two sides do not keep colliding.
+    fn turn_timeout(&self) -> Duration {
+        let base = 2 * self.round_trip + GRACE;
         let idle = if self.sending.has_more() || !self.is_confirmed { Duration::ZERO } else { IDLE };
-        let wait = (once * (1 << self.repeats.min(6))).min(REPEAT_MAX) + idle;
+        let wait = (base * (1 << self.repeats.min(6))).min(REPEAT_MAX) + idle;
         let spread = self.dice.clone().below(512) + 64 * u64::from(self.repeats % 5);
         wait + wait * spread as u32 / 1024
     }
 }
 
-/// A token bucket: frames leave at the line's pace.
+/// A token bucket that limits frames to the line's bandwidth.
 #[derive(Debug)]
 struct Pace {
     bytes_per_s: NonZeroU32,
-    /// When the last frame has left.
+    /// When the line has finished sending the last frame.
     free_at: Duration,
 }
 

@@ -1,59 +1,60 @@
-//! What comes in: pieces in any order, put together to messages.
+//! The receiving direction: assembles messages from pieces, which may arrive in any order.
 
 use std::collections::{BTreeMap, VecDeque};
 
 use cosurf_wire::frame::{Piece, Turn, WINDOW_PIECES};
 
-use super::letter::MAX_LETTER_BYTES;
+use super::packet::MAX_PACKET_BYTES;
 
-/// Whole messages that wait for their owner; then the window fills, and the other side waits.
-const WHOLE_MAX: usize = 64;
+/// Maximum number of complete messages that wait for the caller. Beyond it the window fills up, and the
+/// other side waits.
+const COMPLETE_MAX: usize = 64;
 
-/// Messages coming from one direction. It holds at most the window, one unfinished message, and
-/// [`WHOLE_MAX`] whole ones.
+/// The receiver's state. It holds at most one window of pieces, one unfinished message, and [`COMPLETE_MAX`]
+/// complete messages.
 #[derive(Debug, Default)]
 pub(super) struct Receiving {
-    /// Number of the first piece that has not been put together.
+    /// Number of the next piece to assemble.
     next: u32,
-    /// Pieces from `next` on.
+    /// Pieces that arrived before those they follow, by number.
     ahead: BTreeMap<u32, (Vec<u8>, bool)>,
     message: Vec<u8>,
-    /// The unfinished message is longer than any may be: it is thrown away at its end.
+    /// Whether the unfinished message exceeds the maximum size. It is dropped at its end.
     is_too_long: bool,
-    whole: VecDeque<Vec<u8>>,
-    /// Pieces have come since the other side was told last.
-    pub(super) has_news: bool,
+    complete: VecDeque<Vec<u8>>,
+    /// Whether pieces have arrived since the last turn.
+    pub(super) has_unacknowledged: bool,
 }
 
 impl Receiving {
-    /// Whether nothing has come yet.
+    /// Whether no piece has arrived yet.
     pub(super) fn is_fresh(&self) -> bool {
         self.next == 0 && self.ahead.is_empty()
     }
 
-    /// Takes a piece; what is known or beyond the window changes nothing.
+    /// Takes a piece. Ignores known pieces and those beyond the window.
     pub(super) fn take(&mut self, piece: &Piece<'_>) {
-        self.has_news = true;
+        self.has_unacknowledged = true;
         if piece.number.checked_sub(self.next).is_some_and(|offset| offset < WINDOW_PIECES) {
             self.ahead.entry(piece.number).or_insert_with(|| (piece.payload.to_vec(), piece.is_last));
         }
-        self.put_together();
+        self.assemble();
     }
 
-    /// The next whole message.
+    /// The next complete message.
     pub(super) fn message(&mut self) -> Option<Vec<u8>> {
-        let message = self.whole.pop_front();
-        self.put_together();
+        let message = self.complete.pop_front();
+        self.assemble();
         message
     }
 
-    /// Says what is here.
-    pub(super) fn describe(&mut self, turn: &mut Turn) {
-        self.has_news = false;
+    /// Fills in the acknowledgements of a turn.
+    pub(super) fn acknowledge(&mut self, turn: &mut Turn) {
+        self.has_unacknowledged = false;
         turn.next = self.next;
         turn.here.clear();
         let Some(last) = self.ahead.last_key_value().map(|(number, _)| number - self.next) else { return };
-        // The window is no longer than the bits, so there is room.
+        // Cannot fail: the bitmap has a bit for every piece of the window.
         let _ = turn.here.resize_default(last as usize / 8 + 1);
         for number in self.ahead.keys() {
             let offset = number - self.next;
@@ -61,19 +62,19 @@ impl Receiving {
         }
     }
 
-    fn put_together(&mut self) {
-        while self.whole.len() < WHOLE_MAX
+    fn assemble(&mut self) {
+        while self.complete.len() < COMPLETE_MAX
             && let Some((payload, is_last)) = self.ahead.remove(&self.next)
         {
             self.next += 1;
-            self.is_too_long |= self.message.len() + payload.len() > MAX_LETTER_BYTES;
+            self.is_too_long |= self.message.len() + payload.len() > MAX_PACKET_BYTES;
             if !self.is_too_long {
                 self.message.extend_from_slice(&payload);
             }
             if is_last {
                 let message = std::mem::take(&mut self.message);
                 if !std::mem::take(&mut self.is_too_long) {
-                    self.whole.push_back(message);
+                    self.complete.push_back(message);
                 }
             }
         }

@@ -1,64 +1,66 @@
-//! What goes out: messages cut into pieces, each sent until it has arrived.
+//! The sending direction: cuts messages into pieces, and sends each piece until it has arrived.
 
 use std::collections::VecDeque;
 
 use cosurf_wire::frame::{MAX_PIECE_BYTES, Piece, Turn, WINDOW_PIECES};
 
-/// Bytes that wait to be cut into pieces before no more are taken. Ours: enough that a turn never runs dry
-/// between two looks of the owner, little enough that news does not wait long behind.
+/// The queue accepts messages until it has this many bytes. A turn then never runs out of pieces between two
+/// calls, and an urgent message does not wait long behind others.
 const QUEUE_BYTES: usize = 32 * 1024;
 
-/// A piece lost so often is sent twice in a turn: it is about to stop the window.
-const TRIES: u8 = 3;
+/// A piece lost this many times is sent twice per turn: it is about to block the window.
+const LOSSES_BEFORE_DOUBLING: u8 = 3;
 
-/// Messages under way in one direction.
+/// The sender's state.
 #[derive(Debug, Default)]
 pub(super) struct Sending {
-    /// From the oldest that has not wholly arrived.
+    /// Messages that have not arrived completely, oldest first.
     messages: VecDeque<Message>,
-    /// Those that are not wholly cut yet; of the first, `cut` bytes are.
+    /// Messages that are not completely cut into pieces; `cut` bytes of the first one are.
     queue: VecDeque<Vec<u8>>,
     queue_bytes: usize,
     cut: usize,
-    /// Number of the first of `under_way`.
+    /// Number of the first piece in `in_flight`.
     base: u32,
-    under_way: VecDeque<Sent>,
-    /// Pieces that did not arrive, in order.
-    again: VecDeque<u32>,
+    /// Pieces sent, from the oldest that has not arrived.
+    in_flight: VecDeque<SentPiece>,
+    /// Numbers of the lost pieces to send again, in order.
+    lost: VecDeque<u32>,
 }
 
 #[derive(Debug)]
 struct Message {
-    /// Tells whether a message is under way already.
+    /// Hash of the message, which detects duplicates.
     hash: blake3::Hash,
-    /// Its last piece, once it is cut.
+    /// Number of its last piece; `None` until the message is completely cut.
     last: Option<u32>,
 }
 
 #[derive(Debug)]
-struct Sent {
+struct SentPiece {
     payload: Vec<u8>,
     is_last: bool,
-    is_here: bool,
-    /// How often it was lost.
+    has_arrived: bool,
+    /// Number of times that the piece was lost.
     losses: u8,
 }
 
 impl Sending {
-    /// Whether nothing was sent yet.
+    /// Whether no piece has been sent yet.
     pub(super) fn is_fresh(&self) -> bool {
-        self.base == 0 && self.under_way.is_empty()
+        self.base == 0 && self.in_flight.is_empty()
     }
 
-    /// Whether one more message is taken.
+    /// Whether the queue accepts another message.
     pub(super) fn has_room(&self) -> bool {
         self.queue_bytes < QUEUE_BYTES
     }
 
-    /// Takes a message, unless the very same is on its way: the line loses nothing, so it will arrive.
+    /// Queues a message, unless an identical one has not arrived yet. That one will arrive: the line is
+    /// reliable.
     pub(super) fn queue(&mut self, message: Vec<u8>) {
         let hash = blake3::hash(&message);
-        if self.messages.iter().any(|under_way| under_way.hash == hash) {
+        if self.messages.iter().any(|queued| queued.hash == hash) {
             return;
         }
         self.messages.push_back(Message { hash, last: None });
@@ -68,51 +70,51 @@ impl Sending {
 
     /// Whether there is a piece to send.
     pub(super) fn has_more(&self) -> bool {
-        !self.again.is_empty() || (!self.queue.is_empty() && self.under_way.len() < WINDOW_PIECES as usize)
+        !self.lost.is_empty() || (!self.queue.is_empty() && self.in_flight.len() < WINDOW_PIECES as usize)
     }
 
-    /// The next piece: first what was lost, then what is new.
+    /// The next piece: first the lost ones, then new ones.
     pub(super) fn next(&mut self) -> Option<Piece<'_>> {
-        let number = match self.again.pop_front() {
+        let number = match self.lost.pop_front() {
             Some(number) => number,
             None => self.cut()?,
         };
-        let Sent { payload, is_last, .. } = self.under_way.get((number - self.base) as usize)?;
+        let SentPiece { payload, is_last, .. } = self.in_flight.get((number - self.base) as usize)?;
         Some(Piece { number, is_last: *is_last, payload })
     }
 
-    /// The other side says what it has. Whatever was sent before it spoke has arrived by now or is lost.
-    /// `false` where it claims what was never sent.
+    /// Handles a turn. All pieces were sent before it, so each has either arrived or is lost. Returns `false`
+    /// if the turn acknowledges pieces that were never sent.
     pub(super) fn on_turn(&mut self, turn: &Turn) -> bool {
         if !self.on_late_turn(turn) {
             return false;
         }
-        self.again.clear();
-        let mut once_more = Vec::new();
-        for (number, sent) in (self.base..).zip(&mut self.under_way).filter(|(_, sent)| !sent.is_here) {
+        self.lost.clear();
+        let mut doubled = Vec::new();
+        for (number, sent) in (self.base..).zip(&mut self.in_flight).filter(|(_, sent)| !sent.has_arrived) {
             sent.losses = sent.losses.saturating_add(1);
-            self.again.push_back(number);
-            once_more.extend((sent.losses >= TRIES).then_some(number));
+            self.lost.push_back(number);
+            doubled.extend((sent.losses >= LOSSES_BEFORE_DOUBLING).then_some(number));
         }
-        self.again.extend(once_more);
+        self.lost.extend(doubled);
         true
     }
 
-    /// The same, but more may have been sent since it was said.
+    /// Handles an old turn: records the pieces that have arrived. The others may still be in flight.
     pub(super) fn on_late_turn(&mut self, turn: &Turn) -> bool {
-        if turn.next > self.base + self.under_way.len() as u32 {
+        if turn.next > self.base + self.in_flight.len() as u32 {
             return false;
         }
         let base = self.base;
-        for (offset, sent) in self.under_way.iter_mut().enumerate() {
-            sent.is_here |= turn.has(base + offset as u32);
+        for (offset, sent) in self.in_flight.iter_mut().enumerate() {
+            sent.has_arrived |= turn.has(base + offset as u32);
         }
-        while self.under_way.front().is_some_and(|sent| sent.is_here) {
-            self.under_way.pop_front();
+        while self.in_flight.front().is_some_and(|sent| sent.has_arrived) {
+            self.in_flight.pop_front();
             self.base += 1;
         }
-        self.again.retain(|number| {
-            number.checked_sub(self.base).is_some_and(|offset| !self.under_way[offset as usize].is_here)
+        self.lost.retain(|number| {
+            number.checked_sub(self.base).is_some_and(|offset| !self.in_flight[offset as usize].has_arrived)
         });
         while self.messages.front().is_some_and(|message| message.last.is_some_and(|last| last < self.base)) {
             self.messages.pop_front();
@@ -120,9 +122,9 @@ impl Sending {
         true
     }
 
-    /// Cuts one more piece off the queue; returns its number.
+    /// Cuts the next piece from the queue and returns its number.
     fn cut(&mut self) -> Option<u32> {
-        if self.under_way.len() >= WINDOW_PIECES as usize {
+        if self.in_flight.len() >= WINDOW_PIECES as usize {
             return None;
         }
         let message = self.queue.front()?;
@@ -131,7 +133,7 @@ impl Sending {
         let is_last = end == message.len();
         self.queue_bytes -= payload.len();
         self.cut = end;
-        let number = self.base + self.under_way.len() as u32;
+        let number = self.base + self.in_flight.len() as u32;
         if is_last {
             self.queue.pop_front();
             self.cut = 0;
@@ -139,7 +141,7 @@ impl Sending {
                 message.last = Some(number);
             }
         }
-        self.under_way.push_back(Sent { payload, is_last, is_here: false, losses: 0 });
+        self.in_flight.push_back(SentPiece { payload, is_last, has_arrived: false, losses: 0 });
         Some(number)
     }
 }

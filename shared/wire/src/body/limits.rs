@@ -11,7 +11,7 @@ pub const PACK_SPLATS_MAX: usize = 8192;
 /// Maximum compression ratio of a pack; a pack that would exceed it is stored uncompressed. This bounds the
 /// memory that a small message can request. Trained models stay far below it.
 pub const RATIO_MAX: usize = 8;
-/// Base-2 logarithm of the zstd window. A frame that needs a larger window is rejected. Every pack of splats
+/// Base-2 logarithm of the zstd window. A frame that needs a larger window is refused. Every pack of splats
 /// fits into it.
 pub const WINDOW_LOG: u32 = 19;
 

@@ -111,7 +111,7 @@ impl<'a> BodyPlan<'a> {
     }
 
     fn entries(&self) -> impl Iterator<Item = PackEntry> + 'a {
-        // `check_table` rejects a table with an invalid entry.
+        // `check_table` refuses a table with an invalid entry.
         self.table.iter().map_while(PackEntry::decode)
     }
 
