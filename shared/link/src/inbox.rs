@@ -62,7 +62,7 @@ pub enum InboxEvent {
     Receiving(ModelHeader),
     /// The offered model is already stored. The inbox acknowledges it again.
     Known(ModelHeader),
-    /// The inbox rejected an offer or a body.
+    /// The inbox refused an offer or a body.
     Refused(ModelKey, RefusalReason),
     /// The inbox dropped a chunk of the wrong size or under the wrong topic.
     BadChunk(ModelKey, u32),
@@ -149,7 +149,7 @@ impl Inbox {
             return self.on_bad_header(topic);
         }
         if let Err(reason) = self.credentials.check(&self.identity.site, &header, self.newest_stored(key)) {
-            return self.reject_offer(topic, key, reason);
+            return self.refuse_offer(topic, key, reason);
         }
         if let Some(hash) = self.stored.get(&key) {
             return match *hash == header.blake3 {
@@ -157,13 +157,13 @@ impl Inbox {
                     self.send_done(want_topic, key, header.blake3);
                     Some(InboxEvent::Known(header))
                 }
-                false => self.reject_offer(topic, key, RefusalReason::NumberTaken),
+                false => self.refuse_offer(topic, key, RefusalReason::NumberTaken),
             };
         }
         if let Some(transfer) = self.transfers.get_mut(&key) {
             match transfer.phase {
                 TransferPhase::ToStore { is_retry: true, .. } if transfer.header == header => {
-                    return self.reject_offer(topic, key, RefusalReason::StoreFailed);
+                    return self.refuse_offer(topic, key, RefusalReason::StoreFailed);
                 }
                 TransferPhase::Fetching { .. } if transfer.header != header => {}
                 _ => {
@@ -181,7 +181,7 @@ impl Inbox {
         match topic {
             Topic::LocalHeader { device, model } => {
                 let key = ModelKey { device: *device, model: *model };
-                self.reject_offer(topic, key, RefusalReason::BadHeader)
+                self.refuse_offer(topic, key, RefusalReason::BadHeader)
             }
             _ => None,
         }
@@ -198,7 +198,7 @@ impl Inbox {
             _ => false,
         };
         let bad = Some(InboxEvent::BadChunk(key, chunk.index));
-        // Late chunks of a stored or rejected model are ignored.
+        // Late chunks of a stored or refused model are ignored.
         let transfer = self.transfers.get_mut(&key)?;
         if !agrees {
             return bad;
@@ -281,13 +281,13 @@ impl Inbox {
         let key = ModelKey::from(&header);
         let bytes = header.body_bytes.max(header.unpacked_bytes());
         if bytes > self.limits.body_bytes_max.min(self.limits.total_bytes_max) {
-            return self.reject_offer(topic, key, RefusalReason::TooLarge);
+            return self.refuse_offer(topic, key, RefusalReason::TooLarge);
         }
         if header.kind == ModelKind::Global {
             self.drop_older_revisions(key);
         }
         if !self.make_room(now, header.body_bytes) {
-            return self.reject_offer(topic, key, RefusalReason::Busy);
+            return self.refuse_offer(topic, key, RefusalReason::Busy);
         }
         self.transfers.insert(key, Transfer::new(now, header, self.want_topic(topic)?));
         Some(InboxEvent::Receiving(header))
@@ -356,7 +356,7 @@ impl Inbox {
         }
     }
 
-    fn reject_offer(&mut self, topic: &Topic, key: ModelKey, reason: RefusalReason) -> Option<InboxEvent> {
+    fn refuse_offer(&mut self, topic: &Topic, key: ModelKey, reason: RefusalReason) -> Option<InboxEvent> {
         let topic = self.want_topic(topic)?;
         self.send_refused(topic, key, reason);
         Some(InboxEvent::Refused(key, reason))

@@ -19,7 +19,7 @@ pub struct Offer {
 
 impl Offer {
     /// Packs a model. `views` is the number of pictures that it was trained on. Fails if a receiver would
-    /// reject the body. Estimates importance by [`plain_importance`]; a caller that has rendered the model
+    /// refuse the body. Estimates importance by [`plain_importance`]; a caller that has rendered the model
     /// should measure importance, and use [`Self::from_body`].
     pub fn new(
         device: DeviceId,

@@ -35,7 +35,7 @@ pub(crate) const STALLED: Duration = Duration::from_secs(300);
 /// An unfinished model without a new chunk for this long is dropped in any case.
 pub(crate) const ABANDONED: Duration = Duration::from_secs(3600);
 
-/// Number of times that a body is fetched before a wrong hash makes the receiver reject it.
+/// Number of times that a body is fetched before a wrong hash makes the receiver refuse it.
 pub(crate) const FETCHES_MAX: u32 = 3;
 
 /// Exponential backoff: a delay that doubles up to a limit.

@@ -27,7 +27,7 @@ pub(crate) enum PeerPhase {
     Fetching,
     /// The receiver has stored the model.
     Done,
-    /// The receiver has rejected the model.
+    /// The receiver has refused the model.
     Refused(RefusalReason),
 }
 
@@ -49,7 +49,7 @@ impl Peer {
         }
     }
 
-    /// Whether the receiver has stored or rejected the model.
+    /// Whether the receiver has stored or refused the model.
     pub(crate) fn is_closed(&self) -> bool {
         matches!(self.phase, PeerPhase::Done | PeerPhase::Refused(_))
     }
@@ -103,7 +103,7 @@ impl Peer {
         }
     }
 
-    /// The receiver rejects the model. If the reason is temporary, it is offered again later.
+    /// The receiver refuses the model. If the reason is temporary, it is offered again later.
     pub(crate) fn on_refused(&mut self, reason: RefusalReason) {
         self.phase = if reason.is_passing() { PeerPhase::Silent } else { PeerPhase::Refused(reason) };
     }

@@ -123,7 +123,7 @@ impl Transport for SerialTransport {
         if !arq.has_room() {
             return Err(PublishError::Busy);
         }
-        arq.queue(packet::join(&message.topic, &message.payload));
+        arq.queue(packet::join_packet(&message.topic, &message.payload));
         Ok(())
     }
 
@@ -244,7 +244,7 @@ impl Worker {
             None => {}
         }
         while let Some(packet) = arq.message() {
-            if let Some((topic, payload)) = packet::split(packet) {
+            if let Some((topic, payload)) = packet::split_packet(packet) {
                 return Some(TransportEvent::Incoming { topic, payload });
             }
         }

@@ -8,7 +8,7 @@ use cosurf_wire::{Chunk, Missing, ModelHeader, RefusalReason, Topic, Want};
 
 use crate::bits::BitSet;
 use crate::body::{Model, body_hash};
-use crate::codec::{announced_part, check_body};
+use crate::codec::{check_body, checked_part_to_model};
 use crate::pacing::{
     Backoff, FETCHES_MAX, FIRST_GAP, IDLE_GAPS, IDLE_MAX, IDLE_MIN, STORE_RETRY, WANT_EVERY,
 };
@@ -89,7 +89,7 @@ impl Transfer {
             let mut chunks = range.start / chunk_bytes..range.end.div_ceil(chunk_bytes);
             chunks.all(|index| self.received.contains(index as u32))
         };
-        announced_part(&self.header, &self.body, is_here).ok().flatten()
+        checked_part_to_model(&self.header, &self.body, is_here).ok().flatten()
     }
 
     /// When the transfer next has something to do.

@@ -2,7 +2,7 @@
 //!
 //! A signature binds device, number, body hash, sizes, kind, frame and site together
 //! ([`ModelHeader::statement`]). Chunks need no signature, since the hash covers them. A receiver with a list
-//! of keys rejects devices that are not in the list, revoked keys, and numbers below one already stored from
+//! of keys refuses devices that are not in the list, revoked keys, and numbers below one already stored from
 //! the same device. A receiver without a list accepts models from every client of the broker. Replies such as
 //! [`cosurf_wire::Want`] are not signed: the broker's access list restricts every device to its own topics.
 
@@ -24,7 +24,7 @@ const KEY_BYTES_MAX: u64 = 1 << 10;
 /// A participant's world frame, its secret key, and the keys that it trusts.
 #[derive(Clone, Debug, Default)]
 pub struct Credentials {
-    /// World frame of the models. Models in other frames are rejected.
+    /// World frame of the models. Models in other frames are refused.
     pub frame: FrameId,
     /// Key that signs the participant's models; `None` leaves them unsigned.
     pub key: Option<SecretKey>,

@@ -41,7 +41,7 @@ pub enum UploadEvent {
     Progress,
     /// Every required receiver has stored the model.
     Finished,
-    /// A receiver rejects the model; finally, unless [`RefusalReason::is_passing`].
+    /// A receiver refuses the model; finally, unless [`RefusalReason::is_passing`].
     Refused(DeviceId, RefusalReason),
 }
 
@@ -54,7 +54,7 @@ enum Destination {
     Devices(TileId),
 }
 
-/// Offers one model until every required receiver has stored or rejected it.
+/// Offers one model until every required receiver has stored or refused it.
 ///
 /// # Examples
 ///
@@ -146,7 +146,7 @@ impl Uploader {
         UploadProgress { chunks, chunks_there: received.min().unwrap_or(chunks), bytes_sent: self.bytes_sent }
     }
 
-    /// Whether every required receiver has stored or finally rejected the model.
+    /// Whether every required receiver has stored or finally refused the model.
     pub fn is_closed(&self) -> bool {
         self.peers.iter().all(|peer| !peer.is_required || peer.is_closed())
     }

@@ -1,4 +1,4 @@
-//! A body to a model: all of it, or what has arrived.
+//! Decodes a body, complete or incomplete.
 
 use std::ops::Range;
 
@@ -12,23 +12,22 @@ use cosurf_wire::body::{
 
 use super::basis::Basis;
 use super::pack::unpack;
-use super::shapes::{Form, unround};
+use super::shapes::{FloatShape, dequantise};
 use crate::body::{BodyFault, Model, camera};
 
-/// Where only one splat in k is here its lengths grow by k to this power. To cover the same area it would be a
-/// half; but the most important splats are the larger ones, and a quarter gave the best PSNR on trained models
-/// (at a fifth of the bytes, 1 to 4 dB more than none).
-const GROWTH: f32 = 0.25;
+/// If only one splat in k has arrived, its axes are multiplied by k to this power. One half would keep the
+/// covered area. The most important splats are larger than average, so a smaller power gave the best PSNR.
+const GROWTH_EXPONENT: f32 = 0.25;
 
-/// Checks all of a body against its announcement: sizes, every pack, every mean inside the bounds. Allocates
-/// for one pack at a time.
+/// Checks a complete body against its header: all sizes, all packs, and that the bounds contain every mean.
+/// Allocates memory for one pack at a time.
 pub fn check_body(header: &ModelHeader, body: &[u8]) -> Result<(), BodyFault> {
     let plan = BodyPlan::of_whole(body)?;
-    check_announced(&plan, header)?;
+    check_header(&plan, header)?;
     let mut unpacker = Unpacker::new(plan, body);
     unpacker.cameras()?;
     for SplatPacks { shapes, changes, .. } in plan.splat_packs() {
-        unpacker.shapes(&shapes, changes.as_ref(), |_| ())?;
+        unpacker.visit_shapes(&shapes, changes.as_ref(), |_| ())?;
     }
     if let Some(basis) = unpacker.basis()? {
         for pack in plan.packs_of(PackKind::Sh) {
@@ -38,46 +37,48 @@ pub fn check_body(header: &ModelHeader, body: &[u8]) -> Result<(), BodyFault> {
     Ok(())
 }
 
-fn check_announced(plan: &BodyPlan<'_>, header: &ModelHeader) -> Result<(), BodyFault> {
+/// Checks that the body's head agrees with the header.
+fn check_header(plan: &BodyPlan<'_>, header: &ModelHeader) -> Result<(), BodyFault> {
     let own = plan.head();
     let announced = (header.splats, header.cameras, header.sh_degree, header.bounds);
-    let is_so = (own.splats, own.cameras, own.sh_degree, own.bounds) == announced;
-    if is_so { Ok(()) } else { Err(BodyFault::NotAsAnnounced) }
+    let agrees = (own.splats, own.cameras, own.sh_degree, own.bounds) == announced;
+    if agrees { Ok(()) } else { Err(BodyFault::NotAsAnnounced) }
 }
 
-/// Unpacks a body, checking all but its agreement with an announcement.
+/// Decodes a complete body. Makes all checks of [`check_body`] except those against a header.
 pub fn body_to_model(body: &[u8]) -> Result<Model, BodyFault> {
     let plan = BodyPlan::of_whole(body)?;
-    model(plan, body, |_| true)
+    decode_model(plan, body, |_| true)
 }
 
-/// Unpacks what has arrived of a body: `is_here` tells of any range of `body`, which is as long as the whole,
-/// whether its bytes are right. `None` as long as no splat is there. What comes later adds splats and colours
-/// that depend on the direction.
+/// Decodes the packs of a body that have arrived; `None` without any splats. `body` has its full size, and
+/// `is_here` tells whether a range of it has arrived. Further packs add splats and view-dependent colour.
 ///
-/// Where splats are missing, those of a base are what stands in for them; without a base those that are here are made
-/// larger ([`GROWTH`]).
+/// The splats of a base stand in for missing ones. Without a base, the splats that have arrived are enlarged.
 pub fn part_to_model(
     body: &[u8],
     is_here: impl Fn(Range<usize>) -> bool,
 ) -> Result<Option<Model>, BodyFault> {
-    let Some(plan) = plan_here(body, &is_here)? else { return Ok(None) };
-    part(plan, body, is_here)
+    let Some(plan) = received_plan(body, &is_here)? else { return Ok(None) };
+    decode_part(plan, body, is_here)
 }
 
-/// The same of a body that was announced, if it is what was announced.
-pub(crate) fn announced_part(
+/// Like [`part_to_model`], and checks that the body's head agrees with the header.
+pub(crate) fn checked_part_to_model(
     header: &ModelHeader,
     body: &[u8],
     is_here: impl Fn(Range<usize>) -> bool,
 ) -> Result<Option<Model>, BodyFault> {
-    let Some(plan) = plan_here(body, &is_here)? else { return Ok(None) };
-    check_announced(&plan, header)?;
-    part(plan, body, is_here)
+    let Some(plan) = received_plan(body, &is_here)? else { return Ok(None) };
+    check_header(&plan, header)?;
+    decode_part(plan, body, is_here)
 }
 
-/// What is where in a body; `None` where that has not arrived.
-fn plan_here(body: &[u8], is_here: impl Fn(Range<usize>) -> bool) -> Result<Option<BodyPlan<'_>>, BodyError> {
+/// The plan of an incomplete body; `None` if head and table have not arrived.
+fn received_plan(
+    body: &[u8],
+    is_here: impl Fn(Range<usize>) -> bool,
+) -> Result<Option<BodyPlan<'_>>, BodyError> {
     let Some(head) = body.first_chunk().filter(|_| is_here(0..HEAD_BYTES)) else { return Ok(None) };
     let plan_bytes = plan_bytes(head);
     if plan_bytes > body.len() {
@@ -94,35 +95,40 @@ fn plan_here(body: &[u8], is_here: impl Fn(Range<usize>) -> bool) -> Result<Opti
     Ok(Some(plan))
 }
 
-fn part(
+/// Decodes the packs that have arrived, and enlarges the splats if there is no base.
+fn decode_part(
     plan: BodyPlan<'_>,
     body: &[u8],
     is_here: impl Fn(Range<usize>) -> bool,
 ) -> Result<Option<Model>, BodyFault> {
-    let whole = plan.head().splats as usize;
-    let mut model = model(plan, body, |pack| is_here(pack.range.clone()))?;
+    let total = plan.head().splats as usize;
+    let mut model = decode_model(plan, body, |pack| is_here(pack.range.clone()))?;
     if !plan.has_base() {
-        stand_in(&mut model.splats, whole);
+        enlarge(&mut model.splats, total);
     }
     Ok((!model.splats.is_empty()).then_some(model))
 }
 
-/// Makes splats larger, in proportion, to stand in for the rest of `whole`.
-fn stand_in(splats: &mut Splats, whole: usize) {
-    let growth = GROWTH * (whole as f32 / splats.len().max(1) as f32).ln();
+/// Enlarges splats so that they stand in for all `total` splats.
+fn enlarge(splats: &mut Splats, total: usize) {
+    let growth = GROWTH_EXPONENT * (total as f32 / splats.len().max(1) as f32).ln();
     for log_scale in &mut splats.log_scales {
         *log_scale = log_scale.map(|v| (v + growth).min(LOG_SCALE_MAX));
     }
 }
 
-fn model(plan: BodyPlan<'_>, body: &[u8], is_here: impl Fn(&Pack) -> bool) -> Result<Model, BodyFault> {
+fn decode_model(
+    plan: BodyPlan<'_>,
+    body: &[u8],
+    is_here: impl Fn(&Pack) -> bool,
+) -> Result<Model, BodyFault> {
     let mut unpacker = Unpacker::new(plan, body);
     let sh_degree = plan.head().sh_degree;
     let packs_here = || {
         let here = plan
             .splat_packs()
             .filter(|packs| is_here(&packs.shapes) && packs.room.as_ref().is_none_or(&is_here));
-        // A base has colours of its own until it changes.
+        // Spherical harmonics apply to a base splat only in its final form.
         here.map(|packs| match &packs.changes {
             Some(changes) if !is_here(changes) => SplatPacks { changes: None, sh: None, ..packs },
             _ => packs,
@@ -133,7 +139,7 @@ fn model(plan: BodyPlan<'_>, body: &[u8], is_here: impl Fn(&Pack) -> bool) -> Re
     let mut splats = Splats::with_capacity(splats_here, u32::from(sh_degree));
     let mut sh = vec![0.0; splats.sh_stride()];
     for SplatPacks { shapes, changes, .. } in packs_here() {
-        unpacker.shapes(&shapes, changes.as_ref(), |splat| {
+        unpacker.visit_shapes(&shapes, changes.as_ref(), |splat| {
             sh[..3].copy_from_slice(&splat.color);
             splats.push(splat.mean, splat.quat, splat.log_scale, splat.opacity_logit, &sh);
         })?;
@@ -150,7 +156,7 @@ fn model(plan: BodyPlan<'_>, body: &[u8], is_here: impl Fn(&Pack) -> bool) -> Re
                 Some(pack) if is_here(pack) => {
                     let planes = unpacker.unpack(pack, basis.layout)?;
                     for (i, row) in rows.enumerate() {
-                        basis.unround(|k| basis.layout.read(planes, count, i, k), &mut row[3..]);
+                        basis.dequantise(|k| basis.layout.read(planes, count, i, k), &mut row[3..]);
                     }
                 }
                 Some(_) => rows.for_each(|row| row[3..].copy_from_slice(basis.mean())),
@@ -163,12 +169,12 @@ fn model(plan: BodyPlan<'_>, body: &[u8], is_here: impl Fn(&Pack) -> bool) -> Re
     Ok(Model { splats, cameras: cameras.iter().map(camera).collect() })
 }
 
-/// Unpacks one pack after the other into the same memory.
+/// Unpacks packs one after another into the same buffers.
 struct Unpacker<'a> {
     plan: BodyPlan<'a>,
     body: &'a [u8],
     unpacked: Vec<u8>,
-    /// Changes of what is unpacked.
+    /// The unpacked changes to the shapes in `unpacked`.
     changes: Vec<u8>,
 }
 
@@ -177,19 +183,20 @@ impl<'a> Unpacker<'a> {
         Self { plan, body, unpacked: Vec::new(), changes: Vec::new() }
     }
 
-    /// What a pack unpacks to.
+    /// Unpacks a pack.
     fn unpack(&mut self, pack: &Pack, layout: ShLayout) -> Result<&[u8], BodyError> {
         unpack_into(&mut self.unpacked, &self.plan, self.body, pack, layout)?;
         Ok(&self.unpacked)
     }
 
-    fn only(&mut self, kind: PackKind) -> Result<Option<&[u8]>, BodyError> {
+    /// Unpacks the only pack of a kind; `None` if there is none.
+    fn unpack_only(&mut self, kind: PackKind) -> Result<Option<&[u8]>, BodyError> {
         let Some(pack) = self.plan.packs_of(kind).next() else { return Ok(None) };
         self.unpack(&pack, ShLayout::NONE).map(Some)
     }
 
     fn cameras(&mut self) -> Result<Vec<CameraRecord>, BodyFault> {
-        let Some(bytes) = self.only(PackKind::Cameras)? else { return Ok(Vec::new()) };
+        let Some(bytes) = self.unpack_only(PackKind::Cameras)? else { return Ok(Vec::new()) };
         let cameras: Vec<CameraRecord> = bytes.as_chunks().0.iter().map(CameraRecord::decode).collect();
         match cameras.iter().position(|camera| !camera.is_sane()) {
             Some(index) => Err(BodyFault::Camera { index }),
@@ -199,15 +206,15 @@ impl<'a> Unpacker<'a> {
 
     fn basis(&mut self) -> Result<Option<Basis>, BodyError> {
         let sh_degree = self.plan.head().sh_degree;
-        self.only(PackKind::Basis)?.map(|bytes| Basis::decode(sh_degree, bytes)).transpose()
+        self.unpack_only(PackKind::Basis)?.map(|bytes| Basis::decode(sh_degree, bytes)).transpose()
     }
 
-    /// Visits the splats of a pack as its `changes` make them, if they are here.
-    fn shapes(
+    /// Visits the splats of a shapes pack, with `changes` applied if given.
+    fn visit_shapes(
         &mut self,
         pack: &Pack,
         changes: Option<&Pack>,
-        mut visit: impl FnMut(&Form),
+        mut visit: impl FnMut(&FloatShape),
     ) -> Result<(), BodyFault> {
         let bounds = self.plan.head().bounds;
         if let Some(changes) = changes {
@@ -217,30 +224,30 @@ impl<'a> Unpacker<'a> {
         let unpacked = self.unpacked.split_first_chunk::<SHAPE_FRAME_BYTES>();
         let (frame, planes) = unpacked.ok_or(BodyError::BadPack)?;
         let frame = ShapeFrame::decode(frame)?;
-        // Rounding takes a mean a step out of the bounds at most, and 32 bits a little more.
-        let reach = 1.5 * f32::from(frame.step_exponent).exp2();
-        let sane = |index: usize, shape: &Shape| {
-            let mut form = unround(&frame, shape);
-            let inside = bounds.clamp(form.mean);
-            if (0..3).any(|k| (inside[k] - form.mean[k]).abs() > reach) {
+        // Quantisation moves a mean at most one step out of the bounds; rounding to `f32` a little more.
+        let tolerance = 1.5 * f32::from(frame.step_exponent).exp2();
+        let checked = |index: usize, shape: &Shape| {
+            let mut splat = dequantise(&frame, shape);
+            let inside = bounds.clamp(splat.mean);
+            if (0..3).any(|k| (inside[k] - splat.mean[k]).abs() > tolerance) {
                 return Err(BodyFault::OutOfBounds { index });
             }
-            form.mean = inside;
-            Ok(form)
+            splat.mean = inside;
+            Ok(splat)
         };
         let mut changes = changes.map(|_| read_changes(&self.changes));
         for (index, shape) in read_shapes(planes).enumerate() {
-            let base = sane(index, &shape)?;
+            let unchanged = checked(index, &shape)?;
             match changes.as_mut().and_then(Iterator::next) {
-                Some(change) => visit(&sane(index, &shape.changed(&change))?),
-                None => visit(&base),
+                Some(change) => visit(&checked(index, &shape.changed(&change))?),
+                None => visit(&unchanged),
             }
         }
         Ok(())
     }
 }
 
-/// Unpacks a pack into memory that is used again. The sizes in the plan bound what this takes.
+/// Unpacks a pack into a reused buffer. The plan bounds the buffer's size.
 fn unpack_into(
     unpacked: &mut Vec<u8>,
     plan: &BodyPlan,

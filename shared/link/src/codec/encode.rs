@@ -1,4 +1,4 @@
-//! A model to a body.
+//! Encodes a model as a body.
 
 use std::io;
 use std::mem::take;
@@ -7,25 +7,25 @@ use cosurf_scene::{Base, Camera, Splats};
 use cosurf_wire::Bounds;
 use cosurf_wire::body::{BodyHead, CAMERA_BYTES, POSITION_MAX, PackKind};
 
-use super::harmonics::{Harmonics, harmonics};
-use super::layers::{by_base, by_importance};
+use super::harmonics::{Harmonics, pack_harmonics};
+use super::layers::{pack_by_base, pack_by_importance};
 use super::order::plain_importance;
 use super::packs::Packs;
 use crate::body::{BodyFault, camera_record};
 
-/// What goes first.
+/// How the first layer of a body is chosen.
 #[derive(Clone, Copy, Debug)]
 pub enum First<'a> {
-    /// The splats that matter most; a number for each, in any unit.
+    /// The most important splats, by an importance per splat in any unit.
     Important(&'a [f32]),
-    /// A base that stands in for the whole.
+    /// A base, which stands in for the whole model.
     Base(&'a Base),
 }
 
-/// Packs splats and cameras into a body. The box around the means is told with it.
+/// Encodes splats and cameras as a body.
 ///
 /// # Panics
-/// Where there are not as many importances as splats, or the base is not one of these splats.
+/// If the number of importances differs from that of the splats, or the base is not a base of these splats.
 pub fn model_to_body(splats: &Splats, cameras: &[Camera], first: First) -> Result<Vec<u8>, BodyFault> {
     check(splats, cameras)?;
     if let First::Base(base) = first
@@ -34,7 +34,7 @@ pub fn model_to_body(splats: &Splats, cameras: &[Camera], first: First) -> Resul
         return Err(BodyFault::Splat { index: base.ids[bad.splat] as usize, field: bad.field });
     }
     let bounds = bounds_of(&splats.means);
-    let packs = packed(splats, cameras, first, &bounds).map_err(|_| BodyFault::Unpackable)?;
+    let packs = pack_model(splats, cameras, first, &bounds).map_err(|_| BodyFault::Unpackable)?;
     let head = BodyHead {
         splats: splats.len() as u32,
         cameras: cameras.len() as u32,
@@ -45,22 +45,22 @@ pub fn model_to_body(splats: &Splats, cameras: &[Camera], first: First) -> Resul
     Ok(packs.into_body(&head))
 }
 
-fn packed(splats: &Splats, cameras: &[Camera], first: First, bounds: &Bounds) -> io::Result<Packs> {
+fn pack_model(splats: &Splats, cameras: &[Camera], first: First, bounds: &Bounds) -> io::Result<Packs> {
     let mut packs = Packs::default();
     add_cameras(&mut packs, cameras)?;
     let shapes = match first {
-        First::Base(base) if !base.ids.is_empty() => by_base(splats, base, bounds)?,
-        First::Base(_) => by_importance(splats, &plain_importance(splats), bounds)?,
-        First::Important(importance) => by_importance(splats, importance, bounds)?,
+        First::Base(base) if !base.ids.is_empty() => pack_by_base(splats, base, bounds)?,
+        First::Base(_) => pack_by_importance(splats, &plain_importance(splats), bounds)?,
+        First::Important(importance) => pack_by_importance(splats, importance, bounds)?,
     };
     let Harmonics { basis, packs: mut sh } =
-        harmonics(splats, &shapes.groups, packs.body_bytes() + shapes.bytes())?;
+        pack_harmonics(splats, &shapes.groups, packs.body_bytes() + shapes.bytes())?;
     packs.append(basis);
     packs.append(shapes.first);
     for (part, groups) in shapes.parts {
         packs.append(part);
         for group in groups {
-            sh.get_mut(group).map(take).into_iter().for_each(|its| packs.append(its));
+            sh.get_mut(group).map(take).into_iter().for_each(|own| packs.append(own));
         }
     }
     Ok(packs)
@@ -84,8 +84,8 @@ fn check(splats: &Splats, cameras: &[Camera]) -> Result<(), BodyFault> {
     if let Some(bad) = splats.find_bad_value() {
         return Err(BodyFault::Splat { index: bad.splat, field: bad.field });
     }
-    let is_far = |mean: &[f32; 3]| mean.iter().any(|v| v.abs() > POSITION_MAX);
-    if let Some(index) = splats.means.iter().position(is_far) {
+    let is_too_far = |mean: &[f32; 3]| mean.iter().any(|v| v.abs() > POSITION_MAX);
+    if let Some(index) = splats.means.iter().position(is_too_far) {
         return Err(BodyFault::Splat { index, field: "mean" });
     }
     match cameras.iter().position(|camera| !camera_record(camera).is_sane()) {
@@ -94,7 +94,7 @@ fn check(splats: &Splats, cameras: &[Camera]) -> Result<(), BodyFault> {
     }
 }
 
-/// The box around `means`; the origin where there are none.
+/// The bounding box of `means`; the origin if there are none.
 fn bounds_of(means: &[[f32; 3]]) -> Bounds {
     let Some(&first) = means.first() else {
         return Bounds { min: [0.0; 3], max: [0.0; 3] };

@@ -1,4 +1,4 @@
-//! Shapes to packs: by importance, or a base first.
+//! Arranges shapes in packs: by importance, or with a base first.
 
 use std::io;
 
@@ -8,39 +8,39 @@ use cosurf_wire::body::{
     PACK_SPLATS_MAX, PackKind, SHAPE_BYTES, SHAPE_FRAME_BYTES, Shape, ShapeFrame, write_changes, write_shapes,
 };
 
-use super::order::{Region, even_chunks, layers, regions};
+use super::order::{Region, even_chunks, split_layers, split_regions};
 use super::packs::Packs;
-use super::shapes::{self, Form};
+use super::shapes::{self, FloatShape};
 
-/// Splats that share a pack.
+/// The splats of one shapes pack.
 pub(super) struct Group {
     pub(super) layer: u8,
     pub(super) ids: Vec<u32>,
 }
 
-/// A body's packs of shapes in the order in which they go.
+/// The shapes packs of a body, in order.
 #[derive(Default)]
 pub(super) struct Parts {
-    /// What goes first.
+    /// The first packs.
     pub(super) first: Packs,
-    /// What follows, each with the groups whose spherical harmonics go with it.
+    /// The packs that follow, each with the groups whose spherical harmonics follow it.
     pub(super) parts: Vec<(Packs, Vec<usize>)>,
-    /// All groups, those of the first layer first.
+    /// All groups, in order of layers.
     pub(super) groups: Vec<Group>,
 }
 
 impl Parts {
-    /// Bytes that the shapes add to a body.
+    /// Bytes of the shapes in a body, with their table entries.
     pub(super) fn bytes(&self) -> usize {
         let parts = self.parts.iter().map(|(packs, _)| packs.table_and_pack_bytes());
         self.first.table_and_pack_bytes() + parts.sum::<usize>()
     }
 }
 
-/// Layer by layer, the most important first; then all colours.
-pub(super) fn by_importance(splats: &Splats, importance: &[f32], bounds: &Bounds) -> io::Result<Parts> {
+/// Arranges the shapes in layers of falling importance, and then all spherical harmonics.
+pub(super) fn pack_by_importance(splats: &Splats, importance: &[f32], bounds: &Bounds) -> io::Result<Parts> {
     let mut parts = Parts::default();
-    for (layer, ids) in (0..).zip(layers(&splats.means, importance, bounds)) {
+    for (layer, ids) in (0..).zip(split_layers(&splats.means, importance, bounds)) {
         for ids in even_chunks(&ids, PACK_SPLATS_MAX) {
             parts.groups.push(add_shapes(&mut parts.first, splats, layer, ids)?);
         }
@@ -49,30 +49,32 @@ pub(super) fn by_importance(splats: &Splats, importance: &[f32], bounds: &Bounds
     Ok(parts)
 }
 
-/// The base, then region by region the others there, what becomes of the base with them, and the colours of all.
-pub(super) fn by_base(splats: &Splats, base: &Base, bounds: &Bounds) -> io::Result<Parts> {
-    let regions = regions(&splats.means, base, bounds);
+/// Arranges the base first. Then follow, region by region, the other splats, the changes to the base, and the
+/// spherical harmonics of both.
+pub(super) fn pack_by_base(splats: &Splats, base: &Base, bounds: &Bounds) -> io::Result<Parts> {
+    let regions = split_regions(&splats.means, base, bounds);
     let mut parts = Parts::default();
     for Region { base: places, .. } in &regions {
         let ids: Vec<u32> = places.iter().map(|&place| base.ids[place]).collect();
-        let becomes: Vec<Form> = ids.iter().map(|&i| Form::of(splats, i as usize)).collect();
-        let is: Vec<Form> = places.iter().map(|&place| inside(bounds, &base.splats, place)).collect();
-        let frame = shapes::frame(&[&is[..], &becomes[..]].concat());
-        let rounded: Vec<Shape> = is.iter().map(|is| shapes::round_base(&frame, is)).collect();
-        let to = rounded.iter().zip(&becomes);
+        let last: Vec<FloatShape> = ids.iter().map(|&i| FloatShape::of(splats, i as usize)).collect();
+        let first: Vec<FloatShape> =
+            places.iter().map(|&place| base_splat_in_bounds(bounds, &base.splats, place)).collect();
+        let frame = shapes::choose_frame(&[&first[..], &last[..]].concat());
+        let quantised: Vec<Shape> = first.iter().map(|splat| shapes::quantise_base(&frame, splat)).collect();
+        let pairs = quantised.iter().zip(&last);
         let changes: Vec<Shape> =
-            to.map(|(is, becomes)| is.change_to(&shapes::round(&frame, becomes))).collect();
-        add_rounded(&mut parts.first, 0, &frame, &rounded)?;
+            pairs.map(|(first, last)| first.change_to(&shapes::quantise(&frame, last))).collect();
+        add_quantised(&mut parts.first, 0, &frame, &quantised)?;
         let mut packs = Packs::default();
         add_changes(&mut packs, &changes)?;
         parts.parts.push((packs, vec![parts.groups.len()]));
         parts.groups.push(Group { layer: 0, ids });
     }
-    for (Region { rest, .. }, (packs, its)) in regions.iter().zip(&mut parts.parts) {
-        // Others first: a base that has changed before they come leaves holes.
+    for (Region { rest, .. }, (packs, groups)) in regions.iter().zip(&mut parts.parts) {
+        // The other splats come before the changes: a changed base without them leaves holes.
         let changes = std::mem::take(packs);
         for ids in even_chunks(rest, PACK_SPLATS_MAX) {
-            its.push(parts.groups.len());
+            groups.push(parts.groups.len());
             parts.groups.push(add_shapes(packs, splats, 1, ids)?);
         }
         packs.append(changes);
@@ -81,19 +83,19 @@ pub(super) fn by_base(splats: &Splats, base: &Base, bounds: &Bounds) -> io::Resu
 }
 
 fn add_shapes(packs: &mut Packs, splats: &Splats, layer: u8, ids: &[u32]) -> io::Result<Group> {
-    let forms: Vec<Form> = ids.iter().map(|&i| Form::of(splats, i as usize)).collect();
-    let frame = shapes::frame(&forms);
-    let rounded: Vec<Shape> = forms.iter().map(|form| shapes::round(&frame, form)).collect();
-    add_rounded(packs, layer, &frame, &rounded)?;
+    let exact: Vec<FloatShape> = ids.iter().map(|&i| FloatShape::of(splats, i as usize)).collect();
+    let frame = shapes::choose_frame(&exact);
+    let quantised: Vec<Shape> = exact.iter().map(|splat| shapes::quantise(&frame, splat)).collect();
+    add_quantised(packs, layer, &frame, &quantised)?;
     Ok(Group { layer, ids: ids.to_vec() })
 }
 
-fn add_rounded(packs: &mut Packs, layer: u8, frame: &ShapeFrame, rounded: &[Shape]) -> io::Result<()> {
+fn add_quantised(packs: &mut Packs, layer: u8, frame: &ShapeFrame, shapes: &[Shape]) -> io::Result<()> {
     let mut head = [0; SHAPE_FRAME_BYTES];
     frame.encode(&mut head);
-    let mut planes = vec![0; rounded.len() * SHAPE_BYTES];
-    write_shapes(rounded, &mut planes);
-    packs.add(PackKind::Shapes, layer, rounded.len(), &head, &planes)
+    let mut planes = vec![0; shapes.len() * SHAPE_BYTES];
+    write_shapes(shapes, &mut planes);
+    packs.add(PackKind::Shapes, layer, shapes.len(), &head, &planes)
 }
 
 fn add_changes(packs: &mut Packs, changes: &[Shape]) -> io::Result<()> {
@@ -102,8 +104,8 @@ fn add_changes(packs: &mut Packs, changes: &[Shape]) -> io::Result<()> {
     packs.add(PackKind::Changes, 0, changes.len(), &[], &planes)
 }
 
-/// A splat of a base, which is moved into the bounds of the model if training has moved it out.
-fn inside(bounds: &Bounds, base: &Splats, place: usize) -> Form {
-    let form = Form::of(base, place);
-    Form { mean: bounds.clamp(form.mean), ..form }
+/// A splat of a base, moved into the model's bounds if training has moved it out.
+fn base_splat_in_bounds(bounds: &Bounds, base: &Splats, place: usize) -> FloatShape {
+    let splat = FloatShape::of(base, place);
+    FloatShape { mean: bounds.clamp(splat.mean), ..splat }
 }

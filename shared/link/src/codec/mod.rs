@@ -1,23 +1,21 @@
-//! Models to bodies and back: what [`cosurf_wire::body`] lays out, in metres and colours.
+//! Encodes models as bodies and decodes bodies: it quantises and dequantises the values that
+//! [`cosurf_wire::body`] lays out. Equal models give equal bytes.
 //!
-//! What it costs and what it keeps, on trained models, is in the README: below 16 bytes a splat with
-//! spherical harmonics of degree 2, 18 with degree 3, where 32-bit floats take 152 and 236. What makes the
-//! difference:
+//! A splat takes at most 16 bytes with spherical harmonics of degree 2, and 18 with degree 3; the results
+//! document has the quality. These methods save bytes:
 //!
-//! - Splats are grouped into layers by importance, and within a layer along a Morton curve into packs of
-//!   neighbours ([`order`]), so that positions are short ways from the splat before.
-//! - Or a *base* goes first, splats that were taught to stand in for all ([`cosurf_scene::Base`]): a third of the
-//!   splats in a fifth of the bytes. The others follow region by region, and with each region what the base becomes
-//!   there.
-//! - A position's step follows the size of the pack's splats: nobody sees a thirtieth of one.
-//! - The axes of a splat are put in order of length, the third being its normal, and of the quaternions that
-//!   then mean the same the one with the largest w is taken, which need not be sent ([`shapes`]). The least
-//!   axis is told in parts of the middle one, for most splats are flat.
-//! - Spherical harmonics are told along the directions in which they vary in this model ([`basis`]), most of
-//!   which need a bit or less; the step follows from the bytes that are left.
-//! - Each plane of bytes ends its block of zstd, so it is coded by its own statistics ([`pack`]).
-//!
-//! The same model gives the same bytes.
+//! - Splats are grouped into layers by importance. Within a layer, a Morton curve groups neighbours into
+//!   packs ([`order`]), so that the differences between consecutive positions are small.
+//! - Alternatively a *base* comes first: fewer splats, trained to stand in for the whole model
+//!   ([`cosurf_scene::Base`]). The other splats follow region by region. With each region come the changes
+//!   that turn its base splats into their final form.
+//! - The step of positions follows the size of the pack's splats, so the error is invisible.
+//! - The axes of a splat are sorted by length, so the third is its normal. Of the equivalent quaternions, the
+//!   one with the largest w is chosen, so w need not be stored ([`shapes`]). The shortest axis is stored
+//!   relative to the middle one, since most splats are flat.
+//! - Spherical harmonics are stored along their principal directions in this model ([`basis`]), most of which
+//!   need at most one bit. Their step follows from the remaining bytes.
+//! - Each plane of bytes is a zstd block of its own, so it is coded by its own statistics ([`pack`]).
 
 mod basis;
 mod decode;
@@ -31,7 +29,7 @@ mod shapes;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use decode::announced_part;
+pub(crate) use decode::checked_part_to_model;
 pub use decode::{body_to_model, check_body, part_to_model};
 pub use encode::{First, model_to_body};
 pub use order::plain_importance;

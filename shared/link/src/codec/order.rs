@@ -1,17 +1,17 @@
-//! In which order splats go: the most important first, neighbours together.
+//! The order of splats in a body: by importance, with neighbours together.
 
 use cosurf_scene::{Base, Splats};
 use cosurf_wire::Bounds;
 use cosurf_wire::body::PACK_SPLATS_MAX;
 
-/// Shares of the splats that go with each layer and those before it. Shapes are about three quarters of a body,
-/// so the first layer ends at a fifth of its bytes.
-const LAYERS: [f64; 3] = [0.25, 0.5, 1.0];
+/// Cumulative share of the splats in each layer. Shapes are about three quarters of a body, so the first
+/// layer ends after a fifth of its bytes.
+const LAYER_ENDS: [f64; 3] = [0.25, 0.5, 1.0];
 /// Bits of a Morton code per axis.
 const MORTON_BITS: u32 = 21;
 
-/// How much each splat matters where nobody has rendered it: opacity times area. A sum of blend weights over
-/// the training views tells far more.
+/// Importance of each splat of a model that has not been rendered: opacity times area. The sum of blend
+/// weights over the training views is far more accurate.
 pub fn plain_importance(splats: &Splats) -> Vec<f32> {
     (0..splats.len())
         .map(|i| {
@@ -22,10 +22,10 @@ pub fn plain_importance(splats: &Splats) -> Vec<f32> {
         .collect()
 }
 
-/// Indices of the splats layer by layer, in each along the Morton curve. The same importance is decided by
-/// index.
-pub(super) fn layers(means: &[[f32; 3]], importance: &[f32], bounds: &Bounds) -> Vec<Vec<u32>> {
-    assert_eq!(means.len(), importance.len(), "an importance for each splat");
+/// Indices of the splats in each layer, in the order of the Morton curve. Of equally important splats, the
+/// lower index comes first.
+pub(super) fn split_layers(means: &[[f32; 3]], importance: &[f32], bounds: &Bounds) -> Vec<Vec<u32>> {
+    assert_eq!(means.len(), importance.len(), "number of importances");
     let mut ranked: Vec<u32> = (0..means.len() as u32).collect();
     ranked.sort_by(|&a, &b| importance[b as usize].total_cmp(&importance[a as usize]));
     let curve = Curve::new(bounds);
@@ -37,19 +37,19 @@ pub(super) fn layers(means: &[[f32; 3]], importance: &[f32], bounds: &Bounds) ->
         layer.sort_by_cached_key(|&i| (curve.code(means[i as usize]), i));
         layer
     };
-    LAYERS.map(cut).into()
+    LAYER_ENDS.map(cut).into()
 }
 
-/// What lies next to each other along the curve: first some splats of the base, then the others there.
+/// A section of the Morton curve: some splats of the base, and the other splats there.
 pub(super) struct Region {
-    /// Places in the base.
+    /// Positions in the base.
     pub(super) base: Vec<usize>,
-    /// Indices of splats.
+    /// Indices of the other splats.
     pub(super) rest: Vec<u32>,
 }
 
-/// Cuts a model where a pack of its base ends, along the Morton curve.
-pub(super) fn regions(means: &[[f32; 3]], base: &Base, bounds: &Bounds) -> Vec<Region> {
+/// Splits a model along the Morton curve into one region per pack of its base.
+pub(super) fn split_regions(means: &[[f32; 3]], base: &Base, bounds: &Bounds) -> Vec<Region> {
     let curve = Curve::new(bounds);
     let code = |id: u32| (curve.code(means[id as usize]), id);
     let mut places: Vec<usize> = (0..base.ids.len()).collect();
@@ -71,7 +71,7 @@ pub(super) fn regions(means: &[[f32; 3]], base: &Base, bounds: &Bounds) -> Vec<R
     cuts.iter().enumerate().map(&mut region).collect()
 }
 
-/// Cuts into chunks of nearly the same size, none above `max`.
+/// Splits a slice into chunks of nearly equal size, at most `max` each.
 pub(super) fn even_chunks<T>(all: &[T], max: usize) -> impl Iterator<Item = &[T]> {
     let chunks = all.len().div_ceil(max).max(1);
     all.chunks(all.len().div_ceil(chunks).max(1))

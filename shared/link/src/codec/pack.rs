@@ -1,17 +1,17 @@
-//! One pack: zstd with limits.
+//! Packs and unpacks single packs: zstd with limits on ratio and memory.
 
 use std::io::{self, Read, Write};
 
 use cosurf_wire::body::{BodyError, PackEntry, PackForm, PackKind, RATIO_MAX, WINDOW_LOG};
 
-/// The planes of rare values need the parser of the high levels: 4 % of a body beside level 3.
+/// A high compression level: its parser compresses planes of rare values better.
 const LEVEL: i32 = 19;
 
-/// Packs `frame`, then planes of `plane_bytes` each.
-pub(super) fn pack(frame: &[u8], planes: &[u8], plane_bytes: usize) -> io::Result<(PackForm, Vec<u8>)> {
+/// Compresses `frame` followed by planes of `plane_bytes` each.
+pub(super) fn compress(frame: &[u8], planes: &[u8], plane_bytes: usize) -> io::Result<(PackForm, Vec<u8>)> {
     let mut encoder = zstd::Encoder::new(Vec::new(), LEVEL)?;
     encoder.window_log(WINDOW_LOG)?;
-    // Its tables are then no larger than they must.
+    // The known size keeps the encoder's tables small.
     encoder.set_pledged_src_size(Some((frame.len() + planes.len()) as u64))?;
     encoder.write_all(frame)?;
     for plane in planes.chunks(plane_bytes.max(1)) {
@@ -26,8 +26,14 @@ pub(super) fn pack(frame: &[u8], planes: &[u8], plane_bytes: usize) -> io::Resul
     Ok((PackForm::Stored, [frame, planes].concat()))
 }
 
-/// The entry of a pack in the table.
-pub(super) fn entry(kind: PackKind, layer: u8, splats: usize, form: PackForm, bytes: &[u8]) -> PackEntry {
+/// Makes the table entry of a pack.
+pub(super) fn make_entry(
+    kind: PackKind,
+    layer: u8,
+    splats: usize,
+    form: PackForm,
+    bytes: &[u8],
+) -> PackEntry {
     PackEntry {
         kind,
         form,
@@ -38,7 +44,7 @@ pub(super) fn entry(kind: PackKind, layer: u8, splats: usize, form: PackForm, by
     }
 }
 
-/// Unpacks `bytes` to exactly the length of `out`; never takes more memory than zstd's window.
+/// Unpacks `bytes` to exactly the length of `out`. Its memory is bounded by the zstd window.
 pub(super) fn unpack(entry: &PackEntry, bytes: &[u8], out: &mut [u8]) -> Result<(), BodyError> {
     if crc32fast::hash(bytes) != entry.crc32 {
         return Err(BodyError::BadPack);

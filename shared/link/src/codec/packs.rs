@@ -1,12 +1,12 @@
-//! Packs in a row, and their entries in the table.
+//! A sequence of packs with their table entries.
 
 use std::io;
 
 use cosurf_wire::body::{BodyHead, HEAD_BYTES, PACK_ENTRY_BYTES, PackEntry, PackKind};
 
-use super::pack::{entry, pack};
+use super::pack::{compress, make_entry};
 
-/// Packs and their entries.
+/// A sequence of packs with their table entries.
 #[derive(Default)]
 pub(super) struct Packs {
     entries: Vec<PackEntry>,
@@ -14,22 +14,22 @@ pub(super) struct Packs {
 }
 
 impl Packs {
-    /// How many there are.
+    /// Number of packs.
     pub(super) fn len(&self) -> usize {
         self.entries.len()
     }
 
-    /// Bytes of a body with them.
+    /// Size of a body with these packs, in bytes.
     pub(super) fn body_bytes(&self) -> usize {
         HEAD_BYTES + self.table_and_pack_bytes()
     }
 
-    /// Bytes that they add to a body.
+    /// Size of the packs and their table entries, in bytes.
     pub(super) fn table_and_pack_bytes(&self) -> usize {
         self.entries.len() * PACK_ENTRY_BYTES + self.bytes.len()
     }
 
-    /// Adds a pack of `splats` (0 where it holds none): a frame, then planes of one byte a splat.
+    /// Adds a pack of `splats` splats (0 for cameras and the basis): a frame, then planes of one byte per splat.
     pub(super) fn add(
         &mut self,
         kind: PackKind,
@@ -39,19 +39,19 @@ impl Packs {
         planes: &[u8],
     ) -> io::Result<()> {
         let plane_bytes = if splats > 0 { splats } else { planes.len() };
-        let (form, bytes) = pack(frame, planes, plane_bytes)?;
-        self.entries.push(entry(kind, layer, splats, form, &bytes));
+        let (form, bytes) = compress(frame, planes, plane_bytes)?;
+        self.entries.push(make_entry(kind, layer, splats, form, &bytes));
         self.bytes.extend_from_slice(&bytes);
         Ok(())
     }
 
-    /// Adds `others` behind these.
+    /// Appends `others`.
     pub(super) fn append(&mut self, others: Self) {
         self.entries.extend(others.entries);
         self.bytes.extend(others.bytes);
     }
 
-    /// The body of a head that fits these.
+    /// Makes the body. `head` must describe these packs.
     pub(super) fn into_body(self, head: &BodyHead) -> Vec<u8> {
         let mut body = vec![0; head.packs_at()];
         for (entry, out) in self.entries.iter().zip(body[HEAD_BYTES..].as_chunks_mut::<PACK_ENTRY_BYTES>().0)

@@ -1,4 +1,4 @@
-//! Shapes of splats to whole numbers and back.
+//! Quantises and dequantises the shapes of splats.
 
 use cosurf_scene::Splats;
 use cosurf_wire::body::{
@@ -7,19 +7,21 @@ use cosurf_wire::body::{
 };
 use glam::{Mat3, Quat};
 
-/// Steps of a position in the middle axis of a pack's median splat, at least: an error below a thirtieth.
+/// Minimum number of position steps in the middle axis of a pack's median splat. The error of a position is
+/// below a thirtieth of that axis.
 const STEPS_PER_SCALE: f32 = 16.0;
-/// An opacity logit beyond this is taken for this: 0.9997, where the rasteriser stops at 0.99.
+/// Opacity logits are clamped to this magnitude: 0.9997, where the rasteriser clamps at 0.99.
 const OPACITY_LOGIT_MAX: f32 = 8.0;
 
-/// In the base positions go in steps of so many, and parts of the quaternion: what stands in for three splats need not
-/// be told as finely as one of them. A base splat takes 9 bytes so, and 11.5 without, at 0.1 dB.
+/// Base splats are quantised more coarsely, since each stands in for several splats: this saves bytes at a small
+/// loss of quality. Positions are multiples of this many steps.
 const BASE_POSITION_STEPS: u16 = 2;
+/// Quaternion components of base splats are multiples of this many steps.
 const BASE_QUAT_STEPS: u16 = 16;
 
-/// A splat but for what its colour does with the direction.
+/// A splat in floats, without its view-dependent colour: the counterpart of [`Shape`].
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Form {
+pub(super) struct FloatShape {
     pub(super) mean: [f32; 3],
     pub(super) quat: [f32; 4],
     pub(super) log_scale: [f32; 3],
@@ -27,8 +29,8 @@ pub(super) struct Form {
     pub(super) color: [f32; 3],
 }
 
-impl Form {
-    /// That of splat `i`.
+impl FloatShape {
+    /// The shape of splat `i`.
     pub(super) fn of(splats: &Splats, i: usize) -> Self {
         let sh = splats.sh_of(i);
         Self {
@@ -41,14 +43,16 @@ impl Form {
     }
 }
 
-/// The frame of `forms`, of which there is at least one.
-pub(super) fn frame(forms: &[Form]) -> ShapeFrame {
+/// Chooses the frame for a pack of `splats`, which must not be empty.
+pub(super) fn choose_frame(splats: &[FloatShape]) -> ShapeFrame {
     let corner = |fold: fn(f32, f32) -> f32, start: f32| {
-        forms.iter().fold([start; 3], |corner, form| std::array::from_fn(|k| fold(corner[k], form.mean[k])))
+        splats
+            .iter()
+            .fold([start; 3], |corner, splat| std::array::from_fn(|k| fold(corner[k], splat.mean[k])))
     };
     let (min, max) = (corner(f32::min, f32::INFINITY), corner(f32::max, f32::NEG_INFINITY));
     let extent = (0..3).map(|k| f64::from(max[k]) - f64::from(min[k])).fold(0.0, f64::max);
-    let mut scales: Vec<[f32; 3]> = forms.iter().map(|form| sorted(form.log_scale)).collect();
+    let mut scales: Vec<[f32; 3]> = splats.iter().map(|splat| sorted(splat.log_scale)).collect();
     let largest = scales.iter().map(|scale| scale[0]).fold(f32::NEG_INFINITY, f32::max);
     let smallest = scales.iter().map(|scale| scale[0]).fold(f32::INFINITY, f32::min);
     let middle = scales.len() / 2;
@@ -64,56 +68,53 @@ pub(super) fn frame(forms: &[Form]) -> ShapeFrame {
     }
 }
 
-/// A splat in whole numbers.
-pub(super) fn round(frame: &ShapeFrame, form: &Form) -> Shape {
-    let order = axis_order(form.log_scale);
-    round_as(frame, form, order, order.map(|axis| form.log_scale[axis]), [1, 1])
+/// Quantises a splat.
+pub(super) fn quantise(frame: &ShapeFrame, splat: &FloatShape) -> Shape {
+    quantise_in_steps(frame, splat, [1, 1])
 }
 
-/// A splat of the base in whole numbers.
-pub(super) fn round_base(frame: &ShapeFrame, form: &Form) -> Shape {
-    let order = axis_order(form.log_scale);
-    let scale = order.map(|axis| form.log_scale[axis]);
-    round_as(frame, form, order, scale, [BASE_POSITION_STEPS, BASE_QUAT_STEPS])
+/// Quantises a splat of the base.
+pub(super) fn quantise_base(frame: &ShapeFrame, splat: &FloatShape) -> Shape {
+    quantise_in_steps(frame, splat, [BASE_POSITION_STEPS, BASE_QUAT_STEPS])
 }
 
-/// With `scale` along the axes in `order`, positions and quaternions in multiples of some steps.
-fn round_as(
+/// Quantises a splat. Positions and quaternions become multiples of the given steps.
+fn quantise_in_steps(
     frame: &ShapeFrame,
-    form: &Form,
-    order: [usize; 3],
-    scale: [f32; 3],
+    splat: &FloatShape,
     [position_steps, quat_steps]: [u16; 2],
 ) -> Shape {
+    let order = axis_order(splat.log_scale);
+    let log_scale = order.map(|axis| splat.log_scale[axis]);
     let per_unit = f64::from(-frame.step_exponent).exp2() / f64::from(position_steps);
     let position = std::array::from_fn(|k| {
-        let way = f64::from(form.mean[k]) - f64::from(frame.origin[k]);
-        (way * per_unit).round() as u16 * position_steps
+        let offset = f64::from(splat.mean[k]) - f64::from(frame.origin[k]);
+        (offset * per_unit).round() as u16 * position_steps
     });
     let quat_zero = f32::from(QUAT_ZERO);
-    let quat = canonical(form.quat, order).map(|v| {
-        let way = v / std::f32::consts::FRAC_1_SQRT_2 * quat_zero / f32::from(quat_steps);
-        (quat_zero + way.round() * f32::from(quat_steps)).clamp(0.0, 2.0 * quat_zero) as u16
+    let quat = canonical_quat(splat.quat, order).map(|v| {
+        let steps = v / std::f32::consts::FRAC_1_SQRT_2 * quat_zero / f32::from(quat_steps);
+        (quat_zero + steps.round() * f32::from(quat_steps)).clamp(0.0, 2.0 * quat_zero) as u16
     });
-    let steps = |way: f32| (way / LOG_SCALE_STEP).round().clamp(0.0, 255.0);
-    // Each is measured from what the one before was rounded to, so errors do not add up.
-    let first = steps(scale[0] - frame.log_scale);
+    let scale_steps = |difference: f32| (difference / LOG_SCALE_STEP).round().clamp(0.0, 255.0);
+    // Each value is measured from the previous quantised value, so errors do not add up.
+    let first = scale_steps(log_scale[0] - frame.log_scale);
     let at_first = frame.log_scale + first * LOG_SCALE_STEP;
-    let second = steps(at_first - scale[1]);
-    let thickness = (scale[2] - at_first + second * LOG_SCALE_STEP).exp().min(1.0) / THICKNESS_STEP;
-    let logit = form.opacity_logit.clamp(-OPACITY_LOGIT_MAX, OPACITY_LOGIT_MAX);
+    let second = scale_steps(at_first - log_scale[1]);
+    let thickness = (log_scale[2] - at_first + second * LOG_SCALE_STEP).exp().min(1.0) / THICKNESS_STEP;
+    let logit = splat.opacity_logit.clamp(-OPACITY_LOGIT_MAX, OPACITY_LOGIT_MAX);
     Shape {
         position,
         quat,
         log_scale: [first as u8, second as u8],
         thickness: thickness.round() as u8,
         opacity: (logit / OPACITY_STEP).round() as i8,
-        color: form.color.map(|v| (v / COLOR_STEP).round() as i16),
+        color: splat.color.map(|v| (v / COLOR_STEP).round() as i16),
     }
 }
 
-/// A splat from whole numbers; whatever they are, it can be rendered.
-pub(super) fn unround(frame: &ShapeFrame, shape: &Shape) -> Form {
+/// Dequantises a splat. The result is valid for any integers.
+pub(super) fn dequantise(frame: &ShapeFrame, shape: &Shape) -> FloatShape {
     let step = f64::from(frame.step_exponent).exp2();
     let mean =
         std::array::from_fn(|k| (f64::from(frame.origin[k]) + f64::from(shape.position[k]) * step) as f32);
@@ -123,10 +124,10 @@ pub(super) fn unround(frame: &ShapeFrame, shape: &Shape) -> Form {
     let [first, second] = shape.log_scale.map(f32::from);
     let largest = frame.log_scale + first * LOG_SCALE_STEP;
     let middle = largest - second * LOG_SCALE_STEP;
-    // A quarter of a step from either end: a flat splat has some thickness, and a ball still has a least axis,
-    // for that is its normal.
+    // The thickness stays a quarter of a step within its range: a flat splat keeps some thickness, and a sphere
+    // keeps a shortest axis, which is its normal.
     let thickness = f32::from(shape.thickness).min(THICKNESS_STEP.recip() - 0.25).max(0.25) * THICKNESS_STEP;
-    Form {
+    FloatShape {
         mean,
         quat: [w, x, y, z],
         log_scale: [largest, middle, middle + thickness.ln()].map(|v| v.clamp(-LOG_SCALE_MAX, LOG_SCALE_MAX)),
@@ -141,16 +142,17 @@ fn sorted(log_scale: [f32; 3]) -> [f32; 3] {
     order.map(|axis| log_scale[axis])
 }
 
+/// Axes in order of falling log scale.
 fn axis_order(log_scale: [f32; 3]) -> [usize; 3] {
     let mut order = [0, 1, 2];
     order.sort_by(|&a, &b| log_scale[b].total_cmp(&log_scale[a]));
     order
 }
 
-/// The xyz of a unit quaternion whose w is the largest component and positive, which turns the same ellipsoid with its
-/// axes in `order`. A half-turn about an axis changes nothing: of the four quaternions that differ by one, each
-/// component is the w of one.
-fn canonical([w, x, y, z]: [f32; 4], [first, second, _]: [usize; 3]) -> [f32; 3] {
+/// Components x, y and z of the unit quaternion that describes the same ellipsoid with its axes in `order`, and
+/// whose w is positive and the largest component. It exists because half-turns about the axes do not change
+/// the ellipsoid: they give four equivalent quaternions, and each component is the w of one of them.
+fn canonical_quat([w, x, y, z]: [f32; 4], [first, second, _]: [usize; 3]) -> [f32; 3] {
     let old = Mat3::from_quat(Quat::from_xyzw(x, y, z, w).normalize());
     let (a, b) = (old.col(first), old.col(second));
     let q = Quat::from_mat3(&Mat3::from_cols(a, b, a.cross(b)));

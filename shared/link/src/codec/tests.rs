@@ -1,4 +1,4 @@
-//! What goes through the codec comes back within half a step, in any part; what is forged does not come in.
+//! The codec restores complete and partial models to within half a step, and refuses forged bodies.
 #![allow(clippy::unwrap_used)]
 
 mod base;
@@ -25,17 +25,18 @@ fn noise(seed: u64) -> impl FnMut() -> f32 {
     }
 }
 
-/// A square of flat splats, 20 m wide, whose colours change with the direction in a few ways.
+/// Flat splats in a square of 20 m, with view-dependent colours along three directions.
 fn splats(count: usize, sh_degree: u32) -> Splats {
     let mut splats = Splats::with_capacity(count, sh_degree);
     let mut noise = noise(7);
-    let ways: Vec<f32> = (0..3 * splats.sh_stride()).map(|_| 0.2 * noise()).collect();
+    let directions: Vec<f32> = (0..3 * splats.sh_stride()).map(|_| 0.2 * noise()).collect();
     for _ in 0..count {
         let mean = [10.0 * noise(), 10.0 * noise(), 0.1 * noise()];
         let quat = [noise(), noise(), noise(), 0.1 + noise()];
         let log_scale = [-2.0 + noise(), -2.0 + noise(), -5.0 + 2.0 * noise()];
         let strengths = [noise(), noise(), noise()];
-        let along = |i: usize| (0..3).map(|k| strengths[k] * ways[k * splats.sh_stride() + i]).sum::<f32>();
+        let along =
+            |i: usize| (0..3).map(|k| strengths[k] * directions[k * splats.sh_stride() + i]).sum::<f32>();
         let sh: Vec<f32> = (0..splats.sh_stride()).map(|i| if i < 3 { noise() } else { along(i) }).collect();
         splats.push(mean, quat, log_scale, 4.0 * noise(), &sh);
     }
@@ -55,7 +56,7 @@ fn cameras(count: usize) -> Vec<Camera> {
     (0..count).map(camera).collect()
 }
 
-/// The body of `count` splats of which the first are the most important.
+/// A body of `splats` in which lower indices are more important.
 fn body(splats: &Splats) -> Vec<u8> {
     let importance: Vec<f32> = (0..splats.len()).map(|i| -(i as f32)).collect();
     model_to_body(splats, &cameras(3), First::Important(&importance)).unwrap()
@@ -72,7 +73,7 @@ fn normal(splats: &Splats, i: usize) -> Vec3 {
     axes.col(least)
 }
 
-/// For each splat of `found` the one of `sent` that it was.
+/// The index in `sent` of each splat of `found`.
 fn origins(found: &Splats, sent: &Splats) -> Vec<usize> {
     let distance = |a: [f32; 3], b: [f32; 3]| Vec3::from(a).distance_squared(Vec3::from(b));
     let nearest = |mean: &[f32; 3]| {
@@ -83,10 +84,10 @@ fn origins(found: &Splats, sent: &Splats) -> Vec<usize> {
 }
 
 #[test]
-fn a_model_comes_back_within_half_a_step() {
+fn a_model_round_trips_within_half_a_step() {
     let sent = splats(1500, 2);
     let Model { splats: found, cameras: found_cameras } = body_to_model(&body(&sent)).unwrap();
-    assert_eq!(found_cameras, cameras(3), "cameras are exact");
+    assert_eq!(found_cameras, cameras(3), "cameras are encoded without loss");
     let origins = origins(&found, &sent);
     let mut distinct = origins.clone();
     distinct.sort_unstable();
@@ -96,11 +97,11 @@ fn a_model_comes_back_within_half_a_step() {
     for (i, &origin) in origins.iter().enumerate() {
         let mut sorted = axes(&sent, origin).1.to_array();
         sorted.sort_unstable_by(f32::total_cmp);
-        let away = Vec3::from(found.means[i]).distance(Vec3::from(sent.means[origin]));
-        assert!(away < 0.01, "{away} m of splats of 0.1 m");
-        let turned = normal(&found, i).cross(normal(&sent, origin)).length().asin().to_degrees();
-        tilts.push(turned);
-        assert!(turned < 0.2 || sorted[1] < 1.1 * sorted[0], "{turned}°");
+        let error_m = Vec3::from(found.means[i]).distance(Vec3::from(sent.means[origin]));
+        assert!(error_m < 0.01, "{error_m} m for splats of 0.1 m");
+        let tilt = normal(&found, i).cross(normal(&sent, origin)).length().asin().to_degrees();
+        tilts.push(tilt);
+        assert!(tilt < 0.2 || sorted[1] < 1.1 * sorted[0], "{tilt}°");
         let found_scale = found.log_scales[i].map(f32::exp);
         assert!(
             (found_scale[0] / sorted[2]).ln().abs() <= 0.0313
@@ -120,7 +121,7 @@ fn a_model_comes_back_within_half_a_step() {
 }
 
 #[test]
-fn the_same_model_gives_the_same_bytes_and_what_was_rounded_once_stays() {
+fn encoding_is_deterministic_and_quantised_values_stay_the_same() {
     let sent = splats(900, 3);
     assert_eq!(body(&sent), body(&sent));
     let once = body_to_model(&body(&sent)).unwrap().splats;
@@ -134,7 +135,7 @@ fn the_same_model_gives_the_same_bytes_and_what_was_rounded_once_stays() {
 }
 
 #[test]
-fn every_degree_and_every_count_goes_through() {
+fn every_degree_and_count_round_trips() {
     for sh_degree in 0..=3 {
         for count in [0, 1, 2, 17, 9000] {
             let sent = splats(count, sh_degree);
@@ -145,13 +146,13 @@ fn every_degree_and_every_count_goes_through() {
 }
 
 #[test]
-fn strange_models_go_through() {
-    // All alike: it would compress beyond every limit.
+fn extreme_models_round_trip() {
+    // Identical splats: they would compress beyond the maximum ratio.
     let mut same = Splats::with_capacity(4000, 1);
     (0..4000).for_each(|_| same.push([5.0; 3], [2.0, 0.0, 0.0, 0.0], [-1.0; 3], 3.0, &[0.5; 12]));
     let found = body_to_model(&body(&same)).unwrap().splats;
     assert_eq!((found.len(), found.means[9]), (4000, [5.0; 3]));
-    // Far apart, far too large, far too small, turned by nothing and by a half.
+    // Edge cases: distant positions, extreme scales, identity and 180° rotations.
     let mut odd = Splats::with_capacity(4, 0);
     odd.push([1e20, -1e20, 0.0], [0.0, 1.0, 0.0, 0.0], [39.9, -39.9, 0.0], 100.0, &[1e5, -1e5, 0.0]);
     odd.push([-1e20, 1e20, 1e-20], [1.0, 0.0, 0.0, 0.0], [-39.9; 3], -100.0, &[0.0; 3]);
@@ -162,7 +163,7 @@ fn strange_models_go_through() {
 }
 
 #[test]
-fn what_nobody_could_render_is_not_packed() {
+fn invalid_values_are_refused() {
     type Spoil = fn(&mut Splats);
     let spoils: [(Spoil, &str); 4] = [
         (|s| s.means[3][1] = f32::NAN, "mean"),
@@ -183,7 +184,7 @@ fn what_nobody_could_render_is_not_packed() {
 }
 
 #[test]
-fn the_most_important_splats_come_first_and_every_beginning_is_a_model() {
+fn every_prefix_is_a_model_and_the_most_important_splats_come_first() {
     let sent = splats(9000, 1);
     let body = body(&sent);
     let whole = body_to_model(&body).unwrap();
@@ -198,11 +199,14 @@ fn the_most_important_splats_come_first_and_every_beginning_is_a_model() {
     assert!(counts.is_sorted() && counts[0] == 0 && counts.last() == Some(&9000), "{counts:?}");
     let first = part_to_model(&body, |range| range.end <= 3 * body.len() / 10).unwrap().unwrap().splats;
     let latest = origins(&first, &sent).into_iter().max().unwrap();
-    assert!(latest < 9000 / 4, "the first layer has the most important quarter, not number {latest}");
+    assert!(
+        latest < 9000 / 4,
+        "the first layer has only the most important quarter, but also index {latest}"
+    );
 }
 
 #[test]
-fn packs_that_come_without_those_before_them_are_used_too() {
+fn packs_after_a_missing_one_are_used() {
     let body = body(&splats(3000, 1));
     let plan = BodyPlan::new(&body).unwrap();
     let packs: Vec<_> = plan.packs_of(PackKind::Shapes).collect();
@@ -214,9 +218,9 @@ fn packs_that_come_without_those_before_them_are_used_too() {
     assert!(colors > 2000, "{colors} have their own spherical harmonics");
 }
 
-/// Every byte changed and every end cut off: an error, never a panic, never another model.
+/// Changes every byte, and truncates at every byte: each must give an error.
 #[test]
-fn damage_is_noticed() {
+fn damage_is_detected() {
     let body = body(&splats(40, 1));
     for i in 0..body.len() {
         let mut damaged = body.clone();
@@ -227,7 +231,7 @@ fn damage_is_noticed() {
     assert!(body_to_model(&[&body[..], &[0]].concat()).is_err());
 }
 
-/// Writes the table's entry `i` anew, with the checksums of pack, table and head, as a forger would.
+/// Replaces table entry `i` and fixes the checksum of head and table, as an attacker would.
 fn forge(body: &mut [u8], i: usize, bytes: u32, splats: u16, crc32: u32) {
     let at = HEAD_BYTES + i * PACK_ENTRY_BYTES;
     body[at + 2..at + 4].copy_from_slice(&splats.to_le_bytes());
@@ -241,48 +245,48 @@ fn forge(body: &mut [u8], i: usize, bytes: u32, splats: u16, crc32: u32) {
 }
 
 #[test]
-fn harmonics_give_way_before_a_splat_takes_more_than_its_bytes() {
+fn harmonics_are_coarsened_to_meet_the_target_size() {
     for (count, sh_degree, bytes_max) in [(3000, 2, 16.0), (8000, 2, 16.0), (8000, 3, 18.0)] {
         let mut model = splats(count, sh_degree);
         let mut noise = noise(9);
         let stride = model.sh_stride();
-        // Each varies in a way of its own, which costs few splats more than their statistics say.
+        // Independent noise, which costs a small model more bytes than its statistics predict.
         model.sh.chunks_exact_mut(stride).for_each(|sh| sh[3..].iter_mut().for_each(|v| *v += 0.1 * noise()));
         let bytes = body(&model).len() as f64 / count as f64;
         assert!(bytes <= bytes_max, "{count} splats of degree {sh_degree}: {bytes} bytes each");
     }
 }
 
-/// A frame that is made of almost nothing and asks for a large window is refused before it is unpacked.
+/// Decompression bombs: frames with an excessive ratio, size or window are refused before they are unpacked.
 #[test]
-fn fault_05_bombs_do_not_go_off() {
+fn fault_05_decompression_bombs_are_refused() {
     let splats = splats(8000, 0);
-    let sane = model_to_body(&splats, &[], First::Important(&vec![1.0; 8000])).unwrap();
-    let plan = BodyPlan::new(&sane).unwrap();
+    let valid = model_to_body(&splats, &[], First::Important(&vec![1.0; 8000])).unwrap();
+    let plan = BodyPlan::new(&valid).unwrap();
     let first = plan.packs().next().unwrap();
     assert_eq!((first.entry.kind, first.entry.form), (PackKind::Shapes, PackForm::Zstd));
-    let rest = sane[first.range.end..].to_vec();
+    let rest = valid[first.range.end..].to_vec();
     let replaced = |frame: &[u8], splats: u16| {
-        let mut body = sane[..first.range.start].to_vec();
+        let mut body = valid[..first.range.start].to_vec();
         body.extend_from_slice(frame);
         body.extend_from_slice(&rest);
         forge(&mut body, 0, frame.len() as u32, splats, crc32fast::hash(frame));
         body_to_model(&body)
     };
     let count = first.entry.splats;
-    assert!(replaced(&sane[first.range.clone()], count).is_ok(), "the forger's hand is right");
+    assert!(replaced(&valid[first.range.clone()], count).is_ok(), "the forged entry itself is valid");
     let unpacked = 20 + 20 * usize::from(count);
-    // Ratio: zeros.
+    // Excessive ratio: zeros.
     let zeros = zstd::bulk::compress(&vec![0; unpacked], 19).unwrap();
     assert_eq!(replaced(&zeros, count), Err(cosurf_wire::body::BodyError::BadTable.into()));
-    // More than was announced, and less.
+    // More bytes than the table requires, and fewer.
     let noise: Vec<u8> = (0..unpacked + 1).map(|i| (((i * i) >> 3) as u8 ^ (i >> 8) as u8) & 63).collect();
     for wrong in [unpacked + 1, unpacked - 1] {
         let frame = zstd::bulk::compress(&noise[..wrong], 1).unwrap();
         assert_eq!(replaced(&frame, count), Err(cosurf_wire::body::BodyError::BadPack.into()), "{wrong}");
     }
-    // The same splats, in a window of 128 MiB.
-    let right = zstd::stream::decode_all(&sane[first.range.clone()]).unwrap();
+    // The same splats, with a window of 128 MiB.
+    let right = zstd::stream::decode_all(&valid[first.range.clone()]).unwrap();
     let windowed = |window_log| {
         let mut encoder = zstd::Encoder::new(Vec::new(), 1).unwrap();
         encoder.window_log(window_log).unwrap();
@@ -294,7 +298,7 @@ fn fault_05_bombs_do_not_go_off() {
 }
 
 #[test]
-fn a_body_must_be_what_was_announced() {
+fn a_body_that_contradicts_its_header_is_refused() {
     let device = DeviceId::new("drone").unwrap();
     let offer = Offer::new(device, ModelId(1), ModelKind::Local, 3, &splats(300, 1), &cameras(3)).unwrap();
     assert_eq!(check_body(&offer.header, &offer.body), Ok(()));

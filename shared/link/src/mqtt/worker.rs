@@ -175,7 +175,7 @@ impl Worker {
             Event::Incoming(Packet::SubAck(ack)) => {
                 let is_granted = |code: &SubscribeReasonCode| matches!(code, SubscribeReasonCode::Success(_));
                 if !ack.return_codes.iter().all(is_granted) {
-                    let reason = "subscriptions rejected: give this device access to its topics";
+                    let reason = "subscriptions refused: give this device access to its topics";
                     self.fail(reason).await;
                     return self.pause().await.or(Some(Exit::Replace));
                 }

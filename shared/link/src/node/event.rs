@@ -40,7 +40,7 @@ pub enum NodeEvent {
         /// The body, for [`crate::body_to_model`].
         body: Arc<Vec<u8>>,
     },
-    /// The node rejected an offered model, and has told its sender.
+    /// The node refused an offered model, and has told its sender.
     Refused {
         /// The model.
         key: ModelKey,
@@ -58,11 +58,11 @@ pub enum NodeEvent {
     Progress(ModelKey, UploadProgress),
     /// Every required receiver has stored the model.
     Uploaded(ModelKey, UploadProgress),
-    /// A receiver rejects the model; finally, unless [`RefusalReason::is_passing`].
+    /// A receiver refuses the model; finally, unless [`RefusalReason::is_passing`].
     UploadRefused {
         /// The model.
         key: ModelKey,
-        /// The device that rejects the model. For a local model the aggregator rejects it, and this is the
+        /// The device that refuses the model. For a local model the aggregator refuses it, and this is the
         /// model's own device.
         by: DeviceId,
         /// The reason.

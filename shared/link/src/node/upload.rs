@@ -12,7 +12,7 @@ use crate::offer::Offer;
 use crate::transport::{PublishError, Transport};
 use crate::uploader::UploadProgress;
 
-/// Uploads a model. Returns when the aggregator has stored it, or has finally rejected it. Passes all other
+/// Uploads a model. Returns when the aggregator has stored it, or has finally refused it. Passes all other
 /// events to `on_event`, which must handle [`NodeEvent::Store`].
 pub fn upload_blocking<T: Transport>(
     node: &mut Node,
@@ -40,7 +40,7 @@ pub fn upload_blocking<T: Transport>(
 /// Why an upload failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum UploadFault {
-    /// The aggregator rejects the model.
+    /// The aggregator refuses the model.
     #[error("the aggregator refuses the model: {0}")]
     Refused(RefusalReason),
     /// The broker accepts only messages that are too small for useful chunks.

@@ -1,10 +1,10 @@
-//! A base comes first, alone, and becomes part of the whole.
+//! A base is usable alone, and becomes part of the whole model.
 
 use cosurf_scene::Base;
 
 use super::*;
 
-/// Every third splat, twice as large, moved within the plane and of another colour.
+/// Every third splat, twice as large, moved within the plane, and with another colour.
 fn base(splats: &Splats) -> Base {
     let mut base = Base { ids: Vec::new(), splats: Splats::with_capacity(0, 0) };
     let mut noise = noise(11);
@@ -20,7 +20,7 @@ fn base(splats: &Splats) -> Base {
 }
 
 #[test]
-fn a_base_stands_in_for_the_whole_and_then_becomes_part_of_it() {
+fn a_base_stands_in_for_the_model_and_then_becomes_part_of_it() {
     let sent = splats(30_000, 2);
     let base = base(&sent);
     let body = model_to_body(&sent, &cameras(3), First::Base(&base)).unwrap();
@@ -32,26 +32,26 @@ fn a_base_stands_in_for_the_whole_and_then_becomes_part_of_it() {
     let part = |end: usize| part_to_model(&body, |range| range.end <= end).unwrap().unwrap();
     let first = part(end_of_base);
     assert_eq!((first.splats.len(), first.cameras.len()), (base.ids.len(), 3));
-    let is_as_sent = |i: usize, origin: usize| {
+    let is_unchanged = |i: usize, origin: usize| {
         let (found, sent) = (&first.splats, &base.splats);
-        let away = Vec3::from(found.means[i]).distance(Vec3::from(sent.means[origin]));
+        let error_m = Vec3::from(found.means[i]).distance(Vec3::from(sent.means[origin]));
         let widths = [axes(found, i).1.max_element(), axes(sent, origin).1.max_element()];
         let colors = found.sh_of(i)[..3].iter().zip(sent.sh_of(origin));
-        away < 0.02
+        error_m < 0.02
             && (widths[0] / widths[1]).ln().abs() < 0.04
             && (found.opacity_logits[i] - sent.opacity_logits[origin]).abs() <= 0.5 * OPACITY_STEP
             && colors.into_iter().all(|(a, b)| (a - b).abs() <= 0.5 * COLOR_STEP + 1e-6)
             && found.sh_of(i)[3..].iter().all(|v| *v == 0.0)
     };
-    // Some lie so near to each other, or so far out, that nobody knows which is which.
+    // Some splats are too close to others, or too far out, to be matched by position.
     let origins_of_base = origins(&first.splats, &base.splats);
-    let right = (0..first.splats.len()).filter(|&i| is_as_sent(i, origins_of_base[i])).count();
+    let right = (0..first.splats.len()).filter(|&i| is_unchanged(i, origins_of_base[i])).count();
     assert!(right > 9_500, "{right} of 10,000");
-    // Without what it becomes it stays as it is, whatever else is there: the others would lie on top of it.
+    // Without its changes the base stays as it is, and the other splats are hidden: they would overlap it.
     let changes: Vec<_> = plan.packs_of(PackKind::Changes).map(|pack| pack.range).collect();
     let unchanged = part_to_model(&body, |range| !changes.contains(&range)).unwrap().unwrap();
     assert_eq!(unchanged, first);
-    // All of it is what it would be without a base, but for what the colours' steps are.
+    // The whole model is the same as without a base, except for the steps of the colours.
     let whole = body_to_model(&body).unwrap().splats;
     let plain = body_to_model(&super::body(&sent)).unwrap().splats;
     let found = origins(&whole, &plain);
@@ -60,13 +60,13 @@ fn a_base_stands_in_for_the_whole_and_then_becomes_part_of_it() {
     distinct.dedup();
     assert!(distinct.len() > 29_900, "{}", distinct.len());
     for (i, &other) in found.iter().enumerate() {
-        let away = Vec3::from(whole.means[i]).distance(Vec3::from(plain.means[other]));
-        assert!(away < 0.02, "{away} m");
+        let error_m = Vec3::from(whole.means[i]).distance(Vec3::from(plain.means[other]));
+        assert!(error_m < 0.02, "{error_m} m");
     }
     let mut opacities = [&whole, &plain].map(|splats| splats.opacity_logits.clone());
     opacities.iter_mut().for_each(|all| all.sort_unstable_by(f32::total_cmp));
     assert_eq!(opacities[0], opacities[1]);
-    // Between the two, each region is either as it was or as it will be.
+    // In between, each region has either its base splats or its final splats.
     let mut counts = Vec::new();
     for end in (end_of_base..body.len()).step_by(10_007) {
         counts.push(part(end).splats.len());
@@ -75,7 +75,7 @@ fn a_base_stands_in_for_the_whole_and_then_becomes_part_of_it() {
 }
 
 #[test]
-fn a_base_may_be_turned_inside_out_and_lie_outside() {
+fn a_base_with_reversed_axes_and_outside_the_bounds_round_trips() {
     let sent = splats(600, 1);
     let mut base = base(&sent);
     for i in 0..base.ids.len() {
