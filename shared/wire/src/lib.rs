@@ -22,7 +22,7 @@
 //! | [`ModelHeader`] | aggregator → devices | `/global/{tile}/m` | yes | the newest revision of the global model |
 //! | [`Chunk`] | aggregator → devices | `/global/{tile}/{model}/c/{index}` | no | bytes of that model, sent once for all devices |
 //! | [`Want`], [`Done`], [`Refused`] | device → aggregator | `/{device}/global/{want,done,refused}` | no | as above |
-//! | [`Flight`] | device → devices | `/{device}/flight` | yes | the cameras of the device's flight |
+//! | [`FlightCameras`] | device → devices | `/{device}/flight` | yes | the cameras of the device's flight |
 //! | [`State`] | device → all | `/{device}/state` | yes | start of a session, or its end (published as the MQTT last will) |
 //!
 //! A message is encoded as one byte of [`VERSION`], then
@@ -47,7 +47,7 @@ pub mod topic;
 pub use body::{Bounds, CameraRecord};
 pub use id::{DeviceId, FrameId, IdError, ModelId, SiteId, TileId};
 pub use message::{
-    BodyCodec, BodyHash, Chunk, Done, FLIGHT_CAMERAS_MAX, Flight, HeaderError, MAX_CHUNK_BYTES,
+    BodyCodec, BodyHash, Chunk, Done, FLIGHT_CAMERAS_MAX, FlightCameras, HeaderError, MAX_CHUNK_BYTES,
     MAX_CONTROL_BYTES, MAX_MESSAGE_BYTES, Message, ModelHeader, ModelKind, RefusalReason, Refused, Signature,
     State, VERSION, Want, WireError,
 };

@@ -21,7 +21,7 @@ pub const MAX_CONTROL_BYTES: usize = 300;
 /// Largest encoding of any message: that of a [`Chunk`]. A test checks it.
 pub const MAX_MESSAGE_BYTES: usize = MAX_CHUNK_BYTES + 89;
 
-/// Largest number of cameras in a [`Flight`]. Its message then still fits a serial line.
+/// Largest number of cameras in a [`FlightCameras`]. Its message then still fits a serial line.
 pub const FLIGHT_CAMERAS_MAX: usize = 160;
 
 /// Largest encoding of [`ModelHeader::statement`]. A test checks it.
@@ -65,7 +65,7 @@ pub enum Message<'a> {
     Refused(Refused),
     /// The cameras of a device's flight.
     #[serde(borrow)]
-    Flight(Flight<'a>),
+    Flight(FlightCameras<'a>),
 }
 
 /// Announces a model and its sizes.
@@ -118,7 +118,7 @@ pub enum ModelKind {
     /// Merged by an aggregator from several models.
     Global,
     /// A local model pruned before upload: it lacks the overlap that other devices own, as computed from
-    /// their [`Flight`]s.
+    /// their [`FlightCameras`]s.
     Compressed,
 }
 
@@ -198,7 +198,7 @@ pub struct State {
 /// The cameras of a device's flight. From them the other devices know what it observes, before they upload
 /// a model, and can leave the overlap to its owner.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Flight<'a> {
+pub struct FlightCameras<'a> {
     /// The device that sends this.
     pub device: DeviceId,
     /// The world frame of its cameras.
@@ -208,7 +208,7 @@ pub struct Flight<'a> {
     pub cameras: &'a [u8],
 }
 
-impl Flight<'_> {
+impl FlightCameras<'_> {
     /// Decodes the cameras.
     pub fn records(&self) -> impl ExactSizeIterator<Item = CameraRecord> {
         self.cameras.as_chunks().0.iter().map(CameraRecord::decode)

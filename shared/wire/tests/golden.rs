@@ -9,9 +9,10 @@ use cosurf_wire::body::{
 use cosurf_wire::message::MAX_STATEMENT_BYTES;
 use cosurf_wire::missing::MISSING_BITMAP_BYTES;
 use cosurf_wire::{
-    BodyCodec, BodyHash, Bounds, CameraRecord, Chunk, DeviceId, Done, FLIGHT_CAMERAS_MAX, Flight, FrameId,
-    HeaderError, MAX_CHUNK_BYTES, MAX_CONTROL_BYTES, MAX_MESSAGE_BYTES, Message, Missing, ModelHeader,
-    ModelId, ModelKind, RefusalReason, Refused, Signature, SiteId, State, VERSION, Want, WireError,
+    BodyCodec, BodyHash, Bounds, CameraRecord, Chunk, DeviceId, Done, FLIGHT_CAMERAS_MAX, FlightCameras,
+    FrameId, HeaderError, MAX_CHUNK_BYTES, MAX_CONTROL_BYTES, MAX_MESSAGE_BYTES, Message, Missing,
+    ModelHeader, ModelId, ModelKind, RefusalReason, Refused, Signature, SiteId, State, VERSION, Want,
+    WireError,
 };
 
 fn header() -> ModelHeader {
@@ -51,7 +52,7 @@ fn flights_with_invalid_cameras_are_refused() {
     let (device, frame) = (DeviceId::new("d").unwrap(), FrameId::default());
     let decoded = |cameras: &[u8]| {
         let mut buffer = vec![0; MAX_MESSAGE_BYTES];
-        let message = Message::Flight(Flight { device, frame, cameras });
+        let message = Message::Flight(FlightCameras { device, frame, cameras });
         Message::decode(message.encode(&mut buffer).unwrap()).map(|_| ())
     };
     assert_eq!(decoded(&camera_bytes(FLIGHT_CAMERAS_MAX)), Ok(()));
@@ -108,7 +109,7 @@ fn messages_have_these_bytes() {
             "0205 03642d31 ac02 0b".into(),
         ),
         (
-            Message::Flight(Flight { device, frame: FrameId::new("enu").unwrap(), cameras: &cameras }),
+            Message::Flight(FlightCameras { device, frame: FrameId::new("enu").unwrap(), cameras: &cameras }),
             "0206 03642d31 03656e75 60".to_owned() + &hex(&cameras),
         ),
     ];
@@ -180,7 +181,7 @@ fn the_largest_messages_have_the_documented_sizes() {
     let chunk = bytes_of(Message::Chunk(Chunk { device, model, index: u32::MAX, payload: &payload }));
     assert_eq!(chunk, MAX_MESSAGE_BYTES);
     let cameras = camera_bytes(FLIGHT_CAMERAS_MAX);
-    let flight = Message::Flight(Flight { device, frame, cameras: &cameras });
+    let flight = Message::Flight(FlightCameras { device, frame, cameras: &cameras });
     let most = flight.bytes_max();
     assert!(bytes_of(flight) <= most && most <= 16 * 1024, "a flight fits a serial line");
     let site = SiteId::new(&name).unwrap();

@@ -7,8 +7,8 @@ use cosurf_link::{Identity, InboxLimits, Offer, Role};
 use cosurf_wire::body::CAMERA_BYTES;
 use cosurf_wire::frame::{Frame, FrameReader, MAX_FRAME_BYTES, Piece, Sessions, Turn};
 use cosurf_wire::{
-    CameraRecord, Chunk, DeviceId, Done, Flight, MAX_MESSAGE_BYTES, Message, Missing, ModelId, ModelKind,
-    RefusalReason, Refused, SiteId, State, Topic, Want,
+    CameraRecord, Chunk, DeviceId, Done, FlightCameras, MAX_MESSAGE_BYTES, Message, Missing, ModelId,
+    ModelKind, RefusalReason, Refused, SiteId, State, Topic, Want,
 };
 
 use crate::body::splats;
@@ -54,7 +54,7 @@ fn messages() -> Vec<Vec<u8>> {
         Message::Done(Done { device, model, blake3: header.blake3 }),
         Message::State(State { device, session: u64::MAX, alive: true }),
         Message::Refused(Refused { device, model, reason: RefusalReason::Busy }),
-        Message::Flight(Flight { device, frame: header.frame, cameras: &cameras }),
+        Message::Flight(FlightCameras { device, frame: header.frame, cameras: &cameras }),
     ]
     .iter()
     .map(encoded)

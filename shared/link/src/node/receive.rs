@@ -1,6 +1,6 @@
 //! The incoming messages of a node. Invalid messages are dropped and reported as [`NodeEvent::Ignored`].
 
-use cosurf_wire::{Flight, Message, State, Topic, WireError};
+use cosurf_wire::{FlightCameras, Message, State, Topic, WireError};
 
 use super::births::Notice;
 use super::event::NodeEvent;
@@ -83,7 +83,7 @@ impl Node {
     }
 
     /// Flights are not signed, so a node with a list of trusted keys ignores them.
-    fn receive_flight(&mut self, flight: &Flight<'_>) -> Result<(), String> {
+    fn receive_flight(&mut self, flight: &FlightCameras<'_>) -> Result<(), String> {
         let Credentials { frame, trusted, .. } = self.inbox.credentials();
         if flight.device == self.identity.device || self.identity.role != Role::Device {
             return Ok(());

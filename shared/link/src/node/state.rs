@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 use cosurf_scene::Camera;
-use cosurf_wire::{DeviceId, Flight, Message, ModelHeader, RefusalReason, TileId, Topic};
+use cosurf_wire::{DeviceId, FlightCameras, Message, ModelHeader, RefusalReason, TileId, Topic};
 
 use super::births::Births;
 use super::event::NodeEvent;
@@ -69,7 +69,7 @@ impl Node {
     pub fn tell_flight(&mut self, cameras: &[Camera]) {
         let device = self.identity.device;
         let bytes = camera_bytes(&told_cameras(cameras));
-        let flight = Flight { device, frame: self.inbox.credentials().frame, cameras: &bytes };
+        let flight = FlightCameras { device, frame: self.inbox.credentials().frame, cameras: &bytes };
         let message = Message::Flight(flight);
         self.flight = Some(Outgoing::new(&self.identity.site, Topic::Flight { device }, &message, true));
         self.is_flight_due = self.is_connected;
