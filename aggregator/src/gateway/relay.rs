@@ -7,7 +7,7 @@
 use std::collections::{BTreeSet, VecDeque};
 
 use cosurf_link::{Identity, Outgoing, Role};
-use cosurf_wire::{DeviceId, Knowledge, Message, ModelId, Reply, SiteId, State, Topic, Want};
+use cosurf_wire::{ChunkStatus, DeviceId, Message, ModelId, Reply, SiteId, State, Topic, Want};
 
 /// Limit on chunks that wait for the line: 2 MiB at 64 KiB each, a sender's window.
 const CHUNKS_MAX: usize = 32;
@@ -99,7 +99,7 @@ impl Relay {
             Topic::Flight { device } if self.device == Some(device) => {}
             Topic::GlobalChunk { model, index, .. } => {
                 let is_wanted = self.want.as_ref().is_some_and(|want| {
-                    want.model == model && want.missing.of_chunk(index) == Knowledge::Missing
+                    want.model == model && want.missing.status_of(index) == ChunkStatus::Missing
                 });
                 if is_wanted && self.chunks.len() < CHUNKS_MAX && self.passed.insert(index) {
                     self.chunks.push_back((model, index, message));

@@ -1,6 +1,6 @@
 //! A sender's state for one receiver.
 
-use cosurf_wire::{DeviceId, Knowledge, RefusalReason, Want};
+use cosurf_wire::{ChunkStatus, DeviceId, RefusalReason, Want};
 
 use crate::bits::BitSet;
 use crate::pacing::{REORDER, WINDOW};
@@ -80,25 +80,25 @@ impl Peer {
     /// much later chunk has arrived, or the receiver is idle.
     pub(crate) fn on_want(&mut self, chunks: u32, want: &Want) {
         self.phase = PeerPhase::Fetching;
-        let knowledge = |index| want.missing.of_chunk(index);
-        let has_arrived = |sent: &&SentChunk| knowledge(sent.index) == Knowledge::Here;
+        let status_of = |index| want.missing.status_of(index);
+        let has_arrived = |sent: &&SentChunk| status_of(sent.index) == ChunkStatus::Received;
         let newest = self.in_flight.iter().filter(has_arrived).map(|sent| sent.order).max();
         let is_lost =
             |sent: &SentChunk| want.idle || newest.is_some_and(|newest| sent.order + REORDER < newest);
         let wanted = &mut self.wanted;
-        self.in_flight.retain(|sent| match knowledge(sent.index) {
-            Knowledge::Here => false,
-            Knowledge::Missing | Knowledge::Unsaid if is_lost(sent) => {
+        self.in_flight.retain(|sent| match status_of(sent.index) {
+            ChunkStatus::Received => false,
+            ChunkStatus::Missing | ChunkStatus::Unknown if is_lost(sent) => {
                 wanted.insert(sent.index);
                 false
             }
-            Knowledge::Missing | Knowledge::Unsaid => true,
+            ChunkStatus::Missing | ChunkStatus::Unknown => true,
         });
         for index in 0..chunks {
-            match knowledge(index) {
-                Knowledge::Here => self.wanted.remove(index),
-                Knowledge::Missing if !self.is_in_flight(index) => self.wanted.insert(index),
-                Knowledge::Missing | Knowledge::Unsaid => {}
+            match status_of(index) {
+                ChunkStatus::Received => self.wanted.remove(index),
+                ChunkStatus::Missing if !self.is_in_flight(index) => self.wanted.insert(index),
+                ChunkStatus::Missing | ChunkStatus::Unknown => {}
             }
         }
     }

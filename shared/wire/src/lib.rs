@@ -51,5 +51,5 @@ pub use message::{
     MAX_CONTROL_BYTES, MAX_MESSAGE_BYTES, Message, ModelHeader, ModelKind, RefusalReason, Refused, Signature,
     State, VERSION, Want, WireError,
 };
-pub use missing::{Knowledge, Missing};
+pub use missing::{ChunkStatus, Missing};
 pub use topic::{MAX_TOPIC_BYTES, Reply, Topic, TopicError, TopicString};

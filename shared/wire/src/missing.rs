@@ -19,13 +19,13 @@ pub struct Missing {
 
 /// The state of one chunk according to a [`Missing`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Knowledge {
+pub enum ChunkStatus {
     /// The receiver has it.
-    Here,
+    Received,
     /// The receiver lacks it.
     Missing,
     /// The chunk is beyond the bitmap: the receiver may have it or not.
-    Unsaid,
+    Unknown,
 }
 
 impl Missing {
@@ -50,18 +50,18 @@ impl Missing {
     }
 
     /// The state of chunk `index`.
-    pub fn of_chunk(&self, index: u32) -> Knowledge {
+    pub fn status_of(&self, index: u32) -> ChunkStatus {
         if index >= self.rest_from {
-            return Knowledge::Missing;
+            return ChunkStatus::Missing;
         }
         if index < self.first {
-            return Knowledge::Here;
+            return ChunkStatus::Received;
         }
         let offset = index - self.first;
         match self.bitmap.get(offset as usize / 8) {
-            Some(byte) if byte >> (offset % 8) & 1 == 1 => Knowledge::Missing,
-            Some(_) => Knowledge::Here,
-            None => Knowledge::Unsaid,
+            Some(byte) if byte >> (offset % 8) & 1 == 1 => ChunkStatus::Missing,
+            Some(_) => ChunkStatus::Received,
+            None => ChunkStatus::Unknown,
         }
     }
 }

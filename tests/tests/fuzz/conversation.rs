@@ -76,7 +76,7 @@ fn messages_are_read_or_refused() {
         let Ok(message) = Message::decode(bytes) else { return false };
         if let Message::Want(want) = &message {
             for i in (0..2000).chain([u32::MAX]) {
-                std::hint::black_box(want.missing.of_chunk(i));
+                std::hint::black_box(want.missing.status_of(i));
             }
         }
         let again = message.encode(&mut out).expect("what was read fits");
