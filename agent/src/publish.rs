@@ -150,7 +150,7 @@ pub fn publish<T: Transport>(
                 is_acknowledged = true;
                 on_event(AgentEvent::Acknowledged { bytes_sent: progress.bytes_sent });
             }
-            NodeEvent::UploadRefused { key, reason, .. } if !reason.is_passing() => {
+            NodeEvent::UploadRefused { key, reason, .. } if !reason.is_temporary() => {
                 bail!("the aggregator refuses model {}: {reason}", key.model);
             }
             NodeEvent::UploadRefused { reason, .. } => {

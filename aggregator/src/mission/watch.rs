@@ -146,7 +146,7 @@ impl<'a> Watch<'a> {
             UpstreamEvent::UpstreamConnected => return,
             UpstreamEvent::SentUp { bytes_sent, .. } => status.bytes_sent = *bytes_sent,
             UpstreamEvent::CameDown { .. } => status.is_served = true,
-            UpstreamEvent::RefusedAbove { reason, .. } => status.is_served |= !reason.is_passing(),
+            UpstreamEvent::RefusedAbove { reason, .. } => status.is_served |= !reason.is_temporary(),
             _ => {}
         }
         self.progress.notice(&format!("{}: {event}", self.plan.edges[edge].device));

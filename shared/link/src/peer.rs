@@ -105,7 +105,7 @@ impl Peer {
 
     /// The receiver refuses the model. If the reason is temporary, it is offered again later.
     pub(crate) fn on_refused(&mut self, reason: RefusalReason) {
-        self.phase = if reason.is_passing() { PeerPhase::Silent } else { PeerPhase::Refused(reason) };
+        self.phase = if reason.is_temporary() { PeerPhase::Silent } else { PeerPhase::Refused(reason) };
     }
 
     fn is_in_flight(&self, index: u32) -> bool {

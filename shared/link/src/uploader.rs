@@ -41,7 +41,7 @@ pub enum UploadEvent {
     Progress,
     /// Every required receiver has stored the model.
     Finished,
-    /// A receiver refuses the model; finally, unless [`RefusalReason::is_passing`].
+    /// A receiver refuses the model; finally, unless [`RefusalReason::is_temporary`].
     Refused(DeviceId, RefusalReason),
 }
 

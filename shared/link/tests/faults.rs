@@ -326,7 +326,7 @@ fn fault_15_two_drones_under_one_name() {
         run(&network, &mut fleet, PATIENCE, |fleet| {
             // Each is told: its model is there, or the number is taken, or what came was a mixture.
             let is_told = |drone: &Member| {
-                let is_final = |reason: &RefusalReason| !reason.is_passing();
+                let is_final = |reason: &RefusalReason| !reason.is_temporary();
                 !drone.uploaded.is_empty() || refusals(drone).iter().any(is_final)
             };
             fleet[1..].iter().all(is_told)

@@ -264,7 +264,7 @@ pub enum RefusalReason {
 
 impl RefusalReason {
     /// Whether a retry of the same offer may succeed.
-    pub fn is_passing(self) -> bool {
+    pub fn is_temporary(self) -> bool {
         matches!(self, Self::Busy | Self::StoreFailed)
     }
 }

@@ -58,7 +58,7 @@ pub enum NodeEvent {
     Progress(ModelKey, UploadProgress),
     /// Every required receiver has stored the model.
     Uploaded(ModelKey, UploadProgress),
-    /// A receiver refuses the model; finally, unless [`RefusalReason::is_passing`].
+    /// A receiver refuses the model; finally, unless [`RefusalReason::is_temporary`].
     UploadRefused {
         /// The model.
         key: ModelKey,

@@ -25,7 +25,7 @@ pub fn upload_blocking<T: Transport>(
     node.upload(offer);
     node.serve(transport, now, Duration::from_secs(1), |node, event| match event {
         Some(NodeEvent::Uploaded(key, progress)) if key == own_key => ControlFlow::Break(Ok(progress)),
-        Some(NodeEvent::UploadRefused { key, reason, .. }) if key == own_key && !reason.is_passing() => {
+        Some(NodeEvent::UploadRefused { key, reason, .. }) if key == own_key && !reason.is_temporary() => {
             ControlFlow::Break(Err(UploadFault::Refused(reason)))
         }
         Some(NodeEvent::LinkTooNarrow(error)) => ControlFlow::Break(Err(UploadFault::LinkTooNarrow(error))),
