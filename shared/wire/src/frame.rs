@@ -23,7 +23,7 @@ use crate::cobs;
 pub const FRAME_VERSION: u8 = 1;
 /// Largest payload of a piece. A frame then fits one packet of a SiK radio (at most 252 bytes).
 pub const MAX_PIECE_BYTES: usize = 200;
-/// Maximum number of unacknowledged pieces in one direction, and of bits in [`Turn::here`]. It spans five
+/// Maximum number of unacknowledged pieces in one direction, and of bits in [`Turn::received`]. It spans five
 /// turns of a radio, so a piece lost four times in a row does not yet hold back new pieces.
 pub const WINDOW_PIECES: u32 = 1400;
 /// Largest frame in bytes, with its final zero: that of a piece. A test checks it.
@@ -31,7 +31,7 @@ pub const MAX_FRAME_BYTES: usize = MAX_RAW_BYTES + 2;
 /// Largest frame before stuffing. Below 254, so stuffing adds one byte.
 const MAX_RAW_BYTES: usize = 210;
 const CHECKSUM_BYTES: usize = 4;
-const HERE_BYTES: usize = WINDOW_PIECES as usize / 8;
+const RECEIVED_BYTES: usize = WINDOW_PIECES as usize / 8;
 
 const PIECE: u8 = 0;
 const LAST_PIECE: u8 = 1;
@@ -80,7 +80,7 @@ pub struct Turn {
     /// All pieces below this number have arrived.
     pub next: u32,
     /// Bitmap of the pieces from `next` on: a set bit means arrived. Pieces beyond it have not arrived.
-    pub here: Vec<u8, HERE_BYTES>,
+    pub received: Vec<u8, RECEIVED_BYTES>,
 }
 
 /// Why bytes are not a valid frame.
@@ -108,7 +108,7 @@ impl Turn {
     /// Whether piece `number` has arrived.
     pub fn has(&self, number: u32) -> bool {
         let Some(offset) = number.checked_sub(self.next) else { return true };
-        self.here.get(offset as usize / 8).is_some_and(|byte| byte >> (offset % 8) & 1 == 1)
+        self.received.get(offset as usize / 8).is_some_and(|byte| byte >> (offset % 8) & 1 == 1)
     }
 }
 
@@ -230,14 +230,14 @@ mod tests {
     const SESSIONS: Sessions = Sessions { sender: 7, receiver: 0x0102_0304 };
 
     fn turn() -> Turn {
-        let here = Vec::from_slice(&[0b101, 0x80]).unwrap();
-        Turn { sessions: SESSIONS, number: 300, copies_left: 2, has_more: true, next: 129, here }
+        let received = Vec::from_slice(&[0b101, 0x80]).unwrap();
+        Turn { sessions: SESSIONS, number: 300, copies_left: 2, has_more: true, next: 129, received }
     }
 
     fn largest_turn() -> Turn {
-        let here = Vec::from_slice(&[0xFF; HERE_BYTES]).unwrap();
+        let received = Vec::from_slice(&[0xFF; RECEIVED_BYTES]).unwrap();
         let sessions = Sessions { sender: u32::MAX, receiver: u32::MAX };
-        Turn { sessions, number: u32::MAX, copies_left: u8::MAX, has_more: true, next: u32::MAX, here }
+        Turn { sessions, number: u32::MAX, copies_left: u8::MAX, has_more: true, next: u32::MAX, received }
     }
 
     /// The encoded bytes of three frames. They must not change without a new [`FRAME_VERSION`].

@@ -52,13 +52,13 @@ impl Receiving {
     pub(super) fn acknowledge(&mut self, turn: &mut Turn) {
         self.has_unacknowledged = false;
         turn.next = self.next;
-        turn.here.clear();
+        turn.received.clear();
         let Some(last) = self.ahead.last_key_value().map(|(number, _)| number - self.next) else { return };
         // Cannot fail: the bitmap has a bit for every piece of the window.
-        let _ = turn.here.resize_default(last as usize / 8 + 1);
+        let _ = turn.received.resize_default(last as usize / 8 + 1);
         for number in self.ahead.keys() {
             let offset = number - self.next;
-            turn.here[offset as usize / 8] |= 1 << (offset % 8);
+            turn.received[offset as usize / 8] |= 1 << (offset % 8);
         }
     }
 
