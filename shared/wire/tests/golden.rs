@@ -376,7 +376,12 @@ fn each_base_pack_has_changes_and_the_other_packs_require_those_of_their_region(
     ];
     let counts = |packs: &SplatPacks| {
         let splats = |pack: &Option<Pack>| pack.as_ref().map(|pack| pack.entry.splats);
-        (packs.shapes.entry.splats, splats(&packs.changes), splats(&packs.sh), splats(&packs.room))
+        (
+            packs.shapes.entry.splats,
+            splats(&packs.changes),
+            splats(&packs.sh),
+            splats(&packs.required_changes),
+        )
     };
     let plan: Vec<_> = plan_of(&right).unwrap().iter().map(counts).collect();
     assert_eq!(

@@ -127,7 +127,7 @@ fn decode_model(
     let packs_here = || {
         let here = plan
             .splat_packs()
-            .filter(|packs| is_here(&packs.shapes) && packs.room.as_ref().is_none_or(&is_here));
+            .filter(|packs| is_here(&packs.shapes) && packs.required_changes.as_ref().is_none_or(&is_here));
         // Spherical harmonics apply to a base splat only in its final form.
         here.map(|packs| match &packs.changes {
             Some(changes) if !is_here(changes) => SplatPacks { changes: None, sh: None, ..packs },

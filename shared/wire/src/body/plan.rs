@@ -26,7 +26,7 @@ pub struct SplatPacks {
     pub sh: Option<Pack>,
     /// The changes to the base in the same region. Until they arrive, the base stands in for this group
     /// and would overlap it.
-    pub room: Option<Pack>,
+    pub required_changes: Option<Pack>,
 }
 
 /// The checked head and table of a body.
@@ -90,10 +90,20 @@ impl<'a> BodyPlan<'a> {
         let mut later_changes = self.packs_of(PackKind::Changes).peekable();
         self.packs_of(PackKind::Shapes).map(move |shapes| {
             if shapes.entry.layer == 0 {
-                return SplatPacks { shapes, changes: changes.next(), sh: first_sh.next(), room: None };
+                return SplatPacks {
+                    shapes,
+                    changes: changes.next(),
+                    sh: first_sh.next(),
+                    required_changes: None,
+                };
             }
             while later_changes.next_if(|changes| changes.range.start < shapes.range.start).is_some() {}
-            SplatPacks { shapes, changes: None, sh: other_sh.next(), room: later_changes.peek().cloned() }
+            SplatPacks {
+                shapes,
+                changes: None,
+                sh: other_sh.next(),
+                required_changes: later_changes.peek().cloned(),
+            }
         })
     }
 
