@@ -9,8 +9,8 @@ use std::time::Duration;
 use anyhow::{Context, Result, bail};
 use cosurf_engine::Renderer;
 use cosurf_link::{
-    Credentials, First, Identity, InboxLimits, ModelStore, Node, NodeEvent, Offer, Transport, body_to_model,
-    model_to_body,
+    Credentials, FirstLayer, Identity, InboxLimits, ModelStore, Node, NodeEvent, Offer, Transport,
+    body_to_model, model_to_body,
 };
 use cosurf_scene::report::AgentEvent;
 use cosurf_scene::{Base, Camera, Splats, ply};
@@ -229,10 +229,10 @@ fn who_is_silent(reason: &str) -> &str {
 fn offer(publication: &Publication, splats: &Splats, base: Option<&Base>, kind: ModelKind) -> Result<Offer> {
     let path = publication.out.join("published.json");
     let body = match base {
-        Some(base) => model_to_body(splats, publication.cameras, First::Base(base)),
+        Some(base) => model_to_body(splats, publication.cameras, FirstLayer::Base(base)),
         None => {
             let importance = Renderer::new(splats, 1).importance(publication.cameras);
-            model_to_body(splats, publication.cameras, First::Important(&importance))
+            model_to_body(splats, publication.cameras, FirstLayer::ByImportance(&importance))
         }
     }?;
     let hash = blake3::hash(&body).to_hex().to_string();

@@ -10,7 +10,7 @@ use anyhow::{Context, Result};
 use clap::Parser;
 use cosurf_aggregator::merge::{Locals, MergeError, MergeSettings, fill_in, merge};
 use cosurf_engine::{Renderer, base_of};
-use cosurf_link::{First, Model, body_to_model, model_to_body, part_to_model};
+use cosurf_link::{FirstLayer, Model, body_to_model, model_to_body, part_to_model};
 use cosurf_scene::metrics::psnr;
 use cosurf_scene::{Camera, Dataset, Picture, Splats, ply};
 
@@ -81,7 +81,7 @@ fn body(agent: &Path) -> Result<Vec<u8>> {
     let splats = ply::read(&agent.join("model.ply"))?;
     let cameras: Vec<Camera> = serde_json::from_slice(&fs::read(agent.join("cameras.json"))?)?;
     let base = base_of(&splats, &cameras, THREADS, usize::MAX, |_, _| ()).context("a model too small")?;
-    Ok(model_to_body(&splats, &cameras, First::Base(&base))?)
+    Ok(model_to_body(&splats, &cameras, FirstLayer::Base(&base))?)
 }
 
 fn held_out(dataset: &Dataset, size_px: [u32; 2]) -> Result<Vec<(Camera, Vec<f32>)>> {

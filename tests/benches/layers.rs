@@ -12,7 +12,7 @@ use anyhow::{Context, Result};
 use clap::Parser;
 use cosurf_aggregator::evaluate::{EvalOrder, evaluate_model};
 use cosurf_engine::{Renderer, Rendering, base_of};
-use cosurf_link::{First, Model, model_to_body, part_to_model};
+use cosurf_link::{FirstLayer, Model, model_to_body, part_to_model};
 use cosurf_scene::metrics::psnr;
 use cosurf_scene::splats::sh_coefficients;
 use cosurf_scene::{Camera, Dataset, Picture, Splats, ply};
@@ -47,7 +47,7 @@ fn main() -> Result<()> {
     let views = Views::read(&Dataset::open(&data)?, max_size)?;
     let base =
         base_of(&splats, &views.taught, THREADS, usize::MAX, |_, _| ()).context("a model too small")?;
-    let body = model_to_body(&splats, &views.taught, First::Base(&base))?;
+    let body = model_to_body(&splats, &views.taught, FirstLayer::Base(&base))?;
     let whole = views.render(&splats);
     println!("{} splats of degree {}, {} cameras", splats.len(), splats.sh_degree, views.taught.len());
     println!("{} bytes, {:.2} a splat", body.len(), body.len() as f64 / splats.len() as f64);

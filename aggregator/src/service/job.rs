@@ -7,7 +7,7 @@ use std::sync::mpsc::{self, Receiver};
 use std::thread::{self, JoinHandle};
 
 use cosurf_engine::Renderer;
-use cosurf_link::{First, Model, ModelKey, ModelStore, body_to_model, model_to_body, plain_importance};
+use cosurf_link::{FirstLayer, Model, ModelKey, ModelStore, body_to_model, model_to_body, plain_importance};
 use cosurf_wire::{ModelHeader, ModelKind};
 
 use super::record::{Fitted, KeptOut};
@@ -75,7 +75,7 @@ pub(crate) fn packed(model: &Model, threads: usize) -> Result<Vec<u8>, MergeErro
         [] => plain_importance(splats),
         _ => Renderer::new(splats, threads).importance(cameras),
     };
-    Ok(model_to_body(splats, cameras, First::Important(&importance))?)
+    Ok(model_to_body(splats, cameras, FirstLayer::ByImportance(&importance))?)
 }
 
 /// Models in a store.

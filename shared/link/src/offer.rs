@@ -5,7 +5,7 @@ use cosurf_wire::body::{BodyHead, BodyPlan};
 use cosurf_wire::{BodyCodec, DeviceId, FrameId, MAX_CHUNK_BYTES, ModelHeader, ModelId, ModelKind, SiteId};
 
 use crate::body::{BodyFault, body_hash};
-use crate::codec::{First, check_body, model_to_body, plain_importance};
+use crate::codec::{FirstLayer, check_body, model_to_body, plain_importance};
 use crate::trust::Credentials;
 
 /// A model packed for sending: its header and body.
@@ -34,7 +34,7 @@ impl Offer {
             model,
             kind,
             views,
-            model_to_body(splats, cameras, First::Important(&plain_importance(splats)))?,
+            model_to_body(splats, cameras, FirstLayer::ByImportance(&plain_importance(splats)))?,
         )
     }
 

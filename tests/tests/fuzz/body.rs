@@ -1,6 +1,6 @@
 //! Packed models, whole and in part.
 
-use cosurf_link::{First, body_to_model, model_to_body, part_to_model};
+use cosurf_link::{FirstLayer, body_to_model, model_to_body, part_to_model};
 use cosurf_scene::{Base, Camera, Pose, Splats};
 use cosurf_wire::body::{HEAD_BYTES, PACK_ENTRY_BYTES};
 use glam::{DQuat, DVec2, DVec3};
@@ -34,7 +34,7 @@ fn with_base(count: usize, sh_degree: u32) -> Vec<u8> {
     let (splats, others) = (splats(count, sh_degree), splats(count, 0));
     let mut base = Base { ids: (0..count as u32).step_by(3).collect(), splats: Splats::with_capacity(0, 0) };
     base.ids.iter().for_each(|&i| base.splats.push_from(&others, i as usize));
-    model_to_body(&splats, &[camera()], First::Base(&base)).unwrap()
+    model_to_body(&splats, &[camera()], FirstLayer::Base(&base)).unwrap()
 }
 
 /// Small ones are stored, large ones compressed; some with a base.
@@ -42,7 +42,7 @@ fn bodies() -> Vec<Vec<u8>> {
     let plain = [(0, 0, 1), (1, 0, 0), (2, 1, 1), (3, 3, 0), (60, 0, 9), (200, 2, 2), (40, 3, 1)].map(
         |(count, sh_degree, cameras)| {
             let splats = splats(count, sh_degree);
-            model_to_body(&splats, &vec![camera(); cameras], First::Important(&splats.opacity_logits))
+            model_to_body(&splats, &vec![camera(); cameras], FirstLayer::ByImportance(&splats.opacity_logits))
                 .unwrap()
         },
     );

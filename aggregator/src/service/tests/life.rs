@@ -2,7 +2,7 @@
 //! service is killed while waiting or merging; a device is withdrawn. Every history with the same final models must
 //! end with the bytes of a direct merge of these models.
 
-use cosurf_link::{First, model_to_body, plain_importance};
+use cosurf_link::{FirstLayer, model_to_body, plain_importance};
 use cosurf_wire::BodyHash;
 
 use super::*;
@@ -35,8 +35,10 @@ fn models() -> Vec<Model> {
 /// A model as it arrives, encoded and decoded.
 fn arrived(model: &Model) -> Model {
     let Model { splats, cameras } = model;
-    body_to_model(&model_to_body(splats, cameras, First::Important(&plain_importance(splats))).unwrap())
-        .unwrap()
+    body_to_model(
+        &model_to_body(splats, cameras, FirstLayer::ByImportance(&plain_importance(splats))).unwrap(),
+    )
+    .unwrap()
 }
 
 /// The hash of a direct merge of the models.

@@ -1,6 +1,6 @@
 //! An upload that stalls: the part that has arrived is merged, until the rest arrives.
 
-use cosurf_link::{First, model_to_body};
+use cosurf_link::{FirstLayer, model_to_body};
 
 use super::*;
 use crate::gate::tests::flights;
@@ -15,7 +15,7 @@ fn slow_drone(network: &MemoryNetwork, number: u64, model: &Model) -> Drone {
     let Model { splats, cameras } = model;
     let device = DeviceId::new("agent-2").unwrap();
     let east: Vec<f32> = splats.means.iter().map(|mean| mean[0]).collect();
-    let body = model_to_body(splats, cameras, First::Important(&east)).unwrap();
+    let body = model_to_body(splats, cameras, FirstLayer::ByImportance(&east)).unwrap();
     let mut offer = Offer::from_body(device, ModelId(number), ModelKind::Local, 3, body).unwrap();
     offer.header.chunk_bytes = 256;
     drone.node = Node::new(identity("agent-2", Role::Device), LIMITS, &[]);

@@ -4,7 +4,7 @@
 use std::ops::ControlFlow;
 use std::sync::mpsc;
 
-use cosurf_link::{First, MemoryNetwork, MemoryTransport, Model, Role, model_to_body, plain_importance};
+use cosurf_link::{FirstLayer, MemoryNetwork, MemoryTransport, Model, Role, model_to_body, plain_importance};
 use cosurf_wire::{BodyHash, ModelId};
 
 use super::*;
@@ -19,7 +19,7 @@ const SETTINGS: MergeSettings = MergeSettings { seed: 3, ..QUICK };
 
 /// The body that a drone sends of its model.
 fn sent(Model { splats, cameras }: &Model) -> Vec<u8> {
-    model_to_body(splats, cameras, First::Important(&plain_importance(splats))).unwrap()
+    model_to_body(splats, cameras, FirstLayer::ByImportance(&plain_importance(splats))).unwrap()
 }
 
 /// The body of the model to which the models in `bodies` are merged.

@@ -15,9 +15,9 @@ use crate::body::{BodyFault, camera_record};
 
 /// How the first layer of a body is chosen.
 #[derive(Clone, Copy, Debug)]
-pub enum First<'a> {
+pub enum FirstLayer<'a> {
     /// The most important splats, by an importance per splat in any unit.
-    Important(&'a [f32]),
+    ByImportance(&'a [f32]),
     /// A base, which stands in for the whole model.
     Base(&'a Base),
 }
@@ -26,9 +26,9 @@ pub enum First<'a> {
 ///
 /// # Panics
 /// If the number of importances differs from that of the splats, or the base is not a base of these splats.
-pub fn model_to_body(splats: &Splats, cameras: &[Camera], first: First) -> Result<Vec<u8>, BodyFault> {
+pub fn model_to_body(splats: &Splats, cameras: &[Camera], first: FirstLayer) -> Result<Vec<u8>, BodyFault> {
     check(splats, cameras)?;
-    if let First::Base(base) = first
+    if let FirstLayer::Base(base) = first
         && let Some(bad) = base.splats.find_bad_value()
     {
         return Err(BodyFault::Splat { index: base.ids[bad.splat] as usize, field: bad.field });
@@ -45,13 +45,13 @@ pub fn model_to_body(splats: &Splats, cameras: &[Camera], first: First) -> Resul
     Ok(packs.into_body(&head))
 }
 
-fn pack_model(splats: &Splats, cameras: &[Camera], first: First, bounds: &Bounds) -> io::Result<Packs> {
+fn pack_model(splats: &Splats, cameras: &[Camera], first: FirstLayer, bounds: &Bounds) -> io::Result<Packs> {
     let mut packs = Packs::default();
     add_cameras(&mut packs, cameras)?;
     let shapes = match first {
-        First::Base(base) if !base.ids.is_empty() => pack_by_base(splats, base, bounds)?,
-        First::Base(_) => pack_by_importance(splats, &plain_importance(splats), bounds)?,
-        First::Important(importance) => pack_by_importance(splats, importance, bounds)?,
+        FirstLayer::Base(base) if !base.ids.is_empty() => pack_by_base(splats, base, bounds)?,
+        FirstLayer::Base(_) => pack_by_importance(splats, &plain_importance(splats), bounds)?,
+        FirstLayer::ByImportance(importance) => pack_by_importance(splats, importance, bounds)?,
     };
     let Harmonics { basis, packs: mut sh } =
         pack_harmonics(splats, &shapes.groups, packs.body_bytes() + shapes.bytes())?;

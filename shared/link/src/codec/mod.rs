@@ -31,5 +31,5 @@ mod tests;
 
 pub(crate) use decode::checked_part_to_model;
 pub use decode::{body_to_model, check_body, part_to_model};
-pub use encode::{First, model_to_body};
+pub use encode::{FirstLayer, model_to_body};
 pub use order::plain_importance;

@@ -59,7 +59,7 @@ fn cameras(count: usize) -> Vec<Camera> {
 /// A body of `splats` in which lower indices are more important.
 fn body(splats: &Splats) -> Vec<u8> {
     let importance: Vec<f32> = (0..splats.len()).map(|i| -(i as f32)).collect();
-    model_to_body(splats, &cameras(3), First::Important(&importance)).unwrap()
+    model_to_body(splats, &cameras(3), FirstLayer::ByImportance(&importance)).unwrap()
 }
 
 fn axes(splats: &Splats, i: usize) -> (Mat3, Vec3) {
@@ -174,12 +174,12 @@ fn invalid_values_are_refused() {
     for (spoil, field) in spoils {
         let mut splats = splats(5, 1);
         spoil(&mut splats);
-        let fault = model_to_body(&splats, &[], First::Important(&[0.0; 5])).unwrap_err();
+        let fault = model_to_body(&splats, &[], FirstLayer::ByImportance(&[0.0; 5])).unwrap_err();
         assert_eq!(fault, BodyFault::Splat { index: 3, field });
     }
     let mut cameras = cameras(2);
     cameras[1].size_px[0] = 0;
-    let fault = model_to_body(&splats(1, 0), &cameras, First::Important(&[0.0])).unwrap_err();
+    let fault = model_to_body(&splats(1, 0), &cameras, FirstLayer::ByImportance(&[0.0])).unwrap_err();
     assert_eq!(fault, BodyFault::Camera { index: 1 });
 }
 
@@ -261,7 +261,7 @@ fn harmonics_are_coarsened_to_meet_the_target_size() {
 #[test]
 fn fault_05_decompression_bombs_are_refused() {
     let splats = splats(8000, 0);
-    let valid = model_to_body(&splats, &[], First::Important(&vec![1.0; 8000])).unwrap();
+    let valid = model_to_body(&splats, &[], FirstLayer::ByImportance(&vec![1.0; 8000])).unwrap();
     let plan = BodyPlan::new(&valid).unwrap();
     let first = plan.packs().next().unwrap();
     assert_eq!((first.entry.kind, first.entry.form), (PackKind::Shapes, PackForm::Zstd));

@@ -23,7 +23,7 @@ fn base(splats: &Splats) -> Base {
 fn a_base_stands_in_for_the_model_and_then_becomes_part_of_it() {
     let sent = splats(30_000, 2);
     let base = base(&sent);
-    let body = model_to_body(&sent, &cameras(3), First::Base(&base)).unwrap();
+    let body = model_to_body(&sent, &cameras(3), FirstLayer::Base(&base)).unwrap();
     assert!(body.len() as f64 / 30_000.0 <= 16.0, "{} bytes", body.len());
     let plan = BodyPlan::new(&body).unwrap();
     let end_of_base =
@@ -82,15 +82,15 @@ fn a_base_with_reversed_axes_and_outside_the_bounds_round_trips() {
         base.splats.log_scales[i].reverse();
         base.splats.means[i] = base.splats.means[i].map(|v| 3.0 * v);
     }
-    let body = model_to_body(&sent, &[], First::Base(&base)).unwrap();
+    let body = model_to_body(&sent, &[], FirstLayer::Base(&base)).unwrap();
     assert_eq!(body_to_model(&body).unwrap().splats.len(), 600);
     for end in (0..body.len()).step_by(101) {
         let part = part_to_model(&body, |range| range.end <= end).unwrap();
         assert!(part.is_none_or(|part| part.splats.find_bad_value().is_none()));
     }
     base.splats.means[7][0] = f32::NAN;
-    let fault = model_to_body(&sent, &[], First::Base(&base)).unwrap_err();
+    let fault = model_to_body(&sent, &[], FirstLayer::Base(&base)).unwrap_err();
     assert_eq!(fault, BodyFault::Splat { index: 21, field: "mean" });
     let empty = Base::default();
-    assert!(model_to_body(&sent, &[], First::Base(&empty)).is_ok());
+    assert!(model_to_body(&sent, &[], FirstLayer::Base(&empty)).is_ok());
 }
