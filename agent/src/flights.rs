@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 
 use anyhow::Result;
 use cosurf_engine::{Compression, Device, Fleet};
-use cosurf_link::told_cameras;
+use cosurf_link::select_flight_cameras;
 use cosurf_scene::{Camera, Splats};
 use cosurf_wire::DeviceId;
 
@@ -26,7 +26,7 @@ pub struct Flights {
 impl Flights {
     /// Knows of `own`, which has these cameras, only.
     pub fn new(own: DeviceId, cameras: &[Camera]) -> Self {
-        Self { own, cameras: BTreeMap::from([(own, told_cameras(cameras))]) }
+        Self { own, cameras: BTreeMap::from([(own, select_flight_cameras(cameras))]) }
     }
 
     /// Another device tells its flight, or another one than before.

@@ -39,7 +39,7 @@ pub use inbox::{Inbox, InboxLimits};
 pub use key::ModelKey;
 pub use memory::{MemoryNetwork, MemoryTransport};
 pub use mqtt::{BrokerAddress, MqttConfig, MqttTransport, Tls};
-pub use node::{Node, NodeEvent, UploadFault, told_cameras, upload_blocking};
+pub use node::{Node, NodeEvent, UploadFault, select_flight_cameras, upload_blocking};
 pub use offer::Offer;
 pub use serial::{SerialConfig, SerialTransport};
 pub use session::next_session;

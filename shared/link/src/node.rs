@@ -13,6 +13,6 @@ mod step;
 mod upload;
 
 pub use event::NodeEvent;
-pub use flight::told_cameras;
+pub use flight::select_flight_cameras;
 pub use state::Node;
 pub use upload::{UploadFault, upload_blocking};

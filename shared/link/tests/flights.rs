@@ -6,7 +6,9 @@ mod common;
 use std::time::Duration;
 
 use common::{Member, cameras, run};
-use cosurf_link::{Credentials, Faults, InboxLimits, MemoryNetwork, NodeEvent, Role, Trusted, told_cameras};
+use cosurf_link::{
+    Credentials, Faults, InboxLimits, MemoryNetwork, NodeEvent, Role, Trusted, select_flight_cameras,
+};
 use cosurf_scene::Camera;
 use cosurf_wire::{FLIGHT_CAMERAS_MAX, FrameId};
 
@@ -87,12 +89,12 @@ fn who_believes_some_only_believes_no_flight() {
 
 #[test]
 fn of_a_long_flight_as_many_cameras_as_a_message_holds_are_told() {
-    let told = told_cameras(&cameras(3 * FLIGHT_CAMERAS_MAX));
+    let told = select_flight_cameras(&cameras(3 * FLIGHT_CAMERAS_MAX));
     assert_eq!(told.len(), FLIGHT_CAMERAS_MAX);
     assert!(
         told.iter().zip(cameras(3 * FLIGHT_CAMERAS_MAX).chunks(3)).all(|(told, of)| *told == of[0]),
         "spread"
     );
-    assert_eq!(told_cameras(&cameras(5)), cameras(5));
-    assert!(told_cameras(&[]).is_empty());
+    assert_eq!(select_flight_cameras(&cameras(5)), cameras(5));
+    assert!(select_flight_cameras(&[]).is_empty());
 }

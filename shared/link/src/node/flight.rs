@@ -7,7 +7,7 @@ use cosurf_wire::body::CAMERA_BYTES;
 use crate::body::camera_record;
 
 /// Selects the cameras to announce: all, or an even selection of [`FLIGHT_CAMERAS_MAX`].
-pub fn told_cameras(cameras: &[Camera]) -> Vec<Camera> {
+pub fn select_flight_cameras(cameras: &[Camera]) -> Vec<Camera> {
     let count = cameras.len().min(FLIGHT_CAMERAS_MAX);
     (0..count).map(|i| cameras[i * cameras.len() / count]).collect()
 }

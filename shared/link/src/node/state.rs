@@ -8,7 +8,7 @@ use cosurf_wire::{DeviceId, FlightCameras, Message, ModelHeader, RefusalReason, 
 
 use super::births::Births;
 use super::event::NodeEvent;
-use super::flight::{camera_bytes, told_cameras};
+use super::flight::{camera_bytes, select_flight_cameras};
 use crate::body::Model;
 use crate::identity::Identity;
 use crate::inbox::{Inbox, InboxLimits};
@@ -65,10 +65,10 @@ impl Node {
         self.inbox.believe(credentials);
     }
 
-    /// Announces this device's flight to other devices: the cameras that [`told_cameras`] selects.
+    /// Announces this device's flight to other devices: the cameras that [`select_flight_cameras`] selects.
     pub fn tell_flight(&mut self, cameras: &[Camera]) {
         let device = self.identity.device;
-        let bytes = camera_bytes(&told_cameras(cameras));
+        let bytes = camera_bytes(&select_flight_cameras(cameras));
         let flight = FlightCameras { device, frame: self.inbox.credentials().frame, cameras: &bytes };
         let message = Message::Flight(flight);
         self.flight = Some(Outgoing::new(&self.identity.site, Topic::Flight { device }, &message, true));
