@@ -20,7 +20,7 @@ use common::{credible, identity};
 use cosurf_aggregator::broker::Broker;
 use cosurf_aggregator::merge::MergeSettings;
 use cosurf_aggregator::service::{Command, Expected, Service, ServiceConfig, ServiceEvent, global_ply};
-use cosurf_link::mqtt::tap::{ReplaySettings, record, replay};
+use cosurf_link::mqtt::traffic::{ReplaySettings, record, replay};
 use cosurf_link::recording::Recording;
 use cosurf_link::{BrokerAddress, Faults, InboxLimits, MqttConfig, MqttTransport, Role};
 use cosurf_wire::DeviceId;

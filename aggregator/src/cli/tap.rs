@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result};
 use clap::Args;
-use cosurf_link::mqtt::tap::{self, ReplaySettings};
+use cosurf_link::mqtt::traffic::{self, ReplaySettings};
 use cosurf_link::recording::Recording;
 use cosurf_link::{BrokerAddress, Faults, Tls};
 use cosurf_scene::TlsFiles;
@@ -95,7 +95,7 @@ pub(crate) fn record(args: &RecordArgs) -> Result<()> {
     let (tls, stop) = (args.broker.tls()?, stop_on_interrupt()?);
     let file = File::create(&args.file).with_context(|| args.file.display().to_string())?;
     let out = BufWriter::new(file);
-    let count = tap::record(&args.broker.broker, tls.as_ref(), &args.filter, out, &stop)?;
+    let count = traffic::record(&args.broker.broker, tls.as_ref(), &args.filter, out, &stop)?;
     print("recorded", count, args.json)
 }
 
@@ -112,7 +112,7 @@ pub(crate) fn replay(args: &ReplayArgs) -> Result<()> {
         ..Faults::NONE
     };
     let settings = ReplaySettings { speed: args.speed, faults, seed: args.seed };
-    let count = tap::replay(&args.broker.broker, tls.as_ref(), recording, &settings, &stop)?;
+    let count = traffic::replay(&args.broker.broker, tls.as_ref(), recording, &settings, &stop)?;
     print("replayed", count, args.json)
 }
 

@@ -15,10 +15,10 @@
 
 mod address;
 mod config;
-pub mod tap;
 #[cfg(test)]
 mod tests;
 mod tls;
+pub mod traffic;
 mod worker;
 
 pub use address::{BadAddress, BrokerAddress};

@@ -32,7 +32,7 @@ const ACKNOWLEDGEMENT_TIMEOUT: Duration = Duration::from_secs(30);
 /// Why recording or replaying failed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
-pub enum TapError {
+pub enum TrafficError {
     /// The recording is invalid.
     #[error(transparent)]
     Recording(#[from] RecordingError),
@@ -67,8 +67,8 @@ pub fn record(
     filter: &str,
     out: impl Write,
     is_stopping: &AtomicBool,
-) -> Result<u64, TapError> {
-    let mut recorder = Recorder::new(out).map_err(TapError::Write)?;
+) -> Result<u64, TrafficError> {
+    let mut recorder = Recorder::new(out).map_err(TrafficError::Write)?;
     let (client, mut connection) = Client::new(options(broker, tls, "record"), QUEUE_MAX);
     let (start, mut count, mut attempt) = (Instant::now(), 0, 0);
     let mut flushed_at = start;
@@ -87,7 +87,7 @@ pub fn record(
             }
             Ok(Ok(Event::Incoming(Packet::Publish(publish)))) => {
                 let entry = entry(start.elapsed(), &publish);
-                count += u64::from(recorder.add(&entry).map_err(TapError::Write)?);
+                count += u64::from(recorder.add(&entry).map_err(TrafficError::Write)?);
             }
             Ok(Err(error)) => {
                 attempt += 1;
@@ -99,11 +99,11 @@ pub fn record(
             Ok(Ok(_)) | Err(_) => {}
         }
         if flushed_at.elapsed() >= TICK {
-            recorder.flush().map_err(TapError::Write)?;
+            recorder.flush().map_err(TrafficError::Write)?;
             flushed_at = Instant::now();
         }
     }
-    recorder.flush().map_err(TapError::Write)?;
+    recorder.flush().map_err(TrafficError::Write)?;
     Ok(count)
 }
 
@@ -115,7 +115,7 @@ pub fn replay(
     recording: Recording<impl Read>,
     settings: &ReplaySettings,
     is_stopping: &AtomicBool,
-) -> Result<u64, TapError> {
+) -> Result<u64, TrafficError> {
     let (client, connection) = Client::new(options(broker, tls, "replay"), QUEUE_MAX);
     let driver = Driver::start(connection);
     driver.wait_until(Duration::MAX, is_stopping, |state| state.is_connected.load(Ordering::Relaxed));
@@ -161,8 +161,8 @@ fn options(broker: &BrokerAddress, tls: Option<&Tls>, role: &str) -> MqttOptions
     options
 }
 
-fn no_broker(broker: &BrokerAddress, reason: String) -> TapError {
-    TapError::NoBroker { broker: broker.to_string(), reason }
+fn no_broker(broker: &BrokerAddress, reason: String) -> TrafficError {
+    TrafficError::NoBroker { broker: broker.to_string(), reason }
 }
 
 /// Injects faults into a recording: yields its entries in the order of replay.
@@ -258,7 +258,7 @@ impl Driver {
         }
     }
 
-    fn end(self, broker: &BrokerAddress) -> Result<u64, TapError> {
+    fn end(self, broker: &BrokerAddress) -> Result<u64, TrafficError> {
         match self.thread.join() {
             Ok(Some(reason)) => Err(no_broker(broker, reason)),
             _ => Ok(self.state.acknowledged.load(Ordering::Relaxed)),
