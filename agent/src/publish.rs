@@ -79,7 +79,7 @@ pub fn tell<T: Transport>(
     let busy =
         InboxLimits { body_bytes_max: u64::MAX, total_bytes_max: u64::MAX, models_max: 0, stored_max: 0 };
     let mut node = Node::new(identity, busy, &[]);
-    node.believe(credentials.clone());
+    node.set_credentials(credentials.clone());
     node.tell_flight(flight);
     let mut end = now() + patience;
     let mut is_told = false;
@@ -109,7 +109,7 @@ pub fn publish<T: Transport>(
         stored_max: 64,
     };
     let mut node = Node::new(identity, limits, &known);
-    node.believe(publication.credentials.clone());
+    node.set_credentials(publication.credentials.clone());
     let mut waiting = publication.sharing.map(|sharing| Waiting::of(&sharing, &mut node, identity));
     let mut bytes_total = None;
     let mut is_acknowledged = false;

@@ -32,7 +32,7 @@ impl Service {
 
     /// Signs outgoing messages with `credentials`, and accepts only messages that these trust.
     pub fn with(mut self, credentials: Credentials) -> Self {
-        self.node.believe(credentials);
+        self.node.set_credentials(credentials);
         self
     }
 

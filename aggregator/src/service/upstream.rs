@@ -114,7 +114,7 @@ impl UpstreamNode {
         let (own, _) = ModelStore::open(&global_store(service))?;
         let (above, known) = ModelStore::open(&global_store(&folder))?;
         let mut node = Node::new(identity, limits, &known);
-        node.believe(credentials);
+        node.set_credentials(credentials);
         Ok(Self { node, device: identity.device, own, above, folder })
     }
 

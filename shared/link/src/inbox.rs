@@ -133,7 +133,7 @@ impl Inbox {
     }
 
     /// Sets the credentials. The inbox then accepts only models that they allow.
-    pub fn believe(&mut self, credentials: Credentials) {
+    pub fn set_credentials(&mut self, credentials: Credentials) {
         self.credentials = credentials;
     }
 

@@ -28,7 +28,9 @@ fn who_comes_later_hears_every_flight_but_its_own() {
     let mut early = join(Role::Device, "early");
     early.node.tell_flight(&cameras(7));
     let mut elsewhere = join(Role::Device, "elsewhere");
-    elsewhere.node.believe(Credentials { frame: FrameId::new("utm-33n").unwrap(), ..Credentials::default() });
+    elsewhere
+        .node
+        .set_credentials(Credentials { frame: FrameId::new("utm-33n").unwrap(), ..Credentials::default() });
     elsewhere.node.tell_flight(&cameras(2));
     let mut fleet = vec![early, elsewhere, join(Role::Aggregator, "ground")];
     let is_told = |fleet: &mut [Member]| fleet.iter().all(|member| !member.events.is_empty());
@@ -75,7 +77,7 @@ fn who_believes_some_only_believes_no_flight() {
     liar.node.tell_flight(&cameras(7));
     let mut careful = Member::new(&network, Role::Device, "careful", InboxLimits::default());
     let trusted = Some(Trusted::default());
-    careful.node.believe(Credentials { trusted, ..Credentials::default() });
+    careful.node.set_credentials(Credentials { trusted, ..Credentials::default() });
     let mut fleet = [liar, careful];
     let is_ignored = |member: &Member| {
         member

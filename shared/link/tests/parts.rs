@@ -55,6 +55,9 @@ fn where_models_must_be_signed_it_is_nothing_before_the_whole_is_checked() {
     let signed =
         offer("drone", 1, ModelKind::Local, 1, 4000, 1024).with(&SiteId::new("site").unwrap(), &signer);
     let mut inbox = inbox();
-    inbox.believe(Credentials { trusted: Some(Trusted::parse(&list).unwrap()), ..Credentials::default() });
+    inbox.set_credentials(Credentials {
+        trusted: Some(Trusted::parse(&list).unwrap()),
+        ..Credentials::default()
+    });
     assert_eq!(parts(inbox, &signed), []);
 }

@@ -34,7 +34,10 @@ fn signed(number: u64, key: u8) -> ModelHeader {
 /// What an aggregator with this list of keys says to a header.
 fn verdict(list: &str, stored: &[ModelHeader], header: ModelHeader) -> Option<RefusalReason> {
     let mut inbox = Inbox::new(common::identity(Role::Aggregator, "ground"), InboxLimits::default(), stored);
-    inbox.believe(Credentials { trusted: Some(Trusted::parse(list).unwrap()), ..Credentials::default() });
+    inbox.set_credentials(Credentials {
+        trusted: Some(Trusted::parse(list).unwrap()),
+        ..Credentials::default()
+    });
     let topic = Topic::LocalHeader { device: header.device, model: header.model };
     match inbox.on_header(Duration::ZERO, &topic, header) {
         Some(InboxEvent::Refused(_, reason)) => Some(reason),
@@ -107,14 +110,14 @@ fn a_model_that_unpacks_to_too_much_is_refused_by_its_header() {
 fn signed_models_arrive_and_a_strangers_do_not() {
     let network = MemoryNetwork::new(3, Faults { loss: 0.1, duplication: 0.1, ..Faults::NONE });
     let mut drone = Member::new(&network, Role::Device, "drone", InboxLimits::default());
-    drone.node.believe(credentials(1));
+    drone.node.set_credentials(credentials(1));
     drone.node.upload(offer("drone", 1, ModelKind::Local, 1, 500, 2048));
     let mut stranger = Member::new(&network, Role::Device, "stranger", InboxLimits::default());
-    stranger.node.believe(credentials(9));
+    stranger.node.set_credentials(credentials(9));
     stranger.node.upload(offer("stranger", 1, ModelKind::Local, 2, 500, 2048));
     let mut ground = Member::new(&network, Role::Aggregator, "ground", InboxLimits::default());
     let trusted = Some(Trusted::parse(&line(1)).unwrap());
-    ground.node.believe(Credentials { trusted, ..credentials(7) });
+    ground.node.set_credentials(Credentials { trusted, ..credentials(7) });
     let mut fleet = [drone, stranger, ground];
     let is_refused = |member: &Member| {
         let refused = |event: &NodeEvent| {

@@ -61,8 +61,8 @@ impl Node {
 
     /// Sets the credentials. The node then sends models in their world frame, signed with their key, and
     /// accepts only models that they allow.
-    pub fn believe(&mut self, credentials: Credentials) {
-        self.inbox.believe(credentials);
+    pub fn set_credentials(&mut self, credentials: Credentials) {
+        self.inbox.set_credentials(credentials);
     }
 
     /// Announces this device's flight to other devices: the cameras that [`select_flight_cameras`] selects.
