@@ -80,7 +80,7 @@ pub fn tell<T: Transport>(
         InboxLimits { body_bytes_max: u64::MAX, total_bytes_max: u64::MAX, models_max: 0, stored_max: 0 };
     let mut node = Node::new(identity, busy, &[]);
     node.set_credentials(credentials.clone());
-    node.tell_flight(flight);
+    node.announce_flight(flight);
     let mut end = now() + patience;
     let mut is_told = false;
     while now() < end {
@@ -191,7 +191,7 @@ struct Waiting<'a> {
 
 impl<'a> Waiting<'a> {
     fn of(sharing: &Sharing<'a>, node: &mut Node, identity: Identity) -> Self {
-        node.tell_flight(sharing.flight);
+        node.announce_flight(sharing.flight);
         let flights = Flights::new(identity.device, sharing.flight);
         Self { sharing: *sharing, flights, quiet_since: None }
     }

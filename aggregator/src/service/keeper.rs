@@ -161,7 +161,7 @@ impl Keeper {
 
     /// Withdraws devices, begins a merge when one is due, and publishes a finished one.
     pub(super) fn work(&mut self, node: &mut Node, now: Duration) -> Option<ServiceEvent> {
-        self.shelf.take_void_flights().for_each(|device| node.void_flight(device));
+        self.shelf.take_void_flights().for_each(|device| node.clear_flight(device));
         if let Some(event) = self.told.pop_front() {
             return Some(event);
         }

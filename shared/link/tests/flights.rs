@@ -26,17 +26,17 @@ fn who_comes_later_hears_every_flight_but_its_own() {
     let network = MemoryNetwork::new(5, Faults { duplication: 0.2, ..Faults::NONE });
     let join = |role, name: &str| Member::new(&network, role, name, InboxLimits::default());
     let mut early = join(Role::Device, "early");
-    early.node.tell_flight(&cameras(7));
+    early.node.announce_flight(&cameras(7));
     let mut elsewhere = join(Role::Device, "elsewhere");
     elsewhere
         .node
         .set_credentials(Credentials { frame: FrameId::new("utm-33n").unwrap(), ..Credentials::default() });
-    elsewhere.node.tell_flight(&cameras(2));
+    elsewhere.node.announce_flight(&cameras(2));
     let mut fleet = vec![early, elsewhere, join(Role::Aggregator, "ground")];
     let is_told = |fleet: &mut [Member]| fleet.iter().all(|member| !member.events.is_empty());
     run(&network, &mut fleet, Duration::from_secs(5), is_told);
     let mut late = join(Role::Device, "late");
-    late.node.tell_flight(&cameras(3));
+    late.node.announce_flight(&cameras(3));
     fleet.push(late);
     run(&network, &mut fleet, Duration::from_secs(30), |fleet| {
         !heard(&fleet[0]).is_empty() && !heard(&fleet[3]).is_empty()
@@ -54,15 +54,15 @@ fn a_flight_that_is_taken_back_is_not_heard_by_who_comes_later() {
     let join = |role, name: &str| Member::new(&network, role, name, InboxLimits::default());
     let mut fleet =
         vec![join(Role::Device, "lost"), join(Role::Device, "sound"), join(Role::Aggregator, "ground")];
-    fleet[0].node.tell_flight(&cameras(7));
-    fleet[1].node.tell_flight(&cameras(5));
+    fleet[0].node.announce_flight(&cameras(7));
+    fleet[1].node.announce_flight(&cameras(5));
     run(&network, &mut fleet, Duration::from_secs(5), |fleet| {
         !heard(&fleet[0]).is_empty() && !heard(&fleet[1]).is_empty()
     });
     let lost = fleet.remove(0).identity.device;
     let is_kept = || network.retained("gs/v1/site/lost/flight").is_some_and(|bytes| !bytes.is_empty());
     assert!(is_kept());
-    fleet[1].node.void_flight(lost);
+    fleet[1].node.clear_flight(lost);
     run(&network, &mut fleet, Duration::from_secs(9), |_| !is_kept());
     fleet.push(join(Role::Device, "late"));
     run(&network, &mut fleet, Duration::from_secs(19), |fleet| !heard(&fleet[2]).is_empty());
@@ -74,7 +74,7 @@ fn a_flight_that_is_taken_back_is_not_heard_by_who_comes_later() {
 fn who_believes_some_only_believes_no_flight() {
     let network = MemoryNetwork::new(6, Faults::NONE);
     let mut liar = Member::new(&network, Role::Device, "liar", InboxLimits::default());
-    liar.node.tell_flight(&cameras(7));
+    liar.node.announce_flight(&cameras(7));
     let mut careful = Member::new(&network, Role::Device, "careful", InboxLimits::default());
     let trusted = Some(Trusted::default());
     careful.node.set_credentials(Credentials { trusted, ..Credentials::default() });

@@ -126,7 +126,7 @@ fn the_flight_of_a_withdrawn_device_is_withdrawn_too() {
     let network = MemoryNetwork::new(5, Faults::NONE);
     let mut ground = open_with(&network, folder.path(), fleet(&["agent-1", "agent-2"]), QUICK);
     let mut drones = vec![Drone::new(&network, "agent-2", 1, &models[2])];
-    drones[0].node.tell_flight(&models[2].cameras);
+    drones[0].node.announce_flight(&models[2].cameras);
     let device = DeviceId::new("agent-2").unwrap();
     let flight = Topic::Flight { device }.to_text(&identity("agent-2", Role::Device).site);
     let is_told = || network.retained(&flight).is_some_and(|bytes| !bytes.is_empty());

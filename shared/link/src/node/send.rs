@@ -51,7 +51,7 @@ impl Node {
     }
 
     fn next_flight(&mut self) -> Option<Outgoing> {
-        if let Some(device) = self.void_flights.pop_front() {
+        if let Some(device) = self.cleared_flights.pop_front() {
             return Some(Outgoing::clear(&self.identity.site, Topic::Flight { device }));
         }
         std::mem::take(&mut self.is_flight_due).then(|| self.flight.clone()).flatten()

@@ -31,7 +31,7 @@ pub struct Node {
     pub(super) flight: Option<Outgoing>,
     pub(super) is_flight_due: bool,
     /// Devices whose retained flights are to be deleted.
-    pub(super) void_flights: VecDeque<DeviceId>,
+    pub(super) cleared_flights: VecDeque<DeviceId>,
     /// The sessions of other devices.
     pub(super) births: Births,
     /// A message that the transport has not accepted yet.
@@ -51,7 +51,7 @@ impl Node {
             birth: None,
             flight: None,
             is_flight_due: false,
-            void_flights: VecDeque::new(),
+            cleared_flights: VecDeque::new(),
             births: Births::default(),
             pending: None,
             is_connected: false,
@@ -66,7 +66,7 @@ impl Node {
     }
 
     /// Announces this device's flight to other devices: the cameras that [`select_flight_cameras`] selects.
-    pub fn tell_flight(&mut self, cameras: &[Camera]) {
+    pub fn announce_flight(&mut self, cameras: &[Camera]) {
         let device = self.identity.device;
         let bytes = camera_bytes(&select_flight_cameras(cameras));
         let flight = FlightCameras { device, frame: self.inbox.credentials().frame, cameras: &bytes };
@@ -76,8 +76,8 @@ impl Node {
     }
 
     /// Deletes the announced flight of `device`, so that other devices no longer leave overlap to it.
-    pub fn void_flight(&mut self, device: DeviceId) {
-        self.void_flights.push_back(device);
+    pub fn clear_flight(&mut self, device: DeviceId) {
+        self.cleared_flights.push_back(device);
     }
 
     /// Offers a device's own model to the aggregator. Replaces an unfinished offer of the same model.
