@@ -212,7 +212,7 @@ impl Worker {
         let mut arq = lock(&self.arq);
         for byte in bytes {
             if let Some(frame) = self.reader.push(*byte) {
-                arq.hear(now, frame);
+                arq.on_frame(now, frame);
             }
         }
     }
@@ -232,7 +232,7 @@ impl Worker {
 
     fn next_event(&mut self) -> Option<TransportEvent> {
         let mut arq = lock(&self.arq);
-        match arq.event() {
+        match arq.next_event() {
             Some(ArqEvent::Linked) => {
                 self.attempt = 0;
                 return Some(TransportEvent::Connected);
@@ -243,7 +243,7 @@ impl Worker {
             }
             None => {}
         }
-        while let Some(packet) = arq.message() {
+        while let Some(packet) = arq.next_message() {
             if let Some((topic, payload)) = packet::split_packet(packet) {
                 return Some(TransportEvent::Incoming { topic, payload });
             }

@@ -84,10 +84,10 @@ enum Floor {
 ///         while let Some(frame) = ends[sender].next_frame(now) {
 ///             let mut frame = frame.to_vec();
 ///             let without_zero = frame.len() - 1;
-///             ends[receiver].hear(now, &mut frame[..without_zero]);
+///             ends[receiver].on_frame(now, &mut frame[..without_zero]);
 ///         }
 ///     }
-///     if let Some(message) = ends[1].message() {
+///     if let Some(message) = ends[1].next_message() {
 ///         break message;
 ///     }
 ///     now += Duration::from_millis(10);
@@ -163,17 +163,17 @@ impl Arq {
     }
 
     /// The next message that has arrived.
-    pub fn message(&mut self) -> Option<Vec<u8>> {
-        self.receiving.message()
+    pub fn next_message(&mut self) -> Option<Vec<u8>> {
+        self.receiving.next_message()
     }
 
     /// The next event.
-    pub fn event(&mut self) -> Option<ArqEvent> {
+    pub fn next_event(&mut self) -> Option<ArqEvent> {
         self.events.pop_front()
     }
 
     /// Takes a frame without its final zero. Ignores damaged frames.
-    pub fn hear(&mut self, now: Duration, frame: &mut [u8]) {
+    pub fn on_frame(&mut self, now: Duration, frame: &mut [u8]) {
         if let Floor::Theirs { since } = &mut self.floor {
             // Any frame, even a damaged one, shows that the other side is sending.
             *since = now;

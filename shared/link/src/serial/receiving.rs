@@ -42,7 +42,7 @@ impl Receiving {
     }
 
     /// The next complete message.
-    pub(super) fn message(&mut self) -> Option<Vec<u8>> {
+    pub(super) fn next_message(&mut self) -> Option<Vec<u8>> {
         let message = self.complete.pop_front();
         self.assemble();
         message

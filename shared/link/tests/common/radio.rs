@@ -63,10 +63,10 @@ impl Air {
         for end in 0..2 {
             self.deliver(end);
             self.speak(end);
-            while let Some(event) = self.ends[end].event() {
+            while let Some(event) = self.ends[end].next_event() {
                 self.events[end].push(event);
             }
-            while let Some(message) = self.ends[end].message() {
+            while let Some(message) = self.ends[end].next_message() {
                 self.received[end].push(message);
             }
         }
@@ -82,7 +82,7 @@ impl Air {
         {
             for byte in first.remove() {
                 if let Some(frame) = self.readers[end].push(byte) {
-                    self.ends[end].hear(self.now, frame);
+                    self.ends[end].on_frame(self.now, frame);
                 }
             }
         }
