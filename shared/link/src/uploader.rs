@@ -82,7 +82,7 @@ enum Destination {
 /// // This aggregator has stored the body in an earlier session.
 /// let topic = Topic::LocalReply { device, reply: Reply::Done };
 /// let reply = Message::Done(Done { device, model, blake3 });
-/// assert_eq!(uploader.hear(now, &topic, &reply), Some(UploadEvent::Finished));
+/// assert_eq!(uploader.on_reply(now, &topic, &reply), Some(UploadEvent::Finished));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug)]
@@ -181,7 +181,7 @@ impl Uploader {
     }
 
     /// Handles a receiver's reply. Returns `None` if it changes nothing or concerns another model.
-    pub fn hear(&mut self, now: Duration, topic: &Topic, message: &Message<'_>) -> Option<UploadEvent> {
+    pub fn on_reply(&mut self, now: Duration, topic: &Topic, message: &Message<'_>) -> Option<UploadEvent> {
         let (by, reply) = self.reply_on(topic)?;
         if replied_model(message) != Some(self.key()) || self.is_cleared {
             return None;

@@ -110,7 +110,7 @@ impl Node {
 
     fn receive_reply(&mut self, topic: &Topic, message: &Message<'_>) {
         for uploader in &mut self.uploaders {
-            let Some(event) = uploader.hear(self.now, topic, message) else { continue };
+            let Some(event) = uploader.on_reply(self.now, topic, message) else { continue };
             let (key, progress) = (uploader.key(), uploader.progress());
             self.events.push_back(match event {
                 UploadEvent::Progress => NodeEvent::Progress(key, progress),
