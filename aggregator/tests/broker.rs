@@ -44,7 +44,7 @@ fn stopped_and_started_in_mid_upload() {
     let body = offer.body.clone();
     let (mut broker, mut retries) = (Some(broker), 0);
     let restart = |progress: cosurf_link::UploadProgress| {
-        if progress.chunks_there > progress.chunks / 2 && broker.take().is_some() {
+        if progress.chunks_received > progress.chunks / 2 && broker.take().is_some() {
             std::thread::sleep(Duration::from_millis(300));
             std::thread::spawn(move || {
                 std::thread::sleep(Duration::from_millis(500));

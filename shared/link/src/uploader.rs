@@ -29,7 +29,7 @@ pub struct UploadProgress {
     /// Number of chunks of the body.
     pub chunks: u32,
     /// Number of chunks that the slowest required receiver is known to have.
-    pub chunks_there: u32,
+    pub chunks_received: u32,
     /// Bytes of the topics and payloads of all messages published, including retries.
     pub bytes_sent: u64,
 }
@@ -143,7 +143,11 @@ impl Uploader {
         let chunks = self.offer.header.chunks();
         let received =
             self.peers.iter().filter(|peer| peer.is_required).map(|peer| peer.chunks_received(chunks));
-        UploadProgress { chunks, chunks_there: received.min().unwrap_or(chunks), bytes_sent: self.bytes_sent }
+        UploadProgress {
+            chunks,
+            chunks_received: received.min().unwrap_or(chunks),
+            bytes_sent: self.bytes_sent,
+        }
     }
 
     /// Whether every required receiver has stored or finally refused the model.

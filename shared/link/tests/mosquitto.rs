@@ -44,7 +44,7 @@ fn interrupted(how: fn(&mut Mosquitto)) {
     let body = offer.body.clone();
     let (address, mut times, mut retries) = (broker.address.clone(), 0, 0);
     let restart = |progress: UploadProgress| {
-        if times < 3 && progress.chunks_there > progress.chunks * (times + 1) / 4 {
+        if times < 3 && progress.chunks_received > progress.chunks * (times + 1) / 4 {
             times += 1;
             how(&mut broker);
             broker.start_again();
