@@ -68,7 +68,7 @@ impl Offer {
     }
 
     /// Sets the world frame, and signs the header if `credentials` have a key.
-    pub fn with(mut self, site: &SiteId, credentials: &Credentials) -> Self {
+    pub fn with_credentials(mut self, site: &SiteId, credentials: &Credentials) -> Self {
         self.header.frame = credentials.frame;
         self.header.signature = None;
         if let Some(key) = &credentials.key {

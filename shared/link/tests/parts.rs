@@ -52,8 +52,8 @@ fn where_models_must_be_signed_it_is_nothing_before_the_whole_is_checked() {
     let key = SecretKey::new(&[1; 32]);
     let list = key.public_line(&DeviceId::new("drone").unwrap());
     let signer = Credentials { key: Some(key), ..Credentials::default() };
-    let signed =
-        offer("drone", 1, ModelKind::Local, 1, 4000, 1024).with(&SiteId::new("site").unwrap(), &signer);
+    let signed = offer("drone", 1, ModelKind::Local, 1, 4000, 1024)
+        .with_credentials(&SiteId::new("site").unwrap(), &signer);
     let mut inbox = inbox();
     inbox.set_credentials(Credentials {
         trusted: Some(Trusted::parse(&list).unwrap()),

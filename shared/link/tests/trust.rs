@@ -28,7 +28,9 @@ fn line(key: u8) -> String {
 
 /// A header of drone's model `number`, signed by `key`.
 fn signed(number: u64, key: u8) -> ModelHeader {
-    offer("drone", number, ModelKind::Local, number, 30, 1024).with(&site(), &credentials(key)).header
+    offer("drone", number, ModelKind::Local, number, 30, 1024)
+        .with_credentials(&site(), &credentials(key))
+        .header
 }
 
 /// What an aggregator with this list of keys says to a header.
@@ -87,7 +89,8 @@ fn a_link_that_takes_small_chunks_only_does_not_break_the_signature() {
 fn another_frame_is_refused_even_where_everybody_is_believed() {
     let mut inbox = Inbox::new(common::identity(Role::Aggregator, "ground"), InboxLimits::default(), &[]);
     let elsewhere = Credentials { frame: FrameId::new("utm-33n").unwrap(), ..Credentials::default() };
-    let header = offer("drone", 1, ModelKind::Local, 1, 30, 1024).with(&site(), &elsewhere).header;
+    let header =
+        offer("drone", 1, ModelKind::Local, 1, 30, 1024).with_credentials(&site(), &elsewhere).header;
     let topic = Topic::LocalHeader { device: device(), model: ModelId(1) };
     let said = inbox.on_header(Duration::ZERO, &topic, header);
     assert!(matches!(said, Some(InboxEvent::Refused(_, RefusalReason::WrongFrame))), "{said:?}");

@@ -82,7 +82,7 @@ impl Node {
 
     /// Offers a device's own model to the aggregator. Replaces an unfinished offer of the same model.
     pub fn upload(&mut self, offer: Offer) {
-        let offer = offer.with(&self.identity.site, self.inbox.credentials());
+        let offer = offer.with_credentials(&self.identity.site, self.inbox.credentials());
         let uploader = Uploader::local(self.identity.site, offer);
         self.uploaders.retain(|old| old.key() != uploader.key());
         self.uploaders.push(uploader);
@@ -92,7 +92,7 @@ impl Node {
     /// all `receivers` have stored it.
     pub fn broadcast(&mut self, tile: TileId, offer: Offer, receivers: &[DeviceId]) {
         self.uploaders.retain(|old| old.tile() != Some(tile));
-        let offer = offer.with(&self.identity.site, self.inbox.credentials());
+        let offer = offer.with_credentials(&self.identity.site, self.inbox.credentials());
         self.uploaders.push(Uploader::global(self.identity.site, tile, offer, receivers));
     }
 
