@@ -81,20 +81,20 @@ impl Line {
     /// Sends a packet at `now`. Returns its arrivals: none, one or two.
     pub fn carry(&mut self, now: Duration, packet: &[u8]) -> Vec<Arrival> {
         self.free_at = self.free_at.max(now) + self.passing_time(packet.len());
-        let copies = 1 + usize::from(self.dice.falls(self.faults.duplication));
+        let copies = 1 + usize::from(self.dice.chance(self.faults.duplication));
         (0..copies).filter_map(|_| self.carry_copy(packet)).collect()
     }
 
     fn carry_copy(&mut self, packet: &[u8]) -> Option<Arrival> {
-        if self.dice.falls(self.faults.loss) {
+        if self.dice.chance(self.faults.loss) {
             return None;
         }
         let mut bytes = packet.to_vec();
-        if !bytes.is_empty() && self.dice.falls(self.faults.corruption) {
+        if !bytes.is_empty() && self.dice.chance(self.faults.corruption) {
             let place = self.dice.below(bytes.len() as u64) as usize;
             bytes[place] ^= 1 << self.dice.below(8);
         }
-        if !bytes.is_empty() && self.dice.falls(self.faults.truncation) {
+        if !bytes.is_empty() && self.dice.chance(self.faults.truncation) {
             bytes.truncate(self.dice.below(bytes.len() as u64) as usize);
         }
         let spread = self.faults.delay_max.saturating_sub(self.faults.delay_min).as_micros() as u64;
@@ -171,7 +171,7 @@ impl Dice {
     }
 
     /// `true` with the given probability.
-    pub fn falls(&mut self, probability: f64) -> bool {
+    pub fn chance(&mut self, probability: f64) -> bool {
         ((self.next_bits() >> 11) as f64 / (1u64 << 53) as f64) < probability
     }
 }

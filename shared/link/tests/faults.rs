@@ -67,7 +67,7 @@ fn fault_01_broker_killed_in_mid_upload() {
                 if is_down {
                     network.start()
                 } else {
-                    network.stop(dice.falls(0.5))
+                    network.stop(dice.chance(0.5))
                 }
                 kills += u32::from(is_down);
                 is_down = !is_down;
@@ -424,7 +424,7 @@ fn fault_20_memory_stays_bounded_under_noise() {
         let mut payload = vec![0; MAX_MESSAGE_BYTES];
         let length = Message::Header(valid.header).encode(&mut payload).unwrap().len();
         payload.truncate(length);
-        if dice.falls(0.5) {
+        if dice.chance(0.5) {
             let place = dice.below(length as u64) as usize;
             payload[place] ^= 1 << dice.below(8);
             let (content, checksum) = payload.split_last_chunk_mut::<4>().unwrap();

@@ -108,7 +108,7 @@ fn weather(dice: &mut Dice) -> Faults {
         delay_min: delay_max / 4,
         delay_max,
         bytes_per_s,
-        outages: dice.falls(0.5).then_some(outages),
+        outages: dice.chance(0.5).then_some(outages),
     }
 }
 
@@ -204,7 +204,7 @@ impl Trouble {
             let member = self.dice.below(fleet.len() as u64) as usize;
             match self.dice.below(4) {
                 0 => {
-                    network.stop(self.dice.falls(0.5));
+                    network.stop(self.dice.chance(0.5));
                     self.is_broker_down = true;
                 }
                 1 => fleet[member].full_disk_for = 2,
