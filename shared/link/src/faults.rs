@@ -29,9 +29,9 @@ pub struct Faults {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Outages {
     /// Mean time between two outages.
-    pub apart: Duration,
+    pub interval_mean: Duration,
     /// Mean duration of an outage.
-    pub lasting: Duration,
+    pub duration_mean: Duration,
 }
 
 impl Faults {
@@ -139,7 +139,7 @@ impl OutagePlan {
     /// Starts or ends the outage, and draws the time of the next change.
     pub fn change(&mut self) {
         self.is_out = !self.is_out;
-        let mean = if self.is_out { self.outages.lasting } else { self.outages.apart };
+        let mean = if self.is_out { self.outages.duration_mean } else { self.outages.interval_mean };
         // At least one microsecond, so that time advances.
         let mean_us = (mean.as_micros() as u64).max(2);
         self.changes_at += Duration::from_micros(mean_us / 2 + self.dice.below(mean_us));
@@ -223,7 +223,8 @@ mod tests {
 
     #[test]
     fn outages_have_the_requested_mean_durations() {
-        let outages = Outages { apart: Duration::from_secs(10), lasting: Duration::from_secs(2) };
+        let outages =
+            Outages { interval_mean: Duration::from_secs(10), duration_mean: Duration::from_secs(2) };
         let mut plan = OutagePlan::new(5, outages);
         let (mut last, mut out) = (Duration::ZERO, Duration::ZERO);
         for _ in 0..1000 {

@@ -97,8 +97,8 @@ fn weather(dice: &mut Dice) -> Faults {
     let delay_max = Duration::from_secs_f64(up_to(0.4));
     let bytes_per_s = [None, NonZeroU32::new(1 << (12 + dice.below(9)))][dice.below(2) as usize];
     let outages = Outages {
-        apart: Duration::from_secs(5 + dice.below(40)),
-        lasting: Duration::from_secs(1 + dice.below(20)),
+        interval_mean: Duration::from_secs(5 + dice.below(40)),
+        duration_mean: Duration::from_secs(1 + dice.below(20)),
     };
     Faults {
         loss,
