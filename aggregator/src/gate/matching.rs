@@ -76,8 +76,7 @@ impl Sight {
     /// The point in space seen at `at_px`, at the depth of the pixel `x, y` around it.
     fn point(&self, x: usize, y: usize, at_px: DVec2) -> DVec3 {
         let depth = f64::from(self.rendering.depth[y * self.width + x]);
-        let pose = &self.camera.cam_from_world;
-        pose.rotation.inverse() * (self.camera.ray(at_px) * depth - pose.translation)
+        self.camera.unproject(at_px, depth)
     }
 
     /// Share of the picture that at least [`SEERS_MIN`] of `cameras` see as this one does.

@@ -69,6 +69,13 @@ impl Camera {
         ((p_px - self.center_px) / self.focal_px).extend(1.0)
     }
 
+    /// The world point that a pixel position shows at a depth along the optical axis, world units; the inverse of
+    /// [`Self::project`].
+    pub fn unproject(&self, p_px: DVec2, depth: f64) -> DVec3 {
+        let pose = &self.cam_from_world;
+        pose.rotation.inverse() * (self.ray(p_px) * depth - pose.translation)
+    }
+
     /// Whether a pixel position lies inside the picture.
     pub fn contains(&self, p_px: DVec2) -> bool {
         p_px.x >= 0.0

@@ -94,9 +94,7 @@ impl Finder<'_> {
             .filter_map(|&step| color(p_px + step))
             .map(|(c, _)| (c - middle).abs().element_sum())
             .fold(0.0, f32::max);
-        let in_camera = self.camera().ray(p_px) * f64::from(depth);
-        let pose = &self.camera().cam_from_world;
-        let position = pose.rotation.inverse() * (in_camera - pose.translation);
+        let position = self.camera().unproject(p_px, f64::from(depth));
         Some(Feature { position, color: middle, contrast })
     }
 
