@@ -8,7 +8,7 @@
 use std::collections::BTreeMap;
 
 use anyhow::Result;
-use cosurf_engine::{Compression, Device, Fleet};
+use cosurf_engine::{Compression, Device, ModelCameras};
 use cosurf_link::select_flight_cameras;
 use cosurf_scene::{Camera, Splats};
 use cosurf_wire::DeviceId;
@@ -47,7 +47,7 @@ impl Flights {
     pub fn compression(&self, splats: &Splats, cameras: &[Camera], threads: usize) -> Result<Compression> {
         let own = self.cameras.keys().position(|device| *device == self.own).unwrap_or(0);
         let all: Vec<Vec<Camera>> = self.cameras.values().cloned().collect();
-        Ok(Compression::plan(splats, cameras, &Fleet { cameras: &all, own }, &Device::Cpu, threads)?)
+        Ok(Compression::plan(splats, cameras, &ModelCameras { cameras: &all, own }, &Device::Cpu, threads)?)
     }
 }
 

@@ -9,8 +9,8 @@ use cosurf_engine::budget::{Budget, BudgetError, DRIVER_BYTES, Wish};
 use cosurf_engine::init::{Form, splats_from_points};
 use cosurf_engine::train::StepOutcome;
 use cosurf_engine::{
-    AnyBackend, Backend, Device, DeviceChoice, DeviceLost, Example, Flight, Neighbours, PruneSettings,
-    Schedule, SurfaceSettings, TrainSettings, Trainer,
+    AnyBackend, Backend, Device, DeviceChoice, DeviceLost, Example, Neighbours, PruneSettings, Schedule,
+    SurfaceSettings, TrainSettings, Trainer, TrainingViews,
 };
 use cosurf_scene::bytes::format_bytes;
 use cosurf_scene::cache::Source;
@@ -148,7 +148,7 @@ impl Session {
                 None => splats_from_points(&data.points, extent, splats_max, SH_DEGREE, form),
             });
         }
-        let mut trainer = Trainer::new(backend, settings, Flight { cameras, neighbours });
+        let mut trainer = Trainer::new(backend, settings, TrainingViews { cameras, neighbours });
         if let Some(checkpoint) = checkpoint {
             checkpoint.restore(&fingerprint, &mut trainer)?;
         }

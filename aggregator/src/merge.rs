@@ -26,7 +26,7 @@ mod tests;
 
 use std::ops::ControlFlow;
 
-use cosurf_engine::{Compression, Fleet};
+use cosurf_engine::{Compression, ModelCameras};
 use cosurf_link::Model;
 use serde::{Deserialize, Serialize};
 
@@ -102,7 +102,7 @@ fn merge_by(
         let Model { splats, cameras } = surveyed.locals.load(i)?;
         let compression = match settings.compress {
             true => {
-                let fleet = Fleet { cameras: &surveyed.cameras, own: i };
+                let fleet = ModelCameras { cameras: &surveyed.cameras, own: i };
                 Compression::plan(&splats, &cameras, &fleet, &computer.device, computer.threads)?
             }
             false => Compression::default(),

@@ -9,7 +9,7 @@ use cosurf_engine::backend::{Channels, TargetSurface};
 use cosurf_engine::distill;
 use cosurf_engine::train::view_order;
 use cosurf_engine::{
-    AnyBackend, Backend, CpuCapacity, DistillSettings, Distiller, Lesson, Rendering, StudentRates,
+    AnyBackend, Backend, Capacity, DistillSettings, Distiller, Lesson, Rendering, StudentRates,
 };
 use cosurf_scene::{Camera, Splats, Watchers};
 use glam::DVec3;
@@ -74,7 +74,7 @@ pub(super) fn distill(
             continue;
         }
         let (student, around) = with_surroundings(&joined, own.clone(), &its, room);
-        let room = CpuCapacity::to_train(&student, &its, Channels::Geometry);
+        let room = Capacity::to_train(&student, &its, Channels::Geometry);
         let mut backend = AnyBackend::new(device, room, computer.threads)?;
         backend.load(&student);
         drop(student);
@@ -82,7 +82,7 @@ pub(super) fn distill(
             backend,
             DistillSettings {
                 steps: settings.epochs * views.len() as u32,
-                settle: views.len() as u32,
+                cooldown_steps: views.len() as u32,
                 rates: StudentRates::TRAINED,
                 extent,
                 depth,

@@ -1,9 +1,8 @@
 //! What a merge may take of its memory: so much for the model that learns, the rest for the teachers.
 
 use cosurf_engine::backend::Channels;
-use cosurf_engine::budget::{Costs, DRIVER_BYTES};
-use cosurf_engine::cpu::PAIRS_PER_SPLAT;
-use cosurf_engine::{CpuCapacity, Device};
+use cosurf_engine::budget::{Costs, DRIVER_BYTES, PAIRS_PER_SEEN_SPLAT, PAIRS_PER_SPLAT};
+use cosurf_engine::{Capacity, Device};
 use cosurf_scene::{Camera, Splats};
 
 use super::settings::MergeSettings;
@@ -25,11 +24,11 @@ pub(super) fn student_room(
     cameras: &[Vec<Camera>],
 ) -> usize {
     let all: Vec<Camera> = cameras.iter().flatten().copied().collect();
-    let shape = CpuCapacity::to_train(&Splats::with_capacity(0, sh_degree), &all, Channels::Geometry);
+    let shape = Capacity::to_train(&Splats::with_capacity(0, sh_degree), &all, Channels::Geometry);
     let costs = Costs::of(&shape, device.binding_bytes_max());
-    let each = costs.splat + PAIRS_PER_SPLAT * costs.pair;
+    let each = costs.splat + PAIRS_PER_SEEN_SPLAT * costs.pair;
     let bytes = STUDENT_SHARE * bytes_beside_driver(device, settings) - costs.pictures as f64;
-    ((bytes.max(0.0) / each as f64) as usize).min(costs.splats_max(PAIRS_PER_SPLAT))
+    ((bytes.max(0.0) / each as f64) as usize).min(costs.splats_max(PAIRS_PER_SEEN_SPLAT))
 }
 
 /// Bytes for all teachers together.
@@ -39,17 +38,7 @@ pub(super) fn teachers_bytes(device: &Device, settings: &MergeSettings) -> u64 {
 
 /// Bytes of a teacher of so many splats.
 pub(super) fn renderer_bytes(device: &Device, splats: usize, sh_degree: u32, cameras: &[Vec<Camera>]) -> u64 {
-    /// Pairs that a renderer makes room for, and the copy of the model that it is made from.
-    const PAIRS_PER_SPLAT: usize = 4;
     let pixels = cameras.iter().flatten().map(|c| c.size_px[0] as usize * c.size_px[1] as usize).max();
-    let shape = CpuCapacity {
-        splats: 0,
-        pairs: 0,
-        size_px: [1, 1],
-        sh_degree,
-        channels: Channels::Geometry,
-        training: false,
-    };
-    let costs = Costs::of(&shape, device.binding_bytes_max());
+    let costs = Costs::of(&Capacity::to_render(sh_degree), device.binding_bytes_max());
     (splats * (costs.splat + PAIRS_PER_SPLAT * costs.pair) + 64 * pixels.unwrap_or(0)) as u64
 }

@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, VecDeque};
 use std::rc::Rc;
 
 use cosurf_engine::distill::TRUSTED_ALPHA_MIN;
-use cosurf_engine::{Neighbours, Renderer, Rendering};
+use cosurf_engine::{Neighbours, Renderer, Rendering, RenderingCache};
 use cosurf_link::Model;
 use cosurf_scene::{Camera, SparsePoint, Splats};
 use glam::{DVec2, DVec3};
@@ -47,9 +47,7 @@ pub(crate) struct Teachers<'a> {
     shelf: VecDeque<(usize, Teacher)>,
     /// Once they are known.
     trusts: BTreeMap<ViewKey, Bits>,
-    kept: BTreeMap<ViewKey, Rc<Rendering>>,
-    /// Bytes that more may take.
-    free_bytes: u64,
+    cache: RenderingCache<ViewKey>,
 }
 
 struct Teacher {
@@ -75,8 +73,7 @@ impl<'a> Teachers<'a> {
             shelf_max: shelf_max as usize,
             shelf: VecDeque::new(),
             trusts: BTreeMap::new(),
-            kept: BTreeMap::new(),
-            free_bytes: memory_bytes.saturating_sub(shelf_max * teacher_bytes),
+            cache: RenderingCache::new(memory_bytes.saturating_sub(shelf_max * teacher_bytes)),
         }
     }
 
@@ -101,17 +98,12 @@ impl<'a> Teachers<'a> {
     }
 
     fn show(&mut self, view: ViewKey) -> Result<Rc<Rendering>, MergeError> {
-        if let Some(kept) = self.kept.get(&view) {
-            return Ok(kept.clone());
+        if let Some(kept) = self.cache.get(&view) {
+            return Ok(kept);
         }
         let camera = self.camera(view);
-        let shown = Rc::new(self.fetch(view.local)?.renderer.try_render(&camera)?);
-        let bytes = shown.bytes() as u64;
-        if bytes <= self.free_bytes {
-            self.free_bytes -= bytes;
-            self.kept.insert(view, shown.clone());
-        }
-        Ok(shown)
+        let shown = self.fetch(view.local)?.renderer.try_render(&camera)?;
+        Ok(self.cache.keep(view, shown))
     }
 
     /// Pixels of a view whose surface another camera of the teacher sees in the same place, where one looks there.
@@ -187,18 +179,13 @@ fn returns(camera: &Camera, p_px: DVec2, depth: f64, other: &Camera, seen: &Rend
     if depth <= 0.0 {
         return false;
     }
-    let world_from_cam = |camera: &Camera, p_px: DVec2, depth: f64| {
-        let pose = &camera.cam_from_world;
-        pose.rotation.inverse() * (camera.ray(p_px) * depth - pose.translation)
-    };
-    let Some(q_px) = other.project(world_from_cam(camera, p_px, depth)).filter(|q_px| other.contains(*q_px))
-    else {
+    let Some(q_px) = other.project(camera.unproject(p_px, depth)).filter(|q_px| other.contains(*q_px)) else {
         return true; // nobody contradicts
     };
     let [x, y] = [q_px.x as usize, q_px.y as usize];
     let shown = f64::from(seen.depth[y * seen.size_px[0] as usize + x]);
     shown > 0.0
         && camera
-            .project(world_from_cam(other, q_px, shown))
+            .project(other.unproject(q_px, shown))
             .is_some_and(|back_px| back_px.distance(p_px) < RETURN_PX)
 }

@@ -142,7 +142,7 @@ fn a_model_pruned_before_upload_does_not_teach_black() {
     let models = overlapping();
     let cameras: Vec<Vec<Camera>> = models.iter().map(|model| model.cameras.clone()).collect();
     let pruned = models.into_iter().enumerate().map(|(own, Model { splats, cameras: its })| {
-        let fleet = Fleet { cameras: &cameras, own };
+        let fleet = ModelCameras { cameras: &cameras, own };
         let removed = Compression::plan(&splats, &its, &fleet, &Device::Cpu, 1).unwrap().removed;
         assert!(!removed.is_empty());
         Model { splats: splats.without(&removed), cameras: its }

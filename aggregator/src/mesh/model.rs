@@ -1,8 +1,8 @@
 //! Makes a mesh from a splat model, within one memory limit for everything.
 
 use cosurf_engine::backend::{Backend, Channels, Rendering};
-use cosurf_engine::budget::PROCESS_BYTES;
-use cosurf_engine::{CpuBackend, CpuCapacity};
+use cosurf_engine::budget::{Costs, PROCESS_BYTES};
+use cosurf_engine::{Capacity, CpuBackend};
 use cosurf_scene::{Camera, Splats};
 
 use super::budget;
@@ -52,9 +52,9 @@ impl Needs {
     fn of(splats: &Splats) -> Self {
         let pairs = (PAIRS_PER_SPLAT * splats.len()).max(PAIRS_LEAST);
         // The model is held twice while it is loaded.
-        let per_splat = CpuCapacity::splat_bytes(splats.sh_degree, false) + 4 * (11 + splats.sh_stride());
-        let bytes =
-            PROCESS_BYTES + (splats.len() * per_splat + pairs * CpuCapacity::pair_bytes(false)) as u64;
+        let costs = Costs::of(&Capacity::to_render(splats.sh_degree), None);
+        let per_splat = costs.splat + 4 * (11 + splats.sh_stride());
+        let bytes = PROCESS_BYTES + (splats.len() * per_splat + pairs * costs.pair) as u64;
         Self { splats: splats.len(), pairs, bytes }
     }
 
@@ -67,8 +67,8 @@ impl Needs {
 fn picture_bytes(cameras: &[Camera]) -> u64 {
     let of = |camera: &Camera| {
         let pixels = u64::from(camera.size_px[0]) * u64::from(camera.size_px[1]);
-        let planes = CpuCapacity::picture_bytes(camera.size_px, Channels::Geometry, false) as u64;
-        planes + pixels * RENDERING_BYTES_PER_PIXEL
+        let shape = Capacity { size_px: camera.size_px, ..Capacity::to_render(0) };
+        Costs::of(&shape, None).pictures as u64 + pixels * RENDERING_BYTES_PER_PIXEL
     };
     cameras.iter().map(of).max().unwrap_or(0)
 }
@@ -108,14 +108,8 @@ struct BoundedRenderer {
 
 impl BoundedRenderer {
     fn new(splats: Splats, needs: &Needs, threads: usize) -> Self {
-        let capacity = CpuCapacity {
-            splats: splats.len(),
-            pairs: needs.pairs,
-            size_px: [1, 1],
-            sh_degree: splats.sh_degree,
-            channels: Channels::Geometry,
-            training: false,
-        };
+        let capacity =
+            Capacity { splats: splats.len(), pairs: needs.pairs, ..Capacity::to_render(splats.sh_degree) };
         let mut backend = CpuBackend::new(capacity, threads);
         backend.load(&splats);
         Self { backend, sh_degree: splats.sh_degree }

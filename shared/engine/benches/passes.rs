@@ -4,8 +4,11 @@
 //!
 //! `cargo bench -p cosurf-engine`
 
-use cosurf_engine::backend::{AdamRates, Channels, LossWeights, SurfaceWeights, TargetRgb, Targets};
-use cosurf_engine::{AnyBackend, Backend, CpuBackend, CpuCapacity, DeviceChoice};
+use cosurf_engine::backend::{
+    AdamRates, Channels, LossWeights, MultiviewWeights, SurfaceWeights, TargetRgb, Targets,
+};
+use cosurf_engine::budget::PAIRS_PER_SPLAT;
+use cosurf_engine::{AnyBackend, Backend, Capacity, CpuBackend, DeviceChoice};
 use cosurf_scene::{Camera, Pose, Splats};
 use divan::Bencher;
 use divan::counter::ItemsCount;
@@ -71,7 +74,7 @@ fn splats(count: usize, size_px: [u32; 2]) -> Splats {
 }
 
 fn backend(threads: usize) -> CpuBackend {
-    let capacity = CpuCapacity {
+    let capacity = Capacity {
         splats: SPLATS,
         pairs: 400_000,
         size_px: SIZE_PX,
@@ -124,7 +127,10 @@ fn losses(backend: &mut CpuBackend) {
 const COLOR: LossWeights = LossWeights { ssim: 0.2, scale: 0.0, surface: None, teacher: None };
 
 const SURFACE: LossWeights = LossWeights {
-    surface: Some(SurfaceWeights { normal: 0.01, reprojection: 0.05, ncc: 0.2, cell_px: 2, draw: 1 }),
+    surface: Some(SurfaceWeights {
+        normal: 0.01,
+        multiview: Some(MultiviewWeights { reprojection: 0.05, ncc: 0.2, cell_px: 2, draw: 1 }),
+    }),
     ..COLOR
 };
 
@@ -211,9 +217,9 @@ fn step_on_gpu(bencher: Bencher, channels: Channels) {
 }
 
 fn steps(bencher: Bencher, choice: DeviceChoice, channels: Channels) {
-    let capacity = CpuCapacity {
+    let capacity = Capacity {
         splats: STEP_SPLATS,
-        pairs: 4 * STEP_SPLATS,
+        pairs: PAIRS_PER_SPLAT * STEP_SPLATS,
         size_px: STEP_SIZE_PX,
         sh_degree: 3,
         channels,

@@ -5,7 +5,8 @@ use cosurf_scene::{Camera, Splats};
 use crate::backend::{
     AdamRates, Backend, BinCounts, Channels, Edit, LossWeights, Losses, Rendering, Scores, Shapes, Targets,
 };
-use crate::cpu::{CpuBackend, CpuCapacity};
+use crate::budget::Capacity;
+use crate::cpu::CpuBackend;
 use crate::device::{Device, DeviceError};
 #[cfg(feature = "gpu")]
 use crate::gpu::GpuBackend;
@@ -32,11 +33,11 @@ macro_rules! each_backend {
 
 impl AnyBackend {
     /// Allocates every buffer; `threads` (at least 1) are the processor's.
-    pub fn new(device: &Device, capacity: CpuCapacity, threads: usize) -> Result<Self, DeviceError> {
+    pub fn new(device: &Device, capacity: Capacity, threads: usize) -> Result<Self, DeviceError> {
         match device {
             Device::Cpu => Ok(Self::Cpu(Box::new(CpuBackend::new(capacity, threads)))),
             #[cfg(feature = "gpu")]
-            Device::Gpu(gpu) => Ok(Self::Gpu(Box::new(GpuBackend::new(gpu, capacity.into())?))),
+            Device::Gpu(gpu) => Ok(Self::Gpu(Box::new(GpuBackend::new(gpu, capacity)?))),
         }
     }
 }

@@ -89,6 +89,14 @@ pub struct TeacherWeights {
 pub struct SurfaceWeights {
     /// Of the disagreement between blended normals and the normals of the depth, a mean over pixels.
     pub normal: f32,
+    /// Of the losses that compare the view with its neighbour; `None` leaves them out. They need
+    /// [`Targets::neighbour_rgb`] and a neighbour that [`Backend::keep_neighbour`] kept.
+    pub multiview: Option<MultiviewWeights>,
+}
+
+/// How much each multi-view loss counts, and on which pixels (PGSR).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MultiviewWeights {
     /// Of the error of going to the neighbour and back, a mean over sampled pixels; 1 / px.
     pub reprojection: f32,
     /// Of `1 - NCC²` between patches here and at the neighbour, a mean over sampled pixels.
@@ -179,6 +187,11 @@ pub struct BinCounts {
     pub dropped: usize,
 }
 
+/// Decay of Adam's first and second moment, and the term that keeps its division finite (3DGS).
+pub(crate) const BETA_1: f32 = 0.9;
+pub(crate) const BETA_2: f32 = 0.999;
+pub(crate) const EPSILON: f32 = 1e-15;
+
 /// Learning rates of one Adam step. Bias corrections are set by [`AdamRates::at_step`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AdamRates {
@@ -198,6 +211,14 @@ pub struct AdamRates {
     pub first_correction: f32,
     /// `1 / (1 - β₂^step)`.
     pub second_correction: f32,
+}
+
+impl AdamRates {
+    /// Fills in the bias corrections `1 / (1 - β^step)` for the `step`-th update, counted from 1.
+    pub fn at_step(self, step: u32) -> Self {
+        let correction = |beta: f32| (1.0 / (1.0 - f64::from(beta).powf(f64::from(step.max(1))))) as f32;
+        Self { first_correction: correction(BETA_1), second_correction: correction(BETA_2), ..self }
+    }
 }
 
 /// A picture as the splats show it. All arrays row by row.

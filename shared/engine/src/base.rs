@@ -11,7 +11,9 @@ use std::rc::Rc;
 use cosurf_scene::{Base, Camera, Splats};
 
 use crate::backend::{Backend, Channels, Rendering, TargetSurface};
-use crate::cpu::{CpuBackend, CpuCapacity};
+use crate::budget::Capacity;
+use crate::cache::RenderingCache;
+use crate::cpu::CpuBackend;
 use crate::distill::{self, DistillSettings, Distiller, Lesson, StudentRates, TRUSTED_ALPHA_MIN};
 use crate::prune;
 use crate::render::Renderer;
@@ -31,7 +33,7 @@ const GROWTH: f32 = 0.25;
 /// instead of 156 lose 2.1 instead of 1.8 dB; twice as many of both 1.6 dB.
 const STEPS: [u32; 2] = [52, 156];
 /// Steps at the end of either in which all settles.
-const SETTLE: u32 = 26;
+const COOLDOWN_STEPS: u32 = 26;
 /// Three times those of 3DGS, for there is little time, and twice for opacities. Found on rendered Boruszyn.
 const RATES: StudentRates =
     StudentRates { mean: 4.8e-4, quat: 0.0, log_scale: 0.02, opacity: 0.1, sh_dc: 0.0075 };
@@ -95,24 +97,22 @@ struct Teacher<'a> {
     threads: usize,
     cameras: &'a [Camera],
     renderer: Renderer,
-    kept: Vec<Option<Rc<Rendering>>>,
-    /// Bytes that more may take.
-    free_bytes: usize,
+    cache: RenderingCache<usize>,
 }
 
 impl<'a> Teacher<'a> {
     fn new(renderer: Renderer, cameras: &'a [Camera], threads: usize, kept_bytes: usize) -> Self {
-        Self { threads, cameras, renderer, kept: vec![None; cameras.len()], free_bytes: kept_bytes }
+        Self { threads, cameras, renderer, cache: RenderingCache::new(kept_bytes as u64) }
     }
 
     /// What `student` has learnt after so many steps.
     fn teach(&mut self, student: &Splats, steps: u32, mut tell: impl FnMut(u32)) -> Splats {
-        let room = CpuCapacity::to_train(student, self.cameras, Channels::Geometry);
+        let room = Capacity::to_train(student, self.cameras, Channels::Geometry);
         let mut backend = CpuBackend::new(room, self.threads);
         backend.load(student);
         let settings = DistillSettings {
             steps,
-            settle: SETTLE,
+            cooldown_steps: COOLDOWN_STEPS,
             rates: RATES,
             extent: distill::extent(self.cameras),
             depth: distill::median_depth(self.show(0).depth.iter().copied()),
@@ -131,16 +131,10 @@ impl<'a> Teacher<'a> {
     }
 
     fn show(&mut self, view: usize) -> Rc<Rendering> {
-        if let Some(kept) = &self.kept[view] {
-            return kept.clone();
+        match self.cache.get(&view) {
+            Some(rendering) => rendering,
+            None => self.cache.keep(view, self.renderer.render(&self.cameras[view])),
         }
-        let rendering = Rc::new(self.renderer.render(&self.cameras[view]));
-        let bytes = rendering.bytes();
-        if bytes <= self.free_bytes {
-            self.free_bytes -= bytes;
-            self.kept[view] = Some(rendering.clone());
-        }
-        rendering
     }
 }
 

@@ -1,20 +1,17 @@
 //! The memory promise: from bytes to the size of every buffer, before anything is allocated.
 
+mod capacity;
+mod costs;
+
 use crate::backend::Channels;
-use crate::cpu::CpuCapacity;
+use crate::layout::rows::parameter_rows;
+pub use capacity::{Capacity, PAIRS_PER_SEEN_SPLAT, PAIRS_PER_SPLAT};
+pub use costs::{Costs, DRIVER_BYTES};
 #[cfg(feature = "gpu")]
-use crate::gpu::GpuCapacity;
+pub(crate) use costs::{PARTIALS, PROJECTED_BYTES, TAUGHT_NUMBERS};
 
 /// What a process takes before it does anything: code, stacks, allocator, tables.
 pub const PROCESS_BYTES: u64 = 28 << 20;
-
-/// What graphics cards take of the process beside all buffers: drivers, compiled passes, staging. Mesa's software
-/// driver takes 240 MiB while it trains, 30 MiB when it is only looked for.
-pub const DRIVER_BYTES: u64 = 256 << 20;
-
-/// Splat–tile pairs that there is room for, per splat. Aerial scenes need 2 to 4 per splat in the whole
-/// model; a view that needs more loses its farthest splats, and the report says so.
-const PAIRS_PER_SPLAT: usize = 4;
 
 /// Fewest splats with which a training makes sense.
 const SPLATS_MIN: usize = 2000;
@@ -22,7 +19,7 @@ const SPLATS_MIN: usize = 2000;
 /// Refinement reads every shape (64 B) and writes children; at the end the whole model is read out once, when
 /// refinement's share is free again. Bytes per splat for the larger of the two.
 const fn scratch_bytes(sh_degree: u32) -> usize {
-    let model = 4 * (11 + 3 * cosurf_scene::splats::sh_coefficients(sh_degree));
+    let model = 4 * parameter_rows(sh_degree);
     let refinement = 64 + 48 + model / 2;
     if model > refinement { model } else { refinement }
 }
@@ -55,7 +52,7 @@ pub struct Wish {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Budget {
     /// Sizes of the backend's buffers.
-    pub capacity: CpuCapacity,
+    pub capacity: Capacity,
     /// Bytes of the picture cache.
     pub cache_bytes: u64,
     /// What had to be given up, one sentence each.
@@ -85,80 +82,14 @@ pub enum BudgetError {
     },
 }
 
-/// Bytes that a backend takes.
-#[derive(Clone, Copy, Debug)]
-pub struct Costs {
-    /// Beside all buffers: of the driver.
-    driver: u64,
-    /// Of the pictures.
-    pub pictures: usize,
-    /// Of a splat.
-    pub splat: usize,
-    /// Of a splat–tile pair.
-    pub pair: usize,
-    binding: Option<Binding>,
-}
-
-/// What bounds the buffers of a graphics card, bytes.
-#[derive(Clone, Copy, Debug)]
-struct Binding {
-    /// Of the largest buffer of pictures.
-    pictures: usize,
-    /// Of a splat and of a pair in the largest of their buffers.
-    splat: usize,
-    pair: usize,
-    /// What the card binds at once.
-    most: u64,
-}
-
-impl Costs {
-    /// Of a backend with the pictures, the SH degree and the channels of `shape`; where `binding_bytes_max` is given, on
-    /// a graphics card that binds at most so many bytes at once.
-    pub fn of(shape: &CpuCapacity, binding_bytes_max: Option<u64>) -> Self {
-        let CpuCapacity { size_px, sh_degree, channels, training, .. } = *shape;
-        #[cfg(feature = "gpu")]
-        if let Some(most) = binding_bytes_max {
-            return Self {
-                driver: DRIVER_BYTES,
-                pictures: GpuCapacity::picture_bytes(size_px, channels),
-                splat: GpuCapacity::splat_bytes(sh_degree, training),
-                pair: GpuCapacity::pair_bytes(training),
-                binding: Some(Binding {
-                    pictures: GpuCapacity::picture_binding_bytes(size_px),
-                    splat: GpuCapacity::splat_binding_bytes(sh_degree),
-                    pair: GpuCapacity::PAIR_BINDING_BYTES,
-                    most,
-                }),
-            };
-        }
-        #[cfg(not(feature = "gpu"))]
-        let _ = binding_bytes_max; // there is no card
-        Self {
-            driver: 0,
-            pictures: CpuCapacity::picture_bytes(size_px, channels, training),
-            splat: CpuCapacity::splat_bytes(sh_degree, training),
-            pair: CpuCapacity::pair_bytes(training),
-            binding: None,
-        }
-    }
-
-    /// Most splats, with so many pairs each, of which no buffer is larger than what the graphics card binds.
-    pub fn splats_max(&self, pairs_per_splat: usize) -> usize {
-        let Some(Binding { splat, pair, most, .. }) = self.binding else { return usize::MAX };
-        (most / splat.max(pairs_per_splat * pair) as u64) as usize
-    }
-}
-
 impl Budget {
     /// Divides the bytes: first what cannot be less, then splats up to the wish, then the cache.
     pub fn plan(wish: &Wish) -> Result<Self, BudgetError> {
         let Wish { size_px, sh_degree, channels, .. } = *wish;
-        let shape = CpuCapacity { splats: 0, pairs: 0, size_px, sh_degree, channels, training: true };
+        let shape = Capacity { splats: 0, pairs: 0, size_px, sh_degree, channels, training: true };
         let costs = Costs::of(&shape, wish.binding_bytes_max);
-        if let Some(Binding { pictures, most, .. }) = costs.binding
-            && pictures as u64 > most
-        {
-            return Err(BudgetError::PictureTooLarge { size_px, bytes: pictures as u64, bytes_max: most });
+        if let Some((bytes, bytes_max)) = costs.unbindable_picture() {
+            return Err(BudgetError::PictureTooLarge { size_px, bytes, bytes_max });
         }
         let fixed = PROCESS_BYTES
             + costs.driver
@@ -187,7 +118,7 @@ impl Budget {
             let (has, wants) = ((wish.cache_bytes_least + extra) >> 20, wish.cache_bytes_most >> 20);
             given_up.push(format!("{has} MiB of picture cache instead of {wants} MiB"));
         }
-        let capacity = CpuCapacity { splats, pairs: PAIRS_PER_SPLAT * splats, ..shape };
+        let capacity = Capacity { splats, pairs: PAIRS_PER_SPLAT * splats, ..shape };
         Ok(Self { capacity, cache_bytes: wish.cache_bytes_least + extra, given_up })
     }
 }

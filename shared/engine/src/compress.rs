@@ -11,7 +11,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use crate::backend::Channels;
-use crate::cpu::CpuCapacity;
+use crate::budget::Capacity;
 use crate::device::{Device, DeviceError};
 use crate::prune;
 use crate::render::Renderer;
@@ -42,7 +42,7 @@ pub struct Compression {
 
 /// The models that share some ground.
 #[derive(Clone, Copy, Debug)]
-pub struct Fleet<'a> {
+pub struct ModelCameras<'a> {
     /// What each has photographed. Whoever compresses must have the same cameras in the same order.
     pub cameras: &'a [Vec<Camera>],
     /// Which of them is compressed.
@@ -50,20 +50,20 @@ pub struct Fleet<'a> {
 }
 
 impl Compression {
-    /// Decides what goes of `splats`, a model of `fleet`, judged by `its` cameras, at the size of which it is rendered;
+    /// Decides what goes of `splats`, a model of `models`, judged by `its` cameras, at the size of which it is rendered;
     /// `threads` (at least 1) are the processor's.
     pub fn plan(
         splats: &Splats,
         its: &[Camera],
-        fleet: &Fleet,
+        models: &ModelCameras,
         device: &Device,
         threads: usize,
     ) -> Result<Self, DeviceError> {
-        let others: Vec<Camera> = fleet
+        let others: Vec<Camera> = models
             .cameras
             .iter()
             .enumerate()
-            .filter(|(i, _)| *i != fleet.own)
+            .filter(|(i, _)| *i != models.own)
             .flat_map(|(_, c)| c)
             .copied()
             .collect();
@@ -82,10 +82,10 @@ impl Compression {
         let alone: Vec<Camera> =
             its.iter().zip(&overlapping).filter(|(_, o)| !**o).map(|(camera, _)| *camera).collect();
         let judges = if alone.is_empty() { its } else { &alone[..] };
-        let capacity = CpuCapacity::to_train(splats, judges, Channels::Color);
-        let worth = prune::worth(splats, judges, capacity, device, threads)?;
+        let capacity = Capacity::to_train(splats, judges, Channels::Color);
+        let importance = prune::importance(splats, judges, capacity, device, threads)?;
         let count = (overlap.min(OVERLAP_MAX) * splats.len() as f64) as usize;
-        Ok(Self { overlap, removed: lowest(&worth, &left_to_others(splats, fleet), count) })
+        Ok(Self { overlap, removed: lowest(&importance, &left_to_others(splats, models), count) })
     }
 }
 
@@ -119,24 +119,24 @@ fn is_alike(camera: &Camera, other: &Camera, point: DVec3) -> bool {
         && DEPTH_RATIO.contains(&(depth(other) / depth(camera)))
 }
 
-/// Indices of the splats on ground that belongs to another model of the fleet.
-fn left_to_others(splats: &Splats, fleet: &Fleet) -> Vec<u32> {
+/// Indices of the splats on ground that belongs to another model of the models.
+fn left_to_others(splats: &Splats, models: &ModelCameras) -> Vec<u32> {
     let frusta: Vec<Vec<Frustum>> =
-        fleet.cameras.iter().map(|its| its.iter().map(Frustum::new).collect()).collect();
+        models.cameras.iter().map(|its| its.iter().map(Frustum::new).collect()).collect();
     let is_left = |i: &u32| {
         let mean = DVec3::from_array(splats.means[*i as usize].map(f64::from));
         let seers = |its: &Vec<Frustum>| its.iter().filter(|frustum| frustum.contains(mean)).count();
         let seen: Vec<usize> = frusta.iter().map(seers).collect();
         let most = seen.iter().copied().max().unwrap_or(0);
-        most >= OWNER_CAMERAS_MIN && seen.iter().position(|count| *count == most) != Some(fleet.own)
+        most >= OWNER_CAMERAS_MIN && seen.iter().position(|count| *count == most) != Some(models.own)
     };
     (0..splats.len() as u32).into_par_iter().filter(is_left).collect()
 }
 
 /// The `count` of `candidates` that are worth least, ascending; of equals the later.
-fn lowest(worth: &[f32], candidates: &[u32], count: usize) -> Vec<u32> {
+fn lowest(importance: &[f32], candidates: &[u32], count: usize) -> Vec<u32> {
     let mut order = candidates.to_vec();
-    let key = |i: u32| worth[i as usize];
+    let key = |i: u32| importance[i as usize];
     order.sort_unstable_by(|&a, &b| key(a).total_cmp(&key(b)).then(b.cmp(&a)));
     order.truncate(count);
     order.sort_unstable();

@@ -16,7 +16,7 @@ pub struct DistillSettings {
     /// Steps in all.
     pub steps: u32,
     /// Steps at the end in which everything moves ten times less.
-    pub settle: u32,
+    pub cooldown_steps: u32,
     /// How fast it learns until then.
     pub rates: StudentRates,
     /// Scene extent: 1.1 × the largest distance of a camera from their mean, world units.
@@ -70,7 +70,7 @@ impl StudentRates {
 const MEAN_RATE_FALL: f64 = 0.01;
 
 /// Share of the rates that is left at the end.
-const SETTLED: f32 = 0.1;
+const COOLED: f32 = 0.1;
 
 /// Opacity below which a splat goes at the end (3DGS).
 const OPACITY_MIN: f32 = 0.005;
@@ -146,13 +146,7 @@ impl<B: Backend> Distiller<B> {
         LossWeights {
             ssim: SSIM_WEIGHT,
             scale: (SCALE_WEIGHT / extent) as f32,
-            surface: Some(SurfaceWeights {
-                normal: NORMAL_WEIGHT,
-                reprojection: 0.0,
-                ncc: 0.0,
-                cell_px: 16,
-                draw: 0,
-            }),
+            surface: Some(SurfaceWeights { normal: NORMAL_WEIGHT, multiview: None }),
             teacher: Some(TeacherWeights {
                 depth: (DEPTH_WEIGHT / depth) as f32,
                 normal: TEACHER_NORMAL_WEIGHT,
@@ -161,8 +155,8 @@ impl<B: Backend> Distiller<B> {
     }
 
     fn rates(&self) -> AdamRates {
-        let DistillSettings { steps, settle, rates, extent, .. } = self.settings;
-        let share = if self.steps_done + settle >= steps { SETTLED } else { 1.0 };
+        let DistillSettings { steps, cooldown_steps, rates, extent, .. } = self.settings;
+        let share = if self.steps_done + cooldown_steps >= steps { COOLED } else { 1.0 };
         let progress = f64::from(self.steps_done) / f64::from(steps.max(1));
         AdamRates {
             mean: (rates.mean * MEAN_RATE_FALL.powf(progress) * extent) as f32,

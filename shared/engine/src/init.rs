@@ -46,16 +46,16 @@ pub fn splats_from_points(
     };
     let mut splats = Splats::with_capacity(chosen.len(), sh_degree);
     let positions: Vec<[f64; 3]> = chosen.iter().map(|point| point.position.to_array()).collect();
-    let tree = Tree::new(&positions);
+    let tree = Tree::new(&positions, 1);
     let mut sh = vec![0.0; 3 * sh_coefficients(sh_degree)];
     let logit = (OPACITY / (1.0 - OPACITY)).ln();
     for (point, position) in chosen.iter().zip(&positions) {
         for (value, byte) in sh.iter_mut().zip(point.rgb) {
             *value = (f32::from(byte) / 255.0 - 0.5) / SH_C0;
         }
-        let near = tree.nearest::<PLANE_POINTS>(position);
+        let near = tree.nearest::<PLANE_POINTS>(*position);
         let width = width(&near).clamp(extent * 1e-6, extent * 0.5).max(f64::from(f32::MIN_POSITIVE));
-        let normal = (form == Form::Flat).then(|| normal(&near)).flatten();
+        let normal = (form == Form::Flat).then(|| normal(&near, &positions)).flatten();
         let (quat, thickness) = normal.map_or((DQuat::IDENTITY, width), |normal| {
             (DQuat::from_rotation_arc(DVec3::Z, normal), THICKNESS * width)
         });
@@ -67,16 +67,16 @@ pub fn splats_from_points(
 }
 
 /// RMS distance to the nearest neighbours; infinite for a single point. The first of `near` is the point itself.
-fn width(near: &[Near]) -> f64 {
+fn width(near: &[Near<f64>]) -> f64 {
     let others = near[1..=NEIGHBOURS].iter().map(|near| near.distance_squared).filter(|d| d.is_finite());
     let count = others.clone().count();
     if count == 0 { f64::INFINITY } else { (others.sum::<f64>() / count as f64).sqrt() }
 }
 
 /// Of the plane of the points, if they have one.
-fn normal(near: &[Near]) -> Option<DVec3> {
+fn normal(near: &[Near<f64>], positions: &[[f64; 3]]) -> Option<DVec3> {
     let found = near.iter().filter(|near| near.distance_squared.is_finite());
-    normal_of(&found.map(|near| DVec3::from(near.point)).collect::<Vec<_>>())
+    normal_of(&found.map(|near| DVec3::from(positions[near.index as usize])).collect::<Vec<_>>())
 }
 
 #[cfg(test)]

@@ -1,60 +1,170 @@
-//! Distances to nearest neighbours: a k-d tree that is nothing but a reordered list of points. (The
-//! k-d tree crates bring dozens of packages with them, for the one question that is asked once.)
+//! Nearest points: a k-d tree that is nothing but a reordered list.
+//!
+//! Own code rather than a crate: of those that are well kept, `kiddo` brings about 25 packages and a build script, panics
+//! on many identical points, and promises no order among points at equal distances, on which the bits of a training
+//! depend.
 
-/// Points ordered so that the middle of every range splits it along one axis, taking turns.
-pub(crate) struct Tree(Vec<[f64; 3]>);
+use std::cmp::Ordering;
+use std::ops::{Add, Mul, Sub};
 
-impl Tree {
-    pub(crate) fn new(points: &[[f64; 3]]) -> Self {
-        let mut points = points.to_vec();
-        split(&mut points, 0);
-        Self(points)
+/// Ranges no longer than this are built by one thread.
+const GRAIN: usize = 1 << 14;
+
+/// A coordinate: `f32` or `f64`.
+pub trait Coordinate:
+    Copy + PartialOrd + Send + Sync + Sub<Output = Self> + Mul<Output = Self> + Add<Output = Self>
+{
+    /// Beyond every distance.
+    const INFINITY: Self;
+    /// 0.
+    const ZERO: Self;
+
+    /// The order of all values, NaN included.
+    fn total_order(&self, other: &Self) -> Ordering;
+}
+
+macro_rules! coordinates {
+    ($($float:ident)*) => {
+        $(impl Coordinate for $float {
+            const INFINITY: Self = $float::INFINITY;
+            const ZERO: Self = 0.0;
+
+            #[inline]
+            fn total_order(&self, other: &Self) -> Ordering {
+                self.total_cmp(other)
+            }
+        })*
+    };
+}
+coordinates!(f32 f64);
+
+/// A point, by its index in the list that the tree was made of, and how far it is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Near<S> {
+    /// Square of the distance.
+    pub distance_squared: S,
+    /// Index of the point.
+    pub index: u32,
+}
+
+/// Points with their indices, ordered so that the middle of every range splits it along one axis, taking
+/// turns. Ranges of at most `leaf` points are in any order.
+#[derive(Clone, Debug)]
+pub struct Tree<S> {
+    points: Vec<([S; 3], u32)>,
+    leaf: usize,
+}
+
+impl<S: Coordinate> Tree<S> {
+    /// Fewer than 2³² finite points; ranges of at most `leaf` (at least 1) are searched one by one. The same points and
+    /// leaf always give the same order of points at equal distances.
+    pub fn new(points: &[[S; 3]], leaf: usize) -> Self {
+        Self::built(points, leaf, usize::MAX)
     }
 
-    /// The `K` points nearest to `query`, the nearest first; infinitely far where there are fewer.
-    pub(crate) fn nearest<const K: usize>(&self, query: &[f64; 3]) -> [Near; K] {
-        let mut best = [Near { distance_squared: f64::INFINITY, point: [f64::INFINITY; 3] }; K];
-        search(&self.0, query, 0, &mut best);
+    /// The same tree, built by the threads of the current rayon pool.
+    pub fn new_parallel(points: &[[S; 3]], leaf: usize) -> Self {
+        Self::built(points, leaf, GRAIN)
+    }
+
+    fn built(points: &[[S; 3]], leaf: usize, grain: usize) -> Self {
+        let leaf = leaf.max(1);
+        let mut points: Vec<([S; 3], u32)> = points.iter().copied().zip(0..).collect();
+        split(&mut points, 0, leaf, grain);
+        Self { points, leaf }
+    }
+
+    /// The `K` points nearest to `query`, the nearest first; infinitely far, with index `u32::MAX`, where there are fewer.
+    pub fn nearest<const K: usize>(&self, query: [S; 3]) -> [Near<S>; K] {
+        let mut best = [Near { distance_squared: S::INFINITY, index: u32::MAX }; K];
+        search(&self.points, self.leaf, &query, 0, &mut best);
         best
     }
+
+    /// Whether a point lies nearer than the root of `reach_squared`.
+    pub fn is_any_within(&self, query: [S; 3], reach_squared: S) -> bool {
+        is_any_within(&self.points, self.leaf, &query, 0, reach_squared)
+    }
 }
 
-/// A point, and how far it is.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Near {
-    pub(crate) distance_squared: f64,
-    pub(crate) point: [f64; 3],
+#[inline]
+fn distance_squared<S: Coordinate>(a: &[S; 3], b: &[S; 3]) -> S {
+    let [x, y, z] = [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
+    x * x + y * y + z * z
 }
 
-fn split(points: &mut [[f64; 3]], axis: usize) {
-    if points.len() < 2 {
+fn split<S: Coordinate>(points: &mut [([S; 3], u32)], axis: usize, leaf: usize, grain: usize) {
+    if points.len() <= leaf {
         return;
     }
     let middle = points.len() / 2;
-    let (below, _, above) = points.select_nth_unstable_by(middle, |a, b| a[axis].total_cmp(&b[axis]));
-    split(below, (axis + 1) % 3);
-    split(above, (axis + 1) % 3);
-}
-
-fn search<const K: usize>(points: &[[f64; 3]], query: &[f64; 3], axis: usize, best: &mut [Near; K]) {
-    let middle = points.len() / 2;
-    let Some(point) = points.get(middle) else { return };
-    let distance_squared = (0..3).map(|k| (point[k] - query[k]).powi(2)).sum();
-    insert(best, Near { distance_squared, point: *point });
-    let beyond = query[axis] - point[axis];
-    let (below, above) = (&points[..middle], &points[middle + 1..]);
-    let (near, far) = if beyond < 0.0 { (below, above) } else { (above, below) };
-    search(near, query, (axis + 1) % 3, best);
-    if beyond * beyond < best[K - 1].distance_squared {
-        search(far, query, (axis + 1) % 3, best);
+    let (below, _, above) = points.select_nth_unstable_by(middle, |a, b| a.0[axis].total_order(&b.0[axis]));
+    let next = (axis + 1) % 3;
+    if below.len() > grain {
+        rayon::join(|| split(below, next, leaf, grain), || split(above, next, leaf, grain));
+    } else {
+        split(below, next, leaf, grain);
+        split(above, next, leaf, grain);
     }
 }
 
-fn insert<const K: usize>(best: &mut [Near; K], near: Near) {
-    let place = best.partition_point(|b| b.distance_squared <= near.distance_squared);
-    if place < K {
+fn search<S: Coordinate, const K: usize>(
+    points: &[([S; 3], u32)],
+    leaf: usize,
+    query: &[S; 3],
+    axis: usize,
+    best: &mut [Near<S>; K],
+) {
+    if points.len() <= leaf {
+        points.iter().for_each(|point| insert(best, point, query));
+        return;
+    }
+    let middle = points.len() / 2;
+    insert(best, &points[middle], query);
+    let beyond = query[axis] - points[middle].0[axis];
+    let (below, above) = (&points[..middle], &points[middle + 1..]);
+    let (near, far) = if beyond < S::ZERO { (below, above) } else { (above, below) };
+    let next = (axis + 1) % 3;
+    search(near, leaf, query, next, best);
+    if beyond * beyond < best[K - 1].distance_squared {
+        search(far, leaf, query, next, best);
+    }
+}
+
+fn is_any_within<S: Coordinate>(
+    points: &[([S; 3], u32)],
+    leaf: usize,
+    query: &[S; 3],
+    axis: usize,
+    reach_squared: S,
+) -> bool {
+    if points.len() <= leaf {
+        return points.iter().any(|point| distance_squared(&point.0, query) < reach_squared);
+    }
+    let middle = points.len() / 2;
+    if distance_squared(&points[middle].0, query) < reach_squared {
+        return true;
+    }
+    let beyond = query[axis] - points[middle].0[axis];
+    let (below, above) = (&points[..middle], &points[middle + 1..]);
+    let (near, far) = if beyond < S::ZERO { (below, above) } else { (above, below) };
+    let next = (axis + 1) % 3;
+    is_any_within(near, leaf, query, next, reach_squared)
+        || (beyond * beyond < reach_squared && is_any_within(far, leaf, query, next, reach_squared))
+}
+
+/// Puts a point in its place among the nearest; of equals the one found first stays first.
+#[inline]
+fn insert<S: Coordinate, const K: usize>(
+    best: &mut [Near<S>; K],
+    (point, index): &([S; 3], u32),
+    query: &[S; 3],
+) {
+    let distance_squared = distance_squared(point, query);
+    if distance_squared < best[K - 1].distance_squared {
+        let place = best.partition_point(|b| b.distance_squared <= distance_squared);
         best[place..].rotate_right(1);
-        best[place] = near;
+        best[place] = Near { distance_squared, index: *index };
     }
 }
 
@@ -69,15 +179,30 @@ mod tests {
         let mut points: Vec<[f64; 3]> =
             (0..500).map(|_| [0, 1, 2].map(|_| f64::from(random.normal()))).collect();
         points.extend_from_within(..20);
-        let tree = Tree::new(&points);
-        for query in &points {
-            let mut all: Vec<f64> =
-                points.iter().map(|p| (0..3).map(|k| (p[k] - query[k]).powi(2)).sum()).collect();
-            all.sort_unstable_by(f64::total_cmp);
-            assert_eq!(tree.nearest::<5>(query).map(|near| near.distance_squared), all[..5]);
+        for leaf in [1, 8] {
+            let tree = Tree::new(&points, leaf);
+            for query in &points {
+                let mut all: Vec<f64> = points.iter().map(|p| distance_squared(p, query)).collect();
+                all.sort_unstable_by(f64::total_cmp);
+                let found = tree.nearest::<5>(*query);
+                assert_eq!(found.map(|near| near.distance_squared), all[..5]);
+                assert_eq!(found.map(|near| distance_squared(&points[near.index as usize], query)), all[..5]);
+                assert!(tree.is_any_within(*query, f64::MIN_POSITIVE));
+            }
+            assert!(!tree.is_any_within([100.0; 3], 1.0));
         }
-        let alone = Tree::new(&points[..1]).nearest::<2>(&points[0]);
+        let alone = Tree::new(&points[..1], 1).nearest::<2>(points[0]);
         assert_eq!(alone.map(|near| near.distance_squared), [0.0, f64::INFINITY]);
-        assert_eq!(alone[0].point, points[0]);
+        assert_eq!(alone.map(|near| near.index), [0, u32::MAX]);
+    }
+
+    #[test]
+    fn many_equal_points_are_found_and_threads_change_nothing() {
+        let points: Vec<[f32; 3]> = (0..3 * GRAIN).map(|i| [(i % 7) as f32, 1.0, 2.0]).collect();
+        let tree = Tree::new(&points, 8);
+        assert_eq!(tree.points, Tree::new_parallel(&points, 8).points);
+        assert_eq!(tree.nearest::<4>([3.0, 1.0, 2.0]).map(|near| near.distance_squared), [0.0; 4]);
+        assert!(tree.is_any_within([6.4, 1.0, 2.0], 0.2));
+        assert!(!tree.is_any_within([6.4, 1.0, 2.0], 0.1));
     }
 }

@@ -5,7 +5,7 @@ use cosurf_scene::{Camera, Splats};
 
 use crate::any::AnyBackend;
 use crate::backend::{Backend, Channels, Scores, Shapes};
-use crate::cpu::CpuCapacity;
+use crate::budget::Capacity;
 use crate::device::{Device, DeviceError};
 
 /// Exponent of the size's share in a score (LightGaussian).
@@ -43,10 +43,10 @@ pub(crate) fn survey<'a, B: Backend>(
 
 /// What each splat is worth to `cameras`: higher is more, 0 for what none of them sees. `capacity` must be for
 /// training, with room for the splats and the largest picture; `threads` (at least 1) are the processor's.
-pub fn worth(
+pub fn importance(
     splats: &Splats,
     cameras: &[Camera],
-    capacity: CpuCapacity,
+    capacity: Capacity,
     device: &Device,
     threads: usize,
 ) -> Result<Vec<f32>, DeviceError> {
@@ -55,11 +55,11 @@ pub fn worth(
     let scores = survey(&mut backend, cameras);
     let shapes = backend.take_shapes();
     device.check()?;
-    Ok(priorities(&shapes, &scores, PruneScore::Corrected))
+    Ok(importance_by(&shapes, &scores, PruneScore::Corrected))
 }
 
 /// Priorities of all splats: higher is worth more.
-pub(crate) fn priorities(shapes: &Shapes, scores: &Scores, score: PruneScore) -> Vec<f32> {
+pub(crate) fn importance_by(shapes: &Shapes, scores: &Scores, score: PruneScore) -> Vec<f32> {
     let sizes: Vec<f32> = shapes.log_scales.iter().map(|log_scale| size(*log_scale, score)).collect();
     let reference = quantile(&sizes, SIZE_QUANTILE);
     (0..sizes.len())
@@ -90,16 +90,16 @@ fn quantile(values: &[f32], share: f64) -> f32 {
     sorted.get(place).copied().unwrap_or(0.0)
 }
 
-/// Indices, ascending, of the `ratio` (0..1) of all splats with the lowest priorities, exactly so many; of equal
+/// Indices, ascending, of the `ratio` (0..1) of all splats with the lowest importance, exactly so many; of equal
 /// ones the later goes.
-pub(crate) fn lowest(priorities: &[f32], ratio: f64) -> Vec<u32> {
-    least(priorities, (ratio.clamp(0.0, 1.0) * priorities.len() as f64) as usize)
+pub(crate) fn lowest(importance: &[f32], ratio: f64) -> Vec<u32> {
+    least(importance, (ratio.clamp(0.0, 1.0) * importance.len() as f64) as usize)
 }
 
 /// The same of `count` splats.
-pub(crate) fn least(priorities: &[f32], count: usize) -> Vec<u32> {
-    let mut order: Vec<u32> = (0..priorities.len() as u32).collect();
-    let key = |i: u32| priorities[i as usize];
+pub(crate) fn least(importance: &[f32], count: usize) -> Vec<u32> {
+    let mut order: Vec<u32> = (0..importance.len() as u32).collect();
+    let key = |i: u32| importance[i as usize];
     order.sort_unstable_by(|&a, &b| key(a).total_cmp(&key(b)).then(b.cmp(&a)));
     order.truncate(count);
     order.sort_unstable();
@@ -132,11 +132,11 @@ mod tests {
 
     #[test]
     fn exactly_the_lowest_go_and_of_equals_the_later() {
-        let priorities = [3.0, 1.0, 2.0, 1.0, 1.0, 9.0, 0.5, 7.0];
-        assert_eq!(lowest(&priorities, 0.25), [4, 6]);
-        assert_eq!(lowest(&priorities, 0.5), [1, 3, 4, 6]);
-        assert_eq!(lowest(&priorities, 0.0), [0u32; 0]);
-        assert_eq!(lowest(&priorities, 1.0).len(), 8);
+        let importance = [3.0, 1.0, 2.0, 1.0, 1.0, 9.0, 0.5, 7.0];
+        assert_eq!(lowest(&importance, 0.25), [4, 6]);
+        assert_eq!(lowest(&importance, 0.5), [1, 3, 4, 6]);
+        assert_eq!(lowest(&importance, 0.0), [0u32; 0]);
+        assert_eq!(lowest(&importance, 1.0).len(), 8);
         assert_eq!(lowest(&[], 0.5), [0u32; 0]);
     }
 
@@ -158,11 +158,11 @@ mod tests {
     #[test]
     fn the_corrected_score_sees_occlusion_and_flatness_and_the_papers_does_not() {
         let (shapes, scores) = four();
-        let corrected = priorities(&shapes, &scores, PruneScore::Corrected);
+        let corrected = importance_by(&shapes, &scores, PruneScore::Corrected);
         assert!(corrected[1] < 0.01 * corrected[0], "hidden splats are worth little: {corrected:?}");
         assert_eq!(corrected[3], corrected[0], "a flat splat is as large as a thick one");
         assert!(corrected[2] < corrected[0]);
-        let paper = priorities(&shapes, &scores, PruneScore::Paper);
+        let paper = importance_by(&shapes, &scores, PruneScore::Paper);
         assert_eq!(paper[1], paper[0], "the paper does not ask what is in front");
         assert!(paper[3] < 0.1 * paper[0], "by volume, a flat splat is nothing");
     }

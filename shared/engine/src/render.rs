@@ -3,13 +3,11 @@
 use cosurf_scene::{Camera, Splats};
 
 use crate::backend::{Backend, Channels, Rendering};
-use crate::cpu::{CpuBackend, CpuCapacity};
+use crate::budget::{Capacity, PAIRS_PER_SPLAT};
+use crate::cpu::CpuBackend;
 use crate::device::{Device, DeviceChoice, DeviceError};
 #[cfg(feature = "gpu")]
 use crate::gpu::{GpuError, GpuRenderer};
-
-/// Splat–tile pairs that rendering makes room for, per splat; a view that needs more makes the renderer grow.
-pub(crate) const PAIRS_PER_SPLAT: usize = 4;
 
 /// Renders splats.
 pub struct Renderer {
@@ -101,14 +99,7 @@ impl Renderer {
 
 impl CpuPainter {
     fn new(splats: &Splats, threads: usize) -> Self {
-        let capacity = CpuCapacity {
-            splats: splats.len(),
-            pairs: 0,
-            size_px: [1, 1],
-            sh_degree: splats.sh_degree,
-            channels: Channels::Geometry,
-            training: false,
-        };
+        let capacity = Capacity { splats: splats.len(), ..Capacity::to_render(splats.sh_degree) };
         let mut backend = CpuBackend::new(capacity, threads);
         backend.load(splats);
         backend.set_pair_capacity(PAIRS_PER_SPLAT * splats.len());

@@ -3,8 +3,8 @@
 use cosurf_scene::Camera;
 
 use crate::backend::{
-    AdamRates, Backend, BinCounts, Channels, Edit, Exposure, LossWeights, PhotometricLoss, SurfaceLoss,
-    SurfaceWeights, TargetRgb, Targets,
+    AdamRates, Backend, BinCounts, Channels, Edit, Exposure, LossWeights, MultiviewWeights, PhotometricLoss,
+    SurfaceLoss, SurfaceWeights, TargetRgb, Targets,
 };
 use crate::exposure::Exposures;
 use crate::neighbours::Neighbours;
@@ -65,7 +65,7 @@ impl Default for PruneSettings {
 
 /// Where a training looks from.
 #[derive(Clone, Debug, Default)]
-pub struct Flight {
+pub struct TrainingViews {
     /// The cameras trained on.
     pub cameras: Vec<Camera>,
     /// Which of them may be compared.
@@ -119,10 +119,56 @@ pub struct StepOutcome {
 }
 
 /// Trains a backend's splats.
+///
+/// ```
+/// use cosurf_engine::backend::{Channels, TargetRgb};
+/// use cosurf_engine::{
+///     Backend, Capacity, CpuBackend, Example, Neighbours, Schedule, TrainSettings, Trainer, TrainingViews,
+/// };
+/// use cosurf_scene::{Camera, Pose, Splats};
+/// use glam::{DVec2, DVec3};
+///
+/// // Black splats learn from one photograph that is grey all over.
+/// let mut splats = Splats::with_capacity(25, 0);
+/// for i in 0..25u8 {
+///     let [x, y] = [i % 5, i / 5].map(|v| 0.2 * (f32::from(v) - 2.0));
+///     splats.push([x, y, 0.0], [1.0, 0.0, 0.0, 0.0], [-2.0; 3], 2.0, &[-1.7; 3]);
+/// }
+/// let camera = Camera {
+///     cam_from_world: Pose::look_at(DVec3::new(0.0, 0.0, 2.0), DVec3::ZERO, DVec3::Y),
+///     focal_px: DVec2::splat(60.0),
+///     center_px: DVec2::splat(16.0),
+///     size_px: [32, 32],
+/// };
+/// let photograph = [128u8; 3 * 32 * 32];
+///
+/// let mut backend = CpuBackend::new(Capacity::to_train(&splats, &[camera], Channels::Color), 1);
+/// backend.load(&splats);
+/// let settings = TrainSettings {
+///     schedule: Schedule::new(100),
+///     extent: 2.0,
+///     sh_degree: 0,
+///     surface: None,
+///     prune: None,
+///     exposure: false,
+///     observers_min: 1,
+///     splats_max: 25,
+///     seed: 1,
+/// };
+/// let views = TrainingViews { cameras: vec![camera], neighbours: Neighbours::none() };
+/// let mut trainer = Trainer::new(backend, settings, views);
+/// let mut losses = Vec::new();
+/// while !trainer.is_done() {
+///     let view = trainer.view_index(0);
+///     let example = Example { view, rgb: TargetRgb::Bytes(&photograph), neighbour: None };
+///     losses.push(trainer.step(&example).loss.total);
+/// }
+/// assert!(losses[99] < 0.9 * losses[0], "{} after {}", losses[99], losses[0]);
+/// ```
 pub struct Trainer<B> {
     backend: B,
     settings: TrainSettings,
-    flight: Flight,
+    views: TrainingViews,
     exposures: Option<Exposures>,
     steps_done: u32,
     splats_at_start: usize,
@@ -141,11 +187,11 @@ pub struct Progress {
 
 impl<B: Backend> Trainer<B> {
     /// Begins with what the backend holds.
-    pub fn new(backend: B, settings: TrainSettings, flight: Flight) -> Self {
+    pub fn new(backend: B, settings: TrainSettings, views: TrainingViews) -> Self {
         let haste = settings.schedule.exposure_haste();
-        let exposures = settings.exposure.then(|| Exposures::new(flight.cameras.len(), haste));
+        let exposures = settings.exposure.then(|| Exposures::new(views.cameras.len(), haste));
         let splats_at_start = backend.len();
-        Self { backend, settings, flight, exposures, steps_done: 0, splats_at_start }
+        Self { backend, settings, views, exposures, steps_done: 0, splats_at_start }
     }
 
     /// Steps done so far.
@@ -194,12 +240,12 @@ impl<B: Backend> Trainer<B> {
 
     /// The cameras trained on.
     pub fn cameras(&self) -> &[Camera] {
-        &self.flight.cameras
+        &self.views.cameras
     }
 
     /// Which view the step after `ahead` more steps learns from: every epoch is a new order of all views.
     pub fn view_index(&self, ahead: u32) -> usize {
-        let views = self.flight.cameras.len();
+        let views = self.views.cameras.len();
         let step = u64::from(self.steps_done + ahead);
         let (epoch, place) = (step / views as u64, step % views as u64);
         view_order(self.settings.seed, epoch, views)[place as usize]
@@ -210,7 +256,7 @@ impl<B: Backend> Trainer<B> {
         let step = self.steps_done + ahead;
         self.settings.surface?;
         self.settings.schedule.surface_ramp(step)?;
-        self.flight.neighbours.draw(view, self.settings.seed, step)
+        self.views.neighbours.draw(view, self.settings.seed, step)
     }
 
     /// One step: learns from one view, and refines when the schedule says so.
@@ -220,7 +266,7 @@ impl<B: Backend> Trainer<B> {
         let degree = schedule.sh_degree(step, sh_degree);
         let (weights, rates) = (self.weights(step), self.rates(step));
         let channels = if weights.surface.is_some() { Channels::Geometry } else { Channels::Color };
-        let (backend, cameras) = (&mut self.backend, &self.flight.cameras);
+        let (backend, cameras) = (&mut self.backend, &self.views.cameras);
         if let (Some(_), Some((neighbour, _))) = (weights.surface, example.neighbour) {
             backend.project(&cameras[neighbour], 0);
             backend.bin();
@@ -241,8 +287,8 @@ impl<B: Backend> Trainer<B> {
         if schedule.refines_after(self.steps_done) {
             self.refine();
         }
-        if schedule.observes_after(self.steps_done, self.flight.cameras.len()) {
-            let scores = prune::survey(&mut self.backend, &self.flight.cameras);
+        if schedule.observes_after(self.steps_done, self.views.cameras.len()) {
+            let scores = prune::survey(&mut self.backend, &self.views.cameras);
             self.remove(prune::unobserved(&scores, self.settings.observers_min));
         }
         if let Some(settings) = self.settings.prune.filter(|prune| schedule.is_at(prune.at, self.steps_done))
@@ -263,10 +309,12 @@ impl<B: Backend> Trainer<B> {
             let ramp = if surface.smooth { ramp } else { 1.0 };
             SurfaceWeights {
                 normal: ramp * surface.normal,
-                reprojection: ramp * surface.reprojection,
-                ncc: ramp * surface.ncc,
-                cell_px: surface.cell_px,
-                draw: Random::new(seed, Purpose::Sample, u64::from(step), 0).next_u64(),
+                multiview: Some(MultiviewWeights {
+                    reprojection: ramp * surface.reprojection,
+                    ncc: ramp * surface.ncc,
+                    cell_px: surface.cell_px,
+                    draw: Random::new(seed, Purpose::Sample, u64::from(step), 0).next_u64(),
+                }),
             }
         });
         LossWeights { ssim: SSIM_WEIGHT, scale, surface, teacher: None }
@@ -282,9 +330,9 @@ impl<B: Backend> Trainer<B> {
     }
 
     fn prune(&mut self, settings: &PruneSettings) {
-        let scores = prune::survey(&mut self.backend, &self.flight.cameras);
-        let priorities = prune::priorities(&self.backend.take_shapes(), &scores, settings.score);
-        self.remove(prune::lowest(&priorities, settings.ratio));
+        let scores = prune::survey(&mut self.backend, &self.views.cameras);
+        let importance = prune::importance_by(&self.backend.take_shapes(), &scores, settings.score);
+        self.remove(prune::lowest(&importance, settings.ratio));
     }
 
     fn remove(&mut self, deaths: Vec<u32>) {

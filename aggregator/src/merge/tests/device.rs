@@ -78,7 +78,9 @@ fn a_card_removes_the_same_splats() {
     let cameras: Vec<Vec<Camera>> = models.iter().map(|model| model.cameras.clone()).collect();
     for (own, Model { splats, .. }) in models.iter().enumerate() {
         let removed = |device: &Device, cameras: &[Vec<Camera>]| {
-            Compression::plan(splats, &cameras[own], &Fleet { cameras, own }, device, 2).unwrap().removed
+            Compression::plan(splats, &cameras[own], &ModelCameras { cameras, own }, device, 2)
+                .unwrap()
+                .removed
         };
         let expected = removed(&Device::Cpu, &cameras);
         let differs = |got: &[u32]| got.iter().filter(|i| expected.binary_search(i).is_err()).count();

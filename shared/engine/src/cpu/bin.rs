@@ -9,14 +9,15 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 use rayon::prelude::*;
 
-use super::image::TILE;
 use super::project::{Projected, Projection};
-use super::simd::GROUP;
-use super::view::ViewParams;
 use crate::backend::BinCounts;
+use crate::layout::constants::SLACK_PX;
+use crate::layout::tiles::{TILE, TileImage};
+use crate::layout::view::ViewParams;
+use crate::simd::GROUP;
 
-/// Widens every span by this much, px, so that rounding cannot lose a pixel on the threshold.
-const SLACK_PX: f32 = 0.01;
+/// Spans for which a run has room from the start, per splat; a view that needs more makes its runs grow once.
+const SPANS_PER_SPLAT: usize = 3;
 
 /// Depth-sorted splats are cut into this many runs for the threads; the result does not depend on it.
 const RUNS: usize = 16;
@@ -44,7 +45,7 @@ struct Touched {
 }
 
 /// One run of depth-sorted splats.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 struct Run {
     spans: Vec<Span>,
     touched: Vec<Touched>,
@@ -60,6 +61,8 @@ pub(crate) struct TileLists {
     ids: Vec<u32>,
     /// Tile `t` owns `ids[starts[t]..starts[t + 1]]`.
     starts: Vec<u32>,
+    /// By tile: where the next entry goes while the lists are filled.
+    next: Vec<u32>,
     /// By splat id: first slot and number of slots.
     slots: Vec<[u32; 2]>,
     /// By slot: index into `ids`. A splat's slots are contiguous. Each is written by one thread only.
@@ -70,18 +73,21 @@ pub(crate) struct TileLists {
 }
 
 impl TileLists {
-    /// Room for `splats` splats and `pairs` splat–tile pairs.
-    pub(crate) fn with_capacity(splats: usize, pairs: usize) -> Self {
+    /// Room for `splats` splats and `pairs` splat–tile pairs on pictures up to `size_px`.
+    pub(crate) fn with_capacity(splats: usize, pairs: usize, size_px: [u32; 2]) -> Self {
+        let tiles: usize = TileImage::tiles_of(size_px).iter().product();
+        let run_len = splats.div_ceil(RUNS);
         Self {
             capacity: pairs,
             tiles: [0, 0],
             ids: Vec::with_capacity(pairs),
-            starts: Vec::new(),
-            slots: Vec::with_capacity(splats),
+            starts: Vec::with_capacity(tiles + 1),
+            next: Vec::with_capacity(tiles),
+            slots: Vec::with_capacity(splats.next_multiple_of(GROUP)),
             index_of_slot: Vec::with_capacity(pairs),
             keys: Vec::with_capacity(splats),
             keys_swap: Vec::with_capacity(splats),
-            runs: (0..RUNS).map(|_| Run::default()).collect(),
+            runs: (0..RUNS).map(|_| Run::with_capacity(run_len)).collect(),
         }
     }
 
@@ -205,18 +211,20 @@ impl TileLists {
         let (tiles_x, runs, starts, index_of_slot) =
             (self.tiles[0], &self.runs, &self.starts, &self.index_of_slot);
         let rows_per_job = self.rows_per_job();
-        let mut jobs = Vec::new();
-        let mut rest = self.ids.as_mut_slice();
-        for job in 0..self.tiles[1].div_ceil(rows_per_job) {
-            let first = job * rows_per_job * tiles_x;
-            let end = (first + rows_per_job * tiles_x).min(starts.len() - 1);
-            let (own, others) = rest.split_at_mut((starts[end] - starts[first]) as usize);
-            rest = others;
-            jobs.push((job, &starts[first..end], own));
-        }
-        jobs.into_par_iter().for_each(|(job, starts, ids)| {
-            let base = starts[0];
-            let mut next = starts.to_vec();
+        let tiles = starts.len() - 1;
+        self.next.clear();
+        self.next.extend_from_slice(&starts[..tiles]);
+        let (mut ids, mut next) = (self.ids.as_mut_slice(), self.next.as_mut_slice());
+        let mut jobs: [(&mut [u32], &mut [u32]); JOBS] = std::array::from_fn(|job| {
+            let first = (job * rows_per_job * tiles_x).min(tiles);
+            let end = (first + rows_per_job * tiles_x).min(tiles);
+            let own = std::mem::take(&mut ids).split_at_mut((starts[end] - starts[first]) as usize);
+            let own_next = std::mem::take(&mut next).split_at_mut(end - first);
+            (ids, next) = (own.1, own_next.1);
+            (own.0, own_next.0)
+        });
+        jobs.par_iter_mut().enumerate().for_each(|(job, (ids, next))| {
+            let Some(&base) = next.first() else { return };
             for_each_span(runs, job * rows_per_job, rows_per_job, |row, span| {
                 let first = row * tiles_x + span.tile_x as usize;
                 for (k, next) in next[first..first + span.count as usize].iter_mut().enumerate() {
@@ -240,6 +248,15 @@ fn for_each_span(runs: &[Run], first: usize, rows: usize, mut visit: impl FnMut(
 }
 
 impl Run {
+    /// Room for the usual spans of `splats` splats.
+    fn with_capacity(splats: usize) -> Self {
+        Self {
+            spans: Vec::with_capacity(SPANS_PER_SPLAT * splats),
+            touched: Vec::with_capacity(splats),
+            pairs: 0,
+        }
+    }
+
     fn add(&mut self, id: u32, splat: &Projected, view: &ViewParams) {
         let begin = self.pairs;
         visit_spans(splat, view.size_px, |tile_y, first, last| {

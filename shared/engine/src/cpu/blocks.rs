@@ -6,22 +6,9 @@
 //! instead of 59.
 
 use cosurf_scene::Splats;
-use cosurf_scene::splats::sh_coefficients;
 
-use super::simd::{GROUP, Row};
-
-/// First row of each parameter in a block. Order: mean xyz, quat wxyz, log_scale, opacity_logit,
-/// then SH as `[coefficient, rgb]`.
-pub(crate) const MEAN: usize = 0;
-pub(crate) const QUAT: usize = 3;
-pub(crate) const LOG_SCALE: usize = 7;
-pub(crate) const OPACITY: usize = 10;
-pub(crate) const SH: usize = 11;
-
-/// Rows of a block at an SH degree: 11 for the shape, 3 for each SH coefficient.
-pub(crate) const fn rows_per_block(sh_degree: u32) -> usize {
-    SH + 3 * sh_coefficients(sh_degree)
-}
+use crate::layout::rows::{LOG_SCALE, MEAN, OPACITY, QUAT, SH};
+use crate::simd::{GROUP, Row};
 
 /// `len` splats with `stride` numbers each, in blocks of 16.
 #[derive(Clone, Debug, PartialEq)]

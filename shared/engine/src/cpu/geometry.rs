@@ -1,11 +1,9 @@
 //! From parameters to a 2D Gaussian and a plane: what projection and its backward pass share.
 //! Formulas: EWA splatting as in 3DGS; the plane as in PGSR.
 
-use super::simd::{Lanes, each};
-use super::view::ViewParams;
-
-/// Variance added to both screen axes, px² (3DGS's low-pass).
-pub(crate) const LOW_PASS_PX2: f32 = 0.3;
+use crate::layout::constants::LOW_PASS_PX2;
+use crate::layout::view::ViewParams;
+use crate::simd::{Lanes, dot3, each};
 
 /// Everything between a splat's parameters and its conic.
 #[derive(Clone, Copy)]
@@ -29,11 +27,6 @@ pub(crate) struct Geometry<L: Lanes> {
     /// Covariance on the screen (xx, xy, yy), low-pass included, px².
     pub(crate) cov: [L; 3],
     pub(crate) det: L,
-}
-
-#[inline(always)]
-pub(crate) fn dot3<L: Lanes>(a: [L; 3], b: [L; 3]) -> L {
-    a[0].mul_add(b[0], a[1].mul_add(b[1], a[2] * b[2]))
 }
 
 /// `world_from_splat` for a unit quaternion, `r[row][axis]`.

@@ -8,67 +8,125 @@
 
 use rayon::prelude::*;
 
-use super::image::{TILE, TileImage};
-use super::rasterize::{RGB, TRANSMITTANCE};
-use super::simd::{GROUP, Isa, Kernel, Lanes, Row, each};
+use super::scratch::{PerThread, zeros};
 use crate::backend::{Exposure, PhotometricLoss, TargetRgb};
+use crate::layout::constants::{
+    SSIM_C1 as C1, SSIM_C2 as C2, SSIM_REACH as REACH, SSIM_TAPS as TAPS, ssim_window,
+};
+use crate::layout::planes::{RGB, TRANSMITTANCE};
+use crate::layout::tiles::{TILE, TileImage};
+use crate::simd::{GROUP, Isa, Kernel, Lanes, Row, each};
 
-/// Half the SSIM window.
-const REACH: usize = 5;
-const TAPS: usize = 2 * REACH + 1;
-/// SSIM's stabilisers for colours in 0..1 (0.01² and 0.03²).
-const C1: f32 = 0.000_1;
-const C2: f32 = 0.000_9;
 /// Rows of tiles in a band; the result does not depend on threads because bands do not.
 const BAND_TILES: usize = 2;
 /// Zeros to the left and right of a line: at least [`REACH`], and whole groups.
 const MARGIN: usize = GROUP;
 
-/// Window weights `exp(-x² / (2 σ²))`, σ = 1.5, normalised to sum 1.
-fn window() -> [f32; TAPS] {
-    let raw: [f64; TAPS] = std::array::from_fn(|i| (-(i as f64 - REACH as f64).powi(2) / 4.5).exp());
-    let sum: f64 = raw.iter().sum();
-    raw.map(|w| (w / sum) as f32)
+/// The pass, and the memory that it works in.
+#[derive(Debug)]
+pub(crate) struct Photometric {
+    scratch: PerThread<Scratch>,
+    /// By band.
+    sums: Vec<Sums>,
 }
 
-/// Fills `gradient` (colour planes and the transmittance plane, which is zero: the background is black)
-/// and returns the loss. `gradient` must have the same shape as `image`.
-pub(crate) fn photometric(
-    isa: Isa,
-    image: &TileImage,
-    target: TargetRgb,
-    exposure: Exposure,
-    ssim_weight: f32,
-    gradient: &mut TileImage,
-) -> PhotometricLoss {
-    let [width, height] = image.size_px();
-    let pixels = 3.0 * width as f32 * height as f32;
-    let weights = Weights { window: window(), l1: (1.0 - ssim_weight) / pixels, ssim: ssim_weight / pixels };
-    let band_rows = image.tiles()[0] * image.rows_per_tile() * BAND_TILES;
-    let sums: Vec<Sums> = gradient
-        .rows_mut()
-        .par_chunks_mut(band_rows)
-        .enumerate()
-        .map(|(band, rows)| {
-            rows.chunks_exact_mut(image.rows_per_tile())
-                .for_each(|tile| tile[TRANSMITTANCE * TILE..].fill(Row::ZERO));
-            (0..3).fold(Sums::default(), |sums, channel| {
-                sums.plus(isa.run(Band { image, target, exposure, weights, channel, band, gradient: rows }))
-            })
-        })
-        .collect();
-    // Added in the order of the bands.
-    let total = sums.into_iter().fold(Sums::default(), Sums::plus);
-    let pixels = f64::from(pixels);
-    let (l1, ssim, mse) = (total.l1 / pixels, total.ssim / pixels, total.squares / pixels);
-    let weight = f64::from(ssim_weight);
-    PhotometricLoss {
-        total: (1.0 - weight) * l1 + weight * (1.0 - ssim),
-        l1,
-        ssim,
-        mse,
-        by_gain: (1.0 - weight) * total.signed_x / pixels,
-        by_offset: (1.0 - weight) * total.signs / pixels,
+impl Photometric {
+    /// Room for pictures up to `size_px` and this many threads, at least 1.
+    pub(crate) fn with_capacity(size_px: [u32; 2], threads: usize) -> Self {
+        let [tiles_x, tiles_y] = TileImage::tiles_of(size_px);
+        Self {
+            scratch: PerThread::new(threads, || Scratch::with_capacity(tiles_x * TILE)),
+            sums: Vec::with_capacity(tiles_y.div_ceil(BAND_TILES)),
+        }
+    }
+
+    /// Fills `gradient` (colour planes and the transmittance plane, which is zero: the background is black)
+    /// and returns the loss. `gradient` must have the same shape as `image`.
+    pub(crate) fn loss(
+        &mut self,
+        isa: Isa,
+        image: &TileImage,
+        target: TargetRgb,
+        exposure: Exposure,
+        ssim_weight: f32,
+        gradient: &mut TileImage,
+    ) -> PhotometricLoss {
+        let [width, height] = image.size_px();
+        let pixels = 3.0 * width as f32 * height as f32;
+        let weights =
+            Weights { window: ssim_window(), l1: (1.0 - ssim_weight) / pixels, ssim: ssim_weight / pixels };
+        let band_rows = image.tiles()[0] * image.rows_per_tile() * BAND_TILES;
+        let Self { scratch, sums } = self;
+        sums.resize(image.tiles()[1].div_ceil(BAND_TILES), Sums::default());
+        gradient.rows_mut().par_chunks_mut(band_rows).zip(sums.par_iter_mut()).enumerate().for_each(
+            |(band, (rows, sums))| {
+                rows.chunks_exact_mut(image.rows_per_tile())
+                    .for_each(|tile| tile[TRANSMITTANCE * TILE..].fill(Row::ZERO));
+                *sums = scratch.with(|scratch| {
+                    (0..3).fold(Sums::default(), |sums, channel| {
+                        let gradient = &mut *rows;
+                        let scratch = &mut *scratch;
+                        let band =
+                            Band { image, target, exposure, weights, channel, band, gradient, scratch };
+                        sums.plus(isa.run(band))
+                    })
+                });
+            },
+        );
+        // Added in the order of the bands.
+        let total = sums.iter().copied().fold(Sums::default(), Sums::plus);
+        let pixels = f64::from(pixels);
+        let (l1, ssim, mse) = (total.l1 / pixels, total.ssim / pixels, total.squares / pixels);
+        let weight = f64::from(ssim_weight);
+        PhotometricLoss {
+            total: (1.0 - weight) * l1 + weight * (1.0 - ssim),
+            l1,
+            ssim,
+            mse,
+            by_gain: (1.0 - weight) * total.signed_x / pixels,
+            by_offset: (1.0 - weight) * total.signs / pixels,
+        }
+    }
+}
+
+/// Lines and rings of one band.
+#[derive(Debug)]
+struct Scratch {
+    x_line: Vec<f32>,
+    y_line: Vec<f32>,
+    exposed_line: Vec<f32>,
+    products: [Vec<f32>; 3],
+    partial_lines: [Vec<f32>; 3],
+    moments: Ring<MOMENT_LINES>,
+    partials: Ring<PARTIAL_LINES>,
+}
+
+impl Scratch {
+    /// Room for pictures whose width, rounded up to whole tiles, is at most `padded`.
+    fn with_capacity(padded: usize) -> Self {
+        let line = || Vec::with_capacity(padded + 2 * MARGIN);
+        Self {
+            x_line: line(),
+            y_line: line(),
+            exposed_line: line(),
+            products: [line(), line(), line()],
+            partial_lines: [line(), line(), line()],
+            moments: Ring::with_capacity(padded),
+            partials: Ring::with_capacity(padded),
+        }
+    }
+
+    /// Lays lines and rings out for a width; lines are zero, so their margins are too.
+    #[inline(always)]
+    fn reset(&mut self, padded: usize) {
+        let line_len = padded + 2 * MARGIN;
+        zeros(&mut self.x_line, line_len);
+        zeros(&mut self.y_line, line_len);
+        zeros(&mut self.exposed_line, line_len);
+        self.products.iter_mut().for_each(|line| zeros(line, line_len));
+        self.partial_lines.iter_mut().for_each(|line| zeros(line, line_len));
+        self.moments.reset(padded);
+        self.partials.reset(padded);
     }
 }
 
@@ -79,7 +137,7 @@ struct Weights {
     ssim: f32,
 }
 
-#[derive(Clone, Copy, Default)]
+#[derive(Clone, Copy, Debug, Default)]
 struct Sums {
     l1: f64,
     ssim: f64,
@@ -109,6 +167,7 @@ struct Band<'a> {
     channel: usize,
     band: usize,
     gradient: &'a mut [Row],
+    scratch: &'a mut Scratch,
 }
 
 /// `MOMENT` lines: filtered x, y, xx, yy, xy.
@@ -117,14 +176,21 @@ const MOMENT_LINES: usize = 5;
 const PARTIAL_LINES: usize = 3;
 
 /// `LINES` rings of 11 lines.
+#[derive(Debug)]
 struct Ring<const LINES: usize> {
     width: usize,
     data: Vec<f32>,
 }
 
 impl<const LINES: usize> Ring<LINES> {
-    fn new(width: usize) -> Self {
-        Self { width, data: vec![0.0; LINES * TAPS * width] }
+    fn with_capacity(width: usize) -> Self {
+        Self { width, data: Vec::with_capacity(LINES * TAPS * width) }
+    }
+
+    /// Lays the lines out for a width. Old numbers stay: every line is written before it is read.
+    fn reset(&mut self, width: usize) {
+        self.width = width;
+        self.data.resize(LINES * TAPS * width, 0.0);
     }
 
     /// Line `line` for picture row `y` (which may be up to [`TAPS`] above the picture).
@@ -170,34 +236,28 @@ impl Kernel for Band<'_> {
 
     #[inline(always)]
     fn run<L: Lanes>(self) -> Sums {
-        let Self { image, target, exposure, weights, channel, band, gradient } = self;
+        let Self { image, target, exposure, weights, channel, band, gradient, scratch } = self;
         let [width, height] = image.size_px();
         let padded = image.tiles()[0] * TILE;
-        let line_len = padded + 2 * MARGIN;
         let rows_per_tile = image.rows_per_tile();
         let first = band * BAND_TILES * TILE;
         let end = (first + BAND_TILES * TILE).min(height);
         let inside = |y: isize| y >= 0 && y < height as isize;
 
-        let mut x_line = vec![0.0; line_len];
-        let mut y_line = vec![0.0; line_len];
-        let mut exposed_line = vec![0.0; line_len];
-        let mut products = [vec![0.0; line_len], vec![0.0; line_len], vec![0.0; line_len]];
-        let mut partial_lines = [vec![0.0; line_len], vec![0.0; line_len], vec![0.0; line_len]];
-        let mut moments = Ring::<MOMENT_LINES>::new(padded);
-        let mut partials = Ring::<PARTIAL_LINES>::new(padded);
+        scratch.reset(padded);
+        let Scratch { x_line, y_line, exposed_line, products, partial_lines, moments, partials } = scratch;
         let mut sums = Sums::default();
 
         // Row `y_in` enters; the partial derivatives of row `y_in - 5` and the gradient of `y_in - 10` leave.
         for y_in in first as isize - 2 * REACH as isize..(end + 2 * REACH) as isize {
             if inside(y_in) {
-                read_line(image, channel, y_in as usize, width, &mut x_line);
+                read_line(image, channel, y_in as usize, width, x_line);
                 target.read_line(channel, y_in as usize, width, &mut y_line[MARGIN..MARGIN + width]);
-                multiply::<L>(&x_line, &y_line, &mut products);
+                multiply::<L>(x_line, y_line, products);
                 for x in (0..padded).step_by(L::N) {
                     let filtered = [
-                        filtered_row::<L>(&x_line, x, &weights.window),
-                        filtered_row::<L>(&y_line, x, &weights.window),
+                        filtered_row::<L>(x_line, x, &weights.window),
+                        filtered_row::<L>(y_line, x, &weights.window),
                         filtered_row::<L>(&products[0], x, &weights.window),
                         filtered_row::<L>(&products[1], x, &weights.window),
                         filtered_row::<L>(&products[2], x, &weights.window),
@@ -216,7 +276,7 @@ impl Kernel for Band<'_> {
             }
             if inside(y_map) {
                 let own = (first..end).contains(&(y_map as usize));
-                let ssim = ssim_row::<L>(&moments, y_map, width, &weights.window, &mut partial_lines);
+                let ssim = ssim_row::<L>(moments, y_map, width, &weights.window, partial_lines);
                 if own {
                     sums.ssim += ssim;
                 }
@@ -235,9 +295,9 @@ impl Kernel for Band<'_> {
                 continue;
             }
             let y = y_out as usize;
-            read_line(image, channel, y, width, &mut x_line);
+            read_line(image, channel, y, width, x_line);
             target.read_line(channel, y, width, &mut y_line[MARGIN..MARGIN + width]);
-            expose::<L>(&x_line, exposure, width, &mut exposed_line);
+            expose::<L>(x_line, exposure, width, exposed_line);
             let l1_slope = L::splat(weights.l1 * exposure.gain);
             let taps = partials.taps(y_out);
             for tile_x in 0..image.tiles()[0] {
@@ -257,7 +317,7 @@ impl Kernel for Band<'_> {
                 let valid = (width - (tile_x * TILE).min(width)).min(TILE);
                 row.0[valid..].fill(0.0);
             }
-            sums = sums.plus(differences::<L>(&x_line, &exposed_line, &y_line));
+            sums = sums.plus(differences::<L>(x_line, exposed_line, y_line));
         }
         zero_below(gradient, image, channel, end - first);
         sums

@@ -4,14 +4,13 @@ use std::f32::consts::LOG2_E;
 
 use rayon::prelude::*;
 
-use super::blocks::{Blocks, LOG_SCALE, MEAN, OPACITY, QUAT, SH};
-use super::geometry::{dot3, geometry, plane};
-use super::sh;
-use super::simd::{GROUP, Isa, Kernel, Lanes, Row, each};
-use super::view::{NEAR, ViewParams};
-
-/// Blend weights below this are skipped (3DGS).
-pub(crate) const ALPHA_MIN: f32 = 1.0 / 255.0;
+use super::blocks::Blocks;
+use super::geometry::{geometry, plane};
+use crate::layout::constants::{ALPHA_MIN, NEAR};
+use crate::layout::harmonics::{self, view_direction};
+use crate::layout::rows::{LOG_SCALE, MEAN, OPACITY, QUAT, SH};
+use crate::layout::view::ViewParams;
+use crate::simd::{GROUP, Isa, Kernel, Lanes, Row, each};
 
 /// A splat as the rasteriser reads it: one cache line.
 #[derive(Clone, Copy, Debug, Default)]
@@ -158,18 +157,10 @@ fn project_part<L: Lanes>(block: &[Row], view: &ViewParams, part: usize, fields:
     g.t[2]
 }
 
-/// Unit directions from the camera to the splats, and 1 / distance.
-#[inline(always)]
-pub(crate) fn view_direction<L: Lanes>(mean: [L; 3], view: &ViewParams) -> ([L; 3], L) {
-    let delta = each!([0, 1, 2], |a| mean[a] - L::splat(view.eye[a]));
-    let inv_length = L::splat(1.0) / dot3(delta, delta).max(L::splat(1e-20)).sqrt();
-    (each!([0, 1, 2], |a| delta[a] * inv_length), inv_length)
-}
-
 #[inline(always)]
 fn color<L: Lanes>(block: &[Row], mean: [L; 3], view: &ViewParams, part: usize) -> [L; 3] {
     let (dir, _) = view_direction(mean, view);
-    let basis = sh::basis(dir, view.sh_degree);
+    let basis = harmonics::basis(dir, view.sh_degree);
     let coefficients = cosurf_scene::splats::sh_coefficients(view.sh_degree);
     let mut rgb = [L::splat(0.5); 3];
     for (k, y) in basis.iter().enumerate().take(coefficients) {

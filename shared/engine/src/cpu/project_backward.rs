@@ -5,27 +5,19 @@
 use rayon::prelude::*;
 
 use super::bin::TileLists;
-use super::blocks::{Blocks, LOG_SCALE, MEAN, OPACITY, QUAT, SH};
-use super::geometry::{Geometry, dot3, geometry, plane, shortest_axis};
-use super::project::{Projected, Projection, view_direction};
-use super::rasterize::PLANES_GEOMETRY;
-use super::rasterize_backward::{ABSOLUTE, MOMENTS, Record, V_DISTANCE, V_NORMAL, V_RGB};
-use super::sh;
-use super::simd::{GROUP, Isa, Kernel, Lanes, Row, each, prefetch};
-use super::view::ViewParams;
-
-/// Rows of a gradient block: mean, quat, log_scale, opacity_logit as in the parameters, then ∂L/∂rgb
-/// of the seen colour. The 48 SH gradients are its product with the basis; Adam forms them on the fly.
-pub(crate) const GRADIENT_RGB: usize = SH;
-pub(crate) const GRADIENT_ROWS: usize = GRADIENT_RGB + 3;
-
-/// Rows of a statistics block: sum over views of the norm of ∂L/∂mean on the screen in units of half the
-/// picture (3DGS's densification measure), the number of views that saw the splat, and the same norm of the sums
-/// of absolute values over pixels (AbsGS).
-pub(crate) const STAT_SCREEN_GRADIENT: usize = 0;
-pub(crate) const STAT_VIEWS: usize = 1;
-pub(crate) const STAT_ABSOLUTE_GRADIENT: usize = 2;
-pub(crate) const STAT_ROWS: usize = 3;
+use super::blocks::Blocks;
+use super::geometry::{Geometry, geometry, plane, shortest_axis};
+use super::project::{Projected, Projection};
+use super::rasterize_backward::{ABSOLUTE, MOMENTS, V_DISTANCE, V_NORMAL, V_RGB};
+use super::records::Record;
+use crate::layout::harmonics::{self, view_direction};
+use crate::layout::planes::PLANES_GEOMETRY;
+use crate::layout::rows::{
+    GRADIENT_RGB, GRADIENT_ROWS, LOG_SCALE, MEAN, OPACITY, QUAT, SH, STAT_ABSOLUTE_GRADIENT, STAT_ROWS,
+    STAT_SCREEN_GRADIENT, STAT_VIEWS,
+};
+use crate::layout::view::ViewParams;
+use crate::simd::{GROUP, Isa, Kernel, Lanes, Row, dot3, each, prefetch};
 
 /// What the pass reads.
 pub(crate) struct Inputs<'a> {
@@ -290,7 +282,7 @@ fn through_direction<L: Lanes>(
     for (k, weight) in weights.iter_mut().enumerate().take(coefficients).skip(1) {
         *weight = dot3(each!([0, 1, 2], |c| block[SH + 3 * k + c].get::<L>(part)), v_rgb);
     }
-    let v_dir = sh::weighted_gradient(dir, view.sh_degree, &weights);
+    let v_dir = harmonics::weighted_gradient(dir, view.sh_degree, &weights);
     let along = dot3(dir, v_dir);
     each!([0, 1, 2], |a| (v_dir[a] - dir[a] * along) * inv_length)
 }

@@ -6,24 +6,11 @@
 use rayon::prelude::*;
 
 use super::bin::TileLists;
-use super::image::{TILE, TileImage};
-use super::project::{ALPHA_MIN, Projected};
-use super::simd::{Isa, Kernel, Lanes, Row, prefetch};
-
-/// Largest blend weight of one splat (3DGS).
-pub(crate) const ALPHA_MAX: f32 = 0.99;
-
-/// A pixel is full before its transmittance would fall below this (3DGS).
-pub(crate) const TRANSMITTANCE_MIN: f32 = 1e-4;
-
-/// Planes of a rendered image: red, green, blue, transmittance left over; then, with geometry, the
-/// blended normal (3, camera frame, unnormalised) and plane distance.
-pub(crate) const RGB: usize = 0;
-pub(crate) const TRANSMITTANCE: usize = 3;
-pub(crate) const NORMAL: usize = 4;
-pub(crate) const DISTANCE: usize = 7;
-pub(crate) const PLANES_COLOR: usize = 4;
-pub(crate) const PLANES_GEOMETRY: usize = 8;
+use super::project::Projected;
+use crate::layout::constants::{ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN};
+use crate::layout::planes::{DISTANCE, NORMAL, PLANES_COLOR, PLANES_GEOMETRY, RGB, TRANSMITTANCE};
+use crate::layout::tiles::{TILE, TileImage, centers};
+use crate::simd::{Isa, Kernel, Lanes, Row, prefetch};
 
 /// Blends every tile. `image` must be laid out with [`PLANES_COLOR`] or [`PLANES_GEOMETRY`] planes.
 /// `blended[tile]` receives how many entries of its list were looked at before all pixels were full.
@@ -130,14 +117,6 @@ impl RowTerms {
         let by_x = dx.mul_add(L::splat(2.0 * self.by_dx2), L::splat(self.by_dx));
         (by_x, dx.mul_add(L::splat(xy), dy * L::splat(2.0 * yy)))
     }
-}
-
-/// Centres of the `part`-th vector of a row whose first pixel is at `origin_x`.
-#[inline(always)]
-pub(crate) fn centers<L: Lanes>(origin_x: f32, part: usize) -> L {
-    const OFFSETS: [f32; TILE] =
-        [0.5, 1.5, 2.5, 3.5, 4.5, 5.5, 6.5, 7.5, 8.5, 9.5, 10.5, 11.5, 12.5, 13.5, 14.5, 15.5];
-    L::load(&OFFSETS[part * L::N..]) + L::splat(origin_x)
 }
 
 struct BlendTile<'a, const P: usize> {

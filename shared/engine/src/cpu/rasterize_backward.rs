@@ -5,21 +5,18 @@
 //! loses each splat's share in turn. Each splat–tile pair writes one [`Record`]; nothing is added
 //! across tiles here, so no atomics, and the order of the sums never depends on threads.
 
-use rayon::prelude::*;
-
 use super::bin::TileLists;
-use super::image::{TILE, TileImage};
-use super::project::{ALPHA_MIN, Projected};
-use super::rasterize::{
-    ALPHA_MAX, DISTANCE, NORMAL, PLANES_COLOR, PLANES_GEOMETRY, PREFETCH, RGB, RowTerms, TRANSMITTANCE_MIN,
-    as_planes, centers, tile_origin, touched_parts, touched_rows,
-};
-use super::simd::{GROUP, Isa, Kernel, Lanes, Row, prefetch};
+use super::project::Projected;
+use super::rasterize::{PREFETCH, RowTerms, as_planes, tile_origin, touched_parts, touched_rows};
+use super::records::{Record, for_each_tile};
+use crate::layout::constants::{ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN};
+use crate::layout::planes::{DISTANCE, NORMAL, PLANES_COLOR, PLANES_GEOMETRY, RGB};
+use crate::layout::tiles::{TILE, TileImage, centers};
+use crate::simd::{GROUP, Isa, Kernel, Lanes, Row, prefetch};
 
-/// Gradient sums of one splat over one tile. With `q = α ∂L/∂α` and `d = mean - pixel`, in order:
+/// Places in a record: the gradient sums of one splat over one tile. With `q = α ∂L/∂α` and `d = mean - pixel`, in order:
 /// `Σq, Σq dx, Σq dy, Σq dx², Σq dx dy, Σq dy²`, then ∂L/∂rgb, ∂L/∂normal, ∂L/∂distance, and the sums of
 /// absolute values of ∂L/∂mean, each times log2(e): a large splat that is pulled both ways shows only there.
-pub(crate) type Record = Row;
 pub(crate) const MOMENTS: usize = 0;
 pub(crate) const V_RGB: usize = 6;
 pub(crate) const V_NORMAL: usize = 9;
@@ -39,8 +36,7 @@ pub(crate) fn rasterize_backward(
 ) {
     let tiles = image.tiles();
     let geometry = image.planes() == PLANES_GEOMETRY;
-    records.resize(lists.pairs(), Row::ZERO);
-    jobs(lists, records).into_par_iter().for_each(|(tile, records)| {
+    for_each_tile(lists, records, |tile, records| {
         let (done, untouched) = records.split_at_mut(blended[tile] as usize);
         untouched.fill(Row::ZERO);
         let input =
@@ -54,18 +50,6 @@ pub(crate) fn rasterize_backward(
             isa.run(BackwardTile::<PLANES_COLOR> { input, image, gradient, records: done });
         }
     });
-}
-
-/// Each tile with the records of its list.
-pub(crate) fn jobs<'a>(lists: &TileLists, records: &'a mut [Record]) -> Vec<(usize, &'a mut [Record])> {
-    let mut jobs = Vec::with_capacity(lists.starts().len());
-    let mut rest = records;
-    for (tile, pair) in lists.starts().windows(2).enumerate() {
-        let (own, others) = rest.split_at_mut((pair[1] - pair[0]) as usize);
-        rest = others;
-        jobs.push((tile, own));
-    }
-    jobs
 }
 
 struct TileInput<'a> {

@@ -5,23 +5,13 @@ use rayon::prelude::*;
 
 use super::bin::TileLists;
 use super::blocks::Blocks;
-use super::image::{TILE, TileImage};
-use super::project::{ALPHA_MIN, Projected, Projection};
-use super::rasterize::{
-    ALPHA_MAX, RowTerms, TRANSMITTANCE_MIN, centers, tile_origin, touched_parts, touched_rows,
-};
-use super::rasterize_backward::{Record, jobs};
-use super::simd::{GROUP, Isa, Kernel, Lanes, Row};
-
-/// Rows of a block of scores, and numbers of a record: Σ (α T)², pixels hit, and pixels hit while more than half of
-/// the light still came through; of the last, a block counts the views that had any.
-pub(crate) const SQUARED_WEIGHT: usize = 0;
-pub(crate) const HITS: usize = 1;
-pub(crate) const OBSERVED: usize = 2;
-pub(crate) const SCORE_ROWS: usize = 3;
-
-/// A splat is observed where it is hit before this much of the light is gone (PGSR).
-const OBSERVED_TRANSMITTANCE: f32 = 0.5;
+use super::project::{Projected, Projection};
+use super::rasterize::{RowTerms, tile_origin, touched_parts, touched_rows};
+use super::records::{Record, for_each_tile};
+use crate::layout::constants::{ALPHA_MAX, ALPHA_MIN, OBSERVED_TRANSMITTANCE, TRANSMITTANCE_MIN};
+use crate::layout::rows::{HITS, OBSERVED, SCORE_ROWS, SQUARED_WEIGHT};
+use crate::layout::tiles::{TILE, TileImage, centers};
+use crate::simd::{GROUP, Isa, Kernel, Lanes, Row};
 
 /// Writes the records of a picture whose tile `t` looked at `blended[t]` entries of its list.
 pub(crate) fn score(
@@ -32,8 +22,7 @@ pub(crate) fn score(
     blended: &[u32],
     records: &mut Vec<Record>,
 ) {
-    records.resize(lists.pairs(), Row::ZERO);
-    jobs(lists, records).into_par_iter().for_each(|(tile, records)| {
+    for_each_tile(lists, records, |tile, records| {
         let (done, untouched) = records.split_at_mut(blended[tile] as usize);
         untouched.fill(Row::ZERO);
         let list = &lists.list(tile)[..done.len()];

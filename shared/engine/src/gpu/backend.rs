@@ -8,91 +8,29 @@ use cosurf_scene::{Camera, Splats};
 use super::buffer::Buffer;
 use super::context::{Gpu, GpuError};
 use super::draw::Drawing;
-use super::layout::{Projected, Rates};
-use super::model::{Model, SHAPE_ROWS, sh_rows};
-use super::pass::Recorder;
+use super::model::Model;
+use super::structs::{Projected, Rates};
 use super::surface::Surface;
-use super::train::{GRADIENT_ROWS, PARTIALS, Record, SCORE_ROWS, STAT_ROWS, Training};
+use super::train::Training;
+use super::{checkpoint, edit};
 use crate::backend::{
     AdamRates, Backend, BinCounts, Channels, Edit, LossWeights, Losses, Rendering, Scores, Shapes, Targets,
 };
-use crate::cpu::CpuCapacity;
-use crate::cpu::image::padded_pixels;
-use crate::cpu::rasterize::PLANES_GEOMETRY;
-use crate::cpu::read;
+use crate::budget::{Capacity, PROJECTED_BYTES};
+use crate::layout::harmonics;
+use crate::layout::rows::{
+    GRADIENT_RGB, GRADIENT_ROWS, LOG_SCALE, MEAN, OPACITY, QUAT, SCORE_ROWS, SH, STAT_ROWS,
+};
 
-/// Everything that has a size, decided before anything is allocated.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct GpuCapacity {
-    /// Most splats.
-    pub splats: usize,
-    /// Most splat–tile pairs of one view.
-    pub pairs: usize,
-    /// Largest picture.
-    pub size_px: [u32; 2],
-    /// Stored SH degree, 0..=3.
-    pub sh_degree: u32,
-    /// Channels that will be asked for in training.
-    pub channels: Channels,
-}
-
-impl GpuCapacity {
-    /// Bytes of a splat–tile pair: keys and values twice, its splat, its share of the sort's counts; its record.
-    pub const fn pair_bytes(training: bool) -> usize {
-        16 + 4 + 1 + if training { size_of::<Record>() } else { 0 }
-    }
-
-    /// Bytes of a splat in all buffers whose length is the number of splats.
-    pub const fn splat_bytes(sh_degree: u32, training: bool) -> usize {
-        let parameters = 4 * (SHAPE_ROWS + sh_rows(sh_degree));
-        // Depth, place and slots 16, keys and values to sort twice 16.
-        let drawn = size_of::<Projected>() + 16 + 16;
-        if training {
-            3 * parameters + 4 * (GRADIENT_ROWS + STAT_ROWS + SCORE_ROWS) + drawn
-        } else {
-            parameters + drawn
-        }
-    }
-
-    /// Bytes of a pair in the largest buffer of pairs: its record.
-    pub const PAIR_BINDING_BYTES: usize = size_of::<Record>();
-
-    /// Bytes of a splat in the largest buffer of splats.
-    pub fn splat_binding_bytes(sh_degree: u32) -> usize {
-        (4 * GRADIENT_ROWS.max(sh_rows(sh_degree))).max(size_of::<Projected>())
-    }
-
-    /// Bytes of the largest buffer of pictures.
-    pub fn picture_binding_bytes(size_px: [u32; 2]) -> usize {
-        padded_pixels(size_px) * 4 * PARTIALS.max(PLANES_GEOMETRY)
-    }
-
-    /// Bytes of the pictures: rendered, its gradient, the photograph, SSIM's derivatives; with geometry what the losses
-    /// of the surface keep.
-    pub fn picture_bytes(size_px: [u32; 2], channels: Channels) -> usize {
-        let surface = match channels {
-            Channels::Color => 0,
-            Channels::Geometry => Surface::PIXEL_BYTES,
-        };
-        padded_pixels(size_px) * (4 * (2 * PLANES_GEOMETRY + 3 + PARTIALS) + 1 + surface)
-    }
-}
-
-impl From<CpuCapacity> for GpuCapacity {
-    /// Room for the same.
-    fn from(capacity: CpuCapacity) -> Self {
-        let CpuCapacity { splats, pairs, size_px, sh_degree, channels, training: _ } = capacity;
-        Self { splats, pairs, size_px, sh_degree, channels }
-    }
-}
+const _: () = assert!(size_of::<Projected>() == PROJECTED_BYTES, "the budget counts a projected splat right");
 
 /// Splats on the GPU, to be trained.
 #[derive(Debug)]
 pub struct GpuBackend {
-    pub(super) gpu: Gpu,
-    pub(super) model: Model,
-    pub(super) drawing: Drawing,
-    pub(super) training: Training,
+    gpu: Gpu,
+    model: Model,
+    drawing: Drawing,
+    training: Training,
     /// There with [`Channels::Geometry`].
     surface: Option<Surface>,
     visible: usize,
@@ -101,9 +39,9 @@ pub struct GpuBackend {
 }
 
 impl GpuBackend {
-    /// Allocates every buffer.
-    pub fn new(gpu: &Gpu, capacity: GpuCapacity) -> Result<Self, GpuError> {
-        let GpuCapacity { splats, pairs, size_px, sh_degree, channels } = capacity;
+    /// Allocates every buffer, those of training too.
+    pub fn new(gpu: &Gpu, capacity: Capacity) -> Result<Self, GpuError> {
+        let Capacity { splats, pairs, size_px, sh_degree, channels, .. } = capacity;
         assert!(sh_degree <= 3, "SH degree {sh_degree}");
         let (model, drawing, training, surface) = gpu.allocating(|| {
             let model = Model::new(gpu, splats, sh_degree)?;
@@ -118,12 +56,6 @@ impl GpuBackend {
             Self { gpu: gpu.clone(), model, drawing, training, surface, visible: 0, scale_weight: 0.0 };
         backend.training.reset(gpu);
         Ok(backend)
-    }
-
-    pub(super) fn clear(&self, buffer: &Buffer<f32>) {
-        let mut r = Recorder::new(&self.gpu);
-        r.clear(&buffer.raw);
-        r.submit();
     }
 
     /// One row of a buffer, for all splats.
@@ -203,18 +135,18 @@ impl Backend for GpuBackend {
     }
 
     fn gradients(&self) -> Splats {
-        let shape: [Vec<f32>; SHAPE_ROWS + 3] = self.rows(&self.training.gradients);
+        let rows: [Vec<f32>; GRADIENT_ROWS] = self.rows(&self.training.gradients);
         let mean: [Vec<f32>; 3] = self.rows(&self.model.shape);
         let (view, sh_degree) = (self.drawing.seen_view(), self.model.sh_degree);
         let mut out = Splats::with_capacity(self.model.len, sh_degree);
         for i in 0..self.model.len {
-            let v_rgb = [0, 1, 2].map(|channel| shape[SHAPE_ROWS + channel][i]);
-            let sh = read::sh_gradients([0, 1, 2].map(|axis| mean[axis][i]), v_rgb, view, sh_degree);
+            let v_rgb = [0, 1, 2].map(|channel| rows[GRADIENT_RGB + channel][i]);
+            let sh = harmonics::sh_gradients([0, 1, 2].map(|axis| mean[axis][i]), v_rgb, view, sh_degree);
             out.push(
-                [0, 1, 2].map(|r| shape[r][i]),
-                [3, 4, 5, 6].map(|r| shape[r][i]),
-                [7, 8, 9].map(|r| shape[r][i]),
-                shape[10][i],
+                [0, 1, 2].map(|k| rows[MEAN + k][i]),
+                [0, 1, 2, 3].map(|k| rows[QUAT + k][i]),
+                [0, 1, 2].map(|k| rows[LOG_SCALE + k][i]),
+                rows[OPACITY][i],
                 &sh,
             );
         }
@@ -230,16 +162,16 @@ impl Backend for GpuBackend {
     }
 
     fn take_shapes(&mut self) -> Shapes {
-        let shape: [Vec<f32>; SHAPE_ROWS] = self.rows(&self.model.shape);
+        let shape: [Vec<f32>; SH] = self.rows(&self.model.shape);
         let [screen, views, absolute]: [Vec<f32>; STAT_ROWS] = self.rows(&self.training.stats);
-        self.clear(&self.training.stats);
+        self.training.stats.clear(&self.gpu);
         let mean = |sums: &[f32]| sums.iter().zip(&views).map(|(sum, views)| sum / views.max(1.0)).collect();
         let each = 0..self.model.len;
         Shapes {
-            means: each.clone().map(|i| [0, 1, 2].map(|r| shape[r][i])).collect(),
-            quats: each.clone().map(|i| [3, 4, 5, 6].map(|r| shape[r][i])).collect(),
-            log_scales: each.map(|i| [7, 8, 9].map(|r| shape[r][i])).collect(),
-            opacity_logits: shape[10].clone(),
+            means: each.clone().map(|i| [0, 1, 2].map(|k| shape[MEAN + k][i])).collect(),
+            quats: each.clone().map(|i| [0, 1, 2, 3].map(|k| shape[QUAT + k][i])).collect(),
+            log_scales: each.map(|i| [0, 1, 2].map(|k| shape[LOG_SCALE + k][i])).collect(),
+            opacity_logits: shape[OPACITY].clone(),
             screen_gradients: mean(&screen),
             absolute_gradients: mean(&absolute),
             views,
@@ -247,7 +179,7 @@ impl Backend for GpuBackend {
     }
 
     fn clear_scores(&mut self) {
-        self.clear(&self.training.scores);
+        self.training.scores.clear(&self.gpu);
     }
 
     fn score(&mut self) {
@@ -260,18 +192,18 @@ impl Backend for GpuBackend {
     }
 
     fn edit(&mut self, edit: &Edit) {
-        self.apply(edit);
+        edit::apply(&self.gpu, &mut self.model, &self.training, edit);
     }
 
     fn cap_opacity(&mut self, opacity: f32) {
-        self.lower_opacities(opacity);
+        edit::cap_opacity(&self.gpu, &self.model, &self.training, opacity);
     }
 
     fn export<E>(&self, visit: impl FnMut(&[f32]) -> Result<(), E>) -> Result<(), E> {
-        self.visit_kept(visit)
+        checkpoint::export(&self.gpu, &self.model, &self.training, visit)
     }
 
     fn import<E>(&mut self, len: usize, fill: impl FnMut(&mut [f32]) -> Result<(), E>) -> Result<(), E> {
-        self.fill_kept(len, fill)
+        checkpoint::import(&self.gpu, &mut self.model, &self.training, len, fill)
     }
 }

@@ -64,6 +64,13 @@ impl<T: Pod> Buffer<T> {
         gpu.queue.write_buffer(&self.raw, (first * size_of::<T>()) as u64, bytemuck::cast_slice(values));
     }
 
+    /// Sets every value to zero, after all work submitted so far.
+    pub(super) fn clear(&self, gpu: &Gpu) {
+        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        encoder.clear_buffer(&self.raw, 0, None);
+        gpu.queue.submit([encoder.finish()]);
+    }
+
     /// Values of a range, after all work submitted so far; zeros once the device is lost.
     pub(super) fn read(&self, gpu: &Gpu, range: Range<usize>) -> Vec<T> {
         assert!(range.end <= self.len, "{range:?} of {}", self.len);

@@ -1,11 +1,14 @@
 //! Which graphics cards there are, and the one that was opened.
 
 use std::fmt;
-use std::sync::{Arc, Mutex, OnceLock};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
+use cosurf_shaders::Shader;
 use wgpu::{Adapter, DeviceType, Limits};
 
-use super::pass::Pass;
+use super::pass::{Constants, Pass};
+#[cfg(feature = "gpu-timestamps")]
+use super::timestamps::{PassTime, Timestamps};
 
 /// What can go wrong before a GPU computes. Once it does, nothing that we ask of it can be invalid, but it can be lost.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -129,7 +132,10 @@ pub struct Gpu {
     pub(super) queue: wgpu::Queue,
     adapter: AdapterSummary,
     /// Those compiled so far.
-    pub(super) passes: Arc<Mutex<Vec<Pass>>>,
+    passes: Arc<Mutex<Vec<Pass>>>,
+    /// `None` where the adapter has no timestamps.
+    #[cfg(feature = "gpu-timestamps")]
+    pub(super) timestamps: Option<Arc<Timestamps>>,
     /// Why the device was lost, once it is.
     lost: Arc<OnceLock<String>>,
 }
@@ -162,13 +168,27 @@ impl Gpu {
         let descriptor = wgpu::DeviceDescriptor {
             label: Some("cosurf"),
             required_limits,
+            #[cfg(feature = "gpu-timestamps")]
+            required_features: adapter.features() & wgpu::Features::TIMESTAMP_QUERY,
             ..wgpu::DeviceDescriptor::default()
         };
         let (device, queue) = pollster::block_on(adapter.request_device(&descriptor)).map_err(|error| {
             GpuError::Refused { name: adapter_summary.name.clone(), reason: error.to_string() }
         })?;
-        let (passes, lost) = (Arc::default(), Arc::default());
-        let gpu = Self { device, queue, adapter: adapter_summary, passes, lost };
+        #[cfg(feature = "gpu-timestamps")]
+        let timestamps = device
+            .features()
+            .contains(wgpu::Features::TIMESTAMP_QUERY)
+            .then(|| Arc::new(Timestamps::new(&device)));
+        let gpu = Self {
+            device,
+            queue,
+            adapter: adapter_summary,
+            passes: Arc::default(),
+            #[cfg(feature = "gpu-timestamps")]
+            timestamps,
+            lost: Arc::default(),
+        };
         let (of_loss, of_error) = (gpu.loser(), gpu.loser());
         gpu.device
             .set_device_lost_callback(move |reason, message| of_loss(&format!("{reason:?}: {message}")));
@@ -206,6 +226,30 @@ impl Gpu {
     /// What was opened.
     pub fn adapter(&self) -> &AdapterSummary {
         &self.adapter
+    }
+
+    /// The time of each pass since the last call, longest first, and at most some thousand dispatches; `None` where the
+    /// adapter has no timestamps. Waits until the card is done.
+    #[cfg(feature = "gpu-timestamps")]
+    pub fn take_pass_times(&self) -> Option<Vec<PassTime>> {
+        self.timestamps.as_ref().map(|timestamps| timestamps.read(&self.device, &self.queue))
+    }
+
+    /// The pass of a shader, compiled once for this device.
+    pub(super) fn pass(&self, shader: Shader) -> Pass {
+        self.pass_with(shader, &[])
+    }
+
+    /// The same with values for the shader's `override` constants.
+    pub(super) fn pass_with(&self, shader: Shader, constants: Constants) -> Pass {
+        let mut compiled = self.passes.lock().unwrap_or_else(PoisonError::into_inner);
+        let is_it = |pass: &&Pass| pass.name == shader.name && pass.constants == constants;
+        if let Some(pass) = compiled.iter().find(is_it) {
+            return pass.clone();
+        }
+        let pass = Pass::compile(&self.device, shader, constants);
+        compiled.push(pass.clone());
+        pass
     }
 
     /// Runs `allocate`, and tells if the memory of the adapter did not suffice for its buffers.

@@ -4,16 +4,16 @@ use cosurf_scene::Camera;
 
 use super::buffer::Buffer;
 use super::context::{Gpu, GpuError};
-use super::layout::{self, COUNTERS, Projected, View};
 use super::model::Model;
-use super::pass::{Pass, Recorder};
-use super::shaders;
+use super::pass::Pass;
+use super::recorder::Recorder;
 use super::sort::{Counted, GROUP, Sorted, Sorter};
+use super::structs::{self, COUNTERS, Projected, View};
 use crate::backend::{BinCounts, Channels, Rendering};
-use crate::cpu::image::{TileImage, padded_pixels};
-use crate::cpu::rasterize::{PLANES_COLOR, PLANES_GEOMETRY};
-use crate::cpu::read;
-use crate::cpu::view::ViewParams;
+use crate::layout::planes::{PLANES_COLOR, PLANES_GEOMETRY, planes};
+use crate::layout::rendering;
+use crate::layout::tiles::{TileImage, padded_pixels};
+use crate::layout::view::ViewParams;
 
 /// Pixels of a tile: invocations of the blend.
 const TILE_PIXELS: usize = 256;
@@ -116,12 +116,12 @@ impl Drawing {
     pub(super) fn new(gpu: &Gpu, splats: usize, pairs: usize, size_px: [u32; 2]) -> Result<Self, GpuError> {
         Ok(Self {
             passes: Passes {
-                project: Pass::new(gpu, shaders::PROJECT),
-                compact: Pass::new(gpu, shaders::COMPACT),
-                order_counts: Pass::new(gpu, shaders::ORDER_COUNTS),
-                emit: Pass::new(gpu, shaders::EMIT),
-                tile_ranges: Pass::new(gpu, shaders::TILE_RANGES),
-                rasterize: Pass::new(gpu, shaders::RASTERIZE),
+                project: gpu.pass(cosurf_shaders::PROJECT),
+                compact: gpu.pass(cosurf_shaders::COMPACT),
+                order_counts: gpu.pass(cosurf_shaders::ORDER_COUNTS),
+                emit: gpu.pass(cosurf_shaders::EMIT),
+                tile_ranges: gpu.pass(cosurf_shaders::TILE_RANGES),
+                rasterize: gpu.pass(cosurf_shaders::RASTERIZE),
             },
             sorter: Sorter::new(gpu, splats.max(pairs))?,
             view: Buffer::uniform(gpu, "view", bytemuck::Zeroable::zeroed()),
@@ -172,7 +172,7 @@ impl Drawing {
         );
         let params = ViewParams::new(camera, sh_degree.min(model.sh_degree));
         let mut counters = [0; COUNTERS];
-        counters[layout::SPLATS] = model.len as u32;
+        counters[structs::SPLATS] = model.len as u32;
         self.counters.write(gpu, 0, &counters);
         self.view.write(gpu, 0, &[self.view_of(&params, model)]);
         let Seen { projected, depth_keys, places, slots, .. } = &self.seen;
@@ -256,10 +256,7 @@ impl Drawing {
     }
 
     pub(super) fn rasterize(&mut self, gpu: &Gpu, model: &Model, channels: Channels) {
-        self.planes = match channels {
-            Channels::Color => PLANES_COLOR,
-            Channels::Geometry => PLANES_GEOMETRY,
-        };
+        self.planes = planes(channels);
         let params = *self.seen_view();
         self.view.write(gpu, 0, &[self.view_of(&params, model)]);
         let Picture { ranges, blended, image } = &self.picture;
@@ -284,7 +281,7 @@ impl Drawing {
     pub(super) fn rendering(&self, gpu: &Gpu) -> Rendering {
         let values = self.picture.image.read(gpu, 0..self.pixels() * self.planes);
         let view = self.seen_view();
-        read::rendering(&TileImage::from_values(view.size_px, self.planes, &values), view)
+        rendering::rendering(&TileImage::from_values(view.size_px, self.planes, &values), view)
     }
 }
 
@@ -292,8 +289,8 @@ impl Drawing {
 fn counts(counters: &[u32]) -> BinCounts {
     let at = |place: usize| counters[place] as usize;
     BinCounts {
-        visible: at(layout::VISIBLE),
-        pairs: at(layout::PAIRS),
-        dropped: at(layout::PAIRS_WANTED) - at(layout::PAIRS),
+        visible: at(structs::VISIBLE),
+        pairs: at(structs::PAIRS),
+        dropped: at(structs::PAIRS_WANTED) - at(structs::PAIRS),
     }
 }

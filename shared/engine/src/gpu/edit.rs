@@ -1,15 +1,12 @@
 //! Changing which splats there are: worked out on the processor, every hundred steps or so, with all rows read and
 //! written once.
 
-use super::backend::GpuBackend;
 use super::buffer::Buffer;
-use super::model::SHAPE_ROWS;
+use super::context::Gpu;
+use super::model::Model;
+use super::train::Training;
 use crate::backend::{Birth, Edit};
-
-/// Rows of a shape that a newborn does not have from its parent.
-const MEAN: usize = 0;
-const LOG_SCALE: usize = 7;
-const OPACITY: usize = 10;
+use crate::layout::rows::{LOG_SCALE, MEAN, OPACITY, QUAT, SH};
 
 /// Whose numbers a place gets.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -43,63 +40,65 @@ fn places(len: usize, edit: &Edit) -> Vec<Source> {
     places
 }
 
-impl GpuBackend {
-    pub(super) fn apply(&mut self, edit: &Edit) {
-        let places = places(self.model.len, edit);
-        assert!(places.len() <= self.model.stride, "{} splats of {}", places.len(), self.model.stride);
-        let zero = |_: usize, _: &Birth| 0.0;
-        let [shape_first, shape_second, sh_first, sh_second] = &self.training.moments;
-        for moments in [shape_first, shape_second, sh_first, sh_second] {
-            self.move_rows(moments, &places, |_, _| None, zero);
-        }
-        self.move_rows(&self.model.sh, &places, |_, birth| Some(birth.parent as usize), zero);
-        self.move_rows(
-            &self.model.shape,
-            &places,
-            |row, birth| own(row, birth).is_none().then_some(birth.parent as usize),
-            |row, birth| own(row, birth).unwrap_or(0.0),
-        );
-        self.model.len = places.len();
-        self.clear(&self.training.stats);
+/// Adds and removes splats; moments of newborns and all statistics become zero.
+pub(super) fn apply(gpu: &Gpu, model: &mut Model, training: &Training, edit: &Edit) {
+    let places = places(model.len, edit);
+    assert!(places.len() <= model.stride, "{} splats of {}", places.len(), model.stride);
+    let zero = |_: usize, _: &Birth| 0.0;
+    for moments in &training.moments {
+        move_rows(gpu, model, moments, &places, |_, _| None, zero);
     }
+    move_rows(gpu, model, &model.sh, &places, |_, birth| Some(birth.parent as usize), zero);
+    move_rows(
+        gpu,
+        model,
+        &model.shape,
+        &places,
+        |row, birth| own(row, birth).is_none().then_some(birth.parent as usize),
+        |row, birth| own(row, birth).unwrap_or(0.0),
+    );
+    model.len = places.len();
+    training.stats.clear(gpu);
+}
 
-    /// Rewrites each row of a buffer: newborns get what `parent` names, or else what `own` says.
-    fn move_rows(
-        &self,
-        buffer: &Buffer<f32>,
-        places: &[Source],
-        parent: impl Fn(usize, &Birth) -> Option<usize>,
-        own: impl Fn(usize, &Birth) -> f32,
-    ) {
-        let (stride, len) = (self.model.stride, self.model.len);
-        for row in 0..buffer.len() / stride {
-            let old = buffer.read(&self.gpu, row * stride..row * stride + len);
-            let value = |source: &Source| match source {
-                Source::Old(place) => old[*place],
-                Source::Born(birth) => parent(row, birth).map_or_else(|| own(row, birth), |place| old[place]),
-            };
-            let new: Vec<f32> = places.iter().map(value).collect();
-            buffer.write(&self.gpu, row * stride, &new);
-        }
+/// Rewrites each row of a buffer: newborns get what `parent` names, or else what `own` says.
+fn move_rows(
+    gpu: &Gpu,
+    model: &Model,
+    buffer: &Buffer<f32>,
+    places: &[Source],
+    parent: impl Fn(usize, &Birth) -> Option<usize>,
+    own: impl Fn(usize, &Birth) -> f32,
+) {
+    let (stride, len) = (model.stride, model.len);
+    for row in 0..buffer.len() / stride {
+        let old = buffer.read(gpu, row * stride..row * stride + len);
+        let value = |source: &Source| match source {
+            Source::Old(place) => old[*place],
+            Source::Born(birth) => parent(row, birth).map_or_else(|| own(row, birth), |place| old[place]),
+        };
+        let new: Vec<f32> = places.iter().map(value).collect();
+        buffer.write(gpu, row * stride, &new);
     }
+}
 
-    pub(super) fn lower_opacities(&mut self, opacity: f32) {
-        let limit = (opacity / (1.0 - opacity)).ln();
-        let (first, end) = (OPACITY * self.model.stride, OPACITY * self.model.stride + self.model.len);
-        let lowered: Vec<f32> =
-            self.model.shape.read(&self.gpu, first..end).into_iter().map(|logit| logit.min(limit)).collect();
-        self.model.shape.write(&self.gpu, first, &lowered);
-        let zeros = vec![0.0; self.model.len];
-        self.training.moments[..2].iter().for_each(|moments| moments.write(&self.gpu, first, &zeros));
-    }
+/// Lowers every opacity to at most `opacity`; the moments of opacities become zero.
+pub(super) fn cap_opacity(gpu: &Gpu, model: &Model, training: &Training, opacity: f32) {
+    let limit = (opacity / (1.0 - opacity)).ln();
+    let (first, end) = (OPACITY * model.stride, OPACITY * model.stride + model.len);
+    let lowered: Vec<f32> =
+        model.shape.read(gpu, first..end).into_iter().map(|logit| logit.min(limit)).collect();
+    model.shape.write(gpu, first, &lowered);
+    let zeros = vec![0.0; model.len];
+    training.moments[..2].iter().for_each(|moments| moments.write(gpu, first, &zeros));
 }
 
 /// What of a newborn's shape is its own.
 fn own(row: usize, birth: &Birth) -> Option<f32> {
     match row {
-        MEAN..3 => Some(birth.mean[row]),
+        MEAN..QUAT => Some(birth.mean[row - MEAN]),
         LOG_SCALE..OPACITY => Some(birth.log_scale[row - LOG_SCALE]),
-        OPACITY..SHAPE_ROWS => Some(birth.opacity_logit),
+        OPACITY..SH => Some(birth.opacity_logit),
         _ => None,
     }
 }

@@ -2,18 +2,10 @@
 //! numbers; shapes and colours apart, so that neither outgrows what an adapter binds at once.
 
 use cosurf_scene::Splats;
-use cosurf_scene::splats::sh_coefficients;
 
 use super::buffer::Buffer;
 use super::context::{Gpu, GpuError};
-
-/// Rows of a shape: mean 3, quat 4 (wxyz), log_scale 3, opacity_logit 1.
-pub(super) const SHAPE_ROWS: usize = 11;
-
-/// Rows of the colour: `[coefficient, rgb]`.
-pub(super) const fn sh_rows(sh_degree: u32) -> usize {
-    3 * sh_coefficients(sh_degree)
-}
+use crate::layout::rows::{LOG_SCALE, OPACITY, QUAT, SH, sh_rows};
 
 /// Splats.
 #[derive(Debug)]
@@ -31,7 +23,7 @@ impl Model {
     pub(super) fn new(gpu: &Gpu, capacity: usize, sh_degree: u32) -> Result<Self, GpuError> {
         let stride = capacity.max(1);
         Ok(Self {
-            shape: Buffer::storage(gpu, "shapes", SHAPE_ROWS * stride)?,
+            shape: Buffer::storage(gpu, "shapes", SH * stride)?,
             sh: Buffer::storage(gpu, "spherical harmonics", sh_rows(sh_degree) * stride)?,
             stride,
             len: 0,
@@ -44,12 +36,12 @@ impl Model {
     pub(super) fn load(&mut self, gpu: &Gpu, splats: &Splats) {
         self.len = splats.len();
         let mut row = vec![0.0; self.len];
-        for r in 0..SHAPE_ROWS {
+        for r in 0..SH {
             for (i, value) in row.iter_mut().enumerate() {
                 *value = match r {
-                    0..3 => splats.means[i][r],
-                    3..7 => splats.quats[i][r - 3],
-                    7..10 => splats.log_scales[i][r - 7],
+                    0..QUAT => splats.means[i][r],
+                    QUAT..LOG_SCALE => splats.quats[i][r - QUAT],
+                    LOG_SCALE..OPACITY => splats.log_scales[i][r - LOG_SCALE],
                     _ => splats.opacity_logits[i],
                 };
             }
@@ -71,11 +63,11 @@ impl Model {
         let mut splats = Splats::with_capacity(self.len, self.sh_degree);
         let blank = vec![0.0; splats.sh_stride()];
         (0..self.len).for_each(|_| splats.push([0.0; 3], [0.0; 4], [0.0; 3], 0.0, &blank));
-        for r in 0..SHAPE_ROWS {
+        for r in 0..SH {
             row(&self.shape, r).for_each(|(i, value)| match r {
-                0..3 => splats.means[i][r] = value,
-                3..7 => splats.quats[i][r - 3] = value,
-                7..10 => splats.log_scales[i][r - 7] = value,
+                0..QUAT => splats.means[i][r] = value,
+                QUAT..LOG_SCALE => splats.quats[i][r - QUAT] = value,
+                LOG_SCALE..OPACITY => splats.log_scales[i][r - LOG_SCALE] = value,
                 _ => splats.opacity_logits[i] = value,
             });
         }

@@ -1,43 +1,21 @@
-//! A compute pipeline, and the recorder that its dispatches go to.
+//! A compiled pass.
 
-use std::sync::PoisonError;
-
-use super::context::Gpu;
-use super::shaders::Shader;
-
-/// Most groups along one axis of a dispatch, as in the shaders.
-pub(super) const GROUPS_MAX: u32 = 65_535;
+use cosurf_shaders::Shader;
 
 /// Values of a shader's `override` constants.
 pub(super) type Constants = &'static [(&'static str, f64)];
 
-/// A compiled shader.
+/// A compute pipeline with its name and what it was compiled from.
 #[derive(Clone, Debug)]
 pub(super) struct Pass {
-    name: &'static str,
-    constants: Constants,
-    pipeline: wgpu::ComputePipeline,
-    layout: wgpu::BindGroupLayout,
+    pub(super) name: &'static str,
+    pub(super) constants: Constants,
+    pub(super) pipeline: wgpu::ComputePipeline,
+    pub(super) layout: wgpu::BindGroupLayout,
 }
 
 impl Pass {
-    pub(super) fn new(gpu: &Gpu, shader: Shader) -> Self {
-        Self::with_constants(gpu, shader, &[])
-    }
-
-    /// With values for the shader's `override` constants. Each is compiled once for a card.
-    pub(super) fn with_constants(gpu: &Gpu, shader: Shader, constants: Constants) -> Self {
-        let mut compiled = gpu.passes.lock().unwrap_or_else(PoisonError::into_inner);
-        let is_it = |pass: &&Self| pass.name == shader.name && pass.constants == constants;
-        if let Some(pass) = compiled.iter().find(is_it) {
-            return pass.clone();
-        }
-        let pass = Self::compile(&gpu.device, shader, constants);
-        compiled.push(pass.clone());
-        pass
-    }
-
-    fn compile(device: &wgpu::Device, shader: Shader, constants: Constants) -> Self {
+    pub(super) fn compile(device: &wgpu::Device, shader: Shader, constants: Constants) -> Self {
         let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some(shader.name),
             source: wgpu::ShaderSource::Wgsl(shader.source.into()),
@@ -56,72 +34,5 @@ impl Pass {
         });
         let layout = pipeline.get_bind_group_layout(0);
         Self { name: shader.name, constants, pipeline, layout }
-    }
-}
-
-/// Passes in the order in which they are to run.
-#[derive(Debug)]
-pub(super) struct Recorder<'a> {
-    gpu: &'a Gpu,
-    encoder: wgpu::CommandEncoder,
-}
-
-impl<'a> Recorder<'a> {
-    pub(super) fn new(gpu: &'a Gpu) -> Self {
-        let encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        Self { gpu, encoder }
-    }
-
-    /// Runs a pass in so many groups; `buffers[i]` is its binding `i`.
-    pub(super) fn run(&mut self, pass: &Pass, buffers: &[&wgpu::Buffer], groups: usize) {
-        let Some([across, down]) = folded(groups as u32) else { return };
-        let entries: Vec<_> = (0..)
-            .zip(buffers)
-            .map(|(binding, buffer)| wgpu::BindGroupEntry { binding, resource: buffer.as_entire_binding() })
-            .collect();
-        let bind_group = self.gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: Some(pass.name),
-            layout: &pass.layout,
-            entries: &entries,
-        });
-        let descriptor = wgpu::ComputePassDescriptor { label: Some(pass.name), timestamp_writes: None };
-        let mut recorded = self.encoder.begin_compute_pass(&descriptor);
-        recorded.set_pipeline(&pass.pipeline);
-        recorded.set_bind_group(0, &bind_group, &[]);
-        recorded.dispatch_workgroups(across, down, 1);
-    }
-
-    /// Sets a buffer to zero.
-    pub(super) fn clear(&mut self, buffer: &wgpu::Buffer) {
-        self.encoder.clear_buffer(buffer, 0, None);
-    }
-
-    pub(super) fn submit(self) {
-        self.gpu.queue.submit([self.encoder.finish()]);
-    }
-}
-
-/// Groups along two axes, at least as many as asked for; the shaders' `group_index` undoes this.
-fn folded(groups: u32) -> Option<[u32; 2]> {
-    match groups {
-        0 => None,
-        1..=GROUPS_MAX => Some([groups, 1]),
-        _ => Some([GROUPS_MAX, groups.div_ceil(GROUPS_MAX)]),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn large_dispatches_are_folded() {
-        assert_eq!(folded(0), None);
-        assert_eq!(folded(GROUPS_MAX), Some([GROUPS_MAX, 1]));
-        for groups in [GROUPS_MAX + 1, 262_144, u32::MAX / 1024] {
-            let [across, down] = folded(groups).expect("groups");
-            assert!(across <= GROUPS_MAX && down <= GROUPS_MAX);
-            assert!(u64::from(across) * u64::from(down) >= u64::from(groups));
-        }
     }
 }

@@ -6,7 +6,7 @@ use super::context::{Gpu, GpuError};
 use super::draw::Drawing;
 use super::model::Model;
 use crate::backend::{Channels, Rendering};
-use crate::render::PAIRS_PER_SPLAT;
+use crate::budget::PAIRS_PER_SPLAT;
 
 /// Splats on the GPU, to be rendered.
 #[derive(Debug)]

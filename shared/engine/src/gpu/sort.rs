@@ -3,16 +3,16 @@
 
 use super::buffer::Buffer;
 use super::context::{Gpu, GpuError};
-use super::layout::{PAIRS, PAIRS_WANTED, SPLATS, ScanStep, SortStep, UNUSED, VISIBLE};
-use super::pass::{Pass, Recorder};
-use super::shaders;
+use super::pass::Pass;
+use super::recorder::Recorder;
+use super::structs::{PAIRS, PAIRS_WANTED, SPLATS, ScanStep, SortStep, UNUSED, VISIBLE};
 
 /// Invocations of a group, as in the shaders.
 pub(super) const GROUP: usize = 256;
 /// Numbers that one group scans or sorts, as in the shaders.
-const BLOCK: usize = 1024;
+pub(super) const BLOCK: usize = 1024;
 /// Values of a digit, and its bits.
-const DIGITS: usize = 16;
+pub(super) const DIGITS: usize = 16;
 const DIGIT_BITS: u32 = 4;
 
 /// Keys and values, twice: a step of the sort reads one and writes the other.
@@ -100,11 +100,11 @@ impl Sorter {
         };
         let (counts, block_sums) = Self::room(gpu, len)?;
         Ok(Self {
-            scan_blocks: Pass::new(gpu, shaders::SCAN_BLOCKS),
-            scan_sums: Pass::new(gpu, shaders::SCAN_SUMS),
-            scan_add: Pass::new(gpu, shaders::SCAN_ADD),
-            count: Pass::new(gpu, shaders::SORT_COUNT),
-            scatter: Pass::new(gpu, shaders::SORT_SCATTER),
+            scan_blocks: gpu.pass(cosurf_shaders::SCAN_BLOCKS),
+            scan_sums: gpu.pass(cosurf_shaders::SCAN_SUMS),
+            scan_add: gpu.pass(cosurf_shaders::SCAN_ADD),
+            count: gpu.pass(cosurf_shaders::SORT_COUNT),
+            scatter: gpu.pass(cosurf_shaders::SORT_SCATTER),
             counts,
             block_sums,
             scans: [scan(SPLATS, 0, VISIBLE), scan(VISIBLE, 0, PAIRS_WANTED)],

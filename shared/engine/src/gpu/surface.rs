@@ -3,20 +3,21 @@
 use super::buffer::Buffer;
 use super::context::{Gpu, GpuError};
 use super::draw::Drawing;
-use super::layout::{Pair, SurfaceWeights};
-use super::pass::{Pass, Recorder};
-use super::shaders;
+use super::pass::Pass;
+use super::recorder::Recorder;
 use super::sort::GROUP;
+use super::structs::{Pair, SurfaceWeights};
 use super::train::Training;
-use crate::backend::{LossWeights, SurfaceLoss, TargetRgb, TargetSurface, Targets, TeacherLoss};
-use crate::cpu::image::padded_pixels;
-use crate::cpu::surface::multiview::{Pose, sampled_pixels};
-use crate::cpu::view::ViewParams;
+use crate::backend::{
+    LossWeights, MultiviewWeights, SurfaceLoss, TargetRgb, TargetSurface, Targets, TeacherLoss,
+};
+use crate::budget::TAUGHT_NUMBERS;
+use crate::layout::sampling::sampled_pixels;
+use crate::layout::tiles::padded_pixels;
+use crate::layout::view::{RelativePose, ViewParams};
 
 /// Samples of a group, as in `multiview.wgsl`.
-const SAMPLES_AT_ONCE: usize = 64;
-/// Numbers that a teacher shows of a pixel: depth, trust, normal.
-const SHOWN: usize = 5;
+pub(super) const SAMPLES_AT_ONCE: usize = 64;
 /// Bits of the slopes before any pixel was seen: the least of none is infinite, the largest 0.
 const NO_SLOPES: [u32; 2] = [f32::INFINITY.to_bits(), 0];
 
@@ -65,22 +66,19 @@ impl Planes {
 }
 
 impl Surface {
-    /// Bytes of a padded pixel: four planes, what neighbours are given, a sample, what a teacher shows.
-    pub(super) const PIXEL_BYTES: usize = 16 + 16 + 4 + 4 * SHOWN + 1;
-
     /// Room for pictures up to `size_px`.
     pub(super) fn new(gpu: &Gpu, size_px: [u32; 2]) -> Result<Self, GpuError> {
         let pixels = padded_pixels(size_px);
         let zeroed = bytemuck::Zeroable::zeroed;
         Ok(Self {
             passes: Passes {
-                unbiased_depth: Pass::new(gpu, shaders::UNBIASED_DEPTH),
-                luma: Pass::new(gpu, shaders::LUMA),
-                edges: Pass::new(gpu, shaders::EDGES),
-                normals: Pass::new(gpu, shaders::NORMALS),
-                depth_backward: Pass::new(gpu, shaders::DEPTH_BACKWARD),
-                multiview: Pass::new(gpu, shaders::MULTIVIEW),
-                teacher: Pass::new(gpu, shaders::TEACHER),
+                unbiased_depth: gpu.pass(cosurf_shaders::UNBIASED_DEPTH),
+                luma: gpu.pass(cosurf_shaders::LUMA),
+                edges: gpu.pass(cosurf_shaders::EDGES),
+                normals: gpu.pass(cosurf_shaders::NORMALS),
+                depth_backward: gpu.pass(cosurf_shaders::DEPTH_BACKWARD),
+                multiview: gpu.pass(cosurf_shaders::MULTIVIEW),
+                teacher: gpu.pass(cosurf_shaders::TEACHER),
             },
             weights: Buffer::uniform(gpu, "surface weights", zeroed()),
             pair: Buffer::uniform(gpu, "pair of views", bytemuck::Zeroable::zeroed()),
@@ -89,7 +87,7 @@ impl Surface {
             slopes: Buffer::storage(gpu, "slopes", 2)?,
             given: Buffer::storage(gpu, "gradients of depths", pixels)?,
             samples: Buffer::storage(gpu, "samples", pixels)?,
-            shown: Buffer::storage(gpu, "teacher's surface", SHOWN * pixels)?,
+            shown: Buffer::storage(gpu, "teacher's surface", TAUGHT_NUMBERS * pixels)?,
             sums: Buffer::storage(gpu, "surface sums", pixels / GROUP + pixels.div_ceil(SAMPLES_AT_ONCE))?,
             neighbour: None,
         })
@@ -122,10 +120,15 @@ impl Surface {
         let view = drawing.seen_view();
         let pixels = f64::from(view.size_px[0]) * f64::from(view.size_px[1]);
         let pair = targets.neighbour_rgb.zip(self.neighbour.as_ref());
-        let samples = match pair {
-            Some(_) => sampled_pixels(view.size_px, surface_weights.cell_px, surface_weights.draw),
+        let multiview = surface_weights.multiview.zip(pair);
+        let samples = match &multiview {
+            Some((MultiviewWeights { cell_px, draw, .. }, _)) => {
+                sampled_pixels(view.size_px, *cell_px, *draw)
+            }
             None => Vec::new(),
         };
+        let (reprojection, ncc) = multiview
+            .map_or((0.0, 0.0), |(MultiviewWeights { reprojection, ncc, .. }, _)| (reprojection, ncc));
         let each_pixel = |weight: f32| weight / pixels as f32;
         let each_sample = |weight: f32| weight / samples.len().max(1) as f32;
         self.samples.write(gpu, 0, &samples);
@@ -135,8 +138,8 @@ impl Surface {
             0,
             &[SurfaceWeights {
                 normal: each_pixel(surface_weights.normal),
-                reprojection: each_sample(surface_weights.reprojection),
-                ncc: each_sample(surface_weights.ncc),
+                reprojection: each_sample(reprojection),
+                ncc: each_sample(ncc),
                 teacher_depth: each_pixel(weights.teacher.map_or(0.0, |teacher| teacher.depth)),
                 teacher_normal: each_pixel(weights.teacher.map_or(0.0, |teacher| teacher.normal)),
                 samples: samples.len() as u32,
@@ -145,7 +148,7 @@ impl Surface {
             }],
         );
         self.single_view(gpu, drawing, training);
-        if let Some((rgb, neighbour)) = pair {
+        if let Some((_, (rgb, neighbour))) = multiview {
             self.multiview(gpu, drawing, training, rgb, neighbour, samples.len());
         }
         let taught = weights.teacher.is_some() && targets.surface.is_some();
@@ -187,7 +190,7 @@ impl Surface {
         neighbour: &ViewParams,
         samples: usize,
     ) {
-        self.pair.write(gpu, 0, &[Pair::new(&Pose::new(drawing.seen_view(), neighbour), neighbour)]);
+        self.pair.write(gpu, 0, &[Pair::new(&RelativePose::new(drawing.seen_view(), neighbour), neighbour)]);
         training.show(gpu, rgb);
         let (here, there) = (&self.here, &self.there);
         let mut r = Recorder::new(gpu);

@@ -3,26 +3,21 @@
 use super::buffer::Buffer;
 use super::context::{Gpu, GpuError};
 use super::draw::Drawing;
-use super::layout::{BackwardWeights, LossSettings, Rates};
-use super::model::{Model, SHAPE_ROWS, sh_rows};
-use super::pass::{Constants, Pass, Recorder};
-use super::shaders;
+use super::model::Model;
+use super::pass::{Constants, Pass};
+use super::recorder::Recorder;
 use super::sort::GROUP;
+use super::structs::{BackwardWeights, LossSettings, Rates};
 use crate::backend::{Exposure, PhotometricLoss, TargetRgb};
-use crate::cpu::image::padded_pixels;
-use crate::cpu::rasterize::PLANES_GEOMETRY;
+use crate::budget::PARTIALS;
+use crate::layout::planes::PLANES_GEOMETRY;
+use crate::layout::rows::{GRADIENT_ROWS, RECORD_LEN, SCORE_ROWS, SH, STAT_ROWS, sh_rows};
+use crate::layout::tiles::padded_pixels;
 
-/// Rows of a gradient: those of a shape, then ∂L/∂rgb of the seen colour.
-pub(super) const GRADIENT_ROWS: usize = SHAPE_ROWS + 3;
-/// Rows of the statistics of densification, and of scores.
-pub(super) const STAT_ROWS: usize = 3;
-pub(super) const SCORE_ROWS: usize = 3;
-/// Partial derivatives of SSIM: three for each channel.
-pub(super) const PARTIALS: usize = 9;
 /// What a pair has for its splat.
-pub(super) type Record = [f32; 16];
+type Record = [f32; RECORD_LEN];
 /// Numbers that a tile and channel add to the losses.
-const SUMS: usize = 8;
+pub(super) const SUMS: usize = 8;
 
 #[derive(Debug)]
 struct Passes {
@@ -66,14 +61,14 @@ impl Training {
         let zeroed = bytemuck::Zeroable::zeroed;
         Ok(Self {
             passes: Passes {
-                ssim: Pass::new(gpu, shaders::SSIM),
-                photometric_gradient: Pass::new(gpu, shaders::PHOTOMETRIC_GRADIENT),
-                loss_total: Pass::new(gpu, shaders::LOSS_TOTAL),
-                rasterize_backward: Pass::with_constants(gpu, shaders::RASTERIZE_BACKWARD, pipelined(gpu)),
-                project_backward: Pass::new(gpu, shaders::PROJECT_BACKWARD),
-                adam: Pass::new(gpu, shaders::ADAM),
-                score: Pass::with_constants(gpu, shaders::SCORE, pipelined(gpu)),
-                score_collect: Pass::new(gpu, shaders::SCORE_COLLECT),
+                ssim: gpu.pass(cosurf_shaders::SSIM),
+                photometric_gradient: gpu.pass(cosurf_shaders::PHOTOMETRIC_GRADIENT),
+                loss_total: gpu.pass(cosurf_shaders::LOSS_TOTAL),
+                rasterize_backward: gpu.pass_with(cosurf_shaders::RASTERIZE_BACKWARD, pipelined(gpu)),
+                project_backward: gpu.pass(cosurf_shaders::PROJECT_BACKWARD),
+                adam: gpu.pass(cosurf_shaders::ADAM),
+                score: gpu.pass_with(cosurf_shaders::SCORE, pipelined(gpu)),
+                score_collect: gpu.pass(cosurf_shaders::SCORE_COLLECT),
             },
             loss_settings: Buffer::uniform(gpu, "loss settings", zeroed()),
             backward_weights: Buffer::uniform(gpu, "backward weights", BackwardWeights { scale: 0.0 }),
@@ -88,8 +83,8 @@ impl Training {
             stats: rows("statistics", STAT_ROWS)?,
             scores: rows("scores", SCORE_ROWS)?,
             moments: [
-                rows("first moments of shapes", SHAPE_ROWS)?,
-                rows("second moments of shapes", SHAPE_ROWS)?,
+                rows("first moments of shapes", SH)?,
+                rows("second moments of shapes", SH)?,
                 rows("first moments of spherical harmonics", sh_rows)?,
                 rows("second moments of spherical harmonics", sh_rows)?,
             ],
@@ -254,11 +249,11 @@ impl Training {
 
 /// How many pairs cross a tile one behind the other. A software driver pays for every invocation at every barrier: few
 /// pairs with long steps take it half the time of many with short ones.
+pub(super) const PIPELINED: [Constants; 2] =
+    [&[("PAIRS_AT_ONCE", 64.0), ("CHUNK", 4.0)], &[("PAIRS_AT_ONCE", 16.0), ("CHUNK", 16.0)]];
+
 fn pipelined(gpu: &Gpu) -> Constants {
-    match gpu.adapter().is_software {
-        true => &[("PAIRS_AT_ONCE", 16.0), ("CHUNK", 16.0)],
-        false => &[("PAIRS_AT_ONCE", 64.0), ("CHUNK", 4.0)],
-    }
+    PIPELINED[usize::from(gpu.adapter().is_software)]
 }
 
 fn is_floats(rgb: TargetRgb) -> u32 {

@@ -1,10 +1,14 @@
 use cosurf_scene::{Camera, Splats};
 use glam::{DVec2, DVec3};
 
-use super::{Example, Flight, TrainSettings, Trainer};
-use crate::backend::{Channels, TargetRgb};
+use super::{Example, SurfaceSettings, TrainSettings, Trainer, TrainingViews};
+use crate::backend::{Backend, Channels, TargetRgb};
+use crate::budget::Capacity;
+use crate::cpu::CpuBackend;
 use crate::cpu::tests::{camera, splats};
-use crate::{Backend, CpuBackend, CpuCapacity, Neighbours, Renderer, Schedule, SurfaceSettings};
+use crate::neighbours::Neighbours;
+use crate::render::Renderer;
+use crate::schedule::Schedule;
 
 const STEPS: u32 = 40;
 
@@ -18,7 +22,7 @@ fn train(surface: Option<SurfaceSettings>) -> [Splats; 2] {
         eyes.iter().map(|eye| camera(DVec3::from(*eye), 40.0, DVec2::new(22.0, 14.5))).collect();
     let mut shown = Renderer::new(&truth, 1);
     let photographs: Vec<Vec<f32>> = cameras.iter().map(|camera| shown.render(camera).rgb).collect();
-    let mut backend = CpuBackend::new(CpuCapacity::to_train(&start, &cameras, Channels::Geometry), 1);
+    let mut backend = CpuBackend::new(Capacity::to_train(&start, &cameras, Channels::Geometry), 1);
     backend.load(&start);
     let settings = TrainSettings {
         schedule: Schedule::new(STEPS),
@@ -31,7 +35,8 @@ fn train(surface: Option<SurfaceSettings>) -> [Splats; 2] {
         splats_max: 0,
         seed: 5,
     };
-    let mut trainer = Trainer::new(backend, settings, Flight { cameras, neighbours: Neighbours::none() });
+    let mut trainer =
+        Trainer::new(backend, settings, TrainingViews { cameras, neighbours: Neighbours::none() });
     let mut run_to = |end: u32| {
         while trainer.steps_done() < end {
             let view = trainer.view_index(0);

@@ -3,16 +3,12 @@
 
 use rayon::prelude::*;
 
-use super::super::image::{TILE, TileImage};
-use super::super::rasterize::{DISTANCE, NORMAL, TRANSMITTANCE, centers};
-use super::super::simd::{Isa, Kernel, Lanes};
-use super::super::view::ViewParams;
 use super::plane::Plane;
-
-/// A ray that meets its plane at less than about 0.6° has no depth worth telling.
-pub(crate) const GRAZING: f32 = 0.01;
-/// Below this alpha a pixel shows no surface.
-pub(crate) const SURFACE_ALPHA: f32 = 0.5;
+use crate::layout::constants::{GRAZING, SURFACE_ALPHA};
+use crate::layout::planes::{DISTANCE, NORMAL, TRANSMITTANCE};
+use crate::layout::tiles::{TILE, TileImage, centers};
+use crate::layout::view::ViewParams;
+use crate::simd::{Isa, Kernel, Lanes};
 
 /// Depth along the optical axis, 0 where there is no surface.
 pub(super) fn unbiased_depth(isa: Isa, image: &TileImage, view: &ViewParams, depth: &mut Plane) {

@@ -11,38 +11,24 @@
 //! that a patch's warp knows of the plane. The loss of a patch is `w (1 - cov² / (var var + ε))`. It counts if
 //! the covariance is positive (PGSR lets a negative of the patch score well) and `1 - NCC² < 0.9`.
 
-use super::super::image::{TILE, TileImage};
-use super::super::rasterize::{DISTANCE, NORMAL};
-use super::super::simd::Row;
-use super::super::view::{NEAR, ViewParams};
-use super::depth::ray_y;
-use super::plane::Plane;
-use super::{Shown, band_row, bands};
-use crate::backend::{SurfaceLoss, SurfaceWeights};
 use rayon::prelude::*;
 
-/// A pixel that comes back within this distance is seen by both views, px (CoSurfGS's θ).
-const RETURN_MAX_PX: f32 = 1.0;
-/// Half the side of a patch: 3 × 3 px. PGSR has 7 × 7. On rendered Boruszyn (240 px, 3,000 steps, a pixel in 4 × 4)
-/// 5 × 5 gives an F-score of 0.870 and normals 7.6° off (median), 3 × 3 gives 0.882 and 7.3° at a third of the work; in
-/// the town normals are 9.6° and 10.0° off, which more patches make good.
-pub(crate) const REACH: usize = 1;
-const SIDE: usize = 2 * REACH + 1;
-const PATCH: usize = SIDE * SIDE;
-/// Keeps the correlation of flat patches finite; luma in 0..1.
-const VARIANCES_MIN: f32 = 1e-8;
-/// Patches that agree less than this show different things (PGSR).
-const DISAGREEMENT_MAX: f32 = 0.9;
-
-/// `neighbour_from_here`.
-pub(crate) struct Pose {
-    pub(crate) rotation: [[f32; 3]; 3],
-    pub(crate) translation: [f32; 3],
-}
+use super::depth::ray_y;
+use super::plane::Plane;
+use super::shown::{Shown, band_row, bands};
+use crate::backend::{MultiviewWeights, SurfaceLoss};
+use crate::layout::constants::{
+    DISAGREEMENT_MAX, NEAR, PATCH, PATCH_REACH, PATCH_SIDE, RETURN_MAX_PX, VARIANCES_MIN,
+};
+use crate::layout::planes::{DISTANCE, NORMAL};
+use crate::layout::sampling::sampled_pixel;
+use crate::layout::tiles::{TILE, TileImage};
+use crate::layout::view::{RelativePose, ViewParams};
+use crate::simd::Row;
 
 /// Two views, and what the neighbour shows.
 pub(super) struct Pair<'a> {
-    pose: Pose,
+    pose: RelativePose,
     focal_px: [f32; 2],
     center_px: [f32; 2],
     depth: &'a Plane,
@@ -53,25 +39,9 @@ fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
     a[0].mul_add(b[0], a[1].mul_add(b[1], a[2] * b[2]))
 }
 
-impl Pose {
-    pub(crate) fn new(here: &ViewParams, there: &ViewParams) -> Self {
-        let wide = |rows: [[f32; 3]; 3]| rows.map(|row| row.map(f64::from));
-        let (h, t) = (wide(here.rotation), wide(there.rotation));
-        let rotation: [[f64; 3]; 3] =
-            std::array::from_fn(|r| std::array::from_fn(|c| (0..3).map(|k| t[r][k] * h[c][k]).sum()));
-        // From the centres, which subtract without loss; translations far from the origin do not.
-        let way: [f64; 3] = std::array::from_fn(|k| f64::from(here.eye[k]) - f64::from(there.eye[k]));
-        let translation: [f64; 3] = std::array::from_fn(|r| (0..3).map(|k| t[r][k] * way[k]).sum());
-        Self {
-            rotation: rotation.map(|row| row.map(|v| v as f32)),
-            translation: translation.map(|v| v as f32),
-        }
-    }
-}
-
 impl<'a> Pair<'a> {
     pub(super) fn new(here: &ViewParams, there: &ViewParams, depth: &'a Plane, luma: &'a Plane) -> Self {
-        let pose = Pose::new(here, there);
+        let pose = RelativePose::new(here, there);
         Self { pose, focal_px: there.focal_px, center_px: there.center_px, depth, luma }
     }
 
@@ -121,32 +91,48 @@ struct PlaneGradient {
     distance: f32,
 }
 
-/// Adds both losses to `loss`, and their weighted gradients to `gradient`.
-pub(super) fn loss(
-    scene: &Shown,
-    pair: &Pair,
-    weights: &SurfaceWeights,
-    gradient: &mut TileImage,
-    loss: &mut SurfaceLoss,
-) {
-    let [width, height] = scene.image.size_px();
-    let cell = weights.cell_px as usize;
-    assert!(cell.is_power_of_two() && cell <= TILE, "a cell of {cell} px");
-    let samples = (width.div_ceil(cell) * height.div_ceil(cell)) as f64;
-    let each = Weights {
-        reprojection: weights.reprojection / samples as f32,
-        ncc: weights.ncc / samples as f32,
-        cell,
-        draw: weights.draw,
-    };
-    let sums: Vec<Sums> = bands(scene.image, gradient)
-        .map(|(band, gradient)| band_loss(scene, pair, &each, band, gradient))
-        .collect();
-    let total = sums.into_iter().fold(Sums::default(), Sums::plus);
-    loss.reprojection = total.reprojection / samples;
-    loss.ncc = total.ncc / samples;
-    loss.returned = total.returned as f64 / samples;
-    loss.matched = total.matched as f64 / samples;
+/// The losses, and the memory that they work in.
+#[derive(Debug)]
+pub(super) struct Multiview {
+    /// By band.
+    sums: Vec<Sums>,
+}
+
+impl Multiview {
+    /// Room for pictures up to `size_px`.
+    pub(super) fn with_capacity(size_px: [u32; 2]) -> Self {
+        Self { sums: Vec::with_capacity(TileImage::tiles_of(size_px)[1]) }
+    }
+
+    /// Adds both losses to `loss`, and their weighted gradients to `gradient`.
+    pub(super) fn loss(
+        &mut self,
+        scene: &Shown,
+        pair: &Pair,
+        weights: &MultiviewWeights,
+        gradient: &mut TileImage,
+        loss: &mut SurfaceLoss,
+    ) {
+        let [width, height] = scene.image.size_px();
+        let cell = weights.cell_px as usize;
+        assert!(cell.is_power_of_two() && cell <= TILE, "a cell of {cell} px");
+        let samples = (width.div_ceil(cell) * height.div_ceil(cell)) as f64;
+        let each = Weights {
+            reprojection: weights.reprojection / samples as f32,
+            ncc: weights.ncc / samples as f32,
+            cell,
+            draw: weights.draw,
+        };
+        self.sums.resize(scene.image.tiles()[1], Sums::default());
+        bands(scene.image, gradient)
+            .zip(self.sums.par_iter_mut())
+            .for_each(|((band, gradient), sums)| *sums = band_loss(scene, pair, &each, band, gradient));
+        let total = self.sums.iter().copied().fold(Sums::default(), Sums::plus);
+        loss.reprojection = total.reprojection / samples;
+        loss.ncc = total.ncc / samples;
+        loss.returned = total.returned as f64 / samples;
+        loss.matched = total.matched as f64 / samples;
+    }
 }
 
 /// Weights of one sample.
@@ -157,7 +143,7 @@ struct Weights {
     draw: u64,
 }
 
-#[derive(Default)]
+#[derive(Clone, Copy, Debug, Default)]
 struct Sums {
     reprojection: f64,
     ncc: f64,
@@ -220,38 +206,9 @@ fn sample(scene: &Shown, weights: &Weights, left: usize, top: usize) -> Option<S
     })
 }
 
-/// The pixel that a step looks at in a cell; it may lie outside the picture.
-fn sampled_pixel(cell: usize, draw: u64, left: usize, top: usize) -> [usize; 2] {
-    let random = mixed(draw ^ ((top as u64) << 32 | left as u64));
-    let mask = cell - 1;
-    [left + (random as usize & mask), top + ((random >> 32) as usize & mask)]
-}
-
-/// The pixels that a step looks at, cell by cell: x, and y << 16.
-#[cfg(feature = "gpu")]
-pub(crate) fn sampled_pixels(size_px: [u32; 2], cell_px: u32, draw: u64) -> Vec<u32> {
-    let ([width, height], cell) = (size_px.map(|side| side as usize), cell_px as usize);
-    assert!(cell.is_power_of_two() && cell <= TILE, "a cell of {cell} px");
-    let tops = (0..height).step_by(cell);
-    let cells = tops.flat_map(|top| (0..width).step_by(cell).map(move |left| (left, top)));
-    cells
-        .map(|(left, top)| {
-            let [x, y] = sampled_pixel(cell, draw, left, top);
-            (x | y << 16) as u32
-        })
-        .collect()
-}
-
 /// The ray of a pixel, scaled to z = 1.
 fn ray(view: &ViewParams, x: f32, y: f32) -> [f32; 3] {
     [(x + 0.5 - view.center_px[0]) / view.focal_px[0], ray_y(view, y), 1.0]
-}
-
-/// The finaliser of SplitMix64.
-fn mixed(mut z: u64) -> u64 {
-    z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-    z ^ (z >> 31)
 }
 
 /// How far from itself a pixel comes back, px, and the derivative of that by its depth.
@@ -298,7 +255,7 @@ fn through_ratio(sampled: &Sampled, v_ratio: [f32; 3], into: &mut PlaneGradient)
 fn patches(scene: &Shown, pair: &Pair, sampled: &Sampled) -> Option<(f32, [f32; 3])> {
     let [width, height] = scene.image.size_px();
     let (x, y) = (sampled.x, sampled.y);
-    if x < REACH || y < REACH || x + REACH >= width || y + REACH >= height {
+    if x < PATCH_REACH || y < PATCH_REACH || x + PATCH_REACH >= width || y + PATCH_REACH >= height {
         return None;
     }
     let inv_distance = 1.0 / sampled.distance;
@@ -307,7 +264,7 @@ fn patches(scene: &Shown, pair: &Pair, sampled: &Sampled) -> Option<(f32, [f32; 
     // ∂(value at the neighbour) / ∂(inverse depth of the plane).
     let mut slopes = [0.0f32; PATCH];
     for i in 0..PATCH {
-        let (px, py) = (x + i % SIDE - REACH, y + i / SIDE - REACH);
+        let (px, py) = (x + i % PATCH_SIDE - PATCH_REACH, y + i / PATCH_SIDE - PATCH_REACH);
         let r = ray(scene.view, px as f32, py as f32);
         let inverse_depth = -dot(ratio, r);
         // Behind the camera on either side, the plane shows nothing.
@@ -334,7 +291,11 @@ fn patches(scene: &Shown, pair: &Pair, sampled: &Sampled) -> Option<(f32, [f32; 
     let v_there = correlation.by_second(&here, &there);
     let mut by_plane = [0.0; 3];
     for i in 0..PATCH {
-        let r = ray(scene.view, (x + i % SIDE) as f32 - REACH as f32, (y + i / SIDE) as f32 - REACH as f32);
+        let r = ray(
+            scene.view,
+            (x + i % PATCH_SIDE) as f32 - PATCH_REACH as f32,
+            (y + i / PATCH_SIDE) as f32 - PATCH_REACH as f32,
+        );
         let v = v_there[i] * slopes[i];
         by_plane = std::array::from_fn(|k| by_plane[k] - v * r[k]);
     }

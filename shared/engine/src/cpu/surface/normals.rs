@@ -8,28 +8,54 @@
 
 use rayon::prelude::*;
 
-use super::super::image::{TILE, TileImage};
-use super::super::rasterize::{DISTANCE, NORMAL, TRANSMITTANCE};
-use super::super::simd::{Isa, Kernel, Lanes, Row, each};
+use super::super::scratch::{PerThread, zeros};
 use super::depth::{Rays, ray_y};
 use super::plane::Plane;
-use super::{Shown, band_row, bands};
+use super::shown::{Shown, band_row, bands};
+use crate::layout::constants::NORMAL_REACH as REACH;
+use crate::layout::planes::{DISTANCE, NORMAL, TRANSMITTANCE};
+use crate::layout::tiles::{TILE, TileImage};
+use crate::simd::{Isa, Kernel, Lanes, Row, cross3, dot3, each};
 
-/// k, px (PGSR). By 2 the noise of depth turns normals half as much, and what is small is lost: on rendered Boruszyn
-/// (480 px, 3,000 steps, NCC's weight 0.5) normals are off by 6.7° (median) instead of 6.6°.
-pub(crate) const REACH: usize = 1;
+/// The loss, and the memory that it works in.
+#[derive(Debug)]
+pub(super) struct Normals {
+    /// By row of the picture: smallest and largest slope.
+    slopes: Vec<[f32; 2]>,
+    /// By band.
+    sums: Vec<f64>,
+}
 
-/// The loss, not weighted; adds `weight` times its gradient to `gradient`.
-pub(super) fn loss(isa: Isa, scene: &Shown, weight: f32, gradient: &mut TileImage) -> f64 {
-    let [width, height] = scene.image.size_px();
-    let pixels = (width * height) as f32;
-    let edges = Edges::of(isa, scene.luma, height);
-    let sums: Vec<f64> = bands(scene.image, gradient)
-        .map(|(band, gradient)| {
-            isa.run(NormalBand { scene: *scene, edges, weight: weight / pixels, band, gradient })
-        })
-        .collect();
-    sums.into_iter().sum::<f64>() / f64::from(pixels)
+impl Normals {
+    /// Room for pictures up to `size_px`.
+    pub(super) fn with_capacity(size_px: [u32; 2]) -> Self {
+        Self {
+            slopes: Vec::with_capacity(size_px[1] as usize),
+            sums: Vec::with_capacity(TileImage::tiles_of(size_px)[1]),
+        }
+    }
+
+    /// The loss, not weighted; adds `weight` times its gradient to `gradient`.
+    pub(super) fn loss(
+        &mut self,
+        isa: Isa,
+        scene: &Shown,
+        weight: f32,
+        gradient: &mut TileImage,
+        v_depth: &PerThread<Vec<f32>>,
+    ) -> f64 {
+        let [width, height] = scene.image.size_px();
+        let pixels = (width * height) as f32;
+        let edges = Edges::of(isa, scene.luma, height, &mut self.slopes);
+        self.sums.resize(scene.image.tiles()[1], 0.0);
+        bands(scene.image, gradient).zip(self.sums.par_iter_mut()).for_each(|((band, gradient), sum)| {
+            *sum = v_depth.with(|v_depth| {
+                let weight = weight / pixels;
+                isa.run(NormalBand { scene: *scene, edges, weight, band, gradient, v_depth })
+            });
+        });
+        self.sums.iter().sum::<f64>() / f64::from(pixels)
+    }
 }
 
 /// The range of the picture's slopes.
@@ -40,11 +66,14 @@ struct Edges {
 }
 
 impl Edges {
-    fn of(isa: Isa, luma: &Plane, height: usize) -> Self {
-        let ranges: Vec<[f32; 2]> =
-            (1..height.max(2) - 1).into_par_iter().map(|y| isa.run(SlopeLine { luma, y })).collect();
+    fn of(isa: Isa, luma: &Plane, height: usize, slopes: &mut Vec<[f32; 2]>) -> Self {
+        slopes.resize(height.saturating_sub(2), [0.0; 2]);
+        slopes
+            .par_iter_mut()
+            .enumerate()
+            .for_each(|(above, range)| *range = isa.run(SlopeLine { luma, y: above + 1 }));
         let none = [f32::INFINITY, f32::NEG_INFINITY];
-        let [least, most] = ranges.into_iter().fold(none, |a, b| [a[0].min(b[0]), a[1].max(b[1])]);
+        let [least, most] = slopes.iter().fold(none, |a, b| [a[0].min(b[0]), a[1].max(b[1])]);
         let range = most - least;
         if range > 0.0 { Self { least, inv_range: 1.0 / range } } else { Self { least: 0.0, inv_range: 0.0 } }
     }
@@ -94,6 +123,7 @@ struct NormalBand<'a> {
     weight: f32,
     band: usize,
     gradient: &'a mut [Row],
+    v_depth: &'a mut Vec<f32>,
 }
 
 impl Kernel for NormalBand<'_> {
@@ -102,13 +132,13 @@ impl Kernel for NormalBand<'_> {
 
     #[inline(always)]
     fn run<L: Lanes>(self) -> f64 {
-        let Self { scene, edges, weight, band, gradient } = self;
+        let Self { scene, edges, weight, band, gradient, v_depth } = self;
         let height = scene.image.size_px()[1];
         let rows = scene.rows(band);
         let stride = scene.depth.stride();
         // ∂L/∂z of the band's own rows. A row's loss reaches rows above and below it, so the rows just outside the
         // band are worked out here too, for what they give to the band.
-        let mut v_depth = vec![0.0; stride * rows.len()];
+        zeros(v_depth, stride * rows.len());
         let mut sum = 0.0;
         for y in rows.start.max(2 * REACH) - REACH..(rows.end + REACH).min(height.saturating_sub(REACH)) {
             let own = rows.contains(&y);
@@ -174,16 +204,6 @@ struct Given<L> {
     below: L,
 }
 
-#[inline(always)]
-fn dot<L: Lanes>(a: [L; 3], b: [L; 3]) -> L {
-    a[0].mul_add(b[0], a[1].mul_add(b[1], a[2] * b[2]))
-}
-
-#[inline(always)]
-fn cross<L: Lanes>(a: [L; 3], b: [L; 3]) -> [L; 3] {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-}
-
 impl<L: Lanes> Pixels<L> {
     #[inline(always)]
     fn new(scene: &Shown, edges: Edges, y: usize, column: usize) -> Self {
@@ -206,8 +226,8 @@ impl<L: Lanes> Pixels<L> {
         let (right, left, above, below) = (point(0), point(1), point(2), point(3));
         let h = each!([0, 1, 2], |a| right[a] - left[a]);
         let v = each!([0, 1, 2], |a| above[a] - below[a]);
-        let c = cross(h, v);
-        let length2 = dot(c, c);
+        let c = cross3(h, v);
+        let length2 = dot3(c, c);
         let zero = L::zero();
         let near = L::and(L::and(zero.lt(z[0]), zero.lt(z[1])), L::and(zero.lt(z[2]), zero.lt(z[3])));
         let valid = L::and(near, L::splat(1e-30).lt(length2));
@@ -240,16 +260,16 @@ impl<L: Lanes> Pixels<L> {
             L::select(L::zero().lt(d), scale, scale.neg().keep(d.lt(L::zero())))
         });
         let g = each!([0, 1, 2], |a| signed[a] * self.alpha);
-        let along = dot(self.n, g);
+        let along = dot3(self.n, g);
         let v_c = each!([0, 1, 2], |a| (g[a] - self.n[a] * along) * self.inv_length);
         // c = h × v.
-        let (v_h, v_v) = (cross(self.v, v_c), cross(v_c, self.h));
+        let (v_h, v_v) = (cross3(self.v, v_c), cross3(v_c, self.h));
         let given = Given {
             normal: each!([0, 1, 2], |a| signed[a].neg()),
-            right: dot(v_h, self.rays[0]),
-            left: dot(v_h, self.rays[1]).neg(),
-            above: dot(v_v, self.rays[2]),
-            below: dot(v_v, self.rays[3]).neg(),
+            right: dot3(v_h, self.rays[0]),
+            left: dot3(v_h, self.rays[1]).neg(),
+            above: dot3(v_v, self.rays[2]),
+            below: dot3(v_v, self.rays[3]).neg(),
         };
         (loss, given)
     }

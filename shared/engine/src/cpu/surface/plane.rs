@@ -2,38 +2,32 @@
 
 use rayon::prelude::*;
 
-use super::super::image::TILE;
 use crate::backend::TargetRgb;
-
-/// Zeros on each side of a line, and a line of them above and below.
-const MARGIN: usize = TILE;
+use crate::layout::constants::LUMA_WEIGHTS;
+use crate::layout::tiles::{PLANE_MARGIN as MARGIN, plane_len, plane_stride};
 
 /// See the module.
 #[derive(Debug, Default)]
-pub(crate) struct Plane {
+pub(super) struct Plane {
     size_px: [usize; 2],
     stride: usize,
     data: Vec<f32>,
 }
 
-fn stride(width: usize) -> usize {
-    width.div_ceil(TILE) * TILE + 2 * MARGIN
-}
-
 impl Plane {
-    /// Numbers of a plane for pictures up to `size_px`.
-    pub(crate) fn len_for(size_px: [u32; 2]) -> usize {
-        stride(size_px[0] as usize) * (size_px[1] as usize + 2)
+    /// Numbers of a line for pictures up to `size_px`.
+    pub(super) fn stride_for(size_px: [u32; 2]) -> usize {
+        plane_stride(size_px[0] as usize)
     }
 
-    pub(crate) fn with_capacity(size_px: [u32; 2]) -> Self {
-        Self { data: Vec::with_capacity(Self::len_for(size_px)), ..Self::default() }
+    pub(super) fn with_capacity(size_px: [u32; 2]) -> Self {
+        Self { data: Vec::with_capacity(plane_len(size_px)), ..Self::default() }
     }
 
     /// Lays the plane out for a picture; all zero.
     pub(super) fn reshape(&mut self, size_px: [usize; 2]) {
         self.size_px = size_px;
-        self.stride = stride(size_px[0]);
+        self.stride = plane_stride(size_px[0]);
         self.data.clear();
         self.data.resize(self.stride * (size_px[1] + 2), 0.0);
     }
@@ -107,4 +101,24 @@ pub(super) fn luma(rgb: TargetRgb, size_px: [u32; 2], plane: &mut Plane) {
     plane.lines_mut().enumerate().for_each(|(y, line)| {
         rgb.luma_line(y, size[0], &mut line[MARGIN..MARGIN + size[0]]);
     });
+}
+
+impl TargetRgb<'_> {
+    /// Luma of row `y`, Rec. 601 weights, 0..=1.
+    fn luma_line(&self, y: usize, width: usize, line: &mut [f32]) {
+        let range = 3 * y * width..3 * (y + 1) * width;
+        match self {
+            Self::Bytes(rgb) => {
+                let weights = LUMA_WEIGHTS.map(|w| w / 255.0);
+                for (value, pixel) in line.iter_mut().zip(rgb[range].chunks_exact(3)) {
+                    *value = (0..3).map(|c| weights[c] * f32::from(pixel[c])).sum();
+                }
+            }
+            Self::Floats(rgb) => {
+                for (value, pixel) in line.iter_mut().zip(rgb[range].chunks_exact(3)) {
+                    *value = (0..3).map(|c| LUMA_WEIGHTS[c] * pixel[c]).sum();
+                }
+            }
+        }
+    }
 }

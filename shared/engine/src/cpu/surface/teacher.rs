@@ -6,30 +6,57 @@
 
 use rayon::prelude::*;
 
-use super::super::image::{TILE, TileImage};
-use super::super::rasterize::NORMAL;
-use super::super::simd::{Isa, Kernel, Lanes, Row};
+use super::super::scratch::{PerThread, zeros};
 use super::normals::through_depth;
 use super::plane::Plane;
-use super::{Shown, band_row, bands};
+use super::shown::{Shown, band_row, bands};
 use crate::backend::{TargetSurface, TeacherLoss, TeacherWeights};
+use crate::layout::planes::NORMAL;
+use crate::layout::tiles::{TILE, TileImage};
+use crate::simd::{Isa, Kernel, Lanes, Row};
 
-/// The losses, not weighted; adds their weighted gradients to `gradient`.
-pub(super) fn loss(
-    isa: Isa,
-    scene: &Shown,
-    target: &TargetSurface,
-    weights: &TeacherWeights,
-    gradient: &mut TileImage,
-) -> TeacherLoss {
-    let [width, height] = scene.image.size_px();
-    let pixels = (width * height) as f32;
-    let weights = [weights.depth / pixels, weights.normal / pixels];
-    let sums: Vec<[f64; 2]> = bands(scene.image, gradient)
-        .map(|(band, gradient)| isa.run(TeacherBand { scene: *scene, target, weights, band, gradient }))
-        .collect();
-    let [depth, normal] = sums.into_iter().fold([0.0; 2], |a, b| [a[0] + b[0], a[1] + b[1]]);
-    TeacherLoss { depth: depth / f64::from(pixels), normal: normal / f64::from(pixels) }
+/// The losses, and the memory that they work in.
+#[derive(Debug)]
+pub(super) struct Teacher {
+    lines: PerThread<Lines>,
+    /// By band.
+    sums: Vec<[f64; 2]>,
+}
+
+impl Teacher {
+    /// Room for pictures up to `size_px` and this many threads, at least 1.
+    pub(super) fn with_capacity(size_px: [u32; 2], threads: usize) -> Self {
+        Self {
+            lines: PerThread::new(threads, || Lines::with_capacity(Plane::stride_for(size_px))),
+            sums: Vec::with_capacity(TileImage::tiles_of(size_px)[1]),
+        }
+    }
+
+    /// The losses, not weighted; adds their weighted gradients to `gradient`.
+    pub(super) fn loss(
+        &mut self,
+        isa: Isa,
+        scene: &Shown,
+        target: &TargetSurface,
+        weights: &TeacherWeights,
+        gradient: &mut TileImage,
+        v_depth: &PerThread<Vec<f32>>,
+    ) -> TeacherLoss {
+        let [width, height] = scene.image.size_px();
+        let pixels = (width * height) as f32;
+        let weights = [weights.depth / pixels, weights.normal / pixels];
+        let Self { lines, sums } = self;
+        sums.resize(scene.image.tiles()[1], [0.0; 2]);
+        bands(scene.image, gradient).zip(sums.par_iter_mut()).for_each(|((band, gradient), sums)| {
+            *sums = lines.with(|lines| {
+                v_depth.with(|v_depth| {
+                    isa.run(TeacherBand { scene: *scene, target, weights, band, gradient, lines, v_depth })
+                })
+            });
+        });
+        let [depth, normal] = sums.iter().fold([0.0; 2], |a, b| [a[0] + b[0], a[1] + b[1]]);
+        TeacherLoss { depth: depth / f64::from(pixels), normal: normal / f64::from(pixels) }
+    }
 }
 
 struct TeacherBand<'a> {
@@ -39,9 +66,12 @@ struct TeacherBand<'a> {
     weights: [f32; 2],
     band: usize,
     gradient: &'a mut [Row],
+    lines: &'a mut Lines,
+    v_depth: &'a mut Vec<f32>,
 }
 
 /// One row of the teacher's picture in lines with margins, as those of a [`Plane`].
+#[derive(Debug)]
 struct Lines {
     depth: Vec<f32>,
     trust: Vec<f32>,
@@ -49,9 +79,15 @@ struct Lines {
 }
 
 impl Lines {
-    fn new(stride: usize) -> Self {
-        let line = || vec![0.0; stride];
+    fn with_capacity(stride: usize) -> Self {
+        let line = || Vec::with_capacity(stride);
         Self { depth: line(), trust: line(), normal: [line(), line(), line()] }
+    }
+
+    /// Lays the lines out for a picture; all zero, so their margins are too.
+    fn reset(&mut self, stride: usize) {
+        let Self { depth, trust, normal } = self;
+        [depth, trust].into_iter().chain(normal).for_each(|line| zeros(line, stride));
     }
 
     fn read(&mut self, target: &TargetSurface, y: usize, width: usize) {
@@ -71,9 +107,10 @@ impl Kernel for TeacherBand<'_> {
 
     #[inline(always)]
     fn run<L: Lanes>(self) -> [f64; 2] {
-        let Self { scene, target, weights, band, gradient } = self;
+        let Self { scene, target, weights, band, gradient, lines, v_depth } = self;
         let stride = scene.depth.stride();
-        let (mut lines, mut v_depth) = (Lines::new(stride), vec![0.0; stride]);
+        lines.reset(stride);
+        zeros(v_depth, stride);
         let mut sums = [0.0; 2];
         for y in scene.rows(band) {
             lines.read(target, y, scene.image.size_px()[0]);
@@ -99,7 +136,7 @@ impl Kernel for TeacherBand<'_> {
                     }
                 }
             }
-            through_depth::<L>(&scene, y, &v_depth, gradient);
+            through_depth::<L>(&scene, y, v_depth, gradient);
             sums[0] += f64::from(depth_sum.sum());
             sums[1] += f64::from(normal_sum.sum());
         }

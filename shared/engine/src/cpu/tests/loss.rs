@@ -1,10 +1,10 @@
 //! The colour loss against a direct f64 implementation: values, and gradients by central differences.
 
-use super::super::image::TileImage;
-use super::super::loss::photometric;
-use super::super::simd::Isa;
+use super::super::loss::Photometric;
 use crate::backend::{Exposure, TargetRgb};
+use crate::layout::tiles::TileImage;
 use crate::random::{Purpose, Random};
+use crate::simd::Isa;
 
 const SIZE_PX: [usize; 2] = [37, 41];
 const WEIGHT: f32 = 0.2;
@@ -76,7 +76,8 @@ fn check(exposure: Exposure) {
     image.rows_mut().iter_mut().for_each(|row| assert!(row.0.iter().all(|v| v.is_finite())));
     for isa in Isa::available() {
         let mut gradient = image.clone();
-        let got = photometric(isa, &image, TargetRgb::Floats(&target), exposure, WEIGHT, &mut gradient);
+        let mut photometric = Photometric::with_capacity(SIZE_PX.map(|side| side as u32), 1);
+        let got = photometric.loss(isa, &image, TargetRgb::Floats(&target), exposure, WEIGHT, &mut gradient);
         assert!((got.total - wanted).abs() < 1e-5, "{}: {} is not {wanted}", isa.name(), got.total);
         let mut worst: f64 = 0.0;
         for k in (0..x.len()).step_by(97).chain([0, 1, 2, x.len() - 1, 3 * SIZE_PX[0] - 1]) {

@@ -5,19 +5,20 @@
 use cosurf_scene::{Camera, Pose};
 use glam::{DMat3, DVec2, DVec3};
 
-use super::super::image::TileImage;
-use super::super::rasterize::{DISTANCE, NORMAL, PLANES_GEOMETRY, TRANSMITTANCE};
-use super::super::simd::{Isa, Row};
 use super::super::surface::Surface;
-use super::super::surface::{multiview, normals};
-use super::super::view::ViewParams;
 use crate::backend::{
-    SurfaceLoss, SurfaceWeights, TargetRgb, TargetSurface, Targets, TeacherLoss, TeacherWeights,
+    MultiviewWeights, SurfaceLoss, SurfaceWeights, TargetRgb, TargetSurface, Targets, TeacherLoss,
+    TeacherWeights,
 };
+use crate::layout::constants::{NORMAL_REACH, PATCH_REACH};
+use crate::layout::planes::{DISTANCE, NORMAL, PLANES_GEOMETRY, TRANSMITTANCE};
+use crate::layout::tiles::TileImage;
+use crate::layout::view::ViewParams;
 use crate::random::{Purpose, Random};
+use crate::simd::{Isa, Row};
 
-const WEIGHTS: SurfaceWeights =
-    SurfaceWeights { normal: 0.7, reprojection: 0.4, ncc: 1.3, cell_px: 1, draw: 5 };
+const MULTIVIEW: MultiviewWeights = MultiviewWeights { reprojection: 0.4, ncc: 1.3, cell_px: 1, draw: 5 };
+const WEIGHTS: SurfaceWeights = SurfaceWeights { normal: 0.7, multiview: Some(MULTIVIEW) };
 /// The ground: `PLANE · X = LEVEL`.
 const PLANE: DVec3 = DVec3::new(0.05, -0.08, 1.0);
 const LEVEL: f64 = 0.3;
@@ -115,7 +116,7 @@ fn tiles(blend: &Blend) -> TileImage {
 
 /// The engine's losses and gradients.
 fn engine(isa: Isa, here: &Blend, there: &Blend, photographs: [&[f32]; 2]) -> (SurfaceLoss, TileImage) {
-    let mut surface = Surface::with_capacity(here.camera.size_px);
+    let mut surface = Surface::with_capacity(here.camera.size_px, 2);
     surface.keep_neighbour(isa, &tiles(there), &ViewParams::new(&there.camera, 0));
     let image = tiles(here);
     let mut gradient = image.clone();
@@ -188,7 +189,7 @@ impl Reference {
         let slopes: Vec<f64> = inner.iter().map(|p| slope(*p)).collect();
         let least = slopes.iter().copied().fold(f64::INFINITY, f64::min);
         let most = slopes.iter().copied().fold(0.0, f64::max);
-        let k = normals::REACH;
+        let k = NORMAL_REACH;
         let sum: f64 = inner
             .iter()
             .zip(slopes)
@@ -225,7 +226,7 @@ impl Reference {
     fn disagreement(&self, here: &Blend, x: usize, y: usize) -> Option<(f64, f64)> {
         let camera = &here.camera;
         let [w, h] = camera.size_px.map(|side| side as usize);
-        let reach = multiview::REACH;
+        let reach = PATCH_REACH;
         if x < reach || y < reach || x + reach >= w || y + reach >= h {
             return None;
         }
@@ -285,8 +286,8 @@ impl Reference {
     fn total(&self, here: &Blend, decisions: &Decisions) -> f64 {
         let [normal, reprojection, ncc] = self.losses(here, decisions);
         f64::from(WEIGHTS.normal) * normal
-            + f64::from(WEIGHTS.reprojection) * reprojection
-            + f64::from(WEIGHTS.ncc) * ncc
+            + f64::from(MULTIVIEW.reprojection) * reprojection
+            + f64::from(MULTIVIEW.ncc) * ncc
     }
 }
 
@@ -433,9 +434,9 @@ fn a_teachers_losses_and_gradients_agree_with_the_definition() {
     for isa in Isa::available() {
         let image = tiles(&here);
         let view = ViewParams::new(&here.camera, 0);
-        let mut surface = Surface::with_capacity(here.camera.size_px);
+        let mut surface = Surface::with_capacity(here.camera.size_px, 2);
         let mut gradient = image.clone();
-        let none = SurfaceWeights { normal: 0.0, reprojection: 0.0, ncc: 0.0, cell_px: 1, draw: 0 };
+        let none = SurfaceWeights { normal: 0.0, multiview: None };
         let photograph = photograph(&here.camera);
         let targets = Targets::colors(TargetRgb::Floats(&photograph));
         surface.losses(isa, &image, &view, &targets, &none, &mut gradient);

@@ -3,8 +3,10 @@
 use cosurf_scene::Splats;
 
 use crate::backend::{Backend, Channels};
-use crate::gpu::{Gpu, GpuBackend};
-use crate::{CpuBackend, CpuCapacity};
+use crate::budget::Capacity;
+use crate::cpu::CpuBackend;
+use crate::gpu::backend::GpuBackend;
+use crate::gpu::context::Gpu;
 
 /// Largest error of a number, relative to itself or to a hundredth of its group's root mean square.
 const TOLERANCE: f32 = 1e-3;
@@ -12,8 +14,8 @@ const TOLERANCE: f32 = 1e-3;
 pub(super) const TIES_MAX: f64 = 5e-3;
 
 /// Room for a few splats more.
-pub(super) fn capacity(splats: &Splats, size_px: [u32; 2]) -> CpuCapacity {
-    CpuCapacity {
+pub(super) fn capacity(splats: &Splats, size_px: [u32; 2]) -> Capacity {
+    Capacity {
         splats: splats.len() + 100,
         pairs: 60_000,
         size_px,
@@ -24,7 +26,7 @@ pub(super) fn capacity(splats: &Splats, size_px: [u32; 2]) -> CpuCapacity {
 }
 
 pub(super) fn on_gpu(gpu: &Gpu, splats: &Splats, size_px: [u32; 2]) -> GpuBackend {
-    let mut backend = GpuBackend::new(gpu, capacity(splats, size_px).into()).expect("room");
+    let mut backend = GpuBackend::new(gpu, capacity(splats, size_px)).expect("room");
     backend.load(splats);
     backend
 }

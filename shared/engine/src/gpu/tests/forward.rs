@@ -4,7 +4,7 @@
 use cosurf_scene::{Camera, Splats};
 use glam::{DVec2, DVec3};
 
-use super::gpu;
+use super::adapter::gpu;
 use crate::backend::Rendering;
 use crate::cpu::tests::{self, splats};
 use crate::gpu::render::GpuRenderer;

@@ -3,9 +3,9 @@
 use cosurf_scene::{Camera, Splats};
 use glam::DVec3;
 
+use super::adapter::gpu;
 use super::compare::{TIES_MAX, compare, off_of, on_cpu, on_gpu};
 use super::forward::centered;
-use super::gpu;
 use crate::backend::{Backend, Channels, Exposure, LossWeights, Losses, SurfaceWeights, TargetRgb, Targets};
 use crate::cpu::tests::splats;
 use crate::random::{Purpose, Random};
@@ -32,7 +32,7 @@ fn noise(size_px: [u32; 2]) -> Vec<u8> {
 }
 
 fn weights(channels: Channels) -> LossWeights {
-    let surface = SurfaceWeights { normal: 0.3, reprojection: 0.0, ncc: 0.0, cell_px: 4, draw: 1 };
+    let surface = SurfaceWeights { normal: 0.3, multiview: None };
     LossWeights {
         ssim: 0.2,
         scale: 0.5,

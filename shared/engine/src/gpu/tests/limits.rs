@@ -2,15 +2,15 @@
 
 use glam::DVec3;
 
+use super::adapter::gpu;
 use super::compare::on_cpu;
 use super::forward::centered;
-use super::gpu;
 use super::gradients::step;
 use crate::backend::{Backend, Channels};
-use crate::budget::{Budget, BudgetError, Wish};
+use crate::budget::{Budget, BudgetError, Capacity, Wish};
 use crate::cpu::tests::splats;
+use crate::gpu::backend::GpuBackend;
 use crate::gpu::context::{Gpu, GpuChoice, GpuError};
-use crate::gpu::{GpuBackend, GpuCapacity};
 
 /// What the card pretends to bind.
 const BINDING_BYTES: u64 = 1 << 20;
@@ -46,7 +46,7 @@ fn models_are_as_large_as_the_card_can_bind() {
         assert!((2000..10_000).contains(&budget.capacity.splats), "{:?}", budget.capacity);
         let [line] = &budget.given_up[..] else { panic!("{:?}", budget.given_up) };
         assert!(line.contains("instead of 100000") && line.contains("binds no more"), "{line}");
-        let capacity = GpuCapacity::from(budget.capacity);
+        let capacity = budget.capacity;
         let mut backend = GpuBackend::new(&gpu, capacity).expect("it fits");
         let splats = splats(budget.capacity.splats, 0.6, -3.0, 0.0, sh_degree, 4);
         backend.load(&splats);
@@ -57,7 +57,7 @@ fn models_are_as_large_as_the_card_can_bind() {
             step(&mut on_cpu(&splats, camera.size_px), &camera, sh_degree, Channels::Geometry);
         assert!((losses.color.total - expected.color.total).abs() < 1e-4, "{losses:?} {expected:?}");
         let more = 4 * (capacity.splats + 1);
-        assert!(too_large(GpuBackend::new(&gpu, GpuCapacity { pairs: more, ..capacity })));
+        assert!(too_large(GpuBackend::new(&gpu, Capacity { pairs: more, ..capacity })));
     }
     // What fits is not cut.
     let budget = Budget::plan(&wish([64, 48], 3, 2000)).expect("room");
@@ -69,8 +69,8 @@ fn pictures_that_the_card_cannot_bind_are_refused() {
     let Some(gpu) = small() else { return };
     let (most, more) = ([176, 160], [176, 176]);
     let budget = Budget::plan(&wish(most, 0, 2000)).expect("room");
-    GpuBackend::new(&gpu, budget.capacity.into()).expect("it fits");
-    assert!(too_large(GpuBackend::new(&gpu, GpuCapacity { size_px: more, ..budget.capacity.into() })));
+    GpuBackend::new(&gpu, budget.capacity).expect("it fits");
+    assert!(too_large(GpuBackend::new(&gpu, Capacity { size_px: more, ..budget.capacity })));
     let refused = Budget::plan(&wish(more, 0, 2000)).expect_err("too large");
     assert!(matches!(refused, BudgetError::PictureTooLarge { size_px, .. } if size_px == more));
     assert!(refused.to_string().contains("176 × 176 px"), "{refused}");

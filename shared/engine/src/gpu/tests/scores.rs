@@ -2,9 +2,9 @@
 
 use cosurf_scene::Camera;
 
+use super::adapter::gpu;
 use super::compare::{TIES_MAX, capacity, on_cpu, on_gpu};
 use super::forward::centered;
-use super::gpu;
 use super::gradients::{cases, step};
 use crate::backend::{Backend, Channels, Scores};
 use crate::{Device, prune};
@@ -86,7 +86,7 @@ fn the_same_splats_are_worth_least() {
         let other = centered(-camera.cam_from_world.center(), 100.0, camera.size_px);
         let room = capacity(&splats, camera.size_px);
         let lowest = |cameras: &[Camera], device: &Device| {
-            let worth = prune::worth(&splats, cameras, room, device, 2).expect("room");
+            let worth = prune::importance(&splats, cameras, room, device, 2).expect("room");
             prune::lowest(&worth, 0.4)
         };
         let expected = lowest(&[camera, other], &Device::Cpu);

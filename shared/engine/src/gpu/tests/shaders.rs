@@ -2,13 +2,11 @@
 
 use naga::front::wgsl;
 use naga::valid::{Capabilities, ValidationFlags, Validator};
-use naga::{AddressSpace, Expression, Literal, Module, TypeInner};
+use naga::{AddressSpace, Module, TypeInner};
 
-use crate::gpu::layout::{
+use crate::gpu::structs::{
     BackwardWeights, LossSettings, Pair, Projected, Rates, ScanStep, SortStep, SurfaceWeights, View,
 };
-use crate::gpu::pass::GROUPS_MAX;
-use crate::gpu::shaders;
 
 /// Storage buffers that a pass may bind: WebGPU's default limit.
 const STORAGE_BUFFERS_MAX: usize = 8;
@@ -21,7 +19,7 @@ fn parsed(source: &str) -> Module {
 
 #[test]
 fn every_shader_is_valid_and_portable() {
-    for shader in shaders::ALL {
+    for shader in cosurf_shaders::ALL {
         let module = parsed(shader.source);
         let info = Validator::new(ValidationFlags::all(), Capabilities::empty()).validate(&module);
         assert!(
@@ -78,7 +76,7 @@ macro_rules! laid_out_alike {
 
 #[test]
 fn rust_and_shaders_lay_structures_out_alike() {
-    laid_out_alike! { &parsed(shaders::PROJECT.source),
+    laid_out_alike! { &parsed(cosurf_shaders::PROJECT.source),
         View: cam_from_world eye sh_degree focal_px center_px slope_min slope_max size_px tiles splats splat_stride
             pair_capacity planes;
         Projected: mean_px extent_px falloff log2_opacity rgb falloff_max normal plane_distance;
@@ -93,16 +91,4 @@ fn rust_and_shaders_lay_structures_out_alike() {
     // The comparison sees a field that moved.
     let moved = parsed("struct SortStep { shift: u32, counter: u32 } @compute @workgroup_size(1) fn f() {}");
     assert_ne!(layout_in(&moved, "SortStep"), layout_of!(SortStep: counter shift));
-}
-
-#[test]
-fn rust_and_shaders_fold_dispatches_alike() {
-    let module = parsed(shaders::PROJECT.source);
-    let (_, found) = module
-        .constants
-        .iter()
-        .find(|(_, c)| c.name.as_deref() == Some("GROUPS_ACROSS"))
-        .expect("it is there");
-    let value = &module.global_expressions[found.init];
-    assert!(matches!(value, Expression::Literal(Literal::U32(GROUPS_MAX))), "{value:?}");
 }

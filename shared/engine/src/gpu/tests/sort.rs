@@ -1,10 +1,10 @@
 //! Dispatches of more groups than one axis has: running sums of seventeen million numbers.
 
-use super::gpu;
+use super::adapter::gpu;
 use crate::gpu::buffer::Buffer;
-use crate::gpu::layout::{COUNTERS, SPLATS, VISIBLE};
-use crate::gpu::pass::{GROUPS_MAX, Recorder};
+use crate::gpu::recorder::{GROUPS_MAX, Recorder};
 use crate::gpu::sort::{Counted, GROUP, Sorter};
+use crate::gpu::structs::{COUNTERS, SPLATS, VISIBLE};
 
 #[test]
 fn running_sums_go_beyond_one_row_of_groups() {

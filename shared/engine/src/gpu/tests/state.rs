@@ -2,9 +2,9 @@
 
 use glam::DVec3;
 
+use super::adapter::gpu;
 use super::compare::{capacity, on_cpu, on_gpu};
 use super::forward::centered;
-use super::gpu;
 use super::gradients::step;
 use crate::backend::{Backend, Birth, Channels, Edit};
 use crate::cpu::tests::splats;
@@ -70,7 +70,7 @@ fn checkpoints_go_from_device_to_device() {
         cpu.adam(&rates);
     }
     let by_cpu = kept(&cpu);
-    let mut moved = GpuBackend::new(&gpu, capacity(&splats, camera.size_px).into()).expect("room");
+    let mut moved = GpuBackend::new(&gpu, capacity(&splats, camera.size_px)).expect("room");
     restore(&mut moved, splats.len(), &by_cpu);
     assert_eq!(kept(&moved), by_cpu, "from the CPU to the GPU");
     assert_eq!(moved.splats(), cpu.splats());
@@ -105,6 +105,6 @@ fn a_lost_device_is_told_and_nothing_panics() {
     let is_loss = |error: DeviceError| matches!(error, DeviceError::Gpu(GpuError::Lost(_)));
     assert!(device.check().is_err_and(is_loss));
     assert!(renderer.try_render(&camera).is_err_and(is_loss));
-    let worth = prune::worth(&splats, &[camera], capacity(&splats, camera.size_px), &device, 1);
+    let worth = prune::importance(&splats, &[camera], capacity(&splats, camera.size_px), &device, 1);
     assert!(worth.is_err(), "nobody is judged by what a lost device says");
 }

@@ -4,15 +4,15 @@
 use cosurf_scene::{Camera, Splats};
 use glam::DVec3;
 
+use super::adapter::gpu;
 use super::compare::{compare, on_cpu, on_gpu};
 use super::forward::centered;
-use super::gpu;
-use crate::Renderer;
 use crate::backend::{
-    Backend, Channels, LossWeights, Losses, Rendering, SurfaceWeights, TargetRgb, TargetSurface, Targets,
-    TeacherWeights,
+    Backend, Channels, LossWeights, Losses, MultiviewWeights, Rendering, SurfaceWeights, TargetRgb,
+    TargetSurface, Targets, TeacherWeights,
 };
 use crate::random::{Purpose, Random};
+use crate::render::Renderer;
 
 /// Share of the numbers that may be off by more than a thousandth: a sample that comes back on one side only has a
 /// gradient for all splats of its pixel.
@@ -81,8 +81,8 @@ impl Shown {
 /// Weights of which all but one are zero: normals, reprojection, patches, the teacher; or none is.
 fn weights(only: Option<usize>) -> LossWeights {
     let at = |k: usize, weight: f32| if only.is_none_or(|only| only == k) { weight } else { 0.0 };
-    let surface =
-        SurfaceWeights { normal: at(0, 0.5), reprojection: at(1, 0.2), ncc: at(2, 0.7), cell_px: 2, draw: 9 };
+    let multiview = MultiviewWeights { reprojection: at(1, 0.2), ncc: at(2, 0.7), cell_px: 2, draw: 9 };
+    let surface = SurfaceWeights { normal: at(0, 0.5), multiview: Some(multiview) };
     let teacher = TeacherWeights { depth: at(3, 0.3), normal: at(3, 0.1) };
     LossWeights {
         ssim: 0.2,
@@ -138,8 +138,11 @@ fn surface_losses_agree_with_the_cpu() {
             // The comparison sees a weight that is a percent too large.
             let mut heavier = weights;
             let surface = heavier.surface.as_mut().expect("a surface");
-            (surface.normal, surface.reprojection) = (1.01 * surface.normal, 1.01 * surface.reprojection);
-            surface.ncc *= 1.01;
+            surface.normal *= 1.01;
+            if let Some(multiview) = &mut surface.multiview {
+                (multiview.reprojection, multiview.ncc) =
+                    (1.01 * multiview.reprojection, 1.01 * multiview.ncc);
+            }
             if let Some(teacher) = &mut heavier.teacher {
                 (teacher.depth, teacher.normal) = (1.01 * teacher.depth, 1.01 * teacher.normal);
             }

@@ -3,14 +3,15 @@
 use cosurf_scene::{Camera, Splats};
 use glam::DVec3;
 
+use super::adapter::gpu;
 use super::compare::{on_cpu, on_gpu};
 use super::forward::centered;
-use super::gpu;
 use crate::backend::{Backend, TargetRgb};
 use crate::cpu::tests::splats;
 use crate::random::{Purpose, Random};
 use crate::{
-    Example, Flight, Neighbours, PruneSettings, Renderer, Schedule, SurfaceSettings, TrainSettings, Trainer,
+    Example, Neighbours, PruneSettings, Renderer, Schedule, SurfaceSettings, TrainSettings, Trainer,
+    TrainingViews,
 };
 
 /// Trains a disturbed model back towards the truth that its photographs show; returns it and its mean PSNR.
@@ -35,8 +36,8 @@ fn train<B: Backend>(
     };
     let mut shown = Renderer::new(truth, 2);
     let photographs: Vec<Vec<f32>> = cameras.iter().map(|camera| shown.render(camera).rgb).collect();
-    let flight = Flight { cameras: cameras.to_vec(), neighbours: Neighbours::none() };
-    let mut trainer = Trainer::new(backend, settings, flight);
+    let views = TrainingViews { cameras: cameras.to_vec(), neighbours: Neighbours::none() };
+    let mut trainer = Trainer::new(backend, settings, views);
     while !trainer.is_done() {
         let view = trainer.view_index(0);
         let rgb = TargetRgb::Floats(&photographs[view]);

@@ -1,0 +1,100 @@
+// From parameters to a 2D Gaussian and a plane: what projection and its backward pass share. Formulas: EWA
+// splatting as in 3DGS; the plane as in PGSR.
+// Needs: types; the binding `view`.
+
+// Everything between a splat's parameters and its conic.
+struct Geometry {
+    // Centre in the camera frame.
+    t: vec3<f32>,
+    inv_z: f32,
+    // Slopes x / z, y / z after clamping, and where they were clamped.
+    slope: vec2<f32>,
+    clamped: vec2<bool>,
+    // Unit quaternion wxyz, and 1 / its former length.
+    q: vec4<f32>,
+    inv_norm: f32,
+    // cam_from_splat rotation; columns are the splat's axes.
+    u: mat3x3<f32>,
+    // Along the splat's axes.
+    scale: vec3<f32>,
+    // J u: the splat's axes on the screen, a vector over axes for each screen axis.
+    b_x: vec3<f32>,
+    b_y: vec3<f32>,
+    // Covariance on the screen (xx, xy, yy), low-pass included, px².
+    cov: vec3<f32>,
+    det: f32,
+}
+
+fn to_camera(v: vec3<f32>) -> vec3<f32> {
+    return vec3(
+        dot(view.cam_from_world[0].xyz, v),
+        dot(view.cam_from_world[1].xyz, v),
+        dot(view.cam_from_world[2].xyz, v),
+    );
+}
+
+// Axes of the splat in the world, for a unit quaternion wxyz.
+fn rotation(q: vec4<f32>) -> mat3x3<f32> {
+    let w = q.x;
+    let x = q.y;
+    let y = q.z;
+    let z = q.w;
+    return mat3x3(
+        vec3(1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)),
+        vec3(2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x)),
+        vec3(2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)),
+    );
+}
+
+fn geometry(mean: vec3<f32>, quat: vec4<f32>, log_scale: vec3<f32>) -> Geometry {
+    var g: Geometry;
+    let translation = vec3(view.cam_from_world[0].w, view.cam_from_world[1].w, view.cam_from_world[2].w);
+    g.t = to_camera(mean) + translation;
+    g.inv_z = 1.0 / g.t.z;
+    let raw = g.t.xy * g.inv_z;
+    g.slope = min(max(raw, view.slope_min), view.slope_max);
+    g.clamped = raw != g.slope;
+    g.inv_norm = 1.0 / sqrt(dot(quat, quat));
+    g.q = quat * g.inv_norm;
+    let r = rotation(g.q);
+    g.u = mat3x3(to_camera(r[0]), to_camera(r[1]), to_camera(r[2]));
+    g.scale = exp(min(max(log_scale, vec3(-40.0)), vec3(40.0)));
+    // J = [f/z, 0, -f slope/z]: rows of J u.
+    let u_x = vec3(g.u[0].x, g.u[1].x, g.u[2].x);
+    let u_y = vec3(g.u[0].y, g.u[1].y, g.u[2].y);
+    let u_z = vec3(g.u[0].z, g.u[1].z, g.u[2].z);
+    let j = view.focal_px * g.inv_z;
+    g.b_x = j.x * (u_x - g.slope.x * u_z);
+    g.b_y = j.y * (u_y - g.slope.y * u_z);
+    let s_x = g.b_x * g.scale;
+    let s_y = g.b_y * g.scale;
+    let bare = vec3(dot(s_x, s_x), dot(s_x, s_y), dot(s_y, s_y));
+    // det(S Sᵀ + λ I) = |s_x × s_y|² + λ tr + λ²: no cancellation for needles, unlike ac - b².
+    let normal = cross(s_x, s_y);
+    g.det = dot(normal, normal) + LOW_PASS_PX2 * (bare.x + bare.z + LOW_PASS_PX2);
+    g.cov = bare + vec3(LOW_PASS_PX2, 0.0, LOW_PASS_PX2);
+    return g;
+}
+
+// Which axis is the shortest: 0, 1 or 2; ties go to the later.
+fn shortest_axis(log_scale: vec3<f32>) -> u32 {
+    if (log_scale.x < log_scale.y && log_scale.x < log_scale.z) {
+        return 0u;
+    }
+    return select(2u, 1u, log_scale.y < log_scale.z);
+}
+
+// The shortest axis in the camera frame, turned towards the camera by `sign`.
+struct Plane {
+    normal: vec3<f32>,
+    // Of the plane from the camera centre, positive.
+    distance: f32,
+    sign: f32,
+}
+
+fn plane(g: Geometry, axis: u32) -> Plane {
+    let column = select(select(g.u[2], g.u[1], axis == 1u), g.u[0], axis == 0u);
+    let facing = dot(column, g.t);
+    let sign = select(1.0, -1.0, facing >= 0.0);
+    return Plane(column * sign, -(facing * sign), sign);
+}

@@ -1,0 +1,21 @@
+// The running sum over a group's invocations.
+// Needs: types.
+
+var<workgroup> running: array<u32, GROUP>;
+
+// Sum of the values of the lanes before this one, and of all lanes. Every lane must come here.
+fn sum_before(value: u32, lane: u32) -> vec2<u32> {
+    var sum = value;
+    running[lane] = sum;
+    for (var reach = 1u; reach < GROUP; reach *= 2u) {
+        workgroupBarrier();
+        let before = select(0u, running[max(lane, reach) - reach], lane >= reach);
+        workgroupBarrier();
+        sum += before;
+        running[lane] = sum;
+    }
+    workgroupBarrier();
+    let total = running[GROUP - 1u];
+    workgroupBarrier();
+    return vec2(sum - value, total);
+}

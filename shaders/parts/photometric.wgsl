@@ -1,0 +1,39 @@
+// What the passes of the colour loss share: the picture, the photograph, SSIM's window.
+// Needs: types, pixels, photograph; the binding `view`.
+
+// Half the SSIM window, its side, and the side of a tile with what the window reaches around it.
+const SSIM_REACH: u32 = 5u;
+const SSIM_TAPS: u32 = 2u * SSIM_REACH + 1u;
+const SSIM_SIDE: u32 = TILE + 2u * SSIM_REACH;
+// exp(-x² / (2 σ²)), σ = 1.5, normalised to sum 1 (3DGS).
+const SSIM_WINDOW = array<f32, SSIM_TAPS>(
+    0.00102838012, 0.00759875821, 0.0360007733, 0.109360687, 0.213005543, 0.266011715,
+    0.213005543, 0.109360687, 0.0360007733, 0.00759875821, 0.00102838012,
+);
+// Planes between the passes: for each channel ∂SSIM/∂μx, ∂SSIM/∂E[xx], ∂SSIM/∂E[xy].
+const PARTIALS: u32 = 9u;
+
+// What a group does: one channel of a tile.
+struct Job {
+    index: u32,
+    tile: u32,
+    channel: u32,
+    // First pixel of the tile.
+    origin: vec2<u32>,
+}
+
+fn job_of(group: vec3<u32>) -> Job {
+    let index = group_index(group);
+    return Job(index, index / 3u, index % 3u, corner_of(index / 3u));
+}
+
+// The pixel at a place of a tile's surroundings; beyond the picture where it is outside.
+fn around(origin: vec2<u32>, place: u32) -> vec2<u32> {
+    // Left of the picture this wraps round to far beyond its right.
+    return origin + vec2(place % SSIM_SIDE, place / SSIM_SIDE) - SSIM_REACH;
+}
+
+// What the photograph shows of a pixel.
+fn photographed(pixel: vec2<u32>, channel: u32) -> f32 {
+    return photograph_value(3u * line_place(pixel) + channel);
+}

@@ -1,0 +1,21 @@
+// Luma of a photograph, Rec. 601 weights, 0..1. Beyond the picture it is that of whatever the buffer holds.
+// Parts: types, photograph.
+
+@group(0) @binding(0) var<uniform> settings: LossSettings;
+@group(0) @binding(1) var<storage, read> photograph: array<u32>;
+@group(0) @binding(2) var<storage, read_write> luma_plane: array<f32>;
+
+// Weights of red, green and blue (Rec. 601).
+const LUMA_WEIGHTS = array<f32, 3>(0.299, 0.587, 0.114);
+
+@compute @workgroup_size(GROUP)
+fn luma(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let i = group_index(group) * GROUP + lane;
+    if (i >= arrayLength(&luma_plane)) {
+        return;
+    }
+    let red = photograph_value(3u * i);
+    let green = photograph_value(3u * i + 1u);
+    let blue = photograph_value(3u * i + 2u);
+    luma_plane[i] = LUMA_WEIGHTS[0] * red + LUMA_WEIGHTS[1] * green + LUMA_WEIGHTS[2] * blue;
+}

@@ -1,0 +1,269 @@
+// The multi-view losses on sampled pixels: there and back again through the neighbour's depth, and patches that must
+// look alike under the homography of the blended plane (PGSR). An invocation is a sample; no two share a pixel.
+//
+// Reprojection: a pixel's point goes to the neighbour, takes the neighbour's depth there, and comes back; e is how far
+// from where it started, px. It counts if e < 1, with w e, w = exp(-e) held fixed, as the neighbour's depth is.
+//
+// NCC: along a ray r the plane with m = N / D lies at R r + s t for the neighbour, s = -(m . r). The loss of a patch
+// is w (1 - cov² / (var var + ε)).
+// Parts: types, pixels, surface, surface_gradient.
+
+@group(0) @binding(0) var<uniform> view: View;
+@group(0) @binding(1) var<uniform> weights: SurfaceWeights;
+@group(0) @binding(2) var<uniform> pair: Pair;
+@group(0) @binding(3) var<storage, read> image: array<f32>;
+@group(0) @binding(4) var<storage, read> depth: array<f32>;
+@group(0) @binding(5) var<storage, read> luma_plane: array<f32>;
+@group(0) @binding(6) var<storage, read> neighbour_depth: array<f32>;
+@group(0) @binding(7) var<storage, read> neighbour_luma: array<f32>;
+// x, and y << 16; some lie outside the picture.
+@group(0) @binding(8) var<storage, read> samples: array<u32>;
+@group(0) @binding(9) var<storage, read_write> gradient: array<f32>;
+// By group, after the first `sums_first`: reprojection, disagreement, samples that came back, samples that match.
+@group(0) @binding(10) var<storage, read_write> sums: array<vec4<f32>>;
+
+const SAMPLES_AT_ONCE: u32 = 64u;
+// A pixel that comes back within this distance is seen by both views, px (CoSurfGS's θ).
+const RETURN_MAX_PX: f32 = 1.0;
+// Half the side of a patch, its side, its pixels.
+const PATCH_REACH: u32 = 1u;
+const PATCH_SIDE: u32 = 2u * PATCH_REACH + 1u;
+const PATCH: u32 = PATCH_SIDE * PATCH_SIDE;
+// Keeps the correlation of flat patches finite; luma in 0..1.
+const VARIANCES_MIN: f32 = 1e-8;
+// Patches that agree less than this show different things (PGSR).
+const DISAGREEMENT_MAX: f32 = 0.9;
+
+var<workgroup> totals: array<vec4<f32>, SAMPLES_AT_ONCE>;
+
+@compute @workgroup_size(SAMPLES_AT_ONCE)
+fn multiview(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let job = group_index(group);
+    let sample = job * SAMPLES_AT_ONCE + lane;
+    var loss = vec4(0.0);
+    if (sample < weights.samples) {
+        loss = sample_loss(vec2(samples[sample] & 0xffffu, samples[sample] >> 16u));
+    }
+    totals[lane] = loss;
+    for (var reach = SAMPLES_AT_ONCE / 2u; reach > 0u; reach /= 2u) {
+        workgroupBarrier();
+        if (lane < reach) {
+            totals[lane] += totals[lane + reach];
+        }
+    }
+    if (lane == 0u && job * SAMPLES_AT_ONCE < weights.samples) {
+        sums[weights.sums_first + job] = totals[0];
+    }
+}
+
+// Adds a sample's gradient; returns what it adds to the sums.
+fn sample_loss(pixel: vec2<u32>) -> vec4<f32> {
+    if (!is_inside(pixel)) {
+        return vec4(0.0);
+    }
+    let z = depth[line_place(pixel)];
+    if (!(z > 0.0)) {
+        return vec4(0.0);
+    }
+    let plane = plane_at(pixel);
+    let ray = ray_of(vec2<f32>(pixel));
+    let back = there_and_back(vec2<f32>(pixel), ray, z);
+    // Phrased so that NaN does not count.
+    if (!(back.x < RETURN_MAX_PX)) {
+        return vec4(0.0);
+    }
+    let trust = exp(-back.x);
+    var v = through_depth(z, ray, plane.w / z, weights.reprojection * trust * back.y);
+    var loss = vec4(trust * back.x, 0.0, 1.0, 0.0);
+    let alike = patches(pixel, plane);
+    if (alike.disagreement < DISAGREEMENT_MAX) {
+        loss += vec4(0.0, trust * alike.disagreement, 0.0, 1.0);
+        // m = N / D.
+        let v_ratio = weights.ncc * trust * alike.by_ratio;
+        v += vec4(v_ratio, -dot(v_ratio, plane.xyz) / plane.w) / plane.w;
+    }
+    add_to_plane(pixel, v);
+    return loss;
+}
+
+// A point on the screen, how it moves, and whether it is in front of the camera.
+struct Moving {
+    at_px: vec2<f32>,
+    by_px: vec2<f32>,
+}
+
+fn projected(point: vec3<f32>, by: vec3<f32>, focal_px: vec2<f32>, center_px: vec2<f32>) -> Moving {
+    let inv_z = 1.0 / point.z;
+    let slope = point.xy * inv_z;
+    return Moving(focal_px * slope + center_px, focal_px * (by.xy - slope * by.z) * inv_z);
+}
+
+fn to_neighbour(v: vec3<f32>) -> vec3<f32> {
+    return vec3(
+        dot(pair.there_from_here[0].xyz, v), dot(pair.there_from_here[1].xyz, v), dot(pair.there_from_here[2].xyz, v),
+    );
+}
+
+fn from_neighbour(v: vec3<f32>) -> vec3<f32> {
+    return v.x * pair.there_from_here[0].xyz + v.y * pair.there_from_here[1].xyz + v.z * pair.there_from_here[2].xyz;
+}
+
+fn translation() -> vec3<f32> {
+    return vec3(pair.there_from_here[0].w, pair.there_from_here[1].w, pair.there_from_here[2].w);
+}
+
+// How far from itself a pixel comes back, px, and the derivative of that by its depth; far where it does not.
+fn there_and_back(pixel: vec2<f32>, ray: vec3<f32>, z: f32) -> vec2<f32> {
+    let never = vec2(2.0 * RETURN_MAX_PX, 0.0);
+    let by = to_neighbour(ray);
+    let there = z * by + translation();
+    if (!(there.z > NEAR)) {
+        return never;
+    }
+    let q = projected(there, by, pair.focal_px, pair.center_px);
+    let found = bilinear_depth(q.at_px);
+    if (!(found.least > 0.0)) {
+        return never;
+    }
+    let by_depth = dot(found.slope, q.by_px);
+    let slope = (q.at_px - pair.center_px) / pair.focal_px;
+    let hit = found.value * vec3(slope, 1.0);
+    let hit_by = vec3(by_depth * slope + found.value * q.by_px / pair.focal_px, by_depth);
+    let back = from_neighbour(hit - translation());
+    if (!(back.z > NEAR)) {
+        return never;
+    }
+    let p = projected(back, from_neighbour(hit_by), view.focal_px, view.center_px);
+    let off = p.at_px - (pixel + 0.5);
+    let e = length(off);
+    return vec2(e, dot(off, p.by_px) / max(e, 1e-6));
+}
+
+// What a plane of the neighbour shows between pixel centres.
+struct Found {
+    value: f32,
+    // By x and y, per px.
+    slope: vec2<f32>,
+    // The smallest of the four corners; -1 outside.
+    least: f32,
+}
+
+const NOWHERE = Found(0.0, vec2(0.0), -1.0);
+
+// Where a place of the neighbour's picture lies between pixel centres.
+struct Between {
+    // Places of the upper and the lower left corner in a plane.
+    upper: u32,
+    lower: u32,
+    share: vec2<f32>,
+    // Whether all corners lie in the picture.
+    is_inside: bool,
+}
+
+fn between(q_px: vec2<f32>) -> Between {
+    let at = q_px - 0.5;
+    let is_inside = all(at >= vec2(0.0)) && all(at < vec2<f32>(pair.size_px - 1u));
+    let corner = vec2<u32>(at);
+    let upper = corner.y * pair.size_px.x + corner.x;
+    return Between(upper, upper + pair.size_px.x, at - vec2<f32>(corner), is_inside);
+}
+
+fn bilinear(upper: vec2<f32>, lower: vec2<f32>, share: vec2<f32>) -> Found {
+    let top = upper.y - upper.x;
+    let bottom = lower.y - lower.x;
+    let left = lower.x - upper.x;
+    let right = lower.y - upper.y;
+    let value = upper.x + share.x * top + share.y * (left + share.x * (right - left));
+    let slope = vec2(top + share.y * (bottom - top), left + share.x * (right - left));
+    return Found(value, slope, min(min(upper.x, upper.y), min(lower.x, lower.y)));
+}
+
+fn bilinear_depth(q_px: vec2<f32>) -> Found {
+    let q = between(q_px);
+    if (!q.is_inside) {
+        return NOWHERE;
+    }
+    return bilinear(depths_from(q.upper), depths_from(q.lower), q.share);
+}
+
+fn bilinear_luma(q_px: vec2<f32>) -> Found {
+    let q = between(q_px);
+    if (!q.is_inside) {
+        return NOWHERE;
+    }
+    return bilinear(lumas_from(q.upper), lumas_from(q.lower), q.share);
+}
+
+fn depths_from(i: u32) -> vec2<f32> {
+    return vec2(neighbour_depth[i], neighbour_depth[i + 1u]);
+}
+
+fn lumas_from(i: u32) -> vec2<f32> {
+    return vec2(neighbour_luma[i], neighbour_luma[i + 1u]);
+}
+
+// How little a patch looks like its image at the neighbour, and the derivative of that by m.
+struct Match {
+    disagreement: f32,
+    by_ratio: vec3<f32>,
+}
+
+fn patches(pixel: vec2<u32>, plane: vec4<f32>) -> Match {
+    let none = Match(1.0, vec3(0.0));
+    if (any(pixel < vec2(PATCH_REACH)) || any(pixel + PATCH_REACH >= view.size_px)) {
+        return none;
+    }
+    let ratio = plane.xyz / plane.w;
+    let t = translation();
+    var here: array<f32, PATCH>;
+    var there: array<f32, PATCH>;
+    // ∂(value at the neighbour) / ∂(inverse depth of the plane).
+    var slopes: array<f32, PATCH>;
+    var means = vec2(0.0);
+    for (var i = 0u; i < PATCH; i++) {
+        let at = patch_pixel(pixel, i);
+        let r = ray_of(vec2<f32>(at));
+        let inverse_depth = -dot(ratio, r);
+        let point = to_neighbour(r) + inverse_depth * t;
+        // Behind the camera on either side, the plane shows nothing. `point` is the true one times the inverse depth.
+        if (!(inverse_depth > 0.0 && point.z > NEAR * inverse_depth)) {
+            return none;
+        }
+        let q = projected(point, t, pair.focal_px, pair.center_px);
+        let found = bilinear_luma(q.at_px);
+        if (found.least < 0.0) {
+            return none;
+        }
+        here[i] = luma_plane[line_place(at)];
+        there[i] = found.value;
+        slopes[i] = dot(found.slope, q.by_px);
+        means += vec2(here[i], there[i]);
+    }
+    means /= f32(PATCH);
+    // Squares of the first and the second, and their product.
+    var moments = vec3(0.0);
+    for (var i = 0u; i < PATCH; i++) {
+        let a = here[i] - means.x;
+        let b = there[i] - means.y;
+        moments += vec3(a * a, b * b, a * b);
+    }
+    moments /= f32(PATCH);
+    // A negative of the patch is no match (PGSR lets it score well).
+    if (!(moments.z > 0.0)) {
+        return none;
+    }
+    let scale = 1.0 / (moments.x * moments.y + VARIANCES_MIN);
+    let agreement = moments.z * scale;
+    let by_covariance = -2.0 * agreement / f32(PATCH);
+    let by_variance = 2.0 * agreement * agreement * moments.x / f32(PATCH);
+    var by_ratio = vec3(0.0);
+    for (var i = 0u; i < PATCH; i++) {
+        let v_there = by_covariance * (here[i] - means.x) + by_variance * (there[i] - means.y);
+        by_ratio -= v_there * slopes[i] * ray_of(vec2<f32>(patch_pixel(pixel, i)));
+    }
+    return Match(1.0 - moments.z * agreement, by_ratio);
+}
+
+fn patch_pixel(pixel: vec2<u32>, i: u32) -> vec2<u32> {
+    return pixel + vec2(i % PATCH_SIDE, i / PATCH_SIDE) - PATCH_REACH;
+}

@@ -1,0 +1,90 @@
+// The single-view loss: blended normals agree with the normals of the depth, less so across edges of the photograph
+// (PGSR). With P = z r the pixel's point, h = P(x+k) - P(x-k), v = P(y-k) - P(y+k), the depth's normal is
+// n = h × v / |h × v|; the loss of a pixel is w |α n - N|₁ with α held fixed.
+// Parts: types, pixels, surface, luma_slope, tile_sum.
+
+@group(0) @binding(0) var<uniform> view: View;
+@group(0) @binding(1) var<uniform> weights: SurfaceWeights;
+@group(0) @binding(2) var<storage, read> image: array<f32>;
+@group(0) @binding(3) var<storage, read> depth: array<f32>;
+@group(0) @binding(4) var<storage, read> luma_plane: array<f32>;
+// Bits of the least and the largest slope of the photograph.
+@group(0) @binding(5) var<storage, read> slopes: array<u32>;
+// Planes of normal and distance are this pass's.
+@group(0) @binding(6) var<storage, read_write> gradient: array<f32>;
+// ∂L/∂z that each pixel has for those to its right, to its left, above and below.
+@group(0) @binding(7) var<storage, read_write> given: array<vec4<f32>>;
+// By tile: the sum of the losses.
+@group(0) @binding(8) var<storage, read_write> sums: array<vec4<f32>>;
+
+struct Given {
+    normal: vec3<f32>,
+    depths: vec4<f32>,
+    loss: f32,
+}
+
+@compute @workgroup_size(GROUP)
+fn normals(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let tile = group_index(group);
+    if (tile >= tiles()) {
+        return;
+    }
+    let pixel = pixel_of(tile, lane);
+    var own = Given();
+    if (all(pixel >= vec2(NORMAL_REACH)) && all(pixel + NORMAL_REACH < view.size_px)) {
+        own = normal_loss(pixel);
+    }
+    let at = pixel_place(view.planes, NORMAL, pixel);
+    for (var k = 0u; k < 3u; k++) {
+        gradient[at + k * TILE_PIXELS] = own.normal[k];
+    }
+    gradient[at + 3u * TILE_PIXELS] = 0.0;
+    if (is_inside(pixel)) {
+        given[line_place(pixel)] = own.depths;
+    }
+    let total = tile_sum(vec2(own.loss, 0.0), lane);
+    if (lane == 0u) {
+        sums[tile] = vec4(total, 0.0, 0.0);
+    }
+}
+
+fn normal_loss(pixel: vec2<u32>) -> Given {
+    let at = line_place(pixel);
+    let below = NORMAL_REACH * view.size_px.x;
+    let z = vec4(depth[at + NORMAL_REACH], depth[at - NORMAL_REACH], depth[at - below], depth[at + below]);
+    let ray = ray_of(vec2<f32>(pixel));
+    let across = vec3(f32(NORMAL_REACH) / view.focal_px.x, 0.0, 0.0);
+    let down = vec3(0.0, f32(NORMAL_REACH) / view.focal_px.y, 0.0);
+    let h = z.x * (ray + across) - z.y * (ray - across);
+    let v = z.z * (ray - down) - z.w * (ray + down);
+    let c = cross(h, v);
+    let length2 = dot(c, c);
+    if (!(all(z > vec4(0.0)) && length2 > 1e-30)) {
+        return Given();
+    }
+    let inv_length = 1.0 / sqrt(length2);
+    let n = c * inv_length;
+    let alpha = alpha_at(pixel);
+    let difference = alpha * n - plane_at(pixel).xyz;
+    let w = edge_weight(pixel);
+    let v_difference = sign(difference) * (weights.normal * w);
+    let g = v_difference * alpha;
+    let v_c = (g - n * dot(n, g)) * inv_length;
+    let v_h = cross(v, v_c);
+    let v_v = cross(v_c, h);
+    let depths = vec4(
+        dot(v_h, ray + across), -dot(v_h, ray - across), dot(v_v, ray - down), -dot(v_v, ray + down),
+    );
+    return Given(-v_difference, depths, w * dot(abs(difference), vec3(1.0)));
+}
+
+// (1 - ĝ)², with ĝ the photograph's slope, scaled to 0..1 over the picture.
+fn edge_weight(pixel: vec2<u32>) -> f32 {
+    let least = bitcast<f32>(slopes[0]);
+    let range = bitcast<f32>(slopes[1]) - least;
+    if (!(range > 0.0)) {
+        return 1.0;
+    }
+    let flatness = 1.0 - (luma_slope(pixel) - least) / range;
+    return flatness * flatness;
+}

@@ -1,0 +1,93 @@
+// The gradient of (1 - λ) L1 + λ (1 - SSIM) with respect to every pixel, and the sums of what L1 is made of. L1
+// compares the picture as the photograph was exposed, SSIM as it is. Planes that the loss does not know are zero.
+// Parts: types, pixels, photograph, photometric.
+
+@group(0) @binding(0) var<uniform> view: View;
+@group(0) @binding(1) var<uniform> settings: LossSettings;
+@group(0) @binding(2) var<storage, read> image: array<f32>;
+@group(0) @binding(3) var<storage, read> photograph: array<u32>;
+@group(0) @binding(4) var<storage, read> partials: array<f32>;
+// By tile and channel, two vectors; this pass's are: squares, |difference|, sign, sign * colour, from the second
+// number of the first on.
+@group(0) @binding(5) var<storage, read_write> sums: array<vec4<f32>>;
+@group(0) @binding(6) var<storage, read_write> gradient: array<f32>;
+
+// Partial derivatives of the tile and around it; later the sums of the lanes.
+var<workgroup> halo: array<vec2<f32>, SSIM_SIDE * SSIM_SIDE>;
+var<workgroup> halo_third: array<f32, SSIM_SIDE * SSIM_SIDE>;
+// Filtered along rows.
+var<workgroup> filtered: array<vec2<f32>, SSIM_SIDE * TILE>;
+var<workgroup> filtered_third: array<f32, SSIM_SIDE * TILE>;
+
+@compute @workgroup_size(GROUP)
+fn photometric_gradient(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let job = job_of(group);
+    if (job.tile >= tiles()) {
+        return;
+    }
+    for (var k = lane; k < SSIM_SIDE * SSIM_SIDE; k += GROUP) {
+        let pixel = around(job.origin, k);
+        var partial = vec3(0.0);
+        if (is_inside(pixel)) {
+            let at = pixel_place(PARTIALS, 3u * job.channel, pixel);
+            partial = vec3(partials[at], partials[at + TILE_PIXELS], partials[at + 2u * TILE_PIXELS]);
+        }
+        halo[k] = partial.xy;
+        halo_third[k] = partial.z;
+    }
+    workgroupBarrier();
+    var window = SSIM_WINDOW;
+    for (var k = lane; k < SSIM_SIDE * TILE; k += GROUP) {
+        let first = k / TILE * SSIM_SIDE + k % TILE;
+        var sum = vec3(0.0);
+        for (var tap = 0u; tap < SSIM_TAPS; tap++) {
+            sum += window[tap] * vec3(halo[first + tap], halo_third[first + tap]);
+        }
+        filtered[k] = sum.xy;
+        filtered_third[k] = sum.z;
+    }
+    workgroupBarrier();
+    var p = vec3(0.0);
+    for (var tap = 0u; tap < SSIM_TAPS; tap++) {
+        let at = lane + tap * TILE;
+        p += window[tap] * vec3(filtered[at], filtered_third[at]);
+    }
+    let pixel = job.origin + vec2(lane % TILE, lane / TILE);
+    var slope = 0.0;
+    var differences = vec4(0.0);
+    if (is_inside(pixel)) {
+        let x = image[pixel_place(view.planes, job.channel, pixel)];
+        let y = photographed(pixel, job.channel);
+        let exposed = x * settings.gain + settings.offset - y;
+        let side = sign(exposed);
+        let d_ssim = 2.0 * x * p.y + (y * p.z + p.x);
+        slope = side * settings.l1_weight * settings.gain - settings.ssim_weight * d_ssim;
+        differences = vec4((x - y) * (x - y), abs(exposed), side, side * x);
+    }
+    gradient[(job.tile * view.planes + job.channel) * TILE_PIXELS + lane] = slope;
+    for (var plane = 3u + job.channel; plane < view.planes; plane += 3u) {
+        gradient[(job.tile * view.planes + plane) * TILE_PIXELS + lane] = 0.0;
+    }
+    let total = sum_of_differences(differences, lane);
+    if (lane == 0u) {
+        sums[LOSS_VECTORS * job.index].y = total.x;
+        sums[LOSS_VECTORS * job.index].z = total.y;
+        sums[LOSS_VECTORS * job.index].w = total.z;
+        sums[LOSS_VECTORS * job.index + 1u] = vec4(total.w, 0.0, 0.0, 0.0);
+    }
+}
+
+// The sum over the lanes, in a fixed order.
+fn sum_of_differences(value: vec4<f32>, lane: u32) -> vec4<f32> {
+    halo[2u * lane] = value.xy;
+    halo[2u * lane + 1u] = value.zw;
+    for (var reach = GROUP / 2u; reach > 0u; reach /= 2u) {
+        workgroupBarrier();
+        if (lane < reach) {
+            halo[2u * lane] += halo[2u * (lane + reach)];
+            halo[2u * lane + 1u] += halo[2u * (lane + reach) + 1u];
+        }
+    }
+    workgroupBarrier();
+    return vec4(halo[0], halo[1]);
+}

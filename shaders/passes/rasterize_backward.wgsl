@@ -1,0 +1,149 @@
+// The blend's backward pass, front to back as well, so nothing but the final picture is kept.
+//
+// A group is a tile, an invocation a pair; see crossing.wgsl.
+//
+// With g the gradient of a pixel's channels, everything behind the current splat enters only as the scalar
+// rest = (what is still to be blended) . g, which starts at the finished pixel's value and loses each splat's
+// share in turn.
+// Parts: types, pixels, tile_list, crossing.
+
+@group(0) @binding(5) var<storage, read> blended: array<u32>;
+@group(0) @binding(6) var<storage, read> image: array<f32>;
+@group(0) @binding(7) var<storage, read> gradient: array<f32>;
+// By slot, 16 numbers: with q = α ∂L/∂α and d = mean - pixel, Σq, Σq dx, Σq dy, Σq dx², Σq dx dy, Σq dy², then
+// ∂L/∂rgb, ∂L/∂normal, ∂L/∂distance, and the sums of absolute values of ∂L/∂mean, each times log2(e).
+@group(0) @binding(8) var<storage, read_write> records: array<vec4<f32>>;
+
+// Transmittance (0 once the pixel is full) and rest of each pixel.
+var<workgroup> pixels: array<vec2<f32>, TILE_PIXELS>;
+// The tile's gradient: of the colours, of normal and distance.
+var<workgroup> v_rgbs: array<vec3<f32>, TILE_PIXELS>;
+var<workgroup> v_surfaces: array<vec4<f32>, TILE_PIXELS>;
+
+@compute @workgroup_size(PAIRS_AT_ONCE)
+fn rasterize_backward(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let tile = group_index(group);
+    if (tile >= tiles()) {
+        return;
+    }
+    let origin = corner_of(tile);
+    let range = ranges[tile];
+    let pairs = blended[tile];
+    // What was not looked at has no gradient.
+    for (var at = range.x + pairs + lane; at < range.y; at += PAIRS_AT_ONCE) {
+        write_record(sorted_slots[at], Sums());
+    }
+    for (var pixel = lane; pixel < TILE_PIXELS; pixel += PAIRS_AT_ONCE) {
+        v_rgbs[pixel] = vec3(
+            gradient[place(tile, 0u, pixel)], gradient[place(tile, 1u, pixel)], gradient[place(tile, 2u, pixel)],
+        );
+        if (view.planes == PLANES_GEOMETRY) {
+            v_surfaces[pixel] = vec4(
+                gradient[place(tile, NORMAL, pixel)],
+                gradient[place(tile, NORMAL + 1u, pixel)],
+                gradient[place(tile, NORMAL + 2u, pixel)],
+                gradient[place(tile, DISTANCE, pixel)],
+            );
+        }
+        let inside = all(origin + vec2(pixel % TILE, pixel / TILE) < view.size_px);
+        pixels[pixel] = vec2(select(0.0, 1.0, inside), finished(tile, pixel));
+    }
+    workgroupBarrier();
+    let steps = crossing_steps(pairs);
+    var splat: Projected;
+    var sums: Sums;
+    for (var step = 0u; step < steps; step++) {
+        let here = crossing(step, lane, pairs);
+        if (here.is_under_way) {
+            if (here.chunk == 0u) {
+                splat = splat_at(range.x + here.pair);
+                sums = Sums();
+            }
+            carry(origin, here.chunk, splat, &sums);
+            if (here.is_last) {
+                write_record(sorted_slots[range.x + here.pair], sums);
+            }
+        }
+        workgroupBarrier();
+    }
+}
+
+// A record under way.
+struct Sums {
+    q: f32,
+    q_d: vec2<f32>,
+    // q dx², q dx dy, q dy².
+    q_dd: vec3<f32>,
+    rgb: vec3<f32>,
+    // Normal and distance.
+    surface: vec4<f32>,
+    absolute: vec2<f32>,
+}
+
+fn write_record(slot: u32, s: Sums) {
+    records[RECORD_VECTORS * slot] = vec4(s.q, s.q_d, s.q_dd.x);
+    records[RECORD_VECTORS * slot + 1u] = vec4(s.q_dd.yz, s.rgb.xy);
+    records[RECORD_VECTORS * slot + 2u] = vec4(s.rgb.z, s.surface.xyz);
+    records[RECORD_VECTORS * slot + 3u] = vec4(s.surface.w, s.absolute, 0.0);
+}
+
+fn place(tile: u32, plane: u32, pixel: u32) -> u32 {
+    return (tile * view.planes + plane) * TILE_PIXELS + pixel;
+}
+
+// The finished pixel's values times their gradients.
+fn finished(tile: u32, pixel: u32) -> f32 {
+    var rest = 0.0;
+    for (var plane = 0u; plane < view.planes; plane++) {
+        rest += image[place(tile, plane, pixel)] * gradient[place(tile, plane, pixel)];
+    }
+    return rest;
+}
+
+// Carries a splat over a chunk of pixels of one row.
+fn carry(origin: vec2<u32>, chunk: u32, splat: Projected, sums: ptr<function, Sums>) {
+    let first = chunk * CHUNK;
+    let y = f32(origin.y + first / TILE) + 0.5;
+    let dy = splat.mean_px.y - y;
+    if (abs(dy) > splat.extent_px.y + 0.5) {
+        return;
+    }
+    for (var pixel = first; pixel < first + CHUNK; pixel++) {
+        let state = pixels[pixel];
+        if (state.x == 0.0) {
+            continue;
+        }
+        let d = vec2(splat.mean_px.x - (f32(origin.x + pixel % TILE) + 0.5), dy);
+        let raw = raw_alpha(splat, d);
+        if (!(raw >= ALPHA_MIN)) {
+            continue;
+        }
+        let alpha = min(raw, ALPHA_MAX);
+        let after = state.x - alpha * state.x;
+        if (after < TRANSMITTANCE_MIN) {
+            pixels[pixel].x = 0.0;
+            continue;
+        }
+        let weight = alpha * state.x;
+        let v_rgb = v_rgbs[pixel];
+        var value = dot(v_rgb, splat.rgb);
+        (*sums).rgb += weight * v_rgb;
+        if (view.planes == PLANES_GEOMETRY) {
+            let v_surface = v_surfaces[pixel];
+            value += dot(v_surface, vec4(splat.normal, splat.plane_distance));
+            (*sums).surface += weight * v_surface;
+        }
+        let behind = state.y - weight * value;
+        pixels[pixel] = vec2(after, behind);
+        // q = α ∂L/∂α = α T value - α/(1-α) rest; zero where the clamp holds alpha.
+        if (raw < ALPHA_MAX) {
+            let q = weight * value - alpha / (1.0 - alpha) * behind;
+            (*sums).q += q;
+            (*sums).q_d += q * d;
+            (*sums).q_dd += q * vec3(d.x * d.x, d.x * d.y, d.y * d.y);
+            let falloff = splat.falloff;
+            let slopes = vec2(2.0 * falloff.x * d.x + falloff.y * d.y, falloff.y * d.x + 2.0 * falloff.z * d.y);
+            (*sums).absolute += abs(q * slopes);
+        }
+    }
+}

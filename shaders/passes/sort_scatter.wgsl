@@ -1,0 +1,76 @@
+// Moves keys and values to their places by one digit; stable.
+// Parts: types.
+
+@group(0) @binding(0) var<uniform> step: SortStep;
+@group(0) @binding(1) var<storage, read> counters: array<u32>;
+// Running sums of the counts, within blocks, and what comes before each of those blocks.
+@group(0) @binding(2) var<storage, read> counts: array<u32>;
+@group(0) @binding(3) var<storage, read> block_sums: array<u32>;
+@group(0) @binding(4) var<storage, read> keys: array<u32>;
+@group(0) @binding(5) var<storage, read> values: array<u32>;
+@group(0) @binding(6) var<storage, read_write> sorted_keys: array<u32>;
+@group(0) @binding(7) var<storage, read_write> sorted_values: array<u32>;
+
+// How many keys of each digit the lanes before have: two digits of 16 bits in a number, and one row of lanes for
+// each such pair of digits.
+var<workgroup> before: array<u32, DIGITS / 2u * GROUP>;
+var<workgroup> sums: array<u32, GROUP>;
+
+@compute @workgroup_size(GROUP)
+fn sort_scatter(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let block = group_index(group);
+    let count = counters[step.counter];
+    if (block * BLOCK >= count) {
+        return;
+    }
+    for (var pair = 0u; pair < DIGITS / 2u; pair++) {
+        before[pair * GROUP + lane] = 0u;
+    }
+    // A lane owns four keys in a row, so that their order is that of the lanes.
+    let first = block * BLOCK + 4u * lane;
+    for (var at = first; at < min(first + 4u, count); at++) {
+        let digit = (keys[at] >> step.shift) & (DIGITS - 1u);
+        before[(digit / 2u) * GROUP + lane] += 1u << (16u * (digit & 1u));
+    }
+    workgroupBarrier();
+    sum_rows(lane);
+    let blocks = blocks_of(count);
+    for (var at = first; at < min(first + 4u, count); at++) {
+        let key = keys[at];
+        let digit = (key >> step.shift) & (DIGITS - 1u);
+        let half = 16u * (digit & 1u);
+        let row = (digit / 2u) * GROUP + lane;
+        let rank = (before[row] >> half) & 0xffffu;
+        before[row] += 1u << half;
+        let counted = digit * blocks + block;
+        let place = counts[counted] + block_sums[counted / BLOCK] + rank;
+        sorted_keys[place] = key;
+        sorted_values[place] = values[at];
+    }
+}
+
+// Replaces each row of `before` by its running sums: every lane adds up 8 numbers, 32 lanes make a row.
+fn sum_rows(lane: u32) {
+    let first = 8u * lane;
+    var own = 0u;
+    for (var k = 0u; k < 8u; k++) {
+        own += before[first + k];
+    }
+    let place = lane & 31u;
+    var sum = own;
+    sums[lane] = sum;
+    for (var reach = 1u; reach < 32u; reach *= 2u) {
+        workgroupBarrier();
+        let more = select(0u, sums[max(lane, reach) - reach], place >= reach);
+        workgroupBarrier();
+        sum += more;
+        sums[lane] = sum;
+    }
+    var running = sum - own;
+    for (var k = 0u; k < 8u; k++) {
+        let value = before[first + k];
+        before[first + k] = running;
+        running += value;
+    }
+    workgroupBarrier();
+}

@@ -1,8 +1,0 @@
-// A number of the photograph, 0..1: bytes as r g b r …, four in a word, or floats in the same order.
-
-fn photograph_value(at: u32) -> f32 {
-    if (settings.is_floats == 1u) {
-        return bitcast<f32>(photograph[at]);
-    }
-    return f32((photograph[at / 4u] >> (8u * (at % 4u))) & 255u) / 255.0;
-}

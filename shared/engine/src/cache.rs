@@ -1,0 +1,64 @@
+//! Renderings that are kept for the next time they are needed, within a number of bytes.
+
+use std::collections::BTreeMap;
+use std::rc::Rc;
+
+use crate::backend::Rendering;
+
+/// Renderings by key. Once its bytes are used up, it keeps what it has and takes no more.
+#[derive(Debug)]
+pub struct RenderingCache<K> {
+    kept: BTreeMap<K, Rc<Rendering>>,
+    /// Bytes that further renderings may take.
+    free_bytes: u64,
+}
+
+impl<K: Ord> RenderingCache<K> {
+    /// Empty; renderings may take `bytes` in all.
+    pub fn new(bytes: u64) -> Self {
+        Self { kept: BTreeMap::new(), free_bytes: bytes }
+    }
+
+    /// The rendering that was kept for a key.
+    pub fn get(&self, key: &K) -> Option<Rc<Rendering>> {
+        self.kept.get(key).cloned()
+    }
+
+    /// Shares a rendering, and keeps it if it fits. Each key may be kept once.
+    pub fn keep(&mut self, key: K, rendering: Rendering) -> Rc<Rendering> {
+        let bytes = rendering.bytes() as u64;
+        let rendering = Rc::new(rendering);
+        if bytes <= self.free_bytes {
+            self.free_bytes -= bytes;
+            self.kept.insert(key, rendering.clone());
+        }
+        rendering
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rendering(pixels: usize) -> Rendering {
+        let values = |count: usize| vec![0.5; count];
+        Rendering {
+            size_px: [pixels as u32, 1],
+            rgb: values(3 * pixels),
+            alpha: values(pixels),
+            depth: values(pixels),
+            normal: values(3 * pixels),
+        }
+    }
+
+    #[test]
+    fn renderings_are_kept_until_the_bytes_are_used_up() {
+        let bytes = rendering(10).bytes() as u64;
+        let mut cache = RenderingCache::new(2 * bytes);
+        assert_eq!(*cache.keep('a', rendering(10)), rendering(10));
+        cache.keep('b', rendering(11));
+        cache.keep('c', rendering(10));
+        cache.keep('d', rendering(0));
+        assert_eq!(['a', 'b', 'c', 'd'].map(|key| cache.get(&key).is_some()), [true, false, true, false]);
+    }
+}

@@ -1,0 +1,29 @@
+//! Memory that a kernel needs while it works on one band of a picture: one piece for each thread, allocated once.
+
+use std::sync::{Mutex, PoisonError};
+
+/// One value for each thread of a pool.
+#[derive(Debug)]
+pub(crate) struct PerThread<T>(Box<[Mutex<T>]>);
+
+impl<T> PerThread<T> {
+    /// `threads` is at least 1.
+    pub(crate) fn new(threads: usize, make: impl Fn() -> T) -> Self {
+        Self((0..threads).map(|_| Mutex::new(make())).collect())
+    }
+
+    /// Calls `work` with the value of the current thread. `work` must not wait for other work of the pool. A thread of
+    /// another pool may have to wait for the value.
+    pub(crate) fn with<R>(&self, work: impl FnOnce(&mut T) -> R) -> R {
+        let index = rayon::current_thread_index().unwrap_or(0) % self.0.len();
+        // A panic in another kernel leaves numbers that the next kernel overwrites.
+        work(&mut self.0[index].lock().unwrap_or_else(PoisonError::into_inner))
+    }
+}
+
+/// Sets `values` to `len` zeros.
+#[inline(always)]
+pub(crate) fn zeros(values: &mut Vec<f32>, len: usize) {
+    values.clear();
+    values.resize(len, 0.0);
+}

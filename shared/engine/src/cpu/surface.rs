@@ -1,0 +1,118 @@
+//! The losses of the surface (PGSR; CoSurfGS, "Device-side Training Procedure"), and their gradients with
+//! respect to the blended normal and plane distance of each pixel.
+//!
+//! Everything here runs on bands of one row of tiles, so the sums do not depend on threads. Reading order:
+//! [`plane`] for the layout, [`depth`], then the losses: [`normals`], [`multiview`], and [`teacher`] where another
+//! model shows how it should be.
+
+mod depth;
+mod multiview;
+mod normals;
+mod plane;
+mod shown;
+mod teacher;
+
+use rayon::prelude::*;
+
+use super::scratch::PerThread;
+use crate::backend::{SurfaceLoss, SurfaceWeights, TargetSurface, Targets, TeacherLoss, TeacherWeights};
+use crate::layout::planes::NORMAL;
+use crate::layout::tiles::{TILE, TileImage};
+use crate::layout::view::ViewParams;
+use crate::simd::{Isa, Row};
+use multiview::{Multiview, Pair};
+use normals::Normals;
+use plane::Plane;
+use shown::Shown;
+use teacher::Teacher;
+
+/// What the losses keep from view to view.
+#[derive(Debug)]
+pub(crate) struct Surface {
+    depth: Plane,
+    luma: Plane,
+    neighbour_depth: Plane,
+    neighbour_luma: Plane,
+    neighbour: Option<ViewParams>,
+    normals: Normals,
+    multiview: Multiview,
+    teacher: Teacher,
+    /// ∂L/∂z of the pixels of a band.
+    v_depth: PerThread<Vec<f32>>,
+}
+
+impl Surface {
+    /// Room for pictures up to `size_px` and this many threads, at least 1.
+    pub(crate) fn with_capacity(size_px: [u32; 2], threads: usize) -> Self {
+        let plane = || Plane::with_capacity(size_px);
+        Self {
+            depth: plane(),
+            luma: plane(),
+            neighbour_depth: plane(),
+            neighbour_luma: plane(),
+            neighbour: None,
+            normals: Normals::with_capacity(size_px),
+            multiview: Multiview::with_capacity(size_px),
+            teacher: Teacher::with_capacity(size_px, threads),
+            v_depth: PerThread::new(threads, || Vec::with_capacity(TILE * Plane::stride_for(size_px))),
+        }
+    }
+
+    /// Takes the depth of `image` as the neighbour's.
+    pub(crate) fn keep_neighbour(&mut self, isa: Isa, image: &TileImage, view: &ViewParams) {
+        depth::unbiased_depth(isa, image, view, &mut self.neighbour_depth);
+        self.neighbour = Some(*view);
+    }
+
+    /// The losses, weighted gradients of which go to the geometry planes of `gradient`.
+    pub(crate) fn losses(
+        &mut self,
+        isa: Isa,
+        image: &TileImage,
+        view: &ViewParams,
+        targets: &Targets,
+        weights: &SurfaceWeights,
+        gradient: &mut TileImage,
+    ) -> SurfaceLoss {
+        depth::unbiased_depth(isa, image, view, &mut self.depth);
+        plane::luma(targets.rgb, view.size_px, &mut self.luma);
+        clear_geometry(gradient);
+        let scene = Shown { image, view, depth: &self.depth, luma: &self.luma };
+        let mut loss = SurfaceLoss {
+            normal: self.normals.loss(isa, &scene, weights.normal, gradient, &self.v_depth),
+            ..SurfaceLoss::default()
+        };
+        if let (Some(weights), Some(rgb), Some(neighbour)) =
+            (&weights.multiview, targets.neighbour_rgb, &self.neighbour)
+        {
+            plane::luma(rgb, neighbour.size_px, &mut self.neighbour_luma);
+            let pair = Pair::new(view, neighbour, &self.neighbour_depth, &self.neighbour_luma);
+            self.multiview.loss(&scene, &pair, weights, gradient, &mut loss);
+        }
+        loss
+    }
+
+    /// The differences from a teacher, weighted gradients of which are added to the geometry planes of `gradient`.
+    /// [`Self::losses`] comes first.
+    pub(crate) fn teach(
+        &mut self,
+        isa: Isa,
+        image: &TileImage,
+        view: &ViewParams,
+        target: &TargetSurface,
+        weights: &TeacherWeights,
+        gradient: &mut TileImage,
+    ) -> TeacherLoss {
+        let scene = Shown { image, view, depth: &self.depth, luma: &self.luma };
+        self.teacher.loss(isa, &scene, target, weights, gradient, &self.v_depth)
+    }
+}
+
+/// Normal and distance have no gradient yet.
+fn clear_geometry(gradient: &mut TileImage) {
+    let rows_per_tile = gradient.rows_per_tile();
+    gradient
+        .rows_mut()
+        .par_chunks_exact_mut(rows_per_tile)
+        .for_each(|tile| tile[NORMAL * TILE..].fill(Row::ZERO));
+}

@@ -1,0 +1,120 @@
+//! Pictures in tiles: 16 × 16 pixels of a plane lie together, then the next plane of the same tile,
+//! then the next tile. A tile's blend touches one stretch of memory; a row of a tile is one [`Row`].
+
+use crate::simd::{Lanes, Row};
+
+/// Side of a tile, pixels. One row of a tile is one group of lanes.
+pub(crate) const TILE: usize = 16;
+
+#[derive(Clone, Debug)]
+pub(crate) struct TileImage {
+    size_px: [usize; 2],
+    tiles: [usize; 2],
+    planes: usize,
+    rows: Vec<Row>,
+}
+
+impl TileImage {
+    /// Room for pictures of `padded_pixels` (see [`padded_pixels`]) with up to `planes` planes.
+    pub(crate) fn with_capacity(padded_pixels: usize, planes: usize) -> Self {
+        Self {
+            size_px: [0, 0],
+            tiles: [0, 0],
+            planes,
+            rows: Vec::with_capacity(padded_pixels * planes / TILE),
+        }
+    }
+
+    /// A picture whose values lie as they do here, plane by plane in each tile.
+    #[cfg(feature = "gpu")]
+    pub(crate) fn from_values(size_px: [u32; 2], planes: usize, values: &[f32]) -> Self {
+        let mut image = Self::with_capacity(padded_pixels(size_px), planes);
+        image.reshape(size_px, planes);
+        for (row, values) in image.rows.iter_mut().zip(values.as_chunks().0) {
+            row.0 = *values;
+        }
+        image
+    }
+
+    /// Lays the image out for a size and a number of planes. Old content is left as it is: every pass
+    /// that calls this writes each row.
+    pub(crate) fn reshape(&mut self, size_px: [u32; 2], planes: usize) {
+        self.size_px = size_px.map(|side| side as usize);
+        self.tiles = Self::tiles_of(size_px);
+        self.planes = planes;
+        self.rows.resize(self.tiles[0] * self.tiles[1] * planes * TILE, Row::ZERO);
+    }
+
+    /// Tiles across and down.
+    pub(crate) fn tiles_of(size_px: [u32; 2]) -> [usize; 2] {
+        size_px.map(|side| (side as usize).div_ceil(TILE))
+    }
+
+    pub(crate) fn size_px(&self) -> [usize; 2] {
+        self.size_px
+    }
+
+    pub(crate) fn tiles(&self) -> [usize; 2] {
+        self.tiles
+    }
+
+    pub(crate) fn planes(&self) -> usize {
+        self.planes
+    }
+
+    /// Rows of one tile, all planes.
+    pub(crate) fn rows_per_tile(&self) -> usize {
+        self.planes * TILE
+    }
+
+    pub(crate) fn tile(&self, tile: usize) -> &[Row] {
+        &self.rows[tile * self.rows_per_tile()..][..self.rows_per_tile()]
+    }
+
+    pub(crate) fn rows_mut(&mut self) -> &mut [Row] {
+        &mut self.rows
+    }
+
+    /// The row of `plane` at height `y` in the `tile_x`-th tile from the left.
+    pub(crate) fn row(&self, plane: usize, y: usize, tile_x: usize) -> &Row {
+        let tile = y / TILE * self.tiles[0] + tile_x;
+        &self.rows[(tile * self.planes + plane) * TILE + y % TILE]
+    }
+
+    pub(crate) fn value(&self, plane: usize, x: usize, y: usize) -> f32 {
+        self.row(plane, y, x / TILE).0[x % TILE]
+    }
+
+    #[cfg(test)]
+    pub(crate) fn set_value(&mut self, plane: usize, x: usize, y: usize, value: f32) {
+        let tile = y / TILE * self.tiles[0] + x / TILE;
+        self.rows[(tile * self.planes + plane) * TILE + y % TILE].0[x % TILE] = value;
+    }
+}
+
+/// Pixels of a picture whose sides are rounded up to whole tiles.
+pub(crate) fn padded_pixels(size_px: [u32; 2]) -> usize {
+    size_px.iter().map(|side| (*side as usize).div_ceil(TILE) * TILE).product()
+}
+
+/// Centres of the `part`-th vector of a row whose first pixel is at `origin_x`.
+#[inline(always)]
+pub(crate) fn centers<L: Lanes>(origin_x: f32, part: usize) -> L {
+    const OFFSETS: [f32; TILE] =
+        [0.5, 1.5, 2.5, 3.5, 4.5, 5.5, 6.5, 7.5, 8.5, 9.5, 10.5, 11.5, 12.5, 13.5, 14.5, 15.5];
+    L::load(&OFFSETS[part * L::N..]) + L::splat(origin_x)
+}
+
+/// Zeros on each side of a line of a plane that losses read pixel by pixel, and lines of zeros above and below are one
+/// each, so that vectors may be read beside a pixel.
+pub(crate) const PLANE_MARGIN: usize = TILE;
+
+/// Numbers of a line of such a plane.
+pub(crate) fn plane_stride(width: usize) -> usize {
+    width.div_ceil(TILE) * TILE + 2 * PLANE_MARGIN
+}
+
+/// Numbers of such a plane for pictures up to `size_px`.
+pub(crate) fn plane_len(size_px: [u32; 2]) -> usize {
+    plane_stride(size_px[0] as usize) * (size_px[1] as usize + 2)
+}

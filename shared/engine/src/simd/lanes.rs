@@ -1,0 +1,194 @@
+//! The vector type that kernels are written for, and what belongs to it.
+
+use std::ops::{Add, Div, Mul, Sub};
+
+/// Lanes of a group: passes work on 16 splats or 16 pixels of a row at a time, in `16 / L::N` vectors.
+pub(crate) const GROUP: usize = 16;
+
+/// 16 floats on a cache line of their own.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[repr(C, align(64))]
+pub(crate) struct Row(pub(crate) [f32; GROUP]);
+
+impl Row {
+    pub(crate) const ZERO: Self = Self([0.0; GROUP]);
+
+    /// The `part`-th vector of the row.
+    #[inline(always)]
+    pub(crate) fn get<L: Lanes>(&self, part: usize) -> L {
+        L::load(&self.0[part * L::N..])
+    }
+
+    /// Replaces the `part`-th vector of the row.
+    #[inline(always)]
+    pub(crate) fn set<L: Lanes>(&mut self, part: usize, value: L) {
+        value.store(&mut self.0[part * L::N..]);
+    }
+}
+
+/// A vector of `N` floats; `N` divides [`GROUP`]. Comparisons with NaN are false.
+pub(crate) trait Lanes:
+    Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self>
+{
+    /// Floats in a vector.
+    const N: usize;
+    /// One truth value per lane.
+    type Mask: Copy;
+
+    fn splat(value: f32) -> Self;
+    /// Reads the first `N` floats; panics if there are fewer.
+    fn load(from: &[f32]) -> Self;
+    /// Writes the first `N` floats; panics if there are fewer.
+    fn store(self, to: &mut [f32]);
+    /// `self * b + c`, fused where the processor can.
+    fn mul_add(self, b: Self, c: Self) -> Self;
+    /// `c - self * b`, fused where the processor can.
+    fn neg_mul_add(self, b: Self, c: Self) -> Self;
+    fn min(self, other: Self) -> Self;
+    fn max(self, other: Self) -> Self;
+    fn sqrt(self) -> Self;
+    fn abs(self) -> Self;
+    /// To the nearest integer, ties to even.
+    fn round(self) -> Self;
+    /// `self * 2^n` for integer-valued `n` in -126..=127.
+    fn scale_by_power_of_2(self, n: Self) -> Self;
+    fn lt(self, other: Self) -> Self::Mask;
+    fn ge(self, other: Self) -> Self::Mask;
+    fn select(mask: Self::Mask, yes: Self, no: Self) -> Self;
+    fn mask_all(value: bool) -> Self::Mask;
+    fn and(a: Self::Mask, b: Self::Mask) -> Self::Mask;
+    /// `a` and not `b`.
+    fn and_not(a: Self::Mask, b: Self::Mask) -> Self::Mask;
+    fn any(mask: Self::Mask) -> bool;
+    /// Bit `i` is lane `i`.
+    fn bits(mask: Self::Mask) -> u32;
+    /// Sum of the lanes, in an order that is fixed for the instruction set.
+    fn sum(self) -> f32;
+
+    #[inline(always)]
+    fn zero() -> Self {
+        Self::splat(0.0)
+    }
+
+    #[inline(always)]
+    fn keep(self, mask: Self::Mask) -> Self {
+        Self::select(mask, self, Self::zero())
+    }
+
+    #[inline(always)]
+    fn neg(self) -> Self {
+        Self::zero() - self
+    }
+
+    /// `2^self` for `self` in -126..=127, relative error below 2e-7: the nearest integer goes to the exponent,
+    /// the rest through a degree-5 polynomial fitted for least relative error on ±½ (7.5e-8 in exact arithmetic).
+    #[inline(always)]
+    fn exp2(self) -> Self {
+        let n = self.round();
+        let f = self - n;
+        let c = Self::splat;
+        let p = c(0.001_327_647_2).mul_add(f, c(0.009_675_542));
+        let p = p.mul_add(f, c(0.055_507_13));
+        let p = p.mul_add(f, c(0.240_221_2));
+        let p = p.mul_add(f, c(0.693_146_94));
+        let p = p.mul_add(f, c(1.000_000_1));
+        p.scale_by_power_of_2(n)
+    }
+
+    /// `e^self`, relative error below `2e-7 + 1e-7 |self|`.
+    #[inline(always)]
+    fn exp(self) -> Self {
+        (self * Self::splat(std::f32::consts::LOG2_E)).exp2()
+    }
+
+    /// `ln(1 + self)` for `self` in 0..=1, error below 3e-7: `2 artanh(s)` with `s = x / (2 + x)`, at most 1/3,
+    /// as a series up to `s^11`.
+    #[inline(always)]
+    fn ln_1p(self) -> Self {
+        let c = Self::splat;
+        let s = self / (self + c(2.0));
+        let ss = s * s;
+        let p = c(2.0 / 11.0).mul_add(ss, c(2.0 / 9.0));
+        let p = p.mul_add(ss, c(2.0 / 7.0));
+        let p = p.mul_add(ss, c(2.0 / 5.0));
+        let p = p.mul_add(ss, c(2.0 / 3.0));
+        let p = p.mul_add(ss, c(2.0));
+        p * s
+    }
+
+    /// Lane `i` of the result is the sum of `vectors[i]`; as with [`Lanes::sum`], in a fixed order.
+    #[inline(always)]
+    fn sums(vectors: &[Self; GROUP]) -> Row {
+        let mut row = Row::ZERO;
+        for (value, vector) in row.0.iter_mut().zip(vectors) {
+            *value = vector.sum();
+        }
+        row
+    }
+}
+
+/// Asks for a cache line that will be read soon. Does nothing where we know no instruction for it.
+#[inline(always)]
+#[allow(unsafe_code)]
+pub(crate) fn prefetch<T>(slice: &[T], index: usize) {
+    #[cfg(target_arch = "x86_64")]
+    if index < slice.len() {
+        use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
+        // SAFETY: a hint; the address is inside the slice.
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(slice.as_ptr().add(index).cast()) }
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = (slice, index);
+}
+
+/// Work that is written once for every instruction set. `run` must be `#[inline(always)]` and must
+/// not hand closures to other threads: those would be compiled without the wider instructions.
+pub(crate) trait Kernel {
+    type Output;
+    fn run<L: Lanes>(self) -> Self::Output;
+}
+
+/// `a · b`.
+#[inline(always)]
+pub(crate) fn dot3<L: Lanes>(a: [L; 3], b: [L; 3]) -> L {
+    a[0].mul_add(b[0], a[1].mul_add(b[1], a[2] * b[2]))
+}
+
+/// `a × b`.
+#[inline(always)]
+pub(crate) fn cross3<L: Lanes>(a: [L; 3], b: [L; 3]) -> [L; 3] {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
+/// `each!([0, 1, 2], |i| expression of i)` is the array of the expression's values. Not `array::map`: its
+/// closure would be a function of its own, compiled without the wider instructions, and measured to cost
+/// a call per instruction in the loss.
+macro_rules! each {
+    ([$($index:literal),*], |$name:ident| $value:expr) => {
+        [$({ let $name: usize = $index; $value }),*]
+    };
+}
+pub(crate) use each;
+
+/// Implements the four operators by the named intrinsics.
+#[allow(unused_macros)]
+macro_rules! operators {
+    ($vector:ident, $add:ident, $sub:ident, $mul:ident, $div:ident) => {
+        operators!(@one $vector, Add, add, $add);
+        operators!(@one $vector, Sub, sub, $sub);
+        operators!(@one $vector, Mul, mul, $mul);
+        operators!(@one $vector, Div, div, $div);
+    };
+    (@one $vector:ident, $trait:ident, $method:ident, $intrinsic:ident) => {
+        impl std::ops::$trait for $vector {
+            type Output = Self;
+            #[inline(always)]
+            fn $method(self, other: Self) -> Self {
+                // SAFETY: this type is only used by kernels that `Isa::run` started after asking the processor.
+                Self(unsafe { $intrinsic(self.0, other.0) })
+            }
+        }
+    };
+}
+#[allow(unused_imports)]
+pub(crate) use operators;

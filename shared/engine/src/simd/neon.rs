@@ -1,0 +1,129 @@
+//! Four floats by NEON, which every 64-bit ARM processor has.
+
+#![allow(unsafe_code)]
+
+use std::arch::aarch64::*;
+
+use super::lanes::{Kernel, Lanes, operators};
+
+#[derive(Clone, Copy)]
+pub(crate) struct Neon(float32x4_t);
+
+pub(super) fn run<K: Kernel>(kernel: K) -> K::Output {
+    kernel.run::<Neon>()
+}
+
+operators!(Neon, vaddq_f32, vsubq_f32, vmulq_f32, vdivq_f32);
+
+// SAFETY (every block below): NEON is part of the aarch64 baseline; loads and stores go through slices
+// whose length is checked first.
+impl Lanes for Neon {
+    const N: usize = 4;
+    type Mask = uint32x4_t;
+
+    #[inline(always)]
+    fn splat(value: f32) -> Self {
+        // SAFETY: see above.
+        Self(unsafe { vdupq_n_f32(value) })
+    }
+    #[inline(always)]
+    fn load(from: &[f32]) -> Self {
+        let from = &from[..4];
+        // SAFETY: see above.
+        Self(unsafe { vld1q_f32(from.as_ptr()) })
+    }
+    #[inline(always)]
+    fn store(self, to: &mut [f32]) {
+        let to = &mut to[..4];
+        // SAFETY: see above.
+        unsafe { vst1q_f32(to.as_mut_ptr(), self.0) }
+    }
+    #[inline(always)]
+    fn mul_add(self, b: Self, c: Self) -> Self {
+        // SAFETY: see above.
+        Self(unsafe { vfmaq_f32(c.0, self.0, b.0) })
+    }
+    #[inline(always)]
+    fn neg_mul_add(self, b: Self, c: Self) -> Self {
+        // SAFETY: see above.
+        Self(unsafe { vfmsq_f32(c.0, self.0, b.0) })
+    }
+    // `vminnm` and `vmaxnm` would take the number where the other is NaN; x86 takes the second operand.
+    #[inline(always)]
+    fn min(self, other: Self) -> Self {
+        Self::select(self.lt(other), self, other)
+    }
+    #[inline(always)]
+    fn max(self, other: Self) -> Self {
+        Self::select(other.lt(self), self, other)
+    }
+    #[inline(always)]
+    fn sqrt(self) -> Self {
+        // SAFETY: see above.
+        Self(unsafe { vsqrtq_f32(self.0) })
+    }
+    #[inline(always)]
+    fn abs(self) -> Self {
+        // SAFETY: see above.
+        Self(unsafe { vabsq_f32(self.0) })
+    }
+    #[inline(always)]
+    fn round(self) -> Self {
+        // SAFETY: see above.
+        Self(unsafe { vrndnq_f32(self.0) })
+    }
+    #[inline(always)]
+    fn scale_by_power_of_2(self, n: Self) -> Self {
+        // SAFETY: see above.
+        Self(unsafe {
+            let exponent = vshlq_n_s32::<23>(vaddq_s32(vcvtnq_s32_f32(n.0), vdupq_n_s32(127)));
+            vmulq_f32(self.0, vreinterpretq_f32_s32(exponent))
+        })
+    }
+    #[inline(always)]
+    fn lt(self, other: Self) -> Self::Mask {
+        // SAFETY: see above.
+        unsafe { vcltq_f32(self.0, other.0) }
+    }
+    #[inline(always)]
+    fn ge(self, other: Self) -> Self::Mask {
+        // SAFETY: see above.
+        unsafe { vcgeq_f32(self.0, other.0) }
+    }
+    #[inline(always)]
+    fn select(mask: Self::Mask, yes: Self, no: Self) -> Self {
+        // SAFETY: see above.
+        Self(unsafe { vbslq_f32(mask, yes.0, no.0) })
+    }
+    #[inline(always)]
+    fn mask_all(value: bool) -> Self::Mask {
+        // SAFETY: see above.
+        unsafe { vdupq_n_u32(if value { !0 } else { 0 }) }
+    }
+    #[inline(always)]
+    fn and(a: Self::Mask, b: Self::Mask) -> Self::Mask {
+        // SAFETY: see above.
+        unsafe { vandq_u32(a, b) }
+    }
+    #[inline(always)]
+    fn and_not(a: Self::Mask, b: Self::Mask) -> Self::Mask {
+        // SAFETY: see above.
+        unsafe { vbicq_u32(a, b) }
+    }
+    #[inline(always)]
+    fn any(mask: Self::Mask) -> bool {
+        // SAFETY: see above.
+        unsafe { vmaxvq_u32(mask) != 0 }
+    }
+    #[inline(always)]
+    fn bits(mask: Self::Mask) -> u32 {
+        const LANES: [u32; 4] = [1, 2, 4, 8];
+        // SAFETY: see above.
+        unsafe { vaddvq_u32(vandq_u32(mask, vld1q_u32(LANES.as_ptr()))) }
+    }
+    #[inline(always)]
+    fn sum(self) -> f32 {
+        // SAFETY: see above.
+        unsafe { vaddvq_f32(self.0) }
+    }
+}
