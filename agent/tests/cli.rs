@@ -9,7 +9,7 @@ use std::process::{Command, Output, Stdio};
 use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
-use cosurf_scene::city::{City, CitySettings};
+use cosurf_city::{City, CitySettings};
 use tempfile::TempDir;
 
 /// A small town, made once for all tests of this file.

@@ -25,6 +25,7 @@ use std::fs;
 use std::path::Path;
 use std::sync::mpsc;
 
+use cosurf_city::CitySettings;
 use cosurf_link::BrokerAddress;
 use cosurf_scene::{Camera, Dataset, SceneError, Splats, View, ply};
 use cosurf_wire::{ModelHeader, SiteId};

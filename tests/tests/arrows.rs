@@ -7,16 +7,21 @@ use std::path::{Path, PathBuf};
 /// Every crate, its folder, and the crates of ours that it may depend on.
 const ARROWS: [(&str, &str, &[&str]); 7] = [
     ("cosurf-scene", "shared/scene", &[]),
+    ("cosurf-city", "shared/city", &["cosurf-scene"]),
     ("cosurf-wire", "shared/wire", &["cosurf-scene"]),
     ("cosurf-link", "shared/link", &["cosurf-scene", "cosurf-wire"]),
     ("cosurf-shaders", "shaders", &[]),
     ("cosurf-engine", "shared/engine", &["cosurf-scene", "cosurf-shaders"]),
     ("cosurf-agent", "agent", &["cosurf-engine", "cosurf-link", "cosurf-scene", "cosurf-wire"]),
-    ("cosurf-aggregator", "aggregator", &["cosurf-engine", "cosurf-link", "cosurf-scene", "cosurf-wire"]),
+    (
+        "cosurf-aggregator",
+        "aggregator",
+        &["cosurf-city", "cosurf-engine", "cosurf-link", "cosurf-scene", "cosurf-wire"],
+    ),
 ];
 
 /// Folders whose sources may not read a clock: time comes in as an argument, or not at all.
-const CLOCKLESS: [&str; 3] = ["shared/scene/src", "shared/wire/src", "shared/engine/src"];
+const CLOCKLESS: [&str; 4] = ["shared/scene/src", "shared/city/src", "shared/wire/src", "shared/engine/src"];
 
 fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap().to_path_buf()

@@ -11,8 +11,8 @@ use std::process::{Child, Command, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
+use cosurf_city::{City, CitySettings};
 use cosurf_link::faults::Dice;
-use cosurf_scene::city::{City, CitySettings};
 use mosquitto::Mosquitto;
 
 const PLAIN: &str = "listener PORT 127.0.0.1\nallow_anonymous true\npersistence true\n\

@@ -8,8 +8,8 @@ use std::process::{Child, Command, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
+use cosurf_city::{City, CitySettings};
 use cosurf_scene::Picture;
-use cosurf_scene::city::{City, CitySettings};
 use cosurf_scene::report::Changes;
 
 /// Patience with one mission; it takes seconds.

@@ -11,9 +11,9 @@ use clap::Args;
 use cosurf_aggregator::mission::{MissionOrder, Settings, Surroundings, fly};
 use cosurf_aggregator::partition::Division;
 use cosurf_aggregator::report::{MissionReport, table};
+use cosurf_city::CitySettings;
 use cosurf_link::BrokerAddress;
 use cosurf_scene::bytes::parse_bytes;
-use cosurf_scene::city::CitySettings;
 
 use super::cells;
 use super::host::{cores, display, session};

@@ -137,8 +137,8 @@ const COLUMNS: [Column; 11] = [
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
+    use cosurf_city::{City, CitySettings};
     use cosurf_engine::init::{Form, splats_from_points};
-    use cosurf_scene::{City, CitySettings};
 
     use super::*;
 

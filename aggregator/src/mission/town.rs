@@ -3,8 +3,8 @@
 use std::fs;
 use std::path::Path;
 
+use cosurf_city::{City, CityError, CitySettings};
 use cosurf_scene::SceneError;
-use cosurf_scene::city::{City, CityError, CitySettings};
 
 use super::plan::write_text;
 

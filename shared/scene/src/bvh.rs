@@ -13,7 +13,7 @@ use glam::{Vec3, Vec4};
 use node::{LEAF, Lanes, Leaf, Node, Tree};
 
 /// Largest number of triangles in a hierarchy.
-pub(crate) const TRIANGLES_MAX: usize = build::TRIANGLES_MAX;
+pub const TRIANGLES_MAX: usize = build::TRIANGLES_MAX;
 /// Entries of the traversal stack: at most three wait per level, on [`build::MEDIAN_DEPTH`] levels and the
 /// 13 below them that [`TRIANGLES_MAX`] needs.
 const STACK: usize = 80;
@@ -27,31 +27,31 @@ const FAR: f32 = 1e30;
 
 /// The ray `origin + t · direction` for `t_min < t < t_max`.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Ray {
+pub struct Ray {
     /// World position at `t = 0`.
-    pub(crate) origin: Vec3,
+    pub origin: Vec3,
     /// Any non-zero length.
-    pub(crate) direction: Vec3,
+    pub direction: Vec3,
     /// Hits must lie beyond this `t`.
-    pub(crate) t_min: f32,
+    pub t_min: f32,
     /// Hits must lie before this `t`.
-    pub(crate) t_max: f32,
+    pub t_max: f32,
 }
 
 /// Where a ray met a triangle.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Hit {
+pub struct Hit {
     /// Distance in lengths of the ray's direction.
-    pub(crate) t: f32,
+    pub t: f32,
     /// Index into the triangles that the hierarchy was built from.
-    pub(crate) triangle: u32,
+    pub triangle: u32,
     /// Weights of the second and third corner.
-    pub(crate) barycentric: [f32; 2],
+    pub barycentric: [f32; 2],
 }
 
 /// A hierarchy over triangles that answers rays.
 #[derive(Debug)]
-pub(crate) struct Bvh {
+pub struct Bvh {
     tree: Tree,
 }
 
@@ -64,6 +64,7 @@ struct WideRay {
 }
 
 impl WideRay {
+    #[inline]
     fn new(ray: &Ray) -> Self {
         let splat = |v: Vec3| v.to_array().map(Vec4::splat);
         Self { origin: splat(ray.origin), direction: splat(ray.direction), t_min: Vec4::splat(ray.t_min) }
@@ -82,6 +83,7 @@ struct Beam {
 }
 
 impl Beam {
+    #[inline]
     fn new(rays: &[Ray]) -> Self {
         let bounds = |of: fn(&Ray) -> Vec3| {
             let all = rays.iter().map(of);
@@ -163,12 +165,12 @@ fn dot(a: &Lanes, b: &Lanes) -> Vec4 {
 
 impl Bvh {
     /// Builds a hierarchy over 0 to [`TRIANGLES_MAX`] triangles, given by their corners.
-    pub(crate) fn build(triangles: &[[Vec3; 3]]) -> Self {
+    pub fn build(triangles: &[[Vec3; 3]]) -> Self {
         Self { tree: build::build(triangles) }
     }
 
     /// The nearest hit of each ray. Fast if the rays are close together.
-    pub(crate) fn nearest<const N: usize>(&self, rays: &[Ray; N]) -> [Option<Hit>; N] {
+    pub fn nearest<const N: usize>(&self, rays: &[Ray; N]) -> [Option<Hit>; N] {
         let wide = rays.each_ref().map(WideRay::new);
         let mut t_max = rays.each_ref().map(|ray| ray.t_max);
         let mut nearest = [None; N];
@@ -191,7 +193,7 @@ impl Bvh {
     }
 
     /// Whether each ray hits any triangle. Fast if the rays are close together.
-    pub(crate) fn blocked<const N: usize>(&self, rays: &[Ray; N]) -> [bool; N] {
+    pub fn blocked<const N: usize>(&self, rays: &[Ray; N]) -> [bool; N] {
         let wide = rays.each_ref().map(WideRay::new);
         let longest = rays.iter().map(|ray| ray.t_max).fold(f32::NEG_INFINITY, f32::max);
         let mut blocked = [false; N];

@@ -1,8 +1,8 @@
 //! The data types of cosurf and the files that hold them.
 //!
 //! What it is: [`Splats`], [`Camera`], [`View`], [`Picture`], [`Dataset`], [`Mesh`], their files
-//! (COLMAP, `transforms.json`, PLY, SPZ, GLB, JPEG and PNG), picture quality ([`metrics`]), exact
-//! depth of triangles ([`raycast`]) and a synthetic city.
+//! (COLMAP, `transforms.json`, PLY, SPZ, GLB, JPEG and PNG), picture quality ([`metrics`]), and exact
+//! depth of triangles ([`raycast`] over [`bvh`]).
 //!
 //! What it refuses to know: rendering of splats, training, wires, clocks, command lines.
 //!
@@ -11,11 +11,10 @@
 
 pub mod atomic;
 mod base;
-mod bvh;
+pub mod bvh;
 pub mod bytes;
 pub mod cache;
 pub mod camera;
-pub mod city;
 pub mod colmap;
 pub mod colormap;
 pub mod dataset;
@@ -36,7 +35,6 @@ mod transforms;
 pub use base::Base;
 pub use cache::PictureCache;
 pub use camera::{Camera, Pose};
-pub use city::{City, CityError, CityFrame, CitySettings, TruthPoint};
 pub use dataset::{Dataset, SparsePoint, View};
 pub use error::SceneError;
 pub use frustum::{Frustum, Watchers};

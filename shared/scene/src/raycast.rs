@@ -84,14 +84,15 @@ fn cast_pixels(size_px: [u32; 2], cast: impl Fn(DVec2) -> (f32, [f32; 3]) + Sync
 
 /// A camera prepared for generating rays.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Shooter {
+pub struct Shooter {
     camera: Camera,
     center: DVec3,
     world_from_cam: DMat3,
 }
 
 impl Shooter {
-    pub(crate) fn new(camera: &Camera) -> Self {
+    /// Rays of this camera.
+    pub fn new(camera: &Camera) -> Self {
         Self {
             camera: *camera,
             center: camera.cam_from_world.center(),
@@ -100,12 +101,13 @@ impl Shooter {
     }
 
     /// Half a pixel's width at depth 1.
-    pub(crate) fn half_pixel(&self) -> f32 {
+    pub fn half_pixel(&self) -> f32 {
         (0.5 / self.camera.focal_px.max_element()) as f32
     }
 
     /// The ray through a pixel position; `t` is the depth along the optical axis.
-    pub(crate) fn ray(&self, p_px: DVec2) -> Ray {
+    #[inline]
+    pub fn ray(&self, p_px: DVec2) -> Ray {
         Ray {
             origin: self.center.as_vec3(),
             direction: (self.world_from_cam * self.camera.ray(p_px)).as_vec3(),
@@ -116,7 +118,7 @@ impl Shooter {
 
     /// Intersects the ray through a pixel position with a triangle's plane, in double precision. Returns the
     /// depth, and the unit normal in the camera frame, facing the camera.
-    pub(crate) fn meet(&self, p_px: DVec2, corners: &[Vec3; 3]) -> (f32, [f32; 3]) {
+    pub fn meet(&self, p_px: DVec2, corners: &[Vec3; 3]) -> (f32, [f32; 3]) {
         let [a, b, c] = corners.map(|p| p.as_dvec3());
         let normal = (b - a).cross(c - a).normalize();
         let direction = self.world_from_cam * self.camera.ray(p_px);

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
-use cosurf_scene::city::{City, CitySettings};
+use cosurf_city::{City, CitySettings};
 
 /// `../shared/data/gt_boruszyn` where it lies beside the checkout, otherwise a small town made in `folder`.
 pub(super) fn usual_data(folder: &Path) -> Result<PathBuf> {

@@ -9,14 +9,14 @@ use std::sync::OnceLock;
 
 use glam::{DVec2, DVec3, Vec3};
 
-use crate::bvh::{Bvh, Hit, Ray};
+use cosurf_scene::bvh::{Bvh, Hit, Ray};
 use oracle::{brute_force, distance_to_surface};
 
 use super::light::Lit;
 use super::material::Appearance;
 use super::random::Rng;
 use super::{City, CityError, CitySettings};
-use crate::{Camera, Dataset};
+use cosurf_scene::{Camera, Dataset};
 
 const SMALL: CitySettings = CitySettings { seed: 3, extent_m: 30.0, views: 8, size_px: [64, 48] };
 
@@ -230,7 +230,7 @@ fn every_camera_sees_ground_in_nearly_all_pixels() {
 fn void_is_black_and_empty() {
     let mut camera = small().cameras()[0];
     // A camera that looks up into the sky.
-    camera.cam_from_world = crate::Pose::look_at(DVec3::Z * 50.0, DVec3::Z * 90.0, DVec3::Y);
+    camera.cam_from_world = cosurf_scene::Pose::look_at(DVec3::Z * 50.0, DVec3::Z * 90.0, DVec3::Y);
     let frame = small().render(&camera);
     assert!(frame.picture.rgb.iter().all(|&byte| byte == 0));
     assert!(frame.depth.iter().all(|&d| d == 0.0) && frame.normals.iter().all(|&n| n == [0.0; 3]));
@@ -342,7 +342,7 @@ fn truth_points_cover_the_seen_surface_evenly() {
 /// nearer, and it is farther only through holes, where fewer than three cameras see the surface.
 #[test]
 fn the_true_mesh_has_the_depth_of_the_renderings() {
-    let caster = crate::Caster::new(&small().truth_mesh());
+    let caster = cosurf_scene::Caster::new(&small().truth_mesh());
     let (mut met, mut nearer, mut farther) = (0, 0, 0);
     for camera in small().cameras() {
         let (frame, cast) = (small().render(camera), caster.cast(camera));
@@ -369,8 +369,8 @@ fn a_written_city_opens_as_a_dataset() {
         assert!(a.camera.project(p).unwrap().distance(b.camera.project(p).unwrap()) < 1e-9);
     }
     assert_eq!(written.points.len(), opened.points.len());
-    let truth = crate::ply::read_points(&folder.path().join("gt/points.ply")).unwrap();
+    let truth = cosurf_scene::ply::read_points(&folder.path().join("gt/points.ply")).unwrap();
     assert_eq!(truth.len(), 20_000);
-    let mesh = crate::Mesh::read(&folder.path().join("gt/mesh.ply")).unwrap();
+    let mesh = cosurf_scene::Mesh::read(&folder.path().join("gt/mesh.ply")).unwrap();
     assert!(mesh == small().truth_mesh(), "the mesh must survive writing and reading");
 }

@@ -3,12 +3,12 @@
 use glam::Vec2;
 
 use super::site::Site;
-use crate::city::mesh::unit_circle;
-use crate::city::paving::{Outline, Surface};
-use crate::city::plan::{Block, BlockKind, KERB_HEIGHT_M, Plan};
-use crate::city::props;
-use crate::city::terrain::Terrain;
-use crate::city::tree::{self, Habit};
+use crate::mesh::unit_circle;
+use crate::paving::{Outline, Surface};
+use crate::plan::{Block, BlockKind, KERB_HEIGHT_M, Plan};
+use crate::props;
+use crate::terrain::Terrain;
+use crate::tree::{self, Habit};
 
 /// Depth of a pond's water level below its banks, metres.
 const BANK_M: f32 = 0.4;
@@ -17,7 +17,7 @@ const BOWL_M: f32 = 1.1;
 
 /// A pond in a park.
 #[derive(Clone, Copy, Debug)]
-pub(in crate::city) struct Pond {
+pub(crate) struct Pond {
     /// Plan position of its centre.
     uv: Vec2,
     radius_m: f32,

@@ -4,12 +4,12 @@ use glam::{Vec2, Vec3};
 
 use super::common;
 use super::site::{Side, Site};
-use crate::city::building::{self, Footprint, Style};
-use crate::city::facade::Wall;
-use crate::city::paving::{PAVEMENT_M, Surface};
-use crate::city::props;
-use crate::city::roof;
-use crate::city::tree::{self, Habit};
+use crate::building::{self, Footprint, Style};
+use crate::facade::Wall;
+use crate::paving::{PAVEMENT_M, Surface};
+use crate::props;
+use crate::roof;
+use crate::tree::{self, Habit};
 
 /// Detached houses with gardens along the two long sides.
 pub(super) fn villas(site: &mut Site) {

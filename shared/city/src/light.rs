@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use super::material::Appearance;
 use super::mesh::Triangle;
-use crate::bvh::{Bvh, Ray};
+use cosurf_scene::bvh::{Bvh, Ray};
 
 /// Irradiance of the sun, linear. A white horizontal surface in the sun is slightly below white in the picture.
 const SUN: Vec3 = Vec3::new(1.42, 1.30, 1.10);

@@ -2,8 +2,8 @@
 
 use glam::{DMat3, DVec3, Vec3};
 
-use crate::Camera;
-use crate::bvh::{Bvh, Ray};
+use cosurf_scene::Camera;
+use cosurf_scene::bvh::{Bvh, Ray};
 
 /// Length at the end of a line of sight that may lie inside the surface, metres.
 const SLACK_M: f32 = 0.03;

@@ -11,7 +11,7 @@ use super::random::Rng;
 use super::render::World;
 use super::terrain::Terrain;
 use super::{blocks, ground, roadside};
-use crate::bvh::Bvh;
+use cosurf_scene::bvh::Bvh;
 
 /// If pixels are smaller than this on the ground, trees get single sprays of leaves, metres.
 const FINE_PIXEL_M: f32 = 0.45;

@@ -4,12 +4,12 @@ use glam::Vec2;
 
 use super::common;
 use super::site::Site;
-use crate::city::building::{self, Footprint, Style};
-use crate::city::facade::Wall;
-use crate::city::paving::{Outline, PAVEMENT_M, Surface};
-use crate::city::props;
-use crate::city::roofing::Cover;
-use crate::city::tree::Habit;
+use crate::building::{self, Footprint, Style};
+use crate::facade::Wall;
+use crate::paving::{Outline, PAVEMENT_M, Surface};
+use crate::props;
+use crate::roofing::Cover;
+use crate::tree::Habit;
 
 /// Towers with setbacks on a shared podium.
 pub(super) fn towers(site: &mut Site) {

@@ -3,15 +3,15 @@
 use glam::{Vec2, Vec3};
 
 use super::site::Site;
-use crate::city::building::{self, Footprint, Style};
-use crate::city::facade::{Facade, Wall};
-use crate::city::material::Material;
-use crate::city::mesh::Block3;
-use crate::city::paving::{Outline, PAVEMENT_M, Surface};
-use crate::city::props;
-use crate::city::roof;
-use crate::city::roofing::Cover;
-use crate::city::tree::Habit;
+use crate::building::{self, Footprint, Style};
+use crate::facade::{Facade, Wall};
+use crate::material::Material;
+use crate::mesh::Block3;
+use crate::paving::{Outline, PAVEMENT_M, Surface};
+use crate::props;
+use crate::roof;
+use crate::roofing::Cover;
+use crate::tree::Habit;
 
 /// An L-shaped school with a flat roof, a yard and a pitch.
 pub(super) fn school(site: &mut Site) {

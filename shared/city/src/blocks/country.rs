@@ -3,13 +3,13 @@
 use glam::{Vec2, Vec3};
 
 use super::site::Site;
-use crate::city::building::{self, Footprint, Style};
-use crate::city::facade::Wall;
-use crate::city::paving::{Outline, Surface};
-use crate::city::props;
-use crate::city::roof;
-use crate::city::roofing::Cover;
-use crate::city::tree::{self, Habit};
+use crate::building::{self, Footprint, Style};
+use crate::facade::Wall;
+use crate::paving::{Outline, Surface};
+use crate::props;
+use crate::roof;
+use crate::roofing::Cover;
+use crate::tree::{self, Habit};
 
 /// Crops, perhaps with a line of trees along one side.
 pub(super) fn field(site: &mut Site) {

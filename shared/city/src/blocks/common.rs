@@ -3,13 +3,13 @@
 use glam::Vec2;
 
 use super::site::Site;
-use crate::city::building::{self, Footprint, Style};
-use crate::city::facade::Wall;
-use crate::city::mesh::Block3;
-use crate::city::paving::PAVEMENT_M;
-use crate::city::roof;
-use crate::city::roofing::Cover;
-use crate::city::tree::Habit;
+use crate::building::{self, Footprint, Style};
+use crate::facade::Wall;
+use crate::mesh::Block3;
+use crate::paving::PAVEMENT_M;
+use crate::roof;
+use crate::roofing::Cover;
+use crate::tree::Habit;
 
 /// A low outbuilding.
 pub(super) fn shed(site: &mut Site, uv: Vec2, along: Vec2, size_m: Vec2) {

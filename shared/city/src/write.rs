@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use super::{City, TruthPoint};
-use crate::{Dataset, Mesh, SceneError, colmap};
+use cosurf_scene::{Dataset, Mesh, SceneError, colmap};
 
 /// Folder of the pictures.
 pub(super) const PICTURES: &str = "images";

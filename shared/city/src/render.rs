@@ -8,9 +8,9 @@ use super::material::{Appearance, Spot};
 use super::mesh::{Mesh, Triangle};
 use super::paving::Land;
 use super::plan::Plan;
-use crate::bvh::{Bvh, Hit, Ray};
-use crate::raycast::Shooter;
-use crate::{Camera, Picture};
+use cosurf_scene::bvh::{Bvh, Hit, Ray};
+use cosurf_scene::raycast::Shooter;
+use cosurf_scene::{Camera, Picture};
 
 /// A rendering of the town by a camera.
 #[derive(Clone, Debug, PartialEq)]

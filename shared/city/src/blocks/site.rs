@@ -2,16 +2,16 @@
 
 use glam::{Vec2, Vec3};
 
-use crate::city::building::Lot;
-use crate::city::facade::Wall;
-use crate::city::mesh::{Frame, Mesh};
-use crate::city::palette::Palette;
-use crate::city::paving::{Outline, PAVEMENT_M, Patch, Surface};
-use crate::city::plan::{Block, Plan};
-use crate::city::random::Rng;
-use crate::city::roofing::Cover;
-use crate::city::terrain::Terrain;
-use crate::city::tree::{self, Habit};
+use crate::building::Lot;
+use crate::facade::Wall;
+use crate::mesh::{Frame, Mesh};
+use crate::palette::Palette;
+use crate::paving::{Outline, PAVEMENT_M, Patch, Surface};
+use crate::plan::{Block, Plan};
+use crate::random::Rng;
+use crate::roofing::Cover;
+use crate::terrain::Terrain;
+use crate::tree::{self, Habit};
 
 /// A block under construction.
 pub(super) struct Site<'a> {
@@ -106,7 +106,7 @@ impl<'a> Site<'a> {
         let all = heights.as_flattened();
         let high = all.iter().copied().fold(f32::NEG_INFINITY, f32::max);
         let low = all.iter().copied().fold(f32::INFINITY, f32::min);
-        frame.origin.z = high + crate::city::plan::KERB_HEIGHT_M + 0.12;
+        frame.origin.z = high + crate::plan::KERB_HEIGHT_M + 0.12;
         let reach = half.x * along.abs() + half.y * along.perp().abs();
         self.taken.push((uv - reach, uv + reach));
         Lot { frame, depth_m: high - low + 0.6 }

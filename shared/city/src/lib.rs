@@ -1,12 +1,26 @@
-//! The synthetic city: a small town with exact geometry, flown over by a drone that needs no download.
+//! The synthetic town: a data set with exact geometry that needs no download.
 //!
-//! The town is one triangle mesh with procedural materials ([`CitySettings`] names what it is made
-//! from), traced with a bounding volume hierarchy. Pictures, depth, normals, cameras, the sparse
-//! cloud and the true surface all come from that one mesh, so they agree exactly. World frame: x
-//! east, y north, z up, metres, the middle of the flown square at the origin.
+//! What it is: [`City::build`] makes a small town from [`CitySettings`], as one triangle mesh with procedural
+//! materials, and a drone's flight over it. Pictures, depth, normals, cameras, the sparse cloud and the true surface
+//! all come from that mesh, so they agree exactly. World frame: x east, y north, z up, metres, the middle of the flown
+//! square at the origin.
 //!
-//! Randomness comes from integer hashes, and no function of the platform's mathematics library is
-//! used, so the same settings give the same bytes everywhere.
+//! What it refuses to know: splats, training, links, clocks. Random numbers come from integer hashes, and no function
+//! of the platform's mathematics library is used, so the same settings give the same bytes on every machine.
+//!
+//! Where to start reading: [`City`], then `world.rs`, which builds the town, and `render.rs`, which draws it.
+//!
+//! ```
+//! use cosurf_city::{City, CitySettings};
+//!
+//! let settings = CitySettings { extent_m: 10.0, views: 3, size_px: [32, 24], ..CitySettings::default() };
+//! let city = City::build(&settings)?;
+//! let frame = city.render(&city.cameras()[0]);
+//! assert_eq!(frame.picture.size_px, [32, 24]);
+//! assert!(frame.depth.iter().all(|depth_m| *depth_m >= 0.0));
+//! // `city.write(folder, progress)` writes pictures, poses, cloud and truth as a COLMAP data set.
+//! # Ok::<(), cosurf_city::CityError>(())
+//! ```
 
 mod blocks;
 mod building;
@@ -44,7 +58,8 @@ pub use truth::TruthPoint;
 
 use std::path::Path;
 
-use crate::{Camera, Dataset, Mesh, SceneError, View};
+use cosurf_scene::{Camera, Dataset, Mesh, SceneError, View};
+
 use flight::FlightPath;
 use render::World;
 

@@ -10,7 +10,7 @@ use super::mesh::Triangle;
 use super::random::Rng;
 use super::render::World;
 use super::sight::Sight;
-use crate::{Camera, Mesh};
+use cosurf_scene::{Camera, Mesh};
 
 /// Surface that this many cameras see counts as seen.
 const CAMERAS_MIN: usize = 3;

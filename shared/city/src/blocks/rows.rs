@@ -4,12 +4,12 @@ use glam::{Vec2, Vec3};
 
 use super::common;
 use super::site::{Side, Site};
-use crate::city::building::{self, Footprint, Lot, Style};
-use crate::city::facade::Wall;
-use crate::city::paving::{Outline, PAVEMENT_M, Surface};
-use crate::city::props;
-use crate::city::roof;
-use crate::city::tree::Habit;
+use crate::building::{self, Footprint, Lot, Style};
+use crate::facade::Wall;
+use crate::paving::{Outline, PAVEMENT_M, Surface};
+use crate::props;
+use crate::roof;
+use crate::tree::Habit;
 
 /// Terraced houses along all four sides, with a courtyard.
 pub(super) fn perimeter(site: &mut Site) {

@@ -4,12 +4,12 @@ use glam::Vec2;
 
 use super::common;
 use super::site::Site;
-use crate::city::building::{self, Footprint, Lot, Style};
-use crate::city::facade::Wall;
-use crate::city::paving::{Outline, Surface};
-use crate::city::props;
-use crate::city::roof;
-use crate::city::roofing::Cover;
+use crate::building::{self, Footprint, Lot, Style};
+use crate::facade::Wall;
+use crate::paving::{Outline, Surface};
+use crate::props;
+use crate::roof;
+use crate::roofing::Cover;
 
 /// A church, a fountain, stalls and trees on a paved square.
 pub(super) fn plaza(site: &mut Site) {

@@ -8,8 +8,8 @@ use super::light;
 use super::random::Rng;
 use super::render::World;
 use super::sight::Sight;
-use crate::raycast::Shooter;
-use crate::{Camera, SparsePoint};
+use cosurf_scene::raycast::Shooter;
+use cosurf_scene::{Camera, SparsePoint};
 
 /// Standard deviation of an observation, per axis.
 const NOISE_PX: f64 = 0.7;

@@ -1,13 +1,14 @@
 //! Writes the synthetic city as a dataset, with a contact sheet to look at.
 //!
-//! `cargo run --release -p cosurf-scene --example city -- OUT_DIR [SEED [EXTENT_M [VIEWS [WIDTH HEIGHT]]]]`
+//! `cargo run --release -p cosurf-city --example city -- OUT_DIR [SEED [EXTENT_M [VIEWS [WIDTH HEIGHT]]]]`
 
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::str::FromStr;
 use std::time::Instant;
 
-use cosurf_scene::{City, CitySettings, Dataset, Picture, SceneError};
+use cosurf_city::{City, CitySettings};
+use cosurf_scene::{Dataset, Picture, SceneError};
 
 /// Columns of the contact sheet, and its largest number of rows.
 const SHEET: [u32; 2] = [5, 6];

@@ -5,7 +5,7 @@ use glam::{DVec2, DVec3};
 
 use super::random::Rng;
 use super::settings::CitySettings;
-use crate::{Camera, Pose};
+use cosurf_scene::{Camera, Pose};
 
 /// Focal length divided by the picture's long side: a field of view of 60 degrees across it.
 const FOCAL_PER_LONG_SIDE: f64 = 0.866;
