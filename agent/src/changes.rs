@@ -1,10 +1,10 @@
 //! What changed on the ground of an agent's own cameras between two models of it: since the last flight, or by the
 //! merge with what others saw.
 
+use cosurf_contract::Changes;
 use cosurf_engine::{Renderer, Rendering};
 use cosurf_scene::Camera;
 use cosurf_scene::metrics::psnr;
-use cosurf_scene::report::Changes;
 
 /// Long side of the pictures that are compared, px.
 const SIZE_PX: u32 = 160;

@@ -4,7 +4,7 @@ use std::io::Write;
 use std::path::Path;
 
 use anyhow::Result;
-use cosurf_scene::report::TrainReport;
+use cosurf_contract::TrainReport;
 use cosurf_scene::{Camera, Splats, atomic, ply};
 use serde::Serialize;
 

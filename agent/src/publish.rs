@@ -7,12 +7,12 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
+use cosurf_contract::AgentEvent;
 use cosurf_engine::Renderer;
 use cosurf_link::{
     Credentials, FirstLayer, Identity, InboxLimits, ModelStore, Node, NodeEvent, Offer, Transport,
     body_to_model, model_to_body,
 };
-use cosurf_scene::report::AgentEvent;
 use cosurf_scene::{Base, Camera, Splats, ply};
 use cosurf_wire::{ModelHeader, ModelId, ModelKind};
 use serde::{Deserialize, Serialize};
@@ -217,7 +217,7 @@ fn shared(
 }
 
 fn received(header: &ModelHeader) -> AgentEvent {
-    AgentEvent::GlobalReceived { revision: header.model.0, splats: header.splats as usize }
+    AgentEvent::GlobalReceived { revision: header.model, splats: header.splats as usize }
 }
 
 /// `broker 10.0.0.2:1883` of `broker 10.0.0.2:1883: connection refused (attempt 2)`.

@@ -25,7 +25,6 @@ use std::fs;
 use std::path::Path;
 use std::sync::mpsc;
 
-use cosurf_city::CitySettings;
 use cosurf_link::BrokerAddress;
 use cosurf_scene::{Camera, Dataset, SceneError, Splats, View, ply};
 use cosurf_wire::{ModelHeader, SiteId};
@@ -143,9 +142,8 @@ fn agent_commands(
     address: &BrokerAddress,
 ) -> Result<Vec<AgentCommand>, MissionError> {
     let threads = (around.cores / plan.devices.len()).max(1);
-    let broker = format!("mqtt://{address}");
     let command = |agent| {
-        let folder = plan.write_agent_config(agent, &order.settings, &order.out, &broker, threads)?;
+        let folder = plan.write_agent_config(agent, &order.settings, &order.out, address, threads)?;
         let config = folder.join("agent.toml").display().to_string();
         Ok(AgentCommand {
             program: around.agent.clone(),

@@ -9,8 +9,8 @@ use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 use cosurf_city::{City, CitySettings};
+use cosurf_contract::Changes;
 use cosurf_scene::Picture;
-use cosurf_scene::report::Changes;
 
 /// Patience with one mission; it takes seconds.
 const TIME_LIMIT: Duration = Duration::from_secs(300);

@@ -3,8 +3,8 @@
 use std::io::{IsTerminal, Write};
 use std::time::{Duration, Instant};
 
+use cosurf_contract::{AgentEvent, ComparedWith};
 use cosurf_engine::train::StepOutcome;
-use cosurf_scene::report::{AgentEvent, Other};
 use indicatif::{ProgressBar, ProgressStyle};
 
 /// Time between two reports where there is no terminal.
@@ -153,10 +153,10 @@ fn in_words(event: &AgentEvent) -> Option<String> {
         AgentEvent::GlobalReceived { revision, splats } => {
             format!("global model, revision {revision}: {splats} splats")
         }
-        AgentEvent::Compared { with: Other::Init, changes } => {
+        AgentEvent::Compared { with: ComparedWith::Init, changes } => {
             format!("since the model it began with: {changes}")
         }
-        AgentEvent::Compared { with: Other::Global, changes } => {
+        AgentEvent::Compared { with: ComparedWith::Global, changes } => {
             format!("its own ground in the global model: {changes}")
         }
     })

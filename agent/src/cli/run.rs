@@ -5,22 +5,21 @@ use std::num::NonZeroU32;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use anyhow::{Context, Result, anyhow, bail};
+use anyhow::{Context, Result};
 use clap::Args;
 use cosurf_agent::changes::compare;
 use cosurf_agent::outputs::write_json;
 use cosurf_agent::publish::{Publication, Sharing, global_ply, publish, tell};
 use cosurf_agent::session::{self, SH_DEGREE, Split, TrainPlan};
 use cosurf_agent::warm;
-use cosurf_engine::{DeviceChoice, PruneSettings, Renderer, SurfaceSettings, base_of};
-use cosurf_link::serial::{DEFAULT_BAUD, DEVICE_MESSAGE_BYTES};
+use cosurf_contract::{AgentConfig, AgentEvent, AgentLink, ComparedWith, Share};
+use cosurf_engine::{PruneSettings, Renderer, SurfaceSettings, base_of};
+use cosurf_link::serial::DEVICE_MESSAGE_BYTES;
 use cosurf_link::{
     BrokerAddress, Credentials, Identity, MqttConfig, MqttTransport, Outgoing, PublishError, Role,
     SerialConfig, SerialTransport, Tls, Transport, TransportEvent, next_session,
 };
-use cosurf_scene::report::{AgentEvent, Other};
-use cosurf_scene::{AgentConfig, Camera, ply};
-use cosurf_wire::{DeviceId, FrameId, SiteId};
+use cosurf_scene::{Camera, ply};
 
 use super::progress::Progress;
 use super::{beginning, cores, default_memory, train};
@@ -42,24 +41,19 @@ pub(super) struct RunArgs {
 
 pub(super) fn run(args: &RunArgs) -> Result<()> {
     let text = fs::read_to_string(&args.config).with_context(|| args.config.display().to_string())?;
-    let config: AgentConfig = toml::from_str(&text).with_context(|| args.config.display().to_string())?;
-    let device = DeviceId::new(&config.device).with_context(|| format!("device {:?}", config.device))?;
-    let site = SiteId::new(&config.site).with_context(|| format!("site {:?}", config.site))?;
-    let frame = config.frame.as_deref().map(FrameId::new).transpose().context("frame")?;
-    let credentials =
-        Credentials::load(frame.unwrap_or_default(), config.key.as_deref(), config.trusted.as_deref())?;
-    if config.compress && config.trusted.is_some() {
-        bail!(
-            "compress = true: what others have photographed is not signed; leave out either it or `trusted`"
-        );
-    }
+    let config = AgentConfig::from_toml(&text).with_context(|| args.config.display().to_string())?;
+    let credentials = Credentials::load(
+        config.frame.unwrap_or_default(),
+        config.key.as_deref(),
+        config.trusted.as_deref(),
+    )?;
     let route = Route::of(&config)?;
-    let plan = plan(&config).with_context(|| args.config.display().to_string())?;
+    let plan = plan(&config);
     let mut progress = Progress::new(args.json);
     let line = |route: &Route| -> Result<(Identity, Line)> {
         let clock_s = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
         let session = next_session(&config.out.join("session"), clock_s)?;
-        let identity = Identity { site, device, session, role: Role::Device };
+        let identity = Identity { site: config.site, device: config.device, session, role: Role::Device };
         Ok((identity, route.open(identity)))
     };
     let started = Instant::now();
@@ -82,7 +76,7 @@ pub(super) fn run(args: &RunArgs) -> Result<()> {
     let compared = Compared { plan: &plan, cameras: &cameras, out: &config.out };
     if let Some(init) = &plan.init {
         let mut renderer = Renderer::new(&splats, plan.threads);
-        compared.show(Other::Init, init, &mut renderer, &mut progress)?;
+        compared.show(ComparedWith::Init, init, &mut renderer, &mut progress)?;
     }
     let sharing =
         flight.as_ref().map(|flight| Sharing { flight, quiet: route.quiet(), threads: plan.threads });
@@ -103,7 +97,7 @@ pub(super) fn run(args: &RunArgs) -> Result<()> {
     drop(line);
     if config.wait_global {
         let mut renderer = Renderer::new(&splats, plan.threads);
-        compared.show(Other::Global, &global_ply(&config.out), &mut renderer, &mut progress)?;
+        compared.show(ComparedWith::Global, &global_ply(&config.out), &mut renderer, &mut progress)?;
     }
     Ok(())
 }
@@ -118,7 +112,13 @@ struct Compared<'a> {
 impl Compared<'_> {
     /// Tells, and keeps in a file, how `other`, a PLY, differs from the agent's `own` model on the ground of its cameras. One that is too
     /// large for the memory is passed over.
-    fn show(&self, with: Other, other: &Path, own: &mut Renderer, progress: &mut Progress) -> Result<()> {
+    fn show(
+        &self,
+        with: ComparedWith,
+        other: &Path,
+        own: &mut Renderer,
+        progress: &mut Progress,
+    ) -> Result<()> {
         let file_bytes = fs::metadata(other).with_context(|| other.display().to_string())?.len();
         if file_bytes > self.plan.memory_bytes / 4 {
             return Ok(());
@@ -126,13 +126,13 @@ impl Compared<'_> {
         let splats = warm::beginning(other, self.cameras, usize::MAX, SH_DEGREE)?;
         let mut other = Renderer::new(&splats, self.plan.threads);
         let (before, after) = match with {
-            Other::Init => (&mut other, own),
-            Other::Global => (own, &mut other),
+            ComparedWith::Init => (&mut other, own),
+            ComparedWith::Global => (own, &mut other),
         };
         if let Some(changes) = compare(before, after, self.cameras) {
             let file = match with {
-                Other::Init => "changes-init.json",
-                Other::Global => "changes-global.json",
+                ComparedWith::Init => "changes-init.json",
+                ComparedWith::Global => "changes-global.json",
             };
             write_json(&self.out.join(file), &changes)?;
             progress.show(&AgentEvent::Compared { with, changes });
@@ -149,17 +149,12 @@ enum Route {
 
 impl Route {
     fn of(config: &AgentConfig) -> Result<Self> {
-        match (&config.broker, &config.serial) {
-            (Some(broker), None) => {
-                let broker: BrokerAddress = broker.parse()?;
-                let tls = Tls::for_broker(&broker, config.tls.as_ref())?;
-                Ok(Self::Broker { broker, tls })
+        Ok(match config.link()? {
+            AgentLink::Broker { address, tls } => {
+                Self::Broker { broker: address.clone(), tls: Tls::for_broker(address, tls)? }
             }
-            (None, Some(port)) => {
-                Ok(Self::Serial { port: port.clone(), baud: config.baud.unwrap_or(DEFAULT_BAUD) })
-            }
-            _ => bail!("write either broker = \"mqtt://host:port\" or serial = \"/dev/ttyUSB0\""),
-        }
+            AgentLink::Serial { port, baud } => Self::Serial { port: port.to_owned(), baud },
+        })
     }
 
     /// Opens the line.
@@ -215,38 +210,28 @@ impl Transport for Line {
     }
 }
 
-fn plan(config: &AgentConfig) -> Result<TrainPlan> {
+fn plan(config: &AgentConfig) -> TrainPlan {
     let split = if config.views.is_empty() && config.held_out.is_empty() {
         Split::Every(config.eval_every)
     } else {
         Split::Named { train: config.views.clone(), held_out: config.held_out.clone() }
     };
-    let prune = match config.prune {
-        Some(ratio) if !(0.0..1.0).contains(&ratio) => {
-            bail!("prune = {ratio}: give a number from 0 to below 1")
-        }
-        Some(ratio) => (ratio > 0.0).then(|| PruneSettings { ratio, ..PruneSettings::default() }),
-        None => Some(PruneSettings::default()),
-    };
-    let device = match &config.compute {
-        Some(word) => word.parse().map_err(|reason| anyhow!("compute = {word:?}: {reason}"))?,
-        None => DeviceChoice::Auto,
-    };
-    Ok(TrainPlan {
+    let ratio = config.prune.map_or(PruneSettings::default().ratio, Share::get);
+    TrainPlan {
         data: config.data.clone(),
         split,
         steps: config.steps.max(1),
         seed: config.seed,
         memory_bytes: config.memory_bytes.unwrap_or_else(default_memory),
         max_size_px: config.max_size_px.unwrap_or(u32::MAX),
-        device,
+        device: config.compute.unwrap_or_default(),
         threads: config.threads.unwrap_or_else(cores).clamp(1, 1024),
         surface: (!config.color_only).then(SurfaceSettings::default),
-        prune,
+        prune: (ratio > 0.0).then(|| PruneSettings { ratio, ..PruneSettings::default() }),
         exposure: config.exposure,
         // On the first flight no global model has come yet.
         init: beginning(config.init.as_ref(), &config.out)
             .filter(|init| init.is_file() || config.init.as_ref() == Some(init)),
         one_of_many: !config.alone,
-    })
+    }
 }

@@ -9,11 +9,11 @@ use clap::{Args, ValueEnum};
 use cosurf_agent::checkpoint::{self, Checkpoint, Spent};
 use cosurf_agent::session::{Session, Split, TrainPlan};
 use cosurf_agent::{evaluate, outputs, usage};
+use cosurf_contract::{AgentEvent, TrainReport};
 use cosurf_engine::{
     Backend, DeviceChoice, DeviceLost, PruneScore, PruneSettings, Renderer, SurfaceSettings,
 };
 use cosurf_scene::Splats;
-use cosurf_scene::report::{AgentEvent, TrainReport};
 
 use super::progress::Progress;
 use super::{Common, DeviceArgs, beginning, default_memory, parse_memory, parse_share};

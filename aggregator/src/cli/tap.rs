@@ -11,8 +11,7 @@ use anyhow::{Context, Result};
 use clap::Args;
 use cosurf_link::mqtt::traffic::{self, ReplaySettings};
 use cosurf_link::recording::Recording;
-use cosurf_link::{BrokerAddress, Faults, Tls};
-use cosurf_scene::TlsFiles;
+use cosurf_link::{BrokerAddress, Faults, Tls, TlsFiles};
 
 /// Address of a broker, and the files for TLS.
 #[derive(Args)]

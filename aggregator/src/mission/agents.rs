@@ -14,7 +14,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
-use cosurf_scene::report::AgentEvent;
+use cosurf_contract::AgentEvent;
 
 /// Most restarts of a process that dies.
 pub(crate) const RESTARTS_MAX: u32 = 5;

@@ -1,6 +1,6 @@
 //! The status of every agent of a mission, gathered from its events.
 
-use cosurf_scene::report::{AgentEvent, TrainReport};
+use cosurf_contract::{AgentEvent, TrainReport};
 
 use super::agents::{ProcessEventKind, RESTARTS_MAX};
 

@@ -5,8 +5,8 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
+use cosurf_city::CitySettings;
 use cosurf_link::BrokerAddress;
-use cosurf_scene::city::CitySettings;
 
 use super::plan::Settings;
 use crate::terminal::Display;

@@ -7,7 +7,9 @@ use std::fs;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use cosurf_scene::{AgentConfig, Dataset, SceneError, atomic};
+use cosurf_contract::AgentConfig;
+use cosurf_link::BrokerAddress;
+use cosurf_scene::{Dataset, SceneError, atomic};
 use cosurf_wire::{DeviceId, IdError, SiteId};
 use serde::{Deserialize, Serialize};
 
@@ -181,16 +183,16 @@ impl Plan {
         agent: usize,
         settings: &Settings,
         out: &Path,
-        broker: &str,
+        broker: &BrokerAddress,
         threads: usize,
     ) -> Result<PathBuf, PlanError> {
         let device = self.devices[agent];
         let folder = out.join("agents").join(device.as_str());
         fs::create_dir_all(&folder).map_err(|cause| SceneError::io(&folder, cause))?;
         let config = AgentConfig {
-            device: device.to_string(),
-            site: self.site_of(agent).to_string(),
-            broker: Some(broker.to_string()),
+            device,
+            site: self.site_of(agent),
+            broker: Some(broker.clone()),
             tls: None,
             serial: None,
             baud: None,
@@ -340,7 +342,8 @@ mod tests {
     fn the_written_configuration_is_what_the_agent_reads() {
         let out = tempfile::tempdir().unwrap();
         let plan = Plan::make(&row(18), &settings(), out.path(), site("a")).unwrap();
-        let folder = plan.write_agent_config(1, &settings(), out.path(), "mqtt://h:1", 3).unwrap();
+        let broker = "mqtt://h:1".parse().unwrap();
+        let folder = plan.write_agent_config(1, &settings(), out.path(), &broker, 3).unwrap();
         let text = fs::read_to_string(folder.join("agent.toml")).unwrap();
         let config: AgentConfig = toml::from_str(&text).unwrap();
         assert_eq!((config.device.as_str(), config.site.as_str()), ("agent-2", "a"));
@@ -355,7 +358,8 @@ mod tests {
             let out = tempfile::tempdir().unwrap();
             let settings = Settings { division: Division::Evenly { agents }, ..settings() };
             let plan = Plan::make(&row(18), &settings, out.path(), site("a")).unwrap();
-            let folder = plan.write_agent_config(0, &settings, out.path(), "mqtt://h:1", 1).unwrap();
+            let broker = "mqtt://h:1".parse().unwrap();
+            let folder = plan.write_agent_config(0, &settings, out.path(), &broker, 1).unwrap();
             let text = fs::read_to_string(folder.join("agent.toml")).unwrap();
             assert_eq!(toml::from_str::<AgentConfig>(&text).unwrap().alone, is_alone);
         }

@@ -139,7 +139,7 @@ fn json_line(agent: &str, event: &ProcessEventKind) -> String {
 
 #[cfg(test)]
 mod tests {
-    use cosurf_scene::report::AgentEvent;
+    use cosurf_contract::AgentEvent;
 
     use super::*;
 

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use cosurf_scene::report::TrainReport;
+use cosurf_contract::TrainReport;
 use serde::{Deserialize, Serialize};
 
 use crate::evaluate::Quality;

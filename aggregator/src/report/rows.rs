@@ -1,7 +1,7 @@
 //! The rows of the table of agents, shared by the page and the terminal.
 
+use cosurf_contract::TrainReport;
 use cosurf_scene::bytes::format_bytes;
-use cosurf_scene::report::TrainReport;
 
 use super::figures::{AgentSummary, MissionReport, WholeSummary};
 use crate::evaluate::Quality;

@@ -86,7 +86,7 @@ pub(crate) fn remarks(report: &MissionReport) -> Vec<String> {
 #[cfg(test)]
 pub(crate) mod tests {
     #![allow(clippy::unwrap_used)]
-    use cosurf_scene::report::TrainReport;
+    use cosurf_contract::TrainReport;
 
     use super::super::figures::{AgentSummary, MeshSummary, WholeSummary};
     use super::*;

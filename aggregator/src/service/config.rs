@@ -5,7 +5,7 @@ use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
 use cosurf_engine::DeviceChoice;
-use cosurf_scene::TlsFiles;
+use cosurf_link::TlsFiles;
 use cosurf_wire::{DeviceId, FrameId, SiteId};
 use serde::Deserialize;
 

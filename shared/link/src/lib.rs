@@ -38,7 +38,7 @@ pub use identity::{Identity, Role};
 pub use inbox::{Inbox, InboxLimits};
 pub use key::ModelKey;
 pub use memory::{MemoryNetwork, MemoryTransport};
-pub use mqtt::{BrokerAddress, MqttConfig, MqttTransport, Tls};
+pub use mqtt::{BrokerAddress, MqttConfig, MqttTransport, Tls, TlsFiles};
 pub use node::{Node, NodeEvent, UploadFault, select_flight_cameras, upload_blocking};
 pub use offer::Offer;
 pub use serial::{SerialConfig, SerialTransport};

@@ -23,7 +23,7 @@ mod worker;
 
 pub use address::{BadAddress, BrokerAddress};
 pub use config::MqttConfig;
-pub use tls::{Tls, TlsError};
+pub use tls::{Tls, TlsError, TlsFiles};
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;

@@ -3,6 +3,8 @@
 use std::fmt;
 use std::str::FromStr;
 
+use serde::{Deserialize, Serialize};
+
 /// Default port without TLS (IANA).
 const DEFAULT_PORT: u16 = 1883;
 /// Default port with TLS (IANA).
@@ -10,7 +12,8 @@ const DEFAULT_PORT_TLS: u16 = 8883;
 
 /// The address of a broker: `mqtt://host:port`, `host:port` or `host` without TLS (default port 1883),
 /// `mqtts://host:port` with TLS (default port 8883).
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
 pub struct BrokerAddress {
     /// Host name or IP address.
     pub host: String,
@@ -63,5 +66,21 @@ impl FromStr for BrokerAddress {
         let default = if is_tls { DEFAULT_PORT_TLS } else { DEFAULT_PORT };
         let port = port.map_or(Ok(default), |port| port.parse().map_err(|_| error()))?;
         Ok(Self { host: host.to_owned(), port, is_tls })
+    }
+}
+
+impl TryFrom<String> for BrokerAddress {
+    type Error = BadAddress;
+
+    fn try_from(text: String) -> Result<Self, BadAddress> {
+        text.parse()
+    }
+}
+
+impl From<BrokerAddress> for String {
+    /// As a URL that parses back to the same address.
+    fn from(address: BrokerAddress) -> Self {
+        let scheme = if address.is_tls { "mqtts" } else { "mqtt" };
+        format!("{scheme}://{address}")
     }
 }

@@ -98,3 +98,17 @@ fn a_client_without_acknowledgements_is_replaced() {
     assert!(broker.unacknowledged.load(Ordering::Relaxed) > 0, "nothing was published");
     assert_eq!(transport.poll(timeout), Some(TransportEvent::Connected));
 }
+
+#[test]
+fn an_address_is_written_as_a_url_that_reads_back() {
+    for (text, url) in [
+        ("host", "mqtt://host:1883"),
+        ("10.0.0.2:7", "mqtt://10.0.0.2:7"),
+        ("mqtts://host/", "mqtts://host:8883"),
+        ("mqtt://[::1]:7", "mqtt://[::1]:7"),
+    ] {
+        let address: BrokerAddress = text.parse().unwrap();
+        assert_eq!(String::from(address.clone()), url);
+        assert_eq!(url.parse(), Ok(address));
+    }
+}

@@ -3,13 +3,25 @@
 //! rumqttc 0.25 also links rustls-webpki 0.102.8 (RUSTSEC-2026-0049, -0098, -0099, -0104), but only for the
 //! type of an error. Certificates are verified by the rustls-webpki of rustls itself, 0.103.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use cosurf_scene::TlsFiles;
 use rustls::pki_types::pem::PemObject;
 use rustls::pki_types::{CertificateDer, PrivateKeyDer, pem};
 use rustls::{ClientConfig, RootCertStore};
+use serde::{Deserialize, Serialize};
+
+/// The files of a TLS client, all in PEM.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TlsFiles {
+    /// Certificates of the trusted authorities.
+    pub ca: PathBuf,
+    /// The client's certificate, followed by the intermediate certificates up to the authority.
+    pub cert: PathBuf,
+    /// The private key of `cert`.
+    pub key: PathBuf,
+}
 
 use super::address::BrokerAddress;
 

@@ -7,8 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use cosurf_link::{BrokerAddress, Tls};
-use cosurf_scene::TlsFiles;
+use cosurf_link::{BrokerAddress, Tls, TlsFiles};
 
 /// A running Mosquitto with a folder of its own; killed when dropped.
 pub struct Mosquitto {

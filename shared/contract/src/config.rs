@@ -1,0 +1,156 @@
+//! What an agent is told to do: the content of `agent.toml`.
+
+mod error;
+
+use std::num::NonZeroU32;
+use std::path::PathBuf;
+
+use cosurf_engine::DeviceChoice;
+use cosurf_link::serial::DEFAULT_BAUD;
+use cosurf_link::{BrokerAddress, TlsFiles};
+use cosurf_wire::{DeviceId, FrameId, SiteId};
+use serde::{Deserialize, Serialize};
+
+use crate::Share;
+
+pub use error::ConfigError;
+
+/// The configuration of one agent. Relative paths are relative to the agent's working folder.
+///
+/// TOML's integers are signed: `seed` and `memory_bytes` must be below 2⁶³ to be written as TOML.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct AgentConfig {
+    /// The agent's id: unique on the site, the same in every run.
+    pub device: DeviceId,
+    /// The site whose aggregator receives the model.
+    pub site: SiteId,
+    /// The broker's address, for example `mqtt://127.0.0.1:1883`. Give either `broker` or `serial`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub broker: Option<BrokerAddress>,
+    /// The certificates for a broker of `mqtts://`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tls: Option<TlsFiles>,
+    /// The serial port of a radio whose other end is at the aggregator, for example `/dev/ttyUSB0`. Give either
+    /// `broker` or `serial`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub serial: Option<String>,
+    /// Speed of the serial port in bits per second; [`DEFAULT_BAUD`] if absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub baud: Option<NonZeroU32>,
+    /// The data set's folder.
+    pub data: PathBuf,
+    /// The folder for model, checkpoints, report and the received global model.
+    pub out: PathBuf,
+    /// Names of the views to train on. If both lists are empty, `eval_every` splits the data set.
+    #[serde(default)]
+    pub views: Vec<String>,
+    /// Names of the held-out views: scored, never trained on.
+    #[serde(default)]
+    pub held_out: Vec<String>,
+    /// If both lists are empty, every n-th view by sorted name is held out; 0 holds out none.
+    #[serde(default = "default_eval_every")]
+    pub eval_every: u32,
+    /// Training steps.
+    pub steps: u32,
+    /// Seed of all random numbers.
+    #[serde(default)]
+    pub seed: u64,
+    /// Limit on the process's resident memory in bytes. If absent, the agent plans with two thirds of the free memory,
+    /// at most 8 GiB.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub memory_bytes: Option<u64>,
+    /// Limit on the pictures' long side in pixels; larger pictures are shrunk. Full size if absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub max_size_px: Option<u32>,
+    /// The device to train on: `auto` (a hardware GPU if there is one, otherwise the CPU), `cpu`, `gpu` or `gpu:N`;
+    /// `auto` if absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub compute: Option<DeviceChoice>,
+    /// Number of CPU threads, 1 to 1024; one per core if absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub threads: Option<usize>,
+    /// Train colour only, without the surface losses.
+    #[serde(default)]
+    pub color_only: bool,
+    /// Share of the splats to prune after two thirds of the steps, 0 for none; the default of
+    /// [`cosurf_engine::PruneSettings`] if absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub prune: Option<Share>,
+    /// Learn an exposure for each picture, for cameras with automatic exposure.
+    #[serde(default)]
+    pub exposure: bool,
+    /// A model of the same ground to start from, for example the last flight's `global.ply`. The word `global` stands
+    /// for the global model that `out` received earlier. If absent, training starts from the sparse cloud.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub init: Option<PathBuf>,
+    /// The world frame of the coordinates; only models of the same frame are merged. `local` if absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub frame: Option<FrameId>,
+    /// The secret key that signs the model, a file of the command `key`; no signature if absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub key: Option<PathBuf>,
+    /// A file of the public keys whose global models are accepted, one line of the command `key` each; all are accepted
+    /// if absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub trusted: Option<PathBuf>,
+    /// This model will not be merged with others. A model that will be merged gets more splats, and keeps splats that
+    /// only one view observes.
+    #[serde(default)]
+    pub alone: bool,
+    /// Before the upload, drop the splats of ground that another agent observed better. This halves the upload and costs
+    /// the merged model some tenths of a dB; all agents of a site should use the same value.
+    #[serde(default)]
+    pub compress: bool,
+    /// After the upload, wait for the global model and store it.
+    #[serde(default)]
+    pub wait_global: bool,
+}
+
+/// How an agent reaches its aggregator.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum AgentLink<'a> {
+    /// Through an MQTT broker.
+    Broker {
+        /// Where the broker listens.
+        address: &'a BrokerAddress,
+        /// The certificates for a broker of `mqtts://`.
+        tls: Option<&'a TlsFiles>,
+    },
+    /// By a radio on a serial port.
+    Serial {
+        /// The port, for example `/dev/ttyUSB0`.
+        port: &'a str,
+        /// Its speed in bits per second.
+        baud: NonZeroU32,
+    },
+}
+
+impl AgentConfig {
+    /// Parses the content of an `agent.toml` and checks that its fields fit together. The error is one line that names
+    /// the field.
+    pub fn from_toml(text: &str) -> Result<Self, ConfigError> {
+        let config: Self = toml::from_str(text).map_err(|error| ConfigError::from_toml(text, &error))?;
+        config.link()?;
+        if config.compress && config.trusted.is_some() {
+            return Err(ConfigError::UnsignedFlights);
+        }
+        Ok(config)
+    }
+
+    /// How the agent reaches its aggregator; an error unless exactly one of `broker` and `serial` is set.
+    pub fn link(&self) -> Result<AgentLink<'_>, ConfigError> {
+        match (&self.broker, &self.serial) {
+            (Some(address), None) => Ok(AgentLink::Broker { address, tls: self.tls.as_ref() }),
+            (None, Some(port)) => Ok(AgentLink::Serial { port, baud: self.baud.unwrap_or(DEFAULT_BAUD) }),
+            _ => Err(ConfigError::OneLink),
+        }
+    }
+}
+
+fn default_eval_every() -> u32 {
+    8
+}
+
+#[cfg(test)]
+mod tests;

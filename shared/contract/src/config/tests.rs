@@ -1,0 +1,144 @@
+//! Files that people and missions wrote before stay valid, and wrong values are refused with one clear line.
+#![allow(clippy::unwrap_used)]
+
+use super::*;
+
+/// What a mission has written for an agent since before fields had types.
+const WRITTEN_BY_A_MISSION: &str = r#"device = "agent-1"
+site = "mission-1795417316"
+broker = "mqtt://127.0.0.1:42435"
+data = "/missions/a/city"
+out = "/missions/a/agents/agent-1"
+views = ["0001.jpg", "0002.jpg"]
+held_out = ["0000.jpg"]
+eval_every = 8
+steps = 1500
+seed = 0
+memory_bytes = 1073741824
+threads = 1
+color_only = false
+exposure = false
+alone = false
+compress = false
+wait_global = true
+"#;
+
+/// All fields, with values in the forms that this program writes.
+const ALL_FIELDS: &str = r#"device = "drone-1"
+site = "quarry"
+broker = "mqtts://broker.example.org:8883"
+baud = 115200
+data = "data"
+out = "out"
+views = ["b.jpg"]
+held_out = []
+eval_every = 0
+steps = 7
+seed = 3
+memory_bytes = 300000000
+max_size_px = 320
+compute = "gpu:1"
+threads = 2
+color_only = true
+prune = 0.25
+exposure = true
+init = "global"
+frame = "EPSG-2180"
+key = "drone-1.key"
+trusted = "trusted.txt"
+alone = true
+compress = false
+wait_global = false
+
+[tls]
+ca = "ca.pem"
+cert = "drone-1.pem"
+key = "drone-1.key"
+"#;
+
+const REQUIRED: &str =
+    "device = \"d\"\nsite = \"s\"\nbroker = \"b\"\ndata = \"in\"\nout = \"out\"\nsteps = 7\n";
+
+fn refused(text: &str) -> String {
+    AgentConfig::from_toml(text).unwrap_err().to_string()
+}
+
+#[test]
+fn toml_written_before_is_written_again_byte_for_byte() {
+    for text in [WRITTEN_BY_A_MISSION, ALL_FIELDS] {
+        let config = AgentConfig::from_toml(text).unwrap();
+        assert_eq!(toml::to_string(&config).unwrap(), text);
+    }
+}
+
+#[test]
+fn only_the_required_fields_must_be_written() {
+    let config = AgentConfig::from_toml(REQUIRED).unwrap();
+    assert_eq!((config.steps, config.eval_every, config.seed), (7, 8, 0));
+    assert!(config.views.is_empty() && config.memory_bytes.is_none() && !config.alone && !config.wait_global);
+    assert_eq!(config.broker.as_ref().unwrap().port, 1883);
+}
+
+#[test]
+fn json_is_read_back_as_it_was_written() {
+    for text in [WRITTEN_BY_A_MISSION, ALL_FIELDS, REQUIRED] {
+        let config = AgentConfig::from_toml(text).unwrap();
+        let json = serde_json::to_string(&config).unwrap();
+        assert_eq!(serde_json::from_str::<AgentConfig>(&json).unwrap(), config);
+    }
+}
+
+#[test]
+fn a_serial_port_takes_the_place_of_a_broker() {
+    let text = REQUIRED.replace("broker = \"b\"", "serial = \"/dev/ttyUSB0\"");
+    let config = AgentConfig::from_toml(&text).unwrap();
+    assert_eq!(config.link(), Ok(AgentLink::Serial { port: "/dev/ttyUSB0", baud: DEFAULT_BAUD }));
+}
+
+#[test]
+fn a_wrong_value_is_one_line_that_names_line_and_field() {
+    for (line, reason) in [
+        ("device = \"a b\"", "line 1, device: ' ' in a name: use only A-Z a-z 0-9 _ -"),
+        ("device = \"global\"", "line 1, device: the name `global` is reserved for the aggregator's models"),
+        ("site = \"\"", "line 2, site: a name must not be empty"),
+        (
+            "broker = \"mqtt://u:p@h\"",
+            "line 3, broker: broker address \"mqtt://u:p@h\": write mqtt://host:port",
+        ),
+        ("steps = -1", "line 6, steps: "),
+        ("steps = \"many\"", "line 6, steps: "),
+        ("compute = \"cuda\"", "line 7, compute: give auto, cpu, gpu or gpu:N"),
+        ("prune = 1.0", "line 7, prune: give a number from 0 to below 1"),
+        ("frame = \"a/b\"", "line 7, frame: '/' in a name"),
+        ("baud = 0", "line 7, baud: "),
+        ("views = [\n    \"a.jpg\",\n    7,\n]", "line 9, views: "),
+        ("[tls]\nca = \"ca.pem\"\ncert = 7", "line 9, tls.cert: "),
+        ("[tls]\nca = \"ca.pem\"", "line 7, tls: missing field `cert`"),
+        ("tls = { ca = \"c\" }", "line 7, tls: missing field `cert`"),
+        ("stesp = 7", "line 7, stesp: unknown field `stesp`"),
+        ("steps 7", "line 6, steps: "),
+    ] {
+        let key = line.split([' ', '[', ']']).find(|word| !word.is_empty()).unwrap();
+        let others = REQUIRED.lines().map(|other| if other.starts_with(key) { line } else { other });
+        let mut text = others.collect::<Vec<_>>().join("\n") + "\n";
+        if !text.contains(line) {
+            text += line;
+        }
+        let error = refused(&text);
+        assert!(error.starts_with(reason) && !error.contains('\n'), "{error:?} is not {reason:?}");
+    }
+}
+
+#[test]
+fn a_missing_field_is_named() {
+    assert_eq!(refused(&REQUIRED.replace("device = \"d\"\n", "")), "missing field `device`");
+}
+
+#[test]
+fn fields_that_contradict_each_other_are_refused() {
+    for text in [REQUIRED.replace("broker = \"b\"\n", ""), format!("{REQUIRED}serial = \"/dev/ttyUSB0\"\n")] {
+        assert!(refused(&text).contains("either broker"), "{text}");
+    }
+    let unsigned = refused(&format!("{REQUIRED}compress = true\ntrusted = \"list\"\n"));
+    assert!(unsigned.contains("`compress`") && unsigned.contains("`trusted`"), "{unsigned}");
+}

@@ -1,0 +1,43 @@
+//! What an agent and the program that starts it agree on, beside the messages of the wire.
+//!
+//! What it is: [`AgentConfig`], the content of `agent.toml`; [`AgentEvent`], the JSON lines that an agent prints under
+//! `--json`; [`TrainReport`] and [`Changes`], the JSON files that it leaves behind. A person may write and read them;
+//! so does the aggregator's `mission`. Values are parsed into the types that the programs compute with, so that a wrong
+//! value is refused where it is read.
+//!
+//! What it refuses to know: how an agent trains or sends, what becomes of its model, files, clocks, command lines.
+//!
+//! Where to start reading: [`config`], then [`report`].
+//!
+//! ```
+//! use cosurf_contract::{AgentConfig, AgentEvent};
+//!
+//! let text = r#"
+//! device = "drone-1"
+//! site = "quarry"
+//! broker = "mqtt://192.168.1.10:1883"
+//! data = "/data/flight-7"
+//! out = "/data/flight-7/model"
+//! steps = 3000
+//! "#;
+//! let config = AgentConfig::from_toml(text)?;
+//! assert_eq!((config.device.as_str(), config.seed), ("drone-1", 0));
+//!
+//! let wrong = text.replace("drone-1", "drone 1");
+//! let error = AgentConfig::from_toml(&wrong).unwrap_err();
+//! assert_eq!(error.to_string(), "line 2, device: ' ' in a name: use only A-Z a-z 0-9 _ -");
+//!
+//! let line = r#"{"event":"acknowledged","bytes_sent":4096}"#;
+//! let event: AgentEvent = serde_json::from_str(line).expect("an event");
+//! assert_eq!(event, AgentEvent::Acknowledged { bytes_sent: 4096 });
+//! # Ok::<(), cosurf_contract::ConfigError>(())
+//! ```
+
+pub mod config;
+pub mod report;
+mod share;
+
+pub use config::{AgentConfig, AgentLink, ConfigError};
+pub use cosurf_link::TlsFiles;
+pub use report::{AgentEvent, Changes, ComparedWith, TrainReport};
+pub use share::{NotAShare, Share};
