@@ -1,9 +1,9 @@
-//! What other devices have photographed, and what is left to them before the own model is sent (CoSurfGS, "Local Model
+//! Which views other devices have taken, and which splats are therefore dropped before the upload (CoSurfGS, "Local Model
 //! Compression", on the device).
 //!
-//! Every device tells what it has photographed before it trains, and the broker keeps that; who has trained hears all of
-//! it. Of a device that was not heard nothing is left out: its ground is sent twice, never by nobody, as long as whoever
-//! tells a flight sends a model in the end.
+//! Every device announces its cameras, its *flight*, before it trains, and the broker retains the announcement; so a
+//! device that has trained receives the flights of all others. Ground of a device whose flight has not arrived is kept:
+//! it may be sent twice, but never by nobody, as long as every device that announced a flight sends a model in the end.
 
 use std::collections::BTreeMap;
 
@@ -13,10 +13,10 @@ use cosurf_link::select_flight_cameras;
 use cosurf_scene::{Camera, Splats};
 use cosurf_wire::DeviceId;
 
-/// Devices of which flights are kept.
+/// Limit on the number of devices; flights of further devices are ignored.
 const DEVICES_MAX: usize = 256;
 
-/// The flights of a site, as far as they are known.
+/// The known flights of a site.
 #[derive(Clone, Debug)]
 pub struct Flights {
     own: DeviceId,
@@ -24,26 +24,26 @@ pub struct Flights {
 }
 
 impl Flights {
-    /// Knows of `own`, which has these cameras, only.
+    /// Only the flight of the own device, which took views with these cameras.
     pub fn new(own: DeviceId, cameras: &[Camera]) -> Self {
         Self { own, cameras: BTreeMap::from([(own, select_flight_cameras(cameras))]) }
     }
 
-    /// Another device tells its flight, or another one than before.
-    pub fn note(&mut self, device: DeviceId, cameras: Vec<Camera>) {
+    /// Adds the flight of another device, or replaces an earlier one.
+    pub fn insert(&mut self, device: DeviceId, cameras: Vec<Camera>) {
         let is_known = self.cameras.contains_key(&device);
         if device != self.own && (is_known || self.cameras.len() < DEVICES_MAX) {
             self.cameras.insert(device, cameras);
         }
     }
 
-    /// How many others are known.
+    /// Number of other devices whose flights are known.
     pub fn others(&self) -> usize {
         self.cameras.len() - 1
     }
 
-    /// What of the own model is left to others; `cameras` are its own at the size that it was trained at, `threads` (at
-    /// least 1) compute.
+    /// Which splats of the own model to drop, since their ground belongs to another device. `cameras` are the model's at
+    /// training size; `threads` must be at least 1.
     pub fn compression(&self, splats: &Splats, cameras: &[Camera], threads: usize) -> Result<Compression> {
         let own = self.cameras.keys().position(|device| *device == self.own).unwrap_or(0);
         let all: Vec<Vec<Camera>> = self.cameras.values().cloned().collect();
@@ -59,7 +59,7 @@ mod tests {
 
     use super::*;
 
-    /// Looks down on 8 × 8 m.
+    /// A camera that looks down on 8 × 8 m.
     fn above(x: f64) -> Camera {
         let rotation = DQuat::from_rotation_x(std::f64::consts::PI);
         Camera {
@@ -91,22 +91,28 @@ mod tests {
     }
 
     #[test]
-    fn shared_ground_is_left_to_one_and_other_ground_to_nobody() {
+    fn shared_ground_has_one_owner_and_all_ground_has_an_owner() {
         let [west, east] =
             [[-10.0, -7.0, -4.0, -1.0, 2.0], [10.0, 7.0, 4.0, 1.0, -2.0]].map(|xs| xs.map(above).to_vec());
         let mut flights = Flights::new(device("west"), &west);
-        assert_eq!(kept(&flights, &west).len(), ground().len(), "of nobody else is known");
-        flights.note(device("west"), east.clone());
-        assert_eq!(flights.others(), 0, "nobody speaks for this device but itself");
-        flights.note(device("east"), east.clone());
-        let its = kept(&flights, &west);
+        assert_eq!(kept(&flights, &west).len(), ground().len(), "no other flight is known");
+        flights.insert(device("west"), east.clone());
+        assert_eq!(flights.others(), 0, "a flight under the own name is ignored");
+        flights.insert(device("east"), east.clone());
+        let from_west = kept(&flights, &west);
         let mut flights = Flights::new(device("east"), &east);
-        flights.note(device("west"), west);
-        let theirs = kept(&flights, &east);
+        flights.insert(device("west"), west);
+        let from_east = kept(&flights, &east);
         for mean in ground().means {
-            let owners = usize::from(its.contains(&mean[0])) + usize::from(theirs.contains(&mean[0]));
+            let owners =
+                usize::from(from_west.contains(&mean[0])) + usize::from(from_east.contains(&mean[0]));
             assert!(owners >= 1, "a hole at {}", mean[0]);
         }
-        assert!(its.len() + theirs.len() < ground().len() * 7 / 4, "{} and {} stay", its.len(), theirs.len());
+        assert!(
+            from_west.len() + from_east.len() < ground().len() * 7 / 4,
+            "{} and {} splats are kept",
+            from_west.len(),
+            from_east.len()
+        );
     }
 }

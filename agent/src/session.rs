@@ -1,4 +1,4 @@
-//! A training session: from a plan to a trained model, within the plan's memory, resumable at every
+//! A training session: from a plan to a trained model, within the plan's memory limit. Training can resume from every
 //! checkpoint.
 
 use std::path::PathBuf;
@@ -17,21 +17,19 @@ use cosurf_scene::cache::Source;
 use cosurf_scene::{Camera, Dataset, PictureCache, Splats, View};
 
 use crate::checkpoint::{Checkpoint, Fingerprint};
-use crate::warm::beginning;
+use crate::warm_start::read_visible_splats;
 
-/// Stored SH degree.
+/// Degree of the stored spherical harmonics.
 pub const SH_DEGREE: u32 = 3;
 
-/// Training pixels per splat that a training may make at most, memory permitting: finer splats than this
-/// would see too few pixels each to be told apart from noise. With 48, at the same processor time, rendered Boruszyn
-/// (160 px) has 0.62 dB less, Boruszyn (320 px) 0.39, Caliterra (240 px) 0.27.
+/// Training pixels per splat, at least, if memory allows. Smaller splats would each be observed in too few pixels to be
+/// told from noise; larger ones lose detail.
 const PIXELS_PER_SPLAT: u64 = 24;
-/// The same where the model is one of several. Around its cell it sees others' ground in few pictures of its own: a
-/// quarter of rendered Boruszyn's pictures shows two thirds of the ground, so that by the same rule it would have half
-/// as many splats there as one model of all has. Merging leaves shared ground to one.
+/// The same for a model that will be merged. In its margin an agent sees its neighbours' ground in few of its own
+/// pictures, so that by the rule above it would have too few splats there. The merge gives each area one owner.
 const PIXELS_PER_SPLAT_OF_MANY: u64 = 16;
 
-/// Long sides that are tried, as shares of the wanted one, where memory is short.
+/// If memory is short, the long sides that are tried, as shares of the wanted one.
 const SIZE_STEPS: [f64; 6] = [1.0, 0.8, 0.63, 0.5, 0.35, 0.25];
 
 /// What to train.
@@ -39,59 +37,60 @@ const SIZE_STEPS: [f64; 6] = [1.0, 0.8, 0.63, 0.5, 0.35, 0.25];
 pub struct TrainPlan {
     /// The dataset's folder.
     pub data: PathBuf,
-    /// Which views to train on and which to hold out.
+    /// The division into training views and held-out views.
     pub split: Split,
-    /// Steps in all.
+    /// Training steps, at least 1.
     pub steps: u32,
-    /// Seed of every random choice.
+    /// Seed of all random numbers.
     pub seed: u64,
-    /// Most bytes of resident memory.
+    /// Limit on the process's resident memory.
     pub memory_bytes: u64,
-    /// Long side of the largest picture trained on.
+    /// Limit on the long side of training pictures; larger pictures are shrunk.
     pub max_size_px: u32,
-    /// What computes.
+    /// The device to train on.
     pub device: DeviceChoice,
-    /// Threads of the processor to compute with, at least 1.
+    /// CPU threads, at least 1.
     pub threads: usize,
-    /// How the surface is trained; `None` for colour only.
+    /// The surface losses; `None` trains colour only.
     pub surface: Option<SurfaceSettings>,
-    /// How the model is pruned; `None` for not at all.
+    /// Pruning; `None` for none.
     pub prune: Option<PruneSettings>,
-    /// Whether each photograph has an exposure of its own.
+    /// Whether to learn an exposure for each picture.
     pub exposure: bool,
-    /// A model of the same ground to begin with instead of the sparse cloud.
+    /// A PLY of the same ground to start from; `None` starts from the sparse cloud.
     pub init: Option<PathBuf>,
-    /// Whether the model will be joined with those of others: then ground that a single view observes stays in it.
+    /// Whether the model will be merged with others. Then it gets more splats, and keeps splats that only one view
+    /// observes.
     pub one_of_many: bool,
 }
 
-/// Which views are for what.
+/// The division of the views into training views and held-out views.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Split {
-    /// With names sorted, every n-th is held out; 0 holds out none.
+    /// Every n-th view by sorted name is held out; 0 holds out none.
     Every(u32),
     /// By name.
     Named {
-        /// To train on.
+        /// Training views.
         train: Vec<String>,
-        /// To score.
+        /// Held-out views.
         held_out: Vec<String>,
     },
 }
 
-/// The cameras that a training of this plan has, with pictures of their size on disk.
+/// The training cameras of a plan, at the pictures' size on disk.
 pub fn flight(plan: &TrainPlan) -> Result<Vec<Camera>> {
     let dataset = Dataset::open(&plan.data)?;
     let (train, _) = split(&dataset, &plan.split)?;
     Ok(train.into_iter().map(|i| dataset.views[i].camera).collect())
 }
 
-/// A training that is under way.
+/// A training in progress.
 pub struct Session {
     trainer: Trainer<AnyBackend>,
     cache: PictureCache,
     held_out: Vec<View>,
-    /// Size of the largest picture trained on.
+    /// Width and height of the largest training picture.
     size_px: [u32; 2],
     given_up: Vec<String>,
     fingerprint: Fingerprint,
@@ -99,7 +98,9 @@ pub struct Session {
 }
 
 impl Session {
-    /// Opens the data, plans the memory, and starts from `checkpoint` or from the sparse cloud.
+    /// Opens the data, plans the memory, and starts from `checkpoint`, from the plan's model or from the sparse cloud.
+    /// Fails if the data cannot be read, the memory is too small, the device cannot be opened, or the checkpoint belongs
+    /// to another training.
     pub fn start(plan: &TrainPlan, checkpoint: Option<Checkpoint>) -> Result<Self> {
         let dataset = Dataset::open(&plan.data)?;
         let (train, held_out) = split(&dataset, &plan.split)?;
@@ -107,22 +108,22 @@ impl Session {
         let data = dataset.subset(&train);
         drop(dataset);
         if data.views.is_empty() {
-            bail!("{}: no view is left to train on; hold out fewer", plan.data.display());
+            bail!("{}: no view is left to train on; hold out fewer views", plan.data.display());
         }
         if data.points.is_empty() {
             bail!(
-                "{}: no sparse point is seen by the training views; training starts from the sparse cloud of COLMAP or `ply_file_path`",
+                "{}: the training views see no sparse point; training needs the sparse cloud of COLMAP or `ply_file_path`",
                 plan.data.display()
             );
         }
-        let (sized, mut backend) = prepare(plan, &data)?;
+        let (sizes, mut backend) = prepare(plan, &data)?;
         let cameras: Vec<Camera> = data
             .views
             .iter()
-            .zip(&sized.sources)
+            .zip(&sizes.sources)
             .map(|(view, source)| view.camera.resized(source.size_px))
             .collect();
-        let cache = PictureCache::new(sized.sources, sized.budget.cache_bytes)?;
+        let cache = PictureCache::new(sizes.sources, sizes.budget.cache_bytes)?;
         let extent = extent(&data);
         let settings = TrainSettings {
             schedule: Schedule::new(plan.steps),
@@ -132,7 +133,7 @@ impl Session {
             prune: plan.prune,
             exposure: plan.exposure,
             observers_min: if plan.one_of_many { 1 } else { 2 },
-            splats_max: sized.budget.capacity.splats,
+            splats_max: sizes.budget.capacity.splats,
             seed: plan.seed,
         };
         let fingerprint = Fingerprint::of(&settings, &cameras, &data.points);
@@ -144,7 +145,7 @@ impl Session {
             let splats_max = settings.splats_max;
             let form = if plan.surface.is_some() { Form::Flat } else { Form::Round };
             backend.load(&match &plan.init {
-                Some(model) => beginning(model, &cameras, splats_max, SH_DEGREE)?,
+                Some(model) => read_visible_splats(model, &cameras, splats_max, SH_DEGREE)?,
                 None => splats_from_points(&data.points, extent, splats_max, SH_DEGREE, form),
             });
         }
@@ -156,14 +157,15 @@ impl Session {
             trainer,
             cache,
             held_out,
-            size_px: sized.budget.capacity.size_px,
-            given_up: sized.budget.given_up,
+            size_px: sizes.budget.capacity.size_px,
+            given_up: sizes.budget.given_up,
             fingerprint,
             dropped_pairs: 0,
         })
     }
 
-    /// One step of training. Fails with [`DeviceLost`] where what is trained is lost: only a checkpoint helps then.
+    /// Does one training step. Fails with [`DeviceLost`] if the device was lost, and the training with it; resume from the
+    /// last checkpoint.
     pub fn step(&mut self) -> Result<StepOutcome> {
         let index = self.trainer.view_index(0);
         let neighbour = self.trainer.neighbour_index(index, 0);
@@ -179,12 +181,12 @@ impl Session {
             neighbour: neighbour.as_ref().map(|(other, picture)| (*other, TargetRgb::Bytes(&picture.rgb))),
         };
         let outcome = self.trainer.step(&example);
-        not_lost(self.trainer.backend())?;
+        check_device(self.trainer.backend())?;
         self.dropped_pairs += outcome.counts.dropped as u64;
         Ok(outcome)
     }
 
-    /// Asks for the pictures of the next step.
+    /// Starts to read the pictures of the next step.
     fn prefetch(&self) {
         let next = self.trainer.view_index(1);
         self.cache.prefetch(next);
@@ -193,7 +195,7 @@ impl Session {
         }
     }
 
-    /// What a checkpoint of this training must agree with, for [`crate::checkpoint::write`].
+    /// Identifies this training, for [`crate::checkpoint::write`].
     pub fn fingerprint(&self) -> &Fingerprint {
         &self.fingerprint
     }
@@ -203,46 +205,46 @@ impl Session {
         &self.trainer
     }
 
-    /// Cameras trained on, at training size; their order is that of the views' names.
+    /// The training cameras at training size, ordered by view name.
     pub fn cameras(&self) -> &[Camera] {
         self.trainer.cameras()
     }
 
-    /// Views held out, at their size on disk.
+    /// The held-out views, at their size on disk.
     pub fn held_out(&self) -> &[View] {
         &self.held_out
     }
 
-    /// Size of the largest picture trained on.
+    /// Width and height of the largest training picture.
     pub fn size_px(&self) -> [u32; 2] {
         self.size_px
     }
 
-    /// Ends the session and gives the model; everything else that it held is freed. Fails with [`DeviceLost`].
+    /// Ends the session, frees its memory and returns the model. Fails with [`DeviceLost`] if the device was lost.
     pub fn into_splats(self) -> Result<Splats> {
         let backend = self.trainer.into_backend();
         let splats = backend.splats();
-        not_lost(&backend)?;
+        check_device(&backend)?;
         Ok(splats)
     }
 
-    /// What memory took away, one sentence each.
+    /// What the memory limit ruled out, one sentence each.
     pub fn given_up(&self) -> Vec<String> {
         let mut given_up = self.given_up.clone();
         if self.dropped_pairs > 0 {
             let mean = self.dropped_pairs as f64 / f64::from(self.trainer.steps_done().max(1));
-            given_up.push(format!("{mean:.0} of the farthest splat–tile pairs in a step, on average"));
+            given_up.push(format!("{mean:.0} of the farthest splat–tile pairs dropped per step, on average"));
         }
         given_up
     }
 }
 
-/// What was read from a device that is lost is not to be believed.
-fn not_lost(backend: &AnyBackend) -> Result<(), DeviceLost> {
+/// Fails if the device was lost: values read from it since then are not valid.
+fn check_device(backend: &AnyBackend) -> Result<(), DeviceLost> {
     backend.lost().map_or(Ok(()), |reason| Err(DeviceLost(reason)))
 }
 
-/// Indices of the views to train on and of those held out.
+/// Indices of the training views and of the held-out views.
 fn split(dataset: &Dataset, split: &Split) -> Result<(Vec<usize>, Vec<usize>)> {
     let find = |names: &[String]| -> Result<Vec<usize>> {
         names
@@ -256,7 +258,7 @@ fn split(dataset: &Dataset, split: &Split) -> Result<(Vec<usize>, Vec<usize>)> {
     }
 }
 
-/// Extent of the cameras; for a single camera, of what it sees.
+/// Extent of the cameras; for a single camera, the median distance of the points.
 fn extent(data: &Dataset) -> f64 {
     let extent = data.extent();
     if extent > 0.0 {
@@ -268,45 +270,47 @@ fn extent(data: &Dataset) -> f64 {
     distances[distances.len() / 2].max(1e-6)
 }
 
-/// Sizes, and every buffer of the training. A graphics card that nobody asked for is passed over where it would make
-/// anything smaller than it was wished.
-fn prepare(plan: &TrainPlan, data: &Dataset) -> Result<(Sized, AnyBackend)> {
-    let on = |device: &Device| -> Result<(Sized, AnyBackend)> {
-        let sized = fit(plan, plan.memory_bytes, device, data)?;
-        let backend = AnyBackend::new(device, sized.budget.capacity, plan.threads)?;
-        Ok((sized, backend))
+/// Chooses the device, plans all sizes and allocates the backend's buffers. With `auto`, a GPU is used only if the
+/// training fits on it without any reduction.
+fn prepare(plan: &TrainPlan, data: &Dataset) -> Result<(Sizes, AnyBackend)> {
+    let on = |device: &Device| -> Result<(Sizes, AnyBackend)> {
+        let sizes = plan_sizes(plan, plan.memory_bytes, device, data)?;
+        let backend = AnyBackend::new(device, sizes.budget.capacity, plan.threads)?;
+        Ok((sizes, backend))
     };
     if plan.device != DeviceChoice::Auto {
         return on(&plan.device.open()?);
     }
-    // Looking for a card loads drivers, whose memory is not given back even if there is none.
+    // Looking for a GPU loads drivers, and their memory is not freed even if there is no GPU.
     let beside_drivers = plan.memory_bytes.saturating_sub(DRIVER_BYTES);
-    let may_look = fit(plan, beside_drivers, &Device::Cpu, data).is_ok_and(|sized| sized.is_as_wished());
+    let may_look =
+        plan_sizes(plan, beside_drivers, &Device::Cpu, data).is_ok_and(|sizes| sizes.is_unreduced());
     if may_look
         && let device = plan.device.open()?
         && device.is_gpu()
-        && let Ok((sized, backend)) = on(&device)
-        && sized.is_as_wished()
+        && let Ok((sizes, backend)) = on(&device)
+        && sizes.is_unreduced()
     {
-        return Ok((sized, backend));
+        return Ok((sizes, backend));
     }
     on(&Device::Cpu)
 }
 
-struct Sized {
+/// The sizes that fit into the memory.
+struct Sizes {
     budget: Budget,
     sources: Vec<Source>,
 }
 
-impl Sized {
-    /// Whether nothing had to be given up for memory.
-    fn is_as_wished(&self) -> bool {
+impl Sizes {
+    /// Whether nothing was reduced to fit.
+    fn is_unreduced(&self) -> bool {
         self.budget.given_up.is_empty()
     }
 }
 
-/// The largest pictures with which the training fits into the memory.
-fn fit(plan: &TrainPlan, memory_bytes: u64, device: &Device, data: &Dataset) -> Result<Sized> {
+/// Plans the largest pictures with which the training fits into the memory.
+fn plan_sizes(plan: &TrainPlan, memory_bytes: u64, device: &Device, data: &Dataset) -> Result<Sizes> {
     let widest = data.views.iter().flat_map(|view| view.camera.size_px).max().unwrap_or(1);
     let wanted = plan.max_size_px.min(widest);
     let mut short: Option<BudgetError> = None;
@@ -318,17 +322,17 @@ fn fit(plan: &TrainPlan, memory_bytes: u64, device: &Device, data: &Dataset) -> 
                 if long_side_px < wanted {
                     budget.given_up.insert(
                         0,
-                        format!("pictures of {long_side_px} px on the long side instead of {wanted}"),
+                        format!("pictures with a long side of {long_side_px} px instead of {wanted} px"),
                     );
                 }
-                return Ok(Sized { budget, sources });
+                return Ok(Sizes { budget, sources });
             }
             Err(error) => short = Some(error),
         }
     }
     match short.expect("at least one size was tried") {
         BudgetError::TooLittleMemory { memory_bytes, least_bytes } => bail!(
-            "{} of memory are too few for this training, even with the smallest pictures; give at least --memory {}MiB",
+            "{} of memory are too little for this training, even with the smallest pictures; give at least --memory {}MiB",
             format_bytes(memory_bytes),
             least_bytes.div_ceil(1 << 20)
         ),
@@ -336,13 +340,15 @@ fn fit(plan: &TrainPlan, memory_bytes: u64, device: &Device, data: &Dataset) -> 
     }
 }
 
+/// What the training would like to allocate, and what it must.
 fn wish(plan: &TrainPlan, device: &Device, data: &Dataset, sources: &[Source]) -> Result<Wish> {
     let pixels: u64 =
         sources.iter().map(|source| u64::from(source.size_px[0]) * u64::from(source.size_px[1])).sum();
     let size_px = [0, 1].map(|axis| sources.iter().map(|source| source.size_px[axis]).max().unwrap_or(1));
     let points = data.points.len() as u64;
     let tracks: u64 = data.points.iter().map(|point| point.views.len() as u64).sum();
-    // Points with tracks are held twice for a moment (whole set and subset), beside the tree of the first scales.
+    // For a moment two copies of the points and their tracks exist (all views, training views), beside the search tree
+    // for the initial scales.
     let points_bytes = 2 * (64 * points + 4 * tracks) + 40 * points;
     let pixels_per_splat = if plan.one_of_many { PIXELS_PER_SPLAT_OF_MANY } else { PIXELS_PER_SPLAT };
     Ok(Wish {

@@ -1,216 +1,171 @@
-//! `run`: a whole flight's work after landing: train, publish, receive.
+//! `run`: the work after a flight: train, publish, receive the global model.
+
+mod comparison;
+mod route;
 
 use std::fs;
-use std::num::NonZeroU32;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, Result};
 use clap::Args;
-use cosurf_agent::changes::compare;
-use cosurf_agent::outputs::write_json;
-use cosurf_agent::publish::{Publication, Sharing, global_ply, publish, tell};
-use cosurf_agent::session::{self, SH_DEGREE, Split, TrainPlan};
-use cosurf_agent::warm;
-use cosurf_contract::{AgentConfig, AgentEvent, AgentLink, ComparedWith, Share};
-use cosurf_engine::{PruneSettings, Renderer, SurfaceSettings, base_of};
-use cosurf_link::serial::DEVICE_MESSAGE_BYTES;
-use cosurf_link::{
-    BrokerAddress, Credentials, Identity, MqttConfig, MqttTransport, Outgoing, PublishError, Role,
-    SerialConfig, SerialTransport, Tls, Transport, TransportEvent, next_session,
-};
-use cosurf_scene::{Camera, ply};
+use cosurf_agent::publish::{Publication, Sharing, announce_flight, global_ply, publish};
+use cosurf_agent::session::{self, Split, TrainPlan};
+use cosurf_contract::{AgentConfig, ComparedWith, Share};
+use cosurf_engine::{PruneSettings, SurfaceSettings, base_of};
+use cosurf_link::{Credentials, Identity, Role, next_session};
+use cosurf_scene::{Camera, Splats, ply};
 
 use super::progress::Progress;
-use super::{beginning, cores, default_memory, train};
+use super::{cores, default_memory, resolve_init, train};
+use comparison::Comparison;
+use route::{Connection, Route};
 
-/// How long a broker is waited for before the training, which needs none.
-const PATIENCE: Duration = Duration::from_secs(5);
+/// How long the agent tries to announce its flight before it trains without having done so.
+const ANNOUNCE_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// Train by the orders of a configuration file, publish the model to the aggregator, receive the global model,
-/// keep both. Started again after a stop or a kill, it goes on where it was.
+/// Train with the settings in a configuration file, publish the model to the aggregator, and receive the global
+/// model. Run again after a stop or a kill, it resumes.
 #[derive(Args, Debug)]
 pub(super) struct RunArgs {
-    /// The agent's orders
+    /// The configuration file
     #[arg(long, value_name = "FILE", default_value = "agent.toml")]
     config: PathBuf,
-    /// Print one JSON event a line instead of text for people
+    /// Print events as JSON, one per line, instead of text
     #[arg(long)]
     json: bool,
 }
 
 pub(super) fn run(args: &RunArgs) -> Result<()> {
-    let text = fs::read_to_string(&args.config).with_context(|| args.config.display().to_string())?;
-    let config = AgentConfig::from_toml(&text).with_context(|| args.config.display().to_string())?;
-    let credentials = Credentials::load(
-        config.frame.unwrap_or_default(),
-        config.key.as_deref(),
-        config.trusted.as_deref(),
-    )?;
-    let route = Route::of(&config)?;
-    let plan = plan(&config);
+    let job = Job::load(&args.config)?;
     let mut progress = Progress::new(args.json);
-    let line = |route: &Route| -> Result<(Identity, Line)> {
-        let clock_s = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
-        let session = next_session(&config.out.join("session"), clock_s)?;
-        let identity = Identity { site: config.site, device: config.device, session, role: Role::Device };
-        Ok((identity, route.open(identity)))
-    };
-    let started = Instant::now();
-    let now = || started.elapsed() + Duration::from_secs(1);
-    let flight = config.compress.then(|| session::flight(&plan)).transpose()?;
-    if let Some(flight) = &flight {
-        fs::create_dir_all(&config.out).with_context(|| config.out.display().to_string())?;
-        let (identity, mut line) = line(&route)?;
-        tell(identity, &credentials, flight, &mut line, now, PATIENCE, route.farewell());
-    }
-    train::train(&plan, &config.out, false, &mut progress)?;
-
-    let splats = ply::read(&config.out.join("model.ply"))?;
-    let cameras = config.out.join("cameras.json");
-    let cameras: Vec<Camera> =
-        serde_json::from_slice(&fs::read(&cameras).with_context(|| cameras.display().to_string())?)?;
-    let kept_bytes = (plan.memory_bytes / 4) as usize;
-    let base =
-        base_of(&splats, &cameras, plan.threads, kept_bytes, |step, steps| progress.preparing(step, steps));
-    let compared = Compared { plan: &plan, cameras: &cameras, out: &config.out };
-    if let Some(init) = &plan.init {
-        let mut renderer = Renderer::new(&splats, plan.threads);
-        compared.show(ComparedWith::Init, init, &mut renderer, &mut progress)?;
-    }
-    let sharing =
-        flight.as_ref().map(|flight| Sharing { flight, quiet: route.quiet(), threads: plan.threads });
-    let (identity, mut line) = line(&route)?;
-    let publication = Publication {
-        identity,
-        splats: &splats,
-        cameras: &cameras,
-        base: base.as_ref(),
-        sharing,
-        credentials: &credentials,
-        out: &config.out,
-        wait_global: config.wait_global,
-        inbox_bytes: plan.memory_bytes / 2,
-        farewell: route.farewell(),
-    };
-    publish(&publication, &mut line, now, |event| progress.show(&event))?;
-    drop(line);
-    if config.wait_global {
-        let mut renderer = Renderer::new(&splats, plan.threads);
-        compared.show(ComparedWith::Global, &global_ply(&config.out), &mut renderer, &mut progress)?;
+    let flight = job.announce_flight()?;
+    train::train(&job.plan, &job.config.out, false, &mut progress)?;
+    let model = LocalModel::read(&job.config.out)?;
+    job.publish(&model, flight.as_deref(), &mut progress)?;
+    if job.config.wait_global {
+        let global = global_ply(&job.config.out);
+        job.compare(&model, ComparedWith::Global, &global, &mut progress)?;
     }
     Ok(())
 }
 
-/// The agent's own model beside others.
-struct Compared<'a> {
-    plan: &'a TrainPlan,
-    cameras: &'a [Camera],
-    out: &'a Path,
+/// What a configuration file asks for, checked and with its keys read.
+struct Job {
+    config: AgentConfig,
+    plan: TrainPlan,
+    credentials: Credentials,
+    route: Route,
+    started: Instant,
 }
 
-impl Compared<'_> {
-    /// Tells, and keeps in a file, how `other`, a PLY, differs from the agent's `own` model on the ground of its cameras. One that is too
-    /// large for the memory is passed over.
-    fn show(
+/// The model that the training wrote, with the cameras that it was trained on.
+struct LocalModel {
+    splats: Splats,
+    cameras: Vec<Camera>,
+}
+
+impl LocalModel {
+    fn read(out: &Path) -> Result<Self> {
+        let splats = ply::read(&out.join("model.ply"))?;
+        let path = out.join("cameras.json");
+        let bytes = fs::read(&path).with_context(|| path.display().to_string())?;
+        let cameras = serde_json::from_slice(&bytes).with_context(|| path.display().to_string())?;
+        Ok(Self { splats, cameras })
+    }
+}
+
+impl Job {
+    fn load(path: &Path) -> Result<Self> {
+        let text = fs::read_to_string(path).with_context(|| path.display().to_string())?;
+        let config = AgentConfig::from_toml(&text).with_context(|| path.display().to_string())?;
+        let frame = config.frame.unwrap_or_default();
+        let credentials = Credentials::load(frame, config.key.as_deref(), config.trusted.as_deref())?;
+        let route = Route::of(&config)?;
+        Ok(Self { plan: train_plan(&config), credentials, route, started: Instant::now(), config })
+    }
+
+    /// Monotonic time since an arbitrary moment.
+    fn now(&self) -> Duration {
+        self.started.elapsed() + Duration::from_secs(1)
+    }
+
+    /// Opens a connection under a new session number.
+    fn connect(&self) -> Result<(Identity, Connection)> {
+        let AgentConfig { site, device, out, .. } = &self.config;
+        let clock_s = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
+        let session = next_session(&out.join("session"), clock_s)?;
+        let identity = Identity { site: *site, device: *device, session, role: Role::Device };
+        Ok((identity, self.route.connect(identity)))
+    }
+
+    /// Announces this device's cameras to the others and returns them; `None` unless `compress` is set.
+    fn announce_flight(&self) -> Result<Option<Vec<Camera>>> {
+        if !self.config.compress {
+            return Ok(None);
+        }
+        let flight = session::flight(&self.plan)?;
+        fs::create_dir_all(&self.config.out).with_context(|| self.config.out.display().to_string())?;
+        let (identity, mut connection) = self.connect()?;
+        announce_flight(
+            identity,
+            &self.credentials,
+            &flight,
+            &mut connection,
+            || self.now(),
+            ANNOUNCE_TIMEOUT,
+            self.route.flush_time(),
+        );
+        Ok(Some(flight))
+    }
+
+    /// Trains the base, then sends the model and waits for what the configuration asks for. The connection is closed
+    /// on return.
+    fn publish(&self, model: &LocalModel, flight: Option<&[Camera]>, progress: &mut Progress) -> Result<()> {
+        let LocalModel { splats, cameras } = model;
+        let (threads, cache_bytes) = (self.plan.threads, (self.plan.memory_bytes / 4) as usize);
+        let base =
+            base_of(splats, cameras, threads, cache_bytes, |step, steps| progress.preparing(step, steps));
+        if let Some(init) = &self.plan.init {
+            self.compare(model, ComparedWith::Init, init, progress)?;
+        }
+        let sharing = flight.map(|flight| Sharing { flight, quiet: self.route.quiet_time(), threads });
+        let (identity, mut connection) = self.connect()?;
+        let publication = Publication {
+            identity,
+            splats,
+            cameras,
+            base: base.as_ref(),
+            sharing,
+            credentials: &self.credentials,
+            out: &self.config.out,
+            wait_global: self.config.wait_global,
+            inbox_bytes: self.plan.memory_bytes / 2,
+            flush_time: self.route.flush_time(),
+        };
+        publish(&publication, &mut connection, || self.now(), |event| progress.show(&event))
+    }
+
+    /// Shows how the agent's own model differs from the one in the PLY `other`.
+    fn compare(
         &self,
+        model: &LocalModel,
         with: ComparedWith,
         other: &Path,
-        own: &mut Renderer,
         progress: &mut Progress,
     ) -> Result<()> {
-        let file_bytes = fs::metadata(other).with_context(|| other.display().to_string())?.len();
-        if file_bytes > self.plan.memory_bytes / 4 {
-            return Ok(());
-        }
-        let splats = warm::beginning(other, self.cameras, usize::MAX, SH_DEGREE)?;
-        let mut other = Renderer::new(&splats, self.plan.threads);
-        let (before, after) = match with {
-            ComparedWith::Init => (&mut other, own),
-            ComparedWith::Global => (own, &mut other),
+        let comparison = Comparison {
+            splats: &model.splats,
+            cameras: &model.cameras,
+            memory_bytes: self.plan.memory_bytes,
+            threads: self.plan.threads,
+            out: &self.config.out,
         };
-        if let Some(changes) = compare(before, after, self.cameras) {
-            let file = match with {
-                ComparedWith::Init => "changes-init.json",
-                ComparedWith::Global => "changes-global.json",
-            };
-            write_json(&self.out.join(file), &changes)?;
-            progress.show(&AgentEvent::Compared { with, changes });
-        }
-        Ok(())
+        comparison.show(with, other, progress)
     }
 }
 
-/// How the aggregator is reached.
-enum Route {
-    Broker { broker: BrokerAddress, tls: Option<Tls> },
-    Serial { port: String, baud: NonZeroU32 },
-}
-
-impl Route {
-    fn of(config: &AgentConfig) -> Result<Self> {
-        Ok(match config.link()? {
-            AgentLink::Broker { address, tls } => {
-                Self::Broker { broker: address.clone(), tls: Tls::for_broker(address, tls)? }
-            }
-            AgentLink::Serial { port, baud } => Self::Serial { port: port.to_owned(), baud },
-        })
-    }
-
-    /// Opens the line.
-    fn open(&self, identity: Identity) -> Line {
-        match self {
-            Self::Broker { broker, tls } => {
-                let (broker, tls) = (broker.clone(), tls.clone());
-                Line::Broker(MqttTransport::start(MqttConfig { broker, identity, tls }))
-            }
-            Self::Serial { port, baud } => {
-                let config = SerialConfig::device(port, *baud, identity.session, DEVICE_MESSAGE_BYTES);
-                Line::Serial(SerialTransport::start(config))
-            }
-        }
-    }
-
-    /// What a broker has kept has come when nothing has for this long.
-    fn quiet(&self) -> Duration {
-        match self {
-            Self::Broker { .. } => Duration::from_secs(2),
-            Self::Serial { .. } => Duration::from_secs(20),
-        }
-    }
-
-    /// After the last acknowledgement the link gets this long to carry it out.
-    fn farewell(&self) -> Duration {
-        match self {
-            Self::Broker { .. } => Duration::from_secs(1),
-            Self::Serial { .. } => Duration::from_secs(10),
-        }
-    }
-}
-
-/// An open line.
-enum Line {
-    Broker(MqttTransport),
-    Serial(SerialTransport),
-}
-
-impl Transport for Line {
-    fn publish(&mut self, message: &Outgoing) -> Result<(), PublishError> {
-        match self {
-            Self::Broker(line) => line.publish(message),
-            Self::Serial(line) => line.publish(message),
-        }
-    }
-
-    fn poll(&mut self, timeout: Duration) -> Option<TransportEvent> {
-        match self {
-            Self::Broker(line) => line.poll(timeout),
-            Self::Serial(line) => line.poll(timeout),
-        }
-    }
-}
-
-fn plan(config: &AgentConfig) -> TrainPlan {
+fn train_plan(config: &AgentConfig) -> TrainPlan {
     let split = if config.views.is_empty() && config.held_out.is_empty() {
         Split::Every(config.eval_every)
     } else {
@@ -229,8 +184,8 @@ fn plan(config: &AgentConfig) -> TrainPlan {
         surface: (!config.color_only).then(SurfaceSettings::default),
         prune: (ratio > 0.0).then(|| PruneSettings { ratio, ..PruneSettings::default() }),
         exposure: config.exposure,
-        // On the first flight no global model has come yet.
-        init: beginning(config.init.as_ref(), &config.out)
+        // `global` names a file that does not exist before the first mission has ended.
+        init: resolve_init(config.init.as_ref(), &config.out)
             .filter(|init| init.is_file() || config.init.as_ref() == Some(init)),
         one_of_many: !config.alone,
     }

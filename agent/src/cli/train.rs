@@ -1,4 +1,4 @@
-//! `train`: from a dataset to a model.
+//! `train`: trains a model from a dataset.
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -9,58 +9,58 @@ use clap::{Args, ValueEnum};
 use cosurf_agent::checkpoint::{self, Checkpoint, Spent};
 use cosurf_agent::session::{Session, Split, TrainPlan};
 use cosurf_agent::{evaluate, outputs, usage};
-use cosurf_contract::{AgentEvent, TrainReport};
+use cosurf_contract::{AgentEvent, Share, TrainReport};
 use cosurf_engine::{
     Backend, DeviceChoice, DeviceLost, PruneScore, PruneSettings, Renderer, SurfaceSettings,
 };
 use cosurf_scene::Splats;
 
 use super::progress::Progress;
-use super::{Common, DeviceArgs, beginning, default_memory, parse_memory, parse_share};
+use super::{Common, DeviceArgs, default_memory, parse_memory, resolve_init};
 
 /// Train a model from a dataset: COLMAP (`sparse/0` with `images`) or `transforms.json`.
 ///
-/// Leaves DIR/model.ply, DIR/cameras.json, DIR/report.json and DIR/checkpoint/. Run again with the same
-/// words, it goes on where it was stopped.
+/// Writes DIR/model.ply, DIR/cameras.json, DIR/report.json and DIR/checkpoint/. Run the same command again after a stop
+/// or a kill to resume.
 #[derive(Args, Debug)]
 pub(super) struct TrainArgs {
     /// The dataset's folder
     data: PathBuf,
-    /// Where the results go
+    /// The folder to write to
     #[arg(long, value_name = "DIR", default_value = "out/model")]
     out: PathBuf,
-    /// Steps to train
+    /// Training steps
     #[arg(long, value_name = "N", default_value_t = 3000, value_parser = clap::value_parser!(u32).range(1..))]
     steps: u32,
-    /// Most memory to take, for example 300MiB [default: two thirds of what is free, at most 8 GiB]
+    /// Limit on resident memory, for example 300MiB [default: two thirds of the free memory, at most 8 GiB]
     #[arg(long, value_name = "BYTES", value_parser = parse_memory)]
     memory: Option<u64>,
-    /// Seed of every random choice; the same seed gives the same bytes
+    /// Seed of all random numbers; the same seed gives the same bytes
     #[arg(long, value_name = "S", default_value_t = 0)]
     seed: u64,
-    /// Hold out every n-th view by name, to score the model on; 0 holds out none
+    /// Hold out every n-th view by sorted name, to score the model; 0 holds out none
     #[arg(long, value_name = "N", default_value_t = 8)]
     eval_every: u32,
-    /// Train colours only, without the losses of the surface: faster, but the depth is not to be trusted
+    /// Train colour only, without the surface losses: faster, but depth and normals are not accurate
     #[arg(long)]
     color_only: bool,
-    /// Share of the splats to remove once, the least important first
-    #[arg(long, value_name = "SHARE", default_value_t = PruneSettings::default().ratio, value_parser = parse_share)]
-    prune: f64,
-    /// Share of the steps after which they are removed [default: two thirds]
-    #[arg(long, value_name = "SHARE", value_parser = parse_share)]
-    prune_at: Option<f64>,
-    /// What tells how important a splat is
+    /// Share of the splats to prune, the least important ones
+    #[arg(long, value_name = "SHARE", default_value_t = default_prune())]
+    prune: Share,
+    /// Share of the steps after which to prune [default: two thirds]
+    #[arg(long, value_name = "SHARE")]
+    prune_at: Option<Share>,
+    /// How the importance of a splat is computed
     #[arg(long, value_name = "SCORE", default_value = "corrected")]
     prune_score: ScoreArg,
-    /// Learn an exposure for each picture, for cameras that choose their own
+    /// Learn an exposure for each picture, for cameras with automatic exposure
     #[arg(long)]
     exposure: bool,
-    /// Begin with this model of the same ground instead of the sparse cloud; `global`: with the global model that came
-    /// back to DIR
+    /// Start from this model of the same ground instead of the sparse cloud; the word `global` stands for the global
+    /// model that DIR received earlier
     #[arg(long, value_name = "MODEL.ply")]
     init: Option<PathBuf>,
-    /// Begin anew even if DIR has a checkpoint
+    /// Start again even if DIR has a checkpoint
     #[arg(long)]
     fresh: bool,
     #[command(flatten)]
@@ -69,13 +69,18 @@ pub(super) struct TrainArgs {
     common: Common,
 }
 
-/// Names of the engine's scores.
+/// Names of [`PruneScore`].
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum ScoreArg {
-    /// Light that the splat gives to all views
+    /// Squared contribution of the splat to all pixels of all views, weighted by its area
     Corrected,
-    /// As the paper's formula is written: pixels, opacity, volume
+    /// As written in the CoSurfGS paper: pixels hit, opacity, volume
     Paper,
+}
+
+/// The share of splats that is pruned by default.
+fn default_prune() -> Share {
+    Share::try_from(PruneSettings::default().ratio).expect("the default is a share")
 }
 
 impl TrainArgs {
@@ -84,8 +89,8 @@ impl TrainArgs {
             ScoreArg::Corrected => PruneScore::Corrected,
             ScoreArg::Paper => PruneScore::Paper,
         };
-        let at = self.prune_at.unwrap_or(PruneSettings::default().at);
-        (self.prune > 0.0).then_some(PruneSettings { ratio: self.prune, at, score })
+        let (ratio, at) = (self.prune.get(), self.prune_at.map_or(PruneSettings::default().at, Share::get));
+        (ratio > 0.0).then_some(PruneSettings { ratio, at, score })
     }
 }
 
@@ -102,7 +107,7 @@ pub(super) fn run(args: &TrainArgs) -> Result<()> {
         surface: (!args.color_only).then(SurfaceSettings::default),
         prune: args.prune(),
         exposure: args.exposure,
-        init: beginning(args.init.as_ref(), &args.out),
+        init: resolve_init(args.init.as_ref(), &args.out),
         one_of_many: false,
     };
     let mut progress = Progress::new(args.common.json);
@@ -110,8 +115,8 @@ pub(super) fn run(args: &TrainArgs) -> Result<()> {
     if args.common.json { Ok(()) } else { print_report(&report, &args.out) }
 }
 
-/// Trains, with checkpoints, and writes all results into `out`. Where a graphics card that nobody asked for is lost,
-/// the processor goes on.
+/// Trains with checkpoints and writes all results into `out`. If `auto` chose a GPU and it is lost, training resumes on
+/// the CPU.
 pub(super) fn train(
     plan: &TrainPlan,
     out: &Path,
@@ -167,7 +172,7 @@ fn finish(plan: &TrainPlan, session: Session, out: &Path, spent: Spent) -> Resul
     let (cameras, held_out, size_px) =
         (session.cameras().to_vec(), session.held_out().to_vec(), session.size_px());
     let device = session.trainer().backend().device();
-    // The optimiser's memory goes before the renderer's comes.
+    // Frees the optimiser's memory before the renderer allocates its own.
     let splats: Splats = session.into_splats()?;
     let score =
         evaluate::score(&mut Renderer::new(&splats, plan.threads), &held_out, size_px[0].max(size_px[1]))?;
@@ -204,10 +209,10 @@ fn print_report(report: &TrainReport, out: &Path) -> Result<()> {
         cosurf_scene::bytes::format_bytes(report.peak_memory_bytes)
     )?;
     if let (Some(psnr), Some(ssim)) = (report.psnr, report.ssim) {
-        writeln!(stdout, "held out {} views: PSNR {psnr:.2} dB, SSIM {ssim:.4}", report.held_out)?;
+        writeln!(stdout, "{} held-out views: PSNR {psnr:.2} dB, SSIM {ssim:.4}", report.held_out)?;
     }
     for given_up in &report.given_up {
-        writeln!(stdout, "given up for memory: {given_up}")?;
+        writeln!(stdout, "reduced to fit the memory: {given_up}")?;
     }
     writeln!(stdout, "{}", out.join("model.ply").display())?;
     Ok(())

@@ -1,4 +1,4 @@
-//! The synthetic town: a data set with exact geometry that needs no download.
+//! The synthetic town: a dataset with exact geometry that needs no download.
 //!
 //! What it is: [`City::build`] makes a small town from [`CitySettings`], as one triangle mesh with procedural
 //! materials, and a drone's flight over it. Pictures, depth, normals, cameras, the sparse cloud and the true surface
@@ -18,7 +18,7 @@
 //! let frame = city.render(&city.cameras()[0]);
 //! assert_eq!(frame.picture.size_px, [32, 24]);
 //! assert!(frame.depth.iter().all(|depth_m| *depth_m >= 0.0));
-//! // `city.write(folder, progress)` writes pictures, poses, cloud and truth as a COLMAP data set.
+//! // `city.write(folder, progress)` writes pictures, poses, cloud and truth as a COLMAP dataset.
 //! # Ok::<(), cosurf_city::CityError>(())
 //! ```
 

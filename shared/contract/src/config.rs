@@ -38,11 +38,11 @@ pub struct AgentConfig {
     /// Speed of the serial port in bits per second; [`DEFAULT_BAUD`] if absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub baud: Option<NonZeroU32>,
-    /// The data set's folder.
+    /// The dataset's folder.
     pub data: PathBuf,
     /// The folder for model, checkpoints, report and the received global model.
     pub out: PathBuf,
-    /// Names of the views to train on. If both lists are empty, `eval_every` splits the data set.
+    /// Names of the views to train on. If both lists are empty, `eval_every` splits the dataset.
     #[serde(default)]
     pub views: Vec<String>,
     /// Names of the held-out views: scored, never trained on.

@@ -1,5 +1,5 @@
-//! A training that begins with a model of the same ground, for example the global model of the last flight, instead
-//! of with the sparse cloud.
+//! Warm start: training starts from a model of the same ground, for example the last flight's global model, instead of
+//! the sparse cloud.
 
 use std::path::Path;
 
@@ -7,19 +7,19 @@ use cosurf_link::plain_importance;
 use cosurf_scene::{Camera, SceneError, Splats, Watchers, ply};
 use glam::DVec3;
 
-/// Reads a model and keeps of it what `cameras` look at, the most important where that is more than `splats_max`; at
-/// `sh_degree`, where the model is silent above its own and cut off where it has more.
-pub fn beginning(
+/// Reads a PLY and keeps the splats inside the view of any of `cameras`, at most `splats_max`, the most important first.
+/// Harmonics above the model's own degree are zero, those above `sh_degree` are cut off.
+pub fn read_visible_splats(
     model: &Path,
     cameras: &[Camera],
     splats_max: usize,
     sh_degree: u32,
 ) -> Result<Splats, SceneError> {
     let model = ply::read(model)?;
-    Ok(part(&model, cameras, splats_max, sh_degree))
+    Ok(visible_splats(&model, cameras, splats_max, sh_degree))
 }
 
-fn part(model: &Splats, cameras: &[Camera], splats_max: usize, sh_degree: u32) -> Splats {
+fn visible_splats(model: &Splats, cameras: &[Camera], splats_max: usize, sh_degree: u32) -> Splats {
     let mut watchers = Watchers::new(cameras);
     let is_seen = |i: &usize| {
         let mean = DVec3::from_array(model.means[*i].map(f64::from));
@@ -30,14 +30,14 @@ fn part(model: &Splats, cameras: &[Camera], splats_max: usize, sh_degree: u32) -
     seen.sort_by(|a, b| importance[*b].total_cmp(&importance[*a]));
     seen.truncate(splats_max);
     seen.sort_unstable();
-    let mut part = Splats::with_capacity(seen.len(), sh_degree);
-    let mut sh = vec![0.0; part.sh_stride()];
-    let shared = part.sh_stride().min(model.sh_stride());
+    let mut kept = Splats::with_capacity(seen.len(), sh_degree);
+    let mut sh = vec![0.0; kept.sh_stride()];
+    let shared = kept.sh_stride().min(model.sh_stride());
     for i in seen {
         sh[..shared].copy_from_slice(&model.sh_of(i)[..shared]);
-        part.push(model.means[i], model.quats[i], model.log_scales[i], model.opacity_logits[i], &sh);
+        kept.push(model.means[i], model.quats[i], model.log_scales[i], model.opacity_logits[i], &sh);
     }
-    part
+    kept
 }
 
 #[cfg(test)]
@@ -48,7 +48,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_the_cameras_see_is_kept_the_most_important_first() {
+    fn visible_splats_are_kept_the_most_important_first() {
         let camera = Camera {
             cam_from_world: Pose::look_at(DVec3::Z * 10.0, DVec3::ZERO, DVec3::Y),
             focal_px: DVec2::splat(40.0),
@@ -60,10 +60,10 @@ mod tests {
             let sh: Vec<f32> = (0..12).map(|k| x + k as f32).collect();
             model.push([x, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [-1.0; 3], opacity_logit, &sh);
         }
-        let kept = part(&model, &[camera], 2, 3);
+        let kept = visible_splats(&model, &[camera], 2, 3);
         assert_eq!(kept.means, [[1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]);
         assert_eq!((kept.sh_of(0)[11], kept.sh_of(0)[12], kept.sh_stride()), (12.0, 0.0, 48));
-        assert_eq!(part(&model, &[camera], 9, 0).sh_of(2), [2.0, 3.0, 4.0]);
-        assert!(part(&model, &[], 9, 0).is_empty());
+        assert_eq!(visible_splats(&model, &[camera], 9, 0).sh_of(2), [2.0, 3.0, 4.0]);
+        assert!(visible_splats(&model, &[], 9, 0).is_empty());
     }
 }

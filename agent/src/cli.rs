@@ -1,4 +1,4 @@
-//! What the words of the command line mean.
+//! The command line: what the options mean, and one module for each command.
 
 #[cfg(feature = "gpu")]
 mod devices;
@@ -17,8 +17,8 @@ use cosurf_agent::publish::global_ply;
 use cosurf_engine::DeviceChoice;
 use cosurf_scene::bytes::parse_bytes;
 
-/// Trains a Gaussian-surface model from drone pictures with poses, within a memory budget, on this
-/// computer's processor or graphics card.
+/// Train a Gaussian-surface model from drone pictures with known poses, within a memory limit, on this computer's
+/// CPU or GPU.
 #[derive(Debug, Parser)]
 #[command(version, propagate_version = true)]
 pub(crate) struct Cli {
@@ -37,24 +37,25 @@ enum Command {
     Devices(devices::DevicesArgs),
 }
 
-/// What several commands share.
+/// Options that several commands share.
 #[derive(Args, Clone, Debug)]
 struct Common {
     /// Shrink pictures until their long side is at most this many pixels [default: full size]
     #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(16..))]
     max_size: Option<u32>,
-    /// Threads to compute with [default: one per core]
+    /// Number of CPU threads [default: one per core]
     #[arg(long, value_name = "N", value_parser = parse_threads)]
     threads: Option<usize>,
-    /// Print JSON instead of text for people
+    /// Print JSON instead of text
     #[arg(long)]
     json: bool,
 }
 
-/// What trains and renders.
+/// The option of commands that train or render.
 #[derive(Args, Clone, Debug)]
 struct DeviceArgs {
-    /// What computes: auto (a real graphics card if there is one), cpu, gpu, or gpu:N as `devices` counts them
+    /// Device to compute on: auto (a hardware GPU if there is one, otherwise the CPU), cpu, gpu, or gpu:N with a
+    /// number that `devices` lists
     #[arg(long, value_name = "DEVICE", default_value_t)]
     device: DeviceChoice,
 }
@@ -69,7 +70,7 @@ impl Common {
     }
 }
 
-/// Cores of this computer.
+/// Number of CPU cores of this computer.
 fn cores() -> usize {
     std::thread::available_parallelism().map_or(1, usize::from)
 }
@@ -81,25 +82,23 @@ fn parse_threads(text: &str) -> Result<usize, String> {
     }
 }
 
-fn parse_share(text: &str) -> Result<f64, String> {
-    match text.parse() {
-        Ok(share) if (0.0..1.0).contains(&share) => Ok(share),
-        _ => Err("give a number from 0 to below 1".into()),
-    }
-}
-
 fn parse_memory(text: &str) -> Result<u64, String> {
     parse_bytes(text)
 }
 
-/// The memory to plan with where nobody says: two thirds of what is free, at most 8 GiB.
+/// The memory limit if none is given, bytes: two thirds of the free memory, at most 8 GiB.
 fn default_memory() -> u64 {
     cosurf_agent::usage::available_bytes().map_or(2 << 30, |free| free / 3 * 2).min(8 << 30)
 }
 
-/// A finished model, by file or by the folder that training wrote it to.
-fn model_path(path: &std::path::Path) -> PathBuf {
+/// The PLY of a finished model, given that file or the folder that training wrote.
+fn model_path(path: &Path) -> PathBuf {
     if path.is_dir() { path.join("model.ply") } else { path.to_path_buf() }
+}
+
+/// The model that training starts from. The word `global` stands for the global model that `out` received earlier.
+fn resolve_init(init: Option<&PathBuf>, out: &Path) -> Option<PathBuf> {
+    init.map(|init| if init.as_os_str() == "global" { global_ply(out) } else { init.clone() })
 }
 
 pub(crate) fn run(cli: Cli) -> Result<()> {
@@ -112,9 +111,4 @@ pub(crate) fn run(cli: Cli) -> Result<()> {
         #[cfg(feature = "gpu")]
         Command::Devices(args) => devices::run(&args),
     }
-}
-
-/// What training begins with: the word `global` stands for the global model that came back to this folder.
-fn beginning(init: Option<&PathBuf>, out: &Path) -> Option<PathBuf> {
-    init.map(|init| if init.as_os_str() == "global" { global_ply(out) } else { init.clone() })
 }

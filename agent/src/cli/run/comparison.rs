@@ -1,0 +1,48 @@
+//! How the agent's own model differs from the one that it started from, and from the global model.
+
+use std::fs;
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use cosurf_agent::changes::compare;
+use cosurf_agent::outputs::write_json;
+use cosurf_agent::session::SH_DEGREE;
+use cosurf_agent::warm_start::read_visible_splats;
+use cosurf_contract::{AgentEvent, ComparedWith};
+use cosurf_engine::Renderer;
+use cosurf_scene::{Camera, Splats};
+
+use crate::cli::progress::Progress;
+
+/// The agent's own model, ready to be compared with others.
+pub(super) struct Comparison<'a> {
+    pub(super) splats: &'a Splats,
+    pub(super) cameras: &'a [Camera],
+    /// The memory limit of the process.
+    pub(super) memory_bytes: u64,
+    pub(super) threads: usize,
+    /// The agent's folder.
+    pub(super) out: &'a Path,
+}
+
+impl Comparison<'_> {
+    /// Compares the agent's own model with the PLY `other` on the ground that the agent's cameras see, shows the
+    /// result and writes it to a file. A PLY that is too large for the memory is skipped.
+    pub(super) fn show(&self, with: ComparedWith, other: &Path, progress: &mut Progress) -> Result<()> {
+        let file_bytes = fs::metadata(other).with_context(|| other.display().to_string())?.len();
+        if file_bytes > self.memory_bytes / 4 {
+            return Ok(());
+        }
+        let other = read_visible_splats(other, self.cameras, usize::MAX, SH_DEGREE)?;
+        let (before, after, file) = match with {
+            ComparedWith::Init => (&other, self.splats, "changes-init.json"),
+            ComparedWith::Global => (self.splats, &other, "changes-global.json"),
+        };
+        let [mut before, mut after] = [before, after].map(|splats| Renderer::new(splats, self.threads));
+        if let Some(changes) = compare(&mut before, &mut after, self.cameras) {
+            write_json(&self.out.join(file), &changes)?;
+            progress.show(&AgentEvent::Compared { with, changes });
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,57 @@
+//! The model as it is offered to the aggregator, under a number that stays the same as long as its bytes do.
+
+use std::fs;
+
+use anyhow::{Context, Result};
+use cosurf_engine::Renderer;
+use cosurf_link::{FirstLayer, Offer, model_to_body};
+use cosurf_scene::{Base, Splats};
+use cosurf_wire::{ModelId, ModelKind};
+use serde::{Deserialize, Serialize};
+
+use super::Publication;
+use crate::outputs::write_json;
+
+/// The content of `published.json`: the model that was published last. The same model keeps its number, another one
+/// gets the next.
+#[derive(Debug, Default, Serialize, Deserialize)]
+struct Published {
+    model: u64,
+    blake3: String,
+}
+
+/// Packs the model and finds its number.
+pub(super) fn offer(
+    publication: &Publication,
+    splats: &Splats,
+    base: Option<&Base>,
+    kind: ModelKind,
+) -> Result<Offer> {
+    let cameras = publication.cameras;
+    let body = match base {
+        Some(base) => model_to_body(splats, cameras, FirstLayer::Base(base)),
+        None => {
+            let importance = Renderer::new(splats, 1).importance(cameras);
+            model_to_body(splats, cameras, FirstLayer::ByImportance(&importance))
+        }
+    }?;
+    let model = number_of(&body, publication)?;
+    Ok(Offer::from_body(publication.identity.device, model, kind, cameras.len() as u32, body)?)
+}
+
+/// The number of the model with this body. A new number is on disk before it is returned.
+fn number_of(body: &[u8], publication: &Publication) -> Result<ModelId> {
+    let path = publication.out.join("published.json");
+    let hash = blake3::hash(body).to_hex().to_string();
+    let last: Published = match fs::read(&path) {
+        Ok(bytes) => serde_json::from_slice(&bytes)
+            .with_context(|| format!("{}; remove it to publish anew", path.display()))?,
+        Err(_) => Published::default(),
+    };
+    if last.blake3 == hash {
+        return Ok(ModelId(last.model));
+    }
+    let model = last.model + 1;
+    write_json(&path, &Published { model, blake3: hash })?;
+    Ok(ModelId(model))
+}
