@@ -1,45 +1,49 @@
-//! What changed on the ground of an agent's own cameras between two models of it: since the last flight, or by the
-//! merge with what others saw.
+//! What changed between two models on the ground that an agent's cameras see: since the last flight, or through the merge
+//! with other models.
 
 use cosurf_contract::Changes;
 use cosurf_engine::{Renderer, Rendering};
 use cosurf_scene::Camera;
 use cosurf_scene::metrics::psnr;
 
-/// Long side of the pictures that are compared, px.
+/// Long side of the renderings that are compared, px.
 const SIZE_PX: u32 = 160;
-/// Cameras that are compared at most, evenly among all.
+/// Limit on the cameras that are compared; they are spread evenly over all.
 const VIEWS_MAX: usize = 16;
-/// A surface is where a picture shows at least this much of one.
+/// A pixel shows a surface from this alpha on.
 const ALPHA_MIN: f32 = 0.5;
-/// A surface whose depth differs by a larger share is another one. Two trained models of the same ground differ by at
-/// most 2.2 % in the median.
+/// A relative difference of depth above this counts as moved. It lies above the median difference of two trainings of the
+/// same ground.
 const DEPTH_MAX: f32 = 0.03;
+/// PSNR of equal renderings, dB; without a limit it would be infinite.
+const PSNR_MAX: f64 = 99.0;
 
-/// Compares what two models show to `cameras`; `None` without any.
+/// Compares the renderings of two models from `cameras`; `None` without cameras.
 pub fn compare(before: &mut Renderer, after: &mut Renderer, cameras: &[Camera]) -> Option<Changes> {
     let views = cameras.len().min(VIEWS_MAX);
     let mut tally = Tally::default();
     for i in 0..views {
         let camera = &cameras[i * cameras.len() / views];
         let camera = camera.resized(camera.fitted_size(SIZE_PX));
-        tally.note(&before.render(&camera), &after.render(&camera));
+        tally.add(&before.render(&camera), &after.render(&camera));
     }
     (views > 0).then(|| tally.changes(views))
 }
 
-/// What was counted so far.
+/// Sums over the cameras compared so far.
 #[derive(Default)]
 struct Tally {
     psnr: f64,
-    /// Share by which depths differ where both have a surface.
+    /// Relative differences of depth of the pixels that show a surface in both models.
     differences: Vec<f32>,
+    /// Pixels with a surface in the first model only.
     gone: usize,
+    /// Pixels with a surface in the second model only.
     new: usize,
 }
 
 impl Tally {
-    fn note(&mut self, before: &Rendering, after: &Rendering) {
+    fn add(&mut self, before: &Rendering, after: &Rendering) {
         let clamped = |of: &Rendering| of.rgb.iter().map(|value| value.clamp(0.0, 1.0)).collect::<Vec<_>>();
         self.psnr += psnr(&clamped(before), &clamped(after)).min(PSNR_MAX);
         let depth =
@@ -73,9 +77,6 @@ impl Tally {
     }
 }
 
-/// What pictures that are equal count for, dB.
-const PSNR_MAX: f64 = 99.0;
-
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
@@ -93,7 +94,7 @@ mod tests {
         }
     }
 
-    /// Flat ground from x = -8 to `east`; from x = 0 on it lies at `height`.
+    /// Flat ground from x = -8 to `east`, at z = 0 where x < 0 and at z = `height` elsewhere.
     fn ground(east: f32, height: f32) -> Renderer {
         let mut splats = Splats::with_capacity(0, 0);
         for i in 0..((east + 8.0) * 2.0) as i32 {
@@ -107,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn the_same_ground_has_not_changed() {
+    fn equal_models_have_no_changes() {
         let changes = compare(&mut ground(8.0, 0.0), &mut ground(8.0, 0.0), &[above()]).unwrap();
         assert_eq!((changes.views, changes.moved, changes.gone, changes.new), (1, 0.0, 0.0, 0.0));
         assert!(changes.psnr > 90.0 && changes.depth == Some(0.0), "{changes:?}");
@@ -115,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn what_rose_what_went_and_what_came_is_told() {
+    fn moved_gone_and_new_ground_are_counted() {
         let risen = compare(&mut ground(8.0, 0.0), &mut ground(8.0, 1.0), &[above()]).unwrap();
         assert!((risen.moved - 0.5).abs() < 0.1 && risen.gone + risen.new < 0.02, "{risen:?}");
         let gone = compare(&mut ground(8.0, 0.0), &mut ground(0.0, 0.0), &[above()]).unwrap();

@@ -1,8 +1,8 @@
-//! Checkpoints: everything a training needs to go on to the same bits, in one file.
+//! Checkpoints: all that a training needs to resume to the same bits, in one file.
 //!
-//! A line of JSON ([`Head`]), then the trainer's numbers as little-endian f32, zstd-compressed, with a
-//! BLAKE3 of the uncompressed bytes at the end. Written to a new file that then takes the old one's place,
-//! so a kill at any moment leaves a whole checkpoint.
+//! The file has one line of JSON ([`Head`]), then the trainer's numbers as little-endian f32, zstd-compressed, with a
+//! BLAKE3 hash of the uncompressed bytes at the end. It is replaced atomically, so a kill at any moment leaves a complete
+//! checkpoint.
 
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read, Write};
@@ -14,20 +14,20 @@ use cosurf_scene::{Camera, SparsePoint, atomic};
 use serde::{Deserialize, Serialize};
 
 const FORMAT: &str = "cosurf checkpoint 2";
-/// Level 1: the numbers hardly compress, and training waits.
+/// The lowest level: the numbers hardly compress, and training waits for the file.
 const ZSTD_LEVEL: i32 = 1;
-/// The head is short; a longer first line is not a checkpoint.
+/// Limit on the first line; a file with a longer one is not a checkpoint.
 const HEAD_BYTES_MAX: u64 = 4096;
 
-/// What a checkpoint must agree with: the settings and the data of the training.
+/// Identifies a training: a checkpoint is only restored into the training that it was written by.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Fingerprint(String);
 
 impl Fingerprint {
-    /// A hash of everything that decides the bits of a training.
+    /// A hash of all that determines the bits of a training.
     pub fn of(settings: &TrainSettings, cameras: &[Camera], points: &[SparsePoint]) -> Self {
         let mut hash = blake3::Hasher::new();
-        // Debug prints floats so that they read back to the same bits.
+        // `Debug` prints floats with all digits that distinguish them.
         hash.update(format!("{FORMAT} {settings:?}").as_bytes());
         for camera in cameras {
             hash.update(format!("{camera:?}").as_bytes());
@@ -53,30 +53,30 @@ struct Head {
     spent: Spent,
 }
 
-/// What a training took so far, all its sittings together.
+/// Time that a training has taken so far, over all runs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Spent {
-    /// Time, seconds.
+    /// Elapsed time, seconds.
     pub seconds: f64,
-    /// Processor time of all threads, seconds; 0 where the system does not tell.
+    /// CPU time of all threads, seconds; 0 if the system does not report it.
     #[serde(default)]
     pub cpu_seconds: f64,
 }
 
-/// A checkpoint that was found.
+/// A checkpoint file whose head has been read.
 pub struct Checkpoint {
     path: PathBuf,
     head: Head,
     body: BufReader<File>,
 }
 
-/// Where the checkpoint of a training that writes to `out` lies.
+/// The checkpoint file of a training that writes to `out`.
 pub fn path(out: &Path) -> PathBuf {
     out.join("checkpoint").join("state.bin")
 }
 
 impl Checkpoint {
-    /// Opens the checkpoint below `out`, if there is one.
+    /// Opens the checkpoint in `out`; `None` if there is none. Fails if the file cannot be read or its head is not one.
     pub fn find(out: &Path) -> Result<Option<Self>> {
         let path = path(out);
         let file = match File::open(&path) {
@@ -91,33 +91,34 @@ impl Checkpoint {
             .read_until(b'\n', &mut line)
             .with_context(|| path.display().to_string())?;
         let head: Head = serde_json::from_slice(&line).with_context(|| {
-            format!("{} is not a checkpoint of this program; use --fresh to begin anew", path.display())
+            format!("{} is not a checkpoint of this program; use --fresh to start again", path.display())
         })?;
         ensure!(
             head.format == FORMAT,
-            "{}: format {:?} is not known here; use --fresh to begin anew",
+            "{}: unknown format {:?}; use --fresh to start again",
             path.display(),
             head.format
         );
         Ok(Some(Self { path, head, body }))
     }
 
-    /// What training took up to here.
+    /// Time that the training took up to this checkpoint.
     pub fn spent(&self) -> Spent {
         self.head.spent
     }
 
-    /// Brings the trainer to where it was. A checkpoint of another training is refused.
+    /// Restores the trainer to the state of the checkpoint. Fails if the checkpoint belongs to another training or is
+    /// damaged.
     pub fn restore(self, expected: &Fingerprint, trainer: &mut Trainer<AnyBackend>) -> Result<()> {
         let path = self.path.display().to_string();
         if self.head.fingerprint != *expected {
             bail!(
-                "{path} belongs to a training with other data or settings; use --fresh to begin anew, or another --out"
+                "{path} belongs to a training with other data or settings; use --fresh to start again, or another --out"
             );
         }
         ensure!(
             self.head.splats <= trainer.backend().capacity(),
-            "{path} holds more splats than the memory allows; use --fresh"
+            "{path} has more splats than the memory allows; use --fresh to start again"
         );
         let mut body = zstd::Decoder::new(self.body).with_context(|| path.clone())?;
         let mut hash = blake3::Hasher::new();
@@ -133,16 +134,17 @@ impl Checkpoint {
                 }
                 Ok(())
             })
-            .with_context(|| format!("{path} is cut short; use --fresh to begin anew"))?;
+            .with_context(|| format!("{path} is truncated; use --fresh to start again"))?;
         let mut stored = [0; 32];
         body.read_exact(&mut stored)
-            .with_context(|| format!("{path} is cut short; use --fresh to begin anew"))?;
-        ensure!(hash.finalize() == stored, "{path} is damaged; use --fresh to begin anew");
+            .with_context(|| format!("{path} is truncated; use --fresh to start again"))?;
+        ensure!(hash.finalize() == stored, "{path} is damaged; use --fresh to start again");
         Ok(())
     }
 }
 
-/// Writes the checkpoint of `trainer` below `out`; `spent` is what it took so far.
+/// Writes the checkpoint of `trainer` into `out`; `spent` is the time taken so far. Fails with [`DeviceLost`] if the
+/// device was lost.
 pub fn write(
     out: &Path,
     fingerprint: &Fingerprint,

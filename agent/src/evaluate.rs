@@ -1,4 +1,4 @@
-//! Scoring a model on pictures that it was not trained on.
+//! Scores of a model on held-out pictures.
 
 use anyhow::Result;
 use cosurf_engine::Renderer;
@@ -11,25 +11,25 @@ use serde::Serialize;
 pub struct ViewScore {
     /// The view's name.
     pub name: String,
-    /// dB.
+    /// PSNR, dB.
     pub psnr: f64,
-    /// -1..=1.
+    /// SSIM, -1..=1.
     pub ssim: f64,
 }
 
-/// Means over views, and each of them.
+/// The scores of a model.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Score {
     /// Mean PSNR, dB; absent without views.
     pub psnr: Option<f64>,
     /// Mean SSIM; absent without views.
     pub ssim: Option<f64>,
-    /// View by view.
+    /// One score per view, in the order given.
     pub views: Vec<ViewScore>,
 }
 
-/// Renders each view with its long side at most `max_size_px` and compares with its picture. Colours are
-/// clamped to 0..=1 first, as in a picture file.
+/// Renders each view with a long side of at most `max_size_px` and compares the rendering with the view's picture. Colours
+/// are clamped to 0..=1 first, as in a picture file. Fails if a picture cannot be read.
 pub fn score(renderer: &mut Renderer, views: &[View], max_size_px: u32) -> Result<Score> {
     let scores = views
         .iter()

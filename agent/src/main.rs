@@ -10,7 +10,7 @@ use clap::Parser;
 fn main() -> ExitCode {
     match cli::run(cli::Cli::parse()) {
         Ok(()) => ExitCode::SUCCESS,
-        Err(error) if has_closed_pipe(&error) => ExitCode::SUCCESS,
+        Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => {
             // One line: what failed, then why.
             eprintln!("cosurf-agent: {error:#}");
@@ -19,7 +19,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// True if the reader closed the pipe early, as `head` does: that is no failure.
-fn has_closed_pipe(error: &anyhow::Error) -> bool {
+/// True if the reader of the output has closed it, as `head` does.
+fn is_broken_pipe(error: &anyhow::Error) -> bool {
     error.downcast_ref().is_some_and(|error: &io::Error| error.kind() == io::ErrorKind::BrokenPipe)
 }

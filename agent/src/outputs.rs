@@ -1,4 +1,4 @@
-//! What a training leaves behind: `model.ply`, `cameras.json`, `report.json`.
+//! The files that a training writes: `model.ply`, `cameras.json`, `report.json`.
 
 use std::io::Write;
 use std::path::Path;
@@ -8,14 +8,14 @@ use cosurf_contract::TrainReport;
 use cosurf_scene::{Camera, Splats, atomic, ply};
 use serde::Serialize;
 
-/// Writes all three into `out`, each whole or not at all.
+/// Writes all three files into `out`, each one atomically.
 pub fn write(out: &Path, splats: &Splats, cameras: &[Camera], report: &TrainReport) -> Result<()> {
     ply::write(&out.join("model.ply"), splats)?;
     write_json(&out.join("cameras.json"), &cameras)?;
     write_json(&out.join("report.json"), report)
 }
 
-/// Writes a value as indented JSON.
+/// Writes a value as indented JSON, atomically.
 pub fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
     atomic::write(path, |file| {
         serde_json::to_writer_pretty(&mut *file, value)?;

@@ -1,4 +1,4 @@
-//! Pictures of what a model shows: colour, depth and normal as PNG, depth as 32-bit floats too.
+//! Renderings of a model as files: colour, depth and normal as PNG, depth also as 32-bit floats.
 
 use std::io::Write;
 use std::path::Path;
@@ -8,9 +8,9 @@ use cosurf_engine::Renderer;
 use cosurf_scene::colormap::{depth_picture, depth_range, normal_picture};
 use cosurf_scene::{Picture, View, atomic};
 
-/// Renders `view` (long side at most `max_size_px`) and writes `NAME.color.png`, `NAME.depth.png`,
-/// `NAME.normal.png` and `NAME.depth.pfm` (one 32-bit float per pixel, metres along the optical axis, 0 where
-/// there is no surface) into `folder`.
+/// Renders `view` with a long side of at most `max_size_px` and writes `NAME.color.png`, `NAME.depth.png`,
+/// `NAME.normal.png` and `NAME.depth.pfm` into `folder`. The PFM has one 32-bit float per pixel: metres along the
+/// optical axis, 0 where there is no surface.
 pub fn write(renderer: &mut Renderer, view: &View, max_size_px: u32, folder: &Path) -> Result<()> {
     let camera = view.camera.resized(view.camera.fitted_size(max_size_px));
     let rendering = renderer.render(&camera);
@@ -24,7 +24,7 @@ pub fn write(renderer: &mut Renderer, view: &View, max_size_px: u32, folder: &Pa
     write_pfm(&file("depth.pfm"), rendering.size_px, &rendering.depth)
 }
 
-/// Portable float map: grey, little-endian, bottom row first.
+/// Writes a portable float map: one channel, little-endian, bottom row first.
 fn write_pfm(path: &Path, size_px: [u32; 2], values: &[f32]) -> Result<()> {
     let [width, height] = size_px;
     atomic::write(path, |file| {

@@ -1,28 +1,29 @@
-//! How much memory and processor time the process takes, as the operating system counts it.
+//! Memory and CPU time of this process, as the operating system reports them.
 
 use std::fs;
 
-/// Peak resident memory of this process so far; 0 where the system does not tell.
+/// Peak resident memory of this process so far; 0 if the system does not report it.
 pub fn peak_bytes() -> u64 {
     status_kib("VmHWM:") * 1024
 }
 
-/// Memory that other programs leave free; `None` where the system does not tell.
+/// Memory available to this process without swapping, bytes; `None` if the system does not report it.
 pub fn available_bytes() -> Option<u64> {
     let text = fs::read_to_string("/proc/meminfo").ok()?;
     kib_after(&text, "MemAvailable:").map(|kib| kib * 1024)
 }
 
-/// Processor time of all threads so far, seconds; 0 where the system does not tell.
+/// CPU time of all threads so far, seconds; 0 if the system does not report it.
 pub fn cpu_seconds() -> f64 {
     let text = fs::read_to_string("/proc/self/stat").unwrap_or_default();
     cpu_ticks(&text).map_or(0.0, |ticks| ticks as f64 / TICKS_PER_S)
 }
 
-/// `USER_HZ`, in which Linux tells times on every processor that this runs on.
+/// `USER_HZ`, the unit of times in `/proc`. Linux uses 100 on all architectures that this program supports.
 const TICKS_PER_S: f64 = 100.0;
 
-/// Of a line of `/proc/<pid>/stat`: user and system time, fields 14 and 15. The name, field 2, may have anything in it.
+/// User plus system time (fields 14 and 15) of a line of `/proc/<pid>/stat`. The process name, field 2, may contain
+/// spaces and parentheses.
 fn cpu_ticks(stat: &str) -> Option<u64> {
     let fields: Vec<&str> = stat.rsplit_once(')')?.1.split_whitespace().collect();
     let ticks = |field: usize| fields.get(field - 3)?.parse::<u64>().ok();
@@ -43,7 +44,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn processor_time_is_read_past_odd_names() {
+    fn cpu_time_is_read_past_odd_process_names() {
         let stat = "7 (a) b (c) R 1 7 7 0 -1 4194304 100 0 0 0 250 50 0 0 20 0 1 0 9";
         assert_eq!(cpu_ticks(stat), Some(300));
         assert_eq!((cpu_ticks("7 (a) R 1"), cpu_ticks("")), (None, None));

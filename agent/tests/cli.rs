@@ -1,5 +1,5 @@
-//! The agent as a user meets it: same bytes for any number of threads and after a kill, memory kept, and one
-//! clear line for everything that is wrong with what it is given.
+//! The program as a user runs it: the same bytes with any number of threads and after a kill, memory within its limit,
+//! and one clear line for every wrong input.
 
 #![allow(clippy::unwrap_used)]
 
@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 use cosurf_city::{City, CitySettings};
 use tempfile::TempDir;
 
-/// A small town, made once for all tests of this file.
+/// A small town as a dataset, made once for all tests of this file.
 fn town() -> &'static Path {
     static TOWN: OnceLock<TempDir> = OnceLock::new();
     TOWN.get_or_init(|| {
@@ -25,7 +25,7 @@ fn town() -> &'static Path {
     .path()
 }
 
-/// A copy of the town that a test may damage.
+/// A copy of the town that a test may change.
 fn copy_of_town() -> TempDir {
     fn copy(from: &Path, to: &Path) {
         fs::create_dir_all(to).unwrap();
@@ -65,7 +65,7 @@ fn succeed(mut command: Command) {
     assert!(output.status.success(), "{}", stderr(&output));
 }
 
-/// Runs a command that must fail with exactly one line that names the program and contains `parts`.
+/// Runs a command that must fail, with exactly one line that begins with the program's name and contains `parts`.
 fn refuse(mut command: Command, parts: &[&str]) {
     let output = command.output().unwrap();
     assert!(!output.status.success(), "should have failed: {parts:?}");
@@ -83,7 +83,7 @@ fn model(out: &Path) -> Vec<u8> {
 }
 
 #[test]
-fn threads_do_not_change_a_byte_but_the_seed_does() {
+fn bytes_depend_on_the_seed_and_not_on_the_threads() {
     let folder = tempfile::tempdir().unwrap();
     let out = |name: &str| folder.path().join(name);
     for threads in ["1", "2", "8"] {
@@ -96,7 +96,7 @@ fn threads_do_not_change_a_byte_but_the_seed_does() {
 }
 
 #[test]
-fn who_has_read_enough_may_close_the_pipe() {
+fn a_closed_pipe_is_no_error() {
     let folder = tempfile::tempdir().unwrap();
     let mut command = train(town(), folder.path(), &["--steps", "1"]);
     let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
@@ -107,7 +107,7 @@ fn who_has_read_enough_may_close_the_pipe() {
 }
 
 #[test]
-fn a_training_that_begins_with_a_model_is_ahead() {
+fn training_from_a_model_is_ahead_of_training_from_points() {
     let folder = tempfile::tempdir().unwrap();
     let [first, warm, cold] = ["first", "warm", "cold"].map(|name| folder.path().join(name));
     succeed(train(town(), &first, &["--steps", "400"]));
@@ -120,7 +120,7 @@ fn a_training_that_begins_with_a_model_is_ahead() {
 }
 
 #[test]
-fn killed_and_started_again_it_ends_in_the_same_bytes() {
+fn a_killed_training_resumes_to_the_same_bytes() {
     let folder = tempfile::tempdir().unwrap();
     let (whole, broken) = (folder.path().join("whole"), folder.path().join("broken"));
     let words = ["--steps", "400"];
@@ -135,13 +135,13 @@ fn killed_and_started_again_it_ends_in_the_same_bytes() {
     }
     child.kill().unwrap();
     child.wait().unwrap();
-    assert!(!broken.join("model.ply").exists(), "it was killed too late to show anything");
+    assert!(!broken.join("model.ply").exists(), "the training ended before the kill");
     let output = train(town(), &broken, &words).output().unwrap();
-    assert!(stderr(&output).contains("going on after step"), "{}", stderr(&output));
+    assert!(stderr(&output).contains("resumed at step"), "{}", stderr(&output));
     assert!(model(&whole) == model(&broken));
 }
 
-/// Whether there is a graphics card, a software driver being enough; says so where there is none.
+/// Whether there is a GPU, hardware or software; prints a line if there is none.
 fn has_gpu() -> bool {
     let devices = agent(&["devices", "--json"]).output().unwrap();
     let found = String::from_utf8_lossy(&devices.stdout).contains("gpu:0");
@@ -152,8 +152,8 @@ fn has_gpu() -> bool {
     found
 }
 
-/// dB of the views trained on, all but every eighth.
-fn psnr_of_lessons(data: &Path, out: &Path) -> f64 {
+/// Mean PSNR over the training views (all but every eighth), dB.
+fn training_psnr(data: &Path, out: &Path) -> f64 {
     let words = ["--eval-every", "1", "--max-size", "160", "--json", "--device", "cpu"];
     let output = agent(&["eval"]).arg(out).arg(data).args(words).output().unwrap();
     assert!(output.status.success(), "{}", stderr(&output));
@@ -164,8 +164,8 @@ fn psnr_of_lessons(data: &Path, out: &Path) -> f64 {
     psnrs.iter().sum::<f64>() / psnrs.len() as f64
 }
 
-/// dB of the held-out views after a training.
-fn psnr_of(data: &Path, out: &Path, words: &[&str]) -> f64 {
+/// Trains and returns the mean PSNR over the held-out views, dB.
+fn held_out_psnr(data: &Path, out: &Path, words: &[&str]) -> f64 {
     succeed(train(data, out, words));
     report(out)["psnr"].as_f64().unwrap()
 }
@@ -174,13 +174,12 @@ fn report(out: &Path) -> serde_json::Value {
     serde_json::from_slice(&fs::read(out.join("report.json")).unwrap()).unwrap()
 }
 
-/// `DATA=FOLDER cargo test --release -p cosurf-agent -- --ignored five_hundred --nocapture`, with real pictures: in a
-/// scene of a few hundred splats a seed is worth tenths of a decibel, and so is how a device rounds. What counts is what
-/// was learnt: at the rim of a held-out view there is ground that no other view shows, and what lies there is chance
-/// (Boruszyn: four seeds are worth 22.8 to 24.0 dB held out, and 26.18 to 26.26 dB on what they were trained on).
+/// `DATA=FOLDER cargo test --release -p cosurf-agent -- --ignored five_hundred --nocapture`. It needs real pictures: with a
+/// few hundred splats the seed, and so the rounding of a device, changes PSNR by tenths of a decibel. It compares training
+/// views: the rim of a held-out view shows ground that no other view shows, where the model is arbitrary.
 #[test]
-#[ignore = "minutes on a software driver, and it needs pictures"]
-fn five_hundred_steps_end_alike() {
+#[ignore = "takes minutes on a software driver, and needs pictures"]
+fn five_hundred_steps_give_the_same_psnr_on_cpu_and_gpu() {
     if !has_gpu() {
         return;
     }
@@ -190,14 +189,14 @@ fn five_hundred_steps_end_alike() {
         let words = ["--steps", "500", "--max-size", "160", "--device", device];
         let out = folder.path().join(device);
         succeed(train(&data, &out, &words));
-        psnr_of_lessons(&data, &out)
+        training_psnr(&data, &out)
     });
     println!("500 steps: {cpu:.3} dB on the CPU, {gpu:.3} dB on the GPU");
     assert!((cpu - gpu).abs() < 0.1, "{cpu} dB on the CPU, {gpu} dB on the GPU");
 }
 
 #[test]
-fn a_graphics_card_trains_the_same_model_and_goes_on_with_the_processors() {
+fn a_gpu_trains_as_well_as_the_cpu_and_their_checkpoints_are_interchangeable() {
     if !has_gpu() {
         return;
     }
@@ -205,7 +204,7 @@ fn a_graphics_card_trains_the_same_model_and_goes_on_with_the_processors() {
     let out = |name: &str| folder.path().join(name);
     let on = |device, name: &str| {
         let words = ["--steps", "120", "--device", device, "--memory", "600MiB"];
-        let psnr = psnr_of(town(), &out(name), &words);
+        let psnr = held_out_psnr(town(), &out(name), &words);
         let report = report(&out(name));
         assert!(report["peak_memory_bytes"].as_u64().unwrap() < 600 << 20, "{report}");
         psnr
@@ -214,14 +213,14 @@ fn a_graphics_card_trains_the_same_model_and_goes_on_with_the_processors() {
     assert!((cpu - gpu).abs() < 0.1, "{cpu} dB on the CPU, {gpu} dB on the GPU");
     on("gpu", "again");
     assert!(model(&out("gpu")) == model(&out("again")), "two runs on the GPU");
-    // All steps are done: what is written again is what the checkpoint of the other device says.
+    // All steps are done, so the CPU writes the model that it reads from the GPU's checkpoint.
     fs::remove_file(out("gpu").join("model.ply")).unwrap();
     on("cpu", "gpu");
     assert!(model(&out("gpu")) == model(&out("again")), "the CPU reads the GPU's checkpoint");
     refuse(train(town(), &out("none"), &["--device", "gpu:99"]), &["there is no GPU 99"]);
 }
 
-/// As on a machine without any driver of a graphics card.
+/// Hides all GPU drivers from a command.
 fn without_drivers(mut command: Command) -> Command {
     let nowhere = std::env::temp_dir().join("no-driver-is-here.json");
     command.env("VK_DRIVER_FILES", &nowhere).env("VK_ICD_FILENAMES", &nowhere);
@@ -230,24 +229,24 @@ fn without_drivers(mut command: Command) -> Command {
 
 #[cfg(target_os = "linux")]
 #[test]
-fn without_a_graphics_card_the_processor_trains_and_says_so() {
+fn without_a_gpu_the_cpu_trains_and_the_report_names_it() {
     let output = without_drivers(agent(&["devices"])).output().unwrap();
     let text = String::from_utf8_lossy(&output.stdout).into_owned();
-    assert!(text.contains("no graphics card") && text.contains("--device cpu"), "{text}");
+    assert!(text.contains("no GPU") && text.contains("--device cpu"), "{text}");
     let folder = tempfile::tempdir().unwrap();
     let out = |name: &str| folder.path().join(name);
     let words = |device| ["--steps", "60", "--memory", "1GiB", "--device", device];
     let output = without_drivers(train(town(), &out("auto"), &words("auto"))).output().unwrap();
     assert!(output.status.success(), "{}", stderr(&output));
     let text = String::from_utf8_lossy(&output.stdout).into_owned();
-    assert!(text.contains("steps/s, cpu "), "it says what trained: {text}");
+    assert!(text.contains("steps/s, cpu "), "the report names the device: {text}");
     succeed(train(town(), &out("cpu"), &words("cpu")));
     assert!(model(&out("auto")) == model(&out("cpu")), "the same bytes");
     refuse(without_drivers(train(town(), &out("gpu"), &words("gpu"))), &["no GPU", "--device cpu"]);
 }
 
 #[test]
-fn a_checkpoint_of_another_training_or_a_damaged_one_is_refused() {
+fn a_damaged_checkpoint_and_one_of_another_training_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out");
     succeed(train(town(), &out, &["--steps", "20"]));
@@ -266,7 +265,7 @@ fn a_checkpoint_of_another_training_or_a_damaged_one_is_refused() {
 }
 
 #[test]
-fn memory_is_kept_and_what_was_given_up_is_said() {
+fn memory_stays_within_its_limit_or_the_limit_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out");
     succeed(train(town(), &out, &["--steps", "60", "--memory", "40MiB", "--threads", "2"]));
@@ -344,7 +343,7 @@ fn bad_models_get_one_clear_line() {
 }
 
 #[test]
-fn rendering_leaves_pictures_and_depths() {
+fn rendering_writes_pictures_and_depths() {
     let folder = tempfile::tempdir().unwrap();
     let (out, pictures) = (folder.path().join("out"), folder.path().join("pictures"));
     succeed(train(town(), &out, &["--steps", "5"]));
@@ -356,4 +355,22 @@ fn rendering_leaves_pictures_and_depths() {
     }
     let depths = fs::read(pictures.join("0000.depth.pfm")).unwrap();
     assert_eq!(depths.len(), "Pf\n48 36\n-1.0\n".len() + 48 * 36 * 4);
+}
+
+#[test]
+fn a_wrong_configuration_gets_one_clear_line() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = folder.path().join("agent.toml");
+    let right = "device = \"d\"\nsite = \"s\"\nbroker = \"h\"\ndata = \"in\"\nout = \"out\"\nsteps = 7\n";
+    for (text, part) in [
+        (right.replace("\"d\"", "\"a b\""), "line 1, device: "),
+        (right.replace("\"h\"", "\"h:port\""), "line 3, broker: "),
+        (format!("{right}compute = \"cuda\"\n"), "line 7, compute: "),
+        (format!("{right}serial = \"/dev/ttyUSB0\"\n"), "either broker"),
+    ] {
+        fs::write(&config, text).unwrap();
+        let mut command = agent(&["run"]);
+        command.arg("--config").arg(&config);
+        refuse(command, &["agent.toml", part]);
+    }
 }

@@ -1,4 +1,4 @@
-//! `devices`: what there is to compute on.
+//! `devices`: lists the GPUs.
 
 use std::io::{self, Write};
 
@@ -6,10 +6,10 @@ use anyhow::Result;
 use clap::Args;
 use cosurf_engine::gpu::{AdapterSummary, adapters};
 
-/// List the graphics cards, by the number that `--device gpu:N` takes, with what each can do.
+/// List the GPUs with their capabilities, numbered as in `--device gpu:N`.
 #[derive(Args, Debug)]
 pub(super) struct DevicesArgs {
-    /// Print JSON instead of text for people
+    /// Print JSON instead of text, one GPU per line
     #[arg(long)]
     json: bool,
 }
@@ -34,7 +34,7 @@ pub(super) fn run(args: &DevicesArgs) -> Result<()> {
             )?;
             continue;
         }
-        let kind = if *is_software { ", software: slower than --device cpu" } else { "" };
+        let kind = if *is_software { ", software driver: slower than --device cpu" } else { "" };
         let subgroups = if *has_subgroups { ", subgroups" } else { "" };
         let binding_mib = binding_bytes_max >> 20;
         writeln!(
@@ -43,10 +43,7 @@ pub(super) fn run(args: &DevicesArgs) -> Result<()> {
         )?;
     }
     if adapters.is_empty() && !args.json {
-        writeln!(
-            stdout,
-            "no graphics card with a Vulkan, Metal or DirectX 12 driver; --device cpu is all there is"
-        )?;
+        writeln!(stdout, "no GPU with a Vulkan, Metal or DirectX 12 driver; only --device cpu is available")?;
     }
     Ok(())
 }

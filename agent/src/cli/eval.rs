@@ -1,4 +1,4 @@
-//! `eval`: how well a model shows pictures that it was not trained on.
+//! `eval`: scores a model on held-out pictures.
 
 use std::io::{self, Write};
 use std::path::PathBuf;
@@ -11,14 +11,14 @@ use cosurf_scene::{Dataset, View, ply};
 
 use super::{Common, DeviceArgs, model_path};
 
-/// Score a model on the held-out views of a dataset: PSNR and SSIM as 3DGS defines them.
+/// Score a model on the held-out views of a dataset: PSNR and SSIM as defined by 3DGS.
 #[derive(Args, Debug)]
 pub(super) struct EvalArgs {
-    /// The model: a PLY, or the folder that training wrote
+    /// The model: a PLY, or a folder that training wrote
     model: PathBuf,
     /// The dataset's folder
     data: PathBuf,
-    /// Every n-th view by name is held out
+    /// Every n-th view by sorted name is held out
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..))]
     eval_every: u32,
     #[command(flatten)]

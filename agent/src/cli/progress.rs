@@ -1,4 +1,4 @@
-//! Showing how far the work is: a bar on a terminal, plain lines elsewhere, JSON lines under `--json`.
+//! Progress on a terminal as a bar, elsewhere as lines of text, under `--json` as lines of JSON.
 
 use std::io::{IsTerminal, Write};
 use std::time::{Duration, Instant};
@@ -7,17 +7,17 @@ use cosurf_contract::{AgentEvent, ComparedWith};
 use cosurf_engine::train::StepOutcome;
 use indicatif::{ProgressBar, ProgressStyle};
 
-/// Time between two reports where there is no terminal.
+/// Time between two lines of text.
 const LINE_EVERY: Duration = Duration::from_secs(5);
-/// Time between two reports on a terminal or for a program that reads along.
+/// Time between two updates of the bar or two lines of JSON.
 const BAR_EVERY: Duration = Duration::from_millis(500);
 
-/// Chooses how to show progress: JSON if asked for, bars on a terminal, else plain lines.
+/// Shows events as they happen.
 pub(super) struct Progress {
     style: Style,
     last: Instant,
     last_step: u32,
-    /// Sum of PSNR and number of steps since the last report.
+    /// Sum of PSNR and number of steps since the last update.
     psnr: (f64, u32),
 }
 
@@ -44,7 +44,7 @@ impl Progress {
         Self { style, last: Instant::now(), last_step: 0, psnr: (0.0, 0) }
     }
 
-    /// A step was done; reports every now and then.
+    /// Notes a training step; shows an update if one is due.
     pub(super) fn step(&mut self, step: u32, steps: u32, outcome: &StepOutcome, splats: usize) {
         self.psnr = (self.psnr.0 + outcome.loss.psnr(), self.psnr.1 + 1);
         let every = if matches!(self.style, Style::Lines) { LINE_EVERY } else { BAR_EVERY };
@@ -63,14 +63,14 @@ impl Progress {
         (self.last, self.last_step, self.psnr) = (Instant::now(), step, (0.0, 0));
     }
 
-    /// Steps a second since the last report, and the seconds that are left at this rate.
+    /// Steps per second since the last update, and the seconds left at this rate.
     fn rate(&self, step: u32, steps: u32) -> (f32, f32) {
         let steps_since = step - self.last_step.min(step);
         let steps_per_s = steps_since as f32 / self.last.elapsed().as_secs_f32().max(1e-6);
         (steps_per_s, (steps - step) as f32 / steps_per_s.max(1e-6))
     }
 
-    /// A step towards the upload was done; reports every now and then.
+    /// Notes a step of training the base; shows an update if one is due.
     pub(super) fn preparing(&mut self, step: u32, steps: u32) {
         if step == 1 {
             (self.last, self.last_step) = (Instant::now(), step);
@@ -91,13 +91,13 @@ impl Progress {
         match &self.style {
             Style::Json => {
                 let line = serde_json::to_string(event).unwrap_or_default();
-                // A reader that went away is no reason to stop training.
+                // Training goes on after the reader has closed the pipe.
                 let _ = writeln!(std::io::stdout(), "{line}");
             }
             Style::Bar(bar) => show_bar(bar, event),
             Style::Lines => {
-                if let Some(line) = in_words(event) {
-                    // `eprintln!` would end the training when nobody reads any more.
+                if let Some(line) = describe(event) {
+                    // `eprintln!` would panic on a closed pipe and end the training.
                     let _ = writeln!(std::io::stderr(), "{line}");
                 }
             }
@@ -116,25 +116,26 @@ fn show_bar(bar: &ProgressBar, event: &AgentEvent) {
         }
         AgentEvent::Trained { .. } => bar.finish(),
         _ => {
-            if let Some(line) = in_words(event) {
+            if let Some(line) = describe(event) {
                 bar.println(line);
             }
         }
     }
 }
 
-fn in_words(event: &AgentEvent) -> Option<String> {
+/// An event as a line of text; `None` for events that have none.
+fn describe(event: &AgentEvent) -> Option<String> {
     Some(match event {
         AgentEvent::Started { views, held_out, splats, steps, resumed_at } => {
             let from =
-                if *resumed_at > 0 { format!(", going on after step {resumed_at}") } else { String::new() };
-            format!("{views} views to train on, {held_out} held out, {splats} splats, {steps} steps{from}")
+                if *resumed_at > 0 { format!(", resumed at step {resumed_at}") } else { String::new() };
+            format!("{views} training views, {held_out} held out, {splats} splats, {steps} steps{from}")
         }
         AgentEvent::Progress { step, steps, psnr, splats, steps_per_s, seconds_left } => format!(
             "step {step}/{steps}: {psnr:.2} dB, {splats} splats, {steps_per_s:.1} steps/s, {seconds_left:.0} s left"
         ),
         AgentEvent::DeviceLost { reason } => {
-            format!("{reason}; the processor goes on from the last checkpoint")
+            format!("{reason}; training resumes on the CPU from the last checkpoint")
         }
         AgentEvent::Trained { .. } => return None,
         AgentEvent::Preparing { step, steps, seconds_left } => {
@@ -142,22 +143,24 @@ fn in_words(event: &AgentEvent) -> Option<String> {
         }
         AgentEvent::Retrying { what, attempt } => format!("{what} does not answer (attempt {attempt})"),
         AgentEvent::Compressed { removed, of, others } => {
-            format!("{removed} of {of} splats are left to {others} other agents")
+            format!(
+                "dropped {removed} of {of} splats that other agents observed better ({others} agents known)"
+            )
         }
         AgentEvent::Publishing { bytes_sent, bytes_total } => {
-            format!("published {bytes_sent} of {bytes_total} bytes")
+            format!("sent {bytes_sent} of {bytes_total} bytes")
         }
         AgentEvent::Acknowledged { bytes_sent } => {
-            format!("the aggregator has the model ({bytes_sent} bytes sent)")
+            format!("the aggregator has stored the model ({bytes_sent} bytes sent)")
         }
         AgentEvent::GlobalReceived { revision, splats } => {
-            format!("global model, revision {revision}: {splats} splats")
+            format!("received revision {revision} of the global model: {splats} splats")
         }
         AgentEvent::Compared { with: ComparedWith::Init, changes } => {
-            format!("since the model it began with: {changes}")
+            format!("changes since the initial model: {changes}")
         }
         AgentEvent::Compared { with: ComparedWith::Global, changes } => {
-            format!("its own ground in the global model: {changes}")
+            format!("changes on this agent's ground in the global model: {changes}")
         }
     })
 }

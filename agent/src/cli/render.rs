@@ -1,4 +1,4 @@
-//! `render`: pictures of what a model shows.
+//! `render`: renders a model from the cameras of a dataset.
 
 use std::io::{self, Write};
 use std::path::PathBuf;
@@ -11,16 +11,16 @@ use cosurf_scene::{Dataset, ply};
 
 use super::{Common, DeviceArgs, model_path};
 
-/// Render a model as the cameras of a dataset see it: colour, depth and normal as PNG, depth also as 32-bit
-/// floats (PFM, metres along the optical axis, 0 where there is no surface).
+/// Render a model from the cameras of a dataset: colour, depth and normal as PNG, depth also as 32-bit floats (PFM,
+/// metres along the optical axis, 0 where there is no surface).
 #[derive(Args, Debug)]
 pub(super) struct RenderArgs {
-    /// The model: a PLY, or the folder that training wrote
+    /// The model: a PLY, or a folder that training wrote
     model: PathBuf,
-    /// Dataset whose cameras to render from
+    /// The dataset with the cameras
     #[arg(long, value_name = "DATA")]
     cameras: PathBuf,
-    /// Where the pictures go
+    /// The folder to write to
     #[arg(long, value_name = "DIR", default_value = "out/pictures")]
     out: PathBuf,
     #[command(flatten)]
@@ -38,7 +38,7 @@ pub(super) fn run(args: &RenderArgs) -> Result<()> {
         pictures::write(&mut renderer, view, args.common.max_size_px(), &args.out)?;
         if args.common.json {
             let line = serde_json::json!({ "view": view.name, "done": done + 1, "of": dataset.views.len() });
-            let _ = writeln!(io::stdout(), "{line}"); // the pictures are made although nobody listens
+            let _ = writeln!(io::stdout(), "{line}"); // a closed pipe does not stop the rendering
         } else {
             eprintln!("{}/{} {}", done + 1, dataset.views.len(), view.name);
         }
