@@ -5,10 +5,11 @@
 //! `types`, which every pass has, before all others.
 //!
 //! This crate hands out text. It knows no graphics library, no buffers and no order of dispatches: those belong to
-//! `cosurf-engine`, whose tests validate every source and compare its structures and constants with their twins in Rust.
+//! `cosurf-engine`, whose tests validate every source and compare its structures and constants with their twins in
+//! Rust.
 //!
-//! Where to start reading: `parts/types.wgsl` for the shared structures, then the passes in the order of a training step,
-//! which is the order of [`ALL`].
+//! Where to start reading: `parts/types.wgsl` for the shared structures, then the passes in the order of a training
+//! step, which is the order of [`ALL`].
 //!
 //! ```
 //! let shader = cosurf_shaders::RASTERIZE;

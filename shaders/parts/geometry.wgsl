@@ -1,21 +1,21 @@
-// From parameters to a 2D Gaussian and a plane: what projection and its backward pass share. Formulas: EWA
-// splatting as in 3DGS; the plane as in PGSR.
+// From parameters to a 2D Gaussian and a plane, for projection and its backward pass. EWA splatting as in 3DGS, the
+// plane as in PGSR.
 // Needs: types; the binding `view`.
 
-// Everything between a splat's parameters and its conic.
+// Intermediate results between a splat's parameters and its conic.
 struct Geometry {
     // Centre in the camera frame.
     t: vec3<f32>,
     inv_z: f32,
-    // Slopes x / z, y / z after clamping, and where they were clamped.
+    // Slopes x / z and y / z after clamping, and whether they were clamped.
     slope: vec2<f32>,
     clamped: vec2<bool>,
-    // Unit quaternion wxyz, and 1 / its former length.
+    // Unit quaternion wxyz, and 1 / length before normalisation.
     q: vec4<f32>,
     inv_norm: f32,
     // cam_from_splat rotation; columns are the splat's axes.
     u: mat3x3<f32>,
-    // Along the splat's axes.
+    // Scales along the splat's axes.
     scale: vec3<f32>,
     // J u: the splat's axes on the screen, a vector over axes for each screen axis.
     b_x: vec3<f32>,
@@ -69,14 +69,14 @@ fn geometry(mean: vec3<f32>, quat: vec4<f32>, log_scale: vec3<f32>) -> Geometry 
     let s_x = g.b_x * g.scale;
     let s_y = g.b_y * g.scale;
     let bare = vec3(dot(s_x, s_x), dot(s_x, s_y), dot(s_y, s_y));
-    // det(S Sᵀ + λ I) = |s_x × s_y|² + λ tr + λ²: no cancellation for needles, unlike ac - b².
+    // det(S Sᵀ + λ I) = |s_x × s_y|² + λ tr + λ²: unlike ac - b², this has no cancellation for very thin splats.
     let normal = cross(s_x, s_y);
     g.det = dot(normal, normal) + LOW_PASS_PX2 * (bare.x + bare.z + LOW_PASS_PX2);
     g.cov = bare + vec3(LOW_PASS_PX2, 0.0, LOW_PASS_PX2);
     return g;
 }
 
-// Which axis is the shortest: 0, 1 or 2; ties go to the later.
+// Index of the shortest axis; of equals the later.
 fn shortest_axis(log_scale: vec3<f32>) -> u32 {
     if (log_scale.x < log_scale.y && log_scale.x < log_scale.z) {
         return 0u;
@@ -84,10 +84,10 @@ fn shortest_axis(log_scale: vec3<f32>) -> u32 {
     return select(2u, 1u, log_scale.y < log_scale.z);
 }
 
-// The shortest axis in the camera frame, turned towards the camera by `sign`.
+// The plane of a splat; its normal is the shortest axis times `sign`, pointing towards the camera.
 struct Plane {
     normal: vec3<f32>,
-    // Of the plane from the camera centre, positive.
+    // Distance of the plane from the camera centre, positive.
     distance: f32,
     sign: f32,
 }

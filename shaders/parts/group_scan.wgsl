@@ -1,9 +1,9 @@
-// The running sum over a group's invocations.
+// The running sum over the invocations of a workgroup.
 // Needs: types.
 
 var<workgroup> running: array<u32, GROUP>;
 
-// Sum of the values of the lanes before this one, and of all lanes. Every lane must come here.
+// Sum of the values of the lanes before this one, and of all lanes. Every lane must call this.
 fn sum_before(value: u32, lane: u32) -> vec2<u32> {
     var sum = value;
     running[lane] = sum;

@@ -1,4 +1,4 @@
-// How steep the photograph is at a pixel that is not at its edge: the larger of the central differences of luma.
+// The slope of the photograph at a pixel that is not on its border: the larger central difference of luma.
 // Needs: types, pixels; the bindings `view` and `luma_plane`.
 
 fn luma_slope(pixel: vec2<u32>) -> f32 {

@@ -1,4 +1,4 @@
-// A number of the photograph, 0..1: bytes as r g b r …, four in a word, or floats in the same order.
+// A value of the photograph, 0..1. It is stored as bytes r g b r …, four in a word, or as floats in the same order.
 // Needs: types; the bindings `settings` and `photograph`.
 
 fn photograph_value(at: u32) -> f32 {

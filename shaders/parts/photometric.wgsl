@@ -1,7 +1,7 @@
-// What the passes of the colour loss share: the picture, the photograph, SSIM's window.
+// The colour loss: jobs, halo pixels and the window of SSIM.
 // Needs: types, pixels, photograph; the binding `view`.
 
-// Half the SSIM window, its side, and the side of a tile with what the window reaches around it.
+// Half the side of the SSIM window, its side, and the side of a tile with its halo.
 const SSIM_REACH: u32 = 5u;
 const SSIM_TAPS: u32 = 2u * SSIM_REACH + 1u;
 const SSIM_SIDE: u32 = TILE + 2u * SSIM_REACH;
@@ -13,7 +13,7 @@ const SSIM_WINDOW = array<f32, SSIM_TAPS>(
 // Planes between the passes: for each channel ∂SSIM/∂μx, ∂SSIM/∂E[xx], ∂SSIM/∂E[xy].
 const PARTIALS: u32 = 9u;
 
-// What a group does: one channel of a tile.
+// The job of a workgroup: one channel of a tile.
 struct Job {
     index: u32,
     tile: u32,
@@ -27,13 +27,13 @@ fn job_of(group: vec3<u32>) -> Job {
     return Job(index, index / 3u, index % 3u, corner_of(index / 3u));
 }
 
-// The pixel at a place of a tile's surroundings; beyond the picture where it is outside.
+// The pixel at a place of a tile with its halo.
 fn around(origin: vec2<u32>, place: u32) -> vec2<u32> {
-    // Left of the picture this wraps round to far beyond its right.
+    // Left of and above the picture this wraps around to coordinates far outside of it.
     return origin + vec2(place % SSIM_SIDE, place / SSIM_SIDE) - SSIM_REACH;
 }
 
-// What the photograph shows of a pixel.
+// A channel of the photograph at a pixel.
 fn photographed(pixel: vec2<u32>, channel: u32) -> f32 {
     return photograph_value(3u * line_place(pixel) + channel);
 }

@@ -1,4 +1,4 @@
-// Where the values of a pixel lie: in a picture of tiles, and in a plane, row by row.
+// Places of a pixel's values: in a picture of tiles, and in a plane row by row.
 // Needs: types; the binding `view`.
 
 fn pixel_place(planes: u32, plane: u32, pixel: vec2<u32>) -> u32 {
@@ -24,7 +24,7 @@ fn corner_of(tile: u32) -> vec2<u32> {
     return TILE * vec2(tile % view.tiles.x, tile / view.tiles.x);
 }
 
-// The pixel of an invocation of a group that is a tile.
+// The pixel of an invocation, where a workgroup is a tile.
 fn pixel_of(tile: u32, lane: u32) -> vec2<u32> {
     return corner_of(tile) + vec2(lane % TILE, lane / TILE);
 }

@@ -1,12 +1,12 @@
-// Which tiles a splat touches: in each row of tiles, the reach of its ellipse (alpha of at least 1/255) within the
-// band of pixel centres, in closed form. Counting and emitting both call this.
+// The tiles that a splat touches: for each row of tiles, the extent of its ellipse (alpha of at least 1/255) within the
+// pixel centres of the row, in closed form. Counting and emitting both use this.
 // Needs: types; the binding `view`.
 
-// Widens every span by this much, px, so that rounding cannot lose a pixel on the threshold.
+// Widens the range of pixels on each side, px, so that rounding cannot lose a pixel on the threshold.
 const SLACK_PX: f32 = 0.01;
 
-// First pixel and end of the pixels with centres in [low, high], clipped to 0..size; the end is not above the
-// first where there are none.
+// First and end of the pixels with centres in [low, high], clipped to 0..size; an empty range has an end of at most its
+// first.
 fn pixels_between(low: f32, high: f32, size: u32) -> vec2<i32> {
     let first = ceil(clamp(low - 0.5 - SLACK_PX, -1.0, f32(size)));
     let last = floor(clamp(high - 0.5 + SLACK_PX, -1.0, f32(size) - 1.0));
@@ -27,8 +27,8 @@ fn tile_span(splat: Projected, tile_y: i32) -> vec2<i32> {
     let rows = pixels_between(mean.y - extent.y, mean.y + extent.y, view.size_px.y);
     let low = f32(max(tile_y * i32(TILE), rows.x)) + 0.5 - mean.y;
     let high = f32(min((tile_y + 1) * i32(TILE), rows.y) - 1) + 0.5 - mean.y;
-    // At height dy the ellipse spans center * dy ± half * sqrt(1 - (dy / extent.y)²); it is widest to the right at
-    // dy = rightmost, to the left at dy = -rightmost.
+    // At height dy the ellipse spans center * dy ± half * sqrt(1 - (dy / extent.y)²). It extends furthest to the right
+    // at dy = rightmost, and to the left at dy = -rightmost.
     let center = -0.5 * splat.falloff.y / splat.falloff.x;
     let half = sqrt(splat.falloff_max / splat.falloff.x);
     let rightmost = -0.5 * splat.falloff.y / splat.falloff.z * extent.x;
@@ -40,7 +40,7 @@ fn tile_span(splat: Projected, tile_y: i32) -> vec2<i32> {
     return tiles_of(pixels_between(left, right, view.size_px.x));
 }
 
-// Tiles of a range of pixels; none where the range is empty.
+// The range of tiles of a range of pixels; empty if that is empty.
 fn tiles_of(pixels: vec2<i32>) -> vec2<i32> {
     if (pixels.x >= pixels.y) {
         return vec2(0, 0);

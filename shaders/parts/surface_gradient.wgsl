@@ -1,4 +1,4 @@
-// Adding to the gradient of a pixel's plane.
+// Adds to the gradient of a pixel's plane.
 // Needs: types, pixels; the bindings `view` and `gradient`.
 
 fn add_to_plane(pixel: vec2<u32>, v: vec4<f32>) {

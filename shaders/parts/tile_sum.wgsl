@@ -1,4 +1,4 @@
-// The sum over the lanes of a group that is a tile, in a fixed order.
+// The sum over the pixels of a tile, in a fixed order.
 // Needs: types.
 
 var<workgroup> lanes: array<vec2<f32>, GROUP>;

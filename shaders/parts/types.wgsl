@@ -1,12 +1,12 @@
-// What passes share: structures and numbers. Prepended to every pass; the same layouts are in
-// shared/engine/src/gpu/layout.rs, and a test compares them.
+// Structures and constants of all passes; comes first in every source. Tests of cosurf-engine compare them with their
+// twins in Rust.
 
 // Side of a tile, px, and its pixels.
 const TILE: u32 = 16u;
 const TILE_PIXELS: u32 = 256u;
-// Invocations of a group of the passes over splats, pairs and pixels.
+// Invocations of a workgroup in the passes over splats, pairs and pixels.
 const GROUP: u32 = 256u;
-// Numbers that one group scans or sorts: 4 for each invocation.
+// Numbers that one workgroup scans or sorts: 4 for each invocation.
 const BLOCK: u32 = 1024u;
 // Values of a digit that keys are sorted by.
 const DIGITS: u32 = 16u;
@@ -25,13 +25,13 @@ const LOW_PASS_PX2: f32 = 0.3;
 const LOG2_E: f32 = 1.4426950408889634;
 const LN_2: f32 = 0.6931471805599453;
 
-// Depth key of a splat that is not seen: beyond every positive float.
+// Depth key of an invisible splat: larger than the bits of every positive float.
 const NOT_SEEN: u32 = 0xffffffffu;
 
 // Places in the buffer of counters.
 const SPLATS: u32 = 0u;
 const VISIBLE: u32 = 1u;
-// Splat-tile pairs that the view has, and those that there is room for.
+// Splat-tile pairs of the view, and those within the capacity.
 const PAIRS_WANTED: u32 = 2u;
 const PAIRS: u32 = 3u;
 
@@ -53,7 +53,7 @@ const OBSERVED: u32 = 2u;
 const RECORD_VECTORS: u32 = 4u;
 const LOSS_VECTORS: u32 = 2u;
 
-// Planes of a picture: colour, transmittance left over; with geometry, normal and plane distance. In tiles:
+// Planes of a picture: colour, remaining transmittance; with geometry, normal and plane distance. In tiles:
 // value (plane, pixel of the tile) of tile t is image[(t * view.planes + plane) * TILE_PIXELS + pixel].
 const TRANSMITTANCE: u32 = 3u;
 const NORMAL: u32 = 4u;
@@ -77,38 +77,38 @@ struct View {
     // Tiles across and down.
     tiles: vec2<u32>,
     splats: u32,
-    // Splats that there is room for: the distance between rows.
+    // Capacity for splats: the distance between rows.
     splat_stride: u32,
     pair_capacity: u32,
-    // Of the picture: 4, or 8 with geometry.
+    // Planes of the picture: 4, or 8 with geometry.
     planes: u32,
 }
 
 // A splat as the rasteriser reads it.
 struct Projected {
     mean_px: vec2<f32>,
-    // Half-sides of the box that holds every pixel with alpha of at least ALPHA_MIN.
+    // Half the sides of the box of all pixels with alpha of at least ALPHA_MIN.
     extent_px: vec2<f32>,
     // (a / 2, b, c / 2) log2(e) of the inverse covariance [a b; b c], 1/px²: alpha is
     // 2^(log2_opacity - (x dx² + y dx dy + z dy²)).
     falloff: vec3<f32>,
     log2_opacity: f32,
     rgb: vec3<f32>,
-    // log2(255 o): the largest falloff that is drawn; 0 for splats that are not seen.
+    // log2(255 o): the largest falloff that is blended; 0 for invisible splats.
     falloff_max: f32,
     // Camera frame, towards the camera.
     normal: vec3<f32>,
     plane_distance: f32,
 }
 
-// Which counter says how many keys there are, and which digit they are sorted by.
+// A step of the sort: the counter with the number of keys, and the position of the digit.
 struct SortStep {
     counter: u32,
     shift: u32,
 }
 
-// What is scanned: counters[counter] numbers, or with `digits` the 16 counts of every block that so many keys
-// are sorted in. The total goes to counters[total].
+// A scan of counters[counter] numbers, or with `digits` of the 16 counts of every block of so many keys. The total goes
+// to counters[total].
 struct ScanStep {
     counter: u32,
     digits: u32,
@@ -120,11 +120,11 @@ struct ScanStep {
 const GRADIENT_RGB: u32 = 11u;
 const GRADIENT_ROWS: u32 = 14u;
 
-// How a picture is compared with its photograph, which shows gain * colour + offset.
+// Settings of the colour loss. The photograph shows gain * colour + offset.
 struct LossSettings {
     gain: f32,
     offset: f32,
-    // Weights of L1 and 1 - SSIM, each over the number of values of the picture.
+    // Weights of L1 and 1 - SSIM, each divided by the number of values of the picture.
     l1_weight: f32,
     ssim_weight: f32,
     // 1 where the photograph is floats, 0 where it is bytes.
@@ -151,24 +151,24 @@ struct Rates {
     second_correction: f32,
 }
 
-// Weights of the losses of the surface: of one pixel, or for the multi-view losses of one sample.
+// Weights of the surface losses: of one pixel, or for the multi-view losses of one sample.
 struct SurfaceWeights {
     normal: f32,
     reprojection: f32,
     ncc: f32,
     teacher_depth: f32,
     teacher_normal: f32,
-    // How many samples there are, and where their sums begin.
+    // Number of samples, and the index of their first sum.
     samples: u32,
     sums_first: u32,
     unused: u32,
 }
 
-// Two views.
+// A view and its neighbour.
 struct Pair {
     // Rows of the rotation, and the translation as their fourth numbers.
     there_from_here: array<vec4<f32>, 3>,
-    // Of the neighbour.
+    // Camera of the neighbour.
     focal_px: vec2<f32>,
     center_px: vec2<f32>,
     size_px: vec2<u32>,
@@ -176,7 +176,7 @@ struct Pair {
     unused_2: u32,
 }
 
-// Larger dispatches are folded into rows of so many groups; a test compares the number with that of pass.rs.
+// Larger dispatches are folded into rows of so many workgroups.
 const GROUPS_ACROSS: u32 = 65535u;
 
 fn group_index(group: vec3<u32>) -> u32 {

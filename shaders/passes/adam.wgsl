@@ -1,4 +1,5 @@
-// Adam on all splats, seen or not. The SH gradients are products of the colour gradient and the basis, formed here.
+// Adam on all splats, visible or not. The SH gradients are products of the colour gradient and the basis, computed
+// here.
 // Parts: types, sh.
 
 @group(0) @binding(0) var<uniform> view: View;
@@ -23,7 +24,7 @@ fn adam(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         return;
     }
     let stride = view.splat_stride;
-    // The direction under which the colour was seen, before the mean moves.
+    // The viewing direction of the forward pass, before the mean moves.
     let mean = vec3(shape[i], shape[stride + i], shape[2u * stride + i]);
     var basis = sh_basis(view_direction(mean).xyz);
     for (var r = 0u; r < GRADIENT_RGB; r++) {
@@ -47,7 +48,7 @@ fn adam(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     }
 }
 
-// First and second moment with a gradient added, and their quotient.
+// First and second moment after a gradient, and the direction of the update.
 fn moments(gradient: f32, first: f32, second: f32) -> vec3<f32> {
     let a = BETA_1 * first + (1.0 - BETA_1) * gradient;
     let b = BETA_2 * second + (1.0 - BETA_2) * gradient * gradient;

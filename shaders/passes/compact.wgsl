@@ -1,4 +1,4 @@
-// Lists the splats that are seen, by id, with their depths.
+// Lists the visible splats with their depths, in the order of their ids.
 // Parts: types.
 
 @group(0) @binding(0) var<uniform> view: View;

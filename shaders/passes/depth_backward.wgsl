@@ -1,10 +1,11 @@
-// What the pixels around have for a pixel's depth, through z = D / -(N . r) to its plane.
+// Adds the gradients of a pixel's depth that the normals of its neighbours wrote, and propagates them through
+// z = D / -(N . r) to the pixel's plane.
 // Parts: types, pixels, surface, surface_gradient.
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> image: array<f32>;
 @group(0) @binding(2) var<storage, read> depth: array<f32>;
-// See normals.wgsl: to the right, to the left, above and below.
+// From normals.wgsl: gradients of the depths to the right, to the left, above and below.
 @group(0) @binding(3) var<storage, read> given: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read_write> gradient: array<f32>;
 
@@ -18,7 +19,7 @@ fn depth_backward(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoca
     if (!(z > 0.0)) {
         return;
     }
-    // Left and above of the picture this wraps round to far beyond its end.
+    // Left of and above the picture this wraps around to coordinates far outside of it.
     let right = vec2(NORMAL_REACH, 0u);
     let below = vec2(0u, NORMAL_REACH);
     let v_z = given_by(pixel - right, 0u) + given_by(pixel + right, 1u) + given_by(pixel + below, 2u) + given_by(pixel - below, 3u);

@@ -1,5 +1,5 @@
-// The least and the largest slope of the photograph. Positive floats are in the order of their bits, so integer
-// atomics find both, whatever the order.
+// The smallest and the largest slope of the photograph. Positive floats have the same order as their bits, so integer
+// atomics find both, independent of the order of execution.
 // Parts: types, pixels, luma_slope.
 
 @group(0) @binding(0) var<uniform> view: View;

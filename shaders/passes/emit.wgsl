@@ -1,5 +1,5 @@
-// Writes each splat's pairs to its slots, nearest splat first. Once there is no room for all pairs of a splat,
-// neither it nor those behind it have any.
+// Writes the pairs of each splat to its slots, nearest splat first. If the pairs of a splat exceed the capacity,
+// neither it nor the splats behind it get slots.
 // Parts: types, spans.
 
 @group(0) @binding(0) var<uniform> view: View;
@@ -48,7 +48,7 @@ fn emit(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         }
     }
     slots[id] = vec2(first, slot - first);
-    // Should a driver round otherwise here than where the tiles were counted, what is missing belongs to no tile.
+    // If a driver rounds differently here than in the count of tiles, the remaining slots belong to no tile.
     for (; slot < end; slot++) {
         write_pair(slot, view.tiles.x * view.tiles.y, id);
     }

@@ -1,4 +1,4 @@
-// Luma of a photograph, Rec. 601 weights, 0..1. Beyond the picture it is that of whatever the buffer holds.
+// Luma of a photograph, 0..1. Values beyond the picture are not used.
 // Parts: types, photograph.
 
 @group(0) @binding(0) var<uniform> settings: LossSettings;

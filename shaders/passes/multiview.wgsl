@@ -1,11 +1,13 @@
-// The multi-view losses on sampled pixels: there and back again through the neighbour's depth, and patches that must
-// look alike under the homography of the blended plane (PGSR). An invocation is a sample; no two share a pixel.
+// The multi-view losses on sampled pixels (PGSR): the reprojection error through the neighbour's depth, and the
+// similarity of patches under the homography of the blended plane. An invocation is a sample; no two samples share a
+// pixel.
 //
-// Reprojection: a pixel's point goes to the neighbour, takes the neighbour's depth there, and comes back; e is how far
-// from where it started, px. It counts if e < 1, with w e, w = exp(-e) held fixed, as the neighbour's depth is.
+// Reprojection: the point of a pixel is projected into the neighbour, replaced by the point at the neighbour's depth
+// there, and projected back; e is the distance from the pixel, px. If e < 1, the loss is w e with w = exp(-e) held
+// constant, as the neighbour's depth is.
 //
-// NCC: along a ray r the plane with m = N / D lies at R r + s t for the neighbour, s = -(m . r). The loss of a patch
-// is w (1 - cov² / (var var + ε)).
+// NCC: along a ray r, the plane with m = N / D is proportional to R r + s t in the neighbour's frame, s = -(m . r). The
+// loss of a patch is w (1 - cov² / (var var + ε)).
 // Parts: types, pixels, surface, surface_gradient.
 
 @group(0) @binding(0) var<uniform> view: View;
@@ -19,11 +21,12 @@
 // x, and y << 16; some lie outside the picture.
 @group(0) @binding(8) var<storage, read> samples: array<u32>;
 @group(0) @binding(9) var<storage, read_write> gradient: array<f32>;
-// By group, after the first `sums_first`: reprojection, disagreement, samples that came back, samples that match.
+// By workgroup, after the first `sums_first`: reprojection loss, disagreement, samples with an error below 1 px,
+// samples whose patches match.
 @group(0) @binding(10) var<storage, read_write> sums: array<vec4<f32>>;
 
 const SAMPLES_AT_ONCE: u32 = 64u;
-// A pixel that comes back within this distance is seen by both views, px (CoSurfGS's θ).
+// A pixel that returns from the neighbour within this distance is seen by both views, px (θ in CoSurfGS).
 const RETURN_MAX_PX: f32 = 1.0;
 // Half the side of a patch, its side, its pixels.
 const PATCH_REACH: u32 = 1u;
@@ -31,7 +34,7 @@ const PATCH_SIDE: u32 = 2u * PATCH_REACH + 1u;
 const PATCH: u32 = PATCH_SIDE * PATCH_SIDE;
 // Keeps the correlation of flat patches finite; luma in 0..1.
 const VARIANCES_MIN: f32 = 1e-8;
-// Patches that agree less than this show different things (PGSR).
+// Patches with 1 - NCC² of at least this show different surfaces (PGSR).
 const DISAGREEMENT_MAX: f32 = 0.9;
 
 var<workgroup> totals: array<vec4<f32>, SAMPLES_AT_ONCE>;
@@ -56,7 +59,7 @@ fn multiview(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
     }
 }
 
-// Adds a sample's gradient; returns what it adds to the sums.
+// Adds the gradient of a sample; returns its contribution to the sums.
 fn sample_loss(pixel: vec2<u32>) -> vec4<f32> {
     if (!is_inside(pixel)) {
         return vec4(0.0);
@@ -67,8 +70,8 @@ fn sample_loss(pixel: vec2<u32>) -> vec4<f32> {
     }
     let plane = plane_at(pixel);
     let ray = ray_of(vec2<f32>(pixel));
-    let back = there_and_back(vec2<f32>(pixel), ray, z);
-    // Phrased so that NaN does not count.
+    let back = reprojection_error(vec2<f32>(pixel), ray, z);
+    // A comparison with NaN is false, so NaN does not count.
     if (!(back.x < RETURN_MAX_PX)) {
         return vec4(0.0);
     }
@@ -86,7 +89,7 @@ fn sample_loss(pixel: vec2<u32>) -> vec4<f32> {
     return loss;
 }
 
-// A point on the screen, how it moves, and whether it is in front of the camera.
+// A point on the screen, and its derivative.
 struct Moving {
     at_px: vec2<f32>,
     by_px: vec2<f32>,
@@ -112,8 +115,8 @@ fn translation() -> vec3<f32> {
     return vec3(pair.there_from_here[0].w, pair.there_from_here[1].w, pair.there_from_here[2].w);
 }
 
-// How far from itself a pixel comes back, px, and the derivative of that by its depth; far where it does not.
-fn there_and_back(pixel: vec2<f32>, ray: vec3<f32>, z: f32) -> vec2<f32> {
+// The reprojection error of a pixel, px, and its derivative by the pixel's depth; beyond the limit if there is none.
+fn reprojection_error(pixel: vec2<f32>, ray: vec3<f32>, z: f32) -> vec2<f32> {
     let never = vec2(2.0 * RETURN_MAX_PX, 0.0);
     let by = to_neighbour(ray);
     let there = z * by + translation();
@@ -139,10 +142,10 @@ fn there_and_back(pixel: vec2<f32>, ray: vec3<f32>, z: f32) -> vec2<f32> {
     return vec2(e, dot(off, p.by_px) / max(e, 1e-6));
 }
 
-// What a plane of the neighbour shows between pixel centres.
+// A bilinear interpolation in a plane of the neighbour.
 struct Found {
     value: f32,
-    // By x and y, per px.
+    // Derivative by x and y, per px.
     slope: vec2<f32>,
     // The smallest of the four corners; -1 outside.
     least: f32,
@@ -150,7 +153,7 @@ struct Found {
 
 const NOWHERE = Found(0.0, vec2(0.0), -1.0);
 
-// Where a place of the neighbour's picture lies between pixel centres.
+// A position in the neighbour's picture between pixel centres.
 struct Between {
     // Places of the upper and the lower left corner in a plane.
     upper: u32,
@@ -202,7 +205,7 @@ fn lumas_from(i: u32) -> vec2<f32> {
     return vec2(neighbour_luma[i], neighbour_luma[i + 1u]);
 }
 
-// How little a patch looks like its image at the neighbour, and the derivative of that by m.
+// 1 - NCC² of a patch and its warp in the neighbour, and the derivative by m.
 struct Match {
     disagreement: f32,
     by_ratio: vec3<f32>,
@@ -225,7 +228,8 @@ fn patches(pixel: vec2<u32>, plane: vec4<f32>) -> Match {
         let r = ray_of(vec2<f32>(at));
         let inverse_depth = -dot(ratio, r);
         let point = to_neighbour(r) + inverse_depth * t;
-        // Behind the camera on either side, the plane shows nothing. `point` is the true one times the inverse depth.
+        // The plane is behind one of the cameras. `point` is the point times the inverse depth, so NEAR is scaled as
+        // well.
         if (!(inverse_depth > 0.0 && point.z > NEAR * inverse_depth)) {
             return none;
         }
@@ -240,7 +244,7 @@ fn patches(pixel: vec2<u32>, plane: vec4<f32>) -> Match {
         means += vec2(here[i], there[i]);
     }
     means /= f32(PATCH);
-    // Squares of the first and the second, and their product.
+    // Second moments: of the first patch, of the second, and mixed.
     var moments = vec3(0.0);
     for (var i = 0u; i < PATCH; i++) {
         let a = here[i] - means.x;
@@ -248,7 +252,7 @@ fn patches(pixel: vec2<u32>, plane: vec4<f32>) -> Match {
         moments += vec3(a * a, b * b, a * b);
     }
     moments /= f32(PATCH);
-    // A negative of the patch is no match (PGSR lets it score well).
+    // A negative of the patch does not match (in PGSR it does).
     if (!(moments.z > 0.0)) {
         return none;
     }

@@ -1,6 +1,6 @@
-// The single-view loss: blended normals agree with the normals of the depth, less so across edges of the photograph
-// (PGSR). With P = z r the pixel's point, h = P(x+k) - P(x-k), v = P(y-k) - P(y+k), the depth's normal is
-// n = h × v / |h × v|; the loss of a pixel is w |α n - N|₁ with α held fixed.
+// The single-view normal loss: the difference between blended normals and normals from depth, with lower weight on
+// edges of the photograph (PGSR). With P = z r the point of a pixel, h = P(x+k) - P(x-k) and v = P(y-k) - P(y+k), the
+// normal from depth is n = h × v / |h × v|; the loss of a pixel is w |α n - N|₁ with α held constant.
 // Parts: types, pixels, surface, luma_slope, tile_sum.
 
 @group(0) @binding(0) var<uniform> view: View;
@@ -8,11 +8,11 @@
 @group(0) @binding(2) var<storage, read> image: array<f32>;
 @group(0) @binding(3) var<storage, read> depth: array<f32>;
 @group(0) @binding(4) var<storage, read> luma_plane: array<f32>;
-// Bits of the least and the largest slope of the photograph.
+// Bits of the smallest and the largest slope of the photograph.
 @group(0) @binding(5) var<storage, read> slopes: array<u32>;
-// Planes of normal and distance are this pass's.
+// This pass overwrites the planes of normal and distance.
 @group(0) @binding(6) var<storage, read_write> gradient: array<f32>;
-// ∂L/∂z that each pixel has for those to its right, to its left, above and below.
+// ∂L/∂z of the pixels to the right, to the left, above and below each pixel.
 @group(0) @binding(7) var<storage, read_write> given: array<vec4<f32>>;
 // By tile: the sum of the losses.
 @group(0) @binding(8) var<storage, read_write> sums: array<vec4<f32>>;
@@ -78,7 +78,7 @@ fn normal_loss(pixel: vec2<u32>) -> Given {
     return Given(-v_difference, depths, w * dot(abs(difference), vec3(1.0)));
 }
 
-// (1 - ĝ)², with ĝ the photograph's slope, scaled to 0..1 over the picture.
+// (1 - ĝ)², with ĝ the slope of the photograph, scaled to 0..1 over the picture.
 fn edge_weight(pixel: vec2<u32>) -> f32 {
     let least = bitcast<f32>(slopes[0]);
     let range = bitcast<f32>(slopes[1]) - least;

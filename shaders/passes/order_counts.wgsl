@@ -1,4 +1,4 @@
-// How many tiles each splat touches, nearest splat first; scanned next.
+// The number of tiles of each splat, nearest splat first, for the next scan.
 // Parts: types.
 
 @group(0) @binding(0) var<storage, read> counters: array<u32>;

@@ -1,5 +1,5 @@
-// The gradient of (1 - λ) L1 + λ (1 - SSIM) with respect to every pixel, and the sums of what L1 is made of. L1
-// compares the picture as the photograph was exposed, SSIM as it is. Planes that the loss does not know are zero.
+// The gradient of (1 - λ) L1 + λ (1 - SSIM) with respect to every pixel, and the sums of the L1 loss. L1 compares the
+// exposed rendering, SSIM the rendering itself. The gradient of all other planes is zero.
 // Parts: types, pixels, photograph, photometric.
 
 @group(0) @binding(0) var<uniform> view: View;
@@ -7,12 +7,12 @@
 @group(0) @binding(2) var<storage, read> image: array<f32>;
 @group(0) @binding(3) var<storage, read> photograph: array<u32>;
 @group(0) @binding(4) var<storage, read> partials: array<f32>;
-// By tile and channel, two vectors; this pass's are: squares, |difference|, sign, sign * colour, from the second
-// number of the first on.
+// By tile and channel, two vectors; this pass writes squares, |difference|, sign and sign * colour, after the first
+// number.
 @group(0) @binding(5) var<storage, read_write> sums: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read_write> gradient: array<f32>;
 
-// Partial derivatives of the tile and around it; later the sums of the lanes.
+// Partial derivatives of the tile and its halo; later the sums of the lanes.
 var<workgroup> halo: array<vec2<f32>, SSIM_SIDE * SSIM_SIDE>;
 var<workgroup> halo_third: array<f32, SSIM_SIDE * SSIM_SIDE>;
 // Filtered along rows.

@@ -1,15 +1,15 @@
-// Each splat's 2D Gaussian, colour and plane for one camera; its depth, and how many tiles it touches.
+// The 2D Gaussian, colour and plane of each splat for one camera, its depth, and its number of tiles.
 // Parts: types, geometry, sh, spans.
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> shape: array<f32>;
 @group(0) @binding(2) var<storage, read> sh: array<f32>;
 @group(0) @binding(3) var<storage, read_write> projected: array<Projected>;
-// Depth along the optical axis as bits (positive floats sort like their bits), or NOT_SEEN.
+// Bits of the depth along the optical axis (positive floats have the same order as their bits), or NOT_SEEN.
 @group(0) @binding(4) var<storage, read_write> depth_keys: array<u32>;
-// 1 for each splat that is seen; scanned later.
+// 1 for each visible splat, for the next scan.
 @group(0) @binding(5) var<storage, read_write> places: array<u32>;
-// First slot and number of slots of a splat's pairs; the first is found later.
+// First slot and number of slots of a splat; a later pass writes the first slot.
 @group(0) @binding(6) var<storage, read_write> slots: array<vec2<u32>>;
 
 @compute @workgroup_size(GROUP)
@@ -29,7 +29,7 @@ fn project(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_in
         projected[i] = splat;
         let low = splat.mean_px + splat.extent_px;
         let high = splat.mean_px - splat.extent_px;
-        // Phrased so that NaN fails.
+        // Comparisons with NaN are false.
         if (splat.falloff_max > 0.0 && all(low >= vec2(0.5)) && all(high <= vec2<f32>(view.size_px) - 0.5)) {
             key = bitcast<u32>(g.t.z);
             tiles = count_tiles(splat);

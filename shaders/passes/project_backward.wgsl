@@ -1,6 +1,6 @@
-// The projection's backward pass: sums each splat's records in the order of their slots, then carries the gradients
-// through conic, plane and colour to the parameters, and adds to the statistics. All formulas are the transposes of
-// geometry.wgsl and sh.wgsl.
+// The backward pass of the projection: adds the records of each splat in the order of their slots, propagates the
+// gradients through conic, plane and colour to the parameters, and adds to the statistics. The formulas are the
+// transposes of those in geometry.wgsl and sh.wgsl.
 // Parts: types, geometry, sh.
 
 @group(0) @binding(0) var<uniform> view: View;
@@ -10,10 +10,10 @@
 @group(0) @binding(4) var<storage, read> projected: array<Projected>;
 @group(0) @binding(5) var<storage, read> slots: array<vec2<u32>>;
 @group(0) @binding(6) var<storage, read> records: array<vec4<f32>>;
-// Rows as those of a shape, then ∂L/∂rgb of the seen colour; zero for splats that are not seen.
+// Rows of a shape, then ∂L/∂rgb of the seen colour; zero for invisible splats.
 @group(0) @binding(7) var<storage, read_write> gradients: array<f32>;
-// Rows: sum over views of the norm of ∂L/∂mean on the screen in units of half the picture (3DGS), views that saw
-// the splat, the same norm of the sums of absolute values (AbsGS).
+// Rows: sum over views of the norm of ∂L/∂mean on the screen in units of half the picture (3DGS), number of views that
+// saw the splat, the same norm of the sums of absolute values (AbsGS).
 @group(0) @binding(8) var<storage, read_write> stats: array<f32>;
 
 @compute @workgroup_size(GROUP)
@@ -41,7 +41,7 @@ fn project_backward(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invo
     v_log_scale[axis] += weights.scale * g.scale[axis];
     through_mean(g, v_mean_px, &into);
     through_plane(g, axis, sums.surface, &into);
-    // The colour was clamped at 0 exactly where it is 0; such a channel has no gradient.
+    // A channel that is 0 was clamped; it has no gradient.
     let v_rgb = select(vec3(0.0), sums.rgb, projected[i].rgb > vec3(0.0));
     let v_mean = from_camera(into.t) + through_direction(mean, v_rgb, i);
     // ∂ln o / ∂logit = 1 - o.
@@ -112,7 +112,7 @@ fn screen_covariance(g: Geometry, sums: Sums) -> vec3<f32> {
     return 0.5 * vec3(dot(p_x, conic.xy), dot(p_x, conic.yz), dot(p_y, conic.yz));
 }
 
-// Gradients with respect to what lives in the camera frame: the centre, and the axes as columns.
+// Gradients with respect to the centre in the camera frame, and the axes as columns.
 struct CameraGradients {
     t: vec3<f32>,
     u: mat3x3<f32>,
@@ -150,7 +150,7 @@ fn through_plane(g: Geometry, axis: u32, v_surface: vec4<f32>, into: ptr<functio
     (*into).t -= v_surface.w * plane.normal;
 }
 
-// Colour depends on the mean through the viewing direction.
+// The gradient of colour with respect to the mean, through the viewing direction.
 fn through_direction(mean: vec3<f32>, v_rgb: vec3<f32>, i: u32) -> vec3<f32> {
     let seen = view_direction(mean);
     var coefficients = array<f32, 16>();

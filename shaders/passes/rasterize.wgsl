@@ -1,15 +1,15 @@
-// The blend: front to back over each tile's list. A group is a tile, an invocation four pixels of a row: a splat that
-// is read once is blended into all four.
+// The blend: front to back over the list of each tile. A workgroup is a tile, an invocation is four pixels of a row, so
+// that each splat is read once for four pixels.
 // Parts: types, pixels, tile_list.
 
-// Entries of a tile's list that were looked at before all its pixels were full: all, or whole batches.
+// Number of entries of a tile's list that were processed before all its pixels were full: all, or whole batches.
 @group(0) @binding(5) var<storage, read_write> blended: array<u32>;
 @group(0) @binding(6) var<storage, read_write> image: array<f32>;
 
-// Invocations of a group, and pixels of each.
+// Invocations of a workgroup, and pixels of each.
 const LANES: u32 = 64u;
 const PIXELS: u32 = 4u;
-// Splats that a group reads at a time.
+// Splats that a workgroup reads at a time.
 const BATCH: u32 = 128u;
 
 var<workgroup> batch: array<Projected, BATCH>;
@@ -29,7 +29,7 @@ fn rasterize(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
     let y = f32(corner.y) + 0.5;
     let range = ranges[tile];
 
-    // Transmittance while a pixel is open; 0 once it is full, and then `left` is where it was left.
+    // Transmittance of a pixel until it is full, then 0; `left` is the final transmittance of a full pixel.
     let inside = (columns < vec4(view.size_px.x)) & vec4(corner.y < view.size_px.y);
     var open = select(vec4(0.0), vec4(1.0), inside);
     var left = vec4(0.0);
@@ -56,7 +56,7 @@ fn rasterize(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
             let dy = batch[k].mean_px.y - y;
             let falloff = batch[k].falloff;
             let raw = exp2(batch[k].log2_opacity - (falloff.x * dx * dx + falloff.y * dx * dy + falloff.z * dy * dy));
-            // Phrased so that NaN is skipped.
+            // A comparison with NaN is false, so NaN is skipped.
             let is_hit = (raw >= vec4(ALPHA_MIN)) & (open > vec4(0.0));
             if (!any(is_hit)) {
                 continue;
@@ -94,7 +94,7 @@ fn rasterize(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
     }
 }
 
-// Whether a pixel of the tile is open; also a barrier before the next batch.
+// Whether a pixel of the tile is not full yet; also a barrier before the next batch.
 fn any_open(open: bool, lane: u32) -> bool {
     if (lane == 0u) {
         atomicStore(&open_pixels, 0u);

@@ -1,10 +1,10 @@
-// The blend's backward pass, front to back as well, so nothing but the final picture is kept.
+// The backward pass of the blend. It runs front to back as well, so only the final picture must be kept.
 //
-// A group is a tile, an invocation a pair; see crossing.wgsl.
+// A workgroup is a tile, an invocation is a pair; see crossing.wgsl.
 //
-// With g the gradient of a pixel's channels, everything behind the current splat enters only as the scalar
-// rest = (what is still to be blended) . g, which starts at the finished pixel's value and loses each splat's
-// share in turn.
+// With g the gradient of a pixel's channels, the splats behind the current one enter only through the scalar
+// rest = (their blended value) . g. It starts with the value of the finished pixel, and each splat's contribution is
+// subtracted in turn.
 // Parts: types, pixels, tile_list, crossing.
 
 @group(0) @binding(5) var<storage, read> blended: array<u32>;
@@ -29,7 +29,7 @@ fn rasterize_backward(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_in
     let origin = corner_of(tile);
     let range = ranges[tile];
     let pairs = blended[tile];
-    // What was not looked at has no gradient.
+    // Entries that the blend did not process have no gradient.
     for (var at = range.x + pairs + lane; at < range.y; at += PAIRS_AT_ONCE) {
         write_record(sorted_slots[at], Sums());
     }
@@ -68,7 +68,7 @@ fn rasterize_backward(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_in
     }
 }
 
-// A record under way.
+// The record of a pair.
 struct Sums {
     q: f32,
     q_d: vec2<f32>,
@@ -91,7 +91,7 @@ fn place(tile: u32, plane: u32, pixel: u32) -> u32 {
     return (tile * view.planes + plane) * TILE_PIXELS + pixel;
 }
 
-// The finished pixel's values times their gradients.
+// Dot product of the finished pixel with its gradient.
 fn finished(tile: u32, pixel: u32) -> f32 {
     var rest = 0.0;
     for (var plane = 0u; plane < view.planes; plane++) {
@@ -100,7 +100,7 @@ fn finished(tile: u32, pixel: u32) -> f32 {
     return rest;
 }
 
-// Carries a splat over a chunk of pixels of one row.
+// Processes a splat on a chunk of pixels of one row.
 fn carry(origin: vec2<u32>, chunk: u32, splat: Projected, sums: ptr<function, Sums>) {
     let first = chunk * CHUNK;
     let y = f32(origin.y + first / TILE) + 0.5;
@@ -135,7 +135,7 @@ fn carry(origin: vec2<u32>, chunk: u32, splat: Projected, sums: ptr<function, Su
         }
         let behind = state.y - weight * value;
         pixels[pixel] = vec2(after, behind);
-        // q = α ∂L/∂α = α T value - α/(1-α) rest; zero where the clamp holds alpha.
+        // q = α ∂L/∂α = α T value - α/(1-α) rest; zero where alpha is clamped.
         if (raw < ALPHA_MAX) {
             let q = weight * value - alpha / (1.0 - alpha) * behind;
             (*sums).q += q;

@@ -1,4 +1,4 @@
-// Adds what comes before each block to its running sums.
+// Adds the sum of all blocks before each block to its running sums.
 // Parts: types.
 
 @group(0) @binding(0) var<uniform> step: ScanStep;

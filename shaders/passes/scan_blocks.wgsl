@@ -1,4 +1,4 @@
-// Replaces each block of numbers by its running sums, and tells the sums of the blocks.
+// Replaces each block of numbers by its running sums, and writes the sums of the blocks.
 // Parts: types, group_scan.
 
 @group(0) @binding(0) var<uniform> step: ScanStep;

@@ -1,4 +1,4 @@
-// Replaces the sums of the blocks by their running sums: what comes before each block. One group.
+// Replaces the sums of the blocks by the sums of all blocks before each. Runs as one workgroup.
 // Parts: types, group_scan.
 
 @group(0) @binding(0) var<uniform> step: ScanStep;

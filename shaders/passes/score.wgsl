@@ -1,12 +1,12 @@
-// What each pair gives to the picture: a record of four numbers by slot. A group is a tile, an invocation a pair; see
-// crossing.wgsl.
+// The contribution of each pair to the picture, as a record of four numbers by slot. A workgroup is a tile, an
+// invocation is a pair; see crossing.wgsl.
 // Parts: types, pixels, tile_list, crossing.
 
 @group(0) @binding(5) var<storage, read> blended: array<u32>;
-// The first of a slot's four vectors: SCORES.
+// Only the first vector of each slot's record is used.
 @group(0) @binding(6) var<storage, read_write> records: array<vec4<f32>>;
 
-// A splat is observed where it is hit before this much of the light is gone (PGSR).
+// A view observes a splat that it hits before this share of the light is absorbed (PGSR).
 const OBSERVED_TRANSMITTANCE: f32 = 0.5;
 
 // Transmittance of each pixel; 0 once it is full.
@@ -38,7 +38,7 @@ fn score(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
                 splat = splat_at(range.x + here.pair);
                 sums = vec4(0.0);
             }
-            give(origin, here.chunk, splat, &sums);
+            add_contribution(origin, here.chunk, splat, &sums);
             if (here.is_last) {
                 records[RECORD_VECTORS * sorted_slots[range.x + here.pair]] = sums;
             }
@@ -47,9 +47,9 @@ fn score(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
     }
 }
 
-// Adds what a splat gives to a chunk of pixels: Σ (α T)², pixels hit, pixels hit while more than half of the light came
-// through.
-fn give(origin: vec2<u32>, chunk: u32, splat: Projected, sums: ptr<function, vec4<f32>>) {
+// Adds the contribution of a splat to a chunk of pixels: Σ (α T)², pixels hit, pixels hit while more than half of the
+// light came through.
+fn add_contribution(origin: vec2<u32>, chunk: u32, splat: Projected, sums: ptr<function, vec4<f32>>) {
     for (var pixel = chunk * CHUNK; pixel < (chunk + 1u) * CHUNK; pixel++) {
         let before = pixels[pixel];
         let d = splat.mean_px - (vec2<f32>(origin + vec2(pixel % TILE, pixel / TILE)) + 0.5);

@@ -1,4 +1,4 @@
-// Adds the records of a splat's pairs, in the order of their slots, to its scores.
+// Adds the records of a splat's pairs to its scores, in the order of their slots.
 // Parts: types.
 
 @group(0) @binding(0) var<uniform> view: View;

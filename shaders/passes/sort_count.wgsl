@@ -1,4 +1,4 @@
-// How often each digit (4 bits) occurs in each block of keys: counts[digit * blocks + block].
+// The number of occurrences of each digit (4 bits) in each block of keys, at counts[digit * blocks + block].
 // Parts: types.
 
 @group(0) @binding(0) var<uniform> step: SortStep;

@@ -1,9 +1,9 @@
-// Moves keys and values to their places by one digit; stable.
+// Moves keys and values to their places by one digit; the sort is stable.
 // Parts: types.
 
 @group(0) @binding(0) var<uniform> step: SortStep;
 @group(0) @binding(1) var<storage, read> counters: array<u32>;
-// Running sums of the counts, within blocks, and what comes before each of those blocks.
+// Running sums of the counts within blocks, and the sum of all blocks before each block.
 @group(0) @binding(2) var<storage, read> counts: array<u32>;
 @group(0) @binding(3) var<storage, read> block_sums: array<u32>;
 @group(0) @binding(4) var<storage, read> keys: array<u32>;
@@ -11,8 +11,8 @@
 @group(0) @binding(6) var<storage, read_write> sorted_keys: array<u32>;
 @group(0) @binding(7) var<storage, read_write> sorted_values: array<u32>;
 
-// How many keys of each digit the lanes before have: two digits of 16 bits in a number, and one row of lanes for
-// each such pair of digits.
+// The number of keys of each digit in the lanes before: counts of two digits, 16 bits each, in one number, and one row
+// of lanes for each pair of digits.
 var<workgroup> before: array<u32, DIGITS / 2u * GROUP>;
 var<workgroup> sums: array<u32, GROUP>;
 
@@ -26,7 +26,7 @@ fn sort_scatter(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocati
     for (var pair = 0u; pair < DIGITS / 2u; pair++) {
         before[pair * GROUP + lane] = 0u;
     }
-    // A lane owns four keys in a row, so that their order is that of the lanes.
+    // A lane owns four consecutive keys, so that keys are in the order of the lanes.
     let first = block * BLOCK + 4u * lane;
     for (var at = first; at < min(first + 4u, count); at++) {
         let digit = (keys[at] >> step.shift) & (DIGITS - 1u);
@@ -49,7 +49,7 @@ fn sort_scatter(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocati
     }
 }
 
-// Replaces each row of `before` by its running sums: every lane adds up 8 numbers, 32 lanes make a row.
+// Replaces each row of `before` by its running sums: each lane adds 8 numbers, 32 lanes are a row.
 fn sum_rows(lane: u32) {
     let first = 8u * lane;
     var own = 0u;

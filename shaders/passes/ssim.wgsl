@@ -1,4 +1,4 @@
-// SSIM's map of each tile and channel: its sum, and its partial derivatives at every pixel. 11 × 11 Gaussian window,
+// The SSIM map of each tile and channel: its sum, and its partial derivatives at every pixel. 11 × 11 Gaussian window,
 // zeros outside the picture, as in 3DGS.
 // Parts: types, pixels, photograph, photometric.
 
@@ -7,14 +7,14 @@
 @group(0) @binding(2) var<storage, read> image: array<f32>;
 @group(0) @binding(3) var<storage, read> photograph: array<u32>;
 @group(0) @binding(4) var<storage, read_write> partials: array<f32>;
-// By tile and channel, two vectors; the first number of the first is this pass's.
+// By tile and channel, two vectors; this pass writes the first number.
 @group(0) @binding(5) var<storage, read_write> sums: array<vec4<f32>>;
 
 // Stabilisers for colours in 0..1 (0.01² and 0.03²).
 const SSIM_C1: f32 = 0.0001;
 const SSIM_C2: f32 = 0.0009;
 
-// Colours of the tile and around it: rendered, photographed.
+// Colours of the tile and its halo: rendered, photographed.
 var<workgroup> colors: array<vec2<f32>, SSIM_SIDE * SSIM_SIDE>;
 // Filtered along rows: x, y, xx and yy; xy apart.
 var<workgroup> filtered: array<vec4<f32>, SSIM_SIDE * TILE>;
@@ -76,7 +76,7 @@ fn ssim_here(m: vec4<f32>, xy: f32) -> vec4<f32> {
     let b2 = m.z - m.x * m.x + m.w - m.y * m.y + SSIM_C2;
     let inv = 1.0 / (b1 * b2);
     let map = a1 * a2 * inv;
-    // Through μx itself, and through σx² = E[xx] - μx², σxy = E[xy] - μx μy.
+    // By μx directly, and through σx² = E[xx] - μx² and σxy = E[xy] - μx μy.
     let by_mu = 2.0 * (m.y * (a2 - a1) * inv + m.x * map * (1.0 / b2 - 1.0 / b1));
     return vec4(map, by_mu, -map / b2, 2.0 * a1 * inv);
 }

@@ -1,16 +1,16 @@
-// The losses of distillation: depth and blended normals agree with a teacher's (CoSurfGS, "Model Aggregation Scheme",
-// L_d and L_n). Of a pixel t |z - z'| and t |N - N'|₁, with t the trust in the teacher's; depths count where both have
-// one.
+// The losses of distillation: differences of depth and blended normals from a teacher (CoSurfGS, "Model Aggregation
+// Scheme", L_d and L_n). For a pixel, t |z - z'| and t |N - N'|₁ with t the trust in the teacher's pixel; the depth
+// loss counts where both have a depth.
 // Parts: types, pixels, surface, surface_gradient, tile_sum.
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<uniform> weights: SurfaceWeights;
 @group(0) @binding(2) var<storage, read> image: array<f32>;
 @group(0) @binding(3) var<storage, read> depth: array<f32>;
-// By pixel, row by row: the teacher's depth, all trusts, all normals.
+// Row by row: all depths of the teacher, then all trusts, then all normals.
 @group(0) @binding(4) var<storage, read> shown: array<f32>;
 @group(0) @binding(5) var<storage, read_write> gradient: array<f32>;
-// By tile: the sums of both losses, in the last two numbers.
+// By tile: this pass writes the sums of both losses to the last two numbers.
 @group(0) @binding(6) var<storage, read_write> sums: array<vec4<f32>>;
 
 @compute @workgroup_size(GROUP)

@@ -1,4 +1,4 @@
-// Where each tile's pairs begin and end among the sorted ones. Ranges of tiles without pairs stay zero.
+// The first and the end of each tile's pairs in the sorted order. Ranges of tiles without pairs remain zero.
 // Parts: types.
 
 @group(0) @binding(0) var<uniform> view: View;

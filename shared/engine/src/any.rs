@@ -1,4 +1,4 @@
-//! The backend on whatever was chosen, so that a training need not know.
+//! The backend of the chosen device, so that trainings do not depend on the device.
 
 use cosurf_scene::{Camera, Splats};
 
@@ -11,7 +11,7 @@ use crate::device::{Device, DeviceError};
 #[cfg(feature = "gpu")]
 use crate::gpu::GpuBackend;
 
-/// One backend or the other.
+/// A CPU or a GPU backend.
 pub enum AnyBackend {
     /// The processor.
     Cpu(Box<CpuBackend>),
@@ -20,7 +20,7 @@ pub enum AnyBackend {
     Gpu(Box<GpuBackend>),
 }
 
-/// What both do in the same words.
+/// Forwards a call to the backend that there is.
 macro_rules! each_backend {
     ($self:ident, $backend:ident => $does:expr) => {
         match $self {
@@ -32,7 +32,7 @@ macro_rules! each_backend {
 }
 
 impl AnyBackend {
-    /// Allocates every buffer; `threads` (at least 1) are the processor's.
+    /// Allocates every buffer; the CPU backend uses `threads` threads, at least 1.
     pub fn new(device: &Device, capacity: Capacity, threads: usize) -> Result<Self, DeviceError> {
         match device {
             Device::Cpu => Ok(Self::Cpu(Box::new(CpuBackend::new(capacity, threads)))),

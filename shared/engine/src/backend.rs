@@ -1,12 +1,13 @@
-//! What training and rendering ask of a device: the passes, coarse enough that each backend does them
-//! its own best way, and fine enough that a step reads as its list of passes.
+//! The passes of training and rendering that a device provides: coarse enough that each backend can use the algorithms
+//! that suit it, and fine enough that a step reads as a list of passes.
 //!
-//! A backend owns the splats, their optimiser moments and every buffer; nothing here allocates after
-//! [`Backend::load`] beyond the capacities that [`crate::Budget`] gave it.
+//! A backend owns the splats, their optimiser moments and every buffer, in the sizes that [`crate::Capacity`] gives.
+//! The passes of a step, [`Backend::project`] to [`Backend::adam`], allocate nothing on the CPU; a test counts that. On
+//! a GPU no buffer grows; wgpu allocates the commands and the staging memory of what is read back.
 
 use cosurf_scene::{Camera, Splats};
 
-/// Colours that a rendering should have, `[height, width, rgb]`.
+/// The colours that a rendering is compared with, `[height, width, rgb]`.
 #[derive(Clone, Copy, Debug)]
 pub enum TargetRgb<'a> {
     /// A photograph, 0..=255.
@@ -15,7 +16,7 @@ pub enum TargetRgb<'a> {
     Floats(&'a [f32]),
 }
 
-/// How a photograph was exposed: it shows `gain · colour + offset`.
+/// Exposure of a photograph: it shows `gain · colour + offset`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Exposure {
     /// Above 0.
@@ -25,100 +26,101 @@ pub struct Exposure {
 }
 
 impl Default for Exposure {
-    /// Colours as they are.
+    /// Leaves colours unchanged.
     fn default() -> Self {
         Self { gain: 1.0, offset: 0.0 }
     }
 }
 
-/// What a rendering should look like: a photograph, or a teacher's rendering. Both are the same step.
+/// What a rendering is compared with: a photograph or a teacher's rendering. The step is the same for both.
 #[derive(Clone, Copy, Debug)]
 pub struct Targets<'a> {
     /// Colours.
     pub rgb: TargetRgb<'a>,
-    /// How they were exposed.
+    /// Exposure of these colours.
     pub exposure: Exposure,
-    /// Colours of the neighbour that [`Backend::keep_neighbour`] kept, for the multi-view losses.
+    /// Colours of the neighbour that [`Backend::keep_neighbour`] kept; needed by [`SurfaceWeights::multiview`].
     pub neighbour_rgb: Option<TargetRgb<'a>>,
-    /// The surface as a teacher sees it; needed by [`LossWeights::teacher`].
+    /// A teacher's surface; needed by [`LossWeights::teacher`].
     pub surface: Option<TargetSurface<'a>>,
 }
 
 impl<'a> Targets<'a> {
-    /// Colours alone.
+    /// Only colours, with the default exposure.
     pub fn colors(rgb: TargetRgb<'a>) -> Self {
         Self { rgb, exposure: Exposure::default(), neighbour_rgb: None, surface: None }
     }
 }
 
-/// A surface that a rendering should show, as in [`Rendering`].
+/// The surface that a rendering is compared with, laid out as in [`Rendering`].
 #[derive(Clone, Copy, Debug)]
 pub struct TargetSurface<'a> {
     /// `[height, width]` depth along the optical axis, world units; 0 where there is none.
     pub depth: &'a [f32],
     /// `[height, width, xyz]` blended normals in the camera frame.
     pub normal: &'a [f32],
-    /// How far each pixel's surface is to be believed, `[height, width]`, 0..=1.
+    /// Weight of each pixel's surface in the loss, `[height, width]`, 0..=1.
     pub trust: &'a [f32],
 }
 
-/// How much each loss counts.
+/// Weights of the losses of a step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LossWeights {
     /// λ of `(1 - λ) L1 + λ (1 - SSIM)`, 0..=1; 0.2 in 3DGS.
     pub ssim: f32,
-    /// Of the mean shortest scale of the visible splats, 1 / world units.
+    /// Weight of the mean shortest scale of the visible splats, 1 / world units.
     pub scale: f32,
-    /// Of the surface's losses; `None` leaves them out. They need [`Channels::Geometry`].
+    /// Weights of the surface losses; `None` leaves them out. They need [`Channels::Geometry`].
     pub surface: Option<SurfaceWeights>,
-    /// Of the differences from a teacher's surface; `None` leaves them out. They need `surface`.
+    /// Weights of the differences from a teacher's surface; `None` leaves them out. They need `surface`.
     pub teacher: Option<TeacherWeights>,
 }
 
-/// How much a teacher's surface counts (CoSurfGS, "Model Aggregation Scheme": `L_d` and `L_n`).
+/// Weights of the differences from a teacher's surface (CoSurfGS, "Model Aggregation Scheme": `L_d` and `L_n`).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TeacherWeights {
-    /// Of the absolute difference of depths, a mean over pixels; 1 / world units.
+    /// Weight of the absolute difference of depths, averaged over pixels; 1 / world units.
     pub depth: f32,
-    /// Of the absolute difference of blended normals, summed over axes, a mean over pixels.
+    /// Weight of the absolute difference of blended normals, summed over axes and averaged over pixels.
     pub normal: f32,
 }
 
-/// How much each loss of the surface counts (CoSurfGS, "Device-side Training Procedure"; PGSR).
+/// Weights of the surface losses (CoSurfGS, "Device-side Training Procedure"; PGSR).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SurfaceWeights {
-    /// Of the disagreement between blended normals and the normals of the depth, a mean over pixels.
+    /// Weight of the single-view normal loss: the mean over pixels of the difference between blended normals and
+    /// normals from depth.
     pub normal: f32,
-    /// Of the losses that compare the view with its neighbour; `None` leaves them out. They need
+    /// Weights of the losses that compare the view with its neighbour; `None` leaves them out. They need
     /// [`Targets::neighbour_rgb`] and a neighbour that [`Backend::keep_neighbour`] kept.
     pub multiview: Option<MultiviewWeights>,
 }
 
-/// How much each multi-view loss counts, and on which pixels (PGSR).
+/// Weights of the multi-view losses, and the pixels that they sample (PGSR).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MultiviewWeights {
-    /// Of the error of going to the neighbour and back, a mean over sampled pixels; 1 / px.
+    /// Weight of the reprojection error, from a pixel to the neighbour and back, averaged over sampled pixels; 1 / px.
     pub reprojection: f32,
-    /// Of `1 - NCC²` between patches here and at the neighbour, a mean over sampled pixels.
+    /// Weight of `1 - NCC²` between patches of the view and of the neighbour, averaged over sampled pixels.
     pub ncc: f32,
-    /// One pixel is sampled in each square of this side: 1, 2, 4, 8 or 16 px.
+    /// Side of the square cells in each of which one pixel is sampled: 1, 2, 4, 8 or 16 px.
     pub cell_px: u32,
-    /// Which pixels are sampled; a new number for each step.
+    /// Seed of the sampled pixels; a new one for each step.
     pub draw: u64,
 }
 
 /// The losses of one rendering.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Losses {
-    /// Of the colours.
+    /// Colour losses.
     pub color: PhotometricLoss,
-    /// Of the surface; zero where it was not asked for.
+    /// Surface losses; zero where [`LossWeights::surface`] is `None`.
     pub surface: SurfaceLoss,
-    /// Of the differences from a teacher; zero where there is none.
+    /// Differences from a teacher; zero where there is none.
     pub teacher: TeacherLoss,
 }
 
-/// The differences from a teacher's surface, not weighted.
+/// Differences from a teacher's surface, without weights.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct TeacherLoss {
     /// Mean over pixels of the absolute difference of depths, world units.
@@ -127,28 +129,28 @@ pub struct TeacherLoss {
     pub normal: f64,
 }
 
-/// The losses of the surface, not weighted.
+/// Surface losses, without weights.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SurfaceLoss {
-    /// Mean over pixels of the absolute difference of normals, summed over axes, edges counting less.
+    /// Mean over pixels of the absolute difference of normals, summed over axes; pixels on image edges weigh less.
     pub normal: f64,
-    /// Mean over sampled pixels of `w e`, with `e` in px the way to the neighbour and back and `w = exp(-e)`;
-    /// pixels that do not come back to within 1 px add nothing.
+    /// Mean over sampled pixels of `w e`, with `e` the reprojection error in px and `w = exp(-e)`; pixels with an error
+    /// of 1 px or more add nothing.
     pub reprojection: f64,
     /// Mean over sampled pixels of `w (1 - NCC²)`; patches that do not match add nothing.
     pub ncc: f64,
-    /// Share of the sampled pixels that came back.
+    /// Share of the sampled pixels with a reprojection error below 1 px.
     pub returned: f64,
     /// Share of the sampled pixels whose patches match.
     pub matched: f64,
 }
 
-/// The colour loss of one rendering.
+/// Colour losses of one rendering.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PhotometricLoss {
     /// `(1 - λ) L1 + λ (1 - SSIM)`.
     pub total: f64,
-    /// Mean absolute difference from the exposed picture.
+    /// Mean absolute difference between the exposed rendering and the photograph.
     pub l1: f64,
     /// Mean structural similarity, -1..=1.
     pub ssim: f64,
@@ -167,7 +169,7 @@ impl PhotometricLoss {
     }
 }
 
-/// Which channels a rendering has.
+/// Channels of a rendering.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Channels {
     /// Colour and transmittance.
@@ -176,14 +178,14 @@ pub enum Channels {
     Geometry,
 }
 
-/// What binning found.
+/// Counts of one binning pass.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct BinCounts {
     /// Splats that the camera sees.
     pub visible: usize,
     /// Splat–tile pairs to blend.
     pub pairs: usize,
-    /// Pairs for which there was no room: those of the farthest splats.
+    /// Pairs beyond the capacity, which are not blended: those of the farthest splats.
     pub dropped: usize,
 }
 
@@ -214,14 +216,14 @@ pub struct AdamRates {
 }
 
 impl AdamRates {
-    /// Fills in the bias corrections `1 / (1 - β^step)` for the `step`-th update, counted from 1.
+    /// Sets the bias corrections `1 / (1 - β^step)` for the `step`-th update, counted from 1.
     pub fn at_step(self, step: u32) -> Self {
         let correction = |beta: f32| (1.0 / (1.0 - f64::from(beta).powf(f64::from(step.max(1))))) as f32;
         Self { first_correction: correction(BETA_1), second_correction: correction(BETA_2), ..self }
     }
 }
 
-/// A picture as the splats show it. All arrays row by row.
+/// A picture rendered from splats. All arrays are row by row.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Rendering {
     /// Width and height.
@@ -230,15 +232,15 @@ pub struct Rendering {
     pub rgb: Vec<f32>,
     /// `[h, w]`, 0..=1.
     pub alpha: Vec<f32>,
-    /// `[h, w]` unbiased depth along the optical axis, world units (PGSR: blended plane distance over the
-    /// blended normal's share along the ray); 0 where there is no surface.
+    /// `[h, w]` unbiased depth along the optical axis, world units (PGSR: blended plane distance divided by the
+    /// component of the blended normal along the ray); 0 where there is no surface.
     pub depth: Vec<f32>,
     /// `[h, w, xyz]` alpha-blended normals in the camera frame, facing the camera, not normalised.
     pub normal: Vec<f32>,
 }
 
 impl Rendering {
-    /// What it takes in memory.
+    /// Size in memory, bytes.
     pub fn bytes(&self) -> usize {
         let Self { rgb, alpha, depth, normal, .. } = self;
         let values = [rgb, alpha, depth, normal].map(|values| size_of_val(&values[..]));
@@ -246,7 +248,7 @@ impl Rendering {
     }
 }
 
-/// Shapes and statistics that refinement decides by; entry `i` is splat `i`.
+/// Shapes and statistics from which refinement decides; entry `i` is splat `i`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Shapes {
     /// World units.
@@ -255,63 +257,63 @@ pub struct Shapes {
     pub quats: Vec<[f32; 4]>,
     /// ln world units.
     pub log_scales: Vec<[f32; 3]>,
-    /// Before the logistic function.
+    /// Opacities before the logistic function.
     pub opacity_logits: Vec<f32>,
-    /// Mean over views of the norm of ∂L/∂mean on the screen, in units of half the picture; 0 if unseen.
+    /// Mean over views of the norm of ∂L/∂mean on the screen, in units of half the picture; 0 if no view saw the splat.
     pub screen_gradients: Vec<f32>,
-    /// The same with the absolute value taken in each pixel before the sum (AbsGS).
+    /// The same, but of the sums of absolute values over pixels (AbsGS).
     pub absolute_gradients: Vec<f32>,
     /// Views that saw the splat since the last refinement.
     pub views: Vec<f32>,
 }
 
-/// What splats gave to the pictures that were scored; entry `i` is splat `i`.
+/// Contributions of the splats to the scored pictures; entry `i` is splat `i`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Scores {
-    /// Sum of squared blend weights `(α T)²` over all pixels: but for the colours, the squared error that the
-    /// pictures would have without the splat.
+    /// Sum of squared blend weights `(α T)²` over all pixels. Up to a factor of colour it is the squared error of the
+    /// pictures without the splat.
     pub squared_weights: Vec<f32>,
     /// Pixels that the splat was blended into.
     pub hits: Vec<f32>,
-    /// Views with a pixel that the splat was blended into while more than half of the light came through.
+    /// Views that observe the splat: it was blended into one of their pixels while transmittance was above one half.
     pub observers: Vec<f32>,
 }
 
-/// A new splat: a copy of `parent` but for what is named here; its moments are zero.
+/// A new splat: a copy of `parent` except for the fields here; its moments are zero.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Birth {
-    /// Index before the edit.
+    /// Index of the parent before the edit.
     pub parent: u32,
     /// World units.
     pub mean: [f32; 3],
     /// ln world units.
     pub log_scale: [f32; 3],
-    /// Before the logistic function.
+    /// Opacity before the logistic function.
     pub opacity_logit: f32,
 }
 
-/// One refinement: births go to the places of the dead first, then to the end; places that are still
-/// empty are filled from the end.
+/// Splats to add and to remove. New splats take the places of removed ones first, then go to the end; places that
+/// remain empty are filled with splats from the end.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Edit {
     /// New splats, in order.
     pub births: Vec<Birth>,
-    /// Indices of splats to remove, ascending. A dead splat may be a parent.
+    /// Indices of splats to remove, ascending. A removed splat may be a parent.
     pub deaths: Vec<u32>,
 }
 
-/// A device that trains and renders. Passes are called in the order of their declaration; each uses what
-/// the ones before it left in the backend.
+/// A device that trains and renders. Passes are called in the order of their declaration; each reads what the passes
+/// before it left in the backend.
 pub trait Backend {
-    /// What computes, for people: `cpu avx512 × 2`.
+    /// Name of the device for people: `cpu avx512 × 2`.
     fn device(&self) -> String;
 
-    /// Why nothing that this backend says is to be believed any more: its device was lost.
+    /// Why the device was lost, if it was: its results are no longer valid.
     fn lost(&self) -> Option<String> {
         None
     }
 
-    /// Splats now.
+    /// Number of splats.
     fn len(&self) -> usize;
 
     /// Whether there are no splats.
@@ -319,7 +321,7 @@ pub trait Backend {
         self.len() == 0
     }
 
-    /// Most splats that fit.
+    /// Largest number of splats.
     fn capacity(&self) -> usize;
 
     /// Replaces all splats; moments and statistics become zero. Panics beyond the capacity.
@@ -328,45 +330,45 @@ pub trait Backend {
     /// The splats as they are now.
     fn splats(&self) -> Splats;
 
-    /// 2D Gaussians, colours (up to `sh_degree`) and planes for a camera.
+    /// Projects all splats: 2D Gaussians, colours (SH up to `sh_degree`) and planes for a camera.
     fn project(&mut self, camera: &Camera, sh_degree: u32);
 
-    /// Sorted tile lists.
+    /// Makes the sorted splat list of each tile.
     fn bin(&mut self) -> BinCounts;
 
     /// Blends the picture.
     fn rasterize(&mut self, channels: Channels);
 
-    /// Keeps camera and depth of the picture last blended (with [`Channels::Geometry`]) as the neighbour of
-    /// the pictures that follow.
+    /// Keeps camera and depth of the picture last blended (with [`Channels::Geometry`]) as the neighbour of the
+    /// following pictures.
     fn keep_neighbour(&mut self);
 
-    /// The losses of the picture, and their gradient with respect to every pixel.
+    /// Computes the losses of the picture and their gradient with respect to every pixel.
     fn losses(&mut self, targets: &Targets, weights: &LossWeights) -> Losses;
 
-    /// Gradients of the projected splats.
+    /// Computes the gradients of the projected splats.
     fn rasterize_backward(&mut self);
 
-    /// Gradients of the parameters, and the statistics of densification.
+    /// Computes the gradients of the parameters, and adds to the densification statistics.
     fn project_backward(&mut self);
 
-    /// The gradients of the last backward pass, each in the place of its parameter; zero for splats that the
-    /// camera did not see. For comparing backends and checking them.
+    /// The gradients of the last backward pass, each in the place of its parameter; zero for splats that the camera did
+    /// not see. For tests and comparisons of backends.
     fn gradients(&self) -> Splats;
 
-    /// One optimiser step on all splats; those that the camera did not see have gradient zero.
+    /// One optimiser step on all splats; splats that the camera did not see have gradient zero.
     fn adam(&mut self, rates: &AdamRates);
 
     /// The picture last blended. Depth and normal are empty if only colour was blended.
     fn rendering(&self) -> Rendering;
 
-    /// What refinement decides by; statistics begin anew.
+    /// The shapes and statistics for refinement; resets the statistics to zero.
     fn take_shapes(&mut self) -> Shapes;
 
-    /// Scores begin anew, all zero.
+    /// Resets all scores to zero.
     fn clear_scores(&mut self);
 
-    /// Adds what each splat gave to the picture last blended to its scores.
+    /// Adds each splat's contribution to the picture last blended to its scores.
     fn score(&mut self);
 
     /// The scores since they were cleared.
@@ -375,11 +377,11 @@ pub trait Backend {
     /// Adds and removes splats. Panics beyond the capacity.
     fn edit(&mut self, edit: &Edit);
 
-    /// Lowers every opacity to at most `opacity` and forgets the opacities' moments.
+    /// Lowers every opacity to at most `opacity` and resets the moments of opacities to zero.
     fn cap_opacity(&mut self, opacity: f32);
 
-    /// Visits parameters, moments and statistics in a fixed order, in pieces; with [`Backend::import`] this
-    /// is a checkpoint that continues to the same bits on the same backend. Stops at the first error.
+    /// Visits parameters, moments and statistics in a fixed order, in pieces. Together with [`Backend::import`] this is
+    /// a checkpoint: a training resumed on the same backend ends with the same bits. Stops at the first error.
     fn export<E>(&self, visit: impl FnMut(&[f32]) -> Result<(), E>) -> Result<(), E>
     where
         Self: Sized;

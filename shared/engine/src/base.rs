@@ -1,10 +1,9 @@
-//! A base: a third of a model's splats, taught to stand in for all of it. Who sends it first has sent a model, wherever
-//! the link breaks off.
+//! A base: a third of a model's splats, distilled to replace the whole model. An upload sends the base first, so that
+//! the receiver has a usable model wherever the link breaks off.
 //!
-//! The most important splats as they are leave holes: with a fifth of the bytes of four agents' models of rendered Boruszyn
-//! (240 px) the merged model lost 8.4 dB. So they are distilled from what the whole model shows to its own cameras:
-//! first half of the splats, then those of them that turned out to give most. That loses 1.8 dB there, and where means
-//! stay in their places 0.5 dB more. Quaternions stay, for telling how they turn back takes as much as they bring.
+//! The most important splats alone leave holes, so they are distilled from renderings of the whole model by its own
+//! cameras: first half of the splats, then the most important of those (table "Base: how it is made").
+//! Quaternions are frozen: encoding their later change costs as many bytes as training them gains.
 
 use std::rc::Rc;
 
@@ -19,28 +18,27 @@ use crate::prune;
 use crate::render::Renderer;
 use crate::train::view_order;
 
-/// Share of the splats in a base: at 9.3 bytes each, a fifth of the 15.8 that a splat takes in all.
+/// Share of the splats in a base: about a fifth of the bytes of the whole upload.
 const SHARE: f64 = 0.31;
-/// Share that begins. Where all do, few survive of those that fill the holes; where no more than remain, the wrong ones do
-/// (rendered Boruszyn, one agent, against the whole model: 34.7 and 35.3 instead of 36.7 dB).
+/// Share of the splats in the first stage. Both all splats and no more than the base itself end worse: few of the
+/// splats that fill holes survive, or the wrong splats remain (table "Base: how it is made").
 const SHARE_AT_FIRST: f64 = 0.5;
-/// A model of fewer splats is sent soon enough without a base.
+/// Smaller models have no base: they are sent quickly as a whole.
 const SPLATS_MIN: usize = 2000;
-/// Where one splat in k begins, its lengths grow by k to this power: those that matter most are large already.
+/// With one splat in k left, scales grow by k to this power. Important splats are large already.
 const GROWTH: f32 = 0.25;
 
-/// Steps with the half, and with the third. Where four agents' bases are all that is merged of rendered Boruszyn, 104
-/// instead of 156 lose 2.1 instead of 1.8 dB; twice as many of both 1.6 dB.
+/// Steps of the two stages (table "Base: how it is made").
 const STEPS: [u32; 2] = [52, 156];
-/// Steps at the end of either in which all settles.
+/// Steps with lower learning rates at the end of each stage.
 const COOLDOWN_STEPS: u32 = 26;
-/// Three times those of 3DGS, for there is little time, and twice for opacities. Found on rendered Boruszyn.
+/// Three times the rates of 3DGS, twice for opacities, because the stages are short. Tuned on rendered Boruszyn.
 const RATES: StudentRates =
     StudentRates { mean: 4.8e-4, quat: 0.0, log_scale: 0.02, opacity: 0.1, sh_dc: 0.0075 };
 
-/// The base of a model that `cameras` have seen; `None` where it is too small to need one. The processor makes it, with
-/// `threads`, at least 1; `kept_bytes` may be taken for renderings that are needed again. `tell` hears the steps done and
-/// those in all. The same model gives the same base.
+/// The base of a model trained with `cameras`; `None` if the model is small or no camera saw it. Computed on the
+/// processor with `threads` threads, at least 1; up to `kept_bytes` hold renderings for later steps. `tell` receives
+/// the steps done and all steps. The same model gives the same base.
 pub fn base_of(
     splats: &Splats,
     cameras: &[Camera],
@@ -68,7 +66,7 @@ pub fn base_of(
     Some(base)
 }
 
-/// All splats, each of one colour in all directions.
+/// All splats with their constant colour only.
 fn of_one_color(splats: &Splats) -> Base {
     let mut plain = Splats::with_capacity(splats.len(), 0);
     for i in 0..splats.len() {
@@ -78,7 +76,7 @@ fn of_one_color(splats: &Splats) -> Base {
     Base { ids: (0..splats.len() as u32).collect(), splats: plain }
 }
 
-/// The `count` splats that are worth most; of equals the first.
+/// The `count` most important splats; of equals the first.
 fn keep(base: &Base, importance: &[f32], count: f64) -> Base {
     let gone = prune::least(importance, base.ids.len() - count as usize);
     let stays = |place: &usize| gone.binary_search(&(*place as u32)).is_err();
@@ -86,13 +84,13 @@ fn keep(base: &Base, importance: &[f32], count: f64) -> Base {
     Base { ids, splats: base.splats.without(&gone) }
 }
 
-/// Makes splats larger, in proportion, where they are some of `whole`.
+/// Enlarges splats that are a selection of `whole` splats.
 fn grow(splats: &mut Splats, whole: usize) {
     let growth = GROWTH * (whole as f32 / splats.len() as f32).ln();
     splats.log_scales.iter_mut().for_each(|log_scale| *log_scale = log_scale.map(|v| v + growth));
 }
 
-/// The whole model, which shows what it looks like.
+/// The whole model, which renders the targets.
 struct Teacher<'a> {
     threads: usize,
     cameras: &'a [Camera],
@@ -105,7 +103,7 @@ impl<'a> Teacher<'a> {
         Self { threads, cameras, renderer, cache: RenderingCache::new(kept_bytes as u64) }
     }
 
-    /// What `student` has learnt after so many steps.
+    /// Distils `student` for a number of steps.
     fn teach(&mut self, student: &Splats, steps: u32, mut tell: impl FnMut(u32)) -> Splats {
         let room = Capacity::to_train(student, self.cameras, Channels::Geometry);
         let mut backend = CpuBackend::new(room, self.threads);
@@ -182,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn a_base_looks_like_the_whole_and_far_more_so_than_its_splats_as_they_were() {
+    fn a_base_looks_like_the_whole_model_and_the_same_splats_without_training_do_not() {
         let (whole, cameras) = (ground(), cameras());
         let mut heard = Vec::new();
         let base = base_of(&whole, &cameras, 1, 0, |step, steps| heard.push((step, steps))).expect("a base");
@@ -194,12 +192,12 @@ mod tests {
         base.ids.iter().for_each(|id| bare.push_from(&whole, *id as usize));
         let (taught, bare) = (likeness(&base.splats, &whole), likeness(&bare, &whole));
         assert!(taught > bare + 6.0 && taught > 20.0, "{taught} dB, {bare} dB as they were");
-        // Whatever is kept and however many compute, it is the same base.
+        // Neither the cache nor the number of threads changes the base.
         assert_eq!(base_of(&whole, &cameras, 2, usize::MAX, |_, _| ()), Some(base));
     }
 
     #[test]
-    fn small_models_and_those_that_nobody_has_seen_have_none() {
+    fn small_models_and_models_without_cameras_have_no_base() {
         let whole = ground();
         assert_eq!(base_of(&whole, &[], 1, 0, |_, _| ()), None);
         let half = whole.without(&(0..1000).collect::<Vec<_>>());

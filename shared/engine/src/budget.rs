@@ -1,4 +1,4 @@
-//! The memory promise: from bytes to the size of every buffer, before anything is allocated.
+//! The memory budget: derives the size of every buffer from a number of bytes, before anything is allocated.
 
 mod capacity;
 mod costs;
@@ -10,41 +10,41 @@ pub use costs::{Costs, DRIVER_BYTES};
 #[cfg(feature = "gpu")]
 pub(crate) use costs::{PARTIALS, PROJECTED_BYTES, TAUGHT_NUMBERS};
 
-/// What a process takes before it does anything: code, stacks, allocator, tables.
+/// Bytes of a process before any buffer: code, stacks, allocator, tables, scratch memory of the threads.
 pub const PROCESS_BYTES: u64 = 28 << 20;
 
-/// Fewest splats with which a training makes sense.
+/// Smallest number of splats that is worth training.
 const SPLATS_MIN: usize = 2000;
 
-/// Refinement reads every shape (64 B) and writes children; at the end the whole model is read out once, when
-/// refinement's share is free again. Bytes per splat for the larger of the two.
+/// Temporary bytes per splat. Refinement reads every shape (64 B) and writes children; at the end the model is read out
+/// once, when refinement's memory is free again. The larger of the two counts.
 const fn scratch_bytes(sh_degree: u32) -> usize {
     let model = 4 * parameter_rows(sh_degree);
     let refinement = 64 + 48 + model / 2;
     if model > refinement { model } else { refinement }
 }
 
-/// What a training wants.
+/// What a training needs and would like.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Wish {
     /// Bytes for the whole process.
     pub memory_bytes: u64,
-    /// Size of the largest picture, as the user asked for it.
+    /// Size of the largest picture, as the user requested it.
     pub size_px: [u32; 2],
     /// SH degree, 0..=3.
     pub sh_degree: u32,
-    /// What the graphics card binds at once, if one trains: its bytes count like those of the process, and so does its
-    /// driver.
+    /// Largest buffer that the graphics card can bind, if the training runs on one. Its memory and its driver then
+    /// count like memory of the process.
     pub binding_bytes_max: Option<u64>,
-    /// What will be blended in training.
+    /// Channels that will be blended in training.
     pub channels: Channels,
-    /// Splats that the training would make if memory did not matter.
+    /// Number of splats without a memory limit.
     pub splats: usize,
-    /// Bytes of the picture cache that would hold everything ready.
+    /// Bytes of a picture cache that holds all pictures.
     pub cache_bytes_most: u64,
-    /// Bytes of the picture cache below which it cannot work.
+    /// Bytes of the smallest usable picture cache.
     pub cache_bytes_least: u64,
-    /// Bytes that reading the dataset and decoding its largest picture take for a moment.
+    /// Peak bytes of reading the dataset and decoding its largest picture.
     pub loading_bytes: u64,
 }
 
@@ -55,35 +55,35 @@ pub struct Budget {
     pub capacity: Capacity,
     /// Bytes of the picture cache.
     pub cache_bytes: u64,
-    /// What had to be given up, one sentence each.
+    /// What the budget gave up, one sentence each, for the report.
     pub given_up: Vec<String>,
 }
 
-/// No sizes will do.
+/// No sizes fit the budget.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum BudgetError {
-    /// The bytes do not suffice for the smallest training.
-    #[error("{memory_bytes} bytes of memory are too few; this training needs at least {least_bytes} (--memory {}MiB)", least_bytes.div_ceil(1 << 20))]
+    /// The memory is too small for the smallest training.
+    #[error("a memory limit of {memory_bytes} bytes is too small; this training needs at least {least_bytes} (--memory {}MiB)", least_bytes.div_ceil(1 << 20))]
     TooLittleMemory {
-        /// What was given.
+        /// The memory limit.
         memory_bytes: u64,
-        /// The smallest amount that would do.
+        /// The smallest sufficient limit.
         least_bytes: u64,
     },
-    /// The pictures are larger than what the graphics card binds at once.
+    /// The pictures are larger than the largest buffer that the graphics card can bind.
     #[error("a picture of {} × {} px takes {bytes} bytes, but the graphics card binds at most {bytes_max} at once; use smaller pictures or --device cpu", size_px[0], size_px[1])]
     PictureTooLarge {
-        /// Of the picture.
+        /// Size of the picture.
         size_px: [u32; 2],
-        /// Of the largest of its buffers.
+        /// Bytes of the picture's largest buffer.
         bytes: u64,
-        /// What the card binds.
+        /// Bytes of the largest buffer that the card can bind.
         bytes_max: u64,
     },
 }
 
 impl Budget {
-    /// Divides the bytes: first what cannot be less, then splats up to the wish, then the cache.
+    /// Divides the memory: first the fixed costs, then splats up to the wish, then the picture cache.
     pub fn plan(wish: &Wish) -> Result<Self, BudgetError> {
         let Wish { size_px, sh_degree, channels, .. } = *wish;
         let shape = Capacity { splats: 0, pairs: 0, size_px, sh_degree, channels, training: true };
@@ -103,7 +103,7 @@ impl Budget {
         }
         let mut given_up = Vec::new();
         let free = wish.memory_bytes - fixed;
-        // A cache that holds everything saves time; splats decide the quality: they get three quarters first.
+        // A larger cache saves time, but splats decide the quality: three quarters of the memory go to them first.
         let extra_wanted = wish.cache_bytes_most.saturating_sub(wish.cache_bytes_least);
         let bound = costs.splats_max(PAIRS_PER_SPLAT);
         let splats_wanted = wish.splats.min(bound) as u64 * per_splat;

@@ -1,7 +1,7 @@
-//! The CPU backend: SIMD and threads, the same bits for any number of threads.
+//! The CPU backend: SIMD and threads; the result has the same bits for any number of threads.
 //!
-//! Threads only ever own separate stretches of memory (blocks of splats, tiles, bands of lines); sums
-//! across them are made afterwards, in a fixed order. Reading order: `blocks` for the layout, `backend` for the whole,
+//! Each thread writes only its own memory (blocks of splats, tiles, bands of lines). Sums across threads are computed
+//! afterwards in a fixed order. Reading order: `blocks` for the layout, `backend` for the whole,
 //! then the passes as a step calls them: `project`, `bin`, `rasterize`, `loss`, `surface`, `rasterize_backward`,
 //! `project_backward`, `adam`.
 

@@ -1,4 +1,4 @@
-//! What computes: the words that people choose it by, and opening it.
+//! Devices: how users name them, and opening them.
 
 use std::fmt;
 use std::str::FromStr;
@@ -12,32 +12,31 @@ use crate::gpu::{Gpu, GpuChoice, GpuError};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub enum DeviceChoice {
-    /// A real graphics card if there is one, else the processor: a software driver is slower than our own CPU
-    /// backend.
+    /// A real graphics card if there is one, else the processor: software drivers are slower than the CPU backend.
     #[default]
     Auto,
     /// The processor.
     Cpu,
-    /// The best GPU, or the one with this number; a software driver too.
+    /// The best GPU, or the GPU with this number; may be a software driver.
     Gpu(Option<usize>),
 }
 
-/// What was asked for cannot compute.
+/// The requested device cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum DeviceError {
-    /// See there.
+    /// The graphics card failed.
     #[cfg(feature = "gpu")]
     #[error(transparent)]
     Gpu(#[from] GpuError),
-    /// The programs were built without it.
+    /// The program was built without GPU support.
     #[error("this program was built without GPUs; use --device cpu, or build it with the feature `gpu`")]
     NotBuilt,
 }
 
-/// The device was lost in the middle of a training.
+/// The device was lost during a training.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{0}; run again to go on from the last checkpoint, with --device cpu if this happens twice")]
+#[error("{0}; run again to resume from the last checkpoint, with --device cpu if this happens twice")]
 pub struct DeviceLost(pub String);
 
 impl FromStr for DeviceChoice {
@@ -81,13 +80,13 @@ impl fmt::Display for DeviceChoice {
     }
 }
 
-/// What a choice came to.
+/// An open device.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub enum Device {
     /// The processor.
     Cpu,
-    /// A graphics card that was opened.
+    /// A graphics card.
     #[cfg(feature = "gpu")]
     Gpu(Gpu),
 }
@@ -98,7 +97,7 @@ impl Device {
         !matches!(self, Self::Cpu)
     }
 
-    /// Largest buffer that a graphics card binds at once, bytes.
+    /// Largest buffer that a pass can bind, bytes; `None` on the processor.
     pub fn binding_bytes_max(&self) -> Option<u64> {
         match self {
             Self::Cpu => None,
@@ -107,7 +106,7 @@ impl Device {
         }
     }
 
-    /// Fails once it is lost: what was read from it since then is not to be believed.
+    /// Fails once the device is lost: nothing read since the last successful check is valid.
     pub fn check(&self) -> Result<(), DeviceError> {
         match self {
             Self::Cpu => Ok(()),
@@ -128,7 +127,7 @@ impl fmt::Display for Device {
 }
 
 impl DeviceChoice {
-    /// Opens what was chosen. Fails where a GPU was asked for by name and there is none, or its driver refuses.
+    /// Opens the chosen device. Fails if a GPU was requested and there is none, or its driver refuses.
     #[cfg(feature = "gpu")]
     pub fn open(self) -> Result<Device, DeviceError> {
         let choice = match self {
@@ -144,7 +143,7 @@ impl DeviceChoice {
         }
     }
 
-    /// Opens what was chosen. Fails where a GPU was asked for by name.
+    /// Opens the chosen device. Fails if a GPU was requested.
     #[cfg(not(feature = "gpu"))]
     pub fn open(self) -> Result<Device, DeviceError> {
         match self {
@@ -159,7 +158,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn words_name_devices() {
+    fn device_names_parse_and_print_alike() {
         for word in ["auto", "cpu", "gpu", "gpu:0", "gpu:12"] {
             assert_eq!(word.parse::<DeviceChoice>().expect("a device").to_string(), word);
         }

@@ -1,5 +1,5 @@
-//! Distillation: a model learns from what other models show instead of from photographs (CoSurfGS, "Model
-//! Aggregation Scheme"). No splat is born; at the end those that give nothing go.
+//! Distillation: a model is trained on renderings of other models instead of photographs (CoSurfGS, "Model Aggregation
+//! Scheme"). No splats are added; at the end, useless splats are reported.
 
 use cosurf_scene::{Camera, Splats, camera};
 
@@ -10,43 +10,43 @@ use crate::backend::{
 use crate::prune;
 use crate::train::SSIM_WEIGHT;
 
-/// What a distillation is told.
+/// Settings of a distillation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DistillSettings {
-    /// Steps in all.
+    /// Number of steps.
     pub steps: u32,
-    /// Steps at the end in which everything moves ten times less.
+    /// Steps at the end with a tenth of the learning rates, except that of means.
     pub cooldown_steps: u32,
-    /// How fast it learns until then.
+    /// Learning rates until then.
     pub rates: StudentRates,
     /// Scene extent: 1.1 × the largest distance of a camera from their mean, world units.
     pub extent: f64,
-    /// Median depth of what the cameras see, world units.
+    /// Median depth of the teachers' renderings, world units.
     pub depth: f64,
     /// SH degree of the model.
     pub sh_degree: u32,
 }
 
-/// What a step learns from: a teacher's rendering.
+/// The target of one step: a teacher's rendering.
 #[derive(Clone, Copy, Debug)]
 pub struct Lesson<'a> {
-    /// Where it was rendered.
+    /// Camera of the rendering.
     pub camera: &'a Camera,
     /// `[height, width, rgb]`, 0 and up.
     pub rgb: &'a [f32],
-    /// Depth, normals, and how far they are to be believed.
+    /// Depth, normals and their weights.
     pub surface: TargetSurface<'a>,
 }
 
-/// λ₁ and β₂ of training (CoSurfGS), for the mean shortest scale and the single-view normals.
+/// Weights of the mean shortest scale (λ₁) and of the single-view normal loss (β₂) in training (CoSurfGS).
 const SCALE_WEIGHT: f64 = 100.0;
 const NORMAL_WEIGHT: f32 = 0.01;
-/// Weights of `L_d`, in median depths, and of `L_n` (CoSurfGS).
+/// Weights of `L_d`, per median depth, and of `L_n` (CoSurfGS).
 const DEPTH_WEIGHT: f64 = 0.015;
 const TEACHER_NORMAL_WEIGHT: f32 = 0.015;
 
-/// How fast a student learns; [`AdamRates`] but for the mean's, which is per world unit of extent and falls
-/// log-linearly to a hundredth.
+/// Learning rates of a student, as in [`AdamRates`], except that the rate of means is per world unit of extent and
+/// falls log-linearly to a hundredth.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StudentRates {
     /// Of means.
@@ -57,46 +57,45 @@ pub struct StudentRates {
     pub log_scale: f32,
     /// Of opacity logits.
     pub opacity: f32,
-    /// Of the constant colour term; that of the others is a twentieth.
+    /// Of the constant colour term; the other SH coefficients have a twentieth of it.
     pub sh_dc: f32,
 }
 
 impl StudentRates {
-    /// Of a model that others have trained: those of 3DGS, a tenth of it for means (DOGS).
+    /// Learning rates for distilling a trained model: those of 3DGS, with the rate of means divided by ten (DOGS).
     pub const TRAINED: Self =
         Self { mean: 1.6e-5, quat: 0.001, log_scale: 0.005, opacity: 0.05, sh_dc: 0.0025 };
 }
 
 const MEAN_RATE_FALL: f64 = 0.01;
 
-/// Share of the rates that is left at the end.
+/// Share of the learning rates during the cooldown.
 const COOLED: f32 = 0.1;
 
-/// Opacity below which a splat goes at the end (3DGS).
+/// Opacity below which a splat is useless (3DGS).
 const OPACITY_MIN: f32 = 0.005;
-/// Largest scale that stays, as a share of the extent. 3DGS's tenth takes away ground without texture, which nothing
-/// comes to fill any more: 31.2 instead of 33.3 dB held out (real drone pictures, Caliterra at 240 px).
+/// Scale above which a splat is useless, as a share of the extent. The tenth of 3DGS removes ground without texture,
+/// which distillation cannot fill again (table "Distillation").
 const SCALE_MAX: f64 = 1.0;
 
-/// A surface of a teacher that shows less than this is not believed. Colours are believed everywhere: a teacher's picture
-/// is that of the photograph even where its surface is not, and leaving out what is not opaque costs 0.7 dB (real drone
-/// pictures, Caliterra at 240 px: 32.65 instead of 33.31 dB held out).
+/// Alpha below which a teacher's surface has no weight. Its colours always count: they match the photograph even where
+/// the surface is uncertain (table "Distillation").
 pub const TRUSTED_ALPHA_MIN: f32 = 0.95;
 
-/// [`DistillSettings::extent`] of what `cameras` see, above 0.
+/// [`DistillSettings::extent`] of `cameras`, above 0.
 pub fn extent(cameras: &[Camera]) -> f64 {
     let reach = camera::extent(cameras.iter());
     if reach > 0.0 { reach } else { 1.0 }
 }
 
-/// [`DistillSettings::depth`] of a teacher's depths, of which 0 is none.
+/// [`DistillSettings::depth`] of a teacher's depths, in which 0 means no surface.
 pub fn median_depth(depths: impl Iterator<Item = f32>) -> f64 {
     let mut depths: Vec<f32> = depths.filter(|depth| *depth > 0.0).collect();
     depths.sort_unstable_by(f32::total_cmp);
     depths.get(depths.len() / 2).map_or(1.0, |depth| f64::from(*depth))
 }
 
-/// Distils into a backend's splats.
+/// Trains the splats of a backend on renderings of teachers.
 pub struct Distiller<B> {
     backend: B,
     settings: DistillSettings,
@@ -104,12 +103,12 @@ pub struct Distiller<B> {
 }
 
 impl<B: Backend> Distiller<B> {
-    /// Begins with what the backend holds.
+    /// Starts with the splats that the backend holds.
     pub fn new(backend: B, settings: DistillSettings) -> Self {
         Self { backend, settings, steps_done: 0 }
     }
 
-    /// One step: learns from one rendering.
+    /// Trains one step on one rendering.
     pub fn step(&mut self, lesson: &Lesson) -> (Losses, BinCounts) {
         let weights = self.weights();
         let rates = self.rates();
@@ -127,13 +126,13 @@ impl<B: Backend> Distiller<B> {
         (losses, counts)
     }
 
-    /// The model, all of it.
+    /// The whole model.
     pub fn into_splats(self) -> Splats {
         self.backend.splats()
     }
 
-    /// The model, and the indices (ascending) of those of its splats that are transparent, huge, or give nothing to
-    /// any of `cameras`.
+    /// The model, and the indices (ascending) of its useless splats: transparent, huge, or invisible to all of
+    /// `cameras`.
     pub fn finish<'a>(mut self, cameras: impl IntoIterator<Item = &'a Camera>) -> (Splats, Vec<u32>) {
         let scores = prune::survey(&mut self.backend, cameras);
         let shapes = self.backend.take_shapes();

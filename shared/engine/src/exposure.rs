@@ -1,6 +1,6 @@
-//! Exposure of each photograph (PGSR, §"Exposure compensation"): cameras that choose their own exposure
-//! show the same wall brighter here and darker there. A gain and an offset per view take that off the
-//! model's colours; only L1 sees them.
+//! Exposure of each photograph (PGSR, §"Exposure compensation"). Cameras with automatic exposure show the same wall
+//! with different brightness. A gain and an offset per view model that, so that it does not enter the splats' colours;
+//! only L1 uses them.
 
 use crate::backend::{Exposure, PhotometricLoss};
 
@@ -10,46 +10,46 @@ const BETA_1: f64 = 0.9;
 const BETA_2: f64 = 0.99;
 const EPSILON: f64 = 1e-15;
 
-/// A view that looks less like its photograph than this says nothing of exposure yet (PGSR: 1 - SSIM < 0.5). It
-/// is the SSIM of the view's visit before that decides, so that one sweep over the picture suffices.
+/// SSIM above which a view trains its exposure (PGSR: 1 - SSIM < 0.5). The SSIM of the view's previous step decides, so
+/// that one sweep over the picture suffices.
 const SSIM_MIN: f32 = 0.5;
 
-/// Numbers that a checkpoint keeps of a view.
+/// Numbers of a view in a checkpoint.
 const NUMBERS: usize = 8;
 
 /// Exposures of all views, with their optimiser.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Exposures {
-    /// Learns faster by this factor, as the other rates do in a short training.
+    /// Factor on the learning rate.
     haste: f64,
     views: Vec<View>,
 }
 
-/// Exposure and moments of a view: of the gain's logarithm, and of the offset.
+/// Exposure of a view with its moments: logarithm of the gain, and offset.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct View {
     values: [f32; 2],
     first: [f32; 2],
     second: [f32; 2],
     steps: f32,
-    /// At the last visit.
+    /// At the view's last step.
     ssim: f32,
 }
 
 impl Exposures {
-    /// Nothing is known yet.
+    /// No exposure is trained yet.
     pub(crate) fn new(views: usize, haste: f64) -> Self {
         Self { haste, views: vec![View::default(); views] }
     }
 
-    /// As the view's photograph was exposed; colours as they are while the view does not look like it.
+    /// Exposure of a view's photograph; the default while the rendering is not similar enough.
     pub(crate) fn of(&self, view: usize) -> Exposure {
         let View { values: [log_gain, offset], ssim, .. } = self.views[view];
         if ssim > SSIM_MIN { Exposure { gain: log_gain.exp(), offset } } else { Exposure::default() }
     }
 
-    /// Learns from what a step found of a view; where it is too early to `adapt`, only how it looks.
-    pub(crate) fn learn(&mut self, view: usize, loss: &PhotometricLoss, adapt: bool) {
+    /// Updates a view from the losses of a step; only its SSIM where `adapt` is false.
+    pub(crate) fn update(&mut self, view: usize, loss: &PhotometricLoss, adapt: bool) {
         let gain = f64::from(self.of(view).gain);
         let view = &mut self.views[view];
         if adapt && view.ssim > SSIM_MIN {
@@ -116,11 +116,11 @@ mod tests {
     }
 
     #[test]
-    fn an_exposure_is_found() {
+    fn exposure_converges_to_that_of_the_photograph() {
         let mut exposures = Exposures::new(2, 1.0);
         for _ in 0..1500 {
             let loss = loss(exposures.of(1), 0.9);
-            exposures.learn(1, &loss, true);
+            exposures.update(1, &loss, true);
         }
         let found = exposures.of(1);
         assert!((found.gain - 1.3).abs() < 0.01 && (found.offset + 0.05).abs() < 0.01, "{found:?}");
@@ -128,23 +128,23 @@ mod tests {
     }
 
     #[test]
-    fn views_that_look_like_nothing_say_nothing() {
+    fn views_unlike_their_photograph_do_not_train_exposure() {
         let mut exposures = Exposures::new(1, 1.0);
         for _ in 0..100 {
-            exposures.learn(0, &loss(exposures.of(0), 0.4), true);
+            exposures.update(0, &loss(exposures.of(0), 0.4), true);
             assert_eq!(exposures.of(0), Exposure::default());
         }
-        exposures.learn(0, &loss(Exposure::default(), 0.6), true);
-        exposures.learn(0, &loss(Exposure::default(), 0.6), false);
-        assert_eq!(exposures.of(0), Exposure::default(), "nothing was learnt too early");
-        exposures.learn(0, &loss(Exposure::default(), 0.6), true);
+        exposures.update(0, &loss(Exposure::default(), 0.6), true);
+        exposures.update(0, &loss(Exposure::default(), 0.6), false);
+        assert_eq!(exposures.of(0), Exposure::default(), "no exposure was trained too early");
+        exposures.update(0, &loss(Exposure::default(), 0.6), true);
         assert_ne!(exposures.of(0), Exposure::default());
     }
 
     #[test]
-    fn a_checkpoint_keeps_everything() {
+    fn a_checkpoint_keeps_all_exposures() {
         let mut exposures = Exposures::new(3, 1.0);
-        (0..9).for_each(|i| exposures.learn(i % 3, &loss(exposures.of(i % 3), 0.9), true));
+        (0..9).for_each(|i| exposures.update(i % 3, &loss(exposures.of(i % 3), 0.9), true));
         let mut numbers = Vec::new();
         let visited: Result<(), ()> = exposures.export(|part| {
             numbers.extend_from_slice(part);

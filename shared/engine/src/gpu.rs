@@ -1,9 +1,10 @@
-//! The wgpu backend: the same numbers as the CPU's on any graphics card with Vulkan, Metal or DirectX 12.
+//! The GPU backend on wgpu: the same results as the CPU backend within a tolerance, on graphics cards with Vulkan,
+//! Metal or DirectX 12.
 //!
-//! Portable by construction: no subgroups, no float atomics, at most 8 storage buffers for a pass (wgpu's default
-//! limits, but for the sizes of buffers). Sums are made in a fixed order, so two runs on one card give the same
-//! bits. Reading order: `backend` for the whole, `model`, `draw`, `train` and `surface` for what is kept where, `sort`
-//! for the one part that is an algorithm of its own, then the passes themselves in [`cosurf_shaders`].
+//! It is portable: no subgroups, no float atomics, at most 8 storage buffers for a pass (the default limits of wgpu,
+//! except for the sizes of buffers). Sums have a fixed order, so two runs on one card give the same bits. Reading
+//! order: `backend` for the whole, `model`, `draw`, `train` and `surface` for the buffers, `sort` for the radix sort,
+//! then the passes in [`cosurf_shaders`].
 
 mod backend;
 mod buffer;

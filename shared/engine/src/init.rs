@@ -1,4 +1,4 @@
-//! The first splats: one for each point of the sparse cloud.
+//! Initial splats: one for each point of the sparse cloud.
 
 use cosurf_scene::splats::{SH_C0, sh_coefficients};
 use cosurf_scene::{SparsePoint, Splats};
@@ -7,31 +7,29 @@ use glam::{DQuat, DVec3};
 use crate::nearest::{Near, Tree};
 use crate::plane::normal_of;
 
-/// Opacity of a new splat. 3DGS begins with 0.1; at 600 steps on real drone pictures 0.3 gains 0.3 dB.
+/// Opacity of a new splat. 3DGS has 0.1, which short runs do not raise in time (table "Short runs").
 const OPACITY: f32 = 0.3;
 
-/// Neighbours whose RMS distance gives the first scale (3DGS).
+/// Number of nearest points whose RMS distance gives the initial scale (3DGS).
 const NEIGHBOURS: usize = 3;
-/// Points whose plane gives the first normal, the splat's own among them.
+/// Number of nearest points whose plane gives the initial normal, including the point itself.
 const PLANE_POINTS: usize = 10;
-/// How thick a flat splat is, as a share of its width.
+/// Thickness of a flat splat, as a share of its width.
 const THICKNESS: f64 = 0.2;
 
-/// What the first splats look like.
+/// Shape of the initial splats.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Form {
     /// Balls, as in 3DGS.
     Round,
-    /// Discs in the plane of the nearest points, for a training of surfaces; balls where those have no plane. On
-    /// the built-in town (320 px, 1,500 steps) normals end up off by 11.8° (median), from balls by 12.8°, and
-    /// the F-score is 0.603, from balls 0.573.
+    /// Discs in the plane of the nearest points, for training surfaces; balls where these points have no plane (table
+    /// "Initial splats").
     Flat,
 }
 
-/// Splats at the points, as wide as the RMS distance to the three nearest neighbours, of the
-/// points' colours. Scales stay between `extent` × 1e-6 and `extent` × 0.5, so that neither duplicates nor
-/// far outliers start as splats that cannot learn. If there are more than `capacity` points, an even
-/// selection of them is taken.
+/// Splats at the points with their colours, as wide as the RMS distance to the three nearest points. Scales are clamped
+/// to `extent` × 1e-6 to `extent` × 0.5, so that duplicates and far outliers can still be trained. Of more than
+/// `capacity` points, an even selection is used.
 pub fn splats_from_points(
     points: &[SparsePoint],
     extent: f64,
@@ -66,14 +64,14 @@ pub fn splats_from_points(
     splats
 }
 
-/// RMS distance to the nearest neighbours; infinite for a single point. The first of `near` is the point itself.
+/// RMS distance to the nearest points; infinite for a single point. The first of `near` is the point itself.
 fn width(near: &[Near<f64>]) -> f64 {
     let others = near[1..=NEIGHBOURS].iter().map(|near| near.distance_squared).filter(|d| d.is_finite());
     let count = others.clone().count();
     if count == 0 { f64::INFINITY } else { (others.sum::<f64>() / count as f64).sqrt() }
 }
 
-/// Of the plane of the points, if they have one.
+/// Normal of the plane of the points, if they have one.
 fn normal(near: &[Near<f64>], positions: &[[f64; 3]]) -> Option<DVec3> {
     let found = near.iter().filter(|near| near.distance_squared.is_finite());
     normal_of(&found.map(|near| DVec3::from(positions[near.index as usize])).collect::<Vec<_>>())
@@ -108,7 +106,7 @@ mod tests {
     }
 
     #[test]
-    fn points_without_a_plane_are_balls() {
+    fn points_without_a_plane_become_balls() {
         for points in [cloud([DVec3::ZERO]), cloud((0..20).map(|i| f64::from(i) * DVec3::ONE)), cloud([])] {
             let flat = splats_from_points(&points, 10.0, 64, 0, Form::Flat);
             assert_eq!(flat, splats_from_points(&points, 10.0, 64, 0, Form::Round));

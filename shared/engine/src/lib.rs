@@ -1,9 +1,10 @@
-//! The Gaussian-surface engine: rasterise, losses, optimise; two backends with one meaning.
+//! The Gaussian-surface engine: rasterises, compares with photographs, optimises. Two backends, CPU and GPU, compute
+//! the same results within a tolerance that tests state.
 //!
 //! What it refuses to know: bytes on a wire, clocks, files, command lines.
 //!
-//! Where to start reading: [`backend`] for the passes, then [`train`], where a step reads as their list;
-//! [`cpu`] for how they are fast, and `gpu` for the same on graphics cards.
+//! Where to start reading: [`backend`] for the passes, then [`train`], where a step reads as a list of passes; `layout`
+//! for what both backends agree on, [`cpu`] for SIMD and threads, `gpu` for graphics cards.
 
 mod any;
 pub mod backend;

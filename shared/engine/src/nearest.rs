@@ -1,8 +1,8 @@
 //! Nearest points: a k-d tree that is nothing but a reordered list.
 //!
-//! Own code rather than a crate: of those that are well kept, `kiddo` brings about 25 packages and a build script, panics
-//! on many identical points, and promises no order among points at equal distances, on which the bits of a training
-//! depend.
+//! Own code rather than a crate: of those that are well kept, `kiddo` brings about 25 packages and a build script,
+//! panics on many identical points, and promises no order among points at equal distances, on which the bits of a
+//! training depend.
 
 use std::cmp::Ordering;
 use std::ops::{Add, Mul, Sub};
@@ -74,7 +74,8 @@ impl<S: Coordinate> Tree<S> {
         Self { points, leaf }
     }
 
-    /// The `K` points nearest to `query`, the nearest first; infinitely far, with index `u32::MAX`, where there are fewer.
+    /// The `K` points nearest to `query`, the nearest first; infinitely far, with index `u32::MAX`, where there are
+    /// fewer.
     pub fn nearest<const K: usize>(&self, query: [S; 3]) -> [Near<S>; K] {
         let mut best = [Near { distance_squared: S::INFINITY, index: u32::MAX }; K];
         search(&self.points, self.leaf, &query, 0, &mut best);

@@ -1,29 +1,29 @@
-//! Which views look at the same ground from places far enough apart to tell depth, and near enough to look alike.
+//! Neighbours: views of the same ground whose baseline is long enough to measure depth and short enough to compare.
 
 use cosurf_scene::{Camera, SparsePoint};
 
 use crate::random::{Purpose, Random};
 
-/// Most neighbours of a view (PGSR).
+/// Largest number of neighbours of a view (PGSR).
 const NEIGHBOURS_MAX: usize = 8;
 /// Largest angle between optical axes (PGSR: 30°), as a cosine.
 const AXES_COSINE_MIN: f64 = 0.866_025_403_784_438_6;
-/// Baselines as shares of the median depth. PGSR's limits are in scene units, which leaves metric aerial scenes
-/// without any neighbour.
+/// Limits of the baseline, as shares of the median depth. The limits of PGSR are in scene units; with them, aerial
+/// scenes in metres have no neighbours.
 const BASELINE_MIN: f64 = 0.02;
 const BASELINE_MAX: f64 = 0.5;
 
-/// For each view, the views it may be compared with, the nearest first.
+/// For each view, the views that it may be compared with, nearest first.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Neighbours(Vec<Vec<u32>>);
 
 impl Neighbours {
-    /// No view has any.
+    /// No view has neighbours.
     pub fn none() -> Self {
         Self::default()
     }
 
-    /// Neighbours among `cameras`; `points` tell how deep each view looks (their `views` index `cameras`).
+    /// Neighbours among `cameras`; `points` give the median depth of each view (their `views` index `cameras`).
     pub fn find(cameras: &[Camera], points: &[SparsePoint]) -> Self {
         let depths = median_depths(cameras, points);
         Self(
@@ -40,7 +40,7 @@ impl Neighbours {
         self.0.get(view)?.first().map(|other| *other as usize)
     }
 
-    /// One of the neighbours of `view`, another for each step.
+    /// A random neighbour of `view` for a step.
     pub(crate) fn draw(&self, view: usize, seed: u64, step: u32) -> Option<usize> {
         let candidates = self.0.get(view).filter(|candidates| !candidates.is_empty())?;
         let mut random = Random::new(seed, Purpose::Neighbour, u64::from(step), view as u64);
@@ -71,7 +71,7 @@ fn median_depths(cameras: &[Camera], points: &[SparsePoint]) -> Vec<Option<f64>>
                 depths[view].push(z);
             }
         };
-        // Formats without tracks do not say who sees a point: whoever has it in the picture may.
+        // Formats without tracks do not say which views see a point: all views with it inside their picture count.
         if point.views.is_empty() {
             (0..cameras.len()).filter(|&view| cameras[view].sees(point.position)).for_each(&mut note);
         } else {
@@ -112,16 +112,16 @@ mod tests {
     }
 
     #[test]
-    fn neighbours_are_near_but_not_too_near_and_look_the_same_way() {
+    fn neighbours_are_near_but_not_too_near_and_look_in_a_similar_direction() {
         let (cameras, points) = flight(&[0.0, 0.5, 5.0, 20.0, 30.0]);
         let neighbours = Neighbours::find(&cameras, &points);
-        // 0.5 m is too near, 30 m too far; the camera that looks aside is nobody's.
+        // 0.5 m is too near, 30 m too far; the camera that looks elsewhere is no neighbour.
         assert_eq!(neighbours.0[0], [2, 3]);
         assert_eq!(neighbours.0[5], [0u32; 0]);
     }
 
     #[test]
-    fn every_neighbour_is_drawn_and_a_step_always_draws_the_same() {
+    fn every_neighbour_is_drawn_and_a_step_always_draws_the_same_one() {
         let (cameras, points) = flight(&[0.0, 4.0, 8.0, 12.0]);
         let neighbours = Neighbours::find(&cameras, &points);
         let drawn: Vec<usize> = (0..60).filter_map(|step| neighbours.draw(0, 7, step)).collect();

@@ -1,12 +1,12 @@
-//! The plane that fits points best.
+//! The plane that fits a set of points best.
 
 use glam::{DMat3, DVec3};
 
-/// Points closer to a line than this share of their spread have no plane.
+/// Points whose distance from a line is below this share of their spread have no plane.
 const LINE_MAX: f64 = 1e-3;
 
-/// The direction in which the points spread least, of length 1; `None` if they lie on a line, are all in one
-/// place, or spread alike in every direction.
+/// The unit direction in which the points spread least; `None` if they lie on a line, coincide, or spread equally in
+/// every direction.
 pub(crate) fn normal_of(points: &[DVec3]) -> Option<DVec3> {
     let mean = points.iter().sum::<DVec3>() / points.len() as f64;
     let spread = points
@@ -15,7 +15,7 @@ pub(crate) fn normal_of(points: &[DVec3]) -> Option<DVec3> {
         .fold(DMat3::ZERO, |sum, d| sum + DMat3::from_cols(d * d.x, d * d.y, d * d.z));
     let size = spread.x_axis.x + spread.y_axis.y + spread.z_axis.z;
     let without = spread * (1.0 / size) - DMat3::IDENTITY * least_eigenvalue(&(spread * (1.0 / size)))?;
-    // What is left has rank two: its rows span the plane.
+    // The remainder has rank two: its rows span the plane.
     let rows = [without.x_axis, without.y_axis, without.z_axis];
     let normals = [rows[0].cross(rows[1]), rows[1].cross(rows[2]), rows[2].cross(rows[0])];
     let longest = normals.into_iter().max_by(|a, b| a.length_squared().total_cmp(&b.length_squared()))?;
@@ -23,8 +23,8 @@ pub(crate) fn normal_of(points: &[DVec3]) -> Option<DVec3> {
     (longest.length() > LINE_MAX).then(|| longest.normalize())
 }
 
-/// Of a symmetric matrix, in closed form (Smith, "Eigenvalues of a symmetric 3 × 3 matrix", 1961); `None` if all
-/// three are one.
+/// The smallest eigenvalue of a symmetric matrix in closed form (Smith, "Eigenvalues of a symmetric 3 × 3 matrix",
+/// 1961); `None` if all three are equal.
 fn least_eigenvalue(a: &DMat3) -> Option<f64> {
     let third = (a.x_axis.x + a.y_axis.y + a.z_axis.z) / 3.0;
     let rest = *a - DMat3::IDENTITY * third;
@@ -43,7 +43,7 @@ mod tests {
     use crate::random::{Purpose, Random};
 
     #[test]
-    fn a_noisy_plane_is_found_and_nothing_else() {
+    fn finds_a_noisy_plane_and_no_plane_in_lines_or_balls() {
         let mut random = Random::new(3, Purpose::Birth, 0, 0);
         let mut normal = || f64::from(random.normal());
         for _ in 0..100 {

@@ -1,5 +1,5 @@
-//! Which splats a model can do without: Adaptive Gaussian Pruning (CoSurfGS, "Adaptive Gaussian Pruning"), and
-//! the removal of splats that hardly any view observes (PGSR).
+//! Pruning: the importance of splats for Adaptive Gaussian Pruning (CoSurfGS, "Adaptive Gaussian Pruning"), and the
+//! splats that too few views observe (PGSR).
 
 use cosurf_scene::{Camera, Splats};
 
@@ -8,25 +8,24 @@ use crate::backend::{Backend, Channels, Scores, Shapes};
 use crate::budget::Capacity;
 use crate::device::{Device, DeviceError};
 
-/// Exponent of the size's share in a score (LightGaussian).
+/// Exponent of the relative size in the importance (LightGaussian).
 const SIZE_EXPONENT: f32 = 0.1;
-/// Sizes are compared with this quantile of them.
+/// Sizes are relative to this quantile of all sizes.
 const SIZE_QUANTILE: f64 = 0.9;
 
-/// What a splat's priority is made of.
+/// The formula for the importance of a splat.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum PruneScore {
-    /// `Σ (α T)² γ` over all pixels of all views, γ from the splat's area: what is behind something else counts for
-    /// little, a flat splat is not small, and what makes up a few pixels alone counts for more than what adds a
-    /// little to many. Without 60 % of the splats, rendered Boruszyn (160 px, 1,000 steps) loses 0.39 dB with it,
-    /// 0.83 dB with `Σ α T γ`, 1.12 dB with the paper's.
+    /// `Σ (α T)² γ` over all pixels of all views, with γ from the splat's area: hidden splats count little, flat splats
+    /// are not small, and a splat that fills few pixels alone counts more than one that adds a little to many (table
+    /// "Pruning scores").
     #[default]
     Corrected,
-    /// `hits o γ` with γ from the volume, as the paper writes it.
+    /// `hits o γ` with γ from the splat's volume, as in the paper.
     Paper,
 }
 
-/// What every splat gives to all views together.
+/// Scores of all splats over all views.
 pub(crate) fn survey<'a, B: Backend>(
     backend: &mut B,
     cameras: impl IntoIterator<Item = &'a Camera>,
@@ -41,8 +40,8 @@ pub(crate) fn survey<'a, B: Backend>(
     backend.scores()
 }
 
-/// What each splat is worth to `cameras`: higher is more, 0 for what none of them sees. `capacity` must be for
-/// training, with room for the splats and the largest picture; `threads` (at least 1) are the processor's.
+/// Importance of each splat to the pictures of `cameras`; 0 for splats that no camera sees. `capacity` must be for
+/// training, with room for the splats and the largest picture; the processor uses `threads` threads, at least 1.
 pub fn importance(
     splats: &Splats,
     cameras: &[Camera],
@@ -58,23 +57,23 @@ pub fn importance(
     Ok(importance_by(&shapes, &scores, PruneScore::Corrected))
 }
 
-/// Priorities of all splats: higher is worth more.
+/// Importance of all splats by a formula.
 pub(crate) fn importance_by(shapes: &Shapes, scores: &Scores, score: PruneScore) -> Vec<f32> {
     let sizes: Vec<f32> = shapes.log_scales.iter().map(|log_scale| size(*log_scale, score)).collect();
     let reference = quantile(&sizes, SIZE_QUANTILE);
     (0..sizes.len())
         .map(|i| {
             let share = (sizes[i] / reference.max(f32::MIN_POSITIVE)).clamp(0.0, 1.0).powf(SIZE_EXPONENT);
-            let given = match score {
+            let contribution = match score {
                 PruneScore::Corrected => scores.squared_weights[i],
                 PruneScore::Paper => scores.hits[i] / (1.0 + (-shapes.opacity_logits[i]).exp()),
             };
-            given * share
+            contribution * share
         })
         .collect()
 }
 
-/// Area of the two longest axes, or volume.
+/// Area of the two longest axes, or the volume.
 fn size(log_scale: [f32; 3], score: PruneScore) -> f32 {
     let sum: f32 = log_scale.iter().sum();
     match score {
@@ -90,13 +89,12 @@ fn quantile(values: &[f32], share: f64) -> f32 {
     sorted.get(place).copied().unwrap_or(0.0)
 }
 
-/// Indices, ascending, of the `ratio` (0..1) of all splats with the lowest importance, exactly so many; of equal
-/// ones the later goes.
+/// Indices, ascending, of the least important `ratio` (0..1) of all splats; of equals the later.
 pub(crate) fn lowest(importance: &[f32], ratio: f64) -> Vec<u32> {
     least(importance, (ratio.clamp(0.0, 1.0) * importance.len() as f64) as usize)
 }
 
-/// The same of `count` splats.
+/// Indices, ascending, of the `count` least important splats; of equals the later.
 pub(crate) fn least(importance: &[f32], count: usize) -> Vec<u32> {
     let mut order: Vec<u32> = (0..importance.len() as u32).collect();
     let key = |i: u32| importance[i as usize];
@@ -113,11 +111,11 @@ pub(crate) fn unobserved(scores: &Scores, observers_min: u32) -> Vec<u32> {
 }
 
 /// Indices, ascending, of splats that are less opaque than `opacity_min`, larger than `scale_max` (world units), or
-/// give nothing to any view.
+/// invisible in all views.
 pub(crate) fn useless(shapes: &Shapes, scores: &Scores, opacity_min: f32, scale_max: f32) -> Vec<u32> {
     let logit_min = (opacity_min / (1.0 - opacity_min)).ln();
     let log_scale_max = scale_max.ln();
-    // Phrased so that NaN goes.
+    // A comparison with NaN is false, so NaN is removed.
     let stays = |i: usize| {
         shapes.opacity_logits[i] >= logit_min
             && shapes.log_scales[i].iter().all(|log_scale| *log_scale <= log_scale_max)
@@ -131,7 +129,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn exactly_the_lowest_go_and_of_equals_the_later() {
+    fn exactly_the_least_important_are_chosen_and_of_equals_the_later() {
         let importance = [3.0, 1.0, 2.0, 1.0, 1.0, 9.0, 0.5, 7.0];
         assert_eq!(lowest(&importance, 0.25), [4, 6]);
         assert_eq!(lowest(&importance, 0.5), [1, 3, 4, 6]);
@@ -140,7 +138,7 @@ mod tests {
         assert_eq!(lowest(&[], 0.5), [0u32; 0]);
     }
 
-    /// A splat that is seen, one that is as large but hidden, one that is tiny, and one that is flat.
+    /// A visible splat, one of the same size that is hidden, a tiny one, and a flat one.
     fn four() -> (Shapes, Scores) {
         let shapes = Shapes {
             log_scales: vec![[-1.0; 3], [-1.0; 3], [-5.0; 3], [-1.0, -1.0, -30.0]],
@@ -156,19 +154,19 @@ mod tests {
     }
 
     #[test]
-    fn the_corrected_score_sees_occlusion_and_flatness_and_the_papers_does_not() {
+    fn the_corrected_score_regards_occlusion_and_flatness_and_the_papers_does_not() {
         let (shapes, scores) = four();
         let corrected = importance_by(&shapes, &scores, PruneScore::Corrected);
-        assert!(corrected[1] < 0.01 * corrected[0], "hidden splats are worth little: {corrected:?}");
+        assert!(corrected[1] < 0.01 * corrected[0], "hidden splats have little importance: {corrected:?}");
         assert_eq!(corrected[3], corrected[0], "a flat splat is as large as a thick one");
         assert!(corrected[2] < corrected[0]);
         let paper = importance_by(&shapes, &scores, PruneScore::Paper);
-        assert_eq!(paper[1], paper[0], "the paper does not ask what is in front");
-        assert!(paper[3] < 0.1 * paper[0], "by volume, a flat splat is nothing");
+        assert_eq!(paper[1], paper[0], "the paper's score ignores what is in front");
+        assert!(paper[3] < 0.1 * paper[0], "by volume, a flat splat has no size");
     }
 
     #[test]
-    fn what_is_transparent_huge_or_never_hit_is_useless() {
+    fn transparent_huge_and_invisible_splats_are_useless() {
         let (mut shapes, mut scores) = four();
         shapes.opacity_logits[0] = -6.0;
         shapes.log_scales[2] = [3.0, -1.0, -1.0];
@@ -178,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn splats_that_too_few_views_observe_go() {
+    fn splats_that_too_few_views_observe_are_found() {
         assert_eq!(unobserved(&four().1, 2), [1, 3]);
         assert_eq!(unobserved(&four().1, 1), [1]);
     }

@@ -1,16 +1,16 @@
-//! Random numbers without state: each is a function of the seed and of what it is for, so a run that
-//! stops and goes on draws the same ones.
+//! Random numbers without state: each is a function of the seed and its purpose, so a resumed run draws the same
+//! numbers.
 
-/// What a number is drawn for.
+/// The purpose of a random number.
 #[derive(Clone, Copy)]
 pub(crate) enum Purpose {
     /// The order of views in an epoch.
     ViewOrder = 1,
-    /// Where the children of a splat go.
+    /// Positions of the children of a splat.
     Birth = 2,
-    /// Which neighbour a view is compared with.
+    /// The neighbour that a view is compared with.
     Neighbour = 3,
-    /// Which pixels are compared.
+    /// The pixels that are compared.
     Sample = 4,
 }
 
@@ -18,7 +18,7 @@ pub(crate) enum Purpose {
 pub(crate) struct Random(u64);
 
 impl Random {
-    /// The stream that belongs to a seed, a purpose and two indices.
+    /// The stream of a seed, a purpose and two indices.
     pub(crate) fn new(seed: u64, purpose: Purpose, a: u64, b: u64) -> Self {
         let mut mixed = Self(seed ^ (purpose as u64) << 56);
         let first = mixed.next_u64() ^ a;

@@ -1,44 +1,44 @@
-//! Densification and pruning: decides by shapes and statistics, never beyond the capacity.
+//! Refinement: which splats to clone, split and remove, from their shapes and statistics, within the capacity.
 
 use glam::{Quat, Vec3};
 
 use crate::backend::{Birth, Edit, Shapes};
 use crate::random::{Purpose, Random};
 
-/// Mean screen gradient from which a splat is cloned or split (3DGS).
+/// Mean screen gradient above which a splat is cloned or split (3DGS).
 const SCREEN_GRADIENT_MIN: f32 = 2e-4;
-/// Mean absolute screen gradient from which a large splat is split even so (PGSR).
+/// Mean absolute screen gradient above which a large splat is split in any case (PGSR).
 const ABSOLUTE_GRADIENT_MIN: f32 = 8e-4;
-/// Splats up to this share of the extent are cloned, larger ones split (3DGS's `percent_dense`, 0.01 there). On rendered
-/// Boruszyn (240 px, 3,000 steps) colours alone have 35.67 dB with 0.006 and 35.58 dB with 0.01.
+/// Splats up to this share of the extent are cloned, larger splats are split (`percent_dense` of 3DGS, 0.01 there;
+/// table "Clone or split").
 const CLONE_SCALE_MAX: f64 = 0.006;
-/// Children of a split are smaller by this factor (3DGS: 0.8 × 2 children).
+/// The two children of a split are smaller by this factor (3DGS: 0.8 × 2).
 const SPLIT_SHRINK: f32 = 1.6;
-/// Splats of lower opacity are removed (3DGS).
+/// Splats with a lower opacity are removed (3DGS).
 const OPACITY_MIN: f32 = 0.005;
-/// Splats larger than this share of the extent are removed once opacities have been reset (3DGS).
+/// Splats larger than this share of the extent are removed after the first reset of opacities (3DGS).
 const SCALE_MAX: f64 = 0.1;
 
-/// What a refinement may do.
+/// Limits of a refinement.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct RefineLimits {
-    /// Most splats afterwards.
+    /// Largest number of splats afterwards.
     pub(crate) splats_max: usize,
     /// Scene extent, world units.
     pub(crate) extent: f64,
-    /// Whether large splats are removed too.
+    /// Whether large splats are removed as well.
     pub(crate) prune_large: bool,
     pub(crate) seed: u64,
     pub(crate) step: u32,
 }
 
-/// Decides one refinement.
+/// The changes of one refinement.
 pub(crate) fn refine(shapes: &Shapes, limits: &RefineLimits) -> Edit {
     let n = shapes.opacity_logits.len();
     let logit_min = (OPACITY_MIN / (1.0 - OPACITY_MIN)).ln();
     let log_scale_max = (SCALE_MAX * limits.extent).ln() as f32;
     let dies = |i: usize| {
-        // Phrased so that NaN dies.
+        // A comparison with NaN is false, so NaN is removed.
         let keeps = shapes.opacity_logits[i] >= logit_min
             && (!limits.prune_large || largest(shapes.log_scales[i]) <= log_scale_max)
             && shapes.means[i].iter().chain(&shapes.log_scales[i]).all(|v| v.is_finite());
@@ -48,13 +48,13 @@ pub(crate) fn refine(shapes: &Shapes, limits: &RefineLimits) -> Edit {
     let survivors = dead.iter().filter(|dead| !**dead).count();
     let is_small =
         |i: usize| f64::from(largest(shapes.log_scales[i])).exp() <= CLONE_SCALE_MAX * limits.extent;
-    let want = |i: usize| {
+    let demand = |i: usize| {
         let pulled = shapes.screen_gradients[i] / SCREEN_GRADIENT_MIN;
         let torn = shapes.absolute_gradients[i] / ABSOLUTE_GRADIENT_MIN;
         if is_small(i) { pulled } else { pulled.max(torn) }
     };
-    let wants: Vec<f32> = (0..n).map(|i| if dead[i] { 0.0 } else { want(i) }).collect();
-    let parents = choose_parents(&wants, limits.splats_max.saturating_sub(survivors));
+    let demands: Vec<f32> = (0..n).map(|i| if dead[i] { 0.0 } else { demand(i) }).collect();
+    let parents = choose_parents(&demands, limits.splats_max.saturating_sub(survivors));
 
     let mut edit = Edit::default();
     let mut removed = dead;
@@ -71,11 +71,11 @@ pub(crate) fn refine(shapes: &Shapes, limits: &RefineLimits) -> Edit {
     edit
 }
 
-/// The splats that want to multiply most (from 1 up), at most `room` (each adds one splat), in order of index.
-fn choose_parents(wants: &[f32], room: usize) -> Vec<usize> {
-    let mut parents: Vec<usize> = (0..wants.len()).filter(|&i| wants[i] >= 1.0).collect();
-    // Largest first; ties by index, so that the choice is always the same.
-    parents.sort_unstable_by(|&a, &b| wants[b].total_cmp(&wants[a]).then(a.cmp(&b)));
+/// The splats with the largest demand of at least 1, at most `room` (each adds one splat), in order of index.
+fn choose_parents(demands: &[f32], room: usize) -> Vec<usize> {
+    let mut parents: Vec<usize> = (0..demands.len()).filter(|&i| demands[i] >= 1.0).collect();
+    // Largest first, ties by index: the choice is deterministic.
+    parents.sort_unstable_by(|&a, &b| demands[b].total_cmp(&demands[a]).then(a.cmp(&b)));
     parents.truncate(room);
     parents.sort_unstable();
     parents
@@ -85,7 +85,7 @@ fn largest(log_scale: [f32; 3]) -> f32 {
     log_scale.into_iter().fold(f32::NEG_INFINITY, f32::max)
 }
 
-/// A child at a place drawn from its parent's own distribution.
+/// A child at a position drawn from its parent's distribution.
 fn child(shapes: &Shapes, parent: usize, shrink: f32, random: &mut Random) -> Birth {
     let [w, x, y, z] = shapes.quats[parent];
     let rotation = Quat::from_xyzw(x, y, z, w).normalize();

@@ -14,10 +14,10 @@ pub struct Renderer {
     painter: Painter,
 }
 
-/// What holds the splats.
+/// The backend that renders.
 enum Painter {
     Cpu(Box<CpuPainter>),
-    /// With the threads that the processor may use should it have to go on.
+    /// With the number of threads for the processor, should a picture not fit on the GPU.
     #[cfg(feature = "gpu")]
     Gpu(Box<GpuRenderer>, usize),
 }
@@ -28,17 +28,17 @@ struct CpuPainter {
 }
 
 impl Renderer {
-    /// Takes a copy of the splats, to render them on the processor. `threads` is at least 1.
+    /// Renders a copy of the splats on the processor with `threads` threads, at least 1.
     pub fn new(splats: &Splats, threads: usize) -> Self {
         Self { painter: Painter::Cpu(Box::new(CpuPainter::new(splats, threads))) }
     }
 
-    /// Takes a copy of the splats, to render them on what was chosen; `threads` (at least 1) are the processor's.
+    /// Renders a copy of the splats on the chosen device; the processor uses `threads` threads, at least 1.
     pub fn on(choice: DeviceChoice, threads: usize, splats: &Splats) -> Result<Self, DeviceError> {
         Self::by(&choice.open()?, threads, splats)
     }
 
-    /// The same by a device that is open.
+    /// Renders a copy of the splats on an open device.
     pub fn by(device: &Device, threads: usize, splats: &Splats) -> Result<Self, DeviceError> {
         match device {
             Device::Cpu => Ok(Self::new(splats, threads)),
@@ -49,7 +49,7 @@ impl Renderer {
         }
     }
 
-    /// What renders, for people.
+    /// Name of the device for people.
     pub fn device(&self) -> String {
         match &self.painter {
             Painter::Cpu(painter) => painter.backend.device(),
@@ -58,13 +58,13 @@ impl Renderer {
         }
     }
 
-    /// Colour, alpha, depth and normal as the camera sees them. A picture for which a GPU has no room is rendered
-    /// on the processor, and so are those after it. Panics when the GPU is lost: the splats are gone with it.
+    /// Renders colour, alpha, depth and normal. If a picture does not fit on the GPU, this and all later pictures are
+    /// rendered on the processor. Panics when the GPU is lost, and the splats with it.
     pub fn render(&mut self, camera: &Camera) -> Rendering {
         self.try_render(camera).unwrap_or_else(|lost| panic!("{lost}"))
     }
 
-    /// The same; fails when the GPU is lost.
+    /// As [`Self::render`], but fails when the GPU is lost.
     pub fn try_render(&mut self, camera: &Camera) -> Result<Rendering, DeviceError> {
         #[cfg(feature = "gpu")]
         if let Painter::Gpu(painter, _) = &mut self.painter {
@@ -77,13 +77,13 @@ impl Renderer {
         Ok(self.on_cpu().render(camera))
     }
 
-    /// How much the pictures of `cameras` need each splat: Σ (α T)² over all pixels of all of them. The processor
-    /// finds this.
+    /// Importance of each splat to the pictures of `cameras`: Σ (α T)² over all their pixels. Computed on the
+    /// processor.
     pub fn importance(&mut self, cameras: &[Camera]) -> Vec<f32> {
         self.on_cpu().importance(cameras)
     }
 
-    /// The splats on the processor, from now on.
+    /// Moves the splats to the processor, if they are not there.
     fn on_cpu(&mut self) -> &mut CpuPainter {
         #[cfg(feature = "gpu")]
         if let Painter::Gpu(painter, threads) = &self.painter {
@@ -92,7 +92,7 @@ impl Renderer {
         match &mut self.painter {
             Painter::Cpu(painter) => painter,
             #[cfg(feature = "gpu")]
-            Painter::Gpu(..) => unreachable!("it was replaced"),
+            Painter::Gpu(..) => unreachable!("the splats have just moved to the processor"),
         }
     }
 }

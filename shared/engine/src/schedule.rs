@@ -1,9 +1,9 @@
-//! When what happens in a training, fitted to the number of steps asked for: a run of 600 steps ends as well
-//! prepared as one of 30,000.
+//! The schedule of a training, scaled to its number of steps, so that a run of 600 steps goes through the same phases
+//! as one of 30,000.
 
 use crate::backend::AdamRates;
 
-/// Learning rates of 3DGS, which suit its [`REFERENCE_STEPS`]; the mean's is per world unit of scene extent and
+/// Learning rates of 3DGS, tuned for its [`REFERENCE_STEPS`]. The rate of means is per world unit of scene extent and
 /// falls log-linearly to a hundredth.
 const MEAN_RATE: f64 = 1.6e-4;
 const MEAN_RATE_FALL: f64 = 0.01;
@@ -13,64 +13,59 @@ const OPACITY_RATE: f64 = 0.05;
 const SH_DC_RATE: f64 = 0.0025;
 const SH_REST_RATE: f64 = SH_DC_RATE / 20.0;
 
-/// Shorter runs must learn faster: rates grow with `(REFERENCE_STEPS / steps)` to these powers. Found on real
-/// drone pictures at 600 steps, where 3DGS's own rates leave 4 dB behind (19.4 against 24.0 dB held out), most
-/// of it through scales that do not grow in time to close the gaps between sparse points. Opacity and constant
-/// colour gained nothing.
+/// Shorter runs need higher rates: rates grow with `(REFERENCE_STEPS / steps)` to these powers. With the rates of 3DGS,
+/// scales do not grow in time to close the gaps between sparse points (table "Short runs"). Opacity and constant colour
+/// gain nothing from higher rates.
 const MEAN_HASTE: f64 = 0.29;
 const QUAT_HASTE: f64 = 0.41;
 const LOG_SCALE_HASTE: f64 = 0.46;
 const SH_REST_HASTE: f64 = 0.35;
 
-/// From this share of the steps on the other rates fall too, log-linearly to this share of theirs at the end, so
-/// that what was learnt settles. On rendered Boruszyn (240 px, 1,500 steps, surfaces, no pruning) held-out views
-/// have 33.53 dB where it begins at 0.6, 33.65 at 0.7 and 33.73 at 0.8; colours alone 0.3 dB more than without.
-const SETTLE_FROM: f64 = 0.8;
-const SETTLE_FALL: f64 = 0.1;
+/// The cooldown: from this share of the steps on, all rates except that of means fall log-linearly to this share of
+/// their value (table "Cooldown").
+const COOLDOWN_FROM: f64 = 0.8;
+const COOLDOWN_FALL: f64 = 0.1;
 
-/// 3DGS's own length, from which the fractions below are taken.
+/// Number of steps of 3DGS, to which the shares below refer.
 const REFERENCE_STEPS: f64 = 30_000.0;
 
-/// Share of the steps before the losses of the surface begin (CoSurfGS: 7,000 of 30,000).
+/// Share of the steps before the surface losses begin (CoSurfGS: 7,000 of 30,000).
 const SURFACE_FROM: f64 = 7000.0 / 30_000.0;
-/// Share of the steps after which they end, so that colours settle on the surface that there is: splats keep their
-/// shapes from then on. On rendered Boruszyn (240 px, 3,000 steps) held-out views have 35.05 dB where that is 0.9 and
-/// 35.14 dB where it is 0.85, both with shapes that still move; with orientations that stay, 35.10 dB.
+/// Share of the steps after which they end. From then on splats keep their shapes, and colours adapt to the final
+/// surface (table "End of the surface losses").
 const SURFACE_UNTIL: f64 = 0.85;
 
-/// Share of the steps before exposures are learnt (PGSR: 1,000 of 30,000).
+/// Share of the steps before exposures are trained (PGSR: 1,000 of 30,000).
 const EXPOSURE_FROM: f64 = 1000.0 / 30_000.0;
-/// Exposures learn faster in short runs by the same law as the rates above; what is constant over a whole
-/// picture is found from few visits.
+/// Short runs train exposures with a higher rate, by the same law as the rates above.
 const EXPOSURE_HASTE: f64 = 0.41;
 
-/// Looking at all views to find what nobody observes costs as much as half as many steps: runs with fewer steps
-/// per view than this do without.
+/// Finding unobserved splats costs half a step per view; runs with fewer steps per view skip it.
 const OBSERVED_STEPS_PER_VIEW: usize = 10;
 
-/// The plan of a training of `steps` steps.
+/// The schedule of a training.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Schedule {
     /// Steps in all.
     pub steps: u32,
-    /// Steps after which one more SH degree is used.
+    /// Steps between increases of the SH degree in use.
     pub sh_every: u32,
-    /// First step after which splats are added and removed.
+    /// Number of steps before the first refinement, which adds and removes splats.
     pub refine_from: u32,
-    /// Splats are added until this step.
+    /// Number of steps after which refinement ends.
     pub refine_until: u32,
     /// Steps between refinements.
     pub refine_every: u32,
     /// Steps between opacity resets; 0 for none.
     pub reset_every: u32,
-    /// First step (counted from 0) with the losses of the surface.
+    /// First step (counted from 0) with surface losses.
     pub surface_from: u32,
-    /// First step without them again.
+    /// First step after the surface losses.
     pub surface_until: u32,
 }
 
 impl Schedule {
-    /// The plan for a number of steps.
+    /// The schedule for a number of steps.
     pub fn new(steps: u32) -> Self {
         let refine_every = (steps / 30).clamp(20, 100);
         Self {
@@ -79,7 +74,7 @@ impl Schedule {
             refine_from: (steps / 12).clamp(refine_every, 500),
             refine_until: if steps >= REFERENCE_STEPS as u32 { steps / 2 } else { steps / 10 * 6 },
             refine_every,
-            // A reset costs some thousand steps of recovery; shorter runs have none to give.
+            // Recovery from a reset takes some thousand steps, too many for shorter runs.
             reset_every: if steps >= 10_000 { 3000 } else { 0 },
             surface_from: (f64::from(steps) * SURFACE_FROM) as u32,
             surface_until: (f64::from(steps) * SURFACE_UNTIL) as u32,
@@ -91,7 +86,7 @@ impl Schedule {
         (step / self.sh_every).min(stored)
     }
 
-    /// Whether splats are added and removed after this many steps.
+    /// Whether a refinement follows after this many steps.
     pub fn refines_after(&self, steps_done: u32) -> bool {
         steps_done >= self.refine_from
             && steps_done <= self.refine_until
@@ -106,55 +101,55 @@ impl Schedule {
             && steps_done > 0
     }
 
-    /// Whether splats that hardly any of `views` views observes are removed after this many steps: halfway through
-    /// growth, and at its end.
+    /// Whether splats that too few of `views` views observe are removed after this many steps: halfway through growth,
+    /// and at its end.
     pub fn observes_after(&self, steps_done: u32, views: usize) -> bool {
         let span = self.refine_until.saturating_sub(self.refine_from);
         self.steps as usize >= OBSERVED_STEPS_PER_VIEW * views
             && [self.refine_from + span / 2, self.refine_until].contains(&steps_done)
     }
 
-    /// Whether exactly this share of the steps, 0..=1, is done.
+    /// Whether exactly this share (0..=1) of the steps is done.
     pub(crate) fn is_at(&self, share: f64, steps_done: u32) -> bool {
         steps_done == (f64::from(self.steps) * share) as u32
     }
 
-    /// How far growth has come after this many steps, 0..=1.
+    /// Share of the time for growth that has passed after this many steps, 0..=1.
     pub fn growth(&self, steps_done: u32) -> f64 {
         let span = self.refine_until.saturating_sub(self.refine_from).max(1);
         (f64::from(steps_done.saturating_sub(self.refine_from)) / f64::from(span)).clamp(0.0, 1.0)
     }
 
-    /// The smooth weight of the surface's losses at a step (counted from 0), `(t - τ) / T` (CoSurfGS, "Device-side
+    /// The smooth weight of the surface losses at a step (counted from 0), `(t - τ) / T` (CoSurfGS, "Device-side
     /// Training Procedure"); `None` before they begin and after they end.
     pub fn surface_ramp(&self, step: u32) -> Option<f32> {
         let since = step.checked_sub(self.surface_from).filter(|_| step < self.surface_until)?;
         Some((f64::from(since) / f64::from(self.steps.max(1))) as f32)
     }
 
-    /// Whether exposures are learnt at a step (counted from 0).
-    pub fn exposes(&self, step: u32) -> bool {
+    /// Whether exposures are trained at a step (counted from 0).
+    pub fn trains_exposures(&self, step: u32) -> bool {
         f64::from(step) >= f64::from(self.steps) * EXPOSURE_FROM
     }
 
-    /// By what factor exposures learn faster than in a run of 3DGS's own length.
+    /// Factor on the rate of exposures, compared with a run as long as that of 3DGS.
     pub fn exposure_haste(&self) -> f64 {
         self.shortness().powf(EXPOSURE_HASTE)
     }
 
-    /// How many times shorter than 3DGS's own length this is, at least 1.
+    /// How many times shorter than that of 3DGS this run is, at least 1.
     fn shortness(&self) -> f64 {
         (REFERENCE_STEPS / f64::from(self.steps.max(1))).max(1.0)
     }
 
-    /// Learning rates of a step (counted from 0) in a scene of this extent.
+    /// Learning rates of a step (counted from 0) in a scene of this extent, world units.
     pub fn rates(&self, step: u32, extent: f64) -> AdamRates {
         let progress = f64::from(step) / f64::from(self.steps.max(1));
         let mean = MEAN_RATE * MEAN_RATE_FALL.powf(progress);
         let shortness = self.shortness();
-        let settled = SETTLE_FALL.powf(((progress - SETTLE_FROM) / (1.0 - SETTLE_FROM)).max(0.0));
+        let cooldown = COOLDOWN_FALL.powf(((progress - COOLDOWN_FROM) / (1.0 - COOLDOWN_FROM)).max(0.0));
         let hasty = |rate: f64, haste: f64| rate * shortness.powf(haste);
-        let rate = |rate: f64, haste: f64| (settled * hasty(rate, haste)) as f32;
+        let rate = |rate: f64, haste: f64| (cooldown * hasty(rate, haste)) as f32;
         AdamRates {
             mean: hasty(mean * extent, MEAN_HASTE) as f32,
             quat: rate(QUAT_RATE, QUAT_HASTE),

@@ -1,9 +1,9 @@
-//! Vectors of `f32`, one meaning on every processor: AVX-512, AVX2, NEON or plain Rust, chosen when
-//! the program starts, so that nobody needs a compiler flag.
+//! Vectors of `f32` with the same operations on every processor: AVX-512, AVX2, NEON or plain Rust, chosen when the
+//! program starts, so that no compiler flag is needed.
 //!
-//! A pass writes its inner loop once, as a [`Kernel`] generic over [`Lanes`]; [`Isa::run`] calls it
-//! compiled for the chosen instruction set. Everything between `run` and the leaves is
-//! `#[inline(always)]`: that is what lets the compiler use the wider instructions there.
+//! A pass writes its inner loop once, as a [`Kernel`] that is generic over [`Lanes`]; [`Isa::run`] calls the version
+//! that is compiled for the chosen instruction set. All functions between `run` and the intrinsics are
+//! `#[inline(always)]`, or the compiler could not use the wider instructions in them.
 
 #[cfg(target_arch = "x86_64")]
 mod avx2;

@@ -1,4 +1,4 @@
-//! Training: one step reads as its list of passes.
+//! Training: one step reads as a list of passes.
 
 use cosurf_scene::Camera;
 
@@ -18,24 +18,23 @@ pub(crate) const SSIM_WEIGHT: f32 = 0.2;
 /// Opacity after a reset (3DGS).
 const RESET_OPACITY: f32 = 0.01;
 
-/// How the surface is trained (CoSurfGS, "Device-side Training Procedure").
+/// Settings of the surface losses (CoSurfGS, "Device-side Training Procedure").
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SurfaceSettings {
-    /// λ₁: weight of the mean shortest scale, as a share of the scene's extent.
+    /// λ₁: weight of the mean shortest scale, divided by the scene's extent.
     pub scale: f32,
-    /// β₂: weight of the single-view normal loss at the end of an endless ramp. The paper has 0.01. On rendered Boruszyn
-    /// (240 px, 3,000 steps) 0.05 instead of 0.04 turns normals by 0.05° (median) nearer to the truth at 0.1 dB less.
+    /// β₂: weight of the single-view normal loss at the end of the ramp. The paper has 0.01; a higher weight improves
+    /// normals and lowers PSNR (table "Weights of the surface losses").
     pub normal: f32,
-    /// Of the reprojection error.
+    /// Weight of the reprojection error.
     pub reprojection: f32,
-    /// Of `1 - NCC²`. The paper has 0.2. On rendered Boruszyn (240 px, 3,000 steps) 1 gives an F-score of 0.896 and normals
-    /// off by 6.9° (median), 1.5 one of 0.902 and 6.9° at 0.2 dB less.
+    /// Weight of `1 - NCC²`. The paper has 0.2; a higher weight improves the surface and lowers PSNR (table "Weights of
+    /// the surface losses").
     pub ncc: f32,
-    /// Whether the weights grow from nothing (the paper's smooth weight) or are what they are from the start.
+    /// Whether the weights grow from 0 (the paper's smooth weight) or are constant.
     pub smooth: bool,
-    /// One pixel in each square of this side is compared with the neighbour: 1, 2, 4, 8 or 16 px. By 4 instead of 2,
-    /// normals of the built-in town (320 px, 3,000 steps) are off by 10.0° (median) instead of 9.7°, those of rendered
-    /// Boruszyn (240 px) by 7.3° instead of 7.2°.
+    /// Side of the square cells in each of which one pixel is compared with the neighbour: 1, 2, 4, 8 or 16 px. Larger
+    /// cells save time and give slightly worse normals (table "Patch size").
     pub cell_px: u32,
 }
 
@@ -48,11 +47,11 @@ impl Default for SurfaceSettings {
 /// Adaptive Gaussian Pruning (CoSurfGS).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PruneSettings {
-    /// φ: share of the splats that go, 0..1.
+    /// φ: share of the splats that is removed, 0..1.
     pub ratio: f64,
-    /// Share of the steps after which they go, 0..=1.
+    /// Share of the steps after which they are removed, 0..=1.
     pub at: f64,
-    /// What decides.
+    /// Formula for the importance.
     pub score: PruneScore,
 }
 
@@ -63,58 +62,58 @@ impl Default for PruneSettings {
     }
 }
 
-/// Where a training looks from.
+/// The views of a training.
 #[derive(Clone, Debug, Default)]
 pub struct TrainingViews {
-    /// The cameras trained on.
+    /// Cameras of the photographs.
     pub cameras: Vec<Camera>,
-    /// Which of them may be compared.
+    /// Which of them may be compared with each other.
     pub neighbours: Neighbours,
 }
 
-/// What a step learns from.
+/// The input of one step.
 #[derive(Clone, Copy, Debug)]
 pub struct Example<'a> {
     /// Index of the view.
     pub view: usize,
-    /// Its photograph, or a teacher's rendering.
+    /// Photograph of the view.
     pub rgb: TargetRgb<'a>,
-    /// The view of [`Trainer::neighbour_index`], where it names one, and its colours.
+    /// The neighbour that [`Trainer::neighbour_index`] names, if any, with its photograph.
     pub neighbour: Option<(usize, TargetRgb<'a>)>,
 }
 
-/// What a training is told.
+/// Settings of a training.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrainSettings {
-    /// When what happens.
+    /// Phases and learning rates.
     pub schedule: Schedule,
     /// Scene extent: 1.1 × the largest distance of a camera from their mean, world units.
     pub extent: f64,
     /// Stored SH degree.
     pub sh_degree: u32,
-    /// How the surface is trained; `None` for colour only.
+    /// Surface losses; `None` trains colours only.
     pub surface: Option<SurfaceSettings>,
-    /// How the model is pruned; `None` for not at all.
+    /// Pruning; `None` for no pruning.
     pub prune: Option<PruneSettings>,
-    /// Whether each photograph has an exposure of its own.
+    /// Whether to train an exposure for each photograph.
     pub exposure: bool,
-    /// Views that must observe a splat for it to stay (PGSR: 2). Fewer where the model is one of several: what a
-    /// single view of it observes, views of the others may observe as well.
+    /// Smallest number of views that must observe a splat, or it is removed (PGSR: 2). May be 1 if the model is one of
+    /// several: views of other models may observe the splat as well.
     pub observers_min: u32,
-    /// Most splats that refinement may make; the backend's capacity bounds it as well.
+    /// Largest number of splats after refinement; the backend's capacity is a limit as well.
     pub splats_max: usize,
     /// Seed of every random choice.
     pub seed: u64,
 }
 
-/// What a step did.
+/// Result of a step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct StepOutcome {
-    /// The loss of the colours before the step.
+    /// Colour losses before the step.
     pub loss: PhotometricLoss,
-    /// The losses of the surface before the step, zero where they did not count.
+    /// Surface losses before the step; zero in steps without them.
     pub surface: SurfaceLoss,
-    /// What was blended.
+    /// Counts of the binning pass.
     pub counts: BinCounts,
 }
 
@@ -174,19 +173,19 @@ pub struct Trainer<B> {
     splats_at_start: usize,
 }
 
-/// How far a training has come; with what [`Trainer::export`] visits, this is a checkpoint.
+/// Progress of a training; together with the numbers that [`Trainer::export`] visits, a checkpoint.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Progress {
     /// Steps done.
     pub steps_done: u32,
-    /// Splats there were at step 0.
+    /// Number of splats at step 0.
     pub splats_at_start: usize,
-    /// Splats there are now.
+    /// Number of splats now.
     pub splats: usize,
 }
 
 impl<B: Backend> Trainer<B> {
-    /// Begins with what the backend holds.
+    /// Starts with the splats that the backend holds.
     pub fn new(backend: B, settings: TrainSettings, views: TrainingViews) -> Self {
         let haste = settings.schedule.exposure_haste();
         let exposures = settings.exposure.then(|| Exposures::new(views.cameras.len(), haste));
@@ -199,20 +198,20 @@ impl<B: Backend> Trainer<B> {
         self.steps_done
     }
 
-    /// How far the training has come.
+    /// Progress of the training.
     pub fn progress(&self) -> Progress {
         let Self { steps_done, splats_at_start, .. } = *self;
         Progress { steps_done, splats_at_start, splats: self.backend.len() }
     }
 
-    /// Visits everything that the training has learnt, in a fixed order, in pieces. Stops at the first error.
+    /// Visits all trained numbers in a fixed order, in pieces. Stops at the first error.
     pub fn export<E>(&self, mut visit: impl FnMut(&[f32]) -> Result<(), E>) -> Result<(), E> {
         self.backend.export(&mut visit)?;
         self.exposures.iter().try_for_each(|exposures| exposures.export(&mut visit))
     }
 
-    /// Goes on from where a training with the same settings was: `fill` is called with the pieces that
-    /// [`Trainer::export`] visited there. Panics beyond the backend's capacity.
+    /// Resumes a training with the same settings: `fill` is called for the pieces that [`Trainer::export`] visited, in
+    /// the same order. Panics beyond the backend's capacity.
     pub fn import<E>(
         &mut self,
         progress: Progress,
@@ -228,22 +227,22 @@ impl<B: Backend> Trainer<B> {
         self.steps_done >= self.settings.schedule.steps
     }
 
-    /// What holds the splats.
+    /// The backend that holds the splats.
     pub fn backend(&self) -> &B {
         &self.backend
     }
 
-    /// Gives the backend back.
+    /// Returns the backend.
     pub fn into_backend(self) -> B {
         self.backend
     }
 
-    /// The cameras trained on.
+    /// Cameras of the photographs.
     pub fn cameras(&self) -> &[Camera] {
         &self.views.cameras
     }
 
-    /// Which view the step after `ahead` more steps learns from: every epoch is a new order of all views.
+    /// The view of the step that comes `ahead` steps later. Each epoch visits all views in a new order.
     pub fn view_index(&self, ahead: u32) -> usize {
         let views = self.views.cameras.len();
         let step = u64::from(self.steps_done + ahead);
@@ -251,7 +250,7 @@ impl<B: Backend> Trainer<B> {
         view_order(self.settings.seed, epoch, views)[place as usize]
     }
 
-    /// Which view the step after `ahead` more steps compares `view` with, if it does.
+    /// The neighbour that the step `ahead` steps later compares `view` with, if any.
     pub fn neighbour_index(&self, view: usize, ahead: u32) -> Option<usize> {
         let step = self.steps_done + ahead;
         self.settings.surface?;
@@ -259,7 +258,8 @@ impl<B: Backend> Trainer<B> {
         self.views.neighbours.draw(view, self.settings.seed, step)
     }
 
-    /// One step: learns from one view, and refines when the schedule says so.
+    /// Trains one step on one view; refines, removes unobserved splats, prunes and resets opacities when the schedule
+    /// says so.
     pub fn step(&mut self, example: &Example) -> StepOutcome {
         let TrainSettings { schedule, sh_degree, .. } = self.settings;
         let step = self.steps_done;
@@ -281,7 +281,7 @@ impl<B: Backend> Trainer<B> {
         backend.project_backward();
         backend.adam(&rates);
         if let Some(exposures) = &mut self.exposures {
-            exposures.learn(example.view, &losses.color, schedule.exposes(step));
+            exposures.update(example.view, &losses.color, schedule.trains_exposures(step));
         }
         self.steps_done += 1;
         if schedule.refines_after(self.steps_done) {
@@ -301,7 +301,7 @@ impl<B: Backend> Trainer<B> {
         StepOutcome { loss: losses.color, surface: losses.surface, counts }
     }
 
-    /// What counts how much at a step.
+    /// Loss weights of a step.
     fn weights(&self, step: u32) -> LossWeights {
         let TrainSettings { schedule, extent, surface, seed, .. } = self.settings;
         let scale = surface.map_or(0.0, |surface| f64::from(surface.scale) / extent) as f32;
@@ -320,11 +320,11 @@ impl<B: Backend> Trainer<B> {
         LossWeights { ssim: SSIM_WEIGHT, scale, surface, teacher: None }
     }
 
-    /// How fast what learns at a step.
+    /// Learning rates of a step.
     fn rates(&self, step: u32) -> AdamRates {
         let TrainSettings { schedule, extent, surface, .. } = self.settings;
         let rates = schedule.rates(step, extent);
-        // Nothing but colours would turn and stretch the splats any more.
+        // Without surface losses, colours alone would rotate and stretch the splats.
         let shaped = surface.is_some() && step >= schedule.surface_until;
         if shaped { AdamRates { quat: 0.0, log_scale: 0.0, ..rates } } else { rates }
     }
@@ -341,7 +341,7 @@ impl<B: Backend> Trainer<B> {
 
     fn refine(&mut self) {
         let TrainSettings { schedule, extent, splats_max, seed, .. } = self.settings;
-        // Growth is spread over the whole time of refinement, so that early splats learn before they divide.
+        // Growth is spread over all refinements, so that early splats are trained before they divide.
         let end = splats_max.min(self.backend.capacity());
         let room = end.saturating_sub(self.splats_at_start) as f64 * schedule.growth(self.steps_done);
         let limits = RefineLimits {
@@ -356,7 +356,7 @@ impl<B: Backend> Trainer<B> {
     }
 }
 
-/// What an example's rendering should look like.
+/// The targets of an example.
 fn targets<'a>(example: &Example<'a>, exposures: Option<&Exposures>) -> Targets<'a> {
     Targets {
         exposure: exposures.map_or_else(Exposure::default, |exposures| exposures.of(example.view)),

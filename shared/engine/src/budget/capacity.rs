@@ -4,11 +4,11 @@ use cosurf_scene::{Camera, Splats};
 
 use crate::backend::Channels;
 
-/// Splat–tile pairs that there is room for, per splat. Aerial scenes need 2 to 4 per splat in the whole
-/// model; a view that needs more loses its farthest splats, and the report says so. A renderer grows instead.
+/// Capacity for splat–tile pairs, per splat of the whole model. Aerial scenes need 2 to 4. A view that needs more loses
+/// its farthest splats, and the report says so; a renderer grows instead.
 pub const PAIRS_PER_SPLAT: usize = 4;
 
-/// The same where every camera shows most of the model, as in distillation and scoring.
+/// The same where each camera sees most of the model, as in distillation and scoring.
 pub const PAIRS_PER_SEEN_SPLAT: usize = PAIRS_PER_SPLAT + 1;
 
 /// Sizes of a backend's buffers, decided before anything is allocated.
@@ -22,14 +22,14 @@ pub struct Capacity {
     pub size_px: [u32; 2],
     /// Stored SH degree, 0..=3.
     pub sh_degree: u32,
-    /// Channels that will be asked for.
+    /// Channels that will be blended.
     pub channels: Channels,
-    /// Whether the optimiser's buffers are wanted; false for rendering only.
+    /// True to train; false to render only, without the buffers of the optimiser.
     pub training: bool,
 }
 
 impl Capacity {
-    /// Room to train or to score `splats` under `cameras`.
+    /// Capacity to train or to score `splats` under `cameras`.
     pub fn to_train(splats: &Splats, cameras: &[Camera], channels: Channels) -> Self {
         Self {
             splats: splats.len(),
@@ -41,7 +41,7 @@ impl Capacity {
         }
     }
 
-    /// Room to render models of an SH degree on the CPU; splats and pairs are not counted yet.
+    /// Capacity to render models of an SH degree; splats and pairs are 0, and pictures grow.
     pub fn to_render(sh_degree: u32) -> Self {
         Self {
             splats: 0,

@@ -6,8 +6,8 @@ use crate::layout::planes::{PLANES_GEOMETRY, planes};
 use crate::layout::rows::{GRADIENT_ROWS, RECORD_LEN, SCORE_ROWS, STAT_ROWS, parameter_rows, sh_rows};
 use crate::layout::tiles::{padded_pixels, plane_len};
 
-/// What graphics cards take of the process beside all buffers: drivers, compiled passes, staging. Mesa's software
-/// driver takes 240 MiB while it trains, 30 MiB when it is only looked for.
+/// Bytes of the process for a graphics card, beside all buffers: driver, compiled passes, staging memory. Measured with
+/// Mesa's software driver during training.
 pub const DRIVER_BYTES: u64 = 256 << 20;
 
 /// Bytes of the record of one splat–tile pair.
@@ -25,35 +25,35 @@ pub(crate) const PARTIALS: usize = 9;
 /// Numbers for each pixel on a graphics card: what a teacher shows, as depth, trust and normal.
 pub(crate) const TAUGHT_NUMBERS: usize = 5;
 
-/// Bytes that a backend takes.
+/// Memory of a backend, bytes.
 #[derive(Clone, Copy, Debug)]
 pub struct Costs {
-    /// Beside all buffers: of the driver.
+    /// Bytes of the driver.
     pub(super) driver: u64,
-    /// Of the pictures.
+    /// Bytes of the pictures.
     pub pictures: usize,
-    /// Of a splat.
+    /// Bytes of a splat.
     pub splat: usize,
-    /// Of a splat–tile pair.
+    /// Bytes of a splat–tile pair.
     pub pair: usize,
     binding: Option<Binding>,
 }
 
-/// What bounds the buffers of a graphics card, bytes.
+/// Bytes in the largest buffers of a graphics card.
 #[derive(Clone, Copy, Debug)]
 struct Binding {
-    /// Of the largest buffer of pictures.
+    /// Bytes of the largest buffer of pictures.
     pictures: usize,
-    /// Of a splat and of a pair in the largest of their buffers.
+    /// Bytes of a splat and of a pair in the largest buffer of each.
     splat: usize,
     pair: usize,
-    /// What the card binds at once.
+    /// Bytes of the largest buffer that the card can bind.
     most: u64,
 }
 
 impl Costs {
-    /// Of a backend with the pictures, the SH degree and the channels of `capacity`; where `binding_bytes_max` is given,
-    /// on a graphics card that binds at most so many bytes at once.
+    /// Costs of a backend with the pictures, SH degree and channels of `capacity`: of the CPU, or with
+    /// `binding_bytes_max` of a graphics card that can bind buffers of so many bytes.
     pub fn of(capacity: &Capacity, binding_bytes_max: Option<u64>) -> Self {
         match binding_bytes_max {
             Some(most) => Self::on_gpu(capacity, most),
@@ -112,13 +112,14 @@ impl Costs {
         }
     }
 
-    /// Most splats, with so many pairs each, of which no buffer is larger than what the graphics card binds.
+    /// Largest number of splats, with so many pairs each, whose buffers the graphics card can bind.
     pub fn splats_max(&self, pairs_per_splat: usize) -> usize {
         let Some(Binding { splat, pair, most, .. }) = self.binding else { return usize::MAX };
         (most / splat.max(pairs_per_splat * pair) as u64) as usize
     }
 
-    /// Bytes of the largest buffer of pictures and of what the graphics card binds, where that is less.
+    /// Bytes of the largest buffer of pictures, and of the largest buffer that the graphics card can bind, if that is
+    /// smaller.
     pub(super) fn unbindable_picture(&self) -> Option<(u64, u64)> {
         let Binding { pictures, most, .. } = self.binding?;
         (pictures as u64 > most).then_some((pictures as u64, most))

@@ -1,4 +1,4 @@
-//! The CPU as a [`Backend`]: all buffers, allocated once, and the passes on a pool of threads of its own.
+//! The CPU as a [`Backend`]: buffers that are allocated once, and a thread pool for the passes.
 
 use cosurf_scene::{Camera, Splats};
 
@@ -66,7 +66,7 @@ pub struct CpuBackend {
     records: Vec<Record>,
     photometric: Photometric,
     surface: Surface,
-    /// Weight of the scale loss in the backward pass that comes.
+    /// Weight of the scale loss in the next backward pass.
     pub(super) scale_weight: f32,
 }
 
@@ -109,7 +109,7 @@ impl CpuBackend {
         }
     }
 
-    /// Makes room for this many splat–tile pairs in one view.
+    /// Sets the capacity for splat–tile pairs of one view; the lists grow when they are filled.
     pub(crate) fn set_pair_capacity(&mut self, pairs: usize) {
         self.lists.set_capacity(pairs);
     }

@@ -1,9 +1,9 @@
-//! The binning pass: which splats each tile must blend, nearest first.
+//! The binning pass: the list of splats that each tile blends, nearest first.
 //!
-//! Splats are sorted by depth once; then tile lists are filled in that order, so no list is sorted
-//! again. A splat reaches exactly the tiles that its ellipse (alpha of at least 1/255) touches: for
-//! each row of tiles, the ellipse's reach within the band of pixel centres is worked out in closed
-//! form. Counting and filling read the same spans, so they cannot disagree.
+//! Splats are sorted by depth once, and the lists are filled in that order, so that no list needs sorting. A splat is
+//! in the lists of exactly the tiles that its ellipse (alpha of at least 1/255) touches: for each row of tiles, the
+//! extent of the ellipse within the pixel centres of the row is computed in closed form. Counting and filling use the
+//! same spans.
 
 use std::sync::atomic::{AtomicU32, Ordering};
 
@@ -16,28 +16,28 @@ use crate::layout::tiles::{TILE, TileImage};
 use crate::layout::view::ViewParams;
 use crate::simd::GROUP;
 
-/// Spans for which a run has room from the start, per splat; a view that needs more makes its runs grow once.
+/// Initial capacity for spans, per splat of a run; a run with more spans grows once.
 const SPANS_PER_SPLAT: usize = 3;
 
-/// Depth-sorted splats are cut into this many runs for the threads; the result does not depend on it.
+/// Number of runs into which the depth-sorted splats are divided for the threads; the result does not depend on it.
 const RUNS: usize = 16;
 
-/// Jobs in which the lists are filled, each for some rows of tiles; the result does not depend on it. Every job
-/// reads all spans, so more jobs than threads cost time.
+/// Number of jobs that fill the lists, each for some rows of tiles; the result does not depend on it. Every job reads
+/// all spans, so more jobs than threads cost time.
 const JOBS: usize = 6;
 
 /// Tiles that one splat touches in one row of tiles.
 #[derive(Clone, Copy, Debug)]
 struct Span {
     id: u32,
-    /// Where this span's tiles begin among all splat–tile pairs of the run, in depth order.
+    /// First slot of the span: its place among all splat–tile pairs of the run, in depth order.
     slot: u32,
     tile_y: u16,
     tile_x: u16,
     count: u16,
 }
 
-/// A splat and how many pairs it has.
+/// A splat and its number of pairs.
 #[derive(Clone, Copy, Debug)]
 struct Touched {
     id: u32,
@@ -52,7 +52,7 @@ struct Run {
     pairs: u32,
 }
 
-/// Tile lists, and where each splat's pairs are in them.
+/// Tile lists, and the places of each splat's pairs in them.
 #[derive(Debug)]
 pub(crate) struct TileLists {
     capacity: usize,
@@ -61,11 +61,11 @@ pub(crate) struct TileLists {
     ids: Vec<u32>,
     /// Tile `t` owns `ids[starts[t]..starts[t + 1]]`.
     starts: Vec<u32>,
-    /// By tile: where the next entry goes while the lists are filled.
+    /// By tile: place of the next entry while the lists are filled.
     next: Vec<u32>,
     /// By splat id: first slot and number of slots.
     slots: Vec<[u32; 2]>,
-    /// By slot: index into `ids`. A splat's slots are contiguous. Each is written by one thread only.
+    /// By slot: index into `ids`. A splat's slots are contiguous. Each entry is written by one thread only.
     index_of_slot: Vec<AtomicU32>,
     keys: Vec<u64>,
     keys_swap: Vec<u64>,
@@ -95,7 +95,7 @@ impl TileLists {
         self.capacity = pairs;
     }
 
-    /// Ids of the splats that tile `tile` must blend, nearest first.
+    /// Ids of the splats that a tile blends, nearest first.
     pub(crate) fn list(&self, tile: usize) -> &[u32] {
         &self.ids[self.starts[tile] as usize..self.starts[tile + 1] as usize]
     }
@@ -109,7 +109,7 @@ impl TileLists {
         self.ids.len()
     }
 
-    /// Indices, in the order of the tile lists, of the pairs of splat `id`; always the same order.
+    /// Indices into the tile lists of the pairs of splat `id`, in a fixed order.
     pub(crate) fn pairs_of(&self, id: usize) -> impl Iterator<Item = usize> + '_ {
         let [first, count] = self.slots[id];
         self.index_of_slot[first as usize..(first + count) as usize]
@@ -117,7 +117,7 @@ impl TileLists {
             .map(|index| index.load(Ordering::Relaxed) as usize)
     }
 
-    /// Bins what `projection` says is visible.
+    /// Bins the visible splats.
     pub(crate) fn fill(&mut self, projection: &Projection, view: &ViewParams) -> BinCounts {
         self.tiles = view.tiles();
         self.sort_by_depth(projection);
@@ -135,7 +135,7 @@ impl TileLists {
             while left != 0 {
                 let id = block * GROUP + left.trailing_zeros() as usize;
                 left &= left - 1;
-                // Positive floats sort like their bits.
+                // Positive floats have the same order as their bits.
                 self.keys.push(u64::from(projection.depths[id].to_bits()) << 32 | id as u64);
             }
         }
@@ -157,7 +157,7 @@ impl TileLists {
         });
     }
 
-    /// Gives each splat its slots, in depth order; forgets those beyond the capacity.
+    /// Assigns slots to the splats in depth order; drops the pairs beyond the capacity.
     fn assign_slots(&mut self, splats: usize) -> BinCounts {
         self.slots.clear();
         self.slots.resize(splats, [0, 0]);
@@ -237,7 +237,7 @@ impl TileLists {
     }
 }
 
-/// Calls `visit(row - first, span)` for the spans in `rows` rows of tiles from `first`, nearest first.
+/// Calls `visit(row - first, span)` for the spans in the tile rows `first..first + rows`, nearest first.
 fn for_each_span(runs: &[Run], first: usize, rows: usize, mut visit: impl FnMut(usize, &Span)) {
     for span in runs.iter().flat_map(|run| &run.spans) {
         let row = (span.tile_y as usize).wrapping_sub(first);
@@ -274,8 +274,8 @@ impl Run {
 /// Pixels `i` with centres `i + 0.5` in `[low, high]`, clipped to `0..size`; `None` if there are none.
 #[inline]
 fn pixels_between(low: f32, high: f32, size: u32) -> Option<(usize, usize)> {
-    // Casts that cut off are an instruction; `ceil` and `floor` are calls on a baseline x86-64. Both ends are
-    // moved into the range where cutting off is rounding down; infinities and NaN are harmless in casts.
+    // Truncating casts are one instruction; `ceil` and `floor` are calls on baseline x86-64. Both ends are clamped to
+    // the range in which truncation rounds down; casts of infinities and NaN saturate.
     let low = (low - 0.5 - SLACK_PX).max(-1.0).min(size as f32);
     let first = low as i32 + i32::from(low > (low as i32) as f32);
     let last = (high - 0.5 + SLACK_PX).max(-1.0).min(size as f32 - 1.0);
@@ -283,8 +283,8 @@ fn pixels_between(low: f32, high: f32, size: u32) -> Option<(usize, usize)> {
     (first.max(0) <= last).then_some((first.max(0) as usize, last as usize))
 }
 
-/// Calls `visit(tile_y, first tile_x, last tile_x)` for each row of tiles that the splat's ellipse
-/// (falloff of at most `falloff_max`) touches at a pixel centre's reach.
+/// Calls `visit(tile_y, first tile_x, last tile_x)` for each row of tiles in which the splat's ellipse (falloff of at
+/// most `falloff_max`) contains a pixel centre.
 #[inline]
 fn visit_spans(splat: &Projected, size_px: [u32; 2], mut visit: impl FnMut(usize, usize, usize)) {
     let [mean_x, mean_y] = splat.mean_px;
@@ -293,8 +293,8 @@ fn visit_spans(splat: &Projected, size_px: [u32; 2], mut visit: impl FnMut(usize
     let Some((top, bottom)) = pixels_between(mean_y - extent_y, mean_y + extent_y, size_px[1]) else {
         return;
     };
-    // At height dy the ellipse spans center * dy ± half * sqrt(1 - (dy / extent_y)²); it is widest to
-    // the right at dy = rightmost, to the left at dy = -rightmost.
+    // At height dy the ellipse spans center * dy ± half * sqrt(1 - (dy / extent_y)²). It extends furthest to the right
+    // at dy = rightmost, and to the left at dy = -rightmost.
     let center = -0.5 * b / half_a;
     let half = (splat.falloff_max / half_a).sqrt();
     let rightmost = -0.5 * b / half_c * extent_x;
@@ -313,7 +313,7 @@ fn visit_spans(splat: &Projected, size_px: [u32; 2], mut visit: impl FnMut(usize
     }
 }
 
-/// Stable sort by the upper 32 bits, 11 bits at a time; passes whose digit is the same everywhere are skipped.
+/// Stable sort by the upper 32 bits, 11 bits at a time; skips passes in which all keys have the same digit.
 fn radix_sort_by_high_half(keys: &mut Vec<u64>, swap: &mut Vec<u64>) {
     const BITS: u32 = 11;
     const BUCKETS: usize = 1 << BITS;

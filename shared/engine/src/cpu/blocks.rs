@@ -1,9 +1,7 @@
-//! Where splats live while they are trained: blocks of 16 splats, and in a block one [`Row`] for
-//! each parameter, so that a pass loads 16 splats' worth of a parameter with one instruction and a
-//! block that no camera sees costs nothing.
+//! Tables of splats: blocks of 16 splats with one [`Row`] for each number, so that a pass loads a parameter of 16
+//! splats with one instruction and skips blocks that no camera sees.
 //!
-//! Measured against 59 separate arrays: the same arithmetic, but one stretch of memory to prefetch
-//! instead of 59.
+//! A block is one contiguous stretch of memory to prefetch; with one array per number there would be 59.
 
 use cosurf_scene::Splats;
 
@@ -32,7 +30,7 @@ impl Blocks {
         self.stride
     }
 
-    /// Changes the number of splats within the capacity; new values are zero.
+    /// Changes the number of splats, within the capacity; new values are zero.
     pub(crate) fn resize(&mut self, len: usize) {
         self.rows.resize(len.div_ceil(GROUP) * self.stride, Row::ZERO);
         self.len = len;
@@ -81,8 +79,8 @@ impl Blocks {
     }
 }
 
-/// Fills `blocks` with the parameters of `splats`, in the blocks' own SH degree: missing
-/// coefficients are zero, superfluous ones are dropped.
+/// Fills `blocks` with the parameters of `splats`, in the SH degree of the blocks: missing coefficients become zero,
+/// additional ones are dropped.
 pub(crate) fn store_splats(blocks: &mut Blocks, splats: &Splats) {
     blocks.resize(0);
     blocks.resize(splats.len());
@@ -101,7 +99,7 @@ pub(crate) fn store_splats(blocks: &mut Blocks, splats: &Splats) {
     }
 }
 
-/// Reads splats back out of blocks that were laid out for `sh_degree`.
+/// Reads the splats from blocks with SH degree `sh_degree`.
 pub(crate) fn load_splats(blocks: &Blocks, sh_degree: u32) -> Splats {
     let mut splats = Splats::with_capacity(blocks.len(), sh_degree);
     let mut sh = vec![0.0; splats.sh_stride()];

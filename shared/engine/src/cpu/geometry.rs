@@ -1,21 +1,21 @@
-//! From parameters to a 2D Gaussian and a plane: what projection and its backward pass share.
-//! Formulas: EWA splatting as in 3DGS; the plane as in PGSR.
+//! From parameters to a 2D Gaussian and a plane, for projection and its backward pass. EWA splatting as in 3DGS, the
+//! plane as in PGSR.
 
 use crate::layout::constants::LOW_PASS_PX2;
 use crate::layout::view::ViewParams;
 use crate::simd::{Lanes, dot3, each};
 
-/// Everything between a splat's parameters and its conic.
+/// Intermediate results between a splat's parameters and its conic.
 #[derive(Clone, Copy)]
 pub(crate) struct Geometry<L: Lanes> {
     /// Centre in the camera frame.
     pub(crate) t: [L; 3],
     pub(crate) inv_z: L,
-    /// Slopes `x / z`, `y / z` after clamping.
+    /// Slopes `x / z` and `y / z` after clamping.
     pub(crate) slope: [L; 2],
-    /// Where a slope was clamped.
+    /// True where a slope was clamped.
     pub(crate) clamped: [L::Mask; 2],
-    /// Unit quaternion wxyz, and 1 / its former length.
+    /// Unit quaternion wxyz, and 1 / length before normalisation.
     pub(crate) q: [L; 4],
     pub(crate) inv_norm: L,
     /// `cam_from_splat` rotation, `u[row][axis]`.
@@ -78,7 +78,7 @@ pub(crate) fn geometry<L: Lanes>(
     let cov_of = |p: [L; 3], q: [L; 3]| dot3([p[0] * variance[0], p[1] * variance[1], p[2] * variance[2]], q);
     let low_pass = c(LOW_PASS_PX2);
     let bare = [cov_of(b[0], b[0]), cov_of(b[0], b[1]), cov_of(b[1], b[1])];
-    // det(S Sᵀ + λ I) = |s0 × s1|² + λ tr + λ²: no cancellation for needles, unlike ac - b².
+    // det(S Sᵀ + λ I) = |s0 × s1|² + λ tr + λ²: unlike ac - b², this has no cancellation for very thin splats.
     let s = each!([0, 1], |a| each!([0, 1, 2], |axis| b[a][axis] * scale[axis]));
     let cross = [
         s[0][1] * s[1][2] - s[0][2] * s[1][1],
@@ -90,20 +90,20 @@ pub(crate) fn geometry<L: Lanes>(
     Geometry { t, inv_z, slope, clamped, q, inv_norm, u, variance, b, cov, det }
 }
 
-/// The plane of a splat: its shortest axis in the camera frame, turned towards the camera.
+/// The plane of a splat; its normal is the shortest axis in the camera frame, pointing towards the camera.
 #[derive(Clone, Copy)]
 pub(crate) struct Plane<L: Lanes> {
     /// Unit normal, camera frame, `n · t < 0`.
     pub(crate) normal: [L; 3],
     /// Distance of the plane from the camera centre, positive.
     pub(crate) distance: L,
-    /// Which axis it is, as masks; exactly one is true in each lane.
+    /// The shortest axis, as masks of which exactly one is true in each lane.
     pub(crate) axis: [L::Mask; 3],
-    /// +1 or -1: the sign given to the axis.
+    /// +1 or -1: the sign of the normal relative to the axis.
     pub(crate) sign: L,
 }
 
-/// Which axis is the shortest: exactly one, ties go to the later.
+/// The shortest axis, as masks of which exactly one is true; of equals the later axis.
 #[inline(always)]
 pub(crate) fn shortest_axis<L: Lanes>(log_scale: [L; 3]) -> [L::Mask; 3] {
     let [s0, s1, s2] = log_scale;

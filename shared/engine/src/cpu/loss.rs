@@ -1,10 +1,9 @@
-//! The loss pass: `(1 - λ) L1 + λ (1 - SSIM)` on colours, and the gradient of both, in one sweep. L1 compares
-//! the picture as the photograph was exposed, SSIM as it is.
+//! The colour loss `(1 - λ) L1 + λ (1 - SSIM)` and its gradient, in one sweep. L1 compares the exposed rendering, SSIM
+//! the rendering itself.
 //!
-//! SSIM as in 3DGS: 11 × 11 Gaussian window, σ 1.5, zeros outside the picture. The window is separable;
-//! a band of the picture runs through two rings of 11 filtered lines each (first the five moments, then
-//! the three partial derivatives), so scratch memory stays in the second-level cache whatever the
-//! picture's size.
+//! SSIM as in 3DGS: 11 × 11 Gaussian window, σ 1.5, zeros outside the picture. The window is separable. A band of the
+//! picture passes through two rings of 11 filtered lines (first the five moments, then the three partial derivatives),
+//! so that scratch memory fits into the second-level cache for any size of the picture.
 
 use rayon::prelude::*;
 
@@ -17,12 +16,12 @@ use crate::layout::planes::{RGB, TRANSMITTANCE};
 use crate::layout::tiles::{TILE, TileImage};
 use crate::simd::{GROUP, Isa, Kernel, Lanes, Row, each};
 
-/// Rows of tiles in a band; the result does not depend on threads because bands do not.
+/// Rows of tiles in a band. Bands do not depend on the number of threads, so sums do not either.
 const BAND_TILES: usize = 2;
-/// Zeros to the left and right of a line: at least [`REACH`], and whole groups.
+/// Zeros to the left and right of a line: at least [`REACH`], and a multiple of the group.
 const MARGIN: usize = GROUP;
 
-/// The pass, and the memory that it works in.
+/// The pass with its scratch memory.
 #[derive(Debug)]
 pub(crate) struct Photometric {
     scratch: PerThread<Scratch>,
@@ -40,8 +39,8 @@ impl Photometric {
         }
     }
 
-    /// Fills `gradient` (colour planes and the transmittance plane, which is zero: the background is black)
-    /// and returns the loss. `gradient` must have the same shape as `image`.
+    /// Returns the loss and writes its gradient to the colour planes of `gradient`; the transmittance plane becomes
+    /// zero, as the background is black. `gradient` must have the same shape as `image`.
     pub(crate) fn loss(
         &mut self,
         isa: Isa,
@@ -73,7 +72,7 @@ impl Photometric {
                 });
             },
         );
-        // Added in the order of the bands.
+        // In the order of the bands.
         let total = sums.iter().copied().fold(Sums::default(), Sums::plus);
         let pixels = f64::from(pixels);
         let (l1, ssim, mse) = (total.l1 / pixels, total.ssim / pixels, total.squares / pixels);
@@ -142,7 +141,7 @@ struct Sums {
     l1: f64,
     ssim: f64,
     squares: f64,
-    /// Of L1's sign, and of the sign times the rendered colour.
+    /// Sums of the sign in L1, and of the sign times the rendered colour.
     signs: f64,
     signed_x: f64,
 }
@@ -203,7 +202,7 @@ impl<const LINES: usize> Ring<LINES> {
         &mut self.data[(line * TAPS + y.rem_euclid(TAPS as isize) as usize) * self.width..][..self.width]
     }
 
-    /// The lines that the vertical filter at `y` reads.
+    /// The lines that the vertical filter reads at `y`.
     #[inline(always)]
     fn taps(&self, y: isize) -> [[&[f32]; TAPS]; LINES] {
         std::array::from_fn(|line| std::array::from_fn(|k| self.at(line, y + k as isize - REACH as isize)))
@@ -248,7 +247,8 @@ impl Kernel for Band<'_> {
         let Scratch { x_line, y_line, exposed_line, products, partial_lines, moments, partials } = scratch;
         let mut sums = Sums::default();
 
-        // Row `y_in` enters; the partial derivatives of row `y_in - 5` and the gradient of `y_in - 10` leave.
+        // Input is row `y_in`; then the partial derivatives of row `y_in - 5` and the gradient of row `y_in - 10` are
+        // complete.
         for y_in in first as isize - 2 * REACH as isize..(end + 2 * REACH) as isize {
             if inside(y_in) {
                 read_line(image, channel, y_in as usize, width, x_line);
@@ -313,7 +313,7 @@ impl Kernel for Band<'_> {
                     let sign = sign(L::load(&exposed_line[MARGIN + column..]) - y);
                     row.set(part, d_ssim.neg_mul_add(L::splat(weights.ssim), sign * l1_slope));
                 }
-                // Beyond the right border nothing may have a gradient.
+                // Pixels beyond the right border have no gradient.
                 let valid = (width - (tile_x * TILE).min(width)).min(TILE);
                 row.0[valid..].fill(0.0);
             }
@@ -324,7 +324,7 @@ impl Kernel for Band<'_> {
     }
 }
 
-/// Rows of the band's last tiles that lie below the picture have no gradient.
+/// Clears the gradient of rows below the picture.
 fn zero_below(gradient: &mut [Row], image: &TileImage, channel: usize, rows: usize) {
     let per_tile_row = image.tiles()[0] * image.rows_per_tile();
     for (tile_y, tiles) in gradient.chunks_exact_mut(per_tile_row).enumerate() {
@@ -335,7 +335,7 @@ fn zero_below(gradient: &mut [Row], image: &TileImage, channel: usize, rows: usi
     }
 }
 
-/// Copies a row of the rendered picture between the margins; beyond the right border it is zero.
+/// Copies a row of the rendering between the margins, with zeros beyond the right border.
 #[inline(always)]
 fn read_line(image: &TileImage, channel: usize, y: usize, width: usize, line: &mut [f32]) {
     for tile_x in 0..image.tiles()[0] {
@@ -355,7 +355,7 @@ fn multiply<L: Lanes>(x: &[f32], y: &[f32], products: &mut [Vec<f32>; 3]) {
     }
 }
 
-/// A line of the picture as the photograph was exposed; margins and padding stay zero.
+/// A line of the rendering with the exposure applied; margins and padding stay zero.
 #[inline(always)]
 fn expose<L: Lanes>(line: &[f32], exposure: Exposure, width: usize, exposed: &mut [f32]) {
     for start in (MARGIN..line.len() - MARGIN).step_by(L::N) {
@@ -372,7 +372,7 @@ fn sign<L: Lanes>(value: L) -> L {
     L::select(L::zero().lt(value), L::splat(1.0), negative)
 }
 
-/// What a line adds but for SSIM; margins and padding are equal and add nothing.
+/// Sums of a line without SSIM; margins and padding are equal and add nothing.
 #[inline(always)]
 fn differences<L: Lanes>(x: &[f32], exposed: &[f32], y: &[f32]) -> Sums {
     let (mut l1, mut squares) = (L::zero(), L::zero());
@@ -390,7 +390,7 @@ fn differences<L: Lanes>(x: &[f32], exposed: &[f32], y: &[f32]) -> Sums {
     Sums { l1, ssim: 0.0, squares, signs, signed_x }
 }
 
-/// SSIM's map on one row: returns its sum, and writes its partial derivatives between the margins.
+/// The SSIM map of one row: returns its sum, and writes its partial derivatives between the margins.
 #[inline(always)]
 fn ssim_row<L: Lanes>(
     moments: &Ring<MOMENT_LINES>,
@@ -415,7 +415,7 @@ fn ssim_row<L: Lanes>(
         let map = a1 * a2 * inv;
         let by_xx = (map / b2).neg();
         let by_xy = c(2.0) * a1 * inv;
-        // Through μx itself, and through σx² = E[xx] - μx², σxy = E[xy] - μx μy.
+        // By μx directly, and through σx² = E[xx] - μx² and σxy = E[xy] - μx μy.
         let by_mu = c(2.0) * (mu_y * (a2 - a1) * inv + mu_x * map * (c(1.0) / b2 - c(1.0) / b1));
         let valid = width.saturating_sub(start).min(L::N);
         let mut put = |line: usize, value: L| {

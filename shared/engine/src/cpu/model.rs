@@ -1,4 +1,4 @@
-//! The splats of a backend with everything that training keeps for each of them, and how splats are added and removed.
+//! The splats of a backend with their training state, and how splats are added and removed.
 
 use cosurf_scene::Splats;
 
@@ -125,7 +125,7 @@ impl Model {
         self.stats.fill_zero();
     }
 
-    /// Parameters of a newborn.
+    /// Parameters of a new splat.
     fn numbers_of(&self, birth: &Birth) -> Vec<f32> {
         let parent = birth.parent as usize;
         let mut numbers: Vec<f32> =
@@ -136,7 +136,7 @@ impl Model {
         numbers
     }
 
-    /// Moves living splats from the end into `holes` (ascending), then the end is free.
+    /// Moves remaining splats from the end into `holes` (ascending).
     fn fill_holes(&mut self, holes: &[u32], len: usize) {
         let new_len = len - holes.len();
         let mut last = len;

@@ -1,4 +1,4 @@
-//! The projection pass: each splat's 2D Gaussian, colour and plane for one camera.
+//! The projection pass: the 2D Gaussian, colour and plane of each splat for one camera.
 
 use std::f32::consts::LOG2_E;
 
@@ -12,32 +12,32 @@ use crate::layout::rows::{LOG_SCALE, MEAN, OPACITY, QUAT, SH};
 use crate::layout::view::ViewParams;
 use crate::simd::{GROUP, Isa, Kernel, Lanes, Row, each};
 
-/// A splat as the rasteriser reads it: one cache line.
+/// A splat as the rasteriser reads it, in one cache line.
 #[derive(Clone, Copy, Debug, Default)]
 #[repr(C, align(64))]
 pub(crate) struct Projected {
     pub(crate) mean_px: [f32; 2],
-    /// `(a / 2, b, c / 2) log2(e)` of the inverse covariance `[a b; b c]`, 1/px²: alpha is
-    /// `2^(log2_opacity - (x² dx² + xy dx dy + y² dy²))` in this order of coefficients.
+    /// `(a / 2, b, c / 2) log2(e)` of the inverse covariance `[a b; b c]`, 1/px². With `falloff = [p, q, r]`, alpha is
+    /// `2^(log2_opacity - (p dx² + q dx dy + r dy²))`.
     pub(crate) falloff: [f32; 3],
     pub(crate) log2_opacity: f32,
     pub(crate) rgb: [f32; 3],
     /// Camera frame.
     pub(crate) normal: [f32; 3],
     pub(crate) plane_distance: f32,
-    /// Half-sides of the box that holds every pixel with alpha of at least [`ALPHA_MIN`].
+    /// Half the sides of the box of all pixels with alpha of at least [`ALPHA_MIN`].
     pub(crate) extent_px: [f32; 2],
-    /// `log2(255 o)`: the largest falloff that is drawn.
+    /// `log2(255 o)`: the largest falloff that is blended.
     pub(crate) falloff_max: f32,
 }
 
-/// Outputs of the pass, by splat id.
+/// Results of the pass, by splat id.
 #[derive(Debug, Default)]
 pub(crate) struct Projection {
     pub(crate) splats: Vec<Projected>,
     /// Depth along the optical axis.
     pub(crate) depths: Vec<f32>,
-    /// Bit `i` of block `b`: splat `16 b + i` is drawn.
+    /// Bit `i` of block `b`: splat `16 b + i` is visible.
     pub(crate) visible: Vec<u16>,
 }
 
@@ -85,11 +85,11 @@ struct ProjectBlock<'a> {
     depths: &'a mut [f32],
 }
 
-/// Rows in which a block's results wait to be transposed into [`Projected`].
+/// Number of rows of a block's results, before they are transposed into [`Projected`].
 const FIELDS: usize = 16;
 
 impl Kernel for ProjectBlock<'_> {
-    /// Which of the 16 are drawn.
+    /// Bit mask of the visible splats.
     type Output = u16;
 
     #[inline(always)]
@@ -111,7 +111,7 @@ impl Kernel for ProjectBlock<'_> {
     }
 }
 
-/// One vector of splats: everything but the culling. Returns the depths.
+/// Projects one vector of splats, without culling. Returns the depths.
 #[inline(always)]
 fn project_part<L: Lanes>(block: &[Row], view: &ViewParams, part: usize, fields: &mut [Row; FIELDS]) -> L {
     let get = |row: usize| block[row].get::<L>(part);
@@ -171,7 +171,7 @@ fn color<L: Lanes>(block: &[Row], mean: [L; 3], view: &ViewParams, part: usize) 
     each!([0, 1, 2], |c| rgb[c].max(L::zero()))
 }
 
-/// Stores one splat; false where it cannot be seen.
+/// Stores one splat; false if it is not visible.
 #[inline(always)]
 fn finish(splat: &mut Projected, f: [f32; FIELDS], view: &ViewParams) -> bool {
     *splat = Projected {
@@ -188,6 +188,6 @@ fn finish(splat: &mut Projected, f: [f32; FIELDS], view: &ViewParams) -> bool {
         let (mean, extent) = (splat.mean_px[axis], splat.extent_px[axis]);
         mean + extent >= 0.5 && mean - extent <= view.size_px[axis] as f32 - 0.5
     };
-    // Phrased so that NaN fails.
+    // Comparisons with NaN are false.
     splat.falloff_max > 0.0 && within(0) && within(1)
 }

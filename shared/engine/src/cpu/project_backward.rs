@@ -1,6 +1,5 @@
-//! The projection's backward pass: sums each splat's records in their fixed order, then carries the
-//! gradients through conic, plane and colour to the parameters. All formulas are the transposes of
-//! [`super::geometry`], written out by hand.
+//! The backward pass of the projection: adds the records of each splat in a fixed order, then propagates the gradients
+//! through conic, plane and colour to the parameters. The formulas are the transposes of those in [`super::geometry`].
 
 use rayon::prelude::*;
 
@@ -19,21 +18,21 @@ use crate::layout::rows::{
 use crate::layout::view::ViewParams;
 use crate::simd::{GROUP, Isa, Kernel, Lanes, Row, dot3, each, prefetch};
 
-/// What the pass reads.
+/// Inputs of the pass.
 pub(crate) struct Inputs<'a> {
     pub(crate) params: &'a Blocks,
     pub(crate) view: &'a ViewParams,
     pub(crate) projection: &'a Projection,
     pub(crate) lists: &'a TileLists,
     pub(crate) records: &'a [Record],
-    /// Planes that were rendered.
+    /// Number of rendered planes.
     pub(crate) planes: usize,
     /// Weight of the mean shortest scale of the visible splats.
     pub(crate) scale_weight: f32,
 }
 
-/// Overwrites the gradients of visible blocks (others keep stale values that nobody reads) and adds to
-/// the statistics.
+/// Overwrites the gradients of visible blocks and adds to the statistics. Other blocks keep old gradients, which no
+/// pass reads.
 pub(crate) fn project_backward(isa: Isa, inputs: &Inputs, gradients: &mut Blocks, stats: &mut Blocks) {
     let visible = inputs.projection.visible.iter().map(|bits| bits.count_ones()).sum::<u32>();
     let scale_weight = inputs.scale_weight / visible.max(1) as f32;
@@ -68,11 +67,11 @@ pub(crate) fn project_backward(isa: Isa, inputs: &Inputs, gradients: &mut Blocks
         });
 }
 
-/// Sums the records of a block's splats and transposes: row `k` holds sum `k` of the 16 splats.
+/// Adds the records of a block's splats and transposes the sums: row `k` holds sum `k` of the 16 splats.
 fn gather(inputs: &Inputs, block: usize, visible: u16) -> [Row; GROUP] {
     let mut sums = [Row::ZERO; GROUP];
     let lanes = (0..GROUP).filter(|lane| visible >> lane & 1 == 1);
-    // A splat's records lie in different tiles, so anywhere in memory: fetch all before the first is used.
+    // The records of a splat are scattered in memory: prefetch all before using the first.
     for pair in lanes.clone().flat_map(|lane| inputs.lists.pairs_of(block * GROUP + lane)) {
         prefetch(inputs.records, pair);
     }
@@ -96,7 +95,7 @@ struct BackwardBlock<'a> {
     view: &'a ViewParams,
     sums: &'a [Row; GROUP],
     geometry: bool,
-    /// Of one splat's shortest scale.
+    /// Weight of one splat's shortest scale.
     scale_weight: f32,
     gradients: &'a mut [Row],
     stats: &'a mut [Row],
@@ -111,7 +110,7 @@ impl Kernel for BackwardBlock<'_> {
         let mut shown = [Row::ZERO; 3];
         let mut seen = Row::ZERO;
         for lane in 0..GROUP {
-            // The colour was clamped at 0 exactly where it is 0; such a channel has no gradient.
+            // A channel that is 0 was clamped; it has no gradient.
             for (channel, row) in shown.iter_mut().enumerate() {
                 row.0[lane] = f32::from(u8::from(self.projected[lane].rgb[channel] > 0.0));
             }
@@ -186,7 +185,7 @@ fn screen_gradients<L: Lanes>(g: &Geometry<L>, m: [L; 6]) -> ScreenGradients<L> 
     }
 }
 
-/// Gradients with respect to what lives in the camera frame.
+/// Gradients with respect to centre and axes in the camera frame.
 struct CameraGradients<L> {
     t: [L; 3],
     u: [[L; 3]; 3],
@@ -267,7 +266,7 @@ fn through_shortest<L: Lanes>(g: &Geometry<L>, log_scale: [L; 3], weight: L, int
     }
 }
 
-/// Colour depends on the mean through the viewing direction.
+/// The gradient of colour with respect to the mean, through the viewing direction.
 #[inline(always)]
 fn through_direction<L: Lanes>(
     block: &[Row],
@@ -312,7 +311,7 @@ fn to_world<L: Lanes>(g: &Geometry<L>, view: &ViewParams, from: &CameraGradients
     (v_mean, v_quat)
 }
 
-/// Adds the norm of a screen gradient, in units of half the picture, where the splat was seen.
+/// Adds the norm of a screen gradient, in units of half the picture, to the statistics of visible splats.
 #[inline(always)]
 fn count_norm<L: Lanes>(
     stats: &mut [Row],
@@ -325,7 +324,7 @@ fn count_norm<L: Lanes>(
     let half = each!([0, 1], |a| L::splat(0.5 * view.size_px[a] as f32));
     let v = [v_px[0] * half[0], v_px[1] * half[1]];
     let norm = (v[0] * v[0] + v[1] * v[1]).sqrt();
-    // `seen` is 0 for lanes that hold anything, NaN too.
+    // Lanes of splats that are not visible may hold NaN.
     let norm = L::select(L::splat(0.5).lt(seen), norm, L::zero());
     let sum = stats[stat].get::<L>(part) + norm;
     stats[stat].set(part, sum);

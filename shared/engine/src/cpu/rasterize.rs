@@ -1,7 +1,7 @@
-//! The blend: front to back over each tile's list.
+//! The blend: front to back over the list of each tile.
 //!
-//! The tile's 16 × 16 pixels stay in the first-level cache; a splat only visits the rows that its
-//! ellipse touches, 16 pixels (or fewer, by instruction set) at a time.
+//! The 16 × 16 pixels of a tile stay in the first-level cache. A splat is blended only into the rows that its ellipse
+//! touches, up to 16 pixels at a time, depending on the instruction set.
 
 use rayon::prelude::*;
 
@@ -13,7 +13,7 @@ use crate::layout::tiles::{TILE, TileImage, centers};
 use crate::simd::{Isa, Kernel, Lanes, Row, prefetch};
 
 /// Blends every tile. `image` must be laid out with [`PLANES_COLOR`] or [`PLANES_GEOMETRY`] planes.
-/// `blended[tile]` receives how many entries of its list were looked at before all pixels were full.
+/// `blended[tile]` receives the number of entries of its list that were processed before all pixels were full.
 pub(crate) fn rasterize(
     isa: Isa,
     lists: &TileLists,
@@ -47,8 +47,7 @@ pub(crate) fn as_planes<const P: usize>(rows: &[Row]) -> &[[Row; TILE]; P] {
     rows.as_chunks().0.try_into().expect("a tile has its image's planes")
 }
 
-/// How many entries of a tile's list ahead the splats are fetched. They lie anywhere in memory: without this
-/// a quarter of the blend's time was waiting for their first field.
+/// Distance, in entries of a tile's list, at which splats are prefetched: they are scattered in memory.
 pub(crate) const PREFETCH: usize = 6;
 
 /// Position of a tile's first pixel.
@@ -56,17 +55,17 @@ pub(crate) fn tile_origin(tile: usize, tiles_x: usize) -> [f32; 2] {
     [(tile % tiles_x * TILE) as f32, (tile / tiles_x * TILE) as f32]
 }
 
-/// Rows of a tile at `origin` whose pixel centres are within the splat's reach, first and end.
+/// Rows of a tile whose pixel centres are within the splat's box, first and end.
 #[inline(always)]
 pub(crate) fn touched_rows(splat: &Projected, origin_y: f32) -> (usize, usize) {
     let center = splat.mean_px[1] - origin_y - 0.5;
     let first = (center - splat.extent_px[1]).ceil().max(0.0);
     let end = ((center + splat.extent_px[1]).floor() + 1.0).min(TILE as f32);
-    // Casts saturate, so a range of rows past the tile becomes empty.
+    // Casts saturate, so rows past the tile give an empty range.
     (first as usize, (end as usize).min(TILE))
 }
 
-/// Parts of a row (vectors of `N` pixels) within the splat's reach, first and end.
+/// Parts of a row (vectors of `N` pixels) within the splat's box, first and end.
 #[inline(always)]
 pub(crate) fn touched_parts<L: Lanes>(splat: &Projected, origin_x: f32) -> (usize, usize) {
     if L::N == TILE {
@@ -78,7 +77,7 @@ pub(crate) fn touched_parts<L: Lanes>(splat: &Projected, origin_x: f32) -> (usiz
     (first as usize / L::N, (end as usize).div_ceil(L::N))
 }
 
-/// What of a splat is the same for all pixels of a tile row.
+/// Terms of a splat's falloff that are the same for all pixels of a row.
 #[derive(Clone, Copy)]
 pub(crate) struct RowTerms {
     by_dx2: f32,
@@ -87,7 +86,7 @@ pub(crate) struct RowTerms {
 }
 
 impl RowTerms {
-    /// For pixel centres at height `y_px`; also returns `dy = mean - y`.
+    /// Terms for pixel centres at height `y_px`; also returns `dy = mean - y`.
     #[inline(always)]
     pub(crate) fn new(splat: &Projected, y_px: f32) -> (Self, f32) {
         let dy = splat.mean_px[1] - y_px;
@@ -95,22 +94,21 @@ impl RowTerms {
         (Self { by_dx2: xx, by_dx: xy * dy, log2_alpha: splat.log2_opacity - yy * dy * dy }, dy)
     }
 
-    /// `o exp(-½ dᵀ A d)` for `dx = mean - x`, before the clamp at [`ALPHA_MAX`]; `None` where no pixel of the
-    /// vector can reach [`ALPHA_MIN`]. A third of the vectors that a splat's box covers end here, before the
-    /// exponential.
+    /// `o exp(-½ dᵀ A d)` for `dx = mean - x`, before the clamp at [`ALPHA_MAX`]; `None` if no pixel of the vector
+    /// reaches [`ALPHA_MIN`], which saves the exponential.
     #[inline(always)]
     pub(crate) fn alpha<L: Lanes>(&self, dx: L) -> Option<L> {
         let slope = dx.mul_add(L::splat(self.by_dx2), L::splat(self.by_dx));
         let log2_alpha = slope.neg_mul_add(dx, L::splat(self.log2_alpha));
-        // log2(1/255) = -7.994; the exact test is on alpha itself.
+        // log2(1/255) = -7.994; the exact test uses alpha.
         let may_hit = log2_alpha.ge(L::splat(-8.0));
-        // The floor keeps the exponential of the other lanes in its range.
+        // The minimum keeps the other lanes within the range of `exp2`.
         if L::any(may_hit) { Some(log2_alpha.max(L::splat(-30.0)).exp2()) } else { None }
     }
 }
 
 impl RowTerms {
-    /// `log2(e) A d`: how the exponent falls as the mean moves.
+    /// `log2(e) A d`: the derivative of the falloff by the mean.
     #[inline(always)]
     pub(crate) fn slopes<L: Lanes>(&self, splat: &Projected, dx: L, dy: L) -> (L, L) {
         let [_, xy, yy] = splat.falloff;
@@ -127,18 +125,18 @@ struct BlendTile<'a, const P: usize> {
 }
 
 impl<const P: usize> Kernel for BlendTile<'_, P> {
-    /// Entries of the list that were looked at.
+    /// Number of processed entries of the list.
     type Output = u32;
 
     #[inline(always)]
     fn run<L: Lanes>(self) -> u32 {
         let Self { list, splats, origin, planes } = self;
         *planes = [[Row::ZERO; TILE]; P];
-        // Transmittance of pixels that are still open; 0 once a pixel is full. The value at which it
-        // was left goes to the TRANSMITTANCE plane.
+        // Transmittance of pixels that are not full yet, 0 for full pixels. The final transmittance of full pixels is
+        // in the TRANSMITTANCE plane.
         let mut open = [Row([1.0; TILE]); TILE];
         let mut open_rows = (1u32 << TILE) - 1;
-        let mut looked_at = list.len();
+        let mut processed = list.len();
         for (index, &id) in list.iter().enumerate() {
             if let Some(next) = list.get(index + PREFETCH) {
                 prefetch(splats, *next as usize);
@@ -159,12 +157,12 @@ impl<const P: usize> Kernel for BlendTile<'_, P> {
                 }
             }
             if open_rows == 0 {
-                looked_at = index + 1;
+                processed = index + 1;
                 break;
             }
         }
         finish::<L>(&open, &mut planes[TRANSMITTANCE]);
-        looked_at as u32
+        processed as u32
     }
 }
 
@@ -196,7 +194,7 @@ fn blend<L: Lanes, const P: usize>(
         }
         add(&mut planes[DISTANCE][y], part, weight, splat.plane_distance);
     }
-    // Full now: hit, open until now, and the next step would be too dark.
+    // Newly full: hit, not full before, and transmittance would fall below the minimum.
     let full = L::and(L::and_not(hit, goes_on), L::zero().lt(before));
     open.set(part, L::select(full, L::zero(), L::select(goes_on, after, before)));
     if L::any(full) {
@@ -214,7 +212,7 @@ fn add<L: Lanes>(row: &mut Row, part: usize, weight: L, value: f32) {
     row.set(part, sum);
 }
 
-/// Adds what is still open to the transmittance that full pixels have left.
+/// Adds the transmittance of pixels that are not full to the plane of full pixels.
 #[inline(always)]
 fn finish<L: Lanes>(open: &[Row; TILE], left: &mut [Row; TILE]) {
     for (open, left) in open.iter().zip(left) {

@@ -1,9 +1,9 @@
-//! The blend's backward pass, front to back as well, so nothing but the final picture is kept.
+//! The backward pass of the blend. It runs front to back as well, so only the final picture must be kept.
 //!
-//! With `g` the gradient of a pixel's channels, everything behind the current splat enters only as
-//! the scalar `rest = (what is still to be blended) · g`, which starts at the finished pixel's value and
-//! loses each splat's share in turn. Each splat–tile pair writes one [`Record`]; nothing is added
-//! across tiles here, so no atomics, and the order of the sums never depends on threads.
+//! With `g` the gradient of a pixel's channels, the splats behind the current one enter only through the scalar `rest =
+//! (their blended value) · g`. It starts with the value of the finished pixel, and each splat's contribution is
+//! subtracted in turn. Each splat–tile pair writes one [`Record`]; nothing is added across tiles here, so no atomics
+//! are needed and the order of sums does not depend on threads.
 
 use super::bin::TileLists;
 use super::project::Projected;
@@ -14,9 +14,9 @@ use crate::layout::planes::{DISTANCE, NORMAL, PLANES_COLOR, PLANES_GEOMETRY, RGB
 use crate::layout::tiles::{TILE, TileImage, centers};
 use crate::simd::{GROUP, Isa, Kernel, Lanes, Row, prefetch};
 
-/// Places in a record: the gradient sums of one splat over one tile. With `q = α ∂L/∂α` and `d = mean - pixel`, in order:
-/// `Σq, Σq dx, Σq dy, Σq dx², Σq dx dy, Σq dy²`, then ∂L/∂rgb, ∂L/∂normal, ∂L/∂distance, and the sums of
-/// absolute values of ∂L/∂mean, each times log2(e): a large splat that is pulled both ways shows only there.
+/// Places in a record: the gradient sums of one splat over one tile. With `q = α ∂L/∂α` and `d = mean - pixel`, in
+/// order: `Σq, Σq dx, Σq dy, Σq dx², Σq dx dy, Σq dy²`, then ∂L/∂rgb, ∂L/∂normal, ∂L/∂distance, and the sums of
+/// absolute values of ∂L/∂mean, each times log2(e). Opposite gradients on a large splat cancel in all sums but these.
 pub(crate) const MOMENTS: usize = 0;
 pub(crate) const V_RGB: usize = 6;
 pub(crate) const V_NORMAL: usize = 9;
@@ -93,7 +93,7 @@ impl<const P: usize> Kernel for BackwardTile<'_, P> {
     }
 }
 
-/// The finished pixels' values times their gradients.
+/// Dot products of the finished pixels with their gradients.
 #[inline(always)]
 fn finished<L: Lanes, const P: usize>(image: &[[Row; TILE]; P], gradient: &[[Row; TILE]; P]) -> [Row; TILE] {
     let mut rest = [Row::ZERO; TILE];
@@ -117,7 +117,7 @@ struct Pixels {
     part: usize,
 }
 
-/// Replays one splat on one vector of pixels and adds its gradient sums.
+/// Repeats the blend of one splat into one vector of pixels and adds its gradient sums.
 #[inline(always)]
 fn add_row<L: Lanes, const P: usize>(
     splat: &Projected,
@@ -136,7 +136,7 @@ fn add_row<L: Lanes, const P: usize>(
     let after = alpha.neg_mul_add(before, before);
     let goes_on = L::and(hit, after.ge(L::splat(TRANSMITTANCE_MIN)));
     let weight = (alpha * before).keep(goes_on);
-    // A full pixel stays full: with transmittance 0 it never goes on again.
+    // A full pixel stays full: its transmittance is 0.
     let full = L::and_not(hit, goes_on);
     open.set(part, L::select(full, L::zero(), L::select(goes_on, after, before)));
 
@@ -159,7 +159,7 @@ fn add_row<L: Lanes, const P: usize>(
     let behind = weight.neg_mul_add(value, rest.get::<L>(part));
     rest.set(part, behind);
 
-    // q = α ∂L/∂α = α T value - α/(1-α) rest; zero where the clamp holds alpha.
+    // q = α ∂L/∂α = α T value - α/(1-α) rest; zero where alpha is clamped.
     let moves = L::and(goes_on, raw.lt(L::splat(ALPHA_MAX)));
     let odds = alpha / (L::splat(1.0) - alpha);
     let q = odds.neg_mul_add(behind, weight * value).keep(moves);

@@ -1,4 +1,4 @@
-//! Reading results out of the backend's own layouts.
+//! Converts results from the layout of the backend.
 
 use cosurf_scene::Splats;
 
@@ -9,7 +9,7 @@ use crate::layout::rows::{GRADIENT_RGB, HITS, LOG_SCALE, MEAN, OBSERVED, OPACITY
 use crate::layout::view::ViewParams;
 use crate::simd::GROUP;
 
-/// Scores as they are.
+/// Scores of all splats.
 pub(super) fn scores(scores: &Blocks) -> Scores {
     let row = |row: usize| (0..scores.len()).map(|i| scores.value(i, row)).collect();
     Scores { squared_weights: row(SQUARED_WEIGHT), hits: row(HITS), observers: row(OBSERVED) }

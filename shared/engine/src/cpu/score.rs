@@ -1,5 +1,6 @@
-//! The scoring pass: what each splat gave to a picture. A replay of the blend without colours; like the backward
-//! pass it writes one record for each splat–tile pair, and one thread adds up a splat's records in their order.
+//! The scoring pass: the contribution of each splat to a picture. It repeats the blend without colours. Like the
+//! backward pass it writes one record for each splat–tile pair, and one thread adds the records of a splat in their
+//! order.
 
 use rayon::prelude::*;
 
@@ -13,7 +14,7 @@ use crate::layout::rows::{HITS, OBSERVED, SCORE_ROWS, SQUARED_WEIGHT};
 use crate::layout::tiles::{TILE, TileImage, centers};
 use crate::simd::{GROUP, Isa, Kernel, Lanes, Row};
 
-/// Writes the records of a picture whose tile `t` looked at `blended[t]` entries of its list.
+/// Writes the records of a picture in which tile `t` processed `blended[t]` entries of its list.
 pub(crate) fn score(
     isa: Isa,
     lists: &TileLists,
@@ -51,7 +52,7 @@ pub(crate) fn collect(projection: &Projection, lists: &TileLists, records: &[Rec
     );
 }
 
-/// All light for pixels of the picture, none for those of the tile that lie outside.
+/// Transmittance before the first splat: 1 inside the picture, 0 for pixels of the tile outside.
 fn inside(origin: [f32; 2], size_px: [usize; 2]) -> [Row; TILE] {
     let left = |axis: usize| size_px[axis].saturating_sub(origin[axis] as usize).min(TILE);
     let mut open = [Row::ZERO; TILE];
@@ -95,7 +96,7 @@ impl Kernel for ScoreTile<'_> {
     }
 }
 
-/// One splat on one vector of pixels.
+/// Adds the contribution of one splat to one vector of pixels.
 #[inline(always)]
 fn add<L: Lanes>(alpha: L, part: usize, open: &mut Row, sums: &mut [L; SCORE_ROWS]) {
     let one = L::splat(1.0);

@@ -1,9 +1,8 @@
-//! The losses of the surface (PGSR; CoSurfGS, "Device-side Training Procedure"), and their gradients with
-//! respect to the blended normal and plane distance of each pixel.
+//! The surface losses (PGSR; CoSurfGS, "Device-side Training Procedure"), and their gradients with respect to the
+//! blended normal and plane distance of each pixel.
 //!
-//! Everything here runs on bands of one row of tiles, so the sums do not depend on threads. Reading order:
-//! [`plane`] for the layout, [`depth`], then the losses: [`normals`], [`multiview`], and [`teacher`] where another
-//! model shows how it should be.
+//! All losses run on bands of one row of tiles, so the sums do not depend on threads. Reading order: [`plane`] for the
+//! layout, [`depth`], then the losses: [`normals`], [`multiview`], and [`teacher`] for distillation.
 
 mod depth;
 mod multiview;
@@ -26,7 +25,7 @@ use plane::Plane;
 use shown::Shown;
 use teacher::Teacher;
 
-/// What the losses keep from view to view.
+/// The surface losses with the planes that they keep from view to view.
 #[derive(Debug)]
 pub(crate) struct Surface {
     depth: Plane,
@@ -64,7 +63,7 @@ impl Surface {
         self.neighbour = Some(*view);
     }
 
-    /// The losses, weighted gradients of which go to the geometry planes of `gradient`.
+    /// Returns the losses and writes their weighted gradients to the geometry planes of `gradient`.
     pub(crate) fn losses(
         &mut self,
         isa: Isa,
@@ -92,8 +91,8 @@ impl Surface {
         loss
     }
 
-    /// The differences from a teacher, weighted gradients of which are added to the geometry planes of `gradient`.
-    /// [`Self::losses`] comes first.
+    /// Returns the differences from a teacher and adds their weighted gradients to the geometry planes of `gradient`.
+    /// Must follow [`Self::losses`].
     pub(crate) fn teach(
         &mut self,
         isa: Isa,
@@ -108,7 +107,7 @@ impl Surface {
     }
 }
 
-/// Normal and distance have no gradient yet.
+/// Clears the gradients of normal and distance.
 fn clear_geometry(gradient: &mut TileImage) {
     let rows_per_tile = gradient.rows_per_tile();
     gradient

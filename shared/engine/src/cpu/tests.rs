@@ -1,6 +1,6 @@
-//! The CPU backend against the f64 [`reference`]: pictures directly, gradients by central differences of the
-//! reference, for every parameter of every splat, on cameras that are rotated, off-centre and clamped, with
-//! splats that are nearly opaque and on the border, on every instruction set that this machine has.
+//! Compares the CPU backend with the f64 [`reference`]: pictures directly, and gradients with central differences of
+//! the reference for every parameter of every splat. Cases: rotated and off-centre cameras, clamped slopes, nearly
+//! opaque splats, splats on the border; on every instruction set of this machine.
 
 mod loss;
 mod reference;
@@ -65,7 +65,7 @@ fn cases() -> Vec<Case> {
             splats: splats(14, 0.6, -1.5, 0.5, 3, 2),
             sh_degree: 2,
         },
-        // Wide angle and large splats far outside the picture: the Jacobian's slopes are clamped.
+        // Wide angle and large splats far outside the picture: slopes in the Jacobian are clamped.
         Case {
             name: "clamped",
             camera: camera(eye, 14.0, center),
@@ -134,7 +134,7 @@ fn backward(backend: &mut CpuBackend, gradients: &[Pixel]) -> Splats {
     backend.gradients()
 }
 
-/// Calls `visit` on each number of a splat with the name of its group.
+/// Every number of the splats with the name of its group.
 fn numbers(splats: &mut Splats) -> Vec<(&'static str, &mut f32)> {
     let mut all = Vec::new();
     all.extend(splats.means.iter_mut().flatten().map(|v| ("mean", v)));
@@ -159,7 +159,7 @@ fn differences(case: &Case, decisions: &Decisions, gradients: &[Pixel]) -> Vec<(
                 let (name, value) = &mut numbers(&mut splats)[k];
                 (*name, **value)
             };
-            // The step as f32 holds it, on both sides.
+            // Differences of the rounded f32 values on both sides.
             let step = 2e-4;
             let mut at = |v: f32| {
                 *numbers(&mut splats)[k].1 = v;
@@ -173,8 +173,7 @@ fn differences(case: &Case, decisions: &Decisions, gradients: &[Pixel]) -> Vec<(
         .collect()
 }
 
-/// The largest error relative to the number itself, or to a hundredth of its group's root mean square where
-/// the number is smaller than that.
+/// The largest error relative to the number, or to a hundredth of its group's root mean square if that is larger.
 fn worst(analytic: &mut Splats, numeric: &[(&'static str, f64)]) -> (f64, String) {
     let rms = |group: &str| {
         let values: Vec<f64> =
@@ -248,7 +247,7 @@ fn threads_do_not_change_a_bit() {
 }
 
 #[test]
-fn the_scale_loss_pulls_on_the_shortest_axis_of_what_is_seen() {
+fn the_scale_loss_has_a_gradient_on_the_shortest_axis_of_visible_splats() {
     const WEIGHT: f32 = 3.0;
     for case in cases() {
         for isa in Isa::available() {
@@ -286,7 +285,7 @@ fn scores_agree_with_the_reference() {
         for isa in Isa::available() {
             let mut backend = backend(&case, isa, 2);
             backend.clear_scores();
-            // Twice, as of two views that show the same.
+            // Twice, as for two equal views.
             backend.score();
             backend.score();
             let scores = backend.scores();
@@ -326,7 +325,7 @@ fn absolute_gradients_agree_with_central_differences() {
                 );
                 assert!(
                     got >= 0.999 * f64::from(shapes.screen_gradients[i]),
-                    "a sum is not above its absolute one"
+                    "the norm of a sum exceeds that of absolute values"
                 );
             }
         }

@@ -1,7 +1,7 @@
-//! The GPU as a [`Backend`]: a training runs on it as it does on the CPU.
+//! The GPU as a [`Backend`].
 //!
-//! Every step stays on the GPU: the photograph goes over, what comes back are counts and sums. Refinement and
-//! checkpoints, every hundred steps or so, read and write rows of splats.
+//! A step runs on the GPU: the photograph is uploaded, only counts and sums are read back. Refinement and checkpoints,
+//! about every hundred steps, read and write rows of splats.
 
 use cosurf_scene::{Camera, Splats};
 
@@ -31,10 +31,10 @@ pub struct GpuBackend {
     model: Model,
     drawing: Drawing,
     training: Training,
-    /// There with [`Channels::Geometry`].
+    /// Present with [`Channels::Geometry`].
     surface: Option<Surface>,
     visible: usize,
-    /// Weight of the scale loss in the backward pass that comes.
+    /// Weight of the scale loss in the next backward pass.
     scale_weight: f32,
 }
 

@@ -1,4 +1,4 @@
-//! Buffers that know what they hold, and how it gets in and out.
+//! Typed buffers, and how values are written and read.
 
 use std::marker::PhantomData;
 use std::ops::Range;
@@ -17,7 +17,7 @@ pub(super) struct Buffer<T> {
 }
 
 impl<T: Pod> Buffer<T> {
-    /// Room for `len` values (at least one). Fails beyond what the adapter can bind.
+    /// A buffer of `len` values, at least one. Fails if the adapter cannot bind it.
     pub(super) fn storage(gpu: &Gpu, label: &'static str, len: usize) -> Result<Self, GpuError> {
         let len = len.max(1);
         let bytes = (len * size_of::<T>()) as u64;
@@ -32,8 +32,8 @@ impl<T: Pod> Buffer<T> {
         Ok(buffer)
     }
 
-    /// Fills a buffer with what no pass must ever read before it has written: NaN as floats, far beyond every
-    /// count as integers.
+    /// Fills a buffer with values that no pass may read before writing: NaN as floats, and larger than any count as
+    /// integers.
     #[cfg(test)]
     fn poison(&self, gpu: &Gpu) {
         gpu.queue.write_buffer(&self.raw, 0, &vec![0xfd; self.raw.size() as usize]);
@@ -47,7 +47,7 @@ impl<T: Pod> Buffer<T> {
     }
 
     fn new(gpu: &Gpu, label: &'static str, len: usize, usage: BufferUsages) -> Self {
-        // Copies move whole words.
+        // Copies are in whole words.
         let size = ((len * size_of::<T>()) as u64).next_multiple_of(wgpu::COPY_BUFFER_ALIGNMENT);
         let descriptor =
             wgpu::BufferDescriptor { label: Some(label), size, usage, mapped_at_creation: false };
@@ -58,7 +58,7 @@ impl<T: Pod> Buffer<T> {
         self.len
     }
 
-    /// Replaces the values from `first` on, before all work that is submitted later.
+    /// Replaces the values from `first` on, before all work submitted later.
     pub(super) fn write(&self, gpu: &Gpu, first: usize, values: &[T]) {
         assert!(first + values.len() <= self.len, "{first} + {} of {}", values.len(), self.len);
         gpu.queue.write_buffer(&self.raw, (first * size_of::<T>()) as u64, bytemuck::cast_slice(values));

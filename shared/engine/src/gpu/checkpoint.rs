@@ -1,6 +1,5 @@
-//! What a checkpoint keeps, in the order of the CPU backend, so that a training may go on where another device left
-//! it: tables of parameters, first moments, second moments and statistics; in each, blocks of 16 splats; in a block,
-//! 16 numbers for each row.
+//! Checkpoints in the order of the CPU backend, so that a training can resume on another device: tables of parameters,
+//! first moments, second moments and statistics; in each, blocks of 16 splats; in a block, 16 numbers for each row.
 
 use super::buffer::Buffer;
 use super::context::Gpu;
@@ -9,10 +8,10 @@ use super::train::Training;
 use crate::layout::rows::{SH, STAT_ROWS, sh_rows};
 use crate::simd::GROUP;
 
-/// Splats that are copied at a time: what bounds the memory that a checkpoint takes.
+/// Splats that are copied at a time, which limits the memory of a checkpoint.
 const SPLATS_AT_ONCE: usize = 1024 * GROUP;
 
-/// Rows of splats: the buffer of each, and where in it the row begins.
+/// Rows of splats: the buffer of each, and the start of the row in it.
 type Table<'a> = Vec<(&'a Buffer<f32>, usize)>;
 
 fn tables<'a>(model: &'a Model, training: &'a Training) -> [Table<'a>; 4] {
@@ -78,7 +77,7 @@ pub(super) fn import<E>(
     Ok(())
 }
 
-/// Where a row's number of the `i`-th splat of a piece lies.
+/// Index of a row's number of the `i`-th splat of a piece.
 fn place(i: usize, row: usize, rows: usize) -> usize {
     (i / GROUP * rows + row) * GROUP + i % GROUP
 }

@@ -1,4 +1,4 @@
-//! Which graphics cards there are, and the one that was opened.
+//! The graphics cards of a machine, and the open one.
 
 use std::fmt;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
@@ -10,27 +10,27 @@ use super::pass::{Constants, Pass};
 #[cfg(feature = "gpu-timestamps")]
 use super::timestamps::{PassTime, Timestamps};
 
-/// What can go wrong before a GPU computes. Once it does, nothing that we ask of it can be invalid, but it can be lost.
+/// Errors of a GPU. Once buffers and passes exist, the only possible error is the loss of the device.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum GpuError {
     /// No adapter, or no driver for it.
     #[error("no GPU with a Vulkan, Metal or DirectX 12 driver was found; use --device cpu")]
     None,
-    /// There are fewer adapters.
+    /// No adapter has this index.
     #[error("there is no GPU {index}, only {count} (see the command `devices`)")]
     NoSuch {
-        /// What was asked for.
+        /// The requested index.
         index: usize,
-        /// Adapters there are.
+        /// Number of adapters.
         count: usize,
     },
-    /// The driver refused.
+    /// The driver refused to open the adapter.
     #[error("{name} cannot be used: {reason}; use --device cpu")]
     Refused {
-        /// Of the adapter.
+        /// Name of the adapter.
         name: String,
-        /// From the driver.
+        /// The driver's message.
         reason: String,
     },
     /// A buffer would be larger than the adapter can bind.
@@ -38,51 +38,51 @@ pub enum GpuError {
         "{label} takes {bytes} bytes, but {name} binds at most {bytes_max} at once; use fewer splats or smaller pictures"
     )]
     TooLarge {
-        /// Which buffer.
+        /// Name of the buffer.
         label: &'static str,
-        /// Its size.
+        /// Size of the buffer.
         bytes: u64,
-        /// What the adapter can bind.
+        /// Size of the largest buffer that the adapter can bind.
         bytes_max: u64,
-        /// Of the adapter.
+        /// Name of the adapter.
         name: String,
     },
-    /// The driver gave up on it while it computed.
-    #[error("{0}; start again, with --device cpu if this happens twice")]
+    /// The device was lost while it computed.
+    #[error("{0}; run again, with --device cpu if this happens twice")]
     Lost(String),
     /// The adapter's memory is full.
     #[error("{name} has too little memory; use fewer splats or smaller pictures")]
     OutOfMemory {
-        /// Of the adapter.
+        /// Name of the adapter.
         name: String,
     },
 }
 
-/// An adapter, for people.
+/// Description of an adapter for people.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct AdapterSummary {
-    /// As the driver calls it.
+    /// The driver's name for it.
     pub name: String,
     /// `vulkan`, `metal`, `dx12`.
     pub api: String,
     /// Driver and version.
     pub driver: String,
-    /// Whether a processor plays the graphics card.
+    /// Whether it is a software driver on the processor.
     pub is_software: bool,
     /// Largest buffer that a pass can bind.
     pub binding_bytes_max: u64,
-    /// Whether the invocations of a subgroup can talk to each other.
+    /// Whether it supports subgroup operations.
     pub has_subgroups: bool,
 }
 
 /// Which adapter to open.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum GpuChoice {
-    /// The best that is a real graphics card.
+    /// The best real graphics card.
     Real,
-    /// The best of all; a software driver if there is nothing else.
+    /// The best adapter; a software driver if there is nothing else.
     Any,
-    /// The one at this place of [`adapters`].
+    /// The adapter at this index of [`adapters`].
     Index(usize),
 }
 
@@ -131,22 +131,22 @@ pub struct Gpu {
     pub(super) device: wgpu::Device,
     pub(super) queue: wgpu::Queue,
     adapter: AdapterSummary,
-    /// Those compiled so far.
+    /// Passes compiled so far.
     passes: Arc<Mutex<Vec<Pass>>>,
-    /// `None` where the adapter has no timestamps.
+    /// `None` if the adapter has no timestamps.
     #[cfg(feature = "gpu-timestamps")]
     pub(super) timestamps: Option<Arc<Timestamps>>,
-    /// Why the device was lost, once it is.
+    /// Reason of the loss of the device, once it is lost.
     lost: Arc<OnceLock<String>>,
 }
 
 impl Gpu {
-    /// Opens an adapter with the sizes of buffers that it can do, and otherwise the least that every GPU has.
+    /// Opens an adapter with its own limits for the sizes of buffers, and wgpu's default limits otherwise.
     pub fn open(choice: GpuChoice) -> Result<Self, GpuError> {
         Self::open_bound(choice, u64::MAX)
     }
 
-    /// Opens an adapter as one that binds at most so many bytes at once.
+    /// Opens an adapter with a lower limit for the sizes of buffers.
     pub(super) fn open_bound(choice: GpuChoice, binding_bytes_max: u64) -> Result<Self, GpuError> {
         let adapters = found();
         let adapter = match choice {
@@ -192,12 +192,12 @@ impl Gpu {
         let (of_loss, of_error) = (gpu.loser(), gpu.loser());
         gpu.device
             .set_device_lost_callback(move |reason, message| of_loss(&format!("{reason:?}: {message}")));
-        // Nothing that we ask for is invalid: an error that nobody waits for means that the driver gave up.
+        // No call is invalid, so an uncaptured error means that the driver failed.
         gpu.device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| of_error(&error.to_string())));
         Ok(gpu)
     }
 
-    /// Notes that the device is lost, and the first reason for it, in one line.
+    /// A function that records the loss of the device with its first reason, in one line.
     fn loser(&self) -> impl Fn(&str) + Send + Sync + use<> {
         let (lost, name) = (self.lost.clone(), self.adapter.name.clone());
         move |reason| {
@@ -211,25 +211,25 @@ impl Gpu {
         self.lost.get().cloned()
     }
 
-    /// Says that the device was lost, if it does not say so itself.
+    /// Records the loss of the device, where the driver does not report it.
     pub(super) fn lose(&self, reason: &str) {
         self.loser()(reason);
     }
 
-    /// The same adapter, to be treated as a graphics card if it is none and the other way round.
+    /// The same adapter, treated as a graphics card if it is a software driver and vice versa.
     #[cfg(test)]
     pub(super) fn disguised(&self) -> Self {
         let adapter = AdapterSummary { is_software: !self.adapter.is_software, ..self.adapter.clone() };
         Self { adapter, ..self.clone() }
     }
 
-    /// What was opened.
+    /// The open adapter.
     pub fn adapter(&self) -> &AdapterSummary {
         &self.adapter
     }
 
-    /// The time of each pass since the last call, longest first, and at most some thousand dispatches; `None` where the
-    /// adapter has no timestamps. Waits until the card is done.
+    /// The time of each pass since the last call, longest first; `None` if the adapter has no timestamps. Measures at
+    /// most 2048 dispatches between two calls. Waits until the card is idle.
     #[cfg(feature = "gpu-timestamps")]
     pub fn take_pass_times(&self) -> Option<Vec<PassTime>> {
         self.timestamps.as_ref().map(|timestamps| timestamps.read(&self.device, &self.queue))
@@ -252,7 +252,7 @@ impl Gpu {
         pass
     }
 
-    /// Runs `allocate`, and tells if the memory of the adapter did not suffice for its buffers.
+    /// Runs `allocate`; fails if the adapter has too little memory for its buffers.
     pub(super) fn allocating<T>(
         &self,
         allocate: impl FnOnce() -> Result<T, GpuError>,

@@ -1,4 +1,4 @@
-//! The forward passes and their buffers: project, bin, rasterize.
+//! The forward passes project, bin and rasterize, with their buffers.
 
 use cosurf_scene::Camera;
 
@@ -18,7 +18,7 @@ use crate::layout::view::ViewParams;
 /// Pixels of a tile: invocations of the blend.
 const TILE_PIXELS: usize = 256;
 
-/// What one splat looks like, and where its pairs are.
+/// Buffers by splat: its projection, and the slots of its pairs.
 #[derive(Debug)]
 pub(super) struct Seen {
     pub(super) projected: Buffer<Projected>,
@@ -29,7 +29,7 @@ pub(super) struct Seen {
     by_depth: Sorted,
 }
 
-/// Splat–tile pairs. A pair's slot is its place before the sort: a splat's slots are contiguous.
+/// Buffers by splat–tile pair. The slot of a pair is its place before the sort: the slots of a splat are contiguous.
 #[derive(Debug)]
 pub(super) struct Pairs {
     by_tile: Sorted,
@@ -54,7 +54,7 @@ struct Passes {
     rasterize: Pass,
 }
 
-/// Draws splats.
+/// The forward passes.
 #[derive(Debug)]
 pub(super) struct Drawing {
     passes: Passes,
@@ -64,7 +64,7 @@ pub(super) struct Drawing {
     pub(super) seen: Seen,
     pub(super) pairs: Pairs,
     pub(super) picture: Picture,
-    /// The camera last projected for, and what of it was blended.
+    /// The camera of the last projection.
     pub(super) params: Option<ViewParams>,
     pub(super) planes: usize,
 }
@@ -91,7 +91,7 @@ impl Pairs {
         self.id_of_slot.len()
     }
 
-    /// Slots, tile by tile.
+    /// Slots in the order of the tiles.
     pub(super) fn sorted_slots(&self) -> &wgpu::Buffer {
         self.by_tile.result()[1]
     }
@@ -134,14 +134,14 @@ impl Drawing {
         })
     }
 
-    /// Makes room for a view with so many pairs.
+    /// Grows the buffers for a view with so many pairs.
     pub(super) fn grow_pairs(&mut self, gpu: &Gpu, pairs: usize) -> Result<(), GpuError> {
         self.sorter.grow(gpu, pairs.max(self.seen.slots.len()))?;
         self.pairs = Pairs::new(gpu, pairs)?;
         Ok(())
     }
 
-    /// Makes room for a picture of this size.
+    /// Grows the buffers for a picture of this size.
     pub(super) fn grow_picture(&mut self, gpu: &Gpu, size_px: [u32; 2]) -> Result<(), GpuError> {
         if padded_pixels(size_px) > self.picture.pixels() {
             self.picture = Picture::new(gpu, size_px)?;
@@ -149,12 +149,12 @@ impl Drawing {
         Ok(())
     }
 
-    /// Tiles of the picture.
+    /// Number of tiles of the picture.
     pub(super) fn tiles(&self) -> usize {
         self.seen_view().tiles().iter().product()
     }
 
-    /// Pixels of those tiles.
+    /// Number of pixels of those tiles.
     pub(super) fn pixels(&self) -> usize {
         padded_pixels(self.seen_view().size_px)
     }
@@ -202,7 +202,7 @@ impl Drawing {
 
     pub(super) fn bin(&mut self, gpu: &Gpu, model: &Model) -> BinCounts {
         let tiles = self.tiles();
-        // One more than there are tiles: pairs that belong to none.
+        // The number of tiles itself marks pairs without a tile.
         self.pairs.by_tile.set_largest(tiles as u32);
         let mut r = Recorder::new(gpu);
         self.sort_by_depth(&mut r, model.len);
@@ -219,7 +219,7 @@ impl Drawing {
         counts(&self.counters.read(gpu, 0..COUNTERS))
     }
 
-    /// Lists the splats that are seen, nearest first.
+    /// Lists the visible splats, nearest first.
     fn sort_by_depth(&self, r: &mut Recorder, splats: usize) {
         let Seen { depth_keys, places, by_depth, .. } = &self.seen;
         self.sorter.scan(r, Counted::Visible, &self.counters.raw, places, splats);
@@ -229,7 +229,7 @@ impl Drawing {
         self.sorter.sort(r, &self.counters.raw, by_depth);
     }
 
-    /// Gives each splat its slots, nearest first, and fills them in.
+    /// Assigns slots to the splats, nearest first, and writes their pairs.
     fn emit(&self, r: &mut Recorder, splats: usize) {
         let Seen { projected, places, slots, by_depth, .. } = &self.seen;
         let (counters, groups) = (&self.counters.raw, splats.div_ceil(GROUP));
@@ -285,7 +285,7 @@ impl Drawing {
     }
 }
 
-/// What the counters say.
+/// The counts of a binning pass.
 fn counts(counters: &[u32]) -> BinCounts {
     let at = |place: usize| counters[place] as usize;
     BinCounts {

@@ -1,5 +1,4 @@
-//! Changing which splats there are: worked out on the processor, every hundred steps or so, with all rows read and
-//! written once.
+//! Adding and removing splats, on the processor: about every hundred steps, all rows are read and written once.
 
 use super::buffer::Buffer;
 use super::context::Gpu;
@@ -8,17 +7,16 @@ use super::train::Training;
 use crate::backend::{Birth, Edit};
 use crate::layout::rows::{LOG_SCALE, MEAN, OPACITY, QUAT, SH};
 
-/// Whose numbers a place gets.
+/// Source of the numbers at a place.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Source {
-    /// Those of the splat that was at this place before.
+    /// The splat that was at this place before the edit.
     Old(usize),
-    /// Those of a newborn.
+    /// A new splat.
     Born(Birth),
 }
 
-/// The places after an edit: births go to the places of the dead first, then to the end; places that are still
-/// empty are filled from the end.
+/// The places after an edit, as [`Edit`] describes them.
 fn places(len: usize, edit: &Edit) -> Vec<Source> {
     assert!(edit.deaths.windows(2).all(|pair| pair[0] < pair[1]), "deaths ascend");
     let mut places: Vec<Source> = (0..len).map(Source::Old).collect();
@@ -40,7 +38,7 @@ fn places(len: usize, edit: &Edit) -> Vec<Source> {
     places
 }
 
-/// Adds and removes splats; moments of newborns and all statistics become zero.
+/// Adds and removes splats; moments of new splats and all statistics become zero.
 pub(super) fn apply(gpu: &Gpu, model: &mut Model, training: &Training, edit: &Edit) {
     let places = places(model.len, edit);
     assert!(places.len() <= model.stride, "{} splats of {}", places.len(), model.stride);
@@ -61,7 +59,7 @@ pub(super) fn apply(gpu: &Gpu, model: &mut Model, training: &Training, edit: &Ed
     training.stats.clear(gpu);
 }
 
-/// Rewrites each row of a buffer: newborns get what `parent` names, or else what `own` says.
+/// Rewrites each row of a buffer: new splats get the number of the splat that `parent` names, or else that of `own`.
 fn move_rows(
     gpu: &Gpu,
     model: &Model,
@@ -93,7 +91,7 @@ pub(super) fn cap_opacity(gpu: &Gpu, model: &Model, training: &Training, opacity
     training.moments[..2].iter().for_each(|moments| moments.write(gpu, first, &zeros));
 }
 
-/// What of a newborn's shape is its own.
+/// The numbers of a new splat's shape that differ from its parent's.
 fn own(row: usize, birth: &Birth) -> Option<f32> {
     match row {
         MEAN..QUAT => Some(birth.mean[row - MEAN]),

@@ -1,5 +1,5 @@
-//! Where splats live on the GPU: one row for each parameter, so that neighbouring invocations read neighbouring
-//! numbers; shapes and colours apart, so that neither outgrows what an adapter binds at once.
+//! The splats on the GPU: one row for each parameter, so that neighbouring invocations read neighbouring numbers.
+//! Shapes and colours are separate buffers, so that adapters can bind them.
 
 use cosurf_scene::Splats;
 
@@ -10,7 +10,7 @@ use crate::layout::rows::{LOG_SCALE, OPACITY, QUAT, SH, sh_rows};
 /// Splats.
 #[derive(Debug)]
 pub(super) struct Model {
-    /// Row `r` of splat `i` is at `r * stride + i`; so it is in `sh`.
+    /// Row `r` of splat `i` is at `r * stride + i`, also in `sh`.
     pub(super) shape: Buffer<f32>,
     pub(super) sh: Buffer<f32>,
     pub(super) stride: usize,
@@ -19,7 +19,7 @@ pub(super) struct Model {
 }
 
 impl Model {
-    /// Room for `capacity` splats, none yet.
+    /// No splats yet, with room for `capacity`.
     pub(super) fn new(gpu: &Gpu, capacity: usize, sh_degree: u32) -> Result<Self, GpuError> {
         let stride = capacity.max(1);
         Ok(Self {
@@ -31,7 +31,7 @@ impl Model {
         })
     }
 
-    /// Replaces all splats, in the model's own SH degree: missing coefficients are zero, superfluous ones are
+    /// Replaces all splats, in the SH degree of the model: missing coefficients become zero, additional ones are
     /// dropped.
     pub(super) fn load(&mut self, gpu: &Gpu, splats: &Splats) {
         self.len = splats.len();

@@ -25,7 +25,7 @@ impl Pass {
             layout: None,
             module: &module,
             entry_point: Some(shader.name),
-            // Every pass writes its group's memory before it reads it.
+            // Every pass writes its workgroup memory before reading it.
             compilation_options: wgpu::PipelineCompilationOptions {
                 zero_initialize_workgroup_memory: false,
                 constants,

@@ -1,12 +1,12 @@
-//! The recorder that dispatches go to.
+//! Recording of dispatches.
 
 use super::context::Gpu;
 use super::pass::Pass;
 
-/// Most groups along one axis of a dispatch, as in the shaders.
+/// Largest number of workgroups along one axis of a dispatch, as in the shaders.
 pub(super) const GROUPS_MAX: u32 = 65_535;
 
-/// Passes in the order in which they are to run.
+/// Records passes in the order in which they run.
 #[derive(Debug)]
 pub(super) struct Recorder<'a> {
     gpu: &'a Gpu,
@@ -19,7 +19,7 @@ impl<'a> Recorder<'a> {
         Self { gpu, encoder }
     }
 
-    /// Runs a pass in so many groups; `buffers[i]` is its binding `i`.
+    /// Records a pass with a number of workgroups; `buffers[i]` is its binding `i`.
     pub(super) fn run(&mut self, pass: &Pass, buffers: &[&wgpu::Buffer], groups: usize) {
         let Some([across, down]) = folded(groups as u32) else { return };
         let entries: Vec<_> = (0..)
@@ -46,7 +46,7 @@ impl<'a> Recorder<'a> {
         recorded.dispatch_workgroups(across, down, 1);
     }
 
-    /// Sets a buffer to zero.
+    /// Records setting a buffer to zero.
     pub(super) fn clear(&mut self, buffer: &wgpu::Buffer) {
         self.encoder.clear_buffer(buffer, 0, None);
     }
@@ -56,7 +56,7 @@ impl<'a> Recorder<'a> {
     }
 }
 
-/// Groups along two axes, at least as many as asked for; the shaders' `group_index` undoes this.
+/// Workgroups along two axes, at least `groups` in all; `group_index` in the shaders computes the index back.
 fn folded(groups: u32) -> Option<[u32; 2]> {
     match groups {
         0 => None,

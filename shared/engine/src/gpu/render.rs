@@ -17,7 +17,7 @@ pub struct GpuRenderer {
 }
 
 impl GpuRenderer {
-    /// Takes a copy of the splats.
+    /// Copies the splats to the GPU.
     pub fn new(gpu: &Gpu, splats: &Splats) -> Result<Self, GpuError> {
         let gpu = gpu.clone();
         let (mut model, drawing) = gpu.allocating(|| {
@@ -28,17 +28,17 @@ impl GpuRenderer {
         Ok(Self { gpu, model, drawing })
     }
 
-    /// What renders, for people.
+    /// Name of the device for people.
     pub fn device(&self) -> String {
         self.gpu.to_string()
     }
 
-    /// The splats, as they were given.
+    /// The splats.
     pub fn splats(&self) -> Splats {
         self.model.splats(&self.gpu)
     }
 
-    /// Colour, alpha, depth and normal as the camera sees them.
+    /// Renders colour, alpha, depth and normal.
     pub fn render(&mut self, camera: &Camera) -> Result<Rendering, GpuError> {
         let Self { gpu, model, drawing } = self;
         gpu.allocating(|| drawing.grow_picture(gpu, camera.size_px))?;

@@ -1,5 +1,5 @@
-//! Running sums and the stable radix sort: 4 bits at a time, in blocks of 1024 numbers; the order never depends
-//! on how the GPU schedules its groups.
+//! Running sums and a stable radix sort, 4 bits at a time, in blocks of 1024 numbers; the result does not depend on how
+//! the GPU schedules workgroups.
 
 use super::buffer::Buffer;
 use super::context::{Gpu, GpuError};
@@ -7,28 +7,28 @@ use super::pass::Pass;
 use super::recorder::Recorder;
 use super::structs::{PAIRS, PAIRS_WANTED, SPLATS, ScanStep, SortStep, UNUSED, VISIBLE};
 
-/// Invocations of a group, as in the shaders.
+/// Invocations of a workgroup, as in the shaders.
 pub(super) const GROUP: usize = 256;
-/// Numbers that one group scans or sorts, as in the shaders.
+/// Numbers that one workgroup scans or sorts, as in the shaders.
 pub(super) const BLOCK: usize = 1024;
-/// Values of a digit, and its bits.
+/// Values of a digit (as in the shaders), and its bits.
 pub(super) const DIGITS: usize = 16;
 const DIGIT_BITS: u32 = 4;
 
-/// Keys and values, twice: a step of the sort reads one and writes the other.
+/// Keys and values in two buffers each: a step of the sort reads one and writes the other.
 #[derive(Debug)]
 pub(super) struct Sorted {
     keys: [Buffer<u32>; 2],
     values: [Buffer<u32>; 2],
-    /// The counter that says how many there are.
+    /// The counter with the number of keys.
     counter: Counted,
     steps: u32,
 }
 
-/// What is sorted.
+/// The numbers that are scanned or sorted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Counted {
-    /// Splats that are seen.
+    /// Visible splats.
     Visible,
     /// Splat–tile pairs.
     Pairs,
@@ -46,17 +46,17 @@ impl Sorted {
         })
     }
 
-    /// Says that keys are at most `key`.
+    /// Sets the largest possible key.
     pub(super) fn set_largest(&mut self, key: u32) {
         self.steps = (u32::BITS - key.leading_zeros()).div_ceil(DIGIT_BITS);
     }
 
-    /// Keys and values before the sort, so that [`Self::result`] holds them afterwards.
+    /// The buffers for keys and values before the sort.
     pub(super) fn input(&self) -> [&wgpu::Buffer; 2] {
         self.half(self.steps as usize % 2)
     }
 
-    /// Keys and values after the sort.
+    /// The buffers with keys and values after the sort.
     pub(super) fn result(&self) -> [&wgpu::Buffer; 2] {
         self.half(0)
     }
@@ -70,7 +70,7 @@ impl Sorted {
     }
 }
 
-/// The passes of scans and sorts, and what they count with.
+/// The passes of scans and sorts with their buffers.
 #[derive(Debug)]
 pub(super) struct Sorter {
     scan_blocks: Pass,
@@ -80,7 +80,7 @@ pub(super) struct Sorter {
     scatter: Pass,
     counts: Buffer<u32>,
     block_sums: Buffer<u32>,
-    /// These three for [`Counted::Visible`] and [`Counted::Pairs`].
+    /// This and the next two for [`Counted::Visible`] and [`Counted::Pairs`].
     scans: [Buffer<ScanStep>; 2],
     scan_digits: [Buffer<ScanStep>; 2],
     sort_steps: [Vec<Buffer<SortStep>>; 2],
@@ -113,7 +113,7 @@ impl Sorter {
         })
     }
 
-    /// Makes room for `len` keys.
+    /// Grows the buffers for `len` keys.
     pub(super) fn grow(&mut self, gpu: &Gpu, len: usize) -> Result<(), GpuError> {
         (self.counts, self.block_sums) = Self::room(gpu, len)?;
         Ok(())
@@ -125,9 +125,9 @@ impl Sorter {
         Ok((Buffer::storage(gpu, "digit counts", counts)?, Buffer::storage(gpu, "block sums", sums)?))
     }
 
-    /// Replaces numbers by their running sums, up to `len_max` of them. Of [`Counted::Visible`] these are the flags of all
-    /// splats, and the total is the counter of visible splats; of [`Counted::Pairs`] the numbers of pairs of the visible
-    /// splats, and the total is the counter of the pairs wanted.
+    /// Replaces up to `len_max` numbers by their running sums. For [`Counted::Visible`] these are the flags of all
+    /// splats, and the total goes to the counter of visible splats; for [`Counted::Pairs`] these are the numbers of
+    /// pairs of the visible splats, and the total goes to the counter of wanted pairs.
     pub(super) fn scan(
         &self,
         r: &mut Recorder,

@@ -1,11 +1,11 @@
-//! Structures that Rust and the shaders share, in the same layout; a test compares them with `types.wgsl`.
+//! Structures that Rust and the shaders share; a test compares their layouts with `types.wgsl`.
 
 use bytemuck::{Pod, Zeroable};
 
 use crate::backend::AdamRates;
 use crate::layout::view::{RelativePose, ViewParams};
 
-/// `View` of the shaders, where every field is explained.
+/// `View` of the shaders, where every field is documented.
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
 #[repr(C)]
 pub(super) struct View {
@@ -166,7 +166,7 @@ impl Pair {
     }
 }
 
-/// Places in the buffer of counters, as in the shaders; the last takes totals that nobody asks for.
+/// Places in the buffer of counters, as in the shaders; totals without a reader go to `UNUSED`.
 pub(super) const SPLATS: usize = 0;
 pub(super) const VISIBLE: usize = 1;
 pub(super) const PAIRS_WANTED: usize = 2;

@@ -1,4 +1,4 @@
-//! The losses of the surface on the GPU, pass by pass as in `cpu::surface`, and what they keep from view to view.
+//! The surface losses on the GPU, with the same passes as on the CPU and the buffers that they keep from view to view.
 
 use super::buffer::Buffer;
 use super::context::{Gpu, GpuError};
@@ -16,9 +16,9 @@ use crate::layout::sampling::sampled_pixels;
 use crate::layout::tiles::padded_pixels;
 use crate::layout::view::{RelativePose, ViewParams};
 
-/// Samples of a group, as in `multiview.wgsl`.
+/// Samples of a workgroup, as in `multiview.wgsl`.
 pub(super) const SAMPLES_AT_ONCE: usize = 64;
-/// Bits of the slopes before any pixel was seen: the least of none is infinite, the largest 0.
+/// Bits of the smallest and the largest slope before the pass: infinity and 0.
 const NO_SLOPES: [u32; 2] = [f32::INFINITY.to_bits(), 0];
 
 #[derive(Debug)]
@@ -32,14 +32,14 @@ struct Passes {
     teacher: Pass,
 }
 
-/// One number a pixel, row by row.
+/// One number for each pixel, row by row.
 #[derive(Debug)]
 struct Planes {
     depth: Buffer<f32>,
     luma: Buffer<f32>,
 }
 
-/// What the losses keep.
+/// The surface losses with their buffers.
 #[derive(Debug)]
 pub(super) struct Surface {
     passes: Passes,
@@ -51,7 +51,7 @@ pub(super) struct Surface {
     given: Buffer<[f32; 4]>,
     samples: Buffer<u32>,
     shown: Buffer<f32>,
-    /// By tile, then by group of samples.
+    /// By tile, then by workgroup of samples.
     sums: Buffer<[f32; 4]>,
     neighbour: Option<ViewParams>,
 }
@@ -106,8 +106,8 @@ impl Surface {
         r.run(&self.passes.unbiased_depth, &buffers, drawing.tiles());
     }
 
-    /// The losses, weighted gradients of which are added to the geometry planes of the training's gradient. The loss
-    /// of the colours comes first: its photograph is still there.
+    /// Returns the losses and adds their weighted gradients to the geometry planes of the gradient in `training`. Must
+    /// follow the colour loss, whose photograph it uses.
     pub(super) fn losses(
         &self,
         gpu: &Gpu,
@@ -159,7 +159,7 @@ impl Surface {
         losses(sums.split_at(drawing.tiles()), pixels, samples.len(), taught)
     }
 
-    /// Normals of the depth; sets the geometry planes of the gradient.
+    /// The single-view normal loss; overwrites the geometry planes of the gradient.
     fn single_view(&self, gpu: &Gpu, drawing: &Drawing, training: &Training) {
         let (view, image) = (&drawing.view.raw, &drawing.picture.image.raw);
         let Planes { depth, luma } = &self.here;
@@ -191,7 +191,7 @@ impl Surface {
         samples: usize,
     ) {
         self.pair.write(gpu, 0, &[Pair::new(&RelativePose::new(drawing.seen_view(), neighbour), neighbour)]);
-        training.show(gpu, rgb);
+        training.replace_photograph(gpu, rgb);
         let (here, there) = (&self.here, &self.there);
         let mut r = Recorder::new(gpu);
         self.luma(&mut r, training, padded_pixels(neighbour.size_px), there);
@@ -232,7 +232,7 @@ impl Surface {
     }
 }
 
-/// From sums of tiles and of groups of samples to means.
+/// Means from the sums of tiles and of workgroups of samples.
 fn losses(
     (tiles, groups): (&[[f32; 4]], &[[f32; 4]]),
     pixels: f64,

@@ -1,6 +1,6 @@
-//! The GPU against the CPU backend, on whatever adapter there is; a software driver will do.
+//! Compares the GPU backend with the CPU backend, on any adapter, including software drivers.
 //!
-//! Where there is no adapter the tests skip with a visible line; with `REQUIRE_GPU` in the environment they fail.
+//! Without an adapter the tests print a line and are skipped; with `REQUIRE_GPU` in the environment they fail.
 
 mod adapter;
 mod compare;

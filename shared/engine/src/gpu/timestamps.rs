@@ -86,8 +86,8 @@ impl Timestamps {
         })
     }
 
-    /// Times of the passes since the last read, longest first; empty once the device is lost. All recorded passes must be
-    /// submitted.
+    /// Times of the passes since the last read, longest first; empty once the device is lost. All recorded passes must
+    /// be submitted.
     pub(super) fn read(&self, device: &wgpu::Device, queue: &wgpu::Queue) -> Vec<PassTime> {
         let names = std::mem::take(&mut *self.names.lock().unwrap_or_else(PoisonError::into_inner));
         if names.is_empty() {

@@ -1,4 +1,4 @@
-//! The passes of training and their buffers: losses, backward passes, Adam, scores.
+//! The passes of training with their buffers: losses, backward passes, Adam, scores.
 
 use super::buffer::Buffer;
 use super::context::{Gpu, GpuError};
@@ -14,9 +14,9 @@ use crate::layout::planes::PLANES_GEOMETRY;
 use crate::layout::rows::{GRADIENT_ROWS, RECORD_LEN, SCORE_ROWS, SH, STAT_ROWS, sh_rows};
 use crate::layout::tiles::padded_pixels;
 
-/// What a pair has for its splat.
+/// The record of a splat–tile pair.
 type Record = [f32; RECORD_LEN];
-/// Numbers that a tile and channel add to the losses.
+/// Loss sums of one channel of a tile.
 pub(super) const SUMS: usize = 8;
 
 #[derive(Debug)]
@@ -31,7 +31,7 @@ struct Passes {
     score_collect: Pass,
 }
 
-/// What training keeps beside the splats and their picture.
+/// The passes of training, and their buffers beside the splats and the picture.
 #[derive(Debug)]
 pub(super) struct Training {
     passes: Passes,
@@ -42,10 +42,10 @@ pub(super) struct Training {
     partials: Buffer<f32>,
     sums: Buffer<[f32; SUMS]>,
     totals: Buffer<[f32; SUMS]>,
-    /// Of the picture, laid out like it.
+    /// Gradient of the picture, in the layout of the picture.
     pub(super) gradient: Buffer<f32>,
     records: Buffer<Record>,
-    /// Rows of splats, like a model's.
+    /// Rows of splats, in the layout of a model.
     pub(super) gradients: Buffer<f32>,
     pub(super) stats: Buffer<f32>,
     pub(super) scores: Buffer<f32>,
@@ -91,7 +91,7 @@ impl Training {
         })
     }
 
-    /// Moments and statistics are zero from now on.
+    /// Sets moments, statistics, scores and gradients to zero.
     pub(super) fn reset(&self, gpu: &Gpu) {
         let mut r = Recorder::new(gpu);
         self.moments.iter().for_each(|moments| r.clear(&moments.raw));
@@ -99,7 +99,7 @@ impl Training {
         r.submit();
     }
 
-    /// The loss of the colours; leaves the gradient of every pixel.
+    /// The colour loss; writes the gradient of every pixel.
     pub(super) fn photometric(
         &self,
         gpu: &Gpu,
@@ -135,8 +135,8 @@ impl Training {
         loss(self.totals.read(gpu, 0..1)[0], values, ssim_weight)
     }
 
-    /// Puts another photograph in the place of the last one, for the passes that know only how it is stored.
-    pub(super) fn show(&self, gpu: &Gpu, rgb: TargetRgb) {
+    /// Replaces the uploaded photograph in place, so that the passes' bindings stay valid.
+    pub(super) fn replace_photograph(&self, gpu: &Gpu, rgb: TargetRgb) {
         let settings = LossSettings { is_floats: is_floats(rgb), ..bytemuck::Zeroable::zeroed() };
         self.loss_settings.write(gpu, 0, &[settings]);
         self.upload(gpu, rgb);
@@ -158,7 +158,7 @@ impl Training {
         }
     }
 
-    /// Gradients of the projected splats, a record for each pair.
+    /// Gradients of the projected splats, as one record for each pair.
     pub(super) fn rasterize_backward(&self, gpu: &Gpu, drawing: &Drawing) {
         let mut r = Recorder::new(gpu);
         r.run(
@@ -179,7 +179,7 @@ impl Training {
         r.submit();
     }
 
-    /// Gradients of the parameters, and the statistics of densification.
+    /// Gradients of the parameters; adds to the densification statistics.
     pub(super) fn project_backward(&self, gpu: &Gpu, model: &Model, drawing: &Drawing, scale_weight: f32) {
         self.backward_weights.write(gpu, 0, &[BackwardWeights { scale: scale_weight }]);
         let mut r = Recorder::new(gpu);
@@ -224,7 +224,7 @@ impl Training {
         r.submit();
     }
 
-    /// Adds what each splat gave to the picture to its scores.
+    /// Adds each splat's contribution to the picture to its scores.
     pub(super) fn score(&self, gpu: &Gpu, model: &Model, drawing: &Drawing) {
         let (view, projected) = (&drawing.view.raw, &drawing.seen.projected.raw);
         let mut r = Recorder::new(gpu);
@@ -247,8 +247,8 @@ impl Training {
     }
 }
 
-/// How many pairs cross a tile one behind the other. A software driver pays for every invocation at every barrier: few
-/// pairs with long steps take it half the time of many with short ones.
+/// Values of the `override` constants that divide the work of a tile, for graphics cards and for software drivers. A
+/// software driver pays for every invocation at every barrier, so it is faster with few pairs and long steps.
 pub(super) const PIPELINED: [Constants; 2] =
     [&[("PAIRS_AT_ONCE", 64.0), ("CHUNK", 4.0)], &[("PAIRS_AT_ONCE", 16.0), ("CHUNK", 16.0)]];
 
@@ -260,7 +260,7 @@ fn is_floats(rgb: TargetRgb) -> u32 {
     u32::from(matches!(rgb, TargetRgb::Floats(_)))
 }
 
-/// From sums over all values of the picture, in the order of the shaders.
+/// The colour loss from sums over all values of the picture, in the order of the shaders.
 fn loss(totals: [f32; SUMS], values: f32, ssim_weight: f32) -> PhotometricLoss {
     let [ssim, squares, l1, signs, signed_x, ..] = totals.map(|total| f64::from(total) / f64::from(values));
     let weight = f64::from(ssim_weight);

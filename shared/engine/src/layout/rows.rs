@@ -32,8 +32,8 @@ pub(crate) const STAT_VIEWS: usize = 1;
 pub(crate) const STAT_ABSOLUTE_GRADIENT: usize = 2;
 pub(crate) const STAT_ROWS: usize = 3;
 
-/// Rows of the scores: Σ (α T)², pixels hit, and views that observed the splat. In the record of one splat–tile pair the
-/// last is the number of pixels hit while more than half of the light still came through.
+/// Rows of the scores: Σ (α T)², pixels hit, and views that observed the splat. In the record of one splat–tile pair
+/// the last is the number of pixels hit while more than half of the light still came through.
 pub(crate) const SQUARED_WEIGHT: usize = 0;
 pub(crate) const HITS: usize = 1;
 pub(crate) const OBSERVED: usize = 2;

@@ -1,5 +1,5 @@
-//! Pictures in tiles: 16 × 16 pixels of a plane lie together, then the next plane of the same tile,
-//! then the next tile. A tile's blend touches one stretch of memory; a row of a tile is one [`Row`].
+//! Pictures in tiles: the 16 × 16 pixels of a plane are contiguous, then come the next plane of the same tile and the
+//! next tile. The blend of a tile uses one stretch of memory; a row of a tile is one [`Row`].
 
 use crate::simd::{Lanes, Row};
 
@@ -25,7 +25,7 @@ impl TileImage {
         }
     }
 
-    /// A picture whose values lie as they do here, plane by plane in each tile.
+    /// A picture from values in the same layout.
     #[cfg(feature = "gpu")]
     pub(crate) fn from_values(size_px: [u32; 2], planes: usize, values: &[f32]) -> Self {
         let mut image = Self::with_capacity(padded_pixels(size_px), planes);
@@ -36,8 +36,8 @@ impl TileImage {
         image
     }
 
-    /// Lays the image out for a size and a number of planes. Old content is left as it is: every pass
-    /// that calls this writes each row.
+    /// Lays the image out for a size and a number of planes. Old content remains; every pass that calls this overwrites
+    /// each row.
     pub(crate) fn reshape(&mut self, size_px: [u32; 2], planes: usize) {
         self.size_px = size_px.map(|side| side as usize);
         self.tiles = Self::tiles_of(size_px);
@@ -62,7 +62,7 @@ impl TileImage {
         self.planes
     }
 
-    /// Rows of one tile, all planes.
+    /// Rows of one tile in all planes.
     pub(crate) fn rows_per_tile(&self) -> usize {
         self.planes * TILE
     }
@@ -105,16 +105,16 @@ pub(crate) fn centers<L: Lanes>(origin_x: f32, part: usize) -> L {
     L::load(&OFFSETS[part * L::N..]) + L::splat(origin_x)
 }
 
-/// Zeros on each side of a line of a plane that losses read pixel by pixel, and lines of zeros above and below are one
-/// each, so that vectors may be read beside a pixel.
+/// Zeros on each side of a line in a plane of the surface losses, so that vectors can be read beside a pixel. Above and
+/// below the picture there is one line of zeros.
 pub(crate) const PLANE_MARGIN: usize = TILE;
 
-/// Numbers of a line of such a plane.
+/// Length of a line in such a plane.
 pub(crate) fn plane_stride(width: usize) -> usize {
     width.div_ceil(TILE) * TILE + 2 * PLANE_MARGIN
 }
 
-/// Numbers of such a plane for pictures up to `size_px`.
+/// Length of such a plane for pictures up to `size_px`.
 pub(crate) fn plane_len(size_px: [u32; 2]) -> usize {
     plane_stride(size_px[0] as usize) * (size_px[1] as usize + 2)
 }

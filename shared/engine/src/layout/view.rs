@@ -1,12 +1,12 @@
-//! A camera as the kernels need it: f32, with everything that is the same for all splats worked out.
+//! The parameters of a camera for the passes: f32, with all values that are the same for all splats.
 
 use cosurf_scene::Camera;
 use glam::DMat3;
 
 use super::tiles::TileImage;
 
-/// How far outside the picture, as a share of its size, a centre may lie before the perspective's
-/// linearisation is taken at that limit instead (3DGS: 1.3 tan(fov/2), i.e. 15 %).
+/// Distance outside the picture, as a share of its size, up to which the projection of a splat is linearised at its
+/// centre; beyond, it is linearised at this limit (3DGS: 1.3 tan(fov/2), which is 15 %).
 const LINEARISATION_MARGIN: f64 = 0.15;
 
 #[derive(Clone, Copy, Debug)]
@@ -63,7 +63,7 @@ impl RelativePose {
         let (h, t) = (wide(here.rotation), wide(there.rotation));
         let rotation: [[f64; 3]; 3] =
             std::array::from_fn(|r| std::array::from_fn(|c| (0..3).map(|k| t[r][k] * h[c][k]).sum()));
-        // From the centres, which subtract without loss; translations far from the origin do not.
+        // From the difference of the centres: far from the origin, translations would cancel and lose precision.
         let way: [f64; 3] = std::array::from_fn(|k| f64::from(here.eye[k]) - f64::from(there.eye[k]));
         let translation: [f64; 3] = std::array::from_fn(|r| (0..3).map(|k| t[r][k] * way[k]).sum());
         Self {

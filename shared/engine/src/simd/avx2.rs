@@ -1,4 +1,4 @@
-//! Eight floats by AVX2 and FMA.
+//! Eight floats with AVX2 and FMA.
 
 #![allow(unsafe_code)]
 
@@ -14,7 +14,7 @@ pub(super) fn available() -> bool {
 }
 
 /// # Safety
-/// [`available`] must have answered true.
+/// [`available`] must have returned true.
 #[target_feature(enable = "avx2,fma,bmi1,bmi2")]
 pub(super) unsafe fn run<K: Kernel>(kernel: K) -> K::Output {
     kernel.run::<Avx2>()
@@ -22,8 +22,8 @@ pub(super) unsafe fn run<K: Kernel>(kernel: K) -> K::Output {
 
 operators!(Avx2, _mm256_add_ps, _mm256_sub_ps, _mm256_mul_ps, _mm256_div_ps);
 
-// SAFETY (every block below): this type is only used by kernels that `Isa::run` started after asking
-// the processor; loads and stores go through slices whose length is checked first.
+// SAFETY (every block below): only kernels that `Isa::run` calls use this type, on processors that support it; loads
+// and stores go through slices whose length is checked first.
 impl Lanes for Avx2 {
     const N: usize = 8;
     type Mask = __m256;
@@ -143,7 +143,7 @@ impl Lanes for Avx2 {
         }
     }
 
-    /// Horizontal additions fold eight vectors into one, twice.
+    /// Horizontal additions reduce eight vectors to one, twice.
     #[inline(always)]
     fn sums(vectors: &[Self; GROUP]) -> Row {
         let v = vectors;

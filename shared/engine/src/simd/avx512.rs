@@ -1,4 +1,4 @@
-//! Sixteen floats by AVX-512: a row of a tile, or a block of splats, in one register.
+//! Sixteen floats with AVX-512: a row of a tile or a block of splats in one register.
 
 #![allow(unsafe_code)]
 
@@ -18,7 +18,7 @@ pub(super) fn available() -> bool {
 }
 
 /// # Safety
-/// [`available`] must have answered true.
+/// [`available`] must have returned true.
 #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx2,fma,bmi1,bmi2")]
 pub(super) unsafe fn run<K: Kernel>(kernel: K) -> K::Output {
     kernel.run::<Avx512>()
@@ -26,8 +26,8 @@ pub(super) unsafe fn run<K: Kernel>(kernel: K) -> K::Output {
 
 operators!(Avx512, _mm512_add_ps, _mm512_sub_ps, _mm512_mul_ps, _mm512_div_ps);
 
-// SAFETY (every block below): this type is only used by kernels that `Isa::run` started after asking
-// the processor; loads and stores go through slices whose length is checked first.
+// SAFETY (every block below): only kernels that `Isa::run` calls use this type, on processors that support it; loads
+// and stores go through slices whose length is checked first.
 impl Lanes for Avx512 {
     const N: usize = 16;
     type Mask = __mmask16;
@@ -130,7 +130,7 @@ impl Lanes for Avx512 {
         unsafe { _mm512_reduce_add_ps(self.0) }
     }
 
-    /// Four rounds that each halve the vectors: lanes of two vectors are interleaved and added.
+    /// Four rounds each halve the number of vectors: the lanes of two vectors are interleaved and added.
     #[inline(always)]
     fn sums(vectors: &[Self; GROUP]) -> Row {
         let v = vectors;

@@ -1,4 +1,4 @@
-//! The instruction set that a program runs on, chosen when it starts.
+//! Instruction sets: which the processor has, and running kernels on one of them.
 
 #[cfg(target_arch = "x86_64")]
 use super::avx2;
@@ -9,7 +9,7 @@ use super::lanes::Kernel;
 use super::neon;
 use super::plain::Plain;
 
-/// An instruction set that this processor has.
+/// An instruction set of this processor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Isa {
     #[cfg(target_arch = "x86_64")]

@@ -1,11 +1,11 @@
-//! The vector type that kernels are written for, and what belongs to it.
+//! The trait of vectors that kernels are generic over, and the types and functions that use it.
 
 use std::ops::{Add, Div, Mul, Sub};
 
-/// Lanes of a group: passes work on 16 splats or 16 pixels of a row at a time, in `16 / L::N` vectors.
+/// Numbers of a group: passes process 16 splats or 16 pixels of a row at a time, in `16 / L::N` vectors.
 pub(crate) const GROUP: usize = 16;
 
-/// 16 floats on a cache line of their own.
+/// 16 floats in one cache line.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(C, align(64))]
 pub(crate) struct Row(pub(crate) [f32; GROUP]);
@@ -40,9 +40,9 @@ pub(crate) trait Lanes:
     fn load(from: &[f32]) -> Self;
     /// Writes the first `N` floats; panics if there are fewer.
     fn store(self, to: &mut [f32]);
-    /// `self * b + c`, fused where the processor can.
+    /// `self * b + c`, fused if the processor supports it.
     fn mul_add(self, b: Self, c: Self) -> Self;
-    /// `c - self * b`, fused where the processor can.
+    /// `c - self * b`, fused if the processor supports it.
     fn neg_mul_add(self, b: Self, c: Self) -> Self;
     fn min(self, other: Self) -> Self;
     fn max(self, other: Self) -> Self;
@@ -62,7 +62,7 @@ pub(crate) trait Lanes:
     fn any(mask: Self::Mask) -> bool;
     /// Bit `i` is lane `i`.
     fn bits(mask: Self::Mask) -> u32;
-    /// Sum of the lanes, in an order that is fixed for the instruction set.
+    /// Sum of the lanes, in a fixed order for each instruction set.
     fn sum(self) -> f32;
 
     #[inline(always)]
@@ -80,8 +80,8 @@ pub(crate) trait Lanes:
         Self::zero() - self
     }
 
-    /// `2^self` for `self` in -126..=127, relative error below 2e-7: the nearest integer goes to the exponent,
-    /// the rest through a degree-5 polynomial fitted for least relative error on ±½ (7.5e-8 in exact arithmetic).
+    /// `2^self` for `self` in -126..=127, relative error below 2e-7. The nearest integer becomes the exponent; a
+    /// polynomial of degree 5, fitted for least relative error on ±½, approximates the rest.
     #[inline(always)]
     fn exp2(self) -> Self {
         let n = self.round();
@@ -116,7 +116,7 @@ pub(crate) trait Lanes:
         p * s
     }
 
-    /// Lane `i` of the result is the sum of `vectors[i]`; as with [`Lanes::sum`], in a fixed order.
+    /// Lane `i` of the result is the sum of `vectors[i]`, in a fixed order for each instruction set.
     #[inline(always)]
     fn sums(vectors: &[Self; GROUP]) -> Row {
         let mut row = Row::ZERO;
@@ -127,7 +127,7 @@ pub(crate) trait Lanes:
     }
 }
 
-/// Asks for a cache line that will be read soon. Does nothing where we know no instruction for it.
+/// Prefetches a cache line that will be read soon; does nothing on processors other than x86-64.
 #[inline(always)]
 #[allow(unsafe_code)]
 pub(crate) fn prefetch<T>(slice: &[T], index: usize) {
@@ -141,8 +141,8 @@ pub(crate) fn prefetch<T>(slice: &[T], index: usize) {
     let _ = (slice, index);
 }
 
-/// Work that is written once for every instruction set. `run` must be `#[inline(always)]` and must
-/// not hand closures to other threads: those would be compiled without the wider instructions.
+/// Work that is compiled for every instruction set. `run` must be `#[inline(always)]` and must not pass closures to
+/// other threads: those would be compiled without the wider instructions.
 pub(crate) trait Kernel {
     type Output;
     fn run<L: Lanes>(self) -> Self::Output;
@@ -160,9 +160,8 @@ pub(crate) fn cross3<L: Lanes>(a: [L; 3], b: [L; 3]) -> [L; 3] {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
-/// `each!([0, 1, 2], |i| expression of i)` is the array of the expression's values. Not `array::map`: its
-/// closure would be a function of its own, compiled without the wider instructions, and measured to cost
-/// a call per instruction in the loss.
+/// `each!([0, 1, 2], |i| expression of i)` is the array of the expression's values. The closure of `array::map` would
+/// be a function of its own, compiled without the wider instructions, at the cost of a call for each instruction.
 macro_rules! each {
     ([$($index:literal),*], |$name:ident| $value:expr) => {
         [$({ let $name: usize = $index; $value }),*]
@@ -170,7 +169,7 @@ macro_rules! each {
 }
 pub(crate) use each;
 
-/// Implements the four operators by the named intrinsics.
+/// Implements the four operators with the named intrinsics.
 #[allow(unused_macros)]
 macro_rules! operators {
     ($vector:ident, $add:ident, $sub:ident, $mul:ident, $div:ident) => {

@@ -1,4 +1,4 @@
-//! Four floats by NEON, which every 64-bit ARM processor has.
+//! Four floats with NEON, which every 64-bit ARM processor has.
 
 #![allow(unsafe_code)]
 
@@ -48,7 +48,7 @@ impl Lanes for Neon {
         // SAFETY: see above.
         Self(unsafe { vfmsq_f32(c.0, self.0, b.0) })
     }
-    // `vminnm` and `vmaxnm` would take the number where the other is NaN; x86 takes the second operand.
+    // With NaN, `vminnm` and `vmaxnm` return the other operand; x86 returns the second.
     #[inline(always)]
     fn min(self, other: Self) -> Self {
         Self::select(self.lt(other), self, other)

@@ -12,7 +12,7 @@ use crate::schedule::Schedule;
 
 const STEPS: u32 = 40;
 
-/// A model when the losses of the surface end, and at the end.
+/// The model at the end of the surface losses, and at the end of training.
 fn train(surface: Option<SurfaceSettings>) -> [Splats; 2] {
     let truth = splats(60, 0.4, -1.6, 0.0, 0, 7);
     let mut start = truth.clone();
@@ -49,7 +49,7 @@ fn train(surface: Option<SurfaceSettings>) -> [Splats; 2] {
 }
 
 #[test]
-fn shapes_stay_once_the_losses_of_the_surface_are_over() {
+fn shapes_are_frozen_after_the_surface_losses_end() {
     let [before, after] = train(Some(SurfaceSettings::default()));
     assert_eq!(before.quats, after.quats);
     assert_eq!(before.log_scales, after.log_scales);
@@ -58,14 +58,14 @@ fn shapes_stay_once_the_losses_of_the_surface_are_over() {
 }
 
 #[test]
-fn shapes_go_on_where_only_colours_are_trained() {
+fn shapes_keep_training_without_surface_losses() {
     let [before, after] = train(None);
     assert_ne!(before.quats, after.quats);
     assert_ne!(before.log_scales, after.log_scales);
 }
 
 #[test]
-fn the_losses_of_the_surface_begin_and_end() {
+fn surface_losses_begin_and_end_on_schedule() {
     let schedule = Schedule::new(1000);
     let ramp = [0, 232, 233, 234, 849, 850, 999].map(|step| schedule.surface_ramp(step));
     assert_eq!(ramp, [None, None, Some(0.0), Some(0.001), Some(0.616), None, None]);

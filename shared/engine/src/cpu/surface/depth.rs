@@ -1,5 +1,5 @@
-//! The unbiased depth (PGSR): where the ray of a pixel meets the blended plane, `z = D / -(N · r)`. Both are
-//! blended with the same weights, so alpha cancels.
+//! The unbiased depth (PGSR) at the intersection of a pixel's ray with the blended plane, `z = D / -(N · r)`. `D` and
+//! `N` are blended with the same weights, so alpha cancels.
 
 use rayon::prelude::*;
 
@@ -65,13 +65,13 @@ impl<L: Lanes> Rays<L> {
         }
     }
 
-    /// Slopes x / z of the columns from `column` on.
+    /// Slopes x / z of the columns that start at `column`.
     #[inline(always)]
     pub(super) fn x(&self, column: usize) -> L {
         (centers::<L>(column as f32, 0) - self.center_px) / self.focal_px
     }
 
-    /// x / z of one column more.
+    /// Difference of x / z between neighbouring columns.
     #[inline(always)]
     pub(super) fn step_x(&self) -> L {
         self.inv_focal

@@ -1,15 +1,15 @@
-//! The multi-view losses on sampled pixels: there and back again through the neighbour's depth, and patches
-//! that must look alike under the homography of the blended plane (PGSR).
+//! The multi-view losses on sampled pixels (PGSR): the reprojection error through the neighbour's depth, and the
+//! similarity of patches under the homography of the blended plane.
 //!
-//! *Reprojection.* A pixel's point goes to the neighbour, takes the neighbour's depth there, and comes back;
-//! `e` is how far from where it started, px. It counts if `e < 1`, with `w e`, `w = exp(-e)` held fixed. The
-//! neighbour's depth map is held fixed too: every view is a neighbour and a reference in its turn, so a second
-//! backward pass through the neighbour would only say the same again.
+//! *Reprojection.* The point of a pixel is projected into the neighbour, replaced by the point at the neighbour's depth
+//! there, and projected back; `e` is the distance from the pixel, px. If `e < 1`, the loss is `w e` with `w = exp(-e)`
+//! held constant. The neighbour's depth is held constant too: each view is in turn the neighbour of others, so
+//! gradients through the neighbour would be redundant.
 //!
-//! *NCC.* A point `X` of the plane `-(N · X) = D` is seen by the neighbour at `R X - t (N · X) / D`, so along a
-//! ray `r` with `m = N / D` it lies at `R r + s t`, where `s = -(m · r)` is the plane's inverse depth there: all
-//! that a patch's warp knows of the plane. The loss of a patch is `w (1 - cov² / (var var + ε))`. It counts if
-//! the covariance is positive (PGSR lets a negative of the patch score well) and `1 - NCC² < 0.9`.
+//! *NCC.* In the neighbour's frame, a point `X` of the plane `-(N · X) = D` is `R X - t (N · X) / D`. Along a ray `r`,
+//! with `m = N / D`, it is proportional to `R r + s t`, where `s = -(m · r)` is the inverse depth of the plane; the
+//! warp of a patch depends on the plane only through `s`. The loss of a patch is `w (1 - cov² / (var var + ε))`. It
+//! counts if the covariance is positive (in PGSR a negative of the patch matches too) and `1 - NCC² < 0.9`.
 
 use rayon::prelude::*;
 
@@ -26,7 +26,7 @@ use crate::layout::tiles::{TILE, TileImage};
 use crate::layout::view::{RelativePose, ViewParams};
 use crate::simd::Row;
 
-/// Two views, and what the neighbour shows.
+/// A view and its neighbour, with the neighbour's depth and luma.
 pub(super) struct Pair<'a> {
     pose: RelativePose,
     focal_px: [f32; 2],
@@ -54,13 +54,13 @@ impl<'a> Pair<'a> {
     }
 }
 
-/// A point on the screen, and how it moves.
+/// A point on the screen, and its derivative.
 struct Moving {
     at_px: [f32; 2],
     by_px: [f32; 2],
 }
 
-/// Projects `point`, which moves by `by`; `None` behind the camera.
+/// Projects `point`, whose derivative is `by`; `None` behind the camera.
 #[inline(always)]
 fn project(point: [f32; 3], by: [f32; 3], focal_px: [f32; 2], center_px: [f32; 2]) -> Option<Moving> {
     if point[2] <= NEAR {
@@ -84,14 +84,14 @@ struct Sampled {
     depth: f32,
 }
 
-/// Gradients of a pixel's plane.
+/// Gradients of the plane of a pixel.
 #[derive(Default)]
 struct PlaneGradient {
     normal: [f32; 3],
     distance: f32,
 }
 
-/// The losses, and the memory that they work in.
+/// The losses with their scratch memory.
 #[derive(Debug)]
 pub(super) struct Multiview {
     /// By band.
@@ -104,7 +104,7 @@ impl Multiview {
         Self { sums: Vec::with_capacity(TileImage::tiles_of(size_px)[1]) }
     }
 
-    /// Adds both losses to `loss`, and their weighted gradients to `gradient`.
+    /// Writes both losses to `loss`, and adds their weighted gradients to `gradient`.
     pub(super) fn loss(
         &mut self,
         scene: &Shown,
@@ -135,7 +135,7 @@ impl Multiview {
     }
 }
 
-/// Weights of one sample.
+/// Weights of one sample, and how pixels are sampled.
 struct Weights {
     reprojection: f32,
     ncc: f32,
@@ -168,7 +168,7 @@ fn band_loss(scene: &Shown, pair: &Pair, weights: &Weights, band: usize, gradien
     for top in scene.rows(band).step_by(weights.cell) {
         for left in (0..width).step_by(weights.cell) {
             let Some(sampled) = sample(scene, weights, left, top) else { continue };
-            let Some((e, by_depth)) = there_and_back(scene.view, pair, &sampled) else { continue };
+            let Some((e, by_depth)) = reprojection_error(scene.view, pair, &sampled) else { continue };
             let trust = (-e).exp();
             sums.returned += 1;
             sums.reprojection += f64::from(trust * e);
@@ -184,7 +184,7 @@ fn band_loss(scene: &Shown, pair: &Pair, weights: &Weights, band: usize, gradien
     sums
 }
 
-/// The pixel that this step looks at in a cell, if it lies in the picture and shows a surface.
+/// The sampled pixel of a cell, if it lies in the picture and shows a surface.
 fn sample(scene: &Shown, weights: &Weights, left: usize, top: usize) -> Option<Sampled> {
     let [x, y] = sampled_pixel(weights.cell, weights.draw, left, top);
     let [width, height] = scene.image.size_px();
@@ -211,8 +211,8 @@ fn ray(view: &ViewParams, x: f32, y: f32) -> [f32; 3] {
     [(x + 0.5 - view.center_px[0]) / view.focal_px[0], ray_y(view, y), 1.0]
 }
 
-/// How far from itself a pixel comes back, px, and the derivative of that by its depth.
-fn there_and_back(here: &ViewParams, pair: &Pair, sampled: &Sampled) -> Option<(f32, f32)> {
+/// The reprojection error of a pixel, px, and its derivative by the pixel's depth.
+fn reprojection_error(here: &ViewParams, pair: &Pair, sampled: &Sampled) -> Option<(f32, f32)> {
     let by = pair.rotate(sampled.ray);
     let there: [f32; 3] = std::array::from_fn(|k| sampled.depth.mul_add(by[k], pair.pose.translation[k]));
     let q = project(there, by, pair.focal_px, pair.center_px)?;
@@ -230,7 +230,7 @@ fn there_and_back(here: &ViewParams, pair: &Pair, sampled: &Sampled) -> Option<(
     let off = [p.at_px[0] - (sampled.x as f32 + 0.5), p.at_px[1] - (sampled.y as f32 + 0.5)];
     let e = (off[0] * off[0] + off[1] * off[1]).sqrt();
     let slope = (off[0] * p.by_px[0] + off[1] * p.by_px[1]) / e.max(1e-6);
-    // NaN does not count.
+    // A comparison with NaN is false.
     (e < RETURN_MAX_PX).then_some((e, slope))
 }
 
@@ -250,8 +250,8 @@ fn through_ratio(sampled: &Sampled, v_ratio: [f32; 3], into: &mut PlaneGradient)
     into.distance -= dot(v_ratio, sampled.normal) * inv_distance * inv_distance;
 }
 
-/// `1 - NCC²` of the patch around a pixel and its image at the neighbour, and the derivative by `m = N / D`;
-/// `None` if a patch leaves its picture or they do not match.
+/// `1 - NCC²` of the patch around a pixel and its warp in the neighbour, and the derivative by `m = N / D`; `None` if a
+/// patch leaves its picture or the patches do not match.
 fn patches(scene: &Shown, pair: &Pair, sampled: &Sampled) -> Option<(f32, [f32; 3])> {
     let [width, height] = scene.image.size_px();
     let (x, y) = (sampled.x, sampled.y);
@@ -267,13 +267,13 @@ fn patches(scene: &Shown, pair: &Pair, sampled: &Sampled) -> Option<(f32, [f32; 
         let (px, py) = (x + i % PATCH_SIDE - PATCH_REACH, y + i / PATCH_SIDE - PATCH_REACH);
         let r = ray(scene.view, px as f32, py as f32);
         let inverse_depth = -dot(ratio, r);
-        // Behind the camera on either side, the plane shows nothing.
+        // The plane is behind one of the cameras.
         if inverse_depth <= 0.0 {
             return None;
         }
         let turned = pair.rotate(r);
         let point = std::array::from_fn(|k| inverse_depth.mul_add(pair.pose.translation[k], turned[k]));
-        // `point` is the true one times the inverse depth: in front stays in front, whatever NEAR is.
+        // `point` is the point times the inverse depth, so NEAR is scaled as well.
         if point[2] <= NEAR * inverse_depth {
             return None;
         }
@@ -302,7 +302,7 @@ fn patches(scene: &Shown, pair: &Pair, sampled: &Sampled) -> Option<(f32, [f32; 
     Some((disagreement, by_plane))
 }
 
-/// Where the neighbour sees `point`, and how that moves with the plane's inverse depth.
+/// Projection of `point` into the neighbour, and its derivative by the plane's inverse depth.
 fn warp(point: [f32; 3], pair: &Pair) -> Moving {
     let inv_z = 1.0 / point[2];
     let slope = [point[0] * inv_z, point[1] * inv_z];

@@ -1,10 +1,10 @@
-//! The single-view loss: blended normals agree with the normals of the depth, less so across edges of the
-//! picture (PGSR's `L_svg`).
+//! The single-view normal loss: the difference between blended normals and normals from depth, with lower weight on
+//! edges of the photograph (`L_svg` of PGSR).
 //!
-//! With `P = z r` the pixel's point, `h = P(x+k) - P(x-k)`, `v = P(y-k) - P(y+k)`, the depth's normal is
-//! `n = h × v / |h × v|`, which faces the camera. The loss is the mean over pixels of `w |α n - N|₁` with α held
-//! fixed and `w = (1 - ĝ)²`, where ĝ is the picture's slope (largest of the two central differences of luma),
-//! scaled to 0..1 over the picture. Gradients go to N here, and through n to the four depths around.
+//! With `P = z r` the point of a pixel, `h = P(x+k) - P(x-k)` and `v = P(y-k) - P(y+k)`, the normal from depth is `n =
+//! h × v / |h × v|`, which faces the camera. The loss is the mean over pixels of `w |α n - N|₁` with α held constant
+//! and `w = (1 - ĝ)²`, where ĝ is the slope of the photograph (the larger central difference of luma), scaled to 0..1
+//! over the picture. The gradients are those of `N`, and through `n` those of the four neighbouring depths.
 
 use rayon::prelude::*;
 
@@ -17,7 +17,7 @@ use crate::layout::planes::{DISTANCE, NORMAL, TRANSMITTANCE};
 use crate::layout::tiles::{TILE, TileImage};
 use crate::simd::{Isa, Kernel, Lanes, Row, cross3, dot3, each};
 
-/// The loss, and the memory that it works in.
+/// The loss with its scratch memory.
 #[derive(Debug)]
 pub(super) struct Normals {
     /// By row of the picture: smallest and largest slope.
@@ -35,7 +35,7 @@ impl Normals {
         }
     }
 
-    /// The loss, not weighted; adds `weight` times its gradient to `gradient`.
+    /// The loss without its weight; adds `weight` times its gradient to `gradient`.
     pub(super) fn loss(
         &mut self,
         isa: Isa,
@@ -85,7 +85,7 @@ struct SlopeLine<'a> {
 }
 
 impl Kernel for SlopeLine<'_> {
-    /// Smallest and largest slope of the line's inner pixels.
+    /// Smallest and largest slope of the inner pixels of the line.
     type Output = [f32; 2];
 
     #[inline(always)]
@@ -119,7 +119,7 @@ fn slope<L: Lanes>(luma: &Plane, y: usize, column: usize) -> L {
 struct NormalBand<'a> {
     scene: Shown<'a>,
     edges: Edges,
-    /// Of one pixel.
+    /// Weight of one pixel.
     weight: f32,
     band: usize,
     gradient: &'a mut [Row],
@@ -136,8 +136,8 @@ impl Kernel for NormalBand<'_> {
         let height = scene.image.size_px()[1];
         let rows = scene.rows(band);
         let stride = scene.depth.stride();
-        // ∂L/∂z of the band's own rows. A row's loss reaches rows above and below it, so the rows just outside the
-        // band are worked out here too, for what they give to the band.
+        // ∂L/∂z of the band's rows. The loss of a row depends on depths above and below it, so the rows next to the
+        // band are computed here too, for their gradients within the band.
         zeros(v_depth, stride * rows.len());
         let mut sum = 0.0;
         for y in rows.start.max(2 * REACH) - REACH..(rows.end + REACH).min(height.saturating_sub(REACH)) {
@@ -157,17 +157,17 @@ impl Kernel for NormalBand<'_> {
                             gradient[band_row(scene.image, NORMAL + axis, y, tile_x)].set(part, v);
                         }
                     }
-                    let mut give = |y: usize, x: isize, v: L| {
+                    let mut add = |y: usize, x: isize, v: L| {
                         if rows.contains(&y) {
                             let place = &mut v_depth[(y - rows.start) * stride + Plane::at(x)..];
                             (L::load(place) + v).store(place);
                         }
                     };
                     let (x, k) = (column as isize, REACH as isize);
-                    give(y, x + k, v.right);
-                    give(y, x - k, v.left);
-                    give(y - REACH, x, v.above);
-                    give(y + REACH, x, v.below);
+                    add(y, x + k, v.right);
+                    add(y, x - k, v.left);
+                    add(y - REACH, x, v.above);
+                    add(y + REACH, x, v.below);
                 }
             }
             sum += f64::from(line.sum());
@@ -179,15 +179,15 @@ impl Kernel for NormalBand<'_> {
     }
 }
 
-/// A vector of pixels, its neighbours' points and its normals.
+/// A vector of pixels with rays, normals and weights.
 struct Pixels<L: Lanes> {
-    /// Rays to the right, to the left, above and below.
+    /// Rays of the pixels to the right, to the left, above and below.
     rays: [[L; 3]; 4],
-    /// Across and up.
+    /// Differences of points, horizontal and vertical.
     h: [L; 3],
     v: [L; 3],
     inv_length: L,
-    /// The depth's normal.
+    /// Normal from depth.
     n: [L; 3],
     blended: [L; 3],
     alpha: L,
@@ -195,8 +195,8 @@ struct Pixels<L: Lanes> {
     valid: L::Mask,
 }
 
-/// Gradients of one vector of pixels: of their own normals, and of the depths around.
-struct Given<L> {
+/// Gradients of one vector of pixels: of their normals, and of the four neighbouring depths.
+struct Gradients<L> {
     normal: [L; 3],
     right: L,
     left: L,
@@ -249,9 +249,9 @@ impl<L: Lanes> Pixels<L> {
         }
     }
 
-    /// The loss of these pixels, and its gradients times `weight`.
+    /// The loss of the pixels, and its gradients times `weight`.
     #[inline(always)]
-    fn gradients(&self, weight: L) -> (L, Given<L>) {
+    fn gradients(&self, weight: L) -> (L, Gradients<L>) {
         let difference = each!([0, 1, 2], |a| self.alpha.mul_add(self.n[a], L::zero() - self.blended[a]));
         let loss = self.edge_weight * (difference[0].abs() + difference[1].abs() + difference[2].abs());
         let scale = weight * self.edge_weight;
@@ -264,18 +264,18 @@ impl<L: Lanes> Pixels<L> {
         let v_c = each!([0, 1, 2], |a| (g[a] - self.n[a] * along) * self.inv_length);
         // c = h × v.
         let (v_h, v_v) = (cross3(self.v, v_c), cross3(v_c, self.h));
-        let given = Given {
+        let gradients = Gradients {
             normal: each!([0, 1, 2], |a| signed[a].neg()),
             right: dot3(v_h, self.rays[0]),
             left: dot3(v_h, self.rays[1]).neg(),
             above: dot3(v_v, self.rays[2]),
             below: dot3(v_v, self.rays[3]).neg(),
         };
-        (loss, given)
+        (loss, gradients)
     }
 }
 
-/// `z = D / f` with `f = -(N · r)`: adds `∂L/∂z` of a row to the gradients of D and N.
+/// `z = D / f` with `f = -(N · r)`: propagates `∂L/∂z` of a row to the gradients of `D` and `N`.
 #[inline(always)]
 pub(super) fn through_depth<L: Lanes>(scene: &Shown, y: usize, v_depth: &[f32], gradient: &mut [Row]) {
     let rays = Rays::<L>::new(scene.view, y);

@@ -1,4 +1,4 @@
-//! One number per pixel, row by row, with margins of zeros, so that vectors may be read beside a pixel.
+//! A plane of one number per pixel, row by row, with margins of zeros, so that vectors can be read beside a pixel.
 
 use rayon::prelude::*;
 
@@ -6,7 +6,7 @@ use crate::backend::TargetRgb;
 use crate::layout::constants::LUMA_WEIGHTS;
 use crate::layout::tiles::{PLANE_MARGIN as MARGIN, plane_len, plane_stride};
 
-/// See the module.
+/// A plane of numbers with margins.
 #[derive(Debug, Default)]
 pub(super) struct Plane {
     size_px: [usize; 2],
@@ -15,7 +15,7 @@ pub(super) struct Plane {
 }
 
 impl Plane {
-    /// Numbers of a line for pictures up to `size_px`.
+    /// Length of a line for pictures up to `size_px`.
     pub(super) fn stride_for(size_px: [u32; 2]) -> usize {
         plane_stride(size_px[0] as usize)
     }
@@ -24,7 +24,7 @@ impl Plane {
         Self { data: Vec::with_capacity(plane_len(size_px)), ..Self::default() }
     }
 
-    /// Lays the plane out for a picture; all zero.
+    /// Lays the plane out for a picture, with all numbers zero.
     pub(super) fn reshape(&mut self, size_px: [usize; 2]) {
         self.size_px = size_px;
         self.stride = plane_stride(size_px[0]);
@@ -38,7 +38,7 @@ impl Plane {
         &self.data[(y + 1) as usize * self.stride..][..self.stride]
     }
 
-    /// Where column `x` lies in a line; `x` may be up to 16 outside the picture.
+    /// Index of column `x` in a line; `x` may be up to 16 outside the picture.
     #[inline(always)]
     pub(super) fn at(x: isize) -> usize {
         (x + MARGIN as isize) as usize
@@ -48,12 +48,12 @@ impl Plane {
         self.size_px
     }
 
-    /// Numbers of a line.
+    /// Length of a line.
     pub(super) fn stride(&self) -> usize {
         self.stride
     }
 
-    /// Lines of the picture, each with its margins.
+    /// The lines of the picture with their margins.
     pub(super) fn lines_mut(&mut self) -> impl IndexedParallelIterator<Item = &mut [f32]> {
         let (stride, height) = (self.stride, self.size_px[1]);
         self.data[stride..].par_chunks_exact_mut(stride).take(height)
@@ -64,11 +64,11 @@ impl Plane {
         self.data[(y + 1) * self.stride + MARGIN + x]
     }
 
-    /// Bilinear interpolation between pixel centres, and its slopes; `None` where a corner lies outside.
+    /// Bilinear interpolation between pixel centres, with slopes; `None` if a corner is outside the picture.
     #[inline(always)]
     pub(super) fn sample(&self, q_px: [f32; 2]) -> Option<Sample> {
         let (u, v) = (q_px[0] - 0.5, q_px[1] - 0.5);
-        // Phrased so that NaN is outside.
+        // A comparison with NaN is false, so NaN is outside.
         if !(u >= 0.0 && v >= 0.0 && u < (self.size_px[0] - 1) as f32 && v < (self.size_px[1] - 1) as f32) {
             return None;
         }
@@ -84,7 +84,7 @@ impl Plane {
     }
 }
 
-/// What [`Plane::sample`] finds.
+/// Result of [`Plane::sample`].
 #[derive(Clone, Copy)]
 pub(super) struct Sample {
     pub(super) value: f32,
@@ -94,7 +94,7 @@ pub(super) struct Sample {
     pub(super) least: f32,
 }
 
-/// Luma of a picture.
+/// Writes the luma of a picture.
 pub(super) fn luma(rgb: TargetRgb, size_px: [u32; 2], plane: &mut Plane) {
     let size = size_px.map(|side| side as usize);
     plane.reshape(size);

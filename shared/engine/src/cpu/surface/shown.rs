@@ -1,4 +1,4 @@
-//! The picture that the losses look at, and its division into bands of one row of tiles.
+//! The rendering that the losses compare, and its division into bands of one row of tiles.
 
 use rayon::prelude::*;
 
@@ -7,7 +7,7 @@ use crate::layout::tiles::{TILE, TileImage};
 use crate::layout::view::ViewParams;
 use crate::simd::Row;
 
-/// A rendering and what belongs to it.
+/// A rendering with its camera, depth and photograph.
 #[derive(Clone, Copy)]
 pub(super) struct Shown<'a> {
     pub(super) image: &'a TileImage,
@@ -17,18 +17,18 @@ pub(super) struct Shown<'a> {
 }
 
 impl Shown<'_> {
-    /// Rows of the picture in the `band`-th row of tiles.
+    /// Pixel rows in the `band`-th row of tiles.
     pub(super) fn rows(&self, band: usize) -> std::ops::Range<usize> {
         band * TILE..((band + 1) * TILE).min(self.image.size_px()[1])
     }
 }
 
-/// Where in a band of gradient rows the pixel row `y` of a plane of the tile `tile_x` lies.
+/// Index, within a band of gradient rows, of pixel row `y` of a plane of tile `tile_x`.
 pub(super) fn band_row(image: &TileImage, plane: usize, y: usize, tile_x: usize) -> usize {
     tile_x * image.rows_per_tile() + plane * TILE + y % TILE
 }
 
-/// One band of gradient rows for each row of tiles.
+/// The gradient rows of each row of tiles.
 pub(super) fn bands<'a>(
     image: &TileImage,
     gradient: &'a mut TileImage,

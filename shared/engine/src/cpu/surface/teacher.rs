@@ -1,8 +1,8 @@
-//! The losses of distillation: depth and blended normals agree with a teacher's (CoSurfGS, "Model Aggregation
+//! The losses of distillation: differences of depth and blended normals from a teacher (CoSurfGS, "Model Aggregation
 //! Scheme", `L_d` and `L_n`).
 //!
-//! Means over all pixels of `t |z - z'|` and `t |N - N'|₁`, with t the trust in the teacher's pixel; depths count
-//! where both have one. Gradients go to N here, and through z to D and N.
+//! Means over all pixels of `t |z - z'|` and `t |N - N'|₁`, with `t` the trust in the teacher's pixel; the depth loss
+//! counts where both have a depth. The gradients are those of `N`, and through `z` those of `D` and `N`.
 
 use rayon::prelude::*;
 
@@ -15,7 +15,7 @@ use crate::layout::planes::NORMAL;
 use crate::layout::tiles::{TILE, TileImage};
 use crate::simd::{Isa, Kernel, Lanes, Row};
 
-/// The losses, and the memory that they work in.
+/// The losses with their scratch memory.
 #[derive(Debug)]
 pub(super) struct Teacher {
     lines: PerThread<Lines>,
@@ -32,7 +32,7 @@ impl Teacher {
         }
     }
 
-    /// The losses, not weighted; adds their weighted gradients to `gradient`.
+    /// The losses without their weights; adds their weighted gradients to `gradient`.
     pub(super) fn loss(
         &mut self,
         isa: Isa,
@@ -62,7 +62,7 @@ impl Teacher {
 struct TeacherBand<'a> {
     scene: Shown<'a>,
     target: &'a TargetSurface<'a>,
-    /// Of the depth and the normal of one pixel.
+    /// Weights of depth and normal of one pixel.
     weights: [f32; 2],
     band: usize,
     gradient: &'a mut [Row],
@@ -70,7 +70,7 @@ struct TeacherBand<'a> {
     v_depth: &'a mut Vec<f32>,
 }
 
-/// One row of the teacher's picture in lines with margins, as those of a [`Plane`].
+/// One row of the teacher's rendering, in lines with the margins of a [`Plane`].
 #[derive(Debug)]
 struct Lines {
     depth: Vec<f32>,

@@ -1,4 +1,4 @@
-//! The colour loss against a direct f64 implementation: values, and gradients by central differences.
+//! Compares the colour loss with a direct f64 implementation, and its gradient with central differences.
 
 use super::super::loss::Photometric;
 use crate::backend::{Exposure, TargetRgb};
@@ -72,7 +72,7 @@ fn check(exposure: Exposure) {
     for (i, value) in x.iter().enumerate() {
         image.set_value(i % 3, i / 3 % SIZE_PX[0], i / 3 / SIZE_PX[0], *value as f32);
     }
-    // What lies in the padding of tiles must not matter.
+    // The padding of tiles must not matter.
     image.rows_mut().iter_mut().for_each(|row| assert!(row.0.iter().all(|v| v.is_finite())));
     for isa in Isa::available() {
         let mut gradient = image.clone();
@@ -91,7 +91,7 @@ fn check(exposure: Exposure) {
             worst = worst.max((value - slope).abs() / slope.abs().max(2e-6));
         }
         assert!(worst < 1e-3, "{}: relative error {worst:.2e}", isa.name());
-        // L1 has a kink wherever a pixel is right, so the exposure's slope is taken over a short way.
+        // L1 has a kink where a pixel is equal, so the derivative by the exposure uses a small step.
         let slope = |at: &dyn Fn(f64) -> f64| (at(1e-6) - at(-1e-6)) / 2e-6;
         let by_gain = slope(&|by| loss(&x, &y, gain + by, offset));
         let by_offset = slope(&|by| loss(&x, &y, gain, offset + by));

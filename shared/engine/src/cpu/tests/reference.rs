@@ -1,7 +1,7 @@
-//! The meaning of rendering, in plain f64 and as short as possible: no tiles, no SIMD, forward only.
+//! A reference renderer in f64, as short as possible: no tiles, no SIMD, forward only.
 //!
-//! Thresholds (a splat skipped, an alpha clamped, a pixel full) make the picture jump. Derivatives are
-//! those of the smooth pieces, so a perturbed picture is made with the [`Decisions`] of the unperturbed one.
+//! Thresholds (a splat skipped, an alpha clamped, a pixel full) make the picture discontinuous. Derivatives are those
+//! of the smooth pieces, so a perturbed picture is rendered with the [`Decisions`] of the unperturbed one.
 
 use cosurf_scene::splats::sh_coefficients;
 use cosurf_scene::{Camera, Splats};
@@ -22,7 +22,7 @@ struct Seen {
     depth: f64,
 }
 
-/// Renders, and says what was decided where.
+/// Renders, and returns the decisions at thresholds.
 pub(super) fn render(splats: &Splats, camera: &Camera, sh_degree: u32) -> (Vec<Pixel>, Decisions) {
     let seen: Vec<Seen> = (0..splats.len()).map(|i| see(splats, i, camera, sh_degree)).collect();
     let mut order: Vec<usize> = (0..seen.len()).filter(|i| seen[*i].depth > 0.2).collect();
@@ -124,7 +124,7 @@ fn see(splats: &Splats, i: usize, camera: &Camera, sh_degree: u32) -> Seen {
 fn color(sh: &[f32], direction: DVec3, degree: u32) -> [f64; 3] {
     let DVec3 { x, y, z } = direction;
     let pi = std::f64::consts::PI;
-    // Written from the definition of the real harmonics, not from the engine's table.
+    // From the definition of the real harmonics, independent of the engine's table.
     let basis = [
         0.5 * (1.0 / pi).sqrt(),
         -(3.0 / (4.0 * pi)).sqrt() * y,

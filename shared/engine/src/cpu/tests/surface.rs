@@ -1,6 +1,6 @@
-//! The losses of the surface against a direct f64 implementation: values, and gradients by central differences
-//! with respect to every blended normal and distance. What is held fixed in the engine (weights of trust, which
-//! pixels count) is held fixed here, as found on the unperturbed picture.
+//! Compares the surface losses with a direct f64 implementation, and their gradients with central differences by every
+//! blended normal and distance. Values that the engine holds constant (trust, which pixels count) are held constant
+//! here too, as on the unperturbed picture.
 
 use cosurf_scene::{Camera, Pose};
 use glam::{DMat3, DVec2, DVec3};
@@ -64,7 +64,7 @@ fn ground(camera: &Camera) -> (DVec3, f64) {
     (camera.cam_from_world.rotation * normal, height)
 }
 
-/// The ground as splats might show it: uneven, and not quite opaque.
+/// The ground as splats might render it: uneven, and not fully opaque.
 fn blend(camera: Camera, roughness: f32, seed: u64) -> Blend {
     let mut random = Random::new(seed, Purpose::Birth, 0, 0);
     let (n, d) = ground(&camera);
@@ -72,7 +72,7 @@ fn blend(camera: Camera, roughness: f32, seed: u64) -> Blend {
     for _ in 0..pixels(&camera) {
         let mut noise = || f64::from(roughness * random.normal());
         let alpha = 0.93 + 0.5 * noise().clamp(-0.1, 0.1);
-        // As f32 holds them: both sides must see the same numbers.
+        // Rounded to f32, so that both implementations get the same numbers.
         let exact = |v: f64| f64::from(v as f32);
         let bent = n + DVec3::new(noise(), noise(), noise());
         blend.normal.push((alpha * bent).to_array().map(exact).into());
@@ -82,7 +82,7 @@ fn blend(camera: Camera, roughness: f32, seed: u64) -> Blend {
     blend
 }
 
-/// What is painted on the ground.
+/// Texture of the ground.
 fn paint(p: DVec3) -> f32 {
     let waves = (2.1 * p.x + 0.4).sin() * (1.7 * p.y).cos() + 0.6 * (1.3 * p.x - 2.9 * p.y).sin();
     (0.5 + 0.22 * waves) as f32
@@ -130,10 +130,11 @@ fn engine(isa: Isa, here: &Blend, there: &Blend, photographs: [&[f32]; 2]) -> (S
     (loss, gradient)
 }
 
-/// What the unperturbed picture decided: trust and whether the patch counts, for each pixel that came back.
+/// Decisions on the unperturbed picture for each pixel with a reprojection error below 1 px: trust, and whether the
+/// patch counts.
 type Decisions = Vec<Option<(f64, bool)>>;
 
-/// Row-by-row numbers with bilinear interpolation.
+/// Numbers row by row, with bilinear interpolation.
 struct Map {
     size: [usize; 2],
     values: Vec<f64>,
@@ -213,7 +214,7 @@ impl Reference {
         (rotation, b.translation - rotation * a.translation)
     }
 
-    fn distance_of_return(&self, camera: &Camera, x: usize, y: usize, z: f64) -> Option<f64> {
+    fn reprojection_error(&self, camera: &Camera, x: usize, y: usize, z: f64) -> Option<f64> {
         let (rotation, translation) = self.way(camera);
         let project = |camera: &Camera, p: DVec3| camera.focal_px * p.truncate() / p.z + camera.center_px;
         let there = project(&self.neighbour, rotation * (z * ray(camera, x as f64, y as f64)) + translation);
@@ -222,7 +223,7 @@ impl Reference {
         Some(back.distance(DVec2::new(x as f64 + 0.5, y as f64 + 0.5)))
     }
 
-    /// `(1 - NCC², covariance)` of the patch, by the homography itself.
+    /// `(1 - NCC², covariance)` of the patch, with the homography as a matrix.
     fn disagreement(&self, here: &Blend, x: usize, y: usize) -> Option<(f64, f64)> {
         let camera = &here.camera;
         let [w, h] = camera.size_px.map(|side| side as usize);
@@ -258,7 +259,7 @@ impl Reference {
         let w = width(&here.camera);
         (0..z.len())
             .map(|i| {
-                let e = self.distance_of_return(&here.camera, i % w, i / w, z[i])?;
+                let e = self.reprojection_error(&here.camera, i % w, i / w, z[i])?;
                 let patch = self.disagreement(here, i % w, i / w);
                 let counts = patch.is_some_and(|(value, covariance)| covariance > 0.0 && value < 0.9);
                 (e < 1.0).then_some(((-e).exp(), counts))
@@ -272,7 +273,7 @@ impl Reference {
         let (mut reprojection, mut ncc) = (0.0, 0.0);
         for (i, decision) in decisions.iter().enumerate() {
             let Some((trust, counts)) = decision else { continue };
-            let e = self.distance_of_return(&here.camera, i % w, i / w, z[i]);
+            let e = self.reprojection_error(&here.camera, i % w, i / w, z[i]);
             reprojection += trust * e.expect("a small step does not leave the picture");
             if *counts {
                 let patch = self.disagreement(here, i % w, i / w);
@@ -291,7 +292,7 @@ impl Reference {
     }
 }
 
-/// The number of `plane` at pixel `i`: a normal's axis, or the distance.
+/// The value of `plane` at pixel `i`: an axis of the normal, or the distance.
 fn number(blend: &mut Blend, plane: usize, i: usize) -> &mut f64 {
     match plane {
         DISTANCE => &mut blend.distance[i],
@@ -299,7 +300,7 @@ fn number(blend: &mut Blend, plane: usize, i: usize) -> &mut f64 {
     }
 }
 
-/// The largest error relative to the number, or to a tenth of its plane's root mean square if that is more.
+/// The largest error relative to the number, or to a tenth of its plane's root mean square if that is larger.
 fn worst(gradient: &TileImage, numeric: &[(usize, usize, f64)], w: usize) -> (f64, String) {
     let mut worst = (0.0, String::new());
     for plane in [NORMAL, NORMAL + 1, NORMAL + 2, DISTANCE] {
@@ -318,7 +319,7 @@ fn worst(gradient: &TileImage, numeric: &[(usize, usize, f64)], w: usize) -> (f6
 
 #[test]
 fn surface_losses_and_gradients_agree_with_the_definition() {
-    // Seeds under which no difference is so small that its sign is lost in f32.
+    // With these seeds no difference is so small that f32 loses its sign.
     let [here, there] = [blend(cameras()[0], 0.03, 3), blend(cameras()[1], 0.03, 2)];
     let photographs = cameras().map(|camera| photograph(&camera));
     let photographs = [photographs[0].as_slice(), photographs[1].as_slice()];
@@ -328,7 +329,7 @@ fn surface_losses_and_gradients_agree_with_the_definition() {
     let n = decisions.len() as f64;
     let returned = decisions.iter().flatten().count() as f64 / n;
     let matched = decisions.iter().flatten().filter(|(_, counts)| *counts).count() as f64 / n;
-    assert!(returned > 0.3 && matched > 0.2, "the case is worth something: {returned} {matched}");
+    assert!(returned > 0.3 && matched > 0.2, "the case compares something: {returned} {matched}");
 
     let mut numeric = Vec::new();
     let mut moved = here.clone();
@@ -367,13 +368,13 @@ fn surface_losses_and_gradients_agree_with_the_definition() {
 }
 
 #[test]
-fn a_perfect_surface_costs_nothing_and_a_negative_does_not_match() {
+fn a_perfect_surface_has_no_loss_and_a_negative_does_not_match() {
     let [here, there] = cameras().map(|camera| blend(camera, 0.0, 1));
     let photographs = cameras().map(|camera| photograph(&camera));
     let negative: Vec<f32> = photographs[1].iter().map(|v| 1.0 - v).collect();
     let (loss, _) = engine(Isa::best(), &here, &there, [&photographs[0], &photographs[1]]);
     assert!(loss.returned > 0.5 && loss.matched > 0.4, "{loss:?}");
-    // What is left of the patches, 0.0100, is what sampling between pixels blurs.
+    // The remaining loss of the patches comes from interpolation between pixels.
     assert!(loss.normal < 1e-3 && loss.reprojection < 1e-3 && loss.ncc < 0.0105, "{loss:?}");
     let (loss, _) = engine(Isa::best(), &here, &there, [&photographs[0], &negative]);
     assert_eq!(loss.matched, 0.0, "a negative is not the same ground");
@@ -381,7 +382,7 @@ fn a_perfect_surface_costs_nothing_and_a_negative_does_not_match() {
 
 const TEACHER: TeacherWeights = TeacherWeights { depth: 0.6, normal: 0.9 };
 
-/// A teacher's picture of the same ground: depths, normals and trust, some pixels without a surface.
+/// A teacher's rendering of the same ground: depths, normals and trust, with some pixels without a surface.
 fn teacher(camera: Camera) -> (Vec<f32>, Vec<f32>, Vec<f32>) {
     let shown = blend(camera, 0.05, 7);
     let mut random = Random::new(8, Purpose::Birth, 0, 0);
@@ -430,7 +431,7 @@ fn a_teachers_losses_and_gradients_agree_with_the_definition() {
         }
     }
     let [wanted_depth, wanted_normal] = teacher_losses(&here, &target);
-    assert!(wanted_depth > 1e-3 && wanted_normal > 1e-3, "the case is worth something");
+    assert!(wanted_depth > 1e-3 && wanted_normal > 1e-3, "the case compares something");
     for isa in Isa::available() {
         let image = tiles(&here);
         let view = ViewParams::new(&here.camera, 0);

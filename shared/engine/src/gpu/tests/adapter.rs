@@ -2,7 +2,7 @@
 
 use crate::gpu::context::{Gpu, GpuChoice};
 
-/// The adapter that the tests use, or `None` after saying so.
+/// The best adapter; without one, prints that the test is skipped and returns `None`.
 pub(super) fn gpu() -> Option<Gpu> {
     match Gpu::open(GpuChoice::Any) {
         Ok(gpu) => Some(gpu),

@@ -1,4 +1,4 @@
-//! The two backends side by side, and how their numbers are compared.
+//! Equal models on both backends, and the comparison of their numbers.
 
 use cosurf_scene::Splats;
 
@@ -10,10 +10,10 @@ use crate::gpu::context::Gpu;
 
 /// Largest error of a number, relative to itself or to a hundredth of its group's root mean square.
 const TOLERANCE: f32 = 1e-3;
-/// Share of the numbers that may be further off: those of splats that meet a threshold tie, see the pictures.
+/// Share of the numbers that may differ more: rounding may decide whether a splat reaches a threshold.
 pub(super) const TIES_MAX: f64 = 5e-3;
 
-/// Room for a few splats more.
+/// Capacity for some more splats than there are.
 pub(super) fn capacity(splats: &Splats, size_px: [u32; 2]) -> Capacity {
     Capacity {
         splats: splats.len() + 100,
@@ -48,7 +48,7 @@ fn groups(splats: &Splats) -> [Vec<f32>; 5] {
     ]
 }
 
-/// How many numbers of a group are off by more than the tolerance.
+/// Number of values of a group that differ by more than the tolerance.
 pub(super) fn off_of(got: &[f32], expected: &[f32]) -> usize {
     let squares: f64 = expected.iter().map(|v| f64::from(*v).powi(2)).sum();
     let floor = 0.01 * (squares / expected.len().max(1) as f64).sqrt() as f32 + 1e-20;
@@ -57,7 +57,7 @@ pub(super) fn off_of(got: &[f32], expected: &[f32]) -> usize {
     got.iter().zip(expected).filter(|pair| !within(*pair)).count()
 }
 
-/// How many numbers there are, and how many are off.
+/// Number of values, and number of those that differ.
 pub(super) fn compare(got: &Splats, expected: &Splats) -> (usize, usize) {
     let groups = || groups(got).into_iter().zip(groups(expected));
     (

@@ -1,4 +1,5 @@
-//! Every constant of the shaders is either that of Rust, pair by pair, or the shaders' own, by name.
+//! Compares every constant of the shaders with its twin in Rust. A constant without a twin must be in the list of those
+//! that only the shaders have.
 
 use std::collections::BTreeMap;
 use std::f32::consts::{LN_2, LOG2_E};
@@ -64,7 +65,7 @@ macro_rules! pairs {
     };
 }
 
-/// What the shaders' constants must be, by name.
+/// Expected values of the shaders' constants, by name.
 fn shared() -> BTreeMap<&'static str, Value> {
     let same = pairs! {
         TILE GROUP BLOCK DIGITS NEAR ALPHA_MIN ALPHA_MAX TRANSMITTANCE_MIN LOW_PASS_PX2 LN_2 SPLATS VISIBLE PAIRS_WANTED
@@ -89,7 +90,7 @@ fn shared() -> BTreeMap<&'static str, Value> {
     same.into_iter().chain(renamed).collect()
 }
 
-/// Constants that only the shaders have: how a pass divides its work, and marks that never leave the card.
+/// Constants that only the shaders have: the division of work within a pass, and markers that stay on the card.
 const SHADERS_ONLY: [&str; 6] = ["NOT_SEEN", "NOWHERE", "SSIM_SIDE", "LANES", "PIXELS", "BATCH"];
 
 fn integer_or_floats(module: &Module, at: Handle<Expression>) -> Option<Value> {
@@ -116,7 +117,7 @@ fn constants(source: &str) -> Vec<(String, Option<Value>)> {
     module.constants.iter().filter_map(named).collect()
 }
 
-/// What is wrong with a constant of the shaders, if anything.
+/// The error in a constant of the shaders, if any.
 fn fault(name: &str, value: Option<&Value>, shared: &BTreeMap<&str, Value>) -> Option<String> {
     match shared.get(name) {
         Some(expected) if value == Some(expected) => None,
@@ -142,7 +143,7 @@ fn rust_and_shaders_have_the_same_constants() {
 }
 
 #[test]
-fn the_comparison_of_constants_sees_a_wrong_one_and_an_unknown_one() {
+fn the_comparison_of_constants_detects_wrong_and_unknown_ones() {
     let (shared, found) =
         (shared(), constants("const NEAR: f32 = 0.3; const TILE: u32 = 8u + 8u; const X = 1u;"));
     let faults = found.iter().map(|(name, value)| fault(name, value.as_ref(), &shared).is_some());

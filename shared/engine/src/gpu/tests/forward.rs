@@ -1,5 +1,5 @@
-//! Pictures: the GPU's against the CPU's, pixel by pixel. They may differ where rounding decides whether a splat
-//! reaches a threshold (1/255, a full pixel, which of two is nearer); such pixels are counted, and must be few.
+//! Compares the pictures of both backends pixel by pixel. Pixels may differ where rounding decides whether a splat
+//! reaches a threshold (1/255, a full pixel, which of two splats is nearer); these ties are counted and must be few.
 
 use cosurf_scene::{Camera, Splats};
 use glam::{DVec2, DVec3};
@@ -10,9 +10,9 @@ use crate::cpu::tests::{self, splats};
 use crate::gpu::render::GpuRenderer;
 use crate::render::Renderer;
 
-/// Largest difference of a value of a picture that is not a tie.
+/// Largest difference of a value that is not a tie.
 const TOLERANCE: f32 = 1e-3;
-/// Share of pixels that may be ties: of depth relative to itself, of everything else as it is.
+/// Share of pixels that may be ties. Differences of depth are relative, others absolute.
 const TIES_MAX: f64 = 1e-3;
 
 fn camera(eye: DVec3, focal_px: f64, center_px: DVec2, size_px: [u32; 2]) -> Camera {
@@ -83,7 +83,7 @@ fn pictures_agree_with_the_cpu() {
         if splats.is_empty() {
             continue;
         }
-        // The comparison sees a model in which one splat in fifty (behind the one pixel: each) is a little larger.
+        // The comparison detects a model with one splat in fifty slightly larger (with one pixel: every splat).
         assert!(expected.alpha.iter().any(|alpha| *alpha > 0.3), "{name} shows something");
         let mut wrong = splats.clone();
         let every = if pixels == 1 { 1 } else { 50 };

@@ -1,4 +1,4 @@
-//! Losses, gradients and statistics of a step: the GPU's against the CPU's.
+//! Compares losses, gradients and statistics of a step on both backends.
 
 use cosurf_scene::{Camera, Splats};
 use glam::DVec3;
@@ -18,7 +18,7 @@ pub(super) fn cases() -> Vec<(&'static str, Splats, Camera)> {
         ("rotated", splats(14, 0.4, -1.6, 0.0, 3, 3), centered(eye, 40.0, [44, 29])),
         // Wide angle: slopes are clamped, splats are behind and beside the camera.
         ("clamped", splats(500, 2.2, -0.8, 0.0, 2, 5), centered(eye, 14.0, [44, 29])),
-        // Lists of more pairs than a group carries at once, full pixels.
+        // Lists with more pairs than a workgroup processes at a time; full pixels.
         ("opaque", splats(2000, 0.5, -2.2, 3.0, 0, 7), centered(eye, 120.0, [120, 90])),
         ("wide", splats(600, 0.6, -3.0, 0.0, 1, 9), centered(eye, 400.0, [8192, 48])),
         ("many", splats(5000, 0.8, -3.0, 0.0, 3, 8), centered(eye, 150.0, [230, 140])),
@@ -100,7 +100,7 @@ fn gradients_agree_with_the_cpu() {
             if splats.is_empty() {
                 continue;
             }
-            // The comparison sees gradients of which one in ten (seen or not) is wrong by a percent.
+            // The comparison detects gradients of which one in ten (visible or not) is wrong by a percent.
             let mut bent = got.clone();
             bent.means.iter_mut().chain(&mut bent.log_scales).flatten().step_by(10).for_each(|v| *v *= 1.01);
             bent.quats.iter_mut().flatten().chain(&mut bent.sh).step_by(10).for_each(|v| *v *= 1.01);

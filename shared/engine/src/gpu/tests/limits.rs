@@ -1,4 +1,4 @@
-//! A card that binds little at once: the budget makes models and pictures that it can hold, no larger and no smaller.
+//! A card with a low limit for buffers: the budget plans the largest models and pictures that it can bind.
 
 use glam::DVec3;
 
@@ -12,7 +12,7 @@ use crate::cpu::tests::splats;
 use crate::gpu::backend::GpuBackend;
 use crate::gpu::context::{Gpu, GpuChoice, GpuError};
 
-/// What the card pretends to bind.
+/// Size of the largest buffer that the test card can bind.
 const BINDING_BYTES: u64 = 1 << 20;
 
 fn small() -> Option<Gpu> {
@@ -59,7 +59,7 @@ fn models_are_as_large_as_the_card_can_bind() {
         let more = 4 * (capacity.splats + 1);
         assert!(too_large(GpuBackend::new(&gpu, Capacity { pairs: more, ..capacity })));
     }
-    // What fits is not cut.
+    // A model that fits is not reduced.
     let budget = Budget::plan(&wish([64, 48], 3, 2000)).expect("room");
     assert_eq!((budget.capacity.splats, budget.given_up), (2000, Vec::new()));
 }

@@ -1,4 +1,4 @@
-//! What splats give to pictures: the GPU's scores against the CPU's.
+//! Compares the scores of splats on both backends.
 
 use cosurf_scene::Camera;
 
@@ -10,7 +10,7 @@ use crate::backend::{Backend, Channels, Scores};
 use crate::{Device, prune};
 
 #[test]
-fn the_way_through_a_tile_does_not_change_a_bit() {
+fn the_division_of_work_in_a_tile_does_not_change_a_bit() {
     let Some(gpu) = gpu() else { return };
     let (name, splats, camera) = cases().remove(4);
     let both = [gpu.clone(), gpu.disguised()].map(|gpu| {
@@ -27,7 +27,7 @@ fn the_way_through_a_tile_does_not_change_a_bit() {
 /// Largest error of a score, relative to itself or to a thousandth.
 const TOLERANCE: f32 = 1e-3;
 
-/// Scores of splats that two pictures make.
+/// Scores of the splats over two equal pictures.
 fn scored(backend: &mut impl Backend, camera: &Camera) -> Scores {
     backend.clear_scores();
     for _ in 0..2 {
@@ -39,7 +39,7 @@ fn scored(backend: &mut impl Backend, camera: &Camera) -> Scores {
     backend.scores()
 }
 
-/// How many splats have other scores.
+/// Number of splats with different scores.
 fn off(got: &Scores, expected: &Scores) -> usize {
     let is_off = |i: &usize| {
         let error = (got.squared_weights[*i] - expected.squared_weights[*i]).abs();
@@ -63,7 +63,7 @@ fn scores_agree_with_the_cpu() {
             continue;
         }
         assert!(expected.hits.iter().sum::<f32>() > 0.0, "{name}: something is hit");
-        // The comparison sees each of the three numbers where it is wrong, be it for one splat in twenty of those hit.
+        // The comparison detects each of the three numbers if it is wrong for one in twenty of the hit splats.
         let hit: Vec<usize> = (0..splats.len()).filter(|i| expected.hits[*i] > 0.0).step_by(20).collect();
         let bent: [fn(&mut Scores, usize); 3] = [
             |scores, i| scores.squared_weights[i] = 1.01 * scores.squared_weights[i] + 1e-5,
@@ -79,15 +79,15 @@ fn scores_agree_with_the_cpu() {
 }
 
 #[test]
-fn the_same_splats_are_worth_least() {
+fn both_devices_find_the_same_least_important_splats() {
     let Some(gpu) = gpu() else { return };
     let device = Device::Gpu(gpu);
     for (name, splats, camera) in cases().into_iter().filter(|(_, splats, _)| splats.len() >= 500) {
         let other = centered(-camera.cam_from_world.center(), 100.0, camera.size_px);
         let room = capacity(&splats, camera.size_px);
         let lowest = |cameras: &[Camera], device: &Device| {
-            let worth = prune::importance(&splats, cameras, room, device, 2).expect("room");
-            prune::lowest(&worth, 0.4)
+            let importance = prune::importance(&splats, cameras, room, device, 2).expect("room");
+            prune::lowest(&importance, 0.4)
         };
         let expected = lowest(&[camera, other], &Device::Cpu);
         let differs = |got: &[u32]| got.iter().filter(|i| expected.binary_search(i).is_err()).count();
@@ -95,7 +95,7 @@ fn the_same_splats_are_worth_least() {
         println!("{name}: {differing} of {} that go are others", expected.len());
         let ties_max = TIES_MAX * splats.len() as f64;
         assert!(differing as f64 <= ties_max, "{name}: {differing} of {}", expected.len());
-        // The comparison sees one of the two cameras missing.
+        // The comparison detects a missing camera.
         assert!(differs(&lowest(&[other], &device)) as f64 > ties_max, "{name}: went unnoticed");
     }
 }

@@ -1,4 +1,4 @@
-//! Every shader is valid, keeps to what every GPU can do, and shares its structures with Rust byte by byte.
+//! Every shader is valid, stays within the default limits of WebGPU, and has the same structure layouts as Rust.
 
 use naga::front::wgsl;
 use naga::valid::{Capabilities, ValidationFlags, Validator};
@@ -10,7 +10,7 @@ use crate::gpu::structs::{
 
 /// Storage buffers that a pass may bind: WebGPU's default limit.
 const STORAGE_BUFFERS_MAX: usize = 8;
-/// Memory of a group, bytes: WebGPU's default limit.
+/// Memory of a workgroup, bytes: WebGPU's default limit.
 const GROUP_BYTES_MAX: u32 = 16_384;
 
 fn parsed(source: &str) -> Module {
@@ -88,7 +88,7 @@ fn rust_and_shaders_lay_structures_out_alike() {
         SurfaceWeights: normal reprojection ncc teacher_depth teacher_normal samples sums_first unused;
         Pair: there_from_here focal_px center_px size_px unused_1 unused_2;
     }
-    // The comparison sees a field that moved.
+    // The comparison detects fields in another order.
     let moved = parsed("struct SortStep { shift: u32, counter: u32 } @compute @workgroup_size(1) fn f() {}");
     assert_ne!(layout_in(&moved, "SortStep"), layout_of!(SortStep: counter shift));
 }

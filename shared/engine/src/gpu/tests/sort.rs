@@ -1,4 +1,4 @@
-//! Dispatches of more groups than one axis has: running sums of seventeen million numbers.
+//! Dispatches with more workgroups than one axis allows: running sums of seventeen million numbers.
 
 use super::adapter::gpu;
 use crate::gpu::buffer::Buffer;
@@ -7,7 +7,7 @@ use crate::gpu::sort::{Counted, GROUP, Sorter};
 use crate::gpu::structs::{COUNTERS, SPLATS, VISIBLE};
 
 #[test]
-fn running_sums_go_beyond_one_row_of_groups() {
+fn running_sums_work_beyond_one_row_of_workgroups() {
     let Some(gpu) = gpu() else { return };
     let len = GROUP * (GROUPS_MAX as usize + 2) + 3;
     let mut counted = [0; COUNTERS];

@@ -1,4 +1,4 @@
-//! What a training keeps beside its steps: edits and checkpoints are those of the CPU, and a loss is told.
+//! Compares edits and checkpoints of both backends, and checks that the loss of a device is reported.
 
 use glam::DVec3;
 
@@ -12,7 +12,7 @@ use crate::gpu::{GpuBackend, GpuError};
 use crate::{Device, DeviceError, Renderer, Schedule, prune};
 
 #[test]
-fn edits_and_checkpoints_are_those_of_the_cpu() {
+fn edits_give_the_same_splats_as_on_the_cpu() {
     let Some(gpu) = gpu() else { return };
     let splats = splats(40, 0.4, -1.6, 0.0, 2, 3);
     let birth = |parent: u32| Birth {
@@ -37,7 +37,7 @@ fn edits_and_checkpoints_are_those_of_the_cpu() {
     }
 }
 
-/// Everything that a checkpoint of a backend keeps.
+/// All numbers of a backend's checkpoint.
 fn kept(backend: &impl Backend) -> Vec<f32> {
     let mut kept = Vec::new();
     let exported: Result<(), ()> = backend.export(|numbers| {
@@ -59,7 +59,7 @@ fn restore(backend: &mut impl Backend, len: usize, mut kept: &[f32]) {
 }
 
 #[test]
-fn checkpoints_go_from_device_to_device() {
+fn checkpoints_move_between_devices() {
     let Some(gpu) = gpu() else { return };
     let splats = splats(1043, 0.4, -1.6, 0.0, 2, 3);
     let camera = centered(DVec3::new(3.0, 2.0, 1.5), 40.0, [44, 29]);
@@ -80,11 +80,11 @@ fn checkpoints_go_from_device_to_device() {
     back.adam(&rates);
     step(&mut cpu, &camera, 2, Channels::Color);
     cpu.adam(&rates);
-    assert_eq!(kept(&back), kept(&cpu), "and back: the training goes on to the same bits");
+    assert_eq!(kept(&back), kept(&cpu), "and back: the resumed training has the same bits");
 }
 
 #[test]
-fn a_lost_device_is_told_and_nothing_panics() {
+fn a_lost_device_is_reported_and_nothing_panics() {
     let Some(gpu) = gpu() else { return };
     let splats = splats(60, 0.4, -1.5, 0.0, 1, 2);
     let camera = centered(DVec3::new(3.0, 2.0, 1.5), 40.0, [44, 29]);
@@ -105,6 +105,6 @@ fn a_lost_device_is_told_and_nothing_panics() {
     let is_loss = |error: DeviceError| matches!(error, DeviceError::Gpu(GpuError::Lost(_)));
     assert!(device.check().is_err_and(is_loss));
     assert!(renderer.try_render(&camera).is_err_and(is_loss));
-    let worth = prune::importance(&splats, &[camera], capacity(&splats, camera.size_px), &device, 1);
-    assert!(worth.is_err(), "nobody is judged by what a lost device says");
+    let importance = prune::importance(&splats, &[camera], capacity(&splats, camera.size_px), &device, 1);
+    assert!(importance.is_err(), "a lost device gives no importance");
 }

@@ -1,5 +1,5 @@
-//! The losses of the surface: the GPU's against the CPU's, and their gradients at the splats. A sample may differ where
-//! rounding decides whether it comes back or matches.
+//! Compares the surface losses of both backends and their gradients at the splats. A sample may differ where rounding
+//! decides whether its reprojection error is below the limit or its patches match.
 
 use cosurf_scene::{Camera, Splats};
 use glam::DVec3;
@@ -14,11 +14,11 @@ use crate::backend::{
 use crate::random::{Purpose, Random};
 use crate::render::Renderer;
 
-/// Share of the numbers that may be off by more than a thousandth: a sample that comes back on one side only has a
+/// Share of the numbers that may differ by more than a thousandth: a sample that counts on one backend only has a
 /// gradient for all splats of its pixel.
 const OFF_MAX: f64 = 0.01;
-/// The same with normals: the four depths of one pull against each other, so that what is left is of the size of their
-/// rounding where a splat covers all four.
+/// The same with the normal loss: where a splat covers all four depths of a normal, their gradients cancel almost
+/// completely, and rounding errors remain.
 const NORMALS_OFF_MAX: f64 = 0.02;
 /// Largest difference of a loss, and of the shares of samples.
 const LOSS_OFF_MAX: f64 = 1e-3;
@@ -36,7 +36,7 @@ fn ground(count: usize) -> Splats {
     splats
 }
 
-/// What a step looks at: a picture, its neighbour, a teacher's surface.
+/// Inputs of a step: a view, its neighbour, and a teacher's surface.
 struct Shown {
     cameras: [Camera; 2],
     pictures: [Rendering; 2],
@@ -78,7 +78,7 @@ impl Shown {
     }
 }
 
-/// Weights of which all but one are zero: normals, reprojection, patches, the teacher; or none is.
+/// Weights with only one loss: normals, reprojection, patches or teacher; or with all.
 fn weights(only: Option<usize>) -> LossWeights {
     let at = |k: usize, weight: f32| if only.is_none_or(|only| only == k) { weight } else { 0.0 };
     let multiview = MultiviewWeights { reprojection: at(1, 0.2), ncc: at(2, 0.7), cell_px: 2, draw: 9 };
@@ -124,7 +124,7 @@ fn surface_losses_agree_with_the_cpu() {
             for (got, expected) in numbers(&got_losses).into_iter().zip(numbers(&losses)) {
                 assert!((got - expected).abs() <= LOSS_OFF_MAX, "{only:?}: {got_losses:?} is not {losses:?}");
             }
-            // Of twenty pixels one that rounds the other way is too many.
+            // With twenty pixels, one tie would exceed the share.
             if size_px[0] < 100 {
                 continue;
             }
@@ -135,7 +135,7 @@ fn surface_losses_agree_with_the_cpu() {
             };
             assert!(off as f64 <= off_max * count as f64, "{size_px:?} {only:?}: {off} of {count} are off");
             assert!(losses.surface.returned > 0.5 && losses.surface.matched > 0.1, "{losses:?}");
-            // The comparison sees a weight that is a percent too large.
+            // The comparison detects weights that are a percent too large.
             let mut heavier = weights;
             let surface = heavier.surface.as_mut().expect("a surface");
             surface.normal *= 1.01;

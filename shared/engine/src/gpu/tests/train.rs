@@ -1,4 +1,4 @@
-//! Whole trainings: alike on both devices, and twice the same on one.
+//! Whole trainings: similar on both backends, and equal in two runs on the GPU.
 
 use cosurf_scene::{Camera, Splats};
 use glam::DVec3;
@@ -14,7 +14,7 @@ use crate::{
     TrainingViews,
 };
 
-/// Trains a disturbed model back towards the truth that its photographs show; returns it and its mean PSNR.
+/// Trains a perturbed model on pictures of the true model; returns it and its mean PSNR.
 fn train<B: Backend>(
     backend: B,
     steps: u32,
@@ -52,7 +52,7 @@ fn train<B: Backend>(
     (trained, psnrs.iter().sum::<f64>() / psnrs.len() as f64)
 }
 
-/// What the trainings below see, and where they begin.
+/// The true model, the perturbed model and the cameras of the trainings below.
 fn lesson() -> (Splats, Splats, Vec<Camera>) {
     let eyes = [[3.0, 2.0, 1.5], [-3.0, 2.0, 1.5], [3.0, -2.0, 1.5], [-2.5, -2.5, 1.0]];
     let cameras: Vec<Camera> = eyes.iter().map(|eye| centered(DVec3::from(*eye), 60.0, [64, 48])).collect();
@@ -65,7 +65,7 @@ fn lesson() -> (Splats, Splats, Vec<Camera>) {
 }
 
 #[test]
-fn trainings_are_alike_and_twice_the_same() {
+fn trainings_are_similar_on_both_backends_and_reproducible() {
     let Some(gpu) = gpu() else { return };
     let (truth, start, cameras) = lesson();
     let size_px = cameras[0].size_px;
@@ -76,11 +76,14 @@ fn trainings_are_alike_and_twice_the_same() {
     let (_, by_cpu) = train(on_cpu(&start, size_px), 60, surface, None, &truth, &cameras);
     println!("60 steps: {by_cpu:.3} dB on the CPU, {by_gpu:.3} dB on the GPU, {first:.3} dB after the first");
     assert!((by_cpu - by_gpu).abs() < 0.1, "{by_cpu} dB on the CPU, {by_gpu} dB on the GPU");
-    assert!(by_gpu > first + 1.0, "training goes on: {first} dB after a step, {by_gpu} dB after 60");
+    assert!(
+        by_gpu > first + 1.0,
+        "training improves the model: {first} dB after a step, {by_gpu} dB after 60"
+    );
 }
 
 #[test]
-fn trainings_that_prune_end_alike_and_twice_the_same() {
+fn trainings_with_pruning_are_similar_on_both_backends_and_reproducible() {
     let Some(gpu) = gpu() else { return };
     let (truth, start, cameras) = lesson();
     let size_px = cameras[0].size_px;
@@ -92,6 +95,6 @@ fn trainings_that_prune_end_alike_and_twice_the_same() {
     let (kept, of) = (once.len(), start.len());
     println!("{kept} of {of} splats: {by_cpu:.3} dB on the CPU, {by_gpu:.3} dB on the GPU");
     assert_eq!(kept, expected.len());
-    assert!(10 * kept <= 6 * of, "two fifths went: {kept} of {of}");
+    assert!(10 * kept <= 6 * of, "two fifths were removed: {kept} of {of}");
     assert!((by_cpu - by_gpu).abs() < 0.1, "{by_cpu} dB on the CPU, {by_gpu} dB on the GPU");
 }
