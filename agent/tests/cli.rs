@@ -1,5 +1,5 @@
-//! The program as a user runs it: the same bytes with any number of threads and after a kill, memory within its limit,
-//! and one clear line for every wrong input.
+//! The agent's command line: the same bytes for any number of threads and after a kill, the memory limit kept,
+//! and one clear line for every fault of its input.
 
 #![allow(clippy::unwrap_used)]
 
@@ -9,7 +9,8 @@ use std::process::{Command, Output, Stdio};
 use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
-use cosurf_city::{City, CitySettings};
+use cosurf_tests::datasets::write_town;
+use cosurf_tests::skips::skip;
 use tempfile::TempDir;
 
 /// A small town as a dataset, made once for all tests of this file.
@@ -17,9 +18,7 @@ fn town() -> &'static Path {
     static TOWN: OnceLock<TempDir> = OnceLock::new();
     TOWN.get_or_init(|| {
         let folder = tempfile::tempdir().unwrap();
-        let settings =
-            CitySettings { extent_m: 40.0, views: 12, size_px: [96, 72], ..CitySettings::default() };
-        City::build(&settings).unwrap().write(folder.path(), |_, _| ()).unwrap();
+        write_town(folder.path(), 40.0, 12, [96, 72]);
         folder
     })
     .path()
@@ -96,7 +95,7 @@ fn bytes_depend_on_the_seed_and_not_on_the_threads() {
 }
 
 #[test]
-fn a_closed_pipe_is_no_error() {
+fn a_closed_pipe_ends_a_command_without_an_error() {
     let folder = tempfile::tempdir().unwrap();
     let mut command = train(town(), folder.path(), &["--steps", "1"]);
     let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
@@ -107,7 +106,7 @@ fn a_closed_pipe_is_no_error() {
 }
 
 #[test]
-fn training_from_a_model_is_ahead_of_training_from_points() {
+fn a_training_initialised_with_a_model_is_ahead() {
     let folder = tempfile::tempdir().unwrap();
     let [first, warm, cold] = ["first", "warm", "cold"].map(|name| folder.path().join(name));
     succeed(train(town(), &first, &["--steps", "400"]));
@@ -135,24 +134,23 @@ fn a_killed_training_resumes_to_the_same_bytes() {
     }
     child.kill().unwrap();
     child.wait().unwrap();
-    assert!(!broken.join("model.ply").exists(), "the training ended before the kill");
+    assert!(!broken.join("model.ply").exists(), "the training ended before it was killed");
     let output = train(town(), &broken, &words).output().unwrap();
     assert!(stderr(&output).contains("resumed at step"), "{}", stderr(&output));
     assert!(model(&whole) == model(&broken));
 }
 
-/// Whether there is a GPU, hardware or software; prints a line if there is none.
+/// Whether there is a GPU, where a software driver counts; skips the test if there is none.
 fn has_gpu() -> bool {
     let devices = agent(&["devices", "--json"]).output().unwrap();
     let found = String::from_utf8_lossy(&devices.stdout).contains("gpu:0");
-    assert!(found || std::env::var_os("REQUIRE_GPU").is_none(), "REQUIRE_GPU is set, but there is no GPU");
     if !found {
-        eprintln!("SKIPPED, nothing was tested: no GPU");
+        skip("REQUIRE_GPU", "there is no GPU");
     }
     found
 }
 
-/// Mean PSNR over the training views (all but every eighth), dB.
+/// Mean PSNR of a model on the views it was trained on, all but every eighth, dB.
 fn training_psnr(data: &Path, out: &Path) -> f64 {
     let words = ["--eval-every", "1", "--max-size", "160", "--json", "--device", "cpu"];
     let output = agent(&["eval"]).arg(out).arg(data).args(words).output().unwrap();
@@ -164,8 +162,8 @@ fn training_psnr(data: &Path, out: &Path) -> f64 {
     psnrs.iter().sum::<f64>() / psnrs.len() as f64
 }
 
-/// Trains and returns the mean PSNR over the held-out views, dB.
-fn held_out_psnr(data: &Path, out: &Path, words: &[&str]) -> f64 {
+/// Trains, and returns the mean PSNR of the held-out views, dB.
+fn train_and_score(data: &Path, out: &Path, words: &[&str]) -> f64 {
     succeed(train(data, out, words));
     report(out)["psnr"].as_f64().unwrap()
 }
@@ -174,29 +172,45 @@ fn report(out: &Path) -> serde_json::Value {
     serde_json::from_slice(&fs::read(out.join("report.json")).unwrap()).unwrap()
 }
 
-/// `DATA=FOLDER cargo test --release -p cosurf-agent -- --ignored five_hundred --nocapture`. It needs real pictures: with a
-/// few hundred splats the seed, and so the rounding of a device, changes PSNR by tenths of a decibel. It compares training
-/// views: the rim of a held-out view shows ground that no other view shows, where the model is arbitrary.
+fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len() as f64
+}
+
+/// The squared standard error of a mean.
+fn squared_error(values: &[f64]) -> f64 {
+    let (mean, count) = (mean(values), values.len() as f64);
+    values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / (count - 1.0) / count
+}
+
+/// `DATA=FOLDER cargo test --release -p cosurf-agent -- --ignored five_hundred --nocapture`, with real pictures.
+///
+/// Once rounding makes only one device split a splat, later random draws differ and the runs diverge like two seeds. So
+/// the devices' mean quality is compared with the spread of seeds in the same run: by chance alone the means of four
+/// seeds differ by more than three standard errors about once in 40 runs. The quality is that of the training views: held-out views show
+/// ground that no other view does, and what a training puts there is chance.
 #[test]
 #[ignore = "takes minutes on a software driver, and needs pictures"]
-fn five_hundred_steps_give_the_same_psnr_on_cpu_and_gpu() {
+fn five_hundred_steps_reach_the_same_quality() {
     if !has_gpu() {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
     let data = PathBuf::from(std::env::var_os("DATA").expect("DATA=FOLDER"));
     let [cpu, gpu] = ["cpu", "gpu"].map(|device| {
-        let words = ["--steps", "500", "--max-size", "160", "--device", device];
-        let out = folder.path().join(device);
-        succeed(train(&data, &out, &words));
-        training_psnr(&data, &out)
+        ["0", "1", "2", "3"].map(|seed| {
+            let words = ["--steps", "500", "--max-size", "160", "--device", device, "--seed", seed];
+            let out = folder.path().join(format!("{device}-{seed}"));
+            succeed(train(&data, &out, &words));
+            training_psnr(&data, &out)
+        })
     });
-    println!("500 steps: {cpu:.3} dB on the CPU, {gpu:.3} dB on the GPU");
-    assert!((cpu - gpu).abs() < 0.1, "{cpu} dB on the CPU, {gpu} dB on the GPU");
+    let (off, error) = (mean(&cpu) - mean(&gpu), (squared_error(&cpu) + squared_error(&gpu)).sqrt());
+    println!("500 steps: {cpu:.2?} dB on the CPU, {gpu:.2?} dB on the GPU, {off:.3} ± {error:.3} dB apart");
+    assert!(off.abs() < 3.0 * error, "{off} dB apart, {error} dB standard error");
 }
 
 #[test]
-fn a_gpu_trains_as_well_as_the_cpu_and_their_checkpoints_are_interchangeable() {
+fn a_gpu_trains_the_same_model_and_the_cpu_reads_its_checkpoint() {
     if !has_gpu() {
         return;
     }
@@ -204,7 +218,7 @@ fn a_gpu_trains_as_well_as_the_cpu_and_their_checkpoints_are_interchangeable() {
     let out = |name: &str| folder.path().join(name);
     let on = |device, name: &str| {
         let words = ["--steps", "120", "--device", device, "--memory", "600MiB"];
-        let psnr = held_out_psnr(town(), &out(name), &words);
+        let psnr = train_and_score(town(), &out(name), &words);
         let report = report(&out(name));
         assert!(report["peak_memory_bytes"].as_u64().unwrap() < 600 << 20, "{report}");
         psnr
@@ -213,7 +227,7 @@ fn a_gpu_trains_as_well_as_the_cpu_and_their_checkpoints_are_interchangeable() {
     assert!((cpu - gpu).abs() < 0.1, "{cpu} dB on the CPU, {gpu} dB on the GPU");
     on("gpu", "again");
     assert!(model(&out("gpu")) == model(&out("again")), "two runs on the GPU");
-    // All steps are done, so the CPU writes the model that it reads from the GPU's checkpoint.
+    // All steps are done, so the model is written again from the other device's checkpoint.
     fs::remove_file(out("gpu").join("model.ply")).unwrap();
     on("cpu", "gpu");
     assert!(model(&out("gpu")) == model(&out("again")), "the CPU reads the GPU's checkpoint");
@@ -229,7 +243,7 @@ fn without_drivers(mut command: Command) -> Command {
 
 #[cfg(target_os = "linux")]
 #[test]
-fn without_a_gpu_the_cpu_trains_and_the_report_names_it() {
+fn without_a_gpu_the_cpu_trains_and_the_output_says_so() {
     let output = without_drivers(agent(&["devices"])).output().unwrap();
     let text = String::from_utf8_lossy(&output.stdout).into_owned();
     assert!(text.contains("no GPU") && text.contains("--device cpu"), "{text}");
@@ -239,7 +253,7 @@ fn without_a_gpu_the_cpu_trains_and_the_report_names_it() {
     let output = without_drivers(train(town(), &out("auto"), &words("auto"))).output().unwrap();
     assert!(output.status.success(), "{}", stderr(&output));
     let text = String::from_utf8_lossy(&output.stdout).into_owned();
-    assert!(text.contains("steps/s, cpu "), "the report names the device: {text}");
+    assert!(text.contains("steps/s, cpu "), "the output names the device: {text}");
     succeed(train(town(), &out("cpu"), &words("cpu")));
     assert!(model(&out("auto")) == model(&out("cpu")), "the same bytes");
     refuse(without_drivers(train(town(), &out("gpu"), &words("gpu"))), &["no GPU", "--device cpu"]);
@@ -265,7 +279,7 @@ fn a_damaged_checkpoint_and_one_of_another_training_are_refused() {
 }
 
 #[test]
-fn memory_stays_within_its_limit_or_the_limit_is_refused() {
+fn the_memory_limit_is_kept_and_its_cost_reported() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out");
     succeed(train(town(), &out, &["--steps", "60", "--memory", "40MiB", "--threads", "2"]));

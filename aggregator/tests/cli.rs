@@ -1,11 +1,10 @@
-//! The aggregator's command line as a script meets it.
-
+//! The aggregator's command line as scripts use it.
 #![allow(clippy::unwrap_used)]
 
 use std::process::{Command, Stdio};
 
 #[test]
-fn who_has_read_enough_may_close_the_pipe() {
+fn a_closed_pipe_ends_a_command_without_an_error() {
     let folder = tempfile::tempdir().unwrap();
     let key = folder.path().join("key");
     let mut command = Command::new(env!("CARGO_BIN_EXE_cosurf-aggregator"));

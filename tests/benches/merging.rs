@@ -8,18 +8,17 @@
 //! take, and the last column is slowest agent, slowest edge and last merge together as a share of the one model's
 //! training. The data are `../shared/data/gt_boruszyn` where it lies beside the checkout, otherwise a small built-in city.
 
-mod scene;
-
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Result, ensure};
 use clap::Parser;
 use cosurf_aggregator::evaluate::accuracy;
 use cosurf_aggregator::report::MissionReport;
 use cosurf_scene::bytes::format_bytes;
 use cosurf_scene::{Dataset, Mesh};
-use scene::usual_data;
+use cosurf_tests::datasets::{default_dataset, true_surface};
+use cosurf_tests::programs::program;
 
 const EVAL_EVERY: u32 = 8;
 
@@ -69,9 +68,8 @@ const VARIANTS: [Variant; 9] = [
 fn main() -> Result<()> {
     let arguments = Arguments::parse();
     let folder = tempfile::tempdir()?;
-    let data = arguments.data.clone().map_or_else(|| usual_data(&folder.path().join("city")), Ok)?;
-    let truth = ["gt/points.ply", "gt/mesh.ply"].map(|name| data.join(name));
-    let truth = truth.iter().find(|file| file.is_file()).map(|file| Mesh::read(file)).transpose()?;
+    let data = arguments.data.clone().unwrap_or_else(|| default_dataset(&folder.path().join("town")));
+    let truth = true_surface(&data).map(|file| Mesh::read(&file)).transpose()?;
     let views = Dataset::open(&data)?.split(EVAL_EVERY).0.len();
     println!(
         "{}, long side {} px, every view {} times, threshold {} m\n",
@@ -96,19 +94,6 @@ fn main() -> Result<()> {
     Ok(())
 }
 
-/// Where cargo puts programs: beside the folder of this bench.
-fn program() -> Result<PathBuf> {
-    let bench = std::env::current_exe()?;
-    let folder = bench.parent().and_then(Path::parent).context("this bench lies nowhere")?;
-    let path = folder.join("cosurf-aggregator").with_extension(std::env::consts::EXE_EXTENSION);
-    ensure!(
-        path.is_file(),
-        "{} is missing: build it with `cargo build --release --workspace`",
-        path.display()
-    );
-    Ok(path)
-}
-
 fn fly(
     arguments: &Arguments,
     variant: &Variant,
@@ -119,7 +104,7 @@ fn fly(
     let Variant { name, edges, agents, options } = variant;
     let parts = edges.max(&1) * agents;
     let steps = (arguments.steps_per_view * views).div_ceil(parts);
-    let mut command = Command::new(program()?);
+    let mut command = Command::new(program("cosurf-aggregator"));
     command.args(["mission", "--data"]).arg(data).arg("--out").arg(out).args(*options);
     for (option, value) in [
         ("--edges", edges.to_string()),

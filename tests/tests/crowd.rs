@@ -1,25 +1,22 @@
-//! Two hundred agents upload to one aggregator at once: its memory stays within its bound, and one that
+//! Two hundred agents upload to one aggregator at once: its memory stays within its limit, and an upload that
 //! stalls does not slow the others.
 #![cfg(target_os = "linux")]
 #![allow(clippy::unwrap_used)]
 
-#[path = "../../shared/link/tests/common/mod.rs"]
-mod common;
-
 use std::fs;
 use std::net::TcpListener;
-use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use common::{identity, offer};
 use cosurf_link::{BrokerAddress, InboxLimits, MqttConfig, MqttTransport, Node, NodeEvent, Offer, Role};
+use cosurf_tests::offers::{identity, offer};
+use cosurf_tests::programs::program;
 use cosurf_wire::{DeviceId, MAX_CHUNK_BYTES, ModelKind};
 
 const AGENTS: u64 = 200;
 const INBOX_BYTES: u64 = 64 << 20;
-/// What the process takes beside the inbox: itself, the broker's longest queue (16 MiB) and what the link holds of
+/// What the process takes beside the inbox: itself, the broker's longest queue (16 MiB) and the link's copy of
 /// it, and for each connection two threads and buffers for the largest packets.
 const BESIDE_BYTES: u64 = (64 << 20) + AGENTS * (512 << 10);
 const PATIENCE: Duration = Duration::from_secs(500);
@@ -39,21 +36,19 @@ impl Aggregator {
         let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
         let config = folder.join("aggregator.toml");
         let out = folder.join("out").display().to_string();
-        // Nobody waits for so many models: nothing is merged.
+        // The quorum is never reached, so nothing is merged.
         let text = format!(
             "site = \"site\"\nout = \"{out}\"\nbind = \"127.0.0.1:{port}\"\nmemory_bytes = {INBOX_BYTES}\n\
              quorum = 100000\n"
         );
         fs::write(&config, text).unwrap();
-        let test = std::env::current_exe().unwrap();
-        let program: PathBuf = test.parent().unwrap().parent().unwrap().join("cosurf-aggregator");
-        let mut command = Command::new(program);
+        let mut command = Command::new(program("cosurf-aggregator"));
         command.args(["run", "--config"]).arg(config).stdin(Stdio::null()).stdout(Stdio::null());
         let address = BrokerAddress { host: "127.0.0.1".to_owned(), port, is_tls: false };
         (Self(command.spawn().unwrap()), address)
     }
 
-    /// `VmHWM`: the most memory that was resident at once.
+    /// Peak resident memory (`VmHWM`).
     fn peak_bytes(&self) -> u64 {
         let status = fs::read_to_string(format!("/proc/{}/status", self.0.id())).unwrap();
         let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).unwrap();
@@ -61,7 +56,7 @@ impl Aggregator {
     }
 }
 
-/// Uploads; one that stalls stops at its first progress, and never goes on.
+/// Uploads; if `stalls`, stops at the first progress and never continues.
 fn agent(address: BrokerAddress, mut offer: Offer, number: u64, stalls: bool) {
     let name = format!("agent-{number}");
     offer.header.device = DeviceId::new(&name).unwrap();
@@ -80,10 +75,10 @@ fn agent(address: BrokerAddress, mut offer: Offer, number: u64, stalls: bool) {
             _ => {}
         }
     }
-    panic!("{name} never ends");
+    panic!("{name} does not end");
 }
 
-/// All upload at once; returns how long it took all but the first, and the aggregator's peak.
+/// All upload at once. Returns the time until all but the first are done, and the aggregator's peak memory in bytes.
 fn crowd(first_stalls: bool) -> (Duration, u64) {
     let folder = tempfile::tempdir().unwrap();
     let (aggregator, address) = Aggregator::start(folder.path());

@@ -1,9 +1,6 @@
-//! `kill -9` of broker, agents and aggregator at random moments: every mission ends with the right bytes.
+//! `kill -9` of broker, agents and aggregator at random moments: every mission ends with the same bytes.
 #![cfg(unix)]
 #![allow(clippy::unwrap_used)]
-
-#[path = "../../shared/link/tests/common/mosquitto.rs"]
-mod mosquitto;
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -11,22 +8,16 @@ use std::process::{Child, Command, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use cosurf_city::{City, CitySettings};
 use cosurf_link::faults::Dice;
-use mosquitto::Mosquitto;
+use cosurf_tests::datasets::write_town;
+use cosurf_tests::mosquitto::{Mosquitto, PLAIN};
+use cosurf_tests::programs::program;
 
-const PLAIN: &str = "listener PORT 127.0.0.1\nallow_anonymous true\npersistence true\n\
-                     persistence_location FOLDER/\nautosave_interval 1\n";
 const AGENTS: [&str; 2] = ["agent-1", "agent-2"];
 const KILLS: usize = 4;
 const PATIENCE: Duration = Duration::from_secs(300);
 
-fn program(name: &str) -> PathBuf {
-    let test = std::env::current_exe().unwrap();
-    test.parent().unwrap().parent().unwrap().join(name)
-}
-
-/// A program that is started again when it is killed.
+/// A running program, which can be killed and started again; killed when dropped.
 struct Part {
     name: &'static str,
     config: PathBuf,
@@ -57,7 +48,7 @@ impl Part {
         }
     }
 
-    /// Says whether there was something to kill.
+    /// Returns false if the program had ended already.
     fn kill_and_restart(&mut self) -> bool {
         if self.is_over() {
             return false;
@@ -79,14 +70,14 @@ impl Drop for Part {
     }
 }
 
-/// What a mission left, and how long it took.
+/// The result of a mission.
 struct Flight {
-    /// The global model that the aggregator and each agent keep.
+    /// `global.ply` of the aggregator and of each agent.
     globals: [Vec<u8>; 3],
     time: Duration,
 }
 
-/// Flies one mission and kills somebody at each of these moments; `None` where there is no Mosquitto.
+/// Runs one mission and kills a random program at each of these moments. `None` if Mosquitto is not installed.
 fn fly(folder: &Path, data: &Path, dice: &mut Dice, mut kill_at: Vec<Duration>) -> Option<Flight> {
     fs::create_dir_all(folder).unwrap();
     let mut broker = Mosquitto::start(folder, PLAIN, false)?;
@@ -118,7 +109,7 @@ fn fly(folder: &Path, data: &Path, dice: &mut Dice, mut kill_at: Vec<Duration>) 
     kill_at.sort();
     kill_at.reverse();
     while !agents.iter_mut().all(Part::is_over) || !kill_at.is_empty() {
-        assert!(begun.elapsed() < PATIENCE, "{} never ends", folder.display());
+        assert!(begun.elapsed() < PATIENCE, "{} does not end", folder.display());
         if kill_at.last().is_some_and(|at| begun.elapsed() >= *at) {
             kill_at.pop();
             while !match dice.below(4) {
@@ -150,10 +141,9 @@ fn view_name(data: &Path, view: usize) -> String {
 fn missions(count: u64) {
     let folder = tempfile::tempdir().unwrap();
     let data = folder.path().join("data");
-    let settings = CitySettings { extent_m: 60.0, views: 8, size_px: [96, 72], ..CitySettings::default() };
-    City::build(&settings).unwrap().write(&data, |_, _| ()).unwrap();
+    write_town(&data, 60.0, 8, [96, 72]);
     let Some(calm) = fly(&folder.path().join("calm"), &data, &mut Dice::new(0), Vec::new()) else { return };
-    // What the aggregator keeps for viewers was not packed; what the agents have was.
+    // The aggregator's file was written before packing, the agents' after unpacking, so only the agents' are equal.
     assert!(calm.globals[1] == calm.globals[2], "the agents have different global models");
     for seed in 1..=count {
         let wild = folder.path().join(format!("wild-{seed}"));

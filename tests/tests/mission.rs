@@ -1,4 +1,4 @@
-//! Whole missions, with the programs as they are flown: broker, agents, aggregator.
+//! Whole missions with the built programs: broker, agents, aggregator.
 #![allow(clippy::unwrap_used)]
 
 use std::collections::HashSet;
@@ -8,21 +8,13 @@ use std::process::{Child, Command, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use cosurf_city::{City, CitySettings};
 use cosurf_contract::Changes;
 use cosurf_scene::Picture;
+use cosurf_tests::datasets::write_town;
+use cosurf_tests::programs::program;
 
-/// Patience with one mission; it takes seconds.
+/// A mission takes seconds; after this it has failed.
 const TIME_LIMIT: Duration = Duration::from_secs(300);
-
-/// Where cargo puts programs: beside the folder of this test.
-fn program(name: &str) -> PathBuf {
-    let test = std::env::current_exe().unwrap();
-    let path =
-        test.parent().unwrap().parent().unwrap().join(name).with_extension(std::env::consts::EXE_EXTENSION);
-    assert!(path.is_file(), "{} is missing: `cargo build` with the same profile makes it", path.display());
-    path
-}
 
 fn start(data: &Path, out: &Path, more: &[&str]) -> Child {
     let mut command = Command::new(program("cosurf-aggregator"));
@@ -37,7 +29,7 @@ fn finish(mission: Child, out: &Path) -> Vec<u8> {
     fs::read(out.join("global.ply")).unwrap()
 }
 
-/// The processes that any thread of a process has started.
+/// The child processes of all threads of a process.
 #[cfg(target_os = "linux")]
 fn children(process: u32) -> Vec<u32> {
     let threads = fs::read_dir(format!("/proc/{process}/task")).unwrap();
@@ -47,7 +39,7 @@ fn children(process: u32) -> Vec<u32> {
         .collect()
 }
 
-/// The process of an agent that has saved a checkpoint: it is in the middle of its training.
+/// The process of an agent that has saved a checkpoint, so is in the middle of its training.
 #[cfg(target_os = "linux")]
 fn agent_in_training(mission: &Child, out: &Path) -> Option<u32> {
     let begun = Instant::now();
@@ -67,7 +59,7 @@ fn files(folder: &Path) -> Vec<PathBuf> {
     entries.flat_map(|path| if path.is_dir() { files(&path) } else { vec![path] }).collect()
 }
 
-/// Pieces of photographs as they lie on a disk and as pixels, each of 24 bytes that are not all alike.
+/// Pieces of 24 bytes, not all alike, of photographs as stored and as pixels.
 fn pieces(data: &Path) -> Vec<[u8; 24]> {
     let mut pieces = Vec::new();
     for path in files(&data.join("images")) {
@@ -81,18 +73,21 @@ fn pieces(data: &Path) -> Vec<[u8; 24]> {
     pieces
 }
 
-/// The first piece of a photograph in some bytes, at any place.
+/// The position of the first piece of a photograph in `bytes`.
 fn find_piece(bytes: &[u8], pieces: &HashSet<[u8; 24]>) -> Option<usize> {
     bytes.windows(24).position(|window| pieces.contains(window))
 }
 
-/// What left the agents is in the aggregator's stores, hash for hash; none of it, and nothing made of it, has a
-/// piece of a photograph.
-fn no_photograph_left(data: &Path, out: &Path) {
+/// Everything that the agents sent is in the aggregator's stores, checked by hash: neither that nor the files made from it
+/// contain a piece of a photograph.
+fn assert_no_photograph_was_sent(data: &Path, out: &Path) {
     let pieces: HashSet<[u8; 24]> = pieces(data).into_iter().collect();
     let photograph = files(&data.join("images")).remove(0);
     let planted = [&[7; 99][..], &fs::read(&photograph).unwrap()].concat();
-    assert!(pieces.len() > 100 && find_piece(&planted, &pieces).is_some(), "the search finds what is there");
+    assert!(
+        pieces.len() > 100 && find_piece(&planted, &pieces).is_some(),
+        "the search finds a planted photograph"
+    );
     let mut sent = 0;
     for path in ["models", "global"].into_iter().flat_map(|folder| files(&out.join(folder))) {
         let bytes = fs::read(&path).unwrap();
@@ -102,15 +97,15 @@ fn no_photograph_left(data: &Path, out: &Path) {
     for file in ["global.ply", "merged.json", "report.json"] {
         assert_eq!(find_piece(&fs::read(out.join(file)).unwrap(), &pieces), None, "{file}");
     }
-    // Nothing else was sent: the agents count every byte.
+    // The agents count every byte they send, so nothing else was sent.
     let report: serde_json::Value =
         serde_json::from_slice(&fs::read(out.join("report.json")).unwrap()).unwrap();
     let counted = report["whole"]["bytes_sent"].as_u64().unwrap();
-    assert!(counted as f64 <= 1.02 * sent as f64, "{counted} bytes left, {sent} are accounted for");
+    assert!(counted as f64 <= 1.02 * sent as f64, "{counted} bytes were sent, {sent} are in the stores");
 }
 
 /// Every agent has compared the global model with its own on its own ground.
-fn changes_are_told(out: &Path) {
+fn assert_changes_are_reported(out: &Path) {
     for agent in ["agent-1", "agent-2"] {
         let text = fs::read(out.join("agents").join(agent).join("changes-global.json")).unwrap();
         let changes: Changes = serde_json::from_slice(&text).unwrap();
@@ -121,14 +116,12 @@ fn changes_are_told(out: &Path) {
     }
 }
 
-/// Agents that know of each other's flights send each place once, and the model is the one that the aggregator would
-/// have made of everything, but for what borders teach.
+/// Agents that know each other's flights send each place once; the global model is almost as good as when all is sent.
 #[test]
-fn agents_that_share_ground_send_each_place_once() {
+fn with_compress_first_agents_send_shared_ground_once() {
     let folder = tempfile::tempdir().unwrap();
     let (data, out) = (folder.path().join("data"), folder.path().join("out"));
-    let settings = CitySettings { extent_m: 60.0, views: 16, size_px: [160, 120], ..CitySettings::default() };
-    City::build(&settings).unwrap().write(&data, |_, _| ()).unwrap();
+    write_town(&data, 60.0, 16, [160, 120]);
     let report = |more: &[&str]| -> serde_json::Value {
         let _ = fs::remove_dir_all(&out);
         let mission = start(&data, &out, &[&["--steps", "150"], more].concat());
@@ -150,12 +143,11 @@ fn an_agent_killed_in_training_changes_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let (data, calm, wild) =
         (folder.path().join("data"), folder.path().join("calm"), folder.path().join("wild"));
-    let settings = CitySettings { extent_m: 60.0, views: 16, size_px: [160, 120], ..CitySettings::default() };
-    City::build(&settings).unwrap().write(&data, |_, _| ()).unwrap();
+    write_town(&data, 60.0, 16, [160, 120]);
 
     let undisturbed = finish(start(&data, &calm, &["--steps", "300"]), &calm);
-    no_photograph_left(&data, &calm);
-    changes_are_told(&calm);
+    assert_no_photograph_was_sent(&data, &calm);
+    assert_changes_are_reported(&calm);
     let mission = start(&data, &wild, &["--steps", "300"]);
     let agent = agent_in_training(&mission, &wild).expect("an agent that trains");
     assert!(Command::new("kill").args(["-9", &agent.to_string()]).status().unwrap().success());
@@ -165,5 +157,5 @@ fn an_agent_killed_in_training_changes_nothing() {
         serde_json::from_slice(&fs::read(wild.join("report.json")).unwrap()).unwrap();
     let restarts =
         report["agents"].as_array().unwrap().iter().map(|agent| agent["restarts"].as_u64().unwrap());
-    assert_eq!(restarts.sum::<u64>(), 1, "nobody was killed");
+    assert_eq!(restarts.sum::<u64>(), 1, "no agent was killed");
 }

@@ -1,20 +1,18 @@
-//! A disk that is full, at every write.
+//! The disk is full, at every write.
 #![cfg(unix)]
 #![allow(clippy::unwrap_used)]
-
-mod common;
 
 use std::path::Path;
 use std::process::Command;
 
-use common::offer;
 use cosurf_link::{ModelKey, ModelStore};
+use cosurf_tests::offers::offer;
 use cosurf_wire::ModelKind;
 
 const CHILD: &str = "COSURF_TEST_FULL_DISK";
 
-/// The system stops the writes of a child process at every size of file: what was there stays, what is new
-/// is there whole or not at all, and only what is there was said to be.
+/// A child process stores a model while the system limits the size of its files, at every size. The old model
+/// stays; the new one is there whole or not at all; and the store reports success only if it is there.
 #[test]
 fn fault_10_disk_full_at_every_write() {
     let old = offer("drone", 1, ModelKind::Local, 1, 500, 1024);
@@ -38,21 +36,21 @@ fn fault_10_disk_full_at_every_write() {
             .output()
             .unwrap()
             .status;
-        let was_said = match status.code() {
+        let was_reported = match status.code() {
             Some(7) => true,
             Some(8) => false,
             _ => panic!("{blocks} blocks: {status}"),
         };
         let (store, headers) = ModelStore::open(folder.path()).unwrap();
-        assert_eq!(headers.len(), 1 + usize::from(was_said), "{blocks} blocks");
+        assert_eq!(headers.len(), 1 + usize::from(was_reported), "{blocks} blocks");
         assert!(store.get(ModelKey::from(old.header)).unwrap().1 == old.body, "{blocks} blocks");
-        if was_said {
+        if was_reported {
             assert!(store.get(ModelKey::from(new.header)).unwrap().1 == new.body, "{blocks} blocks");
         }
         let files = std::fs::read_dir(folder.path()).unwrap().count();
-        assert_eq!(files, headers.len(), "{blocks} blocks: something is left over");
-        kept += u32::from(!was_said);
-        stored += u32::from(was_said);
+        assert_eq!(files, headers.len(), "{blocks} blocks: something is left behind");
+        kept += u32::from(!was_reported);
+        stored += u32::from(was_reported);
     }
     assert!(kept > 5 && stored > 0, "{kept} refused, {stored} stored");
 }

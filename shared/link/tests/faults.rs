@@ -1,17 +1,16 @@
-//! Faults that links must survive, by the numbers of the design; each from seeds. The others live where
-//! their defence does: `tests/tests/faults.rs` lists all.
+//! Faults that links must survive, by number, each from several seeds. Faults of other parts are tested beside
+//! the code that handles them: `tests/tests/faults.rs` lists them all.
 #![allow(clippy::unwrap_used)]
-
-mod common;
 
 use std::time::Duration;
 
-use common::{Member, identity, offer, pooled, run};
 use cosurf_link::faults::Dice;
 use cosurf_link::{
     Faults, Identity, InboxLimits, MemoryNetwork, ModelKey, Node, NodeEvent, Offer, Outgoing, Role,
     Transport, TransportEvent, body_to_model,
 };
+use cosurf_tests::fleet::{Member, run_until};
+use cosurf_tests::offers::{identity, offer, pooled_offer};
 use cosurf_wire::{
     BodyHash, DeviceId, MAX_MESSAGE_BYTES, Message, ModelId, ModelKind, RefusalReason, SiteId, State, Topic,
     VERSION,
@@ -61,7 +60,7 @@ fn fault_01_broker_killed_in_mid_upload() {
         let mut dice = Dice::new(seed);
         let mut kill_at = Duration::from_millis(100 + dice.below(1000));
         let (mut kills, mut is_down) = (0, false);
-        run(&network, &mut fleet, PATIENCE, |fleet| {
+        run_until(&network, &mut fleet, PATIENCE, |fleet| {
             if network.now() >= kill_at && kills < 3 {
                 kill_at = network.now() + Duration::from_millis(200 + dice.below(400));
                 if is_down {
@@ -85,9 +84,9 @@ fn fault_02_chunks_doubled_out_of_order_and_lost() {
     let harsh = Faults { loss: 0.3, duplication: 0.3, delay_max, ..Faults::NONE };
     for seed in 0..300 {
         let network = MemoryNetwork::new(seed, harsh);
-        let offers = [pooled("drone", 1, ModelKind::Local, 63 - seed % 32, 1024)];
+        let offers = [pooled_offer("drone", 1, ModelKind::Local, 63 - seed % 32, 1024)];
         let mut fleet = fleet(&network, &offers);
-        run(&network, &mut fleet, PATIENCE, all_uploaded);
+        run_until(&network, &mut fleet, PATIENCE, all_uploaded);
         assert_stored(&fleet[0], &offers, seed);
     }
 }
@@ -98,9 +97,9 @@ fn fault_03_messages_corrupt_and_truncated() {
     let mut noticed = 0;
     for seed in 0..300 {
         let network = MemoryNetwork::new(seed, foul);
-        let offers = [pooled("drone", 1, ModelKind::Local, 63 - seed % 32, 1024)];
+        let offers = [pooled_offer("drone", 1, ModelKind::Local, 63 - seed % 32, 1024)];
         let mut fleet = fleet(&network, &offers);
-        run(&network, &mut fleet, PATIENCE, all_uploaded);
+        run_until(&network, &mut fleet, PATIENCE, all_uploaded);
         assert_stored(&fleet[0], &offers, seed);
         let is_noticed = |event: &&NodeEvent| matches!(event, NodeEvent::Ignored { .. });
         noticed += fleet[0].events.iter().filter(is_noticed).count();
@@ -108,7 +107,7 @@ fn fault_03_messages_corrupt_and_truncated() {
     assert!(noticed > 300, "hardly anything was damaged: {noticed}");
 }
 
-/// A receiver of local models, and what a hostile sender says to it under a topic.
+/// A receiver of local models, and a hostile sender that publishes to it under any topic.
 struct Victim {
     node: Node,
     network: MemoryNetwork,
@@ -132,7 +131,7 @@ impl Victim {
 
     fn hear_bytes(&mut self, topic: Topic, payload: Vec<u8>) -> Vec<NodeEvent> {
         let topic = topic.to_text(&SiteId::new("site").unwrap());
-        // While the victim is full the network is too: then it has had its say.
+        // Publishing fails if the victim's queue is full: then the message is lost, as on a real network.
         let _ = self.hostile.publish(&Outgoing { topic, payload, retain: false });
         let mut events = Vec::new();
         for _ in 0..8 {
@@ -156,7 +155,7 @@ fn fault_04_hostile_lengths() {
     let mut dice = Dice::new(4);
     let (mut refused, mut accepted) = (0, 0);
     for number in 0..5000u64 {
-        let mut hostile = pooled("mallory", 1 + number % 64, ModelKind::Local, 1, 1024);
+        let mut hostile = pooled_offer("mallory", 1 + number % 64, ModelKind::Local, 1, 1024);
         let header = &mut hostile.header;
         let huge = 1u64 << dice.below(63);
         match dice.below(5) {
@@ -179,7 +178,7 @@ fn fault_04_hostile_lengths() {
 }
 
 #[test]
-fn fault_06_values_that_nobody_can_render() {
+fn fault_06_values_that_cannot_be_rendered() {
     let mut stored = 0;
     for seed in 0..400 {
         let network = MemoryNetwork::new(seed, Faults::NONE);
@@ -189,10 +188,10 @@ fn fault_06_values_that_nobody_can_render() {
             let place = dice.below(bad.body.len() as u64) as usize;
             bad.body[place] = [0, 0x7F, 0x80, 0xFF, dice.next_bits() as u8][dice.below(5) as usize];
         }
-        // The sender stands by its bytes.
+        // The announced hash is that of the changed bytes.
         bad.header.blake3 = BodyHash(*blake3::hash(&bad.body).as_bytes());
         let mut fleet = fleet(&network, std::slice::from_ref(&bad));
-        run(&network, &mut fleet, PATIENCE, |fleet| {
+        run_until(&network, &mut fleet, PATIENCE, |fleet| {
             !fleet[1].uploaded.is_empty() || !refusals(&fleet[1]).is_empty()
         });
         match fleet[0].disk.values().next() {
@@ -218,13 +217,13 @@ fn fault_08_replays_old_counters_and_wrong_names() {
     let network = MemoryNetwork::new(8, Faults::NONE);
     let honest = offer("drone", 1, ModelKind::Local, 1, 300, 1024);
     let mut fleet = fleet(&network, std::slice::from_ref(&honest));
-    run(&network, &mut fleet, PATIENCE, all_uploaded);
+    run_until(&network, &mut fleet, PATIENCE, all_uploaded);
     let mut victim = Victim::new(InboxLimits::default());
     victim.node = Node::new(identity(Role::Aggregator, "ground"), InboxLimits::default(), &[honest.header]);
-    // The link must stand before anything is heard.
+    // The first call connects.
     victim.hear_bytes(header_topic(&honest), Vec::new());
     let replayed = victim.hear(header_topic(&honest), &Message::Header(honest.header));
-    assert!(matches!(replayed[..], [NodeEvent::Known(_)]), "a replay is no news: {replayed:?}");
+    assert!(matches!(replayed[..], [NodeEvent::Known(_)]), "a replay is known already: {replayed:?}");
     let other = offer("drone", 1, ModelKind::Local, 2, 300, 1024);
     let events = victim.hear(header_topic(&other), &Message::Header(other.header));
     assert!(
@@ -263,7 +262,7 @@ fn fault_12_clocks_that_jump() {
         assert!(session > last, "{session} after {last}");
         last = session;
     }
-    // The broker publishes the will of the session before, after the birth of the next.
+    // The broker publishes the will of the previous session after the birth of the next.
     let mut victim = Victim::new(InboxLimits::default());
     let device = DeviceId::new("drone").unwrap();
     let mut say = |session, alive| {
@@ -272,21 +271,24 @@ fn fault_12_clocks_that_jump() {
     say(6, true);
     let is_state = |event: &NodeEvent| matches!(event, NodeEvent::State(_));
     assert!(say(7, true).iter().any(is_state));
-    assert!(!say(6, false).iter().any(is_state), "a late death is taken for a death of now");
+    assert!(
+        !say(6, false).iter().any(is_state),
+        "the will of an earlier session is taken for the present one"
+    );
     assert!(say(7, false).iter().any(is_state));
 }
 
 #[test]
-fn fault_13_a_slow_one_does_not_slow_the_others() {
+fn fault_13_a_stalled_upload_does_not_slow_the_others() {
     let time = |stalls: bool| {
         let network = MemoryNetwork::new(13, Faults::NONE);
         let offers: Vec<Offer> =
             (0..20).map(|i| offer(&format!("drone-{i}"), 1, ModelKind::Local, i, 2000, 1024)).collect();
         let mut fleet = fleet(&network, &offers);
         let mut stalls = stalls;
-        run(&network, &mut fleet, PATIENCE, |fleet| {
+        run_until(&network, &mut fleet, PATIENCE, |fleet| {
             if stalls && fleet[0].node.unfinished_bytes() > 0 {
-                // What it has was accepted; it says nothing any more.
+                // Its upload was accepted; from now on it sends nothing.
                 fleet[1].node = Node::new(fleet[1].identity, InboxLimits::default(), &[]);
                 stalls = false;
             }
@@ -305,13 +307,13 @@ fn fault_14_messages_larger_than_the_broker_takes() {
         network.limit_packets(limit);
         let offers = [offer("drone", 1, ModelKind::Local, 1, 20_000, 65_536)];
         let mut fleet = fleet(&network, &offers);
-        run(&network, &mut fleet, PATIENCE, all_uploaded);
+        run_until(&network, &mut fleet, PATIENCE, all_uploaded);
         assert!(fleet[0].disk.values().all(|(_, body)| *body == offers[0].body), "{limit}");
     }
     let network = MemoryNetwork::new(14, Faults::NONE);
     network.limit_packets(300);
     let mut fleet = fleet(&network, &[offer("drone", 1, ModelKind::Local, 1, 20_000, 65_536)]);
-    run(&network, &mut fleet, PATIENCE, |fleet| {
+    run_until(&network, &mut fleet, PATIENCE, |fleet| {
         fleet[1].events.iter().any(|event| matches!(event, NodeEvent::LinkTooNarrow(_)))
     });
 }
@@ -319,12 +321,12 @@ fn fault_14_messages_larger_than_the_broker_takes() {
 #[test]
 fn fault_15_two_drones_under_one_name() {
     for seed in 0..200 {
-        let weather = Faults { loss: 0.1, delay_max: Duration::from_millis(300), ..Faults::NONE };
-        let network = MemoryNetwork::new(seed, weather);
-        let offers = [1, 2].map(|body| pooled("drone", 1, ModelKind::Local, 2 * seed + body, 1024));
+        let faults = Faults { loss: 0.1, delay_max: Duration::from_millis(300), ..Faults::NONE };
+        let network = MemoryNetwork::new(seed, faults);
+        let offers = [1, 2].map(|body| pooled_offer("drone", 1, ModelKind::Local, 2 * seed + body, 1024));
         let mut fleet = fleet(&network, &offers);
-        run(&network, &mut fleet, PATIENCE, |fleet| {
-            // Each is told: its model is there, or the number is taken, or what came was a mixture.
+        run_until(&network, &mut fleet, PATIENCE, |fleet| {
+            // Each gets an answer: stored, number taken, or the mixture of both that arrived is refused.
             let is_told = |drone: &Member| {
                 let is_final = |reason: &RefusalReason| !reason.is_temporary();
                 !drone.uploaded.is_empty() || refusals(drone).iter().any(is_final)
@@ -339,7 +341,7 @@ fn fault_15_two_drones_under_one_name() {
 }
 
 #[test]
-fn fault_18_ten_minutes_away_then_on_where_it_was() {
+fn fault_18_link_down_for_ten_minutes_then_the_upload_continues() {
     let offers = [offer("drone", 1, ModelKind::Local, 1, 10_000, 1024)];
     for seed in 0..20 {
         let slow = Faults { bytes_per_s: std::num::NonZeroU32::new(10_000), ..Faults::NONE };
@@ -348,7 +350,7 @@ fn fault_18_ten_minutes_away_then_on_where_it_was() {
         let cut_at = Duration::from_millis(6000 + seed * 100);
         let mended_at = cut_at + Duration::from_secs(600);
         let (mut is_cut, mut is_mended) = (false, false);
-        run(&network, &mut fleet, PATIENCE, |fleet| {
+        run_until(&network, &mut fleet, PATIENCE, |fleet| {
             if !is_cut && network.now() >= cut_at {
                 is_cut = true;
                 network.stop(true);
@@ -359,20 +361,20 @@ fn fault_18_ten_minutes_away_then_on_where_it_was() {
             }
             all_uploaded(fleet)
         });
-        assert!(is_mended, "seed {seed}: it was over before");
+        assert!(is_mended, "seed {seed}: the upload ended before the link came back");
         assert_stored(&fleet[0], &offers, seed);
         let sent = fleet[1].events.iter().filter_map(|event| match event {
             NodeEvent::Progress(_, progress) | NodeEvent::Uploaded(_, progress) => Some(progress.bytes_sent),
             _ => None,
         });
         let (sent, body) = (sent.max().unwrap(), offers[0].body.len() as u64);
-        // What was under way goes again: at most a window of 32 chunks.
+        // Chunks in flight are sent again: at most a window of 32.
         assert!(sent < body * 11 / 10 + 32 * 1024, "seed {seed}: {sent} for {body}");
     }
 }
 
 #[test]
-fn fault_19_another_version() {
+fn fault_19_other_version() {
     for version in [VERSION - 1, VERSION + 1] {
         let mut victim = Victim::new(InboxLimits::default());
         let offer = offer("mallory", 1, ModelKind::Local, 1, 10, 1024);
@@ -391,9 +393,9 @@ fn fault_19_another_version() {
     }
 }
 
-/// A broker lets the later of two in and throws the earlier out, who comes back and does the same.
+/// With two clients of one name a broker disconnects the earlier, which reconnects and displaces the later.
 #[test]
-fn two_drones_under_one_name_are_told_apart_from_one_that_starts_again() {
+fn two_drones_under_one_name_are_told_apart_from_a_restart() {
     let mut victim = Victim::new(InboxLimits::default());
     let device = DeviceId::new("drone").unwrap();
     let mut births = |sessions: &[u64]| {
@@ -401,11 +403,11 @@ fn two_drones_under_one_name_are_told_apart_from_one_that_starts_again() {
         let events = sessions.iter().flat_map(|s| victim.hear(Topic::State { device }, &say(*s)));
         events.collect::<Vec<_>>().iter().filter(|event| matches!(event, NodeEvent::SameName(_))).count()
     };
-    assert_eq!(births(&[1, 5, 5, 9, 5, 12, 9]), 0, "it started again, and what is past was repeated");
-    assert_eq!(births(&[7, 12, 7, 12, 7, 12]), 1, "it is told once");
+    assert_eq!(births(&[1, 5, 5, 9, 5, 12, 9]), 0, "restarts, and retained states of the past");
+    assert_eq!(births(&[7, 12, 7, 12, 7, 12]), 1, "reported once");
 }
 
-/// CRC-32 bit by bit, so that the test does not lean on what it tests.
+/// CRC-32 bit by bit, independent of the crate under test.
 fn crc32(bytes: &[u8]) -> u32 {
     let step = |crc: u32, _| if crc & 1 == 1 { crc >> 1 ^ 0xEDB8_8320 } else { crc >> 1 };
     !bytes.iter().fold(!0, |crc: u32, byte| (0..8).fold(crc ^ u32::from(*byte), step))
@@ -435,7 +437,7 @@ fn fault_20_memory_stays_bounded_under_noise() {
         let now = victim.network.now();
         victim.network.advance(now + Duration::from_millis(dice.below(20_000)));
     }
-    // Those who listen only are no worse off.
+    // Another participant can still connect.
     let listener = Identity { site, ..identity(Role::Device, "listener") };
     let mut transport = victim.network.join(&listener);
     assert_eq!(transport.poll(Duration::ZERO), Some(TransportEvent::Connected));

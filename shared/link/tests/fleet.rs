@@ -1,21 +1,20 @@
-//! Whole fleets over networks that lose, double, damage, shorten, delay, crawl and break, whose members are
-//! killed and whose broker restarts: every body arrives identical, once, in bounded time, from any seed.
+//! Whole fleets over networks that lose, duplicate, corrupt, truncate and delay messages, are slow and fail, while
+//! members are killed and the broker restarts: every body arrives unchanged, once, in bounded time, from any seed.
 #![allow(clippy::unwrap_used)]
-
-mod common;
 
 use std::num::NonZeroU32;
 use std::ops::Range;
 use std::time::Duration;
 
-use common::{Member, offer, pooled, run};
 use cosurf_link::faults::Dice;
 use cosurf_link::{Faults, InboxLimits, MemoryNetwork, ModelKey, Node, Offer, Outages, Role};
+use cosurf_tests::fleet::{Member, run_until};
+use cosurf_tests::offers::{offer, pooled_offer};
 use cosurf_wire::{DeviceId, ModelKind, TileId};
 
-/// Seeds of one run of the tests, shared by two threads.
+/// Seeds of one test run, split between two tests.
 const SEEDS: u64 = 10_000;
-/// Virtual time after which a fleet has failed.
+/// Virtual time after which a test fails.
 const PATIENCE: Duration = Duration::from_secs(4 * 3600);
 
 #[test]
@@ -27,7 +26,7 @@ fn one_upload_over_a_clean_network() {
     drone.node.upload(offer);
     let ground = Member::new(&network, Role::Aggregator, "ground", InboxLimits::default());
     let mut fleet = [drone, ground];
-    run(&network, &mut fleet, Duration::from_secs(5), |fleet| !fleet[0].uploaded.is_empty());
+    run_until(&network, &mut fleet, Duration::from_secs(5), |fleet| !fleet[0].uploaded.is_empty());
     let key = fleet[0].uploaded[0];
     assert_eq!(fleet[1].disk[&key].1, body);
 }
@@ -42,7 +41,7 @@ fn ten_thousand_fleets_second_half() {
     fly_all(SEEDS / 2..SEEDS);
 }
 
-/// As above, on seeds that nobody has seen: `cargo test -p cosurf-link --test fleet -- --ignored`.
+/// As above, with seeds that the usual run does not use: `cargo test -p cosurf-link --test fleet -- --ignored`.
 #[test]
 #[ignore = "takes minutes"]
 fn a_hundred_thousand_fleets() {
@@ -58,10 +57,10 @@ fn fly_all(seeds: Range<u64>) {
         kills += killed;
     }
     println!("seeds {seeds:?}: slowest {worst:?} of virtual time, {kills} members killed");
-    assert!(kills > seeds.end - seeds.start, "hardly anybody was killed");
+    assert!(kills > seeds.end - seeds.start, "hardly any member was killed");
 }
 
-/// The inbox never holds more than it may, whoever comes; one that stalls takes nothing from the others.
+/// The inbox never exceeds its limits, however many drones upload, and a stalled upload does not block the others.
 #[test]
 fn two_hundred_at_once_within_the_limits() {
     let limits =
@@ -71,27 +70,27 @@ fn two_hundred_at_once_within_the_limits() {
     for i in 0..200 {
         let name = format!("drone-{i}");
         let mut drone = Member::new(&network, Role::Device, &name, InboxLimits::default());
-        drone.node.upload(pooled(&name, 1, ModelKind::Local, i, 1024));
+        drone.node.upload(pooled_offer(&name, 1, ModelKind::Local, i, 1024));
         fleet.push(drone);
     }
     let (mut most, mut is_stalled) = (0, false);
-    run(&network, &mut fleet, PATIENCE, |fleet| {
+    run_until(&network, &mut fleet, PATIENCE, |fleet| {
         most = most.max(fleet[0].node.unfinished_bytes());
         assert!(most <= limits.total_bytes_max, "{most} bytes");
         if !is_stalled && most > 0 {
-            // Its offer is accepted; it says nothing any more.
+            // Its upload was accepted; from now on it sends nothing.
             is_stalled = true;
             let idle = Node::new(fleet[1].identity, InboxLimits::default(), &[]);
             fleet[1].node = idle;
         }
         fleet[2..].iter().all(|drone| !drone.uploaded.is_empty())
     });
-    println!("at most {most} bytes at once, all there after {:?}", network.now());
-    assert!(most > limits.total_bytes_max / 2, "there never was a crowd: {most}");
+    println!("at most {most} bytes at once, all uploaded after {:?}", network.now());
+    assert!(most > limits.total_bytes_max / 2, "the limit was never near: {most}");
 }
 
-/// From fair weather to foul, on lines from a radio's 4 kB/s to a cable's 1 MB/s.
-fn weather(dice: &mut Dice) -> Faults {
+/// Random faults from none to many, on lines from 4 kB/s (radio) to 1 MB/s (cable).
+fn random_faults(dice: &mut Dice) -> Faults {
     let mut up_to = |most: f64| most * dice.below(1001) as f64 / 1000.0;
     let (loss, duplication, corruption, truncation) = (up_to(0.3), up_to(0.2), up_to(0.03), up_to(0.03));
     let delay_max = Duration::from_secs_f64(up_to(0.4));
@@ -113,22 +112,22 @@ fn weather(dice: &mut Dice) -> Faults {
 }
 
 /// One to four drones upload; then the ground sends a global model to all. Meanwhile members are killed,
-/// disks are full and the broker is restarted. Returns how long it took and how many were killed.
+/// disks are full and the broker restarts. Returns the virtual time it took and the number of kills.
 fn fly(seed: u64) -> (Duration, u64) {
     let mut dice = Dice::new(seed ^ 0xF1EE7);
-    let network = MemoryNetwork::new(seed, weather(&mut dice));
+    let network = MemoryNetwork::new(seed, random_faults(&mut dice));
     let mut fleet = vec![Member::new(&network, Role::Aggregator, "ground", InboxLimits::default())];
     let mut offers = Vec::new();
     for drone in 0..1 + dice.below(4) {
         let name = format!("drone-{drone}");
-        let offer = pooled(&name, 1, ModelKind::Local, seed + drone, 1024);
+        let offer = pooled_offer(&name, 1, ModelKind::Local, seed + drone, 1024);
         let mut member = Member::new(&network, Role::Device, &name, InboxLimits::default());
         member.node.upload(offer.clone());
         fleet.push(member);
         offers.push(offer);
     }
     let mut trouble = Trouble::new(dice);
-    run(&network, &mut fleet, PATIENCE, |fleet| {
+    run_until(&network, &mut fleet, PATIENCE, |fleet| {
         trouble.strike(&network, fleet, |member, fleet| {
             if let Some(offer) = member.checked_sub(1).map(|drone| &offers[drone]) {
                 fleet[member].uploaded.clear();
@@ -139,14 +138,14 @@ fn fly(seed: u64) -> (Duration, u64) {
     });
     check(&fleet[0], &offers);
 
-    let global = pooled("ground", 1, ModelKind::Global, seed / 7, 1024);
+    let global = pooled_offer("ground", 1, ModelKind::Global, seed / 7, 1024);
     let receivers: Vec<DeviceId> = fleet[1..].iter().map(|drone| drone.identity.device).collect();
     let broadcast = |fleet: &mut [Member]| {
         fleet[0].uploaded.clear();
         fleet[0].node.broadcast(TileId::WHOLE, global.clone(), &receivers);
     };
     broadcast(&mut fleet);
-    run(&network, &mut fleet, 2 * PATIENCE, |fleet| {
+    run_until(&network, &mut fleet, 2 * PATIENCE, |fleet| {
         trouble.strike(&network, fleet, |member, fleet| {
             if member == 0 {
                 broadcast(fleet);
@@ -158,7 +157,7 @@ fn fly(seed: u64) -> (Duration, u64) {
     (network.now(), trouble.killed)
 }
 
-/// The disk holds what was offered, byte for byte, nothing else, and each was written once.
+/// The disk holds exactly the offered models, byte for byte, and each was written once.
 fn check(member: &Member, offers: &[Offer]) {
     let name = member.identity.device;
     assert_eq!(member.disk.len(), offers.len(), "{name} has too much or too little");
@@ -170,7 +169,7 @@ fn check(member: &Member, offers: &[Offer]) {
     assert_eq!(member.stored_twice, 0, "{name} stored a model twice");
 }
 
-/// Kills and restarts, from a seed.
+/// Kills, full disks and broker restarts, drawn from a seed.
 struct Trouble {
     dice: Dice,
     killed: u64,
@@ -185,7 +184,7 @@ impl Trouble {
         Self { dice, killed: 0, left, next: Duration::ZERO, is_broker_down: false }
     }
 
-    /// Does the next mischief if it is time; `revive` is told which member came back from the dead.
+    /// Causes the next fault if it is due; calls `revive` with the index of a member that was restarted.
     fn strike(
         &mut self,
         network: &MemoryNetwork,
@@ -207,7 +206,7 @@ impl Trouble {
                     network.stop(self.dice.chance(0.5));
                     self.is_broker_down = true;
                 }
-                1 => fleet[member].full_disk_for = 2,
+                1 => fleet[member].failing_writes = 2,
                 _ => {
                     fleet[member].restart(network);
                     self.killed += 1;

@@ -1,18 +1,17 @@
-//! What devices have photographed is told to all other devices, also to those that come later.
+//! Each device announces the cameras of its flight; all other devices receive them, also those that join later.
 #![allow(clippy::unwrap_used)]
-
-mod common;
 
 use std::time::Duration;
 
-use common::{Member, cameras, run};
 use cosurf_link::{
     Credentials, Faults, InboxLimits, MemoryNetwork, NodeEvent, Role, Trusted, select_flight_cameras,
 };
 use cosurf_scene::Camera;
+use cosurf_tests::fleet::{Member, run_until};
+use cosurf_tests::models::cameras;
 use cosurf_wire::{FLIGHT_CAMERAS_MAX, FrameId};
 
-/// The flights that a member has heard.
+/// The flights that a member has received.
 fn heard(member: &Member) -> Vec<(String, Vec<Camera>)> {
     let flight = |event: &NodeEvent| match event {
         NodeEvent::Flight(device, cameras) => Some((device.to_string(), cameras.clone())),
@@ -22,7 +21,7 @@ fn heard(member: &Member) -> Vec<(String, Vec<Camera>)> {
 }
 
 #[test]
-fn who_comes_later_hears_every_flight_but_its_own() {
+fn a_late_device_receives_every_flight_but_its_own() {
     let network = MemoryNetwork::new(5, Faults { duplication: 0.2, ..Faults::NONE });
     let join = |role, name: &str| Member::new(&network, role, name, InboxLimits::default());
     let mut early = join(Role::Device, "early");
@@ -34,44 +33,44 @@ fn who_comes_later_hears_every_flight_but_its_own() {
     elsewhere.node.announce_flight(&cameras(2));
     let mut fleet = vec![early, elsewhere, join(Role::Aggregator, "ground")];
     let is_told = |fleet: &mut [Member]| fleet.iter().all(|member| !member.events.is_empty());
-    run(&network, &mut fleet, Duration::from_secs(5), is_told);
+    run_until(&network, &mut fleet, Duration::from_secs(5), is_told);
     let mut late = join(Role::Device, "late");
     late.node.announce_flight(&cameras(3));
     fleet.push(late);
-    run(&network, &mut fleet, Duration::from_secs(30), |fleet| {
+    run_until(&network, &mut fleet, Duration::from_secs(30), |fleet| {
         !heard(&fleet[0]).is_empty() && !heard(&fleet[3]).is_empty()
     });
     let [early, elsewhere, ground, late] = &fleet[..] else { panic!("four") };
     assert!(heard(early).iter().all(|flight| *flight == ("late".to_owned(), cameras(3))), "camera by camera");
     assert!(heard(late).iter().all(|flight| *flight == ("early".to_owned(), cameras(7))));
     assert!(heard(elsewhere).is_empty(), "another frame");
-    assert!(heard(ground).is_empty(), "it is no matter of the aggregator");
+    assert!(heard(ground).is_empty(), "flights are not for the aggregator");
 }
 
 #[test]
-fn a_flight_that_is_taken_back_is_not_heard_by_who_comes_later() {
+fn a_late_device_does_not_receive_a_withdrawn_flight() {
     let network = MemoryNetwork::new(7, Faults::NONE);
     let join = |role, name: &str| Member::new(&network, role, name, InboxLimits::default());
     let mut fleet =
         vec![join(Role::Device, "lost"), join(Role::Device, "sound"), join(Role::Aggregator, "ground")];
     fleet[0].node.announce_flight(&cameras(7));
     fleet[1].node.announce_flight(&cameras(5));
-    run(&network, &mut fleet, Duration::from_secs(5), |fleet| {
+    run_until(&network, &mut fleet, Duration::from_secs(5), |fleet| {
         !heard(&fleet[0]).is_empty() && !heard(&fleet[1]).is_empty()
     });
     let lost = fleet.remove(0).identity.device;
     let is_kept = || network.retained("gs/v1/site/lost/flight").is_some_and(|bytes| !bytes.is_empty());
     assert!(is_kept());
     fleet[1].node.clear_flight(lost);
-    run(&network, &mut fleet, Duration::from_secs(9), |_| !is_kept());
+    run_until(&network, &mut fleet, Duration::from_secs(9), |_| !is_kept());
     fleet.push(join(Role::Device, "late"));
-    run(&network, &mut fleet, Duration::from_secs(19), |fleet| !heard(&fleet[2]).is_empty());
+    run_until(&network, &mut fleet, Duration::from_secs(19), |fleet| !heard(&fleet[2]).is_empty());
     assert_eq!(heard(&fleet[2]), [("sound".to_owned(), cameras(5))]);
 }
 
-/// Flights are not signed.
+/// Flights are not signed, so a device with a list of trusted keys ignores them.
 #[test]
-fn who_believes_some_only_believes_no_flight() {
+fn a_device_with_trusted_keys_ignores_flights() {
     let network = MemoryNetwork::new(6, Faults::NONE);
     let mut liar = Member::new(&network, Role::Device, "liar", InboxLimits::default());
     liar.node.announce_flight(&cameras(7));
@@ -85,17 +84,17 @@ fn who_believes_some_only_believes_no_flight() {
             .iter()
             .any(|event| matches!(event, NodeEvent::Ignored { topic, .. } if topic.ends_with("flight")))
     };
-    run(&network, &mut fleet, Duration::from_secs(30), |fleet| is_ignored(&fleet[1]));
+    run_until(&network, &mut fleet, Duration::from_secs(30), |fleet| is_ignored(&fleet[1]));
     assert!(heard(&fleet[1]).is_empty());
 }
 
 #[test]
-fn of_a_long_flight_as_many_cameras_as_a_message_holds_are_told() {
+fn a_long_flight_is_thinned_to_what_a_message_holds() {
     let told = select_flight_cameras(&cameras(3 * FLIGHT_CAMERAS_MAX));
     assert_eq!(told.len(), FLIGHT_CAMERAS_MAX);
     assert!(
         told.iter().zip(cameras(3 * FLIGHT_CAMERAS_MAX).chunks(3)).all(|(told, of)| *told == of[0]),
-        "spread"
+        "evenly thinned"
     );
     assert_eq!(select_flight_cameras(&cameras(5)), cameras(5));
     assert!(select_flight_cameras(&[]).is_empty());

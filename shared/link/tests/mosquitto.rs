@@ -1,28 +1,18 @@
-//! Against Mosquitto, a broker that is not ours: killed in mid-upload, with TLS, and with the example
-//! configuration of `shared/docs`.
+//! Uploads over Mosquitto: killed in the middle, with TLS, and with the example configuration of `shared/docs`.
 #![allow(clippy::unwrap_used)]
-
-mod common;
-#[path = "common/live.rs"]
-mod live;
-#[path = "common/mosquitto.rs"]
-mod mosquitto;
 
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use common::{identity, offer};
 use cosurf_link::{
     Identity, MqttConfig, MqttTransport, Outgoing, Role, Transport, TransportEvent, UploadProgress,
 };
+use cosurf_tests::live::{Ground, upload};
+use cosurf_tests::mosquitto::{Authority, Mosquitto, PLAIN, tls};
+use cosurf_tests::offers::{identity, offer};
 use cosurf_wire::{DeviceId, ModelId, ModelKind, Topic};
-use live::{Ground, upload};
-use mosquitto::{Authority, Mosquitto, tls};
 
-const PLAIN: &str = "listener PORT 127.0.0.1\nallow_anonymous true\npersistence true\n\
-                     persistence_location FOLDER/\nautosave_interval 1\n";
-
-/// The example, with this test's paths.
+/// The example configuration with its paths replaced.
 fn example(folder: &Path) -> String {
     let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs");
     let text = std::fs::read_to_string(docs.join("mosquitto.conf")).unwrap();
@@ -50,7 +40,7 @@ fn interrupted(how: fn(&mut Mosquitto)) {
             broker.start_again();
         }
     };
-    upload(address, None, identity(Role::Device, "drone"), offer, restart, |_, reason| {
+    upload(address, None, identity(Role::Device, "drone"), offer, restart, |reason| {
         println!("{reason}");
         retries += 1;
     });
@@ -74,13 +64,13 @@ fn first_event(config: MqttConfig) -> TransportEvent {
 }
 
 #[test]
-fn fault_17_expired_revoked_and_strange_certificates() {
+fn fault_17_expired_revoked_and_foreign_certificates() {
     let folder = tempfile::tempdir().unwrap();
     let authority = Authority::new(folder.path());
     let good = authority.client("good", "drone", 30);
     let late = authority.client("late", "drone", -1);
     let revoked = authority.client("revoked-drone", "drone", 30);
-    authority.take_back(&["revoked-drone"]);
+    authority.revoke(&["revoked-drone"]);
     let elsewhere = tempfile::tempdir().unwrap();
     let mut stranger = Authority::new(elsewhere.path()).client("stranger", "drone", 30);
     let foreign_ca = std::mem::replace(&mut stranger.ca, good.ca.clone());
@@ -99,7 +89,7 @@ fn fault_17_expired_revoked_and_strange_certificates() {
         println!("{name}: {event:?}");
         assert!(matches!(event, TransportEvent::Disconnected { .. }), "{name} was let in");
     }
-    // Nor does a client trust a broker of another authority.
+    // A client refuses a broker whose certificate is of another authority.
     let mut fooled = good.clone();
     fooled.ca = foreign_ca;
     assert!(
@@ -108,7 +98,7 @@ fn fault_17_expired_revoked_and_strange_certificates() {
 }
 
 #[test]
-fn a_model_by_the_example_configuration_and_nobody_speaks_for_another() {
+fn the_example_configuration_passes_models_and_blocks_forgeries() {
     let folder = tempfile::tempdir().unwrap();
     let authority = Authority::new(folder.path());
     let [ground_files, drone_files, thief_files] =
@@ -134,8 +124,8 @@ fn a_model_by_the_example_configuration_and_nobody_speaks_for_another() {
     let body = offer.body.clone();
     let begun = Instant::now();
     let drone = identity(Role::Device, "drone");
-    upload(broker.address.clone(), Some(tls(&drone_files)), drone, offer, |_| {}, |_, _| {});
+    upload(broker.address.clone(), Some(tls(&drone_files)), drone, offer, |_| {}, |_| {});
     println!("{} bytes by TLS in {:?}", body.len(), begun.elapsed());
     assert_eq!(*ground.bodies.lock().unwrap(), [body]);
-    assert_eq!(*ground.heard.lock().unwrap(), [ModelId(1)], "the forged offer was heard");
+    assert_eq!(*ground.announced.lock().unwrap(), [ModelId(1)], "the forged announcement was delivered");
 }

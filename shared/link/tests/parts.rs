@@ -1,13 +1,11 @@
-//! What has arrived of an upload that is not finished is a model already.
+//! The part of an upload that has arrived is a model already.
 #![allow(clippy::unwrap_used)]
-
-mod common;
 
 use std::time::Duration;
 
-use common::{identity, offer};
 use cosurf_link::inbox::Inbox;
 use cosurf_link::{Credentials, InboxLimits, Model, ModelKey, Offer, Role, SecretKey, Trusted};
+use cosurf_tests::offers::{identity, offer};
 use cosurf_wire::{Chunk, DeviceId, ModelHeader, ModelKind, SiteId, Topic};
 
 const NOW: Duration = Duration::ZERO;
@@ -16,7 +14,7 @@ fn inbox() -> Inbox {
     Inbox::new(identity(Role::Aggregator, "ground"), InboxLimits::default(), &[])
 }
 
-/// What there is after every chunk but the last, but for nothing.
+/// The partial models after each chunk but the last, without those that are empty.
 fn parts(mut inbox: Inbox, Offer { header, body }: &Offer) -> Vec<Model> {
     let ModelHeader { device, model, .. } = *header;
     inbox.on_header(NOW, &Topic::LocalHeader { device, model }, *header);
@@ -32,23 +30,23 @@ fn parts(mut inbox: Inbox, Offer { header, body }: &Offer) -> Vec<Model> {
 }
 
 #[test]
-fn it_grows_with_every_layer() {
+fn a_part_grows_with_every_layer() {
     let offer = offer("drone", 1, ModelKind::Local, 1, 4000, 1024);
     let splats: Vec<usize> = parts(inbox(), &offer).iter().map(|part| part.splats.len()).collect();
     assert!(splats.is_sorted() && splats[0] > 0, "{splats:?}");
     assert!(splats[0] <= 1000 && splats.contains(&2000), "{splats:?}");
-    assert_eq!(inbox().part(ModelKey::from(&offer.header)), None, "nobody announced it");
+    assert_eq!(inbox().part(ModelKey::from(&offer.header)), None, "never announced");
 }
 
 #[test]
-fn what_is_not_as_announced_is_nothing() {
+fn a_body_that_differs_from_its_header_gives_no_part() {
     let sane = offer("drone", 1, ModelKind::Local, 1, 4000, 1024);
     let lying = Offer { header: ModelHeader { splats: 100, ..sane.header }, ..sane };
     assert_eq!(parts(inbox(), &lying), []);
 }
 
 #[test]
-fn where_models_must_be_signed_it_is_nothing_before_the_whole_is_checked() {
+fn a_model_that_must_be_signed_gives_no_part_before_it_is_whole() {
     let key = SecretKey::new(&[1; 32]);
     let list = key.public_line(&DeviceId::new("drone").unwrap());
     let signer = Credentials { key: Some(key), ..Credentials::default() };

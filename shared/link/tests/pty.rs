@@ -1,10 +1,7 @@
-//! The serial line through the operating system: two pseudo-terminals, and between them the same air as in
-//! the simulation, on the wall clock.
+//! The serial line through the operating system: two pseudo-terminals with the simulation's faults between
+//! them, on the wall clock.
 #![cfg(unix)]
 #![allow(clippy::unwrap_used)]
-
-#[path = "common/radio.rs"]
-mod air;
 
 use std::collections::BTreeMap;
 use std::io::{self, Read, Write};
@@ -14,13 +11,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use air::{Air, BYTES_PER_S, radio};
 use cosurf_link::faults::Line;
 use cosurf_link::{Faults, Outgoing, PublishError, SerialConfig, SerialTransport, Transport, TransportEvent};
+use cosurf_tests::radio::{self, BYTES_PER_S, pattern, radio};
 use cosurf_wire::{DeviceId, ModelId, SiteId, Topic};
 use serialport::{SerialPort, TTYPort};
 
-/// Between two terminals; ends when dropped.
+/// The threads that carry bytes between two terminals; they end when dropped.
 struct Ether {
     is_over: Arc<AtomicBool>,
     threads: Vec<JoinHandle<()>>,
@@ -33,23 +30,23 @@ impl Drop for Ether {
     }
 }
 
-/// Two transports with air between them.
+/// Two transports with a faulty line between them.
 fn pair(seed: u64, faults: Faults) -> (SerialTransport, SerialTransport, Ether) {
     let is_over = Arc::new(AtomicBool::new(false));
-    let ((a_air, a), (b_air, b)) = (terminal(), terminal());
+    let ((a_line, a), (b_line, b)) = (terminal(), terminal());
     let threads = vec![
-        carry(a_air.try_clone_native().unwrap(), b_air.try_clone_native().unwrap(), seed, faults, &is_over),
-        carry(b_air, a_air, seed ^ 1, faults, &is_over),
+        carry(a_line.try_clone_native().unwrap(), b_line.try_clone_native().unwrap(), seed, faults, &is_over),
+        carry(b_line, a_line, seed ^ 1, faults, &is_over),
     ];
     let rate = faults.bytes_per_s.unwrap();
     (transport(a, rate, 100), transport(b, rate, 200), Ether { is_over, threads })
 }
 
 fn terminal() -> (TTYPort, TTYPort) {
-    let (mut air, mut end) = TTYPort::pair().unwrap();
-    air.set_timeout(Duration::from_millis(2)).unwrap();
+    let (mut line, mut end) = TTYPort::pair().unwrap();
+    line.set_timeout(Duration::from_millis(2)).unwrap();
     end.set_timeout(Duration::from_millis(5)).unwrap();
-    (air, end)
+    (line, end)
 }
 
 fn transport(port: TTYPort, bytes_per_s: NonZeroU32, session: u64) -> SerialTransport {
@@ -66,7 +63,7 @@ fn transport(port: TTYPort, bytes_per_s: NonZeroU32, session: u64) -> SerialTran
     })
 }
 
-/// One direction: cuts what is written into frames and has the line carry each.
+/// One direction: cuts what is written into frames and applies the faults of the line to each.
 fn carry(
     mut from: TTYPort,
     mut to: TTYPort,
@@ -106,7 +103,7 @@ fn goodput(seed: u64, faults: Faults, count: usize) -> f64 {
     for end in [&mut a, &mut b] {
         assert_eq!(end.poll(Duration::from_secs(20)), Some(TransportEvent::Connected));
     }
-    let bytes: Vec<u8> = (0..count as u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
+    let bytes = pattern(count);
     let (begun, mut received) = (Instant::now(), Vec::new());
     let mut parts = (0..).zip(bytes.chunks(16_000)).map(|(index, part)| message(index, part)).peekable();
     while received.len() < count {
@@ -120,7 +117,7 @@ fn goodput(seed: u64, faults: Faults, count: usize) -> f64 {
         if let Some(TransportEvent::Incoming { payload, .. }) = b.poll(Duration::from_millis(5)) {
             received.extend_from_slice(&payload);
         }
-        assert!(begun.elapsed() < Duration::from_secs(600), "it never arrives");
+        assert!(begun.elapsed() < Duration::from_secs(600), "it does not arrive");
     }
     let seconds = begun.elapsed().as_secs_f64();
     assert!(received == bytes, "other bytes arrived");
@@ -133,20 +130,12 @@ fn message(index: u32, payload: &[u8]) -> Outgoing {
     Outgoing { topic, payload: payload.to_vec(), retain: false }
 }
 
-/// What the simulation says of the same: the mean of ten seeds.
+/// The same in the simulation: the mean of ten seeds.
 fn simulated(loss: f64, count: usize) -> f64 {
-    let bytes: Vec<u8> = (0..count).map(|i| i as u8).collect();
-    let one = |seed| {
-        let mut air = Air::new(seed, radio(loss));
-        while air.events.iter().any(Vec::is_empty) {
-            air.step();
-        }
-        count as f64 / air.send_all(&bytes, 16_000).as_secs_f64() / f64::from(BYTES_PER_S.get())
-    };
-    (0..10).map(one).sum::<f64>() / 10.0
+    (0..10).map(|seed| radio::goodput(seed, loss, count).0).sum::<f64>() / 10.0
 }
 
-/// The radio ten times as fast, with a tenth of its delay: the same in all but the wall clock.
+/// The radio at ten times the rate and a tenth of the delay: the same goodput in less time.
 fn fast_radio(loss: f64) -> Faults {
     let faults = radio(loss);
     let delay = faults.delay_max / 10;

@@ -1,33 +1,10 @@
-//! The serial line on simulated radios: nothing is lost, doubled or altered, and the air is used well.
+//! The serial line over simulated radios: no message is lost, duplicated or changed, and the goodput is high.
 #![allow(clippy::unwrap_used)]
-
-#[path = "common/radio.rs"]
-mod air;
 
 use std::time::Duration;
 
-use air::{Air, BYTES_PER_S, radio, storm};
 use cosurf_link::serial::ArqEvent;
-
-fn bytes(count: usize) -> Vec<u8> {
-    (0..count as u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8).collect()
-}
-
-fn joined(messages: &[Vec<u8>]) -> Vec<u8> {
-    messages.iter().flat_map(|message| message[4..].to_vec()).collect()
-}
-
-/// Payload that arrived per second, as a share of the line's rate. The link stands already.
-fn goodput(seed: u64, loss: f64, count: usize) -> (f64, u64) {
-    let mut air = Air::new(seed, radio(loss));
-    while air.events[0].is_empty() {
-        air.step();
-    }
-    let sent = bytes(count);
-    let time = air.send_all(&sent, 16_000);
-    assert!(joined(&air.received[1]) == sent);
-    (count as f64 / time.as_secs_f64() / f64::from(BYTES_PER_S.get()), air.collisions)
-}
+use cosurf_tests::radio::{Air, goodput, joined, pattern, radio, storm};
 
 #[test]
 fn goodput_of_the_simulated_radio() {
@@ -45,7 +22,7 @@ fn goodput_of_the_simulated_radio() {
 fn thousands_of_storms_both_ways() {
     for seed in 0..3000u64 {
         let mut air = Air::new(seed, storm(seed.wrapping_mul(0x9E37_79B9) >> 3));
-        let sent = [bytes(300 + seed as usize % 9000), bytes(seed as usize % 3000)];
+        let sent = [pattern(300 + seed as usize % 9000), pattern(seed as usize % 3000)];
         for end in 0..2 {
             for (i, part) in sent[end].chunks(700).enumerate() {
                 air.ends[end].queue([&(i as u32).to_le_bytes()[..], part].concat());
@@ -62,9 +39,9 @@ fn thousands_of_storms_both_ways() {
 }
 
 #[test]
-fn an_outage_of_ten_minutes_loses_nothing_and_costs_little_more_than_itself() {
+fn an_outage_of_ten_minutes_loses_nothing_and_adds_little_delay() {
     let mut air = Air::new(3, radio(0.05));
-    let sent = bytes(200_000);
+    let sent = pattern(200_000);
     while air.events[0].is_empty() {
         air.step();
     }
@@ -74,11 +51,11 @@ fn an_outage_of_ten_minutes_loses_nothing_and_costs_little_more_than_itself() {
     assert!(joined(&air.received[1]) == sent);
     let alone = Duration::from_secs_f64(200_000.0 / 5760.0 / 0.85);
     assert!(time < outage + alone + Duration::from_secs(17), "{time:?}");
-    assert_eq!(air.events[0], [ArqEvent::Linked, ArqEvent::Lost, ArqEvent::Linked], "the owner is told");
+    assert_eq!(air.events[0], [ArqEvent::Linked, ArqEvent::Lost, ArqEvent::Linked], "reported to the owner");
 }
 
 #[test]
-fn a_restart_of_either_side_is_told_and_nothing_old_is_taken_for_new() {
+fn a_restart_of_either_side_is_reported_and_old_frames_are_ignored() {
     for end in 0..2 {
         let mut air = Air::new(9, radio(0.1));
         for i in 0..20u32 {
@@ -94,13 +71,13 @@ fn a_restart_of_either_side_is_told_and_nothing_old_is_taken_for_new() {
             assert!(air.now < Duration::from_secs(100), "never linked again");
         }
         air.received[1].clear();
-        air.send_all(&bytes(5000), 500);
-        assert_eq!(joined(&air.received[1]), bytes(5000), "end {end}");
+        air.send_all(&pattern(5000), 500);
+        assert_eq!(joined(&air.received[1]), pattern(5000), "end {end}");
     }
 }
 
 #[test]
-fn a_message_under_way_is_not_sent_twice() {
+fn a_message_in_flight_is_not_queued_twice() {
     let mut air = Air::new(1, radio(0.0));
     for _ in 0..50 {
         air.ends[0].queue(vec![7; 2000]);

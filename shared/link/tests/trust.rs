@@ -1,13 +1,12 @@
-//! Who is believed: models of unknown and revoked devices, changed and repeated ones are refused, and told why.
+//! Signatures: models of unknown and revoked devices, changed and replayed ones are refused with a reason.
 #![allow(clippy::unwrap_used)]
-
-mod common;
 
 use std::time::Duration;
 
-use common::{Member, offer, run};
 use cosurf_link::inbox::{Inbox, InboxEvent};
 use cosurf_link::{Credentials, Faults, InboxLimits, MemoryNetwork, NodeEvent, Role, SecretKey, Trusted};
+use cosurf_tests::fleet::{Member, run_until};
+use cosurf_tests::offers::{identity, offer};
 use cosurf_wire::{DeviceId, FrameId, ModelHeader, ModelId, ModelKind, RefusalReason, SiteId, Topic};
 
 fn site() -> SiteId {
@@ -26,16 +25,16 @@ fn line(key: u8) -> String {
     SecretKey::new(&[key; 32]).public_line(&device())
 }
 
-/// A header of drone's model `number`, signed by `key`.
+/// The header of the drone's model `number`, signed with `key`.
 fn signed(number: u64, key: u8) -> ModelHeader {
     offer("drone", number, ModelKind::Local, number, 30, 1024)
         .with_credentials(&site(), &credentials(key))
         .header
 }
 
-/// What an aggregator with this list of keys says to a header.
+/// Why an aggregator with this list of keys refuses a header; `None` if it accepts it.
 fn verdict(list: &str, stored: &[ModelHeader], header: ModelHeader) -> Option<RefusalReason> {
-    let mut inbox = Inbox::new(common::identity(Role::Aggregator, "ground"), InboxLimits::default(), stored);
+    let mut inbox = Inbox::new(identity(Role::Aggregator, "ground"), InboxLimits::default(), stored);
     inbox.set_credentials(Credentials {
         trusted: Some(Trusted::parse(list).unwrap()),
         ..Credentials::default()
@@ -64,13 +63,13 @@ fn unknown_revoked_changed_and_replayed_models_are_refused() {
     let both = format!("{}\nrevoked {}", line(1), line(1));
     assert_eq!(verdict(&both, &[], sane), Some(RefusalReason::Revoked));
     assert_eq!(verdict(&list, &[signed(6, 1)], sane), Some(RefusalReason::Replayed));
-    // What is stored is asked about again where an answer was lost.
+    // A drone announces a stored model again if the answer was lost.
     assert_eq!(verdict(&list, &[signed(6, 1), sane], sane), None);
     assert_eq!(verdict(&list, &[signed(4, 1)], sane), None);
 }
 
 #[test]
-fn a_device_changes_its_key_while_both_count() {
+fn a_device_changes_its_key_while_both_are_listed() {
     let list = format!("{}\n{}", line(1), line(2));
     assert_eq!(verdict(&list, &[], signed(5, 1)), None);
     assert_eq!(verdict(&list, &[], signed(6, 2)), None);
@@ -80,14 +79,14 @@ fn a_device_changes_its_key_while_both_count() {
 }
 
 #[test]
-fn a_link_that_takes_small_chunks_only_does_not_break_the_signature() {
+fn the_signature_holds_for_any_chunk_size() {
     let small = ModelHeader { chunk_bytes: 1000, ..signed(5, 1) };
     assert_eq!(verdict(&line(1), &[], small), None);
 }
 
 #[test]
-fn another_frame_is_refused_even_where_everybody_is_believed() {
-    let mut inbox = Inbox::new(common::identity(Role::Aggregator, "ground"), InboxLimits::default(), &[]);
+fn another_frame_is_refused_without_a_list_of_keys_too() {
+    let mut inbox = Inbox::new(identity(Role::Aggregator, "ground"), InboxLimits::default(), &[]);
     let elsewhere = Credentials { frame: FrameId::new("utm-33n").unwrap(), ..Credentials::default() };
     let header =
         offer("drone", 1, ModelKind::Local, 1, 30, 1024).with_credentials(&site(), &elsewhere).header;
@@ -96,11 +95,11 @@ fn another_frame_is_refused_even_where_everybody_is_believed() {
     assert!(matches!(said, Some(InboxEvent::Refused(_, RefusalReason::WrongFrame))), "{said:?}");
 }
 
-/// The limit holds for what a model becomes, not only for what it is sent as.
+/// The limit holds for the unpacked size of a model, not only for its packed size.
 #[test]
-fn a_model_that_unpacks_to_too_much_is_refused_by_its_header() {
+fn a_model_too_large_when_unpacked_is_refused_by_its_header() {
     let limits = InboxLimits { body_bytes_max: 100_000, total_bytes_max: 200_000, ..InboxLimits::default() };
-    let mut inbox = Inbox::new(common::identity(Role::Aggregator, "ground"), limits, &[]);
+    let mut inbox = Inbox::new(identity(Role::Aggregator, "ground"), limits, &[]);
     let header = offer("drone", 1, ModelKind::Local, 1, 2000, 1024).header;
     assert!(header.body_bytes < 100_000 && header.unpacked_bytes() > 100_000);
     let topic = Topic::LocalHeader { device: device(), model: ModelId(1) };
@@ -108,9 +107,9 @@ fn a_model_that_unpacks_to_too_much_is_refused_by_its_header() {
     assert!(matches!(said, Some(InboxEvent::Refused(_, RefusalReason::TooLarge))), "{said:?}");
 }
 
-/// A fleet that signs both ways, over a network that loses and doubles; a stranger is told why it is refused.
+/// Both sides sign, over a network that loses and duplicates; an unknown device learns why it is refused.
 #[test]
-fn signed_models_arrive_and_a_strangers_do_not() {
+fn signed_models_arrive_and_those_of_unknown_devices_do_not() {
     let network = MemoryNetwork::new(3, Faults { loss: 0.1, duplication: 0.1, ..Faults::NONE });
     let mut drone = Member::new(&network, Role::Device, "drone", InboxLimits::default());
     drone.node.set_credentials(credentials(1));
@@ -128,14 +127,14 @@ fn signed_models_arrive_and_a_strangers_do_not() {
         };
         member.events.iter().any(refused)
     };
-    run(&network, &mut fleet, Duration::from_secs(60), |fleet| {
+    run_until(&network, &mut fleet, Duration::from_secs(60), |fleet| {
         !fleet[0].uploaded.is_empty() && is_refused(&fleet[1])
     });
     assert_eq!(fleet[2].disk.len(), 1);
 }
 
 #[test]
-fn lists_say_which_line_is_wrong_and_keys_are_not_overwritten() {
+fn errors_name_the_line_of_the_list_and_keys_are_not_overwritten() {
     for (list, line) in [("drone 12", "line 1"), ("\nrevoke drone x", "line 2"), ("a/b 00", "line 1")] {
         assert!(Trusted::parse(list).unwrap_err().contains(line), "{list}");
     }
@@ -146,6 +145,6 @@ fn lists_say_which_line_is_wrong_and_keys_are_not_overwritten() {
     key.write_new(&path).unwrap();
     assert_eq!(SecretKey::read(&path).unwrap().public_line(&device()), key.public_line(&device()));
     assert!(key.write_new(&path).unwrap_err().to_string().contains("not overwritten"));
-    assert!(!format!("{key:?}").contains("0303"), "a secret is not shown");
+    assert!(!format!("{key:?}").contains("0303"), "a secret key is not printed");
     std::fs::remove_dir_all(&folder).unwrap();
 }

@@ -1,55 +1,33 @@
 //! Packed models, whole and in part.
 
 use cosurf_link::{FirstLayer, body_to_model, model_to_body, part_to_model};
-use cosurf_scene::{Base, Camera, Pose, Splats};
+use cosurf_scene::{Base, Splats};
+use cosurf_tests::models::{cameras, random_splats};
 use cosurf_wire::body::{HEAD_BYTES, PACK_ENTRY_BYTES};
-use glam::{DQuat, DVec2, DVec3};
 
 use crate::mutate::Random;
 use crate::runner::{Target, hammer};
 
-pub(crate) fn splats(count: usize, sh_degree: u32) -> Splats {
-    let mut splats = Splats::with_capacity(count, sh_degree);
-    let mut random = Random(1);
-    let mut number = || random.below(2000) as f32 / 1000.0 - 1.0;
-    for _ in 0..count {
-        let sh: Vec<f32> = (0..splats.sh_stride()).map(|_| number()).collect();
-        let quat = [1.5 + number(), number(), number(), number()];
-        splats.push([number(); 3], quat, [number(), number(), -3.0], number(), &sh);
-    }
-    splats
-}
-
-fn camera() -> Camera {
-    Camera {
-        cam_from_world: Pose { rotation: DQuat::IDENTITY, translation: DVec3::Z },
-        focal_px: DVec2::splat(100.0),
-        center_px: DVec2::splat(50.0),
-        size_px: [100, 100],
-    }
-}
-
 /// A base of every third splat.
 fn with_base(count: usize, sh_degree: u32) -> Vec<u8> {
-    let (splats, others) = (splats(count, sh_degree), splats(count, 0));
+    let (splats, others) = (random_splats(1, count, sh_degree), random_splats(1, count, 0));
     let mut base = Base { ids: (0..count as u32).step_by(3).collect(), splats: Splats::with_capacity(0, 0) };
     base.ids.iter().for_each(|&i| base.splats.push_from(&others, i as usize));
-    model_to_body(&splats, &[camera()], FirstLayer::Base(&base)).unwrap()
+    model_to_body(&splats, &cameras(1), FirstLayer::Base(&base)).unwrap()
 }
 
 /// Small ones are stored, large ones compressed; some with a base.
 fn bodies() -> Vec<Vec<u8>> {
     let plain = [(0, 0, 1), (1, 0, 0), (2, 1, 1), (3, 3, 0), (60, 0, 9), (200, 2, 2), (40, 3, 1)].map(
-        |(count, sh_degree, cameras)| {
-            let splats = splats(count, sh_degree);
-            model_to_body(&splats, &vec![camera(); cameras], FirstLayer::ByImportance(&splats.opacity_logits))
-                .unwrap()
+        |(count, sh_degree, views)| {
+            let splats = random_splats(1, count, sh_degree);
+            model_to_body(&splats, &cameras(views), FirstLayer::ByImportance(&splats.opacity_logits)).unwrap()
         },
     );
     plain.into_iter().chain([with_base(9, 1), with_base(250, 2)]).collect()
 }
 
-/// The checksums of packs, table and head, as far as those are there.
+/// Recomputes the checksums of packs, table and head, as far as those are there.
 fn reseal(body: &mut [u8]) {
     let Some([low, high]) = body.get(6..8).and_then(|count| count.first_chunk().copied()) else { return };
     let packs = usize::from(u16::from_le_bytes([low, high]));

@@ -1,9 +1,10 @@
-//! Messages, topics, frames, and chunks on their way into an inbox.
+//! Messages, topics, frames, and chunks for an inbox.
 
 use std::time::Duration;
 
 use cosurf_link::inbox::{Inbox, InboxEvent};
 use cosurf_link::{Identity, InboxLimits, Offer, Role};
+use cosurf_tests::models::random_splats;
 use cosurf_wire::body::CAMERA_BYTES;
 use cosurf_wire::frame::{Frame, FrameReader, MAX_FRAME_BYTES, Piece, Sessions, Turn};
 use cosurf_wire::{
@@ -11,7 +12,6 @@ use cosurf_wire::{
     ModelKind, RefusalReason, Refused, SiteId, State, Topic, Want,
 };
 
-use crate::body::splats;
 use crate::runner::{Target, hammer};
 
 fn device() -> DeviceId {
@@ -19,7 +19,8 @@ fn device() -> DeviceId {
 }
 
 fn offer(count: usize) -> Offer {
-    let mut offer = Offer::new(device(), ModelId(3), ModelKind::Local, 9, &splats(count, 1), &[]).unwrap();
+    let mut offer =
+        Offer::new(device(), ModelId(3), ModelKind::Local, 9, &random_splats(1, count, 1), &[]).unwrap();
     offer.header.chunk_bytes = 200;
     offer
 }
@@ -67,7 +68,7 @@ fn reseal_message(bytes: &mut [u8]) {
     }
 }
 
-/// What is read means the same when it is written and read again.
+/// A message that is decoded stays the same when encoded and decoded again.
 #[test]
 fn messages_are_read_or_refused() {
     let target = Target { name: "messages", samples: messages(), reseal: reseal_message, bytes_max: |_| 0 };
@@ -80,7 +81,7 @@ fn messages_are_read_or_refused() {
             }
         }
         let again = message.encode(&mut out).expect("what was read fits");
-        // Numbers that are no numbers are not equal to themselves.
+        // NaN would not be equal to itself: no decoded message may contain it.
         let is_same = Message::decode(again).expect("what was written is read") == message;
         assert!(is_same, "{message:?}");
         true
@@ -126,7 +127,7 @@ fn frames_are_read_or_refused() {
     let mut reader = FrameReader::default();
     hammer(target, move |bytes| {
         let mut read = false;
-        // The zero ends what the damage has left open.
+        // The zero ends a frame that the damage left open.
         for byte in bytes.iter().chain(&[0]) {
             let Some(frame) = reader.push(*byte) else { continue };
             read |= Frame::decode(frame, sessions).is_ok();
@@ -135,7 +136,7 @@ fn frames_are_read_or_refused() {
     });
 }
 
-/// An inbox takes headers and chunks as they come, and stays within its limits.
+/// An inbox takes headers and chunks in any order and stays within its limits.
 #[test]
 fn chunks_are_taken_or_refused() {
     let Offer { header, body } = offer(30);
@@ -150,7 +151,7 @@ fn chunks_are_taken_or_refused() {
         name: "chunks",
         samples: samples.collect(),
         reseal: reseal_message,
-        // Two bodies of the limit and what is queued beside them.
+        // Two bodies of the largest size, and the queues.
         bytes_max: |_| 1 << 18,
     };
     let limits =

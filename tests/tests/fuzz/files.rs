@@ -1,4 +1,4 @@
-//! Files that people bring: PLY, SPZ, COLMAP, transforms.json.
+//! Files that users bring: PLY, SPZ, COLMAP, transforms.json.
 
 use std::fs;
 use std::io::{Read, Write};
@@ -6,17 +6,17 @@ use std::path::Path;
 
 use cosurf_scene::colmap::{self, Form};
 use cosurf_scene::{Dataset, Mesh, ply, spz};
+use cosurf_tests::models::random_splats;
 use flate2::Compression;
 use flate2::read::GzDecoder;
 use flate2::write::GzEncoder;
 
-use crate::body::splats;
 use crate::runner::{Target, hammer};
 
 /// Buffers of the readers, and 32 bytes of memory for each of the file.
 const FILE_BYTES_MAX: fn(usize) -> usize = |bytes| (1 << 20) + 32 * bytes;
 
-/// In memory, where the system has such a place.
+/// A temporary folder, in memory if the system offers one.
 fn folder() -> tempfile::TempDir {
     let shared = Path::new("/dev/shm");
     if shared.is_dir() { tempfile::tempdir_in(shared).unwrap() } else { tempfile::tempdir().unwrap() }
@@ -41,8 +41,9 @@ property list uchar int vertex_indices\nend_header\n0 0 0 1 2 3\n1 0 0 4 5 6\n0 
 fn ply_files_are_read_or_refused() {
     let folder = folder();
     let path = folder.path().join("a.ply");
-    let models = [(0, 0), (3, 0), (5, 1), (2, 3)]
-        .map(|(count, degree)| written(&path, |path| ply::write(path, &splats(count, degree)).unwrap()));
+    let models = [(0, 0), (3, 0), (5, 1), (2, 3)].map(|(count, degree)| {
+        written(&path, |path| ply::write(path, &random_splats(1, count, degree)).unwrap())
+    });
     let mut samples = Vec::from(models);
     fs::write(&path, ASCII_MESH).unwrap();
     let mesh = Mesh::read(&path).unwrap();
@@ -60,7 +61,7 @@ fn ply_files_are_read_or_refused() {
     });
 }
 
-/// Changes the bytes within the gzip stream; changes of the stream itself are gzip's to notice.
+/// Changes the bytes within the gzip stream; the gzip decoder handles changes of the stream itself.
 #[test]
 fn spz_files_are_read_or_refused() {
     let folder = folder();
@@ -71,7 +72,7 @@ fn spz_files_are_read_or_refused() {
         out
     };
     let samples = [(0, 0), (3, 0), (5, 1), (2, 3)].map(|(count, degree)| {
-        unpacked(written(&path, |path| spz::write(path, &splats(count, degree)).unwrap()))
+        unpacked(written(&path, |path| spz::write(path, &random_splats(1, count, degree)).unwrap()))
     });
     let limits = Target { bytes_max: |bytes| (1 << 20) + 400 * bytes, ..target("SPZ", samples.into()) };
     hammer(limits, |bytes| {
@@ -86,8 +87,7 @@ fn spz_files_are_read_or_refused() {
     });
 }
 
-/// Changes one of the three files of a model; the others stay right. In memory: opening files takes five times as
-/// long as decoding them.
+/// Changes one of the three files of a model. In memory: opening files takes five times as long as decoding them.
 fn hammer_colmap(form: Form, files: [(&str, Vec<u8>); 3]) {
     for (i, (name, right)) in files.iter().enumerate() {
         hammer(target(&format!("COLMAP {name}"), vec![right.clone()]), |bytes| {

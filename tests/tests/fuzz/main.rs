@@ -1,9 +1,9 @@
-//! Every decoder against bytes that nobody should send: samples of what is right, changed at random from a
-//! seed, with the checksums put right again half of the time so that the damage is seen deeper inside.
+//! Every decoder against damaged bytes: valid samples, changed at random from a seed. Half of the time the checksums
+//! are recomputed, so that the damage reaches the code behind them.
 //!
-//! A decoder may refuse, or read something sane; it may not panic, take long, or take more memory than its
-//! bytes could honestly need. `FUZZ_EXECUTIONS` says how many changed samples each decoder is given,
-//! `FUZZ_SEED` where to begin: an execution is named by its seed, and done again by it alone.
+//! A decoder may refuse its input or read valid values; it may not panic, take long, or allocate more memory than its
+//! input justifies. `FUZZ_EXECUTIONS` is the number of changed samples for each decoder, `FUZZ_SEED` the first seed:
+//! a failure names its seed, which repeats it alone.
 #![allow(clippy::unwrap_used)]
 
 mod body;

@@ -1,4 +1,4 @@
-//! How much a thread has allocated, at most, since it was last asked.
+//! The peak of what a thread has allocated.
 #![allow(unsafe_code)]
 
 use std::alloc::{GlobalAlloc, Layout, System};
@@ -15,15 +15,14 @@ thread_local! {
 }
 
 fn count(bytes: isize) {
-    // A thread that ends frees after its counters are gone; that is nobody's decoder.
+    // A thread that ends frees memory after its counters are gone; no decoder runs then.
     let _ = NOW_BYTES.try_with(|now| {
         now.set(now.get() + bytes);
         let _ = PEAK_BYTES.try_with(|peak| peak.set(peak.get().max(now.get())));
     });
 }
 
-// SAFETY: every call goes to the system's allocator as it came; beside it only numbers are counted, in cells
-// that need no allocation.
+// SAFETY: every call is passed on unchanged to the system's allocator; the counters are cells, which allocate nothing.
 unsafe impl GlobalAlloc for Counted {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         count(layout.size() as isize);
@@ -44,7 +43,7 @@ unsafe impl GlobalAlloc for Counted {
     }
 }
 
-/// Runs `work` and returns how many bytes it had allocated at most, beside what was there before.
+/// Runs `work` and returns the peak of its allocations, bytes, without those made before.
 pub(crate) fn peak_bytes_of(work: impl FnOnce()) -> usize {
     let before = NOW_BYTES.get();
     PEAK_BYTES.set(before);
@@ -53,7 +52,7 @@ pub(crate) fn peak_bytes_of(work: impl FnOnce()) -> usize {
 }
 
 #[test]
-fn what_is_taken_for_a_moment_is_counted() {
+fn short_lived_allocations_are_counted() {
     let peak = peak_bytes_of(|| {
         let long = std::hint::black_box(vec![1u8; 1 << 20]);
         drop(long);

@@ -1,4 +1,4 @@
-//! Changes that decoders stumble over.
+//! Random changes of bytes.
 
 /// Pseudo-random numbers from a seed (SplitMix64).
 pub(crate) struct Random(pub(crate) u64);
@@ -21,7 +21,7 @@ impl Random {
     }
 }
 
-/// Numbers at the edges of what fields can hold, among them infinities and NaN as `f32` and `f64`.
+/// Limits of integer fields, and infinities and NaN as `f32` and `f64`.
 const EDGES: [u64; 16] = [
     0,
     1,
@@ -42,7 +42,7 @@ const EDGES: [u64; 16] = [
 ];
 /// Most changes to one sample.
 const CHANGES_MAX: usize = 6;
-/// No sample grows beyond this.
+/// Largest size of a changed sample.
 const BYTES_MAX: usize = 1 << 16;
 
 /// One of `samples`, changed in up to [`CHANGES_MAX`] places.

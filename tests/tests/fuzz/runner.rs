@@ -1,4 +1,4 @@
-//! Gives a decoder its changed samples and watches it.
+//! Runs a decoder on changed samples, and checks its time and memory.
 
 use std::env;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
@@ -7,27 +7,27 @@ use std::time::{Duration, Instant};
 use crate::memory::peak_bytes_of;
 use crate::mutate::{Random, mutated};
 
-/// Executions of a decoder where nobody says: below a second for the slowest.
+/// Executions of each decoder by default: below a second for the slowest.
 const EXECUTIONS: u64 = 5_000;
-/// No execution may take longer. Generous, for the machine may be busy; a decoder that hangs takes for ever.
+/// Longest time of one execution. Generous: the machine may be busy, and a decoder that hangs takes for ever.
 const LONGEST: Duration = Duration::from_secs(5);
 
 /// A decoder under test.
 pub(crate) struct Target<'a> {
     /// Its name.
     pub(crate) name: &'a str,
-    /// What it reads when all is well.
+    /// Valid inputs.
     pub(crate) samples: Vec<Vec<u8>>,
-    /// Puts checksums right again.
+    /// Recomputes the checksums of a changed sample.
     pub(crate) reseal: fn(&mut [u8]),
-    /// What it may allocate at most for so many bytes.
+    /// The most it may allocate for an input of so many bytes.
     pub(crate) bytes_max: fn(usize) -> usize,
 }
 
-/// Runs `decode` on changed samples, and on the samples themselves. It says whether it could read them.
+/// Runs `decode`, which returns whether it accepted its input, on changed samples and on the samples themselves.
 pub(crate) fn hammer(target: Target, mut decode: impl FnMut(&[u8]) -> bool) {
     for (i, sample) in target.samples.iter().enumerate() {
-        assert!(decode(sample), "{}: sample {i} is right and was refused", target.name);
+        assert!(decode(sample), "{}: sample {i} is valid and was refused", target.name);
     }
     let number = |name: &str, usual| env::var(name).map_or(usual, |text| text.parse().expect("a number"));
     let (first, executions) = (number("FUZZ_SEED", 0), number("FUZZ_EXECUTIONS", EXECUTIONS));
@@ -51,7 +51,7 @@ pub(crate) fn hammer(target: Target, mut decode: impl FnMut(&[u8]) -> bool) {
             }
         }
         if took >= LONGEST {
-            // The machine may have been busy elsewhere; a decoder that hangs does so again.
+            // The machine may have been busy; a decoder that hangs does so again.
             let started = Instant::now();
             decode(&bytes);
             took = started.elapsed();
@@ -60,5 +60,5 @@ pub(crate) fn hammer(target: Target, mut decode: impl FnMut(&[u8]) -> bool) {
         let allowed = (target.bytes_max)(bytes.len());
         assert!(peak <= allowed, "{case} allocates {peak} bytes for {}, of {allowed} allowed", bytes.len());
     }
-    println!("{}: {executions} executions from seed {first}, {read} were read", target.name);
+    println!("{}: {executions} executions from seed {first}, {read} were accepted", target.name);
 }

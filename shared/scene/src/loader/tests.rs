@@ -215,7 +215,7 @@ fn real_scenes_are_opened() {
     ] {
         let root = folder.join(name);
         if !root.is_dir() {
-            eprintln!("SKIPPED: {name} is not here");
+            cosurf_tests::skips::skip("REQUIRE_DATASETS", format!("{name} is not in ../shared/data"));
             continue;
         }
         let dataset = Dataset::open(&root).unwrap();

@@ -1,5 +1,4 @@
 //! Nodes over a real broker, each on a thread, on the wall clock.
-#![allow(clippy::unwrap_used, dead_code, missing_docs, unreachable_pub)]
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
@@ -12,23 +11,23 @@ use cosurf_link::{
 };
 use cosurf_wire::ModelId;
 
-/// An aggregator that keeps bodies in memory, and says what it hears.
+/// A receiver of local models that keeps their bodies in memory; stops when dropped.
 pub struct Ground {
+    /// Bodies that arrived whole.
     pub bodies: Arc<Mutex<Vec<Vec<u8>>>>,
-    pub retries: Arc<Mutex<Vec<String>>>,
-    /// Models offered.
-    pub heard: Arc<Mutex<Vec<ModelId>>>,
+    /// Models that were announced.
+    pub announced: Arc<Mutex<Vec<ModelId>>>,
     is_over: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
 impl Ground {
+    /// Connects to a broker and receives until dropped.
     pub fn start(broker: BrokerAddress, tls: Option<Tls>, identity: Identity) -> Self {
-        let (bodies, retries) = (Arc::new(Mutex::new(Vec::new())), Arc::new(Mutex::new(Vec::new())));
-        let heard = Arc::new(Mutex::new(Vec::new()));
+        let bodies: Arc<Mutex<Vec<Vec<u8>>>> = Arc::default();
+        let announced: Arc<Mutex<Vec<ModelId>>> = Arc::default();
         let is_over = Arc::new(AtomicBool::new(false));
-        let (kept, told, over) = (Arc::clone(&bodies), Arc::clone(&retries), Arc::clone(&is_over));
-        let offered = Arc::clone(&heard);
+        let (kept, heard, over) = (Arc::clone(&bodies), Arc::clone(&announced), Arc::clone(&is_over));
         let thread = std::thread::spawn(move || {
             let mut transport = MqttTransport::start(MqttConfig { broker, identity, tls });
             let mut node = Node::new(identity, InboxLimits::default(), &[]);
@@ -39,13 +38,12 @@ impl Ground {
                         kept.lock().unwrap().push(body.to_vec());
                         node.stored(header.into());
                     }
-                    Some(NodeEvent::Disconnected { reason, .. }) => told.lock().unwrap().push(reason),
-                    Some(NodeEvent::Receiving(header)) => offered.lock().unwrap().push(header.model),
+                    Some(NodeEvent::Receiving(header)) => heard.lock().unwrap().push(header.model),
                     _ => {}
                 }
             }
         });
-        Self { bodies, retries, heard, is_over, thread: Some(thread) }
+        Self { bodies, announced, is_over, thread: Some(thread) }
     }
 }
 
@@ -56,14 +54,14 @@ impl Drop for Ground {
     }
 }
 
-/// Uploads, telling how far it is.
+/// Uploads a model and waits until it is acknowledged. `on_retry` gets the reason of each lost connection.
 pub fn upload(
     broker: BrokerAddress,
     tls: Option<Tls>,
     identity: Identity,
     offer: Offer,
     mut on_progress: impl FnMut(UploadProgress),
-    mut on_retry: impl FnMut(u32, String),
+    mut on_retry: impl FnMut(String),
 ) -> UploadProgress {
     let mut transport = MqttTransport::start(MqttConfig { broker, identity, tls });
     let mut node = Node::new(identity, InboxLimits::default(), &[]);
@@ -75,7 +73,7 @@ pub fn upload(
         || start.elapsed(),
         |_, event| match event {
             NodeEvent::Progress(_, progress) => on_progress(progress),
-            NodeEvent::Disconnected { attempt, reason } => on_retry(attempt, reason),
+            NodeEvent::Disconnected { reason, .. } => on_retry(reason),
             _ => {}
         },
     );

@@ -4,9 +4,6 @@
 //! The data are `../shared/data/gt_boruszyn` where it lies beside the checkout, otherwise a small built-in
 //! city made on the spot.
 
-#[path = "../scene/mod.rs"]
-mod scene;
-
 use std::path::{Path, PathBuf};
 use std::thread::available_parallelism;
 use std::time::Instant;
@@ -18,7 +15,7 @@ use cosurf_aggregator::evaluate::{EvalOrder, EvalReport, Spread, accuracy, evalu
 use cosurf_aggregator::mesh::{FuseSettings, mesh_model};
 use cosurf_engine::{DeviceChoice, PruneSettings, SurfaceSettings};
 use cosurf_scene::{Camera, Mesh, Splats, ply};
-use scene::usual_data;
+use cosurf_tests::datasets::{default_dataset, true_surface};
 
 const EVAL_EVERY: u32 = 8;
 const MESH_BYTES: u64 = 4 << 30;
@@ -54,7 +51,7 @@ pub(crate) struct Variant {
 pub(crate) fn compare(variants: &[Variant]) -> Result<()> {
     let arguments = Arguments::parse();
     let folder = tempfile::tempdir()?;
-    let data = arguments.data.clone().map_or_else(|| usual_data(folder.path()), Ok)?;
+    let data = arguments.data.clone().unwrap_or_else(|| default_dataset(folder.path()));
     let truth = truth(&data)?;
     println!(
         "{}, long side {} px, {} steps, threshold {} m\n",
@@ -84,9 +81,9 @@ pub(crate) fn compare(variants: &[Variant]) -> Result<()> {
 }
 
 fn truth(data: &Path) -> Result<Mesh> {
-    let files = ["gt/points.ply", "gt/mesh.ply"].map(|name| data.join(name));
-    let file = files.iter().find(|file| file.is_file());
-    Ok(Mesh::read(file.with_context(|| format!("{} has no true surface in gt/", data.display()))?)?)
+    let file =
+        true_surface(data).with_context(|| format!("{} has no true surface in gt/", data.display()))?;
+    Ok(Mesh::read(&file)?)
 }
 
 /// What a training gave.

@@ -1,29 +1,25 @@
-//! A device by radio and a device by network in one mission: the service knows no difference.
-#![cfg(unix)]
-#![allow(clippy::unwrap_used)]
-
-#[path = "../../shared/link/tests/common/mod.rs"]
-mod common;
+//! A device by radio and a device by network in one mission: the service treats both alike.
 
 use std::io;
 use std::num::NonZeroU32;
-use std::ops::ControlFlow;
 use std::sync::mpsc;
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-use common::{credible, identity};
 use cosurf_aggregator::broker::Broker;
 use cosurf_aggregator::gateway::{Gateway, GatewayEvent};
 use cosurf_aggregator::merge::MergeSettings;
-use cosurf_aggregator::service::{Command, Expected, Service, ServiceConfig, ServiceEvent};
+use cosurf_aggregator::service::ServiceEvent;
 use cosurf_link::serial::{DEVICE_MESSAGE_BYTES, GATEWAY_MESSAGE_BYTES};
 use cosurf_link::{
-    BrokerAddress, Identity, InboxLimits, MqttConfig, MqttTransport, Node, NodeEvent, Offer, Role,
-    SerialConfig, SerialTransport, Transport,
+    Identity, InboxLimits, MqttConfig, MqttTransport, Node, NodeEvent, Offer, Role, SerialConfig,
+    SerialTransport, Transport,
 };
+use cosurf_tests::offers::{broker_address, identity, mergeable_offer};
 use cosurf_wire::DeviceId;
 use serialport::{SerialPort, TTYPort};
+
+use crate::station::{Station, loopback};
 
 const PATIENCE: Duration = Duration::from_secs(60);
 
@@ -40,7 +36,7 @@ fn line(mut port: TTYPort, session: u64, message_bytes_max: usize) -> SerialConf
     }
 }
 
-/// Uploads, waits for the global model and says its bytes; then lives on until told to die.
+/// Uploads, waits for the global model, sends its bytes to `say`, and goes on until it hears from `die`.
 fn drone<T: Transport + Send + 'static>(
     mut transport: T,
     identity: Identity,
@@ -66,43 +62,14 @@ fn drone<T: Transport + Send + 'static>(
 #[test]
 fn radio_and_network_share_a_mission() {
     let folder = tempfile::tempdir().unwrap();
-    let broker = Broker::start(([127, 0, 0, 1], 0).into()).unwrap();
-    let address = BrokerAddress {
-        host: broker.address().ip().to_string(),
-        port: broker.address().port(),
-        is_tls: false,
-    };
-    let (events, heard) = mpsc::channel();
+    let broker = Broker::start(loopback()).unwrap();
+    let address = broker_address(broker.address());
+    let station =
+        Station::start(folder.path(), address.clone(), ["by-radio", "by-net"], MergeSettings::default());
     let (say_line, lines) = mpsc::channel();
-    let (commands, orders) = mpsc::channel();
-    let ground = identity(Role::Aggregator, "ground");
-    let service = Service::open(ServiceConfig {
-        identity: ground,
-        folder: folder.path().to_owned(),
-        limits: InboxLimits::default(),
-        expected: Expected::Devices(["by-radio", "by-net"].map(|name| DeviceId::new(name).unwrap()).into()),
-        merge: MergeSettings::default(),
-        threads: 1,
-    })
-    .unwrap();
-    let to = address.clone();
-    let station = thread::spawn(move || {
-        let begun = Instant::now();
-        let mut transport = MqttTransport::start(MqttConfig { broker: to, identity: ground, tls: None });
-        service.run(
-            &mut transport,
-            || begun.elapsed(),
-            &orders,
-            |event| {
-                let _ = events.send(event);
-                ControlFlow::Continue(())
-            },
-        )
-    });
-
     let (air, ground_port) = TTYPort::pair().unwrap();
     let gateway = Gateway::start(
-        ground.site,
+        Station::identity().site,
         address.clone(),
         None,
         line(ground_port, 1, GATEWAY_MESSAGE_BYTES),
@@ -112,17 +79,16 @@ fn radio_and_network_share_a_mission() {
     let (radio, net) = (identity(Role::Device, "by-radio"), identity(Role::Device, "by-net"));
     let serial = SerialTransport::start(line(air, 2, DEVICE_MESSAGE_BYTES));
     let (kill_radio, die) = mpsc::channel();
-    let by_radio = drone(serial, radio, credible("by-radio", 1500), say.clone(), die);
+    let by_radio = drone(serial, radio, mergeable_offer("by-radio", 1500), say.clone(), die);
     let mqtt = MqttTransport::start(MqttConfig { broker: address, identity: net, tls: None });
     let (kill_net, die) = mpsc::channel();
-    let by_net = drone(mqtt, net, credible("by-net", 1500), say, die);
+    let by_net = drone(mqtt, net, mergeable_offer("by-net", 1500), say, die);
 
     let mut got: Vec<_> = (0..2).map(|_| globals.recv_timeout(PATIENCE).unwrap()).collect();
     got.sort();
     assert_eq!([got[0].0, got[1].0], [net.device, radio.device]);
     assert!(got[0].1 == got[1].1, "both have the same global model");
-    let delivered = || heard.recv_timeout(PATIENCE).unwrap() == ServiceEvent::Delivered;
-    while !delivered() {}
+    station.wait_for(|event| *event == ServiceEvent::Delivered);
     let on_line = GatewayEvent::OnLine { line: "pty".to_owned(), device: radio.device };
     assert_eq!(lines.recv_timeout(PATIENCE).unwrap(), on_line);
 
@@ -132,7 +98,6 @@ fn radio_and_network_share_a_mission() {
     assert!(matches!(&off_line, GatewayEvent::OffLine { reason } if reason.contains("pty")), "{off_line}");
     kill_net.send(()).unwrap();
     by_net.join().unwrap();
-    commands.send(Command::Finish).unwrap();
-    assert!(station.join().unwrap().is_some());
+    assert!(station.finish());
     drop(gateway);
 }

@@ -1,5 +1,4 @@
-//! Two ends of a simulated serial line on virtual time, and its faults.
-#![allow(clippy::unwrap_used, dead_code, missing_docs, unreachable_pub)]
+//! Both ends of a simulated serial line on virtual time, and the faults of radios.
 
 use std::collections::BTreeMap;
 use std::num::NonZeroU32;
@@ -10,32 +9,38 @@ use cosurf_link::serial::{Arq, ArqEvent};
 use cosurf_link::{Faults, Outages};
 use cosurf_wire::frame::FrameReader;
 
+/// Rate of the simulated radio: 57,600 baud with 10 bits a byte.
 pub const BYTES_PER_S: NonZeroU32 = NonZeroU32::new(5760).unwrap();
 
-/// The radio of the acceptance test: 5,760 B/s, 100 ms each way, so many frames lost.
+/// The radio of the acceptance test: 5,760 B/s, 100 ms each way, a share `loss` of its frames lost.
 pub fn radio(loss: f64) -> Faults {
     let delay = Duration::from_millis(100);
     Faults { loss, delay_min: delay, delay_max: delay, bytes_per_s: Some(BYTES_PER_S), ..Faults::NONE }
 }
 
-/// Both ends and the air between them.
+/// Both ends of a line and what is on its way between them.
 pub struct Air {
+    /// Virtual time since the start.
     pub now: Duration,
+    /// The state machines under test.
     pub ends: [Arq; 2],
     lines: [Line; 2],
     readers: [FrameReader; 2],
     arriving: [BTreeMap<(Duration, u64), Vec<u8>>; 2],
     frames: u64,
-    /// Nothing passes until then.
+    /// All frames are lost before this time.
     pub cut_until: Duration,
-    /// Both spoke at once, so many times.
+    /// Frames that one end sent while the other was still sending.
     pub collisions: u64,
-    speaking_until: [Duration; 2],
+    sending_until: [Duration; 2],
+    /// Messages that arrived at each end.
     pub received: [Vec<Vec<u8>>; 2],
+    /// Events of each end.
     pub events: [Vec<ArqEvent>; 2],
 }
 
 impl Air {
+    /// A line at time zero; the same seed loses the same frames.
     pub fn new(seed: u64, faults: Faults) -> Self {
         Self {
             now: Duration::ZERO,
@@ -46,23 +51,23 @@ impl Air {
             frames: 0,
             cut_until: Duration::ZERO,
             collisions: 0,
-            speaking_until: [Duration::ZERO; 2],
+            sending_until: [Duration::ZERO; 2],
             received: Default::default(),
             events: Default::default(),
         }
     }
 
-    /// One end is switched off and on again.
+    /// Switches one end off and on again, in a new session.
     pub fn restart(&mut self, end: usize, session: u32) {
         self.ends[end] = Arq::new(session, BYTES_PER_S);
         self.readers[end] = FrameReader::default();
     }
 
-    /// Delivers and speaks what is due, then moves time on.
+    /// Delivers and sends what is due, then moves time on to the next event.
     pub fn step(&mut self) {
         for end in 0..2 {
             self.deliver(end);
-            self.speak(end);
+            self.send(end);
             while let Some(event) = self.ends[end].next_event() {
                 self.events[end].push(event);
             }
@@ -88,13 +93,13 @@ impl Air {
         }
     }
 
-    fn speak(&mut self, end: usize) {
+    fn send(&mut self, end: usize) {
         let now = self.now;
         while let Some(frame) = self.ends[end].next_frame(now) {
             let frame = frame.to_vec();
-            self.collisions += u64::from(self.speaking_until[1 - end] > now);
+            self.collisions += u64::from(self.sending_until[1 - end] > now);
             let arrivals = self.lines[end].carry(now, &frame);
-            self.speaking_until[end] = self.lines[end].free_at();
+            self.sending_until[end] = self.lines[end].free_at();
             for arrival in arrivals {
                 if now >= self.cut_until {
                     self.frames += 1;
@@ -104,8 +109,8 @@ impl Air {
         }
     }
 
-    /// Sends `bytes` from the first end in messages of `message_bytes`; returns the time until the last
-    /// has arrived.
+    /// Sends `bytes` from the first end in messages of `message_bytes`, each behind its number as a `u32`.
+    /// Returns the time until the last has arrived.
     pub fn send_all(&mut self, bytes: &[u8], message_bytes: usize) -> Duration {
         let mut messages = bytes.chunks(message_bytes).enumerate().peekable();
         let begun = self.now;
@@ -115,7 +120,7 @@ impl Air {
             while self.ends[0].has_room()
                 && let Some((i, message)) = messages.next()
             {
-                // Numbered, so that equal ones are not taken for one.
+                // The number tells apart messages of equal bytes.
                 let mut numbered = (i as u32).to_le_bytes().to_vec();
                 numbered.extend_from_slice(message);
                 self.ends[0].queue(numbered);
@@ -127,7 +132,7 @@ impl Air {
     }
 }
 
-/// Foul weather for a radio.
+/// A radio with random faults of every kind, taken from the bits of `seed`.
 pub fn storm(seed: u64) -> Faults {
     let share = |shift: u32| (seed >> shift & 7) as f64 / 7.0;
     Faults {
@@ -140,4 +145,27 @@ pub fn storm(seed: u64) -> Faults {
         bytes_per_s: Some(BYTES_PER_S),
         outages: None::<Outages>,
     }
+}
+
+/// Bytes that do not repeat early and do not compress.
+pub fn pattern(count: usize) -> Vec<u8> {
+    (0..count as u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8).collect()
+}
+
+/// The bytes of numbered messages, one after the other, without the numbers.
+pub fn joined(messages: &[Vec<u8>]) -> Vec<u8> {
+    messages.iter().flat_map(|message| message[4..].to_vec()).collect()
+}
+
+/// Sends `count` bytes over the radio in messages of 16,000 bytes, after the link is up. Returns the bytes that
+/// arrived per second as a share of the line's rate, and the frames that collided.
+pub fn goodput(seed: u64, loss: f64, count: usize) -> (f64, u64) {
+    let mut air = Air::new(seed, radio(loss));
+    while air.events[0].is_empty() {
+        air.step();
+    }
+    let sent = pattern(count);
+    let time = air.send_all(&sent, 16_000);
+    assert!(joined(&air.received[1]) == sent, "other bytes arrived");
+    (count as f64 / time.as_secs_f64() / f64::from(BYTES_PER_S.get()), air.collisions)
 }

@@ -1,36 +1,30 @@
-//! The embedded broker, under the clients that it is for.
-#![allow(clippy::unwrap_used)]
+//! The embedded broker with real clients.
 
-#[path = "../../shared/link/tests/common/mod.rs"]
-mod common;
-#[path = "../../shared/link/tests/common/live.rs"]
-mod live;
-
-use std::net::SocketAddr;
 use std::time::{Duration, Instant};
 
-use common::{identity, offer};
 use cosurf_aggregator::broker::{Broker, BrokerError};
-use cosurf_link::{BrokerAddress, Role};
+use cosurf_link::{Role, UploadProgress};
+use cosurf_tests::live::{Ground, upload};
+use cosurf_tests::offers::{broker_address, identity, offer};
 use cosurf_wire::{MAX_CHUNK_BYTES, ModelKind};
-use live::{Ground, upload};
 
-fn loopback() -> SocketAddr {
-    ([127, 0, 0, 1], 0).into()
-}
-
-fn address(broker: &Broker) -> BrokerAddress {
-    BrokerAddress { host: broker.address().ip().to_string(), port: broker.address().port(), is_tls: false }
-}
+use crate::station::loopback;
 
 #[test]
 fn a_model_of_several_megabytes() {
     let broker = Broker::start(loopback()).unwrap();
-    let ground = Ground::start(address(&broker), None, identity(Role::Aggregator, "ground"));
+    let ground = Ground::start(broker_address(broker.address()), None, identity(Role::Aggregator, "ground"));
     let offer = offer("drone", 1, ModelKind::Local, 1, 300_000, MAX_CHUNK_BYTES as u32);
     let body = offer.body.clone();
     let start = Instant::now();
-    let progress = upload(address(&broker), None, identity(Role::Device, "drone"), offer, |_| {}, |_, _| {});
+    let progress = upload(
+        broker_address(broker.address()),
+        None,
+        identity(Role::Device, "drone"),
+        offer,
+        |_| {},
+        |_| {},
+    );
     println!("{} bytes in {:?}, {} sent", body.len(), start.elapsed(), progress.bytes_sent);
     assert_eq!(*ground.bodies.lock().unwrap(), [body]);
 }
@@ -38,12 +32,12 @@ fn a_model_of_several_megabytes() {
 #[test]
 fn stopped_and_started_in_mid_upload() {
     let broker = Broker::start(loopback()).unwrap();
-    let (at, to) = (broker.address(), address(&broker));
+    let (at, to) = (broker.address(), broker_address(broker.address()));
     let ground = Ground::start(to.clone(), None, identity(Role::Aggregator, "ground"));
     let offer = offer("drone", 1, ModelKind::Local, 1, 300_000, 8192);
     let body = offer.body.clone();
     let (mut broker, mut retries) = (Some(broker), 0);
-    let restart = |progress: cosurf_link::UploadProgress| {
+    let restart = |progress: UploadProgress| {
         if progress.chunks_received > progress.chunks / 2 && broker.take().is_some() {
             std::thread::sleep(Duration::from_millis(300));
             std::thread::spawn(move || {
@@ -52,7 +46,7 @@ fn stopped_and_started_in_mid_upload() {
             });
         }
     };
-    upload(to, None, identity(Role::Device, "drone"), offer, restart, |_, reason| {
+    upload(to, None, identity(Role::Device, "drone"), offer, restart, |reason| {
         println!("{reason}");
         retries += 1;
     });

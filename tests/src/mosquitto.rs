@@ -1,5 +1,4 @@
 //! Mosquitto as a child process, and certificates for it.
-#![allow(clippy::unwrap_used, dead_code, missing_docs, unreachable_pub)]
 
 use std::fs;
 use std::net::{TcpListener, TcpStream};
@@ -9,16 +8,23 @@ use std::time::{Duration, Instant};
 
 use cosurf_link::{BrokerAddress, Tls, TlsFiles};
 
+use crate::skips::skip;
+
+/// Settings of a broker without passwords or TLS that saves its state every second.
+pub const PLAIN: &str = "listener PORT 127.0.0.1\nallow_anonymous true\npersistence true\n\
+                         persistence_location FOLDER/\nautosave_interval 1\n";
+
 /// A running Mosquitto with a folder of its own; killed when dropped.
 pub struct Mosquitto {
+    /// Where it listens.
     pub address: BrokerAddress,
     config: PathBuf,
     child: Child,
 }
 
 impl Mosquitto {
-    /// Starts one with the lines of `settings`, in which `PORT` and `FOLDER` stand for its own. `None`, with a
-    /// word, where it is not installed; with `REQUIRE_MOSQUITTO=1` that fails.
+    /// Starts a broker with the lines of `settings`, in which `PORT` and `FOLDER` are replaced by its own.
+    /// Skips the test and returns `None` if Mosquitto is not installed; panics if `REQUIRE_MOSQUITTO` is set.
     pub fn start(folder: &Path, settings: &str, is_tls: bool) -> Option<Self> {
         let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
         let root = "user root\n";
@@ -26,8 +32,7 @@ impl Mosquitto {
         let config = folder.join("mosquitto.conf");
         fs::write(&config, format!("{root}{text}")).unwrap();
         let Some(child) = spawn(&config) else {
-            assert!(std::env::var_os("REQUIRE_MOSQUITTO").is_none(), "mosquitto is not installed");
-            println!("SKIPPED: mosquitto is not installed");
+            skip("REQUIRE_MOSQUITTO", "mosquitto is not installed");
             return None;
         };
         let address = BrokerAddress { host: "127.0.0.1".to_owned(), port, is_tls };
@@ -36,19 +41,20 @@ impl Mosquitto {
         Some(broker)
     }
 
-    /// Kills it without a chance to say or save anything.
+    /// Kills the broker; it saves nothing and says nothing to its clients.
     pub fn kill(&mut self) {
         self.child.kill().unwrap();
         self.child.wait().unwrap();
     }
 
-    /// Stops it in peace.
+    /// Shuts the broker down in an orderly way.
     pub fn terminate(&mut self) {
         let id = self.child.id().to_string();
         assert!(Command::new("kill").arg(id).status().unwrap().success());
         self.child.wait().unwrap();
     }
 
+    /// Starts the broker again on the same port and folder.
     pub fn start_again(&mut self) {
         self.child = spawn(&self.config).unwrap();
         self.await_port();
@@ -84,37 +90,38 @@ fn spawn(config: &Path) -> Option<Child> {
     })
 }
 
-/// Certificates made by the `openssl` of this machine.
+/// A certificate authority in a folder, run by the `openssl` of this machine.
 pub struct Authority(PathBuf);
 
 impl Authority {
-    /// Makes an authority and a server's certificate for this machine.
+    /// Creates an authority and a server certificate for this machine, `server.pem`.
     pub fn new(folder: &Path) -> Self {
         let authority = Self(folder.to_owned());
         fs::write(folder.join("index.txt"), "").unwrap();
-        fs::write(folder.join("ca.cnf"), authority.database()).unwrap();
+        fs::write(folder.join("ca.cnf"), authority.configuration()).unwrap();
         fs::write(folder.join("server.ext"), "subjectAltName=IP:127.0.0.1,DNS:localhost\n").unwrap();
         fs::write(folder.join("client.ext"), "extendedKeyUsage=clientAuth\n").unwrap();
         authority.openssl("req -x509 -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -keyout ca.key -out ca.pem -subj /CN=authority -days 30");
         authority.issue("server", "127.0.0.1", "server.ext", 30);
-        authority.take_back(&[]);
+        authority.revoke(&[]);
         authority
     }
 
-    /// A client's certificate under `name`, in a file of that name, for so many days from now.
+    /// Issues a client certificate for `name`, stored as `file.pem`, valid for `days` from now.
     pub fn client(&self, file: &str, name: &str, days: i32) -> TlsFiles {
         self.issue(file, name, "client.ext", days);
         self.files(file)
     }
 
-    /// Lists certificates as taken back.
-    pub fn take_back(&self, files: &[&str]) {
+    /// Revokes certificates and writes the list of all revoked ones, `revoked.pem`.
+    pub fn revoke(&self, files: &[&str]) {
         for file in files {
             self.openssl(&format!("ca -config ca.cnf -revoke {file}.pem"));
         }
         self.openssl("ca -config ca.cnf -gencrl -out revoked.pem");
     }
 
+    /// The paths of a certificate, its key, and the authority's own certificate.
     pub fn files(&self, file: &str) -> TlsFiles {
         let path = |end: &str| self.0.join(format!("{file}.{end}"));
         TlsFiles { ca: self.0.join("ca.pem"), cert: path("pem"), key: path("key") }
@@ -125,7 +132,7 @@ impl Authority {
         self.openssl(&format!("x509 -req -in {file}.csr -CA ca.pem -CAkey ca.key -CAcreateserial -out {file}.pem -days {days} -extfile {extensions}"));
     }
 
-    fn database(&self) -> String {
+    fn configuration(&self) -> String {
         let folder = self.0.display();
         format!(
             "[ca]\ndefault_ca=d\n[d]\ndatabase={folder}/index.txt\ncertificate={folder}/ca.pem\n\
@@ -140,6 +147,7 @@ impl Authority {
     }
 }
 
+/// Reads certificates for a connection.
 pub fn tls(files: &TlsFiles) -> Tls {
     Tls::read(files).unwrap()
 }

@@ -1,0 +1,82 @@
+//! A recorded mission, replayed to another aggregator, gives the same global model.
+
+use std::fs::{self, File};
+use std::io::{BufReader, BufWriter};
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use cosurf_aggregator::broker::Broker;
+use cosurf_aggregator::merge::MergeSettings;
+use cosurf_aggregator::service::{ServiceEvent, global_ply};
+use cosurf_link::mqtt::traffic::{ReplaySettings, record, replay};
+use cosurf_link::recording::Recording;
+use cosurf_link::{BrokerAddress, Faults, Role};
+use cosurf_tests::live::upload;
+use cosurf_tests::offers::{broker_address, identity, mergeable_offer};
+
+use crate::station::{Station, loopback};
+
+const PATIENCE: Duration = Duration::from_secs(120);
+const DRONES: [&str; 2] = ["drone-1", "drone-2"];
+
+/// Serves in `folder` until there is a global model of what `fly` sends; returns its bytes.
+fn serve(address: &BrokerAddress, folder: &Path, fly: impl FnOnce()) -> Vec<u8> {
+    let merge = MergeSettings { epochs: 1, ..MergeSettings::default() };
+    let station = Station::start(folder, address.clone(), DRONES, merge);
+    station.wait_for(|event| *event == ServiceEvent::Connected);
+    fly();
+    station.wait_for(|event| matches!(event, ServiceEvent::Merged { .. }));
+    station.finish();
+    fs::read(global_ply(folder)).unwrap()
+}
+
+/// Records the uploads of two drones into `file`; returns the global model.
+fn recorded_flight(folder: &Path, file: &Path) -> Vec<u8> {
+    let broker = Broker::start(loopback()).unwrap();
+    let address = broker_address(broker.address());
+    let stop = Arc::new(AtomicBool::new(false));
+    let (listening, stopping) = (address.clone(), Arc::clone(&stop));
+    let out = BufWriter::new(File::create(file).unwrap());
+    let recorder = thread::spawn(move || record(&listening, None, "gs/v1/#", out, &stopping).unwrap());
+    let global = serve(&address, folder, || {
+        // The broker retains the aggregator's state: once it is in the file, the recorder is subscribed.
+        let begun = Instant::now();
+        while fs::metadata(file).unwrap().len() < 20 {
+            assert!(begun.elapsed() < PATIENCE, "nothing is recorded");
+            thread::sleep(Duration::from_millis(20));
+        }
+        for drone in DRONES {
+            let mut offer = mergeable_offer(drone, 3000);
+            offer.header.chunk_bytes = 4096;
+            upload(address.clone(), None, identity(Role::Device, drone), offer, |_| {}, |_| {});
+        }
+    });
+    stop.store(true, Ordering::Relaxed);
+    assert!(recorder.join().unwrap() > 20, "hardly any message was recorded");
+    global
+}
+
+#[test]
+fn a_recorded_mission_gives_the_same_global_model() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("flight.log");
+    let first = recorded_flight(&folder.path().join("first"), &file);
+    let faults = Faults { duplication: 0.3, ..Faults::NONE };
+    for (name, speed, faults) in
+        [("fast", None, Faults::NONE), ("doubled", None, faults), ("paced", Some(5.0), Faults::NONE)]
+    {
+        let broker = Broker::start(loopback()).unwrap();
+        let address = broker_address(broker.address());
+        let again = serve(&address, &folder.path().join(name), || {
+            let recording = Recording::open(BufReader::new(File::open(&file).unwrap())).unwrap();
+            let settings = ReplaySettings { speed, faults, seed: 1 };
+            let stop = AtomicBool::new(false);
+            let sent = replay(&address, None, recording, &settings, &stop).unwrap();
+            println!("{name}: {sent} messages");
+        });
+        assert!(again == first, "{name}: another global model");
+    }
+}

@@ -1,0 +1,17 @@
+//! The two programs, as cargo built them.
+
+use std::env::{consts::EXE_EXTENSION, current_exe};
+use std::path::{Path, PathBuf};
+
+/// The path of a program that was built with the same profile as the running test or bench.
+///
+/// Panics if it is missing: cargo builds programs of other packages only when asked to.
+pub fn program(name: &str) -> PathBuf {
+    let executable = current_exe().unwrap();
+    // Tests and benches lie in `deps`, one folder below the programs; programs of this package lie beside them.
+    let folders = executable.ancestors().skip(1).take(2);
+    let candidates: Vec<PathBuf> =
+        folders.map(|folder: &Path| folder.join(name).with_extension(EXE_EXTENSION)).collect();
+    let found = candidates.iter().find(|path| path.is_file());
+    found.unwrap_or_else(|| panic!("{name} is missing: `cargo build --release` builds it")).clone()
+}
