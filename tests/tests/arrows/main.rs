@@ -1,0 +1,29 @@
+//! Which crate and which module depends on which, checked against the manifests and the sources themselves.
+#![allow(clippy::unwrap_used)]
+
+mod circles;
+mod crates;
+mod modules;
+mod names;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// The root of the workspace.
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap().to_path_buf()
+}
+
+/// A manifest below the root.
+fn manifest(folder: &str) -> toml::Table {
+    fs::read_to_string(root().join(folder).join("Cargo.toml")).unwrap().parse().unwrap()
+}
+
+/// The folders of the workspace's crates, sorted.
+fn members() -> Vec<String> {
+    let manifest = manifest("");
+    let members = manifest["workspace"]["members"].as_array().unwrap();
+    let mut members: Vec<String> = members.iter().map(|member| member.as_str().unwrap().to_owned()).collect();
+    members.sort_unstable();
+    members
+}
