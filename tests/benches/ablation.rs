@@ -1,8 +1,7 @@
-//! What the ablation benches share: the same training with one thing changed at a time, judged on held-out
-//! views and by the true surface, printed as a table for the README.
+//! What the ablation benches share: the same training with one setting changed at a time, judged on held-out
+//! views and by the true surface.
 //!
-//! The data are `../shared/data/gt_boruszyn` where it lies beside the checkout, otherwise a small built-in
-//! city made on the spot.
+//! The dataset is `../shared/data/gt_boruszyn` if it lies beside the checkout, otherwise a small synthetic town.
 
 use std::path::{Path, PathBuf};
 use std::thread::available_parallelism;
@@ -16,11 +15,12 @@ use cosurf_aggregator::mesh::{FuseSettings, mesh_model};
 use cosurf_engine::{DeviceChoice, PruneSettings, SurfaceSettings};
 use cosurf_scene::{Camera, Mesh, Splats, ply};
 use cosurf_tests::datasets::{default_dataset, true_surface};
+use cosurf_tests::results::{Better, Column, Measurement};
 
 const EVAL_EVERY: u32 = 8;
 const MESH_BYTES: u64 = 4 << 30;
 
-/// Ablation of the training, a table on standard output.
+/// Ablation of the training: a table on standard output, and JSON in target/results.
 #[derive(Parser)]
 pub(crate) struct Arguments {
     /// A dataset with its true surface in gt/points.ply or gt/mesh.ply [default: as the bench says]
@@ -32,23 +32,23 @@ pub(crate) struct Arguments {
     /// Steps of each training
     #[arg(long, value_name = "N", default_value_t = 3000)]
     steps: u32,
-    /// Distance up to which a mesh counts as right, metres
+    /// Distance up to which a mesh counts as correct, metres
     #[arg(long, value_name = "M", default_value_t = 0.5)]
     threshold: f64,
-    /// What cargo says to every bench
+    /// Passed by cargo to every bench
     #[arg(long, hide = true)]
     bench: bool,
 }
 
-/// A training that differs from the others.
+/// One case: a training with its settings.
 pub(crate) struct Variant {
     pub(crate) name: String,
     pub(crate) surface: Option<SurfaceSettings>,
     pub(crate) prune: Option<PruneSettings>,
 }
 
-/// Trains and judges every variant, and prints a line for each.
-pub(crate) fn compare(variants: &[Variant]) -> Result<()> {
+/// Trains and judges every variant, as the bench `name`. Times are relative to the first.
+pub(crate) fn compare(name: &str, variants: &[Variant]) -> Result<()> {
     let arguments = Arguments::parse();
     let folder = tempfile::tempdir()?;
     let data = arguments.data.clone().unwrap_or_else(|| default_dataset(folder.path()));
@@ -60,10 +60,7 @@ pub(crate) fn compare(variants: &[Variant]) -> Result<()> {
         arguments.steps,
         arguments.threshold
     );
-    println!(
-        "| | splats | PSNR | SSIM | depth error | normal error | of the depth's normals | F-score | time |"
-    );
-    println!("|---|---|---|---|---|---|---|---|---|");
+    let mut measurement = Measurement::start(name, &columns());
     let mut first_s = None;
     for variant in variants {
         let trained = train(&arguments, &data, variant)?;
@@ -72,12 +69,26 @@ pub(crate) fn compare(variants: &[Variant]) -> Result<()> {
         ply::write(&file, &trained.splats)?;
         let eval = evaluate_model(&order(&arguments, &data, &file))?;
         let f_score = f_score(&arguments, trained, &truth);
-        println!("{}", row(variant, &eval, f_score.as_ref().ok().copied(), relative));
-        if let Err(error) = f_score {
+        if let Err(error) = &f_score {
             eprintln!("{}: {error}", variant.name);
         }
+        measurement.row(&variant.name, &figures(&eval, f_score.ok(), relative));
     }
+    measurement.finish()?;
     Ok(())
+}
+
+fn columns() -> [Column; 8] {
+    [
+        Column::splats(),
+        Column::psnr("PSNR"),
+        Column::ssim(),
+        Column::error("depth", "%", 2),
+        Column::error("blended normals", "°", 1),
+        Column::error("normals of the depth", "°", 1),
+        Column::f_score(),
+        Column::speed("time", "× the first", 2, Better::Lower),
+    ]
 }
 
 fn truth(data: &Path) -> Result<Mesh> {
@@ -86,7 +97,7 @@ fn truth(data: &Path) -> Result<Mesh> {
     Ok(Mesh::read(&file)?)
 }
 
-/// What a training gave.
+/// The result of a training.
 struct Trained {
     splats: Splats,
     cameras: Vec<Camera>,
@@ -135,7 +146,7 @@ fn order(arguments: &Arguments, data: &Path, model: &Path) -> EvalOrder {
     }
 }
 
-/// Of the mesh that the cameras trained on give.
+/// F-score of the mesh fused from the training cameras' depth.
 fn f_score(arguments: &Arguments, trained: Trained, truth: &Mesh) -> Result<f64> {
     let settings = FuseSettings { voxel_m: None, memory_bytes: MESH_BYTES };
     let fused = mesh_model(trained.splats, &trained.cameras, None, &settings, threads(), |_| ())?;
@@ -143,22 +154,17 @@ fn f_score(arguments: &Arguments, trained: Trained, truth: &Mesh) -> Result<f64>
     Ok(accuracy.samples.f_score)
 }
 
-fn row(variant: &Variant, eval: &EvalReport, f_score: Option<f64>, relative: f64) -> String {
+fn figures(eval: &EvalReport, f_score: Option<f64>, relative: f64) -> [Option<f64>; 8] {
     let surface = eval.mean.surface;
-    let depth = surface.and_then(|surface| surface.depth_error_percent);
-    let normal = surface.and_then(|surface| surface.normal_error_deg);
-    let slope = surface.and_then(|surface| surface.depth_normal_error_deg);
-    let degrees = |error: Option<Spread>| error.map_or("–".into(), |error| format!("{:.1}°", error.median));
-    let cells = [
-        variant.name.clone(),
-        eval.splats.to_string(),
-        format!("{:.2}", eval.mean.psnr),
-        format!("{:.3}", eval.mean.ssim),
-        depth.map_or("–".into(), |error| format!("{:.2} %", error.median)),
-        degrees(normal),
-        degrees(slope),
-        f_score.map_or("–".into(), |score| format!("{score:.3}")),
-        format!("{relative:.2} ×"),
-    ];
-    format!("| {} |", cells.join(" | "))
+    let median = |error: Option<Spread>| error.map(|error| error.median);
+    [
+        Some(eval.splats as f64),
+        Some(eval.mean.psnr),
+        Some(eval.mean.ssim),
+        median(surface.and_then(|surface| surface.depth_error_percent)),
+        median(surface.and_then(|surface| surface.normal_error_deg)),
+        median(surface.and_then(|surface| surface.depth_normal_error_deg)),
+        f_score,
+        Some(relative),
+    ]
 }

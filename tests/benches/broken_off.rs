@@ -1,6 +1,8 @@
-//! What a mission's global model loses where uploads break off, after the aggregator has taught it (MAS).
+//! What a mission's global model loses when uploads break off, after distillation (MAS).
 //!
 //! `cargo bench -p cosurf-tests --bench broken_off -- --help`
+
+mod held_out;
 
 use std::fs;
 use std::ops::ControlFlow;
@@ -9,17 +11,17 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result};
 use clap::Parser;
 use cosurf_aggregator::merge::{Locals, MergeError, MergeSettings, fill_in, merge};
-use cosurf_engine::{Renderer, base_of};
+use cosurf_engine::base_of;
 use cosurf_link::{FirstLayer, Model, body_to_model, model_to_body, part_to_model};
-use cosurf_scene::metrics::psnr;
-use cosurf_scene::{Camera, Dataset, Picture, Splats, ply};
+use cosurf_scene::{Camera, Dataset, ply};
+use cosurf_tests::results::{Better, Column, Measurement, Tolerance};
+use held_out::{HeldOut, THREADS};
 
-/// Parts of the bytes that arrive.
+/// Shares of the bytes that arrive.
 const PARTS: [f64; 4] = [0.2, 0.4, 0.6, 0.8];
-/// Threads to merge and render with.
-const THREADS: usize = 2;
 
-/// The worth of global models when the uploads of the first agent, or of all, break off, a table on standard output.
+/// The loss of the global model when the upload of the first agent, or those of all, break off: a table on standard output,
+/// and JSON in target/results.
 #[derive(Parser)]
 struct Arguments {
     /// The dataset of the mission
@@ -27,10 +29,13 @@ struct Arguments {
     /// Folders of its agents
     #[arg(required = true)]
     agents: Vec<PathBuf>,
-    /// Epochs of teaching
+    /// Name of the dataset in the results
+    #[arg(long, default_value = "mission")]
+    name: String,
+    /// Epochs of distillation
     #[arg(long, value_name = "N", default_value_t = 5)]
     epochs: u32,
-    /// What cargo says to every bench
+    /// Passed by cargo to every bench
     #[arg(long, hide = true)]
     bench: bool,
 }
@@ -48,32 +53,39 @@ impl Locals for InMemory {
 }
 
 fn main() -> Result<()> {
-    let Arguments { data, agents, epochs, .. } = Arguments::parse();
+    let Arguments { data, agents, name, epochs, .. } = Arguments::parse();
     let bodies = agents.iter().map(|agent| body(agent)).collect::<Result<Vec<_>>>()?;
     let whole = bodies.iter().map(|body| body_to_model(body)).collect::<Result<Vec<_>, _>>()?;
     let size_px = whole[0].cameras[0].size_px;
-    let views = held_out(&Dataset::open(&data)?, size_px)?;
+    let views = HeldOut::read(&Dataset::open(&data)?, |camera| camera.resized(size_px))?;
     let settings = MergeSettings { epochs, ..MergeSettings::default() };
     let merged = |models: Vec<Model>| -> Result<Model> {
         Ok(merge(&InMemory(models), &settings, THREADS, &mut |_| ControlFlow::Continue(()))?.model)
     };
-    let worth = |model: &Model| mean_psnr(&model.splats, &views);
-    let all = worth(&merged(whole.clone())?);
-    println!("all bytes of all: PSNR {all:.2} dB");
+    let psnr = |model: &Model| views.psnr(&views.render(&model.splats));
+    let all = psnr(&merged(whole.clone())?);
     let others = merged(whole[1..].to_vec())?;
-    println!("without the first: {:.2} dB lost", all - worth(&others));
-    println!("| first bytes | of one, lost dB | of all, lost dB |");
-    println!("|---|---|---|");
+    let mut of_one = vec![Some(all), Some(all - psnr(&others))];
+    let mut of_all = vec![Some(all), None];
     for part in PARTS {
         let cut = |body: &Vec<u8>| {
             let end = (part * body.len() as f64) as usize;
-            part_to_model(body, |range| range.end <= end)?.context("nothing has arrived")
+            part_to_model(body, |range| range.end <= end)?.context("no splat has arrived")
         };
-        let one = fill_in(others.clone(), &cut(&bodies[0])?);
-        let every = merged(bodies.iter().map(cut).collect::<Result<_>>()?)?;
-        println!("| {:.0} % | {:.2} | {:.2} |", 100.0 * part, all - worth(&one), all - worth(&every));
+        of_one.push(Some(all - psnr(&fill_in(others.clone(), &cut(&bodies[0])?))));
+        of_all.push(Some(all - psnr(&merged(bodies.iter().map(cut).collect::<Result<_>>()?)?)));
     }
+    let mut measurement = Measurement::start("broken_off", &columns());
+    measurement.row(&format!("of one agent, {name}"), &of_one);
+    measurement.row(&format!("of all agents, {name}"), &of_all);
+    measurement.finish()?;
     Ok(())
+}
+
+fn columns() -> Vec<Column> {
+    let lost = |name| Column::new(name, "dB lost", 2).guarded(Better::Lower, Tolerance::Absolute(0.3));
+    let parts = ["nothing", "20 %", "40 %", "60 %", "80 %"].map(lost);
+    [Column::psnr("all arrived")].into_iter().chain(parts).collect()
 }
 
 /// An agent's model as it sends it.
@@ -82,22 +94,4 @@ fn body(agent: &Path) -> Result<Vec<u8>> {
     let cameras: Vec<Camera> = serde_json::from_slice(&fs::read(agent.join("cameras.json"))?)?;
     let base = base_of(&splats, &cameras, THREADS, usize::MAX, |_, _| ()).context("a model too small")?;
     Ok(model_to_body(&splats, &cameras, FirstLayer::Base(&base))?)
-}
-
-fn held_out(dataset: &Dataset, size_px: [u32; 2]) -> Result<Vec<(Camera, Vec<f32>)>> {
-    let (_, held_out) = dataset.split(8);
-    let view = |i: &usize| {
-        let camera = dataset.views[*i].camera.resized(size_px);
-        Ok((camera, Picture::read_fitted(&dataset.views[*i].path, size_px)?.to_unit()))
-    };
-    held_out.iter().map(view).collect()
-}
-
-fn mean_psnr(splats: &Splats, views: &[(Camera, Vec<f32>)]) -> f64 {
-    let mut renderer = Renderer::new(splats, THREADS);
-    let one = |(camera, truth): &(Camera, Vec<f32>)| {
-        let rgb: Vec<f32> = renderer.render(camera).rgb.iter().map(|v| v.clamp(0.0, 1.0)).collect();
-        psnr(&rgb, truth)
-    };
-    views.iter().map(one).sum::<f64>() / views.len() as f64
 }

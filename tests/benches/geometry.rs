@@ -1,5 +1,4 @@
-//! What each loss of the surface brings and costs (CoSurfGS, "Ablations of Geometry Loss in Device-side
-//! Training").
+//! What each loss of the surface gains and costs (CoSurfGS, "Ablations of Geometry Loss in Device-side Training").
 //!
 //! `cargo bench -p cosurf-tests --bench geometry -- --help`
 
@@ -16,13 +15,16 @@ fn main() -> Result<()> {
         surface,
         prune: Some(PruneSettings::default()),
     };
-    compare(&[
-        variant("colour only", None),
-        variant(
-            "one view: flat splats, normals",
-            Some(SurfaceSettings { reprojection: 0.0, ncc: 0.0, ..all }),
-        ),
-        variant("and two views: no smooth weight", Some(SurfaceSettings { smooth: false, ..all })),
-        variant("and the smooth weight", Some(all)),
-    ])
+    compare(
+        "geometry",
+        &[
+            variant("colour only", None),
+            variant(
+                "single view: flat splats, normals",
+                Some(SurfaceSettings { reprojection: 0.0, ncc: 0.0, ..all }),
+            ),
+            variant("two views, without the smooth weight", Some(SurfaceSettings { smooth: false, ..all })),
+            variant("two views, with the smooth weight (default)", Some(all)),
+        ],
+    )
 }

@@ -2,54 +2,61 @@
 //!
 //! `cargo bench -p cosurf-tests --bench layers -- --help`
 //!
-//! PSNR is that of the held-out views; the changes of normals and depth are medians over their pixels, of the
-//! model that went through the wire beside the one that did not. Where the dataset has the true surface, the last
-//! column is how much larger the median error of the normals has become.
+//! PSNR is that of the held-out views; the changes of normals and depth are medians over their pixels, of the unpacked
+//! model beside the original. If the dataset has its true surface, the last column is the growth of the median error of the
+//! normals. The table printed last is that of the results: the loss when only the first bytes have arrived.
+
+mod held_out;
 
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use clap::Parser;
 use cosurf_aggregator::evaluate::{EvalOrder, evaluate_model};
-use cosurf_engine::{Renderer, Rendering, base_of};
+use cosurf_engine::{Rendering, base_of};
 use cosurf_link::{FirstLayer, Model, model_to_body, part_to_model};
-use cosurf_scene::metrics::psnr;
 use cosurf_scene::splats::sh_coefficients;
-use cosurf_scene::{Camera, Dataset, Picture, Splats, ply};
+use cosurf_scene::{Camera, Dataset, Splats, ply};
+use cosurf_tests::results::{Better, Column, Measurement, Tolerance};
 use glam::Vec3;
+use held_out::{EVERY, HeldOut, THREADS};
 
-/// Parts of a body whose worth is told.
+/// Shares of a body that have arrived.
 const PARTS: [f64; 6] = [0.1, 0.2, 0.4, 0.6, 0.8, 1.0];
-/// Threads to render with.
-const THREADS: usize = 2;
 
-/// What the beginnings of a packed model are worth, a table on standard output.
+/// The quality of the first bytes of a packed model: tables on standard output, and JSON in target/results.
 #[derive(Parser)]
 struct Arguments {
     /// A trained model
     model: PathBuf,
     /// The dataset that it was trained on
     data: PathBuf,
+    /// Name of the row in the results
+    #[arg(long, default_value = "model")]
+    name: String,
     /// Cut spherical harmonics to this degree
     #[arg(long, value_name = "N", default_value_t = 3)]
     sh_degree: u32,
     /// Shrink pictures until their long side is at most this many pixels [default: full size]
     #[arg(long, value_name = "PX", default_value_t = u32::MAX, hide_default_value = true)]
     max_size: u32,
-    /// What cargo says to every bench
+    /// Passed by cargo to every bench
     #[arg(long, hide = true)]
     bench: bool,
 }
 
 fn main() -> Result<()> {
-    let Arguments { model, data, sh_degree, max_size, .. } = Arguments::parse();
+    let Arguments { model, data, name, sh_degree, max_size, .. } = Arguments::parse();
     let splats = of_degree(&ply::read(&model)?, sh_degree);
-    let views = Views::read(&Dataset::open(&data)?, max_size)?;
-    let base =
-        base_of(&splats, &views.taught, THREADS, usize::MAX, |_, _| ()).context("a model too small")?;
-    let body = model_to_body(&splats, &views.taught, FirstLayer::Base(&base))?;
+    let fitted = |camera: Camera| camera.resized(camera.fitted_size(max_size));
+    let dataset = Dataset::open(&data)?;
+    let cameras: Vec<Camera> =
+        dataset.split(EVERY).0.iter().map(|i| fitted(dataset.views[*i].camera)).collect();
+    let views = HeldOut::read(&dataset, fitted)?;
+    let base = base_of(&splats, &cameras, THREADS, usize::MAX, |_, _| ()).context("a model too small")?;
+    let body = model_to_body(&splats, &cameras, FirstLayer::Base(&base))?;
     let whole = views.render(&splats);
-    println!("{} splats of degree {}, {} cameras", splats.len(), splats.sh_degree, views.taught.len());
+    println!("{} splats of degree {}, {} cameras", splats.len(), splats.sh_degree, cameras.len());
     println!("{} bytes, {:.2} a splat", body.len(), body.len() as f64 / splats.len() as f64);
     println!("as 32-bit floats: PSNR {:.3} dB", views.psnr(&whole));
     let errors = NormalErrors::of(&data, max_size)?;
@@ -59,7 +66,8 @@ fn main() -> Result<()> {
     }
     println!("| bytes | of all | splats | PSNR, dB | lost | normal, ° | depth, % | error of normals, ° |");
     println!("|---|---|---|---|---|---|---|---|");
-    for part in PARTS {
+    let mut losses = [None; PARTS.len()];
+    for (loss, part) in losses.iter_mut().zip(PARTS) {
         let end = (part * body.len() as f64) as usize;
         let Some(Model { splats, .. }) = part_to_model(&body, |range| range.end <= end)? else { continue };
         let pictures = views.render(&splats);
@@ -72,11 +80,27 @@ fn main() -> Result<()> {
             splats.len(),
             lost_deg.map_or("–".into(), |lost_deg| format!("{lost_deg:+.3}"))
         );
+        *loss = Some(lost);
     }
+    println!();
+    let figures =
+        [Some(splats.len() as f64), Some(views.psnr(&whole)), Some(body.len() as f64 / splats.len() as f64)];
+    let mut measurement = Measurement::start("layers", &columns());
+    // All, then less and less; a tenth is hardly more than nothing.
+    let losses = losses.iter().rev().take(PARTS.len() - 1).copied();
+    measurement.row(&name, &figures.into_iter().chain(losses).collect::<Vec<_>>());
+    measurement.finish()?;
     Ok(())
 }
 
-/// What the held-out views' normals are held against.
+fn columns() -> Vec<Column> {
+    let bytes = Column::new("bytes a splat", "", 2).guarded(Better::Lower, Tolerance::Relative(0.02));
+    let lost = |name| Column::new(name, "dB lost", 2).guarded(Better::Lower, Tolerance::Absolute(0.2));
+    let parts = ["all", "first 80 %", "60 %", "40 %", "20 %"].map(lost);
+    [Column::splats(), Column::psnr("PSNR"), bytes].into_iter().chain(parts).collect()
+}
+
+/// The error of a model's normals against the true surface.
 struct NormalErrors {
     order: EvalOrder,
     folder: tempfile::TempDir,
@@ -87,12 +111,19 @@ impl NormalErrors {
         let folder = tempfile::tempdir()?;
         let (model, data) = (folder.path().join("model.ply"), data.to_path_buf());
         let max_size_px = (max_size < u32::MAX).then_some(max_size);
-        let order =
-            EvalOrder { model, data, lpips: None, truth: None, eval_every: 8, max_size_px, threads: THREADS };
+        let order = EvalOrder {
+            model,
+            data,
+            lpips: None,
+            truth: None,
+            eval_every: EVERY,
+            max_size_px,
+            threads: THREADS,
+        };
         Ok(Self { order, folder })
     }
 
-    /// `None` where there is no true surface.
+    /// `None` if the dataset has no true surface.
     fn median_deg(&self, splats: &Splats) -> Result<Option<f64>> {
         ply::write(&self.folder.path().join("model.ply"), splats)?;
         let surface = evaluate_model(&self.order)?.mean.surface;
@@ -109,42 +140,6 @@ fn of_degree(splats: &Splats, sh_degree: u32) -> Splats {
         cut.push(splats.means[i], splats.quats[i], splats.log_scales[i], splats.opacity_logits[i], sh);
     }
     cut
-}
-
-struct Views {
-    taught: Vec<Camera>,
-    held_out: Vec<(Camera, Vec<f32>)>,
-}
-
-impl Views {
-    fn read(dataset: &Dataset, long_side_px: u32) -> Result<Self> {
-        let (taught, held_out) = dataset.split(8);
-        let camera = |i: &usize| {
-            let camera = dataset.views[*i].camera;
-            camera.resized(camera.fitted_size(long_side_px))
-        };
-        let with_picture = |i: &usize| {
-            let camera = camera(i);
-            Ok((camera, Picture::read_fitted(&dataset.views[*i].path, camera.size_px)?.to_unit()))
-        };
-        Ok(Self {
-            taught: taught.iter().map(camera).collect(),
-            held_out: held_out.iter().map(with_picture).collect::<Result<_>>()?,
-        })
-    }
-
-    fn render(&self, splats: &Splats) -> Vec<Rendering> {
-        let mut renderer = Renderer::new(splats, THREADS);
-        self.held_out.iter().map(|(camera, _)| renderer.render(camera)).collect()
-    }
-
-    fn psnr(&self, pictures: &[Rendering]) -> f64 {
-        let one = |(picture, (_, truth)): (&Rendering, &(Camera, Vec<f32>))| {
-            let rgb: Vec<f32> = picture.rgb.iter().map(|v| v.clamp(0.0, 1.0)).collect();
-            psnr(&rgb, truth)
-        };
-        pictures.iter().zip(&self.held_out).map(one).sum::<f64>() / pictures.len() as f64
-    }
 }
 
 /// Medians of the angle between normals, degrees, and of the change of depth, percent.

@@ -1,12 +1,12 @@
-//! What compression and distillation are worth, and into how many parts a mission may be cut (CoSurfGS, "Ablations of
-//! Model Aggregation Scheme", "Ablations of Local Model Compression", "Numbers of Edges and Devices").
+//! What compression (LMC) and distillation (MAS) gain, and how a mission may be divided (CoSurfGS, "Ablations of Model
+//! Aggregation Scheme", "Ablations of Local Model Compression", "Numbers of Edges and Devices").
 //!
 //! `cargo bench -p cosurf-tests --bench merging -- --help`
 //!
-//! Every mission trains each view equally often, so agents of fewer views take fewer steps. Of the agents processor time
-//! is told, of merges time: on one core alone (`taskset -c 0` before the command) both are what a core of their own would
-//! take, and the last column is slowest agent, slowest edge and last merge together as a share of the one model's
-//! training. The data are `../shared/data/gt_boruszyn` where it lies beside the checkout, otherwise a small built-in city.
+//! Every mission trains each view equally often, so agents with fewer views take fewer steps. Agents are measured by
+//! processor time, merges by wall time: on one core (`taskset -c 0` before the command) both are what a core of their own
+//! would take. The last column is slowest agent, slowest edge and last merge together, as a share of the single model's
+//! training. The dataset is `../shared/data/gt_boruszyn` if it lies beside the checkout, otherwise a small synthetic town.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -15,14 +15,14 @@ use anyhow::{Result, ensure};
 use clap::Parser;
 use cosurf_aggregator::evaluate::accuracy;
 use cosurf_aggregator::report::MissionReport;
-use cosurf_scene::bytes::format_bytes;
 use cosurf_scene::{Dataset, Mesh};
 use cosurf_tests::datasets::{default_dataset, true_surface};
 use cosurf_tests::programs::program;
+use cosurf_tests::results::{Better, Column, Measurement, Tolerance};
 
 const EVAL_EVERY: u32 = 8;
 
-/// Ablations of merging, a table on standard output.
+/// Ablations of merging: a table on standard output, and JSON in target/results.
 #[derive(Parser)]
 struct Arguments {
     /// A dataset, with its true surface in gt/points.ply or gt/mesh.ply if F-scores are wanted
@@ -34,18 +34,18 @@ struct Arguments {
     /// How often each view is trained on
     #[arg(long, value_name = "N", default_value_t = 40)]
     steps_per_view: usize,
-    /// Distance up to which a mesh counts as right, metres
+    /// Distance up to which a mesh counts as correct, metres
     #[arg(long, value_name = "M", default_value_t = 0.5)]
     threshold: f64,
     /// Folder of the LPIPS weights
     #[arg(long, value_name = "FOLDER")]
     lpips: Option<PathBuf>,
-    /// What cargo says to every bench
+    /// Passed by cargo to every bench
     #[arg(long, hide = true)]
     bench: bool,
 }
 
-/// A mission that differs from the others.
+/// One case: a mission and its options.
 struct Variant {
     name: &'static str,
     edges: usize,
@@ -59,7 +59,7 @@ const VARIANTS: [Variant; 9] = [
     Variant { name: "4 agents, LMC", edges: 0, agents: 4, options: &["--epochs", "0"] },
     Variant { name: "4 agents, MAS", edges: 0, agents: 4, options: &["--no-compress"] },
     Variant { name: "4 agents, LMC and MAS", edges: 0, agents: 4, options: &[] },
-    Variant { name: "the same, margin 0.1", edges: 0, agents: 4, options: &["--margin", "0.1"] },
+    Variant { name: "4 agents, LMC and MAS, margin 0.1", edges: 0, agents: 4, options: &["--margin", "0.1"] },
     Variant { name: "2 edges of 2 agents", edges: 2, agents: 2, options: &[] },
     Variant { name: "9 agents", edges: 0, agents: 9, options: &[] },
     Variant { name: "3 edges of 3 agents", edges: 3, agents: 3, options: &[] },
@@ -78,10 +78,7 @@ fn main() -> Result<()> {
         arguments.steps_per_view,
         arguments.threshold
     );
-    println!(
-        "| | PSNR | SSIM | LPIPS | F-score | splats | sent | slowest agent | slowest edge | last merge | together |"
-    );
-    println!("|---|---|---|---|---|---|---|---|---|---|---|");
+    let mut measurement = Measurement::start("merging", &columns());
     let mut alone_s = None;
     for (i, variant) in VARIANTS.iter().enumerate() {
         let out = folder.path().join(i.to_string());
@@ -89,8 +86,9 @@ fn main() -> Result<()> {
         let f_score = truth.as_ref().map(|truth| f_score(&out, truth, arguments.threshold)).transpose()?;
         let times = Times::of(&report);
         let alone_s = *alone_s.get_or_insert(times.agent_s);
-        println!("{}", row(variant, &report, f_score, &times, alone_s));
+        measurement.row(variant.name, &figures(&report, f_score, &times, alone_s));
     }
+    measurement.finish()?;
     Ok(())
 }
 
@@ -128,7 +126,7 @@ fn f_score(out: &Path, truth: &Mesh, threshold_m: f64) -> Result<f64> {
     Ok(accuracy.samples.f_score)
 }
 
-/// How long the slowest of each kind took, seconds.
+/// Time of the slowest of each kind, seconds.
 struct Times {
     agent_s: f64,
     edge_s: Option<f64>,
@@ -151,29 +149,36 @@ impl Times {
     }
 }
 
-fn row(
-    variant: &Variant,
-    report: &MissionReport,
-    f_score: Option<f64>,
-    times: &Times,
-    alone_s: f64,
-) -> String {
-    let dash = || "–".to_string();
-    let seconds = |of: Option<f64>| of.map_or_else(dash, |seconds| format!("{seconds:.0} s"));
+fn columns() -> [Column; 10] {
+    let time = |name| Column::speed(name, "s", 0, Better::Lower);
+    [
+        Column::psnr("PSNR"),
+        Column::ssim(),
+        Column::new("LPIPS", "", 3).guarded(Better::Lower, Tolerance::Absolute(0.01)),
+        Column::f_score(),
+        Column::splats(),
+        Column::new("sent", "MiB", 2).guarded(Better::Lower, Tolerance::Relative(0.05)),
+        time("slowest agent"),
+        time("slowest edge"),
+        time("last merge"),
+        Column::speed("together", "% of 1 agent", 0, Better::Lower),
+    ]
+}
+
+fn figures(report: &MissionReport, f_score: Option<f64>, times: &Times, alone_s: f64) -> [Option<f64>; 10] {
     let whole = &report.whole;
     let quality = whole.quality;
-    let cells = [
-        variant.name.to_string(),
-        quality.map_or_else(dash, |quality| format!("{:.2}", quality.psnr)),
-        quality.map_or_else(dash, |quality| format!("{:.3}", quality.ssim)),
-        quality.and_then(|quality| quality.lpips).map_or_else(dash, |lpips| format!("{:.3}", lpips.vgg)),
-        f_score.map_or_else(dash, |score| format!("{score:.3}")),
-        whole.splats.to_string(),
-        format_bytes(whole.bytes_sent + report.edges.iter().map(|edge| edge.bytes_sent).sum::<u64>()),
-        seconds(Some(times.agent_s)),
-        seconds(times.edge_s),
-        seconds(times.merge_s),
-        format!("{:.0} %", 100.0 * times.together_s() / alone_s.max(1e-9)),
-    ];
-    format!("| {} |", cells.join(" | "))
+    let bytes = whole.bytes_sent + report.edges.iter().map(|edge| edge.bytes_sent).sum::<u64>();
+    [
+        quality.map(|quality| quality.psnr),
+        quality.map(|quality| quality.ssim),
+        quality.and_then(|quality| quality.lpips).map(|lpips| lpips.vgg),
+        f_score,
+        Some(whole.splats as f64),
+        Some(bytes as f64 / f64::from(1 << 20)),
+        Some(times.agent_s),
+        times.edge_s,
+        times.merge_s,
+        Some(100.0 * times.together_s() / alone_s.max(1e-9)),
+    ]
 }

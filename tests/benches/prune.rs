@@ -1,4 +1,4 @@
-//! How many splats can go, and what should decide which (CoSurfGS, "Ablations of prune percentage").
+//! What removing a share of the splats costs, by two scores (CoSurfGS, "Ablations of prune percentage").
 //!
 //! `cargo bench -p cosurf-tests --bench prune -- --help`
 
@@ -14,13 +14,13 @@ fn main() -> Result<()> {
         surface: Some(SurfaceSettings::default()),
         prune,
     };
-    let scores = [("corrected", PruneScore::Corrected), ("paper's", PruneScore::Paper)];
+    let scores = [("", PruneScore::Corrected), (", the paper's score", PruneScore::Paper)];
     let pruned = scores.iter().flat_map(|&(name, score)| {
         [0.4, 0.6, 0.8].map(|ratio| {
             let prune = PruneSettings { ratio, score, ..PruneSettings::default() };
-            variant(format!("{:.0} %, {name} score", 100.0 * ratio), Some(prune))
+            variant(format!("{:.0} %{name}", 100.0 * ratio), Some(prune))
         })
     });
     let variants: Vec<Variant> = [variant("no pruning".into(), None)].into_iter().chain(pruned).collect();
-    compare(&variants)
+    compare("prune", &variants)
 }

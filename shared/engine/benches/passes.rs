@@ -230,7 +230,7 @@ fn steps(bencher: Bencher, choice: DeviceChoice, channels: Channels) {
         return;
     };
     let mut backend = AnyBackend::new(&device, capacity, 2).expect("room for it");
-    println!("{}", backend.device());
+    eprintln!("{}", backend.device());
     backend.load(&splats(STEP_SPLATS, STEP_SIZE_PX));
     let mut random = Random(2);
     let pixels = STEP_SIZE_PX[0] * STEP_SIZE_PX[1];

@@ -1,0 +1,135 @@
+//! The benches of all crates, run by cargo.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use anyhow::{Context, Result, ensure};
+use cosurf_tests::datasets::write_town;
+use cosurf_tests::results::{Better, Column, Measurement, Results, machine, store};
+use tempfile::TempDir;
+
+use crate::commands::{build, dataset, mission, train};
+use crate::divan;
+
+/// The datasets of uploads: the name in tables, and the folder; the town is written where nothing is given.
+const DATASETS: [(&str, Option<&str>); 4] = [
+    ("Boruszyn", Some("real_boruszyn")),
+    ("Caliterra", Some("real_caliterra")),
+    ("rendered Boruszyn", Some("gt_boruszyn")),
+    ("the built-in town", None),
+];
+/// Options of the trainings that the uploads are made from.
+const TRAINING: [&str; 4] = ["--max-size", "240", "--steps", "1000"];
+
+fn cargo_bench(package: &str, bench: &str, words: &[&str]) -> Command {
+    let mut command = Command::new("cargo");
+    command.args(["bench", "--locked", "-p", package, "--bench", bench, "--"]).args(words);
+    command.current_dir(machine::root()).stdin(Stdio::null());
+    command
+}
+
+/// A bench of this package, which writes its results into a folder.
+pub(crate) fn ours(bench: &str, words: &[&str], folder: &TempDir) -> Result<Results> {
+    read_after(&mut cargo_bench("cosurf-tests", bench, words), bench, folder)
+}
+
+fn read_after(command: &mut Command, bench: &str, folder: &TempDir) -> Result<Results> {
+    let status = command.env("RESULTS_FOLDER", folder.path()).status()?;
+    ensure!(status.success(), "{bench}: {status}");
+    store::read(folder.path(), bench)?.with_context(|| format!("{bench} wrote no results"))
+}
+
+/// A bench by divan, whose output is read.
+fn by_divan(package: &str, bench: &str) -> Result<Results> {
+    let output = cargo_bench(package, bench, &[]).stderr(Stdio::inherit()).output()?;
+    ensure!(output.status.success(), "{bench}: {}", output.status);
+    let columns = [
+        Column::speed("time", "ms", 2, Better::Lower),
+        Column::speed("throughput", "million items/s", 1, Better::Higher),
+    ];
+    let mut measurement = Measurement::start(bench, &columns);
+    let rows = divan::rows(&String::from_utf8_lossy(&output.stdout));
+    ensure!(!rows.is_empty(), "{bench} printed no figures");
+    for divan::Fastest { name, ms, million_per_s } in rows {
+        measurement.row(&name, &[Some(ms), million_per_s]);
+    }
+    Ok(measurement.finish()?)
+}
+
+/// The passes of a step.
+pub(crate) fn passes(_: &TempDir) -> Result<Results> {
+    by_divan("cosurf-engine", "passes")
+}
+
+/// Fusing and judging a mesh.
+pub(crate) fn mesh(_: &TempDir) -> Result<Results> {
+    by_divan("cosurf-aggregator", "mesh")
+}
+
+/// The losses of the surface in the built-in town.
+pub(crate) fn geometry_town(folder: &TempDir) -> Result<Results> {
+    let town = folder.path().join("town");
+    write_town(&town, 180.0, 96, [320, 240]);
+    ours("geometry", &["--data", text(&town)?, "--max-size", "320"], folder)
+}
+
+/// Merging, each process on one core.
+pub(crate) fn merging(folder: &TempDir) -> Result<Results> {
+    build()?;
+    let weights = machine::root().join("../shared/lpips");
+    let bench = cargo_bench("cosurf-tests", "merging", &["--max-size", "160", "--lpips", text(&weights)?]);
+    let mut pinned = Command::new("taskset");
+    pinned.args(["-c", "0"]).arg(bench.get_program()).args(bench.get_args()).current_dir(machine::root());
+    read_after(&mut pinned, "merging", folder)
+}
+
+/// Parts of the upload of a trained model, for each dataset.
+pub(crate) fn layers(folder: &TempDir) -> Result<Results> {
+    build()?;
+    of_each_dataset("layers", folder, |name, data, out| {
+        train(data, &TRAINING, out)?;
+        let model = out.join("model.ply");
+        let words = [text(&model)?, text(data)?, "--sh-degree", "2", "--max-size", "240", "--name", name];
+        ours("layers", &words, folder)
+    })
+}
+
+/// Missions whose uploads break off, for each dataset.
+pub(crate) fn broken_off(folder: &TempDir) -> Result<Results> {
+    build()?;
+    of_each_dataset("broken_off", folder, |name, data, out| {
+        mission(Some(data), &[&TRAINING[..], &["--agents", "4"]].concat(), out)?;
+        let agents: Vec<PathBuf> = (1..=4).map(|i| out.join(format!("agents/agent-{i}"))).collect();
+        let agents = agents.iter().map(|agent| text(agent)).collect::<Result<Vec<_>>>()?;
+        ours("broken_off", &[&[text(data)?, "--name", name], &agents[..]].concat(), folder)
+    })
+}
+
+/// Runs a bench for each dataset, and joins the rows.
+fn of_each_dataset(
+    bench: &str,
+    folder: &TempDir,
+    mut run: impl FnMut(&str, &Path, &Path) -> Result<Results>,
+) -> Result<Results> {
+    let mut all: Option<Results> = None;
+    for (name, data) in DATASETS {
+        let data = match data {
+            Some(data) => dataset(data)?,
+            None => {
+                let town = folder.path().join("town");
+                write_town(&town, 180.0, 96, [320, 240]);
+                town
+            }
+        };
+        let results = run(name, &data, &folder.path().join(name))?;
+        match &mut all {
+            Some(all) => all.rows.extend(results.rows),
+            None => all = Some(results),
+        }
+    }
+    all.with_context(|| format!("{bench} has no datasets"))
+}
+
+fn text(path: &Path) -> Result<&str> {
+    path.to_str().with_context(|| format!("{} is not UTF-8", path.display()))
+}

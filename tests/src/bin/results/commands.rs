@@ -1,0 +1,172 @@
+//! What the two programs do, as a user runs them.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::Instant;
+
+use anyhow::{Context, Result, ensure};
+use cosurf_tests::datasets::shared_dataset;
+use cosurf_tests::programs::program;
+use cosurf_tests::radio::goodput;
+use cosurf_tests::results::{Better, Column, Measurement, Results, Tolerance, machine};
+use serde_json::Value;
+use tempfile::TempDir;
+
+const MIB: f64 = (1 << 20) as f64;
+
+/// A dataset beside the checkout.
+pub(crate) fn dataset(name: &str) -> Result<PathBuf> {
+    shared_dataset(name).with_context(|| format!("../shared/data/{name} is missing"))
+}
+
+/// Builds both programs.
+pub(crate) fn build() -> Result<()> {
+    succeed(Command::new("cargo").args(["build", "--release", "--locked"]).current_dir(machine::root()))
+}
+
+/// Runs a command and ignores its output.
+pub(crate) fn succeed(command: &mut Command) -> Result<()> {
+    let status = command.stdin(Stdio::null()).stdout(Stdio::null()).status();
+    let status = status.with_context(|| format!("{command:?}"))?;
+    ensure!(status.success(), "{command:?}: {status}");
+    Ok(())
+}
+
+/// What a training or a mission reports.
+pub(crate) struct Outcome {
+    /// How long the command took.
+    seconds: f64,
+    report: Value,
+}
+
+impl Outcome {
+    /// A number of `report.json`.
+    fn figure(&self, pointer: &str) -> Option<f64> {
+        self.report.pointer(pointer).and_then(Value::as_f64)
+    }
+}
+
+/// `cosurf-agent train DATA` with options.
+pub(crate) fn train(data: &Path, options: &[&str], out: &Path) -> Result<Outcome> {
+    let mut command = Command::new(program("cosurf-agent"));
+    run(command.arg("train").arg(data).args(options), out)
+}
+
+/// `cosurf-aggregator mission` with options; over the built-in town without `data`.
+pub(crate) fn mission(data: Option<&Path>, options: &[&str], out: &Path) -> Result<Outcome> {
+    let mut command = Command::new(program("cosurf-aggregator"));
+    command.arg("mission").args(options);
+    if let Some(data) = data {
+        command.arg("--data").arg(data);
+    }
+    run(&mut command, out)
+}
+
+fn run(command: &mut Command, out: &Path) -> Result<Outcome> {
+    let begun = Instant::now();
+    succeed(command.arg("--out").arg(out))?;
+    let seconds = begun.elapsed().as_secs_f64();
+    Ok(Outcome { seconds, report: serde_json::from_slice(&fs::read(out.join("report.json"))?)? })
+}
+
+/// The size of both programs, as built and without symbols.
+pub(crate) fn sizes(folder: &TempDir) -> Result<Results> {
+    build()?;
+    let size =
+        |name, decimals| Column::new(name, "MiB", decimals).guarded(Better::Lower, Tolerance::Relative(0.05));
+    let mut measurement = Measurement::start("sizes", &[size("as built", 1), size("stripped", 1)]);
+    for name in ["cosurf-agent", "cosurf-aggregator"] {
+        let built = program(name);
+        let stripped = folder.path().join(name);
+        succeed(Command::new("strip").arg("-o").arg(&stripped).arg(&built))?;
+        let mib = |path: &Path| Ok::<_, std::io::Error>(Some(fs::metadata(path)?.len() as f64 / MIB));
+        measurement.row(&format!("`{name}`"), &[mib(&built)?, mib(&stripped)?]);
+    }
+    Ok(measurement.finish()?)
+}
+
+/// The share of a radio's rate that is payload: the mean of 20 seeds.
+pub(crate) fn serial(_: &TempDir) -> Result<Results> {
+    let share =
+        Column::new("goodput", "share of the rate", 2).guarded(Better::Higher, Tolerance::Absolute(0.01));
+    let mut measurement = Measurement::start("serial", &[share]);
+    for (name, loss) in [("no loss", 0.0), ("5 % of the frames lost", 0.05), ("20 % of the frames lost", 0.2)]
+    {
+        let sum: f64 = (0..20).map(|seed| goodput(seed, loss, 1 << 20).0).sum();
+        measurement.row(name, &[Some(sum / 20.0)]);
+    }
+    Ok(measurement.finish()?)
+}
+
+/// PSNR and SSIM of held-out views after few steps.
+pub(crate) fn short(folder: &TempDir) -> Result<Results> {
+    build()?;
+    let mut measurement = Measurement::start("short", &[Column::psnr("PSNR"), Column::ssim()]);
+    for (name, data, options) in [
+        ("Boruszyn, 300 steps", "real_boruszyn", &["--steps", "300"][..]),
+        ("Boruszyn, 600 steps", "real_boruszyn", &["--steps", "600"]),
+        ("Boruszyn, 1,000 steps", "real_boruszyn", &["--steps", "1000"]),
+        ("Boruszyn, 1,000 steps, `--color-only`", "real_boruszyn", &["--steps", "1000", "--color-only"]),
+        ("Caliterra, 300 steps", "real_caliterra", &["--steps", "300"]),
+        ("Caliterra, 600 steps", "real_caliterra", &["--steps", "600"]),
+    ] {
+        let options = [&["--max-size", "320"], options].concat();
+        let outcome = train(&dataset(data)?, &options, &folder.path().join(name))?;
+        measurement.row(name, &[outcome.figure("/psnr"), outcome.figure("/ssim")]);
+    }
+    Ok(measurement.finish()?)
+}
+
+/// Time, memory and quality with nothing but defaults. A mission's time includes its report, and the pictures of the
+/// built-in town; its memory is that of the largest agent.
+pub(crate) fn defaults(folder: &TempDir) -> Result<Results> {
+    build()?;
+    let time = Column::speed("time", "s", 0, Better::Lower);
+    let columns = [time, Column::memory(), Column::splats(), Column::psnr("PSNR"), Column::ssim()];
+    let mut measurement = Measurement::start("defaults", &columns);
+    let mut row = |name: &str, outcome: &Outcome, figures: [&str; 4]| {
+        let [memory, splats, psnr, ssim] = figures.map(|pointer| outcome.figure(pointer));
+        measurement.row(name, &[Some(outcome.seconds), memory.map(|bytes| bytes / MIB), splats, psnr, ssim]);
+    };
+    let of_agent = ["/peak_memory_bytes", "/splats", "/psnr", "/ssim"];
+    let of_mission =
+        ["/whole/peak_memory_bytes", "/whole/splats", "/whole/quality/psnr", "/whole/quality/ssim"];
+    let [boruszyn, caliterra] = [dataset("real_boruszyn")?, dataset("real_caliterra")?];
+    let out = |name: &str| folder.path().join(name);
+    row("Boruszyn, 478 × 640, `train`", &train(&boruszyn, &[], &out("boruszyn"))?, of_agent);
+    row("Caliterra, 640 × 481, `train`", &train(&caliterra, &[], &out("caliterra"))?, of_agent);
+    row("Caliterra, 640 × 481, `mission`", &mission(Some(&caliterra), &[], &out("mission"))?, of_mission);
+    row("the built-in town, 320 × 240, `mission`", &mission(None, &[], &out("town"))?, of_mission);
+    Ok(measurement.finish()?)
+}
+
+/// The lowest and the highest PSNR of four seeds.
+pub(crate) fn seeds(folder: &TempDir) -> Result<Results> {
+    build()?;
+    let boruszyn = dataset("real_boruszyn")?;
+    let mut measurement = Measurement::start("seeds", &[Column::psnr("lowest"), Column::psnr("highest")]);
+    let psnr = |seed: &str| -> Result<f64> {
+        let outcome = train(&boruszyn, &["--seed", seed], &folder.path().join(seed))?;
+        outcome.figure("/psnr").context("no PSNR in the report")
+    };
+    let psnrs = ["0", "1", "2", "3"].iter().map(|seed| psnr(seed)).collect::<Result<Vec<f64>>>()?;
+    let [lowest, highest] = [psnrs.iter().copied().reduce(f64::min), psnrs.iter().copied().reduce(f64::max)];
+    measurement.row("Boruszyn, 478 × 640, four seeds", &[lowest, highest]);
+    Ok(measurement.finish()?)
+}
+
+/// Bytes and quality of a mission whose agents send everything, or send shared ground once.
+pub(crate) fn compress_first(folder: &TempDir) -> Result<Results> {
+    build()?;
+    let caliterra = dataset("real_caliterra")?;
+    let sent = Column::new("sent", "MiB", 2).guarded(Better::Lower, Tolerance::Relative(0.05));
+    let mut measurement = Measurement::start("compress_first", &[sent, Column::psnr("PSNR")]);
+    for (name, more) in [("everything", None), ("shared ground once", Some("--compress-first"))] {
+        let options: Vec<&str> = ["--max-size", "240", "--steps", "1000"].into_iter().chain(more).collect();
+        let outcome = mission(Some(&caliterra), &options, &folder.path().join(name))?;
+        let bytes = outcome.figure("/whole/bytes_sent");
+        measurement.row(name, &[bytes.map(|bytes| bytes / MIB), outcome.figure("/whole/quality/psnr")]);
+    }
+    Ok(measurement.finish()?)
+}

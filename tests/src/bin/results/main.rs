@@ -1,0 +1,85 @@
+//! Measures, and writes the tables of `shared/docs/RESULTS.md` and `README.md`.
+//!
+//! `cargo run --release -p cosurf-tests --bin results -- --help`
+
+mod benches;
+mod commands;
+mod divan;
+mod runs;
+
+use std::process::ExitCode;
+
+use anyhow::{Context, Result};
+use clap::Parser;
+use cosurf_tests::results::{document, guard, store};
+use runs::{RUNS, Run};
+
+/// Runs benches, stores their figures in shared/docs/results and writes the tables of RESULTS.md and README.md
+///
+/// A figure that is worse than the stored one by more than its tolerance is reported: then nothing of its bench is
+/// stored, and the exit code is 1. Without names the tables are written from the stored figures.
+#[derive(Parser)]
+struct Arguments {
+    /// Benches to run; some take hours [see --list]
+    names: Vec<String>,
+    /// Only check that the documents show exactly the stored figures
+    #[arg(long, conflicts_with_all = ["names", "accept"])]
+    check: bool,
+    /// List the benches
+    #[arg(long, exclusive = true)]
+    list: bool,
+    /// Store figures that are worse, too
+    #[arg(long)]
+    accept: bool,
+}
+
+fn main() -> Result<ExitCode> {
+    let arguments = Arguments::parse();
+    if arguments.list {
+        list()?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    let faults = if arguments.check {
+        document::faults()?
+    } else {
+        let worse = measure(&arguments.names, arguments.accept)?;
+        document::write_all()?;
+        worse
+    };
+    faults.iter().for_each(|fault| eprintln!("{fault}"));
+    Ok(if faults.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+/// Runs the benches; returns what got worse.
+fn measure(names: &[String], accept: bool) -> Result<Vec<String>> {
+    let find = |name: &String| RUNS.iter().find(|run| run.name == name);
+    let runs: Vec<&Run> = names
+        .iter()
+        .map(|name| find(name).with_context(|| format!("there is no bench `{name}`; --list names all")))
+        .collect::<Result<_>>()?;
+    let mut worse = Vec::new();
+    for run in runs {
+        let new = run.measure().with_context(|| format!("{} was not measured", run.name))?;
+        let stored = store::read(&store::folder(), run.name)?;
+        let found = stored.map_or_else(Vec::new, |stored| guard::worse(&stored, &new));
+        if found.is_empty() || accept {
+            store::write(&store::folder(), &new)?;
+        }
+        if !accept {
+            worse.extend(found);
+        }
+    }
+    Ok(worse)
+}
+
+fn list() -> Result<()> {
+    for Run { name, about, command, .. } in &RUNS {
+        println!("{name:13} {about}\n{:13} {command}", "");
+    }
+    let mut stored = store::names(&store::folder())?;
+    stored.retain(|name| RUNS.iter().all(|run| run.name != name));
+    if !stored.is_empty() {
+        println!("stored, but not measured by this program: {}", stored.join(", "));
+    }
+    Ok(())
+}

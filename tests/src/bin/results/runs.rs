@@ -1,0 +1,122 @@
+//! Everything that can be measured.
+
+use anyhow::{Context, Result};
+use cosurf_tests::results::Results;
+use tempfile::TempDir;
+
+use crate::{benches, commands};
+
+/// A bench that `results` can run.
+pub(crate) struct Run {
+    /// Name of the bench and of its results.
+    pub(crate) name: &'static str,
+    /// What it measures.
+    pub(crate) about: &'static str,
+    /// What measures it, with `DATA` and the like for folders; shown below the table.
+    pub(crate) command: &'static str,
+    /// Runs it; files may be left in the folder.
+    measure: fn(&TempDir) -> Result<Results>,
+}
+
+impl Run {
+    /// Runs the bench.
+    pub(crate) fn measure(&self) -> Result<Results> {
+        let folder = tempfile::tempdir().context("a temporary folder")?;
+        let results = (self.measure)(&folder)?;
+        Ok(Results { name: self.name.to_owned(), command: self.command.to_owned(), ..results })
+    }
+}
+
+/// All benches, the quickest first.
+pub(crate) const RUNS: [Run; 15] = [
+    Run {
+        name: "sizes",
+        about: "size of both programs",
+        command: "cargo build --release",
+        measure: commands::sizes,
+    },
+    Run {
+        name: "serial",
+        about: "goodput of the serial line over simulated radios",
+        command: "results serial",
+        measure: commands::serial,
+    },
+    Run {
+        name: "passes",
+        about: "the passes of a training step, and whole steps",
+        command: "cargo bench -p cosurf-engine --bench passes",
+        measure: benches::passes,
+    },
+    Run {
+        name: "mesh",
+        about: "fusing depth to a mesh, and judging it",
+        command: "cargo bench -p cosurf-aggregator --bench mesh",
+        measure: benches::mesh,
+    },
+    Run {
+        name: "short",
+        about: "short trainings on real pictures",
+        command: "cosurf-agent train DATA --max-size 320 --steps N",
+        measure: commands::short,
+    },
+    Run {
+        name: "defaults",
+        about: "trainings and missions with nothing but defaults",
+        command: "cosurf-agent train DATA; cosurf-aggregator mission",
+        measure: commands::defaults,
+    },
+    Run {
+        name: "seeds",
+        about: "how far four seeds of one training differ",
+        command: "cosurf-agent train DATA --seed N",
+        measure: commands::seeds,
+    },
+    Run {
+        name: "compress_first",
+        about: "a mission whose agents send shared ground once",
+        command: "cosurf-aggregator mission --data DATA --max-size 240 --steps 1000 [--compress-first]",
+        measure: commands::compress_first,
+    },
+    Run {
+        name: "layers",
+        about: "what is lost while a part of an upload is missing",
+        command: "cargo bench -p cosurf-tests --bench layers -- MODEL.ply DATA --sh-degree 2 --max-size 240",
+        measure: benches::layers,
+    },
+    Run {
+        name: "broken_off",
+        about: "what a global model loses if uploads break off",
+        command: "cargo bench -p cosurf-tests --bench broken_off -- DATA AGENT...",
+        measure: benches::broken_off,
+    },
+    Run {
+        name: "geometry",
+        about: "what the losses of the surface bring and cost",
+        command: "cargo bench -p cosurf-tests --bench geometry",
+        measure: |folder| benches::ours("geometry", &[], folder),
+    },
+    Run {
+        name: "geometry_480",
+        about: "the same at the pictures' own size",
+        command: "cargo bench -p cosurf-tests --bench geometry -- --max-size 480",
+        measure: |folder| benches::ours("geometry", &["--max-size", "480"], folder),
+    },
+    Run {
+        name: "geometry_town",
+        about: "the same for the built-in town",
+        command: "cargo bench -p cosurf-tests --bench geometry -- --data TOWN --max-size 320",
+        measure: benches::geometry_town,
+    },
+    Run {
+        name: "prune",
+        about: "what pruning costs",
+        command: "cargo bench -p cosurf-tests --bench prune",
+        measure: |folder| benches::ours("prune", &[], folder),
+    },
+    Run {
+        name: "merging",
+        about: "many models to one; hours on one core",
+        command: "taskset -c 0 cargo bench -p cosurf-tests --bench merging -- --max-size 160 --lpips WEIGHTS",
+        measure: benches::merging,
+    },
+];
