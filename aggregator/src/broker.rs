@@ -17,7 +17,8 @@
 //!
 //! It refuses to know what the messages mean: any MQTT 5 client may use it.
 //!
-//! Where to start reading: [`router`] decides and knows no socket; [`connection`] reads and writes and decides nothing.
+//! Where to start reading: [`router`] makes all decisions and knows no socket; [`connection`] only reads
+//! and writes.
 
 mod connection;
 mod router;

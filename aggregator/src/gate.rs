@@ -9,8 +9,8 @@
 //! Of two conflicting models, the gate drops the one with more conflicts net of confirmations; on a tie the one with
 //! fewer cameras, then the one with the higher index. So the verdict does not depend on the order of arrival.
 //!
-//! Who contradicts others may be moved to where it fits them (`refine`), if the owner of all says so. Those that take
-//! part get colours that agree ([`tone`]).
+//! If the settings allow it, a conflicting model is moved to where it fits the others (`refine`). Admitted models get
+//! matching colours ([`tone`]).
 //!
 //! It refuses to know who sent a model and when: it judges models by what they show, and merges nothing.
 //!

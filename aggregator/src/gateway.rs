@@ -1,9 +1,9 @@
 //! Connects the device at the other end of a serial line to the broker, under the device's own name. So
 //! devices on radio and devices on the network share a mission, and the service sees no difference.
 //!
-//! When the device says its birth, a client of the broker is started as that device; when the line is
-//! silent, the client ends without a word, and the broker publishes the device's last will. [`relay`]
-//! decides what passes; this file moves it.
+//! When the device announces its birth, the gateway starts a client of the broker in the device's name. When
+//! the line falls silent, this client ends without DISCONNECT, and the broker publishes the device's last
+//! will. [`relay`] decides which messages pass; this file moves them.
 //!
 //! It refuses to know what models are: it passes frames on, and looks at topics only.
 //!

@@ -6,7 +6,7 @@
 //! into all blocks in parallel. So the mesh has the same bytes for any number of threads. The memory limit
 //! is never exceeded: if it is too small, voxels become larger.
 //!
-//! What it refuses to know: who renders. [`fuse()`] takes a function from cameras to [`cosurf_engine::Rendering`]s.
+//! What it refuses to know: the renderer. [`fuse()`] takes a function from cameras to [`cosurf_engine::Rendering`]s.
 //!
 //! Where to start reading: [`fuse()`], then `volume`, `extract`; [`mesh_model`] renders a model for it.
 

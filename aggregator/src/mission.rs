@@ -1,8 +1,8 @@
 //! A mission from pictures to report, on one machine: plan, service, agents, evaluation.
 //!
-//! The aggregators run on threads ([`hierarchy`]), each agent as a process ([`agents`]); all tell what happens through
-//! one channel, which one loop ([`watch`]) reads. Whatever ends the mission early ends the agents too and keeps what is
-//! on the disk: the same command goes on from there.
+//! The aggregators run on threads ([`hierarchy`]), each agent as a process ([`agents`]). All send their events through
+//! one channel, which one loop ([`watch`]) reads. If the mission ends early, the agents end too and all files stay: the
+//! same command resumes from them.
 //!
 //! It refuses to know how agents train and how models are merged: it starts those who do, and reads what they print.
 //!
@@ -102,7 +102,7 @@ fn gather(order: &MissionOrder, around: &Surroundings, plan: &Plan) -> Result<Ga
     let mut watch = Watch::new(plan, around, signals);
     watch.await_broker(&hierarchy)?;
     let processes = AgentProcesses::start(agent_commands(order, around, plan, &address)?, move |event| {
-        let _ = say.send(Signal::Agent(event)); // nobody listens any more where the mission is over
+        let _ = say.send(Signal::Agent(event)); // fails only after the end of the mission
     });
     watch.await_agents(&hierarchy)?;
     drop(processes);
@@ -183,7 +183,7 @@ fn mesh(
 
 /// The scores of the global model.
 struct Evaluation {
-    /// One per held-out view, in their order.
+    /// One per held-out view, in the order of the views.
     qualities: Vec<Quality>,
     /// A few of the views as pictures, the best first.
     showcases: Vec<Showcase>,

@@ -6,7 +6,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use cosurf_aggregator::Display;
 
-/// How progress is shown.
+/// Chooses how to show progress: JSON if asked for, bars on a terminal, else plain lines.
 pub(crate) fn display(json: bool) -> Display {
     match (json, io::stderr().is_terminal()) {
         (true, _) => Display::Json,

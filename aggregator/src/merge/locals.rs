@@ -23,7 +23,7 @@ pub trait Locals {
 /// Local models, with what a first pass over them has gathered.
 pub(super) struct Surveyed<'a> {
     pub(super) locals: &'a dyn Locals,
-    /// Those of each.
+    /// Cameras of each model.
     pub(super) cameras: Vec<Vec<Camera>>,
     /// Number of splats of each model.
     pub(super) sizes: Vec<usize>,

@@ -45,14 +45,14 @@ pub(crate) struct AgentCommand {
 pub(crate) struct ProcessEvent {
     /// Index into the orders.
     pub(crate) agent: usize,
-    /// What.
+    /// What happened.
     pub(crate) kind: ProcessEventKind,
 }
 
-/// See [`ProcessEvent`].
+/// What happened to an agent.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum ProcessEventKind {
-    /// It said something.
+    /// The agent printed an event.
     Said(AgentEvent),
     /// The process died and is about to be restarted.
     Restarting {

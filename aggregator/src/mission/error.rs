@@ -56,7 +56,7 @@ pub enum MissionError {
         "{reason}; models that arrived before are kept: free some disk space, then run the same command again"
     )]
     Disk {
-        /// What the disk said.
+        /// The error of the disk.
         reason: String,
     },
     /// The user asked to stop.

@@ -33,7 +33,7 @@ pub(crate) fn lowest_folders(out: &Path, plan: &Plan) -> Vec<PathBuf> {
 
 /// Running aggregators. Dropping the tree ends them.
 pub(crate) struct Hierarchy {
-    /// Above all.
+    /// The root aggregator.
     top: Station,
     edges: Vec<RunningEdge>,
 }

@@ -5,20 +5,20 @@ use crate::service::{ServiceEvent, UpstreamEvent};
 
 /// An event of a mission.
 pub(crate) enum Signal {
-    /// To an agent.
+    /// An event of an agent.
     Agent(ProcessEvent),
-    /// To an aggregator.
+    /// An event of an aggregator.
     Service {
-        /// The aggregator's post in the tree.
+        /// The aggregator's post in the hierarchy.
         post: usize,
-        /// What.
+        /// What happened.
         event: ServiceEvent,
     },
     /// An event of an edge's upstream link.
     Upstream {
-        /// Its index.
+        /// Index of the edge.
         edge: usize,
-        /// What.
+        /// What happened.
         event: UpstreamEvent,
     },
 }

@@ -7,7 +7,7 @@ use super::footprint::Footprint;
 pub(crate) struct AssignedView {
     /// Name of the view.
     pub(crate) name: String,
-    /// Where it looks.
+    /// The ground that it sees.
     pub(crate) footprint: Footprint,
     /// Index of its cell.
     pub(crate) cell: usize,

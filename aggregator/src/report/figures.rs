@@ -19,7 +19,7 @@ pub struct MissionReport {
     pub agents: Vec<AgentSummary>,
     /// The edge aggregators, in order of device id.
     pub edges: Vec<EdgeSummary>,
-    /// The mission as one.
+    /// The mission as a whole.
     pub whole: WholeSummary,
 }
 
@@ -51,7 +51,7 @@ pub struct AgentSummary {
 pub struct EdgeSummary {
     /// Its id on the root's site.
     pub device: String,
-    /// Its agents.
+    /// Device ids of its agents.
     pub agents: Vec<String>,
     /// Bytes sent to the root, resends included.
     pub bytes_sent: u64,
@@ -90,7 +90,7 @@ pub struct WholeSummary {
     pub merging: Option<Merging>,
     /// The mesh of the global model; absent where it has none.
     pub mesh: Option<MeshSummary>,
-    /// Why it has none.
+    /// Why there is no mesh.
     pub mesh_failure: Option<String>,
 }
 

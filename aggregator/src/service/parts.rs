@@ -1,4 +1,4 @@
-//! Stored parts of unfinished uploads, as last merged ([`crate::merge::fill_in`]).
+//! Stored parts of unfinished uploads, as last merged ([`crate::merge::fill_in()`]).
 
 use std::collections::BTreeMap;
 use std::path::Path;

@@ -18,7 +18,7 @@ pub(super) struct Weights {
     pub(super) heads: Vec<Vec<f32>>,
 }
 
-/// The weights of a file's bytes, or what is wrong with them.
+/// Parses the bytes of a weight file, or says in one line what is wrong with them.
 pub(super) fn parse(bytes: &[u8], network: Network) -> Result<Weights, String> {
     let file =
         SafeTensors::deserialize(bytes).map_err(|error| format!("not a safetensors file ({error})"))?;
