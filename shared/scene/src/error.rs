@@ -17,7 +17,7 @@ pub enum SceneError {
     Io {
         /// The file or folder.
         path: PathBuf,
-        /// The error of the operating system.
+        /// The operating system's error.
         cause: io::Error,
     },
     /// The file's content violates its format, or the format cannot hold what was to be written.
