@@ -39,13 +39,13 @@ fn read_after(command: &mut Command, bench: &str, folder: &TempDir) -> Result<Re
     store::read(folder.path(), bench)?.with_context(|| format!("{bench} wrote no results"))
 }
 
-/// A bench by divan, whose output is read.
-fn by_divan(package: &str, bench: &str) -> Result<Results> {
+/// A bench by divan, whose output is read; `decimals` are those of time and throughput.
+fn by_divan(package: &str, bench: &str, decimals: [usize; 2]) -> Result<Results> {
     let output = cargo_bench(package, bench, &[]).stderr(Stdio::inherit()).output()?;
     ensure!(output.status.success(), "{bench}: {}", output.status);
     let columns = [
-        Column::speed("time", "ms", 2, Better::Lower),
-        Column::speed("throughput", "million items/s", 1, Better::Higher),
+        Column::speed("time", "ms", decimals[0], Better::Lower),
+        Column::speed("throughput", "million items/s", decimals[1], Better::Higher),
     ];
     let mut measurement = Measurement::start(bench, &columns);
     let rows = divan::rows(&String::from_utf8_lossy(&output.stdout));
@@ -58,12 +58,12 @@ fn by_divan(package: &str, bench: &str) -> Result<Results> {
 
 /// The passes of a step.
 pub(crate) fn passes(_: &TempDir) -> Result<Results> {
-    by_divan("cosurf-engine", "passes")
+    by_divan("cosurf-engine", "passes", [2, 1])
 }
 
 /// Fusing and judging a mesh.
 pub(crate) fn mesh(_: &TempDir) -> Result<Results> {
-    by_divan("cosurf-aggregator", "mesh")
+    by_divan("cosurf-aggregator", "mesh", [0, 2])
 }
 
 /// The losses of the surface in the built-in town.

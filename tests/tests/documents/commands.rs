@@ -1,0 +1,67 @@
+//! Commands that documents show: their options exist, and each is run by CI or was run by hand.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::process::Command;
+
+use cosurf_tests::programs::program;
+
+use crate::text::{documents, lines, read};
+
+/// Documents whose commands are run.
+const RUN: [&str; 2] = ["README.md", "shared/docs/OPERATING.md"];
+/// The day and the command of each run by hand.
+const BY_HAND: &str = include_str!("by_hand.txt");
+
+/// The commands of a document: the lines of its blocks of `sh`, without comments; `&&` separates two.
+fn commands(document: &str) -> Vec<String> {
+    let shell =
+        lines(document).into_iter().filter(|(language, _)| *language == Some("sh")).map(|(_, line)| line);
+    let lines = shell.map(|line| line.split_once(" #").map_or(line, |(command, _)| command));
+    let commands = lines.flat_map(|line| line.split("&&")).map(|command| command.trim().to_owned());
+    commands.filter(|command| !command.is_empty() && !command.starts_with('#')).collect()
+}
+
+/// The options of a command that its help does not name; `None` if it runs another program.
+fn unknown_options(command: &str, helps: &mut BTreeMap<String, String>) -> Option<Vec<String>> {
+    let words: Vec<&str> = command.split_whitespace().collect();
+    // Variables of the environment come first.
+    let at = words.iter().position(|word| !word.contains('='))?;
+    let (name, subcommand) = (words[at].rsplit('/').next()?, words.get(at + 1)?);
+    if !["cosurf-agent", "cosurf-aggregator"].contains(&name) {
+        return None;
+    }
+    let help = helps.entry(format!("{name} {subcommand}")).or_insert_with(|| {
+        let output = Command::new(program(name)).args([subcommand, "--help"]).output().unwrap();
+        assert!(output.status.success(), "{command}: {}", String::from_utf8_lossy(&output.stderr));
+        String::from_utf8(output.stdout).unwrap()
+    });
+    let is_known = |option: &str| help.split([' ', '\n', ',', '=', '[']).any(|word| word == option);
+    let options = words[at..].iter().filter(|word| word.starts_with("--"));
+    let options = options.filter_map(|word| word.split('=').next()).filter(|option| !is_known(option));
+    Some(options.map(str::to_owned).collect())
+}
+
+#[test]
+fn every_option_that_documents_show_exists() {
+    let mut helps = BTreeMap::new();
+    for document in documents() {
+        for command in commands(&read(&document)) {
+            let unknown = unknown_options(&command, &mut helps);
+            assert_eq!(unknown.unwrap_or_default(), [""; 0], "{document}: {command}");
+        }
+    }
+    assert!(helps.len() > 4, "hardly any command was found: {:?}", helps.keys());
+    let wrong = unknown_options("cosurf-agent train DATA --no-such-option", &mut helps);
+    assert_eq!(wrong, Some(vec!["--no-such-option".to_owned()]));
+}
+
+/// A command that is changed has to be run again, and a run of a command that is gone leaves the list.
+#[test]
+#[ignore = "README is being rewritten"]
+fn every_command_is_run_by_ci_or_was_by_hand() {
+    let ci = read(".ci/run");
+    let shown = RUN.iter().flat_map(|document| commands(&read(document)));
+    let not_by_ci: BTreeSet<String> = shown.filter(|command| !ci.contains(command.as_str())).collect();
+    let by_hand = BY_HAND.lines().map(|line| line.split_once(' ').expect("a day and a command").1.to_owned());
+    assert_eq!(not_by_ci, by_hand.collect(), "left: shown and not run by CI, right: by_hand.txt");
+}
