@@ -5,6 +5,7 @@
 //! on disk before it is acknowledged.
 
 mod offer;
+mod publication;
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -15,49 +16,16 @@ use cosurf_link::{
     Credentials, Identity, InboxLimits, ModelKey, ModelStore, Node, NodeEvent, Offer, Transport,
     body_to_model,
 };
-use cosurf_scene::{Base, Camera, Splats, ply};
+use cosurf_scene::{Camera, Splats, ply};
 use cosurf_wire::{DeviceId, ModelHeader, ModelKind, RefusalReason};
 
 use crate::flights::Flights;
 use offer::offer;
 
+pub use publication::{Publication, Sharing};
+
 /// Longest wait for a message before the time is checked again.
 const POLL_TIMEOUT: Duration = Duration::from_millis(200);
-
-/// What to send and what to wait for.
-pub struct Publication<'a> {
-    /// The sender.
-    pub identity: Identity,
-    /// The trained model.
-    pub splats: &'a Splats,
-    /// The training cameras.
-    pub cameras: &'a [Camera],
-    /// The base that is sent first. Without one the most important splats are sent first.
-    pub base: Option<&'a Base>,
-    /// Set if the agent drops splats of ground that other devices observed better.
-    pub sharing: Option<Sharing<'a>>,
-    /// The model's frame, the key that signs it, and whose global models are accepted.
-    pub credentials: &'a Credentials,
-    /// The agent's folder.
-    pub out: &'a Path,
-    /// Whether to wait for a global model.
-    pub wait_global: bool,
-    /// Limit on the bytes of an incoming global model.
-    pub inbox_bytes: u64,
-    /// How long the connection stays open for its last messages.
-    pub flush_time: Duration,
-}
-
-/// How ground is shared with other devices; see [`crate::flights`].
-#[derive(Clone, Copy)]
-pub struct Sharing<'a> {
-    /// The cameras that this device announced with [`announce_flight`].
-    pub flight: &'a [Camera],
-    /// After this much time without a new flight all flights are known.
-    pub quiet: Duration,
-    /// CPU threads, at least 1.
-    pub threads: usize,
-}
 
 /// Announces this device's cameras to the other devices. Gives up after `timeout` without a connection; once connected,
 /// it stays for `flush_time`.

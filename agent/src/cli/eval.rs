@@ -9,7 +9,8 @@ use cosurf_agent::evaluate;
 use cosurf_engine::Renderer;
 use cosurf_scene::{Dataset, View, ply};
 
-use super::{Common, DeviceArgs, model_path};
+use super::arguments::{Common, DeviceArgs};
+use super::paths::model_path;
 
 /// Score a model on the held-out views of a dataset: PSNR and SSIM as defined by 3DGS.
 #[derive(Args, Debug)]

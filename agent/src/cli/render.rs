@@ -9,7 +9,8 @@ use cosurf_agent::pictures;
 use cosurf_engine::Renderer;
 use cosurf_scene::{Dataset, ply};
 
-use super::{Common, DeviceArgs, model_path};
+use super::arguments::{Common, DeviceArgs};
+use super::paths::model_path;
 
 /// Render a model from the cameras of a dataset: colour, depth and normal as PNG, depth also as 32-bit floats (PFM,
 /// metres along the optical axis, 0 where there is no surface).

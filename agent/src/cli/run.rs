@@ -16,8 +16,10 @@ use cosurf_engine::{PruneSettings, SurfaceSettings, base_of};
 use cosurf_link::{Credentials, Identity, Role, next_session};
 use cosurf_scene::{Camera, Splats, ply};
 
+use super::host::{cores, default_memory};
+use super::paths::resolve_init;
 use super::progress::Progress;
-use super::{cores, default_memory, resolve_init, train};
+use super::train;
 use comparison::Comparison;
 use route::{Connection, Route};
 

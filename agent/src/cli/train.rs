@@ -14,9 +14,12 @@ use cosurf_engine::{
     Backend, DeviceChoice, DeviceLost, PruneScore, PruneSettings, Renderer, SurfaceSettings,
 };
 use cosurf_scene::Splats;
+use cosurf_scene::bytes::{format_bytes, parse_bytes};
 
+use super::arguments::{Common, DeviceArgs};
+use super::host::default_memory;
+use super::paths::resolve_init;
 use super::progress::Progress;
-use super::{Common, DeviceArgs, default_memory, parse_memory, resolve_init};
 
 /// Train a model from a dataset: COLMAP (`sparse/0` with `images`) or `transforms.json`.
 ///
@@ -33,7 +36,7 @@ pub(super) struct TrainArgs {
     #[arg(long, value_name = "N", default_value_t = 3000, value_parser = clap::value_parser!(u32).range(1..))]
     steps: u32,
     /// Limit on resident memory, for example 300MiB [default: two thirds of the free memory, at most 8 GiB]
-    #[arg(long, value_name = "BYTES", value_parser = parse_memory)]
+    #[arg(long, value_name = "BYTES", value_parser = parse_bytes)]
     memory: Option<u64>,
     /// Seed of all random numbers; the same seed gives the same bytes
     #[arg(long, value_name = "S", default_value_t = 0)]
@@ -206,7 +209,7 @@ fn print_report(report: &TrainReport, out: &Path) -> Result<()> {
         report.seconds,
         report.steps_per_s,
         report.device,
-        cosurf_scene::bytes::format_bytes(report.peak_memory_bytes)
+        format_bytes(report.peak_memory_bytes)
     )?;
     if let (Some(psnr), Some(ssim)) = (report.psnr, report.ssim) {
         writeln!(stdout, "{} held-out views: PSNR {psnr:.2} dB, SSIM {ssim:.4}", report.held_out)?;

@@ -9,11 +9,11 @@ use cosurf_scene::{Base, Splats};
 use cosurf_wire::{ModelId, ModelKind};
 use serde::{Deserialize, Serialize};
 
-use super::Publication;
+use super::publication::Publication;
 use crate::outputs::write_json;
 
-/// The content of `published.json`: the model that was published last. The same model keeps its number, another one
-/// gets the next.
+/// The content of `published.json`: the model that was published last. The same model keeps its number; a different
+/// model gets the next number.
 #[derive(Debug, Default, Serialize, Deserialize)]
 struct Published {
     model: u64,

@@ -1,0 +1,48 @@
+//! Options that several commands take.
+
+use clap::Args;
+use cosurf_engine::DeviceChoice;
+
+use super::host::cores;
+
+/// Options that several commands share.
+#[derive(Args, Clone, Debug)]
+pub(super) struct Common {
+    /// Shrink pictures until their long side is at most this many pixels [default: full size]
+    #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(16..))]
+    max_size: Option<u32>,
+    /// Number of CPU threads [default: one per core]
+    #[arg(long, value_name = "N", value_parser = parse_threads)]
+    threads: Option<usize>,
+    /// Print JSON instead of text
+    #[arg(long)]
+    pub(super) json: bool,
+}
+
+impl Common {
+    /// Limit on the long side of the pictures, pixels; `u32::MAX` for full size.
+    pub(super) fn max_size_px(&self) -> u32 {
+        self.max_size.unwrap_or(u32::MAX)
+    }
+
+    /// Number of CPU threads.
+    pub(super) fn threads(&self) -> usize {
+        self.threads.unwrap_or_else(cores)
+    }
+}
+
+/// The option of commands that train or render.
+#[derive(Args, Clone, Debug)]
+pub(super) struct DeviceArgs {
+    /// Device to compute on: auto (a hardware GPU if there is one, otherwise the CPU), cpu, gpu, or gpu:N with a
+    /// number that `devices` lists
+    #[arg(long, value_name = "DEVICE", default_value_t)]
+    pub(super) device: DeviceChoice,
+}
+
+fn parse_threads(text: &str) -> Result<usize, String> {
+    match text.parse() {
+        Ok(threads @ 1..=1024) => Ok(threads),
+        _ => Err("give a number from 1 to 1024".into()),
+    }
+}

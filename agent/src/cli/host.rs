@@ -1,0 +1,13 @@
+//! What the commands ask of the computer: its cores and its free memory.
+
+use std::thread::available_parallelism;
+
+/// Number of CPU cores of this computer.
+pub(super) fn cores() -> usize {
+    available_parallelism().map_or(1, usize::from)
+}
+
+/// The memory limit if none is given, bytes: two thirds of the free memory, at most 8 GiB.
+pub(super) fn default_memory() -> u64 {
+    cosurf_agent::usage::available_bytes().map_or(2 << 30, |free| free / 3 * 2).min(8 << 30)
+}
