@@ -4,10 +4,11 @@ use glam::{Vec2, Vec3};
 
 use super::facade::{Facade, Wall};
 use super::material::Material;
-use super::mesh::{Block3, Frame, Mesh};
+use super::mesh::Mesh;
 use super::palette::Palette;
 use super::random::Rng;
 use super::roofing::{Cover, Roofing};
+use super::shapes::{Block3, Frame};
 
 /// The site of a building.
 #[derive(Clone, Copy, Debug)]

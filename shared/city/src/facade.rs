@@ -2,7 +2,7 @@
 
 use glam::{Vec2, Vec3};
 
-use super::material::{Appearance, Spot};
+use super::appearance::{Appearance, Spot};
 use super::noise::{fractal, grain, mix, step, visible};
 use super::random::{Rng, floor_i32, fraction, unit2};
 

@@ -3,8 +3,9 @@
 use glam::{Vec2, Vec3};
 
 use super::material::Material;
-use super::mesh::{Mesh, unit_circle};
+use super::mesh::Mesh;
 use super::plan::{Block, CORNER_RADIUS_M, KERB_HEIGHT_M, Plan};
+use super::shapes::unit_circle;
 use super::terrain::Terrain;
 
 /// Longest side of a ground cell in town and outside it, metres.

@@ -3,7 +3,7 @@
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
-use super::material::Appearance;
+use super::appearance::Appearance;
 use super::mesh::Triangle;
 use cosurf_scene::bvh::{Bvh, Ray};
 

@@ -5,43 +5,14 @@
 
 use glam::{Vec2, Vec3};
 
+use super::appearance::{Appearance, Spot};
 use super::facade::Facade;
 use super::noise::{fractal, grain, noise3, step, visible};
 use super::paving::Land;
 use super::plan::Plan;
-use super::random::{floor_i32, fraction, unit2};
+use super::random::{floor_i32, fraction};
 use super::roofing::Roofing;
-use super::street;
-
-/// The inputs of a material at a position on a surface.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Spot {
-    pub(super) position: Vec3,
-    pub(super) uv: Vec2,
-    /// Distance between neighbouring samples on the surface, metres.
-    pub(super) footprint_m: f32,
-}
-
-/// How a surface reflects light at one position.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Appearance {
-    /// Fraction of light that is reflected diffusely, linear rgb, 0 to 1 each.
-    pub(super) albedo: Vec3,
-    /// Fraction of light that is mirrored at normal incidence, 0 to 1.
-    pub(super) mirror: f32,
-    /// Fraction of light that passes through, as through leaves, 0 to 1.
-    pub(super) translucent: f32,
-}
-
-impl Appearance {
-    pub(super) fn matt(albedo: Vec3) -> Self {
-        Self { albedo, mirror: 0.0, translucent: 0.0 }
-    }
-
-    pub(super) fn glossy(albedo: Vec3, mirror: f32) -> Self {
-        Self { albedo, mirror, translucent: 0.0 }
-    }
-}
+use super::street::{self, kerbstone};
 
 /// A material. Texture positions are in metres unless stated otherwise.
 #[derive(Clone, Debug)]
@@ -119,13 +90,6 @@ impl Material {
             Self::Solar => solar(p, f),
         }
     }
-}
-
-/// Colour of kerbstones 0.9 m long with joints.
-pub(super) fn kerbstone(along_m: f32, footprint_m: f32) -> Vec3 {
-    let stone = along_m / 0.9;
-    let joint = if fraction(stone) < 0.05 { 0.5 * visible(0.2, footprint_m) } else { 0.0 };
-    Vec3::new(0.36, 0.35, 0.33) * ((0.85 + 0.3 * unit2(floor_i32(stone), 3, 9)) * (1.0 - joint))
 }
 
 fn leaves(albedo: Vec3, seed: u32, spot: &Spot) -> Appearance {

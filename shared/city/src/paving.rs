@@ -2,12 +2,12 @@
 
 use glam::{Vec2, Vec3};
 
+use super::appearance::{Appearance, Spot};
 use super::facade::bricks;
-use super::material::{Appearance, Spot, kerbstone};
 use super::noise::{fractal, grain, mix, noise2, step, visible};
 use super::plan::{Block, BlockKind, Plan};
 use super::random::{floor_i32, fraction, unit2};
-use super::street::asphalt;
+use super::street::{asphalt, kerbstone};
 
 /// The covering of the ground.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -3,11 +3,11 @@
 
 use glam::{Vec2, Vec3};
 
-use super::mesh::Frame;
+use super::detail::Detail;
 use super::noise::noise2;
 use super::random::{Rng, hash2};
+use super::shapes::Frame;
 use super::terrain::Terrain;
-use super::tree::Detail;
 
 /// Height of a town block's ground above the street, metres.
 pub(super) const KERB_HEIGHT_M: f32 = 0.14;

@@ -2,9 +2,10 @@
 
 use glam::{Vec2, Vec3};
 
-use super::mesh::{Block3, Frame, Mesh};
+use super::mesh::Mesh;
 use super::palette::Palette;
 use super::random::Rng;
+use super::shapes::{Block3, Frame, regular_polygon};
 
 /// A kind of road vehicle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -187,7 +188,7 @@ pub(super) fn container(mesh: &mut Mesh, frame: &Frame, palette: &Palette, rng: 
 /// A bale of straw lying on its side.
 pub(super) fn bale(mesh: &mut Mesh, frame: &Frame, palette: &Palette) {
     let lying = Frame { x: frame.x, y: Vec3::Z, origin: frame.at(0.0, 0.0, 0.62) };
-    let ring = super::mesh::regular_polygon(10);
+    let ring = regular_polygon(10);
     let (front, back) = (frame.y * -0.6, frame.y * 0.6);
     let at = |p: Vec2, side: Vec3| lying.origin + (lying.x * p.x + lying.y * p.y) * 0.65 + side;
     for i in 0..ring.len() {

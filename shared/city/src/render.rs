@@ -3,8 +3,8 @@
 use glam::{DVec2, Vec3};
 use rayon::prelude::*;
 
+use super::appearance::{Appearance, Spot};
 use super::light::{self, Light, Lit};
-use super::material::{Appearance, Spot};
 use super::mesh::{Mesh, Triangle};
 use super::paving::Land;
 use super::plan::Plan;

@@ -3,9 +3,10 @@
 use glam::{Vec2, Vec3};
 
 use super::building::{Footprint, Style};
-use super::mesh::{Block3, Frame, Mesh};
+use super::mesh::Mesh;
 use super::palette::Palette;
 use super::random::Rng;
+use super::shapes::{Block3, Frame};
 
 /// Overhang of eaves beyond the walls, metres.
 const EAVES_M: f32 = 0.55;

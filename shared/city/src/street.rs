@@ -1,8 +1,8 @@
-//! Carriageways: asphalt with patches, cracks, manhole covers and painted markings.
+//! Carriageways: asphalt with patches, cracks, manhole covers and painted markings; and the kerbstones beside them.
 
 use glam::{Vec2, Vec3};
 
-use super::material::{Appearance, Spot};
+use super::appearance::{Appearance, Spot};
 use super::noise::{fractal, grain, step, visible};
 use super::plan::{Plan, Street};
 use super::random::{floor_i32, fraction, unit2};
@@ -74,6 +74,13 @@ pub(super) fn asphalt(p: Vec2, f: f32, seed: u32) -> Vec3 {
     let oil = -0.35 * step(0.45, 0.8, grain(p, 2.3, f, seed ^ 9));
     let tone = 1.0 + chippings + 0.24 * age + repair + crack + oil;
     Vec3::new(0.128, 0.126, 0.124) * tone.max(0.25)
+}
+
+/// Colour of kerbstones 0.9 m long with joints.
+pub(super) fn kerbstone(along_m: f32, footprint_m: f32) -> Vec3 {
+    let stone = along_m / 0.9;
+    let joint = if fraction(stone) < 0.05 { 0.5 * visible(0.2, footprint_m) } else { 0.0 };
+    Vec3::new(0.36, 0.35, 0.33) * ((0.85 + 0.3 * unit2(floor_i32(stone), 3, 9)) * (1.0 - joint))
 }
 
 /// Brightness factor of wear: darker in wheel tracks, gutters and manhole covers.

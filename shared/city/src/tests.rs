@@ -12,8 +12,8 @@ use glam::{DVec2, DVec3, Vec3};
 use cosurf_scene::bvh::{Bvh, Hit, Ray};
 use oracle::{brute_force, distance_to_surface};
 
+use super::appearance::Appearance;
 use super::light::Lit;
-use super::material::Appearance;
 use super::random::Rng;
 use super::{City, CityError, CitySettings};
 use cosurf_scene::{Camera, Dataset};

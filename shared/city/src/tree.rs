@@ -2,10 +2,12 @@
 
 use glam::{Vec2, Vec3};
 
-use super::mesh::{Frame, Mesh, unit_circle};
+use super::detail::Detail;
+use super::mesh::Mesh;
 use super::noise::noise3;
 use super::palette::Palette;
 use super::random::Rng;
+use super::shapes::{Frame, unit_circle};
 
 /// The growth form of a tree.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -18,13 +20,6 @@ pub(super) enum Habit {
     Conifer,
     /// A low mass without a trunk.
     Bush,
-}
-
-/// Number of triangles of a tree: many near the flown square, few far from it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Detail {
-    Fine,
-    Coarse,
 }
 
 /// Plants a tree at a frame's origin.

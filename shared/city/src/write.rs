@@ -3,11 +3,11 @@
 use std::fs;
 use std::path::Path;
 
-use super::{City, TruthPoint};
 use cosurf_scene::{Dataset, Mesh, SceneError, colmap};
 
-/// Folder of the pictures.
-pub(super) const PICTURES: &str = "images";
+use super::city::{City, PICTURES};
+use super::truth::TruthPoint;
+
 /// Folder of the truth.
 const TRUTH: &str = "gt";
 /// JPEG quality of the pictures.
@@ -17,29 +17,34 @@ const POINTS_PER_M2: f64 = 2.0;
 /// Least and greatest number of truth points.
 const POINTS_RANGE: (f64, f64) = (20_000.0, 400_000.0);
 
-pub(super) fn write(
-    city: &City,
-    folder: &Path,
-    mut progress: impl FnMut(usize, usize),
-) -> Result<Dataset, SceneError> {
-    for name in [PICTURES, TRUTH] {
-        let folder = folder.join(name);
-        fs::create_dir_all(&folder).map_err(|cause| SceneError::io(&folder, cause))?;
+impl City {
+    /// Renders all pictures and writes them with poses, cloud and truth into `folder`, which is
+    /// created: `images/*.jpg`, `sparse/0/*.bin`, `gt/mesh.ply`, `gt/points.ply`. Calls `progress` with
+    /// the number of pictures done and their total. Returns the dataset with the paths written to.
+    pub fn write(
+        &self,
+        folder: &Path,
+        mut progress: impl FnMut(usize, usize),
+    ) -> Result<Dataset, SceneError> {
+        for name in [PICTURES, TRUTH] {
+            let folder = folder.join(name);
+            fs::create_dir_all(&folder).map_err(|cause| SceneError::io(&folder, cause))?;
+        }
+        let mut dataset = self.dataset();
+        let total = dataset.views.len();
+        for (i, view) in dataset.views.iter_mut().enumerate() {
+            view.path = folder.join(&view.path);
+            self.render(&view.camera).picture.write_jpeg(&view.path, QUALITY)?;
+            progress(i + 1, total);
+        }
+        colmap::write(folder, &dataset)?;
+        self.truth_mesh().write_ply(&folder.join(TRUTH).join("mesh.ply"))?;
+        let area = self.settings().extent_m * self.settings().extent_m;
+        let count = (POINTS_PER_M2 * area).clamp(POINTS_RANGE.0, POINTS_RANGE.1) as usize;
+        let points = self.truth_points(count, self.settings().seed);
+        cloud(&points).write_ply(&folder.join(TRUTH).join("points.ply"))?;
+        Ok(dataset)
     }
-    let mut dataset = city.dataset();
-    let total = dataset.views.len();
-    for (i, view) in dataset.views.iter_mut().enumerate() {
-        view.path = folder.join(&view.path);
-        city.render(&view.camera).picture.write_jpeg(&view.path, QUALITY)?;
-        progress(i + 1, total);
-    }
-    colmap::write(folder, &dataset)?;
-    city.truth_mesh().write_ply(&folder.join(TRUTH).join("mesh.ply"))?;
-    let area = city.settings.extent_m * city.settings.extent_m;
-    let count = (POINTS_PER_M2 * area).clamp(POINTS_RANGE.0, POINTS_RANGE.1) as usize;
-    let points = city.truth_points(count, city.settings.seed);
-    cloud(&points).write_ply(&folder.join(TRUTH).join("points.ply"))?;
-    Ok(dataset)
 }
 
 /// The points as a mesh without triangles.

@@ -5,10 +5,10 @@ use glam::Vec2;
 use super::site::Site;
 use crate::building::{self, Footprint, Style};
 use crate::facade::Wall;
-use crate::mesh::Block3;
 use crate::paving::PAVEMENT_M;
 use crate::roof;
 use crate::roofing::Cover;
+use crate::shapes::Block3;
 use crate::tree::Habit;
 
 /// A low outbuilding.

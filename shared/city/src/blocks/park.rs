@@ -3,10 +3,10 @@
 use glam::Vec2;
 
 use super::site::Site;
-use crate::mesh::unit_circle;
 use crate::paving::{Outline, Surface};
 use crate::plan::{Block, BlockKind, KERB_HEIGHT_M, Plan};
 use crate::props;
+use crate::shapes::unit_circle;
 use crate::terrain::Terrain;
 use crate::tree::{self, Habit};
 

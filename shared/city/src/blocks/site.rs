@@ -4,12 +4,13 @@ use glam::{Vec2, Vec3};
 
 use crate::building::Lot;
 use crate::facade::Wall;
-use crate::mesh::{Frame, Mesh};
+use crate::mesh::Mesh;
 use crate::palette::Palette;
 use crate::paving::{Outline, PAVEMENT_M, Patch, Surface};
 use crate::plan::{Block, Plan};
 use crate::random::Rng;
 use crate::roofing::Cover;
+use crate::shapes::Frame;
 use crate::terrain::Terrain;
 use crate::tree::{self, Habit};
 

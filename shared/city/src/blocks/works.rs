@@ -6,11 +6,11 @@ use super::site::Site;
 use crate::building::{self, Footprint, Style};
 use crate::facade::{Facade, Wall};
 use crate::material::Material;
-use crate::mesh::Block3;
 use crate::paving::{Outline, PAVEMENT_M, Surface};
 use crate::props;
 use crate::roof;
 use crate::roofing::Cover;
+use crate::shapes::Block3;
 use crate::tree::Habit;
 
 /// An L-shaped school with a flat roof, a yard and a pitch.
