@@ -1,6 +1,6 @@
-//! The passes of a step, each alone, on a fixed workload: 640 × 480 pixels, 50,000 splats of 0.8 to 4 px
-//! standard deviation and opacity 0.05 to 0.9, seven channels. Throughput is in splat–tile pairs. And whole steps of
-//! 480 × 270 pixels and 20,000 splats, on the processor and on the best graphics card, a software driver too.
+//! Each pass of a step on a fixed workload: 640 × 480 pixels, 50,000 splats with a standard deviation of 0.8 to 4 px
+//! and an opacity of 0.05 to 0.9, seven channels; throughput is in splat–tile pairs. Then whole steps of 480 × 270
+//! pixels and 20,000 splats, on the processor and on the best graphics card, which may be a software driver.
 //!
 //! `cargo bench -p cosurf-engine`
 
@@ -53,7 +53,7 @@ fn camera_of(size_px: [u32; 2]) -> Camera {
     }
 }
 
-/// Splats all over the picture, at depths 2 to 10.
+/// Splats that fill the picture, at depths of 2 to 10.
 fn splats(count: usize, size_px: [u32; 2]) -> Splats {
     let mut random = Random(1);
     let mut splats = Splats::with_capacity(count, 3);
@@ -87,7 +87,7 @@ fn backend(threads: usize) -> CpuBackend {
     backend
 }
 
-/// A backend on which a whole step was done, and how many pairs it had.
+/// A backend after one whole step, and the number of its pairs.
 fn stepped(threads: usize, channels: Channels) -> (CpuBackend, usize) {
     let mut backend = backend(threads);
     backend.project(&camera(), 3);
@@ -99,7 +99,7 @@ fn stepped(threads: usize, channels: Channels) -> (CpuBackend, usize) {
     (backend, pairs)
 }
 
-/// One step of a training; of a surface's with a neighbour, which is the view itself.
+/// One training step. With surface losses, the view is its own neighbour.
 fn step(backend: &mut impl Backend, rgb: TargetRgb, channels: Channels) {
     let camera = camera_of(STEP_SIZE_PX);
     let is_surface = channels == Channels::Geometry;
@@ -181,7 +181,7 @@ fn photometric_loss(bencher: Bencher) {
     bencher.counter(ItemsCount::new(pixels)).bench_local(|| losses(&mut backend));
 }
 
-/// With the colour's loss, and the neighbour's depth kept; a view is its own neighbour, so all patches match.
+/// Includes the colour loss. The view is its own neighbour, so all patches match.
 #[divan::bench]
 fn surface_losses(bencher: Bencher) {
     let (mut backend, _) = stepped(2, Channels::Geometry);
@@ -226,7 +226,7 @@ fn steps(bencher: Bencher, choice: DeviceChoice, channels: Channels) {
         training: true,
     };
     let Ok(device) = choice.open() else {
-        eprintln!("{choice}: there is none");
+        eprintln!("{choice}: no such device");
         return;
     };
     let mut backend = AnyBackend::new(&device, capacity, 2).expect("room for it");
@@ -237,6 +237,6 @@ fn steps(bencher: Bencher, choice: DeviceChoice, channels: Channels) {
     let rgb: Vec<u8> = (0..3 * pixels).map(|_| random.between(0.0, 255.0) as u8).collect();
     // The first step compiles the passes.
     step(&mut backend, TargetRgb::Bytes(&rgb), channels);
-    // What a step leaves undone on a card, the next one waits for.
+    // A step on a card may end before its work is done; the next step waits for that.
     bencher.bench_local(|| step(&mut backend, TargetRgb::Bytes(&rgb), channels));
 }

@@ -3,6 +3,8 @@
 //!
 //! `cargo run --release -p cosurf-engine --features gpu-timestamps --example pass_times -- [gpu|gpu:N]`
 
+use std::collections::BTreeMap;
+
 use cosurf_engine::backend::{
     AdamRates, Channels, LossWeights, MultiviewWeights, SurfaceWeights, TargetRgb, Targets,
 };
@@ -38,21 +40,29 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     if gpu.take_pass_times().is_none() {
         return Err(format!("{device} has no timestamps: its passes cannot be measured").into());
     }
+    let mut times: BTreeMap<&str, (usize, f64)> = BTreeMap::new();
     for _ in 0..STEPS {
         step(&mut backend, &photograph, &rates);
+        for time in gpu.take_pass_times().unwrap_or_default() {
+            let (dispatches, milliseconds) = times.entry(time.name).or_default();
+            (*dispatches, *milliseconds) = (*dispatches + time.dispatches, *milliseconds + time.milliseconds);
+        }
     }
-    let times = gpu.take_pass_times().unwrap_or_default();
     device.check()?;
+    print_table(&device, times.into_iter().collect());
+    Ok(())
+}
+
+/// Prints one line for each pass, longest first.
+fn print_table(device: &Device, mut times: Vec<(&str, (usize, f64))>) {
+    times.sort_by(|(_, (_, a)), (_, (_, b))| b.total_cmp(a));
+    let (steps, all) = (f64::from(STEPS), times.iter().map(|(_, (_, time))| time).sum::<f64>());
     println!("{device}: {STEPS} steps");
     println!("{:<22}{:>14}{:>12}{:>8}", "pass", "dispatches", "ms a step", "share");
-    let all: f64 = times.iter().map(|time| time.milliseconds).sum();
-    for time in &times {
-        let each = time.milliseconds / f64::from(STEPS);
-        let share = 100.0 * time.milliseconds / all;
-        println!("{:<22}{:>14}{each:>12.3}{share:>7.1}%", time.name, time.dispatches);
+    for (name, (dispatches, time)) in times {
+        println!("{name:<22}{dispatches:>14}{:>12.3}{:>7.1}%", time / steps, 100.0 * time / all);
     }
-    println!("{:<36}{:>12.3}", "all", all / f64::from(STEPS));
-    Ok(())
+    println!("{:<36}{:>12.3}", "all", all / steps);
 }
 
 fn camera(x: f64) -> Camera {

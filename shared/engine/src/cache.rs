@@ -5,7 +5,7 @@ use std::rc::Rc;
 
 use crate::backend::Rendering;
 
-/// Renderings by key. Once its bytes are used up, it keeps what it has and takes no more.
+/// Renderings by key. Renderings beyond the limit are not kept; kept renderings are never dropped.
 #[derive(Debug)]
 pub struct RenderingCache<K> {
     kept: BTreeMap<K, Rc<Rendering>>,
@@ -24,7 +24,7 @@ impl<K: Ord> RenderingCache<K> {
         self.kept.get(key).cloned()
     }
 
-    /// Shares a rendering, and keeps it if it fits. Each key may be kept once.
+    /// Shares a rendering, and keeps it if it fits. The key must not be kept yet.
     pub fn keep(&mut self, key: K, rendering: Rendering) -> Rc<Rendering> {
         let bytes = rendering.bytes() as u64;
         let rendering = Rc::new(rendering);

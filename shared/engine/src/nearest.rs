@@ -1,8 +1,8 @@
-//! Nearest points: a k-d tree that is nothing but a reordered list.
+//! Nearest points: a k-d tree, stored as a reordered list of points.
 //!
-//! Own code rather than a crate: of those that are well kept, `kiddo` brings about 25 packages and a build script,
-//! panics on many identical points, and promises no order among points at equal distances, on which the bits of a
-//! training depend.
+//! No crate, because the bits of a training depend on the order of points at equal distances, which crates do not
+//! specify. `kiddo` would also bring about 25 packages and a build script, and its mutable tree panics on many equal
+//! points.
 
 use std::cmp::Ordering;
 use std::ops::{Add, Mul, Sub};
@@ -47,8 +47,8 @@ pub struct Near<S> {
     pub index: u32,
 }
 
-/// Points with their indices, ordered so that the middle of every range splits it along one axis, taking
-/// turns. Ranges of at most `leaf` points are in any order.
+/// Points with their indices. The middle point of every range splits it along one axis; the axes alternate. Ranges of
+/// at most `leaf` points have no order.
 #[derive(Clone, Debug)]
 pub struct Tree<S> {
     points: Vec<([S; 3], u32)>,
@@ -56,8 +56,8 @@ pub struct Tree<S> {
 }
 
 impl<S: Coordinate> Tree<S> {
-    /// Fewer than 2³² finite points; ranges of at most `leaf` (at least 1) are searched one by one. The same points and
-    /// leaf always give the same order of points at equal distances.
+    /// A tree of fewer than 2³² finite points; ranges of at most `leaf` points (at least 1) are searched one by one.
+    /// The same points and leaf always give the same order of points at equal distances.
     pub fn new(points: &[[S; 3]], leaf: usize) -> Self {
         Self::built(points, leaf, usize::MAX)
     }

@@ -3,11 +3,11 @@
 use super::bin::TileLists;
 use crate::simd::Row;
 
-/// What a pass over the tile lists leaves for one splat–tile pair.
+/// The result of a pass over tile lists for one splat–tile pair.
 pub(crate) type Record = Row;
 
-/// Tiles that are not divided any more.
-const TILES_AT_ONCE: usize = 4;
+/// Pieces of about equal work for each thread, so that fast threads take more of them.
+const PIECES_PER_THREAD: usize = 8;
 
 /// Makes `records` as long as there are pairs, and calls `work(tile, records of its list)` for every tile, in parallel.
 pub(crate) fn for_each_tile(
@@ -16,23 +16,27 @@ pub(crate) fn for_each_tile(
     work: impl Fn(usize, &mut [Record]) + Sync,
 ) {
     records.resize(lists.pairs(), Row::ZERO);
-    divide(0, lists.starts(), records, &work);
+    let piece = lists.pairs() / (PIECES_PER_THREAD * rayon::current_num_threads());
+    divide(0, lists.starts(), records, piece, &work);
 }
 
-/// Tiles `first..first + starts.len() - 1`; `starts` are those of their records, counted from any origin.
+/// Processes the tiles from `first` on, of which tile `first + i` has the records `starts[i]..starts[i + 1]`, counted
+/// from `starts[0]`. Divides them in two until there is one tile, or at most `piece` records.
 fn divide(
     first: usize,
     starts: &[u32],
     mut records: &mut [Record],
+    piece: usize,
     work: &(impl Fn(usize, &mut [Record]) + Sync),
 ) {
     let tiles = starts.len().saturating_sub(1);
-    if tiles > TILES_AT_ONCE {
-        let middle = tiles / 2;
+    if tiles > 1 && records.len() > piece {
+        let half = starts[0] + records.len() as u32 / 2;
+        let middle = starts.partition_point(|start| *start <= half).clamp(1, tiles - 1);
         let (left, right) = records.split_at_mut((starts[middle] - starts[0]) as usize);
         rayon::join(
-            || divide(first, &starts[..=middle], left, work),
-            || divide(first + middle, &starts[middle..], right, work),
+            || divide(first, &starts[..=middle], left, piece, work),
+            || divide(first + middle, &starts[middle..], right, piece, work),
         );
         return;
     }
@@ -40,5 +44,33 @@ fn divide(
         let (own, others) = std::mem::take(&mut records).split_at_mut((pair[1] - pair[0]) as usize);
         records = others;
         work(tile, own);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Each tile writes its number into its records; lists of very different lengths, and empty ones.
+    #[test]
+    fn every_tile_gets_its_own_records() {
+        let lengths = [0u32, 3, 0, 0, 100, 1, 1, 7, 0, 2, 0];
+        let starts: Vec<u32> = std::iter::once(0)
+            .chain(lengths.iter().scan(0, |sum, length| {
+                *sum += length;
+                Some(*sum)
+            }))
+            .collect();
+        for piece in [0, 1, 5, 1000] {
+            let mut records = vec![Row::ZERO; 114];
+            divide(0, &starts, &mut records, piece, &|tile, own| {
+                assert_eq!(own.len(), lengths[tile] as usize);
+                own.iter_mut().for_each(|record| record.0[0] += tile as f32);
+            });
+            for (tile, pair) in starts.windows(2).enumerate() {
+                let own = &records[pair[0] as usize..pair[1] as usize];
+                assert!(own.iter().all(|record| record.0[0] == tile as f32), "piece {piece}, tile {tile}");
+            }
+        }
     }
 }
