@@ -17,7 +17,7 @@ pub fn worse(stored: &Results, new: &Results) -> Vec<String> {
             let after = figure(new, &row.name, &column.name);
             found.extend(match after {
                 Some(after) if is_worse(column, tolerance, *before, after) => {
-                    let [before, after] = [*before, after].map(|value| number(value, column.decimals));
+                    let [before, after] = [*before, after].map(|value| number(value, column.decimals + 1));
                     Some(format!("{what} is {after} instead of {before}, tolerance {}", text(tolerance)))
                 }
                 Some(_) => None,
@@ -88,8 +88,8 @@ mod tests {
         assert_eq!(
             worse(&stored, &results("P", Some(29.7), 12.0)),
             [
-                "bench, case: PSNR, dB is 29.70 instead of 30.00, tolerance 0.2",
-                "bench, case: time, ms is 12.0 instead of 10.0, tolerance 15 %"
+                "bench, case: PSNR, dB is 29.700 instead of 30.000, tolerance 0.2",
+                "bench, case: time, ms is 12.00 instead of 10.00, tolerance 15 %"
             ]
         );
         assert_eq!(worse(&stored, &results("Q", Some(30.0), 99.0)), [""; 0], "another processor");
