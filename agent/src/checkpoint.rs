@@ -12,6 +12,7 @@ use anyhow::{Context, Result, bail, ensure};
 use cosurf_engine::{AnyBackend, Backend, DeviceLost, Progress, TrainSettings, Trainer};
 use cosurf_scene::{Camera, SparsePoint, atomic};
 use serde::{Deserialize, Serialize};
+use tracing::debug_span;
 
 const FORMAT: &str = "cosurf checkpoint 2";
 /// The lowest level: the numbers hardly compress, and training waits for the file.
@@ -151,6 +152,7 @@ pub fn write(
     trainer: &Trainer<AnyBackend>,
     spent: Spent,
 ) -> Result<()> {
+    let _span = debug_span!("checkpoint", step = trainer.steps_done()).entered();
     let path = path(out);
     if let Some(folder) = path.parent() {
         std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;

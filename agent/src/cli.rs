@@ -14,6 +14,7 @@ mod train;
 
 use anyhow::Result;
 use clap::{Parser, Subcommand};
+use cosurf_contract::{LogFormat, log};
 
 /// Train a Gaussian-surface model from drone pictures with known poses, within a memory limit, on this computer's
 /// CPU or GPU.
@@ -22,6 +23,13 @@ use clap::{Parser, Subcommand};
 pub(crate) struct Cli {
     #[command(subcommand)]
     command: Command,
+    /// Log what the program does and how long it takes, to standard error: error, warn, info (stages), debug (their
+    /// parts, messages), trace (steps and passes), or a list like info,cosurf_engine=trace [default: no log]
+    #[arg(long, global = true, value_name = "LEVEL|FILTER")]
+    log: Option<String>,
+    /// Format of the log: text or json
+    #[arg(long, global = true, value_name = "FORMAT", default_value_t)]
+    log_format: LogFormat,
 }
 
 #[derive(Debug, Subcommand)]
@@ -36,6 +44,9 @@ enum Command {
 }
 
 pub(crate) fn run(cli: Cli) -> Result<()> {
+    if let Some(filter) = &cli.log {
+        log::start(filter, cli.log_format)?;
+    }
     match cli.command {
         Command::Train(args) => train::run(&args),
         Command::Eval(args) => eval::run(&args),

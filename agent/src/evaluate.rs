@@ -5,6 +5,7 @@ use cosurf_engine::Renderer;
 use cosurf_scene::metrics::{psnr, ssim};
 use cosurf_scene::{Picture, View};
 use serde::Serialize;
+use tracing::info_span;
 
 /// The score of one view.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -31,6 +32,7 @@ pub struct Score {
 /// Renders each view with a long side of at most `max_size_px` and compares the rendering with the view's picture. Colours
 /// are clamped to 0..=1 first, as in a picture file. Fails if a picture cannot be read.
 pub fn score(renderer: &mut Renderer, views: &[View], max_size_px: u32) -> Result<Score> {
+    let _span = info_span!("evaluate", views = views.len()).entered();
     let scores = views
         .iter()
         .map(|view| {

@@ -18,6 +18,7 @@ use cosurf_link::{
 };
 use cosurf_scene::{Camera, Splats, ply};
 use cosurf_wire::{DeviceId, ModelHeader, ModelKind, RefusalReason};
+use tracing::info_span;
 
 use crate::flights::Flights;
 use offer::offer;
@@ -63,6 +64,7 @@ pub fn publish<T: Transport>(
     now: impl Fn() -> Duration,
     on_event: impl FnMut(AgentEvent),
 ) -> Result<()> {
+    let _span = info_span!("publish").entered();
     let mut publisher = Publisher::start(publication, on_event)?;
     loop {
         publisher.upload_when_flights_are_known(now())?;

@@ -15,6 +15,7 @@ use cosurf_engine::{
 use cosurf_scene::bytes::format_bytes;
 use cosurf_scene::cache::Source;
 use cosurf_scene::{Camera, Dataset, PictureCache, Splats, View};
+use tracing::info_span;
 
 use crate::checkpoint::{Checkpoint, Fingerprint};
 use crate::warm_start::read_visible_splats;
@@ -102,6 +103,7 @@ impl Session {
     /// Fails if the data cannot be read, the memory is too small, the device cannot be opened, or the checkpoint belongs
     /// to another training.
     pub fn start(plan: &TrainPlan, checkpoint: Option<Checkpoint>) -> Result<Self> {
+        let _span = info_span!("prepare").entered();
         let dataset = Dataset::open(&plan.data)?;
         let (train, held_out) = split(&dataset, &plan.split)?;
         let held_out: Vec<View> = held_out.into_iter().map(|i| dataset.views[i].clone()).collect();

@@ -140,6 +140,60 @@ fn a_killed_training_resumes_to_the_same_bytes() {
     assert!(model(&whole) == model(&broken));
 }
 
+/// Standard error of a short training with the options `words`.
+fn log_of_training(words: &[&str]) -> String {
+    let folder = tempfile::tempdir().unwrap();
+    let mut command = train(town(), folder.path(), &["--steps", "2", "--device", "cpu"]);
+    let output = command.args(words).output().unwrap();
+    assert!(output.status.success(), "{}", stderr(&output));
+    stderr(&output)
+}
+
+/// Passes of one step, as the log names them.
+const PASSES: [&str; 7] =
+    ["project", "bin", "rasterize", "losses", "rasterize_backward", "project_backward", "adam"];
+
+#[test]
+fn a_log_names_stages_and_passes_with_their_times() {
+    let text = log_of_training(&["--log", "trace"]);
+    for pass in PASSES {
+        let path = format!(":{pass}: cosurf_engine::any: close time.busy=");
+        let steps = text.lines().filter(|line| line.contains("train{steps=2}:step{") && line.contains(&path));
+        assert_eq!(steps.count(), 2, "{pass}: {text}");
+    }
+    let stages = log_of_training(&["--log", "info"]);
+    assert!(stages.contains("train{steps=2}: ") && stages.contains("evaluate{"), "{stages}");
+    assert!(!stages.contains("step{") && !stages.contains("adam"), "{stages}");
+}
+
+#[test]
+fn a_log_in_json_has_one_object_per_line() {
+    let text = log_of_training(&["--json", "--log", "cosurf_engine=trace", "--log-format", "json"]);
+    let lines: Vec<serde_json::Value> =
+        text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    for pass in PASSES {
+        let closed = lines.iter().filter(|line| line["span"]["name"] == pass);
+        let closed = closed.filter(|line| line["fields"]["time.busy"].is_string());
+        assert_eq!(closed.count(), 2, "{pass}: {text}");
+    }
+    assert!(lines.iter().all(|line| line["target"].as_str().unwrap().starts_with("cosurf_engine")), "{text}");
+}
+
+#[test]
+fn without_the_option_there_is_no_log() {
+    let text = log_of_training(&["--log-format", "json"]);
+    assert!(!text.contains("time.busy") && !text.contains("cosurf_engine"), "{text}");
+}
+
+#[test]
+fn a_wrong_log_filter_gets_one_clear_line() {
+    for filter in ["loud", "cosurf_engine=loud", "info,,debug"] {
+        let mut command = agent(&["--log", filter]);
+        command.args(["eval", "none.ply", "nowhere"]);
+        refuse(command, &["--log", filter, "info,cosurf_engine=trace"]);
+    }
+}
+
 /// Whether there is a GPU, where a software driver counts; skips the test if there is none.
 fn has_gpu() -> bool {
     let devices = agent(&["devices", "--json"]).output().unwrap();

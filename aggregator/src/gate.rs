@@ -32,6 +32,7 @@ use cosurf_engine::Renderer;
 use cosurf_link::Model;
 use cosurf_scene::{Camera, Watchers};
 use glam::DVec3;
+use tracing::{debug_span, info_span};
 
 use crate::merge::cameras::{middle, radius};
 use crate::merge::{Locals, MergeError};
@@ -141,6 +142,7 @@ pub fn admit<'a>(
     threads: usize,
     is_given_up: &dyn Fn() -> bool,
 ) -> Result<Admitted<'a>, MergeError> {
+    let _span = info_span!("gate", models = locals.count()).entered();
     let mut doubts = doubts(locals, threads, is_given_up)?;
     let mut moves = vec![None; doubts.len()];
     for local in 0..if refines { doubts.len() } else { 0 } {
@@ -151,6 +153,7 @@ pub fn admit<'a>(
             if is_given_up() {
                 return Err(MergeError::GivenUp);
             }
+            let _span = debug_span!("align", model = local, to = other).entered();
             if let Some(by) = refine(locals, local, other, threads)? {
                 moves[local] = Some(refine_against_all(locals, local, &sound, by, threads)?);
                 doubts[local] = None;

@@ -14,6 +14,7 @@ use std::time::Instant;
 use anyhow::{Context, Result};
 use clap::{Args, Parser, Subcommand};
 use cosurf_aggregator::service::{AggregatorConfig, Command, Host, serve};
+use cosurf_contract::{LogFormat, log};
 use cosurf_link::SerialConfig;
 use cosurf_link::serial::{DEFAULT_BAUD, GATEWAY_MESSAGE_BYTES};
 use serde::Serialize;
@@ -24,6 +25,13 @@ use serde::Serialize;
 struct Cli {
     #[command(subcommand)]
     command: Commands,
+    /// Log what the program does and how long it takes, to standard error: error, warn, info (stages), debug (their
+    /// parts, messages), trace (steps and passes), or a list like info,cosurf_link=debug [default: no log]
+    #[arg(long, global = true, value_name = "LEVEL|FILTER")]
+    log: Option<String>,
+    /// Format of the log: text or json
+    #[arg(long, global = true, value_name = "FORMAT", default_value_t)]
+    log_format: LogFormat,
 }
 
 #[derive(Subcommand)]
@@ -59,7 +67,21 @@ struct RunArgs {
 }
 
 fn main() -> ExitCode {
-    let outcome = match Cli::parse().command {
+    match run_command(Cli::parse()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) if has_closed_pipe(&error) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("cosurf-aggregator: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run_command(cli: Cli) -> Result<()> {
+    if let Some(filter) = &cli.log {
+        log::start(filter, cli.log_format)?;
+    }
+    match cli.command {
         Commands::Convert(args) => cli::convert::run(&args),
         Commands::Eval(args) => cli::eval::run(args),
         Commands::Forget(args) => cli::forget::run(&args),
@@ -71,14 +93,6 @@ fn main() -> ExitCode {
         Commands::Run(args) => run(&args),
         Commands::Mesh(args) => cli::mesh::run(&args),
         Commands::EvalMesh(args) => cli::eval_mesh::run(&args),
-    };
-    match outcome {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) if has_closed_pipe(&error) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("cosurf-aggregator: {error:#}");
-            ExitCode::FAILURE
-        }
     }
 }
 

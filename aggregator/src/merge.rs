@@ -29,6 +29,7 @@ use std::ops::ControlFlow;
 use cosurf_engine::{Compression, ModelCameras};
 use cosurf_link::Model;
 use serde::{Deserialize, Serialize};
+use tracing::{debug_span, info_span};
 
 use computer::Computer;
 pub(crate) use concat::concatenate;
@@ -83,6 +84,7 @@ pub fn merge(
     threads: usize,
     tell: &mut dyn FnMut(MergeProgress) -> ControlFlow<()>,
 ) -> Result<Merged, MergeError> {
+    let _span = info_span!("merge", models = locals.count()).entered();
     let surveyed = survey(locals)?;
     let splats = surveyed.sizes.iter().sum();
     let device = computer::choose(settings, splats, surveyed.sh_degree, &surveyed.cameras)?;
@@ -112,7 +114,7 @@ fn merge_by(
         summary.locals.push(LocalSummary { arrived, overlap: compression.overlap, removed });
         parts.push(Model { splats, cameras });
     }
-    let mut model = concatenate(&parts);
+    let mut model = debug_span!("join").in_scope(|| concatenate(&parts));
     summary.joined = model.splats.len();
     if settings.epochs > 0 && !model.splats.is_empty() && !model.cameras.is_empty() {
         let sizes: Vec<usize> = parts.iter().map(|part| part.splats.len()).collect();

@@ -15,6 +15,7 @@ use cosurf_engine::{
 };
 use cosurf_scene::Splats;
 use cosurf_scene::bytes::{format_bytes, parse_bytes};
+use tracing::info_span;
 
 use super::arguments::{Common, DeviceArgs};
 use super::host::default_memory;
@@ -153,6 +154,7 @@ fn train_on(plan: &TrainPlan, out: &Path, fresh: bool, progress: &mut Progress) 
         steps: plan.steps,
         resumed_at: session.trainer().steps_done(),
     });
+    let span = info_span!("train", steps = plan.steps).entered();
     let checkpoint_every = (plan.steps / 10).clamp(100, 1000);
     while !session.trainer().is_done() {
         let outcome = session.step()?;
@@ -162,6 +164,7 @@ fn train_on(plan: &TrainPlan, out: &Path, fresh: bool, progress: &mut Progress) 
             checkpoint::write(out, session.fingerprint(), session.trainer(), spent())?;
         }
     }
+    drop(span);
     let spent = spent();
     checkpoint::write(out, session.fingerprint(), session.trainer(), spent)?;
     let report = finish(plan, session, out, spent)?;

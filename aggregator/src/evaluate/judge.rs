@@ -3,6 +3,7 @@
 
 use cosurf_engine::{Renderer, Rendering};
 use cosurf_scene::{Camera, Cast, Picture, SceneError, Splats, View, metrics};
+use tracing::debug_span;
 
 use super::quality::{Quality, Yardsticks};
 use super::surface::SurfaceQuality;
@@ -45,6 +46,7 @@ impl<'a> Judge<'a> {
 
     /// Computes every figure of a view.
     pub(crate) fn quality(&mut self, view: &View) -> Result<Quality, SceneError> {
+        let _span = debug_span!("view", name = view.name).entered();
         let Comparison { camera, photograph, rendering, truth } = self.compare(view)?;
         let (size_px, wanted) = (photograph.size_px, photograph.to_unit());
         let lpips = self.yardsticks.lpips.as_ref();

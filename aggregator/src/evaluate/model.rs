@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use cosurf_scene::{Dataset, SceneError, View, ply};
 use serde::{Deserialize, Serialize};
+use tracing::info_span;
 
 use super::judge::Judge;
 use super::quality::{Quality, YardstickError, Yardsticks};
@@ -79,6 +80,7 @@ pub enum EvalError {
 
 /// Scores every held-out view.
 pub fn evaluate_model(order: &EvalOrder) -> Result<EvalReport, EvalError> {
+    let _span = info_span!("evaluate").entered();
     let splats = ply::read(&model_path(&order.model)?)?;
     let dataset = Dataset::open(&order.data)?;
     let yardsticks = Yardsticks::read(&order.data, order.lpips.as_deref(), order.truth.as_deref())?;

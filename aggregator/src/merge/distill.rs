@@ -14,6 +14,7 @@ use cosurf_engine::{
 use cosurf_scene::{Camera, Splats, Watchers};
 use glam::DVec3;
 use serde::Serialize;
+use tracing::info_span;
 
 use super::computer::Computer;
 use super::error::MergeError;
@@ -49,6 +50,7 @@ pub(super) fn distill(
     computer: &Computer,
     tell: &mut dyn FnMut(MergeProgress) -> ControlFlow<()>,
 ) -> Result<Distilled, MergeError> {
+    let _span = info_span!("distill", splats = joined.len()).entered();
     let Surveyed { locals, cameras, .. } = surveyed;
     let device = &computer.device;
     let room = student_room(device, settings, joined.sh_degree, cameras);

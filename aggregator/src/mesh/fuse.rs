@@ -2,6 +2,7 @@
 
 use cosurf_engine::Rendering;
 use cosurf_scene::{Camera, Mesh};
+use tracing::debug_span;
 
 use super::budget::VolumeBudget;
 use super::clean;
@@ -86,18 +87,21 @@ impl Stages<'_> {
         on_event: &mut impl FnMut(FuseEvent),
     ) -> Result<Option<Fused>, MeshError> {
         let Self { cameras, pixel, voxel_m, budget } = *self;
-        let Some(keys) = scout::find_blocks(cameras, render, pixel, voxel_m, budget.blocks_max, on_event)
-        else {
+        let find = || scout::find_blocks(cameras, render, pixel, voxel_m, budget.blocks_max, on_event);
+        let Some(keys) = debug_span!("find_blocks", voxel_m).in_scope(find) else {
             return Ok(None);
         };
         if keys.is_empty() {
             return Err(MeshError::NoSurface);
         }
         let mut volume = Volume::new(keys, voxel_m);
+        let span = debug_span!("fuse", views = cameras.len()).entered();
         for (i, camera) in cameras.iter().enumerate() {
             volume.fuse(&Frame::new(camera, &render(camera), pixel.most_m));
             on_event(FuseEvent::Progress { stage: Stage::Fuse, done: i + 1, of: cameras.len() });
         }
+        drop(span);
+        let _span = debug_span!("extract", blocks = volume.len()).entered();
         let layout = Layout::new(&volume);
         let (blocks, peak_bytes) = (volume.len(), volume.bytes() + layout.bytes());
         if peak_bytes > budget.volume_bytes || !layout.fits_indices() {

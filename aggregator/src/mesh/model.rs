@@ -4,6 +4,7 @@ use cosurf_engine::backend::{Backend, Channels, Rendering};
 use cosurf_engine::budget::{Costs, PROCESS_BYTES};
 use cosurf_engine::{Capacity, CpuBackend};
 use cosurf_scene::{Camera, Splats};
+use tracing::info_span;
 
 use super::budget;
 use super::error::MeshError;
@@ -33,6 +34,7 @@ pub fn mesh_model(
     if splats.is_empty() {
         return Err(MeshError::NoSurface);
     }
+    let _span = info_span!("mesh", splats = splats.len()).entered();
     let needs = Needs::of(&splats);
     let cameras = fitted(&needs, cameras, max_size_px.unwrap_or(u32::MAX), settings.memory_bytes)?;
     let left = settings.memory_bytes - needs.bytes(&cameras);

@@ -9,6 +9,7 @@ use std::thread::{self, JoinHandle};
 use cosurf_engine::Renderer;
 use cosurf_link::{FirstLayer, Model, ModelKey, ModelStore, body_to_model, model_to_body, plain_importance};
 use cosurf_wire::{ModelHeader, ModelKind};
+use tracing::{debug_span, info_span};
 
 use super::record::{Fitted, KeptOut};
 use crate::gate::admit;
@@ -70,6 +71,7 @@ pub(super) enum JobState {
 
 /// Packs a global model into a body, the splats most important to its cameras first.
 pub(crate) fn packed(model: &Model, threads: usize) -> Result<Vec<u8>, MergeError> {
+    let _span = debug_span!("pack", splats = model.splats.len()).entered();
     let Model { splats, cameras } = model;
     let importance = match cameras[..] {
         [] => plain_importance(splats),
@@ -116,6 +118,7 @@ impl Job {
         let (stored, parts) = Stored::of(stores, inputs.clone());
         let flag = stop.clone();
         let thread = thread::spawn(move || {
+            let _span = info_span!("round", models = stored.count(), parts = parts.count()).entered();
             let is_stopped = || flag.load(Ordering::Relaxed);
             let names: Vec<String> = stored.headers.iter().map(|header| header.device.to_string()).collect();
             let admitted = admit(&stored, settings.refine, threads, &is_stopped)?;

@@ -2,7 +2,7 @@
 //!
 //! What it is: [`AgentConfig`], the content of `agent.toml`; [`AgentEvent`], the JSON lines that an agent prints under
 //! `--json`; [`TrainReport`] and [`Changes`], the JSON files that it leaves behind. A person may write and read them;
-//! so does the aggregator's `mission`. Values are parsed into the types that the programs compute with, so that a wrong
+//! so does the aggregator's `mission`. [`log`] is how both programs write a log. Values are parsed into the types that the programs compute with, so that a wrong
 //! value is refused where it is read.
 //!
 //! What it refuses to know: how an agent trains or sends, what becomes of its model, files, clocks, command lines.
@@ -34,10 +34,12 @@
 //! ```
 
 pub mod config;
+pub mod log;
 pub mod report;
 mod share;
 
 pub use config::{AgentConfig, AgentLink, ConfigError};
 pub use cosurf_link::TlsFiles;
+pub use log::{LogError, LogFormat};
 pub use report::{AgentEvent, Changes, ComparedWith, TrainReport};
 pub use share::{NotAShare, Share};

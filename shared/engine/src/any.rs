@@ -1,6 +1,7 @@
 //! The backend of the chosen device, so that trainings do not depend on the device.
 
 use cosurf_scene::{Camera, Splats};
+use tracing::trace_span;
 
 use crate::backend::{
     AdamRates, Backend, BinCounts, Channels, Edit, LossWeights, Losses, Rendering, Scores, Shapes, Targets,
@@ -29,6 +30,15 @@ macro_rules! each_backend {
             Self::Gpu($backend) => $does,
         }
     };
+}
+
+/// Forwards a pass within a span of its name. A graphics card may still be at work when the span closes: its time
+/// counts in the pass that reads results back.
+macro_rules! pass {
+    ($self:ident.$pass:ident($($argument:expr),*)) => {{
+        let _span = trace_span!(stringify!($pass)).entered();
+        each_backend!($self, backend => backend.$pass($($argument),*))
+    }};
 }
 
 impl AnyBackend {
@@ -60,39 +70,39 @@ impl Backend for AnyBackend {
     }
 
     fn load(&mut self, splats: &Splats) {
-        each_backend!(self, backend => backend.load(splats));
+        pass!(self.load(splats));
     }
 
     fn splats(&self) -> Splats {
-        each_backend!(self, backend => backend.splats())
+        pass!(self.splats())
     }
 
     fn project(&mut self, camera: &Camera, sh_degree: u32) {
-        each_backend!(self, backend => backend.project(camera, sh_degree));
+        pass!(self.project(camera, sh_degree));
     }
 
     fn bin(&mut self) -> BinCounts {
-        each_backend!(self, backend => backend.bin())
+        pass!(self.bin())
     }
 
     fn rasterize(&mut self, channels: Channels) {
-        each_backend!(self, backend => backend.rasterize(channels));
+        pass!(self.rasterize(channels));
     }
 
     fn keep_neighbour(&mut self) {
-        each_backend!(self, backend => backend.keep_neighbour());
+        pass!(self.keep_neighbour());
     }
 
     fn losses(&mut self, targets: &Targets, weights: &LossWeights) -> Losses {
-        each_backend!(self, backend => backend.losses(targets, weights))
+        pass!(self.losses(targets, weights))
     }
 
     fn rasterize_backward(&mut self) {
-        each_backend!(self, backend => backend.rasterize_backward());
+        pass!(self.rasterize_backward());
     }
 
     fn project_backward(&mut self) {
-        each_backend!(self, backend => backend.project_backward());
+        pass!(self.project_backward());
     }
 
     fn gradients(&self) -> Splats {
@@ -100,15 +110,15 @@ impl Backend for AnyBackend {
     }
 
     fn adam(&mut self, rates: &AdamRates) {
-        each_backend!(self, backend => backend.adam(rates));
+        pass!(self.adam(rates));
     }
 
     fn rendering(&self) -> Rendering {
-        each_backend!(self, backend => backend.rendering())
+        pass!(self.rendering())
     }
 
     fn take_shapes(&mut self) -> Shapes {
-        each_backend!(self, backend => backend.take_shapes())
+        pass!(self.take_shapes())
     }
 
     fn clear_scores(&mut self) {
@@ -116,7 +126,7 @@ impl Backend for AnyBackend {
     }
 
     fn score(&mut self) {
-        each_backend!(self, backend => backend.score());
+        pass!(self.score());
     }
 
     fn scores(&self) -> Scores {
@@ -124,11 +134,11 @@ impl Backend for AnyBackend {
     }
 
     fn edit(&mut self, edit: &Edit) {
-        each_backend!(self, backend => backend.edit(edit));
+        pass!(self.edit(edit));
     }
 
     fn cap_opacity(&mut self, opacity: f32) {
-        each_backend!(self, backend => backend.cap_opacity(opacity));
+        pass!(self.cap_opacity(opacity));
     }
 
     fn export<E>(&self, visit: impl FnMut(&[f32]) -> Result<(), E>) -> Result<(), E> {

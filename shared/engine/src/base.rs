@@ -8,6 +8,7 @@
 use std::rc::Rc;
 
 use cosurf_scene::{Base, Camera, Splats};
+use tracing::info_span;
 
 use crate::backend::{Backend, Channels, Rendering, TargetSurface};
 use crate::budget::Capacity;
@@ -49,6 +50,7 @@ pub fn base_of(
     if splats.len() < SPLATS_MIN || cameras.is_empty() {
         return None;
     }
+    let _span = info_span!("base", splats = splats.len()).entered();
     let mut renderer = Renderer::new(splats, threads);
     let importance = renderer.importance(cameras);
     let mut base = keep(&of_one_color(splats), &importance, SHARE_AT_FIRST * splats.len() as f64);

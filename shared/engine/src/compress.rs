@@ -9,6 +9,7 @@
 use cosurf_scene::{Camera, Frustum, Splats, Watchers};
 use glam::DVec3;
 use rayon::prelude::*;
+use tracing::info_span;
 
 use crate::backend::Channels;
 use crate::budget::Capacity;
@@ -69,6 +70,7 @@ impl Compression {
         if others.is_empty() || splats.is_empty() || its.is_empty() {
             return Ok(Self::default());
         }
+        let _span = info_span!("compress", model = models.own, splats = splats.len()).entered();
         let mut renderer = Renderer::by(device, threads, splats)?;
         let mut others = Watchers::new(&others);
         let overlapping = its.iter().map(|camera| overlaps(&mut renderer, camera, &mut others));

@@ -2,6 +2,7 @@
 //! Scheme"). No splats are added; at the end, useless splats are reported.
 
 use cosurf_scene::{Camera, Splats, camera};
+use tracing::trace_span;
 
 use crate::backend::{
     AdamRates, Backend, BinCounts, Channels, LossWeights, Losses, SurfaceWeights, TargetRgb, TargetSurface,
@@ -110,6 +111,7 @@ impl<B: Backend> Distiller<B> {
 
     /// Trains one step on one rendering.
     pub fn step(&mut self, lesson: &Lesson) -> (Losses, BinCounts) {
+        let _span = trace_span!("step", step = self.steps_done).entered();
         let weights = self.weights();
         let rates = self.rates();
         let backend = &mut self.backend;

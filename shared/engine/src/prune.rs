@@ -2,6 +2,7 @@
 //! splats that too few views observe (PGSR).
 
 use cosurf_scene::{Camera, Splats};
+use tracing::debug_span;
 
 use crate::any::AnyBackend;
 use crate::backend::{Backend, Channels, Scores, Shapes};
@@ -30,6 +31,7 @@ pub(crate) fn survey<'a, B: Backend>(
     backend: &mut B,
     cameras: impl IntoIterator<Item = &'a Camera>,
 ) -> Scores {
+    let _span = debug_span!("survey", splats = backend.len()).entered();
     backend.clear_scores();
     for camera in cameras {
         backend.project(camera, 0);

@@ -1,6 +1,7 @@
 //! Training: one step reads as a list of passes.
 
 use cosurf_scene::Camera;
+use tracing::{debug_span, trace_span};
 
 use crate::backend::{
     AdamRates, Backend, BinCounts, Channels, Edit, Exposure, LossWeights, MultiviewWeights, PhotometricLoss,
@@ -263,6 +264,7 @@ impl<B: Backend> Trainer<B> {
     pub fn step(&mut self, example: &Example) -> StepOutcome {
         let TrainSettings { schedule, sh_degree, .. } = self.settings;
         let step = self.steps_done;
+        let _span = trace_span!("step", step, view = example.view).entered();
         let degree = schedule.sh_degree(step, sh_degree);
         let (weights, rates) = (self.weights(step), self.rates(step));
         let channels = if weights.surface.is_some() { Channels::Geometry } else { Channels::Color };
@@ -330,6 +332,7 @@ impl<B: Backend> Trainer<B> {
     }
 
     fn prune(&mut self, settings: &PruneSettings) {
+        let _span = debug_span!("prune", splats = self.backend.len()).entered();
         let scores = prune::survey(&mut self.backend, &self.views.cameras);
         let importance = prune::importance_by(&self.backend.take_shapes(), &scores, settings.score);
         self.remove(prune::lowest(&importance, settings.ratio));
@@ -340,6 +343,7 @@ impl<B: Backend> Trainer<B> {
     }
 
     fn refine(&mut self) {
+        let _span = debug_span!("refine", splats = self.backend.len()).entered();
         let TrainSettings { schedule, extent, splats_max, seed, .. } = self.settings;
         // Growth is spread over all refinements, so that early splats are trained before they divide.
         let end = splats_max.min(self.backend.capacity());

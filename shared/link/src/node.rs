@@ -6,6 +6,7 @@
 mod births;
 mod event;
 mod flight;
+mod log;
 mod receive;
 mod send;
 mod state;

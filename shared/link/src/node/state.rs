@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use cosurf_scene::Camera;
 use cosurf_wire::{DeviceId, FlightCameras, Message, ModelHeader, RefusalReason, TileId, Topic};
+use tracing::debug;
 
 use super::births::Births;
 use super::event::NodeEvent;
@@ -82,6 +83,7 @@ impl Node {
 
     /// Offers a device's own model to the aggregator. Replaces an unfinished offer of the same model.
     pub fn upload(&mut self, offer: Offer) {
+        debug!(model = %ModelKey::from(offer.header), bytes = offer.header.body_bytes, "upload");
         let offer = offer.with_credentials(&self.identity.site, self.inbox.credentials());
         let uploader = Uploader::local(self.identity.site, offer);
         self.uploaders.retain(|old| old.key() != uploader.key());
@@ -91,6 +93,7 @@ impl Node {
     /// Offers a global model to all devices, in place of any older revision. [`NodeEvent::Uploaded`] comes when
     /// all `receivers` have stored it.
     pub fn broadcast(&mut self, tile: TileId, offer: Offer, receivers: &[DeviceId]) {
+        debug!(model = %ModelKey::from(offer.header), receivers = receivers.len(), "broadcast");
         self.uploaders.retain(|old| old.tile() != Some(tile));
         let offer = offer.with_credentials(&self.identity.site, self.inbox.credentials());
         self.uploaders.push(Uploader::global(self.identity.site, tile, offer, receivers));
@@ -98,17 +101,20 @@ impl Node {
 
     /// Call this when the body of [`NodeEvent::Store`] is on disk, synced and renamed.
     pub fn stored(&mut self, key: ModelKey) {
+        debug!(model = %key, "stored");
         self.inbox.stored(key);
     }
 
     /// Call this when storing failed and a retry may succeed (for example on a full disk). The node hands out
     /// the body again later.
     pub fn store_failed(&mut self, key: ModelKey) {
+        debug!(model = %key, "storing failed");
         self.inbox.store_failed(self.now, key);
     }
 
     /// Drops an unfinished model and sends its sender `reason`.
     pub fn refuse(&mut self, key: ModelKey, reason: RefusalReason) {
+        debug!(model = %key, %reason, "refuse");
         self.inbox.refuse(key, reason);
     }
 

@@ -4,6 +4,7 @@ use std::ops::ControlFlow;
 use std::time::Duration;
 
 use super::event::NodeEvent;
+use super::log::log;
 use super::state::Node;
 use crate::transport::Transport;
 
@@ -11,6 +12,17 @@ impl Node {
     /// Sends the messages that are due, and receives one, waiting for it at most `wait`. Returns the next event
     /// for the caller. `None` does not mean that all work is done.
     pub fn step<T: Transport>(
+        &mut self,
+        transport: &mut T,
+        now: impl Fn() -> Duration,
+        wait: Duration,
+    ) -> Option<NodeEvent> {
+        let event = self.next_event(transport, now, wait);
+        event.iter().for_each(log);
+        event
+    }
+
+    fn next_event<T: Transport>(
         &mut self,
         transport: &mut T,
         now: impl Fn() -> Duration,

@@ -1,0 +1,35 @@
+//! The events of a node as lines of a log.
+
+use cosurf_wire::ModelHeader;
+use tracing::{debug, trace};
+
+use super::event::NodeEvent;
+use crate::key::ModelKey;
+
+/// Logs an event before the caller gets it.
+pub(super) fn log(event: &NodeEvent) {
+    match event {
+        NodeEvent::Connected => debug!("connected"),
+        NodeEvent::Disconnected { attempt, reason } => debug!(attempt, reason, "disconnected"),
+        NodeEvent::State(state) => debug!(device = %state.device, alive = state.alive, "session"),
+        NodeEvent::Flight(device, cameras) => debug!(%device, cameras = cameras.len(), "flight"),
+        NodeEvent::SameName(device) => debug!(%device, "two participants use the same name"),
+        NodeEvent::Receiving(header) => log_header(header, "receive"),
+        NodeEvent::Known(header) => log_header(header, "known already"),
+        NodeEvent::Store { header, .. } => log_header(header, "store"),
+        NodeEvent::Refused { key, reason } => debug!(model = %key, %reason, "refuse"),
+        NodeEvent::Ignored { topic, reason } => debug!(topic, reason, "ignored message"),
+        NodeEvent::Progress(key, progress) => {
+            trace!(model = %key, received = progress.chunks_received, of = progress.chunks, "chunks");
+        }
+        NodeEvent::Uploaded(key, progress) => {
+            debug!(model = %key, bytes = progress.bytes_sent, "uploaded");
+        }
+        NodeEvent::UploadRefused { key, by, reason } => debug!(model = %key, %by, %reason, "upload refused"),
+        NodeEvent::LinkTooNarrow(error) => debug!(%error, "link too narrow"),
+    }
+}
+
+fn log_header(header: &ModelHeader, message: &str) {
+    debug!(model = %ModelKey::from(header), bytes = header.body_bytes, splats = header.splats, "{message}");
+}
