@@ -4,9 +4,8 @@
 //! the head of each pass names its parts, and a test checks that. The parts come first in the joined source, with
 //! `types`, which every pass has, before all others.
 //!
-//! This crate hands out text. It knows no graphics library, no buffers and no order of dispatches: those belong to
-//! `cosurf-engine`, whose tests validate every source and compare its structures and constants with their twins in
-//! Rust.
+//! This crate contains only text. Buffers, dispatches and the graphics library belong to `cosurf-engine`. Its
+//! tests validate every source, and compare the structures and constants with their counterparts in Rust.
 //!
 //! Where to start reading: `parts/types.wgsl` for the shared structures, then the passes in the order of a training
 //! step, which is the order of [`ALL`].
@@ -61,13 +60,13 @@ shaders! {
     SORT_COUNT: "sort_count";
     /// Moves keys and values to their places by one digit.
     SORT_SCATTER: "sort_scatter";
-    /// Number of tiles of each visible splat, nearest first.
+    /// Number of tiles of each visible splat, nearest splat first.
     ORDER_COUNTS: "order_counts";
     /// Writes the splat–tile pairs.
     EMIT: "emit", "spans";
     /// Finds where the pairs of each tile begin and end.
     TILE_RANGES: "tile_ranges";
-    /// Blends the pictures.
+    /// Blends the splats of each tile into the picture.
     RASTERIZE: "rasterize", "pixels", "tile_list";
     /// SSIM's map and its partial derivatives.
     SSIM: "ssim", "pixels", "photograph", "photometric";
@@ -83,7 +82,7 @@ shaders! {
     EDGES: "edges", "pixels", "luma_slope";
     /// Single-view loss: blended normals against normals of the depth.
     NORMALS: "normals", "pixels", "surface", "luma_slope", "tile_sum";
-    /// Carries the gradients of depths to the blended planes.
+    /// Propagates the gradients of depths to the blended planes.
     DEPTH_BACKWARD: "depth_backward", "pixels", "surface", "surface_gradient";
     /// Multi-view losses: reprojection and NCC.
     MULTIVIEW: "multiview", "pixels", "surface", "surface_gradient";

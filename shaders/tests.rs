@@ -1,4 +1,4 @@
-//! The heads of the files and the list of passes tell the same.
+//! Checks that the comment at the head of each file agrees with the list of passes.
 
 use std::collections::BTreeSet;
 use std::fs;

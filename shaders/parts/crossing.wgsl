@@ -4,8 +4,8 @@
 // Needs: types.
 
 // Pairs that a workgroup processes at a time, and pixels of a row for each in a step. The best values depend on the
-// device; the sums do not. A pair must be done with a chunk before its invocation's next pair reaches it, so
-// PAIRS_AT_ONCE * CHUNK is at most 256.
+// device; the sums do not. The last pair of a batch must process a chunk before the first pair of the next
+// batch does, so PAIRS_AT_ONCE * CHUNK is at most 256.
 override PAIRS_AT_ONCE: u32 = 64u;
 override CHUNK: u32 = 4u;
 
@@ -17,7 +17,7 @@ struct Crossing {
     is_last: bool,
 }
 
-// Number of steps for so many pairs.
+// Number of steps that a list of `pairs` pairs takes.
 fn crossing_steps(pairs: u32) -> u32 {
     let batches = (pairs + PAIRS_AT_ONCE - 1u) / PAIRS_AT_ONCE;
     // The last pair of a batch starts PAIRS_AT_ONCE - 1 steps after its first.

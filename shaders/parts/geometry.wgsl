@@ -76,7 +76,7 @@ fn geometry(mean: vec3<f32>, quat: vec4<f32>, log_scale: vec3<f32>) -> Geometry 
     return g;
 }
 
-// Index of the shortest axis; of equals the later.
+// Index of the shortest axis; of equally short axes, the last.
 fn shortest_axis(log_scale: vec3<f32>) -> u32 {
     if (log_scale.x < log_scale.y && log_scale.x < log_scale.z) {
         return 0u;

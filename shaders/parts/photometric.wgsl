@@ -29,7 +29,7 @@ fn job_of(group: vec3<u32>) -> Job {
 
 // The pixel at a place of a tile with its halo.
 fn around(origin: vec2<u32>, place: u32) -> vec2<u32> {
-    // Left of and above the picture this wraps around to coordinates far outside of it.
+    // Left of and above the picture the subtraction wraps around, to coordinates far outside the picture.
     return origin + vec2(place % SSIM_SIDE, place / SSIM_SIDE) - SSIM_REACH;
 }
 

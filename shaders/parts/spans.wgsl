@@ -5,22 +5,22 @@
 // Widens the range of pixels on each side, px, so that rounding cannot lose a pixel on the threshold.
 const SLACK_PX: f32 = 0.01;
 
-// First and end of the pixels with centres in [low, high], clipped to 0..size; an empty range has an end of at most its
-// first.
+// The first pixel with its centre in [low, high] and the pixel after the last, clipped to 0..size. If
+// there is no such pixel, the second is at most the first.
 fn pixels_between(low: f32, high: f32, size: u32) -> vec2<i32> {
     let first = ceil(clamp(low - 0.5 - SLACK_PX, -1.0, f32(size)));
     let last = floor(clamp(high - 0.5 + SLACK_PX, -1.0, f32(size) - 1.0));
     return vec2(max(i32(first), 0), i32(last) + 1);
 }
 
-// First row of tiles and end.
+// The first row of tiles that the splat touches, and the row after the last.
 fn tile_rows(splat: Projected) -> vec2<i32> {
     let mean = splat.mean_px.y;
     let rows = pixels_between(mean - splat.extent_px.y, mean + splat.extent_px.y, view.size_px.y);
     return tiles_of(rows);
 }
 
-// First tile and end in a row of tiles.
+// The first tile that the splat touches in a row of tiles, and the tile after the last.
 fn tile_span(splat: Projected, tile_y: i32) -> vec2<i32> {
     let mean = splat.mean_px;
     let extent = splat.extent_px;
@@ -40,7 +40,7 @@ fn tile_span(splat: Projected, tile_y: i32) -> vec2<i32> {
     return tiles_of(pixels_between(left, right, view.size_px.x));
 }
 
-// The range of tiles of a range of pixels; empty if that is empty.
+// The tiles that a range of pixels covers; an empty range of pixels gives an empty range of tiles.
 fn tiles_of(pixels: vec2<i32>) -> vec2<i32> {
     if (pixels.x >= pixels.y) {
         return vec2(0, 0);

@@ -107,8 +107,8 @@ struct SortStep {
     shift: u32,
 }
 
-// A scan of counters[counter] numbers, or with `digits` of the 16 counts of every block of so many keys. The total goes
-// to counters[total].
+// A scan of counters[counter] numbers; if `digits` is 1, a scan of the digit counts (16 for each block) of
+// counters[counter] keys. The total goes to counters[total].
 struct ScanStep {
     counter: u32,
     digits: u32,
@@ -151,7 +151,7 @@ struct Rates {
     second_correction: f32,
 }
 
-// Weights of the surface losses: of one pixel, or for the multi-view losses of one sample.
+// Weights of the surface losses: per pixel, or per sample for the multi-view losses.
 struct SurfaceWeights {
     normal: f32,
     reprojection: f32,
@@ -176,7 +176,7 @@ struct Pair {
     unused_2: u32,
 }
 
-// Larger dispatches are folded into rows of so many workgroups.
+// Workgroups in a row of a dispatch; larger dispatches have several rows.
 const GROUPS_ACROSS: u32 = 65535u;
 
 fn group_index(group: vec3<u32>) -> u32 {

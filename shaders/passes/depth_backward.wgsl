@@ -19,7 +19,7 @@ fn depth_backward(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoca
     if (!(z > 0.0)) {
         return;
     }
-    // Left of and above the picture this wraps around to coordinates far outside of it.
+    // Left of and above the picture the subtraction wraps around, to coordinates far outside the picture.
     let right = vec2(NORMAL_REACH, 0u);
     let below = vec2(0u, NORMAL_REACH);
     let v_z = given_by(pixel - right, 0u) + given_by(pixel + right, 1u) + given_by(pixel + below, 2u) + given_by(pixel - below, 3u);

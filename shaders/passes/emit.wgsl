@@ -1,5 +1,5 @@
 // Writes the pairs of each splat to its slots, nearest splat first. If the pairs of a splat exceed the capacity,
-// neither it nor the splats behind it get slots.
+// neither this splat nor the splats behind it get slots.
 // Parts: types, spans.
 
 @group(0) @binding(0) var<uniform> view: View;

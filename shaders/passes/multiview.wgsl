@@ -18,10 +18,10 @@
 @group(0) @binding(5) var<storage, read> luma_plane: array<f32>;
 @group(0) @binding(6) var<storage, read> neighbour_depth: array<f32>;
 @group(0) @binding(7) var<storage, read> neighbour_luma: array<f32>;
-// x, and y << 16; some lie outside the picture.
+// Sampled pixels as x | y << 16; some lie outside the picture.
 @group(0) @binding(8) var<storage, read> samples: array<u32>;
 @group(0) @binding(9) var<storage, read_write> gradient: array<f32>;
-// By workgroup, after the first `sums_first`: reprojection loss, disagreement, samples with an error below 1 px,
+// By workgroup, from `sums_first` on: reprojection loss, disagreement, samples with an error below 1 px,
 // samples whose patches match.
 @group(0) @binding(10) var<storage, read_write> sums: array<vec4<f32>>;
 
@@ -115,7 +115,7 @@ fn translation() -> vec3<f32> {
     return vec3(pair.there_from_here[0].w, pair.there_from_here[1].w, pair.there_from_here[2].w);
 }
 
-// The reprojection error of a pixel, px, and its derivative by the pixel's depth; beyond the limit if there is none.
+// The reprojection error of a pixel, px, and its derivative by depth; above RETURN_MAX_PX if there is none.
 fn reprojection_error(pixel: vec2<f32>, ray: vec3<f32>, z: f32) -> vec2<f32> {
     let never = vec2(2.0 * RETURN_MAX_PX, 0.0);
     let by = to_neighbour(ray);
@@ -147,7 +147,7 @@ struct Found {
     value: f32,
     // Derivative by x and y, per px.
     slope: vec2<f32>,
-    // The smallest of the four corners; -1 outside.
+    // The smallest of the values at the four corners; -1 outside the picture.
     least: f32,
 }
 

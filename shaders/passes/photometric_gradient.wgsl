@@ -7,8 +7,8 @@
 @group(0) @binding(2) var<storage, read> image: array<f32>;
 @group(0) @binding(3) var<storage, read> photograph: array<u32>;
 @group(0) @binding(4) var<storage, read> partials: array<f32>;
-// By tile and channel, two vectors; this pass writes squares, |difference|, sign and sign * colour, after the first
-// number.
+// By tile and channel, two vectors. The pass ssim wrote the first number; this pass writes the next four:
+// squares, |difference|, sign and sign * colour.
 @group(0) @binding(5) var<storage, read_write> sums: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read_write> gradient: array<f32>;
 

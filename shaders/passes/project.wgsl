@@ -7,7 +7,7 @@
 @group(0) @binding(3) var<storage, read_write> projected: array<Projected>;
 // Bits of the depth along the optical axis (positive floats have the same order as their bits), or NOT_SEEN.
 @group(0) @binding(4) var<storage, read_write> depth_keys: array<u32>;
-// 1 for each visible splat, for the next scan.
+// 1 for each visible splat, else 0: input of the next scan.
 @group(0) @binding(5) var<storage, read_write> places: array<u32>;
 // First slot and number of slots of a splat; a later pass writes the first slot.
 @group(0) @binding(6) var<storage, read_write> slots: array<vec2<u32>>;

@@ -11,8 +11,8 @@
 @group(0) @binding(6) var<storage, read_write> sorted_keys: array<u32>;
 @group(0) @binding(7) var<storage, read_write> sorted_values: array<u32>;
 
-// The number of keys of each digit in the lanes before: counts of two digits, 16 bits each, in one number, and one row
-// of lanes for each pair of digits.
+// For each digit and lane, the number of keys with this digit in the lanes before. An entry holds the counts
+// of two digits, 16 bits each; each pair of digits has one row of lanes.
 var<workgroup> before: array<u32, DIGITS / 2u * GROUP>;
 var<workgroup> sums: array<u32, GROUP>;
 
@@ -49,7 +49,7 @@ fn sort_scatter(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocati
     }
 }
 
-// Replaces each row of `before` by its running sums: each lane adds 8 numbers, 32 lanes are a row.
+// Replaces each row of `before` by its running sums: each lane adds 8 numbers; 32 lanes process a row.
 fn sum_rows(lane: u32) {
     let first = 8u * lane;
     var own = 0u;

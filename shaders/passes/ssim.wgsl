@@ -16,7 +16,7 @@ const SSIM_C2: f32 = 0.0009;
 
 // Colours of the tile and its halo: rendered, photographed.
 var<workgroup> colors: array<vec2<f32>, SSIM_SIDE * SSIM_SIDE>;
-// Filtered along rows: x, y, xx and yy; xy apart.
+// Filtered along rows: x, y, xx and yy; xy has its own array.
 var<workgroup> filtered: array<vec4<f32>, SSIM_SIDE * TILE>;
 var<workgroup> products: array<f32, SSIM_SIDE * TILE>;
 var<workgroup> totals: array<f32, GROUP>;

@@ -1,6 +1,6 @@
 // The losses of distillation: differences of depth and blended normals from a teacher (CoSurfGS, "Model Aggregation
 // Scheme", L_d and L_n). For a pixel, t |z - z'| and t |N - N'|₁ with t the trust in the teacher's pixel; the depth
-// loss counts where both have a depth.
+// loss counts where both pixels have a depth.
 // Parts: types, pixels, surface, surface_gradient, tile_sum.
 
 @group(0) @binding(0) var<uniform> view: View;

@@ -21,7 +21,7 @@ pub enum AnyBackend {
     Gpu(Box<GpuBackend>),
 }
 
-/// Forwards a call to the backend that there is.
+/// Forwards a call to the backend of either variant.
 macro_rules! each_backend {
     ($self:ident, $backend:ident => $does:expr) => {
         match $self {

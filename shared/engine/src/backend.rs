@@ -32,7 +32,7 @@ impl Default for Exposure {
     }
 }
 
-/// What a rendering is compared with: a photograph or a teacher's rendering. The step is the same for both.
+/// The targets of a rendering: a photograph, or a teacher's rendering. The step is the same for both.
 #[derive(Clone, Copy, Debug)]
 pub struct Targets<'a> {
     /// Colours.
@@ -308,7 +308,7 @@ pub trait Backend {
     /// Name of the device for people: `cpu avx512 × 2`.
     fn device(&self) -> String;
 
-    /// Why the device was lost, if it was: its results are no longer valid.
+    /// Why the device was lost, or `None`. The results of a lost device are not valid.
     fn lost(&self) -> Option<String> {
         None
     }

@@ -2,7 +2,7 @@
 //! the receiver has a usable model wherever the link breaks off.
 //!
 //! The most important splats alone leave holes, so they are distilled from renderings of the whole model by its own
-//! cameras: first half of the splats, then the most important of those (table "Base: how it is made").
+//! cameras: first the most important half, then the most important of those (table "Base: how it is made").
 //! Quaternions are frozen: encoding their later change costs as many bytes as training them gains.
 
 use std::rc::Rc;
@@ -21,12 +21,12 @@ use crate::train::view_order;
 
 /// Share of the splats in a base: about a fifth of the bytes of the whole upload.
 const SHARE: f64 = 0.31;
-/// Share of the splats in the first stage. Both all splats and no more than the base itself end worse: few of the
-/// splats that fill holes survive, or the wrong splats remain (table "Base: how it is made").
+/// Share of the splats in the first stage. With all splats, few of those that fill holes survive; with only
+/// as many as in the base, the wrong splats remain (table "Base: how it is made").
 const SHARE_AT_FIRST: f64 = 0.5;
 /// Smaller models have no base: they are sent quickly as a whole.
 const SPLATS_MIN: usize = 2000;
-/// With one splat in k left, scales grow by k to this power. Important splats are large already.
+/// If one splat in k is kept, scales grow by k to this power: a low power, as important splats are large.
 const GROWTH: f32 = 0.25;
 
 /// Steps of the two stages (table "Base: how it is made").
@@ -38,8 +38,8 @@ const RATES: StudentRates =
     StudentRates { mean: 4.8e-4, quat: 0.0, log_scale: 0.02, opacity: 0.1, sh_dc: 0.0075 };
 
 /// The base of a model trained with `cameras`; `None` if the model is small or no camera saw it. Computed on the
-/// processor with `threads` threads, at least 1; up to `kept_bytes` hold renderings for later steps. `tell` receives
-/// the steps done and all steps. The same model gives the same base.
+/// processor with `threads` threads, at least 1; up to `kept_bytes` hold renderings for later steps. `tell`
+/// receives the number of steps done and of all steps. The same model gives the same base.
 pub fn base_of(
     splats: &Splats,
     cameras: &[Camera],
@@ -78,7 +78,7 @@ fn of_one_color(splats: &Splats) -> Base {
     Base { ids: (0..splats.len() as u32).collect(), splats: plain }
 }
 
-/// The `count` most important splats; of equals the first.
+/// The `count` most important splats; of equally important splats, the first.
 fn keep(base: &Base, importance: &[f32], count: f64) -> Base {
     let gone = prune::least(importance, base.ids.len() - count as usize);
     let stays = |place: &usize| gone.binary_search(&(*place as u32)).is_err();
@@ -86,7 +86,7 @@ fn keep(base: &Base, importance: &[f32], count: f64) -> Base {
     Base { ids, splats: base.splats.without(&gone) }
 }
 
-/// Enlarges splats that are a selection of `whole` splats.
+/// Enlarges splats that were selected from `whole` splats.
 fn grow(splats: &mut Splats, whole: usize) {
     let growth = GROWTH * (whole as f32 / splats.len() as f32).ln();
     splats.log_scales.iter_mut().for_each(|log_scale| *log_scale = log_scale.map(|v| v + growth));

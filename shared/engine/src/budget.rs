@@ -24,7 +24,7 @@ const fn scratch_bytes(sh_degree: u32) -> usize {
     if model > refinement { model } else { refinement }
 }
 
-/// What a training needs and would like.
+/// What a training needs, and what it uses if the memory suffices.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Wish {
     /// Bytes for the whole process.
@@ -55,7 +55,7 @@ pub struct Budget {
     pub capacity: Capacity,
     /// Bytes of the picture cache.
     pub cache_bytes: u64,
-    /// What the budget gave up, one sentence each, for the report.
+    /// Reductions that the memory limit forced, one sentence each, for the report.
     pub given_up: Vec<String>,
 }
 
@@ -83,7 +83,7 @@ pub enum BudgetError {
 }
 
 impl Budget {
-    /// Divides the memory: first the fixed costs, then splats up to the wish, then the picture cache.
+    /// Divides the memory: first the fixed costs, then up to the wanted splats, then the picture cache.
     pub fn plan(wish: &Wish) -> Result<Self, BudgetError> {
         let Wish { size_px, sh_degree, channels, .. } = *wish;
         let shape = Capacity { splats: 0, pairs: 0, size_px, sh_degree, channels, training: true };

@@ -3,8 +3,8 @@
 //!
 //! The paper does not define overlap between drones without shared pictures, nor the owner of shared ground. Here a
 //! camera overlaps if cameras of other models see enough of its surface from a similar direction and distance. The
-//! owner of a place is the model with the most cameras that see it, the first of equals. Every place thus has one
-//! owner, independent of the order of compression, and no two models remove the same ground.
+//! owner of a place is the model with the most cameras that see it; on a tie, the first. Every place thus has
+//! at most one owner, independent of the order of compression, and no two models remove the same ground.
 
 use cosurf_scene::{Camera, Frustum, Splats, Watchers};
 use glam::DVec3;
@@ -50,8 +50,8 @@ pub struct ModelCameras<'a> {
 }
 
 impl Compression {
-    /// Plans the compression of `splats`, one of `models`. Importance is measured with `its` cameras, in pictures of
-    /// their size; the processor uses `threads` threads, at least 1.
+    /// Plans the compression of `splats`: model `models.own`, with cameras `its`. Importance is measured with
+    /// the cameras that do not overlap, else with all; the CPU uses `threads` threads, at least 1.
     pub fn plan(
         splats: &Splats,
         its: &[Camera],
@@ -90,7 +90,7 @@ impl Compression {
     }
 }
 
-/// Whether `others` see enough of the surface that the model shows to a camera.
+/// Whether a camera of the model overlaps: `others` see enough of the surface that the camera sees.
 fn overlaps(renderer: &mut Renderer, camera: &Camera, others: &mut Watchers) -> Result<bool, DeviceError> {
     let camera = camera.resized(camera.fitted_size(SIZE_PX));
     let depth = renderer.try_render(&camera)?.depth;
@@ -107,7 +107,7 @@ fn overlaps(renderer: &mut Renderer, camera: &Camera, others: &mut Watchers) -> 
     Ok(shown > 0 && seen as f64 >= SHARE_MIN * shown as f64)
 }
 
-/// Whether `other` sees a point, and does so from a similar direction and distance as `camera`.
+/// Whether `other` sees a point, from a similar direction and distance as `camera`.
 pub fn sees_alike(camera: &Camera, other: &Camera, point: DVec3) -> bool {
     other.sees(point) && is_alike(camera, other, point)
 }
@@ -134,7 +134,7 @@ fn owned_by_others(splats: &Splats, models: &ModelCameras) -> Vec<u32> {
     (0..splats.len() as u32).into_par_iter().filter(is_owned_by_other).collect()
 }
 
-/// The `count` least important of `candidates`, ascending; of equals the later.
+/// The `count` least important of `candidates`, ascending; of equally important splats, the last.
 fn lowest(importance: &[f32], candidates: &[u32], count: usize) -> Vec<u32> {
     let mut order = candidates.to_vec();
     let key = |i: u32| importance[i as usize];

@@ -92,7 +92,7 @@ pub enum Device {
 }
 
 impl Device {
-    /// Whether it is a graphics card.
+    /// Whether the device is a graphics card.
     pub fn is_gpu(&self) -> bool {
         !matches!(self, Self::Cpu)
     }

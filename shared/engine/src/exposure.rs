@@ -32,7 +32,7 @@ struct View {
     first: [f32; 2],
     second: [f32; 2],
     steps: f32,
-    /// At the view's last step.
+    /// SSIM at the view's last step.
     ssim: f32,
 }
 
@@ -48,7 +48,7 @@ impl Exposures {
         if ssim > SSIM_MIN { Exposure { gain: log_gain.exp(), offset } } else { Exposure::default() }
     }
 
-    /// Updates a view from the losses of a step; only its SSIM where `adapt` is false.
+    /// Updates a view from the losses of a step; if `adapt` is false, only its SSIM.
     pub(crate) fn update(&mut self, view: usize, loss: &PhotometricLoss, adapt: bool) {
         let gain = f64::from(self.of(view).gain);
         let view = &mut self.views[view];

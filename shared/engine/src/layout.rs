@@ -1,6 +1,6 @@
-//! What both backends agree on: camera parameters, the layout of tiles and planes, the order of a splat's numbers, the
-//! pixels that are sampled, and the constants of the method. Nothing here belongs to a device, so `cpu` and `gpu` can
-//! both depend on it and never on each other.
+//! Code that both backends share: camera parameters, the layout of tiles and planes, the order of a splat's
+//! numbers, the choice of sampled pixels, and the constants of the method. Nothing here belongs to a device,
+//! so `cpu` and `gpu` both depend on this module, and never on each other.
 
 pub(crate) mod constants;
 pub(crate) mod harmonics;

@@ -1,10 +1,10 @@
 //! The Gaussian-surface engine: rasterises, compares with photographs, optimises. Two backends, CPU and GPU, compute
 //! the same results within a tolerance that tests state.
 //!
-//! What it refuses to know: bytes on a wire, clocks, files, command lines.
+//! It does not deal with wire formats, clocks, files or command lines.
 //!
 //! Where to start reading: [`backend`] for the passes, then [`train`], where a step reads as a list of passes; `layout`
-//! for what both backends agree on, [`cpu`] for SIMD and threads, `gpu` for graphics cards.
+//! for code that both backends share, [`cpu`] for SIMD and threads, `gpu` for graphics cards.
 
 mod any;
 pub mod backend;

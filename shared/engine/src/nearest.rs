@@ -14,7 +14,7 @@ const GRAIN: usize = 1 << 14;
 pub trait Coordinate:
     Copy + PartialOrd + Send + Sync + Sub<Output = Self> + Mul<Output = Self> + Add<Output = Self>
 {
-    /// Beyond every distance.
+    /// Larger than every distance.
     const INFINITY: Self;
     /// 0.
     const ZERO: Self;
@@ -154,7 +154,7 @@ fn is_any_within<S: Coordinate>(
         || (beyond * beyond < reach_squared && is_any_within(far, leaf, query, next, reach_squared))
 }
 
-/// Puts a point in its place among the nearest; of equals the one found first stays first.
+/// Inserts a point among the nearest; of points at equal distances, the first found stays first.
 #[inline]
 fn insert<S: Coordinate, const K: usize>(
     best: &mut [Near<S>; K],

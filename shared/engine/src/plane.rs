@@ -19,7 +19,7 @@ pub(crate) fn normal_of(points: &[DVec3]) -> Option<DVec3> {
     let rows = [without.x_axis, without.y_axis, without.z_axis];
     let normals = [rows[0].cross(rows[1]), rows[1].cross(rows[2]), rows[2].cross(rows[0])];
     let longest = normals.into_iter().max_by(|a, b| a.length_squared().total_cmp(&b.length_squared()))?;
-    // Phrased so that NaN has no plane.
+    // A comparison with NaN is false, so points with NaN have no plane.
     (longest.length() > LINE_MAX).then(|| longest.normalize())
 }
 

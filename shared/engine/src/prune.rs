@@ -17,9 +17,9 @@ const SIZE_QUANTILE: f64 = 0.9;
 /// The formula for the importance of a splat.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum PruneScore {
-    /// `Σ (α T)² γ` over all pixels of all views, with γ from the splat's area: hidden splats count little, flat splats
-    /// are not small, and a splat that fills few pixels alone counts more than one that adds a little to many (table
-    /// "Pruning scores").
+    /// `Σ (α T)² γ` over all pixels of all views, with γ from the splat's area. Hidden splats count little,
+    /// flat splats do not count as small, and a splat that fills few pixels alone counts more than a splat
+    /// that adds a little to many pixels (table "Pruning scores").
     #[default]
     Corrected,
     /// `hits o γ` with γ from the splat's volume, as in the paper.
@@ -91,12 +91,12 @@ fn quantile(values: &[f32], share: f64) -> f32 {
     sorted.get(place).copied().unwrap_or(0.0)
 }
 
-/// Indices, ascending, of the least important `ratio` (0..1) of all splats; of equals the later.
+/// Indices, ascending, of the least important share `ratio` (0..1) of all splats; on a tie, the later splats.
 pub(crate) fn lowest(importance: &[f32], ratio: f64) -> Vec<u32> {
     least(importance, (ratio.clamp(0.0, 1.0) * importance.len() as f64) as usize)
 }
 
-/// Indices, ascending, of the `count` least important splats; of equals the later.
+/// Indices, ascending, of the `count` least important splats; on a tie, the later splats.
 pub(crate) fn least(importance: &[f32], count: usize) -> Vec<u32> {
     let mut order: Vec<u32> = (0..importance.len() as u32).collect();
     let key = |i: u32| importance[i as usize];

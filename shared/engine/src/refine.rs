@@ -71,7 +71,7 @@ pub(crate) fn refine(shapes: &Shapes, limits: &RefineLimits) -> Edit {
     edit
 }
 
-/// The splats with the largest demand of at least 1, at most `room` (each adds one splat), in order of index.
+/// At most `room` splats with the largest demands of at least 1, in order of index; each adds one splat.
 fn choose_parents(demands: &[f32], room: usize) -> Vec<usize> {
     let mut parents: Vec<usize> = (0..demands.len()).filter(|&i| demands[i] >= 1.0).collect();
     // Largest first, ties by index: the choice is deterministic.

@@ -31,8 +31,8 @@ const REFERENCE_STEPS: f64 = 30_000.0;
 
 /// Share of the steps before the surface losses begin (CoSurfGS: 7,000 of 30,000).
 const SURFACE_FROM: f64 = 7000.0 / 30_000.0;
-/// Share of the steps after which they end. From then on splats keep their shapes, and colours adapt to the final
-/// surface (table "End of the surface losses").
+/// Share of the steps after which the surface losses end. From then on splats keep their shapes, and colours
+/// adapt to the final surface (table "End of the surface losses").
 const SURFACE_UNTIL: f64 = 0.85;
 
 /// Share of the steps before exposures are trained (PGSR: 1,000 of 30,000).
@@ -74,7 +74,7 @@ impl Schedule {
             refine_from: (steps / 12).clamp(refine_every, 500),
             refine_until: if steps >= REFERENCE_STEPS as u32 { steps / 2 } else { steps / 10 * 6 },
             refine_every,
-            // Recovery from a reset takes some thousand steps, too many for shorter runs.
+            // Recovery from a reset takes a few thousand steps, too many for shorter runs.
             reset_every: if steps >= 10_000 { 3000 } else { 0 },
             surface_from: (f64::from(steps) * SURFACE_FROM) as u32,
             surface_until: (f64::from(steps) * SURFACE_UNTIL) as u32,
@@ -137,7 +137,7 @@ impl Schedule {
         self.shortness().powf(EXPOSURE_HASTE)
     }
 
-    /// How many times shorter than that of 3DGS this run is, at least 1.
+    /// How many times fewer steps this run has than 3DGS, at least 1.
     fn shortness(&self) -> f64 {
         (REFERENCE_STEPS / f64::from(self.steps.max(1))).max(1.0)
     }

@@ -32,7 +32,7 @@ pub struct SurfaceSettings {
     /// Weight of `1 - NCC²`. The paper has 0.2; a higher weight improves the surface and lowers PSNR (table "Weights of
     /// the surface losses").
     pub ncc: f32,
-    /// Whether the weights grow from 0 (the paper's smooth weight) or are constant.
+    /// True if the weights grow from 0 (the paper's smooth weight), false if they are constant.
     pub smooth: bool,
     /// Side of the square cells in each of which one pixel is compared with the neighbour: 1, 2, 4, 8 or 16 px. Larger
     /// cells save time and give slightly worse normals (table "Patch size").
@@ -50,7 +50,7 @@ impl Default for SurfaceSettings {
 pub struct PruneSettings {
     /// φ: share of the splats that is removed, 0..1.
     pub ratio: f64,
-    /// Share of the steps after which they are removed, 0..=1.
+    /// Share of the steps after which the splats are removed, 0..=1.
     pub at: f64,
     /// Formula for the importance.
     pub score: PruneScore,
@@ -68,7 +68,7 @@ impl Default for PruneSettings {
 pub struct TrainingViews {
     /// Cameras of the photographs.
     pub cameras: Vec<Camera>,
-    /// Which of them may be compared with each other.
+    /// For each view, the views that it may be compared with.
     pub neighbours: Neighbours,
 }
 
@@ -345,7 +345,7 @@ impl<B: Backend> Trainer<B> {
     fn refine(&mut self) {
         let _span = debug_span!("refine", splats = self.backend.len()).entered();
         let TrainSettings { schedule, extent, splats_max, seed, .. } = self.settings;
-        // Growth is spread over all refinements, so that early splats are trained before they divide.
+        // Growth is spread over all refinements, so that early splats are trained before they split.
         let end = splats_max.min(self.backend.capacity());
         let room = end.saturating_sub(self.splats_at_start) as f64 * schedule.growth(self.steps_done);
         let limits = RefineLimits {

@@ -26,7 +26,7 @@ struct Counting;
 #[global_allocator]
 static COUNTING: Counting = Counting;
 
-// SAFETY: every call is handed to the system's allocator unchanged; beside it, a number is counted up.
+// SAFETY: every call goes to the system's allocator unchanged, and only increments a counter besides.
 #[allow(unsafe_code)]
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
@@ -63,8 +63,8 @@ const SIZE_PX: [u32; 2] = [150, 110];
 const STEPS: usize = 30;
 /// Passes of the longest step: those of a neighbour, then those of the step itself.
 const PASSES: usize = 4 + 7;
-/// Allocations of so many steps that are not ours: rayon takes a block for its queue at every 63rd job that comes from
-/// outside of its pool, and each pass is one.
+/// Most allocations of [`STEPS`] steps that rayon makes: a block for its queue at every 63rd job that comes
+/// from outside its pool. Each pass is such a job.
 const QUEUE_BLOCKS_MAX: usize = STEPS * PASSES / 63 + 2;
 
 fn camera(x: f64, size_px: [u32; 2]) -> Camera {
@@ -137,7 +137,7 @@ fn step(backend: &mut CpuBackend, views: &[(Camera, Rendering); 2], channels: Ch
     backend.adam(rates);
 }
 
-/// All counts are in one test: tests of one program run at the same time.
+/// One test makes all counts: tests of one program run at the same time and would count each other.
 #[test]
 fn a_step_allocates_nothing() {
     let splats = ground();
@@ -151,7 +151,7 @@ fn a_step_allocates_nothing() {
         assert!(count <= QUEUE_BLOCKS_MAX, "{channels:?}: {count} allocations in {STEPS} steps");
     }
     trainings_step_allocates_nothing(&splats, &full);
-    // The count sees one allocation for each step.
+    // The counter detects one allocation for each step.
     let mut backend = backend(&splats, Channels::Color);
     let count = allocations_of(|| (0..STEPS).for_each(|_| drop(backend.take_shapes())));
     assert!(count > QUEUE_BLOCKS_MAX, "{count} allocations went unnoticed");

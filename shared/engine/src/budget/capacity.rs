@@ -5,10 +5,10 @@ use cosurf_scene::{Camera, Splats};
 use crate::backend::Channels;
 
 /// Capacity for splat–tile pairs, per splat of the whole model. Aerial scenes need 2 to 4. A view that needs more loses
-/// its farthest splats, and the report says so; a renderer grows instead.
+/// its farthest splats, and the report says so; a renderer grows its buffers instead.
 pub const PAIRS_PER_SPLAT: usize = 4;
 
-/// The same where each camera sees most of the model, as in distillation and scoring.
+/// [`PAIRS_PER_SPLAT`] where each camera sees most of the model, as in distillation and scoring.
 pub const PAIRS_PER_SEEN_SPLAT: usize = PAIRS_PER_SPLAT + 1;
 
 /// Sizes of a backend's buffers, decided before anything is allocated.
@@ -41,7 +41,7 @@ impl Capacity {
         }
     }
 
-    /// Capacity to render models of an SH degree; splats and pairs are 0, and pictures grow.
+    /// Capacity to render models of an SH degree; splats and pairs are 0; the buffers of pictures grow.
     pub fn to_render(sh_degree: u32) -> Self {
         Self {
             splats: 0,

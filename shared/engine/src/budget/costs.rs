@@ -16,13 +16,13 @@ const RECORD_BYTES: usize = 4 * RECORD_LEN;
 /// Bytes of a projected splat, which both backends keep as 16 numbers.
 pub(crate) const PROJECTED_BYTES: usize = 64;
 
-/// Planes that the losses of the surface keep on the CPU: depth and luma, here and of the neighbour.
+/// Planes that the losses of the surface keep on the CPU: depth and luma, of the view and of its neighbour.
 const SURFACE_PLANES: usize = 4;
 
 /// Numbers for each pixel on a graphics card: the partial derivatives of SSIM, three for each channel.
 pub(crate) const PARTIALS: usize = 9;
 
-/// Numbers for each pixel on a graphics card: what a teacher shows, as depth, trust and normal.
+/// Numbers for each pixel on a graphics card: the teacher's depth, trust and normal.
 pub(crate) const TAUGHT_NUMBERS: usize = 5;
 
 /// Memory of a backend, bytes.
@@ -52,8 +52,8 @@ struct Binding {
 }
 
 impl Costs {
-    /// Costs of a backend with the pictures, SH degree and channels of `capacity`: of the CPU, or with
-    /// `binding_bytes_max` of a graphics card that can bind buffers of so many bytes.
+    /// Costs of a backend with the pictures, SH degree and channels of `capacity`: of the CPU, or of a
+    /// graphics card that can bind buffers of up to `binding_bytes_max`.
     pub fn of(capacity: &Capacity, binding_bytes_max: Option<u64>) -> Self {
         match binding_bytes_max {
             Some(most) => Self::on_gpu(capacity, most),
@@ -112,14 +112,14 @@ impl Costs {
         }
     }
 
-    /// Largest number of splats, with so many pairs each, whose buffers the graphics card can bind.
+    /// Largest number of splats, with `pairs_per_splat` pairs each, whose buffers the graphics card can bind.
     pub fn splats_max(&self, pairs_per_splat: usize) -> usize {
         let Some(Binding { splat, pair, most, .. }) = self.binding else { return usize::MAX };
         (most / splat.max(pairs_per_splat * pair) as u64) as usize
     }
 
-    /// Bytes of the largest buffer of pictures, and of the largest buffer that the graphics card can bind, if that is
-    /// smaller.
+    /// Bytes of the largest buffer of pictures, and the most bytes that the graphics card can bind; `None` if
+    /// the latter suffices.
     pub(super) fn unbindable_picture(&self) -> Option<(u64, u64)> {
         let Binding { pictures, most, .. } = self.binding?;
         (pictures as u64 > most).then_some((pictures as u64, most))

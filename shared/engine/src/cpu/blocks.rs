@@ -71,7 +71,7 @@ impl Blocks {
         }
     }
 
-    /// All numbers of one splat set to zero.
+    /// Sets all numbers of one splat to zero.
     pub(crate) fn zero(&mut self, i: usize) {
         for row in 0..self.stride {
             self.set_value(i, row, 0.0);

@@ -103,7 +103,7 @@ pub(crate) struct Plane<L: Lanes> {
     pub(crate) sign: L,
 }
 
-/// The shortest axis, as masks of which exactly one is true; of equals the later axis.
+/// The shortest axis, as masks of which exactly one is true; of equally short axes, the last.
 #[inline(always)]
 pub(crate) fn shortest_axis<L: Lanes>(log_scale: [L; 3]) -> [L::Mask; 3] {
     let [s0, s1, s2] = log_scale;

@@ -372,7 +372,7 @@ fn sign<L: Lanes>(value: L) -> L {
     L::select(L::zero().lt(value), L::splat(1.0), negative)
 }
 
-/// Sums of a line without SSIM; margins and padding are equal and add nothing.
+/// All sums of a line except SSIM; margins and padding are equal in both pictures and add nothing.
 #[inline(always)]
 fn differences<L: Lanes>(x: &[f32], exposed: &[f32], y: &[f32]) -> Sums {
     let (mut l1, mut squares) = (L::zero(), L::zero());

@@ -134,7 +134,7 @@ impl Drawing {
         })
     }
 
-    /// Grows the buffers for a view with so many pairs.
+    /// Grows the buffers for a view with `pairs` splat–tile pairs.
     pub(super) fn grow_pairs(&mut self, gpu: &Gpu, pairs: usize) -> Result<(), GpuError> {
         self.sorter.grow(gpu, pairs.max(self.seen.slots.len()))?;
         self.pairs = Pairs::new(gpu, pairs)?;
@@ -154,7 +154,7 @@ impl Drawing {
         self.seen_view().tiles().iter().product()
     }
 
-    /// Number of pixels of those tiles.
+    /// Number of pixels of the tiles, including those outside the picture.
     pub(super) fn pixels(&self) -> usize {
         padded_pixels(self.seen_view().size_px)
     }
@@ -202,7 +202,7 @@ impl Drawing {
 
     pub(super) fn bin(&mut self, gpu: &Gpu, model: &Model) -> BinCounts {
         let tiles = self.tiles();
-        // The number of tiles itself marks pairs without a tile.
+        // Pairs without a tile have the number of tiles as their key.
         self.pairs.by_tile.set_largest(tiles as u32);
         let mut r = Recorder::new(gpu);
         self.sort_by_depth(&mut r, model.len);

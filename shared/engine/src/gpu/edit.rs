@@ -59,7 +59,7 @@ pub(super) fn apply(gpu: &Gpu, model: &mut Model, training: &Training, edit: &Ed
     training.stats.clear(gpu);
 }
 
-/// Rewrites each row of a buffer: new splats get the number of the splat that `parent` names, or else that of `own`.
+/// Rewrites each row of a buffer. A new splat gets the number of the splat that `parent` returns, else `own`.
 fn move_rows(
     gpu: &Gpu,
     model: &Model,

@@ -80,14 +80,14 @@ pub(super) struct Sorter {
     scatter: Pass,
     counts: Buffer<u32>,
     block_sums: Buffer<u32>,
-    /// This and the next two for [`Counted::Visible`] and [`Counted::Pairs`].
+    /// Here and in the next two fields: for [`Counted::Visible`], then for [`Counted::Pairs`].
     scans: [Buffer<ScanStep>; 2],
     scan_digits: [Buffer<ScanStep>; 2],
     sort_steps: [Vec<Buffer<SortStep>>; 2],
 }
 
 impl Sorter {
-    /// For sorts of up to `len` keys, and scans of up to `len` numbers.
+    /// Room for sorts of up to `len` keys, and for scans of up to `len` numbers.
     pub(super) fn new(gpu: &Gpu, len: usize) -> Result<Self, GpuError> {
         let scan = |counter: usize, digits: u32, total: usize| {
             let step = ScanStep { counter: counter as u32, digits, total: total as u32, unused: 0 };

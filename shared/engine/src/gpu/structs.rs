@@ -166,7 +166,7 @@ impl Pair {
     }
 }
 
-/// Places in the buffer of counters, as in the shaders; totals without a reader go to `UNUSED`.
+/// Places in the buffer of counters, as in the shaders; totals that nothing reads go to `UNUSED`.
 pub(super) const SPLATS: usize = 0;
 pub(super) const VISIBLE: usize = 1;
 pub(super) const PAIRS_WANTED: usize = 2;

@@ -1,4 +1,4 @@
-//! The surface losses on the GPU, with the same passes as on the CPU and the buffers that they keep from view to view.
+//! The surface losses on the GPU, with the same passes as on the CPU, and the buffers kept from view to view.
 
 use super::buffer::Buffer;
 use super::context::{Gpu, GpuError};
@@ -106,8 +106,8 @@ impl Surface {
         r.run(&self.passes.unbiased_depth, &buffers, drawing.tiles());
     }
 
-    /// Returns the losses and adds their weighted gradients to the geometry planes of the gradient in `training`. Must
-    /// follow the colour loss, whose photograph it uses.
+    /// Returns the losses and writes their weighted gradients to the geometry planes of the gradient in
+    /// `training`. Must follow the colour loss, whose photograph it uses.
     pub(super) fn losses(
         &self,
         gpu: &Gpu,

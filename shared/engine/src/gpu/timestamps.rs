@@ -40,7 +40,7 @@ pub(super) struct Timed<'a> {
 }
 
 impl Timed<'_> {
-    /// What the pass writes.
+    /// The timestamps that the pass writes.
     pub(super) fn writes(&self) -> wgpu::ComputePassTimestampWrites<'_> {
         let first = 2 * self.place as u32;
         wgpu::ComputePassTimestampWrites {
@@ -76,7 +76,7 @@ impl Timestamps {
         }
     }
 
-    /// Notes that a pass is recorded; `None` once the set is full.
+    /// Reserves the two queries of a pass; `None` once the set is full.
     pub(super) fn start(&self, name: &'static str) -> Option<Timed<'_>> {
         let mut names = self.names.lock().unwrap_or_else(PoisonError::into_inner);
         let place = names.len();

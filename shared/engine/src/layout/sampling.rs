@@ -1,5 +1,5 @@
-//! Which pixels a step compares with the neighbour: one in each square cell, drawn from the step's number, so that
-//! every backend compares the same ones.
+//! Which pixels a step compares with the neighbour: one in each square cell, drawn from a seed of the step,
+//! so that every backend compares the same pixels.
 
 #[cfg(feature = "gpu")]
 use super::tiles::TILE;

@@ -1,5 +1,5 @@
-//! Pictures in tiles: the 16 × 16 pixels of a plane are contiguous, then come the next plane of the same tile and the
-//! next tile. The blend of a tile uses one stretch of memory; a row of a tile is one [`Row`].
+//! Pictures in tiles: the 16 × 16 pixels of a plane are contiguous; the planes of a tile follow one another,
+//! then the next tile. The blend of a tile thus uses one stretch of memory; a row of a tile is one [`Row`].
 
 use crate::simd::{Lanes, Row};
 

@@ -90,7 +90,7 @@ pub(super) struct Sample {
     pub(super) value: f32,
     /// ∂value/∂x and ∂value/∂y, per px.
     pub(super) slope: [f32; 2],
-    /// The smallest of the four corners.
+    /// The smallest of the values at the four corners.
     pub(super) least: f32,
 }
 

@@ -23,7 +23,7 @@ impl Shown<'_> {
     }
 }
 
-/// Index, within a band of gradient rows, of pixel row `y` of a plane of tile `tile_x`.
+/// Index, within the gradient rows of a band, of row `y` of the picture in `plane` of tile `tile_x`.
 pub(super) fn band_row(image: &TileImage, plane: usize, y: usize, tile_x: usize) -> usize {
     tile_x * image.rows_per_tile() + plane * TILE + y % TILE
 }

@@ -2,7 +2,7 @@
 //! Scheme", `L_d` and `L_n`).
 //!
 //! Means over all pixels of `t |z - z'|` and `t |N - N'|₁`, with `t` the trust in the teacher's pixel; the depth loss
-//! counts where both have a depth. The gradients are those of `N`, and through `z` those of `D` and `N`.
+//! counts where both pixels have one. The gradients are those of `N`, and through `z` those of `D` and `N`.
 
 use rayon::prelude::*;
 

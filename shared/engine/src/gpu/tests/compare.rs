@@ -13,7 +13,7 @@ const TOLERANCE: f32 = 1e-3;
 /// Share of the numbers that may differ more: rounding may decide whether a splat reaches a threshold.
 pub(super) const TIES_MAX: f64 = 5e-3;
 
-/// Capacity for some more splats than there are.
+/// Capacity for somewhat more splats than `splats` has.
 pub(super) fn capacity(splats: &Splats, size_px: [u32; 2]) -> Capacity {
     Capacity {
         splats: splats.len() + 100,

@@ -100,7 +100,7 @@ fn gradients_agree_with_the_cpu() {
             if splats.is_empty() {
                 continue;
             }
-            // The comparison detects gradients of which one in ten (visible or not) is wrong by a percent.
+            // The comparison detects gradients of which one in ten (visible or not) is wrong by 1 %.
             let mut bent = got.clone();
             bent.means.iter_mut().chain(&mut bent.log_scales).flatten().step_by(10).for_each(|v| *v *= 1.01);
             bent.quats.iter_mut().flatten().chain(&mut bent.sh).step_by(10).for_each(|v| *v *= 1.01);

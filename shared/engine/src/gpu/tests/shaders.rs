@@ -53,7 +53,7 @@ fn layout_in(module: &Module, structure: &str) -> (Vec<(String, u32)>, u32) {
     (fields, *span)
 }
 
-/// The same of a structure of Rust.
+/// Offsets of the named fields and the size of a structure of Rust.
 macro_rules! layout_of {
     ($structure:ident: $($field:ident)*) => {
         (
@@ -63,7 +63,7 @@ macro_rules! layout_of {
     };
 }
 
-/// Every structure named has these fields, in the same places, in Rust and in the shaders.
+/// Asserts that each structure has the listed fields at the same offsets in Rust and in the shaders.
 macro_rules! laid_out_alike {
     ($module:expr, $($structure:ident: $($field:ident)*;)*) => {
         $(assert_eq!(
