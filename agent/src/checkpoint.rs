@@ -20,7 +20,7 @@ const ZSTD_LEVEL: i32 = 1;
 /// Limit on the first line; a file with a longer one is not a checkpoint.
 const HEAD_BYTES_MAX: u64 = 4096;
 
-/// Identifies a training: a checkpoint is only restored into the training that it was written by.
+/// Identifies a training: a checkpoint is only restored into the training that wrote it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Fingerprint(String);
 
@@ -77,7 +77,7 @@ pub fn path(out: &Path) -> PathBuf {
 }
 
 impl Checkpoint {
-    /// Opens the checkpoint in `out`; `None` if there is none. Fails if the file cannot be read or its head is not one.
+    /// Opens the checkpoint in `out`; `None` if there is none. Fails if the file or its head cannot be read.
     pub fn find(out: &Path) -> Result<Option<Self>> {
         let path = path(out);
         let file = match File::open(&path) {

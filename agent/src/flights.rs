@@ -2,8 +2,8 @@
 //! Compression", on the device).
 //!
 //! Every device announces its cameras, its *flight*, before it trains, and the broker retains the announcement; so a
-//! device that has trained receives the flights of all others. Ground of a device whose flight has not arrived is kept:
-//! it may be sent twice, but never by nobody, as long as every device that announced a flight sends a model in the end.
+//! device that has trained receives the flights of all others. If a device's flight has not arrived, its
+//! ground is kept and may be sent twice. No ground is lost if every device with a known flight sends a model.
 
 use std::collections::BTreeMap;
 

@@ -256,7 +256,7 @@ impl<'a> FlightCollector<'a> {
     }
 }
 
-/// `broker 10.0.0.2:1883` of `broker 10.0.0.2:1883: connection refused`.
+/// The peer in an error: `broker 10.0.0.2:1883` in `broker 10.0.0.2:1883: connection refused`.
 fn unreachable_peer(reason: &str) -> &str {
     reason.rsplit_once(": ").map_or(reason, |(peer, _)| peer)
 }

@@ -342,7 +342,7 @@ fn plan_sizes(plan: &TrainPlan, memory_bytes: u64, device: &Device, data: &Datas
     }
 }
 
-/// What the training would like to allocate, and what it must.
+/// What the training allocates if memory suffices, and the least that it needs.
 fn wish(plan: &TrainPlan, device: &Device, data: &Dataset, sources: &[Source]) -> Result<Wish> {
     let pixels: u64 =
         sources.iter().map(|source| u64::from(source.size_px[0]) * u64::from(source.size_px[1])).sum();

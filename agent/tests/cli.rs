@@ -238,10 +238,10 @@ fn squared_error(values: &[f64]) -> f64 {
 
 /// `DATA=FOLDER cargo test --release -p cosurf-agent -- --ignored five_hundred --nocapture`, with real pictures.
 ///
-/// Once rounding makes only one device split a splat, later random draws differ and the runs diverge like two seeds. So
-/// the devices' mean quality is compared with the spread of seeds in the same run: by chance alone the means of four
-/// seeds differ by more than three standard errors about once in 40 runs. The quality is that of the training views: held-out views show
-/// ground that no other view does, and what a training puts there is chance.
+/// Once rounding makes only one device split a splat, the runs diverge like two seeds. So the devices'
+/// mean quality is compared with the spread of seeds in the same run: by chance, the means of four seeds
+/// differ by more than three standard errors about once in 40 runs. Training views are scored, because
+/// held-out views show ground that no other view does, where the trained splats are chance.
 #[test]
 #[ignore = "takes minutes on a software driver, and needs pictures"]
 fn five_hundred_steps_reach_the_same_quality() {

@@ -2,9 +2,9 @@
 //! it contradicts no other model.
 //!
 //! The gate renders some views of each model. Every other model whose cameras see the same ground must show the same
-//! there ([`glimpse`]); a model that was forged, or lies in another frame or scale, does not. Also kept out is a model
-//! with most of its splats where none of its own cameras looks, and a model so far from all others that its origin must
-//! be wrong. A model that shares no ground with others is accepted.
+//! there ([`glimpse`]); a model that was forged, or lies in another frame or scale, does not. The gate also
+//! keeps out a model with most of its splats where none of its own cameras looks, and a model so far from all
+//! others that its origin must be wrong. A model that shares no ground with others is accepted.
 //!
 //! Of two conflicting models, the gate drops the one with more conflicts net of confirmations; on a tie the one with
 //! fewer cameras, then the one with the higher index. So the verdict does not depend on the order of arrival.
@@ -77,7 +77,7 @@ impl Doubt {
 pub struct Admitted<'a> {
     locals: &'a dyn Locals,
     doubts: Vec<Option<Doubt>>,
-    /// One per model that takes part.
+    /// One place per model that takes part.
     places: Vec<Place>,
 }
 
@@ -86,7 +86,7 @@ pub struct Admitted<'a> {
 pub struct Place {
     /// Index among all models.
     pub local: usize,
-    /// Moves the model to where it fits; `None` if it lies right.
+    /// Moves the model to where it fits; `None` if its position is right.
     pub by: Option<Similarity>,
     /// Matches its colours to the others'; `None` if they match already.
     pub tone: Option<Tone>,
@@ -280,7 +280,7 @@ impl Relations {
         Ok(())
     }
 
-    /// Among the models without doubt: those that contradict a model, and the number that confirm it.
+    /// Indices of the models that contradict `one`, and the number that confirm it; skips doubted models.
     fn of(&self, one: usize, doubts: &[Option<Doubt>]) -> (Vec<usize>, usize) {
         let (mut foes, mut friends) = (Vec::new(), 0);
         for (pair, [confirmed, contradicted]) in &self.views {

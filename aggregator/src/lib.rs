@@ -1,25 +1,25 @@
 //! The ground side of cosurf: takes in what the drones send, joins it, sends it back.
 //!
-//! What it refuses to know: how agents train. It meets them by what arrives over the link, and in a
-//! [`mission`], where it starts them as processes, by the configuration it writes and the events they print.
+//! What it refuses to know: how agents train. It knows them by their messages over the link. A [`mission`]
+//! also starts them as processes: it writes their configuration and reads the events that they print.
 //!
 //! Where to start reading: [`service`], what runs in the field; then [`mission`], which runs service and
 //! agents on one machine and leaves a report.
 //!
-//! The rooms, each below those that use it:
+//! The modules, each below those that use it:
 //!
 //! ```text
 //! mission                     pictures to report on one machine
 //!  ├─ report                  figures, table and page of a mission
 //!  ├─ service                 models in, global model out
-//!  │   ├─ gate ─► merge       who takes part; many models to one
+//!  │   ├─ gate ─► merge       which models take part; many models to one
 //!  │   └─ broker, gateway     MQTT without another program; devices on serial lines
 //!  ├─ evaluate                how good a model or a mesh is
 //!  ├─ partition               which agent gets which ground
 //!  └─ terminal ─► mesh        progress for people; depth to triangles
 //! ```
 //!
-//! No module uses one above it, in a room or between rooms: where two need the same type, it lies in a file below both.
+//! No module or file uses one above it: a type that two of them need lies in a file below both.
 
 pub mod broker;
 pub mod evaluate;

@@ -4,7 +4,7 @@
 //! one channel, which one loop ([`watch`]) reads. If the mission ends early, the agents end too and all files stay: the
 //! same command resumes from them.
 //!
-//! It refuses to know how agents train and how models are merged: it starts those who do, and reads what they print.
+//! It refuses to know how agents train and how models are merged: it starts agents and service.
 //!
 //! Where to start reading: [`fly`], which reads as the list of steps; [`plan`], what is decided before anything runs.
 

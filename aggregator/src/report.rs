@@ -1,8 +1,8 @@
-//! What a mission leaves to be read: its figures (`report.json`), the same as a table, and a page (`report.html`).
+//! The results of a mission for a reader: figures (`report.json`), a table, and a page (`report.html`).
 //!
 //! It refuses to know how a mission runs: it gets figures, cells and views, and returns text.
 //!
-//! Where to start reading: [`MissionReport`], the figures; [`texts`], what is said of them; [`page()`].
+//! Where to start reading: [`MissionReport`], the figures; [`texts`], the figures as text; [`page()`].
 
 mod chart;
 mod embed;

@@ -1,4 +1,4 @@
-//! What the tests of several rooms share: the weather of a simulated network, limits, and small models.
+//! What the tests of several modules share: the faults of a simulated network, limits, and small models.
 #![allow(clippy::unwrap_used)]
 
 mod models;
@@ -21,7 +21,7 @@ pub(crate) const BAD_WEATHER: Faults = Faults {
 };
 pub(crate) const LIMITS: InboxLimits =
     InboxLimits { body_bytes_max: 1 << 24, total_bytes_max: 1 << 25, models_max: 8, stored_max: 8 };
-/// A merge that takes no longer than it must.
+/// Settings of a short merge.
 pub(crate) const QUICK: MergeSettings = MergeSettings {
     epochs: 1,
     compress: true,

@@ -23,7 +23,7 @@ use super::train;
 use comparison::Comparison;
 use route::{Connection, Route};
 
-/// How long the agent tries to announce its flight before it trains without having done so.
+/// How long the agent tries to announce its flight; after that it trains unannounced.
 const ANNOUNCE_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// Train with the settings in a configuration file, publish the model to the aggregator, and receive the global
@@ -121,8 +121,8 @@ impl Job {
         Ok(Some(flight))
     }
 
-    /// Trains the base, then sends the model and waits for what the configuration asks for. The connection is closed
-    /// on return.
+    /// Trains the base, sends the model and, if the configuration asks for it, waits for the global model.
+    /// The connection is closed on return.
     fn publish(&self, model: &LocalModel, flight: Option<&[Camera]>, progress: &mut Progress) -> Result<()> {
         let LocalModel { splats, cameras } = model;
         let (threads, cache_bytes) = (self.plan.threads, (self.plan.memory_bytes / 4) as usize);

@@ -1,4 +1,4 @@
-//! The model as it is offered to the aggregator, under a number that stays the same as long as its bytes do.
+//! Packs the model for the aggregator, under a number that changes only if the model's bytes change.
 
 use std::fs;
 

@@ -124,7 +124,7 @@ impl Relay {
         }
     }
 
-    /// Notes the chunks that the device lacks. If it is idle, the chunks passed before are lost and may pass again.
+    /// Notes the chunks that the device lacks. If the device is idle, lost chunks may pass again.
     fn note(&mut self, want: Want) {
         let is_other = self.want.as_ref().is_none_or(|before| before.model != want.model);
         if is_other {

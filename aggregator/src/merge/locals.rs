@@ -27,7 +27,7 @@ pub(super) struct Surveyed<'a> {
     pub(super) cameras: Vec<Vec<Camera>>,
     /// Number of splats of each model.
     pub(super) sizes: Vec<usize>,
-    /// The highest of all models.
+    /// The highest degree of spherical harmonics of all models.
     pub(super) sh_degree: u32,
 }
 

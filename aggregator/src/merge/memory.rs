@@ -1,4 +1,4 @@
-//! What a merge may take of its memory: so much for the model that learns, the rest for the teachers.
+//! Divides the memory limit of a merge between the model that learns and its teachers.
 
 use cosurf_engine::backend::Channels;
 use cosurf_engine::budget::{Costs, DRIVER_BYTES, PAIRS_PER_SEEN_SPLAT, PAIRS_PER_SPLAT};
@@ -10,7 +10,7 @@ use super::settings::MergeSettings;
 /// Share of the memory for the model that learns, the student; the teachers get the rest.
 const STUDENT_SHARE: f64 = 0.6;
 
-/// Bytes of the memory that the driver leaves for buffers.
+/// Bytes of the memory limit without those that a graphics driver takes.
 fn bytes_beside_driver(device: &Device, settings: &MergeSettings) -> f64 {
     let driver = if device.is_gpu() { DRIVER_BYTES } else { 0 };
     settings.memory_bytes.saturating_sub(driver) as f64
@@ -36,7 +36,7 @@ pub(super) fn teachers_bytes(device: &Device, settings: &MergeSettings) -> u64 {
     ((1.0 - STUDENT_SHARE) * bytes_beside_driver(device, settings)) as u64
 }
 
-/// Bytes of a teacher of so many splats.
+/// Bytes of a teacher with `splats` splats.
 pub(super) fn renderer_bytes(device: &Device, splats: usize, sh_degree: u32, cameras: &[Vec<Camera>]) -> u64 {
     let pixels = cameras.iter().flatten().map(|c| c.size_px[0] as usize * c.size_px[1] as usize).max();
     let costs = Costs::of(&Capacity::to_render(sh_degree), device.binding_bytes_max());

@@ -1,6 +1,6 @@
-//! Frozen local models as teachers: what each shows its own cameras, and how far that is to be believed. Only as
-//! many as fit are held at once; the others wait on the disk. Memory that is left keeps what was shown, for neighbours
-//! and for the next epochs.
+//! Frozen local models as teachers: each renders its own cameras, and tells which pixels can be trusted. Only
+//! as many teachers as fit into the memory are loaded at once; the others wait on the disk. The rest of the
+//! memory caches their renderings, for neighbouring cameras and for the next epochs.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::rc::Rc;
@@ -15,9 +15,9 @@ use super::computer::Computer;
 use super::error::MergeError;
 use super::locals::{Locals, Surveyed};
 
-/// A surface that does not come back from another camera of the teacher to within this is not believed.
+/// Largest distance between a pixel and its reprojection through another camera, if it is to be trusted.
 const RETURN_PX: f64 = 1.0;
-/// Points that tell how deep a teacher's cameras look.
+/// Limit on the points of a teacher from which the median depth of its views is estimated.
 const PROBES: usize = 2000;
 
 /// One camera of one local model.
@@ -27,25 +27,25 @@ pub(crate) struct ViewKey {
     pub(crate) camera: usize,
 }
 
-/// What a teacher shows.
+/// A teacher's rendering of one view.
 pub(crate) struct Taught {
     pub(crate) camera: Camera,
     pub(crate) shown: Rc<Rendering>,
-    /// `[height, width]`, 0 or 1: whether its surface is believed.
+    /// `[height, width]`: 1 where the rendered surface is trusted, else 0.
     pub(crate) trust: Vec<f32>,
 }
 
 /// All teachers.
 pub(crate) struct Teachers<'a> {
     locals: &'a dyn Locals,
-    /// Those of each.
+    /// The cameras of each local model.
     cameras: &'a [Vec<Camera>],
     computer: &'a Computer,
-    /// Teachers held at once.
+    /// Limit on the teachers that are loaded at once.
     shelf_max: usize,
-    /// The last used at the back.
+    /// The loaded teachers with their indices, the most recently used at the back.
     shelf: VecDeque<(usize, Teacher)>,
-    /// Once they are known.
+    /// Trusted pixels of the views that have been taught so far.
     trusts: BTreeMap<ViewKey, Bits>,
     cache: RenderingCache<ViewKey>,
 }
@@ -56,8 +56,8 @@ struct Teacher {
 }
 
 impl<'a> Teachers<'a> {
-    /// Teachers of what was surveyed, of up to `teacher_bytes` each, within `memory_bytes`; one is held whatever that
-    /// takes.
+    /// The surveyed models as teachers. Each takes up to `teacher_bytes`; `memory_bytes` limits how many are
+    /// loaded at once, but one always is.
     pub(super) fn new(
         surveyed: &'a Surveyed,
         computer: &'a Computer,
@@ -77,12 +77,12 @@ impl<'a> Teachers<'a> {
         }
     }
 
-    /// How many are held at once.
+    /// Limit on the teachers that are loaded at once.
     pub(super) fn shelf_max(&self) -> usize {
         self.shelf_max
     }
 
-    /// What the teacher of a view shows there.
+    /// The teacher's rendering of a view, with its trusted pixels.
     pub(crate) fn teach(&mut self, view: ViewKey) -> Result<Taught, MergeError> {
         let shown = self.show(view)?;
         if !self.trusts.contains_key(&view) {
@@ -106,7 +106,7 @@ impl<'a> Teachers<'a> {
         Ok(self.cache.keep(view, shown))
     }
 
-    /// Pixels of a view whose surface another camera of the teacher sees in the same place, where one looks there.
+    /// The opaque pixels of a view whose surface the teacher's neighbouring camera confirms or cannot see.
     fn trust(&mut self, view: ViewKey, here: &Rendering) -> Result<Bits, MergeError> {
         let neighbour = self.fetch(view.local)?.neighbours.nearest(view.camera);
         let other = neighbour.map(|camera| ViewKey { camera, ..view });
@@ -126,7 +126,7 @@ impl<'a> Teachers<'a> {
         Ok(Bits::of(here.alpha.len(), believed))
     }
 
-    /// Brings a teacher to the back of the shelf.
+    /// Moves a teacher to the back of the shelf, or loads it; a full shelf drops the least recently used.
     fn fetch(&mut self, local: usize) -> Result<&mut Teacher, MergeError> {
         if let Some(place) = self.shelf.iter().position(|(held, _)| *held == local) {
             let held = self.shelf.remove(place).expect("it has just been found");
@@ -145,7 +145,7 @@ impl<'a> Teachers<'a> {
     }
 }
 
-/// One bit a pixel: masks of all cameras are kept while their teachers come and go.
+/// A mask of one bit per pixel: the masks stay in memory while teachers are loaded and dropped.
 struct Bits(Vec<u64>);
 
 impl Bits {
@@ -163,7 +163,7 @@ impl Bits {
     }
 }
 
-/// Some splats as points of which nobody says who sees them.
+/// Positions of some splats, evenly chosen, as points without a list of the views that see them.
 fn probes(splats: &Splats) -> Vec<SparsePoint> {
     let step = splats.len().div_ceil(PROBES).max(1);
     let point = |mean: &[f32; 3]| SparsePoint {
@@ -174,13 +174,13 @@ fn probes(splats: &Splats) -> Vec<SparsePoint> {
     splats.means.iter().step_by(step).map(point).collect()
 }
 
-/// Whether a pixel's surface, seen from another camera, is the surface that this one shows.
+/// Whether a pixel's surface, reprojected through `other`, returns to the pixel or lies outside its picture.
 fn returns(camera: &Camera, p_px: DVec2, depth: f64, other: &Camera, seen: &Rendering) -> bool {
     if depth <= 0.0 {
         return false;
     }
     let Some(q_px) = other.project(camera.unproject(p_px, depth)).filter(|q_px| other.contains(*q_px)) else {
-        return true; // nobody contradicts
+        return true; // the other camera does not see the surface
     };
     let [x, y] = [q_px.x as usize, q_px.y as usize];
     let shown = f64::from(seen.depth[y * seen.size_px[0] as usize + x]);

@@ -1,4 +1,4 @@
-//! What a fusion tells while it works.
+//! The events of a fusion.
 
 /// What a fusion reports.
 #[derive(Clone, Copy, Debug, PartialEq)]

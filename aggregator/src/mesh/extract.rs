@@ -206,7 +206,7 @@ impl<'a> Samples<'a> {
         Self { volume, block, blocks: std::array::from_fn(neighbour) }
     }
 
-    /// The voxel at 0..=8 along each axis; one without weight if its block does not exist.
+    /// The voxel at 0..=8 along each axis; a voxel without weight if its block does not exist.
     fn at(&self, place: [usize; 3]) -> &Voxel {
         const UNKNOWN: Voxel = Voxel::UNKNOWN;
         let [x, y, z] = place.map(|v| v % SIDE);

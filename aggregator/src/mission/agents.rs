@@ -43,7 +43,7 @@ pub(crate) struct AgentCommand {
 /// An event of one agent.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct ProcessEvent {
-    /// Index into the orders.
+    /// Index into the commands given to [`AgentProcesses::start`].
     pub(crate) agent: usize,
     /// What happened.
     pub(crate) kind: ProcessEventKind,
@@ -70,7 +70,7 @@ pub(crate) enum ProcessEventKind {
     },
 }
 
-/// Running agents. Dropping the fleet ends them all.
+/// Running agents. Dropping this value ends them all.
 pub(crate) struct AgentProcesses {
     stopping: Arc<AtomicBool>,
     children: Vec<Arc<Mutex<Option<Child>>>>,
@@ -78,7 +78,7 @@ pub(crate) struct AgentProcesses {
 }
 
 impl AgentProcesses {
-    /// Starts one process per order. A thread per process passes its events to `events`.
+    /// Starts one process per command. A thread per process passes its events to `events`.
     pub(crate) fn start(
         commands: Vec<AgentCommand>,
         events: impl Fn(ProcessEvent) + Clone + Send + 'static,
@@ -162,7 +162,7 @@ impl Supervisor {
         }
     }
 
-    /// Starts the process, unless the fleet is being dropped: then no process may start any more.
+    /// Starts the process, unless [`AgentProcesses`] is being dropped.
     fn spawn(&self) -> io::Result<Option<ChildStdout>> {
         let log = File::options().create(true).append(true).open(&self.command.log)?;
         let mut slot = lock(&self.child);

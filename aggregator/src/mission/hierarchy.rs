@@ -31,7 +31,7 @@ pub(crate) fn lowest_folders(out: &Path, plan: &Plan) -> Vec<PathBuf> {
     }
 }
 
-/// Running aggregators. Dropping the tree ends them.
+/// The running aggregators. Dropping this value ends them.
 pub(crate) struct Hierarchy {
     /// The root aggregator.
     top: Station,

@@ -1,4 +1,4 @@
-//! What a mission is told: what to do, and what only `main` knows of the machine.
+//! The inputs of a mission: what to do, and what only `main` knows of the machine.
 
 use std::path::PathBuf;
 use std::sync::Arc;

@@ -1,4 +1,4 @@
-//! The figures of a mission from what its agents told.
+//! Computes the figures of a mission from the statuses of its agents.
 
 use cosurf_wire::ModelHeader;
 

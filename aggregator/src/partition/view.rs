@@ -2,7 +2,7 @@
 
 use super::footprint::Footprint;
 
-/// A view of the dataset, where it looks, and whose it is.
+/// A view of the dataset, with the ground that it sees and its cell.
 #[derive(Clone, Debug)]
 pub(crate) struct AssignedView {
     /// Name of the view.

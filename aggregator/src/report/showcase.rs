@@ -67,7 +67,7 @@ impl Showcase {
     }
 }
 
-/// A few of `views`, of these `qualities`, the best first, with what they see of the `mesh`.
+/// Showcases of a few of `views`, the best first; `qualities` are those of all `views`, in their order.
 pub(crate) fn showcases(
     judge: &mut Judge,
     views: &[&View],

@@ -1,4 +1,4 @@
-//! What is said of a mission's figures: the table for a terminal, sentences on merges, remarks.
+//! The figures of a mission as text: the table for a terminal, sentences on merges, remarks.
 
 use cosurf_scene::bytes::format_bytes;
 

@@ -1,4 +1,4 @@
-//! `aggregator.toml`: what a service on the ground station is told.
+//! `aggregator.toml`: the configuration of a service on the ground station.
 
 use std::fs;
 use std::net::SocketAddr;

@@ -1,4 +1,4 @@
-//! What the owner of a service says: how it is to be, and what it is to do.
+//! What the owner of a service gives it: its configuration, and commands while it runs.
 
 use std::path::PathBuf;
 
@@ -17,7 +17,7 @@ pub(crate) const BROKER_ATTEMPTS_MAX: u32 = 8;
 pub struct ServiceConfig {
     /// Site, device and role under which it joins the link.
     pub identity: Identity,
-    /// Its folder; see the module.
+    /// The service's folder; see [`crate::service`] for its content.
     pub folder: PathBuf,
     /// Limits on what it receives.
     pub limits: InboxLimits,

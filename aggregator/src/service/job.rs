@@ -145,7 +145,7 @@ impl Job {
         Self { inputs, stop, progress, thread: Some(thread) }
     }
 
-    /// Looks how far it has come, without waiting. After [`JobState::Done`] there is nothing more to see.
+    /// The state of the merge now, without waiting. [`JobState::Done`] hands out the result, once.
     pub(super) fn poll(&mut self) -> JobState {
         if let Ok(progress) = self.progress.try_recv() {
             return JobState::Advanced(progress);

@@ -34,7 +34,7 @@ pub(super) enum RunState {
     Stopping,
 }
 
-/// See the module.
+/// The state of a service, with the actions that change it.
 #[derive(Debug)]
 pub(super) struct Keeper {
     device: DeviceId,
@@ -54,7 +54,7 @@ pub(super) struct Keeper {
     job: Option<(Job, Duration)>,
     /// Events still to be reported.
     told: VecDeque<ServiceEvent>,
-    /// The newest revision is up to date and is to be offered.
+    /// True if the newest revision is up to date and must still be offered to the agents.
     to_offer: bool,
 }
 
@@ -211,7 +211,7 @@ impl Keeper {
             self.job = None;
             self.to_offer = true;
         } else if self.job.as_ref().is_none_or(|(job, _)| job.inputs != inputs) {
-            self.job = None; // waits until the old one has stopped
+            self.job = None; // waits until the old merge has stopped
             self.job = Some((Job::start(self.shelf.stores(), inputs, self.merge, self.threads), now));
         }
     }

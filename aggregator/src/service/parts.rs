@@ -12,7 +12,7 @@ use super::error::ServiceError;
 #[derive(Debug)]
 pub(super) struct Parts {
     store: ModelStore,
-    /// Each as a model of its own.
+    /// Header of each device's part, as a model of its own.
     headers: BTreeMap<DeviceId, ModelHeader>,
 }
 
@@ -26,7 +26,7 @@ impl Parts {
         &self.store
     }
 
-    /// In order of device id.
+    /// Headers of all parts, in order of device id.
     pub(super) fn headers(&self) -> impl Iterator<Item = ModelHeader> {
         self.headers.values().copied()
     }

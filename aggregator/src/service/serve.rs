@@ -35,9 +35,9 @@ const STORED_MAX: usize = 4096;
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(untagged)]
 pub enum SideEvent {
-    /// Of a serial line.
+    /// An event of a serial line.
     Line(GatewayEvent),
-    /// Of the connection to the aggregator above.
+    /// An event of the connection to the aggregator above.
     Upstream(UpstreamEvent),
 }
 

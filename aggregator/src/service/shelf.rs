@@ -12,7 +12,7 @@ use super::job::{Inputs, Stores};
 use super::parts::Parts;
 use super::record::{withdrawn, write_withdrawal};
 
-/// See the module.
+/// The received models in a service's folder.
 #[derive(Debug)]
 pub(super) struct Shelf {
     folder: PathBuf,

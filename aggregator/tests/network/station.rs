@@ -29,7 +29,7 @@ pub(crate) struct Station {
 }
 
 impl Station {
-    /// Who the service is on its broker.
+    /// The identity of the service on its broker.
     pub(crate) fn identity() -> Identity {
         identity(Role::Aggregator, "ground")
     }

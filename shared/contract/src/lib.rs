@@ -1,9 +1,9 @@
 //! What an agent and the program that starts it agree on, beside the messages of the wire.
 //!
-//! What it is: [`AgentConfig`], the content of `agent.toml`; [`AgentEvent`], the JSON lines that an agent prints under
-//! `--json`; [`TrainReport`] and [`Changes`], the JSON files that it leaves behind. A person may write and read them;
-//! so does the aggregator's `mission`. [`log`] is how both programs write a log. Values are parsed into the types that the programs compute with, so that a wrong
-//! value is refused where it is read.
+//! What it is: [`AgentConfig`], the content of `agent.toml`; [`AgentEvent`], the JSON lines that an agent
+//! prints under `--json`; [`TrainReport`] and [`Changes`], the JSON files that it leaves behind; [`log`], the
+//! log of both programs. People and `mission` write and read the files. Values are parsed into the types
+//! that the programs compute with, so that a wrong value is refused where it is read.
 //!
 //! What it refuses to know: how an agent trains or sends, what becomes of its model, files, clocks, command lines.
 //!

@@ -10,7 +10,7 @@ const LEAF: usize = 8;
 pub(super) struct Tree(nearest::Tree<f32>);
 
 impl Tree {
-    /// Fewer than 2³² points, finite.
+    /// Builds the tree. There must be fewer than 2³² points, and all must be finite.
     pub(super) fn new(points: &[Vec3]) -> Self {
         let points: Vec<[f32; 3]> = points.iter().map(Vec3::to_array).collect();
         Self(nearest::Tree::new_parallel(&points, LEAF))

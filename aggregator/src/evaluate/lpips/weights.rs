@@ -10,7 +10,7 @@ use super::network::{Network, Step};
 /// Channels of the first convolution's input.
 const COLORS: usize = 3;
 
-/// What a file says of a network.
+/// The weights of a network, as read from a file.
 #[derive(Debug)]
 pub(super) struct Weights {
     pub(super) convolutions: Vec<Convolution>,

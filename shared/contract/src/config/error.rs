@@ -20,7 +20,7 @@ pub enum ConfigError {
     /// Neither or both of `broker` and `serial` are set.
     #[error("write either broker = \"mqtt://host:port\" or serial = \"/dev/ttyUSB0\"")]
     OneLink,
-    /// `compress` relies on what others announce, and `trusted` accepts only what is signed.
+    /// Both `compress` and `trusted` are set: `compress` needs other agents' flights, which are unsigned.
     #[error(
         "compress = true: agents do not sign which views they took; remove either `compress` or `trusted`"
     )]
