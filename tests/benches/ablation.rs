@@ -1,5 +1,5 @@
-//! What the ablation benches share: the same training with one setting changed at a time, judged on held-out
-//! views and by the true surface.
+//! Shared code of the ablation benches: trainings that differ in one setting, scored on held-out views and
+//! against the true surface.
 //!
 //! The dataset is `../shared/data/gt_boruszyn` if it lies beside the checkout, otherwise a small synthetic town.
 

@@ -1,4 +1,4 @@
-//! What a mission's global model loses when uploads break off, after distillation (MAS).
+//! The PSNR that a mission's distilled (MAS) global model loses when uploads break off.
 //!
 //! `cargo bench -p cosurf-tests --bench broken_off -- --help`
 
@@ -88,7 +88,7 @@ fn columns() -> Vec<Column> {
     [Column::psnr("all arrived")].into_iter().chain(parts).collect()
 }
 
-/// An agent's model as it sends it.
+/// The body that an agent would upload.
 fn body(agent: &Path) -> Result<Vec<u8>> {
     let splats = ply::read(&agent.join("model.ply"))?;
     let cameras: Vec<Camera> = serde_json::from_slice(&fs::read(agent.join("cameras.json"))?)?;

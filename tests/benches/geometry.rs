@@ -1,4 +1,4 @@
-//! What each loss of the surface gains and costs (CoSurfGS, "Ablations of Geometry Loss in Device-side Training").
+//! Gain and cost of each surface loss (CoSurfGS, "Ablations of Geometry Loss in Device-side Training").
 //!
 //! `cargo bench -p cosurf-tests --bench geometry -- --help`
 

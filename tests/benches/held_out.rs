@@ -14,7 +14,7 @@ pub(crate) const THREADS: usize = 2;
 pub(crate) struct HeldOut(Vec<(Camera, Vec<f32>)>);
 
 impl HeldOut {
-    /// Reads the views with the cameras that `resized` makes of their own.
+    /// Reads the views. `resized` maps each view's camera to the camera to render with.
     pub(crate) fn read(dataset: &Dataset, resized: impl Fn(Camera) -> Camera) -> Result<Self> {
         let (_, held_out) = dataset.split(EVERY);
         let view = |i: &usize| {

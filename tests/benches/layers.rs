@@ -1,10 +1,10 @@
-//! What a model costs on the wire and what it loses there, layer by layer.
+//! Size of a packed model, and its loss of quality, layer by layer.
 //!
 //! `cargo bench -p cosurf-tests --bench layers -- --help`
 //!
-//! PSNR is that of the held-out views; the changes of normals and depth are medians over their pixels, of the unpacked
-//! model beside the original. If the dataset has its true surface, the last column is the growth of the median error of the
-//! normals. The table printed last is that of the results: the loss when only the first bytes have arrived.
+//! PSNR is measured on held-out views. Changes of normals and depth compare the unpacked model with the
+//! original: medians over pixels. With a true surface, the last column is the growth of the normals' median
+//! error. The last table printed goes to the results: the loss when only the first bytes have arrived.
 
 mod held_out;
 
@@ -86,7 +86,7 @@ fn main() -> Result<()> {
     let figures =
         [Some(splats.len() as f64), Some(views.psnr(&whole)), Some(body.len() as f64 / splats.len() as f64)];
     let mut measurement = Measurement::start("layers", &columns());
-    // All, then less and less; a tenth is hardly more than nothing.
+    // The whole body first, then smaller parts. A tenth of a body shows too little to be listed.
     let losses = losses.iter().rev().take(PARTS.len() - 1).copied();
     measurement.row(&name, &figures.into_iter().chain(losses).collect::<Vec<_>>());
     measurement.finish()?;

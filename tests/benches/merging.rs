@@ -3,10 +3,10 @@
 //!
 //! `cargo bench -p cosurf-tests --bench merging -- --help`
 //!
-//! Every mission trains each view equally often, so agents with fewer views take fewer steps. Agents are measured by
-//! processor time, merges by wall time: on one core (`taskset -c 0` before the command) both are what a core of their own
-//! would take. The last column is slowest agent, slowest edge and last merge together, as a share of the single model's
-//! training. The dataset is `../shared/data/gt_boruszyn` if it lies beside the checkout, otherwise a small synthetic town.
+//! Every mission trains each view equally often, so agents with fewer views take fewer steps. Agents are timed by
+//! processor time, merges by wall time; on one core (`taskset -c 0 COMMAND`) both equal a dedicated core's time.
+//! The last column is slowest agent plus slowest edge plus last merge, as a share of the single model's training.
+//! The dataset is `../shared/data/gt_boruszyn` beside the checkout if it exists, else a small synthetic town.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -126,7 +126,7 @@ fn f_score(out: &Path, truth: &Mesh, threshold_m: f64) -> Result<f64> {
     Ok(accuracy.samples.f_score)
 }
 
-/// Time of the slowest of each kind, seconds.
+/// Seconds of the slowest agent, of the slowest edge, and of the last merge.
 struct Times {
     agent_s: f64,
     edge_s: Option<f64>,

@@ -1,4 +1,4 @@
-//! What removing a share of the splats costs, by two scores (CoSurfGS, "Ablations of prune percentage").
+//! Quality lost by pruning a share of the splats, for two scores (CoSurfGS, "Ablations of prune percentage").
 //!
 //! `cargo bench -p cosurf-tests --bench prune -- --help`
 

@@ -16,7 +16,7 @@ pub fn shared_dataset(name: &str) -> Option<PathBuf> {
     folder.is_dir().then_some(folder)
 }
 
-/// What benches measure by default: rendered Boruszyn (`gt_boruszyn`) if it is there, otherwise a town of 48
+/// The default dataset of benches: rendered Boruszyn (`gt_boruszyn`) if it is there, otherwise a town of 48
 /// pictures written into `folder`.
 pub fn default_dataset(folder: &Path) -> PathBuf {
     shared_dataset("gt_boruszyn").unwrap_or_else(|| {

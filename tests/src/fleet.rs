@@ -19,13 +19,13 @@ pub struct Member {
     limits: InboxLimits,
     /// Every model that it stored.
     pub disk: BTreeMap<ModelKey, (ModelHeader, Vec<u8>)>,
-    /// How often it stored a model that was on its disk already.
+    /// Number of models that it stored although they were on its disk already.
     pub stored_twice: u32,
     /// Its own models that the other side acknowledged.
     pub uploaded: Vec<ModelKey>,
     /// Everything that its node reported.
     pub events: Vec<NodeEvent>,
-    /// How many of the next writes fail.
+    /// Number of upcoming writes that will fail.
     pub failing_writes: u32,
 }
 
@@ -91,7 +91,7 @@ impl Member {
     }
 }
 
-/// Runs the fleet and moves time on until `is_done`; panics if it is not by `deadline`.
+/// Runs the fleet and advances time until `is_done`; panics if `deadline` comes first.
 pub fn run_until(
     network: &MemoryNetwork,
     members: &mut [Member],

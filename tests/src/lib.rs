@@ -10,7 +10,7 @@
 //! Unit tests of a crate below the testkit cannot use its builders: they would get the types of another build of
 //! their own crate. They can use [`skips`].
 
-// A builder that fails fails its test.
+// A failing builder should fail the test that calls it.
 #![allow(clippy::unwrap_used)]
 
 pub mod datasets;

@@ -23,7 +23,7 @@ pub struct Mosquitto {
 }
 
 impl Mosquitto {
-    /// Starts a broker with the lines of `settings`, in which `PORT` and `FOLDER` are replaced by its own.
+    /// Starts a broker with the lines of `settings`; `PORT` and `FOLDER` in them are its own port and folder.
     /// Skips the test and returns `None` if Mosquitto is not installed; panics if `REQUIRE_MOSQUITTO` is set.
     pub fn start(folder: &Path, settings: &str, is_tls: bool) -> Option<Self> {
         let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
@@ -41,7 +41,7 @@ impl Mosquitto {
         Some(broker)
     }
 
-    /// Kills the broker; it saves nothing and says nothing to its clients.
+    /// Kills the broker, so that it neither saves its state nor notifies its clients.
     pub fn kill(&mut self) {
         self.child.kill().unwrap();
         self.child.wait().unwrap();

@@ -5,8 +5,8 @@ use std::fmt::Display;
 use std::fs::File;
 use std::io::Write;
 
-/// Says that the running test tests nothing because of `reason`, and appends the line to the file that
-/// `SKIPPED_TESTS` names: cargo hides what a passing test prints.
+/// Reports that the running test is skipped because of `reason`. Appends the line to the file that
+/// `SKIPPED_TESTS` names too, since cargo hides what a passing test prints.
 ///
 /// Panics if the environment has `requirement`, for example `REQUIRE_GPU`: then a skip is a failure.
 pub fn skip(requirement: &str, reason: impl Display) {

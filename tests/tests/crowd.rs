@@ -16,8 +16,8 @@ use cosurf_wire::{DeviceId, MAX_CHUNK_BYTES, ModelKind};
 
 const AGENTS: u64 = 200;
 const INBOX_BYTES: u64 = 64 << 20;
-/// What the process takes beside the inbox: itself, the broker's longest queue (16 MiB) and the link's copy of
-/// it, and for each connection two threads and buffers for the largest packets.
+/// Memory that the process takes besides the inbox: its own, the broker's longest queue (16 MiB), the link's
+/// copy of that queue, and for each connection two threads and buffers for the largest packets.
 const BESIDE_BYTES: u64 = (64 << 20) + AGENTS * (512 << 10);
 const PATIENCE: Duration = Duration::from_secs(500);
 
@@ -56,7 +56,7 @@ impl Aggregator {
     }
 }
 
-/// Uploads; if `stalls`, stops at the first progress and never continues.
+/// Uploads a model; if `stalls`, stops at the first progress and never continues.
 fn agent(address: BrokerAddress, mut offer: Offer, number: u64, stalls: bool) {
     let name = format!("agent-{number}");
     offer.header.device = DeviceId::new(&name).unwrap();
@@ -78,7 +78,7 @@ fn agent(address: BrokerAddress, mut offer: Offer, number: u64, stalls: bool) {
     panic!("{name} does not end");
 }
 
-/// All upload at once. Returns the time until all but the first are done, and the aggregator's peak memory in bytes.
+/// All agents upload at once. Returns the time until all but the first are done, and the peak memory.
 fn crowd(first_stalls: bool) -> (Duration, u64) {
     let folder = tempfile::tempdir().unwrap();
     let (aggregator, address) = Aggregator::start(folder.path());

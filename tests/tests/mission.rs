@@ -59,7 +59,7 @@ fn files(folder: &Path) -> Vec<PathBuf> {
     entries.flat_map(|path| if path.is_dir() { files(&path) } else { vec![path] }).collect()
 }
 
-/// Pieces of 24 bytes, not all alike, of photographs as stored and as pixels.
+/// Pieces of 24 bytes that are not nearly uniform, from the photographs' files and from their pixels.
 fn pieces(data: &Path) -> Vec<[u8; 24]> {
     let mut pieces = Vec::new();
     for path in files(&data.join("images")) {
@@ -78,8 +78,8 @@ fn find_piece(bytes: &[u8], pieces: &HashSet<[u8; 24]>) -> Option<usize> {
     bytes.windows(24).position(|window| pieces.contains(window))
 }
 
-/// Everything that the agents sent is in the aggregator's stores, checked by hash: neither that nor the files made from it
-/// contain a piece of a photograph.
+/// Asserts that neither the models in the aggregator's stores, which are all that the agents sent, nor the
+/// files made from these models contain a piece of a photograph.
 fn assert_no_photograph_was_sent(data: &Path, out: &Path) {
     let pieces: HashSet<[u8; 24]> = pieces(data).into_iter().collect();
     let photograph = files(&data.join("images")).remove(0);

@@ -68,7 +68,7 @@ impl Peer {
         has_room.then(|| self.wanted.first()).flatten()
     }
 
-    /// A chunk was published. All receivers get it, whoever asked for it.
+    /// A chunk was published. All receivers get it, not only those that requested it.
     pub(crate) fn on_sent(&mut self, index: u32, order: u64) {
         if self.phase == PeerPhase::Fetching && self.wanted.contains(index) && self.in_flight.len() < WINDOW {
             self.wanted.remove(index);

@@ -1,4 +1,4 @@
-//! The disk is full, at every write.
+//! A disk that becomes full while a model is stored, after any number of bytes.
 #![cfg(unix)]
 #![allow(clippy::unwrap_used)]
 
@@ -11,8 +11,8 @@ use cosurf_wire::ModelKind;
 
 const CHILD: &str = "COSURF_TEST_FULL_DISK";
 
-/// A child process stores a model while the system limits the size of its files, at every size. The old model
-/// stays; the new one is there whole or not at all; and the store reports success only if it is there.
+/// A child process stores a model while the system limits the size of its files, with limits from 0 up. The
+/// old model stays; the new one is stored whole or not at all; success is reported only if it is stored.
 #[test]
 fn fault_10_disk_full_at_every_write() {
     let old = offer("drone", 1, ModelKind::Local, 1, 500, 1024);

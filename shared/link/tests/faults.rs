@@ -326,7 +326,7 @@ fn fault_15_two_drones_under_one_name() {
         let offers = [1, 2].map(|body| pooled_offer("drone", 1, ModelKind::Local, 2 * seed + body, 1024));
         let mut fleet = fleet(&network, &offers);
         run_until(&network, &mut fleet, PATIENCE, |fleet| {
-            // Each gets an answer: stored, number taken, or the mixture of both that arrived is refused.
+            // Each drone gets a final answer: stored, number taken, or refused as a mixture of both bodies.
             let is_told = |drone: &Member| {
                 let is_final = |reason: &RefusalReason| !reason.is_temporary();
                 !drone.uploaded.is_empty() || refusals(drone).iter().any(is_final)
@@ -393,7 +393,7 @@ fn fault_19_other_version() {
     }
 }
 
-/// With two clients of one name a broker disconnects the earlier, which reconnects and displaces the later.
+/// If two clients share a name, the broker disconnects the first, which reconnects and displaces the second.
 #[test]
 fn two_drones_under_one_name_are_told_apart_from_a_restart() {
     let mut victim = Victim::new(InboxLimits::default());

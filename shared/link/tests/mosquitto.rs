@@ -1,4 +1,4 @@
-//! Uploads over Mosquitto: killed in the middle, with TLS, and with the example configuration of `shared/docs`.
+//! Uploads over Mosquitto: with the broker killed in mid-upload, with TLS, with the example in `shared/docs`.
 #![allow(clippy::unwrap_used)]
 
 use std::path::Path;
@@ -58,7 +58,7 @@ fn stopped_three_times_in_mid_upload() {
     interrupted(Mosquitto::terminate);
 }
 
-/// Connects and returns what happens first.
+/// Connects and returns the first event.
 fn first_event(config: MqttConfig) -> TransportEvent {
     MqttTransport::start(config).poll(Duration::from_secs(20)).unwrap()
 }
@@ -89,7 +89,7 @@ fn fault_17_expired_revoked_and_foreign_certificates() {
         println!("{name}: {event:?}");
         assert!(matches!(event, TransportEvent::Disconnected { .. }), "{name} was let in");
     }
-    // A client refuses a broker whose certificate is of another authority.
+    // A client refuses a broker whose certificate comes from another authority.
     let mut fooled = good.clone();
     fooled.ca = foreign_ca;
     assert!(

@@ -1,4 +1,4 @@
-//! The part of an upload that has arrived is a model already.
+//! The part of an upload that has arrived is a usable model.
 #![allow(clippy::unwrap_used)]
 
 use std::time::Duration;

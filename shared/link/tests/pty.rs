@@ -63,7 +63,7 @@ fn transport(port: TTYPort, bytes_per_s: NonZeroU32, session: u64) -> SerialTran
     })
 }
 
-/// One direction: cuts what is written into frames and applies the faults of the line to each.
+/// Carries one direction: cuts the written bytes into frames and applies the line's faults to each frame.
 fn carry(
     mut from: TTYPort,
     mut to: TTYPort,
@@ -97,7 +97,7 @@ fn carry(
     })
 }
 
-/// Sends `count` bytes in messages of 16,000; returns the share of the line's rate.
+/// Sends `count` bytes in messages of 16,000; returns the goodput as a share of the line's rate.
 fn goodput(seed: u64, faults: Faults, count: usize) -> f64 {
     let (mut a, mut b, _ether) = pair(seed, faults);
     for end in [&mut a, &mut b] {
@@ -130,7 +130,7 @@ fn message(index: u32, payload: &[u8]) -> Outgoing {
     Outgoing { topic, payload: payload.to_vec(), retain: false }
 }
 
-/// The same in the simulation: the mean of ten seeds.
+/// The goodput of the simulated radio: the mean of ten seeds.
 fn simulated(loss: f64, count: usize) -> f64 {
     (0..10).map(|seed| radio::goodput(seed, loss, count).0).sum::<f64>() / 10.0
 }

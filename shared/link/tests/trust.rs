@@ -1,4 +1,4 @@
-//! Signatures: models of unknown and revoked devices, changed and replayed ones are refused with a reason.
+//! Signatures: models of unknown or revoked devices and changed or replayed models are refused with a reason.
 #![allow(clippy::unwrap_used)]
 
 use std::time::Duration;

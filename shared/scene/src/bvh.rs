@@ -145,7 +145,7 @@ impl Leaf {
         let along = cross(&from_corner, &self.edges[0]);
         let v = dot(&ray.direction, &along) * scale;
         let t = dot(&self.edges[1], &along) * scale;
-        // Phrased so that the NaN of a degenerate triangle fails.
+        // Written so that the NaN of a degenerate triangle fails the comparison.
         let low = Vec4::splat(-EDGE_SLACK);
         let inside = u.cmpge(low) & v.cmpge(low) & (u + v).cmple(Vec4::splat(1.0 + EDGE_SLACK));
         let within = t.cmpgt(ray.t_min) & t.cmplt(Vec4::splat(t_max));

@@ -149,8 +149,8 @@ impl Shared {
     }
 
     /// Makes picture `index` from its compressed form or its file, with the lock released meanwhile;
-    /// holds it for `get` if it is a `prefetch`. There must be room for it, and no other picture may be
-    /// in the making.
+    /// holds the picture for `get` if this is a `prefetch`. There must be room for it, and no other picture
+    /// may be in the making.
     fn make(
         &self,
         mut state: MutexGuard<'_, State>,

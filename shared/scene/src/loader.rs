@@ -66,8 +66,8 @@ fn read(path: &Path) -> Result<Dataset, SceneError> {
     Err(SceneError::malformed(path, reason))
 }
 
-/// The name without components that lead out of a folder, as results are stored under it; `None` if
-/// it is empty or has control characters.
+/// The name without components that lead out of a folder, since files of results are named after it;
+/// `None` if it is empty or has control characters.
 fn inner_name(name: &str) -> Option<String> {
     let parts = Path::new(name).components().filter_map(|component| match component {
         Component::Normal(part) => part.to_str(),

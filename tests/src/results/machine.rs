@@ -1,4 +1,4 @@
-//! When, on what, and of which sources figures are measured.
+//! The date, the machine and the commit of a measurement.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -40,7 +40,7 @@ pub fn today() -> String {
     date(since.as_secs() / 86_400)
 }
 
-/// The date so many days after 1970-01-01: counted from 1 March of year 0, so that leap days end a year.
+/// The date `days` days after 1970-01-01. Counts years from 1 March, so that a leap day ends a year.
 fn date(days: u64) -> String {
     let days = days + 719_468;
     let (era, of_era) = (days / 146_097, days % 146_097);

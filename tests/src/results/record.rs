@@ -1,4 +1,4 @@
-//! The one schema of all results.
+//! The schema of all stored results.
 
 use serde::{Deserialize, Serialize};
 
@@ -19,7 +19,7 @@ pub struct Results {
     pub processor: String,
     /// Cores that the system offered.
     pub cores: usize,
-    /// What measures the figures, with `DATA` and the like for folders.
+    /// The measuring command, with placeholders such as `DATA` for folders.
     pub command: String,
     /// The figures that each row has.
     pub columns: Vec<Column>,

@@ -51,8 +51,8 @@ fn ancestors(modules: &[Module], module: usize) -> impl Iterator<Item = usize> {
     std::iter::successors(Some(module), |&module| modules[module].parent)
 }
 
-/// Of two modules the nearest that contains both, and its child that contains each; the module itself where its own
-/// code is meant.
+/// The nearest module that contains both `a` and `b`, then its child that contains `a` and its child that
+/// contains `b`. If `a` or `b` is that nearest module, the module itself takes the place of the child.
 fn meeting(modules: &[Module], a: usize, b: usize) -> (usize, usize, usize) {
     let above: Vec<usize> = ancestors(modules, a).collect();
     let top = ancestors(modules, b).find(|module| above.contains(module)).unwrap();

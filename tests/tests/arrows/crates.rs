@@ -1,4 +1,4 @@
-//! The arrows between crates are those of `shared/docs/ARCHITECTURE.md`, and some crates stay free of certain things.
+//! Dependencies between crates are those of `shared/docs/ARCHITECTURE.md`. Other tests limit single crates.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -24,7 +24,7 @@ fn short_name(folder: &str) -> String {
     folder.rsplit('/').next().unwrap().to_owned()
 }
 
-/// Names below `[dependencies]` of a manifest, those of single platforms included; those of tests do not count.
+/// Names below `[dependencies]` of a manifest, including those of single platforms, without those of tests.
 fn dependencies(manifest: &toml::Table) -> Vec<String> {
     let tables = manifest.get("target").and_then(|target| target.as_table());
     let tables = tables.into_iter().flat_map(toml::Table::values).filter_map(|table| table.as_table());
@@ -66,7 +66,7 @@ fn arrows_too_many_and_too_few_are_found() {
     assert_eq!(built_of(&on_unix, ""), drawn(document), "of one platform");
 }
 
-/// Neural networks measure on the ground: the computer of a drone does not carry them.
+/// Neural networks (LPIPS) are for evaluation on the ground: a drone's program must not link them.
 #[test]
 fn only_the_aggregator_depends_on_neural_networks() {
     for folder in members() {

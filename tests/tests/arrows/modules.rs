@@ -193,7 +193,7 @@ fn is_for_tests(attribute: &Attribute) -> bool {
         && attribute.parse_args().is_ok_and(|condition| !holds_without_tests(&condition))
 }
 
-/// Whether a condition can be true without `test`; all other conditions can be either.
+/// Whether a condition can be true without `test`. Conditions other than `test` may be true or false.
 fn holds_without_tests(condition: &Meta) -> bool {
     let parts = |list: &syn::MetaList| {
         let parse = syn::punctuated::Punctuated::<Meta, Token![,]>::parse_terminated;

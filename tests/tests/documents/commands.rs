@@ -55,7 +55,7 @@ fn every_option_that_documents_show_exists() {
     assert_eq!(wrong, Some(vec!["--no-such-option".to_owned()]));
 }
 
-/// A command that is changed has to be run again, and a run of a command that is gone leaves the list.
+/// A changed command must be run again. The entry of a removed command must be deleted from the list.
 #[test]
 #[ignore = "README is being rewritten"]
 fn every_command_is_run_by_ci_or_was_by_hand() {

@@ -36,7 +36,7 @@ fn anchors(document: &str) -> Vec<String> {
         .collect()
 }
 
-/// Lower case, words joined by hyphens, other signs left out; of a link its text counts.
+/// Lower case, words joined by hyphens, without other signs; a link is replaced by its text.
 fn slug(heading: &str) -> String {
     let links = heading.split("](").enumerate();
     let text =

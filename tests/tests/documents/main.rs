@@ -7,7 +7,7 @@ mod text;
 
 use cosurf_tests::results::document;
 
-/// The README is read in five minutes.
+/// Limit that keeps the README readable in five minutes.
 const README_LINES_MAX: usize = 150;
 
 #[test]

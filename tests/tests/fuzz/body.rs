@@ -16,7 +16,7 @@ fn with_base(count: usize, sh_degree: u32) -> Vec<u8> {
     model_to_body(&splats, &cameras(1), FirstLayer::Base(&base)).unwrap()
 }
 
-/// Small ones are stored, large ones compressed; some with a base.
+/// Bodies with small packs, stored uncompressed, and with large, compressed packs; some bodies have a base.
 fn bodies() -> Vec<Vec<u8>> {
     let plain = [(0, 0, 1), (1, 0, 0), (2, 1, 1), (3, 3, 0), (60, 0, 9), (200, 2, 2), (40, 3, 1)].map(
         |(count, sh_degree, views)| {
@@ -57,7 +57,7 @@ fn bodies_are_unpacked_or_refused() {
         name: "bodies",
         samples: bodies(),
         reseal,
-        // Splats of degree 3 from 2.5 bytes each, and one pack.
+        // Unpacked splats of degree 3, which take at least 2.5 packed bytes each, and one pack.
         bytes_max: |bytes| (1 << 20) + 128 * bytes,
     };
     let mut random = Random(2);

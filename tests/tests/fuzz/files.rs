@@ -13,7 +13,7 @@ use flate2::write::GzEncoder;
 
 use crate::runner::{Target, hammer};
 
-/// Buffers of the readers, and 32 bytes of memory for each of the file.
+/// Buffers of the readers, and 32 bytes of memory for each byte of the file.
 const FILE_BYTES_MAX: fn(usize) -> usize = |bytes| (1 << 20) + 32 * bytes;
 
 /// A temporary folder, in memory if the system offers one.
@@ -87,7 +87,7 @@ fn spz_files_are_read_or_refused() {
     });
 }
 
-/// Changes one of the three files of a model. In memory: opening files takes five times as long as decoding them.
+/// Changes one of a model's three files, in memory: opening files takes five times as long as decoding them.
 fn hammer_colmap(form: Form, files: [(&str, Vec<u8>); 3]) {
     for (i, (name, right)) in files.iter().enumerate() {
         hammer(target(&format!("COLMAP {name}"), vec![right.clone()]), |bytes| {

@@ -1,4 +1,4 @@
-//! The peak of what a thread has allocated.
+//! The peak of a thread's allocated memory.
 #![allow(unsafe_code)]
 
 use std::alloc::{GlobalAlloc, Layout, System};

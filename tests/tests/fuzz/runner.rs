@@ -20,7 +20,7 @@ pub(crate) struct Target<'a> {
     pub(crate) samples: Vec<Vec<u8>>,
     /// Recomputes the checksums of a changed sample.
     pub(crate) reseal: fn(&mut [u8]),
-    /// The most it may allocate for an input of so many bytes.
+    /// Limit on its allocations, for an input of the given number of bytes.
     pub(crate) bytes_max: fn(usize) -> usize,
 }
 

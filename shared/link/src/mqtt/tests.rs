@@ -35,8 +35,8 @@ impl SilentBroker {
     }
 }
 
-/// The minimum of MQTT 5 that the client needs. With `unacknowledged`, counts published messages there
-/// instead of acknowledging them.
+/// Serves the part of MQTT 5 that the client needs. If `unacknowledged` is given, counts published messages
+/// in it instead of acknowledging them.
 fn serve(mut stream: TcpStream, unacknowledged: Option<&AtomicU32>) {
     while let Some((kind, body)) = read_packet(&mut stream) {
         let answer: Vec<u8> = match kind >> 4 {

@@ -34,7 +34,7 @@ const SESSION_EXPIRY_S: u32 = 3600;
 const CONNECT_TIMEOUT_S: u64 = 5;
 /// Delays between attempts to connect.
 const RECONNECT: Backoff = Backoff::new(Duration::from_millis(200), Duration::from_secs(5));
-/// A client without an acknowledgement for this long is replaced. It is longer than 64 KiB take at 3 kB/s.
+/// A client without an acknowledgement for this long is replaced. 64 KiB at 3 kB/s take less.
 const ACKNOWLEDGEMENT_TIMEOUT: Duration = Duration::from_secs(if cfg!(test) { 1 } else { 30 });
 /// Interval of the checks for missing acknowledgements and for a stop.
 const TICK: Duration = Duration::from_millis(50);

@@ -6,8 +6,8 @@ use cosurf_wire::{DeviceId, State};
 
 /// Maximum number of devices whose sessions are remembered.
 const DEVICES_MAX: usize = 1024;
-/// Births of an older session after a newer one that show two participants with one name. A broker may
-/// repeat an outdated birth once or twice.
+/// This many births of an older session after a newer one show that two participants use the same name. A
+/// broker may repeat an outdated birth once or twice.
 const RETURNS_MAX: u32 = 3;
 
 /// The sessions of each device.

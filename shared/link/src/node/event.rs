@@ -47,7 +47,7 @@ pub enum NodeEvent {
         /// The reason.
         reason: RefusalReason,
     },
-    /// The node dropped a message. Worth a line in a log.
+    /// The node dropped an incoming message.
     Ignored {
         /// The message's topic.
         topic: String,

@@ -16,7 +16,7 @@ const COMPLETE_MAX: usize = 64;
 pub(super) struct Receiving {
     /// Number of the next piece to assemble.
     next: u32,
-    /// Pieces that arrived before those they follow, by number.
+    /// Pieces that arrived before an earlier piece, by number.
     ahead: BTreeMap<u32, (Vec<u8>, bool)>,
     message: Vec<u8>,
     /// Whether the unfinished message exceeds the maximum size. It is dropped at its end.

@@ -74,7 +74,7 @@ impl Builder<'_> {
     fn split(&mut self, node: usize, order: &mut [u32], depth: usize) {
         let mut parts: Vec<&mut [u32]> = vec![order];
         while parts.len() < WIDTH {
-            // Next to split is the part with the largest surface, which most rays enter.
+            // Split the part with the largest surface next: most rays enter it.
             let widest = (0..parts.len()).filter(|&i| parts[i].len() > WIDTH).max_by(|&i, &j| {
                 self.bounds(parts[i]).half_area().total_cmp(&self.bounds(parts[j]).half_area())
             });

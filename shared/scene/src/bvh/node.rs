@@ -1,4 +1,4 @@
-//! What a hierarchy consists of: nodes of four boxes, and leaves of four triangles.
+//! The parts of a hierarchy: nodes of four boxes, and leaves of four triangles.
 
 use glam::Vec4;
 

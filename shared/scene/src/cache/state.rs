@@ -167,8 +167,8 @@ impl State {
         self.slots[index].clone()
     }
 
-    /// Records that picture `index` was made. Keeps `slot`, given if it was decoded for the first time,
-    /// and holds the picture for `get` if it is a `prefetch`.
+    /// Records that picture `index` was made. Keeps `slot`, which is given after the first decoding. Holds
+    /// the picture for `get` if this is a `prefetch`.
     pub(super) fn finish(
         &mut self,
         index: usize,

@@ -13,7 +13,7 @@ use crate::{SceneError, atomic};
 const UNSIGNED_SHORT: u32 = 5123;
 const UNSIGNED_INT: u32 = 5125;
 const FLOAT: u32 = 5126;
-/// Uses of buffer views.
+/// Targets of buffer views.
 const ARRAY_BUFFER: u32 = 34962;
 const ELEMENT_ARRAY_BUFFER: u32 = 34963;
 /// Bytes of the file's header and of both chunks' headers.

@@ -9,7 +9,7 @@ use super::error::BodyError;
 pub const SHAPE_FRAME_BYTES: usize = 20;
 /// Number of planes: bytes per splat.
 pub const SHAPE_BYTES: usize = 20;
-/// A quaternion component is `(value / QUAT_ZERO - 1) √½`, in 10 bits: 0.07° for a normal.
+/// A quaternion component is `(value / QUAT_ZERO - 1) √½`, in 10 bits: a normal is accurate to 0.07°.
 pub const QUAT_ZERO: u16 = 511;
 /// Mask of a quaternion component's 10 bits.
 const QUAT_MASK: u16 = 1023;

@@ -11,14 +11,14 @@ use tempfile::TempDir;
 use crate::commands::{build, dataset, mission, train};
 use crate::divan;
 
-/// The datasets of uploads: the name in tables, and the folder; the town is written where nothing is given.
+/// Datasets of the upload benches: the name in tables, and the folder; `None` generates the built-in town.
 const DATASETS: [(&str, Option<&str>); 4] = [
     ("Boruszyn", Some("real_boruszyn")),
     ("Caliterra", Some("real_caliterra")),
     ("rendered Boruszyn", Some("gt_boruszyn")),
     ("the built-in town", None),
 ];
-/// Options of the trainings that the uploads are made from.
+/// Training options of the models that are uploaded.
 const TRAINING: [&str; 4] = ["--max-size", "240", "--steps", "1000"];
 
 fn cargo_bench(package: &str, bench: &str, words: &[&str]) -> Command {
@@ -28,7 +28,7 @@ fn cargo_bench(package: &str, bench: &str, words: &[&str]) -> Command {
     command
 }
 
-/// A bench of this package, which writes its results into a folder.
+/// Runs a bench of this package. The bench writes its results into `folder`.
 pub(crate) fn ours(bench: &str, words: &[&str], folder: &TempDir) -> Result<Results> {
     read_after(&mut cargo_bench("cosurf-tests", bench, words), bench, folder)
 }
@@ -39,7 +39,7 @@ fn read_after(command: &mut Command, bench: &str, folder: &TempDir) -> Result<Re
     store::read(folder.path(), bench)?.with_context(|| format!("{bench} wrote no results"))
 }
 
-/// A bench by divan, whose output is read; `decimals` are those of time and throughput.
+/// Runs a divan bench and parses its output; `decimals` are those of time and throughput.
 fn by_divan(package: &str, bench: &str, decimals: [usize; 2]) -> Result<Results> {
     let output = cargo_bench(package, bench, &[]).stderr(Stdio::inherit()).output()?;
     ensure!(output.status.success(), "{bench}: {}", output.status);
@@ -56,24 +56,24 @@ fn by_divan(package: &str, bench: &str, decimals: [usize; 2]) -> Result<Results>
     Ok(measurement.finish()?)
 }
 
-/// The passes of a step.
+/// Measures the passes of a training step.
 pub(crate) fn passes(_: &TempDir) -> Result<Results> {
     by_divan("cosurf-engine", "passes", [2, 1])
 }
 
-/// Fusing and judging a mesh.
+/// Measures fusing and judging a mesh.
 pub(crate) fn mesh(_: &TempDir) -> Result<Results> {
     by_divan("cosurf-aggregator", "mesh", [0, 2])
 }
 
-/// The losses of the surface in the built-in town.
+/// Measures the surface losses in the built-in town.
 pub(crate) fn geometry_town(folder: &TempDir) -> Result<Results> {
     let town = folder.path().join("town");
     write_town(&town, 180.0, 96, [320, 240]);
     ours("geometry", &["--data", text(&town)?, "--max-size", "320"], folder)
 }
 
-/// Merging, each process on one core.
+/// Measures merging, with each process on one core.
 pub(crate) fn merging(folder: &TempDir) -> Result<Results> {
     build()?;
     let weights = machine::root().join("../shared/lpips");
@@ -83,7 +83,7 @@ pub(crate) fn merging(folder: &TempDir) -> Result<Results> {
     read_after(&mut pinned, "merging", folder)
 }
 
-/// Parts of the upload of a trained model, for each dataset.
+/// Measures partial uploads of a trained model, for each dataset.
 pub(crate) fn layers(folder: &TempDir) -> Result<Results> {
     build()?;
     of_each_dataset("layers", folder, |name, data, out| {
@@ -94,7 +94,7 @@ pub(crate) fn layers(folder: &TempDir) -> Result<Results> {
     })
 }
 
-/// Missions whose uploads break off, for each dataset.
+/// Measures missions whose uploads break off, for each dataset.
 pub(crate) fn broken_off(folder: &TempDir) -> Result<Results> {
     build()?;
     of_each_dataset("broken_off", folder, |name, data, out| {

@@ -1,4 +1,4 @@
-//! What the two programs do, as a user runs them.
+//! Measurements of the two programs, started as a user starts them.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -33,7 +33,7 @@ pub(crate) fn succeed(command: &mut Command) -> Result<()> {
     Ok(())
 }
 
-/// What a training or a mission reports.
+/// The reported result of a training or a mission.
 pub(crate) struct Outcome {
     /// How long the command took.
     seconds: f64,
@@ -86,7 +86,7 @@ pub(crate) fn sizes(folder: &TempDir) -> Result<Results> {
     Ok(measurement.finish()?)
 }
 
-/// The share of a radio's rate that is payload: the mean of 20 seeds.
+/// Measures the share of a radio's rate that is payload: the mean of 20 seeds.
 pub(crate) fn serial(_: &TempDir) -> Result<Results> {
     let share =
         Column::new("goodput", "share of the rate", 2).guarded(Better::Higher, Tolerance::Absolute(0.01));
@@ -99,7 +99,7 @@ pub(crate) fn serial(_: &TempDir) -> Result<Results> {
     Ok(measurement.finish()?)
 }
 
-/// PSNR and SSIM of held-out views after few steps.
+/// Measures PSNR and SSIM of held-out views after few steps.
 pub(crate) fn short(folder: &TempDir) -> Result<Results> {
     build()?;
     let mut measurement = Measurement::start("short", &[Column::psnr("PSNR"), Column::ssim()]);
@@ -118,8 +118,8 @@ pub(crate) fn short(folder: &TempDir) -> Result<Results> {
     Ok(measurement.finish()?)
 }
 
-/// Time, memory and quality with nothing but defaults. A mission's time includes its report, and the pictures of the
-/// built-in town; its memory is that of the largest agent.
+/// Measures time, memory and quality with default options. A mission's time includes writing its report and
+/// rendering the built-in town's pictures; its memory is that of the largest agent.
 pub(crate) fn defaults(folder: &TempDir) -> Result<Results> {
     build()?;
     let time = Column::speed("time", "s", 0, Better::Lower);
@@ -141,7 +141,7 @@ pub(crate) fn defaults(folder: &TempDir) -> Result<Results> {
     Ok(measurement.finish()?)
 }
 
-/// The lowest and the highest PSNR of four seeds.
+/// Measures the lowest and the highest PSNR of four seeds.
 pub(crate) fn seeds(folder: &TempDir) -> Result<Results> {
     build()?;
     let boruszyn = dataset("real_boruszyn")?;
@@ -156,7 +156,7 @@ pub(crate) fn seeds(folder: &TempDir) -> Result<Results> {
     Ok(measurement.finish()?)
 }
 
-/// Bytes and quality of a mission whose agents send everything, or send shared ground once.
+/// Measures bytes and quality of missions: agents upload all splats, or only one agent uploads each overlap.
 pub(crate) fn compress_first(folder: &TempDir) -> Result<Results> {
     build()?;
     let caliterra = dataset("real_caliterra")?;

@@ -50,7 +50,7 @@ fn main() -> Result<ExitCode> {
     Ok(if faults.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
-/// Runs the benches; returns what got worse.
+/// Runs the benches; returns the figures that got worse.
 fn measure(names: &[String], accept: bool) -> Result<Vec<String>> {
     let find = |name: &String| RUNS.iter().find(|run| run.name == name);
     let runs: Vec<&Run> = names

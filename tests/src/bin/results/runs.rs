@@ -1,4 +1,4 @@
-//! Everything that can be measured.
+//! The list of all benches.
 
 use anyhow::{Context, Result};
 use cosurf_tests::results::Results;
@@ -10,11 +10,11 @@ use crate::{benches, commands};
 pub(crate) struct Run {
     /// Name of the bench and of its results.
     pub(crate) name: &'static str,
-    /// What it measures.
+    /// The measured quantity, for `--list`.
     pub(crate) about: &'static str,
-    /// What measures it, with `DATA` and the like for folders; shown below the table.
+    /// The measuring command, with placeholders such as `DATA` for folders; shown below the table.
     pub(crate) command: &'static str,
-    /// Runs it; files may be left in the folder.
+    /// Runs the bench, which may leave files in the folder.
     measure: fn(&TempDir) -> Result<Results>,
 }
 
