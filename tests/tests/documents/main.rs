@@ -17,7 +17,6 @@ fn tables_show_the_stored_results() {
 }
 
 #[test]
-#[ignore = "README is being rewritten"]
 fn the_readme_is_short() {
     let lines = text::read("README.md").lines().count();
     assert!(lines <= README_LINES_MAX, "{lines} lines");
