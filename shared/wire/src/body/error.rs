@@ -14,7 +14,7 @@ pub enum BodyError {
     BadMagic,
     /// This build does not know the body's layout.
     UnknownLayout(u8),
-    /// The degree is above [`MAX_SH_DEGREE`], or the bounds are invalid.
+    /// The degree is above [`crate::body::MAX_SH_DEGREE`], or the bounds are invalid.
     BadHead,
     /// The checksum of head and table does not match.
     Damaged,
