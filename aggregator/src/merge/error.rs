@@ -23,4 +23,7 @@ pub enum MergeError {
     /// The caller stopped the merge.
     #[error("the merge was stopped")]
     GivenUp,
+    /// The merge stopped on a defect of this program.
+    #[error("the merge stopped on an internal error, printed above; please report it. The models are kept")]
+    Panicked,
 }

@@ -1,7 +1,7 @@
 //! Makes a mesh from a splat model, within one memory limit for everything.
 
 use cosurf_engine::backend::{Backend, Channels, Rendering};
-use cosurf_engine::budget::{Costs, PROCESS_BYTES};
+use cosurf_engine::budget::{Costs, PAIRS_PER_SPLAT, PROCESS_BYTES};
 use cosurf_engine::{Capacity, CpuBackend};
 use cosurf_scene::{Camera, Splats};
 use tracing::info_span;
@@ -11,9 +11,10 @@ use super::error::MeshError;
 use super::event::FuseEvent;
 use super::fuse::{FuseSettings, Fused, fuse};
 
-/// Room for splat–tile pairs, per splat and at least. A view with more pairs loses its farthest splats,
-/// whose surface other views see better.
-const PAIRS_PER_SPLAT: usize = 12;
+/// Capacity for splat–tile pairs, per splat and at least. Meshing renders oblique views of the whole model, so it
+/// allows three times as many pairs as training. A view with more loses its farthest splats, whose surface other
+/// views see better.
+const PAIRS_PER_MESHED_SPLAT: usize = 3 * PAIRS_PER_SPLAT;
 const PAIRS_LEAST: usize = 1 << 18;
 /// Bytes per pixel of a [`Rendering`]: colour, alpha, depth and normal, twice while the vectors grow.
 const RENDERING_BYTES_PER_PIXEL: u64 = 2 * 32;
@@ -52,7 +53,7 @@ struct Needs {
 
 impl Needs {
     fn of(splats: &Splats) -> Self {
-        let pairs = (PAIRS_PER_SPLAT * splats.len()).max(PAIRS_LEAST);
+        let pairs = (PAIRS_PER_MESHED_SPLAT * splats.len()).max(PAIRS_LEAST);
         // The model is held twice while it is loaded.
         let costs = Costs::of(&Capacity::to_render(splats.sh_degree), None);
         let per_splat = costs.splat + 4 * (11 + splats.sh_stride());

@@ -126,7 +126,6 @@ fn a_sphere_is_closed_and_of_the_right_size() {
     let found = signed_volume(&mesh);
     assert!((found / volume - 1.0).abs() < 0.02, "{found} of {volume}");
     let (most, mean) = offsets(&mesh, |p| p.length() - SPHERE_RADIUS);
-    eprintln!("OFF {most} {mean}");
     assert!(most < 0.5 * 0.08 && mean < 0.15 * 0.08, "{most} {mean}");
 }
 
@@ -138,7 +137,6 @@ fn a_box_is_closed_and_of_the_right_size() {
     let found = signed_volume(&mesh);
     assert!((found / volume - 1.0).abs() < 0.02, "{found} of {volume}");
     let (most, mean) = offsets(&mesh, distance_to_box);
-    eprintln!("OFF {most} {mean}");
     // The box's edges bulge a little, because fusion cannot at once tell air from box behind them.
     assert!(most < 2.0 * BOX_VOXEL_M && mean < 0.3 * BOX_VOXEL_M, "{most} {mean}");
 }

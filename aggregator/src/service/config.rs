@@ -5,7 +5,7 @@ use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
 use cosurf_engine::DeviceChoice;
-use cosurf_link::TlsFiles;
+use cosurf_link::{BrokerAddress, TlsFiles};
 use cosurf_wire::{DeviceId, FrameId, SiteId};
 use serde::Deserialize;
 
@@ -20,13 +20,13 @@ pub struct AggregatorConfig {
     pub site: SiteId,
     /// The aggregator's own device id on that site.
     #[serde(default = "default_device")]
-    pub device: String,
+    pub device: DeviceId,
     /// The folder of the service; see [`crate::service`] for its content.
     pub out: PathBuf,
     /// Address on which the embedded broker listens, for example `0.0.0.0:1883`; absent where `broker` is used.
     pub bind: Option<SocketAddr>,
     /// URL of another broker, for example `mqtt://10.0.0.2:1883`; absent where `bind` is used.
-    pub broker: Option<String>,
+    pub broker: Option<BrokerAddress>,
     /// Certificates for a broker with `mqtts://`.
     pub tls: Option<TlsFiles>,
     /// World frame of the coordinates, the same for all models that are merged; absent for `local`.
@@ -69,13 +69,13 @@ pub struct UpstreamConfig {
     /// Device id of the edge on that site, unique there.
     pub device: DeviceId,
     /// URL of its broker, for example `mqtt://cloud.example.org:1883`.
-    pub broker: String,
+    pub broker: BrokerAddress,
     /// Certificates for a broker with `mqtts://`.
     pub tls: Option<TlsFiles>,
 }
 
-fn default_device() -> String {
-    "aggregator".into()
+fn default_device() -> DeviceId {
+    DeviceId::new("aggregator").expect("the name is valid")
 }
 
 fn default_memory_bytes() -> u64 {

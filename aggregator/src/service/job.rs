@@ -151,7 +151,7 @@ impl Job {
             return JobState::Advanced(progress);
         }
         match self.thread.take_if(|thread| thread.is_finished()) {
-            Some(thread) => JobState::Done(Box::new(thread.join().unwrap_or(Err(MergeError::GivenUp)))),
+            Some(thread) => JobState::Done(Box::new(thread.join().unwrap_or(Err(MergeError::Panicked)))),
             None => JobState::Unchanged,
         }
     }

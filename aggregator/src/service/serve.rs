@@ -6,13 +6,13 @@ use std::ops::ControlFlow;
 use std::sync::mpsc::Receiver;
 use std::time::Duration;
 
-use cosurf_link::mqtt::{BadAddress, TlsError};
+use cosurf_link::mqtt::TlsError;
 use cosurf_link::{
     BrokerAddress, Credentials, Identity, InboxLimits, MqttConfig, MqttTransport, Role, SerialConfig, Tls,
     next_session,
 };
 use cosurf_scene::SceneError;
-use cosurf_wire::{DeviceId, SiteId};
+use cosurf_wire::SiteId;
 use serde::Serialize;
 
 use super::config::{AggregatorConfig, UpstreamConfig};
@@ -57,15 +57,9 @@ pub enum ServeError {
     /// Neither or both of `bind` and `broker` are configured.
     #[error("write either bind = \"0.0.0.0:1883\" (a broker of its own) or broker = \"mqtt://host:port\"")]
     OneBroker,
-    /// The broker's URL cannot be parsed.
-    #[error(transparent)]
-    Address(#[from] BadAddress),
     /// The certificates for the broker cannot be used.
     #[error(transparent)]
     Tls(#[from] TlsError),
-    /// The aggregator's device id is not valid.
-    #[error("device: {0}")]
-    Name(#[from] cosurf_wire::IdError),
     /// The embedded broker did not start.
     #[error(transparent)]
     Broker(#[from] BrokerError),
@@ -176,10 +170,9 @@ fn start_gateways(
 
 /// Makes the service's folder and takes the number of a new session from it.
 fn open_session(config: &AggregatorConfig, clock_s: u64) -> Result<Identity, ServeError> {
-    let device = DeviceId::new(&config.device)?;
     fs::create_dir_all(&config.out).map_err(|cause| SceneError::io(&config.out, cause))?;
     let session = next_session(&config.out.join("session"), clock_s)?;
-    Ok(Identity { site: config.site, device, session, role: Role::Aggregator })
+    Ok(Identity { site: config.site, device: config.device, session, role: Role::Aggregator })
 }
 
 fn inbox_limits(config: &AggregatorConfig) -> InboxLimits {
@@ -220,7 +213,7 @@ fn start_upstream(
     now: impl Fn() -> Duration + Send + 'static,
     say: impl Fn(UpstreamEvent) + Send + 'static,
 ) -> Result<Upstream, ServeError> {
-    let broker: BrokerAddress = above.broker.parse()?;
+    let broker = above.broker.clone();
     let tls = Tls::for_broker(&broker, above.tls.as_ref())?;
     let identity = Identity { site: above.site, device: above.device, session, role: Role::Device };
     let node = UpstreamNode::open(identity, credentials, &config.out, inbox_limits(config));
@@ -236,7 +229,7 @@ fn reach_broker(config: &AggregatorConfig) -> Result<(Option<Broker>, BrokerAddr
             let address = local_address(broker.address());
             Ok((Some(broker), address))
         }
-        (None, Some(text)) => Ok((None, text.parse()?)),
+        (None, Some(address)) => Ok((None, address.clone())),
         _ => Err(ServeError::OneBroker),
     }
 }
@@ -257,5 +250,8 @@ mod tests {
         let refused = toml::from_str::<AggregatorConfig>(&format!("{base}compute = \"cuda\"")).unwrap_err();
         assert!(refused.to_string().contains("auto, cpu, gpu or gpu:N"), "{refused}");
         assert!(toml::from_str::<AggregatorConfig>("site = \"a b\"\nout = \"o\"").is_err());
+        for wrong in ["device = \"a b\"", "broker = \"http://h\""] {
+            assert!(toml::from_str::<AggregatorConfig>(&format!("{base}{wrong}")).is_err(), "{wrong}");
+        }
     }
 }
