@@ -9,6 +9,7 @@
 mod held_out;
 
 use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 use anyhow::{Context, Result};
 use clap::Parser;
@@ -53,7 +54,9 @@ fn main() -> Result<()> {
     let cameras: Vec<Camera> =
         dataset.split(EVERY).0.iter().map(|i| fitted(dataset.views[*i].camera)).collect();
     let views = HeldOut::read(&dataset, fitted)?;
-    let base = base_of(&splats, &cameras, THREADS, usize::MAX, |_, _| ()).context("a model too small")?;
+    let begun = Instant::now();
+    let base = base_of(&splats, &cameras, 1, usize::MAX, |_, _| ()).context("a model too small")?;
+    let base_s = begun.elapsed().as_secs_f64();
     let body = model_to_body(&splats, &cameras, FirstLayer::Base(&base))?;
     let whole = views.render(&splats);
     println!("{} splats of degree {}, {} cameras", splats.len(), splats.sh_degree, cameras.len());
@@ -83,8 +86,14 @@ fn main() -> Result<()> {
         *loss = Some(lost);
     }
     println!();
-    let figures =
-        [Some(splats.len() as f64), Some(views.psnr(&whole)), Some(body.len() as f64 / splats.len() as f64)];
+    let bytes = body.len() as f64 / splats.len() as f64;
+    let figures = [
+        Some(splats.len() as f64),
+        Some(cameras.len() as f64),
+        Some(base_s),
+        Some(views.psnr(&whole)),
+        Some(bytes),
+    ];
     let mut measurement = Measurement::start("layers", &columns());
     // The whole body first, then smaller parts. A tenth of a body shows too little to be listed.
     let losses = losses.iter().rev().take(PARTS.len() - 1).copied();
@@ -97,7 +106,9 @@ fn columns() -> Vec<Column> {
     let bytes = Column::new("bytes a splat", "", 2).guarded(Better::Lower, Tolerance::Relative(0.02));
     let lost = |name| Column::new(name, "dB lost", 2).guarded(Better::Lower, Tolerance::Absolute(0.2));
     let parts = ["all", "first 80 %", "60 %", "40 %", "20 %"].map(lost);
-    [Column::splats(), Column::psnr("PSNR"), bytes].into_iter().chain(parts).collect()
+    let base = Column::speed("base on one core", "s", 1, Better::Lower);
+    let whole = [Column::splats(), Column::new("views", "", 0), base, Column::psnr("PSNR"), bytes];
+    whole.into_iter().chain(parts).collect()
 }
 
 /// The error of a model's normals against the true surface.

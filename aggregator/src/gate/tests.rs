@@ -7,6 +7,8 @@ use std::path::{Path, PathBuf};
 
 use glam::DQuat;
 
+use cosurf_tests::results::{Column, Measurement};
+
 use super::*;
 use crate::testing::{InMemory, above, ground};
 
@@ -131,11 +133,14 @@ fn trained() -> Vec<(String, Vec<Model>)> {
     missions.split(':').map(models).collect()
 }
 
-/// Run by the command below. Measures how exactly a model is moved back after it was rotated by 5°, scaled by 1.1 and
-/// moved by 2 m. Models of real pictures differ anyway, so `wanted` is where the others would move the unchanged model.
+/// Run by `results placement`, see `shared/docs/RESULTS.md`. Measures how exactly a model is moved back after it was
+/// rotated by 5°, scaled by 1.1 and moved by 2 m. Models of real pictures differ anyway, so `wanted` is where the others
+/// would move the unchanged model.
 #[test]
 #[ignore = "needs trained models"]
 fn trained_models_are_moved_back() {
+    // The smallest and the largest distance from where a model was, and from where the others place it.
+    let mut ranges = [[f64::INFINITY, 0.0]; 2];
     for (mission, models) in trained() {
         let all: Vec<Camera> = models.iter().flat_map(|model| model.cameras.clone()).collect();
         let extent = 1.1 * radius(&all, middle(&all));
@@ -159,15 +164,20 @@ fn trained_models_are_moved_back() {
                 pairs.map(|(a, b)| eye(a).distance(eye(&from.camera(b)))).fold(0.0, f64::max) / extent
             };
             let (trained, wanted) = (off(&Similarity::IDENTITY), off(&wanted));
-            println!(
-                "{mission}: model {wrong} comes back to within {:.3} % of the extent, and to within {:.3} % of where \
-                 it fits the others",
-                100.0 * trained,
-                100.0 * wanted
-            );
+            for ([smallest, largest], distance) in ranges.iter_mut().zip([trained, wanted]) {
+                *smallest = smallest.min(100.0 * distance);
+                *largest = largest.max(100.0 * distance);
+            }
             assert!(wanted < 0.001, "{wanted}");
         }
     }
+    let column = |name| Column::error(name, "% of the extent", 3);
+    let mut measurement = Measurement::start("placement", &[column("smallest"), column("largest")]);
+    let names = ["from where it was", "from where the others place it undisturbed"];
+    for (name, range) in names.into_iter().zip(ranges) {
+        measurement.row(name, &range.map(Some));
+    }
+    measurement.finish().unwrap();
 }
 
 /// `MISSIONS=DIR:DIR cargo test --release -p cosurf-aggregator --lib -- --ignored trained_models --nocapture`: judges

@@ -14,7 +14,7 @@ pub fn worse(stored: &Results, new: &Results) -> Vec<String> {
                 continue;
             }
             let what = format!("{}, {}: {}", stored.name, row.name, column.title());
-            let after = figure(new, &row.name, &column.name);
+            let after = new.figure(&row.name, &column.name);
             found.extend(match after {
                 Some(after) if is_worse(column, tolerance, *before, after) => {
                     let [before, after] = [*before, after].map(|value| number(value, column.decimals + 1));
@@ -26,12 +26,6 @@ pub fn worse(stored: &Results, new: &Results) -> Vec<String> {
         }
     }
     found
-}
-
-fn figure(results: &Results, row: &str, column: &str) -> Option<f64> {
-    let row = results.rows.iter().find(|candidate| candidate.name == row)?;
-    let place = results.columns.iter().position(|candidate| candidate.name == column)?;
-    row.values[place]
 }
 
 fn is_worse(column: &Column, tolerance: Tolerance, before: f64, after: f64) -> bool {

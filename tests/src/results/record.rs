@@ -80,6 +80,15 @@ pub struct Row {
     pub values: Vec<Option<f64>>,
 }
 
+impl Results {
+    /// The figure of a row and a column; `None` if there is none.
+    pub fn figure(&self, row: &str, column: &str) -> Option<f64> {
+        let row = self.rows.iter().find(|candidate| candidate.name == row)?;
+        let place = self.columns.iter().position(|candidate| candidate.name == column)?;
+        row.values[place]
+    }
+}
+
 impl Column {
     /// A figure without a direction, which is not guarded.
     pub fn new(name: &str, unit: &str, decimals: usize) -> Self {

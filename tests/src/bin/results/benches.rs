@@ -5,7 +5,7 @@ use std::process::{Command, Stdio};
 
 use anyhow::{Context, Result, ensure};
 use cosurf_tests::datasets::write_town;
-use cosurf_tests::results::{Better, Column, Measurement, Results, machine, store};
+use cosurf_tests::results::{Better, Column, Measurement, Results, Tolerance, machine, store};
 use tempfile::TempDir;
 
 use crate::commands::{build, dataset, mission, train};
@@ -31,6 +31,29 @@ fn cargo_bench(package: &str, bench: &str, words: &[&str]) -> Command {
 /// Runs a bench of this package. The bench writes its results into `folder`.
 pub(crate) fn ours(bench: &str, words: &[&str], folder: &TempDir) -> Result<Results> {
     read_after(&mut cargo_bench("cosurf-tests", bench, words), bench, folder)
+}
+
+/// Runs an ignored test that writes its results into `folder`, with more variables of the environment.
+pub(crate) fn ignored_test(
+    name: &str,
+    words: &[&str],
+    variables: &[(&str, &str)],
+    folder: &TempDir,
+) -> Result<Results> {
+    let mut command = Command::new("cargo");
+    command
+        .args(["test", "--release", "--locked"])
+        .args(words)
+        .current_dir(machine::root())
+        .stdin(Stdio::null());
+    command.envs(variables.iter().copied());
+    read_after(&mut command, name, folder)
+}
+
+/// Measures the memory of an aggregator to which two hundred agents upload.
+pub(crate) fn crowd(folder: &TempDir) -> Result<Results> {
+    build()?;
+    ignored_test("crowd", &["-p", "cosurf-tests", "--test", "crowd", "--", "--ignored"], &[], folder)
 }
 
 fn read_after(command: &mut Command, bench: &str, folder: &TempDir) -> Result<Results> {
@@ -94,6 +117,25 @@ pub(crate) fn layers(folder: &TempDir) -> Result<Results> {
     })
 }
 
+/// Measures the bytes of a packed splat.
+pub(crate) fn packing(folder: &TempDir) -> Result<Results> {
+    build()?;
+    let (data, out) = (dataset("real_caliterra")?, folder.path().join("caliterra"));
+    train(&data, &TRAINING, &out)?;
+    let model = out.join("model.ply");
+    let bytes =
+        |name| Column::new(name, "bytes a splat", 2).guarded(Better::Lower, Tolerance::Relative(0.02));
+    let mut measurement = Measurement::start("packing", &[bytes("packed"), bytes("as 32-bit floats")]);
+    for degree in [3, 2] {
+        let words = [text(&model)?, text(&data)?, "--sh-degree", &degree.to_string(), "--max-size", "240"];
+        let packed = ours("layers", &words, folder)?.figure("model", "bytes a splat");
+        // Mean, rotation, scales and opacity; then three colours of all harmonics.
+        let numbers = 3 + 4 + 3 + 1 + 3 * (degree + 1) * (degree + 1);
+        measurement.row(&format!("degree {degree}"), &[packed, Some(f64::from(4 * numbers))]);
+    }
+    Ok(measurement.finish()?)
+}
+
 /// Measures missions whose uploads break off, for each dataset.
 pub(crate) fn broken_off(folder: &TempDir) -> Result<Results> {
     build()?;
@@ -130,6 +172,6 @@ fn of_each_dataset(
     all.with_context(|| format!("{bench} has no datasets"))
 }
 
-fn text(path: &Path) -> Result<&str> {
+pub(crate) fn text(path: &Path) -> Result<&str> {
     path.to_str().with_context(|| format!("{} is not UTF-8", path.display()))
 }

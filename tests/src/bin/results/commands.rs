@@ -13,7 +13,7 @@ use cosurf_tests::results::{Better, Column, Measurement, Results, Tolerance, mac
 use serde_json::Value;
 use tempfile::TempDir;
 
-const MIB: f64 = (1 << 20) as f64;
+pub(crate) const MIB: f64 = (1 << 20) as f64;
 
 /// A dataset beside the checkout.
 pub(crate) fn dataset(name: &str) -> Result<PathBuf> {
@@ -33,6 +33,14 @@ pub(crate) fn succeed(command: &mut Command) -> Result<()> {
     Ok(())
 }
 
+/// Runs a command and parses what it prints as JSON.
+pub(crate) fn json(command: &mut Command) -> Result<Value> {
+    let output = command.arg("--json").stdin(Stdio::null()).output();
+    let output = output.with_context(|| format!("{command:?}"))?;
+    ensure!(output.status.success(), "{command:?}: {}", String::from_utf8_lossy(&output.stderr));
+    Ok(serde_json::from_slice(&output.stdout)?)
+}
+
 /// The reported result of a training or a mission.
 pub(crate) struct Outcome {
     /// How long the command took.
@@ -42,7 +50,7 @@ pub(crate) struct Outcome {
 
 impl Outcome {
     /// A number of `report.json`.
-    fn figure(&self, pointer: &str) -> Option<f64> {
+    pub(crate) fn figure(&self, pointer: &str) -> Option<f64> {
         self.report.pointer(pointer).and_then(Value::as_f64)
     }
 }
@@ -70,18 +78,31 @@ fn run(command: &mut Command, out: &Path) -> Result<Outcome> {
     Ok(Outcome { seconds, report: serde_json::from_slice(&fs::read(out.join("report.json"))?)? })
 }
 
-/// The size of both programs, as built and without symbols.
+/// The size of both programs, as built and without symbols, and of the agent as built for drones.
 pub(crate) fn sizes(folder: &TempDir) -> Result<Results> {
     build()?;
     let size =
         |name, decimals| Column::new(name, "MiB", decimals).guarded(Better::Lower, Tolerance::Relative(0.05));
     let mut measurement = Measurement::start("sizes", &[size("as built", 1), size("stripped", 1)]);
-    for name in ["cosurf-agent", "cosurf-aggregator"] {
-        let built = program(name);
-        let stripped = folder.path().join(name);
-        succeed(Command::new("strip").arg("-o").arg(&stripped).arg(&built))?;
+    let mut row = |name: &str, built: &Path| -> Result<()> {
+        let stripped = folder.path().join("stripped");
+        succeed(Command::new("strip").arg("-o").arg(&stripped).arg(built))?;
         let mib = |path: &Path| Ok::<_, std::io::Error>(Some(fs::metadata(path)?.len() as f64 / MIB));
-        measurement.row(&format!("`{name}`"), &[mib(&built)?, mib(&stripped)?]);
+        measurement.row(name, &[mib(built)?, mib(&stripped)?]);
+        Ok(())
+    };
+    for name in ["cosurf-agent", "cosurf-aggregator"] {
+        row(&format!("`{name}`"), &program(name))?;
+    }
+    let lean = machine::root().join("target/lean/cosurf-agent");
+    for (name, options) in [
+        ("`cosurf-agent`, profile `lean`", &[][..]),
+        ("the same, without graphics cards", &["--no-default-features"]),
+    ] {
+        let mut command = Command::new("cargo");
+        command.args(["build", "--locked", "--profile", "lean", "-p", "cosurf-agent"]).args(options);
+        succeed(command.current_dir(machine::root()))?;
+        row(name, &lean)?;
     }
     Ok(measurement.finish()?)
 }
@@ -153,20 +174,5 @@ pub(crate) fn seeds(folder: &TempDir) -> Result<Results> {
     let psnrs = ["0", "1", "2", "3"].iter().map(|seed| psnr(seed)).collect::<Result<Vec<f64>>>()?;
     let [lowest, highest] = [psnrs.iter().copied().reduce(f64::min), psnrs.iter().copied().reduce(f64::max)];
     measurement.row("Boruszyn, 478 × 640, four seeds", &[lowest, highest]);
-    Ok(measurement.finish()?)
-}
-
-/// Measures bytes and quality of missions: agents upload all splats, or only one agent uploads each overlap.
-pub(crate) fn compress_first(folder: &TempDir) -> Result<Results> {
-    build()?;
-    let caliterra = dataset("real_caliterra")?;
-    let sent = Column::new("sent", "MiB", 2).guarded(Better::Lower, Tolerance::Relative(0.05));
-    let mut measurement = Measurement::start("compress_first", &[sent, Column::psnr("PSNR")]);
-    for (name, more) in [("everything", None), ("shared ground once", Some("--compress-first"))] {
-        let options: Vec<&str> = ["--max-size", "240", "--steps", "1000"].into_iter().chain(more).collect();
-        let outcome = mission(Some(&caliterra), &options, &folder.path().join(name))?;
-        let bytes = outcome.figure("/whole/bytes_sent");
-        measurement.row(name, &[bytes.map(|bytes| bytes / MIB), outcome.figure("/whole/quality/psnr")]);
-    }
     Ok(measurement.finish()?)
 }

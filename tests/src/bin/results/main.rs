@@ -4,8 +4,11 @@
 
 mod benches;
 mod commands;
+mod devices;
 mod divan;
+mod missions;
 mod runs;
+mod truth;
 
 use std::process::ExitCode;
 

@@ -4,7 +4,7 @@ use anyhow::{Context, Result};
 use cosurf_tests::results::Results;
 use tempfile::TempDir;
 
-use crate::{benches, commands};
+use crate::{benches, commands, devices, missions, truth};
 
 /// A bench that `results` can run.
 pub(crate) struct Run {
@@ -28,11 +28,11 @@ impl Run {
 }
 
 /// All benches, the quickest first.
-pub(crate) const RUNS: [Run; 15] = [
+pub(crate) const RUNS: [Run; 20] = [
     Run {
         name: "sizes",
         about: "size of both programs",
-        command: "cargo build --release",
+        command: "cargo build --release; cargo build --profile lean -p cosurf-agent [--no-default-features]",
         measure: commands::sizes,
     },
     Run {
@@ -40,6 +40,12 @@ pub(crate) const RUNS: [Run; 15] = [
         about: "goodput of the serial line over simulated radios",
         command: "results serial",
         measure: commands::serial,
+    },
+    Run {
+        name: "truth",
+        about: "how far the two true surfaces of rendered Boruszyn differ",
+        command: "results truth",
+        measure: truth::truth,
     },
     Run {
         name: "passes",
@@ -52,6 +58,18 @@ pub(crate) const RUNS: [Run; 15] = [
         about: "fusing depth to a mesh, and judging it",
         command: "cargo bench -p cosurf-aggregator --bench mesh",
         measure: benches::mesh,
+    },
+    Run {
+        name: "packing",
+        about: "bytes of a packed splat",
+        command: "cargo bench -p cosurf-tests --bench layers -- MODEL.ply DATA --sh-degree N",
+        measure: benches::packing,
+    },
+    Run {
+        name: "crowd",
+        about: "memory of an aggregator while two hundred agents upload",
+        command: "cargo test --release -p cosurf-tests --test crowd -- --ignored",
+        measure: benches::crowd,
     },
     Run {
         name: "short",
@@ -72,10 +90,25 @@ pub(crate) const RUNS: [Run; 15] = [
         measure: commands::seeds,
     },
     Run {
-        name: "compress_first",
-        about: "a mission whose agents send shared ground once",
-        command: "cosurf-aggregator mission --data DATA --max-size 240 --steps 1000 [--compress-first]",
-        measure: commands::compress_first,
+        name: "devices",
+        about: "the same training on the CPU and on the GPU",
+        command: "cosurf-agent train DATA --max-size 160 --steps 500 --device DEVICE; cosurf-aggregator merge DIR DIR \
+                  --epochs 3 --device DEVICE",
+        measure: devices::devices,
+    },
+    Run {
+        name: "missions",
+        about: "missions over real photographs against one model of all views",
+        command: "cosurf-aggregator mission --data DATA --max-size 240 --steps 1000; cosurf-agent train DATA --max-size \
+                  240 --steps 3200",
+        measure: missions::missions,
+    },
+    Run {
+        name: "placement",
+        about: "how exactly a moved model is moved back",
+        command: "MISSIONS=DIR:DIR cargo test --release -p cosurf-aggregator --lib -- --ignored \
+                  trained_models_are_moved_back",
+        measure: missions::placement,
     },
     Run {
         name: "layers",

@@ -1,0 +1,91 @@
+//! Measurements of missions over real photographs, and of the models of their agents.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Context, Result};
+use cosurf_tests::programs::program;
+use cosurf_tests::results::{Better, Column, Measurement, Results, Tolerance};
+use serde_json::Value;
+use tempfile::TempDir;
+
+use crate::benches::{ignored_test, text};
+use crate::commands::{MIB, build, dataset, json, mission, train};
+
+/// Size of the pictures, and steps of each agent.
+const OPTIONS: [&str; 4] = ["--max-size", "240", "--steps", "1000"];
+/// Agents of a mission.
+const AGENTS: usize = 4;
+
+/// Measures the models of four agents, joined and merged, against one model of all views. With `--compress-first`
+/// only one agent uploads each overlap.
+pub(crate) fn missions(folder: &TempDir) -> Result<Results> {
+    build()?;
+    let caliterra = dataset("real_caliterra")?;
+    let out = |name: &str| folder.path().join(name);
+    let sent = Column::new("sent", "MiB", 2).guarded(Better::Lower, Tolerance::Relative(0.05));
+    let left = Column::new("splats left to other agents", "%", 0);
+    let mut measurement =
+        Measurement::start("missions", &[Column::psnr("PSNR"), Column::splats(), sent, left]);
+
+    let alone = train(&caliterra, &["--max-size", "240", "--steps", "3200"], &out("alone"))?;
+    measurement.row("one model of all views", &[alone.figure("/psnr"), alone.figure("/splats"), None, None]);
+    let merged = mission(Some(&caliterra), &OPTIONS, &out("merged"))?;
+    merge(&agents(&out("merged")), &["--epochs", "0", "--no-compress"], &out("joined"))?;
+    let joined = score(&out("joined"), &caliterra)?;
+    let figure = |value: &Value, pointer| value.pointer(pointer).and_then(Value::as_f64);
+    measurement
+        .row("four agents, joined", &[figure(&joined, "/mean/psnr"), figure(&joined, "/splats"), None, None]);
+    let compressed = merge(&agents(&out("merged")), &["--epochs", "0"], &out("compressed"))?;
+    let first = mission(Some(&caliterra), &[&OPTIONS[..], &["--compress-first"]].concat(), &out("first"))?;
+    let cases = [
+        ("four agents, merged", merged, share_left(&compressed)),
+        ("the same, `--compress-first`", first, None),
+    ];
+    for (name, outcome, left) in cases {
+        let [psnr, splats, bytes] = ["/whole/quality/psnr", "/whole/splats", "/whole/bytes_sent"]
+            .map(|pointer| outcome.figure(pointer));
+        measurement.row(name, &[psnr, splats, bytes.map(|bytes| bytes / MIB), left]);
+    }
+    Ok(measurement.finish()?)
+}
+
+/// Measures how exactly a moved model is moved back: the models of three missions.
+pub(crate) fn placement(folder: &TempDir) -> Result<Results> {
+    build()?;
+    let [caliterra, boruszyn] = [dataset("real_caliterra")?, dataset("gt_boruszyn")?];
+    let mut outs = Vec::new();
+    for (name, data) in
+        [("Caliterra", Some(&caliterra)), ("rendered Boruszyn", Some(&boruszyn)), ("town", None)]
+    {
+        let out = folder.path().join(name);
+        mission(data.map(PathBuf::as_path), &OPTIONS, &out)?;
+        outs.push(out);
+    }
+    let outs = outs.iter().map(|out| text(out)).collect::<Result<Vec<_>>>()?.join(":");
+    let words = ["-p", "cosurf-aggregator", "--lib", "--", "--ignored", "trained_models_are_moved_back"];
+    ignored_test("placement", &words, &[("MISSIONS", &outs)], folder)
+}
+
+fn agents(mission: &Path) -> Vec<PathBuf> {
+    (1..=AGENTS).map(|i| mission.join(format!("agents/agent-{i}"))).collect()
+}
+
+/// `cosurf-aggregator merge` with options; its report.
+pub(crate) fn merge(models: &[PathBuf], options: &[&str], out: &Path) -> Result<Value> {
+    let mut command = Command::new(program("cosurf-aggregator"));
+    json(command.arg("merge").args(models).args(options).arg("--out").arg(out))
+}
+
+/// `cosurf-aggregator eval` on pictures of [`OPTIONS`]' size; its report.
+fn score(model: &Path, data: &Path) -> Result<Value> {
+    let mut command = Command::new(program("cosurf-aggregator"));
+    json(command.arg("eval").arg(model).arg(data).args(["--max-size", "240"])).context("eval")
+}
+
+/// The share of splats that a merge removed as another agent's, percent.
+fn share_left(merge: &Value) -> Option<f64> {
+    let locals = merge.pointer("/merge/locals")?.as_array()?;
+    let sum = |name: &str| locals.iter().map(|local| local[name].as_f64()).sum::<Option<f64>>();
+    Some(100.0 * sum("removed")? / sum("arrived")?)
+}
