@@ -7,7 +7,7 @@
 
 use rayon::prelude::*;
 
-use super::scratch::{PerThread, zeros};
+use super::scratch::PerThread;
 use crate::backend::{Exposure, PhotometricLoss, TargetRgb};
 use crate::layout::constants::{
     SSIM_C1 as C1, SSIM_C2 as C2, SSIM_REACH as REACH, SSIM_TAPS as TAPS, ssim_window,
@@ -88,45 +88,63 @@ impl Photometric {
     }
 }
 
-/// Lines and rings of one band.
+/// Lines of a band with margins: rendering, photograph, exposed rendering, three products, three partial derivatives.
+const LINES: usize = 9;
+
+/// Memory of one thread for the lines and rings of a band.
 #[derive(Debug)]
-struct Scratch {
-    x_line: Vec<f32>,
-    y_line: Vec<f32>,
-    exposed_line: Vec<f32>,
-    products: [Vec<f32>; 3],
-    partial_lines: [Vec<f32>; 3],
-    moments: Ring<MOMENT_LINES>,
-    partials: Ring<PARTIAL_LINES>,
+struct Scratch(Vec<f32>);
+
+/// The lines and rings of one band. They are slices, not vectors, and their lengths are visible to the compiler. Then it
+/// keeps their addresses in registers and leaves bounds checks out of the loops.
+struct Lines<'a> {
+    x_line: &'a mut [f32],
+    y_line: &'a mut [f32],
+    exposed_line: &'a mut [f32],
+    products: [&'a mut [f32]; 3],
+    partial_lines: [&'a mut [f32]; 3],
+    moments: Ring<'a, MOMENT_LINES>,
+    partials: Ring<'a, PARTIAL_LINES>,
 }
 
 impl Scratch {
     /// Room for pictures whose width, rounded up to whole tiles, is at most `padded`.
     fn with_capacity(padded: usize) -> Self {
-        let line = || Vec::with_capacity(padded + 2 * MARGIN);
-        Self {
-            x_line: line(),
-            y_line: line(),
-            exposed_line: line(),
-            products: [line(), line(), line()],
-            partial_lines: [line(), line(), line()],
-            moments: Ring::with_capacity(padded),
-            partials: Ring::with_capacity(padded),
-        }
+        Self(Vec::with_capacity(Self::len(padded)))
     }
 
-    /// Lays lines and rings out for a width; lines are zero, so their margins are too.
-    #[inline(always)]
-    fn reset(&mut self, padded: usize) {
-        let line_len = padded + 2 * MARGIN;
-        zeros(&mut self.x_line, line_len);
-        zeros(&mut self.y_line, line_len);
-        zeros(&mut self.exposed_line, line_len);
-        self.products.iter_mut().for_each(|line| zeros(line, line_len));
-        self.partial_lines.iter_mut().for_each(|line| zeros(line, line_len));
-        self.moments.reset(padded);
-        self.partials.reset(padded);
+    fn len(padded: usize) -> usize {
+        LINES * (padded + 2 * MARGIN) + (MOMENT_LINES + PARTIAL_LINES) * TAPS * padded
     }
+
+    /// Divides the memory for a width. Lines are zero, so their margins are too. Rings keep old numbers: each of their
+    /// lines is written before it is read.
+    #[inline(always)]
+    fn lines(&mut self, padded: usize) -> Lines<'_> {
+        let line_len = padded + 2 * MARGIN;
+        self.0.resize(Self::len(padded), 0.0);
+        let rest = &mut self.0[..];
+        rest[..LINES * line_len].fill(0.0);
+        let (x_line, rest) = rest.split_at_mut(line_len);
+        let (y_line, rest) = rest.split_at_mut(line_len);
+        let (exposed_line, rest) = rest.split_at_mut(line_len);
+        let (products, rest) = three(rest, line_len);
+        let (partial_lines, rest) = three(rest, line_len);
+        let (moments, rest) = rest.split_at_mut(MOMENT_LINES * TAPS * padded);
+        let (partials, _) = rest.split_at_mut(PARTIAL_LINES * TAPS * padded);
+        let (moments, partials) =
+            (Ring { width: padded, data: moments }, Ring { width: padded, data: partials });
+        Lines { x_line, y_line, exposed_line, products, partial_lines, moments, partials }
+    }
+}
+
+/// Three lines of a length, and the rest.
+#[inline(always)]
+fn three(rest: &mut [f32], len: usize) -> ([&mut [f32]; 3], &mut [f32]) {
+    let (a, rest) = rest.split_at_mut(len);
+    let (b, rest) = rest.split_at_mut(len);
+    let (c, rest) = rest.split_at_mut(len);
+    ([a, b, c], rest)
 }
 
 #[derive(Clone, Copy)]
@@ -175,23 +193,12 @@ const MOMENT_LINES: usize = 5;
 const PARTIAL_LINES: usize = 3;
 
 /// `LINES` rings of 11 lines.
-#[derive(Debug)]
-struct Ring<const LINES: usize> {
+struct Ring<'a, const LINES: usize> {
     width: usize,
-    data: Vec<f32>,
+    data: &'a mut [f32],
 }
 
-impl<const LINES: usize> Ring<LINES> {
-    fn with_capacity(width: usize) -> Self {
-        Self { width, data: Vec::with_capacity(LINES * TAPS * width) }
-    }
-
-    /// Lays the lines out for a width. Old numbers stay: every line is written before it is read.
-    fn reset(&mut self, width: usize) {
-        self.width = width;
-        self.data.resize(LINES * TAPS * width, 0.0);
-    }
-
+impl<const LINES: usize> Ring<'_, LINES> {
     /// Line `line` for picture row `y` (which may be up to [`TAPS`] above the picture).
     #[inline(always)]
     fn at(&self, line: usize, y: isize) -> &[f32] {
@@ -243,8 +250,15 @@ impl Kernel for Band<'_> {
         let end = (first + BAND_TILES * TILE).min(height);
         let inside = |y: isize| y >= 0 && y < height as isize;
 
-        scratch.reset(padded);
-        let Scratch { x_line, y_line, exposed_line, products, partial_lines, moments, partials } = scratch;
+        let Lines {
+            x_line,
+            y_line,
+            exposed_line,
+            mut products,
+            mut partial_lines,
+            mut moments,
+            mut partials,
+        } = scratch.lines(padded);
         let mut sums = Sums::default();
 
         // Input is row `y_in`; then the partial derivatives of row `y_in - 5` and the gradient of row `y_in - 10` are
@@ -253,14 +267,14 @@ impl Kernel for Band<'_> {
             if inside(y_in) {
                 read_line(image, channel, y_in as usize, width, x_line);
                 target.read_line(channel, y_in as usize, width, &mut y_line[MARGIN..MARGIN + width]);
-                multiply::<L>(x_line, y_line, products);
+                multiply::<L>(x_line, y_line, &mut products);
                 for x in (0..padded).step_by(L::N) {
                     let filtered = [
                         filtered_row::<L>(x_line, x, &weights.window),
                         filtered_row::<L>(y_line, x, &weights.window),
-                        filtered_row::<L>(&products[0], x, &weights.window),
-                        filtered_row::<L>(&products[1], x, &weights.window),
-                        filtered_row::<L>(&products[2], x, &weights.window),
+                        filtered_row::<L>(products[0], x, &weights.window),
+                        filtered_row::<L>(products[1], x, &weights.window),
+                        filtered_row::<L>(products[2], x, &weights.window),
                     ];
                     for (line, value) in filtered.into_iter().enumerate() {
                         value.store(&mut moments.at_mut(line, y_in)[x..]);
@@ -276,7 +290,7 @@ impl Kernel for Band<'_> {
             }
             if inside(y_map) {
                 let own = (first..end).contains(&(y_map as usize));
-                let ssim = ssim_row::<L>(moments, y_map, width, &weights.window, partial_lines);
+                let ssim = ssim_row::<L>(&moments, y_map, width, &weights.window, &mut partial_lines);
                 if own {
                     sums.ssim += ssim;
                 }
@@ -346,7 +360,7 @@ fn read_line(image: &TileImage, channel: usize, y: usize, width: usize, line: &m
 }
 
 #[inline(always)]
-fn multiply<L: Lanes>(x: &[f32], y: &[f32], products: &mut [Vec<f32>; 3]) {
+fn multiply<L: Lanes>(x: &[f32], y: &[f32], products: &mut [&mut [f32]; 3]) {
     for start in (MARGIN..x.len() - MARGIN).step_by(L::N) {
         let (a, b) = (L::load(&x[start..]), L::load(&y[start..]));
         (a * a).store(&mut products[0][start..]);
@@ -393,11 +407,11 @@ fn differences<L: Lanes>(x: &[f32], exposed: &[f32], y: &[f32]) -> Sums {
 /// The SSIM map of one row: returns its sum, and writes its partial derivatives between the margins.
 #[inline(always)]
 fn ssim_row<L: Lanes>(
-    moments: &Ring<MOMENT_LINES>,
+    moments: &Ring<'_, MOMENT_LINES>,
     y: isize,
     width: usize,
     window: &[f32; TAPS],
-    partials: &mut [Vec<f32>; 3],
+    partials: &mut [&mut [f32]; 3],
 ) -> f64 {
     let c = L::splat;
     let mut sum = L::zero();
