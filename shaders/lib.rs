@@ -1,11 +1,11 @@
 //! The GPU passes of the cosurf engine: their sources in WGSL, joined and ready to compile.
 //!
-//! A pass is one file in `passes/`, named like its entry point. Code that several passes share is a file in `parts/`;
-//! the head of each pass names its parts, and a test checks that. The parts come first in the joined source, with
-//! `types`, which every pass has, before all others.
+//! A pass is one file in `passes/`, named like its entry point. Code that several passes share is in files in `parts/`.
+//! The comment at the head of each pass names the parts that the pass uses, and a test checks that. In the joined
+//! source the parts come first, and the part `types`, which every pass uses, is the first of them.
 //!
-//! This crate contains only text. Buffers, dispatches and the graphics library belong to `cosurf-engine`. Its
-//! tests validate every source, and compare the structures and constants with their counterparts in Rust.
+//! This crate contains only text. Buffers, dispatches and the graphics library belong to `cosurf-engine`. The tests of
+//! that crate validate every source, and compare the structures and constants with their counterparts in Rust.
 //!
 //! Where to start reading: `parts/types.wgsl` for the shared structures, then the passes in the order of a training
 //! step, which is the order of [`ALL`].
@@ -19,11 +19,11 @@
 /// The source of one pass.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shader {
-    /// Name of its file and of its entry point.
+    /// Name of the file of the pass, and of its entry point.
     pub name: &'static str,
-    /// Names of the parts that come before it in the source, in this order.
+    /// Names of the parts that come before the pass in `source`, in this order.
     pub parts: &'static [&'static str],
-    /// WGSL: the parts, then the pass.
+    /// The source in WGSL: the parts, then the pass.
     pub source: &'static str,
 }
 
@@ -46,47 +46,47 @@ macro_rules! shaders {
 }
 
 shaders! {
-    /// Projects every splat for one camera: 2D Gaussian, colour, plane, depth, number of tiles.
+    /// Projects every splat for one camera: computes its 2D Gaussian, colour, plane, depth and number of tiles.
     PROJECT: "project", "geometry", "sh", "spans";
-    /// Running sums within blocks of numbers.
+    /// Replaces each number by the sum of the numbers before it in its block.
     SCAN_BLOCKS: "scan_blocks", "group_scan";
-    /// Running sums of the sums of the blocks.
+    /// Replaces the sum of each block by the sum of all blocks before it.
     SCAN_SUMS: "scan_sums", "group_scan";
-    /// Adds the running sums of the blocks to the numbers in them.
+    /// Adds to each number the sum of all blocks before its own.
     SCAN_ADD: "scan_add";
     /// Lists the visible splats with their depths.
     COMPACT: "compact";
-    /// Counts the digits of the keys in each block.
+    /// Counts, for each block of keys, how often each digit occurs.
     SORT_COUNT: "sort_count";
-    /// Moves keys and values to their places by one digit.
+    /// Sorts keys and values by one digit of the keys.
     SORT_SCATTER: "sort_scatter";
-    /// Number of tiles of each visible splat, nearest splat first.
+    /// Lists the number of tiles of each visible splat, nearest splat first.
     ORDER_COUNTS: "order_counts";
-    /// Writes the splat–tile pairs.
+    /// Writes the splat–tile pairs of each splat.
     EMIT: "emit", "spans";
     /// Finds where the pairs of each tile begin and end.
     TILE_RANGES: "tile_ranges";
     /// Blends the splats of each tile into the picture.
     RASTERIZE: "rasterize", "pixels", "tile_list";
-    /// SSIM's map and its partial derivatives.
+    /// Computes the SSIM of every pixel, and its partial derivatives.
     SSIM: "ssim", "pixels", "photograph", "photometric";
-    /// Gradient of the colour loss.
+    /// Computes the gradient of the colour loss with respect to every pixel.
     PHOTOMETRIC_GRADIENT: "photometric_gradient", "pixels", "photograph", "photometric";
-    /// Sums of the colour loss over all tiles.
+    /// Adds the sums of the colour loss of all tiles.
     LOSS_TOTAL: "loss_total";
-    /// Depth of the blended planes.
+    /// Computes the depth of each pixel from its blended plane.
     UNBIASED_DEPTH: "unbiased_depth", "pixels", "surface";
-    /// Luma of a photograph.
+    /// Computes the luma of a photograph.
     LUMA: "luma", "photograph";
-    /// Smallest and largest slope of a photograph.
+    /// Finds the smallest and the largest slope of luma in a photograph.
     EDGES: "edges", "pixels", "luma_slope";
-    /// Single-view loss: blended normals against normals of the depth.
+    /// Single-view loss: compares blended normals with normals from depth.
     NORMALS: "normals", "pixels", "surface", "luma_slope", "tile_sum";
-    /// Propagates the gradients of depths to the blended planes.
+    /// Propagates the gradients with respect to depths to the blended planes.
     DEPTH_BACKWARD: "depth_backward", "pixels", "surface", "surface_gradient";
     /// Multi-view losses: reprojection and NCC.
     MULTIVIEW: "multiview", "pixels", "surface", "surface_gradient";
-    /// Losses of distillation.
+    /// Losses of distillation: compares depths and normals with those of a teacher.
     TEACHER: "teacher", "pixels", "surface", "surface_gradient", "tile_sum";
     /// Backward pass of the blend.
     RASTERIZE_BACKWARD: "rasterize_backward", "pixels", "tile_list", "crossing";
@@ -94,7 +94,7 @@ shaders! {
     PROJECT_BACKWARD: "project_backward", "geometry", "sh";
     /// One step of the optimiser.
     ADAM: "adam", "sh";
-    /// What each splat–tile pair contributes to a picture.
+    /// Computes what each splat–tile pair contributes to a picture.
     SCORE: "score", "pixels", "tile_list", "crossing";
     /// Adds the contributions of the pairs to the scores of their splats.
     SCORE_COLLECT: "score_collect";

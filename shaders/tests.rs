@@ -6,7 +6,7 @@ use std::path::Path;
 
 use super::ALL;
 
-/// Names of the files in a folder of this crate, without their ending.
+/// Names of the files in a folder of this crate, without the ending `.wgsl`.
 fn files_in(folder: &str) -> BTreeSet<String> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join(folder);
     let entries = fs::read_dir(&folder).expect("the folder is there");
@@ -18,7 +18,7 @@ fn files_in(folder: &str) -> BTreeSet<String> {
         .collect()
 }
 
-/// The parts that the head of a pass names.
+/// The parts that the comment at the head of a pass names.
 fn parts_in_head(file: &str) -> Vec<&str> {
     let line = file.lines().find_map(|line| line.strip_prefix("// Parts: ")).expect("a line of parts");
     line.trim_end_matches('.').split(", ").collect()

@@ -1,24 +1,24 @@
-//! What changed between two models on the ground that an agent's cameras see: since the last flight, or through the merge
-//! with other models.
+//! Compares two models on the ground that an agent's cameras see: the model that training started from and the trained
+//! model, or the trained model and the global model.
 
 use cosurf_contract::Changes;
 use cosurf_engine::{Renderer, Rendering};
 use cosurf_scene::Camera;
 use cosurf_scene::metrics::psnr;
 
-/// Long side of the renderings that are compared, px.
+/// Longest side of the compared renderings, px. Smaller cameras are not enlarged.
 const SIZE_PX: u32 = 160;
-/// Limit on the cameras that are compared; they are spread evenly over all.
+/// Limit on the number of compared cameras. If there are more, an even selection is compared.
 const VIEWS_MAX: usize = 16;
-/// A pixel shows a surface from this alpha on.
+/// Smallest alpha with which a pixel counts as showing a surface.
 const ALPHA_MIN: f32 = 0.5;
-/// A relative difference of depth above this counts as moved. It lies above the median difference of two trainings of the
-/// same ground.
+/// A pixel's surface counts as moved if its depths in the two models differ by more than this share of the first depth.
+/// The limit lies above the median difference between two trainings of the same ground.
 const DEPTH_MAX: f32 = 0.03;
-/// PSNR of equal renderings, dB; without a limit it would be infinite.
+/// Upper limit of the PSNR of one camera, dB, because the PSNR of equal renderings is infinite.
 const PSNR_MAX: f64 = 99.0;
 
-/// Compares the renderings of two models from `cameras`; `None` without cameras.
+/// Renders both models from `cameras` and compares the renderings. Returns `None` if there are no cameras.
 pub fn compare(before: &mut Renderer, after: &mut Renderer, cameras: &[Camera]) -> Option<Changes> {
     let views = cameras.len().min(VIEWS_MAX);
     let mut tally = Tally::default();
@@ -34,11 +34,11 @@ pub fn compare(before: &mut Renderer, after: &mut Renderer, cameras: &[Camera]) 
 #[derive(Default)]
 struct Tally {
     psnr: f64,
-    /// Relative differences of depth of the pixels that show a surface in both models.
+    /// Relative difference of depth, at least 0, for each pixel that shows a surface in both models.
     differences: Vec<f32>,
-    /// Pixels with a surface in the first model only.
+    /// Number of pixels that show a surface only in the first model.
     gone: usize,
-    /// Pixels with a surface in the second model only.
+    /// Number of pixels that show a surface only in the second model.
     new: usize,
 }
 
@@ -94,7 +94,8 @@ mod tests {
         }
     }
 
-    /// Flat ground from x = -8 to `east`, at z = 0 where x < 0 and at z = `height` elsewhere.
+    /// A model of horizontal ground from x = -8 to x = `east`. Its height is z = 0 for x < 0, and z = `height` for x ≥
+    /// 0.
     fn ground(east: f32, height: f32) -> Renderer {
         let mut splats = Splats::with_capacity(0, 0);
         for i in 0..((east + 8.0) * 2.0) as i32 {

@@ -1,8 +1,9 @@
-//! Checkpoints: all that a training needs to resume to the same bits, in one file.
+//! Checkpoints: a file with the state of a training. A resumed training ends with the same bits as an uninterrupted one
+//! on the same device.
 //!
-//! The file has one line of JSON ([`Head`]), then the trainer's numbers as little-endian f32, zstd-compressed, with a
-//! BLAKE3 hash of the uncompressed bytes at the end. It is replaced atomically, so a kill at any moment leaves a complete
-//! checkpoint.
+//! The file starts with one line of JSON ([`Head`]). The rest is compressed with zstd: the trainer's numbers as
+//! little-endian f32, then a BLAKE3 hash of these uncompressed numbers. The file is replaced atomically, so a kill at
+//! any moment leaves the old or the new checkpoint, never a part of one.
 
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read, Write};
@@ -15,20 +16,21 @@ use serde::{Deserialize, Serialize};
 use tracing::debug_span;
 
 const FORMAT: &str = "cosurf checkpoint 2";
-/// The lowest level: the numbers hardly compress, and training waits for the file.
+/// A fast compression level. The numbers hardly compress, and training waits until the file is written.
 const ZSTD_LEVEL: i32 = 1;
 /// Limit on the first line; a file with a longer one is not a checkpoint.
 const HEAD_BYTES_MAX: u64 = 4096;
 
-/// Identifies a training: a checkpoint is only restored into the training that wrote it.
+/// Identifies a training, so that a checkpoint is restored only into the training that wrote it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Fingerprint(String);
 
 impl Fingerprint {
-    /// A hash of all that determines the bits of a training.
+    /// Hashes the settings, the cameras and the sparse points (positions and colours). The pictures' pixels are not
+    /// hashed. Nor is the device, so a training can move to another device.
     pub fn of(settings: &TrainSettings, cameras: &[Camera], points: &[SparsePoint]) -> Self {
         let mut hash = blake3::Hasher::new();
-        // `Debug` prints floats with all digits that distinguish them.
+        // `Debug` prints every float with enough digits to tell it from any other float.
         hash.update(format!("{FORMAT} {settings:?}").as_bytes());
         for camera in cameras {
             hash.update(format!("{camera:?}").as_bytes());
@@ -54,7 +56,7 @@ struct Head {
     spent: Spent,
 }
 
-/// Time that a training has taken so far, over all runs.
+/// Time that a training has taken so far, summed over all runs of the program.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Spent {
     /// Elapsed time, seconds.
@@ -64,20 +66,21 @@ pub struct Spent {
     pub cpu_seconds: f64,
 }
 
-/// A checkpoint file whose head has been read.
+/// An open checkpoint file. Its first line has been read.
 pub struct Checkpoint {
     path: PathBuf,
     head: Head,
     body: BufReader<File>,
 }
 
-/// The checkpoint file of a training that writes to `out`.
+/// Path of the checkpoint file of a training whose output folder is `out`.
 pub fn path(out: &Path) -> PathBuf {
     out.join("checkpoint").join("state.bin")
 }
 
 impl Checkpoint {
-    /// Opens the checkpoint in `out`; `None` if there is none. Fails if the file or its head cannot be read.
+    /// Opens the checkpoint in the output folder `out`. Returns `None` if there is no checkpoint. Fails if the file or
+    /// its first line cannot be read.
     pub fn find(out: &Path) -> Result<Option<Self>> {
         let path = path(out);
         let file = match File::open(&path) {
@@ -103,13 +106,13 @@ impl Checkpoint {
         Ok(Some(Self { path, head, body }))
     }
 
-    /// Time that the training took up to this checkpoint.
+    /// Time that the training had taken when this checkpoint was written.
     pub fn spent(&self) -> Spent {
         self.head.spent
     }
 
-    /// Restores the trainer to the state of the checkpoint. Fails if the checkpoint belongs to another training or is
-    /// damaged.
+    /// Restores the trainer to the state in the checkpoint. Fails if the checkpoint belongs to another training, has
+    /// more splats than the trainer's memory allows, or is damaged.
     pub fn restore(self, expected: &Fingerprint, trainer: &mut Trainer<AnyBackend>) -> Result<()> {
         let path = self.path.display().to_string();
         if self.head.fingerprint != *expected {
@@ -144,8 +147,8 @@ impl Checkpoint {
     }
 }
 
-/// Writes the checkpoint of `trainer` into `out`; `spent` is the time taken so far. Fails with [`DeviceLost`] if the
-/// device was lost.
+/// Writes the checkpoint of `trainer` into the output folder `out`. `spent` is the time that the training has taken so
+/// far. Fails with [`DeviceLost`] if the device was lost.
 pub fn write(
     out: &Path,
     fingerprint: &Fingerprint,

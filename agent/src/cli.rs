@@ -1,4 +1,4 @@
-//! The command line, with one module for each command: its options, and the calls into the library.
+//! The agent's command line. Each command has a module with its options and its calls into the library.
 
 mod arguments;
 #[cfg(feature = "gpu")]
@@ -16,15 +16,15 @@ use anyhow::Result;
 use clap::{Parser, Subcommand};
 use cosurf_contract::{LogFormat, log};
 
-/// Train a Gaussian-surface model from drone pictures with known poses, within a memory limit, on this computer's
+/// Train a Gaussian-splat surface model from drone pictures with known poses, within a memory limit, on this computer's
 /// CPU or GPU.
 #[derive(Debug, Parser)]
 #[command(version, propagate_version = true)]
 pub(crate) struct Cli {
     #[command(subcommand)]
     command: Command,
-    /// Log what the program does and how long it takes, to standard error: error, warn, info (stages), debug (their
-    /// parts, messages), trace (steps and passes), or a list like info,cosurf_engine=trace [default: no log]
+    /// Write a log with times to standard error. LEVEL is error, warn, info (stages), debug (also parts of stages, and
+    /// messages) or trace (also steps and passes). FILTER is a list like info,cosurf_engine=trace [default: no log]
     #[arg(long, global = true, value_name = "LEVEL|FILTER")]
     log: Option<String>,
     /// Format of the log: text or json

@@ -7,7 +7,7 @@ use cosurf_scene::{Picture, View};
 use serde::Serialize;
 use tracing::info_span;
 
-/// The score of one view.
+/// The scores of one view.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ViewScore {
     /// The view's name.
@@ -21,16 +21,16 @@ pub struct ViewScore {
 /// The scores of a model.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Score {
-    /// Mean PSNR, dB; absent without views.
+    /// Mean PSNR over the views, dB; `None` without views.
     pub psnr: Option<f64>,
-    /// Mean SSIM; absent without views.
+    /// Mean SSIM over the views, -1..=1; `None` without views.
     pub ssim: Option<f64>,
-    /// One score per view, in the order given.
+    /// The scores of each view, in the order in which the views were given.
     pub views: Vec<ViewScore>,
 }
 
-/// Renders each view with a long side of at most `max_size_px` and compares the rendering with the view's picture. Colours
-/// are clamped to 0..=1 first, as in a picture file. Fails if a picture cannot be read.
+/// Renders each view with a long side of at most `max_size_px`, and compares the rendering with the view's picture.
+/// Rendered colours are first clamped to 0..=1, as they are in a picture file. Fails if a picture cannot be read.
 pub fn score(renderer: &mut Renderer, views: &[View], max_size_px: u32) -> Result<Score> {
     let _span = info_span!("evaluate", views = views.len()).entered();
     let scores = views

@@ -1,9 +1,10 @@
-//! Which views other devices have taken, and which splats are therefore dropped before the upload (CoSurfGS, "Local Model
-//! Compression", on the device).
+//! Decides which splats a device drops before the upload, because another device owns their ground (CoSurfGS, "Local
+//! Model Compression", done on the device).
 //!
-//! Every device announces its cameras, its *flight*, before it trains, and the broker retains the announcement; so a
-//! device that has trained receives the flights of all others. If a device's flight has not arrived, its
-//! ground is kept and may be sent twice. No ground is lost if every device with a known flight sends a model.
+//! Every device announces its *flight*, the cameras of its pictures, before it trains. The broker retains the
+//! announcements, so a device that has finished training receives the flights of all other devices. If the flight of
+//! another device has not arrived, this device drops no splats in favour of that device, so the same ground may be sent
+//! twice. No ground is lost if every device that has announced a flight also sends a model.
 
 use std::collections::BTreeMap;
 
@@ -13,10 +14,10 @@ use cosurf_link::select_flight_cameras;
 use cosurf_scene::{Camera, Splats};
 use cosurf_wire::DeviceId;
 
-/// Limit on the number of devices; flights of further devices are ignored.
+/// Limit on the number of devices, this one included. Flights of further devices are ignored.
 const DEVICES_MAX: usize = 256;
 
-/// The known flights of a site.
+/// The flights of a site that have arrived at this device, and this device's own flight.
 #[derive(Clone, Debug)]
 pub struct Flights {
     own: DeviceId,
@@ -24,12 +25,12 @@ pub struct Flights {
 }
 
 impl Flights {
-    /// Only the flight of the own device, which took views with these cameras.
+    /// Starts with the flight of this device, `own`, whose pictures have these `cameras`.
     pub fn new(own: DeviceId, cameras: &[Camera]) -> Self {
         Self { own, cameras: BTreeMap::from([(own, select_flight_cameras(cameras))]) }
     }
 
-    /// Adds the flight of another device, or replaces an earlier one.
+    /// Adds the flight of another device, or replaces that device's earlier flight.
     pub fn insert(&mut self, device: DeviceId, cameras: Vec<Camera>) {
         let is_known = self.cameras.contains_key(&device);
         if device != self.own && (is_known || self.cameras.len() < DEVICES_MAX) {
@@ -42,8 +43,8 @@ impl Flights {
         self.cameras.len() - 1
     }
 
-    /// Which splats of the own model to drop, since their ground belongs to another device. `cameras` are the model's at
-    /// training size; `threads` must be at least 1.
+    /// Finds the splats of this device's model to drop, because another device owns their ground. `cameras` are the
+    /// model's training cameras, scaled to the picture sizes that training used. `threads` must be at least 1.
     pub fn compression(&self, splats: &Splats, cameras: &[Camera], threads: usize) -> Result<Compression> {
         let own = self.cameras.keys().position(|device| *device == self.own).unwrap_or(0);
         let all: Vec<Vec<Camera>> = self.cameras.values().cloned().collect();
@@ -59,7 +60,7 @@ mod tests {
 
     use super::*;
 
-    /// A camera that looks down on 8 × 8 m.
+    /// A camera 10 m above (x, 0, 0) that looks down on 8 × 8 m of ground.
     fn above(x: f64) -> Camera {
         let rotation = DQuat::from_rotation_x(std::f64::consts::PI);
         Camera {
@@ -70,7 +71,7 @@ mod tests {
         }
     }
 
-    /// Flat ground from -16 to 16 m.
+    /// A model of flat ground at z = 0, with x from -16 to 16 m and y from -4 to 4 m.
     fn ground() -> Splats {
         let mut splats = Splats::with_capacity(0, 0);
         for i in 0..64 * 16 {

@@ -1,11 +1,17 @@
-//! The drone's side of cosurf: pictures with known poses in, a local model out.
+//! The agent of cosurf: trains a local model on a drone's pictures with known poses, and sends the model to the
+//! aggregator.
 //!
-//! What it is: a training session within a memory limit ([`session`]), which can be killed at any time and resumes to
-//! the same bits ([`checkpoint`]); scores of a model on held-out pictures ([`evaluate`]); renderings of a model as files
-//! ([`pictures`]); publishing over a link ([`publish`]), with or without the ground that other devices observed better
-//! ([`flights`]); and what changed between two models of the same ground ([`changes`]).
+//! What it is:
+//! - [`session`]: training within a memory limit. A training can be killed at any time; when it resumes, the result has
+//!   the same bits ([`checkpoint`]).
+//! - [`evaluate`]: scores of a model on held-out pictures.
+//! - [`pictures`]: renderings of a model as files.
+//! - [`publish`]: the upload of the model over a link, and the download of the global model. The upload can leave out
+//!   ground that other devices observed better ([`flights`]).
+//! - [`changes`]: the differences between two models of the same ground.
 //!
-//! What it refuses to know: the aggregator's code, and what becomes of the model there. It never sends a picture.
+//! What it knows nothing about: the aggregator's code, and what the aggregator does with the model. The agent never
+//! sends a picture.
 //!
 //! Where to start reading: [`session`].
 //!

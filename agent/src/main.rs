@@ -12,14 +12,14 @@ fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => {
-            // One line: what failed, then why.
+            // `{:#}` prints the error and its causes on one line.
             eprintln!("cosurf-agent: {error:#}");
             ExitCode::FAILURE
         }
     }
 }
 
-/// True if the reader of the output has closed it, as `head` does.
+/// True if a write failed because the reader of the output has closed the pipe, as `head` does.
 fn is_broken_pipe(error: &anyhow::Error) -> bool {
     error.downcast_ref().is_some_and(|error: &io::Error| error.kind() == io::ErrorKind::BrokenPipe)
 }

@@ -9,8 +9,8 @@ use cosurf_scene::colormap::{depth_picture, depth_range, normal_picture};
 use cosurf_scene::{Picture, View, atomic};
 
 /// Renders `view` with a long side of at most `max_size_px` and writes `NAME.color.png`, `NAME.depth.png`,
-/// `NAME.normal.png` and `NAME.depth.pfm` into `folder`. The PFM has one 32-bit float per pixel: metres along the
-/// optical axis, 0 where there is no surface.
+/// `NAME.normal.png` and `NAME.depth.pfm` into `folder`. NAME is the view's name without its extension, with `_` for
+/// `/` and `\`. The PFM has one 32-bit float per pixel: metres along the optical axis, 0 where there is no surface.
 pub fn write(renderer: &mut Renderer, view: &View, max_size_px: u32, folder: &Path) -> Result<()> {
     let camera = view.camera.resized(view.camera.fitted_size(max_size_px));
     let rendering = renderer.render(&camera);
@@ -24,7 +24,7 @@ pub fn write(renderer: &mut Renderer, view: &View, max_size_px: u32, folder: &Pa
     write_pfm(&file("depth.pfm"), rendering.size_px, &rendering.depth)
 }
 
-/// Writes a portable float map: one channel, little-endian, bottom row first.
+/// Writes a portable float map (PFM): one channel, little-endian, the bottom row of the picture first.
 fn write_pfm(path: &Path, size_px: [u32; 2], values: &[f32]) -> Result<()> {
     let [width, height] = size_px;
     atomic::write(path, |file| {

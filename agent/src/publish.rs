@@ -1,8 +1,8 @@
-//! Publishing: the agent uploads its model in chunks until the aggregator has stored it, and stores the global model
-//! that it receives.
+//! Publishes the agent's model: uploads it in chunks until the aggregator has stored it. Then receives the global model
+//! and stores it.
 //!
-//! Both survive a kill at any moment: the number and the hash of the published model are on disk, and a global model is
-//! on disk before it is acknowledged.
+//! The agent can be killed at any moment and goes on when it is started again. The number and the hash of the published
+//! model are on disk before the upload starts, and a global model is on disk before it is acknowledged.
 
 mod offer;
 mod publication;
@@ -25,11 +25,12 @@ use offer::offer;
 
 pub use publication::{Publication, Sharing};
 
-/// Longest wait for a message before the time is checked again.
+/// Longest wait for a message, after which the loops below check the time again.
 const POLL_TIMEOUT: Duration = Duration::from_millis(200);
 
-/// Announces this device's cameras to the other devices. Gives up after `timeout` without a connection; once connected,
-/// it stays for `flush_time`.
+/// Announces the cameras `flight` of this device to the other devices. Waits up to `timeout` for a connection. Once
+/// connected, runs for `flush_time` more, so that the announcement is sent. `now` is the time since an arbitrary
+/// moment.
 pub fn announce_flight<T: Transport>(
     identity: Identity,
     credentials: &Credentials,
@@ -39,7 +40,7 @@ pub fn announce_flight<T: Transport>(
     timeout: Duration,
     flush_time: Duration,
 ) {
-    // No global model is accepted yet: `publish` asks for it.
+    // This node accepts no global model; the node of `publish` does.
     let closed =
         InboxLimits { body_bytes_max: u64::MAX, total_bytes_max: u64::MAX, models_max: 0, stored_max: 0 };
     let mut node = Node::new(identity, closed, &[]);
@@ -56,8 +57,9 @@ pub fn announce_flight<T: Transport>(
     }
 }
 
-/// Sends the model and returns when it is acknowledged and, if wanted, a global model is stored. `now` is the time since
-/// an arbitrary moment. Fails if the aggregator refuses the model for good, or a file cannot be read or written.
+/// Uploads the model. Returns once the aggregator has acknowledged it and, if the publication waits for a global model,
+/// a global model is stored. `now` is the time since an arbitrary moment. Fails if the aggregator refuses the model for
+/// good, or if a file cannot be read or written.
 pub fn publish<T: Transport>(
     publication: &Publication,
     transport: &mut T,
@@ -82,25 +84,25 @@ pub fn publish<T: Transport>(
     Ok(())
 }
 
-/// Where the newest global model is stored.
+/// Path of the newest global model in the agent's folder `out`.
 pub fn global_ply(out: &Path) -> PathBuf {
     out.join("global.ply")
 }
 
-/// One publication under way.
+/// The state of one call of [`publish`].
 struct Publisher<'a, F> {
     publication: &'a Publication<'a>,
     node: Node,
     globals: ModelStore,
     upload: Upload<'a>,
-    /// Whether a global model is stored, by this run or an earlier one.
+    /// Whether the global model that the aggregator offers is stored, by this run or by an earlier one.
     has_global: bool,
     on_event: F,
 }
 
-/// The stages of the upload, in their order.
+/// The stages of the upload, in order.
 enum Upload<'a> {
-    /// Collects the flights of the other devices, which decide what is sent.
+    /// The flights of the other devices are being collected. They decide which splats are sent.
     Collecting(FlightCollector<'a>),
     /// The model is being sent.
     Sending { bytes_total: u64 },
@@ -136,7 +138,8 @@ impl<'a, F: FnMut(AgentEvent)> Publisher<'a, F> {
         matches!(self.upload, Upload::Acknowledged) && (self.has_global || !self.publication.wait_global)
     }
 
-    /// Drops the splats of ground that others observed better and starts the upload, once all flights are known.
+    /// Once all flights are known, drops the splats of ground that other devices observed better, and starts the
+    /// upload. Does nothing before that, or if the upload has started.
     fn upload_when_flights_are_known(&mut self, now: Duration) -> Result<()> {
         let Upload::Collecting(collector) = &self.upload else { return Ok(()) };
         if !collector.is_complete(now) {
@@ -178,7 +181,7 @@ impl<'a, F: FnMut(AgentEvent)> Publisher<'a, F> {
                 (self.on_event)(AgentEvent::Acknowledged { bytes_sent: progress.bytes_sent });
             }
             NodeEvent::UploadRefused { key, reason, .. } => self.on_refused(key, reason)?,
-            // Received before a kill or a restart, so it is on disk.
+            // An earlier run received this global model and wrote it to disk.
             NodeEvent::Known(header) if !self.has_global => self.on_global_stored(&header),
             NodeEvent::Store { header, body } => self.store_global(&header, &body),
             _ => {}
@@ -224,11 +227,12 @@ fn start_upload<'a>(node: &mut Node, offer: Offer) -> Upload<'a> {
     Upload::Sending { bytes_total }
 }
 
-/// Collects flights until none has arrived for a while.
+/// Collects the flights of other devices until none has arrived for [`Sharing::quiet`].
 struct FlightCollector<'a> {
     sharing: Sharing<'a>,
     flights: Flights,
-    /// When the connection was made or the last flight arrived; `None` before the first connection.
+    /// Time of the first connection or, if later, of the latest flight that arrived; `None` before the first
+    /// connection.
     quiet_since: Option<Duration>,
 }
 
@@ -250,18 +254,20 @@ impl<'a> FlightCollector<'a> {
         self.quiet_since.is_some_and(|since| now >= since + self.sharing.quiet)
     }
 
-    /// Indices of the splats that belong to other devices.
+    /// Indices of the splats to drop, because other devices own their ground.
     fn splats_of_others(&self, splats: &Splats, cameras: &[Camera]) -> Result<Vec<u32>> {
         Ok(self.flights.compression(splats, cameras, self.sharing.threads)?.removed)
     }
 }
 
-/// The peer in an error: `broker 10.0.0.2:1883` in `broker 10.0.0.2:1883: connection refused`.
+/// The part of an error before its last `: `, which names the peer: `broker 10.0.0.2:1883` in `broker 10.0.0.2:1883:
+/// connection refused`.
 fn unreachable_peer(reason: &str) -> &str {
     reason.rsplit_once(": ").map_or(reason, |(peer, _)| peer)
 }
 
-/// Writes the global model as a PLY, and stores its body for later sessions.
+/// Decodes the global model and writes it as a PLY for viewers. Also stores its encoded bytes, so that later sessions
+/// know that the model has been received.
 fn write_global(globals: &ModelStore, out: &Path, header: &ModelHeader, body: &[u8]) -> Result<()> {
     let model = body_to_model(body)?;
     ply::write(&global_ply(out), &model.splats)?;

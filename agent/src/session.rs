@@ -1,5 +1,5 @@
-//! A training session: from a plan to a trained model, within the plan's memory limit. Training can resume from every
-//! checkpoint.
+//! A training session: turns a plan into a trained model within the plan's memory limit. A session can resume from
+//! every checkpoint of the same training.
 
 use std::path::PathBuf;
 
@@ -20,17 +20,20 @@ use tracing::info_span;
 use crate::checkpoint::{Checkpoint, Fingerprint};
 use crate::warm_start::read_visible_splats;
 
-/// Degree of the stored spherical harmonics.
+/// Degree of the spherical harmonics that the model stores for its colours.
 pub const SH_DEGREE: u32 = 3;
 
-/// Training pixels per splat, at least, if memory allows. Smaller splats would each be observed in too few pixels to be
-/// told from noise; larger ones lose detail.
+/// The model may have one splat for this many pixels of all training pictures, if the memory suffices, and at least one
+/// for each sparse point. With more splats, each would be observed in too few pixels to be told from noise; with fewer,
+/// the model loses detail.
 const PIXELS_PER_SPLAT: u64 = 24;
-/// The same for a model that will be merged. In its margin an agent sees its neighbours' ground in few of its own
-/// pictures, so that by the rule above it would have too few splats there. The merge gives each area one owner.
+/// Like [`PIXELS_PER_SPLAT`], for a model that will be merged. Only a few of the agent's pictures show its margin (the
+/// ground beyond its own cell), so with more pixels per splat the margin would get too few splats. The merged model
+/// does not keep all these splats, because the merge gives each area one owner.
 const PIXELS_PER_SPLAT_OF_MANY: u64 = 16;
 
-/// If memory is short, the long sides that are tried, as shares of the wanted one.
+/// Long sides of the training pictures that are tried in this order until the training fits into the memory, as shares
+/// of the long side that the plan asks for.
 const SIZE_STEPS: [f64; 6] = [1.0, 0.8, 0.63, 0.5, 0.35, 0.25];
 
 /// What to train.
@@ -38,48 +41,48 @@ const SIZE_STEPS: [f64; 6] = [1.0, 0.8, 0.63, 0.5, 0.35, 0.25];
 pub struct TrainPlan {
     /// The dataset's folder.
     pub data: PathBuf,
-    /// The division into training views and held-out views.
+    /// How the views are divided into training views and held-out views.
     pub split: Split,
-    /// Training steps, at least 1.
+    /// Number of training steps, at least 1.
     pub steps: u32,
     /// Seed of all random numbers.
     pub seed: u64,
-    /// Limit on the process's resident memory.
+    /// Limit on the process's resident memory, bytes.
     pub memory_bytes: u64,
-    /// Limit on the long side of training pictures; larger pictures are shrunk.
+    /// Limit on the long side of the training pictures, px; larger pictures are shrunk.
     pub max_size_px: u32,
     /// The device to train on.
     pub device: DeviceChoice,
-    /// CPU threads, at least 1.
+    /// Number of CPU threads, at least 1.
     pub threads: usize,
     /// The surface losses; `None` trains colour only.
     pub surface: Option<SurfaceSettings>,
-    /// Pruning; `None` for none.
+    /// Settings of pruning; `None` for no pruning.
     pub prune: Option<PruneSettings>,
     /// Whether to learn an exposure for each picture.
     pub exposure: bool,
     /// A PLY of the same ground to start from; `None` starts from the sparse cloud.
     pub init: Option<PathBuf>,
-    /// Whether the model will be merged with others. Then it gets more splats, and keeps splats that only one view
-    /// observes.
+    /// Whether the model will be merged with other models. If so, it gets more splats, and keeps splats that only one
+    /// view observes.
     pub one_of_many: bool,
 }
 
-/// The division of the views into training views and held-out views.
+/// How the views of a dataset are divided into training views and held-out views.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Split {
     /// Every n-th view by sorted name is held out; 0 holds out none.
     Every(u32),
-    /// By name.
+    /// The views of both kinds are given by name; views that are not named are not used.
     Named {
-        /// Training views.
+        /// Names of the training views.
         train: Vec<String>,
-        /// Held-out views.
+        /// Names of the held-out views.
         held_out: Vec<String>,
     },
 }
 
-/// The training cameras of a plan, at the pictures' size on disk.
+/// The cameras of the plan's training views, for the pictures in their size on disk.
 pub fn flight(plan: &TrainPlan) -> Result<Vec<Camera>> {
     let dataset = Dataset::open(&plan.data)?;
     let (train, _) = split(&dataset, &plan.split)?;
@@ -91,7 +94,7 @@ pub struct Session {
     trainer: Trainer<AnyBackend>,
     cache: PictureCache,
     held_out: Vec<View>,
-    /// Width and height of the largest training picture.
+    /// Largest width and largest height of the training pictures, px.
     size_px: [u32; 2],
     given_up: Vec<String>,
     fingerprint: Fingerprint,
@@ -99,9 +102,9 @@ pub struct Session {
 }
 
 impl Session {
-    /// Opens the data, plans the memory, and starts from `checkpoint`, from the plan's model or from the sparse cloud.
-    /// Fails if the data cannot be read, the memory is too small, the device cannot be opened, or the checkpoint belongs
-    /// to another training.
+    /// Opens the dataset, plans the memory and allocates it. Training starts from `checkpoint` if there is one,
+    /// otherwise from the plan's model or the sparse cloud. Fails if the data cannot be read, the memory is too small,
+    /// the device cannot be opened, or the checkpoint belongs to another training.
     pub fn start(plan: &TrainPlan, checkpoint: Option<Checkpoint>) -> Result<Self> {
         let _span = info_span!("prepare").entered();
         let dataset = Dataset::open(&plan.data)?;
@@ -166,8 +169,8 @@ impl Session {
         })
     }
 
-    /// Does one training step. Fails with [`DeviceLost`] if the device was lost, and the training with it; resume from the
-    /// last checkpoint.
+    /// Does one training step. Fails if a picture cannot be read. Fails with [`DeviceLost`] if the device was lost;
+    /// then the session is lost too, and a new one must resume from the last checkpoint.
     pub fn step(&mut self) -> Result<StepOutcome> {
         let index = self.trainer.view_index(0);
         let neighbour = self.trainer.neighbour_index(index, 0);
@@ -188,7 +191,7 @@ impl Session {
         Ok(outcome)
     }
 
-    /// Starts to read the pictures of the next step.
+    /// Starts to read the pictures of the next step in the background.
     fn prefetch(&self) {
         let next = self.trainer.view_index(1);
         self.cache.prefetch(next);
@@ -207,17 +210,17 @@ impl Session {
         &self.trainer
     }
 
-    /// The training cameras at training size, ordered by view name.
+    /// The training cameras, scaled to the picture sizes that training uses, ordered by view name.
     pub fn cameras(&self) -> &[Camera] {
         self.trainer.cameras()
     }
 
-    /// The held-out views, at their size on disk.
+    /// The held-out views, with cameras for the pictures in their size on disk.
     pub fn held_out(&self) -> &[View] {
         &self.held_out
     }
 
-    /// Width and height of the largest training picture.
+    /// Largest width and largest height of the training pictures, px.
     pub fn size_px(&self) -> [u32; 2] {
         self.size_px
     }
@@ -230,7 +233,7 @@ impl Session {
         Ok(splats)
     }
 
-    /// What the memory limit ruled out, one sentence each.
+    /// The reductions that the memory limit forced, one line of text each.
     pub fn given_up(&self) -> Vec<String> {
         let mut given_up = self.given_up.clone();
         if self.dropped_pairs > 0 {
@@ -241,12 +244,12 @@ impl Session {
     }
 }
 
-/// Fails if the device was lost: values read from it since then are not valid.
+/// Fails if the device was lost. Values that were read from the device after that moment are not valid.
 fn check_device(backend: &AnyBackend) -> Result<(), DeviceLost> {
     backend.lost().map_or(Ok(()), |reason| Err(DeviceLost(reason)))
 }
 
-/// Indices of the training views and of the held-out views.
+/// Indices of the training views, then of the held-out views. Fails if the dataset lacks a named view.
 fn split(dataset: &Dataset, split: &Split) -> Result<(Vec<usize>, Vec<usize>)> {
     let find = |names: &[String]| -> Result<Vec<usize>> {
         names
@@ -260,7 +263,8 @@ fn split(dataset: &Dataset, split: &Split) -> Result<(Vec<usize>, Vec<usize>)> {
     }
 }
 
-/// Extent of the cameras; for a single camera, the median distance of the points.
+/// Extent of the scene in world units, as [`Dataset::extent`] computes it from the cameras. If all cameras are in one
+/// place, it is the median distance of the sparse points from the first camera.
 fn extent(data: &Dataset) -> f64 {
     let extent = data.extent();
     if extent > 0.0 {
@@ -283,7 +287,8 @@ fn prepare(plan: &TrainPlan, data: &Dataset) -> Result<(Sizes, AnyBackend)> {
     if plan.device != DeviceChoice::Auto {
         return on(&plan.device.open()?);
     }
-    // Looking for a GPU loads drivers, and their memory is not freed even if there is no GPU.
+    // Looking for a GPU loads drivers, and their memory is not freed even if there is no GPU. So the program looks for
+    // a GPU only if training on the CPU would fit beside the drivers without any reduction.
     let beside_drivers = plan.memory_bytes.saturating_sub(DRIVER_BYTES);
     let may_look =
         plan_sizes(plan, beside_drivers, &Device::Cpu, data).is_ok_and(|sizes| sizes.is_unreduced());
@@ -298,20 +303,20 @@ fn prepare(plan: &TrainPlan, data: &Dataset) -> Result<(Sizes, AnyBackend)> {
     on(&Device::Cpu)
 }
 
-/// The sizes that fit into the memory.
+/// Sizes of a training that fit into the memory.
 struct Sizes {
     budget: Budget,
     sources: Vec<Source>,
 }
 
 impl Sizes {
-    /// Whether nothing was reduced to fit.
+    /// True if the memory limit forced no reduction.
     fn is_unreduced(&self) -> bool {
         self.budget.given_up.is_empty()
     }
 }
 
-/// Plans the largest pictures with which the training fits into the memory.
+/// Finds the largest of the sizes in [`SIZE_STEPS`] with which the training fits into the memory.
 fn plan_sizes(plan: &TrainPlan, memory_bytes: u64, device: &Device, data: &Dataset) -> Result<Sizes> {
     let widest = data.views.iter().flat_map(|view| view.camera.size_px).max().unwrap_or(1);
     let wanted = plan.max_size_px.min(widest);
@@ -342,15 +347,16 @@ fn plan_sizes(plan: &TrainPlan, memory_bytes: u64, device: &Device, data: &Datas
     }
 }
 
-/// What the training allocates if memory suffices, and the least that it needs.
+/// What the training would allocate with enough memory, and the least that it needs.
 fn wish(plan: &TrainPlan, device: &Device, data: &Dataset, sources: &[Source]) -> Result<Wish> {
     let pixels: u64 =
         sources.iter().map(|source| u64::from(source.size_px[0]) * u64::from(source.size_px[1])).sum();
     let size_px = [0, 1].map(|axis| sources.iter().map(|source| source.size_px[axis]).max().unwrap_or(1));
     let points = data.points.len() as u64;
     let tracks: u64 = data.points.iter().map(|point| point.views.len() as u64).sum();
-    // For a moment two copies of the points and their tracks exist (all views, training views), beside the search tree
-    // for the initial scales.
+    // Points and their tracks (lists of views) exist twice for a moment: for all views, and for the training views
+    // only. Later, a search tree over the points gives the splats their initial scales. The sum of all three is an
+    // upper limit.
     let points_bytes = 2 * (64 * points + 4 * tracks) + 40 * points;
     let pixels_per_splat = if plan.one_of_many { PIXELS_PER_SPLAT_OF_MANY } else { PIXELS_PER_SPLAT };
     Ok(Wish {

@@ -2,28 +2,30 @@
 
 use std::fs;
 
-/// Peak resident memory of this process so far; 0 if the system does not report it.
+/// Peak resident memory of this process so far, bytes; 0 if the system does not report it.
 pub fn peak_bytes() -> u64 {
     status_kib("VmHWM:") * 1024
 }
 
-/// Memory available to this process without swapping, bytes; `None` if the system does not report it.
+/// Memory of the computer that programs can still allocate without swapping (Linux: `MemAvailable`), bytes. `None` if
+/// the system does not report it.
 pub fn available_bytes() -> Option<u64> {
     let text = fs::read_to_string("/proc/meminfo").ok()?;
     kib_after(&text, "MemAvailable:").map(|kib| kib * 1024)
 }
 
-/// CPU time of all threads so far, seconds; 0 if the system does not report it.
+/// CPU time of all threads of this process so far, seconds; 0 if the system does not report it.
 pub fn cpu_seconds() -> f64 {
     let text = fs::read_to_string("/proc/self/stat").unwrap_or_default();
     cpu_ticks(&text).map_or(0.0, |ticks| ticks as f64 / TICKS_PER_S)
 }
 
-/// `USER_HZ`, the unit of times in `/proc`. Linux uses 100 on all architectures that this program supports.
+/// Ticks per second of the times in `/proc` (`USER_HZ`). It is 100 on all architectures of Linux that this program
+/// supports.
 const TICKS_PER_S: f64 = 100.0;
 
-/// User plus system time (fields 14 and 15) of a line of `/proc/<pid>/stat`. The process name, field 2, may contain
-/// spaces and parentheses.
+/// User time plus system time, in ticks: fields 14 and 15 of a line of `/proc/<pid>/stat`. Fields are counted after the
+/// last parenthesis, because the process name, field 2, may contain spaces and parentheses.
 fn cpu_ticks(stat: &str) -> Option<u64> {
     let fields: Vec<&str> = stat.rsplit_once(')')?.1.split_whitespace().collect();
     let ticks = |field: usize| fields.get(field - 3)?.parse::<u64>().ok();

@@ -1,5 +1,5 @@
-//! Warm start: training starts from a model of the same ground, for example the last flight's global model, instead of
-//! the sparse cloud.
+//! Warm start: training starts from a model of the same ground instead of the sparse cloud, for example from the last
+//! flight's global model.
 
 use std::path::Path;
 
@@ -7,8 +7,9 @@ use cosurf_link::plain_importance;
 use cosurf_scene::{Camera, SceneError, Splats, Watchers, ply};
 use glam::DVec3;
 
-/// Reads a PLY and keeps the splats inside the view of any of `cameras`, at most `splats_max`, the most important first.
-/// Harmonics above the model's own degree are zero, those above `sh_degree` are cut off.
+/// Reads a PLY and keeps the splats whose centres at least one of `cameras` sees, in the order of the file. If more
+/// than `splats_max` remain, keeps the most important ones, by opacity times area. The result has spherical harmonics
+/// up to `sh_degree`: higher degrees of the file are dropped, and degrees that the file lacks are zero.
 pub fn read_visible_splats(
     model: &Path,
     cameras: &[Camera],

@@ -1,5 +1,5 @@
-//! The agent's command line: the same bytes for any number of threads and after a kill, the memory limit kept,
-//! and one clear line for every fault of its input.
+//! Tests of the agent's command line. Training gives the same bytes for any number of threads and after a kill. It
+//! keeps the memory limit. Each fault of the input gives one clear line.
 
 #![allow(clippy::unwrap_used)]
 
@@ -13,7 +13,7 @@ use cosurf_tests::datasets::write_town;
 use cosurf_tests::skips::skip;
 use tempfile::TempDir;
 
-/// A small town as a dataset, made once for all tests of this file.
+/// The folder of a dataset of a small synthetic town, rendered once for all tests of this file.
 fn town() -> &'static Path {
     static TOWN: OnceLock<TempDir> = OnceLock::new();
     TOWN.get_or_init(|| {
@@ -64,7 +64,8 @@ fn succeed(mut command: Command) {
     assert!(output.status.success(), "{}", stderr(&output));
 }
 
-/// Runs a command that must fail, with exactly one line that begins with the program's name and contains `parts`.
+/// Runs a command that must fail. It must print exactly one line that begins with the program's name, and this line
+/// must contain all `parts`.
 fn refuse(mut command: Command, parts: &[&str]) {
     let output = command.output().unwrap();
     assert!(!output.status.success(), "should have failed: {parts:?}");
@@ -140,7 +141,7 @@ fn a_killed_training_resumes_to_the_same_bytes() {
     assert!(model(&whole) == model(&broken));
 }
 
-/// Standard error of a short training with the options `words`.
+/// Runs a short training with the options `words`, and returns what it writes to standard error.
 fn log_of_training(words: &[&str]) -> String {
     let folder = tempfile::tempdir().unwrap();
     let mut command = train(town(), folder.path(), &["--steps", "2", "--device", "cpu"]);
@@ -149,7 +150,7 @@ fn log_of_training(words: &[&str]) -> String {
     stderr(&output)
 }
 
-/// Passes of one step, as the log names them.
+/// The passes of one training step, as the log names them.
 const PASSES: [&str; 7] =
     ["project", "bin", "rasterize", "losses", "rasterize_backward", "project_backward", "adam"];
 
@@ -157,7 +158,8 @@ const PASSES: [&str; 7] =
 fn a_log_names_stages_and_passes_with_their_times() {
     let text = log_of_training(&["--log", "trace"]);
     for pass in PASSES {
-        // Directly in a step: surveys run some of the passes too.
+        // Counts only passes directly within a step. Surveys, which score splats over all views, run some of the passes
+        // too.
         let path = format!(":{pass}: cosurf_engine::any: close time.busy=");
         let in_step = |line: &str| {
             let rest = line.split_once("train{steps=2}:step{").and_then(|(_, rest)| rest.split_once('}'));
@@ -201,7 +203,7 @@ fn a_wrong_log_filter_gets_one_clear_line() {
     }
 }
 
-/// Whether there is a GPU, where a software driver counts; skips the test if there is none.
+/// Whether there is a GPU; a software driver counts as one. If there is none, reports the test as skipped.
 fn has_gpu() -> bool {
     let devices = agent(&["devices", "--json"]).output().unwrap();
     let found = String::from_utf8_lossy(&devices.stdout).contains("gpu:0");
@@ -239,14 +241,15 @@ fn a_gpu_trains_the_same_model_and_the_cpu_reads_its_checkpoint() {
     assert!((cpu - gpu).abs() < 0.1, "{cpu} dB on the CPU, {gpu} dB on the GPU");
     on("gpu", "again");
     assert!(model(&out("gpu")) == model(&out("again")), "two runs on the GPU");
-    // All steps are done, so the model is written again from the other device's checkpoint.
+    // The checkpoint has all steps, so the CPU does not train: it only writes the model again from the GPU's
+    // checkpoint.
     fs::remove_file(out("gpu").join("model.ply")).unwrap();
     on("cpu", "gpu");
     assert!(model(&out("gpu")) == model(&out("again")), "the CPU reads the GPU's checkpoint");
     refuse(train(town(), &out("none"), &["--device", "gpu:99"]), &["there is no GPU 99"]);
 }
 
-/// Hides all GPU drivers from a command.
+/// Hides all Vulkan drivers from a command, so that it finds no GPU on Linux.
 fn without_drivers(mut command: Command) -> Command {
     let nowhere = std::env::temp_dir().join("no-driver-is-here.json");
     command.env("VK_DRIVER_FILES", &nowhere).env("VK_ICD_FILENAMES", &nowhere);

@@ -1,5 +1,6 @@
-//! Fusion of 16 views of 480 × 360 pixels over rolling ground, all stages but rendering; and judging the
-//! mesh. Throughput is in pixels of the views, and in triangles.
+//! Two benchmarks. One fuses 16 views of 480 × 360 pixels over rolling ground, without rendering them; its
+//! throughput is in pixels of the views. The other compares the fused mesh with itself; its throughput is in
+//! triangles.
 //!
 //! `cargo bench -p cosurf-aggregator`
 
@@ -31,7 +32,8 @@ fn cameras() -> Vec<Camera> {
     (0..16).map(camera).collect()
 }
 
-/// Ground that rolls by 2 m, seen from above, so that depth is nearly height.
+/// Renders ground that rolls by 2 m up and down, seen from above. The depth is nearly the camera's height
+/// minus the height of the ground.
 fn look(camera: &Camera) -> Rendering {
     let [width, height] = camera.size_px;
     let eye = camera.cam_from_world.center();
@@ -62,7 +64,7 @@ fn fused() -> Mesh {
 #[divan::bench(sample_count = 10)]
 fn fuse_views(bencher: Bencher) {
     let cameras = cameras();
-    // Rendered beforehand at every size that is asked for.
+    // Every camera is rendered when it is first asked for, and kept. So only the first iteration renders.
     let mut views: Vec<(Camera, Rendering)> = Vec::new();
     let mut shown = |camera: &Camera| match views.iter().find(|(seen, _)| seen == camera) {
         Some((_, rendering)) => rendering.clone(),

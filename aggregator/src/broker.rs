@@ -1,24 +1,25 @@
-//! An embedded MQTT 5 broker, so that one program is enough on the ground.
+//! An MQTT 5 broker inside the aggregator, so that a ground station needs only one program.
 //!
-//! It is small on purpose: QoS 0 and 1, retained messages, last wills, wildcards, and sessions that outlive
-//! a connection. It has no authentication, no TLS and no storage on disk, so it listens on loopback by
-//! default; on a shared network use Mosquitto by its URL instead. When the broker restarts, devices publish
-//! again what it has lost.
+//! Its features are few on purpose: QoS 0 and 1, retained messages, last wills, wildcards, and sessions
+//! that outlive a connection. It has no authentication, no TLS and no storage on disk. By default it
+//! therefore listens on loopback only. On a shared network, use Mosquitto by its URL instead. A restart of
+//! the broker loses all messages; the devices then publish theirs again.
 //!
-//! Why our own: it needs only the packet codec of rumqttc, which is linked anyway. The alternatives:
+//! Why not an existing broker: this one needs only the packet codec of rumqttc, which is linked anyway.
+//! The alternatives:
 //!
-//! - `mqtt5` 0.49 adds many times the packages and build time of rumqttc. A shutdown requested before its
-//!   loop has subscribed to the signal is lost, and `run` never returns. A full client queue drops QoS 1
-//!   messages.
+//! - `mqtt5` 0.49 adds many times the packages and build time of rumqttc. If a shutdown is requested
+//!   before its loop has subscribed to the shutdown signal, the request is lost and `run` never returns.
+//!   If the queue of a client is full, it drops QoS 1 messages.
 //! - `rumqttd` 0.20 has no shutdown (rumqtt#771) and sends a new subscriber at most 100 retained messages.
 //!
-//! Ours adds no package, accepts clients as soon as [`Broker::start`] returns, and holds a publisher back
-//! before it drops QoS 1 messages for a slow subscriber.
+//! This broker adds no package, and accepts clients as soon as [`Broker::start`] returns. Before it drops
+//! a message for a slow subscriber, it makes the publisher wait.
 //!
-//! It refuses to know what the messages mean: any MQTT 5 client may use it.
+//! What it knows nothing about: the meaning of the messages. Any MQTT 5 client may use it.
 //!
-//! Where to start reading: [`router`] makes all decisions and knows no socket; [`connection`] only reads
-//! and writes.
+//! Where to start reading: [`router`], which makes all decisions and uses no socket; then [`connection`],
+//! which only reads and writes packets.
 
 mod connection;
 mod router;
@@ -64,8 +65,8 @@ pub struct Broker {
 }
 
 impl Broker {
-    /// Listens on `address`; port 0 takes a free port, see [`Self::address`]. Clients may connect as soon
-    /// as this returns.
+    /// Listens on `address`. Port 0 takes a free port, which [`Self::address`] returns. Clients may
+    /// connect as soon as this function returns.
     pub fn start(address: SocketAddr) -> Result<Self, BrokerError> {
         let io = |source: std::io::Error| match source.kind() {
             ErrorKind::AddrInUse => BrokerError::PortInUse(address),
@@ -79,12 +80,13 @@ impl Broker {
         Ok(Self { address, hub, is_stopping, thread: Some(thread) })
     }
 
-    /// The address it listens on.
+    /// The address on which the broker listens.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
 
-    /// Ends all connections and waits until the port is free. Last wills are not published.
+    /// Ends all connections and waits until the port is free. The last wills of the clients may not be
+    /// delivered.
     pub fn shutdown(self) {
         drop(self);
     }
@@ -126,13 +128,13 @@ fn accept(listener: &TcpListener, hub: &Arc<Hub>, is_stopping: &AtomicBool) {
     }
 }
 
-/// How this machine reaches a broker of its own that listens there.
+/// The address by which this machine reaches its own broker, which listens on `listening`.
 pub(crate) fn local_address(listening: SocketAddr) -> BrokerAddress {
     let address = reachable(listening);
     BrokerAddress { host: address.ip().to_string(), port: address.port(), is_tls: false }
 }
 
-/// The address by which this machine reaches `address`: loopback if that means all interfaces.
+/// The address by which this machine reaches `address`: loopback if `address` stands for all interfaces.
 fn reachable(address: SocketAddr) -> SocketAddr {
     let ip = match address.ip() {
         IpAddr::V4(ip) if ip.is_unspecified() => Ipv4Addr::LOCALHOST.into(),

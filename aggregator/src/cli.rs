@@ -1,8 +1,10 @@
-//! Commands of `cosurf-aggregator`, each with its arguments: they parse, call the library and print.
+//! The commands of `cosurf-aggregator` with their arguments, except `run`, which is in `main.rs`. Each command parses
+//! its arguments, calls the library and prints the result.
 //!
-//! They refuse to know how anything is computed. What only a program may ask of the machine is in [`host`].
+//! What it knows nothing about: how results are computed. What several commands ask the computer for, such as the
+//! number of cores, is in [`host`].
 //!
-//! Where to start reading: any command; each has a file of its name.
+//! Where to start reading: any command. Each has a file of the same name; `record` and `replay` are in `tap`.
 
 mod arguments;
 mod cells;

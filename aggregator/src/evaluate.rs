@@ -1,10 +1,11 @@
-//! How good a model or a mesh is: colours against photographs, surfaces against a true surface.
+//! Measures how good a model or a mesh is: its colours against photographs, its surface against a true surface.
 //!
-//! It refuses to know where a model comes from and who reads the figures: it compares files, renderings and meshes.
-//! The receiving service never uses it, as it has no photographs; missions, `eval` and `eval-mesh` do.
+//! What it knows nothing about: where a model comes from, and who reads the figures. It compares files, renderings and
+//! meshes. The receiving service never uses it, because the service has no photographs. Missions, `eval` and
+//! `eval-mesh` use it.
 //!
-//! Where to start reading: [`Judge`], a model on one photograph after the other; [`evaluate_model`], what `eval` does;
-//! then the measures: [`surface`], [`lpips`] and, for meshes, [`accuracy`].
+//! Where to start reading: [`Judge`], which compares a model with one photograph after the other; [`evaluate_model`],
+//! which the command `eval` runs; then the measures: [`surface`], [`lpips`] and, for meshes, [`accuracy`].
 
 pub mod accuracy;
 mod judge;

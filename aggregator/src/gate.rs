@@ -1,21 +1,23 @@
-//! Decides which models take part in a merge. A model that contradicts others is kept out, but stays on the disk, until
-//! it contradicts no other model.
+//! Decides which models take part in a merge. A model that contradicts others stays on the disk, but is kept out of
+//! merges until it contradicts no other model.
 //!
-//! The gate renders some views of each model. Every other model whose cameras see the same ground must show the same
-//! there ([`glimpse`]); a model that was forged, or lies in another frame or scale, does not. The gate also
-//! keeps out a model with most of its splats where none of its own cameras looks, and a model so far from all
-//! others that its origin must be wrong. A model that shares no ground with others is accepted.
+//! The gate renders small pictures of each model from some of its cameras. If another model's cameras see the same
+//! ground, that model must look the same from there ([`glimpse`]). A forged model does not, nor does a model in
+//! another frame or scale. The gate also keeps out a model with most of its splats where none of its own cameras
+//! looks. It keeps out a model so far from all others that its origin must be wrong. A model that shares no ground
+//! with others is accepted.
 //!
-//! Of two conflicting models, the gate drops the one with more conflicts net of confirmations; on a tie the one with
-//! fewer cameras, then the one with the higher index. So the verdict does not depend on the order of arrival.
+//! Of two conflicting models, the gate drops the one with more conflicts net of confirmations. On a tie, it drops the
+//! one with fewer cameras, and then the one with the higher index. So the verdict does not depend on the order of
+//! arrival.
 //!
-//! If the settings allow it, a conflicting model is moved to where it fits the others (`refine`). Admitted models get
-//! matching colours ([`tone`]).
+//! If the settings allow it, a conflicting model is moved to where it fits the others (`refine`). The colours of the
+//! admitted models are matched to each other ([`tone`]).
 //!
-//! It refuses to know who sent a model and when: it judges models by what they show, and merges nothing.
+//! What it knows nothing about: who sent a model, and when. It judges models by what they show, and merges nothing.
 //!
-//! Where to start reading: [`admit`]; then [`glimpse`] for how two models are compared, [`refine`](mod@refine) and
-//! [`matching`] for how one is moved to where it fits.
+//! Where to start reading: [`admit`]; then [`glimpse`], which compares two models; then [`refine`](mod@refine) and
+//! [`matching`], which move a model to where it fits.
 
 mod consensus;
 mod glimpse;
@@ -42,24 +44,26 @@ pub use similarity::Similarity;
 pub use tone::Tone;
 use tone::tones;
 
-/// Largest share of a model's splats that none of its own cameras sees; trained models stay far below it.
+/// Largest accepted share of a model's splats that none of its own cameras sees. Trained models stay far below it.
 const UNSEEN_MAX: f64 = 0.5;
-/// Flights with a wider gap, in radii of the larger flight, do not have the same origin.
+/// Largest gap between two flights (the cameras of two models) that can have the same origin, in radii of the larger
+/// flight.
 const GAP_MAX_RADII: f64 = 20.0;
-/// Two models contradict each other if they do so in at least this many views.
+/// Two models contradict each other only if at least this many views contradict, and more views contradict than
+/// confirm.
 const CONTRADICTIONS_MIN: u32 = 2;
 
 /// Why a model is kept out of a merge.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Doubt {
-    /// This share of its splats, 0..=1, lies where none of its own cameras looks.
+    /// This share of the model's splats, 0..=1, lies where none of its own cameras looks.
     Unseen(f64),
-    /// It contradicts the models with these indices.
+    /// The model contradicts the models with these indices.
     Contradicts(Vec<usize>),
 }
 
 impl Doubt {
-    /// A sentence without its subject; `names` has the name of every model.
+    /// The reason as a sentence without its subject. `names` has the name of every model.
     pub(crate) fn reason<N: AsRef<str>>(&self, names: &[N]) -> String {
         match self {
             Self::Unseen(share) => {
@@ -77,18 +81,18 @@ impl Doubt {
 pub struct Admitted<'a> {
     locals: &'a dyn Locals,
     doubts: Vec<Option<Doubt>>,
-    /// One place per model that takes part.
+    /// One [`Place`] for each model that takes part.
     places: Vec<Place>,
 }
 
 /// How a model takes part in a merge.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Place {
-    /// Index among all models.
+    /// Index of the model among all models that were judged.
     pub local: usize,
-    /// Moves the model to where it fits; `None` if its position is right.
+    /// Moves the model to where it fits the others; `None` if its position is right.
     pub by: Option<Similarity>,
-    /// Matches its colours to the others'; `None` if they match already.
+    /// Matches the model's colours to those of the others; `None` if they match already.
     pub tone: Option<Tone>,
 }
 
@@ -135,7 +139,7 @@ impl Admitted<'_> {
 }
 
 /// Decides which of `locals` take part in a merge. With `refines`, a model in another frame is moved to where it fits.
-/// `is_given_up` is polled between models.
+/// `is_given_up` is called between models; if it returns true, the result is an error.
 pub fn admit<'a>(
     locals: &'a dyn Locals,
     refines: bool,
@@ -170,7 +174,8 @@ pub fn admit<'a>(
     Ok(admitted)
 }
 
-/// The doubt about each of `locals`, by index. `is_given_up` is polled between models.
+/// The doubt about each of `locals`, by index. `is_given_up` is called between models; if it returns true, the result
+/// is an error.
 fn doubts(
     locals: &dyn Locals,
     threads: usize,
@@ -194,11 +199,11 @@ fn doubts(
     Ok(doubts)
 }
 
-/// What the gate keeps of a model, to judge it and to judge others by it.
+/// What the gate keeps of a model, to judge the model and to judge others by it.
 struct Shown {
     cameras: Vec<Camera>,
     glimpses: Vec<Glimpse>,
-    /// Share of its splats that none of its cameras sees.
+    /// Share of the model's splats that none of its own cameras sees, 0..=1.
     unseen: f64,
     /// Mean position of the cameras, world units.
     middle: DVec3,
@@ -221,17 +226,17 @@ impl Shown {
         Self { cameras, glimpses, unseen, middle, radius }
     }
 
-    /// Gap to another flight, in radii of the larger flight.
+    /// Gap between the cameras of the two models, in radii of the larger flight; negative if the flights overlap.
     fn gap_radii(&self, other: &Self) -> f64 {
         let gap = self.middle.distance(other.middle) - self.radius - other.radius;
         gap / self.radius.max(other.radius).max(1.0)
     }
 }
 
-/// Which models confirm and which contradict each other.
+/// How many views confirm, and how many contradict, that two models show the same.
 #[derive(Default)]
 struct Relations {
-    /// Per pair of models, lower index first: the number of views that confirm, and that contradict.
+    /// For each pair of models, lower index first: the number of views that confirm, and the number that contradict.
     views: BTreeMap<[usize; 2], [u32; 2]>,
 }
 
@@ -241,7 +246,7 @@ impl Relations {
         self.views.entry(pair).or_default()[usize::from(!is_confirmed)] += views;
     }
 
-    /// Notes a contradiction between a flight and the nearest other flight if even that is too far away.
+    /// For each flight: if even the nearest other flight is too far away, notes that the two contradict each other.
     fn note_distances(&mut self, shown: &[Shown]) {
         let flights: Vec<usize> = (0..shown.len()).filter(|i| !shown[*i].cameras.is_empty()).collect();
         for &one in &flights {
@@ -254,7 +259,7 @@ impl Relations {
         }
     }
 
-    /// Compares a model with the views of all others.
+    /// Compares model `judged` with the pictures of all other models, wherever its cameras see the same ground.
     fn note_views(
         &mut self,
         shown: &[Shown],
@@ -280,7 +285,8 @@ impl Relations {
         Ok(())
     }
 
-    /// Indices of the models that contradict `one`, and the number that confirm it; skips doubted models.
+    /// Indices of the models that contradict model `one`, and the number of models that confirm it. Skips doubted
+    /// models.
     fn of(&self, one: usize, doubts: &[Option<Doubt>]) -> (Vec<usize>, usize) {
         let (mut foes, mut friends) = (Vec::new(), 0);
         for (pair, [confirmed, contradicted]) in &self.views {
@@ -301,7 +307,7 @@ impl Relations {
         (foes, friends)
     }
 
-    /// Marks the worst model as doubtful, one after another, until no two of the rest contradict each other.
+    /// Marks the worst model as doubtful, and repeats this until no two of the other models contradict each other.
     fn doubt_contradicting(&self, shown: &[Shown], doubts: &mut [Option<Doubt>]) {
         loop {
             let sound = (0..shown.len()).filter(|i| doubts[*i].is_none());

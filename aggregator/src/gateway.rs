@@ -1,11 +1,12 @@
-//! Connects the device at the other end of a serial line to the broker, under the device's own name. So
-//! devices on radio and devices on the network share a mission, and the service sees no difference.
+//! Connects the device at the other end of a serial line to the broker, under the device's own name. Devices
+//! on radio and devices on the network can thus share a mission, and the service treats both alike.
 //!
-//! When the device announces its birth, the gateway starts a client of the broker in the device's name. When
-//! the line falls silent, this client ends without DISCONNECT, and the broker publishes the device's last
-//! will. [`relay`] decides which messages pass; this file moves them.
+//! When the device announces its birth (the start of a session), the gateway starts a client of the broker
+//! in the device's name. When the line falls silent, this client ends without DISCONNECT, and the broker
+//! publishes the device's last will. [`relay`] decides which messages pass; this file moves them.
 //!
-//! It refuses to know what models are: it passes frames on, and looks at topics only.
+//! What it knows nothing about: models. Apart from topics, it looks only at birth notices and at the
+//! device's lists of missing chunks.
 //!
 //! Where to start reading: [`Gateway::start`], then [`relay`].
 
@@ -26,7 +27,7 @@ use serde::Serialize;
 
 use relay::{Passage, Relay};
 
-/// Longest that one side is listened to before the other has its turn.
+/// Longest wait for a message from the serial line before the messages of the broker have their turn.
 const LISTEN: Duration = Duration::from_millis(10);
 
 /// What a gateway reports.
@@ -42,14 +43,14 @@ pub enum GatewayEvent {
     },
     /// The line is silent, or its port cannot be opened.
     OffLine {
-        /// One line.
+        /// The reason, as one line of text.
         reason: String,
     },
     /// A message was discarded.
     IgnoredOnLine {
         /// The line's name.
         line: String,
-        /// Why.
+        /// Why it was discarded.
         reason: String,
     },
 }
@@ -64,7 +65,7 @@ impl fmt::Display for GatewayEvent {
     }
 }
 
-/// A running gateway for one line; it ends when dropped.
+/// A running gateway for one serial line; it ends when dropped.
 #[derive(Debug)]
 pub struct Gateway {
     is_stopping: Arc<AtomicBool>,
@@ -72,7 +73,8 @@ pub struct Gateway {
 }
 
 impl Gateway {
-    /// Starts to serve the device at the other end of `line`, on `site` of `broker`.
+    /// Starts to connect the device at the other end of `line` with `broker`. The device must belong to
+    /// `site`. `say` receives the events.
     pub fn start(
         site: SiteId,
         broker: BrokerAddress,
@@ -100,7 +102,7 @@ impl Drop for Gateway {
     fn drop(&mut self) {
         self.is_stopping.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {
-            // A panic of that thread has been printed already.
+            // A panic of the thread has been printed already.
             let _ = thread.join();
         }
     }
@@ -115,13 +117,14 @@ struct Bridge<F> {
     /// The client at the broker, in the device's name.
     client: Option<MqttTransport>,
     relay: Relay,
-    /// Waits for room at the broker; until it is sent, nothing is read from the line.
+    /// A message of the device that waits for room at the broker. Until it is sent, nothing is read from the
+    /// line.
     up: Option<Outgoing>,
     say: F,
 }
 
 impl<F: Fn(GatewayEvent)> Bridge<F> {
-    /// Moves a message from the device to the broker.
+    /// Moves at most one message from the device to the broker.
     fn up(&mut self) {
         if let (Some(message), Some(client)) = (self.up.take(), &mut self.client)
             && client.publish(&message) == Err(PublishError::Busy)
@@ -159,7 +162,8 @@ impl<F: Fn(GatewayEvent)> Bridge<F> {
         while let Some(event) = client.poll(Duration::ZERO) {
             match event {
                 TransportEvent::Incoming { topic, payload } => self.relay.hear_broker(&topic, payload),
-                // The broker may have lost the device's birth notice.
+                // The client is new, or the broker may have lost the device's birth notice: publish the
+                // notice.
                 TransportEvent::Connected => self.up = self.up.take().or_else(|| self.relay.birth()),
                 TransportEvent::Disconnected { .. } => {}
             }

@@ -1,12 +1,13 @@
-//! The ground side of cosurf: takes in what the drones send, joins it, sends it back.
+//! The ground station of cosurf: receives the models that drones send, merges them, and sends the global model back.
 //!
-//! What it refuses to know: how agents train. It knows them by their messages over the link. A [`mission`]
-//! also starts them as processes: it writes their configuration and reads the events that they print.
+//! What it knows nothing about: how agents train. The service knows agents only by their messages over the link. A
+//! [`mission`] also starts agents as processes: it writes their configuration files and reads the events that they
+//! print.
 //!
-//! Where to start reading: [`service`], what runs in the field; then [`mission`], which runs service and
-//! agents on one machine and leaves a report.
+//! Where to start reading: [`service`], which runs on the ground station; then [`mission`], which runs the service and
+//! the agents on one machine and writes a report.
 //!
-//! The modules, each below those that use it:
+//! The modules. Each one is listed below the modules that use it:
 //!
 //! ```text
 //! mission                     pictures to report on one machine
@@ -19,7 +20,8 @@
 //!  └─ terminal ─► mesh        progress for people; depth to triangles
 //! ```
 //!
-//! No module or file uses one above it: a type that two of them need lies in a file below both.
+//! No module uses a module above it, and no file uses a file above it. If two files need the same type, it is in a
+//! third file below both.
 
 pub mod broker;
 pub mod evaluate;

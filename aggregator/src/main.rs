@@ -1,5 +1,5 @@
-//! `cosurf-aggregator`: the command line. It hands the library what the library must not read itself: clock,
-//! environment, signals.
+//! `cosurf-aggregator`: the command line. It passes the time, the number of cores and the signal of Ctrl-C to the
+//! library.
 
 mod cli;
 
@@ -19,14 +19,14 @@ use cosurf_link::SerialConfig;
 use cosurf_link::serial::{DEFAULT_BAUD, GATEWAY_MESSAGE_BYTES};
 use serde::Serialize;
 
-/// Ground station of cosurf: receives the splat models that drones send, merges them, sends the result back.
+/// Ground station of cosurf: receives the splat models that drones send, merges them, and sends the global model back.
 #[derive(Parser)]
 #[command(version, propagate_version = true, arg_required_else_help = true)]
 struct Cli {
     #[command(subcommand)]
     command: Commands,
-    /// Log what the program does and how long it takes, to standard error: error, warn, info (stages), debug (their
-    /// parts, messages), trace (steps and passes), or a list like info,cosurf_link=debug [default: no log]
+    /// Write a log with times to standard error. LEVEL is error, warn, info (stages), debug (also parts of stages, and
+    /// messages) or trace (also steps and passes). FILTER is a list like info,cosurf_link=debug [default: no log]
     #[arg(long, global = true, value_name = "LEVEL|FILTER")]
     log: Option<String>,
     /// Format of the log: text or json
@@ -96,7 +96,8 @@ fn run_command(cli: Cli) -> Result<()> {
     }
 }
 
-/// True if the reader closed the pipe early, as `head` does: that is no failure.
+/// True if a write failed because the reader of the output has closed the pipe, as `head` does. The program then exits
+/// without an error.
 fn has_closed_pipe(error: &anyhow::Error) -> bool {
     error.downcast_ref().is_some_and(|error: &io::Error| error.kind() == io::ErrorKind::BrokenPipe)
 }
@@ -123,7 +124,8 @@ fn run(args: &RunArgs) -> Result<()> {
     Ok(())
 }
 
-/// Prints an event on a line of its own. Write errors are ignored: the service runs on without a reader.
+/// Prints an event on a line of its own. Write errors are ignored, so that the service goes on if nobody reads its
+/// output.
 fn show(event: &(impl Display + Serialize), json: bool) {
     let mut stdout = io::stdout().lock();
     let _ = match json {

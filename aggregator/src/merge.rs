@@ -1,14 +1,18 @@
 //! Merges local models into one (CoSurfGS, "Local Model Compression" and "Model Aggregation Scheme"). Where models
-//! overlap, one model keeps its splats; the rest is joined; then the joined model is distilled: it learns from what
-//! each local model shows its own cameras. Photographs are neither needed nor available.
+//! overlap, only one of them keeps its splats. The remaining splats of all models are joined. Then the joined model is
+//! distilled: it is trained on what each local model renders for its own cameras. No photographs are needed: the
+//! aggregator never receives any.
 //!
-//! The result is a function of the models in their order, of the settings and of the device: it has the same bytes for
-//! any caller, with any number of threads, interrupted or not.
+//! The result depends only on the models and their order, on the settings, and on the computing device. It has the same
+//! bytes for every caller and for any number of threads. A merge that is interrupted and started again gives the same
+//! bytes too.
 //!
-//! It refuses to know where models come from ([`Locals`]) and which of them are to be trusted ([`crate::gate`]).
+//! What it knows nothing about: where models are stored ([`Locals`] loads them), and which models can be trusted
+//! ([`crate::gate`] decides).
 //!
-//! Where to start reading: [`merge`], which reads as the list of steps; [`cosurf_engine::compress`]; [`distill`], its
-//! [`lessons`] and [`teachers`]; [`memory`] for what fits; [`fill_in()`] for models that have arrived only in part.
+//! Where to start reading: [`merge`], the list of steps; then [`cosurf_engine::compress`]; then [`distill`] with its
+//! [`lessons`] and [`teachers`]; [`memory`] for what fits into the memory; [`fill_in()`] for models that have arrived
+//! only in part.
 
 pub(crate) mod cameras;
 mod computer;
@@ -45,39 +49,39 @@ pub use settings::MergeSettings;
 pub struct Merged {
     /// The global model: its splats and all cameras.
     pub model: Model,
-    /// The figures.
+    /// The figures of the merge.
     pub summary: MergeSummary,
 }
 
 /// The figures of a merge.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct MergeSummary {
-    /// Per local model, in their order.
+    /// One entry for each local model, in the order of the models.
     pub locals: Vec<LocalSummary>,
-    /// Splats of the joined model, after compression.
+    /// Number of splats of the joined model, after compression.
     pub joined: usize,
-    /// Splats after distillation and its last pruning.
+    /// Number of splats of the global model. Distillation ends by removing useless splats.
     pub splats: usize,
-    /// Steps of distillation.
+    /// Number of distillation steps.
     pub steps: u32,
-    /// The device that computed.
+    /// The device that computed the merge, for example `cpu`.
     #[serde(default)]
     pub device: String,
 }
 
-/// What became of one local model.
+/// The figures of one local model.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct LocalSummary {
-    /// Splats that arrived.
+    /// Number of splats that arrived.
     pub arrived: usize,
-    /// Ψ: share of its cameras that look at ground of another model.
+    /// Ψ of CoSurfGS: share of the model's cameras that look at ground of other models, 0..=1.
     pub overlap: f64,
-    /// Splats that compression removed.
+    /// Number of splats that compression removed.
     pub removed: usize,
 }
 
-/// Merges all of `locals` with `threads` (at least 1) threads of the CPU. `tell` is called after every step and may
-/// stop the merge. If a graphics card fails that was chosen automatically, the merge starts over on the CPU.
+/// Merges all of `locals` with `threads` (at least 1) CPU threads. Calls `tell` after every step of the distillation;
+/// `tell` may stop the merge. If a graphics card that was chosen automatically fails, the merge starts over on the CPU.
 pub fn merge(
     locals: &dyn Locals,
     settings: &MergeSettings,

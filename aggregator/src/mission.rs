@@ -1,12 +1,12 @@
-//! A mission from pictures to report, on one machine: plan, service, agents, evaluation.
+//! A mission on one machine, from pictures to report: makes the plan, runs service and agents, and scores the result.
 //!
-//! The aggregators run on threads ([`hierarchy`]), each agent as a process ([`agents`]). All send their events through
-//! one channel, which one loop ([`watch`]) reads. If the mission ends early, the agents end too and all files stay: the
-//! same command resumes from them.
+//! Each aggregator runs on a thread ([`hierarchy`]), each agent as a process ([`agents`]). All of them send their
+//! events through one channel, which one loop ([`watch`]) reads. If the mission ends early, the agents are ended too,
+//! but all files stay. The same command then resumes the mission.
 //!
-//! It refuses to know how agents train and how models are merged: it starts agents and service.
+//! What it knows nothing about: how agents train and how models are merged. It only starts the agents and the service.
 //!
-//! Where to start reading: [`fly`], which reads as the list of steps; [`plan`], what is decided before anything runs.
+//! Where to start reading: [`fly`], the list of steps; then [`plan`], which decides everything before anything runs.
 
 mod agents;
 mod board;
@@ -84,10 +84,11 @@ pub fn fly(order: &MissionOrder, around: &Surroundings) -> Result<MissionReport,
 
 /// The results of agents and aggregators.
 struct Gathered {
-    /// The header that announced the global model.
+    /// Header of the newest global model.
     global: ModelHeader,
     /// The status of each agent.
     board: Vec<Status>,
+    /// The status of each edge aggregator.
     edges: Vec<EdgeStatus>,
 }
 
@@ -134,7 +135,8 @@ fn reach_broker(order: &MissionOrder) -> Result<(Option<Broker>, BrokerAddress),
     Ok((Some(broker), address))
 }
 
-/// Writes the configuration of each agent and returns how to start it; agents share the cores evenly.
+/// Writes the configuration of each agent and returns the commands that start the agents. Agents share the cores
+/// evenly.
 fn agent_commands(
     order: &MissionOrder,
     around: &Surroundings,
@@ -183,13 +185,14 @@ fn mesh(
 
 /// The scores of the global model.
 struct Evaluation {
-    /// One per held-out view, in the order of the views.
+    /// One entry for each held-out view, in the order of the views.
     qualities: Vec<Quality>,
-    /// A few of the views as pictures, the best first.
+    /// A few of the held-out views with their pictures, the best first.
     showcases: Vec<Showcase>,
 }
 
-/// Scores the global model, as it is on disk, on the held-out photographs and the true surface.
+/// Scores the global model on the held-out photographs and, if it is known, on the true surface. `splats` are the
+/// global model's, read back from its file.
 fn judge(
     order: &MissionOrder,
     around: &Surroundings,
@@ -211,7 +214,7 @@ fn judge(
     Ok(Evaluation { qualities, showcases })
 }
 
-/// PSNR and SSIM of the agents' models joined but not merged, for comparison.
+/// For comparison: PSNR and SSIM of the agents' models if they are only joined, not merged.
 fn judge_joined(
     order: &MissionOrder,
     around: &Surroundings,

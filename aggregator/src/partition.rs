@@ -1,14 +1,16 @@
-//! Divides the views among agents by cells of the ground; see [`Division`].
+//! Divides the views among agents by cells of the ground. [`Division`] lists the ways to divide.
 //!
-//! The default is recursive bisection: the bounding box of the views' footprint centres is cut across its longer
-//! side, in proportion to the agents on each side, until each agent has one cell. All cells have equally many
-//! views. The alternatives are a grid of equal cells (CoSurfGS) and hand-drawn polygons. At a border, the views of
-//! one side alone show too little of the ground. With a margin, each agent therefore also gets views of other
-//! cells that look just beyond its border.
+//! The default is recursive bisection. The bounding box of the views' footprint centres is cut across its longer side,
+//! in proportion to the agents on each side, until each agent has one cell. All cells then have equally many views,
+//! give or take one. The alternatives are a grid of equal cells (CoSurfGS) and hand-drawn polygons.
 //!
-//! It refuses to know missions, devices and training: cells are numbers, and views are positions on a map.
+//! The views of one cell alone show too little of the ground at its border. With a margin, each agent therefore also
+//! gets views of other cells that look just beyond the border of its own cell.
 //!
-//! Where to start reading: [`partition`]; then [`footprint`], where a view looks, and [`outline`], the border of a cell.
+//! What it knows nothing about: missions, devices and training. Cells are numbers, and views are positions on a map.
+//!
+//! Where to start reading: [`partition`]; then [`footprint`], which finds where a view looks, and [`outline`], the
+//! border of a cell.
 
 pub(crate) mod footprint;
 mod outline;
@@ -37,15 +39,16 @@ pub enum Division {
         /// Number of rows.
         rows: usize,
     },
-    /// Polygons, in the order of edge aggregators. A view outside all polygons goes to the nearest.
+    /// One polygon for each cell, in the order of edge aggregators. A view outside all polygons goes to the nearest
+    /// one.
     Polygons(
-        /// Corners in map coordinates.
+        /// The corners of each polygon in map coordinates.
         Vec<Vec<[f64; 2]>>,
     ),
 }
 
 impl Division {
-    /// Number of agents of each edge aggregator; `edges` is at least 1.
+    /// Number of agents of each edge aggregator. `edges` is the number of edge aggregators, at least 1.
     pub(crate) fn agents(&self, edges: usize) -> usize {
         match self {
             Self::Evenly { agents } => *agents,
@@ -55,14 +58,15 @@ impl Division {
     }
 }
 
-/// The views of one agent and their area on the map.
+/// The views of one agent, and the agent's area on the map.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Cell {
-    /// Indices into the centres given to [`partition`], ascending.
+    /// Indices of the cell's views, ascending. After [`partition`], they index the centres given to it. In the plan of
+    /// a mission, they index the views of the dataset.
     pub(crate) views: Vec<usize>,
-    /// Views of other cells that look at the margin of this one, ascending.
+    /// Views of other cells that look at the margin of this cell, as indices like those of `views`, ascending.
     pub(crate) guests: Vec<usize>,
-    /// Its area on the map.
+    /// The area of the cell on the map.
     pub(crate) outline: Outline,
 }
 
@@ -72,12 +76,13 @@ impl Cell {
         Self { views, guests: Vec::new(), outline }
     }
 
-    /// Distance from a map position to the cell, 0 inside.
+    /// Distance from a map position to the cell, world units; 0 inside.
     fn distance(&self, at: DVec2) -> f64 {
         at.distance(self.outline.nearest(at))
     }
 
-    /// Whether a map position lies in the cell grown by `margin` of its size on each side.
+    /// Whether a map position lies in the cell after the cell is grown on each side. `margin` is the growth as a share
+    /// of the cell's width and height.
     fn reaches(&self, at: DVec2, margin: f64) -> bool {
         let [low, high] = self.outline.bounds();
         (at - self.outline.nearest(at)).abs().cmple((high - low) * margin).all()
@@ -127,8 +132,9 @@ pub enum PartitionError {
     },
 }
 
-/// Divides the ground into one cell per agent: first among `edges` (at least 1), then among the agents of each edge by
-/// `division`. The cells are in the order of edges. The same centres give the same cells. Centres must be finite.
+/// Divides the ground into one cell for each agent: first among `edges` (at least 1), then among the agents of each
+/// edge by `division`. The cells are in the order of edges. The same centres always give the same cells. Centres must
+/// be finite.
 pub(crate) fn partition(
     centers: &[DVec2],
     edges: usize,
@@ -166,7 +172,8 @@ pub(crate) fn partition(
     }
 }
 
-/// Adds guests to each cell: views of other cells whose centres lie in the cell grown by `margin` of its size.
+/// Sets the guests of each cell: the views of other cells whose centres lie in the cell grown by `margin`, a share of
+/// its size. A margin of 0 gives no guests.
 pub(crate) fn invite(cells: &mut [Cell], centers: &[DVec2], margin: f64) {
     for cell in cells {
         let near = |view: &usize| margin > 0.0 && cell.reaches(centers[*view], margin);
@@ -175,15 +182,15 @@ pub(crate) fn invite(cells: &mut [Cell], centers: &[DVec2], margin: f64) {
     }
 }
 
-/// Index of the cell that contains a position, else of the nearest cell; the first of equals.
-/// There must be at least one cell.
+/// Index of the cell that contains a position or, outside all cells, of the nearest one. Of equally near cells, the
+/// first is returned. There must be at least one cell.
 pub(crate) fn nearest_cell(cells: &[Cell], at: DVec2) -> usize {
     let distance = |i: &usize| cells[*i].distance(at);
     let nearest = (0..cells.len()).min_by(|a, b| distance(a).total_cmp(&distance(b)));
     nearest.unwrap_or(0)
 }
 
-/// Makes a cell of each outline, and assigns each view to the nearest cell.
+/// Makes a cell of each outline, and gives each view to the nearest cell.
 fn assign(outlines: Vec<Outline>, centers: &[DVec2]) -> Result<Vec<Cell>, PartitionError> {
     let mut cells: Vec<Cell> = outlines.into_iter().map(|outline| Cell::new(Vec::new(), outline)).collect();
     for (view, center) in centers.iter().enumerate() {
@@ -196,7 +203,7 @@ fn assign(outlines: Vec<Outline>, centers: &[DVec2]) -> Result<Vec<Cell>, Partit
     }
 }
 
-/// Equal rectangles, row by row from the lowest.
+/// Divides a rectangle into equal ones, row by row from its lower side.
 fn grid([low, high]: [DVec2; 2], columns: usize, rows: usize) -> Vec<Outline> {
     let counts = DVec2::new(columns as f64, rows as f64);
     let corner = |x: usize, y: usize| low + (high - low) * DVec2::new(x as f64, y as f64) / counts;
@@ -216,7 +223,7 @@ impl Plot {
     }
 }
 
-/// Divides `plot` among `agents`, and appends their plots from the lower side to the upper.
+/// Cuts `plot` into one plot for each agent, and appends these to `plots`, from the lower side to the upper.
 fn divide(mut plot: Plot, agents: usize, centers: &[DVec2], plots: &mut Vec<Plot>) {
     if agents == 1 {
         plot.views.sort_unstable();
@@ -242,8 +249,8 @@ fn divide(mut plot: Plot, agents: usize, centers: &[DVec2], plots: &mut Vec<Plot
     divide(Plot { views: upper, bounds: bounds[1] }, agents - lower_agents, centers, plots);
 }
 
-/// How many of `views` go to the first `some` of `agents`, when all agents get equally many. Each of the
-/// last agents gets one of the views that remain.
+/// Number of views for the first `some` of `agents` agents, when all agents get equally many of `views`. If some views
+/// remain, each of the last agents gets one of them.
 fn share(views: usize, agents: usize, some: usize) -> usize {
     let odd_ones = views % agents;
     views / agents * some + odd_ones.saturating_sub(agents - some)
@@ -266,7 +273,7 @@ mod tests {
         cell.outline.bounds()
     }
 
-    /// Pseudo-random centres over 300 × 100 m.
+    /// Pseudo-random centres in a rectangle of 300 × 100 m.
     fn scattered(count: usize, seed: u64) -> Vec<DVec2> {
         let mut state = seed;
         let mut next = || {

@@ -1,8 +1,10 @@
-//! The results of a mission for a reader: figures (`report.json`), a table, and a page (`report.html`).
+//! Presents the results of a mission: figures (`report.json`), a table for the terminal, and a page
+//! (`report.html`).
 //!
-//! It refuses to know how a mission runs: it gets figures, cells and views, and returns text.
+//! What it knows nothing about: how a mission runs. It gets figures, cells and views, and returns text.
 //!
-//! Where to start reading: [`MissionReport`], the figures; [`texts`], the figures as text; [`page()`].
+//! Where to start reading: [`MissionReport`], the figures; then [`texts`], which writes them as text,
+//! and [`page()`].
 
 mod chart;
 mod embed;

@@ -1,27 +1,30 @@
 //! The receiving service: receives local models, verifies, stores and merges them, and broadcasts the global
 //! model.
 //!
-//! All its state is in its folder, so a service that is restarted goes on from there:
+//! All state of the service is in its folder, so a restarted service continues from what the folder holds:
 //!
 //! | in the folder | |
 //! |---|---|
 //! | `models/` | every local model as it arrived |
-//! | `parts/` | parts of unfinished uploads, as last merged: [`crate::merge::fill_in()`] |
+//! | `parts/` | the parts of unfinished uploads that the last merge used: [`crate::merge::fill_in()`] |
 //! | `global/` | every revision of the global model, as sent to the agents |
 //! | `global.ply` | the newest revision, for viewers |
 //! | `merged.json` | what the newest revision was merged from, and how |
-//! | `withdrawn/` | withdrawn devices, each with its last model that no longer counts |
+//! | `withdrawn/` | a file for each withdrawn device, with the number of its last model that no longer counts |
 //! | `upstream/` | models from the aggregator above, if there is one: [`upstream`] |
 //!
 //! The newest model of each device is merged, unless it contradicts the others ([`crate::gate`]). Models are merged in
-//! order of device id, so the order of their arrival does not change the bytes. Merging runs on its own thread while
-//! the service goes on listening; if other models count before it ends, it starts over. A device without a complete
-//! model contributes the part that has arrived ([`crate::merge::fill_in()`]).
+//! the order of device ids, so their order of arrival does not change the bytes. A merge runs on its own thread while
+//! the service keeps listening. If the models that count change before the merge ends, it starts over. A device without
+//! a complete model contributes the part of a model that has arrived ([`crate::merge::fill_in()`]), unless the service
+//! accepts only trusted keys.
 //!
-//! It refuses to know photographs, how agents train and how they are started: it knows them by their messages.
+//! What it knows nothing about: photographs, how agents train, and how agents are started. It knows agents only by
+//! their messages.
 //!
-//! Where to start reading: [`serve()`], all that `cosurf-aggregator run` does; [`Service`], the loop; [`keeper`] for the
-//! service's state and actions, [`round`] for when models are merged, [`upstream`] for an aggregator below another one.
+//! Where to start reading: [`serve()`], all that `cosurf-aggregator run` does; [`Service`], the loop; [`keeper`] for
+//! the service's state and actions, [`round`] for when models are merged, [`upstream`] for an aggregator below another
+//! one.
 
 mod config;
 mod control;

@@ -1,8 +1,8 @@
-//! What the commands share to speak to a person at a terminal: how progress is shown, tables, durations.
+//! Output for people at a terminal, shared by commands, missions and reports: progress, tables and durations.
 //!
-//! It refuses to know what a mission or a service is. It decides nothing and computes nothing that lasts.
+//! What it knows nothing about: missions and the service. It only formats and prints what it is given.
 //!
-//! Where to start reading: [`Meter`], the progress of one long task.
+//! Where to start reading: [`Meter`], the progress display of a long task.
 
 mod display;
 mod meter;

@@ -30,7 +30,7 @@ pub(crate) const QUICK: MergeSettings = MergeSettings {
     seed: 1,
     device: DeviceChoice::Cpu,
 };
-/// Virtual time after which a test has failed.
+/// Time after which a test has failed; virtual time in simulations.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(300);
 
 pub(crate) fn identity(site: &str, device: &str, role: Role) -> Identity {

@@ -24,7 +24,7 @@ fn a_log_is_written_where_it_is_asked_for_and_a_wrong_filter_is_refused() {
         command.arg("merge").arg(folder.path()).args(words);
         String::from_utf8(command.output().unwrap().stderr).unwrap()
     };
-    // There is no model in the folder: the gate's span opens, and the merge fails in it.
+    // The folder holds no model: the span of the gate opens, and the merge fails inside it.
     let (quiet, logged) = (merge(&[]), merge(&["--log", "info"]));
     assert!(!quiet.contains("time.busy") && quiet.lines().count() == 1, "{quiet}");
     assert!(logged.contains("gate{models=1}: cosurf_aggregator::gate: close time.busy="), "{logged}");

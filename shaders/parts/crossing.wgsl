@@ -1,15 +1,18 @@
-// A pipeline of splat-tile pairs: each invocation processes one pair over all pixels of the tile, one chunk of pixels
-// behind the pair before it. Pixels thus blend their splats in order, one invocation computes each sum in the order of
-// the pixels, and nothing is added across invocations.
+// A pipeline over the splat-tile pairs of a tile. An invocation takes one pair through all pixels of the tile, in
+// chunks of pixels. In each step of the pipeline it is one chunk behind the invocation of the pair before. Every pixel
+// thus blends its splats in order. The sums of a pair are computed by one invocation, in the order of the pixels, so no
+// sum depends on the division of work.
 // Needs: types.
 
-// Pairs that a workgroup processes at a time, and pixels of a row for each in a step. The best values depend on the
-// device; the sums do not. The last pair of a batch must process a chunk before the first pair of the next
-// batch does, so PAIRS_AT_ONCE * CHUNK is at most 256.
+// PAIRS_AT_ONCE is the number of pairs that a workgroup processes at a time: the size of a batch. CHUNK is the number
+// of pixels, all in one row, that each invocation processes in a step. The best values depend on the device. The last
+// pair of a batch must process a chunk before the first pair of the next batch does, so PAIRS_AT_ONCE * CHUNK is at
+// most 256, the pixels of a tile.
 override PAIRS_AT_ONCE: u32 = 64u;
 override CHUNK: u32 = 4u;
 
-// The work of an invocation in a step: one of the tile's pairs, and a chunk of pixels.
+// The work of an invocation in a step: a pair and a chunk of pixels, by their numbers in the tile. If `is_under_way` is
+// false, the invocation has no work in this step. `is_last` marks the last chunk of the pair.
 struct Crossing {
     pair: u32,
     chunk: u32,
@@ -20,10 +23,11 @@ struct Crossing {
 // Number of steps that a list of `pairs` pairs takes.
 fn crossing_steps(pairs: u32) -> u32 {
     let batches = (pairs + PAIRS_AT_ONCE - 1u) / PAIRS_AT_ONCE;
-    // The last pair of a batch starts PAIRS_AT_ONCE - 1 steps after its first.
+    // The last pair of a batch starts PAIRS_AT_ONCE - 1 steps after the first.
     return select(batches * (TILE_PIXELS / CHUNK) + PAIRS_AT_ONCE - 1u, 0u, batches == 0u);
 }
 
+// The work of invocation `lane` in a step, for a tile with `pairs` pairs.
 fn crossing(step: u32, lane: u32, pairs: u32) -> Crossing {
     let chunks = TILE_PIXELS / CHUNK;
     let pair = (step - lane) / chunks * PAIRS_AT_ONCE + lane;
@@ -31,7 +35,8 @@ fn crossing(step: u32, lane: u32, pairs: u32) -> Crossing {
     return Crossing(pair, chunk, step >= lane && pair < pairs, chunk == chunks - 1u);
 }
 
-// Alpha before thresholds and clamp; `d` points from the pixel to the splat's mean.
+// Alpha of a splat at a pixel, before thresholds and clamp. `d` is the mean of the splat minus the centre of the pixel,
+// px.
 fn raw_alpha(splat: Projected, d: vec2<f32>) -> f32 {
     let falloff = splat.falloff;
     return exp2(splat.log2_opacity - (falloff.x * d.x * d.x + falloff.y * d.x * d.y + falloff.z * d.y * d.y));

@@ -1,30 +1,33 @@
-// From parameters to a 2D Gaussian and a plane, for projection and its backward pass. EWA splatting as in 3DGS, the
-// plane as in PGSR.
+// Computes the 2D Gaussian and the plane of a splat from its parameters, for the projection and its backward pass. The
+// Gaussian is that of EWA splatting as in 3DGS, the plane that of PGSR.
 // Needs: types; the binding `view`.
 
-// Intermediate results between a splat's parameters and its conic.
+// Intermediate results of the projection of a splat.
 struct Geometry {
-    // Centre in the camera frame.
+    // Mean of the splat in the camera frame.
     t: vec3<f32>,
     inv_z: f32,
     // Slopes x / z and y / z after clamping, and whether they were clamped.
     slope: vec2<f32>,
     clamped: vec2<bool>,
-    // Unit quaternion wxyz, and 1 / length before normalisation.
+    // Normalised quaternion wxyz, and 1 / length of the quaternion before normalisation.
     q: vec4<f32>,
     inv_norm: f32,
-    // cam_from_splat rotation; columns are the splat's axes.
+    // Rotation from the splat to the camera frame. Its columns are the axes of the splat.
     u: mat3x3<f32>,
     // Scales along the splat's axes.
     scale: vec3<f32>,
-    // J u: the splat's axes on the screen, a vector over axes for each screen axis.
+    // The two rows of J u, with J the Jacobian of the projection: for x and y on the screen, how far one world unit
+    // along each axis of the splat reaches, px.
     b_x: vec3<f32>,
     b_y: vec3<f32>,
-    // Covariance on the screen (xx, xy, yy), low-pass included, px².
+    // Covariance on the screen (xx, xy, yy), including the low-pass filter, px².
     cov: vec3<f32>,
+    // Determinant of the covariance `cov`.
     det: f32,
 }
 
+// Rotates a vector from the world into the camera frame.
 fn to_camera(v: vec3<f32>) -> vec3<f32> {
     return vec3(
         dot(view.cam_from_world[0].xyz, v),
@@ -33,7 +36,7 @@ fn to_camera(v: vec3<f32>) -> vec3<f32> {
     );
 }
 
-// Axes of the splat in the world, for a unit quaternion wxyz.
+// Rotation matrix of a unit quaternion wxyz. Its columns are the axes of the splat in the world.
 fn rotation(q: vec4<f32>) -> mat3x3<f32> {
     let w = q.x;
     let x = q.y;
@@ -59,7 +62,8 @@ fn geometry(mean: vec3<f32>, quat: vec4<f32>, log_scale: vec3<f32>) -> Geometry 
     let r = rotation(g.q);
     g.u = mat3x3(to_camera(r[0]), to_camera(r[1]), to_camera(r[2]));
     g.scale = exp(min(max(log_scale, vec3(-40.0)), vec3(40.0)));
-    // J = [f/z, 0, -f slope/z]: rows of J u.
+    // With f the focal length, the first row of J is f / z times [1, 0, -slope.x]. The second row is f / z times [0, 1,
+    // -slope.y].
     let u_x = vec3(g.u[0].x, g.u[1].x, g.u[2].x);
     let u_y = vec3(g.u[0].y, g.u[1].y, g.u[2].y);
     let u_z = vec3(g.u[0].z, g.u[1].z, g.u[2].z);
@@ -69,7 +73,8 @@ fn geometry(mean: vec3<f32>, quat: vec4<f32>, log_scale: vec3<f32>) -> Geometry 
     let s_x = g.b_x * g.scale;
     let s_y = g.b_y * g.scale;
     let bare = vec3(dot(s_x, s_x), dot(s_x, s_y), dot(s_y, s_y));
-    // det(S Sᵀ + λ I) = |s_x × s_y|² + λ tr + λ²: unlike ac - b², this has no cancellation for very thin splats.
+    // With S the matrix of the rows s_x and s_y, the covariance is S Sᵀ + λ I, with λ = LOW_PASS_PX2. Its determinant
+    // is |s_x × s_y|² + λ trace(S Sᵀ) + λ². Unlike xx * yy - xy², this has no cancellation for very thin splats.
     let normal = cross(s_x, s_y);
     g.det = dot(normal, normal) + LOW_PASS_PX2 * (bare.x + bare.z + LOW_PASS_PX2);
     g.cov = bare + vec3(LOW_PASS_PX2, 0.0, LOW_PASS_PX2);
@@ -84,7 +89,7 @@ fn shortest_axis(log_scale: vec3<f32>) -> u32 {
     return select(2u, 1u, log_scale.y < log_scale.z);
 }
 
-// The plane of a splat; its normal is the shortest axis times `sign`, pointing towards the camera.
+// The plane of a splat in the camera frame. Its normal points towards the camera: it is the shortest axis times `sign`.
 struct Plane {
     normal: vec3<f32>,
     // Distance of the plane from the camera centre, positive.

@@ -3,7 +3,8 @@
 
 var<workgroup> running: array<u32, GROUP>;
 
-// Sum of the values of the lanes before this one, and of all lanes. Every lane must call this function.
+// Returns the sum of the values of all lanes (invocations) before this one, and the sum over all lanes. Every lane of
+// the workgroup must call this function.
 fn sum_before(value: u32, lane: u32) -> vec2<u32> {
     var sum = value;
     running[lane] = sum;

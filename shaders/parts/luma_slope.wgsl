@@ -1,4 +1,5 @@
-// The slope of the photograph at a pixel that is not on its border: the larger central difference of luma.
+// The slope of the photograph at a pixel: the larger of two absolute differences of luma, one between the pixels to its
+// right and left, the other between those above and below. The pixel must not be on the border of the picture.
 // Needs: types, pixels; the bindings `view` and `luma_plane`.
 
 fn luma_slope(pixel: vec2<u32>) -> f32 {

@@ -1,4 +1,5 @@
-// A value of the photograph, 0..1. It is stored as bytes r g b r …, four in a word, or as floats in the same order.
+// Reads a value of the photograph, 0..1. The photograph is stored as bytes r g b r …, four in a word, or as floats in
+// the same order.
 // Needs: types; the bindings `settings` and `photograph`.
 
 fn photograph_value(at: u32) -> f32 {

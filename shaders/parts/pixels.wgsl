@@ -1,4 +1,5 @@
-// Places of a pixel's values: in a picture of tiles, and in a plane row by row.
+// Where the values of a pixel are: `pixel_place` in a picture that is stored in tiles, `line_place` in a plane that is
+// stored row by row.
 // Needs: types; the binding `view`.
 
 fn pixel_place(planes: u32, plane: u32, pixel: vec2<u32>) -> u32 {
@@ -14,7 +15,7 @@ fn is_inside(pixel: vec2<u32>) -> bool {
     return all(pixel < view.size_px);
 }
 
-// Tiles of the picture.
+// Number of tiles of the picture.
 fn tiles() -> u32 {
     return view.tiles.x * view.tiles.y;
 }
@@ -24,7 +25,7 @@ fn corner_of(tile: u32) -> vec2<u32> {
     return TILE * vec2(tile % view.tiles.x, tile / view.tiles.x);
 }
 
-// The pixel of an invocation, where a workgroup is a tile.
+// The pixel of invocation `lane`, in passes where a workgroup processes one tile and an invocation one pixel.
 fn pixel_of(tile: u32, lane: u32) -> vec2<u32> {
     return corner_of(tile) + vec2(lane % TILE, lane / TILE);
 }

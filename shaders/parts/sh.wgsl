@@ -13,11 +13,12 @@ fn view_direction(mean: vec3<f32>) -> vec4<f32> {
     return vec4(delta * inv_length, inv_length);
 }
 
+// Number of basis functions up to a degree.
 fn sh_count(degree: u32) -> u32 {
     return (degree + 1u) * (degree + 1u);
 }
 
-// Values of the basis for a unit direction; only the first sh_count(degree) count.
+// Values of all 16 basis functions for a unit direction. A lower degree uses only the first sh_count(degree) of them.
 fn sh_basis(dir: vec3<f32>) -> array<f32, 16> {
     let x = dir.x;
     let y = dir.y;

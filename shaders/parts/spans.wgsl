@@ -1,12 +1,13 @@
-// The tiles that a splat touches: for each row of tiles, the extent of its ellipse (alpha of at least 1/255) within the
-// pixel centres of the row, in closed form. Counting and emitting both use this.
+// The tiles that a splat touches. For each row of tiles, a closed form gives the extent of the ellipse of the splat
+// (alpha of at least 1/255) between the first and the last pixel centres of the row. The pass that counts tiles and the
+// pass that emits pairs both use this, so that they find the same tiles.
 // Needs: types; the binding `view`.
 
 // Widens the range of pixels on each side, px, so that rounding cannot lose a pixel on the threshold.
 const SLACK_PX: f32 = 0.01;
 
-// The first pixel with its centre in [low, high] and the pixel after the last, clipped to 0..size. If
-// there is no such pixel, the second is at most the first.
+// The first pixel whose centre is in [low, high], and the pixel after the last one. Both are clipped to 0..size. If
+// there is no such pixel, the second number is not larger than the first.
 fn pixels_between(low: f32, high: f32, size: u32) -> vec2<i32> {
     let first = ceil(clamp(low - 0.5 - SLACK_PX, -1.0, f32(size)));
     let last = floor(clamp(high - 0.5 + SLACK_PX, -1.0, f32(size) - 1.0));
@@ -27,8 +28,9 @@ fn tile_span(splat: Projected, tile_y: i32) -> vec2<i32> {
     let rows = pixels_between(mean.y - extent.y, mean.y + extent.y, view.size_px.y);
     let low = f32(max(tile_y * i32(TILE), rows.x)) + 0.5 - mean.y;
     let high = f32(min((tile_y + 1) * i32(TILE), rows.y) - 1) + 0.5 - mean.y;
-    // At height dy the ellipse spans center * dy ± half * sqrt(1 - (dy / extent.y)²). It extends furthest to the right
-    // at dy = rightmost, and to the left at dy = -rightmost.
+    // At the height dy, measured from the mean, the ellipse spans center * dy ± half * sqrt(1 - (dy / extent.y)²). It
+    // extends furthest to the right at dy = rightmost, and furthest to the left at dy = -rightmost. The pixels of this
+    // row of tiles have dy in low..=high.
     let center = -0.5 * splat.falloff.y / splat.falloff.x;
     let half = sqrt(splat.falloff_max / splat.falloff.x);
     let rightmost = -0.5 * splat.falloff.y / splat.falloff.z * extent.x;

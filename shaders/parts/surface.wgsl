@@ -1,7 +1,8 @@
-// The surface losses: rays, planes and thresholds.
+// What the passes of the surface losses share: rays, planes and thresholds.
 // Needs: types, pixels; the bindings `view` and `image`.
 
-// A ray that meets its plane at less than about 0.6° has no usable depth.
+// A ray that meets its plane at an angle of less than about 0.6° gives no usable depth. This is about the sine of the
+// angle.
 const GRAZING: f32 = 0.01;
 // Below this alpha a pixel shows no surface.
 const SURFACE_ALPHA: f32 = 0.5;
@@ -9,12 +10,12 @@ const SURFACE_ALPHA: f32 = 0.5;
 // Distance of the pixels whose depths give a pixel's normal, px.
 const NORMAL_REACH: u32 = 1u;
 
-// The ray through a pixel's centre, scaled to z = 1.
+// The ray through the centre of a pixel, in the camera frame, scaled to z = 1.
 fn ray_of(pixel: vec2<f32>) -> vec3<f32> {
     return vec3((pixel + 0.5 - view.center_px) / view.focal_px, 1.0);
 }
 
-// The blended normal of a pixel, and its plane distance as the fourth component.
+// The blended plane of a pixel: the normal in the first three components, the plane distance in the fourth.
 fn plane_at(pixel: vec2<u32>) -> vec4<f32> {
     let at = pixel_place(view.planes, NORMAL, pixel);
     return vec4(image[at], image[at + TILE_PIXELS], image[at + 2u * TILE_PIXELS], image[at + 3u * TILE_PIXELS]);

@@ -1,4 +1,4 @@
-// The sum over the pixels of a tile, in a fixed order.
+// The sum of a value over the pixels of a tile, in a fixed order. Every invocation of the workgroup must call this.
 // Needs: types.
 
 var<workgroup> lanes: array<vec2<f32>, GROUP>;

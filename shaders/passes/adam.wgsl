@@ -1,5 +1,5 @@
-// Adam on all splats, visible or not. The SH gradients are products of the colour gradient and the basis, computed
-// here.
+// One step of Adam on all splats, visible or not. The gradients of SH coefficients are products of the gradient of the
+// colour and the basis functions; this pass computes them.
 // Parts: types, sh.
 
 @group(0) @binding(0) var<uniform> view: View;
@@ -12,7 +12,7 @@
 @group(0) @binding(7) var<storage, read_write> sh_second: array<f32>;
 @group(0) @binding(8) var<storage, read> gradients: array<f32>;
 
-// Decay of the first and second moment, and the term that keeps a division finite (3DGS).
+// Decays of the first and the second moment, and the term that keeps the division finite (3DGS).
 const BETA_1: f32 = 0.9;
 const BETA_2: f32 = 0.999;
 const EPSILON: f32 = 1e-15;
@@ -24,7 +24,7 @@ fn adam(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         return;
     }
     let stride = view.splat_stride;
-    // The viewing direction of the forward pass, before the mean moves.
+    // The basis needs the viewing direction of the forward pass, so it is computed before the mean moves.
     let mean = vec3(shape[i], shape[stride + i], shape[2u * stride + i]);
     var basis = sh_basis(view_direction(mean).xyz);
     for (var r = 0u; r < GRADIENT_RGB; r++) {
@@ -48,13 +48,14 @@ fn adam(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     }
 }
 
-// First and second moment after a gradient, and the direction of the update.
+// First and second moment after a gradient, and the update without learning rate and first bias correction.
 fn moments(gradient: f32, first: f32, second: f32) -> vec3<f32> {
     let a = BETA_1 * first + (1.0 - BETA_1) * gradient;
     let b = BETA_2 * second + (1.0 - BETA_2) * gradient * gradient;
     return vec3(a, b, a / (sqrt(b * rates.second_correction) + EPSILON));
 }
 
+// Learning rate of row `r` of the shapes.
 fn shape_rate(r: u32) -> f32 {
     if (r < QUAT) {
         return rates.mean;

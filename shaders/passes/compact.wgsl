@@ -1,8 +1,9 @@
-// Lists the visible splats with their depths, in the order of their ids.
+// Lists the ids of the visible splats with their depths, ascending by id.
 // Parts: types.
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> depth_keys: array<u32>;
+// For each splat, the number of visible splats before it.
 @group(0) @binding(2) var<storage, read> places: array<u32>;
 @group(0) @binding(3) var<storage, read_write> keys: array<u32>;
 @group(0) @binding(4) var<storage, read_write> ids: array<u32>;

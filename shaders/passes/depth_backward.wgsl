@@ -1,11 +1,12 @@
-// Adds the gradients of a pixel's depth that the normals of its neighbours wrote, and propagates them through
-// z = D / -(N . r) to the pixel's plane.
+// Adds the gradients with respect to the depth z of a pixel that come from the normals of the four pixels beside it.
+// Propagates the sum through z = D / -(N . r) to the blended plane of the pixel, with ray r, distance D and normal N.
 // Parts: types, pixels, surface, surface_gradient.
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> image: array<f32>;
 @group(0) @binding(2) var<storage, read> depth: array<f32>;
-// From normals.wgsl: gradients of the depths to the right, to the left, above and below.
+// Gradient of the normal loss of each pixel with respect to the depths of the pixels to its right and left, above and
+// below; written by the pass normals.
 @group(0) @binding(3) var<storage, read> given: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read_write> gradient: array<f32>;
 
@@ -27,6 +28,7 @@ fn depth_backward(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoca
     add_to_plane(pixel, through_depth(z, ray, -dot(plane_at(pixel).xyz, ray), v_z));
 }
 
+// The gradient that the normal of `pixel` gives to the depth on one of its four sides; 0 outside the picture.
 fn given_by(pixel: vec2<u32>, side: u32) -> f32 {
     if (!is_inside(pixel)) {
         return 0.0;

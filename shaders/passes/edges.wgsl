@@ -1,10 +1,10 @@
-// The smallest and the largest slope of the photograph. Positive floats have the same order as their bits, so integer
-// atomics find both, independent of the order of execution.
+// Finds the smallest and the largest slope of the photograph. Non-negative floats have the same order as their bits, so
+// atomics on integers find both. The result does not depend on the order of execution.
 // Parts: types, pixels, luma_slope.
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> luma_plane: array<f32>;
-// Before the pass: the bits of infinity, and of 0.
+// Bits of the smallest and the largest slope. Before the pass they are those of infinity and of 0.
 @group(0) @binding(2) var<storage, read_write> slopes: array<atomic<u32>, 2>;
 
 var<workgroup> least: atomic<u32>;

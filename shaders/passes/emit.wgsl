@@ -1,15 +1,16 @@
-// Writes the pairs of each splat to its slots, nearest splat first. If the pairs of a splat exceed the capacity,
-// neither this splat nor the splats behind it get slots.
+// Writes the pairs of each splat to its slots, nearest splat first. A slot is the index of a pair before the sort by
+// tile. If the pairs of a splat exceed the capacity, neither this splat nor the splats behind it get slots.
 // Parts: types, spans.
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read_write> counters: array<u32>;
 @group(0) @binding(2) var<storage, read> ids: array<u32>;
-// Running sums of the numbers of pairs, nearest splat first.
+// For each visible splat, nearest first, the number of pairs of the splats before it.
 @group(0) @binding(3) var<storage, read> places: array<u32>;
 @group(0) @binding(4) var<storage, read> projected: array<Projected>;
 @group(0) @binding(5) var<storage, read_write> slots: array<vec2<u32>>;
-// The tile of each slot, the slot itself (these two are sorted next), and its splat.
+// For each slot: its tile as the key, the slot itself as the value, and the id of its splat. Keys and values are sorted
+// next.
 @group(0) @binding(6) var<storage, read_write> keys: array<u32>;
 @group(0) @binding(7) var<storage, read_write> values: array<u32>;
 @group(0) @binding(8) var<storage, read_write> id_of_slot: array<u32>;

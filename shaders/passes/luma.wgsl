@@ -1,4 +1,5 @@
-// Luma of a photograph, 0..1. Values beyond the picture are not used.
+// Computes the luma of a photograph, 0..1. The plane is longer than the picture; its values beyond the picture are
+// never used.
 // Parts: types, photograph.
 
 @group(0) @binding(0) var<uniform> settings: LossSettings;

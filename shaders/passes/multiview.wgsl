@@ -1,13 +1,15 @@
-// The multi-view losses on sampled pixels (PGSR): the reprojection error through the neighbour's depth, and the
-// similarity of patches under the homography of the blended plane. An invocation is a sample; no two samples share a
-// pixel.
+// The multi-view losses on sampled pixels (PGSR): the reprojection error through the depth of a neighbouring view, and
+// the difference of patches, warped into that view by the homography of the blended plane. An invocation processes a
+// sample. No two samples share a pixel.
 //
-// Reprojection: the point of a pixel is projected into the neighbour, replaced by the point at the neighbour's depth
-// there, and projected back; e is the distance from the pixel, px. If e < 1, the loss is w e with w = exp(-e) held
-// constant, as the neighbour's depth is.
+// Reprojection: the point that a pixel shows is projected into the neighbour. The depth of the neighbour at that
+// position gives a second point, which is projected back. The error e is the distance of the result from the pixel, px.
+// If e < 1, the loss is w e with w = exp(-e). The weight w and the neighbour's depths are held constant.
 //
-// NCC: along a ray r, the plane with m = N / D is proportional to R r + s t in the neighbour's frame, s = -(m . r). The
-// loss of a patch is w (1 - cov² / (var var + ε)).
+// NCC: let the blended plane of the pixel have normal N and distance D, and let m = N / D. A ray r meets the plane at
+// the inverse depth s = -(m . r). In the frame of the neighbour, this point is proportional to R r + s t, with rotation
+// R and translation t. The loss of a patch is w (1 - c² / (a b + ε)): a and b are the variances of luma in the patch
+// and in its warp, c is their covariance, and ε = VARIANCES_MIN.
 // Parts: types, pixels, surface, surface_gradient.
 
 @group(0) @binding(0) var<uniform> view: View;
@@ -18,23 +20,24 @@
 @group(0) @binding(5) var<storage, read> luma_plane: array<f32>;
 @group(0) @binding(6) var<storage, read> neighbour_depth: array<f32>;
 @group(0) @binding(7) var<storage, read> neighbour_luma: array<f32>;
-// Sampled pixels as x | y << 16; some lie outside the picture.
+// Sampled pixels as x | y << 16. Some may lie outside the picture.
 @group(0) @binding(8) var<storage, read> samples: array<u32>;
 @group(0) @binding(9) var<storage, read_write> gradient: array<f32>;
-// By workgroup, from `sums_first` on: reprojection loss, disagreement, samples with an error below 1 px,
-// samples whose patches match.
+// Loss sums. From `weights.sums_first` on, each workgroup writes one vector: sum of w e, sum of w (1 - NCC²), number of
+// samples with an error below 1 px, number of samples whose patches match.
 @group(0) @binding(10) var<storage, read_write> sums: array<vec4<f32>>;
 
+// Number of samples that a workgroup processes.
 const SAMPLES_AT_ONCE: u32 = 64u;
-// A pixel that returns from the neighbour within this distance is seen by both views, px (θ in CoSurfGS).
+// A pixel counts as seen by both views if its reprojection error is below this, px (θ in CoSurfGS).
 const RETURN_MAX_PX: f32 = 1.0;
-// Half the side of a patch, its side, its pixels.
+// Half the side of a patch, px, the side of a patch, px, and its number of pixels.
 const PATCH_REACH: u32 = 1u;
 const PATCH_SIDE: u32 = 2u * PATCH_REACH + 1u;
 const PATCH: u32 = PATCH_SIDE * PATCH_SIDE;
-// Keeps the correlation of flat patches finite; luma in 0..1.
+// Term that keeps the correlation of patches without contrast finite, for luma in 0..1.
 const VARIANCES_MIN: f32 = 1e-8;
-// Patches with 1 - NCC² of at least this show different surfaces (PGSR).
+// Patches with 1 - NCC² of at least this count as different surfaces (PGSR).
 const DISAGREEMENT_MAX: f32 = 0.9;
 
 var<workgroup> totals: array<vec4<f32>, SAMPLES_AT_ONCE>;
@@ -59,7 +62,7 @@ fn multiview(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
     }
 }
 
-// Adds the gradient of a sample; returns its contribution to the sums.
+// Adds the gradient of a sample to the gradient of the picture. Returns the contribution of the sample to the sums.
 fn sample_loss(pixel: vec2<u32>) -> vec4<f32> {
     if (!is_inside(pixel)) {
         return vec4(0.0);
@@ -71,7 +74,7 @@ fn sample_loss(pixel: vec2<u32>) -> vec4<f32> {
     let plane = plane_at(pixel);
     let ray = ray_of(vec2<f32>(pixel));
     let back = reprojection_error(vec2<f32>(pixel), ray, z);
-    // A comparison with NaN is false, so NaN does not count.
+    // A comparison with NaN is false, so a sample with NaN does not count.
     if (!(back.x < RETURN_MAX_PX)) {
         return vec4(0.0);
     }
@@ -81,7 +84,7 @@ fn sample_loss(pixel: vec2<u32>) -> vec4<f32> {
     let alike = patches(pixel, plane);
     if (alike.disagreement < DISAGREEMENT_MAX) {
         loss += vec4(0.0, trust * alike.disagreement, 0.0, 1.0);
-        // m = N / D.
+        // The gradient with respect to m = N / D becomes gradients with respect to N and D.
         let v_ratio = weights.ncc * trust * alike.by_ratio;
         v += vec4(v_ratio, -dot(v_ratio, plane.xyz) / plane.w) / plane.w;
     }
@@ -89,12 +92,13 @@ fn sample_loss(pixel: vec2<u32>) -> vec4<f32> {
     return loss;
 }
 
-// A point on the screen, and its derivative.
+// A point on the screen, px, and its derivative by a parameter, such as depth.
 struct Moving {
     at_px: vec2<f32>,
     by_px: vec2<f32>,
 }
 
+// The projection of a point, and its derivative; `by` is the derivative of the point.
 fn projected(point: vec3<f32>, by: vec3<f32>, focal_px: vec2<f32>, center_px: vec2<f32>) -> Moving {
     let inv_z = 1.0 / point.z;
     let slope = point.xy * inv_z;
@@ -115,7 +119,8 @@ fn translation() -> vec3<f32> {
     return vec3(pair.there_from_here[0].w, pair.there_from_here[1].w, pair.there_from_here[2].w);
 }
 
-// The reprojection error of a pixel, px, and its derivative by depth; above RETURN_MAX_PX if there is none.
+// The reprojection error of a pixel, px, and its derivative by the depth z of the pixel. If the pixel cannot be
+// reprojected, the error is above RETURN_MAX_PX.
 fn reprojection_error(pixel: vec2<f32>, ray: vec3<f32>, z: f32) -> vec2<f32> {
     let never = vec2(2.0 * RETURN_MAX_PX, 0.0);
     let by = to_neighbour(ray);
@@ -142,24 +147,25 @@ fn reprojection_error(pixel: vec2<f32>, ray: vec3<f32>, z: f32) -> vec2<f32> {
     return vec2(e, dot(off, p.by_px) / max(e, 1e-6));
 }
 
-// A bilinear interpolation in a plane of the neighbour.
+// The result of a bilinear interpolation in the depth or luma of the neighbour.
 struct Found {
     value: f32,
     // Derivative by x and y, per px.
     slope: vec2<f32>,
-    // The smallest of the values at the four corners; -1 outside the picture.
+    // The smallest of the values of the four pixels around the position; -1 outside the picture.
     least: f32,
 }
 
 const NOWHERE = Found(0.0, vec2(0.0), -1.0);
 
-// A position in the neighbour's picture between pixel centres.
+// A position in the picture of the neighbour, between the centres of four pixels.
 struct Between {
-    // Places of the upper and the lower left corner in a plane.
+    // Indices of the upper left and the lower left pixel in a plane.
     upper: u32,
     lower: u32,
+    // Distance from the centre of the upper left pixel to the position, 0..1 px.
     share: vec2<f32>,
-    // Whether all corners lie in the picture.
+    // Whether all four pixels lie in the picture.
     is_inside: bool,
 }
 
@@ -205,12 +211,13 @@ fn lumas_from(i: u32) -> vec2<f32> {
     return vec2(neighbour_luma[i], neighbour_luma[i + 1u]);
 }
 
-// 1 - NCC² of a patch and its warp in the neighbour, and the derivative by m.
+// 1 - NCC² of a patch and its warp in the neighbour, and the derivative by m = N / D (`by_ratio`).
 struct Match {
     disagreement: f32,
     by_ratio: vec3<f32>,
 }
 
+// Compares the patch around a pixel with the neighbour. If it cannot be compared, the disagreement is 1.
 fn patches(pixel: vec2<u32>, plane: vec4<f32>) -> Match {
     let none = Match(1.0, vec3(0.0));
     if (any(pixel < vec2(PATCH_REACH)) || any(pixel + PATCH_REACH >= view.size_px)) {
@@ -220,7 +227,7 @@ fn patches(pixel: vec2<u32>, plane: vec4<f32>) -> Match {
     let t = translation();
     var here: array<f32, PATCH>;
     var there: array<f32, PATCH>;
-    // ∂(value at the neighbour) / ∂(inverse depth of the plane).
+    // Derivative of the luma in the neighbour by the inverse depth of the plane.
     var slopes: array<f32, PATCH>;
     var means = vec2(0.0);
     for (var i = 0u; i < PATCH; i++) {
@@ -228,8 +235,8 @@ fn patches(pixel: vec2<u32>, plane: vec4<f32>) -> Match {
         let r = ray_of(vec2<f32>(at));
         let inverse_depth = -dot(ratio, r);
         let point = to_neighbour(r) + inverse_depth * t;
-        // The plane is behind one of the cameras. `point` is the point times the inverse depth, so NEAR is scaled as
-        // well.
+        // If the plane is behind one of the cameras, there is no match. `point` is the point in the frame of the
+        // neighbour times the inverse depth, so NEAR is multiplied by the inverse depth as well.
         if (!(inverse_depth > 0.0 && point.z > NEAR * inverse_depth)) {
             return none;
         }
@@ -244,7 +251,7 @@ fn patches(pixel: vec2<u32>, plane: vec4<f32>) -> Match {
         means += vec2(here[i], there[i]);
     }
     means /= f32(PATCH);
-    // Second moments: of the first patch, of the second, and mixed.
+    // Variance of the patch here, variance of the patch in the neighbour, and their covariance.
     var moments = vec3(0.0);
     for (var i = 0u; i < PATCH; i++) {
         let a = here[i] - means.x;
@@ -252,7 +259,7 @@ fn patches(pixel: vec2<u32>, plane: vec4<f32>) -> Match {
         moments += vec3(a * a, b * b, a * b);
     }
     moments /= f32(PATCH);
-    // A negative of the patch does not match (in PGSR it does).
+    // A patch with negative correlation does not match (in PGSR it does).
     if (!(moments.z > 0.0)) {
         return none;
     }
@@ -268,6 +275,7 @@ fn patches(pixel: vec2<u32>, plane: vec4<f32>) -> Match {
     return Match(1.0 - moments.z * agreement, by_ratio);
 }
 
+// The `i`-th pixel of the patch around a pixel.
 fn patch_pixel(pixel: vec2<u32>, i: u32) -> vec2<u32> {
     return pixel + vec2(i % PATCH_SIDE, i / PATCH_SIDE) - PATCH_REACH;
 }

@@ -1,6 +1,10 @@
 // The single-view normal loss: the difference between blended normals and normals from depth, with lower weight on
-// edges of the photograph (PGSR). With P = z r the point of a pixel, h = P(x+k) - P(x-k) and v = P(y-k) - P(y+k), the
-// normal from depth is n = h × v / |h × v|; the loss of a pixel is w |α n - N|₁ with α held constant.
+// edges of the photograph (PGSR).
+//
+// A pixel with depth z and ray r shows the point P = z r. With k = NORMAL_REACH,
+// h = P(x + k) - P(x - k) and v = P(y - k) - P(y + k), the normal from depth is n = h × v / |h × v|.
+// The loss of a pixel is w |α n - N|₁: w is the weight for edges, N the blended normal, and α the alpha of the pixel,
+// held constant.
 // Parts: types, pixels, surface, luma_slope, tile_sum.
 
 @group(0) @binding(0) var<uniform> view: View;
@@ -10,13 +14,15 @@
 @group(0) @binding(4) var<storage, read> luma_plane: array<f32>;
 // Bits of the smallest and the largest slope of the photograph.
 @group(0) @binding(5) var<storage, read> slopes: array<u32>;
-// This pass overwrites the planes of normal and distance.
+// Gradient of the loss with respect to the picture. This pass overwrites the planes of normal and distance.
 @group(0) @binding(6) var<storage, read_write> gradient: array<f32>;
-// ∂L/∂z of the pixels to the right, to the left, above and below each pixel.
+// Gradient of the loss of each pixel with respect to the depths of the pixels to its right and left, above and below.
 @group(0) @binding(7) var<storage, read_write> given: array<vec4<f32>>;
-// By tile: the sum of the losses.
+// Loss sums: one vector for each tile. This pass writes the sum of its losses to the first number, and zeros to the
+// others.
 @group(0) @binding(8) var<storage, read_write> sums: array<vec4<f32>>;
 
+// Gradients of the loss of a pixel with respect to its blended normal and the four depths, and the loss.
 struct Given {
     normal: vec3<f32>,
     depths: vec4<f32>,
@@ -78,7 +84,8 @@ fn normal_loss(pixel: vec2<u32>) -> Given {
     return Given(-v_difference, depths, w * dot(abs(difference), vec3(1.0)));
 }
 
-// (1 - ĝ)², with ĝ the slope of the photograph, scaled to 0..1 over the picture.
+// Weight of a pixel: (1 - g)², with g the slope of the photograph at the pixel, scaled so that slopes over the picture
+// range over 0..1.
 fn edge_weight(pixel: vec2<u32>) -> f32 {
     let least = bitcast<f32>(slopes[0]);
     let range = bitcast<f32>(slopes[1]) - least;

@@ -1,4 +1,4 @@
-// The number of tiles of each splat, nearest splat first, as input of the next scan.
+// Lists the number of tiles of each visible splat, nearest splat first, as input of the next scan.
 // Parts: types.
 
 @group(0) @binding(0) var<storage, read> counters: array<u32>;

@@ -1,5 +1,6 @@
-// The gradient of (1 - λ) L1 + λ (1 - SSIM) with respect to every pixel, and the sums of the L1 loss. L1 compares the
-// exposed rendering, SSIM the rendering itself. The gradient of all other planes is zero.
+// Computes the gradient of (1 - λ) L1 + λ (1 - SSIM) with respect to the colours of every pixel, and the sums of the
+// colour loss other than SSIM. λ is the weight of SSIM. L1 compares the photograph with gain * colour + offset, SSIM
+// with the rendered colour itself. The gradients with respect to all other planes are set to zero.
 // Parts: types, pixels, photograph, photometric.
 
 @group(0) @binding(0) var<uniform> view: View;
@@ -7,15 +8,17 @@
 @group(0) @binding(2) var<storage, read> image: array<f32>;
 @group(0) @binding(3) var<storage, read> photograph: array<u32>;
 @group(0) @binding(4) var<storage, read> partials: array<f32>;
-// By tile and channel, two vectors. The pass ssim wrote the first number; this pass writes the next four:
-// squares, |difference|, sign and sign * colour.
+// Loss sums: two vectors for each tile and channel. The pass ssim wrote the first number. This pass writes the next
+// four, sums over pixels with x the rendered and y the photographed value: (x - y)², |d|, sign(d) and sign(d) * x,
+// where d = gain * x + offset - y.
 @group(0) @binding(5) var<storage, read_write> sums: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read_write> gradient: array<f32>;
 
-// Partial derivatives of the tile and its halo; later the sums of the lanes.
+// The first two of the three partial derivatives of SSIM in the tile and its halo; `halo_third` holds the third. `halo`
+// is used again for the sums over the lanes.
 var<workgroup> halo: array<vec2<f32>, SSIM_SIDE * SSIM_SIDE>;
 var<workgroup> halo_third: array<f32, SSIM_SIDE * SSIM_SIDE>;
-// Filtered along rows.
+// The partial derivatives, filtered with the window along rows.
 var<workgroup> filtered: array<vec2<f32>, SSIM_SIDE * TILE>;
 var<workgroup> filtered_third: array<f32, SSIM_SIDE * TILE>;
 
@@ -77,7 +80,7 @@ fn photometric_gradient(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_
     }
 }
 
-// The sum over the lanes, in a fixed order.
+// The sum of `value` over all lanes, in a fixed order.
 fn sum_of_differences(value: vec4<f32>, lane: u32) -> vec4<f32> {
     halo[2u * lane] = value.xy;
     halo[2u * lane + 1u] = value.zw;

@@ -1,4 +1,4 @@
-// The 2D Gaussian, colour and plane of each splat for one camera, its depth, and its number of tiles.
+// Projects each splat for one camera: computes its 2D Gaussian, colour, plane, depth and number of tiles.
 // Parts: types, geometry, sh, spans.
 
 @group(0) @binding(0) var<uniform> view: View;
@@ -7,9 +7,9 @@
 @group(0) @binding(3) var<storage, read_write> projected: array<Projected>;
 // Bits of the depth along the optical axis (positive floats have the same order as their bits), or NOT_SEEN.
 @group(0) @binding(4) var<storage, read_write> depth_keys: array<u32>;
-// 1 for each visible splat, else 0: input of the next scan.
+// 1 for each visible splat, 0 for the others: input of the next scan.
 @group(0) @binding(5) var<storage, read_write> places: array<u32>;
-// First slot and number of slots of a splat; a later pass writes the first slot.
+// First slot and number of slots of each splat. This pass writes the number; the pass emit writes the first slot.
 @group(0) @binding(6) var<storage, read_write> slots: array<vec2<u32>>;
 
 @compute @workgroup_size(GROUP)
@@ -29,7 +29,7 @@ fn project(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_in
         projected[i] = splat;
         let low = splat.mean_px + splat.extent_px;
         let high = splat.mean_px - splat.extent_px;
-        // Comparisons with NaN are false.
+        // Comparisons with NaN are false, so splats with NaN are invisible.
         if (splat.falloff_max > 0.0 && all(low >= vec2(0.5)) && all(high <= vec2<f32>(view.size_px) - 0.5)) {
             key = bitcast<u32>(g.t.z);
             tiles = count_tiles(splat);
@@ -54,7 +54,8 @@ fn seen(g: Geometry, mean: vec3<f32>, log_scale: vec3<f32>, i: u32) -> Projected
     let logit = row(OPACITY, i);
     let log2_opacity = LOG2_E * (min(logit, 0.0) - ln_1p(exp(max(-abs(logit), -80.0))));
     let falloff_max = log2_opacity - LOG2_ALPHA_MIN;
-    // ½ dᵀ A d = falloff / log2(e), and its box has half-sides sqrt(2 ½dᵀAd C_xx), sqrt(… C_yy).
+    // With C the covariance on the screen and A its inverse, alpha is ALPHA_MIN on the ellipse dᵀ A d = reach around
+    // the mean. Half the sides of its bounding box are sqrt(reach * C_xx) and sqrt(reach * C_yy).
     let reach = 2.0 / LOG2_E * max(falloff_max, 0.0);
     let half = inv_det * 0.5 * LOG2_E;
     var splat: Projected;
@@ -69,7 +70,8 @@ fn seen(g: Geometry, mean: vec3<f32>, log_scale: vec3<f32>, i: u32) -> Projected
     return splat;
 }
 
-// ln(1 + x) for x in 0..=1, error below 3e-7: 2 artanh(s) with s = x / (2 + x), as a series up to s^11.
+// ln(1 + x) for x in 0..=1, with an error below 3e-7. It is 2 artanh(s) with s = x / (2 + x), computed as a series up
+// to s^11.
 fn ln_1p(x: f32) -> f32 {
     let s = x / (x + 2.0);
     let ss = s * s;

@@ -1,6 +1,8 @@
-// The backward pass of the projection: adds the records of each splat in the order of their slots, propagates the
-// gradients through conic, plane and colour to the parameters, and adds to the statistics. The formulas are the
-// transposes of those in geometry.wgsl and sh.wgsl.
+// The backward pass of the projection. It adds the records of each splat in the order of their slots, and propagates
+// these gradients through 2D Gaussian, plane and colour to the parameters. It also adds to the densification
+// statistics. The functions reverse those in geometry.wgsl and sh.wgsl.
+//
+// A name that begins with v_ is the gradient of the loss L with respect to the rest of the name.
 // Parts: types, geometry, sh.
 
 @group(0) @binding(0) var<uniform> view: View;
@@ -10,10 +12,11 @@
 @group(0) @binding(4) var<storage, read> projected: array<Projected>;
 @group(0) @binding(5) var<storage, read> slots: array<vec2<u32>>;
 @group(0) @binding(6) var<storage, read> records: array<vec4<f32>>;
-// Rows of a shape, then ∂L/∂rgb of the seen colour; zero for invisible splats.
+// Rows as in a shape, then the gradient with respect to the colour that the camera sees; zero for invisible splats.
 @group(0) @binding(7) var<storage, read_write> gradients: array<f32>;
-// Rows: sum over views of the norm of ∂L/∂mean on the screen in units of half the picture (3DGS), number of views that
-// saw the splat, the same norm of the sums of absolute values (AbsGS).
+// Rows, summed over views: the norm of the gradient with respect to the mean on the screen, in units of half the
+// picture (3DGS); 1 for each view that sees the splat; the same norm, but of the gradient whose absolute values were
+// added over pixels (AbsGS).
 @group(0) @binding(8) var<storage, read_write> stats: array<f32>;
 
 @compute @workgroup_size(GROUP)
@@ -41,10 +44,10 @@ fn project_backward(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invo
     v_log_scale[axis] += weights.scale * g.scale[axis];
     through_mean(g, v_mean_px, &into);
     through_plane(g, axis, sums.surface, &into);
-    // A channel that is 0 was clamped; it has no gradient.
+    // A colour channel that is 0 was clamped, so it has no gradient.
     let v_rgb = select(vec3(0.0), sums.rgb, projected[i].rgb > vec3(0.0));
     let v_mean = from_camera(into.t) + through_direction(mean, v_rgb, i);
-    // ∂ln o / ∂logit = 1 - o.
+    // The first moment is ∂L/∂ln o with o the opacity, and ∂ln o/∂logit = 1 - o.
     let v_opacity = sums.moments[0].x / (1.0 + exp(clamp(row(OPACITY, i), -80.0, 80.0)));
     let v_quat = through_rotation(g, into);
 
@@ -71,16 +74,17 @@ fn put(r: u32, i: u32, value: f32) {
     gradients[r * view.splat_stride + i] = value;
 }
 
-// A splat's records, summed.
+// The sums of the records of a splat; see rasterize_backward.wgsl.
 struct Sums {
-    // Σq, Σq dx, Σq dy; Σq dx², Σq dx dy, Σq dy².
+    // Σq, Σq dx, Σq dy, then Σq dx², Σq dx dy, Σq dy².
     moments: array<vec3<f32>, 2>,
     rgb: vec3<f32>,
-    // Normal and distance.
+    // Gradients with respect to normal (xyz) and distance of the plane.
     surface: vec4<f32>,
     absolute: vec2<f32>,
 }
 
+// Adds the records of the slots of a splat.
 fn gather(slots: vec2<u32>) -> Sums {
     var a = vec4(0.0);
     var b = vec4(0.0);
@@ -96,14 +100,15 @@ fn gather(slots: vec2<u32>) -> Sums {
     return Sums(moments, vec3(b.zw, c.x), vec4(c.yzw, d.x), d.yz);
 }
 
-// From moments to the mean on the screen: -A (Σq d).
+// Gradient with respect to the mean on the screen: -A (Σq d), with A the inverse of the covariance on the screen.
 fn screen_mean(g: Geometry, sums: Sums) -> vec2<f32> {
     let d = sums.moments[0].yz;
     let conic = vec3(g.cov.z, -g.cov.y, g.cov.x) / g.det;
     return -vec2(conic.x * d.x + conic.y * d.y, conic.y * d.x + conic.z * d.y);
 }
 
-// To the covariance on the screen: ½ A (Σq d dᵀ) A as (xx, xy, yy), each off-diagonal entry counted once.
+// Gradient with respect to the covariance on the screen: ½ A (Σq d dᵀ) A as (xx, xy, yy), with A the inverse of the
+// covariance. `xy` is one of the two equal entries beside the diagonal, not their sum.
 fn screen_covariance(g: Geometry, sums: Sums) -> vec3<f32> {
     let conic = vec3(g.cov.z, -g.cov.y, g.cov.x) / g.det;
     let dd = sums.moments[1];
@@ -112,13 +117,15 @@ fn screen_covariance(g: Geometry, sums: Sums) -> vec3<f32> {
     return 0.5 * vec3(dot(p_x, conic.xy), dot(p_x, conic.yz), dot(p_y, conic.yz));
 }
 
-// Gradients with respect to the centre in the camera frame, and the axes as columns.
+// Gradients with respect to the mean of the splat in the camera frame (t), and to the axes of the splat (the columns of
+// u).
 struct CameraGradients {
     t: vec3<f32>,
     u: mat3x3<f32>,
 }
 
-// C = B S² Bᵀ with B = J U: to the axes, the centre and the log-scales (returned).
+// Propagates the gradient through the covariance C = B S² Bᵀ, with B = J u, J the Jacobian of the projection and S the
+// scales. Adds the gradients with respect to axes and mean to `into`, and returns that with respect to the log scales.
 fn through_covariance(g: Geometry, v_cov: vec3<f32>, into: ptr<function, CameraGradients>) -> vec3<f32> {
     let scaled = 2.0 * g.scale * g.scale;
     let v_b_x = scaled * (v_cov.x * g.b_x + v_cov.y * g.b_y);
@@ -127,7 +134,8 @@ fn through_covariance(g: Geometry, v_cov: vec3<f32>, into: ptr<function, CameraG
     let u_z = vec3(g.u[0].z, g.u[1].z, g.u[2].z);
     let v_slope = -j * vec2(dot(v_b_x, u_z), dot(v_b_y, u_z));
     let free = select(v_slope, vec2(0.0), g.clamped);
-    // b = j w with w = u[a] - slope u[2], so v_j = v_b . w = v_b . b / j.
+    // b_x and b_y have the factor j = f / z, so they are b = j w. The gradient of j is v_j = v_b . w, which is v_b . b
+    // / j. The slope in w depends on z too; the next lines add that part.
     let v_z_of_j = -(dot(v_b_x, g.b_x) + dot(v_b_y, g.b_y)) * g.inv_z;
     (*into).t += vec3(free * g.inv_z, v_z_of_j - dot(free, g.slope) * g.inv_z);
     for (var k = 0u; k < 3u; k++) {
@@ -137,20 +145,21 @@ fn through_covariance(g: Geometry, v_cov: vec3<f32>, into: ptr<function, CameraG
     return g.b_x * v_b_x + g.b_y * v_b_y;
 }
 
-// m = f t / z + c, never clamped.
+// Propagates the gradient through the mean on the screen, f * t.xy / z + c, with focal length f and centre c. Its
+// slopes are not clamped.
 fn through_mean(g: Geometry, v_mean_px: vec2<f32>, into: ptr<function, CameraGradients>) {
     let scaled = v_mean_px * view.focal_px * g.inv_z;
     (*into).t += vec3(scaled, -dot(scaled, g.t.xy) * g.inv_z);
 }
 
-// n = ± u[axis], D = -n . t.
+// Propagates the gradient through the plane: its normal is n = ± u[axis], its distance -n . t.
 fn through_plane(g: Geometry, axis: u32, v_surface: vec4<f32>, into: ptr<function, CameraGradients>) {
     let plane = plane(g, axis);
     (*into).u[axis] += (v_surface.xyz - v_surface.w * g.t) * plane.sign;
     (*into).t -= v_surface.w * plane.normal;
 }
 
-// The gradient of colour with respect to the mean, through the viewing direction.
+// The gradient with respect to the mean in the world, from the colour, which depends on the viewing direction.
 fn through_direction(mean: vec3<f32>, v_rgb: vec3<f32>, i: u32) -> vec3<f32> {
     let seen = view_direction(mean);
     var coefficients = array<f32, 16>();
@@ -162,7 +171,8 @@ fn through_direction(mean: vec3<f32>, v_rgb: vec3<f32>, i: u32) -> vec3<f32> {
     return (v_dir - seen.xyz * dot(seen.xyz, v_dir)) * seen.w;
 }
 
-// Σ_k weights[k] ∇basis_k at a direction: the gradient before the projection onto the sphere.
+// Σ_k w[k] ∇basis_k at a direction. The caller then removes the part along the direction, since directions have unit
+// length.
 fn sh_gradient(dir: vec3<f32>, w: array<f32, 16>) -> vec3<f32> {
     let x = dir.x;
     let y = dir.y;
@@ -194,13 +204,14 @@ fn sh_gradient(dir: vec3<f32>, w: array<f32, 16>) -> vec3<f32> {
     return first + second + third;
 }
 
+// Rotates a vector from the camera frame into the world.
 fn from_camera(v: vec3<f32>) -> vec3<f32> {
     return v.x * view.cam_from_world[0].xyz + v.y * view.cam_from_world[1].xyz + v.z * view.cam_from_world[2].xyz;
 }
 
-// To the quaternion (wxyz), through its normalisation.
+// The gradient with respect to the quaternion (wxyz) as it is stored, before its normalisation.
 fn through_rotation(g: Geometry, into: CameraGradients) -> vec4<f32> {
-    // Columns: ∂L/∂(axis in the world).
+    // The columns are the gradients with respect to the axes of the splat in the world.
     let m = mat3x3(from_camera(into.u[0]), from_camera(into.u[1]), from_camera(into.u[2]));
     let w = g.q.x;
     let x = g.q.y;

@@ -1,15 +1,16 @@
-// The blend: front to back over the list of each tile. A workgroup is a tile, an invocation is four pixels of a row, so
-// that each splat is read once for four pixels.
+// The blend: blends the splats in the list of each tile from front to back. A workgroup processes a tile, an invocation
+// four pixels of a row, so that each splat is read once for four pixels.
 // Parts: types, pixels, tile_list.
 
-// Number of entries of a tile's list that were processed before all its pixels were full: all, or whole batches.
+// Number of entries in the list of each tile that were processed before all pixels of the tile were full. It is the
+// length of the list, or a multiple of BATCH.
 @group(0) @binding(5) var<storage, read_write> blended: array<u32>;
 @group(0) @binding(6) var<storage, read_write> image: array<f32>;
 
-// Invocations of a workgroup, and pixels of each.
+// Number of invocations of a workgroup, and number of pixels of each invocation.
 const LANES: u32 = 64u;
 const PIXELS: u32 = 4u;
-// Splats that a workgroup reads at a time.
+// Number of splats that a workgroup reads at a time.
 const BATCH: u32 = 128u;
 
 var<workgroup> batch: array<Projected, BATCH>;
@@ -29,11 +30,12 @@ fn rasterize(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
     let y = f32(corner.y) + 0.5;
     let range = ranges[tile];
 
-    // Transmittance of a pixel until it is full, then 0; `left` is the final transmittance of a full pixel.
+    // `open` is the transmittance of each pixel until it is full, then 0. `left` is the final transmittance of a full
+    // pixel, and 0 before.
     let inside = (columns < vec4(view.size_px.x)) & vec4(corner.y < view.size_px.y);
     var open = select(vec4(0.0), vec4(1.0), inside);
     var left = vec4(0.0);
-    // Colour, normal and distance, each of four pixels.
+    // Blended colour, normal and plane distance of the four pixels.
     var red = vec4(0.0);
     var green = vec4(0.0);
     var blue = vec4(0.0);
@@ -94,7 +96,8 @@ fn rasterize(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
     }
 }
 
-// Whether a pixel of the tile is not full yet; also a barrier before the next batch.
+// Whether any pixel of the tile is not full yet. The barriers also ensure that all invocations have finished a batch
+// before the next batch overwrites it.
 fn any_open(open: bool, lane: u32) -> bool {
     if (lane == 0u) {
         atomicStore(&open_pixels, 0u);

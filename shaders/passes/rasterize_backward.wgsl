@@ -1,22 +1,24 @@
-// The backward pass of the blend. It runs front to back as well, so only the final picture must be kept.
+// The backward pass of the blend. Like the blend it runs from front to back, so of the forward pass only the final
+// picture must be kept.
 //
-// A workgroup is a tile, an invocation is a pair; see crossing.wgsl.
+// A workgroup processes a tile; its invocations process one pair each at a time, see crossing.wgsl.
 //
-// With g the gradient of a pixel's channels, the splats behind the current one enter only through the scalar
-// rest = (their blended value) . g. It starts with the value of the finished pixel, and each splat's contribution is
-// subtracted in turn.
+// Let g be the gradient of the loss with respect to the channels of a pixel. The splats behind the current one matter
+// only through one number, `rest`: the dot product of what they contribute to the pixel with g. At first `rest` is the
+// dot product of the finished pixel with g; then the contribution of each splat is subtracted in turn.
 // Parts: types, pixels, tile_list, crossing.
 
 @group(0) @binding(5) var<storage, read> blended: array<u32>;
 @group(0) @binding(6) var<storage, read> image: array<f32>;
 @group(0) @binding(7) var<storage, read> gradient: array<f32>;
-// By slot, 16 numbers: with q = α ∂L/∂α and d = mean - pixel, Σq, Σq dx, Σq dy, Σq dx², Σq dx dy, Σq dy², then
-// ∂L/∂rgb, ∂L/∂normal, ∂L/∂distance, and the sums of absolute values of ∂L/∂mean, each times log2(e).
+// For each slot a record of 16 numbers, summed over pixels; the last is 0. With q = α ∂L/∂α and d = mean - pixel
+// centre, they are q, q dx, q dy, q dx², q dx dy, q dy², then ∂L/∂rgb, ∂L/∂normal, ∂L/∂distance, and the absolute
+// values of ∂L/∂mean in x and y, times log2(e).
 @group(0) @binding(8) var<storage, read_write> records: array<vec4<f32>>;
 
-// Transmittance (0 once the pixel is full) and rest of each pixel.
+// For each pixel, its transmittance (0 once the pixel is full) and its `rest`.
 var<workgroup> pixels: array<vec2<f32>, TILE_PIXELS>;
-// The tile's gradient: of the colours, of normal and distance.
+// Gradient of the loss with respect to the pixels of the tile: to colours, then to normal and distance.
 var<workgroup> v_rgbs: array<vec3<f32>, TILE_PIXELS>;
 var<workgroup> v_surfaces: array<vec4<f32>, TILE_PIXELS>;
 
@@ -29,7 +31,7 @@ fn rasterize_backward(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_in
     let origin = corner_of(tile);
     let range = ranges[tile];
     let pairs = blended[tile];
-    // Entries that the blend did not process have no gradient.
+    // Entries of the list that the blend did not process have gradient zero.
     for (var at = range.x + pairs + lane; at < range.y; at += PAIRS_AT_ONCE) {
         write_record(sorted_slots[at], Sums());
     }
@@ -68,14 +70,14 @@ fn rasterize_backward(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_in
     }
 }
 
-// The record of a pair.
+// The record of a pair, summed over the pixels of the tile.
 struct Sums {
     q: f32,
     q_d: vec2<f32>,
     // q dx², q dx dy, q dy².
     q_dd: vec3<f32>,
     rgb: vec3<f32>,
-    // Normal and distance.
+    // Gradients with respect to normal and distance.
     surface: vec4<f32>,
     absolute: vec2<f32>,
 }
@@ -91,7 +93,7 @@ fn place(tile: u32, plane: u32, pixel: u32) -> u32 {
     return (tile * view.planes + plane) * TILE_PIXELS + pixel;
 }
 
-// Dot product of the finished pixel with its gradient.
+// Dot product of a finished pixel with the gradient with respect to it: the first value of `rest`.
 fn finished(tile: u32, pixel: u32) -> f32 {
     var rest = 0.0;
     for (var plane = 0u; plane < view.planes; plane++) {
@@ -100,7 +102,7 @@ fn finished(tile: u32, pixel: u32) -> f32 {
     return rest;
 }
 
-// Processes a splat on a chunk of pixels of one row.
+// Adds the contributions of a splat in a chunk of pixels of one row to `sums`, and advances the state of these pixels.
 fn carry(origin: vec2<u32>, chunk: u32, splat: Projected, sums: ptr<function, Sums>) {
     let first = chunk * CHUNK;
     let y = f32(origin.y + first / TILE) + 0.5;
@@ -135,7 +137,8 @@ fn carry(origin: vec2<u32>, chunk: u32, splat: Projected, sums: ptr<function, Su
         }
         let behind = state.y - weight * value;
         pixels[pixel] = vec2(after, behind);
-        // q = α ∂L/∂α = α T value - α/(1-α) rest; zero where alpha is clamped.
+        // q = α ∂L/∂α = α T value - α / (1 - α) rest, with T the transmittance before the splat and `rest` without the
+        // splat. It is zero where alpha is clamped.
         if (raw < ALPHA_MAX) {
             let q = weight * value - alpha / (1.0 - alpha) * behind;
             (*sums).q += q;

@@ -1,4 +1,4 @@
-// Adds, to the running sums of each block, the sum of all blocks before it.
+// Adds to the running sums of each block the sum of all blocks before it.
 // Parts: types.
 
 @group(0) @binding(0) var<uniform> step: ScanStep;

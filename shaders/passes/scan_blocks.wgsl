@@ -1,4 +1,4 @@
-// Replaces each block of numbers by its running sums, and writes the sums of the blocks.
+// Replaces each number by the sum of the numbers before it in its block, and writes the sum of each block.
 // Parts: types, group_scan.
 
 @group(0) @binding(0) var<uniform> step: ScanStep;
@@ -33,6 +33,7 @@ fn scan_blocks(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocatio
     }
 }
 
+// How many numbers are scanned, for a counter with the value `count`; see ScanStep.
 fn scan_length(count: u32) -> u32 {
     return select(count, DIGITS * blocks_of(count), step.digits == 1u);
 }

@@ -1,4 +1,4 @@
-// Replaces the sums of the blocks by the sums of all blocks before each. Runs as one workgroup.
+// Replaces the sum of each block by the sum of all blocks before it, and writes the total. Runs as one workgroup.
 // Parts: types, group_scan.
 
 @group(0) @binding(0) var<uniform> step: ScanStep;

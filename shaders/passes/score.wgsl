@@ -1,15 +1,15 @@
-// The contribution of each pair to the picture, as a record of four numbers by slot. A workgroup is a tile, an
-// invocation is a pair; see crossing.wgsl.
+// Computes what each pair contributes to the picture, and writes it as four numbers to the record of the slot of the
+// pair. A workgroup processes a tile; its invocations process one pair each at a time, see crossing.wgsl.
 // Parts: types, pixels, tile_list, crossing.
 
 @group(0) @binding(5) var<storage, read> blended: array<u32>;
-// Only the first vector of each slot's record is used.
+// A record has four vectors; this pass writes only the first.
 @group(0) @binding(6) var<storage, read_write> records: array<vec4<f32>>;
 
-// A view observes a splat that it hits before this share of the light is absorbed (PGSR).
+// A view observes a splat that is blended into one of its pixels while the transmittance is above this (PGSR).
 const OBSERVED_TRANSMITTANCE: f32 = 0.5;
 
-// Transmittance of each pixel; 0 once it is full.
+// Transmittance of each pixel of the tile; 0 once the pixel is full.
 var<workgroup> pixels: array<f32, TILE_PIXELS>;
 
 @compute @workgroup_size(PAIRS_AT_ONCE)
@@ -47,8 +47,8 @@ fn score(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
     }
 }
 
-// Adds the contribution of a splat to a chunk of pixels: Σ (α T)², pixels hit, pixels hit while more than half of the
-// light came through.
+// Adds the contribution of a splat to a chunk of pixels: Σ (α T)² with alpha α and transmittance T, the number of
+// pixels that it is blended into, and how many of these had a transmittance above OBSERVED_TRANSMITTANCE.
 fn add_contribution(origin: vec2<u32>, chunk: u32, splat: Projected, sums: ptr<function, vec4<f32>>) {
     for (var pixel = chunk * CHUNK; pixel < (chunk + 1u) * CHUNK; pixel++) {
         let before = pixels[pixel];

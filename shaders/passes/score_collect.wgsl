@@ -5,7 +5,7 @@
 @group(0) @binding(1) var<storage, read> slots: array<vec2<u32>>;
 @group(0) @binding(2) var<storage, read> projected: array<Projected>;
 @group(0) @binding(3) var<storage, read> records: array<vec4<f32>>;
-// Rows: Σ (α T)², pixels hit, views that observed the splat.
+// Rows: Σ (α T)² with alpha α and transmittance T, number of pixels hit, number of views that observed the splat.
 @group(0) @binding(4) var<storage, read_write> scores: array<f32>;
 
 @compute @workgroup_size(GROUP)

@@ -1,4 +1,5 @@
-// The number of occurrences of each digit (4 bits) in each block of keys, at counts[digit * blocks + block].
+// Counts how often each value of the current digit (4 bits) occurs in each block of keys. The count goes to
+// counts[digit * blocks + block].
 // Parts: types.
 
 @group(0) @binding(0) var<uniform> step: SortStep;

@@ -1,9 +1,9 @@
-// Moves keys and values to their places by one digit; the sort is stable.
+// Moves keys and values to their places in the order of one digit. Keys with equal digits keep their order.
 // Parts: types.
 
 @group(0) @binding(0) var<uniform> step: SortStep;
 @group(0) @binding(1) var<storage, read> counters: array<u32>;
-// Running sums of the counts within blocks, and the sum of all blocks before each block.
+// Running sums of the counts within each block of counts, and the sum of all blocks of counts before each.
 @group(0) @binding(2) var<storage, read> counts: array<u32>;
 @group(0) @binding(3) var<storage, read> block_sums: array<u32>;
 @group(0) @binding(4) var<storage, read> keys: array<u32>;
@@ -11,8 +11,8 @@
 @group(0) @binding(6) var<storage, read_write> sorted_keys: array<u32>;
 @group(0) @binding(7) var<storage, read_write> sorted_values: array<u32>;
 
-// For each digit and lane, the number of keys with this digit in the lanes before. An entry holds the counts
-// of two digits, 16 bits each; each pair of digits has one row of lanes.
+// For each digit and lane, the number of keys with this digit in the lanes before. An entry holds the counts of two
+// digits, 16 bits each. Each pair of digits has one row with an entry for each lane.
 var<workgroup> before: array<u32, DIGITS / 2u * GROUP>;
 var<workgroup> sums: array<u32, GROUP>;
 
@@ -26,7 +26,7 @@ fn sort_scatter(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocati
     for (var pair = 0u; pair < DIGITS / 2u; pair++) {
         before[pair * GROUP + lane] = 0u;
     }
-    // A lane owns four consecutive keys, so that keys are in the order of the lanes.
+    // Each lane takes four consecutive keys, so that the order of the lanes is the order of the keys.
     let first = block * BLOCK + 4u * lane;
     for (var at = first; at < min(first + 4u, count); at++) {
         let digit = (keys[at] >> step.shift) & (DIGITS - 1u);
@@ -49,7 +49,8 @@ fn sort_scatter(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocati
     }
 }
 
-// Replaces each row of `before` by its running sums: each lane adds 8 numbers; 32 lanes process a row.
+// Replaces each number in a row of `before` by the sum of the numbers before it in the row. 32 lanes process a row, 8
+// numbers each.
 fn sum_rows(lane: u32) {
     let first = 8u * lane;
     var own = 0u;

@@ -1,5 +1,5 @@
-// The SSIM map of each tile and channel: its sum, and its partial derivatives at every pixel. 11 × 11 Gaussian window,
-// zeros outside the picture, as in 3DGS.
+// Computes the SSIM of every pixel in each channel: its sum over each tile, and its partial derivatives at every pixel.
+// As in 3DGS, the window is Gaussian with 11 × 11 px, and pixels outside the picture are zero.
 // Parts: types, pixels, photograph, photometric.
 
 @group(0) @binding(0) var<uniform> view: View;
@@ -7,16 +7,16 @@
 @group(0) @binding(2) var<storage, read> image: array<f32>;
 @group(0) @binding(3) var<storage, read> photograph: array<u32>;
 @group(0) @binding(4) var<storage, read_write> partials: array<f32>;
-// By tile and channel, two vectors; this pass writes the first number.
+// Loss sums: two vectors for each tile and channel. This pass writes their first number, the sum of SSIM.
 @group(0) @binding(5) var<storage, read_write> sums: array<vec4<f32>>;
 
-// Stabilisers for colours in 0..1 (0.01² and 0.03²).
+// Terms that keep the divisions of SSIM finite, for colours in 0..1 (0.01² and 0.03²).
 const SSIM_C1: f32 = 0.0001;
 const SSIM_C2: f32 = 0.0009;
 
-// Colours of the tile and its halo: rendered, photographed.
+// Values of the channel in the tile and its halo: rendered (x), then photographed (y).
 var<workgroup> colors: array<vec2<f32>, SSIM_SIDE * SSIM_SIDE>;
-// Filtered along rows: x, y, xx and yy; xy has its own array.
+// x, y, x² and y², filtered with the window along rows. The array `products` holds x y, filtered in the same way.
 var<workgroup> filtered: array<vec4<f32>, SSIM_SIDE * TILE>;
 var<workgroup> products: array<f32, SSIM_SIDE * TILE>;
 var<workgroup> totals: array<f32, GROUP>;
@@ -68,7 +68,8 @@ fn ssim(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     }
 }
 
-// SSIM, and its derivatives by μx, E[xx] and E[xy], from filtered x, y, xx, yy and xy.
+// SSIM of a pixel, and its derivatives by μx, E[xx] and E[xy], the means of x, x² and x y over the window. `m` holds
+// the means of x, y, x² and y²; `xy` is that of x y.
 fn ssim_here(m: vec4<f32>, xy: f32) -> vec4<f32> {
     let a1 = 2.0 * m.x * m.y + SSIM_C1;
     let a2 = 2.0 * (xy - m.x * m.y) + SSIM_C2;
@@ -76,12 +77,12 @@ fn ssim_here(m: vec4<f32>, xy: f32) -> vec4<f32> {
     let b2 = m.z - m.x * m.x + m.w - m.y * m.y + SSIM_C2;
     let inv = 1.0 / (b1 * b2);
     let map = a1 * a2 * inv;
-    // By μx directly, and through σx² = E[xx] - μx² and σxy = E[xy] - μx μy.
+    // The derivative by μx has a direct part, and parts through σx² = E[xx] - μx² and σxy = E[xy] - μx μy.
     let by_mu = 2.0 * (m.y * (a2 - a1) * inv + m.x * map * (1.0 / b2 - 1.0 / b1));
     return vec4(map, by_mu, -map / b2, 2.0 * a1 * inv);
 }
 
-// The sum over the lanes, in a fixed order.
+// The sum of `value` over all lanes, in a fixed order.
 fn sum_of_map(value: f32, lane: u32) -> f32 {
     totals[lane] = value;
     for (var reach = GROUP / 2u; reach > 0u; reach /= 2u) {

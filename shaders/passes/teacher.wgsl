@@ -1,16 +1,17 @@
-// The losses of distillation: differences of depth and blended normals from a teacher (CoSurfGS, "Model Aggregation
-// Scheme", L_d and L_n). For a pixel, t |z - z'| and t |N - N'|₁ with t the trust in the teacher's pixel; the depth
-// loss counts where both pixels have a depth.
+// The losses of distillation: differences of depths and blended normals from those of a teacher (CoSurfGS, "Model
+// Aggregation Scheme", L_d and L_n). For a pixel with depth z and blended normal N, the losses are t |z - z'| and t |N
+// - N'|₁. z' and N' are those of the teacher, and t is the trust in the pixel of the teacher. The loss of depth counts
+// only where both have a depth.
 // Parts: types, pixels, surface, surface_gradient, tile_sum.
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<uniform> weights: SurfaceWeights;
 @group(0) @binding(2) var<storage, read> image: array<f32>;
 @group(0) @binding(3) var<storage, read> depth: array<f32>;
-// Row by row: all depths of the teacher, then all trusts, then all normals.
+// The surface of the teacher: depths of all pixels row by row, then trusts, then normals.
 @group(0) @binding(4) var<storage, read> shown: array<f32>;
 @group(0) @binding(5) var<storage, read_write> gradient: array<f32>;
-// By tile: this pass writes the sums of both losses to the last two numbers.
+// Loss sums: one vector for each tile. This pass writes the sums of both losses to its last two numbers.
 @group(0) @binding(6) var<storage, read_write> sums: array<vec4<f32>>;
 
 @compute @workgroup_size(GROUP)

@@ -1,4 +1,5 @@
-// The first and the end of each tile's pairs in the sorted order. Ranges of tiles without pairs remain zero.
+// Finds the first pair of each tile in the sorted order, and the end of its pairs. The ranges are zero before the pass;
+// those of tiles without pairs remain zero.
 // Parts: types.
 
 @group(0) @binding(0) var<uniform> view: View;

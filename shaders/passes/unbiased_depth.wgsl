@@ -1,5 +1,6 @@
-// The unbiased depth (PGSR) at the intersection of a pixel's ray with the blended plane, z = D / -(N . r). D and N are
-// blended with the same weights, so alpha cancels. 0 where there is no surface.
+// The unbiased depth (PGSR): the depth z = D / -(N . r) at which the ray r of a pixel meets the blended plane with
+// distance D and normal N. D and N are blended with the same weights, so alpha cancels. The depth is 0 where there is
+// no surface.
 // Parts: types, pixels, surface.
 
 @group(0) @binding(0) var<uniform> view: View;

@@ -1,7 +1,8 @@
-//! Shared code of the ablation benches: trainings that differ in one setting, scored on held-out views and
-//! against the true surface.
+//! Shared code of the ablation benches. They compare trainings that differ in one setting. Each model is scored on
+//! held-out views and against the true surface.
 //!
-//! The dataset is `../shared/data/gt_boruszyn` if it lies beside the checkout, otherwise a small synthetic town.
+//! The default dataset is `../shared/data/gt_boruszyn`, relative to the checkout. If it is missing, the benches use a
+//! small synthetic town.
 
 use std::path::{Path, PathBuf};
 use std::thread::available_parallelism;
@@ -20,19 +21,19 @@ use cosurf_tests::results::{Better, Column, Measurement};
 const EVAL_EVERY: u32 = 8;
 const MESH_BYTES: u64 = 4 << 30;
 
-/// Ablation of the training: a table on standard output, and JSON in target/results.
+/// Compare settings of the training. Prints a table, and writes JSON to target/results.
 #[derive(Parser)]
 pub(crate) struct Arguments {
-    /// A dataset with its true surface in gt/points.ply or gt/mesh.ply [default: as the bench says]
+    /// Folder of a dataset with its true surface, gt/points.ply or gt/mesh.ply [default: gt_boruszyn or a town]
     #[arg(long, value_name = "DATA")]
     data: Option<PathBuf>,
     /// Shrink pictures until their long side is at most this many pixels
     #[arg(long, value_name = "PX", default_value_t = 240)]
     max_size: u32,
-    /// Steps of each training
+    /// Number of steps of each training
     #[arg(long, value_name = "N", default_value_t = 3000)]
     steps: u32,
-    /// Distance up to which a mesh counts as correct, metres
+    /// Largest distance from the true surface that counts as correct, metres
     #[arg(long, value_name = "M", default_value_t = 0.5)]
     threshold: f64,
     /// Passed by cargo to every bench
@@ -40,14 +41,15 @@ pub(crate) struct Arguments {
     bench: bool,
 }
 
-/// One case: a training with its settings.
+/// A training to measure, with its settings.
 pub(crate) struct Variant {
     pub(crate) name: String,
     pub(crate) surface: Option<SurfaceSettings>,
     pub(crate) prune: Option<PruneSettings>,
 }
 
-/// Trains and judges every variant, as the bench `name`. Times are relative to the first.
+/// Trains and scores every variant, and writes the results under the name `name`. Times are relative to the first
+/// variant.
 pub(crate) fn compare(name: &str, variants: &[Variant]) -> Result<()> {
     let arguments = Arguments::parse();
     let folder = tempfile::tempdir()?;
@@ -146,7 +148,7 @@ fn order(arguments: &Arguments, data: &Path, model: &Path) -> EvalOrder {
     }
 }
 
-/// F-score of the mesh fused from the training cameras' depth.
+/// F-score of the mesh that is fused from the depth rendered at the training cameras.
 fn f_score(arguments: &Arguments, trained: Trained, truth: &Mesh) -> Result<f64> {
     let settings = FuseSettings { voxel_m: None, memory_bytes: MESH_BYTES };
     let fused = mesh_model(trained.splats, &trained.cameras, None, &settings, threads(), |_| ())?;

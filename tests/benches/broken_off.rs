@@ -1,4 +1,4 @@
-//! The PSNR that a mission's distilled (MAS) global model loses when uploads break off.
+//! Measures the PSNR that a mission's global model, merged with distillation (MAS), loses when uploads break off.
 //!
 //! `cargo bench -p cosurf-tests --bench broken_off -- --help`
 
@@ -17,16 +17,16 @@ use cosurf_scene::{Camera, Dataset, ply};
 use cosurf_tests::results::{Better, Column, Measurement, Tolerance};
 use held_out::{HeldOut, THREADS};
 
-/// Shares of the bytes that arrive.
+/// The measured cases: the share of a body's bytes that arrives before the upload breaks off.
 const PARTS: [f64; 4] = [0.2, 0.4, 0.6, 0.8];
 
-/// The loss of the global model when the upload of the first agent, or those of all, break off: a table on standard output,
-/// and JSON in target/results.
+/// Measure the PSNR that the global model loses if the upload of the first agent breaks off, or the uploads of all
+/// agents. Prints a table, and writes JSON to target/results.
 #[derive(Parser)]
 struct Arguments {
-    /// The dataset of the mission
+    /// Folder of the mission's dataset
     data: PathBuf,
-    /// Folders of its agents
+    /// Output folders of the mission's agents
     #[arg(required = true)]
     agents: Vec<PathBuf>,
     /// Name of the dataset in the results
@@ -88,7 +88,7 @@ fn columns() -> Vec<Column> {
     [Column::psnr("all arrived")].into_iter().chain(parts).collect()
 }
 
-/// The body that an agent would upload.
+/// Encodes the model in an agent's output folder as the body that the agent would upload.
 fn body(agent: &Path) -> Result<Vec<u8>> {
     let splats = ply::read(&agent.join("model.ply"))?;
     let cameras: Vec<Camera> = serde_json::from_slice(&fs::read(agent.join("cameras.json"))?)?;

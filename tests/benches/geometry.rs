@@ -1,4 +1,5 @@
-//! Gain and cost of each surface loss (CoSurfGS, "Ablations of Geometry Loss in Device-side Training").
+//! Measures the gain in quality and the cost in time of each surface loss (CoSurfGS, "Ablations of Geometry Loss in
+//! Device-side Training").
 //!
 //! `cargo bench -p cosurf-tests --bench geometry -- --help`
 

@@ -10,11 +10,12 @@ pub(crate) const EVERY: u32 = 8;
 /// Threads to render with.
 pub(crate) const THREADS: usize = 2;
 
-/// Cameras and their photographs, `[0, 1]` row by row.
+/// The held-out views: each camera with its photograph, RGB values in 0..=1, row by row.
 pub(crate) struct HeldOut(Vec<(Camera, Vec<f32>)>);
 
 impl HeldOut {
-    /// Reads the views. `resized` maps each view's camera to the camera to render with.
+    /// Reads the held-out views. `resized` maps each view's camera to the camera to render with. Each photograph is
+    /// scaled to the size of the mapped camera.
     pub(crate) fn read(dataset: &Dataset, resized: impl Fn(Camera) -> Camera) -> Result<Self> {
         let (_, held_out) = dataset.split(EVERY);
         let view = |i: &usize| {
@@ -25,13 +26,13 @@ impl HeldOut {
         Ok(Self(held_out.iter().map(view).collect::<Result<_>>()?))
     }
 
-    /// Renders a model from every view.
+    /// Renders a model at every held-out camera.
     pub(crate) fn render(&self, splats: &Splats) -> Vec<Rendering> {
         let mut renderer = Renderer::new(splats, THREADS);
         self.0.iter().map(|(camera, _)| renderer.render(camera)).collect()
     }
 
-    /// Mean PSNR of the renderings, dB.
+    /// Mean PSNR between the renderings and the photographs, dB. NaN if no view is held out.
     pub(crate) fn psnr(&self, renderings: &[Rendering]) -> f64 {
         let one = |(rendering, (_, photograph)): (&Rendering, &(Camera, Vec<f32>))| {
             let rgb: Vec<f32> = rendering.rgb.iter().map(|value| value.clamp(0.0, 1.0)).collect();

@@ -1,12 +1,14 @@
-//! What compression (LMC) and distillation (MAS) gain, and how a mission may be divided (CoSurfGS, "Ablations of Model
-//! Aggregation Scheme", "Ablations of Local Model Compression", "Numbers of Edges and Devices").
+//! Measures what Local Model Compression (LMC) and distillation by the Model Aggregation Scheme (MAS) gain, and how
+//! the number of agents and edges changes the result (CoSurfGS, "Ablations of Model Aggregation Scheme", "Ablations
+//! of Local Model Compression", "Numbers of Edges and Devices").
 //!
 //! `cargo bench -p cosurf-tests --bench merging -- --help`
 //!
-//! Every mission trains each view equally often, so agents with fewer views take fewer steps. Agents are timed by
-//! processor time, merges by wall time; on one core (`taskset -c 0 COMMAND`) both equal a dedicated core's time.
-//! The last column is slowest agent plus slowest edge plus last merge, as a share of the single model's training.
-//! The dataset is `../shared/data/gt_boruszyn` beside the checkout if it exists, else a small synthetic town.
+//! All missions take the same number of training steps in total, which is divided evenly among the agents. Agents run
+//! side by side, so they are timed by CPU time; merges are timed by wall time. To compare the two, run the bench on
+//! one core (`taskset -c 0 COMMAND`). The last column adds the times of the slowest agent, the slowest edge and the
+//! last merge, as a percentage of the training time of the mission with one agent. The default dataset is
+//! `../shared/data/gt_boruszyn`, relative to the checkout. If it is missing, the bench uses a small synthetic town.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -22,19 +24,20 @@ use cosurf_tests::results::{Better, Column, Measurement, Tolerance};
 
 const EVAL_EVERY: u32 = 8;
 
-/// Ablations of merging: a table on standard output, and JSON in target/results.
+/// Compare ways of merging. Prints a table, and writes JSON to target/results.
 #[derive(Parser)]
 struct Arguments {
-    /// A dataset, with its true surface in gt/points.ply or gt/mesh.ply if F-scores are wanted
+    /// Folder of a dataset; F-scores need its true surface, gt/points.ply or gt/mesh.ply [default: gt_boruszyn or a
+    /// town]
     #[arg(long, value_name = "DATA")]
     data: Option<PathBuf>,
     /// Shrink pictures until their long side is at most this many pixels
     #[arg(long, value_name = "PX", default_value_t = 240)]
     max_size: u32,
-    /// How often each view is trained on
+    /// Training steps for each view, on average
     #[arg(long, value_name = "N", default_value_t = 40)]
     steps_per_view: usize,
-    /// Distance up to which a mesh counts as correct, metres
+    /// Largest distance from the true surface that counts as correct, metres
     #[arg(long, value_name = "M", default_value_t = 0.5)]
     threshold: f64,
     /// Folder of the LPIPS weights
@@ -45,7 +48,7 @@ struct Arguments {
     bench: bool,
 }
 
-/// One case: a mission and its options.
+/// A mission to measure. `agents` is the number of agents of each edge, or of the mission if it has no edges.
 struct Variant {
     name: &'static str,
     edges: usize,
@@ -126,7 +129,7 @@ fn f_score(out: &Path, truth: &Mesh, threshold_m: f64) -> Result<f64> {
     Ok(accuracy.samples.f_score)
 }
 
-/// Seconds of the slowest agent, of the slowest edge, and of the last merge.
+/// Time of the slowest agent (CPU time), of the slowest edge's merge and of the last merge (wall time), seconds.
 struct Times {
     agent_s: f64,
     edge_s: Option<f64>,

@@ -1,4 +1,5 @@
-//! Quality lost by pruning a share of the splats, for two scores (CoSurfGS, "Ablations of prune percentage").
+//! Measures the quality lost by pruning a share of the splats, for two formulas of their importance (CoSurfGS,
+//! "Ablations of prune percentage").
 //!
 //! `cargo bench -p cosurf-tests --bench prune -- --help`
 

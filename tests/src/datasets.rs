@@ -1,4 +1,4 @@
-//! Datasets for tests and benches: synthetic towns, and the one that lies beside a checkout.
+//! Datasets for tests and benches: synthetic towns, and datasets that may lie beside the checkout.
 
 use std::path::{Path, PathBuf};
 
@@ -10,14 +10,14 @@ pub fn write_town(folder: &Path, extent_m: f64, views: u32, size_px: [u32; 2]) {
     City::build(&settings).unwrap().write(folder, |_, _| ()).unwrap();
 }
 
-/// The folder of a dataset in `../shared/data` beside the checkout; `None` if it is not there.
+/// The folder of a dataset in `../shared/data`, relative to the checkout; `None` if it does not exist.
 pub fn shared_dataset(name: &str) -> Option<PathBuf> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data").join(name);
     folder.is_dir().then_some(folder)
 }
 
-/// The default dataset of benches: rendered Boruszyn (`gt_boruszyn`) if it is there, otherwise a town of 48
-/// pictures written into `folder`.
+/// The default dataset of benches: `gt_boruszyn` (rendered pictures of Boruszyn) if it exists. Otherwise writes a
+/// synthetic town with 48 pictures into `folder`, and returns `folder`.
 pub fn default_dataset(folder: &Path) -> PathBuf {
     shared_dataset("gt_boruszyn").unwrap_or_else(|| {
         write_town(folder, 80.0, 48, CitySettings::default().size_px);
@@ -25,7 +25,7 @@ pub fn default_dataset(folder: &Path) -> PathBuf {
     })
 }
 
-/// The file of a dataset's true surface, as points or as a mesh; `None` if it has none.
+/// The file with a dataset's true surface, as points or as a mesh; `None` if the dataset has none.
 pub fn true_surface(data: &Path) -> Option<PathBuf> {
     ["gt/points.ply", "gt/mesh.ply"].map(|name| data.join(name)).into_iter().find(|file| file.is_file())
 }

@@ -1,4 +1,5 @@
-//! Nodes on a simulated network and virtual time: whole fleets in one thread, from one seed.
+//! Simulated fleets: nodes ([`Node`]) on a simulated network, with virtual time. A whole fleet runs in one thread,
+//! and the same seed gives the same run.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -8,29 +9,29 @@ use cosurf_wire::ModelHeader;
 
 use crate::offers::identity;
 
-/// One participant of a simulated fleet, and the contents of its disk.
+/// A participant of a simulated fleet: its node, and the contents of its disk.
 pub struct Member {
-    /// Its name, role and session.
+    /// Name, role and session of the participant.
     pub identity: Identity,
     /// The node under test.
     pub node: Node,
-    /// Its connection to the network.
+    /// Connection of the node to the simulated network.
     pub transport: MemoryTransport,
     limits: InboxLimits,
-    /// Every model that it stored.
+    /// The simulated disk: every model that the participant has stored.
     pub disk: BTreeMap<ModelKey, (ModelHeader, Vec<u8>)>,
-    /// Number of models that it stored although they were on its disk already.
+    /// Number of times that a model was stored although it was on the disk already.
     pub stored_twice: u32,
-    /// Its own models that the other side acknowledged.
+    /// Models of this participant that a receiver has acknowledged.
     pub uploaded: Vec<ModelKey>,
-    /// Everything that its node reported.
+    /// All events that the node has reported.
     pub events: Vec<NodeEvent>,
-    /// Number of upcoming writes that will fail.
+    /// Number of the next writes to the disk that will fail.
     pub failing_writes: u32,
 }
 
 impl Member {
-    /// Joins the network with an empty disk.
+    /// Makes a participant with an empty disk, and connects it to the network.
     pub fn new(network: &MemoryNetwork, role: Role, device: &str, limits: InboxLimits) -> Self {
         let identity = identity(role, device);
         Self {
@@ -46,7 +47,7 @@ impl Member {
         }
     }
 
-    /// Crashes, and starts again in a new session with nothing but its disk.
+    /// Simulates a crash and a restart: the participant starts a new session, and keeps nothing but its disk.
     pub fn restart(&mut self, network: &MemoryNetwork) {
         let headers: Vec<ModelHeader> = self.disk.values().map(|(header, _)| *header).collect();
         self.identity.session += 1;
@@ -54,7 +55,7 @@ impl Member {
         network.leave(std::mem::replace(&mut self.transport, network.join(&self.identity)));
     }
 
-    /// Steps its node until nothing more is due at the network's present time.
+    /// Steps the node until nothing more is due at the network's present time.
     pub fn work(&mut self, network: &MemoryNetwork) {
         let mut idle = 0;
         while idle < 2 {
@@ -91,7 +92,8 @@ impl Member {
     }
 }
 
-/// Runs the fleet and advances time until `is_done`; panics if `deadline` comes first.
+/// Runs the fleet and advances the virtual time until `is_done` returns true. Panics if the time reaches `deadline`
+/// first.
 pub fn run_until(
     network: &MemoryNetwork,
     members: &mut [Member],

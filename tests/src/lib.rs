@@ -1,16 +1,18 @@
-//! The testkit: what the tests and benches of several crates need, written once. Crates take it as a
-//! dev-dependency; nothing that is shipped depends on it.
+//! The testkit: code that the tests and benches of several crates share. Crates use it as a dev-dependency only, so
+//! nothing that is shipped depends on it.
 //!
 //! - [`models`], [`offers`]: random splats, cameras, and uploads made of them.
-//! - [`fleet`]: nodes on a simulated network and virtual time. [`radio`]: both ends of a simulated serial line.
-//! - [`live`]: nodes over a real broker. [`mosquitto`]: Mosquitto as a child process, and certificates for it.
-//! - [`datasets`]: synthetic towns and the datasets that benches use. [`programs`]: where cargo puts programs.
-//! - [`skips`]: how a test says that it tested nothing. [`results`]: what benches measure, and the tables of the documents.
+//! - [`fleet`]: nodes on a simulated network, with virtual time. [`radio`]: both ends of a simulated serial line.
+//! - [`live`]: nodes that use a real broker. [`mosquitto`]: Mosquitto as a child process, and certificates for it.
+//! - [`datasets`]: synthetic towns and the datasets that benches use. [`programs`]: the paths of the programs that
+//!   cargo has built.
+//! - [`skips`]: how a test reports that it was skipped. [`results`]: the results of benches, and their tables in the
+//!   documents.
 //!
-//! Unit tests of a crate below the testkit cannot use its builders: they would get the types of another build of
-//! their own crate. They can use [`skips`].
+//! If the testkit depends on a crate (such as `cosurf-scene`), the unit tests of that crate cannot use the testkit's
+//! builders: these return types of another build of the crate. Such unit tests can use [`skips`].
 
-// A failing builder should fail the test that calls it.
+// A builder that fails should make the test that calls it fail.
 #![allow(clippy::unwrap_used)]
 
 pub mod datasets;

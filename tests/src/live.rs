@@ -1,4 +1,4 @@
-//! Nodes over a real broker, each on a thread, on the wall clock.
+//! Nodes that are connected to a real broker and run in real time.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
@@ -11,18 +11,18 @@ use cosurf_link::{
 };
 use cosurf_wire::ModelId;
 
-/// A receiver of local models that keeps their bodies in memory; stops when dropped.
+/// A receiver of models on a thread of its own. It keeps their bodies in memory, and stops when it is dropped.
 pub struct Ground {
-    /// Bodies that arrived whole.
+    /// Bodies that have arrived completely.
     pub bodies: Arc<Mutex<Vec<Vec<u8>>>>,
-    /// Models that were announced.
+    /// Numbers of the models whose upload has started.
     pub announced: Arc<Mutex<Vec<ModelId>>>,
     is_over: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
 impl Ground {
-    /// Connects to a broker and receives until dropped.
+    /// Connects to a broker and starts to receive.
     pub fn start(broker: BrokerAddress, tls: Option<Tls>, identity: Identity) -> Self {
         let bodies: Arc<Mutex<Vec<Vec<u8>>>> = Arc::default();
         let announced: Arc<Mutex<Vec<ModelId>>> = Arc::default();
@@ -54,7 +54,8 @@ impl Drop for Ground {
     }
 }
 
-/// Uploads a model and waits until it is acknowledged. `on_retry` gets the reason of each lost connection.
+/// Uploads a model, waits until a receiver acknowledges it, and returns the final progress. Panics if the upload
+/// fails. `on_retry` gets the reason of each lost connection.
 pub fn upload(
     broker: BrokerAddress,
     tls: Option<Tls>,

@@ -1,9 +1,9 @@
-//! Random splats, and cameras that move in a straight line.
+//! Random splats, and a sequence of cameras.
 
 use cosurf_scene::{Camera, Pose, Splats};
 use glam::{DQuat, DVec2, DVec3};
 
-/// Pseudo-random floats in -1..1, a different sequence for each seed (xorshift).
+/// A generator of pseudo-random floats in -1..1 (xorshift). Different seeds give different sequences.
 pub fn noise(seed: u64) -> impl FnMut() -> f32 {
     let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
     move || {
@@ -14,7 +14,7 @@ pub fn noise(seed: u64) -> impl FnMut() -> f32 {
     }
 }
 
-/// Random splats within 200 × 200 × 20 m around the origin.
+/// Random splats in a box of 200 × 200 × 20 m around the origin.
 pub fn random_splats(seed: u64, count: usize, sh_degree: u32) -> Splats {
     let mut splats = Splats::with_capacity(count, sh_degree);
     let mut noise = noise(seed);
@@ -29,7 +29,8 @@ pub fn random_splats(seed: u64, count: usize, sh_degree: u32) -> Splats {
     splats
 }
 
-/// Cameras of 640 × 480 pixels, each 1 m beside the previous one and tilted by another 0.1 rad.
+/// Cameras of 640 × 480 pixels. From each camera to the next, the x translation of `cam_from_world` grows by 1 m, its
+/// rotation about x by 0.1 rad, and the principal point moves by 1 px.
 pub fn cameras(count: usize) -> Vec<Camera> {
     let camera = |i: usize| Camera {
         cam_from_world: Pose {

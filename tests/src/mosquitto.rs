@@ -1,4 +1,4 @@
-//! Mosquitto as a child process, and certificates for it.
+//! Runs the broker Mosquitto as a child process, and makes certificates for it.
 
 use std::fs;
 use std::net::{TcpListener, TcpStream};
@@ -10,21 +10,22 @@ use cosurf_link::{BrokerAddress, Tls, TlsFiles};
 
 use crate::skips::skip;
 
-/// Settings of a broker without passwords or TLS that saves its state every second.
+/// Settings of a broker without passwords and without TLS. It saves its state every second.
 pub const PLAIN: &str = "listener PORT 127.0.0.1\nallow_anonymous true\npersistence true\n\
                          persistence_location FOLDER/\nautosave_interval 1\n";
 
-/// A running Mosquitto with a folder of its own; killed when dropped.
+/// A running Mosquitto with its own folder. It is killed when this value is dropped.
 pub struct Mosquitto {
-    /// Where it listens.
+    /// The address at which the broker listens.
     pub address: BrokerAddress,
     config: PathBuf,
     child: Child,
 }
 
 impl Mosquitto {
-    /// Starts a broker with the lines of `settings`; `PORT` and `FOLDER` in them are its own port and folder.
-    /// Skips the test and returns `None` if Mosquitto is not installed; panics if `REQUIRE_MOSQUITTO` is set.
+    /// Starts a broker with the configuration `settings`, in which `PORT` and `FOLDER` are replaced by a free port
+    /// and by `folder`. If Mosquitto is not installed, reports that the test is skipped and returns `None`; panics
+    /// instead if the environment variable `REQUIRE_MOSQUITTO` is set.
     pub fn start(folder: &Path, settings: &str, is_tls: bool) -> Option<Self> {
         let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
         let root = "user root\n";
@@ -90,7 +91,7 @@ fn spawn(config: &Path) -> Option<Child> {
     })
 }
 
-/// A certificate authority in a folder, run by the `openssl` of this machine.
+/// A certificate authority for tests. Its files lie in a folder, and the machine's program `openssl` makes them.
 pub struct Authority(PathBuf);
 
 impl Authority {
@@ -107,13 +108,15 @@ impl Authority {
         authority
     }
 
-    /// Issues a client certificate for `name`, stored as `file.pem`, valid for `days` from now.
+    /// Issues a client certificate for the common name `name`, valid for `days` from now. Its file is `file` with the
+    /// extension `.pem`.
     pub fn client(&self, file: &str, name: &str, days: i32) -> TlsFiles {
         self.issue(file, name, "client.ext", days);
         self.files(file)
     }
 
-    /// Revokes certificates and writes the list of all revoked ones, `revoked.pem`.
+    /// Revokes the certificates with these file names (without extension), and writes the list of all revoked
+    /// certificates to `revoked.pem`.
     pub fn revoke(&self, files: &[&str]) {
         for file in files {
             self.openssl(&format!("ca -config ca.cnf -revoke {file}.pem"));
@@ -121,7 +124,7 @@ impl Authority {
         self.openssl("ca -config ca.cnf -gencrl -out revoked.pem");
     }
 
-    /// The paths of a certificate, its key, and the authority's own certificate.
+    /// The paths of a certificate, of its key, and of the authority's own certificate.
     pub fn files(&self, file: &str) -> TlsFiles {
         let path = |end: &str| self.0.join(format!("{file}.{end}"));
         TlsFiles { ca: self.0.join("ca.pem"), cert: path("pem"), key: path("key") }
@@ -147,7 +150,7 @@ impl Authority {
     }
 }
 
-/// Reads certificates for a connection.
+/// Reads the certificates and the key for a connection. Panics on an error.
 pub fn tls(files: &TlsFiles) -> Tls {
     Tls::read(files).unwrap()
 }

@@ -1,4 +1,4 @@
-//! Uploads of random models, and the identities that send them.
+//! Uploads of random models, and identities of participants.
 
 use std::net::SocketAddr;
 use std::sync::OnceLock;
@@ -9,18 +9,19 @@ use glam::DQuat;
 
 use crate::models::{cameras, random_splats};
 
-/// A participant of the site `site`, in session 7.
+/// The identity of a participant, at the site called `site` and in session 7.
 pub fn identity(role: Role, device: &str) -> Identity {
     let (site, device) = (SiteId::new("site").unwrap(), DeviceId::new(device).unwrap());
     Identity { site, device, session: 7, role }
 }
 
-/// The address of a broker in this process, without TLS.
+/// The address of a broker that listens at `at`, without TLS.
 pub fn broker_address(at: SocketAddr) -> BrokerAddress {
     BrokerAddress { host: at.ip().to_string(), port: at.port(), is_tls: false }
 }
 
-/// An upload of `count` random splats of degree 0 and three cameras, in chunks of `chunk_bytes`.
+/// An upload of `count` random splats (spherical harmonics of degree 0) and three cameras, in chunks of
+/// `chunk_bytes`.
 pub fn offer(device: &str, model: u64, kind: ModelKind, seed: u64, count: usize, chunk_bytes: u32) -> Offer {
     let device = DeviceId::new(device).unwrap();
     let splats = random_splats(seed, count, 0);
@@ -29,7 +30,8 @@ pub fn offer(device: &str, model: u64, kind: ModelKind, seed: u64, count: usize,
     offer
 }
 
-/// An upload of `count` random splats that its cameras see from above, so that the aggregator merges it.
+/// An upload of `count` random splats. All splats lie in front of its three cameras, so that the aggregator merges
+/// the model.
 pub fn mergeable_offer(device: &str, count: usize) -> Offer {
     let mut views = cameras(3);
     for view in &mut views {
@@ -40,7 +42,8 @@ pub fn mergeable_offer(device: &str, count: usize) -> Offer {
     Offer::new(device, ModelId(1), ModelKind::Local, 3, &random_splats(1, count, 0), &views).unwrap()
 }
 
-/// As [`offer`], of 16 to 1,000 splats, from 64 uploads that are packed once: for tests of thousands of seeds.
+/// Like [`offer`], with 16 to 1,000 splats. The body comes from a pool of 64 bodies that are packed only once, so
+/// that a test can run thousands of seeds.
 pub fn pooled_offer(device: &str, model: u64, kind: ModelKind, seed: u64, chunk_bytes: u32) -> Offer {
     static POOL: OnceLock<Vec<Offer>> = OnceLock::new();
     let pack = |i: u64| offer("pool", 1, ModelKind::Local, i, 16 + (i as usize * 61) % 985, 1024);

@@ -1,14 +1,15 @@
-//! The two programs, as cargo built them.
+//! The paths of the programs that cargo has built.
 
 use std::env::{consts::EXE_EXTENSION, current_exe};
 use std::path::{Path, PathBuf};
 
 /// The path of a program that was built with the same profile as the running test or bench.
 ///
-/// Panics if it is missing: cargo builds programs of other packages only when asked to.
+/// Panics if the program is missing: for a test, cargo does not build programs of other packages.
 pub fn program(name: &str) -> PathBuf {
     let executable = current_exe().unwrap();
-    // Tests and benches lie in `deps`, one folder below the programs; programs of this package lie beside them.
+    // A test or bench lies in `deps`, one folder below the programs. A program of this package lies beside the
+    // others.
     let folders = executable.ancestors().skip(1).take(2);
     let candidates: Vec<PathBuf> =
         folders.map(|folder: &Path| folder.join(name).with_extension(EXE_EXTENSION)).collect();

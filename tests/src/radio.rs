@@ -1,4 +1,4 @@
-//! Both ends of a simulated serial line on virtual time, and the faults of radios.
+//! A simulated serial line with both of its ends, on virtual time, and the faults of radios.
 
 use std::collections::BTreeMap;
 use std::num::NonZeroU32;
@@ -9,16 +9,17 @@ use cosurf_link::serial::{Arq, ArqEvent};
 use cosurf_link::{Faults, Outages};
 use cosurf_wire::frame::FrameReader;
 
-/// Rate of the simulated radio: 57,600 baud with 10 bits a byte.
+/// Bandwidth of the simulated radio: 57,600 baud, at 10 bits a byte.
 pub const BYTES_PER_S: NonZeroU32 = NonZeroU32::new(5760).unwrap();
 
-/// The radio of the acceptance test: 5,760 B/s, 100 ms each way, a share `loss` of its frames lost.
+/// The faults of the radio in the acceptance test: 5,760 B/s, a delay of 100 ms each way, and each frame lost with
+/// probability `loss`.
 pub fn radio(loss: f64) -> Faults {
     let delay = Duration::from_millis(100);
     Faults { loss, delay_min: delay, delay_max: delay, bytes_per_s: Some(BYTES_PER_S), ..Faults::NONE }
 }
 
-/// Both ends of a line and what is on its way between them.
+/// Both ends of a line, and the frames on their way between the ends.
 pub struct Air {
     /// Virtual time since the start.
     pub now: Duration,
@@ -28,19 +29,19 @@ pub struct Air {
     readers: [FrameReader; 2],
     arriving: [BTreeMap<(Duration, u64), Vec<u8>>; 2],
     frames: u64,
-    /// All frames are lost before this time.
+    /// All frames that are sent before this time are lost.
     pub cut_until: Duration,
-    /// Frames that one end sent while the other was still sending.
+    /// Number of frames that one end sent while the other end was still sending.
     pub collisions: u64,
     sending_until: [Duration; 2],
-    /// Messages that arrived at each end.
+    /// Messages that have arrived at each end.
     pub received: [Vec<Vec<u8>>; 2],
-    /// Events of each end.
+    /// Events that each end has reported.
     pub events: [Vec<ArqEvent>; 2],
 }
 
 impl Air {
-    /// A line at time zero; the same seed loses the same frames.
+    /// Makes a line at time zero. The same seed gives the same faults.
     pub fn new(seed: u64, faults: Faults) -> Self {
         Self {
             now: Duration::ZERO,
@@ -57,13 +58,13 @@ impl Air {
         }
     }
 
-    /// Switches one end off and on again, in a new session.
+    /// Simulates a restart of one end, which begins a new session.
     pub fn restart(&mut self, end: usize, session: u32) {
         self.ends[end] = Arq::new(session, BYTES_PER_S);
         self.readers[end] = FrameReader::default();
     }
 
-    /// Delivers and sends what is due, then moves time on to the next event.
+    /// Delivers and sends the frames that are due, then advances the virtual time to the next event.
     pub fn step(&mut self) {
         for end in 0..2 {
             self.deliver(end);
@@ -109,8 +110,8 @@ impl Air {
         }
     }
 
-    /// Sends `bytes` from the first end in messages of `message_bytes`, each behind its number as a `u32`.
-    /// Returns the time until the last has arrived.
+    /// Sends `bytes` from the first end to the second, in messages of `message_bytes`. Each message begins with its
+    /// number, a little-endian `u32`. Returns the time until the last message has arrived.
     pub fn send_all(&mut self, bytes: &[u8], message_bytes: usize) -> Duration {
         let mut messages = bytes.chunks(message_bytes).enumerate().peekable();
         let begun = self.now;
@@ -120,7 +121,7 @@ impl Air {
             while self.ends[0].has_room()
                 && let Some((i, message)) = messages.next()
             {
-                // The number tells apart messages of equal bytes.
+                // Without the numbers, `queue` would ignore a message that equals one still on its way.
                 let mut numbered = (i as u32).to_le_bytes().to_vec();
                 numbered.extend_from_slice(message);
                 self.ends[0].queue(numbered);
@@ -132,7 +133,7 @@ impl Air {
     }
 }
 
-/// A radio with random faults of every kind, taken from the bits of `seed`.
+/// The faults of a radio, drawn from the bits of `seed`: every kind of fault except outages.
 pub fn storm(seed: u64) -> Faults {
     let share = |shift: u32| (seed >> shift & 7) as f64 / 7.0;
     Faults {
@@ -147,18 +148,20 @@ pub fn storm(seed: u64) -> Faults {
     }
 }
 
-/// Bytes that do not repeat early and do not compress.
+/// Test data in which a stretch of 200 bytes (one piece) repeats only after more than 10,000 bytes, so that a
+/// misplaced piece is noticed.
 pub fn pattern(count: usize) -> Vec<u8> {
     (0..count as u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8).collect()
 }
 
-/// The bytes of numbered messages, one after the other, without the numbers.
+/// Joins messages that [`Air::send_all`] has sent, without their numbers.
 pub fn joined(messages: &[Vec<u8>]) -> Vec<u8> {
     messages.iter().flat_map(|message| message[4..].to_vec()).collect()
 }
 
-/// Sends `count` bytes over the radio in messages of 16,000 bytes, after the link is up. Returns the bytes that
-/// arrived per second as a share of the line's rate, and the frames that collided.
+/// Waits until the link is up, then sends `count` bytes over [`radio()`] in messages of 16,000 bytes. Returns the
+/// bytes that arrived per second, divided by the line's bandwidth, and the number of collisions
+/// ([`Air::collisions`]).
 pub fn goodput(seed: u64, loss: f64, count: usize) -> (f64, u64) {
     let mut air = Air::new(seed, radio(loss));
     while air.events[0].is_empty() {

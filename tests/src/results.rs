@@ -1,8 +1,9 @@
-//! What benches measure: stored as JSON, shown as the tables of the documents, and guarded against getting worse.
+//! The results of benches. They are stored as JSON and shown as tables in the documents. A result that gets worse is
+//! reported.
 //!
-//! A bench fills a [`Measurement`], which prints its rows and writes `NAME.json`. The program `results` runs benches,
-//! compares what they wrote with `shared/docs/results/NAME.json` ([`guard`]), stores it there, and writes the tables of
-//! `shared/docs/RESULTS.md` and `README.md` anew ([`document`]).
+//! A bench fills a [`Measurement`], which prints the rows and writes `NAME.json`. The program `results` runs benches
+//! and compares each new `NAME.json` with the stored one in `shared/docs/results` ([`guard`]). Then it replaces the
+//! stored file, and updates the tables of `shared/docs/RESULTS.md` and `README.md` ([`document`]).
 
 pub mod document;
 pub mod guard;

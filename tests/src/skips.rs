@@ -1,21 +1,22 @@
-//! Tests that cannot run on this machine say so, and `.ci/run` counts them.
+//! Tests that cannot run on this machine report that they were skipped, and `.ci/run` counts the reports.
 
 use std::env::var_os;
 use std::fmt::Display;
 use std::fs::File;
 use std::io::Write;
 
-/// Reports that the running test is skipped because of `reason`. Appends the line to the file that
-/// `SKIPPED_TESTS` names too, since cargo hides what a passing test prints.
+/// Reports that the running test is skipped because of `reason`. Prints a line, and appends it to the file that the
+/// environment variable `SKIPPED_TESTS` names, if any: cargo hides what a passing test prints.
 ///
-/// Panics if the environment has `requirement`, for example `REQUIRE_GPU`: then a skip is a failure.
+/// Panics if the environment variable named by `requirement`, for example `REQUIRE_GPU`, is set: a skip is then a
+/// failure.
 pub fn skip(requirement: &str, reason: impl Display) {
     assert!(var_os(requirement).is_none(), "{requirement} is set, but {reason}");
     let thread = std::thread::current();
     let line = format!("SKIPPED {}: {reason}\n", thread.name().unwrap_or("a test"));
     print!("{line}");
     let Some(path) = var_os("SKIPPED_TESTS") else { return };
-    // One write, so that lines of tests that run at once do not mix.
+    // A single write, so that the lines of tests that run in parallel do not mix.
     let written = File::options()
         .create(true)
         .append(true)

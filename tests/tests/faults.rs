@@ -1,10 +1,11 @@
-//! The faults that cosurf must survive, by number, and where each is tested.
+//! Lists the faults that cosurf must survive, and checks that each fault has a test.
 #![allow(clippy::unwrap_used)]
 
 use std::fs;
 use std::path::Path;
 
-/// Number, fault, and the file with its test, which is named after the number (`fault_01_…`).
+/// Number of the fault, its description, and the file with its test. The test's name begins with the number
+/// (`fault_01_…`).
 const FAULTS: [(u32, &str, &str); 20] = [
     (1, "the broker is killed during an upload", "shared/link/tests/faults.rs"),
     (2, "chunks are duplicated, out of order or lost", "shared/link/tests/faults.rs"),

@@ -1,4 +1,5 @@
-//! `kill -9` of broker, agents and aggregator at random moments: every mission ends with the same bytes.
+//! Kills broker, agents and aggregator at random moments (`kill -9`), and checks that every mission still ends with
+//! the same global model, byte for byte.
 #![cfg(unix)]
 #![allow(clippy::unwrap_used)]
 
@@ -17,7 +18,7 @@ const AGENTS: [&str; 2] = ["agent-1", "agent-2"];
 const KILLS: usize = 4;
 const PATIENCE: Duration = Duration::from_secs(300);
 
-/// A running program, which can be killed and started again; killed when dropped.
+/// A running program, which can be killed and started again. It is killed when this value is dropped.
 struct Part {
     name: &'static str,
     config: PathBuf,
@@ -48,7 +49,7 @@ impl Part {
         }
     }
 
-    /// Returns false if the program had ended already.
+    /// Kills the program and starts it again. If the program has already ended, only returns false.
     fn kill_and_restart(&mut self) -> bool {
         if self.is_over() {
             return false;
@@ -77,7 +78,8 @@ struct Flight {
     time: Duration,
 }
 
-/// Runs one mission and kills a random program at each of these moments. `None` if Mosquitto is not installed.
+/// Runs one mission, and kills a random program at each of the moments `kill_at`, which are times since the start.
+/// `None` if Mosquitto is not installed.
 fn fly(folder: &Path, data: &Path, dice: &mut Dice, mut kill_at: Vec<Duration>) -> Option<Flight> {
     fs::create_dir_all(folder).unwrap();
     let mut broker = Mosquitto::start(folder, PLAIN, false)?;
@@ -143,7 +145,8 @@ fn missions(count: u64) {
     let data = folder.path().join("data");
     write_town(&data, 60.0, 8, [96, 72]);
     let Some(calm) = fly(&folder.path().join("calm"), &data, &mut Dice::new(0), Vec::new()) else { return };
-    // The aggregator's file was written before packing, the agents' after unpacking, so only the agents' are equal.
+    // The aggregator writes its file before it packs the model, and the agents write theirs after unpacking. Packing
+    // is lossy, so only the agents' files are equal to each other.
     assert!(calm.globals[1] == calm.globals[2], "the agents have different global models");
     for seed in 1..=count {
         let wild = folder.path().join(format!("wild-{seed}"));
@@ -162,7 +165,7 @@ fn two_missions_with_kills() {
     missions(2);
 }
 
-/// `cargo test --release -p cosurf-tests --test kills -- --ignored --nocapture`.
+/// Run it with `cargo test --release -p cosurf-tests --test kills -- --ignored --nocapture`.
 #[test]
 #[ignore = "takes minutes"]
 fn fifty_missions_with_kills() {

@@ -1,4 +1,4 @@
-//! Whole missions with the built programs: broker, agents, aggregator.
+//! Runs whole missions, with the programs that cargo has built.
 #![allow(clippy::unwrap_used)]
 
 use std::collections::HashSet;
@@ -13,7 +13,8 @@ use cosurf_scene::Picture;
 use cosurf_tests::datasets::write_town;
 use cosurf_tests::programs::program;
 
-/// A mission takes seconds; after this it has failed.
+/// Limit on the wait for an agent to train. A whole mission takes only seconds, so a longer wait means that it has
+/// failed.
 const TIME_LIMIT: Duration = Duration::from_secs(300);
 
 fn start(data: &Path, out: &Path, more: &[&str]) -> Child {
@@ -22,14 +23,14 @@ fn start(data: &Path, out: &Path, more: &[&str]) -> Child {
     command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap()
 }
 
-/// Waits for the end and returns the global model's bytes.
+/// Waits for the end of the mission, and returns the bytes of `global.ply`.
 fn finish(mission: Child, out: &Path) -> Vec<u8> {
     let output = mission.wait_with_output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     fs::read(out.join("global.ply")).unwrap()
 }
 
-/// The child processes of all threads of a process.
+/// The child processes of a process. Linux lists them separately for each of its threads.
 #[cfg(target_os = "linux")]
 fn children(process: u32) -> Vec<u32> {
     let threads = fs::read_dir(format!("/proc/{process}/task")).unwrap();
@@ -39,7 +40,8 @@ fn children(process: u32) -> Vec<u32> {
         .collect()
 }
 
-/// The process of an agent that has saved a checkpoint, so is in the middle of its training.
+/// Waits until one of the two agents has saved a checkpoint, which means that training is under way. Returns the
+/// first child process of the mission, which is one of the agents. `None` if the wait takes too long.
 #[cfg(target_os = "linux")]
 fn agent_in_training(mission: &Child, out: &Path) -> Option<u32> {
     let begun = Instant::now();
@@ -59,7 +61,8 @@ fn files(folder: &Path) -> Vec<PathBuf> {
     entries.flat_map(|path| if path.is_dir() { files(&path) } else { vec![path] }).collect()
 }
 
-/// Pieces of 24 bytes that are not nearly uniform, from the photographs' files and from their pixels.
+/// Samples of 24 bytes from the photographs' files and from their pixels. Samples whose bytes are almost equal are
+/// skipped, because they can occur elsewhere by chance.
 fn pieces(data: &Path) -> Vec<[u8; 24]> {
     let mut pieces = Vec::new();
     for path in files(&data.join("images")) {
@@ -73,13 +76,13 @@ fn pieces(data: &Path) -> Vec<[u8; 24]> {
     pieces
 }
 
-/// The position of the first piece of a photograph in `bytes`.
+/// The position in `bytes` of the first sample of a photograph.
 fn find_piece(bytes: &[u8], pieces: &HashSet<[u8; 24]>) -> Option<usize> {
     bytes.windows(24).position(|window| pieces.contains(window))
 }
 
-/// Asserts that neither the models in the aggregator's stores, which are all that the agents sent, nor the
-/// files made from these models contain a piece of a photograph.
+/// Asserts that no sample of a photograph occurs in the models in the aggregator's stores, nor in the files made from
+/// these models. The stores hold everything that the agents have sent.
 fn assert_no_photograph_was_sent(data: &Path, out: &Path) {
     let pieces: HashSet<[u8; 24]> = pieces(data).into_iter().collect();
     let photograph = files(&data.join("images")).remove(0);
@@ -97,14 +100,15 @@ fn assert_no_photograph_was_sent(data: &Path, out: &Path) {
     for file in ["global.ply", "merged.json", "report.json"] {
         assert_eq!(find_piece(&fs::read(out.join(file)).unwrap(), &pieces), None, "{file}");
     }
-    // The agents count every byte they send, so nothing else was sent.
+    // The agents count every byte that they send. The count hardly exceeds the size of the stored models, so nothing
+    // else was sent.
     let report: serde_json::Value =
         serde_json::from_slice(&fs::read(out.join("report.json")).unwrap()).unwrap();
     let counted = report["whole"]["bytes_sent"].as_u64().unwrap();
     assert!(counted as f64 <= 1.02 * sent as f64, "{counted} bytes were sent, {sent} are in the stores");
 }
 
-/// Every agent has compared the global model with its own on its own ground.
+/// Asserts that every agent has compared the global model with its own model, and found only small changes.
 fn assert_changes_are_reported(out: &Path) {
     for agent in ["agent-1", "agent-2"] {
         let text = fs::read(out.join("agents").join(agent).join("changes-global.json")).unwrap();
@@ -116,7 +120,8 @@ fn assert_changes_are_reported(out: &Path) {
     }
 }
 
-/// Agents that know each other's flights send each place once; the global model is almost as good as when all is sent.
+/// Agents that know each other's flights send each place only once. The global model is then almost as good as when
+/// every agent sends everything.
 #[test]
 fn with_compress_first_agents_send_shared_ground_once() {
     let folder = tempfile::tempdir().unwrap();

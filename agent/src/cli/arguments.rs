@@ -31,7 +31,7 @@ impl Common {
     }
 }
 
-/// The option of commands that train or render.
+/// Option of the commands that train, score or render a model.
 #[derive(Args, Clone, Debug)]
 pub(super) struct DeviceArgs {
     /// Device to compute on: auto (a hardware GPU if there is one, otherwise the CPU), cpu, gpu, or gpu:N with a

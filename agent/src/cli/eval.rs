@@ -19,7 +19,7 @@ pub(super) struct EvalArgs {
     model: PathBuf,
     /// The dataset's folder
     data: PathBuf,
-    /// Every n-th view by sorted name is held out
+    /// Score every n-th view by sorted name; use the same N as in training, so that only held-out views are scored
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..))]
     eval_every: u32,
     #[command(flatten)]

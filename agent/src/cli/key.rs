@@ -10,8 +10,8 @@ use cosurf_wire::DeviceId;
 
 /// Make a key that signs this device's models, and print the public key for the aggregator.
 ///
-/// The secret key is written to a new file that only you may read; name the file as `key` in agent.toml. Add the printed
-/// line to the file that aggregator.toml names as `trusted`.
+/// The secret key is written to a new file that only you may read; set `key` in agent.toml to its path. Add the printed
+/// line to the file that `trusted` names in aggregator.toml.
 #[derive(Args, Debug)]
 pub(super) struct KeyArgs {
     /// The file to write the secret key to; an existing file is not overwritten

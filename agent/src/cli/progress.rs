@@ -1,4 +1,5 @@
-//! Progress on a terminal as a bar, elsewhere as lines of text, under `--json` as lines of JSON.
+//! Shows the progress of a command: as a bar on a terminal, as lines of text elsewhere, as lines of JSON under
+//! `--json`.
 
 use std::io::{IsTerminal, Write};
 use std::time::{Duration, Instant};
@@ -7,17 +8,17 @@ use cosurf_contract::{AgentEvent, ComparedWith};
 use cosurf_engine::train::StepOutcome;
 use indicatif::{ProgressBar, ProgressStyle};
 
-/// Time between two lines of text.
+/// Time between two lines of text about the training. Also the time between two [`AgentEvent::Preparing`] in any style.
 const LINE_EVERY: Duration = Duration::from_secs(5);
-/// Time between two updates of the bar or two lines of JSON.
+/// Time between two updates of the training bar, or between two lines of JSON about the training.
 const BAR_EVERY: Duration = Duration::from_millis(500);
 
-/// Shows events as they happen.
+/// Shows events, and the progress of training steps at intervals.
 pub(super) struct Progress {
     style: Style,
     last: Instant,
     last_step: u32,
-    /// Sum of PSNR and number of steps since the last update.
+    /// Since the last update: the sum of the steps' PSNR, dB, and the number of steps.
     psnr: (f64, u32),
 }
 
@@ -44,7 +45,8 @@ impl Progress {
         Self { style, last: Instant::now(), last_step: 0, psnr: (0.0, 0) }
     }
 
-    /// Notes a training step; shows an update if one is due.
+    /// Records that training step `step` of `steps` is done. Shows the progress if an update is due, which is after
+    /// [`LINE_EVERY`] or [`BAR_EVERY`] depending on the style, and after the last step.
     pub(super) fn step(&mut self, step: u32, steps: u32, outcome: &StepOutcome, splats: usize) {
         self.psnr = (self.psnr.0 + outcome.loss.psnr(), self.psnr.1 + 1);
         let every = if matches!(self.style, Style::Lines) { LINE_EVERY } else { BAR_EVERY };
@@ -63,14 +65,15 @@ impl Progress {
         (self.last, self.last_step, self.psnr) = (Instant::now(), step, (0.0, 0));
     }
 
-    /// Steps per second since the last update, and the seconds left at this rate.
+    /// Steps per second since the last update, and the seconds left if the rate stays the same.
     fn rate(&self, step: u32, steps: u32) -> (f32, f32) {
         let steps_since = step - self.last_step.min(step);
         let steps_per_s = steps_since as f32 / self.last.elapsed().as_secs_f32().max(1e-6);
         (steps_per_s, (steps - step) as f32 / steps_per_s.max(1e-6))
     }
 
-    /// Notes a step of training the base; shows an update if one is due.
+    /// Records that step `step` of `steps` of training the base is done. (The base is the small model that is uploaded
+    /// first.) Shows the progress if [`LINE_EVERY`] has passed.
     pub(super) fn preparing(&mut self, step: u32, steps: u32) {
         if step == 1 {
             (self.last, self.last_step) = (Instant::now(), step);
@@ -91,7 +94,7 @@ impl Progress {
         match &self.style {
             Style::Json => {
                 let line = serde_json::to_string(event).unwrap_or_default();
-                // Training goes on after the reader has closed the pipe.
+                // Write errors are ignored: training goes on after the reader has closed the pipe.
                 let _ = writeln!(std::io::stdout(), "{line}");
             }
             Style::Bar(bar) => show_bar(bar, event),
@@ -123,7 +126,7 @@ fn show_bar(bar: &ProgressBar, event: &AgentEvent) {
     }
 }
 
-/// An event as a line of text; `None` for events that have none.
+/// The event as a line of text; `None` for events that are not shown as text.
 fn describe(event: &AgentEvent) -> Option<String> {
     Some(match event {
         AgentEvent::Started { views, held_out, splats, steps, resumed_at } => {

@@ -1,4 +1,4 @@
-//! `run`: the work after a flight: train, publish, receive the global model.
+//! `run`: trains on the pictures of a flight, publishes the model and receives the global model.
 
 mod comparison;
 mod route;
@@ -23,11 +23,12 @@ use super::train;
 use comparison::Comparison;
 use route::{Connection, Route};
 
-/// How long the agent tries to announce its flight; after that it trains unannounced.
+/// How long the agent tries to announce its flight (its cameras) before training. The announcement is repeated before
+/// the upload, so training need not wait longer.
 const ANNOUNCE_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// Train with the settings in a configuration file, publish the model to the aggregator, and receive the global
-/// model. Run again after a stop or a kill, it resumes.
+/// Train with the settings in a configuration file, publish the model to the aggregator, and receive the global model.
+/// To resume after a stop or a kill, run the same command again.
 #[derive(Args, Debug)]
 pub(super) struct RunArgs {
     /// The configuration file
@@ -52,7 +53,7 @@ pub(super) fn run(args: &RunArgs) -> Result<()> {
     Ok(())
 }
 
-/// What a configuration file asks for, checked and with its keys read.
+/// A configuration that has been checked, with the plan for the training and the content of the key files.
 struct Job {
     config: AgentConfig,
     plan: TrainPlan,
@@ -87,7 +88,7 @@ impl Job {
         Ok(Self { plan: train_plan(&config), credentials, route, started: Instant::now(), config })
     }
 
-    /// Monotonic time since an arbitrary moment.
+    /// Monotonic time since an arbitrary moment in the past.
     fn now(&self) -> Duration {
         self.started.elapsed() + Duration::from_secs(1)
     }
@@ -101,7 +102,8 @@ impl Job {
         Ok((identity, self.route.connect(identity)))
     }
 
-    /// Announces this device's cameras to the others and returns them; `None` unless `compress` is set.
+    /// Announces this device's cameras to the other devices, and returns the announced cameras. Does nothing and
+    /// returns `None` if `compress` is not set.
     fn announce_flight(&self) -> Result<Option<Vec<Camera>>> {
         if !self.config.compress {
             return Ok(None);
@@ -121,8 +123,8 @@ impl Job {
         Ok(Some(flight))
     }
 
-    /// Trains the base, sends the model and, if the configuration asks for it, waits for the global model.
-    /// The connection is closed on return.
+    /// Trains the base (the small model that is sent first), sends the model and, if `wait_global` is set, waits for
+    /// the global model. The connection is closed on return.
     fn publish(&self, model: &LocalModel, flight: Option<&[Camera]>, progress: &mut Progress) -> Result<()> {
         let LocalModel { splats, cameras } = model;
         let (threads, cache_bytes) = (self.plan.threads, (self.plan.memory_bytes / 4) as usize);
@@ -148,7 +150,7 @@ impl Job {
         publish(&publication, &mut connection, || self.now(), |event| progress.show(&event))
     }
 
-    /// Shows how the agent's own model differs from the one in the PLY `other`.
+    /// Shows how the agent's own model differs from the model in the PLY file `other`.
     fn compare(
         &self,
         model: &LocalModel,
@@ -186,7 +188,8 @@ fn train_plan(config: &AgentConfig) -> TrainPlan {
         surface: (!config.color_only).then(SurfaceSettings::default),
         prune: (ratio > 0.0).then(|| PruneSettings { ratio, ..PruneSettings::default() }),
         exposure: config.exposure,
-        // `global` names a file that does not exist before the first mission has ended.
+        // The word `global` names a file that is missing until the first global model has arrived: training then starts
+        // from the sparse cloud. Any other missing file stays in the plan, so that it is reported as an error.
         init: resolve_init(config.init.as_ref(), &config.out)
             .filter(|init| init.is_file() || config.init.as_ref() == Some(init)),
         one_of_many: !config.alone,

@@ -48,20 +48,20 @@ pub(super) struct TrainArgs {
     /// Train colour only, without the surface losses: faster, but depth and normals are not accurate
     #[arg(long)]
     color_only: bool,
-    /// Share of the splats to prune, the least important ones
+    /// Share of the splats to prune; the least important splats are removed, 0 removes none
     #[arg(long, value_name = "SHARE", default_value_t = default_prune())]
     prune: Share,
-    /// Share of the steps after which to prune [default: two thirds]
+    /// Prune after this share of the steps [default: two thirds]
     #[arg(long, value_name = "SHARE")]
     prune_at: Option<Share>,
-    /// How the importance of a splat is computed
+    /// Formula for the importance of a splat
     #[arg(long, value_name = "SCORE", default_value = "corrected")]
     prune_score: ScoreArg,
     /// Learn an exposure for each picture, for cameras with automatic exposure
     #[arg(long)]
     exposure: bool,
     /// Start from this model of the same ground instead of the sparse cloud; the word `global` stands for the global
-    /// model that DIR received earlier
+    /// model that was received earlier and stored in the folder of --out
     #[arg(long, value_name = "MODEL.ply")]
     init: Option<PathBuf>,
     /// Start again even if DIR has a checkpoint
@@ -73,16 +73,17 @@ pub(super) struct TrainArgs {
     common: Common,
 }
 
-/// Names of [`PruneScore`].
+/// The values of `--prune-score`; see [`PruneScore`].
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum ScoreArg {
-    /// Squared contribution of the splat to all pixels of all views, weighted by its area
+    /// Squared blending weights of the splat, summed over all pixels of all views, times a factor for its area
     Corrected,
-    /// As written in the CoSurfGS paper: pixels hit, opacity, volume
+    /// Formula of the CoSurfGS paper: number of pixels that the splat hits in all views, times its opacity, times a
+    /// factor for its volume
     Paper,
 }
 
-/// The share of splats that is pruned by default.
+/// Default of `--prune`: the share of the splats that is pruned.
 fn default_prune() -> Share {
     Share::try_from(PruneSettings::default().ratio).expect("the default is a share")
 }
@@ -119,8 +120,8 @@ pub(super) fn run(args: &TrainArgs) -> Result<()> {
     if args.common.json { Ok(()) } else { print_report(&report, &args.out) }
 }
 
-/// Trains with checkpoints and writes all results into `out`. If `auto` chose a GPU and it is lost, training resumes on
-/// the CPU.
+/// Trains with checkpoints and writes all results into `out`. If the plan leaves the device to `auto` and the GPU is
+/// lost, training resumes on the CPU from the last checkpoint.
 pub(super) fn train(
     plan: &TrainPlan,
     out: &Path,
@@ -172,7 +173,7 @@ fn train_on(plan: &TrainPlan, out: &Path, fresh: bool, progress: &mut Progress) 
     Ok(report)
 }
 
-/// Scores the model and writes it with its report.
+/// Scores the trained model on the held-out views, and writes model, cameras and report into `out`.
 fn finish(plan: &TrainPlan, session: Session, out: &Path, spent: Spent) -> Result<TrainReport> {
     let given_up = session.given_up();
     let (cameras, held_out, size_px) =

@@ -1,4 +1,4 @@
-//! Packs the model for the aggregator, under a number that changes only if the model's bytes change.
+//! Encodes the model for the upload, and gives it a number. The number changes only if the encoded bytes change.
 
 use std::fs;
 
@@ -12,15 +12,16 @@ use serde::{Deserialize, Serialize};
 use super::publication::Publication;
 use crate::outputs::write_json;
 
-/// The content of `published.json`: the model that was published last. The same model keeps its number; a different
-/// model gets the next number.
+/// The content of `published.json`: number and hash of the model that was published last. If the model is published
+/// again unchanged, it keeps its number; a different model gets the next number.
 #[derive(Debug, Default, Serialize, Deserialize)]
 struct Published {
     model: u64,
     blake3: String,
 }
 
-/// Packs the model and finds its number.
+/// Encodes the model and finds its number. The upload starts with `base` or, if that is `None`, with the most important
+/// splats.
 pub(super) fn offer(
     publication: &Publication,
     splats: &Splats,
@@ -39,7 +40,7 @@ pub(super) fn offer(
     Ok(Offer::from_body(publication.identity.device, model, kind, cameras.len() as u32, body)?)
 }
 
-/// The number of the model with this body. A new number is on disk before it is returned.
+/// The number of the model whose encoded bytes are `body`. A new number is written to disk before it is returned.
 fn number_of(body: &[u8], publication: &Publication) -> Result<ModelId> {
     let path = publication.out.join("published.json");
     let hash = blake3::hash(body).to_hex().to_string();

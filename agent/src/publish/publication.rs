@@ -1,4 +1,4 @@
-//! What the agent publishes, and how it shares the ground with other devices.
+//! The inputs of [`publish`](super::publish): what the agent publishes, and how it shares ground with other devices.
 
 use std::path::Path;
 use std::time::Duration;
@@ -6,37 +6,38 @@ use std::time::Duration;
 use cosurf_link::{Credentials, Identity};
 use cosurf_scene::{Base, Camera, Splats};
 
-/// What to send and what to wait for.
+/// A model to send, and what to wait for afterwards.
 pub struct Publication<'a> {
-    /// The sender.
+    /// The identity of this device in its current session.
     pub identity: Identity,
     /// The trained model.
     pub splats: &'a Splats,
-    /// The training cameras.
+    /// The training cameras, scaled to the picture sizes that training used.
     pub cameras: &'a [Camera],
-    /// The base that is sent first. Without one the most important splats are sent first.
+    /// The base, a small model that stands in for the whole model until all of it has arrived. It is sent first. If it
+    /// is `None`, the most important splats are sent first.
     pub base: Option<&'a Base>,
-    /// Set if the agent drops splats of ground that other devices observed better.
+    /// Settings for dropping splats of ground that other devices observed better; `None` sends all splats.
     pub sharing: Option<Sharing<'a>>,
-    /// The model's frame, the key that signs it, and whose global models are accepted.
+    /// The world frame of the model, the key that signs it, and the keys whose global models are accepted.
     pub credentials: &'a Credentials,
-    /// The agent's folder.
+    /// The agent's folder. It keeps the published number and the received global model.
     pub out: &'a Path,
-    /// Whether to wait for a global model.
+    /// Whether to wait for a global model after the upload.
     pub wait_global: bool,
-    /// Limit on the bytes of an incoming global model.
+    /// Limit on the bytes of a received global model; it holds for the encoded and for the decoded model.
     pub inbox_bytes: u64,
-    /// How long the connection stays open for its last messages.
+    /// How long the connection stays open at the end, so that the last messages are sent.
     pub flush_time: Duration,
 }
 
-/// How ground is shared with other devices; see [`crate::flights`].
+/// Settings for dropping splats of ground that other devices own; see [`crate::flights`].
 #[derive(Clone, Copy)]
 pub struct Sharing<'a> {
     /// The cameras that this device announced with [`announce_flight`](super::announce_flight).
     pub flight: &'a [Camera],
-    /// After this much time without a new flight all flights are known.
+    /// All flights count as known once no flight has arrived for this long.
     pub quiet: Duration,
-    /// CPU threads, at least 1.
+    /// Number of CPU threads, at least 1.
     pub threads: usize,
 }

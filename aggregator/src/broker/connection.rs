@@ -22,16 +22,18 @@ const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
 const WRITE_TIMEOUT: Duration = Duration::from_secs(30);
 /// Longest that a publisher waits for a slow subscriber; after that the subscriber misses the message.
 const BACKPRESSURE_MAX: Duration = Duration::from_secs(5);
-/// How often a waiting thread checks whether its connection still exists.
+/// A waiting thread checks after this time whether its connection still exists.
 const CHECK_EVERY: Duration = Duration::from_secs(1);
-/// Bytes per read, and bytes encoded before a write.
+/// Limit on the bytes per read. The writer also collects messages until they have this many bytes, and
+/// then writes them.
 const BATCH_BYTES: usize = 128 * 1024;
-/// CONNACK of MQTT 3.1.1, "unacceptable protocol version": refuses a client of that version.
+/// CONNACK of MQTT 3.1.1 with the code "unacceptable protocol version", which refuses a client of that
+/// version.
 const REFUSAL_V4: [u8; 4] = [0x20, 0x02, 0x00, 0x01];
-/// DISCONNECT without a reason code: a graceful end, which the codec cannot parse.
+/// DISCONNECT without a reason code, which means a graceful end. The codec of rumqttc cannot parse it.
 const SHORT_DISCONNECT: [u8; 2] = [0xE0, 0x00];
 
-/// What all connections share.
+/// State that all connections share.
 #[derive(Debug, Default)]
 pub(super) struct Hub {
     router: Mutex<Router>,
@@ -40,7 +42,8 @@ pub(super) struct Hub {
 }
 
 impl Hub {
-    /// Ignores a poisoned lock: a thread that panics leaves no half-done change in the router.
+    /// Locks the router, even if a thread has panicked while it held the lock: a panic leaves no half-done
+    /// change in the router.
     fn router(&self) -> MutexGuard<'_, Router> {
         self.router.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -58,7 +61,8 @@ impl Hub {
         on.wait_timeout(guard, time).unwrap_or_else(PoisonError::into_inner).0
     }
 
-    /// Delivers a message once every subscriber has room, at the latest after [`BACKPRESSURE_MAX`].
+    /// Queues a message for its subscribers once all of them have room, at the latest after
+    /// [`BACKPRESSURE_MAX`]. Then acknowledges it if it has QoS 1.
     fn publish(&self, key: &LinkKey, publish: Publish) {
         let (qos, pkid) = (publish.qos, publish.pkid);
         let until = Instant::now() + BACKPRESSURE_MAX;
@@ -80,9 +84,9 @@ impl Hub {
 
 /// Why reading from a client has ended.
 enum End {
-    /// The client sent DISCONNECT.
+    /// The client sent DISCONNECT and does not want its last will published.
     Graceful,
-    /// The connection broke or was closed, or DISCONNECT asked for the will.
+    /// The connection broke or was closed, or DISCONNECT asked the broker to publish the last will.
     Lost,
     /// The client violated the protocol.
     Offence(DisconnectReasonCode),
@@ -90,7 +94,7 @@ enum End {
 
 /// Serves one client until it disconnects.
 pub(super) fn serve(stream: TcpStream, hub: &Arc<Hub>) {
-    // If these fail, so will the first use of the stream.
+    // Errors are ignored: if one of these calls fails, the first use of the stream fails too.
     let _ = stream.set_nodelay(true);
     let _ = stream.set_write_timeout(Some(WRITE_TIMEOUT));
     let mut reader = Reader { stream, buffer: BytesMut::new() };
@@ -111,14 +115,16 @@ pub(super) fn serve(stream: TcpStream, hub: &Arc<Hub>) {
     let silence = (keep_alive > 0).then(|| Duration::from_millis(1500) * u32::from(keep_alive));
     let mut visit = Visit { hub, key, is_graceful: false };
     match visit.run(&mut reader, silence) {
-        // The writer sends the reason before the router removes the client.
+        // The writer thread sends the reason. `visit` lives on until then, so that the router keeps the
+        // client.
         Some(offence) => hub.router().close(&visit.key, offence),
         None => drop(visit),
     }
     let _ = writer.join();
 }
 
-/// One client's connection. Dropping it informs the router, even after a panic of the codec.
+/// One client's connection. Dropping it tells the router that the client is gone, even after a panic of
+/// the codec.
 struct Visit<'a> {
     hub: &'a Hub,
     key: LinkKey,
@@ -206,7 +212,8 @@ fn write(mut stream: TcpStream, hub: &Hub, key: &LinkKey, work: &Condvar) {
                 drop(router);
                 hub.space.notify_all();
                 buffer.clear();
-                // Cannot fail: each packet is our own answer or was decoded by this codec.
+                // Encoding cannot fail: each packet is an answer of this broker or was decoded by the same
+                // codec.
                 packets.iter().for_each(|packet| {
                     let _ = packet.write(&mut buffer, None);
                 });
@@ -220,7 +227,7 @@ fn write(mut stream: TcpStream, hub: &Hub, key: &LinkKey, work: &Condvar) {
     let _ = stream.shutdown(Shutdown::Both);
 }
 
-/// Reads a socket's bytes as packets.
+/// Reads packets from a socket.
 struct Reader {
     stream: TcpStream,
     buffer: BytesMut,

@@ -1,4 +1,5 @@
-//! Routes messages by sessions, subscriptions and retained messages. It has no socket, thread or clock.
+//! Decides which messages go to which client, by sessions, subscriptions and retained messages. It uses
+//! no socket, thread or clock.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Condvar};
@@ -16,18 +17,21 @@ use super::session::{FILTERS_MAX, Link, Session, bytes_of};
 
 /// Limit on connected clients.
 pub(super) const CLIENTS_MAX: usize = 1024;
-/// Largest packet accepted: our largest message, with room for other programs' MQTT properties.
+/// Largest packet that the broker accepts, bytes: the largest message of cosurf, and room for the MQTT
+/// properties of other programs.
 pub(super) const PACKET_BYTES_MAX: u32 = (MAX_MESSAGE_BYTES + MAX_TOPIC_BYTES + 4096) as u32;
-/// Limit on sessions, connected or not; beyond it the session that expires first is dropped.
+/// Limit on sessions, connected or not. When it is reached, the disconnected session that expires first
+/// is dropped.
 const SESSIONS_MAX: usize = 2 * CLIENTS_MAX;
-/// Longest that a session outlives its connection.
+/// Longest time that a session outlives its connection, seconds.
 const SESSION_EXPIRY_S_MAX: u32 = 24 * 3600;
-/// Limits on retained messages and on their bytes.
+/// Limit on the number of retained messages.
 const RETAINED_MAX: usize = 8192;
+/// Limit on the bytes of all retained messages, topics and payloads.
 const RETAINED_BYTES_MAX: usize = 64 << 20;
 /// Limit on QoS 1 messages that one client has not acknowledged.
 const IN_FLIGHT_MAX: u16 = 64;
-/// Longest client id and topic filter, bytes: room for four of our names.
+/// Longest client id, topic and topic filter, bytes: four times the longest device id.
 const TEXT_BYTES_MAX: usize = 256;
 
 /// The whole state of the broker.
@@ -39,7 +43,7 @@ pub(super) struct Router {
     links: u64,
 }
 
-/// A connection of a client.
+/// Identifies one connection of a client.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct LinkKey {
     client: String,
@@ -47,7 +51,8 @@ pub(super) struct LinkKey {
 }
 
 impl Router {
-    /// Connects a client, closing an older connection with the same client id; an error says why not.
+    /// Connects a client, and closes an older connection with the same client id. An error is the
+    /// reason for a refusal.
     pub(super) fn connect(
         &mut self,
         now: Instant,
@@ -97,7 +102,7 @@ impl Router {
         }
     }
 
-    /// Ends a connection with DISCONNECT.
+    /// Makes the writer thread of a connection send DISCONNECT and end the connection.
     pub(super) fn close(&mut self, key: &LinkKey, reason: DisconnectReasonCode) {
         if let Some(link) = self.linked(key).and_then(|session| session.link.as_mut()) {
             link.closing = Some(reason);
@@ -105,7 +110,7 @@ impl Router {
         }
     }
 
-    /// Ends all connections with DISCONNECT.
+    /// Makes the writer threads of all connections send DISCONNECT and end their connections.
     pub(super) fn close_all(&mut self, reason: DisconnectReasonCode) {
         for link in self.sessions.values_mut().filter_map(|session| session.link.as_mut()) {
             link.closing = Some(reason);
@@ -125,7 +130,7 @@ impl Router {
         }
     }
 
-    /// Subscribes, then queues the retained messages that match the filters.
+    /// Adds subscriptions of a client, then queues the retained messages that match them.
     pub(super) fn subscribe(&mut self, key: &LinkKey, subscribe: Subscribe) {
         let retained: Vec<_> =
             subscribe.filters.iter().map(|filter| self.retained_for(key, filter)).collect();
@@ -177,7 +182,8 @@ impl Router {
         }
     }
 
-    /// Whether some connected subscriber has no room for a message, so that its publisher must wait.
+    /// Whether the publisher of a message must wait, because a connected subscriber has no room for the
+    /// message. Stalled subscribers do not count.
     pub(super) fn is_blocked(&self, key: &LinkKey, publish: &Publish) -> bool {
         self.receivers(key, publish).any(|session| {
             session.link.is_some() && !session.is_stalled && session.is_full(bytes_of(publish))
@@ -193,7 +199,8 @@ impl Router {
         }
     }
 
-    /// Queues a message for all subscribers of its topic; subscribers without room miss it.
+    /// Queues a message for all subscribers of its topic, and stores it if it is retained. Subscribers
+    /// without room miss it. Returns the reason code for the publisher.
     pub(super) fn publish(&mut self, key: &LinkKey, publish: Publish) -> PubAckReason {
         let Ok(topic) = std::str::from_utf8(&publish.topic) else { return PubAckReason::TopicNameInvalid };
         let mut is_heard = false;
@@ -211,14 +218,14 @@ impl Router {
         if is_heard { PubAckReason::Success } else { PubAckReason::NoMatchingSubscribers }
     }
 
-    /// Answers a publish of QoS 1.
+    /// Acknowledges a QoS 1 message to its publisher.
     pub(super) fn answer_publish(&mut self, key: &LinkKey, pkid: u16, reason: PubAckReason) {
         let mut ack = PubAck::new(pkid, None);
         ack.reason = reason;
         self.answer(key, Packet::PubAck(ack));
     }
 
-    /// What a connection's writer does next.
+    /// Returns what the writer thread of a connection does next, with about `bytes_max` bytes of messages at most.
     pub(super) fn take(&mut self, key: &LinkKey, bytes_max: usize) -> Work {
         let Some(session) = self.linked(key) else {
             let is_taken_over = self.sessions.get(&key.client).is_some_and(|session| session.link.is_some());
@@ -253,7 +260,7 @@ impl Router {
     fn take_over(&mut self, client: &str, clean_start: bool) {
         let Some(session) = self.sessions.get_mut(client) else { return };
         if let Some(link) = session.link.take() {
-            // The writer finds that its link is gone, and ends.
+            // The writer thread of that connection finds that its link is gone, and ends.
             link.work.notify_one();
             session.unlink();
         }
@@ -279,7 +286,8 @@ impl Router {
         self.sessions.iter().filter(wants).map(|(_, session)| session)
     }
 
-    /// Stores a retained message; an empty one removes the stored one. `false` if there is no room.
+    /// Stores a message as the retained message of its topic; an empty message removes the stored one. Returns
+    /// `false` if there is no room.
     fn retain(&mut self, publish: Publish) -> bool {
         let topic = String::from_utf8_lossy(&publish.topic).into_owned();
         let old = self.retained.get(&topic).map_or(0, bytes_of);
@@ -314,7 +322,7 @@ impl Router {
     }
 }
 
-/// What a connection's writer does next.
+/// What the writer thread of a connection does next.
 #[derive(Debug)]
 pub(super) enum Work {
     Write(Vec<Packet>),

@@ -9,26 +9,28 @@ use rumqttc::v5::mqttbytes::{QoS, matches};
 
 /// Limit on messages queued for one client; retained messages of a new subscription may exceed it.
 const QUEUE_MAX: usize = 512;
-/// Limit on their bytes: 256 chunks of 64 KiB.
+/// Limit on the bytes of the messages queued for one client: 256 chunks of 64 KiB. Retained messages of a new
+/// subscription may exceed it.
 const QUEUE_BYTES_MAX: usize = 16 << 20;
-/// Limit on answers queued for one client; beyond it nothing is read from the client.
+/// Limit on answers queued for one client. While it is reached, no packet of the client is handled.
 const ANSWERS_MAX: usize = 1024;
 /// Limit on the subscriptions of one client.
 pub(super) const FILTERS_MAX: usize = 32;
 
-/// One client, connected or not.
+/// The state of one client, connected or not.
 #[derive(Debug, Default)]
 pub(super) struct Session {
     pub(super) filters: Vec<Filter>,
     queue: VecDeque<Publish>,
     queue_bytes: usize,
-    /// Sent with QoS 1 and not acknowledged, oldest first.
+    /// QoS 1 messages that were sent and not yet acknowledged, oldest first.
     in_flight: VecDeque<Publish>,
     last_pkid: u16,
     pub(super) link: Option<Link>,
-    /// Its queue stayed full for too long: no publisher waits for it until it takes a message.
+    /// True after the queue was full for too long. Publishers then do not wait for this client until it
+    /// accepts a message again.
     pub(super) is_stalled: bool,
-    /// When the session is dropped; `None` while connected.
+    /// Time at which the session is dropped; `None` while the client is connected.
     pub(super) expires: Option<Instant>,
 }
 
@@ -37,17 +39,17 @@ pub(super) struct Session {
 pub(super) struct Link {
     /// Number of the connection; a newer connection may take the session over.
     pub(super) id: u64,
-    /// Limit on unacknowledged messages.
+    /// Limit on QoS 1 messages that were sent and not yet acknowledged.
     pub(super) receive_max: usize,
     /// The largest packet that the client accepts.
     pub(super) packet_bytes_max: usize,
-    /// Published if the connection ends without DISCONNECT.
+    /// The last will, which is published unless the client ends the connection gracefully.
     pub(super) will: Option<LastWill>,
-    /// Seconds that the session outlives the connection.
+    /// How long the session outlives the connection, seconds.
     pub(super) expiry_s: u32,
     /// Wakes the writer thread.
     pub(super) work: Arc<Condvar>,
-    /// Set when the connection is to end: the reason of its DISCONNECT.
+    /// The reason to send in DISCONNECT; `None` unless the connection must end.
     pub(super) closing: Option<DisconnectReasonCode>,
     answers: VecDeque<Packet>,
 }
@@ -68,7 +70,8 @@ impl Link {
 }
 
 impl Session {
-    /// This client's subscription to `topic` with the highest QoS, if there is one.
+    /// This client's subscription to `topic` with the highest QoS, if there is one. `is_own`: the client
+    /// itself publishes the message.
     pub(super) fn wants(&self, topic: &str, is_own: bool) -> Option<&Filter> {
         let wanted = self.filters.iter().filter(|filter| !(is_own && filter.nolocal));
         wanted.filter(|filter| matches(topic, &filter.path)).max_by_key(|filter| filter.qos as u8)
@@ -79,7 +82,7 @@ impl Session {
         self.queue.len() >= QUEUE_MAX || self.queue_bytes + bytes > QUEUE_BYTES_MAX
     }
 
-    /// Whether nothing may be read from the client until it has taken answers.
+    /// Whether no packet of the client may be handled until it has taken answers.
     pub(super) fn is_flooded(&self) -> bool {
         self.link.as_ref().is_some_and(|link| link.answers.len() >= ANSWERS_MAX)
     }
@@ -107,7 +110,8 @@ impl Session {
         }
     }
 
-    /// The packets to write next: all answers, then as many messages as the client accepts.
+    /// Removes and returns the packets to write next: all answers, then messages until they have `bytes_max`
+    /// bytes or the client accepts no more.
     pub(super) fn take(&mut self, bytes_max: usize) -> Vec<Packet> {
         let Some(link) = &mut self.link else { return Vec::new() };
         let mut packets: Vec<Packet> = link.answers.drain(..).collect();
@@ -136,7 +140,8 @@ impl Session {
         }
     }
 
-    /// Ends the connection: unacknowledged messages go back to the front of the queue.
+    /// Ends the connection: QoS 0 messages are dropped, and unacknowledged messages go back to the front of
+    /// the queue.
     pub(super) fn unlink(&mut self) {
         self.link = None;
         self.is_stalled = false;
@@ -168,7 +173,8 @@ impl Session {
         Some(publish)
     }
 
-    /// A packet id that no unacknowledged message has; ids outnumber these messages.
+    /// A packet id that no unacknowledged message has. The search ends, because there are more ids than such
+    /// messages.
     fn next_pkid(&mut self) -> u16 {
         loop {
             self.last_pkid = self.last_pkid.checked_add(1).unwrap_or(1);
@@ -179,7 +185,7 @@ impl Session {
     }
 }
 
-/// Bytes that a message counts in a queue.
+/// Bytes of topic and payload: what a message adds towards the limits on queues and on retained messages.
 pub(super) fn bytes_of(publish: &Publish) -> usize {
     publish.topic.len() + publish.payload.len()
 }

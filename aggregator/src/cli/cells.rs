@@ -1,4 +1,4 @@
-//! Hand-drawn cells from a GeoJSON file, the format that every map program writes.
+//! Reads hand-drawn cells, the areas of the agents, from a GeoJSON file. Map programs can write this format.
 
 use std::fs;
 use std::path::Path;
@@ -7,7 +7,7 @@ use anyhow::{Context, Result, bail};
 use cosurf_aggregator::partition::Division;
 use serde::Deserialize;
 
-/// The parts of GeoJSON (RFC 7946) that are read; other members are ignored.
+/// The parts of GeoJSON (RFC 7946) that are read. Other members of these objects are ignored, such as names.
 #[derive(Deserialize)]
 #[serde(tag = "type")]
 enum GeoJson {
@@ -17,7 +17,7 @@ enum GeoJson {
     Feature {
         geometry: Option<Box<GeoJson>>,
     },
-    /// Rings of positions: the outer border, then the holes.
+    /// `coordinates` is a list of rings of positions: first the outer border, then the holes.
     Polygon {
         coordinates: Vec<Vec<Vec<f64>>>,
     },
@@ -25,7 +25,7 @@ enum GeoJson {
     Other,
 }
 
-/// The polygons of a file, in file order.
+/// Reads the polygons of a file, in file order. Fails if a polygon has a hole, or if the file has another geometry.
 pub(super) fn read(file: &Path) -> Result<Division> {
     let text = fs::read_to_string(file).with_context(|| format!("--cells {}", file.display()))?;
     parse(&text).with_context(|| format!("--cells {}", file.display()))

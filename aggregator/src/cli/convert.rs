@@ -8,8 +8,8 @@ use cosurf_scene::{Splats, ply, spz};
 
 /// Convert a model between PLY and SPZ; the file extensions select the formats.
 ///
-/// SPZ is about ten times smaller because it quantises the splats; use it for viewers. The axes are converted as
-/// in other tools, so that both files look the same.
+/// SPZ is about ten times smaller because it quantises the splats; use it for viewers. The axes are converted as in
+/// other tools, so that viewers show both files alike.
 #[derive(Args)]
 pub(crate) struct ConvertArgs {
     /// Model to read: .ply, or .spz of version 2 or 3

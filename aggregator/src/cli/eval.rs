@@ -10,9 +10,9 @@ use cosurf_aggregator::evaluate::{EvalOrder, evaluate_model, table};
 
 /// Score a model on the held-out views of a dataset.
 ///
-/// Prints PSNR and SSIM as 3DGS defines them, and LPIPS if --lpips is given. If there is a true surface
-/// (gt/mesh.ply in the dataset, or --truth), also prints the errors of depth and normals; the true normal of a pixel
-/// is the mean over its area.
+/// Prints PSNR and SSIM as 3DGS defines them, and LPIPS if --lpips is given. If there is a true surface (gt/mesh.ply in
+/// the dataset, or --truth), also prints the errors of depth and normals. The true normal of a pixel is the mean over
+/// the pixel's area.
 #[derive(Args)]
 pub(crate) struct EvalArgs {
     /// The model: a PLY file, or the output folder of an agent or a mission
@@ -25,7 +25,7 @@ pub(crate) struct EvalArgs {
     /// The true surface as a mesh [default: DATA/gt/mesh.ply if it exists]
     #[arg(long, value_name = "MESH.ply")]
     truth: Option<PathBuf>,
-    /// Score every N-th view by name; give the N with which training held out views
+    /// Score every N-th view by sorted name; use the same N as in training, so that only held-out views are scored
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..))]
     eval_every: u32,
     /// Shrink pictures until their long side is at most this many pixels [default: full size]

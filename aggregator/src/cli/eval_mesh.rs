@@ -10,25 +10,26 @@ use cosurf_scene::{Mesh, colormap};
 
 use super::arguments::parse_length;
 
-/// Errors of this many thresholds or more get the brightest colour.
+/// Vertices whose error is at least this many times the threshold get the brightest colour.
 const BRIGHTEST: f32 = 2.0;
-/// Colour of cropped vertices, which are not scored.
+/// Colour of vertices that are not scored because they are cropped.
 const CROPPED: [u8; 3] = [128; 3];
 
 /// Score a mesh against the true surface: precision, recall, F-score and mean distances.
 ///
-/// Only the part above the truth's footprint on the ground, plus a margin of at least the threshold, is scored.
+/// Scores only the part of the mesh that, seen from above (z is up), lies within the footprint of the true surface or a
+/// margin around it. The margin is at least as wide as the threshold.
 #[derive(Args)]
 pub(crate) struct EvalMeshArgs {
     /// Mesh to score, .ply
     mesh: PathBuf,
-    /// The true surface, .ply: a mesh, or points (sparse points need normals)
+    /// The true surface, .ply: a mesh or a point cloud; sparse points need normals
     truth: PathBuf,
     /// Largest distance that counts as correct, metres
     #[arg(long, value_name = "M", value_parser = parse_length)]
     threshold: f64,
-    /// Write the mesh coloured by error: dark for none, yellow for two thresholds or more, grey where it was
-    /// not scored
+    /// Also write the mesh to this file, coloured by error: dark for no error, yellow for twice the threshold or more,
+    /// grey for parts that are not scored
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
     /// Print the figures as a line of JSON

@@ -1,4 +1,4 @@
-//! `forget`: withdraws a device's models from the global model.
+//! `forget`: withdraws the models of a device from the global model.
 
 use std::io::{self, Write};
 use std::path::PathBuf;
@@ -8,9 +8,10 @@ use clap::Args;
 use cosurf_aggregator::service::{AggregatorConfig, withdraw};
 use cosurf_wire::DeviceId;
 
-/// Withdraw a device: the global model is rebuilt without the models that it has sent so far.
+/// Withdraw a device: rebuild the global model without the models that the device has sent so far.
 ///
-/// A running service notices within a second, a stopped one when it starts. Later models of the device are accepted.
+/// A running service notices the withdrawal within about a second, a stopped service when it starts. Models that the
+/// device sends later are accepted.
 #[derive(Args)]
 pub(crate) struct ForgetArgs {
     /// Id of the device

@@ -8,7 +8,7 @@ use clap::Args;
 use cosurf_link::SecretKey;
 use cosurf_wire::DeviceId;
 
-/// Make a key that signs the global model, and print its public line for the agents.
+/// Make a key that signs the global model, and print the public key for the agents.
 ///
 /// The secret key is written to a new file that only you may read; set `key` in aggregator.toml to its path. Add the
 /// printed line to the file that `trusted` names in each agent.toml.

@@ -17,16 +17,18 @@ use cosurf_link::Model;
 use cosurf_scene::bytes::parse_bytes;
 use cosurf_scene::{Camera, SceneError, ply};
 
-/// Options of merging, shared by `merge` and `mission`.
+/// Options that control a merge, shared by the commands `merge` and `mission`.
 #[derive(Args)]
 pub(super) struct Ways {
-    /// Epochs of distillation: times that the merged model is trained on each camera; 0 only joins the models
+    /// Epochs of distillation: how many times the joined model is trained on each camera; 0 joins the models without
+    /// distillation
     #[arg(long, value_name = "N", default_value_t = MergeSettings::default().epochs)]
     epochs: u32,
     /// Keep all splats, even where models overlap
     #[arg(long)]
     no_compress: bool,
-    /// Align models that lie in another coordinate frame than the others, instead of keeping them out
+    /// Align models that lie in another coordinate frame than the other models, instead of keeping them out of the
+    /// merge
     #[arg(long)]
     refine: bool,
 }
@@ -48,7 +50,7 @@ impl Ways {
 /// Merge models that agents trained; needs no photographs.
 ///
 /// Where models overlap, keeps only the splats of the model that observed that area best (Local Model Compression).
-/// Then trains the joined splats on what each model renders for its own cameras (Model Aggregation Scheme).
+/// Then trains the joined splats to match what each model renders from its own cameras (Model Aggregation Scheme).
 #[derive(Args)]
 pub(crate) struct MergeArgs {
     /// Output folders of agents or merges, each with cameras.json and either model.ply or global.ply
@@ -59,13 +61,14 @@ pub(crate) struct MergeArgs {
     out: PathBuf,
     #[command(flatten)]
     ways: Ways,
-    /// Memory limit, for example 500MiB
+    /// Limit on the memory of the merge, for example 500MiB
     #[arg(long, value_name = "BYTES", default_value = "4GiB", value_parser = parse_bytes)]
     memory: u64,
     /// Seed of every random choice; the same seed gives the same bytes
     #[arg(long, value_name = "S", default_value_t = 0)]
     seed: u64,
-    /// Where to compute: auto (a hardware graphics card if there is one), cpu, gpu, or gpu:N from `cosurf-agent devices`
+    /// Device to compute on: auto (a hardware GPU if there is one, otherwise the CPU), cpu, gpu, or gpu:N with a number
+    /// that `cosurf-agent devices` lists
     #[arg(long, value_name = "DEVICE", default_value_t)]
     device: DeviceChoice,
     /// Print the figures as a line of JSON
@@ -142,6 +145,6 @@ fn show(progress: &MergeProgress) {
     let mut stderr = io::stderr().lock();
     if stderr.is_terminal() {
         let MergeProgress { step, steps, psnr } = progress;
-        let _ = write!(stderr, "\rstep {step} of {steps} · {psnr:.2} dB "); // goes on without a reader
+        let _ = write!(stderr, "\rstep {step} of {steps} · {psnr:.2} dB "); // write errors are ignored: the merge goes on
     }
 }

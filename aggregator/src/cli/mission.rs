@@ -1,4 +1,4 @@
-//! `mission`: a whole mission on this machine, from pictures to a report.
+//! `mission`: runs a whole mission on this machine, from pictures to a report.
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf, absolute};
@@ -32,20 +32,22 @@ pub(crate) struct MissionArgs {
     /// Output folder
     #[arg(long, value_name = "DIR", default_value = "out")]
     out: PathBuf,
-    /// Number of edge aggregators below the root aggregator, each with agents of its own; 0 for none
+    /// Number of edge aggregators below the root aggregator, each with its own agents; 0 for none
     #[arg(long, value_name = "E", default_value_t = 0, value_parser = clap::value_parser!(u16).range(0..=99))]
     edges: u16,
-    /// Number of agents that share the pictures; with --edges, agents of each edge aggregator
+    /// Number of agents that share the pictures; with --edges, number of agents of each edge aggregator
     #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u16).range(1..=999))]
     agents: u16,
-    /// Instead of --agents, one agent for each cell of a grid; with --edges, one grid for each edge
+    /// Instead of --agents, one agent for each cell of a grid; with --edges, one grid for each edge aggregator
     #[arg(long, value_name = "COLUMNSxROWS", value_parser = parse_grid, conflicts_with_all = ["agents", "cells"])]
     grid: Option<Division>,
-    /// Instead of --agents, one agent for each polygon of this GeoJSON file, in world coordinates of the data (x and y
-    /// if z is up); with --edges, each edge takes the same number of polygons, in file order
+    /// Instead of --agents, one agent for each polygon of this GeoJSON file. Corners are given in the horizontal world
+    /// coordinates of the data (x and y if z is up). With --edges, each edge aggregator takes the same number of
+    /// polygons, in file order
     #[arg(long, value_name = "FILE", conflicts_with = "agents")]
     cells: Option<PathBuf>,
-    /// Margin around each cell whose views its agent also gets, as a share of the cell's size; 0 shares no views
+    /// Width of the margin around each cell, as a share of the cell's size, 0 to 1. The cell's agent also trains on
+    /// views of other cells that look at the margin; 0 for no margin
     #[arg(long, value_name = "SHARE", default_value_t = 0.2, value_parser = parse_margin)]
     margin: f64,
     /// Training steps of each agent
@@ -66,16 +68,16 @@ pub(crate) struct MissionArgs {
     /// Hold out every N-th picture by name from training, to score the models; 0 holds out none
     #[arg(long, value_name = "N", default_value_t = 8)]
     eval_every: u32,
-    /// Let each agent drop, before upload, the splats of ground that another agent observed better: half the bytes, some
-    /// tenths of a dB less
+    /// Let each agent drop, before the upload, the splats of ground that another agent observed better. This halves the
+    /// upload and costs the global model some tenths of a dB of PSNR
     #[arg(long)]
     compress_first: bool,
     #[command(flatten)]
     ways: Ways,
-    /// Memory limit of merging
+    /// Limit on the memory of merging, for example 500MiB
     #[arg(long, value_name = "BYTES", default_value = "4GiB", value_parser = parse_bytes)]
     merge_memory: u64,
-    /// Also score the global model by LPIPS; folder with vgg.safetensors and alex.safetensors
+    /// Also score the global model by LPIPS, with the weights vgg.safetensors and alex.safetensors in this folder
     #[arg(long, value_name = "FOLDER")]
     lpips: Option<PathBuf>,
     /// Print every event, and at the end the report, as lines of JSON
@@ -139,7 +141,7 @@ fn parse_margin(text: &str) -> Result<f64, String> {
     if (0.0..=1.0).contains(&margin) { Ok(margin) } else { Err("give a number from 0 to 1".into()) }
 }
 
-/// The default city, generated from another seed for every mission seed.
+/// Settings of the default city. Each seed of a mission gives another city.
 fn city_of_seed(seed: u64) -> CitySettings {
     let usual = CitySettings::default();
     CitySettings { seed: usual.seed.wrapping_add(seed), ..usual }
@@ -178,7 +180,7 @@ fn surroundings(json: bool) -> Result<Surroundings> {
     })
 }
 
-/// Peak resident memory of this process: `VmHWM` on Linux, `None` elsewhere.
+/// Peak resident memory of this process, bytes: `VmHWM` on Linux, `None` elsewhere.
 fn peak_memory_bytes() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;

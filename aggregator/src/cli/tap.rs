@@ -13,19 +13,19 @@ use cosurf_link::mqtt::traffic::{self, ReplaySettings};
 use cosurf_link::recording::Recording;
 use cosurf_link::{BrokerAddress, Faults, Tls, TlsFiles};
 
-/// Address of a broker, and the files for TLS.
+/// Options that name a broker and the files for TLS.
 #[derive(Args)]
 struct BrokerArgs {
     /// The broker, for example mqtt://10.0.0.2:1883; mqtts:// needs --ca, --cert and --key
     #[arg(long, value_name = "URL")]
     broker: BrokerAddress,
-    /// Certificates of the trusted authorities
+    /// PEM file with the certificates of the trusted authorities
     #[arg(long, value_name = "FILE", requires_all = ["cert", "key"])]
     ca: Option<PathBuf>,
-    /// Certificate of this client
+    /// PEM file with the certificate of this client
     #[arg(long, value_name = "FILE", requires = "ca")]
     cert: Option<PathBuf>,
-    /// Private key of this client
+    /// PEM file with the private key of this client
     #[arg(long, value_name = "FILE", requires = "ca")]
     key: Option<PathBuf>,
 }
@@ -44,8 +44,8 @@ impl BrokerArgs {
 
 /// Record a broker's messages to a file, until stopped with Ctrl-C.
 ///
-/// The file holds time, topic, QoS, retain flag and payload of every message. A file that was cut off is readable up
-/// to its last complete message.
+/// The file holds the time, topic, QoS, retain flag and payload of every message. If the file was cut off, it can be
+/// read up to its last complete message.
 #[derive(Args)]
 pub(crate) struct RecordArgs {
     /// File to write
@@ -79,7 +79,8 @@ pub(crate) struct ReplayArgs {
     /// Share of the messages in which a bit is flipped, 0 to 1
     #[arg(long, value_name = "SHARE", default_value_t = 0.0, value_parser = parse_share)]
     corruption: f64,
-    /// Delay each message at random by up to this many milliseconds of recording time, which changes their order
+    /// Delay each message by a random time of up to this many milliseconds, in the time of the recording. Messages may
+    /// change their order
     #[arg(long, value_name = "MS", default_value_t = 0)]
     delay_ms: u32,
     /// Seed of the injected faults

@@ -1,19 +1,20 @@
 //! Accuracy of a mesh: precision, recall and F-score at a threshold, as in Tanks and Temples (Knapitsch
 //! et al. 2017), and mean distances in both directions.
 //!
-//! The mesh is scored by samples spread evenly over its area, and again by its vertices, as the benchmark
-//! does. The score by vertices also depends on how finely each part of the mesh is triangulated.
+//! The mesh is scored by samples spread evenly over its area, and a second time by its vertices, as the
+//! benchmark does. The score by vertices also depends on how finely each part of the mesh is triangulated.
 //!
 //! Two rules hold for every mesh:
 //!
-//! - The truth often covers only part of the reconstruction. The mesh is scored above the truth's footprint
-//!   on the ground (z is up) plus a margin (see `region`), at any height, so that floaters count. The
-//!   result states which share of the mesh was cropped.
-//! - Truth given as points is itself a sample. Parts of a perfect mesh are far from sparse points, so each
-//!   point with a normal stands for a disc as large as its share of the surface. The radius of a disc is
-//!   at most the threshold.
+//! - The truth often covers only part of the reconstruction. The mesh is therefore scored only above the
+//!   truth's footprint on the ground (z is up) plus a margin (see `region`). It is scored at any height
+//!   there, so that floaters count. The result states which share of the mesh was left out (*cropped*).
+//! - A truth given as points is itself a sample. Even a perfect mesh has parts far from sparse points. Each
+//!   point with a normal therefore stands for a disc as large as the point's share of the surface. The
+//!   radius of a disc is at most the threshold.
 //!
-//! What it refuses to know: where meshes come from, and alignment (poses are given, nothing is fitted).
+//! What it knows nothing about: where meshes come from, and alignment. Mesh and truth must be in the same
+//! frame; nothing is fitted.
 
 mod nearest;
 mod region;
@@ -37,7 +38,7 @@ const SPACING: f64 = 0.25;
 /// Number of nearest truth points among which the closest disc is searched.
 const DISCS: usize = 6;
 
-/// Scores of a mesh at one threshold, each 0..=1.
+/// Scores of a mesh at one threshold (a distance), each 0..=1.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Score {
     /// Share of the mesh within the threshold of the truth.
@@ -51,23 +52,25 @@ pub struct Score {
 /// All figures of a mesh.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Accuracy {
-    /// Largest distance that counts as correct, world units.
+    /// The threshold: the largest distance that counts as correct, world units.
     pub threshold_m: f64,
-    /// Scores of samples spread evenly over the area.
+    /// Scores of the mesh by samples spread evenly over its area.
     pub samples: Score,
-    /// Scores of the vertices.
+    /// Scores of the mesh by its vertices.
     pub vertices: Score,
-    /// Mean distance from the mesh's samples to the truth, world units.
+    /// Mean distance from the mesh's samples to the truth, world units; infinite if all samples were
+    /// cropped.
     pub mesh_to_truth_m: f64,
-    /// Mean distance from the truth to the mesh's samples.
+    /// Mean distance from the truth to the mesh's samples, world units.
     pub truth_to_mesh_m: f64,
-    /// Mean of `mesh_to_truth_m` and `truth_to_mesh_m`.
+    /// Mean of `mesh_to_truth_m` and `truth_to_mesh_m`, world units.
     pub chamfer_m: f64,
-    /// Share of the mesh's area that was cropped, 0..=1.
+    /// Share of the mesh's area that is not above the truth's footprint and was not scored, 0..=1.
     pub cropped: f64,
-    /// Distance between the mesh's samples.
+    /// Mean distance between the mesh's samples, world units.
     pub sample_spacing_m: f64,
-    /// Radius of the disc that each truth point stands for; 0 if the truth is a mesh or has no normals.
+    /// Radius of the disc that each truth point stands for, world units; 0 if the truth is a mesh or has no
+    /// normals.
     pub truth_disc_m: f64,
 }
 
@@ -81,18 +84,19 @@ pub enum AccuracyError {
     /// The truth has no points.
     #[error("the true surface has no points: pass a mesh or a point cloud")]
     NoTruth,
-    /// The threshold needs more samples than the limit.
+    /// The threshold is so small that a surface needs more samples than the limit.
     #[error(
         "the threshold is so small that the surface needs more than {SAMPLES_MAX} samples: choose a larger one"
     )]
     TooFine,
 }
 
-/// Most samples of a surface: about 3 GB with the data derived from them.
+/// Limit on the samples of one surface. That many samples, and the data derived from them, take about 3 GB.
 const SAMPLES_MAX: usize = 60_000_000;
 
-/// Scores `mesh` against `truth`, which is a mesh or, without triangles, points of the surface. Also returns
-/// the distance of each vertex from the truth, NaN for cropped vertices.
+/// Scores `mesh` against `truth`. The truth is a mesh or, without triangles, points of the surface. `seed`
+/// determines the random samples. Also returns the distance of each vertex of `mesh` from the truth, NaN for
+/// cropped vertices.
 pub fn judge(
     mesh: &Mesh,
     truth: &Mesh,
@@ -144,7 +148,8 @@ struct Truth {
 impl Truth {
     fn new(truth: &Mesh, threshold_m: f64, spacing_m: f64, seed: u64) -> Result<Self, AccuracyError> {
         let is_cloud = truth.triangles.is_empty();
-        // Another seed, so that a mesh scored against itself does not meet the same samples.
+        // The truth gets another seed than the mesh: a mesh that is scored against itself must not meet its
+        // own samples.
         let points = match truth.triangles[..] {
             [] => truth.positions.iter().copied().map(Vec3::from_array).collect(),
             _ => sample(truth, spacing_m, seed ^ 1, SAMPLES_MAX).ok_or(AccuracyError::TooFine)?,
@@ -168,8 +173,9 @@ impl Truth {
         Ok(truth)
     }
 
-    /// Radius of a disc as large as each point's share of the surface. Among points spread at random, a disc
-    /// that reaches to the second neighbour has the area of two shares on average.
+    /// Radius of a disc whose area is the share of the surface that one truth point stands for. If points
+    /// are spread at random, a disc that reaches to the second nearest neighbour has the area of two shares
+    /// on average.
     fn share_radius(&self) -> f32 {
         let squares: Vec<f32> = self
             .points
@@ -194,12 +200,12 @@ impl Truth {
         let normal = Vec3::from_array(self.normals[i]);
         let height = offset.dot(normal);
         let aside = (offset - height * normal).length();
-        // Without a normal the height is 0, and a disc would be a ball: use the point itself.
+        // If the normal is zero, so is the height, and the disc would become a ball: use the point itself.
         let radius = if normal == Vec3::ZERO { 0.0 } else { self.disc_m };
         Vec3::new(height, (aside - radius).max(0.0), 0.0).length()
     }
 
-    /// Distance from each truth point to the nearest of `to`, points of the mesh.
+    /// Distance from each truth point to the nearest of `to`, which are points of the mesh.
     fn gaps(&self, to: &[Vec3]) -> Vec<f32> {
         let tree = Tree::new(to);
         self.points.par_iter().map(|p| tree.nearest::<1>(*p)[0].0.sqrt()).collect()

@@ -1,5 +1,5 @@
-//! Scores a model on held-out photographs, and on the true surface where there is one. This needs the photographs,
-//! which a mission or a user has; the receiving service never has them.
+//! Scores a model on photographs, and on the true surface if it is known. Only missions and users have
+//! photographs. The receiving service never has any, so it cannot score models.
 
 use cosurf_engine::{Renderer, Rendering};
 use cosurf_scene::{Camera, Cast, Picture, SceneError, Splats, View, metrics};
@@ -17,18 +17,19 @@ pub(crate) struct Judge<'a> {
 
 /// A photograph and the model's rendering from the same camera.
 pub(crate) struct Comparison {
-    /// The camera, at the size of both pictures.
+    /// The camera, scaled to the size of both pictures.
     pub(crate) camera: Camera,
     /// The photograph.
     pub(crate) photograph: Picture,
-    /// The rendering; colours are clamped to 0..=1, as in a picture file.
+    /// The rendering. Its colours are clamped to 0..=1, as they are in a picture file.
     pub(crate) rendering: Rendering,
     /// The true surface as the camera sees it; `None` if it is not known.
     pub(crate) truth: Option<Cast>,
 }
 
 impl<'a> Judge<'a> {
-    /// Copies the splats. Pictures are shrunk until their long side is at most `max_size_px`.
+    /// Copies the splats. Pictures are shrunk until their long side is at most `max_size_px`; `None` keeps their
+    /// size.
     pub(crate) fn new(
         splats: &Splats,
         max_size_px: Option<u32>,
@@ -44,7 +45,7 @@ impl<'a> Judge<'a> {
         views.iter().map(|view| self.quality(view)).collect()
     }
 
-    /// Computes every figure of a view.
+    /// Computes all figures of a view.
     pub(crate) fn quality(&mut self, view: &View) -> Result<Quality, SceneError> {
         let _span = debug_span!("view", name = view.name).entered();
         let Comparison { camera, photograph, rendering, truth } = self.compare(view)?;
@@ -58,7 +59,7 @@ impl<'a> Judge<'a> {
         })
     }
 
-    /// Renders what the camera of a photograph sees.
+    /// Reads the photograph of a view, and renders the model from the same camera.
     pub(crate) fn compare(&mut self, view: &View) -> Result<Comparison, SceneError> {
         let camera = view.camera.resized(view.camera.fitted_size(self.max_size_px));
         let photograph = Picture::read_fitted(&view.path, camera.size_px)?;
@@ -84,7 +85,8 @@ mod tests {
         }
     }
 
-    /// Three facets to a pixel, which is 1 m wide on the ground; they rise and fall by 30 % in turn.
+    /// Ground with three facets in each pixel; a pixel is 1 m wide on the ground. The facets rise and fall in
+    /// turn, with a slope of 30 %.
     fn furrowed() -> Mesh {
         let corner = |k: u32, y: f32| [k as f32 / 3.0 - 16.0, y, if k.is_multiple_of(2) { 0.0 } else { 0.1 }];
         Mesh {
@@ -106,7 +108,8 @@ mod tests {
         let view = View { name: "grey".into(), camera: from_above(), path };
         let quality = Judge::new(&level, None, 1, &yardsticks).quality(&view).expect("a picture");
         let surface = quality.surface.expect("a surface");
-        // The facets at the centres of the pixels alone would give 16.7°.
+        // The mean over three facets has a third of their slope. The facet at the centre of each pixel alone would
+        // give 16.7°.
         let third_deg = f64::atan(0.1).to_degrees();
         for errors in [surface.normal_error_deg, surface.depth_normal_error_deg] {
             assert!((errors.expect("pixels").median - third_deg).abs() < 0.1, "{errors:?}");

@@ -1,11 +1,12 @@
 //! LPIPS (Zhang et al. 2018, version 0.1): the difference of two pictures in the features of a network that was
 //! trained on photographs. Equal pictures score 0; held-out views of good models score 0.1 to 0.4.
 //!
-//! Computes the features of VGG16 or AlexNet, forward only, and their linear heads, with weights from files
-//! that the user names. What it refuses to know: models, cameras, reports, where weights come from.
+//! Computes the features of VGG16 or AlexNet for both pictures. Linear weights (*heads*) turn the differences of
+//! the features into the distance. Cannot train; all weights come from files that the user names. What it knows
+//! nothing about: models, cameras, reports, and where the weights come from.
 //!
-//! Two networks of plain convolutions need a matrix product, threads and a file format, not a framework: ndarray's
-//! product was faster than the frameworks that were tried, and needs far fewer packages.
+//! Why no machine-learning framework: these networks need only a matrix product, threads and a file format.
+//! ndarray's matrix product was faster than the frameworks that were tried, and needs far fewer packages.
 
 mod convolution;
 mod network;
@@ -22,12 +23,14 @@ use convolution::FeatureMap;
 use network::Network;
 use weights::Weights;
 
-/// Input normalisation of the published networks, per channel, for colours in -1 to 1.
+/// Subtracted from the colours (red, green, blue; -1..=1) before the first convolution, as published.
 const SHIFT: [f32; 3] = [-0.030, -0.088, -0.188];
+/// Divisor of the colours (red, green, blue) after [`SHIFT`] is subtracted, as published.
 const SCALE: [f32; 3] = [0.458, 0.448, 0.450];
-/// Added to a feature vector's length before division, as published.
+/// Added to the length of a feature vector before the division by it, as published.
 const LENGTH_EPSILON: f32 = 1e-10;
-/// Pixels that one thread compares at a time; fixed, so that sums do not depend on the number of threads.
+/// Number of pixels that a thread compares at a time. It is fixed, so that sums do not depend on the number of
+/// threads.
 const PIXELS_A_TASK: usize = 4096;
 
 /// Why weights cannot be loaded.
@@ -52,7 +55,7 @@ pub enum LpipsError {
     },
 }
 
-/// A network with its heads.
+/// A network with its weights.
 #[derive(Debug)]
 struct Lpips {
     network: Network,
@@ -60,15 +63,15 @@ struct Lpips {
 }
 
 impl Lpips {
-    /// Reads a safetensors file with `conv{i}.weight` (OIHW), `conv{i}.bias` and `lin{i}.weight`, as
-    /// 16-bit or 32-bit floats. Shapes must be those of the network, and all numbers finite.
+    /// Reads a safetensors file with `conv{i}.weight` (OIHW), `conv{i}.bias` and `lin{i}.weight` (the heads), as
+    /// 16-bit or 32-bit floats. Shapes must be those of the network, and all numbers must be finite.
     fn read(path: &Path, network: Network) -> Result<Self, LpipsError> {
         let bytes = std::fs::read(path).map_err(|cause| LpipsError::Io { path: path.into(), cause })?;
         let malformed = |reason| LpipsError::Malformed { path: path.into(), reason };
         Self::parse(&bytes, network).map_err(malformed)
     }
 
-    /// Parses the bytes of a weight file, or says in one line what is wrong with them.
+    /// Parses the bytes of a weight file. An error says in one line what is wrong with them.
     fn parse(bytes: &[u8], network: Network) -> Result<Self, String> {
         Ok(Self { network, weights: weights::parse(bytes, network)? })
     }
@@ -77,7 +80,7 @@ impl Lpips {
     /// than [`Network::size_min_px`]. Gives the same bits for any number of threads. Needs about a kilobyte of
     /// memory per pixel.
     ///
-    /// Panics if a length is not `3 · width · height`.
+    /// Panics if the length of `a` or `b` is not `3 · width · height`.
     fn distance(&self, a: &[f32], b: &[f32], size_px: [u32; 2]) -> Option<f64> {
         if size_px.iter().any(|&side| side < self.network.size_min_px()) {
             return None;
@@ -106,7 +109,8 @@ fn input(rgb: &[f32], size_px: [u32; 2]) -> FeatureMap {
     FeatureMap { size_px, channels: 3, values: pixels.iter().flat_map(normalised).collect() }
 }
 
-/// Mean over pixels of the weighted squared difference of feature vectors that are scaled to unit length.
+/// Scales the feature vectors to unit length, and returns the weighted sum over channels of their squared
+/// differences, as a mean over pixels. `head` has the weight of each channel.
 fn mean_difference(maps: &[FeatureMap; 2], head: &[f32]) -> f64 {
     let channels = head.len();
     let task = PIXELS_A_TASK * channels;
@@ -132,14 +136,14 @@ fn difference(a: &[f32], b: &[f32], head: &[f32]) -> f32 {
 /// The LPIPS distances by both networks.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct LpipsScore {
-    /// By VGG16, the network that papers usually quote.
+    /// Distance by VGG16, the network that papers usually quote.
     pub vgg: f64,
-    /// By AlexNet.
+    /// Distance by AlexNet.
     pub alex: f64,
 }
 
 impl LpipsScore {
-    /// The mean over views; `None` without views.
+    /// The mean of the scores of several views; `None` without views.
     pub(super) fn mean(of: impl Iterator<Item = Self>) -> Option<Self> {
         let all: Vec<Self> = of.collect();
         let mean = |value: fn(&Self) -> f64| all.iter().map(value).sum::<f64>() / all.len() as f64;
@@ -147,7 +151,7 @@ impl LpipsScore {
     }
 }
 
-/// Both networks.
+/// VGG16 and AlexNet with their weights.
 #[derive(Debug)]
 pub(crate) struct LpipsPair {
     vgg: Lpips,
@@ -155,7 +159,7 @@ pub(crate) struct LpipsPair {
 }
 
 impl LpipsPair {
-    /// Reads `vgg.safetensors` and `alex.safetensors` of a folder.
+    /// Reads `vgg.safetensors` and `alex.safetensors` in a folder.
     pub(super) fn read(folder: &Path) -> Result<Self, LpipsError> {
         Ok(Self {
             vgg: Lpips::read(&folder.join("vgg.safetensors"), Network::Vgg)?,

@@ -1,5 +1,5 @@
-//! `eval`: scores a model against the photographs and the true surface of a dataset, as a mission scores its global
-//! model at the end.
+//! The command `eval`: scores a model against the photographs and the true surface of a dataset. A mission scores
+//! its global model in the same way at its end.
 
 use std::path::{Path, PathBuf};
 
@@ -11,7 +11,7 @@ use super::judge::Judge;
 use super::quality::{Quality, YardstickError, Yardsticks};
 use crate::terminal::aligned;
 
-/// File names of the model in the output folder of an agent or a mission.
+/// File names of the model in the output folder of an agent and of a mission.
 const MODELS: [&str; 2] = ["model.ply", "global.ply"];
 
 /// Which model to score, and against what.
@@ -19,24 +19,24 @@ const MODELS: [&str; 2] = ["model.ply", "global.ply"];
 pub struct EvalOrder {
     /// A PLY file of splats, or the output folder of an agent or a mission.
     pub model: PathBuf,
-    /// The dataset.
+    /// Path of the dataset.
     pub data: PathBuf,
-    /// Folder of LPIPS weights; `None` for no LPIPS.
+    /// Folder of the LPIPS weights; `None` computes no LPIPS.
     pub lpips: Option<PathBuf>,
-    /// Mesh of the true surface; `None` for that of the dataset, if it has one.
+    /// Mesh of the true surface; `None` takes the mesh of the dataset, if it has one.
     pub truth: Option<PathBuf>,
-    /// Every n-th view by name is held out, at least 1.
+    /// Every n-th view by sorted name is held out; n is at least 1.
     pub eval_every: u32,
-    /// Longest side of the compared pictures; `None` for their full size.
+    /// Limit on the longer side of the compared pictures, px; `None` compares at full size.
     pub max_size_px: Option<u32>,
-    /// Threads to render with, at least 1.
+    /// Number of threads that render, at least 1.
     pub threads: usize,
 }
 
-/// A model's figures.
+/// The figures of a model.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct EvalReport {
-    /// Splats of the model.
+    /// Number of splats of the model.
     pub splats: usize,
     /// Means over the held-out views.
     pub mean: Quality,
@@ -44,12 +44,12 @@ pub struct EvalReport {
     pub views: Vec<ViewQuality>,
 }
 
-/// A view's figures.
+/// The figures of one view.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ViewQuality {
     /// The view's name.
     pub name: String,
-    /// Its figures.
+    /// The figures of the view.
     #[serde(flatten)]
     pub quality: Quality,
 }
@@ -78,7 +78,7 @@ pub enum EvalError {
     },
 }
 
-/// Scores every held-out view.
+/// Scores the model on every held-out view.
 pub fn evaluate_model(order: &EvalOrder) -> Result<EvalReport, EvalError> {
     let _span = info_span!("evaluate").entered();
     let splats = ply::read(&model_path(&order.model)?)?;
@@ -103,7 +103,8 @@ pub fn model_path(model: &Path) -> Result<PathBuf, EvalError> {
     inside.ok_or_else(|| EvalError::NoModel { folder: model.into() })
 }
 
-/// The figures for a terminal: a row per view and one for the means, a column per known figure.
+/// The figures as a table for a terminal: one row for each view and one for the means, and one column for each
+/// figure that is known.
 pub fn table(report: &EvalReport) -> String {
     let columns: Vec<Column> = COLUMNS.into_iter().filter(|(_, cell)| cell(&report.mean).is_some()).collect();
     let row = |name: &str, quality: &Quality| {
@@ -117,7 +118,7 @@ pub fn table(report: &EvalReport) -> String {
     aligned(&lines)
 }
 
-/// A heading and the text of its cells; `None` if a figure is not known.
+/// The heading of a column, and the function that gives its cells; `None` if a figure is not known.
 type Column = (&'static str, fn(&Quality) -> Option<String>);
 
 const COLUMNS: [Column; 11] = [
@@ -144,7 +145,7 @@ mod tests {
 
     use super::*;
 
-    /// A small city in a folder, and the splats of its sparse cloud as its model.
+    /// Writes a small generated city into `folder`, with an untrained model made from its sparse points.
     fn untrained(folder: &Path) -> EvalOrder {
         let settings =
             CitySettings { extent_m: 40.0, views: 9, size_px: [64, 48], ..CitySettings::default() };
@@ -176,7 +177,7 @@ mod tests {
         assert!(text.contains("covered") && !text.contains("LPIPS") && text.contains("mean of 3"), "{text}");
         let json = serde_json::to_string(&report).unwrap();
         assert_eq!(serde_json::from_str::<EvalReport>(&json).unwrap(), report);
-        // A truth that is raised by 1 m gives other errors.
+        // A true surface that is raised by 1 m gives other errors.
         let mut mesh = cosurf_scene::Mesh::read(&folder.path().join("gt/mesh.ply")).unwrap();
         mesh.positions.iter_mut().for_each(|position| position[2] += 1.0);
         let raised = folder.path().join("raised.ply");

@@ -1,4 +1,4 @@
-//! The figures of a model's quality, and the references for them beside photographs: LPIPS networks and a true
+//! The figures of a model's quality, and the references that they need besides photographs: LPIPS networks and a true
 //! surface.
 
 use std::path::Path;
@@ -13,16 +13,16 @@ use super::surface::SurfaceQuality;
 /// Path of the true surface inside a dataset's folder.
 const TRUE_MESH: &str = "gt/mesh.ply";
 
-/// How well a model agrees with photographs and true surface, in one view or as a mean over views.
+/// How well a model agrees with photographs and with the true surface, in one view or as a mean over views.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Quality {
-    /// dB.
+    /// Peak signal-to-noise ratio of the colours, dB.
     pub psnr: f64,
-    /// 0 to 1.
+    /// Structural similarity of the colours, -1..=1; 1 for equal pictures.
     pub ssim: f64,
-    /// Absent without LPIPS weights, and if pictures are too small.
+    /// LPIPS distances; absent without LPIPS weights, and if the pictures are too small.
     pub lpips: Option<LpipsScore>,
-    /// Absent without a true surface.
+    /// Errors of the surface; absent without a true surface, and if the camera sees none of it.
     pub surface: Option<SurfaceQuality>,
 }
 
@@ -40,7 +40,7 @@ impl Quality {
     }
 }
 
-/// Why the references cannot be read.
+/// Why the references for the figures cannot be read.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum YardstickError {
@@ -52,7 +52,7 @@ pub enum YardstickError {
     Truth(#[from] SceneError),
 }
 
-/// The references that models are compared with, beside photographs.
+/// The references that models are compared with, besides photographs.
 #[derive(Debug)]
 pub(crate) struct Yardsticks {
     pub(crate) lpips: Option<LpipsPair>,
@@ -60,8 +60,8 @@ pub(crate) struct Yardsticks {
 }
 
 impl Yardsticks {
-    /// Reads the LPIPS weights from the folder `lpips`, and the true surface from the mesh `truth` or, without it, from
-    /// the dataset `data` if it has one.
+    /// Reads the LPIPS weights from the folder `lpips`, and the true surface from the mesh `truth`. Without `truth`,
+    /// reads the mesh of the dataset `data`, if it has one.
     pub(crate) fn read(
         data: &Path,
         lpips: Option<&Path>,

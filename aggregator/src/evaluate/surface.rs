@@ -1,40 +1,43 @@
-//! Compares a model's surface with the true one, pixel by pixel of a camera: depth, normals and coverage.
+//! Compares a model's surface with the true surface, pixel by pixel from a camera: depth, normals and coverage.
 //!
-//! What it refuses to know: where models and truths come from.
+//! What it knows nothing about: where models and true surfaces come from.
 
 use cosurf_engine::Rendering;
 use cosurf_scene::{Camera, Cast};
 use glam::{DVec2, Vec3};
 use serde::{Deserialize, Serialize};
 
-/// A pixel has a surface if its accumulated opacity (alpha) is above this.
+/// A model has a surface in a pixel if its accumulated opacity (alpha) there is above this value.
 const ALPHA_MIN: f32 = 0.5;
 /// Blended normals shorter than this have no reliable direction.
 const NORMAL_LENGTH_MIN: f32 = 1e-3;
 
-/// How far a model's surface is from the true one.
+/// How much a model's surface differs from the true one.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SurfaceQuality {
-    /// Share of the pixels with a true surface in which the model has one too, 0 to 1. The errors are those of
-    /// these pixels only, so they mean little if the share is low.
+    /// Share, 0..=1, of the pixels with a true surface in which the model has a surface too (the *covered* pixels).
+    /// The errors below count only covered pixels, so they mean little if this share is low.
     pub coverage: f64,
-    /// `|z - z*| / z*` along the optical axis, percent; absent if no pixel is covered.
+    /// Relative error of depth, percent: `100 |z - z*| / z*`, where `z` is the model's depth along the optical axis
+    /// and `z*` the true one. Absent if no pixel is covered.
     pub depth_error_percent: Option<Spread>,
-    /// Angle between the blended normals and the true ones, degrees; absent if no pixel is covered. For both normal
-    /// errors, a true normal is the mean over a pixel's area: [`cosurf_scene::Caster::cast_areas`].
+    /// Angle between the blended normal of a pixel and the true normal, degrees. The true normal is the mean over
+    /// the pixel's area, see [`cosurf_scene::Caster::cast_areas`]. Absent if no covered pixel has a blended normal
+    /// with a reliable direction.
     pub normal_error_deg: Option<Spread>,
-    /// Angle between the normals of depth and the true ones, degrees. The normals of depth come from the depths of
-    /// neighbouring pixels, which a mesh is fused from. Absent if no pixel is covered.
+    /// Angle between the normal of depth of a pixel and the true normal (the mean over the pixel's area), degrees.
+    /// The normal of depth is computed from the depths of the four neighbouring pixels, because a mesh is fused
+    /// from depths. Absent if no covered pixel has such neighbours.
     #[serde(default)]
     pub depth_normal_error_deg: Option<Spread>,
 }
 
-/// Errors of many pixels.
+/// Median and mean of the errors of many pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Spread {
     /// Half of the errors are smaller.
     pub median: f64,
-    /// The mean, which a few large errors can raise.
+    /// The mean; a few large errors can raise it much.
     pub mean: f64,
 }
 
@@ -59,7 +62,8 @@ impl Spread {
 }
 
 impl SurfaceQuality {
-    /// Compares a rendering with the truth from the same camera; `None` if the camera sees no true surface.
+    /// Compares a rendering with the true surface as the same `camera` sees it; `None` if the camera sees no true
+    /// surface.
     pub fn of(rendering: &Rendering, camera: &Camera, truth: &Cast) -> Option<Self> {
         let seen: Vec<usize> = (0..truth.depth.len()).filter(|&i| truth.depth[i] > 0.0).collect();
         let covered = seen.iter().filter(|&&i| has_surface(rendering, i)).count();
@@ -71,7 +75,7 @@ impl SurfaceQuality {
         })
     }
 
-    /// The mean over views of each figure; `None` without views.
+    /// The mean of each figure over the views that have it; `None` without views.
     pub(crate) fn mean(of: &[Self]) -> Option<Self> {
         let coverage = of.iter().map(|quality| quality.coverage).sum::<f64>() / of.len() as f64;
         (!of.is_empty()).then(|| Self {
@@ -91,13 +95,14 @@ fn has_surface(rendering: &Rendering, i: usize) -> bool {
     rendering.alpha[i] > ALPHA_MIN && depth > 0.0 && depth.is_finite()
 }
 
-/// `|z - z*| / z*` of each pixel in percent, NaN where the model or the truth has no surface.
+/// Relative error of depth of each pixel, percent, as in [`SurfaceQuality`]. NaN where the model or the truth has
+/// no surface.
 pub(crate) fn depth_errors_percent(rendering: &Rendering, truth: &Cast) -> Vec<f32> {
     errors(rendering, truth, |i| 100.0 * (rendering.depth[i] - truth.depth[i]).abs() / truth.depth[i])
 }
 
-/// The angle between the blended normal and the true one of each pixel in degrees, NaN where the model or the truth
-/// has no surface, or the blended normal no direction.
+/// Angle between the blended normal and the true normal of each pixel, degrees. NaN where the model or the truth
+/// has no surface, and where the blended normal is too short to have a direction.
 pub(crate) fn normal_errors_deg(rendering: &Rendering, truth: &Cast) -> Vec<f32> {
     let normals = rendering.normal.as_chunks::<3>().0;
     errors(rendering, truth, |i| {
@@ -107,8 +112,8 @@ pub(crate) fn normal_errors_deg(rendering: &Rendering, truth: &Cast) -> Vec<f32>
     })
 }
 
-/// The angle between the normal of depth and the true one of each pixel in degrees, NaN where the model or the
-/// truth has no surface, or the model has none in a neighbouring pixel.
+/// Angle between the normal of depth and the true normal of each pixel, degrees. NaN where the model or the truth
+/// has no surface, or where the model has none in one of the four neighbouring pixels.
 fn depth_normal_errors_deg(rendering: &Rendering, camera: &Camera, truth: &Cast) -> Vec<f32> {
     let [width, height] = rendering.size_px.map(|side| side as usize);
     let point = |i: usize| {
@@ -118,7 +123,7 @@ fn depth_normal_errors_deg(rendering: &Rendering, camera: &Camera, truth: &Cast)
     let normal = |i: usize| {
         let inside = (1..width - 1).contains(&(i % width)) && (1..height - 1).contains(&(i / width));
         let way = |to: usize, from: usize| Some(point(to)? - point(from)?);
-        // The picture's y points down, so the product in this order faces the camera.
+        // The y axis of the picture points down. In this order, the cross product therefore faces the camera.
         inside.then(|| Some(way(i + 1, i - 1)?.cross(way(i - width, i + width)?).as_vec3()))?
     };
     errors(rendering, truth, |i| {
@@ -126,7 +131,8 @@ fn depth_normal_errors_deg(rendering: &Rendering, camera: &Camera, truth: &Cast)
     })
 }
 
-/// From sine and cosine: the arc cosine alone loses small angles to rounding.
+/// The angle between two vectors, degrees. It uses sine and cosine, because the arc cosine loses small angles to
+/// rounding.
 fn angle_deg(a: Vec3, b: Vec3) -> f32 {
     a.cross(b).length().atan2(a.dot(b)).to_degrees()
 }
@@ -145,7 +151,7 @@ mod tests {
 
     use super::*;
 
-    /// A wall at depth 20 that faces the camera, with a hole in the last of ten pixels.
+    /// A wall at depth 20 that faces the camera. The last of the ten pixels is a hole.
     fn truth() -> Cast {
         let mut depth = vec![20.0; 10];
         let mut normals = vec![[0.0, 0.0, -1.0]; 10];
@@ -153,7 +159,7 @@ mod tests {
         Cast { size_px: [5, 2], depth, normals }
     }
 
-    /// A model of the wall that fills the hole; its blended normals are shorter than 1.
+    /// A model of the wall without the hole; its blended normals are shorter than 1.
     fn model() -> Rendering {
         Rendering {
             size_px: [5, 2],
@@ -186,7 +192,7 @@ mod tests {
             coverage: 1.0,
             depth_error_percent: none,
             normal_error_deg: none,
-            // In two rows, no pixel has neighbours on every side.
+            // The picture has only two rows, so no pixel has neighbours on all four sides.
             depth_normal_error_deg: None,
         };
         assert_eq!(quality, expected);
@@ -222,7 +228,7 @@ mod tests {
         shifted.depth.iter_mut().for_each(|z| *z += 0.5);
         let error = |model: &Rendering| judged(model).unwrap().depth_error_percent.unwrap();
         assert_eq!(error(&shifted), Spread { median: 2.5, mean: 2.5 });
-        // One pixel far off moves the mean, not the median; the pixel of the hole does not count.
+        // One pixel with a large error changes the mean but not the median. The pixel of the hole does not count.
         let mut spoiled = model();
         (spoiled.depth[3], spoiled.depth[9]) = (200.0, 1.0);
         assert_eq!(error(&spoiled), Spread { median: 0.0, mean: 100.0 });
@@ -259,7 +265,8 @@ mod tests {
         assert_eq!(judged(&thin), Some(nothing));
         let empty = Cast { depth: vec![0.0; 10], ..truth() };
         assert_eq!(SurfaceQuality::of(&model(), &camera([5, 2]), &empty), None);
-        // The mean of coverage includes the uncovered view; the mean error does not, as the view has no error.
+        // The view without any covered pixel counts for the mean coverage. It has no error, so it does not count
+        // for the mean error.
         let mean = SurfaceQuality::mean(&[quality, nothing]).unwrap();
         assert!((mean.coverage - 2.5 / 9.0).abs() < 1e-12);
         assert_eq!(mean.depth_error_percent, quality.depth_error_percent);

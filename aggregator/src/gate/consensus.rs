@@ -1,19 +1,20 @@
-//! Finds the similarity that most pairs of points agree with (RANSAC).
+//! Finds the similarity transform that most pairs of points agree with (RANSAC).
 
 use glam::DVec3;
 
 use super::matching::Pair;
 use super::similarity::Similarity;
 
-/// Random triples tried.
+/// Number of random triples of pairs that are tried.
 const TRIES: usize = 400;
-/// Times that the similarity is fitted again to all pairs that agree with it.
+/// How often the best similarity is fitted again to all pairs that agree with it.
 const REFITS: usize = 5;
-/// Accepted scales between two frames.
+/// Accepted scales of a similarity.
 const SCALES: std::ops::RangeInclusive<f64> = 0.5..=2.0;
 
-/// The similarity from the other model to the trusted one with which most pairs agree to within `tolerance_px`, and the
-/// number of these pairs; `None` if fewer than three agree.
+/// The similarity from the other model's frame to the trusted model's frame with which most pairs agree, and the number
+/// of these pairs. A pair agrees if its points are at most `tolerance_px` apart ([`distance_px`]). `None` if fewer than
+/// three pairs agree.
 pub(super) fn consensus(pairs: &[Pair], tolerance_px: f64) -> Option<(Similarity, usize)> {
     let mut dice = Dice(pairs.len() as u64);
     let mut best: Option<(Similarity, usize)> = None;
@@ -32,7 +33,8 @@ pub(super) fn consensus(pairs: &[Pair], tolerance_px: f64) -> Option<(Similarity
     Some((found, agreeing(pairs, &found, tolerance_px).len()))
 }
 
-/// Distance between the points of a pair after `from_other` has moved one of them, px.
+/// Distance between the two points of a pair after `from_other` has moved the other model's point, in pixels of the
+/// trusted model's picture.
 pub(super) fn distance_px(pair: &Pair, from_other: &Similarity) -> f64 {
     from_other.apply(pair.other).distance(pair.trusted) / pair.pixel_m
 }

@@ -1,8 +1,9 @@
 //! Renders a small picture of a model from one of its own cameras, and decides whether another model shows the same.
 //!
-//! The thresholds come from pairs of trained models in real and rendered missions. Right models of the same ground
-//! correlate in place and agree in median depth. A moved or scaled model correlates better some pixels off, or differs
-//! in depth. Models trained on colour alone have poor depths, but their errors have both signs.
+//! The thresholds come from pairs of trained models in real and rendered missions. If two right models show the same
+//! ground, their pictures correlate best without a shift, and their median depths agree. The picture of a moved or
+//! scaled model correlates better some pixels off, or its depths differ. Models trained on colour alone have large
+//! errors of depth, but with both signs.
 
 use cosurf_engine::Renderer;
 use cosurf_scene::{Camera, Splats, Watchers};
@@ -10,31 +11,35 @@ use glam::{DVec2, DVec3};
 
 /// Long side of the pictures, px.
 const SIZE_PX: u32 = 64;
-/// Views rendered of each model.
+/// Largest number of views that are rendered of each model.
 const VIEWS: usize = 8;
-/// Cosine of the largest angle, 30°, between two lines of sight to the same point.
+/// Cosine of 30°, the largest angle between two similar lines of sight to the same point.
 const SIGHT_COSINE_MIN: f64 = 0.866_025_403_784_438_6;
-/// Pixels of less alpha show no surface.
+/// Pixels with at most this alpha show no surface.
 const ALPHA_MIN: f32 = 0.5;
-/// Pixels of less alpha also have the colour of what lies behind the surface.
+/// Pixels with at most this alpha also show the colour of what lies behind the surface.
 const OPAQUE_MIN: f32 = 0.95;
-/// The other model's cameras must see at least this share of a picture's surface, and this many pixels.
+/// Two models are compared in a picture only if the other model's cameras see at least this share of its surface
+/// pixels.
 const SHARE_MIN: f64 = 0.3;
+/// Two models are compared only in at least this many pixels.
 const SHARED_PX_MIN: usize = 64;
-/// Largest shift at which two pictures are compared, px along each axis.
+/// Largest shift with which two pictures are compared, px along each axis.
 const REACH_PX: isize = 6;
-/// A model is in the wrong place if its picture correlates best at a larger shift than this, px ...
+/// A model is in the wrong place only if its picture correlates best with a shift larger than this, px.
 const OFF_PX: f64 = 1.5;
-/// ... with more than this correlation, and by this much more than in place.
+/// A model is in the wrong place only if the best correlation with a shift is above this.
 const FOUND_MIN: f64 = 0.5;
+/// A model is in the wrong place only if a shift raises the correlation by more than this.
 const BETTER_MIN: f64 = 0.05;
-/// Pictures that correlate less show different ground.
+/// Pictures with a lower correlation than this, without a shift, show different ground.
 const ALIKE_MIN: f64 = 0.4;
-/// Depths contradict each other if the median ln of their ratio is farther from 0 than this ...
+/// Depths contradict each other only if the median of the logarithm of their ratio is farther from 0 than this.
 const DEPTH_MAX: f64 = 0.03;
-/// ... and half of the logarithms differ from the median by at most this share of it.
+/// Depths contradict each other only if the logarithms of their ratio vary little: half of them differ from their
+/// median by at most this share of the median.
 const DEPTH_SPREAD_MAX: f64 = 0.25;
-/// Pictures whose colours vary less, rms, cannot be compared.
+/// Pictures cannot be compared if their colours vary by less than this (root mean square).
 const CONTRAST_MIN: f64 = 0.02;
 
 /// A small picture of a model from one of its own cameras.
@@ -42,14 +47,14 @@ pub(super) struct Glimpse {
     camera: Camera,
     /// `[height, width, rgb]`.
     rgb: Vec<f32>,
-    /// World units; 0 where there is no surface.
+    /// `[height, width]` depth, world units; 0 where there is no surface.
     depth: Vec<f32>,
-    /// 0..=1.
+    /// `[height, width]` opacity, 0..=1.
     alpha: Vec<f32>,
 }
 
 impl Glimpse {
-    /// Renders some views of a model. Of a model pruned before upload, only opaque pixels count.
+    /// Renders some views of a model. If the model was pruned before upload, only opaque pixels count as surface.
     pub(super) fn some(
         splats: &Splats,
         cameras: &[Camera],
@@ -74,7 +79,8 @@ impl Glimpse {
         Self { camera, rgb: rendering.rgb, depth, alpha: rendering.alpha }
     }
 
-    /// Pixels whose surface some of `cameras` see from a similar direction; `None` if they are too few.
+    /// Indices of the pixels whose surface some of `cameras` see from a similar direction; `None` if they are too
+    /// few.
     pub(super) fn shared_with(&self, cameras: &[Camera]) -> Option<Vec<usize>> {
         let pose = &self.camera.cam_from_world;
         let (world_from_cam, eye) = (pose.rotation.inverse(), pose.center());
@@ -96,8 +102,8 @@ impl Glimpse {
         (shared.len() >= enough).then_some(shared)
     }
 
-    /// Whether another model shows the same at these pixels; `None` if that cannot be decided, or if that model was
-    /// pruned at most of them before upload.
+    /// Whether another model shows the same at the `shared` pixels. `None` if that cannot be decided, or if the
+    /// other model was pruned before upload and shows too little surface at these pixels.
     pub(super) fn is_confirmed_by(
         &self,
         renderer: &mut Renderer,
@@ -119,7 +125,8 @@ impl Glimpse {
         Some(is_deep && !is_moved && in_place >= ALIKE_MIN)
     }
 
-    /// The colours of this and of another model, at the `shared` pixels where both show the same surface.
+    /// The colours of this model and of another one, for each of the `shared` pixels where both show the same
+    /// surface.
     pub(super) fn colors_with(&self, renderer: &mut Renderer, shared: &[usize]) -> Vec<[[f32; 3]; 2]> {
         let other = Self::of(renderer, &self.camera, true);
         let is_same = |i: &usize| {
@@ -130,7 +137,7 @@ impl Glimpse {
         shared.iter().copied().filter(is_same).map(|i| [color(self, i), color(&other, i)]).collect()
     }
 
-    /// Whether depths agree where both have a surface; `None` if that is in too few pixels.
+    /// Whether the depths of both pictures agree where both show a surface; `None` if these pixels are too few.
     fn is_as_deep(&self, other: &Self, shared: &[usize]) -> Option<bool> {
         let both = shared.iter().filter(|&&i| other.depth[i] > 0.0);
         let ratios: Vec<f64> = both.map(|&i| f64::from(self.depth[i] / other.depth[i]).ln()).collect();
@@ -142,8 +149,9 @@ impl Glimpse {
         Some(middle.abs() <= DEPTH_MAX || spread > DEPTH_SPREAD_MAX * middle.abs())
     }
 
-    /// Correlation, -1..=1, of the colours here with those of `other` shifted by `[dx, dy]` px. `None` if too few
-    /// pixels are left or their colours hardly vary.
+    /// Correlation, -1..=1, between the colours of this picture at the `shared` pixels and the colours of `other` at
+    /// the pixels `[dx, dy]` further. `None` if too few pixels are left, or if the colours of this picture hardly
+    /// vary.
     fn correlation(&self, other: &Self, shared: &[usize], [dx, dy]: [isize; 2]) -> Option<f64> {
         let [width, height] = self.camera.size_px.map(|size| size as usize);
         let pairs: Vec<[usize; 2]> = shared

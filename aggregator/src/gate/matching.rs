@@ -1,5 +1,5 @@
-//! Finds the same ground in pictures of two models: patches of one are searched in the other by normalised
-//! cross-correlation, and each match gives a pair of points in space.
+//! Finds the same ground in pictures of two models. Patches of one picture are searched in the other by normalised
+//! cross-correlation. Each match gives a pair of points in space.
 
 use cosurf_engine::compress::sees_alike;
 use cosurf_engine::{Renderer, Rendering};
@@ -7,24 +7,27 @@ use cosurf_scene::Camera;
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
-/// Pixels of less alpha show no surface.
+/// Pixels with at most this alpha show no surface.
 const ALPHA_MIN: f32 = 0.95;
-/// Cameras of its own model that must see a point alike: a single camera does not fix the depth.
+/// Number of a model's own cameras that must see a point from similar directions and distances. A single camera does
+/// not fix the depth of a point.
 const SEERS_MIN: usize = 2;
-/// Half the side of a patch, px.
+/// Pixels of a patch on each side of its central pixel.
 const PATCH_PX: usize = 5;
-/// Each square with sides of this length, px, gives at most one patch.
+/// Side of a square of the picture that gives at most one patch, px.
 const CELL_PX: usize = 12;
-/// Least mean squared grey gradient of a patch along its weaker direction; below it a patch looks like its neighbours.
+/// Least mean squared gradient of a patch's grey values along its weaker direction. A patch below it looks like its
+/// neighbours.
 const GRADIENT2_MIN: f32 = 2e-5;
-/// Least correlation of a match.
+/// Least correlation of a match, -1..=1.
 const CORRELATION_MIN: f32 = 0.7;
-/// Least lead of the best position's correlation over that of every position not next to it.
+/// Least difference between the correlation at the best position and the correlation at any position that is not
+/// beside it.
 const LEAD_MIN: f32 = 0.05;
-/// Positions within this distance of the best are next to it, px along each axis.
+/// Positions within this distance of the best position are beside it, px along each axis.
 const BESIDE_PX: usize = 2;
 
-/// A model rendered from one camera.
+/// A model rendered from one camera, with the grey values of the picture.
 pub(super) struct Sight {
     camera: Camera,
     rendering: Rendering,
@@ -36,20 +39,21 @@ pub(super) struct Sight {
 /// The result of searching patches of one or more pictures.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Matches {
-    /// Number of patches searched.
+    /// Number of patches that were searched.
     pub(super) sought: usize,
-    /// Matches found.
+    /// The matches that were found.
     pub(super) found: Vec<Pair>,
 }
 
-/// The same point in two models.
+/// A point of the ground, as two models show it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Pair {
-    /// Its position in the trusted model.
+    /// Position of the point in the trusted model, world units.
     pub(super) trusted: DVec3,
-    /// Its position in the other model, in that model's own frame.
+    /// Position of the point in the other model, in that model's own frame.
     pub(super) other: DVec3,
-    /// Size of a pixel there, world units of the trusted model.
+    /// Width that one pixel of the trusted model's picture covers at the depth of this point, in world units of that
+    /// model.
     pub(super) pixel_m: f64,
 }
 
@@ -73,13 +77,14 @@ impl Sight {
         self.rendering.alpha[i] > ALPHA_MIN && self.rendering.depth[i] > 0.0
     }
 
-    /// The point in space seen at `at_px`, at the depth of the pixel `x, y` around it.
+    /// The world point on the ray through `at_px`, at the depth of the pixel `(x, y)` that contains `at_px`.
     fn point(&self, x: usize, y: usize, at_px: DVec2) -> DVec3 {
         let depth = f64::from(self.rendering.depth[y * self.width + x]);
         self.camera.unproject(at_px, depth)
     }
 
-    /// Share of the picture that at least [`SEERS_MIN`] of `cameras` see as this one does.
+    /// Share of the picture, 0..=1, that shows a surface which at least [`SEERS_MIN`] of `cameras` see from a similar
+    /// direction and distance. Tests every second pixel of every second row.
     pub(super) fn shared(&self, cameras: &[Camera]) -> f64 {
         let (mut seen, mut of) = (0usize, 0usize);
         for y in (0..self.height).step_by(2) {
@@ -96,7 +101,7 @@ impl Sight {
         cameras.iter().filter(|camera| sees_alike(&self.camera, camera, point)).nth(SEERS_MIN - 1).is_some()
     }
 
-    /// The distinctive corners that at least [`SEERS_MIN`] of `cameras` see.
+    /// The distinctive corners in the picture that at least [`SEERS_MIN`] of `cameras` see.
     fn corners(&self, cameras: &[Camera]) -> Vec<[usize; 2]> {
         let cells = |length: usize| (PATCH_PX + 1..length.saturating_sub(PATCH_PX + 1)).step_by(CELL_PX);
         let starts: Vec<[usize; 2]> =
@@ -104,7 +109,7 @@ impl Sight {
         starts.into_par_iter().filter_map(|start| self.corner(start, cameras)).collect()
     }
 
-    /// The best corner of the square that begins at `start`, if it is good enough.
+    /// The best corner in the square that begins at `start`; `None` if it is too weak, or too few of `cameras` see it.
     fn corner(&self, start: [usize; 2], cameras: &[Camera]) -> Option<[usize; 2]> {
         let end = |axis: usize, length: usize| (start[axis] + CELL_PX).min(length - PATCH_PX - 1);
         let mut best = (GRADIENT2_MIN, None);
@@ -119,7 +124,7 @@ impl Sight {
         best.1.filter(|[x, y]| self.is_solid(*x, *y) && self.is_well_seen(*x, *y, cameras))
     }
 
-    /// The smaller eigenvalue of the mean structure tensor of a patch (Shi and Tomasi).
+    /// The smaller eigenvalue of the mean structure tensor of the patch around a pixel (Shi and Tomasi).
     fn cornerness(&self, x: usize, y: usize) -> f32 {
         let (mut xx, mut xy, mut yy) = (0.0f32, 0.0f32, 0.0f32);
         for v in y - PATCH_PX..=y + PATCH_PX {
@@ -147,8 +152,8 @@ impl Sight {
         Patch { values, length }
     }
 
-    /// Searches a patch within `reach_px` of `around`. Returns its pixel and its sub-pixel position; `None` if no
-    /// position stands out.
+    /// Searches a patch within `reach_px` of `around`. Returns the best pixel and its sub-pixel position. `None` if
+    /// the correlation is low, if no position stands out, or if the best one is on the rim of the searched area.
     fn find(&self, patch: &Patch, around: [usize; 2], reach_px: usize) -> Option<([usize; 2], DVec2)> {
         let range = |axis: usize, length: usize| {
             around[axis].saturating_sub(reach_px).max(PATCH_PX)
@@ -169,7 +174,7 @@ impl Sight {
         if scores[best] < CORRELATION_MIN || scores[best] - second < LEAD_MIN {
             return None;
         }
-        // At the rim, the true position may lie outside the searched area.
+        // The true position may then lie outside the searched area.
         if u == 0 || v == 0 || u + 1 == across || v + 1 == rows.len() {
             return None;
         }
@@ -186,17 +191,17 @@ impl Sight {
     }
 }
 
-/// Pixels of a patch.
+/// Number of pixels of a patch.
 const AREA: f32 = ((2 * PATCH_PX + 1) * (2 * PATCH_PX + 1)) as f32;
 
-/// Grey values minus their mean, and the Euclidean norm of the result.
+/// The grey values of a patch minus their mean, and the Euclidean norm of these differences.
 struct Patch {
     values: [f32; AREA as usize],
     length: f32,
 }
 
 impl Patch {
-    /// Normalised cross-correlation, -1..=1; 0 if either patch is uniform.
+    /// Normalised cross-correlation of two patches, -1..=1; 0 if either patch is uniform.
     fn correlation(&self, other: &Self) -> f32 {
         let product: f32 = self.values.iter().zip(&other.values).map(|(a, b)| a * b).sum();
         let lengths = self.length * other.length;
@@ -209,8 +214,9 @@ fn middle(x: usize, y: usize) -> DVec2 {
     DVec2::new(x as f64 + 0.5, y as f64 + 0.5)
 }
 
-/// Searches corners of the trusted model's picture in the other model's picture, at most `reach_px` away. Only corners
-/// that several of the trusted model's own `cameras` see are searched. Both pictures have the same size.
+/// Searches corners of the trusted model's picture in the other model's picture, at most `reach_px` away from the same
+/// pixel. Uses only corners that several of the trusted model's own `cameras` see. Both pictures must have the same
+/// size.
 pub(super) fn matches(trusted: &Sight, cameras: &[Camera], other: &Sight, reach_px: usize) -> Matches {
     let corners = trusted.corners(cameras);
     let find = |&[x, y]: &[usize; 2]| {

@@ -1,9 +1,10 @@
-//! Finds where a model from another frame belongs: rotates, scales and moves it until common ground lies where a
-//! trusted model has it.
+//! Finds where a model from another frame belongs. Rotates, scales and moves the model until the ground that it shares
+//! with a trusted model lies at the same place in both.
 //!
-//! Patches of one model's picture are searched in the other's ([`super::matching`]). The matches give pairs of points
-//! in space, and the similarity that most pairs agree with is taken ([`super::consensus`]). Rounds go from small
-//! pictures, searched widely, to larger ones. A model that does not fit after the last round is not moved.
+//! Patches of the trusted model's pictures are searched in pictures of the other model ([`super::matching`]). The
+//! matches give pairs of points in space, and the similarity is chosen with which most pairs agree
+//! ([`super::consensus`]). This is repeated in rounds. The first rounds use small pictures and a wide search, the later
+//! ones larger pictures. A model that does not fit after the last round is not moved.
 
 use cosurf_engine::Renderer;
 use cosurf_scene::Camera;
@@ -13,32 +14,37 @@ use super::matching::{Matches, Sight, matches};
 use super::similarity::Similarity;
 use crate::merge::{Locals, MergeError};
 
-/// Largest distance of a pair that fits, px of the pictures compared. Most pairs of right models are within half of it.
+/// Largest distance between the points of a pair that fits, px of the compared pictures. For right models, most pairs
+/// are within half of it.
 const FIT_PX: f64 = 2.0;
-/// Least share of matches that must fit, and least share of searched patches that must be found.
+/// Least share of the matches that must fit.
 const FIT_SHARE_MIN: f64 = 0.5;
+/// Least share of the searched patches that must be found in the other model.
 const FOUND_SHARE_MIN: f64 = 0.2;
-/// Least number of patches searched.
+/// Least number of patches that must be searched.
 const SOUGHT_MIN: usize = 24;
-/// Least number of pairs that must agree with a similarity, and their least share of all pairs.
+/// Least number of pairs that must agree with a similarity.
 const AGREEING_MIN: usize = 8;
+/// Least share of all pairs that must agree with a similarity.
 const AGREEING_SHARE_MIN: f64 = 0.3;
-/// Least share of a picture that both models must show.
+/// A camera of the other model is used only if at least this share of its picture shows ground that the trusted model's
+/// own cameras see.
 const SHARED_MIN: f64 = 0.15;
-/// Limit on the cameras through which two models are compared.
+/// Limit on the number of cameras through which two models are compared.
 const VIEWS: usize = 8;
-/// Long side of the pictures that measure the common ground, px.
+/// Long side of the pictures that measure how much ground two models share, px.
 const SCOUT_PX: u32 = 48;
-/// Long side of the largest pictures compared, px.
+/// Long side of the largest pictures that are compared, px.
 const SIZE_PX: u32 = 320;
-/// Per round: long side of the pictures, reach of the search, and tolerance of agreement, px. At first, a frame may be
-/// off by almost half a picture.
+/// Three numbers for each round, px: the long side of the pictures, the reach of the search, and the tolerance of
+/// agreement. In the first round, the models may be almost half a picture apart.
 const ROUNDS: [(u32, usize, f64); 5] =
     [(80, 40, 3.0), (160, 20, 3.0), (SIZE_PX, 12, 3.0), (SIZE_PX, 6, 2.0), (SIZE_PX, 4, 1.5)];
-/// The same for the rounds that compare with all trusted models.
+/// The rounds that compare with all trusted models: the long side of the pictures, the reach of the search, and the
+/// tolerance of agreement, px.
 const LAST_ROUNDS: [(u32, usize, f64); 2] = [(SIZE_PX, 4, 1.5), (SIZE_PX, 4, 1.5)];
 
-/// The similarity that moves the model `other` to where it fits the model `trusted`; `None` if it fits nowhere.
+/// The similarity that moves the model `other` to where it fits the model `trusted`; `None` if the model fits nowhere.
 pub(super) fn refine(
     locals: &dyn Locals,
     other: usize,
@@ -61,8 +67,8 @@ pub(super) fn refine(
     Ok(fits(&seen, &from_other).then_some(from_other))
 }
 
-/// Improves `from_other`, which moves the model `other` to where it fits one trusted model, by fitting it to all of
-/// `trusted`: a single trusted model leaves a small error.
+/// Improves the similarity `from_other`, which was found with one trusted model, by fitting the model `other` to all of
+/// `trusted`. With a single trusted model, a small error is left.
 pub(super) fn refine_against_all(
     locals: &dyn Locals,
     other: usize,
@@ -86,7 +92,7 @@ pub(super) fn refine_against_all(
     Ok(from_other)
 }
 
-/// A loaded model and its renderer.
+/// The cameras of a loaded model, and its renderer.
 struct Held {
     cameras: Vec<Camera>,
     renderer: Renderer,
@@ -99,7 +105,8 @@ impl Held {
     }
 }
 
-/// Searches patches of `trusted` in views of `other`, whose cameras `from_other` moves into the frame of `trusted`.
+/// Searches patches of `trusted` in views of `other`. `from_other` moves the cameras of `other` into the frame of
+/// `trusted`, so that both models are rendered from the same place.
 fn look(
     other: &mut Held,
     trusted: &mut Held,
@@ -126,7 +133,7 @@ fn look(
     seen
 }
 
-/// Whether enough patches were found and enough matches fit.
+/// Whether enough patches were searched and found, and enough matches fit.
 fn fits(seen: &Matches, from_other: &Similarity) -> bool {
     let found = seen.found.len() as f64;
     let near = seen.found.iter().filter(|pair| distance_px(pair, from_other) <= FIT_PX).count() as f64;

@@ -1,4 +1,5 @@
-//! Similarity transforms (rotation, scale, translation) of points, cameras, and splats with their spherical harmonics.
+//! Applies similarity transforms (rotation, scale, translation) to points, cameras and splats, and finds them from
+//! pairs of points.
 
 use cosurf_link::Model;
 use cosurf_scene::splats::SH_C0;
@@ -6,19 +7,19 @@ use cosurf_scene::{Camera, Pose, Splats};
 use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
-/// `p ↦ scale · rotation p + translation`.
+/// A similarity transform: the point `p` moves to `scale · rotation p + translation`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Similarity {
-    /// Positive.
+    /// Scale factor, positive.
     pub scale: f64,
-    /// Unit quaternion.
+    /// Rotation, a unit quaternion.
     pub rotation: DQuat,
-    /// World units.
+    /// Translation, world units.
     pub translation: DVec3,
 }
 
 impl Similarity {
-    /// Leaves everything where it is.
+    /// The similarity that moves nothing.
     pub const IDENTITY: Self = Self { scale: 1.0, rotation: DQuat::IDENTITY, translation: DVec3::ZERO };
 
     /// Moves a point.
@@ -26,7 +27,8 @@ impl Similarity {
         self.scale * (self.rotation * p) + self.translation
     }
 
-    /// Moves a camera along with a model: it gives the same picture of the moved model, with depths scaled.
+    /// Moves a camera along with a model. The moved camera gives the same picture of the moved model, with depths
+    /// multiplied by the scale.
     pub fn camera(&self, camera: &Camera) -> Camera {
         let Pose { rotation, translation } = camera.cam_from_world;
         let rotation = (rotation * self.rotation.inverse()).normalize();
@@ -59,8 +61,9 @@ impl Similarity {
         moved
     }
 
-    /// The similarity that moves `from` closest to `to` (Horn, "Closed-form solution of absolute orientation using unit
-    /// quaternions"); `None` for fewer than 3 pairs, or if all of `from` are one point.
+    /// The similarity that moves the points `from` closest to the points `to` (Horn, "Closed-form solution of absolute
+    /// orientation using unit quaternions"). `None` for fewer than 3 pairs, for different numbers of points, or if all
+    /// points of one side are the same.
     pub fn between(from: &[DVec3], to: &[DVec3]) -> Option<Self> {
         if from.len() < 3 || from.len() != to.len() {
             return None;
@@ -90,9 +93,9 @@ impl Similarity {
     }
 }
 
-/// The eigenvector of the largest eigenvalue of a symmetric matrix, by Jacobi rotations.
+/// The eigenvector for the largest eigenvalue of a symmetric matrix, by Jacobi rotations.
 fn strongest_axis(mut a: [[f64; 4]; 4]) -> [f64; 4] {
-    /// Far more than convergence takes.
+    /// Number of sweeps over the matrix; far more than convergence takes.
     const SWEEPS: usize = 24;
     let mut v = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
     for _ in 0..SWEEPS {
@@ -120,11 +123,12 @@ fn strongest_axis(mut a: [[f64; 4]; 4]) -> [f64; 4] {
     v.map(|row| row[strongest])
 }
 
-/// Rotates the spherical harmonics of one degree. The rotated function must have, in each rotated direction, the value
-/// that the original has in the direction itself; as many directions as coefficients determine the matrix.
+/// Rotates the spherical harmonics of one degree. In each rotated direction, the rotated function must have the value
+/// of the original function in the direction before rotation. As many directions as there are coefficients determine
+/// the matrix.
 struct Turn {
     degree: usize,
-    /// `[2 degree + 1]²`, by rows.
+    /// Rows of a square matrix with `2 degree + 1` rows.
     matrix: Vec<Vec<f64>>,
 }
 
@@ -136,7 +140,7 @@ impl Turn {
         Self { degree, matrix: solve(rows(rotation), rows(DQuat::IDENTITY)) }
     }
 
-    /// Rotates this degree's part of a splat's coefficients `[(degree + 1)², rgb]`.
+    /// Rotates the coefficients of this degree in `sh`, the coefficients of one splat `[(highest degree + 1)², rgb]`.
     fn apply(&self, sh: &mut [f32]) {
         let first = 3 * self.degree * self.degree;
         let before: Vec<f32> = sh[first..first + 3 * self.matrix.len()].to_vec();
@@ -150,7 +154,8 @@ impl Turn {
     }
 }
 
-/// Directions on the upper half of the sphere, far from each other and from each other's opposites.
+/// Direction `i` of `count` on the upper half of the sphere. These directions are far from each other and from the
+/// opposites of each other.
 fn direction(i: usize, count: usize) -> DVec3 {
     let golden = std::f64::consts::PI * (3.0 - 5f64.sqrt());
     let z = (i as f64 + 0.5) / count as f64;
@@ -159,11 +164,11 @@ fn direction(i: usize, count: usize) -> DVec3 {
     DVec3::new(r * cos, r * sin, z)
 }
 
-/// The basis functions of a degree, 1 to 3, in the order and with the signs of 3DGS.
+/// The basis functions of a degree (1, 2 or 3) in direction `d`, in the order and with the signs of 3DGS.
 fn band(degree: usize, d: DVec3) -> Vec<f64> {
     let DVec3 { x, y, z } = d;
     let (xx, yy, zz) = (x * x, y * y, z * z);
-    // Each factor is C0 times the root of a rational number.
+    // Each factor is `SH_C0` times the square root of a rational number.
     let c = |square: f64| square.sqrt() * f64::from(SH_C0);
     match degree {
         1 => vec![-c(3.0) * y, c(3.0) * z, -c(3.0) * x],
@@ -186,7 +191,7 @@ fn band(degree: usize, d: DVec3) -> Vec<f64> {
     }
 }
 
-/// `a⁻¹ b`, by elimination; `a` must not be singular.
+/// Computes `a⁻¹ b` by Gauss-Jordan elimination; `a` must not be singular.
 pub(super) fn solve(mut a: Vec<Vec<f64>>, mut b: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
     let n = a.len();
     for column in 0..n {
@@ -215,13 +220,13 @@ pub(crate) mod tests {
     use super::*;
     use crate::testing::{above, ground};
 
-    /// The wrong frame of the tests: rotated by 5°, scaled by 1.1, moved by 2 m.
+    /// The frame of a wrong model in the tests: rotated by 5°, scaled by 1.1, moved by 2 m.
     pub(crate) fn wrong() -> Similarity {
         let rotation = DQuat::from_axis_angle(DVec3::new(0.6, 0.0, 0.8), 5f64.to_radians());
         Similarity { scale: 1.1, rotation, translation: DVec3::new(1.2, -1.6, 0.0) }
     }
 
-    /// Ground with view-dependent colours, harmonics up to degree 3.
+    /// Ground with view-dependent colours: spherical harmonics up to degree 3.
     fn shimmering() -> Splats {
         let plain = ground(-4.0, 4.0);
         let mut splats = Splats::with_capacity(plain.len(), 3);

@@ -1,4 +1,4 @@
-//! Flights over one painted ground; one of them is wrong.
+//! Models from flights over the same painted ground. In most tests, one of the models is wrong.
 #![allow(clippy::unwrap_used)]
 
 use std::f64::consts::FRAC_PI_2;
@@ -57,7 +57,7 @@ fn models_that_agree_are_admitted() {
     assert_eq!(far, [None, None], "they share no ground and are not too far apart");
 }
 
-/// The frame has the right name but the wrong coordinates.
+/// A model names the right frame, but its coordinates are in another one.
 #[test]
 fn fault_09_wrong_frame_scale_datum_or_origin() {
     let wrongs: [(&str, f64, f64, DVec3); 6] = [
@@ -71,7 +71,8 @@ fn fault_09_wrong_frame_scale_datum_or_origin() {
     for (what, scale, turn, by) in wrongs {
         for wrong in 0..4 {
             let mut models = flights();
-            // Scaled and rotated about the ground below it: otherwise it would overlap no other flight.
+            // The model is scaled and rotated about the ground below its flight. Otherwise it would overlap no other
+            // flight.
             let middle = DVec3::X * (4.0 * wrong as f64 + 4.0);
             let about = middle - DQuat::from_rotation_z(turn) * (scale * middle);
             models[wrong] = elsewhere(models[wrong].clone(), scale, turn, by + about);
@@ -82,7 +83,7 @@ fn fault_09_wrong_frame_scale_datum_or_origin() {
     }
 }
 
-/// The same model stays in either order.
+/// The verdict does not depend on the order of the two models.
 #[test]
 fn of_two_contradicting_models_one_stays() {
     let (right, mut wrong) = (flight(0.0), elsewhere(flight(4.0), 1.0, 0.0, DVec3::Z));
@@ -94,7 +95,8 @@ fn of_two_contradicting_models_one_stays() {
 #[test]
 fn fault_07_poisoned_models() {
     let clean = flights();
-    // Repainted ground, a wall in front of the cameras, and splats where no camera of the model looks.
+    // Three forged models: repainted ground, a wall in front of the cameras, and splats where no camera of the model
+    // looks.
     let mut repainted = clean[1].clone();
     for (i, value) in repainted.splats.sh.iter_mut().enumerate() {
         *value = ((i * 7919 % 1000) as f32 / 500.0 - 1.0) * 1.5;
@@ -118,7 +120,8 @@ fn fault_07_poisoned_models() {
     }
 }
 
-/// The missions of the environment variable `MISSIONS`: folder, and models of four agents.
+/// The missions in the environment variable `MISSIONS`, separated by colons: the folder of each, and the models of its
+/// four agents.
 fn trained() -> Vec<(String, Vec<Model>)> {
     let load = |folder: PathBuf| {
         let cameras = fs::read(folder.join("cameras.json")).unwrap();
@@ -134,8 +137,8 @@ fn trained() -> Vec<(String, Vec<Model>)> {
 }
 
 /// Run by `results placement`, see `shared/docs/RESULTS.md`. Measures how exactly a model is moved back after it was
-/// rotated by 5°, scaled by 1.1 and moved by 2 m. Models of real pictures differ anyway, so `wanted` is where the others
-/// would move the unchanged model.
+/// rotated by 5°, scaled by 1.1 and moved by 2 m. Models of real pictures do not fit each other exactly.
+/// `wanted` is therefore where the unchanged model fits the others best.
 #[test]
 #[ignore = "needs trained models"]
 fn trained_models_are_moved_back() {
@@ -180,8 +183,8 @@ fn trained_models_are_moved_back() {
     measurement.finish().unwrap();
 }
 
-/// `MISSIONS=DIR:DIR cargo test --release -p cosurf-aggregator --lib -- --ignored trained_models --nocapture`: judges
-/// the models of real missions, as they are and with one of them moved.
+/// Judges the models of real missions, unchanged and with one of them moved. To run: `MISSIONS=DIR:DIR cargo test
+/// --release -p cosurf-aggregator --lib -- --ignored trained_models --nocapture`
 #[test]
 #[ignore = "needs trained models"]
 fn trained_models_are_judged_rightly() {

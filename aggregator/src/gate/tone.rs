@@ -1,10 +1,11 @@
-//! Matches the models' colours by one affine transform per model: every drone's camera chooses its own exposure and
-//! white balance, which would leave a seam where two models meet.
+//! Matches the models' colours by one affine transform of the colours for each model. Every drone's camera chooses its
+//! own exposure and white balance, which would otherwise leave a seam where two models meet.
 //!
-//! Models are compared where their surfaces agree ([`Glimpse`]): per pair, the mean and spread of the colours that both
-//! show. Gains, then offsets, are chosen so that all pairs agree best, weighted by their pixels, and so that the models
-//! stay unchanged on average. Models pruned before upload are not compared, as that makes the result worse. If no pair
-//! differs by more than models of one camera do after training, no model is changed.
+//! Two models are compared where their surfaces agree ([`Glimpse`]), by the mean and the spread (standard deviation) of
+//! the colours that both show there. Gains, and then offsets, are chosen so that all pairs of models agree best. Each
+//! pair is weighted by its number of pixels, and on average the models stay unchanged. Models pruned before upload are
+//! not compared, as that makes the result worse. No model is changed if no pair differs by more than two models of the
+//! same camera do.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -18,26 +19,30 @@ use super::glimpse::Glimpse;
 use super::similarity::solve;
 use crate::merge::{Locals, MergeError};
 
-/// Colours are changed only if some pair differs by this much: in the mean colours, or in |ln| of the ratio of their
-/// spreads. Models of one camera differ by less, even if it varied its exposure.
+/// Colours are changed only if a pair of models differs by at least this much in a mean colour, or by [`SPREADS_MIN`].
+/// Models of the same camera differ by less, even if the camera varied its exposure.
 const MEANS_MIN: f64 = 0.03;
+/// Colours are changed only if a pair of models differs by at least this much in |ln| of the ratio of their spreads, or
+/// by [`MEANS_MIN`].
 const SPREADS_MIN: f64 = 0.2;
-/// Least spread of colours from which a gain can be derived.
+/// Least spread (standard deviation) of colours from which a gain can be derived.
 const SPREAD_MIN: f64 = 0.03;
-/// Weight of a model's own colours: negligible beside one shared picture, but enough to fix a model that shares none.
+/// Weight with which a model keeps its own colours, as a share of all compared pixels. It is negligible beside one
+/// shared picture, but fixes the colours of a model that shares none.
 const OWN_WEIGHT: f64 = 1e-6;
 
-/// `c ↦ gain c + offset`, by channel.
+/// A change of colours: each channel `c` becomes `gain · c + offset`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Tone {
-    /// Red, green, blue; positive.
+    /// Factors for red, green, blue; positive.
     pub gain: [f64; 3],
-    /// Red, green, blue.
+    /// What is added to red, green, blue, for colours in 0..=1.
     pub offset: [f64; 3],
 }
 
 impl Tone {
-    /// Changes the colours of splats. A colour is 0.5 plus the sum of its harmonics; the first of them is constant.
+    /// Changes the colours of splats. A colour is 0.5 plus the sum of its spherical harmonics. Only the first harmonic
+    /// is constant, so it takes the offset.
     pub(super) fn apply(&self, splats: &mut Splats) {
         let stride = splats.sh_stride();
         for sh in splats.sh.chunks_exact_mut(stride) {
@@ -57,12 +62,13 @@ impl fmt::Display for Tone {
     }
 }
 
-/// Sums over the colours that two models show of the same points.
+/// Sums over the colours that two models show of the same surface points.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Shared {
     count: f64,
-    /// `[model, channel]`.
+    /// Sums of colours, `[model, channel]`.
     sums: [[f64; 3]; 2],
+    /// Sums of squared colours, `[model, channel]`.
     squares: [[f64; 3]; 2],
 }
 
@@ -85,13 +91,13 @@ impl Shared {
         (self.squares[model][channel] / self.count - self.mean(model, channel).powi(2)).max(0.0).sqrt()
     }
 
-    /// ln of the ratio of spreads, second model to first; 0 if colours vary too little.
+    /// Natural logarithm of the ratio of the spreads, second model to first; 0 if the colours vary too little.
     fn log_ratio(&self, channel: usize) -> f64 {
         let spreads = [0, 1].map(|model| self.spread(model, channel));
         if spreads.iter().all(|spread| *spread >= SPREAD_MIN) { (spreads[1] / spreads[0]).ln() } else { 0.0 }
     }
 
-    /// Whether the colours differ no more than those of two models of one camera.
+    /// Whether the colours of the two models differ no more than those of two models of the same camera.
     fn agrees(&self) -> bool {
         (0..3).all(|channel| {
             (self.mean(0, channel) - self.mean(1, channel)).abs() < MEANS_MIN
@@ -100,7 +106,7 @@ impl Shared {
     }
 }
 
-/// The change of colours for each of `locals`, in their order; `None` if none is needed.
+/// The change of colours for each of `locals`, in their order; `None` if no change is needed.
 pub(super) fn tones(
     locals: &dyn Locals,
     threads: usize,
@@ -111,7 +117,7 @@ pub(super) fn tones(
     Ok((!agree_already).then(|| agree(&pairs, locals.count())))
 }
 
-/// Shared colours per pair of models, lower index first.
+/// The shared colours of each pair of models, lower index first.
 type Pairs = BTreeMap<[usize; 2], Shared>;
 
 fn compare(locals: &dyn Locals, threads: usize, is_given_up: &dyn Fn() -> bool) -> Result<Pairs, MergeError> {
@@ -130,7 +136,7 @@ fn compare(locals: &dyn Locals, threads: usize, is_given_up: &dyn Fn() -> bool) 
         }
         let model = locals.load(i)?;
         let mut renderer = None;
-        // Ground that a pruned model still shares with another is ground that neither shows well.
+        // Pruned models are skipped: they share with other models only ground that neither model shows well.
         let is_told = |other: usize| other != i && !locals.is_compressed(i) && !locals.is_compressed(other);
         for (other, glimpses) in shown.iter().enumerate().filter(|(other, _)| is_told(*other)) {
             for glimpse in glimpses {
@@ -147,7 +153,7 @@ fn compare(locals: &dyn Locals, threads: usize, is_given_up: &dyn Fn() -> bool) 
     Ok(pairs)
 }
 
-/// The tones with which all pairs agree best.
+/// The [`Tone`] of each model with which all pairs agree best.
 fn agree(pairs: &Pairs, count: usize) -> Vec<Tone> {
     let mut tones = vec![Tone { gain: [1.0; 3], offset: [0.0; 3] }; count];
     for channel in 0..3 {
@@ -155,7 +161,8 @@ fn agree(pairs: &Pairs, count: usize) -> Vec<Tone> {
         for (tone, gain) in tones.iter_mut().zip(balance(pairs, count, ratio)) {
             tone.gain[channel] = gain.exp();
         }
-        // Two models are equally bright if their offsets differ by what the gains leave between their means.
+        // Two models are equally bright if the difference of their offsets makes up for the difference that the gains
+        // leave between their means.
         let gains: Vec<f64> = tones.iter().map(|tone| tone.gain[channel]).collect();
         let left = |[a, b]: [usize; 2], shared: &Shared| {
             gains[b] * shared.mean(1, channel) - gains[a] * shared.mean(0, channel)
@@ -167,8 +174,8 @@ fn agree(pairs: &Pairs, count: usize) -> Vec<Tone> {
     tones
 }
 
-/// Least squares, weighted by pixels: one number per model, so that `x_a − x_b` comes closest to `difference` of each
-/// pair `[a, b]`. The numbers sum to 0.
+/// Finds one number `x` for each model by least squares, weighted by pixels: for each pair `[a, b]`, `x_a − x_b` comes
+/// as close as possible to `difference`. The numbers sum to 0.
 fn balance(pairs: &Pairs, count: usize, difference: impl Fn([usize; 2], &Shared) -> f64) -> Vec<f64> {
     let all: f64 = pairs.values().map(|shared| shared.count).sum();
     let mut matrix = vec![vec![0.0; count]; count];
@@ -198,7 +205,7 @@ mod tests {
         tones(locals, 1, &|| false).unwrap()
     }
 
-    /// Changes a model as another exposure of the camera would.
+    /// Changes the colours of a model as another exposure of its camera would.
     fn exposed(locals: &mut InMemory, model: usize, gain: [f64; 3], offset: [f64; 3]) {
         Tone { gain, offset }.apply(&mut locals.0[model].splats);
     }
@@ -221,7 +228,8 @@ mod tests {
             for other in [0, 2, 3] {
                 let found = tones[1].gain[channel] / tones[other].gain[channel];
                 assert!((found * gain - 1.0).abs() < 0.02, "channel {channel}: {tones:?}");
-                // The others' mid grey, as this model shows it; afterwards both must show it alike.
+                // Mid grey of the other model, as model 1 shows it. After the change of colours, both must show it
+                // alike.
                 let its = tones[1].gain[channel] * (gain * 0.5 + offset) + tones[1].offset[channel];
                 let theirs = tones[other].gain[channel] * 0.5 + tones[other].offset[channel];
                 assert!((its - theirs).abs() < 0.01, "channel {channel}: {its} and {theirs}");

@@ -1,15 +1,17 @@
-//! Decides which messages pass between a serial line and the broker. It has no port, socket or clock.
+//! Decides which messages pass between a serial line and the broker. It uses no port, socket or clock.
 //!
-//! A radio is thousands of times slower than the network, but the aggregator broadcasts at the network's
-//! speed. So a chunk of a global model passes only if this device has reported it missing, and only once.
-//! At most as many chunks wait here as a sender keeps in flight.
+//! A radio is thousands of times slower than the network, but the aggregator broadcasts at the speed of
+//! the network. So a chunk of a global model passes only if the device has reported it missing. It
+//! passes again only if the device reports it missing once more, after a while without any chunk. At
+//! most as many chunks wait for the line as a sender keeps unacknowledged.
 
 use std::collections::{BTreeSet, VecDeque};
 
 use cosurf_link::{Identity, Outgoing, Role};
 use cosurf_wire::{ChunkStatus, DeviceId, Message, ModelId, Reply, SiteId, State, Topic, Want};
 
-/// Limit on chunks that wait for the line: 2 MiB at 64 KiB each, a sender's window.
+/// Limit on chunks that wait for the line: 2 MiB at 64 KiB each, as many as a sender keeps
+/// unacknowledged.
 const CHUNKS_MAX: usize = 32;
 /// Limit on other messages that wait for the line.
 const OTHERS_MAX: usize = 64;
@@ -19,7 +21,7 @@ const OTHERS_MAX: usize = 64;
 pub(super) enum Passage {
     /// The device begins a session: start its client at the broker.
     Born(Identity),
-    /// Send this to the broker.
+    /// Send this message to the broker.
     Pass(Outgoing),
     /// Discard the message, for this reason.
     Refuse(String),
@@ -33,7 +35,8 @@ pub(super) struct Relay {
     birth: Option<Outgoing>,
     /// The global model that the device wants, and the chunks that it lacks.
     want: Option<Want>,
-    /// Chunks of that model that were passed already.
+    /// Indices of chunks of the wanted model that were queued for the device and must not be queued
+    /// again.
     passed: BTreeSet<u32>,
     others: VecDeque<Outgoing>,
     chunks: VecDeque<(ModelId, u32, Outgoing)>,
@@ -57,7 +60,7 @@ impl Relay {
         self.birth.clone()
     }
 
-    /// Handles a message of the device, which may publish only under its own name.
+    /// Handles a message from the device. The device may publish only under its own name.
     pub(super) fn hear_device(&mut self, topic: &str, payload: Vec<u8>) -> Passage {
         let refuse = |reason: &str| Passage::Refuse(format!("{topic}: {reason}"));
         let (site, parsed) = match Topic::parse(topic) {
@@ -90,12 +93,12 @@ impl Relay {
         }
     }
 
-    /// Handles a message of the broker; discards what the device does not want.
+    /// Handles a message from the broker; discards what the device does not want.
     pub(super) fn hear_broker(&mut self, topic: &str, payload: Vec<u8>) {
         let Ok((site, parsed)) = Topic::parse(topic) else { return };
         let message = Outgoing { topic: parsed.to_text(&site), payload, retain: false };
         match parsed {
-            // The device's own message.
+            // The device has published this flight itself.
             Topic::Flight { device } if self.device == Some(device) => {}
             Topic::GlobalChunk { model, index, .. } => {
                 let is_wanted = self.want.as_ref().is_some_and(|want| {
@@ -124,7 +127,8 @@ impl Relay {
         }
     }
 
-    /// Notes the chunks that the device lacks. If the device is idle, lost chunks may pass again.
+    /// Notes the chunks that the device lacks. If no chunk has arrived for a while (`want.idle`),
+    /// chunks that were sent before may pass again.
     fn note(&mut self, want: Want) {
         let is_other = self.want.as_ref().is_none_or(|before| before.model != want.model);
         if is_other {

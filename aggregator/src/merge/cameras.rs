@@ -1,9 +1,9 @@
-//! Where the cameras of a model stand.
+//! Centre and radius of a flight, from the positions of a model's cameras.
 
 use cosurf_scene::Camera;
 use glam::DVec3;
 
-/// Mean position of the cameras; the origin if there are none.
+/// Mean position of the cameras, world units; the origin if there are no cameras.
 pub(crate) fn middle(cameras: &[Camera]) -> DVec3 {
     cameras.iter().map(|camera| camera.cam_from_world.center()).sum::<DVec3>() / cameras.len().max(1) as f64
 }

@@ -1,4 +1,4 @@
-//! The device that computes a merge.
+//! The device that computes a merge: the CPU or a graphics card.
 
 use cosurf_engine::budget::DRIVER_BYTES;
 use cosurf_engine::{Device, DeviceChoice, DeviceError};
@@ -8,7 +8,7 @@ use super::error::MergeError;
 use super::memory::student_room;
 use super::settings::MergeSettings;
 
-/// A device, and the number of CPU threads, at least 1.
+/// A computing device, and the number of CPU threads, at least 1.
 #[derive(Clone, Debug)]
 pub(super) struct Computer {
     pub(super) device: Device,
@@ -16,7 +16,7 @@ pub(super) struct Computer {
 }
 
 impl Computer {
-    /// Runs `work`. If a graphics card fails that was chosen automatically, runs it again on the CPU.
+    /// Runs `work`. If a graphics card that was chosen automatically fails, runs `work` again on the CPU.
     pub(super) fn run<T>(
         self,
         choice: DeviceChoice,
@@ -31,8 +31,8 @@ impl Computer {
     }
 }
 
-/// Opens the chosen device. With [`DeviceChoice::Auto`], a graphics card is taken only if its memory lets all models
-/// learn at once.
+/// Opens the chosen device. With [`DeviceChoice::Auto`], a graphics card is used only if all models can be trained at
+/// once, within the memory limit of the merge and with buffers that the card can bind.
 pub(super) fn choose(
     settings: &MergeSettings,
     splats: usize,
@@ -48,7 +48,8 @@ pub(super) fn choose(
     let has_room = |device: &Device, memory_bytes: u64| {
         splats <= student_room(device, &MergeSettings { memory_bytes, ..*settings }, sh_degree, cameras)
     };
-    // Looking for a card loads drivers, which keep their memory even if no card is found.
+    // Looking for a card loads drivers, which keep their memory even if no card is found. So the CPU must have enough
+    // room without that memory.
     if !has_room(&Device::Cpu, settings.memory_bytes.saturating_sub(DRIVER_BYTES)) {
         return Ok(Device::Cpu);
     }

@@ -4,7 +4,7 @@ use cosurf_link::Model;
 use cosurf_scene::Splats;
 
 /// Joins all splats and all cameras, in the order of the models. The result has the highest degree of
-/// spherical harmonics among them; missing coefficients are 0.
+/// spherical harmonics of all models; coefficients that a model lacks are 0.
 pub(crate) fn concatenate(models: &[Model]) -> Model {
     let degree = models.iter().map(|model| model.splats.sh_degree).max().unwrap_or(0);
     let count = models.iter().map(|model| model.splats.len()).sum();

@@ -1,7 +1,8 @@
-//! Distillation: the joined model learns, camera by camera, what the local models show.
+//! Distillation: trains the joined model, one camera per step, on what the local models render.
 //!
-//! If the whole model does not fit into the memory, it is distilled in parts, one after the other. A part is the splats
-//! of some local models. Splats of other parts that its cameras see are rendered with it, but keep their values.
+//! If the whole model does not fit into the memory, it is distilled in parts, one after the other. A part consists of
+//! the splats of some local models. Splats of other parts that the part's cameras see are rendered with the part, but
+//! their changes are discarded.
 
 use std::ops::{ControlFlow, Range};
 
@@ -27,11 +28,11 @@ use super::teachers::{Taught, Teachers, ViewKey};
 /// Progress of a merge.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct MergeProgress {
-    /// Steps of distillation done.
+    /// Number of distillation steps done.
     pub step: u32,
-    /// Steps in all.
+    /// Number of distillation steps in all.
     pub steps: u32,
-    /// PSNR against the teacher's rendering at the last step, dB.
+    /// PSNR of the last step, dB: the merged model's rendering against the local model's.
     pub psnr: f64,
 }
 
@@ -41,7 +42,8 @@ pub(super) struct Distilled {
     pub(super) steps: u32,
 }
 
-/// Distils `joined`, which has `sizes[i]` splats of each local model `i`, in order.
+/// Distils `joined`, which consists of `sizes[0]` splats of the first local model, then `sizes[1]` of the second, and
+/// so on.
 pub(super) fn distill(
     surveyed: &Surveyed,
     sizes: &[usize],
@@ -111,7 +113,7 @@ pub(super) fn distill(
     Ok(Distilled { splats: joined.without(&useless), steps: done })
 }
 
-/// One step; returns the PSNR against the teacher, dB.
+/// Trains one step. Returns the PSNR of the student's rendering against the teacher's, dB.
 fn learn(distiller: &mut Distiller<AnyBackend>, taught: &Taught) -> f64 {
     let Taught { camera, shown, trust } = taught;
     let Rendering { rgb, depth, normal, .. } = &**shown;
@@ -119,8 +121,9 @@ fn learn(distiller: &mut Distiller<AnyBackend>, taught: &Taught) -> f64 {
     distiller.step(&lesson).0.color.psnr()
 }
 
-/// Consecutive locals that learn together: as many as fit, at least one. Unless all fit, a part takes at most two
-/// thirds of the room, to leave some for the splats around it.
+/// Divides the local models into parts that are trained at once: consecutive models, as many as fit into `room` splats,
+/// but at least one. If not all models fit, a part takes only two thirds of the room; the rest is for the splats around
+/// it.
 fn parts(sizes: &[usize], room: usize) -> Vec<Range<usize>> {
     let room = if sizes.iter().sum::<usize>() <= room { room } else { room / 3 * 2 };
     let (mut parts, mut start, mut taken) = (Vec::new(), 0, 0);
@@ -135,13 +138,13 @@ fn parts(sizes: &[usize], room: usize) -> Vec<Range<usize>> {
     parts
 }
 
-/// All views that some locals teach.
+/// All views that the given local models teach.
 fn views_of(locals: Range<usize>, lessons: &[Vec<usize>]) -> Vec<ViewKey> {
     locals.flat_map(|local| lessons[local].iter().map(move |&camera| ViewKey { local, camera })).collect()
 }
 
-/// The order of views in an epoch, drawn at random. If not all teachers fit on the shelf, they teach in groups of
-/// `shelf`, one group after the other, and the order is random within a group.
+/// Draws a random order of the views for an epoch. At most `shelf` teachers can be loaded at once. If there are more,
+/// they teach in groups of `shelf`, one group after the other, and the order is random only within a group.
 fn order(views: &[ViewKey], shelf: usize, seed: u64, epoch: u32) -> Vec<ViewKey> {
     let drawn = view_order(seed, u64::from(epoch), views.len()).into_iter().map(|place| views[place]);
     let mut order: Vec<ViewKey> = drawn.collect();
@@ -150,8 +153,8 @@ fn order(views: &[ViewKey], shelf: usize, seed: u64, epoch: u32) -> Vec<ViewKey>
     order
 }
 
-/// The splats of `own`, followed by other splats that `cameras` see, `room` in all at most; and the number of the other
-/// splats.
+/// Returns the splats to train: those of `own`, then other splats that `cameras` see, up to `room` splats in all. Also
+/// returns the number of the other splats.
 fn with_surroundings(joined: &Splats, own: Range<usize>, cameras: &[Camera], room: usize) -> (Splats, usize) {
     let mut student = Splats::with_capacity(own.len(), joined.sh_degree);
     own.clone().for_each(|i| student.push_from(joined, i));
@@ -166,7 +169,7 @@ fn with_surroundings(joined: &Splats, own: Range<usize>, cameras: &[Camera], roo
     (student, around.len())
 }
 
-/// Writes the first splats of `learnt` back to their places in `joined`.
+/// Writes the first splats of `learnt` back to the places `own` of `joined`.
 fn put_back(joined: &mut Splats, learnt: &Splats, own: Range<usize>) {
     let (count, stride) = (own.len(), joined.sh_stride());
     joined.means[own.clone()].copy_from_slice(&learnt.means[..count]);
@@ -176,9 +179,9 @@ fn put_back(joined: &mut Splats, learnt: &Splats, own: Range<usize>) {
     joined.sh[own.start * stride..own.end * stride].copy_from_slice(&learnt.sh[..count * stride]);
 }
 
-/// Median depth of the first views of all teachers.
+/// Median depth over the first view of each local model that has cameras, world units.
 fn median_depth(teachers: &mut Teachers, cameras: &[Vec<Camera>]) -> Result<f64, MergeError> {
-    /// Pixels from one sample to the next.
+    /// Only every `STEP`-th pixel is sampled.
     const STEP: usize = 17;
     let mut depths: Vec<f32> = Vec::new();
     for local in (0..cameras.len()).filter(|local| !cameras[*local].is_empty()) {

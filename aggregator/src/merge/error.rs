@@ -14,7 +14,7 @@ pub enum MergeError {
     /// A model could not be read from its folder.
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// The body of a model is invalid.
+    /// The body of a model (its encoded form) is invalid.
     #[error(transparent)]
     Body(#[from] BodyFault),
     /// The device is not available, or failed during the merge.
@@ -23,7 +23,7 @@ pub enum MergeError {
     /// The caller stopped the merge.
     #[error("the merge was stopped")]
     GivenUp,
-    /// The merge stopped on a defect of this program.
+    /// The merge panicked because of a defect of this program.
     #[error("the merge stopped on an internal error, printed above; please report it. The models are kept")]
     Panicked,
 }

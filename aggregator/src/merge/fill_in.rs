@@ -1,8 +1,9 @@
-//! Uses models that have arrived only in part when models are merged: coarse ground is better than none.
+//! Adds models that have arrived only in part to a merged model: coarse ground is better than none.
 //!
-//! The part of a model that has arrived holds its most important splats ([`cosurf_link::part_to_model`]). They are
-//! added to the merged model where no whole model has ground, so errors of a part cannot spoil ground of whole models.
-//! A part is no teacher, because it would teach blur. Once the upload completes, the model is merged as a whole.
+//! The part of a model that has arrived holds the most important splats, because these are sent first
+//! ([`cosurf_link::part_to_model`]). These splats are added only where no complete model shows the ground, so that a
+//! coarse part cannot spoil better ground. A part is not used as a teacher in distillation, because it would teach
+//! blur. Once its upload is complete, the model is merged like any other.
 
 use cosurf_link::Model;
 use cosurf_scene::{Frustum, Splats};
@@ -10,10 +11,11 @@ use glam::DVec3;
 
 use super::concat::concatenate;
 
-/// Ground that fewer cameras of the merged model see is filled in: a model may not show what a single camera saw.
+/// A splat of a part is added if fewer cameras of the merged model than this see it. Ground that only a single camera
+/// saw may be missing from that camera's model.
 const OWNER_CAMERAS_MIN: usize = 2;
 
-/// Adds the splats of `part` to `model` where hardly any of the model's cameras looks.
+/// Adds to `model` the splats of `part` that fewer than two cameras of `model` see, and all cameras of `part`.
 pub fn fill_in(model: Model, part: &Model) -> Model {
     let Model { splats, cameras } = part;
     let frusta: Vec<Frustum> = model.cameras.iter().map(Frustum::new).collect();

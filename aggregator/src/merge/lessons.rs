@@ -1,10 +1,12 @@
-//! Assigns every camera to one teacher, so that every picture is taught once.
+//! Assigns every camera to one teacher (the local model that renders it for the distillation), so that no camera is
+//! trained on twice in an epoch.
 //!
-//! Cells with a margin share cameras. A shared camera goes to the model with the nearest flight centre, which saw the
-//! camera's ground most often. The result is as good as with both teachers, in fewer steps.
+//! If the cells of the agents have a margin, neighbouring agents share cameras. A shared camera goes to the model with
+//! the nearest flight centre, because that flight usually saw the camera's ground most often. The result is as good as
+//! with both teachers and takes fewer steps.
 //!
-//! A model pruned before upload is not used as a teacher: it renders black where it removed splats, and the joined
-//! model shows the rest already. Filling these gaps from the joined model does not help.
+//! A model pruned before upload is not used as a teacher: it renders black where splats were removed. The ground that
+//! it does show is in the joined model already. Filling the gaps in its renderings from the joined model does not help.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -13,8 +15,9 @@ use glam::DVec3;
 
 use super::cameras::middle;
 
-/// Per local model, ascending indices of the cameras that it teaches; none where `teaches` is false. A camera that
-/// several teachers have goes to the one with the nearest flight centre, among equals to the first.
+/// For each local model, the indices of the cameras that it teaches, ascending; none if `teaches` is false for it. A
+/// camera that several teachers share goes to the teacher with the nearest flight centre; of equally near ones, to the
+/// first.
 pub(super) fn lessons(cameras: &[Vec<Camera>], teaches: impl Fn(usize) -> bool) -> Vec<Vec<usize>> {
     let middles: Vec<DVec3> = cameras.iter().map(|its| middle(its)).collect();
     let mut nearest: BTreeMap<[u64; 13], (f64, usize, usize)> = BTreeMap::new();
@@ -33,13 +36,13 @@ pub(super) fn lessons(cameras: &[Vec<Camera>], teaches: impl Fn(usize) -> bool) 
     lessons
 }
 
-/// The cameras without duplicates.
+/// The cameras of all models, without duplicates.
 pub(super) fn distinct(cameras: &[Vec<Camera>]) -> Vec<Camera> {
     let mut known = BTreeSet::new();
     cameras.iter().flatten().filter(|camera| known.insert(bits(camera))).copied().collect()
 }
 
-/// The bits of all values of a camera: equal cameras have equal bits.
+/// The bits of all values of a camera. They serve as a key, because floating-point values have no total order.
 fn bits(camera: &Camera) -> [u64; 13] {
     let Camera { cam_from_world: pose, focal_px, center_px, size_px: [width, height] } = camera;
     let [qx, qy, qz, qw] = pose.rotation.to_array().map(f64::to_bits);

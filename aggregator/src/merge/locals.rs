@@ -1,4 +1,4 @@
-//! The local models that are merged, wherever they are kept.
+//! The local models to merge, wherever they are stored.
 
 use cosurf_link::Model;
 use cosurf_scene::Camera;
@@ -10,7 +10,7 @@ pub trait Locals {
     /// Number of models.
     fn count(&self) -> usize;
 
-    /// Loads a model.
+    /// Loads the model at `index`.
     fn load(&self, index: usize) -> Result<Model, MergeError>;
 
     /// True if a model was pruned before upload: it renders black where it removed splats, so it cannot teach.
@@ -20,18 +20,18 @@ pub trait Locals {
     }
 }
 
-/// Local models, with what a first pass over them has gathered.
+/// The local models, with the cameras and sizes that a first pass over the models has gathered.
 pub(super) struct Surveyed<'a> {
     pub(super) locals: &'a dyn Locals,
     /// Cameras of each model.
     pub(super) cameras: Vec<Vec<Camera>>,
     /// Number of splats of each model.
     pub(super) sizes: Vec<usize>,
-    /// The highest degree of spherical harmonics of all models.
+    /// Highest degree of spherical harmonics of any model.
     pub(super) sh_degree: u32,
 }
 
-/// Reads each of some models once.
+/// Loads every model once and gathers its cameras and size.
 pub(super) fn survey(locals: &dyn Locals) -> Result<Surveyed<'_>, MergeError> {
     let mut surveyed = Surveyed { locals, cameras: Vec::new(), sizes: Vec::new(), sh_degree: 0 };
     for i in 0..locals.count() {

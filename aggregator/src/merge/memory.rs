@@ -1,4 +1,4 @@
-//! Divides the memory limit of a merge between the model that learns and its teachers.
+//! Divides the memory limit of a merge between the student (the model that is trained) and its teachers.
 
 use cosurf_engine::backend::Channels;
 use cosurf_engine::budget::{Costs, DRIVER_BYTES, PAIRS_PER_SEEN_SPLAT, PAIRS_PER_SPLAT};
@@ -7,16 +7,17 @@ use cosurf_scene::{Camera, Splats};
 
 use super::settings::MergeSettings;
 
-/// Share of the memory for the model that learns, the student; the teachers get the rest.
+/// Share of the memory for the student; the teachers get the rest.
 const STUDENT_SHARE: f64 = 0.6;
 
-/// Bytes of the memory limit without those that a graphics driver takes.
+/// Bytes of the memory limit that are left beside the driver of a graphics card.
 fn bytes_beside_driver(device: &Device, settings: &MergeSettings) -> f64 {
     let driver = if device.is_gpu() { DRIVER_BYTES } else { 0 };
     settings.memory_bytes.saturating_sub(driver) as f64
 }
 
-/// Limit on splats that learn at once: they must fit into the memory, and on a graphics card into one binding.
+/// Largest number of splats that can be trained at once. All their buffers must fit into the memory, and each buffer
+/// into one binding of a graphics card.
 pub(super) fn student_room(
     device: &Device,
     settings: &MergeSettings,
@@ -31,12 +32,12 @@ pub(super) fn student_room(
     ((bytes.max(0.0) / each as f64) as usize).min(costs.splats_max(PAIRS_PER_SEEN_SPLAT))
 }
 
-/// Bytes for all teachers together.
+/// Limit on the bytes of all teachers and their cached renderings together.
 pub(super) fn teachers_bytes(device: &Device, settings: &MergeSettings) -> u64 {
     ((1.0 - STUDENT_SHARE) * bytes_beside_driver(device, settings)) as u64
 }
 
-/// Bytes of a teacher with `splats` splats.
+/// Bytes that a teacher with `splats` splats takes, with the buffers for its largest picture.
 pub(super) fn renderer_bytes(device: &Device, splats: usize, sh_degree: u32, cameras: &[Vec<Camera>]) -> u64 {
     let pixels = cameras.iter().flatten().map(|c| c.size_px[0] as usize * c.size_px[1] as usize).max();
     let costs = Costs::of(&Capacity::to_render(sh_degree), device.binding_bytes_max());

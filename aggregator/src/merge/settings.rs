@@ -6,18 +6,21 @@ use serde::{Deserialize, Serialize};
 /// How models are merged.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MergeSettings {
-    /// Epochs of distillation, each over every camera (CoSurfGS: 5); 0 leaves the joined model as it is.
+    /// Epochs of distillation; each trains once on every camera (CoSurfGS: 5 epochs). 0 leaves the joined model as it
+    /// is.
     pub epochs: u32,
-    /// Whether overlaps are first reduced to the splats of one model (Local Model Compression).
+    /// Whether only one model keeps its splats where models overlap (Local Model Compression).
     pub compress: bool,
-    /// Whether models in another frame are moved to where they fit instead of being kept out; see [`crate::gate`].
+    /// Whether a model that lies in another coordinate frame is moved to where it fits, instead of being kept out; see
+    /// [`crate::gate`].
     pub refine: bool,
-    /// Limit on the bytes of the models and their training together. If it is too small for all at once, teachers wait
-    /// on the disk and parts of the model are distilled one after the other, which changes the result.
+    /// Limit on the bytes of all models and the distillation together. If it is too small for all models at once,
+    /// teachers are reloaded from the disk, and parts of the model are distilled one after the other. Distilling in
+    /// parts changes the result.
     pub memory_bytes: u64,
     /// Seed of every random choice.
     pub seed: u64,
-    /// What computes; another device gives other bytes.
+    /// The device that computes the merge. Another device gives a result with other bytes.
     #[serde(default)]
     pub device: DeviceChoice,
 }

@@ -1,6 +1,7 @@
-//! Frozen local models as teachers: each renders its own cameras, and tells which pixels can be trusted. Only
-//! as many teachers as fit into the memory are loaded at once; the others wait on the disk. The rest of the
-//! memory caches their renderings, for neighbouring cameras and for the next epochs.
+//! The teachers of a distillation: local models whose splats do not change. Each teacher renders the views of
+//! its own cameras and finds the pixels that can be trusted. Only as many teachers as fit into the memory are
+//! loaded at once; the others stay on the disk. The rest of the memory caches renderings, for later epochs
+//! and for comparison with neighbouring views.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::rc::Rc;
@@ -15,9 +16,10 @@ use super::computer::Computer;
 use super::error::MergeError;
 use super::locals::{Locals, Surveyed};
 
-/// Largest distance between a pixel and its reprojection through another camera, if it is to be trusted.
+/// A pixel is trusted only if its reprojection through another camera returns to the pixel within this
+/// distance, px.
 const RETURN_PX: f64 = 1.0;
-/// Limit on the points of a teacher from which the median depth of its views is estimated.
+/// Limit on the splats of a teacher from which the median depth of its views is estimated.
 const PROBES: usize = 2000;
 
 /// One camera of one local model.
@@ -41,7 +43,7 @@ pub(crate) struct Teachers<'a> {
     /// The cameras of each local model.
     cameras: &'a [Vec<Camera>],
     computer: &'a Computer,
-    /// Limit on the teachers that are loaded at once.
+    /// Largest number of teachers that are loaded at once.
     shelf_max: usize,
     /// The loaded teachers with their indices, the most recently used at the back.
     shelf: VecDeque<(usize, Teacher)>,
@@ -56,8 +58,8 @@ struct Teacher {
 }
 
 impl<'a> Teachers<'a> {
-    /// The surveyed models as teachers. Each takes up to `teacher_bytes`; `memory_bytes` limits how many are
-    /// loaded at once, but one always is.
+    /// Makes the surveyed models teachers. Each takes up to `teacher_bytes`. As many are loaded at once as
+    /// fit into `memory_bytes`, but at least one.
     pub(super) fn new(
         surveyed: &'a Surveyed,
         computer: &'a Computer,
@@ -77,12 +79,12 @@ impl<'a> Teachers<'a> {
         }
     }
 
-    /// Limit on the teachers that are loaded at once.
+    /// Largest number of teachers that are loaded at once.
     pub(super) fn shelf_max(&self) -> usize {
         self.shelf_max
     }
 
-    /// The teacher's rendering of a view, with its trusted pixels.
+    /// Renders a view with its teacher, and finds the trusted pixels.
     pub(crate) fn teach(&mut self, view: ViewKey) -> Result<Taught, MergeError> {
         let shown = self.show(view)?;
         if !self.trusts.contains_key(&view) {
@@ -106,7 +108,8 @@ impl<'a> Teachers<'a> {
         Ok(self.cache.keep(view, shown))
     }
 
-    /// The opaque pixels of a view whose surface the teacher's neighbouring camera confirms or cannot see.
+    /// The trusted pixels of a view: opaque pixels whose surface a neighbouring camera of the same teacher
+    /// either confirms or cannot see. Without a neighbouring camera, all opaque pixels.
     fn trust(&mut self, view: ViewKey, here: &Rendering) -> Result<Bits, MergeError> {
         let neighbour = self.fetch(view.local)?.neighbours.nearest(view.camera);
         let other = neighbour.map(|camera| ViewKey { camera, ..view });
@@ -126,7 +129,8 @@ impl<'a> Teachers<'a> {
         Ok(Bits::of(here.alpha.len(), believed))
     }
 
-    /// Moves a teacher to the back of the shelf, or loads it; a full shelf drops the least recently used.
+    /// Returns a teacher, and loads it first if necessary. The teacher moves to the back of the shelf. If the
+    /// shelf is full, the teacher at the front is dropped, the least recently used one.
     fn fetch(&mut self, local: usize) -> Result<&mut Teacher, MergeError> {
         if let Some(place) = self.shelf.iter().position(|(held, _)| *held == local) {
             let held = self.shelf.remove(place).expect("it has just been found");
@@ -145,7 +149,8 @@ impl<'a> Teachers<'a> {
     }
 }
 
-/// A mask of one bit per pixel: the masks stay in memory while teachers are loaded and dropped.
+/// A mask of one bit per pixel. It is compact because the masks of all views stay in memory, even while their
+/// teachers are not loaded.
 struct Bits(Vec<u64>);
 
 impl Bits {
@@ -157,13 +162,14 @@ impl Bits {
         Self((0..len.div_ceil(64)).map(word).collect())
     }
 
-    /// 1 for every set bit, 0 for the others, to the end of the last word.
+    /// 1 for every set bit and 0 for every other bit, including the unused bits at the end of the last word.
     fn weights(&self) -> impl Iterator<Item = f32> {
         self.0.iter().flat_map(|word| (0..64).map(move |bit| (word >> bit & 1) as f32))
     }
 }
 
-/// Positions of some splats, evenly chosen, as points without a list of the views that see them.
+/// Positions of at most [`PROBES`] splats, evenly chosen, as sparse points. The points do not list the views
+/// that see them.
 fn probes(splats: &Splats) -> Vec<SparsePoint> {
     let step = splats.len().div_ceil(PROBES).max(1);
     let point = |mean: &[f32; 3]| SparsePoint {
@@ -174,7 +180,9 @@ fn probes(splats: &Splats) -> Vec<SparsePoint> {
     splats.means.iter().step_by(step).map(point).collect()
 }
 
-/// Whether a pixel's surface, reprojected through `other`, returns to the pixel or lies outside its picture.
+/// Whether `other` confirms the surface at a pixel or cannot see it. To confirm it, the surface point is
+/// projected into `other`, moved to the depth that `other` shows, and projected back. It must then lie within
+/// [`RETURN_PX`] of the pixel.
 fn returns(camera: &Camera, p_px: DVec2, depth: f64, other: &Camera, seen: &Rendering) -> bool {
     if depth <= 0.0 {
         return false;

@@ -1,4 +1,5 @@
-//! Two small models of one painted ground, each with a cloud that its own cameras do not see.
+//! Merges two small models of one coloured ground. Some models have black splats above the ground (`clouds`), which
+//! their own cameras do not see.
 #![allow(clippy::unwrap_used)]
 
 mod device;
@@ -10,7 +11,8 @@ use cosurf_scene::{Camera, Splats};
 use super::*;
 use crate::testing::{InMemory, above, ground};
 
-/// A model of the ground between `west` and `east`, with cameras at `places` and black clouds outside their view.
+/// A model of the ground from x = `west` to `east`, with cameras above `places`. Black splats float at the x of
+/// `clouds`, outside the view of these cameras.
 fn local(west: f32, east: f32, places: &[f64], clouds: &[f32]) -> Model {
     let mut splats = ground(west, east);
     for x in clouds {
@@ -19,7 +21,7 @@ fn local(west: f32, east: f32, places: &[f64], clouds: &[f32]) -> Model {
     Model { splats, cameras: places.iter().map(|x| above(*x)).collect() }
 }
 
-/// Two flights that meet at 0; each model has a cloud over the other's ground.
+/// Two models of neighbouring flights that meet at x = 0. Each has a black splat above the ground of the other.
 pub(crate) fn neighbours() -> InMemory {
     let west = local(-20.0, 4.0, &[-14.0, -12.0, -10.0, -8.0, -6.0, -4.0], &[5.0]);
     let east = local(-4.0, 20.0, &[14.0, 12.0, 10.0, 8.0, 6.0, 4.0], &[-5.0]);
@@ -30,12 +32,12 @@ fn run(locals: &InMemory, settings: &MergeSettings, threads: usize) -> Merged {
     merge(locals, settings, threads, &mut |_| ControlFlow::Continue(())).unwrap()
 }
 
-/// PSNR of a model against the true ground at fixed positions, dB.
+/// Mean PSNR of a model's renderings against those of the true ground, from fixed positions, dB.
 fn quality(splats: &Splats) -> f64 {
     agreement(splats, &ground(-30.0, 30.0))
 }
 
-/// Mean PSNR between two models at fixed positions, dB.
+/// Mean PSNR between the renderings of two models, from fixed positions, dB.
 fn agreement(splats: &Splats, others: &Splats) -> f64 {
     let (mut truth, mut shown) = (Renderer::new(others, 1), Renderer::new(splats, 1));
     let places = [-9.0, -5.0, -3.0, 3.0, 5.0, 9.0];
@@ -92,7 +94,7 @@ fn a_merge_stops_when_told_to() {
     assert!(matches!(given_up, Err(MergeError::GivenUp)) && steps == 3);
 }
 
-/// Two flights that share much of their ground.
+/// Models of two flights that share much of their ground.
 fn overlapping() -> Vec<Model> {
     let west = local(-20.0, 10.0, &[-12.0, -9.0, -6.0, -3.0, 0.0, 3.0], &[]);
     let east = local(-10.0, 20.0, &[12.0, 9.0, 6.0, 3.0, 0.0, -3.0], &[]);
@@ -120,7 +122,7 @@ fn shared_ground_has_one_owner_and_stays_covered() {
     }
 }
 
-/// Locals that were pruned before upload; the flag says whether the merge knows.
+/// Local models that were pruned before upload. The flag says whether the merge is told that they were pruned.
 struct Pruned(InMemory, bool);
 
 impl Locals for Pruned {

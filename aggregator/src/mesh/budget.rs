@@ -6,26 +6,28 @@ use super::extract::LAYOUT_BYTES;
 use super::frame::Texel;
 use super::volume::STORED_BLOCK_BYTES;
 
-/// Bytes that a block takes: in the volume, and while triangles are made of it.
+/// Bytes that a block takes in the volume and in the extraction of triangles.
 pub(super) const BLOCK_BYTES: u64 = STORED_BLOCK_BYTES + LAYOUT_BYTES as u64;
-/// Bytes reserved for the mesh per block. A block on the surface has about 80 vertices of 75 bytes, with
-/// their triangles, and every second or third block is on the surface. If a rough surface has more, the
-/// fusion starts over with larger voxels.
+/// Bytes reserved for the mesh per block. A block on the surface has about 80 vertices and twice as many
+/// triangles, and every second or third block is on the surface. If the mesh of a rough surface takes more,
+/// the fusion starts over with larger voxels.
 const MESH_BYTES_PER_BLOCK: u64 = 2_500;
-/// Bytes per block while blocks are searched: a set of keys that grows by doubling.
+/// Bytes per block while blocks are searched for: the hash set of their keys, which doubles its capacity when
+/// it is full.
 const SEARCH_BYTES_PER_BLOCK: u64 = 40;
-/// Bytes per pixel beside its texel: keys of eight blocks for every fourth pixel, twice while they are
-/// gathered.
+/// Bytes per pixel, beside its [`Texel`], while blocks are searched for. With voxels as large as pixels, the
+/// search renders at half the width and height, so it has a quarter of the pixels. Each pixel gives the keys
+/// of up to eight blocks, which are held twice while they are gathered.
 const SEARCH_BYTES_PER_PIXEL: u64 = 32;
-/// Least number of blocks: with fewer, voxels would be larger than houses.
+/// Least number of blocks. With fewer blocks, voxels would be larger than houses, and the mesh useless.
 const BLOCKS_LEAST: u64 = 64;
 
-/// What fits into the memory.
+/// Limits that follow from the memory limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct VolumeBudget {
-    /// Limit on blocks.
+    /// Limit on the number of blocks.
     pub(super) blocks_max: usize,
-    /// Bytes for blocks and mesh together.
+    /// Bytes for the blocks and the mesh together.
     pub(super) volume_bytes: u64,
 }
 
@@ -39,13 +41,13 @@ impl VolumeBudget {
     }
 }
 
-/// Bytes of the view being fused, at most.
+/// Largest number of bytes that the view being fused takes.
 pub(super) fn frame_bytes(cameras: &[Camera]) -> u64 {
     let pixels = |camera: &Camera| u64::from(camera.size_px[0]) * u64::from(camera.size_px[1]);
     cameras.iter().map(pixels).max().unwrap_or(0) * (size_of::<Texel>() as u64 + SEARCH_BYTES_PER_PIXEL)
 }
 
-/// The least memory with which [`super::fuse()`] keeps its limit, bytes.
+/// The smallest memory limit that [`super::fuse()`] can keep, bytes.
 pub(super) fn least_bytes(cameras: &[Camera]) -> u64 {
     let per_block = BLOCK_BYTES + MESH_BYTES_PER_BLOCK + SEARCH_BYTES_PER_BLOCK;
     frame_bytes(cameras) + BLOCKS_LEAST * per_block

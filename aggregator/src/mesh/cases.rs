@@ -1,28 +1,32 @@
-//! Marching cubes without a table of triangles: walking around the faces of a cell gives the edges that
-//! the surface crosses, in order, from the signs at the corners.
+//! The triangles of marching cubes, computed instead of read from a table. The signs at the corners of a cell
+//! tell which of its edges the surface crosses. A walk around the faces of the cell gives these edges in
+//! order.
 //!
-//! On a face whose corners alternate in sign, the surface always cuts off the inner corners. So both
-//! cells at a face agree and there are no cracks (Nielson and Hamann 1991): every edge of the mesh has
-//! two triangles, except where the data end.
+//! A face whose corners alternate in sign is ambiguous. On such a face, the surface always separates the two
+//! inner corners (those inside the surface) from each other. So both cells at the face agree, and there are
+//! no cracks (Nielson and Hamann 1991): every edge of the mesh has two triangles, except where the data end.
 
 use std::sync::OnceLock;
 
-/// Corner `c` of a cell lies at `(c & 1, c >> 1 & 1, c >> 2)`. Edge `4 axis + k` starts at the corner
-/// listed here and goes up along the axis.
+/// The corner at which each edge of a cell starts. Edge `4 * axis + k` starts at corner
+/// `EDGE_STARTS[4 * axis + k]` and runs upwards along `axis`: 0 for x, 1 for y, 2 for z. Corner `c` lies at
+/// `(c & 1, c >> 1 & 1, c >> 2)`.
 pub(super) const EDGE_STARTS: [usize; 12] = [0, 2, 4, 6, 0, 1, 4, 5, 0, 1, 2, 3];
 
 /// Corners of each face, counter-clockwise as seen from outside the cell.
 const FACES: [[usize; 4]; 6] =
     [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]];
 
-/// The triangles of a cell; every vertex lies on an edge of the cell.
+/// The triangles of a cell. Every vertex of a triangle lies on an edge of the cell.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Case {
-    /// Numbers of edges, counter-clockwise as seen from outside the surface.
+    /// For each triangle, the numbers of the edges of its vertices, counter-clockwise as seen from outside
+    /// the surface.
     pub(super) triangles: Vec<[u8; 3]>,
 }
 
-/// All cases; bit `c` of the index is set if corner `c` is inside.
+/// The triangles for every combination of signs. Bit `c` of the index is set if corner `c` is inside the
+/// surface.
 pub(super) fn cases() -> &'static [Case; 256] {
     static CASES: OnceLock<[Case; 256]> = OnceLock::new();
     CASES.get_or_init(|| std::array::from_fn(|inside| Case { triangles: triangles_of(inside) }))
@@ -45,8 +49,9 @@ fn triangles_of(inside: usize) -> Vec<[u8; 3]> {
     triangles
 }
 
-/// For each edge that the surface crosses, the next one on the way around the surface. Each such edge
-/// belongs to two faces: the surface enters one of them there, and leaves the other.
+/// Maps each edge that the surface crosses to the next such edge on a walk around the surface; `None` for all
+/// other edges. A crossed edge belongs to two faces, and the surface enters one of them at this edge. The
+/// next edge is where the surface leaves that face.
 fn next_edges(inside: usize) -> [Option<usize>; 12] {
     let is_inside = |corner: usize| inside >> corner & 1 == 1;
     let mut next = [None; 12];
@@ -56,7 +61,8 @@ fn next_edges(inside: usize) -> [Option<usize>; 12] {
             if is_inside(a) || !is_inside(b) {
                 continue;
             }
-            // A run of inner corners starts at b; the surface leaves the face after the last of them.
+            // A run of inner corners starts at `b`. The surface leaves the face after the last corner of the
+            // run.
             let run = (1..4).take_while(|step| is_inside(face[(k + step) % 4])).count();
             let (last, beyond) = (face[(k + run) % 4], face[(k + run + 1) % 4]);
             next[edge_between(a, b)] = Some(edge_between(last, beyond));
@@ -89,7 +95,8 @@ mod tests {
 
     #[test]
     fn the_triangle_that_cuts_off_a_single_inner_corner_faces_outwards() {
-        // Edges 0, 4, 8 leave corner 0 along x, y, z; counter-clockwise as seen from (1, 1, 1).
+        // Edges 0, 4 and 8 start at corner 0 and run along x, y and z. This order is counter-clockwise as
+        // seen from corner 7.
         let triangle = cases()[1].triangles[0];
         let start = triangle.iter().position(|&edge| edge == 0).map(|i| triangle[(i + 1) % 3]);
         assert_eq!((cases()[1].triangles.len(), start), (1, Some(4)));

@@ -3,9 +3,9 @@
 use cosurf_scene::Mesh;
 use glam::Vec3;
 
-/// Connected pieces of fewer triangles are specks. A ball with one truncation distance as its radius, the
-/// smallest body that fusion resolves, has about as many. All larger pieces stay, as an aerial scene may
-/// have several.
+/// A connected piece with fewer triangles than this is a speck. The smallest body that the fusion resolves is
+/// a ball with a radius of one truncation distance, which has about as many triangles. All larger pieces
+/// stay, because an aerial scene may have several.
 const TRIANGLES_MIN: u32 = 400;
 
 /// Removes small pieces and vertices without triangles; the rest keeps its order.
@@ -19,7 +19,8 @@ pub(super) fn remove_specks(mesh: &mut Mesh) {
     for &[a, ..] in &mesh.triangles {
         triangles_of[root(&mut parents, a) as usize] += 1;
     }
-    // Moves the kept vertices to the front; `renumber` then turns the parents into new indices.
+    // Moves the kept vertices to the front. After that, `renumber` turns `parents` into the new indices of
+    // the vertices.
     let mut kept = 0;
     for vertex in 0..parents.len() {
         let piece = root(&mut parents, vertex as u32);
@@ -35,7 +36,8 @@ pub(super) fn remove_specks(mesh: &mut Mesh) {
     mesh.rgb.truncate(kept);
 }
 
-/// Removes the triangles of specks, and gives the others the new indices of their vertices.
+/// Removes the triangles of specks, and gives the other triangles the new indices of their vertices.
+/// Overwrites `parents` with the new indices.
 fn renumber(mesh: &mut Mesh, parents: &mut [u32], triangles_of: &[u32]) {
     mesh.triangles.retain(|&[a, ..]| triangles_of[root(parents, a) as usize] >= TRIANGLES_MIN);
     let stays: Vec<bool> = (0..parents.len() as u32)
@@ -51,6 +53,7 @@ fn renumber(mesh: &mut Mesh, parents: &mut [u32], triangles_of: &[u32]) {
     }
 }
 
+/// The root of a vertex's piece in the union–find forest `parents`. Shortens the path to it.
 fn root(parents: &mut [u32], mut vertex: u32) -> u32 {
     while parents[vertex as usize] != vertex {
         let grandparent = parents[parents[vertex as usize] as usize];
@@ -60,13 +63,14 @@ fn root(parents: &mut [u32], mut vertex: u32) -> u32 {
     vertex
 }
 
-/// Joins two pieces. The smaller index becomes the root, so the result does not depend on their sizes.
+/// Joins the pieces of two vertices. The smaller root becomes the root of both, so the root of a piece does
+/// not depend on the order of joins.
 fn join(parents: &mut [u32], a: u32, b: u32) {
     let (a, b) = (root(parents, a), root(parents, b));
     parents[a.max(b) as usize] = a.min(b);
 }
 
-/// Unit normals of the vertices: means of their triangles' normals, weighted by area.
+/// Unit normals of the vertices: at each vertex the mean of its triangles' normals, weighted by their areas.
 pub(super) fn normals(mesh: &Mesh) -> Vec<[f32; 3]> {
     let mut normals = vec![[0.0; 3]; mesh.positions.len()];
     for (i, triangle) in mesh.triangles.iter().enumerate() {

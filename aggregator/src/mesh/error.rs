@@ -20,11 +20,11 @@ pub enum MeshError {
     /// The memory is too small to render the model.
     #[error("rendering {splats} splats needs {} of memory, but the limit is {}; allow more memory (--memory)", cosurf_scene::bytes::format_bytes(*needed_bytes), cosurf_scene::bytes::format_bytes(*memory_bytes))]
     TooLittleMemory {
-        /// Splats of the model.
+        /// Number of splats of the model.
         splats: usize,
-        /// The least memory that would suffice.
+        /// The smallest sufficient memory limit, bytes.
         needed_bytes: u64,
-        /// The limit.
+        /// The memory limit, bytes.
         memory_bytes: u64,
     },
 }

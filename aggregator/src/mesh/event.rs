@@ -7,16 +7,16 @@ pub enum FuseEvent {
     Progress {
         /// The stage.
         stage: Stage,
-        /// Views done.
+        /// Number of views done.
         done: usize,
-        /// Views in all.
+        /// Number of views in all.
         of: usize,
     },
-    /// The memory is too small for these voxels; the fusion starts over with larger ones.
+    /// The memory is too small for voxels of the current size. The fusion starts over with larger voxels.
     Coarser {
-        /// Edge of a voxel as wanted, world units.
+        /// Wanted edge length of a voxel, world units.
         wanted_m: f64,
-        /// Edge of a voxel in the next attempt, world units.
+        /// Edge length of a voxel in the next attempt, world units.
         voxel_m: f64,
     },
 }

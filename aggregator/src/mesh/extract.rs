@@ -1,5 +1,6 @@
-//! Marching cubes over the blocks, in two passes. The first counts vertices and triangles, so that the mesh
-//! is allocated at its final size. The second writes each block into its own range of the mesh.
+//! Marching cubes over the blocks, in two passes. The first pass counts vertices and triangles, so that the
+//! mesh is allocated at its final size. The second pass writes the triangles of each block into the block's
+//! own range of the mesh.
 
 use cosurf_scene::Mesh;
 use glam::{DVec3, IVec3};
@@ -8,21 +9,23 @@ use rayon::prelude::*;
 use super::cases::{EDGE_STARTS, cases};
 use super::volume::{SIDE, VOXELS, Volume, Voxel};
 
-/// Samples along the edge of a block, including the first layer of the next block.
+/// Number of samples along the edge of a block, including the first sample of the next block.
 const WIDE: usize = SIDE + 1;
-/// Bytes that extraction takes per block: its layout, and its slices of the mesh.
+/// Bytes that extraction takes per block: the layout of the block, and its slices of the mesh.
 pub(super) const LAYOUT_BYTES: usize = size_of::<BlockLayout>() + 4 * 24;
 /// Bytes of a vertex: position, normal, colour, and work space for removing specks.
 const VERTEX_BYTES: u64 = 12 + 12 + 3 + 9;
 const TRIANGLE_BYTES: u64 = 12;
 
-/// What a block adds to the mesh.
+/// What a block adds to the mesh. A vertex lies on an edge of the voxel grid that the surface crosses.
 #[derive(Clone, Copy, Debug, Default)]
 struct BlockLayout {
-    /// One bit for each edge that the surface crosses, `[axis, z]` of bits `[y, x]`.
+    /// The crossed edges, as bits. Bit `8 * y + x` of word `[axis, z]` stands for the edge that starts at
+    /// voxel `[x, y, z]` of the block and runs along `axis`.
     edges: [[u64; SIDE]; 3],
-    /// Index of its first vertex and triangle.
+    /// Index of the block's first vertex in the mesh.
     first_vertex: u32,
+    /// Index of the block's first triangle in the mesh.
     first_triangle: u32,
 }
 
@@ -31,7 +34,7 @@ impl BlockLayout {
         self.edges.as_flattened().iter().map(|bits| bits.count_ones()).sum()
     }
 
-    /// Index of the vertex on the edge that starts at a voxel and runs along `axis`.
+    /// Index, in the mesh, of the vertex on the edge that starts at a voxel and runs along `axis`.
     fn vertex(&self, [x, y, z]: [usize; 3], axis: usize) -> u32 {
         let word = axis * SIDE + z;
         let before: u32 = self.edges.as_flattened()[..word].iter().map(|bits| bits.count_ones()).sum();
@@ -49,7 +52,7 @@ pub(super) struct Layout {
 }
 
 impl Layout {
-    /// Counts vertices and triangles.
+    /// Counts the vertices and triangles of all blocks.
     pub(super) fn new(volume: &Volume) -> Self {
         let mut blocks = vec![BlockLayout::default(); volume.len()];
         let triangles: Vec<u32> = blocks
@@ -65,7 +68,8 @@ impl Layout {
             .collect();
         let mut sums = (0u64, 0u64);
         for (block, triangles) in blocks.iter_mut().zip(&triangles) {
-            // These may overflow: a mesh that large is refused by `fits_indices` before they are used.
+            // These casts may overflow, but `fits_indices` refuses such a large mesh before the indices are
+            // used.
             (block.first_vertex, block.first_triangle) = (sums.0 as u32, sums.1 as u32);
             sums = (sums.0 + u64::from(block.vertices()), sums.1 + u64::from(*triangles));
         }
@@ -79,13 +83,13 @@ impl Layout {
             + self.triangles * TRIANGLE_BYTES
     }
 
-    /// Whether 32-bit indices suffice.
+    /// Whether 32-bit indices suffice for all vertices and triangles.
     pub(super) fn fits_indices(&self) -> bool {
         self.vertices.max(self.triangles) < u64::from(u32::MAX)
     }
 }
 
-/// The mesh, without normals; some vertices may have no triangle.
+/// Makes the mesh, without normals. Some vertices may belong to no triangle.
 pub(super) fn extract(volume: &Volume, layout: &Layout) -> Mesh {
     let vertices = layout.vertices as usize;
     let mut mesh = Mesh {
@@ -110,7 +114,7 @@ pub(super) fn extract(volume: &Volume, layout: &Layout) -> Mesh {
     mesh
 }
 
-/// Splits a slice at the starts of its parts; the first start must be 0.
+/// Splits a slice into parts that start at `firsts`. The first start must be 0.
 fn split<T>(mut slice: &mut [T], firsts: impl Iterator<Item = usize>) -> Vec<&mut [T]> {
     let mut parts = Vec::new();
     let mut begin = 0;
@@ -154,7 +158,8 @@ fn write_vertices(
     }
 }
 
-/// Mixes two voxels' colours, weighted by nearness and by colour weight.
+/// The colour at a point between two voxels; `t` is 0 at `a` and 1 at `b`. A voxel counts more if it is
+/// nearer or its colour has a larger weight.
 fn mix_colors(a: &Voxel, b: &Voxel, t: f32) -> [u8; 3] {
     let ((a, a_weight), (b, b_weight)) = (a.color(), b.color());
     let (a_share, b_share) = ((1.0 - t) * a_weight, t * b_weight);
@@ -172,7 +177,8 @@ fn write_triangles(samples: &Samples, layout: &Layout, out: &mut [[u32; 3]]) {
                     let start = EDGE_STARTS[usize::from(edge)];
                     let voxel = corner_of(cell, start);
                     let owner = samples.blocks[owner_of(voxel)].map(|index| &layout.blocks[index]);
-                    // Every corner of a cell is known, so its block exists.
+                    // `for_each_cell` visits only cells whose corners are all measured, so the block of every
+                    // corner exists.
                     owner.map_or(0, |block| block.vertex(voxel.map(|v| v % SIDE), axis))
                 });
             }
@@ -184,16 +190,19 @@ fn corner_of([x, y, z]: [usize; 3], corner: usize) -> [usize; 3] {
     [x + (corner & 1), y + (corner >> 1 & 1), z + (corner >> 2)]
 }
 
-/// Which of a block and its seven upper neighbours a voxel belongs to, numbered like corners.
+/// The block to which a voxel at `[x, y, z]`, 0..=8, belongs: 0 for the block itself, else one of its seven
+/// upper neighbours (towards +x, +y or +z). The blocks are numbered like the corners of a cell.
 fn owner_of([x, y, z]: [usize; 3]) -> usize {
     x / SIDE + 2 * (y / SIDE) + 4 * (z / SIDE)
 }
 
-/// A block's voxels with the layers of its upper neighbours that its cells need.
+/// The voxels that the cells of a block need: those of the block itself, and the first layers of its upper
+/// neighbours (towards +x, +y and +z).
 struct Samples<'a> {
     volume: &'a Volume,
     block: IVec3,
-    /// The block itself and its neighbours, numbered like corners.
+    /// Indices of the block itself and of its upper neighbours, numbered like corners; `None` for a missing
+    /// block.
     blocks: [Option<usize>; 8],
 }
 
@@ -206,7 +215,7 @@ impl<'a> Samples<'a> {
         Self { volume, block, blocks: std::array::from_fn(neighbour) }
     }
 
-    /// The voxel at 0..=8 along each axis; a voxel without weight if its block does not exist.
+    /// The voxel at `place`, 0..=8 along each axis. If its block does not exist, a voxel with weight 0.
     fn at(&self, place: [usize; 3]) -> &Voxel {
         const UNKNOWN: Voxel = Voxel::UNKNOWN;
         let [x, y, z] = place.map(|v| v % SIDE);
@@ -216,7 +225,7 @@ impl<'a> Samples<'a> {
         }
     }
 
-    /// Signed distances `[z, y, x]` of 9³ samples, NaN where unknown.
+    /// Signed distances of the 9³ samples, `[z, y, x]`; NaN where no view has measured.
     fn distances(&self) -> [f32; WIDE * WIDE * WIDE] {
         std::array::from_fn(|i| {
             let voxel = self.at([i % WIDE, i / WIDE % WIDE, i / (WIDE * WIDE)]);
@@ -241,8 +250,8 @@ impl<'a> Samples<'a> {
         edges
     }
 
-    /// Calls `visit` with every cell of the block whose corners are all known and differ in sign, and with
-    /// its case.
+    /// Calls `visit` with every cell of the block whose corners are all measured and differ in sign, and with
+    /// the index of the cell's case in [`cases()`].
     fn for_each_cell(&self, mut visit: impl FnMut([usize; 3], usize)) {
         let distances = self.distances();
         for i in 0..VOXELS {

@@ -1,46 +1,47 @@
-//! A rendered view prepared for fusion: which pixels are trusted, with what weight, and how depth
-//! converts to distance from the surface.
+//! A rendered view, prepared for fusion: for each pixel, whether it is trusted, with what weight, and how a difference
+//! in depth converts to a distance from the surface.
 
 use cosurf_engine::Rendering;
 use cosurf_scene::Camera;
 use glam::{DVec3, Mat3, Vec2, Vec3};
 use rayon::prelude::*;
 
-/// Pixels of less alpha show no surface.
+/// Pixels with a smaller alpha show no surface.
 const ALPHA_MIN: f32 = 0.5;
-/// Depth is trusted if the cosine of the angle of incidence is at least this: 80°, as in PGSR.
+/// Least cosine of the angle between viewing ray and surface normal at which depth is trusted: 80°, as in PGSR.
 const COSINE_MIN: f32 = 0.173_648;
 
-/// A pixel.
+/// A pixel of a view.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Texel {
-    /// Along the optical axis, world units.
+    /// Depth along the optical axis, world units.
     pub(super) depth_m: f32,
-    /// Distance from the surface's plane per unit of depth: dot product of the ray (z = 1) and the unit normal.
+    /// Distance from the surface's tangent plane per unit of depth: the dot product of the viewing ray (with z = 1) and
+    /// the unit normal.
     pub(super) facing: f32,
-    /// Cosine of the angle of incidence; 0 if the pixel is not trusted.
+    /// Weight in the fusion: the cosine of the angle between viewing ray and normal; 0 if the pixel is not trusted.
     pub(super) weight: f32,
-    /// 8-bit sRGB, and padding.
+    /// 8-bit sRGB; the fourth byte is padding.
     pub(super) rgb: [u8; 4],
 }
 
-/// A view.
+/// A rendered view.
 #[derive(Clone, Debug)]
 pub(super) struct Frame {
-    /// The camera's centre, world frame.
+    /// Centre of the camera, world frame.
     pub(super) center: DVec3,
     /// Rotation, camera from world.
     pub(super) rotation: Mat3,
     pub(super) focal_px: Vec2,
     pub(super) center_px: Vec2,
     pub(super) size_px: [usize; 2],
-    /// Row by row.
+    /// The pixels, row by row.
     pub(super) texels: Vec<Texel>,
 }
 
 impl Frame {
-    /// Decides which pixels are trusted. A pixel that covers more than `pixel_most_m`, across the line of
-    /// sight, is not.
+    /// Decides which pixels of a rendering are trusted. A pixel that covers more than `pixel_most_m` (world units,
+    /// across the line of sight) is not trusted.
     pub(super) fn new(camera: &Camera, rendering: &Rendering, pixel_most_m: f64) -> Self {
         let size_px = rendering.size_px.map(|side| side as usize);
         let pose = camera.cam_from_world;
@@ -66,7 +67,7 @@ impl Frame {
     fn judge(&self, rendering: &Rendering, depth_most_m: f32, [x, y]: [usize; 2]) -> Texel {
         let i = y * self.size_px[0] + x;
         let depth_m = rendering.depth[i];
-        // Phrased so that NaN fails.
+        // NaN fails these comparisons, so a pixel with NaN shows no surface.
         let is_surface = depth_m > 0.0 && depth_m < depth_most_m && rendering.alpha[i] >= ALPHA_MIN;
         if !is_surface {
             return Texel::default();
@@ -75,7 +76,7 @@ impl Frame {
         let (Some(du), Some(dv)) = (step(0), step(1)) else { return Texel::default() };
         let ray = self.ray(x as f32 + 0.5, y as f32 + 0.5);
         let (a, b) = (du * self.focal_px.x, dv * self.focal_px.y);
-        // The tangents' cross product, scaled so that its dot product with the ray is the depth.
+        // The cross product of the surface's tangents, scaled so that its dot product with the ray is the depth.
         let normal = Vec3::new(-a, -b, depth_m + ray.x * a + ray.y * b);
         let facing = depth_m / normal.length();
         let cosine = facing / ray.length();
@@ -86,8 +87,9 @@ impl Frame {
         Texel { depth_m, facing, weight: cosine, rgb: [byte(0), byte(1), byte(2), 0] }
     }
 
-    /// Change of depth per pixel along an axis: the smaller of the steps to the two neighbours, so that the
-    /// edge of a roof is not taken for a slope. `None` if neither neighbour shows a surface.
+    /// Change of depth per pixel along axis `along`: 0 for x, 1 for y. This is the smaller of the steps to the two
+    /// neighbouring pixels, so that the edge of a roof is not taken for a slope. `None` if neither neighbour shows a
+    /// surface.
     fn slope(&self, depth: &[f32], at: [usize; 2], along: usize) -> Option<f32> {
         let stride = [1, self.size_px[0]][along];
         let i = at[1] * self.size_px[0] + at[0];
@@ -98,20 +100,21 @@ impl Frame {
         steps.into_iter().flatten().min_by(|a, b| a.abs().total_cmp(&b.abs()))
     }
 
-    /// The viewing ray of z = 1 through a position in the picture, camera frame.
+    /// The viewing ray through a position in the picture, with z = 1, camera frame.
     pub(super) fn ray(&self, x_px: f32, y_px: f32) -> Vec3 {
         ((Vec2::new(x_px, y_px) - self.center_px) / self.focal_px).extend(1.0)
     }
 
-    /// World position of what a pixel shows.
+    /// World position of the surface that a pixel shows.
     pub(super) fn point(&self, x: usize, y: usize) -> DVec3 {
         let texel = &self.texels[y * self.size_px[0] + x];
         let ray = self.ray(x as f32 + 0.5, y as f32 + 0.5);
         self.center + (self.rotation.transpose() * (ray * texel.depth_m)).as_dvec3()
     }
 
-    /// The texel at a position in the picture. Its depth is interpolated if the four pixels around show one
-    /// surface: depths within `reach_m` of each other, measured along its normal. All else is the pixel's own.
+    /// The texel at a position in the picture; `None` if the position is outside or its pixel is not trusted. The depth
+    /// is interpolated if the four surrounding pixels show one surface: their depths differ by at most `reach_m`,
+    /// measured along the surface normal. All other values are those of the pixel at the position.
     #[inline]
     pub(super) fn sample(&self, p_px: Vec2, reach_m: f32) -> Option<Texel> {
         let [width, height] = self.size_px;
@@ -137,7 +140,8 @@ impl Frame {
     }
 }
 
-/// Bilinear depth of four pixels; `None` unless all are trusted and within `reach_m` of each other.
+/// Depth between four pixels by bilinear interpolation; `t` is the position between them, 0..1. `None` unless all four
+/// are trusted and their depths differ by at most `reach_m`.
 #[inline]
 fn blend(around: [&Texel; 4], t: Vec2, reach_m: f32) -> Option<f32> {
     let z = around.map(|texel| texel.depth_m);

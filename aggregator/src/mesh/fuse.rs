@@ -1,4 +1,4 @@
-//! The fusion as its list of stages, repeated with larger voxels until it fits into the memory.
+//! The fusion: runs its stages, and repeats them with larger voxels until the mesh fits into the memory.
 
 use cosurf_engine::Rendering;
 use cosurf_scene::{Camera, Mesh};
@@ -13,37 +13,40 @@ use super::frame::Frame;
 use super::scout::{self, PixelSize};
 use super::volume::Volume;
 
-/// Factor by which voxels grow if the memory is too small; the surface then takes 0.63 times as many
+/// Factor by which voxels grow if the memory is too small. The surface then passes through 0.63 times as many
 /// blocks.
 const COARSER: f64 = 1.26;
 
 /// Settings of a fusion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FuseSettings {
-    /// Edge of a voxel, world units; `None` takes the size of a pixel on the surface, see [`fuse`].
+    /// Edge length of a voxel, world units; `None` for the size of a pixel on the surface, see [`fuse`].
     pub voxel_m: Option<f64>,
-    /// Limit on bytes, those of the renderer not included.
+    /// Limit on the bytes of the fusion; those of the renderer are not included.
     pub memory_bytes: u64,
 }
 
 /// A fused surface.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Fused {
-    /// Has normals, colours and at least one triangle; triangles are counter-clockwise from outside.
+    /// The mesh, with normals, colours and at least one triangle. Triangles are counter-clockwise as seen
+    /// from outside.
     pub mesh: Mesh,
-    /// Edge of a voxel, world units.
+    /// Edge length of a voxel, world units.
     pub voxel_m: f64,
-    /// Median over the views of the size of a pixel at the surface's depth, world units.
+    /// Size of a pixel at the depth of the surface, world units; the median over the views.
     pub pixel_m: f64,
-    /// Number of blocks in the volume, 8³ voxels each.
+    /// Number of blocks in the volume; each has 8³ voxels.
     pub blocks: usize,
     /// Largest number of bytes that the volume and the mesh took together.
     pub peak_bytes: u64,
 }
 
-/// Fuses what `render` returns for each camera into a mesh. Skips pixels that show no surface by alpha or
-/// depth, pixels where the surface ends or is seen at a grazing angle, and pixels so far away that they
-/// cover more than four times the usual size.
+/// Fuses the renderings that `render` returns for the cameras into a mesh. The fusion skips these pixels:
+/// - pixels whose alpha or depth shows no surface;
+/// - pixels of which no neighbour in the row, or none in the column, shows a surface;
+/// - pixels that see the surface at a grazing angle;
+/// - pixels so far away that they cover more than four times the usual size.
 ///
 /// By default, a voxel is as large as a pixel on the surface in the median view. Voxels become larger if
 /// they take too much memory.
@@ -80,7 +83,7 @@ struct Stages<'a> {
 }
 
 impl Stages<'_> {
-    /// The mesh; `None` if it or the volume takes too much memory.
+    /// Runs all stages. Returns `None` if the volume or the mesh takes too much memory.
     fn run(
         &self,
         render: &mut impl FnMut(&Camera) -> Rendering,

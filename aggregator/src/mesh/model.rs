@@ -1,4 +1,4 @@
-//! Makes a mesh from a splat model, within one memory limit for everything.
+//! Makes a mesh from a splat model, within one memory limit for rendering and fusion together.
 
 use cosurf_engine::backend::{Backend, Channels, Rendering};
 use cosurf_engine::budget::{Costs, PAIRS_PER_SPLAT, PROCESS_BYTES};
@@ -11,19 +11,21 @@ use super::error::MeshError;
 use super::event::FuseEvent;
 use super::fuse::{FuseSettings, Fused, fuse};
 
-/// Capacity for splat–tile pairs, per splat and at least. Meshing renders oblique views of the whole model, so it
-/// allows three times as many pairs as training. A view with more loses its farthest splats, whose surface other
-/// views see better.
+/// Capacity for splat–tile pairs, per splat. Meshing renders oblique views of the whole model, so it allows three times
+/// as many pairs as training. A view with more pairs loses its farthest splats. Other views see the surface of these
+/// splats better.
 const PAIRS_PER_MESHED_SPLAT: usize = 3 * PAIRS_PER_SPLAT;
+/// Least capacity for splat–tile pairs, for models of few splats.
 const PAIRS_LEAST: usize = 1 << 18;
-/// Bytes per pixel of a [`Rendering`]: colour, alpha, depth and normal, twice while the vectors grow.
+/// Bytes per pixel of a [`Rendering`]: colour, alpha, depth and normal. They count twice, because its vectors are
+/// reallocated while they grow.
 const RENDERING_BYTES_PER_PIXEL: u64 = 2 * 32;
-/// Pictures take at most one in this many bytes of the memory that the splats leave.
+/// Pictures take at most the memory that the splats leave, divided by this number.
 const PICTURE_SHARE: u64 = 4;
 
-/// Renders every camera, with a long side of at most `max_size_px`, and fuses the renderings.
-/// `settings.memory_bytes` is for the whole process; if it is too small, pictures shrink and voxels grow.
-/// `threads` (at least 1) render; the fusion runs in rayon's pool.
+/// Renders the splats from every camera, with a long side of at most `max_size_px`, and fuses the renderings into a
+/// mesh. `settings.memory_bytes` limits the whole process. If it is too small, pictures shrink and voxels grow.
+/// Rendering uses `threads` (at least 1) threads; the fusion uses rayon's pool.
 pub fn mesh_model(
     splats: Splats,
     cameras: &[Camera],
@@ -44,17 +46,18 @@ pub fn mesh_model(
     fuse(&cameras, |camera| renderer.render(camera), &settings, on_event)
 }
 
-/// What rendering needs.
+/// Sizes of the renderer's buffers, and the bytes that the renderer needs.
 struct Needs {
     splats: usize,
     pairs: usize,
+    /// Bytes without those of pictures.
     bytes: u64,
 }
 
 impl Needs {
     fn of(splats: &Splats) -> Self {
         let pairs = (PAIRS_PER_MESHED_SPLAT * splats.len()).max(PAIRS_LEAST);
-        // The model is held twice while it is loaded.
+        // While the model is loaded, both the caller and the renderer hold its splats.
         let costs = Costs::of(&Capacity::to_render(splats.sh_degree), None);
         let per_splat = costs.splat + 4 * (11 + splats.sh_stride());
         let bytes = PROCESS_BYTES + (splats.len() * per_splat + pairs * costs.pair) as u64;
@@ -76,7 +79,7 @@ fn picture_bytes(cameras: &[Camera]) -> u64 {
     cameras.iter().map(of).max().unwrap_or(0)
 }
 
-/// The cameras with pictures small enough for the memory.
+/// The cameras, scaled to pictures that are small enough for the memory.
 fn fitted(
     needs: &Needs,
     cameras: &[Camera],

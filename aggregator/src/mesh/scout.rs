@@ -1,5 +1,5 @@
-//! The first pass, over small pictures: determines the size of voxels, and finds the blocks that the surface
-//! passes through.
+//! The first pass, over smaller pictures: determines the size of voxels, and finds the blocks that the
+//! surface passes through.
 
 use std::collections::HashSet;
 
@@ -11,24 +11,26 @@ use super::event::{FuseEvent, Stage};
 use super::frame::Frame;
 use super::volume::{Key, blocks_around};
 
-/// Long side of the pictures that measure the distance of the surface, px.
+/// Long side of the pictures from which the distance of the surface is measured, px.
 const LOOK_PX: u32 = 160;
-/// Voxels that a pixel covers at most, along each axis, while blocks are searched; a block has eight.
+/// To search for blocks, pictures are shrunk until a pixel of usual size covers this many voxels along each
+/// axis. A block is eight voxels wide, so none is missed.
 const VOXELS_PER_PIXEL: f64 = 2.0;
-/// Pixels are fused up to this multiple of the usual pixel size on the surface.
+/// Largest size that a pixel may cover on the surface, as a multiple of the usual size. Larger pixels are not
+/// fused.
 pub(super) const FARTHEST: f64 = 4.0;
 
 /// Size of a pixel on the surface, across the line of sight, world units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct PixelSize {
-    /// In the median view, at its full size.
+    /// Size in the median view, at the full size of the picture.
     pub(super) usual_m: f64,
-    /// Larger pixels are not trusted.
+    /// Largest size of a pixel that is trusted.
     pub(super) most_m: f64,
 }
 
-/// Median over the views of the size of a pixel at the view's median depth; `None` if no view shows a
-/// surface.
+/// Size of a pixel on the surface, world units: in each view at the view's median depth, then the median over
+/// the views. `None` if no view shows a surface.
 pub(super) fn pixel_m(
     cameras: &[Camera],
     render: &mut impl FnMut(&Camera) -> Rendering,
@@ -50,7 +52,7 @@ fn median(values: &mut [f32]) -> Option<f32> {
     (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f32::total_cmp).1)
 }
 
-/// The blocks within the truncation distance of the surface that the views show, ascending; `None` if they
+/// The blocks within the truncation distance of the surface that the views show, ascending; `None` if there
 /// are more than `blocks_max`.
 pub(super) fn find_blocks(
     cameras: &[Camera],
@@ -65,7 +67,8 @@ pub(super) fn find_blocks(
     for (i, camera) in cameras.iter().enumerate() {
         let long_side = f64::from(camera.size_px[0].max(camera.size_px[1]));
         let small = camera.resized(camera.fitted_size((long_side * shrink).ceil().max(1.0) as u32));
-        // Pixels of smaller pictures cover more of the same surface.
+        // A pixel of a smaller picture covers more of the surface, so the limit on its size grows by the same
+        // ratio.
         let ratio = camera.focal_px.min_element() / small.focal_px.min_element();
         let frame = Frame::new(&small, &render(&small), pixel.most_m * ratio);
         found.extend(blocks_of(&frame, voxel_m));
@@ -79,7 +82,7 @@ pub(super) fn find_blocks(
     Some(keys)
 }
 
-/// The blocks near the surface that a view shows, each at least once.
+/// The blocks near the surface that a view shows; some blocks may be repeated.
 fn blocks_of(frame: &Frame, voxel_m: f64) -> Vec<Key> {
     let [width, height] = frame.size_px;
     let row = |y: usize| {

@@ -1,5 +1,5 @@
-//! Bodies with a known surface, seen from all around, become closed meshes of the right size. Any memory
-//! limit is kept. Input without a surface gives a clear error.
+//! Views from all around a body with a known surface must give a closed mesh of the right size. Any memory
+//! limit must be kept, and input without a surface must give a clear error.
 
 #![allow(clippy::unwrap_used)]
 
@@ -14,13 +14,14 @@ use super::volume::Volume;
 use super::*;
 
 const SPHERE_RADIUS: f64 = 2.0;
-/// Fine enough that the box is large compared with the truncation distance.
+/// Voxels fine enough that the box is large compared with the truncation distance.
 const BOX_VOXEL_M: f64 = 0.05;
 const BOX_HALF: DVec3 = DVec3::new(2.0, 1.5, 1.0);
-/// The bodies' centre, not symmetric to the voxel grid.
+/// Centre of the bodies, which is not symmetric to the voxel grid.
 const CENTER: DVec3 = DVec3::new(1003.217, -411.893, 52.341);
 
-/// Distance along a ray to a body around the origin.
+/// A body around the origin, as a function of an eye and a viewing ray. Returns the distance from the eye to
+/// the surface, in lengths of the ray; `None` if the ray misses the body.
 type Body = fn(DVec3, DVec3) -> Option<f64>;
 
 fn sphere(eye: DVec3, ray: DVec3) -> Option<f64> {
@@ -85,7 +86,7 @@ fn fuse_body(body: Body, voxel_m: f64) -> Mesh {
     fuse(&cameras, |camera| look(body, camera), &settings, |_| ()).unwrap().mesh
 }
 
-/// Whether every edge belongs to two triangles that go through it in opposite directions.
+/// Whether every edge belongs to two triangles that run along it in opposite directions.
 fn is_closed(mesh: &Mesh) -> bool {
     let mut edges: HashMap<(u32, u32), u32> = HashMap::new();
     for &[a, b, c] in &mesh.triangles {
@@ -96,7 +97,7 @@ fn is_closed(mesh: &Mesh) -> bool {
     edges.iter().all(|(&(a, b), &count)| count == 1 && edges.contains_key(&(b, a)))
 }
 
-/// Positive where triangles are counter-clockwise from outside.
+/// Volume that a closed mesh encloses; positive if its triangles are counter-clockwise as seen from outside.
 fn signed_volume(mesh: &Mesh) -> f64 {
     let from_center = |p: Vec3| p.as_dvec3() - CENTER;
     let volume = |i: usize| {
@@ -106,7 +107,8 @@ fn signed_volume(mesh: &Mesh) -> f64 {
     (0..mesh.triangles.len()).map(volume).sum()
 }
 
-/// Largest and mean distance of the vertices from a surface.
+/// Largest and mean distance of the vertices from a surface. `distance` gives the distance of a point,
+/// relative to the bodies' centre.
 fn offsets(mesh: &Mesh, distance: impl Fn(DVec3) -> f64) -> (f64, f64) {
     let distances = mesh.positions.iter().map(|p| distance(Vec3::from_array(*p).as_dvec3() - CENTER).abs());
     let (most, sum) = distances.fold((0.0f64, 0.0), |(most, sum), d| (most.max(d), sum + d));
@@ -137,7 +139,8 @@ fn a_box_is_closed_and_of_the_right_size() {
     let found = signed_volume(&mesh);
     assert!((found / volume - 1.0).abs() < 0.02, "{found} of {volume}");
     let (most, mean) = offsets(&mesh, distance_to_box);
-    // The box's edges bulge a little, because fusion cannot at once tell air from box behind them.
+    // The edges of the box bulge a little. A ray that cuts off an edge soon leaves the box again, but the
+    // fusion takes everything just behind a surface for the inside.
     assert!(most < 2.0 * BOX_VOXEL_M && mean < 0.3 * BOX_VOXEL_M, "{most} {mean}");
 }
 
@@ -181,13 +184,13 @@ fn the_mesh_is_the_same_for_any_number_of_threads() {
 fn voxels_are_as_large_as_pixels_by_default() {
     let cameras = cameras(20, 100);
     let fused = fuse(&cameras, |camera| look(sphere, camera), &settings(None, 1 << 30), |_| ()).unwrap();
-    // Most of the sphere is 8 to 9 m away; pixels are 1/160 of that.
+    // Most of the sphere is 8 to 9 m away, and a pixel covers 1/160 of its distance.
     assert!((8.0 / 160.0..9.0 / 160.0).contains(&fused.pixel_m), "{}", fused.pixel_m);
     assert_eq!(fused.voxel_m, fused.pixel_m);
 }
 
-/// Goal: any memory limit is kept by larger voxels, and the growth is reported. Method: many views of a
-/// body whose wanted voxels would take ten to a thousand times the limit.
+/// Goal: larger voxels keep any memory limit, and the growth is reported. Method: many views of a body whose
+/// wanted voxels would take ten to a thousand times the limit.
 #[test]
 fn the_memory_limit_is_kept_by_larger_voxels() {
     let cameras = cameras(200, 64);
@@ -243,7 +246,7 @@ fn input_without_a_surface_gives_a_clear_error() {
         let error = refusal(&all, spoil);
         assert!(matches!(error, MeshError::NoSurface) && !error.to_string().contains('\n'), "{error}");
     }
-    // The middle of each picture is a surface, but too small a one.
+    // Only a small patch in the middle of each picture shows a surface, so the mesh has nothing but specks.
     let error = refusal(&all, |rendering| {
         let side = rendering.size_px[0] as usize;
         for (i, z) in rendering.depth.iter_mut().enumerate() {
@@ -279,7 +282,7 @@ fn one_camera_gives_the_side_of_the_body_that_it_sees() {
     }
 }
 
-/// A wall of opaque discs, facing the cameras of [`cameras`] that look from above.
+/// A horizontal square of opaque discs, for the cameras of [`cameras`] that look down from above.
 fn wall() -> Splats {
     let mut splats = Splats::with_capacity(400, 0);
     for i in 0..400 {

@@ -1,46 +1,46 @@
-//! The sparse volume: blocks of 8³ voxels, sorted by their place, each voxel with a truncated signed
-//! distance (positive outside), a colour and their weights.
+//! The sparse volume: blocks of 8³ voxels, sorted by position. Each voxel has a truncated signed distance (positive
+//! outside), a colour, and a weight for each of the two.
 
 use glam::{DVec3, IVec3, Vec2, Vec3};
 use rayon::prelude::*;
 
 use super::frame::Frame;
 
-/// Voxels along a block's edge.
+/// Number of voxels along the edge of a block.
 pub(super) const SIDE: usize = 8;
-/// Voxels in a block.
+/// Number of voxels in a block.
 pub(super) const VOXELS: usize = SIDE * SIDE * SIDE;
 /// Truncation distance, voxels: signed distances are cut off this far from the surface.
 pub(super) const TRUNCATION: f64 = 4.0;
-/// Behind the surface, the weight of a measurement fades to 0 over this last part of the truncation
-/// distance (after Bylow et al. 2013): behind the edge of a roof lies open air, which a view from one side
-/// would otherwise fill. Fading from the surface on lets the farthest view win where views do not agree,
-/// and lowers the F-score.
+/// Behind the surface, the weight of a measurement fades to 0 over this last share of the truncation distance (after
+/// Bylow et al. 2013). Behind the edge of a roof lies open air, which a view from one side would otherwise fill. If the
+/// weight faded from the surface on, the farthest view would win where views disagree, and the F-score would be lower.
 const FADING: f32 = 0.5;
 /// Bytes that a block takes in the volume: its voxels and its key.
 pub(super) const STORED_BLOCK_BYTES: u64 = (VOXELS * size_of::<Voxel>() + size_of::<Key>()) as u64;
-/// Keys hold this many bits of each coordinate.
+/// Number of bits of each coordinate in a [`Key`].
 const KEY_BITS: u32 = 21;
-/// Blocks lie at -COORDINATE_END..COORDINATE_END along each axis.
+/// Limit of the blocks' coordinates: they are in `-COORDINATE_END..COORDINATE_END` along each axis.
 const COORDINATE_END: i32 = 1 << (KEY_BITS - 1);
-/// Colour weights are stored in units of 1/256 and saturate: beyond 255, colours average the latest views.
+/// Sums of colour weights are stored in 16 bits, in units of 1/256, so they saturate at 256. From then on, the colour
+/// is a moving average in which later views count more.
 const RGB_WEIGHT_UNIT: f32 = 256.0;
 
-/// A voxel; its sample point is its lowest corner.
+/// A voxel. Its values are those at its lowest corner.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[repr(C, align(16))]
 pub(super) struct Voxel {
-    /// Signed distance, truncations; -1..=1.
+    /// Signed distance divided by the truncation distance, -1..=1.
     pub(super) distance: f32,
-    /// 0 if no view has measured the voxel.
+    /// Sum of the weights of all measurements; 0 if no view has measured the voxel.
     pub(super) weight: f32,
-    /// sRGB, 0..=65280.
+    /// sRGB, 0..=65280: 256 times the 8-bit value.
     rgb: [u16; 3],
-    /// See [`RGB_WEIGHT_UNIT`].
+    /// Sum of the weights of all colours, in units of 1 / [`RGB_WEIGHT_UNIT`].
     rgb_weight: u16,
 }
 
-/// A block's coordinates, in blocks, packed so that keys ascend with z, then y, then x.
+/// Coordinates of a block, counted in blocks and packed into one number. Keys are ordered by z, then y, then x.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(super) struct Key(u64);
 
@@ -61,7 +61,8 @@ impl Key {
     }
 }
 
-/// The blocks within the truncation distance of a point, without those too far from the origin.
+/// The blocks within the truncation distance of a point along each axis. Blocks too far from the origin for a [`Key`]
+/// are left out.
 pub(super) fn blocks_around(point: DVec3, voxel_m: f64) -> impl Iterator<Item = Key> {
     let block_m = SIDE as f64 * voxel_m;
     let reach_m = DVec3::splat(TRUNCATION * voxel_m);
@@ -72,12 +73,12 @@ pub(super) fn blocks_around(point: DVec3, voxel_m: f64) -> impl Iterator<Item = 
     })
 }
 
-/// All blocks.
+/// All blocks of the fusion.
 #[derive(Debug)]
 pub(super) struct Volume {
-    /// Ascending.
+    /// Keys of the blocks, ascending.
     keys: Vec<Key>,
-    /// `[blocks, z, y, x]`.
+    /// Voxels of all blocks, `[block, z, y, x]`.
     voxels: Vec<Voxel>,
     pub(super) voxel_m: f64,
 }
@@ -95,7 +96,7 @@ impl Volume {
         self.keys.len()
     }
 
-    /// Bytes allocated.
+    /// Bytes that the volume has allocated.
     pub(super) fn bytes(&self) -> u64 {
         (self.keys.capacity() * size_of::<Key>() + self.voxels.capacity() * size_of::<Voxel>()) as u64
     }
@@ -104,7 +105,7 @@ impl Volume {
         &self.keys
     }
 
-    /// Index of a block.
+    /// Index of a block; `None` if the volume does not have it.
     pub(super) fn find(&self, block: IVec3) -> Option<usize> {
         self.keys.binary_search(&Key::new(block)?).ok()
     }
@@ -124,7 +125,7 @@ impl Volume {
         let Self { keys, voxels, voxel_m } = self;
         let block_m = SIDE as f64 * *voxel_m;
         keys.par_iter().zip(voxels.par_chunks_exact_mut(VOXELS)).for_each(|(key, voxels)| {
-            // Relative to the camera, so that a distant world origin costs no precision.
+            // The block's corner relative to the camera, so that a distant world origin costs no precision.
             let origin = (key.block().as_dvec3() * block_m - frame.center).as_vec3();
             if may_see(frame, origin, block_m as f32) {
                 fuse_block(frame, origin, *voxel_m as f32, voxels);
@@ -133,8 +134,10 @@ impl Volume {
     }
 }
 
-/// Whether the view's frustum may touch a block; `origin` is the block's lowest corner relative to the camera.
+/// Whether the view's frustum may touch a block. `origin` is the block's lowest corner relative to the camera's centre,
+/// along the axes of the world.
 fn may_see(frame: &Frame, origin: Vec3, block_m: f32) -> bool {
+    // Half the diagonal of the block.
     let radius = 0.867 * block_m;
     let middle = frame.rotation * (origin + 0.5 * block_m);
     if middle.z < -radius {
@@ -142,8 +145,9 @@ fn may_see(frame: &Frame, origin: Vec3, block_m: f32) -> bool {
     }
     let size = Vec2::new(frame.size_px[0] as f32, frame.size_px[1] as f32);
     let (low, high) = (frame.ray(0.0, 0.0), frame.ray(size.x, size.y));
-    // Distances beyond the planes through the camera's centre and the picture's sides, times the lengths of
-    // the planes' normals; a ray is at least as long as the normal.
+    // How far the middle of the block lies beyond each of the four planes through the camera's centre and a side of the
+    // picture. Each distance is scaled by the length of its plane's normal, which is at most the length of the ray. So
+    // the comparison keeps every block that the view sees.
     let beyond = [
         (low.x * middle.z - middle.x, low),
         (middle.x - high.x * middle.z, high),
@@ -194,7 +198,7 @@ impl Voxel {
         }
     }
 
-    /// Colour, 0..=255, and its weight.
+    /// Colour, 0..=255, and the weight of the colour.
     pub(super) fn color(&self) -> ([f32; 3], f32) {
         (self.rgb.map(|v| f32::from(v) / 256.0), f32::from(self.rgb_weight))
     }

@@ -1,9 +1,10 @@
-//! Runs agents as processes: starts them, reads their events, restarts them when they die, and ends them with
-//! the mission.
+//! Runs agents as processes: starts them, reads their events, restarts those that die, and ends all when the
+//! mission ends.
 //!
-//! An agent prints [`AgentEvent`] lines on its standard output; its standard error goes to `agent.log` in its
-//! folder. A process that dies (killed, crashed, panicked) is restarted at most [`RESTARTS_MAX`] times and
-//! resumes from its checkpoint. A process that exits with an error is not restarted: it would fail again.
+//! An agent prints [`AgentEvent`] lines on its standard output. Its standard error goes to `agent.log` in its
+//! folder. A process that dies (killed, crashed, panicked) is restarted at most [`RESTARTS_MAX`] times; it
+//! then resumes from its checkpoint. A process that exits with an error is not restarted: it would fail
+//! again.
 
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
@@ -16,15 +17,15 @@ use std::time::Duration;
 
 use cosurf_contract::AgentEvent;
 
-/// Most restarts of a process that dies.
+/// Largest number of restarts of a process that dies.
 pub(crate) const RESTARTS_MAX: u32 = 5;
 /// The pause before restart `n` is `n` times this, so that a temporary cause has time to end.
 const RESTART_PAUSE: Duration = Duration::from_millis(300);
 /// Interval at which the exit of a process is polled.
 const POLL: Duration = Duration::from_millis(20);
-/// Longest line that is read from an agent; events are far shorter.
+/// Longest line that is read from an agent, bytes; events are far shorter.
 const LINE_BYTES_MAX: u64 = 1 << 16;
-/// Size of the end of a log that is searched for the reason of a failure.
+/// Number of bytes at the end of a log that are searched for the reason of a failure.
 const LOG_TAIL_BYTES: u64 = 4096;
 /// The exit code of a Rust process that panicked.
 const PANIC_CODE: i32 = 101;
@@ -34,9 +35,9 @@ const PANIC_CODE: i32 = 101;
 pub(crate) struct AgentCommand {
     /// The executable.
     pub(crate) program: PathBuf,
-    /// Its arguments.
+    /// The arguments of the executable.
     pub(crate) arguments: Vec<String>,
-    /// The file to which its standard error is appended.
+    /// The file to which the agent's standard error is appended.
     pub(crate) log: PathBuf,
 }
 
@@ -56,7 +57,7 @@ pub(crate) enum ProcessEventKind {
     Said(AgentEvent),
     /// The process died and is about to be restarted.
     Restarting {
-        /// 1 for the first restart.
+        /// Number of this restart, from 1.
         attempt: u32,
         /// How the process died.
         reason: String,
@@ -65,7 +66,7 @@ pub(crate) enum ProcessEventKind {
     Ended,
     /// The process failed and is not restarted.
     Failed {
-        /// Why, one line.
+        /// The reason, one line.
         reason: String,
     },
 }
@@ -78,7 +79,7 @@ pub(crate) struct AgentProcesses {
 }
 
 impl AgentProcesses {
-    /// Starts one process per command. A thread per process passes its events to `events`.
+    /// Starts one process for each command. A thread for each process passes its events to `events`.
     pub(crate) fn start(
         commands: Vec<AgentCommand>,
         events: impl Fn(ProcessEvent) + Clone + Send + 'static,
@@ -180,7 +181,7 @@ impl Supervisor {
         Ok(stdout)
     }
 
-    /// Passes events on until the process closes its standard output. Other lines are ignored.
+    /// Passes the agent's events on until the process closes its standard output. Ignores all other lines.
     fn listen(&self, stdout: Option<ChildStdout>) {
         let Some(stdout) = stdout else { return };
         let mut reader = BufReader::new(stdout);
@@ -193,7 +194,7 @@ impl Supervisor {
         }
     }
 
-    /// How the process ended, with the last line of its log.
+    /// Why the process ended: its last error message, its exit status, or both.
     fn reason(&self, status: ExitStatus) -> String {
         let last_message = read_tail(&self.command.log).ok().and_then(|tail| last_message(&tail));
         match (is_death(status), last_message) {
@@ -205,7 +206,7 @@ impl Supervisor {
     }
 }
 
-/// True if a process was killed or panicked, rather than exited by itself.
+/// True if a process was killed or panicked; false if it exited by itself.
 fn is_death(status: ExitStatus) -> bool {
     status.code().is_none_or(|code| code == PANIC_CODE)
 }
@@ -219,7 +220,8 @@ fn read_tail(log: &Path) -> io::Result<String> {
     Ok(String::from_utf8_lossy(&tail).into_owned())
 }
 
-/// The last line of a log that is neither empty nor a `note: `, without its error prefix.
+/// The last line of a log that is not empty and does not begin with `note: `. A prefix such as `error: ` is
+/// removed.
 fn last_message(log: &str) -> Option<String> {
     let mut lines = log.lines().rev().map(str::trim);
     let line = lines.find(|line| !line.is_empty() && !line.starts_with("note: "))?;
@@ -243,7 +245,7 @@ mod tests {
 
     use super::*;
 
-    /// Starts one agent that runs `script` in a shell, in a folder of its own.
+    /// Starts one agent: a shell that runs `script` in `folder`.
     fn start(script: &str, folder: &TempDir) -> (AgentProcesses, Receiver<ProcessEventKind>) {
         let command = AgentCommand {
             program: "/bin/sh".into(),

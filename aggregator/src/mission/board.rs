@@ -1,16 +1,17 @@
-//! The status of every agent of a mission, gathered from its events.
+//! The status of each agent of a mission, gathered from the agent's events.
 
 use cosurf_contract::{AgentEvent, TrainReport};
 
 use super::agents::{ProcessEventKind, RESTARTS_MAX};
 
-/// Most points of a training curve; a longer curve drops every other point.
+/// Largest number of points of a training curve. When a curve would become longer, every other point is
+/// dropped.
 const CURVE_POINTS_MAX: usize = 256;
 
 /// The phase of an agent's work.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) enum Phase {
-    /// Its process was started and has printed no event yet.
+    /// The agent's process was started and has printed no event yet.
     #[default]
     Starting,
     /// The agent trains.
@@ -25,7 +26,7 @@ pub(crate) enum Phase {
     Ended,
     /// The process failed and is not restarted.
     Failed {
-        /// Why, one line.
+        /// The reason, one line.
         reason: String,
     },
 }
@@ -36,7 +37,7 @@ pub(crate) struct Status {
     pub(crate) phase: Phase,
     pub(crate) step: u32,
     pub(crate) steps: u32,
-    /// Mean over the latest training pictures, dB.
+    /// Training PSNR, the mean over the latest pictures, dB.
     pub(crate) psnr: f32,
     pub(crate) splats: usize,
     pub(crate) steps_per_s: f32,
@@ -44,9 +45,9 @@ pub(crate) struct Status {
     pub(crate) bytes_sent: u64,
     pub(crate) bytes_total: u64,
     pub(crate) restarts: u32,
-    /// Figures of the training, once it is done.
+    /// Report of the training; `None` until the training is done.
     pub(crate) training: Option<TrainReport>,
-    /// `[step, psnr]` in the order of steps.
+    /// Training curve: `[step, PSNR in dB]`, in the order of steps.
     pub(crate) curve: Vec<[f32; 2]>,
 }
 
@@ -106,7 +107,8 @@ impl Status {
         None
     }
 
-    /// Appends a point. A restarted agent resumes from its checkpoint: later points are dropped first.
+    /// Appends a point to the training curve. A restarted agent resumes from an earlier step, so the points
+    /// from `step` on are dropped first.
     fn extend_curve(&mut self, step: u32, psnr: f32) {
         let step = step as f32;
         while self.curve.last().is_some_and(|last| last[0] >= step) {

@@ -37,10 +37,10 @@ pub enum MissionError {
     /// The service could not open its folder.
     #[error(transparent)]
     Service(#[from] ServiceError),
-    /// The agent's executable is not there.
+    /// The agent's executable is missing.
     #[error("{path} is missing: build it with `cargo build --release --workspace`")]
     NoAgent {
-        /// Where it should be.
+        /// The path at which it should be.
         path: PathBuf,
     },
     /// The broker cannot be reached.
@@ -48,7 +48,7 @@ pub enum MissionError {
         "{reason}; gave up after {BROKER_ATTEMPTS_MAX} attempts: check --broker, or leave it out to start an embedded broker"
     )]
     NoBroker {
-        /// The link's last error.
+        /// The last error of the connection.
         reason: String,
     },
     /// The aggregator cannot write to its disk.
@@ -72,7 +72,7 @@ pub enum MissionError {
     NothingArrived {
         /// The first agent that failed.
         device: DeviceId,
-        /// Why.
+        /// Why that agent failed.
         reason: String,
     },
     /// The pictures of the report cannot be encoded.

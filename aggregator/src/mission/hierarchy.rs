@@ -1,6 +1,6 @@
-//! The aggregators of a mission, all on this machine: the root and, if there are any, the edges below it. Each serves
-//! its own site from its own folder on its own thread; an edge has a second thread for its upstream link. *Post* 0 is
-//! the root, and post `1 + i` is edge `i`.
+//! The aggregators of a mission, all on this machine: the root and, if there are any, the edges below it. Each
+//! aggregator serves its own site from its own folder, on its own thread. An edge has a second thread for its link to
+//! the root. Aggregators are numbered by *posts*: post 0 is the root, and post `1 + i` is edge `i`.
 
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -23,7 +23,7 @@ pub(crate) fn edge_folder(out: &Path, edge: &Edge) -> PathBuf {
     out.join("edges").join(edge.device.as_str())
 }
 
-/// The folders of the aggregators to which agents send.
+/// The folders of the aggregators to which the agents send their models.
 pub(crate) fn lowest_folders(out: &Path, plan: &Plan) -> Vec<PathBuf> {
     match plan.edges.is_empty() {
         true => vec![out.to_path_buf()],
@@ -41,14 +41,16 @@ pub(crate) struct Hierarchy {
 /// A running edge.
 struct RunningEdge {
     device: DeviceId,
+    /// Indices of the edge's agents.
     agents: Range<usize>,
-    /// `None` once the edge has made its last revision.
+    /// The service for the edge's agents; `None` once the edge has made its last revision.
     station: Option<Station>,
     upstream: Upstream,
 }
 
 impl Hierarchy {
-    /// Opens all folders, then starts to serve through one broker; all events go to `say`.
+    /// Opens the folder of every aggregator and starts to serve. All aggregators use the broker at `address`, and send
+    /// their events to `say`.
     pub(crate) fn start(
         order: &MissionOrder,
         around: &Surroundings,
@@ -99,7 +101,7 @@ impl Hierarchy {
         self.edges.iter().filter_map(|edge| edge.station.as_ref()).chain([&self.top]).any(Station::has_died)
     }
 
-    /// Tells the agent's aggregator not to wait for it any longer.
+    /// Tells the aggregator of an agent not to wait for this agent any longer.
     pub(crate) fn give_up(&self, agent: usize, device: DeviceId) {
         match self.edges.iter().find(|edge| edge.agents.contains(&agent)) {
             Some(RunningEdge { station: Some(station), .. }) => station.give_up(device),
@@ -108,15 +110,15 @@ impl Hierarchy {
         }
     }
 
-    /// Sends a revision of the aggregator at `post` upstream; does nothing for the root.
+    /// Sends a revision from the edge at `post` to the root; does nothing if `post` is the root.
     pub(crate) fn send_up(&self, post: usize, revision: ModelHeader) {
         if let Some(edge) = post.checked_sub(1).and_then(|edge| self.edges.get(edge)) {
             edge.upstream.send(revision);
         }
     }
 
-    /// Lets every edge finish its due merge and stop serving; its upstream link stays. Returns for each edge whether
-    /// it has a model to send. The root does not wait for an edge that has none.
+    /// Lets every edge finish a merge that is due and then stop serving. The edges' links to the root stay open.
+    /// Returns for each edge whether it has a model. The root no longer waits for edges without a model.
     pub(crate) fn close_edges(&mut self) -> Vec<bool> {
         let close = |edge: &mut RunningEdge| {
             let has_model = edge.station.take().and_then(Station::finish).is_some();
@@ -128,7 +130,8 @@ impl Hierarchy {
         self.edges.iter_mut().map(close).collect()
     }
 
-    /// Finishes the due merge and ends all aggregators. Returns the header of the newest global model.
+    /// Lets the root finish a merge that is due, then ends all aggregators. Returns the header of the newest global
+    /// model; `None` if there is none.
     pub(crate) fn finish(self) -> Option<ModelHeader> {
         let global = self.top.finish();
         drop(self.edges);
@@ -153,7 +156,7 @@ fn service_config(
     }
 }
 
-/// Limits of the inbox for this many devices.
+/// Limits of an aggregator's inbox for this many devices.
 fn limits(devices: usize) -> InboxLimits {
     InboxLimits {
         body_bytes_max: INBOX_BYTES_MAX,

@@ -1,4 +1,4 @@
-//! The inputs of a mission: what to do, and what only `main` knows of the machine.
+//! The inputs of a mission: what to do, and what only `main` knows about the machine.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -31,7 +31,8 @@ pub struct MissionOrder {
 pub struct Surroundings {
     /// Time since the program began.
     pub now: Arc<dyn Fn() -> Duration + Send + Sync>,
-    /// Seconds since 1970 at the start: the number of the session, and part of a new mission's site name.
+    /// Seconds since 1970 at the program's start. They are the number of the session, and part of a new
+    /// mission's site name.
     pub session: u64,
     /// Cores to compute on, at least 1.
     pub cores: usize,
@@ -41,6 +42,6 @@ pub struct Surroundings {
     pub display: Display,
     /// Set when the user asks to stop.
     pub interrupted: Arc<AtomicBool>,
-    /// Peak resident memory of this process, bytes; `None` if the system does not report it.
+    /// Returns the peak resident memory of this process, bytes; `None` if the system does not report it.
     pub peak_memory_bytes: fn() -> Option<u64>,
 }

@@ -1,7 +1,7 @@
 //! The plan of a mission, made before anything runs: the views and the configuration of each agent.
 //!
-//! `mission.json` keeps the settings: the same command in the same folder resumes the mission, and a command
-//! with other settings is refused.
+//! `mission.json` stores the settings. The same command in the same folder resumes the mission; a command with other
+//! settings is refused.
 
 use std::fs;
 use std::ops::Range;
@@ -27,13 +27,14 @@ pub struct Settings {
     pub edges: usize,
     /// How the ground is divided among the agents of each edge or, without edges, of the root.
     pub division: Division,
-    /// Margin around each cell whose views its agent also gets, as a share of the cell's size; see `partition`.
+    /// Width of the margin around each cell, as a share of the cell's size. The cell's agent also gets the views of
+    /// other cells that look at this margin; see `partition`.
     pub margin: f64,
     /// Training steps of each agent.
     pub steps: u32,
-    /// Memory limit of each agent, bytes.
+    /// Memory limit of each agent, bytes; `None` to let the agent choose.
     pub memory_bytes: Option<u64>,
-    /// Longest side of the training pictures; `None` for their full size.
+    /// Limit on the long side of the training pictures, px; `None` for their full size.
     pub max_size_px: Option<u32>,
     /// Seed of every random choice.
     pub seed: u64,
@@ -49,7 +50,7 @@ pub struct Settings {
 /// The content of `mission.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 struct Record {
-    /// Chosen once, so that a resumed mission finds its own messages at the broker, and no others.
+    /// The site is chosen once. So a resumed mission finds its own messages at the broker, and no others.
     site: SiteId,
     settings: Settings,
 }
@@ -71,7 +72,7 @@ pub enum PlanError {
     OtherMission {
         /// The folder.
         out: PathBuf,
-        /// The first difference.
+        /// The first setting that differs.
         what: String,
     },
     /// The mission's record cannot be parsed or serialised.
@@ -98,11 +99,11 @@ pub enum PlanError {
 /// An edge aggregator, between some agents and the root aggregator.
 #[derive(Clone, Debug)]
 pub(crate) struct Edge {
-    /// Its id on the root's site.
+    /// Device id of the edge on the root's site.
     pub(crate) device: DeviceId,
-    /// The site of its agents.
+    /// The site of the edge's agents.
     pub(crate) site: SiteId,
-    /// Indices of its agents.
+    /// Indices of the edge's agents.
     pub(crate) agents: Range<usize>,
 }
 
@@ -117,13 +118,13 @@ pub(crate) struct Plan {
     pub(crate) devices: Vec<DeviceId>,
     /// The cell of each agent.
     pub(crate) cells: Vec<Cell>,
-    /// All views in the dataset's order, with cell and footprint.
+    /// All views in the dataset's order, each with its cell and footprint.
     pub(crate) views: Vec<AssignedView>,
 }
 
 impl Plan {
-    /// Divides the dataset, and reads or creates the mission's record in `out`, an existing folder.
-    /// A new mission gets the site `fresh_site`.
+    /// Divides the dataset among the agents. Reads the mission's record from `out`, an existing folder, or writes a new
+    /// record with the site `fresh_site`.
     pub(crate) fn make(
         dataset: &Dataset,
         settings: &Settings,
@@ -168,7 +169,8 @@ impl Plan {
         self.edges.iter().find(|edge| edge.agents.contains(&agent)).map_or(self.site, |edge| edge.site)
     }
 
-    /// Names of an agent's views: those to train on, guests included, or those held out.
+    /// Names of an agent's views. If `held_out`, these are its held-out views; otherwise the views to train on,
+    /// including those from the margin of its cell.
     pub(crate) fn names_of(&self, agent: usize, held_out: bool) -> Vec<String> {
         let guests = &self.cells[agent].guests;
         let its = |(i, view): &(usize, &AssignedView)| {
@@ -225,14 +227,14 @@ impl Plan {
     }
 }
 
-/// Ids such as `agent-1`, padded with zeros so that they sort by number.
+/// Ids such as `agent-1`. The numbers are padded with zeros, so that the ids sort by number.
 fn names(of: &str, count: usize) -> Result<Vec<DeviceId>, IdError> {
     let width = count.to_string().len();
     (1..=count).map(|number| DeviceId::new(&format!("{of}-{number:0width$}"))).collect()
 }
 
-/// The site of the mission in `out`, from its record; a record with other settings is an error. If there is
-/// no record, creates one with `fresh_site`.
+/// Returns the site of the mission in `out`, from the mission's record. A record with other settings is an error. If
+/// there is no record, writes one with `fresh_site`.
 fn open_record(settings: &Settings, out: &Path, fresh_site: SiteId) -> Result<SiteId, PlanError> {
     let path = out.join("mission.json");
     let bad = |reason: String| PlanError::BadRecord { path: path.clone(), reason };

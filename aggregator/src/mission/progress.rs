@@ -14,7 +14,7 @@ use crate::terminal::{Display, format_seconds};
 /// Seconds between two rounds of plain lines.
 const LINES_EVERY_S: f64 = 5.0;
 
-/// Pictures of the city between two plain lines.
+/// Number of rendered pictures of the city between two plain lines.
 const PICTURES_EVERY: usize = 32;
 
 /// The progress display of a mission.
@@ -66,7 +66,7 @@ impl Progress {
         bar.set_message(describe(status));
     }
 
-    /// Prints the lines that are due at `now_s`, in seconds since any fixed moment.
+    /// Prints a line for each agent if the lines are due at `now_s`, the time since any fixed moment in seconds.
     pub(crate) fn tick(&mut self, board: &[Status], now_s: f64) {
         if self.display != Display::Lines || now_s - self.shown_at_s < LINES_EVERY_S {
             return;
@@ -77,13 +77,14 @@ impl Progress {
         }
     }
 
-    /// Ends the display; the bars stay as they are.
+    /// Ends the display. The bars stay on the terminal as they are.
     pub(crate) fn finish(&self) {
         self.bar_of.iter().for_each(|bar| bar.abandon());
     }
 }
 
-/// Shows how many pictures of the synthetic city are rendered: in place on a terminal, else a line now and then.
+/// Shows how many pictures of the synthetic city are rendered: in place on a terminal, else as a line for every
+/// [`PICTURES_EVERY`] pictures.
 pub(crate) fn show_pictures(display: Display, done: usize, of: usize) {
     let mut stderr = io::stderr().lock();
     let shown = match display {
@@ -99,7 +100,7 @@ pub(crate) fn show_pictures(display: Display, done: usize, of: usize) {
     let _ = shown; // write errors are ignored: the mission goes on
 }
 
-/// One line on the status of an agent.
+/// Describes the status of an agent in one line.
 fn describe(status: &Status) -> String {
     match &status.phase {
         Phase::Starting => "starting".into(),

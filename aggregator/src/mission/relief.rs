@@ -1,5 +1,5 @@
-//! A mission's mesh: the global model's surface, fused over all cameras, written beside the model and ready to be
-//! rendered.
+//! The mesh of a mission: the surface of the global model, fused from renderings of all cameras. It is written to a
+//! file beside the model, and prepared for ray casting.
 
 use std::path::Path;
 
@@ -8,7 +8,7 @@ use cosurf_scene::{Camera, Caster, Mesh, SceneError, Splats};
 use crate::mesh::{FuseEvent, FuseSettings, MeshError, mesh_model};
 use crate::report::MeshSummary;
 
-/// Memory limit of the fusion; if it is short, voxels become larger.
+/// Memory limit of making the mesh, bytes. If it is too small, pictures shrink and voxels become larger.
 const MEMORY_BYTES: u64 = 2 << 30;
 
 /// The mesh of a mission.
@@ -19,8 +19,8 @@ pub(crate) enum Relief {
     Missing(MeshError),
 }
 
-/// Makes the mesh and writes it to `file`. The long side of the renderings is at most `max_size_px`; `threads` (at
-/// least 1) render.
+/// Makes the mesh and writes it to `file`. The long side of the renderings is at most `max_size_px`. Rendering uses
+/// `threads` (at least 1) threads.
 pub(crate) fn relief(
     splats: Splats,
     cameras: &[Camera],

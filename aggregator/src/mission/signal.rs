@@ -1,4 +1,4 @@
-//! What happens in a mission, from all of its threads.
+//! The events of a mission, from all of its threads.
 
 use super::agents::ProcessEvent;
 use crate::service::{ServiceEvent, UpstreamEvent};
@@ -9,7 +9,7 @@ pub(crate) enum Signal {
     Agent(ProcessEvent),
     /// An event of an aggregator.
     Service {
-        /// The aggregator's post in the hierarchy.
+        /// The aggregator's post: 0 for the root, `1 + i` for edge `i`.
         post: usize,
         /// What happened.
         event: ServiceEvent,

@@ -7,8 +7,9 @@ use super::plan::{Plan, Settings};
 use crate::evaluate::Quality;
 use crate::report::{AgentSummary, MissionReport, WholeSummary};
 
-/// Sums up the agents' statuses and the global model's scores; `qualities` are those of the held-out views in their
-/// order. The caller fills in time, mesh, merges, edges and the aggregators' memory.
+/// Makes the report from the agents' statuses and the global model's scores. `qualities` are the scores of the held-out
+/// views, in the order of the views. The caller fills in duration, mesh, merges, edges, the score of the joined models,
+/// and the aggregators' memory.
 pub(crate) fn summarize(
     plan: &Plan,
     settings: &Settings,

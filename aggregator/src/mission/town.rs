@@ -1,4 +1,4 @@
-//! The synthetic city of a mission without data of its own: rendered once, and kept beside the results.
+//! The synthetic city, for a mission without a dataset: rendered once, and kept beside the results.
 
 use std::fs;
 use std::path::Path;
@@ -20,14 +20,14 @@ pub enum TownError {
     Scene(#[from] SceneError),
 }
 
-/// Makes the city in `folder`, unless the complete city of the same settings is there. Calls `progress` with the
-/// number of rendered pictures and their total.
+/// Makes the city in `folder`, unless a complete city of the same settings is in the folder already. Calls `progress`
+/// with the number of rendered pictures and their total.
 pub(crate) fn make(
     settings: &CitySettings,
     folder: &Path,
     progress: impl FnMut(usize, usize),
 ) -> Result<(), TownError> {
-    // Written last: a city without this file was interrupted.
+    // The record is written last, so a city without it is incomplete.
     let record = folder.join("city.txt");
     let content = format!("{settings:?}\n");
     if fs::read_to_string(&record).is_ok_and(|there| there == content) {

@@ -20,9 +20,9 @@ const LOOK_UP: Duration = Duration::from_millis(100);
 /// The status of an edge.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct EdgeStatus {
-    /// Bytes that it sent to the root, resends included.
+    /// Bytes that the edge sent to the root for its last delivered revision, resends included.
     pub(crate) bytes_sent: u64,
-    /// True once the edge has the root's global model, or the root has refused the edge's model for good.
+    /// True once the edge has the root's global model, or the root has finally refused the edge's model.
     is_served: bool,
 }
 
@@ -34,7 +34,7 @@ pub(crate) struct Watch<'a> {
     progress: Progress,
     board: Vec<Status>,
     edges: Vec<EdgeStatus>,
-    /// Whether the aggregator at each post has reached the broker.
+    /// For each post in the hierarchy, whether its aggregator has reached the broker.
     connected: Vec<bool>,
 }
 

@@ -1,40 +1,40 @@
-//! The ground that each view sees: the partition divides it, and the map draws it.
+//! Finds the ground that each view sees. The partition divides this ground, and the map draws it.
 //!
-//! The up axis is not given: it is the world axis along which the sparse points spread least, directed
-//! towards the cameras. The centre of a footprint is the median of the sparse points that the view sees,
-//! which is robust against outliers and against background up to the horizon. If a view sees too few
-//! points, the centre is where its optical axis meets the ground.
+//! The dataset does not say which axis is up. The up axis is the world axis along which the sparse points
+//! spread least, directed towards the cameras. The centre of a footprint is the median of the sparse
+//! points that the view sees. The median is robust against outliers and against background up to the
+//! horizon. If a view sees too few points, the centre is where its optical axis meets the ground.
 
 use cosurf_scene::{Camera, Dataset};
 use glam::{DVec2, DVec3};
 
-/// Fewest points whose median gives the centre of a footprint.
+/// Least number of points whose median gives the centre of a footprint.
 const POINTS_MIN: usize = 8;
-/// A ray is followed sideways for at most this many camera heights above the ground: rays near the horizon
-/// meet the ground far outside the scene, or never.
+/// A ray is followed sideways for at most this many times the camera's height above the ground. Rays near
+/// the horizon would meet the ground far outside the scene, or never.
 const REACH_HEIGHTS: f64 = 3.0;
 
 /// The ground as a horizontal plane, with map coordinates on it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Ground {
-    /// World directions of the map's first coordinate, its second and up: axes of the world frame,
-    /// right-handed.
+    /// World directions of the first map coordinate, of the second map coordinate, and of up. Each is an
+    /// axis of the world or its opposite, and together they are right-handed.
     axes: [DVec3; 3],
-    /// Height of the ground along up, world units; `None` without sparse points.
+    /// Height of the ground along the up axis, world units; `None` without sparse points.
     height_m: Option<f64>,
 }
 
 /// The ground that a view sees, in map coordinates.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Footprint {
-    /// The centre of that ground.
+    /// The centre of the ground that the view sees.
     pub(crate) center: DVec2,
     /// Where the rays through the picture's corners meet the ground, in order around the picture.
     pub(crate) outline: [DVec2; 4],
 }
 
 impl Ground {
-    /// Finds the up axis and the height of the ground.
+    /// Finds the up axis of a dataset and the height of the ground.
     pub(crate) fn of(dataset: &Dataset) -> Self {
         let eyes: Vec<DVec3> = dataset.views.iter().map(|v| v.camera.cam_from_world.center()).collect();
         let points: Vec<DVec3> = dataset.points.iter().map(|p| p.position).collect();
@@ -53,7 +53,7 @@ impl Ground {
         DVec2::new(self.axes[0].dot(p_world), self.axes[1].dot(p_world))
     }
 
-    /// Map position where a ray from `eye` meets the ground, or where it is cut off by [`REACH_HEIGHTS`].
+    /// Map position where a ray from `eye` meets the ground, or where [`REACH_HEIGHTS`] cuts it off.
     fn meet(&self, eye: DVec3, direction: DVec3) -> DVec2 {
         let from = self.map(eye);
         let above = self.height_m.map_or(0.0, |ground| self.axes[2].dot(eye) - ground);
@@ -106,7 +106,7 @@ fn middle(points: &[DVec2]) -> Option<DVec2> {
     Some(DVec2::new(x, y))
 }
 
-/// 0, 1 or 2 for x, y, z: the axis with the smallest interquartile range; z on a tie.
+/// The axis with the smallest interquartile range, as 0, 1 or 2 for x, y or z; z on a tie.
 fn axis_of_least_spread(points: &[DVec3]) -> usize {
     let spread = |axis: usize| {
         let mut along: Vec<f64> = points.iter().map(|p| p[axis]).collect();
@@ -146,7 +146,8 @@ mod tests {
         }
     }
 
-    /// A field of 21 × 21 points a metre apart, flat except for a little roughness, all at `up = 5`.
+    /// A field of 21 × 21 points, a metre apart and seen by `views`. Their heights are 5.0 to 5.2 m.
+    /// `place` turns east, north and up into a world position.
     fn field(place: impl Fn(f64, f64, f64) -> DVec3, views: &[u32]) -> Vec<(DVec3, Vec<u32>)> {
         let grid = (-10..=10).flat_map(|x| (-10..=10).map(move |y| (x, y)));
         grid.map(|(x, y)| {
@@ -164,7 +165,8 @@ mod tests {
         let ground = Ground::of(&data);
         let print = &footprints(&data, &ground)[0];
         assert!((print.center - DVec2::new(3.0, 4.0)).length() < 1e-9, "{print:?}");
-        // 20 m up, and half a picture is half the focal length: 10 m to each side, north edge first.
+        // The camera is 20 m above the ground. Half a picture is half the focal length, so the view
+        // reaches 10 m to each side. The first corner is the north-western one.
         let first = print.outline[0] - DVec2::new(-7.0, 14.0);
         assert!(first.abs().max_element() < 0.15, "{print:?}");
     }
@@ -190,7 +192,7 @@ mod tests {
 
     #[test]
     fn a_world_whose_up_is_minus_y_is_mapped_from_above() {
-        // COLMAP without georeference: y down. East is x, so north must be z.
+        // COLMAP without georeference: y points down. East is x, so north must be z.
         let points = field(|east, north, up| DVec3::new(east, -up, north), &[]);
         let eye = DVec3::new(2.0, -25.0, 3.0);
         let data = dataset(vec![camera(eye, eye + DVec3::Y, DVec3::Z)], points);

@@ -2,18 +2,19 @@
 
 use glam::DVec2;
 
-/// At least three corners, in order around the polygon. Its area may be zero: a row of views has no width.
+/// A polygon with at least three corners, in order around it. Its area may be zero: the cell of a single row of views
+/// has no width.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Outline(Vec<DVec2>);
 
 impl Outline {
-    /// A rectangle from its lowest and highest coordinates.
+    /// The rectangle with these lowest and highest coordinates.
     pub(crate) fn rectangle([low, high]: [DVec2; 2]) -> Self {
         Self(vec![low, DVec2::new(high.x, low.y), high, DVec2::new(low.x, high.y)])
     }
 
-    /// A polygon from its corners, in either direction; the last may repeat the first. `None` if there are fewer than
-    /// three, or if one is not finite.
+    /// The polygon with these corners, clockwise or counterclockwise; the last corner may repeat the first. `None` if
+    /// there are fewer than three corners, or if a coordinate is not finite.
     pub(crate) fn polygon(corners: &[[f64; 2]]) -> Option<Self> {
         let mut corners: Vec<DVec2> = corners.iter().copied().map(DVec2::from_array).collect();
         if corners.len() > 1 && corners.first() == corners.last() {
@@ -27,7 +28,7 @@ impl Outline {
         &self.0
     }
 
-    /// Lowest and highest coordinates.
+    /// Lowest and highest coordinates of the polygon.
     pub(crate) fn bounds(&self) -> [DVec2; 2] {
         self.0
             .iter()
@@ -54,7 +55,8 @@ impl Outline {
     }
 }
 
-/// The point between `a` and `b` that is nearest to `at`. On a line parallel to an axis, `at` itself is returned exactly.
+/// The point on the line from `a` to `b` that is nearest to `at`. If the line is parallel to an axis and `at` lies on
+/// it, the result is exactly `at`.
 fn on_border(a: DVec2, b: DVec2, at: DVec2) -> DVec2 {
     let along = b - a;
     let (low, high) = (a.min(b), a.max(b));

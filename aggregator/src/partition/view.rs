@@ -1,4 +1,4 @@
-//! A view of the dataset with the cell that it was given to.
+//! A view of the dataset with the cell that it belongs to.
 
 use super::footprint::Footprint;
 
@@ -7,10 +7,10 @@ use super::footprint::Footprint;
 pub(crate) struct AssignedView {
     /// Name of the view.
     pub(crate) name: String,
-    /// The ground that it sees.
+    /// The ground that the view sees.
     pub(crate) footprint: Footprint,
-    /// Index of its cell.
+    /// Index of the cell that the view belongs to.
     pub(crate) cell: usize,
-    /// Whether it is held out.
+    /// Whether the view is held out.
     pub(crate) held_out: bool,
 }

@@ -6,7 +6,7 @@ use super::svg::agent_color;
 
 const WIDTH: f32 = 1000.0;
 const HEIGHT: f32 = 360.0;
-/// Space for the labels, left and below.
+/// Space for the labels on the left and below, SVG units.
 const GUTTER: [f32; 2] = [70.0, 40.0];
 
 /// Draws one curve of `[step, dB]` per agent; `None` if no curve has two points.

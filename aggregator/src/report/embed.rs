@@ -4,7 +4,7 @@ use cosurf_scene::Picture;
 use image::codecs::jpeg::JpegEncoder;
 use image::{ExtendedColorType, ImageError};
 
-/// JPEG quality, 1 to 100, at which the borders of blocks are not visible.
+/// JPEG quality, 1 to 100, at which the borders of JPEG's blocks are not visible.
 const JPEG_QUALITY: u8 = 88;
 const ALPHABET: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
 
@@ -21,7 +21,7 @@ pub(crate) fn data_uri(picture: &Picture) -> Result<String, ImageError> {
     Ok(format!("data:image/jpeg;base64,{}", base64(&jpeg)))
 }
 
-/// RFC 4648 §4, with padding.
+/// Base64 of RFC 4648 §4, with padding.
 fn base64(bytes: &[u8]) -> String {
     let mut text = String::with_capacity(bytes.len().div_ceil(3) * 4);
     for chunk in bytes.chunks(3) {
@@ -40,7 +40,7 @@ mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
 
-    /// The test vectors of RFC 4648 §10, and the digits `+` and `/`.
+    /// Uses the test vectors of RFC 4648 §10, and bytes that give the digits `+` and `/`.
     #[test]
     fn base64_matches_the_test_vectors() {
         for (bytes, text) in [

@@ -1,4 +1,4 @@
-//! The figures of a mission, as they stand in `report.json`.
+//! The figures of a mission, in the form that `report.json` has.
 
 use std::path::PathBuf;
 
@@ -8,14 +8,14 @@ use serde::{Deserialize, Serialize};
 use crate::evaluate::Quality;
 use crate::service::Merging;
 
-/// The figures of a mission, as in `report.json`.
+/// All figures of a mission; the content of `report.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MissionReport {
     /// The dataset's folder.
     pub data: PathBuf,
     /// Seed of every random choice.
     pub seed: u64,
-    /// In order of device id.
+    /// The agents, in order of device id.
     pub agents: Vec<AgentSummary>,
     /// The edge aggregators, in order of device id.
     pub edges: Vec<EdgeSummary>,
@@ -23,82 +23,85 @@ pub struct MissionReport {
     pub whole: WholeSummary,
 }
 
-/// One agent's figures.
+/// The figures of one agent.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct AgentSummary {
     /// Device id.
     pub device: String,
-    /// Views given to train on.
+    /// Number of views that the agent trains on, with views of other cells in its margin.
     pub views: usize,
-    /// Held-out views whose footprint centre lies in the agent's cell.
+    /// Number of held-out views that belong to the agent's cell, the cell nearest to the centre of
+    /// their footprint.
     pub held_out: usize,
-    /// The figures of its training; absent if the training did not finish.
+    /// The figures of the agent's training; absent if it did not finish.
     pub training: Option<TrainReport>,
     /// Bytes sent to the aggregator, resends included.
     pub bytes_sent: u64,
-    /// How often its process died and was restarted.
+    /// How often the agent's process died and was restarted.
     pub restarts: u32,
-    /// The global model on this agent's held-out views; absent where there are none.
+    /// Figures of the global model on this agent's held-out views; absent if the agent has none.
     pub in_global: Option<Quality>,
     /// Why the agent failed; absent if it did not.
     pub failure: Option<String>,
-    /// `[step, dB]`: PSNR over steps, each a mean over the latest training pictures.
+    /// The training curve: points `[step, PSNR in dB]`. Each PSNR is a mean over the latest training
+    /// pictures.
     pub curve: Vec<[f32; 2]>,
 }
 
-/// One edge's figures.
+/// The figures of one edge aggregator.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct EdgeSummary {
-    /// Its id on the root's site.
+    /// Device id of the edge on the site of the root aggregator.
     pub device: String,
-    /// Device ids of its agents.
+    /// Device ids of the edge's agents.
     pub agents: Vec<String>,
-    /// Bytes sent to the root, resends included.
+    /// Bytes that the edge sent to the root, resends included.
     pub bytes_sent: u64,
-    /// How it merged its agents' models; absent if none arrived.
+    /// How the edge merged its agents' models; absent if it merged none.
     pub merging: Option<Merging>,
 }
 
 /// The figures of the whole mission.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct WholeSummary {
-    /// Views trained on, by all agents together.
+    /// Number of views that are trained on, by all agents together.
     pub views: usize,
-    /// Views held out.
+    /// Number of views held out.
     pub held_out: usize,
-    /// Splats of the global model.
+    /// Number of splats of the global model.
     pub splats: usize,
     /// Revision of the global model.
     pub revision: u64,
-    /// Steps of all agents together.
+    /// Number of training steps of all agents together.
     pub steps: u64,
-    /// From the mission's start to its end, seconds.
+    /// Time from the start of the mission until the global model is scored, seconds.
     pub seconds: f64,
-    /// Steps of all agents together per second of the longest training.
+    /// Training steps of all agents together, divided by the seconds of the longest training.
     pub steps_per_s: f64,
-    /// Peak resident memory of the largest agent.
+    /// Peak resident memory of the agent that used most, bytes.
     pub peak_memory_bytes: u64,
-    /// Peak resident memory of the aggregator; absent if the system does not report it.
+    /// Peak resident memory of the aggregator, bytes; absent if the system does not report it.
     pub aggregator_peak_memory_bytes: Option<u64>,
     /// Bytes that all agents sent, resends included.
     pub bytes_sent: u64,
-    /// The global model on all held-out views; absent where none is held out.
+    /// Figures of the global model on all held-out views; absent if no view is held out.
     pub quality: Option<Quality>,
-    /// The agents' models joined but not merged, on the same views.
+    /// PSNR and SSIM of the agents' models joined but not merged, on the same views; absent if no view
+    /// is held out.
     pub joined: Option<Quality>,
-    /// How the models were merged.
+    /// How the models were merged; absent if the record of the merge cannot be read.
     pub merging: Option<Merging>,
-    /// The mesh of the global model; absent where it has none.
+    /// The mesh of the global model; absent if none was made.
     pub mesh: Option<MeshSummary>,
-    /// Why there is no mesh.
+    /// Why no mesh was made; absent if there is one.
     pub mesh_failure: Option<String>,
 }
 
-/// A mesh's figures.
+/// The figures of a mesh.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MeshSummary {
-    /// Its triangles.
+    /// Number of triangles.
     pub triangles: usize,
-    /// Edge of a voxel, world units.
+    /// Edge of the voxels from which the mesh was extracted, world units.
     pub voxel_m: f64,
 }

@@ -1,4 +1,5 @@
-//! Draws the map of a partition as SVG: every agent's cell, the footprints of its views, and their centres.
+//! Draws the map of a partition as SVG: the cell of every agent, the footprints of the training views, and the
+//! centres of all footprints.
 
 use std::fmt::Write;
 
@@ -7,12 +8,12 @@ use glam::DVec2;
 use super::svg::{agent_color, escape};
 use crate::partition::{AssignedView, Cell};
 
-/// Width of the drawing in its own units; the page scales it.
+/// Width of the drawing in SVG units; the page scales it.
 const WIDTH: f64 = 1000.0;
-/// Margin drawn around the cells, as a share of their size.
+/// Margin around the cells, as a share of the longer side of their bounding box.
 const MARGIN: f64 = 0.15;
 
-/// Draws cells and views; cell `i` is agent `i`'s.
+/// Draws cells and views. Cell `i` belongs to agent `i`.
 pub(crate) fn draw(cells: &[Cell], views: &[AssignedView]) -> String {
     let frame = Frame::around(cells);
     let mut svg = String::new();
@@ -62,7 +63,8 @@ fn draw_center(svg: &mut String, frame: &Frame, view: &AssignedView) {
     );
 }
 
-/// A bar of 1, 2 or 5 times a power of ten metres, about a quarter of the map's width.
+/// Draws a scale bar of at most a quarter of the map's width. Its length is 1, 2 or 5 times a power of ten
+/// metres.
 fn draw_scale(svg: &mut String, frame: &Frame) {
     let length_m = round_length(WIDTH / frame.scale / 4.0);
     let (x, y) = (20.0, frame.height() - 20.0);
@@ -82,7 +84,7 @@ fn round_length(about: f64) -> f64 {
     factor.unwrap_or(1.0) * power
 }
 
-/// Converts map coordinates to those of the drawing, north up.
+/// Converts map coordinates to SVG units, with north up.
 struct Frame {
     low: DVec2,
     high: DVec2,
@@ -133,7 +135,8 @@ mod tests {
         let views = [view(10.0, 0, false), view(90.0, 1, false), view(30.0, 0, true)];
         let svg = draw(&[cell(0.0, 50.0), cell(50.0, 100.0)], &views);
         assert_eq!((svg.matches("<circle").count(), svg.matches("<polygon").count()), (3, 2 + 2));
-        // 100 m and a margin of 15 m on each side are 1000 units: 1 m is 7.69 units, and north (y = 90) is up.
+        // The 100 m of the cells and a margin of 15 m on each side are 1000 units wide, so 1 m is 7.69 units.
+        // North (y = 90) is up.
         assert!(svg.contains(r#"cx="500.0" cy="192.3""#) && svg.contains(r#"cy="807.7""#), "{svg}");
         assert!(svg.contains("&lt;10&gt;") && !svg.contains("<10>"), "names are escaped");
         assert!(svg.contains(">20 m<"), "{svg}");

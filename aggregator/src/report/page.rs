@@ -1,4 +1,4 @@
-//! `report.html`: one self-contained file without scripts, for phone and desktop.
+//! Writes `report.html`: one self-contained file without scripts, for phone and desktop.
 
 use std::fmt::Write;
 
@@ -16,17 +16,17 @@ use crate::evaluate::Quality;
 use crate::partition::{AssignedView, Cell};
 use crate::terminal::format_seconds;
 
-/// What the page draws beside the figures of the report.
+/// What the page draws in addition to the figures of the report.
 pub(crate) struct Drawings<'a> {
-    /// Cell `i` is that of the report's agent `i`.
+    /// The cells of the agents: cell `i` belongs to agent `i` of the report.
     pub(crate) cells: &'a [Cell],
-    /// All views, trained on and held out.
+    /// All views, those trained on and those held out.
     pub(crate) views: &'a [AssignedView],
-    /// A few held-out views.
+    /// A few held-out views as pictures.
     pub(crate) showcases: &'a [Showcase],
 }
 
-/// The whole page.
+/// Returns the whole page as HTML.
 pub(crate) fn page(report: &MissionReport, drawings: &Drawings) -> Result<String, ImageError> {
     let mut html = String::from("<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\">");
     html.push_str("<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">");
@@ -106,7 +106,7 @@ fn agents(html: &mut String, report: &MissionReport) {
     }
 }
 
-/// What the columns of the table mean.
+/// Writes what the columns of the table mean.
 fn explanation(html: &mut String, quality: Option<&Quality>) {
     html.push_str(
         "<p class=\"soft\">Views: training views + held-out views. PSNR and SSIM are means over held-out views: in an \
@@ -160,7 +160,7 @@ fn pictures(html: &mut String, showcases: &[Showcase]) -> Result<(), ImageError>
     Ok(())
 }
 
-/// A view's figures in a line.
+/// The figures of a view in one line.
 fn figures(quality: &Quality) -> String {
     let lpips = lpips_text(quality).map(|text| format!("LPIPS {text}"));
     let depth = depth_text(quality).map(|text| format!("depth error {text}"));
@@ -209,7 +209,7 @@ fn mesh_sentence(mesh: MeshSummary) -> String {
     )
 }
 
-/// `1234567` as `1 234 567`, with spaces that neither break nor vary in width.
+/// Formats `1234567` as `1 234 567`, with narrow spaces at which a browser does not break the line.
 fn group_digits(count: usize) -> String {
     let digits = count.to_string();
     let mut grouped = String::new();

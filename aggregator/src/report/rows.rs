@@ -1,4 +1,4 @@
-//! The rows of the table of agents, shared by the page and the terminal.
+//! The rows of the table of agents, which the page and the terminal share.
 
 use cosurf_contract::TrainReport;
 use cosurf_scene::bytes::format_bytes;
@@ -7,8 +7,8 @@ use super::figures::{AgentSummary, MissionReport, WholeSummary};
 use crate::evaluate::Quality;
 use crate::terminal::format_seconds;
 
-/// Headings, a row per agent and one for the whole mission. Figures that this mission does not have get no
-/// column.
+/// Returns the headings, one row for each agent and one for the whole mission. A figure that this mission
+/// does not have gets no column.
 pub(crate) fn rows(report: &MissionReport) -> Vec<Vec<String>> {
     let mut headings =
         ["", "views", "splats", "steps", "time", "steps/s", "memory", "sent", "PSNR", "SSIM", "in global"]
@@ -22,10 +22,11 @@ pub(crate) fn rows(report: &MissionReport) -> Vec<Vec<String>> {
     rows
 }
 
-/// A heading, and a figure of the global model as text; `None` if it is not known.
+/// The heading of a column, and the function that gives a figure of the global model as text; `None` if
+/// it is not known.
 type Measure = (&'static str, fn(&Quality) -> Option<String>);
 
-/// The figures beyond PSNR and SSIM that the mission has.
+/// The figures besides PSNR and SSIM that this mission has.
 fn measures(whole: &WholeSummary) -> Vec<Measure> {
     let all: [Measure; 4] = [
         ("LPIPS", lpips_text),
@@ -36,22 +37,22 @@ fn measures(whole: &WholeSummary) -> Vec<Measure> {
     all.into_iter().filter(|(_, text)| whole.quality.as_ref().and_then(text).is_some()).collect()
 }
 
-/// LPIPS by VGG.
+/// The LPIPS distance by VGG16 as text.
 pub(crate) fn lpips_text(quality: &Quality) -> Option<String> {
     quality.lpips.map(|lpips| format!("{:.3}", lpips.vgg))
 }
 
-/// Median error of depth.
+/// The median error of depth as text.
 pub(crate) fn depth_text(quality: &Quality) -> Option<String> {
     quality.surface?.depth_error_percent.map(|error| format!("{:.2} %", error.median))
 }
 
-/// Median error of the normals of depth.
+/// The median error of the normals of depth as text.
 pub(crate) fn depth_normal_text(quality: &Quality) -> Option<String> {
     quality.surface?.depth_normal_error_deg.map(|error| format!("{:.1}°", error.median))
 }
 
-/// Median error of blended normals.
+/// The median error of the blended normals as text.
 pub(crate) fn normal_text(quality: &Quality) -> Option<String> {
     quality.surface?.normal_error_deg.map(|error| format!("{:.1}°", error.median))
 }
@@ -94,7 +95,7 @@ fn whole_row(whole: &WholeSummary, measures: &[Measure]) -> Vec<String> {
     row
 }
 
-/// The figures of the global model on some views.
+/// The cells with the figures of the global model on some views.
 fn in_global(quality: Option<&Quality>, measures: &[Measure]) -> Vec<String> {
     let psnr: Measure = ("PSNR", |quality| Some(format!("{:.2} dB", quality.psnr)));
     let cell = |(_, text): &Measure| quality.and_then(text).unwrap_or("–".into());

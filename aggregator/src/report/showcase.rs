@@ -1,32 +1,32 @@
-//! A held-out view in pictures: the photograph, the renderings of the model, and their errors.
+//! Shows a held-out view in pictures: the photograph, the renderings of the model, and their errors.
 
 use cosurf_scene::{Cast, Caster, Picture, SceneError, View, colormap};
 
 use crate::evaluate::{Comparison, Judge, Quality, depth_errors_percent, normal_errors_deg};
 
-/// Number of views shown in the report, spread from the best to the worst.
+/// Limit on the number of views that the report shows in pictures, spread from the best to the worst.
 const SHOWCASES: usize = 4;
-/// Error of colour that gets the brightest colour, percent of the largest value.
+/// Error of colour that is drawn in the brightest colour, percent of the largest colour value.
 const COLOR_BRIGHT_PERCENT: f32 = 20.0;
-/// Error of depth that gets the brightest colour, percent of the depth.
+/// Error of depth that is drawn in the brightest colour, percent of the true depth.
 const DEPTH_BRIGHT_PERCENT: f32 = 2.0;
-/// Error of normals that gets the brightest colour.
+/// Error of normals that is drawn in the brightest colour, degrees.
 const NORMAL_BRIGHT_DEG: f32 = 45.0;
 
-/// A picture and its caption, as plain text.
+/// A picture with a caption in plain text.
 pub(crate) struct Captioned {
     pub(crate) caption: String,
     pub(crate) picture: Picture,
 }
 
-/// A held-out view beside the renderings of the global model.
+/// A held-out view as a photograph and as renderings of the global model.
 pub(crate) struct Showcase {
     /// Name of the view.
     pub(crate) name: String,
-    /// Its figures.
+    /// The figures of the view.
     pub(crate) quality: Quality,
-    /// All of one size: photograph, colour, its error, depth and normal; the mesh, if there is one; the errors of
-    /// depth and normal, if the true surface is known.
+    /// Pictures of equal size, in this order: photograph, rendered colour, error of colour, depth, normals; then
+    /// the mesh, if there is one; then the errors of depth and of normals, if the true surface is known.
     pub(crate) pictures: Vec<Captioned>,
 }
 
@@ -67,7 +67,8 @@ impl Showcase {
     }
 }
 
-/// Showcases of a few of `views`, the best first; `qualities` are those of all `views`, in their order.
+/// Returns the showcases of a few of `views`, the best view first. `qualities` are the figures of all `views`,
+/// in their order.
 pub(crate) fn showcases(
     judge: &mut Judge,
     views: &[&View],
@@ -82,8 +83,8 @@ pub(crate) fn showcases(
     spread(qualities).into_iter().map(show).collect()
 }
 
-/// Indices of up to [`SHOWCASES`] views, evenly spread over the ranks by PSNR, the best first and the
-/// worst last.
+/// Indices of up to [`SHOWCASES`] views, evenly spread over the ranks by PSNR: the best is first and the worst
+/// is last.
 fn spread(qualities: &[Quality]) -> Vec<usize> {
     let mut ranked: Vec<usize> = (0..qualities.len()).collect();
     ranked.sort_by(|&a, &b| qualities[b].psnr.total_cmp(&qualities[a].psnr));
@@ -92,7 +93,7 @@ fn spread(qualities: &[Quality]) -> Vec<usize> {
     (0..count).map(|i| ranked[i * last / (count - 1).max(1)]).collect()
 }
 
-/// The mean of the channels' absolute differences.
+/// Draws the error of colour: in each pixel, the mean over the channels of the absolute difference.
 fn color_error(photograph: &Picture, rgb: &[f32]) -> Picture {
     let pixels = photograph.rgb.as_chunks::<3>().0.iter().zip(rgb.as_chunks::<3>().0);
     let percent = |(wanted, got): (&[u8; 3], &[f32; 3])| {

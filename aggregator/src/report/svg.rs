@@ -1,12 +1,13 @@
-//! What drawings and page share: the colours of agents, and text that is safe inside markup.
+//! Helpers that the drawings and the page share: the colours of agents, and text that is safe inside
+//! markup.
 
-/// Colour of agent `i`: hues a golden angle apart, so that any number of neighbours differ, legible
-/// on white and on black.
+/// Colour of agent `agent`. The hues of consecutive agents are a golden angle apart, so they differ for
+/// any number of agents. The colours can be seen on white and on black.
 pub(crate) fn agent_color(agent: usize) -> String {
     format!("hsl({:.0} 62% 48%)", (212.0 + 137.508 * agent as f64) % 360.0)
 }
 
-/// Text as HTML and SVG show it literally, also inside quoted attributes.
+/// Escapes a text so that HTML and SVG show it literally, also inside quoted attributes.
 pub(crate) fn escape(text: &str) -> String {
     let mut escaped = String::with_capacity(text.len());
     for c in text.chars() {

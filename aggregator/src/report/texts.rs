@@ -1,4 +1,4 @@
-//! The figures of a mission as text: the table for a terminal, sentences on merges, remarks.
+//! Writes the figures of a mission as text: the table for a terminal, sentences on merges, and remarks.
 
 use cosurf_scene::bytes::format_bytes;
 
@@ -7,13 +7,13 @@ use super::rows::rows;
 use crate::service::Merging;
 use crate::terminal::{aligned, format_seconds};
 
-/// The table for a terminal.
+/// The table of the figures for a terminal, followed by the sentences on merges.
 pub fn table(report: &MissionReport) -> String {
     let sentences: String = merge_texts(report).iter().map(|text| format!("\n{text}\n")).collect();
     aligned(&rows(report)) + &sentences
 }
 
-/// A sentence or two on each known merge: those of the edges, then that of the root.
+/// One text on each known merge: first the merges of the edges, then that of the root.
 pub(crate) fn merge_texts(report: &MissionReport) -> Vec<String> {
     let whole = &report.whole;
     let merge = |edge: &EdgeSummary| {
@@ -52,7 +52,9 @@ fn merge_text(Merging { summary, seconds, .. }: &Merging) -> String {
     )
 }
 
-/// What failed or was given up for memory: one sentence each, with the agent's name.
+/// One sentence on each thing that a reader should know: failures and restarts of agents, what agents
+/// gave up for memory, models that were incomplete, kept out or changed in a merge, and why there is no
+/// mesh.
 pub(crate) fn remarks(report: &MissionReport) -> Vec<String> {
     let mut remarks = Vec::new();
     for agent in &report.agents {
@@ -109,7 +111,7 @@ pub(crate) mod tests {
         }
     }
 
-    /// A mission of two agents, one of which failed.
+    /// The report of a mission of two agents, one of which failed.
     pub(crate) fn example() -> MissionReport {
         let training = TrainReport {
             steps: 600,

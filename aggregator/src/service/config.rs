@@ -25,50 +25,53 @@ pub struct AggregatorConfig {
     pub out: PathBuf,
     /// Address on which the embedded broker listens, for example `0.0.0.0:1883`; absent where `broker` is used.
     pub bind: Option<SocketAddr>,
-    /// URL of another broker, for example `mqtt://10.0.0.2:1883`; absent where `bind` is used.
+    /// URL of the broker to use instead of an embedded one, for example `mqtt://10.0.0.2:1883`; absent where `bind` is
+    /// used.
     pub broker: Option<BrokerAddress>,
     /// Certificates for a broker with `mqtts://`.
     pub tls: Option<TlsFiles>,
-    /// World frame of the coordinates, the same for all models that are merged; absent for `local`.
+    /// Name of the world frame of the coordinates; only models of this frame are merged. Absent for `local`.
     pub frame: Option<FrameId>,
     /// File of the secret key that signs the global model, written by the command `key`; absent for no signature.
     pub key: Option<PathBuf>,
-    /// List of public keys whose models are accepted, one line of the command `key` each; absent to accept all.
+    /// File of the public keys whose models are accepted: for each key the line that the command `key` prints. Absent
+    /// to accept all models.
     pub trusted: Option<PathBuf>,
     /// Limit on the bytes of concurrent uploads; further agents wait.
     #[serde(default = "default_memory_bytes")]
     pub memory_bytes: u64,
-    /// Limit on the bytes that merging takes.
+    /// Limit on the bytes that a merge takes.
     #[serde(default = "default_merge_memory_bytes")]
     pub merge_memory_bytes: u64,
-    /// Device that merging computes on: `auto`, `cpu`, `gpu` or `gpu:N`.
+    /// The device that computes merges: `auto`, `cpu`, `gpu` or `gpu:N`.
     #[serde(default)]
     pub compute: DeviceChoice,
     /// True to move a model that lies in another frame than the others to where it fits, instead of leaving it out.
     #[serde(default)]
     pub refine: bool,
-    /// Number of devices whose models are enough to merge.
+    /// Number of devices that must have sent a model before a merge begins. The deadline overrides this number.
     #[serde(default = "default_quorum")]
     pub quorum: usize,
-    /// Seconds without a new model before a merge begins.
+    /// Seconds without a new model after which a merge begins.
     #[serde(default = "default_quiet_s")]
     pub quiet_s: u64,
-    /// Seconds that a merge waits for more models at most.
+    /// Longest time that a merge waits for more models, seconds.
     #[serde(default = "default_deadline_s")]
     pub deadline_s: u64,
-    /// The aggregator above. Where it is set, this aggregator is an edge: a device of the one above.
+    /// The aggregator above this one; absent if there is none. With an aggregator above, this one is an edge: it
+    /// uploads its global models like a device.
     pub upstream: Option<UpstreamConfig>,
 }
 
-/// The aggregator above an edge. World frame, key and trusted keys are those of the edge's own site.
+/// How an edge reaches the aggregator above it. World frame, key and trusted keys are those of the edge's own site.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct UpstreamConfig {
-    /// The site that it serves.
+    /// The site that the aggregator above serves.
     pub site: SiteId,
     /// Device id of the edge on that site, unique there.
     pub device: DeviceId,
-    /// URL of its broker, for example `mqtt://cloud.example.org:1883`.
+    /// URL of the broker of that site, for example `mqtt://cloud.example.org:1883`.
     pub broker: BrokerAddress,
     /// Certificates for a broker with `mqtts://`.
     pub tls: Option<TlsFiles>,

@@ -1,4 +1,4 @@
-//! Why a service cannot work.
+//! Why a service failed.
 
 use cosurf_link::{BodyFault, StoreError};
 use cosurf_scene::SceneError;
@@ -12,7 +12,7 @@ pub enum ServiceError {
     /// A model could not be written or read.
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// The PLY could not be written.
+    /// The PLY file of the global model could not be written.
     #[error(transparent)]
     Scene(#[from] SceneError),
     /// The body of a model is invalid.

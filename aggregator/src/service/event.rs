@@ -1,4 +1,4 @@
-//! What a service tells its owner.
+//! The events that a service reports to its owner.
 
 use std::fmt;
 
@@ -17,56 +17,56 @@ pub enum ServiceEvent {
     Connected,
     /// The link is down; the service keeps trying.
     Disconnected {
-        /// Failed attempts since it was last up, from 1.
+        /// Number of failed attempts since the link was last up, from 1.
         attempt: u32,
-        /// One line.
+        /// The reason, one line.
         reason: String,
     },
     /// A model is safe on the disk.
     Stored {
-        /// Its header.
+        /// Header of the model.
         header: ModelHeader,
     },
     /// The disk failed; the service tries again.
     DiskFailed {
-        /// One line.
+        /// The reason, one line.
         reason: String,
     },
     /// A model has arrived only in part; the part is used until the rest arrives.
     PartTaken {
-        /// Header of the part, as a model of its own.
+        /// Header of the part, which is stored like a model of its own.
         header: ModelHeader,
-        /// Splats of the whole model.
+        /// Number of splats of the whole model.
         of_splats: u32,
     },
     /// Progress of a merge.
     Merging(MergeProgress),
-    /// A device is withdrawn: its models no longer count.
+    /// A device is withdrawn: the models that it has sent so far no longer count.
     Withdrawn {
         /// The device.
         device: DeviceId,
     },
-    /// A new global model is safe on the disk.
+    /// The newest global model is safe on the disk, and is offered to the agents.
     Merged {
-        /// Its header; the model's number is the revision.
+        /// Header of the global model. Its model number is the revision.
         header: ModelHeader,
-        /// Local models in it.
+        /// Number of local models in the global model.
         models: usize,
         /// Local models that are kept out, with reasons.
         kept_out: Vec<KeptOut>,
     },
     /// There is no new global model: all local models are kept out.
     NothingMerged {
-        /// The local models, with reasons.
+        /// All local models, with the reasons.
         kept_out: Vec<KeptOut>,
     },
-    /// Every agent that is not given up has the global model on its disk.
+    /// Every agent that sent a model and is not given up has the global model on its disk.
     Delivered,
     /// An agent refuses the global model.
     Refused {
         /// The agent.
         by: DeviceId,
-        /// Why.
+        /// The reason.
         reason: RefusalReason,
     },
     /// Two drones use the same device name, so they disturb each other's uploads.
@@ -76,7 +76,7 @@ pub enum ServiceEvent {
     },
     /// A message was discarded.
     Ignored {
-        /// One line.
+        /// The reason, one line.
         reason: String,
     },
 }

@@ -1,4 +1,4 @@
-//! Where things lie in the folder of a service.
+//! Files and folders in the folder of a service.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -9,7 +9,7 @@ use cosurf_wire::{DeviceId, ModelHeader};
 use super::error::ServiceError;
 use crate::merge::concatenate;
 
-/// Joins the newest model of each device in the folders of services, without merging.
+/// Joins the newest models of all devices in the folders of services, without merging them.
 pub(crate) fn joined(folders: &[PathBuf]) -> Result<Model, ServiceError> {
     let mut parts = Vec::new();
     for folder in folders {
@@ -23,12 +23,12 @@ pub(crate) fn joined(folders: &[PathBuf]) -> Result<Model, ServiceError> {
     Ok(concatenate(&parts))
 }
 
-/// Where a service with this folder keeps the revisions of its global model.
+/// Folder of the global model's revisions, inside the folder of a service.
 pub(crate) fn global_store(folder: &Path) -> PathBuf {
     folder.join("global")
 }
 
-/// Where a service with this folder keeps the newest global model for viewers.
+/// File of the newest global model for viewers, inside the folder of a service.
 pub fn global_ply(folder: &Path) -> PathBuf {
     folder.join("global.ply")
 }

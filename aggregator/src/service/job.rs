@@ -1,4 +1,4 @@
-//! A merge on its own thread. The gate first decides which models take part ([`crate::gate`]).
+//! A merge on its own thread. Before the merge, the gate decides which models take part ([`crate::gate`]).
 
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -15,15 +15,15 @@ use super::record::{Fitted, KeptOut};
 use crate::gate::admit;
 use crate::merge::{Locals, MergeError, MergeProgress, MergeSettings, Merged, fill_in, merge};
 
-/// Steps between two reports.
+/// Number of distillation steps between two reports of progress.
 const TELL_EVERY: u32 = 50;
 
-/// What is merged, each list in order of device id.
+/// The models to merge. Each list is in the order of device ids.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Inputs {
     /// Models that have arrived completely.
     pub(super) whole: Vec<ModelHeader>,
-    /// Parts of other models, as models of their own.
+    /// Parts of models that have not arrived completely. Each part is a model of its own.
     pub(super) parts: Vec<ModelHeader>,
 }
 
@@ -33,7 +33,7 @@ impl Inputs {
     }
 }
 
-/// Where these models are stored.
+/// The stores of complete models and of parts.
 #[derive(Clone, Debug)]
 pub(super) struct Stores {
     pub(super) whole: ModelStore,
@@ -61,15 +61,15 @@ pub(super) struct Outcome {
 
 /// The state of a merge.
 pub(super) enum JobState {
-    /// Nothing new.
+    /// Nothing has changed since the last poll.
     Unchanged,
-    /// It has made progress.
+    /// The merge has made progress.
     Advanced(MergeProgress),
-    /// It is done.
+    /// The merge has ended.
     Done(Box<Result<Outcome, MergeError>>),
 }
 
-/// Packs a global model into a body, the splats most important to its cameras first.
+/// Encodes a global model as a body. The splats that are most important to the model's cameras come first.
 pub(crate) fn packed(model: &Model, threads: usize) -> Result<Vec<u8>, MergeError> {
     let _span = debug_span!("pack", splats = model.splats.len()).entered();
     let Model { splats, cameras } = model;
@@ -80,15 +80,15 @@ pub(crate) fn packed(model: &Model, threads: usize) -> Result<Vec<u8>, MergeErro
     Ok(model_to_body(splats, cameras, FirstLayer::ByImportance(&importance))?)
 }
 
-/// Models in a store.
+/// Models in a store, loaded when they are needed.
 struct Stored {
     models: ModelStore,
     headers: Vec<ModelHeader>,
 }
 
 impl Stored {
-    /// The models to merge, and the parts to add to them. If no model has arrived completely, the parts are merged with
-    /// each other.
+    /// Returns the models to merge, and the parts to add to the merged model. If no model has arrived completely, the
+    /// parts are merged with each other.
     fn of(stores: Stores, inputs: Inputs) -> (Self, Self) {
         let whole = Self { models: stores.whole, headers: inputs.whole };
         let parts = Self { models: stores.parts, headers: inputs.parts };
@@ -145,7 +145,7 @@ impl Job {
         Self { inputs, stop, progress, thread: Some(thread) }
     }
 
-    /// The state of the merge now, without waiting. [`JobState::Done`] hands out the result, once.
+    /// Returns the state of the merge without waiting. The result comes once, with [`JobState::Done`].
     pub(super) fn poll(&mut self) -> JobState {
         if let Ok(progress) = self.progress.try_recv() {
             return JobState::Advanced(progress);

@@ -1,4 +1,5 @@
-//! State and actions of a service. The disk is authoritative: all of this state can be read back from it.
+//! State and actions of a service. The disk is authoritative: a restarted service reads models, revisions and
+//! withdrawals back from its folder.
 
 use std::collections::{BTreeSet, VecDeque};
 use std::path::PathBuf;
@@ -22,14 +23,14 @@ use crate::merge::{MergeSettings, Merged};
 
 /// Pause before a failed write is tried again.
 const DISK_RETRY: Duration = Duration::from_secs(5);
-/// How often the folder is checked for withdrawals.
+/// Interval at which the folder is checked for withdrawals.
 const WITHDRAWALS_EVERY: Duration = Duration::from_secs(1);
 
-/// What the commands so far ask for, in ascending urgency.
+/// What the commands that have arrived so far ask for, in ascending urgency.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum RunState {
     Running,
-    /// Merge what is due, then end.
+    /// Finish a merge that is due, then end.
     Finishing,
     Stopping,
 }
@@ -50,16 +51,17 @@ pub(super) struct Keeper {
     round: Option<Round>,
     /// When a failed write may be tried again.
     retry_at: Duration,
-    /// The running merge, and when it began.
+    /// The running merge, and the time at which it began.
     job: Option<(Job, Duration)>,
     /// Events still to be reported.
     told: VecDeque<ServiceEvent>,
-    /// True if the newest revision is up to date and must still be offered to the agents.
+    /// True if the newest revision was merged from the models that count now, and must still be offered to
+    /// the agents.
     to_offer: bool,
 }
 
 impl Keeper {
-    /// Opens the folder; also returns the headers of the models in it.
+    /// Opens the service's folder. Also returns the headers of the local models in it.
     pub(super) fn open(config: ServiceConfig) -> Result<(Self, Vec<ModelHeader>), ServiceError> {
         let (shelf, headers) = Shelf::open(&config.folder)?;
         let (globals, revisions) = ModelStore::open(&global_store(&config.folder))?;
@@ -83,7 +85,7 @@ impl Keeper {
         Ok((keeper, headers))
     }
 
-    /// The models that count.
+    /// The models that would be merged now: the newest of each device.
     #[cfg(test)]
     pub(super) fn counted(&self) -> Vec<ModelKey> {
         self.shelf.newest().iter().map(ModelKey::from).collect()
@@ -99,7 +101,7 @@ impl Keeper {
         self.job.is_some() || self.to_offer
     }
 
-    /// Handles an event of the link.
+    /// Handles an event of the link. Returns the event to report, if there is one.
     pub(super) fn take(&mut self, node: &mut Node, event: NodeEvent, now: Duration) -> Option<ServiceEvent> {
         Some(match event {
             NodeEvent::Connected => ServiceEvent::Connected,
@@ -159,7 +161,8 @@ impl Keeper {
         }
     }
 
-    /// Withdraws devices, begins a merge when one is due, and publishes a finished one.
+    /// Reports a pending event, withdraws devices, begins a merge that is due, or publishes a finished merge.
+    /// Returns the event to report, if there is one.
     pub(super) fn work(&mut self, node: &mut Node, now: Duration) -> Option<ServiceEvent> {
         self.shelf.take_void_flights().for_each(|device| node.clear_flight(device));
         if let Some(event) = self.told.pop_front() {
@@ -175,7 +178,7 @@ impl Keeper {
         done.map(|outcome| outcome.unwrap_or_else(|error| self.disk_failed(&error, now)))
     }
 
-    /// Schedules another attempt.
+    /// Schedules another attempt after a failed write.
     fn disk_failed(&mut self, error: &ServiceError, now: Duration) -> ServiceEvent {
         self.retry_at = now + DISK_RETRY;
         self.round = Some(Round::extend(self.round, now));
@@ -194,7 +197,9 @@ impl Keeper {
         Ok(withdrawn.map(|device| ServiceEvent::Withdrawn { device }))
     }
 
-    /// Ends the round if it is over, and begins a merge. A running merge of other models is stopped.
+    /// If the round is over, ends it and begins a merge of the models that count. A running merge of other
+    /// models is stopped first. If the newest revision was merged from these models, it will be offered again
+    /// instead.
     fn begin_when_due(&mut self, node: &Node, now: Duration) {
         let here = self.shelf.newest().iter().map(|header| header.device).collect();
         let is_over = |round: &Round| round.is_over(&self.expected, &here, &self.given_up, now);
@@ -211,12 +216,12 @@ impl Keeper {
             self.job = None;
             self.to_offer = true;
         } else if self.job.as_ref().is_none_or(|(job, _)| job.inputs != inputs) {
-            self.job = None; // waits until the old merge has stopped
+            self.job = None; // dropping a job waits until its merge has stopped
             self.job = Some((Job::start(self.shelf.stores(), inputs, self.merge, self.threads), now));
         }
     }
 
-    /// Whether the newest revision was merged from these models with the present settings.
+    /// Whether the newest revision was merged from these models with the current settings.
     fn is_merged(&self, inputs: &Inputs) -> bool {
         let Some(record) = Merging::read(&self.folder) else { return false };
         record.inputs == recorded(inputs)
@@ -225,7 +230,7 @@ impl Keeper {
             && global_ply(&self.folder).is_file()
     }
 
-    /// Stores and offers the result of a finished merge.
+    /// Stores a finished merge and offers it to the agents, or offers the newest revision again.
     fn publish_when_done(
         &mut self,
         node: &mut Node,
@@ -250,7 +255,8 @@ impl Keeper {
         Ok(Some(self.broadcast(node, offer, kept_out)))
     }
 
-    /// Writes a merged model: revision, record, and the PLY for viewers. Unchanged bytes keep their revision.
+    /// Writes a merged model to the disk: the revision, its record, and the PLY file for viewers. If the
+    /// bytes are those of the newest revision, that revision stays.
     fn keep(
         &mut self,
         (merged, body): (Merged, Vec<u8>),
@@ -274,7 +280,7 @@ impl Keeper {
         Ok(offer)
     }
 
-    /// Offers the revision that is on the disk.
+    /// Offers the newest revision again, as it is on the disk.
     fn offer_again(&mut self, node: &mut Node) -> Result<ServiceEvent, ServiceError> {
         let global = self.global.expect("a merged model has a revision");
         let (header, body) = self.globals.get(ModelKey::from(global))?;

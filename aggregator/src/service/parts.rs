@@ -1,4 +1,4 @@
-//! Stored parts of unfinished uploads, as last merged ([`crate::merge::fill_in()`]).
+//! Stores the parts of unfinished uploads that merges use ([`crate::merge::fill_in()`]).
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -8,11 +8,11 @@ use cosurf_wire::{DeviceId, ModelHeader, ModelId};
 
 use super::error::ServiceError;
 
-/// At most one part of each device, on the disk.
+/// The stored parts, at most one for each device.
 #[derive(Debug)]
 pub(super) struct Parts {
     store: ModelStore,
-    /// Header of each device's part, as a model of its own.
+    /// Header of each device's part, which is stored like a model of its own.
     headers: BTreeMap<DeviceId, ModelHeader>,
 }
 
@@ -31,7 +31,8 @@ impl Parts {
         self.headers.values().copied()
     }
 
-    /// Stores what `node` has of an unfinished model, if it has more splats than the device's stored part.
+    /// Stores the part of an unfinished model that has arrived at `node`, if it has more splats than the
+    /// stored part of the same device. Returns the header of the new part.
     pub(super) fn take(
         &mut self,
         node: &Node,
@@ -60,7 +61,7 @@ impl Parts {
     /// Removes a device's part, because its model has arrived completely or was withdrawn.
     pub(super) fn forget(&mut self, device: &DeviceId) {
         if let Some(part) = self.headers.remove(device) {
-            // If this fails, the next start removes it.
+            // If the file cannot be removed, the service removes it when it starts again.
             let _ = self.store.remove(part.into());
         }
     }

@@ -1,4 +1,4 @@
-//! A service as a loop: it listens, keeps and merges, and tells its owner.
+//! A service as a loop: it receives messages, stores and merges models, and reports events to its owner.
 
 use std::ops::ControlFlow;
 use std::sync::mpsc::Receiver;
@@ -15,7 +15,7 @@ use super::keeper::{Keeper, RunState};
 /// Longest wait for a message before commands and merges are checked.
 const LISTEN: Duration = Duration::from_millis(50);
 
-/// A service with its folder open, not running yet.
+/// A service whose folder is open and that is not running yet.
 #[derive(Debug)]
 pub struct Service {
     pub(super) node: Node,
@@ -30,14 +30,14 @@ impl Service {
         Ok(Self { node: Node::new(identity, limits, &known), keeper })
     }
 
-    /// Signs outgoing messages with `credentials`, and accepts only messages that these trust.
+    /// Signs outgoing messages with `credentials`, and accepts only messages that the credentials trust.
     pub fn with(mut self, credentials: Credentials) -> Self {
         self.node.set_credentials(credentials);
         self
     }
 
-    /// Serves until a command ends it, or until `on_event` breaks. Returns the header of the newest global
-    /// model, if there is one.
+    /// Serves until a command ends it, or until `on_event` returns `Break`. Returns the header of the newest
+    /// global model, if there is one.
     pub fn run<T: Transport>(
         mut self,
         transport: &mut T,

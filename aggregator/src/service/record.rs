@@ -19,34 +19,34 @@ const WITHDRAWN: &str = "withdrawn";
 /// How the newest revision was merged: the content of `merged.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Merging {
-    /// The revision.
+    /// Number of the revision.
     pub revision: u64,
-    /// The models, in order of device id.
+    /// The models that the service gave to the merge, in order of device id.
     pub inputs: Vec<Input>,
-    /// Models among them that took no part.
+    /// Those of `inputs` that were kept out of the merge.
     #[serde(default)]
     pub kept_out: Vec<KeptOut>,
-    /// Models among them that were changed to fit the others.
+    /// Those of `inputs` that were changed to fit the others.
     #[serde(default)]
     pub fitted: Vec<Fitted>,
     /// Settings of the merge.
     pub settings: MergeSettings,
-    /// Figures of the merge; its locals are the models that took part, in their order.
+    /// Figures of the merge. Its `locals` are the models that took part, in order of device id.
     pub summary: MergeSummary,
     /// Duration of the merge, seconds.
     pub seconds: f64,
 }
 
-/// A model that was merged.
+/// A model that the service gave to a merge.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Input {
-    /// The device that sent it.
+    /// The device that sent the model.
     pub device: String,
     /// Number of the model.
     pub model: u64,
-    /// BLAKE3 hash of its body.
+    /// BLAKE3 hash of the model's body.
     pub blake3: String,
-    /// Splats that had arrived, if the model had arrived only in part.
+    /// Number of splats that had arrived, if the model had arrived only in part.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub part_splats: Option<u32>,
 }
@@ -54,11 +54,11 @@ pub struct Input {
 /// A model that was kept out of a merge, and why.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct KeptOut {
-    /// The device that sent it.
+    /// The device that sent the model.
     pub device: String,
     /// Number of the model.
     pub model: u64,
-    /// A sentence without its subject.
+    /// The reason, as a sentence without its subject.
     pub reason: String,
 }
 
@@ -77,11 +77,11 @@ impl KeptOut {
 /// A model that was changed to fit the others.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Fitted {
-    /// The device that sent it.
+    /// The device that sent the model.
     pub device: String,
-    /// Moves it from its own frame to that of the others; `None` if it was not moved.
+    /// Transformation from the model's own frame to that of the others; `None` if the model was not moved.
     pub by: Option<Similarity>,
-    /// Matches its colours to those of the others; `None` if they were not changed.
+    /// Change of the model's colours that matches them to those of the others; `None` if they were not changed.
     pub tone: Option<Tone>,
 }
 
@@ -113,8 +113,8 @@ impl Input {
 }
 
 impl Merging {
-    /// Reads the record of a service's folder; `None` if it is missing or this build cannot read it. The models are
-    /// then merged again.
+    /// Reads the record in a service's folder. `None` if it is missing or this version cannot read it; the service then
+    /// merges the models again.
     pub fn read(folder: &Path) -> Option<Self> {
         serde_json::from_slice(&fs::read(folder.join(MERGED)).ok()?).ok()
     }
@@ -131,11 +131,12 @@ impl Merging {
 pub fn withdraw(folder: &Path, device: &DeviceId) -> Result<(), SceneError> {
     let withdrawn = folder.join(WITHDRAWN);
     fs::create_dir_all(&withdrawn).map_err(|cause| SceneError::io(&withdrawn, cause))?;
-    // The service writes the number of the last withdrawn model into the file.
+    // The file is empty at first. The service writes the number of the last withdrawn model into it.
     atomic::write(&withdrawn.join(device.as_str()), |_| Ok(()))
 }
 
-/// Withdrawn devices, each with its last withdrawn model; `None` if the service has not yet written it.
+/// Withdrawn devices, each with the number of its last withdrawn model; `None` if the service has not yet written this
+/// number.
 pub(super) fn withdrawn(folder: &Path) -> BTreeMap<DeviceId, Option<ModelId>> {
     let entries = fs::read_dir(folder.join(WITHDRAWN)).into_iter().flatten().flatten();
     entries
@@ -147,7 +148,7 @@ pub(super) fn withdrawn(folder: &Path) -> BTreeMap<DeviceId, Option<ModelId>> {
         .collect()
 }
 
-/// Writes the last withdrawn model of a device.
+/// Writes the number of a device's last withdrawn model.
 pub(super) fn write_withdrawal(folder: &Path, device: &DeviceId, last: ModelId) -> Result<(), SceneError> {
     let path = folder.join(WITHDRAWN).join(device.as_str());
     atomic::write(&path, |file| io::Write::write_all(file, last.0.to_string().as_bytes()))

@@ -14,13 +14,13 @@ pub enum Expected {
     Anybody(Rounds),
 }
 
-/// A round begins when a model arrives and ends with a merge: once `quorum` devices have sent a model and none has
-/// arrived for `quiet`, or at `deadline`.
+/// Conditions that end a round. A round begins when a model arrives, and ends with a merge. It ends when `quorum`
+/// devices have sent a model and no further model has arrived for `quiet`, or at the latest after `deadline`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Rounds {
     /// Least number of devices with a model.
     pub quorum: usize,
-    /// Time without a new model.
+    /// Time without a new model after which a round may end.
     pub quiet: Duration,
     /// Longest duration of a round.
     pub deadline: Duration,
@@ -35,17 +35,20 @@ impl Default for Rounds {
 /// A running round.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Round {
+    /// Time at which the round began.
     begun: Duration,
+    /// Time of the last model, command or withdrawal.
     last: Duration,
 }
 
 impl Round {
-    /// A model or command came at `now`: begins a round, or extends `round`.
+    /// Begins a round, or extends `round`, because a model or a command came at `now`.
     pub(super) fn extend(round: Option<Self>, now: Duration) -> Self {
         Self { begun: round.map_or(now, |round| round.begun), last: now }
     }
 
-    /// Whether the round ends at `now`. Devices `here` have sent a model; those `given_up` are not waited for.
+    /// Whether the round is over at `now`. The devices `here` have sent a model; the service does not wait for the
+    /// devices `given_up`.
     pub(super) fn is_over(
         &self,
         expected: &Expected,

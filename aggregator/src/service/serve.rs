@@ -26,12 +26,12 @@ use crate::broker::{Broker, BrokerError, local_address};
 use crate::gateway::{Gateway, GatewayEvent};
 use crate::merge::MergeSettings;
 
-/// Limit on concurrent uploads, far more than the drones of a site.
+/// Limit on the number of concurrent uploads. It is far above the number of drones on a site.
 const MODELS_MAX: usize = 256;
-/// Limit on the stored models that the inbox remembers.
+/// Limit on the number of stored models that the inbox remembers.
 const STORED_MAX: usize = 4096;
 
-/// An event of the connections beside the service's own.
+/// An event of a connection other than that between the service and its broker.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(untagged)]
 pub enum SideEvent {
@@ -77,18 +77,19 @@ pub enum ServeError {
     },
 }
 
-/// What only `main` knows of the machine.
+/// What only `main` knows about the machine.
 #[derive(Clone, Copy, Debug)]
 pub struct Host {
-    /// Seconds since 1970 as far as the machine knows. A wrong clock does no harm: each session's number is greater
-    /// than the last one's in any case.
+    /// Seconds since 1970 by the machine's clock, for the number of the session. A wrong clock does no harm: in any
+    /// case each session's number is greater than the last one's.
     pub clock_s: u64,
     /// Threads to merge with, at least 1.
     pub threads: usize,
 }
 
-/// Serves a site, and the devices on the serial `lines`, until `commands` says to end or its sender is dropped. `now` is
-/// the time since any fixed moment. `say` shows the events of the service, `say_beside` those of the other connections.
+/// Serves a site and the devices on the serial `lines`, until a command ends it or the sender of `commands` is dropped.
+/// `now` returns the time since any fixed moment. `say` gets the events of the service, `say_beside` those of the other
+/// connections.
 pub fn serve(
     config: &AggregatorConfig,
     host: Host,
@@ -125,13 +126,13 @@ pub fn serve(
 /// The service's connections to the broker and to the aggregator above.
 struct Connections {
     upstream: Option<Upstream>,
-    /// The broker has been reached. From then on a broken connection is retried without a limit.
+    /// True once the broker has been reached. If the connection breaks later, it is retried without a limit.
     was_connected: bool,
     failure: Option<ServeError>,
 }
 
 impl Connections {
-    /// Sends each new revision up, and ends a service whose broker was never reached.
+    /// Sends each new revision to the aggregator above. Ends a service whose broker was never reached.
     fn follow(&mut self, event: ServiceEvent) -> ControlFlow<()> {
         match event {
             ServiceEvent::Connected => self.was_connected = true,
@@ -168,7 +169,7 @@ fn start_gateways(
     lines.into_iter().map(gateway).collect()
 }
 
-/// Makes the service's folder and takes the number of a new session from it.
+/// Creates the service's folder and draws the number of a new session from the file `session` in it.
 fn open_session(config: &AggregatorConfig, clock_s: u64) -> Result<Identity, ServeError> {
     fs::create_dir_all(&config.out).map_err(|cause| SceneError::io(&config.out, cause))?;
     let session = next_session(&config.out.join("session"), clock_s)?;
@@ -221,7 +222,7 @@ fn start_upstream(
     Ok(Upstream::start(node.map_err(ServiceError::from)?, link, now, say))
 }
 
-/// The address of the broker; the embedded one is started where the configuration asks for it.
+/// Returns the address of the broker. Starts the embedded broker if the configuration asks for it.
 fn reach_broker(config: &AggregatorConfig) -> Result<(Option<Broker>, BrokerAddress), ServeError> {
     match (config.bind, &config.broker) {
         (Some(bind), None) => {

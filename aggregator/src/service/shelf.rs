@@ -1,4 +1,4 @@
-//! Received models on the disk: complete ones, parts of interrupted uploads, and which of them are withdrawn.
+//! The received models on the disk: complete models, parts of interrupted uploads, and which devices are withdrawn.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -17,18 +17,19 @@ use super::record::{withdrawn, write_withdrawal};
 pub(super) struct Shelf {
     folder: PathBuf,
     models: ModelStore,
-    /// Every complete model.
+    /// Headers of all complete models, by device and number.
     stored: BTreeMap<DeviceId, BTreeMap<ModelId, ModelHeader>>,
-    /// Parts of devices that have no complete model.
+    /// Parts of models, for devices that have no complete model.
     parts: Parts,
-    /// The last withdrawn model of each withdrawn device.
+    /// Number of the last withdrawn model of each withdrawn device.
     withdrawn: BTreeMap<DeviceId, ModelId>,
-    /// Withdrawn devices whose flights are still announced: agents may still prune ground in their favour.
+    /// Withdrawn devices whose flights must still be deleted at the broker. Until then, agents may prune ground in
+    /// favour of these devices.
     to_void: Vec<DeviceId>,
 }
 
 impl Shelf {
-    /// Opens the folder of a service; also returns the headers of the models in it.
+    /// Opens the folder of a service. Also returns the headers of the models in it.
     pub(super) fn open(folder: &Path) -> Result<(Self, Vec<ModelHeader>), ServiceError> {
         let (models, headers) = ModelStore::open(&folder.join("models"))?;
         let mut shelf = Self {
@@ -44,7 +45,7 @@ impl Shelf {
         Ok((shelf, headers))
     }
 
-    /// Where the models are stored.
+    /// The stores of the models and of the parts.
     pub(super) fn stores(&self) -> Stores {
         Stores { whole: self.models.clone(), parts: self.parts.store().clone() }
     }
@@ -71,13 +72,13 @@ impl Shelf {
         self.stored.values().filter_map(|models| models.last_key_value()).map(|(_, header)| *header).collect()
     }
 
-    /// What is merged: the newest model of each device, and the parts of devices without one.
+    /// The models to merge: the newest model of each device, and the parts of devices without a complete model.
     pub(super) fn inputs(&self) -> Inputs {
         Inputs { whole: self.newest(), parts: self.parts.headers().collect() }
     }
 
-    /// Stores what has arrived so far from devices without a complete model. A failed write does not stop the merge of
-    /// the others. Returns the events to report.
+    /// Stores the parts that have arrived so far from devices without a complete model. If a part cannot be written,
+    /// the other models are merged all the same. Returns the events to report.
     pub(super) fn take_parts(&mut self, node: &Node) -> Vec<ServiceEvent> {
         let wanted = node.unfinished().filter(|header| {
             let is_here = self.stored.get(&header.device).is_some_and(|models| !models.is_empty());
@@ -87,7 +88,7 @@ impl Shelf {
         wanted.iter().filter_map(|header| take_part(&mut self.parts, node, header)).collect()
     }
 
-    /// Removes the models of devices that were withdrawn since the last call; returns the first such device.
+    /// Removes the models of devices that were withdrawn since the last call. Returns the first of these devices.
     pub(super) fn withdraw_devices(&mut self) -> Result<Option<DeviceId>, ServiceError> {
         let mut first = None;
         for (device, last) in withdrawn(&self.folder) {
@@ -102,7 +103,7 @@ impl Shelf {
         Ok(first)
     }
 
-    /// Records the newest model received from a device as its last withdrawn one.
+    /// Records the newest model received from a device as the device's last withdrawn model.
     fn record_withdrawal(&mut self, device: DeviceId) -> Result<ModelId, ServiceError> {
         let newest = self.stored.get(&device).and_then(|models| models.keys().next_back().copied());
         let last = newest.max(self.parts.model_of(&device)).unwrap_or(ModelId(0));
@@ -111,7 +112,7 @@ impl Shelf {
         Ok(last)
     }
 
-    /// Removes the models of a device up to `last`; returns whether there were any.
+    /// Removes the models of a device up to number `last`. Returns whether there were any.
     fn withdraw(&mut self, device: DeviceId, last: ModelId) -> Result<bool, ServiceError> {
         self.withdrawn.insert(device, last);
         let has_part = self.parts.model_of(&device).is_some_and(|part| part <= last);
@@ -127,7 +128,7 @@ impl Shelf {
         Ok(has_part || !gone.is_empty())
     }
 
-    /// Devices withdrawn since the last call, whose flights are no longer valid.
+    /// Devices withdrawn since the last call. Their announced flights must be deleted.
     pub(super) fn take_void_flights(&mut self) -> impl Iterator<Item = DeviceId> {
         self.to_void.drain(..)
     }

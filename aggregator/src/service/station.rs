@@ -1,4 +1,4 @@
-//! The receiving service on its own thread, linked by MQTT, for a mission on one machine.
+//! The receiving service on its own thread, connected by MQTT, for a mission on one machine.
 
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -49,7 +49,8 @@ impl Station {
         self.tell(Command::GiveUp(device));
     }
 
-    /// Merges what is due and ends. Returns the header of the newest global model, if there is one.
+    /// Finishes a merge that is due and ends the service. Returns the header of the newest global model, if
+    /// there is one.
     pub(crate) fn finish(mut self) -> Option<ModelHeader> {
         self.tell(Command::Finish);
         self.thread.take().and_then(|thread| thread.join().ok().flatten())

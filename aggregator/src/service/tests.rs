@@ -1,4 +1,5 @@
-//! Whole fleets on one thread, over a simulated network that loses, duplicates, corrupts and delays messages.
+//! Runs a service and its drones on one thread, over a simulated network that loses, duplicates, corrupts and
+//! delays messages.
 #![allow(clippy::unwrap_used)]
 
 mod doubt;
@@ -60,15 +61,15 @@ impl Drone {
     }
 }
 
-/// The first `count` of three drones. A drone that joined must be stepped to the end: virtual time stands
-/// still while a message waits for its receiver.
+/// The first `count` of three drones. A drone that has joined must be stepped until the test ends, because
+/// virtual time stands still while a message waits for its receiver.
 fn drones(network: &MemoryNetwork, count: usize) -> Vec<Drone> {
     let models =
         [("agent-1", model(900, 1, 1.0)), ("agent-2", model(700, 0, 2.0)), ("agent-3", model(2, 1, 3.0))];
     models.iter().take(count).map(|(name, model)| Drone::new(network, name, 1, model)).collect()
 }
 
-/// A service and its link.
+/// A service and its connection to the network.
 struct Ground {
     service: Service,
     transport: MemoryTransport,
@@ -104,7 +105,7 @@ fn simulate(
     events
 }
 
-/// The same until `enough` accepts the state of the service.
+/// Runs service and drones until `enough` accepts the state of the service and the events so far.
 fn simulate_until(
     network: &MemoryNetwork,
     ground: &mut Ground,
@@ -130,7 +131,7 @@ fn step(network: &MemoryNetwork, ground: &mut Ground, drones: &mut [Drone], even
             ControlFlow::Continue(())
         },
     );
-    // A merge takes real time; virtual time waits for it.
+    // A merge takes real time, so virtual time stands still while it runs.
     match ground.service.keeper.is_merging() {
         true => std::thread::sleep(Duration::from_micros(200)),
         false => network.advance(now + Duration::from_millis(5)),

@@ -1,12 +1,14 @@
-//! The link from an edge aggregator to the aggregator above it (its cloud), to which the edge is a device.
+//! The link from an edge aggregator to the aggregator above it (its cloud). For the aggregator above, the edge is a
+//! device.
 //!
-//! Each new revision of the edge's global model is uploaded as a local model with the revision's number, in the same
-//! bytes that its agents get. The global model that the aggregator above merges from all edges comes back and is
-//! stored. The upstream link has its own session and thread, so an unreachable cloud delays nothing on the ground.
+//! Each new revision of the edge's global model is uploaded as a local model with the revision's number. Its bytes are
+//! those that the edge's agents get. The aggregator above merges the models of all edges. Its global model comes back
+//! and is stored. The upstream link has a connection and a thread of its own, so an unreachable cloud does not delay
+//! the edge's service.
 //!
 //! | in `upstream/` of the service's folder | |
 //! |---|---|
-//! | `global/` | every revision received of the global model above |
+//! | `global/` | every received revision of the global model above |
 //! | `global.ply` | the newest of these, for viewers |
 
 use std::fmt;
@@ -36,37 +38,37 @@ const LISTEN: Duration = Duration::from_millis(50);
 pub enum UpstreamEvent {
     /// The link to the aggregator above is up (again).
     UpstreamConnected,
-    /// The link is down; it keeps trying.
+    /// The link to the aggregator above is down; the edge keeps trying.
     UpstreamDisconnected {
-        /// Failed attempts since it was last up, from 1.
+        /// Number of failed attempts since the link was last up, from 1.
         attempt: u32,
-        /// One line.
+        /// The reason, one line.
         reason: String,
     },
-    /// A revision is safe on the disk above.
+    /// The aggregator above has stored a revision of the edge.
     SentUp {
         /// The revision.
         revision: u64,
-        /// Bytes sent for it, resends included.
+        /// Bytes sent for this revision, resends included.
         bytes_sent: u64,
     },
-    /// The aggregator above refuses a revision.
+    /// The aggregator above refuses a revision of the edge.
     RefusedAbove {
         /// The revision.
         revision: u64,
-        /// Why.
+        /// The reason.
         reason: RefusalReason,
     },
-    /// A revision of the global model above is safe on the disk here.
+    /// The edge has stored a revision of the global model above.
     CameDown {
         /// The revision.
         revision: u64,
-        /// Splats of it.
+        /// Number of splats of this revision.
         splats: u32,
     },
-    /// A model could not be read or written here.
+    /// A model could not be read from the edge's disk or written to it.
     UpstreamDiskFailed {
-        /// One line.
+        /// The reason, one line.
         reason: String,
     },
 }
@@ -91,13 +93,14 @@ impl fmt::Display for UpstreamEvent {
     }
 }
 
-/// The edge's side of the link. The caller drives it by `step`, with a transport and the time.
+/// The edge's side of the link. The caller must call `step` again and again, with a transport and the time.
 #[derive(Debug)]
 pub(crate) struct UpstreamNode {
     node: Node,
     device: DeviceId,
     /// Revisions of the edge's own global model.
     own: ModelStore,
+    /// Revisions received of the global model above.
     above: ModelStore,
     folder: PathBuf,
 }
@@ -144,7 +147,7 @@ impl UpstreamNode {
             NodeEvent::UploadRefused { key, reason, .. } => {
                 Some(UpstreamEvent::RefusedAbove { revision: key.model.0, reason })
             }
-            // Stored before the last stop.
+            // The model was stored before the edge was restarted.
             NodeEvent::Known(header) => Some(came_down(&header)),
             NodeEvent::Store { header, body } => Some(self.store(header, &body)),
             _ => None,
@@ -184,7 +187,7 @@ pub(crate) struct Upstream {
 }
 
 impl Upstream {
-    /// Starts the link to the aggregator above; `now` is the time since any fixed moment.
+    /// Starts the link to the aggregator above. `now` returns the time since any fixed moment.
     pub(crate) fn start(
         mut node: UpstreamNode,
         link: MqttConfig,

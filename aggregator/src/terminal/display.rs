@@ -1,6 +1,6 @@
-//! How progress is shown, and durations as people read them.
+//! The ways to show progress, and durations as text for people.
 
-/// How progress is shown.
+/// The way in which progress is shown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Display {
     /// Bars on standard error, redrawn in place.
@@ -11,7 +11,8 @@ pub enum Display {
     Json,
 }
 
-/// `47 s`, `3 min 05 s`, `2 h 07 min`; a dash if it is not known.
+/// Formats a duration for people: `47 s`, `3 min 05 s`, `2 h 07 min`. Negative durations count as 0. A duration that is
+/// not finite is unknown and gives a dash.
 pub(crate) fn format_seconds(seconds: f64) -> String {
     if !seconds.is_finite() {
         return "–".into();

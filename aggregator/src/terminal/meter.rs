@@ -1,5 +1,5 @@
-//! Shows the progress of a long task: a bar on a terminal, else a line every few seconds, or lines of JSON for
-//! scripts.
+//! Shows the progress of a long task: as a bar on a terminal, otherwise as a line every few seconds, or as lines of
+//! JSON for scripts.
 
 use std::io::{self, Write};
 
@@ -9,14 +9,14 @@ use serde_json::json;
 use super::display::{Display, format_seconds};
 use crate::mesh::{FuseEvent, Stage};
 
-/// Seconds between two plain lines.
+/// Seconds between two lines, of text or of JSON.
 const LINES_EVERY_S: f64 = 5.0;
 
 /// The progress display of a task.
 pub struct Meter {
     display: Display,
     bar: ProgressBar,
-    /// Name of the current stage, when it began, and when it was last shown; seconds.
+    /// Name of the current stage, the time when it began, and the time when a line about it was due last; seconds.
     stage: Option<(&'static str, f64, f64)>,
 }
 
@@ -36,7 +36,8 @@ impl Meter {
         Self { display, bar: bar.with_style(style), stage: None }
     }
 
-    /// Shows that `stage` has finished `done` of `of` views; `now_s` counts from any fixed moment.
+    /// Shows that `stage` has finished `done` (at least 1) of `of` views. `now_s` is the time in seconds since any
+    /// fixed moment.
     pub fn show(&mut self, stage: &'static str, done: usize, of: usize, now_s: f64) {
         let (begun_s, shown_s) = match self.stage {
             Some((shown, begun_s, shown_s)) if shown == stage && done > 1 => (begun_s, shown_s),
@@ -44,7 +45,7 @@ impl Meter {
         };
         let is_due = done == of || now_s - shown_s >= LINES_EVERY_S;
         self.stage = Some((stage, begun_s, if is_due { now_s } else { shown_s }));
-        // Time is counted from the end of the first view.
+        // The rate is counted from the end of the first view, because the start of the stage is not reported.
         let per_s = (done - 1) as f64 / (now_s - begun_s);
         let text = format!(
             "{done} of {of} views · {per_s:.1} views/s · {} left",
@@ -66,7 +67,7 @@ impl Meter {
         }
     }
 
-    /// Shows an event of the fusion of a mesh.
+    /// Shows an event of a mesh fusion. `now_s` is the time in seconds since any fixed moment.
     pub fn show_fusion(&mut self, event: FuseEvent, now_s: f64) {
         match event {
             FuseEvent::Progress { stage, done, of } => {
@@ -83,7 +84,7 @@ impl Meter {
         }
     }
 
-    /// Prints an unusual event at once.
+    /// Prints a line to standard error at once; a bar stays below the line.
     pub fn notice(&self, line: &str) {
         let shown = match self.display {
             Display::Bars => {

@@ -1,7 +1,7 @@
 //! Tables for terminals.
 
-/// Aligns lines of equally many cells: the first column flush left, the others flush right, every column as
-/// wide as its widest cell.
+/// Aligns the cells of a table. All lines must have the same number of cells. The first column is aligned to the left,
+/// all others to the right. Each column is as wide as its widest cell.
 pub(crate) fn aligned(lines: &[Vec<String>]) -> String {
     let columns = lines.first().map_or(0, Vec::len);
     let width = |column: usize| lines.iter().map(|line| line[column].chars().count()).max().unwrap_or(0);

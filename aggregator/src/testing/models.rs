@@ -1,4 +1,4 @@
-//! Small models of one painted ground, in memory.
+//! Small models in memory. Most show parts of one coloured ground.
 
 use cosurf_link::Model;
 use cosurf_scene::splats::SH_C0;
@@ -7,7 +7,7 @@ use glam::{DVec2, DVec3};
 
 use crate::merge::{Locals, MergeError};
 
-/// `count` splats of `sh_degree`, with values made from `seed`.
+/// `count` splats of degree `sh_degree`, with values derived from `seed`.
 pub(crate) fn model(count: usize, sh_degree: u32, seed: f32) -> Model {
     let mut splats = Splats::with_capacity(count, sh_degree);
     let sh: Vec<f32> = (0..splats.sh_stride()).map(|i| seed + i as f32).collect();
@@ -17,7 +17,7 @@ pub(crate) fn model(count: usize, sh_degree: u32, seed: f32) -> Model {
     Model { splats, cameras: Vec::new() }
 }
 
-/// Models in memory.
+/// Local models that are held in memory.
 #[derive(Clone)]
 pub(crate) struct InMemory(pub(crate) Vec<Model>);
 
@@ -31,7 +31,7 @@ impl Locals for InMemory {
     }
 }
 
-/// A camera 10 m above the ground, looking down at `x`.
+/// A camera 10 m above the ground point `(x, 0, 0)`, looking straight down.
 pub(crate) fn above(x: f64) -> Camera {
     Camera {
         cam_from_world: Pose::look_at(DVec3::new(x, 0.0, 10.0), DVec3::new(x, 0.0, 0.0), DVec3::Y),
@@ -41,7 +41,8 @@ pub(crate) fn above(x: f64) -> Camera {
     }
 }
 
-/// The ground between `west` and `east`: flat opaque splats, half a metre apart, coloured by position.
+/// The ground from x = `west` to `east`, 10 m wide: flat opaque splats, half a metre apart, coloured by
+/// position.
 pub(crate) fn ground(west: f32, east: f32) -> Splats {
     let mut splats = Splats::with_capacity(0, 0);
     for i in 0..((east - west) * 2.0) as i32 {
@@ -55,7 +56,7 @@ pub(crate) fn ground(west: f32, east: f32) -> Splats {
     splats
 }
 
-/// A small model of the ground at `place`, seen by two small cameras.
+/// A small model of the ground around x = `place`, with two cameras of 24 × 16 pixels.
 pub(crate) fn model_at(place: f32) -> Model {
     let cameras = [-0.5, 0.5].map(|x| above(f64::from(place) + x).resized([24, 16]));
     Model { splats: ground(place - 2.0, place + 2.0), cameras: cameras.to_vec() }

@@ -1,4 +1,4 @@
-//! The embedded broker with real clients.
+//! Tests the embedded broker with real MQTT clients.
 
 use std::time::{Duration, Instant};
 

@@ -1,4 +1,4 @@
-//! A device by radio and a device by network in one mission: the service treats both alike.
+//! A mission with one device on a radio and one on the network: the service treats both alike.
 
 use std::io;
 use std::num::NonZeroU32;
@@ -23,7 +23,7 @@ use crate::station::{Station, loopback};
 
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// One end of a cable of 300 kB/s.
+/// One end of a serial cable that carries 300 kB/s.
 fn line(mut port: TTYPort, session: u64, message_bytes_max: usize) -> SerialConfig {
     port.set_timeout(Duration::from_millis(5)).unwrap();
     let mut port = Some(port);
@@ -36,7 +36,8 @@ fn line(mut port: TTYPort, session: u64, message_bytes_max: usize) -> SerialConf
     }
 }
 
-/// Uploads, waits for the global model, sends its bytes to `say`, and goes on until it hears from `die`.
+/// Uploads `offer`, then sends each global model that arrives to `say`. Goes on until a message comes from
+/// `die`.
 fn drone<T: Transport + Send + 'static>(
     mut transport: T,
     identity: Identity,

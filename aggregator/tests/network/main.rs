@@ -1,4 +1,4 @@
-//! Broker, gateway and service as devices meet them, over sockets and pseudo-terminals.
+//! Broker, gateway and service as devices reach them: over sockets and pseudo-terminals.
 #![allow(clippy::unwrap_used)]
 
 mod broker;

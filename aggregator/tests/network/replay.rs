@@ -22,7 +22,8 @@ use crate::station::{Station, loopback};
 const PATIENCE: Duration = Duration::from_secs(120);
 const DRONES: [&str; 2] = ["drone-1", "drone-2"];
 
-/// Serves in `folder` until there is a global model of what `fly` sends; returns its bytes.
+/// Runs a service in `folder` until the models that `fly` sends are merged. Returns the bytes of the global
+/// model's file.
 fn serve(address: &BrokerAddress, folder: &Path, fly: impl FnOnce()) -> Vec<u8> {
     let merge = MergeSettings { epochs: 1, ..MergeSettings::default() };
     let station = Station::start(folder, address.clone(), DRONES, merge);
@@ -33,7 +34,7 @@ fn serve(address: &BrokerAddress, folder: &Path, fly: impl FnOnce()) -> Vec<u8> 
     fs::read(global_ply(folder)).unwrap()
 }
 
-/// Records the uploads of two drones into `file`; returns the global model.
+/// Records the uploads of two drones into `file`. Returns the bytes of the global model's file.
 fn recorded_flight(folder: &Path, file: &Path) -> Vec<u8> {
     let broker = Broker::start(loopback()).unwrap();
     let address = broker_address(broker.address());
@@ -42,7 +43,8 @@ fn recorded_flight(folder: &Path, file: &Path) -> Vec<u8> {
     let out = BufWriter::new(File::create(file).unwrap());
     let recorder = thread::spawn(move || record(&listening, None, "gs/v1/#", out, &stopping).unwrap());
     let global = serve(&address, folder, || {
-        // The broker retains the aggregator's state: once it is in the file, the recorder is subscribed.
+        // The broker retains the aggregator's state message. Once the file has this message, the recorder has
+        // subscribed.
         let begun = Instant::now();
         while fs::metadata(file).unwrap().len() < 20 {
             assert!(begun.elapsed() < PATIENCE, "nothing is recorded");

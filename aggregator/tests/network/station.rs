@@ -13,10 +13,10 @@ use cosurf_link::{BrokerAddress, Identity, InboxLimits, MqttConfig, MqttTranspor
 use cosurf_tests::offers::identity;
 use cosurf_wire::DeviceId;
 
-/// A service takes seconds; after this it has failed.
+/// Time after which a wait has failed; a service needs seconds.
 const PATIENCE: Duration = Duration::from_secs(120);
 
-/// Any free port of this machine.
+/// The address of any free port of this machine.
 pub(crate) fn loopback() -> SocketAddr {
     ([127, 0, 0, 1], 0).into()
 }
@@ -65,7 +65,7 @@ impl Station {
         Self { commands, events, thread }
     }
 
-    /// Waits for an event; events before it are dropped.
+    /// Waits for an event that `is_it` accepts. Events before it are dropped.
     pub(crate) fn wait_for(&self, is_it: impl Fn(&ServiceEvent) -> bool) {
         while !is_it(&self.events.recv_timeout(PATIENCE).unwrap()) {}
     }

@@ -1,4 +1,4 @@
-//! What an agent is told to do: the content of `agent.toml`.
+//! The configuration of an agent: the content of `agent.toml`.
 
 mod error;
 
@@ -17,7 +17,8 @@ pub use error::ConfigError;
 
 /// The configuration of one agent. Relative paths are relative to the agent's working folder.
 ///
-/// TOML's integers are signed: `seed` and `memory_bytes` must be below 2⁶³ to be written as TOML.
+/// Integers in TOML are signed 64-bit numbers, so `seed` and `memory_bytes` can be written as TOML only if they are
+/// below 2⁶³.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AgentConfig {
@@ -28,7 +29,8 @@ pub struct AgentConfig {
     /// The broker's address, for example `mqtt://127.0.0.1:1883`. Give either `broker` or `serial`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub broker: Option<BrokerAddress>,
-    /// The certificates for a broker of `mqtts://`.
+    /// The certificates and the key for TLS: required if the broker's address starts with `mqtts://`, not allowed if it
+    /// starts with `mqtt://`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tls: Option<TlsFiles>,
     /// The serial port of a radio whose other end is at the aggregator, for example `/dev/ttyUSB0`. Give either
@@ -40,24 +42,24 @@ pub struct AgentConfig {
     pub baud: Option<NonZeroU32>,
     /// The dataset's folder.
     pub data: PathBuf,
-    /// The folder for model, checkpoints, report and the received global model.
+    /// The folder to which the agent writes model, checkpoints, report and the received global model.
     pub out: PathBuf,
-    /// Names of the views to train on. If both lists are empty, `eval_every` splits the dataset.
+    /// Names of the views to train on. If `views` and `held_out` are both empty, `eval_every` splits the dataset.
     #[serde(default)]
     pub views: Vec<String>,
     /// Names of the held-out views: scored, never trained on.
     #[serde(default)]
     pub held_out: Vec<String>,
-    /// If both lists are empty, every n-th view by sorted name is held out; 0 holds out none.
+    /// If `views` and `held_out` are both empty, every n-th view by sorted name is held out; 0 holds out none.
     #[serde(default = "default_eval_every")]
     pub eval_every: u32,
-    /// Training steps.
+    /// Number of training steps.
     pub steps: u32,
     /// Seed of all random numbers.
     #[serde(default)]
     pub seed: u64,
-    /// Limit on the process's resident memory in bytes. If absent, the agent plans with two thirds of the free memory,
-    /// at most 8 GiB.
+    /// Limit on the process's resident memory in bytes. If absent, the limit is two thirds of the free memory, at most
+    /// 8 GiB.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub memory_bytes: Option<u64>,
     /// Limit on the pictures' long side in pixels; larger pictures are shrunk. Full size if absent.
@@ -73,8 +75,8 @@ pub struct AgentConfig {
     /// Train colour only, without the surface losses.
     #[serde(default)]
     pub color_only: bool,
-    /// Share of the splats to prune after two thirds of the steps, 0 for none; the default of
-    /// [`cosurf_engine::PruneSettings`] if absent.
+    /// Share of the splats to prune after two thirds of the steps; 0 prunes none. If absent, the share is the default
+    /// of [`cosurf_engine::PruneSettings`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub prune: Option<Share>,
     /// Learn an exposure for each picture, for cameras with automatic exposure.
@@ -87,19 +89,20 @@ pub struct AgentConfig {
     /// The world frame of the coordinates; only models of the same frame are merged. `local` if absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub frame: Option<FrameId>,
-    /// The secret key that signs the model, a file of the command `key`; no signature if absent.
+    /// The file with the secret key that signs the model, written by the command `key`. If absent, the model is not
+    /// signed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub key: Option<PathBuf>,
-    /// A file of the public keys whose global models are accepted, one line of the command `key` each; all are accepted
-    /// if absent.
+    /// A file with the public keys whose global models are accepted: one line for each key, as the command `key` prints
+    /// it. If absent, all global models are accepted.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub trusted: Option<PathBuf>,
-    /// This model will not be merged with others. A model that will be merged gets more splats, and keeps splats that
-    /// only one view observes.
+    /// True if this model will not be merged with other models. A model that will be merged gets more splats, and keeps
+    /// splats that only one view observes.
     #[serde(default)]
     pub alone: bool,
-    /// Before the upload, drop the splats of ground that another agent observed better. This halves the upload and costs
-    /// the merged model some tenths of a dB; all agents of a site should use the same value.
+    /// Before the upload, drop the splats of ground that another agent observed better. This halves the upload and
+    /// costs the merged model some tenths of a dB of PSNR. All agents of a site should use the same value.
     #[serde(default)]
     pub compress: bool,
     /// After the upload, wait for the global model and store it.
@@ -112,23 +115,23 @@ pub struct AgentConfig {
 pub enum AgentLink<'a> {
     /// Through an MQTT broker.
     Broker {
-        /// Where the broker listens.
+        /// The broker's address.
         address: &'a BrokerAddress,
-        /// The certificates for a broker of `mqtts://`.
+        /// The certificates and the key for TLS, if the broker's address starts with `mqtts://`.
         tls: Option<&'a TlsFiles>,
     },
     /// By a radio on a serial port.
     Serial {
         /// The port, for example `/dev/ttyUSB0`.
         port: &'a str,
-        /// Its speed in bits per second.
+        /// The port's speed in bits per second.
         baud: NonZeroU32,
     },
 }
 
 impl AgentConfig {
     /// Parses the content of an `agent.toml` and checks that its fields fit together. The error is one line that names
-    /// the field.
+    /// the wrong field or fields.
     pub fn from_toml(text: &str) -> Result<Self, ConfigError> {
         let config: Self = toml::from_str(text).map_err(|error| ConfigError::from_toml(text, &error))?;
         config.link()?;
@@ -138,7 +141,7 @@ impl AgentConfig {
         Ok(config)
     }
 
-    /// How the agent reaches its aggregator; an error unless exactly one of `broker` and `serial` is set.
+    /// How the agent reaches its aggregator. Fails unless exactly one of `broker` and `serial` is set.
     pub fn link(&self) -> Result<AgentLink<'_>, ConfigError> {
         match (&self.broker, &self.serial) {
             (Some(address), None) => Ok(AgentLink::Broker { address, tls: self.tls.as_ref() }),

@@ -1,11 +1,16 @@
-//! What an agent and the program that starts it agree on, beside the messages of the wire.
+//! The data formats that an agent shares with the program that starts it. The messages between agents and aggregator
+//! are in `cosurf_wire`.
 //!
-//! What it is: [`AgentConfig`], the content of `agent.toml`; [`AgentEvent`], the JSON lines that an agent
-//! prints under `--json`; [`TrainReport`] and [`Changes`], the JSON files that it leaves behind; [`log`], the
-//! log of both programs. People and `mission` write and read the files. Values are parsed into the types
-//! that the programs compute with, so that a wrong value is refused where it is read.
+//! What it is:
+//! - [`AgentConfig`]: the content of `agent.toml`, which people and the command `mission` write.
+//! - [`AgentEvent`]: the JSON lines that an agent prints under `--json`.
+//! - [`TrainReport`] and [`Changes`]: JSON files that an agent writes.
+//! - [`log`]: the log of `cosurf-agent` and `cosurf-aggregator`.
 //!
-//! What it refuses to know: how an agent trains or sends, what becomes of its model, files, clocks, command lines.
+//! Values are parsed into the types that the programs compute with, so a wrong value is refused where it is read.
+//!
+//! What it knows nothing about: how an agent trains or sends its model, what the aggregator does with the model, files,
+//! and command lines. Only [`log`] reads a clock.
 //!
 //! Where to start reading: [`config`], then [`report`].
 //!

@@ -1,7 +1,9 @@
-//! The log of a program: which spans and events it writes, and how. Both programs take the same options.
+//! The log of `cosurf-agent` and `cosurf-aggregator`: which spans and events are written, and in which format. Both
+//! programs have the same options.
 //!
-//! Libraries open a span for each stage (`info`), part of a stage (`debug`), step and pass (`trace`). A line is written
-//! when a span closes, with the time that it was busy. The libraries read no clock for that: the log does.
+//! A span is a named piece of work (crate `tracing`). The libraries open a span for each stage (level `info`), for
+//! parts of a stage (`debug`), and for each step and pass (`trace`). When a span closes, the log writes a line with the
+//! time that the work took. The log measures this time, so the libraries need not read a clock.
 
 use std::fmt;
 use std::io;
@@ -13,20 +15,20 @@ use tracing_subscriber::fmt::format::FmtSpan;
 use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
 
-/// How lines of the log are written.
+/// Format of the lines of the log.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum LogFormat {
-    /// For people.
+    /// Text for people.
     #[default]
     Text,
     /// One JSON object per line.
     Json,
 }
 
-/// Why no log can be written.
+/// Why the log cannot be started.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum LogError {
-    /// A part of the filter is neither a level nor a target with a level.
+    /// A part of the filter is neither a level nor of the form `target=level`.
     #[error("--log {0:?}: write error, warn, info, debug or trace, or a list like info,cosurf_engine=trace")]
     Filter(String),
     /// [`start`] was called before.
@@ -55,11 +57,13 @@ impl fmt::Display for LogFormat {
     }
 }
 
-/// Starts the log of this process, on standard error. `filter` is a level, or a list of levels and `target=level`
-/// separated by commas; a target is a crate or a module. Spans and events of other targets cost one comparison each.
+/// Starts the log of this process; it is written to standard error. `filter` is a level, or a list of levels and
+/// `target=level` separated by commas. A target is a crate or a module. A span or event that the filter excludes costs
+/// one comparison.
 pub fn start(filter: &str, format: LogFormat) -> Result<(), LogError> {
     let targets = parse_filter(filter)?;
-    // A closed standard error must not end the program.
+    // By default, a failed write of the log is reported by `eprintln!`, which panics if standard error is closed. A
+    // closed standard error must not end the program.
     let lines = tracing_subscriber::fmt::layer()
         .with_span_events(FmtSpan::CLOSE)
         .with_writer(io::stderr)
@@ -71,7 +75,7 @@ pub fn start(filter: &str, format: LogFormat) -> Result<(), LogError> {
     tracing_subscriber::registry().with(lines).with(targets).try_init().map_err(|_| LogError::Started)
 }
 
-/// Stricter than the parser of [`Targets`], which takes a misspelt level for a target.
+/// Parses a filter. It is stricter than the parser of [`Targets`], which takes a misspelt level for a target.
 fn parse_filter(text: &str) -> Result<Targets, LogError> {
     let wrong = || LogError::Filter(text.to_owned());
     let level = |name: &str| {

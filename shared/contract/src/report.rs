@@ -1,5 +1,5 @@
-//! What an agent reports: events as JSON lines while it runs, and JSON files when it is done. The program that
-//! started the agent reads them.
+//! What an agent reports to the program that started it: events as JSON lines while the agent runs, and JSON files at
+//! the end.
 
 use std::fmt;
 
@@ -12,35 +12,35 @@ use serde::{Deserialize, Serialize};
 pub enum AgentEvent {
     /// Training has started, or resumed from a checkpoint.
     Started {
-        /// Training views.
+        /// Number of training views.
         views: usize,
-        /// Held-out views.
+        /// Number of held-out views.
         held_out: usize,
-        /// Splats at the start.
+        /// Number of splats at the start.
         splats: usize,
-        /// Total steps.
+        /// Number of all steps.
         steps: u32,
-        /// Step of the checkpoint, 0 without one.
+        /// Number of steps that the checkpoint had done; 0 without a checkpoint.
         resumed_at: u32,
     },
     /// Training progress.
     Progress {
-        /// Steps done.
+        /// Number of steps done.
         step: u32,
-        /// Total steps.
+        /// Number of all steps.
         steps: u32,
-        /// Mean PSNR in dB over the training pictures since the last such event.
+        /// Mean PSNR over the steps since the last `Progress` event, dB. Each step is scored on its training picture.
         psnr: f32,
         /// Current number of splats.
         splats: usize,
-        /// Steps per second since the last such event.
+        /// Steps per second since the last `Progress` event.
         steps_per_s: f32,
         /// Estimated time left, seconds.
         seconds_left: f32,
     },
-    /// The GPU was lost; training resumes from the last checkpoint on the CPU.
+    /// The GPU was lost. Training resumes on the CPU from the last checkpoint.
     DeviceLost {
-        /// The device and the driver's reason.
+        /// The text of the error, with the reason that the driver gave.
         reason: String,
     },
     /// Training has ended and the model is on disk.
@@ -48,55 +48,59 @@ pub enum AgentEvent {
         /// The figures.
         report: TrainReport,
     },
-    /// Progress of training the base, the small model that is sent first.
+    /// Progress of training the base: a small model that is sent first and stands in for the whole model until all of
+    /// it has arrived.
     Preparing {
-        /// Steps done.
+        /// Number of steps done.
         step: u32,
-        /// Total steps.
+        /// Number of all steps.
         steps: u32,
         /// Estimated time left, seconds.
         seconds_left: f32,
     },
-    /// Something outside the agent does not answer; the agent retries.
+    /// A temporary failure: the broker or the radio cannot be reached, the aggregator refuses the model for now, or the
+    /// disk failed. The agent retries.
     Retrying {
-        /// What does not answer, for example the broker with its address.
+        /// What failed, for example the broker with its address.
         what: String,
-        /// Attempts so far.
+        /// Number of failed attempts to connect since the last connection; 1 if the aggregator refuses the model or the
+        /// disk failed.
         attempt: u32,
     },
-    /// Splats of ground that other devices observed better were dropped before the upload.
+    /// Before the upload, the agent dropped the splats of ground that other devices observed better.
     Compressed {
-        /// Dropped splats.
+        /// Number of dropped splats; may be 0.
         removed: usize,
-        /// Splats of the whole model.
+        /// Number of splats before the agent dropped any.
         of: usize,
-        /// Other devices whose views are known.
+        /// Number of other devices whose flights (announced cameras) have arrived.
         others: usize,
     },
     /// Upload progress.
     Publishing {
-        /// Bytes sent so far, including repetitions.
+        /// Bytes of all messages sent so far, including retries.
         bytes_sent: u64,
-        /// Size of the model in bytes.
+        /// Size of the encoded model in bytes.
         bytes_total: u64,
     },
     /// The aggregator has stored the model on its disk.
     Acknowledged {
-        /// Bytes sent, including repetitions.
+        /// Bytes of all messages sent, including retries.
         bytes_sent: u64,
     },
-    /// A revision of the global model is stored on the agent's disk.
+    /// A revision of the global model is stored on the agent's disk, by this run or by an earlier one.
     GlobalReceived {
-        /// The revision.
+        /// Number of the revision.
         revision: ModelId,
-        /// Splats of the global model.
+        /// Number of splats of the global model.
         splats: usize,
     },
     /// The agent's model was compared with another model on the ground that the agent's cameras see.
     Compared {
         /// The other model.
         with: ComparedWith,
-        /// From the initial model to the agent's, or from the agent's to the global model.
+        /// The changes from the initial model to the agent's own model, or from the agent's own model to the global
+        /// model.
         changes: Changes,
     },
 }
@@ -107,20 +111,22 @@ pub enum AgentEvent {
 pub enum ComparedWith {
     /// The model that training started from, for example the last flight's global model.
     Init,
-    /// The global model of this mission.
+    /// The newest global model that the agent has received.
     Global,
 }
 
-/// How much two models differ on the ground that an agent's cameras see.
+/// How much two models differ on the ground that an agent's cameras see. Below, *surface* means the pixels of the
+/// compared renderings in which at least one of the two models shows a surface.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Changes {
     /// Number of cameras compared.
     pub views: usize,
-    /// Mean PSNR between the two models' renderings, dB.
+    /// Mean PSNR between the renderings of the two models, dB. Each camera counts at most 99 dB.
     pub psnr: f64,
-    /// Median relative difference of depth, 0..; absent if no pixel shows a surface in both models.
+    /// Median relative difference of depth, at least 0, over the pixels that show a surface in both models; `None` if
+    /// there is no such pixel.
     pub depth: Option<f64>,
-    /// Share of the surface whose depth differs by more than 3 %, 0..=1.
+    /// Share of the surface that both models show, but with depths that differ by more than 3 %, 0..=1.
     pub moved: f64,
     /// Share of the surface that only the first model shows, 0..=1.
     pub gone: f64,
@@ -143,34 +149,34 @@ impl fmt::Display for Changes {
 /// The figures of one training, also the content of `report.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TrainReport {
-    /// Steps done.
+    /// Number of training steps.
     pub steps: u32,
     /// Training time over all runs, seconds.
     pub seconds: f64,
-    /// CPU time of all threads during that time, seconds; 0 if the operating system does not report it.
+    /// CPU time of all threads during the training, seconds; 0 if the operating system does not report it.
     #[serde(default)]
     pub cpu_seconds: f64,
     /// `steps / seconds`.
     pub steps_per_s: f64,
-    /// Splats of the model.
+    /// Number of splats of the model.
     pub splats: usize,
-    /// Peak resident memory of the process.
+    /// Peak resident memory of the process, bytes; 0 if the operating system does not report it.
     pub peak_memory_bytes: u64,
-    /// Mean PSNR over the held-out views, dB; absent without such views.
+    /// Mean PSNR over the held-out views, dB; `None` without held-out views.
     pub psnr: Option<f64>,
-    /// Mean SSIM over the held-out views, -1..=1; absent without such views.
+    /// Mean SSIM over the held-out views, -1..=1; `None` without held-out views.
     pub ssim: Option<f64>,
     /// Seed of all random numbers.
     pub seed: u64,
     /// The device that trained the model, for example `cpu avx512 × 2`.
     pub device: String,
-    /// Training views.
+    /// Number of training views.
     pub views: usize,
-    /// Held-out views.
+    /// Number of held-out views.
     pub held_out: usize,
-    /// Width and height of the largest training picture.
+    /// Largest width and largest height of the training pictures, px.
     pub size_px: [u32; 2],
-    /// What the memory limit ruled out, one sentence each; empty if nothing.
+    /// The reductions that the memory limit forced, one line of text each; empty if there were none.
     pub given_up: Vec<String>,
 }
 

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 #[serde(try_from = "f64", into = "f64")]
 pub struct Share(f64);
 
-/// The number is not a [`Share`].
+/// The input is not a number that is at least 0 and below 1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("give a number from 0 to below 1")]
 pub struct NotAShare;

@@ -1,6 +1,7 @@
-//! Each pass of a step on a fixed workload: 640 × 480 pixels, 50,000 splats with a standard deviation of 0.8 to 4 px
-//! and an opacity of 0.05 to 0.9, seven channels; throughput is in splat–tile pairs. Then whole steps of 480 × 270
-//! pixels and 20,000 splats, on the processor and on the best graphics card, which may be a software driver.
+//! Measures each pass of a training step on a fixed workload: 640 × 480 px, and 50,000 splats with a standard deviation
+//! of 0.8 to 4 px and an opacity of 0.05 to 0.9. Throughput is in splats, in splat–tile pairs or in pixels, depending
+//! on the pass. Then whole steps of 480 × 270 px and 20,000 splats are measured, on the processor and on the best
+//! graphics card, which may be a software driver.
 //!
 //! `cargo bench -p cosurf-engine`
 
@@ -23,7 +24,7 @@ fn main() {
     divan::main();
 }
 
-/// Numbers in 0..1 from a counter (SplitMix64).
+/// Random numbers in 0..1 (SplitMix64).
 struct Random(u64);
 
 impl Random {
@@ -53,7 +54,7 @@ fn camera_of(size_px: [u32; 2]) -> Camera {
     }
 }
 
-/// Splats that fill the picture, at depths of 2 to 10.
+/// Random splats that fill the picture, at depths of 2 to 10 world units.
 fn splats(count: usize, size_px: [u32; 2]) -> Splats {
     let mut random = Random(1);
     let mut splats = Splats::with_capacity(count, 3);
@@ -87,7 +88,7 @@ fn backend(threads: usize) -> CpuBackend {
     backend
 }
 
-/// A backend after one whole step, and the number of its pairs.
+/// A backend after all passes of a step except the optimiser, and the number of its splat–tile pairs.
 fn stepped(threads: usize, channels: Channels) -> (CpuBackend, usize) {
     let mut backend = backend(threads);
     backend.project(&camera(), 3);
@@ -99,7 +100,7 @@ fn stepped(threads: usize, channels: Channels) -> (CpuBackend, usize) {
     (backend, pairs)
 }
 
-/// One training step. With surface losses, the view is its own neighbour.
+/// One training step. With surface losses, the view is its own neighbouring view.
 fn step(backend: &mut impl Backend, rgb: TargetRgb, channels: Channels) {
     let camera = camera_of(STEP_SIZE_PX);
     let is_surface = channels == Channels::Geometry;
@@ -181,7 +182,8 @@ fn photometric_loss(bencher: Bencher) {
     bencher.counter(ItemsCount::new(pixels)).bench_local(|| losses(&mut backend));
 }
 
-/// Includes the colour loss. The view is its own neighbour, so all patches match.
+/// Measures the surface losses and the colour loss together. The view is its own neighbouring view, so all patches
+/// match.
 #[divan::bench]
 fn surface_losses(bencher: Bencher) {
     let (mut backend, _) = stepped(2, Channels::Geometry);
@@ -237,6 +239,6 @@ fn steps(bencher: Bencher, choice: DeviceChoice, channels: Channels) {
     let rgb: Vec<u8> = (0..3 * pixels).map(|_| random.between(0.0, 255.0) as u8).collect();
     // The first step compiles the passes.
     step(&mut backend, TargetRgb::Bytes(&rgb), channels);
-    // A step on a card may end before its work is done; the next step waits for that.
+    // The call of a step may return before the graphics card has finished the step. The next call waits until it has.
     bencher.bench_local(|| step(&mut backend, TargetRgb::Bytes(&rgb), channels));
 }

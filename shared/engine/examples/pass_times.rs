@@ -1,5 +1,5 @@
-//! Prints how long each pass of a training step takes on a graphics card, by the card's own clock: steps of 480 × 270
-//! pixels and 20,000 splats, with the losses of the surface.
+//! Prints how long each pass of a training step takes on a graphics card, measured with the card's own clock. The
+//! pictures have 480 × 270 px, the model has about 20,000 splats, and the steps have surface losses.
 //!
 //! `cargo run --release -p cosurf-engine --features gpu-timestamps --example pass_times -- [gpu|gpu:N]`
 
@@ -14,7 +14,7 @@ use cosurf_scene::{Camera, Pose, Splats};
 use glam::{DVec2, DVec3};
 
 const SIZE_PX: [u32; 2] = [480, 270];
-/// Splats along each side of the ground.
+/// Number of splats along each side of the ground.
 const SIDE: u32 = 142;
 const STEPS: u32 = 20;
 
@@ -53,7 +53,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Prints one line for each pass, longest first.
+/// Prints one line for each pass, the slowest first.
 fn print_table(device: &Device, mut times: Vec<(&str, (usize, f64))>) {
     times.sort_by(|(_, (_, a)), (_, (_, b))| b.total_cmp(a));
     let (steps, all) = (f64::from(STEPS), times.iter().map(|(_, (_, time))| time).sum::<f64>());
@@ -74,7 +74,7 @@ fn camera(x: f64) -> Camera {
     }
 }
 
-/// Ground of discs of many colours that fills the pictures.
+/// A ground of discs in many colours that fills the pictures.
 fn ground() -> Splats {
     let mut splats = Splats::with_capacity((SIDE * SIDE) as usize, 3);
     for i in 0..SIDE * SIDE {
@@ -87,7 +87,7 @@ fn ground() -> Splats {
     splats
 }
 
-/// One step of a training with the losses of the surface.
+/// One training step with surface losses.
 fn step(backend: &mut AnyBackend, photograph: &[u8], rates: &AdamRates) {
     backend.project(&camera(0.5), 0);
     backend.bin();

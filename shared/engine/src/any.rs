@@ -1,4 +1,4 @@
-//! The backend of the chosen device, so that trainings do not depend on the device.
+//! A backend for a device that is chosen at run time, so that the code that trains is the same for every device.
 
 use cosurf_scene::{Camera, Splats};
 use tracing::trace_span;
@@ -32,8 +32,8 @@ macro_rules! each_backend {
     };
 }
 
-/// Forwards a pass within a span of its name. A graphics card may still be at work when the span closes: its time
-/// counts in the pass that reads results back.
+/// Forwards a pass to the backend, within a tracing span that has the name of the pass. A graphics card may still be
+/// working when the span closes. The rest of its time then counts in the next pass that reads results back.
 macro_rules! pass {
     ($self:ident.$pass:ident($($argument:expr),*)) => {{
         let _span = trace_span!(stringify!($pass)).entered();
@@ -42,7 +42,8 @@ macro_rules! pass {
 }
 
 impl AnyBackend {
-    /// Allocates every buffer; the CPU backend uses `threads` threads, at least 1.
+    /// Allocates every buffer of a backend. Fails if they do not fit on the graphics card. The CPU backend uses
+    /// `threads` threads, at least 1.
     pub fn new(device: &Device, capacity: Capacity, threads: usize) -> Result<Self, DeviceError> {
         match device {
             Device::Cpu => Ok(Self::Cpu(Box::new(CpuBackend::new(capacity, threads)))),

@@ -1,9 +1,9 @@
-//! The passes of training and rendering that a device provides: coarse enough that each backend can use the algorithms
-//! that suit it, and fine enough that a step reads as a list of passes.
+//! The passes of training and rendering that a device provides. They are coarse enough that each backend can use the
+//! algorithms that suit it, and fine enough that a training step reads as a list of passes.
 //!
-//! A backend owns the splats, their optimiser moments and every buffer, in the sizes that [`crate::Capacity`] gives.
-//! The passes of a step, [`Backend::project`] to [`Backend::adam`], allocate nothing on the CPU; a test counts that. On
-//! a GPU no buffer grows; wgpu allocates the commands and the staging memory of what is read back.
+//! A backend owns the splats, their optimiser moments and every buffer, in the sizes that [`crate::Capacity`] gives. On
+//! the CPU the passes of a step, [`Backend::project`] to [`Backend::adam`], allocate nothing; a test counts the
+//! allocations. On a GPU no buffer grows, but wgpu allocates memory for commands and for results that are read back.
 
 use cosurf_scene::{Camera, Splats};
 
@@ -16,12 +16,12 @@ pub enum TargetRgb<'a> {
     Floats(&'a [f32]),
 }
 
-/// Exposure of a photograph: it shows `gain · colour + offset`.
+/// Exposure of a photograph. A colour of the scene appears in the photograph as `gain · colour + offset`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Exposure {
-    /// Above 0.
+    /// Factor on colours, above 0.
     pub gain: f32,
-    /// In colours of 0..=1.
+    /// Added to colours, which are 0..=1.
     pub offset: f32,
 }
 
@@ -32,21 +32,22 @@ impl Default for Exposure {
     }
 }
 
-/// The targets of a rendering: a photograph, or a teacher's rendering. The step is the same for both.
+/// What a rendering is compared with: a photograph, or the rendering of a teacher (a model from which this one is
+/// distilled). The passes are the same for both.
 #[derive(Clone, Copy, Debug)]
 pub struct Targets<'a> {
-    /// Colours.
+    /// Colours of the view.
     pub rgb: TargetRgb<'a>,
-    /// Exposure of these colours.
+    /// Exposure of the photograph in `rgb`.
     pub exposure: Exposure,
-    /// Colours of the neighbour that [`Backend::keep_neighbour`] kept; needed by [`SurfaceWeights::multiview`].
+    /// Colours of the neighbouring view that [`Backend::keep_neighbour`] kept; needed by [`SurfaceWeights::multiview`].
     pub neighbour_rgb: Option<TargetRgb<'a>>,
-    /// A teacher's surface; needed by [`LossWeights::teacher`].
+    /// Surface that the teacher rendered; needed by [`LossWeights::teacher`].
     pub surface: Option<TargetSurface<'a>>,
 }
 
 impl<'a> Targets<'a> {
-    /// Only colours, with the default exposure.
+    /// Targets with colours only, and with the default exposure.
     pub fn colors(rgb: TargetRgb<'a>) -> Self {
         Self { rgb, exposure: Exposure::default(), neighbour_rgb: None, surface: None }
     }
@@ -55,7 +56,7 @@ impl<'a> Targets<'a> {
 /// The surface that a rendering is compared with, laid out as in [`Rendering`].
 #[derive(Clone, Copy, Debug)]
 pub struct TargetSurface<'a> {
-    /// `[height, width]` depth along the optical axis, world units; 0 where there is none.
+    /// `[height, width]` depth along the optical axis, world units; 0 where there is no surface.
     pub depth: &'a [f32],
     /// `[height, width, xyz]` blended normals in the camera frame.
     pub normal: &'a [f32],
@@ -70,9 +71,9 @@ pub struct LossWeights {
     pub ssim: f32,
     /// Weight of the mean shortest scale of the visible splats, 1 / world units.
     pub scale: f32,
-    /// Weights of the surface losses; `None` leaves them out. They need [`Channels::Geometry`].
+    /// Weights of the surface losses; `None` leaves these losses out. They need [`Channels::Geometry`].
     pub surface: Option<SurfaceWeights>,
-    /// Weights of the differences from a teacher's surface; `None` leaves them out. They need `surface`.
+    /// Weights of the differences from a teacher's surface; `None` leaves these losses out. They need `surface`.
     pub teacher: Option<TeacherWeights>,
 }
 
@@ -91,21 +92,23 @@ pub struct SurfaceWeights {
     /// Weight of the single-view normal loss: the mean over pixels of the difference between blended normals and
     /// normals from depth.
     pub normal: f32,
-    /// Weights of the losses that compare the view with its neighbour; `None` leaves them out. They need
-    /// [`Targets::neighbour_rgb`] and a neighbour that [`Backend::keep_neighbour`] kept.
+    /// Weights of the losses that compare the view with a neighbouring view; `None` leaves these losses out. They need
+    /// [`Targets::neighbour_rgb`] and a neighbouring view that [`Backend::keep_neighbour`] kept.
     pub multiview: Option<MultiviewWeights>,
 }
 
 /// Weights of the multi-view losses, and the pixels that they sample (PGSR).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MultiviewWeights {
-    /// Weight of the reprojection error, from a pixel to the neighbour and back, averaged over sampled pixels; 1 / px.
+    /// Weight of the reprojection error, averaged over sampled pixels; 1 / px. The error is the distance, px, between a
+    /// pixel and the place where it arrives after projection into the neighbouring view and back.
     pub reprojection: f32,
-    /// Weight of `1 - NCC²` between patches of the view and of the neighbour, averaged over sampled pixels.
+    /// Weight of `1 - NCC²` between patches of the view and of the neighbouring view, averaged over sampled pixels. NCC
+    /// is the normalised cross-correlation of luma.
     pub ncc: f32,
-    /// Side of the square cells in each of which one pixel is sampled: 1, 2, 4, 8 or 16 px.
+    /// Side of the square cells in which pixels are sampled, one in each: 1, 2, 4, 8 or 16 px.
     pub cell_px: u32,
-    /// Seed of the sampled pixels; a new one for each step.
+    /// Seed of the sampled pixels. Each step uses another.
     pub draw: u64,
 }
 
@@ -114,30 +117,34 @@ pub struct MultiviewWeights {
 pub struct Losses {
     /// Colour losses.
     pub color: PhotometricLoss,
-    /// Surface losses; zero where [`LossWeights::surface`] is `None`.
+    /// Surface losses; zero if [`LossWeights::surface`] is `None`.
     pub surface: SurfaceLoss,
-    /// Differences from a teacher; zero where there is none.
+    /// Differences from a teacher; zero if [`LossWeights::teacher`] is `None`.
     pub teacher: TeacherLoss,
 }
 
-/// Differences from a teacher's surface, without weights.
+/// Differences from a teacher's surface, before [`TeacherWeights`] are applied. Each pixel counts with its
+/// [`TargetSurface::trust`].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct TeacherLoss {
-    /// Mean over pixels of the absolute difference of depths, world units.
+    /// Mean over pixels of the absolute difference of depths, world units. Pixels where either side has no depth add
+    /// nothing.
     pub depth: f64,
     /// Mean over pixels of the absolute difference of normals, summed over axes.
     pub normal: f64,
 }
 
-/// Surface losses, without weights.
+/// Surface losses, before [`SurfaceWeights`] are applied.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SurfaceLoss {
-    /// Mean over pixels of the absolute difference of normals, summed over axes; pixels on image edges weigh less.
+    /// Mean over pixels of the absolute difference between blended normals and normals from depth, summed over axes.
+    /// Pixels on edges in the photograph weigh less.
     pub normal: f64,
-    /// Mean over sampled pixels of `w e`, with `e` the reprojection error in px and `w = exp(-e)`; pixels with an error
+    /// Mean over sampled pixels of `w e`, with the reprojection error `e` in px and `w = exp(-e)`. Pixels with an error
     /// of 1 px or more add nothing.
     pub reprojection: f64,
-    /// Mean over sampled pixels of `w (1 - NCC²)`; patches that do not match add nothing.
+    /// Mean over sampled pixels of `w (1 - NCC²)`, with the weight `w` of the reprojection error. Patches that do not
+    /// match add nothing.
     pub ncc: f64,
     /// Share of the sampled pixels with a reprojection error below 1 px.
     pub returned: f64,
@@ -148,13 +155,13 @@ pub struct SurfaceLoss {
 /// Colour losses of one rendering.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PhotometricLoss {
-    /// `(1 - λ) L1 + λ (1 - SSIM)`.
+    /// `(1 - λ) L1 + λ (1 - SSIM)`, with the λ of [`LossWeights::ssim`].
     pub total: f64,
-    /// Mean absolute difference between the exposed rendering and the photograph.
+    /// Mean absolute difference between the rendering, with the exposure applied, and the photograph.
     pub l1: f64,
     /// Mean structural similarity, -1..=1.
     pub ssim: f64,
-    /// Mean squared difference.
+    /// Mean squared difference between the rendering, without the exposure, and the photograph.
     pub mse: f64,
     /// ∂total/∂gain of the exposure.
     pub by_gain: f64,
@@ -163,7 +170,7 @@ pub struct PhotometricLoss {
 }
 
 impl PhotometricLoss {
-    /// Peak signal-to-noise ratio, dB.
+    /// Peak signal-to-noise ratio, dB, at most 120.
     pub fn psnr(&self) -> f64 {
         -10.0 * self.mse.max(1e-12).log10()
     }
@@ -181,37 +188,39 @@ pub enum Channels {
 /// Counts of one binning pass.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct BinCounts {
-    /// Splats that the camera sees.
+    /// Number of splats that the camera sees.
     pub visible: usize,
-    /// Splat–tile pairs to blend.
+    /// Number of splat–tile pairs to blend.
     pub pairs: usize,
-    /// Pairs beyond the capacity, which are not blended: those of the farthest splats.
+    /// Number of pairs beyond the capacity. They belong to the farthest splats and are not blended.
     pub dropped: usize,
 }
 
-/// Decay of Adam's first and second moment, and the term that keeps its division finite (3DGS).
+/// Decay of Adam's first moment (3DGS).
 pub(crate) const BETA_1: f32 = 0.9;
+/// Decay of Adam's second moment (3DGS).
 pub(crate) const BETA_2: f32 = 0.999;
+/// Term that keeps the division in Adam's step finite (3DGS).
 pub(crate) const EPSILON: f32 = 1e-15;
 
-/// Learning rates of one Adam step. Bias corrections are set by [`AdamRates::at_step`].
+/// Learning rates of one Adam step. [`AdamRates::at_step`] sets the bias corrections.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AdamRates {
-    /// Of means, world units.
+    /// Learning rate of means, world units.
     pub mean: f32,
-    /// Of quaternions.
+    /// Learning rate of quaternions.
     pub quat: f32,
-    /// Of log-scales.
+    /// Learning rate of log-scales.
     pub log_scale: f32,
-    /// Of opacity logits.
+    /// Learning rate of opacity logits.
     pub opacity: f32,
-    /// Of the constant colour term.
+    /// Learning rate of the constant colour term.
     pub sh_dc: f32,
-    /// Of the other SH coefficients.
+    /// Learning rate of the other SH coefficients.
     pub sh_rest: f32,
-    /// `1 / (1 - β₁^step)`.
+    /// Bias correction of the first moment, `1 / (1 - β₁^step)`.
     pub first_correction: f32,
-    /// `1 / (1 - β₂^step)`.
+    /// Bias correction of the second moment, `1 / (1 - β₂^step)`.
     pub second_correction: f32,
 }
 
@@ -223,19 +232,21 @@ impl AdamRates {
     }
 }
 
-/// A picture rendered from splats. All arrays are row by row.
+/// A picture rendered from splats. All arrays are stored row by row.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Rendering {
-    /// Width and height.
+    /// Width and height, px.
     pub size_px: [u32; 2],
-    /// `[h, w, rgb]`, 0 and up; the background is black.
+    /// `[h, w, rgb]` colours, 0 and up; the background is black.
     pub rgb: Vec<f32>,
-    /// `[h, w]`, 0..=1.
+    /// `[h, w]` blended alpha, 0..=1.
     pub alpha: Vec<f32>,
-    /// `[h, w]` unbiased depth along the optical axis, world units (PGSR: blended plane distance divided by the
-    /// component of the blended normal along the ray); 0 where there is no surface.
+    /// `[h, w]` unbiased depth along the optical axis, world units; 0 where there is no surface. It is the blended
+    /// plane distance, divided by the component of the blended normal along the ray (PGSR). Empty if only colour was
+    /// blended.
     pub depth: Vec<f32>,
-    /// `[h, w, xyz]` alpha-blended normals in the camera frame, facing the camera, not normalised.
+    /// `[h, w, xyz]` alpha-blended normals in the camera frame, facing the camera, not normalised. Empty if only colour
+    /// was blended.
     pub normal: Vec<f32>,
 }
 
@@ -248,52 +259,55 @@ impl Rendering {
     }
 }
 
-/// Shapes and statistics from which refinement decides; entry `i` is splat `i`.
+/// Shapes of the splats, and statistics with which refinement decides; entry `i` is splat `i`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Shapes {
-    /// World units.
+    /// Means, world units.
     pub means: Vec<[f32; 3]>,
-    /// wxyz.
+    /// Quaternions, wxyz, not normalised.
     pub quats: Vec<[f32; 4]>,
-    /// ln world units.
+    /// Natural logarithms of the scales in world units.
     pub log_scales: Vec<[f32; 3]>,
     /// Opacities before the logistic function.
     pub opacity_logits: Vec<f32>,
-    /// Mean over views of the norm of ∂L/∂mean on the screen, in units of half the picture; 0 if no view saw the splat.
+    /// Mean over views of the norm of ∂L/∂mean on the screen, with screen positions in units of half the picture; 0 if
+    /// no view saw the splat.
     pub screen_gradients: Vec<f32>,
-    /// The same, but of the sums of absolute values over pixels (AbsGS).
+    /// Like `screen_gradients`, but each axis of ∂L/∂mean is a sum over pixels of absolute values (AbsGS).
     pub absolute_gradients: Vec<f32>,
-    /// Views that saw the splat since the last refinement.
+    /// Number of times that a view saw the splat since the statistics were last reset.
     pub views: Vec<f32>,
 }
 
 /// Contributions of the splats to the scored pictures; entry `i` is splat `i`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Scores {
-    /// Sum of squared blend weights `(α T)²` over all pixels. Up to a factor of colour it is the squared error of the
-    /// pictures without the splat.
+    /// Sum over all pixels of the squared blend weight `(α T)²`, with the alpha α of the splat and the transmittance T
+    /// before it. Up to a factor that depends on colours, this is the squared error that the pictures would have
+    /// without the splat.
     pub squared_weights: Vec<f32>,
-    /// Pixels that the splat was blended into.
+    /// Number of pixels that the splat was blended into.
     pub hits: Vec<f32>,
-    /// Views that observe the splat: it was blended into one of their pixels while transmittance was above one half.
+    /// Number of views that observe the splat. A view observes a splat if the splat was blended into a pixel while the
+    /// transmittance was above one half.
     pub observers: Vec<f32>,
 }
 
-/// A new splat: a copy of `parent` except for the fields here; its moments are zero.
+/// A new splat. It copies the parameters of `parent`, except for those given here; its optimiser moments are zero.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Birth {
     /// Index of the parent before the edit.
     pub parent: u32,
-    /// World units.
+    /// Mean, world units.
     pub mean: [f32; 3],
-    /// ln world units.
+    /// Natural logarithms of the scales in world units.
     pub log_scale: [f32; 3],
     /// Opacity before the logistic function.
     pub opacity_logit: f32,
 }
 
-/// Splats to add and to remove. New splats take the places of removed ones first, then go to the end; places that
-/// remain empty are filled with splats from the end.
+/// Splats to add and to remove. New splats first take the places of removed splats, and then go to the end. If there
+/// are more removed splats than new ones, splats from the end fill the places that remain.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Edit {
     /// New splats, in order.
@@ -302,13 +316,13 @@ pub struct Edit {
     pub deaths: Vec<u32>,
 }
 
-/// A device that trains and renders. Passes are called in the order of their declaration; each reads what the passes
-/// before it left in the backend.
+/// A device that trains and renders. Passes are called in the order of their declaration; each reads what earlier
+/// passes left in the backend.
 pub trait Backend {
-    /// Name of the device for people: `cpu avx512 × 2`.
+    /// Name of the device for people, such as `cpu avx512 × 2`.
     fn device(&self) -> String;
 
-    /// Why the device was lost, or `None`. The results of a lost device are not valid.
+    /// Why the device was lost; `None` if it works. The results of a lost device are not valid.
     fn lost(&self) -> Option<String> {
         None
     }
@@ -316,7 +330,7 @@ pub trait Backend {
     /// Number of splats.
     fn len(&self) -> usize;
 
-    /// Whether there are no splats.
+    /// True if there are no splats.
     fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -324,69 +338,72 @@ pub trait Backend {
     /// Largest number of splats.
     fn capacity(&self) -> usize;
 
-    /// Replaces all splats; moments and statistics become zero. Panics beyond the capacity.
+    /// Replaces all splats; moments and statistics become zero. Panics if the splats exceed the capacity.
     fn load(&mut self, splats: &Splats);
 
     /// The splats as they are now.
     fn splats(&self) -> Splats;
 
-    /// Projects all splats: 2D Gaussians, colours (SH up to `sh_degree`) and planes for a camera.
+    /// Projects all splats for a camera: computes their 2D Gaussians, their colours (SH up to `sh_degree`) and their
+    /// planes.
     fn project(&mut self, camera: &Camera, sh_degree: u32);
 
-    /// Makes the sorted splat list of each tile.
+    /// Makes the list of the splats that each tile blends, nearest first.
     fn bin(&mut self) -> BinCounts;
 
-    /// Blends the picture.
+    /// Blends the splats of every tile to a picture.
     fn rasterize(&mut self, channels: Channels);
 
-    /// Keeps camera and depth of the picture last blended (with [`Channels::Geometry`]) as the neighbour of the
-    /// following pictures.
+    /// Keeps the camera and the depth of the last blended picture as the neighbouring view for later calls of
+    /// [`Backend::losses`]. The picture must have been blended with [`Channels::Geometry`].
     fn keep_neighbour(&mut self);
 
-    /// Computes the losses of the picture and their gradient with respect to every pixel.
+    /// Computes the losses of the last blended picture, and their gradient with respect to every pixel.
     fn losses(&mut self, targets: &Targets, weights: &LossWeights) -> Losses;
 
-    /// Computes the gradients of the projected splats.
+    /// Computes the gradients with respect to the projected splats.
     fn rasterize_backward(&mut self);
 
-    /// Computes the gradients of the parameters, and adds to the densification statistics.
+    /// Computes the gradients with respect to the parameters, and adds to the densification statistics.
     fn project_backward(&mut self);
 
-    /// The gradients of the last backward pass, each in the place of its parameter; zero for splats that the camera did
-    /// not see. For tests and comparisons of backends.
+    /// The gradients of the last backward pass, each in the place of its parameter. They are zero for splats that the
+    /// camera did not see. For tests and comparisons of backends.
     fn gradients(&self) -> Splats;
 
-    /// One optimiser step on all splats; splats that the camera did not see have gradient zero.
+    /// Makes one optimiser step on all splats. Splats that the camera did not see have gradient zero.
     fn adam(&mut self, rates: &AdamRates);
 
-    /// The picture last blended. Depth and normal are empty if only colour was blended.
+    /// The last blended picture.
     fn rendering(&self) -> Rendering;
 
-    /// The shapes and statistics for refinement; resets the statistics to zero.
+    /// Returns the shapes and statistics for refinement, and resets the statistics to zero.
     fn take_shapes(&mut self) -> Shapes;
 
     /// Resets all scores to zero.
     fn clear_scores(&mut self);
 
-    /// Adds each splat's contribution to the picture last blended to its scores.
+    /// Increases each splat's scores by the splat's contribution to the last blended picture.
     fn score(&mut self);
 
-    /// The scores since they were cleared.
+    /// The scores, summed since the last [`Backend::clear_scores`].
     fn scores(&self) -> Scores;
 
-    /// Adds and removes splats. Panics beyond the capacity.
+    /// Adds and removes splats. Panics if the result exceeds the capacity.
     fn edit(&mut self, edit: &Edit);
 
     /// Lowers every opacity to at most `opacity` and resets the moments of opacities to zero.
     fn cap_opacity(&mut self, opacity: f32);
 
-    /// Visits parameters, moments and statistics in a fixed order, in pieces. Together with [`Backend::import`] this is
-    /// a checkpoint: a training resumed on the same backend ends with the same bits. Stops at the first error.
+    /// Calls `visit` with all parameters, moments and statistics, in pieces and in a fixed order. Stops at the first
+    /// error. The visited numbers form a checkpoint: if [`Backend::import`] restores them on the same device, training
+    /// ends with the same bits as without the interruption.
     fn export<E>(&self, visit: impl FnMut(&[f32]) -> Result<(), E>) -> Result<(), E>
     where
         Self: Sized;
 
-    /// Restores `len` splats from what [`Backend::export`] visited: `fill` is called with the same pieces.
+    /// Restores `len` splats. Calls `fill` with the pieces that [`Backend::export`] visited, in the same order. Stops
+    /// at the first error.
     fn import<E>(&mut self, len: usize, fill: impl FnMut(&mut [f32]) -> Result<(), E>) -> Result<(), E>
     where
         Self: Sized;

@@ -1,9 +1,10 @@
-//! A base: a third of a model's splats, distilled to replace the whole model. An upload sends the base first, so that
-//! the receiver has a usable model wherever the link breaks off.
+//! A base: a third of a model's splats, trained so that together they look like the whole model. An upload sends the
+//! base first, so that the receiver has a usable model wherever the link breaks off.
 //!
-//! The most important splats alone leave holes, so they are distilled from renderings of the whole model by its own
-//! cameras: first the most important half, then the most important of those (table "Base: how it is made").
-//! Quaternions are frozen: encoding their later change costs as many bytes as training them gains.
+//! The most important splats alone leave holes. A base is therefore distilled: its splats are trained on renderings of
+//! the whole model, seen by the cameras of the model. The first of two stages trains the most important half of the
+//! splats. The second stage trains only the most important splats of that half. Quaternions are frozen: encoding their
+//! later change costs as many bytes as training them gains.
 
 use std::rc::Rc;
 
@@ -19,27 +20,32 @@ use crate::prune;
 use crate::render::Renderer;
 use crate::train::view_order;
 
-/// Share of the splats in a base: about a fifth of the bytes of the whole upload.
+/// Share of the splats in a base. Their bytes are about a fifth of the whole upload.
 const SHARE: f64 = 0.31;
-/// Share of the splats in the first stage. With all splats, few of those that fill holes survive; with only
-/// as many as in the base, the wrong splats remain (table "Base: how it is made").
+/// Share of the splats that the first stage trains. If it trained all splats, few of those that fill holes would
+/// survive the selection for the second stage. If it trained only as many as the base has, the wrong splats would
+/// remain.
 const SHARE_AT_FIRST: f64 = 0.5;
-/// Smaller models have no base: they are sent quickly as a whole.
+/// Smallest number of splats of a model that has a base. Smaller models are sent quickly as a whole.
 const SPLATS_MIN: usize = 2000;
-/// If one splat in k is kept, scales grow by k to this power: a low power, as important splats are large.
+/// If one splat in k is kept, scales are multiplied by k to this power. The power is low, because important splats are
+/// large already.
 const GROWTH: f32 = 0.25;
 
-/// Steps of the two stages (table "Base: how it is made").
+/// Number of steps of each of the two stages.
 const STEPS: [u32; 2] = [52, 156];
-/// Steps with lower learning rates at the end of each stage.
+/// Number of steps with lower learning rates at the end of each stage.
 const COOLDOWN_STEPS: u32 = 26;
-/// Three times the rates of 3DGS, twice for opacities, because the stages are short. Tuned on rendered Boruszyn.
+/// Learning rates. Because the stages are short, they are multiples of those of 3DGS: 3 × for means and colours, 4 ×
+/// for log scales, 2 × for opacities. Tuned on the dataset rendered Boruszyn.
 const RATES: StudentRates =
     StudentRates { mean: 4.8e-4, quat: 0.0, log_scale: 0.02, opacity: 0.1, sh_dc: 0.0075 };
 
-/// The base of a model trained with `cameras`; `None` if the model is small or no camera saw it. Computed on the
-/// processor with `threads` threads, at least 1; up to `kept_bytes` hold renderings for later steps. `tell`
-/// receives the number of steps done and of all steps. The same model gives the same base.
+/// Trains the base of a model on the processor, with `threads` threads, at least 1. `cameras` are the cameras that the
+/// model was trained with. Returns `None` if the model is small or `cameras` is empty.
+///
+/// Up to `kept_bytes` of memory hold renderings that later steps use again. After each step, `tell` receives the number
+/// of steps done and the number of all steps. The same model and cameras always give the same base.
 pub fn base_of(
     splats: &Splats,
     cameras: &[Camera],
@@ -68,7 +74,7 @@ pub fn base_of(
     Some(base)
 }
 
-/// All splats with their constant colour only.
+/// A base of all splats, reduced to SH degree 0: one colour for all directions.
 fn of_one_color(splats: &Splats) -> Base {
     let mut plain = Splats::with_capacity(splats.len(), 0);
     for i in 0..splats.len() {
@@ -78,7 +84,7 @@ fn of_one_color(splats: &Splats) -> Base {
     Base { ids: (0..splats.len() as u32).collect(), splats: plain }
 }
 
-/// The `count` most important splats; of equally important splats, the first.
+/// Keeps the `count` most important splats; of equally important splats, the first.
 fn keep(base: &Base, importance: &[f32], count: f64) -> Base {
     let gone = prune::least(importance, base.ids.len() - count as usize);
     let stays = |place: &usize| gone.binary_search(&(*place as u32)).is_err();
@@ -86,7 +92,7 @@ fn keep(base: &Base, importance: &[f32], count: f64) -> Base {
     Base { ids, splats: base.splats.without(&gone) }
 }
 
-/// Enlarges splats that were selected from `whole` splats.
+/// Enlarges splats that were selected from `whole` splats, so that they cover the gaps.
 fn grow(splats: &mut Splats, whole: usize) {
     let growth = GROWTH * (whole as f32 / splats.len() as f32).ln();
     splats.log_scales.iter_mut().for_each(|log_scale| *log_scale = log_scale.map(|v| v + growth));
@@ -105,7 +111,8 @@ impl<'a> Teacher<'a> {
         Self { threads, cameras, renderer, cache: RenderingCache::new(kept_bytes as u64) }
     }
 
-    /// Distils `student` for a number of steps.
+    /// Trains `student` for `steps` steps on renderings of the whole model, and returns the result. After each step,
+    /// `tell` receives the number of steps done.
     fn teach(&mut self, student: &Splats, steps: u32, mut tell: impl FnMut(u32)) -> Splats {
         let room = Capacity::to_train(student, self.cameras, Channels::Geometry);
         let mut backend = CpuBackend::new(room, self.threads);
@@ -146,7 +153,7 @@ mod tests {
 
     use super::*;
 
-    /// Ground of flat tiles, 50 × 50, of many colours.
+    /// Flat ground of 50 × 50 splats in many colours.
     fn ground() -> Splats {
         let mut splats = Splats::with_capacity(2500, 1);
         for i in 0..2500u16 {

@@ -10,35 +10,36 @@ pub use costs::{Costs, DRIVER_BYTES};
 #[cfg(feature = "gpu")]
 pub(crate) use costs::{PARTIALS, PROJECTED_BYTES, TAUGHT_NUMBERS};
 
-/// Bytes of a process before any buffer: code, stacks, allocator, tables, scratch memory of the threads.
+/// Bytes that a process takes beside the planned buffers: code, stacks, the allocator, small tables, and the threads'
+/// scratch memory.
 pub const PROCESS_BYTES: u64 = 28 << 20;
 
 /// Smallest number of splats that is worth training.
 const SPLATS_MIN: usize = 2000;
 
-/// Temporary bytes per splat. Refinement reads every shape (64 B) and writes children; at the end the model is read out
-/// once, when refinement's memory is free again. The larger of the two counts.
+/// Temporary bytes per splat: the larger of two needs that never coincide. Refinement copies the shape of every splat
+/// (64 bytes are reserved) and builds the new splats. The end of training copies all parameters once.
 const fn scratch_bytes(sh_degree: u32) -> usize {
     let model = 4 * parameter_rows(sh_degree);
     let refinement = 64 + 48 + model / 2;
     if model > refinement { model } else { refinement }
 }
 
-/// What a training needs, and what it uses if the memory suffices.
+/// What a training needs at least, and what it uses if the memory suffices.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Wish {
-    /// Bytes for the whole process.
+    /// Memory limit of the whole process, bytes.
     pub memory_bytes: u64,
-    /// Size of the largest picture, as the user requested it.
+    /// Width and height of the largest picture, px, as the user requested it.
     pub size_px: [u32; 2],
     /// SH degree, 0..=3.
     pub sh_degree: u32,
-    /// Largest buffer that the graphics card can bind, if the training runs on one. Its memory and its driver then
-    /// count like memory of the process.
+    /// Bytes of the largest buffer that the graphics card can bind, or `None` for the CPU. The memory of the card and
+    /// of its driver counts as memory of the process.
     pub binding_bytes_max: Option<u64>,
     /// Channels that will be blended in training.
     pub channels: Channels,
-    /// Number of splats without a memory limit.
+    /// Number of splats that training uses if memory does not limit it.
     pub splats: usize,
     /// Bytes of a picture cache that holds all pictures.
     pub cache_bytes_most: u64,
@@ -48,7 +49,7 @@ pub struct Wish {
     pub loading_bytes: u64,
 }
 
-/// Sizes that keep a training within its bytes.
+/// Sizes that keep a training within its memory limit.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Budget {
     /// Sizes of the backend's buffers.
@@ -59,21 +60,21 @@ pub struct Budget {
     pub given_up: Vec<String>,
 }
 
-/// No sizes fit the budget.
+/// Why no sizes fit the memory limit or the graphics card.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum BudgetError {
     /// The memory is too small for the smallest training.
     #[error("a memory limit of {memory_bytes} bytes is too small; this training needs at least {least_bytes} (--memory {}MiB)", least_bytes.div_ceil(1 << 20))]
     TooLittleMemory {
-        /// The memory limit.
+        /// The memory limit, bytes.
         memory_bytes: u64,
-        /// The smallest sufficient limit.
+        /// The smallest sufficient limit, bytes.
         least_bytes: u64,
     },
     /// The pictures are larger than the largest buffer that the graphics card can bind.
     #[error("a picture of {} × {} px takes {bytes} bytes, but the graphics card binds at most {bytes_max} at once; use smaller pictures or --device cpu", size_px[0], size_px[1])]
     PictureTooLarge {
-        /// Size of the picture.
+        /// Width and height of the picture, px.
         size_px: [u32; 2],
         /// Bytes of the picture's largest buffer.
         bytes: u64,
@@ -83,7 +84,7 @@ pub enum BudgetError {
 }
 
 impl Budget {
-    /// Divides the memory: first the fixed costs, then up to the wanted splats, then the picture cache.
+    /// Divides the memory limit: first come the fixed costs; the rest is for the splats and the picture cache.
     pub fn plan(wish: &Wish) -> Result<Self, BudgetError> {
         let Wish { size_px, sh_degree, channels, .. } = *wish;
         let shape = Capacity { splats: 0, pairs: 0, size_px, sh_degree, channels, training: true };
@@ -103,7 +104,8 @@ impl Budget {
         }
         let mut given_up = Vec::new();
         let free = wish.memory_bytes - fixed;
-        // A larger cache saves time, but splats decide the quality: three quarters of the memory go to them first.
+        // A larger cache saves time, but the number of splats decides the quality. So splats may take three quarters of
+        // the free memory, and more if the cache does not need the rest.
         let extra_wanted = wish.cache_bytes_most.saturating_sub(wish.cache_bytes_least);
         let bound = costs.splats_max(PAIRS_PER_SPLAT);
         let splats_wanted = wish.splats.min(bound) as u64 * per_splat;

@@ -1,11 +1,11 @@
-//! Renderings that are kept for the next time they are needed, within a number of bytes.
+//! Keeps renderings in memory until they are needed again, within a limit on their bytes.
 
 use std::collections::BTreeMap;
 use std::rc::Rc;
 
 use crate::backend::Rendering;
 
-/// Renderings by key. Renderings beyond the limit are not kept; kept renderings are never dropped.
+/// Renderings by key. A rendering that would exceed the limit is not kept; a kept rendering is never dropped.
 #[derive(Debug)]
 pub struct RenderingCache<K> {
     kept: BTreeMap<K, Rc<Rendering>>,
@@ -14,17 +14,18 @@ pub struct RenderingCache<K> {
 }
 
 impl<K: Ord> RenderingCache<K> {
-    /// Empty; renderings may take `bytes` in all.
+    /// An empty cache whose renderings may take `bytes` bytes in total.
     pub fn new(bytes: u64) -> Self {
         Self { kept: BTreeMap::new(), free_bytes: bytes }
     }
 
-    /// The rendering that was kept for a key.
+    /// The rendering that is kept for a key, if any.
     pub fn get(&self, key: &K) -> Option<Rc<Rendering>> {
         self.kept.get(key).cloned()
     }
 
-    /// Shares a rendering, and keeps it if it fits. The key must not be kept yet.
+    /// Puts a rendering into an [`Rc`], and keeps it if it fits within the limit. The cache must not hold a rendering
+    /// for the key yet.
     pub fn keep(&mut self, key: K, rendering: Rendering) -> Rc<Rendering> {
         let bytes = rendering.bytes() as u64;
         let rendering = Rc::new(rendering);

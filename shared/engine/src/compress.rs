@@ -1,10 +1,11 @@
-//! Local Model Compression (CoSurfGS, Eq. 5): where models overlap, a model loses the splats of ground that another
-//! model owns, least important to its other cameras first.
+//! Local Model Compression (CoSurfGS, Eq. 5). Where models overlap, a model loses splats of ground that another model
+//! owns. Splats that are least important to its cameras outside the overlap are removed first.
 //!
 //! The paper does not define overlap between drones without shared pictures, nor the owner of shared ground. Here a
-//! camera overlaps if cameras of other models see enough of its surface from a similar direction and distance. The
-//! owner of a place is the model with the most cameras that see it; on a tie, the first. Every place thus has
-//! at most one owner, independent of the order of compression, and no two models remove the same ground.
+//! camera overlaps if cameras of other models see enough of the surface in its picture, from a similar direction and
+//! distance. The owner of a place is the model with the most cameras that see the place; on a tie, the first such
+//! model. Every place thus has at most one owner, whatever the order of compression, and the owner never removes its
+//! splats of that place.
 
 use cosurf_scene::{Camera, Frustum, Splats, Watchers};
 use glam::DVec3;
@@ -17,18 +18,19 @@ use crate::device::{Device, DeviceError};
 use crate::prune;
 use crate::render::Renderer;
 
-/// Share of its surface that cameras of other models must see for a camera to overlap.
+/// A camera overlaps if cameras of other models see at least this share of the surface in its picture.
 const SHARE_MIN: f64 = 0.3;
-/// Largest angle between the two lines of sight, 30°, as a cosine.
+/// Cosine of the largest angle, 30°, between the lines of sight of two cameras that see a point alike.
 const SIGHT_COSINE_MIN: f64 = 0.866_025_403_784_438_6;
-/// Range of the ratio of the two depths.
+/// Range of the ratio of the depths of a point in two cameras that see it alike.
 const DEPTH_RATIO: std::ops::RangeInclusive<f64> = 0.5..=2.0;
-/// Largest share of a model that is removed: in practice all that other models own. A lower limit leaves two surfaces
-/// in one place (table "Largest removed share").
+/// Largest share of a model that is removed. It is so high that in practice all ground that other models own can be
+/// removed. A lower limit leaves two surfaces in one place.
 const OVERLAP_MAX: f64 = 0.8;
-/// Smallest number of cameras with which an owner sees a place. Splats that a single camera sees may have been removed.
+/// Smallest number of cameras with which a model can own a place. The training of a model may already have removed
+/// splats that only one camera sees.
 const OWNER_CAMERAS_MIN: usize = 2;
-/// Long side of the renderings that measure overlap, px.
+/// Long side of the renderings with which overlap is measured, px.
 const SIZE_PX: u32 = 48;
 
 /// What compression removes from a model.
@@ -40,18 +42,20 @@ pub struct Compression {
     pub removed: Vec<u32>,
 }
 
-/// The cameras of all models that may overlap.
+/// The cameras of all models, and which of these models is compressed.
 #[derive(Clone, Copy, Debug)]
 pub struct ModelCameras<'a> {
-    /// Cameras of each model. All devices that compress must use the same cameras in the same order.
+    /// Cameras of each model. Every device that compresses must use the same cameras in the same order, so that all
+    /// devices agree on the owners.
     pub cameras: &'a [Vec<Camera>],
     /// Index of the model that is compressed.
     pub own: usize,
 }
 
 impl Compression {
-    /// Plans the compression of `splats`: model `models.own`, with cameras `its`. Importance is measured with
-    /// the cameras that do not overlap, else with all; the CPU uses `threads` threads, at least 1.
+    /// Decides which splats compression removes. `splats` is the model with the index `models.own`, and `its` are the
+    /// cameras of that model. Importance is measured with those of its cameras that do not overlap, or with all if
+    /// every camera overlaps. The CPU uses `threads` threads, at least 1.
     pub fn plan(
         splats: &Splats,
         its: &[Camera],
@@ -90,7 +94,7 @@ impl Compression {
     }
 }
 
-/// Whether a camera of the model overlaps: `others` see enough of the surface that the camera sees.
+/// Whether `camera` overlaps: whether `others` see at least [`SHARE_MIN`] of the surface in its picture.
 fn overlaps(renderer: &mut Renderer, camera: &Camera, others: &mut Watchers) -> Result<bool, DeviceError> {
     let camera = camera.resized(camera.fitted_size(SIZE_PX));
     let depth = renderer.try_render(&camera)?.depth;
@@ -107,7 +111,7 @@ fn overlaps(renderer: &mut Renderer, camera: &Camera, others: &mut Watchers) -> 
     Ok(shown > 0 && seen as f64 >= SHARE_MIN * shown as f64)
 }
 
-/// Whether `other` sees a point, from a similar direction and distance as `camera`.
+/// Whether `other` sees a point from a similar direction and distance as `camera`. `camera` itself may look elsewhere.
 pub fn sees_alike(camera: &Camera, other: &Camera, point: DVec3) -> bool {
     other.sees(point) && is_alike(camera, other, point)
 }
@@ -120,7 +124,7 @@ fn is_alike(camera: &Camera, other: &Camera, point: DVec3) -> bool {
         && DEPTH_RATIO.contains(&(depth(other) / depth(camera)))
 }
 
-/// Indices of the splats on ground that another model owns.
+/// Indices, ascending, of the splats on ground that another model owns.
 fn owned_by_others(splats: &Splats, models: &ModelCameras) -> Vec<u32> {
     let frusta: Vec<Vec<Frustum>> =
         models.cameras.iter().map(|its| its.iter().map(Frustum::new).collect()).collect();
@@ -134,7 +138,8 @@ fn owned_by_others(splats: &Splats, models: &ModelCameras) -> Vec<u32> {
     (0..splats.len() as u32).into_par_iter().filter(is_owned_by_other).collect()
 }
 
-/// The `count` least important of `candidates`, ascending; of equally important splats, the last.
+/// The `count` least important of `candidates`, ascending by index. Of equally important splats, those with the highest
+/// indices are taken.
 fn lowest(importance: &[f32], candidates: &[u32], count: usize) -> Vec<u32> {
     let mut order = candidates.to_vec();
     let key = |i: u32| importance[i as usize];

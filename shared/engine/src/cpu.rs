@@ -1,9 +1,8 @@
-//! The CPU backend: SIMD and threads; the result has the same bits for any number of threads.
+//! The CPU backend, with SIMD and threads. Its results have the same bits for any number of threads.
 //!
 //! Each thread writes only its own memory (blocks of splats, tiles, bands of lines). Sums across threads are computed
-//! afterwards in a fixed order. Reading order: `blocks` for the layout, `backend` for the whole,
-//! then the passes as a step calls them: `project`, `bin`, `rasterize`, `loss`, `surface`, `rasterize_backward`,
-//! `project_backward`, `adam`.
+//! afterwards in a fixed order. Reading order: `blocks` for the layout, `backend` for the whole, then the passes as a
+//! step calls them: `project`, `bin`, `rasterize`, `loss`, `surface`, `rasterize_backward`, `project_backward`, `adam`.
 
 mod adam;
 mod backend;

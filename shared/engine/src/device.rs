@@ -1,4 +1,4 @@
-//! Devices: how users name them, and opening them.
+//! How users name a device, and how a device is opened.
 
 use std::fmt;
 use std::str::FromStr;
@@ -8,16 +8,17 @@ use serde::{Deserialize, Serialize};
 #[cfg(feature = "gpu")]
 use crate::gpu::{Gpu, GpuChoice, GpuError};
 
-/// `auto`, `cpu`, `gpu` or `gpu:N`.
+/// The device that a user chose: `auto`, `cpu`, `gpu` or `gpu:N`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub enum DeviceChoice {
-    /// A real graphics card if there is one, else the processor: software drivers are slower than the CPU backend.
+    /// A real graphics card if one can be opened, else the processor. Software drivers are never chosen, because they
+    /// are slower than the CPU backend.
     #[default]
     Auto,
     /// The processor.
     Cpu,
-    /// The best GPU, or the GPU with this number; may be a software driver.
+    /// The best GPU, or the GPU with this number. Either may be a software driver.
     Gpu(Option<usize>),
 }
 
@@ -25,7 +26,7 @@ pub enum DeviceChoice {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum DeviceError {
-    /// The graphics card failed.
+    /// The graphics card cannot be opened, has too little memory, or failed.
     #[cfg(feature = "gpu")]
     #[error(transparent)]
     Gpu(#[from] GpuError),
@@ -106,7 +107,7 @@ impl Device {
         }
     }
 
-    /// Fails once the device is lost: nothing read since the last successful check is valid.
+    /// Fails once the device is lost. Results that were read since the last successful check are then not valid.
     pub fn check(&self) -> Result<(), DeviceError> {
         match self {
             Self::Cpu => Ok(()),
@@ -127,7 +128,7 @@ impl fmt::Display for Device {
 }
 
 impl DeviceChoice {
-    /// Opens the chosen device. Fails if a GPU was requested and there is none, or its driver refuses.
+    /// Opens the chosen device. Fails if a GPU was requested, but does not exist or cannot be opened.
     #[cfg(feature = "gpu")]
     pub fn open(self) -> Result<Device, DeviceError> {
         let choice = match self {
@@ -143,7 +144,7 @@ impl DeviceChoice {
         }
     }
 
-    /// Opens the chosen device. Fails if a GPU was requested.
+    /// Opens the chosen device. Fails if a GPU was requested, because this program is built without GPUs.
     #[cfg(not(feature = "gpu"))]
     pub fn open(self) -> Result<Device, DeviceError> {
         match self {

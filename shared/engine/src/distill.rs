@@ -1,5 +1,5 @@
 //! Distillation: a model is trained on renderings of other models instead of photographs (CoSurfGS, "Model Aggregation
-//! Scheme"). No splats are added; at the end, useless splats are reported.
+//! Scheme"). No splats are added. At the end, the useless splats are reported.
 
 use cosurf_scene::{Camera, Splats, camera};
 use tracing::trace_span;
@@ -16,11 +16,12 @@ use crate::train::SSIM_WEIGHT;
 pub struct DistillSettings {
     /// Number of steps.
     pub steps: u32,
-    /// Steps at the end with a tenth of the learning rates, except that of means.
+    /// Number of steps of the cooldown at the end. During these, all learning rates except that of means are divided by
+    /// ten.
     pub cooldown_steps: u32,
-    /// Learning rates until then.
+    /// Learning rates before the cooldown.
     pub rates: StudentRates,
-    /// Scene extent: 1.1 × the largest distance of a camera from their mean, world units.
+    /// Scene extent: 1.1 × the largest distance of a camera from the mean position of all cameras, world units.
     pub extent: f64,
     /// Median depth of the teachers' renderings, world units.
     pub depth: f64,
@@ -33,32 +34,36 @@ pub struct DistillSettings {
 pub struct Lesson<'a> {
     /// Camera of the rendering.
     pub camera: &'a Camera,
-    /// `[height, width, rgb]`, 0 and up.
+    /// Colours, `[height, width, rgb]`, 0 and up.
     pub rgb: &'a [f32],
-    /// Depth, normals and their weights.
+    /// Depths, normals, and the weight of each pixel.
     pub surface: TargetSurface<'a>,
 }
 
-/// Weights of the mean shortest scale (λ₁) and of the single-view normal loss (β₂) in training (CoSurfGS).
+/// Weight λ₁ of the mean shortest scale (CoSurfGS). It is divided by the scene extent, so that the unit of length does
+/// not matter.
 const SCALE_WEIGHT: f64 = 100.0;
+/// Weight β₂ of the single-view normal loss (CoSurfGS).
 const NORMAL_WEIGHT: f32 = 0.01;
-/// Weights of `L_d`, per median depth, and of `L_n` (CoSurfGS).
+/// Weight of `L_d`, the difference of depths from the teacher (CoSurfGS). It is divided by the median depth, so that
+/// the unit of length does not matter.
 const DEPTH_WEIGHT: f64 = 0.015;
+/// Weight of `L_n`, the difference of blended normals from the teacher (CoSurfGS).
 const TEACHER_NORMAL_WEIGHT: f32 = 0.015;
 
-/// Learning rates of a student, as in [`AdamRates`], except that the rate of means is per world unit of extent and
-/// falls log-linearly to a hundredth.
+/// Learning rates of a student, the model that is trained. They are as in [`AdamRates`], except for the rate of means:
+/// it is multiplied by the scene extent, and falls log-linearly to a hundredth.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StudentRates {
-    /// Of means.
+    /// Rate of means at the first step, for a scene extent of 1.
     pub mean: f64,
-    /// Of quaternions.
+    /// Rate of quaternions.
     pub quat: f32,
-    /// Of log scales.
+    /// Rate of log scales.
     pub log_scale: f32,
-    /// Of opacity logits.
+    /// Rate of opacity logits.
     pub opacity: f32,
-    /// Of the constant colour term; the other SH coefficients have a twentieth of it.
+    /// Rate of the constant colour term. The rate of the other SH coefficients is a twentieth of it.
     pub sh_dc: f32,
 }
 
@@ -68,28 +73,31 @@ impl StudentRates {
         Self { mean: 1.6e-5, quat: 0.001, log_scale: 0.005, opacity: 0.05, sh_dc: 0.0025 };
 }
 
+/// Share of its first value to which the rate of means falls, log-linearly over all steps (3DGS).
 const MEAN_RATE_FALL: f64 = 0.01;
 
-/// Share of the learning rates during the cooldown.
+/// Factor on all learning rates except that of means during the cooldown.
 const COOLED: f32 = 0.1;
 
 /// Opacity below which a splat is useless (3DGS).
 const OPACITY_MIN: f32 = 0.005;
-/// Scale above which a splat is useless, as a share of the extent. The tenth of 3DGS removes ground without texture,
-/// which distillation cannot fill again (table "Distillation").
+/// Scale above which a splat is useless, as a share of the scene extent. The limit of 3DGS, a tenth, would remove
+/// ground without texture, which distillation cannot fill again.
 const SCALE_MAX: f64 = 1.0;
 
-/// Alpha below which a teacher's surface has no weight. Its colours always count: they match the photograph even where
-/// the surface is uncertain (table "Distillation").
+/// Alpha above which the depth and normal of a teacher's pixel count in the losses. The colours of a teacher always
+/// count: they match the photograph even where the surface is uncertain.
 pub const TRUSTED_ALPHA_MIN: f32 = 0.95;
 
-/// [`DistillSettings::extent`] of `cameras`, above 0.
+/// The scene extent of `cameras`, for [`DistillSettings::extent`]. It is 1 if all cameras are in one place, so that it
+/// is always above 0.
 pub fn extent(cameras: &[Camera]) -> f64 {
     let reach = camera::extent(cameras.iter());
     if reach > 0.0 { reach } else { 1.0 }
 }
 
-/// [`DistillSettings::depth`] of a teacher's depths, in which 0 means no surface.
+/// The median of the depths that teachers rendered, for [`DistillSettings::depth`]. Depths of 0 mean no surface and are
+/// left out; if none remain, the result is 1.
 pub fn median_depth(depths: impl Iterator<Item = f32>) -> f64 {
     let mut depths: Vec<f32> = depths.filter(|depth| *depth > 0.0).collect();
     depths.sort_unstable_by(f32::total_cmp);
@@ -109,7 +117,7 @@ impl<B: Backend> Distiller<B> {
         Self { backend, settings, steps_done: 0 }
     }
 
-    /// Trains one step on one rendering.
+    /// Trains one step on one rendering. Returns the losses before the step, and the counts of the binning pass.
     pub fn step(&mut self, lesson: &Lesson) -> (Losses, BinCounts) {
         let _span = trace_span!("step", step = self.steps_done).entered();
         let weights = self.weights();
@@ -128,13 +136,13 @@ impl<B: Backend> Distiller<B> {
         (losses, counts)
     }
 
-    /// The whole model.
+    /// The trained model, including useless splats.
     pub fn into_splats(self) -> Splats {
         self.backend.splats()
     }
 
-    /// The model, and the indices (ascending) of its useless splats: transparent, huge, or invisible to all of
-    /// `cameras`.
+    /// The trained model, and the indices (ascending) of its useless splats. A splat is useless if it is transparent,
+    /// huge, or invisible to all of `cameras`.
     pub fn finish<'a>(mut self, cameras: impl IntoIterator<Item = &'a Camera>) -> (Splats, Vec<u32>) {
         let scores = prune::survey(&mut self.backend, cameras);
         let shapes = self.backend.take_shapes();

@@ -1,31 +1,33 @@
 //! Exposure of each photograph (PGSR, §"Exposure compensation"). Cameras with automatic exposure show the same wall
-//! with different brightness. A gain and an offset per view model that, so that it does not enter the splats' colours;
-//! only L1 uses them.
+//! with different brightness. Each view therefore has its own gain and offset, so that the differences do not enter the
+//! splats' colours. Only the L1 loss uses gain and offset.
 
 use crate::backend::{Exposure, PhotometricLoss};
 
-/// Adam's rate and decays (PGSR).
+/// Learning rate of exposures (PGSR).
 const RATE: f64 = 1e-3;
+/// Decays of Adam's first and second moment (PGSR), and the term that keeps its division finite.
 const BETA_1: f64 = 0.9;
 const BETA_2: f64 = 0.99;
 const EPSILON: f64 = 1e-15;
 
-/// SSIM above which a view trains its exposure (PGSR: 1 - SSIM < 0.5). The SSIM of the view's previous step decides, so
-/// that one sweep over the picture suffices.
+/// SSIM above which the exposure of a view is trained and used (PGSR: 1 - SSIM < 0.5). The SSIM of the view's previous
+/// step decides, so that the losses need only one sweep over the picture.
 const SSIM_MIN: f32 = 0.5;
 
-/// Numbers of a view in a checkpoint.
+/// Number of values of one view in a checkpoint.
 const NUMBERS: usize = 8;
 
 /// Exposures of all views, with their optimiser.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Exposures {
-    /// Factor on the learning rate.
+    /// Factor on the learning rate; above 1 in short runs.
     haste: f64,
     views: Vec<View>,
 }
 
-/// Exposure of a view with its moments: logarithm of the gain, and offset.
+/// Exposure of a view, with Adam's moments. Each array holds a number for the logarithm of the gain, then one for the
+/// offset.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct View {
     values: [f32; 2],
@@ -37,18 +39,20 @@ struct View {
 }
 
 impl Exposures {
-    /// No exposure is trained yet.
+    /// Default exposures of `views` views. `haste` is a factor on the learning rate.
     pub(crate) fn new(views: usize, haste: f64) -> Self {
         Self { haste, views: vec![View::default(); views] }
     }
 
-    /// Exposure of a view's photograph; the default while the rendering is not similar enough.
+    /// Exposure of a view's photograph. It is the default, which changes no colour, until the view's SSIM exceeds
+    /// [`SSIM_MIN`].
     pub(crate) fn of(&self, view: usize) -> Exposure {
         let View { values: [log_gain, offset], ssim, .. } = self.views[view];
         if ssim > SSIM_MIN { Exposure { gain: log_gain.exp(), offset } } else { Exposure::default() }
     }
 
-    /// Updates a view from the losses of a step; if `adapt` is false, only its SSIM.
+    /// Stores the SSIM of a view's step. Before that, trains the exposure of the view if `adapt` is true and the SSIM
+    /// of its previous step is above [`SSIM_MIN`].
     pub(crate) fn update(&mut self, view: usize, loss: &PhotometricLoss, adapt: bool) {
         let gain = f64::from(self.of(view).gain);
         let view = &mut self.views[view];
@@ -103,7 +107,8 @@ impl View {
 mod tests {
     use super::*;
 
-    /// L1 of a photograph taken with gain 1.3 and offset -0.05 of colours 0, 0.1 … 1, and its slopes.
+    /// A loss with the derivatives of L1 by gain and offset. The rendering has the colours 0, 0.1 … 1; the photograph
+    /// shows them with gain 1.3 and offset -0.05.
     fn loss(exposure: Exposure, ssim: f64) -> PhotometricLoss {
         let mut loss = PhotometricLoss { ssim, ..PhotometricLoss::default() };
         for color in (0..=10).map(|i| f64::from(i) / 10.0) {

@@ -7,12 +7,12 @@ use glam::{DQuat, DVec3};
 use crate::nearest::{Near, Tree};
 use crate::plane::normal_of;
 
-/// Opacity of a new splat. 3DGS has 0.1, which short runs do not raise in time (table "Short runs").
+/// Opacity of a new splat. 3DGS starts with 0.1, but short runs end before it has risen far enough.
 const OPACITY: f32 = 0.3;
 
-/// Number of nearest points whose RMS distance gives the initial scale (3DGS).
+/// Number of nearest other points; the RMS distance to them is the initial scale (3DGS).
 const NEIGHBOURS: usize = 3;
-/// Number of nearest points whose plane gives the initial normal, including the point itself.
+/// Number of nearest points, including the point itself, whose plane gives the initial normal.
 const PLANE_POINTS: usize = 10;
 /// Thickness of a flat splat, as a share of its width.
 const THICKNESS: f64 = 0.2;
@@ -22,14 +22,15 @@ const THICKNESS: f64 = 0.2;
 pub enum Form {
     /// Balls, as in 3DGS.
     Round,
-    /// Discs in the plane of the nearest points, for training surfaces; balls where these points have no plane (table
-    /// "Initial splats").
+    /// Discs in the plane of the nearest points, for training surfaces. Where these points have no plane, a splat is a
+    /// ball.
     Flat,
 }
 
-/// Splats at the points with their colours, as wide as the RMS distance to the three nearest points. Scales are clamped
-/// to `extent` × 1e-6 to `extent` × 0.5, so that duplicates and far outliers can still be trained. Of more than
-/// `capacity` points, an even selection is used.
+/// Creates a splat at each point, with the colour of the point. The splat is as wide as the RMS distance to the three
+/// nearest other points. Widths are clamped to the range from `extent` × 1e-6 to `extent` × 0.5, so that duplicates and
+/// far outliers can still be trained. If there are more than `capacity` points, `capacity` of them are used, evenly
+/// spaced in the list.
 pub fn splats_from_points(
     points: &[SparsePoint],
     extent: f64,
@@ -64,14 +65,14 @@ pub fn splats_from_points(
     splats
 }
 
-/// RMS distance to the nearest points; infinite for a single point. The first of `near` is the point itself.
+/// RMS distance to the nearest other points; infinite if there are none. The first of `near` is the point itself.
 fn width(near: &[Near<f64>]) -> f64 {
     let others = near[1..=NEIGHBOURS].iter().map(|near| near.distance_squared).filter(|d| d.is_finite());
     let count = others.clone().count();
     if count == 0 { f64::INFINITY } else { (others.sum::<f64>() / count as f64).sqrt() }
 }
 
-/// Normal of the plane of the points, if they have one.
+/// Normal of the plane that fits the points of `near`, if they have a plane.
 fn normal(near: &[Near<f64>], positions: &[[f64; 3]]) -> Option<DVec3> {
     let found = near.iter().filter(|near| near.distance_squared.is_finite());
     normal_of(&found.map(|near| DVec3::from(positions[near.index as usize])).collect::<Vec<_>>())

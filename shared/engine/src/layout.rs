@@ -1,6 +1,6 @@
-//! Code that both backends share: camera parameters, the layout of tiles and planes, the order of a splat's
-//! numbers, the choice of sampled pixels, and the constants of the method. Nothing here belongs to a device,
-//! so `cpu` and `gpu` both depend on this module, and never on each other.
+//! Code that the CPU and the GPU backend share: camera parameters, the layout of tiles and planes of a picture, the
+//! order of a splat's numbers, the choice of sampled pixels, and the constants of rendering and losses. Nothing here
+//! runs on a particular device, so `cpu` and `gpu` both depend on this module, and never on each other.
 
 pub(crate) mod constants;
 pub(crate) mod harmonics;

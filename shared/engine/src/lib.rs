@@ -1,10 +1,10 @@
-//! The Gaussian-surface engine: rasterises, compares with photographs, optimises. Two backends, CPU and GPU, compute
-//! the same results within a tolerance that tests state.
+//! The engine for Gaussian surfaces: it rasterises splats, compares the renderings with photographs, and optimises the
+//! splats. Two backends, CPU and GPU, compute the same results within a tolerance that the tests check.
 //!
-//! It does not deal with wire formats, clocks, files or command lines.
+//! What it knows nothing about: wire formats, clocks, files, command lines.
 //!
-//! Where to start reading: [`backend`] for the passes, then [`train`], where a step reads as a list of passes; `layout`
-//! for code that both backends share, [`cpu`] for SIMD and threads, `gpu` for graphics cards.
+//! Where to start reading: [`backend`] declares the passes, and in [`train`] a step reads as a list of passes. Then
+//! `layout` has the code that both backends share, [`cpu`] uses SIMD and threads, and `gpu` uses graphics cards.
 
 mod any;
 pub mod backend;

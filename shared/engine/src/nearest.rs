@@ -1,25 +1,25 @@
 //! Nearest points: a k-d tree, stored as a reordered list of points.
 //!
-//! No crate, because the bits of a training depend on the order of points at equal distances, which crates do not
-//! specify. `kiddo` would also bring about 25 packages and a build script, and its mutable tree panics on many equal
-//! points.
+//! No crate is used, because the bits of a training depend on the order of points at equal distances, which crates do
+//! not specify. The crate `kiddo` would also bring about 25 packages and a build script, and its mutable tree panics on
+//! many equal points.
 
 use std::cmp::Ordering;
 use std::ops::{Add, Mul, Sub};
 
-/// Ranges no longer than this are built by one thread.
+/// A range is split between two threads if its lower half has more points than this.
 const GRAIN: usize = 1 << 14;
 
 /// A coordinate: `f32` or `f64`.
 pub trait Coordinate:
     Copy + PartialOrd + Send + Sync + Sub<Output = Self> + Mul<Output = Self> + Add<Output = Self>
 {
-    /// Larger than every distance.
+    /// Infinity, which is larger than every distance.
     const INFINITY: Self;
     /// 0.
     const ZERO: Self;
 
-    /// The order of all values, NaN included.
+    /// Compares in a total order of all values, NaN included.
     fn total_order(&self, other: &Self) -> Ordering;
 }
 
@@ -38,17 +38,17 @@ macro_rules! coordinates {
 }
 coordinates!(f32 f64);
 
-/// A point, by its index in the list that the tree was made of, and how far it is.
+/// A point that a search found, and its distance from the query.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Near<S> {
     /// Square of the distance.
     pub distance_squared: S,
-    /// Index of the point.
+    /// Index of the point in the list that the tree was built from.
     pub index: u32,
 }
 
-/// Points with their indices. The middle point of every range splits it along one axis; the axes alternate. Ranges of
-/// at most `leaf` points have no order.
+/// A k-d tree of points with their indices. The middle point of a range splits the range along one axis; the axes
+/// alternate. Ranges of at most `leaf` points are not split.
 #[derive(Clone, Debug)]
 pub struct Tree<S> {
     points: Vec<([S; 3], u32)>,
@@ -56,13 +56,13 @@ pub struct Tree<S> {
 }
 
 impl<S: Coordinate> Tree<S> {
-    /// A tree of fewer than 2³² finite points; ranges of at most `leaf` points (at least 1) are searched one by one.
-    /// The same points and leaf always give the same order of points at equal distances.
+    /// Builds a tree of fewer than 2³² finite points. Ranges of at most `leaf` points (at least 1) are searched point
+    /// by point. The same points and `leaf` always give the same order of points at equal distances.
     pub fn new(points: &[[S; 3]], leaf: usize) -> Self {
         Self::built(points, leaf, usize::MAX)
     }
 
-    /// The same tree, built by the threads of the current rayon pool.
+    /// Builds the same tree as [`Self::new`], with the threads of the current rayon pool.
     pub fn new_parallel(points: &[[S; 3]], leaf: usize) -> Self {
         Self::built(points, leaf, GRAIN)
     }
@@ -74,15 +74,15 @@ impl<S: Coordinate> Tree<S> {
         Self { points, leaf }
     }
 
-    /// The `K` points nearest to `query`, the nearest first; infinitely far, with index `u32::MAX`, where there are
-    /// fewer.
+    /// The `K` points nearest to `query`, the nearest first. If the tree has fewer points, the remaining entries are
+    /// infinitely far and have the index `u32::MAX`.
     pub fn nearest<const K: usize>(&self, query: [S; 3]) -> [Near<S>; K] {
         let mut best = [Near { distance_squared: S::INFINITY, index: u32::MAX }; K];
         search(&self.points, self.leaf, &query, 0, &mut best);
         best
     }
 
-    /// Whether a point lies nearer than the root of `reach_squared`.
+    /// Whether a point of the tree lies nearer to `query` than the square root of `reach_squared`.
     pub fn is_any_within(&self, query: [S; 3], reach_squared: S) -> bool {
         is_any_within(&self.points, self.leaf, &query, 0, reach_squared)
     }
@@ -154,7 +154,8 @@ fn is_any_within<S: Coordinate>(
         || (beyond * beyond < reach_squared && is_any_within(far, leaf, query, next, reach_squared))
 }
 
-/// Inserts a point among the nearest; of points at equal distances, the first found stays first.
+/// Inserts a point into `best`, the nearest points so far, if it is near enough. Of points at equal distances, the one
+/// that was found first stays first.
 #[inline]
 fn insert<S: Coordinate, const K: usize>(
     best: &mut [Near<S>; K],

@@ -1,4 +1,5 @@
-//! Neighbours: views of the same ground whose baseline is long enough to measure depth and short enough to compare.
+//! The neighbours of a view: other views that look in a similar direction. The baseline between two neighbours is long
+//! enough to measure depth, and short enough that their pictures can be compared.
 
 use cosurf_scene::{Camera, SparsePoint};
 
@@ -6,11 +7,12 @@ use crate::random::{Purpose, Random};
 
 /// Largest number of neighbours of a view (PGSR).
 const NEIGHBOURS_MAX: usize = 8;
-/// Largest angle between optical axes (PGSR: 30°), as a cosine.
+/// Cosine of the largest angle between the optical axes of neighbours (PGSR: 30°).
 const AXES_COSINE_MIN: f64 = 0.866_025_403_784_438_6;
-/// Limits of the baseline, as shares of the median depth. The limits of PGSR are in scene units; with them, aerial
-/// scenes in metres have no neighbours.
+/// Shortest baseline between neighbours, as a share of the median depth. The limits of PGSR are in scene units; with
+/// them, views of aerial scenes in metres would have no neighbours.
 const BASELINE_MIN: f64 = 0.02;
+/// Longest baseline between neighbours, as a share of the median depth.
 const BASELINE_MAX: f64 = 0.5;
 
 /// For each view, the views that it may be compared with, nearest first.
@@ -23,7 +25,8 @@ impl Neighbours {
         Self::default()
     }
 
-    /// Neighbours among `cameras`; `points` give the median depth of each view (their `views` index `cameras`).
+    /// Finds the neighbours of each camera among `cameras`. The median depth of the points that a view sees limits the
+    /// baseline to its neighbours. [`SparsePoint::views`] are indices into `cameras`.
     pub fn find(cameras: &[Camera], points: &[SparsePoint]) -> Self {
         let depths = median_depths(cameras, points);
         Self(
@@ -35,12 +38,12 @@ impl Neighbours {
         )
     }
 
-    /// The nearest neighbour of `view`.
+    /// The nearest neighbour of `view`, if it has any.
     pub fn nearest(&self, view: usize) -> Option<usize> {
         self.0.get(view)?.first().map(|other| *other as usize)
     }
 
-    /// A random neighbour of `view` for a step.
+    /// A random neighbour of `view` for a step, if it has any.
     pub(crate) fn draw(&self, view: usize, seed: u64, step: u32) -> Option<usize> {
         let candidates = self.0.get(view).filter(|candidates| !candidates.is_empty())?;
         let mut random = Random::new(seed, Purpose::Neighbour, u64::from(step), view as u64);
@@ -61,7 +64,7 @@ fn nearest(cameras: &[Camera], view: usize, depth: f64) -> Vec<u32> {
     found.into_iter().map(|(_, other)| other).collect()
 }
 
-/// Median depth of the sparse points that each view sees.
+/// For each view, the median depth of the sparse points that it sees; `None` if it sees none.
 fn median_depths(cameras: &[Camera], points: &[SparsePoint]) -> Vec<Option<f64>> {
     let mut depths: Vec<Vec<f64>> = vec![Vec::new(); cameras.len()];
     for point in points {
@@ -71,7 +74,8 @@ fn median_depths(cameras: &[Camera], points: &[SparsePoint]) -> Vec<Option<f64>>
                 depths[view].push(z);
             }
         };
-        // Formats without tracks do not say which views see a point: all views with it inside their picture count.
+        // Formats without tracks do not say which views see a point. Every view with the point inside its picture then
+        // counts.
         if point.views.is_empty() {
             (0..cameras.len()).filter(|&view| cameras[view].sees(point.position)).for_each(&mut note);
         } else {
@@ -92,7 +96,8 @@ mod tests {
     use cosurf_scene::Pose;
     use glam::{DVec2, DVec3};
 
-    /// Cameras 50 m above the ground, looking down, at these places along a line; the last looks elsewhere.
+    /// Cameras 50 m above the ground that look down, at `places` in metres along a line; one more camera looks
+    /// elsewhere.
     fn flight(places: &[f64]) -> (Vec<Camera>, Vec<SparsePoint>) {
         let looking = |x: f64, target: DVec3| Camera {
             cam_from_world: Pose::look_at(DVec3::new(x, 0.0, 50.0), target, DVec3::Y),

@@ -2,11 +2,12 @@
 
 use glam::{DMat3, DVec3};
 
-/// Points whose distance from a line is below this share of their spread have no plane.
+/// Smallest `(λ₁ - λ₃)(λ₂ - λ₃)` of points that have a plane, up to a factor of √3. λ₁ ≥ λ₂ ≥ λ₃ are the eigenvalues of
+/// the covariance of the points, scaled to sum 1. On a line λ₂ and λ₃ are equal, and in a ball all three are.
 const LINE_MAX: f64 = 1e-3;
 
-/// The unit direction in which the points spread least; `None` if they lie on a line, coincide, or spread equally in
-/// every direction.
+/// The unit direction in which the points spread least; `None` if they nearly lie on a line, coincide, or spread
+/// equally in every direction.
 pub(crate) fn normal_of(points: &[DVec3]) -> Option<DVec3> {
     let mean = points.iter().sum::<DVec3>() / points.len() as f64;
     let spread = points
@@ -15,7 +16,7 @@ pub(crate) fn normal_of(points: &[DVec3]) -> Option<DVec3> {
         .fold(DMat3::ZERO, |sum, d| sum + DMat3::from_cols(d * d.x, d * d.y, d * d.z));
     let size = spread.x_axis.x + spread.y_axis.y + spread.z_axis.z;
     let without = spread * (1.0 / size) - DMat3::IDENTITY * least_eigenvalue(&(spread * (1.0 / size)))?;
-    // The remainder has rank two: its rows span the plane.
+    // After subtracting the smallest eigenvalue, the matrix has rank two: its rows span the plane.
     let rows = [without.x_axis, without.y_axis, without.z_axis];
     let normals = [rows[0].cross(rows[1]), rows[1].cross(rows[2]), rows[2].cross(rows[0])];
     let longest = normals.into_iter().max_by(|a, b| a.length_squared().total_cmp(&b.length_squared()))?;

@@ -1,5 +1,5 @@
-//! Pruning: the importance of splats for Adaptive Gaussian Pruning (CoSurfGS, "Adaptive Gaussian Pruning"), and the
-//! splats that too few views observe (PGSR).
+//! Pruning chooses splats to remove: the least important (CoSurfGS, "Adaptive Gaussian Pruning"), those that too few
+//! views observe (PGSR), and useless ones.
 
 use cosurf_scene::{Camera, Splats};
 use tracing::debug_span;
@@ -11,22 +11,23 @@ use crate::device::{Device, DeviceError};
 
 /// Exponent of the relative size in the importance (LightGaussian).
 const SIZE_EXPONENT: f32 = 0.1;
-/// Sizes are relative to this quantile of all sizes.
+/// The relative size of a splat is its size divided by this quantile of all sizes, at most 1.
 const SIZE_QUANTILE: f64 = 0.9;
 
 /// The formula for the importance of a splat.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum PruneScore {
-    /// `Σ (α T)² γ` over all pixels of all views, with γ from the splat's area. Hidden splats count little,
-    /// flat splats do not count as small, and a splat that fills few pixels alone counts more than a splat
-    /// that adds a little to many pixels (table "Pruning scores").
+    /// `Σ (α T)² γ` over all pixels of all views: α is the splat's alpha at a pixel, T the transmittance in front of
+    /// it, and γ comes from the splat's area. Hidden splats have little importance, and flat splats do not count as
+    /// small. A splat that fills few pixels alone is more important than one that adds a little to many pixels.
     #[default]
     Corrected,
-    /// `hits o γ` with γ from the splat's volume, as in the paper.
+    /// `hits o γ`, as in the paper: `hits` is the number of pixels that the splat was blended into, o its opacity, and
+    /// γ comes from its volume.
     Paper,
 }
 
-/// Scores of all splats over all views.
+/// Renders the view of each camera, and returns the scores of all splats over all these views.
 pub(crate) fn survey<'a, B: Backend>(
     backend: &mut B,
     cameras: impl IntoIterator<Item = &'a Camera>,
@@ -43,7 +44,7 @@ pub(crate) fn survey<'a, B: Backend>(
 }
 
 /// Importance of each splat to the pictures of `cameras`; 0 for splats that no camera sees. `capacity` must be for
-/// training, with room for the splats and the largest picture; the processor uses `threads` threads, at least 1.
+/// training, with room for the splats and the largest picture. The processor uses `threads` threads, at least 1.
 pub fn importance(
     splats: &Splats,
     cameras: &[Camera],
@@ -59,7 +60,7 @@ pub fn importance(
     Ok(importance_by(&shapes, &scores, PruneScore::Corrected))
 }
 
-/// Importance of all splats by a formula.
+/// Importance of each splat by the formula `score`.
 pub(crate) fn importance_by(shapes: &Shapes, scores: &Scores, score: PruneScore) -> Vec<f32> {
     let sizes: Vec<f32> = shapes.log_scales.iter().map(|log_scale| size(*log_scale, score)).collect();
     let reference = quantile(&sizes, SIZE_QUANTILE);
@@ -75,7 +76,7 @@ pub(crate) fn importance_by(shapes: &Shapes, scores: &Scores, score: PruneScore)
         .collect()
 }
 
-/// Area of the two longest axes, or the volume.
+/// Size of a splat: the product of its two longest scales, or of all three for the paper's formula.
 fn size(log_scale: [f32; 3], score: PruneScore) -> f32 {
     let sum: f32 = log_scale.iter().sum();
     match score {
@@ -117,7 +118,7 @@ pub(crate) fn unobserved(scores: &Scores, observers_min: u32) -> Vec<u32> {
 pub(crate) fn useless(shapes: &Shapes, scores: &Scores, opacity_min: f32, scale_max: f32) -> Vec<u32> {
     let logit_min = (opacity_min / (1.0 - opacity_min)).ln();
     let log_scale_max = scale_max.ln();
-    // A comparison with NaN is false, so NaN is removed.
+    // A comparison with NaN is false, so splats with NaN are removed.
     let stays = |i: usize| {
         shapes.opacity_logits[i] >= logit_min
             && shapes.log_scales[i].iter().all(|log_scale| *log_scale <= log_scale_max)
@@ -140,7 +141,7 @@ mod tests {
         assert_eq!(lowest(&[], 0.5), [0u32; 0]);
     }
 
-    /// A visible splat, one of the same size that is hidden, a tiny one, and a flat one.
+    /// Four splats: one visible, one hidden of the same size, one tiny, one flat.
     fn four() -> (Shapes, Scores) {
         let shapes = Shapes {
             log_scales: vec![[-1.0; 3], [-1.0; 3], [-5.0; 3], [-1.0, -1.0, -30.0]],

@@ -1,5 +1,5 @@
-//! Random numbers without state: each is a function of the seed and its purpose, so a resumed run draws the same
-//! numbers.
+//! Random numbers that depend only on the seed, their purpose and two indices, such as step and view. A checkpoint thus
+//! needs no state of a generator, and a resumed run draws the same numbers.
 
 /// The purpose of a random number.
 #[derive(Clone, Copy)]
@@ -10,7 +10,7 @@ pub(crate) enum Purpose {
     Birth = 2,
     /// The neighbour that a view is compared with.
     Neighbour = 3,
-    /// The pixels that are compared.
+    /// The pixels that a step compares with the neighbour.
     Sample = 4,
 }
 
@@ -18,7 +18,7 @@ pub(crate) enum Purpose {
 pub(crate) struct Random(u64);
 
 impl Random {
-    /// The stream of a seed, a purpose and two indices.
+    /// The stream of a seed and a purpose. `a` and `b` are two indices, for example step and view.
     pub(crate) fn new(seed: u64, purpose: Purpose, a: u64, b: u64) -> Self {
         let mut mixed = Self(seed ^ (purpose as u64) << 56);
         let first = mixed.next_u64() ^ a;
@@ -40,7 +40,7 @@ impl Random {
         ((self.next_u64() >> 32) * n) >> 32
     }
 
-    /// Uniform in 0..1, never 0.
+    /// Uniform in 0..=1, but never 0, so that its logarithm is finite.
     fn unit(&mut self) -> f64 {
         ((self.next_u64() >> 11) as f64 + 0.5) / (1u64 << 53) as f64
     }

@@ -1,22 +1,23 @@
-//! Refinement: which splats to clone, split and remove, from their shapes and statistics, within the capacity.
+//! Refinement: decides from shapes and statistics which splats to clone, split and remove, within the capacity.
 
 use glam::{Quat, Vec3};
 
 use crate::backend::{Birth, Edit, Shapes};
 use crate::random::{Purpose, Random};
 
-/// Mean screen gradient above which a splat is cloned or split (3DGS).
+/// Mean screen gradient from which on a splat is cloned or split (3DGS).
 const SCREEN_GRADIENT_MIN: f32 = 2e-4;
-/// Mean absolute screen gradient above which a large splat is split in any case (PGSR).
+/// Mean absolute screen gradient from which on a large splat is split, whatever its mean screen gradient (PGSR).
 const ABSOLUTE_GRADIENT_MIN: f32 = 8e-4;
-/// Splats up to this share of the extent are cloned, larger splats are split (`percent_dense` of 3DGS, 0.01 there;
-/// table "Clone or split").
+/// Splats whose largest scale is up to this share of the scene extent are cloned; larger splats are split. In 3DGS this
+/// is `percent_dense`, 0.01.
 const CLONE_SCALE_MAX: f64 = 0.006;
-/// The two children of a split are smaller by this factor (3DGS: 0.8 × 2).
+/// The scales of the two children of a split are divided by this factor (3DGS: 0.8 × the number of children).
 const SPLIT_SHRINK: f32 = 1.6;
 /// Splats with a lower opacity are removed (3DGS).
 const OPACITY_MIN: f32 = 0.005;
-/// Splats larger than this share of the extent are removed after the first reset of opacities (3DGS).
+/// Splats whose largest scale exceeds this share of the scene extent are removed, once opacities have been reset for
+/// the first time (3DGS).
 const SCALE_MAX: f64 = 0.1;
 
 /// Limits of a refinement.
@@ -26,19 +27,19 @@ pub(crate) struct RefineLimits {
     pub(crate) splats_max: usize,
     /// Scene extent, world units.
     pub(crate) extent: f64,
-    /// Whether large splats are removed as well.
+    /// Whether splats above [`SCALE_MAX`] are removed as well.
     pub(crate) prune_large: bool,
     pub(crate) seed: u64,
     pub(crate) step: u32,
 }
 
-/// The changes of one refinement.
+/// Decides which splats one refinement adds and removes.
 pub(crate) fn refine(shapes: &Shapes, limits: &RefineLimits) -> Edit {
     let n = shapes.opacity_logits.len();
     let logit_min = (OPACITY_MIN / (1.0 - OPACITY_MIN)).ln();
     let log_scale_max = (SCALE_MAX * limits.extent).ln() as f32;
     let dies = |i: usize| {
-        // A comparison with NaN is false, so NaN is removed.
+        // A comparison with NaN is false, so splats with NaN are removed.
         let keeps = shapes.opacity_logits[i] >= logit_min
             && (!limits.prune_large || largest(shapes.log_scales[i]) <= log_scale_max)
             && shapes.means[i].iter().chain(&shapes.log_scales[i]).all(|v| v.is_finite());
@@ -71,10 +72,11 @@ pub(crate) fn refine(shapes: &Shapes, limits: &RefineLimits) -> Edit {
     edit
 }
 
-/// At most `room` splats with the largest demands of at least 1, in order of index; each adds one splat.
+/// Indices, ascending, of the splats to clone or split: at most `room`, those with the largest demands. Demands below 1
+/// do not count. Each clone and each split adds one splat to the model.
 fn choose_parents(demands: &[f32], room: usize) -> Vec<usize> {
     let mut parents: Vec<usize> = (0..demands.len()).filter(|&i| demands[i] >= 1.0).collect();
-    // Largest first, ties by index: the choice is deterministic.
+    // Largest demand first, ties by index, so that the choice is deterministic.
     parents.sort_unstable_by(|&a, &b| demands[b].total_cmp(&demands[a]).then(a.cmp(&b)));
     parents.truncate(room);
     parents.sort_unstable();
@@ -85,7 +87,8 @@ fn largest(log_scale: [f32; 3]) -> f32 {
     log_scale.into_iter().fold(f32::NEG_INFINITY, f32::max)
 }
 
-/// A child at a position drawn from its parent's distribution.
+/// A child at a random position, drawn from the Gaussian of its parent. Its scales are those of the parent, divided by
+/// `shrink`.
 fn child(shapes: &Shapes, parent: usize, shrink: f32, random: &mut Random) -> Birth {
     let [w, x, y, z] = shapes.quats[parent];
     let rotation = Quat::from_xyzw(x, y, z, w).normalize();

@@ -1,4 +1,4 @@
-//! Rendering a finished model.
+//! Renders a finished model.
 
 use cosurf_scene::{Camera, Splats};
 
@@ -17,7 +17,7 @@ pub struct Renderer {
 /// The backend that renders.
 enum Painter {
     Cpu(Box<CpuPainter>),
-    /// With the number of threads for the processor, should a picture not fit on the GPU.
+    /// The number is that of CPU threads, for when the splats move to the processor.
     #[cfg(feature = "gpu")]
     Gpu(Box<GpuRenderer>, usize),
 }
@@ -59,12 +59,12 @@ impl Renderer {
     }
 
     /// Renders colour, alpha, depth and normal. If a picture does not fit on the GPU, this and all later pictures are
-    /// rendered on the processor. Panics when the GPU is lost, and the splats with it.
+    /// rendered on the processor. Panics if the GPU is lost, because the splats are lost with it.
     pub fn render(&mut self, camera: &Camera) -> Rendering {
         self.try_render(camera).unwrap_or_else(|lost| panic!("{lost}"))
     }
 
-    /// As [`Self::render`], but fails when the GPU is lost.
+    /// As [`Self::render`], but returns an error if the GPU is lost.
     pub fn try_render(&mut self, camera: &Camera) -> Result<Rendering, DeviceError> {
         #[cfg(feature = "gpu")]
         if let Painter::Gpu(painter, _) = &mut self.painter {
@@ -77,13 +77,14 @@ impl Renderer {
         Ok(self.on_cpu().render(camera))
     }
 
-    /// Importance of each splat to the pictures of `cameras`: Σ (α T)² over all their pixels. Computed on the
-    /// processor.
+    /// Importance of each splat to the pictures of `cameras`: Σ (α T)² over all their pixels, with α the splat's alpha
+    /// at a pixel and T the transmittance in front of it. The splats move to the processor, which also renders all
+    /// later pictures.
     pub fn importance(&mut self, cameras: &[Camera]) -> Vec<f32> {
         self.on_cpu().importance(cameras)
     }
 
-    /// Moves the splats to the processor, if they are not there.
+    /// The renderer on the processor. Splats on the GPU are first moved to it.
     fn on_cpu(&mut self) -> &mut CpuPainter {
         #[cfg(feature = "gpu")]
         if let Painter::Gpu(painter, threads) = &self.painter {

@@ -1,46 +1,48 @@
-//! The schedule of a training, scaled to its number of steps, so that a run of 600 steps goes through the same phases
-//! as one of 30,000.
+//! The schedule of a training, scaled to its number of steps. A run of 600 steps thus goes through the same phases as
+//! one of 30,000; only opacity resets are left out in short runs.
 
 use crate::backend::AdamRates;
 
-/// Learning rates of 3DGS, tuned for its [`REFERENCE_STEPS`]. The rate of means is per world unit of scene extent and
-/// falls log-linearly to a hundredth.
+/// Learning rate of means at the first step, for a scene extent of 1 world unit (3DGS).
 const MEAN_RATE: f64 = 1.6e-4;
+/// Share of its first value to which the rate of means falls, log-linearly over all steps (3DGS).
 const MEAN_RATE_FALL: f64 = 0.01;
+/// Learning rates of the other parameters (3DGS).
 const QUAT_RATE: f64 = 0.001;
 const LOG_SCALE_RATE: f64 = 0.005;
 const OPACITY_RATE: f64 = 0.05;
 const SH_DC_RATE: f64 = 0.0025;
 const SH_REST_RATE: f64 = SH_DC_RATE / 20.0;
 
-/// Shorter runs need higher rates: rates grow with `(REFERENCE_STEPS / steps)` to these powers. With the rates of 3DGS,
-/// scales do not grow in time to close the gaps between sparse points (table "Short runs"). Opacity and constant colour
-/// gain nothing from higher rates.
+/// Shorter runs need higher rates: with the rates of 3DGS, scales do not grow in time to close the gaps between sparse
+/// points. A rate is multiplied by `REFERENCE_STEPS / steps` to a power, which this and the next three constants give.
+/// Opacity and constant colour gain nothing from higher rates.
 const MEAN_HASTE: f64 = 0.29;
 const QUAT_HASTE: f64 = 0.41;
 const LOG_SCALE_HASTE: f64 = 0.46;
 const SH_REST_HASTE: f64 = 0.35;
 
-/// The cooldown: from this share of the steps on, all rates except that of means fall log-linearly to this share of
-/// their value (table "Cooldown").
+/// Share of the steps after which the cooldown begins, in which all rates except that of means fall log-linearly.
 const COOLDOWN_FROM: f64 = 0.8;
+/// Share of their value to which the rates fall during the cooldown.
 const COOLDOWN_FALL: f64 = 0.1;
 
-/// Number of steps of 3DGS, to which the shares below refer.
+/// Number of steps of a 3DGS training. The learning rates above are tuned for it. Below, step numbers from the papers
+/// are divided by it to become shares of a run.
 const REFERENCE_STEPS: f64 = 30_000.0;
 
 /// Share of the steps before the surface losses begin (CoSurfGS: 7,000 of 30,000).
 const SURFACE_FROM: f64 = 7000.0 / 30_000.0;
-/// Share of the steps after which the surface losses end. From then on splats keep their shapes, and colours
-/// adapt to the final surface (table "End of the surface losses").
+/// Share of the steps after which the surface losses end. From then on splats keep their rotations and scales, and
+/// colours adapt to the final surface.
 const SURFACE_UNTIL: f64 = 0.85;
 
 /// Share of the steps before exposures are trained (PGSR: 1,000 of 30,000).
 const EXPOSURE_FROM: f64 = 1000.0 / 30_000.0;
-/// Short runs train exposures with a higher rate, by the same law as the rates above.
+/// Shorter runs train exposures with a higher rate: it is multiplied by `REFERENCE_STEPS / steps` to this power.
 const EXPOSURE_HASTE: f64 = 0.41;
 
-/// Finding unobserved splats costs half a step per view; runs with fewer steps per view skip it.
+/// Runs with fewer steps per view than this do not look for unobserved splats, which costs half a step per view.
 const OBSERVED_STEPS_PER_VIEW: usize = 10;
 
 /// The schedule of a training.
@@ -52,7 +54,7 @@ pub struct Schedule {
     pub sh_every: u32,
     /// Number of steps before the first refinement, which adds and removes splats.
     pub refine_from: u32,
-    /// Number of steps after which refinement ends.
+    /// Number of steps after which the last refinement may follow.
     pub refine_until: u32,
     /// Steps between refinements.
     pub refine_every: u32,
@@ -60,7 +62,7 @@ pub struct Schedule {
     pub reset_every: u32,
     /// First step (counted from 0) with surface losses.
     pub surface_from: u32,
-    /// First step after the surface losses.
+    /// First step (counted from 0) after the end of the surface losses.
     pub surface_until: u32,
 }
 
@@ -101,27 +103,29 @@ impl Schedule {
             && steps_done > 0
     }
 
-    /// Whether splats that too few of `views` views observe are removed after this many steps: halfway through growth,
-    /// and at its end.
+    /// Whether splats that too few of `views` views observe are removed after this many steps. Long enough runs remove
+    /// them twice: in the middle and at the end of the time in which refinements happen.
     pub fn observes_after(&self, steps_done: u32, views: usize) -> bool {
         let span = self.refine_until.saturating_sub(self.refine_from);
         self.steps as usize >= OBSERVED_STEPS_PER_VIEW * views
             && [self.refine_from + span / 2, self.refine_until].contains(&steps_done)
     }
 
-    /// Whether exactly this share (0..=1) of the steps is done.
+    /// Whether exactly this share (0..=1) of the steps is done, rounded down to a whole step.
     pub(crate) fn is_at(&self, share: f64, steps_done: u32) -> bool {
         steps_done == (f64::from(self.steps) * share) as u32
     }
 
-    /// Share of the time for growth that has passed after this many steps, 0..=1.
+    /// Share of the growth of the model that is allowed after this many steps, 0..=1. It rises linearly from the first
+    /// to the last refinement.
     pub fn growth(&self, steps_done: u32) -> f64 {
         let span = self.refine_until.saturating_sub(self.refine_from).max(1);
         (f64::from(steps_done.saturating_sub(self.refine_from)) / f64::from(span)).clamp(0.0, 1.0)
     }
 
-    /// The smooth weight of the surface losses at a step (counted from 0), `(t - τ) / T` (CoSurfGS, "Device-side
-    /// Training Procedure"); `None` before they begin and after they end.
+    /// The smooth weight of the surface losses at a step (counted from 0); `None` before they begin and after they end.
+    /// It is `(t - τ) / T`, with t the step, τ the first step with surface losses, and T the number of all steps
+    /// (CoSurfGS, "Device-side Training Procedure").
     pub fn surface_ramp(&self, step: u32) -> Option<f32> {
         let since = step.checked_sub(self.surface_from).filter(|_| step < self.surface_until)?;
         Some((f64::from(since) / f64::from(self.steps.max(1))) as f32)
@@ -132,12 +136,12 @@ impl Schedule {
         f64::from(step) >= f64::from(self.steps) * EXPOSURE_FROM
     }
 
-    /// Factor on the rate of exposures, compared with a run as long as that of 3DGS.
+    /// Factor on the learning rate of exposures, at least 1. Runs as long as a 3DGS training have 1.
     pub fn exposure_haste(&self) -> f64 {
         self.shortness().powf(EXPOSURE_HASTE)
     }
 
-    /// How many times fewer steps this run has than 3DGS, at least 1.
+    /// By which factor this run is shorter than a 3DGS training, at least 1.
     fn shortness(&self) -> f64 {
         (REFERENCE_STEPS / f64::from(self.steps.max(1))).max(1.0)
     }

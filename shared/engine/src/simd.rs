@@ -1,9 +1,9 @@
-//! Vectors of `f32` with the same operations on every processor: AVX-512, AVX2, NEON or plain Rust, chosen when the
-//! program starts, so that no compiler flag is needed.
+//! Vectors of `f32` with the same operations on every processor, implemented with AVX-512, AVX2, NEON or plain Rust.
+//! The instruction set is chosen at run time, so no compiler flag is needed.
 //!
-//! A pass writes its inner loop once, as a [`Kernel`] that is generic over [`Lanes`]; [`Isa::run`] calls the version
-//! that is compiled for the chosen instruction set. All functions between `run` and the intrinsics are
-//! `#[inline(always)]`, or the compiler could not use the wider instructions in them.
+//! A pass writes its inner loop once, as a [`Kernel`] that is generic over [`Lanes`]. [`Isa::run`] calls the version
+//! that is compiled for the chosen instruction set. All functions between `run` and the intrinsics must be
+//! `#[inline(always)]`; otherwise they would be compiled without the wider instructions.
 
 #[cfg(target_arch = "x86_64")]
 mod avx2;

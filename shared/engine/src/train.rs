@@ -1,4 +1,4 @@
-//! Training: one step reads as a list of passes.
+//! Training. A step, [`Trainer::step`], reads as a list of passes of a [`Backend`].
 
 use cosurf_scene::Camera;
 use tracing::{debug_span, trace_span};
@@ -22,20 +22,21 @@ const RESET_OPACITY: f32 = 0.01;
 /// Settings of the surface losses (CoSurfGS, "Device-side Training Procedure").
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SurfaceSettings {
-    /// λ₁: weight of the mean shortest scale, divided by the scene's extent.
+    /// λ₁: weight of the mean shortest scale of the visible splats, with scales in units of the scene's extent.
     pub scale: f32,
-    /// β₂: weight of the single-view normal loss at the end of the ramp. The paper has 0.01; a higher weight improves
-    /// normals and lowers PSNR (table "Weights of the surface losses").
+    /// β₂: weight of the single-view normal loss, before the smooth weight. The paper has 0.01; a higher weight
+    /// improves normals and lowers PSNR (table "Weights of the surface losses").
     pub normal: f32,
-    /// Weight of the reprojection error.
+    /// Weight of the reprojection error between neighbouring views, 1 / px, before the smooth weight.
     pub reprojection: f32,
-    /// Weight of `1 - NCC²`. The paper has 0.2; a higher weight improves the surface and lowers PSNR (table "Weights of
-    /// the surface losses").
+    /// Weight of `1 - NCC²` between patches of neighbouring views, before the smooth weight. The paper has 0.2; a
+    /// higher weight improves the surface and lowers PSNR (table "Weights of the surface losses").
     pub ncc: f32,
-    /// True if the weights grow from 0 (the paper's smooth weight), false if they are constant.
+    /// Whether all weights except `scale` are multiplied by the paper's smooth weight, [`Schedule::surface_ramp`],
+    /// which grows from 0.
     pub smooth: bool,
-    /// Side of the square cells in each of which one pixel is compared with the neighbour: 1, 2, 4, 8 or 16 px. Larger
-    /// cells save time and give slightly worse normals (table "Patch size").
+    /// Side of the square cells in which pixels are sampled, one in each, for the comparison with the neighbouring
+    /// view: 1, 2, 4, 8 or 16 px. Larger cells save time and give slightly worse normals (table "Patch size").
     pub cell_px: u32,
 }
 
@@ -45,19 +46,19 @@ impl Default for SurfaceSettings {
     }
 }
 
-/// Adaptive Gaussian Pruning (CoSurfGS).
+/// Settings of Adaptive Gaussian Pruning (CoSurfGS).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PruneSettings {
     /// φ: share of the splats that is removed, 0..1.
     pub ratio: f64,
     /// Share of the steps after which the splats are removed, 0..=1.
     pub at: f64,
-    /// Formula for the importance.
+    /// Formula for the importance of a splat.
     pub score: PruneScore,
 }
 
 impl Default for PruneSettings {
-    /// The paper's ablations use 0.4, after 20,000 of 30,000 steps.
+    /// As in the paper's ablations: a ratio of 0.4, after 20,000 of 30,000 steps.
     fn default() -> Self {
         Self { ratio: 0.4, at: 2.0 / 3.0, score: PruneScore::default() }
     }
@@ -75,11 +76,11 @@ pub struct TrainingViews {
 /// The input of one step.
 #[derive(Clone, Copy, Debug)]
 pub struct Example<'a> {
-    /// Index of the view.
+    /// Index of the view in [`TrainingViews::cameras`].
     pub view: usize,
     /// Photograph of the view.
     pub rgb: TargetRgb<'a>,
-    /// The neighbour that [`Trainer::neighbour_index`] names, if any, with its photograph.
+    /// Index and photograph of the neighbouring view that [`Trainer::neighbour_index`] returns, if any.
     pub neighbour: Option<(usize, TargetRgb<'a>)>,
 }
 
@@ -88,20 +89,20 @@ pub struct Example<'a> {
 pub struct TrainSettings {
     /// Phases and learning rates.
     pub schedule: Schedule,
-    /// Scene extent: 1.1 × the largest distance of a camera from their mean, world units.
+    /// Scene extent: 1.1 × the largest distance of a camera centre from the mean of all camera centres, world units.
     pub extent: f64,
-    /// Stored SH degree.
+    /// Stored SH degree, 0..=3.
     pub sh_degree: u32,
-    /// Surface losses; `None` trains colours only.
+    /// Settings of the surface losses; `None` trains with the colour loss only.
     pub surface: Option<SurfaceSettings>,
-    /// Pruning; `None` for no pruning.
+    /// Settings of pruning; `None` does not prune.
     pub prune: Option<PruneSettings>,
     /// Whether to train an exposure for each photograph.
     pub exposure: bool,
-    /// Smallest number of views that must observe a splat, or it is removed (PGSR: 2). May be 1 if the model is one of
-    /// several: views of other models may observe the splat as well.
+    /// Splats that are observed by fewer views than this are removed (PGSR: 2). It may be 1 if this model is one of
+    /// several, because views of other models may observe the same splats.
     pub observers_min: u32,
-    /// Largest number of splats after refinement; the backend's capacity is a limit as well.
+    /// Largest number of splats after a refinement. The backend's capacity is a limit as well.
     pub splats_max: usize,
     /// Seed of every random choice.
     pub seed: u64,
@@ -112,9 +113,9 @@ pub struct TrainSettings {
 pub struct StepOutcome {
     /// Colour losses before the step.
     pub loss: PhotometricLoss,
-    /// Surface losses before the step; zero in steps without them.
+    /// Surface losses before the step; zero in steps without surface losses.
     pub surface: SurfaceLoss,
-    /// Counts of the binning pass.
+    /// Counts of the binning pass of the view.
     pub counts: BinCounts,
 }
 
@@ -174,7 +175,7 @@ pub struct Trainer<B> {
     splats_at_start: usize,
 }
 
-/// Progress of a training; together with the numbers that [`Trainer::export`] visits, a checkpoint.
+/// Progress of a training. Together with the numbers that [`Trainer::export`] visits, it forms a checkpoint.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Progress {
     /// Steps done.
@@ -205,14 +206,14 @@ impl<B: Backend> Trainer<B> {
         Progress { steps_done, splats_at_start, splats: self.backend.len() }
     }
 
-    /// Visits all trained numbers in a fixed order, in pieces. Stops at the first error.
+    /// Calls `visit` with all trained numbers, in pieces and in a fixed order. Stops at the first error.
     pub fn export<E>(&self, mut visit: impl FnMut(&[f32]) -> Result<(), E>) -> Result<(), E> {
         self.backend.export(&mut visit)?;
         self.exposures.iter().try_for_each(|exposures| exposures.export(&mut visit))
     }
 
-    /// Resumes a training with the same settings: `fill` is called for the pieces that [`Trainer::export`] visited, in
-    /// the same order. Panics beyond the backend's capacity.
+    /// Resumes a training with the same settings. Calls `fill` with the pieces that [`Trainer::export`] visited, in the
+    /// same order. Stops at the first error. Panics if the splats exceed the backend's capacity.
     pub fn import<E>(
         &mut self,
         progress: Progress,
@@ -233,7 +234,7 @@ impl<B: Backend> Trainer<B> {
         &self.backend
     }
 
-    /// Returns the backend.
+    /// Ends the training and returns the backend.
     pub fn into_backend(self) -> B {
         self.backend
     }
@@ -243,7 +244,8 @@ impl<B: Backend> Trainer<B> {
         &self.views.cameras
     }
 
-    /// The view of the step that comes `ahead` steps later. Each epoch visits all views in a new order.
+    /// Index of the view of the step that comes `ahead` steps after the next step; 0 is the next step itself. Each
+    /// epoch visits all views in a new order.
     pub fn view_index(&self, ahead: u32) -> usize {
         let views = self.views.cameras.len();
         let step = u64::from(self.steps_done + ahead);
@@ -251,7 +253,8 @@ impl<B: Backend> Trainer<B> {
         view_order(self.settings.seed, epoch, views)[place as usize]
     }
 
-    /// The neighbour that the step `ahead` steps later compares `view` with, if any.
+    /// Index of the neighbouring view with which `view` is compared in the step that comes `ahead` steps after the next
+    /// step; `None` if that step has no such comparison.
     pub fn neighbour_index(&self, view: usize, ahead: u32) -> Option<usize> {
         let step = self.steps_done + ahead;
         self.settings.surface?;
@@ -259,7 +262,7 @@ impl<B: Backend> Trainer<B> {
         self.views.neighbours.draw(view, self.settings.seed, step)
     }
 
-    /// Trains one step on one view; refines, removes unobserved splats, prunes and resets opacities when the schedule
+    /// Trains one step on one view. Refines, removes unobserved splats, prunes and resets opacities when the schedule
     /// says so.
     pub fn step(&mut self, example: &Example) -> StepOutcome {
         let TrainSettings { schedule, sh_degree, .. } = self.settings;
@@ -303,7 +306,7 @@ impl<B: Backend> Trainer<B> {
         StepOutcome { loss: losses.color, surface: losses.surface, counts }
     }
 
-    /// Loss weights of a step.
+    /// Loss weights of a step (counted from 0).
     fn weights(&self, step: u32) -> LossWeights {
         let TrainSettings { schedule, extent, surface, seed, .. } = self.settings;
         let scale = surface.map_or(0.0, |surface| f64::from(surface.scale) / extent) as f32;
@@ -322,11 +325,12 @@ impl<B: Backend> Trainer<B> {
         LossWeights { ssim: SSIM_WEIGHT, scale, surface, teacher: None }
     }
 
-    /// Learning rates of a step.
+    /// Learning rates of a step (counted from 0).
     fn rates(&self, step: u32) -> AdamRates {
         let TrainSettings { schedule, extent, surface, .. } = self.settings;
         let rates = schedule.rates(step, extent);
-        // Without surface losses, colours alone would rotate and stretch the splats.
+        // After the surface losses end, the colour loss alone would rotate and stretch the splats, so their shapes are
+        // frozen.
         let shaped = surface.is_some() && step >= schedule.surface_until;
         if shaped { AdamRates { quat: 0.0, log_scale: 0.0, ..rates } } else { rates }
     }
@@ -345,7 +349,7 @@ impl<B: Backend> Trainer<B> {
     fn refine(&mut self) {
         let _span = debug_span!("refine", splats = self.backend.len()).entered();
         let TrainSettings { schedule, extent, splats_max, seed, .. } = self.settings;
-        // Growth is spread over all refinements, so that early splats are trained before they split.
+        // The growth is spread over all refinements, so that early splats are trained before they split.
         let end = splats_max.min(self.backend.capacity());
         let room = end.saturating_sub(self.splats_at_start) as f64 * schedule.growth(self.steps_done);
         let limits = RefineLimits {
@@ -360,7 +364,7 @@ impl<B: Backend> Trainer<B> {
     }
 }
 
-/// The targets of an example.
+/// What the rendering of an example is compared with.
 fn targets<'a>(example: &Example<'a>, exposures: Option<&Exposures>) -> Targets<'a> {
     Targets {
         exposure: exposures.map_or_else(Exposure::default, |exposures| exposures.of(example.view)),
@@ -369,7 +373,7 @@ fn targets<'a>(example: &Example<'a>, exposures: Option<&Exposures>) -> Targets<
     }
 }
 
-/// A permutation of the views (Fisher–Yates), one for each epoch.
+/// The order in which an epoch visits the views: a random permutation (Fisher–Yates), determined by seed and epoch.
 pub fn view_order(seed: u64, epoch: u64, views: usize) -> Vec<usize> {
     let mut random = Random::new(seed, Purpose::ViewOrder, epoch, 0);
     let mut order: Vec<usize> = (0..views).collect();

@@ -1,7 +1,7 @@
 //! A training step on the CPU allocates nothing: every buffer has its size from the start.
 //!
-//! A global allocator counts what all threads allocate. Steps are counted from the first one on pictures of the full
-//! size; only a tiny picture comes before, for which the threads of the pool have to wake up once.
+//! A global allocator counts the allocations of all threads. Where the test calls the passes itself, only one step on a
+//! tiny picture is not counted; it wakes up the threads of the pool. With a [`Trainer`], the first step is not counted.
 #![allow(clippy::unwrap_used)]
 
 use std::alloc::{GlobalAlloc, Layout, System};
@@ -18,7 +18,7 @@ use cosurf_engine::{
 use cosurf_scene::{Camera, Pose, SparsePoint, Splats};
 use glam::{DVec2, DVec3};
 
-/// Allocations of the whole process.
+/// Number of allocations of the whole process.
 static ALLOCATIONS: AtomicUsize = AtomicUsize::new(0);
 
 struct Counting;
@@ -61,10 +61,10 @@ fn allocations_of(work: impl FnOnce()) -> usize {
 
 const SIZE_PX: [u32; 2] = [150, 110];
 const STEPS: usize = 30;
-/// Passes of the longest step: those of a neighbour, then those of the step itself.
+/// Number of passes of the longest step: 4 for the neighbouring view, then 7 for the view.
 const PASSES: usize = 4 + 7;
-/// Most allocations of [`STEPS`] steps that rayon makes: a block for its queue at every 63rd job that comes
-/// from outside its pool. Each pass is such a job.
+/// Largest number of allocations that rayon makes in [`STEPS`] steps. It allocates a block of its queue for every 63rd
+/// job from outside its pool, and each pass is such a job.
 const QUEUE_BLOCKS_MAX: usize = STEPS * PASSES / 63 + 2;
 
 fn camera(x: f64, size_px: [u32; 2]) -> Camera {
@@ -76,7 +76,7 @@ fn camera(x: f64, size_px: [u32; 2]) -> Camera {
     }
 }
 
-/// Ground of 60 × 60 discs.
+/// A ground of 60 × 60 discs.
 fn ground() -> Splats {
     let mut splats = Splats::with_capacity(3600, 1);
     for i in 0..3600u16 {
@@ -95,7 +95,7 @@ fn backend(splats: &Splats, channels: Channels) -> CpuBackend {
     backend
 }
 
-/// A rendering as the teacher and the photograph.
+/// A rendering that serves as photograph and as teacher.
 fn shown(splats: &Splats, camera: &Camera) -> Rendering {
     cosurf_engine::Renderer::new(splats, 1).render(camera)
 }
@@ -111,7 +111,7 @@ fn weights(channels: Channels) -> LossWeights {
     }
 }
 
-/// One step, with a neighbour and a teacher where surfaces are trained.
+/// One training step. If surfaces are trained, it has a neighbouring view and a teacher.
 fn step(backend: &mut CpuBackend, views: &[(Camera, Rendering); 2], channels: Channels, rates: &AdamRates) {
     let [(here, shown), (there, neighbour)] = views;
     let is_surface = channels == Channels::Geometry;
@@ -137,7 +137,8 @@ fn step(backend: &mut CpuBackend, views: &[(Camera, Rendering); 2], channels: Ch
     backend.adam(rates);
 }
 
-/// One test makes all counts: tests of one program run at the same time and would count each other.
+/// One test makes all counts, because tests of one program run at the same time and would count each other's
+/// allocations.
 #[test]
 fn a_step_allocates_nothing() {
     let splats = ground();
@@ -151,7 +152,7 @@ fn a_step_allocates_nothing() {
         assert!(count <= QUEUE_BLOCKS_MAX, "{channels:?}: {count} allocations in {STEPS} steps");
     }
     trainings_step_allocates_nothing(&splats, &full);
-    // The counter detects one allocation for each step.
+    // The counter must detect one allocation in each step.
     let mut backend = backend(&splats, Channels::Color);
     let count = allocations_of(|| (0..STEPS).for_each(|_| drop(backend.take_shapes())));
     assert!(count > QUEUE_BLOCKS_MAX, "{count} allocations went unnoticed");

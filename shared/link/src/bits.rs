@@ -1,6 +1,6 @@
-//! A set of chunk indices.
+//! A set of chunk indices, stored as bits.
 
-/// A set of numbers below a fixed count, one bit each.
+/// A set of numbers below a fixed count. Each number takes one bit.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct BitSet {
     words: Vec<u64>,

@@ -1,4 +1,5 @@
-//! The content of a transmitted model, the errors of a body, and the conversion of cameras.
+//! The content of a transmitted model, the errors of a body, and the conversion of cameras to and from their
+//! encoded form.
 
 use cosurf_scene::{Camera, Pose, Splats};
 use cosurf_wire::BodyHash;
@@ -21,16 +22,16 @@ pub enum BodyFault {
     /// The layout is invalid.
     #[error(transparent)]
     Layout(#[from] BodyError),
-    /// The counts, degree or bounds of the body differ from those in the header.
+    /// The counts, the degree or the bounds in the body differ from those in the header.
     #[error("body and header disagree")]
     NotAsAnnounced,
-    /// A camera cannot be rendered.
+    /// A camera is not usable for rendering.
     #[error("camera {index} is not finite, has no valid rotation, or has an empty picture")]
     Camera {
         /// Index of the camera.
         index: usize,
     },
-    /// A splat cannot be rendered.
+    /// A splat is not usable for rendering.
     #[error("{field} of splat {index} is not finite or out of range")]
     Splat {
         /// Index of the splat.
@@ -44,7 +45,7 @@ pub enum BodyFault {
         /// Index of the splat in its pack.
         index: usize,
     },
-    /// There are too many splats or cameras: more than a `u32` counts, or more packs than a `u16` counts.
+    /// More splats or cameras than a `u32` can count, or more packs than a `u16` can count.
     #[error("more splats or cameras than a body can count")]
     TooMany,
     /// The compressor ran out of memory.

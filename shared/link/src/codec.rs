@@ -1,21 +1,24 @@
-//! Encodes models as bodies and decodes bodies: it quantises and dequantises the values that
+//! Encodes models as bodies, and decodes bodies: quantises and dequantises the values that
 //! [`cosurf_wire::body`] lays out. Equal models give equal bytes.
 //!
-//! A splat takes at most 16 bytes with spherical harmonics of degree 2, and 18 with degree 3; the results
-//! document has the quality. These methods save bytes:
+//! The encoder aims at no more than 16 bytes per splat at degrees 1 and 2 of the spherical harmonics, and 18
+//! bytes at degree 3. The results document has the quality. These methods save bytes:
 //!
-//! - Splats are grouped into layers by importance. Within a layer, a Morton curve groups neighbours into
-//!   packs ([`order`]), so that the differences between consecutive positions are small.
-//! - Alternatively a *base* comes first: fewer splats, trained to stand in for the whole model
-//!   ([`cosurf_scene::Base`]). The other splats follow region by region. With each region come the changes
-//!   that turn its base splats into their final form.
-//! - The step of positions follows the size of the pack's splats, so the error is invisible.
-//! - The axes of a splat are sorted by length, so the third is its normal. Of the equivalent quaternions, the
-//!   one with the largest w is chosen, so w need not be stored ([`shapes`]). The shortest axis is stored
-//!   relative to the middle one, since most splats are flat.
-//! - Spherical harmonics are stored along their principal directions in this model ([`basis`]), most of which
-//!   need at most one bit. Their step follows from the remaining bytes.
-//! - Each plane of bytes is a zstd block of its own, so it is coded by its own statistics ([`pack`]).
+//! - Splats are grouped into layers by importance. Within a layer, neighbours along a Morton curve share a
+//!   pack ([`order`]), so that the differences between consecutive positions are small.
+//! - Instead of these layers, a *base* can come first: fewer splats, trained to stand in for the whole model
+//!   ([`cosurf_scene::Base`]). The other splats follow, region by region. Each region also contains the
+//!   changes that turn the region's base splats into their final form.
+//! - The quantisation step of positions follows from the size of the pack's splats, so that the error is
+//!   invisible.
+//! - The axes of a splat are sorted by length, so the third axis is the normal. Of the equivalent
+//!   quaternions, the one with the largest w is chosen, so that w need not be stored ([`shapes`]). The
+//!   shortest axis is stored relative to the middle one, because most splats are flat.
+//! - Spherical harmonics are stored as steps along their principal directions in this model ([`basis`]). Most
+//!   of these directions need at most one bit per splat. The size of the step is chosen so that the body
+//!   meets its target size.
+//! - A plane contains the same byte of every splat in a pack. Each plane is a zstd block of its own, so that
+//!   it is coded by its own statistics ([`pack`]).
 
 mod basis;
 mod decode;

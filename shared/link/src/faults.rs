@@ -1,10 +1,10 @@
-//! Seeded fault injection on a line between two ends. The simulated broker, the simulated radio and the
-//! replay of recordings all use it.
+//! Faults of a line between two ends, drawn from a seed. The simulated broker, the simulated radio and the
+//! replay of recordings inject these faults.
 
 use std::num::NonZeroU32;
 use std::time::Duration;
 
-/// The faults of a line. Probabilities are 0 to 1 and independent for each packet.
+/// The faults of a line. Probabilities are 0 to 1, and drawn independently for each packet.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Faults {
     /// Probability that a packet is lost.
@@ -17,18 +17,19 @@ pub struct Faults {
     pub truncation: f64,
     /// Minimum delay of a packet.
     pub delay_min: Duration,
-    /// Maximum delay of a packet. Delays are uniform between minimum and maximum, so packets may be reordered.
+    /// Maximum delay of a packet. Delays are uniform between minimum and maximum, so packets may overtake
+    /// each other.
     pub delay_max: Duration,
-    /// Bandwidth of the line; `None` for unlimited.
+    /// Bandwidth of the line, bytes per second; `None` for unlimited.
     pub bytes_per_s: Option<NonZeroU32>,
-    /// Outages of the line; `None` for none.
+    /// Outages of the line; `None` for no outages.
     pub outages: Option<Outages>,
 }
 
-/// The outages of a line. Each duration is uniform between 0.5 and 1.5 times its mean.
+/// The outages of a line. Each duration is drawn uniformly between 0.5 and 1.5 times its mean.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Outages {
-    /// Mean time between two outages.
+    /// Mean time between the end of an outage and the start of the next one.
     pub interval_mean: Duration,
     /// Mean duration of an outage.
     pub duration_mean: Duration,
@@ -53,11 +54,11 @@ impl Faults {
 pub struct Line {
     faults: Faults,
     dice: Dice,
-    /// When the line has finished sending the last packet.
+    /// When the line will have finished sending the last packet.
     free_at: Duration,
 }
 
-/// A packet at the far end of a [`Line`].
+/// A packet that arrives at the far end of a [`Line`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Arrival {
     /// Time of arrival.
@@ -73,12 +74,12 @@ impl Line {
         Self { faults, dice: Dice::new(seed), free_at: Duration::ZERO }
     }
 
-    /// When the line is free for the next packet.
+    /// Time at which the line is free for the next packet.
     pub fn free_at(&self) -> Duration {
         self.free_at
     }
 
-    /// Sends a packet at `now`. Returns its arrivals: none, one or two.
+    /// Sends a packet at `now`. Returns its arrivals at the far end: none, one or two.
     pub fn carry(&mut self, now: Duration, packet: &[u8]) -> Vec<Arrival> {
         self.free_at = self.free_at.max(now) + self.passing_time(packet.len());
         let copies = 1 + usize::from(self.dice.chance(self.faults.duplication));
@@ -126,21 +127,21 @@ impl OutagePlan {
         plan
     }
 
-    /// Whether there is an outage.
+    /// Whether the line is in an outage now.
     pub fn is_out(&self) -> bool {
         self.is_out
     }
 
-    /// When the outage starts or ends next.
+    /// Time at which the next outage starts, or the present outage ends.
     pub fn changes_at(&self) -> Duration {
         self.changes_at
     }
 
-    /// Starts or ends the outage, and draws the time of the next change.
+    /// Starts or ends an outage, and draws the time of the next change.
     pub fn change(&mut self) {
         self.is_out = !self.is_out;
         let mean = if self.is_out { self.outages.duration_mean } else { self.outages.interval_mean };
-        // At least one microsecond, so that time advances.
+        // The time until the next change is at least one microsecond, so that time advances.
         let mean_us = (mean.as_micros() as u64).max(2);
         self.changes_at += Duration::from_micros(mean_us / 2 + self.dice.below(mean_us));
     }
@@ -165,7 +166,7 @@ impl Dice {
         z ^ (z >> 31)
     }
 
-    /// A uniform number below `limit`. The bias is below 2⁻²⁰ for limits below 2⁴⁴.
+    /// A uniformly random number below `limit`. For limits below 2⁴⁴, its relative bias is below 2⁻²⁰.
     pub fn below(&mut self, limit: u64) -> u64 {
         self.next_bits() % limit
     }

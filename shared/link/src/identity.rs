@@ -9,11 +9,12 @@ use crate::transport::Outgoing;
 pub struct Identity {
     /// The site.
     pub site: SiteId,
-    /// The name, unique in the site. The broker disconnects a client when another connects under its name.
+    /// The participant's name, unique in the site. If another client connects under the same name, the broker
+    /// disconnects this one.
     pub device: DeviceId,
     /// Number of this session, greater than those of all earlier sessions: see [`crate::next_session`].
     pub session: u64,
-    /// Device or aggregator.
+    /// Whether the participant is a device or an aggregator.
     pub role: Role,
 }
 

@@ -1,6 +1,6 @@
-//! The receiving half of the protocol. It collects models from headers and chunks, which may come in any
-//! order, duplicated or damaged. It bounds its memory and requests missing chunks. It acknowledges a model
-//! only after the caller has stored the body on disk.
+//! The receiving half of the protocol. It collects models from headers and chunks, which may arrive in any
+//! order, duplicated or damaged. It requests missing chunks, and its memory is bounded. It acknowledges a
+//! model only after the caller has stored the body on disk.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
@@ -18,19 +18,20 @@ use crate::transfer::{ChunkOutcome, Transfer, TransferPhase};
 use crate::transport::Outgoing;
 use crate::trust::Credentials;
 
-/// Maximum number of queued replies. Beyond it a message gets no reply, and its sender retries.
+/// Maximum number of queued replies. While the queue is full, messages get no reply, and their senders retry.
 const REPLIES_MAX: usize = 256;
 
 /// The limits of a receiver.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct InboxLimits {
-    /// Maximum size in bytes of a body, and of its unpacked model.
+    /// Maximum size in bytes of a body, and also of its unpacked model.
     pub body_bytes_max: u64,
-    /// Maximum size in bytes of all unfinished bodies together: the memory of the inbox.
+    /// Maximum size in bytes of all unfinished bodies together. This bounds the memory of the inbox.
     pub total_bytes_max: u64,
     /// Maximum number of unfinished models.
     pub models_max: usize,
-    /// Number of stored models remembered, so that a repeated offer is acknowledged without a new transfer.
+    /// Maximum number of stored models that are remembered. A repeated offer of such a model is acknowledged
+    /// without a new transfer.
     pub stored_max: usize,
 }
 
@@ -60,7 +61,7 @@ pub enum InboxAction {
 pub enum InboxEvent {
     /// The inbox accepted an offer, and requests its chunks.
     Receiving(ModelHeader),
-    /// The offered model is already stored. The inbox acknowledges it again.
+    /// The offered model is already stored. The inbox acknowledges the model again.
     Known(ModelHeader),
     /// The inbox refused an offer or a body.
     Refused(ModelKey, RefusalReason),
@@ -111,13 +112,13 @@ pub struct Inbox {
     limits: InboxLimits,
     transfers: BTreeMap<ModelKey, Transfer>,
     stored: BTreeMap<ModelKey, BodyHash>,
-    /// Keys of `stored`, oldest first.
+    /// The keys in `stored`, oldest first.
     stored_order: VecDeque<ModelKey>,
     replies: VecDeque<Outgoing>,
 }
 
 impl Inbox {
-    /// Makes an inbox. `stored` are the headers of the models that the caller already has on disk.
+    /// Makes an inbox. `stored` has the headers of the models that the caller already has on disk.
     pub fn new(identity: Identity, limits: InboxLimits, stored: &[ModelHeader]) -> Self {
         let mut inbox = Self {
             identity,
@@ -132,7 +133,8 @@ impl Inbox {
         inbox
     }
 
-    /// Sets the credentials. The inbox then accepts only models that they allow.
+    /// Sets the world frame and the trusted keys. The inbox then accepts only models in that frame, signed
+    /// with a trusted key if there is a list of keys.
     pub fn set_credentials(&mut self, credentials: Credentials) {
         self.credentials = credentials;
     }
@@ -141,7 +143,7 @@ impl Inbox {
         &self.credentials
     }
 
-    /// Handles an offer that came under `topic`.
+    /// Handles an offer that arrived under `topic`.
     pub fn on_header(&mut self, now: Duration, topic: &Topic, header: ModelHeader) -> Option<InboxEvent> {
         let key = ModelKey::from(&header);
         let want_topic = self.want_topic(topic)?;
@@ -176,7 +178,7 @@ impl Inbox {
         self.accept(now, topic, header)
     }
 
-    /// Handles a header that cannot be decoded or does not match its topic.
+    /// Refuses a header that cannot be decoded or does not match its topic. Does nothing for global models.
     pub fn on_bad_header(&mut self, topic: &Topic) -> Option<InboxEvent> {
         match topic {
             Topic::LocalHeader { device, model } => {
@@ -187,7 +189,7 @@ impl Inbox {
         }
     }
 
-    /// Handles a chunk that came under `topic`.
+    /// Handles a chunk that arrived under `topic`.
     pub fn on_chunk(&mut self, now: Duration, topic: &Topic, chunk: &Chunk<'_>) -> Option<InboxEvent> {
         let key = ModelKey { device: chunk.device, model: chunk.model };
         let agrees = match topic {
@@ -198,7 +200,7 @@ impl Inbox {
             _ => false,
         };
         let bad = Some(InboxEvent::BadChunk(key, chunk.index));
-        // Late chunks of a stored or refused model are ignored.
+        // Chunks that arrive after their model was stored or refused are ignored.
         let transfer = self.transfers.get_mut(&key)?;
         if !agrees {
             return bad;
@@ -210,7 +212,7 @@ impl Inbox {
         }
     }
 
-    /// Returns the next task that is due.
+    /// Returns the next task that is due. Drops abandoned transfers.
     pub fn next(&mut self, now: Duration) -> Option<InboxAction> {
         if let Some(reply) = self.replies.pop_front() {
             return Some(InboxAction::Publish(reply));
@@ -229,7 +231,8 @@ impl Inbox {
         Some(InboxAction::Publish(Outgoing::new(&self.identity.site, transfer.want_topic, &message, false)))
     }
 
-    /// When [`Self::next`] will have a task if no message arrives before; `Duration::ZERO` for immediately.
+    /// Time at which [`Self::next`] next has a task, if no message arrives before; `Duration::ZERO` if it has
+    /// one now.
     pub fn next_wakeup(&self) -> Option<Duration> {
         let replies = (!self.replies.is_empty()).then_some(Duration::ZERO);
         replies.or_else(|| self.transfers.values().filter_map(Transfer::due).min())
@@ -244,7 +247,7 @@ impl Inbox {
         self.send_done(transfer.want_topic, key, hash);
     }
 
-    /// Call this when storing failed and a retry may succeed (for example on a full disk). The inbox keeps the
+    /// Call this when storing failed and a retry may succeed, for example on a full disk. The inbox keeps the
     /// body and hands it out again later.
     pub fn store_failed(&mut self, now: Duration, key: ModelKey) {
         let Some(transfer) = self.transfers.get_mut(&key) else { return };
@@ -253,7 +256,7 @@ impl Inbox {
         self.send_refused(topic, key, RefusalReason::StoreFailed);
     }
 
-    /// Drops an unfinished model and sends its sender `reason`.
+    /// Drops an unfinished model, and sends `reason` to the model's sender.
     pub fn refuse(&mut self, key: ModelKey, reason: RefusalReason) -> Option<InboxEvent> {
         let transfer = self.transfers.remove(&key)?;
         self.send_refused(transfer.want_topic, key, reason);
@@ -265,14 +268,15 @@ impl Inbox {
         self.transfers.values().map(|transfer| transfer.header.body_bytes).sum()
     }
 
-    /// Headers of the models with missing chunks.
+    /// Headers of the models of which chunks are missing.
     pub fn unfinished(&self) -> impl Iterator<Item = &ModelHeader> {
         let fetching = |transfer: &&Transfer| matches!(transfer.phase, TransferPhase::Fetching { .. });
         self.transfers.values().filter(fetching).map(|transfer| &transfer.header)
     }
 
-    /// Decodes the packs of an unfinished model that have arrived. `None` if there are no splats yet, or if
-    /// models must be signed: the signature covers the hash of the whole body, which cannot be checked yet.
+    /// Decodes the packs of an unfinished model that have arrived. Returns `None` if there are no splats yet,
+    /// or if models must be signed: the signature covers the hash of the whole body, which cannot be checked
+    /// before the body is complete.
     pub fn part(&self, key: ModelKey) -> Option<Model> {
         self.transfers.get(&key).filter(|_| self.credentials.trusted.is_none())?.part()
     }
@@ -293,17 +297,18 @@ impl Inbox {
         Some(InboxEvent::Receiving(header))
     }
 
-    /// The highest number stored from the device of `key`; `None` if `key` itself is stored.
+    /// The highest number that is stored from the device of `key`; `None` if there is none or if `key` itself
+    /// is stored.
     fn newest_stored(&self, key: ModelKey) -> Option<ModelId> {
         let (first, last) =
             (ModelKey { model: ModelId(0), ..key }, ModelKey { model: ModelId(u64::MAX), ..key });
         let newest = self.stored.range(first..=last).next_back()?.0.model;
-        // A stored model is offered again when the acknowledgement was lost. That is not a replay.
+        // A stored model is offered again if the acknowledgement was lost. Such an offer is not a replay.
         (!self.stored.contains_key(&key)).then_some(newest)
     }
 
-    /// Topic of the `Want`s about an offer under `topic`; `None` if this participant does not receive such
-    /// offers.
+    /// Topic of the `Want`s that answer an offer under `topic`; `None` if this participant does not receive
+    /// such offers.
     fn want_topic(&self, topic: &Topic) -> Option<Topic> {
         match (self.identity.role, topic) {
             (Role::Aggregator, Topic::LocalHeader { device, .. }) => {
@@ -316,7 +321,7 @@ impl Inbox {
         }
     }
 
-    /// Drops the unfinished older revisions of a global model.
+    /// Drops unfinished global models of the same sender with lower numbers, because `newest` replaces them.
     fn drop_older_revisions(&mut self, newest: ModelKey) {
         self.transfers.retain(|key, transfer| {
             key.device != newest.device
@@ -325,7 +330,8 @@ impl Inbox {
         });
     }
 
-    /// Drops stalled transfers until there is room for another body. Returns whether there is.
+    /// Drops stalled transfers, longest stalled first, until there is room for another body. Returns `false`
+    /// if there is not enough room.
     fn make_room(&mut self, now: Duration, body_bytes: u64) -> bool {
         let has_room = |inbox: &Self| {
             inbox.transfers.len() < inbox.limits.models_max
@@ -372,7 +378,7 @@ impl Inbox {
         self.queue_reply(topic, Reply::Refused, &Message::Refused(refused));
     }
 
-    /// Queues a reply under the topic that corresponds to `want_topic`.
+    /// Queues a reply of kind `reply`. It goes to the same device as the `Want`s under `want_topic`.
     fn queue_reply(&mut self, want_topic: Topic, reply: Reply, message: &Message<'_>) {
         let topic = match want_topic {
             Topic::LocalReply { device, .. } => Topic::LocalReply { device, reply },
@@ -385,7 +391,7 @@ impl Inbox {
     }
 }
 
-/// Whether a header has the kind, device and number that its topic requires.
+/// Whether a header has the kind, and for a local model the device and number, that its topic requires.
 fn matches_topic(topic: &Topic, header: &ModelHeader) -> bool {
     match topic {
         Topic::LocalHeader { device, model } => {

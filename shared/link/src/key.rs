@@ -4,7 +4,7 @@ use std::fmt;
 
 use cosurf_wire::{DeviceId, ModelHeader, ModelId};
 
-/// Identifies a model; unique in a site.
+/// Identifies a model. The key is unique in a site.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct ModelKey {
     /// The device that made the model.

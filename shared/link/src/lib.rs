@@ -1,13 +1,15 @@
 //! Sends and receives models: the protocol of [`cosurf_wire`] as state machines, and the transports that
 //! carry its messages.
 //!
-//! This crate knows no training, merging, file locations or clocks. [`Uploader`] and [`Inbox`] take
-//! messages and `now` (a [`std::time::Duration`] since any fixed moment), and return the messages to publish
-//! and the models to store. A whole fleet therefore runs in one test thread over [`MemoryNetwork`], from a
-//! seed.
+//! What it knows nothing about: training, merging, and where files are kept. Only the transports read clocks.
 //!
-//! Where to start reading: [`node`] combines the state machines of one participant, [`uploader`] and
-//! [`inbox`] are the two halves of the protocol, [`transport`] is what carries it.
+//! [`Uploader`] and [`Inbox`] take messages and `now` (a [`std::time::Duration`] since any fixed moment).
+//! They return the messages to publish and the models to store. A test can therefore simulate a whole fleet
+//! in one thread over [`MemoryNetwork`], and the same seed repeats the same run.
+//!
+//! Where to start reading: [`node`] combines the state machines of one participant. [`uploader`] and
+//! [`inbox`] are the sending and the receiving half of the protocol. [`transport`] is the interface to the
+//! network.
 
 mod bits;
 pub mod body;

@@ -1,9 +1,9 @@
-//! A simulated broker in memory, on virtual time, with seeded faults. Whole fleets run on it in one test
-//! thread.
+//! A simulated broker in memory, on virtual time, with faults drawn from a seed. Whole fleets run on it in
+//! one test thread.
 //!
-//! Every delivery may be lost, duplicated, damaged, truncated or delayed, and thereby reordered ([`Faults`]).
-//! Each client has its own line to the broker, with its own bandwidth and outages. The broker can be
-//! restarted, with or without its retained messages.
+//! Every delivery may be lost, duplicated, damaged, truncated or delayed, and delays reorder messages
+//! ([`Faults`]). Each client has its own line to the broker, with its own bandwidth and outages. The broker
+//! can be restarted, with or without its retained messages.
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;
@@ -14,11 +14,11 @@ use crate::faults::{Arrival, Faults, Line, OutagePlan};
 use crate::identity::Identity;
 use crate::transport::{Outgoing, PublishError, Transport, TransportEvent};
 
-/// Maximum number of undelivered messages from one client; beyond it, publishing fails with
+/// Maximum number of deliveries on their way from one client. Once it is reached, publishing fails with
 /// [`PublishError::Busy`].
 const QUEUE_MAX: usize = 64;
 
-/// The simulated broker. Clones share its state.
+/// The simulated broker. All clones are the same broker.
 #[derive(Clone, Debug)]
 pub struct MemoryNetwork(Rc<RefCell<Broker>>);
 
@@ -31,21 +31,21 @@ struct Broker {
     clients: Vec<Client>,
     retained: BTreeMap<String, Vec<u8>>,
     packet_bytes_max: usize,
-    /// Number of deliveries so far. It orders deliveries of the same time.
+    /// Number of deliveries so far. It orders deliveries that arrive at the same time.
     deliveries: u64,
 }
 
 #[derive(Debug)]
 struct Client {
     filters: Vec<String>,
-    /// Line to the broker. It only limits bandwidth; the faults are on the line from the broker.
+    /// Line to the broker. It only limits bandwidth. The other faults happen on the line from the broker.
     up: Line,
     /// Line from the broker.
     down: Line,
     outages: Option<OutagePlan>,
-    /// Deliveries by time of arrival, then order of sending.
+    /// Deliveries on their way to this client, by time of arrival, then by order of sending.
     arriving: BTreeMap<(Duration, u64), Delivery>,
-    /// Number of undelivered messages that this client sent.
+    /// Number of deliveries on their way from this client.
     in_flight: usize,
     has_left: bool,
 }
@@ -58,7 +58,7 @@ impl Client {
 
 #[derive(Debug)]
 struct Delivery {
-    /// The sending client; `None` for events of the broker.
+    /// The client that sent the message; `None` if the broker sent it.
     from: Option<usize>,
     event: TransportEvent,
 }
@@ -110,8 +110,8 @@ impl MemoryNetwork {
         self.0.borrow().now
     }
 
-    /// Advances virtual time to the next event: the arrival of a message, or the start or end of an outage.
-    /// Advances at most to `until`.
+    /// Advances virtual time to the next event, but at most to `until`. Events are the arrival of a message,
+    /// and the start or end of an outage.
     pub fn advance(&self, until: Duration) {
         let mut broker = self.0.borrow_mut();
         let arrivals = broker.clients.iter().filter_map(|client| client.arriving.keys().next());
@@ -123,7 +123,7 @@ impl MemoryNetwork {
         (0..broker.clients.len()).for_each(|client| broker.update_outage(client));
     }
 
-    /// Removes a client, as if its process had been killed.
+    /// Removes a client, as if its process had been killed. No last will is published.
     pub fn leave(&self, transport: MemoryTransport) {
         let mut broker = self.0.borrow_mut();
         broker.lose_arriving(transport.client);
@@ -133,12 +133,12 @@ impl MemoryNetwork {
         client.has_left = true;
     }
 
-    /// Limits the size of messages, in bytes.
+    /// Limits the size of messages to `bytes`, topic included.
     pub fn limit_packets(&self, bytes: usize) {
         self.0.borrow_mut().packet_bytes_max = bytes;
     }
 
-    /// Stops the broker. Undelivered messages are lost and all clients are disconnected.
+    /// Stops the broker. Messages that have not arrived are lost, and all clients are disconnected.
     pub fn stop(&self, keep_retained: bool) {
         let mut broker = self.0.borrow_mut();
         broker.is_up = false;
@@ -188,7 +188,7 @@ impl Broker {
         }
     }
 
-    /// Counts a delivery as arrived or lost.
+    /// Counts a delivery that has arrived or was lost as no longer on its way.
     fn finish_delivery(&mut self, delivery: &Delivery) {
         if let Some(from) = delivery.from {
             self.clients[from].in_flight -= 1;
@@ -208,7 +208,7 @@ impl Broker {
         kept.iter().for_each(|(topic, payload)| self.deliver(self.now, None, client, topic, payload));
     }
 
-    /// Sends a message to client `to` at time `at`. A client in an outage does not get it.
+    /// Sends a message to client `to` at time `at`. The client does not get the message during an outage.
     fn deliver(&mut self, at: Duration, from: Option<usize>, to: usize, topic: &str, payload: &[u8]) {
         if self.clients[to].is_cut() {
             return;

@@ -1,4 +1,5 @@
-//! MQTT 5 with rumqttc, on its own thread, so that the connection stays alive while the caller computes.
+//! An MQTT 5 client (rumqttc) on its own thread, so that the connection stays alive while the caller
+//! computes.
 //!
 //! rumqttc 0.25 requires these settings:
 //! - QoS 1, a stable client id, `clean_start = false` and a session expiry. With clean sessions, the client
@@ -6,12 +7,12 @@
 //! - Explicit packet sizes, and a size check before publishing. Otherwise the client repeats a QoS 1 message
 //!   that is too large for the broker for ever, and loses the connection each time.
 //! - A watchdog. After certain collisions of packet ids the client never publishes again
-//!   (bytebeamio/rumqtt#1014). A client that gets no acknowledgements is replaced by a new one.
-//! - Version 5 of MQTT. Only there do brokers announce their maximum packet size and number of packets in
-//!   flight, and drop expired sessions.
+//!   (bytebeamio/rumqtt#1014). A client that gets no acknowledgements is therefore replaced by a new one.
+//! - Version 5 of MQTT. Brokers announce their maximum packet size and number of packets in flight only in
+//!   this version. It also lets them drop expired sessions.
 //!
-//! The client keeps nothing on disk; the protocol requests lost messages again. Clocks are read for timeouts
-//! only, so no result depends on them.
+//! The client keeps nothing on disk, since the protocol requests lost messages again. The clock is read only
+//! for timeouts, so no result depends on it.
 
 mod address;
 mod config;
@@ -37,8 +38,8 @@ use crate::transport::{Outgoing, PublishError, Transport, TransportEvent};
 use config::{EVENTS_MAX, PACKET_OVERHEAD_BYTES};
 use worker::{Shared, Worker};
 
-/// A client of an MQTT broker. Dropping it sends the queued messages for at most 2 seconds, and then closes
-/// the connection. The broker then publishes the last will.
+/// A client of an MQTT broker. Dropping it first sends the queued messages, for at most 2 seconds, and then
+/// closes the connection. The broker then publishes the last will, which announces the end of the session.
 #[derive(Debug)]
 pub struct MqttTransport {
     shared: Arc<Shared>,
@@ -66,7 +67,8 @@ impl Transport for MqttTransport {
         }
         let Some(client) = self.shared.client() else { return Err(PublishError::Busy) };
         let payload = message.payload.clone();
-        // Counted before publishing, since the worker may see the acknowledgement at any time after it.
+        // Counted before publishing, because the worker may see the acknowledgement as soon as the message is
+        // queued.
         self.shared.unacknowledged.fetch_add(1, Ordering::Relaxed);
         let queued = client.try_publish(message.topic.as_str(), QoS::AtLeastOnce, message.retain, payload);
         if queued.is_err() {

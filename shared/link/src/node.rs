@@ -1,7 +1,7 @@
 //! A node: one participant with its inbox, its uploads and its session, on one transport.
 //!
-//! The module `state` has [`Node`] and the calls that change it, `receive` handles incoming messages, and
-//! `send` outgoing ones. [`Node::step`] does both.
+//! The module `state` has [`Node`] and the calls that change it. `receive` handles incoming messages, and
+//! `send` produces outgoing ones. [`Node::step`] receives and sends.
 
 mod births;
 mod event;

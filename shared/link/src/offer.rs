@@ -13,14 +13,14 @@ use crate::trust::Credentials;
 pub struct Offer {
     /// The header that announces the model.
     pub header: ModelHeader,
-    /// The body, sent in chunks. The header has its size and hash.
+    /// The body, which is sent in chunks. The header has its size and hash.
     pub body: Vec<u8>,
 }
 
 impl Offer {
-    /// Packs a model. `views` is the number of pictures that it was trained on. Fails if a receiver would
-    /// refuse the body. Estimates importance by [`plain_importance`]; a caller that has rendered the model
-    /// should measure importance, and use [`Self::from_body`].
+    /// Packs a model, of which `views` is the number of training pictures. Fails if a receiver would refuse
+    /// the body. Importance is estimated by [`plain_importance`]. A caller that can measure importance by
+    /// rendering should use [`Self::from_body`].
     pub fn new(
         device: DeviceId,
         model: ModelId,
@@ -39,6 +39,7 @@ impl Offer {
     }
 
     /// Makes an offer of a packed body. `views` is the number of pictures that the model was trained on.
+    /// Fails if a receiver would refuse the body.
     pub fn from_body(
         device: DeviceId,
         model: ModelId,
@@ -67,7 +68,7 @@ impl Offer {
         Ok(Self { header, body })
     }
 
-    /// Sets the world frame, and signs the header if `credentials` have a key.
+    /// Sets the world frame of the model, and signs the header if `credentials` have a key.
     pub fn with_credentials(mut self, site: &SiteId, credentials: &Credentials) -> Self {
         self.header.frame = credentials.frame;
         self.header.signature = None;

@@ -14,20 +14,20 @@ pub(crate) struct Peer {
     pub(crate) is_required: bool,
     /// Chunks that the receiver lacks and that are not in flight.
     wanted: BitSet,
-    /// Chunks sent and not acknowledged, at most [`WINDOW`].
+    /// Chunks that were sent and are not acknowledged, at most [`WINDOW`].
     in_flight: Vec<SentChunk>,
 }
 
-/// The phase of a receiver.
+/// How far the transfer to a receiver has come.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum PeerPhase {
-    /// The receiver has not sent a `Want`.
+    /// The receiver has not sent a `Want` yet, or its last refusal was only temporary.
     Silent,
-    /// The receiver lacks chunks.
+    /// The receiver has sent a `Want`, and is fetching chunks.
     Fetching,
     /// The receiver has stored the model.
     Done,
-    /// The receiver has refused the model.
+    /// The receiver has refused the model for good.
     Refused(RefusalReason),
 }
 
@@ -49,7 +49,7 @@ impl Peer {
         }
     }
 
-    /// Whether the receiver has stored or refused the model.
+    /// Whether the receiver has stored the model, or refused it for good.
     pub(crate) fn is_closed(&self) -> bool {
         matches!(self.phase, PeerPhase::Done | PeerPhase::Refused(_))
     }
@@ -62,13 +62,14 @@ impl Peer {
         }
     }
 
-    /// The next chunk to send, if the window has room for it.
+    /// Index of the next chunk to send, if the receiver wants one and the window has room for it.
     pub(crate) fn next_chunk(&self) -> Option<u32> {
         let has_room = self.phase == PeerPhase::Fetching && self.in_flight.len() < WINDOW;
         has_room.then(|| self.wanted.first()).flatten()
     }
 
-    /// A chunk was published. All receivers get it, not only those that requested it.
+    /// Records that chunk `index` was published. It may have been published for another receiver: all
+    /// receivers get it.
     pub(crate) fn on_sent(&mut self, index: u32, order: u64) {
         if self.phase == PeerPhase::Fetching && self.wanted.contains(index) && self.in_flight.len() < WINDOW {
             self.wanted.remove(index);
@@ -76,8 +77,9 @@ impl Peer {
         }
     }
 
-    /// Updates the state from a `Want`. A chunk in flight counts as lost if the receiver lacks it and either a
-    /// much later chunk has arrived, or the receiver is idle.
+    /// Updates the state from a `Want`. A chunk in flight that the receiver is not known to have counts as
+    /// lost in two cases: the receiver is idle, or a chunk sent more than [`REORDER`] places later has
+    /// arrived.
     pub(crate) fn on_want(&mut self, chunks: u32, want: &Want) {
         self.phase = PeerPhase::Fetching;
         let status_of = |index| want.missing.status_of(index);
@@ -103,7 +105,7 @@ impl Peer {
         }
     }
 
-    /// The receiver refuses the model. If the reason is temporary, it is offered again later.
+    /// The receiver refuses the model. If the reason is temporary, the model is offered again later.
     pub(crate) fn on_refused(&mut self, reason: RefusalReason) {
         self.phase = if reason.is_temporary() { PeerPhase::Silent } else { PeerPhase::Refused(reason) };
     }

@@ -1,20 +1,22 @@
 //! Recordings of a broker's messages as files: one entry per message, in order of arrival.
 //!
 //! The file begins with [`MAGIC`]. An entry contains, little-endian: microseconds since the previous entry
-//! (`u32`), flags (`u8`: bit 0 retain, bits 1 and 2 QoS), size of the topic (`u16`), size of the payload
-//! (`u32`), topic, payload, CRC-32 of these bytes (`u32`). A recording truncated by a kill or a power cut
-//! ends with its last whole entry.
+//! (`u32`), flags (`u8`: bit 0 is the retain flag, bits 1 and 2 are the QoS), size of the topic (`u16`), size
+//! of the payload (`u32`), topic, payload, CRC-32 of these bytes (`u32`). If a kill or a power cut has
+//! truncated a recording, reading ends after the last whole entry.
 
 use std::io::{self, Read, Write};
 use std::time::Duration;
 
 use cosurf_wire::{MAX_MESSAGE_BYTES, MAX_TOPIC_BYTES};
 
-/// First bytes of a recording. The last one is the version of the format.
+/// First bytes of a recording. The last of them is the version of the format.
 pub const MAGIC: [u8; 8] = *b"cosurfR\x01";
-/// Largest topic and payload recorded, in bytes: four times those of this protocol, so that other messages
-/// on the broker fit too.
+/// Largest topic that is recorded, in bytes: four times that of this protocol, so that other messages on the
+/// broker fit too.
 const TOPIC_BYTES_MAX: usize = 4 * MAX_TOPIC_BYTES;
+/// Largest payload that is recorded, in bytes: four times that of this protocol, so that other messages on
+/// the broker fit too.
 const PAYLOAD_BYTES_MAX: usize = 4 * MAX_MESSAGE_BYTES;
 const HEAD_BYTES: usize = 4 + 1 + 2 + 4;
 
@@ -40,7 +42,7 @@ pub enum RecordingError {
     /// The file cannot be read.
     #[error(transparent)]
     Io(#[from] io::Error),
-    /// The file is not a recording, or of another version.
+    /// The file is not a recording, or it has another format version.
     #[error("not a recording of this version: make one with `cosurf-aggregator record`")]
     NotARecording,
     /// An entry is damaged.
@@ -62,14 +64,15 @@ impl<W: Write> Recorder<W> {
         Ok(Self { out, last_us: 0 })
     }
 
-    /// Adds a message. Returns `false` and skips the message if it is too large.
+    /// Adds a message. If the message is too large, skips it and returns `false`.
     pub fn add(&mut self, entry: &Entry) -> io::Result<bool> {
         let Entry { at, topic, qos, retain, payload } = entry;
         if topic.len() > TOPIC_BYTES_MAX || payload.len() > PAYLOAD_BYTES_MAX {
             return Ok(false);
         }
         let at_us = at.as_micros() as u64;
-        // Shortens a longer pause to the 71 minutes that a `u32` can hold.
+        // A pause longer than 71 minutes is shortened to that, the longest that a `u32` of microseconds
+        // holds.
         let pause_us = u32::try_from(at_us.saturating_sub(self.last_us)).unwrap_or(u32::MAX);
         self.last_us = self.last_us.max(at_us);
         let mut bytes = Vec::with_capacity(HEAD_BYTES + topic.len() + payload.len() + 4);
@@ -110,7 +113,7 @@ impl<R: Read> Recording<R> {
         Ok(Self { input, at: Duration::ZERO, entries: 0 })
     }
 
-    /// The next message; `None` at the end of the recording, or at a truncated last entry.
+    /// Returns the next message; `None` at the end of the recording, or if the last entry is truncated.
     pub fn next_entry(&mut self) -> Result<Option<Entry>, RecordingError> {
         let mut head = [0; HEAD_BYTES];
         if !read_whole(&mut self.input, &mut head)? {
@@ -142,7 +145,7 @@ impl<R: Read> Recording<R> {
     }
 }
 
-/// Fills the buffer. Returns `false` if the input ends before.
+/// Fills the buffer. Returns `false` if the input ends before the buffer is full.
 fn read_whole(input: &mut impl Read, buffer: &mut [u8]) -> io::Result<bool> {
     match input.read_exact(buffer) {
         Ok(()) => Ok(true),

@@ -1,9 +1,9 @@
 //! A serial line between one device and a gateway, such as a telemetry radio (SiK). It carries the protocol's
-//! messages over [`Arq`], on its own thread.
+//! messages over [`Arq`], which repeats lost frames, and runs on its own thread.
 //!
 //! After an outage the transfer continues where it stopped. A restart of either side is detected by its
-//! session number, and the protocol requests the missing chunks again. Clocks are read to keep to the line's
-//! bandwidth.
+//! session number, and the protocol requests the missing chunks again. The clock is read only for timeouts
+//! and for the pace of sending.
 
 mod arq;
 mod packet;
@@ -25,11 +25,11 @@ pub use arq::{Arq, ArqEvent};
 use crate::pacing::Backoff;
 use crate::transport::{Outgoing, PublishError, Transport, TransportEvent};
 
-/// The usual baud rate of telemetry radios.
+/// The usual baud rate of telemetry radios, in bits per second.
 pub const DEFAULT_BAUD: NonZeroU32 = NonZeroU32::new(57_600).expect("not zero");
-/// Largest message that a device sends, in bytes: three seconds of a radio's bandwidth.
+/// Largest message that a device sends, in bytes with its topic: about three seconds at [`DEFAULT_BAUD`].
 pub const DEVICE_MESSAGE_BYTES: usize = 16 * 1024;
-/// Largest message that a gateway sends, in bytes: the largest message of the protocol.
+/// Largest message that a gateway sends, in bytes with its topic. The largest message of the protocol fits.
 pub const GATEWAY_MESSAGE_BYTES: usize = packet::MAX_PACKET_BYTES - 1;
 
 /// Timeout of a read from the port.
@@ -40,7 +40,8 @@ const WRITE_TIMEOUT: Duration = Duration::from_secs(5);
 const REOPEN: Backoff = Backoff::new(Duration::from_millis(200), Duration::from_secs(5));
 /// Bits on the line per byte: a start bit, eight data bits, a stop bit.
 const BITS_PER_BYTE: u32 = 10;
-/// Maximum number of queued events. A full queue holds back the other side (backpressure).
+/// Maximum number of events that wait for the caller. While the queue is full, the other side must wait
+/// (backpressure).
 const EVENTS_MAX: usize = 16;
 
 /// A serial port, or another byte stream. Without input, a read must fail with [`io::ErrorKind::TimedOut`]
@@ -56,18 +57,18 @@ pub type OpenPort = Box<dyn FnMut() -> io::Result<Box<dyn Port>> + Send>;
 pub struct SerialConfig {
     /// Name of the line in messages, such as `/dev/ttyUSB0`.
     pub name: String,
-    /// Bandwidth of the line.
+    /// Bandwidth of the line, in bytes per second.
     pub bytes_per_s: NonZeroU32,
-    /// Number of this side's session. It must differ from that of the last session.
+    /// Number of this side's session. It must differ from the number of the previous session.
     pub session: u64,
-    /// Largest message that this side sends, in bytes.
+    /// Largest message that this side sends, in bytes with its topic.
     pub message_bytes_max: usize,
     /// Opens the port.
     pub open: OpenPort,
 }
 
 impl SerialConfig {
-    /// Settings for a serial port of this machine.
+    /// Settings for a serial port of this machine. `path` names the port, such as `/dev/ttyUSB0`.
     pub fn device(path: &str, baud: NonZeroU32, session: u64, message_bytes_max: usize) -> Self {
         let builder = serialport::new(path, baud.get()).timeout(READ_TIMEOUT);
         Self {
@@ -80,7 +81,7 @@ impl SerialConfig {
     }
 }
 
-/// One end of a serial line. Dropping it discards the unsent messages.
+/// One end of a serial line. Dropping it discards the messages that have not been sent.
 pub struct SerialTransport {
     arq: Arc<Mutex<Arq>>,
     message_bytes_max: usize,
@@ -90,9 +91,10 @@ pub struct SerialTransport {
 }
 
 impl SerialTransport {
-    /// Starts the line. [`Transport::poll`] reports success and failure as events.
+    /// Starts the thread that opens the port and keeps it open. [`Transport::poll`] reports success and
+    /// failure as events.
     pub fn start(config: SerialConfig) -> Self {
-        // The lower 32 bits suffice: the line only has to tell consecutive sessions apart.
+        // The lower 32 bits suffice, because they only have to tell consecutive sessions apart.
         let arq = Arc::new(Mutex::new(Arq::new(config.session as u32, config.bytes_per_s)));
         let is_stopping = Arc::new(AtomicBool::new(false));
         let (sender, events) = sync_channel(EVENTS_MAX);
@@ -180,7 +182,7 @@ impl Worker {
         }
     }
 
-    /// Sends and receives until the transport is dropped.
+    /// Sends and receives until the transport is dropped or the port fails.
     fn drive(&mut self, port: &mut dyn Port, reopen: &mut Backoff) -> io::Result<()> {
         let mut buffer = [0; 1024];
         while !self.is_stopping() {
@@ -217,8 +219,8 @@ impl Worker {
         }
     }
 
-    /// Queues all events for the caller. If the queue is full, the rest stays in the ARQ, which holds back the
-    /// other side.
+    /// Queues all events and messages for the caller. If the queue is full, the remaining ones stay in the
+    /// [`Arq`], which then makes the other side wait.
     fn queue_events(&mut self) {
         loop {
             let next = self.held.take().or_else(|| self.next_event());

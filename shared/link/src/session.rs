@@ -1,5 +1,5 @@
-//! Session numbers that always increase, whatever the clock does: a board without a battery starts in 1970,
-//! and a first satellite fix may move its clock by years.
+//! Session numbers that always increase, even if the clock goes back. A board without a battery starts in
+//! 1970, and the first satellite fix may move its clock by years.
 
 use std::fs;
 use std::io::Write;
@@ -7,9 +7,9 @@ use std::path::Path;
 
 use cosurf_scene::{SceneError, atomic};
 
-/// Returns the number of a new session and writes it to the file at `path`, so that the next session gets a
-/// greater one. It is `clock_s` (seconds since 1970), or the last number plus one if that is greater. An
-/// unreadable file counts as missing.
+/// Returns the number of a new session, and writes it to the file at `path` so that the next session gets a
+/// greater one. The number is `clock_s` (seconds since 1970) or the last number plus one, whichever is
+/// greater. An unreadable file counts as missing.
 pub fn next_session(path: &Path, clock_s: u64) -> Result<u64, SceneError> {
     let last = fs::read_to_string(path).ok().and_then(|text| text.trim().parse().ok());
     let next = last.map_or(clock_s, |last: u64| clock_s.max(last.saturating_add(1)));

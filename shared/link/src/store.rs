@@ -29,7 +29,8 @@ pub struct ModelStore {
 
 impl ModelStore {
     /// Opens or creates the folder, and returns the headers of its models, ordered by device and number.
-    /// Removes the partial files of a killed process. An invalid model file is an error that names the file.
+    /// Deletes partial files that a killed process has left behind. An invalid model file gives an error that
+    /// names the file.
     pub fn open(folder: &Path) -> Result<(Self, Vec<ModelHeader>), StoreError> {
         let failed = |cause| SceneError::io(folder, cause);
         fs::create_dir_all(folder).map_err(failed)?;
@@ -46,7 +47,7 @@ impl ModelStore {
         Ok((store, headers))
     }
 
-    /// Writes a model. After this returns, the model survives a power cut.
+    /// Writes a model. The model survives a power cut once this function has returned.
     pub fn put(&self, header: &ModelHeader, body: &[u8]) -> Result<(), StoreError> {
         let key = ModelKey::from(header);
         let mut buffer = [0; MAX_CONTROL_BYTES];
@@ -73,7 +74,7 @@ impl ModelStore {
         Ok((header, body))
     }
 
-    /// Deletes a model, if it is stored.
+    /// Deletes a model. Does nothing if it is not stored.
     pub fn remove(&self, key: ModelKey) -> Result<(), StoreError> {
         let path = self.path(key);
         match fs::remove_file(&path) {
@@ -87,7 +88,8 @@ impl ModelStore {
     }
 }
 
-/// Reads the header and checks the file's size against it. Returns the file positioned at the body.
+/// Reads the header, and checks that the file has the size that follows from the header. Returns the file,
+/// positioned at the start of the body.
 fn open_file(path: &Path) -> Result<(fs::File, ModelHeader), SceneError> {
     let failed = |cause| SceneError::io(path, cause);
     let mut file = fs::File::open(path).map_err(failed)?;

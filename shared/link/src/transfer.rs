@@ -1,4 +1,4 @@
-//! The download of one model.
+//! The transfer of one model to this receiver.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -13,16 +13,17 @@ use crate::pacing::{
     Backoff, FETCHES_MAX, FIRST_GAP, IDLE_GAPS, IDLE_MAX, IDLE_MIN, STORE_RETRY, WANT_EVERY,
 };
 
-/// An unfinished model: the bytes received, the missing chunks, and the time of the next request.
+/// An unfinished model: the bytes that have arrived, the missing chunks, and the time of the next request.
 #[derive(Debug)]
 pub(crate) struct Transfer {
     pub(crate) header: ModelHeader,
     pub(crate) phase: TransferPhase,
-    /// Topic of the replies to the sender.
+    /// Topic of the `Want`s to the sender.
     pub(crate) want_topic: Topic,
-    /// Time of the last new chunk, or of the header if none has arrived.
+    /// Time when the last new chunk arrived, or the header if no chunk has arrived.
     pub(crate) last_news: Duration,
-    /// Time of the last `Want` with `idle`. The sender needs time to react to it.
+    /// Time of the last `Want` that was marked `idle`. The sender needs time to react to it, so the next such
+    /// `Want` must wait.
     last_idle: Duration,
     body: Arc<Vec<u8>>,
     received: BitSet,
@@ -39,7 +40,7 @@ pub(crate) struct Transfer {
 pub(crate) enum TransferPhase {
     /// Chunks are missing. The next `Want` is due at `want_at`.
     Fetching { want_at: Duration },
-    /// The body is complete and valid. It is handed out for storing at `at`.
+    /// The body is complete and valid. The caller gets it for storing at time `at`.
     ToStore { at: Duration, is_retry: bool },
     /// The caller is storing the body.
     Storing,
@@ -59,7 +60,7 @@ pub(crate) enum ChunkOutcome {
 }
 
 impl Transfer {
-    /// Starts a transfer. The caller has checked the header's sizes against the limits.
+    /// Starts a transfer. The caller must have checked the header's sizes against the limits.
     pub(crate) fn new(now: Duration, header: ModelHeader, want_topic: Topic) -> Self {
         Self {
             header,
@@ -81,8 +82,8 @@ impl Transfer {
         Arc::clone(&self.body)
     }
 
-    /// Decodes the packs that have arrived; `None` without any splats. The checksums of the packs are checked.
-    /// The hash cannot be: it covers the whole body.
+    /// Decodes the packs that have arrived. Returns `None` if there are no splats yet, or if a pack is
+    /// invalid. Only the checksums of the packs are checked: the hash covers the whole body.
     pub(crate) fn part(&self) -> Option<Model> {
         let chunk_bytes = self.header.chunk_bytes as usize;
         let is_here = |range: Range<usize>| {
@@ -92,7 +93,7 @@ impl Transfer {
         checked_part_to_model(&self.header, &self.body, is_here).ok().flatten()
     }
 
-    /// When the transfer next has something to do.
+    /// Time at which the transfer next has something to do; `None` while the caller stores the body.
     pub(crate) fn due(&self) -> Option<Duration> {
         match self.phase {
             TransferPhase::Fetching { want_at } => Some(want_at),
@@ -101,7 +102,7 @@ impl Transfer {
         }
     }
 
-    /// The sender repeats its offer, so it needs a `Want` now.
+    /// Schedules a `Want` for `now`, because the sender has repeated its offer.
     pub(crate) fn on_offered_again(&mut self, now: Duration) {
         if let TransferPhase::Fetching { want_at } = &mut self.phase {
             *want_at = now;
@@ -144,14 +145,14 @@ impl Transfer {
         Want { device: self.header.device, model: self.header.model, idle, missing }
     }
 
-    /// The caller could not store the body: retry later.
+    /// Schedules another attempt to store the body, because the caller could not store it.
     pub(crate) fn on_store_failed(&mut self, now: Duration) {
         self.phase = TransferPhase::ToStore { at: now + self.store_backoff.delay(), is_retry: true };
     }
 
     /// Updates the average gap after a new chunk, and schedules the next `Want`.
     fn schedule_want(&mut self, now: Duration) {
-        // Limits the effect of an outage on the average.
+        // Capping the gap limits the effect of an outage on the average.
         let gap = now.saturating_sub(self.last_news).min(self.gap * IDLE_GAPS);
         self.gap = (self.gap * 7 + gap) / 8;
         self.last_news = now;
@@ -162,12 +163,13 @@ impl Transfer {
         self.phase = TransferPhase::Fetching { want_at: now + wait };
     }
 
-    /// After this long without a new chunk, no more is expected.
+    /// If no new chunk arrives for this long, no more chunks are expected.
     fn idle_after(&self) -> Duration {
         (self.gap * IDLE_GAPS).clamp(IDLE_MIN, IDLE_MAX)
     }
 
-    /// All chunks have arrived: checks the body against the header.
+    /// Checks the complete body against the header. If the hash is wrong, fetches all chunks again, at most
+    /// [`FETCHES_MAX`] times in total.
     fn on_complete(&mut self, now: Duration) -> ChunkOutcome {
         if body_hash(&self.body) != self.header.blake3 {
             if self.fetches >= FETCHES_MAX {

@@ -1,16 +1,17 @@
-//! The network as a participant uses it: publish messages, and receive those of its subscriptions.
+//! The interface between a participant and the network: it publishes messages, and receives the messages that
+//! it subscribes to.
 
 use std::time::Duration;
 
 use cosurf_wire::{Message, SiteId, Topic, TopicString};
 
-/// Carries messages under topics. It delivers at least once while it is connected, and guarantees nothing
-/// more: messages may be lost with a connection, duplicated and reordered. The protocol tolerates this.
+/// Carries messages under topics. It guarantees little: messages may be lost, duplicated, delayed and
+/// reordered. The protocol tolerates this.
 pub trait Transport {
     /// Queues a message for sending.
     fn publish(&mut self, message: &Outgoing) -> Result<(), PublishError>;
 
-    /// Returns the next event, waiting for it at most `timeout`.
+    /// Returns the next event, or `None` if there is none within `timeout`.
     fn poll(&mut self, timeout: Duration) -> Option<TransportEvent>;
 }
 
@@ -24,9 +25,10 @@ pub enum TransportEvent {
         /// The message's bytes.
         payload: Vec<u8>,
     },
-    /// The connection is up (again) with all its subscriptions. Messages published earlier may be lost.
+    /// The connection is up (again), with all its subscriptions. Messages that were published earlier may be
+    /// lost.
     Connected,
-    /// The connection was lost or could not be made. The transport retries by itself.
+    /// The connection was lost or could not be made. The transport keeps trying to connect.
     Disconnected {
         /// Number of failed attempts since the last connection, from 1.
         attempt: u32,
@@ -38,13 +40,13 @@ pub enum TransportEvent {
 /// Why a message was not queued.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PublishError {
-    /// The queue is full (backpressure): poll, then retry.
+    /// The queue is full (backpressure): the caller must poll, and then retry.
     #[error("too many messages are queued")]
     Busy,
     /// The message is too large for the link.
     #[error("message of {bytes} bytes, but the link accepts at most {max_bytes}")]
     TooLarge {
-        /// Size of the packet in bytes.
+        /// Size of the message on the link, in bytes.
         bytes: usize,
         /// Largest size that the link accepts, in bytes.
         max_bytes: usize,
@@ -72,7 +74,7 @@ impl Outgoing {
         Self { topic: topic.to_text(site), payload, retain }
     }
 
-    /// Deletes the retained message of a topic.
+    /// A message that deletes the retained message of a topic.
     pub(crate) fn clear(site: &SiteId, topic: Topic) -> Self {
         Self { topic: topic.to_text(site), payload: Vec::new(), retain: true }
     }

@@ -1,10 +1,11 @@
 //! Authentication of models: ed25519 signatures of headers, and the world frame that all models must share.
 //!
-//! A signature binds device, number, body hash, sizes, kind, frame and site together
-//! ([`ModelHeader::statement`]). Chunks need no signature, since the hash covers them. A receiver with a list
-//! of keys refuses devices that are not in the list, revoked keys, and numbers below one already stored from
-//! the same device. A receiver without a list accepts models from every client of the broker. Replies such as
-//! [`cosurf_wire::Want`] are not signed: the broker's access list restricts every device to its own topics.
+//! A signature covers the site and all fields of the header except the chunk size
+//! ([`ModelHeader::statement`]). Chunks need no signature, because the header contains the hash of the body.
+//! A receiver with a list of keys refuses a model in three cases: the device is not in the list, the key is
+//! revoked, or the model's number is lower than a number already stored from that device. A receiver without
+//! a list accepts models from every client of the broker. Replies such as [`cosurf_wire::Want`] are not
+//! signed. They rely on the broker's access list, which restricts every device to its own topics.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -24,23 +25,24 @@ const KEY_BYTES_MAX: u64 = 1 << 10;
 /// A participant's world frame, its secret key, and the keys that it trusts.
 #[derive(Clone, Debug, Default)]
 pub struct Credentials {
-    /// World frame of the models. Models in other frames are refused.
+    /// World frame of this participant's models. Models in other frames are refused.
     pub frame: FrameId,
-    /// Key that signs the participant's models; `None` leaves them unsigned.
+    /// Key that signs this participant's models; `None` leaves them unsigned.
     pub key: Option<SecretKey>,
-    /// Keys whose models are accepted; `None` accepts unsigned models.
+    /// Keys whose models are accepted; `None` accepts all models, also unsigned ones.
     pub trusted: Option<Trusted>,
 }
 
 impl Credentials {
-    /// Reads the given key files.
+    /// Reads the given files with the secret key and the list of trusted keys.
     pub fn load(frame: FrameId, key: Option<&Path>, trusted: Option<&Path>) -> Result<Self, SceneError> {
         let key = key.map(SecretKey::read).transpose()?;
         let trusted = trusted.map(Trusted::read).transpose()?;
         Ok(Self { frame, key, trusted })
     }
 
-    /// Checks a header. `newest` is the highest number stored from its device.
+    /// Checks frame, signature and number of a model. `newest` is the highest number stored from the model's
+    /// device; `None` allows any number.
     pub(crate) fn check(
         &self,
         site: &SiteId,
@@ -70,7 +72,7 @@ impl std::fmt::Debug for SecretKey {
 }
 
 impl SecretKey {
-    /// Makes a key from 32 random bytes. They must come from a cryptographic random number generator.
+    /// Makes a key from 32 random bytes, which must come from a cryptographic random number generator.
     pub fn new(random: &[u8; 32]) -> Self {
         Self(SigningKey::from_bytes(random))
     }
@@ -102,7 +104,7 @@ impl SecretKey {
         })
     }
 
-    /// The line with the public key of `device`, for the lists of keys of its receivers.
+    /// The line with the public key of `device`. Receivers add it to their lists of keys.
     pub fn public_line(&self, device: &DeviceId) -> String {
         format!("{device} {}", hex(self.0.verifying_key().as_bytes()))
     }
@@ -136,7 +138,7 @@ impl Trusted {
 
     /// Parses a list of keys. A line `DEVICE KEY`, as the command `key` prints it, adds a key. A line
     /// `revoked DEVICE KEY` revokes a key. `#` starts a comment. A device may have several keys. An error
-    /// names the line.
+    /// message contains the number of the line.
     pub fn parse(text: &str) -> Result<Self, String> {
         let mut trusted = Self::default();
         for (i, line) in text.lines().enumerate() {
@@ -168,7 +170,7 @@ impl Trusted {
         let signer = keys.iter().find(|known| known.key.verify_strict(statement, &signature).is_ok());
         match signer {
             None => Err(RefusalReason::BadSignature),
-            // A key listed twice is revoked if either line says so.
+            // A key that is listed twice is revoked if at least one of its lines says so.
             Some(signer) if keys.iter().any(|known| known.key == signer.key && known.is_revoked) => {
                 Err(RefusalReason::Revoked)
             }

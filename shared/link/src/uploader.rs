@@ -1,8 +1,8 @@
 //! The sending half of the protocol: offers a model, and sends each receiver the chunks that it lacks, until
 //! the receiver has stored the model.
 //!
-//! Chunks are sent only after a [`Want`], so a restarted sender sends only the missing chunks. All devices
-//! receive the chunks of a global model, so each chunk is sent once for all of them.
+//! Chunks are sent only after a [`Want`], so a restarted sender sends only the missing chunks. A chunk of a
+//! global model reaches all devices at once, so it is not sent to each of them separately.
 
 use std::time::Duration;
 
@@ -17,10 +17,10 @@ use crate::pacing::{ANNOUNCE, Backoff};
 use crate::peer::{Peer, PeerPhase};
 use crate::transport::Outgoing;
 
-/// Maximum number of receivers of a global model; further ones are ignored.
+/// Maximum number of receivers of a global model. Replies from further devices are ignored.
 const PEERS_MAX: usize = 1024;
-/// Smallest chunk size in bytes that a sender falls back to when the link limits messages. Below it, the
-/// overhead of the messages is too large.
+/// Smallest chunk, in bytes, that a sender uses when the link limits the size of messages. With smaller
+/// chunks, the overhead of the messages would be too large.
 const CHUNK_BYTES_MIN: u32 = 1024;
 
 /// The progress of an upload.
@@ -37,15 +37,16 @@ pub struct UploadProgress {
 /// The effect of a reply on an upload.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum UploadEvent {
-    /// A receiver has more chunks than before.
+    /// The number of chunks that a receiver is known to have has changed. It falls if the receiver was
+    /// restarted.
     Progress,
     /// Every required receiver has stored the model.
     Finished,
-    /// A receiver refuses the model; finally, unless [`RefusalReason::is_temporary`].
+    /// A receiver refuses the model. The refusal is final unless [`RefusalReason::is_temporary`].
     Refused(DeviceId, RefusalReason),
 }
 
-/// The receivers of a model.
+/// Who receives a model.
 #[derive(Clone, Copy, Debug)]
 enum Destination {
     /// The aggregator, for a device's model.
@@ -54,7 +55,7 @@ enum Destination {
     Devices(TileId),
 }
 
-/// Offers one model until every required receiver has stored or refused it.
+/// Offers one model until every required receiver has stored it or refused it for good.
 ///
 /// # Examples
 ///
@@ -105,7 +106,8 @@ impl Uploader {
         Self::new(site, Destination::Aggregator, offer, &[device])
     }
 
-    /// Offers a global model to all devices. It is finished when `receivers` have stored it.
+    /// Offers a global model to all devices. [`UploadEvent::Finished`] follows when all `receivers` have
+    /// stored the model.
     pub fn global(site: SiteId, tile: TileId, offer: Offer, receivers: &[DeviceId]) -> Self {
         Self::new(site, Destination::Devices(tile), offer, receivers)
     }
@@ -150,24 +152,25 @@ impl Uploader {
         }
     }
 
-    /// Whether every required receiver has stored or finally refused the model.
+    /// Whether every required receiver has stored the model or refused it for good.
     pub fn is_closed(&self) -> bool {
         self.peers.iter().all(|peer| !peer.is_required || peer.is_closed())
     }
 
-    /// Whether nothing is left to do. Never true for a global model, which is served until another replaces it.
+    /// Whether nothing is left to do. This is never true for a global model, which is offered until another
+    /// model replaces it.
     pub fn is_over(&self) -> bool {
         self.is_cleared
     }
 
-    /// The transport is connected (again): repeats the offer, in case the broker has lost it.
+    /// Repeats the offer, because the transport is connected (again) and the broker may have lost the offer.
     pub fn on_connected(&mut self, now: Duration) {
         self.backoff.reset();
         self.announce_at = Some(now);
     }
 
-    /// Repeats the offer with smaller chunks, since the link accepts at most `max_bytes` per message. Returns
-    /// `false` if such chunks would be too small to be useful.
+    /// Repeats the offer with smaller chunks, because the link accepts at most `max_bytes` per message.
+    /// Returns `false` if such chunks would be too small to be useful.
     pub fn shrink_chunks(&mut self, now: Duration, max_bytes: usize) -> bool {
         let overhead = MAX_MESSAGE_BYTES - cosurf_wire::MAX_CHUNK_BYTES + 2 * cosurf_wire::MAX_TOPIC_BYTES;
         let fitting = u32::try_from(max_bytes.saturating_sub(overhead)).unwrap_or(u32::MAX);
@@ -184,7 +187,7 @@ impl Uploader {
         true
     }
 
-    /// Handles a receiver's reply. Returns `None` if it changes nothing or concerns another model.
+    /// Handles a receiver's reply. Returns `None` if the reply changes nothing or is about another model.
     pub fn on_reply(&mut self, now: Duration, topic: &Topic, message: &Message<'_>) -> Option<UploadEvent> {
         let (by, reply) = self.reply_on(topic)?;
         if replied_model(message) != Some(self.key()) || self.is_cleared {
@@ -227,7 +230,8 @@ impl Uploader {
         Some(message)
     }
 
-    /// When [`Self::next`] will have a message at the latest, if no reply arrives before.
+    /// Time by which [`Self::next`] has a message, if no reply arrives before. `None` if no offer is
+    /// scheduled.
     pub fn next_wakeup(&self) -> Option<Duration> {
         if self.is_cleared { None } else { self.announce_at }
     }
@@ -236,7 +240,7 @@ impl Uploader {
         self.peers.iter().all(|peer| !peer.is_required || peer.phase == PeerPhase::Done)
     }
 
-    /// The device and kind of a reply, if `topic` carries replies to this uploader.
+    /// The device and the kind of a reply; `None` if `topic` does not carry replies to this uploader.
     fn reply_on(&self, topic: &Topic) -> Option<(DeviceId, Reply)> {
         match (self.destination, topic) {
             (Destination::Aggregator, Topic::LocalReply { device, reply }) => Some((*device, *reply)),
@@ -245,7 +249,8 @@ impl Uploader {
         }
     }
 
-    /// Index of the peer that replies. A device that joins late is added to a global model's peers.
+    /// Index of the peer that replies. If a device replies to a global model for the first time, it becomes a
+    /// peer.
     fn peer_index(&mut self, device: DeviceId, chunks: u32) -> Option<usize> {
         let known = self.peers.iter().position(|peer| peer.device == device);
         let may_join = matches!(self.destination, Destination::Devices(_)) && self.peers.len() < PEERS_MAX;
@@ -256,7 +261,8 @@ impl Uploader {
         known
     }
 
-    /// Schedules the next offer after a delay without replies; none if all required receivers are finished.
+    /// Schedules the next offer, in case no reply arrives until then. Schedules none if no required receiver
+    /// is left.
     fn delay_announcement(&mut self, now: Duration) {
         self.announce_at = if self.is_closed() { None } else { Some(now + self.backoff.delay()) };
     }
@@ -287,7 +293,7 @@ impl Uploader {
         Some(Outgoing::new(&self.site, topic, &Message::Chunk(chunk), false))
     }
 
-    /// Deletes the retained header of a local model, which is no longer needed.
+    /// Makes the message that deletes the retained header of a local model. The header is no longer needed.
     fn clear_offer(&mut self) -> Option<Outgoing> {
         let topic = Topic::LocalHeader { device: self.key().device, model: self.key().model };
         let clear = (!self.is_cleared).then(|| Outgoing::clear(&self.site, topic));
@@ -296,7 +302,7 @@ impl Uploader {
     }
 }
 
-/// The model that a receiver's reply is about.
+/// Key of the model that a receiver's reply is about.
 fn replied_model(message: &Message<'_>) -> Option<ModelKey> {
     let (device, model) = match message {
         Message::Want(Want { device, model, .. })

@@ -1,4 +1,4 @@
-//! A disk that becomes full while a model is stored, after any number of bytes.
+//! A disk that becomes full while a model is stored, after different numbers of bytes.
 #![cfg(unix)]
 #![allow(clippy::unwrap_used)]
 
@@ -11,8 +11,9 @@ use cosurf_wire::ModelKind;
 
 const CHILD: &str = "COSURF_TEST_FULL_DISK";
 
-/// A child process stores a model while the system limits the size of its files, with limits from 0 up. The
-/// old model stays; the new one is stored whole or not at all; success is reported only if it is stored.
+/// A child process stores a model while the system limits the size of the files that it writes. The limits
+/// rise from 0. The model that was stored earlier must stay intact, and the new one must be stored completely
+/// or not at all. The child must report success only if the model is stored.
 #[test]
 fn fault_10_disk_full_at_every_write() {
     let old = offer("drone", 1, ModelKind::Local, 1, 500, 1024);
@@ -23,7 +24,7 @@ fn fault_10_disk_full_at_every_write() {
         std::process::exit(if is_stored { 7 } else { 8 });
     }
     let (mut kept, mut stored) = (0, 0);
-    // Files are limited in blocks of 512 bytes.
+    // The system limits files in blocks of 512 bytes.
     for blocks in (0..new.body.len() as u64 / 512 + 40).step_by(9) {
         let folder = tempfile::tempdir().unwrap();
         let (store, _) = ModelStore::open(folder.path()).unwrap();

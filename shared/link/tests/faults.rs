@@ -1,5 +1,5 @@
-//! Faults that links must survive, by number, each from several seeds. Faults of other parts are tested beside
-//! the code that handles them: `tests/tests/faults.rs` lists them all.
+//! Faults of links, by number. Faults of other parts are tested beside the code that handles them:
+//! `tests/tests/faults.rs` lists all faults.
 #![allow(clippy::unwrap_used)]
 
 use std::time::Duration;
@@ -18,7 +18,7 @@ use cosurf_wire::{
 
 const PATIENCE: Duration = Duration::from_secs(3600);
 
-/// A ground station and drones that upload.
+/// An aggregator, and a drone for each offer, which uploads it.
 fn fleet(network: &MemoryNetwork, offers: &[Offer]) -> Vec<Member> {
     let ground = Member::new(network, Role::Aggregator, "ground", InboxLimits::default());
     let drones = offers.iter().map(|offer| {
@@ -107,7 +107,7 @@ fn fault_03_messages_corrupt_and_truncated() {
     assert!(noticed > 300, "hardly anything was damaged: {noticed}");
 }
 
-/// A receiver of local models, and a hostile sender that publishes to it under any topic.
+/// A receiver of local models, and a hostile sender that can publish to the receiver under any topic.
 struct Victim {
     node: Node,
     network: MemoryNetwork,
@@ -131,7 +131,8 @@ impl Victim {
 
     fn hear_bytes(&mut self, topic: Topic, payload: Vec<u8>) -> Vec<NodeEvent> {
         let topic = topic.to_text(&SiteId::new("site").unwrap());
-        // Publishing fails if the victim's queue is full: then the message is lost, as on a real network.
+        // Publishing fails if too many messages are on their way. The message is then lost, as on a real
+        // network.
         let _ = self.hostile.publish(&Outgoing { topic, payload, retain: false });
         let mut events = Vec::new();
         for _ in 0..8 {
@@ -188,7 +189,7 @@ fn fault_06_values_that_cannot_be_rendered() {
             let place = dice.below(bad.body.len() as u64) as usize;
             bad.body[place] = [0, 0x7F, 0x80, 0xFF, dice.next_bits() as u8][dice.below(5) as usize];
         }
-        // The announced hash is that of the changed bytes.
+        // The header announces the hash of the changed bytes, so that only the values can be refused.
         bad.header.blake3 = BodyHash(*blake3::hash(&bad.body).as_bytes());
         let mut fleet = fleet(&network, std::slice::from_ref(&bad));
         run_until(&network, &mut fleet, PATIENCE, |fleet| {
@@ -220,7 +221,7 @@ fn fault_08_replays_old_counters_and_wrong_names() {
     run_until(&network, &mut fleet, PATIENCE, all_uploaded);
     let mut victim = Victim::new(InboxLimits::default());
     victim.node = Node::new(identity(Role::Aggregator, "ground"), InboxLimits::default(), &[honest.header]);
-    // The first call connects.
+    // The node connects during this first call.
     victim.hear_bytes(header_topic(&honest), Vec::new());
     let replayed = victim.hear(header_topic(&honest), &Message::Header(honest.header));
     assert!(matches!(replayed[..], [NodeEvent::Known(_)]), "a replay is known already: {replayed:?}");
@@ -262,7 +263,7 @@ fn fault_12_clocks_that_jump() {
         assert!(session > last, "{session} after {last}");
         last = session;
     }
-    // The broker publishes the will of the previous session after the birth of the next.
+    // The broker publishes the last will of the previous session after the birth of the next session.
     let mut victim = Victim::new(InboxLimits::default());
     let device = DeviceId::new("drone").unwrap();
     let mut say = |session, alive| {
@@ -288,7 +289,7 @@ fn fault_13_a_stalled_upload_does_not_slow_the_others() {
         let mut stalls = stalls;
         run_until(&network, &mut fleet, PATIENCE, |fleet| {
             if stalls && fleet[0].node.unfinished_bytes() > 0 {
-                // Its upload was accepted; from now on it sends nothing.
+                // The aggregator has accepted an upload of this drone. From now on the drone sends nothing.
                 fleet[1].node = Node::new(fleet[1].identity, InboxLimits::default(), &[]);
                 stalls = false;
             }
@@ -326,7 +327,8 @@ fn fault_15_two_drones_under_one_name() {
         let offers = [1, 2].map(|body| pooled_offer("drone", 1, ModelKind::Local, 2 * seed + body, 1024));
         let mut fleet = fleet(&network, &offers);
         run_until(&network, &mut fleet, PATIENCE, |fleet| {
-            // Each drone gets a final answer: stored, number taken, or refused as a mixture of both bodies.
+            // Each drone gets a final answer. Its model is stored, or refused because the number is taken or
+            // because the chunks of both bodies were mixed.
             let is_told = |drone: &Member| {
                 let is_final = |reason: &RefusalReason| !reason.is_temporary();
                 !drone.uploaded.is_empty() || refusals(drone).iter().any(is_final)
@@ -368,7 +370,7 @@ fn fault_18_link_down_for_ten_minutes_then_the_upload_continues() {
             _ => None,
         });
         let (sent, body) = (sent.max().unwrap(), offers[0].body.len() as u64);
-        // Chunks in flight are sent again: at most a window of 32.
+        // Chunks in flight are sent again after the outage: at most one window of 32 chunks of 1024 bytes.
         assert!(sent < body * 11 / 10 + 32 * 1024, "seed {seed}: {sent} for {body}");
     }
 }
@@ -393,7 +395,8 @@ fn fault_19_other_version() {
     }
 }
 
-/// If two clients share a name, the broker disconnects the first, which reconnects and displaces the second.
+/// If two clients share a name, the broker disconnects the first when the second connects. The first
+/// reconnects, and the broker disconnects the second.
 #[test]
 fn two_drones_under_one_name_are_told_apart_from_a_restart() {
     let mut victim = Victim::new(InboxLimits::default());
@@ -407,7 +410,7 @@ fn two_drones_under_one_name_are_told_apart_from_a_restart() {
     assert_eq!(births(&[7, 12, 7, 12, 7, 12]), 1, "reported once");
 }
 
-/// CRC-32 bit by bit, independent of the crate under test.
+/// Computes a CRC-32 bit by bit, independently of the crate under test.
 fn crc32(bytes: &[u8]) -> u32 {
     let step = |crc: u32, _| if crc & 1 == 1 { crc >> 1 ^ 0xEDB8_8320 } else { crc >> 1 };
     !bytes.iter().fold(!0, |crc: u32, byte| (0..8).fold(crc ^ u32::from(*byte), step))
@@ -437,7 +440,7 @@ fn fault_20_memory_stays_bounded_under_noise() {
         let now = victim.network.now();
         victim.network.advance(now + Duration::from_millis(dice.below(20_000)));
     }
-    // Another participant can still connect.
+    // After the noise, another participant can still connect.
     let listener = Identity { site, ..identity(Role::Device, "listener") };
     let mut transport = victim.network.join(&listener);
     assert_eq!(transport.poll(Duration::ZERO), Some(TransportEvent::Connected));

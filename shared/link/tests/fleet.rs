@@ -1,5 +1,6 @@
-//! Whole fleets over networks that lose, duplicate, corrupt, truncate and delay messages, are slow and fail, while
-//! members are killed and the broker restarts: every body arrives unchanged, once, in bounded time, from any seed.
+//! Whole fleets over slow networks that lose, duplicate, damage, truncate and delay messages. Meanwhile
+//! members are killed and the broker restarts. From any seed, every body must arrive unchanged, once, and in
+//! bounded time.
 #![allow(clippy::unwrap_used)]
 
 use std::num::NonZeroU32;
@@ -12,9 +13,10 @@ use cosurf_tests::fleet::{Member, run_until};
 use cosurf_tests::offers::{offer, pooled_offer};
 use cosurf_wire::{DeviceId, ModelKind, TileId};
 
-/// Seeds of one test run, split between two tests.
+/// Number of seeds in one test run. Two tests use half of them each.
 const SEEDS: u64 = 10_000;
-/// Virtual time after which a test fails.
+/// Virtual time at which a test fails if uploads are not finished. The global model that follows must arrive
+/// before twice this time.
 const PATIENCE: Duration = Duration::from_secs(4 * 3600);
 
 #[test]
@@ -41,7 +43,8 @@ fn ten_thousand_fleets_second_half() {
     fly_all(SEEDS / 2..SEEDS);
 }
 
-/// As above, with seeds that the usual run does not use: `cargo test -p cosurf-link --test fleet -- --ignored`.
+/// Like the two tests above, with ten times as many seeds, which those tests do not use. Run it with
+/// `cargo test -p cosurf-link --test fleet -- --ignored`.
 #[test]
 #[ignore = "takes minutes"]
 fn a_hundred_thousand_fleets() {
@@ -60,7 +63,8 @@ fn fly_all(seeds: Range<u64>) {
     assert!(kills > seeds.end - seeds.start, "hardly any member was killed");
 }
 
-/// The inbox never exceeds its limits, however many drones upload, and a stalled upload does not block the others.
+/// The inbox never exceeds its limits, however many drones upload, and a stalled upload does not block the
+/// other uploads.
 #[test]
 fn two_hundred_at_once_within_the_limits() {
     let limits =
@@ -78,7 +82,7 @@ fn two_hundred_at_once_within_the_limits() {
         most = most.max(fleet[0].node.unfinished_bytes());
         assert!(most <= limits.total_bytes_max, "{most} bytes");
         if !is_stalled && most > 0 {
-            // Its upload was accepted; from now on it sends nothing.
+            // The aggregator has accepted an upload of this drone. From now on the drone sends nothing.
             is_stalled = true;
             let idle = Node::new(fleet[1].identity, InboxLimits::default(), &[]);
             fleet[1].node = idle;
@@ -89,7 +93,7 @@ fn two_hundred_at_once_within_the_limits() {
     assert!(most > limits.total_bytes_max / 2, "the limit was never near: {most}");
 }
 
-/// Random faults from none to many, on lines from 4 kB/s (radio) to 1 MB/s (cable).
+/// Random faults, from none to many, on lines from 4 kB/s (radio) to 1 MB/s (cable) or without a limit.
 fn random_faults(dice: &mut Dice) -> Faults {
     let mut up_to = |most: f64| most * dice.below(1001) as f64 / 1000.0;
     let (loss, duplication, corruption, truncation) = (up_to(0.3), up_to(0.2), up_to(0.03), up_to(0.03));
@@ -111,8 +115,9 @@ fn random_faults(dice: &mut Dice) -> Faults {
     }
 }
 
-/// One to four drones upload; then the ground sends a global model to all. Meanwhile members are killed,
-/// disks are full and the broker restarts. Returns the virtual time it took and the number of kills.
+/// One to four drones upload. Then the aggregator sends a global model to all of them. Meanwhile members are
+/// killed, disks are full and the broker restarts. Returns the virtual time at the end and the number of
+/// kills.
 fn fly(seed: u64) -> (Duration, u64) {
     let mut dice = Dice::new(seed ^ 0xF1EE7);
     let network = MemoryNetwork::new(seed, random_faults(&mut dice));
@@ -157,7 +162,7 @@ fn fly(seed: u64) -> (Duration, u64) {
     (network.now(), trouble.killed)
 }
 
-/// The disk holds exactly the offered models, byte for byte, and each was written once.
+/// Checks that the disk holds exactly the offered models, byte for byte, and that each was written once.
 fn check(member: &Member, offers: &[Offer]) {
     let name = member.identity.device;
     assert_eq!(member.disk.len(), offers.len(), "{name} has too much or too little");
@@ -184,7 +189,8 @@ impl Trouble {
         Self { dice, killed: 0, left, next: Duration::ZERO, is_broker_down: false }
     }
 
-    /// Causes the next fault if it is due; calls `revive` with the index of a member that was restarted.
+    /// Causes the next fault, or restarts the broker, if this is due. Calls `revive` with the index of a
+    /// member that was restarted.
     fn strike(
         &mut self,
         network: &MemoryNetwork,

@@ -1,4 +1,5 @@
-//! Each device announces the cameras of its flight; all other devices receive them, also those that join later.
+//! Each device announces the cameras of its flight. All other devices receive them, even those that join
+//! later.
 #![allow(clippy::unwrap_used)]
 
 use std::time::Duration;

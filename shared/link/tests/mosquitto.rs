@@ -1,4 +1,5 @@
-//! Uploads over Mosquitto: with the broker killed in mid-upload, with TLS, with the example in `shared/docs`.
+//! Uploads over Mosquitto: while the broker is killed or stopped, with TLS, and with the example
+//! configuration in `shared/docs`.
 #![allow(clippy::unwrap_used)]
 
 use std::path::Path;
@@ -12,7 +13,7 @@ use cosurf_tests::mosquitto::{Authority, Mosquitto, PLAIN, tls};
 use cosurf_tests::offers::{identity, offer};
 use cosurf_wire::{DeviceId, ModelId, ModelKind, Topic};
 
-/// The example configuration with its paths replaced.
+/// The example configuration, with the placeholders `PORT` and `FOLDER` in place of its port and paths.
 fn example(folder: &Path) -> String {
     let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs");
     let text = std::fs::read_to_string(docs.join("mosquitto.conf")).unwrap();
@@ -58,7 +59,7 @@ fn stopped_three_times_in_mid_upload() {
     interrupted(Mosquitto::terminate);
 }
 
-/// Connects and returns the first event.
+/// Connects to the broker, and returns the first event.
 fn first_event(config: MqttConfig) -> TransportEvent {
     MqttTransport::start(config).poll(Duration::from_secs(20)).unwrap()
 }
@@ -107,7 +108,7 @@ fn the_example_configuration_passes_models_and_blocks_forgeries() {
     let ground = identity(Role::Aggregator, "ground");
     let ground = Ground::start(broker.address.clone(), Some(tls(&ground_files)), ground);
 
-    // The thief's certificate does not let it write under the drone's name, nor as the aggregator.
+    // The thief's certificate does not let the thief publish under the drone's topics.
     let thief = Identity { device: DeviceId::new("thief").unwrap(), ..identity(Role::Device, "thief") };
     let config = MqttConfig { broker: broker.address.clone(), identity: thief, tls: Some(tls(&thief_files)) };
     let mut transport = MqttTransport::start(config);

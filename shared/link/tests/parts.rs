@@ -1,4 +1,4 @@
-//! The part of an upload that has arrived is a usable model.
+//! The part of an upload that has arrived can be decoded to a usable model.
 #![allow(clippy::unwrap_used)]
 
 use std::time::Duration;
@@ -14,7 +14,7 @@ fn inbox() -> Inbox {
     Inbox::new(identity(Role::Aggregator, "ground"), InboxLimits::default(), &[])
 }
 
-/// The partial models after each chunk but the last, without those that are empty.
+/// Sends all chunks but the last, and returns the partial model after each chunk, if there is one.
 fn parts(mut inbox: Inbox, Offer { header, body }: &Offer) -> Vec<Model> {
     let ModelHeader { device, model, .. } = *header;
     inbox.on_header(NOW, &Topic::LocalHeader { device, model }, *header);

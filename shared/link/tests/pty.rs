@@ -1,5 +1,5 @@
-//! The serial line through the operating system: two pseudo-terminals with the simulation's faults between
-//! them, on the wall clock.
+//! The serial line through the operating system, on the wall clock: two pseudo-terminals with simulated
+//! faults between them.
 #![cfg(unix)]
 #![allow(clippy::unwrap_used)]
 
@@ -17,7 +17,7 @@ use cosurf_tests::radio::{self, BYTES_PER_S, pattern, radio};
 use cosurf_wire::{DeviceId, ModelId, SiteId, Topic};
 use serialport::{SerialPort, TTYPort};
 
-/// The threads that carry bytes between two terminals; they end when dropped.
+/// The threads that carry bytes between two terminals. They end when this value is dropped.
 struct Ether {
     is_over: Arc<AtomicBool>,
     threads: Vec<JoinHandle<()>>,
@@ -63,7 +63,7 @@ fn transport(port: TTYPort, bytes_per_s: NonZeroU32, session: u64) -> SerialTran
     })
 }
 
-/// Carries one direction: cuts the written bytes into frames and applies the line's faults to each frame.
+/// Carries bytes in one direction: cuts them into frames, and applies the line's faults to each frame.
 fn carry(
     mut from: TTYPort,
     mut to: TTYPort,
@@ -97,7 +97,7 @@ fn carry(
     })
 }
 
-/// Sends `count` bytes in messages of 16,000; returns the goodput as a share of the line's rate.
+/// Sends `count` bytes in messages of 16,000 bytes. Returns the goodput as a share of the line's bandwidth.
 fn goodput(seed: u64, faults: Faults, count: usize) -> f64 {
     let (mut a, mut b, _ether) = pair(seed, faults);
     for end in [&mut a, &mut b] {
@@ -130,12 +130,13 @@ fn message(index: u32, payload: &[u8]) -> Outgoing {
     Outgoing { topic, payload: payload.to_vec(), retain: false }
 }
 
-/// The goodput of the simulated radio: the mean of ten seeds.
+/// The goodput of the simulated radio, as a share of its bandwidth: the mean over ten seeds.
 fn simulated(loss: f64, count: usize) -> f64 {
     (0..10).map(|seed| radio::goodput(seed, loss, count).0).sum::<f64>() / 10.0
 }
 
-/// The radio at ten times the rate and a tenth of the delay: the same goodput in less time.
+/// The radio with ten times the bandwidth and a tenth of the delay. It has the same goodput, as a share of
+/// its bandwidth, but the test takes less time.
 fn fast_radio(loss: f64) -> Faults {
     let faults = radio(loss);
     let delay = faults.delay_max / 10;
@@ -157,7 +158,7 @@ fn a_terminal_agrees_with_the_simulation() {
     }
 }
 
-/// The acceptance test at the radio's own speed:
+/// The acceptance test at the radio's real speed. Run it with
 /// `cargo test --release -p cosurf-link --test pty -- --ignored --nocapture`.
 #[test]
 #[ignore = "takes five minutes"]

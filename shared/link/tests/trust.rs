@@ -1,4 +1,5 @@
-//! Signatures: models of unknown or revoked devices and changed or replayed models are refused with a reason.
+//! Signatures: a model is refused with a reason if its device is unknown, its key is revoked, or it was
+//! changed or replayed.
 #![allow(clippy::unwrap_used)]
 
 use std::time::Duration;
@@ -32,7 +33,8 @@ fn signed(number: u64, key: u8) -> ModelHeader {
         .header
 }
 
-/// Why an aggregator with this list of keys refuses a header; `None` if it accepts it.
+/// Why an aggregator that has `list` as its keys and `stored` as its models refuses a header; `None` if it
+/// accepts the header.
 fn verdict(list: &str, stored: &[ModelHeader], header: ModelHeader) -> Option<RefusalReason> {
     let mut inbox = Inbox::new(identity(Role::Aggregator, "ground"), InboxLimits::default(), stored);
     inbox.set_credentials(Credentials {
@@ -63,7 +65,7 @@ fn unknown_revoked_changed_and_replayed_models_are_refused() {
     let both = format!("{}\nrevoked {}", line(1), line(1));
     assert_eq!(verdict(&both, &[], sane), Some(RefusalReason::Revoked));
     assert_eq!(verdict(&list, &[signed(6, 1)], sane), Some(RefusalReason::Replayed));
-    // A drone announces a stored model again if the answer was lost.
+    // A drone offers a stored model again if the acknowledgement was lost.
     assert_eq!(verdict(&list, &[signed(6, 1), sane], sane), None);
     assert_eq!(verdict(&list, &[signed(4, 1)], sane), None);
 }
@@ -95,7 +97,7 @@ fn another_frame_is_refused_without_a_list_of_keys_too() {
     assert!(matches!(said, Some(InboxEvent::Refused(_, RefusalReason::WrongFrame))), "{said:?}");
 }
 
-/// The limit holds for the unpacked size of a model, not only for its packed size.
+/// The limit applies also to the unpacked size of a model, not only to its packed size.
 #[test]
 fn a_model_too_large_when_unpacked_is_refused_by_its_header() {
     let limits = InboxLimits { body_bytes_max: 100_000, total_bytes_max: 200_000, ..InboxLimits::default() };
@@ -107,7 +109,8 @@ fn a_model_too_large_when_unpacked_is_refused_by_its_header() {
     assert!(matches!(said, Some(InboxEvent::Refused(_, RefusalReason::TooLarge))), "{said:?}");
 }
 
-/// Both sides sign, over a network that loses and duplicates; an unknown device learns why it is refused.
+/// Both sides sign their models, over a network that loses and duplicates messages. An unknown device is told
+/// why its model is refused.
 #[test]
 fn signed_models_arrive_and_those_of_unknown_devices_do_not() {
     let network = MemoryNetwork::new(3, Faults { loss: 0.1, duplication: 0.1, ..Faults::NONE });

@@ -1,6 +1,6 @@
-//! Atomic writes: content goes to a temporary file beside its path, is synced, then renamed to the
-//! path. Every file that cosurf keeps is written this way. So after a full disk, a kill or a power
-//! cut, a path holds the last complete version (or none), never part of a new one.
+//! Atomic writes. The content is written to a temporary file in the folder of the final path and
+//! synced to the disk; then the file is renamed to the final path. So after a full disk, a kill or a
+//! power cut, the path holds the last complete version (or none), never part of a new one.
 
 use std::ffi::OsString;
 use std::fs::{self, File};
@@ -10,15 +10,16 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::SceneError;
 
-/// Size of the write buffer; a larger one brings no measurable gain.
+/// Size of the write buffer, bytes; a larger buffer brings no measurable gain.
 const BUFFER_BYTES: usize = 256 * 1024;
 
 /// Suffix of temporary files.
 const SUFFIX: &str = ".partial";
 
-/// Writes `path` through `fill`, atomically and durably. After `Ok` the content is on the disk; after
-/// an error `path` is unchanged and no temporary file remains. The folder must exist. If several
-/// threads or processes write one path, the last to finish wins.
+/// Lets `fill` write the content of `path`, atomically and durably. After `Ok` the content is on the
+/// disk. After an error no temporary file remains, and `path` is unchanged unless only the last step
+/// failed, the sync of the folder. The folder must exist. If several threads or processes write one
+/// path, the last to finish wins.
 pub fn write(
     path: &Path,
     fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
@@ -27,8 +28,8 @@ pub fn write(
     write_and_rename(&RealDisk, &partial.0, path, fill).map_err(|cause| SceneError::io(path, cause))
 }
 
-/// Deletes the temporary files of [`write()`] that a killed process left in `folder`. Nothing may be
-/// writing to the folder meanwhile.
+/// Deletes the temporary files that [`write()`] left in `folder` when its process was killed.
+/// Meanwhile nothing may write to the folder.
 pub fn remove_partial_files(folder: &Path) -> Result<(), SceneError> {
     let io = |cause| SceneError::io(folder, cause);
     for entry in fs::read_dir(folder).map_err(io)? {
@@ -55,7 +56,8 @@ fn write_and_rename<D: Disk>(
     disk.sync_folder(folder_of(path))
 }
 
-/// The operations of a disk, so that a test can cut its power between any two of them.
+/// The operations of a disk. It is a trait so that a test can cut the power between any two
+/// operations.
 trait Disk {
     type File: Write;
     fn create(&self, path: &Path) -> io::Result<Self::File>;
@@ -84,22 +86,23 @@ impl Disk for RealDisk {
     }
 
     fn sync_folder(&self, folder: &Path) -> io::Result<()> {
-        // Other systems cannot open folders as files, and their renames need no sync.
+        // Systems other than Unix cannot open folders as files, and their renames need no sync.
         if cfg!(unix) { File::open(folder)?.sync_all() } else { Ok(()) }
     }
 }
 
-/// A temporary file, removed on drop unless it was renamed before.
+/// A temporary file, which is removed on drop unless it was renamed before.
 struct Partial(PathBuf);
 
 impl Drop for Partial {
     fn drop(&mut self) {
-        // Fails after the rename, as there is nothing to remove. Other failures cannot be mended here.
+        // After the rename there is nothing to remove, so this fails. Other failures cannot be mended
+        // here.
         let _ = fs::remove_file(&self.0);
     }
 }
 
-/// A hidden file beside `path`, with a name that is unique to this call and process.
+/// Path of a hidden file in the folder of `path`, with a name that no other call or process uses.
 fn partial_path(path: &Path) -> PathBuf {
     static CALLS: AtomicU64 = AtomicU64::new(0);
     let mut name = OsString::from(".");

@@ -1,20 +1,21 @@
-//! A reduced model that stands in for the full model until all of it has arrived.
+//! A reduced model that stands in for the full model until the full model has arrived.
 
 use crate::Splats;
 
-/// Some of a model's splats, adjusted so that they approximate the whole model while the others are
-/// missing.
+/// Some of a model's splats, adjusted so that they approximate the whole model while the other splats
+/// are missing.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Base {
-    /// Indices of these splats in the full model, ascending.
+    /// Index of each splat in the full model, ascending.
     pub ids: Vec<u32>,
-    /// The adjusted splats in the order of `ids`, of SH degree 0. Rotations are those of the model.
+    /// The adjusted splats in the order of `ids`, with spherical harmonics of degree 0. Rotations are
+    /// those of the full model.
     pub splats: Splats,
 }
 
 impl Base {
-    /// The base of the model after its splats `removed` (ascending, unique indices) are deleted: drops
-    /// these splats and renumbers the others.
+    /// Updates the base after the model has lost the splats at the indices `removed` (ascending,
+    /// unique): drops these splats from the base and renumbers the others.
     pub fn without(&self, removed: &[u32]) -> Self {
         let mut left = Self { ids: Vec::new(), splats: Splats::with_capacity(0, self.splats.sh_degree) };
         for (i, id) in self.ids.iter().enumerate() {

@@ -1,9 +1,9 @@
-//! A bounding volume hierarchy over triangles, with four boxes per node and four triangles per leaf,
-//! so that each step is a handful of four-wide vector operations.
+//! A bounding volume hierarchy over triangles, with four boxes per node and four triangles per leaf. So
+//! each step of a traversal takes a handful of four-wide vector operations.
 //!
-//! Rays are traced in bundles. The rays of a pixel, or from neighbouring points to the sun, meet
-//! nearly the same boxes. So a bundle traverses the tree once, as a beam that encloses its rays, and
-//! only triangles are tested ray by ray.
+//! Rays are traced in bundles of neighbours: the viewing rays of a pixel, or the shadow rays from
+//! neighbouring points to the sun. The rays of a bundle meet nearly the same boxes. So a bundle traverses
+//! the tree once, as a beam that encloses its rays, and only triangles are tested ray by ray.
 
 mod build;
 mod node;
@@ -14,15 +14,17 @@ use node::{LEAF, Lanes, Leaf, Node, Tree};
 
 /// Largest number of triangles in a hierarchy.
 pub const TRIANGLES_MAX: usize = build::TRIANGLES_MAX;
-/// Entries of the traversal stack: at most three wait per level, on [`build::MEDIAN_DEPTH`] levels and the
-/// 13 below them that [`TRIANGLES_MAX`] needs.
+/// Entries of the traversal stack. At each level of the tree at most three children wait on it. It has
+/// room for [`build::MEDIAN_DEPTH`] levels and for 13 more; splits into four equal parts divide
+/// [`TRIANGLES_MAX`] triangles into leaves within 13 levels.
 const STACK: usize = 80;
-/// How far a ray may miss a triangle and still hit it, in barycentric units: closes the cracks that
-/// rounding opens between neighbours.
+/// How far outside a triangle a ray may pass and still hit it, in barycentric coordinates. This closes the
+/// cracks that rounding opens between neighbouring triangles.
 const EDGE_SLACK: f32 = 1e-6;
-/// Factor on the `t` at which a beam leaves a box; it exceeds the rounding error.
+/// Factor on the `t` at which a beam leaves a box. It exceeds the rounding error, so that no beam misses a
+/// box that its rays meet.
 const BOX_SLACK: f32 = 1.0 + 1e-6;
-/// Far beyond any surface, world units.
+/// A coordinate far beyond any surface, world units.
 const FAR: f32 = 1e30;
 
 /// The ray `origin + t · direction` for `t_min < t < t_max`.
@@ -30,7 +32,7 @@ const FAR: f32 = 1e30;
 pub struct Ray {
     /// World position at `t = 0`.
     pub origin: Vec3,
-    /// Any non-zero length.
+    /// The direction, of any non-zero length.
     pub direction: Vec3,
     /// Hits must lie beyond this `t`.
     pub t_min: f32,
@@ -41,21 +43,21 @@ pub struct Ray {
 /// Where a ray met a triangle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hit {
-    /// Distance in lengths of the ray's direction.
+    /// The hit is at `origin + t · direction` of the ray.
     pub t: f32,
     /// Index into the triangles that the hierarchy was built from.
     pub triangle: u32,
-    /// Weights of the second and third corner.
+    /// Barycentric weights of the triangle's second and third corner.
     pub barycentric: [f32; 2],
 }
 
-/// A hierarchy over triangles that answers rays.
+/// A bounding volume hierarchy over triangles, which finds the triangles that rays hit.
 #[derive(Debug)]
 pub struct Bvh {
     tree: Tree,
 }
 
-/// A ray with each coordinate repeated in all four lanes.
+/// A ray with each coordinate repeated in all four SIMD lanes.
 #[derive(Clone, Copy)]
 struct WideRay {
     origin: Lanes,
@@ -71,13 +73,15 @@ impl WideRay {
     }
 }
 
-/// Encloses all rays of a bundle. Per axis it has the two extreme inverse directions, and the origins
-/// that give the earliest entry into a box and the latest exit.
+/// Encloses all rays of a bundle. For each axis it has the smallest and the largest inverse direction. It
+/// also has two of the rays' extreme origins: one gives the earliest entry into a box, the other the
+/// latest exit.
 struct Beam {
     inverses: [Lanes; 2],
     enter_from: Lanes,
     leave_from: Lanes,
-    /// Per axis, the index of the box's bound that is met first.
+    /// For each axis, the index in [`Node::bounds`] of the bound that the rays meet first: 0 for the
+    /// minimum, 1 for the maximum.
     first: [usize; 3],
     t_min: Vec4,
 }
@@ -100,10 +104,11 @@ impl Beam {
         for axis in 0..3 {
             let (low, high) = (direction.0[axis], direction.1[axis]);
             if low * high <= 0.0 && low < high {
-                // The rays go both ways along this axis, so it excludes no box.
+                // The rays do not all go the same way along this axis, so the axis excludes no box.
                 continue;
             }
-            // Zero is replaced, so that no box test computes 0 * infinity.
+            // A direction near zero gets a large but finite inverse, so that no box test multiplies zero
+            // by infinity.
             let inverse = |x: f32| Vec4::splat(if x.abs() < 1e-20 { 1e20 } else { 1.0 / x });
             beam.inverses[0][axis] = inverse(low);
             beam.inverses[1][axis] = inverse(high);
@@ -118,7 +123,8 @@ impl Beam {
 }
 
 impl Node {
-    /// The `t` at which the beam enters each box, and a bit mask of the boxes it meets before `t_max`.
+    /// The `t` at which the beam enters each box, and a bit mask of the boxes that the beam meets before
+    /// `t_max`.
     #[inline]
     fn enter(&self, beam: &Beam, t_max: f32) -> (Vec4, u32) {
         let mut enter = beam.t_min;
@@ -135,7 +141,9 @@ impl Node {
 }
 
 impl Leaf {
-    /// Möller–Trumbore, both sides: two weights, `t`, and a bit mask of the triangles met before `t_max`.
+    /// Intersects a ray with the leaf's triangles, from either side (Möller and Trumbore 1997). Returns
+    /// the weights of the second and third corner, `t`, and a bit mask of the triangles that the ray meets
+    /// before `t_max`.
     #[inline]
     fn intersect(&self, ray: &WideRay, t_max: f32) -> (Vec4, Vec4, Vec4, u32) {
         let across = cross(&ray.direction, &self.edges[1]);
@@ -145,7 +153,7 @@ impl Leaf {
         let along = cross(&from_corner, &self.edges[0]);
         let v = dot(&ray.direction, &along) * scale;
         let t = dot(&self.edges[1], &along) * scale;
-        // Written so that the NaN of a degenerate triangle fails the comparison.
+        // A degenerate triangle gives NaN, for which these comparisons are false.
         let low = Vec4::splat(-EDGE_SLACK);
         let inside = u.cmpge(low) & v.cmpge(low) & (u + v).cmple(Vec4::splat(1.0 + EDGE_SLACK));
         let within = t.cmpgt(ray.t_min) & t.cmplt(Vec4::splat(t_max));
@@ -164,7 +172,8 @@ fn dot(a: &Lanes, b: &Lanes) -> Vec4 {
 }
 
 impl Bvh {
-    /// Builds a hierarchy over 0 to [`TRIANGLES_MAX`] triangles, given by their corners.
+    /// Builds a hierarchy over triangles, given by their corners. There may be none; panics if there are
+    /// more than [`TRIANGLES_MAX`].
     pub fn build(triangles: &[[Vec3; 3]]) -> Self {
         Self { tree: build::build(triangles) }
     }
@@ -234,7 +243,7 @@ impl Bvh {
             while met != 0 {
                 let lane = met.trailing_zeros() as usize;
                 met &= met - 1;
-                // Insertion sort: the nearest box ends on top of the stack.
+                // Insertion sort, so that the nearest box ends on top of the stack.
                 let mut at = depth;
                 while at > first && stack[at - 1].1 < enter[lane] {
                     stack[at] = stack[at - 1];

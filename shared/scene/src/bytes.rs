@@ -1,6 +1,7 @@
 //! Parsing and formatting of amounts of memory: `300MiB`, `1.5GB`, `1048576`.
 
-/// Suffixes and their factors, longest first. The bare letters are binary, as in `dd`.
+/// Suffixes, and the number of bytes that each stands for. The longest are tried first, because
+/// `kib` also ends with `b`. `k`, `m` and `g` are powers of 1024, as in `dd`.
 const UNITS: [(&str, u64); 10] = [
     ("kib", 1 << 10),
     ("mib", 1 << 20),
@@ -15,7 +16,7 @@ const UNITS: [(&str, u64); 10] = [
 ];
 
 /// Parses an amount such as `300MiB`, `1.5 GB` or `1048576` to bytes, ignoring case. The error is
-/// one line that quotes `text` and gives valid examples.
+/// one line that quotes `text` and gives examples of valid amounts.
 pub fn parse_bytes(text: &str) -> Result<u64, String> {
     let lower = text.trim().to_ascii_lowercase();
     let (number, unit) = UNITS
@@ -31,7 +32,7 @@ pub fn parse_bytes(text: &str) -> Result<u64, String> {
     Ok(bytes as u64)
 }
 
-/// Formats an amount with three significant digits: `300 MiB`, `1.46 GiB`, `12 B`.
+/// Formats a number of bytes with at most three significant digits: `300 MiB`, `1.46 GiB`, `12 B`.
 pub fn format_bytes(bytes: u64) -> String {
     let mut value = bytes as f64;
     let mut unit = "B";

@@ -1,17 +1,20 @@
-//! A cache of the training pictures at training size, within a byte budget. Each picture is decoded
-//! and shrunk once. It is then kept raw if all pictures fit, else compressed (`pack`) while there is
-//! room, else read from disk again.
+//! A cache of the pictures for training, within a byte budget. A picture is decoded and shrunk to its
+//! training size when it is first needed. If all pictures fit into the budget, they are kept raw, that is,
+//! uncompressed. Otherwise they are kept compressed (module `pack`) while there is room. A picture without
+//! room is decoded from its file at each use.
 //!
-//! Compressed pictures stay in the cache unless callers hold more than two pictures. Evicting the
-//! oldest for the newest would, in each epoch of training, evict every picture just before its use.
+//! A compressed picture stays in the cache, unless callers hold so many pictures at once that its memory is
+//! needed. Evicting the oldest picture for the newest would be worse: each epoch of training uses every
+//! picture, so each would be evicted just before its next use.
 //!
-//! An eighth of the budget, and at least two pictures, is reserved for copies: raw pictures that are
-//! handed out, prefetched or being made. The rest is for the pictures that are kept.
+//! If not all pictures fit raw, part of the budget is reserved for copies: raw pictures that callers hold,
+//! that are prefetched or that are being made. This part is an eighth of the budget, or two pictures if
+//! that is more. The rest is for the pictures that are kept.
 //!
 //! Only one picture is decoded at a time, by the caller of [`PictureCache::get`] or by the thread that
 //! serves [`PictureCache::prefetch`]. So the memory for decoding is known in advance
-//! ([`PictureCache::scratch_bytes`]). Every form holds the same pixels, so results computed from a
-//! picture do not depend on timing or budget.
+//! ([`PictureCache::scratch_bytes`]). Raw, compressed or from its file, a picture has the same pixels, so
+//! results computed from it do not depend on timing or budget.
 
 mod pack;
 mod source;
@@ -28,7 +31,8 @@ use source::{largest_bytes, total_bytes};
 pub use state::CacheUse;
 use state::{Slot, State};
 
-/// A cache of pictures within a byte budget; see the module. Threads share it by reference.
+/// A cache of pictures within a byte budget; see the [module](self). Several threads can use it at once,
+/// through shared references.
 pub struct PictureCache {
     shared: Arc<Shared>,
     prefetcher: Option<JoinHandle<()>>,
@@ -37,13 +41,13 @@ pub struct PictureCache {
 struct Shared {
     sources: Vec<Source>,
     state: Mutex<State>,
-    /// Wakes the threads that wait for a change of the state.
+    /// Wakes the threads that wait for the state to change.
     changed: Condvar,
 }
 
 impl PictureCache {
-    /// A cache over `sources` that holds at most `budget_bytes` of pictures, including those handed out
-    /// and prefetched. Reads no file yet. Errors: a budget below [`Self::least_bytes`].
+    /// A cache of `sources` that holds at most `budget_bytes` of pictures, including those that callers
+    /// hold and those that are prefetched. Reads no file yet. Errors: a budget below [`Self::least_bytes`].
     pub fn new(sources: Vec<Source>, budget_bytes: u64) -> Result<Self, SceneError> {
         let needed_bytes = Self::least_bytes(&sources);
         if budget_bytes < needed_bytes {
@@ -54,23 +58,23 @@ impl PictureCache {
         let for_thread = Arc::clone(&shared);
         let prefetcher =
             thread::Builder::new().name("pictures".into()).spawn(move || for_thread.prefetch_all());
-        // If the thread cannot be started, `get` decodes every picture.
+        // If the thread cannot be started, `get` decodes every picture in the caller's thread.
         Ok(Self { shared, prefetcher: prefetcher.ok() })
     }
 
-    /// The smallest budget that works: two pictures of the largest size, one in use and one being
-    /// made, or all pictures if that is less.
+    /// The smallest budget that works, bytes: two pictures of the largest size, one in use and one being
+    /// made; or all pictures, if they take less.
     pub fn least_bytes(sources: &[Source]) -> u64 {
         (2 * largest_bytes(sources)).min(total_bytes(sources))
     }
 
-    /// The budget that holds all pictures raw; a larger one brings no gain.
+    /// The budget that holds all pictures raw, bytes. A larger budget brings no gain.
     pub fn most_bytes(sources: &[Source]) -> u64 {
         total_bytes(sources)
     }
 
-    /// Bytes that decoding, shrinking and compressing the most demanding source takes temporarily, on
-    /// top of the budget. Reads the header of every file.
+    /// Upper bound on the temporary memory, bytes, that decoding, shrinking and compressing a picture takes
+    /// besides the budget, for the most demanding of `sources`. Reads the header of every file.
     pub fn scratch_bytes(sources: &[Source]) -> Result<u64, SceneError> {
         let mut most = pack::scratch_bytes(largest_bytes(sources));
         for source in sources {
@@ -79,13 +83,13 @@ impl PictureCache {
         Ok(most)
     }
 
-    /// Picture `index` at its source's size. A returned picture counts towards the budget until it is
-    /// dropped. Errors: an unreadable file, or a budget without room for the picture; the least budget
-    /// has room for one picture while another is held.
+    /// Returns picture `index`, shrunk to the size in its [`Source`]. The picture counts towards the budget
+    /// until it is dropped. Errors: an unreadable file; no room for the picture, because callers hold too
+    /// many others. Even the smallest budget has room for a picture while callers hold one other.
     pub fn get(&self, index: usize) -> Result<Arc<Picture>, SceneError> {
         let shared = &self.shared;
         let mut state = shared.lock();
-        // The prefetcher may be waiting for memory that the caller has released by now.
+        // The prefetching thread may be waiting for memory that the caller has released by now.
         shared.changed.notify_all();
         loop {
             if let Some(picture) = state.take(index) {
@@ -100,14 +104,14 @@ impl PictureCache {
         shared.make(state, index, false)
     }
 
-    /// Asks the background thread to prefetch picture `index`. Returns at once; ignored if too many
-    /// requests are waiting.
+    /// Asks the background thread to make picture `index` before it is needed. Returns at once. The request
+    /// is ignored if too many requests are waiting.
     pub fn prefetch(&self, index: usize) {
         self.shared.lock().request(index);
         self.shared.changed.notify_all();
     }
 
-    /// The current contents of the cache.
+    /// How much the cache holds at this moment.
     pub fn usage(&self) -> CacheUse {
         self.shared.lock().usage()
     }
@@ -118,7 +122,7 @@ impl Drop for PictureCache {
         self.shared.lock().close();
         self.shared.changed.notify_all();
         if let Some(prefetcher) = self.prefetcher.take() {
-            // If the thread panicked, its message was printed, and `get` decoded the pictures.
+            // If the thread has panicked, its message was printed, and `get` decoded the pictures instead.
             let _ = prefetcher.join();
         }
     }
@@ -133,13 +137,15 @@ impl Shared {
         self.changed.wait(state).unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The background thread: makes the requested pictures as room allows.
+    /// Runs in the background thread until the cache is closed: makes the requested pictures whenever there
+    /// is room for them.
     fn prefetch_all(&self) {
         let mut state = self.lock();
         while !state.is_closed() {
             match state.next_request() {
                 Some(index) => {
-                    // `get` of the same picture meets the same error and returns it.
+                    // An error is ignored here, because `get` of the same picture meets it again and
+                    // returns it.
                     let _ = self.make(state, index, true);
                     state = self.lock();
                 }
@@ -148,9 +154,9 @@ impl Shared {
         }
     }
 
-    /// Makes picture `index` from its compressed form or its file, with the lock released meanwhile;
-    /// holds the picture for `get` if this is a `prefetch`. There must be room for it, and no other picture
-    /// may be in the making.
+    /// Makes picture `index` from its compressed form or its file. The lock is released during this work.
+    /// With `prefetch`, the cache holds the picture until `get` takes it. There must be room for the
+    /// picture, and no other picture may be in the making.
     fn make(
         &self,
         mut state: MutexGuard<'_, State>,
@@ -183,7 +189,7 @@ impl Shared {
         Ok(Arc::new(picture))
     }
 
-    /// The best form in which to keep a picture that was decoded for the first time.
+    /// Chooses the form in which to keep a picture that was decoded for the first time.
     fn form_of(&self, picture: &Arc<Picture>) -> Slot {
         if self.lock().keeps_raw() {
             return Slot::Raw(Arc::clone(picture));
@@ -192,7 +198,8 @@ impl Shared {
     }
 }
 
-/// Ends the making of a picture on drop, whether it succeeded or not.
+/// A guard. When the guard is dropped, after success or failure, it marks the picture as no longer being
+/// made and wakes the waiting threads.
 struct Making<'a> {
     shared: &'a Shared,
     index: usize,

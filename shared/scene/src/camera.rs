@@ -1,9 +1,8 @@
-//! Cameras: the pose of a picture, and the mapping between rays and its pixels.
+//! Cameras: the pose of a picture, and the mapping between its pixels and viewing rays.
 //!
-//! World frame: any right-handed metric frame (the drone scenes use east, north, up).
-//! Camera frame: x right, y down, z forward. Pixel `(i, j)` covers `[i, i+1) × [j, j+1)`; its
-//! centre is `(i + 0.5, j + 0.5)`. A point `p` of the camera frame lands at
-//! `focal_px * p.xy / p.z + center_px` (COLMAP's `PINHOLE`).
+//! World frame: any right-handed metric frame (the drone scenes use east, north, up). Camera frame: x right, y
+//! down, z forward. Pixel `(i, j)` covers `[i, i+1) × [j, j+1)`; its centre is `(i + 0.5, j + 0.5)`. A point `p`
+//! of the camera frame is projected to `focal_px * p.xy / p.z + center_px` (COLMAP's `PINHOLE`).
 
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use serde::{Deserialize, Serialize};
@@ -18,7 +17,7 @@ pub struct Pose {
 }
 
 impl Pose {
-    /// The camera centre in the world frame: `-Rᵀ t`.
+    /// The camera centre in the world frame: `-Rᵀ t`, where `R` is the rotation and `t` the translation.
     pub fn center(&self) -> DVec3 {
         -(self.rotation.inverse() * self.translation)
     }
@@ -33,8 +32,8 @@ impl Pose {
         self.rotation.inverse() * DVec3::Z
     }
 
-    /// The pose of a camera at `eye` that looks at `target`, in world coordinates. `up` points up in
-    /// its picture and must not be parallel to the line of sight.
+    /// The pose of a camera at the world position `eye` that looks at the world position `target`. The world
+    /// direction `up` appears upright in the picture; it must not be parallel to the line of sight.
     pub fn look_at(eye: DVec3, target: DVec3, up: DVec3) -> Self {
         let z = (target - eye).normalize();
         let x = z.cross(up).normalize();
@@ -44,7 +43,7 @@ impl Pose {
     }
 }
 
-/// A pinhole camera with an off-centre principal point.
+/// A pinhole camera. Its principal point need not be the centre of the picture.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Camera {
     /// Maps world points into this camera's frame.
@@ -69,7 +68,7 @@ impl Camera {
         ((p_px - self.center_px) / self.focal_px).extend(1.0)
     }
 
-    /// The world point that a pixel position shows at a depth along the optical axis, world units; the inverse of
+    /// The world point at a pixel position and at a depth along the optical axis (world units); the inverse of
     /// [`Self::project`].
     pub fn unproject(&self, p_px: DVec2, depth: f64) -> DVec3 {
         let pose = &self.cam_from_world;
@@ -99,15 +98,14 @@ impl Camera {
         Self { focal_px: self.focal_px * ratio, center_px: self.center_px * ratio, size_px, ..*self }
     }
 
-    /// This camera's picture size, shrunk by [`fitted_size`] if its long side exceeds `long_side_px`
-    /// (at least 1).
+    /// This camera's picture size, shrunk by [`fitted_size`] if its long side exceeds `long_side_px`.
     pub fn fitted_size(&self, long_side_px: u32) -> [u32; 2] {
         fitted_size(self.size_px, long_side_px)
     }
 }
 
-/// Shrinks `size_px` so that its long side is at most `long_side_px`, with the short side rounded to
-/// the nearest pixel. Never enlarges a side, and never returns 0.
+/// Shrinks `size_px`, keeping its aspect ratio, so that the long side is at most `long_side_px`. The short side
+/// is rounded to the nearest pixel. Never enlarges a side, and never returns a side of 0.
 pub fn fitted_size(size_px: [u32; 2], long_side_px: u32) -> [u32; 2] {
     let long = size_px[0].max(size_px[1]);
     if long <= long_side_px {
@@ -120,8 +118,8 @@ pub fn fitted_size(size_px: [u32; 2], long_side_px: u32) -> [u32; 2] {
     [fit(size_px[0]), fit(size_px[1])]
 }
 
-/// The size of a scene as 3DGS defines it, in world units: 1.1 times the largest distance of a camera
-/// from the mean of all cameras; 0 for fewer than two cameras.
+/// The size of a scene as 3DGS defines it, in world units: 1.1 times the largest distance of a camera centre from
+/// the mean of all camera centres; 0 for fewer than two cameras.
 pub fn extent<'a>(cameras: impl Iterator<Item = &'a Camera> + Clone) -> f64 {
     let centers = cameras.map(|camera| camera.cam_from_world.center());
     let mean = centers.clone().sum::<DVec3>() / centers.clone().count().max(1) as f64;

@@ -19,7 +19,7 @@ use crate::{Dataset, SceneError};
 use model::Undistortion;
 pub use write::write;
 
-/// The folder below `root` that holds a model, if there is one.
+/// The folder that holds a model: `root` or a folder below it; `None` if there is no model.
 pub(crate) fn find_model(root: &Path) -> Option<PathBuf> {
     let candidates = [root.join("sparse").join("0"), root.join("sparse"), root.join("0"), root.to_owned()];
     candidates.into_iter().find(|folder| is_binary(folder) || folder.join("cameras.txt").is_file())
@@ -29,14 +29,15 @@ fn is_binary(model: &Path) -> bool {
     model.join("cameras.bin").is_file()
 }
 
-/// Folders that may hold the pictures of the model in the folder `model`, likeliest first.
+/// Folders that may hold the pictures of the model in the folder `model`, likeliest first. `root` is the folder
+/// that the caller opens.
 fn picture_folders(root: &Path, model: &Path) -> Vec<PathBuf> {
     let above = model.ancestors().skip(1).take(2).map(|above| above.join("images"));
     std::iter::once(root.join("images")).chain(above).collect()
 }
 
-/// Reads the model in the folder `model`. Views keep the file's order. Their paths are where their
-/// pictures should be; the pictures may be missing.
+/// Reads the model in the folder `model`, found below `root`. Views keep the file's order. Each view gets the path
+/// at which its picture should be; the pictures may be missing.
 pub(crate) fn read(root: &Path, model: &Path) -> Result<Dataset, SceneError> {
     let folders = picture_folders(root, model);
     let likely = folders.iter().find(|folder| folder.is_dir()).unwrap_or(&folders[0]);
@@ -55,7 +56,7 @@ pub(crate) fn read(root: &Path, model: &Path) -> Result<Dataset, SceneError> {
     Ok(dataset)
 }
 
-/// A file and its length.
+/// Opens a file; returns it with its length in bytes.
 fn open_file(path: &Path) -> io::Result<(BufReader<File>, u64)> {
     let file = File::open(path)?;
     let bytes = file.metadata()?.len();
@@ -65,13 +66,14 @@ fn open_file(path: &Path) -> io::Result<(BufReader<File>, u64)> {
 /// The two forms of a model's files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Form {
-    /// `*.bin`
+    /// Binary files, `*.bin`.
     Binary,
-    /// `*.txt`
+    /// Text files, `*.txt`.
     Text,
 }
 
-/// Parses a model in memory: the contents of `cameras`, `images` and `points3D`. The paths of its views are empty.
+/// Parses a model from memory. `files` are the contents of `cameras`, `images` and `points3D`, in this order. The
+/// paths of the views are empty.
 pub fn parse(form: Form, files: [&[u8]; 3]) -> Result<Dataset, SceneError> {
     let open = |path: &Path| {
         let stem = path.file_stem().unwrap_or_default();

@@ -1,9 +1,9 @@
 //! Colour pictures of depth, normals and errors, for people to look at.
 //!
-//! Depth uses a perceptual colour map of our own: a path through OKLCh on which lightness rises
-//! evenly from far (dark violet) through blue and green to near (bright yellow). Equal steps of
-//! depth look equal, and a greyscale copy keeps their order. The conversion from Oklab to linear
-//! sRGB is Ottosson's ("A perceptual color space for image processing", 2020).
+//! Depth and errors use a perceptual colour map of our own: a path through OKLCh on which lightness rises
+//! evenly from dark violet through blue and green to bright yellow. Near surfaces and large errors are
+//! bright. Equal steps of depth look equally large, and a greyscale copy keeps their order. The conversion
+//! from Oklab to linear sRGB is Ottosson's ("A perceptual color space for image processing", 2020).
 
 use std::sync::OnceLock;
 
@@ -13,21 +13,23 @@ use crate::Picture;
 
 /// Colour of pixels that show no surface.
 const EMPTY: [u8; 3] = [24, 24, 27];
-/// Lightness in Oklab at the far and the near end.
+/// Lightness in Oklab at the dark (far) and the bright (near) end of the map.
 const LIGHTNESS: [f32; 2] = [0.22, 0.94];
-/// Hue in degrees at the far and the near end: violet to yellow.
+/// Hue in degrees at the dark (far) and the bright (near) end of the map: violet and yellow.
 const HUE_DEG: [f32; 2] = [300.0, 95.0];
-/// Chroma at 0, ¼, ½, ¾ and 1 of the map: the largest round numbers that stay inside sRGB.
+/// Chroma at 0, ¼, ½, ¾ and 1 of the map: the largest round numbers for which all colours of the map are
+/// inside sRGB.
 const CHROMA: [f32; 5] = [0.11, 0.09, 0.09, 0.15, 0.09];
 /// Share of the surface pixels that [`depth_range`] leaves out at each end.
 const OUTLIERS: f64 = 0.02;
-/// Linear colour of a fully lit clay surface.
+/// Colour of a fully lit clay surface, linear sRGB.
 const CLAY: [f32; 3] = [0.86, 0.83, 0.79];
-/// Share of the light that is ambient.
+/// Share of the clay surface's light that comes from all sides.
 const AMBIENT: f32 = 0.08;
 
-/// Colours depths, `[h, w]` in metres along z, 0 or not finite where there is no surface. `range_m`
-/// is the depth of the brightest and of the darkest colour; see [`depth_range`].
+/// Draws depths with the colour map. `depth` is `[h, w]` in metres along z, 0 or not finite where there is
+/// no surface. `range_m` is the depth of the brightest colour, then that of the darkest; see
+/// [`depth_range`].
 pub fn depth_picture(depth: &[f32], size_px: [u32; 2], range_m: [f32; 2]) -> Picture {
     let [near, far] = range_m;
     let span = (far - near).max(f32::MIN_POSITIVE);
@@ -51,16 +53,17 @@ pub fn depth_range(depth: &[f32]) -> [f32; 2] {
     [at(OUTLIERS), at(1.0 - OUTLIERS)]
 }
 
-/// Colours errors, `[h, w]`, at least 0, NaN where there is nothing to compare: an error of 0 is dark, an
-/// error of `bright` (above 0) or more is brightest.
+/// Draws errors with the colour map. `errors` is `[h, w]`, each at least 0, or NaN where there is nothing
+/// to compare. An error of 0 is darkest; an error of `bright` (above 0) or more is brightest.
 pub fn error_picture(errors: &[f32], size_px: [u32; 2], bright: f32) -> Picture {
     let color = |&error: &f32| if error.is_nan() { EMPTY } else { ramp(error / bright) };
     let rgb = errors.iter().flat_map(color);
     Picture::new(size_px, rgb.collect())
 }
 
-/// Colours normals, `[h, w, xyz]` in the camera frame (x right, y down, z forward), of any length, zero
-/// where there is no surface, as a normal map: red points right, green up, blue towards the camera.
+/// Draws normals as a normal map: red shows how far a normal points right, green how far up, and blue how
+/// far towards the camera. `normals` is `[h, w, xyz]` in the camera frame (x right, y down, z forward), of
+/// any length, zero where there is no surface.
 pub fn normal_picture(normals: &[f32], size_px: [u32; 2]) -> Picture {
     let (normals, _) = normals.as_chunks::<3>();
     let rgb = normals.iter().flat_map(|&[x, y, z]| {
@@ -71,8 +74,8 @@ pub fn normal_picture(normals: &[f32], size_px: [u32; 2]) -> Picture {
     Picture::new(size_px, rgb.collect())
 }
 
-/// Shades unit normals, `[h, w]` in the camera frame, zero where there is no surface, as light clay under a
-/// lamp to the upper left of the camera.
+/// Draws a surface as light clay under a lamp to the upper left of the camera. `normals` is `[h, w]`, of
+/// unit length, in the camera frame, zero where there is no surface.
 pub fn clay_picture(normals: &[[f32; 3]], size_px: [u32; 2]) -> Picture {
     let lamp = Vec3::new(-0.5, -0.6, -0.62).normalize();
     let rgb = normals.iter().flat_map(|&normal| {
@@ -91,13 +94,13 @@ fn is_surface(depth_m: f32) -> bool {
     depth_m.is_finite() && depth_m > 0.0
 }
 
-/// The 256 colours of the map, from far to near.
+/// The 256 colours of the map, from dark (far) to bright (near).
 fn palette() -> &'static [[u8; 3]; 256] {
     static PALETTE: OnceLock<[[u8; 3]; 256]> = OnceLock::new();
     PALETTE.get_or_init(|| std::array::from_fn(|i| color(i as f32 / 255.0).map(byte_from_linear)))
 }
 
-/// Linear sRGB of the map at `t` in 0..=1.
+/// The colour of the map at `t`, 0 to 1, in linear sRGB.
 fn color(t: f32) -> [f32; 3] {
     let mix = |[from, to]: [f32; 2], t: f32| from + (to - from) * t;
     let knot = ((t * 4.0) as usize).min(3);
@@ -128,7 +131,7 @@ fn byte_from_linear(v: f32) -> u8 {
 mod tests {
     use super::*;
 
-    /// Rec. 709 luma of encoded bytes: the brightness of a greyscale copy.
+    /// Rec. 709 luma of sRGB bytes: the brightness in a greyscale copy.
     fn luma([r, g, b]: [u8; 3]) -> f32 {
         0.2126 * f32::from(r) + 0.7152 * f32::from(g) + 0.0722 * f32::from(b)
     }

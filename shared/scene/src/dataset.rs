@@ -1,4 +1,4 @@
-//! Datasets: pictures with poses and a sparse cloud, from any supported source.
+//! Datasets: pictures with poses and a sparse point cloud, from any supported source.
 
 use std::path::PathBuf;
 
@@ -10,9 +10,10 @@ use crate::camera::extent;
 /// A photograph with its camera.
 #[derive(Clone, Debug, PartialEq)]
 pub struct View {
-    /// File name as the dataset gives it, unique in the dataset; views are sorted by it.
+    /// Name of the picture in the dataset's files, often a relative path. Names are unique in a
+    /// dataset, and views are sorted by name.
     pub name: String,
-    /// The camera, for the picture's own size on disk.
+    /// The camera. Its intrinsics are for the picture's size on disk.
     pub camera: Camera,
     /// The picture's file.
     pub path: PathBuf,
@@ -30,18 +31,19 @@ pub struct SparsePoint {
     pub views: Vec<u32>,
 }
 
-/// Views sorted by name, and the sparse cloud.
+/// Views sorted by name, and the sparse point cloud.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Dataset {
-    /// Sorted by name, names unique.
+    /// The views, sorted by name; names are unique.
     pub views: Vec<View>,
-    /// May be empty.
+    /// The sparse point cloud; may be empty.
     pub points: Vec<SparsePoint>,
 }
 
 impl Dataset {
-    /// The split that 3DGS evaluates on: view `i`, sorted by name, is held out if `i % every == 0`; an
-    /// `every` of 0 holds out none. Returns the indices of training views and of held-out views.
+    /// Splits the views as 3DGS does for its evaluation. View `i`, counted in the order of names, is
+    /// held out if `i % every == 0`; an `every` of 0 holds out none. Returns the indices of training
+    /// views and of held-out views.
     pub fn split(&self, every: u32) -> (Vec<usize>, Vec<usize>) {
         (0..self.views.len()).partition(|i| every == 0 || i % every as usize != 0)
     }
@@ -52,8 +54,8 @@ impl Dataset {
     }
 
     /// The dataset of the chosen views (indices in any order, repeats ignored) and of the points that
-    /// they see. A point without a track is seen by the pictures that it projects into. The tracks of
-    /// the new dataset name only chosen views.
+    /// they see. A point without a track counts as seen if it projects into a chosen picture. The
+    /// tracks of the new dataset name only chosen views.
     pub fn subset(&self, views: &[usize]) -> Self {
         let mut chosen = views.to_vec();
         chosen.sort_unstable();

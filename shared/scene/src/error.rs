@@ -1,4 +1,5 @@
-//! Errors of reading and writing files. Each is one line that names the file and the remedy.
+//! Errors of reading and writing files. Each message is one line: the file if the error concerns
+//! one, the fault, and a remedy where one is known.
 
 use std::fmt;
 use std::io;
@@ -8,43 +9,44 @@ use crate::bytes::format_bytes;
 
 /// An error of reading or writing a scene.
 ///
-/// `Display` gives the complete message in one line; there is no `source`.
+/// `Display` gives the complete message in one line. `source()` is always `None`.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum SceneError {
-    /// The operating system could not read or write the file.
+    /// Reading or writing the file or folder failed.
     #[error("{}: {}", path.display(), InWords(cause))]
     Io {
         /// The file or folder.
         path: PathBuf,
-        /// The operating system's error.
+        /// The underlying error, usually the operating system's.
         cause: io::Error,
     },
-    /// The file's content violates its format, or the format cannot hold what was to be written.
+    /// The content of a file or folder is invalid, or a file format cannot hold what should be
+    /// written.
     #[error("{}: {reason}", path.display())]
     Malformed {
-        /// The file.
+        /// The file or folder.
         path: PathBuf,
-        /// The fault and its remedy, one line.
+        /// One line: the fault, and a remedy where one is known.
         reason: String,
     },
     /// A memory budget is too small for the pictures.
     #[error("the pictures need {}, but their memory budget is {}; raise the budget or use smaller pictures", format_bytes(*needed_bytes), format_bytes(*budget_bytes))]
     OverBudget {
-        /// The least budget that suffices.
+        /// Smallest budget that suffices, bytes.
         needed_bytes: u64,
-        /// The given budget.
+        /// The given budget, bytes.
         budget_bytes: u64,
     },
 }
 
 impl SceneError {
-    /// An operating system's error about `path`.
+    /// The error for `cause`, which happened while `path` was read or written.
     pub fn io(path: &Path, cause: io::Error) -> Self {
         Self::Io { path: path.to_owned(), cause }
     }
 
-    /// An error in the content of `path`; `reason` is one line that also gives the remedy.
+    /// The error for invalid content of `path`. `reason` is one line that also gives the remedy.
     pub fn malformed(path: &Path, reason: impl Into<String>) -> Self {
         Self::Malformed { path: path.to_owned(), reason: reason.into() }
     }
@@ -55,12 +57,12 @@ impl SceneError {
 pub(crate) enum Refusal {
     /// The operating system failed, or the file ends too early.
     Io(io::Error),
-    /// The content is invalid; one line.
+    /// The content is invalid, for the reason given in one line.
     Content(String),
 }
 
 impl Refusal {
-    /// The error with the path of the file.
+    /// Adds the path of the file to the error.
     pub(crate) fn of(self, path: &Path) -> SceneError {
         match self {
             Self::Io(cause) => SceneError::io(path, cause),
@@ -68,7 +70,8 @@ impl Refusal {
         }
     }
 
-    /// Prepends the place in the file where the error occurred, for example `row 3 of 8`.
+    /// Adds the place in the file where the error occurred, for example `row 3 of 8`. An I/O error
+    /// other than an early end of the file stays as it is.
     pub(crate) fn at(self, place: impl fmt::Display) -> Self {
         match self {
             Self::Io(cause) if cause.kind() == io::ErrorKind::UnexpectedEof => {
@@ -98,7 +101,7 @@ impl From<&str> for Refusal {
     }
 }
 
-/// Displays an operating system's error, with a remedy for the common kinds.
+/// Displays an I/O error. The common kinds get a plainer text than the operating system's.
 struct InWords<'a>(&'a io::Error);
 
 impl fmt::Display for InWords<'_> {

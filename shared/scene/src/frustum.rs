@@ -1,14 +1,14 @@
-//! Fast tests of which cameras see a point: the most frequent operation of a merge.
+//! Checks quickly which cameras see a point. Merging models does nothing more often than this.
 
 use glam::{DVec2, DVec3};
 
 use crate::camera::Camera;
 
-/// The volume that a camera sees, precomputed so that testing a point needs no division.
+/// The volume that a camera sees, prepared so that checking a point needs no division.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Frustum {
-    /// `rows[k] · p_world + offset[k]` is column × depth, row × depth and depth for k = 0, 1, 2, in
-    /// pixels and world units.
+    /// `rows[k] · p_world + offset[k]` is, for k = 0, 1 and 2: the pixel column times the depth, the pixel row times
+    /// the depth, and the depth. Columns and rows are in pixels, the depth is in world units.
     rows: [DVec3; 3],
     offset: DVec3,
     size_px: DVec2,
@@ -32,18 +32,18 @@ impl Frustum {
         }
     }
 
-    /// Whether a world point lies in front of the camera and inside its picture. Equals [`Camera::sees`] except for
-    /// rounding at the border of the picture.
+    /// Whether a world point lies in front of the camera and inside its picture. The result is that of
+    /// [`Camera::sees`], except for rounding at the border of the picture.
     pub fn contains(&self, p_world: DVec3) -> bool {
         let [x, y, z] = self.rows.map(|row| row.dot(p_world));
         let [x, y, z] = [x + self.offset.x, y + self.offset.y, z + self.offset.z];
-        // Behind the camera `size_px * z` is negative, so no `x >= 0` is below it.
+        // Behind the camera `size_px * z` is negative, so no `x >= 0` is less than it, and the result is false.
         x >= 0.0 && y >= 0.0 && x < self.size_px.x * z && y < self.size_px.y * z
     }
 }
 
-/// Tests whether any of several cameras sees a point. Neighbouring points are mostly seen by the same camera, so the
-/// camera that saw the last point is tried first.
+/// Checks whether any of several cameras sees a point. Neighbouring points are mostly seen by the same camera, so
+/// the camera that saw the previous point is tried first.
 #[derive(Clone, Debug)]
 pub struct Watchers<'a> {
     cameras: &'a [Camera],
@@ -52,7 +52,7 @@ pub struct Watchers<'a> {
 }
 
 impl<'a> Watchers<'a> {
-    /// Watchers over `cameras`.
+    /// Prepares the checks for `cameras`.
     pub fn new(cameras: &'a [Camera]) -> Self {
         Self { cameras, frusta: cameras.iter().map(Frustum::new).collect(), last: 0 }
     }
@@ -76,7 +76,7 @@ mod tests {
     use super::*;
     use crate::camera::Pose;
 
-    /// Six cameras on a ring, aimed near its centre.
+    /// Six cameras on a ring, which look at points near its centre.
     fn cameras() -> Vec<Camera> {
         let camera = |i: u32| {
             let angle = f64::from(i);

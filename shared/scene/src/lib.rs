@@ -2,9 +2,10 @@
 //!
 //! What it is: [`Splats`], [`Camera`], [`View`], [`Picture`], [`Dataset`], [`Mesh`], their files
 //! (COLMAP, `transforms.json`, PLY, SPZ, GLB, JPEG and PNG), picture quality ([`metrics`]), and exact
-//! depth of triangles ([`raycast`] over [`bvh`]).
+//! depth of triangle meshes ([`raycast`], which uses [`bvh`]).
 //!
-//! What it refuses to know: rendering of splats, training, wires, clocks, command lines.
+//! What it knows nothing about: the rendering of splats, training, communication, clocks and command
+//! lines.
 //!
 //! Where to start reading: [`camera`] for the coordinate frames and pixel conventions of the whole
 //! workspace, then [`splats`], then [`dataset`].

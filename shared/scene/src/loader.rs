@@ -1,4 +1,5 @@
-//! Opens datasets: recognises their layout, and checks that every picture exists and fits its camera.
+//! Opens datasets: recognises their layout, and checks that every picture exists and has the size of
+//! its camera.
 
 #[cfg(test)]
 mod tests;
@@ -7,14 +8,18 @@ use std::path::{Component, Path};
 
 use crate::{Camera, Dataset, Picture, SceneError, View, colmap, transforms};
 
-/// Reason of the error for a dataset without views.
+/// Reason in the error for a dataset without views.
 const NO_VIEWS: &str = "has no pictures with poses";
 
 impl Dataset {
-    /// Opens a COLMAP model (`path/sparse/0`, `path/sparse` or `path` itself, pictures in
-    /// `path/images` or beside the model) or a `transforms.json` (the file, or the folder that has
-    /// it). Reads the header of every picture, and rescales a camera whose picture has another size of
-    /// the same aspect ratio. Errors: pictures that are missing, empty or of another aspect ratio.
+    /// Opens a COLMAP model or a `transforms.json`. For a `transforms.json`, `path` is the file or its
+    /// folder. For a COLMAP model, `path` is the model's folder, or a folder with the model in
+    /// `sparse/0`, `sparse` or `0`. COLMAP's pictures are in `path/images`, in a folder `images`
+    /// beside the model's folder or one level further up, or in `path` itself.
+    ///
+    /// Reads the header of every picture. If a picture has another size than its camera but the same
+    /// aspect ratio, the camera is rescaled. Errors: pictures that are missing, empty or of another
+    /// aspect ratio.
     pub fn open(path: &Path) -> Result<Self, SceneError> {
         let mut dataset = read(path)?;
         if dataset.views.is_empty() {
@@ -36,7 +41,7 @@ impl Dataset {
     }
 
     /// The cameras of a dataset that [`Self::open`] understands, in the file's order. The pictures may
-    /// be missing.
+    /// be missing, unless a `transforms.json` does not give their sizes.
     pub fn cameras(path: &Path) -> Result<Vec<Camera>, SceneError> {
         let cameras: Vec<Camera> = read(path)?.views.iter().map(|view| view.camera).collect();
         if cameras.is_empty() {
@@ -66,8 +71,8 @@ fn read(path: &Path) -> Result<Dataset, SceneError> {
     Err(SceneError::malformed(path, reason))
 }
 
-/// The name without components that lead out of a folder, since files of results are named after it;
-/// `None` if it is empty or has control characters.
+/// Removes components such as `..` from a picture's name, so that a result file named after the
+/// picture stays inside its folder. `None` if nothing remains or the name has control characters.
 fn inner_name(name: &str) -> Option<String> {
     let parts = Path::new(name).components().filter_map(|component| match component {
         Component::Normal(part) => part.to_str(),
@@ -77,7 +82,7 @@ fn inner_name(name: &str) -> Option<String> {
     (!inner.is_empty() && !inner.contains(|c: char| c.is_control())).then_some(inner)
 }
 
-/// Sorts the views by name, and renumbers the tracks.
+/// Sorts the views by name, and renumbers the tracks of the points accordingly.
 fn sort(dataset: &mut Dataset) {
     let mut order: Vec<usize> = (0..dataset.views.len()).collect();
     order.sort_by(|&a, &b| dataset.views[a].name.cmp(&dataset.views[b].name));
@@ -108,7 +113,8 @@ fn fit_camera(view: &mut View) -> Result<(), SceneError> {
     let found = Picture::size_of(&view.path)?;
     let [width, height] = view.camera.size_px.map(f64::from);
     let ([w, h], [found_width, found_height]) = (found.map(f64::from), found);
-    // A tool that shrank the picture rounded one of its sides to whole pixels.
+    // The tool that resized the picture had to round one side to whole pixels, so one pixel of
+    // difference is allowed.
     let same_aspect = (w * height / width - h).abs() <= 1.0 || (h * width / height - w).abs() <= 1.0;
     if !same_aspect {
         let [width, height] = view.camera.size_px;

@@ -1,6 +1,6 @@
 //! Triangle meshes and clouds of surface points, and their files.
 //!
-//! What it refuses to know: how meshes are made, and how they are evaluated.
+//! What it knows nothing about: how meshes are made, and how they are evaluated.
 
 mod data;
 mod glb;
@@ -14,16 +14,17 @@ use crate::SceneError;
 pub use data::Mesh;
 
 impl Mesh {
-    /// Reads a PLY, ascii or binary little-endian, with numbers of any type; skips other properties.
-    /// Larger faces become fans of triangles, which is correct for convex faces. A file without
-    /// faces gives a cloud of points. Positions become `f32`, so coordinates far from the origin
-    /// (UTM) lose precision. Errors: positions that are not finite, indices of missing vertices.
+    /// Reads a PLY, ascii or binary little-endian, with numbers of any type. Properties other than
+    /// positions, normals, colours and the corners of faces are skipped. A face with more than three
+    /// corners becomes a fan of triangles, which is correct if the face is convex. A file without faces
+    /// gives a cloud of points. Positions become `f32`, so coordinates far from the origin (UTM) lose
+    /// precision. Errors: positions that are not finite, indices of missing vertices.
     pub fn read(path: &Path) -> Result<Self, SceneError> {
         ply::read(path)
     }
 
-    /// Writes, atomically, in the format of the path's extension: `.ply` (binary little-endian) or
-    /// `.glb` (glTF 2.0, see [`Mesh::write_glb`]). Errors: any other extension.
+    /// Writes the mesh, atomically, in the format of the path's extension: `.ply` (binary
+    /// little-endian) or `.glb` (glTF 2.0, see [`Mesh::write_glb`]). Errors: any other extension.
     pub fn write(&self, path: &Path) -> Result<(), SceneError> {
         match path.extension().and_then(|extension| extension.to_str()) {
             Some("ply") => self.write_ply(path),
@@ -38,8 +39,9 @@ impl Mesh {
         ply::write(path, self)
     }
 
-    /// Writes a binary glTF 2.0, atomically. The world's z axis is taken as up, as in the drone scenes;
-    /// the node's rotation maps it to glTF's y. Errors: no triangles, or more than 4 GiB.
+    /// Writes a binary glTF 2.0 file, atomically. The world's z axis is taken as up, as in the drone
+    /// scenes; a rotation of the file's node maps it to the y axis, which is up in glTF. Errors: a mesh
+    /// without triangles, or a file of more than 4 GiB.
     pub fn write_glb(&self, path: &Path) -> Result<(), SceneError> {
         self.assert_whole();
         glb::write(path, self)

@@ -1,21 +1,24 @@
 //! Picture quality (PSNR, SSIM) as the original 3DGS code measures it on held-out views.
 
-/// Side of SSIM's window.
+/// Side of SSIM's square window, pixels.
 const WINDOW: usize = 11;
 
-/// Standard deviation of SSIM's window, pixels.
+/// Standard deviation of SSIM's Gaussian window, pixels.
 const SIGMA_PX: f64 = 1.5;
 
-/// SSIM's constants for values 0 to 1 (Wang et al. 2004): they keep its quotients defined where a picture is
-/// black or flat.
+/// SSIM's constant C1 for values 0 to 1 (Wang et al. 2004). It keeps the quotient of the means defined where
+/// both pictures are black.
 const C1: f64 = 0.01 * 0.01;
+/// SSIM's constant C2 for values 0 to 1. It keeps the quotient of covariance and variances defined where both
+/// pictures are flat.
 const C2: f64 = 0.03 * 0.03;
 
-/// SSIM needs the local means of `a`, `b`, `a²`, `b²` and `ab`.
+/// Number of maps that SSIM blurs to get local means: `a`, `b`, `a²`, `b²` and `ab`, for pictures `a` and
+/// `b`.
 const MAPS: usize = 5;
 
-/// Peak signal-to-noise ratio in dB of two pictures with values 0 to 1: `20 log10(1 / sqrt(mse))`
-/// over all values of all channels; infinite if the pictures are equal.
+/// Peak signal-to-noise ratio in dB of two pictures with values 0 to 1: `20 log10(1 / sqrt(mse))`, where
+/// `mse` is the mean squared difference over all values of all channels. Infinite if the pictures are equal.
 ///
 /// Panics if the lengths differ or are 0.
 pub fn psnr(a: &[f32], b: &[f32]) -> f64 {
@@ -26,9 +29,9 @@ pub fn psnr(a: &[f32], b: &[f32]) -> f64 {
     -10.0 * mse.log10()
 }
 
-/// Mean structural similarity of two pictures `[height, width, rgb]` with values 0 to 1; 1 if they
-/// are equal. Gaussian window of 11 × 11 pixels and σ 1.5 px, zeros beyond the border, C1 = 0.01²,
-/// C2 = 0.03²; the mean over all pixels and channels.
+/// Mean structural similarity of two pictures `[height, width, rgb]` with values 0 to 1; 1 if they are
+/// equal. The window is Gaussian, of 11 × 11 pixels and σ = 1.5 px, with zeros beyond the border; C1 = 0.01²
+/// and C2 = 0.03². The mean is over all pixels and channels.
 ///
 /// Panics if a length is 0 or not `3 · width · height`.
 pub fn ssim(a: &[f32], b: &[f32], size_px: [u32; 2]) -> f64 {
@@ -38,7 +41,7 @@ pub fn ssim(a: &[f32], b: &[f32], size_px: [u32; 2]) -> f64 {
     assert!(!a.is_empty(), "a picture must have pixels");
     let window = window();
     let mut blur = RowBlur::new(row);
-    // Ring of the latest rows, blurred along x. Rows outside the picture are zero.
+    // Ring buffer of the latest `WINDOW` rows, blurred along x. Rows outside the picture are zero.
     let mut ring = vec![vec![0.0; MAPS * row]; WINDOW];
     let mut blurred = vec![0.0; MAPS * row];
     let mut sum = 0.0;
@@ -68,7 +71,7 @@ fn window() -> [f64; WINDOW] {
     weights.map(|weight| weight / sum)
 }
 
-/// `out = Σ weights[k] · rows[k]`, accumulated row by row in loops that the compiler vectorises.
+/// `out = Σ weights[k] · rows[k]`, summed row by row in loops that the compiler vectorises.
 fn weighted_sum<'a>(weights: &[f64], rows: impl Iterator<Item = &'a [f64]>, out: &mut [f64]) {
     out.fill(0.0);
     for (weight, row) in weights.iter().zip(rows) {
@@ -76,10 +79,10 @@ fn weighted_sum<'a>(weights: &[f64], rows: impl Iterator<Item = &'a [f64]>, out:
     }
 }
 
-/// Blurs the five maps of a row along x. The channels stay interleaved: the neighbour of a value
-/// is three values away.
+/// Blurs the five maps of a row along x. The channels of a row stay interleaved, so the next pixel's value
+/// of the same channel is three values away.
 struct RowBlur {
-    /// A row with zeros for half a window on both sides.
+    /// A row of one map, with zeros for half a window on both sides.
     padded: Vec<f64>,
 }
 
@@ -101,7 +104,7 @@ impl RowBlur {
     }
 }
 
-/// Sum of the similarities along a row, from its blurred maps.
+/// Sum of SSIM over the values of one row, computed from the row's blurred maps.
 fn sum_of_row(blurred: &[f64], row: usize) -> f64 {
     let [a, b, aa, bb, ab] = std::array::from_fn(|map| &blurred[map * row..(map + 1) * row]);
     let at = |i: usize| {
@@ -118,7 +121,7 @@ mod tests {
 
     use super::*;
 
-    /// A pseudo-random value in 0 to 1 that depends only on `i`.
+    /// A pseudo-random value between 0 and 1 that depends only on `i`.
     fn noise(i: usize) -> f32 {
         let hashed = (i as u64 + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
         ((hashed ^ (hashed >> 29)).wrapping_mul(0xBF58_476D_1CE4_E5B9) >> 40) as f32 / (1 << 24) as f32
@@ -131,7 +134,7 @@ mod tests {
         (a, b)
     }
 
-    /// SSIM straight from its definition: for each pixel and channel a double loop over the window.
+    /// SSIM straight from its definition: a double loop over the window for each pixel and channel.
     fn ssim_direct(a: &[f32], b: &[f32], size_px: [u32; 2]) -> f64 {
         let [width, height] = size_px.map(i64::from);
         let weight = |dx: i64, dy: i64| (-((dx * dx + dy * dy) as f64) / 4.5).exp();

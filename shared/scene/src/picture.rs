@@ -15,32 +15,33 @@ pub use pixels::Picture;
 pub(crate) use pixels::bytes_of;
 
 impl Picture {
-    /// Decodes a JPEG or PNG file. Alpha is composited over black, 16 bits become 8, grey becomes
-    /// colour. Orientation tags are ignored, as in COLMAP, whose cameras describe the pixels as they are
-    /// stored. Errors: a file that is empty, cut short or damaged.
+    /// Decodes a JPEG or PNG file. Alpha is composited over black, channels of 16 bits are reduced to 8,
+    /// and grey becomes RGB. Orientation tags are ignored, as in COLMAP, whose cameras describe the
+    /// pixels as they are stored. Errors: a file that is empty, cut short or damaged.
     pub fn read(path: &Path) -> Result<Self, SceneError> {
         files::read(path)
     }
 
-    /// [`Self::read`], then [`Self::resized`] if the size differs.
+    /// Like [`Self::read`], then [`Self::resized`] if the picture's size is not `size_px`.
     pub fn read_fitted(path: &Path, size_px: [u32; 2]) -> Result<Self, SceneError> {
         let picture = Self::read(path)?;
         Ok(if picture.size_px == size_px { picture } else { picture.resized(size_px) })
     }
 
-    /// Width and height from the file's header, without decoding it.
+    /// Width and height from the file's header; the pixels are not decoded.
     pub fn size_of(path: &Path) -> Result<[u32; 2], SceneError> {
         Ok(PictureHeader::read(path)?.size_px)
     }
 
-    /// Bound on the bytes that [`Self::read_fitted`] allocates besides the picture that it returns.
-    /// Computed from the file's header.
+    /// Upper bound on the bytes that [`Self::read_fitted`] allocates besides the picture that it
+    /// returns. Computed from the file's header.
     pub fn scratch_bytes(path: &Path, size_px: [u32; 2]) -> Result<u64, SceneError> {
         Ok(PictureHeader::read(path)?.decode_bytes + resize::scratch_bytes(size_px))
     }
 
-    /// Resamples by exact area average: shrinks without aliasing, enlarges to blocks. Computed in
-    /// integers, so the bytes are the same on every machine.
+    /// Resamples the picture: each new pixel is the exact mean of the area that it covers. Shrinking
+    /// causes no aliasing; enlarging shows the old pixels as blocks. Computed in integers, so the bytes
+    /// are the same on every machine.
     pub fn resized(&self, size_px: [u32; 2]) -> Self {
         resize::area_average(self, size_px)
     }

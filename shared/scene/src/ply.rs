@@ -1,11 +1,11 @@
 //! Splats as PLY in the layout of the original 3DGS code, which viewers and other trainers open:
-//! `x y z nx ny nz f_dc_0..2 f_rest_0..K opacity scale_0..2 rot_0..3`, all 32-bit floats. `f_rest`
-//! goes channel by channel (all of red, then green, then blue). Scales are natural logarithms,
-//! opacity is the value before the logistic function, quaternions are wxyz.
+//! `x y z nx ny nz f_dc_0..2 f_rest_0..K opacity scale_0..2 rot_0..3`, all 32-bit floats. `f_rest` has
+//! all coefficients of red, then those of green, then those of blue. Scales are natural logarithms,
+//! opacities are logits, and quaternions are wxyz.
 //!
 //! Files are written as binary little-endian with normals of 0. The reader also accepts ascii, any
-//! order of the properties, other number types, extra properties and missing normals. Reading and
-//! writing go row by row, so they need no memory besides the splats.
+//! order of the properties, other number types, extra properties and missing normals. Files are read
+//! and written row by row, so the splats take nearly all of the memory.
 //!
 //! ```
 //! use cosurf_scene::{Splats, ply};
@@ -38,7 +38,7 @@ pub use points::read_points;
 use rows::read_vertices;
 pub(crate) use rows::{Rows, read_elements};
 
-/// Writes `splats` as a binary little-endian PLY, atomically: after an error an earlier file at
+/// Writes `splats` as a binary little-endian PLY, atomically: after an error, an earlier file at
 /// `path` is unchanged.
 pub fn write(path: &Path, splats: &Splats) -> Result<(), SceneError> {
     atomic::write(path, |out| {
@@ -57,7 +57,7 @@ fn header_of(splats: &Splats) -> String {
     text + "end_header\n"
 }
 
-/// The properties that follow the spherical harmonics.
+/// Names of the properties that follow the spherical harmonics.
 fn tail_names() -> impl Iterator<Item = String> {
     std::iter::once("opacity".into()).chain(numbered("scale", 3)).chain(numbered("rot", 4))
 }
@@ -83,8 +83,8 @@ fn write_row(out: &mut impl Write, splats: &Splats, i: usize) -> io::Result<()> 
 }
 
 /// Reads splats. Errors: a missing property, or a value that cannot be rendered
-/// ([`Splats::find_bad_value`]); the error names the vertex and the property. The number of vertices
-/// is checked against the file's length before anything is allocated.
+/// ([`Splats::find_bad_value`]). The error names the property, and for a value also the vertex. The
+/// number of vertices is checked against the file's length before anything is allocated.
 pub fn read(path: &Path) -> Result<Splats, SceneError> {
     read_vertices(path, |element, rows| {
         let columns = Columns::find(element)?;
@@ -94,14 +94,14 @@ pub fn read(path: &Path) -> Result<Splats, SceneError> {
     })
 }
 
-/// The columns of a row that hold the numbers of a splat.
+/// For each number of a splat, the index of its column in a row of the file.
 struct Columns {
     sh_degree: u32,
     mean: [usize; 3],
     quat: [usize; 4],
     log_scale: [usize; 3],
     opacity: usize,
-    /// `[(sh_degree + 1)², rgb]`.
+    /// Columns of the spherical harmonics, `[(sh_degree + 1)², rgb]`.
     sh: Vec<usize>,
 }
 
@@ -160,7 +160,8 @@ fn read_rows(
     Ok(())
 }
 
-/// Refuses the last splat if it cannot be rendered, and names the property.
+/// Checks the last splat, which was read from `row`. If it cannot be rendered, the error names the
+/// property.
 fn check_last(element: &Element, columns: &Columns, row: &[f64], splats: &Splats) -> Result<(), Refusal> {
     let last = splats.len() - 1;
     let Some(bad) = splats.find_bad_value_of(last) else { return Ok(()) };

@@ -1,6 +1,6 @@
 //! Ray casting of triangle meshes: the exact depth and normal at each pixel's centre.
 //!
-//! What it refuses to know: colours, and what the depth is compared with.
+//! What it knows nothing about: colours, and what the depth is compared with.
 
 use glam::{DMat3, DVec2, DVec3, Vec3};
 use rayon::prelude::*;
@@ -11,11 +11,11 @@ use crate::{Camera, Mesh};
 /// Largest number of triangles of a [`Caster`].
 pub const TRIANGLES_MAX: usize = crate::bvh::TRIANGLES_MAX;
 
-/// Depth and normals of a surface as a camera sees them. A hole in the surface shows what lies behind it; the
-/// synthetic city's true mesh has holes where fewer than three cameras look.
+/// Depth and normals of a surface as a camera sees them. Where the surface has a hole, they belong to the
+/// surface behind the hole. The true mesh of the synthetic city has holes where fewer than three cameras look.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Cast {
-    /// Width and height.
+    /// Width and height, pixels.
     pub size_px: [u32; 2],
     /// `[height, width]` depth along the optical axis, world units; 0 where there is no surface.
     pub depth: Vec<f32>,
@@ -31,21 +31,23 @@ pub struct Caster {
 }
 
 impl Caster {
-    /// Copies the triangles and builds a hierarchy over them. Panics above [`TRIANGLES_MAX`] triangles.
+    /// Copies the triangles and builds a bounding volume hierarchy over them. Panics if there are more than
+    /// [`TRIANGLES_MAX`] triangles.
     pub fn new(mesh: &Mesh) -> Self {
         let corners: Vec<[Vec3; 3]> = (0..mesh.triangles.len()).map(|i| mesh.corners(i)).collect();
         Self { bvh: Bvh::build(&corners), corners }
     }
 
-    /// Depth and normal at every pixel's centre; both sides of a triangle are surface. Runs in parallel; the
+    /// Depth and normal at every pixel's centre. Both sides of a triangle are visible. Runs in parallel; the
     /// result does not depend on the number of threads.
     pub fn cast(&self, camera: &Camera) -> Cast {
         let shooter = Shooter::new(camera);
         cast_pixels(camera.size_px, |p_px| self.intersect(&shooter, [p_px])[0].unwrap_or_default())
     }
 
-    /// Like [`Self::cast`], but each normal is the mean over the pixel's area (3 × 3 rays), as its colour is in
-    /// photographs and renderings. So detail smaller than a pixel does not count as an error.
+    /// Like [`Self::cast`], but each normal is the mean over the pixel's area (3 × 3 rays). A pixel of a
+    /// photograph or a rendering is such a mean too. So when normals are compared, detail smaller than a pixel
+    /// does not count as an error.
     pub fn cast_areas(&self, camera: &Camera) -> Cast {
         let shooter = Shooter::new(camera);
         cast_pixels(camera.size_px, |center_px| {
@@ -53,12 +55,13 @@ impl Caster {
             let hits =
                 self.intersect(&shooter, std::array::from_fn::<_, 9, _>(|i| center_px + thirds(i) / 3.0));
             let normal: Vec3 = hits.iter().flatten().map(|(_, normal)| Vec3::from(*normal)).sum();
-            // Ray 4 of the nine goes through the centre.
+            // Ray 4 of the nine goes through the centre and gives the depth.
             hits[4].map_or_else(Default::default, |(depth, _)| (depth, normal.normalize_or_zero().into()))
         })
     }
 
-    /// Depth and normal where the rays through pixel positions first meet the surface.
+    /// For each pixel position: depth and normal where its ray first meets the surface, or `None` if it meets
+    /// no surface.
     fn intersect<const N: usize>(
         &self,
         shooter: &Shooter,
@@ -82,7 +85,7 @@ fn cast_pixels(size_px: [u32; 2], cast: impl Fn(DVec2) -> (f32, [f32; 3]) + Sync
     Cast { size_px, depth, normals }
 }
 
-/// A camera prepared for generating rays.
+/// A camera, prepared for generating viewing rays.
 #[derive(Clone, Copy, Debug)]
 pub struct Shooter {
     camera: Camera,
@@ -91,7 +94,7 @@ pub struct Shooter {
 }
 
 impl Shooter {
-    /// Rays of this camera.
+    /// Prepares the rays of `camera`.
     pub fn new(camera: &Camera) -> Self {
         Self {
             camera: *camera,
@@ -100,12 +103,14 @@ impl Shooter {
         }
     }
 
-    /// Half a pixel's width at depth 1.
+    /// Half of the width that a pixel covers at depth 1, world units. If pixels are not square, the shorter
+    /// side counts.
     pub fn half_pixel(&self) -> f32 {
         (0.5 / self.camera.focal_px.max_element()) as f32
     }
 
-    /// The ray through a pixel position; `t` is the depth along the optical axis.
+    /// The viewing ray through a pixel position. The ray's `t` is the depth along the optical axis, world
+    /// units.
     #[inline]
     pub fn ray(&self, p_px: DVec2) -> Ray {
         Ray {
@@ -116,8 +121,8 @@ impl Shooter {
         }
     }
 
-    /// Intersects the ray through a pixel position with a triangle's plane, in double precision. Returns the
-    /// depth, and the unit normal in the camera frame, facing the camera.
+    /// Intersects the ray through a pixel position with the plane of a triangle, in double precision. Returns
+    /// the depth, and the plane's unit normal in the camera frame, facing the camera.
     pub fn meet(&self, p_px: DVec2, corners: &[Vec3; 3]) -> (f32, [f32; 3]) {
         let [a, b, c] = corners.map(|p| p.as_dvec3());
         let normal = (b - a).cross(c - a).normalize();
@@ -137,7 +142,7 @@ mod tests {
     use super::*;
     use crate::Pose;
 
-    /// Two triangles in the plane `z = 2 + slope · x`, 200 wide.
+    /// Two triangles in the plane `z = 2 + slope · x`, which form a square of 200 world units in x and y.
     fn slanted(slope: f32) -> Mesh {
         let corner = |x: f32, y: f32| [x, y, 2.0 + slope * x];
         Mesh {
@@ -166,11 +171,12 @@ mod tests {
     fn a_slanted_plane_has_the_depth_and_normal_of_its_equation() {
         let (camera, slope) = (from_above(), 0.3);
         let cast = Caster::new(&slanted(slope as f32)).cast(&camera);
-        // Looking down, the camera's x is the world's and its z the world's -z.
+        // The camera looks down: its x axis is the world's x, and its z axis is the world's -z.
         let normal = DVec3::new(-slope, 0.0, -1.0).normalize();
         for (i, (depth, got)) in cast.depth.iter().zip(&cast.normals).enumerate() {
             let ray = camera.ray(DVec2::new((i % 32) as f64 + 0.5, (i / 32) as f64 + 0.5));
-            // 30 - z = 2 + slope (3 + x z)
+            // The camera is at x = 3 and z = 30. At depth d, a ray has the height 30 - d and x = 3 + ray.x d.
+            // It meets the plane where 30 - d = 2 + slope x.
             let expected = (28.0 - slope * 3.0) / (1.0 + slope * ray.x);
             assert!((f64::from(*depth) - expected).abs() < 1e-5 * expected, "{i}: {depth} is not {expected}");
             assert!(Vec3::from(*got).as_dvec3().distance(normal) < 1e-6, "{i}: {got:?} is not {normal}");
@@ -179,7 +185,8 @@ mod tests {
 
     /// Three facets per pixel along x, alternately rising and falling.
     fn ridged() -> Mesh {
-        // A pixel covers 28 / 40 = 0.7 world units of the ground.
+        // The surface is 28 below the camera and the focal length is 40 px, so a pixel covers 28 / 40 = 0.7
+        // world units in x.
         let ridge = |k: u32| (3.0 + (f64::from(k) / 3.0 - 16.3) * 0.7) as f32;
         let corner = |k: u32, y: f32| [ridge(k), y, if k.is_multiple_of(2) { 2.0 } else { 2.07 }];
         Mesh {
@@ -196,7 +203,7 @@ mod tests {
         assert_eq!(centers.depth, areas.depth);
         let slope = |normal: &[f32; 3]| f64::from(normal[0] / normal[2]);
         for (i, (center, area)) in centers.normals.iter().zip(&areas.normals).enumerate() {
-            // The two outer facets of a pixel have one slope, the middle facet has the other.
+            // The two outer facets of a pixel have the same slope, the middle facet has the opposite slope.
             let side = if i % 2 == 0 { 0.3 } else { -0.3 };
             assert!((slope(center) + side).abs() < 1e-3, "{i}: {center:?}");
             assert!((slope(area) - side / 3.0).abs() < 1e-3, "{i}: {area:?}");

@@ -1,21 +1,25 @@
-//! Splats: flat or round 3D Gaussians as a structure of arrays, in the stored (pre-activation) form
-//! that training, files and the wire format share.
+//! Splats: 3D Gaussians, flat or round, as a structure of arrays. Opacities are stored as logits
+//! and scales as logarithms, the form in which they are trained and written to files.
 
-/// Constant of the zeroth spherical harmonic, `1 / (2 √π)`: `rgb = 0.5 + SH_C0 * sh[0]`.
+/// Value of the spherical harmonic of degree 0, `1 / (2 √π)`. Without higher harmonics, a splat has
+/// the colour `rgb = 0.5 + SH_C0 * sh[0]`.
 pub const SH_C0: f32 = 0.282_094_8;
 
-/// Quaternions whose squared length is below this cannot be normalised with any precision.
+/// Smallest accepted squared length of a quaternion. A shorter quaternion counts as zero, which
+/// cannot be normalised.
 const QUAT_NORM2_MIN: f32 = 1e-12;
 
-/// Exclusive bound on the absolute value of a log scale: the squared scale must be a finite `f32`.
+/// Bound (exclusive) on the absolute value of a log scale. Within it, the squared scale is a normal
+/// `f32` number: neither infinite nor rounded to 0.
 const LOG_SCALE_MAX: f32 = 40.0;
 
-/// Spherical-harmonic coefficients per colour channel at `degree`: 1, 4, 9 or 16.
+/// Number of spherical-harmonic coefficients per colour channel: 1, 4, 9 or 16 for a `degree` of 0,
+/// 1, 2 or 3.
 pub const fn sh_coefficients(degree: u32) -> usize {
     ((degree + 1) * (degree + 1)) as usize
 }
 
-/// A set of `n` Gaussians. Every array has `n` entries, in the same order.
+/// A set of `n` Gaussians. Every array holds one property of all Gaussians, in the same order.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Splats {
     /// Centres in world units, `[n]` of xyz.
@@ -24,7 +28,7 @@ pub struct Splats {
     pub quats: Vec<[f32; 4]>,
     /// Natural logarithms of the standard deviations along the splat's own axes, `[n]` of 3.
     pub log_scales: Vec<[f32; 3]>,
-    /// Opacity before the logistic function, `[n]`.
+    /// Opacities as logits, `[n]`: the opacity is `1 / (1 + exp(-logit))`.
     pub opacity_logits: Vec<f32>,
     /// Spherical harmonics, `[n, (sh_degree + 1)², rgb]`, flattened in that order.
     pub sh: Vec<f32>,
@@ -56,7 +60,7 @@ impl Splats {
         self.means.is_empty()
     }
 
-    /// Floats of `sh` per splat: `3 (sh_degree + 1)²`.
+    /// Number of floats in `sh` per splat: `3 (sh_degree + 1)²`.
     pub fn sh_stride(&self) -> usize {
         3 * sh_coefficients(self.sh_degree)
     }
@@ -108,13 +112,14 @@ impl Splats {
         self.sh.extend_from_slice(&other.sh);
     }
 
-    /// The first value that cannot be rendered, or `None`. Every number must be finite, every
-    /// quaternion longer than 1e-6, and every log scale between -40 and 40.
+    /// Finds the first value that cannot be rendered. Every number must be finite. Every quaternion
+    /// must have a length of at least 1e-6 and a finite squared length. Every log scale must lie
+    /// between -40 and 40.
     pub fn find_bad_value(&self) -> Option<BadValue> {
         (0..self.len()).find_map(|splat| self.find_bad_value_of(splat))
     }
 
-    /// [`Self::find_bad_value`] for one splat.
+    /// Like [`Self::find_bad_value`], for one splat.
     pub fn find_bad_value_of(&self, splat: usize) -> Option<BadValue> {
         let finite = |values: &[f32]| values.iter().all(|v| v.is_finite());
         let norm2: f32 = self.quats[splat].iter().map(|v| v * v).sum();
@@ -134,6 +139,6 @@ impl Splats {
 pub struct BadValue {
     /// Index of the splat.
     pub splat: usize,
-    /// Name of the field, as in [`Splats`].
+    /// Name of the field in [`Splats`], in the singular, for example `log_scale`.
     pub field: &'static str,
 }

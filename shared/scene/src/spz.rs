@@ -1,12 +1,13 @@
-//! Splats as SPZ (github.com/nianticlabs/spz), ten times smaller than PLY, for viewers and other tools: a gzip
-//! stream of a 16-byte header, then all positions, opacities, colours, scales, rotations and spherical
+//! Splats as SPZ (github.com/nianticlabs/spz), for viewers and other tools; ten times smaller than PLY. A file is a
+//! gzip stream of a 16-byte header, then all positions, opacities, colours, scales, rotations and spherical
 //! harmonics.
 //!
-//! Version 3 is written, versions 2 and 3 are read. SPZ's axes are right, up, back; those of the 3DGS PLY are
-//! right, down, forward. So y and z change sign, as in other converters, and viewers show the SPZ like the PLY.
+//! Version 3 is written; versions 2 and 3 are read. SPZ's axes are right, up, back; those of the 3DGS PLY are right,
+//! down, forward. So y and z change sign when a file is written or read, as in other converters. Viewers then show
+//! the SPZ like the PLY.
 //!
-//! The format is lossy: use it for viewing models, not for keeping them. Its steps are 0.24 mm for coordinates
-//! below 2 km, 6 % for scales, 0.1° for rotations (version 2: 1°), and 4 to 5 bits for spherical harmonics.
+//! The format is lossy: use it for viewing models, not for keeping them. Its steps are 0.24 mm for coordinates below
+//! 2 km, 6 % for scales, and 0.1° for rotations (1° in version 2). Spherical harmonics have 4 or 5 bits.
 //!
 //! ```
 //! use cosurf_scene::{Splats, spz};
@@ -42,25 +43,26 @@ use crate::{SceneError, Splats, atomic};
 const MAGIC: [u8; 4] = *b"NGSP";
 const VERSION: u32 = 3;
 const HEADER_BYTES: usize = 16;
-/// Most fractional bits of a coordinate.
+/// Largest number of fractional bits of a coordinate; far coordinates get fewer.
 const FRACTION_BITS: u8 = 12;
 /// Bits of a coordinate, which is a signed fixed-point number.
 const COORDINATE_BITS: u8 = 24;
-/// A colour byte is `255 · (0.5 + COLOR_SCALE · sh[0])`. Its range exceeds that of visible colours, as higher
-/// harmonics may bring a colour back into view.
+/// A colour byte is `255 · (0.5 + COLOR_SCALE · sh[0])`. This also covers colours that cannot be displayed, because
+/// higher harmonics may bring such a colour back into the displayable range.
 const COLOR_SCALE: f32 = 0.15;
-/// Bits of the harmonics of degree 1, and of higher degrees.
+/// Number of bits of a coefficient: first for the harmonics of degree 1, then for those of higher degrees.
 const SH_BITS: [u32; 2] = [5, 4];
-/// Largest accepted ratio of unpacked to packed bytes.
+/// Largest accepted ratio of uncompressed to compressed bytes; a file that claims more is refused as forged.
 const RATIO_MAX: u64 = 32;
-/// Factors between the harmonics in the two systems of axes: harmonics that are odd in y and z together change sign.
+/// Factors between the coefficients in SPZ's axes and in those of the 3DGS PLY, by harmonic. A harmonic changes sign
+/// if it is odd in y and z together.
 const SH_SIGNS: [f32; 16] =
     [1.0, -1.0, -1.0, 1.0, -1.0, 1.0, 1.0, -1.0, 1.0, -1.0, 1.0, -1.0, -1.0, 1.0, -1.0, 1.0];
-/// Factors between the coordinates xyz in the two systems of axes.
+/// Factors between the coordinates xyz in SPZ's axes and in those of the 3DGS PLY.
 const AXIS_SIGNS: [f32; 3] = [1.0, -1.0, -1.0];
 
-/// Writes `splats` as SPZ, atomically: after an error an earlier file at `path` is unchanged. Errors: a
-/// coordinate beyond ±8,388,607.
+/// Writes `splats` as SPZ, atomically: after an error, an earlier file at `path` is unchanged. Errors: a coordinate
+/// beyond ±8,388,607.
 pub fn write(path: &Path, splats: &Splats) -> Result<(), SceneError> {
     let fraction_bits = fraction_bits(splats).ok_or_else(|| {
         SceneError::malformed(path, "SPZ cannot hold coordinates beyond 8,388,607; write a PLY instead")
@@ -73,7 +75,7 @@ pub fn write(path: &Path, splats: &Splats) -> Result<(), SceneError> {
     })
 }
 
-/// The most fractional bits with which every coordinate fits; `None` if a coordinate is too large.
+/// The largest number of fractional bits with which every coordinate fits; `None` if a coordinate is too large.
 fn fraction_bits(splats: &Splats) -> Option<u8> {
     let farthest = splats.means.iter().flatten().fold(0.0f32, |far, v| far.max(v.abs()));
     let most = ((1u32 << (COORDINATE_BITS - 1)) - 1) as f32;
@@ -113,15 +115,15 @@ fn body(splats: &Splats, fraction_bits: u8) -> Vec<u8> {
     body
 }
 
-/// Rounds a harmonic to the nearest of `2^bits` levels.
+/// Rounds the coefficient of a harmonic to the nearest of `2^bits` levels.
 fn pack_sh(value: f32, bits: u32) -> u8 {
     let part = 1 << (8 - bits);
     let rounded = (value * 128.0).round() as i32 + 128;
     ((rounded + part / 2).div_euclid(part) * part).clamp(0, 255) as u8
 }
 
-/// Packs a quaternion from the highest bit down: the index of the largest component (two bits), then sign and
-/// nine bits of each other component in the order xyzw.
+/// Packs a quaternion into 32 bits. From the highest bit down: the index of the largest component (two bits); then,
+/// for each other component in the order xyzw, a sign bit and nine bits of magnitude.
 fn pack_quat([w, x, y, z]: [f32; 4]) -> [u8; 4] {
     let length = (w * w + x * x + y * y + z * z).sqrt();
     let q = [x, y * AXIS_SIGNS[1], z * AXIS_SIGNS[2], w].map(|v| v / length);
@@ -135,8 +137,8 @@ fn pack_quat([w, x, y, z]: [f32; 4]) -> [u8; 4] {
     bits.to_le_bytes()
 }
 
-/// Reads splats. All values can be rendered ([`Splats::find_bad_value`]), whatever the file's bytes. The number
-/// of splats is checked against the file's length before anything is allocated.
+/// Reads splats. Whatever the bytes of the file are, the values can be rendered ([`Splats::find_bad_value`]). The
+/// number of splats is checked against the file's length before anything is allocated.
 pub fn read(path: &Path) -> Result<Splats, SceneError> {
     let size = fs::metadata(path).map_err(|cause| SceneError::io(path, cause))?.len();
     let file = File::open(path).map_err(|cause| SceneError::io(path, cause))?;
@@ -202,7 +204,8 @@ impl Header {
         Ok(Self { quat_bytes, splats: number(8) as usize, sh_degree, fraction_bits })
     }
 
-    /// Bytes per splat of positions, opacities, colours, scales, rotations and spherical harmonics.
+    /// Bytes per splat of the parts of the body: positions, opacities, colours, scales, rotations and spherical
+    /// harmonics.
     fn parts(&self) -> [usize; 6] {
         [9, 1, 3, 3, self.quat_bytes, 3 * (sh_coefficients(self.sh_degree) - 1)]
     }
@@ -226,7 +229,7 @@ impl Header {
             let position = of(positions, i);
             let mean = std::array::from_fn(|k| {
                 let [a, b, c] = [0, 1, 2].map(|byte| position[3 * k + byte]);
-                // The arithmetic shift extends the sign of the highest of the three bytes.
+                // The arithmetic shift extends the sign, which is in the highest of the three bytes.
                 (i32::from_le_bytes([0, a, b, c]) >> 8) as f32 / unit * AXIS_SIGNS[k]
             });
             let opacity = (f32::from(of(opacities, i)[0]) / 255.0).clamp(1.0 / 255.0, 254.0 / 255.0);
@@ -246,8 +249,8 @@ impl Header {
     }
 }
 
-/// Unpacks a quaternion of version 3 (four bytes) or 2 (a byte each for x, y and z; w is positive), as wxyz in
-/// the axes of 3DGS.
+/// Unpacks a quaternion of version 3 (four bytes) or version 2 (a byte each for x, y and z, with a positive w).
+/// Returns wxyz in the axes of the 3DGS PLY.
 fn unpack_quat(bytes: &[u8]) -> [f32; 4] {
     let mut q = [0.0f32; 4];
     let dropped = match *bytes {

@@ -1,8 +1,8 @@
-//! `transforms.json` of nerfstudio and instant-ngp: a pose per frame, and intrinsics for all frames or
-//! for each.
+//! Reads the `transforms.json` of nerfstudio and instant-ngp. The file has a pose for each frame
+//! (picture), and intrinsics for all frames together or for single frames.
 //!
-//! The file's poses are `world_from_cam` with OpenGL's camera axes (x right, y up, z backward); ours
-//! are `cam_from_world` with y down and z forward. The world frame is that of the file.
+//! The file's poses are `world_from_cam` with OpenGL's camera axes (x right, y up, z backward). A
+//! [`Pose`] is `cam_from_world` with y down and z forward. The world frame stays that of the file.
 
 use std::fs::File;
 use std::io::BufReader;
@@ -14,13 +14,15 @@ use serde::Deserialize;
 use crate::error::Refusal;
 use crate::{Camera, Dataset, Picture, Pose, SceneError, View, ply};
 
-/// A longer file is refused: 10,000 frames take about 10 MB.
+/// Longest accepted file, bytes; 10,000 frames take about 10 MB.
 const FILE_BYTES_MAX: u64 = 1 << 28;
 
-/// How far the axes of a pose may be from unit length and right angles.
+/// How far the axes of a pose may deviate from unit length and right angles: the largest accepted
+/// entry of `RᵀR - I`, where `R` is the rotation.
 const ROTATION_TOLERANCE: f64 = 1e-3;
 
-/// Extensions to try for frames without one, as instant-ngp writes them.
+/// Extensions to append if `file_path` names no file: the files of instant-ngp leave the extension
+/// out.
 const EXTENSIONS: [&str; 5] = ["png", "jpg", "jpeg", "JPG", "PNG"];
 
 #[derive(Deserialize)]
@@ -28,7 +30,8 @@ struct Transforms {
     #[serde(flatten)]
     shared: Intrinsics,
     frames: Vec<Frame>,
-    /// Sparse cloud, in the frame of the poses.
+    /// PLY file of the sparse cloud, in the world frame of the poses. The path is relative to the
+    /// folder of the `transforms.json`.
     ply_file_path: Option<PathBuf>,
 }
 
@@ -40,7 +43,8 @@ struct Frame {
     own: Intrinsics,
 }
 
-/// Intrinsics, for all frames or for one.
+/// Intrinsics for all frames or for one frame, under the names in the file. Sizes, focal lengths and
+/// centres are in pixels.
 #[derive(Clone, Deserialize)]
 struct Intrinsics {
     camera_model: Option<String>,
@@ -51,9 +55,11 @@ struct Intrinsics {
     fl_y: Option<f64>,
     cx: Option<f64>,
     cy: Option<f64>,
-    /// Fields of view, radians.
+    /// Horizontal field of view, radians.
     camera_angle_x: Option<f64>,
+    /// Vertical field of view, radians.
     camera_angle_y: Option<f64>,
+    // Coefficients of lens distortion; all must be 0.
     k1: Option<f64>,
     k2: Option<f64>,
     k3: Option<f64>,
@@ -97,7 +103,7 @@ fn view_of(folder: &Path, shared: &Intrinsics, frame: &Frame) -> Result<View, Re
     Ok(View { name: frame.file_path.clone(), camera, path })
 }
 
-/// The picture's path, with an extension added if only that file exists.
+/// The path of a frame's picture. If that file does not exist, tries each of [`EXTENSIONS`].
 fn picture_path(folder: &Path, file_path: &str) -> PathBuf {
     let path = folder.join(file_path);
     if path.is_file() {
@@ -107,14 +113,15 @@ fn picture_path(folder: &Path, file_path: &str) -> PathBuf {
     EXTENSIONS.iter().map(with).find(|path| path.is_file()).unwrap_or(path)
 }
 
-/// The pose from the rows of `world_from_cam` with OpenGL's axes.
+/// Converts the rows of `world_from_cam`, with OpenGL's camera axes, to a pose.
 fn pose(rows: &[[f64; 4]]) -> Result<Pose, Refusal> {
     let (first, last) = rows.split_at(rows.len().min(3));
     let &[x, y, z] = first else { return Err("transform_matrix has fewer than 3 rows".into()) };
     if !matches!(last, [] | [[0.0, 0.0, 0.0, 1.0]]) {
         return Err("transform_matrix does not end with the row 0 0 0 1".into());
     }
-    // Columns: the camera's axes and its centre, in the world.
+    // The columns of the matrix are the camera's axes and its centre, in world coordinates. The y and
+    // z axes are reversed.
     let column = |i: usize| DVec3::new(x[i], y[i], z[i]);
     let world_from_cam = DMat3::from_cols(column(0), -column(1), -column(2));
     let residual = world_from_cam.transpose() * world_from_cam - DMat3::IDENTITY;
@@ -155,7 +162,8 @@ impl Intrinsics {
     fn refuse_distortion(&self) -> Result<(), Refusal> {
         const REMEDY: &str = "undistort the pictures first: run `colmap image_undistorter` on the COLMAP model that this file was made from, and open its output";
         let model = self.camera_model.as_deref().unwrap_or("PINHOLE");
-        // OPENCV without coefficients is a pinhole; nerfstudio writes it for all its cameras.
+        // An OPENCV camera without distortion is a pinhole camera. nerfstudio writes its pinhole
+        // cameras as OPENCV.
         if self.is_fisheye == Some(true) || !matches!(model, "PINHOLE" | "SIMPLE_PINHOLE" | "OPENCV") {
             let model = if self.is_fisheye == Some(true) { "fisheye" } else { model };
             return Err(
@@ -192,7 +200,8 @@ impl Intrinsics {
         Ok(Camera { cam_from_world, focal_px, center_px, size_px })
     }
 
-    /// The size in the file, or else that of the picture.
+    /// The picture's size from `w` and `h`, or from the picture's own header if one of them is
+    /// missing.
     fn size_px(&self, picture: &Path) -> Result<[u32; 2], Refusal> {
         let (Some(w), Some(h)) = (self.w, self.h) else {
             return Picture::size_of(picture)

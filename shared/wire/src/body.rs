@@ -1,37 +1,48 @@
-//! The byte layout of a model: its splats and the cameras of its pictures, never the pictures. The values
-//! are quantised to integers, in independently decodable *packs*, most important first.
+//! The byte layout of a model (a *body*): its splats and the cameras of its pictures, never the pictures.
+//! The values are quantised to integers. The integers are grouped in *packs*, which can be decoded
+//! independently, most important first.
 //!
 //! All numbers are little-endian, without padding:
 //!
 //! | Part | Bytes | Content |
 //! |---|---|---|
-//! | head | 44 | `b"CSGB"`, layout version 3, `sh_degree`, `packs: u16`, `splats: u32`, `cameras: u32`, bounds min xyz and max xyz `f32`, CRC-32 of these 40 bytes and the table |
-//! | table | 12 each | kind, layer, `splats: u16`, `bytes: u32`, CRC-32 of the pack; see [`PackEntry`] |
+//! | head | 44 | [`BodyHead`], in the fields below |
+//! | table | 12 each | one [`PackEntry`] for each pack: kind, layer, `splats: u16`, `bytes: u32`, CRC-32 |
 //! | packs | `bytes` each | in the order of the table |
 //!
-//! The cameras come first, then the basis of the spherical harmonics, then all other packs. Each shapes pack
-//! has one pack of spherical harmonics; within the first layer, and within the other layers, these are in the
-//! order of their shapes packs.
+//! The fields of the head are `b"CSGB"`, the layout version 3 (`u8`), `sh_degree: u8`, `packs: u16`,
+//! `splats: u32`, `cameras: u32`, and the bounds (min xyz and max xyz, `f32`). The CRC-32 of these 40 bytes
+//! and of the table ends the head.
 //!
-//! The first layer may be a *base*: splats changed so that they stand in for the whole model until the rest
-//! has arrived. Each base pack then has one changes pack, in the same order. A changes pack turns its base
-//! splats into their final form. It comes after the shapes packs of its region, which are shown only together
-//! with it.
+//! The splats are divided into *layers* of falling importance, and each layer into groups. Each group has
+//! one shapes pack and, if `sh_degree` is above 0, one pack of spherical harmonics.
 //!
-//! A pack is one [zstd](https://datatracker.ietf.org/doc/html/rfc8878) frame. It is stored uncompressed if
-//! zstd would save nothing or too much ([`RATIO_MAX`]). An incomplete body is usable: with the head and the
-//! table, every pack that has arrived can be unpacked.
+//! The cameras come first, then the basis of the spherical harmonics, then all other packs. The packs of
+//! spherical harmonics of the first layer have the same order as the shapes packs of that layer. The same
+//! holds for the packs of all other layers, taken together.
+//!
+//! The first layer may be a *base*: splats that are trained to stand in for the whole model until the rest
+//! has arrived. Each shapes pack of the base then has one changes pack, in the same order, which turns its
+//! base splats into their final form. The shapes packs of the other layers follow in regions, one region of
+//! space for each base pack. The changes pack comes after the shapes packs of its region. These are shown
+//! only once the changes pack has arrived too, since the base stands in for them until then.
+//!
+//! A pack is one [zstd](https://datatracker.ietf.org/doc/html/rfc8878) frame. A pack is stored uncompressed
+//! if zstd would not make it smaller, or would exceed the largest accepted ratio ([`RATIO_MAX`]). An
+//! incomplete body is usable: once the head and the table have arrived, each further pack can be unpacked
+//! on its own.
 //!
 //! | Pack | Bytes unpacked | Content |
 //! |---|---|---|
 //! | cameras | 96 each | [`CameraRecord`] |
 //! | shapes | 20 + 20 each | [`ShapeFrame`], then [`Shape`]s in planes of one byte per splat |
-//! | changes | 20 each | differences between [`Shape`]s, in the same planes |
-//! | basis | 6 + 4 m + 2 m² | [`basis`]: the principal directions of the model's spherical harmonics, m = 3 (sh_degree + 1)² - 3 |
-//! | spherical harmonics | [`ShLayout::splat_bytes`] each | integer steps along these directions, in planes |
+//! | changes | 20 each | differences between [`Shape`]s, in planes as above |
+//! | basis | 6 + 4 m + 2 m² | [`basis`] of the spherical harmonics, m = 3 (sh_degree + 1)² - 3 |
+//! | spherical harmonics | [`ShLayout::splat_bytes`] each | steps along the directions of the basis, in planes |
 //!
-//! This module converts between bytes and integers, and checks sizes. The constants here define the metres
-//! and colours that the integers stand for; `cosurf-link` quantises and dequantises the values.
+//! This module converts between bytes and integers, and checks sizes. Its constants, such as
+//! [`COLOR_STEP`], define which lengths and colours the integers stand for. The crate `cosurf-link`
+//! quantises and dequantises the values.
 
 pub mod basis;
 mod bounds;

@@ -1,16 +1,17 @@
-//! Consistent Overhead Byte Stuffing (Cheshire and Baker 1999): encodes bytes without zeros, at the cost of
-//! one byte in 254.
+//! Consistent Overhead Byte Stuffing (Cheshire and Baker 1999): encodes any bytes as bytes without zeros.
+//! The encoding is one byte longer, plus at most one byte for every 254 bytes.
 //!
-//! The crate `cobs` is not used: postcard depends on an old version, and thirty lines of code are less than
-//! a second version of the crate.
+//! The crate `cobs` is not used: postcard depends on an old version of it, and the few lines here are less
+//! code than a second version of the crate.
 
-/// Largest encoding of `len` bytes.
+/// Upper bound on the encoded size of `len` bytes.
 #[cfg(test)]
 const fn encoded_max(len: usize) -> usize {
     len + 1 + len / 254
 }
 
-/// Encodes `bytes` at the start of `out` and returns the encoded size; `None` if `out` is too small.
+/// Writes the encoding of `bytes` to the start of `out`, and returns its size in bytes. `None` if `out` is
+/// too small.
 pub(crate) fn encode(bytes: &[u8], out: &mut [u8]) -> Option<usize> {
     let (mut code_at, mut used) = (0, 1);
     for (i, &byte) in bytes.iter().enumerate() {
@@ -29,7 +30,8 @@ pub(crate) fn encode(bytes: &[u8], out: &mut [u8]) -> Option<usize> {
     (used <= out.len()).then_some(used)
 }
 
-/// Decodes in place and returns the decoded size; `None` if [`encode`] cannot have written the bytes.
+/// Decodes `bytes` in place, and returns the decoded size in bytes. `None` if `bytes` is not a valid
+/// encoding.
 pub(crate) fn decode_in_place(bytes: &mut [u8]) -> Option<usize> {
     let (mut read, mut written) = (0, 0);
     while read < bytes.len() {
@@ -77,7 +79,7 @@ mod tests {
         }
     }
 
-    /// The examples that descriptions of COBS usually give.
+    /// These examples are given in common descriptions of COBS.
     #[test]
     fn published_examples_encode_as_published() {
         let mut out = [0; 8];

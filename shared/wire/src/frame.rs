@@ -1,8 +1,9 @@
-//! Frames of a serial line. They carry messages over a radio that loses and damages bytes.
+//! Frames of a serial line. They carry messages over a radio, which may lose and damage bytes.
 //!
-//! A message is cut into *pieces* with consecutive numbers. Only the side that has the *floor* may send. When
-//! it has used its share of the line, it sends a *turn*: this acknowledges the pieces that have arrived, and
-//! passes the floor. The two sides therefore never send at the same time, as half-duplex radios require.
+//! A message is cut into *pieces* with consecutive numbers. Only the side that has the *floor* may send.
+//! When it has used its share of the line, it sends a *turn*. The turn acknowledges the pieces that have
+//! arrived, and gives the floor to the other side. The two sides therefore never send at the same time, as
+//! half-duplex radios require.
 //!
 //! | Frame | Bytes before the CRC |
 //! |---|---|
@@ -10,25 +11,27 @@
 //! | last piece of a message | 1, its number (varint), payload |
 //! | turn | 2, [`FRAME_VERSION`], [`Turn`] in postcard |
 //!
-//! The CRC-32 of these bytes follows, little-endian. Then all bytes are stuffed (COBS) and a zero ends the
-//! frame. A piece's CRC also covers the session numbers of both sides, which the piece does not contain:
-//! a piece from before a restart fails its CRC.
+//! The CRC-32 of these bytes follows, little-endian. Then all bytes are encoded without zeros (COBS), and a
+//! zero byte ends the frame. The CRC of a piece also covers the session numbers of both sides, which the
+//! piece does not contain. A piece from before a restart therefore fails its CRC.
 
 use heapless::Vec;
 use serde::{Deserialize, Serialize};
 
 use crate::cobs;
 
-/// Version of the frame format. Every turn contains it.
+/// Version of the frame format. Every turn contains this version.
 pub const FRAME_VERSION: u8 = 1;
-/// Largest payload of a piece. A frame then fits one packet of a SiK radio (at most 252 bytes).
+/// Largest payload of a piece, bytes. The frame of a piece then fits one packet of a SiK radio (at most 252
+/// bytes).
 pub const MAX_PIECE_BYTES: usize = 200;
-/// Maximum number of unacknowledged pieces in one direction, and of bits in [`Turn::received`]. It spans five
-/// turns of a radio, so a piece lost four times in a row does not yet hold back new pieces.
+/// Maximum number of unacknowledged pieces in one direction, and of bits in [`Turn::received`]. A radio at
+/// 57,600 baud sends this many pieces in about five of its turns. A piece that is lost four times in a row
+/// therefore does not hold back new pieces.
 pub const WINDOW_PIECES: u32 = 1400;
-/// Largest frame in bytes, with its final zero: that of a piece. A test checks it.
+/// Size in bytes of the largest frame, which is that of a piece, with the final zero. A test checks it.
 pub const MAX_FRAME_BYTES: usize = MAX_RAW_BYTES + 2;
-/// Largest frame before stuffing. Below 254, so stuffing adds one byte.
+/// Largest frame before stuffing (COBS), bytes. Below 254, so stuffing adds one byte.
 const MAX_RAW_BYTES: usize = 210;
 const CHECKSUM_BYTES: usize = 4;
 const RECEIVED_BYTES: usize = WINDOW_PIECES as usize / 8;
@@ -37,12 +40,12 @@ const PIECE: u8 = 0;
 const LAST_PIECE: u8 = 1;
 const TURN: u8 = 2;
 
-/// The session numbers of both sides, as one of them sees them.
+/// The session numbers of both sides, as one side knows them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Sessions {
-    /// Session of the sending side.
+    /// Session of the side that sends the frame.
     pub sender: u32,
-    /// Session of the receiving side; 0 while it is unknown.
+    /// Session of the side that receives the frame; 0 while the sender does not know it.
     pub receiver: u32,
 }
 
@@ -51,7 +54,7 @@ pub struct Sessions {
 pub enum Frame<'a> {
     /// Part of a message.
     Piece(Piece<'a>),
-    /// Acknowledges pieces and passes the floor.
+    /// Acknowledges pieces, and gives the floor (the right to send) to the other side.
     Turn(Turn),
 }
 
@@ -60,26 +63,28 @@ pub enum Frame<'a> {
 pub struct Piece<'a> {
     /// Number of the piece in the sender's session, from 0.
     pub number: u32,
-    /// Whether it is the last piece of its message.
+    /// Whether this is the last piece of the message.
     pub is_last: bool,
-    /// At most [`MAX_PIECE_BYTES`].
+    /// The piece's bytes of the message, at most [`MAX_PIECE_BYTES`].
     pub payload: &'a [u8],
 }
 
-/// Acknowledges pieces and passes the floor.
+/// Acknowledges pieces, and gives the floor (the right to send) to the other side.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Turn {
-    /// The sessions of both sides.
+    /// The sessions of both sides, as the sender knows them.
     pub sessions: Sessions,
-    /// Number of the turn, counting those of both sides. A repeated turn keeps its number.
+    /// Number of the turn. The turns of both sides are counted together. A repeated turn keeps its number.
     pub number: u32,
-    /// Number of copies of this turn that follow. The other side waits for the last before it sends.
+    /// Number of copies of this turn that follow. The other side waits for the time that the copies take
+    /// before it sends.
     pub copies_left: u8,
     /// Whether the sender has more to send when it gets the floor back.
     pub has_more: bool,
-    /// All pieces below this number have arrived.
+    /// The side that sends the turn has received all pieces below this number.
     pub next: u32,
-    /// Bitmap of the pieces from `next` on: a set bit means arrived. Pieces beyond it have not arrived.
+    /// Bitmap of the pieces from `next` on, lowest bit first: a set bit means that the piece has arrived.
+    /// Pieces beyond the bitmap have not arrived.
     pub received: Vec<u8, RECEIVED_BYTES>,
 }
 
@@ -105,7 +110,7 @@ impl core::fmt::Display for FrameError {
 impl core::error::Error for FrameError {}
 
 impl Turn {
-    /// Whether piece `number` has arrived.
+    /// Whether the side that sends the turn has received piece `number`.
     pub fn has(&self, number: u32) -> bool {
         let Some(offset) = number.checked_sub(self.next) else { return true };
         self.received.get(offset as usize / 8).is_some_and(|byte| byte >> (offset % 8) & 1 == 1)
@@ -113,8 +118,8 @@ impl Turn {
 }
 
 impl Frame<'_> {
-    /// Encodes the frame with its final zero at the start of `out`, and returns the bytes written. `sessions`
-    /// is this side's view.
+    /// Writes the encoded frame and the zero byte that ends it to `out`, from its start, and returns the
+    /// written bytes. `sessions` are the session numbers as this side, the sender, knows them.
     pub fn encode<'o>(&self, sessions: Sessions, out: &'o mut [u8; MAX_FRAME_BYTES]) -> &'o [u8] {
         let mut raw = [0; MAX_RAW_BYTES];
         let used = self.write(&mut raw);
@@ -154,7 +159,8 @@ impl Frame<'_> {
 }
 
 impl<'a> Frame<'a> {
-    /// Decodes a frame without its final zero, in place. `sessions` is the sender's view.
+    /// Decodes a frame in place. `bytes` is the frame without its final zero. `sessions` are the session
+    /// numbers as the sender of the frame knows them.
     pub fn decode(bytes: &'a mut [u8], sessions: Sessions) -> Result<Self, FrameError> {
         let used = cobs::decode_in_place(bytes).ok_or(FrameError::Damaged)?;
         let (content, found) = bytes[..used].split_last_chunk().ok_or(FrameError::Damaged)?;
@@ -191,7 +197,7 @@ fn checksum(salt: Sessions, content: &[u8]) -> u32 {
     hasher.finalize()
 }
 
-/// Splits a stream of bytes into frames. Drops byte sequences that are too long for a frame.
+/// Splits a stream of bytes into frames. Drops every sequence of bytes that is too long for a frame.
 #[derive(Debug)]
 pub struct FrameReader {
     bytes: [u8; MAX_FRAME_BYTES],
@@ -205,8 +211,8 @@ impl Default for FrameReader {
 }
 
 impl FrameReader {
-    /// Takes one byte. If it ends a frame, returns that frame without its final zero, for
-    /// [`Frame::decode`].
+    /// Takes the next byte of the stream. If the byte ends a frame, returns the frame without its final
+    /// zero, as [`Frame::decode`] needs it.
     pub fn push(&mut self, byte: u8) -> Option<&mut [u8]> {
         if byte != 0 {
             if let Some(place) = self.bytes.get_mut(self.used) {

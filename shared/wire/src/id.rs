@@ -1,5 +1,5 @@
-//! Names of sites, devices, tiles and models. They are valid by construction: topics, file names and log
-//! lines can contain them without escaping.
+//! Names of sites, devices, tiles and frames, and numbers of models. A name is checked when it is made, so
+//! topics, file names and log lines can contain it without escaping.
 
 use core::fmt;
 use core::hash::{Hash, Hasher};
@@ -20,7 +20,7 @@ pub enum IdError {
     TooLong,
     /// The text has a character outside `A-Z a-z 0-9 _ -`.
     BadCharacter(char),
-    /// The text is a word that topics reserve.
+    /// The text is `global`, which topics reserve for the aggregator's models.
     Reserved,
     /// The model number is not a decimal `u64` without sign or leading zeros.
     NotANumber,
@@ -73,7 +73,7 @@ impl Name {
     }
 
     fn as_str(&self) -> &str {
-        // ASCII by construction, so this cannot fail.
+        // All bytes are ASCII, so this cannot fail.
         core::str::from_utf8(&self.bytes[..usize::from(self.len)]).unwrap_or_default()
     }
 }
@@ -165,19 +165,19 @@ define_name!(TileId, [""; 0], "A part of a site that has its own global model.")
 define_name!(FrameId, [""; 0], "A world frame. Models in the same frame need no transform to be joined.");
 
 impl Default for FrameId {
-    /// `local`: all models of the site already share one frame.
+    /// The frame `local`, for a site that does not name its frame.
     fn default() -> Self {
         Self(Name::literal("local"))
     }
 }
 
 impl TileId {
-    /// The only tile of a site that is not divided.
+    /// The tile that covers a whole site, for sites that are not divided into tiles.
     pub const WHOLE: Self = Self(Name::literal("whole"));
 }
 
-/// The number of a model of one device, from a counter. The device never reuses a number for different
-/// bytes. For a global model it is the revision.
+/// The number of a model. Each device counts its own models, and never uses the same number for different
+/// bytes. The number of a global model is its revision.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct ModelId(pub u64);
 

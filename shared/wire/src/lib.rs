@@ -1,10 +1,10 @@
 //! The data that drones and ground exchange: messages, topics, and the byte layout of a model's body.
 //!
-//! This crate knows no transport, clock, file or renderer. It is `no_std` and allocates nothing. Its
-//! types bound every value, so the largest encoding of each message is a constant.
+//! What it knows nothing about: transports, clocks, files, rendering. The crate is `no_std` and allocates
+//! nothing. The size of every value is limited, so the largest encoding of each message is a constant.
 //!
-//! Where to start reading: [`message`] for the protocol, [`topic`] for the MQTT topics, [`body`] for the
-//! bytes of a model, [`frame`] for how messages cross a serial line.
+//! Where to start reading: [`message`] has the messages of the protocol, [`topic`] the MQTT topics,
+//! [`body`] the byte layout of a model, and [`frame`] the frames that carry messages over a serial line.
 //!
 //! # The protocol
 //!
@@ -14,22 +14,24 @@
 //!
 //! | Message | from → to | Topic under `gs/v1/{site}` | retained | meaning |
 //! |---|---|---|---|---|
-//! | [`ModelHeader`] | device → aggregator | `/{device}/up/{model}/m` | yes | a model is offered: its sizes, bounds, frame, BLAKE3 hash, signature |
-//! | [`Chunk`] | device → aggregator | `/{device}/up/{model}/c/{index}` | no | bytes `index * chunk_bytes ..` of the body |
+//! | [`ModelHeader`] | device → aggregator | `/{device}/up/{model}/m` | yes | offers a model |
+//! | [`Chunk`] | device → aggregator | `/{device}/up/{model}/c/{index}` | no | a chunk of the body |
 //! | [`Want`] | aggregator → device | `/{device}/dn/want` | no | the chunks that the receiver has and lacks |
-//! | [`Done`] | aggregator → device | `/{device}/dn/done` | no | the receiver has stored the body with this hash on disk |
-//! | [`Refused`] | aggregator → device | `/{device}/dn/refused` | no | the receiver refuses the model, with the reason |
+//! | [`Done`] | aggregator → device | `/{device}/dn/done` | no | the body with this hash is stored on disk |
+//! | [`Refused`] | aggregator → device | `/{device}/dn/refused` | no | the model is refused, with the reason |
 //! | [`ModelHeader`] | aggregator → devices | `/global/{tile}/m` | yes | the newest revision of the global model |
-//! | [`Chunk`] | aggregator → devices | `/global/{tile}/{model}/c/{index}` | no | bytes of that model, sent once for all devices |
-//! | [`Want`], [`Done`], [`Refused`] | device → aggregator | `/{device}/global/{want,done,refused}` | no | as above |
+//! | [`Chunk`] | aggregator → devices | `/global/{tile}/{model}/c/{index}` | no | a chunk of a global model |
+//! | [`Want`] | device → aggregator | `/{device}/global/want` | no | chunks of a global model that the device lacks |
+//! | [`Done`] | device → aggregator | `/{device}/global/done` | no | the device has stored a global model on disk |
+//! | [`Refused`] | device → aggregator | `/{device}/global/refused` | no | the device refuses a global model |
 //! | [`FlightCameras`] | device → devices | `/{device}/flight` | yes | the cameras of the device's flight |
-//! | [`State`] | device → all | `/{device}/state` | yes | start of a session, or its end (published as the MQTT last will) |
+//! | [`State`] | device → all | `/{device}/state` | yes | start or end of a session (MQTT last will) |
 //!
 //! A message is encoded as one byte of [`VERSION`], then
 //! [postcard](https://postcard.jamesmunns.com/wire-format) (the variant's index, then its fields in
-//! declaration order), then the CRC-32 (as in zip and Ethernet) of the bytes before it, little-endian.
-//! The version byte and the checksum stay in these places in all versions. A damaged message is dropped,
-//! as if it had been lost.
+//! declaration order), then the CRC-32 (as in zip and Ethernet) of the bytes before it, little-endian. All
+//! versions have the version byte first and the checksum last. A receiver drops a damaged message, as if it
+//! had been lost.
 #![no_std]
 #![forbid(unsafe_code)]
 

@@ -1,5 +1,5 @@
-//! The messages and their encoding. [`Message::decode`] checks what it returns: the sizes in a decoded
-//! [`ModelHeader`] agree with each other.
+//! The messages and their encoding. [`Message::decode`] returns only valid messages: for example, the sizes
+//! in a decoded [`ModelHeader`] agree with each other.
 
 use core::fmt;
 
@@ -13,20 +13,23 @@ use crate::missing::Missing;
 pub const VERSION: u8 = 2;
 /// Bytes of the CRC-32 at the end of every message.
 const CHECKSUM_BYTES: usize = 4;
-/// Largest payload of a chunk. All brokers accept 64 KiB; larger chunks gain little.
+/// Largest payload of a chunk, bytes. Common brokers accept messages of this size, and larger chunks would
+/// gain little.
 pub const MAX_CHUNK_BYTES: usize = 64 * 1024;
-/// Largest encoding of any message except [`Message::Chunk`] and [`Message::Flight`]: that of a
-/// [`ModelHeader`]. A test checks it.
+/// Size in bytes of the largest encoding of a [`ModelHeader`]. No other message is larger, except
+/// [`Message::Chunk`] and [`Message::Flight`]. A test checks it.
 pub const MAX_CONTROL_BYTES: usize = 300;
-/// Largest encoding of any message: that of a [`Chunk`]. A test checks it.
+/// Size in bytes of the largest encoding of a [`Chunk`]. No other message is larger. A test checks it.
 pub const MAX_MESSAGE_BYTES: usize = MAX_CHUNK_BYTES + 89;
 
-/// Largest number of cameras in a [`FlightCameras`]. Its message then still fits a serial line.
+/// Largest number of cameras in a [`FlightCameras`]. The message then has less than 16 KiB, the largest
+/// message that a device sends over a serial line.
 pub const FLIGHT_CAMERAS_MAX: usize = 160;
 
-/// Largest encoding of [`ModelHeader::statement`]. A test checks it.
+/// Upper bound on the size of a [`ModelHeader::statement`], bytes. A test checks it.
 pub const MAX_STATEMENT_BYTES: usize = 384;
-/// Prefix of every signed statement: a signature over other data is never valid for a model.
+/// Prefix of every [`ModelHeader::statement`], so that a signature of other data is never valid for a
+/// model.
 const STATEMENT: &str = "cosurf model";
 
 /// Any message of the protocol.
@@ -73,11 +76,11 @@ pub enum Message<'a> {
 pub struct ModelHeader {
     /// The device that made the model.
     pub device: DeviceId,
-    /// The model's number on that device.
+    /// Number of the model, counted by the device that made it.
     pub model: ModelId,
     /// Local, global or compressed.
     pub kind: ModelKind,
-    /// The world frame of its coordinates.
+    /// The world frame of the model's coordinates.
     pub frame: FrameId,
     /// The layout of the body.
     pub codec: BodyCodec,
@@ -89,11 +92,12 @@ pub struct ModelHeader {
     pub cameras: u32,
     /// Number of pictures that the model was trained on.
     pub views: u32,
-    /// Box that contains the means of all splats.
+    /// Box that contains the means (centres) of all splats.
     pub bounds: Bounds,
     /// Size of the whole body in bytes.
     pub body_bytes: u64,
-    /// Size of every chunk but the last in bytes, 1 to [`MAX_CHUNK_BYTES`]. The last chunk has the rest.
+    /// Size in bytes of every chunk except the last, 1 to [`MAX_CHUNK_BYTES`]. The last chunk has the
+    /// remaining bytes.
     pub chunk_bytes: u32,
     /// BLAKE3 hash of the whole body.
     pub blake3: BodyHash,
@@ -110,15 +114,15 @@ pub struct Signature {
     pub s: [u8; 32],
 }
 
-/// Which scene content a model contains.
+/// Who made a model, and which part of the scene it contains.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ModelKind {
-    /// All that one device observed.
+    /// Trained by a device: everything that the device observed.
     Local,
     /// Merged by an aggregator from several models.
     Global,
-    /// A local model pruned before upload: it lacks the overlap that other devices own, as computed from
-    /// their [`FlightCameras`]s.
+    /// A local model that was pruned before upload: it lacks the splats in overlaps that other devices own.
+    /// The device computes the owners from the cameras that all devices announce ([`FlightCameras`]).
     Compressed,
 }
 
@@ -150,11 +154,11 @@ impl fmt::Debug for BodyHash {
 pub struct Chunk<'a> {
     /// The device that made the model.
     pub device: DeviceId,
-    /// The model's number on that device.
+    /// Number of the model, counted by the device that made it.
     pub model: ModelId,
-    /// Index of the chunk, from 0.
+    /// Index of the chunk, from 0. The chunk starts at byte `index * chunk_bytes` of the body.
     pub index: u32,
-    /// The chunk's bytes of the body.
+    /// The bytes of the body that belong to this chunk.
     pub payload: &'a [u8],
 }
 
@@ -163,7 +167,7 @@ pub struct Chunk<'a> {
 pub struct Want {
     /// The device that made the model.
     pub device: DeviceId,
-    /// The model's number on that device.
+    /// Number of the model, counted by the device that made it.
     pub model: ModelId,
     /// No chunk has arrived for a while: the sender must treat the missing chunks as lost.
     pub idle: bool,
@@ -176,35 +180,36 @@ pub struct Want {
 pub struct Done {
     /// The device that made the model.
     pub device: DeviceId,
-    /// The model's number on that device.
+    /// Number of the model, counted by the device that made it.
     pub model: ModelId,
     /// Hash of the stored body.
     pub blake3: BodyHash,
 }
 
-/// Start or end of a device's session. The device registers the end with the broker as its last will when
-/// the session starts, so both carry the same session number.
+/// Start or end of a device's session. When the session starts, the device registers the end message as its
+/// last will, which the broker publishes when the connection breaks. Both messages have the same session
+/// number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct State {
-    /// The device that sends this.
+    /// The device that sends the message.
     pub device: DeviceId,
-    /// Number of the session; a device never reuses one. The end of a session is outdated if a newer
-    /// session has started.
+    /// Number of the session, higher than those of the device's earlier sessions. Receivers ignore the end
+    /// of a session if a newer session of the device has started.
     pub session: u64,
     /// `true` at the start of the session, `false` at its end.
     pub alive: bool,
 }
 
-/// The cameras of a device's flight. From them the other devices know what it observes, before they upload
-/// a model, and can leave the overlap to its owner.
+/// The cameras of a device's flight. They tell the other devices which places the device observes. Before
+/// an upload, each device can then drop the splats in overlaps that another device owns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FlightCameras<'a> {
-    /// The device that sends this.
+    /// The device that sends the message.
     pub device: DeviceId,
-    /// The world frame of its cameras.
+    /// The world frame of the cameras.
     pub frame: FrameId,
-    /// The cameras, [`CAMERA_BYTES`] each. A flight with more than [`FLIGHT_CAMERAS_MAX`] sends an even
-    /// selection of that many.
+    /// The encoded cameras, [`CAMERA_BYTES`] each. A device with more than [`FLIGHT_CAMERAS_MAX`] cameras
+    /// sends that many of them, evenly spaced in its list.
     pub cameras: &'a [u8],
 }
 
@@ -214,7 +219,7 @@ impl FlightCameras<'_> {
         self.cameras.as_chunks().0.iter().map(CameraRecord::decode)
     }
 
-    /// Whether it holds a whole number of valid cameras, and not too many.
+    /// Whether `cameras` holds a whole number of valid cameras, at most [`FLIGHT_CAMERAS_MAX`].
     fn is_sane(&self) -> bool {
         self.cameras.len() <= FLIGHT_CAMERAS_MAX * CAMERA_BYTES
             && self.cameras.len().is_multiple_of(CAMERA_BYTES)
@@ -227,9 +232,9 @@ impl FlightCameras<'_> {
 pub struct Refused {
     /// The device that made the model.
     pub device: DeviceId,
-    /// The model's number on that device.
+    /// Number of the model, counted by the device that made it.
     pub model: ModelId,
-    /// The reason.
+    /// Why the model is refused.
     pub reason: RefusalReason,
 }
 
@@ -240,30 +245,34 @@ pub enum RefusalReason {
     BadHeader,
     /// The body is larger than the receiver accepts.
     TooLarge,
-    /// The receiver has no room for another unfinished model: offer it again later.
+    /// The receiver has no room for another unfinished model. The sender should offer the model again
+    /// later.
     Busy,
     /// The body contradicts its header, or holds values that cannot be rendered.
     BadBody,
-    /// Another body is already stored under this device and number: offer it under a new number.
+    /// Another body is already stored under this device and number. The sender should offer the model under
+    /// a new number.
     NumberTaken,
-    /// The receiver could not write the model to disk: offer it again later.
+    /// The receiver could not write the model to disk. The sender should offer the model again later.
     StoreFailed,
-    /// An operator withdrew the device's models. The receiver accepts newer ones.
+    /// An operator withdrew the device's models. The receiver still accepts newer models of the device.
     Withdrawn,
-    /// The model is in another world frame.
+    /// The model's world frame is not that of the receiver.
     WrongFrame,
     /// The receiver's list of keys has no key of the device.
     UnknownDevice,
-    /// The signature is missing or invalid: another key made it, or the header has changed since.
+    /// The signature is missing or invalid: it was made with an unknown key, or the header has changed
+    /// since.
     BadSignature,
     /// The key that signed the model is revoked.
     Revoked,
-    /// The receiver has stored a model with a higher number from the device: this one is a replay.
+    /// The receiver has stored a model of the same device with a higher number, so this model is treated as
+    /// a replay.
     Replayed,
 }
 
 impl RefusalReason {
-    /// Whether a retry of the same offer may succeed.
+    /// Whether the same offer may succeed later.
     pub fn is_temporary(self) -> bool {
         matches!(self, Self::Busy | Self::StoreFailed)
     }
@@ -296,11 +305,11 @@ impl fmt::Display for RefusalReason {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum HeaderError {
-    /// The degree is above 3.
+    /// The degree of the spherical harmonics is above 3.
     ShDegree,
     /// The chunk size is 0, above [`MAX_CHUNK_BYTES`], or so small that a `u32` cannot count the chunks.
     ChunkBytes,
-    /// A body with these counts of splats and cameras cannot have `body_bytes` bytes.
+    /// A body with the header's numbers of splats and cameras cannot have `body_bytes` bytes.
     BodyBytes,
     /// The bounds are not finite, or a minimum is above its maximum.
     Bounds,
@@ -324,7 +333,7 @@ pub enum WireError {
     ChunkTooLong,
     /// The header contradicts itself.
     Header(HeaderError),
-    /// The flight has too many or invalid cameras.
+    /// The flight has too many cameras, or invalid cameras.
     BadFlight,
     /// The output buffer is too small.
     BufferTooSmall,
@@ -351,7 +360,7 @@ impl fmt::Display for WireError {
 impl core::error::Error for WireError {}
 
 impl ModelHeader {
-    /// Number of chunks of the body. 0 only if [`Self::check`] fails.
+    /// Number of chunks of the body. It is 0 only if [`Self::check`] fails.
     pub fn chunks(&self) -> u32 {
         if self.chunk_bytes == 0 {
             return 0;
@@ -365,14 +374,15 @@ impl ModelHeader {
         (index < self.chunks()).then(|| start..self.body_bytes.min(start + u64::from(self.chunk_bytes)))
     }
 
-    /// Bytes of the model when unpacked to `f32`: the memory that a receiver needs for it.
+    /// Memory that a receiver needs for the model, bytes, when its splats are unpacked to `f32`.
     pub fn unpacked_bytes(&self) -> u64 {
         let splat = 44 + 4 * (3 + sh_rest(self.sh_degree)) as u64;
         u64::from(self.splats) * splat + u64::from(self.cameras) * CAMERA_BYTES as u64
     }
 
-    /// The bytes that the device signs: the site and all fields except the signature and the chunk size,
-    /// which the link may change.
+    /// The bytes that the device signs: a prefix, the version, the site, and all fields except the
+    /// signature and the chunk size. The chunk size is not signed because the sender reduces it for links
+    /// that limit the size of messages.
     pub fn statement<'o>(&self, site: &SiteId, out: &'o mut [u8; MAX_STATEMENT_BYTES]) -> &'o [u8] {
         let signed = Self { chunk_bytes: 0, signature: None, ..*self };
         // Cannot fail: a test encodes the longest statement.
@@ -409,8 +419,9 @@ impl<'a> Message<'a> {
             }
     }
 
-    /// Encodes the message at the start of `out` and returns the bytes written. A buffer of
-    /// [`MAX_MESSAGE_BYTES`] always suffices; [`MAX_CONTROL_BYTES`] does for all but chunks and flights.
+    /// Writes the encoded message to the start of `out`, and returns the written bytes.
+    /// [`MAX_MESSAGE_BYTES`] are enough for every message; [`MAX_CONTROL_BYTES`] are enough for all except
+    /// chunks and flights.
     pub fn encode<'o>(&self, out: &'o mut [u8]) -> Result<&'o [u8], WireError> {
         let (version, rest) = out.split_first_mut().ok_or(WireError::BufferTooSmall)?;
         *version = VERSION;

@@ -3,13 +3,13 @@
 use heapless::Vec;
 use serde::{Deserialize, Serialize};
 
-/// Bytes of the bitmap. It covers 1024 chunks (64 MiB in chunks of 64 KiB): far more than a sender has in
-/// flight, and small compared with one chunk.
+/// Largest size of the bitmap in bytes. The bitmap then covers 1024 chunks (64 MiB in chunks of 64 KiB). A
+/// sender has far fewer chunks in flight, and one chunk is far larger than the bitmap.
 pub const MISSING_BITMAP_BYTES: usize = 128;
 
-/// The chunks that a receiver has and lacks. It has all chunks below `first`. In the bitmap, which starts
-/// at `first`, a set bit marks a missing chunk. All chunks from `rest_from` on are missing. Chunks between
-/// the end of the bitmap and `rest_from` are not described.
+/// The chunks that a receiver has and lacks. The receiver has all chunks below `first`, and lacks all
+/// chunks from `rest_from` on. The bitmap describes the chunks from `first` on: a set bit marks a missing
+/// chunk. If the bitmap ends before `rest_from`, it does not describe the chunks in between.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Missing {
     first: u32,
@@ -20,11 +20,11 @@ pub struct Missing {
 /// The state of one chunk according to a [`Missing`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ChunkStatus {
-    /// The receiver has it.
+    /// The receiver has the chunk.
     Received,
-    /// The receiver lacks it.
+    /// The receiver lacks the chunk.
     Missing,
-    /// The chunk is beyond the bitmap: the receiver may have it or not.
+    /// The chunk is beyond the bitmap: the receiver may have or lack it.
     Unknown,
 }
 
@@ -34,8 +34,8 @@ impl Missing {
         Self { first: 0, bitmap: Vec::new(), rest_from: 0 }
     }
 
-    /// Describes `count` chunks, of which those with `here(index)` have arrived. The bitmap starts at the
-    /// first missing chunk.
+    /// Describes `count` chunks. `here` tells whether the chunk with a given index has arrived. The bitmap
+    /// starts at the first missing chunk.
     pub fn of(count: u32, here: impl Fn(u32) -> bool) -> Self {
         let first = (0..count).find(|&i| !here(i)).unwrap_or(count);
         let rest_from = (first..count).rev().find(|&i| here(i)).map_or(first, |i| i + 1);
@@ -43,7 +43,7 @@ impl Missing {
         let mut bitmap = Vec::new();
         for start in (first..first + window).step_by(8) {
             let byte = (0..8).filter(|bit| start + bit < rest_from && !here(start + bit));
-            // The window is at most as long as the bitmap, so the push succeeds.
+            // `window` has at most as many bits as the bitmap, so the push succeeds.
             let _ = bitmap.push(byte.fold(0, |byte, bit| byte | 1 << bit));
         }
         Self { first, bitmap, rest_from }

@@ -1,45 +1,47 @@
-//! MQTT topics: formatting and parsing. The level after `gs/v1/{site}` is `global` for global models, the
-//! addressed device for the aggregator's replies, and otherwise the publishing device. A broker's access
-//! list can therefore restrict every device to its own branch: `gs/v1/{site}/%u/#`.
+//! Formats and parses MQTT topics. The level after `gs/v1/{site}` is `global` for global models, the
+//! receiving device for the aggregator's replies, and the publishing device for everything else. A broker's
+//! access list can therefore restrict each device to publishing in its own branch, `gs/v1/{site}/%u/#`
+//! (`%u` is the user name in Mosquitto's notation).
 
 use core::fmt::{self, Write};
 
 use crate::id::{DeviceId, IdError, ModelId, SiteId, TileId, parse_decimal};
 
-/// Maximum length of a topic in bytes. The longest is that of a global model's chunk.
+/// Maximum length of a topic in bytes. The longest topic is that of a chunk of a global model.
 pub const MAX_TOPIC_BYTES: usize = 176;
 
 /// A topic as text.
 pub type TopicString = heapless::String<MAX_TOPIC_BYTES>;
 
-/// The first two levels: the protocol's name and the version of the topic layout.
+/// The first two levels of every topic: the protocol's name and the version of the topic layout.
 const ROOT: &str = "gs/v1";
 
-/// A topic of the protocol: the kind of message, and the device or tile it concerns.
+/// A topic of the protocol, without the site: the kind of message, and the device or tile that the message
+/// is about.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Topic {
     /// Start and end of a device's sessions.
     State {
-        /// The device.
+        /// The device that sends the message.
         device: DeviceId,
     },
     /// The cameras of a device's flight.
     Flight {
-        /// The device.
+        /// The device that sends the message.
         device: DeviceId,
     },
     /// The header of a device's model.
     LocalHeader {
         /// The device that made the model.
         device: DeviceId,
-        /// The model's number on that device.
+        /// Number of the model, counted by the device that made it.
         model: ModelId,
     },
     /// A chunk of a device's model.
     LocalChunk {
         /// The device that made the model.
         device: DeviceId,
-        /// The model's number on that device.
+        /// Number of the model, counted by the device that made it.
         model: ModelId,
         /// Index of the chunk, from 0.
         index: u32,
@@ -53,12 +55,12 @@ pub enum Topic {
     },
     /// The header of the newest global model of a tile.
     GlobalHeader {
-        /// The tile.
+        /// The tile that the model covers.
         tile: TileId,
     },
     /// A chunk of a global model.
     GlobalChunk {
-        /// The tile.
+        /// The tile that the model covers.
         tile: TileId,
         /// The model's revision.
         model: ModelId,
@@ -108,9 +110,9 @@ impl Reply {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum TopicError {
-    /// The text has none of the layouts of [`Topic`].
+    /// The text does not have the form of any [`Topic`].
     Unknown,
-    /// A level is not a valid name or number.
+    /// A level of the topic is not a valid name or number.
     Id(IdError),
 }
 
@@ -132,15 +134,15 @@ impl From<IdError> for TopicError {
 }
 
 impl Topic {
-    /// Formats the topic for `site`.
+    /// Formats the topic as text, with the levels of the protocol and of `site` in front.
     pub fn to_text(&self, site: &SiteId) -> TopicString {
         let mut text = TopicString::new();
-        // Cannot fail: every level is bounded, and the longest topic has MAX_TOPIC_BYTES.
+        // Cannot fail: the length of every level is limited, and the longest topic has MAX_TOPIC_BYTES.
         let _ = write!(text, "{ROOT}/{site}/{self}");
         text
     }
 
-    /// Parses a topic into its site and the rest.
+    /// Parses the text of a topic, and returns the site and the topic.
     pub fn parse(text: &str) -> Result<(SiteId, Self), TopicError> {
         let rest = text.strip_prefix(ROOT).and_then(|rest| rest.strip_prefix('/'));
         let (site, rest) = rest.and_then(|rest| rest.split_once('/')).ok_or(TopicError::Unknown)?;
@@ -177,12 +179,12 @@ impl Topic {
         Ok((site, topic))
     }
 
-    /// The subscriptions of an aggregator of `site`.
+    /// The topic filters that an aggregator of `site` subscribes to.
     pub fn aggregator_filters(site: &SiteId) -> [TopicString; 4] {
         ["+/state", "+/up/+/m", "+/up/+/c/+", "+/global/+"].map(|tail| filter(site, tail))
     }
 
-    /// The subscriptions of `device`.
+    /// The topic filters that `device` subscribes to.
     pub fn device_filters(site: &SiteId, device: &DeviceId) -> [TopicString; 3] {
         let mut own = filter(site, device.as_str());
         let _ = own.push_str("/dn/+");

@@ -1,4 +1,5 @@
-//! The exact bytes of every message and every part of a body. A change to any of them needs a new version.
+//! The exact bytes of every message, and of the parts of a body: head, table, shapes, changes and spherical
+//! harmonics. If any of these bytes change, the version must change too.
 #![allow(clippy::unwrap_used)]
 
 use cosurf_wire::body::{
@@ -68,7 +69,7 @@ fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// Version, variant, fields in declaration order, CRC-32.
+/// A message is encoded as version, index of the variant, fields in declaration order, CRC-32.
 #[test]
 fn messages_have_these_bytes() {
     let (device, model) = (DeviceId::new("d-1").unwrap(), ModelId(300));
@@ -123,7 +124,8 @@ fn messages_have_these_bytes() {
     }
 }
 
-/// The order of the variants is part of the wire format.
+/// A reason is encoded as the index of its variant, so the order of the variants is part of the wire
+/// format.
 #[test]
 fn reasons_have_these_numbers() {
     use RefusalReason::*;
@@ -189,7 +191,7 @@ fn the_largest_messages_have_the_documented_sizes() {
     assert!(largest.statement(&site, &mut statement).len() > 200, "the longest statement fits");
 }
 
-/// The signature covers all fields except the chunk size and the signature itself.
+/// The signature covers the site and all fields except the chunk size and the signature itself.
 #[test]
 fn every_field_is_part_of_the_statement() {
     let site = SiteId::new("s").unwrap();
@@ -338,7 +340,8 @@ fn changes_have_these_planes_and_turn_one_shape_into_the_other() {
     assert_eq!(read_changes(&planes).collect::<Vec<_>>(), [change, Shape::default()]);
 }
 
-/// The groups of a body with these packs: kind, layer and number of splats of each.
+/// Builds the head and the table of a body with these packs (kind, layer, number of splats), and returns
+/// the packs of each group of splats.
 fn plan_of(packs: &[(PackKind, u8, u16)]) -> Result<Vec<SplatPacks>, BodyError> {
     let mut body = vec![0; HEAD_BYTES + packs.len() * PACK_ENTRY_BYTES];
     for ((kind, layer, splats), out) in packs.iter().zip(body[HEAD_BYTES..].as_chunks_mut().0) {
@@ -396,11 +399,11 @@ fn each_base_pack_has_changes_and_the_other_packs_require_those_of_their_region(
     );
     type Spoil = fn(&mut Vec<(PackKind, u8, u16)>);
     let wrong: [Spoil; 5] = [
-        |packs| _ = packs.remove(4),               // changes are missing for one pack
-        |packs| packs[4].2 = 4,                    // changes of another number of splats
-        |packs| packs[4].1 = 1,                    // changes of another layer
-        |packs| (packs[5].1, packs[6].1) = (1, 0), // spherical harmonics in another order
-        |packs| packs.swap(0, 1),                  // shapes before the basis
+        |packs| _ = packs.remove(4),               // a base pack without a changes pack
+        |packs| packs[4].2 = 4,                    // a changes pack with too few splats
+        |packs| packs[4].1 = 1,                    // a changes pack in another layer
+        |packs| (packs[5].1, packs[6].1) = (1, 0), // spherical harmonics in the wrong order
+        |packs| packs.swap(0, 1),                  // a shapes pack before the basis
     ];
     for (i, spoil) in wrong.iter().enumerate() {
         let mut packs = right.to_vec();

@@ -1,16 +1,17 @@
-//! No import circle between the modules of a crate.
+//! Checks that the modules of a crate do not depend on each other in a circle.
 //!
-//! **The rule.** A module *uses* another if its code names something that the other defines, in a `use` declaration or in
-//! a path. Re-exports are looked through: what counts is where a name is defined. A module that re-exports names of its
-//! own descendants does not use them by that alone, so `pub use child::Thing;` in a parent is free.
+//! **The rule.** A module *uses* another module if its code names an item that the other module defines, in a `use`
+//! declaration or in a path. If the name is re-exported, the module that defines the item counts, not the one that
+//! re-exports it. A re-export of items of a module's own descendants is not a use, so `pub use child::Thing;` in a
+//! parent is allowed.
 //!
-//! Every module is looked at together with its children, where a child stands for its whole subtree: neither the children
-//! among each other nor the module's own code with its children may use each other in a circle. So two folders cannot use
-//! each other, through whichever of their files; and a child that uses its parent's items while the parent uses the child
-//! is a circle. Declaring a child (`mod child;`) and calling methods of its types is not a use.
+//! The test takes each module together with its children, and each child stands for its whole subtree. The children
+//! and the module's own code must not use each other in a circle. Two folders must therefore not use each other,
+//! whichever of their files do so. And if a parent uses an item of its child, the child must not use items of the
+//! parent. Declaring a child (`mod child;`) and calling methods of its types are not uses.
 //!
-//! **Mending a circle.** Move what both sides need into a module that both use: a further child, or one beside them.
-//! `cargo test --release -p cosurf-tests --test arrows` lists every circle.
+//! **Mending a circle.** Move the items that both sides need into a third module that both use: a further child, or a
+//! module beside them. `cargo test --release -p cosurf-tests --test arrows` lists every circle.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -19,7 +20,8 @@ use crate::modules::{self, Module};
 use crate::names::{Named, resolve};
 use crate::{members, root};
 
-/// A use of one module by another: the indices, and the path by which it is named.
+/// A use of module `to` by module `from`: the indices of both, and the path in the code of `from` that names an item
+/// of `to`.
 struct Use {
     from: usize,
     to: usize,
@@ -46,7 +48,7 @@ fn uses(modules: &[Module]) -> Vec<Use> {
     uses
 }
 
-/// A module and those above it, up to the root.
+/// A module, its parent, and so on up to the root.
 fn ancestors(modules: &[Module], module: usize) -> impl Iterator<Item = usize> {
     std::iter::successors(Some(module), |&module| modules[module].parent)
 }
@@ -60,9 +62,9 @@ fn meeting(modules: &[Module], a: usize, b: usize) -> (usize, usize, usize) {
     (top, child(a), child(b))
 }
 
-/// The circles of a crate, each as the uses that close it.
+/// The circles of a crate. Each is described by the uses that form it.
 fn circles(modules: &[Module]) -> Vec<String> {
-    // For each module: which of its children use which, and by which path.
+    // For each module: the pairs of its children of which the first uses the second, and a description of the use.
     let mut arrows: BTreeMap<usize, BTreeMap<(usize, usize), String>> = BTreeMap::new();
     for Use { from, to, path } in uses(modules) {
         let (top, a, b) = meeting(modules, from, to);
@@ -72,7 +74,8 @@ fn circles(modules: &[Module]) -> Vec<String> {
     arrows.values().flat_map(circles_among).collect()
 }
 
-/// The circles among nodes that are joined by arrows: each set of nodes that all reach each other.
+/// The circles of a graph. Each set of nodes that all reach each other counts as one circle, described by its arrows.
+/// The keys of `arrows` are (from, to), the values their descriptions.
 fn circles_among(arrows: &BTreeMap<(usize, usize), String>) -> Vec<String> {
     let nodes: BTreeSet<usize> = arrows.keys().flat_map(|(a, b)| [*a, *b]).collect();
     let reach: BTreeMap<usize, BTreeSet<usize>> =
@@ -106,7 +109,7 @@ fn name(modules: &[Module], module: usize) -> &str {
     if path.is_empty() { "the root" } else { path }
 }
 
-/// The roots of a crate's library, programs, tests, benches and examples.
+/// The root files of a crate's library, programs, tests, benches and examples.
 fn target_roots(folder: &Path) -> Vec<PathBuf> {
     let mut roots: Vec<_> = ["src/lib.rs", "src/main.rs"].map(|file| folder.join(file)).into();
     for kind in ["src/bin", "tests", "benches", "examples"] {

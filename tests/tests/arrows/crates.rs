@@ -1,4 +1,5 @@
-//! Dependencies between crates are those of `shared/docs/ARCHITECTURE.md`. Other tests limit single crates.
+//! Checks that the dependencies between crates are those that `shared/docs/ARCHITECTURE.md` lists. Further tests
+//! check rules for single crates.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -6,10 +7,12 @@ use std::path::{Path, PathBuf};
 
 use crate::{manifest, members, root};
 
-/// Each crate by the last part of its folder, and the crates of the workspace that it depends on.
+/// The crates of the workspace, and for each crate the crates of the workspace that it depends on. A crate is named
+/// by the last part of its folder.
 type Arrows = BTreeMap<String, BTreeSet<String>>;
 
-/// The arrows of a document: the lines of its block of code marked `arrows`, such as `link ► scene wire`.
+/// The dependencies that a document lists, in its code block marked `arrows`. A line is, for example,
+/// `link ► scene wire`.
 fn drawn(document: &str) -> Arrows {
     let (_, block) = document.split_once("\n```arrows\n").expect("a block of code marked `arrows`");
     let (block, _) = block.split_once("```").unwrap();
@@ -24,7 +27,8 @@ fn short_name(folder: &str) -> String {
     folder.rsplit('/').next().unwrap().to_owned()
 }
 
-/// Names below `[dependencies]` of a manifest, including those of single platforms, without those of tests.
+/// The names in the `[dependencies]` of a manifest, including those for single platforms. Dependencies of tests and
+/// of build scripts do not count.
 fn dependencies(manifest: &toml::Table) -> Vec<String> {
     let tables = manifest.get("target").and_then(|target| target.as_table());
     let tables = tables.into_iter().flat_map(toml::Table::values).filter_map(|table| table.as_table());
@@ -33,7 +37,7 @@ fn dependencies(manifest: &toml::Table) -> Vec<String> {
     lists.flat_map(|list| list.keys().cloned()).collect()
 }
 
-/// The arrows of the manifests in these folders.
+/// The dependencies between crates that these manifests state. Each manifest comes with its folder.
 fn built<'a>(manifests: impl Iterator<Item = (&'a str, toml::Table)>) -> Arrows {
     let arrow = |(folder, manifest): (&str, toml::Table)| {
         let found = dependencies(&manifest);
@@ -66,7 +70,8 @@ fn arrows_too_many_and_too_few_are_found() {
     assert_eq!(built_of(&on_unix, ""), drawn(document), "of one platform");
 }
 
-/// Neural networks (LPIPS) are for evaluation on the ground: a drone's program must not link them.
+/// Libraries for neural networks are needed for evaluation (LPIPS), which happens on the ground. A drone's program
+/// must not link them.
 #[test]
 fn only_the_aggregator_depends_on_neural_networks() {
     for folder in members() {
@@ -96,7 +101,8 @@ fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
     }
 }
 
-/// In the shared crates time comes in as an argument, or not at all; only transports read clocks.
+/// The shared crates take the time as an argument and read no clocks. `shared/link` is exempt, because its transports
+/// need clocks.
 #[test]
 fn shared_crates_read_no_clocks() {
     for folder in members().iter().filter(|folder| folder.starts_with("shared/") && *folder != "shared/link")

@@ -1,4 +1,5 @@
-//! Which crate and which module depends on which, checked against the manifests and the sources themselves.
+//! Checks the dependencies between crates, as the manifests state them, and between modules, as the sources show
+//! them.
 #![allow(clippy::unwrap_used)]
 
 mod circles;
@@ -14,7 +15,7 @@ fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap().to_path_buf()
 }
 
-/// A manifest below the root.
+/// The parsed `Cargo.toml` of a folder below the root.
 fn manifest(folder: &str) -> toml::Table {
     fs::read_to_string(root().join(folder).join("Cargo.toml")).unwrap().parse().unwrap()
 }

@@ -1,7 +1,7 @@
-//! The modules of a crate and the names that each of them uses, read from its sources.
+//! Reads the modules of a crate, and the names that each module uses, from the crate's sources.
 //!
-//! Code that only tests compile (`cfg(test)`) is left out. Arguments of macros are not parsed as code; what looks like a
-//! path in them counts. Names in attributes do not.
+//! Code that is compiled only for tests (`cfg(test)`) is left out. The arguments of macros are not parsed as code:
+//! whatever looks like a path in them counts as a path. Names in attributes are ignored.
 
 use std::collections::{HashMap, HashSet};
 use std::fs;
@@ -11,40 +11,41 @@ use proc_macro2::{TokenStream, TokenTree};
 use syn::visit::{self, Visit};
 use syn::{Attribute, Item, Meta, Token, UseTree, Visibility};
 
-/// A path as it is written: `crate`, `self`, `super` or a name first.
+/// The parts of a path as it is written. The first part is `crate`, `self`, `super` or a name.
 pub(crate) type Names = Vec<String>;
 
 /// One module of a crate.
 #[derive(Default)]
 pub(crate) struct Module {
-    /// From the root, for example `cpu::surface`; empty for the root.
+    /// Path from the crate's root, for example `cpu::surface`; empty for the root.
     pub(crate) path: String,
     pub(crate) parent: Option<usize>,
     pub(crate) children: HashMap<String, usize>,
-    /// Names that the module defines.
+    /// Names of the items that the module defines, without its child modules.
     pub(crate) items: HashSet<String>,
-    /// `use` declarations, one for each name.
+    /// The names that the module's `use` declarations import.
     pub(crate) imports: Vec<Import>,
     /// Paths in the module's own code.
     pub(crate) paths: Vec<Names>,
 }
 
-/// One name of a `use` declaration.
+/// One name that a `use` declaration imports.
 pub(crate) struct Import {
-    /// The name in this module; `None` for all names of `path` (`*`).
+    /// The name by which this module knows the item; `None` for a glob import (`*`) of all names of `path`.
     pub(crate) name: Option<String>,
     pub(crate) path: Names,
-    /// `pub use`, of any visibility.
+    /// Whether the import is a re-export: a `pub use`, or one of limited visibility such as `pub(crate) use`.
     pub(crate) is_reexport: bool,
 }
 
-/// The modules of the crate whose root is `file`; the root comes first, parents before children.
+/// Reads the modules of the crate whose root file is `file`. The root comes first, and parents come before their
+/// children.
 pub(crate) fn read(file: &Path) -> Vec<Module> {
     let text = fs::read_to_string(file).unwrap();
     modules_of(&text, file.parent().unwrap())
 }
 
-/// The modules of a crate root with this text; its other files lie in `folder`.
+/// Reads the modules of a crate. `text` is the content of its root file, and its other files lie in `folder`.
 pub(crate) fn modules_of(text: &str, folder: &Path) -> Vec<Module> {
     let mut reader = Reader { modules: vec![Module::default()], module: 0, folder: folder.into() };
     reader.visit_file(&syn::parse_file(text).unwrap());
@@ -53,9 +54,9 @@ pub(crate) fn modules_of(text: &str, folder: &Path) -> Vec<Module> {
 
 struct Reader {
     modules: Vec<Module>,
-    /// The module that is read.
+    /// Index of the module that is being read.
     module: usize,
-    /// Where its children's files lie.
+    /// Folder with the files of the children of `module`.
     folder: PathBuf,
 }
 
@@ -84,7 +85,7 @@ impl Reader {
         (self.module, self.folder) = parent;
     }
 
-    /// Flattens the tree of a `use` declaration.
+    /// Records every name that a `use` declaration imports. `before` is the path in front of `tree`.
     fn import(&mut self, tree: &UseTree, before: &Names, is_reexport: bool) {
         let with = |ident: &syn::Ident| [before.clone(), vec![ident.to_string()]].concat();
         let (name, path) = match tree {
@@ -103,7 +104,7 @@ impl Reader {
         self.here().imports.push(Import { name, path, is_reexport });
     }
 
-    /// What looks like a path in the arguments of a macro: names joined by `::`.
+    /// Records whatever looks like a path in the arguments of a macro: names joined by `::`.
     fn scan(&mut self, tokens: TokenStream) {
         let mut path: Names = Vec::new();
         let mut colons = 0;
@@ -168,7 +169,7 @@ impl<'a> Visit<'a> for Reader {
     fn visit_attribute(&mut self, _: &'a Attribute) {}
 }
 
-/// The attributes of an item, and the name that it defines.
+/// The attributes of an item, and the name that the item defines, if any.
 fn described(item: &Item) -> (&[Attribute], Option<&syn::Ident>) {
     match item {
         Item::Const(item) => (&item.attrs, Some(&item.ident)),
@@ -187,13 +188,14 @@ fn described(item: &Item) -> (&[Attribute], Option<&syn::Ident>) {
     }
 }
 
-/// Whether an attribute leaves an item out of everything but tests.
+/// Whether an attribute is a `cfg` that keeps its item only in builds for tests.
 fn is_for_tests(attribute: &Attribute) -> bool {
     attribute.path().is_ident("cfg")
         && attribute.parse_args().is_ok_and(|condition| !holds_without_tests(&condition))
 }
 
-/// Whether a condition can be true without `test`. Conditions other than `test` may be true or false.
+/// Whether a `cfg` condition can hold in a build that is not for tests. Every option except `test` counts as
+/// possible.
 fn holds_without_tests(condition: &Meta) -> bool {
     let parts = |list: &syn::MetaList| {
         let parse = syn::punctuated::Punctuated::<Meta, Token![,]>::parse_terminated;

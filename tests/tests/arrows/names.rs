@@ -1,20 +1,21 @@
-//! Which module defines what a path names.
+//! Finds the module that defines the item that a path names.
 
 use crate::modules::Module;
 
-/// More re-exports than this in a row are a circle of names.
+/// Maximum number of re-exports that are followed in a row. A longer chain is assumed to lead back to itself.
 const DEPTH_MAX: usize = 16;
 
-/// What a path names, by the index of a module.
+/// What a path names.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Named {
-    /// Something that the module defines.
+    /// An item that the module with this index defines.
     ItemOf(usize),
-    /// The module itself.
+    /// The module with this index.
     Module(usize),
 }
 
-/// What `path`, written in module `from`, names; `None` for names of other crates and of local variables.
+/// Finds what `path` names where it is written in module `from`. `None` for names of other crates and of local
+/// variables.
 pub(crate) fn resolve(modules: &[Module], from: usize, path: &[String]) -> Option<Named> {
     resolve_within(modules, from, path, 0)
 }
@@ -39,7 +40,8 @@ fn resolve_within(modules: &[Module], from: usize, path: &[String], depth: usize
         match look_up(modules, at, name, !others.is_empty(), depth) {
             Some(Named::Module(module)) => at = module,
             Some(item) => return Some(item),
-            // A name that a macro defines, or one of another crate that the module hands on.
+            // A macro defines the name, or the module re-exports it from another crate: it counts as an item of this
+            // module.
             None if is_rooted => return Some(Named::ItemOf(at)),
             None => return None,
         }
@@ -48,7 +50,8 @@ fn resolve_within(modules: &[Module], from: usize, path: &[String], depth: usize
     is_rooted.then_some(Named::Module(at))
 }
 
-/// What `name` means in a module. Where it is both a module and a function, `is_prefix` tells which is meant.
+/// Finds what `name` means in module `at`. A name may mean both a child module and an item. The module is meant if
+/// more of a path follows (`is_prefix`), otherwise the item.
 fn look_up(modules: &[Module], at: usize, name: &str, is_prefix: bool, depth: usize) -> Option<Named> {
     let module = &modules[at];
     let child = module.children.get(name).map(|child| Named::Module(*child));

@@ -1,4 +1,4 @@
-//! Commands that documents show: their options exist, and each is run by CI or was run by hand.
+//! Checks the commands that documents show: their options exist, and each command is run by CI or was run by hand.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::process::Command;
@@ -7,12 +7,12 @@ use cosurf_tests::programs::program;
 
 use crate::text::{documents, lines, read};
 
-/// Documents whose commands are run.
+/// Documents whose commands must all have been run, by CI or by hand.
 const RUN: [&str; 2] = ["README.md", "shared/docs/OPERATING.md"];
-/// The day and the command of each run by hand.
+/// The commands that were run by hand. Each line is the date of the run and the command.
 const BY_HAND: &str = include_str!("by_hand.txt");
 
-/// The commands of a document: the lines of its blocks of `sh`, without comments; `&&` separates two.
+/// The commands in a document's code blocks marked `sh`, without comments. `&&` separates two commands of a line.
 fn commands(document: &str) -> Vec<String> {
     let shell =
         lines(document).into_iter().filter(|(language, _)| *language == Some("sh")).map(|(_, line)| line);
@@ -21,10 +21,10 @@ fn commands(document: &str) -> Vec<String> {
     commands.filter(|command| !command.is_empty() && !command.starts_with('#')).collect()
 }
 
-/// The options of a command that its help does not name; `None` if it runs another program.
+/// The options of a command that the program's `--help` does not list; `None` if the program is not one of ours.
 fn unknown_options(command: &str, helps: &mut BTreeMap<String, String>) -> Option<Vec<String>> {
     let words: Vec<&str> = command.split_whitespace().collect();
-    // Variables of the environment come first.
+    // Environment variables (`NAME=value`) come before the program.
     let at = words.iter().position(|word| !word.contains('='))?;
     let (name, subcommand) = (words[at].rsplit('/').next()?, words.get(at + 1)?);
     if !["cosurf-agent", "cosurf-aggregator"].contains(&name) {

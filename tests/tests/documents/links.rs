@@ -1,4 +1,4 @@
-//! Every relative link and every anchor leads somewhere.
+//! Checks that every relative link and every anchor in the documents has a target.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -16,12 +16,13 @@ fn targets(document: &str) -> Vec<String> {
     starts.filter_map(|rest| rest.split([')', ' ']).next()).map(str::to_owned).collect()
 }
 
-/// A line without its `code`.
+/// A line without inline code, which stands between backticks.
 fn without_code(line: &str) -> String {
     line.split('`').step_by(2).collect::<Vec<_>>().join("`")
 }
 
-/// The anchors of a document's headings, as the usual hosts of repositories make them.
+/// The anchors of a document's headings, as repository hosts such as GitHub make them. A repeated heading gets a
+/// number.
 fn anchors(document: &str) -> Vec<String> {
     let mut seen: HashMap<String, usize> = HashMap::new();
     let headings =
@@ -36,7 +37,8 @@ fn anchors(document: &str) -> Vec<String> {
         .collect()
 }
 
-/// Lower case, words joined by hyphens, without other signs; a link is replaced by its text.
+/// The anchor of a heading: in lower case, with words joined by hyphens, without punctuation. A link counts as its
+/// text.
 fn slug(heading: &str) -> String {
     let links = heading.split("](").enumerate();
     let text =
@@ -46,7 +48,7 @@ fn slug(heading: &str) -> String {
     kept.map(|sign| if sign == ' ' { '-' } else { sign }).collect()
 }
 
-/// What is wrong with a link of the document `file`; `None` if it leads somewhere or to another site.
+/// What is wrong with a link in the document `file`; `None` if its target exists or is on another site.
 fn fault(file: &Path, target: &str, read: impl Fn(&Path) -> Option<String>) -> Option<String> {
     if target.contains("://") || target.starts_with("mailto:") {
         return None;
@@ -64,7 +66,7 @@ fn fault(file: &Path, target: &str, read: impl Fn(&Path) -> Option<String>) -> O
 
 #[test]
 fn every_link_leads_somewhere() {
-    // Folders and pictures have no headings.
+    // Folders and pictures cannot be read as text: they have no headings, so an empty text stands for them.
     let read = |path: &Path| path.exists().then(|| std::fs::read_to_string(path).unwrap_or_default());
     let mut faults = Vec::new();
     for document in documents() {

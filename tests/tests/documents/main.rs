@@ -1,4 +1,4 @@
-//! The documents hold what they promise: links lead somewhere, commands exist, and tables show what was measured.
+//! Checks the documents: links have targets, the options of commands exist, and tables show what was measured.
 #![allow(clippy::unwrap_used)]
 
 mod commands;
@@ -7,7 +7,7 @@ mod text;
 
 use cosurf_tests::results::document;
 
-/// Limit that keeps the README readable in five minutes.
+/// Largest number of lines of the README, so that it can be read in five minutes.
 const README_LINES_MAX: usize = 150;
 
 #[test]

@@ -1,4 +1,4 @@
-//! The documents, and the parts of Markdown that the tests need.
+//! Reads the documents, and the parts of Markdown that the tests need.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -8,12 +8,12 @@ pub(crate) fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap().to_path_buf()
 }
 
-/// A file below the root.
+/// The text of a file below the root.
 pub(crate) fn read(path: &str) -> String {
     fs::read_to_string(root().join(path)).unwrap()
 }
 
-/// The README and the documents of `shared/docs`, as paths below the root.
+/// Paths of the README and of the documents in `shared/docs`, relative to the root.
 pub(crate) fn documents() -> Vec<String> {
     let entries = fs::read_dir(root().join("shared/docs")).unwrap();
     let names = entries.map(|entry| entry.unwrap().file_name().into_string().unwrap());
@@ -23,7 +23,8 @@ pub(crate) fn documents() -> Vec<String> {
     documents
 }
 
-/// The lines of a document, each with the language of the block of code that it is in; those of fences are left out.
+/// The lines of a document, without the fences of code blocks. A line in a code block comes with the language of the
+/// block, a line outside with `None`.
 pub(crate) fn lines(document: &str) -> Vec<(Option<&str>, &str)> {
     let mut language = None;
     let mut lines = Vec::new();

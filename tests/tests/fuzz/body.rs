@@ -1,4 +1,4 @@
-//! Packed models, whole and in part.
+//! Fuzzes the decoders of packed models, for whole bodies and for incomplete ones.
 
 use cosurf_link::{FirstLayer, body_to_model, model_to_body, part_to_model};
 use cosurf_scene::{Base, Splats};
@@ -8,7 +8,7 @@ use cosurf_wire::body::{HEAD_BYTES, PACK_ENTRY_BYTES};
 use crate::mutate::Random;
 use crate::runner::{Target, hammer};
 
-/// A base of every third splat.
+/// A body with a base of every third splat.
 fn with_base(count: usize, sh_degree: u32) -> Vec<u8> {
     let (splats, others) = (random_splats(1, count, sh_degree), random_splats(1, count, 0));
     let mut base = Base { ids: (0..count as u32).step_by(3).collect(), splats: Splats::with_capacity(0, 0) };
@@ -16,7 +16,8 @@ fn with_base(count: usize, sh_degree: u32) -> Vec<u8> {
     model_to_body(&splats, &cameras(1), FirstLayer::Base(&base)).unwrap()
 }
 
-/// Bodies with small packs, stored uncompressed, and with large, compressed packs; some bodies have a base.
+/// Bodies with small packs, which are stored uncompressed, and bodies with large, compressed packs. Some bodies have
+/// a base.
 fn bodies() -> Vec<Vec<u8>> {
     let plain = [(0, 0, 1), (1, 0, 0), (2, 1, 1), (3, 3, 0), (60, 0, 9), (200, 2, 2), (40, 3, 1)].map(
         |(count, sh_degree, views)| {
@@ -27,7 +28,8 @@ fn bodies() -> Vec<Vec<u8>> {
     plain.into_iter().chain([with_base(9, 1), with_base(250, 2)]).collect()
 }
 
-/// Recomputes the checksums of packs, table and head, as far as those are there.
+/// Recomputes the checksums of the packs and of the head, if `body` has a complete head and table. A truncated pack
+/// gets the checksum of its remaining bytes.
 fn reseal(body: &mut [u8]) {
     let Some([low, high]) = body.get(6..8).and_then(|count| count.first_chunk().copied()) else { return };
     let packs = usize::from(u16::from_le_bytes([low, high]));
@@ -57,7 +59,8 @@ fn bodies_are_unpacked_or_refused() {
         name: "bodies",
         samples: bodies(),
         reseal,
-        // Unpacked splats of degree 3, which take at least 2.5 packed bytes each, and one pack.
+        // A packed splat takes at least 2.5 bytes, and an unpacked splat of degree 3 takes 236 bytes: less than 128
+        // times as much. 1 MiB is for the buffers of one pack.
         bytes_max: |bytes| (1 << 20) + 128 * bytes,
     };
     let mut random = Random(2);

@@ -1,4 +1,4 @@
-//! Messages, topics, frames, and chunks for an inbox.
+//! Fuzzes the decoders of messages, topics and frames, and an inbox that receives headers and chunks.
 
 use std::time::Duration;
 
@@ -68,7 +68,7 @@ fn reseal_message(bytes: &mut [u8]) {
     }
 }
 
-/// A message that is decoded stays the same when encoded and decoded again.
+/// A decoded message stays the same when it is encoded and decoded again.
 #[test]
 fn messages_are_read_or_refused() {
     let target = Target { name: "messages", samples: messages(), reseal: reseal_message, bytes_max: |_| 0 };
@@ -81,7 +81,7 @@ fn messages_are_read_or_refused() {
             }
         }
         let again = message.encode(&mut out).expect("what was read fits");
-        // NaN would not be equal to itself: no decoded message may contain it.
+        // NaN is not equal to itself, so this also checks that no decoded message contains NaN.
         let is_same = Message::decode(again).expect("what was written is read") == message;
         assert!(is_same, "{message:?}");
         true
@@ -127,7 +127,7 @@ fn frames_are_read_or_refused() {
     let mut reader = FrameReader::default();
     hammer(target, move |bytes| {
         let mut read = false;
-        // The zero ends a frame that the damage left open.
+        // The added zero ends a frame that lost its final zero.
         for byte in bytes.iter().chain(&[0]) {
             let Some(frame) = reader.push(*byte) else { continue };
             read |= Frame::decode(frame, sessions).is_ok();
@@ -136,7 +136,7 @@ fn frames_are_read_or_refused() {
     });
 }
 
-/// An inbox takes headers and chunks in any order and stays within its limits.
+/// An inbox accepts headers and chunks in any order, and stays within its limits.
 #[test]
 fn chunks_are_taken_or_refused() {
     let Offer { header, body } = offer(30);
@@ -151,7 +151,7 @@ fn chunks_are_taken_or_refused() {
         name: "chunks",
         samples: samples.collect(),
         reseal: reseal_message,
-        // Two bodies of the largest size, and the queues.
+        // 128 KiB for the bodies that the inbox may hold, and as much for its queues.
         bytes_max: |_| 1 << 18,
     };
     let limits =

@@ -1,4 +1,4 @@
-//! Files that users bring: PLY, SPZ, COLMAP, transforms.json.
+//! Fuzzes the readers of files that users provide: PLY, SPZ, COLMAP and transforms.json.
 
 use std::fs;
 use std::io::{Read, Write};
@@ -13,10 +13,10 @@ use flate2::write::GzEncoder;
 
 use crate::runner::{Target, hammer};
 
-/// Buffers of the readers, and 32 bytes of memory for each byte of the file.
+/// Limit on a reader's memory, bytes: 1 MiB for its buffers, and 32 bytes for each byte of the file.
 const FILE_BYTES_MAX: fn(usize) -> usize = |bytes| (1 << 20) + 32 * bytes;
 
-/// A temporary folder, in memory if the system offers one.
+/// A temporary folder, which lies in memory if the system has `/dev/shm`.
 fn folder() -> tempfile::TempDir {
     let shared = Path::new("/dev/shm");
     if shared.is_dir() { tempfile::tempdir_in(shared).unwrap() } else { tempfile::tempdir().unwrap() }
@@ -26,7 +26,7 @@ fn target(name: &str, samples: Vec<Vec<u8>>) -> Target<'_> {
     Target { name, samples, reseal: |_| (), bytes_max: FILE_BYTES_MAX }
 }
 
-/// The bytes that `write` leaves in a file.
+/// The bytes of the file that `write` writes to `path`.
 fn written(path: &Path, write: impl FnOnce(&Path)) -> Vec<u8> {
     write(path);
     fs::read(path).unwrap()
@@ -61,7 +61,8 @@ fn ply_files_are_read_or_refused() {
     });
 }
 
-/// Changes the bytes within the gzip stream; the gzip decoder handles changes of the stream itself.
+/// Changes the bytes before they are compressed by gzip. Changes of the compressed stream would only test the gzip
+/// decoder.
 #[test]
 fn spz_files_are_read_or_refused() {
     let folder = folder();
@@ -87,7 +88,8 @@ fn spz_files_are_read_or_refused() {
     });
 }
 
-/// Changes one of a model's three files, in memory: opening files takes five times as long as decoding them.
+/// Fuzzes each of the three files of a COLMAP model in turn. The files stay in memory, because opening files takes
+/// five times as long as decoding them.
 fn hammer_colmap(form: Form, files: [(&str, Vec<u8>); 3]) {
     for (i, (name, right)) in files.iter().enumerate() {
         hammer(target(&format!("COLMAP {name}"), vec![right.clone()]), |bytes| {
@@ -122,7 +124,7 @@ fn colmap_binaries_are_read_or_refused() {
     hammer_colmap(Form::Binary, colmap_binary());
 }
 
-/// A model of two views and one point, as COLMAP writes it.
+/// The binary files of a COLMAP model with two views and one point.
 fn colmap_binary() -> [(&'static str, Vec<u8>); 3] {
     let (u32s, u64s) = (|v: u32| v.to_le_bytes().to_vec(), |v: u64| v.to_le_bytes().to_vec());
     let f64s = |values: &[f64]| values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();

@@ -1,4 +1,4 @@
-//! The peak of a thread's allocated memory.
+//! Measures the peak of the memory that a thread has allocated.
 #![allow(unsafe_code)]
 
 use std::alloc::{GlobalAlloc, Layout, System};
@@ -15,7 +15,7 @@ thread_local! {
 }
 
 fn count(bytes: isize) {
-    // A thread that ends frees memory after its counters are gone; no decoder runs then.
+    // A thread that ends still frees memory after its counters are gone. No decoder runs then, so nothing is missed.
     let _ = NOW_BYTES.try_with(|now| {
         now.set(now.get() + bytes);
         let _ = PEAK_BYTES.try_with(|peak| peak.set(peak.get().max(now.get())));
@@ -43,7 +43,7 @@ unsafe impl GlobalAlloc for Counted {
     }
 }
 
-/// Runs `work` and returns the peak of its allocations, bytes, without those made before.
+/// Runs `work`, and returns the peak of the memory that it allocates, bytes. Memory allocated before does not count.
 pub(crate) fn peak_bytes_of(work: impl FnOnce()) -> usize {
     let before = NOW_BYTES.get();
     PEAK_BYTES.set(before);

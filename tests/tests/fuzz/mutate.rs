@@ -1,4 +1,4 @@
-//! Random changes of bytes.
+//! Changes samples at random.
 
 /// Pseudo-random numbers from a seed (SplitMix64).
 pub(crate) struct Random(pub(crate) u64);
@@ -21,7 +21,7 @@ impl Random {
     }
 }
 
-/// Limits of integer fields, and infinities and NaN as `f32` and `f64`.
+/// Values at the limits of integer fields, and infinity and NaN as `f32` and `f64`.
 const EDGES: [u64; 16] = [
     0,
     1,
@@ -40,12 +40,12 @@ const EDGES: [u64; 16] = [
     0x7fff_ffff_ffff_ffff,
     0xffff_ffff_ffff_ffff,
 ];
-/// Most changes to one sample.
+/// Maximum number of changes to one sample.
 const CHANGES_MAX: usize = 6;
-/// Largest size of a changed sample.
+/// Largest size of a changed sample, bytes.
 const BYTES_MAX: usize = 1 << 16;
 
-/// One of `samples`, changed in up to [`CHANGES_MAX`] places.
+/// One of `samples`, with 1 to [`CHANGES_MAX`] changes.
 pub(crate) fn mutated(random: &mut Random, samples: &[Vec<u8>]) -> Vec<u8> {
     let mut bytes = samples[random.below(samples.len())].clone();
     for _ in 0..1 + random.below(CHANGES_MAX) {

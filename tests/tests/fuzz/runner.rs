@@ -1,4 +1,4 @@
-//! Runs a decoder on changed samples, and checks its time and memory.
+//! Runs a decoder on changed samples, and checks the time and memory that it takes.
 
 use std::env;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
@@ -7,24 +7,26 @@ use std::time::{Duration, Instant};
 use crate::memory::peak_bytes_of;
 use crate::mutate::{Random, mutated};
 
-/// Executions of each decoder by default: below a second for the slowest.
+/// Default number of executions of each decoder. Even the slowest decoder then takes less than a second.
 const EXECUTIONS: u64 = 5_000;
-/// Longest time of one execution. Generous: the machine may be busy, and a decoder that hangs takes for ever.
+/// Limit on the time of one execution. It is generous because the machine may be busy. A decoder that hangs exceeds
+/// any limit.
 const LONGEST: Duration = Duration::from_secs(5);
 
 /// A decoder under test.
 pub(crate) struct Target<'a> {
-    /// Its name.
+    /// Name of the decoder, for messages.
     pub(crate) name: &'a str,
     /// Valid inputs.
     pub(crate) samples: Vec<Vec<u8>>,
     /// Recomputes the checksums of a changed sample.
     pub(crate) reseal: fn(&mut [u8]),
-    /// Limit on its allocations, for an input of the given number of bytes.
+    /// Largest peak of memory, bytes, that the decoder may allocate, as a function of the input's size in bytes.
     pub(crate) bytes_max: fn(usize) -> usize,
 }
 
-/// Runs `decode`, which returns whether it accepted its input, on changed samples and on the samples themselves.
+/// Runs `decode` on all samples, which it must accept, and then on changed samples, which it may refuse. `decode`
+/// returns whether it accepted its input. Panics if `decode` panics, takes too long or allocates too much.
 pub(crate) fn hammer(target: Target, mut decode: impl FnMut(&[u8]) -> bool) {
     for (i, sample) in target.samples.iter().enumerate() {
         assert!(decode(sample), "{}: sample {i} is valid and was refused", target.name);
@@ -51,7 +53,7 @@ pub(crate) fn hammer(target: Target, mut decode: impl FnMut(&[u8]) -> bool) {
             }
         }
         if took >= LONGEST {
-            // The machine may have been busy; a decoder that hangs does so again.
+            // The machine may have been busy, so try again. A decoder that hangs will hang again.
             let started = Instant::now();
             decode(&bytes);
             took = started.elapsed();

@@ -1,4 +1,4 @@
-//! How the agent's own model differs from the one that it started from, and from the global model.
+//! Compares the agent's own model with the model that training started from, and with the global model.
 
 use std::fs;
 use std::path::Path;
@@ -18,16 +18,16 @@ use crate::cli::progress::Progress;
 pub(super) struct Comparison<'a> {
     pub(super) splats: &'a Splats,
     pub(super) cameras: &'a [Camera],
-    /// The memory limit of the process.
+    /// Memory limit of the process, bytes.
     pub(super) memory_bytes: u64,
     pub(super) threads: usize,
-    /// The agent's folder.
+    /// The agent's output folder, for the result.
     pub(super) out: &'a Path,
 }
 
 impl Comparison<'_> {
-    /// Compares the agent's own model with the PLY `other` on the ground that the agent's cameras see, shows the
-    /// result and writes it to a file. A PLY that is too large for the memory is skipped.
+    /// Compares the agent's own model with the PLY file `other` on the ground that the agent's cameras see. Shows the
+    /// result and writes it to a JSON file. Does nothing if `other` is larger than a quarter of the memory limit.
     pub(super) fn show(&self, with: ComparedWith, other: &Path, progress: &mut Progress) -> Result<()> {
         let file_bytes = fs::metadata(other).with_context(|| other.display().to_string())?.len();
         if file_bytes > self.memory_bytes / 4 {

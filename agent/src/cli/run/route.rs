@@ -1,4 +1,4 @@
-//! How an agent reaches its aggregator: through a broker, or by a radio on a serial port.
+//! Connects an agent to its aggregator: through an MQTT broker, or by a radio on a serial port.
 
 use std::num::NonZeroU32;
 use std::time::Duration;
@@ -11,7 +11,7 @@ use cosurf_link::{
     SerialTransport, Tls, Transport, TransportEvent,
 };
 
-/// What is needed to connect, with the certificates read.
+/// The address of the broker or the serial port, and the content of the certificate files.
 pub(super) enum Route {
     Broker { broker: BrokerAddress, tls: Option<Tls> },
     Serial { port: String, baud: NonZeroU32 },
@@ -27,7 +27,7 @@ impl Route {
         })
     }
 
-    /// Starts to connect in the background; success and failure come as events.
+    /// Starts to connect in the background. The connection reports success and failure as events.
     pub(super) fn connect(&self, identity: Identity) -> Connection {
         match self {
             Self::Broker { broker, tls } => {
@@ -41,7 +41,8 @@ impl Route {
         }
     }
 
-    /// After this much silence all retained messages have arrived.
+    /// The flights of all devices count as received once no flight has arrived for this long. A radio needs more time
+    /// than a broker.
     pub(super) fn quiet_time(&self) -> Duration {
         match self {
             Self::Broker { .. } => Duration::from_secs(2),
@@ -49,7 +50,7 @@ impl Route {
         }
     }
 
-    /// How long the connection stays open for its last messages.
+    /// How long the connection stays open at the end, so that the last messages are sent.
     pub(super) fn flush_time(&self) -> Duration {
         match self {
             Self::Broker { .. } => Duration::from_secs(1),
@@ -58,7 +59,7 @@ impl Route {
     }
 }
 
-/// An open connection.
+/// A connection that runs in the background.
 pub(super) enum Connection {
     Broker(MqttTransport),
     Serial(SerialTransport),

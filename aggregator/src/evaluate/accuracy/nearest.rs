@@ -1,12 +1,13 @@
-//! Nearest points of a cloud of `f32`: the engine's k-d tree, built and asked in parallel.
+//! Finds the nearest points of a cloud of `f32` points with the engine's k-d tree, which is built on
+//! several threads.
 
 use cosurf_engine::nearest;
 use glam::Vec3;
 
-/// Ranges no longer are searched one by one.
+/// Ranges of the tree with at most this many points are searched point by point.
 const LEAF: usize = 8;
 
-/// Points with their indices.
+/// A k-d tree of points.
 pub(super) struct Tree(nearest::Tree<f32>);
 
 impl Tree {
@@ -16,13 +17,13 @@ impl Tree {
         Self(nearest::Tree::new_parallel(&points, LEAF))
     }
 
-    /// Squared distances to the `K` nearest points and their indices, ascending; infinite where there
-    /// are fewer.
+    /// Squared distances to the `K` nearest points, and the indices of these points, nearest first. If
+    /// there are fewer than `K` points, the last distances are infinite.
     pub(super) fn nearest<const K: usize>(&self, query: Vec3) -> [(f32, u32); K] {
         self.0.nearest(query.to_array()).map(|near| (near.distance_squared, near.index))
     }
 
-    /// Whether a point lies nearer than the root of `reach2`.
+    /// Whether any point is nearer to `query` than the square root of `reach2`.
     pub(super) fn is_any_within(&self, query: Vec3, reach2: f32) -> bool {
         self.0.is_any_within(query.to_array(), reach2)
     }

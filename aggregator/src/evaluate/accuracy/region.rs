@@ -4,11 +4,11 @@ use glam::Vec3;
 
 use super::nearest::Tree;
 
-/// Reach of the footprint beyond the truth's points, in mean point distances. Between random points, less than
-/// one place in a hundred thousand is farther than this from all of them.
+/// How far the footprint reaches beyond the truth's points, in mean distances between these points. If points
+/// are spread at random over a surface, less than one place in 100 000 is farther than this from all of them.
 const SPACINGS: f64 = 2.0;
 
-/// The positions that are near the truth when seen from above.
+/// The positions that are near the truth's points when seen from above.
 pub(super) struct Region {
     tree: Tree,
     reach2_m2: f32,
@@ -16,7 +16,8 @@ pub(super) struct Region {
 
 impl Region {
     /// `truth` are points about `spacing_m` apart. The region reaches beyond them by the threshold or by two
-    /// spacings, whichever is larger. A larger region would count correct surface of unknown truth as wrong.
+    /// spacings, whichever is larger. A larger region would include surface where the truth is unknown, and
+    /// count it as wrong.
     pub(super) fn new(truth: &[Vec3], spacing_m: f64, threshold_m: f64) -> Self {
         let flat: Vec<Vec3> = truth.iter().map(|p| flatten(*p)).collect();
         let reach_m = threshold_m.max(SPACINGS * spacing_m) as f32;

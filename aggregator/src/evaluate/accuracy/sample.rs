@@ -1,15 +1,15 @@
-//! Points spread evenly over a mesh's area.
+//! Spreads points evenly over the area of a mesh.
 
 use cosurf_scene::Mesh;
 use glam::Vec3;
 use rayon::prelude::*;
 
-/// Samples one point per square of `spacing_m` on average; the same seed gives the same points. `None` if
-/// there would be more than `most`.
+/// Draws random points, on average one for each square with sides `spacing_m`. The same seed gives the
+/// same points. Returns `None` if there would be more than `most` points.
 pub(super) fn sample(mesh: &Mesh, spacing_m: f64, seed: u64, most: usize) -> Option<Vec<Vec3>> {
     let per_area = 1.0 / (spacing_m * spacing_m);
     let areas: Vec<f64> = mesh.areas().collect();
-    // Phrased so that NaN and infinity fail.
+    // Written so that NaN and infinity count as too many.
     let affordable = areas.iter().sum::<f64>() * per_area < most as f64;
     if !affordable {
         return None;
@@ -17,20 +17,21 @@ pub(super) fn sample(mesh: &Mesh, spacing_m: f64, seed: u64, most: usize) -> Opt
     let of_triangle = |(i, area): (usize, &f64)| {
         let mut random = Random::new(seed, i as u64);
         let corners = mesh.corners(i);
-        // Rounded at random, so that small triangles get samples too.
+        // The number of points is rounded up or down at random, so that small triangles get points too.
         let count = (area * per_area + f64::from(random.unit())) as usize;
         (0..count).map(move |_| inside(corners, random.unit(), random.unit()))
     };
     Some(areas.par_iter().enumerate().flat_map_iter(of_triangle).collect())
 }
 
-/// The point of a triangle for two numbers in 0..1.
+/// A point in the triangle for two numbers in 0..1. Uniform random numbers give uniformly spread
+/// points.
 fn inside([a, b, c]: [Vec3; 3], u: f32, v: f32) -> Vec3 {
     let (u, v) = if u + v > 1.0 { (1.0 - u, 1.0 - v) } else { (u, v) };
     a + (b - a) * u + (c - a) * v
 }
 
-/// SplitMix64 (Steele, Lea and Flood 2014), one stream per triangle.
+/// Random numbers by SplitMix64 (Steele, Lea and Flood 2014), with one stream for each triangle.
 struct Random(u64);
 
 impl Random {
@@ -46,7 +47,7 @@ impl Random {
         z ^ (z >> 31)
     }
 
-    /// Uniform in 0..1.
+    /// The next random number, uniform in 0..1.
     fn unit(&mut self) -> f32 {
         (self.next() >> 40) as f32 / (1u32 << 24) as f32
     }

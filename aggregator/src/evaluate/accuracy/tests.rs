@@ -1,10 +1,11 @@
-//! Surfaces whose scores follow from their geometry.
+//! Scores surfaces whose correct scores follow from their geometry.
 
 #![allow(clippy::unwrap_used)]
 
 use super::*;
 
-/// A level square with sides of `side_m` and a corner above the origin, made of half-metre squares.
+/// A horizontal square at z = 3 m. It has sides of `side_m` and a corner above the origin, and consists of
+/// squares of half a metre.
 fn square(side_m: f32) -> Mesh {
     let n = (2.0 * side_m) as u32;
     let at = |i: u32| [0.5 * (i % (n + 1)) as f32, 0.5 * (i / (n + 1)) as f32, 3.0];
@@ -33,7 +34,7 @@ fn joined(a: &Mesh, b: &Mesh) -> Mesh {
     mesh
 }
 
-/// Samples of a mesh as a point cloud with upward normals.
+/// Samples of a mesh, as a point cloud with upward normals.
 fn cloud(mesh: &Mesh, spacing_m: f64) -> Mesh {
     let points = sample(mesh, spacing_m, 5, SAMPLES_MAX).unwrap();
     let normals = vec![[0.0, 0.0, 1.0]; points.len()];
@@ -54,7 +55,8 @@ fn a_mesh_scores_one_against_itself() {
     let found = accuracy(&mesh, &mesh);
     assert_eq!((found.samples.precision, found.samples.recall, found.samples.f_score), (1.0, 1.0, 1.0));
     assert_eq!(found.vertices.precision, 1.0);
-    // From any place, the nearest of random samples an eighth of a metre apart is 0.0625 m away on average.
+    // The samples are spread at random, on average an eighth of a metre apart. From any place, the nearest
+    // is 0.0625 m away on average.
     assert!(near(found.chamfer_m, 0.0625, 0.005), "{}", found.chamfer_m);
     assert_eq!((found.cropped, found.truth_disc_m), (0.0, 0.0));
 }
@@ -76,7 +78,8 @@ fn missing_surface_costs_recall_and_a_floater_costs_precision() {
     let truth = square(20.0);
     let half = Mesh { triangles: truth.triangles[..truth.triangles.len() / 2].to_vec(), ..truth.clone() };
     let found = accuracy(&half, &truth);
-    // Half of the truth, and a strip as wide as the threshold.
+    // The mesh covers half of the truth. A strip as wide as the threshold beside that half is also near
+    // enough.
     assert!(near(found.samples.recall, 0.525, 0.003), "{found:?}");
     assert_eq!(found.samples.precision, 1.0);
     let floater = joined(&truth, &moved(&square(20.0), [0.0, 0.0, 15.0]));
@@ -109,13 +112,13 @@ fn sparse_truth_points_stand_for_discs() {
     let mesh = square(30.0);
     let truth = cloud(&mesh, 0.8);
     let found = accuracy(&mesh, &truth);
-    // A disc with the area of a 0.8 m square; slightly more, as points at the border have fewer
-    // neighbours.
+    // The radius of a disc with the area of a 0.8 m square. It is slightly larger, as points at the border
+    // have fewer neighbours.
     assert!(near(found.truth_disc_m, 0.451, 0.03), "{found:?}");
     assert!(found.samples.precision > 0.985 && found.samples.recall == 1.0, "{found:?}");
     let bare = Mesh { normals: Vec::new(), ..truth.clone() };
     let without = accuracy(&mesh, &bare);
-    // A share of exp(-π 0.5² / 0.8²) of the area is farther than the threshold from all points.
+    // A share of exp(-π 0.5² / 0.8²) of the area is farther than the threshold, 0.5 m, from all points.
     assert!(near(without.samples.precision, 1.0 - 0.293, 0.02), "{without:?}");
     let lifted = accuracy(&moved(&mesh, [0.0, 0.0, 0.6]), &truth);
     assert_eq!(lifted.samples.precision, 0.0, "discs are flat");

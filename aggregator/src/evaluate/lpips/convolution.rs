@@ -1,5 +1,6 @@
-//! Convolution as a matrix product whose rows are windows of the input. Each thread lays out a megabyte of
-//! windows at a time, so that only the features themselves grow with the picture.
+//! Convolutions as matrix products. Each row of the left matrix is one window of the input, and each column
+//! of the right matrix is the kernel of one output channel. A thread copies 1 MiB of windows at a time, so
+//! the memory for windows does not grow with the picture.
 
 use ndarray::linalg::general_mat_mul;
 use ndarray::{Array2, ArrayView2, ArrayViewMut2};
@@ -7,10 +8,10 @@ use rayon::prelude::*;
 
 use super::network::Step;
 
-/// Values of the windows that a thread lays out at a time: 1 MiB, which fits a core's cache.
+/// Number of `f32` values in the windows that a thread copies at a time: 1 MiB, which fits a core's cache.
 const WINDOW_VALUES: usize = 1 << 18;
 
-/// The output of a layer, pixel by pixel.
+/// The input or output of a layer: a picture with any number of channels.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct FeatureMap {
     /// Width and height, each at least 1.
@@ -60,14 +61,16 @@ impl FeatureMap {
 #[derive(Debug)]
 pub(super) struct Convolution {
     pub(super) step: Step,
-    /// `[window row, window column, channel in]` flattened × channel out.
+    /// A matrix with a row for each value of a window, in the order `[window row, window column, input
+    /// channel]`, and a column for each output channel.
     pub(super) kernel: Array2<f32>,
-    /// One per channel out.
+    /// One value for each output channel.
     pub(super) bias: Vec<f32>,
 }
 
 impl Convolution {
-    /// Panics if the input has another number of channels than the kernel, or is smaller than a window.
+    /// Computes the convolution and the ReLU. Panics if the input has another number of channels than the
+    /// kernel, or if the padded input is smaller than a window.
     pub(super) fn run(&self, input: &FeatureMap) -> FeatureMap {
         let Step { side_px, stride_px, padding_px, .. } = self.step;
         let (window, channels) = self.kernel.dim();
@@ -91,7 +94,7 @@ impl Convolution {
         FeatureMap { size_px: [width, height], channels, values }
     }
 
-    /// `out = max(0, windows · kernel + bias)`, row by row.
+    /// Computes `out = max(0, windows · kernel + bias)`, with one row for each output pixel.
     fn product(&self, windows: &[f32], out: &mut [f32]) {
         let (window, channels) = self.kernel.dim();
         let pixels = out.len() / channels;

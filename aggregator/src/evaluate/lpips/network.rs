@@ -1,26 +1,26 @@
-//! The two networks as lists of convolutions.
+//! VGG16 and AlexNet as lists of convolutions.
 
 /// The network whose features are compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Network {
-    /// VGG16, to its 13th convolution.
+    /// VGG16 up to its 13th convolution.
     Vgg,
-    /// AlexNet, to its fifth convolution.
+    /// AlexNet up to its fifth convolution.
     Alex,
 }
 
 /// A convolution, the pooling before it, and the ReLU after it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Step {
-    /// Side of its square window.
+    /// Side of the square window.
     pub(super) side_px: usize,
-    /// Distance from one window to the next.
+    /// Distance from one window to the next, pixels.
     pub(super) stride_px: usize,
-    /// Width of the border of zeros around its input.
+    /// Width of the border of zeros that is added around the input.
     pub(super) padding_px: usize,
-    /// Whether its input is pooled first.
+    /// Whether the input is first reduced by max pooling.
     pub(super) pooled: bool,
-    /// Whether its features are compared.
+    /// Whether the distance compares the output of this step.
     pub(super) tapped: bool,
 }
 
@@ -33,7 +33,7 @@ impl Network {
         }
     }
 
-    /// Side of the windows of max pooling, whose stride is two pixels.
+    /// Side of the windows of max pooling; their stride is two pixels.
     pub(super) fn pool_side_px(self) -> usize {
         match self {
             Self::Vgg => 2,
@@ -41,7 +41,7 @@ impl Network {
         }
     }
 
-    /// The shortest side of a picture that leaves a pixel after the last pooling.
+    /// The smallest side of a picture with which at least one pixel is left after the last pooling.
     pub(super) fn size_min_px(self) -> u32 {
         match self {
             Self::Vgg => 16,

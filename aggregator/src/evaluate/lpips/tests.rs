@@ -1,9 +1,10 @@
-//! Goal: the same distances as the published implementation. Method: pictures and small networks come from an
-//! integer hash, so that another implementation can get the same input; its results are the constants here.
+//! Checks that the distances equal those of other implementations. The pictures, and the weights of small networks,
+//! come from an integer hash, so that other implementations can compute them too. The expected distances here are
+//! the results of those implementations.
 //!
-//! The results for the real weights come from the published implementation (`lpips` 0.1.4 under PyTorch
-//! 1.13.1) with the features of these files and its own heads. The results for the small networks come from the
-//! same operations in PyTorch, on weights from the hash.
+//! With the real weights, the results come from the published implementation (`lpips` 0.1.4 under PyTorch 1.13.1):
+//! it used the convolutions of the same files, and its own heads. With the weights of small networks, they come
+//! from the same operations in PyTorch.
 #![allow(clippy::unwrap_used)]
 
 use std::collections::HashMap;
@@ -15,7 +16,7 @@ use safetensors::tensor::TensorView;
 use super::*;
 
 const SIZE_PX: [u32; 2] = [80, 64];
-/// Largest error that the project promises.
+/// Largest difference from the published implementation that the project promises.
 const TOLERANCE: f64 = 1e-3;
 
 fn hash(i: u32) -> u32 {
@@ -44,8 +45,8 @@ fn picture(byte: impl Fn([u32; 3]) -> u32) -> Vec<f32> {
     places.map(|place| byte(place) as f32 / 255.0).collect()
 }
 
-/// Noise, and the same mixed with other noise; a chessboard, and the same moved by (3, 1); a gradient, and the same
-/// with grain.
+/// Three pairs of pictures: noise, and that noise mixed with other noise; a chessboard, and the board moved by 3 px
+/// to the left and 1 px up; a gradient, and the gradient with grain.
 fn pairs() -> [[Vec<f32>; 2]; 3] {
     let mixed = |p| (3 * noise(1, p) + noise(2, p)) / 4;
     let grain = |p| (7 * gradient(p) + noise(3, p)) / 8;
@@ -64,7 +65,8 @@ fn assert_distances(lpips: &Lpips, expected: [f64; 3], tolerance: f64) {
     }
 }
 
-/// The folder of the weights: `COSURF_LPIPS`, else `shared/lpips` beside the repository.
+/// The folder of the weights: the one that `COSURF_LPIPS` names, or else `shared/lpips` beside the repository.
+/// `None` if it has no weights.
 fn weights() -> Option<PathBuf> {
     let beside = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/lpips");
     let folder = std::env::var_os("COSURF_LPIPS").map_or(beside, PathBuf::from);
@@ -88,7 +90,7 @@ fn distances_match_the_published_implementation() {
     assert_distances(&alex, [0.037_193, 0.156_216, 0.047_640], TOLERANCE);
 }
 
-/// Weights of a small network: shapes and values by name.
+/// The weights of a small network: shape and values of each tensor by its name.
 type Tensors = HashMap<String, (Vec<usize>, Vec<f32>)>;
 
 fn small_tensors(network: Network) -> Tensors {

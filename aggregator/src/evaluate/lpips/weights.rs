@@ -1,5 +1,5 @@
-//! Weights from a safetensors file. Every name, shape and number is checked: a file of another network is
-//! refused in one line.
+//! Reads weights from a safetensors file. Every name, shape and number is checked, so the file of another
+//! network is refused with an error of one line.
 
 use ndarray::Array2;
 use safetensors::{Dtype, SafeTensors};
@@ -14,11 +14,11 @@ const COLORS: usize = 3;
 #[derive(Debug)]
 pub(super) struct Weights {
     pub(super) convolutions: Vec<Convolution>,
-    /// For each tapped convolution, the weight of each channel's squared difference.
+    /// For each convolution with [`Step::tapped`]: the weight of the squared difference of each channel.
     pub(super) heads: Vec<Vec<f32>>,
 }
 
-/// Parses the bytes of a weight file, or says in one line what is wrong with them.
+/// Parses the bytes of a weight file. An error says in one line what is wrong with them.
 pub(super) fn parse(bytes: &[u8], network: Network) -> Result<Weights, String> {
     let file =
         SafeTensors::deserialize(bytes).map_err(|error| format!("not a safetensors file ({error})"))?;
@@ -49,7 +49,8 @@ fn convolution(file: &SafeTensors, i: usize, step: Step, channels_in: usize) -> 
     Ok(Convolution { step, kernel, bias })
 }
 
-/// Shape and values of a tensor whose shape must be `wanted`; `None` stands for any length but 0.
+/// Returns shape and values of a tensor. Its shape must be `wanted`, where `None` stands for any length
+/// but 0.
 fn tensor(
     file: &SafeTensors,
     name: &str,
@@ -74,9 +75,10 @@ fn tensor(
     Ok((shape.to_vec(), values))
 }
 
-/// Converts an IEEE 754 half; infinities become NaN.
+/// Converts an IEEE 754 half-precision number; infinities become NaN.
 fn f32_from_f16(bits: u16) -> f32 {
-    // The exponents' biases differ by 112; a product by 2^112 also normalises subnormal numbers.
+    // The exponent biases of the two formats differ by 112. The product with 2^112 corrects this, and
+    // also normalises subnormal numbers.
     let rebias = f32::from_bits((127 + 112) << 23);
     let magnitude = f32::from_bits(u32::from(bits & 0x7fff) << 13) * rebias;
     let magnitude = if bits & 0x7c00 == 0x7c00 { f32::NAN } else { magnitude };
@@ -87,7 +89,7 @@ fn f32_from_f16(bits: u16) -> f32 {
 mod tests {
     use super::*;
 
-    /// From the definition: sign, exponent, mantissa.
+    /// Computes the expected value from the definition: sign, exponent and mantissa.
     #[test]
     fn every_half_is_read_as_defined() {
         for bits in 0..=u16::MAX {

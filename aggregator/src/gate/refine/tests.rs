@@ -1,4 +1,5 @@
-//! Models of one ground of coloured stones; one of them lies in another frame or shows nonsense.
+//! Models of the same ground of coloured stones. In each test, one of the models lies in another frame or shows
+//! nonsense.
 #![allow(clippy::unwrap_used)]
 
 use cosurf_scene::splats::SH_C0;
@@ -11,7 +12,7 @@ use crate::gate::{Doubt, admit};
 use crate::testing::InMemory;
 use cosurf_link::Model;
 
-/// A pseudo-random number, 0..1, for each lattice point.
+/// A pseudo-random number in 0..1 for each lattice point; another `salt` gives other numbers.
 fn noise(x: i32, y: i32, salt: u32) -> f32 {
     let mut h = (x as u32).wrapping_mul(0x9e37_79b9) ^ (y as u32).wrapping_mul(0x85eb_ca6b) ^ salt;
     h = (h ^ (h >> 15)).wrapping_mul(0x2c1b_3c6d);
@@ -19,7 +20,7 @@ fn noise(x: i32, y: i32, salt: u32) -> f32 {
     ((h ^ (h >> 15)) >> 8) as f32 / (1 << 24) as f32
 }
 
-/// Stones of about a metre, each of its own colour, on hilly ground between `west` and `east`. Another `salt` gives
+/// Stones of about a metre on hilly ground between `west` and `east`, each of its own colour. Another `salt` gives
 /// other splats for the same stones.
 fn stones(west: f32, east: f32, salt: u32) -> Splats {
     const STEP: f32 = 0.2;
@@ -46,7 +47,7 @@ fn camera(x: f64, y: f64) -> Camera {
     }
 }
 
-/// A model of the ground around `place`.
+/// A model of the ground around `x = place`. `salt` chooses the splats.
 fn local(place: f32, salt: u32) -> Model {
     let x = f64::from(place);
     let places = [-3.0, -1.0, 1.0, 3.0].into_iter().flat_map(|dx| [-1.5, 1.5].map(|y| camera(x + dx, y)));
@@ -59,7 +60,7 @@ fn mirrored(model: &Model) -> Model {
     mirrored
 }
 
-/// The model with its colours shuffled and its splats lifted to random heights.
+/// The model with shuffled colours and with splats lifted to random heights.
 fn nonsense(model: &Model) -> Model {
     let mut nonsense = model.clone();
     let colors = model.splats.sh.clone();

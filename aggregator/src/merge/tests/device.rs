@@ -1,17 +1,18 @@
-//! Compares merging on a graphics card, or its software driver, with merging on the CPU.
+//! Compares merging on a graphics card with merging on the CPU. A software driver may stand in for the card.
 
 use cosurf_engine::DeviceError;
 
 use super::*;
 
-/// Largest difference in quality between the two, dB.
+/// Largest difference in quality between the two merged models, dB.
 const QUALITY_OFF_MAX: f64 = 0.1;
-/// Least PSNR between the pictures of the two, dB.
+/// Least PSNR between the renderings of the two merged models, dB.
 const AGREEMENT_MIN: f64 = 56.0;
-/// Largest share of a model's splats that only one of the two removes: rounding decides between equal importances.
+/// Largest share of a model's splats that only one of the devices removes. Such differences are normal: rounding
+/// decides between splats of equal importance.
 const TIES_MAX: f64 = 0.005;
 
-/// The best graphics card; `None`, with a notice, if there is none.
+/// The best graphics card. If there is none, reports that the test is skipped and returns `None`.
 fn card() -> Option<Device> {
     match DeviceChoice::Gpu(None).open() {
         Ok(device) => Some(device),
@@ -22,8 +23,8 @@ fn card() -> Option<Device> {
     }
 }
 
-/// Two flights, each with errors like those of training. With nothing to learn, rounding would decide what a step
-/// changes, and the devices would drift apart.
+/// Models of two flights, with errors like those of training. Without errors there would be nothing to learn: rounding
+/// alone would decide what a step changes, and the devices would drift apart.
 fn with_errors() -> InMemory {
     let mut models = overlapping();
     for (model, of) in models.iter_mut().zip([0.0, 0.5]) {
@@ -40,7 +41,7 @@ fn with_errors() -> InMemory {
     InMemory(models)
 }
 
-/// Pseudo-random numbers in -1..1.
+/// A pseudo-random number in -1..1 for each value of `of`.
 fn error(of: f64) -> f32 {
     let x = (12.9898 * of).sin() * 43_758.545_3;
     (2.0 * (x - x.floor()) - 1.0) as f32

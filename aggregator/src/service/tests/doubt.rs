@@ -1,4 +1,4 @@
-//! A model that contradicts the others is kept out and reported, until its device sends a sound one.
+//! A model that contradicts the others is kept out and reported, until its device sends a model that fits.
 
 use super::*;
 use crate::gate::tests::{elsewhere, flights};
@@ -7,7 +7,8 @@ use glam::DVec3;
 
 const NAMES: [&str; 4] = ["agent-1", "agent-2", "agent-3", "agent-4"];
 
-/// Drones send the models of `sent`; returns the global model once exactly the `outsiders` are kept out of it.
+/// Lets drones send the models of `sent`: device, number and model. Once all of `waited_for` are merged or kept out,
+/// and exactly the `outsiders` are kept out, returns the bytes of the global model's file.
 fn fly(folder: &Path, waited_for: &[&str], sent: &[(&str, u64, &Model)], outsiders: &[&str]) -> Vec<u8> {
     let network = MemoryNetwork::new(sent.len() as u64, BAD_WEATHER);
     let mut ground = open_with(&network, folder, fleet(waited_for), QUICK);

@@ -1,6 +1,6 @@
-//! Random histories of a site, from seeds: models arrive in any order, late, duplicated, and in new versions; the
-//! service is killed while waiting or merging; a device is withdrawn. Every history with the same final models must
-//! end with the bytes of a direct merge of these models.
+//! Random histories of a site, each from a seed. Models arrive in any order, late, duplicated, and in new versions. The
+//! service is killed while it waits or merges. A device is withdrawn. Every history with the same final models must end
+//! with the bytes of a direct merge of these models.
 
 use cosurf_link::{FirstLayer, model_to_body, plain_importance};
 use cosurf_wire::BodyHash;
@@ -13,7 +13,7 @@ use crate::testing::{QUICK, model_at};
 /// Number of histories.
 const SEEDS: u64 = 200;
 const NAMES: [&str; 3] = ["agent-1", "agent-2", "agent-3"];
-/// A device that may fly too, and is withdrawn.
+/// A device that flies in some histories, and is withdrawn in all.
 const STRANGER: &str = "agent-0";
 const SETTINGS: MergeSettings = MergeSettings { seed: 3, ..QUICK };
 
@@ -41,7 +41,7 @@ fn arrived(model: &Model) -> Model {
     .unwrap()
 }
 
-/// The hash of a direct merge of the models.
+/// The hash of the global model that a direct merge of the models gives.
 fn merged_hash(models: &[Model]) -> BodyHash {
     let locals = InMemory(models.iter().map(arrived).collect());
     let mut go_on = |_: MergeProgress| ControlFlow::Continue(());
@@ -50,22 +50,25 @@ fn merged_hash(models: &[Model]) -> BodyHash {
     Offer::from_body(device, ModelId(1), ModelKind::Global, 1, body).unwrap().header.blake3
 }
 
-/// One run of the service: the drones in the air, and when the service is killed.
+/// One run of the service, until it is killed.
 struct Sitting {
+    /// Index into [`NAMES`] and model number of each drone. Model 1 shows another place.
     drones: Vec<(usize, u64)>,
+    /// Whether [`STRANGER`] flies too. Otherwise it is withdrawn.
     with_stranger: bool,
     killed: Kill,
 }
 
 #[derive(Clone, Copy, PartialEq)]
 enum Kill {
-    /// As soon as all models are stored, before or during the merge.
+    /// The service is killed as soon as all models are stored, before or during the merge.
     BeforeOrInTheMerge,
-    /// After the merge.
+    /// The service is killed after the merge.
     AfterTheMerge,
 }
 
-/// The drones come in random order; the first one sends an older model of another place at first.
+/// Draws the runs of a history. The drones come in random order. In the first run, the first drone sends an older
+/// model, of another place.
 fn sittings(dice: &mut Dice) -> Vec<Sitting> {
     let mut order = [0, 1, 2];
     for last in (1..3).rev() {

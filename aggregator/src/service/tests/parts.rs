@@ -1,4 +1,4 @@
-//! An upload that stalls: the part that has arrived is merged, until the rest arrives.
+//! An upload stalls: the part that has arrived is merged, until the rest arrives.
 
 use cosurf_link::{FirstLayer, model_to_body};
 
@@ -6,7 +6,7 @@ use super::*;
 use crate::gate::tests::flights;
 use crate::testing::QUICK;
 
-/// Agent-1 saw no ground east of this x.
+/// The model of agent-1 has no ground east of this x.
 const BEYOND: f32 = 16.0;
 
 /// A drone that sends `model` in small chunks, the easternmost splats first.
@@ -28,7 +28,7 @@ fn slow_network(seed: u64) -> MemoryNetwork {
     MemoryNetwork::new(seed, Faults { bytes_per_s: std::num::NonZeroU32::new(3000), ..Faults::NONE })
 }
 
-/// A slow drone comes, falls silent once a part of its model has arrived, and is given up.
+/// Adds a slow drone that falls silent once a part of its model has arrived. Then the drone is given up.
 fn stall(network: &MemoryNetwork, ground: &mut Ground, drones: &mut Vec<Drone>, number: u64, model: &Model) {
     drones.push(slow_drone(network, number, model));
     let key = ModelKey { device: DeviceId::new("agent-2").unwrap(), model: ModelId(number) };

@@ -1,4 +1,5 @@
-//! A hierarchy on one thread: three drones below two edges below a cloud, on a faulty network.
+//! A hierarchy on one thread, over a faulty network: a cloud, two edges below it, and three drones below the
+//! edges.
 #![allow(clippy::unwrap_used)]
 
 use std::ops::ControlFlow;
@@ -17,12 +18,12 @@ use crate::testing::{BAD_WEATHER, LIMITS, PATIENCE, QUICK, identity, model_at};
 
 const SETTINGS: MergeSettings = MergeSettings { seed: 3, ..QUICK };
 
-/// The body that a drone sends of its model.
+/// The body of a model, as a drone sends it.
 fn sent(Model { splats, cameras }: &Model) -> Vec<u8> {
     model_to_body(splats, cameras, FirstLayer::ByImportance(&plain_importance(splats))).unwrap()
 }
 
-/// The body of the model to which the models in `bodies` are merged.
+/// The body of the model that a merge of the models in `bodies` gives.
 fn merged(bodies: &[Vec<u8>]) -> Vec<u8> {
     let locals = InMemory(bodies.iter().map(|body| body_to_model(body).unwrap()).collect());
     let admitted = admit(&locals, SETTINGS.refine, 1, &|| false).unwrap();
@@ -30,7 +31,7 @@ fn merged(bodies: &[Vec<u8>]) -> Vec<u8> {
     packed(&merged.model, 1).unwrap()
 }
 
-/// A service, its link, and for an edge its upstream link.
+/// An aggregator: its service, its connection to the network, and for an edge its upstream link.
 struct Level {
     service: Service,
     transport: MemoryTransport,
@@ -104,7 +105,8 @@ fn tree(network: &MemoryNetwork, folder: &Path) -> [Level; 3] {
     [level("cloud", &["edge-1", "edge-2"]), level("edge-1", &["a", "b"]), level("edge-2", &["c"])]
 }
 
-/// Runs until both edges have received the cloud's global model; returns the hashes of what they have.
+/// Runs until both edges have received the cloud's global model. Returns the hash of the newest one that each
+/// edge has stored.
 fn run(network: &MemoryNetwork, folder: &Path, drones: &mut [Drone]) -> [BodyHash; 2] {
     let mut levels = tree(network, folder);
     while !levels[1..].iter().all(|level| level.has_come_down) {
@@ -140,7 +142,7 @@ fn the_cloud_merges_its_edges_models_and_both_edges_receive_the_result() {
     let splats = |file| ply::read(&folder.path().join(file)).unwrap().len();
     assert_eq!(splats("edge-2/upstream/global.ply"), splats("cloud/global.ply"));
 
-    // All aggregators are killed and restarted without the drones: their disks hold enough.
+    // All aggregators are killed and restarted without the drones: the models on their disks suffice.
     let network = MemoryNetwork::new(2, BAD_WEATHER);
     assert_eq!(run(&network, folder.path(), &mut []), [expected; 2]);
 }

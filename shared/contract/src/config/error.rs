@@ -1,26 +1,28 @@
-//! Errors of a configuration file, as lines that a person can act on.
+//! Errors in a configuration file. Each is one line that tells a person what to change.
 
-/// Why an `agent.toml` cannot be used: one line that names the field.
+/// Why an `agent.toml` cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ConfigError {
     /// A value is wrong, or the text is not TOML.
     #[error("line {line}{}: {reason}", field.as_ref().map(|field| format!(", {field}")).unwrap_or_default())]
     Value {
-        /// The line, from 1.
+        /// Number of the line, from 1.
         line: usize,
-        /// The field whose value is wrong, if the line has one.
+        /// The field whose value is wrong, with its table, for example `tls.cert`; `None` if the line belongs to no
+        /// field.
         field: Option<String>,
         /// What is wrong.
         reason: String,
     },
-    /// A required field is missing; the text names it.
+    /// A required field is missing. The text names the field.
     #[error("{0}")]
     Missing(String),
     /// Neither or both of `broker` and `serial` are set.
     #[error("write either broker = \"mqtt://host:port\" or serial = \"/dev/ttyUSB0\"")]
     OneLink,
-    /// Both `compress` and `trusted` are set: `compress` needs other agents' flights, which are unsigned.
+    /// Both `compress` and `trusted` are set. With `compress`, a device drops splats because of the flights (announced
+    /// cameras) of other agents. Flights are not signed, so `trusted` cannot protect against forged flights.
     #[error(
         "compress = true: agents do not sign which views they took; remove either `compress` or `trusted`"
     )]
@@ -28,10 +30,11 @@ pub enum ConfigError {
 }
 
 impl ConfigError {
-    /// Finds the line and the field that `error` is about.
+    /// Adds the line and the field that `error` is about. `text` is the whole file.
     pub(super) fn from_toml(text: &str, error: &toml::de::Error) -> Self {
         let reason = error.message().trim().replace('\n', "; ");
-        // An error about the file as a whole has an empty span at its start.
+        // If an error is about the whole file, such as a missing field outside all tables, its span is empty and lies
+        // at the start of the file.
         match error.span().filter(|span| span.end > 0) {
             Some(span) => {
                 let line = 1 + text[..span.start].matches('\n').count();
@@ -42,7 +45,8 @@ impl ConfigError {
     }
 }
 
-/// The field that a line belongs to, with its table. The later lines of a value belong to the field above them.
+/// The field that line number `line` (from 1) belongs to, with its table, for example `tls.cert`. If a value spans
+/// several lines, all of them belong to the field that is named on the first line.
 fn field_at(text: &str, line: usize) -> Option<String> {
     let mut above = text.lines().take(line).collect::<Vec<_>>().into_iter().rev();
     let named = above.find(|line| table(line).or_else(|| key(line)).is_some())?;
@@ -50,12 +54,12 @@ fn field_at(text: &str, line: usize) -> Option<String> {
     Some(above.find_map(table).map_or(key.to_owned(), |table| format!("{table}.{key}")))
 }
 
-/// The name in a table's header.
+/// The name of the table if `line` is a table's header: `tls` for `[tls]`.
 fn table(line: &str) -> Option<&str> {
     line.trim().strip_prefix('[')?.strip_suffix(']')
 }
 
-/// The key that a line begins with.
+/// The key at the start of `line`: `steps` for `steps = 7`.
 fn key(line: &str) -> Option<&str> {
     let line = line.trim();
     let end = line.find(|c: char| !c.is_ascii_alphanumeric() && !"_-.".contains(c)).unwrap_or(line.len());

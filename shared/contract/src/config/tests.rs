@@ -1,9 +1,9 @@
-//! Files that people and missions wrote before stay valid, and wrong values are refused with one clear line.
+//! Tests that files written by earlier versions stay valid, and that a wrong value is refused with one clear line.
 #![allow(clippy::unwrap_used)]
 
 use super::*;
 
-/// What a mission has written for an agent since before fields had types.
+/// An `agent.toml` as missions wrote it when its fields were plain strings and numbers, and as they still write it.
 const WRITTEN_BY_A_MISSION: &str = r#"device = "agent-1"
 site = "mission-1795417316"
 broker = "mqtt://127.0.0.1:42435"
@@ -23,7 +23,7 @@ compress = false
 wait_global = true
 "#;
 
-/// All fields, with values in the forms that this program writes.
+/// All fields but `serial`, which excludes `broker`. Every value has the form in which [`AgentConfig`] writes it.
 const ALL_FIELDS: &str = r#"device = "drone-1"
 site = "quarry"
 broker = "mqtts://broker.example.org:8883"

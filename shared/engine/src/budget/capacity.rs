@@ -4,21 +4,23 @@ use cosurf_scene::{Camera, Splats};
 
 use crate::backend::Channels;
 
-/// Capacity for splat–tile pairs, per splat of the whole model. Aerial scenes need 2 to 4. A view that needs more loses
-/// its farthest splats, and the report says so; a renderer grows its buffers instead.
+/// Capacity for the splat–tile pairs of one view, per splat of the whole model. Aerial scenes need 2 to 4. If a
+/// training view needs more, its farthest splats are not blended, and the report says so. A
+/// [`Renderer`](crate::Renderer) grows its buffers instead.
 pub const PAIRS_PER_SPLAT: usize = 4;
 
-/// [`PAIRS_PER_SPLAT`] where each camera sees most of the model, as in distillation and scoring.
+/// Capacity for the splat–tile pairs of one view, per splat of the model, if each camera sees most of the model. This
+/// is so in distillation and scoring.
 pub const PAIRS_PER_SEEN_SPLAT: usize = PAIRS_PER_SPLAT + 1;
 
 /// Sizes of a backend's buffers, decided before anything is allocated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Capacity {
-    /// Most splats.
+    /// Largest number of splats.
     pub splats: usize,
-    /// Most splat–tile pairs of one view.
+    /// Largest number of splat–tile pairs in one view.
     pub pairs: usize,
-    /// Largest picture.
+    /// Width and height of the largest picture, px.
     pub size_px: [u32; 2],
     /// Stored SH degree, 0..=3.
     pub sh_degree: u32,
@@ -29,7 +31,7 @@ pub struct Capacity {
 }
 
 impl Capacity {
-    /// Capacity to train or to score `splats` under `cameras`.
+    /// Capacity to train or to score `splats` with the pictures of `cameras`.
     pub fn to_train(splats: &Splats, cameras: &[Camera], channels: Channels) -> Self {
         Self {
             splats: splats.len(),
@@ -41,7 +43,9 @@ impl Capacity {
         }
     }
 
-    /// Capacity to render models of an SH degree; splats and pairs are 0; the buffers of pictures grow.
+    /// Capacity to render models of this SH degree, with no splats, no pairs and pictures of 1 × 1 px. Callers replace
+    /// the sizes that they know. The picture buffers of a [`CpuBackend`](crate::CpuBackend) grow if pictures are
+    /// larger.
     pub fn to_render(sh_degree: u32) -> Self {
         Self {
             splats: 0,

@@ -1,8 +1,8 @@
 //! The optimiser pass: Adam on all splats, visible or not.
 //!
-//! A splat out of view has gradient zero, and its momentum still moves it. Skipping such splats ("sparse Adam") is
-//! faster for large models, but loses quality (table "Short runs"). The SH gradients are products of the colour
-//! gradient and the basis; they are computed here, so that they need no memory.
+//! A splat that the camera does not see has gradient zero, but its momentum still moves it. Skipping such splats
+//! ("sparse Adam") is faster for large models, but loses quality (table "Short runs"). The SH gradients are products of
+//! the colour gradient and the basis. They are computed here, so they need no memory.
 
 use cosurf_scene::splats::sh_coefficients;
 use rayon::prelude::*;
@@ -15,7 +15,8 @@ use crate::layout::rows::{GRADIENT_RGB, GRADIENT_ROWS, LOG_SCALE, MEAN, OPACITY,
 use crate::layout::view::ViewParams;
 use crate::simd::{GROUP, Isa, Kernel, Lanes, Row, each};
 
-/// One step on every splat. Splats that are not `visible` have gradient zero, whatever `gradients` holds.
+/// Makes one Adam step on every splat. `visible` has one bit for each splat of a block. Splats that are not visible
+/// have gradient zero, whatever `gradients` holds.
 pub(crate) fn adam(
     isa: Isa,
     params: &mut Blocks,
@@ -70,7 +71,7 @@ impl AdamBlock<'_> {
         let gradients = self.gradients;
         let g = |row: usize| gradients[row].get::<L>(part).keep(mask);
         let mean = each!([0, 1, 2], |a| self.params[MEAN + a].get::<L>(part));
-        // The viewing direction of the forward pass, before the mean moves.
+        // The viewing direction of the forward pass; the mean has not moved yet.
         let (dir, _) = view_direction(mean, self.view);
         let basis = harmonics::basis(dir, self.view.sh_degree);
         let r = *self.rates;

@@ -1,4 +1,4 @@
-//! The CPU as a [`Backend`]: buffers that are allocated once, and a thread pool for the passes.
+//! The CPU as a [`Backend`], with buffers that are allocated once and a thread pool for the passes.
 
 use cosurf_scene::{Camera, Splats};
 
@@ -22,9 +22,9 @@ use crate::layout::tiles::{TileImage, padded_pixels};
 use crate::layout::view::ViewParams;
 use crate::simd::Isa;
 
-/// Splats on the CPU.
+/// Trains and renders splats on the CPU.
 ///
-/// The passes of a rendering, one after the other:
+/// The passes of a rendering, in order:
 ///
 /// ```
 /// use cosurf_engine::backend::Channels;
@@ -61,12 +61,12 @@ pub struct CpuBackend {
     lists: TileLists,
     pub(super) image: TileImage,
     pub(super) gradient: TileImage,
-    /// Entries of each tile's list that were blended before all its pixels were full.
+    /// For each tile, the number of entries of its list that were processed until all its pixels were full.
     blended: Vec<u32>,
     records: Vec<Record>,
     photometric: Photometric,
     surface: Surface,
-    /// Weight of the scale loss in the next backward pass.
+    /// Weight of the scale loss in the next backward pass, 1 / world units.
     pub(super) scale_weight: f32,
 }
 

@@ -1,9 +1,9 @@
-//! The binning pass: the list of splats that each tile blends, nearest first.
+//! The binning pass: makes the list of splats that each tile blends, nearest first.
 //!
-//! Splats are sorted by depth once, and the lists are filled in that order, so that no list needs sorting. A splat is
-//! in the lists of exactly the tiles that its ellipse (alpha of at least 1/255) touches: for each row of tiles, the
-//! extent of the ellipse within the pixel centres of the row is computed in closed form. Counting and filling use the
-//! same spans.
+//! Splats are sorted by depth once. The lists are filled in that order, so no list needs sorting. A splat is in the
+//! lists of exactly the tiles that its ellipse (alpha of at least 1/255) touches. For this, the horizontal extent of
+//! the ellipse within each row of tiles is computed in closed form. Counting and filling use the same results, the
+//! spans.
 
 use std::sync::atomic::{AtomicU32, Ordering};
 
@@ -16,35 +16,36 @@ use crate::layout::tiles::{TILE, TileImage};
 use crate::layout::view::ViewParams;
 use crate::simd::GROUP;
 
-/// Initial capacity for spans, per splat of a run; a run with more spans grows once.
+/// Initial capacity for spans, per splat of a run. If a run has more spans, its memory grows and stays large.
 const SPANS_PER_SPLAT: usize = 3;
 
-/// Number of runs into which the depth-sorted splats are divided for the threads; the result does not depend on it.
+/// Number of runs into which the depth-sorted splats are divided, for parallel work. The result does not depend on it.
 const RUNS: usize = 16;
 
-/// Number of jobs that fill the lists, each for some rows of tiles; the result does not depend on it. Every job reads
-/// all spans, so more jobs than threads cost time.
+/// Number of parallel jobs that fill the lists, each for some rows of tiles. The result does not depend on it. Every
+/// job reads all spans, so more jobs than threads cost time.
 const JOBS: usize = 6;
 
-/// Tiles that one splat touches in one row of tiles.
+/// The tiles that one splat touches in one row of tiles.
 #[derive(Clone, Copy, Debug)]
 struct Span {
     id: u32,
-    /// First slot of the span: its place among all splat–tile pairs of the run, in depth order.
+    /// First slot of the span. A slot is the place of a splat–tile pair among all pairs in depth order. Before
+    /// `assign_slots` runs, this is the place among the pairs of the run.
     slot: u32,
     tile_y: u16,
     tile_x: u16,
     count: u16,
 }
 
-/// A splat and its number of pairs.
+/// A splat that touches at least one tile, and its number of splat–tile pairs.
 #[derive(Clone, Copy, Debug)]
 struct Touched {
     id: u32,
     pairs: u32,
 }
 
-/// One run of depth-sorted splats.
+/// A run of splats that follow one another in depth order.
 #[derive(Debug)]
 struct Run {
     spans: Vec<Span>,
@@ -52,20 +53,20 @@ struct Run {
     pairs: u32,
 }
 
-/// Tile lists, and the places of each splat's pairs in them.
+/// The tile lists, and the places of each splat's pairs in them.
 #[derive(Debug)]
 pub(crate) struct TileLists {
     capacity: usize,
     tiles: [usize; 2],
-    /// Splat ids, tile by tile, nearest first.
+    /// Splat ids of all lists, tile by tile, nearest first.
     ids: Vec<u32>,
     /// Tile `t` owns `ids[starts[t]..starts[t + 1]]`.
     starts: Vec<u32>,
-    /// By tile: place of the next entry while the lists are filled.
+    /// By tile: place of the next entry in `ids` while the lists are filled.
     next: Vec<u32>,
-    /// By splat id: first slot and number of slots.
+    /// By splat id: first slot and number of slots of the splat.
     slots: Vec<[u32; 2]>,
-    /// By slot: index into `ids`. A splat's slots are contiguous. Each entry is written by one thread only.
+    /// By slot: index into `ids`. The slots of a splat are contiguous. Only one thread writes each entry.
     index_of_slot: Vec<AtomicU32>,
     keys: Vec<u64>,
     keys_swap: Vec<u64>,
@@ -73,7 +74,7 @@ pub(crate) struct TileLists {
 }
 
 impl TileLists {
-    /// Room for `splats` splats and `pairs` splat–tile pairs on pictures up to `size_px`.
+    /// Empty lists with room for `splats` splats and `pairs` splat–tile pairs on pictures up to `size_px`.
     pub(crate) fn with_capacity(splats: usize, pairs: usize, size_px: [u32; 2]) -> Self {
         let tiles: usize = TileImage::tiles_of(size_px).iter().product();
         let run_len = splats.div_ceil(RUNS);
@@ -100,7 +101,7 @@ impl TileLists {
         &self.ids[self.starts[tile] as usize..self.starts[tile + 1] as usize]
     }
 
-    /// Tile `t` owns pairs `starts[t]..starts[t + 1]`.
+    /// Tile `t` owns the pairs `starts[t]..starts[t + 1]`.
     pub(crate) fn starts(&self) -> &[u32] {
         &self.starts
     }
@@ -109,7 +110,7 @@ impl TileLists {
         self.ids.len()
     }
 
-    /// Indices into the tile lists of the pairs of splat `id`, in a fixed order.
+    /// Places of the pairs of splat `id` among the entries of all tile lists, in a fixed order.
     pub(crate) fn pairs_of(&self, id: usize) -> impl Iterator<Item = usize> + '_ {
         let [first, count] = self.slots[id];
         self.index_of_slot[first as usize..(first + count) as usize]
@@ -117,7 +118,7 @@ impl TileLists {
             .map(|index| index.load(Ordering::Relaxed) as usize)
     }
 
-    /// Bins the visible splats.
+    /// Fills the lists with the visible splats.
     pub(crate) fn fill(&mut self, projection: &Projection, view: &ViewParams) -> BinCounts {
         self.tiles = view.tiles();
         self.sort_by_depth(projection);
@@ -157,7 +158,7 @@ impl TileLists {
         });
     }
 
-    /// Assigns slots to the splats in depth order; drops the pairs beyond the capacity.
+    /// Assigns slots to the splats in depth order. From the first splat beyond the capacity on, pairs are dropped.
     fn assign_slots(&mut self, splats: usize) -> BinCounts {
         self.slots.clear();
         self.slots.resize(splats, [0, 0]);
@@ -237,7 +238,8 @@ impl TileLists {
     }
 }
 
-/// Calls `visit(row - first, span)` for the spans in the tile rows `first..first + rows`, nearest first.
+/// Calls `visit` with each span in the rows of tiles `first..first + rows`, nearest first, and with the row of the
+/// span, counted from `first`.
 fn for_each_span(runs: &[Run], first: usize, rows: usize, mut visit: impl FnMut(usize, &Span)) {
     for span in runs.iter().flat_map(|run| &run.spans) {
         let row = (span.tile_y as usize).wrapping_sub(first);
@@ -248,7 +250,7 @@ fn for_each_span(runs: &[Run], first: usize, rows: usize, mut visit: impl FnMut(
 }
 
 impl Run {
-    /// Room for the usual spans of `splats` splats.
+    /// An empty run with room for the usual number of spans of `splats` splats.
     fn with_capacity(splats: usize) -> Self {
         Self {
             spans: Vec::with_capacity(SPANS_PER_SPLAT * splats),
@@ -271,11 +273,12 @@ impl Run {
     }
 }
 
-/// Pixels `i` with centres `i + 0.5` in `[low, high]`, clipped to `0..size`; `None` if there are none.
+/// First and last pixel `i` of `0..size` with a centre `i + 0.5` in `[low, high]`; `None` if there is none.
 #[inline]
 fn pixels_between(low: f32, high: f32, size: u32) -> Option<(usize, usize)> {
-    // Truncating casts are one instruction; `ceil` and `floor` are calls on baseline x86-64. Both ends are clamped to
-    // the range in which truncation rounds down; casts of infinities and NaN saturate.
+    // A cast, which truncates, is one instruction; `ceil` and `floor` are calls on baseline x86-64. Both ends are first
+    // clamped to at least -1, where the terms below are equal to `ceil` and `floor`. This also replaces infinities and
+    // NaN.
     let low = (low - 0.5 - SLACK_PX).max(-1.0).min(size as f32);
     let first = low as i32 + i32::from(low > (low as i32) as f32);
     let last = (high - 0.5 + SLACK_PX).max(-1.0).min(size as f32 - 1.0);
@@ -283,8 +286,8 @@ fn pixels_between(low: f32, high: f32, size: u32) -> Option<(usize, usize)> {
     (first.max(0) <= last).then_some((first.max(0) as usize, last as usize))
 }
 
-/// Calls `visit(tile_y, first tile_x, last tile_x)` for each row of tiles in which the splat's ellipse (falloff of at
-/// most `falloff_max`) contains a pixel centre.
+/// Calls `visit(tile_y, first tile_x, last tile_x)` for each row of tiles in which the ellipse of the splat (falloff of
+/// at most `falloff_max`) contains a pixel centre.
 #[inline]
 fn visit_spans(splat: &Projected, size_px: [u32; 2], mut visit: impl FnMut(usize, usize, usize)) {
     let [mean_x, mean_y] = splat.mean_px;
@@ -293,8 +296,8 @@ fn visit_spans(splat: &Projected, size_px: [u32; 2], mut visit: impl FnMut(usize
     let Some((top, bottom)) = pixels_between(mean_y - extent_y, mean_y + extent_y, size_px[1]) else {
         return;
     };
-    // At height dy the ellipse spans center * dy ± half * sqrt(1 - (dy / extent_y)²). It extends furthest to the right
-    // at dy = rightmost, and to the left at dy = -rightmost.
+    // At a height of dy from the mean, the ellipse spans center * dy ± half * sqrt(1 - (dy / extent_y)²) from the mean.
+    // It reaches furthest to the right at dy = rightmost, and furthest to the left at dy = -rightmost.
     let center = -0.5 * b / half_a;
     let half = (splat.falloff_max / half_a).sqrt();
     let rightmost = -0.5 * b / half_c * extent_x;
@@ -313,7 +316,7 @@ fn visit_spans(splat: &Projected, size_px: [u32; 2], mut visit: impl FnMut(usize
     }
 }
 
-/// Stable sort by the upper 32 bits, 11 bits at a time; skips passes in which all keys have the same digit.
+/// Sorts stably by the upper 32 bits, 11 bits in each pass. Skips passes in which all keys have the same digit.
 fn radix_sort_by_high_half(keys: &mut Vec<u64>, swap: &mut Vec<u64>) {
     const BITS: u32 = 11;
     const BUCKETS: usize = 1 << BITS;

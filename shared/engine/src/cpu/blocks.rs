@@ -1,7 +1,8 @@
-//! Tables of splats: blocks of 16 splats with one [`Row`] for each number, so that a pass loads a parameter of 16
-//! splats with one instruction and skips blocks that no camera sees.
+//! Tables of splats, in blocks of 16 splats with one [`Row`] for each number. So a pass loads one parameter of several
+//! splats with one instruction, and can skip blocks that the camera does not see.
 //!
-//! A block is one contiguous stretch of memory to prefetch; with one array per number there would be 59.
+//! A block is one contiguous piece of memory to prefetch. With one array for each number, there would be 59 pieces (at
+//! SH degree 3).
 
 use cosurf_scene::Splats;
 
@@ -17,7 +18,7 @@ pub(crate) struct Blocks {
 }
 
 impl Blocks {
-    /// No splats yet; room for `capacity`.
+    /// An empty table with room for `capacity` splats.
     pub(crate) fn with_capacity(capacity: usize, stride: usize) -> Self {
         Self { len: 0, stride, rows: Vec::with_capacity(capacity.div_ceil(GROUP) * stride) }
     }
@@ -30,7 +31,8 @@ impl Blocks {
         self.stride
     }
 
-    /// Changes the number of splats, within the capacity; new values are zero.
+    /// Changes the number of splats, within the capacity. New blocks are zero. In the last block, splats that are added
+    /// again have their old values.
     pub(crate) fn resize(&mut self, len: usize) {
         self.rows.resize(len.div_ceil(GROUP) * self.stride, Row::ZERO);
         self.len = len;
@@ -52,7 +54,7 @@ impl Blocks {
         &mut self.rows
     }
 
-    /// Parameter `row` of splat `i`.
+    /// Number `row` of splat `i`.
     pub(crate) fn value(&self, i: usize, row: usize) -> f32 {
         self.rows[i / GROUP * self.stride + row].0[i % GROUP]
     }
@@ -79,8 +81,8 @@ impl Blocks {
     }
 }
 
-/// Fills `blocks` with the parameters of `splats`, in the SH degree of the blocks: missing coefficients become zero,
-/// additional ones are dropped.
+/// Fills `blocks` with the parameters of `splats`, in the SH degree of `blocks`. Missing coefficients become zero;
+/// coefficients of higher degrees are dropped.
 pub(crate) fn store_splats(blocks: &mut Blocks, splats: &Splats) {
     blocks.resize(0);
     blocks.resize(splats.len());

@@ -1,35 +1,38 @@
-//! From parameters to a 2D Gaussian and a plane, for projection and its backward pass. EWA splatting as in 3DGS, the
-//! plane as in PGSR.
+//! Computes a splat's 2D Gaussian and plane from its parameters, for the projection and its backward pass. The 2D
+//! Gaussian is that of 3DGS (EWA splatting), the plane that of PGSR.
 
 use crate::layout::constants::LOW_PASS_PX2;
 use crate::layout::view::ViewParams;
 use crate::simd::{Lanes, dot3, each};
 
-/// Intermediate results between a splat's parameters and its conic.
+/// Intermediate results between the parameters of splats and their 2D Gaussians.
 #[derive(Clone, Copy)]
 pub(crate) struct Geometry<L: Lanes> {
-    /// Centre in the camera frame.
+    /// Centre of the splat, camera frame.
     pub(crate) t: [L; 3],
+    /// 1 / `t[2]`.
     pub(crate) inv_z: L,
-    /// Slopes `x / z` and `y / z` after clamping.
+    /// Slopes `x / z` and `y / z` of the centre, clamped to the limits of [`ViewParams`].
     pub(crate) slope: [L; 2],
     /// True where a slope was clamped.
     pub(crate) clamped: [L::Mask; 2],
-    /// Unit quaternion wxyz, and 1 / length before normalisation.
+    /// Unit quaternion, wxyz.
     pub(crate) q: [L; 4],
+    /// 1 / length of the quaternion before normalisation.
     pub(crate) inv_norm: L,
-    /// `cam_from_splat` rotation, `u[row][axis]`.
+    /// Rotation `cam_from_splat`, as `u[row][axis]`.
     pub(crate) u: [[L; 3]; 3],
     /// Variances along the splat's axes.
     pub(crate) variance: [L; 3],
-    /// `J u`: the splat's axes on the screen, `b[screen axis][axis]`.
+    /// The splat's axes on the screen: `J u`, as `b[screen axis][axis]`, with the Jacobian `J` of the projection.
     pub(crate) b: [[L; 3]; 2],
-    /// Covariance on the screen (xx, xy, yy), low-pass included, px².
+    /// Covariance on the screen (xx, xy, yy), with the variance of the low-pass filter, px².
     pub(crate) cov: [L; 3],
+    /// Determinant of `cov`, px⁴.
     pub(crate) det: L,
 }
 
-/// `world_from_splat` for a unit quaternion, `r[row][axis]`.
+/// Rotation `world_from_splat` of a unit quaternion, as `r[row][axis]`.
 #[inline(always)]
 pub(crate) fn rotation<L: Lanes>(q: [L; 4]) -> [[L; 3]; 3] {
     let [w, x, y, z] = q;
@@ -70,7 +73,8 @@ pub(crate) fn geometry<L: Lanes>(
     let scale = each!([0, 1, 2], |k| log_scale[k].max(c(-40.0)).min(c(40.0)).exp());
     let variance = each!([0, 1, 2], |k| scale[k] * scale[k]);
 
-    // J = [f/z, 0, -f slope/z]: rows of J u.
+    // Rows of `J u`. The rows of the Jacobian are `[f / z, 0, -f slope / z]` for x and `[0, f / z, -f slope / z]` for
+    // y.
     let b = each!([0, 1], |a| {
         let j = c(view.focal_px[a]) * inv_z;
         each!([0, 1, 2], |axis| j * slope[a].neg_mul_add(u[2][axis], u[a][axis]))
@@ -78,7 +82,9 @@ pub(crate) fn geometry<L: Lanes>(
     let cov_of = |p: [L; 3], q: [L; 3]| dot3([p[0] * variance[0], p[1] * variance[1], p[2] * variance[2]], q);
     let low_pass = c(LOW_PASS_PX2);
     let bare = [cov_of(b[0], b[0]), cov_of(b[0], b[1]), cov_of(b[1], b[1])];
-    // det(S Sᵀ + λ I) = |s0 × s1|² + λ tr + λ²: unlike ac - b², this has no cancellation for very thin splats.
+    // With the rows `s[0]` and `s[1]` of `S` (axes on the screen times scales), the variance λ of the low-pass filter
+    // and the trace tr of `S Sᵀ`: det(S Sᵀ + λ I) = |s[0] × s[1]|² + λ tr + λ². Unlike xx yy - xy², this has no
+    // cancellation for very thin splats.
     let s = each!([0, 1], |a| each!([0, 1, 2], |axis| b[a][axis] * scale[axis]));
     let cross = [
         s[0][1] * s[1][2] - s[0][2] * s[1][1],
@@ -90,20 +96,20 @@ pub(crate) fn geometry<L: Lanes>(
     Geometry { t, inv_z, slope, clamped, q, inv_norm, u, variance, b, cov, det }
 }
 
-/// The plane of a splat; its normal is the shortest axis in the camera frame, pointing towards the camera.
+/// The plane of a splat. Its normal is the shortest axis of the splat, turned towards the camera.
 #[derive(Clone, Copy)]
 pub(crate) struct Plane<L: Lanes> {
-    /// Unit normal, camera frame, `n · t < 0`.
+    /// Unit normal `n` in the camera frame, with `n · t <= 0` for the centre `t` of the splat.
     pub(crate) normal: [L; 3],
-    /// Distance of the plane from the camera centre, positive.
+    /// Distance of the plane from the camera centre, at least 0, world units.
     pub(crate) distance: L,
-    /// The shortest axis, as masks of which exactly one is true in each lane.
+    /// The shortest axis, as masks: in each lane, exactly one is true.
     pub(crate) axis: [L::Mask; 3],
     /// +1 or -1: the sign of the normal relative to the axis.
     pub(crate) sign: L,
 }
 
-/// The shortest axis, as masks of which exactly one is true; of equally short axes, the last.
+/// The shortest axis, as masks: in each lane, exactly one is true. Of equally short axes it is the last.
 #[inline(always)]
 pub(crate) fn shortest_axis<L: Lanes>(log_scale: [L; 3]) -> [L::Mask; 3] {
     let [s0, s1, s2] = log_scale;

@@ -1,9 +1,10 @@
-//! The colour loss `(1 - λ) L1 + λ (1 - SSIM)` and its gradient, in one sweep. L1 compares the exposed rendering, SSIM
-//! the rendering itself.
+//! The colour loss `(1 - λ) L1 + λ (1 - SSIM)` and its gradient, in one sweep over the picture. L1 compares the
+//! rendering after the exposure is applied, SSIM the rendering itself.
 //!
-//! SSIM as in 3DGS: 11 × 11 Gaussian window, σ 1.5, zeros outside the picture. The window is separable. A band of the
-//! picture passes through two rings of 11 filtered lines (first the five moments, then the three partial derivatives),
-//! so that scratch memory fits into the second-level cache for any size of the picture.
+//! SSIM is that of 3DGS: an 11 × 11 Gaussian window, σ = 1.5 px, zeros outside the picture. The window is separable.
+//! The lines of a band of the picture pass through two ring buffers of 11 lines: the first holds the five moments, the
+//! second the three partial derivatives, both after the horizontal filter. So scratch memory does not grow with the
+//! height of the picture, and at usual widths it fits into the second-level cache.
 
 use rayon::prelude::*;
 
@@ -16,21 +17,21 @@ use crate::layout::planes::{RGB, TRANSMITTANCE};
 use crate::layout::tiles::{TILE, TileImage};
 use crate::simd::{GROUP, Isa, Kernel, Lanes, Row, each};
 
-/// Rows of tiles in a band. Bands do not depend on the number of threads, so sums do not either.
+/// Number of rows of tiles in a band. Bands do not depend on the number of threads, so the sums do not either.
 const BAND_TILES: usize = 2;
-/// Zeros to the left and right of a line: at least [`REACH`], and a multiple of the group.
+/// Number of zeros to the left and to the right of a line: at least [`REACH`], and a multiple of [`GROUP`].
 const MARGIN: usize = GROUP;
 
-/// The pass with its scratch memory.
+/// The colour loss with its scratch memory.
 #[derive(Debug)]
 pub(crate) struct Photometric {
     scratch: PerThread<Scratch>,
-    /// By band.
+    /// Sums of each band.
     sums: Vec<Sums>,
 }
 
 impl Photometric {
-    /// Room for pictures up to `size_px` and this many threads, at least 1.
+    /// Scratch memory for pictures up to `size_px` and this many threads, at least 1.
     pub(crate) fn with_capacity(size_px: [u32; 2], threads: usize) -> Self {
         let [tiles_x, tiles_y] = TileImage::tiles_of(size_px);
         Self {
@@ -39,8 +40,9 @@ impl Photometric {
         }
     }
 
-    /// Returns the loss and writes its gradient to the colour planes of `gradient`; the transmittance plane becomes
-    /// zero, as the background is black. `gradient` must have the same shape as `image`.
+    /// Returns the loss and writes its gradient to the colour planes of `gradient`. All other planes become zero; the
+    /// loss does not depend on transmittance, because the background is black. `gradient` must have the same shape as
+    /// `image`.
     pub(crate) fn loss(
         &mut self,
         isa: Isa,
@@ -72,7 +74,7 @@ impl Photometric {
                 });
             },
         );
-        // In the order of the bands.
+        // Added in the order of the bands, so that the sum does not depend on threads.
         let total = sums.iter().copied().fold(Sums::default(), Sums::plus);
         let pixels = f64::from(pixels);
         let (l1, ssim, mse) = (total.l1 / pixels, total.ssim / pixels, total.squares / pixels);
@@ -91,11 +93,11 @@ impl Photometric {
 /// Lines of a band with margins: rendering, photograph, exposed rendering, three products, three partial derivatives.
 const LINES: usize = 9;
 
-/// Memory of one thread for the lines and rings of a band.
+/// Memory of one thread for the lines and ring buffers of a band.
 #[derive(Debug)]
 struct Scratch(Vec<f32>);
 
-/// The lines and rings of one band. They are slices, not vectors, and their lengths are visible to the compiler. Then it
+/// The lines and ring buffers of one band. They are slices, not vectors, and their lengths are visible to the compiler. Then it
 /// keeps their addresses in registers and leaves bounds checks out of the loops.
 struct Lines<'a> {
     x_line: &'a mut [f32],
@@ -108,7 +110,7 @@ struct Lines<'a> {
 }
 
 impl Scratch {
-    /// Room for pictures whose width, rounded up to whole tiles, is at most `padded`.
+    /// Memory for pictures whose width, rounded up to whole tiles, is at most `padded`.
     fn with_capacity(padded: usize) -> Self {
         Self(Vec::with_capacity(Self::len(padded)))
     }
@@ -117,8 +119,8 @@ impl Scratch {
         LINES * (padded + 2 * MARGIN) + (MOMENT_LINES + PARTIAL_LINES) * TAPS * padded
     }
 
-    /// Divides the memory for a width. Lines are zero, so their margins are too. Rings keep old numbers: each of their
-    /// lines is written before it is read.
+    /// Divides the memory into lines and ring buffers for pictures of this width. The lines are zero, margins included.
+    /// The ring buffers keep old numbers, because each of their lines is written before it is read.
     #[inline(always)]
     fn lines(&mut self, padded: usize) -> Lines<'_> {
         let line_len = padded + 2 * MARGIN;
@@ -138,7 +140,7 @@ impl Scratch {
     }
 }
 
-/// Three lines of a length, and the rest.
+/// Splits off three lines of `len` numbers each; also returns the rest.
 #[inline(always)]
 fn three(rest: &mut [f32], len: usize) -> ([&mut [f32]; 3], &mut [f32]) {
     let (a, rest) = rest.split_at_mut(len);
@@ -159,8 +161,9 @@ struct Sums {
     l1: f64,
     ssim: f64,
     squares: f64,
-    /// Sums of the sign in L1, and of the sign times the rendered colour.
+    /// Sum of the signs of the differences in L1.
     signs: f64,
+    /// Sum of the rendered colours, each times the sign of its difference in L1.
     signed_x: f64,
 }
 
@@ -187,19 +190,19 @@ struct Band<'a> {
     scratch: &'a mut Scratch,
 }
 
-/// `MOMENT` lines: filtered x, y, xx, yy, xy.
+/// Number of filtered moments: x, y, xx, yy and xy, with the rendering x and the photograph y.
 const MOMENT_LINES: usize = 5;
-/// `PARTIAL` lines: filtered ∂SSIM/∂μx, ∂SSIM/∂E[xx], ∂SSIM/∂E[xy].
+/// Number of filtered partial derivatives: ∂SSIM/∂μx, ∂SSIM/∂E[xx] and ∂SSIM/∂E[xy].
 const PARTIAL_LINES: usize = 3;
 
-/// `LINES` rings of 11 lines.
+/// `LINES` ring buffers of 11 lines each.
 struct Ring<'a, const LINES: usize> {
     width: usize,
     data: &'a mut [f32],
 }
 
 impl<const LINES: usize> Ring<'_, LINES> {
-    /// Line `line` for picture row `y` (which may be up to [`TAPS`] above the picture).
+    /// The line for picture row `y` in ring buffer `line`. Row `y` may be above the picture.
     #[inline(always)]
     fn at(&self, line: usize, y: isize) -> &[f32] {
         &self.data[(line * TAPS + y.rem_euclid(TAPS as isize) as usize) * self.width..][..self.width]
@@ -209,14 +212,14 @@ impl<const LINES: usize> Ring<'_, LINES> {
         &mut self.data[(line * TAPS + y.rem_euclid(TAPS as isize) as usize) * self.width..][..self.width]
     }
 
-    /// The lines that the vertical filter reads at `y`.
+    /// The lines that the vertical filter reads for picture row `y`.
     #[inline(always)]
     fn taps(&self, y: isize) -> [[&[f32]; TAPS]; LINES] {
         std::array::from_fn(|line| std::array::from_fn(|k| self.at(line, y + k as isize - REACH as isize)))
     }
 }
 
-/// The vertical filter for the vector of columns that starts at `x`.
+/// Applies the vertical filter to the columns of one vector, which starts at column `x`.
 #[inline(always)]
 fn filtered_column<L: Lanes>(taps: &[&[f32]; TAPS], x: usize, window: &[f32; TAPS]) -> L {
     let mut sum = L::zero();
@@ -226,7 +229,8 @@ fn filtered_column<L: Lanes>(taps: &[&[f32]; TAPS], x: usize, window: &[f32; TAP
     sum
 }
 
-/// The horizontal filter of a line with [`MARGIN`] zeros on both sides, at column `x` of the picture.
+/// Applies the horizontal filter to one vector of a line, which starts at column `x` of the picture. The line has
+/// [`MARGIN`] zeros on both sides.
 #[inline(always)]
 fn filtered_row<L: Lanes>(line: &[f32], x: usize, window: &[f32; TAPS]) -> L {
     let first = MARGIN + x - REACH;
@@ -261,8 +265,8 @@ impl Kernel for Band<'_> {
         } = scratch.lines(padded);
         let mut sums = Sums::default();
 
-        // Input is row `y_in`; then the partial derivatives of row `y_in - 5` and the gradient of row `y_in - 10` are
-        // complete.
+        // Once row `y_in` is read, the partial derivatives of row `y_in - 5` and the gradient of row `y_in - 10` can be
+        // computed.
         for y_in in first as isize - 2 * REACH as isize..(end + 2 * REACH) as isize {
             if inside(y_in) {
                 read_line(image, channel, y_in as usize, width, x_line);
@@ -338,7 +342,8 @@ impl Kernel for Band<'_> {
     }
 }
 
-/// Clears the gradient of rows below the picture.
+/// Sets the gradient of one channel to zero in the tile rows below the picture. The first `rows` rows of the band are
+/// in the picture.
 fn zero_below(gradient: &mut [Row], image: &TileImage, channel: usize, rows: usize) {
     let per_tile_row = image.tiles()[0] * image.rows_per_tile();
     for (tile_y, tiles) in gradient.chunks_exact_mut(per_tile_row).enumerate() {
@@ -349,7 +354,7 @@ fn zero_below(gradient: &mut [Row], image: &TileImage, channel: usize, rows: usi
     }
 }
 
-/// Copies a row of the rendering between the margins, with zeros beyond the right border.
+/// Copies one channel of a picture row between the margins of `line`, with zeros beyond the right border.
 #[inline(always)]
 fn read_line(image: &TileImage, channel: usize, y: usize, width: usize, line: &mut [f32]) {
     for tile_x in 0..image.tiles()[0] {
@@ -369,7 +374,7 @@ fn multiply<L: Lanes>(x: &[f32], y: &[f32], products: &mut [&mut [f32]; 3]) {
     }
 }
 
-/// A line of the rendering with the exposure applied; margins and padding stay zero.
+/// Applies the exposure to a line of the rendering. Padding is set to zero, and margins stay zero.
 #[inline(always)]
 fn expose<L: Lanes>(line: &[f32], exposure: Exposure, width: usize, exposed: &mut [f32]) {
     for start in (MARGIN..line.len() - MARGIN).step_by(L::N) {
@@ -379,14 +384,14 @@ fn expose<L: Lanes>(line: &[f32], exposure: Exposure, width: usize, exposed: &mu
     exposed[MARGIN + width..].fill(0.0);
 }
 
-/// -1, 0 or 1.
+/// The sign of each lane: -1, 0 or 1.
 #[inline(always)]
 fn sign<L: Lanes>(value: L) -> L {
     let negative = L::splat(-1.0).keep(value.lt(L::zero()));
     L::select(L::zero().lt(value), L::splat(1.0), negative)
 }
 
-/// All sums of a line except SSIM; margins and padding are equal in both pictures and add nothing.
+/// All sums of a line except SSIM. The padding beyond the right border is zero in all three lines, so it adds nothing.
 #[inline(always)]
 fn differences<L: Lanes>(x: &[f32], exposed: &[f32], y: &[f32]) -> Sums {
     let (mut l1, mut squares) = (L::zero(), L::zero());
@@ -404,7 +409,8 @@ fn differences<L: Lanes>(x: &[f32], exposed: &[f32], y: &[f32]) -> Sums {
     Sums { l1, ssim: 0.0, squares, signs, signed_x }
 }
 
-/// The SSIM map of one row: returns its sum, and writes its partial derivatives between the margins.
+/// Computes SSIM for each pixel of one row. Returns the sum, and writes the partial derivatives between the margins of
+/// `partials`.
 #[inline(always)]
 fn ssim_row<L: Lanes>(
     moments: &Ring<'_, MOMENT_LINES>,
@@ -429,7 +435,7 @@ fn ssim_row<L: Lanes>(
         let map = a1 * a2 * inv;
         let by_xx = (map / b2).neg();
         let by_xy = c(2.0) * a1 * inv;
-        // By μx directly, and through σx² = E[xx] - μx² and σxy = E[xy] - μx μy.
+        // The derivative with respect to μx: directly, and through σx² = E[xx] - μx² and σxy = E[xy] - μx μy.
         let by_mu = c(2.0) * (mu_y * (a2 - a1) * inv + mu_x * map * (c(1.0) / b2 - c(1.0) / b1));
         let valid = width.saturating_sub(start).min(L::N);
         let mut put = |line: usize, value: L| {
@@ -451,7 +457,7 @@ fn ssim_row<L: Lanes>(
 }
 
 impl TargetRgb<'_> {
-    /// Colours of one channel of row `y`, 0..1.
+    /// Writes one channel of picture row `y` to `line`, 0..=1.
     #[inline(always)]
     fn read_line(&self, channel: usize, y: usize, width: usize, line: &mut [f32]) {
         let range = 3 * y * width..3 * (y + 1) * width;

@@ -10,14 +10,15 @@ use crate::layout::rows::{
     STAT_VIEWS, parameter_rows,
 };
 
-/// First and second moments, laid out like the parameters.
+/// Adam's first and second moments, laid out like the parameters.
 #[derive(Debug)]
 pub(crate) struct Moments {
     pub(crate) first: Blocks,
     pub(crate) second: Blocks,
 }
 
-/// All splats. Every table has the same number of splats.
+/// All splats with their training state. In training, all tables have the same number of splats; for rendering only
+/// `params` is used.
 #[derive(Debug)]
 pub(crate) struct Model {
     capacity: usize,
@@ -30,7 +31,7 @@ pub(crate) struct Model {
 }
 
 impl Model {
-    /// No splats yet; room for those of `capacity`.
+    /// An empty model with room for the splats of `capacity`.
     pub(crate) fn with_capacity(capacity: &Capacity) -> Self {
         let Capacity { splats, sh_degree, training, .. } = *capacity;
         let trained = if training { splats } else { 0 };
@@ -53,7 +54,7 @@ impl Model {
         self.params.len()
     }
 
-    /// Most splats that fit.
+    /// Largest number of splats.
     pub(crate) fn capacity(&self) -> usize {
         self.capacity
     }
@@ -110,7 +111,8 @@ impl Model {
         assert!(edit.deaths.windows(2).all(|pair| pair[0] < pair[1]), "deaths ascend");
         self.resize(old_len.max(new_len));
 
-        // A dead parent's place may go to another parent's child: read all parents first.
+        // A new splat may take the place of a removed splat from which another new splat is copied, so all copies are
+        // made first.
         let children: Vec<Vec<f32>> = edit.births.iter().map(|birth| self.numbers_of(birth)).collect();
         let free = edit.deaths.iter().map(|i| *i as usize).chain(old_len..);
         for (numbers, place) in children.iter().zip(free) {
@@ -136,7 +138,7 @@ impl Model {
         numbers
     }
 
-    /// Moves remaining splats from the end into `holes` (ascending).
+    /// Moves splats from the end of `len` splats into `holes` (ascending).
     fn fill_holes(&mut self, holes: &[u32], len: usize) {
         let new_len = len - holes.len();
         let mut last = len;
@@ -174,7 +176,7 @@ impl Model {
         }
     }
 
-    /// Visits parameters, moments and statistics, block by block.
+    /// Visits parameters, moments and statistics, table by table, 16 numbers at a time. Stops at the first error.
     pub(crate) fn export<E>(&self, mut visit: impl FnMut(&[f32]) -> Result<(), E>) -> Result<(), E> {
         for blocks in [&self.params, &self.moments.first, &self.moments.second, &self.stats] {
             blocks.rows().iter().try_for_each(|row| visit(&row.0))?;

@@ -1,4 +1,4 @@
-//! The projection pass: the 2D Gaussian, colour and plane of each splat for one camera.
+//! The projection pass: computes the 2D Gaussian, the colour and the plane of each splat for one camera.
 
 use std::f32::consts::LOG2_E;
 
@@ -12,32 +12,34 @@ use crate::layout::rows::{LOG_SCALE, MEAN, OPACITY, QUAT, SH};
 use crate::layout::view::ViewParams;
 use crate::simd::{GROUP, Isa, Kernel, Lanes, Row, each};
 
-/// A splat as the rasteriser reads it, in one cache line.
+/// A projected splat as the rasteriser reads it, in one cache line.
 #[derive(Clone, Copy, Debug, Default)]
 #[repr(C, align(64))]
 pub(crate) struct Projected {
     pub(crate) mean_px: [f32; 2],
-    /// `(a / 2, b, c / 2) log2(e)` of the inverse covariance `[a b; b c]`, 1/px². With `falloff = [p, q, r]`, alpha is
-    /// `2^(log2_opacity - (p dx² + q dx dy + r dy²))`.
+    /// `[p, q, r] = [a / 2, b, c / 2] log2(e)` for the inverse covariance `[a b; b c]`, 1/px². At an offset of
+    /// `(dx, dy)` px from the mean, the *falloff* is `p dx² + q dx dy + r dy²` and alpha is
+    /// `2^(log2_opacity - falloff)`.
     pub(crate) falloff: [f32; 3],
     pub(crate) log2_opacity: f32,
     pub(crate) rgb: [f32; 3],
-    /// Camera frame.
+    /// Normal of the splat's plane, camera frame.
     pub(crate) normal: [f32; 3],
+    /// Distance of the splat's plane from the camera centre, world units.
     pub(crate) plane_distance: f32,
-    /// Half the sides of the box of all pixels with alpha of at least [`ALPHA_MIN`].
+    /// Half the sides of the box around all pixels with an alpha of at least [`ALPHA_MIN`].
     pub(crate) extent_px: [f32; 2],
-    /// `log2(255 o)`: the largest falloff that is blended.
+    /// Largest falloff at which alpha is at least [`ALPHA_MIN`]: `log2(255 o)` for opacity `o`.
     pub(crate) falloff_max: f32,
 }
 
-/// Results of the pass, by splat id.
+/// Results of the projection pass, by splat id.
 #[derive(Debug, Default)]
 pub(crate) struct Projection {
     pub(crate) splats: Vec<Projected>,
-    /// Depth along the optical axis.
+    /// Depth along the optical axis, world units.
     pub(crate) depths: Vec<f32>,
-    /// Bit `i` of block `b`: splat `16 b + i` is visible.
+    /// Visible splats: bit `i` of entry `b` stands for splat `16 b + i`.
     pub(crate) visible: Vec<u16>,
 }
 
@@ -85,7 +87,7 @@ struct ProjectBlock<'a> {
     depths: &'a mut [f32],
 }
 
-/// Number of rows of a block's results, before they are transposed into [`Projected`].
+/// Number of values in a [`Projected`]. The results of a block have one row for each value, and are then transposed.
 const FIELDS: usize = 16;
 
 impl Kernel for ProjectBlock<'_> {
@@ -125,12 +127,13 @@ fn project_part<L: Lanes>(block: &[Row], view: &ViewParams, part: usize, fields:
     let mean_px =
         each!([0, 1], |a| L::splat(view.focal_px[a]).mul_add(g.t[a] * g.inv_z, L::splat(view.center_px[a])));
     let (log2_e, zero) = (L::splat(LOG2_E), L::zero());
-    // log2(sigmoid(x)), without overflow on either side.
+    // log2(sigmoid(x)), without overflow for large positive or negative x.
     let logit = get(OPACITY);
     let tail = logit.abs().neg().max(L::splat(-80.0)).exp().ln_1p();
     let log2_opacity = log2_e * (logit.min(zero) - tail);
     let falloff_max = log2_opacity - L::splat(ALPHA_MIN.log2());
-    // ½ dᵀ A d = falloff / log2(e), and its box has half-sides sqrt(2 ½dᵀAd C_xx), sqrt(… C_yy).
+    // At an offset d, m = ½ dᵀ C⁻¹ d = falloff / log2(e), with the covariance C. The ellipse up to a given m has a box
+    // with half-sides sqrt(2 m C_xx) and sqrt(2 m C_yy). `reach` is 2 m.
     let reach = L::splat(2.0 / LOG2_E) * falloff_max.max(zero);
     let half = inv_det * L::splat(0.5 * LOG2_E);
     let values = [
@@ -171,7 +174,7 @@ fn color<L: Lanes>(block: &[Row], mean: [L; 3], view: &ViewParams, part: usize) 
     each!([0, 1, 2], |c| rgb[c].max(L::zero()))
 }
 
-/// Stores one splat; false if it is not visible.
+/// Stores one splat. Returns false if the splat is not visible.
 #[inline(always)]
 fn finish(splat: &mut Projected, f: [f32; FIELDS], view: &ViewParams) -> bool {
     *splat = Projected {
@@ -188,6 +191,6 @@ fn finish(splat: &mut Projected, f: [f32; FIELDS], view: &ViewParams) -> bool {
         let (mean, extent) = (splat.mean_px[axis], splat.extent_px[axis]);
         mean + extent >= 0.5 && mean - extent <= view.size_px[axis] as f32 - 0.5
     };
-    // Comparisons with NaN are false.
+    // Comparisons with NaN are false, so a splat with NaN is not visible.
     splat.falloff_max > 0.0 && within(0) && within(1)
 }

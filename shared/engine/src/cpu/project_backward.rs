@@ -1,5 +1,6 @@
-//! The backward pass of the projection: adds the records of each splat in a fixed order, then propagates the gradients
-//! through conic, plane and colour to the parameters. The formulas are the transposes of those in [`super::geometry`].
+//! The backward pass of the projection. It adds the records of each splat in a fixed order, then propagates the
+//! gradients through 2D Gaussian, plane and colour to the parameters. The formulas are the derivatives of those in
+//! [`super::geometry`]. A variable `v_x` is ∂L/∂x, the gradient of the loss with respect to `x`.
 
 use rayon::prelude::*;
 
@@ -31,8 +32,8 @@ pub(crate) struct Inputs<'a> {
     pub(crate) scale_weight: f32,
 }
 
-/// Overwrites the gradients of visible blocks and adds to the statistics. Other blocks keep old gradients, which no
-/// pass reads.
+/// Overwrites the gradients of all blocks with visible splats, and adds to the statistics. Other blocks keep old
+/// gradients, which no pass reads.
 pub(crate) fn project_backward(isa: Isa, inputs: &Inputs, gradients: &mut Blocks, stats: &mut Blocks) {
     let visible = inputs.projection.visible.iter().map(|bits| bits.count_ones()).sum::<u32>();
     let scale_weight = inputs.scale_weight / visible.max(1) as f32;
@@ -67,11 +68,11 @@ pub(crate) fn project_backward(isa: Isa, inputs: &Inputs, gradients: &mut Blocks
         });
 }
 
-/// Adds the records of a block's splats and transposes the sums: row `k` holds sum `k` of the 16 splats.
+/// Adds the records of each visible splat of a block and transposes the sums: row `k` holds sum `k` of the 16 splats.
 fn gather(inputs: &Inputs, block: usize, visible: u16) -> [Row; GROUP] {
     let mut sums = [Row::ZERO; GROUP];
     let lanes = (0..GROUP).filter(|lane| visible >> lane & 1 == 1);
-    // The records of a splat are scattered in memory: prefetch all before using the first.
+    // The records of a splat are scattered in memory, so all are prefetched before the first is used.
     for pair in lanes.clone().flat_map(|lane| inputs.lists.pairs_of(block * GROUP + lane)) {
         prefetch(inputs.records, pair);
     }
@@ -95,7 +96,7 @@ struct BackwardBlock<'a> {
     view: &'a ViewParams,
     sums: &'a [Row; GROUP],
     geometry: bool,
-    /// Weight of one splat's shortest scale.
+    /// Weight of the shortest scale of one splat: the weight of the mean, divided by the number of visible splats.
     scale_weight: f32,
     gradients: &'a mut [Row],
     stats: &'a mut [Row],
@@ -110,7 +111,7 @@ impl Kernel for BackwardBlock<'_> {
         let mut shown = [Row::ZERO; 3];
         let mut seen = Row::ZERO;
         for lane in 0..GROUP {
-            // A channel that is 0 was clamped; it has no gradient.
+            // A colour channel that is 0 was clamped, so it has no gradient.
             for (channel, row) in shown.iter_mut().enumerate() {
                 row.0[lane] = f32::from(u8::from(self.projected[lane].rgb[channel] > 0.0));
             }
@@ -136,7 +137,7 @@ impl Kernel for BackwardBlock<'_> {
             let v_rgb = each!([0, 1, 2], |c| sum(V_RGB + c) * shown[c].get::<L>(part));
             let from_sh = through_direction(self.block, part, mean, self.view, v_rgb);
             let (v_mean, v_quat) = to_world(&g, self.view, &into);
-            // ∂ln o / ∂logit = 1 - o.
+            // `sum(MOMENTS)` is ∂L/∂ln o for the opacity o, and ∂ln o / ∂logit = 1 - o.
             let v_opacity =
                 sum(MOMENTS) / (L::splat(1.0) + get(OPACITY).max(L::splat(-80.0)).min(L::splat(80.0)).exp());
 
@@ -163,11 +164,13 @@ impl Kernel for BackwardBlock<'_> {
 
 struct ScreenGradients<L> {
     mean_px: [L; 2],
-    /// ∂L/∂C as the symmetric matrix (xx, xy, yy), each off-diagonal entry counted once.
+    /// Gradient with respect to the covariance, as a symmetric matrix (xx, xy, yy). `xy` is one of the two equal
+    /// entries, not their sum.
     cov: [L; 3],
 }
 
-/// From the moments of `q` to mean and covariance on the screen: `-A (Σq d)` and `½ A (Σq d dᵀ) A`.
+/// Gradients with respect to mean and covariance on the screen, from the sums at [`MOMENTS`]: `-A (Σq d)` and
+/// `½ A (Σq d dᵀ) A`, with the inverse covariance `A`, `q = α ∂L/∂α` and `d = mean - pixel`.
 #[inline(always)]
 fn screen_gradients<L: Lanes>(g: &Geometry<L>, m: [L; 6]) -> ScreenGradients<L> {
     let inv_det = L::splat(1.0) / g.det;
@@ -191,7 +194,8 @@ struct CameraGradients<L> {
     u: [[L; 3]; 3],
 }
 
-/// `C = B S² Bᵀ` with `B = J U`: to the axes `u`, the centre `t` and the log-scales (returned).
+/// Propagates the gradient of the covariance `C = B S² Bᵀ`, with the scales `S` and `B = J u`, to the axes `u` and the
+/// centre `t`. Returns the gradients with respect to the log-scales.
 #[inline(always)]
 fn through_covariance<L: Lanes>(
     g: &Geometry<L>,
@@ -209,7 +213,7 @@ fn through_covariance<L: Lanes>(
     for a in 0..2 {
         let j = L::splat(view.focal_px[a]) * g.inv_z;
         let v_slope = (j * dot3(v_b[a], g.u[2])).neg();
-        // b = j w with w = u[a] - slope u[2], so v_j = v_b · w = v_b · b / j.
+        // A row of `B` is b = j w with j = f / z and w = u[a] - slope u[2], so ∂L/∂j = v_b · w = v_b · b / j.
         let v_z_of_j = (dot3(v_b[a], g.b[a]) * g.inv_z).neg();
         let free = L::select(g.clamped[a], L::zero(), v_slope);
         into.t[a] = into.t[a] + free * g.inv_z;
@@ -223,7 +227,8 @@ fn through_covariance<L: Lanes>(
     each!([0, 1, 2], |k| g.b[0][k] * v_b[0][k] + g.b[1][k] * v_b[1][k])
 }
 
-/// `m = f t / z + c`, never clamped.
+/// Propagates the gradient of the screen position `m = f t / z + c` to the centre `t`. Here the slope `t / z` is not
+/// clamped.
 #[inline(always)]
 fn through_mean<L: Lanes>(
     g: &Geometry<L>,
@@ -238,7 +243,8 @@ fn through_mean<L: Lanes>(
     }
 }
 
-/// `n = ± u[axis]`, `D = -n · t`.
+/// Propagates the gradients of the normal `n = ± u[axis]` and of the distance `D = -n · t` to the axes `u` and the
+/// centre `t`.
 #[inline(always)]
 fn through_plane<L: Lanes>(
     g: &Geometry<L>,
@@ -257,7 +263,8 @@ fn through_plane<L: Lanes>(
     }
 }
 
-/// The scale loss: `weight s` of the shortest axis, whose log-scale therefore gets `weight s` too.
+/// Adds the gradient of the scale loss, which is `weight · s` for the scale `s` of the shortest axis. Its derivative
+/// with respect to `ln s` is `weight · s` too.
 #[inline(always)]
 fn through_shortest<L: Lanes>(g: &Geometry<L>, log_scale: [L; 3], weight: L, into: &mut [L; 3]) {
     let shortest = shortest_axis(log_scale);
@@ -266,7 +273,8 @@ fn through_shortest<L: Lanes>(g: &Geometry<L>, log_scale: [L; 3], weight: L, int
     }
 }
 
-/// The gradient of colour with respect to the mean, through the viewing direction.
+/// The gradient with respect to the mean that comes from the colour, because the colour depends on the viewing
+/// direction.
 #[inline(always)]
 fn through_direction<L: Lanes>(
     block: &[Row],
@@ -286,7 +294,8 @@ fn through_direction<L: Lanes>(
     each!([0, 1, 2], |a| (v_dir[a] - dir[a] * along) * inv_length)
 }
 
-/// From the camera frame to the mean and the quaternion (wxyz, through its normalisation).
+/// Converts gradients in the camera frame to gradients with respect to the mean and to the quaternion (wxyz, before its
+/// normalisation).
 #[inline(always)]
 fn to_world<L: Lanes>(g: &Geometry<L>, view: &ViewParams, from: &CameraGradients<L>) -> ([L; 3], [L; 4]) {
     let w = each!([0, 1, 2], |r| each!([0, 1, 2], |a| L::splat(view.rotation[r][a])));
@@ -311,7 +320,8 @@ fn to_world<L: Lanes>(g: &Geometry<L>, view: &ViewParams, from: &CameraGradients
     (v_mean, v_quat)
 }
 
-/// Adds the norm of a screen gradient, in units of half the picture, to the statistics of visible splats.
+/// Adds the norm of a gradient with respect to the screen position, with positions in units of half the picture, to the
+/// statistics of visible splats.
 #[inline(always)]
 fn count_norm<L: Lanes>(
     stats: &mut [Row],

@@ -1,7 +1,7 @@
-//! The blend: front to back over the list of each tile.
+//! The rasterisation pass: blends the splats of each tile's list, front to back.
 //!
-//! The 16 × 16 pixels of a tile stay in the first-level cache. A splat is blended only into the rows that its ellipse
-//! touches, up to 16 pixels at a time, depending on the instruction set.
+//! The 16 × 16 pixels of a tile stay in the first-level cache. A splat is blended only into the rows of pixels that its
+//! ellipse touches, 4 to 16 pixels at a time, depending on the instruction set.
 
 use rayon::prelude::*;
 
@@ -12,8 +12,8 @@ use crate::layout::planes::{DISTANCE, NORMAL, PLANES_COLOR, PLANES_GEOMETRY, RGB
 use crate::layout::tiles::{TILE, TileImage, centers};
 use crate::simd::{Isa, Kernel, Lanes, Row, prefetch};
 
-/// Blends every tile. `image` must be laid out with [`PLANES_COLOR`] or [`PLANES_GEOMETRY`] planes.
-/// `blended[tile]` receives the number of entries of its list that were processed before all pixels were full.
+/// Blends every tile. `image` must be laid out with [`PLANES_COLOR`] or [`PLANES_GEOMETRY`] planes. `blended[tile]`
+/// receives the number of entries of the list that were processed until all pixels of the tile were full.
 pub(crate) fn rasterize(
     isa: Isa,
     lists: &TileLists,
@@ -42,30 +42,30 @@ fn as_planes_mut<const P: usize>(rows: &mut [Row]) -> &mut [[Row; TILE]; P] {
     rows.as_chunks_mut().0.try_into().expect("a tile has its image's planes")
 }
 
-/// As [`as_planes_mut`].
+/// A tile's rows as planes of 16 rows, like [`as_planes_mut`].
 pub(crate) fn as_planes<const P: usize>(rows: &[Row]) -> &[[Row; TILE]; P] {
     rows.as_chunks().0.try_into().expect("a tile has its image's planes")
 }
 
-/// Distance, in entries of a tile's list, at which splats are prefetched: they are scattered in memory.
+/// A splat is prefetched this many list entries before its turn, because splats are scattered in memory.
 pub(crate) const PREFETCH: usize = 6;
 
-/// Position of a tile's first pixel.
+/// Column and row of a tile's upper left pixel.
 pub(crate) fn tile_origin(tile: usize, tiles_x: usize) -> [f32; 2] {
     [(tile % tiles_x * TILE) as f32, (tile / tiles_x * TILE) as f32]
 }
 
-/// Rows of a tile whose pixel centres are within the splat's box, first and end.
+/// The rows of a tile whose pixel centres are within the splat's box, as first row and end.
 #[inline(always)]
 pub(crate) fn touched_rows(splat: &Projected, origin_y: f32) -> (usize, usize) {
     let center = splat.mean_px[1] - origin_y - 0.5;
     let first = (center - splat.extent_px[1]).ceil().max(0.0);
     let end = ((center + splat.extent_px[1]).floor() + 1.0).min(TILE as f32);
-    // Casts saturate, so rows past the tile give an empty range.
+    // Casts saturate, so a box above or below the tile gives an empty range.
     (first as usize, (end as usize).min(TILE))
 }
 
-/// Parts of a row (vectors of `N` pixels) within the splat's box, first and end.
+/// The parts of a row (vectors of `N` pixels) that contain pixel centres within the splat's box, as first part and end.
 #[inline(always)]
 pub(crate) fn touched_parts<L: Lanes>(splat: &Projected, origin_x: f32) -> (usize, usize) {
     if L::N == TILE {
@@ -86,7 +86,7 @@ pub(crate) struct RowTerms {
 }
 
 impl RowTerms {
-    /// Terms for pixel centres at height `y_px`; also returns `dy = mean - y`.
+    /// Terms for pixel centres at height `y_px`. Also returns `dy = mean - y`, px.
     #[inline(always)]
     pub(crate) fn new(splat: &Projected, y_px: f32) -> (Self, f32) {
         let dy = splat.mean_px[1] - y_px;
@@ -94,21 +94,23 @@ impl RowTerms {
         (Self { by_dx2: xx, by_dx: xy * dy, log2_alpha: splat.log2_opacity - yy * dy * dy }, dy)
     }
 
-    /// `o exp(-½ dᵀ A d)` for `dx = mean - x`, before the clamp at [`ALPHA_MAX`]; `None` if no pixel of the vector
-    /// reaches [`ALPHA_MIN`], which saves the exponential.
+    /// Alpha `o exp(-½ dᵀ A d)` before the clamp at [`ALPHA_MAX`], with the opacity `o`, the inverse covariance `A` and
+    /// the offset `d` of the mean from the pixel; `dx = mean - x`, px. `None` if no pixel of the vector reaches
+    /// [`ALPHA_MIN`], which saves the exponential.
     #[inline(always)]
     pub(crate) fn alpha<L: Lanes>(&self, dx: L) -> Option<L> {
         let slope = dx.mul_add(L::splat(self.by_dx2), L::splat(self.by_dx));
         let log2_alpha = slope.neg_mul_add(dx, L::splat(self.log2_alpha));
-        // log2(1/255) = -7.994; the exact test uses alpha.
+        // This limit is slightly below log2(1/255) = -7.994. The exact test follows with alpha itself.
         let may_hit = log2_alpha.ge(L::splat(-8.0));
-        // The minimum keeps the other lanes within the range of `exp2`.
+        // The lower limit keeps pixels that are not hit within the range of `exp2`.
         if L::any(may_hit) { Some(log2_alpha.max(L::splat(-30.0)).exp2()) } else { None }
     }
 }
 
 impl RowTerms {
-    /// `log2(e) A d`: the derivative of the falloff by the mean.
+    /// Derivative of the falloff with respect to the mean: `log2(e) A d`, with the inverse covariance `A` and the
+    /// offset `d = (dx, dy)`.
     #[inline(always)]
     pub(crate) fn slopes<L: Lanes>(&self, splat: &Projected, dx: L, dy: L) -> (L, L) {
         let [_, xy, yy] = splat.falloff;
@@ -125,15 +127,15 @@ struct BlendTile<'a, const P: usize> {
 }
 
 impl<const P: usize> Kernel for BlendTile<'_, P> {
-    /// Number of processed entries of the list.
+    /// Number of list entries that were processed.
     type Output = u32;
 
     #[inline(always)]
     fn run<L: Lanes>(self) -> u32 {
         let Self { list, splats, origin, planes } = self;
         *planes = [[Row::ZERO; TILE]; P];
-        // Transmittance of pixels that are not full yet, 0 for full pixels. The final transmittance of full pixels is
-        // in the TRANSMITTANCE plane.
+        // Transmittance of pixels that are not full yet, and 0 for full pixels. The final transmittance of full pixels
+        // is in the TRANSMITTANCE plane.
         let mut open = [Row([1.0; TILE]); TILE];
         let mut open_rows = (1u32 << TILE) - 1;
         let mut processed = list.len();
@@ -166,7 +168,7 @@ impl<const P: usize> Kernel for BlendTile<'_, P> {
     }
 }
 
-/// Blends one splat into one vector of pixels; true if a pixel became full.
+/// Blends one splat into one vector of pixels. Returns true if a pixel became full.
 #[inline(always)]
 fn blend<L: Lanes, const P: usize>(
     splat: &Projected,
@@ -194,7 +196,7 @@ fn blend<L: Lanes, const P: usize>(
         }
         add(&mut planes[DISTANCE][y], part, weight, splat.plane_distance);
     }
-    // Newly full: hit, not full before, and transmittance would fall below the minimum.
+    // Newly full pixels: hit, not full before, and with a transmittance that would fall below the minimum.
     let full = L::and(L::and_not(hit, goes_on), L::zero().lt(before));
     open.set(part, L::select(full, L::zero(), L::select(goes_on, after, before)));
     if L::any(full) {
@@ -212,7 +214,8 @@ fn add<L: Lanes>(row: &mut Row, part: usize, weight: L, value: f32) {
     row.set(part, sum);
 }
 
-/// Adds the transmittance of pixels that are not full to the plane of full pixels.
+/// Adds the transmittance of pixels that are not full to the TRANSMITTANCE plane, which so far holds that of full
+/// pixels only.
 #[inline(always)]
 fn finish<L: Lanes>(open: &[Row; TILE], left: &mut [Row; TILE]) {
     for (open, left) in open.iter().zip(left) {

@@ -1,9 +1,12 @@
-//! The backward pass of the blend. It runs front to back as well, so only the final picture must be kept.
+//! The backward pass of the rasterisation. It runs front to back like the forward pass, so only the finished picture
+//! must be kept.
 //!
-//! With `g` the gradient of a pixel's channels, the splats behind the current one enter only through the scalar `rest =
-//! (their blended value) · g`. It starts with the value of the finished pixel, and each splat's contribution is
-//! subtracted in turn. Each splat–tile pair writes one [`Record`]; nothing is added across tiles here, so no atomics
-//! are needed and the order of sums does not depend on threads.
+//! Let `g` be the gradient with respect to the channels of a pixel. The splats behind the current splat matter only
+//! through one number, `rest`: the dot product of `g` with the value that they add to the pixel. At first, `rest` is
+//! the dot product of `g` with the finished pixel; then the contribution of each splat is subtracted in turn.
+//!
+//! Each splat–tile pair has its own [`Record`], and nothing is added across tiles here. So no atomics are needed, and
+//! the order of sums does not depend on threads.
 
 use super::bin::TileLists;
 use super::project::Projected;
@@ -14,17 +17,21 @@ use crate::layout::planes::{DISTANCE, NORMAL, PLANES_COLOR, PLANES_GEOMETRY, RGB
 use crate::layout::tiles::{TILE, TileImage, centers};
 use crate::simd::{GROUP, Isa, Kernel, Lanes, Row, prefetch};
 
-/// Places in a record: the gradient sums of one splat over one tile. With `q = α ∂L/∂α` and `d = mean - pixel`, in
-/// order: `Σq, Σq dx, Σq dy, Σq dx², Σq dx dy, Σq dy²`, then ∂L/∂rgb, ∂L/∂normal, ∂L/∂distance, and the sums of
-/// absolute values of ∂L/∂mean, each times log2(e). Opposite gradients on a large splat cancel in all sums but these.
+/// First of six places in a [`Record`], which holds the gradients of one splat, summed over the pixels of one tile. The
+/// six are `Σq, Σq dx, Σq dy, Σq dx², Σq dx dy, Σq dy²`, with `q = α ∂L/∂α` and `(dx, dy) = mean - pixel`, px.
 pub(crate) const MOMENTS: usize = 0;
+/// First of three places in a [`Record`]: ∂L/∂rgb.
 pub(crate) const V_RGB: usize = 6;
+/// First of three places in a [`Record`]: ∂L/∂normal.
 pub(crate) const V_NORMAL: usize = 9;
+/// Place in a [`Record`]: the derivative of the loss with respect to the plane distance.
 pub(crate) const V_DISTANCE: usize = 12;
+/// First of two places in a [`Record`]: for each screen axis, the sum over pixels of the absolute value of ∂L/∂mean,
+/// times log2(e). In the other sums, opposite gradients on a large splat cancel; in these they do not.
 pub(crate) const ABSOLUTE: usize = 13;
 
-/// Planes of `gradient` are those of the rendered image; the TRANSMITTANCE plane holds ∂L/∂transmittance.
-/// `records` receives one record for each pair, in the order of the tile lists.
+/// Computes the gradients of each splat–tile pair. `gradient` has the planes of the rendered image; its TRANSMITTANCE
+/// plane holds ∂L/∂transmittance. `records` receives one record for each pair, in the order of the tile lists.
 pub(crate) fn rasterize_backward(
     isa: Isa,
     lists: &TileLists,
@@ -117,7 +124,7 @@ struct Pixels {
     part: usize,
 }
 
-/// Repeats the blend of one splat into one vector of pixels and adds its gradient sums.
+/// Repeats the blend of one splat into one vector of pixels, and adds the gradients of the splat to `sums`.
 #[inline(always)]
 fn add_row<L: Lanes, const P: usize>(
     splat: &Projected,
@@ -159,7 +166,8 @@ fn add_row<L: Lanes, const P: usize>(
     let behind = weight.neg_mul_add(value, rest.get::<L>(part));
     rest.set(part, behind);
 
-    // q = α ∂L/∂α = α T value - α/(1-α) rest; zero where alpha is clamped.
+    // q = α ∂L/∂α = α T value - α / (1 - α) behind, with the transmittance T before the splat. It is zero where alpha
+    // is clamped.
     let moves = L::and(goes_on, raw.lt(L::splat(ALPHA_MAX)));
     let odds = alpha / (L::splat(1.0) - alpha);
     let q = odds.neg_mul_add(behind, weight * value).keep(moves);

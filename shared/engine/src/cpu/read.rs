@@ -1,4 +1,4 @@
-//! Converts results from the layout of the backend.
+//! Converts scores and gradients from the tables of the backend to the types of its interface.
 
 use cosurf_scene::Splats;
 
@@ -15,7 +15,7 @@ pub(super) fn scores(scores: &Blocks) -> Scores {
     Scores { squared_weights: row(SQUARED_WEIGHT), hits: row(HITS), observers: row(OBSERVED) }
 }
 
-/// Gradients in the places of their parameters; zero for splats that were not seen.
+/// Gradients of all splats, each in the place of its parameter; zero for splats that were not seen.
 pub(super) fn gradients(
     params: &Blocks,
     gradients: &Blocks,

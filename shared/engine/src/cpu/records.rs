@@ -1,4 +1,4 @@
-//! The records of splat–tile pairs, divided among threads by tiles.
+//! The records of splat–tile pairs. The work on them is divided among threads by tiles.
 
 use super::bin::TileLists;
 use crate::simd::Row;
@@ -6,10 +6,12 @@ use crate::simd::Row;
 /// The result of a pass over tile lists for one splat–tile pair.
 pub(crate) type Record = Row;
 
-/// Pieces of about equal work for each thread, so that fast threads take more of them.
+/// Number of pieces of about equal work for each thread. Because there are several, fast threads can process more of
+/// them than slow ones.
 const PIECES_PER_THREAD: usize = 8;
 
-/// Makes `records` as long as there are pairs, and calls `work(tile, records of its list)` for every tile, in parallel.
+/// Resizes `records` to one for each pair, and calls `work(tile, records of the tile's list)` for every tile, in
+/// parallel.
 pub(crate) fn for_each_tile(
     lists: &TileLists,
     records: &mut Vec<Record>,
@@ -20,8 +22,9 @@ pub(crate) fn for_each_tile(
     divide(0, lists.starts(), records, piece, &work);
 }
 
-/// Processes the tiles from `first` on, of which tile `first + i` has the records `starts[i]..starts[i + 1]`, counted
-/// from `starts[0]`. Divides them in two until there is one tile, or at most `piece` records.
+/// Calls `work` for the tiles from `first` on. Tile `first + i` has the records `starts[i]..starts[i + 1]`, counted
+/// from `starts[0]`. The tiles are divided in two, for parallel work, until one tile or at most `piece` records are
+/// left.
 fn divide(
     first: usize,
     starts: &[u32],
@@ -51,7 +54,7 @@ fn divide(
 mod tests {
     use super::*;
 
-    /// Each tile writes its number into its records; lists of very different lengths, and empty ones.
+    /// Each tile adds its number to its records. The lists have very different lengths, and some are empty.
     #[test]
     fn every_tile_gets_its_own_records() {
         let lengths = [0u32, 3, 0, 0, 100, 1, 1, 7, 0, 2, 0];

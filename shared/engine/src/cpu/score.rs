@@ -1,6 +1,6 @@
-//! The scoring pass: the contribution of each splat to a picture. It repeats the blend without colours. Like the
-//! backward pass it writes one record for each splat–tile pair, and one thread adds the records of a splat in their
-//! order.
+//! The scoring pass: computes the contribution of each splat to a picture. It repeats the blend without colours. Like
+//! the backward pass, it writes one record for each splat–tile pair. Then one thread adds all records of a splat in a
+//! fixed order.
 
 use rayon::prelude::*;
 
@@ -14,7 +14,8 @@ use crate::layout::rows::{HITS, OBSERVED, SCORE_ROWS, SQUARED_WEIGHT};
 use crate::layout::tiles::{TILE, TileImage, centers};
 use crate::simd::{GROUP, Isa, Kernel, Lanes, Row};
 
-/// Writes the records of a picture in which tile `t` processed `blended[t]` entries of its list.
+/// Writes the records of the last blended picture. In that picture, tile `t` processed `blended[t]` entries of its
+/// list.
 pub(crate) fn score(
     isa: Isa,
     lists: &TileLists,
@@ -52,7 +53,7 @@ pub(crate) fn collect(projection: &Projection, lists: &TileLists, records: &[Rec
     );
 }
 
-/// Transmittance before the first splat: 1 inside the picture, 0 for pixels of the tile outside.
+/// Transmittance of a tile's pixels before the first splat: 1 inside the picture, 0 outside.
 fn inside(origin: [f32; 2], size_px: [usize; 2]) -> [Row; TILE] {
     let left = |axis: usize| size_px[axis].saturating_sub(origin[axis] as usize).min(TILE);
     let mut open = [Row::ZERO; TILE];
@@ -66,7 +67,7 @@ struct ScoreTile<'a> {
     list: &'a [u32],
     splats: &'a [Projected],
     origin: [f32; 2],
-    /// Transmittance of each pixel.
+    /// Transmittance of each pixel of the tile; 0 if the pixel is full or outside the picture.
     open: [Row; TILE],
     records: &'a mut [Record],
 }
@@ -96,7 +97,7 @@ impl Kernel for ScoreTile<'_> {
     }
 }
 
-/// Adds the contribution of one splat to one vector of pixels.
+/// Repeats the blend of one splat into one vector of pixels, and adds the contribution of the splat to `sums`.
 #[inline(always)]
 fn add<L: Lanes>(alpha: L, part: usize, open: &mut Row, sums: &mut [L; SCORE_ROWS]) {
     let one = L::splat(1.0);

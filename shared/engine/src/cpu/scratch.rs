@@ -1,4 +1,4 @@
-//! Memory that a kernel needs while it works on one band of a picture: one piece for each thread, allocated once.
+//! Memory that a kernel needs while it works on one band of a picture. Each thread has its own, allocated once.
 
 use std::sync::{Mutex, PoisonError};
 
@@ -7,16 +7,17 @@ use std::sync::{Mutex, PoisonError};
 pub(crate) struct PerThread<T>(Box<[Mutex<T>]>);
 
 impl<T> PerThread<T> {
-    /// `threads` is at least 1.
+    /// Makes one value for each of `threads` threads, at least 1.
     pub(crate) fn new(threads: usize, make: impl Fn() -> T) -> Self {
         Self((0..threads).map(|_| Mutex::new(make())).collect())
     }
 
-    /// Calls `work` with the value of the current thread. `work` must not wait for other work of the pool. A thread of
-    /// another pool may have to wait for the value.
+    /// Calls `work` with the value of the current thread, which is locked until `work` returns. So `work` must not wait
+    /// for other work of the pool. A thread of another pool may have to wait for the value.
     pub(crate) fn with<R>(&self, work: impl FnOnce(&mut T) -> R) -> R {
         let index = rayon::current_thread_index().unwrap_or(0) % self.0.len();
-        // A panic in another kernel leaves numbers that the next kernel overwrites.
+        // If another kernel panicked, its lock is poisoned. The numbers that it left are overwritten by the next
+        // kernel.
         work(&mut self.0[index].lock().unwrap_or_else(PoisonError::into_inner))
     }
 }

@@ -1,8 +1,9 @@
 //! The surface losses (PGSR; CoSurfGS, "Device-side Training Procedure"), and their gradients with respect to the
 //! blended normal and plane distance of each pixel.
 //!
-//! All losses run on bands of one row of tiles, so the sums do not depend on threads. Reading order: [`plane`] for the
-//! layout, [`depth`], then the losses: [`normals`], [`multiview`], and [`teacher`] for distillation.
+//! All losses are computed in bands of one row of tiles, so the sums do not depend on the number of threads. Reading
+//! order: [`plane`] for the layout, [`depth`], then the losses: [`normals`], [`multiview`], and [`teacher`] for
+//! distillation.
 
 mod depth;
 mod multiview;
@@ -25,7 +26,7 @@ use plane::Plane;
 use shown::Shown;
 use teacher::Teacher;
 
-/// The surface losses with the planes that they keep from view to view.
+/// The surface losses, with the depth and luma planes of a view and of its neighbouring view.
 #[derive(Debug)]
 pub(crate) struct Surface {
     depth: Plane,
@@ -36,12 +37,12 @@ pub(crate) struct Surface {
     normals: Normals,
     multiview: Multiview,
     teacher: Teacher,
-    /// ∂L/∂z of the pixels of a band.
+    /// Gradient of the loss with respect to the depths of the pixels of a band.
     v_depth: PerThread<Vec<f32>>,
 }
 
 impl Surface {
-    /// Room for pictures up to `size_px` and this many threads, at least 1.
+    /// Memory for pictures up to `size_px` and this many threads, at least 1.
     pub(crate) fn with_capacity(size_px: [u32; 2], threads: usize) -> Self {
         let plane = || Plane::with_capacity(size_px);
         Self {
@@ -57,7 +58,7 @@ impl Surface {
         }
     }
 
-    /// Takes the depth of `image` as the neighbour's.
+    /// Keeps the depth of `image` and the camera `view` as those of the neighbouring view.
     pub(crate) fn keep_neighbour(&mut self, isa: Isa, image: &TileImage, view: &ViewParams) {
         depth::unbiased_depth(isa, image, view, &mut self.neighbour_depth);
         self.neighbour = Some(*view);
@@ -92,7 +93,7 @@ impl Surface {
     }
 
     /// Returns the differences from a teacher and adds their weighted gradients to the geometry planes of `gradient`.
-    /// Must follow [`Self::losses`].
+    /// Must follow [`Self::losses`], which computes the depth of `image`.
     pub(crate) fn teach(
         &mut self,
         isa: Isa,
@@ -107,7 +108,7 @@ impl Surface {
     }
 }
 
-/// Clears the gradients of normal and distance.
+/// Sets the gradients of normal and plane distance to zero.
 fn clear_geometry(gradient: &mut TileImage) {
     let rows_per_tile = gradient.rows_per_tile();
     gradient

@@ -1,6 +1,7 @@
-//! Compares the CPU backend with the f64 [`reference`]: pictures directly, and gradients with central differences of
-//! the reference for every parameter of every splat. Cases: rotated and off-centre cameras, clamped slopes, nearly
-//! opaque splats, splats on the border; on every instruction set of this machine.
+//! Compares the CPU backend with the f64 [`reference`] on every instruction set of this machine. Pictures are compared
+//! directly. Gradients for every parameter of every splat are compared with central differences of the reference. The
+//! cases are rotated and off-centre cameras, clamped slopes, nearly opaque splats, and splats on the border of the
+//! picture.
 
 mod loss;
 mod reference;
@@ -28,7 +29,8 @@ pub(crate) fn camera(eye: DVec3, focal_px: f64, center_px: DVec2) -> Camera {
     Camera { cam_from_world, focal_px: DVec2::new(focal_px, focal_px * 1.1), center_px, size_px: [44, 29] }
 }
 
-/// Splats around the origin with a spread, sizes and opacities.
+/// Random splats around the origin. The standard deviation of means is `spread`; log-scales and opacity logits vary
+/// around `log_scale` and `logit`.
 pub(crate) fn splats(
     count: usize,
     spread: f32,
@@ -72,14 +74,14 @@ fn cases() -> Vec<Case> {
             splats: splats(24, 2.2, -0.3, 0.0, 1, 3),
             sh_degree: 1,
         },
-        // Full pixels and alphas at the clamp.
+        // Pixels that become full, and alphas that are clamped.
         Case {
             name: "opaque",
             camera: camera(eye, 40.0, center),
             splats: splats(40, 0.5, -1.2, 4.0, 0, 4),
             sh_degree: 0,
         },
-        // Small splats all over the border, several tiles.
+        // Small splats everywhere along the border of the picture, in several tiles.
         Case {
             name: "border",
             camera: camera(eye, 30.0, center),
@@ -114,7 +116,7 @@ fn values(backend: &CpuBackend) -> Vec<Pixel> {
         .collect()
 }
 
-/// A gradient for every channel of every pixel.
+/// A random gradient for every channel of every pixel.
 fn pixel_gradients(pixels: usize) -> Vec<Pixel> {
     let mut random = Random::new(9, Purpose::Birth, 0, 0);
     (0..pixels).map(|_| std::array::from_fn(|_| f64::from(random.normal()))).collect()
@@ -134,7 +136,7 @@ fn backward(backend: &mut CpuBackend, gradients: &[Pixel]) -> Splats {
     backend.gradients()
 }
 
-/// Every number of the splats with the name of its group.
+/// Every number of the splats, with the name of its parameter.
 fn numbers(splats: &mut Splats) -> Vec<(&'static str, &mut f32)> {
     let mut all = Vec::new();
     all.extend(splats.means.iter_mut().flatten().map(|v| ("mean", v)));
@@ -145,7 +147,7 @@ fn numbers(splats: &mut Splats) -> Vec<(&'static str, &mut f32)> {
     all
 }
 
-/// Central differences of the reference, in the places of the parameters.
+/// Central differences of the reference, in the order of [`numbers`].
 fn differences(case: &Case, decisions: &Decisions, gradients: &[Pixel]) -> Vec<(&'static str, f64)> {
     let loss = |splats: &Splats| -> f64 {
         let picture = reference::render_as_decided(splats, &case.camera, case.sh_degree, decisions);
@@ -159,7 +161,7 @@ fn differences(case: &Case, decisions: &Decisions, gradients: &[Pixel]) -> Vec<(
                 let (name, value) = &mut numbers(&mut splats)[k];
                 (*name, **value)
             };
-            // Differences of the rounded f32 values on both sides.
+            // Divides by the difference of the two f32 values, which rounding has changed.
             let step = 2e-4;
             let mut at = |v: f32| {
                 *numbers(&mut splats)[k].1 = v;
@@ -173,7 +175,8 @@ fn differences(case: &Case, decisions: &Decisions, gradients: &[Pixel]) -> Vec<(
         .collect()
 }
 
-/// The largest error relative to the number, or to a hundredth of its group's root mean square if that is larger.
+/// The largest relative error and its description. Errors are relative to the expected number, or to a hundredth of the
+/// root mean square of its group if that is larger.
 fn worst(analytic: &mut Splats, numeric: &[(&'static str, f64)]) -> (f64, String) {
     let rms = |group: &str| {
         let values: Vec<f64> =
@@ -285,7 +288,7 @@ fn scores_agree_with_the_reference() {
         for isa in Isa::available() {
             let mut backend = backend(&case, isa, 2);
             backend.clear_scores();
-            // Twice, as for two equal views.
+            // Scored twice, as if there were two equal views.
             backend.score();
             backend.score();
             let scores = backend.scores();

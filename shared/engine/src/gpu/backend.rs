@@ -1,7 +1,8 @@
 //! The GPU as a [`Backend`].
 //!
-//! A step runs on the GPU: the photograph is uploaded, only counts and sums are read back. Refinement and checkpoints,
-//! about every hundred steps, read and write rows of splats.
+//! All passes of a step run on the GPU. A step uploads its inputs, such as the photograph, and reads back only counts
+//! and sums of losses. Only rarer operations, such as refinements and checkpoints, read and write the numbers of the
+//! splats.
 
 use cosurf_scene::{Camera, Splats};
 
@@ -31,15 +32,16 @@ pub struct GpuBackend {
     model: Model,
     drawing: Drawing,
     training: Training,
-    /// Present with [`Channels::Geometry`].
+    /// The surface losses; `None` if the capacity has [`Channels::Color`].
     surface: Option<Surface>,
+    /// Number of splats that the camera of the last binning pass sees.
     visible: usize,
-    /// Weight of the scale loss in the next backward pass.
+    /// Weight of the mean shortest scale in the next backward pass.
     scale_weight: f32,
 }
 
 impl GpuBackend {
-    /// Allocates every buffer, those of training too.
+    /// Allocates every buffer, including those of training, even if `capacity` is for rendering only.
     pub fn new(gpu: &Gpu, capacity: Capacity) -> Result<Self, GpuError> {
         let Capacity { splats, pairs, size_px, sh_degree, channels, .. } = capacity;
         assert!(sh_degree <= 3, "SH degree {sh_degree}");

@@ -1,4 +1,4 @@
-//! Typed buffers, and how values are written and read.
+//! Typed buffers on the GPU, and how the processor writes and reads their values.
 
 use std::marker::PhantomData;
 use std::ops::Range;
@@ -17,7 +17,7 @@ pub(super) struct Buffer<T> {
 }
 
 impl<T: Pod> Buffer<T> {
-    /// A buffer of `len` values, at least one. Fails if the adapter cannot bind it.
+    /// A storage buffer of `len` values, or of one value if `len` is 0. Fails if the adapter cannot bind it.
     pub(super) fn storage(gpu: &Gpu, label: &'static str, len: usize) -> Result<Self, GpuError> {
         let len = len.max(1);
         let bytes = (len * size_of::<T>()) as u64;
@@ -32,8 +32,8 @@ impl<T: Pod> Buffer<T> {
         Ok(buffer)
     }
 
-    /// Fills a buffer with values that no pass may read before writing: NaN as floats, and larger than any count as
-    /// integers.
+    /// Fills a buffer with values that spoil the results of a pass that reads them before it writes. They are about
+    /// -4e37 as floats, and larger than any count as integers.
     #[cfg(test)]
     fn poison(&self, gpu: &Gpu) {
         gpu.queue.write_buffer(&self.raw, 0, &vec![0xfd; self.raw.size() as usize]);
@@ -47,7 +47,7 @@ impl<T: Pod> Buffer<T> {
     }
 
     fn new(gpu: &Gpu, label: &'static str, len: usize, usage: BufferUsages) -> Self {
-        // Copies are in whole words.
+        // wgpu copies whole words of 4 bytes only.
         let size = ((len * size_of::<T>()) as u64).next_multiple_of(wgpu::COPY_BUFFER_ALIGNMENT);
         let descriptor =
             wgpu::BufferDescriptor { label: Some(label), size, usage, mapped_at_creation: false };
@@ -58,7 +58,7 @@ impl<T: Pod> Buffer<T> {
         self.len
     }
 
-    /// Replaces the values from `first` on, before all work submitted later.
+    /// Replaces the values from index `first` on. All work that is submitted later sees the new values.
     pub(super) fn write(&self, gpu: &Gpu, first: usize, values: &[T]) {
         assert!(first + values.len() <= self.len, "{first} + {} of {}", values.len(), self.len);
         gpu.queue.write_buffer(&self.raw, (first * size_of::<T>()) as u64, bytemuck::cast_slice(values));
@@ -71,7 +71,7 @@ impl<T: Pod> Buffer<T> {
         gpu.queue.submit([encoder.finish()]);
     }
 
-    /// Values of a range, after all work submitted so far; zeros once the device is lost.
+    /// Reads the values of a range, after all work submitted so far. Returns zeros once the device is lost.
     pub(super) fn read(&self, gpu: &Gpu, range: Range<usize>) -> Vec<T> {
         assert!(range.end <= self.len, "{range:?} of {}", self.len);
         let (first, len) = ((range.start * size_of::<T>()) as u64, range.len());

@@ -1,5 +1,6 @@
-//! Checkpoints in the order of the CPU backend, so that a training can resume on another device: tables of parameters,
-//! first moments, second moments and statistics; in each, blocks of 16 splats; in a block, 16 numbers for each row.
+//! Checkpoints, with their numbers in the order of the CPU backend, so that a training can resume on another device.
+//! There are four tables: parameters, first moments, second moments and statistics. A table consists of blocks of 16
+//! splats; a block has 16 numbers for each row, one for each splat.
 
 use super::buffer::Buffer;
 use super::context::Gpu;
@@ -8,10 +9,10 @@ use super::train::Training;
 use crate::layout::rows::{SH, STAT_ROWS, sh_rows};
 use crate::simd::GROUP;
 
-/// Splats that are copied at a time, which limits the memory of a checkpoint.
+/// Number of splats that are copied at a time, which limits the memory that a checkpoint takes.
 const SPLATS_AT_ONCE: usize = 1024 * GROUP;
 
-/// Rows of splats: the buffer of each, and the start of the row in it.
+/// The rows of a table: for each row its buffer, and the index in the buffer where the row starts.
 type Table<'a> = Vec<(&'a Buffer<f32>, usize)>;
 
 fn tables<'a>(model: &'a Model, training: &'a Training) -> [Table<'a>; 4] {
@@ -26,12 +27,12 @@ fn tables<'a>(model: &'a Model, training: &'a Training) -> [Table<'a>; 4] {
     ]
 }
 
-/// First and end of the splats that are copied together.
+/// Divides `len` splats into pieces that are copied together: first index and end of each piece.
 fn pieces(len: usize) -> impl Iterator<Item = (usize, usize)> {
     (0..len).step_by(SPLATS_AT_ONCE).map(move |first| (first, (first + SPLATS_AT_ONCE).min(len)))
 }
 
-/// Visits all tables, piece by piece.
+/// Visits all tables, piece by piece. Stops at the first error.
 pub(super) fn export<E>(
     gpu: &Gpu,
     model: &Model,
@@ -77,7 +78,7 @@ pub(super) fn import<E>(
     Ok(())
 }
 
-/// Index of a row's number of the `i`-th splat of a piece.
+/// Index of a number in a piece of a table with `rows` rows: the number in row `row` of the piece's `i`-th splat.
 fn place(i: usize, row: usize, rows: usize) -> usize {
     (i / GROUP * rows + row) * GROUP + i % GROUP
 }

@@ -1,4 +1,4 @@
-//! The graphics cards of a machine, and the open one.
+//! Lists the graphics cards of a machine, and opens one.
 
 use std::fmt;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
@@ -10,7 +10,8 @@ use super::pass::{Constants, Pass};
 #[cfg(feature = "gpu-timestamps")]
 use super::timestamps::{PassTime, Timestamps};
 
-/// Errors of a GPU. Once buffers and passes exist, the only possible error is the loss of the device.
+/// Errors of a GPU. After all buffers are allocated and all passes compiled, the only possible error is the loss of the
+/// device.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum GpuError {
@@ -40,9 +41,9 @@ pub enum GpuError {
     TooLarge {
         /// Name of the buffer.
         label: &'static str,
-        /// Size of the buffer.
+        /// Size of the buffer, bytes.
         bytes: u64,
-        /// Size of the largest buffer that the adapter can bind.
+        /// Size of the largest buffer that the adapter can bind, bytes.
         bytes_max: u64,
         /// Name of the adapter.
         name: String,
@@ -58,20 +59,20 @@ pub enum GpuError {
     },
 }
 
-/// Description of an adapter for people.
+/// Description of an adapter.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct AdapterSummary {
-    /// The driver's name for it.
+    /// Name of the adapter, as its driver states it.
     pub name: String,
-    /// `vulkan`, `metal`, `dx12`.
+    /// Graphics API: `vulkan`, `metal` or `dx12`.
     pub api: String,
-    /// Driver and version.
+    /// Name and version of the driver.
     pub driver: String,
-    /// Whether it is a software driver on the processor.
+    /// Whether the adapter is a software driver, which runs on the processor.
     pub is_software: bool,
-    /// Largest buffer that a pass can bind.
+    /// Largest buffer that a pass can bind, bytes.
     pub binding_bytes_max: u64,
-    /// Whether it supports subgroup operations.
+    /// Whether the adapter supports subgroup operations.
     pub has_subgroups: bool,
 }
 
@@ -133,20 +134,21 @@ pub struct Gpu {
     adapter: AdapterSummary,
     /// Passes compiled so far.
     passes: Arc<Mutex<Vec<Pass>>>,
-    /// `None` if the adapter has no timestamps.
+    /// `None` if the adapter cannot write timestamps.
     #[cfg(feature = "gpu-timestamps")]
     pub(super) timestamps: Option<Arc<Timestamps>>,
-    /// Reason of the loss of the device, once it is lost.
+    /// Why the device was lost; empty until then.
     lost: Arc<OnceLock<String>>,
 }
 
 impl Gpu {
-    /// Opens an adapter with its own limits for the sizes of buffers, and wgpu's default limits otherwise.
+    /// Opens an adapter. The limits for the sizes of buffers are those of the adapter; all others are wgpu's default
+    /// limits.
     pub fn open(choice: GpuChoice) -> Result<Self, GpuError> {
         Self::open_bound(choice, u64::MAX)
     }
 
-    /// Opens an adapter with a lower limit for the sizes of buffers.
+    /// As [`Self::open`], but passes can bind at most `binding_bytes_max` bytes of a buffer.
     pub(super) fn open_bound(choice: GpuChoice, binding_bytes_max: u64) -> Result<Self, GpuError> {
         let adapters = found();
         let adapter = match choice {
@@ -192,12 +194,12 @@ impl Gpu {
         let (of_loss, of_error) = (gpu.loser(), gpu.loser());
         gpu.device
             .set_device_lost_callback(move |reason, message| of_loss(&format!("{reason:?}: {message}")));
-        // No call is invalid, so an uncaptured error means that the driver failed.
+        // This crate makes no invalid wgpu calls, so an error that reaches this callback means that the driver failed.
         gpu.device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| of_error(&error.to_string())));
         Ok(gpu)
     }
 
-    /// A function that records the loss of the device with its first reason, in one line.
+    /// Returns a function that records the loss of the device and the reason, in one line. Later reasons are ignored.
     fn loser(&self) -> impl Fn(&str) + Send + Sync + use<> {
         let (lost, name) = (self.lost.clone(), self.adapter.name.clone());
         move |reason| {
@@ -211,12 +213,13 @@ impl Gpu {
         self.lost.get().cloned()
     }
 
-    /// Records the loss of the device, where the driver does not report it.
+    /// Records a loss of the device that the driver has not reported.
     pub(super) fn lose(&self, reason: &str) {
         self.loser()(reason);
     }
 
-    /// The same adapter, treated as a graphics card if it is a software driver and vice versa.
+    /// The same open adapter. A software driver is treated as a graphics card, and a graphics card as a software
+    /// driver.
     #[cfg(test)]
     pub(super) fn disguised(&self) -> Self {
         let adapter = AdapterSummary { is_software: !self.adapter.is_software, ..self.adapter.clone() };
@@ -228,8 +231,8 @@ impl Gpu {
         &self.adapter
     }
 
-    /// The time of each pass since the last call, longest first; `None` if the adapter has no timestamps. Measures at
-    /// most 2048 dispatches between two calls. Waits until the card is idle.
+    /// The time that each pass took since the last call, longest first; `None` if the adapter cannot write timestamps.
+    /// At most 2048 dispatches are measured between two calls. Waits until the card is idle.
     #[cfg(feature = "gpu-timestamps")]
     pub fn take_pass_times(&self) -> Option<Vec<PassTime>> {
         self.timestamps.as_ref().map(|timestamps| timestamps.read(&self.device, &self.queue))
@@ -240,7 +243,7 @@ impl Gpu {
         self.pass_with(shader, &[])
     }
 
-    /// The same with values for the shader's `override` constants.
+    /// As [`Self::pass`], with values for the shader's `override` constants.
     pub(super) fn pass_with(&self, shader: Shader, constants: Constants) -> Pass {
         let mut compiled = self.passes.lock().unwrap_or_else(PoisonError::into_inner);
         let is_it = |pass: &&Pass| pass.name == shader.name && pass.constants == constants;
@@ -252,7 +255,7 @@ impl Gpu {
         pass
     }
 
-    /// Runs `allocate`; fails if the adapter has too little memory for its buffers.
+    /// Runs `allocate`. Fails if the adapter has too little memory for the buffers that it allocates.
     pub(super) fn allocating<T>(
         &self,
         allocate: impl FnOnce() -> Result<T, GpuError>,

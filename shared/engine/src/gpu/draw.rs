@@ -1,4 +1,4 @@
-//! The forward passes project, bin and rasterize, with their buffers.
+//! The three stages of the forward rendering (`project`, `bin`, `rasterize`) and their buffers.
 
 use cosurf_scene::Camera;
 
@@ -15,31 +15,39 @@ use crate::layout::rendering;
 use crate::layout::tiles::{TileImage, padded_pixels};
 use crate::layout::view::ViewParams;
 
-/// Pixels of a tile: invocations of the blend.
+/// Number of pixels of a tile.
 const TILE_PIXELS: usize = 256;
 
-/// Buffers by splat: its projection, and the slots of its pairs.
+/// Buffers with an entry for each splat: its projection, the key for the sort by depth, and the slots of its pairs (see
+/// [`Pairs`]).
 #[derive(Debug)]
 pub(super) struct Seen {
     pub(super) projected: Buffer<Projected>,
     depth_keys: Buffer<u32>,
+    /// Places of the visible splats before the sort by depth; later the first slots of the splats, nearest first.
     places: Buffer<u32>,
     /// First slot and number of slots of each splat.
     pub(super) slots: Buffer<[u32; 2]>,
+    /// The visible splats, sorted by depth.
     by_depth: Sorted,
 }
 
-/// Buffers by splat–tile pair. The slot of a pair is its place before the sort: the slots of a splat are contiguous.
+/// Buffers with an entry for each splat–tile pair. The slot of a pair is its index before the sort by tile, in which
+/// all pairs of a splat follow one another.
 #[derive(Debug)]
 pub(super) struct Pairs {
+    /// The slots, sorted by tile.
     by_tile: Sorted,
+    /// Index of the splat of each slot.
     pub(super) id_of_slot: Buffer<u32>,
 }
 
-/// The picture and its tiles.
+/// The blended picture, and the lists of pairs of its tiles.
 #[derive(Debug)]
 pub(super) struct Picture {
+    /// First and end of each tile's pairs in the order of the tiles.
     pub(super) ranges: Buffer<[u32; 2]>,
+    /// Number of pairs of each tile that were processed before all its pixels were full.
     pub(super) blended: Buffer<u32>,
     pub(super) image: Buffer<f32>,
 }
@@ -54,7 +62,7 @@ struct Passes {
     rasterize: Pass,
 }
 
-/// The forward passes.
+/// The forward passes and their buffers.
 #[derive(Debug)]
 pub(super) struct Drawing {
     passes: Passes,
@@ -66,6 +74,7 @@ pub(super) struct Drawing {
     pub(super) picture: Picture,
     /// The camera of the last projection.
     pub(super) params: Option<ViewParams>,
+    /// Number of planes of the picture last blended.
     pub(super) planes: usize,
 }
 
@@ -91,7 +100,7 @@ impl Pairs {
         self.id_of_slot.len()
     }
 
-    /// Slots in the order of the tiles.
+    /// The slots of all pairs in the order of the tiles; within a tile, nearest splat first.
     pub(super) fn sorted_slots(&self) -> &wgpu::Buffer {
         self.by_tile.result()[1]
     }
@@ -134,14 +143,14 @@ impl Drawing {
         })
     }
 
-    /// Grows the buffers for a view with `pairs` splat–tile pairs.
+    /// Replaces the buffers by ones for a view with `pairs` splat–tile pairs.
     pub(super) fn grow_pairs(&mut self, gpu: &Gpu, pairs: usize) -> Result<(), GpuError> {
         self.sorter.grow(gpu, pairs.max(self.seen.slots.len()))?;
         self.pairs = Pairs::new(gpu, pairs)?;
         Ok(())
     }
 
-    /// Grows the buffers for a picture of this size.
+    /// Grows the buffers, if necessary, for a picture of this size.
     pub(super) fn grow_picture(&mut self, gpu: &Gpu, size_px: [u32; 2]) -> Result<(), GpuError> {
         if padded_pixels(size_px) > self.picture.pixels() {
             self.picture = Picture::new(gpu, size_px)?;
@@ -202,7 +211,7 @@ impl Drawing {
 
     pub(super) fn bin(&mut self, gpu: &Gpu, model: &Model) -> BinCounts {
         let tiles = self.tiles();
-        // Pairs without a tile have the number of tiles as their key.
+        // Pairs without a tile have the number of tiles as their key, which is the largest key.
         self.pairs.by_tile.set_largest(tiles as u32);
         let mut r = Recorder::new(gpu);
         self.sort_by_depth(&mut r, model.len);
@@ -277,7 +286,7 @@ impl Drawing {
         r.submit();
     }
 
-    /// The picture last blended.
+    /// Reads back the picture last blended.
     pub(super) fn rendering(&self, gpu: &Gpu) -> Rendering {
         let values = self.picture.image.read(gpu, 0..self.pixels() * self.planes);
         let view = self.seen_view();
@@ -285,7 +294,7 @@ impl Drawing {
     }
 }
 
-/// The counts of a binning pass.
+/// The counts of a binning pass, from the buffer of counters.
 fn counts(counters: &[u32]) -> BinCounts {
     let at = |place: usize| counters[place] as usize;
     BinCounts {

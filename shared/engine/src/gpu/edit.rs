@@ -1,4 +1,5 @@
-//! Adding and removing splats, on the processor: about every hundred steps, all rows are read and written once.
+//! Adds and removes splats on the processor. Refinement does this only every 20 to 100 steps, so it may read and write
+//! every row of the splats.
 
 use super::buffer::Buffer;
 use super::context::Gpu;
@@ -7,16 +8,16 @@ use super::train::Training;
 use crate::backend::{Birth, Edit};
 use crate::layout::rows::{LOG_SCALE, MEAN, OPACITY, QUAT, SH};
 
-/// Source of the numbers at a place.
+/// Where the numbers of a splat come from.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Source {
-    /// The splat that was at this place before the edit.
+    /// From the splat with this index before the edit.
     Old(usize),
-    /// A new splat.
+    /// From a new splat.
     Born(Birth),
 }
 
-/// The places after an edit, as [`Edit`] describes them.
+/// The source of each splat after an edit. [`Edit`] describes their order.
 fn places(len: usize, edit: &Edit) -> Vec<Source> {
     assert!(edit.deaths.windows(2).all(|pair| pair[0] < pair[1]), "deaths ascend");
     let mut places: Vec<Source> = (0..len).map(Source::Old).collect();
@@ -38,7 +39,7 @@ fn places(len: usize, edit: &Edit) -> Vec<Source> {
     places
 }
 
-/// Adds and removes splats; moments of new splats and all statistics become zero.
+/// Adds and removes splats. The moments of new splats and all statistics become zero.
 pub(super) fn apply(gpu: &Gpu, model: &mut Model, training: &Training, edit: &Edit) {
     let places = places(model.len, edit);
     assert!(places.len() <= model.stride, "{} splats of {}", places.len(), model.stride);
@@ -59,7 +60,8 @@ pub(super) fn apply(gpu: &Gpu, model: &mut Model, training: &Training, edit: &Ed
     training.stats.clear(gpu);
 }
 
-/// Rewrites each row of a buffer. A new splat gets the number of the splat that `parent` returns, else `own`.
+/// Rewrites each row of a buffer in the order of `places`. In a row, a new splat gets the number of the old splat whose
+/// index `parent` returns. If `parent` returns `None`, it gets the number that `own` returns.
 fn move_rows(
     gpu: &Gpu,
     model: &Model,
@@ -91,7 +93,7 @@ pub(super) fn cap_opacity(gpu: &Gpu, model: &Model, training: &Training, opacity
     training.moments[..2].iter().for_each(|moments| moments.write(gpu, first, &zeros));
 }
 
-/// The numbers of a new splat's shape that differ from its parent's.
+/// The number of a new splat in a row of the shapes, or `None` if it is that of its parent.
 fn own(row: usize, birth: &Birth) -> Option<f32> {
     match row {
         MEAN..QUAT => Some(birth.mean[row - MEAN]),

@@ -1,5 +1,5 @@
-//! The splats on the GPU: one row for each parameter, so that neighbouring invocations read neighbouring numbers.
-//! Shapes and colours are separate buffers, so that adapters can bind them.
+//! The splats on the GPU. Each parameter has one row of numbers, so that neighbouring invocations read neighbouring
+//! numbers. Shapes and colours are in separate buffers, because adapters limit the size of a buffer.
 
 use cosurf_scene::Splats;
 
@@ -7,19 +7,21 @@ use super::buffer::Buffer;
 use super::context::{Gpu, GpuError};
 use crate::layout::rows::{LOG_SCALE, OPACITY, QUAT, SH, sh_rows};
 
-/// Splats.
+/// The splats of a model.
 #[derive(Debug)]
 pub(super) struct Model {
-    /// Row `r` of splat `i` is at `r * stride + i`, also in `sh`.
+    /// Means, quaternions, log scales and opacity logits. Row `r` of splat `i` is at `r * stride + i`, here and in
+    /// `sh`.
     pub(super) shape: Buffer<f32>,
     pub(super) sh: Buffer<f32>,
+    /// Capacity for splats: the distance between rows.
     pub(super) stride: usize,
     pub(super) len: usize,
     pub(super) sh_degree: u32,
 }
 
 impl Model {
-    /// No splats yet, with room for `capacity`.
+    /// An empty model with room for `capacity` splats.
     pub(super) fn new(gpu: &Gpu, capacity: usize, sh_degree: u32) -> Result<Self, GpuError> {
         let stride = capacity.max(1);
         Ok(Self {
@@ -31,7 +33,7 @@ impl Model {
         })
     }
 
-    /// Replaces all splats, in the SH degree of the model: missing coefficients become zero, additional ones are
+    /// Replaces all splats. The SH degree of the model stays: missing coefficients become zero, additional ones are
     /// dropped.
     pub(super) fn load(&mut self, gpu: &Gpu, splats: &Splats) {
         self.len = splats.len();

@@ -5,7 +5,8 @@ use cosurf_shaders::Shader;
 /// Values of a shader's `override` constants.
 pub(super) type Constants = &'static [(&'static str, f64)];
 
-/// A compute pipeline with its name and what it was compiled from.
+/// A compute pipeline with the name of its shader, the constants that it was compiled with, and the layout of its
+/// bindings.
 #[derive(Clone, Debug)]
 pub(super) struct Pass {
     pub(super) name: &'static str,
@@ -25,7 +26,7 @@ impl Pass {
             layout: None,
             module: &module,
             entry_point: Some(shader.name),
-            // Every pass writes its workgroup memory before reading it.
+            // Every pass writes its workgroup memory before reading it, so wgpu need not fill it with zeros.
             compilation_options: wgpu::PipelineCompilationOptions {
                 zero_initialize_workgroup_memory: false,
                 constants,

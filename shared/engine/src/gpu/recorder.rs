@@ -1,12 +1,12 @@
-//! Recording of dispatches.
+//! Records dispatches of passes for one submission to the GPU.
 
 use super::context::Gpu;
 use super::pass::Pass;
 
-/// Largest number of workgroups along one axis of a dispatch, as in the shaders.
+/// Largest number of workgroups along one axis of a dispatch, as `GROUPS_ACROSS` in `types.wgsl`.
 pub(super) const GROUPS_MAX: u32 = 65_535;
 
-/// Records passes in the order in which they run.
+/// Records passes. They run in the order in which they are recorded.
 #[derive(Debug)]
 pub(super) struct Recorder<'a> {
     gpu: &'a Gpu,
@@ -19,7 +19,7 @@ impl<'a> Recorder<'a> {
         Self { gpu, encoder }
     }
 
-    /// Records a pass with a number of workgroups; `buffers[i]` is its binding `i`.
+    /// Records a pass with at least `groups` workgroups, none if `groups` is 0. `buffers[i]` is its binding `i`.
     pub(super) fn run(&mut self, pass: &Pass, buffers: &[&wgpu::Buffer], groups: usize) {
         let Some([across, down]) = folded(groups as u32) else { return };
         let entries: Vec<_> = (0..)
@@ -56,7 +56,8 @@ impl<'a> Recorder<'a> {
     }
 }
 
-/// Workgroups along two axes, at least `groups` in all; `group_index` in the shaders computes the index back.
+/// Numbers of workgroups along two axes, at least `groups` in total; `None` for 0. The function `group_index` in
+/// `types.wgsl` computes the index of a workgroup from its place on the two axes.
 fn folded(groups: u32) -> Option<[u32; 2]> {
     match groups {
         0 => None,

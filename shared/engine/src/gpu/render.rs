@@ -1,4 +1,4 @@
-//! Rendering a finished model on the GPU.
+//! Renders a finished model on the GPU.
 
 use cosurf_scene::{Camera, Splats};
 
@@ -38,7 +38,7 @@ impl GpuRenderer {
         self.model.splats(&self.gpu)
     }
 
-    /// Renders colour, alpha, depth and normal.
+    /// Renders colour, alpha, depth and normal. Grows the buffers if necessary.
     pub fn render(&mut self, camera: &Camera) -> Result<Rendering, GpuError> {
         let Self { gpu, model, drawing } = self;
         gpu.allocating(|| drawing.grow_picture(gpu, camera.size_px))?;

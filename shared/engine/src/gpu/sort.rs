@@ -1,5 +1,5 @@
-//! Running sums and a stable radix sort, 4 bits at a time, in blocks of 1024 numbers; the result does not depend on how
-//! the GPU schedules workgroups.
+//! Running sums, and a stable radix sort with digits of 4 bits. Both work on blocks of 1024 numbers. Their results do
+//! not depend on how the GPU schedules workgroups.
 
 use super::buffer::Buffer;
 use super::context::{Gpu, GpuError};
@@ -11,21 +11,23 @@ use super::structs::{PAIRS, PAIRS_WANTED, SPLATS, ScanStep, SortStep, UNUSED, VI
 pub(super) const GROUP: usize = 256;
 /// Numbers that one workgroup scans or sorts, as in the shaders.
 pub(super) const BLOCK: usize = 1024;
-/// Values of a digit (as in the shaders), and its bits.
+/// Number of values of a digit, as in the shaders.
 pub(super) const DIGITS: usize = 16;
+/// Number of bits of a digit.
 const DIGIT_BITS: u32 = 4;
 
-/// Keys and values in two buffers each: a step of the sort reads one and writes the other.
+/// Keys to sort and their values, each in two buffers. A step of the sort reads from one and writes to the other.
 #[derive(Debug)]
 pub(super) struct Sorted {
     keys: [Buffer<u32>; 2],
     values: [Buffer<u32>; 2],
-    /// The counter with the number of keys.
+    /// Which counter holds the number of keys.
     counter: Counted,
+    /// Number of steps of the sort: one for each digit of the largest key.
     steps: u32,
 }
 
-/// The numbers that are scanned or sorted.
+/// What is scanned or sorted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Counted {
     /// Visible splats.
@@ -35,7 +37,7 @@ pub(super) enum Counted {
 }
 
 impl Sorted {
-    /// Room for `len` keys of 32 bits.
+    /// Allocates room for `len` keys of 32 bits.
     pub(super) fn new(gpu: &Gpu, counter: Counted, len: usize) -> Result<Self, GpuError> {
         let room = || Buffer::storage(gpu, "keys to sort", len);
         Ok(Self {
@@ -46,17 +48,17 @@ impl Sorted {
         })
     }
 
-    /// Sets the largest possible key.
+    /// Sets the largest possible key, which decides how many steps the sort takes.
     pub(super) fn set_largest(&mut self, key: u32) {
         self.steps = (u32::BITS - key.leading_zeros()).div_ceil(DIGIT_BITS);
     }
 
-    /// The buffers for keys and values before the sort.
+    /// The buffers into which keys and values are written before the sort.
     pub(super) fn input(&self) -> [&wgpu::Buffer; 2] {
         self.half(self.steps as usize % 2)
     }
 
-    /// The buffers with keys and values after the sort.
+    /// The buffers that hold keys and values after the sort.
     pub(super) fn result(&self) -> [&wgpu::Buffer; 2] {
         self.half(0)
     }
@@ -70,7 +72,7 @@ impl Sorted {
     }
 }
 
-/// The passes of scans and sorts with their buffers.
+/// The passes of scans (running sums) and sorts, and their buffers.
 #[derive(Debug)]
 pub(super) struct Sorter {
     scan_blocks: Pass,
@@ -80,14 +82,17 @@ pub(super) struct Sorter {
     scatter: Pass,
     counts: Buffer<u32>,
     block_sums: Buffer<u32>,
-    /// Here and in the next two fields: for [`Counted::Visible`], then for [`Counted::Pairs`].
+    /// Parameters of the scans. Here and in the next two arrays, the first entry is for [`Counted::Visible`], the
+    /// second for [`Counted::Pairs`].
     scans: [Buffer<ScanStep>; 2],
+    /// Parameters of the scans of digit counts within a sort.
     scan_digits: [Buffer<ScanStep>; 2],
+    /// Parameters of the steps of the sorts.
     sort_steps: [Vec<Buffer<SortStep>>; 2],
 }
 
 impl Sorter {
-    /// Room for sorts of up to `len` keys, and for scans of up to `len` numbers.
+    /// Allocates room for sorts of up to `len` keys, and for scans of up to `len` numbers.
     pub(super) fn new(gpu: &Gpu, len: usize) -> Result<Self, GpuError> {
         let scan = |counter: usize, digits: u32, total: usize| {
             let step = ScanStep { counter: counter as u32, digits, total: total as u32, unused: 0 };
@@ -113,7 +118,7 @@ impl Sorter {
         })
     }
 
-    /// Grows the buffers for `len` keys.
+    /// Replaces the buffers by ones for `len` keys.
     pub(super) fn grow(&mut self, gpu: &Gpu, len: usize) -> Result<(), GpuError> {
         (self.counts, self.block_sums) = Self::room(gpu, len)?;
         Ok(())
@@ -125,9 +130,11 @@ impl Sorter {
         Ok((Buffer::storage(gpu, "digit counts", counts)?, Buffer::storage(gpu, "block sums", sums)?))
     }
 
-    /// Replaces up to `len_max` numbers by their running sums. For [`Counted::Visible`] these are the flags of all
-    /// splats, and the total goes to the counter of visible splats; for [`Counted::Pairs`] these are the numbers of
-    /// pairs of the visible splats, and the total goes to the counter of wanted pairs.
+    /// Replaces each of up to `len_max` numbers in `values` by the sum of the numbers before it.
+    ///
+    /// For [`Counted::Visible`] the numbers are flags of all splats, and the total goes to the counter of visible
+    /// splats. For [`Counted::Pairs`] each number is that of the pairs of a visible splat, and the total goes to the
+    /// counter of wanted pairs.
     pub(super) fn scan(
         &self,
         r: &mut Recorder,

@@ -1,11 +1,12 @@
-//! Structures that Rust and the shaders share; a test compares their layouts with `types.wgsl`.
+//! Structures that Rust and the shaders share. A test compares their layouts with `types.wgsl`, which documents their
+//! fields.
 
 use bytemuck::{Pod, Zeroable};
 
 use crate::backend::AdamRates;
 use crate::layout::view::{RelativePose, ViewParams};
 
-/// `View` of the shaders, where every field is documented.
+/// Mirrors `View` in `types.wgsl`.
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
 #[repr(C)]
 pub(super) struct View {
@@ -48,7 +49,7 @@ impl View {
     }
 }
 
-/// `Projected` of the shaders.
+/// Mirrors `Projected` in `types.wgsl`.
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
 #[repr(C)]
 pub(super) struct Projected {
@@ -62,7 +63,7 @@ pub(super) struct Projected {
     pub(super) plane_distance: f32,
 }
 
-/// `SortStep` of the shaders.
+/// Mirrors `SortStep` in `types.wgsl`.
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
 #[repr(C)]
 pub(super) struct SortStep {
@@ -70,7 +71,7 @@ pub(super) struct SortStep {
     pub(super) shift: u32,
 }
 
-/// `ScanStep` of the shaders.
+/// Mirrors `ScanStep` in `types.wgsl`.
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
 #[repr(C)]
 pub(super) struct ScanStep {
@@ -80,7 +81,7 @@ pub(super) struct ScanStep {
     pub(super) unused: u32,
 }
 
-/// `LossSettings` of the shaders.
+/// Mirrors `LossSettings` in `types.wgsl`.
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
 #[repr(C)]
 pub(super) struct LossSettings {
@@ -94,14 +95,14 @@ pub(super) struct LossSettings {
     pub(super) unused_3: u32,
 }
 
-/// `BackwardWeights` of the shaders.
+/// Mirrors `BackwardWeights` in `types.wgsl`.
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
 #[repr(C)]
 pub(super) struct BackwardWeights {
     pub(super) scale: f32,
 }
 
-/// `Rates` of the shaders.
+/// Mirrors `Rates` in `types.wgsl`.
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
 #[repr(C)]
 pub(super) struct Rates {
@@ -123,7 +124,7 @@ impl From<&AdamRates> for Rates {
     }
 }
 
-/// `SurfaceWeights` of the shaders.
+/// Mirrors `SurfaceWeights` in `types.wgsl`.
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
 #[repr(C)]
 pub(super) struct SurfaceWeights {
@@ -137,7 +138,7 @@ pub(super) struct SurfaceWeights {
     pub(super) unused: u32,
 }
 
-/// `Pair` of the shaders.
+/// Mirrors `Pair` in `types.wgsl`.
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
 #[repr(C)]
 pub(super) struct Pair {
@@ -166,10 +167,12 @@ impl Pair {
     }
 }
 
-/// Places in the buffer of counters, as in the shaders; totals that nothing reads go to `UNUSED`.
+/// Indices in the buffer of counters, as in `types.wgsl`.
 pub(super) const SPLATS: usize = 0;
 pub(super) const VISIBLE: usize = 1;
 pub(super) const PAIRS_WANTED: usize = 2;
 pub(super) const PAIRS: usize = 3;
+/// Index of a counter for totals that nothing reads.
 pub(super) const UNUSED: usize = 4;
+/// Length of the buffer of counters.
 pub(super) const COUNTERS: usize = 8;

@@ -1,4 +1,4 @@
-//! The surface losses on the GPU, with the same passes as on the CPU, and the buffers kept from view to view.
+//! The surface losses on the GPU, computed by the same passes as on the CPU, and the buffers of these passes.
 
 use super::buffer::Buffer;
 use super::context::{Gpu, GpuError};
@@ -16,9 +16,9 @@ use crate::layout::sampling::sampled_pixels;
 use crate::layout::tiles::padded_pixels;
 use crate::layout::view::{RelativePose, ViewParams};
 
-/// Samples of a workgroup, as in `multiview.wgsl`.
+/// Number of samples that one workgroup processes, as in `multiview.wgsl`.
 pub(super) const SAMPLES_AT_ONCE: usize = 64;
-/// Bits of the smallest and the largest slope before the pass: infinity and 0.
+/// Initial bits of the smallest and the largest slope for the pass `edges`: infinity and 0.
 const NO_SLOPES: [u32; 2] = [f32::INFINITY.to_bits(), 0];
 
 #[derive(Debug)]
@@ -32,27 +32,33 @@ struct Passes {
     teacher: Pass,
 }
 
-/// One number for each pixel, row by row.
+/// Depth and luma of a view: one number for each pixel, row by row.
 #[derive(Debug)]
 struct Planes {
     depth: Buffer<f32>,
     luma: Buffer<f32>,
 }
 
-/// The surface losses with their buffers.
+/// The passes of the surface losses and their buffers.
 #[derive(Debug)]
 pub(super) struct Surface {
     passes: Passes,
     weights: Buffer<SurfaceWeights>,
     pair: Buffer<Pair>,
+    /// Planes of the view that is trained.
     here: Planes,
+    /// Planes of its neighbour.
     there: Planes,
+    /// Bits of the smallest and the largest slope of the photograph.
     slopes: Buffer<u32>,
+    /// Gradient of each pixel's normal loss with respect to the depths of the four pixels beside it.
     given: Buffer<[f32; 4]>,
     samples: Buffer<u32>,
+    /// The teacher's depths, then trusts, then normals.
     shown: Buffer<f32>,
-    /// By tile, then by workgroup of samples.
+    /// Sums of losses: one entry for each tile, then one for each workgroup of samples.
     sums: Buffer<[f32; 4]>,
+    /// Camera of the neighbour.
     neighbour: Option<ViewParams>,
 }
 
@@ -66,7 +72,7 @@ impl Planes {
 }
 
 impl Surface {
-    /// Room for pictures up to `size_px`.
+    /// Allocates room for pictures of up to `size_px`.
     pub(super) fn new(gpu: &Gpu, size_px: [u32; 2]) -> Result<Self, GpuError> {
         let pixels = padded_pixels(size_px);
         let zeroed = bytemuck::Zeroable::zeroed;
@@ -93,7 +99,7 @@ impl Surface {
         })
     }
 
-    /// Takes the depth of the picture as the neighbour's.
+    /// Keeps the depth and the camera of the current picture as those of the neighbour.
     pub(super) fn keep_neighbour(&mut self, gpu: &Gpu, drawing: &Drawing) {
         let mut r = Recorder::new(gpu);
         self.unbiased_depth(&mut r, drawing, &self.there);
@@ -106,8 +112,8 @@ impl Surface {
         r.run(&self.passes.unbiased_depth, &buffers, drawing.tiles());
     }
 
-    /// Returns the losses and writes their weighted gradients to the geometry planes of the gradient in
-    /// `training`. Must follow the colour loss, whose photograph it uses.
+    /// Returns the losses and writes their weighted gradients to the geometry planes of the gradient in `training`.
+    /// Must be called after [`Training::photometric`], because it uses the photograph that was uploaded by it.
     pub(super) fn losses(
         &self,
         gpu: &Gpu,
@@ -159,7 +165,7 @@ impl Surface {
         losses(sums.split_at(drawing.tiles()), pixels, samples.len(), taught)
     }
 
-    /// The single-view normal loss; overwrites the geometry planes of the gradient.
+    /// Computes the single-view normal loss. Overwrites the geometry planes of the gradient.
     fn single_view(&self, gpu: &Gpu, drawing: &Drawing, training: &Training) {
         let (view, image) = (&drawing.view.raw, &drawing.picture.image.raw);
         let Planes { depth, luma } = &self.here;
@@ -232,7 +238,7 @@ impl Surface {
     }
 }
 
-/// Means from the sums of tiles and of workgroups of samples.
+/// The mean losses, from the sums of each tile and the sums of each workgroup of samples.
 fn losses(
     (tiles, groups): (&[[f32; 4]], &[[f32; 4]]),
     pixels: f64,

@@ -1,6 +1,7 @@
 //! Compares the GPU backend with the CPU backend, on any adapter, including software drivers.
 //!
-//! Without an adapter the tests print a line and are skipped; with `REQUIRE_GPU` in the environment they fail.
+//! Without an adapter, the tests print a line and are skipped. If the environment variable `REQUIRE_GPU` is set, they
+//! fail instead.
 
 mod adapter;
 mod compare;

@@ -1,28 +1,29 @@
-//! How long each pass takes, by the clock of the graphics card.
+//! Measures how long each pass takes, by the clock of the graphics card.
 //!
 //! Every pass writes two timestamps into a query set of fixed size. [`Timestamps::read`] waits for the card, reads the
-//! set and starts over; passes beyond the size of the set are not measured.
+//! set and empties it. Passes that do not fit into the set are not measured.
 
 use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
 
 use wgpu::{BufferUsages, MapMode, PollType, QuerySet, QuerySetDescriptor, QueryType};
 
-/// Passes that are measured between two reads; each takes two queries, of which wgpu allows 4096 in a set.
+/// Largest number of passes that are measured between two reads. Each pass takes two queries, and wgpu allows 4096
+/// queries in a set.
 const PASSES_MAX: usize = 2048;
 
-/// The time of one pass, summed over its dispatches.
+/// The time that one pass took, summed over its dispatches.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PassTime {
     /// Name of the pass.
     pub name: &'static str,
-    /// Dispatches that were measured.
+    /// Number of dispatches that were measured.
     pub dispatches: usize,
-    /// Milliseconds in all.
+    /// Time of all measured dispatches together, ms.
     pub milliseconds: f64,
 }
 
-/// The queries of a device.
+/// The timestamp queries of a device.
 #[derive(Debug)]
 pub(super) struct Timestamps {
     queries: QuerySet,
@@ -35,7 +36,7 @@ pub(super) struct Timestamps {
 /// The two queries of one pass.
 pub(super) struct Timed<'a> {
     queries: &'a QuerySet,
-    /// Number of the pass in the set.
+    /// Index of the pass in the set.
     place: usize,
 }
 
@@ -86,8 +87,8 @@ impl Timestamps {
         })
     }
 
-    /// Times of the passes since the last read, longest first; empty once the device is lost. All recorded passes must
-    /// be submitted.
+    /// The time of each pass since the last read, longest first; empty once the device is lost. All recorded passes
+    /// must have been submitted.
     pub(super) fn read(&self, device: &wgpu::Device, queue: &wgpu::Queue) -> Vec<PassTime> {
         let names = std::mem::take(&mut *self.names.lock().unwrap_or_else(PoisonError::into_inner));
         if names.is_empty() {
@@ -111,7 +112,7 @@ impl Timestamps {
     }
 }
 
-/// Times by pass, longest first. `ticks` holds beginning and end of each pass.
+/// Sums the times by the name of the pass, longest first. `ticks` holds the beginning and the end of each dispatch.
 fn summed(names: &[&'static str], ticks: &[u64], milliseconds_per_tick: f64) -> Vec<PassTime> {
     let mut times = BTreeMap::new();
     for (name, pair) in names.iter().zip(ticks.chunks_exact(2)) {

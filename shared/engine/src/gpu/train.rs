@@ -1,4 +1,4 @@
-//! The passes of training with their buffers: losses, backward passes, Adam, scores.
+//! The passes of training, and their buffers: colour loss, backward passes, Adam, scores.
 
 use super::buffer::Buffer;
 use super::context::{Gpu, GpuError};
@@ -16,7 +16,7 @@ use crate::layout::tiles::padded_pixels;
 
 /// The record of a splat–tile pair.
 type Record = [f32; RECORD_LEN];
-/// Loss sums of one channel of a tile.
+/// Number of loss sums for each channel of each tile.
 pub(super) const SUMS: usize = 8;
 
 #[derive(Debug)]
@@ -31,7 +31,7 @@ struct Passes {
     score_collect: Pass,
 }
 
-/// The passes of training, and their buffers beside the splats and the picture.
+/// The passes of training, and all their buffers except those of the splats and of the picture.
 #[derive(Debug)]
 pub(super) struct Training {
     passes: Passes,
@@ -42,14 +42,14 @@ pub(super) struct Training {
     partials: Buffer<f32>,
     sums: Buffer<[f32; SUMS]>,
     totals: Buffer<[f32; SUMS]>,
-    /// Gradient of the picture, in the layout of the picture.
+    /// Gradient of the loss with respect to the picture, in the layout of the picture.
     pub(super) gradient: Buffer<f32>,
     records: Buffer<Record>,
-    /// Rows of splats, in the layout of a model.
+    /// Gradients of the splats, in rows as in a [`Model`]. Statistics and scores have such rows as well.
     pub(super) gradients: Buffer<f32>,
     pub(super) stats: Buffer<f32>,
     pub(super) scores: Buffer<f32>,
-    /// First and second moments of shapes, then of the spherical harmonics.
+    /// First and second moments of the shapes, then first and second moments of the spherical harmonics.
     pub(super) moments: [Buffer<f32>; 4],
 }
 
@@ -99,7 +99,7 @@ impl Training {
         r.submit();
     }
 
-    /// The colour loss; writes the gradient of every pixel.
+    /// Returns the colour loss, and writes its gradient with respect to every pixel.
     pub(super) fn photometric(
         &self,
         gpu: &Gpu,
@@ -158,7 +158,7 @@ impl Training {
         }
     }
 
-    /// Gradients of the projected splats, as one record for each pair.
+    /// Computes the gradients of the projected splats, as one record for each splat–tile pair.
     pub(super) fn rasterize_backward(&self, gpu: &Gpu, drawing: &Drawing) {
         let mut r = Recorder::new(gpu);
         r.run(
@@ -179,7 +179,7 @@ impl Training {
         r.submit();
     }
 
-    /// Gradients of the parameters; adds to the densification statistics.
+    /// Computes the gradients of the parameters, and adds to the densification statistics.
     pub(super) fn project_backward(&self, gpu: &Gpu, model: &Model, drawing: &Drawing, scale_weight: f32) {
         self.backward_weights.write(gpu, 0, &[BackwardWeights { scale: scale_weight }]);
         let mut r = Recorder::new(gpu);
@@ -201,7 +201,7 @@ impl Training {
         r.submit();
     }
 
-    /// One step of the optimiser.
+    /// Runs one step of the optimiser.
     pub(super) fn adam(&self, gpu: &Gpu, model: &Model, drawing: &Drawing, rates: Rates) {
         self.rates.write(gpu, 0, &[rates]);
         let [shape_first, shape_second, sh_first, sh_second] = &self.moments;
@@ -247,8 +247,8 @@ impl Training {
     }
 }
 
-/// Values of the `override` constants that divide the work of a tile, for graphics cards and for software drivers. A
-/// software driver pays for every invocation at every barrier, so it is faster with few pairs and long steps.
+/// Values of the `override` constants that divide the work of a tile: for graphics cards, then for software drivers. In
+/// a software driver every invocation takes time at every barrier, so few pairs at a time and long steps are faster.
 pub(super) const PIPELINED: [Constants; 2] =
     [&[("PAIRS_AT_ONCE", 64.0), ("CHUNK", 4.0)], &[("PAIRS_AT_ONCE", 16.0), ("CHUNK", 16.0)]];
 
@@ -260,7 +260,7 @@ fn is_floats(rgb: TargetRgb) -> u32 {
     u32::from(matches!(rgb, TargetRgb::Floats(_)))
 }
 
-/// The colour loss from sums over all values of the picture, in the order of the shaders.
+/// The colour loss, from sums over all values of the picture. `totals` has the order in which the shaders write them.
 fn loss(totals: [f32; SUMS], values: f32, ssim_weight: f32) -> PhotometricLoss {
     let [ssim, squares, l1, signs, signed_x, ..] = totals.map(|total| f64::from(total) / f64::from(values));
     let weight = f64::from(ssim_weight);

@@ -11,7 +11,7 @@ pub(crate) const C2: [f32; 5] = [1.092_548_5, -1.092_548_5, 0.315_391_57, -1.092
 pub(crate) const C3: [f32; 7] =
     [-0.590_043_6, 2.890_611_4, -0.457_045_8, 0.373_176_34, -0.457_045_8, 1.445_305_7, -0.590_043_6];
 
-/// Values of the basis for unit directions; entries above `degree` are zero.
+/// Values of the basis functions for unit directions; entries above `degree` are zero.
 #[inline(always)]
 pub(crate) fn basis<L: Lanes>(dir: [L; 3], degree: u32) -> [L; 16] {
     let [x, y, z] = dir;
@@ -47,7 +47,8 @@ pub(crate) fn basis<L: Lanes>(dir: [L; 3], degree: u32) -> [L; 16] {
     b
 }
 
-/// `Σ_k weights[k] ∇basis_k` at a direction: the gradient before the projection onto the sphere.
+/// `Σ_k w[k] ∇basis_k` at a unit direction. The caller must remove the part along the direction, because directions
+/// only move on the sphere.
 #[inline(always)]
 pub(crate) fn weighted_gradient<L: Lanes>(dir: [L; 3], degree: u32, w: &[L; 16]) -> [L; 3] {
     let [x, y, z] = dir;
@@ -108,7 +109,8 @@ pub(crate) fn view_direction<L: Lanes>(mean: [L; 3], view: &ViewParams) -> ([L; 
     (each!([0, 1, 2], |a| delta[a] * inv_length), inv_length)
 }
 
-/// Gradients of a splat's coefficients: the basis, as the view sees the splat, times ∂L/∂rgb.
+/// Gradients of a splat's SH coefficients: `v_rgb`, which is ∂L/∂rgb, times the basis in the direction from `view` to
+/// the splat. Coefficients above the view's degree have gradient zero.
 pub(crate) fn sh_gradients(mean: [f32; 3], v_rgb: [f32; 3], view: &ViewParams, sh_degree: u32) -> Vec<f32> {
     let (dir, _) = view_direction(mean.map(Plain::splat), view);
     let basis = basis(dir, view.sh_degree);

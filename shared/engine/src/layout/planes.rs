@@ -1,4 +1,4 @@
-//! Planes of a rendered picture, in order: red, green, blue, remaining transmittance; then, with
+//! The order of the planes of a rendered picture: red, green, blue and remaining transmittance; then, with
 //! [`Channels::Geometry`], the blended normal (xyz, camera frame, not normalised) and the blended plane distance.
 
 use crate::backend::Channels;
@@ -10,7 +10,7 @@ pub(crate) const DISTANCE: usize = 7;
 pub(crate) const PLANES_COLOR: usize = 4;
 pub(crate) const PLANES_GEOMETRY: usize = 8;
 
-/// Planes of a rendering with these channels.
+/// Number of planes of a rendering with these channels.
 pub(crate) fn planes(channels: Channels) -> usize {
     match channels {
         Channels::Color => PLANES_COLOR,

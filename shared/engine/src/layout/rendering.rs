@@ -1,4 +1,4 @@
-//! Converts a picture in tiles to a [`Rendering`], row by row.
+//! Converts a picture from the layout in tiles to a [`Rendering`], which is stored row by row.
 
 use super::constants::{GRAZING, SURFACE_ALPHA};
 use super::planes::{DISTANCE, NORMAL, PLANES_GEOMETRY, RGB, TRANSMITTANCE};
@@ -6,7 +6,7 @@ use super::tiles::TileImage;
 use super::view::ViewParams;
 use crate::backend::Rendering;
 
-/// The rendering of a picture that `view` sees.
+/// Converts the blended picture of `view`.
 pub(crate) fn rendering(image: &TileImage, view: &ViewParams) -> Rendering {
     let [width, height] = image.size_px();
     let pixels = || (0..height).flat_map(move |y| (0..width).map(move |x| (x, y)));
@@ -23,7 +23,9 @@ pub(crate) fn rendering(image: &TileImage, view: &ViewParams) -> Rendering {
     Rendering { size_px: view.size_px, rgb: three(RGB), alpha, depth, normal }
 }
 
-/// `D / -(N · r)` (PGSR). Both are blended with the same weights, so alpha cancels.
+/// Depth of a pixel along the optical axis, world units: `D / -(N · r)` (PGSR), with the blended plane distance `D`,
+/// the blended normal `N` and the ray `r` of the pixel, scaled to z = 1. `D` and `N` are blended with the same weights,
+/// so alpha cancels. 0 if the pixel shows no surface.
 fn unbiased_depth(image: &TileImage, view: &ViewParams, x: usize, y: usize, alpha: f32) -> f32 {
     let ray = [
         (x as f32 + 0.5 - view.center_px[0]) / view.focal_px[0],

@@ -1,17 +1,18 @@
-//! Which pixels a step compares with the neighbour: one in each square cell, drawn from a seed of the step,
-//! so that every backend compares the same pixels.
+//! Chooses the pixels that a step compares with the neighbouring view, one in each square cell. A seed of the step
+//! determines them, so every backend compares the same pixels.
 
 #[cfg(feature = "gpu")]
 use super::tiles::TILE;
 
-/// The pixel of the cell whose corner is `(left, top)`; it may lie outside the picture. `cell` is a power of two.
+/// Draws the sampled pixel, `[x, y]`, of the cell whose upper left pixel is `(left, top)`. `cell` is the side of the
+/// cell, px, a power of two; `draw` is the seed of the step. The sampled pixel may lie outside the picture.
 pub(crate) fn sampled_pixel(cell: usize, draw: u64, left: usize, top: usize) -> [usize; 2] {
     let random = mixed(draw ^ ((top as u64) << 32 | left as u64));
     let mask = cell - 1;
     [left + (random as usize & mask), top + ((random >> 32) as usize & mask)]
 }
 
-/// The pixels of all cells, row by row: x in the low half, y in the high half.
+/// The sampled pixels of all cells, in rows of cells. Each entry holds x in the low 16 bits and y in the high 16 bits.
 #[cfg(feature = "gpu")]
 pub(crate) fn sampled_pixels(size_px: [u32; 2], cell_px: u32, draw: u64) -> Vec<u32> {
     let ([width, height], cell) = (size_px.map(|side| side as usize), cell_px as usize);
@@ -26,7 +27,7 @@ pub(crate) fn sampled_pixels(size_px: [u32; 2], cell_px: u32, draw: u64) -> Vec<
         .collect()
 }
 
-/// The finaliser of SplitMix64.
+/// Mixes all bits of a number: the finaliser of SplitMix64.
 fn mixed(mut z: u64) -> u64 {
     z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
     z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);

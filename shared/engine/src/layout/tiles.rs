@@ -1,9 +1,10 @@
-//! Pictures in tiles: the 16 × 16 pixels of a plane are contiguous; the planes of a tile follow one another,
-//! then the next tile. The blend of a tile thus uses one stretch of memory; a row of a tile is one [`Row`].
+//! The layout of pictures in tiles of 16 × 16 pixels. The pixels of one plane of a tile are contiguous; the planes of a
+//! tile follow one another, then comes the next tile. So the blend of a tile uses one contiguous piece of memory. One
+//! [`Row`] holds one plane of a row of 16 pixels.
 
 use crate::simd::{Lanes, Row};
 
-/// Side of a tile, pixels. One row of a tile is one group of lanes.
+/// Side of a tile, px. It equals the number of values in a [`Row`].
 pub(crate) const TILE: usize = 16;
 
 #[derive(Clone, Debug)]
@@ -15,7 +16,7 @@ pub(crate) struct TileImage {
 }
 
 impl TileImage {
-    /// Room for pictures of `padded_pixels` (see [`padded_pixels`]) with up to `planes` planes.
+    /// An empty picture with room for `padded_pixels` pixels (see [`padded_pixels`]) in up to `planes` planes.
     pub(crate) fn with_capacity(padded_pixels: usize, planes: usize) -> Self {
         Self {
             size_px: [0, 0],
@@ -25,7 +26,7 @@ impl TileImage {
         }
     }
 
-    /// A picture from values in the same layout.
+    /// A picture from values in the layout of [`TileImage`].
     #[cfg(feature = "gpu")]
     pub(crate) fn from_values(size_px: [u32; 2], planes: usize, values: &[f32]) -> Self {
         let mut image = Self::with_capacity(padded_pixels(size_px), planes);
@@ -36,8 +37,8 @@ impl TileImage {
         image
     }
 
-    /// Lays the image out for a size and a number of planes. Old content remains; every pass that calls this overwrites
-    /// each row.
+    /// Sets the size and the number of planes. Old values remain, so every pass that calls this must overwrite all
+    /// rows.
     pub(crate) fn reshape(&mut self, size_px: [u32; 2], planes: usize) {
         self.size_px = size_px.map(|side| side as usize);
         self.tiles = Self::tiles_of(size_px);
@@ -45,7 +46,7 @@ impl TileImage {
         self.rows.resize(self.tiles[0] * self.tiles[1] * planes * TILE, Row::ZERO);
     }
 
-    /// Tiles across and down.
+    /// Number of tiles across and down.
     pub(crate) fn tiles_of(size_px: [u32; 2]) -> [usize; 2] {
         size_px.map(|side| (side as usize).div_ceil(TILE))
     }
@@ -62,7 +63,7 @@ impl TileImage {
         self.planes
     }
 
-    /// Rows of one tile in all planes.
+    /// Number of [`Row`]s of one tile in all planes.
     pub(crate) fn rows_per_tile(&self) -> usize {
         self.planes * TILE
     }
@@ -75,7 +76,7 @@ impl TileImage {
         &mut self.rows
     }
 
-    /// The row of `plane` at height `y` in the `tile_x`-th tile from the left.
+    /// The 16 pixels of `plane` in picture row `y` and tile column `tile_x`.
     pub(crate) fn row(&self, plane: usize, y: usize, tile_x: usize) -> &Row {
         let tile = y / TILE * self.tiles[0] + tile_x;
         &self.rows[(tile * self.planes + plane) * TILE + y % TILE]
@@ -92,12 +93,13 @@ impl TileImage {
     }
 }
 
-/// Pixels of a picture whose sides are rounded up to whole tiles.
+/// Number of pixels of a picture whose sides are rounded up to whole tiles.
 pub(crate) fn padded_pixels(size_px: [u32; 2]) -> usize {
     size_px.iter().map(|side| (*side as usize).div_ceil(TILE) * TILE).product()
 }
 
-/// Centres of the `part`-th vector of a row whose first pixel is at `origin_x`.
+/// Horizontal positions, px, of the pixel centres in the `part`-th vector of a row whose first pixel begins at
+/// `origin_x`.
 #[inline(always)]
 pub(crate) fn centers<L: Lanes>(origin_x: f32, part: usize) -> L {
     const OFFSETS: [f32; TILE] =
@@ -105,16 +107,16 @@ pub(crate) fn centers<L: Lanes>(origin_x: f32, part: usize) -> L {
     L::load(&OFFSETS[part * L::N..]) + L::splat(origin_x)
 }
 
-/// Zeros on each side of a line in a plane of the surface losses, so that vectors can be read beside a pixel. Above and
-/// below the picture there is one line of zeros.
+/// Number of zeros at each end of a line in a plane of the surface losses. Because of these zeros, SIMD loads may reach
+/// beyond the edges of the picture. There is also a line of zeros above and one below the picture.
 pub(crate) const PLANE_MARGIN: usize = TILE;
 
-/// Length of a line in such a plane.
+/// Length of a line in a plane of the surface losses, with the zeros at both ends, for a picture of this width, px.
 pub(crate) fn plane_stride(width: usize) -> usize {
     width.div_ceil(TILE) * TILE + 2 * PLANE_MARGIN
 }
 
-/// Length of such a plane for pictures up to `size_px`.
+/// Numbers in a plane of the surface losses, margins of zeros included, for pictures up to `size_px`.
 pub(crate) fn plane_len(size_px: [u32; 2]) -> usize {
     plane_stride(size_px[0] as usize) * (size_px[1] as usize + 2)
 }

@@ -1,12 +1,13 @@
-//! The parameters of a camera for the passes: f32, with all values that are the same for all splats.
+//! The parameters of a camera as the passes use them: in f32, with derived values that are the same for all splats.
 
 use cosurf_scene::Camera;
 use glam::DMat3;
 
 use super::tiles::TileImage;
 
-/// Distance outside the picture, as a share of its size, up to which the projection of a splat is linearised at its
-/// centre; beyond, it is linearised at this limit (3DGS: 1.3 tan(fov/2), which is 15 %).
+/// The projection of a splat is linearised at the splat's centre. A centre further outside the picture than this share
+/// of the picture's size is first moved to that distance. 3DGS uses the same limit: 1.3 tan(fov / 2) is 15 % of the
+/// size beyond the edge.
 const LINEARISATION_MARGIN: f64 = 0.15;
 
 #[derive(Clone, Copy, Debug)]
@@ -14,15 +15,16 @@ pub(crate) struct ViewParams {
     /// `cam_from_world` rotation, row by row.
     pub(crate) rotation: [[f32; 3]; 3],
     pub(crate) translation: [f32; 3],
-    /// Camera centre in the world.
+    /// Camera centre in the world frame.
     pub(crate) eye: [f32; 3],
     pub(crate) focal_px: [f32; 2],
     pub(crate) center_px: [f32; 2],
     pub(crate) size_px: [u32; 2],
-    /// Limits of `x / z` and `y / z` inside the Jacobian.
+    /// Smallest `x / z` and `y / z` at which projections are linearised.
     pub(crate) slope_min: [f32; 2],
+    /// Largest `x / z` and `y / z` at which projections are linearised.
     pub(crate) slope_max: [f32; 2],
-    /// SH degree in use, at most the stored one.
+    /// SH degree in use, at most the stored degree.
     pub(crate) sh_degree: u32,
 }
 
@@ -45,13 +47,13 @@ impl ViewParams {
         }
     }
 
-    /// Tiles across and down.
+    /// Number of tiles across and down.
     pub(crate) fn tiles(&self) -> [usize; 2] {
         TileImage::tiles_of(self.size_px)
     }
 }
 
-/// The transform `neighbour_from_here` between two views.
+/// The transform `neighbour_from_here`, from the camera frame of one view to that of a neighbouring view.
 pub(crate) struct RelativePose {
     pub(crate) rotation: [[f32; 3]; 3],
     pub(crate) translation: [f32; 3],
@@ -63,7 +65,8 @@ impl RelativePose {
         let (h, t) = (wide(here.rotation), wide(there.rotation));
         let rotation: [[f64; 3]; 3] =
             std::array::from_fn(|r| std::array::from_fn(|c| (0..3).map(|k| t[r][k] * h[c][k]).sum()));
-        // From the difference of the centres: far from the origin, translations would cancel and lose precision.
+        // Computed from the difference of the camera centres. Far from the origin the translations of both cameras are
+        // large, and their difference would lose precision.
         let way: [f64; 3] = std::array::from_fn(|k| f64::from(here.eye[k]) - f64::from(there.eye[k]));
         let translation: [f64; 3] = std::array::from_fn(|r| (0..3).map(|k| t[r][k] * way[k]).sum());
         Self {

@@ -1,4 +1,4 @@
-//! Eight floats with AVX2 and FMA.
+//! Vectors of eight `f32`, with AVX2 and FMA.
 
 #![allow(unsafe_code)]
 
@@ -143,7 +143,8 @@ impl Lanes for Avx2 {
         }
     }
 
-    /// Horizontal additions reduce eight vectors to one, twice.
+    /// Horizontal additions reduce eight vectors to one vector of their sums. This is done for both halves of
+    /// `vectors`.
     #[inline(always)]
     fn sums(vectors: &[Self; GROUP]) -> Row {
         let v = vectors;

@@ -1,4 +1,4 @@
-//! Sixteen floats with AVX-512: a row of a tile or a block of splats in one register.
+//! Vectors of sixteen `f32`, with AVX-512. One register holds a row of a tile, or one number of each of 16 splats.
 
 #![allow(unsafe_code)]
 
@@ -143,7 +143,7 @@ impl Lanes for Avx512 {
                 let (low, high) = (_mm512_unpacklo_pd(a, b), _mm512_unpackhi_pd(a, b));
                 _mm512_add_ps(_mm512_castpd_ps(low), _mm512_castpd_ps(high))
             };
-            // After this, each 128-bit part of `q[k]` holds partial sums of vectors 4k..4k+4.
+            // Each 128-bit part of `q[k]` holds partial sums of the vectors 4k..4k+4.
             let q = [
                 quad(pair(v[0], v[1]), pair(v[2], v[3])),
                 quad(pair(v[4], v[5]), pair(v[6], v[7])),

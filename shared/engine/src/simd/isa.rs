@@ -1,4 +1,4 @@
-//! Instruction sets: which the processor has, and running kernels on one of them.
+//! Finds the instruction sets of the processor, and runs kernels on one of them.
 
 #[cfg(target_arch = "x86_64")]
 use super::avx2;
@@ -9,7 +9,7 @@ use super::lanes::Kernel;
 use super::neon;
 use super::plain::Plain;
 
-/// An instruction set of this processor.
+/// An instruction set that this processor has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Isa {
     #[cfg(target_arch = "x86_64")]

@@ -1,8 +1,8 @@
-//! The trait of vectors that kernels are generic over, and the types and functions that use it.
+//! The trait [`Lanes`] of vectors, over which kernels are generic, and types and functions that use it.
 
 use std::ops::{Add, Div, Mul, Sub};
 
-/// Numbers of a group: passes process 16 splats or 16 pixels of a row at a time, in `16 / L::N` vectors.
+/// Numbers of a group. Passes process 16 splats, or 16 pixels of a row, at a time, in `16 / L::N` vectors.
 pub(crate) const GROUP: usize = 16;
 
 /// 16 floats in one cache line.
@@ -48,7 +48,7 @@ pub(crate) trait Lanes:
     fn max(self, other: Self) -> Self;
     fn sqrt(self) -> Self;
     fn abs(self) -> Self;
-    /// To the nearest integer, ties to even.
+    /// Rounds to the nearest integer, ties to even.
     fn round(self) -> Self;
     /// `self * 2^n` for integer-valued `n` in -126..=127.
     fn scale_by_power_of_2(self, n: Self) -> Self;
@@ -60,7 +60,7 @@ pub(crate) trait Lanes:
     /// `a` and not `b`.
     fn and_not(a: Self::Mask, b: Self::Mask) -> Self::Mask;
     fn any(mask: Self::Mask) -> bool;
-    /// Bit `i` is lane `i`.
+    /// The mask as bits: bit `i` is lane `i`.
     fn bits(mask: Self::Mask) -> u32;
     /// Sum of the lanes, in a fixed order for each instruction set.
     fn sum(self) -> f32;
@@ -80,8 +80,9 @@ pub(crate) trait Lanes:
         Self::zero() - self
     }
 
-    /// `2^self` for `self` in -126..=127, relative error below 2e-7. The nearest integer becomes the exponent; a
-    /// polynomial of degree 5, fitted for least relative error on ±½, approximates the rest.
+    /// `2^self` for `self` in -126..=127, with a relative error below 2e-7. The nearest integer `n` becomes the
+    /// exponent. A polynomial of degree 5 approximates `2^f` of the remainder `f`; it is fitted for least relative
+    /// error on ±½.
     #[inline(always)]
     fn exp2(self) -> Self {
         let n = self.round();
@@ -95,14 +96,14 @@ pub(crate) trait Lanes:
         p.scale_by_power_of_2(n)
     }
 
-    /// `e^self`, relative error below `2e-7 + 1e-7 |self|`.
+    /// `e^self`, with a relative error below `2e-7 + 1e-7 |self|`.
     #[inline(always)]
     fn exp(self) -> Self {
         (self * Self::splat(std::f32::consts::LOG2_E)).exp2()
     }
 
-    /// `ln(1 + self)` for `self` in 0..=1, error below 3e-7: `2 artanh(s)` with `s = x / (2 + x)`, at most 1/3,
-    /// as a series up to `s^11`.
+    /// `ln(1 + x)` for `x = self` in 0..=1, with an error below 3e-7. It is `2 artanh(s)` with `s = x / (2 + x)`, at
+    /// most 1/3, computed as a series up to `s^11`.
     #[inline(always)]
     fn ln_1p(self) -> Self {
         let c = Self::splat;
@@ -127,7 +128,7 @@ pub(crate) trait Lanes:
     }
 }
 
-/// Prefetches a cache line that will be read soon; does nothing on processors other than x86-64.
+/// Prefetches a cache line that will be read soon. Does nothing on processors other than x86-64.
 #[inline(always)]
 #[allow(unsafe_code)]
 pub(crate) fn prefetch<T>(slice: &[T], index: usize) {
@@ -141,8 +142,8 @@ pub(crate) fn prefetch<T>(slice: &[T], index: usize) {
     let _ = (slice, index);
 }
 
-/// Work that is compiled for every instruction set. `run` must be `#[inline(always)]` and must not pass closures to
-/// other threads: those would be compiled without the wider instructions.
+/// Work that is compiled for every instruction set. `run` must be `#[inline(always)]`. It must not pass closures to
+/// other threads, because the closures would be compiled without the wider instructions.
 pub(crate) trait Kernel {
     type Output;
     fn run<L: Lanes>(self) -> Self::Output;
@@ -160,8 +161,8 @@ pub(crate) fn cross3<L: Lanes>(a: [L; 3], b: [L; 3]) -> [L; 3] {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
-/// `each!([0, 1, 2], |i| expression of i)` is the array of the expression's values. The closure of `array::map` would
-/// be a function of its own, compiled without the wider instructions, at the cost of a call for each instruction.
+/// `each!([0, 1, 2], |i| expression of i)` is the array of the values of the expression. The closure of `array::map`
+/// would be a separate function without the wider instructions, so each intrinsic in it would become a call.
 macro_rules! each {
     ([$($index:literal),*], |$name:ident| $value:expr) => {
         [$({ let $name: usize = $index; $value }),*]
@@ -169,7 +170,7 @@ macro_rules! each {
 }
 pub(crate) use each;
 
-/// Implements the four operators with the named intrinsics.
+/// Implements `+`, `-`, `*` and `/` of a vector with the given intrinsics.
 #[allow(unused_macros)]
 macro_rules! operators {
     ($vector:ident, $add:ident, $sub:ident, $mul:ident, $div:ident) => {

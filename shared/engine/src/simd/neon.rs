@@ -1,4 +1,4 @@
-//! Four floats with NEON, which every 64-bit ARM processor has.
+//! Vectors of four `f32`, with NEON, which every 64-bit ARM processor has.
 
 #![allow(unsafe_code)]
 
@@ -48,7 +48,8 @@ impl Lanes for Neon {
         // SAFETY: see above.
         Self(unsafe { vfmsq_f32(c.0, self.0, b.0) })
     }
-    // With NaN, `vminnm` and `vmaxnm` return the other operand; x86 returns the second.
+    // If one operand is NaN, these selects return the second operand, as x86 does. `vminnm` and `vmaxnm` would return
+    // the operand that is a number.
     #[inline(always)]
     fn min(self, other: Self) -> Self {
         Self::select(self.lt(other), self, other)

@@ -1,8 +1,8 @@
-//! Eight floats in plain Rust, for other processors and for tests.
+//! Vectors of eight `f32` in plain Rust, for processors without AVX-512, AVX2 or NEON, and for tests.
 
 use super::lanes::Lanes;
 
-/// Eight floats, compiled for the baseline of the target.
+/// Eight floats, compiled for the instruction set that every processor of the target has.
 #[derive(Clone, Copy)]
 pub(crate) struct Plain([f32; 8]);
 
@@ -44,7 +44,7 @@ impl Lanes for Plain {
     fn store(self, to: &mut [f32]) {
         to[..8].copy_from_slice(&self.0);
     }
-    // `f32::mul_add` would be a library call per lane without the instruction.
+    // Not `f32::mul_add`: without a fused instruction it would be a library call for each lane.
     #[inline(always)]
     fn mul_add(self, b: Self, c: Self) -> Self {
         self * b + c
@@ -69,7 +69,7 @@ impl Lanes for Plain {
     fn abs(self) -> Self {
         Self(self.0.map(f32::abs))
     }
-    // Adding and subtracting 1.5 * 2^23 rounds to an integer, for magnitudes below 2^22.
+    // Adding and subtracting 1.5 × 2^23 rounds magnitudes below 2^22 to an integer.
     #[inline(always)]
     fn round(self) -> Self {
         const MAGIC: f32 = 12_582_912.0;

@@ -1,9 +1,10 @@
-//! Every instruction set of this machine against scalar arithmetic.
+//! Compares every instruction set of this machine with scalar arithmetic.
 
 use super::isa::Isa;
 use super::lanes::{GROUP, Kernel, Lanes};
 
-/// Every operation on values that cover signs, ties and the exponential's range.
+/// Applies every operation to values of both signs, to ties of rounding and to large arguments of the exponential.
+/// Returns the name of the operation, its result and the expected result.
 struct Everything<'a> {
     a: &'a [f32],
     b: &'a [f32],

@@ -12,7 +12,7 @@ use crate::schedule::Schedule;
 
 const STEPS: u32 = 40;
 
-/// The model at the end of the surface losses, and at the end of training.
+/// Trains a model. Returns it as it is when the surface losses end, and as it is at the end of training.
 fn train(surface: Option<SurfaceSettings>) -> [Splats; 2] {
     let truth = splats(60, 0.4, -1.6, 0.0, 0, 7);
     let mut start = truth.clone();

@@ -1,43 +1,50 @@
-//! The principal components of a model's spherical harmonics, and quantisation along them. Drones view a scene
-//! from a small part of all directions, so its view-dependent colour has few dimensions and takes far fewer
-//! bits than separate coefficients would.
+//! The principal components of a model's view-dependent spherical harmonics, and quantisation along these
+//! directions. A drone sees each part of a scene from only a few sides. View-dependent colour therefore has
+//! few dimensions, and takes far fewer bits along principal directions than as separate coefficients.
 
 use cosurf_scene::Splats;
 use cosurf_wire::body::basis::{basis_bytes, read_basis, write_basis};
 use cosurf_wire::body::{BodyError, ShLayout, sh_rest};
 
-/// Maximum number of splats, evenly selected, from which the directions are computed.
+/// Maximum number of splats, selected at even intervals, from which the mean, the directions and the step are
+/// computed.
 const SAMPLES_MAX: usize = 1 << 15;
-/// Smallest and largest step. A finer step has no visible effect; a coarser one would be useless.
+/// Smallest and largest quantisation step, in units of the coefficients. A finer step has no visible effect.
+/// A coarser step would leave almost no view-dependent colour.
 const STEPS: [f64; 2] = [0.01, 0.32];
-/// Iterations of the bisection that finds the step for a number of bits, to within 1 %.
+/// Iterations of the bisection that finds the step for a given number of bits. The step is then accurate to
+/// 1 %.
 const BISECTIONS: usize = 9;
-/// Directions with a standard deviation below this many steps are left out: nearly all values would round to
-/// zero.
+/// Directions with a standard deviation below this many steps are left out, because nearly all values would
+/// round to zero.
 const KEPT_STEPS: f64 = 0.2;
-/// Directions with a standard deviation of at least this many steps get a byte each: half a byte would clamp
-/// too many values.
+/// Directions with a standard deviation of at least this many steps get a byte per splat. The others get half
+/// a byte, which holds only -8 to 7 steps and would clamp too many values.
 const WIDE_STEPS: f64 = 1.5;
-/// Offset before rounding down. It is below ½, so that more values become zero: less noise, fewer bits.
+/// Added to a magnitude before it is rounded down. It is below ½, so that more values become zero, which
+/// saves bits and removes noise.
 const ROUNDING_OFFSET: f32 = 0.4;
-/// Sweeps of Jacobi's method over all pairs. It converges quadratically; 45 dimensions need about eight.
+/// Number of sweeps of Jacobi's eigenvalue method, each over all pairs of dimensions. The method converges
+/// quadratically: 45 dimensions (degree 3) need about eight sweeps.
 const SWEEPS: usize = 16;
 /// Direction cosines are stored in units of 1 / `UNIT`.
 const UNIT: f32 = 32767.0;
 
-/// The mean and the principal directions.
+/// The mean and the principal directions of a model's spherical harmonics. Each of them has m numbers: one
+/// for each view-dependent coefficient of a splat ([`sh_rest`]).
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Basis {
     pub(super) layout: ShLayout,
     step: f32,
     mean: Vec<f32>,
-    /// `[components, m]`.
+    /// Unit vectors, `[components, m]`, in order of falling variance, in units of 1 / [`UNIT`].
     directions: Vec<i16>,
 }
 
 impl Basis {
-    /// Computes the basis of the splats in `order`, and the step with which a splat takes `bits`. `order` must
-    /// not be empty, and the degree must be above 0.
+    /// Computes the basis of the splats whose indices are in `order`, and the step at which a splat's
+    /// spherical harmonics have an entropy of about `bits`. `order` must not be empty, and the degree must be
+    /// above 0.
     pub(super) fn learn(splats: &Splats, order: &[u32], bits: f64) -> Self {
         let m = sh_rest(splats.sh_degree as u8);
         let samples: Vec<&[f32]> = order
@@ -69,7 +76,8 @@ impl Basis {
         basis
     }
 
-    /// The step with which the entropy of all directions is `bits` per splat.
+    /// Returns the step at which the entropy of a splat's values along all directions is just below `bits`,
+    /// or the largest step if the entropy is still higher there.
     fn find_step(&self, samples: &[&[f32]], bits: f64) -> f64 {
         let m = self.mean.len();
         let projections: Vec<f32> =
@@ -85,12 +93,12 @@ impl Basis {
         coarser
     }
 
-    /// The mean, which is the best estimate for a splat without spherical harmonics.
+    /// The mean. It is the best estimate for a splat whose spherical harmonics have not arrived.
     pub(super) fn mean(&self) -> &[f32] {
         &self.mean
     }
 
-    /// Projects `sh` onto direction `k`.
+    /// Projects the difference between `sh` and the mean onto direction `k`.
     fn project(&self, k: usize, sh: &[f32]) -> f32 {
         let m = self.mean.len();
         let terms = sh.iter().zip(&self.mean).zip(&self.directions[k * m..(k + 1) * m]);
@@ -111,14 +119,16 @@ impl Basis {
         Ok(Self { layout, step, mean, directions })
     }
 
-    /// Quantises view-dependent spherical harmonics: appends the steps along each direction to `out`.
+    /// Quantises view-dependent spherical harmonics: appends the number of steps along each direction to
+    /// `out`.
     pub(super) fn quantise(&self, sh: &[f32], out: &mut Vec<i8>) {
         for k in 0..usize::from(self.layout.components) {
             out.push(self.layout.clamp(k, round(self.project(k, sh) / self.step)));
         }
     }
 
-    /// Dequantises view-dependent spherical harmonics from their steps along each direction.
+    /// Dequantises view-dependent spherical harmonics into `sh`. `steps` gives the number of steps along each
+    /// direction.
     pub(super) fn dequantise(&self, steps: impl Fn(usize) -> i8, sh: &mut [f32]) {
         sh.copy_from_slice(&self.mean);
         for (k, direction) in self.directions.chunks_exact(self.mean.len()).enumerate() {
@@ -134,7 +144,7 @@ fn round(steps: f32) -> i32 {
     (steps.abs() + ROUNDING_OFFSET).floor().copysign(steps) as i32
 }
 
-/// Entropy in bits of each value when quantised with `step`, from the statistics of all of them.
+/// Entropy per value, in bits, of `values` quantised with `step`.
 fn entropy<'a>(values: impl Iterator<Item = &'a f32>, step: f32) -> f64 {
     let mut counts = [0u32; 256];
     values.for_each(|value| counts[(round(value / step).clamp(-128, 127) + 128) as usize] += 1);
@@ -156,7 +166,7 @@ fn mean(m: usize, samples: &[&[f32]]) -> Vec<f64> {
     mean
 }
 
-/// The covariance matrix, `[m, m]`.
+/// The covariance matrix of `samples`, `[m, m]`.
 fn covariance(mean: &[f64], samples: &[&[f32]]) -> Vec<f64> {
     let m = mean.len();
     let mut matrix = vec![0.0; m * m];
@@ -171,8 +181,8 @@ fn covariance(mean: &[f64], samples: &[&[f32]]) -> Vec<f64> {
     matrix
 }
 
-/// Diagonalises the symmetric `matrix`, `[m, m]`, by Jacobi's method. Returns the rotation, whose columns are
-/// the eigenvectors.
+/// Diagonalises the symmetric `matrix`, `[m, m]`, in place by Jacobi's method. Returns the rotation,
+/// `[m, m]`, whose columns are the eigenvectors.
 fn diagonalise(m: usize, matrix: &mut [f64]) -> Vec<f64> {
     let mut rotation: Vec<f64> = (0..m * m).map(|i| f64::from(u8::from(i % (m + 1) == 0))).collect();
     let trace: f64 = (0..m).map(|k| matrix[k * m + k]).sum();

@@ -15,12 +15,13 @@ use super::pack::unpack;
 use super::shapes::{FloatShape, dequantise};
 use crate::body::{BodyFault, Model, camera};
 
-/// If only one splat in k has arrived, its axes are multiplied by k to this power. One half would keep the
-/// covered area. The most important splats are larger than average, so a smaller power gave the best PSNR.
+/// If one in k splats has arrived, the axes of these splats are multiplied by k to this power. A power of one
+/// half would keep the covered area. The splats that arrive first are the most important ones and larger than
+/// average, so this smaller power gave the best PSNR.
 const GROWTH_EXPONENT: f32 = 0.25;
 
-/// Checks a complete body against its header: all sizes, all packs, and that the bounds contain every mean.
-/// Allocates memory for one pack at a time.
+/// Checks a complete body against its header: all sizes, all packs, and that every mean is within the bounds
+/// up to quantisation. Does not check the hash. Unpacks at most two packs at a time, which limits the memory.
 pub fn check_body(header: &ModelHeader, body: &[u8]) -> Result<(), BodyFault> {
     let plan = BodyPlan::of_whole(body)?;
     check_header(&plan, header)?;
@@ -37,7 +38,7 @@ pub fn check_body(header: &ModelHeader, body: &[u8]) -> Result<(), BodyFault> {
     Ok(())
 }
 
-/// Checks that the body's head agrees with the header.
+/// Checks that the counts, the degree and the bounds in the body's head agree with the header.
 fn check_header(plan: &BodyPlan<'_>, header: &ModelHeader) -> Result<(), BodyFault> {
     let own = plan.head();
     let announced = (header.splats, header.cameras, header.sh_degree, header.bounds);
@@ -45,16 +46,19 @@ fn check_header(plan: &BodyPlan<'_>, header: &ModelHeader) -> Result<(), BodyFau
     if agrees { Ok(()) } else { Err(BodyFault::NotAsAnnounced) }
 }
 
-/// Decodes a complete body. Makes all checks of [`check_body`] except those against a header.
+/// Decodes a complete body. Makes the same checks as [`check_body`], except that it has no header to compare
+/// with.
 pub fn body_to_model(body: &[u8]) -> Result<Model, BodyFault> {
     let plan = BodyPlan::of_whole(body)?;
     decode_model(plan, body, |_| true)
 }
 
-/// Decodes the packs of a body that have arrived; `None` without any splats. `body` has its full size, and
-/// `is_here` tells whether a range of it has arrived. Further packs add splats and view-dependent colour.
+/// Decodes the packs of a body that have arrived; `None` if no splats have arrived. `body` has its full size,
+/// and `is_here` tells whether a byte range of it has arrived. More packs give more splats and view-dependent
+/// colour.
 ///
-/// The splats of a base stand in for missing ones. Without a base, the splats that have arrived are enlarged.
+/// If the body has a base, the base splats stand in for missing ones. Otherwise, the splats that have arrived
+/// are enlarged.
 pub fn part_to_model(
     body: &[u8],
     is_here: impl Fn(Range<usize>) -> bool,
@@ -63,7 +67,7 @@ pub fn part_to_model(
     decode_part(plan, body, is_here)
 }
 
-/// Like [`part_to_model`], and checks that the body's head agrees with the header.
+/// Like [`part_to_model`], but also checks that the body's head agrees with the header.
 pub(crate) fn checked_part_to_model(
     header: &ModelHeader,
     body: &[u8],
@@ -74,7 +78,7 @@ pub(crate) fn checked_part_to_model(
     decode_part(plan, body, is_here)
 }
 
-/// The plan of an incomplete body; `None` if head and table have not arrived.
+/// Reads the plan (head and table) of an incomplete body; `None` if the head or the table has not arrived.
 fn received_plan(
     body: &[u8],
     is_here: impl Fn(Range<usize>) -> bool,
@@ -109,7 +113,7 @@ fn decode_part(
     Ok((!model.splats.is_empty()).then_some(model))
 }
 
-/// Enlarges splats so that they stand in for all `total` splats.
+/// Enlarges the splats that have arrived so that they stand in for all `total` splats of the model.
 fn enlarge(splats: &mut Splats, total: usize) {
     let growth = GROWTH_EXPONENT * (total as f32 / splats.len().max(1) as f32).ln();
     for log_scale in &mut splats.log_scales {
@@ -128,7 +132,8 @@ fn decode_model(
         let here = plan
             .splat_packs()
             .filter(|packs| is_here(&packs.shapes) && packs.required_changes.as_ref().is_none_or(&is_here));
-        // Spherical harmonics apply to a base splat only in its final form.
+        // Spherical harmonics belong to the final form of a base splat, so they are not used before its
+        // changes arrive.
         here.map(|packs| match &packs.changes {
             Some(changes) if !is_here(changes) => SplatPacks { changes: None, sh: None, ..packs },
             _ => packs,
@@ -169,12 +174,12 @@ fn decode_model(
     Ok(Model { splats, cameras: cameras.iter().map(camera).collect() })
 }
 
-/// Unpacks packs one after another into the same buffers.
+/// Unpacks one pack after another into the same buffers.
 struct Unpacker<'a> {
     plan: BodyPlan<'a>,
     body: &'a [u8],
     unpacked: Vec<u8>,
-    /// The unpacked changes to the shapes in `unpacked`.
+    /// The unpacked changes to the shapes that are in `unpacked`.
     changes: Vec<u8>,
 }
 
@@ -183,13 +188,13 @@ impl<'a> Unpacker<'a> {
         Self { plan, body, unpacked: Vec::new(), changes: Vec::new() }
     }
 
-    /// Unpacks a pack.
+    /// Unpacks a pack. `layout` matters only for packs of spherical harmonics.
     fn unpack(&mut self, pack: &Pack, layout: ShLayout) -> Result<&[u8], BodyError> {
         unpack_into(&mut self.unpacked, &self.plan, self.body, pack, layout)?;
         Ok(&self.unpacked)
     }
 
-    /// Unpacks the only pack of a kind; `None` if there is none.
+    /// Unpacks the only pack of a kind; `None` if the body has none.
     fn unpack_only(&mut self, kind: PackKind) -> Result<Option<&[u8]>, BodyError> {
         let Some(pack) = self.plan.packs_of(kind).next() else { return Ok(None) };
         self.unpack(&pack, ShLayout::NONE).map(Some)
@@ -209,7 +214,8 @@ impl<'a> Unpacker<'a> {
         self.unpack_only(PackKind::Basis)?.map(|bytes| Basis::decode(sh_degree, bytes)).transpose()
     }
 
-    /// Visits the splats of a shapes pack, with `changes` applied if given.
+    /// Calls `visit` with each splat of a shapes pack, after applying `changes` if given. A splat outside the
+    /// bounds is an error.
     fn visit_shapes(
         &mut self,
         pack: &Pack,
@@ -224,7 +230,8 @@ impl<'a> Unpacker<'a> {
         let unpacked = self.unpacked.split_first_chunk::<SHAPE_FRAME_BYTES>();
         let (frame, planes) = unpacked.ok_or(BodyError::BadPack)?;
         let frame = ShapeFrame::decode(frame)?;
-        // Quantisation moves a mean at most one step out of the bounds; rounding to `f32` a little more.
+        // Quantisation moves a mean at most one step out of the bounds. Rounding to `f32` moves it a little
+        // further.
         let tolerance = 1.5 * f32::from(frame.step_exponent).exp2();
         let checked = |index: usize, shape: &Shape| {
             let mut splat = dequantise(&frame, shape);
@@ -247,7 +254,7 @@ impl<'a> Unpacker<'a> {
     }
 }
 
-/// Unpacks a pack into a reused buffer. The plan bounds the buffer's size.
+/// Unpacks a pack into a buffer that is reused. The plan has checked the sizes, which limits the buffer.
 fn unpack_into(
     unpacked: &mut Vec<u8>,
     plan: &BodyPlan,

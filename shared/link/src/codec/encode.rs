@@ -13,19 +13,21 @@ use super::order::plain_importance;
 use super::packs::Packs;
 use crate::body::{BodyFault, camera_record};
 
-/// How the first layer of a body is chosen.
+/// Which splats a body contains in its first layer.
 #[derive(Clone, Copy, Debug)]
 pub enum FirstLayer<'a> {
-    /// The most important splats, by an importance per splat in any unit.
+    /// The most important splats. The slice has the importance of each splat, in any unit.
     ByImportance(&'a [f32]),
-    /// A base, which stands in for the whole model.
+    /// A base, which stands in for the whole model until the rest arrives. An empty base stands for
+    /// [`plain_importance`].
     Base(&'a Base),
 }
 
 /// Encodes splats and cameras as a body.
 ///
 /// # Panics
-/// If the number of importances differs from that of the splats, or the base is not a base of these splats.
+/// If the number of importances differs from the number of splats, or the indices of the base do not belong
+/// to these splats.
 pub fn model_to_body(splats: &Splats, cameras: &[Camera], first: FirstLayer) -> Result<Vec<u8>, BodyFault> {
     check(splats, cameras)?;
     if let FirstLayer::Base(base) = first
@@ -94,7 +96,7 @@ fn check(splats: &Splats, cameras: &[Camera]) -> Result<(), BodyFault> {
     }
 }
 
-/// The bounding box of `means`; the origin if there are none.
+/// The bounding box of `means`, or a box of size zero at the origin if there are none.
 fn bounds_of(means: &[[f32; 3]]) -> Bounds {
     let Some(&first) = means.first() else {
         return Bounds { min: [0.0; 3], max: [0.0; 3] };

@@ -1,4 +1,4 @@
-//! Packs the spherical harmonics into the bytes that the other packs leave.
+//! Encodes the spherical harmonics into the bytes that the rest of a body leaves of its target size.
 
 use std::io;
 
@@ -9,17 +9,19 @@ use super::basis::Basis;
 use super::layers::Group;
 use super::packs::Packs;
 
-/// Target for the bytes of a body per splat, cameras included, at degrees 1, 2 and 3. Spherical harmonics are
-/// quantised more coarsely to meet it. Degree 3 has more coefficients, and loses quality with less.
+/// Target size of a whole body, in bytes per splat, at degrees 1, 2 and 3 of the spherical harmonics. If the
+/// body would be larger, the spherical harmonics are quantised more coarsely. Degree 3 has more coefficients
+/// and would lose quality at the size of degree 2.
 const SPLAT_BYTES: [f64; 3] = [15.95, 15.95, 17.95];
-/// Accepted amount below the target, in bytes per splat.
+/// A body may be smaller than its target by this many bytes per splat. Otherwise the spherical harmonics are
+/// packed again with a finer step.
 const SLACK_BYTES: f64 = 0.1;
-/// Minimum and maximum bytes of a splat's spherical harmonics.
+/// Minimum and maximum bytes per splat that the encoder plans for spherical harmonics.
 const SH_BYTES: [f64; 2] = [2.0, 7.0];
-/// Maximum number of attempts to meet the target. The size of the basis, the table and small packs is known
-/// only after packing.
+/// Maximum number of attempts to meet the target. The exact size of the basis, the table and small packs is
+/// known only after packing.
 const ATTEMPTS: usize = 4;
-/// Entropy of the coefficients divided by their size after zstd.
+/// Entropy of the quantised coefficients divided by their size after zstd.
 const ENTROPY_PER_CODED_BIT: f64 = 0.97;
 
 /// The spherical harmonics of a model.
@@ -27,7 +29,7 @@ const ENTROPY_PER_CODED_BIT: f64 = 0.97;
 pub(super) struct Harmonics {
     /// The pack of the basis.
     pub(super) basis: Packs,
-    /// The packs of the steps along the basis, one for each group.
+    /// The packs of the steps along the basis, one for each [`Group`].
     pub(super) packs: Vec<Packs>,
 }
 
@@ -38,7 +40,8 @@ impl Harmonics {
     }
 }
 
-/// Packs the spherical harmonics of the splats in `groups`. All other packs take `spent_bytes`.
+/// Packs the spherical harmonics of the splats in `groups`. `spent_bytes` is the size of the rest of the
+/// body.
 pub(super) fn pack_harmonics(splats: &Splats, groups: &[Group], spent_bytes: usize) -> io::Result<Harmonics> {
     if splats.sh_degree == 0 || groups.is_empty() {
         return Ok(Harmonics::default());
@@ -60,7 +63,7 @@ pub(super) fn pack_harmonics(splats: &Splats, groups: &[Group], spent_bytes: usi
     Ok(packed)
 }
 
-/// Packs the spherical harmonics into about `bytes` per splat.
+/// Packs the spherical harmonics of all `groups` into about `bytes` per splat.
 fn pack_into(splats: &Splats, groups: &[Group], bytes: f64) -> io::Result<Harmonics> {
     let order: Vec<u32> = groups.iter().flat_map(|group| &group.ids).copied().collect();
     let basis = Basis::learn(splats, &order, 8.0 * bytes * ENTROPY_PER_CODED_BIT);

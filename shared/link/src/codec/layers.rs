@@ -1,4 +1,4 @@
-//! Arranges shapes in packs: by importance, or with a base first.
+//! Arranges the shapes of splats in packs: by importance, or with a base first.
 
 use std::io;
 
@@ -18,26 +18,28 @@ pub(super) struct Group {
     pub(super) ids: Vec<u32>,
 }
 
-/// The shapes packs of a body, in order.
+/// The shapes packs of a body, in order, and where the spherical harmonics go between them.
 #[derive(Default)]
 pub(super) struct Parts {
-    /// The first packs.
+    /// The packs of the first part of the body: all shapes if they are ordered by importance, otherwise the
+    /// base.
     pub(super) first: Packs,
-    /// The packs that follow, each with the groups whose spherical harmonics follow it.
+    /// The parts that follow `first`. Each part has packs and indices of `groups`. The spherical harmonics of
+    /// these groups come after the packs.
     pub(super) parts: Vec<(Packs, Vec<usize>)>,
-    /// All groups, in order of layers.
+    /// All groups, layer by layer.
     pub(super) groups: Vec<Group>,
 }
 
 impl Parts {
-    /// Bytes of the shapes in a body, with their table entries.
+    /// Size of the shapes and changes packs with their table entries, in bytes.
     pub(super) fn bytes(&self) -> usize {
         let parts = self.parts.iter().map(|(packs, _)| packs.table_and_pack_bytes());
         self.first.table_and_pack_bytes() + parts.sum::<usize>()
     }
 }
 
-/// Arranges the shapes in layers of falling importance, and then all spherical harmonics.
+/// Arranges the shapes in layers of falling importance. All spherical harmonics come after the last layer.
 pub(super) fn pack_by_importance(splats: &Splats, importance: &[f32], bounds: &Bounds) -> io::Result<Parts> {
     let mut parts = Parts::default();
     for (layer, ids) in (0..).zip(split_layers(&splats.means, importance, bounds)) {
@@ -49,8 +51,8 @@ pub(super) fn pack_by_importance(splats: &Splats, importance: &[f32], bounds: &B
     Ok(parts)
 }
 
-/// Arranges the base first. Then follow, region by region, the other splats, the changes to the base, and the
-/// spherical harmonics of both.
+/// Arranges the base first. Then, for each region, come its other splats, the changes to its base splats, and
+/// the spherical harmonics of both.
 pub(super) fn pack_by_base(splats: &Splats, base: &Base, bounds: &Bounds) -> io::Result<Parts> {
     let regions = split_regions(&splats.means, base, bounds);
     let mut parts = Parts::default();
@@ -71,7 +73,8 @@ pub(super) fn pack_by_base(splats: &Splats, base: &Base, bounds: &Bounds) -> io:
         parts.groups.push(Group { layer: 0, ids });
     }
     for (Region { rest, .. }, (packs, groups)) in regions.iter().zip(&mut parts.parts) {
-        // The other splats come before the changes: a changed base without them leaves holes.
+        // The other splats come before the changes. Base splats in their final form, without the other
+        // splats, would leave holes.
         let changes = std::mem::take(packs);
         for ids in even_chunks(rest, PACK_SPLATS_MAX) {
             groups.push(parts.groups.len());
@@ -104,7 +107,8 @@ fn add_changes(packs: &mut Packs, changes: &[Shape]) -> io::Result<()> {
     packs.add(PackKind::Changes, 0, changes.len(), &[], &planes)
 }
 
-/// A splat of a base, moved into the model's bounds if training has moved it out.
+/// Returns splat `place` of a base. If training has moved the splat out of the model's bounds, it is moved
+/// back into them.
 fn base_splat_in_bounds(bounds: &Bounds, base: &Splats, place: usize) -> FloatShape {
     let splat = FloatShape::of(base, place);
     FloatShape { mean: bounds.clamp(splat.mean), ..splat }

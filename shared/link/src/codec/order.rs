@@ -1,17 +1,18 @@
-//! The order of splats in a body: by importance, with neighbours together.
+//! The order of splats in a body: in layers by importance, or in regions with a base first. Neighbours are
+//! kept together.
 
 use cosurf_scene::{Base, Splats};
 use cosurf_wire::Bounds;
 use cosurf_wire::body::PACK_SPLATS_MAX;
 
 /// Cumulative share of the splats in each layer. Shapes are about three quarters of a body, so the first
-/// layer ends after a fifth of its bytes.
+/// layer ends after about a fifth of the body.
 const LAYER_ENDS: [f64; 3] = [0.25, 0.5, 1.0];
-/// Bits of a Morton code per axis.
+/// Bits per axis of a Morton code.
 const MORTON_BITS: u32 = 21;
 
-/// Importance of each splat of a model that has not been rendered: opacity times area. The sum of blend
-/// weights over the training views is far more accurate.
+/// Estimates the importance of each splat without rendering the model: opacity times area. The sum of a
+/// splat's blend weights over the training views is a far better measure, but it needs the training views.
 pub fn plain_importance(splats: &Splats) -> Vec<f32> {
     (0..splats.len())
         .map(|i| {
@@ -22,8 +23,8 @@ pub fn plain_importance(splats: &Splats) -> Vec<f32> {
         .collect()
 }
 
-/// Indices of the splats in each layer, in the order of the Morton curve. Of equally important splats, the
-/// lower index comes first.
+/// Splits the splats into layers of falling importance, and returns the indices of each layer's splats in the
+/// order of the Morton curve. Of two equally important splats, the one with the lower index comes first.
 pub(super) fn split_layers(means: &[[f32; 3]], importance: &[f32], bounds: &Bounds) -> Vec<Vec<u32>> {
     assert_eq!(means.len(), importance.len(), "number of importances");
     let mut ranked: Vec<u32> = (0..means.len() as u32).collect();
@@ -40,15 +41,15 @@ pub(super) fn split_layers(means: &[[f32; 3]], importance: &[f32], bounds: &Boun
     LAYER_ENDS.map(cut).into()
 }
 
-/// A section of the Morton curve: some splats of the base, and the other splats there.
+/// A section of the Morton curve, with the splats whose means are in it.
 pub(super) struct Region {
-    /// Positions in the base.
+    /// The base splats of this section, as indices of [`Base::ids`].
     pub(super) base: Vec<usize>,
-    /// Indices of the other splats.
+    /// The other splats of this section, as indices of the model's splats.
     pub(super) rest: Vec<u32>,
 }
 
-/// Splits a model along the Morton curve into one region per pack of its base.
+/// Splits a model along the Morton curve into one region for each pack of its base.
 pub(super) fn split_regions(means: &[[f32; 3]], base: &Base, bounds: &Bounds) -> Vec<Region> {
     let curve = Curve::new(bounds);
     let code = |id: u32| (curve.code(means[id as usize]), id);
@@ -77,7 +78,7 @@ pub(super) fn even_chunks<T>(all: &[T], max: usize) -> impl Iterator<Item = &[T]
     all.chunks(all.len().div_ceil(chunks).max(1))
 }
 
-/// A Morton curve through a box.
+/// A Morton curve through a box. It orders points so that neighbours on the curve are close in space.
 struct Curve {
     min: [f32; 3],
     cells_per_unit: f64,
@@ -98,7 +99,7 @@ impl Curve {
     }
 }
 
-/// Moves bit `b` of the lowest 21 to bit `3 b`.
+/// Moves bit `b` of `bits` to bit `3 b`, for the lowest [`MORTON_BITS`] bits.
 fn spread(bits: u64) -> u64 {
     (0..MORTON_BITS).fold(0, |out, b| out | (bits >> b & 1) << (3 * b))
 }

@@ -1,17 +1,20 @@
-//! Packs and unpacks single packs: zstd with limits on ratio and memory.
+//! Compresses and decompresses one pack of a body ([`cosurf_wire::body`]) with zstd, within limits on
+//! compression ratio and memory.
 
 use std::io::{self, Read, Write};
 
 use cosurf_wire::body::{BodyError, PackEntry, PackForm, PackKind, RATIO_MAX, WINDOW_LOG};
 
-/// A high compression level: its parser compresses planes of rare values better.
+/// Compression level of zstd. The parser of this high level compresses planes with few non-zero values
+/// better.
 const LEVEL: i32 = 19;
 
-/// Compresses `frame` followed by planes of `plane_bytes` each.
+/// Compresses a pack: `frame` (the reference values of a shapes pack, otherwise empty) and then planes of
+/// `plane_bytes` each. Stores the pack uncompressed if zstd saves nothing or compresses beyond [`RATIO_MAX`].
 pub(super) fn compress(frame: &[u8], planes: &[u8], plane_bytes: usize) -> io::Result<(PackForm, Vec<u8>)> {
     let mut encoder = zstd::Encoder::new(Vec::new(), LEVEL)?;
     encoder.window_log(WINDOW_LOG)?;
-    // The known size keeps the encoder's tables small.
+    // Because the encoder knows the size, its tables stay small.
     encoder.set_pledged_src_size(Some((frame.len() + planes.len()) as u64))?;
     encoder.write_all(frame)?;
     for plane in planes.chunks(plane_bytes.max(1)) {
@@ -26,7 +29,7 @@ pub(super) fn compress(frame: &[u8], planes: &[u8], plane_bytes: usize) -> io::R
     Ok((PackForm::Stored, [frame, planes].concat()))
 }
 
-/// Makes the table entry of a pack.
+/// Makes the table entry of a pack. `bytes` are the bytes of the pack in the body.
 pub(super) fn make_entry(
     kind: PackKind,
     layer: u8,
@@ -44,7 +47,8 @@ pub(super) fn make_entry(
     }
 }
 
-/// Unpacks `bytes` to exactly the length of `out`. Its memory is bounded by the zstd window.
+/// Unpacks `bytes`, the pack that `entry` describes. The unpacked bytes must fill `out` exactly. The zstd
+/// window limits the memory of the decoder.
 pub(super) fn unpack(entry: &PackEntry, bytes: &[u8], out: &mut [u8]) -> Result<(), BodyError> {
     if crc32fast::hash(bytes) != entry.crc32 {
         return Err(BodyError::BadPack);

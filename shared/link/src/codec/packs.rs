@@ -29,7 +29,8 @@ impl Packs {
         self.entries.len() * PACK_ENTRY_BYTES + self.bytes.len()
     }
 
-    /// Adds a pack of `splats` splats (0 for cameras and the basis): a frame, then planes of one byte per splat.
+    /// Compresses and adds a pack of `splats` splats (0 for cameras and the basis). The pack contains `frame`
+    /// and then `planes` of one byte per splat.
     pub(super) fn add(
         &mut self,
         kind: PackKind,
@@ -51,7 +52,7 @@ impl Packs {
         self.bytes.extend(others.bytes);
     }
 
-    /// Makes the body. `head` must describe these packs.
+    /// Makes the body. `head` must describe the same packs.
     pub(super) fn into_body(self, head: &BodyHead) -> Vec<u8> {
         let mut body = vec![0; head.packs_at()];
         for (entry, out) in self.entries.iter().zip(body[HEAD_BYTES..].as_chunks_mut::<PACK_ENTRY_BYTES>().0)

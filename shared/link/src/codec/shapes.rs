@@ -1,4 +1,4 @@
-//! Quantises and dequantises the shapes of splats.
+//! Quantises and dequantises the shapes of splats: position, rotation, scale, opacity and base colour.
 
 use cosurf_scene::Splats;
 use cosurf_wire::body::{
@@ -7,19 +7,22 @@ use cosurf_wire::body::{
 };
 use glam::{Mat3, Quat};
 
-/// Minimum number of position steps in the middle axis of a pack's median splat. The error of a position is
-/// below a thirtieth of that axis.
+/// The position step of a pack is at most the middle axis of its median splat divided by this number.
+/// Rounding then moves a splat by less than a thirtieth of that axis along each coordinate. The step is
+/// larger if the pack is too wide for 16-bit positions.
 const STEPS_PER_SCALE: f32 = 16.0;
-/// Opacity logits are clamped to this magnitude: 0.9997, where the rasteriser clamps at 0.99.
+/// Opacity logits are clamped to this magnitude: an opacity of 0.9997. The rasteriser clamps at 0.99 in any
+/// case.
 const OPACITY_LOGIT_MAX: f32 = 8.0;
 
-/// Base splats are quantised more coarsely, since each stands in for several splats: this saves bytes at a small
-/// loss of quality. Positions are multiples of this many steps.
+/// Positions of base splats are multiples of this many position steps. Base splats are quantised more
+/// coarsely than others, because each stands in for several splats: this saves bytes at a small loss of
+/// quality.
 const BASE_POSITION_STEPS: u16 = 2;
-/// Quaternion components of base splats are multiples of this many steps.
+/// Quaternion components of base splats are multiples of this many quaternion steps.
 const BASE_QUAT_STEPS: u16 = 16;
 
-/// A splat in floats, without its view-dependent colour: the counterpart of [`Shape`].
+/// A splat without its view-dependent colour, in `f32` numbers. [`Shape`] is its quantised form.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct FloatShape {
     pub(super) mean: [f32; 3],
@@ -43,7 +46,7 @@ impl FloatShape {
     }
 }
 
-/// Chooses the frame for a pack of `splats`, which must not be empty.
+/// Chooses the reference values ([`ShapeFrame`]) for a pack of `splats`, which must not be empty.
 pub(super) fn choose_frame(splats: &[FloatShape]) -> ShapeFrame {
     let corner = |fold: fn(f32, f32) -> f32, start: f32| {
         splats
@@ -78,7 +81,7 @@ pub(super) fn quantise_base(frame: &ShapeFrame, splat: &FloatShape) -> Shape {
     quantise_in_steps(frame, splat, [BASE_POSITION_STEPS, BASE_QUAT_STEPS])
 }
 
-/// Quantises a splat. Positions and quaternions become multiples of the given steps.
+/// Quantises a splat. Positions and quaternion components become multiples of the given numbers of steps.
 fn quantise_in_steps(
     frame: &ShapeFrame,
     splat: &FloatShape,
@@ -97,7 +100,7 @@ fn quantise_in_steps(
         (quat_zero + steps.round() * f32::from(quat_steps)).clamp(0.0, 2.0 * quat_zero) as u16
     });
     let scale_steps = |difference: f32| (difference / LOG_SCALE_STEP).round().clamp(0.0, 255.0);
-    // Each value is measured from the previous quantised value, so errors do not add up.
+    // Each log scale is measured from the quantised value of the previous one, so that errors do not add up.
     let first = scale_steps(log_scale[0] - frame.log_scale);
     let at_first = frame.log_scale + first * LOG_SCALE_STEP;
     let second = scale_steps(at_first - log_scale[1]);
@@ -113,7 +116,7 @@ fn quantise_in_steps(
     }
 }
 
-/// Dequantises a splat. The result is valid for any integers.
+/// Dequantises a splat. Any integers give a valid splat.
 pub(super) fn dequantise(frame: &ShapeFrame, shape: &Shape) -> FloatShape {
     let step = f64::from(frame.step_exponent).exp2();
     let mean =
@@ -124,8 +127,8 @@ pub(super) fn dequantise(frame: &ShapeFrame, shape: &Shape) -> FloatShape {
     let [first, second] = shape.log_scale.map(f32::from);
     let largest = frame.log_scale + first * LOG_SCALE_STEP;
     let middle = largest - second * LOG_SCALE_STEP;
-    // The thickness stays a quarter of a step within its range: a flat splat keeps some thickness, and a sphere
-    // keeps a shortest axis, which is its normal.
+    // The thickness is kept a quarter of a step away from both ends of its range, 0 and 1. A flat splat then
+    // keeps some thickness. A sphere keeps a shortest axis, which serves as its normal.
     let thickness = f32::from(shape.thickness).min(THICKNESS_STEP.recip() - 0.25).max(0.25) * THICKNESS_STEP;
     FloatShape {
         mean,
@@ -136,22 +139,23 @@ pub(super) fn dequantise(frame: &ShapeFrame, shape: &Shape) -> FloatShape {
     }
 }
 
-/// Log scales in falling order.
+/// Returns the log scales in falling order.
 fn sorted(log_scale: [f32; 3]) -> [f32; 3] {
     let order = axis_order(log_scale);
     order.map(|axis| log_scale[axis])
 }
 
-/// Axes in order of falling log scale.
+/// Returns the indices of the axes in order of falling log scale.
 fn axis_order(log_scale: [f32; 3]) -> [usize; 3] {
     let mut order = [0, 1, 2];
     order.sort_by(|&a, &b| log_scale[b].total_cmp(&log_scale[a]));
     order
 }
 
-/// Components x, y and z of the unit quaternion that describes the same ellipsoid with its axes in `order`, and
-/// whose w is positive and the largest component. It exists because half-turns about the axes do not change
-/// the ellipsoid: they give four equivalent quaternions, and each component is the w of one of them.
+/// Components x, y and z of a unit quaternion that describes the same ellipsoid with its axes in `order`, and
+/// whose w is positive and the largest component. Such a quaternion always exists: half-turns about the axes
+/// give four quaternions of the same ellipsoid. Apart from signs they have the same four components, each of
+/// which is w in one of them.
 fn canonical_quat([w, x, y, z]: [f32; 4], [first, second, _]: [usize; 3]) -> [f32; 3] {
     let old = Mat3::from_quat(Quat::from_xyzw(x, y, z, w).normalize());
     let (a, b) = (old.col(first), old.col(second));

@@ -25,7 +25,7 @@ fn noise(seed: u64) -> impl FnMut() -> f32 {
     }
 }
 
-/// Flat splats in a square of 20 m, with view-dependent colours along three directions.
+/// Flat splats in a square of 20 m. Their view-dependent colours are combinations of three random vectors.
 fn splats(count: usize, sh_degree: u32) -> Splats {
     let mut splats = Splats::with_capacity(count, sh_degree);
     let mut noise = noise(7);
@@ -56,7 +56,7 @@ fn cameras(count: usize) -> Vec<Camera> {
     (0..count).map(camera).collect()
 }
 
-/// A body of `splats` in which lower indices are more important.
+/// Encodes `splats`. Lower indices are more important.
 fn body(splats: &Splats) -> Vec<u8> {
     let importance: Vec<f32> = (0..splats.len()).map(|i| -(i as f32)).collect();
     model_to_body(splats, &cameras(3), FirstLayer::ByImportance(&importance)).unwrap()
@@ -73,7 +73,7 @@ fn normal(splats: &Splats, i: usize) -> Vec3 {
     axes.col(least)
 }
 
-/// The index in `sent` of each splat of `found`.
+/// The index in `sent` of the splat that is nearest to each splat of `found`.
 fn origins(found: &Splats, sent: &Splats) -> Vec<usize> {
     let distance = |a: [f32; 3], b: [f32; 3]| Vec3::from(a).distance_squared(Vec3::from(b));
     let nearest = |mean: &[f32; 3]| {
@@ -147,7 +147,7 @@ fn every_degree_and_count_round_trips() {
 
 #[test]
 fn extreme_models_round_trip() {
-    // Identical splats: they would compress beyond the maximum ratio.
+    // Identical splats would compress beyond the maximum ratio.
     let mut same = Splats::with_capacity(4000, 1);
     (0..4000).for_each(|_| same.push([5.0; 3], [2.0, 0.0, 0.0, 0.0], [-1.0; 3], 3.0, &[0.5; 12]));
     let found = body_to_model(&body(&same)).unwrap().splats;
@@ -218,7 +218,7 @@ fn packs_after_a_missing_one_are_used() {
     assert!(colors > 2000, "{colors} have their own spherical harmonics");
 }
 
-/// Changes every byte, and truncates at every byte: each must give an error.
+/// Flips one bit in every byte, and truncates the body at every byte. Each damaged body must give an error.
 #[test]
 fn damage_is_detected() {
     let body = body(&splats(40, 1));
@@ -231,7 +231,8 @@ fn damage_is_detected() {
     assert!(body_to_model(&[&body[..], &[0]].concat()).is_err());
 }
 
-/// Replaces table entry `i` and fixes the checksum of head and table, as an attacker would.
+/// Changes sizes and checksum of table entry `i` and fixes the checksum of head and table, as an attacker
+/// would.
 fn forge(body: &mut [u8], i: usize, bytes: u32, splats: u16, crc32: u32) {
     let at = HEAD_BYTES + i * PACK_ENTRY_BYTES;
     body[at + 2..at + 4].copy_from_slice(&splats.to_le_bytes());
@@ -250,14 +251,16 @@ fn harmonics_are_coarsened_to_meet_the_target_size() {
         let mut model = splats(count, sh_degree);
         let mut noise = noise(9);
         let stride = model.sh_stride();
-        // Independent noise, which costs a small model more bytes than its statistics predict.
+        // Each splat gets noise of its own. In a small model, such noise costs more bytes than its statistics
+        // predict.
         model.sh.chunks_exact_mut(stride).for_each(|sh| sh[3..].iter_mut().for_each(|v| *v += 0.1 * noise()));
         let bytes = body(&model).len() as f64 / count as f64;
         assert!(bytes <= bytes_max, "{count} splats of degree {sh_degree}: {bytes} bytes each");
     }
 }
 
-/// Decompression bombs: frames with an excessive ratio, size or window are refused before they are unpacked.
+/// Decompression bombs: a zstd frame with an excessive ratio, size or window is refused before it is
+/// unpacked.
 #[test]
 fn fault_05_decompression_bombs_are_refused() {
     let splats = splats(8000, 0);
@@ -276,16 +279,16 @@ fn fault_05_decompression_bombs_are_refused() {
     let count = first.entry.splats;
     assert!(replaced(&valid[first.range.clone()], count).is_ok(), "the forged entry itself is valid");
     let unpacked = 20 + 20 * usize::from(count);
-    // Excessive ratio: zeros.
+    // A frame of zeros has an excessive ratio.
     let zeros = zstd::bulk::compress(&vec![0; unpacked], 19).unwrap();
     assert_eq!(replaced(&zeros, count), Err(cosurf_wire::body::BodyError::BadTable.into()));
-    // More bytes than the table requires, and fewer.
+    // The frame contains more bytes than the table requires, or fewer.
     let noise: Vec<u8> = (0..unpacked + 1).map(|i| (((i * i) >> 3) as u8 ^ (i >> 8) as u8) & 63).collect();
     for wrong in [unpacked + 1, unpacked - 1] {
         let frame = zstd::bulk::compress(&noise[..wrong], 1).unwrap();
         assert_eq!(replaced(&frame, count), Err(cosurf_wire::body::BodyError::BadPack.into()), "{wrong}");
     }
-    // The same splats, with a window of 128 MiB.
+    // The same splats are compressed with the largest allowed window, and with a window of 128 MiB.
     let right = zstd::stream::decode_all(&valid[first.range.clone()]).unwrap();
     let windowed = |window_log| {
         let mut encoder = zstd::Encoder::new(Vec::new(), 1).unwrap();

@@ -10,8 +10,8 @@ const DEFAULT_PORT: u16 = 1883;
 /// Default port with TLS (IANA).
 const DEFAULT_PORT_TLS: u16 = 8883;
 
-/// The address of a broker: `mqtt://host:port`, `host:port` or `host` without TLS (default port 1883),
-/// `mqtts://host:port` with TLS (default port 8883).
+/// The address of a broker. Without TLS: `mqtt://host:port`, `host:port` or `host` (default port 1883). With
+/// TLS: `mqtts://host:port` (default port 8883).
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct BrokerAddress {
@@ -30,13 +30,13 @@ impl fmt::Display for BrokerAddress {
 }
 
 impl BrokerAddress {
-    /// The host as written before a port: an IPv6 address in brackets.
+    /// The host as it is written before a port, with brackets around an IPv6 address.
     pub(super) fn socket_host(&self) -> String {
         if self.host.contains(':') { format!("[{}]", self.host) } else { self.host.clone() }
     }
 }
 
-/// A text that is not a broker's address.
+/// The error for a text that is not a broker's address.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "broker address {text:?}: write mqtt://host:port, or mqtts://host:port for TLS (no password, no path)"
@@ -78,7 +78,7 @@ impl TryFrom<String> for BrokerAddress {
 }
 
 impl From<BrokerAddress> for String {
-    /// As a URL that parses back to the same address.
+    /// Writes the address as a URL, which parses back to the same address.
     fn from(address: BrokerAddress) -> Self {
         let scheme = if address.is_tls { "mqtts" } else { "mqtt" };
         format!("{scheme}://{address}")

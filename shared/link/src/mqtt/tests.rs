@@ -1,4 +1,4 @@
-//! The client with a broker that misbehaves.
+//! The client with a broker that does not acknowledge messages, and the parsing of addresses.
 #![allow(clippy::unwrap_used)]
 
 use std::io::{Read, Write};
@@ -13,7 +13,7 @@ use crate::identity::{Identity, Role};
 /// A broker that does not acknowledge the messages of its first connection.
 struct SilentBroker {
     address: BrokerAddress,
-    /// Number of messages that it did not acknowledge.
+    /// Number of messages that the broker received and did not acknowledge.
     unacknowledged: Arc<AtomicU32>,
 }
 
@@ -35,8 +35,8 @@ impl SilentBroker {
     }
 }
 
-/// Serves the part of MQTT 5 that the client needs. If `unacknowledged` is given, counts published messages
-/// in it instead of acknowledging them.
+/// Serves the part of MQTT 5 that the client needs. If `unacknowledged` is given, published messages are
+/// counted in it and not acknowledged.
 fn serve(mut stream: TcpStream, unacknowledged: Option<&AtomicU32>) {
     while let Some((kind, body)) = read_packet(&mut stream) {
         let answer: Vec<u8> = match kind >> 4 {

@@ -1,4 +1,4 @@
-//! Mutual TLS (rustls with ring): the broker and the device each prove their identity by a certificate.
+//! Mutual TLS (rustls with ring): the broker and the device each prove their identity with a certificate.
 //!
 //! rumqttc 0.25 also links rustls-webpki 0.102.8 (RUSTSEC-2026-0049, -0098, -0099, -0104), but only for the
 //! type of an error. Certificates are verified by the rustls-webpki of rustls itself, 0.103.
@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 pub struct TlsFiles {
     /// Certificates of the trusted authorities.
     pub ca: PathBuf,
-    /// The client's certificate, followed by the intermediate certificates up to the authority.
+    /// The client's certificate, followed by the intermediate certificates up to the trusted authority.
     pub cert: PathBuf,
     /// The private key of `cert`.
     pub key: PathBuf,
@@ -25,7 +25,7 @@ pub struct TlsFiles {
 
 use super::address::BrokerAddress;
 
-/// Why certificates cannot be used.
+/// Why TLS cannot be used.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum TlsError {
@@ -49,7 +49,8 @@ pub enum TlsError {
         /// The underlying error.
         cause: rustls::Error,
     },
-    /// Either the address requires TLS without certificates, or the certificates have an address without TLS.
+    /// The address requires TLS and no certificates are given, or certificates are given for an address
+    /// without TLS.
     #[error("a broker at mqtts:// needs tls = {{ ca, cert, key }}, and one at mqtt:// must not have it")]
     OneWithoutOther,
 }
@@ -76,7 +77,8 @@ impl Tls {
         Ok(Self(Arc::new(config)))
     }
 
-    /// Reads the certificates if the address is `mqtts://`. An address without TLS must come without files.
+    /// Reads the certificates and the key if the address is `mqtts://`. With an address without TLS, `files`
+    /// must be `None`.
     pub fn for_broker(broker: &BrokerAddress, files: Option<&TlsFiles>) -> Result<Option<Self>, TlsError> {
         match (broker.is_tls, files) {
             (true, Some(files)) => Self::read(files).map(Some),

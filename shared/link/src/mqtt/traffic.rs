@@ -1,4 +1,4 @@
-//! Records the messages of a broker, and publishes a recording again: [`record`] and [`replay`].
+//! Records the messages of a broker with [`record`], and publishes a recording again with [`replay`].
 
 use std::collections::BTreeMap;
 use std::io::{self, Read, Write};
@@ -20,13 +20,13 @@ use crate::recording::{Entry, Recorder, Recording, RecordingError};
 
 /// Maximum number of messages queued for the connection.
 const QUEUE_MAX: usize = 64;
-/// Interval of the checks for a stop, and of flushes of the recording.
+/// Interval at which a request to stop is checked, and at which the recording is flushed.
 const TICK: Duration = Duration::from_millis(200);
 /// Delay between attempts to connect.
 const RECONNECT_DELAY: Duration = Duration::from_millis(500);
-/// Maximum number of consecutive failed attempts to connect.
+/// Number of consecutive failed attempts to connect after which recording or replaying fails.
 const ATTEMPTS_MAX: u32 = 8;
-/// Time to wait at the end for the last acknowledgements.
+/// How long the end of a replay waits for the last acknowledgements.
 const ACKNOWLEDGEMENT_TIMEOUT: Duration = Duration::from_secs(30);
 
 /// Why recording or replaying failed.
@@ -39,7 +39,8 @@ pub enum TrafficError {
     /// The recording cannot be written.
     #[error("the recording cannot be written: {0}")]
     Write(#[source] io::Error),
-    /// The broker cannot be reached, or was lost for good.
+    /// The broker could not be reached in [`ATTEMPTS_MAX`] consecutive attempts, at the start or after a lost
+    /// connection.
     #[error("broker {broker}: {reason}; gave up after {ATTEMPTS_MAX} attempts")]
     NoBroker {
         /// The broker's address.
@@ -54,13 +55,14 @@ pub enum TrafficError {
 pub struct ReplaySettings {
     /// Playback speed relative to the recording; `None` publishes as fast as the broker accepts.
     pub speed: Option<f64>,
-    /// Faults to inject.
+    /// Faults to inject into the recording.
     pub faults: Faults,
     /// Seed of the faults.
     pub seed: u64,
 }
 
-/// Records all messages whose topics match `filter`, until `is_stopping`. Returns the number of messages.
+/// Records all messages whose topics match `filter`, until `is_stopping` is set. Returns the number of
+/// messages.
 pub fn record(
     broker: &BrokerAddress,
     tls: Option<&Tls>,
@@ -81,7 +83,7 @@ pub fn record(
                     preserve_retain: true,
                     ..Filter::default()
                 };
-                // Cannot fail: the queue is empty after a connection.
+                // Cannot fail: the queue is empty, because nothing else is sent on this connection.
                 let _ = client.try_subscribe_many([filter]);
                 attempt = 0;
             }
@@ -107,8 +109,8 @@ pub fn record(
     Ok(count)
 }
 
-/// Publishes a recording to its end, or until `is_stopping`. Returns the number of messages that the broker
-/// acknowledged.
+/// Publishes a recording to its end, or until `is_stopping` is set. Returns the number of messages that the
+/// broker acknowledged.
 pub fn replay(
     broker: &BrokerAddress,
     tls: Option<&Tls>,
@@ -129,7 +131,7 @@ pub fn replay(
         if driver.is_over(is_stopping) {
             break;
         }
-        // Fails only after the driver has ended; the next iteration checks that.
+        // Publishing fails only after the driver has ended. The next iteration checks that.
         if client.publish(topic, QoS::AtLeastOnce, retain, payload).is_ok() {
             sent += 1;
         }
@@ -165,13 +167,13 @@ fn no_broker(broker: &BrokerAddress, reason: String) -> TrafficError {
     TrafficError::NoBroker { broker: broker.to_string(), reason }
 }
 
-/// Injects faults into a recording: yields its entries in the order of replay.
+/// Injects faults into a recording, and returns the entries in the order in which they are replayed.
 struct Player<R> {
     recording: Recording<R>,
     line: Line,
     waiting: BTreeMap<(Duration, u64), Entry>,
     copies: u64,
-    /// Time of the last entry read; `None` at the end of the recording.
+    /// Time in the recording of the last entry read; `None` at the end of the recording.
     read_to: Option<Duration>,
 }
 
@@ -199,7 +201,7 @@ impl<R: Read> Player<R> {
     }
 }
 
-/// The thread that drives a publishing connection.
+/// The thread that runs the event loop of a publishing connection.
 struct Driver {
     state: Arc<DriverState>,
     thread: JoinHandle<Option<String>>,

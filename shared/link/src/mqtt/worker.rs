@@ -22,32 +22,35 @@ use crate::identity::Role;
 use crate::pacing::Backoff;
 use crate::transport::TransportEvent;
 
-/// Maximum number of messages queued for the event loop, and of unacknowledged messages: 1 MiB of chunks
-/// each.
+/// Maximum number of messages that wait for the event loop, and also of unacknowledged messages: 16 chunks of
+/// 64 KiB are 1 MiB.
 const QUEUE_MAX: usize = 16;
 /// Largest packet that this client accepts, in bytes.
 pub(super) const PACKET_BYTES_MAX: usize = MAX_MESSAGE_BYTES + MAX_TOPIC_BYTES + PACKET_OVERHEAD_BYTES;
-/// MQTT keep-alive. A dead connection is detected within one and a half times this duration.
+/// Interval of MQTT pings. The broker detects a dead connection within one and a half intervals, the client
+/// within two.
 const KEEP_ALIVE: Duration = Duration::from_secs(30);
-/// The broker keeps a client's session for this long: enough for a battery change.
+/// The broker keeps the session of a disconnected client for this long: enough for a battery change.
 const SESSION_EXPIRY_S: u32 = 3600;
 const CONNECT_TIMEOUT_S: u64 = 5;
 /// Delays between attempts to connect.
 const RECONNECT: Backoff = Backoff::new(Duration::from_millis(200), Duration::from_secs(5));
-/// A client without an acknowledgement for this long is replaced. 64 KiB at 3 kB/s take less.
+/// A client that gets no acknowledgement for this long is replaced. At 3 kB/s, a chunk of 64 KiB takes less
+/// time.
 const ACKNOWLEDGEMENT_TIMEOUT: Duration = Duration::from_secs(if cfg!(test) { 1 } else { 30 });
-/// Interval of the checks for missing acknowledgements and for a stop.
+/// Interval at which missing acknowledgements and a request to stop are checked.
 const TICK: Duration = Duration::from_millis(50);
-/// Time to send queued messages before a stop.
+/// How long the worker sends queued messages before it stops.
 const STOP_TIMEOUT: Duration = Duration::from_secs(2);
-/// A full event queue holds back the connection for this long. Then messages are dropped.
+/// How long a full event queue holds back the connection. After that, messages are dropped.
 const DELIVERY_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// The state that the caller's thread and the worker's thread share.
 #[derive(Debug)]
 pub(super) struct Shared {
     client: Mutex<Option<AsyncClient>>,
-    /// Largest packet that the broker accepts, in bytes; `usize::MAX` before the connection.
+    /// Largest packet that the broker accepts, in bytes; `usize::MAX` before the connection or if the broker
+    /// names no limit.
     pub(super) packet_bytes_max: AtomicUsize,
     /// Number of published messages that the broker has not acknowledged.
     pub(super) unacknowledged: AtomicUsize,
@@ -66,7 +69,7 @@ impl Default for Shared {
 }
 
 impl Shared {
-    /// The current client.
+    /// The current client; `None` before the first one is made.
     pub(super) fn client(&self) -> Option<AsyncClient> {
         self.client.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
@@ -75,7 +78,7 @@ impl Shared {
         *self.client.lock().unwrap_or_else(PoisonError::into_inner) = Some(client);
     }
 
-    /// Counts one acknowledged message.
+    /// Counts one message as acknowledged.
     pub(super) fn count_acknowledgement(&self) {
         let decrement = |count: usize| count.checked_sub(1);
         let _ = self.unacknowledged.fetch_update(Ordering::Relaxed, Ordering::Relaxed, decrement);
@@ -93,12 +96,12 @@ pub(super) struct Worker {
     is_dropping: bool,
 }
 
-/// Why an event loop ends.
+/// Why the event loop of a client ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Exit {
     /// The caller has dropped the transport.
     Stop,
-    /// A new client must replace this one.
+    /// A new client must take the place of this one.
     Replace,
 }
 
@@ -145,7 +148,8 @@ impl Worker {
         }
     }
 
-    /// Waits for the next event. The poll is never cancelled, except when the client ends.
+    /// Waits for the next event. The future of [`EventLoop::poll`] is dropped only when the client ends:
+    /// dropping it earlier would abort an unfinished connection attempt.
     async fn poll(&mut self, eventloop: &mut EventLoop) -> Result<Result<Event, ConnectionError>, Exit> {
         let mut poll = pin!(eventloop.poll());
         let mut stopping_since = None;
@@ -194,7 +198,8 @@ impl Worker {
         None
     }
 
-    /// Subscribes before the messages left over from an earlier connection are sent.
+    /// Subscribes first, so that the messages left over from an earlier connection are sent after the
+    /// subscription.
     fn on_connack(&mut self, eventloop: &mut EventLoop, ack: &ConnAck) {
         let announced = ack.properties.as_ref().and_then(|properties| properties.max_packet_size);
         let limit = announced.map_or(usize::MAX, |bytes| bytes as usize);
@@ -215,7 +220,7 @@ impl Worker {
     }
 
     async fn on_publish(&mut self, publish: Publish) {
-        // Topics of the protocol are ASCII. The node drops all others.
+        // Topics of the protocol are ASCII. The node drops messages under other topics.
         let topic = String::from_utf8_lossy(&publish.topic).into_owned();
         let payload = publish.payload.to_vec();
         self.deliver(TransportEvent::Incoming { topic, payload }).await;
@@ -242,7 +247,7 @@ impl Worker {
         self.deliver(TransportEvent::Disconnected { attempt, reason }).await;
     }
 
-    /// Waits before the next attempt, unless the transport is dropped.
+    /// Waits before the next attempt to connect, but not once the transport is dropped.
     async fn pause(&mut self) -> Option<Exit> {
         let until = Instant::now() + self.reconnect.delay();
         while Instant::now() < until && !self.is_stopping() {
@@ -251,8 +256,9 @@ impl Worker {
         self.is_stopping().then_some(Exit::Stop)
     }
 
-    /// Queues an event for the caller. A full queue holds back the connection for [`DELIVERY_TIMEOUT`]
-    /// (backpressure). Then messages are dropped until the queue has room, so that the connection stays alive.
+    /// Queues an event for the caller. While the queue is full, the connection is held back for up to
+    /// [`DELIVERY_TIMEOUT`] (backpressure). After that, messages are dropped until the queue has room, so
+    /// that the connection stays alive.
     async fn deliver(&mut self, mut event: TransportEvent) {
         let until = Instant::now() + DELIVERY_TIMEOUT;
         let is_message = matches!(event, TransportEvent::Incoming { .. });

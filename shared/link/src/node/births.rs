@@ -1,4 +1,4 @@
-//! The sessions of other devices, from their birth and death notices.
+//! The sessions of other devices, as their birth and death notices ([`State`]) announce them.
 
 use std::collections::BTreeMap;
 
@@ -6,8 +6,8 @@ use cosurf_wire::{DeviceId, State};
 
 /// Maximum number of devices whose sessions are remembered.
 const DEVICES_MAX: usize = 1024;
-/// This many births of an older session after a newer one show that two participants use the same name. A
-/// broker may repeat an outdated birth once or twice.
+/// If births of an older session arrive this many times after the birth of a newer one, two participants use
+/// the same name. Fewer are no proof, since a broker may repeat an outdated birth once or twice.
 const RETURNS_MAX: u32 = 3;
 
 /// The sessions of each device.
@@ -17,23 +17,23 @@ pub(super) struct Births(BTreeMap<DeviceId, Sessions>);
 #[derive(Clone, Copy, Debug, Default)]
 struct Sessions {
     newest: u64,
-    /// Number of births of an older session after that of the newest.
+    /// Number of births of an older session that arrived after the birth of the newest.
     returns: u32,
 }
 
 /// What a birth or death notice means.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Notice {
-    /// The death of an older session than the newest: the broker published it late.
+    /// The notice is the death of a session that is not the newest. The broker published it late.
     Outdated,
     /// The notice is valid.
     Valid,
-    /// The notice is valid, and shows that two participants use the same name.
+    /// The notice is valid, and it shows that two participants use the same name.
     SameName,
 }
 
 impl Births {
-    /// Records a birth or death notice.
+    /// Records a birth or death notice, and returns what it means.
     pub(super) fn record(&mut self, state: &State) -> Notice {
         let known = self.0.get(&state.device).copied();
         let is_past = known.is_some_and(|known| known.newest > state.session);

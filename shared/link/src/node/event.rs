@@ -23,24 +23,24 @@ pub enum NodeEvent {
     },
     /// A device has started or ended a session.
     State(State),
-    /// The cameras of another device's flight, in this node's world frame.
+    /// The cameras of another device's flight. They are in the world frame that this node uses.
     Flight(DeviceId, Vec<Camera>),
     /// Two participants use the same name, so the broker keeps disconnecting one of them.
     SameName(DeviceId),
-    /// The node accepted an offer, and requests the body.
+    /// The node accepted an offer, and requests the chunks of the body.
     Receiving(ModelHeader),
     /// The offered model is already stored, from this session or an earlier one.
     Known(ModelHeader),
-    /// A complete, verified body. The caller must write, sync and rename it, and then call
-    /// [`super::Node::stored`], or else [`super::Node::store_failed`] or [`super::Node::refuse`]. Its sender
-    /// waits for that.
+    /// A complete and checked body. The caller must write, sync and rename it and then call
+    /// [`super::Node::stored`], or otherwise call [`super::Node::store_failed`] or [`super::Node::refuse`].
+    /// Each of these calls sends the reply for which the sender waits.
     Store {
         /// The model's header.
         header: ModelHeader,
         /// The body, for [`crate::body_to_model`].
         body: Arc<Vec<u8>>,
     },
-    /// The node refused an offered model, and has told its sender.
+    /// The node refused an offered model, and has told the sender.
     Refused {
         /// The model.
         key: ModelKey,
@@ -58,16 +58,16 @@ pub enum NodeEvent {
     Progress(ModelKey, UploadProgress),
     /// Every required receiver has stored the model.
     Uploaded(ModelKey, UploadProgress),
-    /// A receiver refuses the model; finally, unless [`RefusalReason::is_temporary`].
+    /// A receiver refuses the model. The refusal is final unless [`RefusalReason::is_temporary`].
     UploadRefused {
         /// The model.
         key: ModelKey,
-        /// The device that refuses the model. For a local model the aggregator refuses it, and this is the
-        /// model's own device.
+        /// The device that refuses a global model. A local model is refused by the aggregator, but this is
+        /// then the device that offered it, because the topic of the reply names only that device.
         by: DeviceId,
         /// The reason.
         reason: RefusalReason,
     },
-    /// The link accepts only messages that are too small for useful chunks.
+    /// The link accepts only messages so small that chunks would be useless.
     LinkTooNarrow(PublishError),
 }

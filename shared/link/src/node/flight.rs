@@ -1,4 +1,4 @@
-//! The cameras that a device announces of its flight.
+//! The cameras of its own flight that a device announces to other devices.
 
 use cosurf_scene::Camera;
 use cosurf_wire::FLIGHT_CAMERAS_MAX;
@@ -6,7 +6,7 @@ use cosurf_wire::body::CAMERA_BYTES;
 
 use crate::body::camera_record;
 
-/// Selects the cameras to announce: all, or an even selection of [`FLIGHT_CAMERAS_MAX`].
+/// Selects the cameras to announce: all of them, or [`FLIGHT_CAMERAS_MAX`] at even intervals.
 pub fn select_flight_cameras(cameras: &[Camera]) -> Vec<Camera> {
     let count = cameras.len().min(FLIGHT_CAMERAS_MAX);
     (0..count).map(|i| cameras[i * cameras.len() / count]).collect()

@@ -1,4 +1,4 @@
-//! The events of a node as lines of a log.
+//! Writes the events of a node to the log.
 
 use cosurf_wire::ModelHeader;
 use tracing::{debug, trace};

@@ -35,14 +35,14 @@ impl Node {
         }
     }
 
-    /// `Err` is the reason why the message is dropped.
+    /// Handles one message. An error is the reason why the message is dropped.
     fn receive_message(&mut self, topic: &str, payload: &[u8]) -> Result<(), String> {
         let (site, topic) = Topic::parse(topic).map_err(|error| error.to_string())?;
         if site != self.identity.site {
             return Err(format!("the message belongs to site {site}"));
         }
         if payload.is_empty() {
-            // The publisher has deleted a retained message.
+            // A message without payload only tells that its publisher has deleted a retained message.
             return Ok(());
         }
         let is_header = matches!(topic, Topic::LocalHeader { .. } | Topic::GlobalHeader { .. });
@@ -82,7 +82,8 @@ impl Node {
         Ok(())
     }
 
-    /// Flights are not signed, so a node with a list of trusted keys ignores them.
+    /// Reports the flight of another device. A node with a list of trusted keys drops flights, because they
+    /// are not signed.
     fn receive_flight(&mut self, flight: &FlightCameras<'_>) -> Result<(), String> {
         let Credentials { frame, trusted, .. } = self.inbox.credentials();
         if flight.device == self.identity.device || self.identity.role != Role::Device {

@@ -10,19 +10,20 @@ use crate::inbox::InboxAction;
 use crate::transport::{Outgoing, PublishError, Transport};
 use crate::uploader::Uploader;
 
-/// Maximum number of messages sent before the node polls for incoming ones: half a window.
+/// Maximum number of messages that the node sends before it polls for incoming ones: half a window of chunks.
 const BURST: usize = 16;
-/// Delay before a retry of a busy transport.
+/// Delay before the node retries a transport that was busy.
 const BUSY_WAIT: Duration = Duration::from_millis(2);
 
 impl Node {
-    /// When [`Self::step`] has something to do if no message arrives before.
+    /// Time at which [`Self::step`] next has something to do if no message arrives before. `None` if nothing
+    /// is scheduled or the transport is not connected.
     pub fn next_wakeup(&self) -> Option<Duration> {
         let uploads = self.uploaders.iter().filter_map(Uploader::next_wakeup);
         uploads.chain(self.inbox.next_wakeup()).min().filter(|_| self.is_connected)
     }
 
-    /// Sends the messages that are due, at most [`BURST`]. Returns the time until the next one is due.
+    /// Sends the messages that are due, at most [`BURST`]. Returns the time until the next message is due.
     pub(super) fn send<T: Transport>(&mut self, transport: &mut T) -> Duration {
         if !self.is_connected {
             return Duration::MAX;
@@ -72,7 +73,8 @@ impl Node {
         message
     }
 
-    /// Repeats all offers with smaller chunks: no other message can be too large.
+    /// A message was too large for the link. Chunks are the largest messages, so all offers are repeated with
+    /// smaller chunks. An upload whose chunks would become too small is dropped.
     fn on_too_large(&mut self, error: PublishError, max_bytes: usize) {
         let now = self.now;
         let before = self.uploaders.len();

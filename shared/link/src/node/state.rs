@@ -19,19 +19,20 @@ use crate::transport::Outgoing;
 use crate::trust::Credentials;
 use crate::uploader::Uploader;
 
-/// A participant. Its caller runs it by calling [`Self::step`] repeatedly.
+/// A participant of the protocol: a device or an aggregator. Its caller runs it by calling [`Self::step`]
+/// repeatedly.
 #[derive(Debug)]
 pub struct Node {
     pub(super) identity: Identity,
     pub(super) inbox: Inbox,
     pub(super) uploaders: Vec<Uploader>,
     pub(super) events: VecDeque<NodeEvent>,
-    /// The birth notice (the start of the session), sent after each connection.
+    /// The notice that this session has started, while it waits to be sent. It is sent after each connection.
     pub(super) birth: Option<Outgoing>,
-    /// The cameras of this device's flight, if it announces them.
+    /// The message with the cameras of this device's flight; `None` if the device does not announce them.
     pub(super) flight: Option<Outgoing>,
     pub(super) is_flight_due: bool,
-    /// Devices whose retained flights are to be deleted.
+    /// Devices whose retained flight messages are to be deleted.
     pub(super) cleared_flights: VecDeque<DeviceId>,
     /// The sessions of other devices.
     pub(super) births: Births,
@@ -42,7 +43,8 @@ pub struct Node {
 }
 
 impl Node {
-    /// Makes a node. `stored` are the headers of the models already on disk, from [`crate::ModelStore::open`].
+    /// Makes a node. `stored` has the headers of the models that are already on disk, from
+    /// [`crate::ModelStore::open`].
     pub fn new(identity: Identity, limits: InboxLimits, stored: &[ModelHeader]) -> Self {
         Self {
             identity,
@@ -60,13 +62,14 @@ impl Node {
         }
     }
 
-    /// Sets the credentials. The node then sends models in their world frame, signed with their key, and
-    /// accepts only models that they allow.
+    /// Sets the world frame and the keys of this node. The node then sends models in that frame, signed with
+    /// its key. It accepts only models in the same frame, signed with a trusted key if it has a list of keys.
     pub fn set_credentials(&mut self, credentials: Credentials) {
         self.inbox.set_credentials(credentials);
     }
 
-    /// Announces this device's flight to other devices: the cameras that [`select_flight_cameras`] selects.
+    /// Announces this device's flight to other devices. The message has the cameras that
+    /// [`select_flight_cameras`] selects.
     pub fn announce_flight(&mut self, cameras: &[Camera]) {
         let device = self.identity.device;
         let bytes = camera_bytes(&select_flight_cameras(cameras));
@@ -76,12 +79,12 @@ impl Node {
         self.is_flight_due = self.is_connected;
     }
 
-    /// Deletes the announced flight of `device`, so that other devices no longer leave overlap to it.
+    /// Deletes the announced flight of `device`. Other devices then no longer leave overlap to `device`.
     pub fn clear_flight(&mut self, device: DeviceId) {
         self.cleared_flights.push_back(device);
     }
 
-    /// Offers a device's own model to the aggregator. Replaces an unfinished offer of the same model.
+    /// Offers a device's own model to the aggregator. An unfinished offer of the same model is replaced.
     pub fn upload(&mut self, offer: Offer) {
         debug!(model = %ModelKey::from(offer.header), bytes = offer.header.body_bytes, "upload");
         let offer = offer.with_credentials(&self.identity.site, self.inbox.credentials());
@@ -90,8 +93,8 @@ impl Node {
         self.uploaders.push(uploader);
     }
 
-    /// Offers a global model to all devices, in place of any older revision. [`NodeEvent::Uploaded`] comes when
-    /// all `receivers` have stored it.
+    /// Offers the global model of a tile to all devices, in place of the tile's previous model. The event
+    /// [`NodeEvent::Uploaded`] follows when all `receivers` have stored the model.
     pub fn broadcast(&mut self, tile: TileId, offer: Offer, receivers: &[DeviceId]) {
         debug!(model = %ModelKey::from(offer.header), receivers = receivers.len(), "broadcast");
         self.uploaders.retain(|old| old.tile() != Some(tile));
@@ -105,14 +108,14 @@ impl Node {
         self.inbox.stored(key);
     }
 
-    /// Call this when storing failed and a retry may succeed (for example on a full disk). The node hands out
+    /// Call this when storing failed and a retry may succeed, for example on a full disk. The node hands out
     /// the body again later.
     pub fn store_failed(&mut self, key: ModelKey) {
         debug!(model = %key, "storing failed");
         self.inbox.store_failed(self.now, key);
     }
 
-    /// Drops an unfinished model and sends its sender `reason`.
+    /// Drops an unfinished model, and sends `reason` to the model's sender.
     pub fn refuse(&mut self, key: ModelKey, reason: RefusalReason) {
         debug!(model = %key, %reason, "refuse");
         self.inbox.refuse(key, reason);
@@ -123,12 +126,12 @@ impl Node {
         self.inbox.unfinished_bytes()
     }
 
-    /// Headers of the models with missing chunks.
+    /// Headers of the models of which chunks are missing.
     pub fn unfinished(&self) -> impl Iterator<Item = &ModelHeader> {
         self.inbox.unfinished()
     }
 
-    /// Decodes the packs of an unfinished model that have arrived: see [`Inbox::part`].
+    /// Decodes the packs of an unfinished model that have arrived. See [`Inbox::part`].
     pub fn part(&self, key: ModelKey) -> Option<Model> {
         self.inbox.part(key)
     }

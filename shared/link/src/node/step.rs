@@ -9,8 +9,9 @@ use super::state::Node;
 use crate::transport::Transport;
 
 impl Node {
-    /// Sends the messages that are due, and receives one, waiting for it at most `wait`. Returns the next event
-    /// for the caller. `None` does not mean that all work is done.
+    /// Sends the messages that are due, then waits at most `wait` for a message and handles it. Returns the
+    /// next event for the caller. `None` means only that there is no event: messages may still have to be
+    /// sent.
     pub fn step<T: Transport>(
         &mut self,
         transport: &mut T,
@@ -43,8 +44,8 @@ impl Node {
         self.events.pop_front()
     }
 
-    /// Calls [`Self::step`] and then `on_event` with its result, until `on_event` breaks. Without events,
-    /// `on_event` is called with `None` at least every `wait`.
+    /// Calls [`Self::step`] and then `on_event` with the result, until `on_event` breaks. `on_event` is
+    /// called at least every `wait`, with `None` if there is no event.
     pub fn serve<T: Transport, B>(
         &mut self,
         transport: &mut T,

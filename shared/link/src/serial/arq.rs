@@ -1,15 +1,19 @@
-//! A selective-repeat ARQ for a half-duplex line that loses, damages and delays frames. It has no clock and
-//! no port: it takes the time and frames, and returns frames.
+//! A selective-repeat ARQ (automatic repeat request) for a half-duplex line that loses, damages and delays
+//! frames. It reads no clock and has no port: the caller passes the time and the frames that have arrived,
+//! and gets the frames to send.
 //!
-//! The side that may send *has the floor*. It sends pieces at the line's bandwidth, first the lost ones, then
-//! new ones, for at most [`BURST_ROUNDS`] round trips. Then it sends a [`Turn`], [`COPIES`] times, since its
-//! loss is expensive. The turn acknowledges pieces and passes the floor. Every piece was sent before the
-//! turn that answers it, so it has either arrived or is lost: pieces need no timers.
+//! The side that may send *has the floor*. It sends pieces of messages at the line's bandwidth, first the
+//! lost ones, then new ones, for at most [`BURST_ROUNDS`] round trips. Then it sends a [`Turn`], which
+//! acknowledges pieces and passes the floor. A turn is sent [`COPIES`] times, because losing it is expensive.
+//! A turn answers a burst of pieces that were all sent before it. Each of these pieces has therefore either
+//! arrived or is lost, and pieces need no timers.
 //!
-//! A side that gets no answer repeats its turn with exponential backoff. Only the newest turn passes the
-//! floor, so never more than one side has it. After an outage both sides continue where they stopped. A
-//! restart of one side changes its session number: both sides then start from the beginning, and the caller
-//! gets an event.
+//! A side that gets no answer repeats its turn, with exponential backoff. Only the newest turn passes the
+//! floor. Once both sides know each other's sessions, never more than one side has the floor. Before that,
+//! both sides may send turns, but no pieces.
+//!
+//! After an outage both sides continue where they stopped. After a restart of one side, its session number is
+//! new. Both sides then start from the beginning, and the caller gets an event.
 
 use std::collections::VecDeque;
 use std::num::NonZeroU32;
@@ -21,49 +25,51 @@ use super::receiving::Receiving;
 use super::sending::Sending;
 use crate::faults::Dice;
 
-/// Number of copies of each turn. With 20 % loss, one turn in 125 is lost.
+/// Number of copies of each turn. With 20 % loss, all three copies are lost in one of 125 turns.
 const COPIES: u8 = 3;
-/// A side keeps the floor for at most this many round trips. Passing it then costs 2 % of the bandwidth.
+/// A side keeps the floor for at most this many round trips. Passing the floor takes one round trip, so it
+/// costs 2 % of the bandwidth.
 const BURST_ROUNDS: u32 = 50;
-/// Lower limit of the time that a side keeps the floor.
+/// Lower limit of the longest time that a side with pieces to send keeps the floor.
 const BURST_MIN: Duration = Duration::from_millis(500);
-/// Upper limit of the time that a side keeps the floor.
+/// Upper limit of the longest time that a side with pieces to send keeps the floor.
 const BURST_MAX: Duration = Duration::from_secs(10);
-/// A side with nothing to send keeps the floor for this long.
+/// A side with nothing to send keeps the floor for this long before it passes the floor.
 const IDLE: Duration = Duration::from_secs(2);
 /// Round-trip time assumed before the first measurement.
 const FIRST_ROUND_TRIP: Duration = Duration::from_secs(1);
-/// Time added to the timeout for a slow wake-up of the other side.
+/// Added to the timeout of an answer, in case the other side's thread wakes up late.
 const GRACE: Duration = Duration::from_millis(200);
-/// Longest timeout before a turn is repeated.
+/// Upper limit of the time without an answer after which a turn is repeated, before [`IDLE`] and a random
+/// part are added.
 const REPEAT_MAX: Duration = Duration::from_secs(5);
 /// The line counts as lost after this long without a valid frame.
 const LOST_AFTER: Duration = Duration::from_secs(30);
-/// How far frames may be sent ahead of the line's bandwidth. It covers the oversleeping of a thread on a busy
-/// computer, and is less than the buffers of radios (SiK) and ports.
+/// How far frames may be sent ahead of the line's bandwidth. Such frames keep the line busy while the thread
+/// wakes up late on a busy computer. They fit into the buffers of radios (SiK) and ports.
 const AHEAD: Duration = Duration::from_millis(200);
 
 /// An event of a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ArqEvent {
-    /// The other side answers. Messages sent before may be lost.
+    /// The other side answers. Messages that were queued earlier may be lost.
     Linked,
-    /// The other side has been silent for a while. Transfers continue when it answers again.
+    /// The other side has been silent for [`LOST_AFTER`]. Transfers continue when it answers again.
     Lost,
 }
 
 /// The side that has the floor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Floor {
-    /// This side, from time `from`. `has_sent` is set after its first piece.
+    /// This side has had the floor since time `from`. `has_sent` is set after the first piece.
     Ours { from: Duration, has_sent: bool },
-    /// This side is passing the floor, with `copies` of its turn left to send.
+    /// This side is passing the floor. It still has to send `copies` copies of its turn.
     Passing { copies: u8 },
-    /// The other side. It last sent a frame, or got the floor, at time `since`.
+    /// The other side has the floor. It got the floor or last sent a frame at time `since`.
     Theirs { since: Duration },
 }
 
-/// One end of a line.
+/// One end of a line: it sends and receives messages.
 ///
 /// # Examples
 ///
@@ -97,7 +103,7 @@ enum Floor {
 /// ```
 #[derive(Debug)]
 pub struct Arq {
-    /// Session numbers, as this side sends them.
+    /// The session numbers of both sides. The sender is this side.
     sessions: Sessions,
     /// Whether the other side knows this side's session.
     is_confirmed: bool,
@@ -106,18 +112,18 @@ pub struct Arq {
     sending: Sending,
     receiving: Receiving,
     floor: Floor,
-    /// Number of the newest turn.
+    /// Number of the newest turn of either side.
     turn_number: u32,
     /// Whether this side sent the newest turn.
     is_own_turn: bool,
-    /// Whether the other side has more to send, and so waits for the floor.
+    /// Whether the other side has more to send, and therefore waits for the floor.
     is_awaited: bool,
-    /// Whether the other side must answer the last turn without delay. Only then is the answer a measurement
-    /// of the round-trip time.
+    /// Whether the other side must answer the last turn without delay. Otherwise the answer does not measure
+    /// the round-trip time.
     is_prompt: bool,
-    /// Average round-trip time: passing the floor and getting it back.
+    /// Moving average of the time from the end of this side's turn to the first frame of the answer.
     round_trip: Duration,
-    /// When the last turn was sent; `None` once it is answered.
+    /// When the last turn was completely sent; `None` once it is answered.
     turn_sent_at: Option<Duration>,
     repeats: u32,
     pace: Pace,
@@ -127,7 +133,8 @@ pub struct Arq {
 }
 
 impl Arq {
-    /// Makes an end of a line with the given bandwidth. `session` must differ from this side's last session.
+    /// Makes one end of a line with the given bandwidth. `session` must differ from the number of this side's
+    /// previous session.
     pub fn new(session: u32, bytes_per_s: NonZeroU32) -> Self {
         let session = session.max(1);
         Self {
@@ -152,7 +159,8 @@ impl Arq {
         }
     }
 
-    /// Whether another message may be queued: the other side has answered, and the queue has room.
+    /// Whether another message may be queued: the other side has answered in this session, and the queue has
+    /// room.
     pub fn has_room(&self) -> bool {
         self.is_confirmed && self.sending.has_room()
     }
@@ -162,17 +170,17 @@ impl Arq {
         self.sending.queue(message);
     }
 
-    /// The next message that has arrived.
+    /// Returns the next message that has arrived.
     pub fn next_message(&mut self) -> Option<Vec<u8>> {
         self.receiving.next_message()
     }
 
-    /// The next event.
+    /// Returns the next event.
     pub fn next_event(&mut self) -> Option<ArqEvent> {
         self.events.pop_front()
     }
 
-    /// Takes a frame without its final zero. Ignores damaged frames.
+    /// Takes a frame that has arrived, without its final zero. A damaged frame is dropped.
     pub fn on_frame(&mut self, now: Duration, frame: &mut [u8]) {
         if let Floor::Theirs { since } = &mut self.floor {
             // Any frame, even a damaged one, shows that the other side is sending.
@@ -183,7 +191,8 @@ impl Arq {
         let is_answer = match Frame::decode(frame, sessions) {
             Ok(Frame::Piece(piece)) if self.sessions.receiver != 0 => {
                 self.receiving.take(&piece);
-                // The piece's checksum covers this side's session number.
+                // The checksum of a piece covers the session numbers of both sides, so the other side knows
+                // this session.
                 self.confirm(now);
                 true
             }
@@ -227,7 +236,7 @@ impl Arq {
         }
     }
 
-    /// When [`Self::next_frame`] has a frame if none arrives before.
+    /// Time at which [`Self::next_frame`] next has a frame, if no frame arrives before.
     pub fn next_wakeup(&self) -> Duration {
         let next = match self.floor {
             Floor::Ours { from, has_sent } => {
@@ -244,7 +253,7 @@ impl Arq {
         next.max(self.pace.ready_at())
     }
 
-    /// Sends a copy of the turn. `copies` includes this one.
+    /// Sends one copy of the turn. `copies` is the number of copies left to send, with this one.
     fn send_turn(&mut self, now: Duration, copies: u8) -> &[u8] {
         let copies_left = copies - 1;
         let mut turn = Turn {
@@ -267,7 +276,7 @@ impl Arq {
         frame
     }
 
-    /// The other side has shown that it knows this side's session.
+    /// Records that the other side knows this side's session.
     fn confirm(&mut self, now: Duration) {
         self.heard_at = now;
         self.is_confirmed = true;
@@ -277,7 +286,7 @@ impl Arq {
         }
     }
 
-    /// Returns whether the turn passes the floor to this side.
+    /// Handles a turn. Returns whether it passes the floor to this side.
     fn on_turn(&mut self, now: Duration, turn: &Turn, bytes: usize) -> bool {
         if turn.sessions.sender == 0 {
             return false;
@@ -290,7 +299,8 @@ impl Arq {
         if knows_us {
             self.confirm(now);
         }
-        // At the start both sides may send turns of the same number. The one with the higher session wins.
+        // At the start both sides may send turns with the same number. The turn of the side with the higher
+        // session number then counts as newer.
         let wins_tie = self.is_own_turn && turn.sessions.sender > self.sessions.sender;
         let is_newest = turn.number > self.turn_number || (turn.number == self.turn_number && wins_tie);
         if !is_new_session && !is_newest {
@@ -307,8 +317,8 @@ impl Arq {
         true
     }
 
-    /// Handles a turn that is not the newest: it is a late copy, or the other side has not received the newest
-    /// turn.
+    /// Handles a turn that is not the newest. Either it is a late copy, or the other side has not received
+    /// this side's newest turn. In the second case, the newest turn is sent again.
     fn on_old_turn(&mut self, now: Duration, turn: &Turn, knows_us: bool) {
         if knows_us {
             self.sending.on_late_turn(turn);
@@ -320,8 +330,8 @@ impl Arq {
         }
     }
 
-    /// Starts from the beginning, since the other side has a new session. If the old one has transferred
-    /// anything, this side takes a new session number too, so that old frames fail their checksums.
+    /// Starts from the beginning, because the other side has a new session. If pieces were already exchanged,
+    /// this side also takes a new session number, so that old frames fail their checksums.
     fn reset(&mut self, turn: &Turn) {
         if !(self.sending.is_fresh() && self.receiving.is_fresh()) {
             self.sessions.sender = self.sessions.sender.checked_add(1).unwrap_or(1);
@@ -333,12 +343,13 @@ impl Arq {
         self.is_up = false;
     }
 
-    /// How long this side may keep the floor.
+    /// The longest time that this side may keep the floor.
     fn burst(&self) -> Duration {
         (self.round_trip * BURST_ROUNDS).clamp(BURST_MIN, BURST_MAX)
     }
 
-    /// Timeout before the turn is repeated. It has a random part, so that the two sides do not keep colliding.
+    /// Time without an answer after which the turn is repeated. A part of it is drawn from this side's
+    /// session number, so that the two sides do not keep colliding.
     fn turn_timeout(&self) -> Duration {
         let base = 2 * self.round_trip + GRACE;
         let idle = if self.sending.has_more() || !self.is_confirmed { Duration::ZERO } else { IDLE };
@@ -352,7 +363,7 @@ impl Arq {
 #[derive(Debug)]
 struct Pace {
     bytes_per_s: NonZeroU32,
-    /// When the line has finished sending the last frame.
+    /// When the line will have finished sending the last frame.
     free_at: Duration,
 }
 

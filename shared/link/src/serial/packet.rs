@@ -1,5 +1,5 @@
-//! Packets: a message's encoding on a serial line. One byte has the length of the topic; topic and payload
-//! follow.
+//! Packets: the encoding of a message on a serial line. The first byte is the length of the topic. The topic
+//! and the payload follow.
 
 use cosurf_wire::{MAX_MESSAGE_BYTES, MAX_TOPIC_BYTES};
 
@@ -8,7 +8,7 @@ pub(super) const MAX_PACKET_BYTES: usize = 1 + MAX_TOPIC_BYTES + MAX_MESSAGE_BYT
 
 /// Joins a topic and a payload to a packet.
 pub(super) fn join_packet(topic: &str, payload: &[u8]) -> Vec<u8> {
-    // Does not truncate: the assertion below checks that topics are shorter than 256 bytes.
+    // The length fits a byte: the assertion below checks that topics are shorter than 256 bytes.
     let mut packet = vec![topic.len() as u8];
     packet.extend_from_slice(topic.as_bytes());
     packet.extend_from_slice(payload);

@@ -1,4 +1,4 @@
-//! The receiving direction: assembles messages from pieces, which may arrive in any order.
+//! The receiving direction of a line: assembles messages from pieces, which may arrive in any order.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -6,8 +6,8 @@ use cosurf_wire::frame::{Piece, Turn, WINDOW_PIECES};
 
 use super::packet::MAX_PACKET_BYTES;
 
-/// Maximum number of complete messages that wait for the caller. Beyond it the window fills up, and the
-/// other side waits.
+/// Maximum number of complete messages that wait for the caller. While this many wait, the window of pieces
+/// fills up and the other side must wait.
 const COMPLETE_MAX: usize = 64;
 
 /// The receiver's state. It holds at most one window of pieces, one unfinished message, and [`COMPLETE_MAX`]
@@ -19,10 +19,11 @@ pub(super) struct Receiving {
     /// Pieces that arrived before an earlier piece, by number.
     ahead: BTreeMap<u32, (Vec<u8>, bool)>,
     message: Vec<u8>,
-    /// Whether the unfinished message exceeds the maximum size. It is dropped at its end.
+    /// Whether the unfinished message exceeds the maximum size. Such a message is dropped when its last piece
+    /// arrives.
     is_too_long: bool,
     complete: VecDeque<Vec<u8>>,
-    /// Whether pieces have arrived since the last turn.
+    /// Whether a piece has arrived since this side last acknowledged pieces in a turn.
     pub(super) has_unacknowledged: bool,
 }
 
@@ -32,7 +33,7 @@ impl Receiving {
         self.next == 0 && self.ahead.is_empty()
     }
 
-    /// Takes a piece. Ignores known pieces and those beyond the window.
+    /// Takes a piece that has arrived. Ignores it if it is already known or lies beyond the window.
     pub(super) fn take(&mut self, piece: &Piece<'_>) {
         self.has_unacknowledged = true;
         if piece.number.checked_sub(self.next).is_some_and(|offset| offset < WINDOW_PIECES) {
@@ -48,13 +49,13 @@ impl Receiving {
         message
     }
 
-    /// Fills in the acknowledgements of a turn.
+    /// Writes to `turn` which pieces have arrived.
     pub(super) fn acknowledge(&mut self, turn: &mut Turn) {
         self.has_unacknowledged = false;
         turn.next = self.next;
         turn.received.clear();
         let Some(last) = self.ahead.last_key_value().map(|(number, _)| number - self.next) else { return };
-        // Cannot fail: the bitmap has a bit for every piece of the window.
+        // Cannot fail: the bitmap of a turn has a bit for every piece of the window.
         let _ = turn.received.resize_default(last as usize / 8 + 1);
         for number in self.ahead.keys() {
             let offset = number - self.next;

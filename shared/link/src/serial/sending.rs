@@ -1,38 +1,39 @@
-//! The sending direction: cuts messages into pieces, and sends each piece until it has arrived.
+//! The sending direction of a line: cuts messages into pieces, and sends each piece until it has arrived.
 
 use std::collections::VecDeque;
 
 use cosurf_wire::frame::{MAX_PIECE_BYTES, Piece, Turn, WINDOW_PIECES};
 
-/// The queue accepts messages until it has this many bytes. A turn then never runs out of pieces between two
-/// calls, and an urgent message does not wait long behind others.
+/// The queue accepts messages until it holds this many bytes. The line then does not run out of pieces before
+/// the caller queues more, and an urgent message does not wait long behind others.
 const QUEUE_BYTES: usize = 32 * 1024;
 
-/// A piece lost this many times is sent twice per turn: it is about to block the window.
+/// A piece that was lost this many times is sent twice in each burst. Until it arrives, the window cannot
+/// move on, so new pieces would soon have to wait.
 const LOSSES_BEFORE_DOUBLING: u8 = 3;
 
-/// The sender's state.
+/// The sender's state for one line.
 #[derive(Debug, Default)]
 pub(super) struct Sending {
-    /// Messages that have not arrived completely, oldest first.
+    /// Messages of which pieces are still missing on the other side, oldest first.
     messages: VecDeque<Message>,
-    /// Messages that are not completely cut into pieces; `cut` bytes of the first one are.
+    /// Messages that are not completely cut into pieces. Of the first message, `cut` bytes are already cut.
     queue: VecDeque<Vec<u8>>,
     queue_bytes: usize,
     cut: usize,
     /// Number of the first piece in `in_flight`.
     base: u32,
-    /// Pieces sent, from the oldest that has not arrived.
+    /// The pieces that were sent, starting with the oldest one that has not arrived.
     in_flight: VecDeque<SentPiece>,
-    /// Numbers of the lost pieces to send again, in order.
+    /// Numbers of the lost pieces that are to be sent again, in the order of sending.
     lost: VecDeque<u32>,
 }
 
 #[derive(Debug)]
 struct Message {
-    /// Hash of the message, which detects duplicates.
+    /// Hash of the message. It detects duplicates.
     hash: blake3::Hash,
-    /// Number of its last piece; `None` until the message is completely cut.
+    /// Number of the message's last piece; `None` until the message is completely cut.
     last: Option<u32>,
 }
 
@@ -56,8 +57,8 @@ impl Sending {
         self.queue_bytes < QUEUE_BYTES
     }
 
-    /// Queues a message, unless an identical one has not arrived yet. That one will arrive: the line is
-    /// reliable.
+    /// Queues a message. Does nothing if an identical message has not arrived yet: the line is reliable, so
+    /// that message will arrive.
     pub(super) fn queue(&mut self, message: Vec<u8>) {
         let hash = blake3::hash(&message);
         if self.messages.iter().any(|queued| queued.hash == hash) {
@@ -68,12 +69,12 @@ impl Sending {
         self.queue.push_back(message);
     }
 
-    /// Whether there is a piece to send.
+    /// Whether a piece can be sent now.
     pub(super) fn has_more(&self) -> bool {
         !self.lost.is_empty() || (!self.queue.is_empty() && self.in_flight.len() < WINDOW_PIECES as usize)
     }
 
-    /// The next piece: first the lost ones, then new ones.
+    /// Returns the next piece to send: lost pieces first, then new ones.
     pub(super) fn next(&mut self) -> Option<Piece<'_>> {
         let number = match self.lost.pop_front() {
             Some(number) => number,
@@ -83,8 +84,8 @@ impl Sending {
         Some(Piece { number, is_last: *is_last, payload })
     }
 
-    /// Handles a turn. All pieces were sent before it, so each has either arrived or is lost. Returns `false`
-    /// if the turn acknowledges pieces that were never sent.
+    /// Handles the other side's newest turn. All pieces in flight were sent before it, so each has either
+    /// arrived or is lost. Returns `false` if the turn acknowledges pieces that were never sent.
     pub(super) fn on_turn(&mut self, turn: &Turn) -> bool {
         if !self.on_late_turn(turn) {
             return false;
@@ -100,7 +101,8 @@ impl Sending {
         true
     }
 
-    /// Handles an old turn: records the pieces that have arrived. The others may still be in flight.
+    /// Handles an older turn: records the pieces that have arrived. The other pieces may still be in flight.
+    /// Returns `false` if the turn acknowledges pieces that were never sent.
     pub(super) fn on_late_turn(&mut self, turn: &Turn) -> bool {
         if turn.next > self.base + self.in_flight.len() as u32 {
             return false;

@@ -1,4 +1,5 @@
-//! A simulated disk that loses power: unsynced data may survive whole, in half or not at all.
+//! Tests with a simulated disk that loses power: unsynced data may survive whole, in half or not at
+//! all.
 #![allow(clippy::unwrap_used)]
 
 use std::cell::{Cell, RefCell};
@@ -10,7 +11,7 @@ use super::*;
 const PATH: &str = "folder/model";
 const PARTIAL: &str = "folder/.model.partial";
 
-/// The bytes written to a file, and those of them that are synced.
+/// All bytes written to a file, and those that were synced.
 #[derive(Clone, Debug, Default)]
 struct Content {
     written: Vec<u8>,
@@ -22,12 +23,12 @@ struct FailingDisk {
     files: Rc<RefCell<Vec<Content>>>,
     names: Rc<RefCell<BTreeMap<PathBuf, usize>>>,
     synced_names: Rc<RefCell<BTreeMap<PathBuf, usize>>>,
-    /// Number of operations until the power fails.
+    /// Number of operations before the power fails.
     left: Rc<Cell<u32>>,
 }
 
 impl FailingDisk {
-    /// A disk with `old` synced at [`PATH`], which loses power after `left` operations.
+    /// A disk with the synced content `old` at [`PATH`], which loses power after `left` operations.
     fn new(old: &[u8], left: u32) -> Self {
         let disk = Self::default();
         disk.files.borrow_mut().push(Content { written: old.to_vec(), synced: old.to_vec() });
@@ -108,7 +109,8 @@ impl Disk for FailingDisk {
     }
 }
 
-/// Every acknowledged file is written this way: models, checkpoints, session numbers.
+/// Everything that must survive a power cut is written this way: models, checkpoints, session
+/// numbers.
 #[test]
 fn fault_11_power_loss_between_any_two_steps() {
     let (old, new) = (vec![1; 350], vec![2; 450]);

@@ -1,19 +1,23 @@
-//! Builds the hierarchy: splits each node by the binned surface-area heuristic until it has four children.
+//! Builds the hierarchy. Each node is split by the binned surface-area heuristic until it has four
+//! children.
 
 use glam::Vec3;
 
 use super::node::{LEAF, Leaf, Node, Tree, WIDTH};
 
-/// Bins of the surface-area heuristic: more than 12 to 16 bring no gain (Wald 2007).
+/// Number of bins of the surface-area heuristic along an axis; more than 12 to 16 bring no gain (Wald
+/// 2007).
 const BINS: usize = 16;
 
-/// From this depth on, nodes are split into halves by count, which bounds the tree's depth.
+/// From this depth on, nodes are split into halves of equal triangle count, which bounds the depth of the
+/// tree.
 pub(super) const MEDIAN_DEPTH: usize = 12;
 
 /// Largest number of triangles in a hierarchy.
 pub(super) const TRIANGLES_MAX: usize = 1 << 26;
 
-/// Builds over at most [`TRIANGLES_MAX`] triangles.
+/// Builds a hierarchy over triangles, given by their corners. Panics if there are more than
+/// [`TRIANGLES_MAX`].
 pub(super) fn build(triangles: &[[Vec3; 3]]) -> Tree {
     assert!(
         triangles.len() <= TRIANGLES_MAX,
@@ -61,11 +65,11 @@ struct Builder<'a> {
     leaves: Vec<Leaf>,
 }
 
-/// A split plane between two bins.
+/// A plane that splits a node, between two bins along an axis.
 struct Cut {
     cost: f32,
     axis: usize,
-    /// First bin of the right part.
+    /// Index of the first bin beyond the plane.
     bin: usize,
 }
 
@@ -74,7 +78,7 @@ impl Builder<'_> {
     fn split(&mut self, node: usize, order: &mut [u32], depth: usize) {
         let mut parts: Vec<&mut [u32]> = vec![order];
         while parts.len() < WIDTH {
-            // Split the part with the largest surface next: most rays enter it.
+            // The part with the largest surface is split next, because most rays enter it.
             let widest = (0..parts.len()).filter(|&i| parts[i].len() > WIDTH).max_by(|&i, &j| {
                 self.bounds(parts[i]).half_area().total_cmp(&self.bounds(parts[j]).half_area())
             });
@@ -127,7 +131,8 @@ impl Builder<'_> {
         (b.min + b.max) * 0.5
     }
 
-    /// Reorders `order` into the two parts of least expected cost; returns where the second begins.
+    /// Reorders `order` into two parts for which tracing is expected to cost least. Returns the index at
+    /// which the second part begins.
     fn partition(&self, order: &mut [u32]) -> usize {
         let (mut low, mut high) = (Vec3::MAX, Vec3::MIN);
         for &i in order.iter() {
@@ -156,7 +161,8 @@ impl Builder<'_> {
             slot.0.grow(&self.boxes[i as usize]);
             slot.1 += 1;
         }
-        // A leaf costs the same however full it is, so the cost counts leaves.
+        // A full leaf costs no more than one with a single triangle, so the cost counts leaves instead of
+        // triangles.
         let cost = |bounds: &Aabb, count: usize| match count {
             0 => 0.0,
             _ => bounds.half_area() * count.div_ceil(WIDTH) as f32,

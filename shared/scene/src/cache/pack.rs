@@ -1,20 +1,23 @@
-//! Lossless compression of a picture's pixels: subtracts from each value a prediction from its left,
-//! upper and upper-left neighbours, then applies zstd level 1. The prediction makes drone photographs
-//! much smaller than zstd alone.
+//! Lossless compression of a picture's pixels. Each value is predicted from its left, upper and
+//! upper-left neighbours; the differences from the predictions are compressed with zstd level 1. The
+//! prediction makes photographs from drones much smaller than zstd alone.
 
 use std::io::{self, Read, Write};
 
 use crate::Picture;
 
-/// zstd's level. Higher levels save a few percent on photographs and take several times as long.
+/// zstd's compression level. Higher levels save a few percent on photographs and take several times
+/// as long.
 const LEVEL: i32 = 1;
 
-/// Bound on zstd's own memory: its window and tables take less than half of this at level 1.
+/// Upper bound on zstd's own memory, bytes: its window and tables take less than half of this at
+/// level 1.
 const ZSTD_BYTES: u64 = 4 << 20;
 
-/// Bytes that packing or unpacking takes on top of the picture.
+/// Upper bound on the bytes that packing or unpacking takes besides the raw picture.
 pub(super) fn scratch_bytes(picture_bytes: u64) -> u64 {
-    // The output's capacity grows by doubling, and noise does not compress.
+    // Twice the picture, because noise does not compress, and the output's capacity grows by
+    // doubling.
     2 * picture_bytes + ZSTD_BYTES
 }
 
@@ -53,7 +56,8 @@ pub(super) fn unpack(packed: &[u8], size_px: [u32; 2]) -> io::Result<Picture> {
     Ok(Picture::new(size_px, rgb))
 }
 
-/// Predicts value `i` of `row` as if brightness were a plane over it and its neighbours.
+/// Predicts value `i` of `row` from its neighbours, as if the colour channel changed linearly between
+/// pixels: the value to the left plus the value above, minus the value above and to the left.
 fn predict(row: &[u8], above: &[u8], i: usize) -> u8 {
     match i {
         0..3 => above[i],

@@ -1,4 +1,4 @@
-//! The pictures that a cache is made for, and their sizes.
+//! The sources of a cache: picture files, and the sizes to which they are shrunk.
 
 use std::path::PathBuf;
 
@@ -8,7 +8,7 @@ use crate::picture::bytes_of;
 /// A picture to cache: its file, and the size to shrink it to.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Source {
-    /// The file.
+    /// The picture's file.
     pub path: PathBuf,
     /// Width and height after shrinking.
     pub size_px: [u32; 2],
@@ -21,12 +21,12 @@ impl Source {
     }
 }
 
-/// Bytes of the largest picture, raw.
+/// Bytes of the largest picture, uncompressed.
 pub(super) fn largest_bytes(sources: &[Source]) -> u64 {
     sources.iter().map(|source| bytes_of(source.size_px)).max().unwrap_or(0)
 }
 
-/// Bytes of all pictures, raw.
+/// Bytes of all pictures together, uncompressed.
 pub(super) fn total_bytes(sources: &[Source]) -> u64 {
     sources.iter().map(|source| bytes_of(source.size_px)).sum()
 }

@@ -1,5 +1,5 @@
-//! The contents of the cache and the count of its bytes, which one lock guards. Nothing here decodes,
-//! waits or reads files.
+//! The contents of a cache, and the count of the bytes that they take. One lock guards both. Nothing in
+//! this module decodes pictures, waits or reads files.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Weak};
@@ -8,25 +8,26 @@ use super::source::{Source, largest_bytes, total_bytes};
 use crate::picture::bytes_of;
 use crate::{Picture, SceneError};
 
-/// Longest queue of prefetch requests; training looks only a few steps ahead.
+/// Most prefetch requests that may wait; training looks only a few steps ahead.
 const REQUESTS_MAX: usize = 8;
 
-/// Copies get the budget divided by this, and at least two pictures.
+/// The reserve for copies (see `copies_bytes_max`) is the budget divided by this, but at least two
+/// pictures.
 const COPIES_SHARE: u64 = 8;
 
-/// The contents of a cache at one moment.
+/// How much a cache holds at one moment.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct CacheUse {
-    /// Bytes of pictures in any form, including those handed out and being made; never above the
-    /// budget.
+    /// Bytes of pictures in any form, including those that callers hold and the one that is being made;
+    /// never above the budget.
     pub used_bytes: u64,
-    /// Pictures kept raw.
+    /// Number of pictures kept uncompressed.
     pub raw: usize,
-    /// Pictures kept compressed.
+    /// Number of pictures kept compressed.
     pub packed: usize,
-    /// Pictures that are read from disk at each request.
+    /// Number of pictures that are read from disk at each use, because the cache has no room for them.
     pub on_disk: usize,
-    /// Number of times that a file was decoded.
+    /// Number of times that a picture file was decoded.
     pub decoded: u64,
 }
 
@@ -39,27 +40,28 @@ pub(super) enum Slot {
     Raw(Arc<Picture>),
     /// Compressed.
     Packed(Arc<[u8]>),
-    /// Not kept: read from disk at each request.
+    /// Not kept: read from disk at each use.
     OnDisk,
 }
 
 pub(super) struct State {
     budget_bytes: u64,
-    /// Budget for copies that are handed out, prefetched or being made; `slots` have the rest.
+    /// The part of the budget for copies: raw pictures that callers hold, that are prefetched or that are
+    /// being made. The rest is for `slots`.
     copies_bytes_max: u64,
-    /// Whether all pictures fit raw.
+    /// Whether all pictures fit into the budget uncompressed.
     keeps_raw: bool,
     picture_bytes: Vec<u64>,
     slots: Vec<Slot>,
-    /// Bytes in `slots`.
+    /// Bytes of the pictures in `slots`.
     kept_bytes: u64,
-    /// Copies outside `slots` that may still be held.
+    /// Uncompressed pictures outside `slots`, by index. Some may have been dropped by their holders since.
     copies: Vec<(usize, Weak<Picture>)>,
-    /// Prefetched copies that `get` has not returned yet, oldest first.
+    /// Prefetched pictures that `get` has not returned yet, with their indices, oldest first.
     ready: VecDeque<(usize, Arc<Picture>)>,
-    /// Pictures to prefetch, oldest request first.
+    /// Indices of the pictures to prefetch, oldest request first.
     requests: VecDeque<usize>,
-    /// The picture that is being made.
+    /// Index of the picture that is being made.
     making: Option<usize>,
     decoded: u64,
     closed: bool,
@@ -91,7 +93,8 @@ impl State {
         self.making.is_some()
     }
 
-    /// The picture if it is in memory uncompressed; it no longer counts as prefetched.
+    /// Returns picture `index` if it is in memory uncompressed. From then on it no longer counts as
+    /// prefetched.
     pub(super) fn take(&mut self, index: usize) -> Option<Arc<Picture>> {
         let picture = self.find(index)?;
         self.ready.retain(|(ready, _)| *ready != index);
@@ -105,7 +108,7 @@ impl State {
         }
     }
 
-    /// Requests that picture `index` is prefetched.
+    /// Queues picture `index` for prefetching, unless the queue is full or has it already.
     pub(super) fn request(&mut self, index: usize) {
         assert!(index < self.slots.len(), "picture {index} of {}", self.slots.len());
         if self.requests.len() < REQUESTS_MAX && !self.requests.contains(&index) {
@@ -113,7 +116,8 @@ impl State {
         }
     }
 
-    /// Takes the next request, if there is room for its picture and no other is being made.
+    /// Takes the oldest request whose picture is not in memory; drops those before it. `None` if there is
+    /// no such request, no room for the picture, or another picture is being made.
     pub(super) fn next_request(&mut self) -> Option<usize> {
         while let Some(&index) = self.requests.front() {
             if self.find(index).is_none() {
@@ -125,8 +129,9 @@ impl State {
         None
     }
 
-    /// Drops prefetched pictures, oldest first, until picture `index` fits among the copies. If callers
-    /// hold too many copies for that, drops compressed pictures until it fits into the budget.
+    /// Drops prefetched pictures, oldest first, until picture `index` fits into the part of the budget for
+    /// copies. If callers hold too many copies for that, drops compressed pictures until the picture fits
+    /// into the whole budget. Errors: it does not fit even then.
     pub(super) fn make_room(&mut self, index: usize) -> Result<(), SceneError> {
         while !self.fits_copies(index) && self.ready.pop_front().is_some() {}
         while self.missing_bytes(index) > 0 {
@@ -143,12 +148,12 @@ impl State {
         self.keeps_raw || self.copies_bytes() + self.picture_bytes[index] <= self.copies_bytes_max
     }
 
-    /// Bytes that the budget lacks for holding picture `index` too.
+    /// Bytes by which picture `index`, added to the present contents, would exceed the budget.
     fn missing_bytes(&mut self, index: usize) -> u64 {
         (self.used_bytes() + self.picture_bytes[index]).saturating_sub(self.budget_bytes)
     }
 
-    /// Drops one compressed picture; false if there is none.
+    /// Drops one compressed picture; false if the cache has none.
     fn drop_packed(&mut self) -> bool {
         let Some(slot) = self.slots.iter_mut().find(|slot| matches!(slot, Slot::Packed(_))) else {
             return false;
@@ -160,15 +165,15 @@ impl State {
         true
     }
 
-    /// Marks picture `index` as being made. Returns the form to make it from.
+    /// Marks picture `index` as being made. Returns the form from which to make it.
     pub(super) fn begin(&mut self, index: usize) -> Slot {
         assert!(self.making.is_none(), "only one picture may be made at a time");
         self.making = Some(index);
         self.slots[index].clone()
     }
 
-    /// Records that picture `index` was made. Keeps `slot`, which is given after the first decoding. Holds
-    /// the picture for `get` if this is a `prefetch`.
+    /// Records that picture `index` was made. `slot` is given after the first decoding only; it is the
+    /// form in which to keep the picture. With `prefetch`, the picture is held until `get` takes it.
     pub(super) fn finish(
         &mut self,
         index: usize,
@@ -189,7 +194,8 @@ impl State {
         }
     }
 
-    /// Keeps `slot` if there is room for it, else leaves the picture on disk.
+    /// Keeps picture `index` in the form `slot` if there is room for it; otherwise leaves the picture on
+    /// disk.
     fn keep(&mut self, index: usize, slot: Slot) {
         let (bytes, bytes_max) = match &slot {
             Slot::Raw(_) => (self.picture_bytes[index], self.budget_bytes),
@@ -236,7 +242,7 @@ impl State {
         self.kept_bytes + self.copies_bytes()
     }
 
-    /// Bytes of the picture being made and of every copy that is still held.
+    /// Bytes of the picture that is being made, and of every copy that somebody still holds.
     fn copies_bytes(&mut self) -> u64 {
         self.copies.retain(|(_, copy)| copy.strong_count() > 0);
         let copies = self.copies.iter().map(|(index, _)| *index).chain(self.making);

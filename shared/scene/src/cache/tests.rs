@@ -1,4 +1,5 @@
-//! The pixels are right and the budget holds, for any budget and any timing of the threads.
+//! Tests that the pixels are right and that the budget is kept, for several budgets and any timing
+//! of the threads.
 
 #![allow(clippy::unwrap_used)]
 
@@ -10,7 +11,8 @@ use super::*;
 const SIZE_PX: [u32; 2] = [24, 16];
 const RAW_BYTES: u64 = 24 * 16 * 3;
 
-/// `n` picture files of twice the source's size, with noise so that they compress only partly.
+/// `n` sources whose picture files are twice as wide and high as the source asks for. Noise makes
+/// the pictures compress only partly.
 fn made_up(folder: &Path, n: u32) -> Vec<Source> {
     let source = |i: u32| {
         let noise = |x: u32, y: u32| ((x * 48 + y * 977 + i) ^ 0x5A5A).wrapping_mul(2_654_435_761) >> 25;
@@ -27,7 +29,8 @@ fn expected(sources: &[Source]) -> Vec<Picture> {
     sources.iter().map(|source| Picture::read_fitted(&source.path, source.size_px).unwrap()).collect()
 }
 
-/// Runs two epochs that prefetch `prefetched` pictures ahead; checks every picture and byte count.
+/// Gets every picture in each of two epochs, and asks for the next `prefetched` pictures at each
+/// step. Checks every picture, and the bytes in use after every step.
 fn two_epochs(sources: &[Source], budget_bytes: u64, prefetched: usize) -> CacheUse {
     let expected = expected(sources);
     let cache = PictureCache::new(sources.to_vec(), budget_bytes).unwrap();

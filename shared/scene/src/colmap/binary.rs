@@ -1,5 +1,5 @@
-//! The binary form, little-endian. Every count is checked against the bytes left in the file before
-//! anything is allocated.
+//! The binary form of a model, little-endian. Every count is checked against the number of bytes
+//! left in the file before anything is allocated.
 
 use std::io::{self, BufRead, ErrorKind, Read, Seek};
 use std::path::Path;
@@ -8,7 +8,8 @@ use super::model::{Assembly, Image, Intrinsics, Point, Undistortion, pose, refus
 use crate::error::Refusal;
 use crate::{Dataset, SceneError};
 
-/// COLMAP's camera models by their number (colmap/src/colmap/sensor/models.h).
+/// Names of COLMAP's camera models. The index is the model's number
+/// (colmap/src/colmap/sensor/models.h).
 const MODELS: [&str; 12] = [
     "SIMPLE_PINHOLE",
     "PINHOLE",
@@ -24,18 +25,19 @@ const MODELS: [&str; 12] = [
     "RAD_TAN_THIN_PRISM_FISHEYE",
 ];
 
-/// The fewest bytes of a camera: id, model, size, three parameters.
+/// The fewest bytes of a camera: id, model, width and height, three parameters.
 const CAMERA_BYTES: u64 = 4 + 4 + 16 + 24;
-/// The fewest bytes of an image: id, pose, camera, an empty name, a count.
+/// The fewest bytes of an image: id, pose, camera id, an empty name, the count of its 2D points.
 const IMAGE_BYTES: u64 = 4 + 56 + 4 + 1 + 8;
-/// A 2D point: position and the 3D point's id.
+/// Bytes of a 2D point: its position, and the id of its 3D point.
 const POINT_2D_BYTES: u64 = 16 + 8;
-/// The fewest bytes of a 3D point: id, position, colour, error, a count.
+/// The fewest bytes of a 3D point: id, position, colour, error, the length of its track.
 const POINT_3D_BYTES: u64 = 8 + 24 + 3 + 8 + 8;
-/// An element of a track: image and 2D point.
+/// Bytes of an element of a track: the image's id, and the index of the 2D point in the image.
 const TRACK_BYTES: u64 = 4 + 4;
 
-/// Longest accepted name, above the limit of any file system.
+/// Longest accepted picture name, bytes, including the zero byte that ends it; Linux limits paths to
+/// the same length.
 const NAME_BYTES_MAX: u64 = 4096;
 
 pub(super) fn read<R: BufRead + Seek>(
@@ -109,15 +111,15 @@ fn read_points<R: BufRead + Seek>(mut input: Input<R>, out: &mut Assembly) -> Re
 }
 
 fn read_point<R: BufRead + Seek>(input: &mut Input<R>, out: &mut Assembly) -> Result<(), Refusal> {
-    input.skip(8)?; // its id
+    input.skip(8)?; // the point's id
     let position = input.f64s()?;
     let rgb = input.array()?;
-    input.skip(8)?; // its error
+    input.skip(8)?; // the point's reprojection error
     let length = input.count(TRACK_BYTES)?;
     let mut image_ids = Vec::with_capacity(length as usize);
     for _ in 0..length {
         image_ids.push(input.u32()?);
-        input.skip(4)?; // the 2D point
+        input.skip(4)?; // the index of the 2D point
     }
     out.add_point(Point { position, rgb, image_ids })
 }
@@ -131,7 +133,7 @@ impl std::fmt::Display for Nth {
     }
 }
 
-/// A file and the number of its bytes left.
+/// A file, and the number of bytes in it that are not read yet.
 struct Input<R> {
     file: R,
     left_bytes: u64,
@@ -167,7 +169,8 @@ impl<R: BufRead + Seek> Input<R> {
         Ok(values)
     }
 
-    /// Reads a count of records of at least `bytes` each; refuses a count that the file cannot hold.
+    /// Reads the number of records that follow, each of at least `bytes` bytes. Refuses a number of
+    /// records that the rest of the file cannot hold.
     fn count(&mut self, bytes: u64) -> Result<u64, Refusal> {
         let count = self.u64()?;
         if count > self.left_bytes / bytes {
@@ -182,11 +185,12 @@ impl<R: BufRead + Seek> Input<R> {
 
     fn skip(&mut self, bytes: u64) -> Result<(), Refusal> {
         self.take(bytes)?;
-        // The cast is exact: the file has at least this many bytes.
+        // The cast is exact: the file has at least this many bytes, and no file is longer than an
+        // `i64` can count.
         Ok(self.file.seek_relative(bytes as i64)?)
     }
 
-    /// A name that ends with a zero byte.
+    /// Reads a name and the zero byte that ends it.
     fn name(&mut self) -> Result<String, Refusal> {
         let mut name = Vec::new();
         (&mut self.file).take(NAME_BYTES_MAX).read_until(0, &mut name)?;

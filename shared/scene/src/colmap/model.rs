@@ -1,5 +1,5 @@
-//! The common part of both forms: records that refer to each other by id are checked and turned into
-//! a [`Dataset`].
+//! What the binary and the text form have in common: checks their records, which refer to each other
+//! by id, and turns them into a [`Dataset`].
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -9,10 +9,11 @@ use glam::{DQuat, DVec2, DVec3};
 use crate::error::Refusal;
 use crate::{Camera, Dataset, Pose, SceneError, SparsePoint, View};
 
-/// Longest accepted side of a picture; COLMAP stores 64 bits.
+/// Largest accepted width or height of a picture, pixels. COLMAP stores both as 64-bit numbers, so a
+/// damaged file can claim any size.
 const SIDE_PX_MAX: u64 = 1 << 20;
 
-/// The paths in the command that undistorts a model's pictures.
+/// The paths in the COLMAP command that undistorts a model's pictures.
 pub(super) struct Undistortion<'a> {
     pub(super) images: &'a Path,
     pub(super) model: &'a Path,
@@ -20,7 +21,7 @@ pub(super) struct Undistortion<'a> {
 }
 
 impl Undistortion<'_> {
-    /// The command for a POSIX shell.
+    /// The COLMAP command, for a POSIX shell.
     fn command(&self) -> String {
         format!(
             "colmap image_undistorter --image_path {} --input_path {} --output_path {} --output_type COLMAP",
@@ -35,7 +36,7 @@ impl Undistortion<'_> {
     }
 }
 
-/// A path as one word of a POSIX shell.
+/// Quotes a path if necessary, so that a POSIX shell reads it as one word.
 fn quoted(path: &Path) -> String {
     let text = path.display().to_string();
     let plain = |c: char| c.is_alphanumeric() || "/._-+,:@%".contains(c);
@@ -51,7 +52,8 @@ pub(super) struct Intrinsics {
 }
 
 impl Intrinsics {
-    /// From a model's name and parameters, which must be finite.
+    /// Intrinsics from the name and the parameters of a COLMAP camera model. Errors: a model other
+    /// than the two pinhole models; a size, focal length or centre that is invalid or not finite.
     pub(super) fn new(
         model: &str,
         size_px: [u64; 2],
@@ -86,7 +88,7 @@ pub(super) fn refuse_distortion(model: &str, undistortion: &Undistortion) -> Ref
     .into()
 }
 
-/// A picture's record.
+/// A record of the file `images`: a picture with its pose.
 pub(super) struct Image {
     pub(super) id: u32,
     pub(super) camera_id: u32,
@@ -94,7 +96,8 @@ pub(super) struct Image {
     pub(super) name: String,
 }
 
-/// A pose from COLMAP's numbers: a quaternion wxyz of any non-zero length, and a translation.
+/// A pose from COLMAP's numbers: a quaternion wxyz, longer than 1e-6, and a translation. The
+/// quaternion is normalised.
 pub(super) fn pose(wxyz: [f64; 4], translation: [f64; 3]) -> Result<Pose, Refusal> {
     let [w, x, y, z] = wxyz;
     let rotation = DQuat::from_xyzw(x, y, z, w);
@@ -106,18 +109,18 @@ pub(super) fn pose(wxyz: [f64; 4], translation: [f64; 3]) -> Result<Pose, Refusa
     Ok(Pose { rotation: rotation.normalize(), translation })
 }
 
-/// A 3D point with its track as image ids.
+/// A record of the file `points3D`: a 3D point, and its track as a list of image ids.
 pub(super) struct Point {
     pub(super) position: [f64; 3],
     pub(super) rgb: [u8; 3],
     pub(super) image_ids: Vec<u32>,
 }
 
-/// Collects the three files' records, which must come in this order: cameras, images, points.
+/// Collects the records of the three files, which must come in this order: cameras, images, points.
 #[derive(Default)]
 pub(super) struct Assembly {
     cameras: HashMap<u32, Intrinsics>,
-    /// Indices of the views by image id.
+    /// Index of the view for each image id.
     view_of: HashMap<u32, u32>,
     dataset: Dataset,
 }
@@ -143,8 +146,8 @@ impl Assembly {
         Ok(())
     }
 
-    /// Adds a point. Its track may name images that the model lacks, as tools that remove images leave
-    /// them in tracks; these are skipped.
+    /// Adds a point. Image ids in its track that the model lacks are skipped: some tools remove images
+    /// from a model but not from its tracks.
     pub(super) fn add_point(&mut self, point: Point) -> Result<(), Refusal> {
         let position = DVec3::from(point.position);
         if !position.is_finite() {
@@ -163,7 +166,7 @@ impl Assembly {
     }
 }
 
-/// Runs `read` on the file `name` of the folder `model`; adds the path to its errors.
+/// Runs `read` on the file `name` in the folder `model`, and adds the file's path to its errors.
 pub(super) fn with_file(
     model: &Path,
     name: &str,

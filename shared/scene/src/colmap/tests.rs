@@ -1,4 +1,4 @@
-//! Round trips, exact bytes, and hostile models.
+//! Tests of round trips, of the exact bytes of files, and of damaged or forged models.
 
 #![allow(clippy::unwrap_used)]
 
@@ -9,7 +9,8 @@ use glam::{DQuat, DVec2, DVec3};
 use super::*;
 use crate::{Camera, Pose, SparsePoint, View};
 
-/// Two pictures by different cameras, and three points. Every value is exact in binary.
+/// Two pictures of different cameras, and three points. Every value is the same after being written
+/// and read.
 fn made_up(root: &Path) -> Dataset {
     let view = |name: &str, wxyz: [f64; 4], focal_px: DVec2| View {
         name: name.into(),
@@ -107,7 +108,7 @@ fn files_have_the_bytes_that_colmap_writes() {
     let camera =
         [&u64s(&[1])[..], &[1, 0, 0, 0, 1, 0, 0, 0], &u64s(&[8, 6]), &f64s(&[10.0, 11.0, 3.5, 2.25])];
     assert_eq!(file("cameras.bin"), camera.concat());
-    // The point at (0.25, -1, 9) of the camera's frame.
+    // The point is at (0.25, -1, 9) in the camera frame.
     let at = [10.0 * 0.25 / 9.0 + 3.5, -11.0 / 9.0 + 2.25];
     let image = [
         &u64s(&[1])[..],
@@ -163,7 +164,7 @@ fn a_distorted_camera_is_refused_with_its_remedy() {
         text.contains("cameras.txt") && text.contains("model OPENCV") && text.contains(&command("images")),
         "{text}"
     );
-    // The pictures may lie beside the model.
+    // The pictures may also be in a folder `images` beside the model's folder.
     fs::create_dir(root.join("sparse/images")).unwrap();
     assert!(complaint(&root).contains(&command("sparse/images")));
     for (number, name) in [(2_u32, "SIMPLE_RADIAL"), (11, "RAD_TAN_THIN_PRISM_FISHEYE"), (77, "number 77")] {
@@ -239,7 +240,8 @@ fn files_cut_anywhere_are_refused() {
         let path = root.path().join("sparse/0").join(name);
         let whole = fs::read(&path).unwrap();
         for length in 0..whole.len() {
-            // On some file systems, overwriting a file waits for the disk.
+            // The old file is removed first, because on some file systems overwriting a file waits
+            // for the disk.
             fs::remove_file(&path).unwrap();
             fs::write(&path, &whole[..length]).unwrap();
             let text = complaint(root.path());

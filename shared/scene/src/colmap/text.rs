@@ -1,5 +1,6 @@
-//! The text form: one record per line; `#` begins a comment. In `images.txt` each record is followed
-//! by a line of 2D points, which may be blank and is skipped.
+//! The text form of a model: one record per line. Blank lines, and lines that begin with `#`, are
+//! skipped. In `images.txt` each record is followed by a line of 2D points, which may be blank; it
+//! is skipped too.
 
 use std::io::{self, BufRead, Read};
 use std::path::Path;
@@ -9,7 +10,7 @@ use super::model::{Assembly, Image, Intrinsics, Point, Undistortion, pose, with_
 use crate::error::Refusal;
 use crate::{Dataset, SceneError};
 
-/// Longest accepted line: a track through a million pictures fits.
+/// Longest accepted line, bytes: enough for the track of a point that a million pictures see.
 const LINE_BYTES_MAX: u64 = 1 << 24;
 
 pub(super) fn read<R: BufRead>(
@@ -31,7 +32,7 @@ pub(super) fn read<R: BufRead>(
     Ok(out.end())
 }
 
-/// Calls `read` with the line of each record; with `skip_next`, skips the line after each record.
+/// Calls `read` with the line of each record. With `skip_next`, skips the line after each record.
 fn each_record(
     mut file: impl BufRead,
     skip_next: bool,
@@ -52,7 +53,8 @@ fn each_record(
     Ok(())
 }
 
-/// Calls `read` with the line, unless it is blank or a comment. Returns whether it was skipped.
+/// Calls `read` with the line, unless the line is blank or a comment. Returns whether the line was
+/// skipped.
 fn read_line(line: &[u8], read: &mut impl FnMut(&str) -> Result<(), Refusal>) -> Result<bool, Refusal> {
     if line.len() as u64 == LINE_BYTES_MAX {
         return Err("the line is too long".into());
@@ -75,7 +77,7 @@ fn read_camera(record: &str, undistortion: &Undistortion, out: &mut Assembly) ->
 }
 
 fn read_image(record: &str, out: &mut Assembly) -> Result<(), Refusal> {
-    // The name comes last and may hold spaces.
+    // The name comes after nine numbers and may contain spaces, so it is the whole rest of the line.
     let mut rest = record;
     for _ in 0..9 {
         rest = rest.trim_ascii_start();
@@ -101,7 +103,7 @@ fn read_point(record: &str, out: &mut Assembly) -> Result<(), Refusal> {
     out.add_point(Point { position, rgb, image_ids: track.into_iter().step_by(2).collect() })
 }
 
-/// The words of a record, parsed on demand.
+/// The words of a record, each parsed when it is asked for.
 struct Words<'a>(SplitAsciiWhitespace<'a>);
 
 impl Words<'_> {

@@ -8,12 +8,13 @@ use glam::DVec2;
 
 use crate::{Camera, Dataset, SceneError, View, atomic};
 
-/// COLMAP's number for `PINHOLE`.
+/// COLMAP's number for the camera model `PINHOLE`.
 const PINHOLE: u32 = 1;
 
 /// Writes cameras, poses and points as a binary model into `root/sparse/0`, which is created. Views
-/// with the same intrinsics share a camera. Each picture's 2D points are the projections of the
-/// points whose tracks name it. Pictures are not copied: they belong at `root/images/NAME`.
+/// with the same intrinsics share a COLMAP camera. The 2D points of a picture are the projections
+/// of the 3D points whose tracks name the picture. Pictures are not copied: they belong at
+/// `root/images/NAME`.
 pub fn write(root: &Path, dataset: &Dataset) -> Result<(), SceneError> {
     let model = root.join("sparse").join("0");
     fs::create_dir_all(&model).map_err(|cause| SceneError::io(&model, cause))?;
@@ -24,10 +25,10 @@ pub fn write(root: &Path, dataset: &Dataset) -> Result<(), SceneError> {
     atomic::write(&model.join("points3D.bin"), |out| write_points(out, dataset, &tracks))
 }
 
-/// The distinct intrinsics.
+/// The distinct intrinsics of the views. Each is written once, as a COLMAP camera.
 struct Cameras<'a> {
     distinct: Vec<&'a Camera>,
-    /// Index into `distinct` for each view.
+    /// For each view, the index of its intrinsics in `distinct`.
     of_view: Vec<u32>,
 }
 
@@ -38,7 +39,8 @@ impl<'a> Cameras<'a> {
             (a.focal_px, a.center_px, a.size_px) == (b.focal_px, b.center_px, b.size_px)
         };
         let of_view = views.iter().map(|View { camera, .. }| {
-            // The latest camera is the likeliest match.
+            // The search begins at the end, because a view mostly has the camera of the view before
+            // it.
             let found = distinct.iter().rposition(|other| same(other, camera));
             found.unwrap_or_else(|| {
                 distinct.push(camera);
@@ -64,9 +66,10 @@ impl<'a> Cameras<'a> {
 
 /// Which views see which points, indexed both ways.
 struct Tracks {
-    /// Indices of the points in each view.
+    /// For each view, the indices of the points that it sees.
     points: Vec<Vec<u32>>,
-    /// For each point and each view of its track: the point's index in that view's list.
+    /// For each point and each view of its track: the position of the point in that view's list in
+    /// `points`.
     places: Vec<Vec<u32>>,
 }
 
@@ -113,7 +116,7 @@ fn write_points(out: &mut Out, dataset: &Dataset, tracks: &Tracks) -> io::Result
         out.write_all(&(i as u64 + 1).to_le_bytes())?;
         put_f64s(out, &point.position.to_array())?;
         out.write_all(&point.rgb)?;
-        put_f64s(out, &[0.0])?; // its error is 0, as the 2D points are its projections
+        put_f64s(out, &[0.0])?; // reprojection error: 0, because the 2D points are exact projections
         out.write_all(&(point.views.len() as u64).to_le_bytes())?;
         for (view, place) in point.views.iter().zip(&tracks.places[i]) {
             put_u32s(out, &[view + 1, *place])?;

@@ -1,4 +1,4 @@
-//! Layouts, pictures that do not fit, splits and subsets.
+//! Tests of dataset layouts, of pictures that do not fit their cameras, and of splits and subsets.
 
 #![allow(clippy::unwrap_used)]
 
@@ -9,8 +9,9 @@ use glam::{DVec2, DVec3};
 use super::*;
 use crate::{Pose, SparsePoint};
 
-/// Three pictures of 8 × 6, 2 apart along x, that look along y at points at a distance of 4; written
-/// below `root` in COLMAP's layout.
+/// A dataset of three pictures of 8 × 6 pixels and five points, written below `root` in COLMAP's
+/// layout. The cameras stand 2 world units apart along x and look along y; the points are 4 world
+/// units away in y.
 fn made_up(root: &Path) -> Dataset {
     let view = |i: u32| {
         let eye = DVec3::new(2.0 * f64::from(i), 0.0, 0.0);
@@ -75,12 +76,12 @@ fn a_model_is_found_in_every_layout() {
     assert_same(&Dataset::open(&root).unwrap(), &dataset);
     assert_same(&Dataset::open(&root.join("sparse")).unwrap(), &dataset);
     assert_same(&Dataset::open(&root.join("sparse/0")).unwrap(), &dataset);
-    // The layout of COLMAP's undistorter.
+    // COLMAP's undistorter writes the model to `sparse`, not to `sparse/0`.
     for name in ["cameras.bin", "images.bin", "points3D.bin"] {
         fs::rename(root.join("sparse/0").join(name), root.join("sparse").join(name)).unwrap();
     }
     assert_same(&Dataset::open(&root).unwrap(), &dataset);
-    // All in one folder.
+    // The model and the pictures are in one folder.
     for entry in fs::read_dir(root.join("sparse")).unwrap().chain(fs::read_dir(root.join("images")).unwrap())
     {
         let entry = entry.unwrap();
@@ -121,7 +122,7 @@ fn a_picture_of_another_size_rescales_its_camera() {
     let root = tempfile::tempdir().unwrap();
     let dataset = made_up(root.path());
     Picture::new([16, 12], vec![9; 576]).write_png(&root.path().join("images/1.png")).unwrap();
-    // A third, rounded: 2.67 × 2.
+    // A third of the size is 2.67 × 2 pixels, which a tool rounds to 3 × 2.
     Picture::new([3, 2], vec![9; 18]).write_png(&root.path().join("images/2.png")).unwrap();
     let opened = Dataset::open(root.path()).unwrap();
     let [first, twice, third] = [0, 1, 2].map(|i| opened.views[i].camera);
@@ -189,7 +190,7 @@ fn a_subset_keeps_the_points_that_its_views_see() {
     let subset = dataset.subset(&[2, 1, 2]);
     assert_eq!(subset.views, dataset.views[1..]);
     let kept: Vec<_> = subset.points.iter().map(|point| (point.position.x, point.views.clone())).collect();
-    // The point at 4 has no track, but projects into the last view.
+    // The point at x = 4 has no track, but projects into the last view.
     assert_eq!(kept, [(1.0, vec![0]), (3.0, vec![0, 1]), (4.0, vec![])]);
     assert_eq!(dataset.subset(&[]), Dataset::default());
     assert_eq!(dataset.subset(&[0]).points.len(), 2);
@@ -203,7 +204,7 @@ fn the_extent_follows_3dgs() {
     assert_eq!(Dataset::default().extent(), 0.0);
 }
 
-/// Opens the real scenes that are present.
+/// Opens those of the four scenes that are present; the others are skipped.
 #[test]
 fn real_scenes_are_opened() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
@@ -228,7 +229,8 @@ fn real_scenes_are_opened() {
             let sees = |view: &&u32| dataset.views[**view as usize].camera.sees(point.position);
             in_picture += point.views.iter().filter(sees).count();
         }
-        // Tracks and cameras agree except for outliers, so coordinate frames and ids are right.
+        // Nearly every point projects into the pictures of its track, so coordinate frames and ids
+        // are right. The rest are outliers.
         assert!(in_picture * 100 > seen * 95, "{name}: {in_picture} of {seen}");
         assert!(Picture::read(&dataset.views[0].path).unwrap().rgb.iter().any(|&value| value > 60));
     }

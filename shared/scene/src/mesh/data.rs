@@ -8,11 +8,11 @@ use glam::Vec3;
 pub struct Mesh {
     /// World positions, `[vertices]` of xyz, finite.
     pub positions: Vec<[f32; 3]>,
-    /// Unit normals that point outwards, `[vertices]`, or empty; zero where a normal is unknown.
+    /// Unit normals that point outwards, `[vertices]`, or empty; a normal of zero is unknown.
     pub normals: Vec<[f32; 3]>,
-    /// 8-bit sRGB, `[vertices]`, or empty.
+    /// Colours in 8-bit sRGB, `[vertices]`, or empty.
     pub rgb: Vec<[u8; 3]>,
-    /// Indices of three vertices each, counter-clockwise as seen from the outer side.
+    /// The three vertex indices of each triangle, counter-clockwise as seen from the outer side.
     pub triangles: Vec<[u32; 3]>,
 }
 
@@ -30,7 +30,7 @@ impl Mesh {
         })
     }
 
-    /// Panics unless every vertex, or none, has a normal, and the same for colours.
+    /// Panics if some vertices have a normal and others have none; the same for colours.
     pub(super) fn assert_whole(&self) {
         let vertices = self.positions.len();
         let (normals, colors) = (self.normals.len(), self.rgb.len());

@@ -9,16 +9,19 @@ use serde_json::{Value, json};
 use super::data::Mesh;
 use crate::{SceneError, atomic};
 
-/// Component types of accessors.
+/// glTF's number for 16-bit unsigned integers as the components of an accessor.
 const UNSIGNED_SHORT: u32 = 5123;
+/// glTF's number for 32-bit unsigned integers as the components of an accessor.
 const UNSIGNED_INT: u32 = 5125;
+/// glTF's number for 32-bit floats as the components of an accessor.
 const FLOAT: u32 = 5126;
-/// Targets of buffer views.
+/// glTF's number for a buffer view of vertex attributes.
 const ARRAY_BUFFER: u32 = 34962;
+/// glTF's number for a buffer view of vertex indices.
 const ELEMENT_ARRAY_BUFFER: u32 = 34963;
-/// Bytes of the file's header and of both chunks' headers.
+/// Bytes of the headers of the file, of the JSON chunk and of the binary chunk.
 const HEADS_BYTES: u64 = 12 + 8 + 8;
-/// Rotation by -90° about x, which maps z to y, as xyzw.
+/// The quaternion (xyzw) of a rotation by -90° about x, which maps z to y.
 const Y_FROM_Z: [f32; 4] = [-std::f32::consts::FRAC_1_SQRT_2, 0.0, 0.0, std::f32::consts::FRAC_1_SQRT_2];
 
 pub(super) fn write(path: &Path, mesh: &Mesh) -> Result<(), SceneError> {
@@ -26,7 +29,7 @@ pub(super) fn write(path: &Path, mesh: &Mesh) -> Result<(), SceneError> {
         return Err(SceneError::malformed(path, "a glb file needs triangles; write the points as .ply"));
     }
     let (mut json, numbers_bytes) = describe(mesh);
-    // The length of a chunk is a multiple of four bytes; JSON is padded with spaces.
+    // The length of a chunk must be a multiple of four bytes. JSON is padded with spaces.
     json.resize(json.len().next_multiple_of(4), b' ');
     let total_bytes = HEADS_BYTES + json.len() as u64 + numbers_bytes;
     let (Ok(total), Ok(numbers)) = (u32::try_from(total_bytes), u32::try_from(numbers_bytes)) else {
@@ -65,7 +68,7 @@ impl Arrays {
     }
 }
 
-/// The JSON, and the length in bytes of the binary chunk that it describes.
+/// Returns the JSON, and the length in bytes of the binary chunk that the JSON describes.
 fn describe(mesh: &Mesh) -> (Vec<u8>, u64) {
     let mut arrays = Arrays::default();
     let (min, max) = bounds(mesh);
@@ -84,7 +87,7 @@ fn describe(mesh: &Mesh) -> (Vec<u8>, u64) {
     let indices = arrays.push(3 * mesh.triangles.len(), 4, ELEMENT_ARRAY_BUFFER, index);
     let material = json!({
         "pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 1},
-        "doubleSided": true, // the surface is open: its back would be invisible
+        "doubleSided": true, // an open surface: single-sided, its back would be invisible
     });
     let document = json!({
         "asset": {"version": "2.0", "generator": "cosurf"},
@@ -100,7 +103,7 @@ fn describe(mesh: &Mesh) -> (Vec<u8>, u64) {
     (document.to_string().into_bytes(), arrays.bytes)
 }
 
-/// Minimum and maximum coordinates, which the format requires for positions.
+/// Minimum and maximum coordinates of the positions, which glTF requires.
 fn bounds(mesh: &Mesh) -> ([f32; 3], [f32; 3]) {
     let mut bounds = ([f32::MAX; 3], [f32::MIN; 3]);
     for position in &mesh.positions {
@@ -112,13 +115,13 @@ fn bounds(mesh: &Mesh) -> ([f32; 3], [f32; 3]) {
     bounds
 }
 
-/// Writes the arrays in the order of [`describe`].
+/// Writes the arrays in the order in which [`describe`] lists them.
 fn write_numbers(out: &mut impl Write, mesh: &Mesh) -> io::Result<()> {
     for position in &mesh.positions {
         out.write_all(position.map(f32::to_le_bytes).as_flattened())?;
     }
     for normal in &mesh.normals {
-        // glTF requires unit normals, so unknown ones are written as up.
+        // glTF requires unit normals, so an unknown normal is written as up, the world's +z.
         let normal = if *normal == [0.0; 3] { [0.0, 0.0, 1.0] } else { *normal };
         out.write_all(normal.map(f32::to_le_bytes).as_flattened())?;
     }
@@ -132,7 +135,8 @@ fn write_numbers(out: &mut impl Write, mesh: &Mesh) -> io::Result<()> {
     Ok(())
 }
 
-/// sRGB decoding (IEC 61966-2-1). glTF's vertex colours are linear; 16 bits keep dark shades distinct.
+/// Converts 8-bit sRGB to linear light (IEC 61966-2-1), as glTF stores vertex colours. 16 bits keep
+/// dark shades distinct.
 fn linear_from_srgb(byte: u8) -> u16 {
     let v = f32::from(byte) / 255.0;
     let linear = if v <= 0.040_45 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) };

@@ -95,7 +95,8 @@ fn read_vertices(element: &Element, rows: &mut Rows, mesh: &mut Mesh) -> Result<
     Ok(())
 }
 
-/// Normalises, with zero for an unusable normal: other tools write NaN or zero for vertices without faces.
+/// Normalises a normal; returns zero for one that is unusable. Other tools write NaN or zero for vertices
+/// without faces.
 fn unit_or_zero(normal: [f64; 3]) -> [f32; 3] {
     let length = normal.iter().map(|v| v * v).sum::<f64>().sqrt();
     if length.is_finite() && length > 1e-12 { normal.map(|v| (v / length) as f32) } else { [0.0; 3] }
@@ -109,7 +110,8 @@ fn read_faces(element: &Element, rows: &mut Rows, mesh: &mut Mesh) -> Result<(),
         .or_else(|| list_column("vertex_index"))
         .ok_or("has no list vertex_indices for its faces")?;
     let mut face = Vec::new();
-    // A face with an empty list takes one byte, so a forged count of faces could reserve too much.
+    // No memory is reserved for the triangles: an empty face takes only one byte, so a forged count of
+    // faces could reserve too much.
     while rows.next_list(column, &mut face)? {
         let [first, rest @ ..] = face.as_slice() else {
             return Err("has a face without corners; remove the face".into());

@@ -1,4 +1,5 @@
-//! Round trips, other tools' dialects, hostile files, and the requirements of glTF.
+//! Tests of round trips, of files as other tools write them, of damaged or forged files, and of
+//! glTF's requirements.
 
 #![allow(clippy::unwrap_used)]
 
@@ -9,7 +10,8 @@ use serde_json::Value;
 
 use super::*;
 
-/// A corner of a box: three faces that share a vertex, coloured, with normals.
+/// A corner of a box: three triangles that share a vertex, with colours, and with normals of which
+/// one is unknown.
 fn corner() -> Mesh {
     Mesh {
         positions: vec![[0.0; 3], [2.0, 0.0, 0.0], [0.0, 3.0, 0.0], [0.0, 0.0, 4.0]],

@@ -12,12 +12,12 @@ use super::header::PictureHeader;
 use super::pixels::Picture;
 use crate::{SceneError, atomic};
 
-/// Decodes the whole file.
+/// Decodes a JPEG or PNG file to RGB. Errors: a file that is empty, cut short or damaged.
 pub(super) fn read(path: &Path) -> Result<Picture, SceneError> {
     let header = PictureHeader::read(path)?;
     let open = || File::open(path).map(BufReader::new).map_err(|cause| SceneError::io(path, cause));
     if header.format == ImageFormat::Jpeg && !has_end(open()?, header.data_offset).unwrap_or(false) {
-        // The decoder would fill the missing pixels with grey.
+        // Without this check, the decoder would fill the missing pixels with grey.
         let reason = "ends before its last pixel; it was cut short, fetch the picture again or leave it out";
         return Err(SceneError::malformed(path, reason));
     }
@@ -33,7 +33,7 @@ pub(super) fn read(path: &Path) -> Result<Picture, SceneError> {
     Ok(Picture::new([image.width(), image.height()], rgb_over_black(image)))
 }
 
-/// Whether a JPEG's end marker follows `offset`.
+/// Whether a JPEG has an end marker somewhere after `offset`, bytes from the start of the file.
 fn has_end(mut input: impl BufRead + Seek, offset: u64) -> io::Result<bool> {
     input.seek(SeekFrom::Start(offset))?;
     let mut last = 0;
@@ -53,7 +53,8 @@ fn has_end(mut input: impl BufRead + Seek, offset: u64) -> io::Result<bool> {
     }
 }
 
-/// 8 bits per channel, with alpha composited over black. [`PictureHeader`] counts its allocations.
+/// Converts to RGB of 8 bits per channel, with alpha composited over black.
+/// [`PictureHeader::decode_bytes`] includes the memory for this.
 fn rgb_over_black(image: DynamicImage) -> Vec<u8> {
     let over = |color: u8, alpha: u8| ((u16::from(color) * u16::from(alpha) + 127) / 255) as u8;
     match image {

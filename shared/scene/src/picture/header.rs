@@ -1,6 +1,6 @@
-//! Reads the headers of JPEG and PNG files: the picture's size, and a bound on the memory for
-//! decoding it. A header takes a few hundred bytes, so thousands of pictures are checked quickly, and
-//! a forged size is refused before anything is allocated.
+//! Reads the headers of JPEG and PNG files: the picture's size, and a bound on the memory for decoding
+//! it. Only a few hundred bytes are read per file, so thousands of pictures are checked quickly. A
+//! forged size is refused before anything is allocated.
 
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read, Seek};
@@ -10,27 +10,28 @@ use image::ImageFormat;
 
 use crate::SceneError;
 
-/// Largest accepted number of pixels, above that of any drone's camera.
+/// Largest accepted number of pixels, more than any drone's camera has.
 const PIXELS_MAX: u64 = 1 << 28;
 
-/// Most pixels per byte of a PNG: one bit per pixel, deflated 1:1032.
+/// Most pixels per byte of a PNG file: 8 pixels of one bit each, compressed 1032-fold, which is the
+/// limit of deflate.
 const PNG_PIXELS_PER_BYTE_MAX: u64 = 8 * 1032;
 
-/// Most pixels per byte of a JPEG: at least one bit for each block of 8 × 8.
+/// Most pixels per byte of a JPEG file: a block of 8 × 8 pixels takes at least one bit.
 const JPEG_PIXELS_PER_BYTE_MAX: u64 = 8 * 64;
 
-/// The checked facts of a picture's file.
+/// What the header of a picture file says, checked against the file's length.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct PictureHeader {
     pub(super) format: ImageFormat,
     pub(super) size_px: [u32; 2],
-    /// Bound on the bytes that decoding allocates, including the decoded picture.
+    /// Upper bound on the bytes that decoding allocates, including the decoded picture.
     pub(super) decode_bytes: u64,
-    /// Where compressed pixels begin, bytes from the file's start.
+    /// Offset of a JPEG's first compressed pixels from the start of the file, bytes; 0 for PNG.
     pub(super) data_offset: u64,
 }
 
-/// The unchecked facts of a file's header.
+/// What the header of a picture file says, unchecked.
 struct Facts {
     format: ImageFormat,
     size_px: [u32; 2],
@@ -39,7 +40,7 @@ struct Facts {
 }
 
 impl PictureHeader {
-    /// Reads the header of `path` and refuses sizes that the file cannot have.
+    /// Reads the header of `path`, and refuses sizes that a file of this length cannot hold.
     pub(super) fn read(path: &Path) -> Result<Self, SceneError> {
         let io = |cause| SceneError::io(path, cause);
         let malformed = |reason: String| SceneError::malformed(path, reason);
@@ -95,7 +96,7 @@ fn read_array<const N: usize>(input: &mut impl Read) -> io::Result<[u8; N]> {
     Ok(bytes)
 }
 
-/// Reads the rest of a PNG's signature, and its chunks up to the first one of pixels.
+/// Reads the rest of a PNG's signature, and its chunks up to the first that holds pixels.
 fn read_png(input: &mut (impl Read + Seek)) -> io::Result<Facts> {
     let rest: [u8; 14] = read_array(input)?;
     if rest != *b"NG\r\n\x1a\n\0\0\0\rIHDR" {
@@ -114,8 +115,8 @@ fn read_png(input: &mut (impl Read + Seek)) -> io::Result<Facts> {
     Ok(Facts { format: ImageFormat::Png, size_px: [width, height], bytes_per_pixel, data_offset: 0 })
 }
 
-/// Whether a chunk before the pixels makes some colour transparent. `input` must be at the checksum of
-/// the first chunk.
+/// Whether a `tRNS` chunk before the pixels makes some colour transparent. `input` must be at the
+/// checksum of the first chunk.
 fn has_transparency(input: &mut (impl Read + Seek)) -> io::Result<bool> {
     let mut skip = 4;
     loop {
@@ -138,7 +139,7 @@ fn read_jpeg(input: &mut (impl BufRead + Seek)) -> io::Result<Facts> {
         let length = i64::from(length.checked_sub(2).ok_or_else(|| invalid(DAMAGED))?);
         let next = input.stream_position()? as i64 + length;
         match marker {
-            // Start of frame; the three excluded markers are tables and an extension.
+            // Start of frame. The three excluded markers stand for tables and for an extension.
             0xC0..=0xCF if !matches!(marker, 0xC4 | 0xC8 | 0xCC) => frame = Some(read_frame(input, marker)?),
             // Start of scan.
             0xDA => {
@@ -160,7 +161,7 @@ fn read_jpeg(input: &mut (impl BufRead + Seek)) -> io::Result<Facts> {
 
 const DAMAGED: &str = "is a damaged JPEG; fetch the picture again or leave it out";
 
-/// The second byte of the next marker, after any padding.
+/// Reads a marker and the padding in front of it; returns the marker's second byte.
 fn read_marker(input: &mut impl Read) -> io::Result<u8> {
     let [first] = read_array(input)?;
     if first != 0xFF {
@@ -175,7 +176,7 @@ fn read_marker(input: &mut impl Read) -> io::Result<u8> {
     }
 }
 
-/// The start of frame of a JPEG.
+/// The contents of a JPEG's start-of-frame segment.
 struct Frame {
     size_px: [u32; 2],
     components: u8,
@@ -183,8 +184,8 @@ struct Frame {
 }
 
 impl Frame {
-    /// Bytes per pixel that decoding allocates, including the conversion of grey to RGB. If a pixel is
-    /// spread over several scans, the decoder also keeps 16-bit coefficients.
+    /// Bytes per pixel that decoding allocates, including the conversion of grey to RGB. If the data
+    /// of a pixel is spread over several scans, the decoder also keeps its 16-bit coefficients.
     fn bytes_per_pixel(&self, scan_components: u8) -> u64 {
         let components = u64::from(self.components);
         let in_scans = self.progressive || scan_components < self.components;

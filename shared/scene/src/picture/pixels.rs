@@ -10,25 +10,25 @@ pub struct Picture {
 }
 
 impl Picture {
-    /// Wraps `3 * width * height` bytes, `[height, width, rgb]`. Panics on any other length.
+    /// Wraps `3 * width * height` bytes, `[height, width, rgb]`. Panics if `rgb` has another length.
     pub fn new(size_px: [u32; 2], rgb: Vec<u8>) -> Self {
         assert_eq!(rgb.len() as u64, bytes_of(size_px), "bytes of a {size_px:?} picture");
         Self { size_px, rgb }
     }
 
-    /// A picture from colours 0 to 1, `[height, width, rgb]`, clamped and rounded to the nearest of 256
-    /// levels. NaN becomes 0.
+    /// A picture from colours between 0 and 1, `[height, width, rgb]`. They are clamped and rounded to
+    /// the nearest of 256 levels; NaN becomes 0.
     pub fn from_unit(size_px: [u32; 2], rgb: &[f32]) -> Self {
         Self::new(size_px, rgb.iter().map(|v| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8).collect())
     }
 
-    /// Colours 0 to 1, `[height, width, rgb]`.
+    /// The colours as numbers between 0 and 1, `[height, width, rgb]`.
     pub fn to_unit(&self) -> Vec<f32> {
         self.rgb.iter().map(|&v| f32::from(v) / 255.0).collect()
     }
 }
 
-/// Bytes of the pixels of a picture.
+/// Number of bytes in the pixels of a picture of this size.
 pub(crate) fn bytes_of(size_px: [u32; 2]) -> u64 {
     3 * u64::from(size_px[0]) * u64::from(size_px[1])
 }

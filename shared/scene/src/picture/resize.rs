@@ -1,6 +1,6 @@
-//! Exact area average: each new pixel is the mean of the old picture over the area that it covers,
-//! where a partly covered pixel counts by its covered part. Computed in integers, so every machine
-//! gets the same bytes.
+//! Exact area average: each new pixel is the mean of the old picture over the area that the new pixel
+//! covers. An old pixel that is partly covered counts in proportion to its covered part. Computed in
+//! integers, so every machine gets the same bytes.
 
 use super::pixels::Picture;
 
@@ -10,7 +10,8 @@ pub(super) fn area_average(picture: &Picture, size_px: [u32; 2]) -> Picture {
     let rows = spans(picture.size_px[1], size_px[1]);
     let old_row = 3 * picture.size_px[0] as usize;
     let area = u64::from(picture.size_px[0]) * u64::from(picture.size_px[1]);
-    // The last shrunk row of the old picture. Neighbouring new rows share the old row at their border.
+    // The old row `shrunk_y`, resampled along x. The result is kept, because two neighbouring new rows
+    // may both cover the old row at their border.
     let mut shrunk = vec![0_u32; 3 * columns.len()];
     let mut shrunk_y = None;
     let mut sums = vec![0_u64; shrunk.len()];
@@ -30,18 +31,19 @@ pub(super) fn area_average(picture: &Picture, size_px: [u32; 2]) -> Picture {
     Picture::new(size_px, rgb)
 }
 
-/// Bound on the bytes that [`area_average`] allocates besides both pictures.
+/// Upper bound on the bytes that [`area_average`] allocates besides the old and the new picture.
 pub(super) fn scratch_bytes(size_px: [u32; 2]) -> u64 {
-    // A row of 64-bit sums, a row of 32-bit sums, and the spans of both axes for up to 65,535 old pixels.
+    // 36 per column: three sums of 64 bits and three of 32 bits. 64: a `Span` for a column and one for a
+    // row. The constant: the weights of the spans, for up to 65,535 old pixels per side.
     36 * u64::from(size_px[0]) + 64 * u64::from(size_px[0].max(size_px[1])) + (1 << 20)
 }
 
 /// The old pixels that a new pixel covers along one axis.
 struct Span {
-    /// First old pixel that is covered.
+    /// Index of the first old pixel that is covered.
     first: usize,
-    /// Covered part of this and of each following old pixel, in units of 1 / new length; they sum to the
-    /// old length.
+    /// For `first` and for each old pixel after it: the covered part of the pixel, in units of `1 / new`,
+    /// where `new` is the number of new pixels along the axis. The sum is the number of old pixels.
     weights: Vec<u32>,
 }
 
@@ -60,7 +62,8 @@ fn shrink_row(old: &[u8], columns: &[Span], new: &mut [u32]) {
     for (new, column) in new.chunks_exact_mut(3).zip(columns) {
         let mut sums = [0_u32; 3];
         for (pixel, &weight) in old[3 * column.first..].chunks_exact(3).zip(&column.weights) {
-            // No overflow: at most 255 times the old width, which is far below 2²⁴.
+            // No overflow for pictures up to 2²⁴ pixels wide: the weights sum to the old width, and
+            // 255·2²⁴ < 2³².
             sums.iter_mut().zip(pixel).for_each(|(sum, &value)| *sum += weight * u32::from(value));
         }
         new.copy_from_slice(&sums);
@@ -76,7 +79,8 @@ mod tests {
         Picture::new(size_px, (0..n).map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8).collect())
     }
 
-    /// The mean over the area of one new pixel by the definition, in floating point.
+    /// The mean of the old picture over the area of the new pixel (`x`, `y`), straight from the
+    /// definition and in floating point.
     fn mean_over(picture: &Picture, size_px: [u32; 2], x: u32, y: u32, channel: u32) -> f64 {
         let overlap = |i: u32, axis: usize, new: u32| {
             let scale = f64::from(picture.size_px[axis]) / f64::from(size_px[axis]);

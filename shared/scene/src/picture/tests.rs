@@ -1,4 +1,4 @@
-//! Files of every supported kind, and hostile files.
+//! Tests with files of every supported kind, and with damaged or forged files.
 
 #![allow(clippy::unwrap_used)]
 
@@ -9,7 +9,7 @@ use image::{ExtendedColorType, ImageEncoder};
 
 use super::*;
 
-/// A smooth picture, which JPEG changes little.
+/// A smooth picture, which JPEG compression changes little.
 fn smooth(size_px: [u32; 2]) -> Picture {
     let [width, height] = size_px;
     let at = |x: u32, y: u32| [255 * x / width, 255 * y / height, 128].map(|v| v as u8);
@@ -31,13 +31,15 @@ fn jpeg(picture: &Picture) -> Vec<u8> {
 }
 
 thread_local! {
-    /// One folder per test: creating one per file would dominate the test's time.
+    /// One temporary folder per test: creating one for each file would take most of the test's
+    /// time.
     static FOLDER: tempfile::TempDir = tempfile::tempdir().unwrap();
 }
 
 fn read_bytes(file: &[u8]) -> Result<Picture, SceneError> {
     let path = FOLDER.with(|folder| folder.path().join("a.jpg"));
-    // On some file systems, overwriting a file waits for the disk.
+    // The old file is removed first, because on some file systems overwriting a file waits for the
+    // disk.
     let _ = fs::remove_file(&path);
     fs::write(&path, file).unwrap();
     let header = Picture::size_of(&path);
@@ -90,7 +92,7 @@ fn other_colors_become_rgb() {
     }
 }
 
-/// The expected bytes per pixel were measured once with 12-megapixel files.
+/// The expected scratch bytes per pixel were measured once, with files of 12 megapixels.
 #[test]
 fn scratch_bytes_follow_the_colour_type() {
     use ExtendedColorType::*;
@@ -141,7 +143,7 @@ fn a_jpeg_cut_anywhere_is_refused() {
     for length in 0..whole.len() {
         complaint(&whole[..length]);
     }
-    // Bytes after the end are ignored: cameras append thumbnails and padding.
+    // Bytes after the end marker are ignored: cameras append thumbnails and padding.
     assert_eq!(read_bytes(&[&whole[..], b"\0\0padding"].concat()).unwrap(), read_bytes(&whole).unwrap());
 }
 

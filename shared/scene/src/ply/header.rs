@@ -4,7 +4,7 @@ use std::io::{self, BufRead, Read};
 
 use crate::error::Refusal;
 
-/// A header longer than this is refused: the standard splat header has about 1,500 bytes.
+/// Longest accepted header, bytes; the header of a file of splats has about 1,500.
 const HEADER_BYTES_MAX: u64 = 1 << 16;
 
 /// Encoding of the values after the header.
@@ -44,7 +44,7 @@ impl Scalar {
         })
     }
 
-    /// Bytes of a binary value.
+    /// Size of a number of this type in a binary file, bytes.
     pub(super) fn size(self) -> usize {
         match self {
             Self::I8 | Self::U8 => 1,
@@ -71,7 +71,7 @@ pub(crate) struct Property {
     pub(crate) kind: Kind,
 }
 
-/// A table of the file.
+/// A table of the file: `count` rows with the columns `properties`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Element {
     pub(crate) name: String,
@@ -80,7 +80,7 @@ pub(crate) struct Element {
 }
 
 impl Element {
-    /// Index of the property called `name`; `None` if it is missing or a list.
+    /// Index of the property called `name`; `None` if it is missing or holds lists.
     pub(crate) fn column(&self, name: &str) -> Option<usize> {
         self.properties.iter().position(|p| p.name == name && matches!(p.kind, Kind::One(_)))
     }
@@ -100,7 +100,7 @@ impl Element {
 pub(super) struct Header {
     pub(super) format: Format,
     pub(super) elements: Vec<Element>,
-    /// Where the values begin, bytes from the start of the file.
+    /// Length of the header, bytes. The values follow the header.
     pub(super) size_bytes: u64,
 }
 
@@ -165,7 +165,7 @@ fn add_property(element: &mut Element, kind: &[&str], name: &str) -> Result<(), 
     Ok(())
 }
 
-/// Reads the header's lines; counts and limits their bytes.
+/// Reads the lines of a header; counts and limits their bytes.
 struct Lines<R> {
     input: io::Take<R>,
     line: Vec<u8>,

@@ -1,4 +1,4 @@
-//! Coloured points from a PLY: the sparse clouds that other tools write.
+//! Reads coloured points from a PLY: the sparse clouds that other tools write.
 
 use std::path::Path;
 
@@ -7,8 +7,8 @@ use glam::DVec3;
 use super::rows::read_vertices;
 use crate::{SceneError, SparsePoint};
 
-/// Reads the vertices as points whose tracks are empty; grey if the file has no colours. Errors: a
-/// position that is not finite.
+/// Reads the vertices as points with empty tracks; without colours in the file, the points are
+/// grey. Errors: a missing coordinate, or a position that is not finite.
 pub fn read_points(path: &Path) -> Result<Vec<SparsePoint>, SceneError> {
     read_vertices(path, |element, rows| {
         let position = [element.column("x"), element.column("y"), element.column("z")];

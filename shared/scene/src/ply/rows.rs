@@ -1,4 +1,5 @@
-//! The values after a PLY's header, read row by row and converted to `f64` from any type and format.
+//! Reads the values after a PLY's header, row by row, and converts them to `f64` from any number type and
+//! either format.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, ErrorKind, Read};
@@ -9,14 +10,15 @@ use super::header::{Element, Format, Header, Kind, Scalar};
 use crate::SceneError;
 use crate::error::Refusal;
 
-/// Size of the read buffer.
+/// Size of the read buffer, bytes.
 const BUFFER_BYTES: usize = 256 * 1024;
 
-/// Longest accepted number in an ascii file.
+/// Reading a number in an ascii file stops beyond this length, bytes, so that a file without spaces cannot
+/// fill the memory.
 const WORD_BYTES_MAX: usize = 64;
 
-/// Calls `visit` with each element of `path` and its rows, in file order. Checks first that the file
-/// is long enough for the rows. Skips the rows that `visit` does not read.
+/// Calls `visit` with each element of `path` and its rows, in file order. Before each call, checks that the
+/// file is long enough for the rows. Skips the rows that `visit` does not read.
 pub(crate) fn read_elements(
     path: &Path,
     mut visit: impl FnMut(&Element, &mut Rows) -> Result<(), Refusal>,
@@ -24,7 +26,8 @@ pub(crate) fn read_elements(
     visit_elements(path, |element, rows| visit(element, rows).map(ControlFlow::<()>::Continue)).map(|_| ())
 }
 
-/// Calls `read` with the element called `vertex` of `path` and its rows. Reads nothing after it.
+/// Calls `read` with the element called `vertex` of `path` and with its rows. Reads nothing after this
+/// element.
 pub(super) fn read_vertices<T>(
     path: &Path,
     read: impl Fn(&Element, &mut Rows) -> Result<T, Refusal>,
@@ -36,7 +39,8 @@ pub(super) fn read_vertices<T>(
     found?.ok_or_else(|| SceneError::malformed(path, "has no element called vertex"))
 }
 
-/// Visits elements until `visit` breaks; returns the value of the break.
+/// Calls `visit` with each element and its rows until `visit` returns a break. Returns the value of the
+/// break; `None` if there was no break.
 fn visit_elements<T>(
     path: &Path,
     mut visit: impl FnMut(&Element, &mut Rows) -> Result<ControlFlow<T>, Refusal>,
@@ -59,11 +63,11 @@ fn visit_elements<T>(
     result.map_err(|refusal| refusal.of(path))
 }
 
-/// Refuses an element with more rows than `left_bytes` could hold; returns the bytes left for the
+/// Refuses an element with more rows than `left_bytes` can hold. Returns the number of bytes left for the
 /// elements that follow.
 fn check_size(element: &Element, format: Format, left_bytes: u64) -> Result<u64, Refusal> {
     let row_bytes = element.row_bytes_min(format);
-    // The last number of an ascii file needs no separator.
+    // The last number of an ascii file needs no separator after it, so the file may be one byte shorter.
     let slack = u64::from(format == Format::Ascii);
     let needed = u128::from(element.count) * u128::from(row_bytes);
     if needed > u128::from(left_bytes + slack) || (row_bytes == 0 && element.count > 0) {
@@ -97,7 +101,8 @@ impl<'a> Rows<'a> {
         Ok(some.then_some(&self.values))
     }
 
-    /// Reads the next row and puts the items of its list in `column` into `list`; false after the last row.
+    /// Reads the next row, and puts the items of the list in column `column` into `list`. Returns false
+    /// after the last row.
     pub(crate) fn next_list(&mut self, column: usize, list: &mut Vec<f64>) -> Result<bool, Refusal> {
         list.clear();
         self.row(Some((column, list)))
@@ -118,7 +123,8 @@ impl<'a> Rows<'a> {
         Ok(true)
     }
 
-    /// Reads a number and returns it, or reads a list into `keep` and returns 0.
+    /// Reads a number and returns it. For a list, reads its items into `keep`, or skips them without
+    /// `keep`, and returns 0.
     fn property(&mut self, kind: Kind, mut keep: Option<&mut Vec<f64>>) -> Result<f64, Refusal> {
         match kind {
             Kind::One(scalar) => self.value(scalar),

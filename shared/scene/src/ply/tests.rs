@@ -1,4 +1,5 @@
-//! Round trips, exact bytes, other tools' dialects, and hostile files.
+//! Tests of round trips, of exact bytes, of files as other tools write them, and of damaged or
+//! forged files.
 
 #![allow(clippy::unwrap_used)]
 
@@ -7,7 +8,7 @@ use std::path::PathBuf;
 
 use super::*;
 
-/// `n` splats of `degree` whose values all differ.
+/// `n` splats with spherical harmonics of `degree` and varied values.
 fn made_up(n: usize, degree: u32) -> Splats {
     let mut splats = Splats::with_capacity(n, degree);
     let mut last = 0.0;
@@ -24,13 +25,15 @@ fn made_up(n: usize, degree: u32) -> Splats {
 }
 
 thread_local! {
-    /// One folder per test: creating one per file would dominate the test's time.
+    /// One temporary folder per test: creating one for each file would take most of the test's
+    /// time.
     static FOLDER: tempfile::TempDir = tempfile::tempdir().unwrap();
 }
 
 fn in_file<T>(content: &[u8], then: impl FnOnce(PathBuf) -> T) -> T {
     let path = FOLDER.with(|folder| folder.path().join("a.ply"));
-    // On some file systems, overwriting a file waits for the disk.
+    // The old file is removed first, because on some file systems overwriting a file waits for the
+    // disk.
     let _ = fs::remove_file(&path);
     fs::write(&path, content).unwrap();
     then(path)
@@ -47,7 +50,7 @@ fn bytes_of(splats: &Splats) -> Vec<u8> {
     })
 }
 
-/// An ascii file of one valid vertex, with the values of `changes` replaced.
+/// An ascii file of one valid vertex, with other values for the properties that `changes` names.
 fn ascii(changes: &[(&str, &str)]) -> Vec<u8> {
     let mut header = String::from("ply\nformat ascii 1.0\nelement vertex 1\n");
     let mut row = String::new();
@@ -83,7 +86,8 @@ fn files_have_the_bytes_that_3dgs_writes() {
         expected += &format!("property float {name}\n");
     }
     let mut expected = (expected + "end_header\n").into_bytes();
-    // Coefficients 1 to 3 are 3 4 5, 6 7 8, 9 10 11 as rgb; the file has them channel by channel.
+    // Coefficients 1 to 3 are (3, 4, 5), (6, 7, 8) and (9, 10, 11) as rgb. The file has first the
+    // red values of all three, then the green, then the blue.
     for value in [
         100.0, 101.0, 102.0, 0.0, 0.0, 0.0, 0.0, 1.0, 2.0, 3.0, 6.0, 9.0, 4.0, 7.0, 10.0, 5.0, 8.0, 11.0,
         0.25, -1.0, -2.0, -3.0, 1.0, 0.0, 0.0, 2.0_f32,
@@ -210,7 +214,7 @@ fn a_file_cut_anywhere_is_refused() {
     }
     let whole = ascii(&[]);
     for length in 0..whole.len() {
-        // An ascii file may still be valid without its last digit or space.
+        // An ascii file may still be valid without its last digit or its last space.
         assert!(read_bytes(&whole[..length]).is_err() || length + 4 > whole.len(), "cut to {length}");
     }
 }

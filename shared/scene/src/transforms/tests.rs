@@ -1,4 +1,4 @@
-//! Frames and intrinsics in the dialects of several tools, and files that are refused.
+//! Tests of the poses and intrinsics that several tools write, and of files that are refused.
 
 #![allow(clippy::unwrap_used)]
 
@@ -8,7 +8,8 @@ use serde_json::{Value, json};
 
 use super::*;
 
-/// A folder with `transforms.json` and two pictures of 8 × 6.
+/// A temporary folder with two pictures of 8 × 6 pixels, in which each test writes its
+/// `transforms.json`.
 struct Scene(tempfile::TempDir);
 
 impl Scene {
@@ -39,8 +40,8 @@ impl Scene {
     }
 }
 
-/// A camera at (1, 2, 3) that looks along +y with +z up: OpenGL's axes are x right = +x, y up = +z,
-/// z backward = -y.
+/// The pose of a camera at (1, 2, 3) that looks along the world's +y, with +z up. Of OpenGL's camera
+/// axes, x (right) is the world's +x, y (up) is +z, and z (backward) is -y.
 fn looking_along_y() -> Value {
     json!([[1, 0, 0, 1], [0, 0, -1, 2], [0, 1, 0, 3], [0, 0, 0, 1]])
 }
@@ -71,7 +72,8 @@ fn nerfstudio_is_read() {
     let pose = camera.cam_from_world;
     assert!(pose.center().abs_diff_eq(DVec3::new(1.0, 2.0, 3.0), 1e-12));
     assert!(pose.forward().abs_diff_eq(DVec3::Y, 1e-12));
-    // A point higher in the world is higher in the picture, whose y points down; east is to the right.
+    // The picture's y axis points down, so a point that is higher in the world has a smaller y. A
+    // point further along the world's x is further right.
     assert!(pose.transform(DVec3::new(1.0, 9.0, 5.0)).abs_diff_eq(DVec3::new(0.0, -2.0, 7.0), 1e-12));
     assert!(pose.transform(DVec3::new(4.0, 9.0, 3.0)).abs_diff_eq(DVec3::new(3.0, 0.0, 7.0), 1e-12));
 }

@@ -1,18 +1,20 @@
-//! The basis of a model's view-dependent spherical harmonics: their mean, and their principal directions
-//! (orthonormal, in order of falling variance).
+//! The basis of a model's view-dependent spherical-harmonics coefficients: their mean over the splats, and
+//! their principal directions (orthonormal, in order of falling variance).
 //!
-//! With m = 3 (sh_degree + 1)² - 3, a basis has these fields: `components` and `wide` (`u8` each, see
-//! [`ShLayout`]), the quantisation step along all directions (`f32`), the mean (m `f32`), and m directions
-//! of m `i16` in units of 1/32767. Directions beyond `components` are zero.
+//! A splat has m = 3 (sh_degree + 1)² - 3 such coefficients. A basis has these fields: `components` and
+//! `wide` (`u8` each, see [`ShLayout`]), the quantisation step of all directions (`f32`), the mean (m
+//! values, `f32`), and m directions (m values each, `i16` in units of 1/32767). Directions beyond
+//! `components` are zero.
 
 use super::bytes::{Reader, Writer};
 use super::error::BodyError;
 use super::limits::sh_rest;
 use super::sh::ShLayout;
 
-/// Largest magnitude accepted in a mean. Colours are about 1.
+/// Largest magnitude accepted for a coefficient of the mean. Colours are 0 to 1, so the coefficients of
+/// trained models are far smaller.
 const MEAN_MAX: f32 = 1e6;
-/// Largest step accepted.
+/// Largest quantisation step accepted.
 const STEP_MAX: f32 = 1e6;
 
 /// Encoded size of a basis in bytes.
@@ -21,7 +23,8 @@ pub const fn basis_bytes(sh_degree: u8) -> usize {
     6 + 4 * m + 2 * m * m
 }
 
-/// Encodes a basis into exactly [`basis_bytes`]. `directions` is `[components, m]`.
+/// Encodes a basis into `out`, which has exactly [`basis_bytes`] bytes. The shape of `mean` is `[m]`, that
+/// of `directions` is `[components, m]`.
 ///
 /// # Panics
 /// If the lengths do not match.
@@ -35,7 +38,8 @@ pub fn write_basis(layout: ShLayout, step: f32, mean: &[f32], directions: &[i16]
     writer.0.fill(0);
 }
 
-/// Decodes a basis: fills `mean`, `[m]`, and `directions`, `[m, m]`, and returns its layout and step.
+/// Decodes a basis. Writes the mean to `mean` (shape `[m]`) and the directions to `directions` (shape
+/// `[m, m]`). Returns the layout and the quantisation step.
 ///
 /// # Panics
 /// If the lengths do not match the degree.

@@ -17,12 +17,12 @@ impl Bounds {
         (0..3).all(|k| self.min[k].is_finite() && self.max[k].is_finite() && self.min[k] <= self.max[k])
     }
 
-    /// Whether a point is inside; `false` for NaN.
+    /// Whether a point is inside the box or on its surface; `false` for NaN.
     pub fn contains(&self, point: [f32; 3]) -> bool {
         (0..3).all(|k| point[k] >= self.min[k] && point[k] <= self.max[k])
     }
 
-    /// The nearest point inside the box.
+    /// The point of the box that is nearest to `point`.
     pub fn clamp(&self, point: [f32; 3]) -> [f32; 3] {
         core::array::from_fn(|k| point[k].clamp(self.min[k], self.max[k]))
     }

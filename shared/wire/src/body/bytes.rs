@@ -1,6 +1,6 @@
 //! Reads and writes sequences of little-endian numbers.
 
-/// Writes numbers one after another.
+/// Writes numbers one after another to a byte slice. Panics if the slice is too short.
 pub(super) struct Writer<'a>(pub(super) &'a mut [u8]);
 
 impl Writer<'_> {
@@ -19,7 +19,7 @@ impl Writer<'_> {
     }
 }
 
-/// Reads numbers one after another.
+/// Reads numbers one after another from a byte slice. Panics if the slice is too short.
 pub(super) struct Reader<'a>(pub(super) &'a [u8]);
 
 impl Reader<'_> {

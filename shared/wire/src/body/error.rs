@@ -14,15 +14,16 @@ pub enum BodyError {
     BadMagic,
     /// This build does not know the body's layout.
     UnknownLayout(u8),
-    /// The degree is above [`crate::body::MAX_SH_DEGREE`], or the bounds are invalid.
+    /// The degree of the spherical harmonics is above [`crate::body::MAX_SH_DEGREE`], or the bounds are
+    /// invalid.
     BadHead,
-    /// The checksum of head and table does not match.
+    /// The head or the table does not match the checksum.
     Damaged,
-    /// A table entry contradicts the head, the order of packs or its own sizes.
+    /// A table entry contradicts the head, is out of order, or has impossible sizes.
     BadTable,
     /// The body does not have the size that the table requires.
     WrongSize {
-        /// Size that head and table require, in bytes.
+        /// Size of the body according to its head and table, in bytes.
         expected: u64,
         /// Actual size in bytes.
         found: u64,

@@ -1,4 +1,4 @@
-//! Head and table of a body: its contents and their positions.
+//! The head and the table of a body. They tell which packs the body contains, and how large the packs are.
 
 use core::ops::Range;
 
@@ -32,7 +32,7 @@ pub struct BodyHead {
     pub sh_degree: u8,
     /// Number of packs.
     pub packs: u16,
-    /// Box that contains the means of all splats.
+    /// Box that contains the means (centres) of all splats.
     pub bounds: Bounds,
 }
 
@@ -52,7 +52,7 @@ pub enum PackKind {
 }
 
 impl PackKind {
-    /// Rank in the order of packs. Packs of equal rank may be mixed.
+    /// Rank in the order of packs. Packs of lower rank come first; packs of equal rank may be mixed.
     pub(super) fn rank(self) -> u8 {
         match self {
             Self::Cameras => 0,
@@ -78,13 +78,13 @@ pub struct PackEntry {
     pub kind: PackKind,
     /// The pack's encoding.
     pub form: PackForm,
-    /// Layer of its splats. Layer 0 holds the most important splats, or the base.
+    /// Layer of the pack's splats. Layer 0 holds the most important splats, or the base.
     pub layer: u8,
     /// Number of splats; 0 for cameras and the basis.
     pub splats: u16,
-    /// Size in the body, in bytes.
+    /// Size of the pack in the body, in bytes.
     pub bytes: u32,
-    /// CRC-32 of these bytes.
+    /// CRC-32 of the pack as it is stored in the body.
     pub crc32: u32,
 }
 
@@ -121,8 +121,8 @@ impl PackEntry {
 }
 
 impl BodyHead {
-    /// Encodes the head at the start of `body`, which must already contain the table: the checksum covers
-    /// both.
+    /// Writes the encoded head to the start of `body`, which must already contain the table, since the
+    /// checksum covers both.
     ///
     /// # Panics
     /// If `body` is shorter than head and table.
@@ -139,7 +139,7 @@ impl BodyHead {
         body[CHECKSUM_AT..HEAD_BYTES].copy_from_slice(&checksum);
     }
 
-    /// Position of the first pack: the size of head and table in bytes.
+    /// Position of the first pack in the body, bytes: the size of head and table.
     pub fn packs_at(&self) -> usize {
         HEAD_BYTES + usize::from(self.packs) * PACK_ENTRY_BYTES
     }
@@ -170,7 +170,7 @@ impl BodyHead {
         Ok(head)
     }
 
-    /// Unpacked size of a pack in bytes. For spherical harmonics, an upper bound.
+    /// Unpacked size of a pack in bytes; for a pack of spherical harmonics, an upper bound.
     pub(super) fn unpacked_bytes(&self, entry: &PackEntry) -> usize {
         let splats = usize::from(entry.splats);
         match entry.kind {
@@ -192,7 +192,7 @@ impl BodyHead {
             false => entry.splats == 0,
         };
         let size_fits = match (entry.form, entry.kind) {
-            // Their exact unpacked size depends on the basis.
+            // The exact unpacked size of spherical harmonics depends on the basis, which is not known here.
             (_, PackKind::Sh) => bytes <= unpacked,
             (PackForm::Stored, _) => bytes == unpacked,
             (PackForm::Zstd, _) => bytes < unpacked && unpacked <= bytes.saturating_mul(RATIO_MAX),
@@ -206,13 +206,13 @@ pub fn plan_bytes(head: &[u8; HEAD_BYTES]) -> usize {
     HEAD_BYTES + usize::from(u16::from_le_bytes([head[6], head[7]])) * PACK_ENTRY_BYTES
 }
 
-/// Possible sizes in bytes of a body with these counts.
+/// Possible sizes in bytes of a body with these numbers of splats and cameras.
 pub fn body_bytes_range(splats: u32, cameras: u32, sh_degree: u8) -> Range<u64> {
     let (splats, cameras) = (u64::from(splats), u64::from(cameras));
     let stored_splats = splats * (2 * SHAPE_BYTES + sh_rest(sh_degree)) as u64;
     let least =
         HEAD_BYTES as u64 + (splats * SHAPE_BYTES as u64 + cameras * CAMERA_BYTES as u64) / RATIO_MAX as u64;
-    // Worst case: every splat has packs of its own.
+    // Worst case: each splat has its own packs.
     let table = (3 * splats + 2) * (PACK_ENTRY_BYTES + SHAPE_FRAME_BYTES) as u64;
     let most = HEAD_BYTES as u64
         + cameras * CAMERA_BYTES as u64
@@ -222,7 +222,7 @@ pub fn body_bytes_range(splats: u32, cameras: u32, sh_degree: u8) -> Range<u64> 
     least..most + 1
 }
 
-/// Checksum of head and table, without the checksum field.
+/// CRC-32 of the head and the table, without the field that holds the checksum.
 fn checksum(with_table: &[u8]) -> u32 {
     let mut hasher = crc32fast::Hasher::new();
     hasher.update(&with_table[..CHECKSUM_AT]);

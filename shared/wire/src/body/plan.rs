@@ -1,4 +1,5 @@
-//! The plan of a body: the position of every pack, from a checked head and table.
+//! The plan of a body: the position of every pack. It is read from the head and the table, which are
+//! checked.
 
 use core::ops::Range;
 
@@ -6,7 +7,7 @@ use super::error::BodyError;
 use super::head::{BodyHead, HEAD_BYTES, PACK_ENTRY_BYTES, PackEntry, PackKind};
 use super::sh::ShLayout;
 
-/// A pack and its position.
+/// A pack and its position in the body.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Pack {
     /// The pack's table entry.
@@ -20,12 +21,12 @@ pub struct Pack {
 pub struct SplatPacks {
     /// The shapes of the splats.
     pub shapes: Pack,
-    /// The changes to these shapes, if the group belongs to a base.
+    /// The changes that turn base splats into their final form, if the group belongs to a base.
     pub changes: Option<Pack>,
     /// The spherical harmonics of the splats, if the model has any.
     pub sh: Option<Pack>,
-    /// The changes to the base in the same region. Until they arrive, the base stands in for this group
-    /// and would overlap it.
+    /// The changes to the base splats in the region of this group, if the group is not part of the base
+    /// itself. Until they arrive, the base stands in for this group, so the group must not be shown yet.
     pub required_changes: Option<Pack>,
 }
 
@@ -37,7 +38,7 @@ pub struct BodyPlan<'a> {
 }
 
 impl<'a> BodyPlan<'a> {
-    /// Reads and checks the head and table of a body. The packs may be absent.
+    /// Reads and checks the head and the table of a body. `body` may end after the table.
     pub fn new(body: &'a [u8]) -> Result<Self, BodyError> {
         let head = BodyHead::decode(body)?;
         let plan = Self { head, table: body[HEAD_BYTES..head.packs_at()].as_chunks().0 };
@@ -45,7 +46,7 @@ impl<'a> BodyPlan<'a> {
         Ok(plan)
     }
 
-    /// Like [`Self::new`], and checks that `body` has the size that the table requires.
+    /// Like [`Self::new`], but also checks that `body` has the size that the table requires.
     pub fn of_whole(body: &'a [u8]) -> Result<Self, BodyError> {
         let plan = Self::new(body)?;
         let (expected, found) = (plan.body_bytes(), body.len() as u64);
@@ -65,7 +66,7 @@ impl<'a> BodyPlan<'a> {
         self.head.packs_at() as u64 + self.entries().map(|entry| u64::from(entry.bytes)).sum::<u64>()
     }
 
-    /// The packs in order.
+    /// All packs, in the order of the body.
     pub fn packs(&self) -> impl Iterator<Item = Pack> + 'a {
         let mut at = self.head.packs_at();
         self.entries().map(move |entry| {
@@ -75,7 +76,7 @@ impl<'a> BodyPlan<'a> {
         })
     }
 
-    /// The packs of one kind, in order.
+    /// The packs of one kind, in the order of the body.
     pub fn packs_of(&self, kind: PackKind) -> impl Iterator<Item = Pack> + 'a {
         self.packs().filter(move |pack| pack.entry.kind == kind)
     }
@@ -112,7 +113,8 @@ impl<'a> BodyPlan<'a> {
         self.packs_of(PackKind::Changes).next().is_some()
     }
 
-    /// Unpacked size of a pack in bytes. `layout` is that of the basis.
+    /// Unpacked size of a pack in bytes. `layout` is the layout of spherical harmonics that the basis
+    /// states.
     pub fn unpacked_bytes(&self, entry: &PackEntry, layout: ShLayout) -> usize {
         match entry.kind {
             PackKind::Sh => usize::from(entry.splats) * layout.splat_bytes(),
@@ -121,7 +123,7 @@ impl<'a> BodyPlan<'a> {
     }
 
     fn entries(&self) -> impl Iterator<Item = PackEntry> + 'a {
-        // `check_table` refuses a table with an invalid entry.
+        // The iterator ends at an invalid entry. `check_table` refuses a table that has one.
         self.table.iter().map_while(PackEntry::decode)
     }
 

@@ -1,12 +1,13 @@
-//! Spherical harmonics, quantised to integer steps along the directions of a basis.
+//! View-dependent spherical harmonics, quantised to integer steps along the directions of a basis
+//! ([`super::basis`]).
 
 use super::error::BodyError;
 use super::limits::sh_rest;
 
-/// Byte layout of the spherical harmonics of a splat.
+/// Byte layout of the view-dependent spherical harmonics of a splat.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ShLayout {
-    /// Number of directions kept, in order of falling variance.
+    /// Number of directions that are stored: those with the largest variance.
     pub components: u8,
     /// Number of leading directions that take one byte each (-128 to 127 steps). The other directions take
     /// half a byte each (-8 to 7 steps).
@@ -17,24 +18,25 @@ impl ShLayout {
     /// The layout of a model without view-dependent colour.
     pub const NONE: Self = Self { components: 0, wide: 0 };
 
-    /// Checks the layout against a degree.
+    /// Checks that spherical harmonics of this degree can have the layout.
     pub fn check(self, sh_degree: u8) -> Result<Self, BodyError> {
         let is_sane = self.wide <= self.components && usize::from(self.components) <= sh_rest(sh_degree);
         is_sane.then_some(self).ok_or(BodyError::BadPack)
     }
 
-    /// Bytes per splat.
+    /// Bytes per splat before compression.
     pub fn splat_bytes(self) -> usize {
         usize::from(self.wide) + usize::from(self.components - self.wide).div_ceil(2)
     }
 
-    /// Clamps `steps` to the range of `component`.
+    /// Clamps `steps` to the range that the direction `component` can store.
     pub fn clamp(self, component: usize, steps: i32) -> i8 {
         let is_wide = component < usize::from(self.wide);
         (if is_wide { steps.clamp(-128, 127) } else { steps.clamp(-8, 7) }) as i8
     }
 
-    /// Encodes `steps`, `[n, components]`, into [`Self::splat_bytes`] planes of `n` bytes each.
+    /// Encodes the `steps` of n splats (shape `[n, components]`) into [`Self::splat_bytes`] planes of n
+    /// bytes each.
     ///
     /// # Panics
     /// If the lengths do not match.
@@ -53,7 +55,8 @@ impl ShLayout {
         }
     }
 
-    /// Decodes the steps of splat `i` of `n` along `component`.
+    /// Decodes the steps of one splat along the direction `component`. The splat is number `i` of the `n`
+    /// in `planes`.
     pub fn read(self, planes: &[u8], n: usize, i: usize, component: usize) -> i8 {
         let wide = usize::from(self.wide);
         if component < wide {

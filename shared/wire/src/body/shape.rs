@@ -5,37 +5,43 @@ use core::array;
 use super::bytes::{Reader, Writer, unzigzag, zigzag};
 use super::error::BodyError;
 
-/// Size of a [`ShapeFrame`], which precedes the planes of a shapes pack, in bytes.
+/// Size in bytes of a [`ShapeFrame`], which comes before the planes of a shapes pack.
 pub const SHAPE_FRAME_BYTES: usize = 20;
-/// Number of planes: bytes per splat.
+/// Number of byte planes. Each plane has one byte of every splat, so this is also the number of bytes per
+/// splat.
 pub const SHAPE_BYTES: usize = 20;
-/// A quaternion component is `(value / QUAT_ZERO - 1) √½`, in 10 bits: a normal is accurate to 0.07°.
+/// The integer that stands for a quaternion component of 0. A component is `(value / QUAT_ZERO - 1) √½`,
+/// where `value` has 10 bits. The median error of a normal is below 0.07°.
 pub const QUAT_ZERO: u16 = 511;
 /// Mask of a quaternion component's 10 bits.
 const QUAT_MASK: u16 = 1023;
-/// Step of a log scale: 6 % of a length.
+/// Step of a log scale. One step changes the length of an axis by 6 %.
 pub const LOG_SCALE_STEP: f32 = 1.0 / 16.0;
-/// Step of a thickness: the shortest axis divided by the middle one. Linear, not logarithmic: most splats
-/// are flat, so a relative error of their thickness is invisible.
+/// Step of a thickness, which is the length of the shortest axis divided by that of the middle axis.
+/// Thickness is stored linearly, not as a logarithm: most splats are flat, so even a large relative error
+/// of their thickness is invisible.
 pub const THICKNESS_STEP: f32 = 1.0 / 32.0;
 /// Step of an opacity logit.
 pub const OPACITY_STEP: f32 = 1.0 / 8.0;
-/// Step of a degree-0 coefficient of the spherical harmonics: 1/128 of the colour range.
+/// Step of a degree-0 coefficient of the spherical harmonics. One step changes the colour by 1/128 of its
+/// range.
 pub const COLOR_STEP: f32 = 1.0 / 128.0 / 0.282_094_8;
 
-/// Largest magnitude of a log scale. e^±39 m exceeds any scene, and its square is still a finite `f32`.
+/// Largest magnitude of a log scale. e^39 is larger than any scene and e^-39 smaller than any detail. The
+/// squares of both are still normal `f32` numbers.
 pub const LOG_SCALE_MAX: f32 = 39.0;
-/// Largest magnitude of a mean's coordinate. The largest position step still covers it.
+/// Largest magnitude of a position's coordinate, world units. With the largest position step, 16 bits still
+/// span the range from `-POSITION_MAX` to `POSITION_MAX`.
 pub const POSITION_MAX: f32 = 1e22;
-/// Allowed exponents of the position step.
+/// Allowed exponents of the position step ([`ShapeFrame::step_exponent`]).
 pub const STEP_EXPONENTS: core::ops::RangeInclusive<i8> = -60..=60;
 
-/// The reference values of a shapes pack, from which its integers are measured.
+/// The reference values of a shapes pack: its integers are steps from these values.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ShapeFrame {
     /// Origin of the positions, world units.
     pub origin: [f32; 3],
-    /// Log scale that 0 steps stand for.
+    /// Log scale that 0 steps stand for: the smallest that the pack can store for a longest axis.
     pub log_scale: f32,
     /// The position step is 2 to this power, world units.
     pub step_exponent: i8,
@@ -50,7 +56,7 @@ impl ShapeFrame {
         writer.bytes([self.step_exponent as u8, 0, 0, 0]);
     }
 
-    /// Decodes and checks a frame. Every position measured from it is finite.
+    /// Decodes and checks a frame. With a valid frame, every position of the pack is finite.
     pub fn decode(bytes: &[u8; SHAPE_FRAME_BYTES]) -> Result<Self, BodyError> {
         let mut reader = Reader(bytes);
         let origin = reader.f32s();
@@ -66,27 +72,30 @@ impl ShapeFrame {
     }
 }
 
-/// A quantised splat, without its view-dependent colour.
+/// A quantised splat without its view-dependent colour.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Shape {
-    /// Position in steps from the frame's origin.
+    /// Position, in steps from the origin of the pack's [`ShapeFrame`].
     pub position: [u16; 3],
-    /// Quaternion components x, y and z, each 0 to twice [`QUAT_ZERO`]. The component w is not stored: it is
-    /// positive and the largest.
+    /// Quaternion components x, y and z, each 0 to twice [`QUAT_ZERO`]. The component w is not stored: it
+    /// is positive and the largest, and follows from the unit length.
     pub quat: [u16; 3],
-    /// The largest log scale in steps above the frame's, and the middle one in steps below the largest. Axes
-    /// are in falling order, so the third is the normal.
+    /// Log scales of the longest and the middle axis, in steps of [`LOG_SCALE_STEP`]. The longest is
+    /// counted up from [`ShapeFrame::log_scale`], the middle down from the longest. The axes are in order
+    /// of falling length, so the third axis is the normal.
     pub log_scale: [u8; 2],
-    /// Shortest axis in steps of [`THICKNESS_STEP`], at most the length of the middle one.
+    /// Length of the shortest axis divided by that of the middle axis, in steps of [`THICKNESS_STEP`]. A
+    /// quotient above 1 is read as about 1.
     pub thickness: u8,
-    /// Opacity logit in steps.
+    /// Opacity logit, in steps of [`OPACITY_STEP`].
     pub opacity: i8,
-    /// Red, green and blue in steps.
+    /// Red, green and blue, in steps of [`COLOR_STEP`].
     pub color: [i16; 3],
 }
 
 impl Shape {
-    /// The difference from this shape to `other`, field by field, each modulo its range.
+    /// The difference from this shape to `other`, field by field. Each difference is taken modulo the range
+    /// of its field.
     pub fn change_to(&self, other: &Shape) -> Shape {
         Shape {
             position: array::from_fn(|k| other.position[k].wrapping_sub(self.position[k])),
@@ -110,7 +119,8 @@ impl Shape {
         }
     }
 
-    /// The shape's byte in every plane, with `offset` in place of the position.
+    /// The encoded bytes of this shape, one for each byte plane. `offset` is encoded instead of the
+    /// position.
     fn row(&self, offset: [u16; 3]) -> [u8; SHAPE_BYTES] {
         let [red, green, blue] = self.color;
         let offset = offset.map(|steps| zigzag(steps as i16));
@@ -127,7 +137,8 @@ impl Shape {
         })
     }
 
-    /// Inverse of [`Self::row`]: the position is the offset.
+    /// Inverse of [`Self::row`]. `byte` gives the encoded byte of a plane. The position of the result is
+    /// the encoded offset.
     fn from_row(byte: impl Fn(usize) -> u8) -> Self {
         let pair = |plane: usize| unzigzag(u16::from_le_bytes([byte(plane), byte(plane + 1)]));
         let green = pair(14);
@@ -143,8 +154,8 @@ impl Shape {
 }
 
 /// Encodes `shapes` into [`SHAPE_BYTES`] planes of one byte per splat. Neighbouring bytes of a plane are
-/// similar, which helps the compressor. Positions are stored as differences from the previous splat, red
-/// and blue as differences from green.
+/// similar, so they compress well. Positions are stored as differences from the previous splat. Red and
+/// blue are stored as differences from green.
 ///
 /// # Panics
 /// If the lengths do not match.
@@ -157,7 +168,8 @@ pub fn write_shapes(shapes: &[Shape], planes: &mut [u8]) {
     });
 }
 
-/// Encodes changes ([`Shape::change_to`]) into the same planes, but with each position as it is.
+/// Encodes changes ([`Shape::change_to`]) like [`write_shapes`], but stores the change of each position
+/// itself, not its difference from the previous splat's.
 ///
 /// # Panics
 /// If the lengths do not match.

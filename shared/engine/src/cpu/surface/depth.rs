@@ -1,5 +1,5 @@
-//! The unbiased depth (PGSR) at the intersection of a pixel's ray with the blended plane, `z = D / -(N · r)`. `D` and
-//! `N` are blended with the same weights, so alpha cancels.
+//! The unbiased depth (PGSR): the depth `z = D / -(N · r)` at which the ray `r` of a pixel meets the blended plane,
+//! with the plane distance `D` and the normal `N`. `D` and `N` are blended with the same weights, so alpha cancels.
 
 use rayon::prelude::*;
 
@@ -10,7 +10,7 @@ use crate::layout::tiles::{TILE, TileImage, centers};
 use crate::layout::view::ViewParams;
 use crate::simd::{Isa, Kernel, Lanes};
 
-/// Depth along the optical axis, 0 where there is no surface.
+/// Writes the depth of each pixel along the optical axis, world units; 0 where there is no surface.
 pub(super) fn unbiased_depth(isa: Isa, image: &TileImage, view: &ViewParams, depth: &mut Plane) {
     depth.reshape(image.size_px());
     depth.lines_mut().enumerate().for_each(|(y, line)| isa.run(DepthLine { image, view, y, line }));
@@ -65,7 +65,7 @@ impl<L: Lanes> Rays<L> {
         }
     }
 
-    /// Slopes x / z of the columns that start at `column`.
+    /// Slopes x / z of one vector of columns, which starts at `column`.
     #[inline(always)]
     pub(super) fn x(&self, column: usize) -> L {
         (centers::<L>(column as f32, 0) - self.center_px) / self.focal_px
@@ -77,7 +77,7 @@ impl<L: Lanes> Rays<L> {
         self.inv_focal
     }
 
-    /// `-(n · r)`.
+    /// `-(n · r)` for normals `n` and the rays `r` with slopes `ray_x`.
     #[inline(always)]
     pub(super) fn facing(&self, n: [L; 3], ray_x: L) -> L {
         n[0].mul_add(ray_x, n[1].mul_add(self.y, n[2])).neg()

@@ -1,15 +1,22 @@
-//! The multi-view losses on sampled pixels (PGSR): the reprojection error through the neighbour's depth, and the
+//! The multi-view losses on sampled pixels (PGSR): the reprojection error by way of a neighbouring view, and the
 //! similarity of patches under the homography of the blended plane.
 //!
-//! *Reprojection.* The point of a pixel is projected into the neighbour, replaced by the point at the neighbour's depth
-//! there, and projected back; `e` is the distance from the pixel, px. If `e < 1`, the loss is `w e` with `w = exp(-e)`
-//! held constant. The neighbour's depth is held constant too: each view is in turn the neighbour of others, so
-//! gradients through the neighbour would be redundant.
+//! *Reprojection.* The point that a pixel shows is projected into the neighbouring view. The neighbouring view has a
+//! depth at this position, which gives another point. That point is projected back, and `e` is its distance from the
+//! pixel, px. If `e < 1`, the loss is `w e` with `w = exp(-e)` held constant; otherwise it is 0. The depth of the
+//! neighbouring view is held constant too: each view is in turn the neighbour of others, so gradients through this
+//! depth would be redundant.
 //!
-//! *NCC.* In the neighbour's frame, a point `X` of the plane `-(N · X) = D` is `R X - t (N · X) / D`. Along a ray `r`,
-//! with `m = N / D`, it is proportional to `R r + s t`, where `s = -(m · r)` is the inverse depth of the plane; the
-//! warp of a patch depends on the plane only through `s`. The loss of a patch is `w (1 - cov² / (var var + ε))`. It
-//! counts if the covariance is positive (in PGSR a negative of the patch matches too) and `1 - NCC² < 0.9`.
+//! *NCC*, the normalised cross-correlation. The blended plane is `-(N · X) = D`. The transform `neighbour_from_here`
+//! between the camera frames has the rotation `R` and the translation `t`. In the frame of the neighbouring view, a
+//! point `X` of the plane is `R X - t (N · X) / D`. For a point on the ray `r`, this is proportional to `R r + s t`,
+//! where `s = -(m · r)` with `m = N / D` is the inverse depth of the plane. So the warp of a patch depends on the plane
+//! only through `s`.
+//!
+//! The loss of a patch is `w (1 - NCC²)`, with the weight `w` of the reprojection error of its pixel. `NCC²` is
+//! `cov² / (var₁ var₂ + ε)`, with the covariance and the variances of both patches and a small `ε`. A patch counts if
+//! the covariance is positive and `1 - NCC² < 0.9`. PGSR does not check the covariance, so there a patch matches its
+//! negative too.
 
 use rayon::prelude::*;
 
@@ -26,7 +33,7 @@ use crate::layout::tiles::{TILE, TileImage};
 use crate::layout::view::{RelativePose, ViewParams};
 use crate::simd::Row;
 
-/// A view and its neighbour, with the neighbour's depth and luma.
+/// A view and its neighbouring view. Intrinsics, depth and luma are those of the neighbouring view.
 pub(super) struct Pair<'a> {
     pose: RelativePose,
     focal_px: [f32; 2],
@@ -54,13 +61,13 @@ impl<'a> Pair<'a> {
     }
 }
 
-/// A point on the screen, and its derivative.
+/// A point on the screen, and its derivative with respect to a depth or an inverse depth.
 struct Moving {
     at_px: [f32; 2],
     by_px: [f32; 2],
 }
 
-/// Projects `point`, whose derivative is `by`; `None` behind the camera.
+/// Projects `point`, whose derivative is `by`. `None` if the point is behind the camera or too close to it.
 #[inline(always)]
 fn project(point: [f32; 3], by: [f32; 3], focal_px: [f32; 2], center_px: [f32; 2]) -> Option<Moving> {
     if point[2] <= NEAR {
@@ -74,7 +81,7 @@ fn project(point: [f32; 3], by: [f32; 3], focal_px: [f32; 2], center_px: [f32; 2
     })
 }
 
-/// A sampled pixel and its plane.
+/// A sampled pixel, with its ray, blended plane and depth.
 struct Sampled {
     x: usize,
     y: usize,
@@ -84,7 +91,7 @@ struct Sampled {
     depth: f32,
 }
 
-/// Gradients of the plane of a pixel.
+/// Gradients with respect to the blended plane of a pixel.
 #[derive(Default)]
 struct PlaneGradient {
     normal: [f32; 3],
@@ -94,12 +101,12 @@ struct PlaneGradient {
 /// The losses with their scratch memory.
 #[derive(Debug)]
 pub(super) struct Multiview {
-    /// By band.
+    /// Sums of each band.
     sums: Vec<Sums>,
 }
 
 impl Multiview {
-    /// Room for pictures up to `size_px`.
+    /// Memory for pictures up to `size_px`.
     pub(super) fn with_capacity(size_px: [u32; 2]) -> Self {
         Self { sums: Vec::with_capacity(TileImage::tiles_of(size_px)[1]) }
     }
@@ -211,7 +218,8 @@ fn ray(view: &ViewParams, x: f32, y: f32) -> [f32; 3] {
     [(x + 0.5 - view.center_px[0]) / view.focal_px[0], ray_y(view, y), 1.0]
 }
 
-/// The reprojection error of a pixel, px, and its derivative by the pixel's depth.
+/// The reprojection error of a pixel, px, and its derivative with respect to the pixel's depth. `None` if the pixel has
+/// no match in the neighbouring view, or an error of [`RETURN_MAX_PX`] or more.
 fn reprojection_error(here: &ViewParams, pair: &Pair, sampled: &Sampled) -> Option<(f32, f32)> {
     let by = pair.rotate(sampled.ray);
     let there: [f32; 3] = std::array::from_fn(|k| sampled.depth.mul_add(by[k], pair.pose.translation[k]));
@@ -230,18 +238,18 @@ fn reprojection_error(here: &ViewParams, pair: &Pair, sampled: &Sampled) -> Opti
     let off = [p.at_px[0] - (sampled.x as f32 + 0.5), p.at_px[1] - (sampled.y as f32 + 0.5)];
     let e = (off[0] * off[0] + off[1] * off[1]).sqrt();
     let slope = (off[0] * p.by_px[0] + off[1] * p.by_px[1]) / e.max(1e-6);
-    // A comparison with NaN is false.
+    // A comparison with NaN is false, so an error of NaN gives `None`.
     (e < RETURN_MAX_PX).then_some((e, slope))
 }
 
-/// `z = D / f`, `f = -(N · r)`.
+/// Gradients with respect to the plane, given ∂L/∂z, through `z = D / f` with `f = -(N · r)`.
 fn through_depth(sampled: &Sampled, v_depth: f32) -> PlaneGradient {
     let facing = sampled.distance / sampled.depth;
     let distance = v_depth / facing;
     PlaneGradient { distance, normal: sampled.ray.map(|r| distance * sampled.depth * r) }
 }
 
-/// `m = N / D`.
+/// Adds the gradients with respect to the plane, given ∂L/∂m, through `m = N / D`.
 fn through_ratio(sampled: &Sampled, v_ratio: [f32; 3], into: &mut PlaneGradient) {
     let inv_distance = 1.0 / sampled.distance;
     for axis in 0..3 {
@@ -250,8 +258,8 @@ fn through_ratio(sampled: &Sampled, v_ratio: [f32; 3], into: &mut PlaneGradient)
     into.distance -= dot(v_ratio, sampled.normal) * inv_distance * inv_distance;
 }
 
-/// `1 - NCC²` of the patch around a pixel and its warp in the neighbour, and the derivative by `m = N / D`; `None` if a
-/// patch leaves its picture or the patches do not match.
+/// `1 - NCC²` of the patch around a pixel and its warp in the neighbouring view, and the derivative with respect to
+/// `m = N / D`. `None` if a patch leaves its picture, the plane is behind a camera, or the patches do not match.
 fn patches(scene: &Shown, pair: &Pair, sampled: &Sampled) -> Option<(f32, [f32; 3])> {
     let [width, height] = scene.image.size_px();
     let (x, y) = (sampled.x, sampled.y);
@@ -261,19 +269,21 @@ fn patches(scene: &Shown, pair: &Pair, sampled: &Sampled) -> Option<(f32, [f32; 
     let inv_distance = 1.0 / sampled.distance;
     let ratio = sampled.normal.map(|n| n * inv_distance);
     let (mut here, mut there) = ([0.0f32; PATCH], [0.0f32; PATCH]);
-    // ∂(value at the neighbour) / ∂(inverse depth of the plane).
+    // For each pixel of the patch: derivative of luma in the neighbouring view with respect to the inverse depth of the
+    // plane.
     let mut slopes = [0.0f32; PATCH];
     for i in 0..PATCH {
         let (px, py) = (x + i % PATCH_SIDE - PATCH_REACH, y + i / PATCH_SIDE - PATCH_REACH);
         let r = ray(scene.view, px as f32, py as f32);
         let inverse_depth = -dot(ratio, r);
-        // The plane is behind one of the cameras.
+        // The plane is behind the camera of this view.
         if inverse_depth <= 0.0 {
             return None;
         }
         let turned = pair.rotate(r);
         let point = std::array::from_fn(|k| inverse_depth.mul_add(pair.pose.translation[k], turned[k]));
-        // `point` is the point times the inverse depth, so NEAR is scaled as well.
+        // The plane is behind the camera of the neighbouring view, or too close to it. `point` is the point of the
+        // plane times its inverse depth, so NEAR is scaled as well.
         if point[2] <= NEAR * inverse_depth {
             return None;
         }
@@ -302,7 +312,8 @@ fn patches(scene: &Shown, pair: &Pair, sampled: &Sampled) -> Option<(f32, [f32; 
     Some((disagreement, by_plane))
 }
 
-/// Projection of `point` into the neighbour, and its derivative by the plane's inverse depth.
+/// Projects `point` into the neighbouring view, and computes the derivative with respect to the inverse depth of the
+/// plane.
 fn warp(point: [f32; 3], pair: &Pair) -> Moving {
     let inv_z = 1.0 / point[2];
     let slope = [point[0] * inv_z, point[1] * inv_z];
@@ -340,7 +351,7 @@ impl Correlation {
         1.0 - self.covariance * self.covariance * self.scale()
     }
 
-    /// The derivative of [`Self::disagreement`] by the second patch.
+    /// The derivative of [`Self::disagreement`] with respect to each pixel of the second patch.
     fn by_second(&self, a: &[f32; PATCH], b: &[f32; PATCH]) -> [f32; PATCH] {
         let scale = self.scale();
         let by_covariance = -2.0 * self.covariance * scale / PATCH as f32;

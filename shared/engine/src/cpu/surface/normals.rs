@@ -1,10 +1,14 @@
-//! The single-view normal loss: the difference between blended normals and normals from depth, with lower weight on
-//! edges of the photograph (`L_svg` of PGSR).
+//! The single-view normal loss (`L_svg` of PGSR): the difference between blended normals and normals from depth. Edges
+//! of the photograph have a lower weight.
 //!
-//! With `P = z r` the point of a pixel, `h = P(x+k) - P(x-k)` and `v = P(y-k) - P(y+k)`, the normal from depth is `n =
-//! h × v / |h × v|`, which faces the camera. The loss is the mean over pixels of `w |α n - N|₁` with α held constant
-//! and `w = (1 - ĝ)²`, where ĝ is the slope of the photograph (the larger central difference of luma), scaled to 0..1
-//! over the picture. The gradients are those of `N`, and through `n` those of the four neighbouring depths.
+//! A pixel with the depth `z` and the ray `r` shows the point `P = z r`. The points of the four pixels at a distance of
+//! `k` px (`NORMAL_REACH`) give `h = P(x+k) - P(x-k)` and `v = P(y-k) - P(y+k)`. The normal from depth is
+//! `n = h × v / |h × v|`, which faces the camera.
+//!
+//! The loss is the mean over pixels of `w |α n - N|₁`, with the blended normal `N` and the alpha `α` of the pixel,
+//! which is held constant. The weight is `w = (1 - ĝ)²`, where `ĝ` is the slope of the photograph (the larger central
+//! difference of luma), scaled to 0..=1 over the picture. Gradients are computed with respect to `N`, and through `n`
+//! with respect to the depths of the four pixels.
 
 use rayon::prelude::*;
 
@@ -20,14 +24,14 @@ use crate::simd::{Isa, Kernel, Lanes, Row, cross3, dot3, each};
 /// The loss with its scratch memory.
 #[derive(Debug)]
 pub(super) struct Normals {
-    /// By row of the picture: smallest and largest slope.
+    /// Smallest and largest slope of each inner row of the picture.
     slopes: Vec<[f32; 2]>,
-    /// By band.
+    /// Sum of the loss in each band.
     sums: Vec<f64>,
 }
 
 impl Normals {
-    /// Room for pictures up to `size_px`.
+    /// Memory for pictures up to `size_px`.
     pub(super) fn with_capacity(size_px: [u32; 2]) -> Self {
         Self {
             slopes: Vec::with_capacity(size_px[1] as usize),
@@ -35,7 +39,8 @@ impl Normals {
         }
     }
 
-    /// The loss without its weight; adds `weight` times its gradient to `gradient`.
+    /// Returns the loss without its weight, and writes `weight` times its gradient to `gradient`, whose geometry planes
+    /// must be zero.
     pub(super) fn loss(
         &mut self,
         isa: Isa,
@@ -58,7 +63,7 @@ impl Normals {
     }
 }
 
-/// The range of the picture's slopes.
+/// The range of the slopes of luma in the picture. It scales slopes to 0..=1.
 #[derive(Clone, Copy)]
 struct Edges {
     least: f32,
@@ -105,7 +110,7 @@ impl Kernel for SlopeLine<'_> {
     }
 }
 
-/// The larger of the two central differences of luma.
+/// The larger absolute value of the two central differences of luma.
 #[inline(always)]
 fn slope<L: Lanes>(luma: &Plane, y: usize, column: usize) -> L {
     let x = column as isize;
@@ -127,7 +132,7 @@ struct NormalBand<'a> {
 }
 
 impl Kernel for NormalBand<'_> {
-    /// Sum over the band's pixels.
+    /// Sum of the loss over the band's pixels.
     type Output = f64;
 
     #[inline(always)]
@@ -136,8 +141,9 @@ impl Kernel for NormalBand<'_> {
         let height = scene.image.size_px()[1];
         let rows = scene.rows(band);
         let stride = scene.depth.stride();
-        // ∂L/∂z of the band's rows. The loss of a row depends on depths above and below it, so the rows next to the
-        // band are computed here too, for their gradients within the band.
+        // Gradient with respect to the depths of the band's rows. The loss of a row depends on depths above and below
+        // it. So the rows next to the band are computed here too, for their gradients with respect to depths in the
+        // band.
         zeros(v_depth, stride * rows.len());
         let mut sum = 0.0;
         for y in rows.start.max(2 * REACH) - REACH..(rows.end + REACH).min(height.saturating_sub(REACH)) {
@@ -183,19 +189,23 @@ impl Kernel for NormalBand<'_> {
 struct Pixels<L: Lanes> {
     /// Rays of the pixels to the right, to the left, above and below.
     rays: [[L; 3]; 4],
-    /// Differences of points, horizontal and vertical.
+    /// Difference of the points to the right and to the left.
     h: [L; 3],
+    /// Difference of the points above and below.
     v: [L; 3],
+    /// 1 / length of `h × v`; 0 if a pixel is not valid.
     inv_length: L,
     /// Normal from depth.
     n: [L; 3],
     blended: [L; 3],
     alpha: L,
     edge_weight: L,
+    /// True if the four depths give a normal.
     valid: L::Mask,
 }
 
-/// Gradients of one vector of pixels: of their normals, and of the four neighbouring depths.
+/// Gradients of the loss of one vector of pixels, with respect to the blended normals and to the four depths around
+/// each pixel.
 struct Gradients<L> {
     normal: [L; 3],
     right: L,
@@ -249,7 +259,7 @@ impl<L: Lanes> Pixels<L> {
         }
     }
 
-    /// The loss of the pixels, and its gradients times `weight`.
+    /// Returns the loss of the pixels, and its gradients times `weight`.
     #[inline(always)]
     fn gradients(&self, weight: L) -> (L, Gradients<L>) {
         let difference = each!([0, 1, 2], |a| self.alpha.mul_add(self.n[a], L::zero() - self.blended[a]));
@@ -262,7 +272,7 @@ impl<L: Lanes> Pixels<L> {
         let g = each!([0, 1, 2], |a| signed[a] * self.alpha);
         let along = dot3(self.n, g);
         let v_c = each!([0, 1, 2], |a| (g[a] - self.n[a] * along) * self.inv_length);
-        // c = h × v.
+        // Through the cross product c = h × v.
         let (v_h, v_v) = (cross3(self.v, v_c), cross3(v_c, self.h));
         let gradients = Gradients {
             normal: each!([0, 1, 2], |a| signed[a].neg()),
@@ -275,7 +285,8 @@ impl<L: Lanes> Pixels<L> {
     }
 }
 
-/// `z = D / f` with `f = -(N · r)`: propagates `∂L/∂z` of a row to the gradients of `D` and `N`.
+/// Propagates `v_depth`, the gradient with respect to the depths `z` of a row, to the gradients of the plane distance
+/// `D` and the normal `N`, through `z = D / f` with `f = -(N · r)`.
 #[inline(always)]
 pub(super) fn through_depth<L: Lanes>(scene: &Shown, y: usize, v_depth: &[f32], gradient: &mut [Row]) {
     let rays = Rays::<L>::new(scene.view, y);

@@ -1,4 +1,5 @@
-//! A plane of one number per pixel, row by row, with margins of zeros, so that vectors can be read beside a pixel.
+//! A picture with one number per pixel, stored row by row, with margins of zeros. Because of the margins, SIMD loads
+//! may reach beyond the edges of the picture.
 
 use rayon::prelude::*;
 
@@ -6,7 +7,7 @@ use crate::backend::TargetRgb;
 use crate::layout::constants::LUMA_WEIGHTS;
 use crate::layout::tiles::{PLANE_MARGIN as MARGIN, plane_len, plane_stride};
 
-/// A plane of numbers with margins.
+/// A picture with one number per pixel and margins of zeros.
 #[derive(Debug, Default)]
 pub(super) struct Plane {
     size_px: [usize; 2],
@@ -15,7 +16,7 @@ pub(super) struct Plane {
 }
 
 impl Plane {
-    /// Length of a line for pictures up to `size_px`.
+    /// Length of a line with its margins, for pictures up to `size_px`.
     pub(super) fn stride_for(size_px: [u32; 2]) -> usize {
         plane_stride(size_px[0] as usize)
     }
@@ -24,7 +25,7 @@ impl Plane {
         Self { data: Vec::with_capacity(plane_len(size_px)), ..Self::default() }
     }
 
-    /// Lays the plane out for a picture, with all numbers zero.
+    /// Sets the size of the picture. All numbers become zero.
     pub(super) fn reshape(&mut self, size_px: [usize; 2]) {
         self.size_px = size_px;
         self.stride = plane_stride(size_px[0]);
@@ -32,13 +33,13 @@ impl Plane {
         self.data.resize(self.stride * (size_px[1] + 2), 0.0);
     }
 
-    /// The line of picture row `y`, -1..=height. Column `x` is at [`Plane::at`]`(x)`.
+    /// The line of picture row `y`, which may be -1..=height. Column `x` is at [`Plane::at`]`(x)`.
     #[inline(always)]
     pub(super) fn line(&self, y: isize) -> &[f32] {
         &self.data[(y + 1) as usize * self.stride..][..self.stride]
     }
 
-    /// Index of column `x` in a line; `x` may be up to 16 outside the picture.
+    /// Index of column `x` in a line. Columns up to 16 px outside the picture are allowed.
     #[inline(always)]
     pub(super) fn at(x: isize) -> usize {
         (x + MARGIN as isize) as usize
@@ -48,7 +49,7 @@ impl Plane {
         self.size_px
     }
 
-    /// Length of a line.
+    /// Length of a line with its margins.
     pub(super) fn stride(&self) -> usize {
         self.stride
     }
@@ -64,7 +65,8 @@ impl Plane {
         self.data[(y + 1) * self.stride + MARGIN + x]
     }
 
-    /// Bilinear interpolation between pixel centres, with slopes; `None` if a corner is outside the picture.
+    /// Interpolates bilinearly between the four pixel centres around `q_px`, and computes the slopes. `None` if one of
+    /// the four is outside the picture.
     #[inline(always)]
     pub(super) fn sample(&self, q_px: [f32; 2]) -> Option<Sample> {
         let (u, v) = (q_px[0] - 0.5, q_px[1] - 0.5);
@@ -90,7 +92,7 @@ pub(super) struct Sample {
     pub(super) value: f32,
     /// ∂value/∂x and ∂value/∂y, per px.
     pub(super) slope: [f32; 2],
-    /// The smallest of the values at the four corners.
+    /// The smallest of the four values that were interpolated.
     pub(super) least: f32,
 }
 
@@ -104,7 +106,7 @@ pub(super) fn luma(rgb: TargetRgb, size_px: [u32; 2], plane: &mut Plane) {
 }
 
 impl TargetRgb<'_> {
-    /// Luma of row `y`, Rec. 601 weights, 0..=1.
+    /// Writes the luma (Rec. 601) of picture row `y` to `line`, 0..=1.
     fn luma_line(&self, y: usize, width: usize, line: &mut [f32]) {
         let range = 3 * y * width..3 * (y + 1) * width;
         match self {

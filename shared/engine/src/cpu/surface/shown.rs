@@ -1,4 +1,4 @@
-//! The rendering that the losses compare, and its division into bands of one row of tiles.
+//! The rendering that the surface losses compare, and its division into bands of one row of tiles.
 
 use rayon::prelude::*;
 
@@ -7,7 +7,7 @@ use crate::layout::tiles::{TILE, TileImage};
 use crate::layout::view::ViewParams;
 use crate::simd::Row;
 
-/// A rendering with its camera, depth and photograph.
+/// A rendering with its camera, its depth, and the luma of the photograph.
 #[derive(Clone, Copy)]
 pub(super) struct Shown<'a> {
     pub(super) image: &'a TileImage,
@@ -23,12 +23,13 @@ impl Shown<'_> {
     }
 }
 
-/// Index, within the gradient rows of a band, of row `y` of the picture in `plane` of tile `tile_x`.
+/// Index of one row of a tile in a band's slice of gradient rows: tile column `tile_x`, image plane `plane`, picture
+/// row `y`.
 pub(super) fn band_row(image: &TileImage, plane: usize, y: usize, tile_x: usize) -> usize {
     tile_x * image.rows_per_tile() + plane * TILE + y % TILE
 }
 
-/// The gradient rows of each row of tiles.
+/// The bands: for each row of tiles, its index and its gradient rows.
 pub(super) fn bands<'a>(
     image: &TileImage,
     gradient: &'a mut TileImage,

@@ -1,8 +1,10 @@
 //! The losses of distillation: differences of depth and blended normals from a teacher (CoSurfGS, "Model Aggregation
 //! Scheme", `L_d` and `L_n`).
 //!
-//! Means over all pixels of `t |z - z'|` and `t |N - N'|₁`, with `t` the trust in the teacher's pixel; the depth loss
-//! counts where both pixels have one. The gradients are those of `N`, and through `z` those of `D` and `N`.
+//! The losses are the means over all pixels of `t |z - z'|` and `t |N - N'|₁`. Here `t` is the trust in the teacher's
+//! pixel, `z` and `N` are the rendered depth and normal, and `z'` and `N'` those of the teacher. If `z` or `z'` is
+//! missing, the pixel adds nothing to the depth loss. Gradients are computed with respect to `N`, and through `z` with
+//! respect to the plane distance and `N`.
 
 use rayon::prelude::*;
 
@@ -19,12 +21,12 @@ use crate::simd::{Isa, Kernel, Lanes, Row};
 #[derive(Debug)]
 pub(super) struct Teacher {
     lines: PerThread<Lines>,
-    /// By band.
+    /// Sums of the differences of depths and normals in each band.
     sums: Vec<[f64; 2]>,
 }
 
 impl Teacher {
-    /// Room for pictures up to `size_px` and this many threads, at least 1.
+    /// Memory for pictures up to `size_px` and this many threads, at least 1.
     pub(super) fn with_capacity(size_px: [u32; 2], threads: usize) -> Self {
         Self {
             lines: PerThread::new(threads, || Lines::with_capacity(Plane::stride_for(size_px))),
@@ -32,7 +34,7 @@ impl Teacher {
         }
     }
 
-    /// The losses without their weights; adds their weighted gradients to `gradient`.
+    /// Returns the losses without their weights, and adds their weighted gradients to `gradient`.
     pub(super) fn loss(
         &mut self,
         isa: Isa,
@@ -62,7 +64,7 @@ impl Teacher {
 struct TeacherBand<'a> {
     scene: Shown<'a>,
     target: &'a TargetSurface<'a>,
-    /// Weights of depth and normal of one pixel.
+    /// Weights of the depth difference and of the normal difference at one pixel.
     weights: [f32; 2],
     band: usize,
     gradient: &'a mut [Row],
@@ -84,7 +86,7 @@ impl Lines {
         Self { depth: line(), trust: line(), normal: [line(), line(), line()] }
     }
 
-    /// Lays the lines out for a picture; all zero, so their margins are too.
+    /// Sets the length of the lines. All numbers become zero, margins included.
     fn reset(&mut self, stride: usize) {
         let Self { depth, trust, normal } = self;
         [depth, trust].into_iter().chain(normal).for_each(|line| zeros(line, stride));
@@ -102,7 +104,7 @@ impl Lines {
 }
 
 impl Kernel for TeacherBand<'_> {
-    /// Sums over the band's pixels.
+    /// Sums of the differences of depths and normals over the band's pixels.
     type Output = [f64; 2];
 
     #[inline(always)]
@@ -144,7 +146,7 @@ impl Kernel for TeacherBand<'_> {
     }
 }
 
-/// `scale` with the sign of `value`; 0 for 0.
+/// `scale` with the sign of `value`; 0 where `value` is 0.
 #[inline(always)]
 fn signed<L: Lanes>(value: L, scale: L) -> L {
     L::select(L::zero().lt(value), scale, scale.neg().keep(value.lt(L::zero())))

@@ -10,7 +10,8 @@ const SIZE_PX: [usize; 2] = [37, 41];
 const WEIGHT: f32 = 0.2;
 const EXPOSURE: Exposure = Exposure { gain: 1.2, offset: -0.07 };
 
-/// SSIM by its definition: an 11 × 11 window at every pixel, zeros outside. L1 of the exposed picture.
+/// The colour loss of a rendering `x` and a photograph `y` by its definition. SSIM has an 11 × 11 window at every pixel
+/// and zeros outside the picture. L1 compares `gain * x + offset` with `y`.
 fn loss(x: &[f64], y: &[f64], gain: f64, offset: f64) -> f64 {
     let [width, height] = SIZE_PX;
     let raw: Vec<f64> = (0..11).map(|i| (-(f64::from(i) - 5.0).powi(2) / 4.5).exp()).collect();
@@ -72,7 +73,7 @@ fn check(exposure: Exposure) {
     for (i, value) in x.iter().enumerate() {
         image.set_value(i % 3, i / 3 % SIZE_PX[0], i / 3 / SIZE_PX[0], *value as f32);
     }
-    // The padding of tiles must not matter.
+    // The padding of the tiles holds finite numbers too.
     image.rows_mut().iter_mut().for_each(|row| assert!(row.0.iter().all(|v| v.is_finite())));
     for isa in Isa::available() {
         let mut gradient = image.clone();
@@ -91,7 +92,8 @@ fn check(exposure: Exposure) {
             worst = worst.max((value - slope).abs() / slope.abs().max(2e-6));
         }
         assert!(worst < 1e-3, "{}: relative error {worst:.2e}", isa.name());
-        // L1 has a kink where a pixel is equal, so the derivative by the exposure uses a small step.
+        // The L1 loss has a kink where a rendered value equals the photograph's, so the differences for gain and offset
+        // use a small step.
         let slope = |at: &dyn Fn(f64) -> f64| (at(1e-6) - at(-1e-6)) / 2e-6;
         let by_gain = slope(&|by| loss(&x, &y, gain + by, offset));
         let by_offset = slope(&|by| loss(&x, &y, gain, offset + by));

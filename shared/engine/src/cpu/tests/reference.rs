@@ -1,28 +1,29 @@
 //! A reference renderer in f64, as short as possible: no tiles, no SIMD, forward only.
 //!
-//! Thresholds (a splat skipped, an alpha clamped, a pixel full) make the picture discontinuous. Derivatives are those
-//! of the smooth pieces, so a perturbed picture is rendered with the [`Decisions`] of the unperturbed one.
+//! Thresholds make the picture discontinuous: a splat is skipped, an alpha is clamped, a pixel is full. Gradients do
+//! not include these steps. So, for central differences, a picture with a changed parameter is rendered with the
+//! [`Decisions`] of the unchanged picture.
 
 use cosurf_scene::splats::sh_coefficients;
 use cosurf_scene::{Camera, Splats};
 use glam::{DMat3, DQuat, DVec2, DVec3};
 
-/// Channels of a pixel: rgb, transmittance, normal, plane distance.
+/// Channels of a pixel: red, green, blue, transmittance, normal (xyz), plane distance.
 pub(super) type Pixel = [f64; 8];
 
-/// For each pixel, the splats that were blended, nearest first, and whether alpha was clamped.
+/// For each pixel, the blended splats, nearest first, each with whether its alpha was clamped.
 pub(super) type Decisions = Vec<Vec<(usize, bool)>>;
 
 struct Seen {
     mean_px: DVec2,
-    /// Conic xx, xy, yy.
+    /// Inverse covariance on the screen (xx, xy, yy), 1/px².
     conic: [f64; 3],
     opacity: f64,
     value: [f64; 7],
     depth: f64,
 }
 
-/// Renders, and returns the decisions at thresholds.
+/// Renders a picture. Also returns what was decided at thresholds.
 pub(super) fn render(splats: &Splats, camera: &Camera, sh_degree: u32) -> (Vec<Pixel>, Decisions) {
     let seen: Vec<Seen> = (0..splats.len()).map(|i| see(splats, i, camera, sh_degree)).collect();
     let mut order: Vec<usize> = (0..seen.len()).filter(|i| seen[*i].depth > 0.2).collect();
@@ -48,7 +49,7 @@ pub(super) fn render(splats: &Splats, camera: &Camera, sh_degree: u32) -> (Vec<P
         .unzip()
 }
 
-/// Renders with the decisions of another rendering.
+/// Renders a picture with the decisions of another picture.
 pub(super) fn render_as_decided(
     splats: &Splats,
     camera: &Camera,
@@ -124,7 +125,7 @@ fn see(splats: &Splats, i: usize, camera: &Camera, sh_degree: u32) -> Seen {
 fn color(sh: &[f32], direction: DVec3, degree: u32) -> [f64; 3] {
     let DVec3 { x, y, z } = direction;
     let pi = std::f64::consts::PI;
-    // From the definition of the real harmonics, independent of the engine's table.
+    // From the definition of the real spherical harmonics, independent of the constants of the engine.
     let basis = [
         0.5 * (1.0 / pi).sqrt(),
         -(3.0 / (4.0 * pi)).sqrt() * y,
@@ -147,7 +148,8 @@ fn color(sh: &[f32], direction: DVec3, degree: u32) -> [f64; 3] {
     [0, 1, 2].map(|c| (0.5 + (0..used).map(|k| basis[k] * f64::from(sh[3 * k + c])).sum::<f64>()).max(0.0))
 }
 
-/// Σ (α T)², pixels hit, and whether a pixel was hit with more than half of the light left; for each splat.
+/// For each splat: Σ (α T)², the number of pixels hit, and whether a pixel was hit while its transmittance was above
+/// one half.
 pub(super) fn scores(splats: &Splats, camera: &Camera, decisions: &Decisions) -> Vec<(f64, usize, bool)> {
     let seen: Vec<Seen> = (0..splats.len()).map(|i| see(splats, i, camera, 0)).collect();
     let mut scores = vec![(0.0, 0, false); splats.len()];
@@ -164,7 +166,7 @@ pub(super) fn scores(splats: &Splats, camera: &Camera, decisions: &Decisions) ->
     scores
 }
 
-/// Σ over pixels of |∂L/∂mean| on the screen, by axis, for each splat, by central differences.
+/// For each splat and screen axis: the sum over pixels of |∂L/∂mean|, by central differences.
 pub(super) fn absolute_gradients(
     splats: &Splats,
     camera: &Camera,

@@ -1,6 +1,7 @@
-//! Compares the surface losses with a direct f64 implementation, and their gradients with central differences by every
-//! blended normal and distance. Values that the engine holds constant (trust, which pixels count) are held constant
-//! here too, as on the unperturbed picture.
+//! Compares the surface losses with a direct f64 implementation. Gradients with respect to blended normals and
+//! distances are compared with central differences at every third pixel. The engine holds some values constant: the
+//! weights `exp(-e)` for reprojection errors `e`, and which pixels count. In the differences, these values are those of
+//! the unchanged picture.
 
 use cosurf_scene::{Camera, Pose};
 use glam::{DMat3, DVec2, DVec3};
@@ -19,11 +20,11 @@ use crate::simd::{Isa, Row};
 
 const MULTIVIEW: MultiviewWeights = MultiviewWeights { reprojection: 0.4, ncc: 1.3, cell_px: 1, draw: 5 };
 const WEIGHTS: SurfaceWeights = SurfaceWeights { normal: 0.7, multiview: Some(MULTIVIEW) };
-/// The ground: `PLANE · X = LEVEL`.
+/// Direction of the normal of the ground, which is the plane `PLANE · X = LEVEL` in the world.
 const PLANE: DVec3 = DVec3::new(0.05, -0.08, 1.0);
 const LEVEL: f64 = 0.3;
 
-/// A picture's normals, distances and transmittances, row by row.
+/// Blended normals, plane distances and transmittances of a picture, row by row.
 #[derive(Clone)]
 struct Blend {
     camera: Camera,
@@ -57,14 +58,15 @@ fn ray(camera: &Camera, x: f64, y: f64) -> DVec3 {
     camera.ray(DVec2::new(x + 0.5, y + 0.5))
 }
 
-/// The plane of the ground in a camera's frame: unit normal that faces it, and distance.
+/// The plane of the ground in a camera's frame: the unit normal that faces the camera, and the distance from the camera
+/// centre.
 fn ground(camera: &Camera) -> (DVec3, f64) {
     let normal = PLANE.normalize();
     let height = normal.dot(camera.cam_from_world.center()) - LEVEL / PLANE.length();
     (camera.cam_from_world.rotation * normal, height)
 }
 
-/// The ground as splats might render it: uneven, and not fully opaque.
+/// The ground as splats might render it: with noise, and not fully opaque.
 fn blend(camera: Camera, roughness: f32, seed: u64) -> Blend {
     let mut random = Random::new(seed, Purpose::Birth, 0, 0);
     let (n, d) = ground(&camera);
@@ -82,7 +84,7 @@ fn blend(camera: Camera, roughness: f32, seed: u64) -> Blend {
     blend
 }
 
-/// Texture of the ground.
+/// Brightness of the ground at a point.
 fn paint(p: DVec3) -> f32 {
     let waves = (2.1 * p.x + 0.4).sin() * (1.7 * p.y).cos() + 0.6 * (1.3 * p.x - 2.9 * p.y).sin();
     (0.5 + 0.22 * waves) as f32
@@ -114,7 +116,7 @@ fn tiles(blend: &Blend) -> TileImage {
     image
 }
 
-/// The engine's losses and gradients.
+/// The losses and gradients of the engine.
 fn engine(isa: Isa, here: &Blend, there: &Blend, photographs: [&[f32]; 2]) -> (SurfaceLoss, TileImage) {
     let mut surface = Surface::with_capacity(here.camera.size_px, 2);
     surface.keep_neighbour(isa, &tiles(there), &ViewParams::new(&there.camera, 0));
@@ -130,11 +132,11 @@ fn engine(isa: Isa, here: &Blend, there: &Blend, photographs: [&[f32]; 2]) -> (S
     (loss, gradient)
 }
 
-/// Decisions on the unperturbed picture for each pixel with a reprojection error below 1 px: trust, and whether the
-/// patch counts.
+/// For each pixel of the unchanged picture: the weight `exp(-e)` and whether its patch counts. `None` if the
+/// reprojection error `e` is 1 px or more, or the pixel has no match in the neighbouring view.
 type Decisions = Vec<Option<(f64, bool)>>;
 
-/// Numbers row by row, with bilinear interpolation.
+/// A picture with one number per pixel, row by row, with bilinear interpolation.
 struct Map {
     size: [usize; 2],
     values: Vec<f64>,
@@ -207,7 +209,7 @@ impl Reference {
         sum / (w * h) as f64
     }
 
-    /// `neighbour_from_here`.
+    /// Rotation and translation of `neighbour_from_here`.
     fn way(&self, here: &Camera) -> (DMat3, DVec3) {
         let (a, b) = (here.cam_from_world, self.neighbour.cam_from_world);
         let rotation = DMat3::from_quat(b.rotation) * DMat3::from_quat(a.rotation).transpose();
@@ -223,7 +225,8 @@ impl Reference {
         Some(back.distance(DVec2::new(x as f64 + 0.5, y as f64 + 0.5)))
     }
 
-    /// `(1 - NCC², covariance)` of the patch, with the homography as a matrix.
+    /// `(1 - NCC², covariance)` of the patch around a pixel, with the homography as a matrix. `None` if a patch leaves
+    /// its picture.
     fn disagreement(&self, here: &Blend, x: usize, y: usize) -> Option<(f64, f64)> {
         let camera = &here.camera;
         let [w, h] = camera.size_px.map(|side| side as usize);
@@ -233,7 +236,7 @@ impl Reference {
         }
         let (rotation, t) = self.way(camera);
         let m = here.normal[y * w + x] / here.distance[y * w + x];
-        // X on the plane -(m · X) = 1.
+        // Points X of the plane satisfy -(m · X) = 1, so R X + t = (R - t mᵀ) X.
         let homography = rotation - DMat3::from_cols(t * m.x, t * m.y, t * m.z);
         let (mut a, mut b) = (Vec::new(), Vec::new());
         for py in y - reach..=y + reach {
@@ -300,7 +303,8 @@ fn number(blend: &mut Blend, plane: usize, i: usize) -> &mut f64 {
     }
 }
 
-/// The largest error relative to the number, or to a tenth of its plane's root mean square if that is larger.
+/// The largest relative error and its description. Errors are relative to the expected number, or to a tenth of the
+/// root mean square of its plane if that is larger.
 fn worst(gradient: &TileImage, numeric: &[(usize, usize, f64)], w: usize) -> (f64, String) {
     let mut worst = (0.0, String::new());
     for plane in [NORMAL, NORMAL + 1, NORMAL + 2, DISTANCE] {
@@ -319,7 +323,7 @@ fn worst(gradient: &TileImage, numeric: &[(usize, usize, f64)], w: usize) -> (f6
 
 #[test]
 fn surface_losses_and_gradients_agree_with_the_definition() {
-    // With these seeds no difference is so small that f32 loses its sign.
+    // These seeds give no difference that is so small that its sign is lost in f32.
     let [here, there] = [blend(cameras()[0], 0.03, 3), blend(cameras()[1], 0.03, 2)];
     let photographs = cameras().map(|camera| photograph(&camera));
     let photographs = [photographs[0].as_slice(), photographs[1].as_slice()];
@@ -382,7 +386,7 @@ fn a_perfect_surface_has_no_loss_and_a_negative_does_not_match() {
 
 const TEACHER: TeacherWeights = TeacherWeights { depth: 0.6, normal: 0.9 };
 
-/// A teacher's rendering of the same ground: depths, normals and trust, with some pixels without a surface.
+/// What a teacher renders of the same ground: depths, normals and trust. Some pixels have no depth.
 fn teacher(camera: Camera) -> (Vec<f32>, Vec<f32>, Vec<f32>) {
     let shown = blend(camera, 0.05, 7);
     let mut random = Random::new(8, Purpose::Birth, 0, 0);

@@ -2,7 +2,7 @@
 
 use crate::gpu::context::{Gpu, GpuChoice};
 
-/// The best adapter; without one, skips the test and returns `None`.
+/// Opens the best adapter. If there is none, reports the test as skipped and returns `None`.
 pub(super) fn gpu() -> Option<Gpu> {
     match Gpu::open(GpuChoice::Any) {
         Ok(gpu) => Some(gpu),

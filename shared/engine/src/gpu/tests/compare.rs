@@ -1,4 +1,4 @@
-//! Equal models on both backends, and the comparison of their numbers.
+//! Loads equal models into both backends, and compares their numbers.
 
 use cosurf_scene::Splats;
 
@@ -8,9 +8,10 @@ use crate::cpu::CpuBackend;
 use crate::gpu::backend::GpuBackend;
 use crate::gpu::context::Gpu;
 
-/// Largest error of a number, relative to itself or to a hundredth of its group's root mean square.
+/// Largest allowed error of a number, relative to the larger of its magnitude and a hundredth of its group's root mean
+/// square.
 const TOLERANCE: f32 = 1e-3;
-/// Share of the numbers that may differ more: rounding may decide whether a splat reaches a threshold.
+/// Share of the numbers that may differ more, because rounding may decide whether a splat reaches a threshold.
 pub(super) const TIES_MAX: f64 = 5e-3;
 
 /// Capacity for somewhat more splats than `splats` has.
@@ -37,7 +38,7 @@ pub(super) fn on_cpu(splats: &Splats, size_px: [u32; 2]) -> CpuBackend {
     backend
 }
 
-/// The numbers of splats, by group.
+/// The numbers of all splats in groups: means, quaternions, log scales, opacity logits, SH coefficients.
 fn groups(splats: &Splats) -> [Vec<f32>; 5] {
     [
         splats.means.concat(),
@@ -48,7 +49,7 @@ fn groups(splats: &Splats) -> [Vec<f32>; 5] {
     ]
 }
 
-/// Number of values of a group that differ by more than the tolerance.
+/// Number of values of a group that differ from the expected ones by more than the tolerance.
 pub(super) fn off_of(got: &[f32], expected: &[f32]) -> usize {
     let squares: f64 = expected.iter().map(|v| f64::from(*v).powi(2)).sum();
     let floor = 0.01 * (squares / expected.len().max(1) as f64).sqrt() as f32 + 1e-20;
@@ -57,7 +58,7 @@ pub(super) fn off_of(got: &[f32], expected: &[f32]) -> usize {
     got.iter().zip(expected).filter(|pair| !within(*pair)).count()
 }
 
-/// Number of values, and number of those that differ.
+/// Compares all numbers of two models: how many there are, and how many differ by more than the tolerance.
 pub(super) fn compare(got: &Splats, expected: &Splats) -> (usize, usize) {
     let groups = || groups(got).into_iter().zip(groups(expected));
     (

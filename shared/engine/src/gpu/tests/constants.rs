@@ -1,5 +1,5 @@
-//! Compares every constant of the shaders with its twin in Rust. A constant without a twin must be in the list of those
-//! that only the shaders have.
+//! Compares every constant of the shaders with its counterpart in Rust. A constant without a counterpart must be listed
+//! in [`SHADERS_ONLY`].
 
 use std::collections::BTreeMap;
 use std::f32::consts::{LN_2, LOG2_E};
@@ -27,7 +27,7 @@ use crate::layout::rows::{
 };
 use crate::layout::tiles::TILE;
 
-/// A constant of Rust: integers or floats, one or several.
+/// The value of a constant: an integer, or one or several floats.
 #[derive(Clone, Debug, PartialEq)]
 enum Value {
     Integer(u64),
@@ -90,7 +90,8 @@ fn shared() -> BTreeMap<&'static str, Value> {
     same.into_iter().chain(renamed).collect()
 }
 
-/// Constants that only the shaders have: the division of work within a pass, and markers that stay on the card.
+/// Constants that only the shaders have: sizes for the division of work within a pass, and markers that the CPU never
+/// reads.
 const SHADERS_ONLY: [&str; 6] = ["NOT_SEEN", "NOWHERE", "SSIM_SIDE", "LANES", "PIXELS", "BATCH"];
 
 fn integer_or_floats(module: &Module, at: Handle<Expression>) -> Option<Value> {
@@ -108,7 +109,7 @@ fn integer_or_floats(module: &Module, at: Handle<Expression>) -> Option<Value> {
     }
 }
 
-/// Named constants of a source.
+/// The named constants of a source with their values; `None` for a value that is neither an integer nor floats.
 fn constants(source: &str) -> Vec<(String, Option<Value>)> {
     let module = wgsl::parse_str(source).unwrap_or_else(|error| panic!("{}", error.emit_to_string(source)));
     let named = |(_, constant): (_, &naga::Constant)| {

@@ -1,5 +1,6 @@
-//! Compares the pictures of both backends pixel by pixel. Pixels may differ where rounding decides whether a splat
-//! reaches a threshold (1/255, a full pixel, which of two splats is nearer); these ties are counted and must be few.
+//! Compares the pictures of both backends pixel by pixel. Pixels may differ where rounding decides whether alpha
+//! reaches 1/255, whether a pixel is full, or which of two splats is nearer. Such pixels are called ties. They are
+//! counted and must be few.
 
 use cosurf_scene::{Camera, Splats};
 use glam::{DVec2, DVec3};
@@ -10,9 +11,10 @@ use crate::cpu::tests::{self, splats};
 use crate::gpu::render::GpuRenderer;
 use crate::render::Renderer;
 
-/// Largest difference of a value that is not a tie.
+/// Largest difference of a value that is not a tie. Differences of depth are relative, or absolute below a depth of 1;
+/// all others are absolute.
 const TOLERANCE: f32 = 1e-3;
-/// Share of pixels that may be ties. Differences of depth are relative, others absolute.
+/// Share of pixels that may be ties.
 const TIES_MAX: f64 = 1e-3;
 
 fn camera(eye: DVec3, focal_px: f64, center_px: DVec2, size_px: [u32; 2]) -> Camera {
@@ -32,14 +34,14 @@ fn cases() -> Vec<(&'static str, Splats, Camera)> {
         ("one pixel", splats(200, 0.4, -1.5, 0.0, 1, 2), centered(eye, 10.0, [1, 1])),
         ("rotated", splats(14, 0.4, -1.6, 0.0, 3, 3), centered(eye, 40.0, small)),
         ("off-centre", splats(200, 0.6, -1.5, 0.5, 2, 4), camera(-eye, 55.0, DVec2::new(9.0, 33.0), small)),
-        // Wide angle, large splats behind, beside and at the camera: slopes are clamped.
+        // A wide angle and large splats behind, beside and at the camera, so that slopes are clamped.
         ("clamped", splats(2000, 2.2, -0.8, 0.0, 1, 5), centered(eye, 14.0, small)),
         (
             "inside",
             splats(3000, 1.0, -2.0, 0.0, 0, 6),
             centered(DVec3::new(0.1, 0.2, 0.0), 100.0, [200, 150]),
         ),
-        // Full pixels and alphas at the clamp.
+        // Many pixels become full, and many alphas are clamped.
         ("opaque", splats(3000, 0.5, -2.2, 4.0, 0, 7), centered(eye, 300.0, [300, 210])),
         ("many", splats(20_000, 0.8, -3.4, 0.0, 3, 8), centered(eye, 300.0, [480, 270])),
         ("wide", splats(2000, 0.8, -3.0, 0.0, 1, 9), centered(eye, 3000.0, [8192, 40])),
@@ -47,7 +49,7 @@ fn cases() -> Vec<(&'static str, Splats, Camera)> {
     ]
 }
 
-/// Pixels of two pictures that differ by more than the tolerance, and the largest other difference.
+/// Number of pixels that differ by more than the tolerance, and the largest difference of all other pixels.
 fn compare(a: &Rendering, b: &Rendering) -> (usize, f32) {
     assert_eq!(a.size_px, b.size_px);
     let pixels = (a.size_px[0] * a.size_px[1]) as usize;
@@ -83,7 +85,8 @@ fn pictures_agree_with_the_cpu() {
         if splats.is_empty() {
             continue;
         }
-        // The comparison detects a model with one splat in fifty slightly larger (with one pixel: every splat).
+        // The comparison must also notice a wrong model: one in which every 50th splat is larger by a factor of e^0.2
+        // (every splat if the picture has only one pixel).
         assert!(expected.alpha.iter().any(|alpha| *alpha > 0.3), "{name} shows something");
         let mut wrong = splats.clone();
         let every = if pixels == 1 { 1 } else { 50 };

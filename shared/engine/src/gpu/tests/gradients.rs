@@ -16,9 +16,9 @@ pub(super) fn cases() -> Vec<(&'static str, Splats, Camera)> {
         ("no splats", Splats::with_capacity(0, 1), centered(eye, 40.0, [20, 20])),
         ("one pixel", splats(60, 0.4, -1.5, 0.0, 1, 2), centered(eye, 10.0, [1, 1])),
         ("rotated", splats(14, 0.4, -1.6, 0.0, 3, 3), centered(eye, 40.0, [44, 29])),
-        // Wide angle: slopes are clamped, splats are behind and beside the camera.
+        // A wide angle and splats behind and beside the camera, so that slopes are clamped.
         ("clamped", splats(500, 2.2, -0.8, 0.0, 2, 5), centered(eye, 14.0, [44, 29])),
-        // Lists with more pairs than a workgroup processes at a time; full pixels.
+        // Tiles with more pairs than a workgroup processes at a time, and full pixels.
         ("opaque", splats(2000, 0.5, -2.2, 3.0, 0, 7), centered(eye, 120.0, [120, 90])),
         ("wide", splats(600, 0.6, -3.0, 0.0, 1, 9), centered(eye, 400.0, [8192, 48])),
         ("many", splats(5000, 0.8, -3.0, 0.0, 3, 8), centered(eye, 150.0, [230, 140])),
@@ -41,7 +41,7 @@ fn weights(channels: Channels) -> LossWeights {
     }
 }
 
-/// One step up to the gradients.
+/// Runs the passes of one step up to the gradients, and returns losses and gradients.
 pub(super) fn step(
     backend: &mut impl Backend,
     camera: &Camera,
@@ -100,7 +100,8 @@ fn gradients_agree_with_the_cpu() {
             if splats.is_empty() {
                 continue;
             }
-            // The comparison detects gradients of which one in ten (visible or not) is wrong by 1 %.
+            // The comparison must also notice wrong gradients: every tenth number except those of opacities, whether
+            // its splat is visible or not, is larger by 1 %.
             let mut bent = got.clone();
             bent.means.iter_mut().chain(&mut bent.log_scales).flatten().step_by(10).for_each(|v| *v *= 1.01);
             bent.quats.iter_mut().flatten().chain(&mut bent.sh).step_by(10).for_each(|v| *v *= 1.01);

@@ -1,4 +1,5 @@
-//! A card with a low limit for buffers: the budget plans the largest models and pictures that it can bind.
+//! Tests with a card that can bind only small buffers. The budget must plan the largest model that such a card can
+//! bind, and must refuse larger pictures.
 
 use glam::DVec3;
 

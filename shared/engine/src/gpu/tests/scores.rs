@@ -24,10 +24,10 @@ fn the_division_of_work_in_a_tile_does_not_change_a_bit() {
     assert_eq!(both[0], both[1], "{name}");
 }
 
-/// Largest error of a score, relative to itself or to a thousandth.
+/// Largest allowed error of a sum of squared weights, relative to the larger of the sum and 0.001.
 const TOLERANCE: f32 = 1e-3;
 
-/// Scores of the splats over two equal pictures.
+/// Scores of the splats over two renderings by the same camera.
 fn scored(backend: &mut impl Backend, camera: &Camera) -> Scores {
     backend.clear_scores();
     for _ in 0..2 {
@@ -39,7 +39,7 @@ fn scored(backend: &mut impl Backend, camera: &Camera) -> Scores {
     backend.scores()
 }
 
-/// Number of splats with different scores.
+/// Number of splats whose scores differ.
 fn off(got: &Scores, expected: &Scores) -> usize {
     let is_off = |i: &usize| {
         let error = (got.squared_weights[*i] - expected.squared_weights[*i]).abs();
@@ -63,7 +63,8 @@ fn scores_agree_with_the_cpu() {
             continue;
         }
         assert!(expected.hits.iter().sum::<f32>() > 0.0, "{name}: something is hit");
-        // The comparison detects each of the three numbers if it is wrong for one in twenty of the hit splats.
+        // The comparison must also notice each of the three numbers of a score, if it is wrong for every 20th of the
+        // splats that were hit.
         let hit: Vec<usize> = (0..splats.len()).filter(|i| expected.hits[*i] > 0.0).step_by(20).collect();
         let bent: [fn(&mut Scores, usize); 3] = [
             |scores, i| scores.squared_weights[i] = 1.01 * scores.squared_weights[i] + 1e-5,
@@ -95,7 +96,7 @@ fn both_devices_find_the_same_least_important_splats() {
         println!("{name}: {differing} of {} that go are others", expected.len());
         let ties_max = TIES_MAX * splats.len() as f64;
         assert!(differing as f64 <= ties_max, "{name}: {differing} of {}", expected.len());
-        // The comparison detects a missing camera.
+        // The comparison must also notice a missing camera.
         assert!(differs(&lowest(&[other], &device)) as f64 > ties_max, "{name}: went unnoticed");
     }
 }

@@ -8,9 +8,9 @@ use crate::gpu::structs::{
     BackwardWeights, LossSettings, Pair, Projected, Rates, ScanStep, SortStep, SurfaceWeights, View,
 };
 
-/// Storage buffers that a pass may bind: WebGPU's default limit.
+/// Largest number of storage buffers that a pass may bind: WebGPU's default limit.
 const STORAGE_BUFFERS_MAX: usize = 8;
-/// Memory of a workgroup, bytes: WebGPU's default limit.
+/// Largest memory of a workgroup, bytes: WebGPU's default limit.
 const GROUP_BYTES_MAX: u32 = 16_384;
 
 fn parsed(source: &str) -> Module {
@@ -41,7 +41,7 @@ fn every_shader_is_valid_and_portable() {
     }
 }
 
-/// Offsets of the named fields and the size, as a shader sees them.
+/// Names and offsets of the fields of a structure, and its size, bytes, as a shader sees them.
 fn layout_in(module: &Module, structure: &str) -> (Vec<(String, u32)>, u32) {
     let (_, found) = module
         .types
@@ -53,7 +53,7 @@ fn layout_in(module: &Module, structure: &str) -> (Vec<(String, u32)>, u32) {
     (fields, *span)
 }
 
-/// Offsets of the named fields and the size of a structure of Rust.
+/// Names and offsets of the listed fields of a Rust structure, and its size, bytes.
 macro_rules! layout_of {
     ($structure:ident: $($field:ident)*) => {
         (
@@ -88,7 +88,7 @@ fn rust_and_shaders_lay_structures_out_alike() {
         SurfaceWeights: normal reprojection ncc teacher_depth teacher_normal samples sums_first unused;
         Pair: there_from_here focal_px center_px size_px unused_1 unused_2;
     }
-    // The comparison detects fields in another order.
+    // The comparison must also notice fields in another order.
     let moved = parsed("struct SortStep { shift: u32, counter: u32 } @compute @workgroup_size(1) fn f() {}");
     assert_ne!(layout_in(&moved, "SortStep"), layout_of!(SortStep: counter shift));
 }

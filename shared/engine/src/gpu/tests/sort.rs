@@ -1,4 +1,4 @@
-//! Dispatches with more workgroups than one axis allows: running sums of seventeen million numbers.
+//! Tests dispatches with more workgroups than one axis allows, with running sums of seventeen million numbers.
 
 use super::adapter::gpu;
 use crate::gpu::buffer::Buffer;

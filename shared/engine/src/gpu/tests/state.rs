@@ -37,7 +37,7 @@ fn edits_give_the_same_splats_as_on_the_cpu() {
     }
 }
 
-/// All numbers of a backend's checkpoint.
+/// All numbers that a checkpoint of the backend holds.
 fn kept(backend: &impl Backend) -> Vec<f32> {
     let mut kept = Vec::new();
     let exported: Result<(), ()> = backend.export(|numbers| {

@@ -1,5 +1,5 @@
-//! Compares the surface losses of both backends and their gradients at the splats. A sample may differ where rounding
-//! decides whether its reprojection error is below the limit or its patches match.
+//! Compares the surface losses of both backends, and the gradients with respect to the splats. A sample may differ
+//! where rounding decides whether its reprojection error is below the limit or its patches match.
 
 use cosurf_scene::{Camera, Splats};
 use glam::DVec3;
@@ -14,13 +14,13 @@ use crate::backend::{
 use crate::random::{Purpose, Random};
 use crate::render::Renderer;
 
-/// Share of the numbers that may differ by more than a thousandth: a sample that counts on one backend only has a
-/// gradient for all splats of its pixel.
+/// Share of the gradients that may differ by more than a thousandth. A sample that counts on only one of the backends
+/// changes the gradients of all splats of its pixel.
 const OFF_MAX: f64 = 0.01;
-/// The same with the normal loss: where a splat covers all four depths of a normal, their gradients cancel almost
-/// completely, and rounding errors remain.
+/// As [`OFF_MAX`], for losses that include the normal loss. A normal comes from the depths of four pixels. Where one
+/// splat covers all four, their gradients cancel almost completely, and rounding errors remain.
 const NORMALS_OFF_MAX: f64 = 0.02;
-/// Largest difference of a loss, and of the shares of samples.
+/// Largest difference of a loss, or of a share of samples, between the backends.
 const LOSS_OFF_MAX: f64 = 1e-3;
 
 /// Opaque discs of many colours on uneven ground.
@@ -36,7 +36,7 @@ fn ground(count: usize) -> Splats {
     splats
 }
 
-/// Inputs of a step: a view, its neighbour, and a teacher's surface.
+/// Inputs of a step: a view, then its neighbour, and how far the teacher's surface is trusted at each pixel.
 struct Shown {
     cameras: [Camera; 2],
     pictures: [Rendering; 2],
@@ -54,7 +54,7 @@ impl Shown {
         Self { cameras, pictures, trust }
     }
 
-    /// One step up to the gradients.
+    /// Runs the passes of one step up to the gradients, and returns losses and gradients.
     fn step(&self, backend: &mut impl Backend, weights: &LossWeights) -> (Losses, Splats) {
         let [here, there] = &self.pictures;
         backend.project(&self.cameras[1], 0);
@@ -78,7 +78,8 @@ impl Shown {
     }
 }
 
-/// Weights with only one loss: normals, reprojection, patches or teacher; or with all.
+/// Weights of only one loss: 0 for normals, 1 for reprojection, 2 for patches, 3 for the teacher. `None` gives the
+/// weights of all.
 fn weights(only: Option<usize>) -> LossWeights {
     let at = |k: usize, weight: f32| if only.is_none_or(|only| only == k) { weight } else { 0.0 };
     let multiview = MultiviewWeights { reprojection: at(1, 0.2), ncc: at(2, 0.7), cell_px: 2, draw: 9 };
@@ -124,7 +125,7 @@ fn surface_losses_agree_with_the_cpu() {
             for (got, expected) in numbers(&got_losses).into_iter().zip(numbers(&losses)) {
                 assert!((got - expected).abs() <= LOSS_OFF_MAX, "{only:?}: {got_losses:?} is not {losses:?}");
             }
-            // With twenty pixels, one tie would exceed the share.
+            // In a picture of twenty pixels or fewer, a single tie would exceed the allowed share.
             if size_px[0] < 100 {
                 continue;
             }
@@ -135,7 +136,7 @@ fn surface_losses_agree_with_the_cpu() {
             };
             assert!(off as f64 <= off_max * count as f64, "{size_px:?} {only:?}: {off} of {count} are off");
             assert!(losses.surface.returned > 0.5 && losses.surface.matched > 0.1, "{losses:?}");
-            // The comparison detects weights that are a percent too large.
+            // The comparison must also notice weights that are a percent too large.
             let mut heavier = weights;
             let surface = heavier.surface.as_mut().expect("a surface");
             surface.normal *= 1.01;

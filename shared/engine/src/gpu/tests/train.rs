@@ -14,7 +14,7 @@ use crate::{
     TrainingViews,
 };
 
-/// Trains a perturbed model on pictures of the true model; returns it and its mean PSNR.
+/// Trains the model in `backend` on pictures of the model `truth`. Returns the trained model and its mean PSNR, dB.
 fn train<B: Backend>(
     backend: B,
     steps: u32,

@@ -1,10 +1,10 @@
-//! A base is usable alone, and becomes part of the whole model.
+//! A base is usable alone, and its splats become part of the complete model.
 
 use cosurf_scene::Base;
 
 use super::*;
 
-/// Every third splat, twice as large, moved within the plane, and with another colour.
+/// Every third splat, about twice as large, moved in x and y, and with another opacity and colour.
 fn base(splats: &Splats) -> Base {
     let mut base = Base { ids: Vec::new(), splats: Splats::with_capacity(0, 0) };
     let mut noise = noise(11);
@@ -43,15 +43,16 @@ fn a_base_stands_in_for_the_model_and_then_becomes_part_of_it() {
             && colors.into_iter().all(|(a, b)| (a - b).abs() <= 0.5 * COLOR_STEP + 1e-6)
             && found.sh_of(i)[3..].iter().all(|v| *v == 0.0)
     };
-    // Some splats are too close to others, or too far out, to be matched by position.
+    // Some splats are too close to others to be matched by position, or were moved into the bounds.
     let origins_of_base = origins(&first.splats, &base.splats);
     let right = (0..first.splats.len()).filter(|&i| is_unchanged(i, origins_of_base[i])).count();
     assert!(right > 9_500, "{right} of 10,000");
-    // Without its changes the base stays as it is, and the other splats are hidden: they would overlap it.
+    // Without its changes the base keeps its first form, and the other splats are hidden, because they would
+    // overlap the base.
     let changes: Vec<_> = plan.packs_of(PackKind::Changes).map(|pack| pack.range).collect();
     let unchanged = part_to_model(&body, |range| !changes.contains(&range)).unwrap().unwrap();
     assert_eq!(unchanged, first);
-    // The whole model is the same as without a base, except for the steps of the colours.
+    // The complete model equals the model that was encoded without a base, except for quantisation errors.
     let whole = body_to_model(&body).unwrap().splats;
     let plain = body_to_model(&super::body(&sent)).unwrap().splats;
     let found = origins(&whole, &plain);
@@ -66,7 +67,7 @@ fn a_base_stands_in_for_the_model_and_then_becomes_part_of_it() {
     let mut opacities = [&whole, &plain].map(|splats| splats.opacity_logits.clone());
     opacities.iter_mut().for_each(|all| all.sort_unstable_by(f32::total_cmp));
     assert_eq!(opacities[0], opacities[1]);
-    // In between, each region has either its base splats or its final splats.
+    // While the rest arrives, each region has either its base splats or its final splats.
     let mut counts = Vec::new();
     for end in (end_of_base..body.len()).step_by(10_007) {
         counts.push(part(end).splats.len());
