@@ -252,7 +252,7 @@ impl Keeper {
             return Ok(Some(ServiceEvent::NothingMerged { kept_out }));
         };
         let offer = self.keep(merged, &inputs, (kept_out.clone(), fitted), seconds)?;
-        Ok(Some(self.broadcast(node, offer, kept_out)))
+        Ok(Some(self.broadcast(node, offer, inputs.headers().count(), kept_out)))
     }
 
     /// Writes a merged model to the disk: the revision, its record, and the PLY file for viewers. If the
@@ -285,17 +285,25 @@ impl Keeper {
         let global = self.global.expect("a merged model has a revision");
         let (header, body) = self.globals.get(ModelKey::from(global))?;
         self.to_offer = false;
-        let kept_out = Merging::read(&self.folder).map(|record| record.kept_out).unwrap_or_default();
-        Ok(self.broadcast(node, Offer { header, body }, kept_out))
+        let record = Merging::read(&self.folder);
+        let (inputs, kept_out) =
+            record.map(|record| (record.inputs.len(), record.kept_out)).unwrap_or_default();
+        Ok(self.broadcast(node, Offer { header, body }, inputs, kept_out))
     }
 
-    fn broadcast(&self, node: &mut Node, offer: Offer, kept_out: Vec<KeptOut>) -> ServiceEvent {
+    /// Sends a global model of `inputs` models, less those kept out, to the devices whose models are in the shelf.
+    fn broadcast(
+        &self,
+        node: &mut Node,
+        offer: Offer,
+        inputs: usize,
+        kept_out: Vec<KeptOut>,
+    ) -> ServiceEvent {
         let header = offer.header;
         let senders = self.shelf.newest().into_iter().map(|header| header.device);
         let receivers: Vec<DeviceId> = senders.filter(|device| !self.given_up.contains(device)).collect();
         node.broadcast(TileId::WHOLE, offer, &receivers);
-        let models = self.shelf.inputs().headers().count() - kept_out.len();
-        ServiceEvent::Merged { header, models, kept_out }
+        ServiceEvent::Merged { header, models: inputs.saturating_sub(kept_out.len()), kept_out }
     }
 }
 

@@ -46,11 +46,13 @@ impl Meter {
         let is_due = done == of || now_s - shown_s >= LINES_EVERY_S;
         self.stage = Some((stage, begun_s, if is_due { now_s } else { shown_s }));
         // The rate is counted from the end of the first view, because the start of the stage is not reported.
-        let per_s = (done - 1) as f64 / (now_s - begun_s);
-        let text = format!(
-            "{done} of {of} views · {per_s:.1} views/s · {} left",
-            format_seconds((of - done) as f64 / per_s)
-        );
+        let per_s = done.saturating_sub(1) as f64 / (now_s - begun_s);
+        let rate = if per_s > 0.0 && per_s.is_finite() {
+            format!(" · {per_s:.1} views/s · {} left", format_seconds(of.saturating_sub(done) as f64 / per_s))
+        } else {
+            String::new()
+        };
+        let text = format!("{done} of {of} views{rate}");
         match self.display {
             Display::Bars => {
                 self.bar.set_length(of as u64);

@@ -36,7 +36,10 @@ pub fn write_all() -> io::Result<()> {
 /// results that [`ALL`] does not show. A sentence for each.
 pub fn faults() -> io::Result<Vec<String>> {
     let mut faults = Vec::new();
+    let names = BTreeSet::from_iter(store::names(&store::folder())?);
     for (document, text) in texts()? {
+        let unknown = |name: &str| format!("{document}: there are no results `{name}`; measure them");
+        faults.extend(shown(&text).difference(&names).map(|name| unknown(name)));
         if with_tables(&text, stored)? != text {
             faults.push(format!("{document}: a table differs from its results; `results` writes it anew"));
         }
@@ -44,8 +47,7 @@ pub fn faults() -> io::Result<Vec<String>> {
             let by_hand = |line: &str| format!("{document}: a table that no results give: {line}");
             faults.extend(unmarked_tables(&text).map(by_hand));
             let shown = shown(&text);
-            let missing =
-                store::names(&store::folder())?.into_iter().filter(|name| !shown.contains(name.as_str()));
+            let missing = names.iter().filter(|name| !shown.contains(*name));
             faults.extend(missing.map(|name| format!("{document}: the results `{name}` are not shown")));
         }
     }
@@ -59,28 +61,32 @@ fn texts() -> io::Result<Vec<(&'static str, String)>> {
         .collect()
 }
 
-fn stored(name: &str) -> io::Result<Results> {
-    store::read(&store::folder(), name)?
-        .ok_or_else(|| io::Error::other(format!("there are no results `{name}`")))
+fn stored(name: &str) -> io::Result<Option<Results>> {
+    store::read(&store::folder(), name)
 }
 
-/// The text with every table between markers replaced.
-fn with_tables(text: &str, mut results: impl FnMut(&str) -> io::Result<Results>) -> io::Result<String> {
+/// The text with every table between markers replaced; without results the place stays empty.
+fn with_tables(
+    text: &str,
+    mut results: impl FnMut(&str) -> io::Result<Option<Results>>,
+) -> io::Result<String> {
     let mut new = String::new();
     let mut rest = text;
     while let Some((before, after)) = rest.split_once(BEGIN) {
         let unclosed = || io::Error::other(format!("`{BEGIN}` without `{END}`"));
         let (name, after) = after.split_once(" -->\n").ok_or_else(unclosed)?;
         let (_, after) = after.split_once(END).ok_or_else(unclosed)?;
-        new += &format!("{before}{BEGIN}{name} -->\n{}{END}", results(name)?.to_markdown());
+        let table = results(name)?.map_or_else(String::new, |results| results.to_markdown());
+        new += &format!("{before}{BEGIN}{name} -->\n{table}{END}");
         rest = after;
     }
     Ok(new + rest)
 }
 
 /// The names of the results that a text shows.
-fn shown(text: &str) -> BTreeSet<&str> {
-    text.lines().filter_map(|line| line.strip_prefix(BEGIN)?.strip_suffix(" -->")).collect()
+fn shown(text: &str) -> BTreeSet<String> {
+    let names = text.lines().filter_map(|line| line.strip_prefix(BEGIN)?.strip_suffix(" -->"));
+    names.map(str::to_owned).collect()
 }
 
 /// The first lines of tables outside markers.
@@ -101,8 +107,8 @@ mod tests {
     use super::*;
     use crate::results::{Column, Row};
 
-    fn passes(name: &str) -> io::Result<Results> {
-        Ok(Results {
+    fn passes(name: &str) -> io::Result<Option<Results>> {
+        Ok((name != "none").then(|| Results {
             name: name.to_owned(),
             source: None,
             commit: "1234567".to_owned(),
@@ -112,7 +118,7 @@ mod tests {
             command: "cargo bench".to_owned(),
             columns: vec![Column::splats()],
             rows: vec![Row { name: name.to_owned(), values: vec![Some(1.0)] }],
-        })
+        }))
     }
 
     #[test]
@@ -127,10 +133,12 @@ mod tests {
         let marked = |name| format!("<!-- results: {name} -->\n{}<!-- end of results -->\n", table(name));
         assert_eq!(new, format!("Prose.\n\n{}\nMore.\n{}", marked("a"), marked("b")));
         assert_eq!(with_tables(&new, passes).unwrap(), new, "written again, it stays");
-        assert_eq!(shown(&new), BTreeSet::from(["a", "b"]));
+        assert_eq!(shown(&new), BTreeSet::from(["a", "b"].map(str::to_owned)));
         let by_hand = new.replace("| a | 1 |", "| a | 2 |");
         assert_ne!(with_tables(&by_hand, passes).unwrap(), by_hand, "a figure typed by hand is noticed");
         assert!(with_tables("<!-- results: a -->\n", passes).is_err());
+        let empty = "<!-- results: none -->\n<!-- end of results -->\n";
+        assert_eq!(with_tables(empty, passes).unwrap(), empty);
     }
 
     #[test]
