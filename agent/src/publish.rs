@@ -254,7 +254,7 @@ impl<'a> FlightCollector<'a> {
         self.quiet_since.is_some_and(|since| now >= since + self.sharing.quiet)
     }
 
-    /// Indices of the splats to drop, because other devices own their ground.
+    /// Indices of the splats to drop, because they lie on ground that other devices own; see [`crate::flights`].
     fn splats_of_others(&self, splats: &Splats, cameras: &[Camera]) -> Result<Vec<u32>> {
         Ok(self.flights.compression(splats, cameras, self.sharing.threads)?.removed)
     }

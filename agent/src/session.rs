@@ -61,7 +61,8 @@ pub struct TrainPlan {
     pub prune: Option<PruneSettings>,
     /// Whether to learn an exposure for each picture.
     pub exposure: bool,
-    /// A PLY of the same ground to start from; `None` starts from the sparse cloud.
+    /// A PLY of splats to start from, for example an earlier model of the same ground; `None` starts from the sparse
+    /// points of the dataset.
     pub init: Option<PathBuf>,
     /// Whether the model will be merged with other models. If so, it gets more splats, and keeps splats that only one
     /// view observes.

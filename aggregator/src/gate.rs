@@ -203,7 +203,7 @@ fn doubts(
 struct Shown {
     cameras: Vec<Camera>,
     glimpses: Vec<Glimpse>,
-    /// Share of the model's splats that none of its own cameras sees, 0..=1.
+    /// Share of the model's splats that none of its own cameras sees, 0..=1; 0 for a model without cameras.
     unseen: f64,
     /// Mean position of the cameras, world units.
     middle: DVec3,

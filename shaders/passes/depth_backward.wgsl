@@ -1,5 +1,6 @@
-// Adds the gradients with respect to the depth z of a pixel that come from the normals of the four pixels beside it.
-// Propagates the sum through z = D / -(N . r) to the blended plane of the pixel, with ray r, distance D and normal N.
+// Sums up, for each pixel, the gradients with respect to its depth z. They come from the normal losses of the four
+// adjacent pixels, whose normals are computed from depths such as z. Propagates the sum through z = D / -(N . r) to the
+// blended plane of the pixel, with ray r, distance D and normal N.
 // Parts: types, pixels, surface, surface_gradient.
 
 @group(0) @binding(0) var<uniform> view: View;

@@ -1,5 +1,5 @@
-// Computes the luma of a photograph, 0..1. The plane is longer than the picture; its values beyond the picture are
-// never used.
+// Computes the luma of a photograph, 0..1, row by row. The buffer `luma_plane` may be longer than the photograph; what
+// this pass writes beyond the photograph is never used.
 // Parts: types, photograph.
 
 @group(0) @binding(0) var<uniform> settings: LossSettings;

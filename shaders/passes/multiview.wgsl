@@ -1,6 +1,6 @@
 // The multi-view losses on sampled pixels (PGSR): the reprojection error through the depth of a neighbouring view, and
-// the difference of patches, warped into that view by the homography of the blended plane. An invocation processes a
-// sample. No two samples share a pixel.
+// the difference between the patch around the pixel and its warp in the photograph of that view. The homography of the
+// blended plane gives the warp. Each invocation processes one sample. No two samples share a pixel.
 //
 // Reprojection: the point that a pixel shows is projected into the neighbour. The depth of the neighbour at that
 // position gives a second point, which is projected back. The error e is the distance of the result from the pixel, px.

@@ -82,8 +82,9 @@ impl Transfer {
         Arc::clone(&self.body)
     }
 
-    /// Decodes the packs that have arrived. Returns `None` if there are no splats yet, or if a pack is
-    /// invalid. Only the checksums of the packs are checked: the hash covers the whole body.
+    /// Decodes the packs that have arrived. Returns `None` if no splats have arrived, if a pack is invalid, or if the
+    /// body contradicts the header. The hash is not checked, because it covers the whole body; each pack has its own
+    /// checksum.
     pub(crate) fn part(&self) -> Option<Model> {
         let chunk_bytes = self.header.chunk_bytes as usize;
         let is_here = |range: Range<usize>| {

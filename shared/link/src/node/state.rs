@@ -121,7 +121,7 @@ impl Node {
         self.inbox.refuse(key, reason);
     }
 
-    /// Size of all unfinished bodies in bytes, at most [`InboxLimits::total_bytes_max`].
+    /// Full size of all bodies that are being received or stored, bytes, at most [`InboxLimits::total_bytes_max`].
     pub fn unfinished_bytes(&self) -> u64 {
         self.inbox.unfinished_bytes()
     }

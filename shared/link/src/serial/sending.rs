@@ -15,7 +15,7 @@ const LOSSES_BEFORE_DOUBLING: u8 = 3;
 /// The sender's state for one line.
 #[derive(Debug, Default)]
 pub(super) struct Sending {
-    /// Messages of which pieces are still missing on the other side, oldest first.
+    /// The messages from the oldest one that has not completely arrived on, oldest first.
     messages: VecDeque<Message>,
     /// Messages that are not completely cut into pieces. Of the first message, `cut` bytes are already cut.
     queue: VecDeque<Vec<u8>>,

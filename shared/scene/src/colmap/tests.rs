@@ -9,8 +9,8 @@ use glam::{DQuat, DVec2, DVec3};
 use super::*;
 use crate::{Camera, Pose, SparsePoint, View};
 
-/// Two pictures of different cameras, and three points. Every value is the same after being written
-/// and read.
+/// A dataset of two pictures by different cameras, and three points. Its values are chosen so that writing and reading
+/// them changes none.
 fn made_up(root: &Path) -> Dataset {
     let view = |name: &str, wxyz: [f64; 4], focal_px: DVec2| View {
         name: name.into(),
