@@ -72,7 +72,7 @@ shaders! {
     SSIM: "ssim", "pixels", "photograph", "photometric";
     /// Computes the gradient of the colour loss with respect to every pixel.
     PHOTOMETRIC_GRADIENT: "photometric_gradient", "pixels", "photograph", "photometric";
-    /// Adds the sums of the colour loss of all tiles.
+    /// Sums up the colour loss over all tiles.
     LOSS_TOTAL: "loss_total";
     /// Computes the depth of each pixel from its blended plane.
     UNBIASED_DEPTH: "unbiased_depth", "pixels", "surface";

@@ -1,15 +1,15 @@
 //! Decides which models take part in a merge. A model that contradicts others stays on the disk, but is kept out of
 //! merges until it contradicts no other model.
 //!
-//! The gate renders small pictures of each model from some of its cameras. If another model's cameras see the same
-//! ground, that model must look the same from there ([`glimpse`]). A forged model does not, nor does a model in
-//! another frame or scale. The gate also keeps out a model with most of its splats where none of its own cameras
-//! looks. It keeps out a model so far from all others that its origin must be wrong. A model that shares no ground
-//! with others is accepted.
+//! The gate renders small pictures of each model from some of its cameras. If the cameras of another model see the
+//! same ground, the other model must give the same pictures ([`glimpse`]). A forged model does not, nor does a model
+//! in another frame or scale. The gate also keeps out a model with most of its splats where none of its own cameras
+//! looks. It keeps out a model so far from all others that its origin must be wrong. Any other model that shares no
+//! ground with others is accepted.
 //!
 //! Of two conflicting models, the gate drops the one with more conflicts net of confirmations. On a tie, it drops the
-//! one with fewer cameras, and then the one with the higher index. So the verdict does not depend on the order of
-//! arrival.
+//! one with fewer cameras, and then the one with the higher index. [`Locals`] gives the models in a fixed order, so the
+//! verdict does not depend on the order of arrival.
 //!
 //! If the settings allow it, a conflicting model is moved to where it fits the others (`refine`). The colours of the
 //! admitted models are matched to each other ([`tone`]).
@@ -92,7 +92,7 @@ pub struct Place {
     pub local: usize,
     /// Moves the model to where it fits the others; `None` if its position is right.
     pub by: Option<Similarity>,
-    /// Matches the model's colours to those of the others; `None` if they match already.
+    /// Matches the model's colours to those of the others; `None` if the colours of all models match already.
     pub tone: Option<Tone>,
 }
 
@@ -138,8 +138,9 @@ impl Admitted<'_> {
     }
 }
 
-/// Decides which of `locals` take part in a merge. With `refines`, a model in another frame is moved to where it fits.
-/// `is_given_up` is called between models; if it returns true, the result is an error.
+/// Decides which of `locals` take part in a merge. With `refines`, a model that contradicts others is moved to where it
+/// fits, and is kept out only if it fits nowhere. `is_given_up` is called between models; if it returns true, the
+/// result is an error.
 pub fn admit<'a>(
     locals: &'a dyn Locals,
     refines: bool,
@@ -226,7 +227,8 @@ impl Shown {
         Self { cameras, glimpses, unseen, middle, radius }
     }
 
-    /// Gap between the cameras of the two models, in radii of the larger flight; negative if the flights overlap.
+    /// Gap between the cameras of the two models, in radii of the larger flight; negative if the flights overlap. A
+    /// radius counts as at least 1 world unit.
     fn gap_radii(&self, other: &Self) -> f64 {
         let gap = self.middle.distance(other.middle) - self.radius - other.radius;
         gap / self.radius.max(other.radius).max(1.0)

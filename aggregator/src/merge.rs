@@ -74,7 +74,7 @@ pub struct MergeSummary {
 pub struct LocalSummary {
     /// Number of splats that arrived.
     pub arrived: usize,
-    /// Ψ of CoSurfGS: share of the model's cameras that look at ground of other models, 0..=1.
+    /// Ψ of CoSurfGS: share of the model's cameras that look at ground of other models, 0..=1; 0 without compression.
     pub overlap: f64,
     /// Number of splats that compression removed.
     pub removed: usize,

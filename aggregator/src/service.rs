@@ -12,12 +12,13 @@
 //! | `merged.json` | what the newest revision was merged from, and how |
 //! | `withdrawn/` | a file for each withdrawn device, with the number of its last model that no longer counts |
 //! | `upstream/` | models from the aggregator above, if there is one: [`upstream`] |
+//! | `session` | the number of the last session |
 //!
 //! The newest model of each device is merged, unless it contradicts the others ([`crate::gate`]). Models are merged in
 //! the order of device ids, so their order of arrival does not change the bytes. A merge runs on its own thread while
 //! the service keeps listening. If the models that count change before the merge ends, it starts over. A device without
-//! a complete model contributes the part of a model that has arrived ([`crate::merge::fill_in()`]), unless the service
-//! accepts only trusted keys.
+//! a complete model contributes the part of a model that has arrived ([`crate::merge::fill_in()`]). If the service
+//! accepts only trusted keys, it uses no parts, because the signature of a part cannot be checked.
 //!
 //! What it knows nothing about: photographs, how agents train, and how agents are started. It knows agents only by
 //! their messages.

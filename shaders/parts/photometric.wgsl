@@ -2,7 +2,8 @@
 // of SSIM.
 // Needs: types, pixels, photograph; the binding `view`.
 
-// Half the side of the SSIM window, the side of this window, and the side of a tile with its halo, px.
+// Number of pixels of the SSIM window on each side of its centre, the side of this window, and the side of a tile with
+// its halo, px.
 const SSIM_REACH: u32 = 5u;
 const SSIM_TAPS: u32 = 2u * SSIM_REACH + 1u;
 const SSIM_SIDE: u32 = TILE + 2u * SSIM_REACH;

@@ -7,7 +7,7 @@ const GRAZING: f32 = 0.01;
 // Below this alpha a pixel shows no surface.
 const SURFACE_ALPHA: f32 = 0.5;
 
-// Distance of the pixels whose depths give a pixel's normal, px.
+// Distance, px, between a pixel and the four pixels whose depths give its normal.
 const NORMAL_REACH: u32 = 1u;
 
 // The ray through the centre of a pixel, in the camera frame, scaled to z = 1.

@@ -8,7 +8,7 @@ const TILE_PIXELS: u32 = 256u;
 const GROUP: u32 = 256u;
 // How many numbers one workgroup scans or sorts: 4 for each invocation.
 const BLOCK: u32 = 1024u;
-// Number of values of a digit. Keys are sorted by one digit of 4 bits after the other.
+// Number of values of a digit. Keys are sorted digit by digit; a digit has 4 bits.
 const DIGITS: u32 = 16u;
 
 // Splats nearer than this to the camera's plane are not drawn (3DGS; scene units).

@@ -1,5 +1,5 @@
-// One step of Adam on all splats, visible or not. The gradients of SH coefficients are products of the gradient of the
-// colour and the basis functions; this pass computes them.
+// One step of Adam on all splats, visible or not. This pass also computes the gradient with respect to each SH
+// coefficient: the gradient with respect to the colour times the basis function.
 // Parts: types, sh.
 
 @group(0) @binding(0) var<uniform> view: View;

@@ -1,5 +1,5 @@
 // Writes the pairs of each splat to its slots, nearest splat first. A slot is the index of a pair before the sort by
-// tile. If the pairs of a splat exceed the capacity, neither this splat nor the splats behind it get slots.
+// tile. If a splat needs slots beyond the capacity, neither this splat nor the splats behind it get slots.
 // Parts: types, spans.
 
 @group(0) @binding(0) var<uniform> view: View;

@@ -1,4 +1,4 @@
-// Adds the loss sums of all tiles and channels, in a fixed order. Runs as one workgroup.
+// Sums up the loss sums of all tiles and channels, in a fixed order. Runs as one workgroup.
 // Parts: types.
 
 @group(0) @binding(0) var<uniform> view: View;

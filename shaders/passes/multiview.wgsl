@@ -31,7 +31,7 @@
 const SAMPLES_AT_ONCE: u32 = 64u;
 // A pixel counts as seen by both views if its reprojection error is below this, px (θ in CoSurfGS).
 const RETURN_MAX_PX: f32 = 1.0;
-// Half the side of a patch, px, the side of a patch, px, and its number of pixels.
+// Number of pixels of a patch on each side of its centre, the side of a patch, px, and its number of pixels.
 const PATCH_REACH: u32 = 1u;
 const PATCH_SIDE: u32 = 2u * PATCH_REACH + 1u;
 const PATCH: u32 = PATCH_SIDE * PATCH_SIDE;
@@ -160,7 +160,7 @@ const NOWHERE = Found(0.0, vec2(0.0), -1.0);
 
 // A position in the picture of the neighbour, between the centres of four pixels.
 struct Between {
-    // Indices of the upper left and the lower left pixel in a plane.
+    // Indices of the upper left and the lower left pixel in `neighbour_depth` and `neighbour_luma`.
     upper: u32,
     lower: u32,
     // Distance from the centre of the upper left pixel to the position, 0..1 px.
@@ -217,7 +217,8 @@ struct Match {
     by_ratio: vec3<f32>,
 }
 
-// Compares the patch around a pixel with the neighbour. If it cannot be compared, the disagreement is 1.
+// Compares the patch around a pixel with the neighbour. If it cannot be compared, or if the correlation is not
+// positive, the disagreement is 1.
 fn patches(pixel: vec2<u32>, plane: vec4<f32>) -> Match {
     let none = Match(1.0, vec3(0.0));
     if (any(pixel < vec2(PATCH_REACH)) || any(pixel + PATCH_REACH >= view.size_px)) {
@@ -259,7 +260,7 @@ fn patches(pixel: vec2<u32>, plane: vec4<f32>) -> Match {
         moments += vec3(a * a, b * b, a * b);
     }
     moments /= f32(PATCH);
-    // A patch with negative correlation does not match (in PGSR it does).
+    // Patches without positive correlation do not match (in PGSR, negative correlation matches).
     if (!(moments.z > 0.0)) {
         return none;
     }

@@ -1,10 +1,10 @@
 // The single-view normal loss: the difference between blended normals and normals from depth, with lower weight on
 // edges of the photograph (PGSR).
 //
-// A pixel with depth z and ray r shows the point P = z r. With k = NORMAL_REACH,
-// h = P(x + k) - P(x - k) and v = P(y - k) - P(y + k), the normal from depth is n = h × v / |h × v|.
+// A pixel with depth z and ray r shows the point P = z r. The normal from depth at a pixel (x, y) is
+// n = h × v / |h × v| with h = P(x + k, y) - P(x - k, y), v = P(x, y - k) - P(x, y + k) and k = NORMAL_REACH.
 // The loss of a pixel is w |α n - N|₁: w is the weight for edges, N the blended normal, and α the alpha of the pixel,
-// held constant.
+// held constant. The loss is 0 if one of the four pixels is outside the picture or has no depth.
 // Parts: types, pixels, surface, luma_slope, tile_sum.
 
 @group(0) @binding(0) var<uniform> view: View;
@@ -85,7 +85,7 @@ fn normal_loss(pixel: vec2<u32>) -> Given {
 }
 
 // Weight of a pixel: (1 - g)², with g the slope of the photograph at the pixel, scaled so that slopes over the picture
-// range over 0..1.
+// range over 0..1. The weight is 1 if all slopes are equal.
 fn edge_weight(pixel: vec2<u32>) -> f32 {
     let least = bitcast<f32>(slopes[0]);
     let range = bitcast<f32>(slopes[1]) - least;

@@ -9,7 +9,8 @@
 @group(0) @binding(4) var<storage, read_write> depth_keys: array<u32>;
 // 1 for each visible splat, 0 for the others: input of the next scan.
 @group(0) @binding(5) var<storage, read_write> places: array<u32>;
-// First slot and number of slots of each splat. This pass writes the number; the pass emit writes the first slot.
+// First slot and number of slots of each splat. This pass writes the number of tiles as the number of slots; the pass
+// emit writes the final values.
 @group(0) @binding(6) var<storage, read_write> slots: array<vec2<u32>>;
 
 @compute @workgroup_size(GROUP)

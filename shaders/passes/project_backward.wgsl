@@ -1,4 +1,4 @@
-// The backward pass of the projection. It adds the records of each splat in the order of their slots, and propagates
+// The backward pass of the projection. It sums up the records of each splat in the order of their slots, and propagates
 // these gradients through 2D Gaussian, plane and colour to the parameters. It also adds to the densification
 // statistics. The functions reverse those in geometry.wgsl and sh.wgsl.
 //
@@ -14,9 +14,9 @@
 @group(0) @binding(6) var<storage, read> records: array<vec4<f32>>;
 // Rows as in a shape, then the gradient with respect to the colour that the camera sees; zero for invisible splats.
 @group(0) @binding(7) var<storage, read_write> gradients: array<f32>;
-// Rows, summed over views: the norm of the gradient with respect to the mean on the screen, in units of half the
-// picture (3DGS); 1 for each view that sees the splat; the same norm, but of the gradient whose absolute values were
-// added over pixels (AbsGS).
+// Three rows of sums over views. First: the norm of ∂L/∂mean on the screen, with screen positions in units of half the
+// picture (3DGS). Second: 1 for each view that sees the splat. Third: as the first, but each axis of ∂L/∂mean is a sum
+// over pixels of absolute values (AbsGS).
 @group(0) @binding(8) var<storage, read_write> stats: array<f32>;
 
 @compute @workgroup_size(GROUP)
@@ -84,7 +84,7 @@ struct Sums {
     absolute: vec2<f32>,
 }
 
-// Adds the records of the slots of a splat.
+// Sums up the records of the slots of a splat.
 fn gather(slots: vec2<u32>) -> Sums {
     var a = vec4(0.0);
     var b = vec4(0.0);
@@ -134,8 +134,8 @@ fn through_covariance(g: Geometry, v_cov: vec3<f32>, into: ptr<function, CameraG
     let u_z = vec3(g.u[0].z, g.u[1].z, g.u[2].z);
     let v_slope = -j * vec2(dot(v_b_x, u_z), dot(v_b_y, u_z));
     let free = select(v_slope, vec2(0.0), g.clamped);
-    // b_x and b_y have the factor j = f / z, so they are b = j w. The gradient of j is v_j = v_b . w, which is v_b . b
-    // / j. The slope in w depends on z too; the next lines add that part.
+    // b_x and b_y have the form b = j w with j = f / z. The gradient with respect to j is v_b . w = v_b . b / j. The
+    // slope in w depends on z too; the next lines add that part.
     let v_z_of_j = -(dot(v_b_x, g.b_x) + dot(v_b_y, g.b_y)) * g.inv_z;
     (*into).t += vec3(free * g.inv_z, v_z_of_j - dot(free, g.slope) * g.inv_z);
     for (var k = 0u; k < 3u; k++) {
@@ -181,7 +181,7 @@ fn sh_gradient(dir: vec3<f32>, w: array<f32, 16>) -> vec3<f32> {
     let yy = y * y;
     let zz = z * z;
     let first = SH_C1 * vec3(-w[3], -w[1], w[2]);
-    // SH_C2[0] = -SH_C2[1] = -SH_C2[3] = 2 SH_C2[4].
+    // The signs and factors use that SH_C2[0] = -SH_C2[1] = -SH_C2[3] = 2 SH_C2[4].
     let second = vec3(
         SH_C2[0] * (w[4] * y - w[7] * z + w[8] * x) - (2.0 * SH_C2[2]) * w[6] * x,
         SH_C2[0] * (w[4] * x - w[5] * z - w[8] * y) - (2.0 * SH_C2[2]) * w[6] * y,

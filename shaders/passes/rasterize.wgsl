@@ -2,8 +2,8 @@
 // four pixels of a row, so that each splat is read once for four pixels.
 // Parts: types, pixels, tile_list.
 
-// Number of entries in the list of each tile that were processed before all pixels of the tile were full. It is the
-// length of the list, or a multiple of BATCH.
+// Number of entries in the list of each tile that were processed. A tile is finished after the batch in which its last
+// pixel becomes full, so the number is the length of the list or a multiple of BATCH.
 @group(0) @binding(5) var<storage, read_write> blended: array<u32>;
 @group(0) @binding(6) var<storage, read_write> image: array<f32>;
 
@@ -30,8 +30,8 @@ fn rasterize(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
     let y = f32(corner.y) + 0.5;
     let range = ranges[tile];
 
-    // `open` is the transmittance of each pixel until it is full, then 0. `left` is the final transmittance of a full
-    // pixel, and 0 before.
+    // `open` is the transmittance of each pixel, or 0 if the pixel is full or outside the picture. `left` is the final
+    // transmittance of a full pixel, and 0 for all others.
     let inside = (columns < vec4(view.size_px.x)) & vec4(corner.y < view.size_px.y);
     var open = select(vec4(0.0), vec4(1.0), inside);
     var left = vec4(0.0);

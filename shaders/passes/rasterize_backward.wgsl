@@ -1,5 +1,5 @@
-// The backward pass of the blend. Like the blend it runs from front to back, so of the forward pass only the final
-// picture must be kept.
+// The backward pass of the blend. It repeats the blend from front to back, so the only results of the blend that it
+// needs are the final picture and the number of pairs that each tile processed.
 //
 // A workgroup processes a tile; its invocations process one pair each at a time, see crossing.wgsl.
 //
@@ -16,7 +16,7 @@
 // values of ∂L/∂mean in x and y, times log2(e).
 @group(0) @binding(8) var<storage, read_write> records: array<vec4<f32>>;
 
-// For each pixel, its transmittance (0 once the pixel is full) and its `rest`.
+// For each pixel, its transmittance (0 if the pixel is full or outside the picture) and its `rest`.
 var<workgroup> pixels: array<vec2<f32>, TILE_PIXELS>;
 // Gradient of the loss with respect to the pixels of the tile: to colours, then to normal and distance.
 var<workgroup> v_rgbs: array<vec3<f32>, TILE_PIXELS>;

@@ -9,7 +9,7 @@
 // A view observes a splat that is blended into one of its pixels while the transmittance is above this (PGSR).
 const OBSERVED_TRANSMITTANCE: f32 = 0.5;
 
-// Transmittance of each pixel of the tile; 0 once the pixel is full.
+// Transmittance of each pixel of the tile; 0 if the pixel is full or outside the picture.
 var<workgroup> pixels: array<f32, TILE_PIXELS>;
 
 @compute @workgroup_size(PAIRS_AT_ONCE)

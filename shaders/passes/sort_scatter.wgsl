@@ -3,7 +3,7 @@
 
 @group(0) @binding(0) var<uniform> step: SortStep;
 @group(0) @binding(1) var<storage, read> counters: array<u32>;
-// Running sums of the counts within each block of counts, and the sum of all blocks of counts before each.
+// Running sums of the digit counts within each block of counts, and for each block the sum of all blocks before it.
 @group(0) @binding(2) var<storage, read> counts: array<u32>;
 @group(0) @binding(3) var<storage, read> block_sums: array<u32>;
 @group(0) @binding(4) var<storage, read> keys: array<u32>;

@@ -1,7 +1,7 @@
 // The losses of distillation: differences of depths and blended normals from those of a teacher (CoSurfGS, "Model
-// Aggregation Scheme", L_d and L_n). For a pixel with depth z and blended normal N, the losses are t |z - z'| and t |N
-// - N'|₁. z' and N' are those of the teacher, and t is the trust in the pixel of the teacher. The loss of depth counts
-// only where both have a depth.
+// Aggregation Scheme", L_d and L_n). A pixel has depth z and blended normal N; those of the teacher are z' and N', and
+// t is the trust in the pixel of the teacher. The losses are t |z - z'| and t |N - N'|₁. The loss of depth is 0 unless
+// both z and z' are above 0.
 // Parts: types, pixels, surface, surface_gradient, tile_sum.
 
 @group(0) @binding(0) var<uniform> view: View;

@@ -1,10 +1,12 @@
-//! Size of a packed model, and its loss of quality, layer by layer.
+//! Measures the size of a packed model, and the quality that it loses if only the first part of its bytes has
+//! arrived.
 //!
 //! `cargo bench -p cosurf-tests --bench layers -- --help`
 //!
-//! PSNR is measured on held-out views. Changes of normals and depth compare the unpacked model with the
-//! original: medians over pixels. With a true surface, the last column is the growth of the normals' median
-//! error. The last table printed goes to the results: the loss when only the first bytes have arrived.
+//! PSNR is measured on held-out views. The columns `normal` and `depth` compare renderings of the unpacked part
+//! with renderings of the original model: medians of the differences over pixels. If the dataset has a true
+//! surface, the last column is the increase of the median error of the normals. Only the second of the two
+//! printed tables goes to the results.
 
 mod held_out;
 
@@ -22,20 +24,21 @@ use cosurf_tests::results::{Better, Column, Measurement, Tolerance};
 use glam::Vec3;
 use held_out::{EVERY, HeldOut, THREADS};
 
-/// Shares of a body that have arrived.
+/// The measured cases: the share of a body's bytes that has arrived.
 const PARTS: [f64; 6] = [0.1, 0.2, 0.4, 0.6, 0.8, 1.0];
 
-/// The quality of the first bytes of a packed model: tables on standard output, and JSON in target/results.
+/// Measure the quality of a packed model of which only the first bytes have arrived. Prints tables, and writes
+/// JSON to target/results.
 #[derive(Parser)]
 struct Arguments {
-    /// A trained model
+    /// A trained model (PLY)
     model: PathBuf,
-    /// The dataset that it was trained on
+    /// Folder of the dataset that the model was trained on
     data: PathBuf,
     /// Name of the row in the results
     #[arg(long, default_value = "model")]
     name: String,
-    /// Cut spherical harmonics to this degree
+    /// Remove the spherical harmonics above this degree
     #[arg(long, value_name = "N", default_value_t = 3)]
     sh_degree: u32,
     /// Shrink pictures until their long side is at most this many pixels [default: full size]
@@ -95,7 +98,7 @@ fn main() -> Result<()> {
         Some(bytes),
     ];
     let mut measurement = Measurement::start("layers", &columns());
-    // The whole body first, then smaller parts. A tenth of a body shows too little to be listed.
+    // The columns begin with the whole body. The smallest part is left out, because it shows too little.
     let losses = losses.iter().rev().take(PARTS.len() - 1).copied();
     measurement.row(&name, &figures.into_iter().chain(losses).collect::<Vec<_>>());
     measurement.finish()?;
@@ -111,7 +114,7 @@ fn columns() -> Vec<Column> {
     whole.into_iter().chain(parts).collect()
 }
 
-/// The error of a model's normals against the true surface.
+/// Measures the error of a model's normals against the true surface of a dataset.
 struct NormalErrors {
     order: EvalOrder,
     folder: tempfile::TempDir,
@@ -134,7 +137,8 @@ impl NormalErrors {
         Ok(Self { order, folder })
     }
 
-    /// `None` if the dataset has no true surface.
+    /// Median error of the blended normals, degrees, as the mean over held-out views. `None` if the dataset has no
+    /// true surface, or no pixel has both a blended and a true normal.
     fn median_deg(&self, splats: &Splats) -> Result<Option<f64>> {
         ply::write(&self.folder.path().join("model.ply"), splats)?;
         let surface = evaluate_model(&self.order)?.mean.surface;
@@ -142,7 +146,7 @@ impl NormalErrors {
     }
 }
 
-/// The model with its spherical harmonics cut to a degree.
+/// The model without the spherical harmonics above `sh_degree`.
 fn of_degree(splats: &Splats, sh_degree: u32) -> Splats {
     let degree = sh_degree.min(splats.sh_degree);
     let mut cut = Splats::with_capacity(splats.len(), degree);
@@ -153,7 +157,8 @@ fn of_degree(splats: &Splats, sh_degree: u32) -> Splats {
     cut
 }
 
-/// Medians of the angle between normals, degrees, and of the change of depth, percent.
+/// Medians of the angle between the normals, degrees, and of the difference of depth, percent, over the pixels that
+/// have a depth in both models. NaN if there are no such pixels.
 fn changes(found: &[Rendering], whole: &[Rendering]) -> (f32, f32) {
     let (mut angles, mut depths) = (Vec::new(), Vec::new());
     for (a, b) in found.iter().zip(whole) {

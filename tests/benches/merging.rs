@@ -1,6 +1,6 @@
 //! Measures what Local Model Compression (LMC) and distillation by the Model Aggregation Scheme (MAS) gain, and how
-//! the number of agents and edges changes the result (CoSurfGS, "Ablations of Model Aggregation Scheme", "Ablations
-//! of Local Model Compression", "Numbers of Edges and Devices").
+//! the number of agents and edges (edge aggregators) changes the result (CoSurfGS, "Ablations of Model Aggregation
+//! Scheme", "Ablations of Local Model Compression", "Numbers of Edges and Devices").
 //!
 //! `cargo bench -p cosurf-tests --bench merging -- --help`
 //!

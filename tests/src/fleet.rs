@@ -26,7 +26,7 @@ pub struct Member {
     pub uploaded: Vec<ModelKey>,
     /// All events that the node has reported.
     pub events: Vec<NodeEvent>,
-    /// Number of the next writes to the disk that will fail.
+    /// Number of writes to the disk that will still fail before writes succeed again.
     pub failing_writes: u32,
 }
 

@@ -2,8 +2,8 @@
 //! reported.
 //!
 //! A bench fills a [`Measurement`], which prints the rows and writes `NAME.json`. The program `results` runs benches
-//! and compares each new `NAME.json` with the stored one in `shared/docs/results` ([`guard`]). Then it replaces the
-//! stored file, and updates the tables of `shared/docs/RESULTS.md` and `README.md` ([`document`]).
+//! and compares each new `NAME.json` with the stored one in `shared/docs/results` ([`guard`]). If no figure got worse,
+//! it replaces the stored file. Then it updates the tables of `shared/docs/RESULTS.md` and `README.md` ([`document`]).
 
 pub mod document;
 pub mod guard;

@@ -1,5 +1,5 @@
-//! Two hundred agents upload to one aggregator at once: its memory stays within its limit, and an upload that
-//! stalls does not slow the others.
+//! Two hundred agents upload to one aggregator at once. The aggregator's memory must stay within its limit, and
+//! one upload that stalls must not slow the others.
 #![cfg(target_os = "linux")]
 #![allow(clippy::unwrap_used)]
 
@@ -17,8 +17,9 @@ use cosurf_wire::{DeviceId, MAX_CHUNK_BYTES, ModelKind};
 
 const AGENTS: u64 = 200;
 const INBOX_BYTES: u64 = 64 << 20;
-/// Memory that the process takes besides the inbox: its own, the broker's longest queue (16 MiB), the link's
-/// copy of that queue, and for each connection two threads and buffers for the largest packets.
+/// Limit on the memory of the aggregator's process without the inbox. 64 MiB are for the program, the broker's
+/// longest queue (16 MiB) and the link's copy of that queue. Each connection needs two threads, and buffers for
+/// the largest packets.
 const BESIDE_BYTES: u64 = (64 << 20) + AGENTS * (512 << 10);
 const PATIENCE: Duration = Duration::from_secs(500);
 
@@ -49,7 +50,7 @@ impl Aggregator {
         (Self(command.spawn().unwrap()), address)
     }
 
-    /// Peak resident memory (`VmHWM`).
+    /// Peak resident memory (`VmHWM` of Linux), bytes.
     fn peak_bytes(&self) -> u64 {
         let status = fs::read_to_string(format!("/proc/{}/status", self.0.id())).unwrap();
         let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).unwrap();
@@ -57,7 +58,7 @@ impl Aggregator {
     }
 }
 
-/// Uploads a model; if `stalls`, stops at the first progress and never continues.
+/// Uploads a model. If `stalls`, stops working at the first progress, and disconnects a minute later.
 fn agent(address: BrokerAddress, mut offer: Offer, number: u64, stalls: bool) {
     let name = format!("agent-{number}");
     offer.header.device = DeviceId::new(&name).unwrap();
@@ -79,7 +80,8 @@ fn agent(address: BrokerAddress, mut offer: Offer, number: u64, stalls: bool) {
     panic!("{name} does not end");
 }
 
-/// All agents upload at once. Returns the time until all but the first are done, and the peak memory.
+/// Lets all agents upload at once. Returns the time until all agents but the first are done, and the aggregator's
+/// peak memory, bytes.
 fn crowd(first_stalls: bool) -> (Duration, u64) {
     let folder = tempfile::tempdir().unwrap();
     let (aggregator, address) = Aggregator::start(folder.path());
@@ -105,7 +107,7 @@ fn crowd(first_stalls: bool) -> (Duration, u64) {
     (time, peak)
 }
 
-/// `cargo run --release -p cosurf-tests --bin results -- crowd`.
+/// Run it with `cargo run --release -p cosurf-tests --bin results -- crowd`.
 #[test]
 #[ignore = "takes minutes"]
 fn two_hundred_agents_at_once() {

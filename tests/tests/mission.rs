@@ -30,7 +30,7 @@ fn finish(mission: Child, out: &Path) -> Vec<u8> {
     fs::read(out.join("global.ply")).unwrap()
 }
 
-/// The child processes of a process. Linux lists them separately for each of its threads.
+/// The child processes of a process. Linux has a separate list for each thread that started children.
 #[cfg(target_os = "linux")]
 fn children(process: u32) -> Vec<u32> {
     let threads = fs::read_dir(format!("/proc/{process}/task")).unwrap();
@@ -120,8 +120,8 @@ fn assert_changes_are_reported(out: &Path) {
     }
 }
 
-/// Agents that know each other's flights send each place only once. The global model is then almost as good as when
-/// every agent sends everything.
+/// Agents that know each other's flights (announced cameras) send each place only once. The global model is then
+/// almost as good as when every agent sends everything.
 #[test]
 fn with_compress_first_agents_send_shared_ground_once() {
     let folder = tempfile::tempdir().unwrap();

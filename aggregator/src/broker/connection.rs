@@ -20,15 +20,15 @@ pub(super) const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
 /// A client that accepts no bytes for this long is disconnected.
 const WRITE_TIMEOUT: Duration = Duration::from_secs(30);
-/// Longest that a publisher waits for a slow subscriber; after that the subscriber misses the message.
+/// Longest time that a publisher waits for a slow subscriber. After that, the subscriber misses the message.
 const BACKPRESSURE_MAX: Duration = Duration::from_secs(5);
 /// A waiting thread checks after this time whether its connection still exists.
 const CHECK_EVERY: Duration = Duration::from_secs(1);
 /// Limit on the bytes per read. The writer also collects messages until they have this many bytes, and
 /// then writes them.
 const BATCH_BYTES: usize = 128 * 1024;
-/// CONNACK of MQTT 3.1.1 with the code "unacceptable protocol version", which refuses a client of that
-/// version.
+/// Refuses a client that speaks another version than MQTT 5: a CONNACK of MQTT 3.1.1 with the code
+/// "unacceptable protocol version".
 const REFUSAL_V4: [u8; 4] = [0x20, 0x02, 0x00, 0x01];
 /// DISCONNECT without a reason code, which means a graceful end. The codec of rumqttc cannot parse it.
 const SHORT_DISCONNECT: [u8; 2] = [0xE0, 0x00];

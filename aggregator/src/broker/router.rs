@@ -27,7 +27,7 @@ const SESSIONS_MAX: usize = 2 * CLIENTS_MAX;
 const SESSION_EXPIRY_S_MAX: u32 = 24 * 3600;
 /// Limit on the number of retained messages.
 const RETAINED_MAX: usize = 8192;
-/// Limit on the bytes of all retained messages, topics and payloads.
+/// Limit on the bytes of the topics and payloads of all retained messages together.
 const RETAINED_BYTES_MAX: usize = 64 << 20;
 /// Limit on QoS 1 messages that one client has not acknowledged.
 const IN_FLIGHT_MAX: u16 = 64;
@@ -84,7 +84,8 @@ impl Router {
         Ok((LinkKey { client, id }, work))
     }
 
-    /// Ends a connection. `is_graceful`: the client sent DISCONNECT, so its will is not published.
+    /// Ends a connection. Publishes the client's last will, unless `is_graceful` says that the client ended the
+    /// connection with a normal DISCONNECT.
     pub(super) fn disconnect(&mut self, now: Instant, key: &LinkKey, is_graceful: bool) {
         let Some(session) = self.linked(key) else { return };
         let Some(link) = session.link.take() else { return };

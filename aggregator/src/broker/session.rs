@@ -70,8 +70,8 @@ impl Link {
 }
 
 impl Session {
-    /// This client's subscription to `topic` with the highest QoS, if there is one. `is_own`: the client
-    /// itself publishes the message.
+    /// This client's subscription to `topic` with the highest QoS, if there is one. If the client itself
+    /// publishes the message (`is_own`), its subscriptions with the option "no local" do not count.
     pub(super) fn wants(&self, topic: &str, is_own: bool) -> Option<&Filter> {
         let wanted = self.filters.iter().filter(|filter| !(is_own && filter.nolocal));
         wanted.filter(|filter| matches(topic, &filter.path)).max_by_key(|filter| filter.qos as u8)
@@ -82,7 +82,7 @@ impl Session {
         self.queue.len() >= QUEUE_MAX || self.queue_bytes + bytes > QUEUE_BYTES_MAX
     }
 
-    /// Whether no packet of the client may be handled until it has taken answers.
+    /// Whether too many answers are queued. The client's next packet must then wait until the client has read some.
     pub(super) fn is_flooded(&self) -> bool {
         self.link.as_ref().is_some_and(|link| link.answers.len() >= ANSWERS_MAX)
     }

@@ -108,8 +108,8 @@ mod tests {
         let view = View { name: "grey".into(), camera: from_above(), path };
         let quality = Judge::new(&level, None, 1, &yardsticks).quality(&view).expect("a picture");
         let surface = quality.surface.expect("a surface");
-        // The mean over three facets has a third of their slope. The facet at the centre of each pixel alone would
-        // give 16.7°.
+        // Of the three facets in a pixel, two slope in opposite directions and cancel out, so the mean has a third
+        // of the slope. The facet at the pixel's centre alone would give 16.7°.
         let third_deg = f64::atan(0.1).to_degrees();
         for errors in [surface.normal_error_deg, surface.depth_normal_error_deg] {
             assert!((errors.expect("pixels").median - third_deg).abs() < 0.1, "{errors:?}");

@@ -1,9 +1,11 @@
-//! LPIPS (Zhang et al. 2018, version 0.1): the difference of two pictures in the features of a network that was
-//! trained on photographs. Equal pictures score 0; held-out views of good models score 0.1 to 0.4.
+//! LPIPS (Zhang et al. 2018, version 0.1): the distance between two pictures, measured between the features that a
+//! network trained on photographs computes from them. Equal pictures score 0; held-out views of good models score
+//! 0.1 to 0.4.
 //!
-//! Computes the features of VGG16 or AlexNet for both pictures. Linear weights (*heads*) turn the differences of
-//! the features into the distance. Cannot train; all weights come from files that the user names. What it knows
-//! nothing about: models, cameras, reports, and where the weights come from.
+//! The network is VGG16 or AlexNet. Linear weights (*heads*) turn the differences of the features into the
+//! distance. Networks are not trained here; all weights come from files that the user names.
+//!
+//! What it knows nothing about: models, cameras, reports, and where the weights come from.
 //!
 //! Why no machine-learning framework: these networks need only a matrix product, threads and a file format.
 //! ndarray's matrix product was faster than the frameworks that were tried, and needs far fewer packages.

@@ -118,7 +118,8 @@ pub fn table(report: &EvalReport) -> String {
     aligned(&lines)
 }
 
-/// The heading of a column, and the function that gives its cells; `None` if a figure is not known.
+/// The heading of a column, and the function that gives its cells. The function returns `None` if the figure is not
+/// known.
 type Column = (&'static str, fn(&Quality) -> Option<String>);
 
 const COLUMNS: [Column; 11] = [

@@ -26,8 +26,8 @@ pub struct SurfaceQuality {
     /// with a reliable direction.
     pub normal_error_deg: Option<Spread>,
     /// Angle between the normal of depth of a pixel and the true normal (the mean over the pixel's area), degrees.
-    /// The normal of depth is computed from the depths of the four neighbouring pixels, because a mesh is fused
-    /// from depths. Absent if no covered pixel has such neighbours.
+    /// The normal of depth is computed from the depths of the four neighbouring pixels. This error matters to
+    /// meshes, which are fused from depths. Absent unless a covered pixel has four neighbours with a surface.
     #[serde(default)]
     pub depth_normal_error_deg: Option<Spread>,
 }

@@ -19,8 +19,8 @@ const SIGHT_COSINE_MIN: f64 = 0.866_025_403_784_438_6;
 const ALPHA_MIN: f32 = 0.5;
 /// Pixels with at most this alpha also show the colour of what lies behind the surface.
 const OPAQUE_MIN: f32 = 0.95;
-/// Two models are compared in a picture only if the other model's cameras see at least this share of its surface
-/// pixels.
+/// Two models are compared in a picture only if the other model's cameras see at least this share of the picture's
+/// surface pixels. If the other model was pruned before upload, it must show a surface in this share of those pixels.
 const SHARE_MIN: f64 = 0.3;
 /// Two models are compared only in at least this many pixels.
 const SHARED_PX_MIN: usize = 64;

@@ -9,15 +9,15 @@ use rayon::prelude::*;
 
 /// Pixels with at most this alpha show no surface.
 const ALPHA_MIN: f32 = 0.95;
-/// Number of a model's own cameras that must see a point from similar directions and distances. A single camera does
-/// not fix the depth of a point.
+/// Number of the trusted model's own cameras that must see a point from a direction and distance similar to those of
+/// the rendered picture. A single camera does not fix the depth of a point.
 const SEERS_MIN: usize = 2;
 /// Pixels of a patch on each side of its central pixel.
 const PATCH_PX: usize = 5;
 /// Side of a square of the picture that gives at most one patch, px.
 const CELL_PX: usize = 12;
-/// Least mean squared gradient of a patch's grey values along its weaker direction. A patch below it looks like its
-/// neighbours.
+/// Least mean squared gradient of a patch's grey values along its weaker direction. With a smaller gradient, the patch
+/// would look almost the same when it is shifted in this direction.
 const GRADIENT2_MIN: f32 = 2e-5;
 /// Least correlation of a match, -1..=1.
 const CORRELATION_MIN: f32 = 0.7;
@@ -109,7 +109,8 @@ impl Sight {
         starts.into_par_iter().filter_map(|start| self.corner(start, cameras)).collect()
     }
 
-    /// The best corner in the square that begins at `start`; `None` if it is too weak, or too few of `cameras` see it.
+    /// The best corner in the square that begins at `start`. `None` if it is too weak, if it shows no surface, or if
+    /// too few of `cameras` see it.
     fn corner(&self, start: [usize; 2], cameras: &[Camera]) -> Option<[usize; 2]> {
         let end = |axis: usize, length: usize| (start[axis] + CELL_PX).min(length - PATCH_PX - 1);
         let mut best = (GRADIENT2_MIN, None);

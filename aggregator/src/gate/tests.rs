@@ -12,7 +12,7 @@ use cosurf_tests::results::{Column, Measurement};
 use super::*;
 use crate::testing::{InMemory, above, ground};
 
-/// A model of the ground below a flight of five cameras along `x`.
+/// A model of the ground below a flight of five cameras, 2 m apart along the x axis, from x = `west`.
 pub(crate) fn flight(west: f64) -> Model {
     let cameras = (0..5).map(|i| above(west + 2.0 * f64::from(i)));
     Model { splats: ground(west as f32 - 6.0, west as f32 + 14.0), cameras: cameras.collect() }
@@ -120,8 +120,8 @@ fn fault_07_poisoned_models() {
     }
 }
 
-/// The missions in the environment variable `MISSIONS`, separated by colons: the folder of each, and the models of its
-/// four agents.
+/// Reads the missions whose folders the environment variable `MISSIONS` lists, separated by colons. Returns the folder
+/// of each mission and the models of its four agents.
 fn trained() -> Vec<(String, Vec<Model>)> {
     let load = |folder: PathBuf| {
         let cameras = fs::read(folder.join("cameras.json")).unwrap();

@@ -93,7 +93,8 @@ impl Relay {
         }
     }
 
-    /// Handles a message from the broker; discards what the device does not want.
+    /// Queues a message from the broker for the device. Discards the device's own flight, chunks that the device
+    /// does not need now, other messages that are queued already, and everything beyond the limits.
     pub(super) fn hear_broker(&mut self, topic: &str, payload: Vec<u8>) {
         let Ok((site, parsed)) = Topic::parse(topic) else { return };
         let message = Outgoing { topic: parsed.to_text(&site), payload, retain: false };

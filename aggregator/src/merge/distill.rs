@@ -121,9 +121,9 @@ fn learn(distiller: &mut Distiller<AnyBackend>, taught: &Taught) -> f64 {
     distiller.step(&lesson).0.color.psnr()
 }
 
-/// Divides the local models into parts that are trained at once: consecutive models, as many as fit into `room` splats,
-/// but at least one. If not all models fit, a part takes only two thirds of the room; the rest is for the splats around
-/// it.
+/// Divides the local models into parts that are trained one after the other. A part has consecutive models, as many as
+/// fit into `room` splats, but at least one. If not all models fit into one part, a part takes only two thirds of the
+/// room; the rest is for the splats around it.
 fn parts(sizes: &[usize], room: usize) -> Vec<Range<usize>> {
     let room = if sizes.iter().sum::<usize>() <= room { room } else { room / 3 * 2 };
     let (mut parts, mut start, mut taken) = (Vec::new(), 0, 0);

@@ -16,8 +16,8 @@ fn bytes_beside_driver(device: &Device, settings: &MergeSettings) -> f64 {
     settings.memory_bytes.saturating_sub(driver) as f64
 }
 
-/// Largest number of splats that can be trained at once. All their buffers must fit into the memory, and each buffer
-/// into one binding of a graphics card.
+/// Largest number of splats that can be trained at once. All their buffers must fit into the student's share of the
+/// memory, and each buffer into one binding of a graphics card.
 pub(super) fn student_room(
     device: &Device,
     settings: &MergeSettings,
@@ -37,7 +37,7 @@ pub(super) fn teachers_bytes(device: &Device, settings: &MergeSettings) -> u64 {
     ((1.0 - STUDENT_SHARE) * bytes_beside_driver(device, settings)) as u64
 }
 
-/// Bytes that a teacher with `splats` splats takes, with the buffers for its largest picture.
+/// Bytes that a teacher with `splats` splats takes, with the buffers for the largest picture of all `cameras`.
 pub(super) fn renderer_bytes(device: &Device, splats: usize, sh_degree: u32, cameras: &[Vec<Camera>]) -> u64 {
     let pixels = cameras.iter().flatten().map(|c| c.size_px[0] as usize * c.size_px[1] as usize).max();
     let costs = Costs::of(&Capacity::to_render(sh_degree), device.binding_bytes_max());

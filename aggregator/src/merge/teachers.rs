@@ -16,8 +16,8 @@ use super::computer::Computer;
 use super::error::MergeError;
 use super::locals::{Locals, Surveyed};
 
-/// A pixel is trusted only if its reprojection through another camera returns to the pixel within this
-/// distance, px.
+/// A pixel whose surface a neighbouring camera sees is trusted only if its reprojection through that camera
+/// returns to within this distance of the pixel, px.
 const RETURN_PX: f64 = 1.0;
 /// Limit on the splats of a teacher from which the median depth of its views is estimated.
 const PROBES: usize = 2000;
@@ -180,9 +180,9 @@ fn probes(splats: &Splats) -> Vec<SparsePoint> {
     splats.means.iter().step_by(step).map(point).collect()
 }
 
-/// Whether `other` confirms the surface at a pixel or cannot see it. To confirm it, the surface point is
-/// projected into `other`, moved to the depth that `other` shows, and projected back. It must then lie within
-/// [`RETURN_PX`] of the pixel.
+/// Whether the camera `other` confirms the surface at the pixel `p_px`, or cannot see it. To confirm it, the
+/// surface point is projected into `other`, moved to the depth in the rendering `seen` of that camera, and
+/// projected back. It must then lie within [`RETURN_PX`] of the pixel. False if either depth shows no surface.
 fn returns(camera: &Camera, p_px: DVec2, depth: f64, other: &Camera, seen: &Rendering) -> bool {
     if depth <= 0.0 {
         return false;

@@ -22,7 +22,7 @@ pub enum MeshError {
     TooLittleMemory {
         /// Number of splats of the model.
         splats: usize,
-        /// The smallest sufficient memory limit, bytes.
+        /// A memory limit that suffices, bytes.
         needed_bytes: u64,
         /// The memory limit, bytes.
         memory_bytes: u64,

@@ -14,7 +14,8 @@ pub(super) const VOXELS: usize = SIDE * SIDE * SIDE;
 pub(super) const TRUNCATION: f64 = 4.0;
 /// Behind the surface, the weight of a measurement fades to 0 over this last share of the truncation distance (after
 /// Bylow et al. 2013). Behind the edge of a roof lies open air, which a view from one side would otherwise fill. If the
-/// weight faded from the surface on, the farthest view would win where views disagree, and the F-score would be lower.
+/// weight faded from the surface on, the view that shows the farthest surface would win where views disagree, and the
+/// F-score would be lower.
 const FADING: f32 = 0.5;
 /// Bytes that a block takes in the volume: its voxels and its key.
 pub(super) const STORED_BLOCK_BYTES: u64 = (VOXELS * size_of::<Voxel>() + size_of::<Key>()) as u64;

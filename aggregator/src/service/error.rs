@@ -12,7 +12,7 @@ pub enum ServiceError {
     /// A model could not be written or read.
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// The PLY file of the global model could not be written.
+    /// A file beside the models could not be written, for example the PLY file of the global model.
     #[error(transparent)]
     Scene(#[from] SceneError),
     /// The body of a model is invalid.

@@ -27,7 +27,7 @@ pub enum ServiceEvent {
         /// Header of the model.
         header: ModelHeader,
     },
-    /// The disk failed; the service tries again.
+    /// A read, a write or a merge failed; the service tries again.
     DiskFailed {
         /// The reason, one line.
         reason: String,

@@ -69,7 +69,8 @@ pub(super) enum JobState {
     Done(Box<Result<Outcome, MergeError>>),
 }
 
-/// Encodes a global model as a body. The splats that are most important to the model's cameras come first.
+/// Encodes a global model as a body. The splats that are most important to the model's cameras come first; without
+/// cameras, [`plain_importance`] decides.
 pub(crate) fn packed(model: &Model, threads: usize) -> Result<Vec<u8>, MergeError> {
     let _span = debug_span!("pack", splats = model.splats.len()).entered();
     let Model { splats, cameras } = model;

@@ -21,7 +21,7 @@ use super::shelf::Shelf;
 
 use crate::merge::{MergeSettings, Merged};
 
-/// Pause before a failed write is tried again.
+/// Pause before a failed merge or write is tried again.
 const DISK_RETRY: Duration = Duration::from_secs(5);
 /// Interval at which the folder is checked for withdrawals.
 const WITHDRAWALS_EVERY: Duration = Duration::from_secs(1);
@@ -49,7 +49,7 @@ pub(super) struct Keeper {
     merge: MergeSettings,
     threads: usize,
     round: Option<Round>,
-    /// When a failed write may be tried again.
+    /// When a failed merge or write may be tried again.
     retry_at: Duration,
     /// The running merge, and the time at which it began.
     job: Option<(Job, Duration)>,
@@ -178,7 +178,7 @@ impl Keeper {
         done.map(|outcome| outcome.unwrap_or_else(|error| self.disk_failed(&error, now)))
     }
 
-    /// Schedules another attempt after a failed write.
+    /// Schedules another attempt after a failed merge or write.
     fn disk_failed(&mut self, error: &ServiceError, now: Duration) -> ServiceEvent {
         self.retry_at = now + DISK_RETRY;
         self.round = Some(Round::extend(self.round, now));
@@ -291,7 +291,9 @@ impl Keeper {
         Ok(self.broadcast(node, Offer { header, body }, inputs, kept_out))
     }
 
-    /// Sends a global model of `inputs` models, less those kept out, to the devices whose models are in the shelf.
+    /// Offers a global model to all devices. [`ServiceEvent::Delivered`] follows once it is stored by all devices that
+    /// sent a complete model and are not given up. `inputs` counts the models given to the merge, including those
+    /// `kept_out`.
     fn broadcast(
         &self,
         node: &mut Node,

@@ -8,14 +8,15 @@ use cosurf_wire::DeviceId;
 /// The devices that a service waits for.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Expected {
-    /// All of these devices: models are merged as soon as each has sent one.
+    /// All of these devices: models are merged as soon as each device has sent one or is given up.
     Devices(BTreeSet<DeviceId>),
     /// Any devices: models are merged in rounds.
     Anybody(Rounds),
 }
 
-/// Conditions that end a round. A round begins when a model arrives, and ends with a merge. It ends when `quorum`
-/// devices have sent a model and no further model has arrived for `quiet`, or at the latest after `deadline`.
+/// Conditions that end a round. A round begins with a change, for example when a model arrives, and ends with a merge.
+/// It ends when `quorum` devices have sent a model and nothing further has changed for `quiet`, or at the latest after
+/// `deadline`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Rounds {
     /// Least number of devices with a model.
@@ -37,12 +38,13 @@ impl Default for Rounds {
 pub(super) struct Round {
     /// Time at which the round began.
     begun: Duration,
-    /// Time of the last model, command or withdrawal.
+    /// Time of the last model, command, withdrawal or failure.
     last: Duration,
 }
 
 impl Round {
-    /// Begins a round, or extends `round`, because a model or a command came at `now`.
+    /// Begins a round, or extends `round`. The cause at `now` is a new model, a command, a withdrawal, or a failed
+    /// merge or write that must be tried again.
     pub(super) fn extend(round: Option<Self>, now: Duration) -> Self {
         Self { begun: round.map_or(now, |round| round.begun), last: now }
     }

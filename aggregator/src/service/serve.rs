@@ -63,7 +63,7 @@ pub enum ServeError {
     /// The embedded broker did not start.
     #[error(transparent)]
     Broker(#[from] BrokerError),
-    /// The service's folder could not be made or written to.
+    /// A key file could not be read, or the service's folder could not be made or written to.
     #[error(transparent)]
     Scene(#[from] SceneError),
     /// The stores in the service's folder could not be opened.

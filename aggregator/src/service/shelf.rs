@@ -88,7 +88,7 @@ impl Shelf {
         wanted.iter().filter_map(|header| take_part(&mut self.parts, node, header)).collect()
     }
 
-    /// Removes the models of devices that were withdrawn since the last call. Returns the first of these devices.
+    /// Removes the models of withdrawn devices. Returns the first device of which a model or a part was removed.
     pub(super) fn withdraw_devices(&mut self) -> Result<Option<DeviceId>, ServiceError> {
         let mut first = None;
         for (device, last) in withdrawn(&self.folder) {

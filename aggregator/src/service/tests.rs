@@ -91,7 +91,7 @@ fn fleet(names: &[&str]) -> Expected {
     Expected::Devices(names.iter().map(|name| DeviceId::new(name).unwrap()).collect())
 }
 
-/// Runs service and drones until `enough` accepts the events so far, and returns them.
+/// Runs service and drones until `enough` accepts the events so far and the drones. Returns the events.
 fn simulate(
     network: &MemoryNetwork,
     ground: &mut Ground,

@@ -147,7 +147,7 @@ impl UpstreamNode {
             NodeEvent::UploadRefused { key, reason, .. } => {
                 Some(UpstreamEvent::RefusedAbove { revision: key.model.0, reason })
             }
-            // The model was stored before the edge was restarted.
+            // The edge has stored this revision already, for example before a restart.
             NodeEvent::Known(header) => Some(came_down(&header)),
             NodeEvent::Store { header, body } => Some(self.store(header, &body)),
             _ => None,

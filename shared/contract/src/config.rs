@@ -82,8 +82,9 @@ pub struct AgentConfig {
     /// Learn an exposure for each picture, for cameras with automatic exposure.
     #[serde(default)]
     pub exposure: bool,
-    /// A model of the same ground to start from, for example the last flight's `global.ply`. The word `global` stands
-    /// for the global model that `out` received earlier. If absent, training starts from the sparse cloud.
+    /// A PLY of splats to start from: a model of the ground in the pictures, for example `global.ply` of the last
+    /// flight. The word `global` stands for the global model that `out` received earlier. If absent, training starts
+    /// from the dataset's sparse points.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub init: Option<PathBuf>,
     /// The world frame of the coordinates; only models of the same frame are merged. `local` if absent.
@@ -93,8 +94,8 @@ pub struct AgentConfig {
     /// signed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub key: Option<PathBuf>,
-    /// A file with the public keys whose global models are accepted: one line for each key, as the command `key` prints
-    /// it. If absent, all global models are accepted.
+    /// A file with public keys, one line for each key, as the command `key` prints it. Only global models that one of
+    /// these keys has signed are accepted. If absent, all global models are accepted.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub trusted: Option<PathBuf>,
     /// True if this model will not be merged with other models. A model that will be merged gets more splats, and keeps

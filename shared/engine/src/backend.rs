@@ -12,7 +12,7 @@ use cosurf_scene::{Camera, Splats};
 pub enum TargetRgb<'a> {
     /// A photograph, 0..=255.
     Bytes(&'a [u8]),
-    /// Another model's rendering, 0..=1.
+    /// Another model's rendering, 0 and up.
     Floats(&'a [f32]),
 }
 
@@ -73,7 +73,8 @@ pub struct LossWeights {
     pub scale: f32,
     /// Weights of the surface losses; `None` leaves these losses out. They need [`Channels::Geometry`].
     pub surface: Option<SurfaceWeights>,
-    /// Weights of the differences from a teacher's surface; `None` leaves these losses out. They need `surface`.
+    /// Weights of the differences from a teacher's surface; `None` leaves these losses out. They need `surface` here
+    /// and [`Targets::surface`].
     pub teacher: Option<TeacherWeights>,
 }
 
@@ -127,8 +128,8 @@ pub struct Losses {
 /// [`TargetSurface::trust`].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct TeacherLoss {
-    /// Mean over pixels of the absolute difference of depths, world units. Pixels where either side has no depth add
-    /// nothing.
+    /// Mean over pixels of the absolute difference of depths, world units. Pixels where the rendering or the teacher
+    /// has no depth add nothing.
     pub depth: f64,
     /// Mean over pixels of the absolute difference of normals, summed over axes.
     pub normal: f64,
@@ -138,17 +139,17 @@ pub struct TeacherLoss {
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SurfaceLoss {
     /// Mean over pixels of the absolute difference between blended normals and normals from depth, summed over axes.
-    /// Pixels on edges in the photograph weigh less.
+    /// Pixels on edges in the photograph weigh less. Pixels without a normal from depth add nothing.
     pub normal: f64,
-    /// Mean over sampled pixels of `w e`, with the reprojection error `e` in px and `w = exp(-e)`. Pixels with an error
-    /// of 1 px or more add nothing.
+    /// Mean over sampled pixels of `w e`, with the reprojection error `e` in px and `w = exp(-e)`. Pixels without such
+    /// an error, or with one of 1 px or more, add nothing.
     pub reprojection: f64,
-    /// Mean over sampled pixels of `w (1 - NCC²)`, with the weight `w` of the reprojection error. Patches that do not
-    /// match add nothing.
+    /// Mean over sampled pixels of `w (1 - NCC²)`, with `w = exp(-e)` for the reprojection error `e` in px. Pixels with
+    /// an error of 1 px or more, or with patches that do not match, add nothing.
     pub ncc: f64,
     /// Share of the sampled pixels with a reprojection error below 1 px.
     pub returned: f64,
-    /// Share of the sampled pixels whose patches match.
+    /// Share of the sampled pixels with a reprojection error below 1 px and patches that match.
     pub matched: f64,
 }
 
@@ -241,9 +242,9 @@ pub struct Rendering {
     pub rgb: Vec<f32>,
     /// `[h, w]` blended alpha, 0..=1.
     pub alpha: Vec<f32>,
-    /// `[h, w]` unbiased depth along the optical axis, world units; 0 where there is no surface. It is the blended
-    /// plane distance, divided by the component of the blended normal along the ray (PGSR). Empty if only colour was
-    /// blended.
+    /// `[h, w]` unbiased depth along the optical axis, world units; 0 where there is no surface. It is `D / -(N · r)`
+    /// with the blended plane distance `D`, the blended normal `N` and the ray `r` of the pixel, scaled to z = 1
+    /// (PGSR). Empty if only colour was blended.
     pub depth: Vec<f32>,
     /// `[h, w, xyz]` alpha-blended normals in the camera frame, facing the camera, not normalised. Empty if only colour
     /// was blended.
@@ -259,7 +260,7 @@ impl Rendering {
     }
 }
 
-/// Shapes of the splats, and statistics with which refinement decides; entry `i` is splat `i`.
+/// Shapes of the splats, and the statistics that refinement uses; entry `i` is splat `i`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Shapes {
     /// Means, world units.
@@ -283,8 +284,8 @@ pub struct Shapes {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Scores {
     /// Sum over all pixels of the squared blend weight `(α T)²`, with the alpha α of the splat and the transmittance T
-    /// before it. Up to a factor that depends on colours, this is the squared error that the pictures would have
-    /// without the splat.
+    /// before it. Up to a factor that depends on colours, this is the squared error that removing the splat would
+    /// cause.
     pub squared_weights: Vec<f32>,
     /// Number of pixels that the splat was blended into.
     pub hits: Vec<f32>,

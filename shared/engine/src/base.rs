@@ -3,8 +3,9 @@
 //!
 //! The most important splats alone leave holes. A base is therefore distilled: its splats are trained on renderings of
 //! the whole model, seen by the cameras of the model. The first of two stages trains the most important half of the
-//! splats. The second stage trains only the most important splats of that half. Quaternions are frozen: encoding their
-//! later change costs as many bytes as training them gains.
+//! splats. The second stage trains only the most important splats of that half. Quaternions are frozen: after the base,
+//! an upload sends the changes that turn base splats back into those of the model, and for quaternions these would cost
+//! as much as training gains.
 
 use std::rc::Rc;
 
@@ -23,8 +24,8 @@ use crate::train::view_order;
 /// Share of the splats in a base. Their bytes are about a fifth of the whole upload.
 const SHARE: f64 = 0.31;
 /// Share of the splats that the first stage trains. If it trained all splats, few of those that fill holes would
-/// survive the selection for the second stage. If it trained only as many as the base has, the wrong splats would
-/// remain.
+/// survive the selection for the second stage. If it trained only as many as the base has, all would be selected by
+/// their importance in the whole model, which differs from that in a base.
 const SHARE_AT_FIRST: f64 = 0.5;
 /// Smallest number of splats of a model that has a base. Smaller models are sent quickly as a whole.
 const SPLATS_MIN: usize = 2000;
@@ -37,7 +38,7 @@ const STEPS: [u32; 2] = [52, 156];
 /// Number of steps with lower learning rates at the end of each stage.
 const COOLDOWN_STEPS: u32 = 26;
 /// Learning rates. Because the stages are short, they are multiples of those of 3DGS: 3 × for means and colours, 4 ×
-/// for log scales, 2 × for opacities. Tuned on the dataset rendered Boruszyn.
+/// for log scales, 2 × for opacities. They are tuned on the dataset "rendered Boruszyn".
 const RATES: StudentRates =
     StudentRates { mean: 4.8e-4, quat: 0.0, log_scale: 0.02, opacity: 0.1, sh_dc: 0.0075 };
 

@@ -24,11 +24,11 @@ const SHARE_MIN: f64 = 0.3;
 const SIGHT_COSINE_MIN: f64 = 0.866_025_403_784_438_6;
 /// Range of the ratio of the depths of a point in two cameras that see it alike.
 const DEPTH_RATIO: std::ops::RangeInclusive<f64> = 0.5..=2.0;
-/// Largest share of a model that is removed. It is so high that in practice all ground that other models own can be
-/// removed. A lower limit leaves two surfaces in one place.
+/// Largest share of a model's splats that is removed. It is so high that in practice all splats on ground that other
+/// models own can be removed. A lower limit leaves two surfaces in one place.
 const OVERLAP_MAX: f64 = 0.8;
-/// Smallest number of cameras with which a model can own a place. The training of a model may already have removed
-/// splats that only one camera sees.
+/// Smallest number of a model's cameras that must see a place so that the model can own it. With one camera, the model
+/// may show nothing there, because training may have removed splats that only one camera sees.
 const OWNER_CAMERAS_MIN: usize = 2;
 /// Long side of the renderings with which overlap is measured, px.
 const SIZE_PX: u32 = 48;
@@ -36,7 +36,7 @@ const SIZE_PX: u32 = 48;
 /// What compression removes from a model.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Compression {
-    /// Ψ, the share of the model's cameras that overlap, 0..=1.
+    /// Ψ, the share of the model's cameras that overlap, 0..=1. At most this share of the splats is removed.
     pub overlap: f64,
     /// Indices of the removed splats, ascending.
     pub removed: Vec<u32>,

@@ -44,8 +44,8 @@ impl Exposures {
         Self { haste, views: vec![View::default(); views] }
     }
 
-    /// Exposure of a view's photograph. It is the default, which changes no colour, until the view's SSIM exceeds
-    /// [`SSIM_MIN`].
+    /// Exposure of a view's photograph. It is the default, which changes no colour, unless the SSIM of the view's last
+    /// step exceeds [`SSIM_MIN`].
     pub(crate) fn of(&self, view: usize) -> Exposure {
         let View { values: [log_gain, offset], ssim, .. } = self.views[view];
         if ssim > SSIM_MIN { Exposure { gain: log_gain.exp(), offset } } else { Exposure::default() }

@@ -26,7 +26,8 @@ impl Neighbours {
     }
 
     /// Finds the neighbours of each camera among `cameras`. The median depth of the points that a view sees limits the
-    /// baseline to its neighbours. [`SparsePoint::views`] are indices into `cameras`.
+    /// baseline to its neighbours; a view that sees no points has none. [`SparsePoint::views`] are indices into
+    /// `cameras`.
     pub fn find(cameras: &[Camera], points: &[SparsePoint]) -> Self {
         let depths = median_depths(cameras, points);
         Self(

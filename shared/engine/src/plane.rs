@@ -2,12 +2,13 @@
 
 use glam::{DMat3, DVec3};
 
-/// Smallest `(λ₁ - λ₃)(λ₂ - λ₃)` of points that have a plane, up to a factor of √3. λ₁ ≥ λ₂ ≥ λ₃ are the eigenvalues of
-/// the covariance of the points, scaled to sum 1. On a line λ₂ and λ₃ are equal, and in a ball all three are.
+/// Points have a plane if an estimate of `(λ₁ - λ₃)(λ₂ - λ₃)` exceeds this. λ₁ ≥ λ₂ ≥ λ₃ are the eigenvalues of the
+/// covariance of the points, scaled to sum 1. On a line λ₂ and λ₃ are equal, and in a ball all three are. The estimate
+/// is the product divided by a number from 1 to √3.
 const LINE_MAX: f64 = 1e-3;
 
-/// The unit direction in which the points spread least; `None` if they nearly lie on a line, coincide, or spread
-/// equally in every direction.
+/// The unit direction in which the points spread least. `None` if there are no points, or if they nearly lie on a line,
+/// coincide, spread almost equally in every direction, or contain NaN.
 pub(crate) fn normal_of(points: &[DVec3]) -> Option<DVec3> {
     let mean = points.iter().sum::<DVec3>() / points.len() as f64;
     let spread = points
@@ -25,7 +26,7 @@ pub(crate) fn normal_of(points: &[DVec3]) -> Option<DVec3> {
 }
 
 /// The smallest eigenvalue of a symmetric matrix in closed form (Smith, "Eigenvalues of a symmetric 3 × 3 matrix",
-/// 1961); `None` if all three are equal.
+/// 1961); `None` if all three are almost equal, or if the matrix contains NaN.
 fn least_eigenvalue(a: &DMat3) -> Option<f64> {
     let third = (a.x_axis.x + a.y_axis.y + a.z_axis.z) / 3.0;
     let rest = *a - DMat3::IDENTITY * third;

@@ -18,12 +18,13 @@ const SIZE_QUANTILE: f64 = 0.9;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum PruneScore {
     /// `Σ (α T)² γ` over all pixels of all views: α is the splat's alpha at a pixel, T the transmittance in front of
-    /// it, and γ comes from the splat's area. Hidden splats have little importance, and flat splats do not count as
-    /// small. A splat that fills few pixels alone is more important than one that adds a little to many pixels.
+    /// it, and γ the tenth root of the splat's area, relative to the areas of all splats. Hidden splats have little
+    /// importance, and flat splats do not count as small. A splat that fills few pixels alone is more important than
+    /// one that adds a little to many pixels.
     #[default]
     Corrected,
     /// `hits o γ`, as in the paper: `hits` is the number of pixels that the splat was blended into, o its opacity, and
-    /// γ comes from its volume.
+    /// γ the tenth root of its volume, relative to the volumes of all splats.
     Paper,
 }
 

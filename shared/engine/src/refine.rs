@@ -72,8 +72,9 @@ pub(crate) fn refine(shapes: &Shapes, limits: &RefineLimits) -> Edit {
     edit
 }
 
-/// Indices, ascending, of the splats to clone or split: at most `room`, those with the largest demands. Demands below 1
-/// do not count. Each clone and each split adds one splat to the model.
+/// Indices, ascending, of the splats to clone or split: at most `room`, those with the largest demands. A demand is a
+/// screen gradient divided by its threshold; demands below 1 do not count. Each clone and each split adds one splat to
+/// the model.
 fn choose_parents(demands: &[f32], room: usize) -> Vec<usize> {
     let mut parents: Vec<usize> = (0..demands.len()).filter(|&i| demands[i] >= 1.0).collect();
     // Largest demand first, ties by index, so that the choice is deterministic.

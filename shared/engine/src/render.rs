@@ -28,17 +28,17 @@ struct CpuPainter {
 }
 
 impl Renderer {
-    /// Renders a copy of the splats on the processor with `threads` threads, at least 1.
+    /// Copies the splats, to render them on the processor with `threads` threads, at least 1.
     pub fn new(splats: &Splats, threads: usize) -> Self {
         Self { painter: Painter::Cpu(Box::new(CpuPainter::new(splats, threads))) }
     }
 
-    /// Renders a copy of the splats on the chosen device; the processor uses `threads` threads, at least 1.
+    /// Opens the chosen device and copies the splats to it; the processor uses `threads` threads, at least 1.
     pub fn on(choice: DeviceChoice, threads: usize, splats: &Splats) -> Result<Self, DeviceError> {
         Self::by(&choice.open()?, threads, splats)
     }
 
-    /// Renders a copy of the splats on an open device.
+    /// Copies the splats to an open device; the processor uses `threads` threads, at least 1.
     pub fn by(device: &Device, threads: usize, splats: &Splats) -> Result<Self, DeviceError> {
         match device {
             Device::Cpu => Ok(Self::new(splats, threads)),

@@ -83,7 +83,7 @@ impl Schedule {
         }
     }
 
-    /// SH degree in use at a step (counted from 0).
+    /// SH degree in use at a step (counted from 0), at most the degree `stored` of the model.
     pub fn sh_degree(&self, step: u32, stored: u32) -> u32 {
         (step / self.sh_every).min(stored)
     }

@@ -3,7 +3,7 @@
 //!
 //! A pass writes its inner loop once, as a [`Kernel`] that is generic over [`Lanes`]. [`Isa::run`] calls the version
 //! that is compiled for the chosen instruction set. All functions between `run` and the intrinsics must be
-//! `#[inline(always)]`; otherwise they would be compiled without the wider instructions.
+//! `#[inline(always)]`; otherwise they would be compiled for the baseline instruction set of the target.
 
 #[cfg(target_arch = "x86_64")]
 mod avx2;

@@ -24,19 +24,20 @@ const RESET_OPACITY: f32 = 0.01;
 pub struct SurfaceSettings {
     /// λ₁: weight of the mean shortest scale of the visible splats, with scales in units of the scene's extent.
     pub scale: f32,
-    /// β₂: weight of the single-view normal loss, before the smooth weight. The paper has 0.01; a higher weight
-    /// improves normals and lowers PSNR (table "Weights of the surface losses").
+    /// β₂: weight of the single-view normal loss, before the factor of [`SurfaceSettings::smooth`]. The paper has 0.01;
+    /// a higher weight improves normals and lowers PSNR.
     pub normal: f32,
-    /// Weight of the reprojection error between neighbouring views, 1 / px, before the smooth weight.
+    /// Weight of the reprojection error between neighbouring views, 1 / px, before the factor of
+    /// [`SurfaceSettings::smooth`].
     pub reprojection: f32,
-    /// Weight of `1 - NCC²` between patches of neighbouring views, before the smooth weight. The paper has 0.2; a
-    /// higher weight improves the surface and lowers PSNR (table "Weights of the surface losses").
+    /// Weight of `1 - NCC²` between patches of neighbouring views, before the factor of [`SurfaceSettings::smooth`].
+    /// The paper has 0.2; a higher weight improves the surface and lowers PSNR.
     pub ncc: f32,
     /// Whether all weights except `scale` are multiplied by the paper's smooth weight, [`Schedule::surface_ramp`],
     /// which grows from 0.
     pub smooth: bool,
     /// Side of the square cells in which pixels are sampled, one in each, for the comparison with the neighbouring
-    /// view: 1, 2, 4, 8 or 16 px. Larger cells save time and give slightly worse normals (table "Patch size").
+    /// view: 1, 2, 4, 8 or 16 px. Larger cells save time and give slightly worse normals.
     pub cell_px: u32,
 }
 
@@ -102,7 +103,7 @@ pub struct TrainSettings {
     /// Splats that are observed by fewer views than this are removed (PGSR: 2). It may be 1 if this model is one of
     /// several, because views of other models may observe the same splats.
     pub observers_min: u32,
-    /// Largest number of splats after a refinement. The backend's capacity is a limit as well.
+    /// Refinement adds no splats beyond this number, nor beyond the backend's capacity.
     pub splats_max: usize,
     /// Seed of every random choice.
     pub seed: u64,

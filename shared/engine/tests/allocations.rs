@@ -1,7 +1,8 @@
 //! A training step on the CPU allocates nothing: every buffer has its size from the start.
 //!
-//! A global allocator counts the allocations of all threads. Where the test calls the passes itself, only one step on a
-//! tiny picture is not counted; it wakes up the threads of the pool. With a [`Trainer`], the first step is not counted.
+//! A global allocator counts the allocations of all threads. Where the test calls the passes itself, it first makes one
+//! step on a tiny picture that is not counted. This step wakes up the threads of the pool. With a [`Trainer`], the
+//! first step is not counted.
 #![allow(clippy::unwrap_used)]
 
 use std::alloc::{GlobalAlloc, Layout, System};

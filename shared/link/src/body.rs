@@ -22,7 +22,8 @@ pub enum BodyFault {
     /// The layout is invalid.
     #[error(transparent)]
     Layout(#[from] BodyError),
-    /// The counts, the degree or the bounds in the body differ from those in the header.
+    /// The number of splats or cameras, the degree of the spherical harmonics, or the bounds in the body
+    /// differ from those in the header.
     #[error("body and header disagree")]
     NotAsAnnounced,
     /// A camera is not usable for rendering.
@@ -36,7 +37,7 @@ pub enum BodyFault {
     Splat {
         /// Index of the splat.
         index: usize,
-        /// The invalid field, as named in [`Splats`].
+        /// Name of the invalid field in [`Splats`], in the singular, for example `log_scale`.
         field: &'static str,
     },
     /// A splat's mean is outside the bounds in the header.

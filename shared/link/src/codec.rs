@@ -14,11 +14,11 @@
 //! - The axes of a splat are sorted by length, so the third axis is the normal. Of the equivalent
 //!   quaternions, the one with the largest w is chosen, so that w need not be stored ([`shapes`]). The
 //!   shortest axis is stored relative to the middle one, because most splats are flat.
-//! - Spherical harmonics are stored as steps along their principal directions in this model ([`basis`]). Most
-//!   of these directions need at most one bit per splat. The size of the step is chosen so that the body
-//!   meets its target size.
-//! - A plane contains the same byte of every splat in a pack. Each plane is a zstd block of its own, so that
-//!   it is coded by its own statistics ([`pack`]).
+//! - View-dependent spherical harmonics are stored as coordinates along their principal directions in this
+//!   model ([`basis`]). Most of these coordinates need at most one bit per splat. The quantisation step is
+//!   chosen so that the body meets its target size.
+//! - A pack is stored in byte planes: the first byte of every splat, then the second byte of every splat, and
+//!   so on. Each plane is a zstd block of its own, so that it is coded by its own statistics ([`pack`]).
 
 mod basis;
 mod decode;

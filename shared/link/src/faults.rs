@@ -4,7 +4,7 @@
 use std::num::NonZeroU32;
 use std::time::Duration;
 
-/// The faults of a line. Probabilities are 0 to 1, and drawn independently for each packet.
+/// The faults of a line. Probabilities are 0 to 1. Faults are drawn independently for each packet.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Faults {
     /// Probability that a packet is lost.

@@ -26,9 +26,10 @@ const REPLIES_MAX: usize = 256;
 pub struct InboxLimits {
     /// Maximum size in bytes of a body, and also of its unpacked model.
     pub body_bytes_max: u64,
-    /// Maximum size in bytes of all unfinished bodies together. This bounds the memory of the inbox.
+    /// Maximum sum of the full sizes, in bytes, of all bodies that are being received or stored. This bounds the
+    /// memory of the inbox.
     pub total_bytes_max: u64,
-    /// Maximum number of unfinished models.
+    /// Maximum number of models that are being received or stored.
     pub models_max: usize,
     /// Maximum number of stored models that are remembered. A repeated offer of such a model is acknowledged
     /// without a new transfer.
@@ -65,7 +66,8 @@ pub enum InboxEvent {
     Known(ModelHeader),
     /// The inbox refused an offer or a body.
     Refused(ModelKey, RefusalReason),
-    /// The inbox dropped a chunk of the wrong size or under the wrong topic.
+    /// The inbox dropped a chunk that contradicts its header or its topic. Or the chunk completed a body with a
+    /// wrong hash, and the inbox fetches the whole body again.
     BadChunk(ModelKey, u32),
 }
 
@@ -231,8 +233,8 @@ impl Inbox {
         Some(InboxAction::Publish(Outgoing::new(&self.identity.site, transfer.want_topic, &message, false)))
     }
 
-    /// Time at which [`Self::next`] next has a task, if no message arrives before; `Duration::ZERO` if it has
-    /// one now.
+    /// Time at which [`Self::next`] next has a task, if no message arrives before. A time that has passed means
+    /// that a task is due now; `None` means that none is scheduled.
     pub fn next_wakeup(&self) -> Option<Duration> {
         let replies = (!self.replies.is_empty()).then_some(Duration::ZERO);
         replies.or_else(|| self.transfers.values().filter_map(Transfer::due).min())
@@ -247,8 +249,8 @@ impl Inbox {
         self.send_done(transfer.want_topic, key, hash);
     }
 
-    /// Call this when storing failed and a retry may succeed, for example on a full disk. The inbox keeps the
-    /// body and hands it out again later.
+    /// Call this when storing failed and a retry may succeed, for example on a full disk. The inbox tells the
+    /// sender, keeps the body, and hands it out again later.
     pub fn store_failed(&mut self, now: Duration, key: ModelKey) {
         let Some(transfer) = self.transfers.get_mut(&key) else { return };
         transfer.on_store_failed(now);
@@ -263,7 +265,7 @@ impl Inbox {
         Some(InboxEvent::Refused(key, reason))
     }
 
-    /// Size of all unfinished bodies in bytes.
+    /// Full size of all bodies that are being received or stored, bytes.
     pub fn unfinished_bytes(&self) -> u64 {
         self.transfers.values().map(|transfer| transfer.header.body_bytes).sum()
     }
@@ -274,9 +276,9 @@ impl Inbox {
         self.transfers.values().filter(fetching).map(|transfer| &transfer.header)
     }
 
-    /// Decodes the packs of an unfinished model that have arrived. Returns `None` if there are no splats yet,
-    /// or if models must be signed: the signature covers the hash of the whole body, which cannot be checked
-    /// before the body is complete.
+    /// Decodes the packs of an unfinished model that have arrived. Returns `None` if no splats have arrived or
+    /// the packs are invalid. Also returns `None` if models must be signed: the signature covers the hash of the
+    /// whole body, which cannot be checked before the body is complete.
     pub fn part(&self, key: ModelKey) -> Option<Model> {
         self.transfers.get(&key).filter(|_| self.credentials.trusted.is_none())?.part()
     }
@@ -321,7 +323,8 @@ impl Inbox {
         }
     }
 
-    /// Drops unfinished global models of the same sender with lower numbers, because `newest` replaces them.
+    /// Drops global models of the same sender with lower numbers, because `newest` replaces them. Keeps a model
+    /// that the caller is storing.
     fn drop_older_revisions(&mut self, newest: ModelKey) {
         self.transfers.retain(|key, transfer| {
             key.device != newest.device
@@ -378,7 +381,8 @@ impl Inbox {
         self.queue_reply(topic, Reply::Refused, &Message::Refused(refused));
     }
 
-    /// Queues a reply of kind `reply`. It goes to the same device as the `Want`s under `want_topic`.
+    /// Queues a reply of kind `reply` under the topic that corresponds to `want_topic`. Drops the reply if the
+    /// queue is full.
     fn queue_reply(&mut self, want_topic: Topic, reply: Reply, message: &Message<'_>) {
         let topic = match want_topic {
             Topic::LocalReply { device, .. } => Topic::LocalReply { device, reply },

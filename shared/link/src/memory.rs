@@ -152,7 +152,7 @@ impl MemoryNetwork {
         }
     }
 
-    /// Restarts the broker. All clients reconnect.
+    /// Restarts the broker. All clients reconnect, except those whose line is in an outage.
     pub fn start(&self) {
         let mut broker = self.0.borrow_mut();
         broker.is_up = true;

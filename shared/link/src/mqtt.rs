@@ -4,8 +4,8 @@
 //! rumqttc 0.25 requires these settings:
 //! - QoS 1, a stable client id, `clean_start = false` and a session expiry. With clean sessions, the client
 //!   silently drops unacknowledged messages when a connection breaks.
-//! - Explicit packet sizes, and a size check before publishing. Otherwise the client repeats a QoS 1 message
-//!   that is too large for the broker for ever, and loses the connection each time.
+//! - Explicit packet sizes, and a size check before publishing. If a QoS 1 message were too large for the
+//!   broker, the client would repeat it without end, and lose the connection each time.
 //! - A watchdog. After certain collisions of packet ids the client never publishes again
 //!   (bytebeamio/rumqtt#1014). A client that gets no acknowledgements is therefore replaced by a new one.
 //! - Version 5 of MQTT. Brokers announce their maximum packet size and number of packets in flight only in

@@ -18,9 +18,9 @@ pub struct Offer {
 }
 
 impl Offer {
-    /// Packs a model, of which `views` is the number of training pictures. Fails if a receiver would refuse
-    /// the body. Importance is estimated by [`plain_importance`]. A caller that can measure importance by
-    /// rendering should use [`Self::from_body`].
+    /// Packs a model. `views` is the number of pictures that the model was trained on. Fails if a receiver
+    /// would refuse the body. Importance is estimated by [`plain_importance`]. A caller that can measure
+    /// importance by rendering should use [`Self::from_body`].
     pub fn new(
         device: DeviceId,
         model: ModelId,

@@ -18,15 +18,17 @@ pub(crate) const REORDER: u64 = 3;
 /// Delays after which a sender without a reply offers its model again.
 pub(crate) const ANNOUNCE: Backoff = Backoff::new(Duration::from_secs(2), Duration::from_secs(30));
 
-/// Lower limit of the time without a new chunk after which a receiver sends another `Want`.
+/// Lower limit of the time without a new chunk after which a receiver assumes that no more chunks are on their
+/// way.
 pub(crate) const IDLE_MIN: Duration = Duration::from_secs(1);
-/// Upper limit of the time without a new chunk after which a receiver sends another `Want`.
+/// Upper limit of the time without a new chunk after which a receiver assumes that no more chunks are on their
+/// way, and of the delay between two `Want`s.
 pub(crate) const IDLE_MAX: Duration = Duration::from_secs(60);
-/// A receiver's first estimate of the time between two chunks: about that of 64 KiB at 100 kB/s. Before the
-/// first chunk, it is also the delay of the second `Want`.
+/// A receiver's first estimate of the time between two chunks: about the time that 64 KiB take at 100 kB/s. If
+/// no chunk arrives after the first `Want`, the second `Want` follows after this time.
 pub(crate) const FIRST_GAP: Duration = Duration::from_millis(600);
-/// If no chunk arrives for this many average gaps between chunks, a receiver assumes that no more are on
-/// their way.
+/// If no chunk arrives for this many average gaps between chunks, a receiver assumes that no more chunks are
+/// on their way.
 pub(crate) const IDLE_GAPS: u32 = 8;
 
 /// Delays after which storing a model is tried again, for example on a full disk.

@@ -68,8 +68,8 @@ impl Peer {
         has_room.then(|| self.wanted.first()).flatten()
     }
 
-    /// Records that chunk `index` was published. It may have been published for another receiver: all
-    /// receivers get it.
+    /// Records that chunk `index` was published, for this receiver or for another one: all receivers get it.
+    /// Does nothing if this receiver is not fetching, does not want the chunk, or has a full window.
     pub(crate) fn on_sent(&mut self, index: u32, order: u64) {
         if self.phase == PeerPhase::Fetching && self.wanted.contains(index) && self.in_flight.len() < WINDOW {
             self.wanted.remove(index);

@@ -55,7 +55,7 @@ pub type OpenPort = Box<dyn FnMut() -> io::Result<Box<dyn Port>> + Send>;
 
 /// The settings of one end of a line.
 pub struct SerialConfig {
-    /// Name of the line in messages, such as `/dev/ttyUSB0`.
+    /// Name of the line in error messages, such as `/dev/ttyUSB0`.
     pub name: String,
     /// Bandwidth of the line, in bytes per second.
     pub bytes_per_s: NonZeroU32,

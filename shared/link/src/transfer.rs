@@ -53,7 +53,8 @@ pub(crate) enum ChunkOutcome {
     Taken,
     /// The chunk had already arrived.
     Known,
-    /// The chunk contradicts the header.
+    /// The chunk contradicts the header. Or it completed a body with a wrong hash, and all chunks are fetched
+    /// again.
     Bad,
     /// The chunk completed the body, but the body is invalid.
     BadBody(RefusalReason),

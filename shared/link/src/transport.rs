@@ -30,7 +30,7 @@ pub enum TransportEvent {
     Connected,
     /// The connection was lost or could not be made. The transport keeps trying to connect.
     Disconnected {
-        /// Number of failed attempts since the last connection, from 1.
+        /// Number of failures since the last connection, from 1. The loss of the connection counts too.
         attempt: u32,
         /// One line with the address, the error and the attempt.
         reason: String,

@@ -2,10 +2,11 @@
 //!
 //! A signature covers the site and all fields of the header except the chunk size
 //! ([`ModelHeader::statement`]). Chunks need no signature, because the header contains the hash of the body.
-//! A receiver with a list of keys refuses a model in three cases: the device is not in the list, the key is
-//! revoked, or the model's number is lower than a number already stored from that device. A receiver without
-//! a list accepts models from every client of the broker. Replies such as [`cosurf_wire::Want`] are not
-//! signed. They rely on the broker's access list, which restricts every device to its own topics.
+//! A receiver with a list of keys refuses a model in four cases: the device is not in the list, the signature
+//! is missing or wrong, the key is revoked, or the model's number is lower than a number already stored from
+//! that device. A receiver without a list accepts models from every client of the broker. Replies such as
+//! [`cosurf_wire::Want`] are not signed. They rely on the broker's access list, which restricts every device to
+//! its own topics.
 
 use std::collections::BTreeMap;
 use std::fs;

@@ -28,7 +28,7 @@ const CHUNK_BYTES_MIN: u32 = 1024;
 pub struct UploadProgress {
     /// Number of chunks of the body.
     pub chunks: u32,
-    /// Number of chunks that the slowest required receiver is known to have.
+    /// Number of chunks that the slowest required receiver is known to have; all if no receiver is required.
     pub chunks_received: u32,
     /// Bytes of the topics and payloads of all messages published, including retries.
     pub bytes_sent: u64,
@@ -42,7 +42,8 @@ pub enum UploadEvent {
     Progress,
     /// Every required receiver has stored the model.
     Finished,
-    /// A receiver refuses the model. The refusal is final unless [`RefusalReason::is_temporary`].
+    /// A receiver refuses the model. The refusal is final unless [`RefusalReason::is_temporary`]. The device
+    /// is the receiver of a global model, but the sender of a local one.
     Refused(DeviceId, RefusalReason),
 }
 
@@ -55,7 +56,8 @@ enum Destination {
     Devices(TileId),
 }
 
-/// Offers one model until every required receiver has stored it or refused it for good.
+/// Offers one model and sends its chunks. A local model is offered until the aggregator has stored it or
+/// refused it for good, a global model until another model replaces it.
 ///
 /// # Examples
 ///
@@ -187,7 +189,8 @@ impl Uploader {
         true
     }
 
-    /// Handles a receiver's reply. Returns `None` if the reply changes nothing or is about another model.
+    /// Handles a receiver's reply. Returns `None` if there is nothing to report, for example because the reply
+    /// is about another model.
     pub fn on_reply(&mut self, now: Duration, topic: &Topic, message: &Message<'_>) -> Option<UploadEvent> {
         let (by, reply) = self.reply_on(topic)?;
         if replied_model(message) != Some(self.key()) || self.is_cleared {
@@ -250,7 +253,7 @@ impl Uploader {
     }
 
     /// Index of the peer that replies. If a device replies to a global model for the first time, it becomes a
-    /// peer.
+    /// peer. `None` if the device is no peer and cannot become one.
     fn peer_index(&mut self, device: DeviceId, chunks: u32) -> Option<usize> {
         let known = self.peers.iter().position(|peer| peer.device == device);
         let may_join = matches!(self.destination, Destination::Devices(_)) && self.peers.len() < PEERS_MAX;
@@ -261,8 +264,8 @@ impl Uploader {
         known
     }
 
-    /// Schedules the next offer, in case no reply arrives until then. Schedules none if no required receiver
-    /// is left.
+    /// Schedules the next offer, in case no reply arrives until then. Schedules none once every required
+    /// receiver has stored the model or refused it for good.
     fn delay_announcement(&mut self, now: Duration) {
         self.announce_at = if self.is_closed() { None } else { Some(now + self.backoff.delay()) };
     }
@@ -293,7 +296,8 @@ impl Uploader {
         Some(Outgoing::new(&self.site, topic, &Message::Chunk(chunk), false))
     }
 
-    /// Makes the message that deletes the retained header of a local model. The header is no longer needed.
+    /// Makes the message that deletes the retained header of a local model, which is no longer needed. Returns
+    /// `None` from the second call on.
     fn clear_offer(&mut self) -> Option<Outgoing> {
         let topic = Topic::LocalHeader { device: self.key().device, model: self.key().model };
         let clear = (!self.is_cleared).then(|| Outgoing::clear(&self.site, topic));

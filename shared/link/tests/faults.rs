@@ -18,7 +18,7 @@ use cosurf_wire::{
 
 const PATIENCE: Duration = Duration::from_secs(3600);
 
-/// An aggregator, and a drone for each offer, which uploads it.
+/// An aggregator, and for each offer a drone that uploads it.
 fn fleet(network: &MemoryNetwork, offers: &[Offer]) -> Vec<Member> {
     let ground = Member::new(network, Role::Aggregator, "ground", InboxLimits::default());
     let drones = offers.iter().map(|offer| {

@@ -17,9 +17,9 @@ const BUFFER_BYTES: usize = 256 * 1024;
 const SUFFIX: &str = ".partial";
 
 /// Lets `fill` write the content of `path`, atomically and durably. After `Ok` the content is on the
-/// disk. After an error no temporary file remains, and `path` is unchanged unless only the last step
-/// failed, the sync of the folder. The folder must exist. If several threads or processes write one
-/// path, the last to finish wins.
+/// disk. After an error no temporary file remains, and `path` is unchanged. Exception: if the last step
+/// failed, the sync of the folder, `path` already has the new content. The folder must exist. If several
+/// threads or processes write one path, the last to finish wins.
 pub fn write(
     path: &Path,
     fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
@@ -28,8 +28,8 @@ pub fn write(
     write_and_rename(&RealDisk, &partial.0, path, fill).map_err(|cause| SceneError::io(path, cause))
 }
 
-/// Deletes the temporary files that [`write()`] left in `folder` when its process was killed.
-/// Meanwhile nothing may write to the folder.
+/// Deletes the temporary files that remain in `folder` if a process was killed during [`write()`]. No
+/// thread or process may call [`write()`] in this folder at the same time.
 pub fn remove_partial_files(folder: &Path) -> Result<(), SceneError> {
     let io = |cause| SceneError::io(folder, cause);
     for entry in fs::read_dir(folder).map_err(io)? {

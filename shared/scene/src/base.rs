@@ -14,8 +14,8 @@ pub struct Base {
 }
 
 impl Base {
-    /// Updates the base after the model has lost the splats at the indices `removed` (ascending,
-    /// unique): drops these splats from the base and renumbers the others.
+    /// The base of the model without the splats at the model's indices `removed` (ascending, unique):
+    /// these splats are dropped from the base, and the other ids are renumbered.
     pub fn without(&self, removed: &[u32]) -> Self {
         let mut left = Self { ids: Vec::new(), splats: Splats::with_capacity(0, self.splats.sh_degree) };
         for (i, id) in self.ids.iter().enumerate() {

@@ -73,9 +73,9 @@ impl WideRay {
     }
 }
 
-/// Encloses all rays of a bundle. For each axis it has the smallest and the largest inverse direction. It
-/// also has two of the rays' extreme origins: one gives the earliest entry into a box, the other the
-/// latest exit.
+/// Encloses all rays of a bundle. For each axis it has the inverses of the smallest and of the largest
+/// direction, and the two extreme origins: `enter_from` gives the earliest entry into a box, `leave_from`
+/// the latest exit.
 struct Beam {
     inverses: [Lanes; 2],
     enter_from: Lanes,
@@ -153,7 +153,7 @@ impl Leaf {
         let along = cross(&from_corner, &self.edges[0]);
         let v = dot(&ray.direction, &along) * scale;
         let t = dot(&self.edges[1], &along) * scale;
-        // A degenerate triangle gives NaN, for which these comparisons are false.
+        // A degenerate triangle gives infinite or NaN weights, for which `inside` is false.
         let low = Vec4::splat(-EDGE_SLACK);
         let inside = u.cmpge(low) & v.cmpge(low) & (u + v).cmple(Vec4::splat(1.0 + EDGE_SLACK));
         let within = t.cmpgt(ray.t_min) & t.cmplt(Vec4::splat(t_max));
@@ -172,8 +172,8 @@ fn dot(a: &Lanes, b: &Lanes) -> Vec4 {
 }
 
 impl Bvh {
-    /// Builds a hierarchy over triangles, given by their corners. There may be none; panics if there are
-    /// more than [`TRIANGLES_MAX`].
+    /// Builds a hierarchy over triangles, given by their corners. An empty slice is allowed. Panics if
+    /// there are more than [`TRIANGLES_MAX`].
     pub fn build(triangles: &[[Vec3; 3]]) -> Self {
         Self { tree: build::build(triangles) }
     }

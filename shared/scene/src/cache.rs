@@ -155,8 +155,8 @@ impl Shared {
     }
 
     /// Makes picture `index` from its compressed form or its file. The lock is released during this work.
-    /// With `prefetch`, the cache holds the picture until `get` takes it. There must be room for the
-    /// picture, and no other picture may be in the making.
+    /// With `prefetch`, the cache holds the picture until `get` takes it or needs its memory. There must be
+    /// room for the picture, and no other picture may be in the making.
     fn make(
         &self,
         mut state: MutexGuard<'_, State>,

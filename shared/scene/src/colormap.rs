@@ -2,8 +2,9 @@
 //!
 //! Depth and errors use a perceptual colour map of our own: a path through OKLCh on which lightness rises
 //! evenly from dark violet through blue and green to bright yellow. Near surfaces and large errors are
-//! bright. Equal steps of depth look equally large, and a greyscale copy keeps their order. The conversion
-//! from Oklab to linear sRGB is Ottosson's ("A perceptual color space for image processing", 2020).
+//! bright. Equal steps of depth look equally large, and nearer surfaces are brighter in a greyscale copy too.
+//! The conversion from Oklab to linear sRGB is Ottosson's ("A perceptual color space for image processing",
+//! 2020).
 
 use std::sync::OnceLock;
 
@@ -63,7 +64,7 @@ pub fn error_picture(errors: &[f32], size_px: [u32; 2], bright: f32) -> Picture 
 
 /// Draws normals as a normal map: red shows how far a normal points right, green how far up, and blue how
 /// far towards the camera. `normals` is `[h, w, xyz]` in the camera frame (x right, y down, z forward), of
-/// any length, zero where there is no surface.
+/// any length above 1e-3; a shorter normal means that there is no surface.
 pub fn normal_picture(normals: &[f32], size_px: [u32; 2]) -> Picture {
     let (normals, _) = normals.as_chunks::<3>();
     let rgb = normals.iter().flat_map(|&[x, y, z]| {
@@ -120,7 +121,7 @@ fn linear_from_oklab(lightness: f32, a: f32, b: f32) -> [f32; 3] {
     ]
 }
 
-/// The sRGB transfer function (IEC 61966-2-1).
+/// Encodes linear light, clamped to 0..=1, as an sRGB byte (IEC 61966-2-1).
 fn byte_from_linear(v: f32) -> u8 {
     let v = v.clamp(0.0, 1.0);
     let encoded = if v <= 0.003_130_8 { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 };

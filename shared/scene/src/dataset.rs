@@ -54,8 +54,8 @@ impl Dataset {
     }
 
     /// The dataset of the chosen views (indices in any order, repeats ignored) and of the points that
-    /// they see. A point without a track counts as seen if it projects into a chosen picture. The
-    /// tracks of the new dataset name only chosen views.
+    /// they see. A point without a track counts as seen if it projects into a chosen picture. Tracks
+    /// are renumbered for the new dataset; views that were not chosen are removed from them.
     pub fn subset(&self, views: &[usize]) -> Self {
         let mut chosen = views.to_vec();
         chosen.sort_unstable();

@@ -46,7 +46,8 @@ impl SceneError {
         Self::Io { path: path.to_owned(), cause }
     }
 
-    /// The error for invalid content of `path`. `reason` is one line that also gives the remedy.
+    /// The error for invalid content of `path`. `reason` is one line: the fault, and a remedy where one
+    /// is known.
     pub fn malformed(path: &Path, reason: impl Into<String>) -> Self {
         Self::Malformed { path: path.to_owned(), reason: reason.into() }
     }

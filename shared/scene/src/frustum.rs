@@ -1,4 +1,4 @@
-//! Checks quickly which cameras see a point. Merging models does nothing more often than this.
+//! Checks quickly which cameras see a point. The merge of models makes this check more often than any other.
 
 use glam::{DVec2, DVec3};
 

@@ -18,7 +18,8 @@ impl Dataset {
     /// beside the model's folder or one level further up, or in `path` itself.
     ///
     /// Reads the header of every picture. If a picture has another size than its camera but the same
-    /// aspect ratio, the camera is rescaled. Errors: pictures that are missing, empty or of another
+    /// aspect ratio, the camera is rescaled. Errors: a dataset that cannot be read or has no pictures;
+    /// invalid or repeated names; pictures that are missing, damaged in their header or of another
     /// aspect ratio.
     pub fn open(path: &Path) -> Result<Self, SceneError> {
         let mut dataset = read(path)?;
@@ -108,7 +109,7 @@ fn refuse_missing(views: &[View]) -> Result<(), SceneError> {
     Err(SceneError::malformed(&first.path, reason))
 }
 
-/// Rescales the view's camera to the size of its picture on disk.
+/// Rescales the view's camera to the size of its picture on disk. Errors: another aspect ratio.
 fn fit_camera(view: &mut View) -> Result<(), SceneError> {
     let found = Picture::size_of(&view.path)?;
     let [width, height] = view.camera.size_px.map(f64::from);

@@ -18,7 +18,8 @@ impl Mesh {
     /// positions, normals, colours and the corners of faces are skipped. A face with more than three
     /// corners becomes a fan of triangles, which is correct if the face is convex. A file without faces
     /// gives a cloud of points. Positions become `f32`, so coordinates far from the origin (UTM) lose
-    /// precision. Errors: positions that are not finite, indices of missing vertices.
+    /// precision. Errors: positions that are not finite, faces with fewer than three corners, indices of
+    /// missing vertices.
     pub fn read(path: &Path) -> Result<Self, SceneError> {
         ply::read(path)
     }

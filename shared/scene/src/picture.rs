@@ -40,7 +40,7 @@ impl Picture {
     }
 
     /// Resamples the picture: each new pixel is the exact mean of the area that it covers. Shrinking
-    /// causes no aliasing; enlarging shows the old pixels as blocks. Computed in integers, so the bytes
+    /// causes little aliasing; enlarging shows the old pixels as blocks. Computed in integers, so the bytes
     /// are the same on every machine.
     pub fn resized(&self, size_px: [u32; 2]) -> Self {
         resize::area_average(self, size_px)

@@ -5,7 +5,7 @@
 //!
 //! Files are written as binary little-endian with normals of 0. The reader also accepts ascii, any
 //! order of the properties, other number types, extra properties and missing normals. Files are read
-//! and written row by row, so the splats take nearly all of the memory.
+//! and written row by row, so little memory is needed besides the splats.
 //!
 //! ```
 //! use cosurf_scene::{Splats, ply};

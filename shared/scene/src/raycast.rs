@@ -11,8 +11,9 @@ use crate::{Camera, Mesh};
 /// Largest number of triangles of a [`Caster`].
 pub const TRIANGLES_MAX: usize = crate::bvh::TRIANGLES_MAX;
 
-/// Depth and normals of a surface as a camera sees them. Where the surface has a hole, they belong to the
-/// surface behind the hole. The true mesh of the synthetic city has holes where fewer than three cameras look.
+/// Depth and normals of a mesh as a camera sees them. Where the mesh has a hole, they belong to the surface
+/// behind the hole, if there is one. The ground-truth mesh of the synthetic town (crate `cosurf-city`) has
+/// holes where fewer than three cameras look.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Cast {
     /// Width and height, pixels.
@@ -45,9 +46,9 @@ impl Caster {
         cast_pixels(camera.size_px, |p_px| self.intersect(&shooter, [p_px])[0].unwrap_or_default())
     }
 
-    /// Like [`Self::cast`], but each normal is the mean over the pixel's area (3 × 3 rays). A pixel of a
-    /// photograph or a rendering is such a mean too. So when normals are compared, detail smaller than a pixel
-    /// does not count as an error.
+    /// Like [`Self::cast`], but each normal is the normalised mean over the pixel's area (3 × 3 rays). A pixel
+    /// of a photograph or a rendering is also a mean over its area. So when normals are compared, detail smaller
+    /// than a pixel does not count as an error.
     pub fn cast_areas(&self, camera: &Camera) -> Cast {
         let shooter = Shooter::new(camera);
         cast_pixels(camera.size_px, |center_px| {

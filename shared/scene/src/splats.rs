@@ -114,7 +114,7 @@ impl Splats {
 
     /// Finds the first value that cannot be rendered. Every number must be finite. Every quaternion
     /// must have a length of at least 1e-6 and a finite squared length. Every log scale must lie
-    /// between -40 and 40.
+    /// between -40 and 40 (both exclusive).
     pub fn find_bad_value(&self) -> Option<BadValue> {
         (0..self.len()).find_map(|splat| self.find_bad_value_of(splat))
     }

@@ -115,7 +115,7 @@ fn body(splats: &Splats, fraction_bits: u8) -> Vec<u8> {
     body
 }
 
-/// Rounds the coefficient of a harmonic to the nearest of `2^bits` levels.
+/// Encodes the coefficient of a harmonic, -1 to 1, as a byte, rounded to the nearest of `2^bits` levels.
 fn pack_sh(value: f32, bits: u32) -> u8 {
     let part = 1 << (8 - bits);
     let rounded = (value * 128.0).round() as i32 + 128;
@@ -123,7 +123,8 @@ fn pack_sh(value: f32, bits: u32) -> u8 {
 }
 
 /// Packs a quaternion into 32 bits. From the highest bit down: the index of the largest component (two bits); then,
-/// for each other component in the order xyzw, a sign bit and nine bits of magnitude.
+/// for each other component in the order xyzw, its sign relative to the largest (one bit) and its magnitude (nine
+/// bits).
 fn pack_quat([w, x, y, z]: [f32; 4]) -> [u8; 4] {
     let length = (w * w + x * x + y * y + z * z).sqrt();
     let q = [x, y * AXIS_SIGNS[1], z * AXIS_SIGNS[2], w].map(|v| v / length);

@@ -103,7 +103,8 @@ fn view_of(folder: &Path, shared: &Intrinsics, frame: &Frame) -> Result<View, Re
     Ok(View { name: frame.file_path.clone(), camera, path })
 }
 
-/// The path of a frame's picture. If that file does not exist, tries each of [`EXTENSIONS`].
+/// The path of a frame's picture. If no such file exists, appends the first of [`EXTENSIONS`] that gives
+/// an existing file, or nothing if none does.
 fn picture_path(folder: &Path, file_path: &str) -> PathBuf {
     let path = folder.join(file_path);
     if path.is_file() {

@@ -1,6 +1,6 @@
 //! The byte layout of a model (a *body*): its splats and the cameras of its pictures, never the pictures.
-//! The values are quantised to integers. The integers are grouped in *packs*, which can be decoded
-//! independently, most important first.
+//! The values are quantised to integers. The integers are grouped in *packs*. Each pack can be unpacked on
+//! its own, and the most important packs come first.
 //!
 //! All numbers are little-endian, without padding:
 //!
@@ -23,14 +23,14 @@
 //!
 //! The first layer may be a *base*: splats that are trained to stand in for the whole model until the rest
 //! has arrived. Each shapes pack of the base then has one changes pack, in the same order, which turns its
-//! base splats into their final form. The shapes packs of the other layers follow in regions, one region of
-//! space for each base pack. The changes pack comes after the shapes packs of its region. These are shown
-//! only once the changes pack has arrived too, since the base stands in for them until then.
+//! base splats into their final form. Space is divided into regions, one for each base pack. The shapes
+//! packs of the other layers follow region by region. After the shapes packs of a region comes the changes
+//! pack of its base splats. Until this changes pack has arrived, the base stands in for the region, and the
+//! other splats of the region must not be shown.
 //!
-//! A pack is one [zstd](https://datatracker.ietf.org/doc/html/rfc8878) frame. A pack is stored uncompressed
-//! if zstd would not make it smaller, or would exceed the largest accepted ratio ([`RATIO_MAX`]). An
-//! incomplete body is usable: once the head and the table have arrived, each further pack can be unpacked
-//! on its own.
+//! A pack is one [zstd](https://datatracker.ietf.org/doc/html/rfc8878) frame, or its uncompressed bytes if
+//! zstd would not make it smaller or would exceed the largest accepted ratio ([`RATIO_MAX`]). An incomplete
+//! body is usable: packs that have arrived after the head and the table can be unpacked.
 //!
 //! | Pack | Bytes unpacked | Content |
 //! |---|---|---|

@@ -29,7 +29,7 @@ pub const MAX_PIECE_BYTES: usize = 200;
 /// 57,600 baud sends this many pieces in about five of its turns. A piece that is lost four times in a row
 /// therefore does not hold back new pieces.
 pub const WINDOW_PIECES: u32 = 1400;
-/// Size in bytes of the largest frame, which is that of a piece, with the final zero. A test checks it.
+/// Size in bytes of the largest frame, with its final zero: the frame of a full piece. A test checks it.
 pub const MAX_FRAME_BYTES: usize = MAX_RAW_BYTES + 2;
 /// Largest frame before stuffing (COBS), bytes. Below 254, so stuffing adds one byte.
 const MAX_RAW_BYTES: usize = 210;

@@ -1,5 +1,5 @@
-//! Names of sites, devices, tiles and frames, and numbers of models. A name is checked when it is made, so
-//! topics, file names and log lines can contain it without escaping.
+//! Names of sites, devices, tiles and world frames, and numbers of models. A name is checked when it is
+//! made, so topics, file names and log lines can contain it without escaping.
 
 use core::fmt;
 use core::hash::{Hash, Hasher};
@@ -10,7 +10,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 /// Maximum length of a name in bytes. A host name's label (at most 63 bytes, RFC 1035) fits.
 pub const MAX_ID_BYTES: usize = 64;
 
-/// Why a text is not a valid name.
+/// Why a text is not a valid name or number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum IdError {
@@ -22,7 +22,8 @@ pub enum IdError {
     BadCharacter(char),
     /// The text is `global`, which topics reserve for the aggregator's models.
     Reserved,
-    /// The model number is not a decimal `u64` without sign or leading zeros.
+    /// A model number is not a decimal `u64` without sign or leading zeros, or the index of a chunk is not
+    /// such a `u32`.
     NotANumber,
 }
 

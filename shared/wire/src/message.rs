@@ -22,8 +22,8 @@ pub const MAX_CONTROL_BYTES: usize = 300;
 /// Size in bytes of the largest encoding of a [`Chunk`]. No other message is larger. A test checks it.
 pub const MAX_MESSAGE_BYTES: usize = MAX_CHUNK_BYTES + 89;
 
-/// Largest number of cameras in a [`FlightCameras`]. The message then has less than 16 KiB, the largest
-/// message that a device sends over a serial line.
+/// Largest number of cameras in a [`FlightCameras`]. The message is then smaller than 16 KiB, the limit on
+/// messages that a device sends over a serial line.
 pub const FLIGHT_CAMERAS_MAX: usize = 160;
 
 /// Upper bound on the size of a [`ModelHeader::statement`], bytes. A test checks it.
@@ -121,8 +121,9 @@ pub enum ModelKind {
     Local,
     /// Merged by an aggregator from several models.
     Global,
-    /// A local model that was pruned before upload: it lacks the splats in overlaps that other devices own.
-    /// The device computes the owners from the cameras that all devices announce ([`FlightCameras`]).
+    /// A local model that was pruned before upload: where several devices observe the same ground, it lacks
+    /// the splats that another device owns. The device computes the owners from the cameras that all devices
+    /// announce ([`FlightCameras`]).
     Compressed,
 }
 
@@ -201,7 +202,7 @@ pub struct State {
 }
 
 /// The cameras of a device's flight. They tell the other devices which places the device observes. Before
-/// an upload, each device can then drop the splats in overlaps that another device owns.
+/// an upload, each device can then drop the splats that another device owns ([`ModelKind::Compressed`]).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FlightCameras<'a> {
     /// The device that sends the message.
@@ -261,8 +262,7 @@ pub enum RefusalReason {
     WrongFrame,
     /// The receiver's list of keys has no key of the device.
     UnknownDevice,
-    /// The signature is missing or invalid: it was made with an unknown key, or the header has changed
-    /// since.
+    /// The signature is missing, or it does not match the header under any listed key of the device.
     BadSignature,
     /// The key that signed the model is revoked.
     Revoked,

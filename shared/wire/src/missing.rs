@@ -3,8 +3,8 @@
 use heapless::Vec;
 use serde::{Deserialize, Serialize};
 
-/// Largest size of the bitmap in bytes. The bitmap then covers 1024 chunks (64 MiB in chunks of 64 KiB). A
-/// sender has far fewer chunks in flight, and one chunk is far larger than the bitmap.
+/// Largest size of the bitmap in bytes. The bitmap then covers 1024 chunks, far more than a sender has in
+/// flight, and is still far smaller than one chunk of 64 KiB.
 pub const MISSING_BITMAP_BYTES: usize = 128;
 
 /// The chunks that a receiver has and lacks. The receiver has all chunks below `first`, and lacks all

@@ -1,4 +1,5 @@
-//! Tables of documents, between markers:
+//! Writes and checks the tables of documents. A table stands between two markers, the first of which names the
+//! results:
 //!
 //! ```text
 //! <!-- results: passes -->
@@ -13,15 +14,15 @@ use std::io;
 use super::record::Results;
 use super::{machine, store};
 
-/// The document of all results.
+/// The document that must show all results.
 pub const ALL: &str = "shared/docs/RESULTS.md";
-/// The documents whose tables are written.
+/// The documents whose tables [`write_all`] writes.
 pub const DOCUMENTS: [&str; 2] = [ALL, "README.md"];
 
 const BEGIN: &str = "<!-- results: ";
 const END: &str = "<!-- end of results -->";
 
-/// Writes the tables of all documents anew.
+/// Replaces the tables of all documents by the tables of the stored results.
 pub fn write_all() -> io::Result<()> {
     for (document, text) in texts()? {
         let new = with_tables(&text, stored)?;
@@ -32,8 +33,9 @@ pub fn write_all() -> io::Result<()> {
     Ok(())
 }
 
-/// What is wrong with the documents: tables that the stored results do not give, or that were typed by hand, and
-/// results that [`ALL`] does not show. A sentence for each.
+/// The faults of the documents, a sentence for each. A fault is a marker without stored results, or a document
+/// whose tables differ from the stored results. In [`ALL`], tables outside markers and results that are not shown
+/// are faults too.
 pub fn faults() -> io::Result<Vec<String>> {
     let mut faults = Vec::new();
     let names = BTreeSet::from_iter(store::names(&store::folder())?);
@@ -65,7 +67,8 @@ fn stored(name: &str) -> io::Result<Option<Results>> {
     store::read(&store::folder(), name)
 }
 
-/// The text with every table between markers replaced; without results the place stays empty.
+/// The text with every table between markers replaced by that of its results; by nothing if there are no results.
+/// Fails if a marker has no end.
 fn with_tables(
     text: &str,
     mut results: impl FnMut(&str) -> io::Result<Option<Results>>,
@@ -89,7 +92,7 @@ fn shown(text: &str) -> BTreeSet<String> {
     names.map(str::to_owned).collect()
 }
 
-/// The first lines of tables outside markers.
+/// The first line of each table that is not between markers.
 fn unmarked_tables(text: &str) -> impl Iterator<Item = &str> {
     let mut is_marked = false;
     let mut was_table = false;

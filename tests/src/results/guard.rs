@@ -1,10 +1,11 @@
-//! Figures that got worse.
+//! Finds figures that got worse.
 
 use super::record::{Better, Column, Results, Tolerance};
 use super::table::number;
 
-/// The figures of a new run that are worse than the stored ones by more than their tolerance, or are missing; a
-/// sentence for each. Figures that depend on the processor are compared on the same model only.
+/// Returns a sentence for each stored figure that the new results lack, or that is worse in the new results by more
+/// than its tolerance. Figures without a tolerance are not compared. Figures that depend on the processor's speed are
+/// compared only if both results were measured on the same model of processor.
 pub fn worse(stored: &Results, new: &Results) -> Vec<String> {
     let mut found = Vec::new();
     for row in &stored.rows {

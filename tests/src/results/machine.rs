@@ -10,7 +10,8 @@ pub fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap().to_path_buf()
 }
 
-/// The commit of the working tree, with a `+` if anything but documents differs from it; `unknown` without git.
+/// The commit that is checked out, with a `+` if files other than the documents differ from it; `unknown` without
+/// git.
 pub fn commit() -> String {
     let git = |words: &[&str]| {
         let output = Command::new("git").args(words).current_dir(root()).output().ok()?;
@@ -22,25 +23,26 @@ pub fn commit() -> String {
     if changes.is_empty() { commit } else { commit + "+" }
 }
 
-/// The processor's model as the system names it.
+/// The processor's model as Linux names it; the processor's architecture if the name is not available.
 pub fn processor() -> String {
     let text = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let model = text.lines().find_map(|line| line.strip_prefix("model name")?.split_once(':'));
     model.map_or_else(|| std::env::consts::ARCH.to_owned(), |(_, model)| model.trim().to_owned())
 }
 
-/// Cores that this process may use.
+/// Number of cores that this process may use; 1 if the system does not tell.
 pub fn cores() -> usize {
     std::thread::available_parallelism().map_or(1, usize::from)
 }
 
-/// Today in UTC, `2026-11-22`.
+/// Today's date in UTC, for example `2026-11-22`.
 pub fn today() -> String {
     let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     date(since.as_secs() / 86_400)
 }
 
-/// The date `days` days after 1970-01-01. Counts years from 1 March, so that a leap day ends a year.
+/// The date `days` days after 1970-01-01. The calculation begins years on 1 March, so that a leap day is the last
+/// day of its year.
 fn date(days: u64) -> String {
     let days = days + 719_468;
     let (era, of_era) = (days / 146_097, days % 146_097);

@@ -1,4 +1,4 @@
-//! A bench while it runs.
+//! Collects the figures of a running bench.
 
 use std::path::PathBuf;
 

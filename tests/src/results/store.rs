@@ -1,4 +1,4 @@
-//! Results as files of JSON.
+//! Reads and writes results as JSON files.
 
 use std::fs;
 use std::io;
@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use super::machine;
 use super::record::Results;
 
-/// Where the results that the documents show are kept.
+/// The folder of the stored results, which the documents show.
 pub fn folder() -> PathBuf {
     machine::root().join("shared/docs/results")
 }
@@ -19,7 +19,8 @@ pub fn write(folder: &Path, results: &Results) -> io::Result<()> {
     fs::write(file(folder, &results.name), text)
 }
 
-/// Reads the results of a name; `None` if there are none.
+/// Reads the results from `NAME.json` in a folder; `None` if there is no such file. Fails if the file is invalid or
+/// holds results of another name.
 pub fn read(folder: &Path, name: &str) -> io::Result<Option<Results>> {
     let file = file(folder, name);
     match fs::read(&file) {

@@ -1,9 +1,9 @@
-//! Results as Markdown.
+//! Formats results as Markdown tables.
 
 use super::record::{Column, Results, Row};
 
 impl Results {
-    /// The table and a line on how it was measured.
+    /// The table, and below it a line that tells how the figures were measured.
     pub fn to_markdown(&self) -> String {
         let rows: String = self.rows.iter().map(|row| row_line(&self.columns, row)).collect();
         format!("{}{rows}\n{}\n", head(&self.columns), self.caption())
@@ -22,7 +22,7 @@ pub(crate) fn head(columns: &[Column]) -> String {
     format!("| |{titles}\n|---|{}\n", "---:|".repeat(columns.len()))
 }
 
-/// The line of a row.
+/// A row as a line of the table, with dashes for figures that were not measured.
 pub(crate) fn row_line(columns: &[Column], row: &Row) -> String {
     let cell = |(column, value): (&Column, &Option<f64>)| match value {
         Some(value) => format!(" {} |", number(*value, column.decimals)),
@@ -32,7 +32,7 @@ pub(crate) fn row_line(columns: &[Column], row: &Row) -> String {
     format!("| {} |{cells}\n", row.name)
 }
 
-/// A number with separated thousands from 10,000 on.
+/// Formats a number with `decimals` digits after the point. From 10,000 on, commas separate the thousands.
 pub(crate) fn number(value: f64, decimals: usize) -> String {
     let text = format!("{value:.decimals$}");
     let (whole, fraction) =

@@ -4,8 +4,9 @@ use glam::Vec3;
 
 use super::nearest::Tree;
 
-/// How far the footprint reaches beyond the truth's points, in mean distances between these points. If points
-/// are spread at random over a surface, less than one place in 100 000 is farther than this from all of them.
+/// The footprint reaches at least this far beyond the truth's points, in mean distances between these points.
+/// If points are spread at random over a surface, less than one place in 100 000 is farther than this from all
+/// of them.
 const SPACINGS: f64 = 2.0;
 
 /// The positions that are near the truth's points when seen from above.

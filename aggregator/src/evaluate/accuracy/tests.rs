@@ -55,8 +55,8 @@ fn a_mesh_scores_one_against_itself() {
     let found = accuracy(&mesh, &mesh);
     assert_eq!((found.samples.precision, found.samples.recall, found.samples.f_score), (1.0, 1.0, 1.0));
     assert_eq!(found.vertices.precision, 1.0);
-    // The samples are spread at random, on average an eighth of a metre apart. From any place, the nearest
-    // is 0.0625 m away on average.
+    // The samples are spread at random, on average one for each square of 0.125 m. In such a random pattern,
+    // the nearest sample is half of that, 0.0625 m, away on average.
     assert!(near(found.chamfer_m, 0.0625, 0.005), "{}", found.chamfer_m);
     assert_eq!((found.cropped, found.truth_disc_m), (0.0, 0.0));
 }
@@ -112,8 +112,8 @@ fn sparse_truth_points_stand_for_discs() {
     let mesh = square(30.0);
     let truth = cloud(&mesh, 0.8);
     let found = accuracy(&mesh, &truth);
-    // The radius of a disc with the area of a 0.8 m square. It is slightly larger, as points at the border
-    // have fewer neighbours.
+    // A disc with the area of a 0.8 m square has a radius of 0.451 m. The estimate is slightly larger, because
+    // points at the border have fewer neighbours.
     assert!(near(found.truth_disc_m, 0.451, 0.03), "{found:?}");
     assert!(found.samples.precision > 0.985 && found.samples.recall == 1.0, "{found:?}");
     let bare = Mesh { normals: Vec::new(), ..truth.clone() };

@@ -41,7 +41,7 @@ impl Network {
         }
     }
 
-    /// The smallest side of a picture with which at least one pixel is left after the last pooling.
+    /// Least width and height of a picture. With a smaller one, no pixel would be left after the last pooling.
     pub(super) fn size_min_px(self) -> u32 {
         match self {
             Self::Vgg => 16,

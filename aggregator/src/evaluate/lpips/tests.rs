@@ -1,5 +1,5 @@
 //! Checks that the distances equal those of other implementations. The pictures, and the weights of small networks,
-//! come from an integer hash, so that other implementations can compute them too. The expected distances here are
+//! are computed from integers, so that other implementations can compute them too. The expected distances here are
 //! the results of those implementations.
 //!
 //! With the real weights, the results come from the published implementation (`lpips` 0.1.4 under PyTorch 1.13.1):
@@ -16,7 +16,7 @@ use safetensors::tensor::TensorView;
 use super::*;
 
 const SIZE_PX: [u32; 2] = [80, 64];
-/// Largest difference from the published implementation that the project promises.
+/// The project promises distances that differ from those of the published implementation by less than this.
 const TOLERANCE: f64 = 1e-3;
 
 fn hash(i: u32) -> u32 {

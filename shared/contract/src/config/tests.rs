@@ -3,7 +3,7 @@
 
 use super::*;
 
-/// An `agent.toml` as missions wrote it when its fields were plain strings and numbers, and as they still write it.
+/// An `agent.toml` that an early version of the command `mission` wrote. The current version must write the same bytes.
 const WRITTEN_BY_A_MISSION: &str = r#"device = "agent-1"
 site = "mission-1795417316"
 broker = "mqtt://127.0.0.1:42435"

@@ -90,7 +90,8 @@ impl Costs {
     fn on_gpu(capacity: &Capacity, most: u64) -> Self {
         let Capacity { size_px, sh_degree, channels, training, .. } = *capacity;
         let parameters = 4 * parameter_rows(sh_degree);
-        // Bytes: the projected splat; depth, place and slots 16; keys and values to sort, in two copies, 16.
+        // Bytes: the projected splat; its depth, its place in the list of visible splats and its slots 16; keys and
+        // values to sort, in two copies, 16.
         let drawn = PROJECTED_BYTES + 16 + 16;
         let trained = 2 * parameters + 4 * (GRADIENT_ROWS + STAT_ROWS + SCORE_ROWS);
         // Bytes per pixel: depth and luma of two views 16; gradients for four neighbouring depths 16; a sampled pixel
@@ -118,8 +119,8 @@ impl Costs {
         }
     }
 
-    /// Largest number of splats, with `pairs_per_splat` pairs each, whose buffers the graphics card can bind. The CPU
-    /// has no such limit.
+    /// Largest number of splats, with `pairs_per_splat` pairs each, whose buffers the graphics card can bind;
+    /// `usize::MAX` on the CPU.
     pub fn splats_max(&self, pairs_per_splat: usize) -> usize {
         let Some(Binding { splat, pair, most, .. }) = self.binding else { return usize::MAX };
         (most / splat.max(pairs_per_splat * pair) as u64) as usize

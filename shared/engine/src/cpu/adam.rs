@@ -1,7 +1,7 @@
 //! The optimiser pass: Adam on all splats, visible or not.
 //!
 //! A splat that the camera does not see has gradient zero, but its momentum still moves it. Skipping such splats
-//! ("sparse Adam") is faster for large models, but loses quality (table "Short runs"). The SH gradients are products of
+//! ("sparse Adam") is faster for large models, but loses quality. The SH gradients are products of
 //! the colour gradient and the basis. They are computed here, so they need no memory.
 
 use cosurf_scene::splats::sh_coefficients;
@@ -15,8 +15,9 @@ use crate::layout::rows::{GRADIENT_RGB, GRADIENT_ROWS, LOG_SCALE, MEAN, OPACITY,
 use crate::layout::view::ViewParams;
 use crate::simd::{GROUP, Isa, Kernel, Lanes, Row, each};
 
-/// Makes one Adam step on every splat. `visible` has one bit for each splat of a block. Splats that are not visible
-/// have gradient zero, whatever `gradients` holds.
+/// Makes one Adam step on every splat. Each entry of `visible` has one bit for each splat of a block. Splats that are
+/// not visible have gradient zero, whatever `gradients` holds. SH coefficients above the degree of `view` stay
+/// unchanged.
 pub(crate) fn adam(
     isa: Isa,
     params: &mut Blocks,

@@ -61,7 +61,8 @@ pub struct CpuBackend {
     lists: TileLists,
     pub(super) image: TileImage,
     pub(super) gradient: TileImage,
-    /// For each tile, the number of entries of its list that were processed until all its pixels were full.
+    /// For each tile, the number of entries of its list that were processed: all, or fewer if all its pixels became
+    /// full.
     blended: Vec<u32>,
     records: Vec<Record>,
     photometric: Photometric,

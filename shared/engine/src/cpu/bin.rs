@@ -273,7 +273,8 @@ impl Run {
     }
 }
 
-/// First and last pixel `i` of `0..size` with a centre `i + 0.5` in `[low, high]`; `None` if there is none.
+/// First and last pixel `i` of `0..size` with a centre `i + 0.5` in `[low, high]`, widened by [`SLACK_PX`]; `None` if
+/// there is none.
 #[inline]
 fn pixels_between(low: f32, high: f32, size: u32) -> Option<(usize, usize)> {
     // A cast, which truncates, is one instruction; `ceil` and `floor` are calls on baseline x86-64. Both ends are first
@@ -286,8 +287,8 @@ fn pixels_between(low: f32, high: f32, size: u32) -> Option<(usize, usize)> {
     (first.max(0) <= last).then_some((first.max(0) as usize, last as usize))
 }
 
-/// Calls `visit(tile_y, first tile_x, last tile_x)` for each row of tiles in which the ellipse of the splat (falloff of
-/// at most `falloff_max`) contains a pixel centre.
+/// Calls `visit(tile_y, first tile_x, last tile_x)` for each row of tiles that the ellipse of the splat (falloff of at
+/// most `falloff_max`) touches.
 #[inline]
 fn visit_spans(splat: &Projected, size_px: [u32; 2], mut visit: impl FnMut(usize, usize, usize)) {
     let [mean_x, mean_y] = splat.mean_px;

@@ -31,8 +31,8 @@ impl Blocks {
         self.stride
     }
 
-    /// Changes the number of splats, within the capacity. New blocks are zero. In the last block, splats that are added
-    /// again have their old values.
+    /// Changes the number of splats, within the capacity. New blocks are zero. In a block that is kept, a splat that is
+    /// removed and added again has its old values.
     pub(crate) fn resize(&mut self, len: usize) {
         self.rows.resize(len.div_ceil(GROUP) * self.stride, Row::ZERO);
         self.len = len;

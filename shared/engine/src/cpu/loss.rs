@@ -2,9 +2,9 @@
 //! rendering after the exposure is applied, SSIM the rendering itself.
 //!
 //! SSIM is that of 3DGS: an 11 × 11 Gaussian window, σ = 1.5 px, zeros outside the picture. The window is separable.
-//! The lines of a band of the picture pass through two ring buffers of 11 lines: the first holds the five moments, the
-//! second the three partial derivatives, both after the horizontal filter. So scratch memory does not grow with the
-//! height of the picture, and at usual widths it fits into the second-level cache.
+//! After the horizontal filter, the lines of a band of the picture pass through ring buffers of 11 lines: five buffers
+//! for the moments of SSIM ([`MOMENT_LINES`]) and three for its partial derivatives ([`PARTIAL_LINES`]). So scratch
+//! memory does not grow with the height of the picture, and at usual widths it fits into the second-level cache.
 
 use rayon::prelude::*;
 
@@ -90,14 +90,15 @@ impl Photometric {
     }
 }
 
-/// Lines of a band with margins: rendering, photograph, exposed rendering, three products, three partial derivatives.
+/// Number of lines with margins that a band needs: the rendering, the photograph, the exposed rendering, three products
+/// and three partial derivatives.
 const LINES: usize = 9;
 
 /// Memory of one thread for the lines and ring buffers of a band.
 #[derive(Debug)]
 struct Scratch(Vec<f32>);
 
-/// The lines and ring buffers of one band. They are slices, not vectors, and their lengths are visible to the compiler. Then it
+/// The lines and ring buffers of one band. They are slices, not vectors, and the compiler sees their lengths. So it
 /// keeps their addresses in registers and leaves bounds checks out of the loops.
 struct Lines<'a> {
     x_line: &'a mut [f32],
@@ -457,7 +458,7 @@ fn ssim_row<L: Lanes>(
 }
 
 impl TargetRgb<'_> {
-    /// Writes one channel of picture row `y` to `line`, 0..=1.
+    /// Writes one channel of picture row `y` to `line`. Bytes are scaled to 0..=1.
     #[inline(always)]
     fn read_line(&self, channel: usize, y: usize, width: usize, line: &mut [f32]) {
         let range = 3 * y * width..3 * (y + 1) * width;

@@ -138,7 +138,8 @@ impl Model {
         numbers
     }
 
-    /// Moves splats from the end of `len` splats into `holes` (ascending).
+    /// Moves the last of `len` splats into `holes` (ascending), so that the first `len - holes.len()` places have no
+    /// holes.
     fn fill_holes(&mut self, holes: &[u32], len: usize) {
         let new_len = len - holes.len();
         let mut last = len;

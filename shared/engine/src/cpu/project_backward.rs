@@ -1,6 +1,6 @@
-//! The backward pass of the projection. It adds the records of each splat in a fixed order, then propagates the
-//! gradients through 2D Gaussian, plane and colour to the parameters. The formulas are the derivatives of those in
-//! [`super::geometry`]. A variable `v_x` is ∂L/∂x, the gradient of the loss with respect to `x`.
+//! The backward pass of the projection. It sums the records of each splat in a fixed order. Then it propagates the
+//! gradients through the 2D Gaussian, the plane and the colour to the parameters. The formulas are the derivatives of
+//! those in [`super::geometry`]. A variable `v_x` is ∂L/∂x, the gradient of the loss with respect to `x`.
 
 use rayon::prelude::*;
 
@@ -32,7 +32,7 @@ pub(crate) struct Inputs<'a> {
     pub(crate) scale_weight: f32,
 }
 
-/// Overwrites the gradients of all blocks with visible splats, and adds to the statistics. Other blocks keep old
+/// Computes new gradients for each block in which a splat is visible, and adds to the statistics. Other blocks keep old
 /// gradients, which no pass reads.
 pub(crate) fn project_backward(isa: Isa, inputs: &Inputs, gradients: &mut Blocks, stats: &mut Blocks) {
     let visible = inputs.projection.visible.iter().map(|bits| bits.count_ones()).sum::<u32>();
@@ -68,7 +68,7 @@ pub(crate) fn project_backward(isa: Isa, inputs: &Inputs, gradients: &mut Blocks
         });
 }
 
-/// Adds the records of each visible splat of a block and transposes the sums: row `k` holds sum `k` of the 16 splats.
+/// Sums the records of each visible splat of a block and transposes the sums: row `k` holds sum `k` of the 16 splats.
 fn gather(inputs: &Inputs, block: usize, visible: u16) -> [Row; GROUP] {
     let mut sums = [Row::ZERO; GROUP];
     let lanes = (0..GROUP).filter(|lane| visible >> lane & 1 == 1);
@@ -320,8 +320,8 @@ fn to_world<L: Lanes>(g: &Geometry<L>, view: &ViewParams, from: &CameraGradients
     (v_mean, v_quat)
 }
 
-/// Adds the norm of a gradient with respect to the screen position, with positions in units of half the picture, to the
-/// statistics of visible splats.
+/// Adds the norm of `v_px` to the statistics of visible splats. `v_px` is a gradient with respect to the screen
+/// position in px; first it is converted to positions in units of half the picture.
 #[inline(always)]
 fn count_norm<L: Lanes>(
     stats: &mut [Row],

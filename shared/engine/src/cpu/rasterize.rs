@@ -13,7 +13,8 @@ use crate::layout::tiles::{TILE, TileImage, centers};
 use crate::simd::{Isa, Kernel, Lanes, Row, prefetch};
 
 /// Blends every tile. `image` must be laid out with [`PLANES_COLOR`] or [`PLANES_GEOMETRY`] planes. `blended[tile]`
-/// receives the number of entries of the list that were processed until all pixels of the tile were full.
+/// receives the number of list entries that were processed: up to the entry after which all pixels of the tile are
+/// full, or all entries.
 pub(crate) fn rasterize(
     isa: Isa,
     lists: &TileLists,
@@ -66,6 +67,7 @@ pub(crate) fn touched_rows(splat: &Projected, origin_y: f32) -> (usize, usize) {
 }
 
 /// The parts of a row (vectors of `N` pixels) that contain pixel centres within the splat's box, as first part and end.
+/// If one vector holds the whole row, that part is always returned.
 #[inline(always)]
 pub(crate) fn touched_parts<L: Lanes>(splat: &Projected, origin_x: f32) -> (usize, usize) {
     if L::N == TILE {

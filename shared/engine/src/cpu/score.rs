@@ -1,5 +1,5 @@
 //! The scoring pass: computes the contribution of each splat to a picture. It repeats the blend without colours. Like
-//! the backward pass, it writes one record for each splat–tile pair. Then one thread adds all records of a splat in a
+//! the backward pass, it writes one record for each splat–tile pair. Then one thread sums all records of a splat in a
 //! fixed order.
 
 use rayon::prelude::*;

@@ -161,7 +161,7 @@ fn differences(case: &Case, decisions: &Decisions, gradients: &[Pixel]) -> Vec<(
                 let (name, value) = &mut numbers(&mut splats)[k];
                 (*name, **value)
             };
-            // Divides by the difference of the two f32 values, which rounding has changed.
+            // Divides by the actual difference of the two f32 values, because rounding changes it.
             let step = 2e-4;
             let mut at = |v: f32| {
                 *numbers(&mut splats)[k].1 = v;

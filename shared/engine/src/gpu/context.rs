@@ -15,7 +15,7 @@ use super::timestamps::{PassTime, Timestamps};
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum GpuError {
-    /// No adapter, or no driver for it.
+    /// No adapter of the requested kind, or no driver for it.
     #[error("no GPU with a Vulkan, Metal or DirectX 12 driver was found; use --device cpu")]
     None,
     /// No adapter has this index.
@@ -255,7 +255,8 @@ impl Gpu {
         pass
     }
 
-    /// Runs `allocate`. Fails if the adapter has too little memory for the buffers that it allocates.
+    /// Runs `allocate` and returns its result. Fails if the adapter has too little memory for the buffers that
+    /// `allocate` creates.
     pub(super) fn allocating<T>(
         &self,
         allocate: impl FnOnce() -> Result<T, GpuError>,

@@ -24,7 +24,8 @@ const TILE_PIXELS: usize = 256;
 pub(super) struct Seen {
     pub(super) projected: Buffer<Projected>,
     depth_keys: Buffer<u32>,
-    /// Places of the visible splats before the sort by depth; later the first slots of the splats, nearest first.
+    /// Before the sort by depth, the place of each splat in the list of visible splats; later the first slot of each
+    /// visible splat, nearest first.
     places: Buffer<u32>,
     /// First slot and number of slots of each splat.
     pub(super) slots: Buffer<[u32; 2]>,
@@ -45,7 +46,7 @@ pub(super) struct Pairs {
 /// The blended picture, and the lists of pairs of its tiles.
 #[derive(Debug)]
 pub(super) struct Picture {
-    /// First and end of each tile's pairs in the order of the tiles.
+    /// First index and end of each tile's pairs in [`Pairs::sorted_slots`].
     pub(super) ranges: Buffer<[u32; 2]>,
     /// Number of pairs of each tile that were processed before all its pixels were full.
     pub(super) blended: Buffer<u32>,
@@ -211,7 +212,7 @@ impl Drawing {
 
     pub(super) fn bin(&mut self, gpu: &Gpu, model: &Model) -> BinCounts {
         let tiles = self.tiles();
-        // Pairs without a tile have the number of tiles as their key, which is the largest key.
+        // Pairs without a tile (see `emit.wgsl`) have the number of tiles as their key, which is the largest key.
         self.pairs.by_tile.set_largest(tiles as u32);
         let mut r = Recorder::new(gpu);
         self.sort_by_depth(&mut r, model.len);

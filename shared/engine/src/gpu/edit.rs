@@ -1,5 +1,5 @@
-//! Adds and removes splats on the processor. Refinement does this only every 20 to 100 steps, so it may read and write
-//! every row of the splats.
+//! Adds and removes splats: the processor reads every row of the splats from the GPU, changes it and writes it back.
+//! This is slow, but refinements happen only every 20 to 100 steps.
 
 use super::buffer::Buffer;
 use super::context::Gpu;

@@ -1,4 +1,4 @@
-//! The surface losses on the GPU, computed by the same passes as on the CPU, and the buffers of these passes.
+//! The passes of the surface losses on the GPU, and their buffers.
 
 use super::buffer::Buffer;
 use super::context::{Gpu, GpuError};
@@ -45,9 +45,9 @@ pub(super) struct Surface {
     passes: Passes,
     weights: Buffer<SurfaceWeights>,
     pair: Buffer<Pair>,
-    /// Planes of the view that is trained.
+    /// Depth and luma of the view that is trained.
     here: Planes,
-    /// Planes of its neighbour.
+    /// Depth and luma of the neighbouring view.
     there: Planes,
     /// Bits of the smallest and the largest slope of the photograph.
     slopes: Buffer<u32>,
@@ -58,7 +58,7 @@ pub(super) struct Surface {
     shown: Buffer<f32>,
     /// Sums of losses: one entry for each tile, then one for each workgroup of samples.
     sums: Buffer<[f32; 4]>,
-    /// Camera of the neighbour.
+    /// Camera of the neighbouring view; `None` before [`Self::keep_neighbour`].
     neighbour: Option<ViewParams>,
 }
 
@@ -112,8 +112,9 @@ impl Surface {
         r.run(&self.passes.unbiased_depth, &buffers, drawing.tiles());
     }
 
-    /// Returns the losses and writes their weighted gradients to the geometry planes of the gradient in `training`.
-    /// Must be called after [`Training::photometric`], because it uses the photograph that was uploaded by it.
+    /// Returns the losses, and writes their weighted gradients to the normal and distance planes of the gradient in
+    /// `training`. If `weights.surface` is `None`, returns zeros and writes nothing. Must be called after
+    /// [`Training::photometric`], which uploads the photograph.
     pub(super) fn losses(
         &self,
         gpu: &Gpu,
@@ -165,7 +166,7 @@ impl Surface {
         losses(sums.split_at(drawing.tiles()), pixels, samples.len(), taught)
     }
 
-    /// Computes the single-view normal loss. Overwrites the geometry planes of the gradient.
+    /// Computes the single-view normal loss. Overwrites the normal and distance planes of the gradient.
     fn single_view(&self, gpu: &Gpu, drawing: &Drawing, training: &Training) {
         let (view, image) = (&drawing.view.raw, &drawing.picture.image.raw);
         let Planes { depth, luma } = &self.here;

@@ -45,7 +45,8 @@ pub(super) struct Training {
     /// Gradient of the loss with respect to the picture, in the layout of the picture.
     pub(super) gradient: Buffer<f32>,
     records: Buffer<Record>,
-    /// Gradients of the splats, in rows as in a [`Model`]. Statistics and scores have such rows as well.
+    /// Gradients with respect to the shapes and colours of the splats, in rows as in a [`Model`]. Statistics and scores
+    /// have such rows as well.
     pub(super) gradients: Buffer<f32>,
     pub(super) stats: Buffer<f32>,
     pub(super) scores: Buffer<f32>,
@@ -135,7 +136,8 @@ impl Training {
         loss(self.totals.read(gpu, 0..1)[0], values, ssim_weight)
     }
 
-    /// Replaces the uploaded photograph in place, so that the passes' bindings stay valid.
+    /// Replaces the uploaded photograph by that of the neighbouring view, for the pass `luma`. Sets all loss settings
+    /// to zero, except the one that says how the photograph is stored.
     pub(super) fn replace_photograph(&self, gpu: &Gpu, rgb: TargetRgb) {
         let settings = LossSettings { is_floats: is_floats(rgb), ..bytemuck::Zeroable::zeroed() };
         self.loss_settings.write(gpu, 0, &[settings]);
@@ -158,7 +160,7 @@ impl Training {
         }
     }
 
-    /// Computes the gradients of the projected splats, as one record for each splat–tile pair.
+    /// Computes the gradients with respect to the projected splats, as one record for each splat–tile pair.
     pub(super) fn rasterize_backward(&self, gpu: &Gpu, drawing: &Drawing) {
         let mut r = Recorder::new(gpu);
         r.run(
@@ -179,7 +181,7 @@ impl Training {
         r.submit();
     }
 
-    /// Computes the gradients of the parameters, and adds to the densification statistics.
+    /// Computes the gradients with respect to the parameters, and adds to the densification statistics.
     pub(super) fn project_backward(&self, gpu: &Gpu, model: &Model, drawing: &Drawing, scale_weight: f32) {
         self.backward_weights.write(gpu, 0, &[BackwardWeights { scale: scale_weight }]);
         let mut r = Recorder::new(gpu);

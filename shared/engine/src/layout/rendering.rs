@@ -25,7 +25,7 @@ pub(crate) fn rendering(image: &TileImage, view: &ViewParams) -> Rendering {
 
 /// Depth of a pixel along the optical axis, world units: `D / -(N · r)` (PGSR), with the blended plane distance `D`,
 /// the blended normal `N` and the ray `r` of the pixel, scaled to z = 1. `D` and `N` are blended with the same weights,
-/// so alpha cancels. 0 if the pixel shows no surface.
+/// so alpha cancels. 0 if alpha is below [`SURFACE_ALPHA`] or the ray grazes the plane ([`GRAZING`]).
 fn unbiased_depth(image: &TileImage, view: &ViewParams, x: usize, y: usize, alpha: f32) -> f32 {
     let ray = [
         (x as f32 + 0.5 - view.center_px[0]) / view.focal_px[0],

@@ -107,8 +107,9 @@ pub(crate) fn centers<L: Lanes>(origin_x: f32, part: usize) -> L {
     L::load(&OFFSETS[part * L::N..]) + L::splat(origin_x)
 }
 
-/// Number of zeros at each end of a line in a plane of the surface losses. Because of these zeros, SIMD loads may reach
-/// beyond the edges of the picture. There is also a line of zeros above and one below the picture.
+/// Number of zeros at each end of a line in a plane of the surface losses. Such a plane holds one number for each
+/// pixel, for example its depth. Because of these zeros, SIMD loads may reach beyond the edges of the picture. There is
+/// also a line of zeros above and one below the picture.
 pub(crate) const PLANE_MARGIN: usize = TILE;
 
 /// Length of a line in a plane of the surface losses, with the zeros at both ends, for a picture of this width, px.

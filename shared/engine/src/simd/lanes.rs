@@ -2,7 +2,7 @@
 
 use std::ops::{Add, Div, Mul, Sub};
 
-/// Numbers of a group. Passes process 16 splats, or 16 pixels of a row, at a time, in `16 / L::N` vectors.
+/// Number of splats, or of pixels of a row, that passes process at a time, in `16 / L::N` vectors.
 pub(crate) const GROUP: usize = 16;
 
 /// 16 floats in one cache line.
@@ -143,7 +143,7 @@ pub(crate) fn prefetch<T>(slice: &[T], index: usize) {
 }
 
 /// Work that is compiled for every instruction set. `run` must be `#[inline(always)]`. It must not pass closures to
-/// other threads, because the closures would be compiled without the wider instructions.
+/// other threads, because the closures would be compiled for the baseline instruction set.
 pub(crate) trait Kernel {
     type Output;
     fn run<L: Lanes>(self) -> Self::Output;
@@ -162,7 +162,8 @@ pub(crate) fn cross3<L: Lanes>(a: [L; 3], b: [L; 3]) -> [L; 3] {
 }
 
 /// `each!([0, 1, 2], |i| expression of i)` is the array of the values of the expression. The closure of `array::map`
-/// would be a separate function without the wider instructions, so each intrinsic in it would become a call.
+/// would be a separate function, compiled for the baseline instruction set, so each intrinsic in it would become a
+/// call.
 macro_rules! each {
     ([$($index:literal),*], |$name:ident| $value:expr) => {
         [$({ let $name: usize = $index; $value }),*]

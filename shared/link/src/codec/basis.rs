@@ -18,8 +18,8 @@ const BISECTIONS: usize = 9;
 /// Directions with a standard deviation below this many steps are left out, because nearly all values would
 /// round to zero.
 const KEPT_STEPS: f64 = 0.2;
-/// Directions with a standard deviation of at least this many steps get a byte per splat. The others get half
-/// a byte, which holds only -8 to 7 steps and would clamp too many values.
+/// Directions with a standard deviation of at least this many steps get a byte per splat: half a byte holds
+/// only -8 to 7 steps and would clamp too many of their values. The other directions get half a byte.
 const WIDE_STEPS: f64 = 1.5;
 /// Added to a magnitude before it is rounded down. It is below ½, so that more values become zero, which
 /// saves bits and removes noise.
@@ -76,8 +76,8 @@ impl Basis {
         basis
     }
 
-    /// Returns the step at which the entropy of a splat's values along all directions is just below `bits`,
-    /// or the largest step if the entropy is still higher there.
+    /// Returns the step at which the entropy of a splat's values along all directions is just below `bits`. If
+    /// no step within [`STEPS`] has this entropy, returns about the nearer end of that range.
     fn find_step(&self, samples: &[&[f32]], bits: f64) -> f64 {
         let m = self.mean.len();
         let projections: Vec<f32> =

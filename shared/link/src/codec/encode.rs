@@ -18,8 +18,8 @@ use crate::body::{BodyFault, camera_record};
 pub enum FirstLayer<'a> {
     /// The most important splats. The slice has the importance of each splat, in any unit.
     ByImportance(&'a [f32]),
-    /// A base, which stands in for the whole model until the rest arrives. An empty base stands for
-    /// [`plain_importance`].
+    /// A base, which stands in for the whole model until the rest arrives. If the base is empty, the first
+    /// layer has the most important splats, as estimated by [`plain_importance`].
     Base(&'a Base),
 }
 

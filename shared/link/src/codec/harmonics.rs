@@ -29,7 +29,7 @@ const ENTROPY_PER_CODED_BIT: f64 = 0.97;
 pub(super) struct Harmonics {
     /// The pack of the basis.
     pub(super) basis: Packs,
-    /// The packs of the steps along the basis, one for each [`Group`].
+    /// The packs of the quantised coordinates along the directions of the basis, one for each [`Group`].
     pub(super) packs: Vec<Packs>,
 }
 

@@ -18,7 +18,7 @@ pub(super) struct Group {
     pub(super) ids: Vec<u32>,
 }
 
-/// The shapes packs of a body, in order, and where the spherical harmonics go between them.
+/// The packs of shapes and changes in a body, in order, and the places of the spherical harmonics between them.
 #[derive(Default)]
 pub(super) struct Parts {
     /// The packs of the first part of the body: all shapes if they are ordered by importance, otherwise the
@@ -52,7 +52,7 @@ pub(super) fn pack_by_importance(splats: &Splats, importance: &[f32], bounds: &B
 }
 
 /// Arranges the base first. Then, for each region, come its other splats, the changes to its base splats, and
-/// the spherical harmonics of both.
+/// the spherical harmonics of all its splats.
 pub(super) fn pack_by_base(splats: &Splats, base: &Base, bounds: &Bounds) -> io::Result<Parts> {
     let regions = split_regions(&splats.means, base, bounds);
     let mut parts = Parts::default();

@@ -11,8 +11,9 @@ const LAYER_ENDS: [f64; 3] = [0.25, 0.5, 1.0];
 /// Bits per axis of a Morton code.
 const MORTON_BITS: u32 = 21;
 
-/// Estimates the importance of each splat without rendering the model: opacity times area. The sum of a
-/// splat's blend weights over the training views is a far better measure, but it needs the training views.
+/// Estimates the importance of each splat without rendering the model: opacity times the lengths of its two
+/// longest axes. The sum of a splat's blend weights over the training views is a far better measure, but it
+/// needs the training views.
 pub fn plain_importance(splats: &Splats) -> Vec<f32> {
     (0..splats.len())
         .map(|i| {
@@ -24,7 +25,8 @@ pub fn plain_importance(splats: &Splats) -> Vec<f32> {
 }
 
 /// Splits the splats into layers of falling importance, and returns the indices of each layer's splats in the
-/// order of the Morton curve. Of two equally important splats, the one with the lower index comes first.
+/// order of the Morton curve. Of two equally important splats, the one with the lower index counts as more
+/// important.
 pub(super) fn split_layers(means: &[[f32; 3]], importance: &[f32], bounds: &Bounds) -> Vec<Vec<u32>> {
     assert_eq!(means.len(), importance.len(), "number of importances");
     let mut ranked: Vec<u32> = (0..means.len() as u32).collect();

@@ -9,8 +9,9 @@ use cosurf_wire::body::{BodyError, PackEntry, PackForm, PackKind, RATIO_MAX, WIN
 /// better.
 const LEVEL: i32 = 19;
 
-/// Compresses a pack: `frame` (the reference values of a shapes pack, otherwise empty) and then planes of
-/// `plane_bytes` each. Stores the pack uncompressed if zstd saves nothing or compresses beyond [`RATIO_MAX`].
+/// Compresses a pack: `frame` (the reference values of a shapes pack, or a whole basis; otherwise empty) and
+/// then planes of `plane_bytes` each. Stores the pack uncompressed if zstd saves nothing or compresses
+/// beyond [`RATIO_MAX`].
 pub(super) fn compress(frame: &[u8], planes: &[u8], plane_bytes: usize) -> io::Result<(PackForm, Vec<u8>)> {
     let mut encoder = zstd::Encoder::new(Vec::new(), LEVEL)?;
     encoder.window_log(WINDOW_LOG)?;

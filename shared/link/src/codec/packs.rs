@@ -30,7 +30,7 @@ impl Packs {
     }
 
     /// Compresses and adds a pack of `splats` splats (0 for cameras and the basis). The pack contains `frame`
-    /// and then `planes` of one byte per splat.
+    /// and then `planes`. A plane has one byte per splat. Without splats, `planes` is a single plane.
     pub(super) fn add(
         &mut self,
         kind: PackKind,

@@ -1,4 +1,4 @@
-//! The codec restores complete and partial models to within half a step, and refuses forged bodies.
+//! The codec restores complete models to within half a step, decodes partial ones, and refuses forged bodies.
 #![allow(clippy::unwrap_used)]
 
 mod base;
@@ -147,7 +147,7 @@ fn every_degree_and_count_round_trips() {
 
 #[test]
 fn extreme_models_round_trip() {
-    // Identical splats would compress beyond the maximum ratio.
+    // Identical splats would compress beyond the maximum ratio, so their pack is stored uncompressed.
     let mut same = Splats::with_capacity(4000, 1);
     (0..4000).for_each(|_| same.push([5.0; 3], [2.0, 0.0, 0.0, 0.0], [-1.0; 3], 3.0, &[0.5; 12]));
     let found = body_to_model(&body(&same)).unwrap().splats;

@@ -55,14 +55,14 @@ pub enum TrafficError {
 pub struct ReplaySettings {
     /// Playback speed relative to the recording; `None` publishes as fast as the broker accepts.
     pub speed: Option<f64>,
-    /// Faults to inject into the recording.
+    /// Faults to inject into the recording. [`Faults::outages`] has no effect.
     pub faults: Faults,
     /// Seed of the faults.
     pub seed: u64,
 }
 
 /// Records all messages whose topics match `filter`, until `is_stopping` is set. Returns the number of
-/// messages.
+/// recorded messages. Messages that are too large are skipped.
 pub fn record(
     broker: &BrokerAddress,
     tls: Option<&Tls>,

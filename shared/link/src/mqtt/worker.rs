@@ -148,8 +148,8 @@ impl Worker {
         }
     }
 
-    /// Waits for the next event. The future of [`EventLoop::poll`] is dropped only when the client ends:
-    /// dropping it earlier would abort an unfinished connection attempt.
+    /// Waits for the next event. An unfinished future of [`EventLoop::poll`] is dropped only when the client
+    /// ends: dropping it earlier would abort a connection attempt.
     async fn poll(&mut self, eventloop: &mut EventLoop) -> Result<Result<Event, ConnectionError>, Exit> {
         let mut poll = pin!(eventloop.poll());
         let mut stopping_since = None;

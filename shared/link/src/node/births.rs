@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use cosurf_wire::{DeviceId, State};
 
-/// Maximum number of devices whose sessions are remembered.
+/// Maximum number of devices whose sessions are remembered. All notices of further devices count as valid.
 const DEVICES_MAX: usize = 1024;
 /// If births of an older session arrive this many times after the birth of a newer one, two participants use
 /// the same name. Fewer are no proof, since a broker may repeat an outdated birth once or twice.
@@ -17,7 +17,7 @@ pub(super) struct Births(BTreeMap<DeviceId, Sessions>);
 #[derive(Clone, Copy, Debug, Default)]
 struct Sessions {
     newest: u64,
-    /// Number of births of an older session that arrived after the birth of the newest.
+    /// Number of births that arrived after the birth of a newer session.
     returns: u32,
 }
 

@@ -16,7 +16,7 @@ pub enum NodeEvent {
     Connected,
     /// The transport is not connected, and retries by itself.
     Disconnected {
-        /// Number of failed attempts since the last connection, from 1.
+        /// Number of failures since the last connection, from 1. The loss of the connection counts too.
         attempt: u32,
         /// One line with the address, the error and the attempt.
         reason: String,
@@ -62,12 +62,13 @@ pub enum NodeEvent {
     UploadRefused {
         /// The model.
         key: ModelKey,
-        /// The device that refuses a global model. A local model is refused by the aggregator, but this is
-        /// then the device that offered it, because the topic of the reply names only that device.
+        /// For a global model, the device that refuses it. For a local model, the device that offered it,
+        /// because the topic of the aggregator's reply names only that device.
         by: DeviceId,
         /// The reason.
         reason: RefusalReason,
     },
-    /// The link accepts only messages so small that chunks would be useless.
+    /// The link accepts only messages that are too small for useful chunks. The node has dropped the uploads
+    /// that cannot use smaller chunks.
     LinkTooNarrow(PublishError),
 }

@@ -1,4 +1,4 @@
-//! The cameras of its own flight that a device announces to other devices.
+//! The cameras that a device announces to other devices, selected from its own flight.
 
 use cosurf_scene::Camera;
 use cosurf_wire::FLIGHT_CAMERAS_MAX;

@@ -62,8 +62,9 @@ impl Node {
         }
     }
 
-    /// Sets the world frame and the keys of this node. The node then sends models in that frame, signed with
-    /// its key. It accepts only models in the same frame, signed with a trusted key if it has a list of keys.
+    /// Sets the world frame and the keys of this node. The node then sends models in that frame, signed if it
+    /// has a secret key. It accepts only models in the same frame, signed with a trusted key if it has a list
+    /// of keys.
     pub fn set_credentials(&mut self, credentials: Credentials) {
         self.inbox.set_credentials(credentials);
     }
@@ -79,7 +80,7 @@ impl Node {
         self.is_flight_due = self.is_connected;
     }
 
-    /// Deletes the announced flight of `device`. Other devices then no longer leave overlap to `device`.
+    /// Deletes the announced flight of `device` from the broker. Devices that connect later do not receive it.
     pub fn clear_flight(&mut self, device: DeviceId) {
         self.cleared_flights.push_back(device);
     }

@@ -12,8 +12,9 @@ use crate::offer::Offer;
 use crate::transport::{PublishError, Transport};
 use crate::uploader::UploadProgress;
 
-/// Uploads a model. Returns when the aggregator has stored it or has refused it for good, or when the link is
-/// too narrow. All other events go to `on_event`, which must handle [`NodeEvent::Store`].
+/// Uploads a model. Returns when the aggregator has stored it or has refused it for good, or when the link
+/// accepts only messages that are too small. All other events go to `on_event`, which must handle
+/// [`NodeEvent::Store`].
 pub fn upload_blocking<T: Transport>(
     node: &mut Node,
     transport: &mut T,

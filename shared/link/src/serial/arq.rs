@@ -30,15 +30,18 @@ const COPIES: u8 = 3;
 /// A side keeps the floor for at most this many round trips. Passing the floor takes one round trip, so it
 /// costs 2 % of the bandwidth.
 const BURST_ROUNDS: u32 = 50;
-/// Lower limit of the longest time that a side with pieces to send keeps the floor.
+/// A side with pieces to send may keep the floor for this long even if [`BURST_ROUNDS`] round trips are
+/// shorter.
 const BURST_MIN: Duration = Duration::from_millis(500);
-/// Upper limit of the longest time that a side with pieces to send keeps the floor.
+/// A side with pieces to send keeps the floor for at most this long even if [`BURST_ROUNDS`] round trips are
+/// longer.
 const BURST_MAX: Duration = Duration::from_secs(10);
 /// A side with nothing to send keeps the floor for this long before it passes the floor.
 const IDLE: Duration = Duration::from_secs(2);
 /// Round-trip time assumed before the first measurement.
 const FIRST_ROUND_TRIP: Duration = Duration::from_secs(1);
-/// Added to the timeout of an answer, in case the other side's thread wakes up late.
+/// Added to the timeout of an answer, in case the other side's thread wakes up late. Also the longest wait for
+/// the remaining copies of the other side's turn.
 const GRACE: Duration = Duration::from_millis(200);
 /// Upper limit of the time without an answer after which a turn is repeated, before [`IDLE`] and a random
 /// part are added.
@@ -165,7 +168,7 @@ impl Arq {
         self.is_confirmed && self.sending.has_room()
     }
 
-    /// Queues a message for sending, unless an identical one has not arrived yet.
+    /// Queues a message for sending, unless an identical one is still queued or on its way.
     pub fn queue(&mut self, message: Vec<u8>) {
         self.sending.queue(message);
     }

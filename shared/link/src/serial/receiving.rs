@@ -16,7 +16,8 @@ const COMPLETE_MAX: usize = 64;
 pub(super) struct Receiving {
     /// Number of the next piece to assemble.
     next: u32,
-    /// Pieces that arrived before an earlier piece, by number.
+    /// Payloads of the pieces that are not assembled yet, by number, and whether each is the last of its
+    /// message. An earlier piece is missing, or [`COMPLETE_MAX`] messages wait.
     ahead: BTreeMap<u32, (Vec<u8>, bool)>,
     message: Vec<u8>,
     /// Whether the unfinished message exceeds the maximum size. Such a message is dropped when its last piece

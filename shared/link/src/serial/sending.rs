@@ -15,7 +15,7 @@ const LOSSES_BEFORE_DOUBLING: u8 = 3;
 /// The sender's state for one line.
 #[derive(Debug, Default)]
 pub(super) struct Sending {
-    /// The messages from the oldest one that has not completely arrived on, oldest first.
+    /// The oldest message that has not completely arrived, and all later ones, oldest first.
     messages: VecDeque<Message>,
     /// Messages that are not completely cut into pieces. Of the first message, `cut` bytes are already cut.
     queue: VecDeque<Vec<u8>>,

@@ -109,8 +109,8 @@ impl Disk for FailingDisk {
     }
 }
 
-/// Everything that must survive a power cut is written this way: models, checkpoints, session
-/// numbers.
+/// Models, checkpoints and session numbers are written by [`write()`], so they survive a power cut
+/// between any two of its steps.
 #[test]
 fn fault_11_power_loss_between_any_two_steps() {
     let (old, new) = (vec![1; 350], vec![2; 450]);

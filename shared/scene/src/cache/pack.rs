@@ -57,7 +57,8 @@ pub(super) fn unpack(packed: &[u8], size_px: [u32; 2]) -> io::Result<Picture> {
 }
 
 /// Predicts value `i` of `row` from its neighbours, as if the colour channel changed linearly between
-/// pixels: the value to the left plus the value above, minus the value above and to the left.
+/// pixels: the value to the left plus the value above, minus the value above and to the left. For the
+/// first pixel of a row: the value above.
 fn predict(row: &[u8], above: &[u8], i: usize) -> u8 {
     match i {
         0..3 => above[i],

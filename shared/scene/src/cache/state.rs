@@ -8,11 +8,11 @@ use super::source::{Source, largest_bytes, total_bytes};
 use crate::picture::bytes_of;
 use crate::{Picture, SceneError};
 
-/// Most prefetch requests that may wait; training looks only a few steps ahead.
+/// Largest number of prefetch requests that may wait; training looks only a few steps ahead.
 const REQUESTS_MAX: usize = 8;
 
-/// The reserve for copies (see `copies_bytes_max`) is the budget divided by this, but at least two
-/// pictures.
+/// The part of the budget for copies (see `copies_bytes_max`) is the budget divided by this number, but
+/// at least two pictures of the largest size.
 const COPIES_SHARE: u64 = 8;
 
 /// How much a cache holds at one moment.
@@ -116,8 +116,8 @@ impl State {
         }
     }
 
-    /// Takes the oldest request whose picture is not in memory; drops those before it. `None` if there is
-    /// no such request, no room for the picture, or another picture is being made.
+    /// Takes the oldest request whose picture is not in memory uncompressed; drops the older requests.
+    /// `None` if there is no such request, no room for the picture, or another picture is being made.
     pub(super) fn next_request(&mut self) -> Option<usize> {
         while let Some(&index) = self.requests.front() {
             if self.find(index).is_none() {
@@ -173,7 +173,8 @@ impl State {
     }
 
     /// Records that picture `index` was made. `slot` is given after the first decoding only; it is the
-    /// form in which to keep the picture. With `prefetch`, the picture is held until `get` takes it.
+    /// form in which to keep the picture. With `prefetch`, the picture is held until `get` takes it or
+    /// needs its memory.
     pub(super) fn finish(
         &mut self,
         index: usize,

@@ -1,5 +1,5 @@
-//! What the binary and the text form have in common: checks their records, which refer to each other
-//! by id, and turns them into a [`Dataset`].
+//! The part that the readers of the binary and the text form share: checks the records, which refer to
+//! each other by id, and turns them into a [`Dataset`].
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};

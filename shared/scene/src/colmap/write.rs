@@ -13,8 +13,8 @@ const PINHOLE: u32 = 1;
 
 /// Writes cameras, poses and points as a binary model into `root/sparse/0`, which is created. Views
 /// with the same intrinsics share a COLMAP camera. The 2D points of a picture are the projections
-/// of the 3D points whose tracks name the picture. Pictures are not copied: they belong at
-/// `root/images/NAME`.
+/// of the 3D points whose tracks name the picture; (0, 0) for a point that is not in front of the
+/// camera. Pictures are not copied: they belong at `root/images/NAME`.
 pub fn write(root: &Path, dataset: &Dataset) -> Result<(), SceneError> {
     let model = root.join("sparse").join("0");
     fs::create_dir_all(&model).map_err(|cause| SceneError::io(&model, cause))?;

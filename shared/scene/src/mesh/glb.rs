@@ -87,7 +87,7 @@ fn describe(mesh: &Mesh) -> (Vec<u8>, u64) {
     let indices = arrays.push(3 * mesh.triangles.len(), 4, ELEMENT_ARRAY_BUFFER, index);
     let material = json!({
         "pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 1},
-        "doubleSided": true, // an open surface: single-sided, its back would be invisible
+        "doubleSided": true, // the surface is open, so cameras may also see its back
     });
     let document = json!({
         "asset": {"version": "2.0", "generator": "cosurf"},

@@ -185,7 +185,7 @@ struct Frame {
 
 impl Frame {
     /// Bytes per pixel that decoding allocates, including the conversion of grey to RGB. If the data
-    /// of a pixel is spread over several scans, the decoder also keeps its 16-bit coefficients.
+    /// of a pixel is spread over several scans, the decoder also keeps the 16-bit DCT coefficients.
     fn bytes_per_pixel(&self, scan_components: u8) -> u64 {
         let components = u64::from(self.components);
         let in_scans = self.progressive || scan_components < self.components;

@@ -33,8 +33,8 @@ pub(super) fn area_average(picture: &Picture, size_px: [u32; 2]) -> Picture {
 
 /// Upper bound on the bytes that [`area_average`] allocates besides the old and the new picture.
 pub(super) fn scratch_bytes(size_px: [u32; 2]) -> u64 {
-    // 36 per column: three sums of 64 bits and three of 32 bits. 64: a `Span` for a column and one for a
-    // row. The constant: the weights of the spans, for up to 65,535 old pixels per side.
+    // 36 bytes per new column: three sums of 64 bits and three of 32 bits. 64 bytes: a `Span` for a column
+    // and one for a row. The constant covers the weights of the spans, for up to 65,535 old pixels per side.
     36 * u64::from(size_px[0]) + 64 * u64::from(size_px[0].max(size_px[1])) + (1 << 20)
 }
 
@@ -43,7 +43,8 @@ struct Span {
     /// Index of the first old pixel that is covered.
     first: usize,
     /// For `first` and for each old pixel after it: the covered part of the pixel, in units of `1 / new`,
-    /// where `new` is the number of new pixels along the axis. The sum is the number of old pixels.
+    /// where `new` is the number of new pixels along the axis. These weights sum to the number of old pixels
+    /// along the axis.
     weights: Vec<u32>,
 }
 

@@ -63,8 +63,8 @@ fn visit_elements<T>(
     result.map_err(|refusal| refusal.of(path))
 }
 
-/// Refuses an element with more rows than `left_bytes` can hold. Returns the number of bytes left for the
-/// elements that follow.
+/// Refuses an element with more rows than `left_bytes` can hold, or with rows without properties. Returns
+/// the largest number of bytes that can be left for the elements that follow.
 fn check_size(element: &Element, format: Format, left_bytes: u64) -> Result<u64, Refusal> {
     let row_bytes = element.row_bytes_min(format);
     // The last number of an ascii file needs no separator after it, so the file may be one byte shorter.
@@ -123,8 +123,8 @@ impl<'a> Rows<'a> {
         Ok(true)
     }
 
-    /// Reads a number and returns it. For a list, reads its items into `keep`, or skips them without
-    /// `keep`, and returns 0.
+    /// Reads a number and returns it. For a list, returns 0 and appends its items to `keep`; if `keep` is
+    /// `None`, the items are skipped.
     fn property(&mut self, kind: Kind, mut keep: Option<&mut Vec<f64>>) -> Result<f64, Refusal> {
         match kind {
             Kind::One(scalar) => self.value(scalar),

@@ -50,7 +50,7 @@ fn bytes_of(splats: &Splats) -> Vec<u8> {
     })
 }
 
-/// An ascii file of one valid vertex, with other values for the properties that `changes` names.
+/// An ascii file of one vertex. Every property is 0.5, except those for which `changes` gives a value.
 fn ascii(changes: &[(&str, &str)]) -> Vec<u8> {
     let mut header = String::from("ply\nformat ascii 1.0\nelement vertex 1\n");
     let mut row = String::new();

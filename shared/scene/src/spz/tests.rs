@@ -27,8 +27,8 @@ fn by_hand(version: u8, quat: &[u8]) -> Vec<u8> {
 
 #[test]
 fn files_by_hand_are_read_as_the_format_says() {
-    // w is the largest component, x = 0, y = -√½ · 256/511, and z = 0. Bit 9 of each group of ten
-    // bits is the sign.
+    // In SPZ's axes, w is the largest component, x = 0, y = -√½ · 256/511, and z = 0. Bit 9 of each
+    // group of ten bits is the sign.
     let packed = (3u32 << 30 | (1 << 9 | 256) << 10).to_le_bytes();
     let splats = read_bytes(&by_hand(3, &packed)).unwrap();
     assert_eq!((splats.len(), splats.sh_degree), (1, 1));

@@ -25,8 +25,9 @@ pub struct SplatPacks {
     pub changes: Option<Pack>,
     /// The spherical harmonics of the splats, if the model has any.
     pub sh: Option<Pack>,
-    /// The changes to the base splats in the region of this group, if the group is not part of the base
-    /// itself. Until they arrive, the base stands in for this group, so the group must not be shown yet.
+    /// The changes to the base splats in the region of this group. Until they arrive, the base stands in for
+    /// the group, so the group must not be shown. `None` if the group belongs to the first layer, or if the
+    /// model has no base.
     pub required_changes: Option<Pack>,
 }
 

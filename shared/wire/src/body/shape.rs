@@ -36,7 +36,8 @@ pub const POSITION_MAX: f32 = 1e22;
 /// Allowed exponents of the position step ([`ShapeFrame::step_exponent`]).
 pub const STEP_EXPONENTS: core::ops::RangeInclusive<i8> = -60..=60;
 
-/// The reference values of a shapes pack: its integers are steps from these values.
+/// The reference values of a shapes pack. Its positions and its log scales are numbers of steps from these
+/// values.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ShapeFrame {
     /// Origin of the positions, world units.
@@ -84,8 +85,8 @@ pub struct Shape {
     /// counted up from [`ShapeFrame::log_scale`], the middle down from the longest. The axes are in order
     /// of falling length, so the third axis is the normal.
     pub log_scale: [u8; 2],
-    /// Length of the shortest axis divided by that of the middle axis, in steps of [`THICKNESS_STEP`]. A
-    /// quotient above 1 is read as about 1.
+    /// Length of the shortest axis divided by that of the middle axis, in steps of [`THICKNESS_STEP`]. The
+    /// quotient is at most 1; a decoder reads a larger stored value as about 1.
     pub thickness: u8,
     /// Opacity logit, in steps of [`OPACITY_STEP`].
     pub opacity: i8,

@@ -1,4 +1,4 @@
-//! The benches of all crates, run by cargo.
+//! The benches that cargo runs: benches of all crates, and ignored tests that measure.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -33,7 +33,8 @@ pub(crate) fn ours(bench: &str, words: &[&str], folder: &TempDir) -> Result<Resu
     read_after(&mut cargo_bench("cosurf-tests", bench, words), bench, folder)
 }
 
-/// Runs an ignored test that writes its results into `folder`, with more variables of the environment.
+/// Runs `cargo test` with the arguments `words` and the environment variables `variables`. They choose an ignored test
+/// that writes the results called `name` into `folder`.
 pub(crate) fn ignored_test(
     name: &str,
     words: &[&str],
@@ -62,7 +63,8 @@ fn read_after(command: &mut Command, bench: &str, folder: &TempDir) -> Result<Re
     store::read(folder.path(), bench)?.with_context(|| format!("{bench} wrote no results"))
 }
 
-/// Runs a divan bench and parses its output; `decimals` are those of time and throughput.
+/// Runs a bench that uses the library divan, and parses its output. `decimals` are the digits after the point of time
+/// and throughput in tables.
 fn by_divan(package: &str, bench: &str, decimals: [usize; 2]) -> Result<Results> {
     let output = cargo_bench(package, bench, &[]).stderr(Stdio::inherit()).output()?;
     ensure!(output.status.success(), "{bench}: {}", output.status);
@@ -84,19 +86,19 @@ pub(crate) fn passes(_: &TempDir) -> Result<Results> {
     by_divan("cosurf-engine", "passes", [2, 1])
 }
 
-/// Measures fusing and judging a mesh.
+/// Measures how fast a mesh is fused from depth, and how fast it is scored.
 pub(crate) fn mesh(_: &TempDir) -> Result<Results> {
     by_divan("cosurf-aggregator", "mesh", [0, 2])
 }
 
-/// Measures the surface losses in the built-in town.
+/// Measures gain and cost of the surface losses on the built-in town.
 pub(crate) fn geometry_town(folder: &TempDir) -> Result<Results> {
     let town = folder.path().join("town");
     write_town(&town, 180.0, 96, [320, 240]);
     ours("geometry", &["--data", text(&town)?, "--max-size", "320"], folder)
 }
 
-/// Measures merging, with each process on one core.
+/// Measures merging, with all processes on the same core.
 pub(crate) fn merging(folder: &TempDir) -> Result<Results> {
     build()?;
     let weights = machine::root().join("../shared/lpips");

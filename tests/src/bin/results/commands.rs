@@ -1,4 +1,4 @@
-//! Measurements of the two programs, started as a user starts them.
+//! Runs the two programs as a user runs them, and measures them. Also measures the simulated serial line.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -15,7 +15,7 @@ use tempfile::TempDir;
 
 pub(crate) const MIB: f64 = (1 << 20) as f64;
 
-/// A dataset beside the checkout.
+/// The folder of a dataset in `../shared/data`, relative to the checkout. Fails if it does not exist.
 pub(crate) fn dataset(name: &str) -> Result<PathBuf> {
     shared_dataset(name).with_context(|| format!("../shared/data/{name} is missing"))
 }
@@ -25,7 +25,7 @@ pub(crate) fn build() -> Result<()> {
     succeed(Command::new("cargo").args(["build", "--release", "--locked"]).current_dir(machine::root()))
 }
 
-/// Runs a command and ignores its output.
+/// Runs a command and ignores its standard output. Fails if the command fails.
 pub(crate) fn succeed(command: &mut Command) -> Result<()> {
     let status = command.stdin(Stdio::null()).stdout(Stdio::null()).status();
     let status = status.with_context(|| format!("{command:?}"))?;
@@ -33,7 +33,7 @@ pub(crate) fn succeed(command: &mut Command) -> Result<()> {
     Ok(())
 }
 
-/// Runs a command and parses what it prints as JSON.
+/// Runs a command with the option `--json`, and parses its output.
 pub(crate) fn json(command: &mut Command) -> Result<Value> {
     let output = command.arg("--json").stdin(Stdio::null()).output();
     let output = output.with_context(|| format!("{command:?}"))?;
@@ -41,27 +41,27 @@ pub(crate) fn json(command: &mut Command) -> Result<Value> {
     Ok(serde_json::from_slice(&output.stdout)?)
 }
 
-/// The reported result of a training or a mission.
+/// The time and the report of a training or a mission.
 pub(crate) struct Outcome {
-    /// How long the command took.
+    /// Wall time of the command.
     seconds: f64,
     report: Value,
 }
 
 impl Outcome {
-    /// A number of `report.json`.
+    /// The number at a JSON pointer in `report.json`, for example `/psnr`; `None` if there is no number.
     pub(crate) fn figure(&self, pointer: &str) -> Option<f64> {
         self.report.pointer(pointer).and_then(Value::as_f64)
     }
 }
 
-/// `cosurf-agent train DATA` with options.
+/// Runs `cosurf-agent train DATA` with options.
 pub(crate) fn train(data: &Path, options: &[&str], out: &Path) -> Result<Outcome> {
     let mut command = Command::new(program("cosurf-agent"));
     run(command.arg("train").arg(data).args(options), out)
 }
 
-/// `cosurf-aggregator mission` with options; over the built-in town without `data`.
+/// Runs `cosurf-aggregator mission` with options, on the built-in town if `data` is `None`.
 pub(crate) fn mission(data: Option<&Path>, options: &[&str], out: &Path) -> Result<Outcome> {
     let mut command = Command::new(program("cosurf-aggregator"));
     command.arg("mission").args(options);
@@ -78,7 +78,8 @@ fn run(command: &mut Command, out: &Path) -> Result<Outcome> {
     Ok(Outcome { seconds, report: serde_json::from_slice(&fs::read(out.join("report.json"))?)? })
 }
 
-/// The size of both programs, as built and without symbols, and of the agent as built for drones.
+/// Measures the sizes of both programs, and of the agent as built for drones (profile `lean`), each with and without
+/// symbols.
 pub(crate) fn sizes(folder: &TempDir) -> Result<Results> {
     build()?;
     let size =
@@ -107,7 +108,7 @@ pub(crate) fn sizes(folder: &TempDir) -> Result<Results> {
     Ok(measurement.finish()?)
 }
 
-/// Measures the share of a radio's rate that is payload: the mean of 20 seeds.
+/// Measures the goodput of a simulated radio: the share of its bandwidth that carries payload, as the mean of 20 seeds.
 pub(crate) fn serial(_: &TempDir) -> Result<Results> {
     let share =
         Column::new("goodput", "share of the rate", 2).guarded(Better::Higher, Tolerance::Absolute(0.01));
@@ -139,8 +140,9 @@ pub(crate) fn short(folder: &TempDir) -> Result<Results> {
     Ok(measurement.finish()?)
 }
 
-/// Measures time, memory and quality with default options. A mission's time includes writing its report and
-/// rendering the built-in town's pictures; its memory is that of the largest agent.
+/// Measures time, memory and quality of trainings and missions with default options. The time of a mission includes
+/// rendering the pictures of the built-in town and writing the report. The memory of a mission is that of its largest
+/// agent.
 pub(crate) fn defaults(folder: &TempDir) -> Result<Results> {
     build()?;
     let time = Column::speed("time", "s", 0, Better::Lower);
@@ -162,7 +164,7 @@ pub(crate) fn defaults(folder: &TempDir) -> Result<Results> {
     Ok(measurement.finish()?)
 }
 
-/// Measures the lowest and the highest PSNR of four seeds.
+/// Measures the lowest and the highest PSNR of one training with four seeds.
 pub(crate) fn seeds(folder: &TempDir) -> Result<Results> {
     build()?;
     let boruszyn = dataset("real_boruszyn")?;

@@ -1,4 +1,4 @@
-//! The quality of the same training on the CPU and on the GPU.
+//! Compares the quality of the same training and the same merge on the CPU and on the GPU.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -60,7 +60,7 @@ pub(crate) fn devices(folder: &TempDir) -> Result<Results> {
     Ok(measurement.finish()?)
 }
 
-/// PSNR of held-out views of a model that each device merged.
+/// Mean PSNR over held-out views, dB, of the models that the CPU and the GPU merge from the same two models.
 fn merged(folder: &TempDir) -> Result<Vec<Option<f64>>> {
     let caliterra = dataset("real_caliterra")?;
     let out = |name: &str| folder.path().join(name);
@@ -74,7 +74,7 @@ fn merged(folder: &TempDir) -> Result<Vec<Option<f64>>> {
     DEVICES.into_iter().map(of_device).collect()
 }
 
-/// Scores all views on the CPU.
+/// Renders a model at all views on the CPU, and scores it.
 fn psnr(model: &Path, data: &Path) -> Result<Psnr> {
     let mut command = Command::new(program("cosurf-aggregator"));
     let report =

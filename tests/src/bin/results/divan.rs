@@ -1,4 +1,5 @@
-//! The output of divan, a tree of benches with their times; the throughput is in the line after the time:
+//! Parses the output of the bench library divan: a tree of benches with their times. The line after a bench contains
+//! its throughput, if any:
 //!
 //! ```text
 //! passes              fastest       │ slowest       │ median        │ mean          │ samples │ iters
@@ -11,7 +12,7 @@
 /// The fastest sample of a bench.
 #[derive(Debug, PartialEq)]
 pub(crate) struct Fastest {
-    /// Name, and argument if it has one.
+    /// Name of the bench, then its argument if it has one, for example `rasterize, Geometry`.
     pub(crate) name: String,
     /// Milliseconds.
     pub(crate) ms: f64,
@@ -53,7 +54,7 @@ fn millions(figure: &str, unit: &str) -> Option<f64> {
     divided(figure, unit, [("item/s", 1e6), ("Kitem/s", 1e3), ("Mitem/s", 1.0), ("Gitem/s", 1e-3)])
 }
 
-/// A figure in the unit whose divisor is 1.
+/// Converts a figure to the unit whose divisor is 1. `None` if it is not a number, or `unit` is not in `divisors`.
 fn divided(figure: &str, unit: &str, divisors: [(&str, f64); 4]) -> Option<f64> {
     let (_, divisor) = divisors.into_iter().find(|(name, _)| *name == unit)?;
     Some(figure.parse::<f64>().ok()? / divisor)

@@ -1,4 +1,4 @@
-//! Measures, and writes the tables of `shared/docs/RESULTS.md` and `README.md`.
+//! Runs benches, stores their figures, and writes the tables of `shared/docs/RESULTS.md` and `README.md`.
 //!
 //! `cargo run --release -p cosurf-tests --bin results -- --help`
 
@@ -19,8 +19,8 @@ use runs::{RUNS, Run};
 
 /// Runs benches, stores their figures in shared/docs/results and writes the tables of RESULTS.md and README.md
 ///
-/// A figure that is worse than the stored one by more than its tolerance is reported: then nothing of its bench is
-/// stored, and the exit code is 1. Without names the tables are written from the stored figures.
+/// A figure that is worse than the stored one by more than its tolerance is reported. Then no figure of its bench is
+/// stored, and the exit code is 1. Without names no bench runs, and the tables are written from the stored figures.
 #[derive(Parser)]
 struct Arguments {
     /// Benches to run; some take hours [see --list]
@@ -31,7 +31,7 @@ struct Arguments {
     /// List the benches
     #[arg(long, exclusive = true)]
     list: bool,
-    /// Store figures that are worse, too
+    /// Store figures even if they are worse than the stored ones, and do not report them
     #[arg(long)]
     accept: bool,
 }
@@ -53,7 +53,8 @@ fn main() -> Result<ExitCode> {
     Ok(if faults.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
-/// Runs the benches; returns the figures that got worse.
+/// Runs the benches with these names and stores their results. Returns a sentence for each figure that got worse.
+/// With `accept`, worse figures are stored and not returned; otherwise their benches are not stored.
 fn measure(names: &[String], accept: bool) -> Result<Vec<String>> {
     let find = |name: &String| RUNS.iter().find(|run| run.name == name);
     let runs: Vec<&Run> = names

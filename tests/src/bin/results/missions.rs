@@ -17,8 +17,8 @@ const OPTIONS: [&str; 4] = ["--max-size", "240", "--steps", "1000"];
 /// Agents of a mission.
 const AGENTS: usize = 4;
 
-/// Measures the models of four agents, joined and merged, against one model of all views. With `--compress-first`
-/// only one agent uploads each overlap.
+/// Compares the joined models and the merged models of four agents with one model that is trained on the views of all
+/// agents. With `--compress-first`, only one agent uploads the splats of ground that several agents observe.
 pub(crate) fn missions(folder: &TempDir) -> Result<Results> {
     build()?;
     let caliterra = dataset("real_caliterra")?;
@@ -50,7 +50,7 @@ pub(crate) fn missions(folder: &TempDir) -> Result<Results> {
     Ok(measurement.finish()?)
 }
 
-/// Measures how exactly a moved model is moved back: the models of three missions.
+/// Measures how exactly the aggregator moves a displaced model back to its place, with the models of three missions.
 pub(crate) fn placement(folder: &TempDir) -> Result<Results> {
     build()?;
     let [caliterra, boruszyn] = [dataset("real_caliterra")?, dataset("gt_boruszyn")?];
@@ -71,19 +71,19 @@ fn agents(mission: &Path) -> Vec<PathBuf> {
     (1..=AGENTS).map(|i| mission.join(format!("agents/agent-{i}"))).collect()
 }
 
-/// `cosurf-aggregator merge` with options; its report.
+/// Runs `cosurf-aggregator merge` with options, and returns its report.
 pub(crate) fn merge(models: &[PathBuf], options: &[&str], out: &Path) -> Result<Value> {
     let mut command = Command::new(program("cosurf-aggregator"));
     json(command.arg("merge").args(models).args(options).arg("--out").arg(out))
 }
 
-/// `cosurf-aggregator eval` on pictures of [`OPTIONS`]' size; its report.
+/// Runs `cosurf-aggregator eval` on pictures of the same size as in [`OPTIONS`], and returns its report.
 fn score(model: &Path, data: &Path) -> Result<Value> {
     let mut command = Command::new(program("cosurf-aggregator"));
     json(command.arg("eval").arg(model).arg(data).args(["--max-size", "240"])).context("eval")
 }
 
-/// The share of splats that a merge removed as another agent's, percent.
+/// The share of splats that a merge removed because another agent owns them, percent.
 fn share_left(merge: &Value) -> Option<f64> {
     let locals = merge.pointer("/merge/locals")?.as_array()?;
     let sum = |name: &str| locals.iter().map(|local| local[name].as_f64()).sum::<Option<f64>>();

@@ -14,7 +14,7 @@ pub(crate) struct Run {
     pub(crate) about: &'static str,
     /// The measuring command, with placeholders such as `DATA` for folders; shown below the table.
     pub(crate) command: &'static str,
-    /// Runs the bench, which may leave files in the folder.
+    /// Runs the bench. The folder is temporary, and for any files that the bench writes.
     measure: fn(&TempDir) -> Result<Results>,
 }
 

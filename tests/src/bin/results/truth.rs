@@ -1,4 +1,4 @@
-//! How far the two true surfaces of rendered Boruszyn differ.
+//! Measures how far the two true surfaces of rendered Boruszyn (points and a mesh) differ in their normals.
 
 use anyhow::{Context, Result};
 use cosurf_scene::{Caster, Dataset, Mesh};
@@ -8,13 +8,13 @@ use tempfile::TempDir;
 
 use crate::commands::dataset;
 
-/// Long side of the pictures.
+/// Largest long side of the views in which the surfaces are compared, pixels.
 const SIZE_PX: u32 = 480;
 /// A point belongs to the facet seen at its pixel if their depths differ by less than this share.
 const SAME_DEPTH: f64 = 0.002;
 
-/// Measures the angle between the normal of each true point and that of the mesh's facet at its place, in every
-/// view that shows both.
+/// Measures the median angle between the normal of a true point and the normal of the mesh's facet at the same place,
+/// over all views that show both. Opposite normals count as equal.
 pub(crate) fn truth(_: &TempDir) -> Result<Results> {
     let data = dataset("gt_boruszyn")?;
     let points = Mesh::read(&data.join("gt/points.ply"))?;

@@ -10,7 +10,8 @@ use crate::layout::tiles::{TILE, TileImage, centers};
 use crate::layout::view::ViewParams;
 use crate::simd::{Isa, Kernel, Lanes};
 
-/// Writes the depth of each pixel along the optical axis, world units; 0 where there is no surface.
+/// Writes the depth of each pixel along the optical axis, world units; 0 where alpha is below [`SURFACE_ALPHA`] or the
+/// ray grazes the plane ([`GRAZING`]).
 pub(super) fn unbiased_depth(isa: Isa, image: &TileImage, view: &ViewParams, depth: &mut Plane) {
     depth.reshape(image.size_px());
     depth.lines_mut().enumerate().for_each(|(y, line)| isa.run(DepthLine { image, view, y, line }));

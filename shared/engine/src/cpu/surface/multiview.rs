@@ -15,7 +15,7 @@
 //!
 //! The loss of a patch is `w (1 - NCC²)`, with the weight `w` of the reprojection error of its pixel. `NCC²` is
 //! `cov² / (var₁ var₂ + ε)`, with the covariance and the variances of both patches and a small `ε`. A patch counts if
-//! the covariance is positive and `1 - NCC² < 0.9`. PGSR does not check the covariance, so there a patch matches its
+//! the covariance is positive and `1 - NCC² < 0.9`. PGSR does not check the covariance, so in PGSR a patch matches its
 //! negative too.
 
 use rayon::prelude::*;
@@ -67,7 +67,8 @@ struct Moving {
     by_px: [f32; 2],
 }
 
-/// Projects `point`, whose derivative is `by`. `None` if the point is behind the camera or too close to it.
+/// Projects `point`, whose derivative with respect to a depth is `by`. `None` if the point is behind the camera or too
+/// close to it.
 #[inline(always)]
 fn project(point: [f32; 3], by: [f32; 3], focal_px: [f32; 2], center_px: [f32; 2]) -> Option<Moving> {
     if point[2] <= NEAR {
@@ -111,7 +112,8 @@ impl Multiview {
         Self { sums: Vec::with_capacity(TileImage::tiles_of(size_px)[1]) }
     }
 
-    /// Writes both losses to `loss`, and adds their weighted gradients to `gradient`.
+    /// Writes both losses and the shares of sampled pixels that count to `loss`, and adds their weighted gradients to
+    /// `gradient`.
     pub(super) fn loss(
         &mut self,
         scene: &Shown,
@@ -218,8 +220,9 @@ fn ray(view: &ViewParams, x: f32, y: f32) -> [f32; 3] {
     [(x + 0.5 - view.center_px[0]) / view.focal_px[0], ray_y(view, y), 1.0]
 }
 
-/// The reprojection error of a pixel, px, and its derivative with respect to the pixel's depth. `None` if the pixel has
-/// no match in the neighbouring view, or an error of [`RETURN_MAX_PX`] or more.
+/// The reprojection error of a pixel, px, and its derivative with respect to the pixel's depth. `None` if the
+/// neighbouring view has no depth at the projected position, a point is behind a camera, or the error is
+/// [`RETURN_MAX_PX`] or more.
 fn reprojection_error(here: &ViewParams, pair: &Pair, sampled: &Sampled) -> Option<(f32, f32)> {
     let by = pair.rotate(sampled.ray);
     let there: [f32; 3] = std::array::from_fn(|k| sampled.depth.mul_add(by[k], pair.pose.translation[k]));

@@ -106,7 +106,7 @@ pub(super) fn luma(rgb: TargetRgb, size_px: [u32; 2], plane: &mut Plane) {
 }
 
 impl TargetRgb<'_> {
-    /// Writes the luma (Rec. 601) of picture row `y` to `line`, 0..=1.
+    /// Writes the luma (Rec. 601) of picture row `y` to `line`. Bytes are scaled to 0..=1.
     fn luma_line(&self, y: usize, width: usize, line: &mut [f32]) {
         let range = 3 * y * width..3 * (y + 1) * width;
         match self {

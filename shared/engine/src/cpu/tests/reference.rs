@@ -1,8 +1,8 @@
 //! A reference renderer in f64, as short as possible: no tiles, no SIMD, forward only.
 //!
-//! Thresholds make the picture discontinuous: a splat is skipped, an alpha is clamped, a pixel is full. Gradients do
-//! not include these steps. So, for central differences, a picture with a changed parameter is rendered with the
-//! [`Decisions`] of the unchanged picture.
+//! Thresholds make the picture discontinuous: a splat is skipped, an alpha is clamped, a pixel is full. The gradients
+//! of the engine ignore these jumps. So, for central differences, a picture with a changed parameter is rendered with
+//! the [`Decisions`] of the unchanged picture.
 
 use cosurf_scene::splats::sh_coefficients;
 use cosurf_scene::{Camera, Splats};

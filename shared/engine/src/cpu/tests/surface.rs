@@ -323,7 +323,7 @@ fn worst(gradient: &TileImage, numeric: &[(usize, usize, f64)], w: usize) -> (f6
 
 #[test]
 fn surface_losses_and_gradients_agree_with_the_definition() {
-    // These seeds give no difference that is so small that its sign is lost in f32.
+    // With these seeds, no difference in the losses is so small that f32 loses its sign.
     let [here, there] = [blend(cameras()[0], 0.03, 3), blend(cameras()[1], 0.03, 2)];
     let photographs = cameras().map(|camera| photograph(&camera));
     let photographs = [photographs[0].as_slice(), photographs[1].as_slice()];
@@ -386,7 +386,7 @@ fn a_perfect_surface_has_no_loss_and_a_negative_does_not_match() {
 
 const TEACHER: TeacherWeights = TeacherWeights { depth: 0.6, normal: 0.9 };
 
-/// What a teacher renders of the same ground: depths, normals and trust. Some pixels have no depth.
+/// A teacher's rendering of the ground: depths, normals and trust. Every fifth pixel has no depth.
 fn teacher(camera: Camera) -> (Vec<f32>, Vec<f32>, Vec<f32>) {
     let shown = blend(camera, 0.05, 7);
     let mut random = Random::new(8, Purpose::Birth, 0, 0);
@@ -396,7 +396,7 @@ fn teacher(camera: Camera) -> (Vec<f32>, Vec<f32>, Vec<f32>) {
     (depth, shown.normal.iter().flat_map(|n| n.as_vec3().to_array()).collect(), trust)
 }
 
-/// `L_d` and `L_n` by their definition.
+/// The depth loss and the normal loss of a teacher, by their definition and without weights.
 fn teacher_losses(here: &Blend, target: &TargetSurface) -> [f64; 2] {
     let n = pixels(&here.camera) as f64;
     let (mut depth, mut normal) = (0.0, 0.0);

@@ -13,7 +13,7 @@ use crate::cpu::tests::splats;
 use crate::gpu::backend::GpuBackend;
 use crate::gpu::context::{Gpu, GpuChoice, GpuError};
 
-/// Size of the largest buffer that the test card can bind.
+/// Size of the largest buffer that the test card can bind, bytes.
 const BINDING_BYTES: u64 = 1 << 20;
 
 fn small() -> Option<Gpu> {

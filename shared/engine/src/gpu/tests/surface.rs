@@ -78,8 +78,8 @@ impl Shown {
     }
 }
 
-/// Weights of only one loss: 0 for normals, 1 for reprojection, 2 for patches, 3 for the teacher. `None` gives the
-/// weights of all.
+/// Weights of the colour loss and of only one other loss: 0 for normals, 1 for reprojection, 2 for patches, 3 for the
+/// teacher. `None` gives the weights of all.
 fn weights(only: Option<usize>) -> LossWeights {
     let at = |k: usize, weight: f32| if only.is_none_or(|only| only == k) { weight } else { 0.0 };
     let multiview = MultiviewWeights { reprojection: at(1, 0.2), ncc: at(2, 0.7), cell_px: 2, draw: 9 };
