@@ -12,7 +12,8 @@ impl Results {
     fn caption(&self) -> String {
         let Self { source, commit, date, processor, cores, command, .. } = self;
         let source = source.as_ref().map_or(String::new(), |source| format!(" Source: {source}."));
-        format!("`{command}`: {date}, commit {commit}, {cores} cores of {processor}.{source}")
+        let cores = if *cores == 1 { "1 core".to_owned() } else { format!("{cores} cores") };
+        format!("`{command}`: {date}, commit {commit}, {cores} of {processor}.{source}")
     }
 }
 
