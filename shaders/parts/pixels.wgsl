@@ -1,5 +1,5 @@
-// Where the values of a pixel are: `pixel_place` in a picture that is stored in tiles, `line_place` in a buffer that
-// holds one number for each pixel, row by row.
+// Pixels and tiles of a picture. `pixel_place` returns the index of a pixel's value in a picture that is stored in
+// tiles. `line_place` returns its index in a buffer that holds one number for each pixel, row by row.
 // Needs: types; the binding `view`.
 
 fn pixel_place(planes: u32, plane: u32, pixel: vec2<u32>) -> u32 {

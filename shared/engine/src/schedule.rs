@@ -5,7 +5,7 @@ use crate::backend::AdamRates;
 
 /// Learning rate of means at the first step, for a scene extent of 1 world unit (3DGS).
 const MEAN_RATE: f64 = 1.6e-4;
-/// Share of its first value to which the rate of means falls, log-linearly over all steps (3DGS).
+/// The learning rate of means falls log-linearly over all steps, to this share of its first value (3DGS).
 const MEAN_RATE_FALL: f64 = 0.01;
 /// Learning rates of the other parameters (3DGS).
 const QUAT_RATE: f64 = 0.001;

@@ -1,8 +1,7 @@
 //! A training step on the CPU allocates nothing: every buffer has its size from the start.
 //!
-//! A global allocator counts the allocations of all threads. Where the test calls the passes itself, it first makes one
-//! step on a tiny picture that is not counted. This step wakes up the threads of the pool. With a [`Trainer`], the
-//! first step is not counted.
+//! A global allocator counts the allocations of all threads. The first step is not counted, because it wakes up the
+//! threads of the pool. Where the test calls the passes itself, this first step has a tiny picture.
 #![allow(clippy::unwrap_used)]
 
 use std::alloc::{GlobalAlloc, Layout, System};

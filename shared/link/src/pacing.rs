@@ -7,8 +7,8 @@ use std::time::Duration;
 /// what brokers queue for a slow client (Mosquitto: 1000 messages).
 pub(crate) const WINDOW: usize = 32;
 
-/// After this many new chunks a receiver sends a `Want`. On a good link, the acknowledgement then arrives
-/// before the sender's window is full.
+/// A receiver sends a `Want` after this many new chunks. A `Want` also acknowledges the chunks that have arrived. On a
+/// good link, it reaches the sender before the sender's window is full.
 pub(crate) const WANT_EVERY: u32 = WINDOW as u32 / 2;
 
 /// A chunk counts as lost once a chunk that was sent more than this many places later has arrived. The margin

@@ -21,8 +21,9 @@ pub(super) struct Group {
 /// The packs of shapes and changes in a body, in order, and the places of the spherical harmonics between them.
 #[derive(Default)]
 pub(super) struct Parts {
-    /// The packs of the first part of the body: all shapes if they are ordered by importance, otherwise the
-    /// base.
+    /// The packs of the first part of the body. They contain all shapes if the shapes are ordered by importance.
+    /// Otherwise they contain only those of the base, a small model that stands in for the whole model until all of it
+    /// has arrived.
     pub(super) first: Packs,
     /// The parts that follow `first`. Each part has packs and indices of `groups`. The spherical harmonics of
     /// these groups come after the packs.

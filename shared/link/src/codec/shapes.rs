@@ -152,10 +152,11 @@ fn axis_order(log_scale: [f32; 3]) -> [usize; 3] {
     order
 }
 
-/// Components x, y and z of a unit quaternion that describes the same ellipsoid with its axes in `order`, and
-/// whose w is positive and the largest component. Such a quaternion always exists: half-turns about the axes
-/// give four quaternions of the same ellipsoid. Apart from signs they have the same four components, each of
-/// which is w in one of them.
+/// Describes the ellipsoid of a quaternion with its axes in another order: the old axes `first` and `second` become the
+/// first and the second. Returns x, y and z of a unit quaternion whose w is positive and has the largest magnitude of
+/// the four components. Such a quaternion always exists. A half-turn about an axis does not change the ellipsoid, so
+/// four quaternions (not counting signs) describe it. All four have the same magnitudes, each in another order: every
+/// magnitude is that of w in one of the four.
 fn canonical_quat([w, x, y, z]: [f32; 4], [first, second, _]: [usize; 3]) -> [f32; 3] {
     let old = Mat3::from_quat(Quat::from_xyzw(x, y, z, w).normalize());
     let (a, b) = (old.col(first), old.col(second));

@@ -33,8 +33,9 @@ pub(super) fn area_average(picture: &Picture, size_px: [u32; 2]) -> Picture {
 
 /// Upper bound on the bytes that [`area_average`] allocates besides the old and the new picture.
 pub(super) fn scratch_bytes(size_px: [u32; 2]) -> u64 {
-    // 36 bytes per new column: three sums of 64 bits and three of 32 bits. 64 bytes: a `Span` for a column
-    // and one for a row. The constant covers the weights of the spans, for up to 65,535 old pixels per side.
+    // Each new column takes 36 bytes: three sums of 64 bits and three of 32 bits. Two `Span`s, one of a column and one
+    // of a row, take 64 bytes; there are at most as many of each as the longer new side has pixels. The last term, 1
+    // MiB, is for the weights of all spans. It is enough for up to 65,535 old pixels per side.
     36 * u64::from(size_px[0]) + 64 * u64::from(size_px[0].max(size_px[1])) + (1 << 20)
 }
 
