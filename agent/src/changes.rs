@@ -8,12 +8,12 @@ use cosurf_scene::metrics::psnr;
 
 /// Longest side of the compared renderings, px. Smaller cameras are not enlarged.
 const SIZE_PX: u32 = 160;
-/// Limit on the number of compared cameras. If there are more, an even selection is compared.
+/// Limit on the number of compared cameras. If there are more, evenly spaced ones are compared.
 const VIEWS_MAX: usize = 16;
 /// Smallest alpha with which a pixel counts as showing a surface.
 const ALPHA_MIN: f32 = 0.5;
-/// A pixel's surface counts as moved if its depths in the two models differ by more than this share of the first depth.
-/// The limit lies above the median difference between two trainings of the same ground.
+/// A pixel's surface counts as moved if its depths in the two models differ by more than this share of the depth in
+/// the first model. The limit lies above the median difference between two trainings of the same ground.
 const DEPTH_MAX: f32 = 0.03;
 /// Upper limit of the PSNR of one camera, dB, because the PSNR of equal renderings is infinite.
 const PSNR_MAX: f64 = 99.0;
@@ -94,8 +94,7 @@ mod tests {
         }
     }
 
-    /// A model of horizontal ground from x = -8 to x = `east`. Its height is z = 0 for x < 0, and z = `height` for x ≥
-    /// 0.
+    /// A model of horizontal ground from x = -8 to x = `east`, at z = 0 where x < 0 and at z = `height` elsewhere.
     fn ground(east: f32, height: f32) -> Renderer {
         let mut splats = Splats::with_capacity(0, 0);
         for i in 0..((east + 8.0) * 2.0) as i32 {

@@ -79,8 +79,8 @@ pub fn path(out: &Path) -> PathBuf {
 }
 
 impl Checkpoint {
-    /// Opens the checkpoint in the output folder `out`. Returns `None` if there is no checkpoint. Fails if the file or
-    /// its first line cannot be read.
+    /// Opens the checkpoint in the output folder `out`. Returns `None` if there is no checkpoint. Fails if the file
+    /// cannot be read, or if its first line is not that of a checkpoint in this program's format.
     pub fn find(out: &Path) -> Result<Option<Self>> {
         let path = path(out);
         let file = match File::open(&path) {

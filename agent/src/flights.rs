@@ -1,5 +1,5 @@
-//! Decides which splats a device drops before the upload, because another device owns their ground (CoSurfGS, "Local
-//! Model Compression", done on the device).
+//! Decides which splats a device drops before the upload, because they lie on ground that another device owns
+//! (CoSurfGS, "Local Model Compression", done on the device).
 //!
 //! Every device announces its *flight*, the cameras of its pictures, before it trains. The broker retains the
 //! announcements, so a device that has finished training receives the flights of all other devices. If the flight of
@@ -25,12 +25,14 @@ pub struct Flights {
 }
 
 impl Flights {
-    /// Starts with the flight of this device, `own`, whose pictures have these `cameras`.
+    /// Starts with the flight of this device, `own`. `cameras` are the cameras of all its pictures; if there are too
+    /// many for an announcement, evenly spaced ones are kept.
     pub fn new(own: DeviceId, cameras: &[Camera]) -> Self {
         Self { own, cameras: BTreeMap::from([(own, select_flight_cameras(cameras))]) }
     }
 
-    /// Adds the flight of another device, or replaces that device's earlier flight.
+    /// Adds the flight of another device, or replaces that device's earlier flight. Ignores a flight of this device,
+    /// and flights of new devices beyond the limit on devices.
     pub fn insert(&mut self, device: DeviceId, cameras: Vec<Camera>) {
         let is_known = self.cameras.contains_key(&device);
         if device != self.own && (is_known || self.cameras.len() < DEVICES_MAX) {
@@ -43,8 +45,9 @@ impl Flights {
         self.cameras.len() - 1
     }
 
-    /// Finds the splats of this device's model to drop, because another device owns their ground. `cameras` are the
-    /// model's training cameras, scaled to the picture sizes that training used. `threads` must be at least 1.
+    /// Finds the splats of this device's model that lie on ground that another device owns; these are to be dropped.
+    /// `cameras` are the model's training cameras, scaled to the picture sizes that training used. `threads` must be
+    /// at least 1.
     pub fn compression(&self, splats: &Splats, cameras: &[Camera], threads: usize) -> Result<Compression> {
         let own = self.cameras.keys().position(|device| *device == self.own).unwrap_or(0);
         let all: Vec<Vec<Camera>> = self.cameras.values().cloned().collect();

@@ -2,8 +2,8 @@
 //! aggregator.
 //!
 //! What it is:
-//! - [`session`]: training within a memory limit. A training can be killed at any time; when it resumes, the result has
-//!   the same bits ([`checkpoint`]).
+//! - [`session`]: training within a memory limit. A training that is killed and resumed gives the same bits as one that
+//!   runs without a stop ([`checkpoint`]).
 //! - [`evaluate`]: scores of a model on held-out pictures.
 //! - [`pictures`]: renderings of a model as files.
 //! - [`publish`]: the upload of the model over a link, and the download of the global model. The upload can leave out

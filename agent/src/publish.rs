@@ -59,7 +59,8 @@ pub fn announce_flight<T: Transport>(
 
 /// Uploads the model. Returns once the aggregator has acknowledged it and, if the publication waits for a global model,
 /// a global model is stored. `now` is the time since an arbitrary moment. Fails if the aggregator refuses the model for
-/// good, or if a file cannot be read or written.
+/// good, or if a file cannot be read or written. But if the global model cannot be written, this is reported to
+/// `on_event` and tried again later.
 pub fn publish<T: Transport>(
     publication: &Publication,
     transport: &mut T,
@@ -260,8 +261,8 @@ impl<'a> FlightCollector<'a> {
     }
 }
 
-/// The part of an error before its last `: `, which names the peer: `broker 10.0.0.2:1883` in `broker 10.0.0.2:1883:
-/// connection refused`.
+/// The part of an error message that names the peer: all before the last `: `, or the whole message if it has none.
+/// For example, `broker host:1883: connection refused` gives `broker host:1883`.
 fn unreachable_peer(reason: &str) -> &str {
     reason.rsplit_once(": ").map_or(reason, |(peer, _)| peer)
 }

@@ -23,17 +23,17 @@ use crate::warm_start::read_visible_splats;
 /// Degree of the spherical harmonics that the model stores for its colours.
 pub const SH_DEGREE: u32 = 3;
 
-/// The model may have one splat for this many pixels of all training pictures, if the memory suffices, and at least one
-/// for each sparse point. With more splats, each would be observed in too few pixels to be told from noise; with fewer,
-/// the model loses detail.
+/// Limits the model to one splat for this many pixels of all training pictures together, or to one splat for each
+/// sparse point if that is more. Too little memory lowers the limit. With more splats, each would be observed in too
+/// few pixels to be told from noise; with fewer, the model loses detail.
 const PIXELS_PER_SPLAT: u64 = 24;
-/// Like [`PIXELS_PER_SPLAT`], for a model that will be merged. Only a few of the agent's pictures show its margin (the
-/// ground beyond its own cell), so with more pixels per splat the margin would get too few splats. The merged model
+/// Like [`PIXELS_PER_SPLAT`], for a model that will be merged. Only a few of the agent's pictures show the ground
+/// beyond the agent's own cell, so with more pixels per splat that ground would get too few splats. The merged model
 /// does not keep all these splats, because the merge gives each area one owner.
 const PIXELS_PER_SPLAT_OF_MANY: u64 = 16;
 
-/// Long sides of the training pictures that are tried in this order until the training fits into the memory, as shares
-/// of the long side that the plan asks for.
+/// Long sides of the training pictures, as shares of the long side that the plan asks for. They are tried in this order
+/// until the training fits into the memory.
 const SIZE_STEPS: [f64; 6] = [1.0, 0.8, 0.63, 0.5, 0.35, 0.25];
 
 /// What to train.
@@ -61,8 +61,8 @@ pub struct TrainPlan {
     pub prune: Option<PruneSettings>,
     /// Whether to learn an exposure for each picture.
     pub exposure: bool,
-    /// A PLY of splats to start from, for example an earlier model of the same ground; `None` starts from the sparse
-    /// points of the dataset.
+    /// A PLY of splats to start from, for example an earlier model of the ground in the pictures; `None` starts from
+    /// the sparse points of the dataset.
     pub init: Option<PathBuf>,
     /// Whether the model will be merged with other models. If so, it gets more splats, and keeps splats that only one
     /// view observes.
@@ -104,8 +104,9 @@ pub struct Session {
 
 impl Session {
     /// Opens the dataset, plans the memory and allocates it. Training starts from `checkpoint` if there is one,
-    /// otherwise from the plan's model or the sparse cloud. Fails if the data cannot be read, the memory is too small,
-    /// the device cannot be opened, or the checkpoint belongs to another training.
+    /// otherwise from [`TrainPlan::init`]. Fails if a file cannot be read, there is no training view or no sparse
+    /// point, the memory is too small, the device cannot be opened, or the checkpoint is damaged or belongs to another
+    /// training.
     pub fn start(plan: &TrainPlan, checkpoint: Option<Checkpoint>) -> Result<Self> {
         let _span = info_span!("prepare").entered();
         let dataset = Dataset::open(&plan.data)?;
@@ -245,7 +246,7 @@ impl Session {
     }
 }
 
-/// Fails if the device was lost. Values that were read from the device after that moment are not valid.
+/// Fails if the device was lost. Values that were read from a lost device are not valid, so call this after reading.
 fn check_device(backend: &AnyBackend) -> Result<(), DeviceLost> {
     backend.lost().map_or(Ok(()), |reason| Err(DeviceLost(reason)))
 }

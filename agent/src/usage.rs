@@ -24,8 +24,9 @@ pub fn cpu_seconds() -> f64 {
 /// supports.
 const TICKS_PER_S: f64 = 100.0;
 
-/// User time plus system time, in ticks: fields 14 and 15 of a line of `/proc/<pid>/stat`. Fields are counted after the
-/// last parenthesis, because the process name, field 2, may contain spaces and parentheses.
+/// User time plus system time, in ticks: fields 14 and 15 of a line of `/proc/<pid>/stat`. Field 3 is the first after
+/// the last parenthesis. Field 2, the process name, may contain spaces and parentheses. `None` if the line is
+/// malformed.
 fn cpu_ticks(stat: &str) -> Option<u64> {
     let fields: Vec<&str> = stat.rsplit_once(')')?.1.split_whitespace().collect();
     let ticks = |field: usize| fields.get(field - 3)?.parse::<u64>().ok();

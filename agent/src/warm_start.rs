@@ -1,5 +1,5 @@
-//! Warm start: training starts from a model of the same ground instead of the sparse cloud, for example from the last
-//! flight's global model.
+//! Warm start: training starts from an earlier model of the ground in the pictures, for example from the last flight's
+//! global model, instead of from the sparse cloud.
 
 use std::path::Path;
 

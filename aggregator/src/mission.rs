@@ -48,8 +48,8 @@ use summary::summarize;
 pub use town::TownError;
 use watch::{EdgeStatus, Watch};
 
-/// Runs the mission and writes `global.ply`, `mesh.ply`, `report.json` and `report.html` to its folder. Returns `Ok`
-/// if there is a global model, even if agents failed: the report lists the failures.
+/// Runs the mission and writes `global.ply`, `mesh.ply`, `report.json` and `report.html` to its folder. It is no error
+/// if some agents fail or no mesh can be made: the report lists these failures.
 pub fn fly(order: &MissionOrder, around: &Surroundings) -> Result<MissionReport, MissionError> {
     let begun = (around.now)();
     fs::create_dir_all(&order.out).map_err(|cause| SceneError::io(&order.out, cause))?;
@@ -58,7 +58,7 @@ pub fn fly(order: &MissionOrder, around: &Surroundings) -> Result<MissionReport,
         town::make(city, &order.settings.data, progress)?;
     }
     let dataset = Dataset::open(&order.settings.data)?;
-    // Read before anything slow begins, so that a wrong folder is reported at once.
+    // Read before the agents start, so that a wrong folder is reported before the training.
     let yardsticks = Yardsticks::read(&order.settings.data, order.lpips.as_deref(), None)?;
     let fresh_site = SiteId::new(&format!("mission-{}", around.session))?;
     let plan = Plan::make(&dataset, &order.settings, &order.out, fresh_site)?;
@@ -191,8 +191,8 @@ struct Evaluation {
     showcases: Vec<Showcase>,
 }
 
-/// Scores the global model on the held-out photographs and, if it is known, on the true surface. `splats` are the
-/// global model's, read back from its file.
+/// Scores the global model against the held-out photographs and, if the true surface is known, against that. `splats`
+/// are the global model's, read back from its file.
 fn judge(
     order: &MissionOrder,
     around: &Surroundings,
@@ -214,7 +214,8 @@ fn judge(
     Ok(Evaluation { qualities, showcases })
 }
 
-/// For comparison: PSNR and SSIM of the agents' models if they are only joined, not merged.
+/// Scores the agents' models as they were sent, joined but not merged, for comparison with the global model. Returns
+/// the mean PSNR and SSIM over the held-out views; `None` if no view is held out.
 fn judge_joined(
     order: &MissionOrder,
     around: &Surroundings,

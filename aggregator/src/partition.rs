@@ -23,7 +23,7 @@ pub(crate) use footprint::{Ground, footprints};
 pub(crate) use outline::Outline;
 pub(crate) use view::AssignedView;
 
-/// How the ground is divided.
+/// How the ground is divided. Without edge aggregators, the root counts as a single edge aggregator.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Division {
@@ -132,9 +132,9 @@ pub enum PartitionError {
     },
 }
 
-/// Divides the ground into one cell for each agent: first among `edges` (at least 1), then among the agents of each
-/// edge by `division`. The cells are in the order of edges. The same centres always give the same cells. Centres must
-/// be finite.
+/// Divides the ground into one cell for each agent: first among the edge aggregators, then among the agents of each
+/// edge by `division`. `edges` is the number of edge aggregators, at least 1. `centers` are the centres of the views'
+/// footprints and must be finite. The cells are in the order of edges. The same centres always give the same cells.
 pub(crate) fn partition(
     centers: &[DVec2],
     edges: usize,
@@ -172,8 +172,8 @@ pub(crate) fn partition(
     }
 }
 
-/// Sets the guests of each cell: the views of other cells whose centres lie in the cell grown by `margin`, a share of
-/// its size. A margin of 0 gives no guests.
+/// Sets the guests of each cell. A view of another cell is a guest if the centre of its footprint lies in the cell
+/// after the cell is grown by `margin`, a share of the cell's size. A margin of 0 gives no guests.
 pub(crate) fn invite(cells: &mut [Cell], centers: &[DVec2], margin: f64) {
     for cell in cells {
         let near = |view: &usize| margin > 0.0 && cell.reaches(centers[*view], margin);
@@ -190,7 +190,7 @@ pub(crate) fn nearest_cell(cells: &[Cell], at: DVec2) -> usize {
     nearest.unwrap_or(0)
 }
 
-/// Makes a cell of each outline, and gives each view to the nearest cell.
+/// Makes a cell of each outline, and gives each view to the nearest cell. Fails if a cell gets no view.
 fn assign(outlines: Vec<Outline>, centers: &[DVec2]) -> Result<Vec<Cell>, PartitionError> {
     let mut cells: Vec<Cell> = outlines.into_iter().map(|outline| Cell::new(Vec::new(), outline)).collect();
     for (view, center) in centers.iter().enumerate() {
@@ -223,7 +223,8 @@ impl Plot {
     }
 }
 
-/// Cuts `plot` into one plot for each agent, and appends these to `plots`, from the lower side to the upper.
+/// Cuts `plot` into `agents` plots with equally many views, give or take one, and appends these to `plots`. At each
+/// cut, the plots on the side of lower coordinates come first. `agents` is 1 to the number of views.
 fn divide(mut plot: Plot, agents: usize, centers: &[DVec2], plots: &mut Vec<Plot>) {
     if agents == 1 {
         plot.views.sort_unstable();
@@ -249,8 +250,8 @@ fn divide(mut plot: Plot, agents: usize, centers: &[DVec2], plots: &mut Vec<Plot
     divide(Plot { views: upper, bounds: bounds[1] }, agents - lower_agents, centers, plots);
 }
 
-/// Number of views for the first `some` of `agents` agents, when all agents get equally many of `views`. If some views
-/// remain, each of the last agents gets one of them.
+/// Number of views for the first `some` of `agents` agents, when all agents get equally many of `views`. If this
+/// leaves a remainder of n views, each of the last n agents gets one of them.
 fn share(views: usize, agents: usize, some: usize) -> usize {
     let odd_ones = views % agents;
     views / agents * some + odd_ones.saturating_sub(agents - some)

@@ -5,7 +5,7 @@ use cosurf_engine::DeviceChoice;
 
 use super::host::cores;
 
-/// Options that several commands share.
+/// Options of the commands that train, score or render a model.
 #[derive(Args, Clone, Debug)]
 pub(super) struct Common {
     /// Shrink pictures until their long side is at most this many pixels [default: full size]
@@ -31,11 +31,11 @@ impl Common {
     }
 }
 
-/// Option of the commands that train, score or render a model.
+/// The device option of the commands that train, score or render a model.
 #[derive(Args, Clone, Debug)]
 pub(super) struct DeviceArgs {
     /// Device to compute on: auto (a hardware GPU if there is one, otherwise the CPU), cpu, gpu, or gpu:N with a
-    /// number that `devices` lists
+    /// number that `devices` lists. With auto, `train` uses the CPU if the memory limit is too small for the GPU
     #[arg(long, value_name = "DEVICE", default_value_t)]
     pub(super) device: DeviceChoice,
 }

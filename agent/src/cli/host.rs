@@ -1,4 +1,4 @@
-//! What the commands ask of the computer: its cores and its free memory.
+//! Default values that depend on the computer: the number of threads and the memory limit.
 
 use std::thread::available_parallelism;
 

@@ -8,7 +8,8 @@ use cosurf_contract::{AgentEvent, ComparedWith};
 use cosurf_engine::train::StepOutcome;
 use indicatif::{ProgressBar, ProgressStyle};
 
-/// Time between two lines of text about the training. Also the time between two [`AgentEvent::Preparing`] in any style.
+/// Time between two lines of text about the training. Also the time between two [`AgentEvent::Preparing`] events, which
+/// is the same for text, bar and JSON.
 const LINE_EVERY: Duration = Duration::from_secs(5);
 /// Time between two updates of the training bar, or between two lines of JSON about the training.
 const BAR_EVERY: Duration = Duration::from_millis(500);
@@ -18,7 +19,7 @@ pub(super) struct Progress {
     style: Style,
     last: Instant,
     last_step: u32,
-    /// Since the last update: the sum of the steps' PSNR, dB, and the number of steps.
+    /// Sum of the PSNR of all steps since the last update, dB, and the number of these steps.
     psnr: (f64, u32),
 }
 
@@ -86,7 +87,6 @@ impl Progress {
         (self.last, self.last_step) = (Instant::now(), step);
     }
 
-    /// Shows an event.
     pub(super) fn show(&mut self, event: &AgentEvent) {
         if let AgentEvent::Started { resumed_at, .. } = event {
             (self.last, self.last_step) = (Instant::now(), *resumed_at);

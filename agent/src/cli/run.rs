@@ -124,7 +124,8 @@ impl Job {
     }
 
     /// Trains the base (the small model that is sent first), sends the model and, if `wait_global` is set, waits for
-    /// the global model. The connection is closed on return.
+    /// the global model. If training started from a model, shows before the upload how the new model differs from that
+    /// one. The connection is closed on return.
     fn publish(&self, model: &LocalModel, flight: Option<&[Camera]>, progress: &mut Progress) -> Result<()> {
         let LocalModel { splats, cameras } = model;
         let (threads, cache_bytes) = (self.plan.threads, (self.plan.memory_bytes / 4) as usize);
@@ -188,8 +189,9 @@ fn train_plan(config: &AgentConfig) -> TrainPlan {
         surface: (!config.color_only).then(SurfaceSettings::default),
         prune: (ratio > 0.0).then(|| PruneSettings { ratio, ..PruneSettings::default() }),
         exposure: config.exposure,
-        // The word `global` names a file that is missing until the first global model has arrived: training then starts
-        // from the sparse cloud. Any other missing file stays in the plan, so that it is reported as an error.
+        // The word `global` names a file that is missing until the first global model has arrived. While it is missing,
+        // training starts from the sparse cloud. Any other missing file stays in the plan, so that it is reported as an
+        // error.
         init: resolve_init(config.init.as_ref(), &config.out)
             .filter(|init| init.is_file() || config.init.as_ref() == Some(init)),
         one_of_many: !config.alone,

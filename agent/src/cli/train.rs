@@ -24,8 +24,8 @@ use super::progress::Progress;
 
 /// Train a model from a dataset: COLMAP (`sparse/0` with `images`) or `transforms.json`.
 ///
-/// Writes DIR/model.ply, DIR/cameras.json, DIR/report.json and DIR/checkpoint/. Run the same command again after a stop
-/// or a kill to resume.
+/// Writes DIR/model.ply, DIR/cameras.json, DIR/report.json and DIR/checkpoint/. To resume after a stop or a kill,
+/// run the same command again.
 #[derive(Args, Debug)]
 pub(super) struct TrainArgs {
     /// The dataset's folder
@@ -60,8 +60,8 @@ pub(super) struct TrainArgs {
     /// Learn an exposure for each picture, for cameras with automatic exposure
     #[arg(long)]
     exposure: bool,
-    /// Start from this model of the same ground instead of the sparse cloud; the word `global` stands for the global
-    /// model that was received earlier and stored in the folder of --out
+    /// Start from this earlier model of the ground in the pictures, instead of from the sparse cloud; the word `global`
+    /// stands for the global model that was received earlier and stored in the folder of --out
     #[arg(long, value_name = "MODEL.ply")]
     init: Option<PathBuf>,
     /// Start again even if DIR has a checkpoint
@@ -83,7 +83,6 @@ enum ScoreArg {
     Paper,
 }
 
-/// Default of `--prune`: the share of the splats that is pruned.
 fn default_prune() -> Share {
     Share::try_from(PruneSettings::default().ratio).expect("the default is a share")
 }
@@ -120,8 +119,8 @@ pub(super) fn run(args: &TrainArgs) -> Result<()> {
     if args.common.json { Ok(()) } else { print_report(&report, &args.out) }
 }
 
-/// Trains with checkpoints and writes all results into `out`. If the plan leaves the device to `auto` and the GPU is
-/// lost, training resumes on the CPU from the last checkpoint.
+/// Trains with checkpoints and writes all results into `out`. If the plan's device is `auto` and the GPU is lost,
+/// training resumes on the CPU from the checkpoint in `out`, or starts again if there is none.
 pub(super) fn train(
     plan: &TrainPlan,
     out: &Path,

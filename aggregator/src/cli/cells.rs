@@ -7,7 +7,7 @@ use anyhow::{Context, Result, bail};
 use cosurf_aggregator::partition::Division;
 use serde::Deserialize;
 
-/// The parts of GeoJSON (RFC 7946) that are read. Other members of these objects are ignored, such as names.
+/// The parts of GeoJSON (RFC 7946) that are read. Other members of these objects, such as names, are ignored.
 #[derive(Deserialize)]
 #[serde(tag = "type")]
 enum GeoJson {

@@ -12,7 +12,7 @@ use super::arguments::parse_length;
 
 /// Vertices whose error is at least this many times the threshold get the brightest colour.
 const BRIGHTEST: f32 = 2.0;
-/// Colour of vertices that are not scored because they are cropped.
+/// Colour of vertices that are not scored, because they lie too far outside the footprint of the true surface.
 const CROPPED: [u8; 3] = [128; 3];
 
 /// Score a mesh against the true surface: precision, recall, F-score and mean distances.

@@ -220,8 +220,8 @@ fn read_tail(log: &Path) -> io::Result<String> {
     Ok(String::from_utf8_lossy(&tail).into_owned())
 }
 
-/// The last line of a log that is not empty and does not begin with `note: `. A prefix such as `error: ` is
-/// removed.
+/// The last line of a log, not counting empty lines and lines that begin with `note: `. A prefix such as
+/// `error: ` is removed.
 fn last_message(log: &str) -> Option<String> {
     let mut lines = log.lines().rev().map(str::trim);
     let line = lines.find(|line| !line.is_empty() && !line.starts_with("note: "))?;

@@ -11,7 +11,7 @@ const CURVE_POINTS_MAX: usize = 256;
 /// The phase of an agent's work.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) enum Phase {
-    /// The agent's process was started and has printed no event yet.
+    /// The agent's process was started or is about to be restarted, and training has not begun yet.
     #[default]
     Starting,
     /// The agent trains.

@@ -164,7 +164,7 @@ impl Plan {
         Ok(Self { site, edges, devices, cells, views: views.collect() })
     }
 
-    /// The site of agent `i`.
+    /// The site that an agent belongs to: that of its edge or, without edges, that of the root.
     fn site_of(&self, agent: usize) -> SiteId {
         self.edges.iter().find(|edge| edge.agents.contains(&agent)).map_or(self.site, |edge| edge.site)
     }
@@ -257,7 +257,8 @@ fn open_record(settings: &Settings, out: &Path, fresh_site: SiteId) -> Result<Si
     }
 }
 
-/// The first setting that differs, as `steps 300, not 500`.
+/// A setting that differs, as `steps 300, not 500`: first the value in the record (`there`), then that of the command
+/// (`here`).
 fn difference(there: &Settings, here: &Settings) -> String {
     let values = |settings: &Settings| serde_json::to_value(settings).unwrap_or_default();
     let (there, here) = (values(there), values(here));

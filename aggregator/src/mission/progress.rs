@@ -66,7 +66,8 @@ impl Progress {
         bar.set_message(describe(status));
     }
 
-    /// Prints a line for each agent if the lines are due at `now_s`, the time since any fixed moment in seconds.
+    /// With [`Display::Lines`], prints a line for each agent every few seconds. `now_s` is the time in seconds since
+    /// any fixed moment.
     pub(crate) fn tick(&mut self, board: &[Status], now_s: f64) {
         if self.display != Display::Lines || now_s - self.shown_at_s < LINES_EVERY_S {
             return;

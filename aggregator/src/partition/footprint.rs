@@ -1,9 +1,10 @@
 //! Finds the ground that each view sees. The partition divides this ground, and the map draws it.
 //!
 //! The dataset does not say which axis is up. The up axis is the world axis along which the sparse points
-//! spread least, directed towards the cameras. The centre of a footprint is the median of the sparse
-//! points that the view sees. The median is robust against outliers and against background up to the
-//! horizon. If a view sees too few points, the centre is where its optical axis meets the ground.
+//! spread least, directed towards the cameras. Without sparse points, it is the positive axis along which
+//! the camera positions spread least. The centre of a footprint is the median of the sparse points that the
+//! view sees. The median is robust against outliers and against background up to the horizon. If a view sees
+//! too few points, the centre is where its optical axis meets the ground.
 
 use cosurf_scene::{Camera, Dataset};
 use glam::{DVec2, DVec3};
@@ -29,7 +30,8 @@ pub(crate) struct Ground {
 pub(crate) struct Footprint {
     /// The centre of the ground that the view sees.
     pub(crate) center: DVec2,
-    /// Where the rays through the picture's corners meet the ground, in order around the picture.
+    /// Where the rays through the picture's corners meet the ground, or are cut off (see [`REACH_HEIGHTS`]), in
+    /// order around the picture.
     pub(crate) outline: [DVec2; 4],
 }
 
@@ -53,7 +55,8 @@ impl Ground {
         DVec2::new(self.axes[0].dot(p_world), self.axes[1].dot(p_world))
     }
 
-    /// Map position where a ray from `eye` meets the ground, or where [`REACH_HEIGHTS`] cuts it off.
+    /// Map position where a ray from `eye` meets the ground, or where [`REACH_HEIGHTS`] cuts it off. If the
+    /// ground's height is unknown or not below `eye`, it is the map position of `eye`.
     fn meet(&self, eye: DVec3, direction: DVec3) -> DVec2 {
         let from = self.map(eye);
         let above = self.height_m.map_or(0.0, |ground| self.axes[2].dot(eye) - ground);
@@ -165,7 +168,7 @@ mod tests {
         let ground = Ground::of(&data);
         let print = &footprints(&data, &ground)[0];
         assert!((print.center - DVec2::new(3.0, 4.0)).length() < 1e-9, "{print:?}");
-        // The camera is 20 m above the ground. Half a picture is half the focal length, so the view
+        // The camera is 20 m above the ground. Half the picture's width is half the focal length, so the view
         // reaches 10 m to each side. The first corner is the north-western one.
         let first = print.outline[0] - DVec2::new(-7.0, 14.0);
         assert!(first.abs().max_element() < 0.15, "{print:?}");

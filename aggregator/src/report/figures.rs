@@ -28,10 +28,10 @@ pub struct MissionReport {
 pub struct AgentSummary {
     /// Device id.
     pub device: String,
-    /// Number of views that the agent trains on, with views of other cells in its margin.
+    /// Number of views that the agent trains on, including views of other cells that look at its margin.
     pub views: usize,
-    /// Number of held-out views that belong to the agent's cell, the cell nearest to the centre of
-    /// their footprint.
+    /// Number of held-out views of the agent's cell. A held-out view belongs to the cell nearest to the centre
+    /// of its footprint.
     pub held_out: usize,
     /// The figures of the agent's training; absent if it did not finish.
     pub training: Option<TrainReport>,
@@ -55,7 +55,7 @@ pub struct EdgeSummary {
     pub device: String,
     /// Device ids of the edge's agents.
     pub agents: Vec<String>,
-    /// Bytes that the edge sent to the root, resends included.
+    /// Bytes that the edge sent to the root for its last delivered revision, resends included.
     pub bytes_sent: u64,
     /// How the edge merged its agents' models; absent if it merged none.
     pub merging: Option<Merging>,
@@ -86,7 +86,7 @@ pub struct WholeSummary {
     pub bytes_sent: u64,
     /// Figures of the global model on all held-out views; absent if no view is held out.
     pub quality: Option<Quality>,
-    /// PSNR and SSIM of the agents' models joined but not merged, on the same views; absent if no view
+    /// PSNR and SSIM, on all held-out views, of the agents' models joined but not merged; absent if no view
     /// is held out.
     pub joined: Option<Quality>,
     /// How the models were merged; absent if the record of the merge cannot be read.

@@ -7,8 +7,8 @@ use super::figures::{AgentSummary, MissionReport, WholeSummary};
 use crate::evaluate::Quality;
 use crate::terminal::format_seconds;
 
-/// Returns the headings, one row for each agent and one for the whole mission. A figure that this mission
-/// does not have gets no column.
+/// Returns the headings, one row for each agent and one for the whole mission. LPIPS and the errors of
+/// depth and normals get no column if the mission did not measure them; other unknown figures are dashes.
 pub(crate) fn rows(report: &MissionReport) -> Vec<Vec<String>> {
     let mut headings =
         ["", "views", "splats", "steps", "time", "steps/s", "memory", "sent", "PSNR", "SSIM", "in global"]
@@ -22,11 +22,11 @@ pub(crate) fn rows(report: &MissionReport) -> Vec<Vec<String>> {
     rows
 }
 
-/// The heading of a column, and the function that gives a figure of the global model as text; `None` if
-/// it is not known.
+/// The heading of a column, and a function that returns a figure of the global model as text, or `None` if
+/// the figure is not known.
 type Measure = (&'static str, fn(&Quality) -> Option<String>);
 
-/// The figures besides PSNR and SSIM that this mission has.
+/// The columns besides PSNR and SSIM whose figures are known for the global model.
 fn measures(whole: &WholeSummary) -> Vec<Measure> {
     let all: [Measure; 4] = [
         ("LPIPS", lpips_text),
@@ -47,7 +47,7 @@ pub(crate) fn depth_text(quality: &Quality) -> Option<String> {
     quality.surface?.depth_error_percent.map(|error| format!("{:.2} %", error.median))
 }
 
-/// The median error of the normals of depth as text.
+/// The median error of the normals of depth, which are computed from the rendered depth, as text.
 pub(crate) fn depth_normal_text(quality: &Quality) -> Option<String> {
     quality.surface?.depth_normal_error_deg.map(|error| format!("{:.1}°", error.median))
 }

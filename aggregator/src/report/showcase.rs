@@ -4,7 +4,7 @@ use cosurf_scene::{Cast, Caster, Picture, SceneError, View, colormap};
 
 use crate::evaluate::{Comparison, Judge, Quality, depth_errors_percent, normal_errors_deg};
 
-/// Limit on the number of views that the report shows in pictures, spread from the best to the worst.
+/// Limit on the number of views that the report shows in pictures. They range from the best view to the worst.
 const SHOWCASES: usize = 4;
 /// Error of colour that is drawn in the brightest colour, percent of the largest colour value.
 const COLOR_BRIGHT_PERCENT: f32 = 20.0;

@@ -16,7 +16,8 @@ const LINES_EVERY_S: f64 = 5.0;
 pub struct Meter {
     display: Display,
     bar: ProgressBar,
-    /// Name of the current stage, the time when it began, and the time when a line about it was due last; seconds.
+    /// Name of the current stage; time when the first event of the stage was shown; time when a line about the stage
+    /// was last due. Both times are in seconds.
     stage: Option<(&'static str, f64, f64)>,
 }
 
