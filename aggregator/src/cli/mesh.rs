@@ -18,8 +18,7 @@ use super::host::display;
 
 /// Make a mesh of a model by rendering its depth from every camera and fusing the depths.
 ///
-/// Needs the cameras, but no photographs. If the memory is too small, voxels become larger, and a line says so. The
-/// same model gives the same mesh with any number of threads.
+/// Needs the cameras, but no photographs. The same model gives the same mesh with any number of threads.
 #[derive(Args)]
 pub(crate) struct MeshArgs {
     /// The model: a PLY file of splats, or the output folder of an agent or a mission
@@ -33,7 +32,8 @@ pub(crate) struct MeshArgs {
     /// Edge length of a voxel, metres [default: median length that a pixel covers on the surface]
     #[arg(long, value_name = "M", value_parser = parse_length)]
     voxel: Option<f64>,
-    /// Memory limit, for example 500MiB; if it is too small, pictures become smaller and voxels larger
+    /// Memory limit, for example 500MiB; if it is too small, pictures become smaller and voxels larger. A line on
+    /// standard error reports larger voxels
     #[arg(long, value_name = "BYTES", default_value = "2GiB", value_parser = parse_bytes)]
     memory: u64,
     /// Render pictures whose long side is at most this many pixels [default: the cameras' size]

@@ -68,7 +68,7 @@ pub(crate) struct MissionArgs {
     /// Hold out every N-th picture by name from training, to score the models; 0 holds out none
     #[arg(long, value_name = "N", default_value_t = 8)]
     eval_every: u32,
-    /// Let each agent drop, before the upload, the splats of ground that another agent observed better. This halves the
+    /// Let each agent drop, before the upload, the splats on ground that another agent observed better. This halves the
     /// upload and costs the global model some tenths of a dB of PSNR
     #[arg(long)]
     compress_first: bool,

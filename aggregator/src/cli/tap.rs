@@ -79,8 +79,8 @@ pub(crate) struct ReplayArgs {
     /// Share of the messages in which a bit is flipped, 0 to 1
     #[arg(long, value_name = "SHARE", default_value_t = 0.0, value_parser = parse_share)]
     corruption: f64,
-    /// Delay each message by a random time of up to this many milliseconds, in the time of the recording. Messages may
-    /// change their order
+    /// Delay each message by a random time of up to this many milliseconds. Messages may change their order. --speed
+    /// shortens or stretches the delays as it does all other times of the recording
     #[arg(long, value_name = "MS", default_value_t = 0)]
     delay_ms: u32,
     /// Seed of the injected faults

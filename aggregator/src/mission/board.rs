@@ -107,8 +107,8 @@ impl Status {
         None
     }
 
-    /// Appends a point to the training curve. A restarted agent resumes from an earlier step, so the points
-    /// from `step` on are dropped first.
+    /// Appends a point to the training curve, unless the PSNR is not finite. A restarted agent resumes from an
+    /// earlier step, so the points from `step` on are dropped first.
     fn extend_curve(&mut self, step: u32, psnr: f32) {
         let step = step as f32;
         while self.curve.last().is_some_and(|last| last[0] >= step) {

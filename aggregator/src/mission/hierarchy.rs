@@ -15,7 +15,8 @@ use super::plan::{Edge, Plan};
 use super::signal::Signal;
 use crate::service::{Expected, Service, ServiceConfig, ServiceError, Station, Upstream, UpstreamNode};
 
-/// Limit on the bytes of concurrent uploads; further agents wait.
+/// Limit on the bytes of all concurrent uploads to an aggregator; further uploads wait. A single larger model is
+/// refused.
 const INBOX_BYTES_MAX: u64 = 1 << 30;
 
 /// The folder of an edge inside `out`, the folder of the mission.
@@ -156,7 +157,7 @@ fn service_config(
     }
 }
 
-/// Limits of an aggregator's inbox for this many devices.
+/// Limits of an inbox that receives models from `devices` senders.
 fn limits(devices: usize) -> InboxLimits {
     InboxLimits {
         body_bytes_max: INBOX_BYTES_MAX,

@@ -40,7 +40,7 @@ pub struct Settings {
     pub seed: u64,
     /// Every n-th view by name is held out; 0 holds out none.
     pub eval_every: u32,
-    /// Whether agents drop, before upload, the splats of ground that another agent owns.
+    /// Whether each agent drops, before the upload, the splats on ground that another agent observed better.
     #[serde(default)]
     pub compress_first: bool,
     /// How the agents' models are merged.
@@ -170,7 +170,7 @@ impl Plan {
     }
 
     /// Names of an agent's views. If `held_out`, these are its held-out views; otherwise the views to train on,
-    /// including those from the margin of its cell.
+    /// including the views of other cells that look at the margin of its cell.
     pub(crate) fn names_of(&self, agent: usize, held_out: bool) -> Vec<String> {
         let guests = &self.cells[agent].guests;
         let its = |(i, view): &(usize, &AssignedView)| {

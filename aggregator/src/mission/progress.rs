@@ -84,8 +84,8 @@ impl Progress {
     }
 }
 
-/// Shows how many pictures of the synthetic city are rendered: in place on a terminal, else as a line for every
-/// [`PICTURES_EVERY`] pictures.
+/// Shows how many pictures of the synthetic city are rendered: in place on a terminal, else as a line after every
+/// [`PICTURES_EVERY`] pictures and after the last.
 pub(crate) fn show_pictures(display: Display, done: usize, of: usize) {
     let mut stderr = io::stderr().lock();
     let shown = match display {

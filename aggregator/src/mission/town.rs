@@ -21,7 +21,7 @@ pub enum TownError {
 }
 
 /// Makes the city in `folder`, unless a complete city of the same settings is in the folder already. Calls `progress`
-/// with the number of rendered pictures and their total.
+/// after each rendered picture, with the number of pictures rendered so far and the number of all pictures.
 pub(crate) fn make(
     settings: &CitySettings,
     folder: &Path,

@@ -109,7 +109,8 @@ fn middle(points: &[DVec2]) -> Option<DVec2> {
     Some(DVec2::new(x, y))
 }
 
-/// The axis with the smallest interquartile range, as 0, 1 or 2 for x, y or z; z on a tie.
+/// The axis with the smallest interquartile range, as 0, 1 or 2 for x, y or z. On a tie, z comes before y, and
+/// y before x.
 fn axis_of_least_spread(points: &[DVec3]) -> usize {
     let spread = |axis: usize| {
         let mut along: Vec<f64> = points.iter().map(|p| p[axis]).collect();

@@ -80,7 +80,8 @@ pub struct WholeSummary {
     pub steps_per_s: f64,
     /// Peak resident memory of the agent that used most, bytes.
     pub peak_memory_bytes: u64,
-    /// Peak resident memory of the aggregator, bytes; absent if the system does not report it.
+    /// Peak resident memory, bytes, of the process that runs the mission, all aggregators included; absent if the
+    /// system does not report it.
     pub aggregator_peak_memory_bytes: Option<u64>,
     /// Bytes that all agents sent, resends included.
     pub bytes_sent: u64,

@@ -10,7 +10,7 @@ use crate::partition::{AssignedView, Cell};
 
 /// Width of the drawing in SVG units; the page scales it.
 const WIDTH: f64 = 1000.0;
-/// Margin around the cells, as a share of the longer side of their bounding box.
+/// Margin around the cells, as a share of the longer side of their bounding box. The margin is at least 1 m.
 const MARGIN: f64 = 0.15;
 
 /// Draws cells and views. Cell `i` belongs to agent `i`.

@@ -52,7 +52,7 @@ pub(crate) fn depth_normal_text(quality: &Quality) -> Option<String> {
     quality.surface?.depth_normal_error_deg.map(|error| format!("{:.1}°", error.median))
 }
 
-/// The median error of the blended normals as text.
+/// The median error of the rendered normals, which are blended from the normals of the splats, as text.
 pub(crate) fn normal_text(quality: &Quality) -> Option<String> {
     quality.surface?.normal_error_deg.map(|error| format!("{:.1}°", error.median))
 }
@@ -95,7 +95,7 @@ fn whole_row(whole: &WholeSummary, measures: &[Measure]) -> Vec<String> {
     row
 }
 
-/// The cells with the figures of the global model on some views.
+/// The cells of a table row that show the figures of the global model on some views.
 fn in_global(quality: Option<&Quality>, measures: &[Measure]) -> Vec<String> {
     let psnr: Measure = ("PSNR", |quality| Some(format!("{:.2} dB", quality.psnr)));
     let cell = |(_, text): &Measure| quality.and_then(text).unwrap_or("–".into());

@@ -1,8 +1,8 @@
 //! Helpers that the drawings and the page share: the colours of agents, and text that is safe inside
 //! markup.
 
-/// Colour of agent `agent`. The hues of consecutive agents are a golden angle apart, so they differ for
-/// any number of agents. The colours can be seen on white and on black.
+/// Colour of agent `agent`. The hues of consecutive agents are a golden angle apart, which spreads the hues
+/// almost evenly for any number of agents. The colours can be seen on white and on black.
 pub(crate) fn agent_color(agent: usize) -> String {
     format!("hsl({:.0} 62% 48%)", (212.0 + 137.508 * agent as f64) % 360.0)
 }
