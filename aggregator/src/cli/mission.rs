@@ -69,7 +69,7 @@ pub(crate) struct MissionArgs {
     #[arg(long, value_name = "N", default_value_t = 8)]
     eval_every: u32,
     /// Let each agent drop, before the upload, the splats on ground that another agent observed better. This halves the
-    /// upload and costs the global model some tenths of a dB of PSNR
+    /// upload and costs the global model up to 1 dB of PSNR
     #[arg(long)]
     compress_first: bool,
     #[command(flatten)]

@@ -65,8 +65,8 @@ pub struct AgentConfig {
     /// Limit on the pictures' long side in pixels; larger pictures are shrunk. Full size if absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub max_size_px: Option<u32>,
-    /// The device to train on: `auto` (a hardware GPU if there is one, otherwise the CPU), `cpu`, `gpu` or `gpu:N`;
-    /// `auto` if absent.
+    /// The device to train on: `auto` (a hardware GPU if there is one and the memory is enough, otherwise the CPU),
+    /// `cpu`, `gpu` or `gpu:N`; `auto` if absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub compute: Option<DeviceChoice>,
     /// Number of CPU threads, 1 to 1024; one per core if absent.
@@ -103,7 +103,7 @@ pub struct AgentConfig {
     #[serde(default)]
     pub alone: bool,
     /// Before the upload, drop the splats of ground that another agent observed better. This halves the upload and
-    /// costs the merged model some tenths of a dB of PSNR. All agents of a site should use the same value.
+    /// costs the merged model up to 1 dB of PSNR. All agents of a site should use the same value.
     #[serde(default)]
     pub compress: bool,
     /// After the upload, wait for the global model and store it.
