@@ -1,6 +1,6 @@
 //! The benches that cargo runs: benches of all crates, and ignored tests that measure.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, Stdio};
 
 use anyhow::{Context, Result, ensure};
@@ -8,7 +8,7 @@ use cosurf_tests::datasets::write_town;
 use cosurf_tests::results::{Better, Column, Measurement, Results, Tolerance, machine, store};
 use tempfile::TempDir;
 
-use crate::commands::{build, dataset, mission, train};
+use crate::commands::{agents, build, dataset, mission, train};
 use crate::divan;
 
 /// Datasets of the upload benches: the name in tables, and the folder; `None` generates the built-in town.
@@ -19,7 +19,7 @@ const DATASETS: [(&str, Option<&str>); 4] = [
     ("the built-in town", None),
 ];
 /// Training options of the models that are uploaded.
-const TRAINING: [&str; 4] = ["--max-size", "240", "--steps", "1000"];
+pub(crate) const TRAINING: [&str; 4] = ["--max-size", "240", "--steps", "1000"];
 
 fn cargo_bench(package: &str, bench: &str, words: &[&str]) -> Command {
     let mut command = Command::new("cargo");
@@ -143,7 +143,7 @@ pub(crate) fn broken_off(folder: &TempDir) -> Result<Results> {
     build()?;
     of_each_dataset("broken_off", folder, |name, data, out| {
         mission(Some(data), &[&TRAINING[..], &["--agents", "4"]].concat(), out)?;
-        let agents: Vec<PathBuf> = (1..=4).map(|i| out.join(format!("agents/agent-{i}"))).collect();
+        let agents = agents(out, 4);
         let agents = agents.iter().map(|agent| text(agent)).collect::<Result<Vec<_>>>()?;
         ours("broken_off", &[&[text(data)?, "--name", name], &agents[..]].concat(), folder)
     })

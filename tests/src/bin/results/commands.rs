@@ -34,7 +34,7 @@ pub(crate) fn succeed(command: &mut Command) -> Result<()> {
 }
 
 /// Runs a command with the option `--json`, and parses its output.
-pub(crate) fn json(command: &mut Command) -> Result<Value> {
+fn json(command: &mut Command) -> Result<Value> {
     let output = command.arg("--json").stdin(Stdio::null()).output();
     let output = output.with_context(|| format!("{command:?}"))?;
     ensure!(output.status.success(), "{command:?}: {}", String::from_utf8_lossy(&output.stderr));
@@ -69,6 +69,23 @@ pub(crate) fn mission(data: Option<&Path>, options: &[&str], out: &Path) -> Resu
         command.arg("--data").arg(data);
     }
     run(&mut command, out)
+}
+
+/// The folders of the agents of a mission.
+pub(crate) fn agents(mission: &Path, count: usize) -> Vec<PathBuf> {
+    (1..=count).map(|i| mission.join(format!("agents/agent-{i}"))).collect()
+}
+
+/// `cosurf-aggregator merge` with options; returns what it prints as JSON.
+pub(crate) fn merge(models: &[PathBuf], options: &[&str], out: &Path) -> Result<Value> {
+    let mut command = Command::new(program("cosurf-aggregator"));
+    json(command.arg("merge").args(models).args(options).arg("--out").arg(out))
+}
+
+/// `cosurf-aggregator eval` with options; returns what it prints as JSON.
+pub(crate) fn evaluate(model: &Path, data: &Path, options: &[&str]) -> Result<Value> {
+    let mut command = Command::new(program("cosurf-aggregator"));
+    json(command.arg("eval").arg(model).arg(data).args(options))
 }
 
 fn run(command: &mut Command, out: &Path) -> Result<Outcome> {

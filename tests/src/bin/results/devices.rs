@@ -1,16 +1,13 @@
 //! Compares the quality of the same training and the same merge on the CPU and on the GPU.
 
-use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::path::Path;
 
 use anyhow::{Context, Result};
-use cosurf_tests::programs::program;
 use cosurf_tests::results::{Column, Measurement, Results};
 use serde_json::Value;
 use tempfile::TempDir;
 
-use crate::commands::{build, dataset, json, mission, train};
-use crate::missions::merge;
+use crate::commands::{agents, build, dataset, evaluate, merge, mission, train};
 
 const OPTIONS: [&str; 4] = ["--max-size", "160", "--steps", "500"];
 const DEVICES: [&str; 2] = ["cpu", "gpu"];
@@ -65,7 +62,7 @@ fn merged(folder: &TempDir) -> Result<Vec<Option<f64>>> {
     let caliterra = dataset("real_caliterra")?;
     let out = |name: &str| folder.path().join(name);
     mission(Some(&caliterra), &[&OPTIONS[..], &["--agents", "2"]].concat(), &out("mission"))?;
-    let agents: Vec<PathBuf> = (1..=2).map(|i| out("mission").join(format!("agents/agent-{i}"))).collect();
+    let agents = agents(&out("mission"), 2);
     let of_device = |device: &str| {
         let out = out(&format!("merged-{device}"));
         merge(&agents, &["--epochs", "3", "--device", device], &out)?;
@@ -76,9 +73,7 @@ fn merged(folder: &TempDir) -> Result<Vec<Option<f64>>> {
 
 /// Renders a model at all views on the CPU, and scores it.
 fn psnr(model: &Path, data: &Path) -> Result<Psnr> {
-    let mut command = Command::new(program("cosurf-aggregator"));
-    let report =
-        json(command.arg("eval").arg(model).arg(data).args(["--eval-every", "1", "--max-size", "160"]))?;
+    let report = evaluate(model, data, &["--eval-every", "1", "--max-size", "160"])?;
     let views = report["views"].as_array().context("no views")?;
     let psnrs = views.iter().map(|view| view["psnr"].as_f64().context("no PSNR"));
     let psnrs = psnrs.collect::<Result<Vec<f64>>>()?;

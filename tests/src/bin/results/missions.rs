@@ -1,21 +1,14 @@
 //! Measurements of missions over real photographs, and of the models of their agents.
 
-use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::path::PathBuf;
 
-use anyhow::{Context, Result};
-use cosurf_tests::programs::program;
+use anyhow::Result;
 use cosurf_tests::results::{Better, Column, Measurement, Results, Tolerance};
 use serde_json::Value;
 use tempfile::TempDir;
 
-use crate::benches::{ignored_test, text};
-use crate::commands::{MIB, build, dataset, json, mission, train};
-
-/// Size of the pictures, and steps of each agent.
-const OPTIONS: [&str; 4] = ["--max-size", "240", "--steps", "1000"];
-/// Agents of a mission.
-const AGENTS: usize = 4;
+use crate::benches::{TRAINING, ignored_test, text};
+use crate::commands::{MIB, agents, build, dataset, evaluate, merge, mission, train};
 
 /// Compares the joined models and the merged models of four agents with one model that is trained on the views of all
 /// agents. With `--compress-first`, only one agent uploads the splats of ground that several agents observe.
@@ -30,14 +23,14 @@ pub(crate) fn missions(folder: &TempDir) -> Result<Results> {
 
     let alone = train(&caliterra, &["--max-size", "240", "--steps", "3200"], &out("alone"))?;
     measurement.row("one model of all views", &[alone.figure("/psnr"), alone.figure("/splats"), None, None]);
-    let merged = mission(Some(&caliterra), &OPTIONS, &out("merged"))?;
-    merge(&agents(&out("merged")), &["--epochs", "0", "--no-compress"], &out("joined"))?;
-    let joined = score(&out("joined"), &caliterra)?;
+    let merged = mission(Some(&caliterra), &TRAINING, &out("merged"))?;
+    merge(&agents(&out("merged"), 4), &["--epochs", "0", "--no-compress"], &out("joined"))?;
+    let joined = evaluate(&out("joined"), &caliterra, &TRAINING[..2])?;
     let figure = |value: &Value, pointer| value.pointer(pointer).and_then(Value::as_f64);
     measurement
         .row("four agents, joined", &[figure(&joined, "/mean/psnr"), figure(&joined, "/splats"), None, None]);
-    let compressed = merge(&agents(&out("merged")), &["--epochs", "0"], &out("compressed"))?;
-    let first = mission(Some(&caliterra), &[&OPTIONS[..], &["--compress-first"]].concat(), &out("first"))?;
+    let compressed = merge(&agents(&out("merged"), 4), &["--epochs", "0"], &out("compressed"))?;
+    let first = mission(Some(&caliterra), &[&TRAINING[..], &["--compress-first"]].concat(), &out("first"))?;
     let cases = [
         ("four agents, merged", merged, share_left(&compressed)),
         ("the same, `--compress-first`", first, None),
@@ -59,28 +52,12 @@ pub(crate) fn placement(folder: &TempDir) -> Result<Results> {
         [("Caliterra", Some(&caliterra)), ("rendered Boruszyn", Some(&boruszyn)), ("town", None)]
     {
         let out = folder.path().join(name);
-        mission(data.map(PathBuf::as_path), &OPTIONS, &out)?;
+        mission(data.map(PathBuf::as_path), &TRAINING, &out)?;
         outs.push(out);
     }
     let outs = outs.iter().map(|out| text(out)).collect::<Result<Vec<_>>>()?.join(":");
     let words = ["-p", "cosurf-aggregator", "--lib", "--", "--ignored", "trained_models_are_moved_back"];
     ignored_test("placement", &words, &[("MISSIONS", &outs)], folder)
-}
-
-fn agents(mission: &Path) -> Vec<PathBuf> {
-    (1..=AGENTS).map(|i| mission.join(format!("agents/agent-{i}"))).collect()
-}
-
-/// Runs `cosurf-aggregator merge` with options, and returns its report.
-pub(crate) fn merge(models: &[PathBuf], options: &[&str], out: &Path) -> Result<Value> {
-    let mut command = Command::new(program("cosurf-aggregator"));
-    json(command.arg("merge").args(models).args(options).arg("--out").arg(out))
-}
-
-/// Runs `cosurf-aggregator eval` on pictures of the same size as in [`OPTIONS`], and returns its report.
-fn score(model: &Path, data: &Path) -> Result<Value> {
-    let mut command = Command::new(program("cosurf-aggregator"));
-    json(command.arg("eval").arg(model).arg(data).args(["--max-size", "240"])).context("eval")
 }
 
 /// The share of splats that a merge removed because another agent owns them, percent.

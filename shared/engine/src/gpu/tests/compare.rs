@@ -11,7 +11,8 @@ use crate::gpu::context::Gpu;
 /// Largest allowed error of a number, relative to the larger of its magnitude and a hundredth of its group's root mean
 /// square.
 const TOLERANCE: f32 = 1e-3;
-/// Share of the numbers that may differ more, because rounding may decide whether a splat reaches a threshold.
+/// Share of the numbers that may differ by more than [`TOLERANCE`], because rounding may decide whether a
+/// splat reaches a threshold.
 pub(super) const TIES_MAX: f64 = 5e-3;
 
 /// Capacity for somewhat more splats than `splats` has.
