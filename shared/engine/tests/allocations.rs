@@ -64,8 +64,9 @@ const STEPS: usize = 30;
 /// Number of passes of the longest step: 4 for the neighbouring view, then 7 for the view.
 const PASSES: usize = 4 + 7;
 /// Largest number of allocations that rayon makes in [`STEPS`] steps. It allocates a block of its queue for every 63rd
-/// job from outside its pool, and each pass is such a job.
-const QUEUE_BLOCKS_MAX: usize = STEPS * PASSES / 63 + 2;
+/// job from outside its pool, and each pass is such a job. It also enlarges the queues of its threads now and then,
+/// more often while other programs use the cores.
+const RAYON_ALLOCATIONS_MAX: usize = STEPS * PASSES / 63 + 8;
 
 fn camera(x: f64, size_px: [u32; 2]) -> Camera {
     Camera {
@@ -149,13 +150,13 @@ fn a_step_allocates_nothing() {
         let mut backend = backend(&splats, channels);
         step(&mut backend, &tiny, channels, &rates);
         let count = allocations_of(|| (0..STEPS).for_each(|_| step(&mut backend, &full, channels, &rates)));
-        assert!(count <= QUEUE_BLOCKS_MAX, "{channels:?}: {count} allocations in {STEPS} steps");
+        assert!(count <= RAYON_ALLOCATIONS_MAX, "{channels:?}: {count} allocations in {STEPS} steps");
     }
     trainings_step_allocates_nothing(&splats, &full);
     // The counter must detect one allocation in each step.
     let mut backend = backend(&splats, Channels::Color);
     let count = allocations_of(|| (0..STEPS).for_each(|_| drop(backend.take_shapes())));
-    assert!(count > QUEUE_BLOCKS_MAX, "{count} allocations went unnoticed");
+    assert!(count > RAYON_ALLOCATIONS_MAX, "{count} allocations went unnoticed");
 }
 
 fn trainings_step_allocates_nothing(splats: &Splats, views: &[(Camera, Rendering); 2]) {
@@ -194,5 +195,5 @@ fn trainings_step_allocates_nothing(splats: &Splats, views: &[(Camera, Rendering
             trainer.step(&example(i % 2));
         }
     });
-    assert!(count <= QUEUE_BLOCKS_MAX, "training: {count} allocations in {STEPS} steps");
+    assert!(count <= RAYON_ALLOCATIONS_MAX, "training: {count} allocations in {STEPS} steps");
 }

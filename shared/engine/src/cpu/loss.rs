@@ -67,9 +67,8 @@ impl Photometric {
                     (0..3).fold(Sums::default(), |sums, channel| {
                         let gradient = &mut *rows;
                         let scratch = &mut *scratch;
-                        let band =
-                            Band { image, target, exposure, weights, channel, band, gradient, scratch };
-                        sums.plus(isa.run(band))
+                        let input = Input { image, target, exposure, weights, channel, band };
+                        sums.plus(isa.run(Band { input, gradient, scratch }))
                     })
                 });
             },
@@ -180,15 +179,22 @@ impl Sums {
     }
 }
 
+/// Computes loss and gradient of one channel in one band.
 struct Band<'a> {
+    input: Input<'a>,
+    gradient: &'a mut [Row],
+    scratch: &'a mut Scratch,
+}
+
+/// What a band reads.
+#[derive(Clone, Copy)]
+struct Input<'a> {
     image: &'a TileImage,
     target: TargetRgb<'a>,
     exposure: Exposure,
     weights: Weights,
     channel: usize,
     band: usize,
-    gradient: &'a mut [Row],
-    scratch: &'a mut Scratch,
 }
 
 /// Number of filtered moments: x, y, xx, yy and xy, with the rendering x and the photograph y.
@@ -247,99 +253,127 @@ impl Kernel for Band<'_> {
 
     #[inline(always)]
     fn run<L: Lanes>(self) -> Sums {
-        let Self { image, target, exposure, weights, channel, band, gradient, scratch } = self;
-        let [width, height] = image.size_px();
-        let padded = image.tiles()[0] * TILE;
-        let rows_per_tile = image.rows_per_tile();
-        let first = band * BAND_TILES * TILE;
-        let end = (first + BAND_TILES * TILE).min(height);
-        let inside = |y: isize| y >= 0 && y < height as isize;
-
-        let Lines {
-            x_line,
-            y_line,
-            exposed_line,
-            mut products,
-            mut partial_lines,
-            mut moments,
-            mut partials,
-        } = scratch.lines(padded);
+        let Self { input, gradient, scratch } = self;
+        let [first, end] = input.rows().map(|row| row as isize);
+        let mut lines = scratch.lines(input.padded());
         let mut sums = Sums::default();
-
+        let reach = REACH as isize;
         // Once row `y_in` is read, the partial derivatives of row `y_in - 5` and the gradient of row `y_in - 10` can be
         // computed.
-        for y_in in first as isize - 2 * REACH as isize..(end + 2 * REACH) as isize {
-            if inside(y_in) {
-                read_line(image, channel, y_in as usize, width, x_line);
-                target.read_line(channel, y_in as usize, width, &mut y_line[MARGIN..MARGIN + width]);
-                multiply::<L>(x_line, y_line, &mut products);
-                for x in (0..padded).step_by(L::N) {
-                    let filtered = [
-                        filtered_row::<L>(x_line, x, &weights.window),
-                        filtered_row::<L>(y_line, x, &weights.window),
-                        filtered_row::<L>(products[0], x, &weights.window),
-                        filtered_row::<L>(products[1], x, &weights.window),
-                        filtered_row::<L>(products[2], x, &weights.window),
-                    ];
-                    for (line, value) in filtered.into_iter().enumerate() {
-                        value.store(&mut moments.at_mut(line, y_in)[x..]);
-                    }
-                }
-            } else {
-                (0..MOMENT_LINES).for_each(|line| moments.at_mut(line, y_in).fill(0.0));
-            }
-
-            let y_map = y_in - REACH as isize;
-            if y_map < first as isize - REACH as isize {
+        for y_in in first - 2 * reach..end + 2 * reach {
+            input.filter_moments::<L>(y_in, &mut lines);
+            let y_map = y_in - reach;
+            if y_map < first - reach {
                 continue;
             }
-            if inside(y_map) {
-                let own = (first..end).contains(&(y_map as usize));
-                let ssim = ssim_row::<L>(&moments, y_map, width, &weights.window, &mut partial_lines);
-                if own {
-                    sums.ssim += ssim;
-                }
-                for x in (0..padded).step_by(L::N) {
-                    for (line, values) in partial_lines.iter().enumerate() {
-                        let value = filtered_row::<L>(values, x, &weights.window);
-                        value.store(&mut partials.at_mut(line, y_map)[x..]);
-                    }
-                }
-            } else {
-                (0..PARTIAL_LINES).for_each(|line| partials.at_mut(line, y_map).fill(0.0));
+            let ssim = input.filter_partials::<L>(y_map, &mut lines);
+            if (first..end).contains(&y_map) {
+                sums.ssim += ssim;
             }
-
-            let y_out = y_map - REACH as isize;
-            if y_out < first as isize || y_out >= end as isize {
-                continue;
+            let y_out = y_map - reach;
+            if (first..end).contains(&y_out) {
+                sums = sums.plus(input.write_gradient::<L>(y_out as usize, &mut lines, gradient));
             }
-            let y = y_out as usize;
-            read_line(image, channel, y, width, x_line);
-            target.read_line(channel, y, width, &mut y_line[MARGIN..MARGIN + width]);
-            expose::<L>(x_line, exposure, width, exposed_line);
-            let l1_slope = L::splat(weights.l1 * exposure.gain);
-            let taps = partials.taps(y_out);
-            for tile_x in 0..image.tiles()[0] {
-                let row = &mut gradient[((y - first) / TILE * image.tiles()[0] + tile_x) * rows_per_tile
-                    + (RGB + channel) * TILE
-                    + y % TILE];
-                for part in 0..GROUP / L::N {
-                    let column = tile_x * TILE + part * L::N;
-                    let (x, y) = (L::load(&x_line[MARGIN + column..]), L::load(&y_line[MARGIN + column..]));
-                    let p =
-                        each!([0, 1, 2], |line| filtered_column::<L>(&taps[line], column, &weights.window));
-                    let d_ssim = (x + x).mul_add(p[1], y.mul_add(p[2], p[0]));
-                    let sign = sign(L::load(&exposed_line[MARGIN + column..]) - y);
-                    row.set(part, d_ssim.neg_mul_add(L::splat(weights.ssim), sign * l1_slope));
-                }
-                // Pixels beyond the right border have no gradient.
-                let valid = (width - (tile_x * TILE).min(width)).min(TILE);
-                row.0[valid..].fill(0.0);
-            }
-            sums = sums.plus(differences::<L>(x_line, exposed_line, y_line));
         }
-        zero_below(gradient, image, channel, end - first);
+        zero_below(gradient, input.image, input.channel, (end - first) as usize);
         sums
+    }
+}
+
+impl Input<'_> {
+    /// The first row of the band, and the first row behind it.
+    #[inline(always)]
+    fn rows(self) -> [usize; 2] {
+        let first = self.band * BAND_TILES * TILE;
+        [first, (first + BAND_TILES * TILE).min(self.image.size_px()[1])]
+    }
+
+    /// Width of the picture, rounded up to whole tiles.
+    #[inline(always)]
+    fn padded(self) -> usize {
+        self.image.tiles()[0] * TILE
+    }
+
+    /// True if the picture has row `y`.
+    #[inline(always)]
+    fn has_row(self, y: isize) -> bool {
+        y >= 0 && y < self.image.size_px()[1] as isize
+    }
+
+    /// Applies the horizontal filter to the moments of row `y`; they are zero outside the picture.
+    #[inline(always)]
+    fn filter_moments<L: Lanes>(self, y: isize, lines: &mut Lines) {
+        let Lines { x_line, y_line, products, moments, .. } = lines;
+        if !self.has_row(y) {
+            (0..MOMENT_LINES).for_each(|line| moments.at_mut(line, y).fill(0.0));
+            return;
+        }
+        let width = self.image.size_px()[0];
+        read_line(self.image, self.channel, y as usize, width, x_line);
+        self.target.read_line(self.channel, y as usize, width, &mut y_line[MARGIN..MARGIN + width]);
+        multiply::<L>(x_line, y_line, products);
+        for x in (0..self.padded()).step_by(L::N) {
+            let filtered = [
+                filtered_row::<L>(x_line, x, &self.weights.window),
+                filtered_row::<L>(y_line, x, &self.weights.window),
+                filtered_row::<L>(products[0], x, &self.weights.window),
+                filtered_row::<L>(products[1], x, &self.weights.window),
+                filtered_row::<L>(products[2], x, &self.weights.window),
+            ];
+            for (line, value) in filtered.into_iter().enumerate() {
+                value.store(&mut moments.at_mut(line, y)[x..]);
+            }
+        }
+    }
+
+    /// Applies the vertical filter to the moments of row `y`, then the horizontal filter to the partial derivatives.
+    /// Returns the row's sum of SSIM. All are zero outside the picture.
+    #[inline(always)]
+    fn filter_partials<L: Lanes>(self, y: isize, lines: &mut Lines) -> f64 {
+        let Lines { partial_lines, moments, partials, .. } = lines;
+        if !self.has_row(y) {
+            (0..PARTIAL_LINES).for_each(|line| partials.at_mut(line, y).fill(0.0));
+            return 0.0;
+        }
+        let window = &self.weights.window;
+        let ssim = ssim_row::<L>(moments, y, self.image.size_px()[0], window, partial_lines);
+        for x in (0..self.padded()).step_by(L::N) {
+            for (line, values) in partial_lines.iter().enumerate() {
+                let value = filtered_row::<L>(values, x, window);
+                value.store(&mut partials.at_mut(line, y)[x..]);
+            }
+        }
+        ssim
+    }
+
+    /// Writes the gradient of row `y`. Returns all sums of the row except SSIM.
+    #[inline(always)]
+    fn write_gradient<L: Lanes>(self, y: usize, lines: &mut Lines, gradient: &mut [Row]) -> Sums {
+        let Self { image, channel, weights, exposure, .. } = self;
+        let Lines { x_line, y_line, exposed_line, partials, .. } = lines;
+        let width = image.size_px()[0];
+        read_line(image, channel, y, width, x_line);
+        self.target.read_line(channel, y, width, &mut y_line[MARGIN..MARGIN + width]);
+        expose::<L>(x_line, exposure, width, exposed_line);
+        let l1_slope = L::splat(weights.l1 * exposure.gain);
+        let taps = partials.taps(y as isize);
+        let first_tile = (y - self.rows()[0]) / TILE * image.tiles()[0];
+        for tile_x in 0..image.tiles()[0] {
+            let row = &mut gradient
+                [(first_tile + tile_x) * image.rows_per_tile() + (RGB + channel) * TILE + y % TILE];
+            for part in 0..GROUP / L::N {
+                let column = tile_x * TILE + part * L::N;
+                let (x, y) = (L::load(&x_line[MARGIN + column..]), L::load(&y_line[MARGIN + column..]));
+                let p = each!([0, 1, 2], |line| filtered_column::<L>(&taps[line], column, &weights.window));
+                let d_ssim = (x + x).mul_add(p[1], y.mul_add(p[2], p[0]));
+                let sign = sign(L::load(&exposed_line[MARGIN + column..]) - y);
+                row.set(part, d_ssim.neg_mul_add(L::splat(weights.ssim), sign * l1_slope));
+            }
+            // Pixels beyond the right border have no gradient.
+            let valid = (width - (tile_x * TILE).min(width)).min(TILE);
+            row.0[valid..].fill(0.0);
+        }
+        differences::<L>(x_line, exposed_line, y_line)
     }
 }
 
