@@ -95,11 +95,11 @@ impl Checkpoint {
             .read_until(b'\n', &mut line)
             .with_context(|| path.display().to_string())?;
         let head: Head = serde_json::from_slice(&line).with_context(|| {
-            format!("{} is not a checkpoint of this program; use --fresh to start again", path.display())
+            format!("{} is not a checkpoint of this program; delete it to start again", path.display())
         })?;
         ensure!(
             head.format == FORMAT,
-            "{}: unknown format {:?}; use --fresh to start again",
+            "{}: unknown format {:?}; delete it to start again",
             path.display(),
             head.format
         );
@@ -117,12 +117,13 @@ impl Checkpoint {
         let path = self.path.display().to_string();
         if self.head.fingerprint != *expected {
             bail!(
-                "{path} belongs to a training with other data or settings; use --fresh to start again, or another --out"
+                "{path} belongs to a training with other data or settings; delete it to start again, or write to \
+                 another folder"
             );
         }
         ensure!(
             self.head.splats <= trainer.backend().capacity(),
-            "{path} has more splats than the memory allows; use --fresh to start again"
+            "{path} has more splats than the memory allows; delete it to start again"
         );
         let mut body = zstd::Decoder::new(self.body).with_context(|| path.clone())?;
         let mut hash = blake3::Hasher::new();
@@ -138,11 +139,11 @@ impl Checkpoint {
                 }
                 Ok(())
             })
-            .with_context(|| format!("{path} is truncated; use --fresh to start again"))?;
+            .with_context(|| format!("{path} is truncated; delete it to start again"))?;
         let mut stored = [0; 32];
         body.read_exact(&mut stored)
-            .with_context(|| format!("{path} is truncated; use --fresh to start again"))?;
-        ensure!(hash.finalize() == stored, "{path} is damaged; use --fresh to start again");
+            .with_context(|| format!("{path} is truncated; delete it to start again"))?;
+        ensure!(hash.finalize() == stored, "{path} is damaged; delete it to start again");
         Ok(())
     }
 }

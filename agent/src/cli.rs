@@ -25,10 +25,10 @@ pub(crate) struct Cli {
     command: Command,
     /// Write a log with times to standard error. LEVEL is error, warn, info (stages), debug (also parts of stages, and
     /// messages) or trace (also steps and passes). FILTER is a list like info,cosurf_engine=trace [default: no log]
-    #[arg(long, global = true, value_name = "LEVEL|FILTER")]
+    #[arg(long, global = true, value_name = "LEVEL|FILTER", help_heading = "Logging")]
     log: Option<String>,
     /// Format of the log: text or json
-    #[arg(long, global = true, value_name = "FORMAT", default_value_t)]
+    #[arg(long, global = true, value_name = "FORMAT", default_value_t, help_heading = "Logging")]
     log_format: LogFormat,
 }
 

@@ -160,7 +160,7 @@ impl<'a, F: FnMut(AgentEvent)> Publisher<'a, F> {
     fn handle(&mut self, event: NodeEvent, now: Duration) -> Result<()> {
         match event {
             NodeEvent::Disconnected { attempt, reason } => {
-                self.retrying(unreachable_peer(&reason).to_owned(), attempt);
+                self.retrying(reason, attempt);
             }
             NodeEvent::Connected => {
                 if let Upload::Collecting(collector) = &mut self.upload {
@@ -194,7 +194,7 @@ impl<'a, F: FnMut(AgentEvent)> Publisher<'a, F> {
         if !reason.is_temporary() {
             bail!("the aggregator refuses model {}: {reason}", key.model);
         }
-        self.retrying(format!("the aggregator ({reason})"), 1);
+        self.retrying(format!("the aggregator does not take the model yet: {reason}"), 1);
         Ok(())
     }
 
@@ -206,7 +206,7 @@ impl<'a, F: FnMut(AgentEvent)> Publisher<'a, F> {
             }
             Err(error) => {
                 self.node.store_failed(header.into());
-                self.retrying(format!("the disk ({error:#})"), 1);
+                self.retrying(format!("the global model was not stored: {error:#}"), 1);
             }
         }
     }
@@ -217,8 +217,8 @@ impl<'a, F: FnMut(AgentEvent)> Publisher<'a, F> {
         (self.on_event)(AgentEvent::GlobalReceived { revision, splats });
     }
 
-    fn retrying(&mut self, what: String, attempt: u32) {
-        (self.on_event)(AgentEvent::Retrying { what, attempt });
+    fn retrying(&mut self, reason: String, attempt: u32) {
+        (self.on_event)(AgentEvent::Retrying { reason, attempt });
     }
 }
 
@@ -259,12 +259,6 @@ impl<'a> FlightCollector<'a> {
     fn splats_of_others(&self, splats: &Splats, cameras: &[Camera]) -> Result<Vec<u32>> {
         Ok(self.flights.compression(splats, cameras, self.sharing.threads)?.removed)
     }
-}
-
-/// The part of an error message that names the peer: all before the last `: `, or the whole message if it has none.
-/// For example, `broker host:1883: connection refused` gives `broker host:1883`.
-fn unreachable_peer(reason: &str) -> &str {
-    reason.rsplit_once(": ").map_or(reason, |(peer, _)| peer)
 }
 
 /// Decodes the global model and writes it as a PLY for viewers. Also stores its encoded bytes, so that later sessions

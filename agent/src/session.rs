@@ -1,7 +1,7 @@
 //! A training session: turns a plan into a trained model within the plan's memory limit. A session can resume from
 //! every checkpoint of the same training.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use cosurf_engine::backend::{Channels, TargetRgb};
@@ -14,7 +14,8 @@ use cosurf_engine::{
 };
 use cosurf_scene::bytes::format_bytes;
 use cosurf_scene::cache::Source;
-use cosurf_scene::{Camera, Dataset, PictureCache, Splats, View};
+use cosurf_scene::{Camera, Dataset, PictureCache, SparsePoint, Splats, View};
+use glam::DVec3;
 use tracing::info_span;
 
 use crate::checkpoint::{Checkpoint, Fingerprint};
@@ -62,7 +63,8 @@ pub struct TrainPlan {
     /// Whether to learn an exposure for each picture.
     pub exposure: bool,
     /// A PLY of splats to start from, for example an earlier model of the ground in the pictures; `None` starts from
-    /// the sparse points of the dataset.
+    /// the sparse points of the dataset. If the dataset has no sparse points, the centres of these splats stand in for
+    /// them.
     pub init: Option<PathBuf>,
     /// Whether the model will be merged with other models. If so, it gets more splats, and keeps splats that only one
     /// view observes.
@@ -104,9 +106,9 @@ pub struct Session {
 
 impl Session {
     /// Opens the dataset, plans the memory and allocates it. Training starts from `checkpoint` if there is one,
-    /// otherwise from [`TrainPlan::init`]. Fails if a file cannot be read, there is no training view or no sparse
-    /// point, the memory is too small, the device cannot be opened, or the checkpoint is damaged or belongs to another
-    /// training.
+    /// otherwise from [`TrainPlan::init`]. Fails if a file cannot be read, there is no training view, there is neither
+    /// a sparse point nor a splat to start from, the memory is too small, the device cannot be opened, or the
+    /// checkpoint is damaged or belongs to another training.
     pub fn start(plan: &TrainPlan, checkpoint: Option<Checkpoint>) -> Result<Self> {
         let _span = info_span!("prepare").entered();
         let dataset = Dataset::open(&plan.data)?;
@@ -117,9 +119,10 @@ impl Session {
         if data.views.is_empty() {
             bail!("{}: no view is left to train on; hold out fewer views", plan.data.display());
         }
-        if data.points.is_empty() {
+        if data.points.is_empty() && plan.init.is_none() {
             bail!(
-                "{}: the training views see no sparse point; training needs the sparse cloud of COLMAP or `ply_file_path`",
+                "{}: the training views see no sparse point; training needs the sparse cloud of COLMAP or \
+                 `ply_file_path`, or a model to start from (`init`)",
                 plan.data.display()
             );
         }
@@ -131,7 +134,13 @@ impl Session {
             .map(|(view, source)| view.camera.resized(source.size_px))
             .collect();
         let cache = PictureCache::new(sizes.sources, sizes.budget.cache_bytes)?;
-        let extent = extent(&data);
+        let splats_max = sizes.budget.capacity.splats;
+        let needs_init = checkpoint.is_none() || data.points.is_empty();
+        let init = plan.init.as_deref().filter(|_| needs_init);
+        let init = init.map(|model| read_init(model, &cameras, splats_max)).transpose()?;
+        let stand_ins = init.as_ref().filter(|_| data.points.is_empty()).map(centres);
+        let points = stand_ins.as_deref().unwrap_or(&data.points);
+        let extent = extent(&data, points);
         let settings = TrainSettings {
             schedule: Schedule::new(plan.steps),
             extent,
@@ -140,21 +149,19 @@ impl Session {
             prune: plan.prune,
             exposure: plan.exposure,
             observers_min: if plan.one_of_many { 1 } else { 2 },
-            splats_max: sizes.budget.capacity.splats,
+            splats_max,
             seed: plan.seed,
         };
+        // The stand-ins are left out: the word `global` may name a newer model when the training resumes.
         let fingerprint = Fingerprint::of(&settings, &cameras, &data.points);
         let neighbours = match plan.surface {
-            Some(_) => Neighbours::find(&cameras, &data.points),
+            Some(_) => Neighbours::find(&cameras, points),
             None => Neighbours::none(),
         };
         if checkpoint.is_none() {
-            let splats_max = settings.splats_max;
             let form = if plan.surface.is_some() { Form::Flat } else { Form::Round };
-            backend.load(&match &plan.init {
-                Some(model) => read_visible_splats(model, &cameras, splats_max, SH_DEGREE)?,
-                None => splats_from_points(&data.points, extent, splats_max, SH_DEGREE, form),
-            });
+            let from_points = || splats_from_points(&data.points, extent, splats_max, SH_DEGREE, form);
+            backend.load(&init.unwrap_or_else(from_points));
         }
         let mut trainer = Trainer::new(backend, settings, TrainingViews { cameras, neighbours });
         if let Some(checkpoint) = checkpoint {
@@ -265,15 +272,34 @@ fn split(dataset: &Dataset, split: &Split) -> Result<(Vec<usize>, Vec<usize>)> {
     }
 }
 
+/// Reads the splats to start from, at most `splats_max`. Fails if the cameras see none of them.
+fn read_init(model: &Path, cameras: &[Camera], splats_max: usize) -> Result<Splats> {
+    let splats = read_visible_splats(model, cameras, splats_max, SH_DEGREE)?;
+    if splats.is_empty() {
+        bail!("{}: the training views see no splat of this model; start from another one", model.display());
+    }
+    Ok(splats)
+}
+
+/// The centres of the splats as sparse points, for datasets without sparse points.
+fn centres(splats: &Splats) -> Vec<SparsePoint> {
+    let point = |mean: &[f32; 3]| SparsePoint {
+        position: DVec3::from_array(mean.map(f64::from)),
+        rgb: [0; 3],
+        views: Vec::new(),
+    };
+    splats.means.iter().map(point).collect()
+}
+
 /// Extent of the scene in world units, as [`Dataset::extent`] computes it from the cameras. If all cameras are in one
-/// place, it is the median distance of the sparse points from the first camera.
-fn extent(data: &Dataset) -> f64 {
+/// place, it is the median distance of `points` from the first camera. `points` must not be empty.
+fn extent(data: &Dataset, points: &[SparsePoint]) -> f64 {
     let extent = data.extent();
     if extent > 0.0 {
         return extent;
     }
     let eye = data.views[0].camera.cam_from_world.center();
-    let mut distances: Vec<f64> = data.points.iter().map(|point| point.position.distance(eye)).collect();
+    let mut distances: Vec<f64> = points.iter().map(|point| point.position.distance(eye)).collect();
     distances.sort_by(f64::total_cmp);
     distances[distances.len() / 2].max(1e-6)
 }
@@ -341,7 +367,7 @@ fn plan_sizes(plan: &TrainPlan, memory_bytes: u64, device: &Device, data: &Datas
     }
     match short.expect("at least one size was tried") {
         BudgetError::TooLittleMemory { memory_bytes, least_bytes } => bail!(
-            "{} of memory are too little for this training, even with the smallest pictures; give at least --memory {}MiB",
+            "{} of memory are too little for this training, even with the smallest pictures; it needs at least {}MiB",
             format_bytes(memory_bytes),
             least_bytes.div_ceil(1 << 20)
         ),

@@ -9,23 +9,23 @@ use std::process::{Command, Output, Stdio};
 use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
-use cosurf_tests::datasets::write_town;
+use cosurf_tests::datasets::write_city;
 use cosurf_tests::skips::skip;
 use tempfile::TempDir;
 
-/// The folder of a dataset of a small synthetic town, rendered once for all tests of this file.
-fn town() -> &'static Path {
-    static TOWN: OnceLock<TempDir> = OnceLock::new();
-    TOWN.get_or_init(|| {
+/// The folder of a dataset of a small synthetic city, rendered once for all tests of this file.
+fn city() -> &'static Path {
+    static CITY: OnceLock<TempDir> = OnceLock::new();
+    CITY.get_or_init(|| {
         let folder = tempfile::tempdir().unwrap();
-        write_town(folder.path(), 40.0, 12, [96, 72]);
+        write_city(folder.path(), 40.0, 12, [96, 72]);
         folder
     })
     .path()
 }
 
-/// A copy of the town that a test may change.
-fn copy_of_town() -> TempDir {
+/// A copy of the city that a test may change.
+fn copy_of_city() -> TempDir {
     fn copy(from: &Path, to: &Path) {
         fs::create_dir_all(to).unwrap();
         for entry in fs::read_dir(from).unwrap() {
@@ -39,7 +39,7 @@ fn copy_of_town() -> TempDir {
         }
     }
     let folder = tempfile::tempdir().unwrap();
-    copy(town(), folder.path());
+    copy(city(), folder.path());
     folder
 }
 
@@ -87,9 +87,9 @@ fn bytes_depend_on_the_seed_and_not_on_the_threads() {
     let folder = tempfile::tempdir().unwrap();
     let out = |name: &str| folder.path().join(name);
     for threads in ["1", "2", "8"] {
-        succeed(train(town(), &out(threads), &["--steps", "120", "--threads", threads]));
+        succeed(train(city(), &out(threads), &["--steps", "120", "--threads", threads]));
     }
-    succeed(train(town(), &out("seed"), &["--steps", "120", "--seed", "1"]));
+    succeed(train(city(), &out("seed"), &["--steps", "120", "--seed", "1"]));
     assert!(model(&out("1")) == model(&out("2")), "2 threads");
     assert!(model(&out("1")) == model(&out("8")), "8 threads");
     assert!(model(&out("1")) != model(&out("seed")), "another seed");
@@ -98,7 +98,7 @@ fn bytes_depend_on_the_seed_and_not_on_the_threads() {
 #[test]
 fn a_closed_pipe_ends_a_command_without_an_error() {
     let folder = tempfile::tempdir().unwrap();
-    let mut command = train(town(), folder.path(), &["--steps", "1"]);
+    let mut command = train(city(), folder.path(), &["--steps", "1"]);
     let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     drop(child.stdout.take());
     let output = child.wait_with_output().unwrap();
@@ -110,13 +110,28 @@ fn a_closed_pipe_ends_a_command_without_an_error() {
 fn a_training_initialised_with_a_model_is_ahead() {
     let folder = tempfile::tempdir().unwrap();
     let [first, warm, cold] = ["first", "warm", "cold"].map(|name| folder.path().join(name));
-    succeed(train(town(), &first, &["--steps", "400"]));
-    succeed(train(town(), &warm, &["--steps", "40", "--init", first.join("model.ply").to_str().unwrap()]));
-    succeed(train(town(), &cold, &["--steps", "40"]));
+    succeed(train(city(), &first, &["--steps", "400"]));
+    succeed(train(city(), &warm, &["--steps", "40", "--init", first.join("model.ply").to_str().unwrap()]));
+    succeed(train(city(), &cold, &["--steps", "40"]));
     let psnr = |out: &Path| report(out)["psnr"].as_f64().unwrap();
     let (warm, cold) = (psnr(&warm), psnr(&cold));
     assert!(warm > cold + 1.0, "{warm:.2} dB from a model, {cold:.2} dB from points");
-    refuse(train(town(), &folder.path().join("none"), &["--init", "none.ply"]), &["none.ply"]);
+    refuse(train(city(), &folder.path().join("none"), &["--init", "none.ply"]), &["none.ply"]);
+}
+
+#[test]
+fn a_model_stands_in_for_missing_sparse_points() {
+    let folder = tempfile::tempdir().unwrap();
+    let [first, second] = ["first", "second"].map(|name| folder.path().join(name));
+    succeed(train(city(), &first, &["--steps", "100"]));
+    let data = copy_of_city();
+    fs::write(data.path().join("sparse/0/points3D.bin"), 0_u64.to_le_bytes()).unwrap();
+    refuse(train(data.path(), &second, &["--steps", "20"]), &["sparse point", "`init`"]);
+    let model = first.join("model.ply");
+    succeed(train(data.path(), &second, &["--steps", "20", "--init", model.to_str().unwrap()]));
+    let psnr = |out: &Path| report(out)["psnr"].as_f64().unwrap();
+    let (first, second) = (psnr(&first), psnr(&second));
+    assert!(second > first - 1.0, "{second:.2} dB from a model of {first:.2} dB");
 }
 
 #[test]
@@ -124,10 +139,10 @@ fn a_killed_training_resumes_to_the_same_bytes() {
     let folder = tempfile::tempdir().unwrap();
     let (whole, broken) = (folder.path().join("whole"), folder.path().join("broken"));
     let words = ["--steps", "400"];
-    succeed(train(town(), &whole, &words));
+    succeed(train(city(), &whole, &words));
     let state = broken.join("checkpoint/state.bin");
     let mut child =
-        train(town(), &broken, &words).stderr(Stdio::null()).stdout(Stdio::null()).spawn().unwrap();
+        train(city(), &broken, &words).stderr(Stdio::null()).stdout(Stdio::null()).spawn().unwrap();
     let started = Instant::now();
     while !state.exists() {
         assert!(started.elapsed() < Duration::from_secs(120), "no checkpoint");
@@ -136,7 +151,7 @@ fn a_killed_training_resumes_to_the_same_bytes() {
     child.kill().unwrap();
     child.wait().unwrap();
     assert!(!broken.join("model.ply").exists(), "the training ended before it was killed");
-    let output = train(town(), &broken, &words).output().unwrap();
+    let output = train(city(), &broken, &words).output().unwrap();
     assert!(stderr(&output).contains("resumed at step"), "{}", stderr(&output));
     assert!(model(&whole) == model(&broken));
 }
@@ -144,7 +159,7 @@ fn a_killed_training_resumes_to_the_same_bytes() {
 /// Runs a short training with the options `words`, and returns what it writes to standard error.
 fn log_of_training(words: &[&str]) -> String {
     let folder = tempfile::tempdir().unwrap();
-    let mut command = train(town(), folder.path(), &["--steps", "2", "--device", "cpu"]);
+    let mut command = train(city(), folder.path(), &["--steps", "2", "--device", "cpu"]);
     let output = command.args(words).output().unwrap();
     assert!(output.status.success(), "{}", stderr(&output));
     stderr(&output)
@@ -232,7 +247,7 @@ fn a_gpu_trains_the_same_model_and_the_cpu_reads_its_checkpoint() {
     let out = |name: &str| folder.path().join(name);
     let on = |device, name: &str| {
         let words = ["--steps", "120", "--device", device, "--memory", "600MiB"];
-        let psnr = train_and_score(town(), &out(name), &words);
+        let psnr = train_and_score(city(), &out(name), &words);
         let report = report(&out(name));
         assert!(report["peak_memory_bytes"].as_u64().unwrap() < 600 << 20, "{report}");
         psnr
@@ -246,7 +261,7 @@ fn a_gpu_trains_the_same_model_and_the_cpu_reads_its_checkpoint() {
     fs::remove_file(out("gpu").join("model.ply")).unwrap();
     on("cpu", "gpu");
     assert!(model(&out("gpu")) == model(&out("again")), "the CPU reads the GPU's checkpoint");
-    refuse(train(town(), &out("none"), &["--device", "gpu:99"]), &["there is no GPU 99"]);
+    refuse(train(city(), &out("none"), &["--device", "gpu:99"]), &["there is no GPU 99"]);
 }
 
 /// Hides all Vulkan drivers from a command, so that it finds no GPU on Linux.
@@ -265,39 +280,39 @@ fn without_a_gpu_the_cpu_trains_and_the_output_says_so() {
     let folder = tempfile::tempdir().unwrap();
     let out = |name: &str| folder.path().join(name);
     let words = |device| ["--steps", "60", "--memory", "1GiB", "--device", device];
-    let output = without_drivers(train(town(), &out("auto"), &words("auto"))).output().unwrap();
+    let output = without_drivers(train(city(), &out("auto"), &words("auto"))).output().unwrap();
     assert!(output.status.success(), "{}", stderr(&output));
     let text = String::from_utf8_lossy(&output.stdout).into_owned();
     assert!(text.contains("steps/s, cpu "), "the output names the device: {text}");
-    succeed(train(town(), &out("cpu"), &words("cpu")));
+    succeed(train(city(), &out("cpu"), &words("cpu")));
     assert!(model(&out("auto")) == model(&out("cpu")), "the same bytes");
-    refuse(without_drivers(train(town(), &out("gpu"), &words("gpu"))), &["no GPU", "--device cpu"]);
+    refuse(without_drivers(train(city(), &out("gpu"), &words("gpu"))), &["no GPU", "--device cpu"]);
 }
 
 #[test]
 fn a_damaged_checkpoint_and_one_of_another_training_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out");
-    succeed(train(town(), &out, &["--steps", "20"]));
-    refuse(train(town(), &out, &["--steps", "21"]), &["other data or settings", "--fresh"]);
+    succeed(train(city(), &out, &["--steps", "20"]));
+    refuse(train(city(), &out, &["--steps", "21"]), &["other data or settings", "delete it"]);
     let state = out.join("checkpoint/state.bin");
     let mut bytes = fs::read(&state).unwrap();
     let middle = bytes.len() / 2;
     bytes[middle] ^= 0x10;
     fs::write(&state, &bytes).unwrap();
-    refuse(train(town(), &out, &["--steps", "20"]), &["state.bin", "--fresh"]);
+    refuse(train(city(), &out, &["--steps", "20"]), &["state.bin", "delete it to start again"]);
     fs::write(&state, &bytes[..bytes.len() / 3]).unwrap();
-    refuse(train(town(), &out, &["--steps", "20"]), &["state.bin", "--fresh"]);
+    refuse(train(city(), &out, &["--steps", "20"]), &["state.bin", "delete it to start again"]);
     fs::write(&state, b"hello").unwrap();
-    refuse(train(town(), &out, &["--steps", "20"]), &["state.bin", "--fresh"]);
-    succeed(train(town(), &out, &["--steps", "20", "--fresh"]));
+    refuse(train(city(), &out, &["--steps", "20"]), &["state.bin", "delete it to start again"]);
+    succeed(train(city(), &out, &["--steps", "20", "--fresh"]));
 }
 
 #[test]
 fn the_memory_limit_is_kept_and_its_cost_reported() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out");
-    succeed(train(town(), &out, &["--steps", "60", "--memory", "40MiB", "--threads", "2"]));
+    succeed(train(city(), &out, &["--steps", "60", "--memory", "40MiB", "--threads", "2"]));
     let report: serde_json::Value =
         serde_json::from_slice(&fs::read(out.join("report.json")).unwrap()).unwrap();
     let peak = report["peak_memory_bytes"].as_u64().unwrap();
@@ -306,8 +321,8 @@ fn the_memory_limit_is_kept_and_its_cost_reported() {
         assert!(!report[field].is_null(), "{field}");
     }
     refuse(
-        train(town(), &out, &["--steps", "5", "--fresh", "--memory", "20MiB"]),
-        &["20.0 MiB", "at least --memory"],
+        train(city(), &out, &["--steps", "5", "--fresh", "--memory", "20MiB"]),
+        &["20.0 MiB", "needs at least"],
     );
 }
 
@@ -315,7 +330,7 @@ fn the_memory_limit_is_kept_and_its_cost_reported() {
 fn bad_datasets_get_one_clear_line() {
     let out = tempfile::tempdir().unwrap();
     let damaged = |damage: &dyn Fn(&Path), parts: &[&str]| {
-        let data = copy_of_town();
+        let data = copy_of_city();
         damage(data.path());
         refuse(train(data.path(), &out.path().join("o"), &["--steps", "3"]), parts);
     };
@@ -352,14 +367,14 @@ fn bad_datasets_get_one_clear_line() {
 fn bad_models_get_one_clear_line() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out");
-    succeed(train(town(), &out, &["--steps", "5"]));
+    succeed(train(city(), &out, &["--steps", "5"]));
     let whole = model(&out);
     let header = 11 + whole.windows(10).position(|bytes| bytes == b"end_header").unwrap();
     let eval = |bytes: &[u8], parts: &[&str]| {
         let path = folder.path().join("bad.ply");
         fs::write(&path, bytes).unwrap();
         let mut command = agent(&["eval"]);
-        command.arg(&path).arg(town());
+        command.arg(&path).arg(city());
         refuse(command, parts);
     };
     let mut nan = whole.clone();
@@ -375,9 +390,9 @@ fn bad_models_get_one_clear_line() {
 fn rendering_writes_pictures_and_depths() {
     let folder = tempfile::tempdir().unwrap();
     let (out, pictures) = (folder.path().join("out"), folder.path().join("pictures"));
-    succeed(train(town(), &out, &["--steps", "5"]));
+    succeed(train(city(), &out, &["--steps", "5"]));
     let mut command = agent(&["render"]);
-    command.arg(&out).arg("--cameras").arg(town()).arg("--out").arg(&pictures).args(["--max-size", "48"]);
+    command.arg(&out).arg("--cameras").arg(city()).arg("--out").arg(&pictures).args(["--max-size", "48"]);
     succeed(command);
     for kind in ["color.png", "depth.png", "normal.png"] {
         assert_eq!(cosurf_scene::Picture::size_of(&pictures.join(format!("0000.{kind}"))).unwrap(), [48, 36]);

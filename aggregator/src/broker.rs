@@ -25,7 +25,7 @@ mod connection;
 mod router;
 mod session;
 
-use std::io::ErrorKind;
+use std::io::{self, ErrorKind};
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener, TcpStream};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -46,13 +46,24 @@ pub enum BrokerError {
     )]
     PortInUse(SocketAddr),
     /// Any other error of the operating system.
-    #[error("the broker cannot listen on {address}: {source}")]
+    #[error("the broker cannot listen on {address}: {}", explain(cause))]
     Io {
         /// The address to listen on.
         address: SocketAddr,
         /// The operating system's error.
-        source: std::io::Error,
+        cause: io::Error,
     },
+}
+
+/// An error of the operating system in words. The common kinds get a remedy.
+fn explain(cause: &io::Error) -> String {
+    match cause.kind() {
+        ErrorKind::PermissionDenied => "permission denied; choose a port above 1023".to_owned(),
+        ErrorKind::AddrNotAvailable => {
+            "this computer has no such address; write 0.0.0.0 to listen on all its addresses".to_owned()
+        }
+        _ => cause.to_string(),
+    }
 }
 
 /// A running broker; it stops when dropped.
@@ -68,12 +79,12 @@ impl Broker {
     /// Listens on `address`. Port 0 takes a free port, which [`Self::address`] returns. Clients may
     /// connect as soon as this function returns.
     pub fn start(address: SocketAddr) -> Result<Self, BrokerError> {
-        let io = |source: std::io::Error| match source.kind() {
+        let failed = |cause: io::Error| match cause.kind() {
             ErrorKind::AddrInUse => BrokerError::PortInUse(address),
-            _ => BrokerError::Io { address, source },
+            _ => BrokerError::Io { address, cause },
         };
-        let listener = TcpListener::bind(address).map_err(io)?;
-        let address = listener.local_addr().map_err(io)?;
+        let listener = TcpListener::bind(address).map_err(failed)?;
+        let address = listener.local_addr().map_err(failed)?;
         let (hub, is_stopping) = (Arc::new(Hub::default()), Arc::new(AtomicBool::new(false)));
         let (accepting, stop) = (Arc::clone(&hub), Arc::clone(&is_stopping));
         let thread = std::thread::spawn(move || accept(&listener, &accepting, &stop));

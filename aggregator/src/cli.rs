@@ -6,7 +6,7 @@
 //!
 //! Where to start reading: any command. Each has a file of the same name; `record` and `replay` are in `tap`.
 
-mod arguments;
+pub(crate) mod arguments;
 mod cells;
 pub(crate) mod convert;
 pub(crate) mod eval;

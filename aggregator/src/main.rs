@@ -6,18 +6,19 @@ mod cli;
 use std::fmt::Display;
 use std::io::{self, Write};
 use std::num::NonZeroU32;
-use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::mpsc;
 use std::time::Instant;
 
 use anyhow::{Context, Result};
 use clap::{Args, Parser, Subcommand};
-use cosurf_aggregator::service::{AggregatorConfig, Command, Host, serve};
+use cosurf_aggregator::service::{Command, Host, serve};
 use cosurf_contract::{LogFormat, log};
 use cosurf_link::SerialConfig;
 use cosurf_link::serial::{DEFAULT_BAUD, GATEWAY_MESSAGE_BYTES};
 use serde::Serialize;
+
+use cli::arguments::ConfigArgs;
 
 /// Ground station of cosurf: receives the splat models that drones send, merges them, and sends the global model back.
 #[derive(Parser)]
@@ -27,10 +28,10 @@ struct Cli {
     command: Commands,
     /// Write a log with times to standard error. LEVEL is error, warn, info (stages), debug (also parts of stages, and
     /// messages) or trace (also steps and passes). FILTER is a list like info,cosurf_link=debug [default: no log]
-    #[arg(long, global = true, value_name = "LEVEL|FILTER")]
+    #[arg(long, global = true, value_name = "LEVEL|FILTER", help_heading = "Logging")]
     log: Option<String>,
     /// Format of the log: text or json
-    #[arg(long, global = true, value_name = "FORMAT", default_value_t)]
+    #[arg(long, global = true, value_name = "FORMAT", default_value_t, help_heading = "Logging")]
     log_format: LogFormat,
 }
 
@@ -52,9 +53,8 @@ enum Commands {
 /// Serve a site until stopped: receive models, merge them, send the global model back.
 #[derive(Args)]
 struct RunArgs {
-    /// Configuration file; it must set site, out, and either bind or broker
-    #[arg(long, value_name = "FILE")]
-    config: PathBuf,
+    #[command(flatten)]
+    config: ConfigArgs,
     /// Also serve the device on this serial port, for example a telemetry radio; may be given several times
     #[arg(long, value_name = "PORT")]
     serial: Vec<String>,
@@ -103,7 +103,7 @@ fn has_closed_pipe(error: &anyhow::Error) -> bool {
 }
 
 fn run(args: &RunArgs) -> Result<()> {
-    let config = AggregatorConfig::read(&args.config)?;
+    let config = args.config.read()?;
     let (commands, receiver) = mpsc::channel();
     ctrlc::set_handler(move || {
         let _ = commands.send(Command::Stop); // fails only if the service has already ended
@@ -112,7 +112,7 @@ fn run(args: &RunArgs) -> Result<()> {
     let (begun, json) = (Instant::now(), args.json);
     let line =
         |port: &String| SerialConfig::device(port, args.baud, cli::host::session(), GATEWAY_MESSAGE_BYTES);
-    serve(
+    let served = serve(
         &config,
         Host { clock_s: cli::host::session(), threads: cli::host::cores() },
         args.serial.iter().map(line).collect(),
@@ -120,8 +120,13 @@ fn run(args: &RunArgs) -> Result<()> {
         &receiver,
         |event| show(event, json),
         move |event| show(&event, json),
-    )?;
-    Ok(())
+    );
+    match served {
+        Err(error) if error.is_setting() => {
+            Err(error).with_context(|| args.config.path().display().to_string())
+        }
+        served => Ok(served?),
+    }
 }
 
 /// Prints an event on a line of its own. Write errors are ignored, so that the service goes on if nobody reads its

@@ -10,6 +10,7 @@
 
 mod agents;
 mod board;
+mod city;
 mod error;
 mod hierarchy;
 mod order;
@@ -18,7 +19,6 @@ mod progress;
 mod relief;
 mod signal;
 mod summary;
-mod town;
 mod watch;
 
 use std::fs;
@@ -36,6 +36,7 @@ use crate::service::{Merging, global_ply, joined};
 use crate::terminal::Meter;
 use agents::{AgentCommand, AgentProcesses};
 use board::{Phase, Status};
+pub use city::MakeCityError;
 pub use error::MissionError;
 use hierarchy::{Hierarchy, edge_folder, lowest_folders};
 pub use order::{MissionOrder, Surroundings};
@@ -45,7 +46,6 @@ use progress::show_pictures;
 use relief::{Relief, relief};
 use signal::Signal;
 use summary::summarize;
-pub use town::TownError;
 use watch::{EdgeStatus, Watch};
 
 /// Runs the mission and writes `global.ply`, `mesh.ply`, `report.json` and `report.html` to its folder. It is no error
@@ -55,7 +55,7 @@ pub fn fly(order: &MissionOrder, around: &Surroundings) -> Result<MissionReport,
     fs::create_dir_all(&order.out).map_err(|cause| SceneError::io(&order.out, cause))?;
     if let Some(city) = &order.city {
         let progress = |done, of| show_pictures(around.display, done, of);
-        town::make(city, &order.settings.data, progress)?;
+        city::make(city, &order.settings.data, progress)?;
     }
     let dataset = Dataset::open(&order.settings.data)?;
     // Read before the agents start, so that a wrong folder is reported before the training.

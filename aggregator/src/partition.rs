@@ -19,6 +19,8 @@ mod view;
 use glam::DVec2;
 use serde::{Deserialize, Serialize};
 
+use cosurf_contract::counted;
+
 pub(crate) use footprint::{Ground, footprints};
 pub(crate) use outline::Outline;
 pub(crate) use view::AssignedView;
@@ -96,7 +98,7 @@ pub enum PartitionError {
     #[error("a mission needs at least one agent: pass --agents 1 or more")]
     NoAgents,
     /// An agent would have no view.
-    #[error("{agents} agents cannot share {views} training views: pass --agents {views} or fewer")]
+    #[error("{agents} agents cannot share {}: pass --agents {views} or fewer", counted(*views, "training view"))]
     TooFewViews {
         /// Number of agents.
         agents: usize,
@@ -123,7 +125,7 @@ pub enum PartitionError {
         cell: usize,
     },
     /// The edge aggregators would have different numbers of polygons.
-    #[error("{cells} cells cannot be shared by {edges} edges: draw the same number for each")]
+    #[error("{} cannot be shared by {edges} edges: draw the same number for each", counted(*cells, "cell"))]
     UnevenEdges {
         /// Number of polygons.
         cells: usize,

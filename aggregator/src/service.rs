@@ -20,6 +20,9 @@
 //! a complete model contributes the part of a model that has arrived ([`crate::merge::fill_in()`]). If the service
 //! accepts only trusted keys, it uses no parts, because the signature of a part cannot be checked.
 //!
+//! If nothing is left to merge after a withdrawal, `global.ply` and `merged.json` are removed. `global/` keeps all
+//! revisions, so that the next one has a higher number.
+//!
 //! What it knows nothing about: photographs, how agents train, and how agents are started. It knows agents only by
 //! their messages.
 //!
@@ -45,13 +48,13 @@ mod station;
 mod tests;
 mod upstream;
 
-pub use config::{AggregatorConfig, ConfigError, UpstreamConfig};
+pub use config::{AggregatorConfig, UpstreamConfig};
 pub(crate) use control::BROKER_ATTEMPTS_MAX;
 pub use control::{Command, ServiceConfig};
 pub use error::ServiceError;
 pub use event::ServiceEvent;
-pub use folder::global_ply;
 pub(crate) use folder::joined;
+pub use folder::{global_ply, senders};
 pub use receive::Service;
 pub use record::{Fitted, KeptOut, Merging, withdraw};
 pub use round::{Expected, Rounds};

@@ -1,7 +1,27 @@
 //! The aggregator's command line as scripts use it.
 #![allow(clippy::unwrap_used)]
 
-use std::process::{Command, Stdio};
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+
+use cosurf_link::{ModelStore, Offer};
+use cosurf_tests::offers::offer;
+use cosurf_wire::ModelKind;
+
+/// Runs the aggregator in `folder`.
+fn aggregator(folder: &Path, words: &[&str]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_cosurf-aggregator"));
+    command.args(words).current_dir(folder).output().unwrap()
+}
+
+/// The error of a command, which must be one line.
+fn refused(folder: &Path, words: &[&str]) -> String {
+    let output = aggregator(folder, words);
+    let stderr = String::from_utf8(output.stderr).unwrap();
+    assert!(!output.status.success() && stderr.lines().count() == 1, "{words:?}: {stderr}");
+    stderr
+}
 
 #[test]
 fn a_closed_pipe_ends_a_command_without_an_error() {
@@ -34,4 +54,51 @@ fn a_log_is_written_where_it_is_asked_for_and_a_wrong_filter_is_refused() {
         wrong.starts_with("cosurf-aggregator: --log \"loud\": ") && wrong.lines().count() == 1,
         "{wrong}"
     );
+}
+
+#[test]
+fn only_a_device_with_a_model_or_an_announced_flight_can_be_forgotten() {
+    let folder = tempfile::tempdir().unwrap();
+    let site = folder.path();
+    fs::write(site.join("aggregator.toml"), "site = \"s\"\nout = \"out\"\nbind = \"127.0.0.1:0\"\n").unwrap();
+    let error = refused(site, &["forget", "drone-1"]);
+    assert!(error.contains("drone-1") && error.contains("with a model: none"), "{error}");
+
+    let (models, _) = ModelStore::open(&site.join("out/models")).unwrap();
+    let Offer { header, body } = offer("drone-1", 1, ModelKind::Local, 1, 16, 1024);
+    models.put(&header, &body).unwrap();
+    let error = refused(site, &["forget", "drone-2"]);
+    assert!(error.contains("no model of drone-2") && error.contains("with a model: drone-1."), "{error}");
+    assert!(error.contains("--announced") && !site.join("out/withdrawn").exists(), "{error}");
+
+    for words in [&["forget", "drone-1"][..], &["forget", "drone-2", "--announced"]] {
+        assert!(aggregator(site, words).status.success(), "{words:?}");
+        assert!(site.join("out/withdrawn").join(words[1]).is_file(), "{words:?}");
+    }
+}
+
+#[test]
+fn a_missing_configuration_file_and_a_wrong_setting_are_told_with_the_file() {
+    let folder = tempfile::tempdir().unwrap();
+    for words in [&["run"][..], &["forget", "drone-1"]] {
+        let error = refused(folder.path(), words);
+        assert!(
+            error.contains("aggregator.toml: there is no such file") && error.contains("--config"),
+            "{error}"
+        );
+    }
+    for (settings, reason) in [
+        ("", "write either bind"),
+        ("bind = \"192.0.2.1:0\"", "bind: "),
+        ("broker = \"mqtts://127.0.0.1:1\"", "tls: a broker at mqtts:// needs"),
+        (
+            "broker = \"mqtts://127.0.0.1:1\"\ntls = { ca = \"no.pem\", cert = \"a\", key = \"b\" }",
+            "tls: no.pem: ",
+        ),
+    ] {
+        fs::write(folder.path().join("site.toml"), format!("site = \"s\"\nout = \"out\"\n{settings}\n"))
+            .unwrap();
+        let error = refused(folder.path(), &["run", "--config", "site.toml"]);
+        assert!(error.starts_with(&format!("cosurf-aggregator: site.toml: {reason}")), "{error}");
+    }
 }

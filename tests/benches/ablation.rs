@@ -2,7 +2,7 @@
 //! held-out views and against the true surface.
 //!
 //! The default dataset is `../shared/data/gt_boruszyn`, relative to the checkout. If it is missing, the benches use a
-//! small synthetic town.
+//! small synthetic city.
 
 use std::path::{Path, PathBuf};
 use std::thread::available_parallelism;
@@ -24,7 +24,7 @@ const MESH_BYTES: u64 = 4 << 30;
 /// Compare settings of the training. Prints a table, and writes JSON to target/results.
 #[derive(Parser)]
 pub(crate) struct Arguments {
-    /// Folder of a dataset with its true surface, gt/points.ply or gt/mesh.ply [default: gt_boruszyn or a town]
+    /// Folder of a dataset with its true surface, gt/points.ply or gt/mesh.ply [default: gt_boruszyn or a city]
     #[arg(long, value_name = "DATA")]
     data: Option<PathBuf>,
     /// Shrink pictures until their long side is at most this many pixels

@@ -8,7 +8,7 @@
 //! side by side, so they are timed by CPU time; merges are timed by wall time. To compare the two, run the bench on
 //! one core (`taskset -c 0 COMMAND`). The last column adds the times of the slowest agent, the slowest edge and the
 //! last merge, as a percentage of the training time of the mission with one agent. The default dataset is
-//! `../shared/data/gt_boruszyn`, relative to the checkout. If it is missing, the bench uses a small synthetic town.
+//! `../shared/data/gt_boruszyn`, relative to the checkout. If it is missing, the bench uses a small synthetic city.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -28,7 +28,7 @@ const EVAL_EVERY: u32 = 8;
 #[derive(Parser)]
 struct Arguments {
     /// Folder of a dataset; F-scores need its true surface, gt/points.ply or gt/mesh.ply [default: gt_boruszyn or a
-    /// town]
+    /// city]
     #[arg(long, value_name = "DATA")]
     data: Option<PathBuf>,
     /// Shrink pictures until their long side is at most this many pixels
@@ -71,7 +71,7 @@ const VARIANTS: [Variant; 9] = [
 fn main() -> Result<()> {
     let arguments = Arguments::parse();
     let folder = tempfile::tempdir()?;
-    let data = arguments.data.clone().unwrap_or_else(|| default_dataset(&folder.path().join("town")));
+    let data = arguments.data.clone().unwrap_or_else(|| default_dataset(&folder.path().join("city")));
     let truth = true_surface(&data).map(|file| Mesh::read(&file)).transpose()?;
     let views = Dataset::open(&data)?.split(EVAL_EVERY).0.len();
     println!(

@@ -1,11 +1,11 @@
-//! Datasets for tests and benches: synthetic towns, and datasets that may lie beside the checkout.
+//! Datasets for tests and benches: synthetic cities, and datasets that may lie beside the checkout.
 
 use std::path::{Path, PathBuf};
 
 use cosurf_city::{City, CitySettings};
 
-/// Writes a synthetic town of `extent_m` × `extent_m` metres, photographed in `views` pictures, into `folder`.
-pub fn write_town(folder: &Path, extent_m: f64, views: u32, size_px: [u32; 2]) {
+/// Writes a synthetic city of `extent_m` × `extent_m` metres, photographed in `views` pictures, into `folder`.
+pub fn write_city(folder: &Path, extent_m: f64, views: u32, size_px: [u32; 2]) {
     let settings = CitySettings { extent_m, views, size_px, ..CitySettings::default() };
     City::build(&settings).unwrap().write(folder, |_, _| ()).unwrap();
 }
@@ -17,10 +17,10 @@ pub fn shared_dataset(name: &str) -> Option<PathBuf> {
 }
 
 /// The default dataset of benches: `gt_boruszyn` (rendered pictures of Boruszyn) if it exists. Otherwise writes a
-/// synthetic town with 48 pictures into `folder`, and returns `folder`.
+/// synthetic city with 48 pictures into `folder`, and returns `folder`.
 pub fn default_dataset(folder: &Path) -> PathBuf {
     shared_dataset("gt_boruszyn").unwrap_or_else(|| {
-        write_town(folder, 80.0, 48, CitySettings::default().size_px);
+        write_city(folder, 80.0, 48, CitySettings::default().size_px);
         folder.to_path_buf()
     })
 }

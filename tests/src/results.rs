@@ -9,6 +9,7 @@ pub mod document;
 pub mod guard;
 pub mod machine;
 mod measurement;
+mod provenance;
 mod record;
 pub mod store;
 mod table;

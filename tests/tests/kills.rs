@@ -10,7 +10,7 @@ use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 use cosurf_link::faults::Dice;
-use cosurf_tests::datasets::write_town;
+use cosurf_tests::datasets::write_city;
 use cosurf_tests::mosquitto::{Mosquitto, PLAIN};
 use cosurf_tests::programs::program;
 
@@ -143,7 +143,7 @@ fn view_name(data: &Path, view: usize) -> String {
 fn missions(count: u64) {
     let folder = tempfile::tempdir().unwrap();
     let data = folder.path().join("data");
-    write_town(&data, 60.0, 8, [96, 72]);
+    write_city(&data, 60.0, 8, [96, 72]);
     let Some(calm) = fly(&folder.path().join("calm"), &data, &mut Dice::new(0), Vec::new()) else { return };
     // The aggregator writes its file before it packs the model, and the agents write theirs after unpacking. Packing
     // is lossy, so only the agents' files are equal to each other.

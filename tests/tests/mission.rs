@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use cosurf_contract::Changes;
 use cosurf_scene::Picture;
-use cosurf_tests::datasets::write_town;
+use cosurf_tests::datasets::write_city;
 use cosurf_tests::programs::program;
 
 /// Limit on the wait for an agent to train. A whole mission takes only seconds, so a longer wait means that it has
@@ -126,7 +126,7 @@ fn assert_changes_are_reported(out: &Path) {
 fn with_compress_first_agents_send_shared_ground_once() {
     let folder = tempfile::tempdir().unwrap();
     let (data, out) = (folder.path().join("data"), folder.path().join("out"));
-    write_town(&data, 60.0, 16, [160, 120]);
+    write_city(&data, 60.0, 16, [160, 120]);
     let report = |more: &[&str]| -> serde_json::Value {
         let _ = fs::remove_dir_all(&out);
         let mission = start(&data, &out, &[&["--steps", "150"], more].concat());
@@ -148,7 +148,7 @@ fn an_agent_killed_in_training_changes_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let (data, calm, wild) =
         (folder.path().join("data"), folder.path().join("calm"), folder.path().join("wild"));
-    write_town(&data, 60.0, 16, [160, 120]);
+    write_city(&data, 60.0, 16, [160, 120]);
 
     let undisturbed = finish(start(&data, &calm, &["--steps", "300"]), &calm);
     assert_no_photograph_was_sent(&data, &calm);

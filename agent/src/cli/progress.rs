@@ -4,7 +4,7 @@
 use std::io::{IsTerminal, Write};
 use std::time::{Duration, Instant};
 
-use cosurf_contract::{AgentEvent, ComparedWith};
+use cosurf_contract::{AgentEvent, ComparedWith, counted};
 use cosurf_engine::train::StepOutcome;
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -132,7 +132,12 @@ fn describe(event: &AgentEvent) -> Option<String> {
         AgentEvent::Started { views, held_out, splats, steps, resumed_at } => {
             let from =
                 if *resumed_at > 0 { format!(", resumed at step {resumed_at}") } else { String::new() };
-            format!("{views} training views, {held_out} held out, {splats} splats, {steps} steps{from}")
+            format!(
+                "{}, {held_out} held out, {}, {}{from}",
+                counted(*views as u64, "training view"),
+                counted(*splats as u64, "splat"),
+                counted(*steps, "step")
+            )
         }
         AgentEvent::Progress { step, steps, psnr, splats, steps_per_s, seconds_left } => format!(
             "step {step}/{steps}: {psnr:.2} dB, {splats} splats, {steps_per_s:.1} steps/s, {seconds_left:.0} s left"
@@ -144,10 +149,11 @@ fn describe(event: &AgentEvent) -> Option<String> {
         AgentEvent::Preparing { step, steps, seconds_left } => {
             format!("preparing the upload: step {step}/{steps}, {seconds_left:.0} s left")
         }
-        AgentEvent::Retrying { what, attempt } => format!("{what} does not answer (attempt {attempt})"),
+        AgentEvent::Retrying { reason, attempt } => format!("{reason}; trying again (attempt {attempt})"),
         AgentEvent::Compressed { removed, of, others } => {
             format!(
-                "dropped {removed} of {of} splats that other agents observed better ({others} agents known)"
+                "dropped {removed} of {of} splats that other agents observed better ({} known)",
+                counted(*others as u64, "other agent")
             )
         }
         AgentEvent::Publishing { bytes_sent, bytes_total } => {
@@ -157,7 +163,7 @@ fn describe(event: &AgentEvent) -> Option<String> {
             format!("the aggregator has stored the model ({bytes_sent} bytes sent)")
         }
         AgentEvent::GlobalReceived { revision, splats } => {
-            format!("received revision {revision} of the global model: {splats} splats")
+            format!("received revision {revision} of the global model: {}", counted(*splats as u64, "splat"))
         }
         AgentEvent::Compared { with: ComparedWith::Init, changes } => {
             format!("changes since the initial model: {changes}")

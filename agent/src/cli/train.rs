@@ -9,7 +9,7 @@ use clap::{Args, ValueEnum};
 use cosurf_agent::checkpoint::{self, Checkpoint, Spent};
 use cosurf_agent::session::{Session, Split, TrainPlan};
 use cosurf_agent::{evaluate, outputs, usage};
-use cosurf_contract::{AgentEvent, Share, TrainReport};
+use cosurf_contract::{AgentEvent, Share, TrainReport, counted};
 use cosurf_engine::{
     Backend, DeviceChoice, DeviceLost, PruneScore, PruneSettings, Renderer, SurfaceSettings,
 };
@@ -60,7 +60,7 @@ pub(super) struct TrainArgs {
     /// Learn an exposure for each picture, for cameras with automatic exposure
     #[arg(long)]
     exposure: bool,
-    /// Start from this earlier model of the ground in the pictures, instead of from the sparse cloud; the word `global`
+    /// Start from this earlier model of the ground in the pictures, instead of from the sparse cloud. The word `global`
     /// stands for the global model that was received earlier and stored in the folder of --out
     #[arg(long, value_name = "MODEL.ply")]
     init: Option<PathBuf>,
@@ -128,18 +128,26 @@ pub(super) fn train(
     progress: &mut Progress,
 ) -> Result<TrainReport> {
     std::fs::create_dir_all(out).with_context(|| out.display().to_string())?;
-    match train_on(plan, out, fresh, progress) {
+    let mut resumes = !fresh;
+    match train_on(plan, out, &mut resumes, progress) {
         Err(error) if plan.device == DeviceChoice::Auto && error.is::<DeviceLost>() => {
             progress.show(&AgentEvent::DeviceLost { reason: format!("{error:#}") });
             let plan = TrainPlan { device: DeviceChoice::Cpu, ..plan.clone() };
-            train_on(&plan, out, false, progress)
+            train_on(&plan, out, &mut resumes, progress)
         }
         report => report,
     }
 }
 
-fn train_on(plan: &TrainPlan, out: &Path, fresh: bool, progress: &mut Progress) -> Result<TrainReport> {
-    let found = if fresh { None } else { Checkpoint::find(out)? };
+/// Trains on the plan's device. `resumes` tells whether the checkpoint in `out` counts; it becomes true with the first
+/// checkpoint that this training writes.
+fn train_on(
+    plan: &TrainPlan,
+    out: &Path,
+    resumes: &mut bool,
+    progress: &mut Progress,
+) -> Result<TrainReport> {
+    let found = if *resumes { Checkpoint::find(out)? } else { None };
     let before = found.as_ref().map(Checkpoint::spent).unwrap_or_default();
     let mut session = Session::start(plan, found)?;
     let (started, cpu_s) = (Instant::now(), usage::cpu_seconds());
@@ -162,6 +170,7 @@ fn train_on(plan: &TrainPlan, out: &Path, fresh: bool, progress: &mut Progress) 
         progress.step(steps_done, plan.steps, &outcome, session.trainer().backend().len());
         if steps_done.is_multiple_of(checkpoint_every) && !session.trainer().is_done() {
             checkpoint::write(out, session.fingerprint(), session.trainer(), spent())?;
+            *resumes = true;
         }
     }
     drop(span);
@@ -206,16 +215,20 @@ fn print_report(report: &TrainReport, out: &Path) -> Result<()> {
     let mut stdout = io::stdout().lock();
     writeln!(
         stdout,
-        "{} splats after {} steps in {:.1} s ({:.1} steps/s, {}), peak memory {}",
-        report.splats,
-        report.steps,
+        "{} after {} in {:.1} s ({:.1} steps/s, {}), peak memory {}",
+        counted(report.splats as u64, "splat"),
+        counted(report.steps, "step"),
         report.seconds,
         report.steps_per_s,
         report.device,
         format_bytes(report.peak_memory_bytes)
     )?;
     if let (Some(psnr), Some(ssim)) = (report.psnr, report.ssim) {
-        writeln!(stdout, "{} held-out views: PSNR {psnr:.2} dB, SSIM {ssim:.4}", report.held_out)?;
+        writeln!(
+            stdout,
+            "{}: PSNR {psnr:.2} dB, SSIM {ssim:.4}",
+            counted(report.held_out as u64, "held-out view")
+        )?;
     }
     for given_up in &report.given_up {
         writeln!(stdout, "reduced to fit the memory: {given_up}")?;

@@ -5,6 +5,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 use cosurf_aggregator::partition::Division;
+use cosurf_scene::SceneError;
 use serde::Deserialize;
 
 /// The parts of GeoJSON (RFC 7946) that are read. Other members of these objects, such as names, are ignored.
@@ -27,7 +28,7 @@ enum GeoJson {
 
 /// Reads the polygons of a file, in file order. Fails if a polygon has a hole, or if the file has another geometry.
 pub(super) fn read(file: &Path) -> Result<Division> {
-    let text = fs::read_to_string(file).with_context(|| format!("--cells {}", file.display()))?;
+    let text = fs::read_to_string(file).map_err(|cause| SceneError::io(file, cause)).context("--cells")?;
     parse(&text).with_context(|| format!("--cells {}", file.display()))
 }
 

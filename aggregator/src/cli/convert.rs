@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
+use cosurf_contract::counted;
 use cosurf_scene::{Splats, ply, spz};
 
 /// Convert a model between PLY and SPZ; the file extensions select the formats.
@@ -44,5 +45,5 @@ pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
         Format::Ply => ply::write(&args.out, &splats),
         Format::Spz => spz::write(&args.out, &splats),
     }
-    .with_context(|| format!("cannot write {} splats", splats.len()))
+    .with_context(|| format!("cannot write {}", counted(splats.len(), "splat")))
 }

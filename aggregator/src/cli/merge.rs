@@ -6,12 +6,13 @@ use std::path::PathBuf;
 use std::thread::available_parallelism;
 use std::time::Instant;
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Result, ensure};
 use clap::Args;
 use cosurf_aggregator::gate::{Place, admit};
 use cosurf_aggregator::merge::{
     LocalSummary, Locals, MergeError, MergeProgress, MergeSettings, MergeSummary, merge,
 };
+use cosurf_contract::counted;
 use cosurf_engine::DeviceChoice;
 use cosurf_link::Model;
 use cosurf_scene::bytes::parse_bytes;
@@ -110,11 +111,11 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
         admitted.kept_out(&names).map(|(i, why)| format!("{} {why}", names[i])).collect();
     ensure!(admitted.count() > 0, "nothing to merge: {}", kept_out.join("; "));
     let merged = merge(&admitted, &settings, threads, &mut tell)?;
-    std::fs::create_dir_all(&args.out).with_context(|| args.out.display().to_string())?;
+    std::fs::create_dir_all(&args.out).map_err(|cause| SceneError::io(&args.out, cause))?;
     ply::write(&args.out.join("global.ply"), &merged.model.splats)?;
     let cameras = args.out.join("cameras.json");
     let text = serde_json::to_string_pretty(&merged.model.cameras)?;
-    std::fs::write(&cameras, text).with_context(|| cameras.display().to_string())?;
+    std::fs::write(&cameras, text).map_err(|cause| SceneError::io(&cameras, cause))?;
     let seconds = begun.elapsed().as_secs_f64();
     let mut stdout = io::stdout().lock();
     if args.json {
@@ -126,16 +127,18 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
         let LocalSummary { arrived, overlap, removed } = local;
         let Place { local, by, tone } = admitted.place(place);
         let (folder, percent) = (&names[local], 100.0 * overlap);
+        let (arrived, removed) = (counted(*arrived, "splat"), counted(*removed, "splat"));
         let moved = if by.is_some() { ", aligned to the others" } else { "" };
         let toned = tone.map(|tone| format!(", {tone}")).unwrap_or_default();
         writeln!(
             stdout,
-            "{folder}: {arrived} splats, {percent:.0} % of its views overlap, {removed} splats removed{moved}{toned}"
+            "{folder}: {arrived}, {percent:.0} % of its views overlap, {removed} removed{moved}{toned}"
         )?;
     }
     kept_out.iter().try_for_each(|kept_out| writeln!(stdout, "kept out: {kept_out}"))?;
     let MergeSummary { joined, splats, steps, device, .. } = merged.summary;
-    writeln!(stdout, "{joined} splats joined, {splats} after {steps} steps, in {seconds:.1} s ({device})")?;
+    let (joined, steps) = (counted(joined, "splat"), counted(steps, "step"));
+    writeln!(stdout, "{joined} joined, {splats} after {steps}, in {seconds:.1} s ({device})")?;
     writeln!(stdout, "{}", args.out.join("global.ply").display())?;
     Ok(())
 }

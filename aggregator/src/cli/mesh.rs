@@ -10,6 +10,7 @@ use clap::Args;
 use cosurf_aggregator::Meter;
 use cosurf_aggregator::evaluate::model_path;
 use cosurf_aggregator::mesh::{FuseSettings, Fused, mesh_model};
+use cosurf_contract::counted;
 use cosurf_scene::bytes::{format_bytes, parse_bytes};
 use cosurf_scene::{Dataset, ply};
 
@@ -74,9 +75,10 @@ fn print(args: &MeshArgs, fused: &Fused, seconds: f64) -> Result<()> {
         writeln!(stdout, "{line}")?;
         return Ok(());
     }
+    let (triangles, blocks) = (counted(triangles, "triangle"), counted(*blocks, "block"));
     writeln!(
         stdout,
-        "{triangles} triangles, {vertices} vertices in {seconds:.1} s · voxels of {voxel_m:.3} m, a pixel covers {pixel_m:.3} m · {blocks} blocks, {}",
+        "{triangles}, {vertices} vertices in {seconds:.1} s · voxels of {voxel_m:.3} m, a pixel covers {pixel_m:.3} m · {blocks}, {}",
         format_bytes(*peak_bytes)
     )?;
     writeln!(stdout, "{}", args.out.display())?;

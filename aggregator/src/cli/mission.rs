@@ -62,7 +62,7 @@ pub(crate) struct MissionArgs {
     /// Seed of every random choice; the same seed gives the same bytes
     #[arg(long, value_name = "S", default_value_t = 0, value_parser = clap::value_parser!(u64).range(..1 << 62))]
     seed: u64,
-    /// Use this MQTT broker, for example mqtt://127.0.0.1:1883 [default: an embedded broker is started]
+    /// Use this MQTT broker, for example mqtt://127.0.0.1:1883 [default: a built-in broker is started]
     #[arg(long, value_name = "URL")]
     broker: Option<BrokerAddress>,
     /// Hold out every N-th picture by name from training, to score the models; 0 holds out none

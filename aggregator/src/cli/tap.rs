@@ -2,16 +2,19 @@
 
 use std::fs::File;
 use std::io::{self, BufReader, BufWriter, Write};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Error, Result, anyhow, bail};
 use clap::Args;
-use cosurf_link::mqtt::traffic::{self, ReplaySettings};
+use cosurf_contract::counted;
+use cosurf_link::mqtt::TlsError;
+use cosurf_link::mqtt::traffic::{self, ReplaySettings, TrafficError};
 use cosurf_link::recording::Recording;
 use cosurf_link::{BrokerAddress, Faults, Tls, TlsFiles};
+use cosurf_scene::SceneError;
 
 /// Options that name a broker and the files for TLS.
 #[derive(Args)]
@@ -38,7 +41,12 @@ impl BrokerArgs {
             }
             _ => None,
         };
-        Ok(Tls::for_broker(&self.broker, files.as_ref())?)
+        match Tls::for_broker(&self.broker, files.as_ref()) {
+            Err(TlsError::OneWithoutOther) => {
+                bail!("--broker: mqtts:// needs --ca, --cert and --key, and mqtt:// must not have them")
+            }
+            tls => Ok(tls?),
+        }
     }
 }
 
@@ -93,17 +101,17 @@ pub(crate) struct ReplayArgs {
 
 pub(crate) fn record(args: &RecordArgs) -> Result<()> {
     let (tls, stop) = (args.broker.tls()?, stop_on_interrupt()?);
-    let file = File::create(&args.file).with_context(|| args.file.display().to_string())?;
+    let file = File::create(&args.file).map_err(|cause| SceneError::io(&args.file, cause))?;
     let out = BufWriter::new(file);
-    let count = traffic::record(&args.broker.broker, tls.as_ref(), &args.filter, out, &stop)?;
+    let count = traffic::record(&args.broker.broker, tls.as_ref(), &args.filter, out, &stop)
+        .map_err(|error| explain(error, &args.file))?;
     print("recorded", count, args.json)
 }
 
 pub(crate) fn replay(args: &ReplayArgs) -> Result<()> {
     let (tls, stop) = (args.broker.tls()?, stop_on_interrupt()?);
-    let in_file = || args.file.display().to_string();
-    let file = File::open(&args.file).with_context(in_file)?;
-    let recording = Recording::open(BufReader::new(file)).with_context(in_file)?;
+    let file = File::open(&args.file).map_err(|cause| SceneError::io(&args.file, cause))?;
+    let recording = Recording::open(BufReader::new(file)).with_context(|| args.file.display().to_string())?;
     let faults = Faults {
         loss: args.loss,
         duplication: args.duplication,
@@ -112,8 +120,18 @@ pub(crate) fn replay(args: &ReplayArgs) -> Result<()> {
         ..Faults::NONE
     };
     let settings = ReplaySettings { speed: args.speed, faults, seed: args.seed };
-    let count = traffic::replay(&args.broker.broker, tls.as_ref(), recording, &settings, &stop)?;
+    let count = traffic::replay(&args.broker.broker, tls.as_ref(), recording, &settings, &stop)
+        .map_err(|error| explain(error, &args.file))?;
     print("replayed", count, args.json)
+}
+
+/// Adds the recording's file or the remedy to an error.
+fn explain(error: TrafficError, file: &Path) -> Error {
+    match error {
+        TrafficError::Write(cause) => SceneError::io(file, cause).into(),
+        TrafficError::Recording(cause) => Error::new(cause).context(file.display().to_string()),
+        error => anyhow!("{error}: check --broker, and that the broker runs"),
+    }
 }
 
 fn stop_on_interrupt() -> Result<Arc<AtomicBool>> {
@@ -128,7 +146,7 @@ fn print(what: &str, count: u64, json: bool) -> Result<()> {
     let mut stdout = io::stdout().lock();
     match json {
         true => writeln!(stdout, "{}", serde_json::json!({"event": what, "messages": count}))?,
-        false => writeln!(stdout, "{what} {count} messages")?,
+        false => writeln!(stdout, "{what} {}", counted(count, "message"))?,
     }
     Ok(())
 }

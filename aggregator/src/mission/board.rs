@@ -91,8 +91,8 @@ impl Status {
                 (self.step, self.steps, self.splats) = (report.steps, report.steps, report.splats);
                 self.training = Some(report.clone());
             }
-            AgentEvent::Retrying { what, attempt } => {
-                return Some(format!("{what} does not answer, attempt {attempt}"));
+            AgentEvent::Retrying { reason, attempt } => {
+                return Some(format!("{reason}; trying again (attempt {attempt})"));
             }
             AgentEvent::Publishing { bytes_sent, bytes_total } => {
                 self.phase = Phase::Publishing;

@@ -6,8 +6,8 @@ use cosurf_scene::SceneError;
 use cosurf_wire::{DeviceId, IdError};
 use image::ImageError;
 
+use super::city::MakeCityError;
 use super::plan::PlanError;
-use super::town::TownError;
 use crate::broker::BrokerError;
 use crate::evaluate::YardstickError;
 use crate::service::{BROKER_ATTEMPTS_MAX, ServiceError};
@@ -21,7 +21,7 @@ pub enum MissionError {
     Plan(#[from] PlanError),
     /// The city could not be made.
     #[error(transparent)]
-    Town(#[from] TownError),
+    City(#[from] MakeCityError),
     /// The name of a site or device is not valid.
     #[error(transparent)]
     Name(#[from] IdError),
@@ -31,7 +31,7 @@ pub enum MissionError {
     /// The LPIPS weights or the true surface cannot be read.
     #[error(transparent)]
     Yardstick(#[from] YardstickError),
-    /// The embedded broker did not start.
+    /// The built-in broker did not start.
     #[error(transparent)]
     Broker(#[from] BrokerError),
     /// The service could not open its folder.
@@ -45,7 +45,7 @@ pub enum MissionError {
     },
     /// The broker cannot be reached.
     #[error(
-        "{reason}; gave up after {BROKER_ATTEMPTS_MAX} attempts: check --broker, or leave it out to start an embedded broker"
+        "{reason}; gave up after {BROKER_ATTEMPTS_MAX} attempts: check --broker, or leave it out to start a built-in broker"
     )]
     NoBroker {
         /// The last error of the connection.

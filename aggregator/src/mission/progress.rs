@@ -10,6 +10,7 @@ use serde_json::json;
 use super::agents::{ProcessEvent, ProcessEventKind};
 use super::board::{Phase, Status};
 use crate::terminal::{Display, format_seconds};
+use cosurf_contract::counted;
 
 /// Seconds between two rounds of plain lines.
 const LINES_EVERY_S: f64 = 5.0;
@@ -103,25 +104,24 @@ pub(crate) fn show_pictures(display: Display, done: usize, of: usize) {
 
 /// Describes the status of an agent in one line.
 fn describe(status: &Status) -> String {
+    let splats = counted(status.splats, "splat");
     match &status.phase {
         Phase::Starting => "starting".into(),
         Phase::Training => format!(
-            "step {} of {} · {:.1} steps/s · {:.2} dB · {} splats · {} left",
+            "step {} of {} · {:.1} steps/s · {:.2} dB · {splats} · {} left",
             status.step,
             status.steps,
             status.steps_per_s,
             status.psnr,
-            status.splats,
             format_seconds(f64::from(status.seconds_left)),
         ),
         Phase::Publishing => format!(
-            "trained · {} splats · sent {} of {}",
-            status.splats,
+            "trained · {splats} · sent {} of {}",
             format_bytes(status.bytes_sent),
             format_bytes(status.bytes_total)
         ),
-        Phase::Waiting => format!("{} splats uploaded · waiting for the global model", status.splats),
-        Phase::Done | Phase::Ended => format!("done · {} splats", status.splats),
+        Phase::Waiting => format!("{splats} uploaded · waiting for the global model"),
+        Phase::Done | Phase::Ended => format!("done · {splats}"),
         Phase::Failed { reason } => format!("failed: {reason}"),
     }
 }

@@ -3,6 +3,7 @@
 use std::fmt::Write;
 
 use super::svg::agent_color;
+use cosurf_contract::counted;
 
 const WIDTH: f32 = 1000.0;
 const HEIGHT: f32 = 360.0;
@@ -42,10 +43,9 @@ pub(crate) fn draw(curves: &[&[[f32; 2]]]) -> Option<String> {
             line.join(" ")
         );
     }
-    let base = HEIGHT - 12.0;
+    let (base, right, steps) = (HEIGHT - 12.0, WIDTH - 10.0, counted(steps, "step"));
     let _ = write!(svg, r#"<text x="{}" y="{base}">0</text>"#, GUTTER[0]);
-    let _ =
-        write!(svg, r#"<text x="{}" y="{base}" text-anchor="end">{steps} steps</text></svg>"#, WIDTH - 10.0);
+    let _ = write!(svg, r#"<text x="{right}" y="{base}" text-anchor="end">{steps}</text></svg>"#);
     Some(svg)
 }
 

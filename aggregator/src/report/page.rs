@@ -15,6 +15,7 @@ use super::{chart, map};
 use crate::evaluate::Quality;
 use crate::partition::{AssignedView, Cell};
 use crate::terminal::format_seconds;
+use cosurf_contract::counted;
 
 /// What the page draws in addition to the figures of the report.
 pub(crate) struct Drawings<'a> {
@@ -48,8 +49,8 @@ fn header(html: &mut String, report: &MissionReport) {
     let whole = &report.whole;
     let _ = write!(
         html,
-        "<h1>cosurf mission</h1>\n<p class=\"soft\">{} agents over <code>{}</code>, seed {}</p>\n",
-        report.agents.len(),
+        "<h1>cosurf mission</h1>\n<p class=\"soft\">{} over <code>{}</code>, seed {}</p>\n",
+        counted(report.agents.len(), "agent"),
         escape(&report.data.display().to_string()),
         report.seed
     );

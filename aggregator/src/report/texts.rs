@@ -6,6 +6,7 @@ use super::figures::{EdgeSummary, MissionReport};
 use super::rows::rows;
 use crate::service::Merging;
 use crate::terminal::{aligned, format_seconds};
+use cosurf_contract::counted;
 
 /// The table of the figures for a terminal, followed by the sentences on merges.
 pub fn table(report: &MissionReport) -> String {
@@ -36,8 +37,8 @@ pub(crate) fn merge_texts(report: &MissionReport) -> Vec<String> {
         report.agents.iter().filter_map(|agent| Some(agent.training.as_ref()?.splats)).sum::<usize>();
     let are_all_here = report.edges.is_empty() && merging.summary.locals.len() == report.agents.len();
     if are_all_here && trained > arrived {
-        last +=
-            &format!(" Before upload, the agents had dropped {} splats that others own.", trained - arrived);
+        let dropped = counted(trained - arrived, "splat");
+        last += &format!(" Before upload, the agents had dropped {dropped} that others own.");
     }
     texts.push(last);
     texts
@@ -45,11 +46,9 @@ pub(crate) fn merge_texts(report: &MissionReport) -> Vec<String> {
 
 fn merge_text(Merging { summary, seconds, .. }: &Merging) -> String {
     let removed: usize = summary.locals.iter().map(|local| local.removed).sum();
-    let (time, joined) = (format_seconds(*seconds), summary.joined);
-    format!(
-        "Merged in {time}: {removed} overlapping splats removed, {joined} joined, {} after {} steps.",
-        summary.splats, summary.steps
-    )
+    let (time, removed) = (format_seconds(*seconds), counted(removed, "overlapping splat"));
+    let (joined, splats, steps) = (summary.joined, summary.splats, counted(summary.steps, "step"));
+    format!("Merged in {time}: {removed} removed, {joined} joined, {splats} after {steps}.")
 }
 
 /// One sentence on each thing that a reader should know: failures and restarts of agents, what agents
@@ -73,10 +72,8 @@ pub(crate) fn remarks(report: &MissionReport) -> Vec<String> {
     let merges = report.edges.iter().map(|edge| &edge.merging).chain([&report.whole.merging]);
     for merging in merges.flatten() {
         remarks.extend(merging.inputs.iter().filter_map(|input| {
-            let (device, splats) = (&input.device, input.part_splats?);
-            Some(format!(
-                "only {splats} splats of the model of {device} had arrived when the models were merged"
-            ))
+            let (device, splats) = (&input.device, counted(input.part_splats?, "splat"));
+            Some(format!("only {splats} of the model of {device} had arrived when the models were merged"))
         }));
         remarks.extend(merging.kept_out.iter().map(|kept_out| format!("{kept_out} and is kept out")));
         remarks.extend(merging.fitted.iter().map(ToString::to_string));

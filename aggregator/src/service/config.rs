@@ -4,10 +4,13 @@ use std::fs;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
+use cosurf_contract::parse_toml;
 use cosurf_engine::DeviceChoice;
 use cosurf_link::{BrokerAddress, TlsFiles};
+use cosurf_scene::SceneError;
 use cosurf_wire::{DeviceId, FrameId, SiteId};
-use serde::Deserialize;
+use serde::de::Error;
+use serde::{Deserialize, Deserializer};
 
 use super::round::Rounds;
 use crate::merge::MergeSettings;
@@ -23,9 +26,10 @@ pub struct AggregatorConfig {
     pub device: DeviceId,
     /// The folder of the service; see [`crate::service`] for its content.
     pub out: PathBuf,
-    /// Address on which the embedded broker listens, for example `0.0.0.0:1883`; absent where `broker` is used.
+    /// Address on which the built-in broker listens, for example `0.0.0.0:1883`; absent where `broker` is used.
+    #[serde(default, deserialize_with = "bind")]
     pub bind: Option<SocketAddr>,
-    /// URL of the broker to use instead of an embedded one, for example `mqtt://10.0.0.2:1883`; absent where `bind` is
+    /// URL of the broker to use instead of the built-in one, for example `mqtt://10.0.0.2:1883`; absent where `bind` is
     /// used.
     pub broker: Option<BrokerAddress>,
     /// Certificates for a broker with `mqtts://`.
@@ -101,21 +105,60 @@ fn default_deadline_s() -> u64 {
     Rounds::default().deadline.as_secs()
 }
 
-/// The configuration file cannot be read or parsed.
-#[derive(Debug, thiserror::Error)]
-#[error("{path}: {reason}")]
-pub struct ConfigError {
-    /// The file.
-    pub path: PathBuf,
-    /// What is wrong, one line.
-    pub reason: String,
+/// Reads the address to bind. The standard library's error does not tell how an address is written.
+fn bind<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<SocketAddr>, D::Error> {
+    let text = String::deserialize(deserializer)?;
+    let wrong = |_| format!("{text:?}: write an IP address and a port, for example 0.0.0.0:1883");
+    text.parse::<SocketAddr>().map(Some).map_err(wrong).map_err(D::Error::custom)
 }
 
 impl AggregatorConfig {
-    /// Reads a configuration file.
-    pub fn read(path: &Path) -> Result<Self, ConfigError> {
-        let bad = |reason: String| ConfigError { path: path.to_path_buf(), reason };
-        let text = fs::read_to_string(path).map_err(|error| bad(error.to_string()))?;
-        toml::from_str(&text).map_err(|error| bad(error.to_string().trim().replace('\n', " ")))
+    /// Reads a configuration file. The error is one line that names the file.
+    pub fn read(path: &Path) -> Result<Self, SceneError> {
+        let text = fs::read_to_string(path).map_err(|cause| SceneError::io(path, cause))?;
+        parse_toml(&text).map_err(|error| SceneError::malformed(path, error.to_string()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    const REQUIRED: &str = "site = \"s\"\nout = \"o\"\n";
+
+    fn read(text: &str) -> Result<AggregatorConfig, String> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("aggregator.toml");
+        fs::write(&path, text).unwrap();
+        let start = format!("{}: ", path.display());
+        let shorten = |error: SceneError| error.to_string().strip_prefix(&start).unwrap().to_owned();
+        AggregatorConfig::read(&path).map_err(shorten)
+    }
+
+    #[test]
+    fn only_site_and_out_must_be_written() {
+        let config = read(REQUIRED).unwrap();
+        assert_eq!((config.device.as_str(), config.bind, config.quorum), ("aggregator", None, 1));
+        let config = read(&format!("{REQUIRED}bind = \"[::]:1883\"")).unwrap();
+        assert_eq!(config.bind.unwrap().port(), 1883);
+    }
+
+    #[test]
+    fn a_wrong_value_is_one_line_that_names_file_line_and_field() {
+        for (line, reason) in [
+            ("bind = \"localhost:1883\"", "line 3, bind: \"localhost:1883\": write an IP address and a port"),
+            ("bind = 1883", "line 3, bind: "),
+            ("broker = \"http://h\"", "line 3, broker: broker address \"http://h\": write mqtt://host:port"),
+            ("device = \"a b\"", "line 3, device: ' ' in a name"),
+            ("tls = { ca = \"c\" }", "line 3, tls: missing field `cert`"),
+            ("compute = \"cuda\"", "line 3, compute: give auto, cpu, gpu or gpu:N"),
+            ("bnid = 1", "line 3, bnid: unknown field `bnid`"),
+            ("[upstream]\nsite = \"a b\"", "line 4, upstream.site: ' ' in a name"),
+        ] {
+            let error = read(&format!("{REQUIRED}{line}\n")).unwrap_err();
+            assert!(error.starts_with(reason) && !error.contains('\n'), "{error:?} is not {reason:?}");
+        }
+        assert_eq!(read("site = \"s\"\n").unwrap_err(), "missing field `out`");
     }
 }

@@ -8,6 +8,7 @@ use serde::Serialize;
 
 use super::record::KeptOut;
 use crate::merge::MergeProgress;
+use cosurf_contract::counted;
 
 /// What a service reports.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -46,6 +47,8 @@ pub enum ServiceEvent {
         /// The device.
         device: DeviceId,
     },
+    /// The newest global model was merged from withdrawn models and is removed; the next merge makes a new one.
+    GlobalWithdrawn,
     /// The newest global model is safe on the disk, and is offered to the agents.
     Merged {
         /// Header of the global model. Its model number is the revision.
@@ -85,10 +88,11 @@ impl fmt::Display for ServiceEvent {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Connected => write!(f, "connected to the broker"),
-            Self::Disconnected { reason, .. } | Self::DiskFailed { reason } => write!(f, "{reason}"),
+            Self::Disconnected { attempt, reason } => write!(f, "{reason}; trying again (attempt {attempt})"),
+            Self::DiskFailed { reason } => write!(f, "{reason}"),
             Self::Stored { header } => {
-                let size = format_bytes(header.body_bytes);
-                write!(f, "the model of {} arrived: {} splats, {size}", header.device, header.splats)
+                let (splats, size) = (counted(header.splats, "splat"), format_bytes(header.body_bytes));
+                write!(f, "the model of {} arrived: {splats}, {size}", header.device)
             }
             Self::PartTaken { header, of_splats } => {
                 let (device, splats) = (header.device, header.splats);
@@ -101,9 +105,12 @@ impl fmt::Display for ServiceEvent {
                 write!(f, "merging, step {step} of {steps}: PSNR {psnr:.2} dB against the local models")
             }
             Self::Withdrawn { device } => write!(f, "{device} is withdrawn"),
+            Self::GlobalWithdrawn => {
+                write!(f, "the global model is removed: it was merged from withdrawn models")
+            }
             Self::Merged { header, models, kept_out } => {
-                let (revision, splats) = (header.model, header.splats);
-                write!(f, "global model, revision {revision}: {splats} splats from {models} models")?;
+                let (splats, models) = (counted(header.splats, "splat"), counted(*models, "model"));
+                write!(f, "global model, revision {}: {splats} from {models}", header.model)?;
                 kept_out.iter().try_for_each(|kept_out| write!(f, "; {kept_out} and is kept out"))
             }
             Self::NothingMerged { kept_out } => {

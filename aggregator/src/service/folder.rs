@@ -1,9 +1,13 @@
 //! Files and folders in the folder of a service.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+use std::ffi::OsStr;
+use std::fs;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use cosurf_link::{Model, ModelKey, ModelStore, body_to_model};
+use cosurf_scene::SceneError;
 use cosurf_wire::{DeviceId, ModelHeader};
 
 use super::error::ServiceError;
@@ -31,4 +35,24 @@ pub(crate) fn global_store(folder: &Path) -> PathBuf {
 /// File of the newest global model for viewers, inside the folder of a service.
 pub fn global_ply(folder: &Path) -> PathBuf {
     folder.join("global.ply")
+}
+
+/// Devices of which the service with this folder has a model, or a part of one. Reads only the names of files, so the
+/// service may be running.
+pub fn senders(folder: &Path) -> Result<BTreeSet<DeviceId>, SceneError> {
+    let mut senders = BTreeSet::new();
+    for store in ["models", "parts"].map(|name| folder.join(name)) {
+        let entries = match fs::read_dir(&store) {
+            Err(cause) if cause.kind() == ErrorKind::NotFound => continue,
+            entries => entries.map_err(|cause| SceneError::io(&store, cause))?,
+        };
+        senders.extend(entries.flatten().filter_map(|entry| sender(&entry.file_name())));
+    }
+    Ok(senders)
+}
+
+/// The device of a file in a [`ModelStore`], whose name is `{device}.{number}.model`.
+fn sender(file: &OsStr) -> Option<DeviceId> {
+    let (device, _) = file.to_str()?.strip_suffix(".model")?.split_once('.')?;
+    DeviceId::new(device).ok()
 }

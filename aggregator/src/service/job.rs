@@ -177,6 +177,23 @@ mod tests {
     use crate::testing::{above, ground};
 
     #[test]
+    fn a_merge_that_panics_is_told_as_a_defect_of_the_program() {
+        let (_, progress) = mpsc::channel();
+        let thread = thread::spawn(|| panic!("on purpose"));
+        let mut job = Job { inputs: Inputs::default(), stop: Arc::default(), progress, thread: Some(thread) };
+        let outcome = loop {
+            match job.poll() {
+                JobState::Unchanged => thread::yield_now(),
+                JobState::Advanced(_) => unreachable!("the merge makes no progress"),
+                JobState::Done(outcome) => break outcome,
+            }
+        };
+        let error = outcome.err().unwrap();
+        assert!(matches!(error, MergeError::Panicked), "{error}");
+        assert!(error.to_string().contains("internal error"), "{error}");
+    }
+
+    #[test]
     fn the_most_important_splats_go_first() {
         let seen = Model { splats: ground(-2.0, 2.0), cameras: vec![above(0.0)] };
         let mut unseen = Model { splats: ground(60.0, 64.0), cameras: Vec::new() };

@@ -7,7 +7,7 @@ use std::sync::mpsc::{Receiver, TryRecvError};
 use std::time::Duration;
 
 use cosurf_link::{ModelKey, ModelStore, Node, NodeEvent, Offer};
-use cosurf_scene::ply;
+use cosurf_scene::{SceneError, ply};
 use cosurf_wire::{DeviceId, ModelHeader, ModelId, ModelKind, RefusalReason, TileId};
 
 use super::control::{Command, ServiceConfig};
@@ -15,7 +15,7 @@ use super::error::ServiceError;
 use super::event::ServiceEvent;
 use super::folder::{global_ply, global_store};
 use super::job::{Inputs, Job, JobState, Outcome};
-use super::record::{Fitted, Input, KeptOut, Merging};
+use super::record::{Fitted, Input, KeptOut, Merging, remove_global};
 use super::round::{Expected, Round};
 use super::shelf::Shelf;
 
@@ -171,7 +171,7 @@ impl Keeper {
         if now < self.retry_at {
             return None;
         }
-        let done = self.withdraw_when_due(now).transpose().or_else(|| {
+        let done = self.withdraw_when_due(node, now).transpose().or_else(|| {
             self.begin_when_due(node, now);
             self.publish_when_done(node, now).transpose()
         });
@@ -185,7 +185,11 @@ impl Keeper {
         ServiceEvent::DiskFailed { reason: format!("the global model is not stored: {error}") }
     }
 
-    fn withdraw_when_due(&mut self, now: Duration) -> Result<Option<ServiceEvent>, ServiceError> {
+    fn withdraw_when_due(
+        &mut self,
+        node: &mut Node,
+        now: Duration,
+    ) -> Result<Option<ServiceEvent>, ServiceError> {
         if now < self.withdrawals_at {
             return Ok(None);
         }
@@ -194,7 +198,21 @@ impl Keeper {
         if withdrawn.is_some() {
             self.round = Some(Round::extend(self.round, now));
         }
+        if self.shelf.is_emptied() {
+            (self.job, self.to_offer) = (None, false);
+            self.withdraw_global(node)?;
+        }
         Ok(withdrawn.map(|device| ServiceEvent::Withdrawn { device }))
+    }
+
+    /// Removes the newest global model, because it was merged from withdrawn models. Its revision in `global/` stays,
+    /// so that the next revision has a higher number.
+    fn withdraw_global(&mut self, node: &mut Node) -> Result<(), SceneError> {
+        if remove_global(&self.folder)? {
+            node.withdraw_global(TileId::WHOLE);
+            self.told.push_back(ServiceEvent::GlobalWithdrawn);
+        }
+        Ok(())
     }
 
     /// If the round is over, ends it and begins a merge of the models that count. A running merge of other
@@ -249,6 +267,10 @@ impl Keeper {
         self.job = None;
         let Outcome { merged, kept_out, fitted } = (*outcome)?;
         let Some(merged) = merged else {
+            // Nothing replaces a global model that shows ground of withdrawn devices.
+            if Merging::read(&self.folder).is_some_and(|record| self.shelf.has_withdrawn(&record.inputs)) {
+                self.withdraw_global(node)?;
+            }
             return Ok(Some(ServiceEvent::NothingMerged { kept_out }));
         };
         let offer = self.keep(merged, &inputs, (kept_out.clone(), fitted), seconds)?;

@@ -37,7 +37,7 @@ impl Service {
     }
 
     /// Serves until a command ends it, or until `on_event` returns `Break`. Returns the header of the newest
-    /// global model, if there is one.
+    /// revision of the global model, if there is one.
     pub fn run<T: Transport>(
         mut self,
         transport: &mut T,

@@ -10,6 +10,7 @@ use cosurf_scene::{SceneError, atomic};
 use cosurf_wire::{DeviceId, ModelHeader, ModelId};
 use serde::{Deserialize, Serialize};
 
+use super::folder::global_ply;
 use crate::gate::{Place, Similarity, Tone};
 use crate::merge::{MergeSettings, MergeSummary};
 
@@ -123,6 +124,21 @@ impl Merging {
         let text = serde_json::to_vec_pretty(self).map_err(io::Error::other);
         let text = text.map_err(|cause| SceneError::io(&folder.join(MERGED), cause))?;
         atomic::write(&folder.join(MERGED), |file| io::Write::write_all(file, &text))
+    }
+}
+
+/// Removes the newest global model of a service and the record of its merge. Returns false if there was neither.
+pub(super) fn remove_global(folder: &Path) -> Result<bool, SceneError> {
+    let had_model = remove(&global_ply(folder))?;
+    Ok(remove(&folder.join(MERGED))? || had_model)
+}
+
+/// Removes a file. Returns false if it does not exist.
+fn remove(path: &Path) -> Result<bool, SceneError> {
+    match fs::remove_file(path) {
+        Ok(()) => Ok(true),
+        Err(cause) if cause.kind() == io::ErrorKind::NotFound => Ok(false),
+        Err(cause) => Err(SceneError::io(path, cause)),
     }
 }
 

@@ -10,7 +10,7 @@ use super::error::ServiceError;
 use super::event::ServiceEvent;
 use super::job::{Inputs, Stores};
 use super::parts::Parts;
-use super::record::{withdrawn, write_withdrawal};
+use super::record::{Input, withdrawn, write_withdrawal};
 
 /// The received models in a service's folder.
 #[derive(Debug)]
@@ -67,6 +67,20 @@ impl Shelf {
         self.withdrawn.get(&header.device).is_some_and(|last| header.model <= *last)
     }
 
+    /// Whether withdrawn models are among the inputs of a merge.
+    pub(super) fn has_withdrawn(&self, inputs: &[Input]) -> bool {
+        let is_withdrawn = |input: &Input| {
+            let mut withdrawn = self.withdrawn.iter();
+            withdrawn.any(|(device, last)| device.as_str() == input.device && input.model <= last.0)
+        };
+        inputs.iter().any(is_withdrawn)
+    }
+
+    /// Whether devices are withdrawn and nothing is left to merge.
+    pub(super) fn is_emptied(&self) -> bool {
+        !self.withdrawn.is_empty() && self.inputs() == Inputs::default()
+    }
+
     /// The newest model of each device, in order of device id.
     pub(super) fn newest(&self) -> Vec<ModelHeader> {
         self.stored.values().filter_map(|models| models.last_key_value()).map(|(_, header)| *header).collect()
@@ -103,10 +117,12 @@ impl Shelf {
         Ok(first)
     }
 
-    /// Records the newest model received from a device as the device's last withdrawn model.
+    /// Records the newest model received from a device as the device's last withdrawn model. A device that was
+    /// withdrawn before may have sent nothing since; then the number stays.
     fn record_withdrawal(&mut self, device: DeviceId) -> Result<ModelId, ServiceError> {
         let newest = self.stored.get(&device).and_then(|models| models.keys().next_back().copied());
-        let last = newest.max(self.parts.model_of(&device)).unwrap_or(ModelId(0));
+        let before = self.withdrawn.get(&device).copied();
+        let last = newest.max(self.parts.model_of(&device)).max(before).unwrap_or(ModelId(0));
         write_withdrawal(&self.folder, &device, last)?;
         self.to_void.push(device);
         Ok(last)

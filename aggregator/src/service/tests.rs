@@ -5,6 +5,7 @@
 mod doubt;
 mod life;
 mod parts;
+mod withdrawal;
 
 use std::fs;
 use std::ops::ControlFlow;

@@ -28,6 +28,7 @@ use serde::Serialize;
 
 use super::error::ServiceError;
 use super::folder::{global_ply, global_store};
+use cosurf_contract::counted;
 
 /// Longest wait for a message before new revisions are checked for.
 const LISTEN: Duration = Duration::from_millis(50);
@@ -77,9 +78,10 @@ impl fmt::Display for UpstreamEvent {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::UpstreamConnected => write!(f, "upstream: connected"),
-            Self::UpstreamDisconnected { reason, .. } | Self::UpstreamDiskFailed { reason } => {
-                write!(f, "upstream: {reason}")
+            Self::UpstreamDisconnected { attempt, reason } => {
+                write!(f, "upstream: {reason}; trying again (attempt {attempt})")
             }
+            Self::UpstreamDiskFailed { reason } => write!(f, "upstream: {reason}"),
             Self::SentUp { revision, bytes_sent } => {
                 write!(f, "upstream: revision {revision} is delivered, {} sent", format_bytes(*bytes_sent))
             }
@@ -87,7 +89,8 @@ impl fmt::Display for UpstreamEvent {
                 write!(f, "upstream: revision {revision} is refused: {reason}")
             }
             Self::CameDown { revision, splats } => {
-                write!(f, "upstream: global model received, revision {revision}: {splats} splats")
+                let splats = counted(*splats, "splat");
+                write!(f, "upstream: global model received, revision {revision}: {splats}")
             }
         }
     }

@@ -8,6 +8,7 @@ use serde_json::json;
 
 use super::display::{Display, format_seconds};
 use crate::mesh::{FuseEvent, Stage};
+use cosurf_contract::counted;
 
 /// Seconds between two lines, of text or of JSON.
 const LINES_EVERY_S: f64 = 5.0;
@@ -53,7 +54,7 @@ impl Meter {
         } else {
             String::new()
         };
-        let text = format!("{done} of {of} views{rate}");
+        let text = format!("{done} of {}{rate}", counted(of, "view"));
         match self.display {
             Display::Bars => {
                 self.bar.set_length(of as u64);

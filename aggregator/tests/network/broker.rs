@@ -1,4 +1,4 @@
-//! Tests the embedded broker with real MQTT clients.
+//! Tests the built-in broker with real MQTT clients.
 
 use std::time::{Duration, Instant};
 

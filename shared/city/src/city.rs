@@ -1,4 +1,4 @@
-//! The town with its cameras, which gives pictures, the sparse cloud and the true surface.
+//! The city with its cameras, which gives pictures, the sparse cloud and the true surface.
 
 use std::path::Path;
 
@@ -13,7 +13,7 @@ use super::truth::{self, TruthPoint};
 /// Folder of the pictures, within that of the dataset.
 pub(super) const PICTURES: &str = "images";
 
-/// A town and the flight over it.
+/// A city and the flight over it.
 #[derive(Debug)]
 pub struct City {
     settings: CitySettings,
@@ -22,7 +22,7 @@ pub struct City {
 }
 
 impl City {
-    /// Builds the town. Nothing is rendered yet.
+    /// Builds the city. Nothing is rendered yet.
     pub fn build(settings: &CitySettings) -> Result<Self, CityError> {
         settings.check()?;
         let flight = FlightPath::new(settings);
@@ -41,7 +41,7 @@ impl City {
         &self.cameras
     }
 
-    /// Number of triangles of the town.
+    /// Number of triangles of the city.
     pub fn triangle_count(&self) -> usize {
         self.world.mesh.triangles.len()
     }

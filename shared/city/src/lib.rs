@@ -1,6 +1,6 @@
-//! The synthetic town: a dataset with exact geometry that needs no download.
+//! The synthetic city: a dataset with exact geometry that needs no download.
 //!
-//! What it is: [`City::build`] makes a small town from [`CitySettings`], as one triangle mesh with procedural
+//! What it is: [`City::build`] makes a small city from [`CitySettings`], as one triangle mesh with procedural
 //! materials, and a drone's flight over it. Pictures, depth, normals, cameras, the sparse cloud and the true surface
 //! all come from that mesh, so they agree exactly. World frame: x east, y north, z up, metres, the middle of the flown
 //! square at the origin.
@@ -8,7 +8,7 @@
 //! What it refuses to know: splats, training, links, clocks. Random numbers come from integer hashes, and no function
 //! of the platform's mathematics library is used, so the same settings give the same bytes on every machine.
 //!
-//! Where to start reading: `city.rs`, then `world.rs`, which builds the town, and `render.rs`, which draws it.
+//! Where to start reading: `city.rs`, then `world.rs`, which builds the city, and `render.rs`, which draws it.
 //!
 //! ```
 //! use cosurf_city::{City, CitySettings};

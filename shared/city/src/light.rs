@@ -32,7 +32,7 @@ pub(super) struct Lit {
     pub(super) to_viewer: Vec3,
 }
 
-/// The town's light.
+/// The city's light.
 #[derive(Debug)]
 pub(super) struct Light {
     /// Unit, towards the sun.

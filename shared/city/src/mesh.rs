@@ -1,4 +1,4 @@
-//! The town's triangles with their materials, and the basic shapes that all objects consist of.
+//! The city's triangles with their materials, and the basic shapes that all objects consist of.
 
 use glam::{Vec2, Vec3};
 
@@ -8,7 +8,7 @@ use super::shapes::{Block3, Frame, regular_polygon};
 /// Triangles of less than a square millimetre are dropped: those with `(2 · area)²` below this, m⁴.
 const AREA_MIN: f32 = 4e-12;
 
-/// A triangle of the town.
+/// A triangle of the city.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Triangle {
     /// World position of each corner.

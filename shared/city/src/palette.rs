@@ -1,4 +1,4 @@
-//! The materials that objects all over the town share.
+//! The materials that objects all over the city share.
 
 use glam::Vec3;
 

@@ -1,4 +1,4 @@
-//! The town plan: a grid of streets and rectangular blocks in plan coordinates (u, v). A smooth bend
+//! The city's plan: a grid of streets and rectangular blocks in plan coordinates (u, v). A smooth bend
 //! maps plan coordinates to the world, so that streets curve and blocks differ.
 
 use glam::{Vec2, Vec3};
@@ -13,7 +13,7 @@ use super::terrain::Terrain;
 pub(super) const KERB_HEIGHT_M: f32 = 0.14;
 /// Radius of the kerb at a block's corners, metres.
 pub(super) const CORNER_RADIUS_M: f32 = 3.2;
-/// Width of the town beyond the flown square, metres.
+/// Width of the city's built-up part beyond the flown square, metres.
 const TOWN_MARGIN_M: f32 = 30.0;
 /// Wavelength and amplitude of the bend between plan and world, metres.
 const BEND_M: (f32, f32) = (150.0, 11.0);
@@ -98,7 +98,7 @@ pub(super) struct Plan {
 }
 
 impl Plan {
-    /// Plans a town around a flown square, with open country up to `reach_m` from the centre.
+    /// Plans a city around a flown square, with open country up to `reach_m` from the centre.
     pub(super) fn new(seed: u64, flown_half_m: f32, reach_m: f32, fine: bool) -> Self {
         let mut rng = Rng::new(seed, 1);
         let t = rng.range(0.06, 0.22);

@@ -1,7 +1,7 @@
 //! Seeded random numbers: a generator for building, and an integer hash for textures.
 //!
 //! Uses only integer arithmetic and exactly rounded floating-point operations, so that the same seed
-//! gives the same town on every machine.
+//! gives the same city on every machine.
 
 /// SplitMix64 (Steele, Lea, Flood 2014): a counter and a mixer that pass BigCrush.
 #[derive(Clone, Debug)]

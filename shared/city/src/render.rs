@@ -12,7 +12,7 @@ use cosurf_scene::bvh::{Bvh, Hit, Ray};
 use cosurf_scene::raycast::Shooter;
 use cosurf_scene::{Camera, Picture};
 
-/// A rendering of the town by a camera.
+/// A rendering of the city by a camera.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CityFrame {
     /// Colour; black where there is no surface.

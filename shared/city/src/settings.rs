@@ -14,7 +14,7 @@ pub struct CitySettings {
 }
 
 impl Default for CitySettings {
-    /// The scene of the built-in mission: a small town that is built within seconds.
+    /// The scene of the built-in mission: a small city that is built within seconds.
     fn default() -> Self {
         Self { seed: 7, extent_m: 180.0, views: 96, size_px: [320, 240] }
     }

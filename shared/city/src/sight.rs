@@ -8,7 +8,7 @@ use cosurf_scene::bvh::{Bvh, Ray};
 /// Length at the end of a line of sight that may lie inside the surface, metres.
 const SLACK_M: f32 = 0.03;
 
-/// Tests what a flight's cameras see of the town.
+/// Tests what a flight's cameras see of the city.
 #[derive(Clone, Debug)]
 pub(super) struct Sight<'a> {
     bvh: &'a Bvh,

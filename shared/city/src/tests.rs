@@ -338,7 +338,7 @@ fn truth_points_cover_the_seen_surface_evenly() {
     }
 }
 
-/// Models are evaluated against the true mesh, so its depth must equal that of the town's renderings. It is never
+/// Models are evaluated against the true mesh, so its depth must equal that of the city's renderings. It is never
 /// nearer, and it is farther only through holes, where fewer than three cameras see the surface.
 #[test]
 fn the_true_mesh_has_the_depth_of_the_renderings() {

@@ -34,9 +34,9 @@ pub struct TruthPoint {
     pub rgb: [u8; 3],
 }
 
-/// A piece of a triangle of the town.
+/// A piece of a triangle of the city.
 struct Piece {
-    /// Index of the town's triangle.
+    /// Index of the city's triangle.
     of: u32,
     /// The piece's corners, as weights of the triangle's second and third corner.
     corners: [Vec2; 3],

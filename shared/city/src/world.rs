@@ -1,4 +1,4 @@
-//! Assembles the town from plan, terrain, ground, blocks, streets and light.
+//! Assembles the city from plan, terrain, ground, blocks, streets and light.
 
 use glam::Vec3;
 
@@ -17,7 +17,7 @@ use cosurf_scene::bvh::Bvh;
 const FINE_PIXEL_M: f32 = 0.45;
 
 impl World {
-    /// Builds the town around a flown square of half side `flown_half_m`, with land up to `reach_m`,
+    /// Builds the city around a flown square of half side `flown_half_m`, with land up to `reach_m`,
     /// for pictures whose pixels are `pixel_m` wide on the ground.
     pub(super) fn build(seed: u64, flown_half_m: f32, reach_m: f32, pixel_m: f32) -> Self {
         let mut rng = Rng::new(seed, 4);

@@ -1,6 +1,7 @@
 //! The configuration of an agent: the content of `agent.toml`.
 
 mod error;
+mod range;
 
 use std::num::NonZeroU32;
 use std::path::PathBuf;
@@ -9,6 +10,7 @@ use cosurf_engine::DeviceChoice;
 use cosurf_link::serial::DEFAULT_BAUD;
 use cosurf_link::{BrokerAddress, TlsFiles};
 use cosurf_wire::{DeviceId, FrameId, SiteId};
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use crate::Share;
@@ -37,7 +39,7 @@ pub struct AgentConfig {
     /// `broker` or `serial`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub serial: Option<String>,
-    /// Speed of the serial port in bits per second; [`DEFAULT_BAUD`] if absent.
+    /// Speed of the serial port in bits per second; [`DEFAULT_BAUD`] if absent. Not allowed without `serial`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub baud: Option<NonZeroU32>,
     /// The dataset's folder.
@@ -53,7 +55,8 @@ pub struct AgentConfig {
     /// If `views` and `held_out` are both empty, every n-th view by sorted name is held out; 0 holds out none.
     #[serde(default = "default_eval_every")]
     pub eval_every: u32,
-    /// Number of training steps.
+    /// Number of training steps, at least 1.
+    #[serde(deserialize_with = "range::steps")]
     pub steps: u32,
     /// Seed of all random numbers.
     #[serde(default)]
@@ -62,15 +65,15 @@ pub struct AgentConfig {
     /// 8 GiB.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub memory_bytes: Option<u64>,
-    /// Limit on the pictures' long side in pixels; larger pictures are shrunk. Full size if absent.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    /// Limit on the pictures' long side in pixels, at least 16; larger pictures are shrunk. Full size if absent.
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "range::max_size_px")]
     pub max_size_px: Option<u32>,
     /// The device to train on: `auto` (a hardware GPU if there is one and the memory is enough, otherwise the CPU),
     /// `cpu`, `gpu` or `gpu:N`; `auto` if absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub compute: Option<DeviceChoice>,
     /// Number of CPU threads, 1 to 1024; one per core if absent.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "range::threads")]
     pub threads: Option<usize>,
     /// Train colour only, without the surface losses.
     #[serde(default)]
@@ -134,7 +137,7 @@ impl AgentConfig {
     /// Parses the content of an `agent.toml` and checks that its fields fit together. The error is one line that names
     /// the wrong field or fields.
     pub fn from_toml(text: &str) -> Result<Self, ConfigError> {
-        let config: Self = toml::from_str(text).map_err(|error| ConfigError::from_toml(text, &error))?;
+        let config: Self = parse_toml(text)?;
         config.link()?;
         if config.compress && config.trusted.is_some() {
             return Err(ConfigError::UnsignedFlights);
@@ -142,14 +145,22 @@ impl AgentConfig {
         Ok(config)
     }
 
-    /// How the agent reaches its aggregator. Fails unless exactly one of `broker` and `serial` is set.
+    /// How the agent reaches its aggregator. Fails unless exactly one of `broker` and `serial` is set, or if `baud` or
+    /// `tls` is set for the other of the two.
     pub fn link(&self) -> Result<AgentLink<'_>, ConfigError> {
         match (&self.broker, &self.serial) {
+            (Some(_), None) if self.baud.is_some() => Err(ConfigError::BaudOfBroker),
+            (None, Some(_)) if self.tls.is_some() => Err(ConfigError::TlsOfSerial),
             (Some(address), None) => Ok(AgentLink::Broker { address, tls: self.tls.as_ref() }),
             (None, Some(port)) => Ok(AgentLink::Serial { port, baud: self.baud.unwrap_or(DEFAULT_BAUD) }),
             _ => Err(ConfigError::OneLink),
         }
     }
+}
+
+/// Parses the content of any configuration file. The error is one line that names the line and the field.
+pub fn parse_toml<T: DeserializeOwned>(text: &str) -> Result<T, ConfigError> {
+    toml::from_str(text).map_err(|error| ConfigError::from_toml(text, &error))
 }
 
 fn default_eval_every() -> u32 {

@@ -2,10 +2,12 @@
 //! are in `cosurf_wire`.
 //!
 //! What it is:
-//! - [`AgentConfig`]: the content of `agent.toml`, which people and the command `mission` write.
+//! - [`AgentConfig`]: the content of `agent.toml`, which people and the command `mission` write. [`parse_toml`] reads
+//!   `aggregator.toml` too, with the same errors.
 //! - [`AgentEvent`]: the JSON lines that an agent prints under `--json`.
 //! - [`TrainReport`] and [`Changes`]: JSON files that an agent writes.
 //! - [`log`]: the log of `cosurf-agent` and `cosurf-aggregator`.
+//! - [`counted`]: how both write a count with its noun.
 //!
 //! Values are parsed into the types that the programs compute with, so a wrong value is refused where it is read.
 //!
@@ -42,9 +44,11 @@ pub mod config;
 pub mod log;
 pub mod report;
 mod share;
+mod words;
 
-pub use config::{AgentConfig, AgentLink, ConfigError};
+pub use config::{AgentConfig, AgentLink, ConfigError, parse_toml};
 pub use cosurf_link::TlsFiles;
 pub use log::{LogError, LogFormat};
 pub use report::{AgentEvent, Changes, ComparedWith, TrainReport};
 pub use share::{NotAShare, Share};
+pub use words::counted;

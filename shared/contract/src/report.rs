@@ -61,8 +61,10 @@ pub enum AgentEvent {
     /// A temporary failure: the broker or the radio cannot be reached, the aggregator refuses the model for now, or the
     /// disk failed. The agent retries.
     Retrying {
-        /// What failed, for example the broker with its address.
-        what: String,
+        /// What failed and why, for example that the broker at an address refused the connection. JSON calls it
+        /// `what`, as in version 0.1.
+        #[serde(rename = "what")]
+        reason: String,
         /// Number of failed attempts to connect since the last connection; 1 if the aggregator refuses the model or the
         /// disk failed.
         attempt: u32,

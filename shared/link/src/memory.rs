@@ -147,7 +147,7 @@ impl MemoryNetwork {
         }
         for client in 0..broker.clients.len() {
             broker.lose_arriving(client);
-            let reason = "memory broker: stopped (attempt 1)".to_owned();
+            let reason = "memory broker: stopped".to_owned();
             broker.notify(client, TransportEvent::Disconnected { attempt: 1, reason });
         }
     }
@@ -175,7 +175,7 @@ impl Broker {
         let is_out = plan.is_out();
         if is_out {
             self.lose_arriving(client);
-            let reason = "memory broker: line cut (attempt 1)".to_owned();
+            let reason = "memory broker: line cut".to_owned();
             self.notify(client, TransportEvent::Disconnected { attempt: 1, reason });
         } else if self.is_up {
             self.connect(client);

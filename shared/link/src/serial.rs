@@ -262,7 +262,7 @@ impl Worker {
     fn disconnected(&mut self, what: &str) -> TransportEvent {
         self.attempt += 1;
         let attempt = self.attempt;
-        let reason = format!("serial line {}: {what} (attempt {attempt})", self.name);
+        let reason = format!("serial line {}: {what}", self.name);
         TransportEvent::Disconnected { attempt, reason }
     }
 

@@ -32,7 +32,7 @@ pub enum TransportEvent {
     Disconnected {
         /// Number of failures since the last connection, from 1. The loss of the connection counts too.
         attempt: u32,
-        /// One line with the address, the error and the attempt.
+        /// One line with the address and the error.
         reason: String,
     },
 }

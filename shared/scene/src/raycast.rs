@@ -12,7 +12,7 @@ use crate::{Camera, Mesh};
 pub const TRIANGLES_MAX: usize = crate::bvh::TRIANGLES_MAX;
 
 /// Depth and normals of a mesh as a camera sees them. Where the mesh has a hole, they belong to the surface
-/// behind the hole, if there is one. The ground-truth mesh of the synthetic town (crate `cosurf-city`) has
+/// behind the hole, if there is one. The ground-truth mesh of the synthetic city (crate `cosurf-city`) has
 /// holes where fewer than three cameras look.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Cast {

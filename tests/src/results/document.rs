@@ -12,7 +12,7 @@ use std::fs;
 use std::io;
 
 use super::record::Results;
-use super::{machine, store};
+use super::{machine, provenance, store};
 
 /// The document that must show all results.
 pub const ALL: &str = "shared/docs/RESULTS.md";
@@ -33,25 +33,35 @@ pub fn write_all() -> io::Result<()> {
     Ok(())
 }
 
-/// The faults of the documents, a sentence for each. A fault is a marker without stored results, or a document
-/// whose tables differ from the stored results. In [`ALL`], tables outside markers and results that are not shown
-/// are faults too.
+/// The faults of the stored results and of the documents, a sentence for each.
+///
+/// A fault of results is a source, unless `results` cannot measure them, or a commit that cannot be checked out. A
+/// fault of a document is a marker without stored results, a table that differs from its results, or a table of
+/// figures outside markers. In [`ALL`], any table outside markers and results that are not shown are faults too.
 pub fn faults() -> io::Result<Vec<String>> {
-    let mut faults = Vec::new();
-    let names = BTreeSet::from_iter(store::names(&store::folder())?);
+    let all = store::read_all(&store::folder())?;
+    let of_results = all.iter().flat_map(|results| provenance::faults(results, machine::has_commit));
+    let mut faults: Vec<String> = of_results.collect();
+    let names = all.into_iter().map(|results| results.name).collect();
     for (document, text) in texts()? {
-        let unknown = |name: &str| format!("{document}: there are no results `{name}`; measure them");
-        faults.extend(shown(&text).difference(&names).map(|name| unknown(name)));
-        if with_tables(&text, stored)? != text {
-            faults.push(format!("{document}: a table differs from its results; `results` writes it anew"));
-        }
-        if document == ALL {
-            let by_hand = |line: &str| format!("{document}: a table that no results give: {line}");
-            faults.extend(unmarked_tables(&text).map(by_hand));
-            let shown = shown(&text);
-            let missing = names.iter().filter(|name| !shown.contains(*name));
-            faults.extend(missing.map(|name| format!("{document}: the results `{name}` are not shown")));
-        }
+        faults.extend(faults_of(document, &text, &names)?);
+    }
+    Ok(faults)
+}
+
+/// The faults of a document. `names` are the names of all stored results.
+fn faults_of(document: &str, text: &str, names: &BTreeSet<String>) -> io::Result<Vec<String>> {
+    let shown = shown(text);
+    let unknown = |name: &String| format!("{document}: there are no results `{name}`; measure them");
+    let mut faults: Vec<String> = shown.difference(names).map(unknown).collect();
+    if with_tables(text, stored)? != text {
+        faults.push(format!("{document}: a table differs from its results; `results` writes it anew"));
+    }
+    let by_hand = unmarked_tables(text).into_iter().filter(|table| document == ALL || has_figures(table));
+    faults.extend(by_hand.map(|table| format!("{document}: a table that no results give: {}", table[0])));
+    if document == ALL {
+        let missing = names.difference(&shown);
+        faults.extend(missing.map(|name| format!("{document}: the results `{name}` are not shown")));
     }
     Ok(faults)
 }
@@ -92,17 +102,28 @@ fn shown(text: &str) -> BTreeSet<String> {
     names.map(str::to_owned).collect()
 }
 
-/// The first line of each table that is not between markers.
-fn unmarked_tables(text: &str) -> impl Iterator<Item = &str> {
+/// The lines of a text that are not between markers.
+pub fn unmarked(text: &str) -> impl Iterator<Item = &str> {
     let mut is_marked = false;
-    let mut was_table = false;
     text.lines().filter(move |line| {
         is_marked = (is_marked || line.starts_with(BEGIN)) && !line.starts_with(END);
-        let is_table = line.starts_with('|');
-        let is_first = is_table && !was_table;
-        was_table = is_table;
-        is_first && !is_marked
+        !is_marked
     })
+}
+
+/// The tables that are not between markers, each as its lines.
+fn unmarked_tables(text: &str) -> Vec<Vec<&str>> {
+    let is_table = |line: &str| line.starts_with('|');
+    let lines: Vec<&str> = unmarked(text).collect();
+    let blocks = lines.chunk_by(|a, b| is_table(a) == is_table(b));
+    blocks.filter(|block| is_table(block[0])).map(<[&str]>::to_vec).collect()
+}
+
+/// Whether a table shows figures: a digit below the two lines of its head. Inline code does not count, since it holds
+/// names such as `points3D`.
+fn has_figures(table: &[&str]) -> bool {
+    let mut prose = table.iter().skip(2).flat_map(|row| row.split('`').step_by(2));
+    prose.any(|text| text.contains(|sign: char| sign.is_ascii_digit()))
 }
 
 #[cfg(test)]
@@ -147,6 +168,25 @@ mod tests {
     #[test]
     fn tables_outside_markers_are_found() {
         let text = "| a |\n|---|\n\n<!-- results: x -->\n| b |\n<!-- end of results -->\n| c |\n";
-        assert_eq!(unmarked_tables(text).collect::<Vec<_>>(), ["| a |", "| c |"]);
+        assert_eq!(unmarked_tables(text), [vec!["| a |", "|---|"], vec!["| c |"]]);
+    }
+
+    #[test]
+    fn tables_of_figures_are_told_from_tables_of_words() {
+        assert!(has_figures(&["| | PSNR, dB |", "|---|---:|", "| city | 24.09 |"]));
+        assert!(!has_figures(&["| 2D | 3D |", "|---|---|", "| a | export `points3D` |"]));
+    }
+
+    #[test]
+    fn a_document_with_faults_is_found() {
+        let figures = "| a |\n|---|\n| 1 |\n";
+        let words = "| a |\n|---|\n| b |\n";
+        let no_results = "<!-- results: no such bench -->\n<!-- end of results -->\n";
+        let names = BTreeSet::from(["hidden".to_owned()]);
+        let count = |document, text: &str| faults_of(document, text, &names).unwrap().len();
+        assert_eq!(count("README.md", words), 0);
+        assert_eq!(count("README.md", figures), 1, "figures without markers");
+        assert_eq!(count("README.md", no_results), 1, "a marker without results");
+        assert_eq!(count(ALL, words), 2, "a table without markers, and results that are not shown");
     }
 }

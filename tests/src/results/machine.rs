@@ -13,14 +13,24 @@ pub fn root() -> PathBuf {
 /// The commit that is checked out, with a `+` if files other than the documents differ from it; `unknown` without
 /// git.
 pub fn commit() -> String {
-    let git = |words: &[&str]| {
-        let output = Command::new("git").args(words).current_dir(root()).output().ok()?;
-        output.status.success().then(|| String::from_utf8_lossy(&output.stdout).trim().to_owned())
-    };
     let Some(commit) = git(&["rev-parse", "--short=7", "HEAD"]) else { return "unknown".to_owned() };
     let changes =
         git(&["status", "--porcelain", "--", ".", ":!shared/docs", ":!README.md"]).unwrap_or_default();
     if changes.is_empty() { commit } else { commit + "+" }
+}
+
+/// Whether the history contains a commit. `None` if the history is not available: without git, outside of a
+/// repository, or in a shallow clone.
+pub fn has_commit(commit: &str) -> Option<bool> {
+    let is_whole = root().join(".git").exists()
+        && git(&["rev-parse", "--is-shallow-repository"]).as_deref() == Some("false");
+    is_whole.then(|| git(&["cat-file", "-e", &format!("{commit}^{{commit}}")]).is_some())
+}
+
+/// The output of a git command in the root; `None` if the command fails or git is not installed.
+fn git(words: &[&str]) -> Option<String> {
+    let output = Command::new("git").args(words).current_dir(root()).output().ok()?;
+    output.status.success().then(|| String::from_utf8_lossy(&output.stdout).trim().to_owned())
 }
 
 /// The processor's model as Linux names it; the processor's architecture if the name is not available.

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 /// The results of one bench: a table of figures, and how they were measured.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Results {
     /// Name of the bench; also the name of the file, without `.json`.

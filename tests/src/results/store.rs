@@ -37,6 +37,11 @@ pub fn read(folder: &Path, name: &str) -> io::Result<Option<Results>> {
     }
 }
 
+/// Reads all results in a folder, sorted by name. Fails as [`read`] does.
+pub fn read_all(folder: &Path) -> io::Result<Vec<Results>> {
+    names(folder)?.iter().filter_map(|name| read(folder, name).transpose()).collect()
+}
+
 /// The names of all results in a folder, sorted.
 pub fn names(folder: &Path) -> io::Result<Vec<String>> {
     let mut names = Vec::new();

@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 
 use crate::modules::{self, Module};
 use crate::names::{Named, resolve};
-use crate::{members, root};
+use crate::{manifest, members, root};
 
 /// A use of module `to` by module `from`: the indices of both, and the path in the code of `from` that names an item
 /// of `to`.
@@ -109,9 +109,19 @@ fn name(modules: &[Module], module: usize) -> &str {
     if path.is_empty() { "the root" } else { path }
 }
 
-/// The root files of a crate's library, programs, tests, benches and examples.
-fn target_roots(folder: &Path) -> Vec<PathBuf> {
-    let mut roots: Vec<_> = ["src/lib.rs", "src/main.rs"].map(|file| folder.join(file)).into();
+/// The root files that a manifest names, relative to its folder.
+fn named_roots(manifest: &toml::Table) -> impl Iterator<Item = &str> {
+    let kinds = ["lib", "bin", "test", "bench", "example"].into_iter();
+    let kinds = kinds.filter_map(move |kind| manifest.get(kind));
+    let targets = kinds.flat_map(|kind| kind.as_array().map_or(std::slice::from_ref(kind), Vec::as_slice));
+    targets.filter_map(|target| target.get("path")?.as_str())
+}
+
+/// The root files of a crate's library, programs, tests, benches and examples: those that its manifest names, and
+/// those at cargo's default places.
+fn target_roots(member: &str) -> BTreeSet<PathBuf> {
+    let folder = root().join(member);
+    let mut roots: Vec<PathBuf> = ["src/lib.rs", "src/main.rs"].map(|file| folder.join(file)).into();
     for kind in ["src/bin", "tests", "benches", "examples"] {
         let Ok(entries) = folder.join(kind).read_dir() else { continue };
         for path in entries.map(|entry| entry.unwrap().path()) {
@@ -119,18 +129,28 @@ fn target_roots(folder: &Path) -> Vec<PathBuf> {
         }
     }
     roots.retain(|path| path.is_file() && path.extension().is_some_and(|extension| extension == "rs"));
-    roots
+    roots.extend(named_roots(&manifest(member)).map(|file| folder.join(file)));
+    roots.into_iter().collect()
 }
 
 #[test]
 fn modules_do_not_use_each_other_in_circles() {
     let mut found = Vec::new();
     for member in members() {
-        let in_target = |file: &PathBuf| circles(&modules::read(file));
-        let circles = target_roots(&root().join(&member)).iter().flat_map(in_target).collect::<Vec<_>>();
-        found.extend(circles.iter().map(|circle| format!("{member}: {circle}")));
+        let roots = target_roots(&member);
+        assert!(!roots.is_empty(), "{member} has no modules");
+        let circles = roots.iter().flat_map(|file| circles(&modules::read(file)));
+        found.extend(circles.map(|circle| format!("{member}: {circle}")));
     }
     assert!(found.is_empty(), "{} circles:\n{}", found.len(), found.join("\n"));
+}
+
+#[test]
+fn roots_that_a_manifest_names_are_read() {
+    let manifest = "lib.path = \"l.rs\"\n[[bin]]\nname = \"b\"\n[[bench]]\npath = \"c.rs\"\n";
+    let manifest: toml::Table = manifest.parse().unwrap();
+    assert_eq!(named_roots(&manifest).collect::<Vec<_>>(), ["l.rs", "c.rs"]);
+    assert!(target_roots("shaders").contains(&root().join("shaders/lib.rs")));
 }
 
 fn circles_of(text: &str) -> Vec<String> {

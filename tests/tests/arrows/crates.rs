@@ -90,6 +90,21 @@ fn every_crate_is_on_the_readmes_map() {
     }
 }
 
+/// Cargo packages the files in a crate's folder and follows links, so a link to each licence is enough.
+#[test]
+fn every_package_contains_the_licences() {
+    let is_packaged = |folder: &String| {
+        manifest(folder)["package"].get("publish").and_then(toml::Value::as_bool) != Some(false)
+    };
+    for folder in members().into_iter().filter(is_packaged) {
+        for (name, licence) in [("LICENSE-MIT", "MIT.txt"), ("LICENSE-APACHE", "Apache-2.0.txt")] {
+            let text = fs::read_to_string(root().join("shared/licenses").join(licence)).unwrap();
+            let found = fs::read_to_string(root().join(&folder).join(name));
+            assert!(found.is_ok_and(|found| found == text), "{folder}/{name} is not {licence}");
+        }
+    }
+}
+
 fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
     for entry in fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();

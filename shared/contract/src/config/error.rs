@@ -1,6 +1,6 @@
 //! Errors in a configuration file. Each is one line that tells a person what to change.
 
-/// Why an `agent.toml` cannot be used.
+/// Why a configuration file cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ConfigError {
@@ -21,6 +21,14 @@ pub enum ConfigError {
     /// Neither or both of `broker` and `serial` are set.
     #[error("write either broker = \"mqtt://host:port\" or serial = \"/dev/ttyUSB0\"")]
     OneLink,
+    /// `baud` is set for a broker.
+    #[error(
+        "baud is the speed of a serial port: remove it, or write serial = \"/dev/ttyUSB0\" instead of broker"
+    )]
+    BaudOfBroker,
+    /// `tls` is set for a serial port.
+    #[error("[tls] is for a broker: remove it, or write broker = \"mqtts://host:port\" instead of serial")]
+    TlsOfSerial,
     /// Both `compress` and `trusted` are set. With `compress`, a device drops splats because of the flights (announced
     /// cameras) of other agents. Flights are not signed, so `trusted` cannot protect against forged flights.
     #[error(

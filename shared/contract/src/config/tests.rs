@@ -23,11 +23,10 @@ compress = false
 wait_global = true
 "#;
 
-/// All fields but `serial`, which excludes `broker`. Every value has the form in which [`AgentConfig`] writes it.
+/// All fields but `serial` and `baud`, which exclude `broker`. Every value has the form in which [`AgentConfig`] writes it.
 const ALL_FIELDS: &str = r#"device = "drone-1"
 site = "quarry"
 broker = "mqtts://broker.example.org:8883"
-baud = 115200
 data = "data"
 out = "out"
 views = ["b.jpg"]
@@ -107,6 +106,10 @@ fn a_wrong_value_is_one_line_that_names_line_and_field() {
         ),
         ("steps = -1", "line 6, steps: "),
         ("steps = \"many\"", "line 6, steps: "),
+        ("steps = 0", "line 6, steps: give a number from 1 to 4294967295"),
+        ("max_size_px = 15", "line 7, max_size_px: give a number from 16 to 4294967295"),
+        ("threads = 0", "line 7, threads: give a number from 1 to 1024"),
+        ("threads = 1025", "line 7, threads: give a number from 1 to 1024"),
         ("compute = \"cuda\"", "line 7, compute: give auto, cpu, gpu or gpu:N"),
         ("prune = 1.0", "line 7, prune: give a number from 0 to below 1"),
         ("frame = \"a/b\"", "line 7, frame: '/' in a name"),
@@ -139,6 +142,13 @@ fn fields_that_contradict_each_other_are_refused() {
     for text in [REQUIRED.replace("broker = \"b\"\n", ""), format!("{REQUIRED}serial = \"/dev/ttyUSB0\"\n")] {
         assert!(refused(&text).contains("either broker"), "{text}");
     }
+    let baud = refused(&format!("{REQUIRED}baud = 9600\n"));
+    assert!(baud.contains("remove it") && baud.contains("serial"), "{baud}");
+    let serial = REQUIRED.replace("broker = \"b\"", "serial = \"/dev/ttyUSB0\"");
+    let tls = refused(&format!("{serial}[tls]\nca = \"a\"\ncert = \"b\"\nkey = \"c\"\n"));
+    assert!(tls.contains("remove it") && tls.contains("mqtts"), "{tls}");
+    let with_baud = AgentConfig::from_toml(&format!("{serial}baud = 9600\n")).unwrap();
+    assert_eq!(AgentConfig::from_toml(&toml::to_string(&with_baud).unwrap()).unwrap(), with_baud);
     let unsigned = refused(&format!("{REQUIRED}compress = true\ntrusted = \"list\"\n"));
     assert!(unsigned.contains("`compress`") && unsigned.contains("`trusted`"), "{unsigned}");
 }

@@ -243,7 +243,7 @@ impl Worker {
         self.is_connected = false;
         self.attempt += 1;
         let attempt = self.attempt;
-        let reason = format!("broker {}: {what} (attempt {attempt})", self.config.broker);
+        let reason = format!("broker {}: {what}", self.config.broker);
         self.deliver(TransportEvent::Disconnected { attempt, reason }).await;
     }
 

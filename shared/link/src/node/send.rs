@@ -2,8 +2,6 @@
 
 use std::time::Duration;
 
-use cosurf_wire::Topic;
-
 use super::event::NodeEvent;
 use super::state::Node;
 use crate::inbox::InboxAction;
@@ -33,7 +31,7 @@ impl Node {
                 .pending
                 .take()
                 .or_else(|| self.birth.take())
-                .or_else(|| self.next_flight())
+                .or_else(|| self.next_retained())
                 .or_else(|| self.next_outgoing())
             else {
                 let wakeup = self.next_wakeup().unwrap_or(Duration::MAX);
@@ -51,9 +49,10 @@ impl Node {
         Duration::ZERO
     }
 
-    fn next_flight(&mut self) -> Option<Outgoing> {
-        if let Some(device) = self.cleared_flights.pop_front() {
-            return Some(Outgoing::clear(&self.identity.site, Topic::Flight { device }));
+    /// The deletion of a retained message, or the announcement of this device's flight.
+    fn next_retained(&mut self) -> Option<Outgoing> {
+        if let Some(topic) = self.cleared.pop_front() {
+            return Some(Outgoing::clear(&self.identity.site, topic));
         }
         std::mem::take(&mut self.is_flight_due).then(|| self.flight.clone()).flatten()
     }

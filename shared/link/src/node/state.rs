@@ -32,8 +32,8 @@ pub struct Node {
     /// The message with the cameras of this device's flight; `None` if the device does not announce them.
     pub(super) flight: Option<Outgoing>,
     pub(super) is_flight_due: bool,
-    /// Devices whose retained flight messages are to be deleted.
-    pub(super) cleared_flights: VecDeque<DeviceId>,
+    /// Topics whose retained messages are to be deleted.
+    pub(super) cleared: VecDeque<Topic>,
     /// The sessions of other devices.
     pub(super) births: Births,
     /// A message that the transport has not accepted yet.
@@ -54,7 +54,7 @@ impl Node {
             birth: None,
             flight: None,
             is_flight_due: false,
-            cleared_flights: VecDeque::new(),
+            cleared: VecDeque::new(),
             births: Births::default(),
             pending: None,
             is_connected: false,
@@ -82,7 +82,7 @@ impl Node {
 
     /// Deletes the announced flight of `device` from the broker. Devices that connect later do not receive it.
     pub fn clear_flight(&mut self, device: DeviceId) {
-        self.cleared_flights.push_back(device);
+        self.cleared.push_back(Topic::Flight { device });
     }
 
     /// Offers a device's own model to the aggregator. An unfinished offer of the same model is replaced.
@@ -101,6 +101,13 @@ impl Node {
         self.uploaders.retain(|old| old.tile() != Some(tile));
         let offer = offer.with_credentials(&self.identity.site, self.inbox.credentials());
         self.uploaders.push(Uploader::global(self.identity.site, tile, offer, receivers));
+    }
+
+    /// Stops offering the global model of a tile, and deletes its announcement from the broker.
+    pub fn withdraw_global(&mut self, tile: TileId) {
+        debug!("withdraw the global model");
+        self.uploaders.retain(|old| old.tile() != Some(tile));
+        self.cleared.push_back(Topic::GlobalHeader { tile });
     }
 
     /// Call this when the body of [`NodeEvent::Store`] is on disk, synced and renamed.

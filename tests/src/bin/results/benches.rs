@@ -4,19 +4,19 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 
 use anyhow::{Context, Result, ensure};
-use cosurf_tests::datasets::write_town;
+use cosurf_tests::datasets::write_city;
 use cosurf_tests::results::{Better, Column, Measurement, Results, Tolerance, machine, store};
 use tempfile::TempDir;
 
 use crate::commands::{agents, build, dataset, mission, train};
 use crate::divan;
 
-/// Datasets of the upload benches: the name in tables, and the folder; `None` generates the built-in town.
+/// Datasets of the upload benches: the name in tables, and the folder; `None` generates the built-in city.
 const DATASETS: [(&str, Option<&str>); 4] = [
     ("Boruszyn", Some("real_boruszyn")),
     ("Caliterra", Some("real_caliterra")),
     ("rendered Boruszyn", Some("gt_boruszyn")),
-    ("the built-in town", None),
+    ("the built-in city", None),
 ];
 /// Training options of the models that are uploaded.
 pub(crate) const TRAINING: [&str; 4] = ["--max-size", "240", "--steps", "1000"];
@@ -91,11 +91,11 @@ pub(crate) fn mesh(_: &TempDir) -> Result<Results> {
     by_divan("cosurf-aggregator", "mesh", [0, 2])
 }
 
-/// Measures gain and cost of the surface losses on the built-in town.
-pub(crate) fn geometry_town(folder: &TempDir) -> Result<Results> {
-    let town = folder.path().join("town");
-    write_town(&town, 180.0, 96, [320, 240]);
-    ours("geometry", &["--data", text(&town)?, "--max-size", "320"], folder)
+/// Measures gain and cost of the surface losses on the built-in city.
+pub(crate) fn geometry_city(folder: &TempDir) -> Result<Results> {
+    let city = folder.path().join("city");
+    write_city(&city, 180.0, 96, [320, 240]);
+    ours("geometry", &["--data", text(&city)?, "--max-size", "320"], folder)
 }
 
 /// Measures merging, with all processes on the same core.
@@ -160,9 +160,9 @@ fn of_each_dataset(
         let data = match data {
             Some(data) => dataset(data)?,
             None => {
-                let town = folder.path().join("town");
-                write_town(&town, 180.0, 96, [320, 240]);
-                town
+                let city = folder.path().join("city");
+                write_city(&city, 180.0, 96, [320, 240]);
+                city
             }
         };
         let results = run(name, &data, &folder.path().join(name))?;

@@ -61,7 +61,7 @@ pub(crate) fn train(data: &Path, options: &[&str], out: &Path) -> Result<Outcome
     run(command.arg("train").arg(data).args(options), out)
 }
 
-/// Runs `cosurf-aggregator mission` with options, on the built-in town if `data` is `None`.
+/// Runs `cosurf-aggregator mission` with options, on the built-in city if `data` is `None`.
 pub(crate) fn mission(data: Option<&Path>, options: &[&str], out: &Path) -> Result<Outcome> {
     let mut command = Command::new(program("cosurf-aggregator"));
     command.arg("mission").args(options);
@@ -158,7 +158,7 @@ pub(crate) fn short(folder: &TempDir) -> Result<Results> {
 }
 
 /// Measures time, memory and quality of trainings and missions with default options. The time of a mission includes
-/// rendering the pictures of the built-in town and writing the report. The memory of a mission is that of its largest
+/// rendering the pictures of the built-in city and writing the report. The memory of a mission is that of its largest
 /// agent.
 pub(crate) fn defaults(folder: &TempDir) -> Result<Results> {
     build()?;
@@ -177,7 +177,7 @@ pub(crate) fn defaults(folder: &TempDir) -> Result<Results> {
     row("Boruszyn, 478 × 640, `train`", &train(&boruszyn, &[], &out("boruszyn"))?, of_agent);
     row("Caliterra, 640 × 481, `train`", &train(&caliterra, &[], &out("caliterra"))?, of_agent);
     row("Caliterra, 640 × 481, `mission`", &mission(Some(&caliterra), &[], &out("mission"))?, of_mission);
-    row("the built-in town, 320 × 240, `mission`", &mission(None, &[], &out("town"))?, of_mission);
+    row("the built-in city, 320 × 240, `mission`", &mission(None, &[], &out("city"))?, of_mission);
     Ok(measurement.finish()?)
 }
 

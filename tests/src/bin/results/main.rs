@@ -15,7 +15,7 @@ use std::process::ExitCode;
 use anyhow::{Context, Result};
 use clap::Parser;
 use cosurf_tests::results::{document, guard, store};
-use runs::{RUNS, Run};
+use runs::{RUNS, Run, command_fault};
 
 /// Runs benches, stores their figures in shared/docs/results and writes the tables of RESULTS.md and README.md
 ///
@@ -25,7 +25,7 @@ use runs::{RUNS, Run};
 struct Arguments {
     /// Benches to run; some take hours [see --list]
     names: Vec<String>,
-    /// Only check that the documents show exactly the stored figures
+    /// Only check the stored results, and that the documents show exactly their figures
     #[arg(long, conflicts_with_all = ["names", "accept"])]
     check: bool,
     /// List the benches
@@ -43,7 +43,7 @@ fn main() -> Result<ExitCode> {
         return Ok(ExitCode::SUCCESS);
     }
     let faults = if arguments.check {
-        document::faults()?
+        faults()?
     } else {
         let worse = measure(&arguments.names, arguments.accept)?;
         document::write_all()?;
@@ -51,6 +51,14 @@ fn main() -> Result<ExitCode> {
     };
     faults.iter().for_each(|fault| eprintln!("{fault}"));
     Ok(if faults.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+/// The faults of the stored results and of the documents, a sentence for each.
+fn faults() -> Result<Vec<String>> {
+    let stored = store::read_all(&store::folder())?;
+    let mut faults = document::faults()?;
+    faults.extend(stored.iter().filter_map(command_fault));
+    Ok(faults)
 }
 
 /// Runs the benches with these names and stores their results. Returns a sentence for each figure that got worse.

@@ -49,7 +49,7 @@ pub(crate) fn placement(folder: &TempDir) -> Result<Results> {
     let [caliterra, boruszyn] = [dataset("real_caliterra")?, dataset("gt_boruszyn")?];
     let mut outs = Vec::new();
     for (name, data) in
-        [("Caliterra", Some(&caliterra)), ("rendered Boruszyn", Some(&boruszyn)), ("town", None)]
+        [("Caliterra", Some(&caliterra)), ("rendered Boruszyn", Some(&boruszyn)), ("city", None)]
     {
         let out = folder.path().join(name);
         mission(data.map(PathBuf::as_path), &TRAINING, &out)?;

@@ -27,6 +27,20 @@ impl Run {
     }
 }
 
+/// What is wrong with the command of stored results, a sentence; `None` if nothing is. Results that name a source need
+/// no bench.
+pub(crate) fn command_fault(stored: &Results) -> Option<String> {
+    let Results { name, command, .. } = stored;
+    match RUNS.iter().find(|run| run.name == name) {
+        Some(run) if run.command == command => None,
+        Some(_) => {
+            Some(format!("the results `{name}` are of an old command, `{command}`; measure them again"))
+        }
+        None if stored.source.is_some() => None,
+        None => Some(format!("no bench measures the results `{name}`")),
+    }
+}
+
 /// All benches, the quickest first.
 pub(crate) const RUNS: [Run; 20] = [
     Run {
@@ -135,10 +149,10 @@ pub(crate) const RUNS: [Run; 20] = [
         measure: |folder| benches::ours("geometry", &["--max-size", "480"], folder),
     },
     Run {
-        name: "geometry_town",
-        about: "the same for the built-in town",
-        command: "cargo bench -p cosurf-tests --bench geometry -- --data TOWN --max-size 320",
-        measure: benches::geometry_town,
+        name: "geometry_city",
+        about: "the same for the built-in city",
+        command: "cargo bench -p cosurf-tests --bench geometry -- --data CITY --max-size 320",
+        measure: benches::geometry_city,
     },
     Run {
         name: "prune",
@@ -153,3 +167,31 @@ pub(crate) const RUNS: [Run; 20] = [
         measure: benches::merging,
     },
 ];
+
+#[cfg(test)]
+mod tests {
+    use cosurf_tests::results::store;
+
+    use super::*;
+
+    #[test]
+    fn stored_results_have_the_commands_of_their_benches() -> Result<()> {
+        let stored = store::read_all(&store::folder())?;
+        let faults: Vec<String> = stored.iter().filter_map(command_fault).collect();
+        assert!(faults.is_empty(), "{}", faults.join("\n"));
+        Ok(())
+    }
+
+    #[test]
+    fn other_commands_and_unknown_results_are_found() {
+        let has_fault = |name: &str, command: &str, source: Option<&str>| {
+            let (name, command, source) = (name.to_owned(), command.to_owned(), source.map(str::to_owned));
+            command_fault(&Results { name, command, source, ..Results::default() }).is_some()
+        };
+        assert!(!has_fault("truth", "results truth", None));
+        assert!(has_fault("truth", "results truth --fast", None));
+        assert!(has_fault("truth", "results truth --fast", Some("README")));
+        assert!(has_fault("opensplat", "OpenSplat DATA", None));
+        assert!(!has_fault("opensplat", "OpenSplat DATA", Some("README")));
+    }
+}

@@ -11,7 +11,7 @@ use super::plan::write_text;
 /// Why the city cannot be made.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
-pub enum TownError {
+pub enum MakeCityError {
     /// The city cannot be built.
     #[error(transparent)]
     City(#[from] CityError),
@@ -26,20 +26,25 @@ pub(crate) fn make(
     settings: &CitySettings,
     folder: &Path,
     progress: impl FnMut(usize, usize),
-) -> Result<(), TownError> {
-    // The record is written last, so a city without it is incomplete.
+) -> Result<(), MakeCityError> {
+    // While a city is written, its record is empty.
     let record = folder.join("city.txt");
     let content = format!("{settings:?}\n");
     if fs::read_to_string(&record).is_ok_and(|there| there == content) {
         return Ok(());
     }
-    City::build(settings)?.write(folder, progress)?;
+    let city = City::build(settings)?;
+    fs::create_dir_all(folder).map_err(|cause| SceneError::io(folder, cause))?;
+    write_text(&record, "")?;
+    city.write(folder, progress)?;
     Ok(write_text(&record, &content)?)
 }
 
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
+    use std::panic::catch_unwind;
+
     use cosurf_scene::Dataset;
 
     use super::*;
@@ -58,5 +63,8 @@ mod tests {
         assert_eq!(pictures(&CitySettings { seed: 8, ..small }), 4);
         fs::remove_file(folder.path().join("city.txt")).unwrap();
         assert_eq!(pictures(&CitySettings { seed: 8, ..small }), 4);
+        let killed = catch_unwind(|| make(&small, folder.path(), |done, _| assert!(done < 2)));
+        assert!(killed.is_err());
+        assert_eq!(pictures(&CitySettings { seed: 8, ..small }), 4, "the pictures are of two cities");
     }
 }

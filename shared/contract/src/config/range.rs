@@ -1,0 +1,30 @@
+//! Reads numbers that must lie in a range, so that a number out of range is an error at its line.
+
+use std::fmt::Display;
+use std::ops::RangeInclusive;
+
+use serde::de::{Deserialize, Deserializer, Error};
+
+pub(super) fn steps<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
+    in_range(deserializer, 1..=u32::MAX)
+}
+
+pub(super) fn max_size_px<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<u32>, D::Error> {
+    in_range(deserializer, 16..=u32::MAX).map(Some)
+}
+
+pub(super) fn threads<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<usize>, D::Error> {
+    in_range(deserializer, 1..=1024).map(Some)
+}
+
+fn in_range<'de, D, T>(deserializer: D, range: RangeInclusive<T>) -> Result<T, D::Error>
+where
+    D: Deserializer<'de>,
+    T: Deserialize<'de> + PartialOrd + Display,
+{
+    let number = T::deserialize(deserializer)?;
+    if range.contains(&number) {
+        return Ok(number);
+    }
+    Err(D::Error::custom(format!("give a number from {} to {}", range.start(), range.end())))
+}
