@@ -11,18 +11,20 @@
 //! one with fewer cameras, and then the one with the higher index. [`Locals`] gives the models in a fixed order, so the
 //! verdict does not depend on the order of arrival.
 //!
-//! If the settings allow it, a conflicting model is moved to where it fits the others (`refine`). The colours of the
-//! admitted models are matched to each other ([`tone`]).
+//! Before that, unless the settings forbid it, models are moved so that the ground they share lies at the same place in
+//! all of them ([`frames`]). The colours of the admitted models are matched to each other ([`tone`]).
 //!
 //! What it knows nothing about: who sent a model, and when. It judges models by what they show, and merges nothing.
 //!
-//! Where to start reading: [`admit`]; then [`glimpse`], which compares two models; then [`refine`](mod@refine) and
-//! [`matching`], which move a model to where it fits.
+//! Where to start reading: [`admit`]; then [`glimpse`], which compares two models; then [`frames`], [`links`] and
+//! [`adjust`], which move models to where they fit.
 
+mod adjust;
 mod consensus;
+mod frames;
 mod glimpse;
+mod links;
 mod matching;
-mod refine;
 mod similarity;
 #[cfg(test)]
 pub(crate) mod tests;
@@ -34,12 +36,13 @@ use cosurf_engine::Renderer;
 use cosurf_link::Model;
 use cosurf_scene::{Camera, Watchers};
 use glam::DVec3;
-use tracing::{debug_span, info_span};
+use tracing::info_span;
 
 use crate::merge::cameras::{middle, radius};
 use crate::merge::{Locals, MergeError};
+pub use frames::{Fit, Move};
+use frames::{Frames, find_frames};
 use glimpse::Glimpse;
-use refine::{refine, refine_against_all};
 pub use similarity::Similarity;
 pub use tone::Tone;
 use tone::tones;
@@ -83,6 +86,7 @@ pub struct Admitted<'a> {
     doubts: Vec<Option<Doubt>>,
     /// One [`Place`] for each model that takes part.
     places: Vec<Place>,
+    fits: Vec<Fit>,
 }
 
 /// How a model takes part in a merge.
@@ -90,8 +94,8 @@ pub struct Admitted<'a> {
 pub struct Place {
     /// Index of the model among all models that were judged.
     pub local: usize,
-    /// Moves the model to where it fits the others; `None` if its position is right.
-    pub by: Option<Similarity>,
+    /// How the model is moved to where it fits the others; `None` if its position is right.
+    pub by: Option<Move>,
     /// Matches the model's colours to those of the others; `None` if the colours of all models match already.
     pub tone: Option<Tone>,
 }
@@ -105,7 +109,7 @@ impl Locals for Admitted<'_> {
         let Place { local, by, tone } = &self.places[index];
         let mut model = self.locals.load(*local)?;
         if let Some(by) = by {
-            model = by.model(&model);
+            model = by.by.model(&model);
         }
         if let Some(tone) = tone {
             tone.apply(&mut model.splats);
@@ -124,6 +128,11 @@ impl Admitted<'_> {
         self.places[index]
     }
 
+    /// How well every two models that share ground fit; empty if the settings forbid to move models.
+    pub fn fits(&self) -> &[Fit] {
+        &self.fits
+    }
+
     /// Index and reason of each model that is kept out. The reason is a sentence without its subject; `names` has the
     /// name of every model.
     pub fn kept_out<N: AsRef<str>>(&self, names: &[N]) -> impl Iterator<Item = (usize, String)> {
@@ -138,9 +147,9 @@ impl Admitted<'_> {
     }
 }
 
-/// Decides which of `locals` take part in a merge. With `refines`, a model that contradicts others is moved to where it
-/// fits, and is kept out only if it fits nowhere. `is_given_up` is called between models; if it returns true, the
-/// result is an error.
+/// Decides which of `locals` take part in a merge. With `refines`, models are first moved to where they fit each other.
+/// Then every model that contradicts others is kept out. `is_given_up` is called between models; if it returns true,
+/// the result is an error.
 pub fn admit<'a>(
     locals: &'a dyn Locals,
     refines: bool,
@@ -148,27 +157,16 @@ pub fn admit<'a>(
     is_given_up: &dyn Fn() -> bool,
 ) -> Result<Admitted<'a>, MergeError> {
     let _span = info_span!("gate", models = locals.count()).entered();
-    let mut doubts = doubts(locals, threads, is_given_up)?;
-    let mut moves = vec![None; doubts.len()];
-    for local in 0..if refines { doubts.len() } else { 0 } {
-        let Some(Doubt::Contradicts(others)) = doubts[local].clone() else { continue };
-        let sound: Vec<usize> =
-            others.into_iter().filter(|other| doubts[*other].is_none() && moves[*other].is_none()).collect();
-        for &other in &sound {
-            if is_given_up() {
-                return Err(MergeError::GivenUp);
-            }
-            let _span = debug_span!("align", model = local, to = other).entered();
-            if let Some(by) = refine(locals, local, other, threads)? {
-                moves[local] = Some(refine_against_all(locals, local, &sound, by, threads)?);
-                doubts[local] = None;
-                break;
-            }
-        }
-    }
-    let sound = (0..doubts.len()).filter(|i| doubts[*i].is_none());
-    let places = sound.map(|i| Place { local: i, by: moves[i], tone: None }).collect();
-    let mut admitted = Admitted { locals, doubts, places };
+    let count = locals.count();
+    let Frames { moves, fits } = match refines {
+        true => find_frames(locals, threads, is_given_up)?,
+        false => Frames { moves: vec![None; count], fits: Vec::new() },
+    };
+    let place = |local: usize| Place { local, by: moves[local], tone: None };
+    let mut admitted =
+        Admitted { locals, doubts: vec![None; count], places: (0..count).map(place).collect(), fits };
+    admitted.doubts = doubts_about(&admitted, threads, is_given_up)?;
+    admitted.places = (0..count).filter(|i| admitted.doubts[*i].is_none()).map(place).collect();
     if let Some(tones) = tones(&admitted, threads, is_given_up)? {
         admitted.places.iter_mut().zip(tones).for_each(|(place, tone)| place.tone = Some(tone));
     }
@@ -177,7 +175,7 @@ pub fn admit<'a>(
 
 /// The doubt about each of `locals`, by index. `is_given_up` is called between models; if it returns true, the result
 /// is an error.
-fn doubts(
+fn doubts_about(
     locals: &dyn Locals,
     threads: usize,
     is_given_up: &dyn Fn() -> bool,

@@ -56,7 +56,7 @@ pub use event::ServiceEvent;
 pub(crate) use folder::joined;
 pub use folder::{global_ply, senders};
 pub use receive::Service;
-pub use record::{Fitted, KeptOut, Merging, withdraw};
+pub use record::{FitRecord, Fitted, KeptOut, Merging, withdraw};
 pub use round::{Expected, Rounds};
 pub use serve::{Host, ServeError, SideEvent, serve};
 pub(crate) use station::Station;

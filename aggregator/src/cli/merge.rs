@@ -28,19 +28,19 @@ pub(super) struct Ways {
     /// Keep all splats, even where models overlap
     #[arg(long)]
     no_compress: bool,
-    /// Align models that lie in another coordinate frame than the other models, instead of keeping them out of the
-    /// merge
+    /// Leave every model where it is, even if it does not lie exactly on the others; models that lie far off are then
+    /// kept out of the merge
     #[arg(long)]
-    refine: bool,
+    no_refine: bool,
 }
 
 impl Ways {
     pub(super) fn settings(&self, memory_bytes: u64, seed: u64) -> MergeSettings {
-        let Self { epochs, no_compress, refine } = *self;
+        let Self { epochs, no_compress, no_refine } = *self;
         MergeSettings {
             epochs,
             compress: !no_compress,
-            refine,
+            refine: !no_refine,
             memory_bytes,
             seed,
             ..MergeSettings::default()
@@ -128,7 +128,8 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
         let Place { local, by, tone } = admitted.place(place);
         let (folder, percent) = (&names[local], 100.0 * overlap);
         let (arrived, removed) = (counted(*arrived, "splat"), counted(*removed, "splat"));
-        let moved = if by.is_some() { ", aligned to the others" } else { "" };
+        let moved =
+            by.map(|by| format!(", moved by {:.2} m to where it fits", by.distance_m)).unwrap_or_default();
         let toned = tone.map(|tone| format!(", {tone}")).unwrap_or_default();
         writeln!(
             stdout,

@@ -36,7 +36,7 @@ pub(super) fn consensus(pairs: &[Pair], tolerance_px: f64) -> Option<(Similarity
 /// Distance between the two points of a pair after `from_other` has moved the other model's point, in pixels of the
 /// trusted model's picture.
 pub(super) fn distance_px(pair: &Pair, from_other: &Similarity) -> f64 {
-    from_other.apply(pair.other).distance(pair.trusted) / pair.pixel_m
+    from_other.apply(pair.other).distance(pair.trusted) / pair.trusted_pixel_m
 }
 
 fn agreeing(pairs: &[Pair], from_other: &Similarity, tolerance_px: f64) -> Vec<Pair> {
@@ -75,7 +75,7 @@ mod tests {
             .map(|i| {
                 let other = point();
                 let trusted = if i % 3 == 0 { point() } else { wrong().apply(other) };
-                Pair { trusted, other, pixel_m: 0.1 }
+                Pair { trusted, other, trusted_pixel_m: 0.1, other_pixel_m: 0.1 }
             })
             .collect();
         let (found, count) = consensus(&pairs, 1.0).unwrap();

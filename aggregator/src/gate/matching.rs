@@ -52,15 +52,33 @@ pub(super) struct Pair {
     pub(super) trusted: DVec3,
     /// Position of the point in the other model, in that model's own frame.
     pub(super) other: DVec3,
-    /// Width that one pixel of the trusted model's picture covers at the depth of this point, in world units of that
-    /// model.
-    pub(super) pixel_m: f64,
+    /// Width that one pixel covers at the depth of this point in the trusted model, in that model's units.
+    pub(super) trusted_pixel_m: f64,
+    /// The same in the other model.
+    pub(super) other_pixel_m: f64,
 }
 
 impl Matches {
     pub(super) fn extend(&mut self, more: Self) {
         self.sought += more.sought;
         self.found.extend(more.found);
+    }
+
+    /// The same matches with the roles of the two models exchanged.
+    pub(super) fn swapped(&self) -> Self {
+        Self { sought: self.sought, found: self.found.iter().map(Pair::swapped).collect() }
+    }
+}
+
+impl Pair {
+    fn swapped(&self) -> Self {
+        let Self { trusted, other, trusted_pixel_m, other_pixel_m } = *self;
+        Self {
+            trusted: other,
+            other: trusted,
+            trusted_pixel_m: other_pixel_m,
+            other_pixel_m: trusted_pixel_m,
+        }
     }
 }
 
@@ -81,6 +99,11 @@ impl Sight {
     fn point(&self, x: usize, y: usize, at_px: DVec2) -> DVec3 {
         let depth = f64::from(self.rendering.depth[y * self.width + x]);
         self.camera.unproject(at_px, depth)
+    }
+
+    /// Width that the pixel `(x, y)` covers at its depth, world units.
+    fn pixel_m(&self, x: usize, y: usize) -> f64 {
+        f64::from(self.rendering.depth[y * self.width + x]) / self.camera.focal_px.x
     }
 
     /// Share of the picture, 0..=1, that shows a surface which at least [`SEERS_MIN`] of `cameras` see from a similar
@@ -222,11 +245,11 @@ pub(super) fn matches(trusted: &Sight, cameras: &[Camera], other: &Sight, reach_
     let corners = trusted.corners(cameras);
     let find = |&[x, y]: &[usize; 2]| {
         let ([u, v], at_px) = other.find(&trusted.patch(x, y), [x, y], reach_px)?;
-        let depth = f64::from(trusted.rendering.depth[y * trusted.width + x]);
         other.is_solid(u, v).then(|| Pair {
             trusted: trusted.point(x, y, middle(x, y)),
             other: other.point(u, v, at_px),
-            pixel_m: depth / trusted.camera.focal_px.x,
+            trusted_pixel_m: trusted.pixel_m(x, y),
+            other_pixel_m: other.pixel_m(u, v),
         })
     };
     Matches { sought: corners.len(), found: corners.par_iter().filter_map(find).collect() }

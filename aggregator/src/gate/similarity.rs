@@ -27,6 +27,21 @@ impl Similarity {
         self.scale * (self.rotation * p) + self.translation
     }
 
+    /// The similarity that moves everything back.
+    pub fn inverse(&self) -> Self {
+        let (scale, rotation) = (1.0 / self.scale, self.rotation.inverse());
+        Self { scale, rotation, translation: -scale * (rotation * self.translation) }
+    }
+
+    /// The similarity that first moves by `first`, then by `self`.
+    pub fn after(&self, first: &Self) -> Self {
+        Self {
+            scale: self.scale * first.scale,
+            rotation: (self.rotation * first.rotation).normalize(),
+            translation: self.apply(first.translation),
+        }
+    }
+
     /// Moves a camera along with a model. The moved camera gives the same picture of the moved model, with depths
     /// multiplied by the scale.
     pub fn camera(&self, camera: &Camera) -> Camera {
@@ -271,5 +286,13 @@ pub(crate) mod tests {
         assert!(from.iter().zip(&mirrored).any(|(a, b)| found.apply(*a).distance(*b) > 1.0));
         assert_eq!(Similarity::between(&from[..2], &to[..2]), None);
         assert_eq!(Similarity::between(&[DVec3::ONE; 3], &[DVec3::ONE; 3]), None);
+    }
+
+    #[test]
+    fn similarities_are_inverted_and_chained() {
+        let point = DVec3::new(3.0, -2.0, 5.0);
+        let other = Similarity { scale: 0.4, translation: DVec3::X, ..wrong() };
+        assert!(wrong().inverse().apply(wrong().apply(point)).distance(point) < 1e-12);
+        assert!(other.after(&wrong()).apply(point).distance(other.apply(wrong().apply(point))) < 1e-12);
     }
 }

@@ -11,7 +11,7 @@ pub struct MergeSettings {
     pub epochs: u32,
     /// Whether only one model keeps its splats where models overlap (Local Model Compression).
     pub compress: bool,
-    /// Whether a model that lies in another coordinate frame is moved to where it fits, instead of being kept out; see
+    /// Whether models are moved so that the ground they share lies at the same place in all of them; see
     /// [`crate::gate`].
     pub refine: bool,
     /// Limit on the bytes of all models and the distillation together. If it is too small for all models at once,
@@ -30,7 +30,7 @@ impl Default for MergeSettings {
         Self {
             epochs: 5,
             compress: true,
-            refine: false,
+            refine: true,
             memory_bytes: 4 << 30,
             seed: 0,
             device: DeviceChoice::Auto,

@@ -208,8 +208,9 @@ pub(crate) mod tests {
         let mut report = example();
         let summary = MergeSummary { joined: 7, splats: 6, steps: 5, ..MergeSummary::default() };
         let (settings, inputs, kept_out) = (MergeSettings::default(), Vec::new(), Vec::new());
-        let fitted = Vec::new();
-        let merging = Merging { revision: 1, inputs, kept_out, fitted, settings, summary, seconds: 12.0 };
+        let (fitted, fits) = (Vec::new(), Vec::new());
+        let merging =
+            Merging { revision: 1, inputs, kept_out, fitted, fits, settings, summary, seconds: 12.0 };
         report.whole.merging = Some(merging.clone());
         let agents = vec!["agent-1".into(), "agent-2".into()];
         let edge = EdgeSummary { device: "edge-1".into(), agents, bytes_sent: 3 << 20, merging: None };

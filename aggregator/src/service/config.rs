@@ -50,8 +50,9 @@ pub struct AggregatorConfig {
     /// The device that computes merges: `auto`, `cpu`, `gpu` or `gpu:N`.
     #[serde(default)]
     pub compute: DeviceChoice,
-    /// True to move a model that lies in another frame than the others to where it fits, instead of leaving it out.
-    #[serde(default)]
+    /// False to leave every model where it is, instead of moving models so that the ground they share lies at the same
+    /// place in all of them.
+    #[serde(default = "default_refine")]
     pub refine: bool,
     /// Number of devices that must have sent a model before a merge begins. The deadline overrides this number.
     #[serde(default = "default_quorum")]
@@ -91,6 +92,10 @@ fn default_memory_bytes() -> u64 {
 
 fn default_merge_memory_bytes() -> u64 {
     MergeSettings::default().memory_bytes
+}
+
+fn default_refine() -> bool {
+    true
 }
 
 fn default_quorum() -> usize {

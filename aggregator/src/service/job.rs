@@ -11,7 +11,7 @@ use cosurf_link::{FirstLayer, Model, ModelKey, ModelStore, body_to_model, model_
 use cosurf_wire::{ModelHeader, ModelKind};
 use tracing::{debug_span, info_span};
 
-use super::record::{Fitted, KeptOut};
+use super::record::Verdict;
 use crate::gate::admit;
 use crate::merge::{Locals, MergeError, MergeProgress, MergeSettings, Merged, fill_in, merge};
 
@@ -53,10 +53,8 @@ pub(super) struct Job {
 pub(super) struct Outcome {
     /// The global model and its body; `None` if no model took part.
     pub(super) merged: Option<(Merged, Vec<u8>)>,
-    /// Models that took no part.
-    pub(super) kept_out: Vec<KeptOut>,
-    /// Models that were changed to fit the others.
-    pub(super) fitted: Vec<Fitted>,
+    /// What the gate decided about the models.
+    pub(super) verdict: Verdict,
 }
 
 /// The state of a merge.
@@ -121,14 +119,10 @@ impl Job {
         let thread = thread::spawn(move || {
             let _span = info_span!("round", models = stored.count(), parts = parts.count()).entered();
             let is_stopped = || flag.load(Ordering::Relaxed);
-            let names: Vec<String> = stored.headers.iter().map(|header| header.device.to_string()).collect();
             let admitted = admit(&stored, settings.refine, threads, &is_stopped)?;
-            let kept_out = admitted.kept_out(&names);
-            let kept_out = kept_out.map(|(i, reason)| KeptOut::new(&stored.headers[i], reason)).collect();
-            let places = (0..admitted.count()).map(|place| admitted.place(place));
-            let fitted = places.filter_map(|place| Fitted::of(&names[place.local], place)).collect();
+            let verdict = Verdict::of(&admitted, &stored.headers);
             if admitted.count() == 0 {
-                return Ok(Outcome { merged: None, kept_out, fitted });
+                return Ok(Outcome { merged: None, verdict });
             }
             let mut merged = merge(&admitted, &settings, threads, &mut |progress: MergeProgress| {
                 if progress.step.is_multiple_of(TELL_EVERY) {
@@ -141,7 +135,7 @@ impl Job {
             }
             merged.summary.splats = merged.model.splats.len();
             let body = packed(&merged.model, threads)?;
-            Ok(Outcome { merged: Some((merged, body)), kept_out, fitted })
+            Ok(Outcome { merged: Some((merged, body)), verdict })
         });
         Self { inputs, stop, progress, thread: Some(thread) }
     }

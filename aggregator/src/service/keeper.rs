@@ -15,7 +15,7 @@ use super::error::ServiceError;
 use super::event::ServiceEvent;
 use super::folder::{global_ply, global_store};
 use super::job::{Inputs, Job, JobState, Outcome};
-use super::record::{Fitted, Input, KeptOut, Merging, remove_global};
+use super::record::{Input, KeptOut, Merging, Verdict, remove_global};
 use super::round::{Expected, Round};
 use super::shelf::Shelf;
 
@@ -265,7 +265,8 @@ impl Keeper {
         };
         let (inputs, seconds) = (std::mem::take(&mut job.inputs), (now - *begun).as_secs_f64());
         self.job = None;
-        let Outcome { merged, kept_out, fitted } = (*outcome)?;
+        let Outcome { merged, verdict } = (*outcome)?;
+        let kept_out = verdict.kept_out.clone();
         let Some(merged) = merged else {
             // Nothing replaces a global model that shows ground of withdrawn devices.
             if Merging::read(&self.folder).is_some_and(|record| self.shelf.has_withdrawn(&record.inputs)) {
@@ -273,7 +274,7 @@ impl Keeper {
             }
             return Ok(Some(ServiceEvent::NothingMerged { kept_out }));
         };
-        let offer = self.keep(merged, &inputs, (kept_out.clone(), fitted), seconds)?;
+        let offer = self.keep(merged, &inputs, verdict, seconds)?;
         Ok(Some(self.broadcast(node, offer, inputs.headers().count(), kept_out)))
     }
 
@@ -283,7 +284,7 @@ impl Keeper {
         &mut self,
         (merged, body): (Merged, Vec<u8>),
         inputs: &Inputs,
-        (kept_out, fitted): (Vec<KeptOut>, Vec<Fitted>),
+        Verdict { kept_out, fitted, fits }: Verdict,
         seconds: f64,
     ) -> Result<Offer, ServiceError> {
         let Merged { model, summary } = merged;
@@ -298,7 +299,8 @@ impl Keeper {
         ply::write(&global_ply(&self.folder), &model.splats)?;
         let (revision, inputs) = (offer.header.model.0, recorded(inputs));
         let settings = self.merge;
-        Merging { revision, inputs, kept_out, fitted, settings, summary, seconds }.write(&self.folder)?;
+        Merging { revision, inputs, kept_out, fitted, fits, settings, summary, seconds }
+            .write(&self.folder)?;
         Ok(offer)
     }
 

@@ -11,8 +11,8 @@ use cosurf_wire::{DeviceId, ModelHeader, ModelId};
 use serde::{Deserialize, Serialize};
 
 use super::folder::global_ply;
-use crate::gate::{Place, Similarity, Tone};
-use crate::merge::{MergeSettings, MergeSummary};
+use crate::gate::{Admitted, Fit, Place, Similarity, Tone};
+use crate::merge::{Locals, MergeSettings, MergeSummary};
 
 const MERGED: &str = "merged.json";
 const WITHDRAWN: &str = "withdrawn";
@@ -30,6 +30,9 @@ pub struct Merging {
     /// Those of `inputs` that were changed to fit the others.
     #[serde(default)]
     pub fitted: Vec<Fitted>,
+    /// How well every two of `inputs` that share ground fit each other.
+    #[serde(default)]
+    pub fits: Vec<FitRecord>,
     /// Settings of the merge.
     pub settings: MergeSettings,
     /// Figures of the merge. Its `locals` are the models that took part, in order of device id.
@@ -75,6 +78,48 @@ impl KeptOut {
     }
 }
 
+/// What the gate decided about the models of a merge.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Verdict {
+    pub(super) kept_out: Vec<KeptOut>,
+    pub(super) fitted: Vec<Fitted>,
+    pub(super) fits: Vec<FitRecord>,
+}
+
+impl Verdict {
+    /// `headers` are those of the models that were judged, in their order.
+    pub(super) fn of(admitted: &Admitted, headers: &[ModelHeader]) -> Self {
+        let names: Vec<String> = headers.iter().map(|header| header.device.to_string()).collect();
+        let kept_out =
+            admitted.kept_out(&names).map(|(i, reason)| KeptOut::new(&headers[i], reason)).collect();
+        let places = (0..admitted.count()).map(|place| admitted.place(place));
+        let fitted = places.filter_map(|place| Fitted::of(&names[place.local], place)).collect();
+        let fits = admitted.fits().iter().map(|fit| FitRecord::of(&names, fit)).collect();
+        Self { kept_out, fitted, fits }
+    }
+}
+
+/// How well the models of two devices show the same ground at the same place; see [`Fit`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FitRecord {
+    /// The devices that sent the models.
+    pub devices: [String; 2],
+    /// Number of points of the ground that were found in both models.
+    pub points: usize,
+    /// Median distance between a point in one model and the same point in the other, before any model was moved, px of
+    /// pictures with a long side of 320 px.
+    pub before_px: f64,
+    /// The same after the models were moved.
+    pub after_px: f64,
+}
+
+impl FitRecord {
+    pub(super) fn of(names: &[String], fit: &Fit) -> Self {
+        let Fit { models, points, before_px, after_px } = *fit;
+        Self { devices: models.map(|i| names[i].clone()), points, before_px, after_px }
+    }
+}
+
 /// A model that was changed to fit the others.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Fitted {
@@ -82,6 +127,10 @@ pub struct Fitted {
     pub device: String,
     /// Transformation from the model's own frame to that of the others; `None` if the model was not moved.
     pub by: Option<Similarity>,
+    /// How far the ground that the model shares with others was moved: root mean square, world units; `None` if the
+    /// model was not moved, and in records of version 0.1.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub distance_m: Option<f64>,
     /// Change of the model's colours that matches them to those of the others; `None` if they were not changed.
     pub tone: Option<Tone>,
 }
@@ -90,13 +139,14 @@ impl Fitted {
     /// `None` if the model was not changed.
     pub(super) fn of(device: &str, place: Place) -> Option<Self> {
         let Place { by, tone, .. } = place;
-        (by.is_some() || tone.is_some()).then(|| Self { device: device.to_string(), by, tone })
+        let (device, distance_m) = (device.to_string(), by.map(|by| by.distance_m));
+        (by.is_some() || tone.is_some()).then(|| Self { device, by: by.map(|by| by.by), distance_m, tone })
     }
 }
 
 impl fmt::Display for Fitted {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let moved = self.by.map(|_| "lay in another frame and was moved to where it fits".to_string());
+        let moved = self.distance_m.map(|off| format!("lay {off:.2} m off and was moved to where it fits"));
         let changes: Vec<String> = moved.into_iter().chain(self.tone.map(|tone| tone.to_string())).collect();
         write!(f, "{}: {}", self.device, changes.join(", "))
     }

@@ -149,14 +149,34 @@ pub(crate) fn broken_off(folder: &TempDir) -> Result<Results> {
     })
 }
 
+/// Measures missions whose models arrive in frames that are not exactly right.
+pub(crate) fn frames(folder: &TempDir) -> Result<Results> {
+    build()?;
+    of_datasets(&DATASETS[2..], "frames", folder, |name, data, out| {
+        mission(Some(data), &[&TRAINING[..], &["--agents", "4"]].concat(), out)?;
+        let agents = agents(out, 4);
+        let agents = agents.iter().map(|agent| text(agent)).collect::<Result<Vec<_>>>()?;
+        ours("frames", &[&[text(data)?, "--name", name], &agents[..]].concat(), folder)
+    })
+}
+
 /// Runs a bench for each dataset, and joins the rows.
 fn of_each_dataset(
+    bench: &str,
+    folder: &TempDir,
+    run: impl FnMut(&str, &Path, &Path) -> Result<Results>,
+) -> Result<Results> {
+    of_datasets(&DATASETS, bench, folder, run)
+}
+
+fn of_datasets(
+    datasets: &[(&str, Option<&str>)],
     bench: &str,
     folder: &TempDir,
     mut run: impl FnMut(&str, &Path, &Path) -> Result<Results>,
 ) -> Result<Results> {
     let mut all: Option<Results> = None;
-    for (name, data) in DATASETS {
+    for &(name, data) in datasets {
         let data = match data {
             Some(data) => dataset(data)?,
             None => {

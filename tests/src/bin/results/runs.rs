@@ -42,7 +42,7 @@ pub(crate) fn command_fault(stored: &Results) -> Option<String> {
 }
 
 /// All benches, the quickest first.
-pub(crate) const RUNS: [Run; 20] = [
+pub(crate) const RUNS: [Run; 21] = [
     Run {
         name: "sizes",
         about: "size of both programs",
@@ -123,6 +123,12 @@ pub(crate) const RUNS: [Run; 20] = [
         command: "MISSIONS=DIR:DIR cargo test --release -p cosurf-aggregator --lib -- --ignored \
                   trained_models_are_moved_back",
         measure: missions::placement,
+    },
+    Run {
+        name: "frames",
+        about: "what models in wrong frames cost",
+        command: "cargo bench -p cosurf-tests --bench frames -- DATA AGENT...",
+        measure: benches::frames,
     },
     Run {
         name: "layers",

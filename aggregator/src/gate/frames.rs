@@ -1,0 +1,285 @@
+//! Finds the frames of all models: where each model must be moved so that the ground that models share lies at the same
+//! place in all of them.
+//!
+//! Every two models that share ground are linked ([`super::links`]), and the frames of all linked models are adjusted
+//! together ([`super::adjust`]). The links tell how the models lie to each other, but not where all of them lie in the
+//! world. So the adjusted models are laid on the model that leaves most of the others where they were. A model that
+//! then needs a move smaller than [`STAY_PX`] stays exactly where it was: such small moves are errors of the
+//! measurement, and models in one frame keep their bytes.
+
+use std::collections::BTreeSet;
+
+use serde::{Deserialize, Serialize};
+use tracing::debug_span;
+
+use super::adjust::{Frame, Link, adjust, difference_px, distance_m};
+use super::links::{Held, links};
+use super::similarity::Similarity;
+use crate::merge::{Locals, MergeError};
+
+/// A model stays where it is if its ground would move by at most this, root mean square, px of the compared pictures.
+/// The models of an undisturbed mission need moves of up to 0.2 px.
+const STAY_PX: f64 = 0.3;
+/// A model also stays if its ground would move by at most this many standard deviations of the measured move.
+const STAY_DEVIATIONS: f64 = 3.0;
+
+/// How each model is moved, and how well every two models then fit.
+pub(super) struct Frames {
+    /// How each model is moved to where it fits; `None` if it stays.
+    pub(super) moves: Vec<Option<Move>>,
+    /// One entry for every two models that are linked.
+    pub(super) fits: Vec<Fit>,
+}
+
+/// How a model is moved to where it fits the others.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Move {
+    /// From the model's own frame to that of the others.
+    pub by: Similarity,
+    /// How far the ground that the model shares with others moves: root mean square, world units.
+    pub distance_m: f64,
+}
+
+/// How well two models show the same ground at the same place.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Fit {
+    /// Indices of the models, ascending.
+    pub models: [usize; 2],
+    /// Number of points of the ground that were found in both models.
+    pub points: usize,
+    /// Median distance between a point in one model and the same point in the other, before any model was moved, px of
+    /// pictures with a long side of 320 px.
+    pub before_px: f64,
+    /// The same after the models were moved.
+    pub after_px: f64,
+}
+
+/// A similarity between two linked models.
+struct Edge {
+    models: [usize; 2],
+    /// From the frame of the second model to that of the first.
+    first_from_second: Similarity,
+    /// Number of pairs.
+    pairs: usize,
+}
+
+/// Finds the frames of all models. `is_given_up` is called between models; if it returns true, the result is an error.
+pub(super) fn find_frames(
+    locals: &dyn Locals,
+    threads: usize,
+    is_given_up: &dyn Fn() -> bool,
+) -> Result<Frames, MergeError> {
+    let count = locals.count();
+    let identity = vec![Similarity::IDENTITY; count];
+    let all: BTreeSet<[usize; 2]> = (0..count).flat_map(|i| (i + 1..count).map(move |j| [i, j])).collect();
+    let (mut edges, mut links) = measure(locals, &all, &identity, threads, is_given_up)?;
+    let mut frames = lay(&edges, &links, count);
+    // Pairs of models that move are measured again, now with pictures from the same places.
+    let moved: BTreeSet<[usize; 2]> = edges
+        .iter()
+        .map(|edge| edge.models)
+        .filter(|models| models.iter().any(|i| frames[*i].is_some()))
+        .collect();
+    if !moved.is_empty() {
+        let guesses: Vec<Similarity> = frames.iter().map(|by| by.unwrap_or(Similarity::IDENTITY)).collect();
+        let (new_edges, new_links) = measure(locals, &moved, &guesses, threads, is_given_up)?;
+        edges.retain(|edge| !moved.contains(&edge.models));
+        edges.extend(new_edges);
+        links.retain(|Link { models: [a, b], .. }| !moved.contains(&[*a.min(b), *a.max(b)]));
+        links.extend(new_links);
+        frames = lay(&edges, &links, count);
+    }
+    let fits = edges.iter().map(|edge| fit(edge.models, &links, &frames)).collect();
+    let moved = |(i, by): (usize, &Option<Similarity>)| {
+        by.map(|by| Move { by, distance_m: distance_m(&links, i, &by) })
+    };
+    Ok(Frames { moves: frames.iter().enumerate().map(moved).collect(), fits })
+}
+
+/// How well two linked models fit, before and after they are moved to their frames.
+fn fit(models: [usize; 2], links: &[Link], frames: &[Option<Similarity>]) -> Fit {
+    let mut points = 0;
+    let (mut before, mut after) = (Vec::new(), Vec::new());
+    for link in links.iter().filter(|link| link.models == models || link.models == [models[1], models[0]]) {
+        let [one, other] = link.models.map(|model| frames[model].unwrap_or(Similarity::IDENTITY));
+        points += link.pairs.len();
+        for pair in &link.pairs {
+            before.push(pair.trusted.distance(pair.other) / pair.trusted_pixel_m);
+            let pixel_m = pair.trusted_pixel_m * one.scale;
+            after.push(one.apply(pair.trusted).distance(other.apply(pair.other)) / pixel_m);
+        }
+    }
+    Fit { models, points, before_px: median(before), after_px: median(after) }
+}
+
+/// The median; 0 of no values.
+fn median(mut values: Vec<f64>) -> f64 {
+    let middle = values.len() / 2;
+    if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
+}
+
+/// Links the pairs of models. `guesses` has the frame of each model as far as it is known.
+fn measure(
+    locals: &dyn Locals,
+    pairs: &BTreeSet<[usize; 2]>,
+    guesses: &[Similarity],
+    threads: usize,
+    is_given_up: &dyn Fn() -> bool,
+) -> Result<(Vec<Edge>, Vec<Link>), MergeError> {
+    let (mut edges, mut all) = (Vec::new(), Vec::new());
+    let mut held: Option<(usize, Held)> = None;
+    for &models in pairs {
+        if is_given_up() {
+            return Err(MergeError::GivenUp);
+        }
+        let [first, second] = models;
+        let _span = debug_span!("link", one = first, other = second).entered();
+        let one = match held.take() {
+            Some((index, one)) if index == first => one,
+            _ => Held::of(locals, first, threads)?,
+        };
+        let (_, one) = held.insert((first, one));
+        let mut other = Held::of(locals, second, threads)?;
+        let guess = guesses[first].inverse().after(&guesses[second]);
+        if let Some((first_from_second, links)) = links(one, &mut other, &guess) {
+            let pairs = links.iter().map(|link| link.pairs.len()).sum();
+            edges.push(Edge { models, first_from_second, pairs });
+            all.extend(links);
+        }
+    }
+    Ok((edges, all))
+}
+
+/// How each model must be moved; `None` for models that stay or have no link.
+fn lay(edges: &[Edge], links: &[Link], count: usize) -> Vec<Option<Similarity>> {
+    let mut moves = vec![None; count];
+    let mut is_done = vec![false; count];
+    for root in 0..count {
+        if is_done[root] {
+            continue;
+        }
+        let starts = spread(edges, root, count);
+        starts.iter().enumerate().filter(|(_, start)| start.is_some()).for_each(|(i, _)| is_done[i] = true);
+        let only_root: Vec<bool> = (0..count).map(|i| i == root).collect();
+        let adjusted = adjust(links, &starts, &only_root);
+        lay_group(links, &adjusted, &mut moves);
+    }
+    moves
+}
+
+/// The frames of all models that are linked to `root`, in the frame of `root`, by way of the links with most pairs.
+fn spread(edges: &[Edge], root: usize, count: usize) -> Vec<Option<Similarity>> {
+    let mut frames = vec![None; count];
+    frames[root] = Some(Similarity::IDENTITY);
+    loop {
+        let next = edges.iter().filter_map(|edge| {
+            let [first, second] = edge.models;
+            match [frames[first], frames[second]] {
+                [Some(by), None] => Some((edge.pairs, second, by.after(&edge.first_from_second))),
+                [None, Some(by)] => Some((edge.pairs, first, by.after(&edge.first_from_second.inverse()))),
+                _ => None,
+            }
+        });
+        // Of several links with most pairs, the first in the order of models counts.
+        let Some((_, model, by)) = next.reduce(|a, b| if b.0 > a.0 { b } else { a }) else { return frames };
+        frames[model] = Some(by);
+    }
+}
+
+/// Lays a group of adjusted models on the model that leaves most models where they were, and notes the moves of the
+/// others.
+fn lay_group(links: &[Link], adjusted: &[Option<Frame>], moves: &mut [Option<Similarity>]) {
+    let group: Vec<(usize, Frame)> =
+        adjusted.iter().enumerate().filter_map(|(i, frame)| Some((i, (*frame)?))).collect();
+    let stays_on = |anchor: &Frame| -> Vec<usize> {
+        let back = anchor.by.inverse();
+        let stays = |(i, frame): &&(usize, Frame)| {
+            let limit_px = STAY_PX.max(STAY_DEVIATIONS * frame.deviation_px.hypot(anchor.deviation_px));
+            difference_px(links, *i, &back.after(&frame.by), &Similarity::IDENTITY) <= limit_px
+        };
+        group.iter().filter(stays).map(|(i, _)| *i).collect()
+    };
+    let pairs_of = |i: usize| -> usize {
+        links.iter().filter(|link| link.models.contains(&i)).map(|link| link.pairs.len()).sum()
+    };
+    let candidates = group.iter().map(|(i, frame)| (stays_on(frame), pairs_of(*i), frame.by));
+    let best = candidates.reduce(|a, b| if (b.0.len(), b.1) > (a.0.len(), a.1) { b } else { a });
+    let Some((staying, _, anchor)) = best.filter(|(staying, ..)| staying.len() < group.len()) else { return };
+    let back = anchor.inverse();
+    let mut starts = vec![None; adjusted.len()];
+    let mut is_fixed = vec![false; adjusted.len()];
+    for (i, frame) in &group {
+        is_fixed[*i] = staying.contains(i);
+        starts[*i] = Some(if is_fixed[*i] { Similarity::IDENTITY } else { back.after(&frame.by) });
+    }
+    for (i, frame) in adjust(links, &starts, &is_fixed).into_iter().enumerate() {
+        if let Some(frame) = frame.filter(|_| !is_fixed[i]) {
+            moves[i] = Some(frame.by);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::super::adjust::tests::{Dice, PIXEL_M, apart_m, link};
+    use super::*;
+
+    /// Links between every two models whose frames are `world_from`, as they would be measured.
+    fn measured(dice: &mut Dice, world_from: &[Similarity]) -> (Vec<Edge>, Vec<Link>) {
+        let (mut edges, mut links) = (Vec::new(), Vec::new());
+        for one in 0..world_from.len() {
+            for other in one + 1..world_from.len() {
+                let pairs = 400 - 10 * one;
+                let first_from_second = world_from[one].inverse().after(&world_from[other]);
+                edges.push(Edge { models: [one, other], first_from_second, pairs });
+                links.push(link(dice, [one, other], world_from, pairs));
+            }
+        }
+        (edges, links)
+    }
+
+    #[test]
+    fn models_in_one_frame_stay_and_the_one_that_is_off_moves() {
+        for wrong in 0..4 {
+            let mut dice = Dice(wrong as u64);
+            let mut frames = vec![Similarity::IDENTITY; 4];
+            let (edges, links) = measured(&mut dice, &frames);
+            assert_eq!(lay(&edges, &links, 4), vec![None; 4]);
+            frames[wrong] = dice.similarity();
+            let (edges, links) = measured(&mut dice, &frames);
+            let moves = lay(&edges, &links, 4);
+            for (i, by) in moves.iter().enumerate() {
+                assert_eq!(by.is_some(), i == wrong, "model {i} of {wrong}");
+            }
+            let apart_m = apart_m(&moves[wrong].unwrap(), &frames[wrong]);
+            assert!(apart_m < 0.2 * PIXEL_M, "{apart_m} m off");
+        }
+    }
+
+    #[test]
+    fn if_every_model_is_off_all_are_laid_on_the_one_with_most_points() {
+        let mut dice = Dice(5);
+        let frames: Vec<Similarity> = (0..4).map(|_| dice.similarity()).collect();
+        let (edges, links) = measured(&mut dice, &frames);
+        let moves = lay(&edges, &links, 4);
+        assert_eq!(moves[0], None);
+        for i in 1..4 {
+            let right = frames[0].inverse().after(&frames[i]);
+            let apart_m = apart_m(&moves[i].unwrap(), &right);
+            assert!(apart_m < 0.2 * PIXEL_M, "model {i} is {apart_m} m off");
+        }
+    }
+
+    #[test]
+    fn groups_without_a_link_are_laid_apart() {
+        let mut dice = Dice(9);
+        let frames: Vec<Similarity> = (0..4).map(|_| dice.similarity()).collect();
+        let (edges, links) = measured(&mut dice, &frames);
+        let is_inside = |models: &[usize; 2]| (models[0] < 2) == (models[1] < 2);
+        let edges: Vec<Edge> = edges.into_iter().filter(|edge| is_inside(&edge.models)).collect();
+        let links: Vec<Link> = links.into_iter().filter(|link| is_inside(&link.models)).collect();
+        let stays: Vec<bool> = lay(&edges, &links, 5).iter().map(Option::is_none).collect();
+        assert_eq!(stays, [true, false, true, false, true], "the last model has no link");
+    }
+}
