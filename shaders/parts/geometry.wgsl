@@ -62,8 +62,8 @@ fn geometry(mean: vec3<f32>, quat: vec4<f32>, log_scale: vec3<f32>) -> Geometry 
     let r = rotation(g.q);
     g.u = mat3x3(to_camera(r[0]), to_camera(r[1]), to_camera(r[2]));
     g.scale = exp(min(max(log_scale, vec3(-40.0)), vec3(40.0)));
-    // With f the focal length, the first row of J is f / z times [1, 0, -slope.x]. The second row is f / z times [0, 1,
-    // -slope.y].
+    // J is the Jacobian of the projection to pixels. Its rows are j.x * [1, 0, -slope.x] and j.y * [0, 1, -slope.y].
+    // Here j is the focal length along each screen axis, divided by z.
     let u_x = vec3(g.u[0].x, g.u[1].x, g.u[2].x);
     let u_y = vec3(g.u[0].y, g.u[1].y, g.u[2].y);
     let u_z = vec3(g.u[0].z, g.u[1].z, g.u[2].z);

@@ -6,8 +6,8 @@
 // Widens the range of pixels on each side, px, so that rounding cannot lose a pixel on the threshold.
 const SLACK_PX: f32 = 0.01;
 
-// The first pixel whose centre is in [low, high], and the pixel after the last one. Both are clipped to 0..size. If
-// there is no such pixel, the second number is not larger than the first.
+// The first pixel whose centre is in [low - SLACK_PX, high + SLACK_PX], and the pixel after the last such pixel. Both
+// are clipped to 0..=size. If there is no such pixel, the second number is not larger than the first.
 fn pixels_between(low: f32, high: f32, size: u32) -> vec2<i32> {
     let first = ceil(clamp(low - 0.5 - SLACK_PX, -1.0, f32(size)));
     let last = floor(clamp(high - 0.5 + SLACK_PX, -1.0, f32(size) - 1.0));

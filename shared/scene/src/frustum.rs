@@ -76,7 +76,7 @@ mod tests {
     use super::*;
     use crate::camera::Pose;
 
-    /// Six cameras on a ring, which look at points near its centre.
+    /// Six cameras on a ring of radius 7 above the origin. They look down at points near the origin.
     fn cameras() -> Vec<Camera> {
         let camera = |i: u32| {
             let angle = f64::from(i);

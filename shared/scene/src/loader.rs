@@ -109,7 +109,8 @@ fn refuse_missing(views: &[View]) -> Result<(), SceneError> {
     Err(SceneError::malformed(&first.path, reason))
 }
 
-/// Rescales the view's camera to the size of its picture on disk. Errors: another aspect ratio.
+/// Rescales the view's camera to the size of its picture on disk. Fails if the size cannot be read, or if the picture's
+/// aspect ratio differs from the camera's.
 fn fit_camera(view: &mut View) -> Result<(), SceneError> {
     let found = Picture::size_of(&view.path)?;
     let [width, height] = view.camera.size_px.map(f64::from);

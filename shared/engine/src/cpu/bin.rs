@@ -16,7 +16,8 @@ use crate::layout::tiles::{TILE, TileImage};
 use crate::layout::view::ViewParams;
 use crate::simd::GROUP;
 
-/// Initial capacity for spans, per splat of a run. If a run has more spans, its memory grows and stays large.
+/// Initial capacity for spans, per splat of a run. A run is one of the [`RUNS`] groups of depth-sorted splats. If a run
+/// has more spans, the memory for its spans grows, and is not shrunk afterwards.
 const SPANS_PER_SPLAT: usize = 3;
 
 /// Number of runs into which the depth-sorted splats are divided, for parallel work. The result does not depend on it.

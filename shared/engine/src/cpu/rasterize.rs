@@ -62,7 +62,8 @@ pub(crate) fn touched_rows(splat: &Projected, origin_y: f32) -> (usize, usize) {
     let center = splat.mean_px[1] - origin_y - 0.5;
     let first = (center - splat.extent_px[1]).ceil().max(0.0);
     let end = ((center + splat.extent_px[1]).floor() + 1.0).min(TILE as f32);
-    // Casts saturate, so a box above or below the tile gives an empty range.
+    // A box above the tile has a negative end, which the cast turns into 0. A box below the tile has first > end. Both
+    // ranges are empty.
     (first as usize, (end as usize).min(TILE))
 }
 

@@ -12,8 +12,9 @@ impl<T> PerThread<T> {
         Self((0..threads).map(|_| Mutex::new(make())).collect())
     }
 
-    /// Calls `work` with the value of the current thread, which is locked until `work` returns. So `work` must not wait
-    /// for other work of the pool. A thread of another pool may have to wait for the value.
+    /// Calls `work` with the value of the current thread. The value is locked until `work` returns. `work` must not wait
+    /// for other jobs of the pool: while a thread waits, it may start a job that locks the same value, which is a
+    /// deadlock. A thread outside the pool shares the value of a pool thread, and may wait for it.
     pub(crate) fn with<R>(&self, work: impl FnOnce(&mut T) -> R) -> R {
         let index = rayon::current_thread_index().unwrap_or(0) % self.0.len();
         // If another kernel panicked, its lock is poisoned. The numbers that it left are overwritten by the next

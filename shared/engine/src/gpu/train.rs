@@ -31,7 +31,8 @@ struct Passes {
     score_collect: Pass,
 }
 
-/// The passes of training, and all their buffers except those of the splats and of the picture.
+/// The passes of training, and the buffers that only training needs. The splats are in [`Model`]. The view, the
+/// splat–tile pairs and the rendered picture are in [`Drawing`].
 #[derive(Debug)]
 pub(super) struct Training {
     passes: Passes,

@@ -43,8 +43,8 @@ const FIRST_ROUND_TRIP: Duration = Duration::from_secs(1);
 /// Added to the timeout of an answer, in case the other side's thread wakes up late. Also the longest wait for
 /// the remaining copies of the other side's turn.
 const GRACE: Duration = Duration::from_millis(200);
-/// Upper limit of the time without an answer after which a turn is repeated, before [`IDLE`] and a random
-/// part are added.
+/// A turn is repeated if no answer comes within some time. This is the upper limit of that time. [`IDLE`]
+/// and a random part are added to the limited time.
 const REPEAT_MAX: Duration = Duration::from_secs(5);
 /// The line counts as lost after this long without a valid frame.
 const LOST_AFTER: Duration = Duration::from_secs(30);
