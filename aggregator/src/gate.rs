@@ -21,10 +21,12 @@
 
 mod adjust;
 mod consensus;
+mod features;
 mod frames;
 mod glimpse;
 mod links;
 mod matching;
+mod register;
 mod similarity;
 #[cfg(test)]
 pub(crate) mod tests;

@@ -9,7 +9,7 @@ use super::similarity::Similarity;
 const TRIES: usize = 400;
 /// How often the best similarity is fitted again to all pairs that agree with it.
 const REFITS: usize = 5;
-/// Accepted scales of a similarity.
+/// Accepted scales of a similarity, as multiples of the ratio of the widths of a pixel in the two models.
 const SCALES: std::ops::RangeInclusive<f64> = 0.5..=2.0;
 
 /// The similarity from the other model's frame to the trusted model's frame with which most pairs agree, and the number
@@ -20,7 +20,10 @@ pub(super) fn consensus(pairs: &[Pair], tolerance_px: f64) -> Option<(Similarity
     let mut best: Option<(Similarity, usize)> = None;
     for _ in 0..if pairs.len() < 3 { 0 } else { TRIES } {
         let triple = [(); 3].map(|()| pairs[dice.below(pairs.len())]);
-        let Some(found) = between(&triple).filter(|found| SCALES.contains(&found.scale)) else { continue };
+        let pixels = triple[0].trusted_pixel_m / triple[0].other_pixel_m;
+        let Some(found) = between(&triple).filter(|found| SCALES.contains(&(found.scale / pixels))) else {
+            continue;
+        };
         let count = agreeing(pairs, &found, tolerance_px).len();
         if count >= 3 && best.is_none_or(|(_, most)| count > most) {
             best = Some((found, count));
@@ -39,21 +42,24 @@ pub(super) fn distance_px(pair: &Pair, from_other: &Similarity) -> f64 {
     from_other.apply(pair.other).distance(pair.trusted) / pair.trusted_pixel_m
 }
 
-fn agreeing(pairs: &[Pair], from_other: &Similarity, tolerance_px: f64) -> Vec<Pair> {
+/// The pairs whose points are at most `tolerance_px` apart after `from_other` has moved the other model's points.
+pub(super) fn agreeing(pairs: &[Pair], from_other: &Similarity, tolerance_px: f64) -> Vec<Pair> {
     pairs.iter().filter(|pair| distance_px(pair, from_other) <= tolerance_px).copied().collect()
 }
 
-fn between(pairs: &[Pair]) -> Option<Similarity> {
+/// The similarity that moves the other model's points closest to the trusted model's.
+pub(super) fn between(pairs: &[Pair]) -> Option<Similarity> {
     let (other, trusted): (Vec<DVec3>, Vec<DVec3>) =
         pairs.iter().map(|pair| (pair.other, pair.trusted)).unzip();
     Similarity::between(&other, &trusted)
 }
 
 /// Random numbers from a seed (SplitMix64).
-struct Dice(u64);
+pub(super) struct Dice(pub(super) u64);
 
 impl Dice {
-    fn below(&mut self, end: usize) -> usize {
+    /// A number from 0 to below `end`, which must not be 0.
+    pub(super) fn below(&mut self, end: usize) -> usize {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
         let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);

@@ -1,8 +1,8 @@
 //! Finds the frames of all models: where each model must be moved so that the ground that models share lies at the same
 //! place in all of them.
 //!
-//! Every two models that share ground are linked ([`super::links`]), and the frames of all linked models are adjusted
-//! together ([`super::adjust`]). The links tell how the models lie to each other, but not where all of them lie in the
+//! Every two models that share ground are linked ([`super::links`]). Models in unrelated frames are first brought near
+//! each other ([`super::register`]). Then the frames of all linked models are adjusted together ([`super::adjust`]). The links tell how the models lie to each other, but not where all of them lie in the
 //! world. So the adjusted models are laid on the model that leaves most of the others where they were. A model that
 //! then needs a move smaller than [`STAY_PX`] stays exactly where it was: such small moves are errors of the
 //! measurement, and models in one frame keep their bytes.
@@ -13,7 +13,9 @@ use serde::{Deserialize, Serialize};
 use tracing::debug_span;
 
 use super::adjust::{Frame, Link, adjust, difference_px, distance_m};
+use super::features::Feature;
 use super::links::{Held, links};
+use super::register::register;
 use super::similarity::Similarity;
 use crate::merge::{Locals, MergeError};
 
@@ -22,6 +24,9 @@ use crate::merge::{Locals, MergeError};
 const STAY_PX: f64 = 0.3;
 /// A model also stays if its ground would move by at most this many standard deviations of the measured move.
 const STAY_DEVIATIONS: f64 = 3.0;
+
+/// Limit on the number of pairs of models that are tried to link two groups in unrelated frames.
+const REGISTRATIONS_MAX: usize = 16;
 
 /// How each model is moved, and how well every two models then fit.
 pub(super) struct Frames {
@@ -73,13 +78,12 @@ pub(super) fn find_frames(
     let identity = vec![Similarity::IDENTITY; count];
     let all: BTreeSet<[usize; 2]> = (0..count).flat_map(|i| (i + 1..count).map(move |j| [i, j])).collect();
     let (mut edges, mut links) = measure(locals, &all, &identity, threads, is_given_up)?;
+    register_groups(locals, &mut edges, &mut links, threads, is_given_up)?;
     let mut frames = lay(&edges, &links, count);
-    // Pairs of models that move are measured again, now with pictures from the same places.
-    let moved: BTreeSet<[usize; 2]> = edges
-        .iter()
-        .map(|edge| edge.models)
-        .filter(|models| models.iter().any(|i| frames[*i].is_some()))
-        .collect();
+    // Pairs of models that move are measured again, now with pictures from the same places. Models that were far apart
+    // before may share ground now.
+    let is_moved = |models: &&[usize; 2]| models.iter().any(|i| frames[*i].is_some());
+    let moved: BTreeSet<[usize; 2]> = all.iter().filter(is_moved).copied().collect();
     if !moved.is_empty() {
         let guesses: Vec<Similarity> = frames.iter().map(|by| by.unwrap_or(Similarity::IDENTITY)).collect();
         let (new_edges, new_links) = measure(locals, &moved, &guesses, threads, is_given_up)?;
@@ -141,13 +145,83 @@ fn measure(
         let (_, one) = held.insert((first, one));
         let mut other = Held::of(locals, second, threads)?;
         let guess = guesses[first].inverse().after(&guesses[second]);
-        if let Some((first_from_second, links)) = links(one, &mut other, &guess) {
-            let pairs = links.iter().map(|link| link.pairs.len()).sum();
-            edges.push(Edge { models, first_from_second, pairs });
+        if let Some((edge, links)) = link(one, &mut other, &guess) {
+            edges.push(edge);
             all.extend(links);
         }
     }
     Ok((edges, all))
+}
+
+/// Links two models; `guess` is the similarity from the second to the first as far as it is known.
+fn link(one: &mut Held, other: &mut Held, guess: &Similarity) -> Option<(Edge, [Link; 2])> {
+    let (first_from_second, links) = links(one, other, guess)?;
+    let pairs = links.iter().map(|link| link.pairs.len()).sum();
+    Some((Edge { models: [one.index(), other.index()], first_from_second, pairs }, links))
+}
+
+/// Links groups of models that are not linked to each other, if they share ground but lie in unrelated frames.
+fn register_groups(
+    locals: &dyn Locals,
+    edges: &mut Vec<Edge>,
+    links: &mut Vec<Link>,
+    threads: usize,
+    is_given_up: &dyn Fn() -> bool,
+) -> Result<(), MergeError> {
+    let count = locals.count();
+    let mut features: Vec<Option<Vec<Feature>>> = vec![None; count];
+    let mut tried = BTreeSet::new();
+    let mut groups = groups(edges, count);
+    while let Some([first, second]) = next_to_register(&groups, &tried) {
+        if is_given_up() {
+            return Err(MergeError::GivenUp);
+        }
+        let _span = debug_span!("register", one = first, other = second).entered();
+        tried.insert([first, second]);
+        let [mut one, mut other] = [Held::of(locals, first, threads)?, Held::of(locals, second, threads)?];
+        for held in [&mut one, &mut other] {
+            features[held.index()].get_or_insert_with(|| held.features());
+        }
+        let of = |model: usize| features[model].as_deref().unwrap_or_default();
+        let Some(guess) = register(of(first), of(second)) else { continue };
+        if let Some((edge, new_links)) = link(&mut one, &mut other, &guess) {
+            edges.push(edge);
+            links.extend(new_links);
+            groups = self::groups(edges, count);
+        }
+    }
+    Ok(())
+}
+
+/// The next two models of different groups to register. Models of larger groups come first, and at most
+/// [`REGISTRATIONS_MAX`] pairs of the same two groups are tried.
+fn next_to_register(groups: &[usize], tried: &BTreeSet<[usize; 2]>) -> Option<[usize; 2]> {
+    let count = groups.len();
+    let pairs = (0..count).flat_map(|i| (i + 1..count).map(move |j| [i, j]));
+    let tried_between = |[a, b]: [usize; 2]| {
+        let is_same = |[c, d]: &&[usize; 2]| {
+            let [c, d] = [groups[*c], groups[*d]];
+            [c.min(d), c.max(d)] == [a.min(b), a.max(b)]
+        };
+        tried.iter().filter(is_same).count()
+    };
+    let size = |model: usize| groups.iter().filter(|group| **group == groups[model]).count();
+    let is_open = |[a, b]: &[usize; 2]| {
+        let between = [groups[*a], groups[*b]];
+        between[0] != between[1] && !tried.contains(&[*a, *b]) && tried_between(between) < REGISTRATIONS_MAX
+    };
+    pairs.filter(is_open).min_by_key(|[a, b]| (std::cmp::Reverse(size(*a).max(size(*b))), *a, *b))
+}
+
+/// For each model, the lowest index of the models that it is linked to, directly or by way of others.
+fn groups(edges: &[Edge], count: usize) -> Vec<usize> {
+    let mut groups: Vec<usize> = (0..count).collect();
+    for Edge { models: [one, other], .. } in edges {
+        let [one, other] = [groups[*one], groups[*other]];
+        let (low, high) = (one.min(other), one.max(other));
+        groups.iter_mut().filter(|group| **group == high).for_each(|group| *group = low);
+    }
+    groups
 }
 
 /// How each model must be moved; `None` for models that stay or have no link.

@@ -10,6 +10,7 @@ use cosurf_scene::Camera;
 
 use super::adjust::Link;
 use super::consensus::{consensus, distance_px};
+use super::features::Feature;
 use super::matching::{Matches, Pair, Sight, matches};
 use super::similarity::Similarity;
 use crate::merge::{Locals, MergeError};
@@ -55,6 +56,16 @@ impl Held {
     pub(super) fn of(locals: &dyn Locals, index: usize, threads: usize) -> Result<Self, MergeError> {
         let model = locals.load(index)?;
         Ok(Self { index, cameras: model.cameras, renderer: Renderer::new(&model.splats, threads) })
+    }
+
+    /// Index of the model.
+    pub(super) fn index(&self) -> usize {
+        self.index
+    }
+
+    /// Places of the model that can be recognised in other models.
+    pub(super) fn features(&mut self) -> Vec<Feature> {
+        Feature::find(&mut self.renderer, &self.cameras)
     }
 }
 

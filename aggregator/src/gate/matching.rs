@@ -90,19 +90,32 @@ impl Sight {
         Self { camera, rendering, grey, width, height }
     }
 
-    fn is_solid(&self, x: usize, y: usize) -> bool {
+    /// Width and height of the picture, px.
+    pub(super) fn size(&self) -> [usize; 2] {
+        [self.width, self.height]
+    }
+
+    /// Derivatives of the grey values at a pixel that is not on the border, per pixel.
+    pub(super) fn gradient(&self, x: usize, y: usize) -> [f32; 2] {
+        let i = y * self.width + x;
+        [self.grey[i + 1] - self.grey[i - 1], self.grey[i + self.width] - self.grey[i - self.width]]
+            .map(|step| 0.5 * step)
+    }
+
+    /// True if the pixel shows a surface.
+    pub(super) fn is_solid(&self, x: usize, y: usize) -> bool {
         let i = y * self.width + x;
         self.rendering.alpha[i] > ALPHA_MIN && self.rendering.depth[i] > 0.0
     }
 
     /// The world point on the ray through `at_px`, at the depth of the pixel `(x, y)` that contains `at_px`.
-    fn point(&self, x: usize, y: usize, at_px: DVec2) -> DVec3 {
+    pub(super) fn point(&self, x: usize, y: usize, at_px: DVec2) -> DVec3 {
         let depth = f64::from(self.rendering.depth[y * self.width + x]);
         self.camera.unproject(at_px, depth)
     }
 
     /// Width that the pixel `(x, y)` covers at its depth, world units.
-    fn pixel_m(&self, x: usize, y: usize) -> f64 {
+    pub(super) fn pixel_m(&self, x: usize, y: usize) -> f64 {
         f64::from(self.rendering.depth[y * self.width + x]) / self.camera.focal_px.x
     }
 
@@ -149,13 +162,11 @@ impl Sight {
     }
 
     /// The smaller eigenvalue of the mean structure tensor of the patch around a pixel (Shi and Tomasi).
-    fn cornerness(&self, x: usize, y: usize) -> f32 {
+    pub(super) fn cornerness(&self, x: usize, y: usize) -> f32 {
         let (mut xx, mut xy, mut yy) = (0.0f32, 0.0f32, 0.0f32);
         for v in y - PATCH_PX..=y + PATCH_PX {
             for u in x - PATCH_PX..=x + PATCH_PX {
-                let i = v * self.width + u;
-                let dx = 0.5 * (self.grey[i + 1] - self.grey[i - 1]);
-                let dy = 0.5 * (self.grey[i + self.width] - self.grey[i - self.width]);
+                let [dx, dy] = self.gradient(u, v);
                 xx += dx * dx;
                 xy += dx * dy;
                 yy += dy * dy;

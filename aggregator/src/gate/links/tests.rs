@@ -4,9 +4,11 @@
 
 use cosurf_scene::splats::SH_C0;
 use cosurf_scene::{Pose, Splats};
-use glam::{DVec2, DVec3};
+use glam::{DQuat, DVec2, DVec3};
 
 use super::*;
+use crate::gate::adjust::tests::Dice;
+use crate::gate::frames::find_frames;
 use crate::gate::similarity::tests::wrong;
 use crate::gate::{Doubt, admit};
 use crate::testing::InMemory;
@@ -96,7 +98,28 @@ fn a_model_in_another_frame_is_moved_back_to_a_thousandth_of_the_extent() {
 #[test]
 fn a_mirrored_or_shuffled_model_fits_nowhere() {
     for bad in [mirrored(&local(3.0, 20)), nonsense(&local(3.0, 20))] {
-        assert_eq!(find(&local(-3.0, 10), &bad), None);
+        let one = local(-3.0, 10);
+        assert_eq!(find(&one, &bad), None);
+        let frames = find_frames(&InMemory(vec![one, bad]), 1, &|| false).unwrap();
+        assert_eq!((frames.moves, frames.fits), (vec![None, None], Vec::new()), "in any frame");
+    }
+}
+
+#[test]
+fn a_model_in_a_frame_of_its_own_is_found() {
+    let [one, right] = [local(-3.0, 10), local(3.0, 20)];
+    let mut dice = Dice(11);
+    for scale in [0.1, 10.0] {
+        let rotation = DQuat::from_axis_angle(dice.vector().normalize(), 3.1);
+        let there = Similarity { scale, rotation, translation: 100.0 * dice.vector() };
+        let given = vec![one.clone(), there.model(&right)];
+        let moves = find_frames(&InMemory(given.clone()), 1, &|| false).unwrap().moves;
+        assert_eq!(moves[0], None);
+        let back = moves[1].unwrap().by.model(&given[1]);
+        let eye = |camera: &Camera| camera.cam_from_world.center();
+        let cameras = back.cameras.iter().zip(&right.cameras);
+        let off = cameras.map(|(a, b)| eye(a).distance(eye(b))).fold(0.0, f64::max);
+        assert!(off < 0.05, "scale {scale}: off by {off:.4} m");
     }
 }
 
