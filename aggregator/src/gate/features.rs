@@ -6,6 +6,7 @@
 //! almost the same descriptor in pictures that are turned, or taken from another height.
 
 use std::f32::consts::TAU;
+use std::f64::consts::SQRT_2;
 
 use cosurf_engine::Renderer;
 use cosurf_scene::Camera;
@@ -19,7 +20,7 @@ const VIEWS: usize = 12;
 /// Long side of the largest pictures, px. Each further size is smaller by [`SIZE_STEP`].
 const SIZE_PX: u32 = 320;
 /// Ratio of the long sides of one size to the next.
-const SIZE_STEP: f64 = 1.414_213_562_373_095_1;
+const SIZE_STEP: f64 = SQRT_2;
 /// Number of sizes.
 const SIZES: u32 = 4;
 /// Side of a square of the picture that gives at most one corner, px.
