@@ -9,6 +9,7 @@
 mod chart;
 mod embed;
 mod figures;
+mod fits;
 mod map;
 mod page;
 mod rows;

@@ -41,6 +41,40 @@ pub(crate) fn draw(cells: &[Cell], views: &[AssignedView]) -> String {
     svg
 }
 
+/// Draws the cells, and a line with a figure between every two agents in `fits`. Cell `i` belongs to agent `i`.
+pub(super) fn draw_fits(cells: &[Cell], fits: &[([usize; 2], f64)]) -> String {
+    let frame = Frame::around(cells);
+    let height = frame.height();
+    let mut svg = format!(
+        r#"<svg viewBox="0 0 {WIDTH} {height:.0}" role="img" aria-label="Map of how the models fit each other">"#
+    );
+    for (i, cell) in cells.iter().enumerate() {
+        draw_cell(&mut svg, &frame, i, cell);
+    }
+    let middle = |agent: usize| {
+        let corners = cells.get(agent)?.outline.corners();
+        Some(frame.place(corners.iter().sum::<DVec2>() / corners.len().max(1) as f64))
+    };
+    for ([one, other], px) in fits {
+        let (Some(a), Some(b)) = (middle(*one), middle(*other)) else { continue };
+        // Not in the middle of the line: there, the labels of crossing lines would lie on each other.
+        let label = a.lerp(b, 0.4);
+        let _ = write!(
+            svg,
+            r#"<line x1="{:.1}" y1="{:.1}" x2="{:.1}" y2="{:.1}" class="ink"/><text x="{:.1}" y="{:.1}">{px:.2}</text>"#,
+            a.x,
+            a.y,
+            b.x,
+            b.y,
+            label.x + 8.0,
+            label.y - 8.0
+        );
+    }
+    draw_scale(&mut svg, &frame);
+    svg.push_str("</svg>");
+    svg
+}
+
 fn draw_cell(svg: &mut String, frame: &Frame, agent: usize, cell: &Cell) {
     let corners: Vec<String> = cell.outline.corners().iter().map(|corner| frame.text(*corner)).collect();
     let (points, color) = (corners.join(" "), agent_color(agent));

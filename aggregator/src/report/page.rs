@@ -11,7 +11,7 @@ use super::rows::{depth_normal_text, depth_text, lpips_text, normal_text, rows};
 use super::showcase::{Captioned, Showcase};
 use super::svg::{agent_color, escape};
 use super::texts::{merge_texts, remarks};
-use super::{chart, map};
+use super::{chart, fits, map};
 use crate::evaluate::Quality;
 use crate::partition::{AssignedView, Cell};
 use crate::terminal::format_seconds;
@@ -40,6 +40,7 @@ pub(crate) fn page(report: &MissionReport, drawings: &Drawings) -> Result<String
     agents(&mut html, report);
     pictures(&mut html, drawings.showcases)?;
     ground(&mut html, report, drawings);
+    html.push_str(&fits::section(report, drawings.cells));
     footer(&mut html, report);
     html.push_str("</body></html>\n");
     Ok(html)

@@ -203,14 +203,24 @@ pub(crate) mod tests {
         assert!(remarks[2].starts_with("agent-2 failed"), "{remarks:?}");
     }
 
+    /// The record of a merge of seven splats.
+    pub(crate) fn merging() -> Merging {
+        Merging {
+            revision: 1,
+            inputs: Vec::new(),
+            kept_out: Vec::new(),
+            fitted: Vec::new(),
+            fits: Vec::new(),
+            settings: MergeSettings::default(),
+            summary: MergeSummary { joined: 7, splats: 6, steps: 5, ..MergeSummary::default() },
+            seconds: 12.0,
+        }
+    }
+
     #[test]
     fn every_merge_has_its_sentence() {
         let mut report = example();
-        let summary = MergeSummary { joined: 7, splats: 6, steps: 5, ..MergeSummary::default() };
-        let (settings, inputs, kept_out) = (MergeSettings::default(), Vec::new(), Vec::new());
-        let (fitted, fits) = (Vec::new(), Vec::new());
-        let merging =
-            Merging { revision: 1, inputs, kept_out, fitted, fits, settings, summary, seconds: 12.0 };
+        let merging = merging();
         report.whole.merging = Some(merging.clone());
         let agents = vec!["agent-1".into(), "agent-2".into()];
         let edge = EdgeSummary { device: "edge-1".into(), agents, bytes_sent: 3 << 20, merging: None };
