@@ -125,7 +125,7 @@ fn a_model_stands_in_for_missing_sparse_points() {
     let [first, second] = ["first", "second"].map(|name| folder.path().join(name));
     succeed(train(city(), &first, &["--steps", "100"]));
     let data = copy_of_city();
-    fs::write(data.path().join("sparse/0/points3D.bin"), 0_u64.to_le_bytes()).unwrap();
+    fs::remove_file(data.path().join("sparse/0/points3D.bin")).unwrap();
     refuse(train(data.path(), &second, &["--steps", "20"]), &["sparse point", "`init`"]);
     let model = first.join("model.ply");
     succeed(train(data.path(), &second, &["--steps", "20", "--init", model.to_str().unwrap()]));

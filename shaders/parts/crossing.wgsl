@@ -1,13 +1,14 @@
 // A pipeline over the splat-tile pairs of a tile. An invocation takes one pair through all pixels of the tile, in
-// chunks of pixels. In each step of the pipeline it is one chunk behind the invocation of the pair before. Every pixel
-// thus blends its splats in order. The sums of a pair are computed by one invocation, in the order of the pixels, so no
-// sum depends on the division of work.
+// chunks of pixels. In each step, an invocation is one chunk behind the invocation that has the preceding pair. So
+// every pixel blends its splats in order. The sums of a pair are computed by one invocation, in the order of the
+// pixels, so no sum depends on the division of work.
 // Needs: types.
 
 // PAIRS_AT_ONCE is the number of pairs that a workgroup processes at a time: the size of a batch. CHUNK is the number
-// of pixels, all in one row, that each invocation processes in a step. The best values depend on the device. The last
-// pair of a batch must process a chunk before the first pair of the next batch does, so PAIRS_AT_ONCE * CHUNK is at
-// most 256, the pixels of a tile.
+// of pixels, all in one row, that each invocation processes in a step. The best values depend on the device.
+// The last pair of a batch reaches a chunk PAIRS_AT_ONCE - 1 steps after the first pair of the batch does. The first
+// pair of the next batch reaches the same chunk 256 / CHUNK steps after the first pair of the batch, and must come
+// later than the last pair. So PAIRS_AT_ONCE * CHUNK is at most 256, the number of pixels of a tile.
 override PAIRS_AT_ONCE: u32 = 64u;
 override CHUNK: u32 = 4u;
 

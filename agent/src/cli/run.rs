@@ -80,11 +80,13 @@ impl LocalModel {
 
 impl Job {
     fn load(path: &Path) -> Result<Self> {
-        let text = fs::read_to_string(path).with_context(|| path.display().to_string())?;
+        let text = fs::read_to_string(path).with_context(|| {
+            format!("{}: cannot be read; name another file with --config", path.display())
+        })?;
         let config = AgentConfig::from_toml(&text).with_context(|| path.display().to_string())?;
         let frame = config.frame.unwrap_or_default();
         let credentials = Credentials::load(frame, config.key.as_deref(), config.trusted.as_deref())?;
-        let route = Route::of(&config)?;
+        let route = Route::of(&config).with_context(|| format!("{}: tls", path.display()))?;
         Ok(Self { plan: train_plan(&config), credentials, route, started: Instant::now(), config })
     }
 

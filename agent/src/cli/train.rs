@@ -61,7 +61,8 @@ pub(super) struct TrainArgs {
     #[arg(long)]
     exposure: bool,
     /// Start from this earlier model of the ground in the pictures, instead of from the sparse cloud. The word `global`
-    /// stands for the global model that was received earlier and stored in the folder of --out
+    /// stands for the global model that was received earlier and stored in the folder of --out. A training that resumes
+    /// does not start from it again
     #[arg(long, value_name = "MODEL.ply")]
     init: Option<PathBuf>,
     /// Start again even if DIR has a checkpoint

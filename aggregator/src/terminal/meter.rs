@@ -76,9 +76,9 @@ impl Meter {
         match event {
             FuseEvent::Progress { stage, done, of } => {
                 let stage = match stage {
-                    Stage::Look => "looks",
-                    Stage::Find => "finds",
-                    Stage::Fuse => "fuses",
+                    Stage::Look => "measuring depths",
+                    Stage::Find => "finding surfaces",
+                    Stage::Fuse => "fusing",
                 };
                 self.show(stage, done, of, now_s);
             }

@@ -36,8 +36,8 @@ fn line(mut port: TTYPort, session: u64, message_bytes_max: usize) -> SerialConf
     }
 }
 
-/// Starts a thread that uploads `offer`. The thread then sends the body of each global model that it receives
-/// through `say`. The thread ends when `die` receives a message, or when the sender of `die` is dropped.
+/// Starts a thread that uploads `offer`. For each global model that the thread then receives, it sends the
+/// model's body to `say`. The thread ends when `die` receives a message, or when the sender of `die` is dropped.
 fn drone<T: Transport + Send + 'static>(
     mut transport: T,
     identity: Identity,

@@ -395,7 +395,8 @@ impl Inbox {
     }
 }
 
-/// Whether a header has the kind, and for a local model the device and number, that its topic requires.
+/// Whether a header fits its topic. The kind of model must be the topic's kind. For a local model, the device and
+/// the model's number must also be those of the topic. The result is false if the topic is not one for headers.
 fn matches_topic(topic: &Topic, header: &ModelHeader) -> bool {
     match topic {
         Topic::LocalHeader { device, model } => {

@@ -37,7 +37,7 @@ fn picture_folders(root: &Path, model: &Path) -> Vec<PathBuf> {
 }
 
 /// Reads the model in the folder `model`, which is `root` or a folder below it. Views keep the file's order. Each
-/// view gets the path at which its picture should be; the pictures may be missing.
+/// view gets the path at which its picture should be; the pictures may be missing, and the file of the points too.
 pub(crate) fn read(root: &Path, model: &Path) -> Result<Dataset, SceneError> {
     let folders = picture_folders(root, model);
     let likely = folders.iter().find(|folder| folder.is_dir()).unwrap_or(&folders[0]);

@@ -113,7 +113,12 @@ pub fn unmarked(text: &str) -> impl Iterator<Item = &str> {
 
 /// The tables that are not between markers, each as its lines.
 fn unmarked_tables(text: &str) -> Vec<Vec<&str>> {
-    let is_table = |line: &str| line.starts_with('|');
+    // A line of dashes with a bar separates the head of a table that has no bars at its ends.
+    let is_rule = |line: &str| line.contains("--") && line.chars().all(|sign| " |-:".contains(sign));
+    let is_table = |line: &str| {
+        let line = line.trim_start();
+        line.starts_with('|') || (is_rule(line) && line.contains('|')) || line.starts_with("<table")
+    };
     let lines: Vec<&str> = unmarked(text).collect();
     let blocks = lines.chunk_by(|a, b| is_table(a) == is_table(b));
     blocks.filter(|block| is_table(block[0])).map(<[&str]>::to_vec).collect()
@@ -169,6 +174,10 @@ mod tests {
     fn tables_outside_markers_are_found() {
         let text = "| a |\n|---|\n\n<!-- results: x -->\n| b |\n<!-- end of results -->\n| c |\n";
         assert_eq!(unmarked_tables(text), [vec!["| a |", "|---|"], vec!["| c |"]]);
+        for other in ["  | a |", "a | b\n--- | ---:\n1 | 2", "<table><tr><td>1</td></tr></table>"] {
+            assert_eq!(unmarked_tables(other).len(), 1, "{other}");
+        }
+        assert!(unmarked_tables("- a\n--\nb | c\n").is_empty());
     }
 
     #[test]

@@ -5,13 +5,14 @@ use super::table::number;
 
 /// Returns a sentence for each stored figure that the new results lack, or that is worse in the new results by more
 /// than its tolerance. Figures without a tolerance are not compared. Figures that depend on the processor's speed are
-/// compared only if both results were measured on the same model of processor.
+/// compared only if both results were measured on the same model of processor, with as many cores.
 pub fn worse(stored: &Results, new: &Results) -> Vec<String> {
     let mut found = Vec::new();
     for row in &stored.rows {
         for (column, before) in stored.columns.iter().zip(&row.values) {
             let (Some(before), Some(tolerance)) = (before, column.tolerance) else { continue };
-            if column.per_processor && stored.processor != new.processor {
+            let is_same_machine = stored.processor == new.processor && stored.cores == new.cores;
+            if column.per_processor && !is_same_machine {
                 continue;
             }
             let what = format!("{}, {}: {}", stored.name, row.name, column.title());

@@ -19,12 +19,12 @@ pub fn commit() -> String {
     if changes.is_empty() { commit } else { commit + "+" }
 }
 
-/// Whether the history contains a commit. `None` if the history is not available: without git, outside of a
+/// Whether the history of the checked-out commit contains another commit. `None` if the history is not available: without git, outside of a
 /// repository, or in a shallow clone.
 pub fn has_commit(commit: &str) -> Option<bool> {
     let is_whole = root().join(".git").exists()
         && git(&["rev-parse", "--is-shallow-repository"]).as_deref() == Some("false");
-    is_whole.then(|| git(&["cat-file", "-e", &format!("{commit}^{{commit}}")]).is_some())
+    is_whole.then(|| git(&["merge-base", "--is-ancestor", commit, "HEAD"]).is_some())
 }
 
 /// The output of a git command in the root; `None` if the command fails or git is not installed.

@@ -142,7 +142,8 @@ fn the_cloud_merges_its_edges_models_and_both_edges_receive_the_result() {
     let splats = |file| ply::read(&folder.path().join(file)).unwrap().len();
     assert_eq!(splats("edge-2/upstream/global.ply"), splats("cloud/global.ply"));
 
-    // All aggregators are killed and restarted without the drones: the models on their disks suffice.
+    // All aggregators are killed and restarted. The drones do not take part again: the models on the aggregators'
+    // disks suffice.
     let network = MemoryNetwork::new(2, BAD_WEATHER);
     assert_eq!(run(&network, folder.path(), &mut []), [expected; 2]);
 }

@@ -83,7 +83,7 @@ impl Model {
         blocks::load_splats(&self.params, self.sh_degree)
     }
 
-    /// Shapes and mean statistics of all splats; the statistics become zero.
+    /// Returns the shapes and mean statistics of all splats, and sets the stored statistics to zero.
     pub(crate) fn take_shapes(&mut self) -> Shapes {
         let (params, stats) = (&self.params, &self.stats);
         let n = params.len();

@@ -49,7 +49,10 @@ pub(super) fn read<R: BufRead + Seek>(
     let mut out = Assembly::default();
     with_file(model, "cameras.bin", |path| read_cameras(open(path)?, undistortion, &mut out))?;
     with_file(model, "images.bin", |path| read_images(open(path)?, &mut out))?;
-    with_file(model, "points3D.bin", |path| read_points(open(path)?, &mut out))?;
+    with_file(model, "points3D.bin", |path| match open(path) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
+        input => read_points(input?, &mut out),
+    })?;
     Ok(out.end())
 }
 

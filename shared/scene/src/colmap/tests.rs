@@ -225,11 +225,14 @@ fn invalid_text_is_refused_with_a_reason() {
 }
 
 #[test]
-fn a_missing_file_is_named() {
+fn a_missing_file_is_named_but_the_points_may_be_missing() {
     let root = tempfile::tempdir().unwrap();
     write(root.path(), &made_up(root.path())).unwrap();
     fs::remove_file(root.path().join("sparse/0/points3D.bin")).unwrap();
-    assert!(complaint(root.path()).ends_with("sparse/0/points3D.bin: there is no such file or folder"));
+    let dataset = read(root.path(), &root.path().join("sparse/0")).unwrap();
+    assert!(dataset.points.is_empty() && !dataset.views.is_empty());
+    fs::remove_file(root.path().join("sparse/0/images.bin")).unwrap();
+    assert!(complaint(root.path()).ends_with("sparse/0/images.bin: there is no such file or folder"));
 }
 
 #[test]

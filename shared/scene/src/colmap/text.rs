@@ -26,8 +26,9 @@ pub(super) fn read<R: BufRead>(
     with_file(model, "images.txt", |path| {
         each_record(open(path)?, true, |record| read_image(record, &mut out))
     })?;
-    with_file(model, "points3D.txt", |path| {
-        each_record(open(path)?, false, |record| read_point(record, &mut out))
+    with_file(model, "points3D.txt", |path| match open(path) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
+        file => each_record(file?, false, |record| read_point(record, &mut out)),
     })?;
     Ok(out.end())
 }
