@@ -10,6 +10,7 @@ use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
 use cosurf_tests::datasets::write_city;
+use cosurf_tests::programs::program;
 use cosurf_tests::skips::skip;
 use tempfile::TempDir;
 
@@ -44,7 +45,7 @@ fn copy_of_city() -> TempDir {
 }
 
 fn agent(words: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_cosurf-agent"));
+    let mut command = Command::new(program("cosurf-agent"));
     command.args(words).stdin(Stdio::null());
     command
 }
