@@ -2,18 +2,19 @@
 //!
 //! `cargo bench -p cosurf-tests --bench broken_off -- --help`
 
+mod agents;
 mod held_out;
 
-use std::fs;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
+use agents::InMemory;
 use anyhow::{Context, Result};
 use clap::Parser;
-use cosurf_aggregator::merge::{Locals, MergeError, MergeSettings, fill_in, merge};
+use cosurf_aggregator::merge::{MergeSettings, fill_in, merge};
 use cosurf_engine::base_of;
 use cosurf_link::{FirstLayer, Model, body_to_model, model_to_body, part_to_model};
-use cosurf_scene::{Camera, Dataset, ply};
+use cosurf_scene::Dataset;
 use cosurf_tests::results::{Better, Column, Measurement, Tolerance};
 use held_out::{HeldOut, THREADS};
 
@@ -38,18 +39,6 @@ struct Arguments {
     /// Passed by cargo to every bench
     #[arg(long, hide = true)]
     bench: bool,
-}
-
-struct InMemory(Vec<Model>);
-
-impl Locals for InMemory {
-    fn count(&self) -> usize {
-        self.0.len()
-    }
-
-    fn load(&self, index: usize) -> Result<Model, MergeError> {
-        Ok(self.0[index].clone())
-    }
 }
 
 fn main() -> Result<()> {
@@ -90,8 +79,7 @@ fn columns() -> Vec<Column> {
 
 /// Encodes the model in an agent's output folder as the body that the agent would upload.
 fn body(agent: &Path) -> Result<Vec<u8>> {
-    let splats = ply::read(&agent.join("model.ply"))?;
-    let cameras: Vec<Camera> = serde_json::from_slice(&fs::read(agent.join("cameras.json"))?)?;
+    let Model { splats, cameras } = agents::read(agent)?;
     let base = base_of(&splats, &cameras, THREADS, usize::MAX, |_, _| ()).context("a model too small")?;
     Ok(model_to_body(&splats, &cameras, FirstLayer::Base(&base))?)
 }

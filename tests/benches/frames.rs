@@ -2,19 +2,20 @@
 //!
 //! `cargo bench -p cosurf-tests --bench frames -- --help`
 
+mod agents;
 mod held_out;
 
 use std::f64::consts::TAU;
-use std::fs;
 use std::ops::ControlFlow;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
+use agents::InMemory;
 use anyhow::{Context, Result};
 use clap::Parser;
 use cosurf_aggregator::gate::{Similarity, admit};
-use cosurf_aggregator::merge::{Locals, MergeError, MergeSettings, merge};
+use cosurf_aggregator::merge::{Locals, MergeSettings, merge};
 use cosurf_link::Model;
-use cosurf_scene::{Camera, Dataset, ply};
+use cosurf_scene::{Camera, Dataset};
 use cosurf_tests::results::{Better, Column, Measurement, Tolerance};
 use glam::{DQuat, DVec3};
 use held_out::{HeldOut, THREADS};
@@ -61,21 +62,9 @@ struct Arguments {
     bench: bool,
 }
 
-struct InMemory(Vec<Model>);
-
-impl Locals for InMemory {
-    fn count(&self) -> usize {
-        self.0.len()
-    }
-
-    fn load(&self, index: usize) -> Result<Model, MergeError> {
-        Ok(self.0[index].clone())
-    }
-}
-
 fn main() -> Result<()> {
     let arguments = Arguments::parse();
-    let models = arguments.agents.iter().map(|agent| read(agent)).collect::<Result<Vec<_>>>()?;
+    let models = arguments.agents.iter().map(|agent| agents::read(agent)).collect::<Result<Vec<_>>>()?;
     let size_px = models[0].cameras.first().context("a model without cameras")?.size_px;
     let views = HeldOut::read(&Dataset::open(&arguments.data)?, |camera| camera.resized(size_px))?;
     let settings = MergeSettings { refine: !arguments.no_refine, ..MergeSettings::default() };
@@ -135,12 +124,6 @@ fn displaced(model: &Model, dice: &mut Dice, by_m: f64, turn_deg: f64, scale: f6
     let rotation = DQuat::from_axis_angle(dice.direction(), turn_deg.to_radians());
     let translation = by_m * dice.direction() + middle - scale * (rotation * middle);
     Similarity { scale, rotation, translation }.model(model)
-}
-
-fn read(agent: &Path) -> Result<Model> {
-    let splats = ply::read(&agent.join("model.ply"))?;
-    let cameras = serde_json::from_slice(&fs::read(agent.join("cameras.json"))?)?;
-    Ok(Model { splats, cameras })
 }
 
 /// Random numbers from a seed (SplitMix64).

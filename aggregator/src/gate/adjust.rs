@@ -248,18 +248,13 @@ fn moved(by: &Similarity, step: &[f64], center: Center) -> Similarity {
 #[cfg(test)]
 pub(super) mod tests {
     #![allow(clippy::unwrap_used)]
+    pub(in crate::gate) use super::super::consensus::Dice;
     use super::*;
-
-    /// Random numbers from a seed (SplitMix64).
-    pub(crate) struct Dice(pub(crate) u64);
 
     impl Dice {
         /// A number between -1 and 1.
         pub(crate) fn number(&mut self) -> f64 {
-            self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-            let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-            let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-            ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 52) as f64 - 1.0
+            (self.bits() >> 11) as f64 / (1u64 << 52) as f64 - 1.0
         }
 
         pub(crate) fn vector(&mut self) -> DVec3 {

@@ -58,12 +58,17 @@ pub(super) fn between(pairs: &[Pair]) -> Option<Similarity> {
 pub(super) struct Dice(pub(super) u64);
 
 impl Dice {
-    /// A number from 0 to below `end`, which must not be 0.
-    pub(super) fn below(&mut self, end: usize) -> usize {
+    /// 64 random bits.
+    pub(super) fn bits(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
         let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) % end as u64) as usize
+        z ^ (z >> 31)
+    }
+
+    /// A number from 0 to below `end`, which must not be 0.
+    pub(super) fn below(&mut self, end: usize) -> usize {
+        (self.bits() % end as u64) as usize
     }
 }
 

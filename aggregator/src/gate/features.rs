@@ -10,10 +10,10 @@ use std::f64::consts::SQRT_2;
 
 use cosurf_engine::Renderer;
 use cosurf_scene::Camera;
-use glam::{DVec2, DVec3};
+use glam::DVec3;
 use rayon::prelude::*;
 
-use super::matching::Sight;
+use super::matching::{Sight, middle};
 
 /// Largest number of views in which places are looked for.
 const VIEWS: usize = 12;
@@ -89,13 +89,9 @@ fn in_picture(sight: &Sight) -> Vec<Feature> {
         }
         let [x, y] = best.1.filter(|[x, y]| sight.is_solid(*x, *y))?;
         let descriptor = describe(sight, x, y)?;
-        Some(Feature { at: sight.point(x, y, center(x, y)), pixel_m: sight.pixel_m(x, y), descriptor })
+        Some(Feature { at: sight.point(x, y, middle(x, y)), pixel_m: sight.pixel_m(x, y), descriptor })
     };
     cells.par_iter().filter_map(feature).collect()
-}
-
-fn center(x: usize, y: usize) -> DVec2 {
-    DVec2::new(x as f64 + 0.5, y as f64 + 0.5)
 }
 
 /// The descriptor of the place around a pixel, a unit vector. `None` if the picture is uniform there.

@@ -14,13 +14,14 @@ use tracing::debug_span;
 
 use super::adjust::{Frame, Link, adjust, difference_px, distance_m};
 use super::features::Feature;
+use super::glimpse::median;
 use super::links::{Held, links};
 use super::register::register;
 use super::similarity::Similarity;
 use crate::merge::{Locals, MergeError};
 
 /// A model stays where it is if its ground would move by at most this, root mean square, px of the compared pictures.
-/// The models of an undisturbed mission need moves of up to 0.2 px.
+/// The moves found for models of an undisturbed mission stay below this limit.
 const STAY_PX: f64 = 0.3;
 /// A model also stays if its ground would move by at most this many standard deviations of the measured move.
 const STAY_DEVIATIONS: f64 = 3.0;
@@ -113,13 +114,7 @@ fn fit(models: [usize; 2], links: &[Link], frames: &[Option<Similarity>]) -> Fit
             after.push(one.apply(pair.trusted).distance(other.apply(pair.other)) / pixel_m);
         }
     }
-    Fit { models, points, before_px: median(before), after_px: median(after) }
-}
-
-/// The median; 0 of no values.
-fn median(mut values: Vec<f64>) -> f64 {
-    let middle = values.len() / 2;
-    if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
+    Fit { models, points, before_px: median(&mut before), after_px: median(&mut after) }
 }
 
 /// Links the pairs of models. `guesses` has the frame of each model as far as it is known.

@@ -184,7 +184,8 @@ impl Glimpse {
     }
 }
 
-fn median(values: &mut [f64]) -> f64 {
+/// The median; 0 of no values. Changes the order of the values.
+pub(super) fn median(values: &mut [f64]) -> f64 {
     let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+    if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
 }

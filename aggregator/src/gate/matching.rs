@@ -245,7 +245,7 @@ impl Patch {
 }
 
 /// The middle of a pixel.
-fn middle(x: usize, y: usize) -> DVec2 {
+pub(super) fn middle(x: usize, y: usize) -> DVec2 {
     DVec2::new(x as f64 + 0.5, y as f64 + 0.5)
 }
 

@@ -25,7 +25,7 @@ const TRIES: usize = 40_000;
 const SCALES_APART_MAX: f64 = 1.5;
 /// Largest distance between matched places that agree, px.
 const AGREE_PX: f64 = 6.0;
-/// Least number of matches that must agree. Random matches reach about half of it.
+/// Least number of matches that must agree.
 const AGREEING_MIN: usize = 10;
 
 /// A guess of the similarity from the frame of `other` to that of `one`; `None` if too few places match.

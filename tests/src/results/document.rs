@@ -113,21 +113,39 @@ pub fn unmarked(text: &str) -> impl Iterator<Item = &str> {
 
 /// The tables that are not between markers, each as its lines.
 fn unmarked_tables(text: &str) -> Vec<Vec<&str>> {
-    // A line of dashes with a bar separates the head of a table that has no bars at its ends.
-    let is_rule = |line: &str| line.contains("--") && line.chars().all(|sign| " |-:".contains(sign));
-    let is_table = |line: &str| {
-        let line = line.trim_start();
-        line.starts_with('|') || (is_rule(line) && line.contains('|')) || line.starts_with("<table")
-    };
-    let lines: Vec<&str> = unmarked(text).collect();
-    let blocks = lines.chunk_by(|a, b| is_table(a) == is_table(b));
-    blocks.filter(|block| is_table(block[0])).map(<[&str]>::to_vec).collect()
+    let lines: Vec<&str> = unmarked(text).filter(|line| !line.starts_with("<!--")).collect();
+    let is_blank = |line: &str| line.trim().is_empty();
+    // In Markdown, an HTML table needs no blank line before it.
+    let paragraphs = lines.chunk_by(|a, b| is_blank(a) == is_blank(b) && !is_html_table(b));
+    paragraphs.flat_map(tables_in).map(<[&str]>::to_vec).collect()
 }
 
-/// Whether a table shows figures: a digit below the two lines of its head. Inline code does not count, since it holds
-/// names such as `points3D`.
+/// The tables in a paragraph. An HTML table and a table with a rule take up the whole paragraph. Without a rule, the
+/// lines that start with a bar are tables.
+fn tables_in<'a, 'text>(paragraph: &'a [&'text str]) -> Vec<&'a [&'text str]> {
+    if is_html_table(paragraph[0]) || paragraph.iter().any(|line| is_rule(line)) {
+        return vec![paragraph];
+    }
+    let has_bar = |line: &str| line.trim_start().starts_with('|');
+    let blocks = paragraph.chunk_by(|a, b| has_bar(a) == has_bar(b));
+    blocks.filter(|block| has_bar(block[0])).collect()
+}
+
+/// Whether a line is the rule below the head of a table, such as `--- | ---:`.
+fn is_rule(line: &str) -> bool {
+    line.contains('-') && line.contains('|') && line.chars().all(|sign| " |-:".contains(sign))
+}
+
+/// Whether an HTML table starts at the beginning of a line.
+fn is_html_table(line: &str) -> bool {
+    line.trim_start().starts_with("<table")
+}
+
+/// Whether a table shows figures: a digit below the two lines of its head, or anywhere in an HTML table. Inline code
+/// does not count, since it holds names such as `points3D`.
 fn has_figures(table: &[&str]) -> bool {
-    let mut prose = table.iter().skip(2).flat_map(|row| row.split('`').step_by(2));
+    let head = if is_html_table(table[0]) { 0 } else { 2 };
+    let mut prose = table.iter().skip(head).flat_map(|row| row.split('`').step_by(2));
     prose.any(|text| text.contains(|sign: char| sign.is_ascii_digit()))
 }
 
@@ -195,6 +213,14 @@ mod tests {
         let count = |document, text: &str| faults_of(document, text, &names).unwrap().len();
         assert_eq!(count("README.md", words), 0);
         assert_eq!(count("README.md", figures), 1, "figures without markers");
+        for table in [
+            "a | b\n--- | ---:\nx | 1\n",
+            "<table>\n<tr><td>1</td></tr>\n</table>\n",
+            "Prose:\n<table>1</table>",
+        ] {
+            assert_eq!(count("README.md", table), 1, "{table}");
+            assert_eq!(count("README.md", &table.replace('1', "w")), 0, "{table}");
+        }
         assert_eq!(count("README.md", no_results), 1, "a marker without results");
         assert_eq!(count(ALL, words), 2, "a table without markers, and results that are not shown");
     }
