@@ -8,8 +8,7 @@
 
 use std::collections::BTreeMap;
 
-use anyhow::Result;
-use cosurf_engine::{Compression, Device, ModelCameras};
+use cosurf_engine::{Compression, Observers};
 use cosurf_link::select_flight_cameras;
 use cosurf_scene::{Camera, Splats};
 use cosurf_wire::DeviceId;
@@ -46,12 +45,11 @@ impl Flights {
     }
 
     /// Finds the splats of this device's model that lie on ground that another device owns; these are to be dropped.
-    /// `cameras` are the model's training cameras, scaled to the picture sizes that training used. `threads` must be
-    /// at least 1.
-    pub fn compression(&self, splats: &Splats, cameras: &[Camera], threads: usize) -> Result<Compression> {
+    pub fn compression(&self, splats: &Splats) -> Compression {
         let own = self.cameras.keys().position(|device| *device == self.own).unwrap_or(0);
-        let all: Vec<Vec<Camera>> = self.cameras.values().cloned().collect();
-        Ok(Compression::plan(splats, cameras, &ModelCameras { cameras: &all, own }, &Device::Cpu, threads)?)
+        let mut observers = Observers::default();
+        self.cameras.values().for_each(|cameras| observers.announce(cameras));
+        Compression::plan(splats, own, &observers)
     }
 }
 
@@ -88,9 +86,9 @@ mod tests {
         DeviceId::new(name).unwrap()
     }
 
-    fn kept(flights: &Flights, cameras: &[Camera]) -> Vec<f32> {
+    fn kept(flights: &Flights) -> Vec<f32> {
         let splats = ground();
-        let removed = flights.compression(&splats, cameras, 1).unwrap().removed;
+        let removed = flights.compression(&splats).removed;
         splats.without(&removed).means.iter().map(|mean| mean[0]).collect()
     }
 
@@ -99,14 +97,14 @@ mod tests {
         let [west, east] =
             [[-10.0, -7.0, -4.0, -1.0, 2.0], [10.0, 7.0, 4.0, 1.0, -2.0]].map(|xs| xs.map(above).to_vec());
         let mut flights = Flights::new(device("west"), &west);
-        assert_eq!(kept(&flights, &west).len(), ground().len(), "no other flight is known");
+        assert_eq!(kept(&flights).len(), ground().len(), "no other flight is known");
         flights.insert(device("west"), east.clone());
         assert_eq!(flights.others(), 0, "a flight under the own name is ignored");
         flights.insert(device("east"), east.clone());
-        let from_west = kept(&flights, &west);
+        let from_west = kept(&flights);
         let mut flights = Flights::new(device("east"), &east);
         flights.insert(device("west"), west);
-        let from_east = kept(&flights, &east);
+        let from_east = kept(&flights);
         for mean in ground().means {
             let owners =
                 usize::from(from_west.contains(&mean[0])) + usize::from(from_east.contains(&mean[0]));

@@ -16,7 +16,7 @@ use cosurf_link::{
     Credentials, Identity, InboxLimits, ModelKey, ModelStore, Node, NodeEvent, Offer, Transport,
     body_to_model,
 };
-use cosurf_scene::{Camera, Splats, ply};
+use cosurf_scene::{Camera, ply};
 use cosurf_wire::{DeviceId, ModelHeader, ModelKind, RefusalReason};
 use tracing::info_span;
 
@@ -146,8 +146,8 @@ impl<'a, F: FnMut(AgentEvent)> Publisher<'a, F> {
         if !collector.is_complete(now) {
             return Ok(());
         }
-        let Publication { splats, cameras, base, .. } = *self.publication;
-        let removed = collector.splats_of_others(splats, cameras)?;
+        let Publication { splats, base, .. } = *self.publication;
+        let removed = collector.flights.compression(splats).removed;
         let others = collector.flights.others();
         (self.on_event)(AgentEvent::Compressed { removed: removed.len(), of: splats.len(), others });
         let base = base.map(|base| base.without(&removed));
@@ -253,11 +253,6 @@ impl<'a> FlightCollector<'a> {
 
     fn is_complete(&self, now: Duration) -> bool {
         self.quiet_since.is_some_and(|since| now >= since + self.sharing.quiet)
-    }
-
-    /// Indices of the splats to drop, because they lie on ground that other devices own; see [`crate::flights`].
-    fn splats_of_others(&self, splats: &Splats, cameras: &[Camera]) -> Result<Vec<u32>> {
-        Ok(self.flights.compression(splats, cameras, self.sharing.threads)?.removed)
     }
 }
 

@@ -85,11 +85,15 @@ pub enum Split {
     },
 }
 
-/// The cameras of the plan's training views, for the pictures in their size on disk.
+/// The cameras of the plan's training views, for pictures of at most the plan's size.
 pub fn flight(plan: &TrainPlan) -> Result<Vec<Camera>> {
     let dataset = Dataset::open(&plan.data)?;
     let (train, _) = split(&dataset, &plan.split)?;
-    Ok(train.into_iter().map(|i| dataset.views[i].camera).collect())
+    let shrunk = |camera: &Camera| {
+        let long_side_px = camera.size_px[0].max(camera.size_px[1]).min(plan.max_size_px);
+        camera.resized(camera.fitted_size(long_side_px))
+    };
+    Ok(train.into_iter().map(|i| shrunk(&dataset.views[i].camera)).collect())
 }
 
 /// A training in progress.

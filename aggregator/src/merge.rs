@@ -30,7 +30,7 @@ mod tests;
 
 use std::ops::ControlFlow;
 
-use cosurf_engine::{Compression, ModelCameras};
+use cosurf_engine::{Compression, Observers};
 use cosurf_link::Model;
 use serde::{Deserialize, Serialize};
 use tracing::{debug_span, info_span};
@@ -74,7 +74,7 @@ pub struct MergeSummary {
 pub struct LocalSummary {
     /// Number of splats that arrived.
     pub arrived: usize,
-    /// Ψ of CoSurfGS: share of the model's cameras that look at ground of other models, 0..=1; 0 without compression.
+    /// Share of the model's splats on ground that other models saw too, 0..=1; 0 without compression.
     pub overlap: f64,
     /// Number of splats that compression removed.
     pub removed: usize,
@@ -103,29 +103,36 @@ fn merge_by(
     tell: &mut dyn FnMut(MergeProgress) -> ControlFlow<()>,
 ) -> Result<Merged, MergeError> {
     let mut summary = MergeSummary { device: computer.device.to_string(), ..MergeSummary::default() };
+    let observers = if settings.compress { Some(observers(computer, surveyed)?) } else { None };
     let mut parts = Vec::with_capacity(surveyed.sizes.len());
     for (i, &arrived) in surveyed.sizes.iter().enumerate() {
         let Model { splats, cameras } = surveyed.locals.load(i)?;
-        let compression = match settings.compress {
-            true => {
-                let fleet = ModelCameras { cameras: &surveyed.cameras, own: i };
-                Compression::plan(&splats, &cameras, &fleet, &computer.device, computer.threads)?
-            }
-            false => Compression::default(),
-        };
-        let splats = splats.without(&compression.removed);
-        let removed = compression.removed.len();
-        summary.locals.push(LocalSummary { arrived, overlap: compression.overlap, removed });
-        parts.push(Model { splats, cameras });
+        let plan = |observers| Compression::plan(&splats, i, observers);
+        let Compression { overlap, removed } = observers.as_ref().map(plan).unwrap_or_default();
+        summary.locals.push(LocalSummary { arrived, overlap, removed: removed.len() });
+        parts.push(Model { splats: splats.without(&removed), cameras });
     }
     let mut model = debug_span!("join").in_scope(|| concatenate(&parts));
     summary.joined = model.splats.len();
     if settings.epochs > 0 && !model.splats.is_empty() && !model.cameras.is_empty() {
         let sizes: Vec<usize> = parts.iter().map(|part| part.splats.len()).collect();
         drop(parts);
-        let distilled = distill::distill(surveyed, &sizes, model.splats, settings, computer, tell)?;
+        let of_all = |observers: Observers| (0..sizes.len()).map(|i| observers.standings(i)).collect();
+        let standings: Option<Vec<Vec<f64>>> = observers.map(of_all);
+        let distilled =
+            distill::distill(surveyed, &sizes, model.splats, standings.as_deref(), settings, computer, tell)?;
         (model.splats, summary.steps) = (distilled.splats, distilled.steps);
     }
     summary.splats = model.splats.len();
     Ok(Merged { model, summary })
+}
+
+/// What the cameras of all models observed.
+fn observers(computer: &Computer, surveyed: &Surveyed) -> Result<Observers, MergeError> {
+    let mut observers = Observers::default();
+    for i in 0..surveyed.sizes.len() {
+        let Model { splats, cameras } = surveyed.locals.load(i)?;
+        observers.add(&splats, &cameras, 1.0, &computer.device, computer.threads)?;
+    }
+    Ok(observers)
 }

@@ -136,7 +136,7 @@ impl Job {
         if let Some(init) = &self.plan.init {
             self.compare(model, ComparedWith::Init, init, progress)?;
         }
-        let sharing = flight.map(|flight| Sharing { flight, quiet: self.route.quiet_time(), threads });
+        let sharing = flight.map(|flight| Sharing { flight, quiet: self.route.quiet_time() });
         let (identity, mut connection) = self.connect()?;
         let publication = Publication {
             identity,

@@ -38,6 +38,4 @@ pub struct Sharing<'a> {
     pub flight: &'a [Camera],
     /// All flights count as known once no flight has arrived for this long.
     pub quiet: Duration,
-    /// Number of CPU threads, at least 1.
-    pub threads: usize,
 }

@@ -133,7 +133,7 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
         let toned = tone.map(|tone| format!(", {tone}")).unwrap_or_default();
         writeln!(
             stdout,
-            "{folder}: {arrived}, {percent:.0} % of its views overlap, {removed} removed{moved}{toned}"
+            "{folder}: {arrived}, {percent:.0} % on shared ground, {removed} removed{moved}{toned}"
         )?;
     }
     kept_out.iter().try_for_each(|kept_out| writeln!(stdout, "kept out: {kept_out}"))?;

@@ -43,11 +43,12 @@ pub(super) struct Distilled {
 }
 
 /// Distils `joined`, which consists of `sizes[0]` splats of the first local model, then `sizes[1]` of the second, and
-/// so on.
+/// so on. For `standings` see [`lessons`].
 pub(super) fn distill(
     surveyed: &Surveyed,
     sizes: &[usize],
     mut joined: Splats,
+    standings: Option<&[Vec<f64>]>,
     settings: &MergeSettings,
     computer: &Computer,
     tell: &mut dyn FnMut(MergeProgress) -> ControlFlow<()>,
@@ -57,7 +58,7 @@ pub(super) fn distill(
     let device = &computer.device;
     let room = student_room(device, settings, joined.sh_degree, cameras);
     let parts = parts(sizes, room);
-    let lessons = lessons(cameras, |local| !locals.is_compressed(local));
+    let lessons = lessons(cameras, standings, |local| !locals.is_compressed(local));
     let steps = settings.epochs * lessons.iter().map(Vec::len).sum::<usize>() as u32;
     if steps == 0 {
         return Ok(Distilled { splats: joined, steps });

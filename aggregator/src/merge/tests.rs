@@ -5,8 +5,8 @@
 mod device;
 
 use cosurf_engine::{Device, DeviceChoice, Renderer};
+use cosurf_scene::Splats;
 use cosurf_scene::metrics::psnr;
-use cosurf_scene::{Camera, Splats};
 
 use super::*;
 use crate::testing::{InMemory, above, ground};
@@ -47,19 +47,28 @@ fn agreement(splats: &Splats, others: &Splats) -> f64 {
 #[test]
 fn distillation_removes_clouds_that_teachers_do_not_show() {
     let locals = neighbours();
-    let joined = run(&locals, &MergeSettings { epochs: 0, ..MergeSettings::default() }, 1);
+    let settings = MergeSettings { compress: false, ..MergeSettings::default() };
+    let joined = run(&locals, &MergeSettings { epochs: 0, ..settings }, 1);
     let mut steps = Vec::new();
-    let taught =
-        merge(&locals, &MergeSettings { epochs: 10, ..MergeSettings::default() }, 1, &mut |progress| {
-            steps.push(progress.step);
-            ControlFlow::Continue(())
-        });
+    let taught = merge(&locals, &MergeSettings { epochs: 10, ..settings }, 1, &mut |progress| {
+        steps.push(progress.step);
+        ControlFlow::Continue(())
+    });
     let taught = taught.unwrap();
     assert_eq!(steps, (1..=120).collect::<Vec<_>>());
     let (before, after) = (quality(&joined.model.splats), quality(&taught.model.splats));
     assert!(after > before + 3.0, "{before:.2} dB joined, {after:.2} dB distilled");
     assert_eq!(taught.model.cameras, joined.model.cameras);
     assert_eq!((taught.summary.joined, taught.summary.steps), (joined.model.splats.len(), 120));
+}
+
+#[test]
+fn compression_removes_clouds_above_ground_that_another_model_saw() {
+    let joined = |compress| {
+        run(&neighbours(), &MergeSettings { compress, epochs: 0, ..MergeSettings::default() }, 1).model
+    };
+    let clouds = |model: &Model| model.splats.means.iter().filter(|mean| mean[2] > 1.0).count();
+    assert_eq!([joined(false), joined(true)].map(|model| clouds(&model)), [2, 0]);
 }
 
 #[test]
@@ -76,9 +85,9 @@ fn the_same_models_give_the_same_bytes_with_any_number_of_threads() {
 
 #[test]
 fn with_too_little_memory_parts_learn_in_turns_almost_as_well() {
-    let all = run(&neighbours(), &MergeSettings { epochs: 10, ..MergeSettings::default() }, 1);
-    let tight = MergeSettings { epochs: 10, memory_bytes: 2_200_000, ..MergeSettings::default() };
-    let parts = run(&neighbours(), &tight, 1);
+    let settings = MergeSettings { epochs: 10, compress: false, ..MergeSettings::default() };
+    let all = run(&neighbours(), &settings, 1);
+    let parts = run(&neighbours(), &MergeSettings { memory_bytes: 2_200_000, ..settings }, 1);
     assert_ne!(all.model.splats, parts.model.splats, "the memory is too small for all at once");
     let (all, parts) = (quality(&all.model.splats), quality(&parts.model.splats));
     assert!(parts > all - 3.0, "{all:.2} dB at once, {parts:.2} dB in turns");
@@ -108,7 +117,7 @@ fn shared_ground_has_one_owner_and_stays_covered() {
     let merged = run(&locals, &settings, 1);
     let [first, second] = merged.summary.locals[..] else { panic!("{:?}", merged.summary) };
     for local in [first, second] {
-        assert!((0.5..1.0).contains(&local.overlap) && local.removed > 0, "{local:?}");
+        assert!((0.3..1.0).contains(&local.overlap) && local.removed > 0, "{local:?}");
     }
     let arrived = first.arrived + second.arrived;
     assert!((arrived - merged.summary.joined) * 100 >= 20 * arrived, "{first:?} {second:?}");
@@ -142,10 +151,10 @@ impl Locals for Pruned {
 #[test]
 fn a_model_pruned_before_upload_does_not_teach_black() {
     let models = overlapping();
-    let cameras: Vec<Vec<Camera>> = models.iter().map(|model| model.cameras.clone()).collect();
+    let mut observers = Observers::default();
+    models.iter().for_each(|model| observers.announce(&model.cameras));
     let pruned = models.into_iter().enumerate().map(|(own, Model { splats, cameras: its })| {
-        let fleet = ModelCameras { cameras: &cameras, own };
-        let removed = Compression::plan(&splats, &its, &fleet, &Device::Cpu, 1).unwrap().removed;
+        let removed = Compression::plan(&splats, own, &observers).removed;
         assert!(!removed.is_empty());
         Model { splats: splats.without(&removed), cameras: its }
     });

@@ -40,6 +40,19 @@ impl Frustum {
         // Behind the camera `size_px * z` is negative, so no `x >= 0` is less than it, and the result is false.
         x >= 0.0 && y >= 0.0 && x < self.size_px.x * z && y < self.size_px.y * z
     }
+
+    /// False if no point of the ball with this centre and radius lies in the frustum. May be true although none does.
+    pub fn touches(&self, center: DVec3, radius: f64) -> bool {
+        let [column, row, depth] = self.rows;
+        let sides = [
+            (column, self.offset.x),
+            (row, self.offset.y),
+            (self.size_px.x * depth - column, self.size_px.x * self.offset.z - self.offset.x),
+            (self.size_px.y * depth - row, self.size_px.y * self.offset.z - self.offset.y),
+            (depth, self.offset.z),
+        ];
+        sides.into_iter().all(|(inwards, offset)| inwards.dot(center) + offset >= -radius * inwards.length())
+    }
 }
 
 /// Checks whether any of several cameras sees a point. Neighbouring points are mostly seen by the same camera, so

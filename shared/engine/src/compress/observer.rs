@@ -1,0 +1,181 @@
+//! What the cameras of one model observe, and what their observations of a place are worth.
+
+use std::collections::BTreeSet;
+
+use cosurf_scene::{Camera, Frustum, Splats};
+use glam::{DVec2, DVec3};
+
+use super::slopes::Slopes;
+use crate::device::{Device, DeviceError};
+use crate::render::Renderer;
+
+/// Long side of the pictures of depth, px.
+const SIZE_PX: u32 = 48;
+/// A camera does not see a place that is deeper than the surface in its picture by more than this factor.
+const BEHIND: f32 = 1.05;
+
+/// The cameras of one model, with the depths of the surface that they see.
+#[derive(Clone, Debug)]
+pub(super) struct Observer {
+    sights: Vec<Sight>,
+    /// Factor on the worth of every observation.
+    weight: f64,
+}
+
+/// A camera, and the surface that it sees.
+#[derive(Clone, Debug)]
+struct Sight {
+    frustum: Frustum,
+    eye: DVec3,
+    /// Product of the focal lengths, px².
+    focal2_px: f64,
+    /// False if an earlier camera of the model has the same pose.
+    counts: bool,
+    /// `None` if the model is not known. Then nothing is hidden from the camera.
+    surface: Option<Surface>,
+}
+
+/// A small picture of depths.
+#[derive(Clone, Debug)]
+struct Surface {
+    camera: Camera,
+    /// `[height, width]`, world units; 0 without a surface.
+    depth: Vec<f32>,
+}
+
+/// Those cameras of a model that may see some place of a ball.
+pub(super) struct Near<'a> {
+    sights: Vec<&'a Sight>,
+    weight: f64,
+}
+
+impl Observer {
+    /// The observations of cameras whose model is not known.
+    pub(super) fn announced(cameras: &[Camera]) -> Self {
+        let mut known = BTreeSet::new();
+        let sight = |camera: &Camera| Sight::new(camera, None, &mut known);
+        Self { sights: cameras.iter().map(sight).collect(), weight: 1.0 }
+    }
+
+    /// The observations of the cameras of a model.
+    pub(super) fn of(
+        splats: &Splats,
+        cameras: &[Camera],
+        weight: f64,
+        device: &Device,
+        threads: usize,
+    ) -> Result<Self, DeviceError> {
+        let mut renderer = Renderer::by(device, threads, splats)?;
+        let mut known = BTreeSet::new();
+        let sight = |camera: &Camera| {
+            let surface = Surface::render(&mut renderer, camera)?;
+            Ok(Sight::new(camera, Some(surface), &mut known))
+        };
+        Ok(Self { sights: cameras.iter().map(sight).collect::<Result<_, DeviceError>>()?, weight })
+    }
+
+    /// Those cameras that may see some point within `radius` of `center`.
+    pub(super) fn near(&self, center: DVec3, radius: f64) -> Near<'_> {
+        let may_see = |sight: &&Sight| sight.counts && sight.frustum.touches(center, radius);
+        Near { sights: self.sights.iter().filter(may_see).collect(), weight: self.weight }
+    }
+
+    /// Points on the surface in the picture of each camera: one for every second pixel of every second row.
+    pub(super) fn surfaces(&self) -> impl Iterator<Item = Vec<DVec3>> {
+        self.sights.iter().map(|sight| sight.surface.as_ref().map_or(Vec::new(), Surface::points))
+    }
+
+    /// Width that a pixel covers on the ground, world units: the median of all cameras. `None` if none sees ground.
+    pub(super) fn pixel_m(&self) -> Option<f64> {
+        let width = |sight: &Sight| {
+            let shown = sight.surface.as_ref()?.depth.iter().copied().filter(|depth| *depth > 0.0).collect();
+            Some(f64::from(median(shown, f32::total_cmp)?) / sight.focal2_px.sqrt())
+        };
+        median(self.sights.iter().filter_map(width).collect(), f64::total_cmp)
+    }
+}
+
+impl Near<'_> {
+    /// Number of cameras that see `place`, and what their observations are worth together: the number of pixels on a
+    /// square of one world unit, times the weight of the model.
+    pub(super) fn worth(&self, place: DVec3, slopes: Option<&Slopes>) -> (usize, f64) {
+        let (mut seers, mut pixels) = (0, 0.0);
+        for sight in self.sights.iter().filter(|sight| sight.sees(place)) {
+            let ray = place - sight.eye;
+            seers += 1;
+            let foreshortening = slopes.map_or(1.0, |slopes| slopes.foreshortening(place, ray));
+            pixels += sight.focal2_px / ray.length_squared() * foreshortening;
+        }
+        (seers, self.weight * pixels)
+    }
+}
+
+impl Sight {
+    /// `known` has the poses of the model's earlier cameras.
+    fn new(camera: &Camera, surface: Option<Surface>, known: &mut BTreeSet<[u64; 7]>) -> Self {
+        Self {
+            frustum: Frustum::new(camera),
+            eye: camera.cam_from_world.center(),
+            focal2_px: camera.focal_px.x * camera.focal_px.y,
+            counts: known.insert(pose_bits(camera)),
+            surface,
+        }
+    }
+
+    /// Whether `place` lies in the picture and is not hidden.
+    fn sees(&self, place: DVec3) -> bool {
+        self.frustum.contains(place) && self.surface.as_ref().is_none_or(|surface| surface.shows(place))
+    }
+}
+
+impl Surface {
+    fn render(renderer: &mut Renderer, camera: &Camera) -> Result<Self, DeviceError> {
+        let camera = camera.resized(camera.fitted_size(SIZE_PX));
+        Ok(Self { camera, depth: renderer.try_render(&camera)?.depth })
+    }
+
+    /// Whether `place` lies on the surface or in front of it. In front of it, the camera sees that nothing is there.
+    fn shows(&self, place: DVec3) -> bool {
+        self.camera.project(place).is_some_and(|p_px| {
+            let depth = self.camera.cam_from_world.transform(place).z;
+            depth <= f64::from(BEHIND * self.deepest_near(p_px))
+        })
+    }
+
+    /// The largest depth in a pixel and the eight pixels around it. At an edge of the surface, the picture is too small
+    /// to tell which pixel a place belongs to.
+    fn deepest_near(&self, p_px: DVec2) -> f32 {
+        let [width, height] = self.camera.size_px.map(|side| side as usize);
+        let around = |at: f64, side: usize| {
+            let at = (at.max(0.0) as usize).min(side - 1);
+            at.saturating_sub(1)..(at + 2).min(side)
+        };
+        let (columns, rows) = (around(p_px.x, width), around(p_px.y, height));
+        rows.flat_map(|y| columns.clone().map(move |x| y * width + x))
+            .map(|i| self.depth[i])
+            .fold(0.0, f32::max)
+    }
+
+    fn points(&self) -> Vec<DVec3> {
+        let [width, height] = self.camera.size_px.map(|side| side as usize);
+        let pixels = (0..height).step_by(2).flat_map(|y| (0..width).step_by(2).map(move |x| [x, y]));
+        let point = |[x, y]: [usize; 2]| {
+            let depth = self.depth[y * width + x];
+            let p_px = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
+            (depth > 0.0).then(|| self.camera.unproject(p_px, f64::from(depth)))
+        };
+        pixels.filter_map(point).collect()
+    }
+}
+
+/// The bits of a camera's pose.
+fn pose_bits(camera: &Camera) -> [u64; 7] {
+    let [x, y, z, w] = camera.cam_from_world.rotation.to_array().map(f64::to_bits);
+    let [a, b, c] = camera.cam_from_world.translation.to_array().map(f64::to_bits);
+    [x, y, z, w, a, b, c]
+}
+
+fn median<T: Copy>(mut values: Vec<T>, order: impl FnMut(&T, &T) -> std::cmp::Ordering) -> Option<T> {
+    let middle = values.len() / 2;
+    (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, order).1)
+}
