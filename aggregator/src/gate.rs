@@ -3,9 +3,12 @@
 //!
 //! The gate renders small pictures of each model from some of its cameras. If the cameras of another model see the
 //! same ground, the other model must give the same pictures ([`glimpse`]). A forged model does not, nor does a model
-//! in another frame or scale. The gate also keeps out a model with most of its splats where none of its own cameras
-//! looks. It keeps out a model so far from all others that its origin must be wrong. Any other model that shares no
-//! ground with others is accepted.
+//! in another frame or scale. The gate also keeps out a model that does not fit its own cameras: most of its splats lie
+//! where none of them looks, or most of their pictures show no surface. It keeps out a model so far from all others that
+//! its origin must be wrong, and one that shows shared ground far worse than the others do ([`quality`]).
+//!
+//! A model that shares no ground with the others cannot be verified: its frame may be another one. It is accepted only if
+//! the frames of all models are vouched for.
 //!
 //! Of two conflicting models, the gate drops the one with more conflicts net of confirmations. On a tie, it drops the
 //! one with fewer cameras, and then the one with the higher index. [`Locals`] gives the models in a fixed order, so the
@@ -26,6 +29,7 @@ mod frames;
 mod glimpse;
 mod links;
 mod matching;
+mod quality;
 mod register;
 mod similarity;
 #[cfg(test)]
@@ -41,10 +45,11 @@ use glam::DVec3;
 use tracing::info_span;
 
 use crate::merge::cameras::{middle, radius};
-use crate::merge::{Locals, MergeError};
+use crate::merge::{Locals, MergeError, MergeSettings};
 pub use frames::{Fit, Move};
-use frames::{Frames, find_frames};
+use frames::{Placement, find_frames, groups};
 use glimpse::Glimpse;
+use quality::{Detail, Differences, Standard};
 pub use similarity::Similarity;
 pub use tone::Tone;
 use tone::tones;
@@ -54,6 +59,8 @@ const UNSEEN_MAX: f64 = 0.5;
 /// Largest gap between two flights (the cameras of two models) that can have the same origin, in radii of the larger
 /// flight.
 const GAP_MAX_RADII: f64 = 20.0;
+/// Share of a picture that must show a surface. Pictures of trained models show a surface almost everywhere.
+const SHOWN_MIN: f64 = 0.1;
 /// Two models contradict each other only if at least this many views contradict, and more views contradict than
 /// confirm.
 const CONTRADICTIONS_MIN: u32 = 2;
@@ -63,8 +70,14 @@ const CONTRADICTIONS_MIN: u32 = 2;
 pub enum Doubt {
     /// This share of the model's splats, 0..=1, lies where none of its own cameras looks.
     Unseen(f64),
+    /// This share of the pictures of the model's own cameras, 0..=1, shows mostly no surface.
+    Void(f64),
     /// The model contradicts the models with these indices.
     Contradicts(Vec<usize>),
+    /// The model's error on ground that it shares with others is this many times as large as theirs.
+    FarWorse(f64),
+    /// The model shares no ground with the others, and its frame is not vouched for.
+    Unverified,
 }
 
 impl Doubt {
@@ -73,6 +86,15 @@ impl Doubt {
         match self {
             Self::Unseen(share) => {
                 format!("has {:.0} % of its splats where none of its cameras looks", 100.0 * share)
+            }
+            Self::Void(share) => {
+                format!("shows no ground in {:.0} % of the pictures of its own cameras", 100.0 * share)
+            }
+            Self::FarWorse(times) => {
+                format!("shows shared ground far worse than the others ({times:.0} times their error)")
+            }
+            Self::Unverified => {
+                "shares no ground with the others, so it may be in another frame; name the frame if it is the same".into()
             }
             Self::Contradicts(others) => {
                 let names: Vec<&str> = others.iter().map(|other| names[*other].as_ref()).collect();
@@ -96,6 +118,10 @@ pub struct Admitted<'a> {
 pub struct Place {
     /// Index of the model among all models that were judged.
     pub local: usize,
+    /// What the model's observations count, 0..=1: 1, or less if it differs from the others more than they do.
+    pub weight: f64,
+    /// Whether the model shares ground with others, so that its place is verified. A model alone counts as verified.
+    pub is_verified: bool,
     /// How the model is moved to where it fits the others; `None` if its position is right.
     pub by: Option<Move>,
     /// Matches the model's colours to those of the others; `None` if the colours of all models match already.
@@ -108,7 +134,7 @@ impl Locals for Admitted<'_> {
     }
 
     fn load(&self, index: usize) -> Result<Model, MergeError> {
-        let Place { local, by, tone } = &self.places[index];
+        let Place { local, by, tone, .. } = &self.places[index];
         let mut model = self.locals.load(*local)?;
         if let Some(by) = by {
             model = by.by.model(&model);
@@ -121,6 +147,10 @@ impl Locals for Admitted<'_> {
 
     fn is_compressed(&self, index: usize) -> bool {
         self.locals.is_compressed(self.places[index].local)
+    }
+
+    fn weight(&self, index: usize) -> f64 {
+        self.places[index].weight
     }
 }
 
@@ -149,39 +179,73 @@ impl Admitted<'_> {
     }
 }
 
-/// Decides which of `locals` take part in a merge. With `refines`, models are first moved to where they fit each other.
+/// What the gate is told about the frames of the models.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Frames {
+    /// Whether models are moved to where they fit each other.
+    pub refine: bool,
+    /// Whether all models are known to lie in one frame. Then a model that shares no ground with the others is accepted.
+    pub vouched: bool,
+}
+
+impl From<&MergeSettings> for Frames {
+    fn from(&MergeSettings { refine, vouched, .. }: &MergeSettings) -> Self {
+        Self { refine, vouched }
+    }
+}
+
+/// Decides which of `locals` take part in a merge. If told so, first moves models to where they fit each other.
 /// Then every model that contradicts others is kept out. `is_given_up` is called between models; if it returns true,
 /// the result is an error.
 pub fn admit<'a>(
     locals: &'a dyn Locals,
-    refines: bool,
+    frames: Frames,
     threads: usize,
     is_given_up: &dyn Fn() -> bool,
 ) -> Result<Admitted<'a>, MergeError> {
     let _span = info_span!("gate", models = locals.count()).entered();
     let count = locals.count();
-    let Frames { moves, fits } = match refines {
+    let Placement { moves, fits } = match frames.refine {
         true => find_frames(locals, threads, is_given_up)?,
-        false => Frames { moves: vec![None; count], fits: Vec::new() },
+        false => Placement { moves: vec![None; count], fits: Vec::new() },
     };
-    let place = |local: usize| Place { local, by: moves[local], tone: None };
+    let place = |local: usize| Place { local, weight: 1.0, is_verified: true, by: moves[local], tone: None };
     let mut admitted =
         Admitted { locals, doubts: vec![None; count], places: (0..count).map(place).collect(), fits };
-    admitted.doubts = doubts_about(&admitted, threads, is_given_up)?;
-    admitted.places = (0..count).filter(|i| admitted.doubts[*i].is_none()).map(place).collect();
+    let linked: Vec<[usize; 2]> = admitted.fits.iter().map(|fit| fit.models).collect();
+    let judged = judge(&admitted, &linked, threads, is_given_up)?;
+    let accepted =
+        |local: &usize| judged[*local].doubt.is_none() && (frames.vouched || judged[*local].is_verified);
+    let place = |local: usize| {
+        let Judged { weight, is_verified, .. } = judged[local];
+        Place { weight, is_verified, ..place(local) }
+    };
+    admitted.places = (0..count).filter(accepted).map(place).collect();
+    let unverified = |local: usize| (!accepted(&local)).then_some(Doubt::Unverified);
+    admitted.doubts =
+        (0..count).map(|local| judged[local].doubt.clone().or_else(|| unverified(local))).collect();
     if let Some(tones) = tones(&admitted, threads, is_given_up)? {
         admitted.places.iter_mut().zip(tones).for_each(|(place, tone)| place.tone = Some(tone));
     }
     Ok(admitted)
 }
 
-/// The doubt about each of `locals`, by index. `is_given_up` is called between models; if it returns true, the result
-/// is an error.
-fn doubts_about(
+/// What the gate thinks of a model.
+struct Judged {
+    doubt: Option<Doubt>,
+    /// See [`Place::weight`] and [`Place::is_verified`].
+    weight: f64,
+    is_verified: bool,
+}
+
+/// Judges each of `locals`, by index. Models that are `linked` share ground. `is_given_up` is called between models; if
+/// it returns true, the result is an error.
+fn judge(
     locals: &dyn Locals,
+    linked: &[[usize; 2]],
     threads: usize,
     is_given_up: &dyn Fn() -> bool,
-) -> Result<Vec<Option<Doubt>>, MergeError> {
+) -> Result<Vec<Judged>, MergeError> {
     let go_on = || if is_given_up() { Err(MergeError::GivenUp) } else { Ok(()) };
     let mut shown = Vec::with_capacity(locals.count());
     for i in 0..locals.count() {
@@ -194,18 +258,31 @@ fn doubts_about(
         go_on()?;
         relations.note_views(&shown, judged, locals, threads)?;
     }
-    let unseen = |shown: &Shown| (shown.unseen > UNSEEN_MAX).then_some(Doubt::Unseen(shown.unseen));
-    let mut doubts: Vec<Option<Doubt>> = shown.iter().map(unseen).collect();
+    let mut doubts: Vec<Option<Doubt>> = shown.iter().map(Shown::doubt).collect();
     relations.doubt_contradicting(&shown, &mut doubts);
-    Ok(doubts)
+    let standards = relations.differences.standards(shown.len(), |i| doubts[i].is_none());
+    let far_worse = |standard: &Standard| standard.is_far_worse().then_some(Doubt::FarWorse(standard.times));
+    doubts
+        .iter_mut()
+        .zip(&standards)
+        .for_each(|(doubt, standard)| *doubt = doubt.take().or(far_worse(standard)));
+    let verified = relations.verified(linked, &shown, &doubts);
+    let judged = doubts.into_iter().zip(standards).zip(verified);
+    Ok(judged
+        .map(|((doubt, standard), is_verified)| Judged { doubt, weight: standard.weight(), is_verified })
+        .collect())
 }
 
 /// What the gate keeps of a model, to judge the model and to judge others by it.
 struct Shown {
     cameras: Vec<Camera>,
     glimpses: Vec<Glimpse>,
+    /// The detail of each glimpse.
+    details: Vec<Detail>,
     /// Share of the model's splats that none of its own cameras sees, 0..=1; 0 for a model without cameras.
     unseen: f64,
+    /// Share of the glimpses that show mostly no surface, 0..=1; 0 for a model that was pruned before upload.
+    void: f64,
     /// Mean position of the cameras, world units.
     middle: DVec3,
     /// Distance from `middle` to the farthest camera, world units.
@@ -222,9 +299,21 @@ impl Shown {
         };
         let unseen = splats.means.iter().filter(is_unseen).count() as f64 / splats.len().max(1) as f64;
         let glimpses = Glimpse::some(&splats, &cameras, is_compressed, threads);
+        let mut renderer = Renderer::new(&splats, threads);
+        let details = glimpses.iter().map(|glimpse| Detail::of(&mut renderer, glimpse.camera())).collect();
+        let is_void = |glimpse: &&Glimpse| !is_compressed && glimpse.shown() < SHOWN_MIN;
+        let void = glimpses.iter().filter(is_void).count() as f64 / glimpses.len().max(1) as f64;
         let middle = middle(&cameras);
         let radius = radius(&cameras, middle);
-        Self { cameras, glimpses, unseen, middle, radius }
+        Self { cameras, glimpses, details, unseen, void, middle, radius }
+    }
+
+    /// Whether the model does not fit its own cameras.
+    fn doubt(&self) -> Option<Doubt> {
+        if self.unseen > UNSEEN_MAX {
+            return Some(Doubt::Unseen(self.unseen));
+        }
+        (self.void >= 0.5).then_some(Doubt::Void(self.void))
     }
 
     /// Gap between the cameras of the two models, in radii of the larger flight; negative if the flights overlap. A
@@ -240,6 +329,8 @@ impl Shown {
 struct Relations {
     /// For each pair of models, lower index first: the number of views that confirm, and the number that contradict.
     views: BTreeMap<[usize; 2], [u32; 2]>,
+    /// How much the detail of the models differs.
+    differences: Differences,
 }
 
 impl Relations {
@@ -273,12 +364,16 @@ impl Relations {
         let is_compressed = locals.is_compressed(judged);
         let mut renderer = None;
         for (other, its) in shown.iter().enumerate().filter(|(other, _)| *other != judged) {
-            for glimpse in &its.glimpses {
+            for (glimpse, there) in its.glimpses.iter().zip(&its.details) {
                 let Some(shared) = glimpse.shared_with(cameras) else { continue };
                 let renderer = match &mut renderer {
                     Some(renderer) => renderer,
                     none => none.insert(Renderer::new(&locals.load(judged)?.splats, threads)),
                 };
+                let detail = Detail::of(renderer, glimpse.camera());
+                if let Some(difference) = detail.difference(there, &shared, glimpse.camera().size_px) {
+                    self.differences.note(judged, other, difference);
+                }
                 if let Some(is_confirmed) = glimpse.is_confirmed_by(renderer, &shared, is_compressed) {
                     self.note(judged, other, is_confirmed, 1);
                 }
@@ -307,6 +402,22 @@ impl Relations {
             }
         }
         (foes, friends)
+    }
+
+    /// Whether each model belongs to the largest group of models that share ground, directly or by way of others. Of
+    /// equally large groups, that with more cameras counts, then that with the lowest index. Skips doubted models.
+    fn verified(&self, linked: &[[usize; 2]], shown: &[Shown], doubts: &[Option<Doubt>]) -> Vec<bool> {
+        let confirmed = self.views.iter().filter(|(_, [confirmed, contradicted])| confirmed > contradicted);
+        let pairs = linked.iter().chain(confirmed.map(|(pair, _)| pair)).copied();
+        let groups = groups(pairs.filter(|pair| pair.iter().all(|i| doubts[*i].is_none())), shown.len());
+        let size = |group: usize| {
+            let of_group = || (0..shown.len()).filter(|i| groups[*i] == group);
+            let cameras: usize = of_group().map(|i| shown[i].cameras.len()).sum();
+            (of_group().count(), cameras, usize::MAX - group)
+        };
+        let sound = (0..shown.len()).filter(|i| doubts[*i].is_none());
+        let largest = sound.map(|i| groups[i]).max_by_key(|group| size(*group));
+        groups.iter().map(|group| Some(*group) == largest).collect()
     }
 
     /// Marks the worst model as doubtful, and repeats this until no two of the other models contradict each other.

@@ -132,7 +132,7 @@ fn observers(computer: &Computer, surveyed: &Surveyed) -> Result<Observers, Merg
     let mut observers = Observers::default();
     for i in 0..surveyed.sizes.len() {
         let Model { splats, cameras } = surveyed.locals.load(i)?;
-        observers.add(&splats, &cameras, 1.0, &computer.device, computer.threads)?;
+        observers.add(&splats, &cameras, surveyed.locals.weight(i), &computer.device, computer.threads)?;
     }
     Ok(observers)
 }

@@ -26,6 +26,7 @@ pub(crate) const QUICK: MergeSettings = MergeSettings {
     epochs: 1,
     compress: true,
     refine: false,
+    vouched: true,
     memory_bytes: 1 << 30,
     seed: 1,
     device: DeviceChoice::Cpu,

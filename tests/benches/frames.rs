@@ -3,9 +3,9 @@
 //! `cargo bench -p cosurf-tests --bench frames -- --help`
 
 mod agents;
+mod dice;
 mod held_out;
 
-use std::f64::consts::TAU;
 use std::ops::ControlFlow;
 use std::path::PathBuf;
 
@@ -17,6 +17,7 @@ use cosurf_aggregator::merge::{Locals, MergeSettings, merge};
 use cosurf_link::Model;
 use cosurf_scene::{Camera, Dataset};
 use cosurf_tests::results::{Better, Column, Measurement, Tolerance};
+use dice::Dice;
 use glam::{DQuat, DVec3};
 use held_out::{HeldOut, THREADS};
 
@@ -104,7 +105,7 @@ fn main() -> Result<()> {
 /// The global model. With `truth`, the models in their right places, it is laid on them by one similarity.
 fn merged(models: Vec<Model>, settings: &MergeSettings, truth: Option<&[Model]>) -> Result<Model> {
     let locals = InMemory(models);
-    let admitted = admit(&locals, settings.refine, THREADS, &|| false)?;
+    let admitted = admit(&locals, settings.into(), THREADS, &|| false)?;
     for fit in admitted.fits() {
         println!("  {fit:.2?}");
     }
@@ -124,22 +125,4 @@ fn displaced(model: &Model, dice: &mut Dice, by_m: f64, turn_deg: f64, scale: f6
     let rotation = DQuat::from_axis_angle(dice.direction(), turn_deg.to_radians());
     let translation = by_m * dice.direction() + middle - scale * (rotation * middle);
     Similarity { scale, rotation, translation }.model(model)
-}
-
-/// Random numbers from a seed (SplitMix64).
-struct Dice(u64);
-
-impl Dice {
-    fn unit(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
-    }
-
-    fn direction(&mut self) -> DVec3 {
-        let (z, angle) = (2.0 * self.unit() - 1.0, TAU * self.unit());
-        let r = (1.0 - z * z).sqrt();
-        DVec3::new(r * angle.cos(), r * angle.sin(), z)
-    }
 }

@@ -35,12 +35,14 @@ pub(super) struct Ways {
 }
 
 impl Ways {
-    pub(super) fn settings(&self, memory_bytes: u64, seed: u64) -> MergeSettings {
+    /// `vouched` is as in [`MergeSettings`].
+    pub(super) fn settings(&self, vouched: bool, memory_bytes: u64, seed: u64) -> MergeSettings {
         let Self { epochs, no_compress, no_refine } = *self;
         MergeSettings {
             epochs,
             compress: !no_compress,
             refine: !no_refine,
+            vouched,
             memory_bytes,
             seed,
             ..MergeSettings::default()
@@ -62,6 +64,9 @@ pub(crate) struct MergeArgs {
     out: PathBuf,
     #[command(flatten)]
     ways: Ways,
+    /// All models have the same world frame: also merge those that share no ground with the others
+    #[arg(long)]
+    same_frame: bool,
     /// Limit on the memory of the merge, for example 500MiB
     #[arg(long, value_name = "BYTES", default_value = "4GiB", value_parser = parse_bytes)]
     memory: u64,
@@ -97,7 +102,8 @@ impl Locals for Folders<'_> {
 }
 
 pub(crate) fn run(args: &MergeArgs) -> Result<()> {
-    let settings = MergeSettings { device: args.device, ..args.ways.settings(args.memory, args.seed) };
+    let settings =
+        MergeSettings { device: args.device, ..args.ways.settings(args.same_frame, args.memory, args.seed) };
     let threads = available_parallelism().map_or(1, usize::from);
     let begun = Instant::now();
     let mut tell = |progress| {
@@ -105,7 +111,7 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
         ControlFlow::Continue(())
     };
     let folders = Folders(&args.models);
-    let admitted = admit(&folders, settings.refine, threads, &|| false)?;
+    let admitted = admit(&folders, (&settings).into(), threads, &|| false)?;
     let names: Vec<String> = args.models.iter().map(|folder| folder.display().to_string()).collect();
     let kept_out: Vec<String> =
         admitted.kept_out(&names).map(|(i, why)| format!("{} {why}", names[i])).collect();
@@ -125,15 +131,21 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
     }
     for (place, local) in merged.summary.locals.iter().enumerate() {
         let LocalSummary { arrived, overlap, removed } = local;
-        let Place { local, by, tone } = admitted.place(place);
+        let Place { local, weight, is_verified, by, tone } = admitted.place(place);
         let (folder, percent) = (&names[local], 100.0 * overlap);
         let (arrived, removed) = (counted(*arrived, "splat"), counted(*removed, "splat"));
         let moved =
             by.map(|by| format!(", moved by {:.2} m to where it fits", by.distance_m)).unwrap_or_default();
         let toned = tone.map(|tone| format!(", {tone}")).unwrap_or_default();
+        let weight = if weight < 1.0 {
+            format!(", counts {:.0} % because it differs from the others", 100.0 * weight)
+        } else {
+            String::new()
+        };
+        let unverified = if is_verified { "" } else { ", shares no ground with the others" };
         writeln!(
             stdout,
-            "{folder}: {arrived}, {percent:.0} % on shared ground, {removed} removed{moved}{toned}"
+            "{folder}: {arrived}, {percent:.0} % on shared ground, {removed} removed{moved}{toned}{weight}{unverified}"
         )?;
     }
     kept_out.iter().try_for_each(|kept_out| writeln!(stdout, "kept out: {kept_out}"))?;

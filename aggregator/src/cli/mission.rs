@@ -103,7 +103,7 @@ pub(crate) fn run(args: MissionArgs) -> Result<()> {
             seed: args.seed,
             eval_every: args.eval_every,
             compress_first: args.compress_first,
-            merge: args.ways.settings(args.merge_memory, args.seed),
+            merge: args.ways.settings(true, args.merge_memory, args.seed),
         },
         city: data.is_none().then(|| city_of_seed(args.seed)),
         out,

@@ -2,10 +2,11 @@
 //! place in all of them.
 //!
 //! Every two models that share ground are linked ([`super::links`]). Models in unrelated frames are first brought near
-//! each other ([`super::register`]). Then the frames of all linked models are adjusted together ([`super::adjust`]). The links tell how the models lie to each other, but not where all of them lie in the
-//! world. So the adjusted models are laid on the model that leaves most of the others where they were. A model that
-//! then needs a move smaller than [`STAY_PX`] stays exactly where it was: such small moves are errors of the
-//! measurement, and models in one frame keep their bytes.
+//! each other ([`super::register`]). Then the frames of all linked models are adjusted together ([`super::adjust`]). The
+//! links tell how the models lie to each other, but not where all of them lie in the world. So the adjusted models are
+//! laid on the model that leaves most of the others where they were. A model that then needs a move smaller than
+//! [`STAY_PX`] stays exactly where it was: such small moves are errors of the measurement, and models in one frame keep
+//! their bytes.
 
 use std::collections::BTreeSet;
 
@@ -30,7 +31,7 @@ const STAY_DEVIATIONS: f64 = 3.0;
 const REGISTRATIONS_MAX: usize = 16;
 
 /// How each model is moved, and how well every two models then fit.
-pub(super) struct Frames {
+pub(super) struct Placement {
     /// How each model is moved to where it fits; `None` if it stays.
     pub(super) moves: Vec<Option<Move>>,
     /// One entry for every two models that are linked.
@@ -74,7 +75,7 @@ pub(super) fn find_frames(
     locals: &dyn Locals,
     threads: usize,
     is_given_up: &dyn Fn() -> bool,
-) -> Result<Frames, MergeError> {
+) -> Result<Placement, MergeError> {
     let count = locals.count();
     let identity = vec![Similarity::IDENTITY; count];
     let all: BTreeSet<[usize; 2]> = (0..count).flat_map(|i| (i + 1..count).map(move |j| [i, j])).collect();
@@ -98,7 +99,7 @@ pub(super) fn find_frames(
     let moved = |(i, by): (usize, &Option<Similarity>)| {
         by.map(|by| Move { by, distance_m: distance_m(&links, i, &by) })
     };
-    Ok(Frames { moves: frames.iter().enumerate().map(moved).collect(), fits })
+    Ok(Placement { moves: frames.iter().enumerate().map(moved).collect(), fits })
 }
 
 /// How well two linked models fit, before and after they are moved to their frames.
@@ -166,7 +167,8 @@ fn register_groups(
     let count = locals.count();
     let mut features: Vec<Option<Vec<Feature>>> = vec![None; count];
     let mut tried = BTreeSet::new();
-    let mut groups = groups(edges, count);
+    let grouped = |edges: &[Edge]| groups(edges.iter().map(|edge| edge.models), count);
+    let mut groups = grouped(edges);
     while let Some([first, second]) = next_to_register(&groups, &tried) {
         if is_given_up() {
             return Err(MergeError::GivenUp);
@@ -182,7 +184,7 @@ fn register_groups(
         if let Some((edge, new_links)) = link(&mut one, &mut other, &guess) {
             edges.push(edge);
             links.extend(new_links);
-            groups = self::groups(edges, count);
+            groups = grouped(edges);
         }
     }
     Ok(())
@@ -209,10 +211,10 @@ fn next_to_register(groups: &[usize], tried: &BTreeSet<[usize; 2]>) -> Option<[u
 }
 
 /// For each model, the lowest index of the models that it is linked to, directly or by way of others.
-fn groups(edges: &[Edge], count: usize) -> Vec<usize> {
+pub(super) fn groups(linked: impl Iterator<Item = [usize; 2]>, count: usize) -> Vec<usize> {
     let mut groups: Vec<usize> = (0..count).collect();
-    for Edge { models: [one, other], .. } in edges {
-        let [one, other] = [groups[*one], groups[*other]];
+    for [one, other] in linked {
+        let [one, other] = [groups[one], groups[other]];
         let (low, high) = (one.min(other), one.max(other));
         groups.iter_mut().filter(|group| **group == high).for_each(|group| *group = low);
     }

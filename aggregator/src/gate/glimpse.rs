@@ -79,6 +79,17 @@ impl Glimpse {
         Self { camera, rgb: rendering.rgb, depth, alpha: rendering.alpha }
     }
 
+    /// The camera, at the size of the picture.
+    pub(super) fn camera(&self) -> &Camera {
+        &self.camera
+    }
+
+    /// Share of the picture that shows a surface, 0..=1.
+    pub(super) fn shown(&self) -> f64 {
+        let shown = self.alpha.iter().filter(|alpha| **alpha > ALPHA_MIN).count();
+        shown as f64 / self.alpha.len().max(1) as f64
+    }
+
     /// Indices of the pixels whose surface some of `cameras` see from a similar direction; `None` if they are too
     /// few.
     pub(super) fn shared_with(&self, cameras: &[Camera]) -> Option<Vec<usize>> {

@@ -12,6 +12,11 @@ use cosurf_tests::results::{Column, Measurement};
 use super::*;
 use crate::testing::{InMemory, above, ground};
 
+/// Models are left where they are; those that share no ground are kept out.
+pub(crate) const UNMOVED: Frames = Frames { refine: false, vouched: false };
+/// Models are moved to where they fit; those that share no ground are kept out.
+pub(crate) const MOVED: Frames = Frames { refine: true, vouched: false };
+
 /// A model of the ground below a flight of five cameras, 2 m apart along the x axis, from x = `west`.
 pub(crate) fn flight(west: f64) -> Model {
     let cameras = (0..5).map(|i| above(west + 2.0 * f64::from(i)));
@@ -46,7 +51,8 @@ pub(crate) fn elsewhere(mut model: Model, scale: f64, turn: f64, by: DVec3) -> M
 }
 
 fn judge(models: Vec<Model>) -> Vec<Option<Doubt>> {
-    doubts_about(&InMemory(models), 2, &|| false).unwrap()
+    let judged = super::judge(&InMemory(models), &[], 2, &|| false).unwrap();
+    judged.into_iter().map(|judged| judged.doubt).collect()
 }
 
 #[test]
@@ -55,6 +61,48 @@ fn models_that_agree_are_admitted() {
     assert_eq!(judge(vec![flight(0.0)]), [None], "alone");
     let far = judge(vec![flight(0.0), flight(60.0)]);
     assert_eq!(far, [None, None], "they share no ground and are not too far apart");
+}
+
+#[test]
+fn a_model_that_shares_no_ground_takes_part_only_if_its_frame_is_vouched_for() {
+    let locals = InMemory(vec![flight(60.0), flight(0.0), flight(4.0)]);
+    let names = ["far", "west", "east"];
+    for refine in [false, true] {
+        let admit = |vouched| admit(&locals, Frames { refine, vouched }, 2, &|| false).unwrap();
+        let unvouched = admit(false);
+        let kept_out: Vec<(usize, String)> = unvouched.kept_out(&names).collect();
+        assert!(kept_out.len() == 1 && kept_out[0].0 == 0, "{kept_out:?}");
+        assert!(kept_out[0].1.contains("shares no ground"), "{kept_out:?}");
+        let vouched = admit(true);
+        let verified: Vec<bool> = (0..vouched.count()).map(|i| vouched.place(i).is_verified).collect();
+        assert_eq!(verified, [false, true, true]);
+    }
+}
+
+#[test]
+fn a_model_that_its_own_cameras_do_not_show_is_kept_out() {
+    let mut models = flights();
+    // The cameras see the splats, but from so far away that their pictures are almost empty.
+    for camera in &mut models[2].cameras {
+        camera.cam_from_world.translation.z += 300.0;
+    }
+    let doubts = judge(models);
+    assert!(matches!(doubts[2], Some(Doubt::Void(1.0))), "{doubts:?}");
+    assert_eq!(doubts.iter().flatten().count(), 1, "{doubts:?}");
+}
+
+#[test]
+fn a_model_without_detail_is_kept_out_and_its_colours_count_nothing() {
+    let mut models = flights();
+    let mut blurred = flight(6.0);
+    blurred.splats.log_scales.iter_mut().for_each(|scales| (0..2).for_each(|k| scales[k] += 1.2));
+    blurred.splats.sh.iter_mut().for_each(|value| *value = 0.5 * *value + 0.3);
+    models.push(blurred);
+    let locals = InMemory(models);
+    let admitted = admit(&locals, UNMOVED, 2, &|| false).unwrap();
+    assert!(matches!(admitted.doubts()[4], Some(Doubt::FarWorse(_))), "{:?}", admitted.doubts());
+    assert_eq!(admitted.count(), 4, "{:?}", admitted.doubts());
+    assert!((0..4).all(|i| admitted.place(i).tone.is_none()));
 }
 
 /// A model names the right frame, but its coordinates are in another one.

@@ -197,7 +197,7 @@ fn balance(pairs: &Pairs, count: usize, difference: impl Fn([usize; 2], &Shared)
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::super::admit;
-    use super::super::tests::flights;
+    use super::super::tests::{UNMOVED, flights};
     use super::*;
     use crate::testing::{InMemory, above};
 
@@ -247,7 +247,7 @@ mod tests {
             let sum: f32 = shown[0].iter().zip(&shown[1]).map(|(a, b)| (a - b).abs()).sum();
             sum / shown[0].len() as f32
         };
-        let admitted = admit(&locals, false, 1, &|| false).unwrap();
+        let admitted = admit(&locals, UNMOVED, 1, &|| false).unwrap();
         assert_eq!(admitted.count(), 4, "another exposure is no contradiction");
         assert!(difference(&locals) > 0.08, "{}", difference(&locals));
         assert!(difference(&admitted) < 0.01, "{}", difference(&admitted));

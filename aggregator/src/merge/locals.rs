@@ -18,6 +18,12 @@ pub trait Locals {
         let _ = index;
         false
     }
+
+    /// What the observations of a model count beside those of others, 0..=1.
+    fn weight(&self, index: usize) -> f64 {
+        let _ = index;
+        1.0
+    }
 }
 
 /// The local models, with the cameras and sizes that a first pass over the models has gathered.

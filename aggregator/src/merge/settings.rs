@@ -14,6 +14,10 @@ pub struct MergeSettings {
     /// Whether models are moved so that the ground they share lies at the same place in all of them; see
     /// [`crate::gate`].
     pub refine: bool,
+    /// Whether all models are known to lie in one world frame. Then a model that shares no ground with the others takes
+    /// part too; otherwise it is kept out, because its frame may be another one.
+    #[serde(default)]
+    pub vouched: bool,
     /// Limit on the bytes of all models and the distillation together. If it is too small for all models at once,
     /// teachers are reloaded from the disk, and parts of the model are distilled one after the other. Distilling in
     /// parts changes the result.
@@ -31,6 +35,7 @@ impl Default for MergeSettings {
             epochs: 5,
             compress: true,
             refine: true,
+            vouched: false,
             memory_bytes: 4 << 30,
             seed: 0,
             device: DeviceChoice::Auto,

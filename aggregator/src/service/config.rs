@@ -34,7 +34,8 @@ pub struct AggregatorConfig {
     pub broker: Option<BrokerAddress>,
     /// Certificates for a broker with `mqtts://`.
     pub tls: Option<TlsFiles>,
-    /// Name of the world frame of the coordinates; only models of this frame are merged. Absent for `local`.
+    /// Name of the world frame of the coordinates; only models of this frame are merged. Absent for `local`: then a
+    /// model that shares no ground with the others is kept out, because its frame may be another one.
     pub frame: Option<FrameId>,
     /// File of the secret key that signs the global model, written by the command `key`; absent for no signature.
     pub key: Option<PathBuf>,

@@ -119,7 +119,7 @@ impl Job {
         let thread = thread::spawn(move || {
             let _span = info_span!("round", models = stored.count(), parts = parts.count()).entered();
             let is_stopped = || flag.load(Ordering::Relaxed);
-            let admitted = admit(&stored, settings.refine, threads, &is_stopped)?;
+            let admitted = admit(&stored, (&settings).into(), threads, &is_stopped)?;
             let verdict = Verdict::of(&admitted, &stored.headers);
             if admitted.count() == 0 {
                 return Ok(Outcome { merged: None, verdict });

@@ -27,7 +27,8 @@ pub struct Merging {
     /// Those of `inputs` that were kept out of the merge.
     #[serde(default)]
     pub kept_out: Vec<KeptOut>,
-    /// Those of `inputs` that were changed to fit the others.
+    /// Those of `inputs` that took part otherwise than as they are: moved, with other colours, with less weight, or
+    /// unverified.
     #[serde(default)]
     pub fitted: Vec<Fitted>,
     /// How well every two of `inputs` that share ground fit each other.
@@ -120,7 +121,7 @@ impl FitRecord {
     }
 }
 
-/// A model that was changed to fit the others.
+/// A model that was changed to fit the others, or about which there is something to tell.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Fitted {
     /// The device that sent the model.
@@ -133,22 +134,50 @@ pub struct Fitted {
     pub distance_m: Option<f64>,
     /// Change of the model's colours that matches them to those of the others; `None` if they were not changed.
     pub tone: Option<Tone>,
+    /// What the model's observations count, 0..=1, if it differs from the others far more than they do; see
+    /// [`Place::weight`]. `None` if they count fully.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub weight: Option<f64>,
+    /// True if the model shares no ground with the others. It takes part because its frame is vouched for.
+    #[serde(default, skip_serializing_if = "is_false")]
+    pub unverified: bool,
+}
+
+fn is_false(value: &bool) -> bool {
+    !value
 }
 
 impl Fitted {
-    /// `None` if the model was not changed.
+    /// `None` if there is nothing to tell.
     pub(super) fn of(device: &str, place: Place) -> Option<Self> {
-        let Place { by, tone, .. } = place;
-        let (device, distance_m) = (device.to_string(), by.map(|by| by.distance_m));
-        (by.is_some() || tone.is_some()).then(|| Self { device, by: by.map(|by| by.by), distance_m, tone })
+        let Place { by, tone, weight, is_verified, .. } = place;
+        let fitted = Self {
+            device: device.to_string(),
+            by: by.map(|by| by.by),
+            distance_m: by.map(|by| by.distance_m),
+            tone,
+            weight: (weight < 1.0).then_some(weight),
+            unverified: !is_verified,
+        };
+        let is_told = fitted.by.is_some() || tone.is_some() || weight < 1.0 || fitted.unverified;
+        is_told.then_some(fitted)
     }
 }
 
 impl fmt::Display for Fitted {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let moved = self.distance_m.map(|off| format!("lay {off:.2} m off and was moved to where it fits"));
-        let changes: Vec<String> = moved.into_iter().chain(self.tone.map(|tone| tone.to_string())).collect();
-        write!(f, "{}: {}", self.device, changes.join(", "))
+        let weight = self.weight.map(|weight| {
+            format!(
+                "differs from the others far more than they do, so its views count only {:.0} %",
+                100.0 * weight
+            )
+        });
+        let unverified =
+            self.unverified.then(|| "shares no ground with the others, so its place is unverified".into());
+        let tone = self.tone.map(|tone| tone.to_string());
+        let told: Vec<String> = [moved, tone, weight, unverified].into_iter().flatten().collect();
+        write!(f, "{}: {}", self.device, told.join(", "))
     }
 }
 

@@ -12,7 +12,7 @@ use cosurf_link::{
     next_session,
 };
 use cosurf_scene::SceneError;
-use cosurf_wire::SiteId;
+use cosurf_wire::{FrameId, SiteId};
 use serde::Serialize;
 
 use super::config::{AggregatorConfig, UpstreamConfig};
@@ -211,6 +211,7 @@ fn service_config(config: &AggregatorConfig, identity: Identity, threads: usize)
         merge: MergeSettings {
             memory_bytes: config.merge_memory_bytes,
             refine: config.refine,
+            vouched: config.frame.is_some_and(|frame| frame != FrameId::default()),
             device: config.compute,
             ..MergeSettings::default()
         },

@@ -77,7 +77,7 @@ struct Ground {
 }
 
 fn open(network: &MemoryNetwork, folder: &Path, expected: Expected) -> Ground {
-    open_with(network, folder, expected, MergeSettings::default())
+    open_with(network, folder, expected, MergeSettings { vouched: true, ..MergeSettings::default() })
 }
 
 fn open_with(network: &MemoryNetwork, folder: &Path, expected: Expected, merge: MergeSettings) -> Ground {

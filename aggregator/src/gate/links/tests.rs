@@ -10,6 +10,7 @@ use super::*;
 use crate::gate::adjust::tests::Dice;
 use crate::gate::frames::find_frames;
 use crate::gate::similarity::tests::wrong;
+use crate::gate::tests::{MOVED, UNMOVED};
 use crate::gate::{Doubt, admit};
 use crate::testing::InMemory;
 use cosurf_link::Model;
@@ -127,10 +128,10 @@ fn a_model_in_a_frame_of_its_own_is_found() {
 fn a_model_in_another_frame_is_moved_if_allowed_and_kept_out_otherwise() {
     let models = [local(-3.0, 10), wrong().model(&local(0.0, 20)), local(3.0, 30)].to_vec();
     let locals = InMemory(models);
-    let kept_out = admit(&locals, false, 1, &|| false).unwrap();
+    let kept_out = admit(&locals, UNMOVED, 1, &|| false).unwrap();
     assert_eq!(kept_out.doubts()[1], Some(Doubt::Contradicts(vec![0, 2])));
     assert_eq!(kept_out.count(), 2);
-    let moved = admit(&locals, true, 1, &|| false).unwrap();
+    let moved = admit(&locals, MOVED, 1, &|| false).unwrap();
     assert_eq!((moved.doubts(), moved.count()), (&[None, None, None][..], 3));
     assert!(moved.place(1).by.is_some() && moved.place(0).by.is_none());
     let x = moved.load(1).unwrap().cameras[0].cam_from_world.center().x;

@@ -26,7 +26,7 @@ fn sent(Model { splats, cameras }: &Model) -> Vec<u8> {
 /// The body of the model that a merge of the models in `bodies` gives.
 fn merged(bodies: &[Vec<u8>]) -> Vec<u8> {
     let locals = InMemory(bodies.iter().map(|body| body_to_model(body).unwrap()).collect());
-    let admitted = admit(&locals, SETTINGS.refine, 1, &|| false).unwrap();
+    let admitted = admit(&locals, (&SETTINGS).into(), 1, &|| false).unwrap();
     let merged = merge(&admitted, &SETTINGS, 1, &mut |_| ControlFlow::Continue(())).unwrap();
     packed(&merged.model, 1).unwrap()
 }

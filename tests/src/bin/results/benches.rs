@@ -140,23 +140,27 @@ pub(crate) fn packing(folder: &TempDir) -> Result<Results> {
 
 /// Measures missions whose uploads break off, for each dataset.
 pub(crate) fn broken_off(folder: &TempDir) -> Result<Results> {
-    build()?;
-    of_each_dataset("broken_off", folder, |name, data, out| {
-        mission(Some(data), &[&TRAINING[..], &["--agents", "4"]].concat(), out)?;
-        let agents = agents(out, 4);
-        let agents = agents.iter().map(|agent| text(agent)).collect::<Result<Vec<_>>>()?;
-        ours("broken_off", &[&[text(data)?, "--name", name], &agents[..]].concat(), folder)
-    })
+    of_missions(&DATASETS, "broken_off", folder)
 }
 
 /// Measures missions whose models arrive in frames that are not exactly right.
 pub(crate) fn frames(folder: &TempDir) -> Result<Results> {
+    of_missions(&DATASETS[2..], "frames", folder)
+}
+
+/// Measures missions that a fifth agent joins.
+pub(crate) fn fifth(folder: &TempDir) -> Result<Results> {
+    of_missions(&DATASETS[2..], "fifth", folder)
+}
+
+/// Runs a bench for a mission of four agents over each dataset, and joins the rows.
+fn of_missions(datasets: &[(&str, Option<&str>)], bench: &str, folder: &TempDir) -> Result<Results> {
     build()?;
-    of_datasets(&DATASETS[2..], "frames", folder, |name, data, out| {
+    of_datasets(datasets, bench, folder, |name, data, out| {
         mission(Some(data), &[&TRAINING[..], &["--agents", "4"]].concat(), out)?;
         let agents = agents(out, 4);
         let agents = agents.iter().map(|agent| text(agent)).collect::<Result<Vec<_>>>()?;
-        ours("frames", &[&[text(data)?, "--name", name], &agents[..]].concat(), folder)
+        ours(bench, &[&[text(data)?, "--name", name], &agents[..]].concat(), folder)
     })
 }
 

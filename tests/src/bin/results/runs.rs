@@ -42,7 +42,7 @@ pub(crate) fn command_fault(stored: &Results) -> Option<String> {
 }
 
 /// All benches, the quickest first.
-pub(crate) const RUNS: [Run; 21] = [
+pub(crate) const RUNS: [Run; 22] = [
     Run {
         name: "sizes",
         about: "size of both programs",
@@ -129,6 +129,12 @@ pub(crate) const RUNS: [Run; 21] = [
         about: "what models in wrong frames cost",
         command: "cargo bench -p cosurf-tests --bench frames -- DATA AGENT...",
         measure: benches::frames,
+    },
+    Run {
+        name: "fifth",
+        about: "what the model of a fifth agent costs or gains",
+        command: "cargo bench -p cosurf-tests --bench fifth -- DATA AGENT...",
+        measure: benches::fifth,
     },
     Run {
         name: "layers",

@@ -1,0 +1,197 @@
+//! Measures how far each model is from the truth, by how much it differs from the others where they show the same
+//! ground. What a device says of its own model does not count.
+//!
+//! Two models differ in fine detail by the error of the one plus the error of the other. If several models differ from
+//! one model, but not from each other, the error is that model's own.
+
+use std::collections::BTreeMap;
+
+use cosurf_engine::Renderer;
+use cosurf_scene::Camera;
+
+use super::glimpse::median;
+
+/// Long side of the pictures, px.
+const SIZE_PX: u32 = 192;
+/// Detail is what differs from the mean of the pixels within this distance, px along each axis.
+const DETAIL_PX: usize = 4;
+/// Number of iterations in which the errors of all models are found; they settle much earlier.
+const ITERATIONS: usize = 200;
+/// Weight with which an error is drawn to 0. It is small beside one comparison, and makes one model with large errors
+/// more likely than several.
+const SMALL_WEIGHT: f64 = 0.01;
+
+/// Errors up to this many times as large as those of the others do not count against a model. Errors of honest models
+/// of one mission differ by a factor of up to 2.4.
+const FAIR_TIMES: f64 = 3.0;
+/// A model with errors more than this many times as large as those of the others may be far worse.
+const FAR_WORSE_TIMES: f64 = 4.0;
+/// A model is far worse only if its error is above this. Then its detail has less in common with the ground than no detail
+/// at all.
+const FAR_WORSE_MIN: f64 = 1.0;
+
+/// The fine detail of a model in the picture of a camera.
+pub(super) struct Detail {
+    /// `[height, width]`: grey values without their local mean.
+    fine: Vec<f32>,
+    size_px: [usize; 2],
+}
+
+impl Detail {
+    pub(super) fn of(renderer: &mut Renderer, camera: &Camera) -> Self {
+        let camera = camera.resized(camera.fitted_size(SIZE_PX));
+        let rgb = renderer.render(&camera).rgb;
+        let grey: Vec<f32> = rgb.chunks_exact(3).map(|rgb| (rgb[0] + rgb[1] + rgb[2]) / 3.0).collect();
+        let size_px = camera.size_px.map(|side| side as usize);
+        Self { fine: without_local_mean(&grey, size_px), size_px }
+    }
+
+    /// Mean squared difference of two models' detail in a picture, as a share of its mean square. `shared` are pixels of a
+    /// smaller picture of the same camera, of the size `of_px`; only detail inside them counts.
+    pub(super) fn difference(&self, other: &Self, shared: &[usize], of_px: [u32; 2]) -> Option<f64> {
+        let [width, height] = self.size_px;
+        let [across, down] = of_px.map(|side| side as usize);
+        let (mut difference, mut square) = (0.0, 0.0);
+        for &i in shared {
+            let (x, y) = (i % across, i / across);
+            for v in y * height / down..(y + 1) * height / down {
+                for u in x * width / across..(x + 1) * width / across {
+                    let [a, b] = [self, other].map(|detail| f64::from(detail.fine[v * width + u]));
+                    difference += (a - b).powi(2);
+                    square += 0.5 * (a * a + b * b);
+                }
+            }
+        }
+        (square > 0.0).then(|| difference / square)
+    }
+}
+
+fn without_local_mean(grey: &[f32], [width, height]: [usize; 2]) -> Vec<f32> {
+    let around = |at: usize, side: usize| at.saturating_sub(DETAIL_PX)..(at + DETAIL_PX + 1).min(side);
+    let rows = smooth(width, height, |x, y| {
+        let range = around(x, width);
+        let count = range.len() as f32;
+        range.map(|u| grey[y * width + u]).sum::<f32>() / count
+    });
+    let means = smooth(width, height, |x, y| {
+        let range = around(y, height);
+        let count = range.len() as f32;
+        range.map(|v| rows[v * width + x]).sum::<f32>() / count
+    });
+    grey.iter().zip(&means).map(|(grey, mean)| grey - mean).collect()
+}
+
+fn smooth(width: usize, height: usize, value: impl Fn(usize, usize) -> f32) -> Vec<f32> {
+    (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).map(|(x, y)| value(x, y)).collect()
+}
+
+/// How much the models of each pair differ, lower index first: the sum over the compared pictures, and their number.
+#[derive(Default)]
+pub(super) struct Differences(BTreeMap<[usize; 2], (f64, f64)>);
+
+impl Differences {
+    pub(super) fn note(&mut self, one: usize, other: usize, difference: f64) {
+        let (sum, count) = self.0.entry([one.min(other), one.max(other)]).or_default();
+        *sum += difference;
+        *count += 1.0;
+    }
+
+    /// The standard of each of `count` models, beside those of the others that are `sound`.
+    pub(super) fn standards(&self, count: usize, sound: impl Fn(usize) -> bool) -> Vec<Standard> {
+        let errors = self.errors(count);
+        let standard = |i: usize| {
+            let mut others: Vec<f64> =
+                (0..count).filter(|j| *j != i && sound(*j)).filter_map(|j| errors[j]).collect();
+            let Some(error) = errors[i].filter(|_| !others.is_empty()) else { return Standard::UNKNOWN };
+            Standard { error, times: error / median(&mut others).max(f64::MIN_POSITIVE) }
+        };
+        (0..count).map(standard).collect()
+    }
+
+    /// The error of each of `count` models: its share of the mean square of the detail; `None` for a model that was not
+    /// compared with any other.
+    fn errors(&self, count: usize) -> Vec<Option<f64>> {
+        let mut errors = vec![0.0; count];
+        for _ in 0..ITERATIONS {
+            for i in 0..count {
+                let (mut left, mut weight) = (0.0, SMALL_WEIGHT);
+                for (pair, (sum, pictures)) in &self.0 {
+                    let Some(side) = pair.iter().position(|model| *model == i) else { continue };
+                    left += sum - pictures * errors[pair[1 - side]];
+                    weight += pictures;
+                }
+                errors[i] = f64::max(left / weight, 0.0);
+            }
+        }
+        let is_compared = |i: &usize| self.0.keys().any(|pair| pair.contains(i));
+        (0..count).map(|i| is_compared(&i).then_some(errors[i])).collect()
+    }
+}
+
+/// How good a model is beside the others.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Standard {
+    /// Error of the model.
+    error: f64,
+    /// The error, divided by the median error of the others.
+    pub(super) times: f64,
+}
+
+impl Standard {
+    /// For a model that was not compared with any other.
+    const UNKNOWN: Self = Self { error: 0.0, times: 1.0 };
+
+    /// Whether the model must not take part.
+    pub(super) fn is_far_worse(&self) -> bool {
+        self.error > FAR_WORSE_MIN && self.times > FAR_WORSE_TIMES
+    }
+
+    /// What the model's observations count, 0..=1. An observation with twice the error counts a quarter.
+    pub(super) fn weight(&self) -> f64 {
+        (FAIR_TIMES / self.times).min(1.0).powi(2)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The differences of models with these errors, all of which were compared with each other.
+    fn differences(errors: &[f64]) -> Differences {
+        let mut differences = Differences::default();
+        for (i, one) in errors.iter().enumerate() {
+            (0..i).for_each(|j| differences.note(i, j, one + errors[j]));
+        }
+        differences
+    }
+
+    #[test]
+    fn the_error_of_each_model_is_found_from_the_differences_of_pairs() {
+        let right = [0.2, 0.15, 0.25, 1.4, 0.2];
+        for (found, right) in differences(&right).errors(6).into_iter().zip(right) {
+            assert!(found.is_some_and(|found| (found - right).abs() < 0.02), "{found:?} {right}");
+        }
+        assert_eq!(differences(&right).errors(6)[5], None, "it was not compared");
+    }
+
+    #[test]
+    fn if_all_differ_from_one_model_the_error_is_its_own() {
+        let mut differences = Differences::default();
+        (1..5).for_each(|i| differences.note(0, i, 1.5));
+        let errors: Vec<f64> = differences.errors(5).into_iter().flatten().collect();
+        assert!(errors[0] > 1.1 && errors[1..].iter().all(|error| *error < 0.4), "{errors:?}");
+    }
+
+    #[test]
+    fn only_a_far_worse_model_counts_less_and_only_one_without_detail_is_refused() {
+        let standards = |errors: &[f64]| differences(errors).standards(errors.len(), |_| true);
+        let good = standards(&[0.03, 0.06, 0.025, 0.05]);
+        assert!(good.iter().all(|standard| standard.weight() == 1.0), "{good:?}");
+        let blurred = standards(&[0.03, 0.03, 0.3, 0.03]);
+        assert!(blurred[2].weight() < 0.15 && !blurred[2].is_far_worse(), "{blurred:?}");
+        let lost = standards(&[0.2, 0.2, 1.3, 0.2]);
+        assert!(lost[2].is_far_worse() && !lost[0].is_far_worse(), "{lost:?}");
+        let two = standards(&[0.2, 1.6]);
+        assert!(two.iter().all(|standard| !standard.is_far_worse()), "nobody knows which: {two:?}");
+    }
+}
