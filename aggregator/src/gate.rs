@@ -370,9 +370,11 @@ impl Relations {
                     Some(renderer) => renderer,
                     none => none.insert(Renderer::new(&locals.load(judged)?.splats, threads)),
                 };
-                let detail = Detail::of(renderer, glimpse.camera());
-                if let Some(difference) = detail.difference(there, &shared, glimpse.camera().size_px) {
-                    self.differences.note(judged, other, difference);
+                // A model that was pruned before upload differs because of what it lacks.
+                if !is_compressed && !locals.is_compressed(other) {
+                    let detail = Detail::of(renderer, glimpse.camera());
+                    let difference = detail.difference(there, &shared, glimpse.camera().size_px);
+                    difference.into_iter().for_each(|found| self.differences.note(judged, other, found));
                 }
                 if let Some(is_confirmed) = glimpse.is_confirmed_by(renderer, &shared, is_compressed) {
                     self.note(judged, other, is_confirmed, 1);

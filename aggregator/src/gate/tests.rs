@@ -91,20 +91,6 @@ fn a_model_that_its_own_cameras_do_not_show_is_kept_out() {
     assert_eq!(doubts.iter().flatten().count(), 1, "{doubts:?}");
 }
 
-#[test]
-fn a_model_without_detail_is_kept_out_and_its_colours_count_nothing() {
-    let mut models = flights();
-    let mut blurred = flight(6.0);
-    blurred.splats.log_scales.iter_mut().for_each(|scales| (0..2).for_each(|k| scales[k] += 1.2));
-    blurred.splats.sh.iter_mut().for_each(|value| *value = 0.5 * *value + 0.3);
-    models.push(blurred);
-    let locals = InMemory(models);
-    let admitted = admit(&locals, UNMOVED, 2, &|| false).unwrap();
-    assert!(matches!(admitted.doubts()[4], Some(Doubt::FarWorse(_))), "{:?}", admitted.doubts());
-    assert_eq!(admitted.count(), 4, "{:?}", admitted.doubts());
-    assert!((0..4).all(|i| admitted.place(i).tone.is_none()));
-}
-
 /// A model names the right frame, but its coordinates are in another one.
 #[test]
 fn fault_09_wrong_frame_scale_datum_or_origin() {
