@@ -150,9 +150,12 @@ impl<'a, F: FnMut(AgentEvent)> Publisher<'a, F> {
         let removed = collector.flights.compression(splats).removed;
         let others = collector.flights.others();
         (self.on_event)(AgentEvent::Compressed { removed: removed.len(), of: splats.len(), others });
-        let base = base.map(|base| base.without(&removed));
         let kind = if removed.is_empty() { ModelKind::Local } else { ModelKind::Compressed };
-        let offer = offer(self.publication, &splats.without(&removed), base.as_ref(), kind)?;
+        let (splats, base) = match base.map(|base| base.thinned(splats, &removed)) {
+            Some((splats, base)) => (splats, Some(base)),
+            None => (splats.without(&removed), None),
+        };
+        let offer = offer(self.publication, &splats, base.as_ref(), kind)?;
         self.upload = start_upload(&mut self.node, offer);
         Ok(())
     }

@@ -44,6 +44,10 @@ pub use locals::Locals;
 use locals::{Surveyed, survey};
 pub use settings::MergeSettings;
 
+/// A model that was pruned before upload teaches a camera only if it shows a surface in at least this share of the
+/// picture. Elsewhere it would teach black.
+const SHOWN_MIN: f64 = 0.9;
+
 /// A merged model and the figures of its merge.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Merged {
@@ -117,8 +121,7 @@ fn merge_by(
     if settings.epochs > 0 && !model.splats.is_empty() && !model.cameras.is_empty() {
         let sizes: Vec<usize> = parts.iter().map(|part| part.splats.len()).collect();
         drop(parts);
-        let of_all = |observers: Observers| (0..sizes.len()).map(|i| observers.standings(i)).collect();
-        let standings: Option<Vec<Vec<f64>>> = observers.map(of_all);
+        let standings: Option<Vec<Vec<f64>>> = observers.map(|observers| standings(&observers, surveyed));
         let distilled =
             distill::distill(surveyed, &sizes, model.splats, standings.as_deref(), settings, computer, tell)?;
         (model.splats, summary.steps) = (distilled.splats, distilled.steps);
@@ -127,12 +130,32 @@ fn merge_by(
     Ok(Merged { model, summary })
 }
 
-/// What the cameras of all models observed.
+/// The standing of each model at each of its cameras; 0 where a model that was pruned before upload shows too little to
+/// teach.
+fn standings(observers: &Observers, surveyed: &Surveyed) -> Vec<Vec<f64>> {
+    let of = |local: usize| {
+        let mut standings = observers.standings(local);
+        if surveyed.locals.is_compressed(local) {
+            let shown = observers.shown(local);
+            let is_torn = |shown: &f64| *shown < SHOWN_MIN;
+            standings.iter_mut().zip(&shown).filter(|(_, shown)| is_torn(shown)).for_each(|(standing, _)| *standing = 0.0);
+        }
+        standings
+    };
+    (0..surveyed.sizes.len()).map(of).collect()
+}
+
+/// What the cameras of all models observed. Devices that pruned their models before upload have judged by the cameras
+/// alone. If there are any, all models are judged like that, so that nobody has left out what is now found to be theirs.
 fn observers(computer: &Computer, surveyed: &Surveyed) -> Result<Observers, MergeError> {
     let mut observers = Observers::default();
+    let locals = surveyed.locals;
+    if (0..locals.count()).any(|i| locals.is_compressed(i)) {
+        observers.judge_as_announced();
+    }
     for i in 0..surveyed.sizes.len() {
-        let Model { splats, cameras } = surveyed.locals.load(i)?;
-        observers.add(&splats, &cameras, surveyed.locals.weight(i), &computer.device, computer.threads)?;
+        let Model { splats, cameras } = locals.load(i)?;
+        observers.add(&splats, &cameras, locals.weight(i), &computer.device, computer.threads)?;
     }
     Ok(observers)
 }

@@ -58,7 +58,7 @@ pub(super) fn distill(
     let device = &computer.device;
     let room = student_room(device, settings, joined.sh_degree, cameras);
     let parts = parts(sizes, room);
-    let lessons = lessons(cameras, standings, |local| !locals.is_compressed(local));
+    let lessons = lessons(cameras, standings, |local| standings.is_some() || !locals.is_compressed(local));
     let steps = settings.epochs * lessons.iter().map(Vec::len).sum::<usize>() as u32;
     if steps == 0 {
         return Ok(Distilled { splats: joined, steps });

@@ -40,6 +40,7 @@ const CELLS_ACROSS: f64 = 32.0;
 pub struct Observers {
     each: Vec<Observer>,
     slopes: Option<Slopes>,
+    as_announced: bool,
 }
 
 impl Observers {
@@ -71,6 +72,17 @@ impl Observers {
         Ok(())
     }
 
+    /// From now on, judges by the cameras alone, as devices do that know the other models only by [`Self::announce`].
+    pub fn judge_as_announced(&mut self) {
+        self.as_announced = true;
+    }
+
+    /// For each camera of the model with the index `own`: the share of its picture in which the model shows a surface,
+    /// 0..=1.
+    pub fn shown(&self, own: usize) -> Vec<f64> {
+        self.each[own].shown().collect()
+    }
+
     /// For each camera of the model with the index `own`: how well the model observed the surface in the picture,
     /// compared with the model that observed it best. It is the ratio of the worths, 0..=1, mean over the picture; 0 if
     /// there is no surface.
@@ -88,8 +100,8 @@ impl Observers {
     fn ground(&self, places: &[DVec3]) -> Ground<'_> {
         let center = places.iter().sum::<DVec3>() / places.len().max(1) as f64;
         let radius = places.iter().map(|place| place.distance(center)).fold(0.0, f64::max);
-        let near = self.each.iter().map(|observer| observer.near(center, radius)).collect();
-        Ground { near, slopes: self.slopes.as_ref() }
+        let near = self.each.iter().map(|observer| observer.near(center, radius, self.as_announced)).collect();
+        Ground { near, slopes: self.slopes.as_ref().filter(|_| !self.as_announced) }
     }
 }
 

@@ -14,17 +14,32 @@ pub struct Base {
 }
 
 impl Base {
-    /// The base of the model without the splats at the model's indices `removed` (ascending, unique):
-    /// these splats are dropped from the base, and the other ids are renumbered.
-    pub fn without(&self, removed: &[u32]) -> Self {
-        let mut left = Self { ids: Vec::new(), splats: Splats::with_capacity(0, self.splats.sh_degree) };
-        for (i, id) in self.ids.iter().enumerate() {
-            if let Err(before) = removed.binary_search(id) {
-                left.ids.push(id - before as u32);
-                left.splats.push_from(&self.splats, i);
+    /// Thins `model`, the full model of this base, at the model's indices `removed` (ascending, unique): of these
+    /// splats, only those of the base are left, as they are in the base. Returns the thinned model and its base.
+    pub fn thinned(&self, model: &Splats, removed: &[u32]) -> (Splats, Self) {
+        let mut left = Splats::with_capacity(model.len(), model.sh_degree);
+        let mut base = Self { ids: Vec::new(), splats: Splats::with_capacity(self.ids.len(), self.splats.sh_degree) };
+        let mut one_color = vec![0.0; model.sh_stride()];
+        let (mut removed, mut adjusted) = (removed.iter().peekable(), self.ids.iter().enumerate().peekable());
+        for i in 0..model.len() {
+            let is_removed = removed.next_if(|removed| **removed as usize == i).is_some();
+            let Some((k, _)) = adjusted.next_if(|(_, id)| **id as usize == i) else {
+                if !is_removed {
+                    left.push_from(model, i);
+                }
+                continue;
+            };
+            base.ids.push(left.len() as u32);
+            base.splats.push_from(&self.splats, k);
+            if is_removed {
+                let Splats { means, quats, log_scales, opacity_logits, .. } = &self.splats;
+                one_color[..3].copy_from_slice(self.splats.sh_of(k));
+                left.push(means[k], quats[k], log_scales[k], opacity_logits[k], &one_color);
+            } else {
+                left.push_from(model, i);
             }
         }
-        left
+        (left, base)
     }
 }
 
@@ -33,13 +48,21 @@ mod tests {
     use super::*;
 
     #[test]
-    fn removing_splats_drops_and_renumbers_their_ids() {
-        let mut splats = Splats::with_capacity(4, 0);
-        (0..4u8).for_each(|i| splats.push([f32::from(i); 3], [1.0; 4], [0.0; 3], 0.0, &[0.0; 3]));
-        let base = Base { ids: vec![1, 4, 6, 9], splats };
-        let left = base.without(&[0, 4, 5, 8]);
-        assert_eq!(left.ids, [0, 3, 5]);
-        assert_eq!(left.splats.means, [[0.0; 3], [2.0; 3], [3.0; 3]]);
-        assert_eq!(base.without(&[]), base);
+    fn of_removed_splats_those_of_the_base_are_left_as_in_the_base() {
+        let splats = |means: &[u8], sh_degree: u32| {
+            let mut splats = Splats::with_capacity(means.len(), sh_degree);
+            let sh = vec![0.5; splats.sh_stride()];
+            means.iter().for_each(|x| splats.push([f32::from(*x); 3], [1.0; 4], [0.0; 3], 0.0, &sh));
+            splats
+        };
+        let model = splats(&[0, 1, 2, 3, 4, 5], 1);
+        let base = Base { ids: vec![1, 3, 4], splats: splats(&[11, 13, 14], 0) };
+        let (left, of_left) = base.thinned(&model, &[0, 3, 5]);
+        assert_eq!(left.means, [[1.0; 3], [2.0; 3], [13.0; 3], [4.0; 3]]);
+        assert_eq!(left.sh_of(2)[..4], [0.5, 0.5, 0.5, 0.0], "one colour for all directions");
+        assert_eq!(left.sh_of(3), model.sh_of(4));
+        assert_eq!(of_left.ids, [0, 2, 3]);
+        assert_eq!(of_left.splats, base.splats);
+        assert_eq!(base.thinned(&model, &[]), (model, base));
     }
 }

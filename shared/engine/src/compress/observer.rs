@@ -47,6 +47,8 @@ struct Surface {
 pub(super) struct Near<'a> {
     sights: Vec<&'a Sight>,
     weight: f64,
+    /// True to ignore what is hidden from the cameras.
+    sees_through: bool,
 }
 
 impl Observer {
@@ -74,10 +76,17 @@ impl Observer {
         Ok(Self { sights: cameras.iter().map(sight).collect::<Result<_, DeviceError>>()?, weight })
     }
 
-    /// Those cameras that may see some point within `radius` of `center`.
-    pub(super) fn near(&self, center: DVec3, radius: f64) -> Near<'_> {
+    /// Those cameras that may see some point within `radius` of `center`. With `sees_through`, nothing is hidden from
+    /// them.
+    pub(super) fn near(&self, center: DVec3, radius: f64, sees_through: bool) -> Near<'_> {
         let may_see = |sight: &&Sight| sight.counts && sight.frustum.touches(center, radius);
-        Near { sights: self.sights.iter().filter(may_see).collect(), weight: self.weight }
+        let sights = self.sights.iter().filter(may_see).collect();
+        Near { sights, weight: self.weight, sees_through }
+    }
+
+    /// Share of each camera's picture that shows a surface, 0..=1; 0 if the model is not known.
+    pub(super) fn shown(&self) -> impl Iterator<Item = f64> {
+        self.sights.iter().map(|sight| sight.surface.as_ref().map_or(0.0, Surface::share))
     }
 
     /// Points on the surface in the picture of each camera: one for every second pixel of every second row.
@@ -100,7 +109,7 @@ impl Near<'_> {
     /// square of one world unit, times the weight of the model.
     pub(super) fn worth(&self, place: DVec3, slopes: Option<&Slopes>) -> (usize, f64) {
         let (mut seers, mut pixels) = (0, 0.0);
-        for sight in self.sights.iter().filter(|sight| sight.sees(place)) {
+        for sight in self.sights.iter().filter(|sight| sight.sees(place, self.sees_through)) {
             let ray = place - sight.eye;
             seers += 1;
             let foreshortening = slopes.map_or(1.0, |slopes| slopes.foreshortening(place, ray));
@@ -123,8 +132,9 @@ impl Sight {
     }
 
     /// Whether `place` lies in the picture and is not hidden.
-    fn sees(&self, place: DVec3) -> bool {
-        self.frustum.contains(place) && self.surface.as_ref().is_none_or(|surface| surface.shows(place))
+    fn sees(&self, place: DVec3, sees_through: bool) -> bool {
+        self.frustum.contains(place)
+            && (sees_through || self.surface.as_ref().is_none_or(|surface| surface.shows(place)))
     }
 }
 
@@ -132,6 +142,11 @@ impl Surface {
     fn render(renderer: &mut Renderer, camera: &Camera) -> Result<Self, DeviceError> {
         let camera = camera.resized(camera.fitted_size(SIZE_PX));
         Ok(Self { camera, depth: renderer.try_render(&camera)?.depth })
+    }
+
+    fn share(&self) -> f64 {
+        let shown = self.depth.iter().filter(|depth| **depth > 0.0).count();
+        shown as f64 / self.depth.len().max(1) as f64
     }
 
     /// Whether `place` lies on the surface or in front of it. In front of it, the camera sees that nothing is there.
