@@ -23,7 +23,7 @@ use crate::merge::{Locals, MergeError};
 
 /// A model stays where it is if its ground would move by at most this, root mean square, px of the compared pictures.
 /// The moves found for models of an undisturbed mission stay below this limit.
-const STAY_PX: f64 = 0.3;
+const STAY_PX: f64 = 0.25;
 /// A model also stays if its ground would move by at most this many standard deviations of the measured move.
 const STAY_DEVIATIONS: f64 = 3.0;
 
