@@ -138,7 +138,11 @@ fn standings(observers: &Observers, surveyed: &Surveyed) -> Vec<Vec<f64>> {
         if surveyed.locals.is_compressed(local) {
             let shown = observers.shown(local);
             let is_torn = |shown: &f64| *shown < SHOWN_MIN;
-            standings.iter_mut().zip(&shown).filter(|(_, shown)| is_torn(shown)).for_each(|(standing, _)| *standing = 0.0);
+            standings
+                .iter_mut()
+                .zip(&shown)
+                .filter(|(_, shown)| is_torn(shown))
+                .for_each(|(standing, _)| *standing = 0.0);
         }
         standings
     };

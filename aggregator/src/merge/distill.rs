@@ -25,6 +25,9 @@ use super::memory::{renderer_bytes, student_room, teachers_bytes};
 use super::settings::MergeSettings;
 use super::teachers::{Taught, Teachers, ViewKey};
 
+/// Epochs at the end of a distillation with lower learning rates.
+const COOLDOWN_EPOCHS: u32 = 2;
+
 /// Progress of a merge.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct MergeProgress {
@@ -87,7 +90,7 @@ pub(super) fn distill(
             backend,
             DistillSettings {
                 steps: settings.epochs * views.len() as u32,
-                cooldown_steps: views.len() as u32,
+                cooldown_steps: COOLDOWN_EPOCHS * views.len() as u32,
                 rates: StudentRates::TRAINED,
                 extent,
                 depth,

@@ -8,6 +8,8 @@
 //! side, and not at all where it is hidden. A model that disagrees with the others counts less as well.
 //!
 //! Every place has at most one owner, whatever the order of compression, and the owner keeps all of its splats there.
+//! Where a model observed a place almost as well as the owner, both keep their splats, and distillation finds the best of
+//! them.
 
 mod observer;
 mod slopes;
@@ -30,6 +32,9 @@ const DEPTH_RATIO: std::ops::RangeInclusive<f64> = 0.5..=2.0;
 /// Smallest number of a model's cameras that must see a place so that the model can own it. With one camera, the model
 /// may show nothing there, because training may have removed splats that only one camera sees.
 const OWNER_CAMERAS_MIN: usize = 2;
+/// A model loses its splats of a place if the owner's observations are worth more than this factor times its own. Against
+/// a factor of 1, that gives the merged models of rendered Boruszyn and Caliterra 0.03 dB and 8 % more splats.
+const BETTER_MIN: f64 = 1.15;
 /// Side of the cubes over which normals are averaged, in pixels on the ground. 2 to 16 give the same PSNR within 0.02 dB.
 const SLOPES_PX: f64 = 16.0;
 /// Number of cells into which a model is divided along its longest side.
@@ -100,8 +105,12 @@ impl Observers {
     fn ground(&self, places: &[DVec3]) -> Ground<'_> {
         let center = places.iter().sum::<DVec3>() / places.len().max(1) as f64;
         let radius = places.iter().map(|place| place.distance(center)).fold(0.0, f64::max);
-        let near = self.each.iter().map(|observer| observer.near(center, radius, self.as_announced)).collect();
-        Ground { near, slopes: self.slopes.as_ref().filter(|_| !self.as_announced) }
+        let near =
+            self.each.iter().map(|observer| observer.near(center, radius, self.as_announced)).collect();
+        let slopes = self.slopes.as_ref().filter(|_| !self.as_announced);
+        // A device that gives up a place saves bytes. All devices agree on the owner exactly, so there is no doubt.
+        let better_min = if slopes.is_some() { BETTER_MIN } else { 1.0 };
+        Ground { near, slopes, better_min }
     }
 }
 
@@ -109,32 +118,38 @@ impl Observers {
 struct Ground<'a> {
     near: Vec<Near<'a>>,
     slopes: Option<&'a Slopes>,
+    /// 1, or [`BETTER_MIN`].
+    better_min: f64,
 }
 
-/// Who saw a place.
+/// How the model that is compressed saw a place beside the others.
 struct Verdict {
-    /// Index of the model whose observations of the place are worth most; of several, the first.
-    owner: Option<usize>,
-    /// Whether a model other than that which is compressed could own the place.
+    /// Whether the model loses its splats of the place.
+    is_lost: bool,
+    /// Whether another model could own the place.
     is_shared: bool,
 }
 
 impl Ground<'_> {
-    /// `own` is the index of the model that is compressed.
+    /// `own` is the index of the model that is compressed. The owner of a place is the model whose observations are worth
+    /// most; of several, the first.
     fn verdict(&self, place: DVec3, own: usize) -> Verdict {
-        let mut verdict = Verdict { owner: None, is_shared: false };
-        let mut most = 0.0;
+        let (mut owner, mut most, mut of_own, mut is_shared) = (None, 0.0, 0.0, false);
         for (model, near) in self.near.iter().enumerate() {
             let (seers, worth) = near.worth(place, self.slopes);
             if seers < OWNER_CAMERAS_MIN {
                 continue;
             }
             if worth > most {
-                (most, verdict.owner) = (worth, Some(model));
+                (most, owner) = (worth, Some(model));
             }
-            verdict.is_shared |= model != own;
+            if model == own {
+                of_own = worth;
+            }
+            is_shared |= model != own;
         }
-        verdict
+        let is_lost = owner.is_some_and(|owner| owner != own) && most > self.better_min * of_own;
+        Verdict { is_lost, is_shared }
     }
 
     /// The worth of a model's observations, as a share of the largest worth of all models, 0..=1.
@@ -168,16 +183,15 @@ impl Compression {
     }
 }
 
-/// Of the splats of a cell: how many lie on ground that other models saw too, and those on ground that another model
-/// owns.
+/// Of the splats of a cell: how many lie on ground that other models saw too, and those that the model loses.
 fn judged(cell: &[u32], splats: &Splats, own: usize, observers: &Observers) -> (usize, Vec<u32>) {
     let place = |i: &u32| DVec3::from_array(splats.means[*i as usize].map(f64::from));
     let ground = observers.ground(&cell.iter().map(place).collect::<Vec<_>>());
     let (mut shared, mut lost) = (0, Vec::new());
     for i in cell {
-        let Verdict { owner, is_shared } = ground.verdict(place(i), own);
+        let Verdict { is_lost, is_shared } = ground.verdict(place(i), own);
         shared += usize::from(is_shared);
-        if owner.is_some_and(|owner| owner != own) {
+        if is_lost {
             lost.push(*i);
         }
     }

@@ -68,9 +68,10 @@ pub struct StudentRates {
 }
 
 impl StudentRates {
-    /// Learning rates for distilling a trained model: those of 3DGS, with the rate of means divided by ten (DOGS).
+    /// Learning rates for distilling a trained model: those of 3DGS, with the rate of means divided by ten (DOGS). The
+    /// rate of opacities is 0.4 of that of 3DGS, which gains 0.02 dB on rendered Boruszyn and on Caliterra.
     pub const TRAINED: Self =
-        Self { mean: 1.6e-5, quat: 0.001, log_scale: 0.005, opacity: 0.05, sh_dc: 0.0025 };
+        Self { mean: 1.6e-5, quat: 0.001, log_scale: 0.005, opacity: 0.02, sh_dc: 0.0025 };
 }
 
 /// Share of its first value to which the rate of means falls, log-linearly over all steps (3DGS).

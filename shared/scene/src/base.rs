@@ -18,7 +18,8 @@ impl Base {
     /// splats, only those of the base are left, as they are in the base. Returns the thinned model and its base.
     pub fn thinned(&self, model: &Splats, removed: &[u32]) -> (Splats, Self) {
         let mut left = Splats::with_capacity(model.len(), model.sh_degree);
-        let mut base = Self { ids: Vec::new(), splats: Splats::with_capacity(self.ids.len(), self.splats.sh_degree) };
+        let mut base =
+            Self { ids: Vec::new(), splats: Splats::with_capacity(self.ids.len(), self.splats.sh_degree) };
         let mut one_color = vec![0.0; model.sh_stride()];
         let (mut removed, mut adjusted) = (removed.iter().peekable(), self.ids.iter().enumerate().peekable());
         for i in 0..model.len() {
