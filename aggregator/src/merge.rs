@@ -44,9 +44,11 @@ pub use locals::Locals;
 use locals::{Surveyed, survey};
 pub use settings::MergeSettings;
 
-/// A model that was pruned before upload teaches a camera only if it shows a surface in at least this share of the
-/// picture. Elsewhere it would teach black.
+/// A picture of a model that was pruned before upload is torn if less than this share of it shows a surface.
 const SHOWN_MIN: f64 = 0.9;
+/// A model that was pruned before upload teaches only if at most this share of its pictures is torn. Otherwise it has not
+/// sent the base of what it gave up, and would teach black.
+const TORN_MAX: f64 = 0.1;
 
 /// A merged model and the figures of its merge.
 #[derive(Clone, Debug, PartialEq)]
@@ -130,21 +132,16 @@ fn merge_by(
     Ok(Merged { model, summary })
 }
 
-/// The standing of each model at each of its cameras; 0 where a model that was pruned before upload shows too little to
-/// teach.
+/// The standing of each model at each of its cameras; 0 for all cameras of a model that cannot teach.
 fn standings(observers: &Observers, surveyed: &Surveyed) -> Vec<Vec<f64>> {
+    let is_torn = |local: usize| {
+        let shown = observers.shown(local);
+        let torn = shown.iter().filter(|shown| **shown < SHOWN_MIN).count();
+        surveyed.locals.is_compressed(local) && torn as f64 > TORN_MAX * shown.len() as f64
+    };
     let of = |local: usize| {
-        let mut standings = observers.standings(local);
-        if surveyed.locals.is_compressed(local) {
-            let shown = observers.shown(local);
-            let is_torn = |shown: &f64| *shown < SHOWN_MIN;
-            standings
-                .iter_mut()
-                .zip(&shown)
-                .filter(|(_, shown)| is_torn(shown))
-                .for_each(|(standing, _)| *standing = 0.0);
-        }
-        standings
+        let standings = observers.standings(local);
+        if is_torn(local) { vec![0.0; standings.len()] } else { standings }
     };
     (0..surveyed.sizes.len()).map(of).collect()
 }

@@ -8,7 +8,7 @@
 //! A camera is not taught if other models observed the ground in its picture much better: a poor model would spoil what
 //! good ones show.
 //!
-//! A model pruned before upload is not used as a teacher: it renders black where splats were removed. The ground that
+//! A model pruned before upload is not used as a teacher if it renders black where splats were removed. The ground that
 //! it does show is in the joined model already. Filling the gaps in its renderings from the joined model does not help.
 
 use std::collections::{BTreeMap, BTreeSet};
