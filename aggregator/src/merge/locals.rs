@@ -13,7 +13,7 @@ pub trait Locals {
     /// Loads the model at `index`.
     fn load(&self, index: usize) -> Result<Model, MergeError>;
 
-    /// True if a model was pruned before upload: it renders black where it removed splats, so it cannot teach.
+    /// True if a model was pruned before upload: of the ground that it gave up, it shows at most the base.
     fn is_compressed(&self, index: usize) -> bool {
         let _ = index;
         false
