@@ -10,13 +10,12 @@ use cosurf_engine::Renderer;
 use cosurf_scene::Camera;
 
 use super::glimpse::median;
+use super::similarity::solve;
 
 /// Long side of the pictures, px.
 const SIZE_PX: u32 = 192;
 /// Detail is what differs from the mean of the pixels within this distance, px along each axis.
 const DETAIL_PX: usize = 4;
-/// Number of iterations in which the errors of all models are found; they settle much earlier.
-const ITERATIONS: usize = 200;
 /// Weight with which an error is drawn to 0. It is small beside one comparison, and makes one model with large errors
 /// more likely than several.
 const SMALL_WEIGHT: f64 = 0.01;
@@ -111,18 +110,17 @@ impl Differences {
     /// The error of each of `count` models: its share of the mean square of the detail; `None` for a model that was not
     /// compared with any other.
     fn errors(&self, count: usize) -> Vec<Option<f64>> {
-        let mut errors = vec![0.0; count];
-        for _ in 0..ITERATIONS {
-            for i in 0..count {
-                let (mut left, mut weight) = (0.0, SMALL_WEIGHT);
-                for (pair, (sum, pictures)) in &self.0 {
-                    let Some(side) = pair.iter().position(|model| *model == i) else { continue };
-                    left += sum - pictures * errors[pair[1 - side]];
-                    weight += pictures;
-                }
-                errors[i] = f64::max(left / weight, 0.0);
+        let mut matrix = vec![vec![0.0; count]; count];
+        let mut right = vec![vec![0.0]; count];
+        (0..count).for_each(|i| matrix[i][i] = SMALL_WEIGHT);
+        for (&[one, other], (sum, pictures)) in &self.0 {
+            for (i, j) in [(one, other), (other, one)] {
+                matrix[i][i] += pictures;
+                matrix[i][j] += pictures;
+                right[i][0] += sum;
             }
         }
+        let errors: Vec<f64> = solve(matrix, right).into_iter().map(|row| row[0].max(0.0)).collect();
         let is_compared = |i: &usize| self.0.keys().any(|pair| pair.contains(i));
         (0..count).map(|i| is_compared(&i).then_some(errors[i])).collect()
     }
@@ -192,6 +190,7 @@ mod tests {
         let lost = standards(&[0.2, 0.2, 1.3, 0.2]);
         assert!(lost[2].is_far_worse() && !lost[0].is_far_worse(), "{lost:?}");
         let two = standards(&[0.2, 1.6]);
-        assert!(two.iter().all(|standard| !standard.is_far_worse()), "nobody knows which: {two:?}");
+        let counts_fully = |standard: &Standard| standard.weight() == 1.0 && !standard.is_far_worse();
+        assert!(two.iter().all(counts_fully), "nobody knows which of two is worse: {two:?}");
     }
 }
