@@ -1,13 +1,10 @@
 //! Pruning chooses splats to remove: the least important (CoSurfGS, "Adaptive Gaussian Pruning"), those that too few
 //! views observe (PGSR), and useless ones.
 
-use cosurf_scene::{Camera, Splats};
+use cosurf_scene::Camera;
 use tracing::debug_span;
 
-use crate::any::AnyBackend;
 use crate::backend::{Backend, Channels, Scores, Shapes};
-use crate::budget::Capacity;
-use crate::device::{Device, DeviceError};
 
 /// Exponent of the relative size in the importance (LightGaussian).
 const SIZE_EXPONENT: f32 = 0.1;
@@ -42,23 +39,6 @@ pub(crate) fn survey<'a, B: Backend>(
         backend.score();
     }
     backend.scores()
-}
-
-/// Importance of each splat to the pictures of `cameras`; 0 for splats that no camera sees. `capacity` must be for
-/// training, with room for the splats and the largest picture. The processor uses `threads` threads, at least 1.
-pub fn importance(
-    splats: &Splats,
-    cameras: &[Camera],
-    capacity: Capacity,
-    device: &Device,
-    threads: usize,
-) -> Result<Vec<f32>, DeviceError> {
-    let mut backend = AnyBackend::new(device, capacity, threads)?;
-    backend.load(splats);
-    let scores = survey(&mut backend, cameras);
-    let shapes = backend.take_shapes();
-    device.check()?;
-    Ok(importance_by(&shapes, &scores, PruneScore::Corrected))
 }
 
 /// Importance of each splat by the formula `score`.

@@ -27,6 +27,13 @@ impl Pose {
         self.rotation * p_world + self.translation
     }
 
+    /// The bits of all values. They serve as a key, because floating-point values have no total order.
+    pub fn bits(&self) -> [u64; 7] {
+        let [qx, qy, qz, qw] = self.rotation.to_array().map(f64::to_bits);
+        let [tx, ty, tz] = self.translation.to_array().map(f64::to_bits);
+        [qx, qy, qz, qw, tx, ty, tz]
+    }
+
     /// The direction in which the camera looks, in the world frame, unit length.
     pub fn forward(&self) -> DVec3 {
         self.rotation.inverse() * DVec3::Z

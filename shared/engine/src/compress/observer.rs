@@ -47,7 +47,7 @@ struct Surface {
 pub(super) struct Near<'a> {
     sights: Vec<&'a Sight>,
     weight: f64,
-    /// True to ignore what is hidden from the cameras.
+    /// True to judge by the cameras alone: nothing is hidden from them, and `weight` is 1.
     sees_through: bool,
 }
 
@@ -76,12 +76,12 @@ impl Observer {
         Ok(Self { sights: cameras.iter().map(sight).collect::<Result<_, DeviceError>>()?, weight })
     }
 
-    /// Those cameras that may see some point within `radius` of `center`. With `sees_through`, nothing is hidden from
-    /// them.
+    /// Those cameras that may see some point within `radius` of `center`. With `sees_through`, they are judged by
+    /// themselves: nothing is hidden from them, and they have the weight 1.
     pub(super) fn near(&self, center: DVec3, radius: f64, sees_through: bool) -> Near<'_> {
         let may_see = |sight: &&Sight| sight.counts && sight.frustum.touches(center, radius);
         let sights = self.sights.iter().filter(may_see).collect();
-        Near { sights, weight: self.weight, sees_through }
+        Near { sights, weight: if sees_through { 1.0 } else { self.weight }, sees_through }
     }
 
     /// Share of each camera's picture that shows a surface, 0..=1; 0 if the model is not known.
@@ -126,7 +126,7 @@ impl Sight {
             frustum: Frustum::new(camera),
             eye: camera.cam_from_world.center(),
             focal2_px: camera.focal_px.x * camera.focal_px.y,
-            counts: known.insert(pose_bits(camera)),
+            counts: known.insert(camera.cam_from_world.bits()),
             surface,
         }
     }
@@ -181,13 +181,6 @@ impl Surface {
         };
         pixels.filter_map(point).collect()
     }
-}
-
-/// The bits of a camera's pose.
-fn pose_bits(camera: &Camera) -> [u64; 7] {
-    let [x, y, z, w] = camera.cam_from_world.rotation.to_array().map(f64::to_bits);
-    let [a, b, c] = camera.cam_from_world.translation.to_array().map(f64::to_bits);
-    [x, y, z, w, a, b, c]
 }
 
 fn median<T: Copy>(mut values: Vec<T>, order: impl FnMut(&T, &T) -> std::cmp::Ordering) -> Option<T> {

@@ -7,6 +7,9 @@ use std::collections::HashMap;
 use cosurf_scene::Splats;
 use glam::{DMat3, DQuat, DVec3};
 
+/// Splats with a lower opacity are invisible: no pixel of an 8-bit picture shows them.
+const OPACITY_MIN: f64 = 1.0 / 255.0;
+
 /// For each cube with splats, the sum of `w n nᵀ` over its splats, where n is the normal and w the visible area.
 #[derive(Clone, Debug)]
 pub(super) struct Slopes {
@@ -25,12 +28,12 @@ impl Slopes {
     pub(super) fn add(&mut self, splats: &Splats) {
         for i in 0..splats.len() {
             let mean = DVec3::from_array(splats.means[i].map(f64::from));
-            *self.cubes.entry(self.cube(mean)).or_insert(DMat3::ZERO) += facing(splats, i);
+            *self.cubes.entry(self.cube(mean)).or_insert(DMat3::ZERO) += facing(splats, i, self.side);
         }
     }
 
-    /// Size that the surface at `place` has if one looks along `ray`, as a share of its size seen from the front, 0..=1:
-    /// the root mean square of the cosines between `ray` and the normals. 1 where no surface is known.
+    /// Size that the surface at `place` has if one looks along `ray`, as a share of its size seen from the front,
+    /// 0..=1: the root mean square of the cosines between `ray` and the normals. 1 where no surface is known.
     pub(super) fn foreshortening(&self, place: DVec3, ray: DVec3) -> f64 {
         let Some(sum) = self.cubes.get(&self.cube(place)) else { return 1.0 };
         let area = sum.x_axis.x + sum.y_axis.y + sum.z_axis.z;
@@ -44,7 +47,8 @@ impl Slopes {
 }
 
 /// `w n nᵀ` of a splat: n is the direction of its shortest axis, w the product of its opacity and its other two scales.
-fn facing(splats: &Splats, i: usize) -> DMat3 {
+/// No splat counts more than one face of a cube of this `side`, and invisible ones do not count.
+fn facing(splats: &Splats, i: usize, side: f64) -> DMat3 {
     let log_scales = splats.log_scales[i].map(f64::from);
     let shortest = (0..3).fold(0, |a, b| if log_scales[b] < log_scales[a] { b } else { a });
     let log_area = log_scales.iter().sum::<f64>() - log_scales[shortest];
@@ -52,7 +56,7 @@ fn facing(splats: &Splats, i: usize) -> DMat3 {
     let [w, x, y, z] = splats.quats[i].map(f64::from);
     let normal = DQuat::from_xyzw(x, y, z, w).normalize() * DVec3::AXES[shortest];
     let outer = DMat3::from_cols(normal * normal.x, normal * normal.y, normal * normal.z);
-    opacity * log_area.exp() * outer
+    if opacity < OPACITY_MIN { DMat3::ZERO } else { opacity * log_area.exp().min(side * side) * outer }
 }
 
 #[cfg(test)]

@@ -87,7 +87,7 @@ fn both_devices_find_the_same_least_important_splats() {
         let other = centered(-camera.cam_from_world.center(), 100.0, camera.size_px);
         let room = capacity(&splats, camera.size_px);
         let lowest = |cameras: &[Camera], device: &Device| {
-            let importance = prune::importance(&splats, cameras, room, device, 2).expect("room");
+            let importance = super::importance(&splats, cameras, room, device).expect("room");
             prune::lowest(&importance, 0.4)
         };
         let expected = lowest(&[camera, other], &Device::Cpu);

@@ -9,7 +9,7 @@ use super::gradients::step;
 use crate::backend::{Backend, Birth, Channels, Edit};
 use crate::cpu::tests::splats;
 use crate::gpu::{GpuBackend, GpuError};
-use crate::{Device, DeviceError, Renderer, Schedule, prune};
+use crate::{Device, DeviceError, Renderer, Schedule};
 
 #[test]
 fn edits_give_the_same_splats_as_on_the_cpu() {
@@ -105,6 +105,6 @@ fn a_lost_device_is_reported_and_nothing_panics() {
     let is_loss = |error: DeviceError| matches!(error, DeviceError::Gpu(GpuError::Lost(_)));
     assert!(device.check().is_err_and(is_loss));
     assert!(renderer.try_render(&camera).is_err_and(is_loss));
-    let importance = prune::importance(&splats, &[camera], capacity(&splats, camera.size_px), &device, 1);
+    let importance = super::importance(&splats, &[camera], capacity(&splats, camera.size_px), &device);
     assert!(importance.is_err(), "a lost device gives no importance");
 }

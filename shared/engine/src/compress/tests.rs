@@ -1,0 +1,158 @@
+use cosurf_scene::Pose;
+use glam::DVec2;
+
+use super::*;
+
+/// A camera over the ground point `(x, y)`, 10 m up, that looks straight down on 10 × 10 m. `focal_px` is also the side
+/// of the picture.
+fn above(x: f64, y: f64, focal_px: f64) -> Camera {
+    Camera {
+        cam_from_world: Pose::look_at(DVec3::new(x, y, 10.0), DVec3::new(x, y, 0.0), DVec3::Y),
+        focal_px: DVec2::splat(focal_px),
+        center_px: DVec2::splat(0.5 * focal_px),
+        size_px: [focal_px as u32; 2],
+    }
+}
+
+/// Cameras over the middle of the ground, a centimetre apart.
+fn cameras(count: usize, focal_px: f64) -> Vec<Camera> {
+    (0..count).map(|i| above(0.01 * i as f64, 0.0, focal_px)).collect()
+}
+
+/// Flat ground of 6 × 6 m around the origin.
+fn ground() -> Splats {
+    let mut splats = Splats::with_capacity(0, 0);
+    level(&mut splats, 3.0, 0.0);
+    splats
+}
+
+/// Adds a flat opaque square with this half width at the height `z`.
+fn level(splats: &mut Splats, half: f32, z: f32) {
+    let steps = (2.0 * half / 0.2) as usize;
+    for i in 0..steps * steps {
+        let [x, y] = [i % steps, i / steps].map(|step| (step as f32 + 0.5) * 0.2 - half);
+        splats.push([x, y, z], [1.0, 0.0, 0.0, 0.0], [-1.8, -1.8, -6.0], 6.0, &[0.0; 3]);
+    }
+}
+
+/// Observers that know only the cameras of each model.
+fn announced(flights: &[Vec<Camera>]) -> Observers {
+    let mut observers = Observers::default();
+    flights.iter().for_each(|cameras| observers.announce(cameras));
+    observers
+}
+
+/// Observers that know the models, each with its weight.
+fn known(models: &[(Splats, Vec<Camera>, f64)]) -> Observers {
+    let mut observers = Observers::default();
+    for (splats, cameras, weight) in models {
+        observers.add(splats, cameras, *weight, &Device::Cpu, 1).expect("the CPU never fails");
+    }
+    observers
+}
+
+/// Share of the ground that each of the first two models loses.
+fn lost(observers: &Observers) -> [f64; 2] {
+    let ground = ground();
+    [0, 1].map(|own| Compression::plan(&ground, own, observers).removed.len() as f64 / ground.len() as f64)
+}
+
+#[test]
+fn larger_pictures_win_over_more_cameras() {
+    let flights = [cameras(2, 320.0), cameras(12, 64.0)];
+    assert_eq!(lost(&announced(&flights)), [0.0, 1.0]);
+    let models = flights.map(|cameras| (ground(), cameras, 1.0));
+    assert_eq!(lost(&known(&models)), [0.0, 1.0]);
+}
+
+#[test]
+fn a_model_with_a_low_weight_leaves_its_ground_to_others() {
+    let with = |weight| {
+        let models = [(ground(), cameras(4, 100.0), weight), (ground(), cameras(4, 90.0), 1.0)];
+        lost(&known(&models))
+    };
+    assert_eq!(with(1.0), [0.0, 1.0]);
+    assert_eq!(with(0.5), [1.0, 0.0]);
+}
+
+#[test]
+fn a_model_does_not_own_ground_that_it_shows_hidden() {
+    let mut roofed = ground();
+    level(&mut roofed, 1.0, 4.0);
+    let models = [(roofed, cameras(4, 200.0), 1.0), (ground(), cameras(4, 100.0), 1.0)];
+    let ground = ground();
+    let removed = Compression::plan(&ground, 1, &known(&models)).removed;
+    // The roof is 2 m wide and 6 m below the cameras, so it hides 3.3 m of the ground.
+    let is_below = |i: usize, half: f32| ground.means[i][..2].iter().all(|at| at.abs() < half);
+    assert!(removed.iter().all(|i| !is_below(*i as usize, 1.2)), "ground below the roof is kept");
+    let outside = (0..ground.len()).filter(|i| !is_below(*i, 2.2));
+    assert!(outside.clone().count() > 100);
+    assert!(outside.clone().all(|i| removed.contains(&(i as u32))), "ground beside the roof is left");
+    let [_, all] = lost(&announced(&[cameras(4, 200.0), cameras(4, 100.0)]));
+    assert_eq!(all, 1.0, "the cameras alone do not tell what is hidden");
+}
+
+#[test]
+fn a_pose_counts_once() {
+    let repeated = vec![above(0.0, 0.0, 300.0); 6];
+    assert_eq!(lost(&announced(&[repeated.clone(), cameras(2, 100.0)])), [1.0, 0.0]);
+    let mut moved = repeated;
+    moved[1] = above(0.01, 0.0, 300.0);
+    assert_eq!(lost(&announced(&[moved, cameras(2, 100.0)])), [0.0, 1.0]);
+    // The same view at another size is the same view.
+    let resized = [100, 80, 60].map(|side| above(0.0, 0.0, 300.0).resized([side; 2])).to_vec();
+    assert_eq!(lost(&announced(&[resized, cameras(2, 50.0)])), [1.0, 0.0]);
+}
+
+#[test]
+fn ground_that_two_models_observed_almost_as_well_stays_with_both() {
+    // What observations are worth is the square of the focal length.
+    let models = |ratio: f64| [cameras(4, 100.0 * ratio.sqrt()), cameras(4, 100.0)];
+    let known = |ratio| lost(&known(&models(ratio).map(|cameras| (ground(), cameras, 1.0))));
+    assert_eq!(known(BETTER_MIN - 0.01), [0.0, 0.0]);
+    assert_eq!(known(BETTER_MIN + 0.01), [0.0, 1.0]);
+    let announced = |ratio| lost(&announced(&models(ratio)));
+    assert_eq!(announced(BETTER_MIN_ANNOUNCED - 0.01), [0.0, 0.0]);
+    assert_eq!(announced(BETTER_MIN_ANNOUNCED + 0.01), [0.0, 1.0]);
+}
+
+#[test]
+fn of_many_models_two_keep_their_ground() {
+    let kept = |models: usize| -> Vec<usize> {
+        let observers = known(&vec![(ground(), cameras(4, 100.0), 1.0); models]);
+        let is_kept = |own: &usize| Compression::plan(&ground(), *own, &observers).removed.is_empty();
+        (0..models).filter(is_kept).collect()
+    };
+    assert_eq!(kept(1), [0]);
+    assert_eq!(kept(2), [0, 1]);
+    assert_eq!(kept(5), [0, 1]);
+}
+
+#[test]
+fn oblique_pictures_are_worth_less() {
+    let oblique = |i: usize| {
+        let eye = DVec3::new(8.0, 0.01 * i as f64, 6.0);
+        let cam_from_world = Pose::look_at(eye, DVec3::ZERO, DVec3::Z);
+        Camera { cam_from_world, ..above(0.0, 0.0, 120.0) }
+    };
+    let from_the_side: Vec<Camera> = (0..4).map(oblique).collect();
+    let flights = [cameras(4, 100.0), from_the_side];
+    let middle = |observers: &Observers| {
+        let mut center = Splats::with_capacity(0, 0);
+        center.push([0.0; 3], [1.0, 0.0, 0.0, 0.0], [-1.8, -1.8, -6.0], 6.0, &[0.0; 3]);
+        [0, 1].map(|own| Compression::plan(&center, own, observers).removed.len())
+    };
+    assert_eq!(middle(&announced(&flights)), [1, 0], "the cameras alone do not tell the slope");
+    assert_eq!(middle(&known(&flights.map(|cameras| (ground(), cameras, 1.0)))), [0, 1]);
+}
+
+#[test]
+fn the_standing_of_a_view_is_its_models_share_of_the_best() {
+    let models = [(ground(), cameras(4, 100.0), 1.0), (ground(), cameras(4, 200.0), 1.0)];
+    let observers = known(&models);
+    let near = |standings: Vec<f64>, right: f64| {
+        assert!(standings.iter().all(|standing| (standing - right).abs() < 0.05), "{standings:?}");
+    };
+    near(observers.standings(0), 0.25);
+    near(observers.standings(1), 1.0);
+}
