@@ -1,6 +1,6 @@
 //! Decides which splats a device drops before the upload, because they lie on ground that another device owns
-//! (CoSurfGS, "Local Model Compression", done on the device). Of this ground, the device sends only the base, from which
-//! its model still teaches in the merge.
+//! (CoSurfGS, "Local Model Compression", done on the device). Of this ground, the device sends only the base, from
+//! which its model still teaches in the merge.
 //!
 //! Every device announces its *flight*, the cameras of its pictures, before it trains. The broker retains the
 //! announcements, so a device that has finished training receives the flights of all other devices. If the flight of

@@ -1,7 +1,7 @@
 //! Merges local models into one (CoSurfGS, "Local Model Compression" and "Model Aggregation Scheme"). Where models
-//! overlap, only one of them keeps its splats. The remaining splats of all models are joined. Then the joined model is
-//! distilled: it is trained on what each local model renders for its own cameras. No photographs are needed: the
-//! aggregator never receives any.
+//! overlap, only the one or two that observed the ground best keep their splats. The remaining splats of all models are
+//! joined. Then the joined model is distilled: it is trained on what each local model renders for its own cameras. No
+//! photographs are needed: the aggregator never receives any.
 //!
 //! The result depends only on the models and their order, on the settings, and on the computing device. It has the same
 //! bytes for every caller and for any number of threads. A merge that is interrupted and started again gives the same
@@ -40,14 +40,16 @@ pub(crate) use concat::concatenate;
 pub use distill::MergeProgress;
 pub use error::MergeError;
 pub use fill_in::fill_in;
-pub use locals::Locals;
+pub use locals::{InMemory, Locals};
 use locals::{Surveyed, survey};
 pub use settings::MergeSettings;
 
+/// A camera teaches only if its model shows a surface in at least this share of its picture.
+const SHOWN_MIN: f64 = 0.1;
 /// A picture of a model that was pruned before upload is torn if less than this share of it shows a surface.
-const SHOWN_MIN: f64 = 0.9;
-/// A model that was pruned before upload teaches only if at most this share of its pictures is torn. Otherwise it has not
-/// sent the base of what it gave up, and would teach black.
+const WHOLE_MIN: f64 = 0.9;
+/// A model that was pruned before upload teaches only if at most this share of its pictures is torn. Otherwise it has
+/// not sent the base of what it gave up, and would teach black.
 const TORN_MAX: f64 = 0.1;
 
 /// A merged model and the figures of its merge.
@@ -120,7 +122,9 @@ fn merge_by(
     }
     let mut model = debug_span!("join").in_scope(|| concatenate(&parts));
     summary.joined = model.splats.len();
-    if settings.epochs > 0 && !model.splats.is_empty() && !model.cameras.is_empty() {
+    // A single model has nothing to learn: it would be its own teacher.
+    let is_taught = settings.epochs > 0 && parts.len() > 1;
+    if is_taught && !model.splats.is_empty() && !model.cameras.is_empty() {
         let sizes: Vec<usize> = parts.iter().map(|part| part.splats.len()).collect();
         drop(parts);
         let standings: Option<Vec<Vec<f64>>> = observers.map(|observers| standings(&observers, surveyed));
@@ -132,22 +136,23 @@ fn merge_by(
     Ok(Merged { model, summary })
 }
 
-/// The standing of each model at each of its cameras; 0 for all cameras of a model that cannot teach.
+/// The standing of each model at each of its cameras; 0 for cameras that see hardly any surface, and for all cameras of
+/// a model that cannot teach.
 fn standings(observers: &Observers, surveyed: &Surveyed) -> Vec<Vec<f64>> {
-    let is_torn = |local: usize| {
-        let shown = observers.shown(local);
-        let torn = shown.iter().filter(|shown| **shown < SHOWN_MIN).count();
-        surveyed.locals.is_compressed(local) && torn as f64 > TORN_MAX * shown.len() as f64
-    };
     let of = |local: usize| {
-        let standings = observers.standings(local);
-        if is_torn(local) { vec![0.0; standings.len()] } else { standings }
+        let shown = observers.shown(local);
+        let torn = shown.iter().filter(|shown| **shown < WHOLE_MIN).count();
+        let is_torn = surveyed.locals.is_compressed(local) && torn as f64 > TORN_MAX * shown.len() as f64;
+        let standings = observers.standings(local).into_iter().zip(shown);
+        let teaches = |shown: f64| !is_torn && shown >= SHOWN_MIN;
+        standings.map(|(standing, shown)| if teaches(shown) { standing } else { 0.0 }).collect()
     };
     (0..surveyed.sizes.len()).map(of).collect()
 }
 
-/// What the cameras of all models observed. Devices that pruned their models before upload have judged by the cameras
-/// alone. If there are any, all models are judged like that, so that nobody has left out what is now found to be theirs.
+/// What the cameras of all models observed. Devices that prune their models before upload judge by the cameras alone.
+/// If any model was pruned, the aggregator uses the same rule, so that it assigns no place to a model that has already
+/// dropped it.
 fn observers(computer: &Computer, surveyed: &Surveyed) -> Result<Observers, MergeError> {
     let mut observers = Observers::default();
     let locals = surveyed.locals;

@@ -10,7 +10,7 @@ use cosurf_link::{Faults, Identity, InboxLimits, Role};
 use cosurf_wire::{DeviceId, SiteId};
 
 use crate::merge::MergeSettings;
-pub(crate) use models::{InMemory, above, ground, model, model_at};
+pub(crate) use models::{above, ground, model, model_at};
 
 pub(crate) const BAD_WEATHER: Faults = Faults {
     loss: 0.1,

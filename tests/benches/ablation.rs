@@ -11,15 +11,15 @@ use std::time::Instant;
 use anyhow::{Context, Result};
 use clap::Parser;
 use cosurf_agent::session::{Session, Split, TrainPlan};
-use cosurf_aggregator::evaluate::{EvalOrder, EvalReport, Spread, accuracy, evaluate_model};
-use cosurf_aggregator::mesh::{FuseSettings, mesh_model};
+use cosurf_aggregator::evaluate::{EvalOrder, EvalReport, Spread, evaluate_model};
 use cosurf_engine::{DeviceChoice, PruneSettings, SurfaceSettings};
 use cosurf_scene::{Camera, Mesh, Splats, ply};
 use cosurf_tests::datasets::{default_dataset, true_surface};
 use cosurf_tests::results::{Better, Column, Measurement};
 
+use crate::surface::f_score;
+
 const EVAL_EVERY: u32 = 8;
-const MESH_BYTES: u64 = 4 << 30;
 
 /// Compare settings of the training. Prints a table, and writes JSON to target/results.
 #[derive(Parser)]
@@ -70,7 +70,7 @@ pub(crate) fn compare(name: &str, variants: &[Variant]) -> Result<()> {
         let file = folder.path().join("model.ply");
         ply::write(&file, &trained.splats)?;
         let eval = evaluate_model(&order(&arguments, &data, &file))?;
-        let f_score = f_score(&arguments, trained, &truth);
+        let f_score = f_score(trained.splats, &trained.cameras, &truth, arguments.threshold);
         if let Err(error) = &f_score {
             eprintln!("{}: {error}", variant.name);
         }
@@ -146,14 +146,6 @@ fn order(arguments: &Arguments, data: &Path, model: &Path) -> EvalOrder {
         max_size_px: Some(arguments.max_size),
         threads: threads(),
     }
-}
-
-/// F-score of the mesh that is fused from the depth rendered at the training cameras.
-fn f_score(arguments: &Arguments, trained: Trained, truth: &Mesh) -> Result<f64> {
-    let settings = FuseSettings { voxel_m: None, memory_bytes: MESH_BYTES };
-    let fused = mesh_model(trained.splats, &trained.cameras, None, &settings, threads(), |_| ())?;
-    let (accuracy, _) = accuracy::judge(&fused.mesh, truth, arguments.threshold, 0)?;
-    Ok(accuracy.samples.f_score)
 }
 
 fn figures(eval: &EvalReport, f_score: Option<f64>, relative: f64) -> [Option<f64>; 8] {

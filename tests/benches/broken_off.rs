@@ -2,21 +2,20 @@
 //!
 //! `cargo bench -p cosurf-tests --bench broken_off -- --help`
 
-mod agents;
 mod held_out;
+mod mission;
 
 use std::ops::ControlFlow;
-use std::path::{Path, PathBuf};
 
-use agents::InMemory;
 use anyhow::{Context, Result};
 use clap::Parser;
-use cosurf_aggregator::merge::{MergeSettings, fill_in, merge};
+use cosurf_aggregator::merge::{InMemory, MergeSettings, fill_in, merge};
 use cosurf_engine::base_of;
 use cosurf_link::{FirstLayer, Model, body_to_model, model_to_body, part_to_model};
 use cosurf_scene::Dataset;
 use cosurf_tests::results::{Better, Column, Measurement, Tolerance};
 use held_out::{HeldOut, THREADS};
+use mission::Mission;
 
 /// The measured cases: the share of a body's bytes that arrives before the upload breaks off.
 const PARTS: [f64; 4] = [0.2, 0.4, 0.6, 0.8];
@@ -25,28 +24,19 @@ const PARTS: [f64; 4] = [0.2, 0.4, 0.6, 0.8];
 /// agents. Prints a table, and writes JSON to target/results.
 #[derive(Parser)]
 struct Arguments {
-    /// Folder of the mission's dataset
-    data: PathBuf,
-    /// Output folders of the mission's agents
-    #[arg(required = true)]
-    agents: Vec<PathBuf>,
-    /// Name of the dataset in the results
-    #[arg(long, default_value = "mission")]
-    name: String,
+    #[command(flatten)]
+    mission: Mission,
     /// Epochs of distillation
-    #[arg(long, value_name = "N", default_value_t = 5)]
+    #[arg(long, value_name = "N", default_value_t = MergeSettings::default().epochs)]
     epochs: u32,
-    /// Passed by cargo to every bench
-    #[arg(long, hide = true)]
-    bench: bool,
 }
 
 fn main() -> Result<()> {
-    let Arguments { data, agents, name, epochs, .. } = Arguments::parse();
-    let bodies = agents.iter().map(|agent| body(agent)).collect::<Result<Vec<_>>>()?;
+    let Arguments { mission, epochs } = Arguments::parse();
+    let bodies = mission.models()?.iter().map(body).collect::<Result<Vec<_>>>()?;
     let whole = bodies.iter().map(|body| body_to_model(body)).collect::<Result<Vec<_>, _>>()?;
-    let size_px = whole[0].cameras[0].size_px;
-    let views = HeldOut::read(&Dataset::open(&data)?, |camera| camera.resized(size_px))?;
+    let size_px = whole[0].cameras.first().context("the first model has no cameras")?.size_px;
+    let views = HeldOut::read(&Dataset::open(&mission.data)?, |camera| camera.resized(size_px))?;
     let settings = MergeSettings { epochs, ..MergeSettings::default() };
     let merged = |models: Vec<Model>| -> Result<Model> {
         Ok(merge(&InMemory(models), &settings, THREADS, &mut |_| ControlFlow::Continue(()))?.model)
@@ -65,8 +55,8 @@ fn main() -> Result<()> {
         of_all.push(Some(all - psnr(&merged(bodies.iter().map(cut).collect::<Result<_>>()?)?)));
     }
     let mut measurement = Measurement::start("broken_off", &columns());
-    measurement.row(&format!("of one agent, {name}"), &of_one);
-    measurement.row(&format!("of all agents, {name}"), &of_all);
+    measurement.row(&format!("of one agent, {}", mission.name), &of_one);
+    measurement.row(&format!("of all agents, {}", mission.name), &of_all);
     measurement.finish()?;
     Ok(())
 }
@@ -77,9 +67,8 @@ fn columns() -> Vec<Column> {
     [Column::psnr("all arrived")].into_iter().chain(parts).collect()
 }
 
-/// Encodes the model in an agent's output folder as the body that the agent would upload.
-fn body(agent: &Path) -> Result<Vec<u8>> {
-    let Model { splats, cameras } = agents::read(agent)?;
-    let base = base_of(&splats, &cameras, THREADS, usize::MAX, |_, _| ()).context("a model too small")?;
-    Ok(model_to_body(&splats, &cameras, FirstLayer::Base(&base))?)
+/// Encodes an agent's model as the body that the agent would upload.
+fn body(Model { splats, cameras }: &Model) -> Result<Vec<u8>> {
+    let base = base_of(splats, cameras, THREADS, usize::MAX, |_, _| ()).context("a model too small")?;
+    Ok(model_to_body(splats, cameras, FirstLayer::Base(&base))?)
 }

@@ -3,9 +3,8 @@
 //!
 //! `cargo bench -p cosurf-tests --bench fifth -- --help`
 
-mod agents;
-mod dice;
 mod held_out;
+mod mission;
 
 use std::f64::consts::{FRAC_PI_2, PI};
 use std::fs;
@@ -13,22 +12,22 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-use agents::InMemory;
 use anyhow::{Context, Result, ensure};
 use clap::Parser;
 use cosurf_aggregator::gate::{Admitted, Similarity, admit};
-use cosurf_aggregator::merge::{Locals, MergeSettings, merge};
+use cosurf_aggregator::merge::{InMemory, Locals, MergeSettings, merge};
 use cosurf_city::{City, CitySettings};
 use cosurf_link::Model;
 use cosurf_scene::{Camera, Dataset, Pose, View, colmap};
+use cosurf_tests::dice::Dice;
 use cosurf_tests::programs::program;
 use cosurf_tests::results::{Better, Column, Measurement, Tolerance};
-use dice::Dice;
 use glam::{DQuat, DVec3};
 use held_out::{EVERY, HeldOut, THREADS};
+use mission::{Mission, read};
 
 /// How the model of a fifth agent is made.
-type Fifth = fn(&Mission) -> Result<Model>;
+type Fifth = fn(&Joined) -> Result<Model>;
 
 /// The fifth agents: name, and how the model is made.
 const FIFTHS: [(&str, Fifth); 10] = [
@@ -40,7 +39,7 @@ const FIFTHS: [(&str, Fifth); 10] = [
     ("cameras in a world with y up", |mission| Ok(mission.first_with(y_up))),
     ("cameras with inverted poses", |mission| Ok(mission.first_with(inverted))),
     ("cameras moved by 1 km", |mission| Ok(mission.first_with(far_away))),
-    ("another city", Mission::another_city),
+    ("another city", Joined::another_city),
     ("honest and better", |mission| mission.honest(mission.long_side_px(), mission.better_steps)),
 ];
 /// By how much a camera with a wrong pose is turned.
@@ -53,14 +52,8 @@ const FAR_M: f64 = 1000.0;
 /// writes JSON to target/results.
 #[derive(Parser)]
 struct Arguments {
-    /// Folder of the mission's dataset
-    data: PathBuf,
-    /// Output folders of the mission's agents
-    #[arg(required = true)]
-    agents: Vec<PathBuf>,
-    /// Name of the dataset in the results
-    #[arg(long, default_value = "mission")]
-    name: String,
+    #[command(flatten)]
+    mission: Mission,
     /// Training steps of the models with wrong poses, and of another city's
     #[arg(long, value_name = "N", default_value_t = 600)]
     steps: u32,
@@ -74,15 +67,12 @@ struct Arguments {
     /// Measure only cases whose names contain this text
     #[arg(long, value_name = "TEXT", default_value = "")]
     only: String,
-    /// Passed by cargo to every bench
-    #[arg(long, hide = true)]
-    bench: bool,
 }
 
 fn main() -> Result<()> {
     let arguments = Arguments::parse();
     let temporary = tempfile::tempdir()?;
-    let mission = Mission::open(&arguments, temporary.path())?;
+    let mission = Joined::open(&arguments, temporary.path())?;
     let views = HeldOut::read(&mission.dataset, |camera| camera.resized(mission.size_px))?;
     let psnr = |models: Vec<Model>| -> Result<f64> {
         Ok(views.psnr(&views.render(&mission.merged(models)?.splats)))
@@ -91,7 +81,7 @@ fn main() -> Result<()> {
     let mut measurement = Measurement::start("fifth", &[Column::psnr("PSNR"), lost]);
     let alone = psnr(mission.models.clone())?;
     let mut row = |case: &str, psnr: f64| {
-        measurement.row(&format!("{}: {case}", arguments.name), &[Some(psnr), Some(alone - psnr)]);
+        measurement.row(&format!("{}: {case}", arguments.mission.name), &[Some(psnr), Some(alone - psnr)]);
     };
     row("the four alone", alone);
     for (case, fifth) in FIFTHS.into_iter().filter(|(case, _)| case.contains(&arguments.only)) {
@@ -103,7 +93,7 @@ fn main() -> Result<()> {
 }
 
 /// The mission that the fifth agent joins.
-struct Mission {
+struct Joined {
     data: PathBuf,
     dataset: Dataset,
     models: Vec<Model>,
@@ -117,17 +107,18 @@ struct Mission {
     fifths: PathBuf,
 }
 
-impl Mission {
+impl Joined {
     /// Reads the mission. Without an option, the fifth models lie in the folder `temporary`.
     fn open(arguments: &Arguments, temporary: &Path) -> Result<Self> {
-        let models = arguments.agents.iter().map(|agent| agents::read(agent)).collect::<Result<Vec<_>>>()?;
-        let size_px = models[0].cameras.first().context("a model without cameras")?.size_px;
+        let Mission { data, agents, .. } = &arguments.mission;
+        let models = arguments.mission.models()?;
+        let size_px = models[0].cameras.first().context("the first model has no cameras")?.size_px;
         let name = |agent: &PathBuf| agent.file_name().unwrap_or_default().to_string_lossy().into_owned();
         Ok(Self {
-            data: arguments.data.clone(),
-            dataset: Dataset::open(&arguments.data)?,
+            data: data.clone(),
+            dataset: Dataset::open(data)?,
             models,
-            names: arguments.agents.iter().map(name).chain(["the fifth".to_owned()]).collect(),
+            names: agents.iter().map(name).chain(["the fifth".to_owned()]).collect(),
             size_px,
             steps: arguments.steps,
             better_steps: arguments.better_steps,
@@ -211,7 +202,7 @@ impl Mission {
             let temporary = tempfile::tempdir()?;
             train(&data(temporary.path())?, size_px, steps, &out)?;
         }
-        agents::read(&out)
+        read(&out)
     }
 }
 

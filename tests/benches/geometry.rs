@@ -4,6 +4,7 @@
 //! `cargo bench -p cosurf-tests --bench geometry -- --help`
 
 mod ablation;
+mod surface;
 
 use ablation::{Variant, compare};
 use anyhow::Result;

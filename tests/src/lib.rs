@@ -5,7 +5,7 @@
 //! - [`fleet`]: nodes on a simulated network, with virtual time. [`radio`]: both ends of a simulated serial line.
 //! - [`live`]: nodes that use a real broker. [`mosquitto`]: Mosquitto as a child process, and certificates for it.
 //! - [`datasets`]: synthetic cities and the datasets that benches use. [`programs`]: the paths of the programs that
-//!   cargo has built.
+//!   cargo has built. [`dice`]: random numbers.
 //! - [`skips`]: how a test reports that it was skipped. [`results`]: the results of benches, and their tables in the
 //!   documents.
 //!
@@ -16,6 +16,7 @@
 #![allow(clippy::unwrap_used)]
 
 pub mod datasets;
+pub mod dice;
 pub mod fleet;
 pub mod live;
 pub mod models;

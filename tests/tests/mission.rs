@@ -114,7 +114,7 @@ fn assert_changes_are_reported(out: &Path) {
         let text = fs::read(out.join("agents").join(agent).join("changes-global.json")).unwrap();
         let changes: Changes = serde_json::from_slice(&text).unwrap();
         assert!(
-            changes.psnr > 20.0 && changes.moved + changes.gone + changes.new < 0.35,
+            changes.psnr > 20.0 && changes.moved + changes.gone + changes.new < 0.3,
             "{agent}: {changes}"
         );
     }

@@ -2,9 +2,9 @@
 //! place in all of them.
 //!
 //! Every two models that share ground are linked ([`super::links`]). Models in unrelated frames are first brought near
-//! each other ([`super::register`]). Then the frames of all linked models are adjusted together ([`super::adjust`]). The
-//! links tell how the models lie to each other, but not where all of them lie in the world. So the adjusted models are
-//! laid on the model that leaves most of the others where they were. A model that then needs a move smaller than
+//! each other ([`super::register`]). Then the frames of all linked models are adjusted together ([`super::adjust`]).
+//! The links tell how the models lie to each other, but not where all of them lie in the world. So the adjusted models
+//! are laid on the model that leaves most of the others where they were. A model that then needs a move smaller than
 //! [`STAY_PX`] stays exactly where it was: such small moves are errors of the measurement, and models in one frame keep
 //! their bytes.
 

@@ -6,7 +6,7 @@
 //! errors of depth, but with both signs.
 
 use cosurf_engine::Renderer;
-use cosurf_scene::{Camera, Splats, Watchers};
+use cosurf_scene::{Camera, Watchers};
 use glam::{DVec2, DVec3};
 
 /// Long side of the pictures, px.
@@ -39,6 +39,8 @@ const DEPTH_MAX: f64 = 0.03;
 /// Depths contradict each other only if the logarithms of their ratio vary little: half of them differ from their
 /// median by at most this share of the median.
 const DEPTH_SPREAD_MAX: f64 = 0.25;
+/// Pictures of the same ground differ by at most this much in their mean colours, whatever the exposure.
+const BRIGHTER_MAX: f64 = 0.4;
 /// Pictures cannot be compared if their colours vary by less than this (root mean square).
 const CONTRAST_MIN: f64 = 0.02;
 
@@ -54,23 +56,8 @@ pub(super) struct Glimpse {
 }
 
 impl Glimpse {
-    /// Renders some views of a model. If the model was pruned before upload, only opaque pixels count as surface.
-    pub(super) fn some(
-        splats: &Splats,
-        cameras: &[Camera],
-        is_compressed: bool,
-        threads: usize,
-    ) -> Vec<Self> {
-        if splats.is_empty() {
-            return Vec::new();
-        }
-        let mut renderer = Renderer::new(splats, threads);
-        let views = VIEWS.min(cameras.len());
-        let view = |i: usize| Self::of(&mut renderer, &cameras[i * cameras.len() / views], is_compressed);
-        (0..views).map(view).collect()
-    }
-
-    fn of(renderer: &mut Renderer, camera: &Camera, is_compressed: bool) -> Self {
+    /// Renders a view of a model. If the model was pruned before upload, only opaque pixels count as surface.
+    pub(super) fn of(renderer: &mut Renderer, camera: &Camera, is_compressed: bool) -> Self {
         let alpha_min = if is_compressed { OPAQUE_MIN } else { ALPHA_MIN };
         let camera = camera.resized(camera.fitted_size(SIZE_PX));
         let rendering = renderer.render(&camera);
@@ -113,39 +100,48 @@ impl Glimpse {
         (shared.len() >= enough).then_some(shared)
     }
 
-    /// Whether another model shows the same at the `shared` pixels. `None` if that cannot be decided, or if the
-    /// other model was pruned before upload and shows too little surface at these pixels.
+    /// Whether another model shows the same at the `shared` pixels. `other` is its picture from the same camera. `None`
+    /// if that cannot be decided, or if the other model was pruned before upload and shows too little surface at these
+    /// pixels.
     pub(super) fn is_confirmed_by(
         &self,
-        renderer: &mut Renderer,
+        other: &Self,
         shared: &[usize],
         is_compressed: bool,
     ) -> Option<bool> {
-        let other = Self::of(renderer, &self.camera, is_compressed);
         let told = shared.iter().filter(|i| other.depth[**i] > 0.0).count();
         if is_compressed && (told as f64) < SHARE_MIN * shared.len() as f64 {
             return None;
         }
-        let is_deep = self.is_as_deep(&other, shared)?;
-        let in_place = self.correlation(&other, shared, [0, 0])?;
+        let is_deep = self.is_as_deep(other, shared)?;
+        let in_place = self.correlation(other, shared, [0, 0])?;
         let nearby = (-REACH_PX..=REACH_PX).flat_map(|dy| (-REACH_PX..=REACH_PX).map(move |dx| [dx, dy]));
-        let found = nearby.filter_map(|by| Some((self.correlation(&other, shared, by)?, by)));
+        let found = nearby.filter_map(|by| Some((self.correlation(other, shared, by)?, by)));
         let (best, [dx, dy]) = found.max_by(|a, b| a.0.total_cmp(&b.0))?;
         let off_px = (dx as f64).hypot(dy as f64);
         let is_moved = off_px > OFF_PX && best > FOUND_MIN && best > in_place + BETTER_MIN;
-        Some(is_deep && !is_moved && in_place >= ALIKE_MIN)
+        Some(is_deep && !is_moved && in_place >= ALIKE_MIN && self.is_as_bright(other, shared))
+    }
+
+    /// Whether the mean colours of both pictures are near each other where both show a surface.
+    fn is_as_bright(&self, other: &Self, shared: &[usize]) -> bool {
+        let both = || shared.iter().filter(|&&i| other.depth[i] > 0.0);
+        (0..3).all(|channel| {
+            let difference = |&i: &usize| f64::from(other.rgb[3 * i + channel] - self.rgb[3 * i + channel]);
+            let mean = both().map(difference).sum::<f64>() / both().count().max(1) as f64;
+            mean.abs() <= BRIGHTER_MAX
+        })
     }
 
     /// The colours of this model and of another one, for each of the `shared` pixels where both show the same
-    /// surface.
-    pub(super) fn colors_with(&self, renderer: &mut Renderer, shared: &[usize]) -> Vec<[[f32; 3]; 2]> {
-        let other = Self::of(renderer, &self.camera, true);
-        let is_same = |i: &usize| {
+    /// surface. `other` is the other model's picture from the same camera.
+    pub(super) fn colors_with(&self, other: &Self, shared: &[usize]) -> impl Iterator<Item = [[f32; 3]; 2]> {
+        let is_same = move |i: &usize| {
             let is_opaque = self.alpha[*i].min(other.alpha[*i]) > OPAQUE_MIN;
             is_opaque && f64::from(self.depth[*i] / other.depth[*i]).ln().abs() <= DEPTH_MAX
         };
         let color = |of: &Self, i: usize| [0, 1, 2].map(|channel| of.rgb[3 * i + channel]);
-        shared.iter().copied().filter(is_same).map(|i| [color(self, i), color(&other, i)]).collect()
+        shared.iter().copied().filter(is_same).map(move |i| [color(self, i), color(other, i)])
     }
 
     /// Whether the depths of both pictures agree where both show a surface; `None` if these pixels are too few.
@@ -193,6 +189,12 @@ impl Glimpse {
         let is_patterned = (here / count).sqrt() >= CONTRAST_MIN;
         is_patterned.then(|| both / (here * there).sqrt().max(f64::MIN_POSITIVE))
     }
+}
+
+/// The cameras from which glimpses of a model are rendered.
+pub(super) fn chosen(cameras: &[Camera]) -> impl Iterator<Item = &Camera> {
+    let views = VIEWS.min(cameras.len());
+    (0..views).map(move |i| &cameras[i * cameras.len() / views])
 }
 
 /// The median; 0 of no values. Changes the order of the values.

@@ -78,7 +78,7 @@ pub(super) fn links(one: &mut Held, other: &mut Held, start: &Similarity) -> Opt
         let closer = approach(one, other, start)?;
         converge(one, other, &closer)
     })?;
-    // A wide search finds wrong matches far away, so that they count against the similarity.
+    // With a wide search, a wrong similarity also finds matches far away. These lower the share of matches that fit.
     let wide = (seen.reach_px < ROUNDS[0].0).then(|| look(other, one, &one_from_other, SIZE_PX, ROUNDS[0].0));
     fits(wide.as_ref().unwrap_or(&seen.forth), &one_from_other).then(|| {
         let [forth, back] = [seen.forth, seen.back].map(|matches| matches.found);
@@ -183,4 +183,4 @@ fn fits(seen: &Matches, one_from_other: &Similarity) -> bool {
 }
 
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;

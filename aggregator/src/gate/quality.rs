@@ -3,12 +3,17 @@
 //!
 //! Two models differ in fine detail by the error of the one plus the error of the other. If several models differ from
 //! one model, but not from each other, the error is that model's own.
+//!
+//! If no three models were compared with each other, directly or in a longer ring of an odd number of models, the
+//! differences do not tell which of them are to blame. Then small errors are blamed on nobody, and large errors on as
+//! few models as possible.
 
 use std::collections::BTreeMap;
 
 use cosurf_engine::Renderer;
 use cosurf_scene::Camera;
 
+use super::frames::groups;
 use super::glimpse::median;
 use super::similarity::solve;
 
@@ -25,9 +30,11 @@ const SMALL_WEIGHT: f64 = 0.01;
 const FAIR_TIMES: f64 = 3.0;
 /// A model with errors more than this many times as large as those of the others may be far worse.
 const FAR_WORSE_TIMES: f64 = 4.0;
-/// A model is far worse only if its error is above this. Then its detail has less in common with the ground than no detail
-/// at all.
+/// A model is far worse only if its error is above this. The error of a model without detail, or with detail of
+/// something else, is 2.
 const FAR_WORSE_MIN: f64 = 1.0;
+/// Smaller errors count as this one. The best models of missions have errors of 0.02.
+const ERROR_MIN: f64 = 0.02;
 
 /// The fine detail of a model in the picture of a camera.
 pub(super) struct Detail {
@@ -45,9 +52,10 @@ impl Detail {
         Self { fine: without_local_mean(&grey, size_px), size_px }
     }
 
-    /// Mean squared difference of two models' detail in a picture, as a share of its mean square. `shared` are pixels of a
-    /// smaller picture of the same camera, of the size `of_px`; only detail inside them counts.
+    /// Mean squared difference of two models' detail in a picture, as a share of its mean square. `shared` are pixels
+    /// of a smaller picture of the same camera, of the size `of_px`; only detail inside them counts.
     pub(super) fn difference(&self, other: &Self, shared: &[usize], of_px: [u32; 2]) -> Option<f64> {
+        assert_eq!(self.size_px, other.size_px, "details are compared in pictures of one size");
         let [width, height] = self.size_px;
         let [across, down] = of_px.map(|side| side as usize);
         let (mut difference, mut square) = (0.0, 0.0);
@@ -95,16 +103,33 @@ impl Differences {
         *count += 1.0;
     }
 
-    /// The standard of each of `count` models, beside those of the others that are `sound`.
+    /// The standard of each of `count` models beside those of the others. Only models that are `sound` count.
     pub(super) fn standards(&self, count: usize, sound: impl Fn(usize) -> bool) -> Vec<Standard> {
+        let pairs = self.0.iter().filter(|(pair, _)| pair.iter().all(|model| sound(*model)));
+        let of_sound = Self(pairs.map(|(pair, found)| (*pair, *found)).collect());
+        of_sound.standards_of_all(count)
+    }
+
+    fn standards_of_all(&self, count: usize) -> Vec<Standard> {
         let errors = self.errors(count);
+        let is_determined = self.determined(count);
         let standard = |i: usize| {
-            let mut others: Vec<f64> =
-                (0..count).filter(|j| *j != i && sound(*j)).filter_map(|j| errors[j]).collect();
+            let mut others: Vec<f64> = (0..count).filter(|j| *j != i).filter_map(|j| errors[j]).collect();
             let Some(error) = errors[i].filter(|_| !others.is_empty()) else { return Standard::UNKNOWN };
-            Standard { error, times: error / median(&mut others).max(f64::MIN_POSITIVE) }
+            let standard = Standard { error, times: error / median(&mut others).max(ERROR_MIN) };
+            if is_determined[i] || standard.is_far_worse() { standard } else { Standard::UNKNOWN }
         };
         (0..count).map(standard).collect()
+    }
+
+    /// Whether the differences determine the error of each of `count` models: whether some ring of an odd number of
+    /// compared models is connected with it.
+    fn determined(&self, count: usize) -> Vec<bool> {
+        // Models and their mirror images: a comparison leads from a model to the image of the other one. A model is
+        // connected with its own image only by way of an odd ring.
+        let pairs = self.0.keys().flat_map(|&[a, b]| [[a, b + count], [a + count, b]]);
+        let groups = groups(pairs, 2 * count);
+        (0..count).map(|i| groups[i] == groups[i + count]).collect()
     }
 
     /// The error of each of `count` models: its share of the mean square of the detail; `None` for a model that was not
@@ -181,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn only_a_far_worse_model_counts_less_and_only_one_without_detail_is_refused() {
+    fn a_worse_model_counts_less_and_a_far_worse_one_is_refused() {
         let standards = |errors: &[f64]| differences(errors).standards(errors.len(), |_| true);
         let good = standards(&[0.03, 0.06, 0.025, 0.05]);
         assert!(good.iter().all(|standard| standard.weight() == 1.0), "{good:?}");
@@ -190,7 +215,39 @@ mod tests {
         let lost = standards(&[0.2, 0.2, 1.3, 0.2]);
         assert!(lost[2].is_far_worse() && !lost[0].is_far_worse(), "{lost:?}");
         let two = standards(&[0.2, 1.6]);
-        let counts_fully = |standard: &Standard| standard.weight() == 1.0 && !standard.is_far_worse();
         assert!(two.iter().all(counts_fully), "nobody knows which of two is worse: {two:?}");
+    }
+
+    fn counts_fully(standard: &Standard) -> bool {
+        standard.weight() == 1.0 && !standard.is_far_worse()
+    }
+
+    #[test]
+    fn nobody_is_blamed_for_small_differences_that_do_not_tell_who_is_worse() {
+        for of_leaves in [vec![0.12, 0.06, 0.06], vec![0.10, 0.06, 0.06], vec![0.06; 6], vec![0.4; 6]] {
+            let mut star = Differences::default();
+            of_leaves.iter().enumerate().for_each(|(i, difference)| star.note(0, i + 1, *difference));
+            let standards = star.standards(of_leaves.len() + 1, |_| true);
+            assert!(standards.iter().all(counts_fully), "{standards:?}");
+        }
+        let mut ring = Differences::default();
+        (0..4).for_each(|i| ring.note(i, (i + 1) % 4, 0.3));
+        assert!(ring.standards(4, |_| true).iter().all(counts_fully));
+        ring.note(0, 2, 0.3);
+        ring.note(0, 1, 3.0);
+        ring.note(0, 3, 3.0);
+        ring.note(0, 2, 3.0);
+        let standards = ring.standards(4, |_| true);
+        assert!(standards[0].weight() < 0.5, "with a diagonal, the differences tell: {standards:?}");
+    }
+
+    #[test]
+    fn a_refused_model_does_not_make_others_look_worse() {
+        let mut star = Differences::default();
+        for (leaf, difference) in [(1, 0.1), (2, 0.1), (3, 4.0)] {
+            star.note(0, leaf, difference);
+        }
+        let standards = star.standards(4, |i| i != 3);
+        assert!(standards.iter().all(counts_fully), "{standards:?}");
     }
 }

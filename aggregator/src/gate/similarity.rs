@@ -276,7 +276,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn the_similarity_between_points_is_found_and_a_mirror_image_has_none() {
+    fn the_similarity_between_points_is_found_and_none_fits_a_mirror_image() {
         let from: Vec<DVec3> = (0..9).map(|i| direction(i, 9) * (1.0 + i as f64)).collect();
         let to: Vec<DVec3> = from.iter().map(|p| wrong().apply(*p)).collect();
         let found = Similarity::between(&from, &to).unwrap();

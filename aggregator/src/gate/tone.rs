@@ -3,21 +3,20 @@
 //!
 //! Two models are compared where their surfaces agree ([`Glimpse`]), by the mean and the spread (standard deviation) of
 //! the colours that both show there. Gains, and then offsets, are chosen so that all pairs of models agree best. Each
-//! pair is weighted by its number of pixels, and on average the models stay unchanged. Models pruned before upload are
+//! pair is weighted by its number of pixels, and the median model stays unchanged. Models pruned before upload are
 //! not compared, as that makes the result worse. No model is changed if no pair differs by more than two models of the
 //! same camera do.
 
 use std::collections::BTreeMap;
 use std::fmt;
 
-use cosurf_engine::Renderer;
 use cosurf_scene::Splats;
 use cosurf_scene::splats::SH_C0;
 use serde::{Deserialize, Serialize};
 
+#[cfg(doc)]
 use super::glimpse::Glimpse;
 use super::similarity::solve;
-use crate::merge::{Locals, MergeError};
 
 /// Colours are changed only if a pair of models differs by at least this much in a mean colour, or by [`SPREADS_MIN`].
 /// Models of the same camera differ by less, even if the camera varied its exposure.
@@ -64,7 +63,7 @@ impl fmt::Display for Tone {
 
 /// Sums over the colours that two models show of the same surface points.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Shared {
+struct Shared {
     count: f64,
     /// Sums of colours, `[model, channel]`.
     sums: [[f64; 3]; 2],
@@ -73,7 +72,7 @@ pub(super) struct Shared {
 }
 
 impl Shared {
-    pub(super) fn note(&mut self, colors: [[f32; 3]; 2]) {
+    fn note(&mut self, colors: [[f32; 3]; 2]) {
         self.count += 1.0;
         for ((sums, squares), color) in self.sums.iter_mut().zip(&mut self.squares).zip(colors) {
             for (channel, value) in color.into_iter().map(f64::from).enumerate() {
@@ -106,51 +105,33 @@ impl Shared {
     }
 }
 
-/// The change of colours for each of `locals`, in their order; `None` if no change is needed.
-pub(super) fn tones(
-    locals: &dyn Locals,
-    threads: usize,
-    is_given_up: &dyn Fn() -> bool,
-) -> Result<Option<Vec<Tone>>, MergeError> {
-    let pairs = compare(locals, threads, is_given_up)?;
-    let agree_already = pairs.values().all(Shared::agrees);
-    Ok((!agree_already).then(|| agree(&pairs, locals.count())))
+/// The colours in which each pair of models shows the same surface, lower index first.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Pairs(BTreeMap<[usize; 2], Shared>);
+
+impl Pairs {
+    /// Notes the colours of some surface points: of the model with the index `one`, then of the model `other`.
+    pub(super) fn note(&mut self, one: usize, other: usize, colors: impl Iterator<Item = [[f32; 3]; 2]>) {
+        for [a, b] in colors {
+            let (pair, colors) = if one < other { ([one, other], [a, b]) } else { ([other, one], [b, a]) };
+            self.0.entry(pair).or_default().note(colors);
+        }
+    }
+
+    /// The pairs of the models with the indices `kept`, ascending. They are numbered anew in that order.
+    fn of(&self, kept: &[usize]) -> Self {
+        let place = |model: &usize| kept.binary_search(model).ok();
+        let pairs = self.0.iter().filter_map(|([a, b], shared)| Some(([place(a)?, place(b)?], *shared)));
+        Self(pairs.collect())
+    }
 }
 
-/// The shared colours of each pair of models, lower index first.
-type Pairs = BTreeMap<[usize; 2], Shared>;
-
-fn compare(locals: &dyn Locals, threads: usize, is_given_up: &dyn Fn() -> bool) -> Result<Pairs, MergeError> {
-    let mut pairs = Pairs::new();
-    if locals.count() < 2 {
-        return Ok(pairs);
-    }
-    let mut shown = Vec::with_capacity(locals.count());
-    for i in 0..locals.count() {
-        let model = locals.load(i)?;
-        shown.push(Glimpse::some(&model.splats, &model.cameras, false, threads));
-    }
-    for i in 0..locals.count() {
-        if is_given_up() {
-            return Err(MergeError::GivenUp);
-        }
-        let model = locals.load(i)?;
-        let mut renderer = None;
-        // Pruned models are skipped: they share with other models only ground that neither model shows well.
-        let is_told = |other: usize| other != i && !locals.is_compressed(i) && !locals.is_compressed(other);
-        for (other, glimpses) in shown.iter().enumerate().filter(|(other, _)| is_told(*other)) {
-            for glimpse in glimpses {
-                let Some(places) = glimpse.shared_with(&model.cameras) else { continue };
-                let renderer = renderer.get_or_insert_with(|| Renderer::new(&model.splats, threads));
-                for [theirs, its] in glimpse.colors_with(renderer, &places) {
-                    let (pair, colors) =
-                        if i < other { ([i, other], [its, theirs]) } else { ([other, i], [theirs, its]) };
-                    pairs.entry(pair).or_default().note(colors);
-                }
-            }
-        }
-    }
-    Ok(pairs)
+/// The change of colours for each of the models with the indices `taking_part`, ascending; `None` if no change is
+/// needed.
+pub(super) fn tones(colors: &Pairs, taking_part: &[usize]) -> Option<Vec<Tone>> {
+    let pairs = colors.of(taking_part);
+    let agree_already = pairs.0.values().all(Shared::agrees);
+    (!agree_already).then(|| agree(&pairs, taking_part.len()))
 }
 
 /// The [`Tone`] of each model with which all pairs agree best.
@@ -175,13 +156,14 @@ fn agree(pairs: &Pairs, count: usize) -> Vec<Tone> {
 }
 
 /// Finds one number `x` for each model by least squares, weighted by pixels: for each pair `[a, b]`, `x_a − x_b` comes
-/// as close as possible to `difference`. The numbers sum to 0.
+/// as close as possible to `difference`. The median of the compared models is 0, so that one odd model does not change
+/// the others; a model that was not compared has 0.
 fn balance(pairs: &Pairs, count: usize, difference: impl Fn([usize; 2], &Shared) -> f64) -> Vec<f64> {
-    let all: f64 = pairs.values().map(|shared| shared.count).sum();
+    let all: f64 = pairs.0.values().map(|shared| shared.count).sum();
     let mut matrix = vec![vec![0.0; count]; count];
     let mut right = vec![vec![0.0]; count];
     (0..count).for_each(|i| matrix[i][i] = OWN_WEIGHT * all.max(1.0));
-    for (&[a, b], shared) in pairs {
+    for (&[a, b], shared) in &pairs.0 {
         let weight = shared.count;
         matrix[a][a] += weight;
         matrix[b][b] += weight;
@@ -190,19 +172,34 @@ fn balance(pairs: &Pairs, count: usize, difference: impl Fn([usize; 2], &Shared)
         right[a][0] += weight * difference([a, b], shared);
         right[b][0] -= weight * difference([a, b], shared);
     }
-    solve(matrix, right).into_iter().map(|row| row[0]).collect()
+    let found: Vec<f64> = solve(matrix, right).into_iter().map(|row| row[0]).collect();
+    let is_compared = |i: &usize| pairs.0.keys().any(|pair| pair.contains(i));
+    let middle = middle((0..count).filter(is_compared).map(|i| found[i]).collect());
+    (0..count).map(|i| if is_compared(&i) { found[i] - middle } else { 0.0 }).collect()
+}
+
+/// The median; of an even number of values, the mean of the two in the middle. 0 of no values.
+fn middle(mut values: Vec<f64>) -> f64 {
+    values.sort_unstable_by(f64::total_cmp);
+    let count = values.len();
+    if count == 0 { 0.0 } else { 0.5 * (values[(count - 1) / 2] + values[count / 2]) }
 }
 
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::super::admit;
+    use super::super::judge::judge;
     use super::super::tests::{UNMOVED, flights};
+    use cosurf_engine::Renderer;
+
     use super::*;
-    use crate::testing::{InMemory, above};
+    use crate::merge::{InMemory, Locals};
+    use crate::testing::above;
 
     fn tones_of(locals: &InMemory) -> Option<Vec<Tone>> {
-        tones(locals, 1, &|| false).unwrap()
+        let colors = judge(locals, &[], 1, &|| false).unwrap().colors;
+        tones(&colors, &(0..locals.count()).collect::<Vec<_>>())
     }
 
     /// Changes the colours of a model as another exposure of its camera would.
@@ -217,15 +214,15 @@ mod tests {
     }
 
     #[test]
-    fn one_models_exposure_is_found_and_evened_out_over_all() {
+    fn one_models_exposure_is_found_and_the_others_stay() {
         let mut locals = InMemory(flights());
         exposed(&mut locals, 1, [0.7, 0.8, 0.9], [0.05, 0.0, -0.02]);
         let tones = tones_of(&locals).unwrap();
         let by = [[0.7, 0.05], [0.8, 0.0], [0.9, -0.02]];
         for (channel, [gain, offset]) in by.into_iter().enumerate() {
-            let total = tones.iter().map(|tone| tone.gain[channel].ln()).sum::<f64>();
-            assert!(total.abs() < 1e-4, "the product of the gains is 1: {tones:?}");
             for other in [0, 2, 3] {
+                assert!((tones[other].gain[channel] - 1.0).abs() < 0.02, "the others stay: {tones:?}");
+                assert!(tones[other].offset[channel].abs() < 0.01, "the others stay: {tones:?}");
                 let found = tones[1].gain[channel] / tones[other].gain[channel];
                 assert!((found * gain - 1.0).abs() < 0.02, "channel {channel}: {tones:?}");
                 // Mid grey of the other model, as model 1 shows it. After the change of colours, both must show it

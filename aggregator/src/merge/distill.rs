@@ -28,6 +28,9 @@ use super::teachers::{Taught, Teachers, ViewKey};
 /// Epochs at the end of a distillation with lower learning rates.
 const COOLDOWN_EPOCHS: u32 = 2;
 
+/// A camera is a stray if it is this many times as far from the middle of all cameras as half of them are.
+const STRAY_TIMES: f64 = 10.0;
+
 /// Progress of a merge.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct MergeProgress {
@@ -70,8 +73,7 @@ pub(super) fn distill(
     let teacher_bytes = renderer_bytes(device, largest, joined.sh_degree, cameras);
     let mut teachers = Teachers::new(surveyed, computer, teacher_bytes, teachers_bytes(device, settings));
     let depth = median_depth(&mut teachers, cameras)?;
-    let all: Vec<Camera> = cameras.iter().flatten().copied().collect();
-    let extent = distill::extent(&all);
+    let extent = distill::extent(&without_strays(cameras.iter().flatten().copied().collect()));
     let mut useless = Vec::new();
     let mut done = 0;
     for part in &parts {
@@ -181,6 +183,19 @@ fn put_back(joined: &mut Splats, learnt: &Splats, own: Range<usize>) {
     joined.log_scales[own.clone()].copy_from_slice(&learnt.log_scales[..count]);
     joined.opacity_logits[own.clone()].copy_from_slice(&learnt.opacity_logits[..count]);
     joined.sh[own.start * stride..own.end * stride].copy_from_slice(&learnt.sh[..count * stride]);
+}
+
+/// The cameras without those that are far from all others: these would raise the learning rates.
+fn without_strays(cameras: Vec<Camera>) -> Vec<Camera> {
+    let eyes: Vec<DVec3> = cameras.iter().map(|camera| camera.cam_from_world.center()).collect();
+    let middle_of = |mut values: Vec<f64>| {
+        values.sort_unstable_by(f64::total_cmp);
+        values.get(values.len() / 2).copied().unwrap_or_default()
+    };
+    let [x, y, z] = [0, 1, 2].map(|axis| middle_of(eyes.iter().map(|eye| eye[axis]).collect()));
+    let distances: Vec<f64> = eyes.iter().map(|eye| eye.distance(DVec3::new(x, y, z))).collect();
+    let limit = STRAY_TIMES * middle_of(distances.clone());
+    cameras.into_iter().zip(distances).filter(|(_, far)| *far <= limit).map(|(camera, _)| camera).collect()
 }
 
 /// Median depth over the first view of each local model that has cameras, world units.

@@ -1,9 +1,9 @@
 //! Adds models that have arrived only in part to a merged model: coarse ground is better than none.
 //!
 //! The part of a model that has arrived holds the most important splats, because these are sent first
-//! ([`cosurf_link::part_to_model`]). These splats are added only where no complete model shows the ground, so that a
-//! coarse part cannot spoil better ground. A part is not used as a teacher in distillation, because it would teach
-//! blur. Once its upload is complete, the model is merged like any other.
+//! ([`cosurf_link::part_to_model`]). These splats are added only where fewer than two cameras of the merged model look,
+//! so that a coarse part cannot spoil better ground. Such a part is not used as a teacher in distillation, because it
+//! would teach blur. Once its upload is complete, the model is merged like any other.
 
 use cosurf_link::Model;
 use cosurf_scene::{Frustum, Splats};

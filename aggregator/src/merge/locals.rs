@@ -26,6 +26,20 @@ pub trait Locals {
     }
 }
 
+/// Local models that are held in memory.
+#[derive(Clone, Debug)]
+pub struct InMemory(pub Vec<Model>);
+
+impl Locals for InMemory {
+    fn count(&self) -> usize {
+        self.0.len()
+    }
+
+    fn load(&self, index: usize) -> Result<Model, MergeError> {
+        Ok(self.0[index].clone())
+    }
+}
+
 /// The local models, with the cameras and sizes that a first pass over the models has gathered.
 pub(super) struct Surveyed<'a> {
     pub(super) locals: &'a dyn Locals,

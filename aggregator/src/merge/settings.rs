@@ -9,7 +9,7 @@ pub struct MergeSettings {
     /// Epochs of distillation; each trains once on every camera. 0 leaves the joined model as it is. CoSurfGS has 5
     /// epochs; 7 give 0.05 dB more on rendered Boruszyn.
     pub epochs: u32,
-    /// Whether only one model keeps its splats where models overlap (Local Model Compression).
+    /// Whether only one or two models keep their splats where models overlap (Local Model Compression).
     pub compress: bool,
     /// Whether models are moved so that the ground they share lies at the same place in all of them; see
     /// [`crate::gate`].

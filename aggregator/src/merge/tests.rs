@@ -9,7 +9,7 @@ use cosurf_scene::Splats;
 use cosurf_scene::metrics::psnr;
 
 use super::*;
-use crate::testing::{InMemory, above, ground};
+use crate::testing::{above, ground};
 
 /// A model of the ground from x = `west` to `east`, with cameras above `places`. Black splats float at the x of
 /// `clouds`, outside the view of these cameras.
@@ -42,6 +42,25 @@ fn agreement(splats: &Splats, others: &Splats) -> f64 {
     let (mut truth, mut shown) = (Renderer::new(others, 1), Renderer::new(splats, 1));
     let places = [-9.0, -5.0, -3.0, 3.0, 5.0, 9.0];
     places.map(|x| psnr(&shown.render(&above(x)).rgb, &truth.render(&above(x)).rgb)).iter().sum::<f64>() / 6.0
+}
+
+#[test]
+fn a_camera_far_away_does_not_raise_the_learning_rates() {
+    let settings = MergeSettings { epochs: 2, ..MergeSettings::default() };
+    let calm = quality(&run(&neighbours(), &settings, 1).model.splats);
+    let mut locals = neighbours();
+    let mut far = above(0.0);
+    far.cam_from_world.translation.z += 1e6;
+    locals.0[0].cameras.push(far);
+    let with_far = quality(&run(&locals, &settings, 1).model.splats);
+    assert!(with_far > calm - 0.5, "{with_far:.2} dB instead of {calm:.2} dB");
+}
+
+#[test]
+fn a_single_model_stays_as_it_is() {
+    let alone = InMemory(neighbours().0[..1].to_vec());
+    let merged = run(&alone, &MergeSettings::default(), 1);
+    assert_eq!((merged.summary.steps, merged.model), (0, alone.0[0].clone()));
 }
 
 #[test]

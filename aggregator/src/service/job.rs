@@ -11,8 +11,8 @@ use cosurf_link::{FirstLayer, Model, ModelKey, ModelStore, body_to_model, model_
 use cosurf_wire::{ModelHeader, ModelKind};
 use tracing::{debug_span, info_span};
 
-use super::record::Verdict;
-use crate::gate::admit;
+use super::record::{Fitted, KeptOut, Verdict};
+use crate::gate::{Frames, admit, admit_part};
 use crate::merge::{Locals, MergeError, MergeProgress, MergeSettings, Merged, fill_in, merge};
 
 /// Number of distillation steps between two reports of progress.
@@ -93,6 +93,31 @@ impl Stored {
         let parts = Self { models: stores.parts, headers: inputs.parts };
         if whole.headers.is_empty() { (parts, whole) } else { (whole, parts) }
     }
+
+    /// Adds the part at `index` to a merged model, if it fits. Notes in `verdict` what the gate decided.
+    fn fill_into(
+        &self,
+        merged: Model,
+        index: usize,
+        frames: Frames,
+        threads: usize,
+        is_stopped: &dyn Fn() -> bool,
+        verdict: &mut Verdict,
+    ) -> Result<Model, MergeError> {
+        let (header, part) = (&self.headers[index], self.load(index)?);
+        match admit_part(&merged, &part, self.is_compressed(index), frames, threads, is_stopped)? {
+            Ok(place) => {
+                verdict.fitted.extend(Fitted::of(header.device.as_str(), place));
+                let moved = place.by.map(|by| by.by.model(&part));
+                Ok(fill_in(merged, moved.as_ref().unwrap_or(&part)))
+            }
+            Err(doubt) => {
+                let reason = doubt.reason(&["the other models", header.device.as_str()]);
+                verdict.kept_out.push(KeptOut::new(header, reason));
+                Ok(merged)
+            }
+        }
+    }
 }
 
 impl Locals for Stored {
@@ -120,7 +145,7 @@ impl Job {
             let _span = info_span!("round", models = stored.count(), parts = parts.count()).entered();
             let is_stopped = || flag.load(Ordering::Relaxed);
             let admitted = admit(&stored, (&settings).into(), threads, &is_stopped)?;
-            let verdict = Verdict::of(&admitted, &stored.headers);
+            let mut verdict = Verdict::of(&admitted, &stored.headers);
             if admitted.count() == 0 {
                 return Ok(Outcome { merged: None, verdict });
             }
@@ -131,7 +156,14 @@ impl Job {
                 if is_stopped() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
             })?;
             for i in 0..parts.count() {
-                merged.model = fill_in(merged.model, &parts.load(i)?);
+                merged.model = parts.fill_into(
+                    merged.model,
+                    i,
+                    (&settings).into(),
+                    threads,
+                    &is_stopped,
+                    &mut verdict,
+                )?;
             }
             merged.summary.splats = merged.model.splats.len();
             let body = packed(&merged.model, threads)?;

@@ -5,8 +5,6 @@ use cosurf_scene::splats::SH_C0;
 use cosurf_scene::{Camera, Pose, Splats};
 use glam::{DVec2, DVec3};
 
-use crate::merge::{Locals, MergeError};
-
 /// `count` splats of degree `sh_degree`, with values derived from `seed`.
 pub(crate) fn model(count: usize, sh_degree: u32, seed: f32) -> Model {
     let mut splats = Splats::with_capacity(count, sh_degree);
@@ -15,20 +13,6 @@ pub(crate) fn model(count: usize, sh_degree: u32, seed: f32) -> Model {
         splats.push([seed, i as f32, 0.0], [1.0, 0.0, 0.0, 0.0], [-seed; 3], seed, &sh);
     }
     Model { splats, cameras: Vec::new() }
-}
-
-/// Local models that are held in memory.
-#[derive(Clone)]
-pub(crate) struct InMemory(pub(crate) Vec<Model>);
-
-impl Locals for InMemory {
-    fn count(&self) -> usize {
-        self.0.len()
-    }
-
-    fn load(&self, index: usize) -> Result<Model, MergeError> {
-        Ok(self.0[index].clone())
-    }
 }
 
 /// A camera 10 m above the ground point `(x, 0, 0)`, looking straight down.

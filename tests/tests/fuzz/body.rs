@@ -2,10 +2,10 @@
 
 use cosurf_link::{FirstLayer, body_to_model, model_to_body, part_to_model};
 use cosurf_scene::{Base, Splats};
+use cosurf_tests::dice::Dice;
 use cosurf_tests::models::{cameras, random_splats};
 use cosurf_wire::body::{HEAD_BYTES, PACK_ENTRY_BYTES};
 
-use crate::mutate::Random;
 use crate::runner::{Target, hammer};
 
 /// A body with a base of every third splat.
@@ -63,7 +63,7 @@ fn bodies_are_unpacked_or_refused() {
         // times as much. 1 MiB is for the buffers of one pack.
         bytes_max: |bytes| (1 << 20) + 128 * bytes,
     };
-    let mut random = Random(2);
+    let mut dice = Dice(2);
     hammer(target, move |bytes| {
         let whole = body_to_model(bytes);
         if let Ok(model) = &whole {
@@ -71,7 +71,7 @@ fn bodies_are_unpacked_or_refused() {
             let part = part_to_model(bytes, |_| true).expect("what is right as a whole is right in part");
             assert_eq!(part.map_or(0, |part| part.splats.len()), model.splats.len());
         }
-        let end = random.below(bytes.len());
+        let end = dice.below(bytes.len());
         if let Ok(Some(part)) = part_to_model(bytes, |range| range.end <= end) {
             assert_eq!(part.splats.find_bad_value(), None);
         }

@@ -4,8 +4,10 @@ use std::env;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::time::{Duration, Instant};
 
+use cosurf_tests::dice::Dice;
+
 use crate::memory::peak_bytes_of;
-use crate::mutate::{Random, mutated};
+use crate::mutate::mutated;
 
 /// Default number of executions of each decoder. Even the slowest decoder then takes less than a second.
 const EXECUTIONS: u64 = 5_000;
@@ -35,9 +37,9 @@ pub(crate) fn hammer(target: Target, mut decode: impl FnMut(&[u8]) -> bool) {
     let (first, executions) = (number("FUZZ_SEED", 0), number("FUZZ_EXECUTIONS", EXECUTIONS));
     let mut read = 0u64;
     for seed in first..first + executions {
-        let mut random = Random(seed);
-        let mut bytes = mutated(&mut random, &target.samples);
-        if random.coin() {
+        let mut dice = Dice(seed);
+        let mut bytes = mutated(&mut dice, &target.samples);
+        if dice.coin() {
             (target.reseal)(&mut bytes);
         }
         let started = Instant::now();

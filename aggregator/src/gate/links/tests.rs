@@ -12,7 +12,7 @@ use crate::gate::frames::find_frames;
 use crate::gate::similarity::tests::wrong;
 use crate::gate::tests::{MOVED, UNMOVED};
 use crate::gate::{Doubt, admit};
-use crate::testing::InMemory;
+use crate::merge::InMemory;
 use cosurf_link::Model;
 
 /// A pseudo-random number in 0..1 for each lattice point; another `salt` gives other numbers.
@@ -51,7 +51,7 @@ fn camera(x: f64, y: f64) -> Camera {
 }
 
 /// A model of the ground around `x = place`. `salt` chooses the splats.
-fn local(place: f32, salt: u32) -> Model {
+pub(crate) fn local(place: f32, salt: u32) -> Model {
     let x = f64::from(place);
     let places = [-3.0, -1.0, 1.0, 3.0].into_iter().flat_map(|dx| [-1.5, 1.5].map(|y| camera(x + dx, y)));
     Model { splats: stones(place - 8.0, place + 8.0, salt), cameras: places.collect() }

@@ -3,11 +3,11 @@
 //! with the bytes of a direct merge of these models.
 
 use cosurf_link::{FirstLayer, model_to_body, plain_importance};
+use cosurf_tests::dice::Dice;
 use cosurf_wire::BodyHash;
 
 use super::*;
-use crate::merge::{MergeProgress, merge};
-use crate::testing::InMemory;
+use crate::merge::{InMemory, MergeProgress, merge};
 use crate::testing::{QUICK, model_at};
 
 /// Number of histories.
@@ -16,16 +16,6 @@ const NAMES: [&str; 3] = ["agent-1", "agent-2", "agent-3"];
 /// A device that flies in some histories, and is withdrawn in all.
 const STRANGER: &str = "agent-0";
 const SETTINGS: MergeSettings = MergeSettings { seed: 3, ..QUICK };
-
-/// Random numbers from a seed.
-struct Dice(u64);
-
-impl Dice {
-    fn below(&mut self, n: u64) -> u64 {
-        self.0 = self.0.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-        (self.0 >> 33) % n
-    }
-}
 
 /// The models that count in the end.
 fn models() -> Vec<Model> {
@@ -72,21 +62,21 @@ enum Kill {
 fn sittings(dice: &mut Dice) -> Vec<Sitting> {
     let mut order = [0, 1, 2];
     for last in (1..3).rev() {
-        order.swap(last, dice.below(last as u64 + 1) as usize);
+        order.swap(last, dice.below(last + 1));
     }
     let first = order[0];
-    let together = 1 + dice.below(3) as usize;
+    let together = 1 + dice.below(3);
     let mut sittings = vec![Sitting {
         drones: order[..together].iter().map(|i| (*i, if *i == first { 1 } else { 2 })).collect(),
-        with_stranger: dice.below(2) == 0,
-        killed: if dice.below(2) == 0 { Kill::BeforeOrInTheMerge } else { Kill::AfterTheMerge },
+        with_stranger: dice.coin(),
+        killed: if dice.coin() { Kill::BeforeOrInTheMerge } else { Kill::AfterTheMerge },
     }];
     sittings.push(Sitting {
         drones: order.iter().map(|i| (*i, 2)).collect(),
         with_stranger: false,
         killed: Kill::AfterTheMerge,
     });
-    if dice.below(2) == 0 {
+    if dice.coin() {
         let again = sittings[1].drones.clone();
         sittings[1].killed = Kill::BeforeOrInTheMerge;
         sittings.push(Sitting { drones: again, with_stranger: false, killed: Kill::AfterTheMerge });

@@ -1,9 +1,10 @@
 //! An upload stalls: the part that has arrived is merged, until the rest arrives.
 
 use cosurf_link::{FirstLayer, model_to_body};
+use glam::DVec3;
 
 use super::*;
-use crate::gate::tests::flights;
+use crate::gate::tests::{elsewhere, flights};
 use crate::testing::QUICK;
 
 /// The model of agent-1 has no ground east of this x.
@@ -91,6 +92,24 @@ fn the_part_of_a_stalled_upload_is_used_until_the_rest_arrives() {
         "a resumed upload gives the same bytes as an uninterrupted one"
     );
     assert_eq!(fs::read_dir(site.join("parts")).unwrap().count(), 0);
+}
+
+#[test]
+fn a_part_that_contradicts_the_others_is_kept_out_and_told() {
+    let models = flights();
+    let folder = tempfile::tempdir().unwrap();
+    let network = slow_network(6);
+    let mut ground = open_with(&network, folder.path(), fleet(&["agent-1", "agent-2"]), QUICK);
+    let mut drones = vec![Drone::new(&network, "agent-1", 1, &models[0])];
+    simulate(&network, &mut ground, &mut drones, |events, _| count(events, is_stored) == 1);
+    let raised = elsewhere(models[1].clone(), 1.0, 0.0, 1.5 * DVec3::Z);
+    stall(&network, &mut ground, &mut drones, 1, &raised);
+    simulate(&network, &mut ground, &mut drones, |events, _| has_merged(events, 1));
+    let record = Merging::read(folder.path()).unwrap();
+    let told: Vec<String> = record.kept_out.iter().map(ToString::to_string).collect();
+    assert_eq!(told, ["model 1 of agent-2 contradicts the other models (different ground, place or scale)"]);
+    assert_eq!(record.summary.splats, ply::read(&global_ply(folder.path())).unwrap().len());
+    assert_eq!(splats_beyond(folder.path()), 0, "the raised model has splats there");
 }
 
 #[test]

@@ -10,10 +10,10 @@ use cosurf_wire::{BodyHash, ModelId};
 
 use super::*;
 use crate::gate::admit;
+use crate::merge::InMemory;
 use crate::merge::{MergeSettings, merge};
 use crate::service::job::packed;
 use crate::service::{Expected, Service, ServiceConfig, ServiceEvent};
-use crate::testing::InMemory;
 use crate::testing::{BAD_WEATHER, LIMITS, PATIENCE, QUICK, identity, model_at};
 
 const SETTINGS: MergeSettings = MergeSettings { seed: 3, ..QUICK };

@@ -33,28 +33,15 @@ pub(crate) fn ours(bench: &str, words: &[&str], folder: &TempDir) -> Result<Resu
     read_after(&mut cargo_bench("cosurf-tests", bench, words), bench, folder)
 }
 
-/// Runs `cargo test` with the arguments `words` and the environment variables `variables`. They choose an ignored test
-/// that writes the results called `name` into `folder`.
-pub(crate) fn ignored_test(
-    name: &str,
-    words: &[&str],
-    variables: &[(&str, &str)],
-    folder: &TempDir,
-) -> Result<Results> {
-    let mut command = Command::new("cargo");
-    command
-        .args(["test", "--release", "--locked"])
-        .args(words)
-        .current_dir(machine::root())
-        .stdin(Stdio::null());
-    command.envs(variables.iter().copied());
-    read_after(&mut command, name, folder)
-}
-
-/// Measures the memory of an aggregator to which two hundred agents upload.
+/// Measures the memory of an aggregator to which two hundred agents upload, by an ignored test.
 pub(crate) fn crowd(folder: &TempDir) -> Result<Results> {
     build()?;
-    ignored_test("crowd", &["-p", "cosurf-tests", "--test", "crowd", "--", "--ignored"], &[], folder)
+    let mut command = Command::new("cargo");
+    command
+        .args(["test", "--release", "--locked", "-p", "cosurf-tests", "--test", "crowd", "--", "--ignored"])
+        .current_dir(machine::root())
+        .stdin(Stdio::null());
+    read_after(&mut command, "crowd", folder)
 }
 
 fn read_after(command: &mut Command, bench: &str, folder: &TempDir) -> Result<Results> {
@@ -140,27 +127,46 @@ pub(crate) fn packing(folder: &TempDir) -> Result<Results> {
 
 /// Measures missions whose uploads break off, for each dataset.
 pub(crate) fn broken_off(folder: &TempDir) -> Result<Results> {
-    of_missions(&DATASETS, "broken_off", folder)
+    of_missions(&DATASETS, "broken_off", |_| (&TRAINING, &[]), folder)
 }
 
 /// Measures missions whose models arrive in frames that are not exactly right.
 pub(crate) fn frames(folder: &TempDir) -> Result<Results> {
-    of_missions(&DATASETS[2..], "frames", folder)
+    of_missions(&DATASETS[2..], "frames", |_| (&TRAINING, &["--seeds", "20"]), folder)
 }
 
 /// Measures missions that a fifth agent joins.
 pub(crate) fn fifth(folder: &TempDir) -> Result<Results> {
-    of_missions(&DATASETS[2..], "fifth", folder)
+    of_missions(&DATASETS[2..], "fifth", |_| (&TRAINING, &[]), folder)
 }
 
-/// Runs a bench for a mission of four agents over each dataset, and joins the rows.
-fn of_missions(datasets: &[(&str, Option<&str>)], bench: &str, folder: &TempDir) -> Result<Results> {
+/// Measures where models that arrive in wrong frames are placed. Most cases are of the city, with the defaults of a
+/// mission.
+pub(crate) fn placement(folder: &TempDir) -> Result<Results> {
+    let options = |name: &str| -> Options {
+        if name == "the built-in city" { (&[], &["--seeds", "100"]) } else { (&TRAINING, &["--seeds", "20"]) }
+    };
+    of_missions(&DATASETS[1..], "placement", options, folder)
+}
+
+/// Options of a mission, and of the bench that measures it.
+type Options = (&'static [&'static str], &'static [&'static str]);
+
+/// Runs a bench for a mission of four agents over each dataset, and joins the rows. `options` gets the name of the
+/// dataset.
+fn of_missions(
+    datasets: &[(&str, Option<&str>)],
+    bench: &str,
+    options: impl Fn(&str) -> Options,
+    folder: &TempDir,
+) -> Result<Results> {
     build()?;
     of_datasets(datasets, bench, folder, |name, data, out| {
-        mission(Some(data), &[&TRAINING[..], &["--agents", "4"]].concat(), out)?;
+        let (of_mission, of_bench) = options(name);
+        mission(Some(data), &[of_mission, &["--agents", "4"]].concat(), out)?;
         let agents = agents(out, 4);
         let agents = agents.iter().map(|agent| text(agent)).collect::<Result<Vec<_>>>()?;
-        ours(bench, &[&[text(data)?, "--name", name], &agents[..]].concat(), folder)
+        ours(bench, &[&[text(data)?, "--name", name], of_bench, &agents[..]].concat(), folder)
     })
 }
 

@@ -1,13 +1,11 @@
 //! Measurements of missions over real photographs, and of the models of their agents.
 
-use std::path::PathBuf;
-
 use anyhow::Result;
 use cosurf_tests::results::{Better, Column, Measurement, Results, Tolerance};
 use serde_json::Value;
 use tempfile::TempDir;
 
-use crate::benches::{TRAINING, ignored_test, text};
+use crate::benches::TRAINING;
 use crate::commands::{MIB, agents, build, dataset, evaluate, merge, mission, train};
 
 /// Compares the joined models and the merged models of four agents with one model that is trained on the views of all
@@ -41,23 +39,6 @@ pub(crate) fn missions(folder: &TempDir) -> Result<Results> {
         measurement.row(name, &[psnr, splats, bytes.map(|bytes| bytes / MIB), left]);
     }
     Ok(measurement.finish()?)
-}
-
-/// Measures how exactly the aggregator moves a displaced model back to its place, with the models of three missions.
-pub(crate) fn placement(folder: &TempDir) -> Result<Results> {
-    build()?;
-    let [caliterra, boruszyn] = [dataset("real_caliterra")?, dataset("gt_boruszyn")?];
-    let mut outs = Vec::new();
-    for (name, data) in
-        [("Caliterra", Some(&caliterra)), ("rendered Boruszyn", Some(&boruszyn)), ("city", None)]
-    {
-        let out = folder.path().join(name);
-        mission(data.map(PathBuf::as_path), &TRAINING, &out)?;
-        outs.push(out);
-    }
-    let outs = outs.iter().map(|out| text(out)).collect::<Result<Vec<_>>>()?.join(":");
-    let words = ["-p", "cosurf-aggregator", "--lib", "--", "--ignored", "trained_models_are_moved_back"];
-    ignored_test("placement", &words, &[("MISSIONS", &outs)], folder)
 }
 
 /// The share of splats that a merge removed because another agent owns them, percent.

@@ -119,10 +119,9 @@ pub(crate) const RUNS: [Run; 22] = [
     },
     Run {
         name: "placement",
-        about: "how exactly a moved model is moved back",
-        command: "MISSIONS=DIR:DIR cargo test --release -p cosurf-aggregator --lib -- --ignored \
-                  trained_models_are_moved_back",
-        measure: missions::placement,
+        about: "how exactly models in wrong frames are placed",
+        command: "cargo bench -p cosurf-tests --bench placement -- DATA AGENT...",
+        measure: benches::placement,
     },
     Run {
         name: "frames",

@@ -1,0 +1,262 @@
+//! Compares models with each other and with their own cameras, and decides which of them can be trusted.
+
+use std::collections::BTreeMap;
+
+use cosurf_engine::Renderer;
+use cosurf_link::Model;
+use cosurf_scene::{Camera, Watchers};
+use glam::DVec3;
+
+use super::doubt::Doubt;
+use super::frames::groups;
+use super::glimpse::{Glimpse, chosen};
+use super::quality::{Detail, Differences, Standard};
+use super::tone::Pairs;
+use crate::merge::cameras::{middle, radius};
+use crate::merge::{Locals, MergeError};
+
+/// Largest accepted share of a model's splats that none of its own cameras sees. Trained models stay far below it.
+const UNSEEN_MAX: f64 = 0.5;
+/// Largest gap between two flights (the cameras of two models) that can have the same origin, in radii of the larger
+/// flight.
+const GAP_MAX_RADII: f64 = 20.0;
+/// Share of a picture that must show a surface. Pictures of trained models show a surface almost everywhere.
+const SHOWN_MIN: f64 = 0.1;
+/// Two models contradict each other only if at least this many views contradict, and more views contradict than
+/// confirm.
+const CONTRADICTIONS_MIN: u32 = 2;
+
+/// What the gate thinks of all models.
+pub(super) struct Judgement {
+    /// One entry for each model.
+    pub(super) judged: Vec<Judged>,
+    /// The colours in which each pair of models shows the same surface.
+    pub(super) colors: Pairs,
+}
+
+/// What the gate thinks of a model.
+pub(super) struct Judged {
+    pub(super) doubt: Option<Doubt>,
+    /// Factor on the worth of the model's observations, 0..=1.
+    pub(super) weight: f64,
+    /// Whether the model belongs to the largest group of models that share ground with each other.
+    pub(super) is_verified: bool,
+}
+
+/// Judges each of `locals`, by index. Models that are `linked` share ground. `is_given_up` is called between models; if
+/// it returns true, the result is an error.
+pub(super) fn judge(
+    locals: &dyn Locals,
+    linked: &[[usize; 2]],
+    threads: usize,
+    is_given_up: &dyn Fn() -> bool,
+) -> Result<Judgement, MergeError> {
+    let go_on = || if is_given_up() { Err(MergeError::GivenUp) } else { Ok(()) };
+    let mut shown = Vec::with_capacity(locals.count());
+    for i in 0..locals.count() {
+        go_on()?;
+        shown.push(Shown::of(locals.load(i)?, locals.is_compressed(i), threads));
+    }
+    let mut relations = Relations::default();
+    relations.note_distances(&shown);
+    for judged in 0..shown.len() {
+        go_on()?;
+        relations.note_views(&shown, judged, locals, threads)?;
+    }
+    let mut doubts: Vec<Option<Doubt>> = shown.iter().map(Shown::doubt).collect();
+    relations.doubt_contradicting(&shown, &mut doubts);
+    let standards = relations.differences.standards(shown.len(), |i| doubts[i].is_none());
+    let far_worse = |standard: &Standard| standard.is_far_worse().then_some(Doubt::FarWorse(standard.times));
+    doubts
+        .iter_mut()
+        .zip(&standards)
+        .for_each(|(doubt, standard)| *doubt = doubt.take().or(far_worse(standard)));
+    let verified = relations.verified(linked, &shown, &doubts);
+    let judged = doubts
+        .into_iter()
+        .zip(standards)
+        .zip(verified)
+        .map(|((doubt, standard), is_verified)| Judged { doubt, weight: standard.weight(), is_verified });
+    Ok(Judgement { judged: judged.collect(), colors: relations.colors })
+}
+
+/// What the gate keeps of a model, to judge the model and to judge others by it.
+struct Shown {
+    cameras: Vec<Camera>,
+    views: Vec<View>,
+    /// Share of the model's splats that none of its own cameras sees, 0..=1; 0 for a model without cameras.
+    unseen: f64,
+    /// Share of the views that show mostly no surface, 0..=1; 0 for a model that was pruned before upload.
+    void: f64,
+    /// Mean position of the cameras, world units.
+    middle: DVec3,
+    /// Distance from `middle` to the farthest camera, world units.
+    radius: f64,
+}
+
+/// A view from one of a model's own cameras.
+struct View {
+    glimpse: Glimpse,
+    /// `None` for a model that was pruned before upload: what it lacks would count as an error.
+    detail: Option<Detail>,
+}
+
+impl Shown {
+    fn of(model: Model, is_compressed: bool, threads: usize) -> Self {
+        let Model { splats, cameras } = model;
+        let mut watchers = Watchers::new(&cameras);
+        let is_unseen = |mean: &&[f32; 3]| {
+            let mean = DVec3::from_array(mean.map(f64::from));
+            !cameras.is_empty() && !watchers.any(mean, |_| true)
+        };
+        let unseen = splats.means.iter().filter(is_unseen).count() as f64 / splats.len().max(1) as f64;
+        let mut renderer = Renderer::new(&splats, threads);
+        let view = |camera: &Camera| {
+            let glimpse = Glimpse::of(&mut renderer, camera, is_compressed);
+            // From the same camera as the detail that it is compared with in `note_views`.
+            let detail = (!is_compressed).then(|| Detail::of(&mut renderer, glimpse.camera()));
+            View { glimpse, detail }
+        };
+        let views: Vec<View> = chosen(&cameras).map(view).collect();
+        let is_void = |view: &&View| !is_compressed && view.glimpse.shown() < SHOWN_MIN;
+        let void = views.iter().filter(is_void).count() as f64 / views.len().max(1) as f64;
+        let middle = middle(&cameras);
+        let radius = radius(&cameras, middle);
+        Self { cameras, views, unseen, void, middle, radius }
+    }
+
+    /// Whether the model does not fit its own cameras.
+    fn doubt(&self) -> Option<Doubt> {
+        if self.unseen > UNSEEN_MAX {
+            return Some(Doubt::Unseen(self.unseen));
+        }
+        (self.void >= 0.5).then_some(Doubt::Void(self.void))
+    }
+
+    /// Gap between the cameras of the two models, in radii of the larger flight; negative if the flights overlap. A
+    /// radius counts as at least 1 world unit.
+    fn gap_radii(&self, other: &Self) -> f64 {
+        let gap = self.middle.distance(other.middle) - self.radius - other.radius;
+        gap / self.radius.max(other.radius).max(1.0)
+    }
+}
+
+/// How many views confirm, and how many contradict, that two models show the same.
+#[derive(Default)]
+struct Relations {
+    /// For each pair of models, lower index first: the number of views that confirm, and the number that contradict.
+    views: BTreeMap<[usize; 2], [u32; 2]>,
+    /// How much the detail of the models differs.
+    differences: Differences,
+    /// The colours in which each pair of models shows the same surface. Models pruned before upload are left out: they
+    /// share with other models only ground that neither model shows well.
+    colors: Pairs,
+}
+
+impl Relations {
+    fn note(&mut self, one: usize, other: usize, is_confirmed: bool, views: u32) {
+        let pair = [one.min(other), one.max(other)];
+        self.views.entry(pair).or_default()[usize::from(!is_confirmed)] += views;
+    }
+
+    /// For each flight: if even the nearest other flight is too far away, notes that the two contradict each other.
+    fn note_distances(&mut self, shown: &[Shown]) {
+        let flights: Vec<usize> = (0..shown.len()).filter(|i| !shown[*i].cameras.is_empty()).collect();
+        for &one in &flights {
+            let gap = |other: usize| shown[one].gap_radii(&shown[other]);
+            let others = flights.iter().copied().filter(|other| *other != one);
+            let nearest = others.min_by(|a, b| gap(*a).total_cmp(&gap(*b)));
+            if let Some(nearest) = nearest.filter(|nearest| gap(*nearest) > GAP_MAX_RADII) {
+                self.note(one, nearest, false, CONTRADICTIONS_MIN);
+            }
+        }
+    }
+
+    /// Compares model `judged` with the pictures of all other models, wherever its cameras see the same ground.
+    fn note_views(
+        &mut self,
+        shown: &[Shown],
+        judged: usize,
+        locals: &dyn Locals,
+        threads: usize,
+    ) -> Result<(), MergeError> {
+        let cameras = &shown[judged].cameras;
+        let is_compressed = locals.is_compressed(judged);
+        let mut renderer = None;
+        for (other, its) in shown.iter().enumerate().filter(|(other, _)| *other != judged) {
+            for View { glimpse, detail } in &its.views {
+                let Some(shared) = glimpse.shared_with(cameras) else { continue };
+                let renderer = match &mut renderer {
+                    Some(renderer) => renderer,
+                    none => none.insert(Renderer::new(&locals.load(judged)?.splats, threads)),
+                };
+                let shown = Glimpse::of(renderer, glimpse.camera(), is_compressed);
+                if let Some(is_confirmed) = glimpse.is_confirmed_by(&shown, &shared, is_compressed) {
+                    self.note(judged, other, is_confirmed, 1);
+                }
+                let Some(detail) = detail.as_ref().filter(|_| !is_compressed) else { continue };
+                let difference = Detail::of(renderer, glimpse.camera()).difference(
+                    detail,
+                    &shared,
+                    glimpse.camera().size_px,
+                );
+                difference.into_iter().for_each(|found| self.differences.note(judged, other, found));
+                self.colors.note(other, judged, glimpse.colors_with(&shown, &shared));
+            }
+        }
+        Ok(())
+    }
+
+    /// Indices of the models that contradict model `one`, and the number of models that confirm it. Skips doubted
+    /// models.
+    fn of(&self, one: usize, doubts: &[Option<Doubt>]) -> (Vec<usize>, usize) {
+        let (mut foes, mut friends) = (Vec::new(), 0);
+        for (pair, [confirmed, contradicted]) in &self.views {
+            let other = match pair {
+                [a, b] if *a == one => *b,
+                [a, b] if *b == one => *a,
+                _ => continue,
+            };
+            if doubts[other].is_some() {
+                continue;
+            }
+            if contradicted > confirmed && *contradicted >= CONTRADICTIONS_MIN {
+                foes.push(other);
+            } else if confirmed > contradicted {
+                friends += 1;
+            }
+        }
+        (foes, friends)
+    }
+
+    /// Whether each model belongs to the largest group of models that share ground, directly or by way of others. Of
+    /// equally large groups, that with more cameras counts, then that with the lowest index. Skips doubted models.
+    fn verified(&self, linked: &[[usize; 2]], shown: &[Shown], doubts: &[Option<Doubt>]) -> Vec<bool> {
+        let confirmed = self.views.iter().filter(|(_, [confirmed, contradicted])| confirmed > contradicted);
+        let pairs = linked.iter().chain(confirmed.map(|(pair, _)| pair)).copied();
+        let groups = groups(pairs.filter(|pair| pair.iter().all(|i| doubts[*i].is_none())), shown.len());
+        let size = |group: usize| {
+            let of_group = || (0..shown.len()).filter(|i| groups[*i] == group);
+            let cameras: usize = of_group().map(|i| shown[i].cameras.len()).sum();
+            (of_group().count(), cameras, usize::MAX - group)
+        };
+        let sound = (0..shown.len()).filter(|i| doubts[*i].is_none());
+        let largest = sound.map(|i| groups[i]).max_by_key(|group| size(*group));
+        groups.iter().map(|group| Some(*group) == largest).collect()
+    }
+
+    /// Marks the worst model as doubtful, and repeats this until no two of the other models contradict each other.
+    fn doubt_contradicting(&self, shown: &[Shown], doubts: &mut [Option<Doubt>]) {
+        loop {
+            let sound = (0..shown.len()).filter(|i| doubts[*i].is_none());
+            let contradicting =
+                sound.map(|i| (i, self.of(i, doubts))).filter(|(_, (foes, _))| !foes.is_empty());
+            let badness = |i: usize, foes: usize, friends: usize| {
+                (foes as isize - friends as isize, usize::MAX - shown[i].cameras.len(), i)
+            };
+            let worst = contradicting.max_by_key(|(i, (foes, friends))| badness(*i, foes.len(), *friends));
+            let Some((worst, (foes, _))) = worst else { return };
+            doubts[worst] = Some(Doubt::Contradicts(foes));
+        }
+    }
+}
