@@ -66,9 +66,9 @@ impl Glimpse {
         Self { camera, rgb: rendering.rgb, depth, alpha: rendering.alpha }
     }
 
-    /// The camera, at the size of the picture.
-    pub(super) fn camera(&self) -> &Camera {
-        &self.camera
+    /// Width and height of the picture, px.
+    pub(super) fn size_px(&self) -> [u32; 2] {
+        self.camera.size_px
     }
 
     /// Share of the picture that shows a surface, 0..=1.

@@ -96,6 +96,7 @@ struct Shown {
 
 /// A view from one of a model's own cameras.
 struct View {
+    camera: Camera,
     glimpse: Glimpse,
     /// `None` for a model that was pruned before upload: what it lacks would count as an error.
     detail: Option<Detail>,
@@ -113,9 +114,8 @@ impl Shown {
         let mut renderer = Renderer::new(&splats, threads);
         let view = |camera: &Camera| {
             let glimpse = Glimpse::of(&mut renderer, camera, is_compressed);
-            // From the same camera as the detail that it is compared with in `note_views`.
-            let detail = (!is_compressed).then(|| Detail::of(&mut renderer, glimpse.camera()));
-            View { glimpse, detail }
+            let detail = (!is_compressed).then(|| Detail::of(&mut renderer, camera));
+            View { camera: *camera, glimpse, detail }
         };
         let views: Vec<View> = chosen(&cameras).map(view).collect();
         let is_void = |view: &&View| !is_compressed && view.glimpse.shown() < SHOWN_MIN;
@@ -184,22 +184,18 @@ impl Relations {
         let is_compressed = locals.is_compressed(judged);
         let mut renderer = None;
         for (other, its) in shown.iter().enumerate().filter(|(other, _)| *other != judged) {
-            for View { glimpse, detail } in &its.views {
+            for View { camera, glimpse, detail } in &its.views {
                 let Some(shared) = glimpse.shared_with(cameras) else { continue };
                 let renderer = match &mut renderer {
                     Some(renderer) => renderer,
                     none => none.insert(Renderer::new(&locals.load(judged)?.splats, threads)),
                 };
-                let shown = Glimpse::of(renderer, glimpse.camera(), is_compressed);
+                let shown = Glimpse::of(renderer, camera, is_compressed);
                 if let Some(is_confirmed) = glimpse.is_confirmed_by(&shown, &shared, is_compressed) {
                     self.note(judged, other, is_confirmed, 1);
                 }
                 let Some(detail) = detail.as_ref().filter(|_| !is_compressed) else { continue };
-                let difference = Detail::of(renderer, glimpse.camera()).difference(
-                    detail,
-                    &shared,
-                    glimpse.camera().size_px,
-                );
+                let difference = Detail::of(renderer, camera).difference(detail, &shared, glimpse.size_px());
                 difference.into_iter().for_each(|found| self.differences.note(judged, other, found));
                 self.colors.note(other, judged, glimpse.colors_with(&shown, &shared));
             }

@@ -53,7 +53,7 @@ impl Detail {
     }
 
     /// Mean squared difference of two models' detail in a picture, as a share of its mean square. `shared` are pixels
-    /// of a smaller picture of the same camera, of the size `of_px`; only detail inside them counts.
+    /// of a glimpse of the same camera, of the size `of_px`; only detail inside them counts.
     pub(super) fn difference(&self, other: &Self, shared: &[usize], of_px: [u32; 2]) -> Option<f64> {
         assert_eq!(self.size_px, other.size_px, "details are compared in pictures of one size");
         let [width, height] = self.size_px;
