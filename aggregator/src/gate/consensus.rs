@@ -86,7 +86,14 @@ mod tests {
             .map(|i| {
                 let other = point();
                 let trusted = if i % 3 == 0 { point() } else { wrong().apply(other) };
-                Pair { trusted, other, trusted_pixel_m: 0.1, other_pixel_m: 0.1 }
+                Pair {
+                    trusted,
+                    other,
+                    trusted_pixel_m: 0.1,
+                    other_pixel_m: 0.1,
+                    trusted_sight: DVec3::ZERO,
+                    other_sight: DVec3::ZERO,
+                }
             })
             .collect();
         let (found, count) = consensus(&pairs, 1.0).unwrap();

@@ -22,8 +22,8 @@ use super::similarity::Similarity;
 use crate::merge::{Locals, MergeError};
 
 /// A model stays where it is if its ground would move by at most this, root mean square, px of the compared pictures.
-/// The moves found for models of an undisturbed mission stay below this limit.
-const STAY_PX: f64 = 0.25;
+/// The moves found for models of undisturbed missions are at most half as large.
+const STAY_PX: f64 = 0.12;
 /// A model also stays if its ground would move by at most this many standard deviations of the measured move.
 const STAY_DEVIATIONS: f64 = 3.0;
 

@@ -56,6 +56,10 @@ pub(super) struct Pair {
     pub(super) trusted_pixel_m: f64,
     /// The same in the other model.
     pub(super) other_pixel_m: f64,
+    /// Unit vector from the camera to the point, in the trusted model's frame; zero if the pair has no camera.
+    pub(super) trusted_sight: DVec3,
+    /// The same in the other model's frame.
+    pub(super) other_sight: DVec3,
 }
 
 impl Matches {
@@ -72,12 +76,13 @@ impl Matches {
 
 impl Pair {
     fn swapped(&self) -> Self {
-        let Self { trusted, other, trusted_pixel_m, other_pixel_m } = *self;
         Self {
-            trusted: other,
-            other: trusted,
-            trusted_pixel_m: other_pixel_m,
-            other_pixel_m: trusted_pixel_m,
+            trusted: self.other,
+            other: self.trusted,
+            trusted_pixel_m: self.other_pixel_m,
+            other_pixel_m: self.trusted_pixel_m,
+            trusted_sight: self.other_sight,
+            other_sight: self.trusted_sight,
         }
     }
 }
@@ -112,6 +117,12 @@ impl Sight {
     pub(super) fn point(&self, x: usize, y: usize, at_px: DVec2) -> DVec3 {
         let depth = f64::from(self.rendering.depth[y * self.width + x]);
         self.camera.unproject(at_px, depth)
+    }
+
+    /// Unit vector from the camera into the world, through `at_px`.
+    fn sight(&self, at_px: DVec2) -> DVec3 {
+        let world_from_cam = self.camera.cam_from_world.rotation.inverse();
+        (world_from_cam * self.camera.ray(at_px)).normalize()
     }
 
     /// Width that the pixel `(x, y)` covers at its depth, world units.
@@ -261,6 +272,8 @@ pub(super) fn matches(trusted: &Sight, cameras: &[Camera], other: &Sight, reach_
             other: other.point(u, v, at_px),
             trusted_pixel_m: trusted.pixel_m(x, y),
             other_pixel_m: other.pixel_m(u, v),
+            trusted_sight: trusted.sight(middle(x, y)),
+            other_sight: other.sight(at_px),
         })
     };
     Matches { sought: corners.len(), found: corners.par_iter().filter_map(find).collect() }

@@ -62,6 +62,8 @@ fn matched(one: &[Feature], other: &[Feature]) -> Vec<Pair> {
             other: feature.at,
             trusted_pixel_m: one[best].pixel_m,
             other_pixel_m: feature.pixel_m,
+            trusted_sight: DVec3::ZERO,
+            other_sight: DVec3::ZERO,
         })
     };
     other.par_iter().filter_map(find).collect()

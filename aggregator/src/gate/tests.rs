@@ -93,6 +93,22 @@ fn a_model_that_its_own_cameras_do_not_show_is_kept_out() {
     assert_eq!(doubts.iter().flatten().count(), 1, "{doubts:?}");
 }
 
+#[test]
+fn a_model_without_splats_is_kept_out_and_one_without_anything_does_no_harm() {
+    let empty = Splats::with_capacity(0, flight(0.0).splats.sh_degree);
+    let mut models = flights();
+    models[1].splats = empty.clone();
+    let doubts = judge(models.clone());
+    assert!(matches!(doubts[1], Some(Doubt::Void(1.0))), "{doubts:?}");
+    assert_eq!(doubts.iter().flatten().count(), 1, "{doubts:?}");
+    models[1].cameras.clear();
+    for frames in [UNMOVED, MOVED] {
+        let locals = InMemory(models.clone());
+        let admitted = admit(&locals, frames, 2, &|| false).unwrap();
+        assert_eq!(admitted.doubts(), [None, Some(Doubt::Unverified), None, None]);
+    }
+}
+
 /// Flights over speckled ground. Model 1 shows other speckles on top, `error` times as strong. The pictures are larger
 /// than those that the gate renders.
 fn speckled_flights(error: f32) -> Vec<Model> {
