@@ -372,6 +372,29 @@ pub(super) mod tests {
     }
 
     #[test]
+    fn depths_that_are_wrong_over_a_whole_region_hardly_move_a_model() {
+        let mut dice = Dice(5);
+        let pair = |_| {
+            let ground = DVec3::new(60.0, 60.0, 1.0) * dice.vector();
+            let sight = (DVec3::new(0.6, 0.6, 0.0) * dice.vector() - DVec3::Z).normalize();
+            // The east of the second model lies too deep.
+            let too_deep = if ground.x > 0.0 { PIXEL_M } else { 0.0 };
+            Pair {
+                trusted: ground,
+                other: ground + too_deep * sight + 0.1 * PIXEL_M * dice.vector(),
+                trusted_pixel_m: PIXEL_M,
+                other_pixel_m: PIXEL_M,
+                trusted_sight: sight,
+                other_sight: sight,
+            }
+        };
+        let links = [Link { models: [0, 1], pairs: (0..1000).map(pair).collect() }];
+        let found = adjust(&links, &[Some(Similarity::IDENTITY); 2], &[true, false]);
+        let off_px = difference_px(&links, 1, &found[1].unwrap().by, &Similarity::IDENTITY);
+        assert!(off_px < 0.2, "{off_px} px");
+    }
+
+    #[test]
     fn fewer_points_leave_a_larger_deviation() {
         let deviation_px = |count: usize| {
             let mut dice = Dice(3);
