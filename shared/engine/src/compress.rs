@@ -141,7 +141,8 @@ struct Verdict {
 
 impl Ground<'_> {
     /// `own` is the index of the model that is compressed. The owner of a place is the model whose observations are
-    /// worth most; of several, the first.
+    /// worth most; of several, the first. A model that repeats the observations of an earlier one loses its splats:
+    /// with both, the surface would be there twice.
     fn verdict(&self, place: DVec3, own: usize) -> Verdict {
         let worth = |near: &Near| {
             let (seers, worth) = near.worth(place, self.slopes);
@@ -149,13 +150,14 @@ impl Ground<'_> {
         };
         let of_own = worth(&self.near[own]);
         let others = self.near.iter().enumerate().filter(|(model, _)| *model != own);
-        let (mut most, mut better, mut is_shared) = (of_own, 0, false);
+        let (mut most, mut better, mut is_shared, mut is_repeated) = (of_own, 0, false, false);
         for (model, worth) in others.map(|(model, near)| (model, worth(near))) {
             is_shared |= worth > 0.0;
             most = worth.max(most);
-            better += usize::from(worth > of_own || (worth == of_own && worth > 0.0 && model < own));
+            better += usize::from(worth > of_own);
+            is_repeated |= worth == of_own && worth > 0.0 && model < own;
         }
-        let is_lost = most > self.better_min * of_own || better >= KEEPERS_MAX;
+        let is_lost = is_repeated || most > self.better_min * of_own || better >= KEEPERS_MAX;
         Verdict { is_lost, is_shared }
     }
 

@@ -116,16 +116,25 @@ fn ground_that_two_models_observed_almost_as_well_stays_with_both() {
     assert_eq!(announced(BETTER_MIN_ANNOUNCED + 0.01), [0.0, 1.0]);
 }
 
+/// The models that keep their ground, of models whose cameras have these focal lengths.
+fn keepers(focals_px: &[f64]) -> Vec<usize> {
+    let models: Vec<_> = focals_px.iter().map(|focal_px| (ground(), cameras(4, *focal_px), 1.0)).collect();
+    let observers = known(&models);
+    let is_kept = |own: &usize| Compression::plan(&ground(), *own, &observers).removed.is_empty();
+    (0..models.len()).filter(is_kept).collect()
+}
+
 #[test]
 fn of_many_models_two_keep_their_ground() {
-    let kept = |models: usize| -> Vec<usize> {
-        let observers = known(&vec![(ground(), cameras(4, 100.0), 1.0); models]);
-        let is_kept = |own: &usize| Compression::plan(&ground(), *own, &observers).removed.is_empty();
-        (0..models).filter(is_kept).collect()
-    };
-    assert_eq!(kept(1), [0]);
-    assert_eq!(kept(2), [0, 1]);
-    assert_eq!(kept(5), [0, 1]);
+    assert_eq!(keepers(&[100.0]), [0]);
+    assert_eq!(keepers(&[100.0, 101.0]), [0, 1]);
+    assert_eq!(keepers(&[100.0, 102.0, 99.0, 101.0, 98.0]), [1, 3]);
+}
+
+#[test]
+fn of_equal_observations_the_first_models_ground_is_kept() {
+    assert_eq!(keepers(&[100.0; 2]), [0]);
+    assert_eq!(keepers(&[100.0, 99.0, 99.0]), [0, 1]);
 }
 
 #[test]
