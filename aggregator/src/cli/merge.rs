@@ -98,6 +98,11 @@ impl Locals for Folders<'_> {
         let bytes = std::fs::read(&path).map_err(|cause| SceneError::io(&path, cause))?;
         let cameras: Vec<Camera> = serde_json::from_slice(&bytes)
             .map_err(|error| SceneError::malformed(&path, error.to_string()))?;
+        let is_blind = |camera: &Camera| camera.size_px.contains(&0) || camera.focal_px.min_element() <= 0.0;
+        if let Some(i) = cameras.iter().position(is_blind) {
+            let reason = format!("camera {i} has no pixels, or a focal length that is not above 0");
+            return Err(SceneError::malformed(&path, reason).into());
+        }
         Ok(Model { splats, cameras })
     }
 }
@@ -185,5 +190,42 @@ fn show(progress: &MergeProgress) {
     if stderr.is_terminal() {
         let MergeProgress { step, steps, psnr } = progress;
         let _ = write!(stderr, "\rstep {step} of {steps} · {psnr:.2} dB "); // write errors are ignored: the merge goes on
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use cosurf_scene::{Pose, Splats};
+    use glam::{DVec2, DVec3};
+
+    use super::*;
+
+    #[test]
+    fn cameras_without_pixels_or_focal_lengths_are_refused_by_name() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut splats = Splats::with_capacity(1, 0);
+        splats.push([0.0; 3], [1.0, 0.0, 0.0, 0.0], [0.0; 3], 1.0, &[0.5; 3]);
+        ply::write(&folder.path().join("model.ply"), &splats).unwrap();
+        let camera = Camera {
+            cam_from_world: Pose::look_at(DVec3::Z, DVec3::ZERO, DVec3::Y),
+            focal_px: DVec2::splat(10.0),
+            center_px: DVec2::splat(5.0),
+            size_px: [10, 10],
+        };
+        let load = |second: Camera| {
+            let text = serde_json::to_vec(&[camera, second]).unwrap();
+            std::fs::write(folder.path().join("cameras.json"), text).unwrap();
+            Folders(&[folder.path().to_owned()]).load(0).map_err(|error| error.to_string())
+        };
+        assert!(load(camera).is_ok_and(|model| model.cameras.len() == 2));
+        for blind in [
+            Camera { size_px: [0, 10], ..camera },
+            Camera { focal_px: DVec2::new(-1.0, 10.0), ..camera },
+            Camera { focal_px: DVec2::ZERO, ..camera },
+        ] {
+            let error = load(blind).unwrap_err();
+            assert!(error.contains("cameras.json") && error.contains("camera 1 has no pixels"), "{error}");
+        }
     }
 }
