@@ -8,10 +8,11 @@ use std::time::Instant;
 
 use anyhow::{Result, ensure};
 use clap::Args;
-use cosurf_aggregator::gate::{Fit, Place, admit};
+use cosurf_aggregator::gate::{Place, admit};
 use cosurf_aggregator::merge::{
     LocalSummary, Locals, MergeError, MergeProgress, MergeSettings, MergeSummary, merge,
 };
+use cosurf_aggregator::service::{FitRecord, Fitted};
 use cosurf_contract::counted;
 use cosurf_engine::DeviceChoice;
 use cosurf_link::Model;
@@ -131,12 +132,15 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
     let seconds = begun.elapsed().as_secs_f64();
     let mut stdout = io::stdout().lock();
     if args.json {
+        let places = (0..admitted.count()).map(|place| admitted.place(place));
+        let fitted: Vec<Fitted> = places.filter_map(|place| Fitted::of(&names[place.local], place)).collect();
+        let fits: Vec<FitRecord> = admitted.fits().iter().map(|fit| FitRecord::of(&names, fit)).collect();
         let line = serde_json::json!({
             "seconds": seconds,
             "merge": merged.summary,
             "kept_out": kept_out,
-            "places": (0..admitted.count()).map(|i| told(&admitted.place(i), &names)).collect::<Vec<_>>(),
-            "fits": admitted.fits().iter().map(|fit| told_fit(fit, &names)).collect::<Vec<_>>(),
+            "fitted": fitted,
+            "fits": fits,
         });
         writeln!(stdout, "{line}")?;
         return Ok(());
@@ -166,22 +170,6 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
     writeln!(stdout, "{joined} joined, {splats} after {steps}, in {seconds:.1} s ({device})")?;
     writeln!(stdout, "{}", args.out.join("global.ply").display())?;
     Ok(())
-}
-
-/// How a model takes part, for scripts.
-fn told(place: &Place, names: &[String]) -> serde_json::Value {
-    let Place { local, weight, is_verified, by, tone } = place;
-    serde_json::json!({
-        "folder": names[*local], "by": by.map(|by| by.by), "distance_m": by.map(|by| by.distance_m), "tone": tone,
-        "weight": weight, "unverified": !is_verified,
-    })
-}
-
-/// How well two models fit, for scripts.
-fn told_fit(fit: &Fit, names: &[String]) -> serde_json::Value {
-    let Fit { models, points, before_px, after_px } = *fit;
-    let folders = models.map(|i| names[i].as_str());
-    serde_json::json!({"folders": folders, "points": points, "before_px": before_px, "after_px": after_px})
 }
 
 /// Redraws the progress line on a terminal; prints nothing elsewhere.

@@ -28,9 +28,8 @@ const STEP_MIN_PX: f64 = 1e-4;
 const CORRELATION: f64 = 10.0;
 
 /// Depths err in one direction over whole regions, above all where the ground is flat. So residuals along the line of
-/// sight count less than their spread suggests, by this factor. With a share of depth ([`State::depth_share`]) of 1,
-/// undisturbed models of Caliterra appear to be 0.22 px off, and moving them loses 0.16 dB; with 0.1 it is 0.06 px, and
-/// nothing is lost.
+/// sight count less than their spread suggests, by this factor. With a [`State::depth_share`] of 1, undisturbed models
+/// of Caliterra appear to be 0.22 px off, and moving them loses 0.16 dB; with 0.1 it is 0.06 px, and nothing is lost.
 const DEPTH_TRUST: f64 = 0.4;
 /// Number of times that the share of depth is estimated anew.
 const DEPTH_ESTIMATES: usize = 2;
@@ -130,8 +129,8 @@ impl State<'_> {
         }
     }
 
-    /// The share of depth that fits the residuals: the median across the line of sight, divided by the median along it,
-    /// times [`DEPTH_TRUST`]. The medians are those of all pairs.
+    /// A value for `depth_share`: the median residual of all pairs across the line of sight, divided by the median
+    /// along it, times [`DEPTH_TRUST`].
     fn estimated_depth_share(&self) -> f64 {
         let (mut across, mut along) = (Vec::new(), Vec::new());
         for Link { models, pairs } in self.links {

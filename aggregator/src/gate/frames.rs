@@ -55,7 +55,7 @@ pub struct Fit {
     /// Number of points of the ground that were found in both models.
     pub points: usize,
     /// Median distance between a point in one model and the same point in the other, before any model was moved, px of
-    /// pictures with a long side of 320 px.
+    /// the compared pictures. Their long side is 320 px, or less if the models' own pictures are smaller.
     pub before_px: f64,
     /// The same after the models were moved.
     pub after_px: f64,

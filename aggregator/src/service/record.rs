@@ -108,14 +108,15 @@ pub struct FitRecord {
     /// Number of points of the ground that were found in both models.
     pub points: usize,
     /// Median distance between a point in one model and the same point in the other, before any model was moved, px of
-    /// pictures with a long side of 320 px.
+    /// the compared pictures. Their long side is 320 px, or less if the models' own pictures are smaller.
     pub before_px: f64,
     /// The same after the models were moved.
     pub after_px: f64,
 }
 
 impl FitRecord {
-    pub(super) fn of(names: &[String], fit: &Fit) -> Self {
+    /// `names` has the name of every device that sent a model, by the index of the model.
+    pub fn of(names: &[String], fit: &Fit) -> Self {
         let Fit { models, points, before_px, after_px } = *fit;
         Self { devices: models.map(|i| names[i].clone()), points, before_px, after_px }
     }
@@ -149,7 +150,7 @@ fn is_false(value: &bool) -> bool {
 
 impl Fitted {
     /// `None` if there is nothing to tell.
-    pub(super) fn of(device: &str, place: Place) -> Option<Self> {
+    pub fn of(device: &str, place: Place) -> Option<Self> {
         let Place { by, tone, weight, is_verified, .. } = place;
         let fitted = Self {
             device: device.to_string(),

@@ -37,8 +37,8 @@ const OWNER_CAMERAS_MIN: usize = 2;
 /// its own. Against a factor of 1, that gives the merged models of rendered Boruszyn and Caliterra 0.03 dB and 8 % more
 /// splats.
 const BETTER_MIN: f64 = 1.15;
-/// The same factor for devices, which judge by the cameras alone before they upload. Against a factor of 1, it costs 3
-/// % more bytes and gains 0.01 dB on Caliterra.
+/// The same factor for devices, which judge by the cameras alone before they upload. Against a factor of 1, it costs
+/// 3 % more bytes and gains 0.01 dB on Caliterra.
 const BETTER_MIN_ANNOUNCED: f64 = 1.08;
 /// Largest number of models that keep their splats of a place.
 const KEEPERS_MAX: usize = 2;
