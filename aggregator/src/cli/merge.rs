@@ -58,7 +58,8 @@ impl Ways {
 /// from its own cameras (Model Aggregation Scheme).
 #[derive(Args)]
 pub(crate) struct MergeArgs {
-    /// Output folders of agents or merges, each with cameras.json and either model.ply or global.ply
+    /// Output folders of agents or merges, each with cameras.json and either model.ply or global.ply. Where nothing
+    /// else decides between two models, the earlier one is preferred, so another order may give other bytes
     #[arg(required = true, value_name = "FOLDER")]
     models: Vec<PathBuf>,
     /// Output folder for global.ply and cameras.json
