@@ -1,48 +1,64 @@
 //! Merges local models into one (CoSurfGS, "Local Model Compression" and "Model Aggregation Scheme"). Where models
 //! overlap, only the one or two that observed the ground best keep their splats. The remaining splats of all models are
 //! joined. Then the joined model is distilled: it is trained on what each local model renders for its own cameras. No
-//! photographs are needed: the aggregator never receives any.
+//! photographs are needed: the aggregator never receives any. The ground is divided into tiles, and each tile is
+//! distilled by itself.
 //!
 //! The result depends only on the models and their order, on the settings, and on the computing device. It has the same
-//! bytes for every caller and for any number of threads. A merge that is interrupted and started again gives the same
+//! bytes for every caller, for any number of threads and for any memory limit. A merge that is interrupted and started again gives the same
 //! bytes too.
 //!
 //! What it knows nothing about: where models are stored ([`Locals`] loads them), and which models can be trusted
 //! ([`crate::gate`] decides).
 //!
-//! Where to start reading: [`merge`], the list of steps; then [`cosurf_engine::compress`]; then [`distill`] with its
-//! [`lessons`] and [`teachers`]; [`memory`] for what fits into the memory; [`fill_in()`] for models that have arrived
-//! only in part.
+//! Where to start reading: [`merge`], the list of steps; then [`cosurf_engine::compress`]; then [`mod@distill`],
+//! which divides a [`site`] into [`tiles`], makes a [`plan`] for each, and lets each [`learn`] from its [`teachers`];
+//! [`pages`] for splats in files; [`memory`] for what fits; [`fill_in()`] for models that have arrived only in part.
 
+mod book;
 pub(crate) mod cameras;
 mod computer;
 mod concat;
+mod crop;
 mod distill;
 mod error;
 mod fill_in;
+mod learn;
 mod lessons;
 mod locals;
 mod memory;
+mod pages;
+mod plan;
+mod scratch;
 mod settings;
+mod site;
 mod teachers;
 #[cfg(test)]
 mod tests;
+mod tiles;
 
 use std::ops::ControlFlow;
+use std::path::Path;
 
 use cosurf_engine::{Compression, Observers};
 use cosurf_link::Model;
+use cosurf_scene::Splats;
 use serde::{Deserialize, Serialize};
 use tracing::{debug_span, info_span};
 
 use computer::Computer;
 pub(crate) use concat::concatenate;
 pub use distill::MergeProgress;
+use distill::distill;
 pub use error::MergeError;
 pub use fill_in::fill_in;
+use lessons::lessons;
 pub use locals::{InMemory, Locals};
 use locals::{Surveyed, survey};
+use memory::TILE_SPLATS_MAX;
+use scratch::Scratch;
 pub use settings::MergeSettings;
+use site::Site;
 
 /// A camera teaches only if its model shows a surface in at least this share of its picture.
 const SHOWN_MIN: f64 = 0.1;
@@ -88,12 +104,26 @@ pub struct LocalSummary {
     pub removed: usize,
 }
 
-/// Merges all of `locals` with `threads` (at least 1) CPU threads. Calls `tell` after every step of the distillation;
-/// `tell` may stop the merge. If a graphics card that was chosen automatically fails, the merge starts over on the CPU.
+/// Merges all of `locals` with `threads` (at least 1) CPU threads. What does not stay in memory goes to files in the
+/// folder `scratch`; none is left at the end. Calls `tell` after every step of the distillation; `tell` may stop the
+/// merge. If a graphics card that was chosen automatically fails, the merge starts over on the CPU.
 pub fn merge(
     locals: &dyn Locals,
     settings: &MergeSettings,
+    scratch: &Path,
     threads: usize,
+    tell: &mut dyn FnMut(MergeProgress) -> ControlFlow<()>,
+) -> Result<Merged, MergeError> {
+    merge_in_tiles(locals, settings, scratch, threads, TILE_SPLATS_MAX, tell)
+}
+
+/// As [`merge`], with at most `tile_splats` splats in a tile.
+fn merge_in_tiles(
+    locals: &dyn Locals,
+    settings: &MergeSettings,
+    scratch: &Path,
+    threads: usize,
+    tile_splats: usize,
     tell: &mut dyn FnMut(MergeProgress) -> ControlFlow<()>,
 ) -> Result<Merged, MergeError> {
     let _span = info_span!("merge", models = locals.count()).entered();
@@ -101,39 +131,89 @@ pub fn merge(
     let splats = surveyed.sizes.iter().sum();
     let device = computer::choose(settings, splats, surveyed.sh_degree, &surveyed.cameras)?;
     let computer = Computer { device, threads };
-    computer.run(settings.device, |computer| merge_by(computer, &surveyed, settings, tell))
+    computer.run(settings.device, |computer| {
+        let summary = MergeSummary { device: computer.device.to_string(), ..MergeSummary::default() };
+        let mut merger = Merger { surveyed: &surveyed, settings, computer, tile_splats, summary };
+        let model = merger.merge(scratch, tell)?;
+        Ok(Merged { model, summary: merger.summary })
+    })
 }
 
-fn merge_by(
-    computer: &Computer,
-    surveyed: &Surveyed,
-    settings: &MergeSettings,
-    tell: &mut dyn FnMut(MergeProgress) -> ControlFlow<()>,
-) -> Result<Merged, MergeError> {
-    let mut summary = MergeSummary { device: computer.device.to_string(), ..MergeSummary::default() };
-    let observers = if settings.compress { Some(observers(computer, surveyed)?) } else { None };
-    let mut parts = Vec::with_capacity(surveyed.sizes.len());
-    for (i, &arrived) in surveyed.sizes.iter().enumerate() {
-        let Model { splats, cameras } = surveyed.locals.load(i)?;
-        let plan = |observers| Compression::plan(&splats, i, observers);
-        let Compression { overlap, removed } = observers.as_ref().map(plan).unwrap_or_default();
-        summary.locals.push(LocalSummary { arrived, overlap, removed: removed.len() });
-        parts.push(Model { splats: splats.without(&removed), cameras });
+/// A merge on one device.
+struct Merger<'a> {
+    surveyed: &'a Surveyed<'a>,
+    settings: &'a MergeSettings,
+    computer: &'a Computer,
+    /// Largest number of splats of a tile.
+    tile_splats: usize,
+    summary: MergeSummary,
+}
+
+impl Merger<'_> {
+    fn merge(
+        &mut self,
+        scratch: &Path,
+        tell: &mut dyn FnMut(MergeProgress) -> ControlFlow<()>,
+    ) -> Result<Model, MergeError> {
+        // A single model has nothing to learn: it would be its own teacher.
+        let is_taught = self.settings.epochs > 0 && self.surveyed.sizes.len() > 1;
+        let is_observed = self.settings.compress || is_taught;
+        let observers =
+            if is_observed { observers(self.computer, self.surveyed)? } else { Observers::default() };
+        let splats = match is_taught {
+            true => self.taught(observers, Scratch::new(scratch)?, tell)?,
+            false => self.joined(&observers)?,
+        };
+        self.summary.splats = splats.len();
+        Ok(Model { splats, cameras: self.surveyed.cameras.concat() })
     }
-    let mut model = debug_span!("join").in_scope(|| concatenate(&parts));
-    summary.joined = model.splats.len();
-    // A single model has nothing to learn: it would be its own teacher.
-    let is_taught = settings.epochs > 0 && parts.len() > 1;
-    if is_taught && !model.splats.is_empty() && !model.cameras.is_empty() {
-        let sizes: Vec<usize> = parts.iter().map(|part| part.splats.len()).collect();
-        drop(parts);
-        let standings: Option<Vec<Vec<f64>>> = observers.map(|observers| standings(&observers, surveyed));
-        let distilled =
-            distill::distill(surveyed, &sizes, model.splats, standings.as_deref(), settings, computer, tell)?;
-        (model.splats, summary.steps) = (distilled.splats, distilled.steps);
+
+    /// The splats of all models that stay after compression.
+    fn joined(&mut self, observers: &Observers) -> Result<Splats, MergeError> {
+        let mut parts = Vec::with_capacity(self.surveyed.sizes.len());
+        for i in 0..self.surveyed.sizes.len() {
+            let Model { splats, .. } = self.surveyed.locals.load(i)?;
+            parts.push(Model { splats: self.compressed(i, &splats, observers), cameras: Vec::new() });
+        }
+        Ok(debug_span!("join").in_scope(|| concatenate(&parts)).splats)
     }
-    summary.splats = model.splats.len();
-    Ok(Merged { model, summary })
+
+    /// The same after distillation.
+    fn taught(
+        &mut self,
+        observers: Observers,
+        scratch: Scratch,
+        tell: &mut dyn FnMut(MergeProgress) -> ControlFlow<()>,
+    ) -> Result<Splats, MergeError> {
+        let Surveyed { locals, cameras, sizes, sh_degree } = self.surveyed;
+        let surfaces = (0..sizes.len()).map(|local| observers.surfaces(local)).collect();
+        let mut site = Site::new(scratch, cameras, surfaces, *sh_degree)?;
+        for i in 0..sizes.len() {
+            let model = locals.load(i)?;
+            let kept = self.compressed(i, &model.splats, &observers);
+            site.add(&model, &kept)?;
+        }
+        let standings = self.settings.compress.then(|| standings(&observers, self.surveyed));
+        drop(observers);
+        let teaches = |local: usize| standings.is_some() || !locals.is_compressed(local);
+        let lessons = lessons(cameras, standings.as_deref(), teaches);
+        let tiles = site.tiles(self.tile_splats);
+        let distilled = distill(&site, tiles, &lessons, self.settings, self.computer, tell)?;
+
+        self.summary.steps = distilled.steps;
+        Ok(distilled.splats)
+    }
+
+    /// The splats of a model that stay after compression.
+    fn compressed(&mut self, index: usize, splats: &Splats, observers: &Observers) -> Splats {
+        let Compression { overlap, removed } = match self.settings.compress {
+            true => Compression::plan(splats, index, observers),
+            false => Compression::default(),
+        };
+        self.summary.locals.push(LocalSummary { arrived: splats.len(), overlap, removed: removed.len() });
+        self.summary.joined += splats.len() - removed.len();
+        splats.without(&removed)
+    }
 }
 
 /// The standing of each model at each of its cameras; 0 for cameras that see hardly any surface, and for all cameras of

@@ -5,6 +5,7 @@
 mod held_out;
 mod mission;
 
+use std::env::temp_dir;
 use std::ops::ControlFlow;
 
 use anyhow::{Context, Result};
@@ -39,7 +40,8 @@ fn main() -> Result<()> {
     let views = HeldOut::read(&Dataset::open(&mission.data)?, |camera| camera.resized(size_px))?;
     let settings = MergeSettings { epochs, ..MergeSettings::default() };
     let merged = |models: Vec<Model>| -> Result<Model> {
-        Ok(merge(&InMemory(models), &settings, THREADS, &mut |_| ControlFlow::Continue(()))?.model)
+        Ok(merge(&InMemory(models), &settings, &temp_dir(), THREADS, &mut |_| ControlFlow::Continue(()))?
+            .model)
     };
     let psnr = |model: &Model| views.psnr(&views.render(&model.splats));
     let all = psnr(&merged(whole.clone())?);

@@ -6,6 +6,7 @@
 mod held_out;
 mod mission;
 
+use std::env::temp_dir;
 use std::f64::consts::{FRAC_PI_2, PI};
 use std::fs;
 use std::ops::ControlFlow;
@@ -135,7 +136,7 @@ impl Joined {
         let (locals, settings) = (InMemory(models), MergeSettings::default());
         let admitted = admit(&locals, (&settings).into(), THREADS, &|| false)?;
         self.tell(&admitted);
-        Ok(merge(&admitted, &settings, THREADS, &mut |_| ControlFlow::Continue(()))?.model)
+        Ok(merge(&admitted, &settings, &temp_dir(), THREADS, &mut |_| ControlFlow::Continue(()))?.model)
     }
 
     /// Prints which models take part, which are kept out and why, and which are moved.

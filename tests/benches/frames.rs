@@ -7,6 +7,7 @@ mod mission;
 mod surface;
 mod wrong;
 
+use std::env::temp_dir;
 use std::ops::ControlFlow;
 
 use anyhow::{Context, Result};
@@ -145,7 +146,7 @@ impl Yardstick {
 fn merged(models: Vec<Model>, settings: &MergeSettings, truth: Option<&[Model]>) -> Result<Model> {
     let locals = InMemory(models);
     let admitted = admit(&locals, settings.into(), THREADS, &|| false)?;
-    let model = merge(&admitted, settings, THREADS, &mut |_| ControlFlow::Continue(()))?.model;
+    let model = merge(&admitted, settings, &temp_dir(), THREADS, &mut |_| ControlFlow::Continue(()))?.model;
     let Some(truth) = truth else { return Ok(model) };
     let right = (0..admitted.count()).map(|i| &truth[admitted.place(i).local]);
     Ok(between([&model], right).context("too few cameras")?.model(&model))

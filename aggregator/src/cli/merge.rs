@@ -124,7 +124,7 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
     let kept_out: Vec<String> =
         admitted.kept_out(&names).map(|(i, why)| format!("{} {why}", names[i])).collect();
     ensure!(admitted.count() > 0, "nothing to merge: {}", kept_out.join("; "));
-    let merged = merge(&admitted, &settings, threads, &mut tell)?;
+    let merged = merge(&admitted, &settings, &args.out, threads, &mut tell)?;
     std::fs::create_dir_all(&args.out).map_err(|cause| SceneError::io(&args.out, cause))?;
     ply::write(&args.out.join("global.ply"), &merged.model.splats)?;
     let cameras = args.out.join("cameras.json");

@@ -1,11 +1,12 @@
 //! The device that computes a merge: the CPU or a graphics card.
 
-use cosurf_engine::budget::DRIVER_BYTES;
-use cosurf_engine::{Device, DeviceChoice, DeviceError};
-use cosurf_scene::Camera;
+use cosurf_engine::backend::Channels;
+use cosurf_engine::budget::{Costs, DRIVER_BYTES, PAIRS_PER_SEEN_SPLAT, PROCESS_BYTES};
+use cosurf_engine::{Capacity, Device, DeviceChoice, DeviceError};
+use cosurf_scene::{Camera, Splats};
 
 use super::error::MergeError;
-use super::memory::student_room;
+use super::memory::{STUDENT_SPLATS, student_bytes};
 use super::settings::MergeSettings;
 
 /// A computing device, and the number of CPU threads, at least 1.
@@ -16,14 +17,17 @@ pub(super) struct Computer {
 }
 
 impl Computer {
-    /// Runs `work`. If a graphics card that was chosen automatically fails, runs `work` again on the CPU.
+    /// Runs `work`. If a graphics card that was chosen automatically fails or needs too much memory, runs `work` again on
+    /// the CPU.
     pub(super) fn run<T>(
         self,
         choice: DeviceChoice,
         mut work: impl FnMut(&Self) -> Result<T, MergeError>,
     ) -> Result<T, MergeError> {
         match work(&self) {
-            Err(MergeError::Device(_)) if choice == DeviceChoice::Auto && self.device.is_gpu() => {
+            Err(MergeError::Device(_) | MergeError::TooLittleMemory { .. })
+                if choice == DeviceChoice::Auto && self.device.is_gpu() =>
+            {
                 work(&Self { device: Device::Cpu, ..self })
             }
             done => done,
@@ -31,8 +35,8 @@ impl Computer {
     }
 }
 
-/// Opens the chosen device. With [`DeviceChoice::Auto`], a graphics card is used only if all models can be trained at
-/// once, within the memory limit of the merge and with buffers that the card can bind.
+/// Opens the chosen device. With [`DeviceChoice::Auto`], a graphics card is used only if a large tile fits within the
+/// memory limit of the merge, with buffers that the card can bind.
 pub(super) fn choose(
     settings: &MergeSettings,
     splats: usize,
@@ -45,14 +49,19 @@ pub(super) fn choose(
     if !settings.compress && settings.epochs == 0 {
         return Ok(Device::Cpu); // there is nothing to compute
     }
-    let has_room = |device: &Device, memory_bytes: u64| {
-        splats <= student_room(device, &MergeSettings { memory_bytes, ..*settings }, sh_degree, cameras)
+    let all: Vec<Camera> = cameras.iter().flatten().copied().collect();
+    let shape = Capacity::to_train(&Splats::with_capacity(0, sh_degree), &all, Channels::Geometry);
+    let has_room = |device: &Device, driver_bytes: u64| {
+        let splats = splats.min(STUDENT_SPLATS);
+        let costs = Costs::of(&shape, device.binding_bytes_max());
+        let bytes = student_bytes(&costs, &shape, splats) + PROCESS_BYTES + driver_bytes;
+        bytes <= settings.memory_bytes && splats <= costs.splats_max(PAIRS_PER_SEEN_SPLAT)
     };
     // Looking for a card loads drivers, which keep their memory even if no card is found. So the CPU must have enough
-    // room without that memory.
-    if !has_room(&Device::Cpu, settings.memory_bytes.saturating_sub(DRIVER_BYTES)) {
+    // room beside that memory.
+    if !has_room(&Device::Cpu, DRIVER_BYTES) {
         return Ok(Device::Cpu);
     }
     let device = settings.device.open()?;
-    Ok(if has_room(&device, settings.memory_bytes) { device } else { Device::Cpu })
+    Ok(if has_room(&device, DRIVER_BYTES) { device } else { Device::Cpu })
 }

@@ -20,6 +20,14 @@ pub enum MergeError {
     /// The device is not available, or failed during the merge.
     #[error(transparent)]
     Device(#[from] DeviceError),
+    /// The memory limit is too small for one tile of the ground.
+    #[error("a memory limit of {memory_bytes} bytes is too small; this merge needs at least {needed_bytes} (--memory {}MiB, or merge_memory_bytes in aggregator.toml)", needed_bytes.div_ceil(1 << 20))]
+    TooLittleMemory {
+        /// The memory limit, bytes.
+        memory_bytes: u64,
+        /// The smallest sufficient limit, bytes.
+        needed_bytes: u64,
+    },
     /// The caller stopped the merge.
     #[error("the merge was stopped")]
     GivenUp,

@@ -11,7 +11,7 @@
 //! A model pruned before upload is not used as a teacher if it renders black where splats were removed. The ground that
 //! it does show is in the joined model already. Filling the gaps in its renderings from the joined model does not help.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 #[cfg(doc)]
 use cosurf_engine::Observers;
@@ -54,12 +54,6 @@ pub(super) fn lessons(
     lessons
 }
 
-/// The cameras of all models, without those that have the pose of an earlier one.
-pub(super) fn distinct(cameras: &[Vec<Camera>]) -> Vec<Camera> {
-    let mut known = BTreeSet::new();
-    cameras.iter().flatten().filter(|camera| known.insert(camera.cam_from_world.bits())).copied().collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -93,15 +87,8 @@ mod tests {
     fn the_same_view_at_another_size_is_taught_once() {
         let west = flight(&[0.0, 1.0, 2.0]); // centre at 1
         let small: Vec<Camera> = [2.0, 5.0].map(|x| above(x).resized([12, 8])).to_vec(); // centre at 3.5
-        let both = [west.clone(), small];
+        let both = [west, small];
         assert_eq!(lessons(&both, None, |_| true), [vec![0, 1, 2], vec![1]]);
-        assert_eq!(distinct(&both), [&west[..], &both[1][1..]].concat());
-    }
-
-    #[test]
-    fn distinct_cameras_have_no_duplicates() {
-        let [west, east] = [flight(&[0.0, 1.0, 2.0]), flight(&[2.0, 1.0, 5.0])];
-        assert_eq!(distinct(&[west, Vec::new(), east]), flight(&[0.0, 1.0, 2.0, 5.0]));
     }
 
     #[test]

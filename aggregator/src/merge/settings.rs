@@ -18,9 +18,8 @@ pub struct MergeSettings {
     /// part too; otherwise it is kept out, because its frame may be another one.
     #[serde(default)]
     pub vouched: bool,
-    /// Limit on the bytes of all models and the distillation together. If it is too small for all models at once,
-    /// teachers are reloaded from the disk, and parts of the model are distilled one after the other. Distilling in
-    /// parts changes the result.
+    /// Limit on the bytes of the distillation. It decides how many tiles of the ground are distilled at once, and does
+    /// not change the result. A limit that is too small for the largest tile is an error.
     pub memory_bytes: u64,
     /// Seed of every random choice.
     pub seed: u64,

@@ -28,8 +28,26 @@ pub(crate) fn neighbours() -> InMemory {
     InMemory(vec![west, east])
 }
 
-fn run(locals: &InMemory, settings: &MergeSettings, threads: usize) -> Merged {
-    merge(locals, settings, threads, &mut |_| ControlFlow::Continue(())).unwrap()
+fn run(locals: &dyn Locals, settings: &MergeSettings, threads: usize) -> Merged {
+    try_to_run(locals, settings, threads, &mut |_| ControlFlow::Continue(())).unwrap()
+}
+
+fn try_to_run(
+    locals: &dyn Locals,
+    settings: &MergeSettings,
+    threads: usize,
+    tell: &mut dyn FnMut(MergeProgress) -> ControlFlow<()>,
+) -> Result<Merged, MergeError> {
+    merge(locals, settings, tempfile::tempdir().unwrap().path(), threads, tell)
+}
+
+/// Merges with tiles of at most `tile_splats` splats.
+fn in_tiles(locals: &dyn Locals, settings: &MergeSettings, threads: usize, tile_splats: usize) -> Merged {
+    let folder = tempfile::tempdir().unwrap();
+    let mut go_on = |_: MergeProgress| ControlFlow::Continue(());
+    let merged = merge_in_tiles(locals, settings, folder.path(), threads, tile_splats, &mut go_on).unwrap();
+    assert_eq!(folder.path().read_dir().unwrap().count(), 0, "a file is left");
+    merged
 }
 
 /// Mean PSNR of a model's renderings against those of the true ground, from fixed positions, dB.
@@ -69,7 +87,7 @@ fn distillation_removes_clouds_that_teachers_do_not_show() {
     let settings = MergeSettings { compress: false, ..MergeSettings::default() };
     let joined = run(&locals, &MergeSettings { epochs: 0, ..settings }, 1);
     let mut steps = Vec::new();
-    let taught = merge(&locals, &MergeSettings { epochs: 10, ..settings }, 1, &mut |progress| {
+    let taught = try_to_run(&locals, &MergeSettings { epochs: 10, ..settings }, 1, &mut |progress| {
         steps.push(progress.step);
         ControlFlow::Continue(())
     });
@@ -91,31 +109,45 @@ fn compression_removes_clouds_above_ground_that_another_model_saw() {
 }
 
 #[test]
-fn the_same_models_give_the_same_bytes_with_any_number_of_threads() {
-    let settings = MergeSettings { epochs: 2, compress: true, ..MergeSettings::default() };
-    let [one, three] = [1, 3].map(|threads| run(&neighbours(), &settings, threads));
-    assert_eq!(one, three);
-    assert_ne!(
-        one,
-        run(&neighbours(), &MergeSettings { seed: 1, ..settings }, 1),
-        "another seed gives another order"
-    );
+fn the_same_models_give_the_same_bytes_with_any_memory_and_number_of_threads() {
+    let settings = MergeSettings { epochs: 2, ..MergeSettings::default() };
+    let with = |memory_bytes, threads| {
+        in_tiles(&neighbours(), &MergeSettings { memory_bytes, ..settings }, threads, 400)
+    };
+    let [little, one, three] = [with(32 << 20, 3), with(4 << 30, 1), with(4 << 30, 3)];
+    assert_eq!(little, one);
+    assert_eq!(three, one);
+    let other = in_tiles(&neighbours(), &MergeSettings { seed: 1, ..settings }, 1, 400);
+    assert_ne!(one, other, "another seed gives another order");
 }
 
 #[test]
-fn with_too_little_memory_parts_learn_in_turns_almost_as_well() {
-    let settings = MergeSettings { epochs: 10, compress: false, ..MergeSettings::default() };
-    let all = run(&neighbours(), &settings, 1);
-    let parts = run(&neighbours(), &MergeSettings { memory_bytes: 2_200_000, ..settings }, 1);
-    assert_ne!(all.model.splats, parts.model.splats, "the memory is too small for all at once");
-    let (all, parts) = (quality(&all.model.splats), quality(&parts.model.splats));
-    assert!(parts > all - 3.0, "{all:.2} dB at once, {parts:.2} dB in turns");
+fn tiles_are_almost_as_good_as_the_whole_model() {
+    let (locals, settings) =
+        (neighbours(), MergeSettings { epochs: 40, compress: false, ..MergeSettings::default() });
+    let [whole, tiles] = [usize::MAX, 400].map(|splats| in_tiles(&locals, &settings, 2, splats));
+    assert!(tiles.summary.steps > whole.summary.steps, "the model is not divided");
+    let untaught = run(&locals, &MergeSettings { epochs: 0, ..settings }, 1);
+    let [whole, tiles, untaught] = [whole, tiles, untaught].map(|merged| quality(&merged.model.splats));
+    assert!(tiles > untaught + 10.0 && tiles > whole - 2.5, "{untaught:.2}, {whole:.2}, {tiles:.2} dB");
+}
+
+#[test]
+fn too_little_memory_is_refused_with_the_remedy() {
+    let settings = MergeSettings { memory_bytes: 2_200_000, ..MergeSettings::default() };
+    let refused = try_to_run(&neighbours(), &settings, 1, &mut |_| ControlFlow::Continue(()));
+    let Err(error @ MergeError::TooLittleMemory { needed_bytes, .. }) = refused else {
+        panic!("{refused:?}")
+    };
+    assert!(error.to_string().contains("--memory"), "{error}");
+    let enough = MergeSettings { memory_bytes: needed_bytes, epochs: 1, ..settings };
+    assert_eq!(run(&neighbours(), &enough, 1).summary.locals.len(), 2);
 }
 
 #[test]
 fn a_merge_stops_when_told_to() {
     let mut steps = 0;
-    let given_up = merge(&neighbours(), &MergeSettings::default(), 1, &mut |_| {
+    let given_up = try_to_run(&neighbours(), &MergeSettings::default(), 1, &mut |_| {
         steps += 1;
         if steps == 3 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     });
@@ -180,7 +212,7 @@ fn a_model_pruned_before_upload_does_not_teach_black() {
     let pruned = InMemory(pruned.collect());
     let merged = |is_told| {
         let settings = MergeSettings { epochs: 10, device: DeviceChoice::Cpu, ..MergeSettings::default() };
-        merge(&Pruned(pruned.clone(), is_told), &settings, 1, &mut |_| ControlFlow::Continue(())).unwrap()
+        run(&Pruned(pruned.clone(), is_told), &settings, 1)
     };
     let (told, untold) = (merged(true), merged(false));
     assert_eq!((told.summary.steps, told.summary.splats), (0, told.summary.joined));

@@ -1,6 +1,7 @@
 //! A merge on its own thread. Before the merge, the gate decides which models take part ([`crate::gate`]).
 
 use std::ops::ControlFlow;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, Receiver};
@@ -136,7 +137,14 @@ impl Locals for Stored {
 }
 
 impl Job {
-    pub(super) fn start(stores: Stores, inputs: Inputs, settings: MergeSettings, threads: usize) -> Self {
+    /// `scratch` is a folder for files of the merge.
+    pub(super) fn start(
+        stores: Stores,
+        inputs: Inputs,
+        settings: MergeSettings,
+        scratch: PathBuf,
+        threads: usize,
+    ) -> Self {
         let stop = Arc::new(AtomicBool::new(false));
         let (say, progress) = mpsc::channel();
         let (stored, parts) = Stored::of(stores, inputs.clone());
@@ -149,12 +157,13 @@ impl Job {
             if admitted.count() == 0 {
                 return Ok(Outcome { merged: None, verdict });
             }
-            let mut merged = merge(&admitted, &settings, threads, &mut |progress: MergeProgress| {
-                if progress.step.is_multiple_of(TELL_EVERY) {
-                    let _ = say.send(progress); // fails only if the job was dropped
-                }
-                if is_stopped() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
-            })?;
+            let mut merged =
+                merge(&admitted, &settings, &scratch, threads, &mut |progress: MergeProgress| {
+                    if progress.step.is_multiple_of(TELL_EVERY) {
+                        let _ = say.send(progress); // fails only if the job was dropped
+                    }
+                    if is_stopped() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+                })?;
             for i in 0..parts.count() {
                 merged.model = parts.fill_into(
                     merged.model,

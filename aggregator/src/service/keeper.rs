@@ -235,7 +235,10 @@ impl Keeper {
             self.to_offer = true;
         } else if self.job.as_ref().is_none_or(|(job, _)| job.inputs != inputs) {
             self.job = None; // dropping a job waits until its merge has stopped
-            self.job = Some((Job::start(self.shelf.stores(), inputs, self.merge, self.threads), now));
+            self.job = Some((
+                Job::start(self.shelf.stores(), inputs, self.merge, self.folder.clone(), self.threads),
+                now,
+            ));
         }
     }
 

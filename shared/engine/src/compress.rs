@@ -98,11 +98,17 @@ impl Observers {
         self.each[own].shown().collect()
     }
 
+    /// For each camera of the model with the index `own`: points of the surface in its picture, evenly spaced, about 24
+    /// along the long side.
+    pub fn surfaces(&self, own: usize) -> Vec<Vec<DVec3>> {
+        self.each[own].surfaces().collect()
+    }
+
     /// For each camera of the model with the index `own`: how well the model observed the surface in the picture,
     /// compared with the model that observed it best. It is the ratio of the worths, 0..=1, mean over the picture; 0 if
     /// there is no surface.
     pub fn standings(&self, own: usize) -> Vec<f64> {
-        let surfaces: Vec<Vec<DVec3>> = self.each[own].surfaces().collect();
+        let surfaces = self.surfaces(own);
         let standing = |surface: &Vec<DVec3>| {
             let ground = self.ground(surface);
             let sum: f64 = surface.iter().map(|place| ground.standing(*place, own)).sum();

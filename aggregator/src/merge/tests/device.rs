@@ -122,6 +122,6 @@ fn when_a_card_fails_the_cpu_starts_over_unless_the_card_was_asked_for() {
 #[test]
 fn asking_for_a_missing_card_is_an_error() {
     let settings = MergeSettings { device: DeviceChoice::Gpu(Some(99)), ..MergeSettings::default() };
-    let refused = merge(&neighbours(), &settings, 1, &mut |_| ControlFlow::Continue(()));
+    let refused = try_to_run(&neighbours(), &settings, 1, &mut |_| ControlFlow::Continue(()));
     assert!(matches!(refused, Err(MergeError::Device(_))), "{refused:?}");
 }

@@ -35,7 +35,7 @@ fn arrived(model: &Model) -> Model {
 fn merged_hash(models: &[Model]) -> BodyHash {
     let locals = InMemory(models.iter().map(arrived).collect());
     let mut go_on = |_: MergeProgress| ControlFlow::Continue(());
-    let merged = merge(&locals, &SETTINGS, 1, &mut go_on).unwrap();
+    let merged = merge(&locals, &SETTINGS, tempfile::tempdir().unwrap().path(), 1, &mut go_on).unwrap();
     let (device, body) = (DeviceId::new("aggregator").unwrap(), packed(&merged.model, 1).unwrap());
     Offer::from_body(device, ModelId(1), ModelKind::Global, 1, body).unwrap().header.blake3
 }

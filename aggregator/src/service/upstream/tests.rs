@@ -27,7 +27,10 @@ fn sent(Model { splats, cameras }: &Model) -> Vec<u8> {
 fn merged(bodies: &[Vec<u8>]) -> Vec<u8> {
     let locals = InMemory(bodies.iter().map(|body| body_to_model(body).unwrap()).collect());
     let admitted = admit(&locals, (&SETTINGS).into(), 1, &|| false).unwrap();
-    let merged = merge(&admitted, &SETTINGS, 1, &mut |_| ControlFlow::Continue(())).unwrap();
+    let merged = merge(&admitted, &SETTINGS, tempfile::tempdir().unwrap().path(), 1, &mut |_| {
+        ControlFlow::Continue(())
+    })
+    .unwrap();
     packed(&merged.model, 1).unwrap()
 }
 

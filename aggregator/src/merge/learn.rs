@@ -1,0 +1,90 @@
+//! Distils one tile: trains its splats, and those around it, on what its teachers show. The splats around it are trained
+//! so that both sides of a border fit each other; their changes are discarded, because they belong to other tiles.
+
+use cosurf_engine::backend::Channels;
+use cosurf_engine::train::view_order;
+use cosurf_engine::{AnyBackend, Backend, Capacity, DistillSettings, Distiller, StudentRates, distill};
+use cosurf_scene::{Camera, Splats};
+use glam::DVec3;
+
+use super::computer::Computer;
+use super::error::MergeError;
+use super::plan::Plan;
+use super::settings::MergeSettings;
+use super::site::Site;
+use super::teachers::write_book;
+
+/// Epochs at the end of a distillation with lower learning rates.
+const COOLDOWN_EPOCHS: u32 = 2;
+/// A camera is a stray if it is this many times as far from the middle of all cameras as half of them are.
+const STRAY_TIMES: f64 = 10.0;
+
+/// Distils a tile. Returns its splats. `tell` gets the PSNR of each step, dB: the merged model's rendering against the
+/// local model's; it returns false to stop.
+pub(super) fn learn(
+    site: &Site,
+    plan: &Plan,
+    settings: &MergeSettings,
+    computer: &Computer,
+    tell: &dyn Fn(f64) -> bool,
+) -> Result<Splats, MergeError> {
+    if plan.lessons.is_empty() {
+        return plan.own(site);
+    }
+    let book = write_book(site, plan, computer)?;
+    let (student, count) = plan.student(site)?;
+    let cameras = plan.cameras();
+    let room = Capacity::to_train(&student, &cameras, Channels::Geometry);
+    let mut backend = AnyBackend::new(&computer.device, room, computer.threads)?;
+    backend.load(&student);
+    let sh_degree = student.sh_degree;
+    drop(student);
+    let lessons = book.len() as u32;
+    let mut distiller = Distiller::new(
+        backend,
+        DistillSettings {
+            steps: settings.epochs * lessons,
+            cooldown_steps: COOLDOWN_EPOCHS * lessons,
+            rates: StudentRates::TRAINED,
+            extent: distill::extent(&without_strays(cameras)),
+            depth: book.median_depth(),
+            sh_degree,
+        },
+    );
+    let mut numbers = Vec::new();
+    for epoch in 0..settings.epochs {
+        for index in view_order(settings.seed, u64::from(epoch), book.len()) {
+            let (losses, _) = distiller.step(&book.read(index, &mut numbers)?);
+            computer.device.check()?;
+            if !tell(losses.color.psnr()) {
+                return Err(MergeError::GivenUp);
+            }
+        }
+    }
+    let (mut learnt, useless) = distiller.finish(&plan.wide_crops);
+    computer.device.check()?;
+    keep_first(&mut learnt, count);
+    let own_useless: Vec<u32> = useless.into_iter().take_while(|i| (*i as usize) < count).collect();
+    Ok(learnt.without(&own_useless))
+}
+
+fn keep_first(splats: &mut Splats, count: usize) {
+    splats.sh.truncate(count * splats.sh_stride());
+    splats.means.truncate(count);
+    splats.quats.truncate(count);
+    splats.log_scales.truncate(count);
+    splats.opacity_logits.truncate(count);
+}
+
+/// The cameras without those that are far from all others: these would raise the learning rates.
+fn without_strays(cameras: Vec<Camera>) -> Vec<Camera> {
+    let eyes: Vec<DVec3> = cameras.iter().map(|camera| camera.cam_from_world.center()).collect();
+    let middle_of = |mut values: Vec<f64>| {
+        values.sort_unstable_by(f64::total_cmp);
+        values.get(values.len() / 2).copied().unwrap_or_default()
+    };
+    let [x, y, z] = [0, 1, 2].map(|axis| middle_of(eyes.iter().map(|eye| eye[axis]).collect()));
+    let distances: Vec<f64> = eyes.iter().map(|eye| eye.distance(DVec3::new(x, y, z))).collect();
+    let limit = STRAY_TIMES * middle_of(distances.clone());
+    cameras.into_iter().zip(distances).filter(|(_, far)| *far <= limit).map(|(camera, _)| camera).collect()
+}

@@ -1,0 +1,190 @@
+//! What each tile learns from: the parts of pictures that show it, and the splats around it that these parts show too.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use cosurf_engine::backend::Channels;
+use cosurf_engine::budget::Costs;
+use cosurf_engine::{Capacity, Device};
+use cosurf_scene::{Camera, Frustum, Splats};
+use glam::{DVec2, DVec3};
+
+use super::crop::crop;
+use super::error::MergeError;
+use super::memory::{student_bytes, teacher_bytes};
+use super::pages::{Bounds, place};
+use super::site::Site;
+use super::tiles::Tile;
+
+/// A camera that shows fewer points of a tile's ground does not teach the tile.
+const SHOWN_MIN: usize = 2;
+/// Number of points of the ground along the long side of a picture.
+const SURFACE_ACROSS: f64 = 24.0;
+
+/// One camera of one local model.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct ViewKey {
+    pub(super) local: usize,
+    pub(super) camera: usize,
+}
+
+/// What a tile learns from.
+#[derive(Clone, Debug)]
+pub(super) struct Plan {
+    pub(super) tile: Tile,
+    /// The part of each camera's picture that shows the ground of the tile.
+    pub(super) crops: BTreeMap<ViewKey, Camera>,
+    /// The part of each camera's picture with splats of the tile, visible or hidden; one for each pose.
+    pub(super) wide_crops: Vec<Camera>,
+    /// The views that are taught, best first.
+    pub(super) lessons: Vec<ViewKey>,
+    /// Number of splats that are trained.
+    pub(super) student: usize,
+    /// Bytes that the distillation of the tile takes.
+    pub(super) bytes: u64,
+}
+
+impl Plan {
+    /// Plans a tile. `lessons` has the cameras of each local model that may teach.
+    pub(super) fn of(
+        site: &Site,
+        tile: Tile,
+        lessons: &[Vec<usize>],
+        device: &Device,
+    ) -> Result<Self, MergeError> {
+        let own = own(site, &tile)?;
+        let (mut crops, mut wide_crops, mut ranked) = (BTreeMap::new(), Vec::new(), Vec::new());
+        let mut known = BTreeSet::new();
+        let ball = ball(&own.means);
+        for (local, cameras) in site.cameras.iter().enumerate() {
+            for (index, camera) in cameras.iter().enumerate() {
+                if !Frustum::new(camera).touches(ball.0, ball.1) {
+                    continue;
+                }
+                if let Some(wide) = wide_crop(camera, &own.means)
+                    && known.insert(camera.cam_from_world.bits())
+                {
+                    wide_crops.push(wide);
+                }
+                let view = ViewKey { local, camera: index };
+                let shown = site.surfaces[local][index].iter().filter(|place| tile.contains(**place));
+                let Some(sight) = Sight::of(camera, shown.copied().collect()) else { continue };
+                crops.insert(view, sight.camera);
+                if lessons[local].binary_search(&index).is_ok() {
+                    ranked.push((sight.worth, view));
+                }
+            }
+        }
+        ranked.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+        let mut plan = Self {
+            tile,
+            crops,
+            wide_crops,
+            lessons: ranked.into_iter().map(|(_, view)| view).collect(),
+            student: own.len(),
+            bytes: 0,
+        };
+        plan.student = plan.student(site)?.0.len();
+        plan.bytes = plan.needed(site, device);
+        Ok(plan)
+    }
+
+    /// The cameras of the parts that teach, best first.
+    pub(super) fn cameras(&self) -> Vec<Camera> {
+        self.lessons.iter().map(|view| self.crops[view]).collect()
+    }
+
+    /// The splats of the tile.
+    pub(super) fn own(&self, site: &Site) -> Result<Splats, MergeError> {
+        own(site, &self.tile)
+    }
+
+    /// The splats to train: those of the tile, then others that a part shows. Also returns the number of the former.
+    pub(super) fn student(&self, site: &Site) -> Result<(Splats, usize), MergeError> {
+        let mut student = self.own(site)?;
+        let count = student.len();
+        let frusta = self.frusta();
+        let is_seen = |at: DVec3, radius: f64| frusta.iter().any(|frustum| frustum.touches(at, radius));
+        let wanted = |at: DVec3, radius: f64| !self.tile.contains(at) && is_seen(at, radius);
+        site.joined.read(site.joined.all(), |bounds| touches(&frusta, bounds), wanted, &mut student)?;
+        Ok((student, count))
+    }
+
+    fn frusta(&self) -> Vec<Frustum> {
+        self.lessons.iter().map(|view| Frustum::new(&self.crops[view])).collect()
+    }
+
+    /// Bytes that the distillation takes. The teachers come one after the other, before the student.
+    fn needed(&self, site: &Site, device: &Device) -> u64 {
+        let none = Splats::with_capacity(0, site.joined.sh_degree());
+        let shape = Capacity::to_train(&none, &self.cameras(), Channels::Geometry);
+        let costs = Costs::of(&shape, device.binding_bytes_max());
+        let student = student_bytes(&costs, &shape, self.student);
+        let frusta = self.frusta();
+        let locals: BTreeSet<usize> = self.lessons.iter().map(|view| view.local).collect();
+        let teacher = |local: usize| {
+            let splats = site.models.count(site.pages[local].clone(), |bounds| touches(&frusta, bounds));
+            teacher_bytes(device, &shape, splats)
+        };
+        locals.into_iter().map(teacher).fold(student, u64::max)
+    }
+}
+
+/// How a camera sees the ground of a tile.
+struct Sight {
+    /// The part of its picture that shows the ground.
+    camera: Camera,
+    /// Number of pixels on a square of one world unit, at the median depth.
+    worth: f64,
+}
+
+impl Sight {
+    /// `shown` has points of the ground in the picture of `camera`. `None` if there are too few.
+    fn of(camera: &Camera, shown: Vec<DVec3>) -> Option<Self> {
+        if shown.len() < SHOWN_MIN {
+            return None;
+        }
+        let spacing_px = f64::from(camera.size_px[0].max(camera.size_px[1])) / SURFACE_ACROSS;
+        let around = |p_px: DVec2| [p_px - 0.5 * spacing_px, p_px + 0.5 * spacing_px];
+        let places_px: Vec<DVec2> =
+            shown.iter().filter_map(|place| camera.project(*place)).flat_map(around).collect();
+        let cropped = crop(camera, &places_px)?;
+        let mut depths: Vec<f64> =
+            shown.iter().map(|place| camera.cam_from_world.transform(*place).z).collect();
+        let middle = depths.len() / 2;
+        let depth = *depths.select_nth_unstable_by(middle, f64::total_cmp).1;
+        Some(Self { camera: cropped, worth: camera.focal_px.x * camera.focal_px.y / (depth * depth) })
+    }
+}
+
+/// The part of a camera's picture that has splats with these means.
+fn wide_crop(camera: &Camera, means: &[[f32; 3]]) -> Option<Camera> {
+    let frustum = Frustum::new(camera);
+    let seen = means.iter().map(|mean| place(*mean)).filter(|place| frustum.contains(*place));
+    crop(camera, &seen.filter_map(|place| camera.project(place)).collect::<Vec<_>>())
+}
+
+/// The splats of a tile.
+fn own(site: &Site, tile: &Tile) -> Result<Splats, MergeError> {
+    let mut own = Splats::with_capacity(tile.splats, site.joined.sh_degree());
+    site.joined.read(
+        site.joined.all(),
+        |bounds| tile.touches(bounds.low, bounds.high),
+        |at, _| tile.contains(at),
+        &mut own,
+    )?;
+    Ok(own)
+}
+
+/// Centre and radius of a ball around all means.
+fn ball(means: &[[f32; 3]]) -> (DVec3, f64) {
+    let places = means.iter().map(|mean| place(*mean));
+    let (low, high) = places
+        .fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), place| (low.min(place), high.max(place)));
+    (0.5 * (low + high), 0.5 * low.distance(high))
+}
+
+/// Whether any frustum touches any splat of a page.
+pub(super) fn touches(frusta: &[Frustum], bounds: &Bounds) -> bool {
+    let (center, radius) = bounds.ball();
+    frusta.iter().any(|frustum| frustum.touches(center, radius))
+}

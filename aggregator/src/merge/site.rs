@@ -1,0 +1,99 @@
+//! What the tiles of a merge are made from: the splats of all models in files, and their cameras in memory.
+
+use std::ops::Range;
+
+use cosurf_engine::Neighbours;
+use cosurf_link::Model;
+use cosurf_scene::{Camera, SparsePoint, Splats};
+
+use glam::DVec3;
+
+use super::error::MergeError;
+use super::pages::{Pages, place};
+use super::scratch::Scratch;
+use super::tiles::{Map, Tile, vertical};
+
+/// Limit on the splats of a model from which the median depths of its views are estimated.
+const PROBES: usize = 2000;
+/// Number of cells of the map along the longest side of the first model.
+const CELLS_ACROSS: f64 = 512.0;
+
+/// All models of a merge.
+#[derive(Debug)]
+pub(super) struct Site {
+    /// The splats that stay after compression.
+    pub(super) joined: Pages,
+    /// All splats of all models.
+    pub(super) models: Pages,
+    /// The pages of each model.
+    pub(super) pages: Vec<Range<usize>>,
+    /// The cameras of each model.
+    pub(super) cameras: Vec<Vec<Camera>>,
+    /// The neighbours of each model's cameras.
+    pub(super) neighbours: Vec<Neighbours>,
+    /// Points of the surface that each camera of each model shows.
+    pub(super) surfaces: Vec<Vec<Vec<DVec3>>>,
+    /// Where the joined splats lie.
+    map: Option<Map>,
+    /// Where the files are.
+    pub(super) scratch: Scratch,
+}
+
+impl Site {
+    /// A site without models. Those to come have these cameras, and at most this degree of spherical harmonics.
+    pub(super) fn new(
+        scratch: Scratch,
+        cameras: &[Vec<Camera>],
+        surfaces: Vec<Vec<Vec<DVec3>>>,
+        sh_degree: u32,
+    ) -> Result<Self, MergeError> {
+        Ok(Self {
+            joined: Pages::new(&scratch, sh_degree)?,
+            models: Pages::new(&scratch, sh_degree)?,
+            pages: Vec::new(),
+            cameras: cameras.to_vec(),
+            neighbours: Vec::new(),
+            surfaces,
+            map: None,
+            scratch,
+        })
+    }
+
+    /// Adds the next model, of which `kept` stays after compression.
+    pub(super) fn add(&mut self, model: &Model, kept: &Splats) -> Result<(), MergeError> {
+        let Model { splats, cameras } = model;
+        self.pages.push(self.models.append(splats)?);
+        self.neighbours.push(Neighbours::find(cameras, &probes(splats)));
+        self.joined.append(kept)?;
+        let cell = || longest_side(&splats.means) / CELLS_ACROSS;
+        let new = || Map::new(vertical(self.cameras.iter().flatten()), cell());
+        self.map.get_or_insert_with(new).add(&kept.means);
+        Ok(())
+    }
+
+    /// Divides the ground into tiles with at most `most` splats each.
+    pub(super) fn tiles(&self, most: usize) -> Vec<Tile> {
+        self.map.as_ref().map_or(Vec::new(), |map| map.tiles(most))
+    }
+}
+
+/// Side of the longest range along a world axis that holds the middle nine tenths of the means, world units; 1 without
+/// means.
+fn longest_side(means: &[[f32; 3]]) -> f64 {
+    let across = |axis: usize| {
+        let mut at: Vec<f32> = means.iter().map(|mean| mean[axis]).collect();
+        at.sort_unstable_by(f32::total_cmp);
+        let twentieths = |n: usize| at.get(at.len() * n / 20).copied().unwrap_or_default();
+        f64::from(twentieths(19) - twentieths(1))
+    };
+    let longest = (0..3).map(across).fold(0.0, f64::max);
+    if longest > 0.0 { longest } else { 1.0 }
+}
+
+/// Positions of at most [`PROBES`] splats, evenly chosen, as sparse points. The points do not list the views that see
+/// them.
+fn probes(splats: &Splats) -> Vec<SparsePoint> {
+    let step = splats.len().div_ceil(PROBES).max(1);
+    let point = |mean: &[f32; 3]| SparsePoint { position: place(*mean), rgb: [0; 3], views: Vec::new() };
+    splats.means.iter().step_by(step).map(point).collect()
+}
