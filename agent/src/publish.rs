@@ -16,6 +16,7 @@ use cosurf_link::{
     Credentials, Identity, InboxLimits, ModelKey, ModelStore, Node, NodeEvent, Offer, Transport,
     body_to_model,
 };
+use cosurf_scene::bytes::format_bytes;
 use cosurf_scene::{Camera, ply};
 use cosurf_wire::{DeviceId, ModelHeader, ModelKind, RefusalReason};
 use tracing::info_span;
@@ -58,7 +59,7 @@ pub fn announce_flight<T: Transport>(
 }
 
 /// Uploads the model. Returns once the aggregator has acknowledged it and, if the publication waits for a global model,
-/// a global model is stored. `now` is the time since an arbitrary moment. Fails if the aggregator refuses the model for
+/// a global model is stored, or is too large to be received. `now` is the time since an arbitrary moment. Fails if the aggregator refuses the model for
 /// good, or if a file cannot be read or written. But if the global model cannot be written, this is reported to
 /// `on_event` and tried again later.
 pub fn publish<T: Transport>(
@@ -96,8 +97,9 @@ struct Publisher<'a, F> {
     node: Node,
     globals: ModelStore,
     upload: Upload<'a>,
-    /// Whether the global model that the aggregator offers is stored, by this run or by an earlier one.
-    has_global: bool,
+    /// Whether the global model that the aggregator offers is stored, by this run or by an earlier one, or is too large
+    /// to be received.
+    is_global_settled: bool,
     on_event: F,
 }
 
@@ -132,11 +134,12 @@ impl<'a, F: FnMut(AgentEvent)> Publisher<'a, F> {
                 start_upload(&mut node, offer(publication, splats, base, ModelKind::Local)?)
             }
         };
-        Ok(Self { publication, node, globals, upload, has_global: false, on_event })
+        Ok(Self { publication, node, globals, upload, is_global_settled: false, on_event })
     }
 
     fn is_done(&self) -> bool {
-        matches!(self.upload, Upload::Acknowledged) && (self.has_global || !self.publication.wait_global)
+        matches!(self.upload, Upload::Acknowledged)
+            && (self.is_global_settled || !self.publication.wait_global)
     }
 
     /// Once all flights are known, drops the splats of ground that other devices observed better, and starts the
@@ -186,8 +189,9 @@ impl<'a, F: FnMut(AgentEvent)> Publisher<'a, F> {
             }
             NodeEvent::UploadRefused { key, reason, .. } => self.on_refused(key, reason)?,
             // An earlier run received this global model and wrote it to disk.
-            NodeEvent::Known(header) if !self.has_global => self.on_global_stored(&header),
+            NodeEvent::Known(header) if !self.is_global_settled => self.on_global_stored(&header),
             NodeEvent::Store { header, body } => self.store_global(&header, &body),
+            NodeEvent::Refused { key, reason: RefusalReason::TooLarge } => self.on_global_too_large(key),
             _ => {}
         }
         Ok(())
@@ -215,9 +219,19 @@ impl<'a, F: FnMut(AgentEvent)> Publisher<'a, F> {
     }
 
     fn on_global_stored(&mut self, header: &ModelHeader) {
-        self.has_global = true;
+        self.is_global_settled = true;
         let (revision, splats) = (header.model, header.splats as usize);
         (self.on_event)(AgentEvent::GlobalReceived { revision, splats });
+    }
+
+    /// Tells that a global model does not fit, and does not wait for it: a later revision would hardly be smaller.
+    fn on_global_too_large(&mut self, key: ModelKey) {
+        if !self.is_global_settled {
+            self.is_global_settled = true;
+            let limit = format_bytes(self.publication.inbox_bytes);
+            let reason = format!("it takes more than {limit}, half of the memory limit; raise --memory");
+            (self.on_event)(AgentEvent::GlobalRefused { revision: key.model, reason });
+        }
     }
 
     fn retrying(&mut self, reason: String, attempt: u32) {
@@ -266,4 +280,88 @@ fn write_global(globals: &ModelStore, out: &Path, header: &ModelHeader, body: &[
     ply::write(&global_ply(out), &model.splats)?;
     globals.put(header, body)?;
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use std::cell::RefCell;
+
+    use cosurf_link::{Faults, MemoryNetwork, Role};
+    use cosurf_scene::Splats;
+    use cosurf_wire::{ModelId, SiteId, TileId};
+
+    use super::*;
+
+    /// Publishes a small model to an aggregator that answers with a global model of 2,000 splats. Returns the events.
+    fn published(inbox_bytes: u64) -> Vec<AgentEvent> {
+        let of = |name: &str, role| {
+            let (site, device) = (SiteId::new("site").unwrap(), DeviceId::new(name).unwrap());
+            Identity { site, device, session: 1, role }
+        };
+        let [identity, ground] = [of("agent-1", Role::Device), of("ground", Role::Aggregator)];
+        let network = MemoryNetwork::new(1, Faults::NONE);
+        let (mut transport, mut above) = (network.join(&identity), network.join(&ground));
+        let splats = |count: usize| {
+            let mut splats = Splats::with_capacity(count, 0);
+            let mut push =
+                |i: usize| splats.push([i as f32; 3], [1.0, 0.0, 0.0, 0.0], [0.0; 3], 1.0, &[0.5; 3]);
+            (0..count).for_each(&mut push);
+            splats
+        };
+        let limits =
+            InboxLimits { body_bytes_max: 1 << 20, total_bytes_max: 1 << 20, models_max: 2, stored_max: 2 };
+        let mut node = Node::new(ground, limits, &[]);
+        let global = Offer::new(ground.device, ModelId(1), ModelKind::Global, 0, &splats(2000), &[]).unwrap();
+        node.broadcast(TileId::WHOLE, global, &[identity.device]);
+        let node = RefCell::new(node);
+        let above = RefCell::new(&mut above);
+        let now = || {
+            let now = network.now();
+            assert!(now < Duration::from_secs(60), "the agent waits forever");
+            let event = node.borrow_mut().step(*above.borrow_mut(), || now, Duration::ZERO);
+            if let Some(NodeEvent::Store { header, .. }) = event {
+                node.borrow_mut().stored((&header).into());
+            }
+            network.advance(now + Duration::from_millis(5));
+            now
+        };
+        let out = tempfile::tempdir().unwrap();
+        let publication = Publication {
+            identity,
+            splats: &splats(10),
+            cameras: &[],
+            base: None,
+            sharing: None,
+            credentials: &Credentials::default(),
+            out: out.path(),
+            wait_global: true,
+            inbox_bytes,
+            flush_time: Duration::from_millis(100),
+        };
+        let mut events = Vec::new();
+        publish(&publication, &mut transport, now, |event| events.push(event)).unwrap();
+        assert_eq!(global_ply(out.path()).exists(), inbox_bytes > 100_000);
+        events
+    }
+
+    #[test]
+    fn a_global_model_that_does_not_fit_is_told_and_not_waited_for() {
+        let events = published(60_000);
+        let told = events.iter().filter_map(|event| match event {
+            AgentEvent::GlobalRefused { revision, reason } => Some((revision.0, reason.clone())),
+            _ => None,
+        });
+        let told: Vec<(u64, String)> = told.collect();
+        assert_eq!(told.len(), 1, "{events:?}");
+        assert!(told[0].0 == 1 && told[0].1.contains("raise --memory"), "{told:?}");
+        assert!(events.iter().any(|event| matches!(event, AgentEvent::Acknowledged { .. })));
+    }
+
+    #[test]
+    fn a_global_model_that_fits_is_received() {
+        let events = published(1 << 20);
+        assert!(events.iter().any(|event| matches!(event, AgentEvent::GlobalReceived { .. })), "{events:?}");
+        assert!(!events.iter().any(|event| matches!(event, AgentEvent::GlobalRefused { .. })));
+    }
 }

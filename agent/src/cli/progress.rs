@@ -165,6 +165,9 @@ fn describe(event: &AgentEvent) -> Option<String> {
         AgentEvent::GlobalReceived { revision, splats } => {
             format!("received revision {revision} of the global model: {}", counted(*splats as u64, "splat"))
         }
+        AgentEvent::GlobalRefused { revision, reason } => {
+            format!("revision {revision} of the global model is not received: {reason}")
+        }
         AgentEvent::Compared { with: ComparedWith::Init, changes } => {
             format!("changes since the initial model: {changes}")
         }

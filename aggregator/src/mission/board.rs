@@ -103,6 +103,10 @@ impl Status {
                 self.bytes_sent = *bytes_sent;
             }
             AgentEvent::GlobalReceived { .. } => self.phase = Phase::Done,
+            AgentEvent::GlobalRefused { revision, reason } => {
+                self.phase = Phase::Done;
+                return Some(format!("revision {revision} of the global model is not received: {reason}"));
+            }
         }
         None
     }

@@ -146,6 +146,7 @@ impl<'a> Watch<'a> {
             UpstreamEvent::UpstreamConnected => return,
             UpstreamEvent::SentUp { bytes_sent, .. } => status.bytes_sent = *bytes_sent,
             UpstreamEvent::CameDown { .. } => status.is_served = true,
+            UpstreamEvent::NotReceived { .. } => status.is_served = true,
             UpstreamEvent::RefusedAbove { reason, .. } => status.is_served |= !reason.is_temporary(),
             _ => {}
         }

@@ -67,6 +67,13 @@ pub enum UpstreamEvent {
         /// Number of splats of this revision.
         splats: u32,
     },
+    /// The edge refused a revision of the global model above.
+    NotReceived {
+        /// The revision.
+        revision: u64,
+        /// The reason.
+        reason: RefusalReason,
+    },
     /// A model could not be read from the edge's disk or written to it.
     UpstreamDiskFailed {
         /// The reason, one line.
@@ -87,6 +94,9 @@ impl fmt::Display for UpstreamEvent {
             }
             Self::RefusedAbove { revision, reason } => {
                 write!(f, "upstream: revision {revision} is refused: {reason}")
+            }
+            Self::NotReceived { revision, reason } => {
+                write!(f, "upstream: the global model above, revision {revision}, is not received: {reason}")
             }
             Self::CameDown { revision, splats } => {
                 let splats = counted(*splats, "splat");
@@ -153,6 +163,9 @@ impl UpstreamNode {
             // The edge has stored this revision already, for example before a restart.
             NodeEvent::Known(header) => Some(came_down(&header)),
             NodeEvent::Store { header, body } => Some(self.store(header, &body)),
+            NodeEvent::Refused { key, reason } if !reason.is_temporary() => {
+                Some(UpstreamEvent::NotReceived { revision: key.model.0, reason })
+            }
             _ => None,
         }
     }

@@ -97,6 +97,13 @@ pub enum AgentEvent {
         /// Number of splats of the global model.
         splats: usize,
     },
+    /// The agent refused a revision of the global model, and does not wait for it.
+    GlobalRefused {
+        /// Number of the revision.
+        revision: ModelId,
+        /// The reason and the remedy, one line.
+        reason: String,
+    },
     /// The agent's model was compared with another model on the ground that the agent's cameras see.
     Compared {
         /// The other model.
