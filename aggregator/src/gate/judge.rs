@@ -63,14 +63,7 @@ pub(super) fn judge(
         go_on()?;
         relations.note_views(&shown, judged, locals, threads)?;
     }
-    let mut doubts: Vec<Option<Doubt>> = shown.iter().map(Shown::doubt).collect();
-    relations.doubt_contradicting(&shown, &mut doubts);
-    let standards = relations.differences.standards(shown.len(), |i| doubts[i].is_none());
-    let far_worse = |standard: &Standard| standard.is_far_worse().then_some(Doubt::FarWorse(standard.times));
-    doubts
-        .iter_mut()
-        .zip(&standards)
-        .for_each(|(doubt, standard)| *doubt = doubt.take().or(far_worse(standard)));
+    let (doubts, standards) = relations.verdict(&shown);
     let verified = relations.verified(linked, &shown, &doubts);
     let judged = doubts
         .into_iter()
@@ -203,6 +196,24 @@ impl Relations {
         Ok(())
     }
 
+    /// The doubt about each model, and how well each shows the ground that it shares with others. A model that is far
+    /// worse than the others is not asked which models contradict it: it may contradict a good one.
+    fn verdict(&self, shown: &[Shown]) -> (Vec<Option<Doubt>>, Vec<Standard>) {
+        let mut known: Vec<Option<Doubt>> = shown.iter().map(Shown::doubt).collect();
+        loop {
+            let mut doubts = known.clone();
+            self.doubt_contradicting(shown, &mut doubts);
+            let standards = self.differences.standards(shown.len(), |i| doubts[i].is_none());
+            let is_new =
+                |i: &usize| known[*i].is_none() && doubts[*i].is_none() && standards[*i].is_far_worse();
+            let far_worse: Vec<usize> = (0..shown.len()).filter(is_new).collect();
+            if far_worse.is_empty() {
+                return (doubts, standards);
+            }
+            far_worse.iter().for_each(|i| known[*i] = Some(Doubt::FarWorse(standards[*i].times)));
+        }
+    }
+
     /// Indices of the models that contradict model `one`, and the number of models that confirm it. Skips doubted
     /// models.
     fn of(&self, one: usize, doubts: &[Option<Doubt>]) -> (Vec<usize>, usize) {
@@ -254,5 +265,40 @@ impl Relations {
             let Some((worst, (foes, _))) = worst else { return };
             doubts[worst] = Some(Doubt::Contradicts(foes));
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::above;
+
+    /// What the gate keeps of a model with some cameras.
+    fn shown(cameras: usize) -> Shown {
+        let cameras = vec![above(0.0); cameras];
+        Shown { cameras, views: Vec::new(), unseen: 0.0, void: 0.0, middle: DVec3::ZERO, radius: 1.0 }
+    }
+
+    #[test]
+    fn a_far_worse_model_does_not_throw_out_a_good_one_that_it_contradicts() {
+        let models = [shown(9), shown(9), shown(5), shown(20)];
+        let with = |error_of_last: f64| {
+            let mut relations = Relations::default();
+            for (one, other) in [(0, 1), (0, 2), (1, 2)] {
+                relations.note(one, other, true, 6);
+                relations.differences.note(one, other, 0.1);
+            }
+            for one in 0..2 {
+                relations.note(one, 3, true, 6);
+                relations.differences.note(one, 3, 0.05 + error_of_last);
+            }
+            relations.note(2, 3, false, 6);
+            relations.verdict(&models).0
+        };
+        let doubts = with(4.0);
+        assert!(doubts[..3].iter().all(Option::is_none), "{doubts:?}");
+        assert!(matches!(doubts[3], Some(Doubt::FarWorse(times)) if times > 20.0), "{doubts:?}");
+        // Of two good models that contradict each other, the one with fewer cameras is dropped.
+        assert_eq!(with(0.05), [None, None, Some(Doubt::Contradicts(vec![3])), None]);
     }
 }
