@@ -59,9 +59,9 @@ pub fn announce_flight<T: Transport>(
 }
 
 /// Uploads the model. Returns once the aggregator has acknowledged it and, if the publication waits for a global model,
-/// a global model is stored, or is too large to be received. `now` is the time since an arbitrary moment. Fails if the aggregator refuses the model for
-/// good, or if a file cannot be read or written. But if the global model cannot be written, this is reported to
-/// `on_event` and tried again later.
+/// a global model is stored or is too large to be received. `now` is the time since an arbitrary moment. Fails if the
+/// aggregator refuses the model for good, or if a file cannot be read or written. But if the global model cannot be
+/// written, this is reported to `on_event` and tried again later.
 pub fn publish<T: Transport>(
     publication: &Publication,
     transport: &mut T,

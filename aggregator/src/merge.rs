@@ -5,14 +5,14 @@
 //! distilled by itself.
 //!
 //! The result depends only on the models and their order, on the settings, and on the computing device. It has the same
-//! bytes for every caller, for any number of threads and for any memory limit. A merge that is interrupted and started again gives the same
-//! bytes too.
+//! bytes for every caller, for any number of threads and for any memory limit. A merge that is interrupted and started
+//! again gives the same bytes too.
 //!
 //! What it knows nothing about: where models are stored ([`Locals`] loads them), and which models can be trusted
 //! ([`crate::gate`] decides).
 //!
-//! Where to start reading: [`merge`], the list of steps; then [`cosurf_engine::compress`]; then [`mod@distill`],
-//! which divides a [`site`] into [`tiles`], makes a [`plan`] for each, and lets each [`learn`] from its [`teachers`];
+//! Where to start reading: [`merge`], the list of steps; then [`cosurf_engine::compress`]; then [`mod@distill`], which
+//! makes a [`plan`] for each of the [`tiles`] of a [`site`], and lets each [`learn`] from its [`teachers`];
 //! [`pages`] for splats in files; [`memory`] for what fits; [`fill_in()`] for models that have arrived only in part.
 
 mod book;
@@ -106,7 +106,8 @@ pub struct LocalSummary {
 
 /// Merges all of `locals` with `threads` (at least 1) CPU threads. What does not stay in memory goes to files in the
 /// folder `scratch`; none is left at the end. Calls `tell` after every step of the distillation; `tell` may stop the
-/// merge. If a graphics card that was chosen automatically fails, the merge starts over on the CPU.
+/// merge. If a graphics card that was chosen automatically fails or has too little memory, the merge starts over on the
+/// CPU.
 pub fn merge(
     locals: &dyn Locals,
     settings: &MergeSettings,
@@ -199,7 +200,6 @@ impl Merger<'_> {
         let lessons = lessons(cameras, standings.as_deref(), teaches);
         let tiles = site.tiles(self.tile_splats);
         let distilled = distill(&site, tiles, &lessons, self.settings, self.computer, tell)?;
-
         self.summary.steps = distilled.steps;
         Ok(distilled.splats)
     }

@@ -51,17 +51,17 @@ pub(super) fn choose(
     }
     let all: Vec<Camera> = cameras.iter().flatten().copied().collect();
     let shape = Capacity::to_train(&Splats::with_capacity(0, sh_degree), &all, Channels::Geometry);
-    let has_room = |device: &Device, driver_bytes: u64| {
+    let has_room = |device: &Device| {
         let splats = splats.min(STUDENT_SPLATS);
         let costs = Costs::of(&shape, device.binding_bytes_max());
-        let bytes = student_bytes(&costs, &shape, splats) + PROCESS_BYTES + driver_bytes;
+        let bytes = student_bytes(&costs, &shape, splats) + PROCESS_BYTES + DRIVER_BYTES;
         bytes <= settings.memory_bytes && splats <= costs.splats_max(PAIRS_PER_SEEN_SPLAT)
     };
     // Looking for a card loads drivers, which keep their memory even if no card is found. So the CPU must have enough
     // room beside that memory.
-    if !has_room(&Device::Cpu, DRIVER_BYTES) {
+    if !has_room(&Device::Cpu) {
         return Ok(Device::Cpu);
     }
     let device = settings.device.open()?;
-    Ok(if has_room(&device, DRIVER_BYTES) { device } else { Device::Cpu })
+    Ok(if has_room(&device) { device } else { Device::Cpu })
 }

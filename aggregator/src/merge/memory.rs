@@ -13,6 +13,9 @@ pub(super) const TILE_SPLATS_MAX: usize = 24_000;
 /// Number of splats that are trained for a tile, its own and those around it, if cameras see much of the site.
 pub(super) const STUDENT_SPLATS: usize = 4 * TILE_SPLATS_MAX;
 
+/// Limit on the bytes of a teacher's renderings that are kept because a neighbouring view may need them.
+pub(super) const CACHE_BYTES: u64 = 8 << 20;
+
 /// Bytes of a lesson for each pixel, and of the loss's copies of it.
 const LESSON_BYTES: usize = 4 * 8;
 /// Bytes for each pixel of a teacher's picture: two renderings of 8 numbers, the trust, and what the renderer blends.
@@ -24,11 +27,13 @@ pub(super) fn student_bytes(costs: &Costs, shape: &Capacity, splats: usize) -> u
     (costs.pictures + LESSON_BYTES * pixels(shape) + splats * each) as u64
 }
 
-/// Bytes that a teacher with `splats` splats takes, with pictures as large as those of `shape`.
-pub(super) fn teacher_bytes(device: &Device, shape: &Capacity, splats: usize) -> u64 {
+/// Bytes that a teacher with `splats` splats takes, with pictures as large as those of `shape`, of which it keeps up to
+/// `views`.
+pub(super) fn teacher_bytes(device: &Device, shape: &Capacity, splats: usize, views: usize) -> u64 {
     let costs = Costs::of(&Capacity::to_render(shape.sh_degree), device.binding_bytes_max());
     let each = costs.splat + PAIRS_PER_SPLAT * costs.pair + loaded_bytes(shape.sh_degree);
-    (TEACHER_BYTES * pixels(shape) + splats * each) as u64
+    let kept = CACHE_BYTES.min((LESSON_BYTES * pixels(shape) * views) as u64);
+    kept + (TEACHER_BYTES * pixels(shape) + splats * each) as u64
 }
 
 /// Bytes of a splat that is about to be copied into a backend.

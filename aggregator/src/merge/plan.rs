@@ -123,7 +123,7 @@ impl Plan {
         let locals: BTreeSet<usize> = self.lessons.iter().map(|view| view.local).collect();
         let teacher = |local: usize| {
             let splats = site.models.count(site.pages[local].clone(), |bounds| touches(&frusta, bounds));
-            teacher_bytes(device, &shape, splats)
+            teacher_bytes(device, &shape, splats, self.crops.len())
         };
         locals.into_iter().map(teacher).fold(student, u64::max)
     }

@@ -3,9 +3,9 @@
 use std::ops::Range;
 
 use cosurf_engine::Neighbours;
+use cosurf_engine::compress::longest_side;
 use cosurf_link::Model;
 use cosurf_scene::{Camera, SparsePoint, Splats};
-
 use glam::DVec3;
 
 use super::error::MergeError;
@@ -65,7 +65,7 @@ impl Site {
         self.pages.push(self.models.append(splats)?);
         self.neighbours.push(Neighbours::find(cameras, &probes(splats)));
         self.joined.append(kept)?;
-        let cell = || longest_side(&splats.means) / CELLS_ACROSS;
+        let cell = || longest_side(splats) / CELLS_ACROSS;
         let new = || Map::new(vertical(self.cameras.iter().flatten()), cell());
         self.map.get_or_insert_with(new).add(&kept.means);
         Ok(())
@@ -75,19 +75,6 @@ impl Site {
     pub(super) fn tiles(&self, most: usize) -> Vec<Tile> {
         self.map.as_ref().map_or(Vec::new(), |map| map.tiles(most))
     }
-}
-
-/// Side of the longest range along a world axis that holds the middle nine tenths of the means, world units; 1 without
-/// means.
-fn longest_side(means: &[[f32; 3]]) -> f64 {
-    let across = |axis: usize| {
-        let mut at: Vec<f32> = means.iter().map(|mean| mean[axis]).collect();
-        at.sort_unstable_by(f32::total_cmp);
-        let twentieths = |n: usize| at.get(at.len() * n / 20).copied().unwrap_or_default();
-        f64::from(twentieths(19) - twentieths(1))
-    };
-    let longest = (0..3).map(across).fold(0.0, f64::max);
-    if longest > 0.0 { longest } else { 1.0 }
 }
 
 /// Positions of at most [`PROBES`] splats, evenly chosen, as sparse points. The points do not list the views that see

@@ -13,14 +13,13 @@ use glam::DVec2;
 use super::book::Book;
 use super::computer::Computer;
 use super::error::MergeError;
+use super::memory::CACHE_BYTES;
 use super::plan::{Plan, ViewKey, touches};
 use super::site::Site;
 
 /// A pixel whose surface a neighbouring camera sees is trusted only if its reprojection through that camera
 /// returns to within this distance of the pixel, px.
 const RETURN_PX: f64 = 1.0;
-/// Limit on the bytes of renderings that are kept because a neighbouring view may need them.
-const CACHE_BYTES: u64 = 8 << 20;
 
 /// Writes down what the teachers of a tile show.
 pub(super) fn write_book(site: &Site, plan: &Plan, computer: &Computer) -> Result<Book, MergeError> {

@@ -215,7 +215,7 @@ fn judged(cell: &[u32], splats: &Splats, own: usize, observers: &Observers) -> (
 
 /// Divides the splats by place. Only the cameras that may see a cell are asked about its splats.
 fn cells(splats: &Splats) -> Vec<Vec<u32>> {
-    let side = cell_side(splats);
+    let side = longest_side(splats) / CELLS_ACROSS;
     let mut cells: BTreeMap<[i64; 3], Vec<u32>> = BTreeMap::new();
     for (i, mean) in splats.means.iter().enumerate() {
         cells.entry(mean.map(|x| (f64::from(x) / side).floor() as i64)).or_default().push(i as u32);
@@ -223,9 +223,9 @@ fn cells(splats: &Splats) -> Vec<Vec<u32>> {
     cells.into_values().collect()
 }
 
-/// Side of a cell, world units. Nine tenths of the splats lie in [`CELLS_ACROSS`] cells along the longest side of the
-/// model; a few splats may lie far away.
-fn cell_side(splats: &Splats) -> f64 {
+/// Length of the model along the world axis along which it is longest, world units; 1 if all splats lie in one place. A
+/// tenth of the splats, those farthest out along the axis, are left out: a few splats may lie far away.
+pub fn longest_side(splats: &Splats) -> f64 {
     let across = |axis: usize| {
         let mut at: Vec<f32> = splats.means.iter().map(|mean| mean[axis]).collect();
         at.sort_unstable_by(f32::total_cmp);
@@ -233,7 +233,7 @@ fn cell_side(splats: &Splats) -> f64 {
         f64::from(twentieths(19) - twentieths(1))
     };
     let longest = (0..3).map(across).fold(0.0, f64::max);
-    if longest > 0.0 { longest / CELLS_ACROSS } else { 1.0 }
+    if longest > 0.0 { longest } else { 1.0 }
 }
 
 /// Whether `other` sees a point from a similar direction and distance as `camera`. `camera` itself may look elsewhere.
