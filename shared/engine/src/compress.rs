@@ -4,8 +4,9 @@
 //! The paper does not define the overlap of drones that share no pictures, nor the owner of shared ground. It removes
 //! the least important splats of a model, as many as its share of overlapping views. That leaves two surfaces in one
 //! place. Here, the owner of a place is the model whose cameras observed it best: with most pixels on a square metre,
-//! added up over all cameras that see it. If the models are known, pixels count less where a surface is seen from the
-//! side, and not at all where it is hidden. A model that disagrees with the others counts less as well.
+//! squared and added up over all cameras that see it, so that sharp pictures are worth more than many blurred ones. If
+//! the models are known, pixels count less where a surface is seen from the side, and not at all where it is hidden. A
+//! model that disagrees with the others counts less as well.
 //!
 //! Every place has at most one owner, whatever the order of compression, and the owner keeps all of its splats there.
 //! Where a second model keeps its splats too, distillation finds the best of both.

@@ -105,17 +105,21 @@ impl Observer {
 }
 
 impl Near<'_> {
-    /// Number of cameras that see `place`, and what their observations are worth together: the number of pixels on a
-    /// square of one world unit, times the weight of the model.
+    /// Number of cameras that see `place`, and what their observations are worth together: for each camera, the square
+    /// of the number of pixels on a square of one world unit; added up, times the weight of the model.
+    ///
+    /// Without the square, many blurred pictures are worth as much as a few sharp ones. Then a fifth model, of 160 px
+    /// beside four of 240 px, took ground on rendered Boruszyn and cost 0.9 dB; with it, it costs nothing.
     pub(super) fn worth(&self, place: DVec3, slopes: Option<&Slopes>) -> (usize, f64) {
-        let (mut seers, mut pixels) = (0, 0.0);
+        let (mut seers, mut sum) = (0, 0.0);
         for sight in self.sights.iter().filter(|sight| sight.sees(place, self.sees_through)) {
             let ray = place - sight.eye;
             seers += 1;
             let foreshortening = slopes.map_or(1.0, |slopes| slopes.foreshortening(place, ray));
-            pixels += sight.focal2_px / ray.length_squared() * foreshortening;
+            let pixels = sight.focal2_px / ray.length_squared() * foreshortening;
+            sum += pixels * pixels;
         }
-        (seers, self.weight * pixels)
+        (seers, self.weight * sum)
     }
 }
 
