@@ -14,6 +14,7 @@
 //!  ├─ report                  figures, table and page of a mission
 //!  ├─ service                 models in, global model out
 //!  │   ├─ gate ─► merge       which models take part; many models to one
+//!  │   │           └─ store   objects in a folder: tiles that need not be computed again
 //!  │   └─ broker, gateway     MQTT without another program; devices on serial lines
 //!  ├─ evaluate                how good a model or a mesh is
 //!  ├─ partition               which agent gets which ground
@@ -33,6 +34,7 @@ pub mod mission;
 pub mod partition;
 pub mod report;
 pub mod service;
+pub mod store;
 mod terminal;
 #[cfg(test)]
 mod testing;

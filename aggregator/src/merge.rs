@@ -12,8 +12,8 @@
 //! ([`crate::gate`] decides).
 //!
 //! Where to start reading: [`merge`], the list of steps; then [`cosurf_engine::compress`]; then [`mod@distill`], which
-//! makes a [`plan`] for each of the [`tiles`] of a [`site`], and lets each [`learn`] from its [`teachers`];
-//! [`pages`] for splats in files; [`memory`] for what fits; [`fill_in()`] for models that have arrived only in part.
+//! makes a [`plan`] and a [`task`] for each of the [`tiles`] of a [`site`], and lets each [`learn`] from its
+//! [`teachers`]; [`results`] for what later merges need not compute again; [`pages`] for splats in files; [`memory`] for what fits; [`fill_in()`] for models that have arrived only in part.
 
 mod book;
 pub(crate) mod cameras;
@@ -29,9 +29,11 @@ mod locals;
 mod memory;
 mod pages;
 mod plan;
+mod results;
 mod scratch;
 mod settings;
 mod site;
+mod task;
 mod teachers;
 #[cfg(test)]
 mod tests;
@@ -56,9 +58,12 @@ use lessons::lessons;
 pub use locals::{InMemory, Locals};
 use locals::{Surveyed, survey};
 use memory::TILE_SPLATS_MAX;
+pub use results::{TileRecord, keep_only};
 use scratch::Scratch;
 pub use settings::MergeSettings;
 use site::Site;
+
+use crate::store::Store;
 
 /// A camera teaches only if its model shows a surface in at least this share of its picture.
 const SHOWN_MIN: f64 = 0.1;
@@ -73,8 +78,21 @@ const TORN_MAX: f64 = 0.1;
 pub struct Merged {
     /// The global model: its splats and all cameras.
     pub model: Model,
+    /// The tiles that the model was distilled in, in the order of their splats; none without distillation.
+    pub tiles: Vec<TileRecord>,
     /// The figures of the merge.
     pub summary: MergeSummary,
+}
+
+/// What a merge works with. It does not change the result.
+#[derive(Clone, Copy, Debug)]
+pub struct Resources<'a> {
+    /// Folder for files with what does not stay in memory; none is left at the end.
+    pub scratch: &'a Path,
+    /// Where the results of tiles are kept for later merges, if anywhere.
+    pub results: Option<&'a Store>,
+    /// Number of CPU threads, at least 1.
+    pub threads: usize,
 }
 
 /// The figures of a merge.
@@ -88,6 +106,12 @@ pub struct MergeSummary {
     pub splats: usize,
     /// Number of distillation steps.
     pub steps: u32,
+    /// Number of tiles of the ground that were distilled.
+    #[serde(default)]
+    pub tiles: usize,
+    /// Number of these tiles whose results were known from earlier merges.
+    #[serde(default)]
+    pub known_tiles: usize,
     /// The device that computed the merge, for example `cpu`.
     #[serde(default)]
     pub device: String,
@@ -104,26 +128,22 @@ pub struct LocalSummary {
     pub removed: usize,
 }
 
-/// Merges all of `locals` with `threads` (at least 1) CPU threads. What does not stay in memory goes to files in the
-/// folder `scratch`; none is left at the end. Calls `tell` after every step of the distillation; `tell` may stop the
-/// merge. If a graphics card that was chosen automatically fails or has too little memory, the merge starts over on the
-/// CPU.
+/// Merges all of `locals`. Calls `tell` after every step of the distillation; `tell` may stop the merge. If a graphics
+/// card that was chosen automatically fails or has too little memory, the merge starts over on the CPU.
 pub fn merge(
     locals: &dyn Locals,
     settings: &MergeSettings,
-    scratch: &Path,
-    threads: usize,
+    resources: Resources,
     tell: &mut dyn FnMut(MergeProgress) -> ControlFlow<()>,
 ) -> Result<Merged, MergeError> {
-    merge_in_tiles(locals, settings, scratch, threads, TILE_SPLATS_MAX, tell)
+    merge_in_tiles(locals, settings, resources, TILE_SPLATS_MAX, tell)
 }
 
 /// As [`merge`], with at most `tile_splats` splats in a tile.
 fn merge_in_tiles(
     locals: &dyn Locals,
     settings: &MergeSettings,
-    scratch: &Path,
-    threads: usize,
+    resources: Resources,
     tile_splats: usize,
     tell: &mut dyn FnMut(MergeProgress) -> ControlFlow<()>,
 ) -> Result<Merged, MergeError> {
@@ -131,12 +151,14 @@ fn merge_in_tiles(
     let surveyed = survey(locals)?;
     let splats = surveyed.sizes.iter().sum();
     let device = computer::choose(settings, splats, surveyed.sh_degree, &surveyed.cameras)?;
-    let computer = Computer { device, threads };
+    let computer = Computer { device, threads: resources.threads };
     computer.run(settings.device, |computer| {
         let summary = MergeSummary { device: computer.device.to_string(), ..MergeSummary::default() };
-        let mut merger = Merger { surveyed: &surveyed, settings, computer, tile_splats, summary };
-        let model = merger.merge(scratch, tell)?;
-        Ok(Merged { model, summary: merger.summary })
+        let tiles = Vec::new();
+        let mut merger =
+            Merger { surveyed: &surveyed, settings, computer, resources, tile_splats, summary, tiles };
+        let model = merger.merge(tell)?;
+        Ok(Merged { model, tiles: merger.tiles, summary: merger.summary })
     })
 }
 
@@ -145,24 +167,22 @@ struct Merger<'a> {
     surveyed: &'a Surveyed<'a>,
     settings: &'a MergeSettings,
     computer: &'a Computer,
+    resources: Resources<'a>,
     /// Largest number of splats of a tile.
     tile_splats: usize,
     summary: MergeSummary,
+    tiles: Vec<TileRecord>,
 }
 
 impl Merger<'_> {
-    fn merge(
-        &mut self,
-        scratch: &Path,
-        tell: &mut dyn FnMut(MergeProgress) -> ControlFlow<()>,
-    ) -> Result<Model, MergeError> {
+    fn merge(&mut self, tell: &mut dyn FnMut(MergeProgress) -> ControlFlow<()>) -> Result<Model, MergeError> {
         // A single model has nothing to learn: it would be its own teacher.
         let is_taught = self.settings.epochs > 0 && self.surveyed.sizes.len() > 1;
         let is_observed = self.settings.compress || is_taught;
         let observers =
             if is_observed { observers(self.computer, self.surveyed)? } else { Observers::default() };
         let splats = match is_taught {
-            true => self.taught(observers, Scratch::new(scratch)?, tell)?,
+            true => self.taught(observers, tell)?,
             false => self.joined(&observers)?,
         };
         self.summary.splats = splats.len();
@@ -183,11 +203,11 @@ impl Merger<'_> {
     fn taught(
         &mut self,
         observers: Observers,
-        scratch: Scratch,
         tell: &mut dyn FnMut(MergeProgress) -> ControlFlow<()>,
     ) -> Result<Splats, MergeError> {
         let Surveyed { locals, cameras, sizes, sh_degree } = self.surveyed;
         let surfaces = (0..sizes.len()).map(|local| observers.surfaces(local)).collect();
+        let scratch = Scratch::new(self.resources.scratch)?;
         let mut site = Site::new(scratch, cameras, surfaces, *sh_degree)?;
         for i in 0..sizes.len() {
             let model = locals.load(i)?;
@@ -199,8 +219,11 @@ impl Merger<'_> {
         let teaches = |local: usize| standings.is_some() || !locals.is_compressed(local);
         let lessons = lessons(cameras, standings.as_deref(), teaches);
         let tiles = site.tiles(self.tile_splats);
-        let distilled = distill(&site, tiles, &lessons, self.settings, self.computer, tell)?;
+        let results = self.resources.results;
+        let distilled = distill(&site, tiles, &lessons, self.settings, self.computer, results, tell)?;
         self.summary.steps = distilled.steps;
+        (self.summary.tiles, self.summary.known_tiles) = (distilled.tiles.len(), distilled.found);
+        self.tiles = distilled.tiles;
         Ok(distilled.splats)
     }
 

@@ -10,7 +10,7 @@ use std::ops::ControlFlow;
 
 use anyhow::{Context, Result};
 use clap::Parser;
-use cosurf_aggregator::merge::{InMemory, MergeSettings, fill_in, merge};
+use cosurf_aggregator::merge::{InMemory, MergeSettings, Resources, fill_in, merge};
 use cosurf_engine::base_of;
 use cosurf_link::{FirstLayer, Model, body_to_model, model_to_body, part_to_model};
 use cosurf_scene::Dataset;
@@ -40,8 +40,13 @@ fn main() -> Result<()> {
     let views = HeldOut::read(&Dataset::open(&mission.data)?, |camera| camera.resized(size_px))?;
     let settings = MergeSettings { epochs, ..MergeSettings::default() };
     let merged = |models: Vec<Model>| -> Result<Model> {
-        Ok(merge(&InMemory(models), &settings, &temp_dir(), THREADS, &mut |_| ControlFlow::Continue(()))?
-            .model)
+        Ok(merge(
+            &InMemory(models),
+            &settings,
+            Resources { scratch: &temp_dir(), results: None, threads: THREADS },
+            &mut |_| ControlFlow::Continue(()),
+        )?
+        .model)
     };
     let psnr = |model: &Model| views.psnr(&views.render(&model.splats));
     let all = psnr(&merged(whole.clone())?);

@@ -16,7 +16,7 @@ use std::process::{Command, Stdio};
 use anyhow::{Context, Result, ensure};
 use clap::Parser;
 use cosurf_aggregator::gate::{Admitted, Similarity, admit};
-use cosurf_aggregator::merge::{InMemory, Locals, MergeSettings, merge};
+use cosurf_aggregator::merge::{InMemory, Locals, MergeSettings, Resources, merge};
 use cosurf_city::{City, CitySettings};
 use cosurf_link::Model;
 use cosurf_scene::{Camera, Dataset, Pose, View, colmap};
@@ -136,7 +136,13 @@ impl Joined {
         let (locals, settings) = (InMemory(models), MergeSettings::default());
         let admitted = admit(&locals, (&settings).into(), THREADS, &|| false)?;
         self.tell(&admitted);
-        Ok(merge(&admitted, &settings, &temp_dir(), THREADS, &mut |_| ControlFlow::Continue(()))?.model)
+        Ok(merge(
+            &admitted,
+            &settings,
+            Resources { scratch: &temp_dir(), results: None, threads: THREADS },
+            &mut |_| ControlFlow::Continue(()),
+        )?
+        .model)
     }
 
     /// Prints which models take part, which are kept out and why, and which are moved.

@@ -13,7 +13,7 @@ use std::ops::ControlFlow;
 use anyhow::{Context, Result};
 use clap::Parser;
 use cosurf_aggregator::gate::admit;
-use cosurf_aggregator::merge::{InMemory, Locals, MergeSettings, merge};
+use cosurf_aggregator::merge::{InMemory, Locals, MergeSettings, Resources, merge};
 use cosurf_link::Model;
 use cosurf_scene::{Camera, Dataset, Mesh};
 use cosurf_tests::datasets::true_surface;
@@ -146,7 +146,13 @@ impl Yardstick {
 fn merged(models: Vec<Model>, settings: &MergeSettings, truth: Option<&[Model]>) -> Result<Model> {
     let locals = InMemory(models);
     let admitted = admit(&locals, settings.into(), THREADS, &|| false)?;
-    let model = merge(&admitted, settings, &temp_dir(), THREADS, &mut |_| ControlFlow::Continue(()))?.model;
+    let model = merge(
+        &admitted,
+        settings,
+        Resources { scratch: &temp_dir(), results: None, threads: THREADS },
+        &mut |_| ControlFlow::Continue(()),
+    )?
+    .model;
     let Some(truth) = truth else { return Ok(model) };
     let right = (0..admitted.count()).map(|i| &truth[admitted.place(i).local]);
     Ok(between([&model], right).context("too few cameras")?.model(&model))

@@ -10,9 +10,10 @@ use anyhow::{Result, ensure};
 use clap::Args;
 use cosurf_aggregator::gate::{Place, admit};
 use cosurf_aggregator::merge::{
-    LocalSummary, Locals, MergeError, MergeProgress, MergeSettings, MergeSummary, merge,
+    LocalSummary, Locals, MergeError, MergeProgress, MergeSettings, MergeSummary, Resources, keep_only, merge,
 };
 use cosurf_aggregator::service::{FitRecord, Fitted};
+use cosurf_aggregator::store::Store;
 use cosurf_contract::counted;
 use cosurf_engine::DeviceChoice;
 use cosurf_link::Model;
@@ -73,6 +74,10 @@ pub(crate) struct MergeArgs {
     /// Limit on the memory of the merge, for example 500MiB
     #[arg(long, value_name = "BYTES", default_value = "4GiB", value_parser = parse_bytes)]
     memory: u64,
+    /// Folder in which the tiles of the global model are kept. Of a later merge with this folder, only those tiles are
+    /// computed that other models have changed
+    #[arg(long, value_name = "DIR")]
+    tiles: Option<PathBuf>,
     /// Seed of every random choice; the same seed gives the same bytes
     #[arg(long, value_name = "S", default_value_t = 0)]
     seed: u64,
@@ -118,18 +123,23 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
         show(&progress);
         ControlFlow::Continue(())
     };
+    let results = args.tiles.as_deref().map(Store::in_folder).transpose()?;
+    let resources = Resources { scratch: &args.out, results: results.as_ref(), threads };
     let folders = Folders(&args.models);
     let admitted = admit(&folders, (&settings).into(), threads, &|| false)?;
     let names: Vec<String> = args.models.iter().map(|folder| folder.display().to_string()).collect();
     let kept_out: Vec<String> =
         admitted.kept_out(&names).map(|(i, why)| format!("{} {why}", names[i])).collect();
     ensure!(admitted.count() > 0, "nothing to merge: {}", kept_out.join("; "));
-    let merged = merge(&admitted, &settings, &args.out, threads, &mut tell)?;
+    let merged = merge(&admitted, &settings, resources, &mut tell)?;
     std::fs::create_dir_all(&args.out).map_err(|cause| SceneError::io(&args.out, cause))?;
     ply::write(&args.out.join("global.ply"), &merged.model.splats)?;
     let cameras = args.out.join("cameras.json");
     let text = serde_json::to_string_pretty(&merged.model.cameras)?;
     std::fs::write(&cameras, text).map_err(|cause| SceneError::io(&cameras, cause))?;
+    if let Some(results) = &results {
+        keep_only(results, &merged.tiles)?;
+    }
     let seconds = begun.elapsed().as_secs_f64();
     let mut stdout = io::stdout().lock();
     if args.json {
@@ -166,8 +176,11 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
         )?;
     }
     kept_out.iter().try_for_each(|kept_out| writeln!(stdout, "kept out: {kept_out}"))?;
-    let MergeSummary { joined, splats, steps, device, .. } = merged.summary;
+    let MergeSummary { joined, splats, steps, tiles, known_tiles, device, .. } = merged.summary;
     let (joined, steps) = (counted(joined, "splat"), counted(steps, "step"));
+    if known_tiles > 0 {
+        writeln!(stdout, "{known_tiles} of {} had not changed", counted(tiles, "tile"))?;
+    }
     writeln!(stdout, "{joined} joined, {splats} after {steps}, in {seconds:.1} s ({device})")?;
     writeln!(stdout, "{}", args.out.join("global.ply").display())?;
     Ok(())

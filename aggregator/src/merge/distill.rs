@@ -3,7 +3,7 @@
 //! decide only how many tiles are distilled at once.
 
 use std::cmp::Reverse;
-use std::ops::{ControlFlow, Range};
+use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::{self, Receiver, Sender};
 use std::thread;
@@ -16,12 +16,14 @@ use super::computer::Computer;
 use super::error::MergeError;
 use super::learn::learn;
 use super::memory::at_once;
-use super::pages::Pages;
 use super::plan::Plan;
-use super::scratch::Scratch;
+use super::results::{self, TileRecord};
+use super::scratch::{Floats, Scratch};
 use super::settings::MergeSettings;
 use super::site::Site;
+use super::task::Task;
 use super::tiles::Tile;
+use crate::store::Store;
 
 /// Progress of a merge.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -38,6 +40,17 @@ pub struct MergeProgress {
 pub(super) struct Distilled {
     pub(super) splats: Splats,
     pub(super) steps: u32,
+    pub(super) tiles: Vec<TileRecord>,
+    /// Number of tiles whose results were in the store.
+    pub(super) found: usize,
+}
+
+/// A distilled tile.
+struct Learnt {
+    record: TileRecord,
+    splats: Splats,
+    /// Whether the result was in the store.
+    was_found: bool,
 }
 
 /// What a thread that distils tiles reports.
@@ -45,16 +58,18 @@ enum Report {
     /// PSNR of a step, dB.
     Step(f64),
     /// The tile with this index is done.
-    Done(usize, Result<Splats, MergeError>),
+    Done(usize, Result<Learnt, MergeError>),
 }
 
 /// Distils the joined splats of a site, divided into `tiles`. `lessons` has the cameras of each local model that teach.
+/// Tiles whose results are in `store` are not distilled again; the others' results are put there.
 pub(super) fn distill(
     site: &Site,
     tiles: Vec<Tile>,
     lessons: &[Vec<usize>],
     settings: &MergeSettings,
     computer: &Computer,
+    store: Option<&Store>,
     tell: &mut dyn FnMut(MergeProgress) -> ControlFlow<()>,
 ) -> Result<Distilled, MergeError> {
     let _span = info_span!("distill", tiles = tiles.len()).entered();
@@ -69,24 +84,53 @@ pub(super) fn distill(
         order: largest_first(&plans),
         next: AtomicUsize::new(0),
         is_stopped: AtomicBool::new(false),
-        learn: &|plan, tell| learn(site, plan, settings, &computer, tell),
+        learn: &|plan, tell| {
+            let task = Task::of(site, plan, settings, &computer.device)?;
+            learn_or_find(&task, &site.scratch, &computer, store, tell)
+        },
     };
     let mut done = 0;
-    let mut note = |psnr| {
-        done += 1;
-        tell(MergeProgress { step: done, steps, psnr }).is_continue()
+    let mut note = |new: Noted| match new {
+        Noted::Step(psnr) => {
+            done += 1;
+            tell(MergeProgress { step: done, steps, psnr }).is_continue()
+        }
+        Noted::Found(index) => {
+            done += settings.epochs * plans[index].lessons.len() as u32;
+            true
+        }
     };
-    let results = Results::new(&site.scratch, site.joined.sh_degree(), plans.len())?;
-    let splats = thread::scope(|scope| {
+    let results = Results::new(&site.scratch, plans.len())?;
+    let (splats, tiles, found) = thread::scope(|scope| {
         let (say, reports) = mpsc::channel();
         for _ in 0..at_once {
             let (work, say) = (&work, say.clone());
             scope.spawn(move || work.run(&say));
         }
         drop(say);
-        results.gather(&reports, &work.is_stopped, &mut note)
+        results.gather(&reports, &work.is_stopped, site.joined.sh_degree(), &mut note)
     })?;
-    Ok(Distilled { splats, steps })
+    Ok(Distilled { splats, steps, tiles, found })
+}
+
+/// Distils a tile, unless its result is in the store.
+fn learn_or_find(
+    task: &Task,
+    scratch: &Scratch,
+    computer: &Computer,
+    store: Option<&Store>,
+    tell: &dyn Fn(f64) -> bool,
+) -> Result<Learnt, MergeError> {
+    let found = store.map_or(Ok(None), |store| results::find(store, task))?;
+    let was_found = found.is_some();
+    let splats = match found {
+        Some(splats) => splats,
+        None => learn(task, scratch, computer, tell)?,
+    };
+    if let Some(store) = store.filter(|_| !was_found) {
+        results::keep(store, task, &splats)?;
+    }
+    Ok(Learnt { record: TileRecord::of(task, &splats), splats, was_found })
 }
 
 /// The indices of the plans. Those that take longest come first, so that all threads end at the same time.
@@ -101,7 +145,7 @@ fn largest_first(plans: &[Plan]) -> Vec<usize> {
 }
 
 /// Distils a tile. The second argument gets the PSNR of each step, and returns false to stop.
-type Learn<'a> = dyn Fn(&Plan, &dyn Fn(f64) -> bool) -> Result<Splats, MergeError> + Sync + 'a;
+type Learn<'a> = dyn Fn(&Plan, &dyn Fn(f64) -> bool) -> Result<Learnt, MergeError> + Sync + 'a;
 
 /// The tiles that are left to distil.
 struct Work<'a> {
@@ -129,46 +173,69 @@ impl Work<'_> {
     }
 }
 
+/// News of a distillation.
+enum Noted {
+    /// PSNR of a step, dB.
+    Step(f64),
+    /// The result of the tile with this index was in the store.
+    Found(usize),
+}
+
 /// The distilled tiles.
 struct Results {
-    pages: Pages,
-    /// The pages of each tile, and the number of its splats.
-    tiles: Vec<(Range<usize>, usize)>,
+    floats: Floats,
+    /// Place of each tile's splats in the file, and its record.
+    tiles: Vec<Option<(u64, TileRecord)>>,
+    found: usize,
 }
 
 impl Results {
-    fn new(scratch: &Scratch, sh_degree: u32, tiles: usize) -> Result<Self, MergeError> {
-        Ok(Self { pages: Pages::new(scratch, sh_degree)?, tiles: vec![(0..0, 0); tiles] })
+    fn new(scratch: &Scratch, tiles: usize) -> Result<Self, MergeError> {
+        Ok(Self { floats: scratch.floats()?, tiles: vec![None; tiles], found: 0 })
     }
 
-    /// Collects the tiles in their order. `note` gets the PSNR of each step; it returns false to stop.
+    /// Collects the tiles in their order. `note` gets all news; it returns false to stop. Returns the splats, the
+    /// records of the tiles, and the number of tiles that were in the store.
     fn gather(
         mut self,
         reports: &Receiver<Report>,
         is_stopped: &AtomicBool,
-        note: &mut dyn FnMut(f64) -> bool,
-    ) -> Result<Splats, MergeError> {
+        sh_degree: u32,
+        note: &mut dyn FnMut(Noted) -> bool,
+    ) -> Result<(Splats, Vec<TileRecord>, usize), MergeError> {
         for report in reports {
             let outcome = match report {
-                Report::Step(psnr) if note(psnr) => Ok(()),
+                Report::Step(psnr) if note(Noted::Step(psnr)) => Ok(()),
                 Report::Step(_) => Err(MergeError::GivenUp),
-                Report::Done(index, learnt) => learnt.and_then(|learnt| self.keep(index, &learnt)),
+                Report::Done(index, learnt) => learnt.and_then(|learnt| self.keep(index, learnt, note)),
             };
             if outcome.is_err() {
                 is_stopped.store(true, Ordering::Relaxed);
                 outcome?;
             }
         }
-        let count = self.tiles.iter().map(|(_, count)| count).sum();
-        let mut splats = Splats::with_capacity(count, self.pages.sh_degree());
-        for (pages, _) in self.tiles {
-            self.pages.read(pages, |_| true, |_, _| true, &mut splats)?;
+        let tiles = self.tiles.into_iter().map(|tile| tile.expect("every tile has been distilled"));
+        let (places, tiles): (Vec<u64>, Vec<TileRecord>) = tiles.unzip();
+        let count = tiles.iter().map(|tile| tile.splats).sum();
+        let mut splats = Splats::with_capacity(count, sh_degree);
+        for (at, tile) in places.into_iter().zip(&tiles) {
+            self.floats.read_splats(at, tile.splats, &mut splats)?;
         }
-        Ok(splats)
+        Ok((splats, tiles, self.found))
     }
 
-    fn keep(&mut self, index: usize, learnt: &Splats) -> Result<(), MergeError> {
-        self.tiles[index] = (self.pages.append(learnt)?, learnt.len());
+    fn keep(
+        &mut self,
+        index: usize,
+        learnt: Learnt,
+        note: &mut dyn FnMut(Noted) -> bool,
+    ) -> Result<(), MergeError> {
+        let Learnt { record, splats, was_found } = learnt;
+        self.tiles[index] = Some((self.floats.append_splats(&splats)?, record));
+        if was_found {
+            self.found += 1;
+            note(Noted::Found(index));
+        }
         Ok(())
     }
 }

@@ -4,6 +4,8 @@ use cosurf_engine::DeviceError;
 use cosurf_link::{BodyFault, StoreError};
 use cosurf_scene::SceneError;
 
+use crate::store::ObjectError;
+
 /// Why models are not merged.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -17,6 +19,9 @@ pub enum MergeError {
     /// The body of a model (its encoded form) is invalid.
     #[error(transparent)]
     Body(#[from] BodyFault),
+    /// The result of a tile was not read from its store, or not written there.
+    #[error(transparent)]
+    Tiles(#[from] ObjectError),
     /// The device is not available, or failed during the merge.
     #[error(transparent)]
     Device(#[from] DeviceError),

@@ -9,9 +9,8 @@ use glam::DVec3;
 
 use super::computer::Computer;
 use super::error::MergeError;
-use super::plan::Plan;
-use super::settings::MergeSettings;
-use super::site::Site;
+use super::scratch::Scratch;
+use super::task::Task;
 use super::teachers::write_book;
 
 /// Epochs at the end of a distillation with lower learning rates.
@@ -22,38 +21,36 @@ const STRAY_TIMES: f64 = 10.0;
 /// Distils a tile. Returns its splats. `tell` gets the PSNR of each step, dB: the merged model's rendering against the
 /// local model's; it returns false to stop.
 pub(super) fn learn(
-    site: &Site,
-    plan: &Plan,
-    settings: &MergeSettings,
+    task: &Task,
+    scratch: &Scratch,
     computer: &Computer,
     tell: &dyn Fn(f64) -> bool,
 ) -> Result<Splats, MergeError> {
-    if plan.lessons.is_empty() {
-        return plan.own(site);
+    let cameras = task.cameras();
+    if cameras.is_empty() {
+        return Ok(task.student()?); // no part of a picture shows splats around the tile either
     }
-    let book = write_book(site, plan, computer)?;
-    let (student, count) = plan.student(site)?;
-    let cameras = plan.cameras();
+    let book = write_book(task, scratch, computer)?;
+    let student = task.student()?;
     let room = Capacity::to_train(&student, &cameras, Channels::Geometry);
     let mut backend = AnyBackend::new(&computer.device, room, computer.threads)?;
     backend.load(&student);
-    let sh_degree = student.sh_degree;
     drop(student);
     let lessons = book.len() as u32;
     let mut distiller = Distiller::new(
         backend,
         DistillSettings {
-            steps: settings.epochs * lessons,
+            steps: task.epochs() * lessons,
             cooldown_steps: COOLDOWN_EPOCHS * lessons,
             rates: StudentRates::TRAINED,
             extent: distill::extent(&without_strays(cameras)),
             depth: book.median_depth(),
-            sh_degree,
+            sh_degree: task.sh_degree(),
         },
     );
     let mut numbers = Vec::new();
-    for epoch in 0..settings.epochs {
-        for index in view_order(settings.seed, u64::from(epoch), book.len()) {
+    for epoch in 0..task.epochs() {
+        for index in view_order(task.seed(), u64::from(epoch), book.len()) {
             let (losses, _) = distiller.step(&book.read(index, &mut numbers)?);
             computer.device.check()?;
             if !tell(losses.color.psnr()) {
@@ -61,10 +58,10 @@ pub(super) fn learn(
             }
         }
     }
-    let (mut learnt, useless) = distiller.finish(&plan.wide_crops);
+    let (mut learnt, useless) = distiller.finish(task.wide_crops());
     computer.device.check()?;
-    keep_first(&mut learnt, count);
-    let own_useless: Vec<u32> = useless.into_iter().take_while(|i| (*i as usize) < count).collect();
+    keep_first(&mut learnt, task.own());
+    let own_useless: Vec<u32> = useless.into_iter().take_while(|i| (*i as usize) < task.own()).collect();
     Ok(learnt.without(&own_useless))
 }
 

@@ -66,11 +66,14 @@ impl Pages {
     }
 
     /// Appends splats. A lower degree of spherical harmonics is padded with zeros. Returns their pages.
-    pub(super) fn append(&mut self, splats: &Splats) -> Result<Range<usize>, SceneError> {
+    ///
+    /// `area` decides on the order of the splats, and must contain them. Splats of the same area are in the same order,
+    /// whatever other splats are left out.
+    pub(super) fn append(&mut self, splats: &Splats, area: &Area) -> Result<Range<usize>, SceneError> {
         let first = self.pages.len();
         let stride = Splats::with_capacity(0, self.sh_degree).sh_stride();
         let mut numbers = Vec::with_capacity(PAGE * (SHAPE + stride));
-        for page in by_place(&splats.means).chunks(PAGE) {
+        for page in area.order(&splats.means).chunks(PAGE) {
             numbers.clear();
             for &i in page {
                 let i = i as usize;
@@ -122,25 +125,39 @@ impl Pages {
     }
 }
 
-/// The indices of splats, neighbours near each other: along a Z-order curve through the box around all means.
-fn by_place(means: &[[f32; 3]]) -> Vec<u32> {
-    let (low, high) = means.iter().fold(([f32::MAX; 3], [f32::MIN; 3]), |(mut low, mut high), mean| {
-        for k in 0..3 {
-            (low[k], high[k]) = (low[k].min(mean[k]), high[k].max(mean[k]));
-        }
-        (low, high)
-    });
-    let side = (0..3).map(|k| high[k] - low[k]).fold(f32::MIN_POSITIVE, f32::max);
-    let code = |i: &u32| {
-        let mean = means[*i as usize];
-        let steps = [0, 1, 2].map(|k| (f64::from((mean[k] - low[k]) / side) * 2e6) as u64);
-        (0..21)
-            .flat_map(|bit| (0..3).map(move |k| (bit, k)))
-            .fold(0, |code: u64, (bit, k)| code | (steps[k] >> bit & 1) << (3 * bit + k))
-    };
-    let mut order: Vec<u32> = (0..means.len() as u32).collect();
-    order.sort_by_cached_key(code);
-    order
+/// A box around the means of splats.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Area {
+    low: [f32; 3],
+    /// Length of its longest side.
+    side: f32,
+}
+
+impl Area {
+    /// The box around `means`.
+    pub(super) fn of(means: &[[f32; 3]]) -> Self {
+        let (low, high) = means.iter().fold(([f32::MAX; 3], [f32::MIN; 3]), |(mut low, mut high), mean| {
+            for k in 0..3 {
+                (low[k], high[k]) = (low[k].min(mean[k]), high[k].max(mean[k]));
+            }
+            (low, high)
+        });
+        Self { low, side: (0..3).map(|k| high[k] - low[k]).fold(f32::MIN_POSITIVE, f32::max) }
+    }
+
+    /// The indices of splats in this box, neighbours near each other: along a Z-order curve.
+    fn order(&self, means: &[[f32; 3]]) -> Vec<u32> {
+        let code = |i: &u32| {
+            let mean = means[*i as usize];
+            let steps = [0, 1, 2].map(|k| (f64::from((mean[k] - self.low[k]) / self.side) * 2e6) as u64);
+            (0..21)
+                .flat_map(|bit| (0..3).map(move |k| (bit, k)))
+                .fold(0, |code: u64, (bit, k)| code | (steps[k] >> bit & 1) << (3 * bit + k))
+        };
+        let mut order: Vec<u32> = (0..means.len() as u32).collect();
+        order.sort_by_cached_key(code);
+        order
+    }
 }
 
 fn bounds(splats: &Splats, page: &[u32]) -> Bounds {
@@ -167,7 +184,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let splats = ground(-30.0, 30.0);
         let mut pages = Pages::new(&Scratch::new(folder.path()).unwrap(), splats.sh_degree).unwrap();
-        pages.append(&splats).unwrap();
+        pages.append(&splats, &Area::of(&splats.means)).unwrap();
         let read = |limit: f64| {
             let mut some = Splats::with_capacity(0, splats.sh_degree);
             pages
@@ -193,7 +210,7 @@ mod tests {
         let mut pages = Pages::new(&Scratch::new(folder.path()).unwrap(), 1).unwrap();
         let mut one = Splats::with_capacity(1, 0);
         one.push([1.0, 2.0, 3.0], [4.0, 5.0, 6.0, 7.0], [-1.0, -2.0, -3.0], 8.0, &[9.0, 10.0, 11.0]);
-        pages.append(&one).unwrap();
+        pages.append(&one, &Area::of(&one.means)).unwrap();
         let mut read = Splats::with_capacity(1, 1);
         let is_its = |_, radius: f64| (radius - 3.0 / std::f64::consts::E).abs() < 1e-6;
         pages.read(pages.all(), |_| true, is_its, &mut read).unwrap();

@@ -93,14 +93,9 @@ impl Plan {
         self.lessons.iter().map(|view| self.crops[view]).collect()
     }
 
-    /// The splats of the tile.
-    pub(super) fn own(&self, site: &Site) -> Result<Splats, MergeError> {
-        own(site, &self.tile)
-    }
-
     /// The splats to train: those of the tile, then others that a part shows. Also returns the number of the former.
     pub(super) fn student(&self, site: &Site) -> Result<(Splats, usize), MergeError> {
-        let mut student = self.own(site)?;
+        let mut student = own(site, &self.tile)?;
         let count = student.len();
         let frusta = self.frusta();
         let is_seen = |at: DVec3, radius: f64| frusta.iter().any(|frustum| frustum.touches(at, radius));

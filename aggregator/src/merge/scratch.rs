@@ -6,7 +6,7 @@ use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
-use cosurf_scene::SceneError;
+use cosurf_scene::{SceneError, Splats};
 
 /// The folder in which a merge makes its files.
 #[derive(Clone, Debug)]
@@ -49,6 +49,35 @@ impl Floats {
         Ok(at)
     }
 
+    /// Appends splats. Returns their place.
+    pub(super) fn append_splats(&mut self, splats: &Splats) -> Result<u64, SceneError> {
+        let at = self.len;
+        numbers(splats).into_iter().try_for_each(|values| self.append(values).map(|_| ()))?;
+        Ok(at)
+    }
+
+    /// Appends to `splats` those at the place `at`, of the same degree of spherical harmonics.
+    pub(super) fn read_splats(&self, at: u64, count: usize, splats: &mut Splats) -> Result<(), SceneError> {
+        let (sh_stride, before) = (splats.sh_stride(), splats.len());
+        let all = before + count;
+        splats.means.resize(all, [0.0; 3]);
+        splats.quats.resize(all, [0.0; 4]);
+        splats.log_scales.resize(all, [0.0; 3]);
+        splats.opacity_logits.resize(all, 0.0);
+        splats.sh.resize(all * sh_stride, 0.0);
+        let mut at = at;
+        let mut fill = |values: &mut [f32]| {
+            self.read(at, values)?;
+            at += values.len() as u64;
+            Ok(())
+        };
+        fill(splats.means[before..].as_flattened_mut())?;
+        fill(splats.quats[before..].as_flattened_mut())?;
+        fill(splats.log_scales[before..].as_flattened_mut())?;
+        fill(&mut splats.opacity_logits[before..])?;
+        fill(&mut splats.sh[before * sh_stride..])
+    }
+
     /// Fills `values` with the numbers from the place `at` on.
     pub(super) fn read(&self, at: u64, values: &mut [f32]) -> Result<(), SceneError> {
         let mut read = || -> io::Result<()> {
@@ -60,10 +89,32 @@ impl Floats {
     }
 }
 
+/// All numbers of splats.
+pub(super) fn numbers(splats: &Splats) -> [&[f32]; 5] {
+    let Splats { means, quats, log_scales, opacity_logits, sh, .. } = splats;
+    [means.as_flattened(), quats.as_flattened(), log_scales.as_flattened(), opacity_logits, sh]
+}
+
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+    use crate::testing::ground;
+
+    #[test]
+    fn splats_come_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut floats = Scratch::new(folder.path()).unwrap().floats().unwrap();
+        let [one, two] = [ground(0.0, 2.0), ground(5.0, 6.0)];
+        let places = [&one, &two].map(|splats| floats.append_splats(splats).unwrap());
+        let mut read = Splats::with_capacity(0, 0);
+        floats.read_splats(places[1], two.len(), &mut read).unwrap();
+        assert_eq!(read, two);
+        floats.read_splats(places[0], one.len(), &mut read).unwrap();
+        let mut both = two;
+        both.extend(&one);
+        assert_eq!(read, both);
+    }
 
     #[test]
     fn numbers_come_back_and_no_file_is_left() {

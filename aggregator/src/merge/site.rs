@@ -9,7 +9,7 @@ use cosurf_scene::{Camera, SparsePoint, Splats};
 use glam::DVec3;
 
 use super::error::MergeError;
-use super::pages::{Pages, place};
+use super::pages::{Area, Pages, place};
 use super::scratch::Scratch;
 use super::tiles::{Map, Tile, vertical};
 
@@ -62,9 +62,10 @@ impl Site {
     /// Adds the next model, of which `kept` stays after compression.
     pub(super) fn add(&mut self, model: &Model, kept: &Splats) -> Result<(), MergeError> {
         let Model { splats, cameras } = model;
-        self.pages.push(self.models.append(splats)?);
+        let area = Area::of(&splats.means);
+        self.pages.push(self.models.append(splats, &area)?);
         self.neighbours.push(Neighbours::find(cameras, &probes(splats)));
-        self.joined.append(kept)?;
+        self.joined.append(kept, &area)?;
         let cell = || longest_side(splats) / CELLS_ACROSS;
         let new = || Map::new(vertical(self.cameras.iter().flatten()), cell());
         self.map.get_or_insert_with(new).add(&kept.means);

@@ -38,14 +38,16 @@ fn try_to_run(
     threads: usize,
     tell: &mut dyn FnMut(MergeProgress) -> ControlFlow<()>,
 ) -> Result<Merged, MergeError> {
-    merge(locals, settings, tempfile::tempdir().unwrap().path(), threads, tell)
+    let scratch = tempfile::tempdir().unwrap();
+    merge(locals, settings, Resources { scratch: scratch.path(), results: None, threads }, tell)
 }
 
 /// Merges with tiles of at most `tile_splats` splats.
 fn in_tiles(locals: &dyn Locals, settings: &MergeSettings, threads: usize, tile_splats: usize) -> Merged {
     let folder = tempfile::tempdir().unwrap();
     let mut go_on = |_: MergeProgress| ControlFlow::Continue(());
-    let merged = merge_in_tiles(locals, settings, folder.path(), threads, tile_splats, &mut go_on).unwrap();
+    let resources = Resources { scratch: folder.path(), results: None, threads };
+    let merged = merge_in_tiles(locals, settings, resources, tile_splats, &mut go_on).unwrap();
     assert_eq!(folder.path().read_dir().unwrap().count(), 0, "a file is left");
     merged
 }
@@ -119,6 +121,68 @@ fn the_same_models_give_the_same_bytes_with_any_memory_and_number_of_threads() {
     assert_eq!(three, one);
     let other = in_tiles(&neighbours(), &MergeSettings { seed: 1, ..settings }, 1, 400);
     assert_ne!(one, other, "another seed gives another order");
+}
+
+/// Merges with tiles of at most 400 splats, whose results are kept in `store`.
+fn with_store(
+    locals: &dyn Locals,
+    store: &Store,
+    tell: &mut dyn FnMut(MergeProgress) -> ControlFlow<()>,
+) -> Result<Merged, MergeError> {
+    let settings = MergeSettings { epochs: 2, device: DeviceChoice::Cpu, ..MergeSettings::default() };
+    let scratch = tempfile::tempdir().unwrap();
+    let resources = Resources { scratch: scratch.path(), results: Some(store), threads: 2 };
+    merge_in_tiles(locals, &settings, resources, 400, tell)
+}
+
+#[test]
+fn what_no_model_changes_is_not_computed_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = Store::in_folder(folder.path()).unwrap();
+    let run = |locals: &dyn Locals| with_store(locals, &store, &mut |_| ControlFlow::Continue(())).unwrap();
+    let first = run(&neighbours());
+    let tiles = first.summary.tiles;
+    assert!(tiles >= 3 && first.summary.known_tiles == 0, "{:?}", first.summary);
+    let mut again = run(&neighbours());
+    assert_eq!(again.summary.known_tiles, tiles);
+    again.summary.known_tiles = 0;
+    assert_eq!(again, first);
+
+    // A model beside the others comes first in the order, and has nothing to do with the western tiles.
+    let mut more = neighbours();
+    let east = local(18.0, 40.0, &[24.0, 26.0, 28.0, 30.0, 32.0, 34.0], &[]);
+    more.0.insert(0, east);
+    let third = run(&more);
+    let known = third.tiles.iter().filter(|tile| first.tiles.contains(tile)).count();
+    assert!(known > 0 && known < tiles, "{known} of {tiles} tiles are known");
+    assert_eq!(third.summary.known_tiles, known);
+
+    keep_only(&store, &first.tiles[..1]).unwrap();
+    assert_eq!(run(&neighbours()).summary.known_tiles, 1);
+    let damaged = folder.path().join(&first.tiles[0].task);
+    std::fs::write(&damaged, "nothing of use").unwrap();
+    let mended = run(&neighbours());
+    assert_eq!((mended.summary.known_tiles, mended.tiles), (tiles - 1, first.tiles));
+}
+
+#[test]
+fn tiles_of_a_merge_that_was_broken_off_are_used_by_the_next() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = Store::in_folder(folder.path()).unwrap();
+    let mut go_on = |_: MergeProgress| ControlFlow::Continue(());
+    let whole = in_tiles(
+        &neighbours(),
+        &MergeSettings { epochs: 2, device: DeviceChoice::Cpu, ..MergeSettings::default() },
+        1,
+        400,
+    );
+    let broken_off = with_store(&neighbours(), &store, &mut |progress| {
+        if progress.step < progress.steps - 2 { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
+    });
+    assert!(matches!(broken_off, Err(MergeError::GivenUp)));
+    let next = with_store(&neighbours(), &store, &mut go_on).unwrap();
+    assert!(next.summary.known_tiles > 0, "{:?}", next.summary);
+    assert_eq!((next.model, next.tiles), (whole.model, whole.tiles));
 }
 
 #[test]

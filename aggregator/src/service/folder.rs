@@ -32,6 +32,11 @@ pub(crate) fn global_store(folder: &Path) -> PathBuf {
     folder.join("global")
 }
 
+/// Folder of the results of tiles, inside the folder of a service.
+pub(super) fn tiles(folder: &Path) -> PathBuf {
+    folder.join("tiles")
+}
+
 /// File of the newest global model for viewers, inside the folder of a service.
 pub fn global_ply(folder: &Path) -> PathBuf {
     folder.join("global.ply")

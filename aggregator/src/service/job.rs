@@ -14,7 +14,8 @@ use tracing::{debug_span, info_span};
 
 use super::record::{Fitted, KeptOut, Verdict};
 use crate::gate::{Frames, admit, admit_part};
-use crate::merge::{Locals, MergeError, MergeProgress, MergeSettings, Merged, fill_in, merge};
+use crate::merge::{Locals, MergeError, MergeProgress, MergeSettings, Merged, Resources, fill_in, merge};
+use crate::store::Store;
 
 /// Number of distillation steps between two reports of progress.
 const TELL_EVERY: u32 = 50;
@@ -137,12 +138,13 @@ impl Locals for Stored {
 }
 
 impl Job {
-    /// `scratch` is a folder for files of the merge.
+    /// `scratch` is a folder for files of the merge. Results of tiles are kept in `results`.
     pub(super) fn start(
         stores: Stores,
         inputs: Inputs,
         settings: MergeSettings,
         scratch: PathBuf,
+        results: Store,
         threads: usize,
     ) -> Self {
         let stop = Arc::new(AtomicBool::new(false));
@@ -157,13 +159,13 @@ impl Job {
             if admitted.count() == 0 {
                 return Ok(Outcome { merged: None, verdict });
             }
-            let mut merged =
-                merge(&admitted, &settings, &scratch, threads, &mut |progress: MergeProgress| {
-                    if progress.step.is_multiple_of(TELL_EVERY) {
-                        let _ = say.send(progress); // fails only if the job was dropped
-                    }
-                    if is_stopped() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
-                })?;
+            let resources = Resources { scratch: &scratch, results: Some(&results), threads };
+            let mut merged = merge(&admitted, &settings, resources, &mut |progress: MergeProgress| {
+                if progress.step.is_multiple_of(TELL_EVERY) {
+                    let _ = say.send(progress); // fails only if the job was dropped
+                }
+                if is_stopped() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+            })?;
             for i in 0..parts.count() {
                 merged.model = parts.fill_into(
                     merged.model,

@@ -7,19 +7,20 @@ use std::sync::mpsc::{Receiver, TryRecvError};
 use std::time::Duration;
 
 use cosurf_link::{ModelKey, ModelStore, Node, NodeEvent, Offer};
-use cosurf_scene::{SceneError, ply};
+use cosurf_scene::ply;
 use cosurf_wire::{DeviceId, ModelHeader, ModelId, ModelKind, RefusalReason, TileId};
 
 use super::control::{Command, ServiceConfig};
 use super::error::ServiceError;
 use super::event::ServiceEvent;
-use super::folder::{global_ply, global_store};
+use super::folder::{global_ply, global_store, tiles};
 use super::job::{Inputs, Job, JobState, Outcome};
 use super::record::{Input, KeptOut, Merging, Verdict, remove_global};
 use super::round::{Expected, Round};
 use super::shelf::Shelf;
 
-use crate::merge::{MergeSettings, Merged};
+use crate::merge::{MergeError, MergeSettings, Merged, keep_only};
+use crate::store::Store;
 
 /// Pause before a failed merge or write is tried again.
 const DISK_RETRY: Duration = Duration::from_secs(5);
@@ -42,6 +43,8 @@ pub(super) struct Keeper {
     folder: PathBuf,
     shelf: Shelf,
     globals: ModelStore,
+    /// The results of tiles, so that a merge need not distil again what has not changed.
+    results: Store,
     withdrawals_at: Duration,
     global: Option<ModelHeader>,
     expected: Expected,
@@ -65,11 +68,13 @@ impl Keeper {
     pub(super) fn open(config: ServiceConfig) -> Result<(Self, Vec<ModelHeader>), ServiceError> {
         let (shelf, headers) = Shelf::open(&config.folder)?;
         let (globals, revisions) = ModelStore::open(&global_store(&config.folder))?;
+        let results = Store::in_folder(&tiles(&config.folder)).map_err(MergeError::from)?;
         let keeper = Self {
             device: config.identity.device,
             folder: config.folder,
             shelf,
             globals,
+            results,
             withdrawals_at: Duration::ZERO,
             global: revisions.into_iter().max_by_key(|header| header.model),
             expected: config.expected,
@@ -99,6 +104,15 @@ impl Keeper {
     /// Whether a merge is running, or its result is not yet offered to the agents.
     pub(super) fn is_merging(&self) -> bool {
         self.job.is_some() || self.to_offer
+    }
+
+    /// Whether the round is over, so that the next merge begins as soon as none is running.
+    pub(super) fn is_due(&self, now: Duration) -> bool {
+        if now < self.retry_at {
+            return false;
+        }
+        let here = self.shelf.newest().iter().map(|header| header.device).collect();
+        self.round.as_ref().is_some_and(|round| round.is_over(&self.expected, &here, &self.given_up, now))
     }
 
     /// Handles an event of the link. Returns the event to report, if there is one.
@@ -205,9 +219,10 @@ impl Keeper {
         Ok(withdrawn.map(|device| ServiceEvent::Withdrawn { device }))
     }
 
-    /// Removes the newest global model, because it was merged from withdrawn models. Its revision in `global/` stays,
+    /// Removes the newest global model and its tiles, because it was merged from withdrawn models. Its revision in `global/` stays,
     /// so that the next revision has a higher number.
-    fn withdraw_global(&mut self, node: &mut Node) -> Result<(), SceneError> {
+    fn withdraw_global(&mut self, node: &mut Node) -> Result<(), ServiceError> {
+        keep_only(&self.results, &[])?;
         if remove_global(&self.folder)? {
             node.withdraw_global(TileId::WHOLE);
             self.told.push_back(ServiceEvent::GlobalWithdrawn);
@@ -215,14 +230,18 @@ impl Keeper {
         Ok(())
     }
 
-    /// If the round is over, ends it and begins a merge of the models that count. A running merge of other
-    /// models is stopped first. If the newest revision was merged from these models, it will be offered again
-    /// instead.
+    /// If the round is over and no merge is running, ends the round and begins a merge of the models that count. A
+    /// running merge is stopped only if it uses withdrawn models: else frequent arrivals would let none end. If the
+    /// newest revision was merged from these models, it will be offered again instead.
     fn begin_when_due(&mut self, node: &Node, now: Duration) {
-        let here = self.shelf.newest().iter().map(|header| header.device).collect();
-        let is_over = |round: &Round| round.is_over(&self.expected, &here, &self.given_up, now);
-        if !self.round.as_ref().is_some_and(is_over) {
+        if !self.is_due(now) {
             return;
+        }
+        if let Some((job, _)) = &self.job {
+            if !self.shelf.has_withdrawn(&recorded(&job.inputs)) {
+                return;
+            }
+            self.job = None; // dropping a job waits until its merge has stopped
         }
         self.round = None;
         self.told.extend(self.shelf.take_parts(node));
@@ -231,15 +250,12 @@ impl Keeper {
             return;
         }
         if self.is_merged(&inputs) {
-            self.job = None;
             self.to_offer = true;
-        } else if self.job.as_ref().is_none_or(|(job, _)| job.inputs != inputs) {
-            self.job = None; // dropping a job waits until its merge has stopped
-            self.job = Some((
-                Job::start(self.shelf.stores(), inputs, self.merge, self.folder.clone(), self.threads),
-                now,
-            ));
+            return;
         }
+        let (stores, results) = (self.shelf.stores(), self.results.clone());
+        let job = Job::start(stores, inputs, self.merge, self.folder.clone(), results, self.threads);
+        self.job = Some((job, now));
     }
 
     /// Whether the newest revision was merged from these models with the current settings.
@@ -290,7 +306,7 @@ impl Keeper {
         Verdict { kept_out, fitted, fits }: Verdict,
         seconds: f64,
     ) -> Result<Offer, ServiceError> {
-        let Merged { model, summary } = merged;
+        let Merged { model, tiles, summary } = merged;
         let views = inputs.headers().fold(0u32, |views, header| views.saturating_add(header.views));
         let next = ModelId(self.global.map_or(1, |global| global.model.0 + 1));
         let mut offer = Offer::from_body(self.device, next, ModelKind::Global, views, body)?;
@@ -304,6 +320,7 @@ impl Keeper {
         let settings = self.merge;
         Merging { revision, inputs, kept_out, fitted, fits, settings, summary, seconds }
             .write(&self.folder)?;
+        keep_only(&self.results, &tiles)?;
         Ok(offer)
     }
 

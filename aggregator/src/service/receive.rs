@@ -51,7 +51,7 @@ impl Service {
             let broke = self.step(transport, &now, LISTEN, &mut on_event).is_break();
             let ends = match state {
                 RunState::Running => false,
-                RunState::Finishing => !self.keeper.is_merging(),
+                RunState::Finishing => !self.keeper.is_merging() && !self.keeper.is_due(now()),
                 RunState::Stopping => true,
             };
             if ends || broke {

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 #[cfg(feature = "gpu")]
 use crate::gpu::{Gpu, GpuChoice, GpuError};
+use crate::simd::Isa;
 
 /// The device that a user chose: `auto`, `cpu`, `gpu` or `gpu:N`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -96,6 +97,16 @@ impl Device {
     /// Whether the device is a graphics card.
     pub fn is_gpu(&self) -> bool {
         !matches!(self, Self::Cpu)
+    }
+
+    /// Devices of the same class compute the same bits: processors with the same vector instructions, or equal graphics
+    /// cards with the same driver.
+    pub fn class(&self) -> String {
+        match self {
+            Self::Cpu => format!("cpu {}", Isa::best().name()),
+            #[cfg(feature = "gpu")]
+            Self::Gpu(gpu) => gpu.to_string(),
+        }
     }
 
     /// Largest buffer that a pass can bind, bytes; `None` on the processor.

@@ -7,7 +7,7 @@ use cosurf_tests::dice::Dice;
 use cosurf_wire::BodyHash;
 
 use super::*;
-use crate::merge::{InMemory, MergeProgress, merge};
+use crate::merge::{InMemory, MergeProgress, Resources, merge};
 use crate::testing::{QUICK, model_at};
 
 /// Number of histories.
@@ -35,7 +35,13 @@ fn arrived(model: &Model) -> Model {
 fn merged_hash(models: &[Model]) -> BodyHash {
     let locals = InMemory(models.iter().map(arrived).collect());
     let mut go_on = |_: MergeProgress| ControlFlow::Continue(());
-    let merged = merge(&locals, &SETTINGS, tempfile::tempdir().unwrap().path(), 1, &mut go_on).unwrap();
+    let merged = merge(
+        &locals,
+        &SETTINGS,
+        Resources { scratch: tempfile::tempdir().unwrap().path(), results: None, threads: 1 },
+        &mut go_on,
+    )
+    .unwrap();
     let (device, body) = (DeviceId::new("aggregator").unwrap(), packed(&merged.model, 1).unwrap());
     Offer::from_body(device, ModelId(1), ModelKind::Global, 1, body).unwrap().header.blake3
 }
@@ -136,4 +142,38 @@ fn other_models_end_with_other_bytes() {
     let mut others = models();
     others[1].splats.opacity_logits[0] += 0.5;
     assert_ne!(merged_hash(&others), merged_hash(&models()), "the comparison can fail");
+}
+
+#[test]
+fn models_that_arrive_during_a_merge_do_not_stop_it() {
+    let network = MemoryNetwork::new(3, Faults::NONE);
+    let folder = tempfile::tempdir().unwrap();
+    let mut ground = open(&network, folder.path(), Expected::Anybody(AT_ONCE));
+    let offers = |number: u64| {
+        ["agent-1", "agent-2"].into_iter().zip([0.0, 3.0]).map(move |(name, place)| {
+            let Model { splats, cameras } = model_at(place + number as f32);
+            let device = DeviceId::new(name).unwrap();
+            Offer::new(device, ModelId(number), ModelKind::Local, 2, &splats, &cameras).unwrap()
+        })
+    };
+    let (mut number, mut revisions, mut now) = (1, Vec::new(), Duration::ZERO);
+    let arrive = |service: &mut Service, number, now| {
+        for Offer { header, body } in offers(number) {
+            let Service { node, keeper } = service;
+            keeper.take(node, NodeEvent::Store { header, body: body.into() }, now);
+        }
+    };
+    while revisions.len() < 3 {
+        arrive(&mut ground.service, number, now);
+        let was_merging = ground.service.is_merging();
+        let Service { node, keeper } = &mut ground.service;
+        if let Some(ServiceEvent::Merged { header, .. }) = keeper.work(node, now) {
+            revisions.push((header.model, number));
+        }
+        assert!(number < 2000, "no merge ends: {revisions:?}");
+        number += u64::from(was_merging);
+        now += Duration::from_secs(1);
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    assert!(number > 3, "nothing arrived during the merges");
 }

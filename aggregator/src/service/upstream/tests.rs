@@ -11,7 +11,7 @@ use cosurf_wire::{BodyHash, ModelId};
 use super::*;
 use crate::gate::admit;
 use crate::merge::InMemory;
-use crate::merge::{MergeSettings, merge};
+use crate::merge::{MergeSettings, Resources, merge};
 use crate::service::job::packed;
 use crate::service::{Expected, Service, ServiceConfig, ServiceEvent};
 use crate::testing::{BAD_WEATHER, LIMITS, PATIENCE, QUICK, identity, model_at};
@@ -27,9 +27,12 @@ fn sent(Model { splats, cameras }: &Model) -> Vec<u8> {
 fn merged(bodies: &[Vec<u8>]) -> Vec<u8> {
     let locals = InMemory(bodies.iter().map(|body| body_to_model(body).unwrap()).collect());
     let admitted = admit(&locals, (&SETTINGS).into(), 1, &|| false).unwrap();
-    let merged = merge(&admitted, &SETTINGS, tempfile::tempdir().unwrap().path(), 1, &mut |_| {
-        ControlFlow::Continue(())
-    })
+    let merged = merge(
+        &admitted,
+        &SETTINGS,
+        Resources { scratch: tempfile::tempdir().unwrap().path(), results: None, threads: 1 },
+        &mut |_| ControlFlow::Continue(()),
+    )
     .unwrap();
     packed(&merged.model, 1).unwrap()
 }
