@@ -18,3 +18,4 @@ pub(crate) mod merge;
 pub(crate) mod mesh;
 pub(crate) mod mission;
 pub(crate) mod tap;
+pub(crate) mod worker;

@@ -14,12 +14,14 @@
 //!  ├─ report                  figures, table and page of a mission
 //!  ├─ service                 models in, global model out
 //!  │   ├─ gate ─► merge       which models take part; many models to one
-//!  │   │           └─ store   objects in a folder: tiles that need not be computed again
+//!  │   │           └─ store, queue   tiles that need not be computed again; tasks for workers
 //!  │   └─ broker, gateway     MQTT without another program; devices on serial lines
 //!  ├─ evaluate                how good a model or a mesh is
 //!  ├─ partition               which agent gets which ground
 //!  └─ terminal ─► mesh        progress for people; depth to triangles
 //! ```
+//!
+//! [`worker`] stands beside `service`: it distils tiles for merges on other computers.
 //!
 //! No module uses a module above it, and no file uses a file above it. If two files need the same type, it is in a
 //! third file below both.
@@ -32,11 +34,13 @@ pub mod merge;
 pub mod mesh;
 pub mod mission;
 pub mod partition;
+pub mod queue;
 pub mod report;
 pub mod service;
 pub mod store;
 mod terminal;
 #[cfg(test)]
 mod testing;
+pub mod worker;
 
 pub use terminal::{Display, Meter};

@@ -48,6 +48,7 @@ enum Commands {
     Record(cli::tap::RecordArgs),
     Replay(cli::tap::ReplayArgs),
     Run(RunArgs),
+    Worker(cli::worker::WorkerArgs),
 }
 
 /// Serve a site until stopped: receive models, merge them, send the global model back.
@@ -90,6 +91,7 @@ fn run_command(cli: Cli) -> Result<()> {
         Commands::Mission(args) => cli::mission::run(args),
         Commands::Record(args) => cli::tap::record(&args),
         Commands::Replay(args) => cli::tap::replay(&args),
+        Commands::Worker(args) => cli::worker::run(&args),
         Commands::Run(args) => run(&args),
         Commands::Mesh(args) => cli::mesh::run(&args),
         Commands::EvalMesh(args) => cli::eval_mesh::run(&args),

@@ -13,10 +13,13 @@
 //!
 //! Where to start reading: [`merge`], the list of steps; then [`cosurf_engine::compress`]; then [`mod@distill`], which
 //! makes a [`plan`] and a [`task`] for each of the [`tiles`] of a [`site`], and lets each [`learn`] from its
-//! [`teachers`]; [`results`] for what later merges need not compute again; [`pages`] for splats in files; [`memory`] for what fits; [`fill_in()`] for models that have arrived only in part.
+//! [`teachers`]; [`results`] for what later merges need not compute again; [`mod@by_workers`] and [`mod@carry_out`] for tiles that other computers
+//! distil; [`pages`] for splats in files; [`memory`] for what fits; [`fill_in()`] for models that have arrived only in part.
 
 mod book;
+mod by_workers;
 pub(crate) mod cameras;
+mod carry_out;
 mod computer;
 mod concat;
 mod crop;
@@ -27,6 +30,7 @@ mod learn;
 mod lessons;
 mod locals;
 mod memory;
+mod news;
 mod pages;
 mod plan;
 mod results;
@@ -48,6 +52,7 @@ use cosurf_scene::Splats;
 use serde::{Deserialize, Serialize};
 use tracing::{debug_span, info_span};
 
+pub(crate) use carry_out::{CarriedOut, carry_out, give_up};
 use computer::Computer;
 pub(crate) use concat::concatenate;
 pub use distill::MergeProgress;
@@ -60,10 +65,8 @@ use locals::{Surveyed, survey};
 use memory::TILE_SPLATS_MAX;
 pub use results::{TileRecord, keep_only};
 use scratch::Scratch;
-pub use settings::MergeSettings;
+pub use settings::{MergeSettings, Tiles};
 use site::Site;
-
-use crate::store::Store;
 
 /// A camera teaches only if its model shows a surface in at least this share of its picture.
 const SHOWN_MIN: f64 = 0.1;
@@ -89,8 +92,8 @@ pub struct Merged {
 pub struct Resources<'a> {
     /// Folder for files with what does not stay in memory; none is left at the end.
     pub scratch: &'a Path,
-    /// Where the results of tiles are kept for later merges, if anywhere.
-    pub results: Option<&'a Store>,
+    /// Who distils the tiles.
+    pub tiles: Tiles<'a>,
     /// Number of CPU threads, at least 1.
     pub threads: usize,
 }
@@ -219,8 +222,8 @@ impl Merger<'_> {
         let teaches = |local: usize| standings.is_some() || !locals.is_compressed(local);
         let lessons = lessons(cameras, standings.as_deref(), teaches);
         let tiles = site.tiles(self.tile_splats);
-        let results = self.resources.results;
-        let distilled = distill(&site, tiles, &lessons, self.settings, self.computer, results, tell)?;
+        let by = self.resources.tiles;
+        let distilled = distill(&site, tiles, &lessons, self.settings, self.computer, by, tell)?;
         self.summary.steps = distilled.steps;
         (self.summary.tiles, self.summary.known_tiles) = (distilled.tiles.len(), distilled.found);
         self.tiles = distilled.tiles;

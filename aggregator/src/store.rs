@@ -5,14 +5,20 @@
 //! What it knows nothing about: what the bytes mean, and whether they are still what was written. Its users check that.
 
 use std::fs;
+use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
+use std::time::Duration;
 
 use bytes::Bytes;
 use object_store::local::LocalFileSystem;
 use object_store::path::Path as Name;
 use object_store::{Error, ObjectStore, ObjectStoreExt};
 use tokio::runtime::{Builder, Runtime};
+
+/// A file of an unfinished object is removed once nothing was written to it for so long: until then, another program
+/// may be writing it.
+const UNFINISHED_MAX: Duration = Duration::from_secs(900);
 
 /// Objects under names. Several threads may use it.
 #[derive(Clone, Debug)]
@@ -21,6 +27,8 @@ pub struct Store {
     runtime: Arc<Runtime>,
     /// Where the objects are, for errors.
     place: String,
+    /// The folder of the objects, inside that place; empty for the place itself.
+    folder: String,
 }
 
 /// Why an object was not read, written or removed.
@@ -44,41 +52,100 @@ impl Store {
             })?;
         let runtime = Builder::new_current_thread().build();
         let runtime = runtime.map_err(|cause| ObjectError { place: place.clone(), cause: cause.into() })?;
-        Ok(Self { objects: Arc::new(objects), runtime: Arc::new(runtime), place })
+        Ok(Self { objects: Arc::new(objects), runtime: Arc::new(runtime), place, folder: String::new() })
+    }
+
+    /// The objects in a folder of this store.
+    pub fn folder(&self, name: &str) -> Self {
+        Self { folder: name.to_owned(), ..self.clone() }
+    }
+
+    /// The name of the folder that [`Self::folder`] was given, else empty.
+    pub fn folder_name(&self) -> &str {
+        &self.folder
+    }
+
+    fn path(&self, name: &str) -> Name {
+        Name::from_iter([self.folder.as_str(), name].into_iter().filter(|part| !part.is_empty()))
     }
 
     /// The object of this name; `None` if there is none.
     pub fn get(&self, name: &str) -> Result<Option<Bytes>, ObjectError> {
-        let read = async { self.objects.get(&Name::from(name)).await?.bytes().await };
-        match self.runtime.block_on(read) {
-            Ok(bytes) => Ok(Some(bytes)),
-            Err(Error::NotFound { .. }) => Ok(None),
-            Err(cause) => Err(self.error(name, cause)),
-        }
+        let path = self.path(name);
+        let read = async { self.objects.get(&path).await?.bytes().await };
+        found(self.runtime.block_on(read)).map_err(|cause| self.error(name, cause))
+    }
+
+    /// Some of the bytes of an object; `None` if there is no such object.
+    pub fn get_range(&self, name: &str, range: Range<u64>) -> Result<Option<Bytes>, ObjectError> {
+        let read = self.runtime.block_on(self.objects.get_range(&self.path(name), range));
+        found(read).map_err(|cause| self.error(name, cause))
+    }
+
+    /// Number of bytes of an object; `None` if there is no such object.
+    pub fn size(&self, name: &str) -> Result<Option<u64>, ObjectError> {
+        let head = self.runtime.block_on(self.objects.head(&self.path(name)));
+        found(head.map(|head| head.size)).map_err(|cause| self.error(name, cause))
     }
 
     /// Writes an object. One of the same name is replaced.
     pub fn put(&self, name: &str, bytes: Bytes) -> Result<(), ObjectError> {
-        let written = self.runtime.block_on(self.objects.put(&Name::from(name), bytes.into()));
+        let written = self.runtime.block_on(self.objects.put(&self.path(name), bytes.into()));
         written.map(|_| ()).map_err(|cause| self.error(name, cause))
+    }
+
+    /// Writes an object that is too large for the memory. `next` returns one part after the other, and `None` after the
+    /// last. All parts but the last must have the same size, at least 5 MiB.
+    pub fn put_parts<E: From<ObjectError>>(
+        &self,
+        name: &str,
+        mut next: impl FnMut() -> Result<Option<Bytes>, E>,
+    ) -> Result<(), E> {
+        let error = |cause| E::from(self.error(name, cause));
+        let begun = self.runtime.block_on(self.objects.put_multipart(&self.path(name)));
+        let mut upload = begun.map_err(error)?;
+        let mut write_all = || {
+            while let Some(part) = next()? {
+                self.runtime.block_on(upload.put_part(part.into())).map_err(error)?;
+            }
+            self.runtime.block_on(upload.complete()).map(|_| ()).map_err(error)
+        };
+        let written = write_all();
+        if written.is_err() {
+            let _ = self.runtime.block_on(upload.abort()); // the first error tells more
+        }
+        written
+    }
+
+    /// Removes an object, if it is there.
+    pub fn remove(&self, name: &str) -> Result<(), ObjectError> {
+        let removed = self.runtime.block_on(self.objects.delete(&self.path(name)));
+        found(removed).map(|_| ()).map_err(|cause| self.error(name, cause))
+    }
+
+    /// The names of all objects.
+    pub fn names(&self) -> Result<Vec<String>, ObjectError> {
+        let prefix = (!self.folder.is_empty()).then(|| Name::from(self.folder.as_str()));
+        let listed = self.runtime.block_on(self.objects.list_with_delimiter(prefix.as_ref()));
+        let listed = listed.map_err(|cause| self.error("", cause))?;
+        Ok(listed.objects.iter().filter_map(|object| object.location.filename()).map(str::to_owned).collect())
     }
 
     /// Removes all objects whose names do not satisfy `wanted`.
     pub fn keep_only(&self, wanted: impl Fn(&str) -> bool) -> Result<(), ObjectError> {
-        let listed = self.runtime.block_on(self.objects.list_with_delimiter(None));
-        let listed = listed.map_err(|cause| self.error("", cause))?;
-        let unwanted = listed.objects.iter().filter(|object| !wanted(object.location.as_ref()));
-        for object in unwanted {
-            match self.runtime.block_on(self.objects.delete(&object.location)) {
-                Ok(()) | Err(Error::NotFound { .. }) => {}
-                Err(cause) => return Err(self.error(object.location.as_ref(), cause)),
-            }
-        }
-        Ok(())
+        self.names()?.iter().filter(|name| !wanted(name)).try_for_each(|name| self.remove(name))
     }
 
     fn error(&self, name: &str, cause: Error) -> ObjectError {
-        ObjectError { place: format!("{}/{name}", self.place), cause: cause.into() }
+        ObjectError { place: format!("{}/{}", self.place, self.path(name)), cause: cause.into() }
+    }
+}
+
+/// `None` if an object does not exist.
+fn found<T>(outcome: Result<T, Error>) -> Result<Option<T>, Error> {
+    match outcome {
+        Err(Error::NotFound { .. }) => Ok(None),
+        outcome => outcome.map(Some),
     }
 }
 
@@ -87,7 +154,8 @@ impl Store {
 fn remove_unfinished(folder: &Path) -> std::io::Result<()> {
     for entry in fs::read_dir(folder)? {
         let entry = entry?;
-        if entry.file_name().to_string_lossy().contains('#') {
+        let age = entry.metadata()?.modified()?.elapsed().unwrap_or_default();
+        if entry.file_name().to_string_lossy().contains('#') && age > UNFINISHED_MAX {
             fs::remove_file(entry.path())?;
         }
     }
@@ -97,7 +165,38 @@ fn remove_unfinished(folder: &Path) -> std::io::Result<()> {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
+    use std::io::Write;
+    use std::time::SystemTime;
+
     use super::*;
+
+    #[test]
+    fn large_objects_are_written_and_read_in_parts() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::in_folder(folder.path()).unwrap().folder("site");
+        let mut parts = ["three ", "parts ", "here"].into_iter();
+        store.put_parts("a", || Ok::<_, ObjectError>(parts.next().map(Bytes::from))).unwrap();
+        assert_eq!(store.get("a").unwrap().unwrap(), "three parts here");
+        assert_eq!(store.size("a").unwrap(), Some(16));
+        assert_eq!(store.get_range("a", 6..11).unwrap().unwrap(), "parts");
+        assert_eq!(store.names().unwrap(), ["a"]);
+        assert!(folder.path().join("site/a").is_file());
+        let mut parts = 0;
+        let failed = store.put_parts("b", || {
+            parts += 1;
+            if parts == 2 {
+                Err(store.error(
+                    "b",
+                    Error::NotImplemented { operation: String::new(), implementer: String::new() },
+                ))
+            } else {
+                Ok(Some(Bytes::from("half")))
+            }
+        });
+        assert!(failed.is_err());
+        assert_eq!((store.get("b").unwrap(), store.size("b").unwrap()), (None, None), "no half object");
+        assert_eq!(store.names().unwrap(), ["a"]);
+    }
 
     #[test]
     fn objects_come_back_and_unwanted_ones_go() {
@@ -108,10 +207,14 @@ mod tests {
         for (name, bytes) in [("a", "one"), ("b", "two"), ("a", "three")] {
             store.put(name, Bytes::from(bytes)).unwrap();
         }
-        fs::write(path.join("c#1"), "half of").unwrap();
+        for (name, age) in [("c#1", 2 * UNFINISHED_MAX), ("d#1", Duration::ZERO)] {
+            let mut half = fs::File::create(path.join(name)).unwrap();
+            half.write_all(b"half of").unwrap();
+            half.set_modified(SystemTime::now() - age).unwrap();
+        }
         let store = Store::in_folder(&path).unwrap();
         assert_eq!(store.get("a").unwrap().unwrap(), "three");
-        assert_eq!(fs::read_dir(&path).unwrap().count(), 2, "an unfinished object is removed");
+        assert_eq!(fs::read_dir(&path).unwrap().count(), 3, "only the old unfinished object is removed");
         store.keep_only(|name| name == "b").unwrap();
         assert_eq!([store.get("a").unwrap(), store.get("b").unwrap()], [None, Some(Bytes::from("two"))]);
     }

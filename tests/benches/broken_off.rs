@@ -10,7 +10,7 @@ use std::ops::ControlFlow;
 
 use anyhow::{Context, Result};
 use clap::Parser;
-use cosurf_aggregator::merge::{InMemory, MergeSettings, Resources, fill_in, merge};
+use cosurf_aggregator::merge::{InMemory, MergeSettings, Resources, Tiles, fill_in, merge};
 use cosurf_engine::base_of;
 use cosurf_link::{FirstLayer, Model, body_to_model, model_to_body, part_to_model};
 use cosurf_scene::Dataset;
@@ -43,7 +43,7 @@ fn main() -> Result<()> {
         Ok(merge(
             &InMemory(models),
             &settings,
-            Resources { scratch: &temp_dir(), results: None, threads: THREADS },
+            Resources { scratch: &temp_dir(), tiles: Tiles::Forgotten, threads: THREADS },
             &mut |_| ControlFlow::Continue(()),
         )?
         .model)

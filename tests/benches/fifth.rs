@@ -16,7 +16,7 @@ use std::process::{Command, Stdio};
 use anyhow::{Context, Result, ensure};
 use clap::Parser;
 use cosurf_aggregator::gate::{Admitted, Similarity, admit};
-use cosurf_aggregator::merge::{InMemory, Locals, MergeSettings, Resources, merge};
+use cosurf_aggregator::merge::{InMemory, Locals, MergeSettings, Resources, Tiles, merge};
 use cosurf_city::{City, CitySettings};
 use cosurf_link::Model;
 use cosurf_scene::{Camera, Dataset, Pose, View, colmap};
@@ -139,7 +139,7 @@ impl Joined {
         Ok(merge(
             &admitted,
             &settings,
-            Resources { scratch: &temp_dir(), results: None, threads: THREADS },
+            Resources { scratch: &temp_dir(), tiles: Tiles::Forgotten, threads: THREADS },
             &mut |_| ControlFlow::Continue(()),
         )?
         .model)

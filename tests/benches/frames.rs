@@ -13,7 +13,7 @@ use std::ops::ControlFlow;
 use anyhow::{Context, Result};
 use clap::Parser;
 use cosurf_aggregator::gate::admit;
-use cosurf_aggregator::merge::{InMemory, Locals, MergeSettings, Resources, merge};
+use cosurf_aggregator::merge::{InMemory, Locals, MergeSettings, Resources, Tiles, merge};
 use cosurf_link::Model;
 use cosurf_scene::{Camera, Dataset, Mesh};
 use cosurf_tests::datasets::true_surface;
@@ -149,7 +149,7 @@ fn merged(models: Vec<Model>, settings: &MergeSettings, truth: Option<&[Model]>)
     let model = merge(
         &admitted,
         settings,
-        Resources { scratch: &temp_dir(), results: None, threads: THREADS },
+        Resources { scratch: &temp_dir(), tiles: Tiles::Forgotten, threads: THREADS },
         &mut |_| ControlFlow::Continue(()),
     )?
     .model;

@@ -10,8 +10,10 @@ use anyhow::{Result, ensure};
 use clap::Args;
 use cosurf_aggregator::gate::{Place, admit};
 use cosurf_aggregator::merge::{
-    LocalSummary, Locals, MergeError, MergeProgress, MergeSettings, MergeSummary, Resources, keep_only, merge,
+    LocalSummary, Locals, MergeError, MergeProgress, MergeSettings, MergeSummary, Resources, Tiles,
+    keep_only, merge,
 };
+use cosurf_aggregator::queue::Queue;
 use cosurf_aggregator::service::{FitRecord, Fitted};
 use cosurf_aggregator::store::Store;
 use cosurf_contract::counted;
@@ -78,6 +80,10 @@ pub(crate) struct MergeArgs {
     /// computed that other models have changed
     #[arg(long, value_name = "DIR")]
     tiles: Option<PathBuf>,
+    /// Let workers distil the tiles (cosurf-aggregator worker): the NATS server with their queue, for example
+    /// nats://10.0.0.1:4222. They need the same folder of tiles
+    #[arg(long, value_name = "URL", requires = "tiles")]
+    queue: Option<String>,
     /// Seed of every random choice; the same seed gives the same bytes
     #[arg(long, value_name = "S", default_value_t = 0)]
     seed: u64,
@@ -124,7 +130,13 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
         ControlFlow::Continue(())
     };
     let results = args.tiles.as_deref().map(Store::in_folder).transpose()?;
-    let resources = Resources { scratch: &args.out, results: results.as_ref(), threads };
+    let queue = args.queue.as_deref().map(Queue::open).transpose()?;
+    let tiles = match (&results, &queue) {
+        (Some(store), Some(queue)) => Tiles::ByWorkers(store, queue),
+        (Some(store), None) => Tiles::Kept(store),
+        (None, _) => Tiles::Forgotten,
+    };
+    let resources = Resources { scratch: &args.out, tiles, threads };
     let folders = Folders(&args.models);
     let admitted = admit(&folders, (&settings).into(), threads, &|| false)?;
     let names: Vec<String> = args.models.iter().map(|folder| folder.display().to_string()).collect();

@@ -12,14 +12,16 @@ use cosurf_scene::Splats;
 use serde::Serialize;
 use tracing::info_span;
 
+use super::by_workers::by_workers;
 use super::computer::Computer;
 use super::error::MergeError;
 use super::learn::learn;
 use super::memory::at_once;
+use super::news::{Learnt, Report};
 use super::plan::Plan;
 use super::results::{self, TileRecord};
 use super::scratch::{Floats, Scratch};
-use super::settings::MergeSettings;
+use super::settings::{MergeSettings, Tiles};
 use super::site::Site;
 use super::task::Task;
 use super::tiles::Tile;
@@ -32,7 +34,8 @@ pub struct MergeProgress {
     pub step: u32,
     /// Number of distillation steps in all.
     pub steps: u32,
-    /// PSNR of the last step, dB: the merged model's rendering against the local model's.
+    /// PSNR of the last step on this computer, dB: the merged model's rendering against the local model's. 0 before the
+    /// first one.
     pub psnr: f64,
 }
 
@@ -45,31 +48,15 @@ pub(super) struct Distilled {
     pub(super) found: usize,
 }
 
-/// A distilled tile.
-struct Learnt {
-    record: TileRecord,
-    splats: Splats,
-    /// Whether the result was in the store.
-    was_found: bool,
-}
-
-/// What a thread that distils tiles reports.
-enum Report {
-    /// PSNR of a step, dB.
-    Step(f64),
-    /// The tile with this index is done.
-    Done(usize, Result<Learnt, MergeError>),
-}
-
 /// Distils the joined splats of a site, divided into `tiles`. `lessons` has the cameras of each local model that teach.
-/// Tiles whose results are in `store` are not distilled again; the others' results are put there.
+/// Tiles whose results are kept are not distilled again.
 pub(super) fn distill(
     site: &Site,
     tiles: Vec<Tile>,
     lessons: &[Vec<usize>],
     settings: &MergeSettings,
     computer: &Computer,
-    store: Option<&Store>,
+    by: Tiles,
     tell: &mut dyn FnMut(MergeProgress) -> ControlFlow<()>,
 ) -> Result<Distilled, MergeError> {
     let _span = info_span!("distill", tiles = tiles.len()).entered();
@@ -77,7 +64,10 @@ pub(super) fn distill(
     let plans: Vec<Plan> = tiles.into_iter().map(plan).collect::<Result<_, _>>()?;
     let steps = settings.epochs * plans.iter().map(|plan| plan.lessons.len()).sum::<usize>() as u32;
     let bytes = plans.iter().map(|plan| plan.bytes).collect();
-    let at_once = at_once(bytes, computer.threads, settings.memory_bytes, &computer.device)?;
+    let at_once = match by {
+        Tiles::ByWorkers(..) => 1,
+        _ => at_once(bytes, computer.threads, settings.memory_bytes, &computer.device)?,
+    };
     let computer = Computer { threads: computer.threads / at_once, ..computer.clone() };
     let work = Work {
         plans: &plans,
@@ -86,29 +76,35 @@ pub(super) fn distill(
         is_stopped: AtomicBool::new(false),
         learn: &|plan, tell| {
             let task = Task::of(site, plan, settings, &computer.device)?;
-            learn_or_find(&task, &site.scratch, &computer, store, tell)
+            learn_or_find(&task, &site.scratch, &computer, by.store(), tell)
         },
     };
-    let mut done = 0;
-    let mut note = |new: Noted| match new {
-        Noted::Step(psnr) => {
-            done += 1;
-            tell(MergeProgress { step: done, steps, psnr }).is_continue()
+    let (mut done, mut last_psnr) = (0, 0.0);
+    let mut note = |new: Noted| {
+        match new {
+            Noted::Step(psnr) => (done, last_psnr) = (done + 1, psnr),
+            Noted::Whole(index) => done += settings.epochs * plans[index].lessons.len() as u32,
+            Noted::Nothing => {}
         }
-        Noted::Found(index) => {
-            done += settings.epochs * plans[index].lessons.len() as u32;
-            true
-        }
+        tell(MergeProgress { step: done, steps, psnr: last_psnr }).is_continue()
     };
     let results = Results::new(&site.scratch, plans.len())?;
     let (splats, tiles, found) = thread::scope(|scope| {
         let (say, reports) = mpsc::channel();
-        for _ in 0..at_once {
-            let (work, say) = (&work, say.clone());
-            scope.spawn(move || work.run(&say));
+        if let Tiles::ByWorkers(store, queue) = by {
+            let task = |index: usize| Task::of(site, &plans[index], settings, &computer.device);
+            let (order, is_stopped) = (work.order.clone(), &work.is_stopped);
+            let class = computer.device.class();
+            scope.spawn(move || by_workers(&order, &task, &class, store, queue, is_stopped, &say));
+        } else {
+            for _ in 0..at_once {
+                let (work, say) = (&work, say.clone());
+                scope.spawn(move || work.run(&say));
+            }
+            drop(say);
         }
-        drop(say);
-        results.gather(&reports, &work.is_stopped, site.joined.sh_degree(), &mut note)
+        let has_steps = !matches!(by, Tiles::ByWorkers(..));
+        results.gather(&reports, &work.is_stopped, site.joined.sh_degree(), has_steps, &mut note)
     })?;
     Ok(Distilled { splats, steps, tiles, found })
 }
@@ -121,16 +117,17 @@ fn learn_or_find(
     store: Option<&Store>,
     tell: &dyn Fn(f64) -> bool,
 ) -> Result<Learnt, MergeError> {
-    let found = store.map_or(Ok(None), |store| results::find(store, task))?;
+    let hash = task.hash();
+    let found = store.map_or(Ok(None), |store| results::find(store, &hash, task.sh_degree()))?;
     let was_found = found.is_some();
     let splats = match found {
         Some(splats) => splats,
         None => learn(task, scratch, computer, tell)?,
     };
     if let Some(store) = store.filter(|_| !was_found) {
-        results::keep(store, task, &splats)?;
+        results::keep(store, &hash, &splats)?;
     }
-    Ok(Learnt { record: TileRecord::of(task, &splats), splats, was_found })
+    Ok(Learnt { record: TileRecord::of(&hash, &splats), splats, was_found })
 }
 
 /// The indices of the plans. Those that take longest come first, so that all threads end at the same time.
@@ -177,8 +174,9 @@ impl Work<'_> {
 enum Noted {
     /// PSNR of a step, dB.
     Step(f64),
-    /// The result of the tile with this index was in the store.
-    Found(usize),
+    /// The whole tile with this index was in the store, or comes from a worker.
+    Whole(usize),
+    Nothing,
 }
 
 /// The distilled tiles.
@@ -194,20 +192,25 @@ impl Results {
         Ok(Self { floats: scratch.floats()?, tiles: vec![None; tiles], found: 0 })
     }
 
-    /// Collects the tiles in their order. `note` gets all news; it returns false to stop. Returns the splats, the
+    /// Collects the tiles in their order. `note` gets all news; it returns false to stop. `has_steps` tells whether each
+    /// step of a tile that is distilled is reported. Returns the splats, the
     /// records of the tiles, and the number of tiles that were in the store.
     fn gather(
         mut self,
         reports: &Receiver<Report>,
         is_stopped: &AtomicBool,
         sh_degree: u32,
+        has_steps: bool,
         note: &mut dyn FnMut(Noted) -> bool,
     ) -> Result<(Splats, Vec<TileRecord>, usize), MergeError> {
         for report in reports {
             let outcome = match report {
                 Report::Step(psnr) if note(Noted::Step(psnr)) => Ok(()),
-                Report::Step(_) => Err(MergeError::GivenUp),
-                Report::Done(index, learnt) => learnt.and_then(|learnt| self.keep(index, learnt, note)),
+                Report::Waiting if note(Noted::Nothing) => Ok(()),
+                Report::Step(_) | Report::Waiting => Err(MergeError::GivenUp),
+                Report::Done(index, learnt) => {
+                    learnt.and_then(|learnt| self.keep(index, learnt, has_steps, note))
+                }
             };
             if outcome.is_err() {
                 is_stopped.store(true, Ordering::Relaxed);
@@ -228,14 +231,13 @@ impl Results {
         &mut self,
         index: usize,
         learnt: Learnt,
+        has_steps: bool,
         note: &mut dyn FnMut(Noted) -> bool,
     ) -> Result<(), MergeError> {
         let Learnt { record, splats, was_found } = learnt;
         self.tiles[index] = Some((self.floats.append_splats(&splats)?, record));
-        if was_found {
-            self.found += 1;
-            note(Noted::Found(index));
-        }
-        Ok(())
+        self.found += usize::from(was_found);
+        let goes_on = (has_steps && !was_found) || note(Noted::Whole(index));
+        if goes_on { Ok(()) } else { Err(MergeError::GivenUp) }
     }
 }

@@ -4,6 +4,7 @@ use cosurf_engine::DeviceError;
 use cosurf_link::{BodyFault, StoreError};
 use cosurf_scene::SceneError;
 
+use crate::queue::QueueError;
 use crate::store::ObjectError;
 
 /// Why models are not merged.
@@ -32,6 +33,20 @@ pub enum MergeError {
         memory_bytes: u64,
         /// The smallest sufficient limit, bytes.
         needed_bytes: u64,
+    },
+    /// The queue of tiles for workers is not available.
+    #[error(transparent)]
+    Queue(#[from] QueueError),
+    /// What a tile is to be distilled from is damaged, or comes from another version of the program.
+    #[error(
+        "the task of a tile is damaged, or made by another version of cosurf; use the same version everywhere"
+    )]
+    BadTask,
+    /// The workers could not distil a tile.
+    #[error("the workers failed to distil a tile: {reason}")]
+    Workers {
+        /// What the last worker said.
+        reason: String,
     },
     /// The caller stopped the merge.
     #[error("the merge was stopped")]

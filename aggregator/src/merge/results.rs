@@ -11,7 +11,6 @@ use serde::{Deserialize, Serialize};
 
 use super::error::MergeError;
 use super::scratch::numbers;
-use super::task::Task;
 use crate::store::{ObjectError, Store};
 
 /// Places of the parts of a result: the hash of all that follows, the number of splats, their numbers.
@@ -31,25 +30,25 @@ pub struct TileRecord {
 
 impl TileRecord {
     /// The record of a distilled tile.
-    pub(super) fn of(task: &Task, learnt: &Splats) -> Self {
+    pub(super) fn of(task: &Hash, learnt: &Splats) -> Self {
         let mut hasher = blake3::Hasher::new();
         for values in numbers(learnt) {
             hasher.update(bytemuck::cast_slice(values));
         }
         let blake3 = hasher.finalize().to_hex().to_string();
-        Self { task: task.hash().to_hex().to_string(), blake3, splats: learnt.len() }
+        Self { task: task.to_hex().to_string(), blake3, splats: learnt.len() }
     }
 }
 
 /// The result of a task, if the store has it. A damaged result counts as missing.
-pub(super) fn find(store: &Store, task: &Task) -> Result<Option<Splats>, ObjectError> {
-    let object = store.get(&task.hash().to_hex())?;
-    Ok(object.and_then(|bytes| decoded(&bytes, task.sh_degree())))
+pub(super) fn find(store: &Store, task: &Hash, sh_degree: u32) -> Result<Option<Splats>, ObjectError> {
+    let object = store.get(&task.to_hex())?;
+    Ok(object.and_then(|bytes| decoded(&bytes, sh_degree)))
 }
 
 /// Keeps the result of a task.
-pub(super) fn keep(store: &Store, task: &Task, learnt: &Splats) -> Result<(), ObjectError> {
-    store.put(&task.hash().to_hex(), encoded(learnt))
+pub(super) fn keep(store: &Store, task: &Hash, learnt: &Splats) -> Result<(), ObjectError> {
+    store.put(&task.to_hex(), encoded(learnt))
 }
 
 /// Removes all results but those of these tiles.

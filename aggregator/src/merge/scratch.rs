@@ -36,6 +36,11 @@ impl Scratch {
 }
 
 impl Floats {
+    /// Number of numbers.
+    pub(super) fn len(&self) -> u64 {
+        self.len
+    }
+
     /// Appends numbers. Returns the place of the first one.
     pub(super) fn append(&mut self, values: &[f32]) -> Result<u64, SceneError> {
         let file = self.file.get_mut().unwrap_or_else(PoisonError::into_inner);

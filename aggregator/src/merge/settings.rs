@@ -3,6 +3,30 @@
 use cosurf_engine::DeviceChoice;
 use serde::{Deserialize, Serialize};
 
+use crate::queue::Queue;
+use crate::store::Store;
+
+/// Who distils the tiles of a merge, and where their results are kept. It does not change the result.
+#[derive(Clone, Copy, Debug)]
+pub enum Tiles<'a> {
+    /// This computer; no result is kept.
+    Forgotten,
+    /// This computer. Results are kept for later merges.
+    Kept(&'a Store),
+    /// Workers that use the same store and the same queue; see [`crate::worker`].
+    ByWorkers(&'a Store, &'a Queue),
+}
+
+impl Tiles<'_> {
+    /// Where results are kept.
+    pub(super) fn store(&self) -> Option<&Store> {
+        match self {
+            Self::Forgotten => None,
+            Self::Kept(store) | Self::ByWorkers(store, _) => Some(store),
+        }
+    }
+}
+
 /// How models are merged.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MergeSettings {

@@ -2,21 +2,30 @@
 //! result, so a tile whose task has not changed since an earlier merge need not be distilled again.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Range;
 
 use blake3::{Hash, Hasher};
+use bytes::Bytes;
 use cosurf_engine::Device;
 use cosurf_scene::{Camera, Frustum, SceneError, Splats};
 use serde::{Deserialize, Serialize};
 
 use super::error::MergeError;
 use super::plan::{Plan, ViewKey, touches};
-use super::scratch::{Floats, numbers};
+use super::scratch::{Floats, Scratch, numbers};
 use super::settings::MergeSettings;
 use super::site::Site;
+use crate::store::Store;
 
 /// The rules by which a task is distilled. Another number must be written here with every change that gives other
 /// results, so that no merge takes results of another version for its own.
 const RULES: &str = "cosurf tile 1";
+/// A task in a store begins with the length of its contents, in so many bytes. The contents and the numbers follow.
+const HEAD: usize = size_of::<u32>();
+/// Tasks are written to a store and read in parts of this size, bytes. A bucket takes no smaller parts than 5 MiB.
+const PART_BYTES: usize = 8 << 20;
+/// Largest width or height of a picture in a task, px.
+const SIDE_MAX_PX: u32 = 1 << 14;
 
 /// What a tile is distilled from.
 #[derive(Debug)]
@@ -39,6 +48,8 @@ struct Contents {
     /// The part of each camera's picture with splats of the tile, visible or hidden; one for each pose.
     wide_crops: Vec<Camera>,
     teachers: Vec<Teaching>,
+    /// Bytes that the distillation takes.
+    bytes: u64,
 }
 
 /// What a local model shows of the tile.
@@ -85,12 +96,73 @@ impl Task {
             student,
             wide_crops: plan.wide_crops.clone(),
             teachers: teachers.collect::<Result<_, _>>()?,
+            bytes: plan.bytes,
         };
-        let Writer { floats, mut hasher } = writer;
-        hasher.update(&postcard::to_stdvec(&contents).expect("numbers and lists have bytes"));
-        hasher.update(device.class().as_bytes());
-        hasher.update(RULES.as_bytes());
-        Ok(Self { contents, floats, hash: hasher.finalize() })
+        let Writer { floats, hasher } = writer;
+        let hash = hashed(hasher, &contents.encoded(), device);
+        Ok(Self { contents, floats, hash })
+    }
+
+    /// Writes the task to a store, for workers.
+    pub(super) fn put(&self, store: &Store) -> Result<(), MergeError> {
+        let mut first = Some(self.contents.encoded());
+        let mut at = 0;
+        let mut values = Vec::new();
+        store.put_parts(&name(&self.hash), || {
+            let mut part = Vec::with_capacity(PART_BYTES);
+            if let Some(contents) = first.take() {
+                part.extend((contents.len() as u32).to_le_bytes());
+                part.extend(contents);
+            }
+            let room = PART_BYTES.saturating_sub(part.len()) / size_of::<f32>();
+            values.resize(room.min((self.floats.len() - at) as usize), 0.0);
+            self.floats.read(at, &mut values)?;
+            at += values.len() as u64;
+            values.iter().for_each(|value| part.extend(value.to_le_bytes()));
+            Ok::<_, MergeError>((!part.is_empty()).then(|| part.into()))
+        })
+    }
+
+    /// Reads a task from a store. `None` if the store does not have it. An error if it is not the one with this hash for
+    /// a device of the class of `device`.
+    pub(super) fn get(
+        store: &Store,
+        hash: &Hash,
+        device: &Device,
+        scratch: &Scratch,
+    ) -> Result<Option<Self>, MergeError> {
+        let name = name(hash);
+        let Some(bytes) = store.size(&name)? else { return Ok(None) };
+        let read = |range: Range<u64>| -> Result<Bytes, MergeError> {
+            let len = range.end - range.start;
+            let read = if range.end <= bytes { store.get_range(&name, range)? } else { None };
+            read.filter(|read| read.len() as u64 == len).ok_or(MergeError::BadTask)
+        };
+        let head: [u8; HEAD] = read(0..HEAD as u64)?[..].try_into().map_err(|_| MergeError::BadTask)?;
+        let first = HEAD as u64 + u64::from(u32::from_le_bytes(head));
+        let encoded = read(HEAD as u64..first)?;
+        let contents: Contents = postcard::from_bytes(&encoded).map_err(|_| MergeError::BadTask)?;
+        let mut writer = Writer { floats: scratch.floats()?, hasher: Hasher::new() };
+        for at in (first..bytes).step_by(PART_BYTES) {
+            let part = read(at..bytes.min(at + PART_BYTES as u64))?;
+            let (values, rest) = part.as_chunks();
+            if !rest.is_empty() {
+                return Err(MergeError::BadTask);
+            }
+            let values: Vec<f32> = values.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect();
+            writer.hasher.update(&part);
+            writer.floats.append(&values)?;
+        }
+        // The hash comes from whoever wrote the task, so numbers in it may be wrong all the same.
+        if hashed(writer.hasher, &encoded, device) != *hash || !contents.are_sound(writer.floats.len()) {
+            return Err(MergeError::BadTask);
+        }
+        Ok(Some(Self { contents, floats: writer.floats, hash: *hash }))
+    }
+
+    /// Bytes that the distillation takes.
+    pub(super) fn bytes(&self) -> u64 {
+        self.contents.bytes
     }
 
     /// The hash of everything that decides the result.
@@ -149,6 +221,63 @@ impl Task {
         self.floats.read_splats(at, count, &mut splats)?;
         Ok(splats)
     }
+}
+
+/// Name of a task in a store. The result has the hash alone as its name.
+pub(super) fn name(hash: &Hash) -> String {
+    format!("{}.task", hash.to_hex())
+}
+
+/// The hash of a task: of its splats, of its encoded contents, of the class of the device, and of the rules.
+fn hashed(mut splats: Hasher, encoded: &[u8], device: &Device) -> Hash {
+    splats.update(encoded).update(device.class().as_bytes()).update(RULES.as_bytes());
+    splats.finalize()
+}
+
+impl Contents {
+    fn encoded(&self) -> Vec<u8> {
+        postcard::to_stdvec(self).expect("numbers and lists have bytes")
+    }
+
+    /// Whether all places and numbers are possible with a file of `len` numbers.
+    fn are_sound(&self, len: u64) -> bool {
+        if self.sh_degree > 3 || self.own > self.student {
+            return false;
+        }
+        let each = 11 + Splats::with_capacity(0, self.sh_degree).sh_stride() as u64;
+        let fits = |at: u64, splats: usize| {
+            (splats as u64)
+                .checked_mul(each)
+                .and_then(|its| at.checked_add(its))
+                .is_some_and(|end| end <= len)
+        };
+        let lessons = || self.teachers.iter().flat_map(|teacher| &teacher.lessons);
+        let ranks: BTreeSet<usize> = lessons().map(|lesson| lesson.rank).collect();
+        let count = lessons().count();
+        let are_known = |teacher: &Teaching| {
+            let is_known = |view: usize| view < teacher.views.len();
+            teacher
+                .lessons
+                .iter()
+                .all(|lesson| is_known(lesson.view) && lesson.neighbour.is_none_or(is_known))
+        };
+        let views = self.teachers.iter().flat_map(|teacher| &teacher.views);
+        fits(0, self.student)
+            && self.teachers.iter().all(|teacher| fits(teacher.at, teacher.splats) && are_known(teacher))
+            && ranks.len() == count
+            && ranks.last().is_none_or(|last| last + 1 == count)
+            && views.chain(&self.wide_crops).all(is_sound)
+    }
+}
+
+fn is_sound(camera: &Camera) -> bool {
+    let Camera { cam_from_world, focal_px, center_px, size_px } = camera;
+    cam_from_world.rotation.is_finite()
+        && cam_from_world.translation.is_finite()
+        && focal_px.is_finite()
+        && focal_px.min_element() > 0.0
+        && center_px.is_finite()
+        && size_px.iter().all(|side| (1..=SIDE_MAX_PX).contains(side))
 }
 
 /// Writes splats to a file and adds them to a hash.

@@ -9,6 +9,7 @@ use cosurf_scene::Splats;
 use cosurf_scene::metrics::psnr;
 
 use super::*;
+use crate::store::Store;
 use crate::testing::{above, ground};
 
 /// A model of the ground from x = `west` to `east`, with cameras above `places`. Black splats float at the x of
@@ -39,14 +40,14 @@ fn try_to_run(
     tell: &mut dyn FnMut(MergeProgress) -> ControlFlow<()>,
 ) -> Result<Merged, MergeError> {
     let scratch = tempfile::tempdir().unwrap();
-    merge(locals, settings, Resources { scratch: scratch.path(), results: None, threads }, tell)
+    merge(locals, settings, Resources { scratch: scratch.path(), tiles: Tiles::Forgotten, threads }, tell)
 }
 
 /// Merges with tiles of at most `tile_splats` splats.
 fn in_tiles(locals: &dyn Locals, settings: &MergeSettings, threads: usize, tile_splats: usize) -> Merged {
     let folder = tempfile::tempdir().unwrap();
     let mut go_on = |_: MergeProgress| ControlFlow::Continue(());
-    let resources = Resources { scratch: folder.path(), results: None, threads };
+    let resources = Resources { scratch: folder.path(), tiles: Tiles::Forgotten, threads };
     let merged = merge_in_tiles(locals, settings, resources, tile_splats, &mut go_on).unwrap();
     assert_eq!(folder.path().read_dir().unwrap().count(), 0, "a file is left");
     merged
@@ -131,7 +132,7 @@ fn with_store(
 ) -> Result<Merged, MergeError> {
     let settings = MergeSettings { epochs: 2, device: DeviceChoice::Cpu, ..MergeSettings::default() };
     let scratch = tempfile::tempdir().unwrap();
-    let resources = Resources { scratch: scratch.path(), results: Some(store), threads: 2 };
+    let resources = Resources { scratch: scratch.path(), tiles: Tiles::Kept(store), threads: 2 };
     merge_in_tiles(locals, &settings, resources, 400, tell)
 }
 

@@ -14,7 +14,9 @@ use tracing::{debug_span, info_span};
 
 use super::record::{Fitted, KeptOut, Verdict};
 use crate::gate::{Frames, admit, admit_part};
-use crate::merge::{Locals, MergeError, MergeProgress, MergeSettings, Merged, Resources, fill_in, merge};
+use crate::merge::{
+    Locals, MergeError, MergeProgress, MergeSettings, Merged, Resources, Tiles, fill_in, merge,
+};
 use crate::store::Store;
 
 /// Number of distillation steps between two reports of progress.
@@ -159,7 +161,7 @@ impl Job {
             if admitted.count() == 0 {
                 return Ok(Outcome { merged: None, verdict });
             }
-            let resources = Resources { scratch: &scratch, results: Some(&results), threads };
+            let resources = Resources { scratch: &scratch, tiles: Tiles::Kept(&results), threads };
             let mut merged = merge(&admitted, &settings, resources, &mut |progress: MergeProgress| {
                 if progress.step.is_multiple_of(TELL_EVERY) {
                     let _ = say.send(progress); // fails only if the job was dropped

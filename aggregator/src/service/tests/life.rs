@@ -7,7 +7,7 @@ use cosurf_tests::dice::Dice;
 use cosurf_wire::BodyHash;
 
 use super::*;
-use crate::merge::{InMemory, MergeProgress, Resources, merge};
+use crate::merge::{InMemory, MergeProgress, Resources, Tiles, merge};
 use crate::testing::{QUICK, model_at};
 
 /// Number of histories.
@@ -38,7 +38,7 @@ fn merged_hash(models: &[Model]) -> BodyHash {
     let merged = merge(
         &locals,
         &SETTINGS,
-        Resources { scratch: tempfile::tempdir().unwrap().path(), results: None, threads: 1 },
+        Resources { scratch: tempfile::tempdir().unwrap().path(), tiles: Tiles::Forgotten, threads: 1 },
         &mut go_on,
     )
     .unwrap();

@@ -11,7 +11,7 @@ use cosurf_wire::{BodyHash, ModelId};
 use super::*;
 use crate::gate::admit;
 use crate::merge::InMemory;
-use crate::merge::{MergeSettings, Resources, merge};
+use crate::merge::{MergeSettings, Resources, Tiles, merge};
 use crate::service::job::packed;
 use crate::service::{Expected, Service, ServiceConfig, ServiceEvent};
 use crate::testing::{BAD_WEATHER, LIMITS, PATIENCE, QUICK, identity, model_at};
@@ -30,7 +30,7 @@ fn merged(bodies: &[Vec<u8>]) -> Vec<u8> {
     let merged = merge(
         &admitted,
         &SETTINGS,
-        Resources { scratch: tempfile::tempdir().unwrap().path(), results: None, threads: 1 },
+        Resources { scratch: tempfile::tempdir().unwrap().path(), tiles: Tiles::Forgotten, threads: 1 },
         &mut |_| ControlFlow::Continue(()),
     )
     .unwrap();

@@ -1,0 +1,174 @@
+//! The queue of tasks for workers: a JetStream work queue of a NATS server. A task stays in the queue until a worker has
+//! acknowledged it. It is delivered to another worker if one dies, that is, if nothing is heard of it for some time.
+//!
+//! What it knows nothing about: what a task is. It passes on a name and a folder.
+
+use std::time::Duration;
+
+use async_nats::ConnectOptions;
+use async_nats::jetstream::consumer::{AckPolicy, pull};
+use async_nats::jetstream::stream::{Config, LastRawMessageErrorKind, RetentionPolicy, Stream};
+use async_nats::jetstream::{self, AckKind, Context, Message};
+use futures_util::StreamExt;
+use tokio::runtime::{Builder, Runtime};
+use tokio::task::JoinHandle;
+use tokio::time::{sleep, timeout};
+
+/// Name of the stream on the server, and first part of all subjects.
+const STREAM: &str = "cosurf-tiles";
+/// A worker of which nothing is heard for so long is taken for dead.
+const DEAD_AFTER: Duration = Duration::from_secs(10);
+/// Interval at which a worker says that it is alive.
+const ALIVE_EVERY: Duration = Duration::from_secs(3);
+/// A worker waits so long for a task before it looks whether it shall end.
+const WAIT: Duration = Duration::from_secs(1);
+/// A server that does not answer for so long is away.
+const ANSWER_MAX: Duration = Duration::from_secs(5);
+
+/// A connection to a queue. Several threads may use it.
+#[derive(Debug)]
+pub struct Queue {
+    runtime: Runtime,
+    context: Context,
+    url: String,
+}
+
+/// Why the queue cannot be used.
+#[derive(Debug, thiserror::Error)]
+#[error("{url}: {cause}; check that a NATS server with JetStream runs there (nats-server -js)")]
+pub struct QueueError {
+    url: String,
+    cause: String,
+}
+
+/// A task that was delivered to this worker. It is delivered again, to any worker, unless it is finished.
+#[derive(Debug)]
+pub(crate) struct Delivered<'a> {
+    queue: &'a Queue,
+    message: Message,
+    alive: JoinHandle<()>,
+    /// Name of the task.
+    pub(crate) task: String,
+    /// The folder that it was queued with.
+    pub(crate) folder: String,
+    /// How often the task has been delivered, this time included.
+    pub(crate) deliveries: u64,
+}
+
+impl Queue {
+    /// Connects to a server, for example `nats://127.0.0.1:4222`. Fails if it is not there; a connection that is lost
+    /// later is made again.
+    pub fn open(url: &str) -> Result<Self, QueueError> {
+        let fail = |cause: String| QueueError { url: url.to_owned(), cause };
+        // One thread of its own tells the server that the worker is alive while the worker computes.
+        let runtime = Builder::new_multi_thread().worker_threads(1).enable_all().build();
+        let runtime = runtime.map_err(|cause| fail(cause.to_string()))?;
+        let options = ConnectOptions::new().name("cosurf").connection_timeout(ANSWER_MAX);
+        let client = runtime.block_on(options.connect(url)).map_err(|cause| fail(cause.to_string()))?;
+        let context = {
+            let _inside = runtime.enter(); // the context starts a task of its own
+            jetstream::new(client)
+        };
+        let queue = Self { runtime, context, url: url.to_owned() };
+        queue.answer(queue.stream())?;
+        Ok(queue)
+    }
+
+    /// Queues a task for workers with devices of this class, unless it is in the queue already.
+    pub(crate) fn send(&self, class: &str, task: &str, folder: &str) -> Result<(), QueueError> {
+        let subject = format!("{}.{task}", subject(class));
+        self.answer(async {
+            let stream = self.stream().await?;
+            match stream.get_last_raw_message_by_subject(&subject).await {
+                Ok(_) => return Ok(()),
+                Err(error) if error.kind() == LastRawMessageErrorKind::NoMessageFound => {}
+                Err(error) => return Err(error.to_string()),
+            }
+            let sent = self.context.publish(subject, folder.to_owned().into()).await;
+            sent.map_err(|error| error.to_string())?.await.map_err(|error| error.to_string())?;
+            Ok(())
+        })
+    }
+
+    /// The next task for workers with devices of this class. Waits a moment for one.
+    pub(crate) fn take(&self, class: &str) -> Result<Option<Delivered<'_>>, QueueError> {
+        let subject = subject(class);
+        let taken = self.answer(async {
+            let name = subject.replace('.', "-");
+            let config = pull::Config {
+                durable_name: Some(name.clone()),
+                filter_subject: format!("{subject}.*"),
+                ack_policy: AckPolicy::Explicit,
+                ack_wait: DEAD_AFTER,
+                ..pull::Config::default()
+            };
+            let stream = self.stream().await?;
+            let consumer = stream.get_or_create_consumer(&name, config).await;
+            let consumer = consumer.map_err(|error| error.to_string())?;
+            let batch = consumer.fetch().max_messages(1).expires(WAIT).messages().await;
+            match batch.map_err(|error| error.to_string())?.next().await {
+                Some(message) => message.map(Some).map_err(|error| error.to_string()),
+                None => Ok(None),
+            }
+        })?;
+        Ok(taken.map(|message| self.delivered(message)))
+    }
+
+    fn delivered(&self, message: Message) -> Delivered<'_> {
+        let its = message.clone();
+        let alive = self.runtime.spawn(async move {
+            loop {
+                sleep(ALIVE_EVERY).await;
+                let _ = its.ack_with(AckKind::Progress).await; // without it, the task is delivered again
+            }
+        });
+        let deliveries = message.info().map_or(1, |info| info.delivered.max(1) as u64);
+        let task = message.subject.rsplit('.').next().unwrap_or_default().to_owned();
+        let folder = String::from_utf8_lossy(&message.payload).into_owned();
+        Delivered { queue: self, message, alive, task, folder, deliveries }
+    }
+
+    async fn stream(&self) -> Result<Stream, String> {
+        let config = Config {
+            name: STREAM.to_owned(),
+            subjects: vec![format!("{STREAM}.>")],
+            retention: RetentionPolicy::WorkQueue,
+            ..Config::default()
+        };
+        self.context.get_or_create_stream(config).await.map_err(|error| error.to_string())
+    }
+
+    /// Waits for the answer of the server, but not for ever.
+    fn answer<T>(&self, asked: impl Future<Output = Result<T, String>>) -> Result<T, QueueError> {
+        let fail = |cause| QueueError { url: self.url.clone(), cause };
+        let in_time = async { timeout(ANSWER_MAX, asked).await };
+        let answered = self.runtime.block_on(in_time);
+        answered.map_err(|_| fail("no answer".to_owned()))?.map_err(fail)
+    }
+}
+
+impl Delivered<'_> {
+    /// Removes the task from the queue.
+    pub(crate) fn finish(self) -> Result<(), QueueError> {
+        self.queue.answer(async { self.message.double_ack().await.map_err(|error| error.to_string()) })
+    }
+
+    /// Returns the task to the queue. It is delivered again after `pause`.
+    pub(crate) fn give_back(self, pause: Duration) -> Result<(), QueueError> {
+        let kind = AckKind::Nak(Some(pause));
+        self.queue.answer(async { self.message.ack_with(kind).await.map_err(|error| error.to_string()) })
+    }
+}
+
+impl Drop for Delivered<'_> {
+    fn drop(&mut self) {
+        self.alive.abort();
+    }
+}
+
+/// The subject of tasks for devices of this class. A subject has no spaces, and dots have a meaning.
+fn subject(class: &str) -> String {
+    let is_plain = |letter: char| letter.is_ascii_alphanumeric();
+    let class: String = class.chars().map(|letter| if is_plain(letter) { letter } else { '-' }).collect();
+    format!("{STREAM}.{}", class.to_lowercase())
+}
