@@ -20,6 +20,8 @@ pub(super) struct Observer {
     sights: Vec<Sight>,
     /// Factor on the worth of every observation.
     weight: f64,
+    /// Share of the cameras that are believed, 0..=1.
+    believed: f64,
 }
 
 /// A camera, and the surface that it sees.
@@ -31,6 +33,10 @@ struct Sight {
     focal2_px: f64,
     /// False if an earlier camera of the model has the same pose.
     counts: bool,
+    /// False if the model shows too little of what the camera says to have seen.
+    is_believed: bool,
+    /// Share of the picture that shows a surface, 0..=1; 0 if the model is not known.
+    shown: f64,
     /// `None` if the model is not known. Then nothing is hidden from the camera.
     surface: Option<Surface>,
 }
@@ -56,7 +62,7 @@ impl Observer {
     pub(super) fn announced(cameras: &[Camera]) -> Self {
         let mut known = BTreeSet::new();
         let sight = |camera: &Camera| Sight::new(camera, None, &mut known);
-        Self { sights: cameras.iter().map(sight).collect(), weight: 1.0 }
+        Self { sights: cameras.iter().map(sight).collect(), weight: 1.0, believed: 1.0 }
     }
 
     /// The observations of the cameras of a model.
@@ -73,20 +79,36 @@ impl Observer {
             let surface = Surface::render(&mut renderer, camera)?;
             Ok(Sight::new(camera, Some(surface), &mut known))
         };
-        Ok(Self { sights: cameras.iter().map(sight).collect::<Result<_, DeviceError>>()?, weight })
+        let sights = cameras.iter().map(sight).collect::<Result<_, DeviceError>>()?;
+        Ok(Self { sights, weight, believed: 1.0 })
+    }
+
+    /// From now on, believes only cameras with a surface in at least this share of their pictures, 0..=1. Where many
+    /// cameras are not believed, the others count less as well: they can hardly be right.
+    pub(super) fn believe(&mut self, shown_min: f64) {
+        self.sights.iter_mut().for_each(|sight| sight.is_believed = sight.shown >= shown_min);
+        let believed = self.sights.iter().filter(|sight| sight.is_believed).count();
+        self.believed = believed as f64 / self.sights.len().max(1) as f64;
     }
 
     /// Those cameras that may see some point within `radius` of `center`. With `sees_through`, they are judged by
-    /// themselves: nothing is hidden from them, and they have the weight 1.
+    /// themselves: all are believed, nothing is hidden from them, and they have the weight 1.
     pub(super) fn near(&self, center: DVec3, radius: f64, sees_through: bool) -> Near<'_> {
-        let may_see = |sight: &&Sight| sight.counts && sight.frustum.touches(center, radius);
+        let counts = |sight: &Sight| sight.counts && (sees_through || sight.is_believed);
+        let may_see = |sight: &&Sight| counts(sight) && sight.frustum.touches(center, radius);
         let sights = self.sights.iter().filter(may_see).collect();
-        Near { sights, weight: if sees_through { 1.0 } else { self.weight }, sees_through }
+        let weight = if sees_through { 1.0 } else { self.weight * self.believed.powi(2) };
+        Near { sights, weight, sees_through }
     }
 
     /// Share of each camera's picture that shows a surface, 0..=1; 0 if the model is not known.
     pub(super) fn shown(&self) -> impl Iterator<Item = f64> {
-        self.sights.iter().map(|sight| sight.surface.as_ref().map_or(0.0, Surface::share))
+        self.sights.iter().map(|sight| sight.shown)
+    }
+
+    /// Median of [`Self::shown`]; `None` without cameras.
+    pub(super) fn shown_mostly(&self) -> Option<f64> {
+        median(self.shown().collect(), f64::total_cmp)
     }
 
     /// Points on the surface in the picture of each camera: one for every second pixel of every second row.
@@ -131,6 +153,8 @@ impl Sight {
             eye: camera.cam_from_world.center(),
             focal2_px: camera.focal_px.x * camera.focal_px.y,
             counts: known.insert(camera.cam_from_world.bits()),
+            is_believed: true,
+            shown: surface.as_ref().map_or(0.0, Surface::share),
             surface,
         }
     }
@@ -187,7 +211,10 @@ impl Surface {
     }
 }
 
-fn median<T: Copy>(mut values: Vec<T>, order: impl FnMut(&T, &T) -> std::cmp::Ordering) -> Option<T> {
+pub(super) fn median<T: Copy>(
+    mut values: Vec<T>,
+    order: impl FnMut(&T, &T) -> std::cmp::Ordering,
+) -> Option<T> {
     let middle = values.len() / 2;
     (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, order).1)
 }

@@ -76,6 +76,16 @@ fn a_model_with_a_low_weight_leaves_its_ground_to_others() {
 }
 
 #[test]
+fn a_model_whose_cameras_show_nothing_leaves_its_ground_to_others() {
+    let with = |more: Vec<Camera>| {
+        let cameras_of_first = [cameras(4, 100.0), more].concat();
+        lost(&known(&[(ground(), cameras_of_first, 1.0), (ground(), cameras(4, 90.0), 1.0)]))
+    };
+    assert_eq!(with(Vec::new()), [0.0, 1.0]);
+    assert_eq!(with((0..4).map(|i| above(50.0 + f64::from(i), 0.0, 100.0)).collect()), [1.0, 0.0]);
+}
+
+#[test]
 fn a_model_does_not_own_ground_that_it_shows_hidden() {
     let mut roofed = ground();
     level(&mut roofed, 1.0, 4.0);
