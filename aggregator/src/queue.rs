@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use async_nats::ConnectOptions;
 use async_nats::jetstream::consumer::{AckPolicy, pull};
+use async_nats::jetstream::context::ConsumerInfoErrorKind;
 use async_nats::jetstream::stream::{Config, LastRawMessageErrorKind, RetentionPolicy, Stream};
 use async_nats::jetstream::{self, AckKind, Context, Message};
 use futures_util::StreamExt;
@@ -75,29 +76,38 @@ impl Queue {
     }
 
     /// Queues a task for workers with devices of this class, unless it is in the queue already.
+    ///
+    /// A server that is killed forgets some removals of messages, or some messages, but not how far its workers were. It
+    /// delivers no message up to there, although it has it. Such a message is queued again.
     pub(crate) fn send(&self, class: &str, task: &str, folder: &str) -> Result<(), QueueError> {
         let subject = format!("{}.{task}", subject(class));
         self.answer(async {
             let stream = self.stream().await?;
-            match stream.get_last_raw_message_by_subject(&subject).await {
-                Ok(_) => return Ok(()),
-                Err(error) if error.kind() == LastRawMessageErrorKind::NoMessageFound => {}
+            let finished = finished(&stream, &consumer_name(class)).await?;
+            let mut queued = match stream.get_last_raw_message_by_subject(&subject).await {
+                Ok(message) => Some(message.sequence),
+                Err(error) if error.kind() == LastRawMessageErrorKind::NoMessageFound => None,
                 Err(error) => return Err(error.to_string()),
+            };
+            while queued.is_none_or(|sequence| sequence <= finished) {
+                if let Some(sequence) = queued {
+                    let _ = stream.delete_message(sequence).await; // a worker may have removed it
+                }
+                let sent = self.context.publish(subject.clone(), folder.to_owned().into()).await;
+                let stored = sent.map_err(|error| error.to_string())?.await;
+                queued = Some(stored.map_err(|error| error.to_string())?.sequence);
             }
-            let sent = self.context.publish(subject, folder.to_owned().into()).await;
-            sent.map_err(|error| error.to_string())?.await.map_err(|error| error.to_string())?;
             Ok(())
         })
     }
 
     /// The next task for workers with devices of this class. Waits a moment for one.
     pub(crate) fn take(&self, class: &str) -> Result<Option<Delivered<'_>>, QueueError> {
-        let subject = subject(class);
         let taken = self.answer(async {
-            let name = subject.replace('.', "-");
+            let name = consumer_name(class);
             let config = pull::Config {
                 durable_name: Some(name.clone()),
-                filter_subject: format!("{subject}.*"),
+                filter_subject: format!("{}.*", subject(class)),
                 ack_policy: AckPolicy::Explicit,
                 ack_wait: DEAD_AFTER,
                 ..pull::Config::default()
@@ -166,9 +176,80 @@ impl Drop for Delivered<'_> {
     }
 }
 
+/// The number of the message up to which all are finished; 0 before the first worker.
+async fn finished(stream: &Stream, consumer: &str) -> Result<u64, String> {
+    match stream.consumer_info(consumer).await {
+        Ok(info) => Ok(info.ack_floor.stream_sequence),
+        Err(error) if error.kind() == ConsumerInfoErrorKind::NotFound => Ok(0),
+        Err(error) => Err(error.to_string()),
+    }
+}
+
+/// The server's name for all workers with devices of this class.
+fn consumer_name(class: &str) -> String {
+    subject(class).replace('.', "-")
+}
+
 /// The subject of tasks for devices of this class. A subject has no spaces, and dots have a meaning.
 fn subject(class: &str) -> String {
     let is_plain = |letter: char| letter.is_ascii_alphanumeric();
     let class: String = class.chars().map(|letter| if is_plain(letter) { letter } else { '-' }).collect();
     format!("{STREAM}.{}", class.to_lowercase())
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use std::fs;
+    use std::path::Path;
+    use std::thread;
+
+    use cosurf_tests::nats::Nats;
+
+    use super::*;
+
+    /// The folder of the stream's messages in a server's folder.
+    const MESSAGES: &str = "jetstream/$G/streams/cosurf-tiles/msgs";
+    /// The server writes down what was finished within this time.
+    const WRITTEN: Duration = Duration::from_secs(2);
+
+    fn copy(from: &Path, to: &Path) {
+        let _ = fs::remove_dir_all(to);
+        fs::create_dir_all(to).unwrap();
+        for file in fs::read_dir(from).unwrap() {
+            let file = file.unwrap();
+            fs::copy(file.path(), to.join(file.file_name())).unwrap();
+        }
+    }
+
+    fn take(queue: &Queue) -> Delivered<'_> {
+        let attempts = (0..20).filter_map(|_| queue.take("cpu").unwrap_or_default());
+        attempts.into_iter().next().expect("the task is delivered within 20 seconds")
+    }
+
+    #[test]
+    fn a_task_is_delivered_although_the_server_forgot_that_it_was_finished_before() {
+        let folder = tempfile::tempdir().unwrap();
+        let (server, copied) = (folder.path().join("nats"), folder.path().join("messages"));
+        let Some(mut nats) = Nats::start(&server) else { return };
+        let queue = Queue::open(&nats.url()).unwrap();
+        for task in ["a", "b"] {
+            queue.send("cpu", task, "folder").unwrap();
+        }
+        copy(&server.join(MESSAGES), &copied);
+        for task in ["a", "b"] {
+            let delivered = take(&queue);
+            assert_eq!((delivered.task.as_str(), delivered.folder.as_str()), (task, "folder"));
+            delivered.finish().unwrap();
+        }
+        thread::sleep(WRITTEN);
+        nats.kill();
+        copy(&copied, &server.join(MESSAGES));
+        nats.start_again();
+        let again = || Queue::open(&nats.url()).and_then(|queue| queue.send("cpu", "b", "folder"));
+        while again().is_err() {}
+        assert_eq!(take(&queue).task, "b");
+        again().unwrap(); // it is in the queue
+        assert!(queue.take("cpu").unwrap().is_none(), "a task is queued once");
+    }
 }

@@ -4,6 +4,7 @@
 //!
 //! What it knows nothing about: what the bytes mean, and whether they are still what was written. Its users check that.
 
+use std::fmt::Display;
 use std::fs;
 use std::ops::Range;
 use std::path::Path;
@@ -11,14 +12,20 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use bytes::Bytes;
+use object_store::aws::{AmazonS3, AmazonS3Builder, AmazonS3ConfigKey};
 use object_store::local::LocalFileSystem;
 use object_store::path::Path as Name;
-use object_store::{Error, ObjectStore, ObjectStoreExt};
+use object_store::prefix::PrefixStore;
+use object_store::{Error, ObjectStore, ObjectStoreExt, RetryConfig};
 use tokio::runtime::{Builder, Runtime};
 
 /// A file of an unfinished object is removed once nothing was written to it for so long: until then, another program
 /// may be writing it.
 const UNFINISHED_MAX: Duration = Duration::from_secs(900);
+/// A bucket that fails for so long is taken for away.
+const BUCKET_PATIENCE: Duration = Duration::from_secs(20);
+/// What the address of a bucket begins with.
+const BUCKET_SCHEME: &str = "s3://";
 
 /// Objects under names. Several threads may use it.
 #[derive(Clone, Debug)]
@@ -27,32 +34,99 @@ pub struct Store {
     runtime: Arc<Runtime>,
     /// Where the objects are, for errors.
     place: String,
+    kind: Kind,
     /// The folder of the objects, inside that place; empty for the place itself.
     folder: String,
 }
 
+/// Where objects are.
+#[derive(Clone, Copy, Debug)]
+enum Kind {
+    Folder,
+    Bucket,
+}
+
 /// Why an object was not read, written or removed.
 #[derive(Debug, thiserror::Error)]
-#[error("{place}: {cause}; check that it exists, that it can be written to, and that there is free space")]
+#[error("{place}: {cause}; check that {}", kind.remedy())]
 pub struct ObjectError {
     place: String,
-    cause: Box<dyn std::error::Error + Send + Sync>,
+    kind: Kind,
+    /// One line, even if a server has answered with more.
+    cause: String,
+}
+
+impl ObjectError {
+    fn new(place: String, kind: Kind, cause: impl Display) -> Self {
+        let cause = cause.to_string();
+        let words: Vec<&str> = cause.split_whitespace().collect();
+        Self { place, kind, cause: words.join(" ") }
+    }
+}
+
+impl Kind {
+    fn remedy(self) -> &'static str {
+        match self {
+            Self::Folder => "it exists, that it can be written to, and that there is free space",
+            Self::Bucket => {
+                "the bucket exists, and that AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY, AWS_REGION and \
+                 (outside of Amazon) AWS_ENDPOINT_URL are right"
+            }
+        }
+    }
 }
 
 impl Store {
+    /// Objects in a folder, which is made if it is missing, or in an S3 bucket, for example `s3://bucket/prefix`. Keys,
+    /// region and endpoint of a bucket come from the environment variables that Amazon's tools use. Fails if the bucket
+    /// does not answer, or refuses the keys.
+    pub fn open(place: &str) -> Result<Self, ObjectError> {
+        match place.split_once("://") {
+            Some(("s3", bucket)) => Self::in_bucket(bucket),
+            Some(_) => {
+                let cause = "not a folder, and not an address like s3://bucket/prefix";
+                Err(ObjectError::new(place.to_owned(), Kind::Folder, cause))
+            }
+            None => Self::in_folder(Path::new(place)),
+        }
+    }
+
     /// Objects in the files of a folder, which is made if it is missing.
     pub fn in_folder(folder: &Path) -> Result<Self, ObjectError> {
         let place = folder.display().to_string();
-        let objects = fs::create_dir_all(folder)
-            .and_then(|()| remove_unfinished(folder))
-            .map_err(|cause| ObjectError { place: place.clone(), cause: cause.into() })
-            .and_then(|()| {
-                LocalFileSystem::new_with_prefix(folder)
-                    .map_err(|cause| ObjectError { place: place.clone(), cause: cause.into() })
-            })?;
-        let runtime = Builder::new_current_thread().build();
-        let runtime = runtime.map_err(|cause| ObjectError { place: place.clone(), cause: cause.into() })?;
-        Ok(Self { objects: Arc::new(objects), runtime: Arc::new(runtime), place, folder: String::new() })
+        let open = || {
+            fs::create_dir_all(folder)?;
+            remove_unfinished(folder)?;
+            let objects: Arc<dyn ObjectStore> = Arc::new(LocalFileSystem::new_with_prefix(folder)?);
+            Ok((objects, Builder::new_current_thread().build()?))
+        };
+        Self::new(place, Kind::Folder, open())
+    }
+
+    /// Objects whose names begin with a prefix, in an S3 bucket: `bucket/prefix`, or `bucket` for no prefix.
+    fn in_bucket(place: &str) -> Result<Self, ObjectError> {
+        let (bucket, prefix) = place.split_once('/').unwrap_or((place, ""));
+        let open = || {
+            let objects: Arc<dyn ObjectStore> = Arc::new(PrefixStore::new(bucket_of(bucket)?, prefix));
+            // A thread of its own keeps connections alive while the program computes.
+            Ok((objects, Builder::new_multi_thread().worker_threads(1).enable_all().build()?))
+        };
+        let store = Self::new(format!("{BUCKET_SCHEME}{place}"), Kind::Bucket, open())?;
+        store.names()?; // wrong keys and a wrong endpoint are told at once
+        Ok(store)
+    }
+
+    fn new(
+        place: String,
+        kind: Kind,
+        opened: Result<(Arc<dyn ObjectStore>, Runtime), Box<dyn std::error::Error + Send + Sync>>,
+    ) -> Result<Self, ObjectError> {
+        match opened {
+            Ok((objects, runtime)) => {
+                Ok(Self { objects, runtime: Arc::new(runtime), place, kind, folder: String::new() })
+            }
+            Err(cause) => Err(ObjectError::new(place, kind, cause)),
+        }
     }
 
     /// The objects in a folder of this store.
@@ -137,8 +211,20 @@ impl Store {
     }
 
     fn error(&self, name: &str, cause: Error) -> ObjectError {
-        ObjectError { place: format!("{}/{}", self.place, self.path(name)), cause: cause.into() }
+        ObjectError::new(format!("{}/{}", self.place, self.path(name)), self.kind, cause)
     }
+}
+
+/// A bucket of S3, or of a server that speaks its language.
+fn bucket_of(name: &str) -> Result<AmazonS3, Error> {
+    let _ = rustls::crypto::ring::default_provider().install_default(); // fails if it is installed already
+    let retry = RetryConfig { retry_timeout: BUCKET_PATIENCE, ..RetryConfig::default() };
+    let mut builder = AmazonS3Builder::from_env().with_bucket_name(name).with_retry(retry);
+    let endpoint = builder.get_config_value(&AmazonS3ConfigKey::Endpoint);
+    if endpoint.is_some_and(|url| url.starts_with("http://")) {
+        builder = builder.with_allow_http(true); // whoever writes http means it
+    }
+    builder.build()
 }
 
 /// `None` if an object does not exist.

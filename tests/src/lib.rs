@@ -4,7 +4,7 @@
 //! - [`models`], [`offers`]: random splats, cameras, and uploads made of them.
 //! - [`fleet`]: nodes on a simulated network, with virtual time. [`radio`]: both ends of a simulated serial line.
 //! - [`live`]: nodes that use a real broker. [`mosquitto`]: Mosquitto as a child process, and certificates for it.
-//!   [`nats`]: a NATS server as a child process.
+//!   [`nats`], [`s3`]: a NATS server and an S3 server as child processes.
 //! - [`datasets`]: synthetic cities and the datasets that benches use. [`programs`]: the paths of the programs that
 //!   cargo has built. [`dice`]: random numbers.
 //! - [`skips`]: how a test reports that it was skipped. [`results`]: the results of benches, and their tables in the
@@ -27,4 +27,5 @@ pub mod offers;
 pub mod programs;
 pub mod radio;
 pub mod results;
+pub mod s3;
 pub mod skips;

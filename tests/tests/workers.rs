@@ -1,5 +1,5 @@
 //! Merges whose tiles are distilled by workers: other processes, which are killed at random, with a queue that is away
-//! for a while. The result has the bytes of a merge in one process.
+//! for a while and a bucket that fails now and then. The result has the bytes of a merge in one process.
 #![allow(clippy::unwrap_used)]
 
 use std::fs;
@@ -13,6 +13,7 @@ use cosurf_scene::{Camera, Pose, Splats, ply};
 use cosurf_tests::dice::Dice;
 use cosurf_tests::nats::Nats;
 use cosurf_tests::programs::program;
+use cosurf_tests::s3::S3;
 use glam::{DVec2, DVec3};
 
 /// Number of merges that are disturbed in the test that runs on request.
@@ -42,10 +43,15 @@ fn write_model(folder: &Path, west: f32) {
     fs::write(folder.join("cameras.json"), serde_json::to_string(&cameras).unwrap()).unwrap();
 }
 
+/// Every so many requests to the bucket, one fails.
+const FAIL_EVERY: u64 = 10;
+
 /// Two models that share a strip of ground, a store, and a queue.
 struct Site {
     folder: tempfile::TempDir,
     nats: Nats,
+    /// The server of the store; without it, the tiles are in folders.
+    s3: Option<S3>,
 }
 
 impl Site {
@@ -55,7 +61,12 @@ impl Site {
         for (name, west) in [("a", -50.0), ("b", -10.0)] {
             write_model(&folder.path().join(name), west);
         }
-        Some(Self { folder, nats })
+        Some(Self { folder, nats, s3: None })
+    }
+
+    /// Keeps the tiles in a bucket.
+    fn in_bucket(self, fail_every: u64) -> Self {
+        Self { s3: Some(S3::start(&self.path("s3"), fail_every)), ..self }
     }
 
     fn path(&self, name: &str) -> PathBuf {
@@ -66,9 +77,8 @@ impl Site {
     fn merge(&self, out: &str, by_workers: bool) -> Command {
         let mut command = Command::new(program("cosurf-aggregator"));
         command.arg("merge").arg(self.path("a")).arg(self.path("b")).arg("--out").arg(self.path(out));
-        command
-            .args(["--json", "--device", "cpu", "--epochs", "3", "--tiles"])
-            .arg(self.path(&format!("{out}-tiles")));
+        command.args(["--json", "--device", "cpu", "--epochs", "3"]);
+        self.keep_tiles(&mut command, out);
         if by_workers {
             command.args(["--queue", self.nats.url().as_str()]);
         }
@@ -78,18 +88,18 @@ impl Site {
 
     fn worker(&self, out: &str, more: &[&str]) -> Worker {
         let mut command = Command::new(program("cosurf-aggregator"));
-        command.args([
-            "worker",
-            "--device",
-            "cpu",
-            "--threads",
-            "1",
-            "--queue",
-            self.nats.url().as_str(),
-            "--tiles",
-        ]);
-        command.arg(self.path(&format!("{out}-tiles"))).args(more);
+        command.args(["worker", "--device", "cpu", "--threads", "1", "--queue", self.nats.url().as_str()]);
+        self.keep_tiles(&mut command, out);
+        command.args(more);
         Worker(command.stdout(Stdio::null()).spawn().unwrap())
+    }
+
+    fn keep_tiles(&self, command: &mut Command, out: &str) {
+        let name = format!("{out}-tiles");
+        match &self.s3 {
+            Some(s3) => command.args(["--tiles", s3.url(&name).as_str()]).envs(s3.environment()),
+            None => command.arg("--tiles").arg(self.path(&name)),
+        };
     }
 
     fn bytes(&self, out: &str) -> Vec<u8> {
@@ -146,6 +156,40 @@ fn a_queue_that_is_not_there_is_told_at_once() {
     assert!(!output.status.success() && error.contains("nats-server -js"), "{error}");
 }
 
+#[test]
+fn a_bucket_that_fails_now_and_then_gives_the_same_bytes() {
+    let Some(site) = Site::new() else { return };
+    succeed(&site.merge("alone", false).output().unwrap());
+    let site = site.in_bucket(FAIL_EVERY);
+    let _workers = [site.worker("by", &[]), site.worker("by", &[])];
+    let by_workers = succeed(&site.merge("by", true).output().unwrap());
+    assert_eq!(by_workers["merge"]["known_tiles"], 0, "{by_workers}");
+    assert_eq!(site.bytes("by"), site.bytes("alone"));
+    let again = succeed(&site.merge("by", false).output().unwrap());
+    assert_eq!(again["merge"]["known_tiles"], again["merge"]["tiles"], "{again}");
+    let left = fs::read_dir(site.path("s3/site/by-tiles")).unwrap().count();
+    assert_eq!(left as u64, again["merge"]["tiles"].as_u64().unwrap(), "only results are left");
+}
+
+#[test]
+fn a_bucket_that_refuses_or_is_not_there_is_told_at_once() {
+    let Some(site) = Site::new() else { return };
+    let site = site.in_bucket(0);
+    let told = |variable: &str, value: &str, place: &str, reason: &str| {
+        let mut command = Command::new(program("cosurf-aggregator"));
+        command.args(["worker", "--queue", site.nats.url().as_str(), "--tiles", place]);
+        command.envs(site.s3.as_ref().unwrap().environment()).env(variable, value);
+        let output = command.output().unwrap();
+        let error = String::from_utf8_lossy(&output.stderr);
+        assert!(!output.status.success() && error.contains(reason), "{error}");
+        assert_eq!(error.lines().count(), 1, "{error}");
+    };
+    told("AWS_SECRET_ACCESS_KEY", "another", "s3://site/by", "AWS_SECRET_ACCESS_KEY");
+    told("AWS_ENDPOINT_URL", "http://127.0.0.1:1", "s3://site/by", "AWS_ENDPOINT_URL");
+    told("UNUSED", "", "s3://another/by", "the bucket exists");
+    told("UNUSED", "", "ftp://site/by", "s3://bucket/prefix");
+}
+
 /// One merge. Workers and the merge are killed at random, and so is the queue.
 fn disturbed(site: &mut Site, seed: u64) -> Vec<u8> {
     let out = format!("run-{seed}");
@@ -194,10 +238,12 @@ fn a_killed_worker_and_a_restarted_queue_change_nothing() {
 #[test]
 #[ignore = "takes minutes"]
 fn kills_of_workers_merges_and_the_queue_change_nothing() {
-    let Some(mut site) = Site::new() else { return };
+    let Some(site) = Site::new() else { return };
     succeed(&site.merge("alone", false).output().unwrap());
     let alone = site.bytes("alone");
+    let mut site = site.in_bucket(FAIL_EVERY);
     for seed in 0..RUNS {
         assert!(disturbed(&mut site, seed) == alone, "seed {seed}");
+        println!("seed {seed} of {RUNS}: the same bytes");
     }
 }

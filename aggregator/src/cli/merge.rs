@@ -76,12 +76,12 @@ pub(crate) struct MergeArgs {
     /// Limit on the memory of the merge, for example 500MiB
     #[arg(long, value_name = "BYTES", default_value = "4GiB", value_parser = parse_bytes)]
     memory: u64,
-    /// Folder in which the tiles of the global model are kept. Of a later merge with this folder, only those tiles are
-    /// computed that other models have changed
-    #[arg(long, value_name = "DIR")]
-    tiles: Option<PathBuf>,
+    /// Where the tiles of the global model are kept: a folder, or an S3 bucket like s3://bucket/prefix. Of a later merge
+    /// with the same place, only those tiles are computed that other models have changed
+    #[arg(long, value_name = "DIR|URL")]
+    tiles: Option<String>,
     /// Let workers distil the tiles (cosurf-aggregator worker): the NATS server with their queue, for example
-    /// nats://10.0.0.1:4222. They need the same folder of tiles
+    /// nats://10.0.0.1:4222. They need the same tiles
     #[arg(long, value_name = "URL", requires = "tiles")]
     queue: Option<String>,
     /// Seed of every random choice; the same seed gives the same bytes
@@ -129,7 +129,7 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
         show(&progress);
         ControlFlow::Continue(())
     };
-    let results = args.tiles.as_deref().map(Store::in_folder).transpose()?;
+    let results = args.tiles.as_deref().map(Store::open).transpose()?;
     let queue = args.queue.as_deref().map(Queue::open).transpose()?;
     let tiles = match (&results, &queue) {
         (Some(store), Some(queue)) => Tiles::ByWorkers(store, queue),

@@ -1,7 +1,6 @@
 //! `worker`: distils tiles for merges on other computers.
 
 use std::io::{self, Write};
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -22,9 +21,11 @@ pub(crate) struct WorkerArgs {
     /// NATS server with the queue, for example nats://10.0.0.1:4222
     #[arg(long, value_name = "URL")]
     queue: String,
-    /// Folder of tiles, the same as that of the merge
-    #[arg(long, value_name = "DIR")]
-    tiles: PathBuf,
+    /// Where the tiles are kept, the same place as that of the merge: a folder, or an S3 bucket like s3://bucket/prefix.
+    /// Keys, region and endpoint of a bucket are taken from the environment variables of Amazon's tools:
+    /// AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY, AWS_REGION, AWS_ENDPOINT_URL
+    #[arg(long, value_name = "DIR|URL")]
+    tiles: String,
     /// Limit on the memory, for example 500MiB. Tiles that need more are left to other workers
     #[arg(long, value_name = "BYTES", default_value = "4GiB", value_parser = parse_bytes)]
     memory: u64,
@@ -40,7 +41,7 @@ pub(crate) struct WorkerArgs {
 }
 
 pub(crate) fn run(args: &WorkerArgs) -> Result<()> {
-    let store = Store::in_folder(&args.tiles)?;
+    let store = Store::open(&args.tiles)?;
     let queue = Queue::open(&args.queue)?;
     let settings = WorkerSettings {
         device: args.device.open()?,

@@ -67,6 +67,8 @@ pub struct AggregatorConfig {
     /// The aggregator above this one; absent if there is none. With an aggregator above, this one is an edge: it
     /// uploads its global models like a device.
     pub upstream: Option<UpstreamConfig>,
+    /// The workers on other computers that distil the tiles of merges; absent to distil them here.
+    pub workers: Option<WorkersConfig>,
 }
 
 /// How an edge reaches the aggregator above it. World frame, key and trusted keys are those of the edge's own site.
@@ -81,6 +83,16 @@ pub struct UpstreamConfig {
     pub broker: BrokerAddress,
     /// Certificates for a broker with `mqtts://`.
     pub tls: Option<TlsFiles>,
+}
+
+/// How workers on other computers get tiles to distil.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct WorkersConfig {
+    /// URL of the NATS server with the queue, for example `nats://10.0.0.1:4222`.
+    pub queue: String,
+    /// Where tiles are kept: a folder, or a bucket like `s3://bucket/prefix`.
+    pub tiles: String,
 }
 
 fn default_device() -> DeviceId {
@@ -160,6 +172,7 @@ mod tests {
             ("tls = { ca = \"c\" }", "line 3, tls: missing field `cert`"),
             ("compute = \"cuda\"", "line 3, compute: give auto, cpu, gpu or gpu:N"),
             ("bnid = 1", "line 3, bnid: unknown field `bnid`"),
+            ("[workers]\nqueue = \"nats://h:1\"", "line 3, workers: missing field `tiles`"),
             ("[upstream]\nsite = \"a b\"", "line 4, upstream.site: ' ' in a name"),
         ] {
             let error = read(&format!("{REQUIRED}{line}\n")).unwrap_err();

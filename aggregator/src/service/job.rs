@@ -17,6 +17,7 @@ use crate::gate::{Frames, admit, admit_part};
 use crate::merge::{
     Locals, MergeError, MergeProgress, MergeSettings, Merged, Resources, Tiles, fill_in, merge,
 };
+use crate::queue::Queue;
 use crate::store::Store;
 
 /// Number of distillation steps between two reports of progress.
@@ -51,6 +52,23 @@ pub(super) struct Job {
     stop: Arc<AtomicBool>,
     progress: Receiver<MergeProgress>,
     thread: Option<JoinHandle<Result<Outcome, MergeError>>>,
+}
+
+/// Who distils the tiles of merges, and where their results are kept.
+#[derive(Clone, Debug)]
+pub(super) struct TileWork {
+    pub(super) results: Store,
+    /// The queue of workers; without it, the tiles are distilled here.
+    pub(super) queue: Option<Arc<Queue>>,
+}
+
+impl TileWork {
+    fn tiles(&self) -> Tiles<'_> {
+        match &self.queue {
+            Some(queue) => Tiles::ByWorkers(&self.results, queue),
+            None => Tiles::Kept(&self.results),
+        }
+    }
 }
 
 /// The result of a merge.
@@ -140,13 +158,13 @@ impl Locals for Stored {
 }
 
 impl Job {
-    /// `scratch` is a folder for files of the merge. Results of tiles are kept in `results`.
+    /// `scratch` is a folder for files of the merge.
     pub(super) fn start(
         stores: Stores,
         inputs: Inputs,
         settings: MergeSettings,
         scratch: PathBuf,
-        results: Store,
+        work: TileWork,
         threads: usize,
     ) -> Self {
         let stop = Arc::new(AtomicBool::new(false));
@@ -161,7 +179,7 @@ impl Job {
             if admitted.count() == 0 {
                 return Ok(Outcome { merged: None, verdict });
             }
-            let resources = Resources { scratch: &scratch, tiles: Tiles::Kept(&results), threads };
+            let resources = Resources { scratch: &scratch, tiles: work.tiles(), threads };
             let mut merged = merge(&admitted, &settings, resources, &mut |progress: MergeProgress| {
                 if progress.step.is_multiple_of(TELL_EVERY) {
                     let _ = say.send(progress); // fails only if the job was dropped

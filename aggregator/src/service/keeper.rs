@@ -3,6 +3,7 @@
 
 use std::collections::{BTreeSet, VecDeque};
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::sync::mpsc::{Receiver, TryRecvError};
 use std::time::Duration;
 
@@ -14,12 +15,13 @@ use super::control::{Command, ServiceConfig};
 use super::error::ServiceError;
 use super::event::ServiceEvent;
 use super::folder::{global_ply, global_store, tiles};
-use super::job::{Inputs, Job, JobState, Outcome};
+use super::job::{Inputs, Job, JobState, Outcome, TileWork};
 use super::record::{Input, KeptOut, Merging, Verdict, remove_global};
 use super::round::{Expected, Round};
 use super::shelf::Shelf;
 
 use crate::merge::{MergeError, MergeSettings, Merged, keep_only};
+use crate::queue::Queue;
 use crate::store::Store;
 
 /// Pause before a failed merge or write is tried again.
@@ -43,8 +45,8 @@ pub(super) struct Keeper {
     folder: PathBuf,
     shelf: Shelf,
     globals: ModelStore,
-    /// The results of tiles, so that a merge need not distil again what has not changed.
-    results: Store,
+    /// Who distils tiles. Their results are kept, so that a merge need not distil again what has not changed.
+    work: TileWork,
     withdrawals_at: Duration,
     global: Option<ModelHeader>,
     expected: Expected,
@@ -74,7 +76,7 @@ impl Keeper {
             folder: config.folder,
             shelf,
             globals,
-            results,
+            work: TileWork { results, queue: None },
             withdrawals_at: Duration::ZERO,
             global: revisions.into_iter().max_by_key(|header| header.model),
             expected: config.expected,
@@ -88,6 +90,11 @@ impl Keeper {
             to_offer: false,
         };
         Ok((keeper, headers))
+    }
+
+    /// Lets workers distil the tiles of merges. Their results are kept in `results`, which nobody else may use.
+    pub(super) fn employ(&mut self, results: Store, queue: Queue) {
+        self.work = TileWork { results, queue: Some(Arc::new(queue)) };
     }
 
     /// The models that would be merged now: the newest of each device.
@@ -222,7 +229,7 @@ impl Keeper {
     /// Removes the newest global model and its tiles, because it was merged from withdrawn models. Its revision in `global/` stays,
     /// so that the next revision has a higher number.
     fn withdraw_global(&mut self, node: &mut Node) -> Result<(), ServiceError> {
-        keep_only(&self.results, &[])?;
+        keep_only(&self.work.results, &[])?;
         if remove_global(&self.folder)? {
             node.withdraw_global(TileId::WHOLE);
             self.told.push_back(ServiceEvent::GlobalWithdrawn);
@@ -253,8 +260,8 @@ impl Keeper {
             self.to_offer = true;
             return;
         }
-        let (stores, results) = (self.shelf.stores(), self.results.clone());
-        let job = Job::start(stores, inputs, self.merge, self.folder.clone(), results, self.threads);
+        let (stores, work) = (self.shelf.stores(), self.work.clone());
+        let job = Job::start(stores, inputs, self.merge, self.folder.clone(), work, self.threads);
         self.job = Some((job, now));
     }
 
@@ -320,7 +327,7 @@ impl Keeper {
         let settings = self.merge;
         Merging { revision, inputs, kept_out, fitted, fits, settings, summary, seconds }
             .write(&self.folder)?;
-        keep_only(&self.results, &tiles)?;
+        keep_only(&self.work.results, &tiles)?;
         Ok(offer)
     }
 

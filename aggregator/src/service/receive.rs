@@ -11,6 +11,8 @@ use super::control::{Command, ServiceConfig};
 use super::error::ServiceError;
 use super::event::ServiceEvent;
 use super::keeper::{Keeper, RunState};
+use crate::queue::Queue;
+use crate::store::Store;
 
 /// Longest wait for a message before commands and merges are checked.
 const LISTEN: Duration = Duration::from_millis(50);
@@ -33,6 +35,12 @@ impl Service {
     /// Signs outgoing messages with `credentials`, and accepts only messages that the credentials trust.
     pub fn with(mut self, credentials: Credentials) -> Self {
         self.node.set_credentials(credentials);
+        self
+    }
+
+    /// Lets workers distil the tiles of merges. Their results are kept in `results`, which nobody else may use.
+    pub fn with_workers(mut self, results: Store, queue: Queue) -> Self {
+        self.keeper.employ(results, queue);
         self
     }
 

@@ -15,7 +15,7 @@ use cosurf_scene::SceneError;
 use cosurf_wire::{FrameId, SiteId};
 use serde::Serialize;
 
-use super::config::{AggregatorConfig, UpstreamConfig};
+use super::config::{AggregatorConfig, UpstreamConfig, WorkersConfig};
 use super::control::{BROKER_ATTEMPTS_MAX, Command, ServiceConfig};
 use super::error::ServiceError;
 use super::event::ServiceEvent;
@@ -25,6 +25,8 @@ use super::upstream::{Upstream, UpstreamEvent, UpstreamNode};
 use crate::broker::{Broker, BrokerError, local_address};
 use crate::gateway::{Gateway, GatewayEvent};
 use crate::merge::MergeSettings;
+use crate::queue::{Queue, QueueError};
+use crate::store::{ObjectError, Store};
 
 /// Limit on the number of concurrent uploads. It is far above the number of drones on a site.
 const MODELS_MAX: usize = 256;
@@ -66,6 +68,12 @@ pub enum ServeError {
     /// The built-in broker did not start.
     #[error("bind: {0}")]
     Broker(BrokerError),
+    /// The place of the workers' tiles cannot be used.
+    #[error("workers.tiles: {0}")]
+    Tiles(ObjectError),
+    /// The workers' queue cannot be used.
+    #[error("workers.queue: {0}")]
+    Queue(QueueError),
     /// A key file could not be read, or the service's folder could not be made or written to.
     #[error(transparent)]
     Scene(#[from] SceneError),
@@ -121,7 +129,11 @@ pub fn serve(
     let tls = Tls::for_broker(&broker, config.tls.as_ref()).map_err(ServeError::Tls)?;
     let _gateways = start_gateways(config.site, &broker, tls.as_ref(), lines, &say_beside);
     let identity = open_session(config, host.clock_s)?;
-    let service = Service::open(service_config(config, identity, host.threads))?.with(credentials.clone());
+    let mut service =
+        Service::open(service_config(config, identity, host.threads))?.with(credentials.clone());
+    if let Some(workers) = &config.workers {
+        service = employ(service, workers, &identity)?;
+    }
     let upstream = config.upstream.as_ref().map(|above| {
         let say = move |event| say_beside(SideEvent::Upstream(event));
         start_upstream(config, above, identity.session, credentials, now.clone(), say)
@@ -217,6 +229,15 @@ fn service_config(config: &AggregatorConfig, identity: Identity, threads: usize)
         },
         threads,
     }
+}
+
+/// Lets workers distil the tiles of a service's merges. Services that share a place keep their tiles in folders of their
+/// own.
+fn employ(service: Service, workers: &WorkersConfig, identity: &Identity) -> Result<Service, ServeError> {
+    let tiles = Store::open(&workers.tiles).map_err(ServeError::Tiles)?;
+    let queue = Queue::open(&workers.queue).map_err(ServeError::Queue)?;
+    let folder = format!("{}.{}", identity.site, identity.device);
+    Ok(service.with_workers(tiles.folder(&folder), queue))
 }
 
 /// Connects an edge to the aggregator above.

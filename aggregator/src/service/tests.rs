@@ -6,6 +6,7 @@ mod doubt;
 mod life;
 mod parts;
 mod withdrawal;
+mod workers;
 
 use std::fs;
 use std::ops::ControlFlow;
