@@ -13,12 +13,12 @@ use std::time::Duration;
 use anyhow::{Result, bail};
 use cosurf_contract::AgentEvent;
 use cosurf_link::{
-    Credentials, Identity, InboxLimits, ModelKey, ModelStore, Node, NodeEvent, Offer, Transport,
-    body_to_model,
+    Complete, Credentials, Identity, InboxLimits, ModelKey, Node, NodeEvent, Offer, ReceiveError, Received,
+    Transport,
 };
+use cosurf_scene::Camera;
 use cosurf_scene::bytes::format_bytes;
-use cosurf_scene::{Camera, ply};
-use cosurf_wire::{DeviceId, ModelHeader, ModelKind, RefusalReason};
+use cosurf_wire::{DeviceId, ModelKind, RefusalReason};
 use tracing::info_span;
 
 use crate::flights::Flights;
@@ -95,7 +95,7 @@ pub fn global_ply(out: &Path) -> PathBuf {
 struct Publisher<'a, F> {
     publication: &'a Publication<'a>,
     node: Node,
-    globals: ModelStore,
+    received: Received,
     upload: Upload<'a>,
     /// Whether the global model that the aggregator offers is stored, by this run or by an earlier one, or is too large
     /// to be received.
@@ -115,12 +115,14 @@ enum Upload<'a> {
 
 impl<'a, F: FnMut(AgentEvent)> Publisher<'a, F> {
     fn start(publication: &'a Publication<'a>, on_event: F) -> Result<Self> {
-        let (globals, known) = ModelStore::open(&publication.out.join("global"))?;
+        let out = publication.out;
+        let (received, known) =
+            Received::open(publication.identity.device, &out.join("global"), global_ply(out))?;
         let limits = InboxLimits {
             body_bytes_max: publication.inbox_bytes,
             total_bytes_max: publication.inbox_bytes,
-            models_max: 1,
-            stored_max: 64,
+            models_max: 2,
+            stored_max: 4096,
         };
         let mut node = Node::new(publication.identity, limits, &known);
         node.set_credentials(publication.credentials.clone());
@@ -134,7 +136,7 @@ impl<'a, F: FnMut(AgentEvent)> Publisher<'a, F> {
                 start_upload(&mut node, offer(publication, splats, base, ModelKind::Local)?)
             }
         };
-        Ok(Self { publication, node, globals, upload, is_global_settled: false, on_event })
+        Ok(Self { publication, node, received, upload, is_global_settled: false, on_event })
     }
 
     fn is_done(&self) -> bool {
@@ -189,8 +191,14 @@ impl<'a, F: FnMut(AgentEvent)> Publisher<'a, F> {
             }
             NodeEvent::UploadRefused { key, reason, .. } => self.on_refused(key, reason)?,
             // An earlier run received this global model and wrote it to disk.
-            NodeEvent::Known(header) if !self.is_global_settled => self.on_global_stored(&header),
-            NodeEvent::Store { header, body } => self.store_global(&header, &body),
+            NodeEvent::Known(header) if !self.is_global_settled => {
+                let known = self.received.known(&mut self.node, header);
+                self.on_received(known);
+            }
+            NodeEvent::Store { header, body } => {
+                let kept = self.received.take(&mut self.node, header, &body);
+                self.on_received(kept);
+            }
             NodeEvent::Refused { key, reason: RefusalReason::TooLarge } => self.on_global_too_large(key),
             _ => {}
         }
@@ -205,32 +213,26 @@ impl<'a, F: FnMut(AgentEvent)> Publisher<'a, F> {
         Ok(())
     }
 
-    fn store_global(&mut self, header: &ModelHeader, body: &[u8]) {
-        match write_global(&self.globals, self.publication.out, header, body) {
-            Ok(()) => {
-                self.node.stored(header.into());
-                self.on_global_stored(header);
+    fn on_received(&mut self, received: Result<Option<Complete>, ReceiveError>) {
+        match received {
+            Ok(Some(Complete { revision, splats })) => {
+                self.is_global_settled = true;
+                (self.on_event)(AgentEvent::GlobalReceived { revision, splats });
             }
-            Err(error) => {
-                self.node.store_failed(header.into());
-                self.retrying(format!("the global model was not stored: {error:#}"), 1);
-            }
+            Ok(None) => {}
+            Err(error) => self.retrying(format!("the global model was not stored: {error}"), 1),
         }
-    }
-
-    fn on_global_stored(&mut self, header: &ModelHeader) {
-        self.is_global_settled = true;
-        let (revision, splats) = (header.model, header.splats as usize);
-        (self.on_event)(AgentEvent::GlobalReceived { revision, splats });
     }
 
     /// Tells that a global model does not fit, and does not wait for it: a later revision would hardly be smaller.
     fn on_global_too_large(&mut self, key: ModelKey) {
         if !self.is_global_settled {
             self.is_global_settled = true;
+            // Of a tile, the number of the model that it belongs to is told.
+            let revision = self.received.revision().filter(|_| key.model.is_tile()).unwrap_or(key.model);
             let limit = format_bytes(self.publication.inbox_bytes);
             let reason = format!("it takes more than {limit}, half of the memory limit; raise --memory");
-            (self.on_event)(AgentEvent::GlobalRefused { revision: key.model, reason });
+            (self.on_event)(AgentEvent::GlobalRefused { revision, reason });
         }
     }
 
@@ -271,15 +273,6 @@ impl<'a> FlightCollector<'a> {
     fn is_complete(&self, now: Duration) -> bool {
         self.quiet_since.is_some_and(|since| now >= since + self.sharing.quiet)
     }
-}
-
-/// Decodes the global model and writes it as a PLY for viewers. Also stores its encoded bytes, so that later sessions
-/// know that the model has been received.
-fn write_global(globals: &ModelStore, out: &Path, header: &ModelHeader, body: &[u8]) -> Result<()> {
-    let model = body_to_model(body)?;
-    ply::write(&global_ply(out), &model.splats)?;
-    globals.put(header, body)?;
-    Ok(())
 }
 
 #[cfg(test)]

@@ -32,12 +32,14 @@
 
 mod config;
 mod control;
+mod cut;
 mod error;
 mod event;
 mod folder;
 mod job;
 mod keeper;
 mod parts;
+mod rebroadcast;
 mod receive;
 mod record;
 mod round;

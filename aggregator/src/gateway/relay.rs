@@ -101,7 +101,7 @@ impl Relay {
         match parsed {
             // The device has published this flight itself.
             Topic::Flight { device } if self.device == Some(device) => {}
-            Topic::GlobalChunk { model, index, .. } => {
+            Topic::GlobalChunk { model, index, .. } | Topic::TileChunk { model, index, .. } => {
                 let is_wanted = self.want.as_ref().is_some_and(|want| {
                     want.model == model && want.missing.status_of(index) == ChunkStatus::Missing
                 });

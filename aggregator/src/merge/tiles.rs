@@ -41,11 +41,30 @@ impl Map {
 
     /// Counts splats.
     pub(super) fn add(&mut self, means: &[[f32; 3]]) {
-        let side = f64::from(self.cell_log2).exp2();
         for mean in means {
-            let at = horizontal(self.vertical, *mean).map(|at| (f64::from(at) / side).floor() as i64);
-            *self.cells.entry(at).or_default() += 1;
+            *self.cells.entry(self.cell(*mean)).or_default() += 1;
         }
+    }
+
+    /// The cell of a splat.
+    pub(super) fn cell(&self, mean: [f32; 3]) -> [i64; 2] {
+        let side = f64::from(self.cell_log2).exp2();
+        horizontal(self.vertical, mean).map(|at| (f64::from(at) / side).floor() as i64)
+    }
+
+    /// The cells with splats.
+    pub(super) fn cells(&self) -> impl Iterator<Item = [i64; 2]> {
+        self.cells.keys().copied()
+    }
+
+    /// A point in the middle of a cell.
+    pub(super) fn center(&self, cell: [i64; 2]) -> DVec3 {
+        let side = f64::from(self.cell_log2).exp2();
+        let mut center = DVec3::ZERO;
+        for (axis, at) in cell.into_iter().enumerate() {
+            center[(self.vertical + 1 + axis) % 3] = (at as f64 + 0.5) * side;
+        }
+        center
     }
 
     /// Divides the ground into tiles with at most `most` splats each. A tile that is a single cell may have more.

@@ -37,6 +37,11 @@ pub(super) fn tiles(folder: &Path) -> PathBuf {
     folder.join("tiles")
 }
 
+/// Folder of the tiles that devices get of a large global model, inside the folder of a service.
+pub(super) fn sent_tiles(folder: &Path) -> PathBuf {
+    folder.join("sent")
+}
+
 /// File of the newest global model for viewers, inside the folder of a service.
 pub fn global_ply(folder: &Path) -> PathBuf {
     folder.join("global.ply")

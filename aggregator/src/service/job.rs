@@ -12,6 +12,7 @@ use cosurf_link::{FirstLayer, Model, ModelKey, ModelStore, body_to_model, model_
 use cosurf_wire::{ModelHeader, ModelKind};
 use tracing::{debug_span, info_span};
 
+use super::cut::Cut;
 use super::record::{Fitted, KeptOut, Verdict};
 use crate::gate::{Frames, admit, admit_part};
 use crate::merge::{
@@ -60,6 +61,8 @@ pub(super) struct TileWork {
     pub(super) results: Store,
     /// The queue of workers; without it, the tiles are distilled here.
     pub(super) queue: Option<Arc<Queue>>,
+    /// A global model with more splats is sent in tiles.
+    pub(super) whole_splats_max: usize,
 }
 
 impl TileWork {
@@ -73,10 +76,18 @@ impl TileWork {
 
 /// The result of a merge.
 pub(super) struct Outcome {
-    /// The global model and its body; `None` if no model took part.
-    pub(super) merged: Option<(Merged, Vec<u8>)>,
+    /// The global model; `None` if no model took part.
+    pub(super) made: Option<Made>,
     /// What the gate decided about the models.
     pub(super) verdict: Verdict,
+}
+
+/// A global model, encoded.
+pub(super) struct Made {
+    pub(super) merged: Merged,
+    pub(super) body: Vec<u8>,
+    /// The model in tiles, if it is too large to be sent whole.
+    pub(super) cut: Option<Cut>,
 }
 
 /// The state of a merge.
@@ -177,7 +188,7 @@ impl Job {
             let admitted = admit(&stored, (&settings).into(), threads, &is_stopped)?;
             let mut verdict = Verdict::of(&admitted, &stored.headers);
             if admitted.count() == 0 {
-                return Ok(Outcome { merged: None, verdict });
+                return Ok(Outcome { made: None, verdict });
             }
             let resources = Resources { scratch: &scratch, tiles: work.tiles(), threads };
             let mut merged = merge(&admitted, &settings, resources, &mut |progress: MergeProgress| {
@@ -198,7 +209,15 @@ impl Job {
             }
             merged.summary.splats = merged.model.splats.len();
             let body = packed(&merged.model, threads)?;
-            Ok(Outcome { merged: Some((merged, body)), verdict })
+            let cut = (merged.model.splats.len() > work.whole_splats_max).then(|| {
+                let local = |place: usize| {
+                    let device = stored.headers[admitted.place(place).local].device;
+                    Ok((device, admitted.load(place)?.splats))
+                };
+                let locals = (0..admitted.count()).map(local);
+                Cut::of(&merged.model, work.whole_splats_max, locals, threads)
+            });
+            Ok(Outcome { made: Some(Made { merged, body, cut: cut.transpose()? }), verdict })
         });
         Self { inputs, stop, progress, thread: Some(thread) }
     }

@@ -12,10 +12,12 @@ use cosurf_scene::ply;
 use cosurf_wire::{DeviceId, ModelHeader, ModelId, ModelKind, RefusalReason, TileId};
 
 use super::control::{Command, ServiceConfig};
+use super::cut::WHOLE_SPLATS_MAX;
 use super::error::ServiceError;
 use super::event::ServiceEvent;
-use super::folder::{global_ply, global_store, tiles};
-use super::job::{Inputs, Job, JobState, Outcome, TileWork};
+use super::folder::{global_ply, global_store, sent_tiles, tiles};
+use super::job::{Inputs, Job, JobState, Made, Outcome, TileWork};
+use super::rebroadcast::Rebroadcast;
 use super::record::{Input, KeptOut, Merging, Verdict, remove_global};
 use super::round::{Expected, Round};
 use super::shelf::Shelf;
@@ -46,7 +48,9 @@ pub(super) struct Keeper {
     shelf: Shelf,
     globals: ModelStore,
     /// Who distils tiles. Their results are kept, so that a merge need not distil again what has not changed.
-    work: TileWork,
+    pub(super) work: TileWork,
+    /// The tiles that devices get of a large global model.
+    rebroadcast: Rebroadcast,
     withdrawals_at: Duration,
     global: Option<ModelHeader>,
     expected: Expected,
@@ -71,12 +75,14 @@ impl Keeper {
         let (shelf, headers) = Shelf::open(&config.folder)?;
         let (globals, revisions) = ModelStore::open(&global_store(&config.folder))?;
         let results = Store::in_folder(&tiles(&config.folder)).map_err(MergeError::from)?;
+        let rebroadcast = Rebroadcast::open(&sent_tiles(&config.folder))?;
         let keeper = Self {
             device: config.identity.device,
             folder: config.folder,
             shelf,
             globals,
-            work: TileWork { results, queue: None },
+            work: TileWork { results, queue: None, whole_splats_max: WHOLE_SPLATS_MAX },
+            rebroadcast,
             withdrawals_at: Duration::ZERO,
             global: revisions.into_iter().max_by_key(|header| header.model),
             expected: config.expected,
@@ -94,7 +100,7 @@ impl Keeper {
 
     /// Lets workers distil the tiles of merges. Their results are kept in `results`, which nobody else may use.
     pub(super) fn employ(&mut self, results: Store, queue: Queue) {
-        self.work = TileWork { results, queue: Some(Arc::new(queue)) };
+        (self.work.results, self.work.queue) = (results, Some(Arc::new(queue)));
     }
 
     /// The models that would be merged now: the newest of each device.
@@ -130,6 +136,11 @@ impl Keeper {
             NodeEvent::Store { header, body } => self.store(node, header, &body, now),
             NodeEvent::Ignored { topic, reason } => {
                 ServiceEvent::Ignored { reason: format!("{topic}: {reason}") }
+            }
+            NodeEvent::Uploaded(key, _) if key.model.is_tile() => return None,
+            NodeEvent::Uploaded(..) if self.rebroadcast.is_running() => {
+                self.rebroadcast.announced();
+                return None;
             }
             NodeEvent::Uploaded(..) => ServiceEvent::Delivered,
             NodeEvent::UploadRefused { by, reason, .. } => ServiceEvent::Refused { by, reason },
@@ -189,6 +200,11 @@ impl Keeper {
         if let Some(event) = self.told.pop_front() {
             return Some(event);
         }
+        match self.rebroadcast.send(node) {
+            Ok(true) => return Some(ServiceEvent::Delivered),
+            Ok(false) => {}
+            Err(error) => return Some(self.disk_failed(&error, now)),
+        }
         if now < self.retry_at {
             return None;
         }
@@ -230,6 +246,7 @@ impl Keeper {
     /// so that the next revision has a higher number.
     fn withdraw_global(&mut self, node: &mut Node) -> Result<(), ServiceError> {
         keep_only(&self.work.results, &[])?;
+        self.rebroadcast.clear(node)?;
         if remove_global(&self.folder)? {
             node.withdraw_global(TileId::WHOLE);
             self.told.push_back(ServiceEvent::GlobalWithdrawn);
@@ -291,31 +308,33 @@ impl Keeper {
         };
         let (inputs, seconds) = (std::mem::take(&mut job.inputs), (now - *begun).as_secs_f64());
         self.job = None;
-        let Outcome { merged, verdict } = (*outcome)?;
+        let Outcome { made, verdict } = (*outcome)?;
         let kept_out = verdict.kept_out.clone();
-        let Some(merged) = merged else {
+        let Some(made) = made else {
             // Nothing replaces a global model that shows ground of withdrawn devices.
             if Merging::read(&self.folder).is_some_and(|record| self.shelf.has_withdrawn(&record.inputs)) {
                 self.withdraw_global(node)?;
             }
             return Ok(Some(ServiceEvent::NothingMerged { kept_out }));
         };
-        let offer = self.keep(merged, &inputs, verdict, seconds)?;
-        Ok(Some(self.broadcast(node, offer, inputs.headers().count(), kept_out)))
+        let offer = self.keep(node, made, &inputs, verdict, seconds)?;
+        self.broadcast(node, offer, inputs.headers().count(), kept_out).map(Some)
     }
 
     /// Writes a merged model to the disk: the revision, its record, and the PLY file for viewers. If the
     /// bytes are those of the newest revision, that revision stays.
     fn keep(
         &mut self,
-        (merged, body): (Merged, Vec<u8>),
+        node: &mut Node,
+        Made { merged, body, cut }: Made,
         inputs: &Inputs,
         Verdict { kept_out, fitted, fits }: Verdict,
         seconds: f64,
     ) -> Result<Offer, ServiceError> {
         let Merged { model, tiles, summary } = merged;
         let views = inputs.headers().fold(0u32, |views, header| views.saturating_add(header.views));
-        let next = ModelId(self.global.map_or(1, |global| global.model.0 + 1));
+        let newest = self.global.map(|global| global.model).max(self.rebroadcast.newest());
+        let next = ModelId(newest.map_or(1, |newest| newest.0 + 1));
         let mut offer = Offer::from_body(self.device, next, ModelKind::Global, views, body)?;
         match self.global {
             Some(global) if global.blake3 == offer.header.blake3 => offer.header = global,
@@ -328,6 +347,10 @@ impl Keeper {
         Merging { revision, inputs, kept_out, fitted, fits, settings, summary, seconds }
             .write(&self.folder)?;
         keep_only(&self.work.results, &tiles)?;
+        match cut {
+            Some(cut) => self.rebroadcast.keep(self.device, next, views, cut)?,
+            None => self.rebroadcast.clear(node)?,
+        }
         Ok(offer)
     }
 
@@ -339,24 +362,26 @@ impl Keeper {
         let record = Merging::read(&self.folder);
         let (inputs, kept_out) =
             record.map(|record| (record.inputs.len(), record.kept_out)).unwrap_or_default();
-        Ok(self.broadcast(node, Offer { header, body }, inputs, kept_out))
+        self.broadcast(node, Offer { header, body }, inputs, kept_out)
     }
 
-    /// Offers a global model to all devices. [`ServiceEvent::Delivered`] follows once it is stored by all devices that
-    /// sent a complete model and are not given up. `inputs` counts the models given to the merge, including those
-    /// `kept_out`.
+    /// Offers a global model to all devices, whole or in tiles. [`ServiceEvent::Delivered`] follows once all devices that
+    /// sent a complete model and are not given up have stored what they get. `inputs` counts the models given to the
+    /// merge, including those `kept_out`.
     fn broadcast(
-        &self,
+        &mut self,
         node: &mut Node,
         offer: Offer,
         inputs: usize,
         kept_out: Vec<KeptOut>,
-    ) -> ServiceEvent {
+    ) -> Result<ServiceEvent, ServiceError> {
         let header = offer.header;
         let senders = self.shelf.newest().into_iter().map(|header| header.device);
         let receivers: Vec<DeviceId> = senders.filter(|device| !self.given_up.contains(device)).collect();
-        node.broadcast(TileId::WHOLE, offer, &receivers);
-        ServiceEvent::Merged { header, models: inputs.saturating_sub(kept_out.len()), kept_out }
+        if self.rebroadcast.begin(node, &receivers)?.is_none() {
+            node.broadcast(TileId::WHOLE, offer, &receivers);
+        }
+        Ok(ServiceEvent::Merged { header, models: inputs.saturating_sub(kept_out.len()), kept_out })
     }
 }
 

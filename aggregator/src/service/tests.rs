@@ -5,6 +5,7 @@
 mod doubt;
 mod life;
 mod parts;
+mod tiles;
 mod withdrawal;
 mod workers;
 

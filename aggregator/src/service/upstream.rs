@@ -12,17 +12,16 @@
 //! | `global.ply` | the newest of these, for viewers |
 
 use std::fmt;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::mpsc::{self, Sender, TryRecvError};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
 use cosurf_link::{
-    Credentials, Identity, InboxLimits, ModelKey, ModelStore, MqttConfig, MqttTransport, Node, NodeEvent,
-    Offer, StoreError, Transport, body_to_model,
+    Complete, Credentials, Identity, InboxLimits, ModelKey, ModelStore, MqttConfig, MqttTransport, Node,
+    NodeEvent, Offer, ReceiveError, Received, StoreError, Transport,
 };
 use cosurf_scene::bytes::format_bytes;
-use cosurf_scene::ply;
 use cosurf_wire::{DeviceId, ModelHeader, ModelKind, RefusalReason};
 use serde::Serialize;
 
@@ -64,8 +63,8 @@ pub enum UpstreamEvent {
     CameDown {
         /// The revision.
         revision: u64,
-        /// Number of splats of this revision.
-        splats: u32,
+        /// Number of splats of this revision that are meant for the edge.
+        splats: u64,
     },
     /// The edge refused a revision of the global model above.
     NotReceived {
@@ -114,8 +113,7 @@ pub(crate) struct UpstreamNode {
     /// Revisions of the edge's own global model.
     own: ModelStore,
     /// Revisions received of the global model above.
-    above: ModelStore,
-    folder: PathBuf,
+    above: Received,
 }
 
 impl UpstreamNode {
@@ -128,10 +126,10 @@ impl UpstreamNode {
     ) -> Result<Self, StoreError> {
         let folder = service.join("upstream");
         let (own, _) = ModelStore::open(&global_store(service))?;
-        let (above, known) = ModelStore::open(&global_store(&folder))?;
+        let (above, known) = Received::open(identity.device, &global_store(&folder), global_ply(&folder))?;
         let mut node = Node::new(identity, limits, &known);
         node.set_credentials(credentials);
-        Ok(Self { node, device: identity.device, own, above, folder })
+        Ok(Self { node, device: identity.device, own, above })
     }
 
     /// Begins to upload a revision of the service's global model.
@@ -161,38 +159,33 @@ impl UpstreamNode {
                 Some(UpstreamEvent::RefusedAbove { revision: key.model.0, reason })
             }
             // The edge has stored this revision already, for example before a restart.
-            NodeEvent::Known(header) => Some(came_down(&header)),
-            NodeEvent::Store { header, body } => Some(self.store(header, &body)),
+            NodeEvent::Known(header) => {
+                let known = self.above.known(&mut self.node, header);
+                came_down(header.into(), known)
+            }
+            NodeEvent::Store { header, body } => {
+                let kept = self.above.take(&mut self.node, header, &body);
+                came_down(header.into(), kept)
+            }
             NodeEvent::Refused { key, reason } if !reason.is_temporary() => {
-                Some(UpstreamEvent::NotReceived { revision: key.model.0, reason })
+                let revision = self.above.revision().filter(|_| key.model.is_tile()).unwrap_or(key.model);
+                Some(UpstreamEvent::NotReceived { revision: revision.0, reason })
             }
             _ => None,
         }
     }
-
-    fn store(&mut self, header: ModelHeader, body: &[u8]) -> UpstreamEvent {
-        let key = ModelKey::from(header);
-        match self.keep(&header, body) {
-            Ok(()) => {
-                self.node.stored(key);
-                came_down(&header)
-            }
-            Err(error) => {
-                self.node.store_failed(key);
-                UpstreamEvent::UpstreamDiskFailed { reason: format!("model {key} is not stored: {error}") }
-            }
-        }
-    }
-
-    fn keep(&self, header: &ModelHeader, body: &[u8]) -> Result<(), ServiceError> {
-        let model = body_to_model(body)?;
-        ply::write(&global_ply(&self.folder), &model.splats)?;
-        Ok(self.above.put(header, body)?)
-    }
 }
 
-fn came_down(header: &ModelHeader) -> UpstreamEvent {
-    UpstreamEvent::CameDown { revision: header.model.0, splats: header.splats }
+fn came_down(key: ModelKey, received: Result<Option<Complete>, ReceiveError>) -> Option<UpstreamEvent> {
+    match received {
+        Ok(complete) => complete.map(|Complete { revision, splats }| UpstreamEvent::CameDown {
+            revision: revision.0,
+            splats: splats as u64,
+        }),
+        Err(error) => {
+            Some(UpstreamEvent::UpstreamDiskFailed { reason: format!("model {key} is not stored: {error}") })
+        }
+    }
 }
 
 /// An upstream link on its own thread. Dropping it ends the thread.

@@ -49,6 +49,9 @@ pub enum BodyFault {
     /// More splats or cameras than a `u32` can count, or more packs than a `u16` can count.
     #[error("more splats or cameras than a body can count")]
     TooMany,
+    /// A list of tiles contradicts itself.
+    #[error("the list of tiles is malformed")]
+    Manifest,
     /// The compressor ran out of memory.
     #[error("too little memory to compress the body")]
     Unpackable,

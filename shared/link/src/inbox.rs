@@ -114,6 +114,8 @@ pub struct Inbox {
     limits: InboxLimits,
     transfers: BTreeMap<ModelKey, Transfer>,
     stored: BTreeMap<ModelKey, BodyHash>,
+    /// The tiles of the global model that are accepted, with the hashes of their bodies.
+    expected: BTreeMap<ModelKey, BodyHash>,
     /// The keys in `stored`, oldest first.
     stored_order: VecDeque<ModelKey>,
     replies: VecDeque<Outgoing>,
@@ -128,6 +130,7 @@ impl Inbox {
             limits,
             transfers: BTreeMap::new(),
             stored: BTreeMap::new(),
+            expected: BTreeMap::new(),
             stored_order: VecDeque::new(),
             replies: VecDeque::new(),
         };
@@ -141,6 +144,17 @@ impl Inbox {
         self.credentials = credentials;
     }
 
+    /// Accepts these tiles of the global model from now on, and no others. What has arrived of others is dropped.
+    pub fn expect_tiles(&mut self, tiles: BTreeMap<ModelKey, BodyHash>) {
+        self.expected = tiles;
+        let expected = &self.expected;
+        self.transfers.retain(|key, transfer| {
+            !key.model.is_tile()
+                || transfer.phase == TransferPhase::Storing
+                || expected.get(key) == Some(&transfer.header.blake3)
+        });
+    }
+
     pub(crate) fn credentials(&self) -> &Credentials {
         &self.credentials
     }
@@ -151,6 +165,10 @@ impl Inbox {
         let want_topic = self.want_topic(topic)?;
         if !matches_topic(topic, &header) {
             return self.on_bad_header(topic);
+        }
+        // A tile that the newest manifest does not name is not wanted yet, or not any more.
+        if key.model.is_tile() && self.expected.get(&key) != Some(&header.blake3) {
+            return None;
         }
         if let Err(reason) = self.credentials.check(&self.identity.site, &header, self.newest_stored(key)) {
             return self.refuse_offer(topic, key, reason);
@@ -198,7 +216,9 @@ impl Inbox {
             Topic::LocalChunk { device, model, index } => {
                 (*device, *model, *index) == (chunk.device, chunk.model, chunk.index)
             }
-            Topic::GlobalChunk { model, index, .. } => (*model, *index) == (chunk.model, chunk.index),
+            Topic::GlobalChunk { model, index, .. } | Topic::TileChunk { model, index, .. } => {
+                (*model, *index) == (chunk.model, chunk.index)
+            }
             _ => false,
         };
         let bad = Some(InboxEvent::BadChunk(key, chunk.index));
@@ -289,7 +309,7 @@ impl Inbox {
         if bytes > self.limits.body_bytes_max.min(self.limits.total_bytes_max) {
             return self.refuse_offer(topic, key, RefusalReason::TooLarge);
         }
-        if header.kind == ModelKind::Global {
+        if !matches!(topic, Topic::LocalHeader { .. }) && !key.model.is_tile() {
             self.drop_older_revisions(key);
         }
         if !self.make_room(now, header.body_bytes) {
@@ -300,11 +320,15 @@ impl Inbox {
     }
 
     /// The highest number that is stored from the device of `key`; `None` if there is none or if `key` itself
-    /// is stored.
+    /// is stored. Tiles do not count, and `None` for a tile: the manifest tells which are up to date.
     fn newest_stored(&self, key: ModelKey) -> Option<ModelId> {
+        if key.model.is_tile() {
+            return None;
+        }
         let (first, last) =
             (ModelKey { model: ModelId(0), ..key }, ModelKey { model: ModelId(u64::MAX), ..key });
-        let newest = self.stored.range(first..=last).next_back()?.0.model;
+        let mut whole = self.stored.range(first..=last).rev().filter(|(key, _)| !key.model.is_tile());
+        let newest = whole.next()?.0.model;
         // A stored model is offered again if the acknowledgement was lost. Such an offer is not a replay.
         (!self.stored.contains_key(&key)).then_some(newest)
     }
@@ -318,6 +342,9 @@ impl Inbox {
             }
             (Role::Device, Topic::GlobalHeader { .. }) => {
                 Some(Topic::GlobalReply { device: self.identity.device, reply: Reply::Want })
+            }
+            (Role::Device, Topic::TileHeader { device, .. }) if *device == self.identity.device => {
+                Some(Topic::GlobalReply { device: *device, reply: Reply::Want })
             }
             _ => None,
         }
@@ -400,9 +427,15 @@ impl Inbox {
 fn matches_topic(topic: &Topic, header: &ModelHeader) -> bool {
     match topic {
         Topic::LocalHeader { device, model } => {
-            header.kind != ModelKind::Global && (*device, *model) == (header.device, header.model)
+            let is_local = matches!(header.kind, ModelKind::Local | ModelKind::Compressed);
+            is_local && (*device, *model) == (header.device, header.model)
         }
-        Topic::GlobalHeader { .. } => header.kind == ModelKind::Global,
+        Topic::GlobalHeader { .. } => {
+            matches!(header.kind, ModelKind::Global | ModelKind::Manifest) && !header.model.is_tile()
+        }
+        Topic::TileHeader { model, .. } => {
+            header.kind == ModelKind::Global && header.model.is_tile() && *model == header.model
+        }
         _ => false,
     }
 }

@@ -6,6 +6,7 @@ use cosurf_wire::{BodyCodec, DeviceId, FrameId, MAX_CHUNK_BYTES, ModelHeader, Mo
 
 use crate::body::{BodyFault, body_hash};
 use crate::codec::{FirstLayer, check_body, model_to_body, plain_importance};
+use crate::manifest::Manifest;
 use crate::trust::Credentials;
 
 /// A model packed for sending: its header and body.
@@ -64,6 +65,36 @@ impl Offer {
             blake3: body_hash(&body),
             signature: None,
         };
+        check_body(&header, &body)?;
+        Ok(Self { header, body })
+    }
+
+    /// Makes an offer of the list of a global model's tiles. `views` is the number of pictures that the model was trained
+    /// on. Fails if a receiver would refuse the body.
+    pub fn of_manifest(
+        device: DeviceId,
+        revision: ModelId,
+        views: u32,
+        manifest: &Manifest,
+    ) -> Result<Self, BodyFault> {
+        let body = manifest.encode();
+        let header = ModelHeader {
+            device,
+            model: revision,
+            kind: ModelKind::Manifest,
+            frame: FrameId::default(),
+            codec: BodyCodec::Packed,
+            sh_degree: 0,
+            splats: u32::try_from(manifest.splats()).unwrap_or(u32::MAX),
+            cameras: 0,
+            views,
+            bounds: manifest.bounds(),
+            body_bytes: body.len() as u64,
+            chunk_bytes: MAX_CHUNK_BYTES as u32,
+            blake3: body_hash(&body),
+            signature: None,
+        };
+        header.check().map_err(|_| BodyFault::Manifest)?;
         check_body(&header, &body)?;
         Ok(Self { header, body })
     }

@@ -74,6 +74,16 @@ impl ModelStore {
         Ok((header, body))
     }
 
+    /// The keys of all models, by the names of their files. Files with other names are left out.
+    pub fn keys(&self) -> Result<Vec<ModelKey>, StoreError> {
+        let failed = |cause| SceneError::io(&self.folder, cause);
+        let mut keys = Vec::new();
+        for entry in fs::read_dir(&self.folder).map_err(failed)? {
+            keys.extend(entry.map_err(failed)?.file_name().to_str().and_then(key_of));
+        }
+        Ok(keys)
+    }
+
     /// Deletes a model. Does nothing if it is not stored.
     pub fn remove(&self, key: ModelKey) -> Result<(), StoreError> {
         let path = self.path(key);
@@ -86,6 +96,12 @@ impl ModelStore {
     fn path(&self, key: ModelKey) -> PathBuf {
         self.folder.join(format!("{}.{}.{EXTENSION}", key.device, key.model))
     }
+}
+
+/// The key of a model by the name of its file.
+fn key_of(name: &str) -> Option<ModelKey> {
+    let (device, number) = name.strip_suffix(EXTENSION)?.strip_suffix('.')?.split_once('.')?;
+    Some(ModelKey { device: device.parse().ok()?, model: number.parse().ok()? })
 }
 
 /// Reads the header, and checks that the file has the size that follows from the header. Returns the file,

@@ -54,6 +54,8 @@ enum Destination {
     Aggregator,
     /// All devices, for the global model of a tile.
     Devices(TileId),
+    /// One device, for a tile of the global model.
+    Device(DeviceId),
 }
 
 /// Offers one model and sends its chunks. A local model is offered until the aggregator has stored it or
@@ -114,6 +116,11 @@ impl Uploader {
         Self::new(site, Destination::Devices(tile), offer, receivers)
     }
 
+    /// Offers a tile of the global model to one device.
+    pub fn tile_for(site: SiteId, device: DeviceId, offer: Offer) -> Self {
+        Self::new(site, Destination::Device(device), offer, &[device])
+    }
+
     fn new(site: SiteId, destination: Destination, offer: Offer, receivers: &[DeviceId]) -> Self {
         let chunks = offer.header.chunks();
         Self {
@@ -137,8 +144,16 @@ impl Uploader {
     /// The tile of a global model.
     pub fn tile(&self) -> Option<TileId> {
         match self.destination {
-            Destination::Aggregator => None,
+            Destination::Aggregator | Destination::Device(_) => None,
             Destination::Devices(tile) => Some(tile),
+        }
+    }
+
+    /// The device that a tile of the global model is for.
+    pub fn device(&self) -> Option<DeviceId> {
+        match self.destination {
+            Destination::Device(device) => Some(device),
+            Destination::Aggregator | Destination::Devices(_) => None,
         }
     }
 
@@ -162,7 +177,7 @@ impl Uploader {
     /// Whether nothing is left to do. This is never true for a global model, which is offered until another
     /// model replaces it.
     pub fn is_over(&self) -> bool {
-        self.is_cleared
+        self.is_cleared || (self.device().is_some() && self.is_closed())
     }
 
     /// Repeats the offer, because the transport is connected (again) and the broker may have lost the offer.
@@ -248,6 +263,9 @@ impl Uploader {
         match (self.destination, topic) {
             (Destination::Aggregator, Topic::LocalReply { device, reply }) => Some((*device, *reply)),
             (Destination::Devices(_), Topic::GlobalReply { device, reply }) => Some((*device, *reply)),
+            (Destination::Device(to), Topic::GlobalReply { device, reply }) if to == *device => {
+                Some((to, *reply))
+            }
             _ => None,
         }
     }
@@ -275,9 +293,11 @@ impl Uploader {
         let topic = match self.destination {
             Destination::Aggregator => Topic::LocalHeader { device: header.device, model: header.model },
             Destination::Devices(tile) => Topic::GlobalHeader { tile },
+            Destination::Device(device) => Topic::TileHeader { device, model: header.model },
         };
         self.delay_announcement(now);
-        Outgoing::new(&self.site, topic, &Message::Header(header), true)
+        let is_retained = self.device().is_none();
+        Outgoing::new(&self.site, topic, &Message::Header(header), is_retained)
     }
 
     fn next_chunk(&mut self) -> Option<Outgoing> {
@@ -292,6 +312,7 @@ impl Uploader {
         let topic = match self.destination {
             Destination::Aggregator => Topic::LocalChunk { device, model, index },
             Destination::Devices(tile) => Topic::GlobalChunk { tile, model, index },
+            Destination::Device(device) => Topic::TileChunk { device, model, index },
         };
         Some(Outgoing::new(&self.site, topic, &Message::Chunk(chunk), false))
     }

@@ -42,14 +42,41 @@ pub(crate) use rows::{Rows, read_elements};
 /// `path` is unchanged.
 pub fn write(path: &Path, splats: &Splats) -> Result<(), SceneError> {
     atomic::write(path, |out| {
-        out.write_all(header_of(splats).as_bytes())?;
+        out.write_all(header_of(splats.len(), splats.sh_degree).as_bytes())?;
         (0..splats.len()).try_for_each(|i| write_row(out, splats, i))
     })
 }
 
-fn header_of(splats: &Splats) -> String {
-    let mut text = format!("ply\nformat binary_little_endian 1.0\nelement vertex {}\n", splats.len());
-    let rest = 3 * (sh_coefficients(splats.sh_degree) - 1);
+/// As [`write`], for splats that come in parts, so that they need not all be in memory. `count` is the number of all
+/// splats, and `sh_degree` the degree of each part.
+pub fn write_parts(
+    path: &Path,
+    count: usize,
+    sh_degree: u32,
+    parts: impl Iterator<Item = io::Result<Splats>>,
+) -> Result<(), SceneError> {
+    atomic::write(path, |out| {
+        out.write_all(header_of(count, sh_degree).as_bytes())?;
+        let mut written = 0;
+        for splats in parts {
+            let splats = splats?;
+            if splats.sh_degree != sh_degree {
+                return Err(io::Error::other("its parts have different degrees of spherical harmonics"));
+            }
+            written += splats.len();
+            (0..splats.len()).try_for_each(|i| write_row(out, &splats, i))?;
+        }
+        if written == count {
+            Ok(())
+        } else {
+            Err(io::Error::other("its parts have other numbers of splats"))
+        }
+    })
+}
+
+fn header_of(count: usize, sh_degree: u32) -> String {
+    let mut text = format!("ply\nformat binary_little_endian 1.0\nelement vertex {count}\n");
+    let rest = 3 * (sh_coefficients(sh_degree) - 1);
     let names = ["x", "y", "z", "nx", "ny", "nz"].map(String::from).into_iter();
     for name in names.chain(numbered("f_dc", 3)).chain(numbered("f_rest", rest)).chain(tail_names()) {
         text += &format!("property float {name}\n");

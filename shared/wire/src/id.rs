@@ -196,6 +196,24 @@ impl FromStr for ModelId {
     }
 }
 
+impl ModelId {
+    /// Smallest number of a tile of a global model. Smaller numbers are those of whole models and manifests.
+    const FIRST_TILE: u64 = 1 << 63;
+    /// Largest number of tiles of one revision.
+    pub const TILES_MAX: usize = 1 << 16;
+
+    /// The number of a tile that is new in a revision. `index` counts the tiles of the revision, below
+    /// [`Self::TILES_MAX`].
+    pub fn of_tile(revision: Self, index: usize) -> Self {
+        Self(Self::FIRST_TILE | revision.0 << 16 | index as u64)
+    }
+
+    /// Whether this is the number of a tile.
+    pub fn is_tile(self) -> bool {
+        self.0 >= Self::FIRST_TILE
+    }
+}
+
 /// Parses a decimal number, accepting only the form that `Display` writes.
 pub(crate) fn parse_decimal(text: &str) -> Result<u64, IdError> {
     let canonical = text.bytes().all(|b| b.is_ascii_digit()) && (text == "0" || !text.starts_with('0'));

@@ -19,13 +19,19 @@
 //! | [`Want`] | aggregator → device | `/{device}/dn/want` | no | the chunks that the receiver has and lacks |
 //! | [`Done`] | aggregator → device | `/{device}/dn/done` | no | the body with this hash is stored on disk |
 //! | [`Refused`] | aggregator → device | `/{device}/dn/refused` | no | the model is refused, with the reason |
-//! | [`ModelHeader`] | aggregator → devices | `/global/{tile}/m` | yes | the newest revision of the global model |
+//! | [`ModelHeader`] | aggregator → devices | `/global/{tile}/m` | yes | the newest revision of the global model, or the list of its tiles |
 //! | [`Chunk`] | aggregator → devices | `/global/{tile}/{model}/c/{index}` | no | a chunk of a global model |
+//! | [`ModelHeader`] | aggregator → device | `/{device}/dn/{model}/m` | no | offers a tile of the global model |
+//! | [`Chunk`] | aggregator → device | `/{device}/dn/{model}/c/{index}` | no | a chunk of a tile |
 //! | [`Want`] | device → aggregator | `/{device}/global/want` | no | chunks of a global model that the device lacks |
 //! | [`Done`] | device → aggregator | `/{device}/global/done` | no | the device has stored a global model on disk |
 //! | [`Refused`] | device → aggregator | `/{device}/global/refused` | no | the device refuses a global model |
 //! | [`FlightCameras`] | device → devices | `/{device}/flight` | yes | the cameras of the device's flight |
 //! | [`State`] | device → all | `/{device}/state` | yes | start or end of a session (MQTT last will) |
+//!
+//! A global model that is too large to be sent whole is divided into tiles, each a model of its own. All devices get the
+//! list of the tiles ([`ModelKind::Manifest`]), which also tells which device gets which tiles. A device accepts only
+//! tiles that the newest list names for it. A tile that has not changed keeps its number, so it is sent once.
 //!
 //! A message is encoded as one byte of [`VERSION`], then
 //! [postcard](https://postcard.jamesmunns.com/wire-format) (the variant's index, then its fields in

@@ -26,6 +26,11 @@ pub const MAX_MESSAGE_BYTES: usize = MAX_CHUNK_BYTES + 89;
 /// messages that a device sends over a serial line.
 pub const FLIGHT_CAMERAS_MAX: usize = 160;
 
+/// Largest body of a manifest, bytes: about 200,000 tiles.
+const MANIFEST_BYTES_MAX: u64 = 16 << 20;
+/// A manifest takes at most so many times as much memory as its body.
+const MANIFEST_GROWTH: u64 = 128;
+
 /// Upper bound on the size of a [`ModelHeader::statement`], bytes. A test checks it.
 pub const MAX_STATEMENT_BYTES: usize = 384;
 /// Prefix of every [`ModelHeader::statement`], so that a signature of other data is never valid for a
@@ -125,6 +130,9 @@ pub enum ModelKind {
     /// the splats that another device owns. The device computes the owners from the cameras that all devices
     /// announce ([`FlightCameras`]).
     Compressed,
+    /// The list of the tiles of a global model that is too large to be sent whole. Its number is the model's
+    /// revision, and its body lists the tiles and who gets which. A tile is a [`ModelKind::Global`] of its own.
+    Manifest,
 }
 
 /// The layout of a body.
@@ -374,8 +382,12 @@ impl ModelHeader {
         (index < self.chunks()).then(|| start..self.body_bytes.min(start + u64::from(self.chunk_bytes)))
     }
 
-    /// Memory that a receiver needs for the model, bytes, when its splats are unpacked to `f32`.
+    /// Memory that a receiver needs for the model, bytes, when its splats are unpacked to `f32`, or for the list of a
+    /// manifest.
     pub fn unpacked_bytes(&self) -> u64 {
+        if self.kind == ModelKind::Manifest {
+            return MANIFEST_GROWTH * self.body_bytes;
+        }
         let splat = 44 + 4 * (3 + sh_rest(self.sh_degree)) as u64;
         u64::from(self.splats) * splat + u64::from(self.cameras) * CAMERA_BYTES as u64
     }
@@ -395,7 +407,11 @@ impl ModelHeader {
         if self.sh_degree > MAX_SH_DEGREE {
             return Err(HeaderError::ShDegree);
         }
-        if !body_bytes_range(self.splats, self.cameras, self.sh_degree).contains(&self.body_bytes) {
+        let body_bytes = match self.kind {
+            ModelKind::Manifest => 1..MANIFEST_BYTES_MAX + 1,
+            _ => body_bytes_range(self.splats, self.cameras, self.sh_degree),
+        };
+        if !body_bytes.contains(&self.body_bytes) {
             return Err(HeaderError::BodyBytes);
         }
         if self.chunk_bytes as usize > MAX_CHUNK_BYTES || self.chunks() == 0 {

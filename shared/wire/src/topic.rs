@@ -53,6 +53,22 @@ pub enum Topic {
         /// The kind of reply.
         reply: Reply,
     },
+    /// The header of a tile of the global model, for one device.
+    TileHeader {
+        /// The device that the tile is for.
+        device: DeviceId,
+        /// Number of the tile.
+        model: ModelId,
+    },
+    /// A chunk of a tile of the global model, for one device.
+    TileChunk {
+        /// The device that the tile is for.
+        device: DeviceId,
+        /// Number of the tile.
+        model: ModelId,
+        /// Index of the chunk, from 0.
+        index: u32,
+    },
     /// The header of the newest global model of a tile.
     GlobalHeader {
         /// The tile that the model covers.
@@ -168,6 +184,14 @@ impl Topic {
                 model: model.parse()?,
                 index: parse_index(index)?,
             },
+            [Some(device), Some("dn"), Some(model), Some("m"), None, ..] => {
+                Self::TileHeader { device: DeviceId::new(device)?, model: model.parse()? }
+            }
+            [Some(device), Some("dn"), Some(model), Some("c"), Some(index), None] => Self::TileChunk {
+                device: DeviceId::new(device)?,
+                model: model.parse()?,
+                index: parse_index(index)?,
+            },
             [Some(device), Some("dn"), Some(reply), None, ..] => {
                 Self::LocalReply { device: DeviceId::new(device)?, reply: Reply::parse(reply)? }
             }
@@ -187,7 +211,7 @@ impl Topic {
     /// The topic filters that `device` subscribes to.
     pub fn device_filters(site: &SiteId, device: &DeviceId) -> [TopicString; 3] {
         let mut own = filter(site, device.as_str());
-        let _ = own.push_str("/dn/+");
+        let _ = own.push_str("/dn/#");
         [own, filter(site, "global/#"), filter(site, "+/flight")]
     }
 }
@@ -200,6 +224,8 @@ impl fmt::Display for Topic {
             Self::LocalHeader { device, model } => write!(f, "{device}/up/{model}/m"),
             Self::LocalChunk { device, model, index } => write!(f, "{device}/up/{model}/c/{index}"),
             Self::LocalReply { device, reply } => write!(f, "{device}/dn/{}", reply.as_str()),
+            Self::TileHeader { device, model } => write!(f, "{device}/dn/{model}/m"),
+            Self::TileChunk { device, model, index } => write!(f, "{device}/dn/{model}/c/{index}"),
             Self::GlobalHeader { tile } => write!(f, "global/{tile}/m"),
             Self::GlobalChunk { tile, model, index } => write!(f, "global/{tile}/{model}/c/{index}"),
             Self::GlobalReply { device, reply } => write!(f, "{device}/global/{}", reply.as_str()),

@@ -1,10 +1,13 @@
-//! Fuzzes the decoders of packed models, for whole bodies and for incomplete ones.
+//! Fuzzes the decoders of packed models, for whole bodies and for incomplete ones, and of lists of tiles.
 
-use cosurf_link::{FirstLayer, body_to_model, model_to_body, part_to_model};
+use cosurf_link::{
+    FirstLayer, Manifest, Offer, Receiver, TileEntry, body_to_model, model_to_body, part_to_model,
+};
 use cosurf_scene::{Base, Splats};
 use cosurf_tests::dice::Dice;
 use cosurf_tests::models::{cameras, random_splats};
 use cosurf_wire::body::{HEAD_BYTES, PACK_ENTRY_BYTES};
+use cosurf_wire::{DeviceId, ModelHeader, ModelId, ModelKind};
 
 use crate::runner::{Target, hammer};
 
@@ -76,5 +79,42 @@ fn bodies_are_unpacked_or_refused() {
             assert_eq!(part.splats.find_bad_value(), None);
         }
         whole.is_ok()
+    });
+}
+
+/// The list of the tiles of a global model.
+fn manifest(tiles: usize) -> Vec<u8> {
+    let (device, splats) = (DeviceId::new("ground").unwrap(), random_splats(1, 4, 0));
+    let tile = |index: usize| {
+        let number = ModelId::of_tile(ModelId(7), index);
+        let Offer { header, .. } = Offer::new(device, number, ModelKind::Global, 0, &splats, &[]).unwrap();
+        let ModelHeader { model, blake3, splats, body_bytes, bounds, .. } = header;
+        TileEntry { model, blake3, splats, body_bytes, bounds }
+    };
+    let receiver = |i: u32| Receiver {
+        device: DeviceId::new(&format!("drone-{i}")).unwrap(),
+        tiles: (0..tiles as u32).filter(|tile| tile % 4 == i).collect(),
+    };
+    let manifest =
+        Manifest { tiles: (0..tiles).map(tile).collect(), receivers: (0..4).map(receiver).collect() };
+    Offer::of_manifest(device, ModelId(7), 9, &manifest).unwrap().body
+}
+
+#[test]
+fn manifests_are_read_or_refused() {
+    let target = Target {
+        name: "manifests",
+        samples: [0, 1, 30].map(manifest).into(),
+        reseal: |_| (),
+        // What the wire promises: see `ModelHeader::unpacked_bytes`.
+        bytes_max: |bytes| 4096 + 128 * bytes,
+    };
+    hammer(target, |bytes| {
+        let manifest = Manifest::decode(bytes);
+        if let Ok(manifest) = &manifest {
+            let its = manifest.receivers.iter().flat_map(|receiver| manifest.of(receiver.device));
+            assert!(its.into_iter().all(|tile| tile.model.is_tile()));
+        }
+        manifest.is_ok()
     });
 }

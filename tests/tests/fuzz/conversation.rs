@@ -100,6 +100,8 @@ fn topics_are_read_or_refused() {
         Topic::LocalReply { device, reply: cosurf_wire::Reply::Want },
         Topic::GlobalHeader { tile: cosurf_wire::TileId::WHOLE },
         Topic::GlobalChunk { tile: cosurf_wire::TileId::WHOLE, model, index: 0 },
+        Topic::TileHeader { device, model },
+        Topic::TileChunk { device, model, index: 0 },
         Topic::GlobalReply { device, reply: cosurf_wire::Reply::Done },
     ];
     let samples = topics.iter().map(|topic| topic.to_text(&site).as_bytes().to_vec()).collect();

@@ -8,6 +8,9 @@ use std::sync::mpsc;
 use cosurf_link::{FirstLayer, MemoryNetwork, MemoryTransport, Model, Role, model_to_body, plain_importance};
 use cosurf_wire::{BodyHash, ModelId};
 
+use cosurf_link::body_to_model;
+use cosurf_scene::ply;
+
 use super::*;
 use crate::gate::admit;
 use crate::merge::InMemory;

@@ -4,16 +4,17 @@ use std::ops::Range;
 
 use cosurf_scene::Splats;
 use cosurf_scene::splats::sh_coefficients;
-use cosurf_wire::ModelHeader;
 use cosurf_wire::body::{
     BodyError, BodyPlan, CameraRecord, HEAD_BYTES, LOG_SCALE_MAX, Pack, PackKind, SHAPE_FRAME_BYTES,
     ShLayout, Shape, ShapeFrame, SplatPacks, plan_bytes, read_changes, read_shapes,
 };
+use cosurf_wire::{ModelHeader, ModelKind};
 
 use super::basis::Basis;
 use super::pack::unpack;
 use super::shapes::{FloatShape, dequantise};
 use crate::body::{BodyFault, Model, camera};
+use crate::manifest::Manifest;
 
 /// If one in k splats has arrived, the axes of these splats are multiplied by k to this power. A power of one
 /// half would keep the covered area. The splats that arrive first are the most important ones and larger than
@@ -23,6 +24,9 @@ const GROWTH_EXPONENT: f32 = 0.25;
 /// Checks a complete body against its header: all sizes, all packs, and that every mean is within the bounds
 /// up to quantisation. Does not check the hash. Unpacks at most two packs at a time, which limits the memory.
 pub fn check_body(header: &ModelHeader, body: &[u8]) -> Result<(), BodyFault> {
+    if header.kind == ModelKind::Manifest {
+        return Manifest::decode(body).map(|_| ());
+    }
     let plan = BodyPlan::of_whole(body)?;
     check_header(&plan, header)?;
     let mut unpacker = Unpacker::new(plan, body);

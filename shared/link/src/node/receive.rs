@@ -45,7 +45,10 @@ impl Node {
             // A message without payload only tells that its publisher has deleted a retained message.
             return Ok(());
         }
-        let is_header = matches!(topic, Topic::LocalHeader { .. } | Topic::GlobalHeader { .. });
+        let is_header = matches!(
+            topic,
+            Topic::LocalHeader { .. } | Topic::GlobalHeader { .. } | Topic::TileHeader { .. }
+        );
         let message = match Message::decode(payload) {
             Ok(message) => message,
             Err(error) => {
@@ -62,11 +65,17 @@ impl Node {
             (Topic::Flight { device }, Message::Flight(flight)) if flight.device == device => {
                 self.receive_flight(flight)?;
             }
-            (Topic::LocalHeader { .. } | Topic::GlobalHeader { .. }, Message::Header(header)) => {
+            (
+                Topic::LocalHeader { .. } | Topic::GlobalHeader { .. } | Topic::TileHeader { .. },
+                Message::Header(header),
+            ) => {
                 let event = self.inbox.on_header(self.now, &topic, *header);
                 self.report_inbox(event);
             }
-            (Topic::LocalChunk { .. } | Topic::GlobalChunk { .. }, Message::Chunk(chunk)) => {
+            (
+                Topic::LocalChunk { .. } | Topic::GlobalChunk { .. } | Topic::TileChunk { .. },
+                Message::Chunk(chunk),
+            ) => {
                 let event = self.inbox.on_chunk(self.now, &topic, chunk);
                 self.report_inbox(event);
                 if let Some(InboxEvent::BadChunk(key, index)) = event {

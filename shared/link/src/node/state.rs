@@ -1,10 +1,10 @@
 //! The state of a node, and the calls that change it.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
 use cosurf_scene::Camera;
-use cosurf_wire::{DeviceId, FlightCameras, Message, ModelHeader, RefusalReason, TileId, Topic};
+use cosurf_wire::{BodyHash, DeviceId, FlightCameras, Message, ModelHeader, RefusalReason, TileId, Topic};
 use tracing::debug;
 
 use super::births::Births;
@@ -101,6 +101,28 @@ impl Node {
         self.uploaders.retain(|old| old.tile() != Some(tile));
         let offer = offer.with_credentials(&self.identity.site, self.inbox.credentials());
         self.uploaders.push(Uploader::global(self.identity.site, tile, offer, receivers));
+    }
+
+    /// Offers a tile of the global model to one device. [`NodeEvent::Uploaded`] follows when the device has stored it.
+    pub fn send_tile(&mut self, device: DeviceId, offer: Offer) {
+        debug!(model = %ModelKey::from(offer.header), %device, "send a tile");
+        let offer = offer.with_credentials(&self.identity.site, self.inbox.credentials());
+        self.uploaders.push(Uploader::tile_for(self.identity.site, device, offer));
+    }
+
+    /// Whether a tile is being sent to a device.
+    pub fn is_sending_tile(&self, device: DeviceId) -> bool {
+        self.uploaders.iter().any(|uploader| uploader.device() == Some(device) && !uploader.is_over())
+    }
+
+    /// Stops sending tiles.
+    pub fn stop_tiles(&mut self) {
+        self.uploaders.retain(|uploader| uploader.device().is_none());
+    }
+
+    /// Accepts these tiles of the global model from now on, and no others.
+    pub fn expect_tiles(&mut self, tiles: BTreeMap<ModelKey, BodyHash>) {
+        self.inbox.expect_tiles(tiles);
     }
 
     /// Stops offering the global model of a tile, and deletes its announcement from the broker.

@@ -1,0 +1,69 @@
+//! Cuts a global model that is too large to be sent whole into tiles, and finds out which device gets which: those with
+//! ground that the device observed.
+
+use cosurf_engine::Renderer;
+use cosurf_link::{FirstLayer, Model, model_to_body, plain_importance};
+use cosurf_scene::Splats;
+use cosurf_wire::DeviceId;
+use tracing::debug_span;
+
+use crate::merge::{Ground, MergeError};
+
+/// A model with more splats is sent in tiles, each with at most so many splats. Unpacked, a tile takes 60 MB.
+pub(super) const WHOLE_SPLATS_MAX: usize = 250_000;
+/// A device gets a tile if at least this share of the device's splats lie there.
+const SHARE_MIN: f64 = 0.01;
+
+/// A global model in tiles.
+pub(super) struct Cut {
+    /// The encoded tiles.
+    pub(super) bodies: Vec<Vec<u8>>,
+    /// The tiles that each device gets, by their places.
+    pub(super) receivers: Vec<(DeviceId, Vec<u32>)>,
+}
+
+impl Cut {
+    /// Cuts a model into tiles with at most `most` splats. `locals` has the splats of each device's model, where they
+    /// were merged.
+    pub(super) fn of(
+        model: &Model,
+        most: usize,
+        locals: impl Iterator<Item = Result<(DeviceId, Splats), MergeError>>,
+        threads: usize,
+    ) -> Result<Self, MergeError> {
+        let _span = debug_span!("cut", splats = model.splats.len()).entered();
+        let ground = Ground::of(model, most);
+        let importance = match model.cameras[..] {
+            [] => plain_importance(&model.splats),
+            _ => Renderer::new(&model.splats, threads).importance(&model.cameras),
+        };
+        let mut members = vec![Vec::new(); ground.tiles()];
+        for (i, mean) in model.splats.means.iter().enumerate() {
+            if let Some(tile) = ground.tile(*mean) {
+                members[tile].push(i);
+            }
+        }
+        let encode = |its: &Vec<usize>| {
+            let importance: Vec<f32> = its.iter().map(|i| importance[*i]).collect();
+            let mut splats = Splats::with_capacity(its.len(), model.splats.sh_degree);
+            its.iter().for_each(|i| splats.push_from(&model.splats, *i));
+            Ok(model_to_body(&splats, &[], FirstLayer::ByImportance(&importance))?)
+        };
+        let bodies = members.iter().map(encode).collect::<Result<_, MergeError>>()?;
+        let gets = |local: Result<(DeviceId, Splats), MergeError>| {
+            local.map(|(device, splats)| (device, observed(&ground, &splats)))
+        };
+        Ok(Self { bodies, receivers: locals.map(gets).collect::<Result<_, _>>()? })
+    }
+}
+
+/// The tiles with at least [`SHARE_MIN`] of a device's splats.
+fn observed(ground: &Ground, splats: &Splats) -> Vec<u32> {
+    let mut counts = vec![0usize; ground.tiles()];
+    for tile in splats.means.iter().filter_map(|mean| ground.tile(*mean)) {
+        counts[tile] += 1;
+    }
+    let least = SHARE_MIN * splats.len() as f64;
+    let is_observed = |place: &u32| counts[*place as usize] > 0 && counts[*place as usize] as f64 >= least;
+    (0..ground.tiles() as u32).filter(is_observed).collect()
+}

@@ -1,0 +1,170 @@
+//! The global model that a device receives, and what the device keeps of it: whole, or the tiles that the manifest names
+//! for the device.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::io;
+use std::path::{Path, PathBuf};
+
+use cosurf_scene::{SceneError, ply};
+use cosurf_wire::{BodyHash, DeviceId, ModelHeader, ModelId, ModelKind};
+
+use crate::body::BodyFault;
+use crate::codec::body_to_model;
+use crate::key::ModelKey;
+use crate::manifest::Manifest;
+use crate::node::Node;
+use crate::store::{ModelStore, StoreError};
+
+/// The folder of a device's global models, and the newest of them as a PLY file for viewers.
+#[derive(Debug)]
+pub struct Received {
+    device: DeviceId,
+    store: ModelStore,
+    ply: PathBuf,
+    /// What is on disk.
+    stored: BTreeMap<ModelKey, ModelHeader>,
+    /// The newest manifest, with the device's tiles in it.
+    manifest: Option<(ModelHeader, Vec<ModelKey>)>,
+}
+
+/// A revision of the global model of which a device has all that is meant for it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Complete {
+    /// Number of the revision.
+    pub revision: ModelId,
+    /// Number of splats that the device has of it.
+    pub splats: usize,
+}
+
+/// Why a global model is not kept.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ReceiveError {
+    /// A file could not be written or read.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// The PLY file could not be written.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// A body is invalid.
+    #[error(transparent)]
+    Body(#[from] BodyFault),
+}
+
+impl Received {
+    /// Opens the folder of received models. Also returns their headers, for [`Node::new`]. `ply` is the file for
+    /// viewers.
+    pub fn open(
+        device: DeviceId,
+        folder: &Path,
+        ply: PathBuf,
+    ) -> Result<(Self, Vec<ModelHeader>), StoreError> {
+        let (store, headers) = ModelStore::open(folder)?;
+        let stored = headers.iter().map(|header| (ModelKey::from(header), *header)).collect();
+        Ok((Self { device, store, ply, stored, manifest: None }, headers))
+    }
+
+    /// The revision of the newest manifest.
+    pub fn revision(&self) -> Option<ModelId> {
+        self.manifest.as_ref().map(|(header, _)| header.model)
+    }
+
+    /// Keeps a model that has arrived ([`crate::NodeEvent::Store`]), and tells the node. Returns the revision that it
+    /// completes.
+    pub fn take(
+        &mut self,
+        node: &mut Node,
+        header: ModelHeader,
+        body: &[u8],
+    ) -> Result<Option<Complete>, ReceiveError> {
+        let key = ModelKey::from(header);
+        let kept = self.keep(node, header, body);
+        match kept {
+            Ok(_) => node.stored(key),
+            Err(_) => node.store_failed(key),
+        }
+        kept
+    }
+
+    /// Notes that a model on disk is offered again ([`crate::NodeEvent::Known`]). Returns the revision that the device
+    /// has.
+    pub fn known(&mut self, node: &mut Node, header: ModelHeader) -> Result<Option<Complete>, ReceiveError> {
+        match header.kind {
+            ModelKind::Manifest => {
+                let (header, body) = self.store.get(ModelKey::from(header))?;
+                self.begin(node, header, &Manifest::decode(&body)?)
+            }
+            _ if header.model.is_tile() => Ok(None),
+            _ => Ok(Some(whole(&header))),
+        }
+    }
+
+    fn keep(
+        &mut self,
+        node: &mut Node,
+        header: ModelHeader,
+        body: &[u8],
+    ) -> Result<Option<Complete>, ReceiveError> {
+        let key = ModelKey::from(header);
+        if header.kind != ModelKind::Manifest && !key.model.is_tile() {
+            ply::write(&self.ply, &body_to_model(body)?.splats)?;
+            self.store.put(&header, body)?;
+            return Ok(Some(whole(&header)));
+        }
+        self.store.put(&header, body)?;
+        self.stored.insert(key, header);
+        match header.kind {
+            ModelKind::Manifest => self.begin(node, header, &Manifest::decode(body)?),
+            _ => self.finish(),
+        }
+    }
+
+    /// Begins to receive the tiles of a manifest.
+    fn begin(
+        &mut self,
+        node: &mut Node,
+        header: ModelHeader,
+        manifest: &Manifest,
+    ) -> Result<Option<Complete>, ReceiveError> {
+        let key = |model| ModelKey { device: header.device, model };
+        let wanted: BTreeMap<ModelKey, BodyHash> =
+            manifest.of(self.device).map(|tile| (key(tile.model), tile.blake3)).collect();
+        self.manifest = Some((header, wanted.keys().copied().collect()));
+        node.expect_tiles(wanted);
+        self.finish()
+    }
+
+    /// If all tiles are there, writes the PLY file and removes what is not needed any more.
+    fn finish(&mut self) -> Result<Option<Complete>, ReceiveError> {
+        let Some((manifest, keys)) = &self.manifest else { return Ok(None) };
+        let tiles: Vec<ModelHeader> = keys.iter().filter_map(|key| self.stored.get(key).copied()).collect();
+        if tiles.len() < keys.len() {
+            return Ok(None);
+        }
+        let splats = tiles.iter().map(|tile| tile.splats as usize).sum();
+        if let Some(first) = tiles.first() {
+            let load = |tile: &ModelHeader| {
+                let (_, body) = self.store.get(ModelKey::from(tile)).map_err(io::Error::other)?;
+                Ok(body_to_model(&body).map_err(io::Error::other)?.splats)
+            };
+            ply::write_parts(&self.ply, splats, u32::from(first.sh_degree), tiles.iter().map(load))?;
+        }
+        let needed: BTreeSet<ModelKey> = keys.iter().copied().chain([ModelKey::from(manifest)]).collect();
+        let is_old = |header: &ModelHeader| header.kind == ModelKind::Manifest || header.model.is_tile();
+        let old: Vec<ModelKey> = self
+            .stored
+            .iter()
+            .filter(|(key, its)| is_old(its) && !needed.contains(key))
+            .map(|(key, _)| *key)
+            .collect();
+        for key in old {
+            self.store.remove(key)?;
+            self.stored.remove(&key);
+        }
+        Ok(Some(Complete { revision: manifest.model, splats }))
+    }
+}
+
+fn whole(header: &ModelHeader) -> Complete {
+    Complete { revision: header.model, splats: header.splats as usize }
+}
