@@ -7,6 +7,7 @@
 //!   [`nats`], [`s3`]: a NATS server and an S3 server as child processes.
 //! - [`datasets`]: synthetic cities and the datasets that benches use. [`programs`]: the paths of the programs that
 //!   cargo has built. [`dice`]: random numbers.
+//! - [`usage`]: the memory and time that a child process takes.
 //! - [`skips`]: how a test reports that it was skipped. [`results`]: the results of benches, and their tables in the
 //!   documents.
 //!
@@ -29,3 +30,4 @@ pub mod radio;
 pub mod results;
 pub mod s3;
 pub mod skips;
+pub mod usage;

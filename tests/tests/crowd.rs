@@ -13,6 +13,7 @@ use cosurf_link::{BrokerAddress, InboxLimits, MqttConfig, MqttTransport, Node, N
 use cosurf_tests::offers::{identity, offer};
 use cosurf_tests::programs::program;
 use cosurf_tests::results::{Column, Measurement};
+use cosurf_tests::usage::peak_bytes;
 use cosurf_wire::{DeviceId, MAX_CHUNK_BYTES, ModelKind};
 
 const AGENTS: u64 = 200;
@@ -50,11 +51,9 @@ impl Aggregator {
         (Self(command.spawn().unwrap()), address)
     }
 
-    /// Peak resident memory (`VmHWM` of Linux), bytes.
+    /// Peak resident memory, bytes.
     fn peak_bytes(&self) -> u64 {
-        let status = fs::read_to_string(format!("/proc/{}/status", self.0.id())).unwrap();
-        let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).unwrap();
-        line.trim().strip_suffix("kB").unwrap().trim().parse::<u64>().unwrap() << 10
+        peak_bytes(self.0.id()).unwrap()
     }
 }
 

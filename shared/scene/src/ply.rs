@@ -47,7 +47,7 @@ pub fn write(path: &Path, splats: &Splats) -> Result<(), SceneError> {
     })
 }
 
-/// As [`write`], for splats that come in parts, so that they need not all be in memory. `count` is the number of all
+/// As [`write()`], for splats that come in parts, so that they need not all be in memory. `count` is the number of all
 /// splats, and `sh_degree` the degree of each part.
 pub fn write_parts(
     path: &Path,
