@@ -21,11 +21,12 @@ use cosurf_city::{City, CitySettings};
 use cosurf_link::Model;
 use cosurf_scene::{Camera, Dataset, Pose, View, colmap};
 use cosurf_tests::dice::Dice;
+use cosurf_tests::models::read_model;
 use cosurf_tests::programs::program;
 use cosurf_tests::results::{Better, Column, Measurement, Tolerance};
 use glam::{DQuat, DVec3};
 use held_out::{EVERY, HeldOut, THREADS};
-use mission::{Mission, read};
+use mission::Mission;
 
 /// How the model of a fifth agent is made.
 type Fifth = fn(&Joined) -> Result<Model>;
@@ -209,7 +210,7 @@ impl Joined {
             let temporary = tempfile::tempdir()?;
             train(&data(temporary.path())?, size_px, steps, &out)?;
         }
-        read(&out)
+        read_model(&out)
     }
 }
 

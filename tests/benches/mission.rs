@@ -1,12 +1,11 @@
 //! The mission that a bench measures.
 
-use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::Args;
 use cosurf_link::Model;
-use cosurf_scene::ply;
+use cosurf_tests::models::read_model;
 
 /// A mission: its dataset and the models of its agents.
 #[derive(Args)]
@@ -27,13 +26,6 @@ pub(crate) struct Mission {
 impl Mission {
     /// Reads the models of all agents.
     pub(crate) fn models(&self) -> Result<Vec<Model>> {
-        self.agents.iter().map(|agent| read(agent)).collect()
+        self.agents.iter().map(|agent| read_model(agent)).collect()
     }
-}
-
-/// Reads the model in an agent's output folder.
-pub(crate) fn read(agent: &Path) -> Result<Model> {
-    let splats = ply::read(&agent.join("model.ply"))?;
-    let cameras = serde_json::from_slice(&fs::read(agent.join("cameras.json"))?)?;
-    Ok(Model { splats, cameras })
 }

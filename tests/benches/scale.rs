@@ -3,8 +3,6 @@
 //!
 //! `cargo bench -p cosurf-tests --bench scale -- --help`
 
-mod mission;
-
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -13,17 +11,18 @@ use anyhow::{Context, Result, ensure};
 use clap::Parser;
 use cosurf_link::Model;
 use cosurf_scene::{Camera, Pose, ply};
+use cosurf_tests::models::read_model;
 use cosurf_tests::programs::program;
 use cosurf_tests::results::{Better, Column, Measurement, Tolerance};
 use cosurf_tests::usage::watch;
 use glam::DVec3;
-use mission::{Mission, read};
 
 /// Measure merges of sites with many devices. Prints a table, and writes JSON to target/results.
 #[derive(Parser)]
 struct Arguments {
-    #[command(flatten)]
-    mission: Mission,
+    /// Output folders of a mission's agents
+    #[arg(required = true)]
+    agents: Vec<PathBuf>,
     /// Numbers of devices of the sites
     #[arg(long, value_name = "N", default_value = "16,64", value_delimiter = ',')]
     devices: Vec<usize>,
@@ -42,13 +41,16 @@ struct Arguments {
     /// Folder for the sites [default: a temporary folder]
     #[arg(long, value_name = "DIR")]
     folder: Option<PathBuf>,
+    /// Passed by cargo to every bench
+    #[arg(long, hide = true)]
+    bench: bool,
 }
 
 fn main() -> Result<()> {
     let arguments = Arguments::parse();
     let temporary = tempfile::tempdir()?;
     let folder = arguments.folder.as_deref().unwrap_or(temporary.path());
-    let models = arguments.mission.agents.iter().map(|agent| read(agent)).collect::<Result<Vec<_>>>()?;
+    let models = arguments.agents.iter().map(|agent| read_model(agent)).collect::<Result<Vec<_>>>()?;
     let pitch = arguments.pitch.unwrap_or_else(|| 1.5 * width(&models, arguments.vertical));
     let splats = Column::new("splats", "million", 2);
     let cameras = Column::new("cameras", "", 0);

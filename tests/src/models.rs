@@ -1,6 +1,11 @@
-//! Random splats, and a sequence of cameras.
+//! Random splats, a sequence of cameras, and the models of agents.
 
-use cosurf_scene::{Camera, Pose, Splats};
+use std::fs;
+use std::path::Path;
+
+use anyhow::Result;
+use cosurf_link::Model;
+use cosurf_scene::{Camera, Pose, Splats, ply};
 use glam::{DQuat, DVec2, DVec3};
 
 /// A generator of pseudo-random floats in -1..1 (xorshift). Different seeds give different sequences.
@@ -42,4 +47,11 @@ pub fn cameras(count: usize) -> Vec<Camera> {
         size_px: [640, 480],
     };
     (0..count).map(camera).collect()
+}
+
+/// Reads the model in an agent's output folder.
+pub fn read_model(agent: &Path) -> Result<Model> {
+    let splats = ply::read(&agent.join("model.ply"))?;
+    let cameras = serde_json::from_slice(&fs::read(agent.join("cameras.json"))?)?;
+    Ok(Model { splats, cameras })
 }
