@@ -9,8 +9,12 @@ use tracing::debug_span;
 
 use crate::merge::{Ground, MergeError};
 
-/// A model with more splats is sent in tiles, each with at most so many splats. Unpacked, a tile takes 60 MB.
+/// A model with more splats is sent in tiles. Unpacked, a model of so many splats takes up to 60 MB.
 pub(super) const WHOLE_SPLATS_MAX: usize = 250_000;
+/// A tile has at most this share of the splats of the largest model that is sent whole, one part in so many. On a site of
+/// two million splats, a device whose ground is a twentieth of the site got half of the site in tiles of 250,000 splats,
+/// because its ground touched the corners of four.
+const TILES_IN_WHOLE: usize = 4;
 /// A device gets a tile if at least this share of the device's splats lie there.
 const SHARE_MIN: f64 = 0.01;
 
@@ -23,16 +27,16 @@ pub(super) struct Cut {
 }
 
 impl Cut {
-    /// Cuts a model into tiles with at most `most` splats. `locals` has the splats of each device's model, where they
+    /// Cuts a model with more than `whole_max` splats into tiles. `locals` has the splats of each device's model, where they
     /// were merged.
     pub(super) fn of(
         model: &Model,
-        most: usize,
+        whole_max: usize,
         locals: impl Iterator<Item = Result<(DeviceId, Splats), MergeError>>,
         threads: usize,
     ) -> Result<Self, MergeError> {
         let _span = debug_span!("cut", splats = model.splats.len()).entered();
-        let ground = Ground::of(model, most);
+        let ground = Ground::of(model, whole_max.div_ceil(TILES_IN_WHOLE));
         let importance = match model.cameras[..] {
             [] => plain_importance(&model.splats),
             _ => Renderer::new(&model.splats, threads).importance(&model.cameras),

@@ -2,11 +2,14 @@
 
 use std::collections::BTreeSet;
 
-use cosurf_link::{Complete, Received};
+use cosurf_link::{Complete, InboxLimits, Received};
 use tempfile::TempDir;
 
 use super::*;
 use crate::testing::{above, ground};
+
+/// Limits of a drone that gets many tiles.
+const MANY_TILES: InboxLimits = InboxLimits { stored_max: 100, ..LIMITS };
 
 /// A drone that sends one model and keeps what it receives on disk.
 struct Keeping {
@@ -26,10 +29,12 @@ fn strip(west: f32) -> Model {
 
 impl Keeping {
     fn new(network: &MemoryNetwork, name: &str, west: f32) -> Self {
-        let drone = Drone::new(network, name, 1, &strip(west));
-        let folder = tempfile::tempdir().unwrap();
+        let (identity, Model { splats, cameras }) = (identity(name, Role::Device), strip(west));
+        let offer = Offer::new(identity.device, ModelId(1), ModelKind::Local, 3, &splats, &cameras);
+        let mut node = Node::new(identity, MANY_TILES, &[]);
+        node.upload(offer.unwrap());
+        let (transport, folder) = (network.join(&identity), tempfile::tempdir().unwrap());
         let (received, _) = open_received(name, folder.path());
-        let Drone { node, transport, .. } = drone;
         Self { node, transport, folder, received, complete: None, tiles: BTreeSet::new() }
     }
 
@@ -57,7 +62,7 @@ fn open_received(name: &str, folder: &Path) -> (Received, Vec<ModelHeader>) {
     Received::open(DeviceId::new(name).unwrap(), &folder.join("global"), ply).unwrap()
 }
 
-/// A service that sends a global model in tiles of at most 100 splats. It does not distil: all models together are one
+/// A service that sends a global model of more than 100 splats in tiles of at most 25. It does not distil: all models together are one
 /// tile of a distillation, so all splats would change with each model.
 fn open_tiled(network: &MemoryNetwork, folder: &Path) -> Ground {
     let merge = MergeSettings { vouched: true, epochs: 0, ..MergeSettings::default() };
@@ -101,7 +106,7 @@ fn each_drone_gets_the_tiles_of_its_ground_and_of_the_next_revision_only_what_ch
         let all = ply::read(&global_ply(folder.path())).unwrap();
         let of = |is_west: bool| all.means.iter().filter(|mean| (mean[0] < 0.0) == is_west).count();
         assert_eq!((west.len(), east.len()), (of(true), of(false)), "seed {seed}: all splats of its ground");
-        assert!(drones[0].tiles.len() > 1, "seed {seed}: a tile has at most 100 of {} splats", west.len());
+        assert!(drones[0].tiles.len() > 4, "seed {seed}: a tile has at most 25 of {} splats", west.len());
         // A third drone changes nothing in the west. It is given the tiles that it shares with the east.
         drones.iter_mut().for_each(|drone| drone.tiles.clear());
         drones.push(Keeping::new(&network, "far", 10.0));
@@ -119,7 +124,7 @@ fn each_drone_gets_the_tiles_of_its_ground_and_of_the_next_revision_only_what_ch
             .map(|(drone, name)| {
                 let (received, known) = open_received(name, drone.folder.path());
                 let identity = identity(name, Role::Device);
-                let node = Node::new(identity, LIMITS, &known);
+                let node = Node::new(identity, MANY_TILES, &known);
                 let transport = network.join(&identity);
                 Keeping { node, transport, received, complete: None, tiles: BTreeSet::new(), ..drone }
             })
