@@ -5,7 +5,8 @@
 //! same ground, the other model must give the same pictures ([`glimpse`]). A forged model does not, nor does a model
 //! in another frame or scale. The gate also keeps out a model that does not fit its own cameras: most of its splats lie
 //! where none of them looks, or most of their pictures show no surface. It keeps out a model so far from all others
-//! that its origin must be wrong, and one that shows shared ground far worse than the others do ([`quality`]).
+//! that its origin must be wrong, and one that shows shared ground far worse than the others do ([`quality`]). A model that shows less detail than its
+//! pictures claim takes part with smaller pictures ([`sharpness`]).
 //!
 //! A model that shares no ground with the others cannot be verified: its frame may be another one. It is accepted only
 //! if the frames of all models are vouched for.
@@ -25,6 +26,7 @@
 mod adjust;
 mod consensus;
 mod doubt;
+mod extent;
 mod features;
 mod frames;
 mod glimpse;
@@ -34,12 +36,16 @@ mod matching;
 mod part;
 mod quality;
 mod register;
+mod sharpness;
 mod similarity;
 #[cfg(test)]
 pub(crate) mod tests;
 mod tone;
 
+use std::path::Path;
+
 use cosurf_link::Model;
+use cosurf_scene::Camera;
 use tracing::info_span;
 
 use crate::merge::{Locals, MergeError, MergeSettings};
@@ -69,6 +75,9 @@ pub struct Place {
     /// Factor on the worth of the model's observations, 0..=1: below 1 if the model differs from the others far more
     /// than they differ from each other.
     pub weight: f64,
+    /// Factor on the sides of the model's pictures, 0..=1: below 1 if the model shows less detail than pictures of the
+    /// claimed size and distance do in other models. Its cameras are made so much smaller.
+    pub size: f64,
     /// Whether the model belongs to the largest group of models that share ground with each other. A single model does.
     pub is_verified: bool,
     /// How the model is moved to where it fits the others; `None` if its position is right.
@@ -83,8 +92,13 @@ impl Locals for Admitted<'_> {
     }
 
     fn load(&self, index: usize) -> Result<Model, MergeError> {
-        let Place { local, by, tone, .. } = &self.places[index];
+        let Place { local, size, by, tone, .. } = &self.places[index];
         let mut model = self.locals.load(*local)?;
+        if *size < 1.0 {
+            let smaller = |side: u32| ((f64::from(side) * size).round() as u32).max(1);
+            let resized = |camera: &mut Camera| *camera = camera.resized(camera.size_px.map(smaller));
+            model.cameras.iter_mut().for_each(resized);
+        }
         if let Some(by) = by {
             model = by.by.model(&model);
         }
@@ -145,30 +159,38 @@ impl From<&MergeSettings> for Frames {
 }
 
 /// Decides which of `locals` take part in a merge. If told so, first moves models to where they fit each other.
-/// Then every model that contradicts others is kept out. `is_given_up` is called between models; if it returns true,
-/// the result is an error.
+/// Then every model that contradicts others is kept out. `scratch` is a folder for files; none is left at the end.
+/// `is_given_up` is called between models; if it returns true, the result is an error.
 pub fn admit<'a>(
     locals: &'a dyn Locals,
     frames: Frames,
     threads: usize,
+    scratch: &Path,
     is_given_up: &dyn Fn() -> bool,
 ) -> Result<Admitted<'a>, MergeError> {
     let _span = info_span!("gate", models = locals.count()).entered();
     let count = locals.count();
     let Placement { moves, fits } = match frames.refine {
-        true => find_frames(locals, threads, is_given_up)?,
+        true => find_frames(locals, frames.vouched, threads, is_given_up)?,
         false => Placement { moves: vec![None; count], fits: Vec::new() },
     };
-    let place = |local: usize| Place { local, weight: 1.0, is_verified: true, by: moves[local], tone: None };
+    let place = |local: usize| Place {
+        local,
+        weight: 1.0,
+        size: 1.0,
+        is_verified: true,
+        by: moves[local],
+        tone: None,
+    };
     let mut admitted =
         Admitted { locals, doubts: vec![None; count], places: (0..count).map(place).collect(), fits };
     let linked: Vec<[usize; 2]> = admitted.fits.iter().map(|fit| fit.models).collect();
-    let Judgement { judged, colors } = judge(&admitted, &linked, threads, is_given_up)?;
+    let Judgement { judged, colors } = judge(&admitted, &linked, threads, scratch, is_given_up)?;
     let accepted =
         |local: &usize| judged[*local].doubt.is_none() && (frames.vouched || judged[*local].is_verified);
     let place = |local: usize| {
-        let Judged { weight, is_verified, .. } = judged[local];
-        Place { weight, is_verified, ..place(local) }
+        let Judged { weight, size, is_verified, .. } = judged[local];
+        Place { weight, size, is_verified, ..place(local) }
     };
     admitted.places = (0..count).filter(accepted).map(place).collect();
     let unverified = |local: usize| (!accepted(&local)).then_some(Doubt::Unverified);

@@ -13,8 +13,9 @@
 //!
 //! Where to start reading: [`merge`], the list of steps; then [`cosurf_engine::compress`]; then [`mod@distill`], which
 //! makes a [`plan`] and a [`task`] for each of the [`tiles`] of a [`site`], and lets each [`learn`] from its
-//! [`teachers`]; [`results`] for what later merges need not compute again; [`mod@by_workers`] and [`mod@carry_out`] for tiles that other computers
-//! distil; [`pages`] for splats in files; [`memory`] for what fits; [`fill_in()`] for models that have arrived only in part.
+//! [`teachers`]; [`results`] for what later merges need not compute again; [`mod@by_workers`] and [`mod@carry_out`] for
+//! tiles that other computers distil; [`observed`], [`pages`] and [`splat_file`] for what is kept in files, so that the
+//! memory does not grow with the site; [`memory`] for what fits; [`fill_in()`] for models that have arrived only in part.
 
 mod book;
 mod by_workers;
@@ -32,12 +33,14 @@ mod lessons;
 mod locals;
 mod memory;
 mod news;
+mod observed;
 mod pages;
 mod plan;
 mod results;
-mod scratch;
+pub(crate) mod scratch;
 mod settings;
 mod site;
+mod splat_file;
 mod task;
 mod teachers;
 #[cfg(test)]
@@ -47,11 +50,11 @@ mod tiles;
 use std::ops::ControlFlow;
 use std::path::Path;
 
-use cosurf_engine::{Compression, Observers};
+use cosurf_engine::Compression;
 use cosurf_link::Model;
-use cosurf_scene::Splats;
+use cosurf_scene::{Camera, Splats};
 use serde::{Deserialize, Serialize};
-use tracing::{debug_span, info_span};
+use tracing::info_span;
 
 pub(crate) use carry_out::{CarriedOut, carry_out, give_up};
 use computer::Computer;
@@ -65,10 +68,13 @@ use lessons::lessons;
 pub use locals::{InMemory, Locals};
 use locals::{Surveyed, survey};
 use memory::TILE_SPLATS_MAX;
+use observed::Observed;
+use plan::ball;
 pub use results::{TileRecord, keep_only};
 use scratch::Scratch;
 pub use settings::{MergeSettings, Tiles};
 use site::Site;
+pub use splat_file::SplatFile;
 
 /// A camera teaches only if its model shows a surface in at least this share of its picture.
 const SHOWN_MIN: f64 = 0.1;
@@ -87,6 +93,27 @@ pub struct Merged {
     pub tiles: Vec<TileRecord>,
     /// The figures of the merge.
     pub summary: MergeSummary,
+}
+
+/// A merged model whose splats are in a file, and the figures of its merge.
+#[derive(Debug)]
+pub struct MergedFile {
+    /// The splats of the global model.
+    pub splats: SplatFile,
+    /// All cameras.
+    pub cameras: Vec<Camera>,
+    /// As in [`Merged`].
+    pub tiles: Vec<TileRecord>,
+    /// The figures of the merge.
+    pub summary: MergeSummary,
+}
+
+impl MergedFile {
+    /// Reads the whole model into memory.
+    pub fn read(self) -> Result<Merged, MergeError> {
+        let Self { splats, cameras, tiles, summary } = self;
+        Ok(Merged { model: Model { splats: splats.read()?, cameras }, tiles, summary })
+    }
 }
 
 /// What a merge works with. It does not change the result.
@@ -141,17 +168,28 @@ pub fn merge(
     resources: Resources,
     tell: &mut dyn FnMut(MergeProgress) -> ControlFlow<()>,
 ) -> Result<Merged, MergeError> {
+    merge_to_file(locals, settings, resources, tell)?.read()
+}
+
+/// As [`merge`], with the splats of the result in a file in the scratch folder. So the memory that the merge takes does
+/// not grow with the site.
+pub fn merge_to_file(
+    locals: &dyn Locals,
+    settings: &MergeSettings,
+    resources: Resources,
+    tell: &mut dyn FnMut(MergeProgress) -> ControlFlow<()>,
+) -> Result<MergedFile, MergeError> {
     merge_in_tiles(locals, settings, resources, TILE_SPLATS_MAX, tell)
 }
 
-/// As [`merge`], with at most `tile_splats` splats in a tile.
+/// As [`merge_to_file`], with at most `tile_splats` splats in a tile.
 fn merge_in_tiles(
     locals: &dyn Locals,
     settings: &MergeSettings,
     resources: Resources,
     tile_splats: usize,
     tell: &mut dyn FnMut(MergeProgress) -> ControlFlow<()>,
-) -> Result<Merged, MergeError> {
+) -> Result<MergedFile, MergeError> {
     let _span = info_span!("merge", models = locals.count()).entered();
     let surveyed = survey(locals)?;
     let splats = surveyed.sizes.iter().sum();
@@ -162,8 +200,9 @@ fn merge_in_tiles(
         let tiles = Vec::new();
         let mut merger =
             Merger { surveyed: &surveyed, settings, computer, resources, tile_splats, summary, tiles };
-        let model = merger.merge(tell)?;
-        Ok(Merged { model, tiles: merger.tiles, summary: merger.summary })
+        let splats = merger.merge(tell)?;
+        let cameras = surveyed.cameras.concat();
+        Ok(MergedFile { splats, cameras, tiles: merger.tiles, summary: merger.summary })
     })
 }
 
@@ -180,50 +219,62 @@ struct Merger<'a> {
 }
 
 impl Merger<'_> {
-    fn merge(&mut self, tell: &mut dyn FnMut(MergeProgress) -> ControlFlow<()>) -> Result<Model, MergeError> {
+    fn merge(
+        &mut self,
+        tell: &mut dyn FnMut(MergeProgress) -> ControlFlow<()>,
+    ) -> Result<SplatFile, MergeError> {
         // A single model has nothing to learn: it would be its own teacher.
         let is_taught = self.settings.epochs > 0 && self.surveyed.sizes.len() > 1;
+        let scratch = Scratch::new(self.resources.scratch)?;
         let is_observed = self.settings.compress || is_taught;
-        let observers =
-            if is_observed { observers(self.computer, self.surveyed)? } else { Observers::default() };
-        let splats = match is_taught {
-            true => self.taught(observers, tell)?,
-            false => self.joined(&observers)?,
+        let observe = || Observed::of(self.surveyed, self.computer, &scratch);
+        let observed = is_observed.then(observe).transpose()?;
+        let splats = match observed {
+            Some(observed) if is_taught => self.taught(scratch, observed, tell)?,
+            observed => self.joined(&scratch, observed.as_ref())?,
         };
         self.summary.splats = splats.len();
-        Ok(Model { splats, cameras: self.surveyed.cameras.concat() })
+        Ok(splats)
     }
 
     /// The splats of all models that stay after compression.
-    fn joined(&mut self, observers: &Observers) -> Result<Splats, MergeError> {
-        let mut parts = Vec::with_capacity(self.surveyed.sizes.len());
+    fn joined(&mut self, scratch: &Scratch, observed: Option<&Observed>) -> Result<SplatFile, MergeError> {
+        let mut joined = SplatFile::new(scratch, self.surveyed.sh_degree)?;
+        let wide = Model { splats: Splats::with_capacity(0, self.surveyed.sh_degree), cameras: Vec::new() };
         for i in 0..self.surveyed.sizes.len() {
             let Model { splats, .. } = self.surveyed.locals.load(i)?;
-            parts.push(Model { splats: self.compressed(i, &splats, observers), cameras: Vec::new() });
+            let kept = self.compressed(i, &splats, observed)?;
+            // Pads lower degrees of spherical harmonics.
+            let kept = concatenate(&[Model { splats: kept, cameras: Vec::new() }, wide.clone()]);
+            joined.append(&kept.splats)?;
         }
-        Ok(debug_span!("join").in_scope(|| concatenate(&parts)).splats)
+        Ok(joined)
     }
 
     /// The same after distillation.
     fn taught(
         &mut self,
-        observers: Observers,
+        scratch: Scratch,
+        observed: Observed,
         tell: &mut dyn FnMut(MergeProgress) -> ControlFlow<()>,
-    ) -> Result<Splats, MergeError> {
+    ) -> Result<SplatFile, MergeError> {
         let Surveyed { locals, cameras, sizes, sh_degree } = self.surveyed;
-        let surfaces = (0..sizes.len()).map(|local| observers.surfaces(local)).collect();
-        let scratch = Scratch::new(self.resources.scratch)?;
-        let mut site = Site::new(scratch, cameras, surfaces, *sh_degree)?;
+        let mut site = Site::new(scratch, cameras, observed, *sh_degree)?;
         for i in 0..sizes.len() {
             let model = locals.load(i)?;
-            let kept = self.compressed(i, &model.splats, &observers);
+            let kept = self.compressed(i, &model.splats, Some(&site.observed))?;
             site.add(&model, &kept)?;
         }
-        let standings = self.settings.compress.then(|| standings(&observers, self.surveyed));
-        drop(observers);
+        let standings = match self.settings.compress {
+            true => Some(standings(&site.observed, self.surveyed)?),
+            false => None,
+        };
         let teaches = |local: usize| standings.is_some() || !locals.is_compressed(local);
-        let lessons = lessons(cameras, standings.as_deref(), teaches);
-        let tiles = site.tiles(self.tile_splats);
+        let mut lessons = lessons(cameras, standings.as_deref(), teaches);
+        for (local, its) in lessons.iter_mut().enumerate() {
+            its.retain(|camera| site.observed.are_new(local)[*camera]);
+        }
+        let tiles = site.tiles(self.tile_splats)?;
         let by = self.resources.tiles;
         let distilled = distill(&site, tiles, &lessons, self.settings, self.computer, by, tell)?;
         self.summary.steps = distilled.steps;
@@ -233,43 +284,36 @@ impl Merger<'_> {
     }
 
     /// The splats of a model that stay after compression.
-    fn compressed(&mut self, index: usize, splats: &Splats, observers: &Observers) -> Splats {
-        let Compression { overlap, removed } = match self.settings.compress {
-            true => Compression::plan(splats, index, observers),
-            false => Compression::default(),
+    fn compressed(
+        &mut self,
+        index: usize,
+        splats: &Splats,
+        observed: Option<&Observed>,
+    ) -> Result<Splats, MergeError> {
+        let Compression { overlap, removed } = match observed.filter(|_| self.settings.compress) {
+            Some(observed) => {
+                let (center, radius) = ball(&splats.means);
+                let (observers, own) = observed.around(index, center, radius)?;
+                Compression::plan(splats, own, &observers)
+            }
+            None => Compression::default(),
         };
         self.summary.locals.push(LocalSummary { arrived: splats.len(), overlap, removed: removed.len() });
         self.summary.joined += splats.len() - removed.len();
-        splats.without(&removed)
+        Ok(splats.without(&removed))
     }
 }
 
 /// The standing of each model at each of its cameras; 0 for cameras that see hardly any surface, and for all cameras of
 /// a model that cannot teach.
-fn standings(observers: &Observers, surveyed: &Surveyed) -> Vec<Vec<f64>> {
-    let of = |local: usize| {
-        let shown = observers.shown(local);
+fn standings(observed: &Observed, surveyed: &Surveyed) -> Result<Vec<Vec<f64>>, MergeError> {
+    let of = |local: usize| -> Result<Vec<f64>, MergeError> {
+        let shown = observed.shown(local);
         let torn = shown.iter().filter(|shown| **shown < WHOLE_MIN).count();
         let is_torn = surveyed.locals.is_compressed(local) && torn as f64 > TORN_MAX * shown.len() as f64;
-        let standings = observers.standings(local).into_iter().zip(shown);
         let teaches = |shown: f64| !is_torn && shown >= SHOWN_MIN;
-        standings.map(|(standing, shown)| if teaches(shown) { standing } else { 0.0 }).collect()
+        let standings = observed.standings(local)?.into_iter().zip(shown);
+        Ok(standings.map(|(standing, shown)| if teaches(*shown) { standing } else { 0.0 }).collect())
     };
     (0..surveyed.sizes.len()).map(of).collect()
-}
-
-/// What the cameras of all models observed. Devices that prune their models before upload judge by the cameras alone.
-/// If any model was pruned, the aggregator uses the same rule, so that it assigns no place to a model that has already
-/// dropped it.
-fn observers(computer: &Computer, surveyed: &Surveyed) -> Result<Observers, MergeError> {
-    let mut observers = Observers::default();
-    let locals = surveyed.locals;
-    if (0..locals.count()).any(|i| locals.is_compressed(i)) {
-        observers.judge_as_announced();
-    }
-    for i in 0..surveyed.sizes.len() {
-        let Model { splats, cameras } = locals.load(i)?;
-        observers.add(&splats, &cameras, locals.weight(i), &computer.device, computer.threads)?;
-    }
-    Ok(observers)
 }

@@ -32,8 +32,10 @@ use mission::Mission;
 type Fifth = fn(&Joined) -> Result<Model>;
 
 /// The fifth agents: name, and how the model is made.
-const FIFTHS: [(&str, Fifth); 10] = [
+const FIFTHS: [(&str, Fifth); 12] = [
     ("160 px, 600 steps", |mission| mission.honest(160, 600)),
+    ("160 px, 600 steps, said to be 1,280 px", |mission| mission.honest(160, 600).map(enlarged)),
+    ("160 px, 600 steps, ten copies of each camera", |mission| mission.honest(160, 600).map(copied)),
     ("64 px, 3 steps", |mission| mission.honest(64, 3)),
     ("poses wrong by 5°", |mission| mission.misled("turned", turn)),
     ("random poses", |mission| mission.misled("shuffled", shuffle)),
@@ -44,6 +46,11 @@ const FIFTHS: [(&str, Fifth); 10] = [
     ("another city", Joined::another_city),
     ("honest and better", |mission| mission.honest(mission.long_side_px(), mission.better_steps)),
 ];
+/// By how much pictures are said to be larger than they are.
+const LARGER: f64 = 8.0;
+/// Number of copies of each camera, and their distance, metres.
+const COPIES: usize = 10;
+const COPIES_APART_M: f64 = 1e-6;
 /// By how much a camera with a wrong pose is turned.
 const TURN_DEG: f64 = 5.0;
 /// By how much cameras that are moved away are moved.
@@ -135,7 +142,7 @@ impl Joined {
     /// The global model of these models. Prints what the gate decided.
     fn merged(&self, models: Vec<Model>) -> Result<Model> {
         let (locals, settings) = (InMemory(models), MergeSettings::default());
-        let admitted = admit(&locals, (&settings).into(), THREADS, &|| false)?;
+        let admitted = admit(&locals, (&settings).into(), THREADS, &temp_dir(), &|| false)?;
         self.tell(&admitted);
         Ok(merge(
             &admitted,
@@ -236,6 +243,28 @@ fn write(dataset: &Dataset, folder: &Path) -> Result<()> {
         fs::copy(path, copy)?;
     }
     Ok(())
+}
+
+/// The same model, whose pictures are said to be larger.
+fn enlarged(mut model: Model) -> Model {
+    for camera in &mut model.cameras {
+        *camera = camera.resized(camera.size_px.map(|side| (LARGER * f64::from(side)) as u32));
+    }
+    model
+}
+
+/// The same model with further cameras that differ hardly from its own.
+fn copied(mut model: Model) -> Model {
+    let copies = |camera: &Camera| {
+        let camera = *camera;
+        (0..COPIES).map(move |copy| {
+            let mut moved = camera;
+            moved.cam_from_world.translation.x += COPIES_APART_M * copy as f64;
+            moved
+        })
+    };
+    model.cameras = model.cameras.iter().flat_map(copies).collect();
+    model
 }
 
 /// Mean position of cameras.

@@ -145,7 +145,7 @@ impl Yardstick {
 
 fn merged(models: Vec<Model>, settings: &MergeSettings, truth: Option<&[Model]>) -> Result<Model> {
     let locals = InMemory(models);
-    let admitted = admit(&locals, settings.into(), THREADS, &|| false)?;
+    let admitted = admit(&locals, settings.into(), THREADS, &temp_dir(), &|| false)?;
     let model = merge(
         &admitted,
         settings,

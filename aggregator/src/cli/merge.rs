@@ -1,8 +1,9 @@
 //! `merge`: merges the models of several agents into one.
 
-use std::io::{self, IsTerminal, Write};
+use std::fs::File;
+use std::io::{self, BufWriter, IsTerminal, Write};
 use std::ops::ControlFlow;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::thread::available_parallelism;
 use std::time::Instant;
 
@@ -10,8 +11,8 @@ use anyhow::{Result, ensure};
 use clap::Args;
 use cosurf_aggregator::gate::{Place, admit};
 use cosurf_aggregator::merge::{
-    LocalSummary, Locals, MergeError, MergeProgress, MergeSettings, MergeSummary, Resources, Tiles,
-    keep_only, merge,
+    LocalSummary, Locals, MergeError, MergeProgress, MergeSettings, MergeSummary, MergedFile, Resources,
+    Tiles, keep_only, merge_to_file,
 };
 use cosurf_aggregator::queue::Queue;
 use cosurf_aggregator::service::{FitRecord, Fitted};
@@ -138,17 +139,13 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
     };
     let resources = Resources { scratch: &args.out, tiles, threads };
     let folders = Folders(&args.models);
-    let admitted = admit(&folders, (&settings).into(), threads, &|| false)?;
+    let admitted = admit(&folders, (&settings).into(), threads, &args.out, &|| false)?;
     let names: Vec<String> = args.models.iter().map(|folder| folder.display().to_string()).collect();
     let kept_out: Vec<String> =
         admitted.kept_out(&names).map(|(i, why)| format!("{} {why}", names[i])).collect();
     ensure!(admitted.count() > 0, "nothing to merge: {}", kept_out.join("; "));
-    let merged = merge(&admitted, &settings, resources, &mut tell)?;
-    std::fs::create_dir_all(&args.out).map_err(|cause| SceneError::io(&args.out, cause))?;
-    ply::write(&args.out.join("global.ply"), &merged.model.splats)?;
-    let cameras = args.out.join("cameras.json");
-    let text = serde_json::to_string_pretty(&merged.model.cameras)?;
-    std::fs::write(&cameras, text).map_err(|cause| SceneError::io(&cameras, cause))?;
+    let merged = merge_to_file(&admitted, &settings, resources, &mut tell)?;
+    write(&args.out, &merged)?;
     if let Some(results) = &results {
         keep_only(results, &merged.tiles)?;
     }
@@ -170,7 +167,7 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
     }
     for (place, local) in merged.summary.locals.iter().enumerate() {
         let LocalSummary { arrived, overlap, removed } = local;
-        let Place { local, weight, is_verified, by, tone } = admitted.place(place);
+        let Place { local, weight, size, is_verified, by, tone } = admitted.place(place);
         let (folder, percent) = (&names[local], 100.0 * overlap);
         let (arrived, removed) = (counted(*arrived, "splat"), counted(*removed, "splat"));
         let moved =
@@ -181,10 +178,15 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
         } else {
             String::new()
         };
+        let size = if size < 1.0 {
+            format!(", shows no more detail than pictures {:.0} % as large, and counts as such", 100.0 * size)
+        } else {
+            String::new()
+        };
         let unverified = if is_verified { "" } else { ", shares no ground with the others" };
         writeln!(
             stdout,
-            "{folder}: {arrived}, {percent:.0} % on shared ground, {removed} removed{moved}{toned}{weight}{unverified}"
+            "{folder}: {arrived}, {percent:.0} % on shared ground, {removed} removed{moved}{toned}{weight}{size}{unverified}"
         )?;
     }
     kept_out.iter().try_for_each(|kept_out| writeln!(stdout, "kept out: {kept_out}"))?;
@@ -195,6 +197,19 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
     }
     writeln!(stdout, "{joined} joined, {splats} after {steps}, in {seconds:.1} s ({device})")?;
     writeln!(stdout, "{}", args.out.join("global.ply").display())?;
+    Ok(())
+}
+
+/// Writes the global model and its cameras.
+fn write(out: &Path, merged: &MergedFile) -> Result<()> {
+    let MergedFile { splats, cameras, .. } = merged;
+    let parts = splats.parts().map(|part| part.map_err(io::Error::other));
+    ply::write_parts(&out.join("global.ply"), splats.len(), splats.sh_degree(), parts)?;
+    let path = out.join("cameras.json");
+    let failed = |cause| SceneError::io(&path, cause);
+    let mut file = BufWriter::new(File::create(&path).map_err(failed)?);
+    serde_json::to_writer_pretty(&mut file, cameras).map_err(|error| failed(error.into()))?;
+    file.flush().map_err(failed)?;
     Ok(())
 }
 

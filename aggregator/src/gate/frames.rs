@@ -14,6 +14,7 @@ use serde::{Deserialize, Serialize};
 use tracing::debug_span;
 
 use super::adjust::{Frame, Link, adjust, difference_px, distance_m};
+use super::extent::Extent;
 use super::features::Feature;
 use super::glimpse::median;
 use super::links::{Held, links};
@@ -70,24 +71,36 @@ struct Edge {
     pairs: usize,
 }
 
-/// Finds the frames of all models. `is_given_up` is called between models; if it returns true, the result is an error.
+/// Finds the frames of all models. If their frames are `vouched` for, models whose ground lies apart are left where they
+/// are; otherwise they may lie in unrelated frames. `is_given_up` is called between models; if it returns true, the
+/// result is an error.
 pub(super) fn find_frames(
     locals: &dyn Locals,
+    vouched: bool,
     threads: usize,
     is_given_up: &dyn Fn() -> bool,
 ) -> Result<Placement, MergeError> {
     let count = locals.count();
+    let extents: Vec<Option<Extent>> =
+        (0..count).map(|i| Ok(Extent::of(&locals.load(i)?))).collect::<Result<_, MergeError>>()?;
+    let meet = |[i, j]: [usize; 2], frames: &[Similarity]| match [&extents[i], &extents[j]] {
+        [Some(one), Some(other)] => one.meets(&frames[i], other, &frames[j]),
+        _ => false,
+    };
+    let pairs = || (0..count).flat_map(|i| (i + 1..count).map(move |j| [i, j]));
     let identity = vec![Similarity::IDENTITY; count];
-    let all: BTreeSet<[usize; 2]> = (0..count).flat_map(|i| (i + 1..count).map(move |j| [i, j])).collect();
-    let (mut edges, mut links) = measure(locals, &all, &identity, threads, is_given_up)?;
-    register_groups(locals, &mut edges, &mut links, threads, is_given_up)?;
+    let near: BTreeSet<[usize; 2]> = pairs().filter(|models| meet(*models, &identity)).collect();
+    let (mut edges, mut links) = measure(locals, &near, &identity, threads, is_given_up)?;
+    let may_register = |models: [usize; 2]| !vouched || near.contains(&models);
+    register_groups(locals, &may_register, &mut edges, &mut links, threads, is_given_up)?;
     let mut frames = lay(&edges, &links, count);
     // Pairs of models that move are measured again, now with pictures from the same places. Models that were far apart
     // before may share ground now.
     let is_moved = |models: &&[usize; 2]| models.iter().any(|i| frames[*i].is_some());
-    let moved: BTreeSet<[usize; 2]> = all.iter().filter(is_moved).copied().collect();
+    let guesses: Vec<Similarity> = frames.iter().map(|by| by.unwrap_or(Similarity::IDENTITY)).collect();
+    let moved =
+        pairs().filter(|models| is_moved(&models) && meet(*models, &guesses)).collect::<BTreeSet<_>>();
     if !moved.is_empty() {
-        let guesses: Vec<Similarity> = frames.iter().map(|by| by.unwrap_or(Similarity::IDENTITY)).collect();
         let (new_edges, new_links) = measure(locals, &moved, &guesses, threads, is_given_up)?;
         edges.retain(|edge| !moved.contains(&edge.models));
         edges.extend(new_edges);
@@ -159,6 +172,7 @@ fn link(one: &mut Held, other: &mut Held, guess: &Similarity) -> Option<(Edge, [
 /// Links groups of models that are not linked to each other, if they share ground but lie in unrelated frames.
 fn register_groups(
     locals: &dyn Locals,
+    may_register: &dyn Fn([usize; 2]) -> bool,
     edges: &mut Vec<Edge>,
     links: &mut Vec<Link>,
     threads: usize,
@@ -169,7 +183,7 @@ fn register_groups(
     let mut tried = BTreeSet::new();
     let grouped = |edges: &[Edge]| groups(edges.iter().map(|edge| edge.models), count);
     let mut groups = grouped(edges);
-    while let Some([first, second]) = next_to_register(&groups, &tried) {
+    while let Some([first, second]) = next_to_register(&groups, &tried, may_register) {
         if is_given_up() {
             return Err(MergeError::GivenUp);
         }
@@ -190,9 +204,13 @@ fn register_groups(
     Ok(())
 }
 
-/// The next two models of different groups to register. Models of larger groups come first, and at most
+/// The next two models of different groups to register, of those that may be. Models of larger groups come first, and at most
 /// [`REGISTRATIONS_MAX`] pairs of the same two groups are tried.
-fn next_to_register(groups: &[usize], tried: &BTreeSet<[usize; 2]>) -> Option<[usize; 2]> {
+fn next_to_register(
+    groups: &[usize],
+    tried: &BTreeSet<[usize; 2]>,
+    may_register: &dyn Fn([usize; 2]) -> bool,
+) -> Option<[usize; 2]> {
     let count = groups.len();
     let pairs = (0..count).flat_map(|i| (i + 1..count).map(move |j| [i, j]));
     let tried_between = |[a, b]: [usize; 2]| {
@@ -205,7 +223,10 @@ fn next_to_register(groups: &[usize], tried: &BTreeSet<[usize; 2]>) -> Option<[u
     let size = |model: usize| groups.iter().filter(|group| **group == groups[model]).count();
     let is_open = |[a, b]: &[usize; 2]| {
         let between = [groups[*a], groups[*b]];
-        between[0] != between[1] && !tried.contains(&[*a, *b]) && tried_between(between) < REGISTRATIONS_MAX
+        between[0] != between[1]
+            && may_register([*a, *b])
+            && !tried.contains(&[*a, *b])
+            && tried_between(between) < REGISTRATIONS_MAX
     };
     pairs.filter(is_open).min_by_key(|[a, b]| (std::cmp::Reverse(size(*a).max(size(*b))), *a, *b))
 }

@@ -8,6 +8,7 @@
 use cosurf_engine::Renderer;
 use cosurf_scene::{Camera, Watchers};
 use glam::{DVec2, DVec3};
+use serde::{Deserialize, Serialize};
 
 /// Long side of the pictures, px.
 const SIZE_PX: u32 = 64;
@@ -45,6 +46,7 @@ const BRIGHTER_MAX: f64 = 0.4;
 const CONTRAST_MIN: f64 = 0.02;
 
 /// A small picture of a model from one of its own cameras.
+#[derive(Serialize, Deserialize)]
 pub(super) struct Glimpse {
     camera: Camera,
     /// `[height, width, rgb]`.
@@ -77,16 +79,35 @@ impl Glimpse {
         shown as f64 / self.alpha.len().max(1) as f64
     }
 
+    /// The surface point in a pixel.
+    fn point(&self, i: usize) -> DVec3 {
+        let pose = &self.camera.cam_from_world;
+        let width = self.camera.size_px[0] as usize;
+        let p_px = DVec2::new((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
+        pose.center() + pose.rotation.inverse() * (self.camera.ray(p_px) * f64::from(self.depth[i]))
+    }
+
+    /// Median depth of the surface, world units; `None` if there is no surface.
+    pub(super) fn median_depth(&self) -> Option<f64> {
+        let mut depths: Vec<f64> =
+            self.depth.iter().filter(|depth| **depth > 0.0).map(|depth| f64::from(*depth)).collect();
+        (!depths.is_empty()).then(|| median(&mut depths))
+    }
+
+    /// Centre and radius of a ball around the surface.
+    pub(super) fn ball(&self) -> (DVec3, f64) {
+        let points = (0..self.depth.len()).filter(|i| self.depth[*i] > 0.0).map(|i| self.point(i));
+        let (low, high) = points.fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), point| {
+            (low.min(point), high.max(point))
+        });
+        (0.5 * (low + high), 0.5 * low.distance(high))
+    }
+
     /// Indices of the pixels whose surface some of `cameras` see from a similar direction; `None` if they are too
     /// few.
     pub(super) fn shared_with(&self, cameras: &[Camera]) -> Option<Vec<usize>> {
-        let pose = &self.camera.cam_from_world;
-        let (world_from_cam, eye) = (pose.rotation.inverse(), pose.center());
-        let width = self.camera.size_px[0] as usize;
-        let point = |i: usize| -> DVec3 {
-            let p_px = DVec2::new((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
-            eye + world_from_cam * (self.camera.ray(p_px) * f64::from(self.depth[i]))
-        };
+        let eye = self.camera.cam_from_world.center();
+        let point = |i: usize| self.point(i);
         let shown: Vec<usize> = (0..self.depth.len()).filter(|i| self.depth[*i] > 0.0).collect();
         let mut watchers = Watchers::new(cameras);
         let is_seen = |i: &usize| {

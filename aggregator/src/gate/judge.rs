@@ -1,18 +1,22 @@
 //! Compares models with each other and with their own cameras, and decides which of them can be trusted.
 
 use std::collections::BTreeMap;
+use std::path::Path;
 
 use cosurf_engine::Renderer;
 use cosurf_link::Model;
-use cosurf_scene::{Camera, Watchers};
+use cosurf_scene::{Camera, Frustum, Watchers};
 use glam::DVec3;
+use serde::{Deserialize, Serialize};
 
 use super::doubt::Doubt;
 use super::frames::groups;
-use super::glimpse::{Glimpse, chosen};
+use super::glimpse::{Glimpse, chosen, median};
 use super::quality::{Detail, Differences, Standard};
+use super::sharpness::{Fine, Sharpness};
 use super::tone::Pairs;
 use crate::merge::cameras::{middle, radius};
+use crate::merge::scratch::{Record, Records};
 use crate::merge::{Locals, MergeError};
 
 /// Largest accepted share of a model's splats that none of its own cameras sees. Trained models stay far below it.
@@ -39,6 +43,8 @@ pub(super) struct Judged {
     pub(super) doubt: Option<Doubt>,
     /// Factor on the worth of the model's observations, 0..=1.
     pub(super) weight: f64,
+    /// Factor on the sides of the model's pictures, 0..=1: below 1 if they show less detail than they claim.
+    pub(super) size: f64,
     /// Whether the model belongs to the largest group of models that share ground with each other.
     pub(super) is_verified: bool,
 }
@@ -49,34 +55,42 @@ pub(super) fn judge(
     locals: &dyn Locals,
     linked: &[[usize; 2]],
     threads: usize,
+    scratch: &Path,
     is_given_up: &dyn Fn() -> bool,
 ) -> Result<Judgement, MergeError> {
     let go_on = || if is_given_up() { Err(MergeError::GivenUp) } else { Ok(()) };
+    let mut records = Records::new(scratch)?;
     let mut shown = Vec::with_capacity(locals.count());
     for i in 0..locals.count() {
         go_on()?;
-        shown.push(Shown::of(locals.load(i)?, locals.is_compressed(i), threads));
+        shown.push(Shown::of(locals.load(i)?, locals.is_compressed(i), threads, &mut records)?);
     }
     let mut relations = Relations::default();
     relations.note_distances(&shown);
     for judged in 0..shown.len() {
         go_on()?;
-        relations.note_views(&shown, judged, locals, threads)?;
+        relations.note_views(&shown, judged, locals, threads, &records)?;
     }
     let (doubts, standards) = relations.verdict(&shown);
     let verified = relations.verified(linked, &shown, &doubts);
-    let judged = doubts
-        .into_iter()
-        .zip(standards)
-        .zip(verified)
-        .map(|((doubt, standard), is_verified)| Judged { doubt, weight: standard.weight(), is_verified });
+    let pixels: Vec<Option<f64>> = shown.iter().map(|its| its.pixel_m).collect();
+    let sizes = relations.sharpness.sizes(&pixels, |i| doubts[i].is_none());
+    let judged = doubts.into_iter().enumerate().map(|(i, doubt)| Judged {
+        doubt,
+        weight: standards[i].weight(),
+        size: sizes[i],
+        is_verified: verified[i],
+    });
     Ok(Judgement { judged: judged.collect(), colors: relations.colors })
 }
 
 /// What the gate keeps of a model, to judge the model and to judge others by it.
 struct Shown {
     cameras: Vec<Camera>,
-    views: Vec<View>,
+    /// Views from some of these cameras, in a file.
+    views: Vec<ViewRecord>,
+    /// Width of a pixel on the ground, world units: the median of all views. `None` if none shows ground.
+    pixel_m: Option<f64>,
     /// Share of the model's splats that none of its own cameras sees, 0..=1; 0 for a model without cameras.
     unseen: f64,
     /// Share of the views that show mostly no surface, 0..=1; 0 for a model that was pruned before upload.
@@ -87,16 +101,30 @@ struct Shown {
     radius: f64,
 }
 
+/// Where a view lies in the file.
+struct ViewRecord {
+    record: Record,
+    /// Centre and radius of a ball around the surface in the view.
+    ball: (DVec3, f64),
+}
+
 /// A view from one of a model's own cameras.
+#[derive(Serialize, Deserialize)]
 struct View {
     camera: Camera,
     glimpse: Glimpse,
     /// `None` for a model that was pruned before upload: what it lacks would count as an error.
     detail: Option<Detail>,
+    fine: Option<Fine>,
 }
 
 impl Shown {
-    fn of(model: Model, is_compressed: bool, threads: usize) -> Self {
+    fn of(
+        model: Model,
+        is_compressed: bool,
+        threads: usize,
+        records: &mut Records,
+    ) -> Result<Self, MergeError> {
         let Model { splats, cameras } = model;
         let mut watchers = Watchers::new(&cameras);
         let is_unseen = |mean: &&[f32; 3]| {
@@ -105,17 +133,23 @@ impl Shown {
         };
         let unseen = splats.means.iter().filter(is_unseen).count() as f64 / splats.len().max(1) as f64;
         let mut renderer = Renderer::new(&splats, threads);
-        let view = |camera: &Camera| {
+        let (mut views, mut pixels, mut void) = (Vec::new(), Vec::new(), 0);
+        for camera in chosen(&cameras) {
             let glimpse = Glimpse::of(&mut renderer, camera, is_compressed);
             let detail = (!is_compressed).then(|| Detail::of(&mut renderer, camera));
-            View { camera: *camera, glimpse, detail }
-        };
-        let views: Vec<View> = chosen(&cameras).map(view).collect();
-        let is_void = |view: &&View| !is_compressed && view.glimpse.shown() < SHOWN_MIN;
-        let void = views.iter().filter(is_void).count() as f64 / views.len().max(1) as f64;
+            let fine = (!is_compressed).then(|| Fine::of(&mut renderer, camera));
+            void += usize::from(!is_compressed && glimpse.shown() < SHOWN_MIN);
+            pixels
+                .extend(glimpse.median_depth().map(|depth| depth / camera.focal_px.element_product().sqrt()));
+            let ball = glimpse.ball();
+            let record = records.put(&View { camera: *camera, glimpse, detail, fine })?;
+            views.push(ViewRecord { record, ball });
+        }
+        let void = void as f64 / views.len().max(1) as f64;
+        let pixel_m = (!pixels.is_empty()).then(|| median(&mut pixels));
         let middle = middle(&cameras);
         let radius = radius(&cameras, middle);
-        Self { cameras, views, unseen, void, middle, radius }
+        Ok(Self { cameras, views, pixel_m, unseen, void, middle, radius })
     }
 
     /// Whether the model does not fit its own cameras.
@@ -141,6 +175,8 @@ struct Relations {
     views: BTreeMap<[usize; 2], [u32; 2]>,
     /// How much the detail of the models differs.
     differences: Differences,
+    /// How much finer the detail of some models is than that of others.
+    sharpness: Sharpness,
     /// The colours in which each pair of models shows the same surface. Models pruned before upload are left out: they
     /// share with other models only ground that neither model shows well.
     colors: Pairs,
@@ -172,12 +208,16 @@ impl Relations {
         judged: usize,
         locals: &dyn Locals,
         threads: usize,
+        records: &Records,
     ) -> Result<(), MergeError> {
         let cameras = &shown[judged].cameras;
+        let frusta: Vec<Frustum> = cameras.iter().map(Frustum::new).collect();
+        let is_near = |view: &&ViewRecord| frusta.iter().any(|its| its.touches(view.ball.0, view.ball.1));
         let is_compressed = locals.is_compressed(judged);
         let mut renderer = None;
         for (other, its) in shown.iter().enumerate().filter(|(other, _)| *other != judged) {
-            for View { camera, glimpse, detail } in &its.views {
+            for view in its.views.iter().filter(is_near) {
+                let View { camera, glimpse, detail, fine } = &records.get(view.record)?;
                 let Some(shared) = glimpse.shared_with(cameras) else { continue };
                 let renderer = match &mut renderer {
                     Some(renderer) => renderer,
@@ -191,6 +231,9 @@ impl Relations {
                 let difference = Detail::of(renderer, camera).difference(detail, &shared, glimpse.size_px());
                 difference.into_iter().for_each(|found| self.differences.note(judged, other, found));
                 self.colors.note(other, judged, glimpse.colors_with(&shown, &shared));
+                let Some(fine) = fine else { continue };
+                let log_ratio = Fine::of(renderer, camera).log_ratio(fine);
+                log_ratio.into_iter().for_each(|found| self.sharpness.note(judged, other, found));
             }
         }
         Ok(())
@@ -276,7 +319,15 @@ mod tests {
     /// What the gate keeps of a model with some cameras.
     fn shown(cameras: usize) -> Shown {
         let cameras = vec![above(0.0); cameras];
-        Shown { cameras, views: Vec::new(), unseen: 0.0, void: 0.0, middle: DVec3::ZERO, radius: 1.0 }
+        Shown {
+            cameras,
+            views: Vec::new(),
+            pixel_m: None,
+            unseen: 0.0,
+            void: 0.0,
+            middle: DVec3::ZERO,
+            radius: 1.0,
+        }
     }
 
     #[test]

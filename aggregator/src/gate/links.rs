@@ -30,6 +30,8 @@ const AGREEING_MIN: usize = 8;
 const AGREEING_SHARE_MIN: f64 = 0.3;
 /// A camera is used only if at least this share of its picture shows ground that the other model's own cameras see.
 const SHARED_MIN: f64 = 0.15;
+/// Limit on the number of a model's cameras of which the shared ground is measured; of more, evenly chosen ones.
+const SCOUTS: usize = 128;
 /// Limit on the number of a model's cameras through which two models are compared.
 const VIEWS: usize = 8;
 /// Long side of the pictures that measure how much ground two models share, px.
@@ -155,8 +157,9 @@ fn look(
     reach_px: usize,
 ) -> Matches {
     let resized = |camera: &Camera, size_px| camera.resized(camera.fitted_size(size_px));
-    let mut shares: Vec<(f64, Camera)> = Vec::with_capacity(other.cameras.len());
-    for camera in &other.cameras {
+    let mut shares: Vec<(f64, Camera)> = Vec::new();
+    let scouts = SCOUTS.min(other.cameras.len());
+    for camera in (0..scouts).map(|i| &other.cameras[i * other.cameras.len() / scouts]) {
         let scout = resized(&from_other.camera(camera), SCOUT_PX);
         let share = Sight::of(&mut trusted.renderer, scout).shared(&trusted.cameras);
         shares.push((share, *camera));

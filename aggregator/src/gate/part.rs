@@ -1,5 +1,7 @@
 //! Decides whether a part of a model that is still arriving may be added to a merged model.
 
+use std::path::Path;
+
 use cosurf_link::Model;
 
 use super::{Doubt, Frames, Place, admit};
@@ -19,10 +21,11 @@ pub(crate) fn admit_part(
     is_compressed: bool,
     frames: Frames,
     threads: usize,
+    scratch: &Path,
     is_given_up: &dyn Fn() -> bool,
 ) -> Result<Result<Place, Doubt>, MergeError> {
     let both = Both { merged, part, is_compressed };
-    let admitted = admit(&both, frames, threads, is_given_up)?;
+    let admitted = admit(&both, frames, threads, scratch, is_given_up)?;
     // If one of the two must go, it is the part.
     let doubt = match &admitted.doubts[MERGED] {
         Some(_) => Some(Doubt::Contradicts(vec![MERGED])),
@@ -67,7 +70,7 @@ mod tests {
     use super::*;
 
     fn joining(merged: &Model, part: &Model, frames: Frames) -> Result<Place, Doubt> {
-        admit_part(merged, part, false, frames, 2, &|| false).unwrap()
+        admit_part(merged, part, false, frames, 2, &std::env::temp_dir(), &|| false).unwrap()
     }
 
     #[test]

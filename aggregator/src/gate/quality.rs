@@ -12,6 +12,7 @@ use std::collections::BTreeMap;
 
 use cosurf_engine::Renderer;
 use cosurf_scene::Camera;
+use serde::{Deserialize, Serialize};
 
 use super::frames::groups;
 use super::glimpse::median;
@@ -37,6 +38,7 @@ const FAR_WORSE_MIN: f64 = 1.0;
 const ERROR_MIN: f64 = 0.02;
 
 /// The fine detail of a model in the picture of a camera.
+#[derive(Serialize, Deserialize)]
 pub(super) struct Detail {
     /// `[height, width]`: grey values without their local mean.
     fine: Vec<f32>,

@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::{self, Receiver, Sender};
 use std::thread;
 
-use cosurf_scene::Splats;
+use cosurf_engine::Device;
 use serde::Serialize;
 use tracing::info_span;
 
@@ -20,9 +20,10 @@ use super::memory::at_once;
 use super::news::{Learnt, Report};
 use super::plan::Plan;
 use super::results::{self, TileRecord};
-use super::scratch::{Floats, Scratch};
+use super::scratch::{Record, Records, Scratch};
 use super::settings::{MergeSettings, Tiles};
 use super::site::Site;
+use super::splat_file::SplatFile;
 use super::task::Task;
 use super::tiles::Tile;
 use crate::store::Store;
@@ -41,7 +42,7 @@ pub struct MergeProgress {
 
 /// The result of a distillation.
 pub(super) struct Distilled {
-    pub(super) splats: Splats,
+    pub(super) splats: SplatFile,
     pub(super) steps: u32,
     pub(super) tiles: Vec<TileRecord>,
     /// Number of tiles whose results were in the store.
@@ -60,10 +61,9 @@ pub(super) fn distill(
     tell: &mut dyn FnMut(MergeProgress) -> ControlFlow<()>,
 ) -> Result<Distilled, MergeError> {
     let _span = info_span!("distill", tiles = tiles.len()).entered();
-    let plan = |tile| Plan::of(site, tile, lessons, &computer.device);
-    let plans: Vec<Plan> = tiles.into_iter().map(plan).collect::<Result<_, _>>()?;
-    let steps = settings.epochs * plans.iter().map(|plan| plan.lessons.len()).sum::<usize>() as u32;
-    let bytes = plans.iter().map(|plan| plan.bytes).collect();
+    let plans = Plans::of(site, tiles, lessons, &computer.device)?;
+    let steps = settings.epochs * plans.sizes.iter().map(|size| size.lessons).sum::<u32>();
+    let bytes = plans.sizes.iter().map(|size| size.bytes).collect();
     let at_once = match by {
         Tiles::ByWorkers(..) => 1,
         _ => at_once(bytes, computer.threads, settings.memory_bytes, &computer.device)?,
@@ -71,11 +71,12 @@ pub(super) fn distill(
     let computer = Computer { threads: computer.threads / at_once, ..computer.clone() };
     let work = Work {
         plans: &plans,
-        order: largest_first(&plans),
+        order: plans.largest_first(),
         next: AtomicUsize::new(0),
         is_stopped: AtomicBool::new(false),
         learn: &|plan, tell| {
-            let task = Task::of(site, plan, settings, &computer.device)?;
+            let task = Task::of(site, &plan, settings, &computer.device)?;
+            drop(plan);
             learn_or_find(&task, &site.scratch, &computer, by.store(), tell)
         },
     };
@@ -83,16 +84,16 @@ pub(super) fn distill(
     let mut note = |new: Noted| {
         match new {
             Noted::Step(psnr) => (done, last_psnr) = (done + 1, psnr),
-            Noted::Whole(index) => done += settings.epochs * plans[index].lessons.len() as u32,
+            Noted::Whole(index) => done += settings.epochs * plans.sizes[index].lessons,
             Noted::Nothing => {}
         }
         tell(MergeProgress { step: done, steps, psnr: last_psnr }).is_continue()
     };
-    let results = Results::new(&site.scratch, plans.len())?;
+    let results = Results::new(&site.scratch, plans.sizes.len(), site.joined.sh_degree())?;
     let (splats, tiles, found) = thread::scope(|scope| {
         let (say, reports) = mpsc::channel();
         if let Tiles::ByWorkers(store, queue) = by {
-            let task = |index: usize| Task::of(site, &plans[index], settings, &computer.device);
+            let task = |index: usize| Task::of(site, &plans.get(index)?, settings, &computer.device);
             let (order, is_stopped) = (work.order.clone(), &work.is_stopped);
             let class = computer.device.class();
             scope.spawn(move || by_workers(&order, &task, &class, store, queue, is_stopped, &say));
@@ -104,7 +105,7 @@ pub(super) fn distill(
             drop(say);
         }
         let has_steps = !matches!(by, Tiles::ByWorkers(..));
-        results.gather(&reports, &work.is_stopped, site.joined.sh_degree(), has_steps, &mut note)
+        results.gather(&reports, &work.is_stopped, has_steps, &mut note)
     })?;
     Ok(Distilled { splats, steps, tiles, found })
 }
@@ -130,23 +131,58 @@ fn learn_or_find(
     Ok(Learnt { record: TileRecord::of(&hash, &splats), splats, was_found })
 }
 
-/// The indices of the plans. Those that take longest come first, so that all threads end at the same time.
-fn largest_first(plans: &[Plan]) -> Vec<usize> {
-    let pixels = |plan: &Plan| {
-        plan.cameras().iter().map(|camera| u64::from(camera.size_px[0]) * u64::from(camera.size_px[1])).sum()
-    };
-    let sizes: Vec<u64> = plans.iter().map(pixels).collect();
-    let mut order: Vec<usize> = (0..plans.len()).collect();
-    order.sort_by_key(|i| Reverse(sizes[*i]));
-    order
+/// The plans of all tiles, in a file.
+struct Plans {
+    records: Records,
+    sizes: Vec<PlanSize>,
+}
+
+/// What stays in memory of a plan.
+struct PlanSize {
+    record: Record,
+    lessons: u32,
+    pixels: u64,
+    bytes: u64,
+}
+
+impl Plans {
+    fn of(
+        site: &Site,
+        tiles: Vec<Tile>,
+        lessons: &[Vec<usize>],
+        device: &Device,
+    ) -> Result<Self, MergeError> {
+        let mut plans = Self { records: site.scratch.records()?, sizes: Vec::with_capacity(tiles.len()) };
+        for tile in tiles {
+            let plan = Plan::of(site, tile, lessons, device)?;
+            plans.sizes.push(PlanSize {
+                record: plans.records.put(&plan)?,
+                lessons: plan.lessons.len() as u32,
+                pixels: plan.pixels(),
+                bytes: plan.bytes,
+            });
+        }
+        Ok(plans)
+    }
+
+    fn get(&self, index: usize) -> Result<Plan, MergeError> {
+        Ok(self.records.get(self.sizes[index].record)?)
+    }
+
+    /// The indices of the plans. Those that take longest come first, so that all threads end at the same time.
+    fn largest_first(&self) -> Vec<usize> {
+        let mut order: Vec<usize> = (0..self.sizes.len()).collect();
+        order.sort_by_key(|i| Reverse(self.sizes[*i].pixels));
+        order
+    }
 }
 
 /// Distils a tile. The second argument gets the PSNR of each step, and returns false to stop.
-type Learn<'a> = dyn Fn(&Plan, &dyn Fn(f64) -> bool) -> Result<Learnt, MergeError> + Sync + 'a;
+type Learn<'a> = dyn Fn(Plan, &dyn Fn(f64) -> bool) -> Result<Learnt, MergeError> + Sync + 'a;
 
 /// The tiles that are left to distil.
 struct Work<'a> {
-    plans: &'a [Plan],
+    plans: &'a Plans,
     order: Vec<usize>,
     /// Place of the next tile in `order`.
     next: AtomicUsize,
@@ -162,7 +198,7 @@ impl Work<'_> {
             // Nobody listens any more once the distillation has failed.
             let tell =
                 |psnr| say.send(Report::Step(psnr)).is_ok() && !self.is_stopped.load(Ordering::Relaxed);
-            let learnt = (self.learn)(&self.plans[index], &tell);
+            let learnt = self.plans.get(index).and_then(|plan| (self.learn)(plan, &tell));
             if say.send(Report::Done(index, learnt)).is_err() {
                 return;
             }
@@ -181,15 +217,15 @@ enum Noted {
 
 /// The distilled tiles.
 struct Results {
-    floats: Floats,
-    /// Place of each tile's splats in the file, and its record.
-    tiles: Vec<Option<(u64, TileRecord)>>,
+    splats: SplatFile,
+    /// Place of each tile's splats among the parts of the file, and its record.
+    tiles: Vec<Option<(usize, TileRecord)>>,
     found: usize,
 }
 
 impl Results {
-    fn new(scratch: &Scratch, tiles: usize) -> Result<Self, MergeError> {
-        Ok(Self { floats: scratch.floats()?, tiles: vec![None; tiles], found: 0 })
+    fn new(scratch: &Scratch, tiles: usize, sh_degree: u32) -> Result<Self, MergeError> {
+        Ok(Self { splats: SplatFile::new(scratch, sh_degree)?, tiles: vec![None; tiles], found: 0 })
     }
 
     /// Collects the tiles in their order. `note` gets all news; it returns false to stop. `has_steps` tells whether each
@@ -199,10 +235,9 @@ impl Results {
         mut self,
         reports: &Receiver<Report>,
         is_stopped: &AtomicBool,
-        sh_degree: u32,
         has_steps: bool,
         note: &mut dyn FnMut(Noted) -> bool,
-    ) -> Result<(Splats, Vec<TileRecord>, usize), MergeError> {
+    ) -> Result<(SplatFile, Vec<TileRecord>, usize), MergeError> {
         for report in reports {
             let outcome = match report {
                 Report::Step(psnr) if note(Noted::Step(psnr)) => Ok(()),
@@ -218,13 +253,8 @@ impl Results {
             }
         }
         let tiles = self.tiles.into_iter().map(|tile| tile.expect("every tile has been distilled"));
-        let (places, tiles): (Vec<u64>, Vec<TileRecord>) = tiles.unzip();
-        let count = tiles.iter().map(|tile| tile.splats).sum();
-        let mut splats = Splats::with_capacity(count, sh_degree);
-        for (at, tile) in places.into_iter().zip(&tiles) {
-            self.floats.read_splats(at, tile.splats, &mut splats)?;
-        }
-        Ok((splats, tiles, self.found))
+        let (parts, tiles): (Vec<usize>, Vec<TileRecord>) = tiles.unzip();
+        Ok((self.splats.with_order(&parts), tiles, self.found))
     }
 
     fn keep(
@@ -235,7 +265,7 @@ impl Results {
         note: &mut dyn FnMut(Noted) -> bool,
     ) -> Result<(), MergeError> {
         let Learnt { record, splats, was_found } = learnt;
-        self.tiles[index] = Some((self.floats.append_splats(&splats)?, record));
+        self.tiles[index] = Some((self.splats.append(&splats)?, record));
         self.found += usize::from(was_found);
         let goes_on = (has_steps && !was_found) || note(Noted::Whole(index));
         if goes_on { Ok(()) } else { Err(MergeError::GivenUp) }

@@ -2,22 +2,24 @@
 //! distillation.
 
 use std::collections::BTreeMap;
+use std::convert::Infallible;
 
 use cosurf_engine::compress::longest_side;
 use cosurf_link::Model;
+use glam::DVec3;
 
-use super::tiles::{Map, vertical};
+use super::tiles::{Map, Tile, vertical};
 
-/// Number of cells of the map along the longest side of the model. Fine enough where a few splats lie far off.
-const CELLS_ACROSS: f64 = 4096.0;
+/// Number of cells of the map along the longest side of the model.
+const CELLS_ACROSS: f64 = 64.0;
 
 /// The ground of a model, divided into tiles. A tile is the same rectangle in another revision of the model, unless it
 /// got so many splats that it is divided.
 pub(crate) struct Ground {
     map: Map,
-    /// The tile of each cell of the map.
-    tile_of: BTreeMap<[i64; 2], usize>,
-    tiles: usize,
+    tiles: Vec<Tile>,
+    /// The tiles that each cell of the map touches.
+    tiles_of: BTreeMap<[i64; 2], Vec<usize>>,
 }
 
 impl Ground {
@@ -26,19 +28,27 @@ impl Ground {
         let side = longest_side(&model.splats) / CELLS_ACROSS;
         let mut map = Map::new(vertical(model.cameras.iter()), side);
         map.add(&model.splats.means);
-        let tiles = map.tiles(most);
-        let place = |cell: [i64; 2]| tiles.iter().position(|tile| tile.contains(map.center(cell)));
-        let tile_of = map.cells().filter_map(|cell| Some((cell, place(cell)?))).collect();
-        Self { tile_of, tiles: tiles.len(), map }
+        let inside = |tile: &Tile| {
+            let is_inside = |mean: &&[f32; 3]| tile.contains(DVec3::from_array(mean.map(f64::from)));
+            Ok::<_, Infallible>(model.splats.means.iter().filter(is_inside).copied().collect())
+        };
+        let Ok(tiles) = map.tiles(most, inside);
+        let mut tiles_of: BTreeMap<[i64; 2], Vec<usize>> = BTreeMap::new();
+        for (i, tile) in tiles.iter().enumerate() {
+            map.cells_of(tile).for_each(|cell| tiles_of.entry(cell).or_default().push(i));
+        }
+        Self { map, tiles, tiles_of }
     }
 
     /// Number of tiles.
     pub(crate) fn tiles(&self) -> usize {
-        self.tiles
+        self.tiles.len()
     }
 
     /// The tile above or below which a splat lies; `None` if the model has no splats near there.
     pub(crate) fn tile(&self, mean: [f32; 3]) -> Option<usize> {
-        self.tile_of.get(&self.map.cell(mean)).copied()
+        let place = DVec3::from_array(mean.map(f64::from));
+        let near = self.tiles_of.get(&self.map.cell(mean))?;
+        near.iter().copied().find(|tile| self.tiles[*tile].contains(place))
     }
 }

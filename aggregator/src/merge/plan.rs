@@ -7,6 +7,7 @@ use cosurf_engine::budget::Costs;
 use cosurf_engine::{Capacity, Device};
 use cosurf_scene::{Camera, Frustum, Splats};
 use glam::{DVec2, DVec3};
+use serde::{Deserialize, Serialize};
 
 use super::crop::crop;
 use super::error::MergeError;
@@ -21,14 +22,14 @@ const SHOWN_MIN: usize = 2;
 const SURFACE_ACROSS: f64 = 24.0;
 
 /// One camera of one local model.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub(super) struct ViewKey {
     pub(super) local: usize,
     pub(super) camera: usize,
 }
 
 /// What a tile learns from.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Plan {
     pub(super) tile: Tile,
     /// The part of each camera's picture that shows the ground of the tile.
@@ -51,13 +52,16 @@ impl Plan {
         lessons: &[Vec<usize>],
         device: &Device,
     ) -> Result<Self, MergeError> {
-        let own = own(site, &tile)?;
+        let own = site.own(&tile)?;
         let (mut crops, mut wide_crops, mut ranked) = (BTreeMap::new(), Vec::new(), Vec::new());
         let mut known = BTreeSet::new();
         let ball = ball(&own.means);
-        for (local, cameras) in site.cameras.iter().enumerate() {
-            for (index, camera) in cameras.iter().enumerate() {
-                if !Frustum::new(camera).touches(ball.0, ball.1) {
+        for local in site.observed.near(ball.0, ball.1) {
+            let observations = site.observed.load(local)?;
+            for (index, camera) in site.cameras[local].iter().enumerate() {
+                // Behind all surfaces that a camera sees, it can show nothing.
+                let reaches = site.observed.reaches(local, index, ball.0, ball.1);
+                if !reaches || !Frustum::new(camera).touches(ball.0, ball.1) {
                     continue;
                 }
                 if let Some(wide) = wide_crop(camera, &own.means)
@@ -66,8 +70,9 @@ impl Plan {
                     wide_crops.push(wide);
                 }
                 let view = ViewKey { local, camera: index };
-                let shown = site.surfaces[local][index].iter().filter(|place| tile.contains(**place));
-                let Some(sight) = Sight::of(camera, shown.copied().collect()) else { continue };
+                let mut shown = observations.surface(index);
+                shown.retain(|place| tile.contains(*place));
+                let Some(sight) = Sight::of(camera, shown) else { continue };
                 crops.insert(view, sight.camera);
                 if lessons[local].binary_search(&index).is_ok() {
                     ranked.push((sight.worth, view));
@@ -95,7 +100,7 @@ impl Plan {
 
     /// The splats to train: those of the tile, then others that a part shows. Also returns the number of the former.
     pub(super) fn student(&self, site: &Site) -> Result<(Splats, usize), MergeError> {
-        let mut student = own(site, &self.tile)?;
+        let mut student = site.own(&self.tile)?;
         let count = student.len();
         let frusta = self.frusta();
         let is_seen = |at: DVec3, radius: f64| frusta.iter().any(|frustum| frustum.touches(at, radius));
@@ -106,6 +111,12 @@ impl Plan {
 
     fn frusta(&self) -> Vec<Frustum> {
         self.lessons.iter().map(|view| Frustum::new(&self.crops[view])).collect()
+    }
+
+    /// Number of pixels of all parts that teach.
+    pub(super) fn pixels(&self) -> u64 {
+        let area = |camera: &Camera| u64::from(camera.size_px[0]) * u64::from(camera.size_px[1]);
+        self.cameras().iter().map(area).sum()
     }
 
     /// Bytes that the distillation takes. The teachers come one after the other, before the student.
@@ -158,20 +169,8 @@ fn wide_crop(camera: &Camera, means: &[[f32; 3]]) -> Option<Camera> {
     crop(camera, &seen.filter_map(|place| camera.project(place)).collect::<Vec<_>>())
 }
 
-/// The splats of a tile.
-fn own(site: &Site, tile: &Tile) -> Result<Splats, MergeError> {
-    let mut own = Splats::with_capacity(tile.splats, site.joined.sh_degree());
-    site.joined.read(
-        site.joined.all(),
-        |bounds| tile.touches(bounds.low, bounds.high),
-        |at, _| tile.contains(at),
-        &mut own,
-    )?;
-    Ok(own)
-}
-
 /// Centre and radius of a ball around all means.
-fn ball(means: &[[f32; 3]]) -> (DVec3, f64) {
+pub(super) fn ball(means: &[[f32; 3]]) -> (DVec3, f64) {
     let places = means.iter().map(|mean| place(*mean));
     let (low, high) = places
         .fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), place| (low.min(place), high.max(place)));

@@ -7,6 +7,8 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
 use cosurf_scene::{SceneError, Splats};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
 
 /// The folder in which a merge makes its files.
 #[derive(Clone, Debug)]
@@ -21,6 +23,53 @@ pub(super) struct Floats {
     len: u64,
 }
 
+/// A file of encoded values of any kind. Several threads may read it.
+#[derive(Debug)]
+pub(crate) struct Records {
+    file: Mutex<File>,
+    folder: PathBuf,
+    bytes: u64,
+}
+
+/// Where a value lies in a file of [`Records`].
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Record {
+    at: u64,
+    bytes: usize,
+}
+
+impl Records {
+    /// An empty file in `folder`, which is made if it is missing.
+    pub(crate) fn new(folder: &Path) -> Result<Self, SceneError> {
+        Scratch::new(folder)?.records()
+    }
+
+    /// Appends a value.
+    pub(crate) fn put(&mut self, value: &impl Serialize) -> Result<Record, SceneError> {
+        let encoded = postcard::to_stdvec(value).map_err(|error| self.failed(io::Error::other(error)))?;
+        let record = Record { at: self.bytes, bytes: encoded.len() };
+        let file = self.file.get_mut().unwrap_or_else(PoisonError::into_inner);
+        let written = file.seek(SeekFrom::Start(record.at)).and_then(|_| file.write_all(&encoded));
+        written.map_err(|cause| self.failed(cause))?;
+        self.bytes += encoded.len() as u64;
+        Ok(record)
+    }
+
+    /// Reads a value. It must have the type of the one that was appended.
+    pub(crate) fn get<T: DeserializeOwned>(&self, record: Record) -> Result<T, SceneError> {
+        let mut encoded = vec![0; record.bytes];
+        let mut file = self.file.lock().unwrap_or_else(PoisonError::into_inner);
+        let read = file.seek(SeekFrom::Start(record.at)).and_then(|_| file.read_exact(&mut encoded));
+        drop(file);
+        read.map_err(|cause| self.failed(cause))?;
+        postcard::from_bytes(&encoded).map_err(|error| self.failed(io::Error::other(error)))
+    }
+
+    fn failed(&self, cause: io::Error) -> SceneError {
+        SceneError::io(&self.folder, cause)
+    }
+}
+
 impl Scratch {
     /// Makes files in `folder`, which is made if it is missing.
     pub(super) fn new(folder: &Path) -> Result<Self, SceneError> {
@@ -28,10 +77,18 @@ impl Scratch {
         Ok(Self(folder.to_owned()))
     }
 
-    /// An empty file.
+    /// An empty file of numbers.
     pub(super) fn floats(&self) -> Result<Floats, SceneError> {
-        let file = tempfile::tempfile_in(&self.0).map_err(|cause| SceneError::io(&self.0, cause))?;
-        Ok(Floats { file: Mutex::new(file), folder: self.0.clone(), len: 0 })
+        Ok(Floats { file: self.file()?, folder: self.0.clone(), len: 0 })
+    }
+
+    /// An empty file of records.
+    pub(super) fn records(&self) -> Result<Records, SceneError> {
+        Ok(Records { file: self.file()?, folder: self.0.clone(), bytes: 0 })
+    }
+
+    fn file(&self) -> Result<Mutex<File>, SceneError> {
+        tempfile::tempfile_in(&self.0).map(Mutex::new).map_err(|cause| SceneError::io(&self.0, cause))
     }
 }
 
@@ -119,6 +176,18 @@ mod tests {
         let mut both = two;
         both.extend(&one);
         assert_eq!(read, both);
+    }
+
+    #[test]
+    fn records_come_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut records = Records::new(folder.path()).unwrap();
+        let one = records.put(&("one".to_owned(), vec![1.5f64, -2.0])).unwrap();
+        let two = records.put(&[7u32; 3]).unwrap();
+        assert_eq!(records.get::<[u32; 3]>(two).unwrap(), [7; 3]);
+        assert_eq!(records.get::<(String, Vec<f64>)>(one).unwrap(), ("one".to_owned(), vec![1.5, -2.0]));
+        let error = records.get::<String>(Record { at: 1000, bytes: 3 }).unwrap_err().to_string();
+        assert!(error.contains(folder.path().to_str().unwrap()), "{error}");
     }
 
     #[test]

@@ -6,9 +6,9 @@ use cosurf_engine::Neighbours;
 use cosurf_engine::compress::longest_side;
 use cosurf_link::Model;
 use cosurf_scene::{Camera, SparsePoint, Splats};
-use glam::DVec3;
 
 use super::error::MergeError;
+use super::observed::Observed;
 use super::pages::{Area, Pages, place};
 use super::scratch::Scratch;
 use super::tiles::{Map, Tile, vertical};
@@ -16,11 +16,11 @@ use super::tiles::{Map, Tile, vertical};
 /// Limit on the splats of a model from which the median depths of its views are estimated.
 const PROBES: usize = 2000;
 /// Number of cells of the map along the longest side of the first model.
-const CELLS_ACROSS: f64 = 512.0;
+const CELLS_ACROSS: f64 = 32.0;
 
 /// All models of a merge.
 #[derive(Debug)]
-pub(super) struct Site {
+pub(super) struct Site<'a> {
     /// The splats that stay after compression.
     pub(super) joined: Pages,
     /// All splats of all models.
@@ -28,32 +28,32 @@ pub(super) struct Site {
     /// The pages of each model.
     pub(super) pages: Vec<Range<usize>>,
     /// The cameras of each model.
-    pub(super) cameras: Vec<Vec<Camera>>,
+    pub(super) cameras: &'a [Vec<Camera>],
     /// The neighbours of each model's cameras.
     pub(super) neighbours: Vec<Neighbours>,
-    /// Points of the surface that each camera of each model shows.
-    pub(super) surfaces: Vec<Vec<Vec<DVec3>>>,
+    /// What the cameras of all models observed.
+    pub(super) observed: Observed<'a>,
     /// Where the joined splats lie.
     map: Option<Map>,
     /// Where the files are.
     pub(super) scratch: Scratch,
 }
 
-impl Site {
+impl<'a> Site<'a> {
     /// A site without models. Those to come have these cameras, and at most this degree of spherical harmonics.
     pub(super) fn new(
         scratch: Scratch,
-        cameras: &[Vec<Camera>],
-        surfaces: Vec<Vec<Vec<DVec3>>>,
+        cameras: &'a [Vec<Camera>],
+        observed: Observed<'a>,
         sh_degree: u32,
     ) -> Result<Self, MergeError> {
         Ok(Self {
             joined: Pages::new(&scratch, sh_degree)?,
             models: Pages::new(&scratch, sh_degree)?,
             pages: Vec::new(),
-            cameras: cameras.to_vec(),
+            cameras,
             neighbours: Vec::new(),
-            surfaces,
+            observed,
             map: None,
             scratch,
         })
@@ -73,8 +73,21 @@ impl Site {
     }
 
     /// Divides the ground into tiles with at most `most` splats each.
-    pub(super) fn tiles(&self, most: usize) -> Vec<Tile> {
-        self.map.as_ref().map_or(Vec::new(), |map| map.tiles(most))
+    pub(super) fn tiles(&self, most: usize) -> Result<Vec<Tile>, MergeError> {
+        let means = |tile: &Tile| -> Result<_, MergeError> { Ok(self.own(tile)?.means) };
+        self.map.as_ref().map_or(Ok(Vec::new()), |map| map.tiles(most, means))
+    }
+
+    /// The joined splats of a tile.
+    pub(super) fn own(&self, tile: &Tile) -> Result<Splats, MergeError> {
+        let mut own = Splats::with_capacity(tile.splats, self.joined.sh_degree());
+        self.joined.read(
+            self.joined.all(),
+            |bounds| tile.touches(bounds.low, bounds.high),
+            |at, _| tile.contains(at),
+            &mut own,
+        )?;
+        Ok(own)
     }
 }
 

@@ -4,7 +4,7 @@
 
 mod device;
 
-use cosurf_engine::{Device, DeviceChoice, Renderer};
+use cosurf_engine::{Device, DeviceChoice, Observers, Renderer};
 use cosurf_scene::Splats;
 use cosurf_scene::metrics::psnr;
 
@@ -48,7 +48,8 @@ fn in_tiles(locals: &dyn Locals, settings: &MergeSettings, threads: usize, tile_
     let folder = tempfile::tempdir().unwrap();
     let mut go_on = |_: MergeProgress| ControlFlow::Continue(());
     let resources = Resources { scratch: folder.path(), tiles: Tiles::Forgotten, threads };
-    let merged = merge_in_tiles(locals, settings, resources, tile_splats, &mut go_on).unwrap();
+    let merged =
+        merge_in_tiles(locals, settings, resources, tile_splats, &mut go_on).unwrap().read().unwrap();
     assert_eq!(folder.path().read_dir().unwrap().count(), 0, "a file is left");
     merged
 }
@@ -133,7 +134,7 @@ fn with_store(
     let settings = MergeSettings { epochs: 2, device: DeviceChoice::Cpu, ..MergeSettings::default() };
     let scratch = tempfile::tempdir().unwrap();
     let resources = Resources { scratch: scratch.path(), tiles: Tiles::Kept(store), threads: 2 };
-    merge_in_tiles(locals, &settings, resources, 400, tell)
+    merge_in_tiles(locals, &settings, resources, 400, tell)?.read()
 }
 
 #[test]

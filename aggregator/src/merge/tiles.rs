@@ -7,6 +7,7 @@ use std::collections::BTreeMap;
 
 use cosurf_scene::Camera;
 use glam::DVec3;
+use serde::{Deserialize, Serialize};
 
 /// A rectangle of the ground is not divided if its sides are less than this share of the whole ground's: 2 to the power
 /// of minus this.
@@ -23,7 +24,7 @@ pub(super) struct Map {
 }
 
 /// A rectangle of the ground.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Tile {
     vertical: usize,
     low: [f64; 2],
@@ -52,58 +53,102 @@ impl Map {
         horizontal(self.vertical, mean).map(|at| (f64::from(at) / side).floor() as i64)
     }
 
-    /// The cells with splats.
-    pub(super) fn cells(&self) -> impl Iterator<Item = [i64; 2]> {
-        self.cells.keys().copied()
-    }
-
-    /// A point in the middle of a cell.
-    pub(super) fn center(&self, cell: [i64; 2]) -> DVec3 {
+    /// The cells that a tile touches, as far as they have splats.
+    pub(super) fn cells_of(&self, tile: &Tile) -> impl Iterator<Item = [i64; 2]> {
         let side = f64::from(self.cell_log2).exp2();
-        let mut center = DVec3::ZERO;
-        for (axis, at) in cell.into_iter().enumerate() {
-            center[(self.vertical + 1 + axis) % 3] = (at as f64 + 0.5) * side;
-        }
-        center
+        let touches = move |cell: &[i64; 2]| {
+            (0..2).all(|axis| {
+                let at = cell[axis] as f64 * side;
+                tile.low[axis] < at + side && at < tile.high[axis]
+            })
+        };
+        self.cells.keys().copied().filter(touches)
     }
 
-    /// Divides the ground into tiles with at most `most` splats each. A tile that is a single cell may have more.
-    pub(super) fn tiles(&self, most: usize) -> Vec<Tile> {
+    /// Divides the ground into tiles with at most `most` splats each, unless they lie in almost one place. `means` gives
+    /// the splats of a cell that has more than `most`, and may give others too.
+    pub(super) fn tiles<E>(
+        &self,
+        most: usize,
+        means: impl Fn(&Tile) -> Result<Vec<[f32; 3]>, E>,
+    ) -> Result<Vec<Tile>, E> {
         let side = f64::from(self.cell_log2).exp2();
         let all: Vec<([i64; 2], usize)> = self.cells.iter().map(|(cell, count)| (*cell, *count)).collect();
         let reach = all.iter().flat_map(|(cell, _)| cell).map(|at| at.unsigned_abs() + 1).max().unwrap_or(1);
-        let half = reach.next_power_of_two() as i64;
+        let half = reach.next_power_of_two() as f64 * side;
+        let smallest = 2.0 * half * f64::from(-HALVINGS_MAX).exp2();
+        let tile = |low: [f64; 2], sides: [f64; 2], splats: usize| {
+            let high = [low[0] + sides[0], low[1] + sides[1]];
+            Tile { vertical: self.vertical, low, high, splats }
+        };
         let mut tiles = Vec::new();
-        let mut left = vec![([-half; 2], [2 * half; 2], all)];
-        while let Some((low, sides, cells)) = left.pop() {
-            let splats = cells.iter().map(|(_, count)| count).sum();
-            let is_small = sides[0].max(sides[1]) <= (2 * half) >> HALVINGS_MAX;
-            if splats <= most || sides == [1; 2] || is_small {
-                let bounds = |at: [i64; 2]| at.map(|at| at as f64 * side);
-                let high = [low[0] + sides[0], low[1] + sides[1]];
-                tiles.push(Tile { vertical: self.vertical, low: bounds(low), high: bounds(high), splats });
+        let mut left = vec![([-half; 2], [2.0 * half; 2], Content::Cells(all))];
+        while let Some((low, sides, mut content)) = left.pop() {
+            let whole = tile(low, sides, content.splats());
+            if whole.splats <= most || sides[0].max(sides[1]) <= smallest {
+                tiles.push(whole);
                 continue;
+            }
+            if sides == [side; 2] {
+                let inside = |place: &[f64; 2]| whole.contains_at(*place);
+                let places =
+                    means(&whole)?.into_iter().map(|mean| horizontal(self.vertical, mean.map(f64::from)));
+                content = Content::Splats(places.filter(inside).collect());
             }
             let axis = usize::from(sides[1] > sides[0]);
             let (mut halves, mut second) = (sides, low);
-            halves[axis] /= 2;
+            halves[axis] /= 2.0;
             second[axis] += halves[axis];
-            let (after, before): (Vec<_>, Vec<_>) =
-                cells.into_iter().partition(|(cell, _)| cell[axis] >= second[axis]);
+            let [before, after] = content.divided(axis, second[axis], side);
             left.extend(
                 [(second, halves, after), (low, halves, before)]
                     .into_iter()
-                    .filter(|(.., its)| !its.is_empty()),
+                    .filter(|(.., its)| its.splats() > 0),
             );
         }
-        tiles
+        Ok(tiles)
+    }
+}
+
+/// What lies on a part of the ground.
+enum Content {
+    /// Cells, with the number of splats of each.
+    Cells(Vec<([i64; 2], usize)>),
+    /// Splats: where they lie.
+    Splats(Vec<[f64; 2]>),
+}
+
+impl Content {
+    fn splats(&self) -> usize {
+        match self {
+            Self::Cells(cells) => cells.iter().map(|(_, count)| count).sum(),
+            Self::Splats(places) => places.len(),
+        }
+    }
+
+    /// What lies before, and what lies after a border across `axis`. Cells have this `side`.
+    fn divided(self, axis: usize, border: f64, side: f64) -> [Self; 2] {
+        match self {
+            Self::Cells(cells) => {
+                let is_after = |(cell, _): &([i64; 2], usize)| cell[axis] as f64 * side >= border;
+                let (after, before) = cells.into_iter().partition(is_after);
+                [before, after].map(Self::Cells)
+            }
+            Self::Splats(places) => {
+                let (after, before) = places.into_iter().partition(|place| place[axis] >= border);
+                [before, after].map(Self::Splats)
+            }
+        }
     }
 }
 
 impl Tile {
     /// Whether a world point lies above or below the tile.
     pub(super) fn contains(&self, place: DVec3) -> bool {
-        let at = horizontal(self.vertical, place.to_array());
+        self.contains_at(horizontal(self.vertical, place.to_array()))
+    }
+
+    fn contains_at(&self, at: [f64; 2]) -> bool {
         (0..2).all(|axis| self.low[axis] <= at[axis] && at[axis] < self.high[axis])
     }
 
@@ -128,13 +173,20 @@ pub(super) fn vertical<'a>(cameras: impl Iterator<Item = &'a Camera>) -> usize {
 
 #[cfg(test)]
 mod tests {
+    #![allow(clippy::unwrap_used)]
+    use std::convert::Infallible;
+
     use super::*;
     use crate::testing::{above, ground};
 
     fn tiles_of(means: &[[f32; 3]], most: usize) -> Vec<Tile> {
-        let mut map = Map::new(2, 1.0);
+        tiles_with_cells(means, most, 1.0)
+    }
+
+    fn tiles_with_cells(means: &[[f32; 3]], most: usize, side: f64) -> Vec<Tile> {
+        let mut map = Map::new(2, side);
         map.add(means);
-        map.tiles(most)
+        map.tiles(most, |_| Ok::<_, Infallible>(means.to_vec())).unwrap()
     }
 
     #[test]
@@ -165,8 +217,20 @@ mod tests {
     }
 
     #[test]
-    fn splats_in_one_cell_are_not_divided() {
+    fn splats_in_one_place_are_not_divided() {
         assert_eq!(tiles_of(&[[0.5; 3]; 20], 10)[0].splats, 20);
+    }
+
+    #[test]
+    fn tiles_do_not_depend_on_the_size_of_the_cells() {
+        let means = ground(-37.0, 12.0).means;
+        let fine = tiles_with_cells(&means, 20, 0.25);
+        assert!(fine.iter().all(|tile| tile.splats <= 20) && fine.len() > 100, "{}", fine.len());
+        for side in [1.0, 4.0, 16.0] {
+            let coarse = tiles_with_cells(&means, 20, side);
+            let differ = coarse.iter().filter(|tile| !fine.contains(tile)).count();
+            assert_eq!((differ, coarse.len()), (0, fine.len()), "cells of {side} m");
+        }
     }
 
     #[test]

@@ -133,12 +133,13 @@ impl Stored {
         merged: Model,
         index: usize,
         frames: Frames,
-        threads: usize,
+        resources: Resources,
         is_stopped: &dyn Fn() -> bool,
         verdict: &mut Verdict,
     ) -> Result<Model, MergeError> {
         let (header, part) = (&self.headers[index], self.load(index)?);
-        match admit_part(&merged, &part, self.is_compressed(index), frames, threads, is_stopped)? {
+        let Resources { scratch, threads, .. } = resources;
+        match admit_part(&merged, &part, self.is_compressed(index), frames, threads, scratch, is_stopped)? {
             Ok(place) => {
                 verdict.fitted.extend(Fitted::of(header.device.as_str(), place));
                 let moved = place.by.map(|by| by.by.model(&part));
@@ -185,7 +186,7 @@ impl Job {
         let thread = thread::spawn(move || {
             let _span = info_span!("round", models = stored.count(), parts = parts.count()).entered();
             let is_stopped = || flag.load(Ordering::Relaxed);
-            let admitted = admit(&stored, (&settings).into(), threads, &is_stopped)?;
+            let admitted = admit(&stored, (&settings).into(), threads, &scratch, &is_stopped)?;
             let mut verdict = Verdict::of(&admitted, &stored.headers);
             if admitted.count() == 0 {
                 return Ok(Outcome { made: None, verdict });
@@ -202,7 +203,7 @@ impl Job {
                     merged.model,
                     i,
                     (&settings).into(),
-                    threads,
+                    resources,
                     &is_stopped,
                     &mut verdict,
                 )?;

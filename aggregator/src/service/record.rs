@@ -139,6 +139,10 @@ pub struct Fitted {
     /// [`Place::weight`]. `None` if they count fully.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub weight: Option<f64>,
+    /// Factor on the sides of the model's pictures, 0..=1, if these show less detail than they claim; see
+    /// [`Place::size`]. `None` if they keep their sizes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub size: Option<f64>,
     /// True if the model shares no ground with the others. It takes part because its frame is vouched for.
     #[serde(default, skip_serializing_if = "is_false")]
     pub unverified: bool,
@@ -151,16 +155,18 @@ fn is_false(value: &bool) -> bool {
 impl Fitted {
     /// `None` if there is nothing to tell.
     pub fn of(device: &str, place: Place) -> Option<Self> {
-        let Place { by, tone, weight, is_verified, .. } = place;
+        let Place { by, tone, weight, size, is_verified, .. } = place;
         let fitted = Self {
             device: device.to_string(),
             by: by.map(|by| by.by),
             distance_m: by.map(|by| by.distance_m),
             tone,
             weight: (weight < 1.0).then_some(weight),
+            size: (size < 1.0).then_some(size),
             unverified: !is_verified,
         };
-        let is_told = fitted.by.is_some() || tone.is_some() || weight < 1.0 || fitted.unverified;
+        let is_told =
+            fitted.by.is_some() || tone.is_some() || weight < 1.0 || size < 1.0 || fitted.unverified;
         is_told.then_some(fitted)
     }
 }
@@ -177,7 +183,10 @@ impl fmt::Display for Fitted {
         let unverified =
             self.unverified.then(|| "shares no ground with the others, so its place is unverified".into());
         let tone = self.tone.map(|tone| tone.to_string());
-        let told: Vec<String> = [moved, tone, weight, unverified].into_iter().flatten().collect();
+        let size = self.size.map(|size| {
+            format!("shows no more detail than pictures {:.0} % as large, and counts as such", 100.0 * size)
+        });
+        let told: Vec<String> = [moved, tone, weight, size, unverified].into_iter().flatten().collect();
         write!(f, "{}: {}", self.device, told.join(", "))
     }
 }

@@ -25,8 +25,10 @@ use rayon::prelude::*;
 use tracing::info_span;
 
 use crate::device::{Device, DeviceError};
-use observer::{Near, Observer, median};
+use observer::{Near, Observer, median, shown_mostly};
 use slopes::Slopes;
+
+pub use observer::{Observations, Reach};
 
 /// Cosine of the largest angle, 30°, between the lines of sight of two cameras that see a point alike.
 const SIGHT_COSINE_MIN: f64 = 0.866_025_403_784_438_6;
@@ -83,22 +85,28 @@ impl Observers {
         device: &Device,
         threads: usize,
     ) -> Result<(), DeviceError> {
-        let observer = Observer::of(splats, cameras, weight, device, threads)?;
-        if self.slopes.is_none() {
-            self.slopes = observer.pixel_m().map(|pixel_m| Slopes::new(SLOPES_PX * pixel_m));
-        }
-        if let Some(slopes) = &mut self.slopes {
-            slopes.add(splats);
-        }
-        self.each.push(observer);
-        self.believe();
+        let slope_m = self.slopes.as_ref().map(Slopes::side);
+        self.add_observed(Observations::of(splats, cameras, slope_m, device, threads)?, weight);
+        let shown: Vec<Vec<f64>> = self.each.iter().map(|observer| observer.shown().collect()).collect();
+        self.believe(shown_min(shown.iter().map(Vec::as_slice)));
         Ok(())
     }
 
-    /// Decides which cameras are believed.
-    fn believe(&mut self) {
-        let shown = self.each.iter().filter_map(Observer::shown_mostly).collect();
-        let shown_min = SHOWN_SHARE_MIN * median(shown, f64::total_cmp).unwrap_or(0.0);
+    /// Adds the observations of the next model, as [`Self::add`] does. All models must have cubes of the same side. The
+    /// caller must then decide which cameras are believed: [`Self::believe`].
+    pub fn add_observed(&mut self, observations: Observations, weight: f64) {
+        let (observer, slopes) = Observer::of(observations, weight);
+        match (&mut self.slopes, slopes) {
+            (Some(all), Some(its)) => all.add(&its),
+            (all @ None, its) => *all = its,
+            (Some(_), None) => {}
+        }
+        self.each.push(observer);
+    }
+
+    /// From now on, believes only cameras that show a surface in at least this share of their pictures, 0..=1; see
+    /// [`shown_min`].
+    pub fn believe(&mut self, shown_min: f64) {
         self.each.iter_mut().for_each(|observer| observer.believe(shown_min));
     }
 
@@ -107,23 +115,11 @@ impl Observers {
         self.as_announced = true;
     }
 
-    /// For each camera of the model with the index `own`: the share of its picture in which the model shows a surface,
-    /// 0..=1.
-    pub fn shown(&self, own: usize) -> Vec<f64> {
-        self.each[own].shown().collect()
-    }
-
-    /// For each camera of the model with the index `own`: points of the surface in its picture, evenly spaced, about 24
-    /// along the long side.
-    pub fn surfaces(&self, own: usize) -> Vec<Vec<DVec3>> {
-        self.each[own].surfaces().collect()
-    }
-
     /// For each camera of the model with the index `own`: how well the model observed the surface in the picture,
     /// compared with the model that observed it best. It is the ratio of the worths, 0..=1, mean over the picture; 0 if
     /// there is no surface.
     pub fn standings(&self, own: usize) -> Vec<f64> {
-        let surfaces = self.surfaces(own);
+        let surfaces: Vec<Vec<DVec3>> = self.each[own].surfaces().collect();
         let standing = |surface: &Vec<DVec3>| {
             let ground = self.ground(surface);
             let sum: f64 = surface.iter().map(|place| ground.standing(*place, own)).sum();
@@ -142,6 +138,12 @@ impl Observers {
         let better_min = if self.as_announced { BETTER_MIN_ANNOUNCED } else { BETTER_MIN };
         Ground { near, slopes, better_min }
     }
+}
+
+/// The smallest share of its picture in which a camera that is believed shows a surface, if the models of a site show
+/// these shares, each in the pictures of its own cameras.
+pub fn shown_min<'a>(shown: impl Iterator<Item = &'a [f64]>) -> f64 {
+    SHOWN_SHARE_MIN * median(shown.filter_map(shown_mostly).collect(), f64::total_cmp).unwrap_or(0.0)
 }
 
 /// The cameras that may see some places.

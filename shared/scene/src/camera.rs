@@ -7,6 +7,11 @@
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 
+/// Cameras with almost the same view are at most this share of the depth apart.
+const ALIKE_SHARE: f64 = 0.01;
+/// Cosine of half of the largest angle, half a degree, between the rotations of cameras with almost the same view.
+const ALIKE_HALF_COSINE: f64 = 0.999_990_480_720_734_3;
+
 /// A rigid transform from the world frame to a camera frame: `p_cam = rotation * p_world + translation`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Pose {
@@ -93,6 +98,14 @@ impl Camera {
     /// Whether a world point lies in front of the camera and inside its picture.
     pub fn sees(&self, p_world: DVec3) -> bool {
         self.project(p_world).is_some_and(|p_px| self.contains(p_px))
+    }
+
+    /// Whether another camera has almost the same view of what lies at a depth: the centres are at most a hundredth of
+    /// the depth apart, and their rotations differ by at most half a degree. The size of the picture does not matter.
+    pub fn views_alike(&self, other: &Self, depth: f64) -> bool {
+        let [a, b] = [self, other].map(|camera| camera.cam_from_world);
+        a.center().distance(b.center()) <= ALIKE_SHARE * depth
+            && a.rotation.dot(b.rotation).abs() >= ALIKE_HALF_COSINE
     }
 
     /// The same camera for a picture resampled to `size_px`: each axis of the intrinsics scales by

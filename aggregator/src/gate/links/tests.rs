@@ -101,7 +101,7 @@ fn a_mirrored_or_shuffled_model_fits_nowhere() {
     for bad in [mirrored(&local(3.0, 20)), nonsense(&local(3.0, 20))] {
         let one = local(-3.0, 10);
         assert_eq!(find(&one, &bad), None);
-        let frames = find_frames(&InMemory(vec![one, bad]), 1, &|| false).unwrap();
+        let frames = find_frames(&InMemory(vec![one, bad]), false, 1, &|| false).unwrap();
         assert_eq!((frames.moves, frames.fits), (vec![None, None], Vec::new()), "in any frame");
     }
 }
@@ -114,7 +114,7 @@ fn a_model_in_a_frame_of_its_own_is_found() {
         let rotation = DQuat::from_axis_angle(dice.vector().normalize(), 3.1);
         let there = Similarity { scale, rotation, translation: 100.0 * dice.vector() };
         let given = vec![one.clone(), there.model(&right)];
-        let moves = find_frames(&InMemory(given.clone()), 1, &|| false).unwrap().moves;
+        let moves = find_frames(&InMemory(given.clone()), false, 1, &|| false).unwrap().moves;
         assert_eq!(moves[0], None);
         let back = moves[1].unwrap().by.model(&given[1]);
         let eye = |camera: &Camera| camera.cam_from_world.center();
@@ -128,10 +128,10 @@ fn a_model_in_a_frame_of_its_own_is_found() {
 fn a_model_in_another_frame_is_moved_if_allowed_and_kept_out_otherwise() {
     let models = [local(-3.0, 10), wrong().model(&local(0.0, 20)), local(3.0, 30)].to_vec();
     let locals = InMemory(models);
-    let kept_out = admit(&locals, UNMOVED, 1, &|| false).unwrap();
+    let kept_out = admit(&locals, UNMOVED, 1, &std::env::temp_dir(), &|| false).unwrap();
     assert_eq!(kept_out.doubts()[1], Some(Doubt::Contradicts(vec![0, 2])));
     assert_eq!(kept_out.count(), 2);
-    let moved = admit(&locals, MOVED, 1, &|| false).unwrap();
+    let moved = admit(&locals, MOVED, 1, &std::env::temp_dir(), &|| false).unwrap();
     assert_eq!((moved.doubts(), moved.count()), (&[None, None, None][..], 3));
     assert!(moved.place(1).by.is_some() && moved.place(0).by.is_none());
     let x = moved.load(1).unwrap().cameras[0].cam_from_world.center().x;

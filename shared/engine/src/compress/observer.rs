@@ -1,10 +1,10 @@
 //! What the cameras of one model observe, and what their observations of a place are worth.
 
-use std::collections::BTreeSet;
-
 use cosurf_scene::{Camera, Frustum, Splats};
 use glam::{DVec2, DVec3};
+use serde::{Deserialize, Serialize};
 
+use super::SLOPES_PX;
 use super::slopes::Slopes;
 use crate::device::{Device, DeviceError};
 use crate::render::Renderer;
@@ -13,6 +13,107 @@ use crate::render::Renderer;
 const SIZE_PX: u32 = 48;
 /// A camera does not see a place that is deeper than the surface in its picture by more than this factor.
 const BEHIND: f32 = 1.05;
+
+/// A camera sees places up to this factor beyond the largest depth in its picture: [`BEHIND`], and some room for
+/// rounding.
+const FAR_END: f64 = 1.051;
+
+/// What the cameras of one model observed, as a value that can be written to a file:
+/// [`Observers::add_observed`](super::Observers::add_observed).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Observations {
+    cameras: Vec<Camera>,
+    /// The surface in the picture of each camera.
+    surfaces: Vec<Surface>,
+    /// `None` if no camera sees ground, and no side of the cubes was given.
+    slopes: Option<Slopes>,
+}
+
+impl Observations {
+    /// What `cameras` see of the model `splats`. Slopes of all models are averaged over cubes of one side, `slope_m`,
+    /// world units; without it, a side is chosen from the width of a pixel on the ground. The CPU uses `threads`
+    /// threads, at least 1.
+    pub fn of(
+        splats: &Splats,
+        cameras: &[Camera],
+        slope_m: Option<f64>,
+        device: &Device,
+        threads: usize,
+    ) -> Result<Self, DeviceError> {
+        let mut renderer = Renderer::by(device, threads, splats)?;
+        let surfaces: Vec<Surface> = cameras
+            .iter()
+            .map(|camera| Surface::render(&mut renderer, camera))
+            .collect::<Result<_, DeviceError>>()?;
+        let side = slope_m.or_else(|| pixel_m(cameras, &surfaces).map(|pixel_m| SLOPES_PX * pixel_m));
+        let slopes = side.map(|side| Slopes::of(splats, side));
+        Ok(Self { cameras: cameras.to_vec(), surfaces, slopes })
+    }
+
+    /// Side of the cubes over which slopes are averaged, world units.
+    pub fn slope_m(&self) -> Option<f64> {
+        self.slopes.as_ref().map(Slopes::side)
+    }
+
+    /// For each camera: the share of its picture in which the model shows a surface, 0..=1.
+    pub fn shown(&self) -> Vec<f64> {
+        self.surfaces.iter().map(Surface::share).collect()
+    }
+
+    /// For each camera: a box around all that it sees.
+    pub fn reaches(&self) -> Vec<Reach> {
+        self.surfaces.iter().map(Surface::reach).collect()
+    }
+
+    /// For each camera: false if an earlier one has almost the same view.
+    pub fn are_new(&self) -> Vec<bool> {
+        are_new(&self.cameras, |camera| self.surfaces[camera].median_depth().unwrap_or(0.0))
+    }
+
+    /// Points of the surface in the picture of a camera, evenly spaced, about 24 along the long side.
+    pub fn surface(&self, camera: usize) -> Vec<DVec3> {
+        self.surfaces[camera].points()
+    }
+}
+
+/// For each camera: false if an earlier one has almost the same view of what lies at the depth of the camera with this
+/// index.
+fn are_new(cameras: &[Camera], depth: impl Fn(usize) -> f64) -> Vec<bool> {
+    let is_new = |i: usize| {
+        let depth = depth(i);
+        !cameras[..i].iter().any(|earlier| cameras[i].views_alike(earlier, depth))
+    };
+    (0..cameras.len()).map(is_new).collect()
+}
+
+/// Width that a pixel covers on the ground, world units: the median of all cameras. `None` if none sees ground.
+fn pixel_m(cameras: &[Camera], surfaces: &[Surface]) -> Option<f64> {
+    let width = |(camera, surface): (&Camera, &Surface)| {
+        Some(surface.median_depth()? / (camera.focal_px.x * camera.focal_px.y).sqrt())
+    };
+    median(cameras.iter().zip(surfaces).filter_map(width).collect(), f64::total_cmp)
+}
+
+/// The median share of a picture that shows a surface; `None` without cameras.
+pub(super) fn shown_mostly(shown: &[f64]) -> Option<f64> {
+    median(shown.to_vec(), f64::total_cmp)
+}
+
+/// A box around a camera and all that it sees: its surface, and what lies in front of it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Reach {
+    /// The corner with the smallest coordinates, world units.
+    pub low: DVec3,
+    /// The corner with the largest coordinates, world units.
+    pub high: DVec3,
+}
+
+impl Reach {
+    /// Whether the box and a ball have a point in common.
+    pub fn touches(&self, center: DVec3, radius: f64) -> bool {
+        center.distance_squared(center.clamp(self.low, self.high)) <= radius * radius
+    }
+}
 
 /// The cameras of one model, with the depths of the surface that they see.
 #[derive(Clone, Debug)]
@@ -31,7 +132,7 @@ struct Sight {
     eye: DVec3,
     /// Product of the focal lengths, px².
     focal2_px: f64,
-    /// False if an earlier camera of the model has the same pose.
+    /// False if an earlier camera of the model has almost the same view: copies of a camera must not gain ground.
     counts: bool,
     /// False if the model shows too little of what the camera says to have seen.
     is_believed: bool,
@@ -39,10 +140,12 @@ struct Sight {
     shown: f64,
     /// `None` if the model is not known. Then nothing is hidden from the camera.
     surface: Option<Surface>,
+    /// A box around all that the camera sees of the surface and in front of it; `None` if the model is not known.
+    reach: Option<Reach>,
 }
 
 /// A small picture of depths.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 struct Surface {
     camera: Camera,
     /// `[height, width]`, world units; 0 without a surface.
@@ -60,27 +163,18 @@ pub(super) struct Near<'a> {
 impl Observer {
     /// The observations of cameras whose model is not known.
     pub(super) fn announced(cameras: &[Camera]) -> Self {
-        let mut known = BTreeSet::new();
-        let sight = |camera: &Camera| Sight::new(camera, None, &mut known);
-        Self { sights: cameras.iter().map(sight).collect(), weight: 1.0, believed: 1.0 }
+        let counts = are_new(cameras, |_| 0.0);
+        let sight = |(camera, counts)| Sight::new(camera, None, counts);
+        Self { sights: cameras.iter().zip(counts).map(sight).collect(), weight: 1.0, believed: 1.0 }
     }
 
-    /// The observations of the cameras of a model.
-    pub(super) fn of(
-        splats: &Splats,
-        cameras: &[Camera],
-        weight: f64,
-        device: &Device,
-        threads: usize,
-    ) -> Result<Self, DeviceError> {
-        let mut renderer = Renderer::by(device, threads, splats)?;
-        let mut known = BTreeSet::new();
-        let sight = |camera: &Camera| {
-            let surface = Surface::render(&mut renderer, camera)?;
-            Ok(Sight::new(camera, Some(surface), &mut known))
-        };
-        let sights = cameras.iter().map(sight).collect::<Result<_, DeviceError>>()?;
-        Ok(Self { sights, weight, believed: 1.0 })
+    /// The observations of the cameras of a model. Also returns the slopes of its ground.
+    pub(super) fn of(observations: Observations, weight: f64) -> (Self, Option<Slopes>) {
+        let counts = observations.are_new();
+        let Observations { cameras, surfaces, slopes } = observations;
+        let sight = |((camera, surface), counts)| Sight::new(camera, Some(surface), counts);
+        let sights = cameras.iter().zip(surfaces).zip(counts).map(sight).collect();
+        (Self { sights, weight, believed: 1.0 }, slopes)
     }
 
     /// From now on, believes only cameras with a surface in at least this share of their pictures, 0..=1. Where many
@@ -95,7 +189,10 @@ impl Observer {
     /// themselves: all are believed, nothing is hidden from them, and they have the weight 1.
     pub(super) fn near(&self, center: DVec3, radius: f64, sees_through: bool) -> Near<'_> {
         let counts = |sight: &Sight| sight.counts && (sees_through || sight.is_believed);
-        let may_see = |sight: &&Sight| counts(sight) && sight.frustum.touches(center, radius);
+        let reaches =
+            |sight: &Sight| sees_through || sight.reach.is_none_or(|reach| reach.touches(center, radius));
+        let may_see =
+            |sight: &&Sight| counts(sight) && reaches(sight) && sight.frustum.touches(center, radius);
         let sights = self.sights.iter().filter(may_see).collect();
         let weight = if sees_through { 1.0 } else { self.weight * self.believed.powi(2) };
         Near { sights, weight, sees_through }
@@ -106,23 +203,9 @@ impl Observer {
         self.sights.iter().map(|sight| sight.shown)
     }
 
-    /// Median of [`Self::shown`]; `None` without cameras.
-    pub(super) fn shown_mostly(&self) -> Option<f64> {
-        median(self.shown().collect(), f64::total_cmp)
-    }
-
     /// Points on the surface in the picture of each camera: one for every second pixel of every second row.
     pub(super) fn surfaces(&self) -> impl Iterator<Item = Vec<DVec3>> {
         self.sights.iter().map(|sight| sight.surface.as_ref().map_or(Vec::new(), Surface::points))
-    }
-
-    /// Width that a pixel covers on the ground, world units: the median of all cameras. `None` if none sees ground.
-    pub(super) fn pixel_m(&self) -> Option<f64> {
-        let width = |sight: &Sight| {
-            let shown = sight.surface.as_ref()?.depth.iter().copied().filter(|depth| *depth > 0.0).collect();
-            Some(f64::from(median(shown, f32::total_cmp)?) / sight.focal2_px.sqrt())
-        };
-        median(self.sights.iter().filter_map(width).collect(), f64::total_cmp)
     }
 }
 
@@ -146,15 +229,16 @@ impl Near<'_> {
 }
 
 impl Sight {
-    /// `known` has the poses of the model's earlier cameras.
-    fn new(camera: &Camera, surface: Option<Surface>, known: &mut BTreeSet<[u64; 7]>) -> Self {
+    /// `counts` is false if an earlier camera of the model has almost the same view.
+    fn new(camera: &Camera, surface: Option<Surface>, counts: bool) -> Self {
         Self {
             frustum: Frustum::new(camera),
             eye: camera.cam_from_world.center(),
             focal2_px: camera.focal_px.x * camera.focal_px.y,
-            counts: known.insert(camera.cam_from_world.bits()),
+            counts,
             is_believed: true,
             shown: surface.as_ref().map_or(0.0, Surface::share),
+            reach: surface.as_ref().map(Surface::reach),
             surface,
         }
     }
@@ -172,9 +256,27 @@ impl Surface {
         Ok(Self { camera, depth: renderer.try_render(&camera)?.depth })
     }
 
+    /// Median depth of the surface, world units; `None` if there is none.
+    fn median_depth(&self) -> Option<f64> {
+        let shown = self.depth.iter().copied().filter(|depth| *depth > 0.0).collect();
+        median(shown, f32::total_cmp).map(f64::from)
+    }
+
     fn share(&self) -> f64 {
         let shown = self.depth.iter().filter(|depth| **depth > 0.0).count();
         shown as f64 / self.depth.len().max(1) as f64
+    }
+
+    /// A box around the camera and all that it sees.
+    fn reach(&self) -> Reach {
+        let eye = self.camera.cam_from_world.center();
+        let far = FAR_END * f64::from(self.depth.iter().copied().fold(0.0, f32::max));
+        let [width, height] = self.camera.size_px.map(f64::from);
+        let corners_px = [[0.0, 0.0], [width, 0.0], [0.0, height], [width, height]].map(DVec2::from);
+        corners_px.into_iter().fold(Reach { low: eye, high: eye }, |Reach { low, high }, corner_px| {
+            let corner = self.camera.unproject(corner_px, far);
+            Reach { low: low.min(corner), high: high.max(corner) }
+        })
     }
 
     /// Whether `place` lies on the surface or in front of it. In front of it, the camera sees that nothing is there.

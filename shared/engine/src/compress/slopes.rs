@@ -6,12 +6,13 @@ use std::collections::HashMap;
 
 use cosurf_scene::Splats;
 use glam::{DMat3, DQuat, DVec3};
+use serde::{Deserialize, Serialize};
 
 /// Splats with a lower opacity are invisible: no pixel of an 8-bit picture shows them.
 const OPACITY_MIN: f64 = 1.0 / 255.0;
 
 /// For each cube with splats, the sum of `w n nᵀ` over its splats, where n is the normal and w the visible area.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Slopes {
     /// Side of a cube, world units.
     side: f64,
@@ -19,16 +20,25 @@ pub(super) struct Slopes {
 }
 
 impl Slopes {
-    /// No splats yet. `side` is the side of a cube, world units, above 0.
-    pub(super) fn new(side: f64) -> Self {
-        Self { side, cubes: HashMap::new() }
-    }
-
-    /// Adds the splats of a model.
-    pub(super) fn add(&mut self, splats: &Splats) {
+    /// The slopes of a model. `side` is the side of a cube, world units, above 0.
+    pub(super) fn of(splats: &Splats, side: f64) -> Self {
+        let mut slopes = Self { side, cubes: HashMap::new() };
         for i in 0..splats.len() {
             let mean = DVec3::from_array(splats.means[i].map(f64::from));
-            *self.cubes.entry(self.cube(mean)).or_insert(DMat3::ZERO) += facing(splats, i, self.side);
+            *slopes.cubes.entry(slopes.cube(mean)).or_insert(DMat3::ZERO) += facing(splats, i, side);
+        }
+        slopes
+    }
+
+    /// Side of a cube, world units.
+    pub(super) fn side(&self) -> f64 {
+        self.side
+    }
+
+    /// Adds the slopes of another model, with cubes of the same side.
+    pub(super) fn add(&mut self, other: &Self) {
+        for (cube, sum) in &other.cubes {
+            *self.cubes.entry(*cube).or_insert(DMat3::ZERO) += *sum;
         }
     }
 
@@ -67,8 +77,7 @@ mod tests {
     fn flat_ground_looks_smaller_from_the_side_and_unknown_ground_does_not() {
         let mut splats = Splats::with_capacity(1, 0);
         splats.push([1.0, 1.0, 1.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -5.0], 3.0, &[0.0; 3]);
-        let mut slopes = Slopes::new(4.0);
-        slopes.add(&splats);
+        let slopes = Slopes::of(&splats, 4.0);
         let seen = |x: f64, ray: DVec3| slopes.foreshortening(DVec3::new(x, 1.0, 1.0), ray);
         assert!((seen(1.0, -3.0 * DVec3::Z) - 1.0).abs() < 1e-9);
         assert!((seen(1.0, DVec3::new(1.0, 0.0, -1.0)) - 0.5f64.sqrt()).abs() < 1e-9);
@@ -83,8 +92,7 @@ mod tests {
         for quat in [[1.0, 0.0, 0.0, 0.0], [half, half, 0.0, 0.0], [half, 0.0, half, 0.0]] {
             splats.push([1.0; 3], quat, [0.0, 0.0, -5.0], 3.0, &[0.0; 3]);
         }
-        let mut slopes = Slopes::new(4.0);
-        slopes.add(&splats);
+        let slopes = Slopes::of(&splats, 4.0);
         for ray in [DVec3::X, DVec3::Z, DVec3::new(1.0, 2.0, -3.0)] {
             let share = slopes.foreshortening(DVec3::ONE, ray);
             assert!((share - (1.0f64 / 3.0).sqrt()).abs() < 1e-6, "{share}");

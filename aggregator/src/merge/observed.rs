@@ -1,0 +1,136 @@
+//! What the cameras of all models observed, in a file. For some place, only the observations of the models with cameras
+//! that may see it are read, so the memory does not grow with the site.
+
+use cosurf_engine::compress::shown_min;
+use cosurf_engine::{Observations, Observers, Reach};
+use cosurf_link::Model;
+use cosurf_scene::{Camera, Frustum};
+use glam::DVec3;
+use tracing::info_span;
+
+use super::computer::Computer;
+use super::error::MergeError;
+use super::locals::Surveyed;
+use super::scratch::{Record, Records, Scratch};
+
+/// The observations of all models.
+#[derive(Debug)]
+pub(super) struct Observed<'a> {
+    cameras: &'a [Vec<Camera>],
+    records: Records,
+    models: Vec<Its>,
+    /// Share of its picture in which a camera that is believed shows a surface.
+    shown_min: f64,
+    /// True to judge by the cameras alone.
+    as_announced: bool,
+}
+
+/// What stays in memory of the observations of a model.
+#[derive(Debug)]
+struct Its {
+    record: Record,
+    weight: f64,
+    reaches: Vec<Reach>,
+    shown: Vec<f64>,
+    are_new: Vec<bool>,
+}
+
+impl<'a> Observed<'a> {
+    /// Renders what the cameras of all models see. Devices that prune their models before upload judge by the cameras
+    /// alone. If any model was pruned, the aggregator uses the same rule, so that it assigns no place to a model that
+    /// has already dropped it.
+    pub(super) fn of(
+        surveyed: &'a Surveyed,
+        computer: &Computer,
+        scratch: &Scratch,
+    ) -> Result<Self, MergeError> {
+        let _span = info_span!("observe").entered();
+        let locals = surveyed.locals;
+        let (mut records, mut models, mut slope_m) = (scratch.records()?, Vec::new(), None);
+        for i in 0..locals.count() {
+            let Model { splats, cameras } = locals.load(i)?;
+            let Computer { device, threads } = computer;
+            let observations = Observations::of(&splats, &cameras, slope_m, device, *threads)?;
+            slope_m = slope_m.or(observations.slope_m());
+            models.push(Its {
+                record: records.put(&observations)?,
+                weight: locals.weight(i),
+                reaches: observations.reaches(),
+                shown: observations.shown(),
+                are_new: observations.are_new(),
+            });
+        }
+        let shown_min = shown_min(models.iter().map(|its| its.shown.as_slice()));
+        let as_announced = (0..locals.count()).any(|i| locals.is_compressed(i));
+        Ok(Self { cameras: &surveyed.cameras, records, models, shown_min, as_announced })
+    }
+
+    /// The models with cameras that may see some point within `radius` of `center`, ascending.
+    pub(super) fn near(&self, center: DVec3, radius: f64) -> Vec<usize> {
+        let is_near = |local: &usize| {
+            let cameras = self.cameras[*local].iter().enumerate();
+            cameras.into_iter().any(|(i, camera)| {
+                let reaches = self.as_announced || self.reaches(*local, i, center, radius);
+                reaches && Frustum::new(camera).touches(center, radius)
+            })
+        };
+        (0..self.models.len()).filter(is_near).collect()
+    }
+
+    /// Whether the surface that a camera sees, or what lies in front of it, comes within `radius` of `center`.
+    pub(super) fn reaches(&self, local: usize, camera: usize, center: DVec3, radius: f64) -> bool {
+        self.models[local].reaches[camera].touches(center, radius)
+    }
+
+    /// The observations of a model.
+    pub(super) fn load(&self, local: usize) -> Result<Observations, MergeError> {
+        Ok(self.records.get(self.models[local].record)?)
+    }
+
+    /// For each camera of a model: the share of its picture in which the model shows a surface, 0..=1.
+    pub(super) fn shown(&self, local: usize) -> &[f64] {
+        &self.models[local].shown
+    }
+
+    /// For each camera of a model: false if an earlier one has almost the same view.
+    pub(super) fn are_new(&self, local: usize) -> &[bool] {
+        &self.models[local].are_new
+    }
+
+    /// The observations of the model `own`, and of all models with cameras that may see some point within `radius` of
+    /// `center`. Also returns the place of `own` among them.
+    pub(super) fn around(
+        &self,
+        own: usize,
+        center: DVec3,
+        radius: f64,
+    ) -> Result<(Observers, usize), MergeError> {
+        let mut locals = self.near(center, radius);
+        let place = locals.binary_search(&own).unwrap_or_else(|place| {
+            locals.insert(place, own);
+            place
+        });
+        let mut observers = Observers::default();
+        for local in locals {
+            observers.add_observed(self.load(local)?, self.models[local].weight);
+        }
+        observers.believe(self.shown_min);
+        if self.as_announced {
+            observers.judge_as_announced();
+        }
+        Ok((observers, place))
+    }
+
+    /// How well a model observed the surface in the pictures of its own cameras, compared with the model that observed
+    /// it best: [`Observers::standings`].
+    pub(super) fn standings(&self, own: usize) -> Result<Vec<f64>, MergeError> {
+        let none = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+        let reaches = self.models[own].reaches.iter();
+        let (low, high) = reaches.fold(none, |(low, high), its| (low.min(its.low), high.max(its.high)));
+        if self.models[own].reaches.is_empty() {
+            return Ok(Vec::new());
+        }
+        let (observers, place) = self.around(own, 0.5 * (low + high), 0.5 * low.distance(high))?;
+        Ok(observers.standings(place))
+    }
+}
