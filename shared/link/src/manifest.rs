@@ -14,7 +14,7 @@ use crate::body::BodyFault;
 pub struct Manifest {
     /// The tiles. A tile that has not changed keeps its number.
     pub tiles: Vec<TileEntry>,
-    /// Which tiles each device gets.
+    /// Which tiles each device gets. A device that is not listed gets its tiles with a later revision.
     pub receivers: Vec<Receiver>,
 }
 
@@ -53,6 +53,11 @@ impl Manifest {
     pub fn of(&self, device: DeviceId) -> impl Iterator<Item = &TileEntry> {
         let its = self.receivers.iter().filter(move |receiver| receiver.device == device);
         its.flat_map(|receiver| &receiver.tiles).map(|place| &self.tiles[*place as usize])
+    }
+
+    /// Whether the manifest tells which tiles `device` gets, even if there are none.
+    pub fn lists(&self, device: DeviceId) -> bool {
+        self.receivers.iter().any(|receiver| receiver.device == device)
     }
 
     /// Encodes the list as a body.
@@ -116,6 +121,8 @@ mod tests {
             |name: &str| decoded.of(DeviceId::new(name).unwrap()).map(|tile| tile.model).collect::<Vec<_>>();
         assert_eq!(of("a"), [0, 2].map(|index| ModelId::of_tile(ModelId(7), index)));
         assert!(of("b").is_empty() && of("c").is_empty());
+        let lists = |name: &str| decoded.lists(DeviceId::new(name).unwrap());
+        assert!(lists("b") && !lists("c"));
         assert_eq!((decoded.splats(), decoded.bounds().max), (3000, [3.0; 3]));
     }
 

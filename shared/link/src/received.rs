@@ -23,8 +23,11 @@ pub struct Received {
     ply: PathBuf,
     /// What is on disk.
     stored: BTreeMap<ModelKey, ModelHeader>,
-    /// The newest manifest, with the device's tiles in it.
+    /// The newest manifest that lists the device, with the device's tiles in it.
     manifest: Option<(ModelHeader, Vec<ModelKey>)>,
+    /// The newest revision that has become complete since the folder was opened: the header of its manifest or of the
+    /// whole model.
+    complete: Option<ModelHeader>,
 }
 
 /// A revision of the global model of which a device has all that is meant for it.
@@ -61,7 +64,38 @@ impl Received {
     ) -> Result<(Self, Vec<ModelHeader>), StoreError> {
         let (store, headers) = ModelStore::open(folder)?;
         let stored = headers.iter().map(|header| (ModelKey::from(header), *header)).collect();
-        Ok((Self { device, store, ply, stored, manifest: None }, headers))
+        Ok((Self { device, store, ply, stored, manifest: None, complete: None }, headers))
+    }
+
+    /// The folder of received models.
+    pub fn store(&self) -> &ModelStore {
+        &self.store
+    }
+
+    /// The newest revision that has become complete since the folder was opened: the header of its manifest or of the
+    /// whole model.
+    pub fn newest(&self) -> Option<ModelHeader> {
+        self.complete
+    }
+
+    /// The newest revision that was complete when the folder was opened.
+    pub fn newest_at_start(&self) -> Result<Option<ModelHeader>, StoreError> {
+        let revisions = self.stored.values().filter(|header| !header.model.is_tile());
+        let mut revisions: Vec<&ModelHeader> = revisions.collect();
+        revisions.sort_by_key(|header| std::cmp::Reverse(header.model));
+        for header in revisions {
+            if header.kind != ModelKind::Manifest {
+                return Ok(Some(*header));
+            }
+            let (_, body) = self.store.get(ModelKey::from(header))?;
+            let Ok(manifest) = Manifest::decode(&body) else { continue };
+            let key = |model| ModelKey { device: header.device, model };
+            let mut tiles = manifest.of(self.device);
+            if manifest.lists(self.device) && tiles.all(|tile| self.stored.contains_key(&key(tile.model))) {
+                return Ok(Some(*header));
+            }
+        }
+        Ok(None)
     }
 
     /// The revision of the newest manifest.
@@ -95,7 +129,7 @@ impl Received {
                 self.begin(node, header, &Manifest::decode(&body)?)
             }
             _ if header.model.is_tile() => Ok(None),
-            _ => Ok(Some(whole(&header))),
+            _ => Ok(Some(self.finish_whole(node, header))),
         }
     }
 
@@ -109,7 +143,7 @@ impl Received {
         if header.kind != ModelKind::Manifest && !key.model.is_tile() {
             ply::write(&self.ply, &body_to_model(body)?.splats)?;
             self.store.put(&header, body)?;
-            return Ok(Some(whole(&header)));
+            return Ok(Some(self.finish_whole(node, header)));
         }
         self.store.put(&header, body)?;
         self.stored.insert(key, header);
@@ -119,13 +153,25 @@ impl Received {
         }
     }
 
-    /// Begins to receive the tiles of a manifest.
+    /// Notes that a whole model is complete. Tiles of an older revision that are still on their way must not replace it.
+    fn finish_whole(&mut self, node: &mut Node, header: ModelHeader) -> Complete {
+        self.manifest = None;
+        node.expect_tiles(BTreeMap::new());
+        self.complete = Some(header);
+        Complete { revision: header.model, splats: header.splats as usize }
+    }
+
+    /// Begins to receive the tiles of a manifest. A manifest that does not list the device was made before the aggregator
+    /// had a model of the device, so a later one follows.
     fn begin(
         &mut self,
         node: &mut Node,
         header: ModelHeader,
         manifest: &Manifest,
     ) -> Result<Option<Complete>, ReceiveError> {
+        if !manifest.lists(self.device) {
+            return Ok(None);
+        }
         let key = |model| ModelKey { device: header.device, model };
         let wanted: BTreeMap<ModelKey, BodyHash> =
             manifest.of(self.device).map(|tile| (key(tile.model), tile.blake3)).collect();
@@ -142,6 +188,10 @@ impl Received {
             return Ok(None);
         }
         let splats = tiles.iter().map(|tile| tile.splats as usize).sum();
+        let complete = Complete { revision: manifest.model, splats };
+        if self.complete == Some(*manifest) {
+            return Ok(Some(complete));
+        }
         if let Some(first) = tiles.first() {
             let load = |tile: &ModelHeader| {
                 let (_, body) = self.store.get(ModelKey::from(tile)).map_err(io::Error::other)?;
@@ -161,10 +211,7 @@ impl Received {
             self.store.remove(key)?;
             self.stored.remove(&key);
         }
-        Ok(Some(Complete { revision: manifest.model, splats }))
+        self.complete = self.manifest.as_ref().map(|(header, _)| *header);
+        Ok(Some(complete))
     }
-}
-
-fn whole(header: &ModelHeader) -> Complete {
-    Complete { revision: header.model, splats: header.splats as usize }
 }
