@@ -7,9 +7,11 @@
 //! |---|---|
 //! | `models/` | every local model as it arrived |
 //! | `parts/` | the parts of unfinished uploads that the last merge used: [`crate::merge::fill_in()`] |
-//! | `global/` | every revision of the global model, as sent to the agents |
+//! | `global/` | every revision of the global model |
 //! | `global.ply` | the newest revision, for viewers |
 //! | `merged.json` | what the newest revision was merged from, and how |
+//! | `sent/` | the tiles of the newest revision, if it is too large to be sent whole |
+//! | `handed/` | what the agents get of the model of the aggregator above, if there is one: [`above`] |
 //! | `withdrawn/` | a file for each withdrawn device, with the number of its last model that no longer counts |
 //! | `upstream/` | models from the aggregator above, if there is one: [`upstream`] |
 //! | `session` | the number of the last session |
@@ -27,9 +29,10 @@
 //! their messages.
 //!
 //! Where to start reading: [`serve()`], all that `cosurf-aggregator run` does; [`Service`], the loop; [`keeper`] for
-//! the service's state and actions, [`round`] for when models are merged, [`upstream`] for an aggregator below another
-//! one.
+//! the service's state and actions, [`round`] for when models are merged, [`upstream`] and [`above`] for an aggregator
+//! below another one.
 
+mod above;
 mod config;
 mod control;
 mod cut;
@@ -43,6 +46,7 @@ mod rebroadcast;
 mod receive;
 mod record;
 mod round;
+mod sent;
 mod serve;
 mod shelf;
 mod station;
@@ -50,6 +54,7 @@ mod station;
 mod tests;
 mod upstream;
 
+pub(crate) use above::AboveLink;
 pub use config::{AggregatorConfig, UpstreamConfig};
 pub(crate) use control::BROKER_ATTEMPTS_MAX;
 pub use control::{Command, ServiceConfig};

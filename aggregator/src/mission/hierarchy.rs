@@ -5,6 +5,7 @@
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::Sender;
+use std::time::Duration;
 
 use cosurf_link::{BrokerAddress, Credentials, Identity, InboxLimits, MqttConfig, Role};
 use cosurf_wire::{DeviceId, ModelHeader, SiteId};
@@ -13,11 +14,17 @@ use super::error::MissionError;
 use super::order::{MissionOrder, Surroundings};
 use super::plan::{Edge, Plan};
 use super::signal::Signal;
-use crate::service::{Expected, Service, ServiceConfig, ServiceError, Station, Upstream, UpstreamNode};
+use crate::service::{
+    AboveLink, Expected, Service, ServiceConfig, ServiceError, Station, Upstream, UpstreamNode,
+};
 
 /// Limit on the bytes of all concurrent uploads to an aggregator; further uploads wait. A single larger model is
 /// refused.
 const INBOX_BYTES_MAX: u64 = 1 << 30;
+/// Longest time that the agents of an edge wait for the root's global model before they get the edge's.
+const ROOT_WAIT: Duration = Duration::from_secs(3600);
+/// Number of models from the root that an edge remembers. The root's model may come in many tiles.
+const FROM_ROOT_MAX: usize = 4096;
 
 /// The folder of an edge inside `out`, the folder of the mission.
 pub(crate) fn edge_folder(out: &Path, edge: &Edge) -> PathBuf {
@@ -60,10 +67,13 @@ impl Hierarchy {
         say: &Sender<Signal>,
     ) -> Result<Self, MissionError> {
         let aggregator = DeviceId::new("aggregator")?;
-        let serve = |post, site: SiteId, folder: PathBuf, below: Vec<DeviceId>| {
+        let serve = |post, site: SiteId, folder: PathBuf, below: Vec<DeviceId>, root: Option<AboveLink>| {
             let identity =
                 Identity { site, device: aggregator, session: around.session, role: Role::Aggregator };
-            let service = Service::open(service_config(order, identity, folder, below, around.cores))?;
+            let mut service = Service::open(service_config(order, identity, folder, below, around.cores))?;
+            if let Some(root) = root {
+                service = service.below(root, ROOT_WAIT);
+            }
             let tell = say.clone();
             let tell = move |event| {
                 let _ = tell.send(Signal::Service { post, event }); // fails only after the end of the mission
@@ -78,8 +88,9 @@ impl Hierarchy {
         };
         let start_edge = |(i, edge): (usize, &Edge)| {
             let folder = edge_folder(&order.out, edge);
-            let upstream = start_upstream(i, edge, &folder, plan, around, address, say)?;
-            let station = Some(serve(1 + i, edge.site, folder, plan.devices[edge.agents.clone()].to_vec())?);
+            let (upstream, root) = start_upstream(i, edge, &folder, plan, around, address, say)?;
+            let agents = plan.devices[edge.agents.clone()].to_vec();
+            let station = Some(serve(1 + i, edge.site, folder, agents, Some(root))?);
             Ok::<RunningEdge, ServiceError>(RunningEdge {
                 device: edge.device,
                 agents: edge.agents.clone(),
@@ -92,7 +103,7 @@ impl Hierarchy {
             false => plan.edges.iter().map(|edge| edge.device).collect(),
         };
         Ok(Self {
-            top: serve(0, plan.site, order.out.clone(), below)?,
+            top: serve(0, plan.site, order.out.clone(), below, None)?,
             edges: plan.edges.iter().enumerate().map(start_edge).collect::<Result<_, _>>()?,
         })
     }
@@ -108,6 +119,14 @@ impl Hierarchy {
             Some(RunningEdge { station: Some(station), .. }) => station.give_up(device),
             Some(_) => {}
             None => self.top.give_up(device),
+        }
+    }
+
+    /// Tells the root not to wait for the model of the edge at `post` any longer; does nothing if `post` is the root. The
+    /// agents of the other edges wait for the root's model.
+    pub(crate) fn give_up_edge(&self, post: usize) {
+        if let Some(edge) = post.checked_sub(1).and_then(|edge| self.edges.get(edge)) {
+            self.top.give_up(edge.device);
         }
     }
 
@@ -167,7 +186,7 @@ fn limits(devices: usize) -> InboxLimits {
     }
 }
 
-/// Starts the upstream link of edge `i`.
+/// Starts the upstream link of edge `i`. Also returns its service's end of the link.
 fn start_upstream(
     i: usize,
     edge: &Edge,
@@ -176,18 +195,15 @@ fn start_upstream(
     around: &Surroundings,
     address: &BrokerAddress,
     say: &Sender<Signal>,
-) -> Result<Upstream, ServiceError> {
+) -> Result<(Upstream, AboveLink), ServiceError> {
     let identity =
         Identity { site: plan.site, device: edge.device, session: around.session, role: Role::Device };
-    let node = UpstreamNode::open(identity, Credentials::default(), folder, limits(1))?;
+    let limits = InboxLimits { stored_max: FROM_ROOT_MAX, ..limits(1) };
+    let (node, root) = UpstreamNode::open(identity, Credentials::default(), folder, limits)?;
     let link = MqttConfig { broker: address.clone(), identity, tls: None };
     let (now, tell) = (around.now.clone(), say.clone());
-    Ok(Upstream::start(
-        node,
-        link,
-        move || now(),
-        move |event| {
-            let _ = tell.send(Signal::Upstream { edge: i, event }); // fails only after the end of the mission
-        },
-    ))
+    let tell = move |event| {
+        let _ = tell.send(Signal::Upstream { edge: i, event }); // fails only after the end of the mission
+    };
+    Ok((Upstream::start(node, link, move || now(), tell), root))
 }

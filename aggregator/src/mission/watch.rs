@@ -9,7 +9,7 @@ use super::board::{Phase, Status};
 use super::error::MissionError;
 use super::hierarchy::Hierarchy;
 use super::order::Surroundings;
-use super::plan::Plan;
+use super::plan::{Edge, Plan};
 use super::progress::Progress;
 use super::signal::Signal;
 use crate::service::{BROKER_ATTEMPTS_MAX, ServiceEvent, UpstreamEvent};
@@ -108,6 +108,14 @@ impl<'a> Watch<'a> {
             hierarchy.give_up(event.agent, device);
         }
         self.progress.show(event, status);
+        let have_failed = |edge: &Edge| {
+            let mut agents = self.board[edge.agents.clone()].iter();
+            edge.agents.contains(&event.agent)
+                && agents.all(|status| matches!(status.phase, Phase::Failed { .. }))
+        };
+        if let Some(edge) = self.plan.edges.iter().position(have_failed) {
+            hierarchy.give_up_edge(1 + edge);
+        }
     }
 
     fn take_service(
@@ -130,6 +138,7 @@ impl<'a> Watch<'a> {
                 return Err(MissionError::Disk { reason: reason.clone() });
             }
             ServiceEvent::Merged { header, .. } => hierarchy.send_up(post, *header),
+            ServiceEvent::NothingMerged { .. } => hierarchy.give_up_edge(post),
             _ => {}
         }
         let name = match post.checked_sub(1) {

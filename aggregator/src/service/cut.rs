@@ -15,7 +15,8 @@ pub(super) const WHOLE_SPLATS_MAX: usize = 250_000;
 /// two million splats, a device whose ground is a twentieth of the site got half of the site in tiles of 250,000 splats,
 /// because its ground touched the corners of four.
 const TILES_IN_WHOLE: usize = 4;
-/// A device gets a tile if at least this share of the device's splats lie there.
+/// A device gets a tile if at least this share of the device's splats lie there, or as many as this share of the tile's
+/// splats: of an edge, a tile may be the ground of one of its devices.
 const SHARE_MIN: f64 = 0.01;
 
 /// A global model in tiles.
@@ -54,20 +55,28 @@ impl Cut {
             Ok(model_to_body(&splats, &[], FirstLayer::ByImportance(&importance))?)
         };
         let bodies = members.iter().map(encode).collect::<Result<_, MergeError>>()?;
+        let sizes: Vec<usize> = members.iter().map(Vec::len).collect();
         let gets = |local: Result<(DeviceId, Splats), MergeError>| {
-            local.map(|(device, splats)| (device, observed(&ground, &splats)))
+            let find = |mean| ground.tile(mean);
+            local.map(|(device, splats)| (device, observed(&sizes, &splats.means, find)))
         };
         Ok(Self { bodies, receivers: locals.map(gets).collect::<Result<_, _>>()? })
     }
 }
 
-/// The tiles with at least [`SHARE_MIN`] of a device's splats.
-fn observed(ground: &Ground, splats: &Splats) -> Vec<u32> {
-    let mut counts = vec![0usize; ground.tiles()];
-    for tile in splats.means.iter().filter_map(|mean| ground.tile(*mean)) {
+/// The tiles in which a device has ground. `sizes` has the number of splats of each tile, `means` those of the device's
+/// model, and `tile` finds the tile of a mean.
+pub(super) fn observed(
+    sizes: &[usize],
+    means: &[[f32; 3]],
+    tile: impl Fn([f32; 3]) -> Option<usize>,
+) -> Vec<u32> {
+    let mut counts = vec![0usize; sizes.len()];
+    for tile in means.iter().filter_map(|mean| tile(*mean)) {
         counts[tile] += 1;
     }
-    let least = SHARE_MIN * splats.len() as f64;
-    let is_observed = |place: &u32| counts[*place as usize] > 0 && counts[*place as usize] as f64 >= least;
-    (0..ground.tiles() as u32).filter(is_observed).collect()
+    let least = |size: usize| SHARE_MIN * means.len().min(size) as f64;
+    let is_observed = |(count, size): (&usize, &usize)| *count > 0 && *count as f64 >= least(*size);
+    let tiles = counts.iter().zip(sizes).map(is_observed);
+    (0u32..).zip(tiles).filter(|(_, is_observed)| *is_observed).map(|(place, _)| place).collect()
 }

@@ -42,6 +42,11 @@ pub(super) fn sent_tiles(folder: &Path) -> PathBuf {
     folder.join("sent")
 }
 
+/// Folder of what devices get of the global model of the aggregator above, inside the folder of a service.
+pub(super) fn handed_on(folder: &Path) -> PathBuf {
+    folder.join("handed")
+}
+
 /// File of the newest global model for viewers, inside the folder of a service.
 pub fn global_ply(folder: &Path) -> PathBuf {
     folder.join("global.ply")

@@ -1,25 +1,27 @@
 //! State and actions of a service. The disk is authoritative: a restarted service reads models, revisions and
 //! withdrawals back from its folder.
 
-use std::collections::{BTreeSet, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, TryRecvError};
 use std::time::Duration;
 
-use cosurf_link::{ModelKey, ModelStore, Node, NodeEvent, Offer};
+use cosurf_link::{ModelKey, ModelStore, Node, NodeEvent, Offer, Receiver as Listed};
 use cosurf_scene::ply;
 use cosurf_wire::{DeviceId, ModelHeader, ModelId, ModelKind, RefusalReason, TileId};
 
+use super::above::{Above, AboveLink};
 use super::control::{Command, ServiceConfig};
-use super::cut::WHOLE_SPLATS_MAX;
+use super::cut::{Cut, WHOLE_SPLATS_MAX};
 use super::error::ServiceError;
 use super::event::ServiceEvent;
-use super::folder::{global_ply, global_store, sent_tiles, tiles};
+use super::folder::{global_ply, global_store, handed_on, sent_tiles, tiles};
 use super::job::{Inputs, Job, JobState, Made, Outcome, TileWork};
 use super::rebroadcast::Rebroadcast;
 use super::record::{Input, KeptOut, Merging, Verdict, remove_global};
 use super::round::{Expected, Round};
+use super::sent::{Revision, Sent, TileBytes};
 use super::shelf::Shelf;
 
 use crate::merge::{MergeError, MergeSettings, Merged, keep_only};
@@ -49,7 +51,12 @@ pub(super) struct Keeper {
     globals: ModelStore,
     /// Who distils tiles. Their results are kept, so that a merge need not distil again what has not changed.
     pub(super) work: TileWork,
-    /// The tiles that devices get of a large global model.
+    /// The tiles of the global model, if it is too large to be sent whole.
+    sent: Sent,
+    /// What devices get of the global model of the aggregator above.
+    handed: Sent,
+    /// The aggregator above, if there is one.
+    above: Option<Above>,
     rebroadcast: Rebroadcast,
     withdrawals_at: Duration,
     global: Option<ModelHeader>,
@@ -75,14 +82,17 @@ impl Keeper {
         let (shelf, headers) = Shelf::open(&config.folder)?;
         let (globals, revisions) = ModelStore::open(&global_store(&config.folder))?;
         let results = Store::in_folder(&tiles(&config.folder)).map_err(MergeError::from)?;
-        let rebroadcast = Rebroadcast::open(&sent_tiles(&config.folder))?;
+        let [sent, handed] = [sent_tiles, handed_on].map(|folder| Sent::open(&folder(&config.folder)));
         let keeper = Self {
             device: config.identity.device,
             folder: config.folder,
             shelf,
             globals,
             work: TileWork { results, queue: None, whole_splats_max: WHOLE_SPLATS_MAX },
-            rebroadcast,
+            sent: sent?,
+            handed: handed?,
+            above: None,
+            rebroadcast: Rebroadcast::default(),
             withdrawals_at: Duration::ZERO,
             global: revisions.into_iter().max_by_key(|header| header.model),
             expected: config.expected,
@@ -101,6 +111,12 @@ impl Keeper {
     /// Lets workers distil the tiles of merges. Their results are kept in `results`, which nobody else may use.
     pub(super) fn employ(&mut self, results: Store, queue: Queue) {
         (self.work.results, self.work.queue) = (results, Some(Arc::new(queue)));
+    }
+
+    /// Hands the global model of the aggregator above on to the devices. Revisions of the service's own wait for the next
+    /// model from above, at most for `wait`.
+    pub(super) fn follow(&mut self, link: AboveLink, wait: Duration) {
+        self.above = Some(Above::new(link, wait));
     }
 
     /// The models that would be merged now: the newest of each device.
@@ -208,6 +224,10 @@ impl Keeper {
         if now < self.retry_at {
             return None;
         }
+        if let Err(error) = self.follow_above(node, now) {
+            let is_outdated = self.above.as_mut().is_some_and(Above::forget_newest);
+            return (!is_outdated).then(|| self.disk_failed(&error, now));
+        }
         let done = self.withdraw_when_due(node, now).transpose().or_else(|| {
             self.begin_when_due(node, now);
             self.publish_when_done(node, now).transpose()
@@ -246,7 +266,11 @@ impl Keeper {
     /// so that the next revision has a higher number.
     fn withdraw_global(&mut self, node: &mut Node) -> Result<(), ServiceError> {
         keep_only(&self.work.results, &[])?;
-        self.rebroadcast.clear(node)?;
+        self.rebroadcast.stop(node);
+        self.sent.clear()?;
+        if let Some(above) = &mut self.above {
+            above.stop_waiting();
+        }
         if remove_global(&self.folder)? {
             node.withdraw_global(TileId::WHOLE);
             self.told.push_back(ServiceEvent::GlobalWithdrawn);
@@ -288,6 +312,7 @@ impl Keeper {
         record.inputs == recorded(inputs)
             && record.settings == self.merge
             && self.global.is_some_and(|global| global.model.0 == record.revision)
+            && !self.is_outnumbered()
             && global_ply(&self.folder).is_file()
     }
 
@@ -298,7 +323,7 @@ impl Keeper {
         now: Duration,
     ) -> Result<Option<ServiceEvent>, ServiceError> {
         if self.to_offer {
-            return self.offer_again(node).map(Some);
+            return self.offer_again(node, now).map(Some);
         }
         let Some((job, begun)) = &mut self.job else { return Ok(None) };
         let outcome = match job.poll() {
@@ -317,15 +342,14 @@ impl Keeper {
             }
             return Ok(Some(ServiceEvent::NothingMerged { kept_out }));
         };
-        let offer = self.keep(node, made, &inputs, verdict, seconds)?;
-        self.broadcast(node, offer, inputs.headers().count(), kept_out).map(Some)
+        let offer = self.keep(made, &inputs, verdict, seconds)?;
+        self.broadcast(node, now, offer, inputs.headers().count(), kept_out).map(Some)
     }
 
     /// Writes a merged model to the disk: the revision, its record, and the PLY file for viewers. If the
     /// bytes are those of the newest revision, that revision stays.
     fn keep(
         &mut self,
-        node: &mut Node,
         Made { merged, body, cut }: Made,
         inputs: &Inputs,
         Verdict { kept_out, fitted, fits }: Verdict,
@@ -333,11 +357,12 @@ impl Keeper {
     ) -> Result<Offer, ServiceError> {
         let Merged { model, tiles, summary } = merged;
         let views = inputs.headers().fold(0u32, |views, header| views.saturating_add(header.views));
-        let newest = self.global.map(|global| global.model).max(self.rebroadcast.newest());
-        let next = ModelId(newest.map_or(1, |newest| newest.0 + 1));
+        let next = self.next_number();
         let mut offer = Offer::from_body(self.device, next, ModelKind::Global, views, body)?;
         match self.global {
-            Some(global) if global.blake3 == offer.header.blake3 => offer.header = global,
+            Some(global) if global.blake3 == offer.header.blake3 && !self.is_outnumbered() => {
+                offer.header = global;
+            }
             _ => self.globals.put(&offer.header, &offer.body)?,
         }
         self.global = Some(offer.header);
@@ -348,40 +373,137 @@ impl Keeper {
             .write(&self.folder)?;
         keep_only(&self.work.results, &tiles)?;
         match cut {
-            Some(cut) => self.rebroadcast.keep(self.device, next, views, cut)?,
-            None => self.rebroadcast.clear(node)?,
+            Some(Cut { bodies, receivers }) => {
+                let mut listed = self.without_tiles();
+                listed.extend(receivers);
+                let listed = listed.into_iter().map(|(device, tiles)| Listed { device, tiles }).collect();
+                let revision = Revision { device: self.device, number: next, views, beyond: None };
+                self.sent.keep_tiles(revision, bodies.into_iter().map(TileBytes::Here).collect(), listed)?;
+            }
+            None => self.sent.clear()?,
         }
         Ok(offer)
     }
 
+    /// The devices that a manifest lists even if they get no tiles, so that they do not wait for a later one.
+    fn without_tiles(&self) -> BTreeMap<DeviceId, Vec<u32>> {
+        let senders = self.shelf.newest().into_iter().map(|header| header.device);
+        senders.chain(self.shelf.withdrawn_devices()).map(|device| (device, Vec::new())).collect()
+    }
+
+    /// The highest number of the service's own revisions.
+    fn own_number(&self) -> Option<ModelId> {
+        self.global.map(|global| global.model).max(self.sent.number())
+    }
+
+    /// The number of the next revision that devices get, of the service's own or from above.
+    fn next_number(&self) -> ModelId {
+        self.own_number().max(self.handed.number()).map_or(ModelId(1), |newest| ModelId(newest.0 + 1))
+    }
+
+    /// Whether devices have a model of an aggregator above that is no longer configured, with a higher number than the
+    /// service's own.
+    fn is_outnumbered(&self) -> bool {
+        self.above.is_none() && self.handed.number() > self.own_number()
+    }
+
+    /// Hands on what came from the aggregator above. Sends the service's own revision once it has waited long enough.
+    fn follow_above(&mut self, node: &mut Node, now: Duration) -> Result<(), ServiceError> {
+        let has_own = self.global.is_some() && !self.shelf.newest().is_empty();
+        let Some(above) = &mut self.above else { return Ok(()) };
+        if let Some((header, is_answer)) = above.take_news(has_own) {
+            self.hand_on(header, is_answer)?;
+        }
+        let Some(above) = &mut self.above else { return Ok(()) };
+        if above.advance(&self.shelf.stores().whole)? {
+            self.finish_handing_on(node)?;
+        } else if above.has_waited(now) {
+            self.send_own(node)?;
+        }
+        Ok(())
+    }
+
+    /// Begins to hand a model of the aggregator above on.
+    fn hand_on(&mut self, model: ModelHeader, is_answer: bool) -> Result<(), ServiceError> {
+        let others: Vec<DeviceId> = self.shelf.withdrawn_devices().collect();
+        let record = Merging::read(&self.folder);
+        let devices = self.shelf.newest();
+        let Some(above) = &mut self.above else { return Ok(()) };
+        above.begin(model, is_answer, devices, &others, record.as_ref())
+    }
+
+    fn finish_handing_on(&mut self, node: &mut Node) -> Result<(), ServiceError> {
+        let (own, next) = (self.own_number(), self.next_number());
+        let Some(above) = &mut self.above else { return Ok(()) };
+        if above.finish(&mut self.handed, self.device, own, next)? {
+            self.rebroadcast.begin(node, &self.handed, &self.receivers())?;
+        }
+        Ok(())
+    }
+
     /// Offers the newest revision again, as it is on the disk.
-    fn offer_again(&mut self, node: &mut Node) -> Result<ServiceEvent, ServiceError> {
+    fn offer_again(&mut self, node: &mut Node, now: Duration) -> Result<ServiceEvent, ServiceError> {
         let global = self.global.expect("a merged model has a revision");
         let (header, body) = self.globals.get(ModelKey::from(global))?;
         self.to_offer = false;
         let record = Merging::read(&self.folder);
         let (inputs, kept_out) =
             record.map(|record| (record.inputs.len(), record.kept_out)).unwrap_or_default();
-        self.broadcast(node, Offer { header, body }, inputs, kept_out)
+        self.broadcast(node, now, Offer { header, body }, inputs, kept_out)
     }
 
-    /// Offers a global model to all devices, whole or in tiles. [`ServiceEvent::Delivered`] follows once all devices that
+    /// Offers a global model to all devices, whole or in tiles. An edge offers what came from above if that is newer, or
+    /// waits for it. [`ServiceEvent::Delivered`] follows once all devices that
     /// sent a complete model and are not given up have stored what they get. `inputs` counts the models given to the
     /// merge, including those `kept_out`.
     fn broadcast(
         &mut self,
         node: &mut Node,
+        now: Duration,
         offer: Offer,
         inputs: usize,
         kept_out: Vec<KeptOut>,
     ) -> Result<ServiceEvent, ServiceError> {
         let header = offer.header;
-        let senders = self.shelf.newest().into_iter().map(|header| header.device);
-        let receivers: Vec<DeviceId> = senders.filter(|device| !self.given_up.contains(device)).collect();
-        if self.rebroadcast.begin(node, &receivers)?.is_none() {
-            node.broadcast(TileId::WHOLE, offer, &receivers);
+        let is_above_newer = self.handed.number() > self.own_number();
+        match &mut self.above {
+            Some(above) if is_above_newer => {
+                let model = above.newest();
+                self.rebroadcast.begin(node, &self.handed, &self.receivers())?;
+                if let Some(model) = model {
+                    self.hand_on(model, false)?;
+                }
+            }
+            above => {
+                if !above.as_mut().is_some_and(|above| above.waits(now)) {
+                    self.offer(node, offer)?;
+                }
+            }
         }
         Ok(ServiceEvent::Merged { header, models: inputs.saturating_sub(kept_out.len()), kept_out })
+    }
+
+    /// Offers the service's own newest revision to the devices, as it is on the disk.
+    fn send_own(&mut self, node: &mut Node) -> Result<(), ServiceError> {
+        let Some(global) = self.global else { return Ok(()) };
+        let (header, body) = self.globals.get(ModelKey::from(global))?;
+        self.offer(node, Offer { header, body })
+    }
+
+    /// Offers the service's own newest revision to the devices: in its tiles, if there are any, or whole.
+    fn offer(&mut self, node: &mut Node, whole: Offer) -> Result<(), ServiceError> {
+        let receivers = self.receivers();
+        match self.sent.newest() {
+            Some(_) => self.rebroadcast.begin(node, &self.sent, &receivers)?,
+            None => self.rebroadcast.begin_whole(node, whole, &receivers),
+        }
+        Ok(())
+    }
+
+    /// The devices that sent a complete model and are not given up.
+    fn receivers(&self) -> Vec<DeviceId> {
+        let senders = self.shelf.newest().into_iter().map(|header| header.device);
+        senders.filter(|device| !self.given_up.contains(device)).collect()
     }
 }
 

@@ -1,21 +1,19 @@
-//! The tiles of a global model that is too large to be sent whole: on disk, and on their way to the devices. Each device
-//! gets the manifest and then its tiles, one after the other. A tile that has not changed keeps its number, so a device
-//! that has it does not fetch it again.
+//! A global model on its way to the devices: whole to all of them, or in tiles. Each device gets the manifest and then its
+//! tiles, one after the other.
 
-use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
-use std::path::Path;
+use std::collections::{BTreeMap, VecDeque};
 
-use cosurf_link::{Manifest, ModelKey, ModelStore, Node, Offer, Receiver, TileEntry};
-use cosurf_wire::{BodyHash, DeviceId, ModelHeader, ModelId, ModelKind, TileId};
+use cosurf_link::{ModelKey, ModelStore, Node, Offer, TileEntry};
+use cosurf_wire::{DeviceId, TileId};
 
-use super::cut::Cut;
 use super::error::ServiceError;
+use super::sent::{Form, Sent};
 
-/// The tiles of the newest revision. There are none if it was sent whole.
-#[derive(Debug)]
+/// The tiles on their way, if a model is sent in tiles.
+#[derive(Debug, Default)]
 pub(super) struct Rebroadcast {
-    store: ModelStore,
-    manifest: Option<(ModelHeader, Manifest)>,
+    /// Where the tiles are.
+    store: Option<ModelStore>,
     /// The tiles that each device has not been offered yet.
     queues: BTreeMap<DeviceId, VecDeque<ModelKey>>,
     /// Whether the devices do not all have the manifest yet.
@@ -25,105 +23,37 @@ pub(super) struct Rebroadcast {
 }
 
 impl Rebroadcast {
-    /// Opens the folder of the tiles.
-    pub(super) fn open(folder: &Path) -> Result<Self, ServiceError> {
-        let (store, headers) = ModelStore::open(folder)?;
-        let manifests = headers.iter().filter(|header| header.kind == ModelKind::Manifest);
-        let newest = manifests.max_by_key(|header| header.model);
-        let read = |header: &ModelHeader| -> Result<_, ServiceError> {
-            let (header, body) = store.get(header.into())?;
-            Ok((header, Manifest::decode(&body)?))
-        };
-        let manifest = newest.map(read).transpose()?;
-        Ok(Self { store, manifest, queues: BTreeMap::new(), is_announcing: false, is_running: false })
-    }
-
-    /// Number of the newest manifest.
-    pub(super) fn newest(&self) -> Option<ModelId> {
-        self.manifest.as_ref().map(|(header, _)| header.model)
-    }
-
-    /// Writes the tiles of a new revision to the disk. If they and their receivers are those of the newest, that one
-    /// stays.
-    pub(super) fn keep(
+    /// Offers a model to these devices in place of the last one: all of it at once, or its manifest and then its tiles. Does
+    /// nothing if the folder has no model.
+    pub(super) fn begin(
         &mut self,
-        device: DeviceId,
-        revision: ModelId,
-        views: u32,
-        cut: Cut,
+        node: &mut Node,
+        sent: &Sent,
+        receivers: &[DeviceId],
     ) -> Result<(), ServiceError> {
-        let old = self.manifest.take();
-        let known: HashMap<BodyHash, ModelId> = old
-            .iter()
-            .flat_map(|(_, manifest)| manifest.tiles.iter().map(|tile| (tile.blake3, tile.model)))
-            .collect();
-        let mut tiles = Vec::with_capacity(cut.bodies.len());
-        for (index, body) in cut.bodies.into_iter().enumerate() {
-            let offer =
-                Offer::from_body(device, ModelId::of_tile(revision, index), ModelKind::Global, 0, body)?;
-            let mut header = offer.header;
-            match known.get(&header.blake3) {
-                Some(number) => header.model = *number,
-                None => self.store.put(&header, &offer.body)?,
-            }
-            tiles.push(TileEntry {
-                model: header.model,
-                blake3: header.blake3,
-                splats: header.splats,
-                body_bytes: header.body_bytes,
-                bounds: header.bounds,
-            });
-        }
-        let receivers = cut.receivers.into_iter().map(|(device, tiles)| Receiver { device, tiles }).collect();
-        let manifest = Manifest { tiles, receivers };
-        let header = match old {
-            Some((header, old)) if old == manifest => header,
-            _ => {
-                let offer = Offer::of_manifest(device, revision, views, &manifest)?;
-                self.store.put(&offer.header, &offer.body)?;
-                offer.header
-            }
-        };
-        let numbers = manifest.tiles.iter().map(|tile| tile.model);
-        let needed: BTreeSet<ModelId> = numbers.chain([header.model]).collect();
-        self.manifest = Some((header, manifest));
-        self.remove_all_but(&needed)
-    }
-
-    /// Removes the tiles: the newest revision is sent whole, or there is none any more.
-    pub(super) fn clear(&mut self, node: &mut Node) -> Result<(), ServiceError> {
-        node.stop_tiles();
-        self.manifest = None;
-        self.queues.clear();
-        (self.is_announcing, self.is_running) = (false, false);
-        self.remove_all_but(&BTreeSet::new())
-    }
-
-    fn remove_all_but(&self, needed: &BTreeSet<ModelId>) -> Result<(), ServiceError> {
-        for key in self.store.keys()? {
-            if !needed.contains(&key.model) {
-                self.store.remove(key)?;
-            }
+        let Some((header, form)) = sent.newest() else { return Ok(()) };
+        let (header, body) = sent.store().get(header.into())?;
+        self.begin_whole(node, Offer { header, body }, receivers);
+        if let Form::Tiles(manifest) = form {
+            let key = |tile: &TileEntry| ModelKey { device: header.device, model: tile.model };
+            let queue = |device: &DeviceId| (*device, manifest.of(*device).map(key).collect());
+            self.queues = receivers.iter().map(queue).collect();
+            self.store = Some(sent.store().clone());
+            (self.is_announcing, self.is_running) = (true, true);
         }
         Ok(())
     }
 
-    /// Begins to send the manifest and the tiles to these devices. Returns the header of the manifest; `None` if the
-    /// newest revision is sent whole.
-    pub(super) fn begin(
-        &mut self,
-        node: &mut Node,
-        receivers: &[DeviceId],
-    ) -> Result<Option<ModelHeader>, ServiceError> {
-        let Some((header, manifest)) = &self.manifest else { return Ok(None) };
-        let (header, body) = self.store.get(header.into())?;
+    /// Offers a whole model to these devices in place of the last one.
+    pub(super) fn begin_whole(&mut self, node: &mut Node, offer: Offer, receivers: &[DeviceId]) {
+        self.stop(node);
+        node.broadcast(TileId::WHOLE, offer, receivers);
+    }
+
+    /// Stops sending tiles.
+    pub(super) fn stop(&mut self, node: &mut Node) {
         node.stop_tiles();
-        node.broadcast(TileId::WHOLE, Offer { header, body }, receivers);
-        let key = |tile: &TileEntry| ModelKey { device: header.device, model: tile.model };
-        let queue = |device: &DeviceId| (*device, manifest.of(*device).map(key).collect());
-        self.queues = receivers.iter().map(queue).collect();
-        (self.is_announcing, self.is_running) = (true, true);
-        Ok(Some(header))
+        *self = Self::default();
     }
 
     /// Notes that all devices have the manifest.
@@ -139,15 +69,13 @@ impl Rebroadcast {
     /// Offers each device that has all tiles offered so far its next one. Returns true once, when all devices have all
     /// their tiles.
     pub(super) fn send(&mut self, node: &mut Node) -> Result<bool, ServiceError> {
-        if !self.is_running {
-            return Ok(false);
-        }
+        let Some(store) = self.store.as_ref().filter(|_| self.is_running) else { return Ok(false) };
         for (device, queue) in &mut self.queues {
             if node.is_sending_tile(*device) {
                 continue;
             }
             if let Some(key) = queue.front() {
-                let (header, body) = self.store.get(*key)?;
+                let (header, body) = store.get(*key)?;
                 node.send_tile(*device, Offer { header, body });
                 queue.pop_front();
             }

@@ -7,6 +7,7 @@ use std::time::Duration;
 use cosurf_link::{Credentials, Node, Transport};
 use cosurf_wire::ModelHeader;
 
+use super::above::AboveLink;
 use super::control::{Command, ServiceConfig};
 use super::error::ServiceError;
 use super::event::ServiceEvent;
@@ -41,6 +42,13 @@ impl Service {
     /// Lets workers distil the tiles of merges. Their results are kept in `results`, which nobody else may use.
     pub fn with_workers(mut self, results: Store, queue: Queue) -> Self {
         self.keeper.employ(results, queue);
+        self
+    }
+
+    /// Hands the global model of the aggregator above on to the devices. Revisions of the service's own wait for the next
+    /// model from above, at most for `wait`.
+    pub(crate) fn below(mut self, link: AboveLink, wait: Duration) -> Self {
+        self.keeper.follow(link, wait);
         self
     }
 

@@ -15,6 +15,7 @@ use cosurf_scene::SceneError;
 use cosurf_wire::{FrameId, SiteId};
 use serde::Serialize;
 
+use super::above::AboveLink;
 use super::config::{AggregatorConfig, UpstreamConfig, WorkersConfig};
 use super::control::{BROKER_ATTEMPTS_MAX, Command, ServiceConfig};
 use super::error::ServiceError;
@@ -134,11 +135,13 @@ pub fn serve(
     if let Some(workers) = &config.workers {
         service = employ(service, workers, &identity)?;
     }
-    let upstream = config.upstream.as_ref().map(|above| {
+    let mut upstream = None;
+    if let Some(above) = &config.upstream {
         let say = move |event| say_beside(SideEvent::Upstream(event));
-        start_upstream(config, above, identity.session, credentials, now.clone(), say)
-    });
-    let upstream = upstream.transpose()?;
+        let (started, link) = start_upstream(config, above, identity.session, credentials, now.clone(), say)?;
+        service = service.below(link, Duration::from_secs(config.deadline_s));
+        upstream = Some(started);
+    }
     let mut transport = MqttTransport::start(MqttConfig { broker, identity, tls });
     let mut connections = Connections { upstream, was_connected: false, failure: None };
     service.run(&mut transport, now, commands, |event| {
@@ -240,7 +243,7 @@ fn employ(service: Service, workers: &WorkersConfig, identity: &Identity) -> Res
     Ok(service.with_workers(tiles.folder(&folder), queue))
 }
 
-/// Connects an edge to the aggregator above.
+/// Connects an edge to the aggregator above. Also returns the service's end of the link.
 fn start_upstream(
     config: &AggregatorConfig,
     above: &UpstreamConfig,
@@ -248,13 +251,13 @@ fn start_upstream(
     credentials: Credentials,
     now: impl Fn() -> Duration + Send + 'static,
     say: impl Fn(UpstreamEvent) + Send + 'static,
-) -> Result<Upstream, ServeError> {
+) -> Result<(Upstream, AboveLink), ServeError> {
     let broker = above.broker.clone();
     let tls = Tls::for_broker(&broker, above.tls.as_ref()).map_err(ServeError::UpstreamTls)?;
     let identity = Identity { site: above.site, device: above.device, session, role: Role::Device };
-    let node = UpstreamNode::open(identity, credentials, &config.out, inbox_limits(config));
-    let link = MqttConfig { broker, identity, tls };
-    Ok(Upstream::start(node.map_err(ServiceError::from)?, link, now, say))
+    let (node, link) = UpstreamNode::open(identity, credentials, &config.out, inbox_limits(config))
+        .map_err(ServiceError::from)?;
+    Ok((Upstream::start(node, MqttConfig { broker, identity, tls }, now, say), link))
 }
 
 /// Returns the address of the broker. Starts the built-in broker if the configuration asks for it.

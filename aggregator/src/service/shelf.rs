@@ -67,6 +67,11 @@ impl Shelf {
         self.withdrawn.get(&header.device).is_some_and(|last| header.model <= *last)
     }
 
+    /// The devices that have ever been withdrawn.
+    pub(super) fn withdrawn_devices(&self) -> impl Iterator<Item = DeviceId> {
+        self.withdrawn.keys().copied()
+    }
+
     /// Whether withdrawn models are among the inputs of a merge.
     pub(super) fn has_withdrawn(&self, inputs: &[Input]) -> bool {
         let is_withdrawn = |input: &Input| {

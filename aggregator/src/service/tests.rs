@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used)]
 
 mod doubt;
+mod hierarchy;
 mod life;
 mod parts;
 mod tiles;

@@ -1,9 +1,8 @@
 //! The link from an edge aggregator to the aggregator above it (its cloud). For the aggregator above, the edge is a
 //! device.
 //!
-//! Each new revision of the edge's global model is uploaded as a local model with the revision's number. Its bytes are
-//! those that the edge's agents get. The aggregator above merges the models of all edges. Its global model comes back
-//! and is stored. The upstream link has a connection and a thread of its own, so an unreachable cloud does not delay
+//! Each new revision of the edge's global model is uploaded as a local model with the revision's number. The aggregator
+//! above merges the models of all edges. Its global model comes back and is stored; [`super::above`] hands it on. The upstream link has a connection and a thread of its own, so an unreachable cloud does not delay
 //! the edge's service.
 //!
 //! | in `upstream/` of the service's folder | |
@@ -25,6 +24,8 @@ use cosurf_scene::bytes::format_bytes;
 use cosurf_wire::{DeviceId, ModelHeader, ModelKind, RefusalReason};
 use serde::Serialize;
 
+use super::above::{AboveLink, FromAbove};
+use super::control::BROKER_ATTEMPTS_MAX;
 use super::error::ServiceError;
 use super::folder::{global_ply, global_store};
 use cosurf_contract::counted;
@@ -114,22 +115,34 @@ pub(crate) struct UpstreamNode {
     own: ModelStore,
     /// Revisions received of the global model above.
     above: Received,
+    /// Tells the edge's service.
+    tell: Sender<FromAbove>,
 }
 
 impl UpstreamNode {
-    /// Opens the link of the service whose folder is `service`.
+    /// Opens the link of the service whose folder is `service`. Also returns the service's end of the link.
     pub(crate) fn open(
         identity: Identity,
         credentials: Credentials,
         service: &Path,
         limits: InboxLimits,
-    ) -> Result<Self, StoreError> {
+    ) -> Result<(Self, AboveLink), StoreError> {
         let folder = service.join("upstream");
         let (own, _) = ModelStore::open(&global_store(service))?;
         let (above, known) = Received::open(identity.device, &global_store(&folder), global_ply(&folder))?;
         let mut node = Node::new(identity, limits, &known);
         node.set_credentials(credentials);
-        Ok(Self { node, device: identity.device, own, above })
+        let (tell, news) = mpsc::channel();
+        let upstream = Self { node, device: identity.device, own, above, tell };
+        if let Some(header) = upstream.above.newest_at_start()? {
+            upstream.tell(FromAbove::Had(header));
+        }
+        let store = upstream.above.store().clone();
+        Ok((upstream, AboveLink { device: identity.device, store, news }))
+    }
+
+    fn tell(&self, news: FromAbove) {
+        let _ = self.tell.send(news); // fails only if the service has ended
     }
 
     /// Begins to upload a revision of the service's global model.
@@ -150,40 +163,52 @@ impl UpstreamNode {
         match self.node.step(transport, now, wait)? {
             NodeEvent::Connected => Some(UpstreamEvent::UpstreamConnected),
             NodeEvent::Disconnected { attempt, reason } => {
+                if attempt >= BROKER_ATTEMPTS_MAX {
+                    self.tell(FromAbove::Nothing);
+                }
                 Some(UpstreamEvent::UpstreamDisconnected { attempt, reason })
             }
             NodeEvent::Uploaded(key, progress) => {
                 Some(UpstreamEvent::SentUp { revision: key.model.0, bytes_sent: progress.bytes_sent })
             }
             NodeEvent::UploadRefused { key, reason, .. } => {
+                if !reason.is_temporary() {
+                    self.tell(FromAbove::Nothing);
+                }
                 Some(UpstreamEvent::RefusedAbove { revision: key.model.0, reason })
             }
             // The edge has stored this revision already, for example before a restart.
             NodeEvent::Known(header) => {
                 let known = self.above.known(&mut self.node, header);
-                came_down(header.into(), known)
+                self.came_down(header.into(), known)
             }
             NodeEvent::Store { header, body } => {
                 let kept = self.above.take(&mut self.node, header, &body);
-                came_down(header.into(), kept)
+                self.came_down(header.into(), kept)
             }
             NodeEvent::Refused { key, reason } if !reason.is_temporary() => {
+                self.tell(FromAbove::Nothing);
                 let revision = self.above.revision().filter(|_| key.model.is_tile()).unwrap_or(key.model);
                 Some(UpstreamEvent::NotReceived { revision: revision.0, reason })
             }
             _ => None,
         }
     }
-}
 
-fn came_down(key: ModelKey, received: Result<Option<Complete>, ReceiveError>) -> Option<UpstreamEvent> {
-    match received {
-        Ok(complete) => complete.map(|Complete { revision, splats }| UpstreamEvent::CameDown {
-            revision: revision.0,
-            splats: splats as u64,
-        }),
-        Err(error) => {
-            Some(UpstreamEvent::UpstreamDiskFailed { reason: format!("model {key} is not stored: {error}") })
+    fn came_down(
+        &self,
+        key: ModelKey,
+        received: Result<Option<Complete>, ReceiveError>,
+    ) -> Option<UpstreamEvent> {
+        match received {
+            Ok(complete) => complete.map(|Complete { revision, splats }| {
+                self.above.newest().into_iter().for_each(|header| self.tell(FromAbove::Came(header)));
+                UpstreamEvent::CameDown { revision: revision.0, splats: splats as u64 }
+            }),
+            Err(error) => {
+                let reason = format!("model {key} is not stored: {error}");
+                Some(UpstreamEvent::UpstreamDiskFailed { reason })
+            }
         }
     }
 }

@@ -52,7 +52,7 @@ impl Level {
     fn open(network: &MemoryNetwork, folder: &Path, site: &str, below: &[&str], is_edge: bool) -> Self {
         let (ground, device) =
             (identity(site, "aggregator", Role::Aggregator), identity("cloud", site, Role::Device));
-        let service = Service::open(ServiceConfig {
+        let mut service = Service::open(ServiceConfig {
             identity: ground,
             folder: folder.into(),
             limits: LIMITS,
@@ -61,8 +61,10 @@ impl Level {
             threads: 1,
         })
         .unwrap();
-        let above = is_edge.then(|| {
-            let node = UpstreamNode::open(device, Credentials::default(), folder, LIMITS).unwrap();
+        let above =
+            is_edge.then(|| UpstreamNode::open(device, Credentials::default(), folder, LIMITS).unwrap());
+        let above = above.map(|(node, link)| {
+            service.keeper.follow(link, PATIENCE);
             (node, network.join(&device))
         });
         Self { service, transport: network.join(&ground), above, has_come_down: false }
@@ -161,7 +163,7 @@ fn the_cloud_merges_its_edges_models_and_both_edges_receive_the_result() {
 fn the_thread_ends_although_the_aggregator_above_is_unreachable() {
     let folder = tempfile::tempdir().unwrap();
     let identity = identity("cloud", "edge-1", Role::Device);
-    let node = UpstreamNode::open(identity, Credentials::default(), folder.path(), LIMITS).unwrap();
+    let (node, _link) = UpstreamNode::open(identity, Credentials::default(), folder.path(), LIMITS).unwrap();
     let (say, events) = mpsc::channel();
     let broker = "mqtt://127.0.0.1:1".parse().unwrap();
     let begun = std::time::Instant::now();

@@ -1,0 +1,172 @@
+//! A global model as the devices get it, on the disk: in tiles, or whole. A tile that has not changed keeps its number, so
+//! a device that has it does not fetch it again.
+
+use std::collections::{BTreeSet, HashMap};
+use std::path::Path;
+
+use cosurf_link::body::body_hash;
+use cosurf_link::{Manifest, ModelKey, ModelStore, Offer, Receiver, TileEntry};
+use cosurf_wire::{BodyHash, DeviceId, ModelHeader, ModelId, ModelKind};
+
+use super::error::ServiceError;
+
+/// A folder with the newest revision of one global model.
+#[derive(Debug)]
+pub(super) struct Sent {
+    store: ModelStore,
+    newest: Option<(ModelHeader, Form)>,
+}
+
+/// How a revision is sent.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Form {
+    Whole,
+    Tiles(Manifest),
+}
+
+/// The numbers of a new revision.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Revision {
+    /// The device that sends it.
+    pub(super) device: DeviceId,
+    pub(super) number: ModelId,
+    /// Number of pictures that the model was trained on.
+    pub(super) views: u32,
+    /// If the content has not changed, the old revision stays, unless its number is lower than this one.
+    pub(super) beyond: Option<ModelId>,
+}
+
+/// The bytes of a tile.
+#[derive(Debug)]
+pub(super) enum TileBytes<'a> {
+    /// They are here.
+    Here(Vec<u8>),
+    /// They are in a store, and are read only if the tile is new.
+    In(&'a ModelStore, ModelKey, BodyHash),
+}
+
+impl TileBytes<'_> {
+    fn hash(&self) -> BodyHash {
+        match self {
+            Self::Here(body) => body_hash(body),
+            Self::In(.., hash) => *hash,
+        }
+    }
+
+    fn read(self) -> Result<Vec<u8>, ServiceError> {
+        match self {
+            Self::Here(body) => Ok(body),
+            Self::In(store, key, _) => Ok(store.get(key)?.1),
+        }
+    }
+}
+
+impl Sent {
+    /// Opens or creates the folder.
+    pub(super) fn open(folder: &Path) -> Result<Self, ServiceError> {
+        let (store, headers) = ModelStore::open(folder)?;
+        let newest = headers.into_iter().filter(|header| !header.model.is_tile());
+        let read = |header: ModelHeader| -> Result<_, ServiceError> {
+            if header.kind != ModelKind::Manifest {
+                return Ok((header, Form::Whole));
+            }
+            let (header, body) = store.get(header.into())?;
+            Ok((header, Form::Tiles(Manifest::decode(&body)?)))
+        };
+        let newest = newest.max_by_key(|header| header.model).map(read).transpose()?;
+        Ok(Self { store, newest })
+    }
+
+    pub(super) fn store(&self) -> &ModelStore {
+        &self.store
+    }
+
+    /// The newest revision: the header of its manifest or of the whole model.
+    pub(super) fn newest(&self) -> Option<(&ModelHeader, &Form)> {
+        self.newest.as_ref().map(|(header, form)| (header, form))
+    }
+
+    /// Number of the newest revision.
+    pub(super) fn number(&self) -> Option<ModelId> {
+        self.newest().map(|(header, _)| header.model)
+    }
+
+    /// Writes a revision in tiles. Returns whether it has a new number.
+    pub(super) fn keep_tiles(
+        &mut self,
+        revision: Revision,
+        tiles: Vec<TileBytes<'_>>,
+        receivers: Vec<Receiver>,
+    ) -> Result<bool, ServiceError> {
+        let known: HashMap<BodyHash, TileEntry> = match &self.newest {
+            Some((_, Form::Tiles(old))) => old.tiles.iter().map(|tile| (tile.blake3, *tile)).collect(),
+            _ => HashMap::new(),
+        };
+        let mut entries = Vec::with_capacity(tiles.len());
+        for (index, tile) in tiles.into_iter().enumerate() {
+            if let Some(entry) = known.get(&tile.hash()) {
+                entries.push(*entry);
+                continue;
+            }
+            let number = ModelId::of_tile(revision.number, index);
+            let offer = Offer::from_body(revision.device, number, ModelKind::Global, 0, tile.read()?)?;
+            self.store.put(&offer.header, &offer.body)?;
+            let ModelHeader { model, blake3, splats, body_bytes, bounds, .. } = offer.header;
+            entries.push(TileEntry { model, blake3, splats, body_bytes, bounds });
+        }
+        let manifest = Manifest { tiles: entries, receivers };
+        let is_same = |form: &Form| matches!(form, Form::Tiles(old) if *old == manifest);
+        if self.stays(revision, is_same) {
+            return Ok(false);
+        }
+        let offer = Offer::of_manifest(revision.device, revision.number, revision.views, &manifest)?;
+        self.replace(offer, Form::Tiles(manifest))?;
+        Ok(true)
+    }
+
+    /// Writes a revision that is sent whole. Returns whether it has a new number.
+    pub(super) fn keep_whole(&mut self, revision: Revision, body: Vec<u8>) -> Result<bool, ServiceError> {
+        let Revision { device, number, views, .. } = revision;
+        let offer = Offer::from_body(device, number, ModelKind::Global, views, body)?;
+        let has_its_bytes =
+            self.newest.as_ref().is_some_and(|(header, _)| header.blake3 == offer.header.blake3);
+        if self.stays(revision, |form| *form == Form::Whole && has_its_bytes) {
+            return Ok(false);
+        }
+        self.replace(offer, Form::Whole)?;
+        Ok(true)
+    }
+
+    /// Removes everything: the newest revision is not sent from this folder.
+    pub(super) fn clear(&mut self) -> Result<(), ServiceError> {
+        self.newest = None;
+        self.remove_old()
+    }
+
+    fn stays(&self, revision: Revision, is_same: impl FnOnce(&Form) -> bool) -> bool {
+        let newest = self.newest.as_ref();
+        newest.is_some_and(|(header, form)| Some(header.model) >= revision.beyond && is_same(form))
+    }
+
+    /// Writes the header last, then removes what the revision does not need.
+    fn replace(&mut self, offer: Offer, form: Form) -> Result<(), ServiceError> {
+        self.store.put(&offer.header, &offer.body)?;
+        self.newest = Some((offer.header, form));
+        self.remove_old()
+    }
+
+    fn remove_old(&self) -> Result<(), ServiceError> {
+        let tiles = match &self.newest {
+            Some((_, Form::Tiles(manifest))) => &manifest.tiles[..],
+            _ => &[],
+        };
+        let numbers = tiles.iter().map(|tile| tile.model);
+        let needed: BTreeSet<ModelId> = numbers.chain(self.number()).collect();
+        for key in self.store.keys()? {
+            if !needed.contains(&key.model) {
+                self.store.remove(key)?;
+            }
+        }
+        Ok(())
+    }
+}
