@@ -13,30 +13,34 @@ use cosurf_engine::{Compression, Observers};
 use cosurf_link::select_flight_cameras;
 use cosurf_scene::{Camera, Splats};
 use cosurf_wire::DeviceId;
-
-/// Limit on the number of devices, this one included. Flights of further devices are ignored.
-const DEVICES_MAX: usize = 256;
+use tracing::warn;
 
 /// The flights of a site that have arrived at this device, and this device's own flight.
 #[derive(Clone, Debug)]
 pub struct Flights {
     own: DeviceId,
+    devices_max: usize,
     cameras: BTreeMap<DeviceId, Vec<Camera>>,
 }
 
 impl Flights {
     /// Starts with the flight of this device, `own`. `cameras` are the cameras of all its pictures; if there are too
-    /// many for an announcement, evenly spaced ones are kept.
-    pub fn new(own: DeviceId, cameras: &[Camera]) -> Self {
-        Self { own, cameras: BTreeMap::from([(own, select_flight_cameras(cameras))]) }
+    /// many for an announcement, evenly spaced ones are kept. `devices_max` is the limit on devices, this one included.
+    pub fn new(own: DeviceId, cameras: &[Camera], devices_max: usize) -> Self {
+        Self { own, devices_max, cameras: BTreeMap::from([(own, select_flight_cameras(cameras))]) }
     }
 
     /// Adds the flight of another device, or replaces that device's earlier flight. Ignores a flight of this device,
     /// and flights of new devices beyond the limit on devices.
     pub fn insert(&mut self, device: DeviceId, cameras: Vec<Camera>) {
         let is_known = self.cameras.contains_key(&device);
-        if device != self.own && (is_known || self.cameras.len() < DEVICES_MAX) {
+        if device == self.own {
+            return;
+        }
+        if is_known || self.cameras.len() < self.devices_max {
             self.cameras.insert(device, cameras);
+        } else {
+            warn!("the flight of {device} is ignored: {} are known; raise `flights_max`", self.cameras.len());
         }
     }
 
@@ -97,13 +101,15 @@ mod tests {
     fn shared_ground_has_one_owner_and_all_ground_has_an_owner() {
         let [west, east] =
             [[-10.0, -7.0, -4.0, -1.0, 2.0], [10.0, 7.0, 4.0, 1.0, -2.0]].map(|xs| xs.map(above).to_vec());
-        let mut flights = Flights::new(device("west"), &west);
+        let mut flights = Flights::new(device("west"), &west, 2);
         assert_eq!(kept(&flights).len(), ground().len(), "no other flight is known");
         flights.insert(device("west"), east.clone());
         assert_eq!(flights.others(), 0, "a flight under the own name is ignored");
         flights.insert(device("east"), east.clone());
+        flights.insert(device("third"), east.clone());
+        assert_eq!(flights.others(), 1, "the limit is two devices");
         let from_west = kept(&flights);
-        let mut flights = Flights::new(device("east"), &east);
+        let mut flights = Flights::new(device("east"), &east, 2);
         flights.insert(device("west"), west);
         let from_east = kept(&flights);
         for mean in ground().means {

@@ -258,7 +258,7 @@ struct FlightCollector<'a> {
 
 impl<'a> FlightCollector<'a> {
     fn new(sharing: Sharing<'a>, own: DeviceId) -> Self {
-        Self { sharing, flights: Flights::new(own, sharing.flight), quiet_since: None }
+        Self { sharing, flights: Flights::new(own, sharing.flight, sharing.flights_max), quiet_since: None }
     }
 
     fn on_connected(&mut self, now: Duration) {

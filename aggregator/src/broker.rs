@@ -25,6 +25,7 @@ mod connection;
 mod router;
 mod session;
 
+use std::fmt;
 use std::io::{self, ErrorKind};
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener, TcpStream};
 use std::sync::Arc;
@@ -32,6 +33,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 
 use cosurf_link::BrokerAddress;
+use serde::Serialize;
 
 use connection::Hub;
 
@@ -66,6 +68,28 @@ fn explain(cause: &io::Error) -> String {
     }
 }
 
+/// Limit on the clients of a broker that is started without another limit.
+pub const CLIENTS_MAX: usize = 1024;
+
+/// What a broker reports.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(tag = "event", rename_all = "snake_case")]
+pub enum BrokerEvent {
+    /// A client is refused because too many are connected. Reported again only after a client was accepted.
+    #[serde(rename = "broker_full")]
+    Full {
+        /// The limit on clients.
+        clients_max: usize,
+    },
+}
+
+impl fmt::Display for BrokerEvent {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self::Full { clients_max } = self;
+        write!(f, "broker: a client is refused: {clients_max} clients are connected; raise `clients_max`")
+    }
+}
+
 /// A running broker; it stops when dropped.
 #[derive(Debug)]
 pub struct Broker {
@@ -76,18 +100,27 @@ pub struct Broker {
 }
 
 impl Broker {
-    /// Listens on `address`. Port 0 takes a free port, which [`Self::address`] returns. Clients may
-    /// connect as soon as this function returns.
+    /// Starts a broker for at most [`CLIENTS_MAX`] clients, see [`Self::start_for`].
     pub fn start(address: SocketAddr) -> Result<Self, BrokerError> {
+        Self::start_for(address, CLIENTS_MAX, |_| ())
+    }
+
+    /// Listens on `address`. Port 0 takes a free port, which [`Self::address`] returns. Clients may connect as soon as this
+    /// function returns, at most `clients_max` at once. `say` gets the broker's events.
+    pub fn start_for(
+        address: SocketAddr,
+        clients_max: usize,
+        say: impl Fn(BrokerEvent) + Send + 'static,
+    ) -> Result<Self, BrokerError> {
         let failed = |cause: io::Error| match cause.kind() {
             ErrorKind::AddrInUse => BrokerError::PortInUse(address),
             _ => BrokerError::Io { address, cause },
         };
         let listener = TcpListener::bind(address).map_err(failed)?;
         let address = listener.local_addr().map_err(failed)?;
-        let (hub, is_stopping) = (Arc::new(Hub::default()), Arc::new(AtomicBool::new(false)));
+        let (hub, is_stopping) = (Arc::new(Hub::new(clients_max)), Arc::new(AtomicBool::new(false)));
         let (accepting, stop) = (Arc::clone(&hub), Arc::clone(&is_stopping));
-        let thread = std::thread::spawn(move || accept(&listener, &accepting, &stop));
+        let thread = std::thread::spawn(move || accept(&listener, &accepting, clients_max, &stop, &say));
         Ok(Self { address, hub, is_stopping, thread: Some(thread) })
     }
 
@@ -115,7 +148,14 @@ impl Drop for Broker {
     }
 }
 
-fn accept(listener: &TcpListener, hub: &Arc<Hub>, is_stopping: &AtomicBool) {
+fn accept(
+    listener: &TcpListener,
+    hub: &Arc<Hub>,
+    clients_max: usize,
+    is_stopping: &AtomicBool,
+    say: &impl Fn(BrokerEvent),
+) {
+    let mut is_full = false;
     let mut readers: Vec<JoinHandle<()>> = Vec::new();
     for stream in listener.incoming() {
         if is_stopping.load(Ordering::SeqCst) {
@@ -123,12 +163,17 @@ fn accept(listener: &TcpListener, hub: &Arc<Hub>, is_stopping: &AtomicBool) {
         }
         readers.retain(|reader| !reader.is_finished());
         match stream {
-            Ok(stream) if readers.len() < router::CLIENTS_MAX => {
+            Ok(stream) if readers.len() < clients_max => {
+                is_full = false;
                 let hub = Arc::clone(hub);
                 readers.push(std::thread::spawn(move || connection::serve(stream, &hub)));
             }
-            // Too many clients: dropping the stream closes it.
-            Ok(_) => {}
+            // Dropping the stream closes it. The client tries again, so only the first refusal is told.
+            Ok(_) => {
+                if !std::mem::replace(&mut is_full, true) {
+                    say(BrokerEvent::Full { clients_max });
+                }
+            }
             // Out of file descriptors, or the client left before it was accepted.
             Err(_) => std::thread::sleep(connection::ACCEPT_PAUSE),
         }

@@ -136,7 +136,8 @@ impl Job {
         if let Some(init) = &self.plan.init {
             self.compare(model, ComparedWith::Init, init, progress)?;
         }
-        let sharing = flight.map(|flight| Sharing { flight, quiet: self.route.quiet_time() });
+        let (quiet, flights_max) = (self.route.quiet_time(), self.config.flights_max);
+        let sharing = flight.map(|flight| Sharing { flight, quiet, flights_max });
         let (identity, mut connection) = self.connect()?;
         let publication = Publication {
             identity,

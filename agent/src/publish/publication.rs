@@ -38,4 +38,6 @@ pub struct Sharing<'a> {
     pub flight: &'a [Camera],
     /// All flights count as known once no flight has arrived for this long.
     pub quiet: Duration,
+    /// Limit on the devices whose flights count, this one included.
+    pub flights_max: usize,
 }

@@ -34,7 +34,7 @@ const REFUSAL_V4: [u8; 4] = [0x20, 0x02, 0x00, 0x01];
 const SHORT_DISCONNECT: [u8; 2] = [0xE0, 0x00];
 
 /// State that all connections share.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Hub {
     router: Mutex<Router>,
     /// Signalled when a queue may have room again.
@@ -42,6 +42,11 @@ pub(super) struct Hub {
 }
 
 impl Hub {
+    /// See [`Router::new`].
+    pub(super) fn new(clients_max: usize) -> Self {
+        Self { router: Mutex::new(Router::new(clients_max)), space: Condvar::new() }
+    }
+
     /// Locks the router, even if a thread has panicked while it held the lock: a panic leaves no half-done
     /// change in the router.
     fn router(&self) -> MutexGuard<'_, Router> {

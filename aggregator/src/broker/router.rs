@@ -15,18 +15,16 @@ use rumqttc::v5::mqttbytes::{QoS, matches, valid_filter, valid_topic};
 
 use super::session::{FILTERS_MAX, Link, Session, bytes_of};
 
-/// Limit on connected clients.
-pub(super) const CLIENTS_MAX: usize = 1024;
 /// Largest packet that the broker accepts, bytes: the largest message of cosurf, and room for the MQTT
 /// properties of other programs.
 pub(super) const PACKET_BYTES_MAX: u32 = (MAX_MESSAGE_BYTES + MAX_TOPIC_BYTES + 4096) as u32;
-/// Limit on sessions, connected or not. When it is reached, the disconnected session that expires first
-/// is dropped.
-const SESSIONS_MAX: usize = 2 * CLIENTS_MAX;
+/// Limit on sessions for each client that may be connected. Sessions outlive connections. When the limit is reached, the
+/// disconnected session that expires first is dropped.
+const SESSIONS_PER_CLIENT: usize = 2;
 /// Longest time that a session outlives its connection, seconds.
 const SESSION_EXPIRY_S_MAX: u32 = 24 * 3600;
-/// Limit on the number of retained messages.
-const RETAINED_MAX: usize = 8192;
+/// Limit on retained messages for each client that may be connected.
+const RETAINED_PER_CLIENT: usize = 8;
 /// Limit on the bytes of the topics and payloads of all retained messages together.
 const RETAINED_BYTES_MAX: usize = 64 << 20;
 /// Limit on QoS 1 messages that one client has not acknowledged.
@@ -35,8 +33,9 @@ const IN_FLIGHT_MAX: u16 = 64;
 const TEXT_BYTES_MAX: usize = 256;
 
 /// The whole state of the broker.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Router {
+    clients_max: usize,
     sessions: BTreeMap<String, Session>,
     retained: BTreeMap<String, Publish>,
     retained_bytes: usize,
@@ -51,6 +50,12 @@ pub(super) struct LinkKey {
 }
 
 impl Router {
+    /// Makes a router for at most `clients_max` connected clients; its caller refuses further ones.
+    pub(super) fn new(clients_max: usize) -> Self {
+        let (sessions, retained) = (BTreeMap::new(), BTreeMap::new());
+        Self { clients_max, sessions, retained, retained_bytes: 0, links: 0 }
+    }
+
     /// Connects a client, and closes an older connection with the same client id. An error is the
     /// reason for a refusal.
     pub(super) fn connect(
@@ -272,7 +277,7 @@ impl Router {
 
     fn forget_expired(&mut self, now: Instant) {
         self.sessions.retain(|_, session| session.expires.is_none_or(|at| now < at));
-        while self.sessions.len() >= SESSIONS_MAX {
+        while self.sessions.len() >= SESSIONS_PER_CLIENT * self.clients_max {
             let away = self.sessions.iter().filter_map(|(client, session)| Some((session.expires?, client)));
             let Some(client) = away.min().map(|(_, client)| client.clone()) else { break };
             self.sessions.remove(&client);
@@ -299,7 +304,7 @@ impl Router {
         }
         let bytes = self.retained_bytes - old + bytes_of(&publish);
         let count = self.retained.len() + usize::from(old == 0);
-        if bytes > RETAINED_BYTES_MAX || count > RETAINED_MAX {
+        if bytes > RETAINED_BYTES_MAX || count > RETAINED_PER_CLIENT * self.clients_max {
             return false;
         }
         self.retained_bytes = bytes;

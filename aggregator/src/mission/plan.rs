@@ -7,7 +7,7 @@ use std::fs;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use cosurf_contract::AgentConfig;
+use cosurf_contract::{AgentConfig, DEFAULT_FLIGHTS_MAX};
 use cosurf_link::BrokerAddress;
 use cosurf_scene::{Dataset, SceneError, atomic};
 use cosurf_wire::{DeviceId, IdError, SiteId};
@@ -218,6 +218,7 @@ impl Plan {
             trusted: None,
             alone: self.devices.len() == 1,
             compress: settings.compress_first,
+            flights_max: DEFAULT_FLIGHTS_MAX,
             wait_global: true,
         };
         let text = toml::to_string(&config)

@@ -6,14 +6,18 @@ use std::path::{Path, PathBuf};
 
 use cosurf_contract::parse_toml;
 use cosurf_engine::DeviceChoice;
-use cosurf_link::{BrokerAddress, TlsFiles};
+use cosurf_link::{BrokerAddress, DEVICES_MAX, TlsFiles};
 use cosurf_scene::SceneError;
 use cosurf_wire::{DeviceId, FrameId, SiteId};
 use serde::de::Error;
 use serde::{Deserialize, Deserializer};
 
 use super::round::Rounds;
+use crate::broker::CLIENTS_MAX;
 use crate::merge::MergeSettings;
+
+/// Largest limit on clients, devices and uploads that a configuration may give.
+const LIMIT_MAX: usize = 16_384;
 
 /// The content of `aggregator.toml`. Relative paths are relative to the working folder.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -42,6 +46,16 @@ pub struct AggregatorConfig {
     /// File of the public keys whose models are accepted: for each key the line that the command `key` prints. Absent
     /// to accept all models.
     pub trusted: Option<PathBuf>,
+    /// Limit on the clients of the built-in broker; further clients are refused.
+    #[serde(default = "default_clients_max", deserialize_with = "limit")]
+    pub clients_max: usize,
+    /// Limit on the devices whose sessions are remembered, and whose requests for the global model are answered. Requests
+    /// of devices that sent a model always are.
+    #[serde(default = "default_devices_max", deserialize_with = "limit")]
+    pub devices_max: usize,
+    /// Limit on the number of concurrent uploads; further agents wait.
+    #[serde(default = "default_uploads_max", deserialize_with = "limit")]
+    pub uploads_max: usize,
     /// Limit on the bytes of concurrent uploads; further agents wait.
     #[serde(default = "default_memory_bytes")]
     pub memory_bytes: u64,
@@ -99,6 +113,18 @@ fn default_device() -> DeviceId {
     DeviceId::new("aggregator").expect("the name is valid")
 }
 
+fn default_clients_max() -> usize {
+    CLIENTS_MAX
+}
+
+fn default_devices_max() -> usize {
+    DEVICES_MAX
+}
+
+fn default_uploads_max() -> usize {
+    256
+}
+
 fn default_memory_bytes() -> u64 {
     1 << 30
 }
@@ -121,6 +147,16 @@ fn default_quiet_s() -> u64 {
 
 fn default_deadline_s() -> u64 {
     Rounds::default().deadline.as_secs()
+}
+
+/// Reads a limit on a number of clients, devices or uploads. Each takes memory, and a client also takes two threads.
+fn limit<'de, D: Deserializer<'de>>(deserializer: D) -> Result<usize, D::Error> {
+    let number = usize::deserialize(deserializer)?;
+    if (1..=LIMIT_MAX).contains(&number) {
+        return Ok(number);
+    }
+    let remedy = "for more, divide the site among several edges";
+    Err(D::Error::custom(format!("give a number from 1 to {LIMIT_MAX}; {remedy}")))
 }
 
 /// Reads the address to bind. The standard library's error does not tell how an address is written.
@@ -158,6 +194,9 @@ mod tests {
     fn only_site_and_out_must_be_written() {
         let config = read(REQUIRED).unwrap();
         assert_eq!((config.device.as_str(), config.bind, config.quorum), ("aggregator", None, 1));
+        assert_eq!((config.clients_max, config.devices_max, config.uploads_max), (1024, 1024, 256));
+        let config = read(&format!("{REQUIRED}clients_max = 16_384")).unwrap();
+        assert_eq!(config.clients_max, 16_384);
         let config = read(&format!("{REQUIRED}bind = \"[::]:1883\"")).unwrap();
         assert_eq!(config.bind.unwrap().port(), 1883);
     }
@@ -171,6 +210,11 @@ mod tests {
             ("device = \"a b\"", "line 3, device: ' ' in a name"),
             ("tls = { ca = \"c\" }", "line 3, tls: missing field `cert`"),
             ("compute = \"cuda\"", "line 3, compute: give auto, cpu, gpu or gpu:N"),
+            (
+                "clients_max = 16_385",
+                "line 3, clients_max: give a number from 1 to 16384; for more, divide the site",
+            ),
+            ("uploads_max = 0", "line 3, uploads_max: give a number from 1 to 16384"),
             ("bnid = 1", "line 3, bnid: unknown field `bnid`"),
             ("[workers]\nqueue = \"nats://h:1\"", "line 3, workers: missing field `tiles`"),
             ("[upstream]\nsite = \"a b\"", "line 4, upstream.site: ' ' in a name"),

@@ -161,8 +161,18 @@ impl Keeper {
             NodeEvent::Uploaded(..) => ServiceEvent::Delivered,
             NodeEvent::UploadRefused { by, reason, .. } => ServiceEvent::Refused { by, reason },
             NodeEvent::Refused { key, reason } => {
-                ServiceEvent::Ignored { reason: format!("model {key} is refused: {reason}") }
+                let remedy = match reason {
+                    RefusalReason::Busy => "; raise `uploads_max` or `memory_bytes` if this goes on",
+                    RefusalReason::TooLarge => "; raise `memory_bytes`",
+                    _ => "",
+                };
+                ServiceEvent::Ignored { reason: format!("model {key} is refused: {reason}{remedy}") }
             }
+            NodeEvent::TooManyDevices { device, devices_max } => ServiceEvent::Ignored {
+                reason: format!(
+                    "{device} is more than the {devices_max} devices allowed; raise `devices_max`"
+                ),
+            },
             NodeEvent::LinkTooNarrow(error) => {
                 ServiceEvent::Ignored { reason: format!("the link cannot carry our messages: {error}") }
             }

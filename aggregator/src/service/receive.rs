@@ -39,6 +39,12 @@ impl Service {
         self
     }
 
+    /// Sets the limit on devices, see [`Node::set_devices_max`].
+    pub fn with_devices_max(mut self, devices_max: usize) -> Self {
+        self.node.set_devices_max(devices_max);
+        self
+    }
+
     /// Lets workers distil the tiles of merges. Their results are kept in `results`, which nobody else may use.
     pub fn with_workers(mut self, results: Store, queue: Queue) -> Self {
         self.keeper.employ(results, queue);

@@ -23,14 +23,12 @@ use super::event::ServiceEvent;
 use super::receive::Service;
 use super::round::{Expected, Rounds};
 use super::upstream::{Upstream, UpstreamEvent, UpstreamNode};
-use crate::broker::{Broker, BrokerError, local_address};
+use crate::broker::{Broker, BrokerError, BrokerEvent, local_address};
 use crate::gateway::{Gateway, GatewayEvent};
 use crate::merge::MergeSettings;
 use crate::queue::{Queue, QueueError};
 use crate::store::{ObjectError, Store};
 
-/// Limit on the number of concurrent uploads. It is far above the number of drones on a site.
-const MODELS_MAX: usize = 256;
 /// Limit on the number of stored models that the inbox remembers.
 const STORED_MAX: usize = 4096;
 
@@ -42,6 +40,8 @@ pub enum SideEvent {
     Line(GatewayEvent),
     /// An event of the connection to the aggregator above.
     Upstream(UpstreamEvent),
+    /// An event of the built-in broker.
+    Broker(BrokerEvent),
 }
 
 impl fmt::Display for SideEvent {
@@ -49,6 +49,7 @@ impl fmt::Display for SideEvent {
         match self {
             Self::Line(event) => event.fmt(f),
             Self::Upstream(event) => event.fmt(f),
+            Self::Broker(event) => event.fmt(f),
         }
     }
 }
@@ -126,12 +127,14 @@ pub fn serve(
         config.key.as_deref(),
         config.trusted.as_deref(),
     )?;
-    let (_embedded, broker) = reach_broker(config)?;
+    let say_broker = say_beside.clone();
+    let (_embedded, broker) = reach_broker(config, move |event| say_broker(SideEvent::Broker(event)))?;
     let tls = Tls::for_broker(&broker, config.tls.as_ref()).map_err(ServeError::Tls)?;
     let _gateways = start_gateways(config.site, &broker, tls.as_ref(), lines, &say_beside);
     let identity = open_session(config, host.clock_s)?;
     let mut service =
         Service::open(service_config(config, identity, host.threads))?.with(credentials.clone());
+    service = service.with_devices_max(config.devices_max);
     if let Some(workers) = &config.workers {
         service = employ(service, workers, &identity)?;
     }
@@ -208,7 +211,7 @@ fn inbox_limits(config: &AggregatorConfig) -> InboxLimits {
     InboxLimits {
         body_bytes_max: config.memory_bytes,
         total_bytes_max: config.memory_bytes,
-        models_max: MODELS_MAX,
+        models_max: config.uploads_max,
         stored_max: STORED_MAX,
     }
 }
@@ -261,10 +264,13 @@ fn start_upstream(
 }
 
 /// Returns the address of the broker. Starts the built-in broker if the configuration asks for it.
-fn reach_broker(config: &AggregatorConfig) -> Result<(Option<Broker>, BrokerAddress), ServeError> {
+fn reach_broker(
+    config: &AggregatorConfig,
+    say: impl Fn(BrokerEvent) + Send + 'static,
+) -> Result<(Option<Broker>, BrokerAddress), ServeError> {
     match (config.bind, &config.broker) {
         (Some(bind), None) => {
-            let broker = Broker::start(bind).map_err(ServeError::Broker)?;
+            let broker = Broker::start_for(bind, config.clients_max, say).map_err(ServeError::Broker)?;
             let address = local_address(broker.address());
             Ok((Some(broker), address))
         }
@@ -283,7 +289,7 @@ mod tests {
         for brokers in ["", "bind = \"0.0.0.0:0\"\nbroker = \"mqtt://h:1\"\n"] {
             let config: AggregatorConfig =
                 toml::from_str(&format!("site = \"s\"\nout = \"o\"\n{brokers}")).unwrap();
-            assert!(matches!(reach_broker(&config), Err(ServeError::OneBroker)), "{brokers}");
+            assert!(matches!(reach_broker(&config, |_| ()), Err(ServeError::OneBroker)), "{brokers}");
         }
     }
 }

@@ -286,3 +286,20 @@ fn fault_16_a_kill_during_a_merge_does_not_change_the_bytes() {
         assert!(fly(folder.path(), seed + 100) == undisturbed, "seed {seed}");
     }
 }
+
+#[test]
+fn a_device_beyond_the_limit_is_told_with_the_setting() {
+    let folder = tempfile::tempdir().unwrap();
+    let network = MemoryNetwork::new(7, Faults::NONE);
+    let mut drones = drones(&network, 2);
+    let Ground { service, transport } = open(&network, folder.path(), fleet(&["agent-1", "agent-2"]));
+    let mut ground = Ground { service: service.with_devices_max(1), transport };
+    let is_told = |event: &ServiceEvent| match event {
+        ServiceEvent::Ignored { reason } => reason.ends_with("raise `devices_max`"),
+        _ => false,
+    };
+    let delivered = |events: &[ServiceEvent], _: &[Drone]| events.contains(&ServiceEvent::Delivered);
+    let events = simulate(&network, &mut ground, &mut drones, delivered);
+    assert_eq!(count(&events, is_told), 1, "{events:?}");
+    assert!(drones.iter().all(|drone| drone.global.is_some()), "devices with a merged model get the result");
+}

@@ -1,8 +1,11 @@
 //! Tests the built-in broker with real MQTT clients.
 
+use std::io::Read;
+use std::net::TcpStream;
+use std::sync::mpsc;
 use std::time::{Duration, Instant};
 
-use cosurf_aggregator::broker::{Broker, BrokerError};
+use cosurf_aggregator::broker::{Broker, BrokerError, BrokerEvent};
 use cosurf_link::{Role, UploadProgress};
 use cosurf_tests::live::{Ground, upload};
 use cosurf_tests::offers::{broker_address, identity, offer};
@@ -72,4 +75,28 @@ fn a_port_is_free_after_shutdown() {
     let at = broker.address();
     broker.shutdown();
     Broker::start(at).unwrap();
+}
+
+#[test]
+fn a_client_beyond_the_limit_is_refused_until_another_has_left() {
+    let (say, events) = mpsc::channel();
+    let broker = Broker::start_for(loopback(), 1, move |event| say.send(event).unwrap()).unwrap();
+    let connect = || TcpStream::connect(broker.address()).unwrap();
+    let first = connect();
+    let is_closed = |mut stream: TcpStream| stream.read(&mut [0]).is_ok_and(|bytes| bytes == 0);
+    assert!(is_closed(connect()) && is_closed(connect()));
+    let event = events.recv_timeout(Duration::from_secs(10)).unwrap();
+    assert_eq!(event, BrokerEvent::Full { clients_max: 1 });
+    assert!(event.to_string().contains("raise `clients_max`"));
+    assert!(events.try_recv().is_err(), "a client that tries again is not told again");
+    drop(first);
+    let begun = Instant::now();
+    loop {
+        let stream = connect();
+        stream.set_read_timeout(Some(Duration::from_millis(200))).unwrap();
+        if !is_closed(stream) {
+            break; // the broker waits for what this client says
+        }
+        assert!(begun.elapsed() < Duration::from_secs(20), "the place of the first client is not given away");
+    }
 }

@@ -17,6 +17,9 @@ use crate::Share;
 
 pub use error::ConfigError;
 
+/// Limit on the agents whose flights count, unless the configuration sets another.
+pub const DEFAULT_FLIGHTS_MAX: usize = 256;
+
 /// The configuration of one agent. Relative paths are relative to the agent's working folder.
 ///
 /// Integers in TOML are signed 64-bit numbers, so `seed` and `memory_bytes` can be written as TOML only if they are
@@ -109,6 +112,10 @@ pub struct AgentConfig {
     /// costs the merged model up to 1 dB of PSNR. All agents of a site should use the same value.
     #[serde(default)]
     pub compress: bool,
+    /// With `compress`, limit on the agents whose flights count, this one included. Flights of further agents are ignored,
+    /// so the ground that they share with this agent may be sent twice.
+    #[serde(default = "default_flights_max", deserialize_with = "range::flights_max")]
+    pub flights_max: usize,
     /// After the upload, wait for the global model and store it.
     #[serde(default)]
     pub wait_global: bool,
@@ -165,6 +172,10 @@ pub fn parse_toml<T: DeserializeOwned>(text: &str) -> Result<T, ConfigError> {
 
 fn default_eval_every() -> u32 {
     8
+}
+
+fn default_flights_max() -> usize {
+    DEFAULT_FLIGHTS_MAX
 }
 
 #[cfg(test)]

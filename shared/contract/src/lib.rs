@@ -46,7 +46,7 @@ pub mod report;
 mod share;
 mod words;
 
-pub use config::{AgentConfig, AgentLink, ConfigError, parse_toml};
+pub use config::{AgentConfig, AgentLink, ConfigError, DEFAULT_FLIGHTS_MAX, parse_toml};
 pub use cosurf_link::TlsFiles;
 pub use log::{LogError, LogFormat};
 pub use report::{AgentEvent, Changes, ComparedWith, TrainReport};

@@ -52,4 +52,4 @@ pub use session::next_session;
 pub use store::{ModelStore, StoreError};
 pub use transport::{Outgoing, PublishError, Transport, TransportEvent};
 pub use trust::{Credentials, SecretKey, Trusted};
-pub use uploader::{UploadProgress, Uploader};
+pub use uploader::{DEVICES_MAX, UploadProgress, Uploader};

@@ -17,8 +17,8 @@ use crate::pacing::{ANNOUNCE, Backoff};
 use crate::peer::{Peer, PeerPhase};
 use crate::transport::Outgoing;
 
-/// Maximum number of receivers of a global model. Replies from further devices are ignored.
-const PEERS_MAX: usize = 1024;
+/// Limit on the receivers of a global model, and on the devices whose sessions a node remembers, unless another is set.
+pub const DEVICES_MAX: usize = 1024;
 /// Smallest chunk, in bytes, that a sender uses when the link limits the size of messages. With smaller
 /// chunks, the overhead of the messages would be too large.
 const CHUNK_BYTES_MIN: u32 = 1024;
@@ -45,6 +45,9 @@ pub enum UploadEvent {
     /// A receiver refuses the model. The refusal is final unless [`RefusalReason::is_temporary`]. The device
     /// is the receiver of a global model, but the sender of a local one.
     Refused(DeviceId, RefusalReason),
+    /// A device wants the global model, and is one receiver too many. Its replies are ignored. Reported for the first
+    /// such device only.
+    TooManyPeers(DeviceId),
 }
 
 /// Who receives a model.
@@ -96,6 +99,8 @@ pub struct Uploader {
     destination: Destination,
     offer: Offer,
     peers: Vec<Peer>,
+    peers_max: usize,
+    is_full_told: bool,
     announce_at: Option<Duration>,
     backoff: Backoff,
     sent_chunks: u64,
@@ -128,12 +133,20 @@ impl Uploader {
             destination,
             offer,
             peers: receivers.iter().map(|device| Peer::new(*device, chunks, true)).collect(),
+            peers_max: DEVICES_MAX,
+            is_full_told: false,
             announce_at: Some(Duration::ZERO),
             backoff: ANNOUNCE,
             sent_chunks: 0,
             bytes_sent: 0,
             is_cleared: false,
         }
+    }
+
+    /// Sets the limit on receivers. The required receivers count, but are not limited.
+    pub fn with_peers_max(mut self, peers_max: usize) -> Self {
+        self.peers_max = peers_max;
+        self
     }
 
     /// The model's key.
@@ -212,7 +225,10 @@ impl Uploader {
             return None;
         }
         let chunks = self.offer.header.chunks();
-        let index = self.peer_index(by, chunks)?;
+        let Some(index) = self.peer_index(by, chunks) else {
+            let is_first = self.tile().is_some() && !std::mem::replace(&mut self.is_full_told, true);
+            return is_first.then_some(UploadEvent::TooManyPeers(by));
+        };
         if self.peers[index].is_closed() {
             return None;
         }
@@ -274,7 +290,8 @@ impl Uploader {
     /// peer. `None` if the device is no peer and cannot become one.
     fn peer_index(&mut self, device: DeviceId, chunks: u32) -> Option<usize> {
         let known = self.peers.iter().position(|peer| peer.device == device);
-        let may_join = matches!(self.destination, Destination::Devices(_)) && self.peers.len() < PEERS_MAX;
+        let may_join =
+            matches!(self.destination, Destination::Devices(_)) && self.peers.len() < self.peers_max;
         if known.is_none() && may_join {
             self.peers.push(Peer::new(device, chunks, false));
             return Some(self.peers.len() - 1);

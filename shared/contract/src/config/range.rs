@@ -17,6 +17,10 @@ pub(super) fn threads<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Opti
     in_range(deserializer, 1..=1024).map(Some)
 }
 
+pub(super) fn flights_max<'de, D: Deserializer<'de>>(deserializer: D) -> Result<usize, D::Error> {
+    in_range(deserializer, 1..=16_384)
+}
+
 fn in_range<'de, D, T>(deserializer: D, range: RangeInclusive<T>) -> Result<T, D::Error>
 where
     D: Deserializer<'de>,

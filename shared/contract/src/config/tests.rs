@@ -20,6 +20,7 @@ color_only = false
 exposure = false
 alone = false
 compress = false
+flights_max = 256
 wait_global = true
 "#;
 
@@ -47,6 +48,7 @@ key = "drone-1.key"
 trusted = "trusted.txt"
 alone = true
 compress = false
+flights_max = 300
 wait_global = false
 
 [tls]

@@ -4,15 +4,16 @@ use std::collections::BTreeMap;
 
 use cosurf_wire::{DeviceId, State};
 
-/// Maximum number of devices whose sessions are remembered. All notices of further devices count as valid.
-const DEVICES_MAX: usize = 1024;
 /// If births of an older session arrive this many times after the birth of a newer one, two participants use
 /// the same name. Fewer are no proof, since a broker may repeat an outdated birth once or twice.
 const RETURNS_MAX: u32 = 3;
 
 /// The sessions of each device.
 #[derive(Debug, Default)]
-pub(super) struct Births(BTreeMap<DeviceId, Sessions>);
+pub(super) struct Births {
+    sessions: BTreeMap<DeviceId, Sessions>,
+    is_full_told: bool,
+}
 
 #[derive(Clone, Copy, Debug, Default)]
 struct Sessions {
@@ -30,22 +31,26 @@ pub(super) enum Notice {
     Valid,
     /// The notice is valid, and it shows that two participants use the same name.
     SameName,
+    /// The notice is valid. It is the first of a device beyond the limit, whose sessions are not remembered.
+    TooManyDevices,
 }
 
 impl Births {
-    /// Records a birth or death notice, and returns what it means.
-    pub(super) fn record(&mut self, state: &State) -> Notice {
-        let known = self.0.get(&state.device).copied();
+    /// Records a birth or death notice, and returns what it means. Remembers the sessions of at most `devices_max` devices;
+    /// all notices of further devices count as valid.
+    pub(super) fn record(&mut self, state: &State, devices_max: usize) -> Notice {
+        let known = self.sessions.get(&state.device).copied();
         let is_past = known.is_some_and(|known| known.newest > state.session);
         if !state.alive && is_past {
             return Notice::Outdated;
         }
-        if self.0.len() >= DEVICES_MAX && known.is_none() {
-            return Notice::Valid;
+        if self.sessions.len() >= devices_max && known.is_none() {
+            let is_first = !std::mem::replace(&mut self.is_full_told, true);
+            return if is_first { Notice::TooManyDevices } else { Notice::Valid };
         }
         let Sessions { newest, returns } = known.unwrap_or_default();
         let returns = returns + u32::from(is_past);
-        self.0.insert(state.device, Sessions { newest: newest.max(state.session), returns });
+        self.sessions.insert(state.device, Sessions { newest: newest.max(state.session), returns });
         if is_past && returns == RETURNS_MAX { Notice::SameName } else { Notice::Valid }
     }
 }

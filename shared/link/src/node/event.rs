@@ -68,6 +68,14 @@ pub enum NodeEvent {
         /// The reason.
         reason: RefusalReason,
     },
+    /// A device is one too many: the sessions of further devices are not remembered, and their requests for a global model
+    /// are not answered unless the model must reach them. Reported once, and once for each global model.
+    TooManyDevices {
+        /// The device.
+        device: DeviceId,
+        /// The limit, see [`super::Node::set_devices_max`].
+        devices_max: usize,
+    },
     /// The link accepts only messages that are too small for useful chunks. The node has dropped the uploads
     /// that cannot use smaller chunks.
     LinkTooNarrow(PublishError),

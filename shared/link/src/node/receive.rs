@@ -110,9 +110,13 @@ impl Node {
     }
 
     fn receive_state(&mut self, state: State) {
-        match self.births.record(&state) {
+        match self.births.record(&state, self.devices_max) {
             Notice::Outdated => return,
             Notice::SameName => self.events.push_back(NodeEvent::SameName(state.device)),
+            Notice::TooManyDevices => {
+                let (device, devices_max) = (state.device, self.devices_max);
+                self.events.push_back(NodeEvent::TooManyDevices { device, devices_max });
+            }
             Notice::Valid => {}
         }
         self.events.push_back(NodeEvent::State(state));
@@ -125,6 +129,9 @@ impl Node {
             self.events.push_back(match event {
                 UploadEvent::Progress => NodeEvent::Progress(key, progress),
                 UploadEvent::Finished => NodeEvent::Uploaded(key, progress),
+                UploadEvent::TooManyPeers(device) => {
+                    NodeEvent::TooManyDevices { device, devices_max: self.devices_max }
+                }
                 UploadEvent::Refused(by, reason) => NodeEvent::UploadRefused { key, by, reason },
             });
         }

@@ -17,7 +17,7 @@ use crate::key::ModelKey;
 use crate::offer::Offer;
 use crate::transport::Outgoing;
 use crate::trust::Credentials;
-use crate::uploader::Uploader;
+use crate::uploader::{DEVICES_MAX, Uploader};
 
 /// A participant of the protocol: a device or an aggregator. Its caller runs it by calling [`Self::step`]
 /// repeatedly.
@@ -36,6 +36,8 @@ pub struct Node {
     pub(super) cleared: VecDeque<Topic>,
     /// The sessions of other devices.
     pub(super) births: Births,
+    /// Limit on the devices in `births`, and on the receivers of a global model that did not have to get it.
+    pub(super) devices_max: usize,
     /// A message that the transport has not accepted yet.
     pub(super) pending: Option<Outgoing>,
     pub(super) is_connected: bool,
@@ -56,6 +58,7 @@ impl Node {
             is_flight_due: false,
             cleared: VecDeque::new(),
             births: Births::default(),
+            devices_max: DEVICES_MAX,
             pending: None,
             is_connected: false,
             now: Duration::ZERO,
@@ -67,6 +70,12 @@ impl Node {
     /// of keys.
     pub fn set_credentials(&mut self, credentials: Credentials) {
         self.inbox.set_credentials(credentials);
+    }
+
+    /// Sets the limit on devices: the sessions of so many are remembered, and the requests of so many for a global
+    /// model are answered, [`DEVICES_MAX`] if it is not set. Receivers that a global model must reach are always answered.
+    pub fn set_devices_max(&mut self, devices_max: usize) {
+        self.devices_max = devices_max;
     }
 
     /// Announces this device's flight to other devices. The message has the cameras that
@@ -100,7 +109,8 @@ impl Node {
         debug!(model = %ModelKey::from(offer.header), receivers = receivers.len(), "broadcast");
         self.uploaders.retain(|old| old.tile() != Some(tile));
         let offer = offer.with_credentials(&self.identity.site, self.inbox.credentials());
-        self.uploaders.push(Uploader::global(self.identity.site, tile, offer, receivers));
+        let uploader = Uploader::global(self.identity.site, tile, offer, receivers);
+        self.uploaders.push(uploader.with_peers_max(self.devices_max));
     }
 
     /// Offers a tile of the global model to one device. [`NodeEvent::Uploaded`] follows when the device has stored it.
