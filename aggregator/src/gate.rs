@@ -31,6 +31,7 @@ mod features;
 mod frames;
 mod glimpse;
 mod judge;
+mod link_file;
 mod links;
 mod matching;
 mod part;
@@ -171,7 +172,7 @@ pub fn admit<'a>(
     let _span = info_span!("gate", models = locals.count()).entered();
     let count = locals.count();
     let Placement { moves, fits } = match frames.refine {
-        true => find_frames(locals, frames.vouched, threads, is_given_up)?,
+        true => find_frames(locals, frames.vouched, threads, scratch, is_given_up)?,
         false => Placement { moves: vec![None; count], fits: Vec::new() },
     };
     let place = |local: usize| Place {

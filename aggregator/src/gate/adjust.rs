@@ -7,6 +7,7 @@
 //! that contradict the others, do not bend the rest.
 
 use glam::{DQuat, DVec3};
+use serde::{Deserialize, Serialize};
 
 use super::glimpse::median;
 use super::matching::Pair;
@@ -35,7 +36,7 @@ const DEPTH_TRUST: f64 = 0.4;
 const DEPTH_ESTIMATES: usize = 2;
 
 /// Points that two models show.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Link {
     /// Indices of two models. [`Pair::trusted`] is in the frame of the first, [`Pair::other`] in that of the second.
     pub(super) models: [usize; 2],

@@ -9,7 +9,9 @@
 //! their bytes.
 
 use std::collections::BTreeSet;
+use std::path::Path;
 
+use cosurf_scene::SceneError;
 use serde::{Deserialize, Serialize};
 use tracing::debug_span;
 
@@ -17,6 +19,7 @@ use super::adjust::{Frame, Link, adjust, difference_px, distance_m};
 use super::extent::Extent;
 use super::features::Feature;
 use super::glimpse::median;
+use super::link_file::LinkFile;
 use super::links::{Held, links};
 use super::register::register;
 use super::similarity::Similarity;
@@ -72,12 +75,13 @@ struct Edge {
 }
 
 /// Finds the frames of all models. If their frames are `vouched` for, models whose ground lies apart are left where they
-/// are; otherwise they may lie in unrelated frames. `is_given_up` is called between models; if it returns true, the
+/// are; otherwise they may lie in unrelated frames. `scratch` is a folder for files. `is_given_up` is called between models; if it returns true, the
 /// result is an error.
 pub(super) fn find_frames(
     locals: &dyn Locals,
     vouched: bool,
     threads: usize,
+    scratch: &Path,
     is_given_up: &dyn Fn() -> bool,
 ) -> Result<Placement, MergeError> {
     let count = locals.count();
@@ -90,10 +94,11 @@ pub(super) fn find_frames(
     let pairs = || (0..count).flat_map(|i| (i + 1..count).map(move |j| [i, j]));
     let identity = vec![Similarity::IDENTITY; count];
     let near: BTreeSet<[usize; 2]> = pairs().filter(|models| meet(*models, &identity)).collect();
-    let (mut edges, mut links) = measure(locals, &near, &identity, threads, is_given_up)?;
+    let (mut edges, mut links) = (Vec::new(), LinkFile::new(scratch)?);
+    measure(locals, &near, &identity, threads, is_given_up, &mut edges, &mut links)?;
     let may_register = |models: [usize; 2]| !vouched || near.contains(&models);
     register_groups(locals, &may_register, &mut edges, &mut links, threads, is_given_up)?;
-    let mut frames = lay(&edges, &links, count);
+    let mut frames = lay(&edges, &links, count)?;
     // Pairs of models that move are measured again, now with pictures from the same places. Models that were far apart
     // before may share ground now.
     let is_moved = |models: &&[usize; 2]| models.iter().any(|i| frames[*i].is_some());
@@ -101,25 +106,29 @@ pub(super) fn find_frames(
     let moved =
         pairs().filter(|models| is_moved(&models) && meet(*models, &guesses)).collect::<BTreeSet<_>>();
     if !moved.is_empty() {
-        let (new_edges, new_links) = measure(locals, &moved, &guesses, threads, is_given_up)?;
         edges.retain(|edge| !moved.contains(&edge.models));
-        edges.extend(new_edges);
-        links.retain(|Link { models: [a, b], .. }| !moved.contains(&[*a.min(b), *a.max(b)]));
-        links.extend(new_links);
-        frames = lay(&edges, &links, count);
+        links.retain(|models| !moved.contains(&models));
+        measure(locals, &moved, &guesses, threads, is_given_up, &mut edges, &mut links)?;
+        frames = lay(&edges, &links, count)?;
     }
-    let fits = edges.iter().map(|edge| fit(edge.models, &links, &frames)).collect();
-    let moved = |(i, by): (usize, &Option<Similarity>)| {
-        by.map(|by| Move { by, distance_m: distance_m(&links, i, &by) })
-    };
-    Ok(Placement { moves: frames.iter().enumerate().map(moved).collect(), fits })
+    let mut fits = Vec::with_capacity(edges.len());
+    for edge in &edges {
+        fits.push(fit(edge.models, &links.read(|models| models == edge.models)?, &frames));
+    }
+    let mut moves = vec![None; count];
+    for (i, by) in frames.into_iter().enumerate() {
+        let Some(by) = by else { continue };
+        let its = links.read(|models| models.contains(&i))?;
+        moves[i] = Some(Move { by, distance_m: distance_m(&its, i, &by) });
+    }
+    Ok(Placement { moves, fits })
 }
 
-/// How well two linked models fit, before and after they are moved to their frames.
+/// How well two linked models fit, before and after they are moved to their frames. `links` are those between them.
 fn fit(models: [usize; 2], links: &[Link], frames: &[Option<Similarity>]) -> Fit {
     let mut points = 0;
     let (mut before, mut after) = (Vec::new(), Vec::new());
-    for link in links.iter().filter(|link| link.models == models || link.models == [models[1], models[0]]) {
+    for link in links {
         let [one, other] = link.models.map(|model| frames[model].unwrap_or(Similarity::IDENTITY));
         points += link.pairs.len();
         for pair in &link.pairs {
@@ -131,15 +140,16 @@ fn fit(models: [usize; 2], links: &[Link], frames: &[Option<Similarity>]) -> Fit
     Fit { models, points, before_px: median(&mut before), after_px: median(&mut after) }
 }
 
-/// Links the pairs of models. `guesses` has the frame of each model as far as it is known.
+/// Links the pairs of models, and notes what it finds. `guesses` has the frame of each model as far as it is known.
 fn measure(
     locals: &dyn Locals,
     pairs: &BTreeSet<[usize; 2]>,
     guesses: &[Similarity],
     threads: usize,
     is_given_up: &dyn Fn() -> bool,
-) -> Result<(Vec<Edge>, Vec<Link>), MergeError> {
-    let (mut edges, mut all) = (Vec::new(), Vec::new());
+    edges: &mut Vec<Edge>,
+    links: &mut LinkFile,
+) -> Result<(), MergeError> {
     let mut held: Option<(usize, Held)> = None;
     for &models in pairs {
         if is_given_up() {
@@ -154,12 +164,12 @@ fn measure(
         let (_, one) = held.insert((first, one));
         let mut other = Held::of(locals, second, threads)?;
         let guess = guesses[first].inverse().after(&guesses[second]);
-        if let Some((edge, links)) = link(one, &mut other, &guess) {
+        if let Some((edge, found)) = link(one, &mut other, &guess) {
             edges.push(edge);
-            all.extend(links);
+            links.extend(found)?;
         }
     }
-    Ok((edges, all))
+    Ok(())
 }
 
 /// Links two models; `guess` is the similarity from the second to the first as far as it is known.
@@ -174,7 +184,7 @@ fn register_groups(
     locals: &dyn Locals,
     may_register: &dyn Fn([usize; 2]) -> bool,
     edges: &mut Vec<Edge>,
-    links: &mut Vec<Link>,
+    links: &mut LinkFile,
     threads: usize,
     is_given_up: &dyn Fn() -> bool,
 ) -> Result<(), MergeError> {
@@ -197,7 +207,7 @@ fn register_groups(
         let Some(guess) = register(of(first), of(second)) else { continue };
         if let Some((edge, new_links)) = link(&mut one, &mut other, &guess) {
             edges.push(edge);
-            links.extend(new_links);
+            links.extend(new_links)?;
             groups = grouped(edges);
         }
     }
@@ -243,7 +253,7 @@ pub(super) fn groups(linked: impl Iterator<Item = [usize; 2]>, count: usize) -> 
 }
 
 /// How each model must be moved; `None` for models that stay or have no link.
-fn lay(edges: &[Edge], links: &[Link], count: usize) -> Vec<Option<Similarity>> {
+fn lay(edges: &[Edge], links: &LinkFile, count: usize) -> Result<Vec<Option<Similarity>>, SceneError> {
     let mut moves = vec![None; count];
     let mut is_done = vec![false; count];
     for root in 0..count {
@@ -253,10 +263,11 @@ fn lay(edges: &[Edge], links: &[Link], count: usize) -> Vec<Option<Similarity>> 
         let starts = spread(edges, root, count);
         starts.iter().enumerate().filter(|(_, start)| start.is_some()).for_each(|(i, _)| is_done[i] = true);
         let only_root: Vec<bool> = (0..count).map(|i| i == root).collect();
-        let adjusted = adjust(links, &starts, &only_root);
-        lay_group(links, &adjusted, &mut moves);
+        let links = links.read(|models| models.iter().all(|i| starts[*i].is_some()))?;
+        let adjusted = adjust(&links, &starts, &only_root);
+        lay_group(&links, &adjusted, &mut moves);
     }
-    moves
+    Ok(moves)
 }
 
 /// The frames of all models that are linked to `root`, in the frame of `root`, by way of the links with most pairs.
@@ -317,6 +328,13 @@ mod tests {
     use super::super::adjust::tests::{Dice, PIXEL_M, apart_m, link};
     use super::*;
 
+    fn laid(edges: &[Edge], links: Vec<Link>, count: usize) -> Vec<Option<Similarity>> {
+        let folder = tempfile::tempdir().unwrap();
+        let mut file = LinkFile::new(folder.path()).unwrap();
+        file.extend(links).unwrap();
+        lay(edges, &file, count).unwrap()
+    }
+
     /// Links between every two models whose frames are `world_from`, as they would be measured.
     fn measured(dice: &mut Dice, world_from: &[Similarity]) -> (Vec<Edge>, Vec<Link>) {
         let (mut edges, mut links) = (Vec::new(), Vec::new());
@@ -337,10 +355,10 @@ mod tests {
             let mut dice = Dice(wrong as u64);
             let mut frames = vec![Similarity::IDENTITY; 4];
             let (edges, links) = measured(&mut dice, &frames);
-            assert_eq!(lay(&edges, &links, 4), vec![None; 4]);
+            assert_eq!(laid(&edges, links, 4), vec![None; 4]);
             frames[wrong] = dice.similarity();
             let (edges, links) = measured(&mut dice, &frames);
-            let moves = lay(&edges, &links, 4);
+            let moves = laid(&edges, links, 4);
             for (i, by) in moves.iter().enumerate() {
                 assert_eq!(by.is_some(), i == wrong, "model {i} of {wrong}");
             }
@@ -354,7 +372,7 @@ mod tests {
         let mut dice = Dice(5);
         let frames: Vec<Similarity> = (0..4).map(|_| dice.similarity()).collect();
         let (edges, links) = measured(&mut dice, &frames);
-        let moves = lay(&edges, &links, 4);
+        let moves = laid(&edges, links, 4);
         assert_eq!(moves[0], None);
         for i in 1..4 {
             let right = frames[0].inverse().after(&frames[i]);
@@ -371,7 +389,7 @@ mod tests {
         let is_inside = |models: &[usize; 2]| (models[0] < 2) == (models[1] < 2);
         let edges: Vec<Edge> = edges.into_iter().filter(|edge| is_inside(&edge.models)).collect();
         let links: Vec<Link> = links.into_iter().filter(|link| is_inside(&link.models)).collect();
-        let stays: Vec<bool> = lay(&edges, &links, 5).iter().map(Option::is_none).collect();
+        let stays: Vec<bool> = laid(&edges, links, 5).iter().map(Option::is_none).collect();
         assert_eq!(stays, [true, false, true, false, true], "the last model has no link");
     }
 }

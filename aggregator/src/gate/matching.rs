@@ -6,6 +6,7 @@ use cosurf_engine::{Renderer, Rendering};
 use cosurf_scene::Camera;
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 /// Pixels with at most this alpha show no surface.
 const ALPHA_MIN: f32 = 0.95;
@@ -46,7 +47,7 @@ pub(super) struct Matches {
 }
 
 /// A point of the ground, as two models show it.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(super) struct Pair {
     /// Position of the point in the trusted model, world units.
     pub(super) trusted: DVec3,

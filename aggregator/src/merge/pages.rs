@@ -25,8 +25,12 @@ pub(super) struct Pages {
 #[derive(Clone, Copy, Debug)]
 struct Page {
     at: u64,
-    count: usize,
-    bounds: Bounds,
+    count: u32,
+    /// The box around the means, and the radius of the largest splat, in as few bytes as possible: large sites have
+    /// many pages.
+    low: [f32; 3],
+    high: [f32; 3],
+    reach: f32,
 }
 
 /// A box around the means of some splats.
@@ -36,6 +40,12 @@ pub(super) struct Bounds {
     pub(super) high: DVec3,
     /// Radius of the largest splat, world units.
     reach: f64,
+}
+
+impl Page {
+    fn bounds(&self) -> Bounds {
+        Bounds { low: place(self.low), high: place(self.high), reach: f64::from(self.reach) }
+    }
 }
 
 impl Bounds {
@@ -85,7 +95,15 @@ impl Pages {
                 numbers.resize(numbers.len() + stride - splats.sh_stride(), 0.0);
             }
             let at = self.floats.append(&numbers)?;
-            self.pages.push(Page { at, count: page.len(), bounds: bounds(splats, page) });
+            let Bounds { low, high, reach } = bounds(splats, page);
+            // The corners are values of means, so they are exact. The radius is rounded up.
+            self.pages.push(Page {
+                at,
+                count: page.len() as u32,
+                low: low.as_vec3().to_array(),
+                high: high.as_vec3().to_array(),
+                reach: (reach as f32).next_up(),
+            });
         }
         Ok(first..self.pages.len())
     }
@@ -97,7 +115,7 @@ impl Pages {
 
     /// The number of splats in those of `pages` for which `near` holds.
     pub(super) fn count(&self, pages: Range<usize>, near: impl Fn(&Bounds) -> bool) -> usize {
-        self.pages[pages].iter().filter(|page| near(&page.bounds)).map(|page| page.count).sum()
+        self.pages[pages].iter().filter(|page| near(&page.bounds())).map(|page| page.count as usize).sum()
     }
 
     /// Appends to `splats` those that satisfy `wanted`, of those of `pages` for which `near` holds. `wanted` gets the
@@ -111,8 +129,8 @@ impl Pages {
     ) -> Result<(), SceneError> {
         let each = SHAPE + splats.sh_stride();
         let mut numbers = vec![0.0; PAGE * each];
-        for page in self.pages[pages].iter().filter(|page| near(&page.bounds)) {
-            let numbers = &mut numbers[..page.count * each];
+        for page in self.pages[pages].iter().filter(|page| near(&page.bounds())) {
+            let numbers = &mut numbers[..page.count as usize * each];
             self.floats.read(page.at, numbers)?;
             for splat in numbers.chunks_exact(each) {
                 let [x, y, z, qw, qx, qy, qz, a, b, c, opacity_logit] = *splat.first_chunk().expect("SHAPE");

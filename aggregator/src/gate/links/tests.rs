@@ -101,7 +101,8 @@ fn a_mirrored_or_shuffled_model_fits_nowhere() {
     for bad in [mirrored(&local(3.0, 20)), nonsense(&local(3.0, 20))] {
         let one = local(-3.0, 10);
         assert_eq!(find(&one, &bad), None);
-        let frames = find_frames(&InMemory(vec![one, bad]), false, 1, &|| false).unwrap();
+        let frames =
+            find_frames(&InMemory(vec![one, bad]), false, 1, &std::env::temp_dir(), &|| false).unwrap();
         assert_eq!((frames.moves, frames.fits), (vec![None, None], Vec::new()), "in any frame");
     }
 }
@@ -114,7 +115,8 @@ fn a_model_in_a_frame_of_its_own_is_found() {
         let rotation = DQuat::from_axis_angle(dice.vector().normalize(), 3.1);
         let there = Similarity { scale, rotation, translation: 100.0 * dice.vector() };
         let given = vec![one.clone(), there.model(&right)];
-        let moves = find_frames(&InMemory(given.clone()), false, 1, &|| false).unwrap().moves;
+        let moves =
+            find_frames(&InMemory(given.clone()), false, 1, &std::env::temp_dir(), &|| false).unwrap().moves;
         assert_eq!(moves[0], None);
         let back = moves[1].unwrap().by.model(&given[1]);
         let eye = |camera: &Camera| camera.cam_from_world.center();

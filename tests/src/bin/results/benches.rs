@@ -140,6 +140,18 @@ pub(crate) fn fifth(folder: &TempDir) -> Result<Results> {
     of_missions(&DATASETS[2..], "fifth", |_| (&TRAINING, &[]), folder)
 }
 
+/// Measures merges of sites that are made of a mission over Caliterra, again and again. The districts are so far apart
+/// that none sees another.
+pub(crate) fn scale(folder: &TempDir) -> Result<Results> {
+    let options = ["--devices", "16,64,256", "--epochs", "2", "--pitch", "1000"];
+    build()?;
+    let (data, out) = (dataset("real_caliterra")?, folder.path().join("caliterra"));
+    mission(Some(&data), &[&TRAINING[..], &["--agents", "4"]].concat(), &out)?;
+    let agents = agents(&out, 4);
+    let agents = agents.iter().map(|agent| text(agent)).collect::<Result<Vec<_>>>()?;
+    ours("scale", &[&agents[..], &options].concat(), folder)
+}
+
 /// Measures where models that arrive in wrong frames are placed. Most cases are of the city, with the defaults of a
 /// mission.
 pub(crate) fn placement(folder: &TempDir) -> Result<Results> {

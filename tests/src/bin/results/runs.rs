@@ -42,7 +42,7 @@ pub(crate) fn command_fault(stored: &Results) -> Option<String> {
 }
 
 /// All benches, the quickest first.
-pub(crate) const RUNS: [Run; 22] = [
+pub(crate) const RUNS: [Run; 23] = [
     Run {
         name: "sizes",
         about: "size of both programs",
@@ -134,6 +134,12 @@ pub(crate) const RUNS: [Run; 22] = [
         about: "what the model of a fifth agent costs or gains",
         command: "cargo bench -p cosurf-tests --bench fifth -- DATA AGENT...",
         measure: benches::fifth,
+    },
+    Run {
+        name: "scale",
+        about: "merges of sites with up to 256 devices",
+        command: "cargo bench -p cosurf-tests --bench scale -- AGENT... --devices 16,64,256 --epochs 2 --pitch 1000",
+        measure: benches::scale,
     },
     Run {
         name: "layers",
