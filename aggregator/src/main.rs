@@ -68,6 +68,7 @@ struct RunArgs {
 }
 
 fn main() -> ExitCode {
+    cosurf_engine::budget::return_freed_memory();
     match run_command(Cli::parse()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) if has_closed_pipe(&error) => ExitCode::SUCCESS,

@@ -2,6 +2,7 @@
 
 mod capacity;
 mod costs;
+mod freed;
 
 use crate::backend::Channels;
 use crate::layout::rows::parameter_rows;
@@ -9,6 +10,7 @@ pub use capacity::{Capacity, PAIRS_PER_SEEN_SPLAT, PAIRS_PER_SPLAT};
 pub use costs::{Costs, DRIVER_BYTES};
 #[cfg(feature = "gpu")]
 pub(crate) use costs::{PARTIALS, PROJECTED_BYTES, TAUGHT_NUMBERS};
+pub use freed::return_freed_memory;
 
 /// Bytes that a process takes beside the planned buffers: code, stacks, the allocator, small tables, and the threads'
 /// scratch memory.
