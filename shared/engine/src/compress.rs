@@ -51,9 +51,6 @@ const BETTER_MIN_ANNOUNCED: f64 = 1.08;
 const SHOWN_SHARE_MIN: f64 = 0.5;
 /// Largest number of models that keep their splats of a place.
 const KEEPERS_MAX: usize = 2;
-/// Side of the cubes over which normals are averaged, in pixels on the ground. 2 to 16 give the same PSNR within 0.02
-/// dB.
-const SLOPES_PX: f64 = 16.0;
 /// Number of cells into which a model is divided along its longest side.
 const CELLS_ACROSS: f64 = 32.0;
 

@@ -4,8 +4,7 @@ use cosurf_scene::{Camera, Frustum, Splats};
 use glam::{DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 
-use super::SLOPES_PX;
-use super::slopes::Slopes;
+use super::slopes::{SLOPES_PX, Slopes};
 use crate::device::{Device, DeviceError};
 use crate::render::Renderer;
 

@@ -8,6 +8,9 @@ use cosurf_scene::Splats;
 use glam::{DMat3, DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
+/// Side of the cubes over which normals are averaged, in pixels on the ground. 2 to 16 give the same PSNR within 0.02
+/// dB.
+pub(super) const SLOPES_PX: f64 = 16.0;
 /// Splats with a lower opacity are invisible: no pixel of an 8-bit picture shows them.
 const OPACITY_MIN: f64 = 1.0 / 255.0;
 
