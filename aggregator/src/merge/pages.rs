@@ -9,6 +9,9 @@ use super::scratch::{Floats, Scratch};
 
 /// Number of splats in a page.
 const PAGE: usize = 256;
+/// Number of pages in a chapter. Whole chapters that lie elsewhere are passed over, so that the time for one place grows
+/// little with the site.
+const CHAPTER: usize = 64;
 /// Number of numbers of a splat before its spherical harmonics.
 const SHAPE: usize = 11;
 /// A splat reaches this many standard deviations.
@@ -20,6 +23,8 @@ pub(super) struct Pages {
     floats: Floats,
     sh_degree: u32,
     pages: Vec<Page>,
+    /// The bounds of all pages of each chapter.
+    chapters: Vec<Bounds>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -49,6 +54,16 @@ impl Page {
 }
 
 impl Bounds {
+    const NOWHERE: Self = Self { low: DVec3::INFINITY, high: DVec3::NEG_INFINITY, reach: 0.0 };
+
+    fn joined(&self, other: &Self) -> Self {
+        Self {
+            low: self.low.min(other.low),
+            high: self.high.max(other.high),
+            reach: self.reach.max(other.reach),
+        }
+    }
+
     /// Centre and radius of a ball that contains all splats.
     pub(super) fn ball(&self) -> (DVec3, f64) {
         (0.5 * (self.low + self.high), 0.5 * self.low.distance(self.high) + self.reach)
@@ -68,7 +83,7 @@ pub(super) fn place(mean: [f32; 3]) -> DVec3 {
 impl Pages {
     /// No splats yet. Those to come have this degree of spherical harmonics.
     pub(super) fn new(scratch: &Scratch, sh_degree: u32) -> Result<Self, SceneError> {
-        Ok(Self { floats: scratch.floats()?, sh_degree, pages: Vec::new() })
+        Ok(Self { floats: scratch.floats()?, sh_degree, pages: Vec::new(), chapters: Vec::new() })
     }
 
     pub(super) fn sh_degree(&self) -> u32 {
@@ -105,7 +120,31 @@ impl Pages {
                 reach: (reach as f32).next_up(),
             });
         }
+        self.chapters.truncate(first / CHAPTER);
+        for pages in self.pages[self.chapters.len() * CHAPTER..].chunks(CHAPTER) {
+            let join = |all: Bounds, page: &Page| all.joined(&page.bounds());
+            self.chapters.push(pages.iter().fold(Bounds::NOWHERE, join));
+        }
         Ok(first..self.pages.len())
+    }
+
+    /// Those of `pages` for which `near` holds.
+    fn near(&self, pages: Range<usize>, near: impl Fn(&Bounds) -> bool) -> impl Iterator<Item = &Page> {
+        let mut at = pages.start;
+        std::iter::from_fn(move || {
+            while at < pages.end {
+                let page = at;
+                if page.is_multiple_of(CHAPTER) && !near(&self.chapters[page / CHAPTER]) {
+                    at += CHAPTER;
+                    continue;
+                }
+                at += 1;
+                if near(&self.pages[page].bounds()) {
+                    return Some(&self.pages[page]);
+                }
+            }
+            None
+        })
     }
 
     /// All pages.
@@ -115,7 +154,7 @@ impl Pages {
 
     /// The number of splats in those of `pages` for which `near` holds.
     pub(super) fn count(&self, pages: Range<usize>, near: impl Fn(&Bounds) -> bool) -> usize {
-        self.pages[pages].iter().filter(|page| near(&page.bounds())).map(|page| page.count as usize).sum()
+        self.near(pages, near).map(|page| page.count as usize).sum()
     }
 
     /// Appends to `splats` those that satisfy `wanted`, of those of `pages` for which `near` holds. `wanted` gets the
@@ -129,7 +168,7 @@ impl Pages {
     ) -> Result<(), SceneError> {
         let each = SHAPE + splats.sh_stride();
         let mut numbers = vec![0.0; PAGE * each];
-        for page in self.pages[pages].iter().filter(|page| near(&page.bounds())) {
+        for page in self.near(pages, near) {
             let numbers = &mut numbers[..page.count as usize * each];
             self.floats.read(page.at, numbers)?;
             for splat in numbers.chunks_exact(each) {
@@ -179,8 +218,7 @@ impl Area {
 }
 
 fn bounds(splats: &Splats, page: &[u32]) -> Bounds {
-    let none = Bounds { low: DVec3::INFINITY, high: DVec3::NEG_INFINITY, reach: 0.0 };
-    page.iter().fold(none, |Bounds { low, high, reach }, &i| {
+    page.iter().fold(Bounds::NOWHERE, |Bounds { low, high, reach }, &i| {
         let mean = place(splats.means[i as usize]);
         let own = radius(splats.log_scales[i as usize]);
         Bounds { low: low.min(mean), high: high.max(mean), reach: reach.max(own) }
