@@ -115,8 +115,11 @@ impl Differences {
     fn standards_of_all(&self, count: usize) -> Vec<Standard> {
         let errors = self.errors(count);
         let is_determined = self.determined(count);
+        let groups = groups(self.0.keys().copied(), count);
         let standard = |i: usize| {
-            let mut others: Vec<f64> = (0..count).filter(|j| *j != i).filter_map(|j| errors[j]).collect();
+            // Models elsewhere, that share no ground with it, do not tell what is usual here.
+            let is_near = |j: &usize| *j != i && groups[*j] == groups[i];
+            let mut others: Vec<f64> = (0..count).filter(is_near).filter_map(|j| errors[j]).collect();
             let Some(error) = errors[i].filter(|_| !others.is_empty()) else { return Standard::UNKNOWN };
             let standard = Standard { error, times: error / median(&mut others).max(ERROR_MIN) };
             if is_determined[i] || standard.is_far_worse() { standard } else { Standard::UNKNOWN }
