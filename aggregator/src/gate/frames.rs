@@ -75,8 +75,8 @@ struct Edge {
 }
 
 /// Finds the frames of all models. If their frames are `vouched` for, models whose ground lies apart are left where they
-/// are; otherwise they may lie in unrelated frames. `scratch` is a folder for files. `is_given_up` is called between models; if it returns true, the
-/// result is an error.
+/// are; otherwise they may lie in unrelated frames. `scratch` is a folder for files. `is_given_up` is called between
+/// models; if it returns true, the result is an error.
 pub(super) fn find_frames(
     locals: &dyn Locals,
     vouched: bool,
