@@ -37,13 +37,13 @@ mod matching;
 mod part;
 mod quality;
 mod register;
+mod scouts;
 mod sharpness;
 mod similarity;
 #[cfg(test)]
 pub(crate) mod tests;
 mod tone;
-
-use std::path::Path;
+mod workspace;
 
 use cosurf_link::Model;
 use cosurf_scene::Camera;
@@ -51,6 +51,7 @@ use tracing::info_span;
 
 use crate::merge::{Locals, MergeError, MergeSettings};
 pub use doubt::Doubt;
+use extent::{extents, held_bytes};
 pub use frames::{Fit, Move};
 use frames::{Placement, find_frames};
 use judge::{Judged, Judgement, judge};
@@ -58,6 +59,7 @@ pub(crate) use part::admit_part;
 pub use similarity::Similarity;
 pub use tone::Tone;
 use tone::tones;
+pub use workspace::Workspace;
 
 /// The local models that take part in a merge, with positions and colours that fit each other.
 pub struct Admitted<'a> {
@@ -160,19 +162,19 @@ impl From<&MergeSettings> for Frames {
 }
 
 /// Decides which of `locals` take part in a merge. If told so, first moves models to where they fit each other.
-/// Then every model that contradicts others is kept out. `scratch` is a folder for files; none is left at the end.
-/// `is_given_up` is called between models; if it returns true, the result is an error.
+/// Then every model that contradicts others is kept out. `is_given_up` is called between models; if it returns true, the
+/// result is an error.
 pub fn admit<'a>(
     locals: &'a dyn Locals,
     frames: Frames,
-    threads: usize,
-    scratch: &Path,
+    workspace: Workspace,
     is_given_up: &dyn Fn() -> bool,
 ) -> Result<Admitted<'a>, MergeError> {
     let _span = info_span!("gate", models = locals.count()).entered();
     let count = locals.count();
+    let extents = extents(locals, is_given_up)?;
     let Placement { moves, fits } = match frames.refine {
-        true => find_frames(locals, frames.vouched, threads, scratch, is_given_up)?,
+        true => find_frames(locals, &extents, frames.vouched, workspace, is_given_up)?,
         false => Placement { moves: vec![None; count], fits: Vec::new() },
     };
     let place = |local: usize| Place {
@@ -186,7 +188,8 @@ pub fn admit<'a>(
     let mut admitted =
         Admitted { locals, doubts: vec![None; count], places: (0..count).map(place).collect(), fits };
     let linked: Vec<[usize; 2]> = admitted.fits.iter().map(|fit| fit.models).collect();
-    let Judgement { judged, colors } = judge(&admitted, &linked, threads, scratch, is_given_up)?;
+    let Judgement { judged, colors } =
+        judge(&admitted, &linked, workspace.shifts(held_bytes(&extents)), workspace.scratch, is_given_up)?;
     let accepted =
         |local: &usize| judged[*local].doubt.is_none() && (frames.vouched || judged[*local].is_verified);
     let place = |local: usize| {

@@ -31,7 +31,7 @@ mod ground;
 mod learn;
 mod lessons;
 mod locals;
-mod memory;
+pub(crate) mod memory;
 mod news;
 mod observed;
 mod pages;

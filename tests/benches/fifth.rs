@@ -15,7 +15,7 @@ use std::process::{Command, Stdio};
 
 use anyhow::{Context, Result, ensure};
 use clap::Parser;
-use cosurf_aggregator::gate::{Admitted, Similarity, admit};
+use cosurf_aggregator::gate::{Admitted, Similarity, Workspace, admit};
 use cosurf_aggregator::merge::{InMemory, Locals, MergeSettings, Resources, Tiles, merge};
 use cosurf_city::{City, CitySettings};
 use cosurf_link::Model;
@@ -142,7 +142,8 @@ impl Joined {
     /// The global model of these models. Prints what the gate decided.
     fn merged(&self, models: Vec<Model>) -> Result<Model> {
         let (locals, settings) = (InMemory(models), MergeSettings::default());
-        let admitted = admit(&locals, (&settings).into(), THREADS, &temp_dir(), &|| false)?;
+        let admitted =
+            admit(&locals, (&settings).into(), Workspace::of(&settings, &temp_dir(), THREADS), &|| false)?;
         self.tell(&admitted);
         Ok(merge(
             &admitted,

@@ -12,7 +12,7 @@ use std::ops::ControlFlow;
 
 use anyhow::{Context, Result};
 use clap::Parser;
-use cosurf_aggregator::gate::admit;
+use cosurf_aggregator::gate::{Workspace, admit};
 use cosurf_aggregator::merge::{InMemory, Locals, MergeSettings, Resources, Tiles, merge};
 use cosurf_link::Model;
 use cosurf_scene::{Camera, Dataset, Mesh};
@@ -145,7 +145,7 @@ impl Yardstick {
 
 fn merged(models: Vec<Model>, settings: &MergeSettings, truth: Option<&[Model]>) -> Result<Model> {
     let locals = InMemory(models);
-    let admitted = admit(&locals, settings.into(), THREADS, &temp_dir(), &|| false)?;
+    let admitted = admit(&locals, settings.into(), Workspace::of(settings, &temp_dir(), THREADS), &|| false)?;
     let model = merge(
         &admitted,
         settings,

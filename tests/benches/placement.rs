@@ -11,8 +11,8 @@ use std::time::Instant;
 
 use anyhow::{Context, Result};
 use clap::Parser;
-use cosurf_aggregator::gate::{Frames, admit};
-use cosurf_aggregator::merge::{InMemory, Locals};
+use cosurf_aggregator::gate::{Frames, Workspace, admit};
+use cosurf_aggregator::merge::{InMemory, Locals, MergeSettings};
 use cosurf_engine::Renderer;
 use cosurf_link::Model;
 use cosurf_scene::{Camera, camera};
@@ -110,7 +110,10 @@ impl Case {
         let frames = Frames { refine: true, vouched: false };
         let begun = Instant::now();
         let locals = InMemory(given);
-        let admitted = admit(&locals, frames, threads, &temp_dir(), &|| false)?;
+        let admitted =
+            admit(&locals, frames, Workspace::of(&MergeSettings::default(), &temp_dir(), threads), &|| {
+                false
+            })?;
         let seconds = begun.elapsed().as_secs_f64();
         let names: Vec<String> = (1..=right.len()).map(|i| format!("model {i}")).collect();
         let kept_out =

@@ -9,7 +9,7 @@ use std::time::Instant;
 
 use anyhow::{Result, ensure};
 use clap::Args;
-use cosurf_aggregator::gate::{Place, admit};
+use cosurf_aggregator::gate::{Place, Workspace, admit};
 use cosurf_aggregator::merge::{
     LocalSummary, Locals, MergeError, MergeProgress, MergeSettings, MergeSummary, MergedFile, Resources,
     Tiles, keep_only, merge_to_file,
@@ -139,7 +139,8 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
     };
     let resources = Resources { scratch: &args.out, tiles, threads };
     let folders = Folders(&args.models);
-    let admitted = admit(&folders, (&settings).into(), threads, &args.out, &|| false)?;
+    let admitted =
+        admit(&folders, (&settings).into(), Workspace::of(&settings, &args.out, threads), &|| false)?;
     let names: Vec<String> = args.models.iter().map(|folder| folder.display().to_string()).collect();
     let kept_out: Vec<String> =
         admitted.kept_out(&names).map(|(i, why)| format!("{} {why}", names[i])).collect();

@@ -4,15 +4,37 @@ use cosurf_link::Model;
 use glam::DVec3;
 
 use super::similarity::Similarity;
+use crate::merge::memory::rendered_bytes;
+use crate::merge::{Locals, MergeError};
 
 /// One splat in so many, along each axis and at each end, may lie outside the extent: a few splats may lie far off.
 const OUTSIDE: usize = 50;
 /// The extent is larger than the splats by this share of its longest side, because models may lie a little off.
 const MARGIN: f64 = 0.25;
 
+/// The extents of all models; `None` for models without splats. `is_given_up` is called between models; if it returns
+/// true, the result is an error.
+pub(super) fn extents(
+    locals: &dyn Locals,
+    is_given_up: &dyn Fn() -> bool,
+) -> Result<Vec<Option<Extent>>, MergeError> {
+    let extent = |index: usize| match is_given_up() {
+        true => Err(MergeError::GivenUp),
+        false => Ok(Extent::of(&locals.load(index)?)),
+    };
+    (0..locals.count()).map(extent).collect()
+}
+
+/// Bytes that the largest of some models takes while pictures of it are rendered.
+pub(super) fn held_bytes(extents: &[Option<Extent>]) -> u64 {
+    extents.iter().flatten().map(|extent| extent.held_bytes).max().unwrap_or_default()
+}
+
 /// A box around most splats of a model, in the model's own frame.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Extent {
+    /// Bytes that the model takes while pictures of it are rendered.
+    held_bytes: u64,
     low: DVec3,
     high: DVec3,
 }
@@ -33,7 +55,8 @@ impl Extent {
         let [x, y, z] = [0, 1, 2].map(span);
         let (low, high) = (DVec3::new(x[0], y[0], z[0]), DVec3::new(x[1], y[1], z[1]));
         let margin = DVec3::splat(MARGIN * (high - low).max_element());
-        Some(Self { low: low - margin, high: high + margin })
+        let held_bytes = rendered_bytes(means.len(), model.splats.sh_degree);
+        Some(Self { held_bytes, low: low - margin, high: high + margin })
     }
 
     /// Whether the boxes of two models meet, if the models are moved by these similarities.
@@ -46,8 +69,8 @@ impl Extent {
     fn moved(&self, by: &Similarity) -> Self {
         let ends = [self.low, self.high];
         let corners = (0..8).map(|i| by.apply(DVec3::new(ends[i & 1].x, ends[i >> 1 & 1].y, ends[i >> 2].z)));
-        let none = Self { low: DVec3::INFINITY, high: DVec3::NEG_INFINITY };
-        corners.fold(none, |all, corner| Self { low: all.low.min(corner), high: all.high.max(corner) })
+        let none = Self { low: DVec3::INFINITY, high: DVec3::NEG_INFINITY, ..*self };
+        corners.fold(none, |all, corner| Self { low: all.low.min(corner), high: all.high.max(corner), ..all })
     }
 }
 

@@ -9,20 +9,20 @@
 //! their bytes.
 
 use std::collections::BTreeSet;
-use std::path::Path;
 
 use cosurf_scene::SceneError;
 use serde::{Deserialize, Serialize};
 use tracing::debug_span;
 
 use super::adjust::{Frame, Link, adjust, difference_px, distance_m};
-use super::extent::Extent;
+use super::extent::{Extent, held_bytes};
 use super::features::Feature;
 use super::glimpse::median;
 use super::link_file::LinkFile;
-use super::links::{Held, links};
+use super::links::{Held, Scouted, links};
 use super::register::register;
 use super::similarity::Similarity;
+use super::workspace::{Shifts, Workspace};
 use crate::merge::{Locals, MergeError};
 
 /// A model stays where it is if its ground would move by at most this, root mean square, px of the compared pictures.
@@ -75,18 +75,18 @@ struct Edge {
 }
 
 /// Finds the frames of all models. If their frames are `vouched` for, models whose ground lies apart are left where they
-/// are; otherwise they may lie in unrelated frames. `scratch` is a folder for files. `is_given_up` is called between
+/// are; otherwise they may lie in unrelated frames. `extents` has that of each model. `is_given_up` is called between
 /// models; if it returns true, the result is an error.
 pub(super) fn find_frames(
     locals: &dyn Locals,
+    extents: &[Option<Extent>],
     vouched: bool,
-    threads: usize,
-    scratch: &Path,
+    workspace: Workspace,
     is_given_up: &dyn Fn() -> bool,
 ) -> Result<Placement, MergeError> {
     let count = locals.count();
-    let extents: Vec<Option<Extent>> =
-        (0..count).map(|i| Ok(Extent::of(&locals.load(i)?))).collect::<Result<_, MergeError>>()?;
+    let shifts = workspace.shifts(2 * held_bytes(extents));
+    let models = &Scouted::of(locals, workspace.shifts(held_bytes(extents)), workspace.scratch, is_given_up)?;
     let meet = |[i, j]: [usize; 2], frames: &[Similarity]| match [&extents[i], &extents[j]] {
         [Some(one), Some(other)] => one.meets(&frames[i], other, &frames[j]),
         _ => false,
@@ -94,10 +94,10 @@ pub(super) fn find_frames(
     let pairs = || (0..count).flat_map(|i| (i + 1..count).map(move |j| [i, j]));
     let identity = vec![Similarity::IDENTITY; count];
     let near: BTreeSet<[usize; 2]> = pairs().filter(|models| meet(*models, &identity)).collect();
-    let (mut edges, mut links) = (Vec::new(), LinkFile::new(scratch)?);
-    measure(locals, &near, &identity, threads, is_given_up, &mut edges, &mut links)?;
+    let (mut edges, mut links) = (Vec::new(), LinkFile::new(workspace.scratch)?);
+    measure(models, &near, &identity, shifts, is_given_up, &mut edges, &mut links)?;
     let may_register = |models: [usize; 2]| !vouched || near.contains(&models);
-    register_groups(locals, &may_register, &mut edges, &mut links, threads, is_given_up)?;
+    register_groups(models, &may_register, &mut edges, &mut links, workspace.threads, is_given_up)?;
     let mut frames = lay(&edges, &links, count)?;
     // Pairs of models that move are measured again, now with pictures from the same places. Models that were far apart
     // before may share ground now.
@@ -108,7 +108,7 @@ pub(super) fn find_frames(
     if !moved.is_empty() {
         edges.retain(|edge| !moved.contains(&edge.models));
         links.retain(|models| !moved.contains(&models));
-        measure(locals, &moved, &guesses, threads, is_given_up, &mut edges, &mut links)?;
+        measure(models, &moved, &guesses, shifts, is_given_up, &mut edges, &mut links)?;
         frames = lay(&edges, &links, count)?;
     }
     let mut fits = Vec::with_capacity(edges.len());
@@ -142,34 +142,33 @@ fn fit(models: [usize; 2], links: &[Link], frames: &[Option<Similarity>]) -> Fit
 
 /// Links the pairs of models, and notes what it finds. `guesses` has the frame of each model as far as it is known.
 fn measure(
-    locals: &dyn Locals,
+    models: &Scouted,
     pairs: &BTreeSet<[usize; 2]>,
     guesses: &[Similarity],
-    threads: usize,
+    shifts: Shifts,
     is_given_up: &dyn Fn() -> bool,
     edges: &mut Vec<Edge>,
     links: &mut LinkFile,
 ) -> Result<(), MergeError> {
-    let mut held: Option<(usize, Held)> = None;
-    for &models in pairs {
-        if is_given_up() {
-            return Err(MergeError::GivenUp);
-        }
-        let [first, second] = models;
+    let pairs: Vec<[usize; 2]> = pairs.iter().copied().collect();
+    // The first model is kept for the next pair.
+    let compare = |held: &mut Option<Held>, pair: usize| {
+        let [first, second] = pairs[pair];
         let _span = debug_span!("link", one = first, other = second).entered();
-        let one = match held.take() {
-            Some((index, one)) if index == first => one,
-            _ => Held::of(locals, first, threads)?,
+        let one = match held.take().filter(|one| one.index() == first) {
+            Some(one) => one,
+            None => models.hold(first, shifts.threads)?,
         };
-        let (_, one) = held.insert((first, one));
-        let mut other = Held::of(locals, second, threads)?;
+        let one = held.insert(one);
+        let mut other = models.hold(second, shifts.threads)?;
         let guess = guesses[first].inverse().after(&guesses[second]);
-        if let Some((edge, found)) = link(one, &mut other, &guess) {
-            edges.push(edge);
-            links.extend(found)?;
-        }
-    }
-    Ok(())
+        Ok(link(one, &mut other, &guess))
+    };
+    shifts.run(pairs.len(), is_given_up, compare, |_, linked| {
+        let Some((edge, found)) = linked else { return Ok(()) };
+        edges.push(edge);
+        Ok(links.extend(found)?)
+    })
 }
 
 /// Links two models; `guess` is the similarity from the second to the first as far as it is known.
@@ -181,14 +180,14 @@ fn link(one: &mut Held, other: &mut Held, guess: &Similarity) -> Option<(Edge, [
 
 /// Links groups of models that are not linked to each other, if they share ground but lie in unrelated frames.
 fn register_groups(
-    locals: &dyn Locals,
+    models: &Scouted,
     may_register: &dyn Fn([usize; 2]) -> bool,
     edges: &mut Vec<Edge>,
     links: &mut LinkFile,
     threads: usize,
     is_given_up: &dyn Fn() -> bool,
 ) -> Result<(), MergeError> {
-    let count = locals.count();
+    let count = models.count();
     let mut features: Vec<Option<Vec<Feature>>> = vec![None; count];
     let mut tried = BTreeSet::new();
     let grouped = |edges: &[Edge]| groups(edges.iter().map(|edge| edge.models), count);
@@ -199,7 +198,7 @@ fn register_groups(
         }
         let _span = debug_span!("register", one = first, other = second).entered();
         tried.insert([first, second]);
-        let [mut one, mut other] = [Held::of(locals, first, threads)?, Held::of(locals, second, threads)?];
+        let [mut one, mut other] = [models.hold(first, threads)?, models.hold(second, threads)?];
         for held in [&mut one, &mut other] {
             features[held.index()].get_or_insert_with(|| held.features());
         }

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use cosurf_engine::Renderer;
 use cosurf_link::Model;
-use cosurf_scene::{Camera, Frustum, Watchers};
+use cosurf_scene::{Camera, Frustum, SceneError, Watchers};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
@@ -15,6 +15,7 @@ use super::glimpse::{Glimpse, chosen, median};
 use super::quality::{Detail, Differences, Standard};
 use super::sharpness::{Fine, Sharpness};
 use super::tone::Pairs;
+use super::workspace::Shifts;
 use crate::merge::cameras::{middle, radius};
 use crate::merge::scratch::{Record, Records};
 use crate::merge::{Locals, MergeError};
@@ -54,23 +55,29 @@ pub(super) struct Judged {
 pub(super) fn judge(
     locals: &dyn Locals,
     linked: &[[usize; 2]],
-    threads: usize,
+    shifts: Shifts,
     scratch: &Path,
     is_given_up: &dyn Fn() -> bool,
 ) -> Result<Judgement, MergeError> {
-    let go_on = || if is_given_up() { Err(MergeError::GivenUp) } else { Ok(()) };
     let mut records = Records::new(scratch)?;
     let mut shown = Vec::with_capacity(locals.count());
-    for i in 0..locals.count() {
-        go_on()?;
-        shown.push(Shown::of(locals.load(i)?, locals.is_compressed(i), threads, &mut records)?);
-    }
+    let look = |(): &mut (), i: usize| {
+        let model = locals.load(i)?;
+        Ok(Shown::of(model, locals.is_compressed(i), shifts.threads))
+    };
+    shifts.run(locals.count(), is_given_up, look, |_, (its, views)| {
+        let mut its: Shown = its;
+        its.views = views.iter().map(|view| view.put(&mut records)).collect::<Result<_, _>>()?;
+        shown.push(its);
+        Ok(())
+    })?;
     let mut relations = Relations::default();
     relations.note_distances(&shown);
-    for judged in 0..shown.len() {
-        go_on()?;
-        relations.note_views(&shown, judged, locals, threads, &records)?;
-    }
+    let compare = |(): &mut (), judged: usize| compare(&shown, judged, locals, shifts.threads, &records);
+    shifts.run(shown.len(), is_given_up, compare, |judged, compared: Vec<Compared>| {
+        compared.into_iter().for_each(|its| relations.note_view(judged, its));
+        Ok(())
+    })?;
     let (doubts, standards) = relations.verdict(&shown);
     let verified = relations.verified(linked, &shown, &doubts);
     let pixels: Vec<Option<f64>> = shown.iter().map(|its| its.pixel_m).collect();
@@ -118,13 +125,37 @@ struct View {
     fine: Option<Fine>,
 }
 
-impl Shown {
-    fn of(
-        model: Model,
+impl View {
+    fn put(&self, records: &mut Records) -> Result<ViewRecord, SceneError> {
+        Ok(ViewRecord { record: records.put(self)?, ball: self.glimpse.ball() })
+    }
+
+    /// How the model of `renderer` compares with the model `other`, of which this is a view, at the `shared` pixels of
+    /// the glimpse.
+    fn compared(
+        &self,
+        other: usize,
+        renderer: &mut Renderer,
+        shared: &[usize],
         is_compressed: bool,
-        threads: usize,
-        records: &mut Records,
-    ) -> Result<Self, MergeError> {
+    ) -> Compared {
+        let Self { camera, glimpse, detail, fine } = self;
+        let shown = Glimpse::of(renderer, camera, is_compressed);
+        let is_confirmed = glimpse.is_confirmed_by(&shown, shared, is_compressed);
+        let mut compared =
+            Compared { other, is_confirmed, difference: None, colors: Vec::new(), log_ratio: None };
+        if !is_compressed && let (Some(detail), Some(fine)) = (detail, fine) {
+            compared.difference = Detail::of(renderer, camera).difference(detail, shared, glimpse.size_px());
+            compared.colors = glimpse.colors_with(&shown, shared).collect();
+            compared.log_ratio = Fine::of(renderer, camera).log_ratio(fine);
+        }
+        compared
+    }
+}
+
+impl Shown {
+    /// Also returns the views, which are not yet in a file.
+    fn of(model: Model, is_compressed: bool, threads: usize) -> (Self, Vec<View>) {
         let Model { splats, cameras } = model;
         let mut watchers = Watchers::new(&cameras);
         let is_unseen = |mean: &&[f32; 3]| {
@@ -141,15 +172,13 @@ impl Shown {
             void += usize::from(!is_compressed && glimpse.shown() < SHOWN_MIN);
             pixels
                 .extend(glimpse.median_depth().map(|depth| depth / camera.focal_px.element_product().sqrt()));
-            let ball = glimpse.ball();
-            let record = records.put(&View { camera: *camera, glimpse, detail, fine })?;
-            views.push(ViewRecord { record, ball });
+            views.push(View { camera: *camera, glimpse, detail, fine });
         }
         let void = void as f64 / views.len().max(1) as f64;
         let pixel_m = (!pixels.is_empty()).then(|| median(&mut pixels));
         let middle = middle(&cameras);
         let radius = radius(&cameras, middle);
-        Ok(Self { cameras, views, pixel_m, unseen, void, middle, radius })
+        (Self { cameras, views: Vec::new(), pixel_m, unseen, void, middle, radius }, views)
     }
 
     /// Whether the model does not fit its own cameras.
@@ -166,6 +195,46 @@ impl Shown {
         let gap = self.middle.distance(other.middle) - self.radius - other.radius;
         gap / self.radius.max(other.radius).max(1.0)
     }
+}
+
+/// How a model compares with another one in a view of the other one.
+struct Compared {
+    other: usize,
+    /// Whether both show the same; `None` if that cannot be decided.
+    is_confirmed: Option<bool>,
+    /// How much their detail differs.
+    difference: Option<f64>,
+    /// The colours in which the other one, and then the model, show the same surface.
+    colors: Vec<[[f32; 3]; 2]>,
+    /// How much finer the detail of the model is.
+    log_ratio: Option<f64>,
+}
+
+/// Compares model `judged` with the pictures of all other models, wherever its cameras see the same ground.
+fn compare(
+    shown: &[Shown],
+    judged: usize,
+    locals: &dyn Locals,
+    threads: usize,
+    records: &Records,
+) -> Result<Vec<Compared>, MergeError> {
+    let cameras = &shown[judged].cameras;
+    let frusta: Vec<Frustum> = cameras.iter().map(Frustum::new).collect();
+    let is_near = |view: &&ViewRecord| frusta.iter().any(|its| its.touches(view.ball.0, view.ball.1));
+    let is_compressed = locals.is_compressed(judged);
+    let (mut renderer, mut found) = (None, Vec::new());
+    for (other, its) in shown.iter().enumerate().filter(|(other, _)| *other != judged) {
+        for view in its.views.iter().filter(is_near) {
+            let view: View = records.get(view.record)?;
+            let Some(shared) = view.glimpse.shared_with(cameras) else { continue };
+            let renderer = match &mut renderer {
+                Some(renderer) => renderer,
+                none => none.insert(Renderer::new(&locals.load(judged)?.splats, threads)),
+            };
+            found.push(view.compared(other, renderer, &shared, is_compressed));
+        }
+    }
+    Ok(found)
 }
 
 /// How many views confirm, and how many contradict, that two models show the same.
@@ -201,42 +270,13 @@ impl Relations {
         }
     }
 
-    /// Compares model `judged` with the pictures of all other models, wherever its cameras see the same ground.
-    fn note_views(
-        &mut self,
-        shown: &[Shown],
-        judged: usize,
-        locals: &dyn Locals,
-        threads: usize,
-        records: &Records,
-    ) -> Result<(), MergeError> {
-        let cameras = &shown[judged].cameras;
-        let frusta: Vec<Frustum> = cameras.iter().map(Frustum::new).collect();
-        let is_near = |view: &&ViewRecord| frusta.iter().any(|its| its.touches(view.ball.0, view.ball.1));
-        let is_compressed = locals.is_compressed(judged);
-        let mut renderer = None;
-        for (other, its) in shown.iter().enumerate().filter(|(other, _)| *other != judged) {
-            for view in its.views.iter().filter(is_near) {
-                let View { camera, glimpse, detail, fine } = &records.get(view.record)?;
-                let Some(shared) = glimpse.shared_with(cameras) else { continue };
-                let renderer = match &mut renderer {
-                    Some(renderer) => renderer,
-                    none => none.insert(Renderer::new(&locals.load(judged)?.splats, threads)),
-                };
-                let shown = Glimpse::of(renderer, camera, is_compressed);
-                if let Some(is_confirmed) = glimpse.is_confirmed_by(&shown, &shared, is_compressed) {
-                    self.note(judged, other, is_confirmed, 1);
-                }
-                let Some(detail) = detail.as_ref().filter(|_| !is_compressed) else { continue };
-                let difference = Detail::of(renderer, camera).difference(detail, &shared, glimpse.size_px());
-                difference.into_iter().for_each(|found| self.differences.note(judged, other, found));
-                self.colors.note(other, judged, glimpse.colors_with(&shown, &shared));
-                let Some(fine) = fine else { continue };
-                let log_ratio = Fine::of(renderer, camera).log_ratio(fine);
-                log_ratio.into_iter().for_each(|found| self.sharpness.note(judged, other, found));
-            }
-        }
-        Ok(())
+    /// Notes how model `judged` compares with another one in a view.
+    fn note_view(&mut self, judged: usize, compared: Compared) {
+        let Compared { other, is_confirmed, difference, colors, log_ratio } = compared;
+        is_confirmed.into_iter().for_each(|is_confirmed| self.note(judged, other, is_confirmed, 1));
+        difference.into_iter().for_each(|found| self.differences.note(judged, other, found));
+        self.colors.note(other, judged, colors.into_iter());
+        log_ratio.into_iter().for_each(|found| self.sharpness.note(judged, other, found));
     }
 
     /// The doubt about each model, and how well each shows the ground that it shares with others. A model that is far

@@ -5,14 +5,19 @@
 //! ([`super::consensus`]). This is repeated until the similarity no longer changes. If the models are too far apart for
 //! that, the first rounds use small pictures and a wide search.
 
+use std::path::Path;
+
 use cosurf_engine::Renderer;
+use cosurf_link::Model;
 use cosurf_scene::Camera;
 
 use super::adjust::Link;
 use super::consensus::{consensus, distance_px};
 use super::features::Feature;
 use super::matching::{Matches, Pair, Sight, matches};
+use super::scouts::{Scout, ScoutFile, best};
 use super::similarity::Similarity;
+use super::workspace::Shifts;
 use crate::merge::{Locals, MergeError};
 
 /// Largest distance between the points of a pair that fits, px of the compared pictures. For right models, most pairs
@@ -28,14 +33,8 @@ const SOUGHT_MIN: usize = 24;
 const AGREEING_MIN: usize = 8;
 /// Least share of all pairs that must agree with a similarity.
 const AGREEING_SHARE_MIN: f64 = 0.3;
-/// A camera is used only if at least this share of its picture shows ground that the other model's own cameras see.
-const SHARED_MIN: f64 = 0.15;
-/// Limit on the number of a model's cameras of which the shared ground is measured; of more, evenly chosen ones.
-const SCOUTS: usize = 128;
 /// Limit on the number of a model's cameras through which two models are compared.
 const VIEWS: usize = 8;
-/// Long side of the pictures that measure how much ground two models share, px.
-const SCOUT_PX: u32 = 48;
 /// Long side of the largest pictures that are compared, px.
 const SIZE_PX: u32 = 320;
 /// The rounds in which two models are compared with pictures of [`SIZE_PX`]: the reach of the search, and the tolerance
@@ -43,6 +42,9 @@ const SIZE_PX: u32 = 320;
 const ROUNDS: [(usize, f64); 4] = [(12, 3.0), (6, 2.0), (4, 1.5), (4, 1.5)];
 /// The rounds end once the similarity changes by less than this, px.
 const SETTLED_PX: f64 = 0.3;
+/// The first round counts as a search around the right places if it changed the similarity by less than this, px: then
+/// most matches were within its reach.
+const NEAR_PX: f64 = 4.0;
 /// The rounds for models that are far apart: the long side of the pictures, the reach of the search, and the tolerance
 /// of agreement, px. In the first round, the models may be almost half a picture apart.
 const FAR_ROUNDS: [(u32, usize, f64); 3] = [(80, 40, 3.0), (160, 20, 3.0), (SIZE_PX, 12, 3.0)];
@@ -51,18 +53,50 @@ const FAR_ROUNDS: [(u32, usize, f64); 3] = [(80, 40, 3.0), (160, 20, 3.0), (SIZE
 pub(super) struct Held {
     index: usize,
     cameras: Vec<Camera>,
+    scouts: Vec<Scout>,
     renderer: Renderer,
 }
 
-impl Held {
-    pub(super) fn of(locals: &dyn Locals, index: usize, threads: usize) -> Result<Self, MergeError> {
-        let model = locals.load(index)?;
-        Ok(Self { index, cameras: model.cameras, renderer: Renderer::new(&model.splats, threads) })
+/// All models, and what each shows from its own cameras.
+pub(super) struct Scouted<'a> {
+    locals: &'a dyn Locals,
+    scouts: ScoutFile,
+}
+
+impl<'a> Scouted<'a> {
+    /// Renders what all models show from their own cameras: [`ScoutFile::of`].
+    pub(super) fn of(
+        locals: &'a dyn Locals,
+        shifts: Shifts,
+        scratch: &Path,
+        is_given_up: &dyn Fn() -> bool,
+    ) -> Result<Self, MergeError> {
+        Ok(Self { locals, scouts: ScoutFile::of(locals, shifts, scratch, is_given_up)? })
     }
 
+    /// Number of models.
+    pub(super) fn count(&self) -> usize {
+        self.locals.count()
+    }
+
+    /// Loads a model. `threads` threads will render it.
+    pub(super) fn hold(&self, index: usize, threads: usize) -> Result<Held, MergeError> {
+        let Model { splats, cameras } = self.locals.load(index)?;
+        let renderer = Renderer::new(&splats, threads);
+        Ok(Held { index, cameras, scouts: self.scouts.read(index)?, renderer })
+    }
+}
+
+impl Held {
     /// Index of the model.
     pub(super) fn index(&self) -> usize {
         self.index
+    }
+
+    /// The cameras whose pictures show most ground that the cameras of `other` see. `other_from_own` moves them into the
+    /// frame of `other`.
+    fn views(&self, other: &Self, other_from_own: &Similarity) -> Vec<Camera> {
+        best(&self.scouts, other_from_own, &other.cameras, VIEWS)
     }
 
     /// Places of the model that can be recognised in other models.
@@ -80,9 +114,7 @@ pub(super) fn links(one: &mut Held, other: &mut Held, start: &Similarity) -> Opt
         let closer = approach(one, other, start)?;
         converge(one, other, &closer)
     })?;
-    // With a wide search, a wrong similarity also finds matches far away. These lower the share of matches that fit.
-    let wide = (seen.reach_px < ROUNDS[0].0).then(|| look(other, one, &one_from_other, SIZE_PX, ROUNDS[0].0));
-    fits(wide.as_ref().unwrap_or(&seen.forth), &one_from_other).then(|| {
+    fits(&seen.wide, &one_from_other).then(|| {
         let [forth, back] = [seen.forth, seen.back].map(|matches| matches.found);
         let links = [
             Link { models: [one.index, other.index], pairs: forth },
@@ -92,40 +124,48 @@ pub(super) fn links(one: &mut Held, other: &mut Held, start: &Similarity) -> Opt
     })
 }
 
-/// What one round of comparisons has found.
+/// What the comparisons have found.
 struct Seen {
-    /// Matches in the views of the second model, and in those of the first.
+    /// Matches of the last round in the views of the second model, and in those of the first.
     forth: Matches,
     back: Matches,
-    /// Reach of the search, px.
-    reach_px: usize,
+    /// Matches of a wide search in the views of the second model. A wrong similarity then also has matches far away,
+    /// which lower the share of those that fit.
+    wide: Matches,
 }
 
 /// Repeats the comparison with large pictures until the similarity has settled.
 fn converge(one: &mut Held, other: &mut Held, start: &Similarity) -> Option<(Similarity, Seen)> {
     let mut one_from_other = *start;
-    let mut last = None;
-    for (reach_px, tolerance_px) in ROUNDS {
-        let forth = look(other, one, &one_from_other, SIZE_PX, reach_px);
-        let back = look(one, other, &one_from_other.inverse(), SIZE_PX, reach_px);
+    let views = [other.views(one, start), one.views(other, &start.inverse())];
+    let (mut last, mut wide) = (None, None);
+    for (round, (reach_px, tolerance_px)) in ROUNDS.into_iter().enumerate() {
+        let forth = look(other, one, &views[0], &one_from_other, SIZE_PX, reach_px);
+        let back = look(one, other, &views[1], &one_from_other.inverse(), SIZE_PX, reach_px);
         let mut pairs = forth.found.clone();
         pairs.extend(back.swapped().found);
         let found = agreed(&pairs, tolerance_px)?;
         let change_px = change_px(&pairs, &found, &one_from_other);
         one_from_other = found;
-        last = Some(Seen { forth, back, reach_px });
+        if round == 0 && change_px < NEAR_PX {
+            wide = Some(forth.clone());
+        }
+        last = Some((forth, back));
         if change_px < SETTLED_PX {
             break;
         }
     }
-    Some((one_from_other, last?))
+    let (forth, back) = last?;
+    let wide = wide.unwrap_or_else(|| look(other, one, &views[0], &one_from_other, SIZE_PX, ROUNDS[0].0));
+    Some((one_from_other, Seen { forth, back, wide }))
 }
 
 /// Brings two models that are far apart closer to each other.
 fn approach(one: &mut Held, other: &mut Held, start: &Similarity) -> Option<Similarity> {
     let mut one_from_other = *start;
     for (size_px, reach_px, tolerance_px) in FAR_ROUNDS {
-        let seen = look(other, one, &one_from_other, size_px, reach_px);
+        let views = other.views(one, &one_from_other);
+        let seen = look(other, one, &views, &one_from_other, size_px, reach_px);
         one_from_other = agreed(&seen.found, tolerance_px)?;
     }
     Some(one_from_other)
@@ -147,33 +187,28 @@ fn change_px(pairs: &[Pair], a: &Similarity, b: &Similarity) -> f64 {
     (pairs.iter().map(squared).sum::<f64>() / pairs.len().max(1) as f64).sqrt()
 }
 
-/// Searches patches of `trusted` in views of `other`. `from_other` moves the cameras of `other` into the frame of
-/// `trusted`, so that both models are rendered from the same place.
+/// Searches patches of `trusted` in `views` of `other`. `from_other` moves these cameras into the frame of `trusted`, so
+/// that both models are rendered from the same place.
 fn look(
     other: &mut Held,
     trusted: &mut Held,
+    views: &[Camera],
     from_other: &Similarity,
     size_px: u32,
     reach_px: usize,
 ) -> Matches {
-    let resized = |camera: &Camera, size_px| camera.resized(camera.fitted_size(size_px));
-    let mut shares: Vec<(f64, Camera)> = Vec::new();
-    let scouts = SCOUTS.min(other.cameras.len());
-    for camera in (0..scouts).map(|i| &other.cameras[i * other.cameras.len() / scouts]) {
-        let scout = resized(&from_other.camera(camera), SCOUT_PX);
-        let share = Sight::of(&mut trusted.renderer, scout).shared(&trusted.cameras);
-        shares.push((share, *camera));
-    }
-    shares.retain(|(share, _)| *share >= SHARED_MIN);
-    shares.sort_by(|a, b| b.0.total_cmp(&a.0));
     let mut seen = Matches::default();
-    for (_, camera) in shares.into_iter().take(VIEWS) {
-        let camera = resized(&camera, size_px);
+    for camera in views {
+        let camera = resized(camera, size_px);
         let shown = Sight::of(&mut trusted.renderer, from_other.camera(&camera));
         let there = Sight::of(&mut other.renderer, camera);
         seen.extend(matches(&shown, &trusted.cameras, &there, reach_px));
     }
     seen
+}
+
+fn resized(camera: &Camera, size_px: u32) -> Camera {
+    camera.resized(camera.fitted_size(size_px))
 }
 
 /// Whether enough patches were searched and found, and enough matches fit.

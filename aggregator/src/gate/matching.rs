@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 const ALPHA_MIN: f32 = 0.95;
 /// Number of the trusted model's own cameras that must see a point from a direction and distance similar to those of
 /// the rendered picture. A single camera does not fix the depth of a point.
-const SEERS_MIN: usize = 2;
+pub(super) const SEERS_MIN: usize = 2;
 /// Pixels of a patch on each side of its central pixel.
 const PATCH_PX: usize = 5;
 /// Side of a square of the picture that gives at most one patch, px.
@@ -131,19 +131,6 @@ impl Sight {
         f64::from(self.rendering.depth[y * self.width + x]) / self.camera.focal_px.x
     }
 
-    /// Share of the picture, 0..=1, that shows a surface which at least [`SEERS_MIN`] of `cameras` see from a similar
-    /// direction and distance. Tests every second pixel of every second row.
-    pub(super) fn shared(&self, cameras: &[Camera]) -> f64 {
-        let (mut seen, mut of) = (0usize, 0usize);
-        for y in (0..self.height).step_by(2) {
-            for x in (0..self.width).step_by(2) {
-                of += 1;
-                seen += usize::from(self.is_solid(x, y) && self.is_well_seen(x, y, cameras));
-            }
-        }
-        seen as f64 / of.max(1) as f64
-    }
-
     fn is_well_seen(&self, x: usize, y: usize, cameras: &[Camera]) -> bool {
         let point = self.point(x, y, middle(x, y));
         cameras.iter().filter(|camera| sees_alike(&self.camera, camera, point)).nth(SEERS_MIN - 1).is_some()
@@ -199,20 +186,44 @@ impl Sight {
         Patch { values, length }
     }
 
-    /// Searches a patch within `reach_px` of `around`. Returns the best pixel and its sub-pixel position. `None` if
+    /// Scalar products of a patch with the patches around successive pixels of a row, from `(x, y)` on. The values of the
+    /// patch sum up to 0, so the mean of the other patch has no effect.
+    ///
+    /// The innermost loop is over pixels, so that it works on several at once. A search that cut out each patch and
+    /// subtracted its mean took 38 % of the time of the gate; this one takes a tenth of that.
+    fn products(&self, patch: &Patch, x: usize, y: usize, products: &mut [f32]) {
+        for (v, values) in patch.values.chunks_exact(SIDE).enumerate() {
+            let first = (y + v - PATCH_PX) * self.width + x - PATCH_PX;
+            for (u, value) in values.iter().enumerate() {
+                let grey = &self.grey[first + u..first + u + products.len()];
+                products.iter_mut().zip(grey).for_each(|(product, grey)| *product += value * grey);
+            }
+        }
+    }
+
+    /// Searches a patch within `reach_px` of `around`. `contrast` is that of this picture. Returns the best pixel and its sub-pixel position. `None` if
     /// the correlation is low, if no position stands out, or if the best one is on the rim of the searched area.
-    fn find(&self, patch: &Patch, around: [usize; 2], reach_px: usize) -> Option<([usize; 2], DVec2)> {
+    fn find(
+        &self,
+        contrast: &Contrast,
+        patch: &Patch,
+        around: [usize; 2],
+        reach_px: usize,
+    ) -> Option<([usize; 2], DVec2)> {
         let range = |axis: usize, length: usize| {
             around[axis].saturating_sub(reach_px).max(PATCH_PX)
                 ..(around[axis] + reach_px + 1).min(length - PATCH_PX)
         };
         let (columns, rows) = (range(0, self.width), range(1, self.height));
         let across = columns.len();
-        let scores: Vec<f32> = rows
-            .clone()
-            .flat_map(|y| columns.clone().map(move |x| (x, y)))
-            .map(|(x, y)| patch.correlation(&self.patch(x, y)))
-            .collect();
+        let mut scores = vec![0.0; across * rows.len()];
+        for (row, y) in scores.chunks_exact_mut(across.max(1)).zip(rows.clone()) {
+            self.products(patch, columns.start, y, row);
+            let lengths = &contrast.0[y * self.width + columns.start..];
+            row.iter_mut()
+                .zip(lengths)
+                .for_each(|(score, length)| *score = correlation(*score, patch.length * length));
+        }
         let best = (0..scores.len()).reduce(|a, b| if scores[b] > scores[a] { b } else { a })?;
         let (u, v) = (best % across, best / across);
         let beside =
@@ -238,8 +249,10 @@ impl Sight {
     }
 }
 
+/// Width and height of a patch, px.
+const SIDE: usize = 2 * PATCH_PX + 1;
 /// Number of pixels of a patch.
-const AREA: f32 = ((2 * PATCH_PX + 1) * (2 * PATCH_PX + 1)) as f32;
+const AREA: f32 = (SIDE * SIDE) as f32;
 
 /// The grey values of a patch minus their mean, and the Euclidean norm of these differences.
 struct Patch {
@@ -247,12 +260,40 @@ struct Patch {
     length: f32,
 }
 
-impl Patch {
-    /// Normalised cross-correlation of two patches, -1..=1; 0 if either patch is uniform.
-    fn correlation(&self, other: &Self) -> f32 {
-        let product: f32 = self.values.iter().zip(&other.values).map(|(a, b)| a * b).sum();
-        let lengths = self.length * other.length;
-        if lengths > 1e-9 { product / lengths } else { 0.0 }
+/// Normalised cross-correlation of two patches, -1..=1, from their scalar product and the product of their lengths; 0 if
+/// either patch is uniform.
+fn correlation(product: f32, lengths: f32) -> f32 {
+    if lengths > 1e-9 { product / lengths } else { 0.0 }
+}
+
+/// For each pixel that is the centre of a patch: the Euclidean norm of the patch's grey values minus their mean.
+struct Contrast(Vec<f32>);
+
+impl Contrast {
+    fn of(sight: &Sight) -> Self {
+        let (width, height) = (sight.width, sight.height);
+        let mut lengths = vec![0.0; width * height];
+        // Sums over a row of the patch, and then over the rows: of the grey values and of their squares.
+        let mut sums = vec![[0.0f64; 2]; width * height];
+        for y in 0..height {
+            for x in PATCH_PX..width.saturating_sub(PATCH_PX) {
+                let row = &sight.grey[y * width + x - PATCH_PX..=y * width + x + PATCH_PX];
+                let add = |[sum, squares]: [f64; 2], grey: &f32| {
+                    let grey = f64::from(*grey);
+                    [sum + grey, squares + grey * grey]
+                };
+                sums[y * width + x] = row.iter().fold([0.0; 2], add);
+            }
+        }
+        for y in PATCH_PX..height.saturating_sub(PATCH_PX) {
+            for x in PATCH_PX..width.saturating_sub(PATCH_PX) {
+                let rows = (y - PATCH_PX..=y + PATCH_PX).map(|v| sums[v * width + x]);
+                let [sum, squares] = rows.fold([0.0; 2], |a, b| [a[0] + b[0], a[1] + b[1]]);
+                let variation = squares - sum * sum / f64::from(AREA);
+                lengths[y * width + x] = variation.max(0.0).sqrt() as f32;
+            }
+        }
+        Self(lengths)
     }
 }
 
@@ -266,8 +307,9 @@ pub(super) fn middle(x: usize, y: usize) -> DVec2 {
 /// size.
 pub(super) fn matches(trusted: &Sight, cameras: &[Camera], other: &Sight, reach_px: usize) -> Matches {
     let corners = trusted.corners(cameras);
+    let contrast = Contrast::of(other);
     let find = |&[x, y]: &[usize; 2]| {
-        let ([u, v], at_px) = other.find(&trusted.patch(x, y), [x, y], reach_px)?;
+        let ([u, v], at_px) = other.find(&contrast, &trusted.patch(x, y), [x, y], reach_px)?;
         other.is_solid(u, v).then(|| Pair {
             trusted: trusted.point(x, y, middle(x, y)),
             other: other.point(u, v, at_px),

@@ -1,10 +1,8 @@
 //! Decides whether a part of a model that is still arriving may be added to a merged model.
 
-use std::path::Path;
-
 use cosurf_link::Model;
 
-use super::{Doubt, Frames, Place, admit};
+use super::{Doubt, Frames, Place, Workspace, admit};
 use crate::merge::{Locals, MergeError};
 
 /// Index of the merged model.
@@ -20,12 +18,11 @@ pub(crate) fn admit_part(
     part: &Model,
     is_compressed: bool,
     frames: Frames,
-    threads: usize,
-    scratch: &Path,
+    workspace: Workspace,
     is_given_up: &dyn Fn() -> bool,
 ) -> Result<Result<Place, Doubt>, MergeError> {
     let both = Both { merged, part, is_compressed };
-    let admitted = admit(&both, frames, threads, scratch, is_given_up)?;
+    let admitted = admit(&both, frames, workspace, is_given_up)?;
     // If one of the two must go, it is the part.
     let doubt = match &admitted.doubts[MERGED] {
         Some(_) => Some(Doubt::Contradicts(vec![MERGED])),
@@ -66,11 +63,11 @@ mod tests {
 
     use super::super::Similarity;
     use super::super::links::tests::local;
-    use super::super::tests::{MOVED, UNMOVED, elsewhere, flight};
+    use super::super::tests::{MOVED, UNMOVED, elsewhere, flight, workspace};
     use super::*;
 
     fn joining(merged: &Model, part: &Model, frames: Frames) -> Result<Place, Doubt> {
-        admit_part(merged, part, false, frames, 2, &std::env::temp_dir(), &|| false).unwrap()
+        admit_part(merged, part, false, frames, workspace(&std::env::temp_dir()), &|| false).unwrap()
     }
 
     #[test]

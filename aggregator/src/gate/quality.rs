@@ -75,23 +75,28 @@ impl Detail {
     }
 }
 
+/// Grey values minus the mean of those within [`DETAIL_PX`] along each axis.
 fn without_local_mean(grey: &[f32], [width, height]: [usize; 2]) -> Vec<f32> {
     let around = |at: usize, side: usize| at.saturating_sub(DETAIL_PX)..(at + DETAIL_PX + 1).min(side);
-    let rows = smooth(width, height, |x, y| {
-        let range = around(x, width);
-        let count = range.len() as f32;
-        range.map(|u| grey[y * width + u]).sum::<f32>() / count
-    });
-    let means = smooth(width, height, |x, y| {
-        let range = around(y, height);
-        let count = range.len() as f32;
-        range.map(|v| rows[v * width + x]).sum::<f32>() / count
-    });
-    grey.iter().zip(&means).map(|(grey, mean)| grey - mean).collect()
-}
-
-fn smooth(width: usize, height: usize, value: impl Fn(usize, usize) -> f32) -> Vec<f32> {
-    (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).map(|(x, y)| value(x, y)).collect()
+    let across = |row: &[f32]| -> Vec<f32> {
+        let mean = |x: usize| {
+            let near = &row[around(x, width)];
+            near.iter().sum::<f32>() / near.len() as f32
+        };
+        (0..width).map(mean).collect()
+    };
+    let rows: Vec<f32> = grey.chunks_exact(width).flat_map(across).collect();
+    let mut fine = grey.to_vec();
+    let mut sums = vec![0.0; width];
+    for (y, row) in fine.chunks_exact_mut(width).enumerate() {
+        sums.fill(0.0);
+        let near = around(y, height);
+        for v in near.clone() {
+            sums.iter_mut().zip(&rows[v * width..]).for_each(|(sum, value)| *sum += value);
+        }
+        row.iter_mut().zip(&sums).for_each(|(grey, sum)| *grey -= sum / near.len() as f32);
+    }
+    fine
 }
 
 /// How much the models of each pair differ, lower index first: the sum over the compared pictures, and their number.

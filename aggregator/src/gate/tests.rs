@@ -10,10 +10,16 @@ use cosurf_scene::Splats;
 use cosurf_tests::dice::Dice;
 use glam::{DQuat, DVec3};
 
+use super::workspace::Shifts;
 use super::*;
 use crate::merge::InMemory;
 use crate::merge::cameras::{middle, radius};
 use crate::testing::{above, ground};
+
+/// A workspace with two threads.
+pub(crate) fn workspace(scratch: &Path) -> Workspace<'_> {
+    Workspace { scratch, threads: 2, memory_bytes: 4 << 30 }
+}
 
 /// Models are left where they are; those that share no ground are kept out.
 pub(crate) const UNMOVED: Frames = Frames { refine: false, vouched: false };
@@ -54,7 +60,8 @@ pub(crate) fn elsewhere(mut model: Model, scale: f64, turn: f64, by: DVec3) -> M
 }
 
 fn judge(models: Vec<Model>) -> Vec<Option<Doubt>> {
-    let Judgement { judged, .. } = super::judge(&InMemory(models), &[], 2, &temp_dir(), &|| false).unwrap();
+    let Judgement { judged, .. } =
+        super::judge(&InMemory(models), &[], Shifts::PAIR, &temp_dir(), &|| false).unwrap();
     judged.into_iter().map(|judged| judged.doubt).collect()
 }
 
@@ -71,7 +78,8 @@ fn a_model_that_shares_no_ground_takes_part_only_if_its_frame_is_vouched_for() {
     let locals = InMemory(vec![flight(60.0), flight(0.0), flight(4.0)]);
     let names = ["far", "west", "east"];
     for refine in [false, true] {
-        let admit = |vouched| admit(&locals, Frames { refine, vouched }, 2, &temp_dir(), &|| false).unwrap();
+        let admit =
+            |vouched| admit(&locals, Frames { refine, vouched }, workspace(&temp_dir()), &|| false).unwrap();
         let unvouched = admit(false);
         let kept_out: Vec<(usize, String)> = unvouched.kept_out(&names).collect();
         assert!(kept_out.len() == 1 && kept_out[0].0 == 0, "{kept_out:?}");
@@ -105,7 +113,7 @@ fn a_model_without_splats_is_kept_out_and_one_without_anything_does_no_harm() {
     models[1].cameras.clear();
     for frames in [UNMOVED, MOVED] {
         let locals = InMemory(models.clone());
-        let admitted = admit(&locals, frames, 2, &temp_dir(), &|| false).unwrap();
+        let admitted = admit(&locals, frames, workspace(&temp_dir()), &|| false).unwrap();
         assert_eq!(admitted.doubts(), [None, Some(Doubt::Unverified), None, None]);
     }
 }
@@ -137,7 +145,7 @@ fn speckle(model: &mut Model, salt: i64, amount: f32) {
 #[test]
 fn a_model_far_worse_than_the_others_is_kept_out() {
     let locals = InMemory(speckled_flights(2.0));
-    let admitted = admit(&locals, UNMOVED, 2, &temp_dir(), &|| false).unwrap();
+    let admitted = admit(&locals, UNMOVED, workspace(&temp_dir()), &|| false).unwrap();
     let doubts = admitted.doubts();
     assert!(matches!(doubts[1], Some(Doubt::FarWorse(times)) if times > 4.0), "{doubts:?}");
     assert_eq!(doubts.iter().flatten().count(), 1, "{doubts:?}");
@@ -148,7 +156,7 @@ fn a_model_far_worse_than_the_others_is_kept_out() {
 #[test]
 fn a_worse_model_counts_less() {
     let locals = InMemory(speckled_flights(1.2));
-    let admitted = admit(&locals, UNMOVED, 2, &temp_dir(), &|| false).unwrap();
+    let admitted = admit(&locals, UNMOVED, workspace(&temp_dir()), &|| false).unwrap();
     assert_eq!(admitted.count(), 4, "{:?}", admitted.doubts());
     let weights: Vec<f64> = (0..4).map(|i| admitted.place(i).weight).collect();
     assert!(weights[1] < 0.5 && [0, 2, 3].iter().all(|i| weights[*i] == 1.0), "{weights:?}");
@@ -270,7 +278,7 @@ fn a_model_that_claims_larger_pictures_takes_part_with_the_pictures_that_it_show
         *camera = camera.resized(camera.size_px.map(|side| 8 * side));
     }
     let locals = InMemory(models);
-    let admitted = admit(&locals, UNMOVED, 2, &temp_dir(), &|| false).unwrap();
+    let admitted = admit(&locals, UNMOVED, workspace(&temp_dir()), &|| false).unwrap();
     let sizes: Vec<f64> = (0..4).map(|i| admitted.place(i).size).collect();
     assert!((8.0 * sizes[1]).ln().abs() < 0.2, "{sizes:?}");
     assert!([0, 2, 3].iter().all(|i| sizes[*i] == 1.0), "{sizes:?}");

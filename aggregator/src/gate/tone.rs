@@ -193,12 +193,14 @@ mod tests {
     use super::super::tests::{UNMOVED, flights};
     use cosurf_engine::Renderer;
 
+    use super::super::workspace::Shifts;
     use super::*;
+    use crate::gate::tests::workspace;
     use crate::merge::{InMemory, Locals};
     use crate::testing::above;
 
     fn tones_of(locals: &InMemory) -> Option<Vec<Tone>> {
-        let colors = judge(locals, &[], 1, &std::env::temp_dir(), &|| false).unwrap().colors;
+        let colors = judge(locals, &[], Shifts::PAIR, &std::env::temp_dir(), &|| false).unwrap().colors;
         tones(&colors, &(0..locals.count()).collect::<Vec<_>>())
     }
 
@@ -244,7 +246,7 @@ mod tests {
             let sum: f32 = shown[0].iter().zip(&shown[1]).map(|(a, b)| (a - b).abs()).sum();
             sum / shown[0].len() as f32
         };
-        let admitted = admit(&locals, UNMOVED, 1, &std::env::temp_dir(), &|| false).unwrap();
+        let admitted = admit(&locals, UNMOVED, workspace(&std::env::temp_dir()), &|| false).unwrap();
         assert_eq!(admitted.count(), 4, "another exposure is no contradiction");
         assert!(difference(&locals) > 0.08, "{}", difference(&locals));
         assert!(difference(&admitted) < 0.01, "{}", difference(&admitted));

@@ -6,7 +6,7 @@ use cosurf_scene::Camera;
 use super::error::MergeError;
 
 /// Local models in a fixed order, loaded when they are needed.
-pub trait Locals {
+pub trait Locals: Sync {
     /// Number of models.
     fn count(&self) -> usize;
 

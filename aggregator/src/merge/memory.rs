@@ -27,6 +27,12 @@ pub(super) fn student_bytes(costs: &Costs, shape: &Capacity, splats: usize) -> u
     (costs.pictures + LESSON_BYTES * pixels(shape) + splats * each) as u64
 }
 
+/// Bytes that a model takes while small pictures of it are rendered on the CPU.
+pub(crate) fn rendered_bytes(splats: usize, sh_degree: u32) -> u64 {
+    let costs = Costs::of(&Capacity::to_render(sh_degree), Device::Cpu.binding_bytes_max());
+    (splats * (costs.splat + PAIRS_PER_SPLAT * costs.pair + loaded_bytes(sh_degree))) as u64
+}
+
 /// Bytes that a teacher with `splats` splats takes, with pictures as large as those of `shape`, of which it keeps up to
 /// `views`.
 pub(super) fn teacher_bytes(device: &Device, shape: &Capacity, splats: usize, views: usize) -> u64 {

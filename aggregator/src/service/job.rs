@@ -14,7 +14,7 @@ use tracing::{debug_span, info_span};
 
 use super::cut::Cut;
 use super::record::{Fitted, KeptOut, Verdict};
-use crate::gate::{Frames, admit, admit_part};
+use crate::gate::{Workspace, admit, admit_part};
 use crate::merge::{
     Locals, MergeError, MergeProgress, MergeSettings, Merged, Resources, Tiles, fill_in, merge,
 };
@@ -132,14 +132,16 @@ impl Stored {
         &self,
         merged: Model,
         index: usize,
-        frames: Frames,
+        settings: &MergeSettings,
         resources: Resources,
         is_stopped: &dyn Fn() -> bool,
         verdict: &mut Verdict,
     ) -> Result<Model, MergeError> {
         let (header, part) = (&self.headers[index], self.load(index)?);
         let Resources { scratch, threads, .. } = resources;
-        match admit_part(&merged, &part, self.is_compressed(index), frames, threads, scratch, is_stopped)? {
+        let workspace = Workspace::of(settings, scratch, threads);
+        let is_compressed = self.is_compressed(index);
+        match admit_part(&merged, &part, is_compressed, settings.into(), workspace, is_stopped)? {
             Ok(place) => {
                 verdict.fitted.extend(Fitted::of(header.device.as_str(), place));
                 let moved = place.by.map(|by| by.by.model(&part));
@@ -186,7 +188,8 @@ impl Job {
         let thread = thread::spawn(move || {
             let _span = info_span!("round", models = stored.count(), parts = parts.count()).entered();
             let is_stopped = || flag.load(Ordering::Relaxed);
-            let admitted = admit(&stored, (&settings).into(), threads, &scratch, &is_stopped)?;
+            let admitted =
+                admit(&stored, (&settings).into(), Workspace::of(&settings, &scratch, threads), &is_stopped)?;
             let mut verdict = Verdict::of(&admitted, &stored.headers);
             if admitted.count() == 0 {
                 return Ok(Outcome { made: None, verdict });
@@ -199,14 +202,8 @@ impl Job {
                 if is_stopped() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
             })?;
             for i in 0..parts.count() {
-                merged.model = parts.fill_into(
-                    merged.model,
-                    i,
-                    (&settings).into(),
-                    resources,
-                    &is_stopped,
-                    &mut verdict,
-                )?;
+                merged.model =
+                    parts.fill_into(merged.model, i, &settings, resources, &is_stopped, &mut verdict)?;
             }
             merged.summary.splats = merged.model.splats.len();
             let body = packed(&merged.model, threads)?;

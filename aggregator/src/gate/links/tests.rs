@@ -8,9 +8,11 @@ use glam::{DQuat, DVec2, DVec3};
 
 use super::*;
 use crate::gate::adjust::tests::Dice;
-use crate::gate::frames::find_frames;
+use crate::gate::extent::extents;
+use crate::gate::frames::{Placement, find_frames};
 use crate::gate::similarity::tests::wrong;
-use crate::gate::tests::{MOVED, UNMOVED};
+use crate::gate::tests::{MOVED, UNMOVED, workspace};
+use crate::gate::workspace::Shifts;
 use crate::gate::{Doubt, admit};
 use crate::merge::InMemory;
 use cosurf_link::Model;
@@ -78,8 +80,16 @@ fn nonsense(model: &Model) -> Model {
 
 fn find(one: &Model, other: &Model) -> Option<Similarity> {
     let locals = InMemory(vec![one.clone(), other.clone()]);
-    let [mut one, mut other] = [0, 1].map(|i| Held::of(&locals, i, 1).unwrap());
+    let models = Scouted::of(&locals, Shifts::PAIR, &std::env::temp_dir(), &|| false).unwrap();
+    let [mut one, mut other] = [0, 1].map(|i| models.hold(i, 1).unwrap());
     Some(links(&mut one, &mut other, &Similarity::IDENTITY)?.0)
+}
+
+/// Where models in unknown frames are moved.
+fn placed(models: Vec<Model>) -> Placement {
+    let locals = InMemory(models);
+    let extents = extents(&locals, &|| false).unwrap();
+    find_frames(&locals, &extents, false, workspace(&std::env::temp_dir()), &|| false).unwrap()
 }
 
 #[test]
@@ -101,8 +111,7 @@ fn a_mirrored_or_shuffled_model_fits_nowhere() {
     for bad in [mirrored(&local(3.0, 20)), nonsense(&local(3.0, 20))] {
         let one = local(-3.0, 10);
         assert_eq!(find(&one, &bad), None);
-        let frames =
-            find_frames(&InMemory(vec![one, bad]), false, 1, &std::env::temp_dir(), &|| false).unwrap();
+        let frames = placed(vec![one, bad]);
         assert_eq!((frames.moves, frames.fits), (vec![None, None], Vec::new()), "in any frame");
     }
 }
@@ -115,8 +124,7 @@ fn a_model_in_a_frame_of_its_own_is_found() {
         let rotation = DQuat::from_axis_angle(dice.vector().normalize(), 3.1);
         let there = Similarity { scale, rotation, translation: 100.0 * dice.vector() };
         let given = vec![one.clone(), there.model(&right)];
-        let moves =
-            find_frames(&InMemory(given.clone()), false, 1, &std::env::temp_dir(), &|| false).unwrap().moves;
+        let moves = placed(given.clone()).moves;
         assert_eq!(moves[0], None);
         let back = moves[1].unwrap().by.model(&given[1]);
         let eye = |camera: &Camera| camera.cam_from_world.center();
@@ -130,10 +138,10 @@ fn a_model_in_a_frame_of_its_own_is_found() {
 fn a_model_in_another_frame_is_moved_if_allowed_and_kept_out_otherwise() {
     let models = [local(-3.0, 10), wrong().model(&local(0.0, 20)), local(3.0, 30)].to_vec();
     let locals = InMemory(models);
-    let kept_out = admit(&locals, UNMOVED, 1, &std::env::temp_dir(), &|| false).unwrap();
+    let kept_out = admit(&locals, UNMOVED, workspace(&std::env::temp_dir()), &|| false).unwrap();
     assert_eq!(kept_out.doubts()[1], Some(Doubt::Contradicts(vec![0, 2])));
     assert_eq!(kept_out.count(), 2);
-    let moved = admit(&locals, MOVED, 1, &std::env::temp_dir(), &|| false).unwrap();
+    let moved = admit(&locals, MOVED, workspace(&std::env::temp_dir()), &|| false).unwrap();
     assert_eq!((moved.doubts(), moved.count()), (&[None, None, None][..], 3));
     assert!(moved.place(1).by.is_some() && moved.place(0).by.is_none());
     let x = moved.load(1).unwrap().cameras[0].cam_from_world.center().x;

@@ -12,7 +12,7 @@ use cosurf_link::body_to_model;
 use cosurf_scene::ply;
 
 use super::*;
-use crate::gate::admit;
+use crate::gate::{Workspace, admit};
 use crate::merge::InMemory;
 use crate::merge::{MergeSettings, Resources, Tiles, merge};
 use crate::service::job::packed;
@@ -29,7 +29,9 @@ fn sent(Model { splats, cameras }: &Model) -> Vec<u8> {
 /// The body of the model that a merge of the models in `bodies` gives.
 fn merged(bodies: &[Vec<u8>]) -> Vec<u8> {
     let locals = InMemory(bodies.iter().map(|body| body_to_model(body).unwrap()).collect());
-    let admitted = admit(&locals, (&SETTINGS).into(), 1, &std::env::temp_dir(), &|| false).unwrap();
+    let admitted =
+        admit(&locals, (&SETTINGS).into(), Workspace::of(&SETTINGS, &std::env::temp_dir(), 1), &|| false)
+            .unwrap();
     let merged = merge(
         &admitted,
         &SETTINGS,

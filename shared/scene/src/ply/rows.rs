@@ -85,6 +85,8 @@ pub(crate) struct Rows<'a> {
     input: &'a mut BufReader<File>,
     format: Format,
     element: &'a Element,
+    /// Whether all values are 32-bit floats in binary.
+    is_flat: bool,
     row: u64,
     word: Vec<u8>,
     values: Vec<f64>,
@@ -92,7 +94,10 @@ pub(crate) struct Rows<'a> {
 
 impl<'a> Rows<'a> {
     fn new(input: &'a mut BufReader<File>, format: Format, element: &'a Element) -> Self {
-        Self { input, format, element, row: 0, word: Vec::new(), values: Vec::new() }
+        let is_float = |kind: Kind| matches!(kind, Kind::One(Scalar::F32));
+        let is_flat =
+            format == Format::Binary && element.properties.iter().all(|property| is_float(property.kind));
+        Self { input, format, element, is_flat, row: 0, word: Vec::new(), values: Vec::new() }
     }
 
     /// The next row, one value per property (0 for lists), or `None` after the last.
@@ -114,6 +119,11 @@ impl<'a> Rows<'a> {
             return Ok(false);
         }
         self.values.clear();
+        if self.is_flat {
+            self.flat_row().map_err(|refusal| refusal.at(self.place()))?;
+            self.row += 1;
+            return Ok(true);
+        }
         for (column, property) in element.properties.iter().enumerate() {
             let keep = keep.as_mut().filter(|(kept, _)| *kept == column).map(|(_, list)| &mut **list);
             let value = self.property(property.kind, keep).map_err(|refusal| refusal.at(self.place()))?;
@@ -121,6 +131,15 @@ impl<'a> Rows<'a> {
         }
         self.row += 1;
         Ok(true)
+    }
+
+    /// Reads a row of 32-bit floats at once. Reading them one by one takes three times as long.
+    fn flat_row(&mut self) -> Result<(), Refusal> {
+        self.word.resize(size_of::<f32>() * self.element.properties.len(), 0);
+        self.input.read_exact(&mut self.word)?;
+        let (floats, _) = self.word.as_chunks();
+        self.values.extend(floats.iter().map(|bytes| f64::from(f32::from_le_bytes(*bytes))));
+        Ok(())
     }
 
     /// Reads a number and returns it. For a list, returns 0 and appends its items to `keep`; if `keep` is
