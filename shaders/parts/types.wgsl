@@ -87,6 +87,11 @@ struct View {
     pair_capacity: u32,
     // Number of planes of the picture: 4, or 8 with geometry.
     planes: u32,
+    // Largest depth of a splat's centre; deeper ones are invisible.
+    far: f32,
+    unused_1: u32,
+    unused_2: u32,
+    unused_3: u32,
 }
 
 // A projected splat, as the rasteriser reads it.

@@ -25,7 +25,7 @@ fn project(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_in
     let quat = vec4(row(QUAT, i), row(QUAT + 1u, i), row(QUAT + 2u, i), row(QUAT + 3u, i));
     let log_scale = vec3(row(LOG_SCALE, i), row(LOG_SCALE + 1u, i), row(LOG_SCALE + 2u, i));
     let g = geometry(mean, quat, log_scale);
-    if (NEAR < g.t.z) {
+    if (NEAR < g.t.z && g.t.z <= view.far) {
         let splat = seen(g, mean, log_scale, i);
         projected[i] = splat;
         let low = splat.mean_px + splat.extent_px;

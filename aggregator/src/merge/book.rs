@@ -3,8 +3,9 @@
 use cosurf_engine::Rendering;
 use cosurf_engine::backend::TargetSurface;
 use cosurf_engine::{Lesson, distill};
-use cosurf_scene::{Camera, SceneError};
+use cosurf_scene::SceneError;
 
+use super::crop::Part;
 use super::scratch::{Floats, Scratch};
 
 /// Numbers for each pixel: colour, depth, normal, trust.
@@ -16,8 +17,8 @@ const DEPTH_STEP: usize = 17;
 #[derive(Debug)]
 pub(super) struct Book {
     floats: Floats,
-    /// Place and camera of each lesson.
-    lessons: Vec<Option<(u64, Camera)>>,
+    /// Place and part of each lesson.
+    lessons: Vec<Option<(u64, Part)>>,
     depths: Vec<f32>,
 }
 
@@ -31,7 +32,7 @@ impl Book {
     pub(super) fn write(
         &mut self,
         index: usize,
-        camera: &Camera,
+        part: &Part,
         shown: &Rendering,
         trust: &[f32],
     ) -> Result<(), SceneError> {
@@ -40,7 +41,7 @@ impl Book {
         for values in [&depth[..], normal, trust] {
             self.floats.append(values)?;
         }
-        self.lessons[index] = Some((at, *camera));
+        self.lessons[index] = Some((at, *part));
         self.depths.extend(depth.iter().step_by(DEPTH_STEP));
         Ok(())
     }
@@ -61,13 +62,13 @@ impl Book {
         index: usize,
         numbers: &'a mut Vec<f32>,
     ) -> Result<Lesson<'a>, SceneError> {
-        let (at, camera) = self.lessons[index].as_ref().expect("every lesson has been written");
+        let (at, Part { camera, far }) = self.lessons[index].as_ref().expect("every lesson has been written");
         let pixels = camera.size_px[0] as usize * camera.size_px[1] as usize;
         numbers.resize(CHANNELS * pixels, 0.0);
         self.floats.read(*at, numbers)?;
         let (rgb, rest) = numbers.split_at(3 * pixels);
         let (depth, rest) = rest.split_at(pixels);
         let (normal, trust) = rest.split_at(3 * pixels);
-        Ok(Lesson { camera, rgb, surface: TargetSurface { depth, normal, trust } })
+        Ok(Lesson { camera, far: *far, rgb, surface: TargetSurface { depth, normal, trust } })
     }
 }

@@ -1,7 +1,8 @@
 //! The part of a picture that shows a tile.
 
-use cosurf_scene::Camera;
+use cosurf_scene::{Camera, Frustum};
 use glam::DVec2;
+use serde::{Deserialize, Serialize};
 
 /// Parts begin and end at multiples of this, px: the squares in which the renderer works.
 const STEP_PX: u32 = 16;
@@ -10,6 +11,22 @@ const SIDE_MIN_PX: u32 = 32;
 /// Share of the points that may lie left of a part, right of it, above it and below it. Single splats that float far
 /// from the ground would otherwise make parts as large as whole pictures.
 const OUTSIDE: f64 = 0.01;
+
+/// What a camera shows of a tile.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct Part {
+    /// The camera of the part of the picture.
+    pub(super) camera: Camera,
+    /// Splats whose centres lie deeper than this along the optical axis are left out, world units: the ground of the tile
+    /// ends before. A camera that looks sideways would otherwise see far behind the tile.
+    pub(super) far: f64,
+}
+
+impl Part {
+    pub(super) fn frustum(&self) -> Frustum {
+        Frustum::new(&self.camera).up_to(self.far)
+    }
+}
 
 /// The camera of the part of a picture that shows points at `places_px`, which lie in the picture of `camera`. `None`
 /// without points.

@@ -68,13 +68,15 @@ pub(super) fn distill(
         Tiles::ByWorkers(..) => 1,
         _ => at_once(bytes, computer.threads, settings.memory_bytes, &computer.device)?,
     };
-    let computer = Computer { threads: computer.threads / at_once, ..computer.clone() };
     let work = Work {
         plans: &plans,
-        order: plans.largest_first(),
+        order: plans.longest_first(),
         next: AtomicUsize::new(0),
         is_stopped: AtomicBool::new(false),
-        learn: &|plan, tell| {
+        learn: &|plan, is_last, tell| {
+            // The others will soon be done, and leave their threads to the last tile.
+            let at_once = if is_last { 1 } else { at_once };
+            let computer = Computer { threads: computer.threads / at_once, ..computer.clone() };
             let task = Task::of(site, &plan, settings, &computer.device)?;
             drop(plan);
             learn_or_find(&task, &site.scratch, &computer, by.store(), tell)
@@ -141,7 +143,7 @@ struct Plans {
 struct PlanSize {
     record: Record,
     lessons: u32,
-    pixels: u64,
+    work: u64,
     bytes: u64,
 }
 
@@ -158,7 +160,7 @@ impl Plans {
             plans.sizes.push(PlanSize {
                 record: plans.records.put(&plan)?,
                 lessons: plan.lessons.len() as u32,
-                pixels: plan.pixels(),
+                work: plan.work(),
                 bytes: plan.bytes,
             });
         }
@@ -170,15 +172,16 @@ impl Plans {
     }
 
     /// The indices of the plans. Those that take longest come first, so that all threads end at the same time.
-    fn largest_first(&self) -> Vec<usize> {
+    fn longest_first(&self) -> Vec<usize> {
         let mut order: Vec<usize> = (0..self.sizes.len()).collect();
-        order.sort_by_key(|i| Reverse(self.sizes[*i].pixels));
+        order.sort_by_key(|i| Reverse(self.sizes[*i].work));
         order
     }
 }
 
-/// Distils a tile. The second argument gets the PSNR of each step, and returns false to stop.
-type Learn<'a> = dyn Fn(Plan, &dyn Fn(f64) -> bool) -> Result<Learnt, MergeError> + Sync + 'a;
+/// Distils a tile. The second argument is true for the last tile. The third one gets the PSNR of each step, and returns
+/// false to stop.
+type Learn<'a> = dyn Fn(Plan, bool, &dyn Fn(f64) -> bool) -> Result<Learnt, MergeError> + Sync + 'a;
 
 /// The tiles that are left to distil.
 struct Work<'a> {
@@ -194,11 +197,13 @@ impl Work<'_> {
     /// Distils one tile after the other until none is left.
     fn run(&self, say: &Sender<Report>) {
         while !self.is_stopped.load(Ordering::Relaxed) {
-            let Some(&index) = self.order.get(self.next.fetch_add(1, Ordering::Relaxed)) else { return };
+            let place = self.next.fetch_add(1, Ordering::Relaxed);
+            let Some(&index) = self.order.get(place) else { return };
+            let is_last = place + 1 == self.order.len();
             // Nobody listens any more once the distillation has failed.
             let tell =
                 |psnr| say.send(Report::Step(psnr)).is_ok() && !self.is_stopped.load(Ordering::Relaxed);
-            let learnt = self.plans.get(index).and_then(|plan| (self.learn)(plan, &tell));
+            let learnt = self.plans.get(index).and_then(|plan| (self.learn)(plan, is_last, &tell));
             if say.send(Report::Done(index, learnt)).is_err() {
                 return;
             }

@@ -10,6 +10,7 @@ use cosurf_engine::Device;
 use cosurf_scene::{Camera, Frustum, SceneError, Splats};
 use serde::{Deserialize, Serialize};
 
+use super::crop::Part;
 use super::error::MergeError;
 use super::plan::{Plan, ViewKey, touches};
 use super::scratch::{Floats, Scratch, numbers};
@@ -19,7 +20,7 @@ use crate::store::Store;
 
 /// The rules by which a task is distilled. Another number must be written here with every change that gives other
 /// results, so that no merge takes results of another version for its own.
-const RULES: &str = "cosurf tile 1";
+const RULES: &str = "cosurf tile 2";
 /// A task in a store begins with the length of its contents, in so many bytes. The contents and the numbers follow.
 const HEAD: usize = size_of::<u32>();
 /// Tasks are written to a store and read in parts of this size, bytes. A bucket takes no smaller parts than 5 MiB.
@@ -59,7 +60,7 @@ pub(super) struct Teaching {
     at: u64,
     splats: usize,
     /// The parts of its pictures that are needed.
-    pub(super) views: Vec<Camera>,
+    pub(super) views: Vec<Part>,
     pub(super) lessons: Vec<Taught>,
 }
 
@@ -195,7 +196,11 @@ impl Task {
     /// The cameras of the lessons, best first.
     pub(super) fn cameras(&self) -> Vec<Camera> {
         let of = |teacher: &Teaching| {
-            teacher.lessons.iter().map(|lesson| (lesson.rank, teacher.views[lesson.view])).collect::<Vec<_>>()
+            teacher
+                .lessons
+                .iter()
+                .map(|lesson| (lesson.rank, teacher.views[lesson.view].camera))
+                .collect::<Vec<_>>()
         };
         let ranked: BTreeMap<usize, Camera> = self.contents.teachers.iter().flat_map(of).collect();
         ranked.into_values().collect()
@@ -266,7 +271,8 @@ impl Contents {
             && self.teachers.iter().all(|teacher| fits(teacher.at, teacher.splats) && are_known(teacher))
             && ranks.len() == count
             && ranks.last().is_none_or(|last| last + 1 == count)
-            && views.chain(&self.wide_crops).all(is_sound)
+            && views.clone().all(|view| view.far.is_finite())
+            && views.map(|view| &view.camera).chain(&self.wide_crops).all(is_sound)
     }
 }
 
@@ -307,13 +313,13 @@ fn teaching(site: &Site, plan: &Plan, local: usize, writer: &mut Writer) -> Resu
         own.clone().flat_map(|(_, view)| [Some(*view), neighbour_of(view)]).flatten().collect();
     let places: BTreeMap<ViewKey, usize> =
         keys.iter().enumerate().map(|(place, key)| (*key, place)).collect();
-    let views: Vec<Camera> = keys.iter().map(|key| plan.crops[key]).collect();
+    let views: Vec<Part> = keys.iter().map(|key| plan.crops[key]).collect();
     let taught = |(rank, view): (usize, &ViewKey)| Taught {
         rank,
         view: places[view],
         neighbour: neighbour_of(view).map(|other| places[&other]),
     };
-    let frusta: Vec<Frustum> = views.iter().map(Frustum::new).collect();
+    let frusta: Vec<Frustum> = views.iter().map(Part::frustum).collect();
     let is_seen = |at, radius| frusta.iter().any(|frustum| frustum.touches(at, radius));
     let mut splats = Splats::with_capacity(0, site.models.sh_degree());
     site.models.read(site.pages[local].clone(), |bounds| touches(&frusta, bounds), is_seen, &mut splats)?;

@@ -11,6 +11,7 @@ use glam::DVec2;
 
 use super::book::Book;
 use super::computer::Computer;
+use super::crop::Part;
 use super::error::MergeError;
 use super::memory::CACHE_BYTES;
 use super::scratch::Scratch;
@@ -37,7 +38,7 @@ pub(super) fn write_book(task: &Task, scratch: &Scratch, computer: &Computer) ->
 
 /// A local model, as far as a tile needs it.
 struct Teacher<'a> {
-    views: &'a [Camera],
+    views: &'a [Part],
     renderer: Renderer,
     cache: RenderingCache<usize>,
 }
@@ -52,7 +53,7 @@ impl<'a> Teacher<'a> {
         if let Some(kept) = self.cache.get(&view) {
             return Ok(kept);
         }
-        let shown = self.renderer.try_render(&self.views[view])?;
+        let shown = self.renderer.try_render_up_to(&self.views[view].camera, self.views[view].far)?;
         Ok(self.cache.keep(view, shown))
     }
 
@@ -60,10 +61,10 @@ impl<'a> Teacher<'a> {
     /// teacher either confirms their surface or cannot see it. Without a neighbouring camera, all opaque pixels are.
     fn trust(&mut self, lesson: &Taught, here: &Rendering) -> Result<Vec<f32>, MergeError> {
         let there = match lesson.neighbour {
-            Some(other) => Some((self.views[other], self.show(other)?)),
+            Some(other) => Some((self.views[other].camera, self.show(other)?)),
             None => None,
         };
-        let camera = &self.views[lesson.view];
+        let camera = &self.views[lesson.view].camera;
         let width = here.size_px[0] as usize;
         let is_believed = |i: usize| {
             let p_px = DVec2::new((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);

@@ -78,8 +78,8 @@ impl Backend for AnyBackend {
         pass!(self.splats())
     }
 
-    fn project(&mut self, camera: &Camera, sh_degree: u32) {
-        pass!(self.project(camera, sh_degree));
+    fn project_up_to(&mut self, camera: &Camera, sh_degree: u32, far: f64) {
+        pass!(self.project_up_to(camera, sh_degree, far));
     }
 
     fn bin(&mut self) -> BinCounts {

@@ -347,7 +347,13 @@ pub trait Backend {
 
     /// Projects all splats for a camera: computes their 2D Gaussians, their colours (SH up to `sh_degree`) and their
     /// planes.
-    fn project(&mut self, camera: &Camera, sh_degree: u32);
+    fn project(&mut self, camera: &Camera, sh_degree: u32) {
+        self.project_up_to(camera, sh_degree, f64::INFINITY);
+    }
+
+    /// As [`Backend::project`], but splats whose centres lie deeper than `far` are invisible. `far` is a depth along the
+    /// optical axis, world units.
+    fn project_up_to(&mut self, camera: &Camera, sh_degree: u32, far: f64);
 
     /// Makes the list of the splats that each tile blends, nearest first.
     fn bin(&mut self) -> BinCounts;

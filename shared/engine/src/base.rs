@@ -132,7 +132,7 @@ impl<'a> Teacher<'a> {
             let Rendering { rgb, alpha, depth, normal, .. } = &*self.show(view);
             let trust: Vec<f32> = alpha.iter().map(|a| f32::from(u8::from(*a > TRUSTED_ALPHA_MIN))).collect();
             let surface = TargetSurface { depth, normal, trust: &trust };
-            distiller.step(&Lesson { camera: &self.cameras[view], rgb, surface });
+            distiller.step(&Lesson { camera: &self.cameras[view], far: f64::INFINITY, rgb, surface });
             tell(done);
         }
         distiller.into_splats()

@@ -34,6 +34,8 @@ pub struct DistillSettings {
 pub struct Lesson<'a> {
     /// Camera of the rendering.
     pub camera: &'a Camera,
+    /// The rendering shows only splats whose centres lie up to this depth along the optical axis, world units.
+    pub far: f64,
     /// Colours, `[height, width, rgb]`, 0 and up.
     pub rgb: &'a [f32],
     /// Depths, normals, and the weight of each pixel.
@@ -124,7 +126,7 @@ impl<B: Backend> Distiller<B> {
         let weights = self.weights();
         let rates = self.rates();
         let backend = &mut self.backend;
-        backend.project(lesson.camera, self.settings.sh_degree);
+        backend.project_up_to(lesson.camera, self.settings.sh_degree, lesson.far);
         let counts = backend.bin();
         backend.rasterize(Channels::Geometry);
         let targets =

@@ -66,15 +66,21 @@ impl Renderer {
 
     /// As [`Self::render`], but returns an error if the GPU is lost.
     pub fn try_render(&mut self, camera: &Camera) -> Result<Rendering, DeviceError> {
+        self.try_render_up_to(camera, f64::INFINITY)
+    }
+
+    /// As [`Self::try_render`], but without splats whose centres lie deeper than `far`. `far` is a depth along the optical
+    /// axis, world units.
+    pub fn try_render_up_to(&mut self, camera: &Camera, far: f64) -> Result<Rendering, DeviceError> {
         #[cfg(feature = "gpu")]
         if let Painter::Gpu(painter, _) = &mut self.painter {
-            match painter.render(camera) {
+            match painter.render(camera, far) {
                 Ok(rendering) => return Ok(rendering),
                 Err(lost @ GpuError::Lost(_)) => return Err(lost.into()),
                 Err(_) => {}
             }
         }
-        Ok(self.on_cpu().render(camera))
+        Ok(self.on_cpu().render(camera, far))
     }
 
     /// Importance of each splat to the pictures of `cameras`: Σ (α T)² over all their pixels, with α the splat's alpha
@@ -107,22 +113,22 @@ impl CpuPainter {
         Self { backend, sh_degree: splats.sh_degree }
     }
 
-    fn render(&mut self, camera: &Camera) -> Rendering {
-        self.blend(camera, Channels::Geometry);
+    fn render(&mut self, camera: &Camera, far: f64) -> Rendering {
+        self.blend(camera, far, Channels::Geometry);
         self.backend.rendering()
     }
 
     fn importance(&mut self, cameras: &[Camera]) -> Vec<f32> {
         self.backend.clear_scores();
         for camera in cameras {
-            self.blend(camera, Channels::Color);
+            self.blend(camera, f64::INFINITY, Channels::Color);
             self.backend.score();
         }
         self.backend.scores().squared_weights
     }
 
-    fn blend(&mut self, camera: &Camera, channels: Channels) {
-        self.backend.project(camera, self.sh_degree);
+    fn blend(&mut self, camera: &Camera, far: f64, channels: Channels) {
+        self.backend.project_up_to(camera, self.sh_degree, far);
         let counts = self.backend.bin();
         if counts.dropped > 0 {
             self.backend.set_pair_capacity(counts.pairs + counts.dropped);

@@ -12,6 +12,8 @@ pub struct Frustum {
     rows: [DVec3; 3],
     offset: DVec3,
     size_px: DVec2,
+    /// Depth at which the volume ends, world units.
+    far: f64,
 }
 
 impl Frustum {
@@ -29,7 +31,13 @@ impl Frustum {
                 at.z,
             ),
             size_px: DVec2::new(f64::from(size_px[0]), f64::from(size_px[1])),
+            far: f64::INFINITY,
         }
+    }
+
+    /// The part of the frustum up to the depth `far`, world units.
+    pub fn up_to(self, far: f64) -> Self {
+        Self { far, ..self }
     }
 
     /// Whether a world point lies in front of the camera and inside its picture. The result is that of
@@ -38,7 +46,7 @@ impl Frustum {
         let [x, y, z] = self.rows.map(|row| row.dot(p_world));
         let [x, y, z] = [x + self.offset.x, y + self.offset.y, z + self.offset.z];
         // Behind the camera `size_px * z` is negative, so no `x >= 0` is less than it, and the result is false.
-        x >= 0.0 && y >= 0.0 && x < self.size_px.x * z && y < self.size_px.y * z
+        x >= 0.0 && y >= 0.0 && x < self.size_px.x * z && y < self.size_px.y * z && z <= self.far
     }
 
     /// False if no point of the ball with this centre and radius lies in the frustum. May be true although none does.
@@ -51,7 +59,10 @@ impl Frustum {
             (self.size_px.y * depth - row, self.size_px.y * self.offset.z - self.offset.y),
             (depth, self.offset.z),
         ];
-        sides.into_iter().all(|(inwards, offset)| inwards.dot(center) + offset >= -radius * inwards.length())
+        depth.dot(center) + self.offset.z <= self.far + radius
+            && sides
+                .into_iter()
+                .all(|(inwards, offset)| inwards.dot(center) + offset >= -radius * inwards.length())
     }
 }
 
@@ -119,6 +130,20 @@ mod tests {
             let seen = places().filter(|place| camera.sees(*place)).count();
             assert!(seen > 100 && seen < places().count() / 2, "{seen}");
             assert!(places().all(|place| frustum.contains(place) == camera.sees(place)));
+        }
+    }
+
+    #[test]
+    fn a_frustum_may_end_at_a_depth() {
+        for camera in cameras() {
+            let (whole, short) = (Frustum::new(&camera), Frustum::new(&camera).up_to(5.0));
+            let depth = |place: DVec3| camera.cam_from_world.transform(place).z;
+            let is_left_out = |place: &DVec3| whole.contains(*place) && !short.contains(*place);
+            let left_out: Vec<DVec3> = places().filter(is_left_out).collect();
+            assert!(left_out.len() > 10 && left_out.into_iter().all(|place| depth(place) > 5.0));
+            assert!(places().all(|place| !short.contains(place) || depth(place) <= 5.0));
+            let reaches = |place: &DVec3| depth(*place) <= 5.5 && whole.touches(*place, 0.5);
+            assert!(places().all(|place| short.touches(place, 0.5) == reaches(&place)));
         }
     }
 

@@ -141,8 +141,8 @@ impl Backend for CpuBackend {
         self.model.splats()
     }
 
-    fn project(&mut self, camera: &Camera, sh_degree: u32) {
-        let view = ViewParams::new(camera, sh_degree.min(self.model.sh_degree()));
+    fn project_up_to(&mut self, camera: &Camera, sh_degree: u32, far: f64) {
+        let view = ViewParams::new(camera, sh_degree.min(self.model.sh_degree())).up_to(far);
         self.pool.install(|| project::project(self.isa, &self.model.params, &view, &mut self.projection));
         self.view = Some(view);
     }

@@ -101,7 +101,8 @@ impl Kernel for ProjectBlock<'_> {
         for part in 0..GROUP / L::N {
             let t_z = project_part::<L>(self.block, self.view, part, &mut fields);
             t_z.store(&mut self.depths[part * L::N..]);
-            in_front |= L::bits(L::splat(NEAR).lt(t_z)) << (part * L::N);
+            let is_in_range = L::bits(L::splat(NEAR).lt(t_z)) & !L::bits(L::splat(self.view.far).lt(t_z));
+            in_front |= is_in_range << (part * L::N);
         }
         let mut visible = 0u16;
         for (i, splat) in self.splats.iter_mut().enumerate() {

@@ -97,8 +97,8 @@ impl Backend for GpuBackend {
         self.model.splats(&self.gpu)
     }
 
-    fn project(&mut self, camera: &Camera, sh_degree: u32) {
-        self.drawing.project(&self.gpu, &self.model, camera, sh_degree);
+    fn project_up_to(&mut self, camera: &Camera, sh_degree: u32, far: f64) {
+        self.drawing.project(&self.gpu, &self.model, camera, sh_degree, far);
     }
 
     fn bin(&mut self) -> BinCounts {

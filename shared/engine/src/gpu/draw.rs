@@ -173,14 +173,14 @@ impl Drawing {
         self.params.as_ref().expect("`project` comes first")
     }
 
-    pub(super) fn project(&mut self, gpu: &Gpu, model: &Model, camera: &Camera, sh_degree: u32) {
+    pub(super) fn project(&mut self, gpu: &Gpu, model: &Model, camera: &Camera, sh_degree: u32, far: f64) {
         assert!(
             padded_pixels(camera.size_px) <= self.picture.pixels(),
             "{:?} px of {}",
             camera.size_px,
             self.picture.pixels()
         );
-        let params = ViewParams::new(camera, sh_degree.min(model.sh_degree));
+        let params = ViewParams::new(camera, sh_degree.min(model.sh_degree)).up_to(far);
         let mut counters = [0; COUNTERS];
         counters[structs::SPLATS] = model.len as u32;
         self.counters.write(gpu, 0, &counters);

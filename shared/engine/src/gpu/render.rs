@@ -38,15 +38,16 @@ impl GpuRenderer {
         self.model.splats(&self.gpu)
     }
 
-    /// Renders colour, alpha, depth and normal. Grows the buffers if necessary.
-    pub fn render(&mut self, camera: &Camera) -> Result<Rendering, GpuError> {
+    /// Renders colour, alpha, depth and normal of the splats up to the depth `far`, world units. Grows the buffers if
+    /// necessary.
+    pub fn render(&mut self, camera: &Camera, far: f64) -> Result<Rendering, GpuError> {
         let Self { gpu, model, drawing } = self;
         gpu.allocating(|| drawing.grow_picture(gpu, camera.size_px))?;
-        drawing.project(gpu, model, camera, model.sh_degree);
+        drawing.project(gpu, model, camera, model.sh_degree, far);
         let counts = drawing.bin(gpu, model);
         if counts.dropped > 0 {
             gpu.allocating(|| drawing.grow_pairs(gpu, counts.pairs + counts.dropped))?;
-            drawing.project(gpu, model, camera, model.sh_degree);
+            drawing.project(gpu, model, camera, model.sh_degree, far);
             drawing.bin(gpu, model);
         }
         drawing.rasterize(gpu, model, Channels::Geometry);

@@ -23,6 +23,10 @@ pub(super) struct View {
     pub(super) splat_stride: u32,
     pub(super) pair_capacity: u32,
     pub(super) planes: u32,
+    pub(super) far: f32,
+    pub(super) unused_1: u32,
+    pub(super) unused_2: u32,
+    pub(super) unused_3: u32,
 }
 
 impl View {
@@ -45,6 +49,10 @@ impl View {
             splat_stride: splat_stride as u32,
             pair_capacity: pair_capacity as u32,
             planes: 0,
+            far: params.far,
+            unused_1: 0,
+            unused_2: 0,
+            unused_3: 0,
         }
     }
 }

@@ -26,6 +26,8 @@ pub(crate) struct ViewParams {
     pub(crate) slope_max: [f32; 2],
     /// SH degree in use, at most the stored degree.
     pub(crate) sh_degree: u32,
+    /// Largest depth of a splat's centre, world units; deeper ones are invisible.
+    pub(crate) far: f32,
 }
 
 impl ViewParams {
@@ -44,7 +46,13 @@ impl ViewParams {
             slope_min: [0, 1].map(|axis| slope(axis, -LINEARISATION_MARGIN)),
             slope_max: [0, 1].map(|axis| slope(axis, 1.0 + LINEARISATION_MARGIN)),
             sh_degree,
+            far: f32::MAX,
         }
+    }
+
+    /// The view without what lies deeper than `far`, world units.
+    pub(crate) fn up_to(self, far: f64) -> Self {
+        Self { far: far.min(f64::from(f32::MAX)) as f32, ..self }
     }
 
     /// Number of tiles across and down.

@@ -76,12 +76,13 @@ fn pictures_agree_with_the_cpu() {
     for (name, splats, camera) in cases() {
         let expected = Renderer::new(&splats, 2).render(&camera);
         let mut renderer = GpuRenderer::new(&gpu, &splats).expect("room");
-        let got = renderer.render(&camera).expect("room");
+        let got = renderer.render(&camera, f64::INFINITY).expect("room");
         let pixels = got.alpha.len();
         let (ties, worst) = compare(&got, &expected);
         println!("{name}: {ties} ties of {pixels} pixels, otherwise within {worst:.1e}");
         assert!(ties as f64 <= TIES_MAX * pixels as f64, "{name}: {ties} of {pixels} pixels differ");
-        assert_eq!(got, renderer.render(&camera).expect("room"), "{name}: the same bits again");
+        let again = renderer.render(&camera, f64::INFINITY).expect("room");
+        assert_eq!(got, again, "{name}: the same bits again");
         if splats.is_empty() {
             continue;
         }
@@ -96,5 +97,24 @@ fn pictures_agree_with_the_cpu() {
             compare(&got, &wrong).0 as f64 > TIES_MAX * pixels as f64,
             "{name}: a wrong model went unnoticed"
         );
+    }
+}
+
+#[test]
+fn what_lies_too_deep_is_left_out_as_on_the_cpu() {
+    let Some(gpu) = gpu() else { return };
+    for (name, splats, camera) in cases().into_iter().filter(|(_, splats, _)| splats.len() > 100) {
+        let depth = |mean: &[f32; 3]| camera.cam_from_world.transform(DVec3::from(mean.map(f64::from))).z;
+        let mut depths: Vec<f64> = splats.means.iter().map(depth).collect();
+        depths.sort_unstable_by(f64::total_cmp);
+        let far = depths[depths.len() / 2] + 1e-4;
+        let mut on_cpu = Renderer::new(&splats, 2);
+        let [all, expected] =
+            [f64::INFINITY, far].map(|far| on_cpu.try_render_up_to(&camera, far).expect("the CPU stays"));
+        let got = GpuRenderer::new(&gpu, &splats).expect("room").render(&camera, far).expect("room");
+        let ties_max = TIES_MAX * got.alpha.len() as f64;
+        let (ties, worst) = compare(&got, &expected);
+        assert!(ties as f64 <= ties_max, "{name}: {ties} pixels differ, the others by up to {worst:.1e}");
+        assert!(compare(&got, &all).0 as f64 > ties_max, "{name}: half of the splats are left out");
     }
 }
