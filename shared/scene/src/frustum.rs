@@ -12,6 +12,9 @@ pub struct Frustum {
     rows: [DVec3; 3],
     offset: DVec3,
     size_px: DVec2,
+    /// The planes that bound the volume: a point lies inside if `normal · p_world + offset` is at least 0, with the unit
+    /// vector `normal`. Left, top, right, bottom, and the plane of the camera's centre.
+    sides: [(DVec3, f64); 5],
     /// Depth at which the volume ends, world units.
     far: f64,
 }
@@ -23,16 +26,20 @@ impl Frustum {
         let world_from_cam = pose.rotation.inverse();
         let [x, y, z] = [DVec3::X, DVec3::Y, DVec3::Z].map(|axis| world_from_cam * axis);
         let at = pose.translation;
-        Self {
-            rows: [focal_px.x * x + center_px.x * z, focal_px.y * y + center_px.y * z, z],
-            offset: DVec3::new(
-                focal_px.x * at.x + center_px.x * at.z,
-                focal_px.y * at.y + center_px.y * at.z,
-                at.z,
-            ),
-            size_px: DVec2::new(f64::from(size_px[0]), f64::from(size_px[1])),
-            far: f64::INFINITY,
-        }
+        let rows = [focal_px.x * x + center_px.x * z, focal_px.y * y + center_px.y * z, z];
+        let offset =
+            DVec3::new(focal_px.x * at.x + center_px.x * at.z, focal_px.y * at.y + center_px.y * at.z, at.z);
+        let size_px = DVec2::new(f64::from(size_px[0]), f64::from(size_px[1]));
+        let [column, row, depth] = rows;
+        let sides = [
+            (column, offset.x),
+            (row, offset.y),
+            (size_px.x * depth - column, size_px.x * offset.z - offset.x),
+            (size_px.y * depth - row, size_px.y * offset.z - offset.y),
+            (depth, offset.z),
+        ];
+        let sides = sides.map(|(inwards, offset)| (inwards / inwards.length(), offset / inwards.length()));
+        Self { rows, offset, size_px, sides, far: f64::INFINITY }
     }
 
     /// The part of the frustum up to the depth `far`, world units.
@@ -51,18 +58,9 @@ impl Frustum {
 
     /// False if no point of the ball with this centre and radius lies in the frustum. May be true although none does.
     pub fn touches(&self, center: DVec3, radius: f64) -> bool {
-        let [column, row, depth] = self.rows;
-        let sides = [
-            (column, self.offset.x),
-            (row, self.offset.y),
-            (self.size_px.x * depth - column, self.size_px.x * self.offset.z - self.offset.x),
-            (self.size_px.y * depth - row, self.size_px.y * self.offset.z - self.offset.y),
-            (depth, self.offset.z),
-        ];
-        depth.dot(center) + self.offset.z <= self.far + radius
-            && sides
-                .into_iter()
-                .all(|(inwards, offset)| inwards.dot(center) + offset >= -radius * inwards.length())
+        let depth = self.rows[2].dot(center) + self.offset.z;
+        depth <= self.far + radius
+            && self.sides.iter().all(|(inwards, offset)| inwards.dot(center) + offset >= -radius)
     }
 }
 
