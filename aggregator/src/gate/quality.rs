@@ -252,6 +252,25 @@ mod tests {
     }
 
     #[test]
+    fn models_that_share_no_ground_with_a_model_do_not_change_what_it_counts() {
+        let ring = |differences: &mut Differences, first: usize, errors: [f64; 3]| {
+            for (i, j) in [(0, 1), (1, 2), (0, 2)] {
+                differences.note(first + i, first + j, errors[i] + errors[j]);
+            }
+        };
+        let (mut alone, mut both) = (Differences::default(), Differences::default());
+        ring(&mut alone, 3, [0.1, 0.12, 0.7]);
+        ring(&mut both, 3, [0.1, 0.12, 0.7]);
+        ring(&mut both, 0, [0.02, 0.02, 0.02]);
+        let [alone, both] = [alone, both].map(|differences| differences.standards(6, |_| true));
+        for i in 3..6 {
+            let (a, b) = (alone[i].weight(), both[i].weight());
+            assert!((a - b).abs() < 1e-9, "model {i} counts {a} alone, and {b} beside others far away");
+        }
+        assert!(alone[5].weight() < 0.5, "a poor model counts less: {alone:?}");
+    }
+
+    #[test]
     fn a_refused_model_does_not_make_others_look_worse() {
         let mut star = Differences::default();
         for (leaf, difference) in [(1, 0.1), (2, 0.1), (3, 4.0)] {

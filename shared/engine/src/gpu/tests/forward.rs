@@ -103,11 +103,14 @@ fn pictures_agree_with_the_cpu() {
 #[test]
 fn what_lies_too_deep_is_left_out_as_on_the_cpu() {
     let Some(gpu) = gpu() else { return };
-    for (name, splats, camera) in cases().into_iter().filter(|(_, splats, _)| splats.len() > 100) {
+    let has_many = |(_, splats, camera): &(_, Splats, Camera)| splats.len() > 100 && camera.size_px != [1, 1];
+    let mut changed = 0;
+    for (name, splats, camera) in cases().into_iter().filter(has_many) {
         let depth = |mean: &[f32; 3]| camera.cam_from_world.transform(DVec3::from(mean.map(f64::from))).z;
         let mut depths: Vec<f64> = splats.means.iter().map(depth).collect();
+        depths.retain(|depth| *depth > 0.5);
         depths.sort_unstable_by(f64::total_cmp);
-        let far = depths[depths.len() / 2] + 1e-4;
+        let far = depths[depths.len() / 4] + 1e-4;
         let mut on_cpu = Renderer::new(&splats, 2);
         let [all, expected] =
             [f64::INFINITY, far].map(|far| on_cpu.try_render_up_to(&camera, far).expect("the CPU stays"));
@@ -115,6 +118,7 @@ fn what_lies_too_deep_is_left_out_as_on_the_cpu() {
         let ties_max = TIES_MAX * got.alpha.len() as f64;
         let (ties, worst) = compare(&got, &expected);
         assert!(ties as f64 <= ties_max, "{name}: {ties} pixels differ, the others by up to {worst:.1e}");
-        assert!(compare(&got, &all).0 as f64 > ties_max, "{name}: half of the splats are left out");
+        changed += usize::from(compare(&got, &all).0 as f64 > ties_max);
     }
+    assert!(changed >= 5, "only {changed} pictures show that most of the splats are left out");
 }

@@ -78,7 +78,7 @@ macro_rules! laid_out_alike {
 fn rust_and_shaders_lay_structures_out_alike() {
     laid_out_alike! { &parsed(cosurf_shaders::PROJECT.source),
         View: cam_from_world eye sh_degree focal_px center_px slope_min slope_max size_px tiles splats splat_stride
-            pair_capacity planes;
+            pair_capacity planes far unused_1 unused_2 unused_3;
         Projected: mean_px extent_px falloff log2_opacity rgb falloff_max normal plane_distance;
         SortStep: counter shift;
         ScanStep: counter digits total unused;
