@@ -39,6 +39,7 @@ mod plan;
 mod results;
 pub(crate) mod scratch;
 mod settings;
+pub(crate) mod shifts;
 mod site;
 mod splat_file;
 mod task;

@@ -22,7 +22,8 @@ use super::link_file::LinkFile;
 use super::links::{Held, Scouted, links};
 use super::register::register;
 use super::similarity::Similarity;
-use super::workspace::{Shifts, Workspace};
+use super::workspace::Workspace;
+use crate::merge::shifts::Shifts;
 use crate::merge::{Locals, MergeError};
 
 /// A model stays where it is if its ground would move by at most this, root mean square, px of the compared pictures.

@@ -15,9 +15,9 @@ use super::glimpse::{Glimpse, chosen, median};
 use super::quality::{Detail, Differences, Standard};
 use super::sharpness::{Fine, Sharpness};
 use super::tone::Pairs;
-use super::workspace::Shifts;
 use crate::merge::cameras::{middle, radius};
 use crate::merge::scratch::{Record, Records};
+use crate::merge::shifts::Shifts;
 use crate::merge::{Locals, MergeError};
 
 /// Largest accepted share of a model's splats that none of its own cameras sees. Trained models stay far below it.

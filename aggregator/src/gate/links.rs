@@ -17,7 +17,7 @@ use super::features::Feature;
 use super::matching::{Matches, Pair, Sight, matches};
 use super::scouts::{Scout, ScoutFile, best};
 use super::similarity::Similarity;
-use super::workspace::Shifts;
+use crate::merge::shifts::Shifts;
 use crate::merge::{Locals, MergeError};
 
 /// Largest distance between the points of a pair that fits, px of the compared pictures. For right models, most pairs

@@ -11,8 +11,8 @@ use serde::{Deserialize, Serialize};
 
 use super::matching::{SEERS_MIN, Sight, middle};
 use super::similarity::Similarity;
-use super::workspace::Shifts;
 use crate::merge::scratch::{Record, Records};
+use crate::merge::shifts::Shifts;
 use crate::merge::{Locals, MergeError};
 
 /// Limit on the number of a model's cameras of which the shared ground is measured; of more, evenly chosen ones.

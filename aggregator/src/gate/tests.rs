@@ -10,10 +10,10 @@ use cosurf_scene::Splats;
 use cosurf_tests::dice::Dice;
 use glam::{DQuat, DVec3};
 
-use super::workspace::Shifts;
 use super::*;
 use crate::merge::InMemory;
 use crate::merge::cameras::{middle, radius};
+use crate::merge::shifts::Shifts;
 use crate::testing::{above, ground};
 
 /// A workspace with two threads.

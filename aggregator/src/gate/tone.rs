@@ -193,9 +193,9 @@ mod tests {
     use super::super::tests::{UNMOVED, flights};
     use cosurf_engine::Renderer;
 
-    use super::super::workspace::Shifts;
     use super::*;
     use crate::gate::tests::workspace;
+    use crate::merge::shifts::Shifts;
     use crate::merge::{InMemory, Locals};
     use crate::testing::above;
 

@@ -8,7 +8,6 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::{self, Receiver, Sender};
 use std::thread;
 
-use cosurf_engine::Device;
 use serde::Serialize;
 use tracing::info_span;
 
@@ -16,12 +15,13 @@ use super::by_workers::by_workers;
 use super::computer::Computer;
 use super::error::MergeError;
 use super::learn::learn;
-use super::memory::at_once;
+use super::memory::{at_once, planning_bytes};
 use super::news::{Learnt, Report};
 use super::plan::Plan;
 use super::results::{self, TileRecord};
 use super::scratch::{Record, Records, Scratch};
 use super::settings::{MergeSettings, Tiles};
+use super::shifts::Shifts;
 use super::site::Site;
 use super::splat_file::SplatFile;
 use super::task::Task;
@@ -61,7 +61,7 @@ pub(super) fn distill(
     tell: &mut dyn FnMut(MergeProgress) -> ControlFlow<()>,
 ) -> Result<Distilled, MergeError> {
     let _span = info_span!("distill", tiles = tiles.len()).entered();
-    let plans = Plans::of(site, tiles, lessons, &computer.device)?;
+    let plans = Plans::of(site, &tiles, lessons, computer, settings.memory_bytes)?;
     let steps = settings.epochs * plans.sizes.iter().map(|size| size.lessons).sum::<u32>();
     let bytes = plans.sizes.iter().map(|size| size.bytes).collect();
     let at_once = match by {
@@ -150,20 +150,23 @@ struct PlanSize {
 impl Plans {
     fn of(
         site: &Site,
-        tiles: Vec<Tile>,
+        tiles: &[Tile],
         lessons: &[Vec<usize>],
-        device: &Device,
+        computer: &Computer,
+        memory_bytes: u64,
     ) -> Result<Self, MergeError> {
         let mut plans = Self { records: site.scratch.records()?, sizes: Vec::with_capacity(tiles.len()) };
-        for tile in tiles {
-            let plan = Plan::of(site, tile, lessons, device)?;
+        let shifts = Shifts::of(planning_bytes(site.joined.sh_degree()), memory_bytes, computer.threads);
+        let plan = |(): &mut (), index: usize| Plan::of(site, tiles[index], lessons, &computer.device);
+        shifts.run(tiles.len(), &|| false, plan, |_, plan| {
             plans.sizes.push(PlanSize {
                 record: plans.records.put(&plan)?,
                 lessons: plan.lessons.len() as u32,
                 work: plan.work(),
                 bytes: plan.bytes,
             });
-        }
+            Ok(())
+        })?;
         Ok(plans)
     }
 

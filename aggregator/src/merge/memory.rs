@@ -27,6 +27,11 @@ pub(super) fn student_bytes(costs: &Costs, shape: &Capacity, splats: usize) -> u
     (costs.pictures + LESSON_BYTES * pixels(shape) + splats * each) as u64
 }
 
+/// Bytes that the planning of a tile takes: its splats, and as much again for what cameras observed and plan.
+pub(super) fn planning_bytes(sh_degree: u32) -> u64 {
+    (2 * TILE_SPLATS_MAX * loaded_bytes(sh_degree)) as u64
+}
+
 /// Bytes that a model takes while small pictures of it are rendered on the CPU.
 pub(crate) fn rendered_bytes(splats: usize, sh_degree: u32) -> u64 {
     let costs = Costs::of(&Capacity::to_render(sh_degree), Device::Cpu.binding_bytes_max());

@@ -157,6 +157,23 @@ impl Pages {
         self.near(pages, near).map(|page| page.count as usize).sum()
     }
 
+    /// Number of splats that [`Self::read`] would append.
+    pub(super) fn count_wanted(
+        &self,
+        pages: Range<usize>,
+        near: impl Fn(&Bounds) -> bool,
+        mut wanted: impl FnMut(DVec3, f64) -> bool,
+    ) -> Result<usize, SceneError> {
+        let mut none = Splats::with_capacity(0, self.sh_degree());
+        let mut count = 0;
+        let counted = |at: DVec3, radius: f64| {
+            count += usize::from(wanted(at, radius));
+            false
+        };
+        self.read(pages, near, counted, &mut none)?;
+        Ok(count)
+    }
+
     /// Appends to `splats` those that satisfy `wanted`, of those of `pages` for which `near` holds. `wanted` gets the
     /// mean and the radius of a splat.
     pub(super) fn read(

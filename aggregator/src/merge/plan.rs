@@ -93,7 +93,7 @@ impl Plan {
             student: own.len(),
             bytes: 0,
         };
-        plan.student = plan.student(site)?.0.len();
+        plan.student += plan.others(site)?;
         plan.bytes = plan.needed(site, device);
         Ok(plan)
     }
@@ -108,10 +108,21 @@ impl Plan {
         let mut student = site.own(&self.tile)?;
         let count = student.len();
         let frusta = self.frusta();
-        let is_seen = |at: DVec3, radius: f64| frusta.iter().any(|frustum| frustum.touches(at, radius));
-        let wanted = |at: DVec3, radius: f64| !self.tile.contains(at) && is_seen(at, radius);
+        let wanted = |at: DVec3, radius: f64| self.is_other(&frusta, at, radius);
         site.joined.read(site.joined.all(), |bounds| touches(&frusta, bounds), wanted, &mut student)?;
         Ok((student, count))
+    }
+
+    /// Number of splats of other tiles that a part shows.
+    fn others(&self, site: &Site) -> Result<usize, MergeError> {
+        let frusta = self.frusta();
+        let wanted = |at: DVec3, radius: f64| self.is_other(&frusta, at, radius);
+        Ok(site.joined.count_wanted(site.joined.all(), |bounds| touches(&frusta, bounds), wanted)?)
+    }
+
+    /// Whether a splat with this radius lies in another tile and touches any of the frusta.
+    fn is_other(&self, frusta: &[Frustum], at: DVec3, radius: f64) -> bool {
+        !self.tile.contains(at) && frusta.iter().any(|frustum| frustum.touches(at, radius))
     }
 
     fn frusta(&self) -> Vec<Frustum> {

@@ -12,9 +12,9 @@ use crate::gate::extent::extents;
 use crate::gate::frames::{Placement, find_frames};
 use crate::gate::similarity::tests::wrong;
 use crate::gate::tests::{MOVED, UNMOVED, workspace};
-use crate::gate::workspace::Shifts;
 use crate::gate::{Doubt, admit};
 use crate::merge::InMemory;
+use crate::merge::shifts::Shifts;
 use cosurf_link::Model;
 
 /// A pseudo-random number in 0..1 for each lattice point; another `salt` gives other numbers.
