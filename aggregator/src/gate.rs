@@ -197,7 +197,10 @@ pub fn admit<'a>(
         Place { weight, size, is_verified, ..place(local) }
     };
     admitted.places = (0..count).filter(accepted).map(place).collect();
-    let unverified = |local: usize| (!accepted(&local)).then_some(Doubt::Unverified);
+    let unverified = |local: usize| {
+        let doubt = if judged[local].is_blind { Doubt::Blind } else { Doubt::Unverified };
+        (!accepted(&local)).then_some(doubt)
+    };
     admitted.doubts =
         (0..count).map(|local| judged[local].doubt.clone().or_else(|| unverified(local))).collect();
     let taking_part: Vec<usize> = admitted.places.iter().map(|place| place.local).collect();

@@ -3,6 +3,8 @@
 /// Why a model is kept out of a merge.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Doubt {
+    /// The model has no splats.
+    Empty,
     /// This share of the model's splats, 0..=1, lies where none of its own cameras looks.
     Unseen(f64),
     /// This share of the pictures of the model's own cameras, 0..=1, shows mostly no surface.
@@ -11,6 +13,8 @@ pub enum Doubt {
     Contradicts(Vec<usize>),
     /// The model's error on ground that it shares with others is this many times as large as theirs.
     FarWorse(f64),
+    /// The model has no cameras, and its frame is not vouched for.
+    Blind,
     /// The model shares no ground with the others, and its frame is not vouched for.
     Unverified,
 }
@@ -19,6 +23,7 @@ impl Doubt {
     /// The reason as a sentence without its subject. `names` has the name of every model.
     pub(crate) fn reason<N: AsRef<str>>(&self, names: &[N]) -> String {
         match self {
+            Self::Empty => "has no splats".into(),
             Self::Unseen(share) => {
                 format!("has {:.0} % of its splats where none of its cameras looks", 100.0 * share)
             }
@@ -27,6 +32,11 @@ impl Doubt {
             }
             Self::FarWorse(times) => {
                 format!("shows shared ground far worse than the others ({times:.0} times their error)")
+            }
+            Self::Blind => {
+                "has no cameras, so it cannot be compared with the others; if all models use one frame, name it (`frame`) \
+                 or pass --same-frame"
+                    .into()
             }
             Self::Unverified => {
                 "shares no ground with the others, so its frame cannot be checked; if all models use one frame, name it \

@@ -48,6 +48,8 @@ pub(super) struct Judged {
     pub(super) size: f64,
     /// Whether the model belongs to the largest group of models that share ground with each other.
     pub(super) is_verified: bool,
+    /// Whether the model has no cameras.
+    pub(super) is_blind: bool,
 }
 
 /// Judges each of `locals`, by index. Models that are `linked` share ground. `is_given_up` is called between models; if
@@ -87,6 +89,7 @@ pub(super) fn judge(
         weight: standards[i].weight(),
         size: sizes[i],
         is_verified: verified[i],
+        is_blind: shown[i].cameras.is_empty(),
     });
     Ok(Judgement { judged: judged.collect(), colors: relations.colors })
 }
@@ -94,6 +97,7 @@ pub(super) fn judge(
 /// What the gate keeps of a model, to judge the model and to judge others by it.
 struct Shown {
     cameras: Vec<Camera>,
+    is_empty: bool,
     /// Views from some of these cameras, in a file.
     views: Vec<ViewRecord>,
     /// Width of a pixel on the ground, world units: the median of all views. `None` if none shows ground.
@@ -178,11 +182,15 @@ impl Shown {
         let pixel_m = (!pixels.is_empty()).then(|| median(&mut pixels));
         let middle = middle(&cameras);
         let radius = radius(&cameras, middle);
-        (Self { cameras, views: Vec::new(), pixel_m, unseen, void, middle, radius }, views)
+        let is_empty = splats.is_empty();
+        (Self { cameras, is_empty, views: Vec::new(), pixel_m, unseen, void, middle, radius }, views)
     }
 
     /// Whether the model does not fit its own cameras.
     fn doubt(&self) -> Option<Doubt> {
+        if self.is_empty {
+            return Some(Doubt::Empty);
+        }
         if self.unseen > UNSEEN_MAX {
             return Some(Doubt::Unseen(self.unseen));
         }
@@ -361,6 +369,7 @@ mod tests {
         let cameras = vec![above(0.0); cameras];
         Shown {
             cameras,
+            is_empty: false,
             views: Vec::new(),
             pixel_m: None,
             unseen: 0.0,

@@ -102,22 +102,6 @@ fn a_model_that_its_own_cameras_do_not_show_is_kept_out() {
     assert_eq!(doubts.iter().flatten().count(), 1, "{doubts:?}");
 }
 
-#[test]
-fn a_model_without_splats_is_kept_out_and_one_without_anything_does_no_harm() {
-    let empty = Splats::with_capacity(0, flight(0.0).splats.sh_degree);
-    let mut models = flights();
-    models[1].splats = empty.clone();
-    let doubts = judge(models.clone());
-    assert!(matches!(doubts[1], Some(Doubt::Void(1.0))), "{doubts:?}");
-    assert_eq!(doubts.iter().flatten().count(), 1, "{doubts:?}");
-    models[1].cameras.clear();
-    for frames in [UNMOVED, MOVED] {
-        let locals = InMemory(models.clone());
-        let admitted = admit(&locals, frames, workspace(&temp_dir()), &|| false).unwrap();
-        assert_eq!(admitted.doubts(), [None, Some(Doubt::Unverified), None, None]);
-    }
-}
-
 /// Flights over speckled ground. Model 1 shows other speckles on top, `error` times as strong. The pictures are larger
 /// than those that the gate renders.
 fn speckled_flights(error: f32) -> Vec<Model> {
@@ -285,4 +269,17 @@ fn a_model_that_claims_larger_pictures_takes_part_with_the_pictures_that_it_show
     let taken = admitted.load(1).unwrap().cameras[0];
     let sides = [taken.size_px, given].map(|size_px| f64::from(size_px[0]));
     assert!((sides[0] / sides[1]).ln().abs() < 0.2, "{taken:?}");
+}
+
+#[test]
+fn a_model_without_splats_or_without_cameras_is_told_as_such() {
+    let mut models = flights();
+    models.push(Model { splats: Splats::with_capacity(0, 0), cameras: models[0].cameras.clone() });
+    models.push(Model { splats: models[0].splats.clone(), cameras: Vec::new() });
+    let locals = InMemory(models);
+    for frames in [UNMOVED, MOVED] {
+        let admitted = admit(&locals, frames, workspace(&temp_dir()), &|| false).unwrap();
+        assert_eq!(admitted.doubts()[4..], [Some(Doubt::Empty), Some(Doubt::Blind)], "{frames:?}");
+        assert_eq!(admitted.count(), 4);
+    }
 }
