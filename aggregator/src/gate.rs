@@ -5,8 +5,8 @@
 //! same ground, the other model must give the same pictures ([`glimpse`]). A forged model does not, nor does a model
 //! in another frame or scale. The gate also keeps out a model that does not fit its own cameras: most of its splats lie
 //! where none of them looks, or most of their pictures show no surface. It keeps out a model so far from all others
-//! that its origin must be wrong, and one that shows shared ground far worse than the others do ([`quality`]). A model that shows less detail than its
-//! pictures claim takes part with smaller pictures ([`sharpness`]).
+//! that its origin must be wrong, and one that shows shared ground far worse than the others do ([`quality`]). A model
+//! that shows less detail than its pictures claim takes part with smaller pictures ([`sharpness`]).
 //!
 //! A model that shares no ground with the others cannot be verified: its frame may be another one. It is accepted only
 //! if the frames of all models are vouched for.
@@ -175,7 +175,7 @@ pub fn admit<'a>(
     let extents = extents(locals, is_given_up)?;
     let Placement { moves, fits } = match frames.refine {
         true => find_frames(locals, &extents, frames.vouched, workspace, is_given_up)?,
-        false => Placement { moves: vec![None; count], fits: Vec::new() },
+        false => Placement::unmoved(count),
     };
     let place = |local: usize| Place {
         local,

@@ -43,6 +43,13 @@ pub(super) struct Placement {
     pub(super) fits: Vec<Fit>,
 }
 
+impl Placement {
+    /// All of `count` models stay, and none were compared.
+    pub(super) fn unmoved(count: usize) -> Self {
+        Self { moves: vec![None; count], fits: Vec::new() }
+    }
+}
+
 /// How a model is moved to where it fits the others.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Move {
@@ -86,6 +93,9 @@ pub(super) fn find_frames(
     is_given_up: &dyn Fn() -> bool,
 ) -> Result<Placement, MergeError> {
     let count = locals.count();
+    if count < 2 {
+        return Ok(Placement::unmoved(count));
+    }
     let shifts = workspace.shifts(2 * held_bytes(extents));
     let models = &Scouted::of(locals, workspace.shifts(held_bytes(extents)), workspace.scratch, is_given_up)?;
     let meet = |[i, j]: [usize; 2], frames: &[Similarity]| match [&extents[i], &extents[j]] {

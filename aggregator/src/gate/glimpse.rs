@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 /// Long side of the pictures, px.
 const SIZE_PX: u32 = 64;
 /// Largest number of views that are rendered of each model.
-const VIEWS: usize = 8;
+pub(super) const VIEWS: usize = 8;
 /// Cosine of 30°, the largest angle between two similar lines of sight to the same point.
 const SIGHT_COSINE_MIN: f64 = 0.866_025_403_784_438_6;
 /// Pixels with at most this alpha show no surface.
@@ -212,10 +212,10 @@ impl Glimpse {
     }
 }
 
-/// The cameras from which glimpses of a model are rendered.
-pub(super) fn chosen(cameras: &[Camera]) -> impl Iterator<Item = &Camera> {
-    let views = VIEWS.min(cameras.len());
-    (0..views).map(move |i| &cameras[i * cameras.len() / views])
+/// At most `most` of the cameras, evenly chosen.
+pub(super) fn chosen(cameras: &[Camera], most: usize) -> impl Iterator<Item = &Camera> {
+    let count = most.min(cameras.len());
+    (0..count).map(move |i| &cameras[i * cameras.len() / count])
 }
 
 /// The median; 0 of no values. Changes the order of the values.

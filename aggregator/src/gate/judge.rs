@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use super::doubt::Doubt;
 use super::frames::groups;
-use super::glimpse::{Glimpse, chosen, median};
+use super::glimpse::{Glimpse, VIEWS, chosen, median};
 use super::quality::{Detail, Differences, Standard};
 use super::sharpness::{Fine, Sharpness};
 use super::tone::Pairs;
@@ -67,8 +67,7 @@ pub(super) fn judge(
         let model = locals.load(i)?;
         Ok(Shown::of(model, locals.is_compressed(i), shifts.threads))
     };
-    shifts.run(locals.count(), is_given_up, look, |_, (its, views)| {
-        let mut its: Shown = its;
+    shifts.run(locals.count(), is_given_up, look, |_, (mut its, views): (Shown, Vec<View>)| {
         its.views = views.iter().map(|view| view.put(&mut records)).collect::<Result<_, _>>()?;
         shown.push(its);
         Ok(())
@@ -169,7 +168,7 @@ impl Shown {
         let unseen = splats.means.iter().filter(is_unseen).count() as f64 / splats.len().max(1) as f64;
         let mut renderer = Renderer::new(&splats, threads);
         let (mut views, mut pixels, mut void) = (Vec::new(), Vec::new(), 0);
-        for camera in chosen(&cameras) {
+        for camera in chosen(&cameras, VIEWS) {
             let glimpse = Glimpse::of(&mut renderer, camera, is_compressed);
             let detail = (!is_compressed).then(|| Detail::of(&mut renderer, camera));
             let fine = (!is_compressed).then(|| Fine::of(&mut renderer, camera));

@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 const ALPHA_MIN: f32 = 0.95;
 /// Number of the trusted model's own cameras that must see a point from a direction and distance similar to those of
 /// the rendered picture. A single camera does not fix the depth of a point.
-pub(super) const SEERS_MIN: usize = 2;
+const SEERS_MIN: usize = 2;
 /// Pixels of a patch on each side of its central pixel.
 const PATCH_PX: usize = 5;
 /// Side of a square of the picture that gives at most one patch, px.
@@ -132,8 +132,7 @@ impl Sight {
     }
 
     fn is_well_seen(&self, x: usize, y: usize, cameras: &[Camera]) -> bool {
-        let point = self.point(x, y, middle(x, y));
-        cameras.iter().filter(|camera| sees_alike(&self.camera, camera, point)).nth(SEERS_MIN - 1).is_some()
+        is_well_seen(self.point(x, y, middle(x, y)), &self.camera, cameras)
     }
 
     /// The distinctive corners in the picture that at least [`SEERS_MIN`] of `cameras` see.
@@ -201,8 +200,9 @@ impl Sight {
         }
     }
 
-    /// Searches a patch within `reach_px` of `around`. `contrast` is that of this picture. Returns the best pixel and its sub-pixel position. `None` if
-    /// the correlation is low, if no position stands out, or if the best one is on the rim of the searched area.
+    /// Searches a patch within `reach_px` of `around`. `contrast` is that of this picture. Returns the best pixel and its
+    /// sub-pixel position. `None` if the correlation is low, if no position stands out, or if the best one is on the rim
+    /// of the searched area.
     fn find(
         &self,
         contrast: &Contrast,
@@ -295,6 +295,11 @@ impl Contrast {
         }
         Self(lengths)
     }
+}
+
+/// Whether enough of `cameras` see `point` from a direction and distance similar to those of the camera `from`.
+pub(super) fn is_well_seen(point: DVec3, from: &Camera, cameras: &[Camera]) -> bool {
+    cameras.iter().filter(|camera| sees_alike(from, camera, point)).nth(SEERS_MIN - 1).is_some()
 }
 
 /// The middle of a pixel.

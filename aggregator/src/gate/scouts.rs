@@ -4,12 +4,12 @@
 use std::path::Path;
 
 use cosurf_engine::Renderer;
-use cosurf_engine::compress::sees_alike;
 use cosurf_scene::Camera;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
-use super::matching::{SEERS_MIN, Sight, middle};
+use super::glimpse::chosen;
+use super::matching::{Sight, is_well_seen, middle};
 use super::similarity::Similarity;
 use crate::merge::scratch::{Record, Records};
 use crate::merge::shifts::Shifts;
@@ -45,15 +45,12 @@ impl Scout {
         Self { camera: *camera, surface, points: pixels.count() }
     }
 
-    /// Share of the picture, 0..=1, that shows a surface which at least [`SEERS_MIN`] of `cameras` see from a similar
-    /// direction and distance. `from_own` moves the scout into the frame of these cameras.
+    /// Share of the picture, 0..=1, that shows a surface which enough of `cameras` see from a similar direction and
+    /// distance. `from_own` moves the scout into the frame of these cameras.
     fn shared(&self, from_own: &Similarity, cameras: &[Camera]) -> f64 {
         let here = from_own.camera(&self.camera);
-        let is_well_seen = |point: &&DVec3| {
-            let point = from_own.apply(**point);
-            cameras.iter().filter(|camera| sees_alike(&here, camera, point)).nth(SEERS_MIN - 1).is_some()
-        };
-        self.surface.iter().filter(is_well_seen).count() as f64 / self.points.max(1) as f64
+        let is_shared = |point: &&DVec3| is_well_seen(from_own.apply(**point), &here, cameras);
+        self.surface.iter().filter(is_shared).count() as f64 / self.points.max(1) as f64
     }
 }
 
@@ -85,11 +82,9 @@ impl ScoutFile {
         let mut file = Self { records: Records::new(scratch)?, known: Vec::with_capacity(locals.count()) };
         let look = |(): &mut (), index: usize| {
             let model = locals.load(index)?;
-            let cameras = &model.cameras;
             let mut renderer = Renderer::new(&model.splats, shifts.threads);
-            let count = SCOUTS.min(cameras.len());
-            let scout = |i: usize| Scout::of(&mut renderer, &cameras[i * cameras.len() / count]);
-            Ok((0..count).map(scout).collect::<Vec<_>>())
+            let scouts = chosen(&model.cameras, SCOUTS).map(|camera| Scout::of(&mut renderer, camera));
+            Ok(scouts.collect::<Vec<_>>())
         };
         shifts.run(locals.count(), is_given_up, look, |_, scouts| {
             file.known.push(file.records.put(&scouts)?);

@@ -34,15 +34,19 @@ pub(super) fn planning_bytes(sh_degree: u32) -> u64 {
 
 /// Bytes that a model takes while small pictures of it are rendered on the CPU.
 pub(crate) fn rendered_bytes(splats: usize, sh_degree: u32) -> u64 {
-    let costs = Costs::of(&Capacity::to_render(sh_degree), Device::Cpu.binding_bytes_max());
-    (splats * (costs.splat + PAIRS_PER_SPLAT * costs.pair + loaded_bytes(sh_degree))) as u64
+    (splats * rendered_splat_bytes(&Device::Cpu, sh_degree)) as u64
+}
+
+/// Bytes of a splat that is rendered, and of its copy while it is loaded.
+fn rendered_splat_bytes(device: &Device, sh_degree: u32) -> usize {
+    let costs = Costs::of(&Capacity::to_render(sh_degree), device.binding_bytes_max());
+    costs.splat + PAIRS_PER_SPLAT * costs.pair + loaded_bytes(sh_degree)
 }
 
 /// Bytes that a teacher with `splats` splats takes, with pictures as large as those of `shape`, of which it keeps up to
 /// `views`.
 pub(super) fn teacher_bytes(device: &Device, shape: &Capacity, splats: usize, views: usize) -> u64 {
-    let costs = Costs::of(&Capacity::to_render(shape.sh_degree), device.binding_bytes_max());
-    let each = costs.splat + PAIRS_PER_SPLAT * costs.pair + loaded_bytes(shape.sh_degree);
+    let each = rendered_splat_bytes(device, shape.sh_degree);
     let kept = CACHE_BYTES.min((LESSON_BYTES * pixels(shape) * views) as u64);
     kept + (TEACHER_BYTES * pixels(shape) + splats * each) as u64
 }

@@ -178,7 +178,7 @@ impl Sight {
     }
 }
 
-/// The places of those splats with these means that lie in a camera's picture, visible or hidden.
+/// The places of splats with these means, as far as they lie inside a camera's picture; visible or hidden.
 fn seen(camera: &Camera, means: &[[f32; 3]]) -> Vec<DVec3> {
     let frustum = Frustum::new(camera);
     means.iter().map(|mean| place(*mean)).filter(|place| frustum.contains(*place)).collect()

@@ -12,9 +12,9 @@ pub struct Frustum {
     rows: [DVec3; 3],
     offset: DVec3,
     size_px: DVec2,
-    /// The planes that bound the volume: a point lies inside if `normal · p_world + offset` is at least 0, with the unit
-    /// vector `normal`. Left, top, right, bottom, and the plane of the camera's centre.
-    sides: [(DVec3, f64); 5],
+    /// The left, top, right and bottom planes that bound the volume: a point lies inside if `normal · p_world + offset` is
+    /// at least 0, with the unit vector `normal`.
+    sides: [(DVec3, f64); 4],
     /// Depth at which the volume ends, world units.
     far: f64,
 }
@@ -36,7 +36,6 @@ impl Frustum {
             (row, offset.y),
             (size_px.x * depth - column, size_px.x * offset.z - offset.x),
             (size_px.y * depth - row, size_px.y * offset.z - offset.y),
-            (depth, offset.z),
         ];
         let sides = sides.map(|(inwards, offset)| (inwards / inwards.length(), offset / inwards.length()));
         Self { rows, offset, size_px, sides, far: f64::INFINITY }
@@ -59,7 +58,8 @@ impl Frustum {
     /// False if no point of the ball with this centre and radius lies in the frustum. May be true although none does.
     pub fn touches(&self, center: DVec3, radius: f64) -> bool {
         let depth = self.rows[2].dot(center) + self.offset.z;
-        depth <= self.far + radius
+        depth >= -radius
+            && depth <= self.far + radius
             && self.sides.iter().all(|(inwards, offset)| inwards.dot(center) + offset >= -radius)
     }
 }

@@ -133,7 +133,7 @@ impl<'a> Rows<'a> {
         Ok(true)
     }
 
-    /// Reads a row of 32-bit floats at once. Reading them one by one takes three times as long.
+    /// Reads a row of 32-bit floats at once. Reading them one by one took 4 % of the time of the aggregator's gate.
     fn flat_row(&mut self) -> Result<(), Refusal> {
         self.word.resize(size_of::<f32>() * self.element.properties.len(), 0);
         self.input.read_exact(&mut self.word)?;
