@@ -79,7 +79,9 @@ impl Backend for AnyBackend {
     }
 
     fn project_up_to(&mut self, camera: &Camera, sh_degree: u32, far: f64) {
-        pass!(self.project_up_to(camera, sh_degree, far));
+        // The pass is called `project` in logs and documents, with a far plane or without.
+        let _span = trace_span!("project").entered();
+        each_backend!(self, backend => backend.project_up_to(camera, sh_degree, far));
     }
 
     fn bin(&mut self) -> BinCounts {
