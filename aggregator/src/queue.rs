@@ -6,8 +6,9 @@
 use std::time::Duration;
 
 use async_nats::ConnectOptions;
+use async_nats::jetstream::ErrorCode;
 use async_nats::jetstream::consumer::{AckPolicy, pull};
-use async_nats::jetstream::context::ConsumerInfoErrorKind;
+use async_nats::jetstream::context::{ConsumerInfoErrorKind, CreateStreamErrorKind};
 use async_nats::jetstream::stream::{Config, LastRawMessageErrorKind, RetentionPolicy, Stream};
 use async_nats::jetstream::{self, AckKind, Context, Message};
 use futures_util::StreamExt;
@@ -23,6 +24,9 @@ const DEAD_AFTER: Duration = Duration::from_secs(10);
 const ALIVE_EVERY: Duration = Duration::from_secs(3);
 /// A worker waits so long for a task before it looks whether it shall end.
 const WAIT: Duration = Duration::from_secs(1);
+/// Pause before the stream is looked for again while another client is making it, and number of such pauses.
+const MAKING: Duration = Duration::from_millis(50);
+const MAKING_PAUSES: usize = 40;
 /// A server that does not answer for so long is away.
 const ANSWER_MAX: Duration = Duration::from_secs(5);
 
@@ -60,6 +64,12 @@ impl Queue {
     /// Connects to a server, for example `nats://127.0.0.1:4222`. Fails if it is not there; a connection that is lost
     /// later is made again.
     pub fn open(url: &str) -> Result<Self, QueueError> {
+        let queue = Self::connect(url)?;
+        queue.answer(queue.stream())?;
+        Ok(queue)
+    }
+
+    fn connect(url: &str) -> Result<Self, QueueError> {
         let fail = |cause: String| QueueError { url: url.to_owned(), cause };
         // One thread of its own tells the server that the worker is alive while the worker computes.
         let runtime = Builder::new_multi_thread().worker_threads(1).enable_all().build();
@@ -70,9 +80,7 @@ impl Queue {
             let _inside = runtime.enter(); // the context starts a task of its own
             jetstream::new(client)
         };
-        let queue = Self { runtime, context, url: url.to_owned() };
-        queue.answer(queue.stream())?;
-        Ok(queue)
+        Ok(Self { runtime, context, url: url.to_owned() })
     }
 
     /// Queues a task for workers with devices of this class, unless it is in the queue already.
@@ -145,7 +153,13 @@ impl Queue {
             retention: RetentionPolicy::WorkQueue,
             ..Config::default()
         };
-        self.context.get_or_create_stream(config).await.map_err(|error| error.to_string())
+        let mut pauses = 0..MAKING_PAUSES;
+        loop {
+            match self.context.get_or_create_stream(config.clone()).await {
+                Err(error) if is_being_made(&error.kind()) && pauses.next().is_some() => sleep(MAKING).await,
+                made => return made.map_err(|error| error.to_string()),
+            }
+        }
     }
 
     /// Waits for the answer of the server, but not for ever.
@@ -176,6 +190,12 @@ impl Drop for Delivered<'_> {
     }
 }
 
+/// Whether another client may be making the stream at this moment: the server says that the subjects overlap. If it
+/// keeps saying so, another program uses them.
+fn is_being_made(failure: &CreateStreamErrorKind) -> bool {
+    matches!(failure, CreateStreamErrorKind::JetStream(error) if error.error_code() == ErrorCode::STREAM_SUBJECT_OVERLAP)
+}
+
 /// The number of the message up to which all are finished; 0 before the first worker.
 async fn finished(stream: &Stream, consumer: &str) -> Result<u64, String> {
     match stream.consumer_info(consumer).await {
@@ -202,6 +222,7 @@ mod tests {
     #![allow(clippy::unwrap_used)]
     use std::fs;
     use std::path::Path;
+    use std::sync::Barrier;
     use std::thread;
 
     use cosurf_tests::nats::Nats;
@@ -225,6 +246,24 @@ mod tests {
     fn take(queue: &Queue) -> Delivered<'_> {
         let attempts = (0..20).filter_map(|_| queue.take("cpu").unwrap_or_default());
         attempts.into_iter().next().expect("the task is delivered within 20 seconds")
+    }
+
+    #[test]
+    fn clients_may_open_a_new_queue_at_the_same_time() {
+        for _ in 0..20 {
+            let folder = tempfile::tempdir().unwrap();
+            let Some(nats) = Nats::start(folder.path()) else { return };
+            let clients: Vec<Queue> = (0..8).map(|_| Queue::connect(&nats.url()).unwrap()).collect();
+            let together = Barrier::new(clients.len());
+            let open = |client: &Queue| {
+                together.wait();
+                client.answer(client.stream()).map(drop)
+            };
+            thread::scope(|scope| {
+                let opened: Vec<_> = clients.iter().map(|client| scope.spawn(|| open(client))).collect();
+                opened.into_iter().for_each(|opened| opened.join().unwrap().unwrap());
+            });
+        }
     }
 
     #[test]
