@@ -11,7 +11,7 @@ pub(crate) const EVERY: u32 = 8;
 pub(crate) const THREADS: usize = 2;
 
 /// The held-out views: each camera with its photograph, RGB values in 0..=1, row by row.
-pub(crate) struct HeldOut(Vec<(Camera, Vec<f32>)>);
+pub(crate) struct HeldOut(pub(crate) Vec<(Camera, Vec<f32>)>);
 
 impl HeldOut {
     /// Reads the held-out views. `resized` maps each view's camera to the camera to render with. Each photograph is
