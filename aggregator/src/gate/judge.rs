@@ -211,7 +211,7 @@ struct Compared {
     is_confirmed: Option<bool>,
     /// How much their detail differs.
     difference: Option<f64>,
-    /// The colours in which the other one, and then the model, show the same surface.
+    /// Colours of the surface that both show: those of the other model, then those of this model.
     colors: Vec<[[f32; 3]; 2]>,
     /// How much finer the detail of the model is.
     log_ratio: Option<f64>,

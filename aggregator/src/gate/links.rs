@@ -42,8 +42,8 @@ const SIZE_PX: u32 = 320;
 const ROUNDS: [(usize, f64); 4] = [(12, 3.0), (6, 2.0), (4, 1.5), (4, 1.5)];
 /// The rounds end once the similarity changes by less than this, px.
 const SETTLED_PX: f64 = 0.3;
-/// The first round counts as a search around the right places if it changed the similarity by less than this, px: then
-/// most matches were within its reach.
+/// If the first round changed the similarity by less than this, px, it searched around the right places: most matches
+/// were within its reach.
 const NEAR_PX: f64 = 4.0;
 /// The rounds for models that are far apart: the long side of the pictures, the reach of the search, and the tolerance
 /// of agreement, px. In the first round, the models may be almost half a picture apart.

@@ -15,7 +15,8 @@ use crate::merge::scratch::{Record, Records};
 use crate::merge::shifts::Shifts;
 use crate::merge::{Locals, MergeError};
 
-/// Limit on the number of a model's cameras of which the shared ground is measured; of more, evenly chosen ones.
+/// Limit on the number of cameras of a model from which small pictures are rendered. If a model has more cameras, some
+/// are chosen evenly.
 const SCOUTS: usize = 128;
 /// Long side of the pictures, px.
 const SIZE_PX: u32 = 48;

@@ -161,7 +161,8 @@ struct Sight {
 }
 
 impl Sight {
-    /// `shown` has points of the ground in the picture of `camera`, and `seen` the places of the tile's splats there.
+    /// `shown` has points of the tile's ground that the picture of `camera` shows. `seen` has the places of the tile's
+    /// splats in that picture, visible or hidden.
     /// `None` if there are too few points.
     fn of(camera: &Camera, shown: Vec<DVec3>, seen: Vec<DVec3>) -> Option<Self> {
         if shown.len() < SHOWN_MIN {

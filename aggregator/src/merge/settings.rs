@@ -43,7 +43,8 @@ pub struct MergeSettings {
     #[serde(default)]
     pub vouched: bool,
     /// Limit on the bytes of a merge. It decides how many models are compared at once, and how many tiles of the ground
-    /// are planned and distilled at once. It does not change the result. A limit that is too small for the largest tile is an error.
+    /// are planned and distilled at once. It does not change the result. A limit that is too small for the largest tile
+    /// is an error.
     pub memory_bytes: u64,
     /// Seed of every random choice.
     pub seed: u64,
