@@ -54,7 +54,7 @@ pub(super) fn choose(
     let has_room = |device: &Device| {
         let splats = splats.min(STUDENT_SPLATS);
         let costs = Costs::of(&shape, device.binding_bytes_max());
-        let bytes = student_bytes(&costs, &shape, splats) + PROCESS_BYTES + DRIVER_BYTES;
+        let bytes = student_bytes(device, &shape, splats) + PROCESS_BYTES + DRIVER_BYTES;
         bytes <= settings.memory_bytes && splats <= costs.splats_max(PAIRS_PER_SEEN_SPLAT)
     };
     // Looking for a card loads drivers, which keep their memory even if no card is found. So the CPU must have enough

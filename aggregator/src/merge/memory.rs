@@ -21,9 +21,12 @@ const LESSON_BYTES: usize = 4 * 8;
 /// Bytes for each pixel of a teacher's picture: two renderings of 8 numbers, the trust, and what the renderer blends.
 const TEACHER_BYTES: usize = 4 * (2 * 8 + 1 + 10);
 
-/// Bytes that the training of `splats` splats takes, with pictures as large as those of `shape`.
-pub(super) fn student_bytes(costs: &Costs, shape: &Capacity, splats: usize) -> u64 {
-    let each = costs.splat + PAIRS_PER_SEEN_SPLAT * costs.pair + loaded_bytes(shape.sh_degree);
+/// Bytes that the training of `splats` splats takes, with pictures as large as those of `shape`. On the CPU, the splats
+/// are copied before pairs are made and after the training state is freed, so the copy takes no memory beside these.
+pub(super) fn student_bytes(device: &Device, shape: &Capacity, splats: usize) -> u64 {
+    let costs = Costs::of(shape, device.binding_bytes_max());
+    let copy = if device.is_gpu() { loaded_bytes(shape.sh_degree) } else { 0 };
+    let each = costs.splat + PAIRS_PER_SEEN_SPLAT * costs.pair + copy;
     (costs.pictures + LESSON_BYTES * pixels(shape) + splats * each) as u64
 }
 

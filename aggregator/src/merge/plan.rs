@@ -3,7 +3,6 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use cosurf_engine::backend::Channels;
-use cosurf_engine::budget::Costs;
 use cosurf_engine::{Capacity, Device};
 use cosurf_scene::{Camera, Frustum, Splats};
 use glam::{DVec2, DVec3};
@@ -141,8 +140,7 @@ impl Plan {
     fn needed(&self, site: &Site, device: &Device) -> u64 {
         let none = Splats::with_capacity(0, site.joined.sh_degree());
         let shape = Capacity::to_train(&none, &self.cameras(), Channels::Geometry);
-        let costs = Costs::of(&shape, device.binding_bytes_max());
-        let student = student_bytes(&costs, &shape, self.student);
+        let student = student_bytes(device, &shape, self.student);
         let frusta = self.frusta();
         let locals: BTreeSet<usize> = self.lessons.iter().map(|view| view.local).collect();
         let teacher = |local: usize| {

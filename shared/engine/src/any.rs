@@ -78,6 +78,11 @@ impl Backend for AnyBackend {
         pass!(self.splats())
     }
 
+    fn into_splats(self) -> Splats {
+        let _span = trace_span!("splats").entered();
+        each_backend!(self, backend => backend.into_splats())
+    }
+
     fn project_up_to(&mut self, camera: &Camera, sh_degree: u32, far: f64) {
         // The pass is called `project` in logs and documents, with a far plane or without.
         let _span = trace_span!("project").entered();

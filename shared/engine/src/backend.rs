@@ -345,6 +345,14 @@ pub trait Backend {
     /// The splats as they are now.
     fn splats(&self) -> Splats;
 
+    /// The splats as they are now. Everything else is freed before they are copied, so that less memory is needed.
+    fn into_splats(self) -> Splats
+    where
+        Self: Sized,
+    {
+        self.splats()
+    }
+
     /// Projects all splats for a camera: computes their 2D Gaussians, their colours (SH up to `sh_degree`) and their
     /// planes.
     fn project(&mut self, camera: &Camera, sh_degree: u32) {

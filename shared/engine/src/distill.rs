@@ -142,16 +142,17 @@ impl<B: Backend> Distiller<B> {
 
     /// The trained model, including useless splats.
     pub fn into_splats(self) -> Splats {
-        self.backend.splats()
+        self.backend.into_splats()
     }
 
     /// The trained model, and the indices (ascending) of its useless splats. A splat is useless if it is transparent,
     /// huge, or invisible to all of `cameras`.
     pub fn finish<'a>(mut self, cameras: impl IntoIterator<Item = &'a Camera>) -> (Splats, Vec<u32>) {
         let scores = prune::survey(&mut self.backend, cameras);
-        let shapes = self.backend.take_shapes();
         let scale_max = (SCALE_MAX * self.settings.extent) as f32;
-        (self.backend.splats(), prune::useless(&shapes, &scores, OPACITY_MIN, scale_max))
+        let splats = self.backend.into_splats();
+        let useless = prune::useless(&splats, &scores.hits, OPACITY_MIN, scale_max);
+        (splats, useless)
     }
 
     fn weights(&self) -> LossWeights {

@@ -1,7 +1,7 @@
 //! Pruning chooses splats to remove: the least important (CoSurfGS, "Adaptive Gaussian Pruning"), those that too few
 //! views observe (PGSR), and useless ones.
 
-use cosurf_scene::Camera;
+use cosurf_scene::{Camera, Splats};
 use tracing::debug_span;
 
 use crate::backend::{Backend, Channels, Scores, Shapes};
@@ -95,17 +95,17 @@ pub(crate) fn unobserved(scores: &Scores, observers_min: u32) -> Vec<u32> {
 }
 
 /// Indices, ascending, of splats that are less opaque than `opacity_min`, larger than `scale_max` (world units), or
-/// invisible in all views.
-pub(crate) fn useless(shapes: &Shapes, scores: &Scores, opacity_min: f32, scale_max: f32) -> Vec<u32> {
+/// invisible in all views. `hits` is the number of pixels that each splat was blended into ([`Scores::hits`]).
+pub(crate) fn useless(splats: &Splats, hits: &[f32], opacity_min: f32, scale_max: f32) -> Vec<u32> {
     let logit_min = (opacity_min / (1.0 - opacity_min)).ln();
     let log_scale_max = scale_max.ln();
     // A comparison with NaN is false, so splats with NaN are removed.
     let stays = |i: usize| {
-        shapes.opacity_logits[i] >= logit_min
-            && shapes.log_scales[i].iter().all(|log_scale| *log_scale <= log_scale_max)
-            && scores.hits[i] > 0.0
+        splats.opacity_logits[i] >= logit_min
+            && splats.log_scales[i].iter().all(|log_scale| *log_scale <= log_scale_max)
+            && hits[i] > 0.0
     };
-    (0..scores.hits.len() as u32).filter(|&i| !stays(i as usize)).collect()
+    (0..hits.len() as u32).filter(|&i| !stays(i as usize)).collect()
 }
 
 #[cfg(test)]
@@ -151,12 +151,17 @@ mod tests {
 
     #[test]
     fn transparent_huge_and_invisible_splats_are_useless() {
-        let (mut shapes, mut scores) = four();
-        shapes.opacity_logits[0] = -6.0;
-        shapes.log_scales[2] = [3.0, -1.0, -1.0];
-        scores.hits[3] = 0.0;
-        assert_eq!(useless(&shapes, &scores, 0.005, 10.0), [0, 2, 3]);
-        assert_eq!(useless(&shapes, &scores, 0.001, 30.0), [3]);
+        let (shapes, scores) = four();
+        let mut splats = Splats::with_capacity(4, 0);
+        for (log_scale, opacity_logit) in shapes.log_scales.iter().zip(&shapes.opacity_logits) {
+            splats.push([0.0; 3], [1.0, 0.0, 0.0, 0.0], *log_scale, *opacity_logit, &[0.0; 3]);
+        }
+        splats.opacity_logits[0] = -6.0;
+        splats.log_scales[2] = [3.0, -1.0, -1.0];
+        let mut hits = scores.hits;
+        hits[3] = 0.0;
+        assert_eq!(useless(&splats, &hits, 0.005, 10.0), [0, 2, 3]);
+        assert_eq!(useless(&splats, &hits, 0.001, 30.0), [3]);
     }
 
     #[test]

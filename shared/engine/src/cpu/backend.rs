@@ -115,6 +115,11 @@ impl CpuBackend {
         self.lists.set_capacity(pairs);
     }
 
+    /// The splats with their training state; all else is freed.
+    fn into_model(self) -> Model {
+        self.model
+    }
+
     fn seen_view(&self) -> &ViewParams {
         self.view.as_ref().expect("`project` comes first")
     }
@@ -139,6 +144,10 @@ impl Backend for CpuBackend {
 
     fn splats(&self) -> Splats {
         self.model.splats()
+    }
+
+    fn into_splats(self) -> Splats {
+        self.into_model().into_splats()
     }
 
     fn project_up_to(&mut self, camera: &Camera, sh_degree: u32, far: f64) {

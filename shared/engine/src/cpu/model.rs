@@ -83,6 +83,17 @@ impl Model {
         blocks::load_splats(&self.params, self.sh_degree)
     }
 
+    /// The splats as they are now. The training state is freed before they are copied.
+    pub(crate) fn into_splats(self) -> Splats {
+        let sh_degree = self.sh_degree;
+        blocks::load_splats(&self.into_params(), sh_degree)
+    }
+
+    /// The parameters; all else is freed.
+    fn into_params(self) -> Blocks {
+        self.params
+    }
+
     /// Returns the shapes and mean statistics of all splats, and sets the stored statistics to zero.
     pub(crate) fn take_shapes(&mut self) -> Shapes {
         let (params, stats) = (&self.params, &self.stats);
