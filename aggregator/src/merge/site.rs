@@ -15,8 +15,9 @@ use super::tiles::{Map, Tile, vertical};
 
 /// Limit on the splats of a model from which the median depths of its views are estimated.
 const PROBES: usize = 2000;
-/// Number of cells of the map along the longest side of the first model.
-const CELLS_ACROSS: f64 = 32.0;
+/// Number of cells of the map along the longest side of the first model. With more cells, the map of a large site takes
+/// much memory; with fewer, more splats are read to find the tiles.
+const CELLS_ACROSS: f64 = 8.0;
 
 /// All models of a merge.
 #[derive(Debug)]

@@ -140,10 +140,15 @@ pub(crate) fn fifth(folder: &TempDir) -> Result<Results> {
     of_missions(&DATASETS[2..], "fifth", |_| (&TRAINING, &[]), folder)
 }
 
+/// Measures whether merges leave seams where their tiles meet.
+pub(crate) fn seams(folder: &TempDir) -> Result<Results> {
+    of_missions(&DATASETS[1..], "seams", |_| (&TRAINING, &[]), folder)
+}
+
 /// Measures merges of sites that are made of a mission over Caliterra, again and again. The districts are so far apart
 /// that none sees another.
 pub(crate) fn scale(folder: &TempDir) -> Result<Results> {
-    let options = ["--devices", "16,64,256", "--epochs", "2", "--pitch", "1000"];
+    let options = ["--devices", "16,64,256", "--epochs", "2", "--pitch", "1000", "--memory", "100MiB"];
     build()?;
     let (data, out) = (dataset("real_caliterra")?, folder.path().join("caliterra"));
     mission(Some(&data), &[&TRAINING[..], &["--agents", "4"]].concat(), &out)?;

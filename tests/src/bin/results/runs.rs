@@ -42,7 +42,7 @@ pub(crate) fn command_fault(stored: &Results) -> Option<String> {
 }
 
 /// All benches, the quickest first.
-pub(crate) const RUNS: [Run; 23] = [
+pub(crate) const RUNS: [Run; 24] = [
     Run {
         name: "sizes",
         about: "size of both programs",
@@ -136,9 +136,16 @@ pub(crate) const RUNS: [Run; 23] = [
         measure: benches::fifth,
     },
     Run {
+        name: "seams",
+        about: "whether a merge leaves seams where its tiles meet",
+        command: "cargo bench -p cosurf-tests --bench seams -- DATA AGENT...",
+        measure: benches::seams,
+    },
+    Run {
         name: "scale",
         about: "merges of sites with up to 256 devices",
-        command: "cargo bench -p cosurf-tests --bench scale -- AGENT... --devices 16,64,256 --epochs 2 --pitch 1000",
+        command: "cargo bench -p cosurf-tests --bench scale -- AGENT... --devices 16,64,256 --epochs 2 --pitch 1000 \
+                  --memory 100MiB",
         measure: benches::scale,
     },
     Run {
