@@ -21,7 +21,8 @@
 //!  └─ terminal ─► mesh        progress for people; depth to triangles
 //! ```
 //!
-//! [`worker`] stands beside `service`: it distils tiles for merges on other computers.
+//! [`worker`] stands beside `service`: it distils tiles for merges on other computers. [`pki`] stands alone: it makes the
+//! keys of a site.
 //!
 //! No module uses a module above it, and no file uses a file above it. If two files need the same type, it is in a
 //! third file below both.
@@ -34,6 +35,7 @@ pub mod merge;
 pub mod mesh;
 pub mod mission;
 pub mod partition;
+pub mod pki;
 pub mod queue;
 pub mod report;
 pub mod service;

@@ -14,6 +14,21 @@ use crate::skips::skip;
 pub const PLAIN: &str = "listener PORT 127.0.0.1\nallow_anonymous true\npersistence true\n\
                          persistence_location FOLDER/\nautosave_interval 1\n";
 
+/// The example configuration in `shared/docs`, with the placeholders `PORT` and `FOLDER` in place of its port and paths.
+/// Copies its access list to `folder`.
+pub fn example(folder: &Path) -> String {
+    let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/docs");
+    let text = fs::read_to_string(docs.join("mosquitto.conf")).unwrap();
+    fs::copy(docs.join("cosurf.acl"), folder.join("cosurf.acl")).unwrap();
+    for line in ["listener 8883", "/etc/mosquitto/certs", "/etc/mosquitto", "/var/lib/mosquitto"] {
+        assert!(text.contains(line), "{line}");
+    }
+    text.replace("listener 8883", "listener PORT 127.0.0.1")
+        .replace("/etc/mosquitto/certs", "FOLDER")
+        .replace("/etc/mosquitto", "FOLDER")
+        .replace("/var/lib/mosquitto", "FOLDER")
+}
+
 /// A running Mosquitto with its own folder. It is killed when this value is dropped.
 pub struct Mosquitto {
     /// The address at which the broker listens.

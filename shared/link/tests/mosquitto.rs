@@ -2,30 +2,15 @@
 //! configuration in `shared/docs`.
 #![allow(clippy::unwrap_used)]
 
-use std::path::Path;
 use std::time::{Duration, Instant};
 
 use cosurf_link::{
     Identity, MqttConfig, MqttTransport, Outgoing, Role, Transport, TransportEvent, UploadProgress,
 };
 use cosurf_tests::live::{Ground, upload};
-use cosurf_tests::mosquitto::{Authority, Mosquitto, PLAIN, tls};
+use cosurf_tests::mosquitto::{Authority, Mosquitto, PLAIN, example, tls};
 use cosurf_tests::offers::{identity, offer};
 use cosurf_wire::{DeviceId, ModelId, ModelKind, Topic};
-
-/// The example configuration, with the placeholders `PORT` and `FOLDER` in place of its port and paths.
-fn example(folder: &Path) -> String {
-    let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs");
-    let text = std::fs::read_to_string(docs.join("mosquitto.conf")).unwrap();
-    std::fs::copy(docs.join("cosurf.acl"), folder.join("cosurf.acl")).unwrap();
-    for line in ["listener 8883", "/etc/mosquitto/certs", "/etc/mosquitto", "/var/lib/mosquitto"] {
-        assert!(text.contains(line), "{line}");
-    }
-    text.replace("listener 8883", "listener PORT 127.0.0.1")
-        .replace("/etc/mosquitto/certs", "FOLDER")
-        .replace("/etc/mosquitto", "FOLDER")
-        .replace("/var/lib/mosquitto", "FOLDER")
-}
 
 fn interrupted(how: fn(&mut Mosquitto)) {
     let folder = tempfile::tempdir().unwrap();
