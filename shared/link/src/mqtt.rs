@@ -16,6 +16,7 @@
 
 mod address;
 mod config;
+mod refusal;
 #[cfg(test)]
 mod tests;
 mod tls;

@@ -5,7 +5,8 @@
 use std::time::{Duration, Instant};
 
 use cosurf_link::{
-    Identity, MqttConfig, MqttTransport, Outgoing, Role, Transport, TransportEvent, UploadProgress,
+    BrokerAddress, Identity, MqttConfig, MqttTransport, Outgoing, Role, Transport, TransportEvent,
+    UploadProgress,
 };
 use cosurf_tests::live::{Ground, upload};
 use cosurf_tests::mosquitto::{Authority, Mosquitto, PLAIN, example, tls};
@@ -70,10 +71,13 @@ fn fault_17_expired_revoked_and_foreign_certificates() {
         })
     };
     assert_eq!(connect(&good), TransportEvent::Connected);
-    for (name, files) in [("expired", &late), ("revoked", &revoked), ("stranger's", &stranger)] {
+    for (files, told) in
+        [(&late, "has expired"), (&revoked, "is revoked"), (&stranger, "the broker's own authority")]
+    {
         let event = connect(files);
-        println!("{name}: {event:?}");
-        assert!(matches!(event, TransportEvent::Disconnected { .. }), "{name} was let in");
+        println!("{event:?}");
+        let is_told = matches!(&event, TransportEvent::Disconnected { reason, .. } if reason.contains(told));
+        assert!(is_told, "{told}: {event:?}");
     }
     // A client refuses a broker whose certificate comes from another authority.
     let mut fooled = good.clone();
@@ -81,6 +85,20 @@ fn fault_17_expired_revoked_and_foreign_certificates() {
     assert!(
         matches!(connect(&fooled), TransportEvent::Disconnected { reason, .. } if reason.contains("TLS"))
     );
+}
+
+#[test]
+fn tls_at_a_port_without_it_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let files = Authority::new(folder.path()).client("drone", "drone", 30);
+    let Some(broker) = Mosquitto::start(folder.path(), PLAIN, false) else { return };
+    let event = first_event(MqttConfig {
+        broker: BrokerAddress { is_tls: true, ..broker.address.clone() },
+        identity: identity(Role::Device, "drone"),
+        tls: Some(tls(&files)),
+    });
+    println!("{event:?}");
+    assert!(matches!(event, TransportEvent::Disconnected { reason, .. } if reason.contains("mqtt://")));
 }
 
 #[test]

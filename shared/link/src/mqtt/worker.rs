@@ -18,6 +18,7 @@ use rumqttc::{TlsConfiguration, Transport as TlsTransport};
 use tokio::time::{Instant, sleep, timeout};
 
 use super::config::{EVENTS_MAX, MqttConfig, PACKET_OVERHEAD_BYTES};
+use super::refusal::tls_fault;
 use crate::identity::Role;
 use crate::pacing::Backoff;
 use crate::transport::TransportEvent;
@@ -322,6 +323,9 @@ fn is_too_large(error: &StateError) -> bool {
 
 /// Describes an error in a few words.
 pub(super) fn describe(error: &ConnectionError) -> String {
+    if let Some(told) = tls_fault(error) {
+        return told;
+    }
     match error {
         ConnectionError::Io(error) | ConnectionError::MqttState(StateError::Io(error)) => {
             match error.kind() {
