@@ -148,13 +148,22 @@ pub(crate) fn seams(folder: &TempDir) -> Result<Results> {
 /// Measures merges of sites that are made of a mission over Caliterra, again and again. The districts are so far apart
 /// that none sees another.
 pub(crate) fn scale(folder: &TempDir) -> Result<Results> {
-    let options = ["--devices", "16,64,256", "--epochs", "2", "--pitch", "1000", "--memory", "100MiB"];
+    of_districts("scale", &["--devices", "16,64,256", "--epochs", "2", "--memory", "100MiB"], folder)
+}
+
+/// Measures how much faster two workers merge a site of such districts.
+pub(crate) fn workers(folder: &TempDir) -> Result<Results> {
+    of_districts("workers", &[], folder)
+}
+
+/// Runs a bench on sites that are made of a mission over Caliterra.
+fn of_districts(bench: &str, options: &[&str], folder: &TempDir) -> Result<Results> {
     build()?;
     let (data, out) = (dataset("real_caliterra")?, folder.path().join("caliterra"));
     mission(Some(&data), &[&TRAINING[..], &["--agents", "4"]].concat(), &out)?;
     let agents = agents(&out, 4);
     let agents = agents.iter().map(|agent| text(agent)).collect::<Result<Vec<_>>>()?;
-    ours("scale", &[&agents[..], &options].concat(), folder)
+    ours(bench, &[&agents[..], options, &["--pitch", "1000"]].concat(), folder)
 }
 
 /// Measures where models that arrive in wrong frames are placed. Most cases are of the city, with the defaults of a

@@ -42,7 +42,7 @@ pub(crate) fn command_fault(stored: &Results) -> Option<String> {
 }
 
 /// All benches, the quickest first.
-pub(crate) const RUNS: [Run; 24] = [
+pub(crate) const RUNS: [Run; 25] = [
     Run {
         name: "sizes",
         about: "size of both programs",
@@ -147,6 +147,12 @@ pub(crate) const RUNS: [Run; 24] = [
         command: "cargo bench -p cosurf-tests --bench scale -- AGENT... --devices 16,64,256 --epochs 2 --pitch 1000 \
                   --memory 100MiB",
         measure: benches::scale,
+    },
+    Run {
+        name: "workers",
+        about: "how much faster two workers or two cores merge a large site",
+        command: "cargo bench -p cosurf-tests --bench workers -- AGENT... --pitch 1000",
+        measure: benches::workers,
     },
     Run {
         name: "layers",
