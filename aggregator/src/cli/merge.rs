@@ -145,7 +145,14 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
     let kept_out: Vec<String> =
         admitted.kept_out(&names).map(|(i, why)| format!("{} {why}", names[i])).collect();
     ensure!(admitted.count() > 0, "nothing to merge: {}", kept_out.join("; "));
-    let merged = merge_to_file(&admitted, &settings, resources, &mut tell)?;
+    let merged = merge_to_file(&admitted, &settings, resources, &mut tell).map_err(|error| match &error {
+        MergeError::PicturesTooLarge { locals, .. } => {
+            let whose: Vec<&str> =
+                locals.iter().map(|local| names[admitted.place(*local).local].as_str()).collect();
+            anyhow::Error::from(error).context(whose.join(", "))
+        }
+        _ => error.into(),
+    })?;
     write(&args.out, &merged)?;
     if let Some(results) = &results {
         keep_only(results, &merged.tiles)?;

@@ -25,9 +25,11 @@ impl Computer {
         mut work: impl FnMut(&Self) -> Result<T, MergeError>,
     ) -> Result<T, MergeError> {
         match work(&self) {
-            Err(MergeError::Device(_) | MergeError::TooLittleMemory { .. })
-                if choice == DeviceChoice::Auto && self.device.is_gpu() =>
-            {
+            Err(
+                MergeError::Device(_)
+                | MergeError::TooLittleMemory { .. }
+                | MergeError::PicturesTooLarge { .. },
+            ) if choice == DeviceChoice::Auto && self.device.is_gpu() => {
                 work(&Self { device: Device::Cpu, ..self })
             }
             done => done,

@@ -3,6 +3,7 @@
 //! decide only how many tiles are distilled at once.
 
 use std::cmp::Reverse;
+use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::{self, Receiver, Sender};
@@ -15,7 +16,7 @@ use super::by_workers::by_workers;
 use super::computer::Computer;
 use super::error::MergeError;
 use super::learn::learn;
-use super::memory::{at_once, planning_bytes};
+use super::memory::{at_once, check_pictures, planning_bytes};
 use super::news::{Learnt, Report};
 use super::plan::Plan;
 use super::results::{self, TileRecord};
@@ -156,9 +157,14 @@ impl Plans {
         memory_bytes: u64,
     ) -> Result<Self, MergeError> {
         let mut plans = Self { records: site.scratch.records()?, sizes: Vec::with_capacity(tiles.len()) };
+        let mut largest: BTreeMap<usize, u64> = BTreeMap::new();
         let shifts = Shifts::of(planning_bytes(site.joined.sh_degree()), memory_bytes, computer.threads);
         let plan = |(): &mut (), index: usize| Plan::of(site, tiles[index], lessons, &computer.device);
         shifts.run(tiles.len(), &|| false, plan, |_, plan| {
+            for (local, bytes) in &plan.picture_bytes {
+                let most = largest.entry(*local).or_default();
+                *most = (*most).max(*bytes);
+            }
             plans.sizes.push(PlanSize {
                 record: plans.records.put(&plan)?,
                 lessons: plan.lessons.len() as u32,
@@ -167,6 +173,7 @@ impl Plans {
             });
             Ok(())
         })?;
+        check_pictures(&largest, memory_bytes, &computer.device)?;
         Ok(plans)
     }
 

@@ -34,6 +34,16 @@ pub enum MergeError {
         /// The smallest sufficient limit, bytes.
         needed_bytes: u64,
     },
+    /// The memory limit is too small for the pictures of some models, whatever else is merged.
+    #[error("a memory limit of {memory_bytes} bytes is too small for the largest pictures; they need at least {needed_bytes} (--memory {}MiB, or merge_memory_bytes in aggregator.toml)", needed_bytes.div_ceil(1 << 20))]
+    PicturesTooLarge {
+        /// Indices of the models, ascending.
+        locals: Vec<usize>,
+        /// The memory limit, bytes.
+        memory_bytes: u64,
+        /// A limit that is sufficient for the pictures, bytes.
+        needed_bytes: u64,
+    },
     /// The queue of tiles for workers is not available.
     #[error(transparent)]
     Queue(#[from] QueueError),

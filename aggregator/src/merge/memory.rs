@@ -1,8 +1,11 @@
 //! How much memory the distillation of a tile takes, and how many tiles are distilled at once.
 
+use std::collections::BTreeMap;
+
+use cosurf_engine::backend::Channels;
 use cosurf_engine::budget::{Costs, DRIVER_BYTES, PAIRS_PER_SEEN_SPLAT, PAIRS_PER_SPLAT, PROCESS_BYTES};
 use cosurf_engine::{Capacity, Device};
-use cosurf_scene::Splats;
+use cosurf_scene::{Camera, Splats};
 
 use super::error::MergeError;
 
@@ -28,6 +31,36 @@ pub(super) fn student_bytes(device: &Device, shape: &Capacity, splats: usize) ->
     let copy = if device.is_gpu() { loaded_bytes(shape.sh_degree) } else { 0 };
     let each = costs.splat + PAIRS_PER_SEEN_SPLAT * costs.pair + copy;
     (costs.pictures + LESSON_BYTES * pixels(shape) + splats * each) as u64
+}
+
+/// Bytes that the pictures of a lesson with this camera take, without any splats.
+pub(super) fn lesson_bytes(device: &Device, sh_degree: u32, camera: &Camera) -> u64 {
+    let none = Splats::with_capacity(0, sh_degree);
+    let shape = Capacity::to_train(&none, std::slice::from_ref(camera), Channels::Geometry);
+    student_bytes(device, &shape, 0).max(teacher_bytes(device, &shape, 0, 1))
+}
+
+/// Bytes of a merge that are not for tiles.
+fn beside_bytes(device: &Device) -> u64 {
+    PROCESS_BYTES + if device.is_gpu() { DRIVER_BYTES } else { 0 }
+}
+
+/// An error if the pictures of some models alone take more memory than a merge may. `largest` has the bytes that the largest
+/// picture of each model takes.
+pub(super) fn check_pictures(
+    largest: &BTreeMap<usize, u64>,
+    memory_bytes: u64,
+    device: &Device,
+) -> Result<(), MergeError> {
+    let beside = beside_bytes(device);
+    let is_too_large = |(_, bytes): &(&usize, &u64)| beside.saturating_add(**bytes) > memory_bytes;
+    let locals: Vec<usize> = largest.iter().filter(is_too_large).map(|(local, _)| *local).collect();
+    // If all are too large, the limit is wrong rather than a model.
+    if locals.is_empty() || locals.len() == largest.len() {
+        return Ok(());
+    }
+    let needed_bytes = beside + largest.values().copied().fold(0, u64::max);
+    Err(MergeError::PicturesTooLarge { locals, memory_bytes, needed_bytes })
 }
 
 /// Bytes that the planning of a tile takes: its splats, and as much again for what cameras observed and plan.
@@ -72,7 +105,7 @@ pub(super) fn at_once(
     device: &Device,
 ) -> Result<usize, MergeError> {
     tiles.sort_unstable_by(|a, b| b.cmp(a));
-    let beside = PROCESS_BYTES + if device.is_gpu() { DRIVER_BYTES } else { 0 };
+    let beside = beside_bytes(device);
     let needed_bytes = beside + tiles.first().copied().unwrap_or_default();
     let Some(mut free) = memory_bytes.checked_sub(beside).filter(|_| needed_bytes <= memory_bytes) else {
         return Err(MergeError::TooLittleMemory { memory_bytes, needed_bytes });

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use super::crop::{Part, crop};
 use super::error::MergeError;
-use super::memory::{student_bytes, teacher_bytes};
+use super::memory::{lesson_bytes, student_bytes, teacher_bytes};
 use super::pages::{Bounds, place};
 use super::site::Site;
 use super::tiles::Tile;
@@ -45,6 +45,8 @@ pub(super) struct Plan {
     pub(super) student: usize,
     /// Bytes that the distillation of the tile takes.
     pub(super) bytes: u64,
+    /// For each model: the bytes that its largest part of a picture takes, without any splats.
+    pub(super) picture_bytes: BTreeMap<usize, u64>,
 }
 
 impl Plan {
@@ -57,7 +59,7 @@ impl Plan {
     ) -> Result<Self, MergeError> {
         let own = site.own(&tile)?;
         let (mut crops, mut wide_crops, mut ranked) = (BTreeMap::new(), Vec::new(), Vec::new());
-        let mut known = BTreeSet::new();
+        let (mut known, mut picture_bytes) = (BTreeSet::new(), BTreeMap::new());
         let ball = ball(&own.means);
         for local in site.observed.near(ball.0, ball.1) {
             let observations = site.observed.load(local)?;
@@ -68,10 +70,12 @@ impl Plan {
                     continue;
                 }
                 let seen = seen(camera, &own.means);
-                if let Some(wide) = crop(camera, &projected(camera, &seen))
-                    && known.insert(camera.cam_from_world.bits())
-                {
-                    wide_crops.push(wide);
+                if let Some(wide) = crop(camera, &projected(camera, &seen)) {
+                    let most: &mut u64 = picture_bytes.entry(local).or_default();
+                    *most = lesson_bytes(device, site.joined.sh_degree(), &wide).max(*most);
+                    if known.insert(camera.cam_from_world.bits()) {
+                        wide_crops.push(wide);
+                    }
                 }
                 let view = ViewKey { local, camera: index };
                 let mut shown = observations.surface(index);
@@ -91,6 +95,7 @@ impl Plan {
             lessons: ranked.into_iter().map(|(_, view)| view).collect(),
             student: own.len(),
             bytes: 0,
+            picture_bytes,
         };
         plan.student += plan.others(site)?;
         plan.bytes = plan.needed(site, device);

@@ -4,7 +4,7 @@ use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{self, Receiver};
+use std::sync::mpsc::{self, Receiver, Sender};
 use std::thread::{self, JoinHandle};
 
 use cosurf_engine::Renderer;
@@ -74,6 +74,71 @@ impl TileWork {
     }
 }
 
+/// What a round merges, and with what.
+struct Round {
+    parts: Stored,
+    settings: MergeSettings,
+    scratch: PathBuf,
+    work: TileWork,
+    threads: usize,
+    say: Sender<MergeProgress>,
+    stop: Arc<AtomicBool>,
+}
+
+/// What came of an attempt to merge.
+enum Attempt {
+    Over(Outcome),
+    /// The pictures of the models with these indices are too large for the memory of the merge.
+    TooLarge {
+        locals: Vec<usize>,
+        needed_bytes: u64,
+    },
+}
+
+impl Round {
+    /// Merges `stored`, then adds the parts.
+    fn attempt(&self, stored: &Stored) -> Result<Attempt, MergeError> {
+        let Self { parts, settings, scratch, work, threads, say, stop } = self;
+        let threads = *threads;
+        let is_stopped = || stop.load(Ordering::Relaxed);
+        let admitted =
+            admit(stored, settings.into(), Workspace::of(settings, scratch, threads), &is_stopped)?;
+        let mut verdict = Verdict::of(&admitted, &stored.headers);
+        if admitted.count() == 0 {
+            return Ok(Attempt::Over(Outcome { made: None, verdict }));
+        }
+        let resources = Resources { scratch, tiles: work.tiles(), threads };
+        let merged = merge(&admitted, settings, resources, &mut |progress: MergeProgress| {
+            if progress.step.is_multiple_of(TELL_EVERY) {
+                let _ = say.send(progress); // fails only if the job was dropped
+            }
+            if is_stopped() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        });
+        let mut merged = match merged {
+            Err(MergeError::PicturesTooLarge { locals, needed_bytes, .. }) => {
+                let locals = locals.into_iter().map(|place| admitted.place(place).local).collect();
+                return Ok(Attempt::TooLarge { locals, needed_bytes });
+            }
+            merged => merged?,
+        };
+        for i in 0..parts.count() {
+            merged.model =
+                parts.fill_into(merged.model, i, settings, resources, &is_stopped, &mut verdict)?;
+        }
+        merged.summary.splats = merged.model.splats.len();
+        let body = packed(&merged.model, threads)?;
+        let cut = (merged.model.splats.len() > work.whole_splats_max).then(|| {
+            let local = |place: usize| {
+                let device = stored.headers[admitted.place(place).local].device;
+                Ok((device, admitted.load(place)?.splats))
+            };
+            let locals = (0..admitted.count()).map(local);
+            Cut::of(&merged.model, work.whole_splats_max, locals, threads)
+        });
+        Ok(Attempt::Over(Outcome { made: Some(Made { merged, body, cut: cut.transpose()? }), verdict }))
+    }
+}
+
 /// The result of a merge.
 pub(super) struct Outcome {
     /// The global model; `None` if no model took part.
@@ -125,6 +190,20 @@ impl Stored {
         let whole = Self { models: stores.whole, headers: inputs.whole };
         let parts = Self { models: stores.parts, headers: inputs.parts };
         if whole.headers.is_empty() { (parts, whole) } else { (whole, parts) }
+    }
+
+    /// Leaves out the models at these indices, because merging their pictures takes too much memory.
+    fn leave_out(&mut self, locals: &[usize], needed_bytes: u64) -> Vec<KeptOut> {
+        let needed_mib = needed_bytes.div_ceil(1 << 20);
+        let reason = format!(
+            "has pictures that are too large for the memory of merges: raise merge_memory_bytes to {needed_mib} MiB, or \
+             train it on smaller pictures"
+        );
+        let left_out =
+            locals.iter().map(|local| KeptOut::new(&self.headers[*local], reason.clone())).collect();
+        let is_left = |index: usize| !locals.contains(&index);
+        self.headers = (0..self.count()).filter(|i| is_left(*i)).map(|i| self.headers[i]).collect();
+        left_out
     }
 
     /// Adds the part at `index` to a merged model, if it fits. Notes in `verdict` what the gate decided.
@@ -183,39 +262,22 @@ impl Job {
     ) -> Self {
         let stop = Arc::new(AtomicBool::new(false));
         let (say, progress) = mpsc::channel();
-        let (stored, parts) = Stored::of(stores, inputs.clone());
-        let flag = stop.clone();
+        let (mut stored, parts) = Stored::of(stores, inputs.clone());
+        let round = Round { parts, settings, scratch, work, threads, say, stop: stop.clone() };
         let thread = thread::spawn(move || {
-            let _span = info_span!("round", models = stored.count(), parts = parts.count()).entered();
-            let is_stopped = || flag.load(Ordering::Relaxed);
-            let admitted =
-                admit(&stored, (&settings).into(), Workspace::of(&settings, &scratch, threads), &is_stopped)?;
-            let mut verdict = Verdict::of(&admitted, &stored.headers);
-            if admitted.count() == 0 {
-                return Ok(Outcome { made: None, verdict });
-            }
-            let resources = Resources { scratch: &scratch, tiles: work.tiles(), threads };
-            let mut merged = merge(&admitted, &settings, resources, &mut |progress: MergeProgress| {
-                if progress.step.is_multiple_of(TELL_EVERY) {
-                    let _ = say.send(progress); // fails only if the job was dropped
+            let _span = info_span!("round", models = stored.count(), parts = round.parts.count()).entered();
+            let mut left_out = Vec::new();
+            loop {
+                match round.attempt(&stored)? {
+                    Attempt::Over(mut outcome) => {
+                        outcome.verdict.keep_out(left_out);
+                        return Ok(outcome);
+                    }
+                    Attempt::TooLarge { locals, needed_bytes } => {
+                        left_out.extend(stored.leave_out(&locals, needed_bytes));
+                    }
                 }
-                if is_stopped() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
-            })?;
-            for i in 0..parts.count() {
-                merged.model =
-                    parts.fill_into(merged.model, i, &settings, resources, &is_stopped, &mut verdict)?;
             }
-            merged.summary.splats = merged.model.splats.len();
-            let body = packed(&merged.model, threads)?;
-            let cut = (merged.model.splats.len() > work.whole_splats_max).then(|| {
-                let local = |place: usize| {
-                    let device = stored.headers[admitted.place(place).local].device;
-                    Ok((device, admitted.load(place)?.splats))
-                };
-                let locals = (0..admitted.count()).map(local);
-                Cut::of(&merged.model, work.whole_splats_max, locals, threads)
-            });
-            Ok(Outcome { made: Some(Made { merged, body, cut: cut.transpose()? }), verdict })
         });
         Self { inputs, stop, progress, thread: Some(thread) }
     }

@@ -98,6 +98,12 @@ impl Verdict {
         let fits = admitted.fits().iter().map(|fit| FitRecord::of(&names, fit)).collect();
         Self { kept_out, fitted, fits }
     }
+
+    /// Adds models that were kept out, in the order of devices.
+    pub(super) fn keep_out(&mut self, more: Vec<KeptOut>) {
+        self.kept_out.extend(more);
+        self.kept_out.sort_by(|a, b| a.device.cmp(&b.device));
+    }
 }
 
 /// How well the models of two devices show the same ground at the same place; see [`Fit`].

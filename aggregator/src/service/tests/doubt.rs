@@ -1,7 +1,7 @@
 //! A model that contradicts the others is kept out and reported, until its device sends a model that fits.
 
 use super::*;
-use crate::gate::tests::{elsewhere, flights};
+use crate::gate::tests::{elsewhere, flight, flights};
 use crate::testing::QUICK;
 use glam::DVec3;
 
@@ -47,4 +47,20 @@ fn a_poisoned_model_is_kept_out_until_its_device_sends_a_sound_one() {
         fly(site, &NAMES, &[("agent-2", 2, &right[1])], &[]) == complete,
         "the device's next model counts"
     );
+}
+
+#[test]
+fn attack_01_absurd_pictures_do_not_stop_the_merge_of_the_others() {
+    let right = flights();
+    let mut absurd = flight(60.0);
+    for camera in &mut absurd.cameras {
+        *camera = camera.resized([16_384, 16_384]);
+    }
+    let folders = [(); 2].map(|()| tempfile::tempdir().unwrap());
+    let honest: Vec<_> = NAMES[..3].iter().zip(&right).map(|(name, model)| (*name, 1, model)).collect();
+    let clean = fly(folders[0].path(), &NAMES[..3], &honest, &[]);
+    let all = [&honest[..], &[("agent-4", 1, &absurd)]].concat();
+    assert!(fly(folders[1].path(), &NAMES, &all, &["agent-4"]) == clean, "the absurd model left a trace");
+    let record = Merging::read(folders[1].path()).unwrap();
+    assert!(record.kept_out[0].reason.contains("merge_memory_bytes"), "{:?}", record.kept_out);
 }
