@@ -1,41 +1,67 @@
-//! An MQTT 5 broker inside the aggregator, so that a ground station needs only one program.
+//! An MQTT broker inside the aggregator, so that a ground station needs only one program.
 //!
-//! Its features are few on purpose: QoS 0 and 1, retained messages, last wills, wildcards, and sessions
-//! that outlive a connection. It has no authentication, no TLS and no storage on disk. By default it
-//! therefore listens on loopback only. On a shared network, use Mosquitto by its URL instead. A restart of
-//! the broker loses all messages; the devices then publish theirs again.
+//! It speaks MQTT 5 and MQTT 3.1.1: QoS 0 and 1, retained messages, last wills, wildcards, expiry, and sessions that
+//! outlive a connection. It asks for passwords or certificates if told to, and uses TLS. It keeps nothing on disk: a
+//! restart of the broker loses all messages; the devices then publish theirs again.
 //!
-//! Why not an existing broker: this one needs only the packet codec of rumqttc, which is linked anyway.
-//! The alternatives:
+//! Strangers must not be able to stop it, so everything it keeps has a bound:
+//!
+//! - One budget of bytes holds messages, queues, sessions, subscriptions and buffers ([`memory`]). Beyond it, the
+//!   client that keeps the most loses its oldest messages, or is refused.
+//! - A connection that has not said hello within 5 seconds ends. While too many have not, the oldest of the address
+//!   that has the most of them ends.
+//! - Known devices get in even if strangers hold all places ([`reactor`]).
+//! - A slow subscriber misses messages; no publisher waits for it. Only parts of this program make publishers wait.
+//!
+//! Why not an existing broker: this one needs only the packet codecs of rumqttc, which is linked anyway, and mio, which
+//! tokio brings. The alternatives:
 //!
 //! - `mqtt5` 0.49 adds many times the packages and build time of rumqttc. If a shutdown is requested
 //!   before its loop has subscribed to the shutdown signal, the request is lost and `run` never returns.
 //!   If the queue of a client is full, it drops QoS 1 messages.
 //! - `rumqttd` 0.20 has no shutdown (rumqtt#771) and sends a new subscriber at most 100 retained messages.
 //!
-//! This broker adds no package, and accepts clients as soon as [`Broker::start`] returns. Before it drops
-//! a message for a slow subscriber, it makes the publisher wait.
+//! What it knows nothing about: the meaning of the messages. Any MQTT client may use it.
 //!
-//! What it knows nothing about: the meaning of the messages. Any MQTT 5 client may use it.
-//!
-//! Where to start reading: [`router`], which makes all decisions and uses no socket; then [`connection`],
-//! which only reads and writes packets.
+//! Where to start reading: [`router`], which decides which message goes where and uses no socket; then [`reactor`],
+//! the one thread that serves all sockets.
 
+mod access;
+mod client;
 mod connection;
+mod event;
+mod memory;
+mod message;
+mod packet;
+mod reach;
+mod reactor;
+mod retained;
 mod router;
 mod session;
+mod socket;
+mod tls;
+mod topics;
 
-use std::fmt;
 use std::io::{self, ErrorKind};
-use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener, TcpStream};
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{self, Sender};
 use std::thread::JoinHandle;
+use std::time::Instant;
 
-use cosurf_link::BrokerAddress;
-use serde::Serialize;
+use cosurf_link::{BrokerAddress, Login};
+use mio::net::TcpListener;
+use mio::{Interest, Poll, Token, Waker};
 
-use connection::Hub;
+pub use access::{ServerTls, Users, UsersError, user_line};
+pub use event::BrokerEvent;
+pub use reach::Reach;
+pub use tls::BrokerTlsError;
+
+use access::{Access, Verifier};
+use connection::Door;
+use event::Teller;
+use reactor::{Command, Entrance, Parts, Reactor, WAKER, guests_max};
 
 /// Why the broker did not start.
 #[derive(Debug, thiserror::Error)]
@@ -47,6 +73,9 @@ pub enum BrokerError {
         port = .0.port(), host = .0.ip()
     )]
     PortInUse(SocketAddr),
+    /// The certificates cannot be used.
+    #[error(transparent)]
+    Tls(#[from] BrokerTlsError),
     /// Any other error of the operating system.
     #[error("the broker cannot listen on {address}: {}", explain(cause))]
     Io {
@@ -70,23 +99,36 @@ fn explain(cause: &io::Error) -> String {
 
 /// Limit on the clients of a broker that is started without another limit.
 pub const CLIENTS_MAX: usize = 1024;
+/// Limit on the memory of a broker that is started without another limit, bytes.
+pub const MEMORY_BYTES: usize = 128 << 20;
+/// Smallest limit on the memory of a broker, bytes: a few models on their way.
+pub const MEMORY_BYTES_MIN: usize = 16 << 20;
+/// Open files that are left to the rest of the program.
+const OTHER_FILES: usize = 256;
 
-/// What a broker reports.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(tag = "event", rename_all = "snake_case")]
-pub enum BrokerEvent {
-    /// A client is refused because too many are connected. Reported again only after a client was accepted.
-    #[serde(rename = "broker_full")]
-    Full {
-        /// The limit on clients.
-        clients_max: usize,
-    },
+/// What a broker allows.
+#[derive(Clone, Debug)]
+pub struct BrokerSettings {
+    /// Limit on connected clients.
+    pub clients_max: usize,
+    /// Limit on the memory for clients, bytes, at least [`MEMORY_BYTES_MIN`].
+    pub memory_bytes: usize,
+    /// The users and their passwords; `None` to ask for no password.
+    pub users: Option<Users>,
+    /// The certificates for TLS; `None` for no TLS.
+    pub tls: Option<ServerTls>,
 }
 
-impl fmt::Display for BrokerEvent {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self::Full { clients_max } = self;
-        write!(f, "broker: a client is refused: {clients_max} clients are connected; raise `clients_max`")
+impl Default for BrokerSettings {
+    fn default() -> Self {
+        Self { clients_max: CLIENTS_MAX, memory_bytes: MEMORY_BYTES, users: None, tls: None }
+    }
+}
+
+impl BrokerSettings {
+    /// Whether everybody may connect.
+    pub fn is_open(&self) -> bool {
+        self.users.is_none() && self.tls.as_ref().is_none_or(|tls| tls.ca.is_none())
     }
 }
 
@@ -94,39 +136,101 @@ impl fmt::Display for BrokerEvent {
 #[derive(Debug)]
 pub struct Broker {
     address: SocketAddr,
-    hub: Arc<Hub>,
-    is_stopping: Arc<AtomicBool>,
+    house: Reach,
+    commands: Commands,
     thread: Option<JoinHandle<()>>,
 }
 
+/// Hands commands to a broker's thread.
+#[derive(Clone)]
+struct Commands(Sender<Command>, Arc<Waker>);
+
+impl std::fmt::Debug for Commands {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("Commands")
+    }
+}
+
+impl Commands {
+    /// Does nothing if the thread has ended.
+    fn send(&self, command: Command) {
+        if self.0.send(command).is_ok() {
+            let _ = self.1.wake();
+        }
+    }
+}
+
 impl Broker {
-    /// Starts a broker for at most [`CLIENTS_MAX`] clients, see [`Self::start_for`].
+    /// Starts a broker with the default settings, which accepts everybody; see [`Self::start_with`].
     pub fn start(address: SocketAddr) -> Result<Self, BrokerError> {
-        Self::start_for(address, CLIENTS_MAX, |_| ())
+        Self::start_with(address, BrokerSettings::default(), |_| ())
     }
 
     /// Listens on `address`. Port 0 takes a free port, which [`Self::address`] returns. Clients may connect as soon as this
-    /// function returns, at most `clients_max` at once. `say` gets the broker's events.
-    pub fn start_for(
+    /// function returns. `say` gets the broker's events.
+    pub fn start_with(
         address: SocketAddr,
-        clients_max: usize,
+        settings: BrokerSettings,
         say: impl Fn(BrokerEvent) + Send + 'static,
     ) -> Result<Self, BrokerError> {
         let failed = |cause: io::Error| match cause.kind() {
             ErrorKind::AddrInUse => BrokerError::PortInUse(address),
             _ => BrokerError::Io { address, cause },
         };
-        let listener = TcpListener::bind(address).map_err(failed)?;
-        let address = listener.local_addr().map_err(failed)?;
-        let (hub, is_stopping) = (Arc::new(Hub::new(clients_max)), Arc::new(AtomicBool::new(false)));
-        let (accepting, stop) = (Arc::clone(&hub), Arc::clone(&is_stopping));
-        let thread = std::thread::spawn(move || accept(&listener, &accepting, clients_max, &stop, &say));
-        Ok(Self { address, hub, is_stopping, thread: Some(thread) })
+        let or_password = settings.users.is_some();
+        let tls = settings.tls.as_ref().map(|files| tls::read(files, or_password)).transpose()?;
+        let mut teller = Teller::new(say);
+        let clients_max = allowed_clients(settings.clients_max, &mut teller);
+        let is_open = settings.is_open();
+        let secret = secret().map_err(failed)?;
+        let takes_certificates = settings.tls.as_ref().is_some_and(|tls| tls.ca.is_some());
+        let house_password = secret.to_hex().to_string();
+        let access =
+            Access { users: settings.users, takes_certificates, house_password: house_password.clone() };
+        let poll = Poll::new().map_err(failed)?;
+        let (front, address) = listen(&poll, address, 1).map_err(failed)?;
+        let loopback = SocketAddr::new(Ipv4Addr::LOCALHOST.into(), 0);
+        let (back, house) =
+            listen(&poll, loopback, 2).map_err(|cause| BrokerError::Io { address: loopback, cause })?;
+        if is_open && !address.ip().is_loopback() {
+            teller.tell(Instant::now(), BrokerEvent::Open { address });
+        }
+        let (sender, commands) = mpsc::channel();
+        let waker = Arc::new(Waker::new(poll.registry(), WAKER).map_err(failed)?);
+        let sender = Commands(sender, waker);
+        let answers = sender.clone();
+        let tell = move |link, user, right| answers.send(Command::Verified(link, user, right));
+        let reactor = Reactor::new(Parts {
+            poll,
+            entrances: vec![entrance(front, 1, Door::Front, tls), entrance(back, 2, Door::House, None)],
+            commands,
+            access: Arc::new(access),
+            verifier: Verifier::start(*secret.as_bytes(), tell),
+            memory_bytes: settings.memory_bytes.max(MEMORY_BYTES_MIN),
+            clients_max,
+            teller,
+        });
+        let thread = std::thread::spawn(move || reactor.run());
+        let login = Login { user: "house".to_owned(), password: house_password };
+        let house = Reach { login: Some(login), ..Reach::plain(local_address(house)) };
+        Ok(Self { address, house, commands: sender, thread: Some(thread) })
     }
 
     /// The address on which the broker listens.
     pub fn address(&self) -> SocketAddr {
         self.address
+    }
+
+    /// Where parts of this program connect, and how they prove what they are. Strangers cannot keep them out, and
+    /// publishers wait for them.
+    pub fn house(&self) -> Reach {
+        self.house.clone()
+    }
+
+    /// What tells the broker the client ids of devices that it should prefer to strangers.
+    pub fn introducer(&self) -> impl Fn(String) + Send + use<> {
+        let commands = self.commands.clone();
+        move |id| commands.send(Command::Know(id))
     }
 
     /// Ends all connections and waits until the port is free. The last wills of the clients may not be
@@ -138,50 +242,66 @@ impl Broker {
 
 impl Drop for Broker {
     fn drop(&mut self) {
-        self.is_stopping.store(true, Ordering::SeqCst);
-        // Wakes the accepting thread. If this fails, the thread has ended already.
-        let _ = TcpStream::connect(reachable(self.address));
+        self.commands.send(Command::Stop);
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
         }
-        self.hub.close_all();
     }
 }
 
-fn accept(
-    listener: &TcpListener,
-    hub: &Arc<Hub>,
-    clients_max: usize,
-    is_stopping: &AtomicBool,
-    say: &impl Fn(BrokerEvent),
-) {
-    let mut is_full = false;
-    let mut readers: Vec<JoinHandle<()>> = Vec::new();
-    for stream in listener.incoming() {
-        if is_stopping.load(Ordering::SeqCst) {
-            break;
-        }
-        readers.retain(|reader| !reader.is_finished());
-        match stream {
-            Ok(stream) if readers.len() < clients_max => {
-                is_full = false;
-                let hub = Arc::clone(hub);
-                readers.push(std::thread::spawn(move || connection::serve(stream, &hub)));
-            }
-            // Dropping the stream closes it. The client tries again, so only the first refusal is told.
-            Ok(_) => {
-                if !std::mem::replace(&mut is_full, true) {
-                    say(BrokerEvent::Full { clients_max });
-                }
-            }
-            // Out of file descriptors, or the client left before it was accepted.
-            Err(_) => std::thread::sleep(connection::ACCEPT_PAUSE),
-        }
+/// Random bytes that strangers cannot guess.
+fn secret() -> io::Result<blake3::Hash> {
+    let mut random = [0; 32];
+    getrandom::fill(&mut random).map_err(io::Error::other)?;
+    Ok(blake3::hash(&random))
+}
+
+fn listen(poll: &Poll, address: SocketAddr, token: usize) -> io::Result<(TcpListener, SocketAddr)> {
+    let mut listener = TcpListener::bind(address)?;
+    let address = listener.local_addr()?;
+    poll.registry().register(&mut listener, Token(token), Interest::READABLE)?;
+    Ok((listener, address))
+}
+
+fn entrance(
+    listener: TcpListener,
+    token: usize,
+    door: Door,
+    tls: Option<Arc<rustls::ServerConfig>>,
+) -> Entrance {
+    Entrance { listener, token: Token(token), door, tls, is_ready: true }
+}
+
+/// As many of the wanted clients as the limit on open files allows, after raising it as far as possible. Each client
+/// takes one file.
+fn allowed_clients(wanted: usize, teller: &mut Teller<impl Fn(BrokerEvent)>) -> usize {
+    let files = wanted + guests_max(wanted) + OTHER_FILES;
+    let clients_max = match open_files(files) {
+        Some(allowed) if allowed < files => (wanted * allowed.saturating_sub(OTHER_FILES / 2) / files).max(1),
+        _ => wanted,
+    };
+    if clients_max < wanted {
+        teller.tell(Instant::now(), BrokerEvent::FewFiles { wanted, clients_max });
     }
-    hub.close_all();
-    for reader in readers {
-        let _ = reader.join();
+    clients_max
+}
+
+/// Raises the limit on open files to `wanted` if possible, and returns the limit; `None` if there is none.
+#[cfg(unix)]
+fn open_files(wanted: usize) -> Option<usize> {
+    use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
+    let Rlimit { current, maximum } = getrlimit(Resource::Nofile);
+    let current = current?;
+    let goal = maximum.map_or(wanted as u64, |maximum| maximum.min(wanted as u64));
+    if goal <= current || setrlimit(Resource::Nofile, Rlimit { current: Some(goal), maximum }).is_err() {
+        return usize::try_from(current).ok();
     }
+    usize::try_from(goal).ok()
+}
+
+#[cfg(not(unix))]
+fn open_files(_wanted: usize) -> Option<usize> {
+    None
 }
 
 /// The address by which this machine reaches its own broker, which listens on `listening`.

@@ -17,6 +17,7 @@ pub(crate) mod key;
 pub(crate) mod merge;
 pub(crate) mod mesh;
 pub(crate) mod mission;
+pub(crate) mod password;
 pub(crate) mod pki;
 pub(crate) mod tap;
 pub(crate) mod worker;

@@ -19,12 +19,12 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use cosurf_link::{
-    BrokerAddress, MqttConfig, MqttTransport, Outgoing, PublishError, SerialConfig, SerialTransport, Tls,
-    Transport, TransportEvent,
+    MqttTransport, Outgoing, PublishError, SerialConfig, SerialTransport, Transport, TransportEvent,
 };
 use cosurf_wire::{DeviceId, SiteId};
 use serde::Serialize;
 
+use crate::broker::Reach;
 use relay::{Passage, Relay};
 
 /// Longest wait for a message from the serial line before the messages of the broker have their turn.
@@ -73,12 +73,12 @@ pub struct Gateway {
 }
 
 impl Gateway {
-    /// Starts to connect the device at the other end of `line` with `broker`. The device must belong to
+    /// Starts to connect the device at the other end of `line` with the broker that `reach` names. The
+    /// device must belong to
     /// `site`. `say` receives the events.
     pub fn start(
         site: SiteId,
-        broker: BrokerAddress,
-        tls: Option<Tls>,
+        reach: Reach,
         line: SerialConfig,
         say: impl Fn(GatewayEvent) + Send + 'static,
     ) -> Self {
@@ -88,7 +88,7 @@ impl Gateway {
             let name = line.name.clone();
             let line = SerialTransport::start(line);
             let mut bridge =
-                Bridge { name, broker, tls, line, client: None, relay: Relay::new(site), up: None, say };
+                Bridge { name, reach, line, client: None, relay: Relay::new(site), up: None, say };
             while !stop.load(Ordering::Relaxed) {
                 bridge.up();
                 bridge.down();
@@ -111,8 +111,7 @@ impl Drop for Gateway {
 /// Both sides of the gateway: the line, and the client at the broker.
 struct Bridge<F> {
     name: String,
-    broker: BrokerAddress,
-    tls: Option<Tls>,
+    reach: Reach,
     line: SerialTransport,
     /// The client at the broker, in the device's name.
     client: Option<MqttTransport>,
@@ -145,8 +144,7 @@ impl<F: Fn(GatewayEvent)> Bridge<F> {
     fn pass(&mut self, topic: &str, payload: Vec<u8>) {
         match self.relay.hear_device(topic, payload) {
             Passage::Born(identity) => {
-                let (broker, tls) = (self.broker.clone(), self.tls.clone());
-                self.client = Some(MqttTransport::start(MqttConfig { broker, identity, tls }));
+                self.client = Some(MqttTransport::start(self.reach.config(identity)));
                 (self.say)(GatewayEvent::OnLine { line: self.name.clone(), device: identity.device });
             }
             Passage::Pass(message) => self.up = Some(message),

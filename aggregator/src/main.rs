@@ -45,6 +45,7 @@ enum Commands {
     Key(cli::key::KeyArgs),
     Merge(cli::merge::MergeArgs),
     Mission(cli::mission::MissionArgs),
+    Password(cli::password::PasswordArgs),
     Pki(cli::pki::PkiArgs),
     Record(cli::tap::RecordArgs),
     Replay(cli::tap::ReplayArgs),
@@ -63,6 +64,9 @@ struct RunArgs {
     /// Speed of the serial ports in bits per second
     #[arg(long, value_name = "BAUD", default_value_t = DEFAULT_BAUD)]
     baud: NonZeroU32,
+    /// Let everybody who reaches `bind` read and send everything, as open = true does
+    #[arg(long)]
+    open: bool,
     /// Print every event as a line of JSON
     #[arg(long)]
     json: bool,
@@ -91,6 +95,7 @@ fn run_command(cli: Cli) -> Result<()> {
         Commands::Key(args) => cli::key::run(&args),
         Commands::Merge(args) => cli::merge::run(&args),
         Commands::Mission(args) => cli::mission::run(args),
+        Commands::Password(args) => cli::password::run(&args),
         Commands::Pki(args) => cli::pki::run(args),
         Commands::Record(args) => cli::tap::record(&args),
         Commands::Replay(args) => cli::tap::replay(&args),
@@ -108,7 +113,8 @@ fn has_closed_pipe(error: &anyhow::Error) -> bool {
 }
 
 fn run(args: &RunArgs) -> Result<()> {
-    let config = args.config.read()?;
+    let mut config = args.config.read()?;
+    config.open |= args.open;
     let (commands, receiver) = mpsc::channel();
     ctrlc::set_handler(move || {
         let _ = commands.send(Command::Stop); // fails only if the service has already ended

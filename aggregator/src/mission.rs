@@ -29,7 +29,7 @@ use cosurf_link::BrokerAddress;
 use cosurf_scene::{Camera, Dataset, SceneError, Splats, View, ply};
 use cosurf_wire::{ModelHeader, SiteId};
 
-use crate::broker::{Broker, local_address};
+use crate::broker::{Broker, Reach, local_address};
 use crate::evaluate::{Judge, Quality, Yardsticks};
 use crate::report::{Drawings, EdgeSummary, MissionReport, Showcase, page, showcases};
 use crate::service::{Merging, global_ply, joined};
@@ -97,9 +97,9 @@ fn gather(order: &MissionOrder, around: &Surroundings, plan: &Plan) -> Result<Ga
     if !around.agent.is_file() {
         return Err(MissionError::NoAgent { path: around.agent.clone() });
     }
-    let (broker, address) = reach_broker(order)?;
+    let (broker, address, house) = reach_broker(order)?;
     let (say, signals) = mpsc::channel();
-    let mut hierarchy = Hierarchy::start(order, around, plan, &address, &say)?;
+    let mut hierarchy = Hierarchy::start(order, around, plan, &house, &say)?;
     let mut watch = Watch::new(plan, around, signals);
     watch.await_broker(&hierarchy)?;
     let processes = AgentProcesses::start(agent_commands(order, around, plan, &address)?, move |event| {
@@ -126,13 +126,14 @@ fn summary(order: &MissionOrder, plan: &Plan, edge: &Edge, status: &EdgeStatus) 
     }
 }
 
-fn reach_broker(order: &MissionOrder) -> Result<(Option<Broker>, BrokerAddress), MissionError> {
+/// The mission's own broker if it uses no other, where the agents connect, and how the aggregators do.
+fn reach_broker(order: &MissionOrder) -> Result<(Option<Broker>, BrokerAddress, Reach), MissionError> {
     if let Some(address) = &order.broker {
-        return Ok((None, address.clone()));
+        return Ok((None, address.clone(), Reach::plain(address.clone())));
     }
     let broker = Broker::start(([127, 0, 0, 1], 0).into())?;
-    let address = local_address(broker.address());
-    Ok((Some(broker), address))
+    let (address, house) = (local_address(broker.address()), broker.house());
+    Ok((Some(broker), address, house))
 }
 
 /// Writes the configuration of each agent and returns the commands that start the agents. Agents share the cores

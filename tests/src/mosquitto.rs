@@ -142,7 +142,7 @@ impl Authority {
     /// The paths of a certificate, of its key, and of the authority's own certificate.
     pub fn files(&self, file: &str) -> TlsFiles {
         let path = |end: &str| self.0.join(format!("{file}.{end}"));
-        TlsFiles { ca: self.0.join("ca.pem"), cert: path("pem"), key: path("key") }
+        TlsFiles { ca: self.0.join("ca.pem"), cert: Some(path("pem")), key: Some(path("key")) }
     }
 
     fn issue(&self, file: &str, name: &str, extensions: &str, days: i32) {

@@ -86,7 +86,7 @@ impl Job {
         let config = AgentConfig::from_toml(&text).with_context(|| path.display().to_string())?;
         let frame = config.frame.unwrap_or_default();
         let credentials = Credentials::load(frame, config.key.as_deref(), config.trusted.as_deref())?;
-        let route = Route::of(&config).with_context(|| format!("{}: tls", path.display()))?;
+        let route = Route::of(&config).with_context(|| path.display().to_string())?;
         Ok(Self { plan: train_plan(&config), credentials, route, started: Instant::now(), config })
     }
 

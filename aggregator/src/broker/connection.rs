@@ -1,300 +1,278 @@
-//! Sockets and threads: one thread reads from a client, another writes to it.
+//! One client's connection: its socket, its buffers, and how far it has come.
 
-use std::io::{self, Read, Write};
-use std::net::{Shutdown, TcpStream};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::io::{self, ErrorKind};
+use std::net::IpAddr;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use bytes::BytesMut;
+use bytes::{Buf, BytesMut};
 use rumqttc::v5::mqttbytes::v5::{
-    ConnAck, Connect, ConnectReturnCode, Disconnect, DisconnectReasonCode, LastWill, Packet, PingResp,
-    Publish,
+    ConnAck, ConnectReturnCode, Disconnect, DisconnectReasonCode, Packet, Publish,
 };
-use rumqttc::v5::mqttbytes::{Error, QoS};
 
-use super::router::{LinkKey, PACKET_BYTES_MAX, Router, Work};
+use super::memory::{Budget, Charge};
+use super::packet::{self, Hello, Version};
+use super::router::hello::KEEP_ALIVE_S_MAX;
+use super::socket::Socket;
 
-/// Pause after a failed accept.
-pub(super) const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
-/// A new client must send CONNECT within this time.
+/// A new client must send CONNECT within this time, however many bytes have arrived.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
+/// How long a connection that ends may take to get the farewell.
+const FAREWELL_TIMEOUT: Duration = Duration::from_secs(3);
 /// A client that accepts no bytes for this long is disconnected.
 const WRITE_TIMEOUT: Duration = Duration::from_secs(30);
-/// Longest time that a publisher waits for a slow subscriber. After that, the subscriber misses the message.
-const BACKPRESSURE_MAX: Duration = Duration::from_secs(5);
-/// A waiting thread checks after this time whether its connection still exists.
-const CHECK_EVERY: Duration = Duration::from_secs(1);
-/// Limit on the bytes per read. The writer also collects messages until they have this many bytes, and
-/// then writes them.
-const BATCH_BYTES: usize = 128 * 1024;
-/// Refuses a client that speaks another version than MQTT 5: a CONNACK of MQTT 3.1.1 with the code
-/// "unacceptable protocol version".
-const REFUSAL_V4: [u8; 4] = [0x20, 0x02, 0x00, 0x01];
-/// DISCONNECT without a reason code, which means a graceful end. The codec of rumqttc cannot parse it.
-const SHORT_DISCONNECT: [u8; 2] = [0xE0, 0x00];
+/// A client that misses messages and has accepted no bytes for this long is disconnected.
+pub(super) const STALL_TIMEOUT: Duration = Duration::from_secs(5);
+/// A client of MQTT 3.1.1 cannot be told a keep-alive. Without one it may be silent for this long.
+const SILENCE_MAX: Duration = Duration::from_secs(3600);
+/// Limit on the bytes of CONNECT.
+const CONNECT_BYTES_MAX: usize = 16 << 10;
+/// Bytes of messages that are collected before they are written.
+const BATCH_BYTES: usize = 32 << 10;
+/// What a connection takes without its buffers, bytes.
+const CONNECTION_BYTES: usize = 1024;
+/// Refuses a client that speaks neither MQTT 5 nor MQTT 3.1.1: a CONNACK of MQTT 3.1.1 with the code "unacceptable
+/// protocol version".
+const REFUSAL: [u8; 4] = [0x20, 0x02, 0x00, 0x01];
 
-/// State that all connections share.
-#[derive(Debug)]
-pub(super) struct Hub {
-    router: Mutex<Router>,
-    /// Signalled when a queue may have room again.
-    space: Condvar,
+/// Where a client comes in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Door {
+    /// For everybody.
+    Front,
+    /// For parts of this program.
+    House,
 }
 
-impl Hub {
-    /// See [`Router::new`].
-    pub(super) fn new(clients_max: usize) -> Self {
-        Self { router: Mutex::new(Router::new(clients_max)), space: Condvar::new() }
-    }
+/// How far a connection has come.
+pub(super) enum Stage {
+    /// CONNECT has not arrived.
+    Greeting,
+    /// The password is being verified.
+    Verifying(Box<Hello>),
+    /// The client is connected.
+    Open {
+        version: Version,
+        /// Longest time without a byte from the client.
+        silence: Duration,
+    },
+    /// Nothing more is read. The connection ends once the farewell is sent, or at this time.
+    Closing(Instant),
+}
 
-    /// Locks the router, even if a thread has panicked while it held the lock: a panic leaves no half-done
-    /// change in the router.
-    fn router(&self) -> MutexGuard<'_, Router> {
-        self.router.lock().unwrap_or_else(PoisonError::into_inner)
-    }
+/// One client's connection.
+pub(super) struct Connection {
+    pub(super) socket: Socket,
+    pub(super) door: Door,
+    pub(super) address: IpAddr,
+    pub(super) stage: Stage,
+    pub(super) opened: Instant,
+    /// When the client has last published or acknowledged a message.
+    pub(super) useful: Instant,
+    /// A message that waits for room at a part of this program, at the latest until the time.
+    pub(super) blocked: Option<(Publish, Instant)>,
+    /// False once reading would block, until the socket is readable again.
+    pub(super) is_readable: bool,
+    is_writable: bool,
+    heard: Instant,
+    written: Instant,
+    input: BytesMut,
+    output: BytesMut,
+    charge: Charge,
+}
 
-    pub(super) fn close_all(&self) {
-        self.router().close_all(DisconnectReasonCode::ServerShuttingDown);
-    }
-
-    fn wait<'a>(
-        &self,
-        on: &Condvar,
-        guard: MutexGuard<'a, Router>,
-        time: Duration,
-    ) -> MutexGuard<'a, Router> {
-        on.wait_timeout(guard, time).unwrap_or_else(PoisonError::into_inner).0
-    }
-
-    /// Queues a message for its subscribers once all of them have room, at the latest after
-    /// [`BACKPRESSURE_MAX`]. Then acknowledges it if it has QoS 1.
-    fn publish(&self, key: &LinkKey, publish: Publish) {
-        let (qos, pkid) = (publish.qos, publish.pkid);
-        let until = Instant::now() + BACKPRESSURE_MAX;
-        let mut router = self.router();
-        while router.is_blocked(key, &publish) {
-            let left = until.saturating_duration_since(Instant::now());
-            if left.is_zero() || !router.is_linked(key) {
-                router.give_up_on_blocking(key, &publish);
-                break;
-            }
-            router = self.wait(&self.space, router, left.min(CHECK_EVERY));
+impl Connection {
+    pub(super) fn new(
+        socket: Socket,
+        door: Door,
+        address: IpAddr,
+        now: Instant,
+        budget: &Arc<Budget>,
+    ) -> Self {
+        let charge = Charge::new(budget, CONNECTION_BYTES + socket.bytes());
+        Self {
+            socket,
+            door,
+            address,
+            stage: Stage::Greeting,
+            opened: now,
+            useful: now,
+            blocked: None,
+            is_readable: true,
+            is_writable: true,
+            heard: now,
+            written: now,
+            input: BytesMut::new(),
+            output: BytesMut::new(),
+            charge,
         }
-        let reason = router.publish(key, publish);
-        if qos == QoS::AtLeastOnce {
-            router.answer_publish(key, pkid, reason);
-        }
     }
-}
 
-/// Why reading from a client has ended.
-enum End {
-    /// The client sent DISCONNECT and does not want its last will published.
-    Graceful,
-    /// The connection broke or was closed, or DISCONNECT asked the broker to publish the last will.
-    Lost,
-    /// The client violated the protocol.
-    Offence(DisconnectReasonCode),
-}
-
-/// Serves one client until it disconnects.
-pub(super) fn serve(stream: TcpStream, hub: &Arc<Hub>) {
-    // Errors are ignored: if one of these calls fails, the first use of the stream fails too.
-    let _ = stream.set_nodelay(true);
-    let _ = stream.set_write_timeout(Some(WRITE_TIMEOUT));
-    let mut reader = Reader { stream, buffer: BytesMut::new() };
-    let Some((connect, will)) = reader.read_connect() else { return };
-    let keep_alive = connect.keep_alive;
-    let entered = hub.router().connect(Instant::now(), connect, will);
-    let (key, work) = match entered {
-        Ok(entered) => entered,
-        Err(code) => return reader.refuse(code),
-    };
-    let Ok(stream) = reader.stream.try_clone() else {
-        hub.router().disconnect(Instant::now(), &key, false);
-        return;
-    };
-    let (sender, writing_hub) = (key.clone(), Arc::clone(hub));
-    let writer = std::thread::spawn(move || write(stream, &writing_hub, &sender, &work));
-    // MQTT limits silence to 1.5 times the keep-alive; a keep-alive of 0 means no limit.
-    let silence = (keep_alive > 0).then(|| Duration::from_millis(1500) * u32::from(keep_alive));
-    let mut visit = Visit { hub, key, is_graceful: false };
-    match visit.run(&mut reader, silence) {
-        // The writer thread sends the reason. `visit` lives on until then, so that the router keeps the
-        // client.
-        Some(offence) => hub.router().close(&visit.key, offence),
-        None => drop(visit),
+    /// Whether the client is connected.
+    pub(super) fn is_open(&self) -> bool {
+        matches!(self.stage, Stage::Open { .. })
     }
-    let _ = writer.join();
-}
 
-/// One client's connection. Dropping it tells the router that the client is gone, even after a panic of
-/// the codec.
-struct Visit<'a> {
-    hub: &'a Hub,
-    key: LinkKey,
-    is_graceful: bool,
-}
+    /// Whether the client's packets wait for something.
+    pub(super) fn is_paused(&self) -> bool {
+        self.blocked.is_some() || matches!(self.stage, Stage::Verifying(_))
+    }
 
-impl Visit<'_> {
-    /// Handles the client's packets until it disconnects; returns its offence if it violated the protocol.
-    fn run(&mut self, reader: &mut Reader, silence: Option<Duration>) -> Option<DisconnectReasonCode> {
-        let _ = reader.stream.set_read_timeout(silence);
-        loop {
-            match reader.packet().and_then(|packet| self.take(packet)) {
-                Ok(()) => {}
-                Err(End::Graceful) => {
-                    self.is_graceful = true;
-                    return None;
+    /// Whether there may be a packet to handle.
+    pub(super) fn has_input(&self) -> bool {
+        self.is_readable || !self.input.is_empty()
+    }
+
+    pub(super) fn set_writable(&mut self) {
+        self.is_writable = true;
+    }
+
+    /// Reads once, by way of `scratch`. False if the client has gone.
+    pub(super) fn read(&mut self, now: Instant, scratch: &mut [u8]) -> bool {
+        match self.socket.read(scratch) {
+            Ok(0) => return false,
+            Ok(bytes) => {
+                self.heard = now;
+                if !matches!(self.stage, Stage::Closing(_)) {
+                    self.input.extend_from_slice(&scratch[..bytes]);
                 }
-                Err(End::Lost) => return None,
-                Err(End::Offence(reason)) => return Some(reason),
             }
+            Err(error) if error.kind() == ErrorKind::WouldBlock => self.is_readable = false,
+            Err(_) => return false,
         }
+        true
     }
 
-    fn take(&self, packet: Packet) -> Result<(), End> {
-        let mut router = self.hub.router();
-        while router.is_flooded(&self.key) {
-            router = self.hub.wait(&self.hub.space, router, CHECK_EVERY);
+    /// Removes the next whole packet from the bytes that have arrived.
+    pub(super) fn next_packet(&mut self, bytes_max: usize) -> Result<Option<BytesMut>, DisconnectReasonCode> {
+        let bytes_max = if self.is_open() { bytes_max } else { CONNECT_BYTES_MAX };
+        let whole = packet::packet_bytes(&self.input, bytes_max)?;
+        Ok(whole.filter(|bytes| *bytes <= self.input.len()).map(|bytes| {
+            let packet = BytesMut::from(&self.input[..bytes]);
+            self.input.advance(bytes);
+            packet
+        }))
+    }
+
+    /// Frees buffers that are not needed, and charges the rest.
+    pub(super) fn weigh(&mut self) {
+        for buffer in [&mut self.input, &mut self.output] {
+            if buffer.is_empty() {
+                *buffer = BytesMut::new();
+            } else if buffer.capacity() > 4 * buffer.len() + 1024 {
+                *buffer = BytesMut::from(&buffer[..]);
+            }
         }
-        match packet {
-            Packet::Publish(publish) => {
-                if let Some(offence) = Router::objection(&publish) {
-                    return Err(End::Offence(offence));
+        let buffers = self.input.capacity() + self.output.capacity();
+        self.charge.resize(CONNECTION_BYTES + self.socket.bytes() + buffers);
+    }
+
+    /// Writes until the socket takes no more or `next` has nothing more. `next` adds packets to the buffer, about as
+    /// many bytes as it is told. False if the client has gone.
+    pub(super) fn write(&mut self, now: Instant, mut next: impl FnMut(usize, &mut BytesMut)) -> bool {
+        while self.is_writable {
+            if self.output.is_empty() {
+                next(BATCH_BYTES, &mut self.output);
+            }
+            let written = match self.output.is_empty() {
+                true => self.socket.flush().map(|()| 0),
+                false => self.socket.write(&self.output),
+            };
+            match written {
+                Ok(0) if self.output.is_empty() => break,
+                Ok(0) => return false,
+                Ok(bytes) => {
+                    self.output.advance(bytes);
+                    self.written = now;
                 }
-                drop(router);
-                self.hub.publish(&self.key, publish);
-            }
-            Packet::PubAck(ack) => {
-                router.acknowledge(&self.key, ack.pkid);
-                self.hub.space.notify_all();
-            }
-            Packet::Subscribe(subscribe) => router.subscribe(&self.key, subscribe),
-            Packet::Unsubscribe(unsubscribe) => router.unsubscribe(&self.key, unsubscribe),
-            Packet::PingReq(_) => router.answer(&self.key, Packet::PingResp(PingResp)),
-            Packet::Disconnect(Disconnect { reason_code, .. }) => {
-                return Err(match reason_code {
-                    DisconnectReasonCode::NormalDisconnection => End::Graceful,
-                    _ => End::Lost,
-                });
-            }
-            _ => return Err(End::Offence(DisconnectReasonCode::ProtocolError)),
-        }
-        Ok(())
-    }
-}
-
-impl Drop for Visit<'_> {
-    fn drop(&mut self) {
-        let mut router = self.hub.router();
-        router.disconnect(Instant::now(), &self.key, self.is_graceful);
-        drop(router);
-        self.hub.space.notify_all();
-    }
-}
-
-/// Writes the router's packets for a connection until the connection ends. Then closes the socket, which
-/// also wakes the reader.
-fn write(mut stream: TcpStream, hub: &Hub, key: &LinkKey, work: &Condvar) {
-    let mut buffer = BytesMut::with_capacity(BATCH_BYTES);
-    let mut router = hub.router();
-    loop {
-        match router.take(key, BATCH_BYTES) {
-            Work::Wait => router = hub.wait(work, router, CHECK_EVERY),
-            Work::End(reason) => {
-                drop(router);
-                if let Some(reason_code) = reason {
-                    buffer.clear();
-                    let farewell = Disconnect { reason_code, properties: None };
-                    if farewell.write(&mut buffer).is_ok() {
-                        let _ = stream.write_all(&buffer);
-                    }
-                }
-                break;
-            }
-            Work::Write(packets) => {
-                drop(router);
-                hub.space.notify_all();
-                buffer.clear();
-                // Encoding cannot fail: each packet is an answer of this broker or was decoded by the same
-                // codec.
-                packets.iter().for_each(|packet| {
-                    let _ = packet.write(&mut buffer, None);
-                });
-                if stream.write_all(&buffer).is_err() {
-                    break;
-                }
-                router = hub.router();
+                Err(error) if error.kind() == ErrorKind::WouldBlock => self.is_writable = false,
+                Err(_) => return false,
             }
         }
+        // Nothing waits: the time until the next bytes are taken begins with them.
+        if self.output.is_empty() && self.is_writable {
+            self.written = now;
+        }
+        true
     }
-    let _ = stream.shutdown(Shutdown::Both);
-}
 
-/// Reads packets from a socket.
-struct Reader {
-    stream: TcpStream,
-    buffer: BytesMut,
-}
+    /// Whether all bytes are sent.
+    pub(super) fn is_flushed(&self) -> bool {
+        self.output.is_empty() && self.is_writable
+    }
 
-impl Reader {
-    /// Reads the first packet, which must be CONNECT.
-    fn read_connect(&mut self) -> Option<(Connect, Option<LastWill>)> {
-        let _ = self.stream.set_read_timeout(Some(CONNECT_TIMEOUT));
-        match self.packet() {
-            Ok(Packet::Connect(connect, will, _)) => Some((connect, will)),
-            Err(End::Offence(DisconnectReasonCode::ImplementationSpecificError)) => {
-                let _ = self.stream.write_all(&REFUSAL_V4);
-                None
+    /// Begins to serve the client.
+    pub(super) fn open(&mut self, version: Version, keep_alive_s: u16) {
+        // MQTT limits silence to 1.5 times the keep-alive.
+        let limit = |seconds: u16| Duration::from_millis(1500) * u32::from(seconds);
+        let silence = match (version, keep_alive_s) {
+            (Version::V3, 0) => SILENCE_MAX,
+            (Version::V3, seconds) => limit(seconds),
+            (Version::V5, 0) => limit(KEEP_ALIVE_S_MAX),
+            (Version::V5, seconds) => limit(seconds.min(KEEP_ALIVE_S_MAX)),
+        };
+        self.stage = Stage::Open { version, silence };
+    }
+
+    /// Answers CONNECT with a refusal.
+    pub(super) fn refuse(&mut self, now: Instant, version: Option<Version>, code: ConnectReturnCode) {
+        match version {
+            Some(version) => {
+                let ack = ConnAck { session_present: false, code, properties: None };
+                packet::write(&Packet::ConnAck(ack), version, &mut self.output);
             }
+            None => self.output.extend_from_slice(&REFUSAL),
+        }
+        self.stage = Stage::Closing(now + FAREWELL_TIMEOUT);
+    }
+
+    /// Ends the connection, with DISCONNECT if the client is connected.
+    pub(super) fn close(&mut self, now: Instant, reason_code: DisconnectReasonCode) {
+        if let Stage::Open { version, .. } = self.stage {
+            let farewell = Packet::Disconnect(Disconnect { reason_code, properties: None });
+            packet::write(&farewell, version, &mut self.output);
+        }
+        self.input = BytesMut::new();
+        self.blocked = None;
+        self.stage = Stage::Closing(now + FAREWELL_TIMEOUT);
+    }
+
+    /// The reason to end the connection now, if there is one. `missed` is the number of messages that the client has
+    /// missed.
+    pub(super) fn fault(&self, now: Instant, missed: u64) -> Option<Fault> {
+        let since = |moment: Instant| now.saturating_duration_since(moment);
+        match &self.stage {
+            Stage::Greeting if since(self.opened) >= CONNECT_TIMEOUT => Some(Fault::Gone),
+            Stage::Closing(until) if now >= *until => Some(Fault::Gone),
+            Stage::Open { .. } if missed > 0 && since(self.written.max(self.useful)) >= STALL_TIMEOUT => {
+                Some(Fault::Slow)
+            }
+            Stage::Open { .. } if !self.is_flushed() && since(self.written) >= WRITE_TIMEOUT => {
+                Some(Fault::Slow)
+            }
+            Stage::Open { silence, .. } if since(self.heard) >= *silence => Some(Fault::Silent),
             _ => None,
         }
     }
 
-    fn refuse(&mut self, code: ConnectReturnCode) {
-        let mut buffer = BytesMut::new();
-        if (ConnAck { session_present: false, code, properties: None }).write(&mut buffer).is_ok() {
-            let _ = self.stream.write_all(&buffer);
-        }
+    pub(super) fn deregister(&mut self, registry: &mio::Registry) {
+        self.socket.deregister(registry);
     }
+}
 
-    fn packet(&mut self) -> Result<Packet, End> {
-        loop {
-            if self.buffer.starts_with(&SHORT_DISCONNECT) {
-                return Err(End::Graceful);
-            }
-            match Packet::read(&mut self.buffer, Some(PACKET_BYTES_MAX)) {
-                Ok(packet) => return Ok(packet),
-                Err(Error::InsufficientBytes(_)) => self.fill()?,
-                Err(Error::PayloadSizeLimitExceeded { .. }) => {
-                    return Err(End::Offence(DisconnectReasonCode::PacketTooLarge));
-                }
-                Err(Error::InvalidProtocolLevel(_)) => {
-                    return Err(End::Offence(DisconnectReasonCode::ImplementationSpecificError));
-                }
-                Err(_) => return Err(End::Offence(DisconnectReasonCode::MalformedPacket)),
-            }
-        }
-    }
+/// Why a connection must end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Fault {
+    /// There is nobody to tell.
+    Gone,
+    /// The client takes its messages too slowly.
+    Slow,
+    /// The client was silent for longer than its keep-alive.
+    Silent,
+}
 
-    fn fill(&mut self) -> Result<(), End> {
-        let used = self.buffer.len();
-        self.buffer.resize(used + BATCH_BYTES, 0);
-        let read = loop {
-            match self.stream.read(&mut self.buffer[used..]) {
-                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-                read => break read,
-            }
-        };
-        self.buffer.truncate(used + *read.as_ref().unwrap_or(&0));
-        match read {
-            Ok(0) => Err(End::Lost),
-            Ok(_) => Ok(()),
-            Err(error) if matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut) => {
-                Err(End::Offence(DisconnectReasonCode::KeepAliveTimeout))
-            }
-            Err(_) => Err(End::Lost),
-        }
-    }
+/// The error of a socket that has none to give.
+pub(super) fn descriptors_are_lacking(error: &io::Error) -> bool {
+    // EMFILE and ENFILE have no kind of their own.
+    cfg!(unix) && matches!(error.raw_os_error(), Some(23 | 24))
 }

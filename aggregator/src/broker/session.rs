@@ -1,75 +1,109 @@
 //! The broker's state of one client: subscriptions, queued messages, unacknowledged messages.
 
 use std::collections::VecDeque;
-use std::sync::{Arc, Condvar};
+use std::sync::Arc;
 use std::time::Instant;
 
-use rumqttc::v5::mqttbytes::v5::{DisconnectReasonCode, Filter, LastWill, Packet, Publish};
-use rumqttc::v5::mqttbytes::{QoS, matches};
+use bytes::BytesMut;
+use rumqttc::v5::mqttbytes::QoS;
+use rumqttc::v5::mqttbytes::v5::{Filter, Packet, Publish};
 
-/// Limit on messages queued for one client; retained messages of a new subscription may exceed it.
-const QUEUE_MAX: usize = 512;
-/// Limit on the bytes of the messages queued for one client: 256 chunks of 64 KiB. Retained messages of a new
-/// subscription may exceed it.
-const QUEUE_BYTES_MAX: usize = 16 << 20;
+use super::memory::{Budget, Charge};
+use super::message::Delivery;
+use super::packet::{self, Version};
+use super::retained::{Page, Retained};
+use super::topics::matches;
+
 /// Limit on answers queued for one client. While it is reached, no packet of the client is handled.
-const ANSWERS_MAX: usize = 1024;
+const ANSWERS_MAX: usize = 256;
 /// Limit on the subscriptions of one client.
 pub(super) const FILTERS_MAX: usize = 32;
+/// Retained messages that are looked at before a client's other messages have their turn.
+const PAGE: usize = 256;
+/// What a session takes without messages and subscriptions, bytes.
+const SESSION_BYTES: usize = 1024;
+/// What a queued message takes beside the message itself, bytes.
+const DELIVERY_BYTES: usize = 2 * size_of::<Delivery>();
+/// What a subscription takes beside its filter, bytes.
+const FILTER_BYTES: usize = 256;
+/// What a queued answer takes, bytes.
+const ANSWER_BYTES: usize = size_of::<Packet>() + 64;
 
 /// The state of one client, connected or not.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Session {
     pub(super) filters: Vec<Filter>,
-    queue: VecDeque<Publish>,
+    queue: VecDeque<Delivery>,
     queue_bytes: usize,
+    /// Limit on the bytes of the queue.
+    queue_bytes_max: usize,
     /// QoS 1 messages that were sent and not yet acknowledged, oldest first.
-    in_flight: VecDeque<Publish>,
+    in_flight: VecDeque<Delivery>,
+    /// Retained messages of new subscriptions that are not queued yet.
+    pages: VecDeque<Page>,
     last_pkid: u16,
     pub(super) link: Option<Link>,
-    /// True after the queue was full for too long. Publishers then do not wait for this client until it
-    /// accepts a message again.
-    pub(super) is_stalled: bool,
+    /// Messages that the client has missed since it last had an empty queue.
+    pub(super) missed: u64,
     /// Time at which the session is dropped; `None` while the client is connected.
     pub(super) expires: Option<Instant>,
+    /// The last will that waits for its delay, and the time at which it is published.
+    pub(super) will: Option<(Instant, Publish)>,
+    charge: Charge,
 }
 
 /// The connection of a session.
 #[derive(Debug)]
 pub(super) struct Link {
     /// Number of the connection; a newer connection may take the session over.
-    pub(super) id: u64,
+    pub(super) id: usize,
+    pub(super) version: Version,
     /// Limit on QoS 1 messages that were sent and not yet acknowledged.
     pub(super) receive_max: usize,
     /// The largest packet that the client accepts.
     pub(super) packet_bytes_max: usize,
     /// The last will, which is published unless the client ends the connection gracefully.
-    pub(super) will: Option<LastWill>,
+    pub(super) will: Option<Publish>,
+    /// Seconds that the last will waits.
+    pub(super) will_delay_s: u32,
     /// How long the session outlives the connection, seconds.
     pub(super) expiry_s: u32,
-    /// Wakes the writer thread.
-    pub(super) work: Arc<Condvar>,
-    /// The reason to send in DISCONNECT; `None` unless the connection must end.
-    pub(super) closing: Option<DisconnectReasonCode>,
     answers: VecDeque<Packet>,
 }
 
 impl Link {
-    pub(super) fn new(id: u64, work: Arc<Condvar>) -> Self {
+    pub(super) fn new(id: usize, version: Version) -> Self {
         Self {
             id,
+            version,
             receive_max: usize::from(u16::MAX),
             packet_bytes_max: usize::MAX,
             will: None,
+            will_delay_s: 0,
             expiry_s: 0,
-            work,
-            closing: None,
             answers: VecDeque::new(),
         }
     }
 }
 
 impl Session {
+    pub(super) fn new(budget: &Arc<Budget>, queue_bytes_max: usize) -> Self {
+        Self {
+            filters: Vec::new(),
+            queue: VecDeque::new(),
+            queue_bytes: 0,
+            queue_bytes_max,
+            in_flight: VecDeque::new(),
+            pages: VecDeque::new(),
+            last_pkid: 0,
+            link: None,
+            missed: 0,
+            expires: None,
+            will: None,
+            charge: Charge::new(budget, SESSION_BYTES),
+        }
+    }
+
     /// This client's subscription to `topic` with the highest QoS, if there is one. If the client itself
     /// publishes the message (`is_own`), its subscriptions with the option "no local" do not count.
     pub(super) fn wants(&self, topic: &str, is_own: bool) -> Option<&Filter> {
@@ -77,9 +111,9 @@ impl Session {
         wanted.filter(|filter| matches(topic, &filter.path)).max_by_key(|filter| filter.qos as u8)
     }
 
-    /// Whether there is no room for another message of `bytes`.
+    /// Whether there is no room for another message of `bytes`. An empty queue has room for any message.
     pub(super) fn is_full(&self, bytes: usize) -> bool {
-        self.queue.len() >= QUEUE_MAX || self.queue_bytes + bytes > QUEUE_BYTES_MAX
+        self.queue_bytes > 0 && self.queue_bytes + bytes > self.queue_bytes_max
     }
 
     /// Whether too many answers are queued. The client's next packet must then wait until the client has read some.
@@ -87,90 +121,148 @@ impl Session {
         self.link.as_ref().is_some_and(|link| link.answers.len() >= ANSWERS_MAX)
     }
 
-    /// Queues a message, even in a full queue. Drops a packet larger than the client accepts, as MQTT demands.
-    pub(super) fn enqueue(&mut self, publish: Publish) {
-        let Some(link) = &self.link else {
-            // Only QoS 1 messages wait for a disconnected client.
-            if publish.qos == QoS::AtLeastOnce {
-                self.push(publish);
-            }
-            return;
-        };
-        if publish.size() + 2 <= link.packet_bytes_max {
-            link.work.notify_one();
-            self.push(publish);
+    /// Whether there is something to write.
+    pub(super) fn has_work(&self) -> bool {
+        self.link.as_ref().is_some_and(|link| {
+            let may_send =
+                |next: &Delivery| next.qos == QoS::AtMostOnce || self.in_flight.len() < link.receive_max;
+            !link.answers.is_empty()
+                || self.queue.front().is_some_and(may_send)
+                || (self.queue.is_empty() && !self.pages.is_empty())
+        })
+    }
+
+    /// Bytes that the client keeps in the broker: its session, and all messages that wait for it.
+    pub(super) fn weight(&self) -> usize {
+        self.charge.bytes()
+            + self.queue_bytes
+            + self.in_flight.iter().map(|sent| sent.message.bytes()).sum::<usize>()
+    }
+
+    /// Queues a message, even in a full queue. Only QoS 1 messages wait for a disconnected client.
+    pub(super) fn enqueue(&mut self, delivery: Delivery) {
+        if self.link.is_some() || delivery.qos == QoS::AtLeastOnce {
+            self.queue_bytes += delivery.message.bytes();
+            self.queue.push_back(delivery);
+            self.weigh();
         }
+    }
+
+    /// Drops the oldest message that waits; returns whether there was one.
+    pub(super) fn drop_oldest(&mut self) -> bool {
+        let Some(delivery) = self.queue.pop_front() else { return false };
+        self.queue_bytes -= delivery.message.bytes();
+        self.missed += 1;
+        self.weigh();
+        true
     }
 
     /// Queues an answer to the client's own packet.
     pub(super) fn answer(&mut self, packet: Packet) {
         if let Some(link) = &mut self.link {
             link.answers.push_back(packet);
-            link.work.notify_one();
+            self.weigh();
         }
     }
 
-    /// Removes and returns the packets to write next: all answers, then messages until they have `bytes_max`
-    /// bytes or the client accepts no more.
-    pub(super) fn take(&mut self, bytes_max: usize) -> Vec<Packet> {
-        let Some(link) = &mut self.link else { return Vec::new() };
-        let mut packets: Vec<Packet> = link.answers.drain(..).collect();
-        let receive_max = link.receive_max;
-        let mut bytes = 0;
-        while bytes < bytes_max {
+    /// Adds the retained messages that match a new subscription. They are queued as the client takes them.
+    pub(super) fn open(&mut self, page: Page) {
+        self.pages.retain(|old| old.filter != page.filter);
+        self.pages.push_back(page);
+        self.weigh();
+    }
+
+    /// Forgets a subscription; returns whether there was one.
+    pub(super) fn unsubscribe(&mut self, path: &str) -> bool {
+        let before = self.filters.len();
+        self.filters.retain(|filter| filter.path != path);
+        self.pages.retain(|page| page.filter != path);
+        self.weigh();
+        self.filters.len() < before
+    }
+
+    /// Writes what the client gets next to `out`: all answers, then messages until `out` has `bytes_max` bytes or the
+    /// client accepts no more.
+    pub(super) fn write(&mut self, now: Instant, retained: &Retained, bytes_max: usize, out: &mut BytesMut) {
+        let Some(link) = &mut self.link else { return };
+        for answer in link.answers.drain(..) {
+            packet::write(&answer, link.version, out);
+        }
+        let (version, receive_max, packet_bytes_max) =
+            (link.version, link.receive_max, link.packet_bytes_max);
+        while out.len() < bytes_max {
+            self.turn_page(now, retained);
             let Some(next) = self.queue.front() else { break };
             if next.qos == QoS::AtLeastOnce && self.in_flight.len() >= receive_max {
                 break;
             }
-            let Some(publish) = self.pop() else { break };
-            bytes += publish.size();
-            packets.push(Packet::Publish(publish));
+            let Some(delivery) = self.pop() else { break };
+            if delivery.message.is_expired(now) && !delivery.dup {
+                self.forget(&delivery);
+            } else if !delivery.write(now, version, packet_bytes_max, out) {
+                // MQTT demands that the client misses packets that it finds too large.
+                self.forget(&delivery);
+            }
         }
-        packets
+        if self.queue.is_empty() {
+            self.missed = 0;
+        }
+        self.weigh();
+    }
+
+    /// Queues retained messages if nothing else waits.
+    fn turn_page(&mut self, now: Instant, retained: &Retained) {
+        while self.queue.is_empty() {
+            let Some(mut page) = self.pages.pop_front() else { return };
+            for delivery in retained.turn(&mut page, now, PAGE) {
+                self.queue_bytes += delivery.message.bytes();
+                self.queue.push_back(delivery);
+            }
+            if !page.is_over() {
+                self.pages.push_back(page);
+                return;
+            }
+        }
     }
 
     /// Removes a message that the client has acknowledged.
     pub(super) fn acknowledge(&mut self, pkid: u16) {
-        if let Some(place) = self.in_flight.iter().position(|publish| publish.pkid == pkid) {
-            self.in_flight.remove(place);
-            self.is_stalled = false;
-            if let Some(link) = &self.link {
-                link.work.notify_one();
-            }
-        }
+        self.in_flight.retain(|sent| sent.pkid != pkid);
+        self.weigh();
     }
 
     /// Ends the connection: QoS 0 messages are dropped, and unacknowledged messages go back to the front of
     /// the queue.
-    pub(super) fn unlink(&mut self) {
-        self.link = None;
-        self.is_stalled = false;
-        self.queue.retain(|publish| publish.qos == QoS::AtLeastOnce);
-        while let Some(mut publish) = self.in_flight.pop_back() {
-            publish.dup = true;
-            self.queue.push_front(publish);
+    pub(super) fn unlink(&mut self) -> Option<Link> {
+        let link = self.link.take();
+        self.queue.retain(|delivery| delivery.qos == QoS::AtLeastOnce);
+        while let Some(mut delivery) = self.in_flight.pop_back() {
+            delivery.dup = true;
+            self.queue.push_front(delivery);
         }
-        self.queue_bytes = self.queue.iter().map(bytes_of).sum();
+        self.queue_bytes = self.queue.iter().map(|delivery| delivery.message.bytes()).sum();
+        self.weigh();
+        link
     }
 
-    fn push(&mut self, publish: Publish) {
-        self.queue_bytes += bytes_of(&publish);
-        self.queue.push_back(publish);
-    }
-
-    fn pop(&mut self) -> Option<Publish> {
-        let mut publish = self.queue.pop_front()?;
-        self.queue_bytes -= bytes_of(&publish);
-        if publish.qos == QoS::AtLeastOnce {
+    fn pop(&mut self) -> Option<Delivery> {
+        let mut delivery = self.queue.pop_front()?;
+        self.queue_bytes -= delivery.message.bytes();
+        if delivery.qos == QoS::AtLeastOnce {
             // A message sent on an earlier connection keeps its packet id.
-            if publish.pkid == 0 {
-                publish.pkid = self.next_pkid();
+            if delivery.pkid == 0 {
+                delivery.pkid = self.next_pkid();
             }
-            self.in_flight.push_back(publish.clone());
-        } else {
-            self.is_stalled = false;
+            self.in_flight.push_back(delivery.clone());
         }
-        Some(publish)
+        Some(delivery)
+    }
+
+    /// Undoes what [`Self::pop`] has kept of a message that is not sent.
+    fn forget(&mut self, delivery: &Delivery) {
+        if delivery.qos == QoS::AtLeastOnce {
+            self.in_flight.pop_back();
+        }
     }
 
     /// A packet id that no unacknowledged message has. The search ends, because there are more ids than such
@@ -178,14 +270,23 @@ impl Session {
     fn next_pkid(&mut self) -> u16 {
         loop {
             self.last_pkid = self.last_pkid.checked_add(1).unwrap_or(1);
-            if self.in_flight.iter().all(|publish| publish.pkid != self.last_pkid) {
+            let is_free = |delivery: &Delivery| delivery.pkid != self.last_pkid;
+            if self.in_flight.iter().all(is_free)
+                && self.queue.iter().take_while(|next| next.dup).all(is_free)
+            {
                 return self.last_pkid;
             }
         }
     }
-}
 
-/// Bytes of topic and payload: what a message adds towards the limits on queues and on retained messages.
-pub(super) fn bytes_of(publish: &Publish) -> usize {
-    publish.topic.len() + publish.payload.len()
+    /// Adjusts what the session takes from the budget.
+    pub(super) fn weigh(&mut self) {
+        let filters: usize = self.filters.iter().map(|filter| filter.path.len() + FILTER_BYTES).sum();
+        let pages: usize = self.pages.iter().map(Page::bytes).sum();
+        let (link, delayed) = (self.link.as_ref(), self.will.as_ref().map(|(_, will)| will));
+        let will = link.and_then(|link| link.will.as_ref()).or(delayed).map_or(0, super::message::cost);
+        let answers = link.map_or(0, |link| link.answers.len() * ANSWER_BYTES);
+        let deliveries = (self.queue.len() + self.in_flight.len()) * DELIVERY_BYTES;
+        self.charge.resize(SESSION_BYTES + filters + pages + will + answers + deliveries);
+    }
 }

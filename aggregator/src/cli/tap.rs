@@ -9,44 +9,49 @@ use std::time::Duration;
 
 use anyhow::{Context, Error, Result, anyhow, bail};
 use clap::Args;
-use cosurf_contract::counted;
+use cosurf_contract::{counted, read_password};
 use cosurf_link::mqtt::TlsError;
 use cosurf_link::mqtt::traffic::{self, ReplaySettings, TrafficError};
 use cosurf_link::recording::Recording;
-use cosurf_link::{BrokerAddress, Faults, Tls, TlsFiles};
+use cosurf_link::{BrokerAddress, Faults, Login, Tls, TlsFiles};
 use cosurf_scene::SceneError;
 
 /// Options that name a broker and the files for TLS.
 #[derive(Args)]
 struct BrokerArgs {
-    /// The broker, for example mqtt://10.0.0.2:1883; mqtts:// needs --ca, --cert and --key
+    /// The broker, for example mqtt://10.0.0.2:1883; mqtts:// needs --ca, and --cert and --key or --user
     #[arg(long, value_name = "URL")]
     broker: BrokerAddress,
     /// PEM file with the certificates of the trusted authorities
-    #[arg(long, value_name = "FILE", requires_all = ["cert", "key"])]
+    #[arg(long, value_name = "FILE")]
     ca: Option<PathBuf>,
     /// PEM file with the certificate of this client
-    #[arg(long, value_name = "FILE", requires = "ca")]
+    #[arg(long, value_name = "FILE", requires_all = ["ca", "key"])]
     cert: Option<PathBuf>,
     /// PEM file with the private key of this client
-    #[arg(long, value_name = "FILE", requires = "ca")]
+    #[arg(long, value_name = "FILE", requires_all = ["ca", "cert"])]
     key: Option<PathBuf>,
+    /// Name of the user at the broker; its password is in the environment variable COSURF_PASSWORD
+    #[arg(long, value_name = "NAME")]
+    user: Option<String>,
 }
 
 impl BrokerArgs {
     fn tls(&self) -> Result<Option<Tls>> {
-        let files = match (&self.ca, &self.cert, &self.key) {
-            (Some(ca), Some(cert), Some(key)) => {
-                Some(TlsFiles { ca: ca.clone(), cert: cert.clone(), key: key.clone() })
-            }
-            _ => None,
-        };
+        let own = |ca: &PathBuf| TlsFiles { ca: ca.clone(), cert: self.cert.clone(), key: self.key.clone() };
+        let files = self.ca.as_ref().map(own);
         match Tls::for_broker(&self.broker, files.as_ref()) {
             Err(TlsError::OneWithoutOther) => {
-                bail!("--broker: mqtts:// needs --ca, --cert and --key, and mqtt:// must not have them")
+                bail!("--broker: mqtts:// needs --ca, and mqtt:// must not have it")
             }
             tls => Ok(tls?),
         }
+    }
+
+    fn login(&self) -> Result<Option<Login>> {
+        let Some(user) = self.user.clone() else { return Ok(None) };
+        let password = read_password(None)?.context("--user: set COSURF_PASSWORD to the password")?;
+        Ok(Some(Login { user, password }))
     }
 }
 
@@ -103,8 +108,15 @@ pub(crate) fn record(args: &RecordArgs) -> Result<()> {
     let (tls, stop) = (args.broker.tls()?, stop_on_interrupt()?);
     let file = File::create(&args.file).map_err(|cause| SceneError::io(&args.file, cause))?;
     let out = BufWriter::new(file);
-    let count = traffic::record(&args.broker.broker, tls.as_ref(), &args.filter, out, &stop)
-        .map_err(|error| explain(error, &args.file))?;
+    let count = traffic::record(
+        &args.broker.broker,
+        tls.as_ref(),
+        args.broker.login()?.as_ref(),
+        &args.filter,
+        out,
+        &stop,
+    )
+    .map_err(|error| explain(error, &args.file))?;
     print("recorded", count, args.json)
 }
 
@@ -120,8 +132,15 @@ pub(crate) fn replay(args: &ReplayArgs) -> Result<()> {
         ..Faults::NONE
     };
     let settings = ReplaySettings { speed: args.speed, faults, seed: args.seed };
-    let count = traffic::replay(&args.broker.broker, tls.as_ref(), recording, &settings, &stop)
-        .map_err(|error| explain(error, &args.file))?;
+    let count = traffic::replay(
+        &args.broker.broker,
+        tls.as_ref(),
+        args.broker.login()?.as_ref(),
+        recording,
+        &settings,
+        &stop,
+    )
+    .map_err(|error| explain(error, &args.file))?;
     print("replayed", count, args.json)
 }
 

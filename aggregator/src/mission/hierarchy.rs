@@ -7,13 +7,14 @@ use std::path::{Path, PathBuf};
 use std::sync::mpsc::Sender;
 use std::time::Duration;
 
-use cosurf_link::{BrokerAddress, Credentials, Identity, InboxLimits, MqttConfig, Role};
+use cosurf_link::{Credentials, Identity, InboxLimits, Role};
 use cosurf_wire::{DeviceId, ModelHeader, SiteId};
 
 use super::error::MissionError;
 use super::order::{MissionOrder, Surroundings};
 use super::plan::{Edge, Plan};
 use super::signal::Signal;
+use crate::broker::Reach;
 use crate::service::{
     AboveLink, Expected, Service, ServiceConfig, ServiceError, Station, Upstream, UpstreamNode,
 };
@@ -57,13 +58,13 @@ struct RunningEdge {
 }
 
 impl Hierarchy {
-    /// Opens the folder of every aggregator and starts to serve. All aggregators use the broker at `address`, and send
-    /// their events to `say`.
+    /// Opens the folder of every aggregator and starts to serve. All aggregators use the broker that `reach` names, and
+    /// send their events to `say`.
     pub(crate) fn start(
         order: &MissionOrder,
         around: &Surroundings,
         plan: &Plan,
-        address: &BrokerAddress,
+        reach: &Reach,
         say: &Sender<Signal>,
     ) -> Result<Self, MissionError> {
         let aggregator = DeviceId::new("aggregator")?;
@@ -80,15 +81,14 @@ impl Hierarchy {
             };
             Ok::<Station, ServiceError>(Station::start(
                 service,
-                address.clone(),
-                identity,
+                reach.config(identity),
                 around.now.clone(),
                 tell,
             ))
         };
         let start_edge = |(i, edge): (usize, &Edge)| {
             let folder = edge_folder(&order.out, edge);
-            let (upstream, root) = start_upstream(i, edge, &folder, plan, around, address, say)?;
+            let (upstream, root) = start_upstream(i, edge, &folder, plan, around, reach, say)?;
             let agents = plan.devices[edge.agents.clone()].to_vec();
             let station = Some(serve(1 + i, edge.site, folder, agents, Some(root))?);
             Ok::<RunningEdge, ServiceError>(RunningEdge {
@@ -193,14 +193,14 @@ fn start_upstream(
     folder: &Path,
     plan: &Plan,
     around: &Surroundings,
-    address: &BrokerAddress,
+    reach: &Reach,
     say: &Sender<Signal>,
 ) -> Result<(Upstream, AboveLink), ServiceError> {
     let identity =
         Identity { site: plan.site, device: edge.device, session: around.session, role: Role::Device };
     let limits = InboxLimits { stored_max: FROM_ROOT_MAX, ..limits(1) };
     let (node, root) = UpstreamNode::open(identity, Credentials::default(), folder, limits)?;
-    let link = MqttConfig { broker: address.clone(), identity, tls: None };
+    let link = reach.config(identity);
     let (now, tell) = (around.now.clone(), say.clone());
     let tell = move |event| {
         let _ = tell.send(Signal::Upstream { edge: i, event }); // fails only after the end of the mission

@@ -196,6 +196,7 @@ impl Plan {
             site: self.site_of(agent),
             broker: Some(broker.clone()),
             tls: None,
+            password_file: None,
             serial: None,
             baud: None,
             data: settings.data.clone(),

@@ -13,7 +13,8 @@ use serde::de::Error;
 use serde::{Deserialize, Deserializer};
 
 use super::round::Rounds;
-use crate::broker::CLIENTS_MAX;
+use super::serve::ServeError;
+use crate::broker::{CLIENTS_MAX, MEMORY_BYTES, MEMORY_BYTES_MIN, ServerTls};
 use crate::merge::MergeSettings;
 
 /// Largest limit on clients, devices and uploads that a configuration may give.
@@ -30,14 +31,24 @@ pub struct AggregatorConfig {
     pub device: DeviceId,
     /// The folder of the service; see [`crate::service`] for its content.
     pub out: PathBuf,
-    /// Address on which the built-in broker listens, for example `0.0.0.0:1883`; absent where `broker` is used.
+    /// Address on which the built-in broker listens, for example `127.0.0.1:1883`; absent where `broker` is used. An
+    /// address that other computers reach needs `users`, `tls` with `ca`, or `open`.
     #[serde(default, deserialize_with = "bind")]
     pub bind: Option<SocketAddr>,
     /// URL of the broker to use instead of the built-in one, for example `mqtt://10.0.0.2:1883`; absent where `bind` is
     /// used.
     pub broker: Option<BrokerAddress>,
-    /// Certificates for a broker with `mqtts://`.
-    pub tls: Option<TlsFiles>,
+    /// Certificates: with `bind` those of the built-in broker, with `broker` those for a broker at `mqtts://`.
+    pub tls: Option<TlsConfig>,
+    /// With `bind`: file of the users who may connect, for each one the line that the command `password` prints. Absent
+    /// to ask for no password.
+    pub users: Option<PathBuf>,
+    /// With `bind`: true to accept everybody who reaches an address beyond this computer.
+    #[serde(default)]
+    pub open: bool,
+    /// With `broker`: file of the password for the broker; its user is `device`. If absent, the environment variable
+    /// `COSURF_PASSWORD` counts, if it is set.
+    pub password_file: Option<PathBuf>,
     /// Name of the world frame of the coordinates; only models of this frame are merged. Absent for `local`: then a
     /// model that shares no ground with the others is kept out, because its frame may be another one.
     pub frame: Option<FrameId>,
@@ -49,6 +60,10 @@ pub struct AggregatorConfig {
     /// Limit on the clients of the built-in broker; further clients are refused.
     #[serde(default = "default_clients_max", deserialize_with = "limit")]
     pub clients_max: usize,
+    /// Limit on the memory that the built-in broker takes for messages, queues, sessions and buffers of its clients,
+    /// bytes.
+    #[serde(default = "default_broker_memory_bytes", deserialize_with = "broker_memory")]
+    pub broker_memory_bytes: usize,
     /// Limit on the devices whose sessions are remembered, and whose requests for the global model are answered. Requests
     /// of devices that sent a model always are.
     #[serde(default = "default_devices_max", deserialize_with = "limit")]
@@ -97,6 +112,45 @@ pub struct UpstreamConfig {
     pub broker: BrokerAddress,
     /// Certificates for a broker with `mqtts://`.
     pub tls: Option<TlsFiles>,
+    /// File of the password for the broker; its user is `device`.
+    pub password_file: Option<PathBuf>,
+}
+
+/// Certificates of the built-in broker, or of a client of a broker elsewhere; all files in PEM.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TlsConfig {
+    /// Certificates of the authorities. A client needs it. With it, the built-in broker asks its clients for
+    /// certificates; the name (CN) in them must be that of the device.
+    pub ca: Option<PathBuf>,
+    /// The own certificate, followed by intermediate certificates.
+    pub cert: Option<PathBuf>,
+    /// The private key of `cert`.
+    pub key: Option<PathBuf>,
+    /// For the built-in broker: the list of revoked certificates.
+    pub revoked: Option<PathBuf>,
+}
+
+impl TlsConfig {
+    /// The files of a client.
+    pub(super) fn of_client(&self) -> Result<TlsFiles, ServeError> {
+        if self.revoked.is_some() {
+            return Err(ServeError::NotBuiltIn("tls.revoked"));
+        }
+        let ca = self.ca.clone().ok_or(ServeError::TlsFile("ca is missing"))?;
+        Ok(TlsFiles { ca, cert: self.cert.clone(), key: self.key.clone() })
+    }
+
+    /// The files of the built-in broker.
+    pub(super) fn of_server(&self) -> Result<ServerTls, ServeError> {
+        let missing = ServeError::TlsFile("the built-in broker needs cert and key");
+        match (self.cert.clone(), self.key.clone()) {
+            (Some(cert), Some(key)) => {
+                Ok(ServerTls { cert, key, ca: self.ca.clone(), revoked: self.revoked.clone() })
+            }
+            _ => Err(missing),
+        }
+    }
 }
 
 /// How workers on other computers get tiles to distil.
@@ -115,6 +169,10 @@ fn default_device() -> DeviceId {
 
 fn default_clients_max() -> usize {
     CLIENTS_MAX
+}
+
+fn default_broker_memory_bytes() -> usize {
+    MEMORY_BYTES
 }
 
 fn default_devices_max() -> usize {
@@ -149,7 +207,7 @@ fn default_deadline_s() -> u64 {
     Rounds::default().deadline.as_secs()
 }
 
-/// Reads a limit on a number of clients, devices or uploads. Each takes memory, and a client also takes two threads.
+/// Reads a limit on a number of clients, devices or uploads. Each takes memory, and a client also an open file.
 fn limit<'de, D: Deserializer<'de>>(deserializer: D) -> Result<usize, D::Error> {
     let number = usize::deserialize(deserializer)?;
     if (1..=LIMIT_MAX).contains(&number) {
@@ -159,14 +217,32 @@ fn limit<'de, D: Deserializer<'de>>(deserializer: D) -> Result<usize, D::Error> 
     Err(D::Error::custom(format!("give a number from 1 to {LIMIT_MAX}; {remedy}")))
 }
 
+/// Reads the limit on the built-in broker's memory.
+fn broker_memory<'de, D: Deserializer<'de>>(deserializer: D) -> Result<usize, D::Error> {
+    let bytes = usize::deserialize(deserializer)?;
+    match bytes >= MEMORY_BYTES_MIN {
+        true => Ok(bytes),
+        false => Err(D::Error::custom(format!("give at least {MEMORY_BYTES_MIN} bytes"))),
+    }
+}
+
 /// Reads the address to bind. The standard library's error does not tell how an address is written.
 fn bind<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<SocketAddr>, D::Error> {
     let text = String::deserialize(deserializer)?;
-    let wrong = |_| format!("{text:?}: write an IP address and a port, for example 0.0.0.0:1883");
+    let wrong = |_| format!("{text:?}: write an IP address and a port, for example 127.0.0.1:1883");
     text.parse::<SocketAddr>().map(Some).map_err(wrong).map_err(D::Error::custom)
 }
 
 impl AggregatorConfig {
+    /// A setting of the built-in broker that is given; `None` if there is none.
+    pub(super) fn setting_of_built_in_broker(&self) -> Option<&'static str> {
+        match () {
+            () if self.users.is_some() => Some("users"),
+            () if self.open => Some("open"),
+            () => None,
+        }
+    }
+
     /// Reads a configuration file. The error is one line that names the file.
     pub fn read(path: &Path) -> Result<Self, SceneError> {
         let text = fs::read_to_string(path).map_err(|cause| SceneError::io(path, cause))?;
@@ -208,7 +284,8 @@ mod tests {
             ("bind = 1883", "line 3, bind: "),
             ("broker = \"http://h\"", "line 3, broker: broker address \"http://h\": write mqtt://host:port"),
             ("device = \"a b\"", "line 3, device: ' ' in a name"),
-            ("tls = { ca = \"c\" }", "line 3, tls: missing field `cert`"),
+            ("tls = { cart = \"c\" }", "line 3, tls.cart: unknown field `cart`"),
+            ("broker_memory_bytes = 1_000_000", "line 3, broker_memory_bytes: give at least 16777216 bytes"),
             ("compute = \"cuda\"", "line 3, compute: give auto, cpu, gpu or gpu:N"),
             (
                 "clients_max = 16_385",

@@ -2,28 +2,31 @@
 
 use std::fmt;
 use std::fs;
+use std::net::SocketAddr;
 use std::ops::ControlFlow;
+use std::path::Path;
 use std::sync::mpsc::Receiver;
 use std::time::Duration;
 
+use cosurf_contract::{PasswordError, read_password};
 use cosurf_link::mqtt::TlsError;
 use cosurf_link::{
-    BrokerAddress, Credentials, Identity, InboxLimits, MqttConfig, MqttTransport, Role, SerialConfig, Tls,
-    next_session,
+    Credentials, Identity, InboxLimits, Login, MqttTransport, Role, SerialConfig, Tls, next_session,
 };
 use cosurf_scene::SceneError;
-use cosurf_wire::{FrameId, SiteId};
+use cosurf_wire::{DeviceId, FrameId, SiteId};
 use serde::Serialize;
 
 use super::above::AboveLink;
-use super::config::{AggregatorConfig, UpstreamConfig, WorkersConfig};
+use super::config::{AggregatorConfig, TlsConfig, UpstreamConfig, WorkersConfig};
 use super::control::{BROKER_ATTEMPTS_MAX, Command, ServiceConfig};
 use super::error::ServiceError;
 use super::event::ServiceEvent;
+use super::folder::senders;
 use super::receive::Service;
 use super::round::{Expected, Rounds};
 use super::upstream::{Upstream, UpstreamEvent, UpstreamNode};
-use crate::broker::{Broker, BrokerError, BrokerEvent, local_address};
+use crate::broker::{Broker, BrokerError, BrokerEvent, BrokerSettings, Reach, Users, UsersError};
 use crate::gateway::{Gateway, GatewayEvent};
 use crate::merge::MergeSettings;
 use crate::queue::{Queue, QueueError};
@@ -59,7 +62,7 @@ impl fmt::Display for SideEvent {
 #[non_exhaustive]
 pub enum ServeError {
     /// Neither or both of `bind` and `broker` are configured.
-    #[error("write either bind = \"0.0.0.0:1883\" (a broker of its own) or broker = \"mqtt://host:port\"")]
+    #[error("write either bind = \"127.0.0.1:1883\" (a broker of its own) or broker = \"mqtt://host:port\"")]
     OneBroker,
     /// The certificates for the broker cannot be used.
     #[error("tls: {0}")]
@@ -67,6 +70,24 @@ pub enum ServeError {
     /// The certificates for the broker of the aggregator above cannot be used.
     #[error("upstream.tls: {0}")]
     UpstreamTls(TlsError),
+    /// A certificate of `tls` is missing for the use that is made of it.
+    #[error("tls: {0}")]
+    TlsFile(&'static str),
+    /// The file of users cannot be used.
+    #[error("users: {0}")]
+    Users(#[from] UsersError),
+    /// The built-in broker would accept everybody on the network.
+    #[error(
+        "bind: everybody who reaches {0} could read and send everything: write users = \"users.txt\" or tls with ca, \
+         bind 127.0.0.1, or write open = true (--open) if all of the network may"
+    )]
+    Open(SocketAddr),
+    /// A setting of the built-in broker is given, but the broker is elsewhere.
+    #[error("{0} is for the built-in broker: remove it, or write bind instead of broker")]
+    NotBuiltIn(&'static str),
+    /// The password for the broker cannot be read.
+    #[error(transparent)]
+    Password(#[from] PasswordError),
     /// The built-in broker did not start.
     #[error("bind: {0}")]
     Broker(BrokerError),
@@ -128,10 +149,10 @@ pub fn serve(
         config.trusted.as_deref(),
     )?;
     let say_broker = say_beside.clone();
-    let (_embedded, broker) = reach_broker(config, move |event| say_broker(SideEvent::Broker(event)))?;
-    let tls = Tls::for_broker(&broker, config.tls.as_ref()).map_err(ServeError::Tls)?;
-    let _gateways = start_gateways(config.site, &broker, tls.as_ref(), lines, &say_beside);
+    let (embedded, reach) = reach_broker(config, move |event| say_broker(SideEvent::Broker(event)))?;
+    let _gateways = start_gateways(config.site, &reach, lines, &say_beside);
     let identity = open_session(config, host.clock_s)?;
+    let introduce = embedded.as_ref().map(|broker| introducer(config, broker)).transpose()?;
     let mut service =
         Service::open(service_config(config, identity, host.threads))?.with(credentials.clone());
     service = service.with_devices_max(config.devices_max);
@@ -145,10 +166,13 @@ pub fn serve(
         service = service.below(link, Duration::from_secs(config.deadline_s));
         upstream = Some(started);
     }
-    let mut transport = MqttTransport::start(MqttConfig { broker, identity, tls });
+    let mut transport = MqttTransport::start(reach.config(identity));
     let mut connections = Connections { upstream, was_connected: false, failure: None };
     service.run(&mut transport, now, commands, |event| {
         say(&event);
+        if let (ServiceEvent::Stored { header }, Some(introduce)) = (&event, &introduce) {
+            introduce(header.device);
+        }
         connections.follow(event)
     });
     connections.failure.map_or(Ok(()), Err)
@@ -187,15 +211,14 @@ impl Connections {
 /// Starts one gateway for each serial line.
 fn start_gateways(
     site: SiteId,
-    broker: &BrokerAddress,
-    tls: Option<&Tls>,
+    reach: &Reach,
     lines: Vec<SerialConfig>,
     say_beside: &(impl Fn(SideEvent) + Clone + Send + 'static),
 ) -> Vec<Gateway> {
     let gateway = |line| {
         let say = say_beside.clone();
         let say = move |event| say(SideEvent::Line(event));
-        Gateway::start(site, broker.clone(), tls.cloned(), line, say)
+        Gateway::start(site, reach.clone(), line, say)
     };
     lines.into_iter().map(gateway).collect()
 }
@@ -258,25 +281,79 @@ fn start_upstream(
     let broker = above.broker.clone();
     let tls = Tls::for_broker(&broker, above.tls.as_ref()).map_err(ServeError::UpstreamTls)?;
     let identity = Identity { site: above.site, device: above.device, session, role: Role::Device };
+    let login = login(above.device, above.password_file.as_deref())?;
+    let reach = Reach { broker, tls, login };
     let (node, link) = UpstreamNode::open(identity, credentials, &config.out, inbox_limits(config))
         .map_err(ServiceError::from)?;
-    Ok((Upstream::start(node, MqttConfig { broker, identity, tls }, now, say), link))
+    Ok((Upstream::start(node, reach.config(identity), now, say), link))
 }
 
-/// Returns the address of the broker. Starts the built-in broker if the configuration asks for it.
+/// Tells the built-in broker which devices the service knows: those that sent a model, and those with a trusted key.
+/// Returns what tells it of others.
+fn introducer(config: &AggregatorConfig, broker: &Broker) -> Result<impl Fn(DeviceId) + use<>, ServeError> {
+    let (site, know) = (config.site, broker.introducer());
+    let introduce = move |device| {
+        know(Identity { site, device, session: 0, role: Role::Device }.client_id());
+    };
+    senders(&config.out)?.into_iter().for_each(&introduce);
+    if let Some(trusted) = &config.trusted {
+        let text = fs::read_to_string(trusted).map_err(|cause| SceneError::io(trusted, cause))?;
+        // The names before the keys. Lines of revoked keys begin with another word.
+        let names = text.lines().filter_map(|line| line.split_whitespace().next());
+        names.filter_map(|name| DeviceId::new(name).ok()).for_each(&introduce);
+    }
+    Ok(introduce)
+}
+
+/// Returns how to reach the broker. Starts the built-in broker if the configuration asks for it.
 fn reach_broker(
     config: &AggregatorConfig,
     say: impl Fn(BrokerEvent) + Send + 'static,
-) -> Result<(Option<Broker>, BrokerAddress), ServeError> {
+) -> Result<(Option<Broker>, Reach), ServeError> {
     match (config.bind, &config.broker) {
         (Some(bind), None) => {
-            let broker = Broker::start_for(bind, config.clients_max, say).map_err(ServeError::Broker)?;
-            let address = local_address(broker.address());
-            Ok((Some(broker), address))
+            let broker = start_broker(config, bind, say)?;
+            let reach = broker.house();
+            Ok((Some(broker), reach))
         }
-        (None, Some(address)) => Ok((None, address.clone())),
+        (None, Some(address)) => {
+            if let Some(setting) = config.setting_of_built_in_broker() {
+                return Err(ServeError::NotBuiltIn(setting));
+            }
+            let files = config.tls.as_ref().map(TlsConfig::of_client).transpose()?;
+            let tls = Tls::for_broker(address, files.as_ref()).map_err(ServeError::Tls)?;
+            let login = login(config.device, config.password_file.as_deref())?;
+            Ok((None, Reach { broker: address.clone(), tls, login }))
+        }
         _ => Err(ServeError::OneBroker),
     }
+}
+
+/// Starts the built-in broker, unless it would accept everybody on the network unasked.
+fn start_broker(
+    config: &AggregatorConfig,
+    bind: SocketAddr,
+    say: impl Fn(BrokerEvent) + Send + 'static,
+) -> Result<Broker, ServeError> {
+    if config.password_file.is_some() {
+        return Err(ServeError::NotBuiltIn("users, not password_file,"));
+    }
+    let settings = BrokerSettings {
+        clients_max: config.clients_max,
+        memory_bytes: config.broker_memory_bytes,
+        users: config.users.as_deref().map(Users::read).transpose()?,
+        tls: config.tls.as_ref().map(TlsConfig::of_server).transpose()?,
+    };
+    if settings.is_open() && !bind.ip().is_loopback() && !config.open {
+        return Err(ServeError::Open(bind));
+    }
+    Broker::start_with(bind, settings, say).map_err(ServeError::Broker)
+}
+
+/// User and password for a broker, if there is a password.
+fn login(device: DeviceId, file: Option<&Path>) -> Result<Option<Login>, PasswordError> {
+    let password = read_password(file)?;
+    Ok(password.map(|password| Login { user: device.to_string(), password }))
 }
 
 #[cfg(test)]

@@ -6,7 +6,7 @@ use std::sync::mpsc::{self, Sender};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
-use cosurf_link::{BrokerAddress, Identity, MqttConfig, MqttTransport};
+use cosurf_link::{MqttConfig, MqttTransport};
 use cosurf_wire::{DeviceId, ModelHeader};
 
 use super::control::Command;
@@ -20,17 +20,16 @@ pub(crate) struct Station {
 }
 
 impl Station {
-    /// Starts to serve through `broker`; `on_event` gets the service's events.
+    /// Starts to serve through the broker of `link`; `on_event` gets the service's events.
     pub(crate) fn start(
         service: Service,
-        broker: BrokerAddress,
-        identity: Identity,
+        link: MqttConfig,
         now: Arc<dyn Fn() -> Duration + Send + Sync>,
         on_event: impl Fn(ServiceEvent) + Send + 'static,
     ) -> Self {
         let (commands, receiver) = mpsc::channel();
         let thread = thread::spawn(move || {
-            let mut transport = MqttTransport::start(MqttConfig { broker, identity, tls: None });
+            let mut transport = MqttTransport::start(link);
             service.run(
                 &mut transport,
                 || now(),

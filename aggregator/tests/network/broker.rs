@@ -1,16 +1,15 @@
 //! Tests the built-in broker with real MQTT clients.
 
-use std::io::Read;
-use std::net::TcpStream;
 use std::sync::mpsc;
 use std::time::{Duration, Instant};
 
-use cosurf_aggregator::broker::{Broker, BrokerError, BrokerEvent};
+use cosurf_aggregator::broker::{Broker, BrokerError, BrokerEvent, BrokerSettings};
 use cosurf_link::{Role, UploadProgress};
 use cosurf_tests::live::{Ground, upload};
 use cosurf_tests::offers::{broker_address, identity, offer};
 use cosurf_wire::{MAX_CHUNK_BYTES, ModelKind};
 
+use crate::raw::{Hello, Raw};
 use crate::station::loopback;
 
 #[test]
@@ -80,23 +79,22 @@ fn a_port_is_free_after_shutdown() {
 #[test]
 fn a_client_beyond_the_limit_is_refused_until_another_has_left() {
     let (say, events) = mpsc::channel();
-    let broker = Broker::start_for(loopback(), 1, move |event| say.send(event).unwrap()).unwrap();
-    let connect = || TcpStream::connect(broker.address()).unwrap();
-    let first = connect();
-    let is_closed = |mut stream: TcpStream| stream.read(&mut [0]).is_ok_and(|bytes| bytes == 0);
-    assert!(is_closed(connect()) && is_closed(connect()));
+    let settings = BrokerSettings { clients_max: 1, ..BrokerSettings::default() };
+    let broker = Broker::start_with(loopback(), settings, move |event| say.send(event).unwrap()).unwrap();
+    let connect = |id| Raw::hello(broker.address(), &Hello { id, ..Hello::default() });
+    let first = connect("first");
+    assert_eq!([first.1, connect("second").1, connect("third").1], [0, 0x97, 0x97]);
     let event = events.recv_timeout(Duration::from_secs(10)).unwrap();
     assert_eq!(event, BrokerEvent::Full { clients_max: 1 });
     assert!(event.to_string().contains("raise `clients_max`"));
     assert!(events.try_recv().is_err(), "a client that tries again is not told again");
-    drop(first);
+    // The same client may come again; the older connection ends.
+    let (mut older, (_newer, code)) = (first.0, connect("first"));
+    assert_eq!((code, older.farewell()), (0, 0x8E));
+    drop((older, _newer));
     let begun = Instant::now();
-    loop {
-        let stream = connect();
-        stream.set_read_timeout(Some(Duration::from_millis(200))).unwrap();
-        if !is_closed(stream) {
-            break; // the broker waits for what this client says
-        }
+    while connect("second").1 != 0 {
         assert!(begun.elapsed() < Duration::from_secs(20), "the place of the first client is not given away");
+        std::thread::sleep(Duration::from_millis(10));
     }
 }

@@ -6,7 +6,7 @@ use std::sync::mpsc;
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-use cosurf_aggregator::broker::Broker;
+use cosurf_aggregator::broker::{Broker, Reach};
 use cosurf_aggregator::gateway::{Gateway, GatewayEvent};
 use cosurf_aggregator::merge::MergeSettings;
 use cosurf_aggregator::service::ServiceEvent;
@@ -71,8 +71,7 @@ fn radio_and_network_share_a_mission() {
     let (air, ground_port) = TTYPort::pair().unwrap();
     let gateway = Gateway::start(
         Station::identity().site,
-        address.clone(),
-        None,
+        Reach::plain(address.clone()),
         line(ground_port, 1, GATEWAY_MESSAGE_BYTES),
         move |event| drop(say_line.send(event)),
     );
@@ -81,7 +80,7 @@ fn radio_and_network_share_a_mission() {
     let serial = SerialTransport::start(line(air, 2, DEVICE_MESSAGE_BYTES));
     let (kill_radio, die) = mpsc::channel();
     let by_radio = drone(serial, radio, mergeable_offer("by-radio", 1500), say.clone(), die);
-    let mqtt = MqttTransport::start(MqttConfig { broker: address, identity: net, tls: None });
+    let mqtt = MqttTransport::start(MqttConfig { broker: address, identity: net, tls: None, login: None });
     let (kill_net, die) = mpsc::channel();
     let by_net = drone(mqtt, net, mergeable_offer("by-net", 1500), say, die);
 

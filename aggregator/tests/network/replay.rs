@@ -41,7 +41,7 @@ fn recorded_flight(folder: &Path, file: &Path) -> Vec<u8> {
     let stop = Arc::new(AtomicBool::new(false));
     let (listening, stopping) = (address.clone(), Arc::clone(&stop));
     let out = BufWriter::new(File::create(file).unwrap());
-    let recorder = thread::spawn(move || record(&listening, None, "gs/v1/#", out, &stopping).unwrap());
+    let recorder = thread::spawn(move || record(&listening, None, None, "gs/v1/#", out, &stopping).unwrap());
     let global = serve(&address, folder, || {
         // The broker retains the aggregator's state message. Once the file has this message, the recorder has
         // subscribed.
@@ -76,7 +76,7 @@ fn a_recorded_mission_gives_the_same_global_model() {
             let recording = Recording::open(BufReader::new(File::open(&file).unwrap())).unwrap();
             let settings = ReplaySettings { speed, faults, seed: 1 };
             let stop = AtomicBool::new(false);
-            let sent = replay(&address, None, recording, &settings, &stop).unwrap();
+            let sent = replay(&address, None, None, recording, &settings, &stop).unwrap();
             println!("{name}: {sent} messages");
         });
         assert!(again == first, "{name}: another global model");

@@ -34,10 +34,14 @@ pub struct AgentConfig {
     /// The broker's address, for example `mqtt://127.0.0.1:1883`. Give either `broker` or `serial`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub broker: Option<BrokerAddress>,
-    /// The certificates and the key for TLS: required if the broker's address starts with `mqtts://`, not allowed if it
+    /// The certificates for TLS: required if the broker's address starts with `mqtts://`, not allowed if it
     /// starts with `mqtt://`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tls: Option<TlsFiles>,
+    /// File of the password for the broker; its user is `device`. If absent, the environment variable
+    /// `COSURF_PASSWORD` counts, if it is set. Not allowed with `serial`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub password_file: Option<PathBuf>,
     /// The serial port of a radio whose other end is at the aggregator, for example `/dev/ttyUSB0`. Give either
     /// `broker` or `serial`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -158,6 +162,7 @@ impl AgentConfig {
         match (&self.broker, &self.serial) {
             (Some(_), None) if self.baud.is_some() => Err(ConfigError::BaudOfBroker),
             (None, Some(_)) if self.tls.is_some() => Err(ConfigError::TlsOfSerial),
+            (None, Some(_)) if self.password_file.is_some() => Err(ConfigError::PasswordOfSerial),
             (Some(address), None) => Ok(AgentLink::Broker { address, tls: self.tls.as_ref() }),
             (None, Some(port)) => Ok(AgentLink::Serial { port, baud: self.baud.unwrap_or(DEFAULT_BAUD) }),
             _ => Err(ConfigError::OneLink),

@@ -42,6 +42,7 @@
 
 pub mod config;
 pub mod log;
+mod password;
 pub mod report;
 mod share;
 mod words;
@@ -49,6 +50,7 @@ mod words;
 pub use config::{AgentConfig, AgentLink, ConfigError, DEFAULT_FLIGHTS_MAX, parse_toml};
 pub use cosurf_link::TlsFiles;
 pub use log::{LogError, LogFormat};
+pub use password::{PasswordError, read_password};
 pub use report::{AgentEvent, Changes, ComparedWith, TrainReport};
 pub use share::{NotAShare, Share};
-pub use words::counted;
+pub use words::{Escaped, counted};

@@ -28,6 +28,15 @@ pub enum Role {
 }
 
 impl Identity {
+    /// The id of this participant's client at an MQTT broker.
+    pub fn client_id(&self) -> String {
+        let role = match self.role {
+            Role::Device => "agent",
+            Role::Aggregator => "aggregator",
+        };
+        format!("cosurf-{role}-{}-{}", self.site, self.device)
+    }
+
     /// The topic filters that this participant subscribes to, with MQTT wildcards.
     pub fn filters(&self) -> Vec<TopicString> {
         match self.role {

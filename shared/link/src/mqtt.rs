@@ -24,7 +24,7 @@ pub mod traffic;
 mod worker;
 
 pub use address::{BadAddress, BrokerAddress};
-pub use config::MqttConfig;
+pub use config::{Login, MqttConfig};
 pub use tls::{Tls, TlsError, TlsFiles};
 
 use std::sync::Arc;

@@ -113,7 +113,12 @@ fn the_example_configuration_passes_models_and_blocks_forgeries() {
 
     // The thief's certificate does not let the thief publish under the drone's topics.
     let thief = Identity { device: DeviceId::new("thief").unwrap(), ..identity(Role::Device, "thief") };
-    let config = MqttConfig { broker: broker.address.clone(), identity: thief, tls: Some(tls(&thief_files)) };
+    let config = MqttConfig {
+        broker: broker.address.clone(),
+        identity: thief,
+        tls: Some(tls(&thief_files)),
+        login: None,
+    };
     let mut transport = MqttTransport::start(config);
     assert_eq!(transport.poll(Duration::from_secs(20)), Some(TransportEvent::Connected));
     let forged = offer("drone", 9, ModelKind::Local, 9, 10, 8192);

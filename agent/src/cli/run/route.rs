@@ -3,26 +3,29 @@
 use std::num::NonZeroU32;
 use std::time::Duration;
 
-use anyhow::Result;
-use cosurf_contract::{AgentConfig, AgentLink};
+use anyhow::{Context, Result};
+use cosurf_contract::{AgentConfig, AgentLink, read_password};
 use cosurf_link::serial::DEVICE_MESSAGE_BYTES;
 use cosurf_link::{
-    BrokerAddress, Identity, MqttConfig, MqttTransport, Outgoing, PublishError, SerialConfig,
+    BrokerAddress, Identity, Login, MqttConfig, MqttTransport, Outgoing, PublishError, SerialConfig,
     SerialTransport, Tls, Transport, TransportEvent,
 };
 
-/// The address of the broker or the serial port, and the content of the certificate files.
+/// The address of the broker or the serial port, the content of the certificate files, and the password.
 pub(super) enum Route {
-    Broker { broker: BrokerAddress, tls: Option<Tls> },
+    Broker { broker: BrokerAddress, tls: Option<Tls>, login: Option<Login> },
     Serial { port: String, baud: NonZeroU32 },
 }
 
 impl Route {
     pub(super) fn of(config: &AgentConfig) -> Result<Self> {
         Ok(match config.link()? {
-            AgentLink::Broker { address, tls } => {
-                Self::Broker { broker: address.clone(), tls: Tls::for_broker(address, tls)? }
-            }
+            AgentLink::Broker { address, tls } => Self::Broker {
+                broker: address.clone(),
+                tls: Tls::for_broker(address, tls).context("tls")?,
+                login: read_password(config.password_file.as_deref())?
+                    .map(|password| Login { user: config.device.to_string(), password }),
+            },
             AgentLink::Serial { port, baud } => Self::Serial { port: port.to_owned(), baud },
         })
     }
@@ -30,9 +33,9 @@ impl Route {
     /// Starts to connect in the background. The connection reports success and failure as events.
     pub(super) fn connect(&self, identity: Identity) -> Connection {
         match self {
-            Self::Broker { broker, tls } => {
-                let (broker, tls) = (broker.clone(), tls.clone());
-                Connection::Broker(MqttTransport::start(MqttConfig { broker, identity, tls }))
+            Self::Broker { broker, tls, login } => {
+                let (broker, tls, login) = (broker.clone(), tls.clone(), login.clone());
+                Connection::Broker(MqttTransport::start(MqttConfig { broker, identity, tls, login }))
             }
             Self::Serial { port, baud } => {
                 let config = SerialConfig::device(port, *baud, identity.session, DEVICE_MESSAGE_BYTES);

@@ -26,6 +26,9 @@ pub enum ConfigError {
         "baud is the speed of a serial port: remove it, or write serial = \"/dev/ttyUSB0\" instead of broker"
     )]
     BaudOfBroker,
+    /// `password_file` is set for a serial port.
+    #[error("password_file is for a broker: remove it, or write broker instead of serial")]
+    PasswordOfSerial,
     /// `tls` is set for a serial port.
     #[error("[tls] is for a broker: remove it, or write broker = \"mqtts://host:port\" instead of serial")]
     TlsOfSerial,

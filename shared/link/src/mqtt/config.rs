@@ -1,5 +1,7 @@
 //! The settings of a client, and limits that its two threads share.
 
+use std::fmt;
+
 use super::address::BrokerAddress;
 use super::tls::Tls;
 use crate::identity::Identity;
@@ -19,4 +21,21 @@ pub struct MqttConfig {
     pub identity: Identity,
     /// Certificates, if the broker requires TLS.
     pub tls: Option<Tls>,
+    /// User and password, if the broker asks for them.
+    pub login: Option<Login>,
+}
+
+/// User and password at a broker.
+#[derive(Clone, PartialEq, Eq)]
+pub struct Login {
+    /// The user: the name of the device.
+    pub user: String,
+    /// The password. It is never written to a log.
+    pub password: String,
+}
+
+impl fmt::Debug for Login {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Login").field("user", &self.user).finish_non_exhaustive()
+    }
 }

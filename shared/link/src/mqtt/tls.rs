@@ -1,4 +1,4 @@
-//! Mutual TLS (rustls with ring): the broker and the device each prove their identity with a certificate.
+//! TLS (rustls with ring): the broker proves its identity with a certificate, and the device too if it has one.
 //!
 //! rumqttc 0.25 also links rustls-webpki 0.102.8 (RUSTSEC-2026-0049, -0098, -0099, -0104), but only for the
 //! type of an error. Certificates are verified by the rustls-webpki of rustls itself, 0.103.
@@ -17,10 +17,13 @@ use serde::{Deserialize, Serialize};
 pub struct TlsFiles {
     /// Certificates of the trusted authorities.
     pub ca: PathBuf,
-    /// The client's certificate, followed by the intermediate certificates up to the trusted authority.
-    pub cert: PathBuf,
-    /// The private key of `cert`.
-    pub key: PathBuf,
+    /// The client's certificate, followed by the intermediate certificates up to the trusted authority. Absent if the
+    /// broker asks for a password instead.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cert: Option<PathBuf>,
+    /// The private key of `cert`; absent without it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub key: Option<PathBuf>,
 }
 
 use super::address::BrokerAddress;
@@ -40,12 +43,10 @@ pub enum TlsError {
         cause: pem::Error,
     },
     /// Certificate and key do not match, or a certificate is invalid.
-    #[error("certificate {cert} and key {key}: {cause}")]
+    #[error("certificate {cert}: {cause}")]
     Pair {
         /// The certificate's path.
         cert: String,
-        /// The key's path.
-        key: String,
         /// The underlying error.
         cause: rustls::Error,
     },
@@ -53,6 +54,9 @@ pub enum TlsError {
     /// without TLS.
     #[error("a broker at mqtts:// needs tls = {{ ca, cert, key }}, and one at mqtt:// must not have it")]
     OneWithoutOther,
+    /// Only one of certificate and key is given.
+    #[error("write both cert and key, or neither of them if the broker asks for a password")]
+    CertOrKey,
 }
 
 /// A client's certificate and key, and the root certificates that it trusts.
@@ -64,16 +68,24 @@ impl Tls {
     pub fn read(files: &TlsFiles) -> Result<Self, TlsError> {
         let mut roots = RootCertStore::empty();
         for root in certificates(&files.ca)? {
-            roots.add(root).map_err(|cause| pair_error(files, cause))?;
+            roots.add(root).map_err(|cause| pair_error(&files.ca, cause))?;
         }
-        let key = PrivateKeyDer::from_pem_file(&files.key)
-            .map_err(|cause| file_error(&files.key, "a private key", cause))?;
         let provider = Arc::new(rustls::crypto::ring::default_provider());
-        let chain = certificates(&files.cert)?;
-        let config = ClientConfig::builder_with_provider(provider)
+        let builder = ClientConfig::builder_with_provider(provider)
             .with_safe_default_protocol_versions()
-            .and_then(|builder| builder.with_root_certificates(roots).with_client_auth_cert(chain, key))
-            .map_err(|cause| pair_error(files, cause))?;
+            .map_err(|cause| pair_error(&files.ca, cause))?
+            .with_root_certificates(roots);
+        let config = match (&files.cert, &files.key) {
+            (Some(cert), Some(key)) => {
+                let secret = PrivateKeyDer::from_pem_file(key)
+                    .map_err(|cause| file_error(key, "a private key", cause))?;
+                builder
+                    .with_client_auth_cert(certificates(cert)?, secret)
+                    .map_err(|cause| pair_error(cert, cause))?
+            }
+            (None, None) => builder.with_no_client_auth(),
+            _ => return Err(TlsError::CertOrKey),
+        };
         Ok(Self(Arc::new(config)))
     }
 
@@ -101,6 +113,6 @@ fn file_error(path: &Path, wanted: &'static str, cause: pem::Error) -> TlsError 
     TlsError::File { path: path.display().to_string(), wanted, cause }
 }
 
-fn pair_error(files: &TlsFiles, cause: rustls::Error) -> TlsError {
-    TlsError::Pair { cert: files.cert.display().to_string(), key: files.key.display().to_string(), cause }
+fn pair_error(cert: &Path, cause: rustls::Error) -> TlsError {
+    TlsError::Pair { cert: cert.display().to_string(), cause }
 }

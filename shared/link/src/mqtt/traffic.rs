@@ -13,6 +13,7 @@ use rumqttc::v5::{Client, Connection, Event, MqttOptions};
 use rumqttc::{TlsConfiguration, Transport as TlsTransport};
 
 use super::address::BrokerAddress;
+use super::config::Login;
 use super::tls::Tls;
 use super::worker::{PACKET_BYTES_MAX, describe};
 use crate::faults::{Faults, Line};
@@ -66,12 +67,13 @@ pub struct ReplaySettings {
 pub fn record(
     broker: &BrokerAddress,
     tls: Option<&Tls>,
+    login: Option<&Login>,
     filter: &str,
     out: impl Write,
     is_stopping: &AtomicBool,
 ) -> Result<u64, TrafficError> {
     let mut recorder = Recorder::new(out).map_err(TrafficError::Write)?;
-    let (client, mut connection) = Client::new(options(broker, tls, "record"), QUEUE_MAX);
+    let (client, mut connection) = Client::new(options(broker, tls, login, "record"), QUEUE_MAX);
     let (start, mut count, mut attempt) = (Instant::now(), 0, 0);
     let mut flushed_at = start;
     while !is_stopping.load(Ordering::Relaxed) {
@@ -114,11 +116,12 @@ pub fn record(
 pub fn replay(
     broker: &BrokerAddress,
     tls: Option<&Tls>,
+    login: Option<&Login>,
     recording: Recording<impl Read>,
     settings: &ReplaySettings,
     is_stopping: &AtomicBool,
 ) -> Result<u64, TrafficError> {
-    let (client, connection) = Client::new(options(broker, tls, "replay"), QUEUE_MAX);
+    let (client, connection) = Client::new(options(broker, tls, login, "replay"), QUEUE_MAX);
     let driver = Driver::start(connection);
     driver.wait_until(Duration::MAX, is_stopping, |state| state.is_connected.load(Ordering::Relaxed));
     let (start, mut sent) = (Instant::now(), 0);
@@ -153,10 +156,13 @@ fn entry(at: Duration, publish: &Publish) -> Entry {
     }
 }
 
-fn options(broker: &BrokerAddress, tls: Option<&Tls>, role: &str) -> MqttOptions {
+fn options(broker: &BrokerAddress, tls: Option<&Tls>, login: Option<&Login>, role: &str) -> MqttOptions {
     let client_id = format!("cosurf-{role}-{}", std::process::id());
     let mut options = MqttOptions::new(client_id, broker.socket_host(), broker.port);
     options.set_clean_start(true).set_max_packet_size(Some(PACKET_BYTES_MAX as u32));
+    if let Some(Login { user, password }) = login {
+        options.set_credentials(user, password);
+    }
     if let Some(tls) = tls {
         options.set_transport(TlsTransport::tls_with_config(TlsConfiguration::Rustls(Arc::clone(&tls.0))));
     }

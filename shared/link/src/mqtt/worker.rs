@@ -9,17 +9,16 @@ use std::time::Duration;
 
 use cosurf_wire::{MAX_MESSAGE_BYTES, MAX_TOPIC_BYTES};
 use rumqttc::v5::mqttbytes::v5::{
-    ConnAck, DisconnectReasonCode, Filter, LastWill, Packet, Publish, RetainForwardRule, Subscribe,
-    SubscribeReasonCode,
+    ConnAck, ConnectReturnCode, DisconnectReasonCode, Filter, LastWill, Packet, Publish, RetainForwardRule,
+    Subscribe, SubscribeReasonCode,
 };
 use rumqttc::v5::mqttbytes::{Error as MqttError, QoS};
 use rumqttc::v5::{AsyncClient, ConnectionError, Event, EventLoop, MqttOptions, Request, StateError};
 use rumqttc::{TlsConfiguration, Transport as TlsTransport};
 use tokio::time::{Instant, sleep, timeout};
 
-use super::config::{EVENTS_MAX, MqttConfig, PACKET_OVERHEAD_BYTES};
+use super::config::{EVENTS_MAX, Login, MqttConfig, PACKET_OVERHEAD_BYTES};
 use super::refusal::tls_fault;
-use crate::identity::Role;
 use crate::pacing::Backoff;
 use crate::transport::TransportEvent;
 
@@ -286,13 +285,8 @@ impl Worker {
     }
 
     fn options(&self) -> MqttOptions {
-        let MqttConfig { broker, identity, tls } = &self.config;
-        let role = match identity.role {
-            Role::Device => "agent",
-            Role::Aggregator => "aggregator",
-        };
-        let client_id = format!("cosurf-{role}-{}-{}", identity.site, identity.device);
-        let mut options = MqttOptions::new(client_id, broker.socket_host(), broker.port);
+        let MqttConfig { broker, identity, tls, login } = &self.config;
+        let mut options = MqttOptions::new(identity.client_id(), broker.socket_host(), broker.port);
         let death = identity.state_message(false);
         let will = LastWill::new(death.topic.as_str(), death.payload, QoS::AtLeastOnce, death.retain, None);
         let in_flight = QUEUE_MAX as u16;
@@ -305,6 +299,9 @@ impl Worker {
             .set_receive_maximum(Some(EVENTS_MAX as u16 / 2))
             .set_outgoing_inflight_upper_limit(in_flight)
             .set_last_will(will);
+        if let Some(Login { user, password }) = login {
+            options.set_credentials(user, password);
+        }
         if let Some(tls) = tls {
             options
                 .set_transport(TlsTransport::tls_with_config(TlsConfiguration::Rustls(Arc::clone(&tls.0))));
@@ -335,7 +332,12 @@ pub(super) fn describe(error: &ConnectionError) -> String {
         }
         ConnectionError::Timeout(_) => "no answer".to_owned(),
         ConnectionError::Tls(error) => format!("TLS: {error}"),
-        ConnectionError::ConnectionRefused(code) => format!("connection refused: {code:?}"),
+        ConnectionError::ConnectionRefused(code) => match code {
+            ConnectReturnCode::NotAuthorized | ConnectReturnCode::BadUserNamePassword => {
+                "the broker does not accept this name and password: check them".to_owned()
+            }
+            code => format!("connection refused: {code:?}"),
+        },
         ConnectionError::MqttState(
             StateError::ConnectionAborted | StateError::Deserialization(MqttError::Io(_)),
         ) => "connection lost".to_owned(),

@@ -1,0 +1,274 @@
+//! Packets of MQTT 5 and MQTT 3.1.1 as bytes. Beyond this file every packet is one of MQTT 5.
+//!
+//! The codecs are those of rumqttc, which is linked anyway. This file frames packets itself, so that no more bytes are
+//! kept than those of one packet, and works around what the codecs cannot read or write.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+use bytes::{BufMut, Bytes, BytesMut};
+use rumqttc::mqttbytes as old;
+use rumqttc::mqttbytes::v4;
+use rumqttc::v5::mqttbytes::QoS;
+use rumqttc::v5::mqttbytes::v5::{
+    ConnAck, Connect, ConnectProperties, ConnectReturnCode, Disconnect, DisconnectReasonCode, Filter,
+    LastWill, Login, Packet, PubAck, Publish, RetainForwardRule, SubAck, Subscribe, SubscribeReasonCode,
+    UnsubAck, Unsubscribe,
+};
+
+/// A version of MQTT.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Version {
+    /// MQTT 3.1.1.
+    V3,
+    /// MQTT 5.
+    V5,
+}
+
+/// The first byte of DISCONNECT.
+const DISCONNECT: u8 = 0xE0;
+/// A session of MQTT 3.1.1 that is not clean never expires by itself.
+const NEVER: u32 = u32::MAX;
+
+/// Length of the first packet in `bytes`; `None` if its header has not arrived completely. An error if the packet is
+/// larger than `bytes_max` or its length is malformed.
+pub(super) fn packet_bytes(bytes: &[u8], bytes_max: usize) -> Result<Option<usize>, DisconnectReasonCode> {
+    let mut length = 0;
+    for (place, byte) in bytes.iter().skip(1).take(4).enumerate() {
+        length |= usize::from(byte & 0x7F) << (7 * place);
+        if byte & 0x80 == 0 {
+            let whole = 2 + place + length;
+            return if whole > bytes_max {
+                Err(DisconnectReasonCode::PacketTooLarge)
+            } else {
+                Ok(Some(whole))
+            };
+        }
+    }
+    if bytes.len() > 4 { Err(DisconnectReasonCode::MalformedPacket) } else { Ok(None) }
+}
+
+/// Writes the remaining length of a packet; `length` must be below 2²⁸.
+pub(super) fn put_length(out: &mut BytesMut, mut length: usize) {
+    loop {
+        let (byte, rest) = ((length % 128) as u8, length / 128);
+        out.put_u8(if rest > 0 { byte | 0x80 } else { byte });
+        if rest == 0 {
+            return;
+        }
+        length = rest;
+    }
+}
+
+/// The version that a CONNECT packet asks for; `None` if it is neither MQTT 5 nor MQTT 3.1.1, or no CONNECT at all.
+pub(super) fn version_of(packet: &[u8]) -> Option<Version> {
+    let header = 1 + packet.iter().skip(1).take_while(|byte| *byte & 0x80 != 0).count() + 1;
+    match packet.get(header..header + 7) {
+        Some([0, 4, b'M', b'Q', b'T', b'T', 5]) => Some(Version::V5),
+        Some([0, 4, b'M', b'Q', b'T', b'T', 4]) => Some(Version::V3),
+        _ => None,
+    }
+}
+
+/// The first packet of a client.
+#[derive(Debug)]
+pub(super) struct Hello {
+    pub(super) version: Version,
+    pub(super) connect: Connect,
+    pub(super) will: Option<LastWill>,
+    pub(super) login: Option<Login>,
+}
+
+/// Reads a CONNECT packet; `None` if it is malformed.
+pub(super) fn read_hello(packet: &[u8], version: Version) -> Option<Hello> {
+    match read(packet, version).ok()? {
+        Packet::Connect(connect, will, login) => Some(Hello { version, connect, will, login }),
+        _ => None,
+    }
+}
+
+/// Reads one whole packet.
+pub(super) fn read(packet: &[u8], version: Version) -> Result<Packet, DisconnectReasonCode> {
+    let malformed = DisconnectReasonCode::MalformedPacket;
+    // The codec of MQTT 5 reads neither of the short forms of DISCONNECT.
+    match packet {
+        [DISCONNECT, 0] => return Ok(disconnect(DisconnectReasonCode::NormalDisconnection)),
+        [DISCONNECT, 1, reason] => {
+            return DisconnectReasonCode::try_from(*reason).map(disconnect).map_err(|_| malformed);
+        }
+        _ => {}
+    }
+    let mut bytes = BytesMut::from(packet);
+    // A panic of the codec must not end the broker: what it reads comes from strangers.
+    let read = catch_unwind(AssertUnwindSafe(|| match version {
+        Version::V5 => Packet::read(&mut bytes, None).map_err(|_| malformed),
+        Version::V3 => v4::Packet::read(&mut bytes, usize::MAX).map_err(|_| malformed).and_then(modern),
+    }));
+    read.unwrap_or(Err(malformed))
+}
+
+fn disconnect(reason_code: DisconnectReasonCode) -> Packet {
+    Packet::Disconnect(Disconnect { reason_code, properties: None })
+}
+
+/// A client's packet of MQTT 3.1.1 as one of MQTT 5.
+fn modern(packet: v4::Packet) -> Result<Packet, DisconnectReasonCode> {
+    Ok(match packet {
+        v4::Packet::Connect(connect) => modern_connect(connect),
+        v4::Packet::Publish(publish) => Packet::Publish(Publish {
+            dup: publish.dup,
+            qos: modern_qos(publish.qos),
+            retain: publish.retain,
+            topic: Bytes::from(publish.topic),
+            pkid: publish.pkid,
+            payload: publish.payload,
+            properties: None,
+        }),
+        v4::Packet::PubAck(ack) => Packet::PubAck(PubAck::new(ack.pkid, None)),
+        v4::Packet::Subscribe(subscribe) => {
+            let filters = subscribe.filters.into_iter().map(|filter| Filter {
+                path: filter.path,
+                qos: modern_qos(filter.qos),
+                nolocal: false,
+                preserve_retain: false,
+                retain_forward_rule: RetainForwardRule::OnEverySubscribe,
+            });
+            Packet::Subscribe(Subscribe {
+                pkid: subscribe.pkid,
+                filters: filters.collect(),
+                properties: None,
+            })
+        }
+        v4::Packet::Unsubscribe(unsubscribe) => Packet::Unsubscribe(Unsubscribe {
+            pkid: unsubscribe.pkid,
+            filters: unsubscribe.topics,
+            properties: None,
+        }),
+        v4::Packet::PingReq => Packet::PingReq(rumqttc::v5::mqttbytes::v5::PingReq),
+        v4::Packet::Disconnect => disconnect(DisconnectReasonCode::NormalDisconnection),
+        _ => return Err(DisconnectReasonCode::ProtocolError),
+    })
+}
+
+fn modern_connect(connect: v4::Connect) -> Packet {
+    let will = connect.last_will.map(|will| LastWill {
+        topic: Bytes::from(will.topic),
+        message: will.message,
+        qos: modern_qos(will.qos),
+        retain: will.retain,
+        properties: None,
+    });
+    let login = connect.login.map(|login| Login { username: login.username, password: login.password });
+    let session_expiry_interval = (!connect.clean_session).then_some(NEVER);
+    let modern = Connect {
+        keep_alive: connect.keep_alive,
+        client_id: connect.client_id,
+        clean_start: connect.clean_session,
+        properties: Some(ConnectProperties { session_expiry_interval, ..ConnectProperties::default() }),
+    };
+    Packet::Connect(modern, will, login)
+}
+
+fn modern_qos(qos: old::QoS) -> QoS {
+    match qos {
+        old::QoS::AtMostOnce => QoS::AtMostOnce,
+        old::QoS::AtLeastOnce => QoS::AtLeastOnce,
+        old::QoS::ExactlyOnce => QoS::ExactlyOnce,
+    }
+}
+
+/// Writes an answer of the broker. In MQTT 3.1.1 there is no DISCONNECT from a broker, so nothing is written for it.
+pub(super) fn write(packet: &Packet, version: Version, out: &mut BytesMut) {
+    // Encoding fails only for packets that are too large; answers are small.
+    let _ = match (packet, version) {
+        // The codec writes a byte more than the length that it announces.
+        (Packet::Disconnect(disconnect), Version::V5) => {
+            out.put_slice(&[DISCONNECT, 2, disconnect.reason_code as u8, 0]);
+            return;
+        }
+        (Packet::Disconnect(_), Version::V3) => return,
+        (packet, Version::V5) => packet.write(out, None).map_err(drop),
+        (packet, Version::V3) => old_packet(packet).write(out, usize::MAX).map_err(drop),
+    };
+}
+
+/// An answer of the broker as a packet of MQTT 3.1.1.
+fn old_packet(packet: &Packet) -> v4::Packet {
+    match packet {
+        Packet::ConnAck(ConnAck { session_present, code, .. }) => {
+            v4::Packet::ConnAck(v4::ConnAck::new(old_code(*code), *session_present))
+        }
+        Packet::PubAck(ack) => v4::Packet::PubAck(v4::PubAck::new(ack.pkid)),
+        Packet::SubAck(SubAck { pkid, return_codes, .. }) => {
+            let codes = return_codes.iter().map(|code| match code {
+                SubscribeReasonCode::Success(QoS::AtMostOnce) => {
+                    v4::SubscribeReasonCode::Success(old::QoS::AtMostOnce)
+                }
+                SubscribeReasonCode::Success(_) => v4::SubscribeReasonCode::Success(old::QoS::AtLeastOnce),
+                _ => v4::SubscribeReasonCode::Failure,
+            });
+            v4::Packet::SubAck(v4::SubAck::new(*pkid, codes.collect()))
+        }
+        Packet::UnsubAck(UnsubAck { pkid, .. }) => v4::Packet::UnsubAck(v4::UnsubAck::new(*pkid)),
+        _ => v4::Packet::PingResp,
+    }
+}
+
+fn old_code(code: ConnectReturnCode) -> v4::ConnectReturnCode {
+    match code {
+        ConnectReturnCode::Success => v4::ConnectReturnCode::Success,
+        ConnectReturnCode::ClientIdentifierNotValid => v4::ConnectReturnCode::BadClientId,
+        ConnectReturnCode::BadUserNamePassword => v4::ConnectReturnCode::BadUserNamePassword,
+        ConnectReturnCode::NotAuthorized => v4::ConnectReturnCode::NotAuthorized,
+        ConnectReturnCode::UnsupportedProtocolVersion => v4::ConnectReturnCode::RefusedProtocolVersion,
+        _ => v4::ConnectReturnCode::ServiceUnavailable,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn the_length_of_a_packet_is_known_from_its_header() {
+        assert_eq!(packet_bytes(&[0x30], 100), Ok(None));
+        assert_eq!(packet_bytes(&[0x30, 0x05], 100), Ok(Some(7)));
+        assert_eq!(packet_bytes(&[0x30, 0x80], 1000), Ok(None));
+        assert_eq!(packet_bytes(&[0x30, 0x80, 0x01], 1000), Ok(Some(131)));
+        assert_eq!(packet_bytes(&[0x30, 0x80, 0x01], 130), Err(DisconnectReasonCode::PacketTooLarge));
+        assert_eq!(
+            packet_bytes(&[0x30, 0xFF, 0xFF, 0xFF, 0xFF], 9),
+            Err(DisconnectReasonCode::MalformedPacket)
+        );
+        let mut out = BytesMut::from(&[0x30][..]);
+        put_length(&mut out, 321);
+        assert_eq!(packet_bytes(&out, 1000), Ok(Some(324)));
+    }
+
+    #[test]
+    fn every_form_of_disconnect_is_read() {
+        for (bytes, reason) in [
+            (&[0xE0, 0][..], DisconnectReasonCode::NormalDisconnection),
+            (&[0xE0, 1, 4][..], DisconnectReasonCode::DisconnectWithWillMessage),
+            (&[0xE0, 2, 4, 0][..], DisconnectReasonCode::DisconnectWithWillMessage),
+        ] {
+            let packet = read(bytes, Version::V5).unwrap();
+            assert_eq!(packet, disconnect(reason), "{bytes:?}");
+        }
+        let mut out = BytesMut::new();
+        write(&disconnect(DisconnectReasonCode::QuotaExceeded), Version::V5, &mut out);
+        assert_eq!(out[..], [0xE0, 2, 0x97, 0]);
+    }
+
+    /// Cut packets are malformed; the codec of MQTT 5 takes some of them for incomplete.
+    #[test]
+    fn a_packet_that_ends_too_early_is_malformed() {
+        let packet = [0x32, 7, 0, 1, b'a', 0, 1, 0, b'x'];
+        assert!(read(&packet, Version::V5).is_ok());
+        for length in 2..packet.len() - 1 {
+            let mut cut = packet[..length].to_vec();
+            cut[1] = (length - 2) as u8;
+            assert_eq!(read(&cut, Version::V5), Err(DisconnectReasonCode::MalformedPacket), "{length}");
+        }
+    }
+}

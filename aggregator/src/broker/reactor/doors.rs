@@ -1,0 +1,86 @@
+//! Where clients come in: listening sockets, and the connections that have not said hello.
+
+use std::collections::BTreeMap;
+use std::io::ErrorKind;
+use std::net::IpAddr;
+use std::sync::Arc;
+use std::time::Instant;
+
+use mio::Token;
+use mio::net::TcpListener;
+use rustls::ServerConfig;
+
+use super::super::connection::{Connection, Door, descriptors_are_lacking};
+use super::super::event::BrokerEvent;
+use super::super::socket::Socket;
+use super::Reactor;
+
+/// Connections accepted before others have their turn.
+const ACCEPTED_AT_ONCE: usize = 64;
+
+/// A listening socket.
+pub(in super::super) struct Entrance {
+    pub(in super::super) listener: TcpListener,
+    pub(in super::super) token: Token,
+    pub(in super::super) door: Door,
+    pub(in super::super) tls: Option<Arc<ServerConfig>>,
+    /// Whether connections may wait to be accepted.
+    pub(in super::super) is_ready: bool,
+}
+
+/// Limit on connections that are no clients: they have not said hello, or they are about to end.
+pub(in super::super) fn guests_max(clients_max: usize) -> usize {
+    clients_max / 8 + 16
+}
+
+impl<S: Fn(BrokerEvent)> Reactor<S> {
+    /// Accepts connections that wait.
+    pub(super) fn accept(&mut self, now: Instant) {
+        for place in 0..self.entrances.len() {
+            for _ in 0..ACCEPTED_AT_ONCE {
+                if !self.entrances[place].is_ready || !self.accept_one(place, now) {
+                    break;
+                }
+            }
+        }
+    }
+
+    /// Accepts a connection; false if none waits.
+    fn accept_one(&mut self, place: usize, now: Instant) -> bool {
+        let entrance = &mut self.entrances[place];
+        let (stream, address) = match entrance.listener.accept() {
+            Ok(accepted) => accepted,
+            Err(error) if descriptors_are_lacking(&error) => return self.send_a_guest_away(now),
+            Err(error) => {
+                entrance.is_ready = error.kind() != ErrorKind::WouldBlock;
+                return false;
+            }
+        };
+        self.last_token += 1;
+        let token = self.last_token;
+        let socket = Socket::new(stream, entrance.tls.as_ref(), self.poll.registry(), Token(token));
+        let (Ok(socket), door) = (socket, entrance.door) else { return true };
+        let connection = Connection::new(socket, door, address.ip().to_canonical(), now, &self.budget);
+        self.connections.insert(token, connection);
+        self.turns.insert(token);
+        let guests = self.connections.values().filter(|connection| !connection.is_open()).count();
+        if guests > guests_max(self.clients_max) {
+            self.send_a_guest_away(now);
+        }
+        true
+    }
+
+    /// Ends the oldest of the connections that are no clients, of the address that has the most of them. So a new one
+    /// always gets in, and an address that opens many loses its own. False if there is none.
+    fn send_a_guest_away(&mut self, now: Instant) -> bool {
+        let guests = || self.connections.iter().filter(|(_, connection)| !connection.is_open());
+        let mut counts: BTreeMap<IpAddr, usize> = BTreeMap::new();
+        guests().for_each(|(_, guest)| *counts.entry(guest.address).or_default() += 1);
+        let heaviest = counts.into_iter().max_by_key(|(_, count)| *count).map(|(address, _)| address);
+        let oldest = guests().find(|(_, guest)| Some(guest.address) == heaviest).map(|(token, _)| *token);
+        if let Some(token) = oldest {
+            self.end(token, now, false);
+        }
+        oldest.is_some()
+    }
+}

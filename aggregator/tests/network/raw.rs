@@ -1,0 +1,198 @@
+//! A client that writes and reads the bytes of MQTT 5 itself, so that it may do what well-behaved clients do not.
+
+use std::io::{ErrorKind, Read, Write};
+use std::net::{SocketAddr, TcpStream};
+use std::time::Duration;
+
+/// Time after which a wait for a packet has failed.
+const PATIENCE: Duration = Duration::from_secs(20);
+
+/// A client's connection.
+pub(crate) struct Raw {
+    stream: TcpStream,
+}
+
+/// Options of CONNECT.
+pub(crate) struct Hello<'a> {
+    pub(crate) id: &'a str,
+    pub(crate) keep_alive_s: u16,
+    pub(crate) clean: bool,
+    pub(crate) properties: &'a [u8],
+    /// Properties, topic and payload of the last will.
+    pub(crate) will: Option<(&'a [u8], &'a str, &'a [u8])>,
+    pub(crate) login: Option<(&'a str, &'a str)>,
+}
+
+impl Default for Hello<'_> {
+    fn default() -> Self {
+        Self { id: "", keep_alive_s: 60, clean: true, properties: &[], will: None, login: None }
+    }
+}
+
+impl Raw {
+    /// Opens a socket and sends nothing.
+    pub(crate) fn silent(address: SocketAddr) -> Self {
+        let stream = TcpStream::connect(address).unwrap();
+        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        stream.set_nodelay(true).unwrap();
+        Self { stream }
+    }
+
+    /// Connects, and returns the reason code of CONNACK too.
+    pub(crate) fn hello(address: SocketAddr, hello: &Hello) -> (Self, u8) {
+        let mut raw = Self::silent(address);
+        raw.send(&connect(hello));
+        let (kind, body) = raw.packet().unwrap_or((0, vec![0, 0xFF]));
+        assert!(kind == 0x20 || kind == 0, "{kind:#x} is no CONNACK");
+        (raw, body[1])
+    }
+
+    /// Connects under a client id.
+    pub(crate) fn connect(address: SocketAddr, id: &str) -> Self {
+        let (raw, code) = Self::hello(address, &Hello { id, ..Hello::default() });
+        assert_eq!(code, 0, "{id} is refused");
+        raw
+    }
+
+    pub(crate) fn send(&mut self, bytes: &[u8]) {
+        self.stream.write_all(bytes).unwrap();
+    }
+
+    /// Sends bytes, unless the broker has closed the connection; returns whether they were sent.
+    pub(crate) fn try_send(&mut self, bytes: &[u8]) -> bool {
+        self.stream.write_all(bytes).is_ok()
+    }
+
+    /// Stops sending when the broker does not read for so long.
+    pub(crate) fn give_up_after(&self, time: Duration) {
+        self.stream.set_write_timeout(Some(time)).unwrap();
+        self.stream.set_read_timeout(Some(time)).unwrap();
+    }
+
+    /// The next packet: its first byte and its body; `None` at the end of the connection.
+    pub(crate) fn packet(&mut self) -> Option<(u8, Vec<u8>)> {
+        let (kind, mut length, mut shift) = (self.byte()?, 0, 0);
+        loop {
+            let byte = self.byte()?;
+            length |= usize::from(byte & 0x7F) << shift;
+            shift += 7;
+            if byte & 0x80 == 0 {
+                break;
+            }
+        }
+        let mut body = vec![0; length];
+        self.stream.read_exact(&mut body).ok()?;
+        Some((kind, body))
+    }
+
+    fn byte(&mut self) -> Option<u8> {
+        let mut byte = [0];
+        match self.stream.read_exact(&mut byte) {
+            Ok(()) => Some(byte[0]),
+            Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {
+                panic!("the broker says nothing for {PATIENCE:?}")
+            }
+            Err(_) => None,
+        }
+    }
+
+    /// Publishes with QoS 1, and returns the reason code of the acknowledgement. Other packets are dropped.
+    pub(crate) fn publish(&mut self, topic: &str, payload: &[u8], retain: bool) -> u8 {
+        self.send(&publish(topic, payload, 1, retain, &[]));
+        loop {
+            match self.packet().unwrap() {
+                (0x40, body) => return body.get(2).copied().unwrap_or(0),
+                (0xE0, body) => panic!("disconnected: {body:?}"),
+                _ => {}
+            }
+        }
+    }
+
+    /// Subscribes with QoS 1 and waits for the answer, whose reason code it returns.
+    pub(crate) fn subscribe(&mut self, filter: &str) -> u8 {
+        self.send(&subscribe(filter));
+        loop {
+            if let (0x90, body) = self.packet().unwrap() {
+                return body[3];
+            }
+        }
+    }
+
+    /// The next message: topic and payload. It is acknowledged if it has QoS 1.
+    pub(crate) fn message(&mut self) -> (String, Vec<u8>) {
+        loop {
+            let (kind, body) = self.packet().unwrap();
+            assert_ne!(kind, 0xE0, "disconnected: {body:?}");
+            if kind >> 4 != 3 {
+                continue;
+            }
+            let length = usize::from(u16::from_be_bytes([body[0], body[1]]));
+            let topic = String::from_utf8(body[2..2 + length].to_vec()).unwrap();
+            let mut rest = &body[2 + length..];
+            if kind & 6 != 0 {
+                self.send(&[0x40, 2, rest[0], rest[1]]);
+                rest = &rest[2..];
+            }
+            let properties = usize::from(rest[0]);
+            return (topic, rest[1 + properties..].to_vec());
+        }
+    }
+
+    /// Waits for DISCONNECT, and returns its reason code.
+    pub(crate) fn farewell(&mut self) -> u8 {
+        loop {
+            if let (0xE0, body) = self.packet().expect("the connection ends without a reason") {
+                return body[0];
+            }
+        }
+    }
+}
+
+/// The bytes of CONNECT.
+pub(crate) fn connect(hello: &Hello) -> Vec<u8> {
+    let mut flags = if hello.clean { 2 } else { 0 };
+    let mut payload = text(hello.id);
+    if let Some((properties, topic, message)) = hello.will {
+        flags |= 4;
+        payload.push(properties.len() as u8);
+        payload.extend([properties, &text(topic), &(message.len() as u16).to_be_bytes(), message].concat());
+    }
+    if let Some((user, password)) = hello.login {
+        flags |= 0xC0;
+        payload.extend([text(user), text(password)].concat());
+    }
+    let [high, low] = hello.keep_alive_s.to_be_bytes();
+    let head = [0, 4, b'M', b'Q', b'T', b'T', 5, flags, high, low, hello.properties.len() as u8];
+    packet(0x10, &[&head, hello.properties, &payload])
+}
+
+/// The bytes of PUBLISH; with QoS 1 its packet id is 1.
+pub(crate) fn publish(topic: &str, payload: &[u8], qos: u8, retain: bool, properties: &[u8]) -> Vec<u8> {
+    let id: &[u8] = if qos == 0 { &[] } else { &[0, 1] };
+    let first = 0x30 | qos << 1 | u8::from(retain);
+    packet(first, &[&text(topic), id, &[properties.len() as u8], properties, payload])
+}
+
+/// The bytes of SUBSCRIBE with QoS 1.
+pub(crate) fn subscribe(filter: &str) -> Vec<u8> {
+    packet(0x82, &[&[0, 1, 0], &text(filter), &[1]])
+}
+
+fn text(text: &str) -> Vec<u8> {
+    [&(text.len() as u16).to_be_bytes(), text.as_bytes()].concat()
+}
+
+fn packet(first: u8, parts: &[&[u8]]) -> Vec<u8> {
+    let body = parts.concat();
+    let mut length = body.len();
+    let mut bytes = vec![first];
+    loop {
+        let byte = (length % 128) as u8;
+        length /= 128;
+        bytes.push(if length > 0 { byte | 0x80 } else { byte });
+        if length == 0 {
+            break;
+        }
+    }
+    [bytes, body].concat()
+}
