@@ -50,6 +50,7 @@ use std::thread::JoinHandle;
 use std::time::Instant;
 
 use cosurf_link::{BrokerAddress, Login};
+use cosurf_wire::SiteId;
 use mio::net::TcpListener;
 use mio::{Interest, Poll, Token, Waker};
 
@@ -117,11 +118,13 @@ pub struct BrokerSettings {
     pub users: Option<Users>,
     /// The certificates for TLS; `None` for no TLS.
     pub tls: Option<ServerTls>,
+    /// The site whose topics users may use; `None` for those of all sites.
+    pub site: Option<SiteId>,
 }
 
 impl Default for BrokerSettings {
     fn default() -> Self {
-        Self { clients_max: CLIENTS_MAX, memory_bytes: MEMORY_BYTES, users: None, tls: None }
+        Self { clients_max: CLIENTS_MAX, memory_bytes: MEMORY_BYTES, users: None, tls: None, site: None }
     }
 }
 
@@ -185,8 +188,12 @@ impl Broker {
         let secret = secret().map_err(failed)?;
         let takes_certificates = settings.tls.as_ref().is_some_and(|tls| tls.ca.is_some());
         let house_password = secret.to_hex().to_string();
-        let access =
-            Access { users: settings.users, takes_certificates, house_password: house_password.clone() };
+        let access = Access {
+            users: settings.users,
+            takes_certificates,
+            site: settings.site,
+            house_password: house_password.clone(),
+        };
         let poll = Poll::new().map_err(failed)?;
         let (front, address) = listen(&poll, address, 1).map_err(failed)?;
         let loopback = SocketAddr::new(Ipv4Addr::LOCALHOST.into(), 0);

@@ -143,10 +143,16 @@ impl<F: Fn(GatewayEvent)> Bridge<F> {
 
     fn pass(&mut self, topic: &str, payload: Vec<u8>) {
         match self.relay.hear_device(topic, payload) {
-            Passage::Born(identity) => {
-                self.client = Some(MqttTransport::start(self.reach.config(identity)));
-                (self.say)(GatewayEvent::OnLine { line: self.name.clone(), device: identity.device });
-            }
+            Passage::Born(identity) => match self.reach.config_of_line(identity) {
+                Ok(config) => {
+                    self.client = Some(MqttTransport::start(config));
+                    (self.say)(GatewayEvent::OnLine { line: self.name.clone(), device: identity.device });
+                }
+                Err(error) => {
+                    let (line, reason) = (self.name.clone(), format!("line_certs: {error}"));
+                    (self.say)(GatewayEvent::IgnoredOnLine { line, reason });
+                }
+            },
             Passage::Pass(message) => self.up = Some(message),
             Passage::Refuse(reason) => {
                 (self.say)(GatewayEvent::IgnoredOnLine { line: self.name.clone(), reason });

@@ -13,7 +13,7 @@ use std::time::Instant;
 use anyhow::{Context, Result};
 use clap::{Args, Parser, Subcommand};
 use cosurf_aggregator::service::{Command, Host, serve};
-use cosurf_contract::{LogFormat, log};
+use cosurf_contract::{Escaped, LogFormat, log};
 use cosurf_link::SerialConfig;
 use cosurf_link::serial::{DEFAULT_BAUD, GATEWAY_MESSAGE_BYTES};
 use serde::Serialize;
@@ -140,12 +140,12 @@ fn run(args: &RunArgs) -> Result<()> {
     }
 }
 
-/// Prints an event on a line of its own. Write errors are ignored, so that the service goes on if nobody reads its
+/// Prints an event on a line of its own, in which nothing from outside can begin another line. Write errors are ignored, so that the service goes on if nobody reads its
 /// output.
 fn show(event: &(impl Display + Serialize), json: bool) {
     let mut stdout = io::stdout().lock();
     let _ = match json {
         true => writeln!(stdout, "{}", serde_json::json!(event)),
-        false => writeln!(stdout, "{event}"),
+        false => writeln!(stdout, "{}", Escaped(event)),
     };
 }

@@ -15,11 +15,12 @@ pub const PLAIN: &str = "listener PORT 127.0.0.1\nallow_anonymous true\npersiste
                          persistence_location FOLDER/\nautosave_interval 1\n";
 
 /// The example configuration in `shared/docs`, with the placeholders `PORT` and `FOLDER` in place of its port and paths.
-/// Copies its access list to `folder`.
+/// Writes its access list, for the site `site`, to `folder`.
 pub fn example(folder: &Path) -> String {
     let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/docs");
     let text = fs::read_to_string(docs.join("mosquitto.conf")).unwrap();
-    fs::copy(docs.join("cosurf.acl"), folder.join("cosurf.acl")).unwrap();
+    let list = fs::read_to_string(docs.join("cosurf.acl")).unwrap();
+    fs::write(folder.join("cosurf.acl"), list.replace("quarry", "site")).unwrap();
     for line in ["listener 8883", "/etc/mosquitto/certs", "/etc/mosquitto", "/var/lib/mosquitto"] {
         assert!(text.contains(line), "{line}");
     }
@@ -70,6 +71,13 @@ impl Mosquitto {
         self.child.wait().unwrap();
     }
 
+    /// Lets the broker read its access list again.
+    pub fn reload(&self) {
+        let id = self.child.id().to_string();
+        assert!(Command::new("kill").args(["-HUP", &id]).status().unwrap().success());
+        std::thread::sleep(Duration::from_millis(200));
+    }
+
     /// Starts the broker again on the same port and folder.
     pub fn start_again(&mut self) {
         self.child = spawn(&self.config).unwrap();
@@ -114,6 +122,7 @@ impl Authority {
     pub fn new(folder: &Path) -> Self {
         let authority = Self(folder.to_owned());
         fs::write(folder.join("index.txt"), "").unwrap();
+        fs::write(folder.join("crlnumber"), "01\n").unwrap();
         fs::write(folder.join("ca.cnf"), authority.configuration()).unwrap();
         fs::write(folder.join("server.ext"), "subjectAltName=IP:127.0.0.1,DNS:localhost\n").unwrap();
         fs::write(folder.join("client.ext"), "extendedKeyUsage=clientAuth\n").unwrap();
@@ -154,7 +163,7 @@ impl Authority {
         let folder = self.0.display();
         format!(
             "[ca]\ndefault_ca=d\n[d]\ndatabase={folder}/index.txt\ncertificate={folder}/ca.pem\n\
-             private_key={folder}/ca.key\ndefault_md=sha256\ndefault_crl_days=30\nserial={folder}/serial\n"
+             private_key={folder}/ca.key\ndefault_md=sha256\ndefault_crl_days=30\nserial={folder}/serial\ncrlnumber={folder}/crlnumber\n"
         )
     }
 

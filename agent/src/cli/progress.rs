@@ -4,7 +4,7 @@
 use std::io::{IsTerminal, Write};
 use std::time::{Duration, Instant};
 
-use cosurf_contract::{AgentEvent, ComparedWith, counted};
+use cosurf_contract::{AgentEvent, ComparedWith, Escaped, counted};
 use cosurf_engine::train::StepOutcome;
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -101,7 +101,7 @@ impl Progress {
             Style::Lines => {
                 if let Some(line) = describe(event) {
                     // `eprintln!` would panic on a closed pipe and end the training.
-                    let _ = writeln!(std::io::stderr(), "{line}");
+                    let _ = writeln!(std::io::stderr(), "{}", Escaped(line));
                 }
             }
         }
@@ -120,7 +120,7 @@ fn show_bar(bar: &ProgressBar, event: &AgentEvent) {
         AgentEvent::Trained { .. } => bar.finish(),
         _ => {
             if let Some(line) = describe(event) {
-                bar.println(line);
+                bar.println(Escaped(line).to_string());
             }
         }
     }

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use argon2::Argon2;
 use argon2::password_hash::PasswordHasher;
 use argon2::password_hash::phc::PasswordHash;
-use cosurf_wire::DeviceId;
+use cosurf_wire::{DeviceId, SiteId};
 use rumqttc::v5::mqttbytes::v5::Login;
 
 use super::client::User;
@@ -17,10 +17,11 @@ use super::topics::{covers, matches};
 
 pub(super) use verifier::{Job, Verifier};
 
-/// Topics that a user may write; `%u` stands for the user's name. The same as in `cosurf.acl`.
-const WRITES: [&str; 4] = ["gs/v1/+/%u/state", "gs/v1/+/%u/flight", "gs/v1/+/%u/up/#", "gs/v1/+/%u/global/+"];
+/// Topics that a user may write: `%s` stands for the site, `%u` for the user's name. The same as in `cosurf.acl`.
+const WRITES: [&str; 4] =
+    ["gs/v1/%s/%u/state", "gs/v1/%s/%u/flight", "gs/v1/%s/%u/up/#", "gs/v1/%s/%u/global/+"];
 /// Topics that a user may read.
-const READS: [&str; 3] = ["gs/v1/+/%u/dn/#", "gs/v1/+/global/#", "gs/v1/+/+/flight"];
+const READS: [&str; 3] = ["gs/v1/%s/%u/dn/#", "gs/v1/%s/global/#", "gs/v1/%s/+/flight"];
 /// Largest file of users, bytes.
 const FILE_BYTES_MAX: u64 = 4 << 20;
 /// Longest password, bytes.
@@ -96,6 +97,8 @@ pub(super) struct Access {
     pub(super) users: Option<Users>,
     /// Whether a certificate is accepted: its common name is the user.
     pub(super) takes_certificates: bool,
+    /// The site whose topics users may use; `None` for those of all sites.
+    pub(super) site: Option<SiteId>,
     /// The password of the parts of this program.
     pub(super) house_password: String,
 }
@@ -146,18 +149,17 @@ impl Access {
     }
 
     pub(super) fn may_publish(&self, user: &User, topic: &str) -> bool {
-        allows(user, &WRITES, |pattern| matches(topic, pattern))
+        self.allows(user, &WRITES, |pattern| matches(topic, pattern))
     }
 
     pub(super) fn may_subscribe(&self, user: &User, filter: &str) -> bool {
-        allows(user, &READS, |pattern| covers(pattern, filter))
+        self.allows(user, &READS, |pattern| covers(pattern, filter))
     }
-}
 
-fn allows(user: &User, patterns: &[&str], is_match: impl Fn(&str) -> bool) -> bool {
-    match user {
-        User::Stranger | User::House => true,
-        User::Named(name) => patterns.iter().any(|pattern| is_match(&pattern.replace("%u", name))),
+    fn allows(&self, user: &User, patterns: &[&str], is_match: impl Fn(&str) -> bool) -> bool {
+        let User::Named(name) = user else { return true };
+        let site = self.site.as_ref().map_or("+", SiteId::as_str);
+        patterns.iter().any(|pattern| is_match(&pattern.replace("%s", site).replace("%u", name)))
     }
 }
 
@@ -172,4 +174,22 @@ pub struct ServerTls {
     pub ca: Option<PathBuf>,
     /// List of revoked certificates.
     pub revoked: Option<PathBuf>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The rules for Mosquitto and those of this broker are the same.
+    #[test]
+    fn the_access_list_for_mosquitto_has_the_same_topics() {
+        let list = include_str!("../../../shared/docs/cosurf.acl");
+        let patterns = |word: &str| -> Vec<String> {
+            let start = format!("pattern {word} ");
+            let lines = list.lines().filter_map(|line| line.strip_prefix(&start));
+            lines.map(|topic| topic.replace("/quarry/", "/%s/")).collect()
+        };
+        assert_eq!(patterns("write"), WRITES);
+        assert_eq!(patterns("read"), READS);
+    }
 }

@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use rustls::pki_types::pem::{self, PemObject};
 use rustls::pki_types::{CertificateDer, CertificateRevocationListDer, PrivateKeyDer};
-use rustls::server::WebPkiClientVerifier;
 use rustls::server::danger::ClientCertVerifier;
+use rustls::server::{VerifierBuilderError, WebPkiClientVerifier};
 use rustls::{RootCertStore, ServerConfig, ServerConnection};
 
 use super::access::ServerTls;
@@ -72,7 +72,12 @@ fn verifier(
     if or_password {
         builder = builder.allow_unauthenticated();
     }
-    builder.build().map_err(|cause| invalid(ca, cause))
+    builder.build().map_err(|cause| match (&cause, &files.revoked) {
+        (VerifierBuilderError::InvalidCrl(_), Some(revoked)) => {
+            invalid(revoked, format!("{cause}; make it with a `crlnumber`, as OPERATING.md shows"))
+        }
+        _ => invalid(ca, cause),
+    })
 }
 
 fn certificates(path: &Path) -> Result<Vec<CertificateDer<'static>>, BrokerTlsError> {

@@ -7,6 +7,7 @@
 
 use std::collections::{BTreeSet, VecDeque};
 
+use cosurf_contract::Escaped;
 use cosurf_link::{Identity, Outgoing, Role};
 use cosurf_wire::{ChunkStatus, DeviceId, Message, ModelId, Reply, SiteId, State, Topic, Want};
 
@@ -62,7 +63,7 @@ impl Relay {
 
     /// Handles a message from the device. The device may publish only under its own name.
     pub(super) fn hear_device(&mut self, topic: &str, payload: Vec<u8>) -> Passage {
-        let refuse = |reason: &str| Passage::Refuse(format!("{topic}: {reason}"));
+        let refuse = |reason: &str| Passage::Refuse(format!("{}: {reason}", Escaped(topic)));
         let (site, parsed) = match Topic::parse(topic) {
             Ok(parsed) => parsed,
             Err(error) => return refuse(&error.to_string()),

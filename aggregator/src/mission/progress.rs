@@ -10,7 +10,7 @@ use serde_json::json;
 use super::agents::{ProcessEvent, ProcessEventKind};
 use super::board::{Phase, Status};
 use crate::terminal::{Display, format_seconds};
-use cosurf_contract::counted;
+use cosurf_contract::{Escaped, counted};
 
 /// Seconds between two rounds of plain lines.
 const LINES_EVERY_S: f64 = 5.0;
@@ -48,6 +48,7 @@ impl Progress {
 
     /// Prints an unusual event at once.
     pub(crate) fn notice(&self, line: &str) {
+        let line = Escaped(line).to_string();
         let shown = match self.display {
             Display::Bars => self.bars.println(line),
             Display::Lines | Display::Json => writeln!(io::stderr(), "{line}"),

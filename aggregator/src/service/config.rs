@@ -49,6 +49,9 @@ pub struct AggregatorConfig {
     /// With `broker`: file of the password for the broker; its user is `device`. If absent, the environment variable
     /// `COSURF_PASSWORD` counts, if it is set.
     pub password_file: Option<PathBuf>,
+    /// With `broker`: folder with the certificates of the devices on radios, `NAME.pem` and `NAME.key` for each device
+    /// NAME. Absent to connect for these devices with the aggregator's own certificate, which not all brokers allow.
+    pub line_certs: Option<PathBuf>,
     /// Name of the world frame of the coordinates; only models of this frame are merged. Absent for `local`: then a
     /// model that shares no ground with the others is kept out, because its frame may be another one.
     pub frame: Option<FrameId>,

@@ -7,6 +7,7 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, TryRecvError};
 use std::time::Duration;
 
+use cosurf_contract::Escaped;
 use cosurf_link::{ModelKey, ModelStore, Node, NodeEvent, Offer, Receiver as Listed};
 use cosurf_scene::ply;
 use cosurf_wire::{DeviceId, ModelHeader, ModelId, ModelKind, RefusalReason, TileId};
@@ -151,7 +152,7 @@ impl Keeper {
             NodeEvent::Disconnected { attempt, reason } => ServiceEvent::Disconnected { attempt, reason },
             NodeEvent::Store { header, body } => self.store(node, header, &body, now),
             NodeEvent::Ignored { topic, reason } => {
-                ServiceEvent::Ignored { reason: format!("{topic}: {reason}") }
+                ServiceEvent::Ignored { reason: format!("{}: {reason}", Escaped(topic)) }
             }
             NodeEvent::Uploaded(key, _) if key.model.is_tile() => return None,
             NodeEvent::Uploaded(..) if self.rebroadcast.is_running() => {

@@ -282,7 +282,7 @@ fn start_upstream(
     let tls = Tls::for_broker(&broker, above.tls.as_ref()).map_err(ServeError::UpstreamTls)?;
     let identity = Identity { site: above.site, device: above.device, session, role: Role::Device };
     let login = login(above.device, above.password_file.as_deref())?;
-    let reach = Reach { broker, tls, login };
+    let reach = Reach { tls, login, ..Reach::plain(broker) };
     let (node, link) = UpstreamNode::open(identity, credentials, &config.out, inbox_limits(config))
         .map_err(ServiceError::from)?;
     Ok((Upstream::start(node, reach.config(identity), now, say), link))
@@ -323,7 +323,8 @@ fn reach_broker(
             let files = config.tls.as_ref().map(TlsConfig::of_client).transpose()?;
             let tls = Tls::for_broker(address, files.as_ref()).map_err(ServeError::Tls)?;
             let login = login(config.device, config.password_file.as_deref())?;
-            Ok((None, Reach { broker: address.clone(), tls, login }))
+            let lines = config.line_certs.clone().zip(files.map(|files| files.ca));
+            Ok((None, Reach { broker: address.clone(), tls, login, lines }))
         }
         _ => Err(ServeError::OneBroker),
     }
@@ -343,6 +344,7 @@ fn start_broker(
         memory_bytes: config.broker_memory_bytes,
         users: config.users.as_deref().map(Users::read).transpose()?,
         tls: config.tls.as_ref().map(TlsConfig::of_server).transpose()?,
+        site: Some(config.site),
     };
     if settings.is_open() && !bind.ip().is_loopback() && !config.open {
         return Err(ServeError::Open(bind));

@@ -1,9 +1,6 @@
 //! Attacks on the built-in broker, each a test by its number.
 
-use std::fs;
-use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener, TcpStream};
-use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::sync::mpsc;
 use std::thread::sleep;
 use std::time::{Duration, Instant};
@@ -11,66 +8,13 @@ use std::time::{Duration, Instant};
 use cosurf_aggregator::broker::{Broker, BrokerEvent, BrokerSettings, MEMORY_BYTES_MIN};
 use cosurf_link::Role;
 use cosurf_tests::offers::identity;
-use cosurf_tests::usage::peak_bytes;
 
-use crate::raw::{Hello, Raw, connect, publish, subscribe};
+use crate::ground::{BOUND, Ground};
+use crate::raw::{AN_HOUR, Hello, Raw, connect, publish, subscribe};
 use crate::station::loopback;
 
 /// MQTT 5's reason code "quota exceeded".
 const QUOTA_EXCEEDED: u8 = 0x97;
-/// A session that outlives its connection by an hour: the property of CONNECT.
-const AN_HOUR: [u8; 5] = [0x11, 0, 0, 0x0E, 0x10];
-/// Bound of the broker in these tests, bytes.
-const BOUND: u64 = MEMORY_BYTES_MIN as u64;
-
-/// `cosurf-aggregator run` with a broker whose memory is [`BOUND`]; killed when dropped.
-struct Ground {
-    child: Child,
-    address: SocketAddr,
-    /// Peak resident memory before the attack, bytes.
-    before: u64,
-}
-
-impl Ground {
-    fn start(folder: &Path) -> Self {
-        let address = TcpListener::bind(loopback()).unwrap().local_addr().unwrap();
-        let (config, out) = (folder.join("aggregator.toml"), folder.join("out"));
-        let text = format!(
-            "site = \"site\"\nout = \"{}\"\nbind = \"{address}\"\nbroker_memory_bytes = {BOUND}\n",
-            out.display()
-        );
-        fs::write(&config, text).unwrap();
-        let mut command = Command::new(env!("CARGO_BIN_EXE_cosurf-aggregator"));
-        command.args(["run", "--config"]).arg(config).stdin(Stdio::null()).stdout(Stdio::null());
-        let mut ground = Self { child: command.spawn().unwrap(), address, before: 0 };
-        let begun = Instant::now();
-        while TcpStream::connect(address).is_err() {
-            assert!(begun.elapsed() < Duration::from_secs(20), "the broker does not listen");
-            sleep(Duration::from_millis(10));
-        }
-        // A first client, so that what the first one takes is not counted.
-        Raw::connect(address, "first").publish("warm", &[0; 1000], false);
-        ground.before = peak_bytes(ground.child.id()).unwrap();
-        ground
-    }
-
-    /// Bytes that the attack has taken at its peak.
-    fn taken(&self) -> u64 {
-        peak_bytes(self.child.id()).unwrap() - self.before
-    }
-
-    /// Number of entries in a folder of `/proc` of the process.
-    fn count(&self, folder: &str) -> usize {
-        fs::read_dir(format!("/proc/{}/{folder}", self.child.id())).unwrap().count()
-    }
-}
-
-impl Drop for Ground {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
-}
 
 /// The bound counts what the broker keeps; the allocator and the thread's own buffers come on top.
 fn is_within_bound(bytes: u64) -> bool {
@@ -285,4 +229,19 @@ fn attack_17_a_slow_subscriber_slows_nobody() {
     assert!(matches!(event, BrokerEvent::Slow { .. }), "{event:?}");
     assert!(event.to_string().contains("slow\\u{1b}[31m takes"), "{event}");
     assert_eq!(slow.farewell(), QUOTA_EXCEEDED);
+}
+
+#[test]
+fn attack_16_topics_do_not_write_lines() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut ground = Ground::start(folder.path());
+    let topic = "gs/v1/site/x\nglobal model, revision 9\u{1b}[2J\u{9b}1m\u{202e}/state";
+    Raw::connect(ground.address, "attacker").publish(topic, b"x", false);
+    let lines = ground.lines_until("ignored");
+    assert!(
+        lines.iter().all(|line| !line.starts_with("global model") && !line.contains('\u{1b}')),
+        "{lines:?}"
+    );
+    let shown = "gs/v1/site/x\\nglobal model, revision 9\\u{1b}[2J\\u{9b}1m\\u{202e}/state";
+    assert!(lines.last().unwrap().contains(shown), "{lines:?}");
 }

@@ -7,6 +7,9 @@ use std::time::Duration;
 /// Time after which a wait for a packet has failed.
 const PATIENCE: Duration = Duration::from_secs(20);
 
+/// A session that outlives its connection by an hour: the property of CONNECT.
+pub(crate) const AN_HOUR: [u8; 5] = [0x11, 0, 0, 0x0E, 0x10];
+
 /// A client's connection.
 pub(crate) struct Raw {
     stream: TcpStream,
@@ -45,6 +48,15 @@ impl Raw {
         let (kind, body) = raw.packet().unwrap_or((0, vec![0, 0xFF]));
         assert!(kind == 0x20 || kind == 0, "{kind:#x} is no CONNACK");
         (raw, body[1])
+    }
+
+    /// Whether the broker had a session of the client: connects, and returns that.
+    pub(crate) fn resume(address: SocketAddr, hello: &Hello) -> (Self, bool) {
+        let mut raw = Self::silent(address);
+        raw.send(&connect(hello));
+        let (kind, body) = raw.packet().unwrap();
+        assert_eq!((kind, body[1]), (0x20, 0));
+        (raw, body[0] == 1)
     }
 
     /// Connects under a client id.
@@ -136,6 +148,14 @@ impl Raw {
             let properties = usize::from(rest[0]);
             return (topic, rest[1 + properties..].to_vec());
         }
+    }
+
+    /// Whether no packet comes for so long.
+    pub(crate) fn is_silent_for(&mut self, time: Duration) -> bool {
+        self.stream.set_read_timeout(Some(time)).unwrap();
+        let read = self.stream.peek(&mut [0]);
+        self.stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        read.is_err()
     }
 
     /// Waits for DISCONNECT, and returns its reason code.

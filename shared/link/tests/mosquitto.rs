@@ -68,6 +68,7 @@ fn fault_17_expired_revoked_and_foreign_certificates() {
             broker: broker.address.clone(),
             identity: identity(Role::Device, "drone"),
             tls,
+            login: None,
         })
     };
     assert_eq!(connect(&good), TransportEvent::Connected);
@@ -137,4 +138,39 @@ fn the_example_configuration_passes_models_and_blocks_forgeries() {
     println!("{} bytes by TLS in {:?}", body.len(), begun.elapsed());
     assert_eq!(*ground.bodies.lock().unwrap(), [body]);
     assert_eq!(*ground.announced.lock().unwrap(), [ModelId(1)], "the forged announcement was delivered");
+}
+
+/// A thief with a certificate of its own uses the aggregator's client id, and another site.
+#[test]
+fn attack_14_name_client_id_and_device_are_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let authority = Authority::new(folder.path());
+    let [ground_files, thief_files] = ["aggregator", "thief"].map(|name| authority.client(name, name, 30));
+    let settings = example(folder.path());
+    let Some(broker) = Mosquitto::start(folder.path(), &settings, true) else { return };
+    let connect = |identity, files| {
+        let (broker, tls) = (broker.address.clone(), Some(tls(files)));
+        let mut transport = MqttTransport::start(MqttConfig { broker, identity, tls, login: None });
+        assert_eq!(transport.poll(Duration::from_secs(20)), Some(TransportEvent::Connected));
+        transport
+    };
+    let at_site = identity(Role::Aggregator, "ground");
+    let mut ground = connect(at_site, &ground_files);
+    let thief = connect(at_site, &thief_files);
+    let event = ground.poll(Duration::from_secs(1));
+    assert_eq!(event, None, "the thief has taken the place of the aggregator");
+    drop((thief, ground));
+    // The aggregator may read another site, but the thief may not write there, not even under its own name.
+    let list = folder.path().join("cosurf.acl");
+    let text = std::fs::read_to_string(&list).unwrap();
+    let wider = text.replace("topic readwrite gs/v1/site/#", "topic readwrite gs/v1/#");
+    assert_ne!(text, wider);
+    std::fs::write(&list, wider).unwrap();
+    broker.reload();
+    let elsewhere = cosurf_wire::SiteId::new("elsewhere").unwrap();
+    let mut ground = connect(Identity { site: elsewhere, ..at_site }, &ground_files);
+    let mut thief = connect(identity(Role::Device, "thief"), &thief_files);
+    let topic = Topic::State { device: DeviceId::new("thief").unwrap() }.to_text(&elsewhere);
+    thief.publish(&Outgoing { topic, payload: vec![1], retain: false }).unwrap();
+    assert_eq!(ground.poll(Duration::from_secs(1)), None, "the thief writes on another site");
 }
