@@ -108,6 +108,8 @@ fn programs_understand_their_commands_and_fit_into_their_containers() {
         assert!(fits(memory, limits[1]), "{name}: {memory} of {} bytes", limits[1]);
         assert_eq!(option(worker, "--queue"), Some(workers.queue.as_str()), "{name}");
         assert_eq!(option(worker, "--tiles"), Some(workers.tiles.as_str()), "{name}");
+        let users = config.users.as_ref().unwrap().parent().unwrap();
+        assert!(text.contains(users.to_str().unwrap()), "{name}: the users are in a volume");
         assert!(text.contains(config.out.to_str().unwrap()), "{name}: the site's folder is a volume");
     }
     let wrong = ["cosurf-aggregator", "worker", "--memori", "1GiB"].map(String::from);

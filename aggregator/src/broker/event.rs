@@ -25,7 +25,7 @@ pub enum BrokerEvent {
     MemoryFull {
         /// The limit, bytes.
         memory_bytes: usize,
-        /// Messages of clients that kept the most, dropped since the last report.
+        /// Messages that were dropped or refused since the last report.
         dropped: u64,
     },
     /// A client takes its messages too slowly and is disconnected.
@@ -61,8 +61,8 @@ impl fmt::Display for BrokerEvent {
             }
             Self::MemoryFull { memory_bytes, dropped } => write!(
                 f,
-                "broker: its memory of {} MiB is full: {} dropped, others refused; raise `broker_memory_bytes`, or find \
-                 the client that publishes so much",
+                "broker: its memory of {} MiB is full: {} dropped or refused; raise `broker_memory_bytes`, or find the \
+                 client that publishes so much",
                 memory_bytes >> 20,
                 counted(*dropped, "message")
             ),

@@ -59,7 +59,7 @@ pub(super) struct Reactor<S> {
     /// Connections whose message waits, the longest wait first.
     blocked: VecDeque<usize>,
     teller: Teller<S>,
-    /// Messages that were dropped for lack of memory and are not yet reported.
+    /// Messages that were dropped or refused for lack of memory and are not yet reported.
     dropped: u64,
     scratch: Box<[u8]>,
 }
@@ -218,7 +218,9 @@ impl<S: Fn(BrokerEvent)> Reactor<S> {
             let Some(connection) = self.connections.get_mut(&token) else { continue };
             let Some((publish, until)) = connection.blocked.take() else { continue };
             self.hand_on(token, now, publish, until);
-            self.turns.insert(token);
+            if self.connections.get(&token).is_some_and(|connection| !connection.is_paused()) {
+                self.turns.insert(token);
+            }
         }
     }
 
@@ -239,7 +241,7 @@ impl<S: Fn(BrokerEvent)> Reactor<S> {
                 }
             }
         }
-        self.dropped += self.router.take_relieved();
+        self.dropped += self.router.take_lost();
         if self.dropped > 0 {
             let memory_bytes = self.budget.max();
             if self.teller.tell(now, BrokerEvent::MemoryFull { memory_bytes, dropped: self.dropped }) {

@@ -37,6 +37,9 @@ const QUEUE_BYTES_MAX: usize = 16 << 20;
 /// Share of the whole memory that one client's queue may take, as a divisor.
 const QUEUE_DIVISOR: usize = 4;
 
+/// How often retained messages that have expired are forgotten. They are not delivered in any case.
+const PURGE_EVERY: Duration = Duration::from_secs(10);
+
 /// The whole state of the broker.
 #[derive(Debug)]
 pub(super) struct Router {
@@ -52,8 +55,10 @@ pub(super) struct Router {
     ready: BTreeSet<usize>,
     /// The client whose messages are refused for the moment, because it keeps the most, and until when.
     refusing: Option<(Client, Instant)>,
-    /// Clients that have lost messages because the memory was full, since the last [`Self::take_relieved`].
-    relieved: u64,
+    /// Messages that were dropped or refused because the memory was full, since the last [`Self::take_lost`].
+    lost: u64,
+    /// When retained messages that have expired are next forgotten.
+    next_purge: Option<Instant>,
 }
 
 /// How a message was taken.
@@ -78,7 +83,8 @@ impl Router {
             known: BTreeSet::new(),
             ready: BTreeSet::new(),
             refusing: None,
-            relieved: 0,
+            lost: 0,
+            next_purge: None,
         }
     }
 
@@ -123,9 +129,9 @@ impl Router {
         std::mem::take(&mut self.ready)
     }
 
-    /// Number of messages that were dropped for lack of memory since the last call.
-    pub(super) fn take_relieved(&mut self) -> u64 {
-        std::mem::take(&mut self.relieved)
+    /// Number of messages that were dropped or refused for lack of memory since the last call.
+    pub(super) fn take_lost(&mut self) -> u64 {
+        std::mem::take(&mut self.lost)
     }
 
     /// Writes what a connection sends next to `out`, about `bytes_max` bytes at most. Returns whether there is more.
@@ -232,6 +238,7 @@ impl Router {
         // A message that removes a retained one is never refused.
         let removes = publish.retain && publish.payload.is_empty();
         if !self.make_room(client, now, cost(publish) + RETAINED_BYTES) && !removes {
+            self.lost += 1;
             return PubAckReason::QuotaExceeded;
         }
         let message = Arc::new(Message::new(&self.budget, now, topic, publish));
@@ -265,7 +272,10 @@ impl Router {
     pub(super) fn tick(&mut self, now: Instant) {
         self.publish_wills(now);
         self.forget_expired(now);
-        self.retained.drop_expired(now);
+        if self.next_purge.is_none_or(|at| at <= now) {
+            self.retained.drop_expired(now);
+            self.next_purge = Some(now + PURGE_EVERY);
+        }
     }
 
     fn publish_wills(&mut self, now: Instant) {

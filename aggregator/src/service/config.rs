@@ -287,7 +287,7 @@ mod tests {
             ("bind = 1883", "line 3, bind: "),
             ("broker = \"http://h\"", "line 3, broker: broker address \"http://h\": write mqtt://host:port"),
             ("device = \"a b\"", "line 3, device: ' ' in a name"),
-            ("tls = { cart = \"c\" }", "line 3, tls.cart: unknown field `cart`"),
+            ("tls = { cart = \"c\" }", "line 3, tls: unknown field `cart`"),
             ("broker_memory_bytes = 1_000_000", "line 3, broker_memory_bytes: give at least 16777216 bytes"),
             ("compute = \"cuda\"", "line 3, compute: give auto, cpu, gpu or gpu:N"),
             (

@@ -151,3 +151,57 @@ fn a_session_of_mqtt_3_1_1_waits_for_its_client() {
     mortal.wait().unwrap();
     assert_eq!(read_line(&mut heir), "gone");
 }
+
+/// Bytes that look like random ones, the same in every run.
+struct Noise(u64);
+
+impl Noise {
+    fn next(&mut self) -> u64 {
+        self.0 ^= self.0 << 13;
+        self.0 ^= self.0 >> 7;
+        self.0 ^= self.0 << 17;
+        self.0
+    }
+}
+
+/// One thread serves everybody, so no packet may end it.
+#[test]
+fn damaged_packets_end_only_their_own_connection() {
+    let broker = Broker::start(loopback()).unwrap();
+    let mut noise = Noise(7);
+    let hello =
+        crate::raw::connect(&Hello { id: "é", will: Some((&[1, 1], "é", b"x")), ..Hello::default() });
+    let packets = [
+        publish("é/ü", b"payload", 1, true, &[2, 0, 0, 0, 9, 38, 0, 1, b'k', 0, 1, b'v']),
+        subscribe("é/+"),
+        vec![0xA2, 7, 0, 1, 0, 0, 2, 0xC3, 0xA9],
+        vec![0x40, 4, 0, 1, 0, 0],
+        vec![0xE0, 7, 4, 5, 0x11, 0, 0, 0, 9],
+        vec![0xC0, 0],
+        vec![0xF0, 2, 0, 0],
+        hello.clone(),
+    ];
+    for round in 0..4000 {
+        let mut bytes = if round % 4 == 0 { Vec::new() } else { hello.clone() };
+        for _ in 0..1 + noise.next() % 4 {
+            let mut packet = packets[noise.next() as usize % packets.len()].clone();
+            for _ in 0..noise.next() % 4 {
+                let place = noise.next() as usize % packet.len();
+                packet[place] = noise.next() as u8;
+            }
+            packet.truncate(packet.len() - noise.next() as usize % 2);
+            bytes.extend(packet);
+        }
+        if round % 2 == 1 {
+            // MQTT 3.1.1
+            if let Some(level) = bytes.get_mut(8) {
+                *level = 4;
+            }
+        }
+        Raw::silent(broker.address()).try_send(&bytes);
+    }
+    let mut honest = Raw::connect(broker.address(), "honest");
+    honest.subscribe("honest");
+    honest.send(&publish("honest", b"x", 0, false, &[]));
+    assert_eq!(honest.message(), ("honest".to_owned(), b"x".to_vec()));
+}

@@ -38,3 +38,24 @@ pub fn read_password(file: Option<&Path>) -> Result<Option<String>, PasswordErro
         Some(password) => Ok(Some(password.to_owned())),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn a_password_is_the_first_line_of_its_file() {
+        let path = env::temp_dir().join(format!("cosurf-password-{}", std::process::id()));
+        let missing = read_password(Some(&path)).unwrap_err().to_string();
+        assert!(missing.starts_with("password_file: ") && missing.contains("cosurf-password"), "{missing}");
+        for (text, password) in
+            [("secret words\r\nmore\n", Some("secret words")), ("\nsecret", None), ("", None)]
+        {
+            fs::write(&path, text).unwrap();
+            let read = read_password(Some(&path)).ok().flatten();
+            assert_eq!(read.as_deref(), password, "{text:?}");
+        }
+        fs::remove_file(&path).unwrap();
+    }
+}

@@ -71,7 +71,7 @@ impl Router {
                 }
                 break;
             }
-            self.relieved += 1;
+            self.lost += 1;
         }
         self.budget.used() <= goal
     }

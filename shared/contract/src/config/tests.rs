@@ -118,8 +118,8 @@ fn a_wrong_value_is_one_line_that_names_line_and_field() {
         ("baud = 0", "line 7, baud: "),
         ("views = [\n    \"a.jpg\",\n    7,\n]", "line 9, views: "),
         ("[tls]\nca = \"ca.pem\"\ncert = 7", "line 9, tls.cert: "),
-        ("[tls]\nca = \"ca.pem\"", "line 7, tls: missing field `cert`"),
-        ("tls = { ca = \"c\" }", "line 7, tls: missing field `cert`"),
+        ("[tls]\ncert = \"c.pem\"", "line 7, tls: missing field `ca`"),
+        ("tls = { cert = \"c\" }", "line 7, tls: missing field `ca`"),
         ("stesp = 7", "line 7, stesp: unknown field `stesp`"),
         ("steps 7", "line 6, steps: "),
     ] {
@@ -149,6 +149,8 @@ fn fields_that_contradict_each_other_are_refused() {
     let serial = REQUIRED.replace("broker = \"b\"", "serial = \"/dev/ttyUSB0\"");
     let tls = refused(&format!("{serial}[tls]\nca = \"a\"\ncert = \"b\"\nkey = \"c\"\n"));
     assert!(tls.contains("remove it") && tls.contains("mqtts"), "{tls}");
+    let password = refused(&format!("{serial}password_file = \"p\"\n"));
+    assert!(password.contains("password_file") && password.contains("remove it"), "{password}");
     let with_baud = AgentConfig::from_toml(&format!("{serial}baud = 9600\n")).unwrap();
     assert_eq!(AgentConfig::from_toml(&toml::to_string(&with_baud).unwrap()).unwrap(), with_baud);
     let unsigned = refused(&format!("{REQUIRED}compress = true\ntrusted = \"list\"\n"));
