@@ -29,6 +29,7 @@
 mod access;
 mod client;
 mod connection;
+mod entrance;
 mod event;
 mod memory;
 mod message;
@@ -61,8 +62,9 @@ pub use tls::BrokerTlsError;
 
 use access::{Access, Verifier};
 use connection::Door;
+use entrance::{Entrance, guests_max};
 use event::Teller;
-use reactor::{Command, Entrance, Parts, Reactor, WAKER, guests_max};
+use reactor::{Command, Parts, Reactor, WAKER};
 
 /// Why the broker did not start.
 #[derive(Debug, thiserror::Error)]

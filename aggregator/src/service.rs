@@ -55,7 +55,7 @@ mod tests;
 mod upstream;
 
 pub(crate) use above::AboveLink;
-pub use config::{AggregatorConfig, UpstreamConfig};
+pub use config::{AggregatorConfig, TlsConfig, UpstreamConfig, WrongTls};
 pub(crate) use control::BROKER_ATTEMPTS_MAX;
 pub use control::{Command, ServiceConfig};
 pub use error::ServiceError;

@@ -1,6 +1,6 @@
 //! One client's connection: its socket, its buffers, and how far it has come.
 
-use std::io::{self, ErrorKind};
+use std::io::ErrorKind;
 use std::net::IpAddr;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -269,10 +269,4 @@ pub(super) enum Fault {
     Slow,
     /// The client was silent for longer than its keep-alive.
     Silent,
-}
-
-/// The error of a socket that has none to give.
-pub(super) fn descriptors_are_lacking(error: &io::Error) -> bool {
-    // EMFILE and ENFILE have no kind of their own.
-    cfg!(unix) && matches!(error.raw_os_error(), Some(23 | 24))
 }

@@ -17,11 +17,10 @@ use rumqttc::v5::mqttbytes::v5::DisconnectReasonCode;
 
 use super::access::{Access, Verifier};
 use super::connection::{Connection, Fault, Stage};
+use super::entrance::Entrance;
 use super::event::{BrokerEvent, Teller};
 use super::memory::Budget;
 use super::router::Router;
-
-pub(super) use doors::{Entrance, guests_max};
 
 /// The token that wakes the thread for a command.
 pub(super) const WAKER: Token = Token(0);

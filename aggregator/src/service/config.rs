@@ -13,7 +13,6 @@ use serde::de::Error;
 use serde::{Deserialize, Deserializer};
 
 use super::round::Rounds;
-use super::serve::ServeError;
 use crate::broker::{CLIENTS_MAX, MEMORY_BYTES, MEMORY_BYTES_MIN, ServerTls};
 use crate::merge::MergeSettings;
 
@@ -134,24 +133,28 @@ pub struct TlsConfig {
     pub revoked: Option<PathBuf>,
 }
 
+/// A certificate that is missing for the use that is made of it, or that has none.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{0}")]
+pub struct WrongTls(&'static str);
+
 impl TlsConfig {
     /// The files of a client.
-    pub(super) fn of_client(&self) -> Result<TlsFiles, ServeError> {
+    pub(super) fn of_client(&self) -> Result<TlsFiles, WrongTls> {
         if self.revoked.is_some() {
-            return Err(ServeError::NotBuiltIn("tls.revoked"));
+            return Err(WrongTls("remove revoked: only the built-in broker reads it"));
         }
-        let ca = self.ca.clone().ok_or(ServeError::TlsFile("ca is missing"))?;
+        let ca = self.ca.clone().ok_or(WrongTls("ca is missing"))?;
         Ok(TlsFiles { ca, cert: self.cert.clone(), key: self.key.clone() })
     }
 
     /// The files of the built-in broker.
-    pub(super) fn of_server(&self) -> Result<ServerTls, ServeError> {
-        let missing = ServeError::TlsFile("the built-in broker needs cert and key");
+    pub(super) fn of_server(&self) -> Result<ServerTls, WrongTls> {
         match (self.cert.clone(), self.key.clone()) {
             (Some(cert), Some(key)) => {
                 Ok(ServerTls { cert, key, ca: self.ca.clone(), revoked: self.revoked.clone() })
             }
-            _ => Err(missing),
+            _ => Err(WrongTls("the built-in broker needs cert and key")),
         }
     }
 }

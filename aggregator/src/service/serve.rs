@@ -18,7 +18,7 @@ use cosurf_wire::{DeviceId, FrameId, SiteId};
 use serde::Serialize;
 
 use super::above::AboveLink;
-use super::config::{AggregatorConfig, TlsConfig, UpstreamConfig, WorkersConfig};
+use super::config::{AggregatorConfig, TlsConfig, UpstreamConfig, WorkersConfig, WrongTls};
 use super::control::{BROKER_ATTEMPTS_MAX, Command, ServiceConfig};
 use super::error::ServiceError;
 use super::event::ServiceEvent;
@@ -70,9 +70,9 @@ pub enum ServeError {
     /// The certificates for the broker of the aggregator above cannot be used.
     #[error("upstream.tls: {0}")]
     UpstreamTls(TlsError),
-    /// A certificate of `tls` is missing for the use that is made of it.
+    /// `tls` does not fit the use that is made of it.
     #[error("tls: {0}")]
-    TlsFile(&'static str),
+    TlsFile(#[from] WrongTls),
     /// The file of users cannot be used.
     #[error("users: {0}")]
     Users(#[from] UsersError),

@@ -42,13 +42,18 @@ fn attack_02_small_retained_messages() {
     println!("200,000 retained messages take {} KiB", ground.taken() >> 10);
     assert!(is_within_bound(ground.taken()), "{} KiB", ground.taken() >> 10);
     assert!(publishes(ground.address), "an honest client is refused");
-    // One read of 64 KiB with small messages does not stay in memory for one of them.
-    let other = tempfile::tempdir().unwrap();
-    let ground = Ground::start(other.path());
+}
+
+/// One read of 64 KiB does not stay in memory for one small message in it.
+#[test]
+#[cfg(target_os = "linux")]
+fn attack_02_a_small_message_keeps_no_large_buffer() {
+    let folder = tempfile::tempdir().unwrap();
+    let ground = Ground::start(folder.path());
     let mut attacker = Raw::connect(ground.address, "attacker");
     for number in 0..1000 {
         let filler = publish("filler", &[0; 60_000], 0, false, &[]);
-        attacker.send(&[filler, message(number)].concat());
+        attacker.send(&[filler, publish(&format!("t/{number}"), &[7; 8], 0, true, &[])].concat());
     }
     attacker.publish("t/last", &[7; 8], true);
     println!("1,000 small messages between large ones take {} KiB", ground.taken() >> 10);
@@ -221,7 +226,7 @@ fn attack_17_a_slow_subscriber_slows_nobody() {
     let mut publisher = Raw::connect(broker.address(), "publisher");
     let begun = Instant::now();
     for _ in 0..600 {
-        assert_eq!(publisher.publish("t", &[7; 60_000], false), 0);
+        assert!(publisher.publish("t", &[7; 60_000], false) & 0x80 == 0);
     }
     println!("36 MB beside a slow subscriber: {:?}", begun.elapsed());
     assert!(begun.elapsed() < Duration::from_secs(3), "{:?}", begun.elapsed());

@@ -3,35 +3,18 @@
 use std::collections::BTreeMap;
 use std::io::ErrorKind;
 use std::net::IpAddr;
-use std::sync::Arc;
 use std::time::Instant;
 
 use mio::Token;
-use mio::net::TcpListener;
-use rustls::ServerConfig;
 
-use super::super::connection::{Connection, Door, descriptors_are_lacking};
+use super::super::connection::Connection;
+use super::super::entrance::{descriptors_are_lacking, guests_max};
 use super::super::event::BrokerEvent;
 use super::super::socket::Socket;
 use super::Reactor;
 
 /// Connections accepted before others have their turn.
 const ACCEPTED_AT_ONCE: usize = 64;
-
-/// A listening socket.
-pub(in super::super) struct Entrance {
-    pub(in super::super) listener: TcpListener,
-    pub(in super::super) token: Token,
-    pub(in super::super) door: Door,
-    pub(in super::super) tls: Option<Arc<ServerConfig>>,
-    /// Whether connections may wait to be accepted.
-    pub(in super::super) is_ready: bool,
-}
-
-/// Limit on connections that are no clients: they have not said hello, or they are about to end.
-pub(in super::super) fn guests_max(clients_max: usize) -> usize {
-    clients_max / 8 + 16
-}
 
 impl<S: Fn(BrokerEvent)> Reactor<S> {
     /// Accepts connections that wait.

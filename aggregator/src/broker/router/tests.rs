@@ -63,7 +63,9 @@ fn what_clients_keep_is_given_back() {
     let mut router = router(64 * MIB);
     listen(&mut router, 1, User::Stranger, "listener", now);
     join(&mut router, 2, User::Stranger, "publisher", now);
-    [1, 2].map(|link| written(&mut router, link, now));
+    for link in [1, 2] {
+        written(&mut router, link, now);
+    }
     let before = router.budget.used();
     let retained = Publish { retain: true, ..message(MIB) };
     router.receive(2, now, &retained, false);
