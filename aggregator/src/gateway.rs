@@ -143,7 +143,7 @@ impl<F: Fn(GatewayEvent)> Bridge<F> {
 
     fn pass(&mut self, topic: &str, payload: Vec<u8>) {
         match self.relay.hear_device(topic, payload) {
-            Passage::Born(identity) => match self.reach.config_of_line(identity) {
+            Passage::Born(identity, will) => match self.reach.config_of_line(identity, will) {
                 Ok(config) => {
                     self.client = Some(MqttTransport::start(config));
                     (self.say)(GatewayEvent::OnLine { line: self.name.clone(), device: identity.device });

@@ -25,6 +25,7 @@ const AUTHORITY_KEY: &str = "authority.key";
 const AUTHORITY: &str = "ca.pem";
 const REVOKED: &str = "revoked.pem";
 const TRUSTED: &str = "trusted.txt";
+const FLEET: &str = "fleet.txt";
 /// Folder with the broker's files, named as in `shared/docs/mosquitto.conf`.
 const BROKER: &str = "broker";
 /// Folder with the folders of revoked participants.
@@ -231,7 +232,7 @@ impl Pki {
     }
 
     /// Writes the lists that all participants need: what is revoked, and whose signatures to trust. Devices trust the
-    /// aggregator; the aggregator trusts the devices.
+    /// aggregator, and the flights of the whole fleet; the aggregator trusts the devices.
     fn publish(&self, aggregator: &DeviceId) -> Result<(), PkiError> {
         let path = self.folder.join(REVOKED);
         let revoked =
@@ -241,10 +242,15 @@ impl Pki {
         write(&broker.join(REVOKED), &revoked)?;
         write(&broker.join(AUTHORITY), &self.authority_pem()?)?;
         let is_aggregator = |name: &str| name == aggregator.as_str();
+        let devices = self.issued.all().filter(|record| !is_aggregator(&record.name));
+        let fleet: String = devices.map(Record::trust_line).collect();
         for record in self.issued.valid() {
             let others = |other: &&Record| is_aggregator(&other.name) != is_aggregator(&record.name);
             let lines: String = self.issued.all().filter(others).map(Record::trust_line).collect();
             write(&self.folder.join(&record.name).join(TRUSTED), &lines)?;
+            if !is_aggregator(&record.name) {
+                write(&self.folder.join(&record.name).join(FLEET), &fleet)?;
+            }
         }
         Ok(())
     }

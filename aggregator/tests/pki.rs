@@ -20,7 +20,10 @@ fn pki(keys: &Path, options: &[&str]) {
 
 fn tls(folder: &Path) -> Option<Tls> {
     let its = |file: &str| folder.join(file);
-    Some(Tls::read(&TlsFiles { ca: its("ca.pem"), cert: its("tls.pem"), key: its("tls.key") }).unwrap())
+    Some(
+        Tls::read(&TlsFiles { ca: its("ca.pem"), cert: Some(its("tls.pem")), key: Some(its("tls.key")) })
+            .unwrap(),
+    )
 }
 
 #[test]
@@ -36,7 +39,8 @@ fn participants_get_in_and_revoked_ones_do_not() {
     let connects = |name: &str, files: &Path, broker: &Mosquitto| {
         let device = DeviceId::new(name).unwrap();
         let identity = Identity { device, ..identity(Role::Device, name) };
-        let config = MqttConfig { broker: broker.address.clone(), identity, tls: tls(files) };
+        let config =
+            MqttConfig { broker: broker.address.clone(), identity, will: None, tls: tls(files), login: None };
         MqttTransport::start(config).poll(Duration::from_secs(20)) == Some(TransportEvent::Connected)
     };
     assert!(connects("thief", &keys.join("thief"), &broker));

@@ -2,7 +2,8 @@
 //! nothing that is shipped depends on it.
 //!
 //! - [`models`], [`offers`]: random splats, cameras, and uploads made of them.
-//! - [`fleet`]: nodes on a simulated network, with virtual time. [`radio`]: both ends of a simulated serial line.
+//! - [`fleet`]: nodes on a simulated network, with virtual time. [`stranger`]: a stranger on that network.
+//!   [`radio`]: both ends of a simulated serial line.
 //! - [`live`]: nodes that use a real broker. [`mosquitto`]: Mosquitto as a child process, and certificates for it.
 //!   [`nats`], [`s3`]: a NATS server and an S3 server as child processes.
 //! - [`datasets`]: synthetic cities and the datasets that benches use. [`programs`]: the paths of the programs that
@@ -30,4 +31,5 @@ pub mod radio;
 pub mod results;
 pub mod s3;
 pub mod skips;
+pub mod stranger;
 pub mod usage;

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use cosurf_link::{
     BrokerAddress, Identity, InboxLimits, MqttConfig, MqttTransport, Node, NodeEvent, Offer, Tls,
-    UploadProgress, upload_blocking,
+    UploadProgress, last_will, upload_blocking,
 };
 use cosurf_wire::ModelId;
 
@@ -29,7 +29,13 @@ impl Ground {
         let is_over = Arc::new(AtomicBool::new(false));
         let (kept, heard, over) = (Arc::clone(&bodies), Arc::clone(&announced), Arc::clone(&is_over));
         let thread = std::thread::spawn(move || {
-            let mut transport = MqttTransport::start(MqttConfig { broker, identity, tls, login: None });
+            let mut transport = MqttTransport::start(MqttConfig {
+                broker,
+                identity,
+                will: Some(last_will(&identity, None)),
+                tls,
+                login: None,
+            });
             let mut node = Node::new(identity, InboxLimits::default(), &[]);
             let start = Instant::now();
             while !over.load(Ordering::Relaxed) {
@@ -64,7 +70,13 @@ pub fn upload(
     mut on_progress: impl FnMut(UploadProgress),
     mut on_retry: impl FnMut(String),
 ) -> UploadProgress {
-    let mut transport = MqttTransport::start(MqttConfig { broker, identity, tls, login: None });
+    let mut transport = MqttTransport::start(MqttConfig {
+        broker,
+        identity,
+        will: Some(last_will(&identity, None)),
+        tls,
+        login: None,
+    });
     let mut node = Node::new(identity, InboxLimits::default(), &[]);
     let start = Instant::now();
     let done = upload_blocking(

@@ -63,7 +63,7 @@ fn agent(address: BrokerAddress, mut offer: Offer, number: u64, stalls: bool) {
     offer.header.device = DeviceId::new(&name).unwrap();
     let identity = identity(Role::Device, &name);
     let mut transport =
-        MqttTransport::start(MqttConfig { broker: address, identity, tls: None, login: None });
+        MqttTransport::start(MqttConfig { broker: address, identity, will: None, tls: None, login: None });
     let mut node = Node::new(identity, InboxLimits::default(), &[]);
     node.upload(offer);
     let begun = Instant::now();

@@ -85,7 +85,8 @@ impl Job {
         })?;
         let config = AgentConfig::from_toml(&text).with_context(|| path.display().to_string())?;
         let frame = config.frame.unwrap_or_default();
-        let credentials = Credentials::load(frame, config.key.as_deref(), config.trusted.as_deref())?;
+        let AgentConfig { key, trusted, fleet, .. } = &config;
+        let credentials = Credentials::load(frame, key.as_deref(), trusted.as_deref(), fleet.as_deref())?;
         let route = Route::of(&config).with_context(|| path.display().to_string())?;
         Ok(Self { plan: train_plan(&config), credentials, route, started: Instant::now(), config })
     }
@@ -101,7 +102,7 @@ impl Job {
         let clock_s = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
         let session = next_session(&out.join("session"), clock_s)?;
         let identity = Identity { site: *site, device: *device, session, role: Role::Device };
-        Ok((identity, self.route.connect(identity)))
+        Ok((identity, self.route.connect(identity, self.credentials.key.as_ref())))
     }
 
     /// Announces this device's cameras to the other devices, and returns the announced cameras. Does nothing and

@@ -3,7 +3,9 @@
 use std::path::PathBuf;
 
 use cosurf_link::mqtt::TlsError;
-use cosurf_link::{BrokerAddress, Identity, Login, MqttConfig, Tls, TlsFiles};
+use cosurf_link::{
+    BrokerAddress, Identity, Login, MqttConfig, Outgoing, SecretKey, Tls, TlsFiles, last_will,
+};
 
 /// How to reach a broker.
 #[derive(Clone, Debug)]
@@ -25,15 +27,19 @@ impl Reach {
         Self { broker, tls: None, login: None, lines: None }
     }
 
-    /// The settings of a client that connects as `identity`.
-    pub fn config(&self, identity: Identity) -> MqttConfig {
+    /// The settings of a client that connects as `identity`. `key` signs its last will.
+    pub fn config(&self, identity: Identity, key: Option<&SecretKey>) -> MqttConfig {
         let Self { broker, tls, login, .. } = self.clone();
-        MqttConfig { broker, identity, tls, login }
+        MqttConfig { broker, identity, will: Some(last_will(&identity, key)), tls, login }
     }
 
-    /// The settings of a client for the device `identity` on a serial line.
-    pub(crate) fn config_of_line(&self, identity: Identity) -> Result<MqttConfig, TlsError> {
-        let mut config = self.config(identity);
+    /// The settings of a client for the device `identity` on a serial line. `will` is the device's own last will.
+    pub(crate) fn config_of_line(
+        &self,
+        identity: Identity,
+        will: Option<Outgoing>,
+    ) -> Result<MqttConfig, TlsError> {
+        let mut config = MqttConfig { will, ..self.config(identity, None) };
         if let Some((folder, ca)) = &self.lines {
             let own = |end: &str| Some(folder.join(format!("{}.{end}", identity.device)));
             config.tls = Some(Tls::read(&TlsFiles { ca: ca.clone(), cert: own("pem"), key: own("key") })?);

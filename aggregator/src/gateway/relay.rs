@@ -8,8 +8,8 @@
 use std::collections::{BTreeSet, VecDeque};
 
 use cosurf_contract::Escaped;
-use cosurf_link::{Identity, Outgoing, Role};
-use cosurf_wire::{ChunkStatus, DeviceId, Message, ModelId, Reply, SiteId, State, Topic, Want};
+use cosurf_link::{Identity, Outgoing, Role, last_will};
+use cosurf_wire::{ChunkStatus, DeviceId, Message, ModelId, Reply, Sealed, SiteId, State, Topic, Want};
 
 /// Limit on chunks that wait for the line: 2 MiB at 64 KiB each, as many as a sender keeps
 /// unacknowledged.
@@ -20,8 +20,9 @@ const OTHERS_MAX: usize = 64;
 /// What to do with a message of the device.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Passage {
-    /// The device begins a session: start its client at the broker.
-    Born(Identity),
+    /// The device begins a session: start its client at the broker, with this last will. There is none if the device
+    /// signs its messages, because the gateway cannot sign in its name.
+    Born(Identity, Option<Outgoing>),
     /// Send this message to the broker.
     Pass(Outgoing),
     /// Discard the message, for this reason.
@@ -79,13 +80,17 @@ impl Relay {
             return refuse("belongs to another site");
         }
         let message = Outgoing { topic: parsed.to_text(&site), payload, retain: is_retained };
-        match (parsed, Message::decode(&message.payload)) {
-            (Topic::State { .. }, Ok(Message::State(State { session, alive: true, .. }))) => {
-                *self = Self { device: Some(device), birth: Some(message), ..Self::new(site) };
-                return Passage::Born(Identity { site, device, session, role: Role::Device });
+        if let Ok(Sealed { message: said, seal, .. }) = Sealed::decode(&message.payload) {
+            match (parsed, said) {
+                (Topic::State { .. }, Message::State(State { session, alive: true, .. })) => {
+                    let identity = Identity { site, device, session, role: Role::Device };
+                    let will = seal.is_none().then(|| last_will(&identity, None));
+                    *self = Self { device: Some(device), birth: Some(message), ..Self::new(site) };
+                    return Passage::Born(identity, will);
+                }
+                (Topic::GlobalReply { reply: Reply::Want, .. }, Message::Want(want)) => self.note(want),
+                _ => {}
             }
-            (Topic::GlobalReply { reply: Reply::Want, .. }, Ok(Message::Want(want))) => self.note(want),
-            _ => {}
         }
         match self.device {
             Some(known) if known == device => Passage::Pass(message),
@@ -173,7 +178,7 @@ mod tests {
 
     fn want(relay: &mut Relay, idle: bool, has: &[u32]) {
         let missing = Missing::of(100, |index| has.contains(&index));
-        let want = Want { device: device("ground"), model: ModelId(1), idle, missing };
+        let want = Want { device: device("ground"), model: ModelId(1), session: 5, idle, missing };
         let topic = Topic::GlobalReply { device: device("drone"), reply: Reply::Want };
         assert!(matches!(say(relay, topic, &Message::Want(want)), Passage::Pass(_)));
     }
@@ -197,8 +202,9 @@ mod tests {
         let mut relay = Relay::new(site());
         let header = Topic::LocalHeader { device: device("drone"), model: ModelId(1) }.to_text(&site());
         assert!(matches!(relay.hear_device(&header, vec![1]), Passage::Refuse(_)), "before its birth");
-        let Passage::Born(identity) = born(&mut relay, "drone") else { panic!("a birth") };
+        let Passage::Born(identity, will) = born(&mut relay, "drone") else { panic!("a birth") };
         assert_eq!((identity.device, identity.session), (device("drone"), 5));
+        assert_eq!(will, Some(last_will(&identity, None)));
         let Passage::Pass(message) = relay.hear_device(&header, vec![1]) else { panic!("passes") };
         assert!(message.retain, "headers are retained");
         let flight = Topic::Flight { device: device("drone") }.to_text(&site());

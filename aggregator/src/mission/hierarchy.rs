@@ -81,7 +81,7 @@ impl Hierarchy {
             };
             Ok::<Station, ServiceError>(Station::start(
                 service,
-                reach.config(identity),
+                reach.config(identity, None),
                 around.now.clone(),
                 tell,
             ))
@@ -200,7 +200,7 @@ fn start_upstream(
         Identity { site: plan.site, device: edge.device, session: around.session, role: Role::Device };
     let limits = InboxLimits { stored_max: FROM_ROOT_MAX, ..limits(1) };
     let (node, root) = UpstreamNode::open(identity, Credentials::default(), folder, limits)?;
-    let link = reach.config(identity);
+    let link = reach.config(identity, None);
     let (now, tell) = (around.now.clone(), say.clone());
     let tell = move |event| {
         let _ = tell.send(Signal::Upstream { edge: i, event }); // fails only after the end of the mission

@@ -217,6 +217,7 @@ impl Plan {
             frame: None,
             key: None,
             trusted: None,
+            fleet: None,
             alone: self.devices.len() == 1,
             compress: settings.compress_first,
             flights_max: DEFAULT_FLIGHTS_MAX,

@@ -21,8 +21,8 @@ fn make(folder: &Path, devices: &[&str], revoked: &[&str]) -> Result<Done, PkiEr
     Pki::open(folder)?.fulfil(&wish(devices, revoked))
 }
 
-fn lines(folder: &Path, name: &str) -> Vec<String> {
-    let text = fs::read_to_string(folder.join(name).join(TRUSTED)).unwrap();
+fn lines(folder: &Path, name: &str, file: &str) -> Vec<String> {
+    let text = fs::read_to_string(folder.join(name).join(file)).unwrap();
     text.lines().map(|line| line.rsplit_once(' ').unwrap().0.to_owned()).collect()
 }
 
@@ -33,12 +33,15 @@ fn each_participant_gets_files_that_the_programs_accept() {
     assert_eq!(done.made.len(), 4, "{done:?}");
     for name in ["aggregator", "drone-1", "drone-2"] {
         let its = |file: &str| folder.path().join(name).join(file);
-        Tls::read(&TlsFiles { ca: its("ca.pem"), cert: its("tls.pem"), key: its("tls.key") }).unwrap();
-        let (key, trusted) = (its("sign.key"), its("trusted.txt"));
-        Credentials::load(FrameId::default(), Some(&key), Some(&trusted)).unwrap();
+        Tls::read(&TlsFiles { ca: its("ca.pem"), cert: Some(its("tls.pem")), key: Some(its("tls.key")) })
+            .unwrap();
+        let (key, trusted, fleet) = (its("sign.key"), its("trusted.txt"), its("fleet.txt"));
+        let fleet = (name != "aggregator").then_some(fleet.as_path());
+        Credentials::load(FrameId::default(), Some(&key), Some(&trusted), fleet).unwrap();
     }
-    assert_eq!(lines(folder.path(), "drone-1"), ["aggregator"]);
-    assert_eq!(lines(folder.path(), "aggregator"), ["drone-1", "drone-2"]);
+    assert_eq!(lines(folder.path(), "drone-1", TRUSTED), ["aggregator"]);
+    assert_eq!(lines(folder.path(), "drone-1", FLEET), ["drone-1", "drone-2"]);
+    assert_eq!(lines(folder.path(), "aggregator", TRUSTED), ["drone-1", "drone-2"]);
 }
 
 #[test]
@@ -51,7 +54,7 @@ fn a_revoked_participant_is_on_both_lists_and_can_get_new_keys() {
     make(folder.path(), &["drone-1"], &["drone-1"]).unwrap();
     let after = fs::read_to_string(folder.path().join("broker").join(REVOKED)).unwrap();
     assert!(after.len() > before.len(), "nothing is revoked in {after}");
-    assert_eq!(lines(folder.path(), "aggregator"), ["revoked drone-1", "drone-1"]);
+    assert_eq!(lines(folder.path(), "aggregator", TRUSTED), ["revoked drone-1", "drone-1"]);
     let keys = fs::read_to_string(folder.path().join("aggregator").join(TRUSTED)).unwrap();
     let keys: BTreeSet<&str> = keys.lines().map(|line| line.rsplit(' ').next().unwrap()).collect();
     assert_eq!(keys.len(), 2, "the new key is the old one");

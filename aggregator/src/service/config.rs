@@ -102,7 +102,7 @@ pub struct AggregatorConfig {
     pub workers: Option<WorkersConfig>,
 }
 
-/// How an edge reaches the aggregator above it. World frame, key and trusted keys are those of the edge's own site.
+/// How an edge reaches the aggregator above it. World frame and secret key are those of the edge's own site.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct UpstreamConfig {
@@ -116,6 +116,8 @@ pub struct UpstreamConfig {
     pub tls: Option<TlsFiles>,
     /// File of the password for the broker; its user is `device`.
     pub password_file: Option<PathBuf>,
+    /// File of the public key of the aggregator above. Needed if the edge's own site has a list of keys.
+    pub trusted: Option<PathBuf>,
 }
 
 /// Certificates of the built-in broker, or of a client of a broker elsewhere; all files in PEM.

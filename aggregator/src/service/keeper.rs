@@ -10,7 +10,7 @@ use std::time::Duration;
 use cosurf_contract::Escaped;
 use cosurf_link::{ModelKey, ModelStore, Node, NodeEvent, Offer, Receiver as Listed};
 use cosurf_scene::ply;
-use cosurf_wire::{DeviceId, ModelHeader, ModelId, ModelKind, RefusalReason, TileId};
+use cosurf_wire::{DeviceId, ModelHeader, ModelId, ModelKind, RefusalReason, TileId, WireError};
 
 use super::above::{Above, AboveLink};
 use super::control::{Command, ServiceConfig};
@@ -151,8 +151,12 @@ impl Keeper {
             NodeEvent::Connected => ServiceEvent::Connected,
             NodeEvent::Disconnected { attempt, reason } => ServiceEvent::Disconnected { attempt, reason },
             NodeEvent::Store { header, body } => self.store(node, header, &body, now),
-            NodeEvent::Ignored { topic, reason } => {
+            NodeEvent::Ignored { topic, reason, .. } => {
                 ServiceEvent::Ignored { reason: format!("{}: {reason}", Escaped(topic)) }
+            }
+            NodeEvent::OtherVersion { source, version } => {
+                let from = source.map_or_else(|| "a message".to_owned(), |device| device.to_string());
+                ServiceEvent::Ignored { reason: format!("{from}: {}", WireError::UnknownVersion(version)) }
             }
             NodeEvent::Uploaded(key, _) if key.model.is_tile() => return None,
             NodeEvent::Uploaded(..) if self.rebroadcast.is_running() => {
@@ -182,6 +186,7 @@ impl Keeper {
             | NodeEvent::Flight(..)
             | NodeEvent::Receiving(_)
             | NodeEvent::Known(_)
+            | NodeEvent::Unanswered { .. }
             | NodeEvent::Progress(..) => return None,
         })
     }

@@ -11,7 +11,7 @@ use std::time::Duration;
 use cosurf_contract::{PasswordError, read_password};
 use cosurf_link::mqtt::TlsError;
 use cosurf_link::{
-    Credentials, Identity, InboxLimits, Login, MqttTransport, Role, SerialConfig, Tls, next_session,
+    Credentials, Identity, InboxLimits, Login, MqttTransport, Role, SerialConfig, Tls, Trusted, next_session,
 };
 use cosurf_scene::SceneError;
 use cosurf_wire::{DeviceId, FrameId, SiteId};
@@ -88,6 +88,11 @@ pub enum ServeError {
     /// The password for the broker cannot be read.
     #[error(transparent)]
     Password(#[from] PasswordError),
+    /// The site has keys, and those of the aggregator above are not given.
+    #[error(
+        "upstream.trusted is missing, but `trusted` is set: name the file with the key of the aggregator above"
+    )]
+    UpstreamTrusted,
     /// The built-in broker did not start.
     #[error("bind: {0}")]
     Broker(BrokerError),
@@ -147,12 +152,14 @@ pub fn serve(
         config.frame.unwrap_or_default(),
         config.key.as_deref(),
         config.trusted.as_deref(),
+        None,
     )?;
     let say_broker = say_beside.clone();
     let (embedded, reach) = reach_broker(config, move |event| say_broker(SideEvent::Broker(event)))?;
     let _gateways = start_gateways(config.site, &reach, lines, &say_beside);
     let identity = open_session(config, host.clock_s)?;
     let introduce = embedded.as_ref().map(|broker| introducer(config, broker)).transpose()?;
+    let key = credentials.key.clone();
     let mut service =
         Service::open(service_config(config, identity, host.threads))?.with(credentials.clone());
     service = service.with_devices_max(config.devices_max);
@@ -166,7 +173,7 @@ pub fn serve(
         service = service.below(link, Duration::from_secs(config.deadline_s));
         upstream = Some(started);
     }
-    let mut transport = MqttTransport::start(reach.config(identity));
+    let mut transport = MqttTransport::start(reach.config(identity, key.as_ref()));
     let mut connections = Connections { upstream, was_connected: false, failure: None };
     service.run(&mut transport, now, commands, |event| {
         say(&event);
@@ -281,11 +288,17 @@ fn start_upstream(
     let broker = above.broker.clone();
     let tls = Tls::for_broker(&broker, above.tls.as_ref()).map_err(ServeError::UpstreamTls)?;
     let identity = Identity { site: above.site, device: above.device, session, role: Role::Device };
+    let trusted = above.trusted.as_deref().map(Trusted::read).transpose()?;
+    if credentials.trusted.is_some() && trusted.is_none() {
+        return Err(ServeError::UpstreamTrusted);
+    }
     let login = login(above.device, above.password_file.as_deref())?;
     let reach = Reach { tls, login, ..Reach::plain(broker) };
+    let link_config = reach.config(identity, credentials.key.as_ref());
+    let credentials = Credentials { trusted, ..credentials };
     let (node, link) = UpstreamNode::open(identity, credentials, &config.out, inbox_limits(config))
         .map_err(ServiceError::from)?;
-    Ok((Upstream::start(node, reach.config(identity), now, say), link))
+    Ok((Upstream::start(node, link_config, now, say), link))
 }
 
 /// Tells the built-in broker which devices the service knows: those that sent a model, and those with a trusted key.

@@ -82,7 +82,8 @@ fn a_device_connects_with_its_password_and_is_told_if_it_is_wrong() {
     let connect = |password: &str| {
         let login = Some(Login { user: "drone".to_owned(), password: password.to_owned() });
         let (broker, identity) = (broker_address(broker.address()), identity(Role::Device, "drone"));
-        let mut transport = MqttTransport::start(MqttConfig { broker, identity, tls: None, login });
+        let mut transport =
+            MqttTransport::start(MqttConfig { broker, identity, will: None, tls: None, login });
         transport.poll(Duration::from_secs(20)).unwrap()
     };
     assert_eq!(connect("enord"), TransportEvent::Connected);
@@ -161,7 +162,8 @@ fn the_command_password_makes_a_line_of_the_file_of_users() {
 /// Connects a device by TLS, and returns the first event.
 fn first_event(address: SocketAddr, device: &str, tls: Tls, login: Option<Login>) -> TransportEvent {
     let broker = cosurf_link::BrokerAddress { is_tls: true, ..broker_address(address) };
-    let config = MqttConfig { broker, identity: identity(Role::Device, device), tls: Some(tls), login };
+    let config =
+        MqttConfig { broker, identity: identity(Role::Device, device), will: None, tls: Some(tls), login };
     MqttTransport::start(config).poll(Duration::from_secs(20)).unwrap()
 }
 

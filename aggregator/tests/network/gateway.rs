@@ -80,7 +80,13 @@ fn radio_and_network_share_a_mission() {
     let serial = SerialTransport::start(line(air, 2, DEVICE_MESSAGE_BYTES));
     let (kill_radio, die) = mpsc::channel();
     let by_radio = drone(serial, radio, mergeable_offer("by-radio", 1500), say.clone(), die);
-    let mqtt = MqttTransport::start(MqttConfig { broker: address, identity: net, tls: None, login: None });
+    let mqtt = MqttTransport::start(MqttConfig {
+        broker: address,
+        identity: net,
+        will: None,
+        tls: None,
+        login: None,
+    });
     let (kill_net, die) = mpsc::channel();
     let by_net = drone(mqtt, net, mergeable_offer("by-net", 1500), say, die);
 

@@ -55,7 +55,8 @@ impl Station {
         let (say, events) = channel();
         let thread = thread::spawn(move || {
             let begun = Instant::now();
-            let mut transport = MqttTransport::start(MqttConfig { broker, identity, tls: None, login: None });
+            let mut transport =
+                MqttTransport::start(MqttConfig { broker, identity, will: None, tls: None, login: None });
             let on_event = |event| {
                 let _ = say.send(event);
                 ControlFlow::Continue(())

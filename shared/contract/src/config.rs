@@ -104,10 +104,14 @@ pub struct AgentConfig {
     /// signed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub key: Option<PathBuf>,
-    /// A file with public keys, one line for each key, as the command `key` prints it. Only global models that one of
-    /// these keys has signed are accepted. If absent, all global models are accepted.
+    /// A file with the public keys of the aggregator, one line for each key, as the command `key` prints it. Only global
+    /// models and replies that one of these keys has signed count. If absent, all count.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub trusted: Option<PathBuf>,
+    /// A file like `trusted` with the public keys of the other agents. With `compress`, only flights that one of these
+    /// keys has signed count. Needed if both `compress` and `trusted` are set.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fleet: Option<PathBuf>,
     /// True if this model will not be merged with other models. A model that will be merged gets more splats, and keeps
     /// splats that only one view observes.
     #[serde(default)]
@@ -150,8 +154,8 @@ impl AgentConfig {
     pub fn from_toml(text: &str) -> Result<Self, ConfigError> {
         let config: Self = parse_toml(text)?;
         config.link()?;
-        if config.compress && config.trusted.is_some() {
-            return Err(ConfigError::UnsignedFlights);
+        if config.compress && config.trusted.is_some() && config.fleet.is_none() {
+            return Err(ConfigError::NoFleet);
         }
         Ok(config)
     }

@@ -39,6 +39,14 @@ impl BitSet {
         self.ones
     }
 
+    /// The smallest element that is not in `other`, which has the same count.
+    pub(crate) fn first_outside(&self, other: &Self) -> Option<u32> {
+        let outside = |(word, other): (&u64, &u64)| word & !other;
+        let (word, bits) =
+            self.words.iter().zip(&other.words).map(outside).enumerate().find(|(_, bits)| *bits != 0)?;
+        Some(word as u32 * 64 + bits.trailing_zeros())
+    }
+
     /// The smallest element.
     pub(crate) fn first(&self) -> Option<u32> {
         let word = self.words.iter().position(|word| *word != 0)?;

@@ -1,6 +1,10 @@
 //! The receiving half of the protocol. It collects models from headers and chunks, which may arrive in any
 //! order, duplicated or damaged. It requests missing chunks, and its memory is bounded. It acknowledges a
 //! model only after the caller has stored the body on disk.
+//!
+//! An upload takes little memory until its chunks arrive ([`room`]).
+
+mod room;
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
@@ -13,7 +17,7 @@ use cosurf_wire::{
 use crate::body::Model;
 use crate::identity::{Identity, Role};
 use crate::key::ModelKey;
-use crate::pacing::{ABANDONED, STALLED};
+use crate::pacing::ABANDONED;
 use crate::transfer::{ChunkOutcome, Transfer, TransferPhase};
 use crate::transport::Outgoing;
 use crate::trust::Credentials;
@@ -26,8 +30,8 @@ const REPLIES_MAX: usize = 256;
 pub struct InboxLimits {
     /// Maximum size in bytes of a body, and also of its unpacked model.
     pub body_bytes_max: u64,
-    /// Maximum sum of the full sizes, in bytes, of all bodies that are being received or stored. This bounds the
-    /// memory of the inbox.
+    /// Maximum number of bytes that all bodies together take that are being received or stored. This bounds the memory of
+    /// the inbox.
     pub total_bytes_max: u64,
     /// Maximum number of models that are being received or stored.
     pub models_max: usize,
@@ -66,6 +70,8 @@ pub enum InboxEvent {
     Known(ModelHeader),
     /// The inbox refused an offer or a body.
     Refused(ModelKey, RefusalReason),
+    /// The inbox dropped a header that does not match its topic.
+    BadHeader,
     /// The inbox dropped a chunk that contradicts its header or its topic. Or the chunk completed a body with a
     /// wrong hash, and the inbox fetches the whole body again.
     BadChunk(ModelKey, u32),
@@ -94,7 +100,7 @@ pub enum InboxEvent {
 ///
 /// // The header announces the model, and the inbox replies with a Want.
 /// let now = Duration::ZERO;
-/// let event = inbox.on_header(now, &Topic::LocalHeader { device, model }, header);
+/// let event = inbox.on_header(now, &Topic::LocalHeader { device, model }, header, 1);
 /// assert_eq!(event, Some(InboxEvent::Receiving(header)));
 /// assert!(matches!(inbox.next(now), Some(InboxAction::Publish(_))));
 ///
@@ -159,54 +165,56 @@ impl Inbox {
         &self.credentials
     }
 
-    /// Handles an offer that arrived under `topic`.
-    pub fn on_header(&mut self, now: Duration, topic: &Topic, header: ModelHeader) -> Option<InboxEvent> {
+    /// Handles an offer that arrived under `topic`. `session` is that of the sender, which replies repeat; 0 if the sender
+    /// did not tell it.
+    pub fn on_header(
+        &mut self,
+        now: Duration,
+        topic: &Topic,
+        header: ModelHeader,
+        session: u64,
+    ) -> Option<InboxEvent> {
         let key = ModelKey::from(&header);
         let want_topic = self.want_topic(topic)?;
         if !matches_topic(topic, &header) {
-            return self.on_bad_header(topic);
+            return Some(InboxEvent::BadHeader);
         }
         // A tile that the newest manifest does not name is not wanted yet, or not any more.
         if key.model.is_tile() && self.expected.get(&key) != Some(&header.blake3) {
             return None;
         }
-        if let Err(reason) = self.credentials.check(&self.identity.site, &header, self.newest_stored(key)) {
-            return self.refuse_offer(topic, key, reason);
+        if let Err(reason) = self.check(&header) {
+            return self.refuse_offer(topic, key, session, reason);
         }
         if let Some(hash) = self.stored.get(&key) {
             return match *hash == header.blake3 {
                 true => {
-                    self.send_done(want_topic, key, header.blake3);
+                    self.send_done(want_topic, key, session, header.blake3);
                     Some(InboxEvent::Known(header))
                 }
-                false => self.refuse_offer(topic, key, RefusalReason::NumberTaken),
+                false => self.refuse_offer(topic, key, session, RefusalReason::NumberTaken),
             };
         }
         if let Some(transfer) = self.transfers.get_mut(&key) {
+            let is_signed = self.credentials.trusted.is_some();
             match transfer.phase {
                 TransferPhase::ToStore { is_retry: true, .. } if transfer.header == header => {
-                    return self.refuse_offer(topic, key, RefusalReason::StoreFailed);
+                    return self.refuse_offer(topic, key, session, RefusalReason::StoreFailed);
                 }
-                TransferPhase::Fetching { .. } if transfer.header != header => {}
+                TransferPhase::Fetching { .. } if transfer.header != header => {
+                    if !transfer.may_be_replaced(now, &header, is_signed) {
+                        return None;
+                    }
+                }
                 _ => {
+                    transfer.session = session;
                     transfer.on_offered_again(now);
                     return None;
                 }
             }
             self.transfers.remove(&key);
         }
-        self.accept(now, topic, header)
-    }
-
-    /// Refuses a header that cannot be decoded or does not match its topic. Does nothing for global models.
-    pub fn on_bad_header(&mut self, topic: &Topic) -> Option<InboxEvent> {
-        match topic {
-            Topic::LocalHeader { device, model } => {
-                let key = ModelKey { device: *device, model: *model };
-                self.refuse_offer(topic, key, RefusalReason::BadHeader)
-            }
-            _ => None,
-        }
+        self.accept(now, topic, header, session)
     }
 
     /// Handles a chunk that arrived under `topic`.
@@ -227,8 +235,13 @@ impl Inbox {
         if !agrees {
             return bad;
         }
-        match transfer.on_chunk(now, chunk) {
-            ChunkOutcome::Taken | ChunkOutcome::Known => None,
+        let outcome = transfer.on_chunk(now, chunk);
+        match outcome {
+            ChunkOutcome::Taken => {
+                self.make_room_for_more(now, key);
+                None
+            }
+            ChunkOutcome::Known => None,
             ChunkOutcome::Bad => bad,
             ChunkOutcome::BadBody(reason) => self.refuse(key, reason),
         }
@@ -242,15 +255,21 @@ impl Inbox {
         self.transfers.retain(|_, transfer| {
             transfer.phase == TransferPhase::Storing || now.saturating_sub(transfer.last_news) < ABANDONED
         });
-        let (_, transfer) =
-            self.transfers.iter_mut().find(|(_, transfer)| transfer.due().is_some_and(|due| due <= now))?;
-        if let TransferPhase::ToStore { .. } = transfer.phase {
-            transfer.phase = TransferPhase::Storing;
-            return Some(InboxAction::Store { header: transfer.header, body: transfer.body() });
+        while let Some(key) = self.due(now) {
+            self.make_room_for_more(now, key);
+            let transfer = self.transfers.get_mut(&key)?;
+            if let TransferPhase::ToStore { .. } = transfer.phase {
+                transfer.phase = TransferPhase::Storing;
+                return Some(InboxAction::Store { header: transfer.header, body: transfer.body() });
+            }
+            if transfer.lacks_room() {
+                transfer.wait_for_room(now);
+                continue;
+            }
+            let (topic, want) = (transfer.want_topic, Message::Want(transfer.want(now)));
+            return Some(InboxAction::Publish(Outgoing::new(&self.identity.site, topic, &want, false)));
         }
-        let want = transfer.want(now);
-        let message = Message::Want(want);
-        Some(InboxAction::Publish(Outgoing::new(&self.identity.site, transfer.want_topic, &message, false)))
+        None
     }
 
     /// Time at which [`Self::next`] next has a task, if no message arrives before. A time that has passed means
@@ -266,7 +285,7 @@ impl Inbox {
         let Some(transfer) = self.transfers.remove(&key) else { return };
         let hash = transfer.header.blake3;
         self.remember(key, hash);
-        self.send_done(transfer.want_topic, key, hash);
+        self.send_done(transfer.want_topic, key, transfer.session, hash);
     }
 
     /// Call this when storing failed and a retry may succeed, for example on a full disk. The inbox tells the
@@ -274,20 +293,20 @@ impl Inbox {
     pub fn store_failed(&mut self, now: Duration, key: ModelKey) {
         let Some(transfer) = self.transfers.get_mut(&key) else { return };
         transfer.on_store_failed(now);
-        let topic = transfer.want_topic;
-        self.send_refused(topic, key, RefusalReason::StoreFailed);
+        let (topic, session) = (transfer.want_topic, transfer.session);
+        self.send_refused(topic, key, session, RefusalReason::StoreFailed);
     }
 
     /// Drops an unfinished model, and sends `reason` to the model's sender.
     pub fn refuse(&mut self, key: ModelKey, reason: RefusalReason) -> Option<InboxEvent> {
         let transfer = self.transfers.remove(&key)?;
-        self.send_refused(transfer.want_topic, key, reason);
+        self.send_refused(transfer.want_topic, key, transfer.session, reason);
         Some(InboxEvent::Refused(key, reason))
     }
 
-    /// Full size of all bodies that are being received or stored, bytes.
+    /// Bytes that the bodies take which are being received or stored.
     pub fn unfinished_bytes(&self) -> u64 {
-        self.transfers.values().map(|transfer| transfer.header.body_bytes).sum()
+        self.transfers.values().map(Transfer::claim).sum()
     }
 
     /// Headers of the models of which chunks are missing.
@@ -303,20 +322,45 @@ impl Inbox {
         self.transfers.get(&key).filter(|_| self.credentials.trusted.is_none())?.part()
     }
 
-    fn accept(&mut self, now: Duration, topic: &Topic, header: ModelHeader) -> Option<InboxEvent> {
+    /// Checks the frame and the number of an offer.
+    fn check(&self, header: &ModelHeader) -> Result<(), RefusalReason> {
+        if header.frame != self.credentials.frame {
+            return Err(RefusalReason::WrongFrame);
+        }
+        let newest = self.newest_stored(header.into()).filter(|_| self.credentials.trusted.is_some());
+        if newest.is_some_and(|newest| header.model < newest) {
+            return Err(RefusalReason::Replayed);
+        }
+        Ok(())
+    }
+
+    fn accept(
+        &mut self,
+        now: Duration,
+        topic: &Topic,
+        header: ModelHeader,
+        session: u64,
+    ) -> Option<InboxEvent> {
         let key = ModelKey::from(&header);
         let bytes = header.body_bytes.max(header.unpacked_bytes());
         if bytes > self.limits.body_bytes_max.min(self.limits.total_bytes_max) {
-            return self.refuse_offer(topic, key, RefusalReason::TooLarge);
+            return self.refuse_offer(topic, key, session, RefusalReason::TooLarge);
         }
         if !matches!(topic, Topic::LocalHeader { .. }) && !key.model.is_tile() {
             self.drop_older_revisions(key);
         }
-        if !self.make_room(now, header.body_bytes) {
-            return self.refuse_offer(topic, key, RefusalReason::Busy);
-        }
-        self.transfers.insert(key, Transfer::new(now, header, self.want_topic(topic)?));
+        let Some(claim) = self.make_room_for(now, &header) else {
+            return self.refuse_offer(topic, key, session, RefusalReason::Busy);
+        };
+        let transfer = Transfer::new(now, header, session, claim, self.want_topic(topic)?);
+        self.transfers.insert(key, transfer);
         Some(InboxEvent::Receiving(header))
+    }
+
+    /// A model for which there is something to do now.
+    fn due(&self, now: Duration) -> Option<ModelKey> {
+        let is_due = |transfer: &Transfer| transfer.due().is_some_and(|due| due <= now);
+        self.transfers.iter().find(|(_, transfer)| is_due(transfer)).map(|(key, _)| *key)
     }
 
     /// The highest number that is stored from the device of `key`; `None` if there is none or if `key` itself
@@ -360,28 +404,6 @@ impl Inbox {
         });
     }
 
-    /// Drops stalled transfers, longest stalled first, until there is room for another body. Returns `false`
-    /// if there is not enough room.
-    fn make_room(&mut self, now: Duration, body_bytes: u64) -> bool {
-        let has_room = |inbox: &Self| {
-            inbox.transfers.len() < inbox.limits.models_max
-                && inbox.unfinished_bytes() + body_bytes <= inbox.limits.total_bytes_max
-        };
-        while !has_room(self) {
-            let is_stalled = |transfer: &Transfer| {
-                matches!(transfer.phase, TransferPhase::Fetching { .. })
-                    && now.saturating_sub(transfer.last_news) >= STALLED
-            };
-            let stalled = self.transfers.iter().filter(|(_, transfer)| is_stalled(transfer));
-            let Some(oldest) = stalled.min_by_key(|(_, transfer)| transfer.last_news).map(|(key, _)| *key)
-            else {
-                return false;
-            };
-            self.transfers.remove(&oldest);
-        }
-        true
-    }
-
     fn remember(&mut self, key: ModelKey, hash: BodyHash) {
         if self.stored.insert(key, hash).is_none() {
             self.stored_order.push_back(key);
@@ -392,19 +414,25 @@ impl Inbox {
         }
     }
 
-    fn refuse_offer(&mut self, topic: &Topic, key: ModelKey, reason: RefusalReason) -> Option<InboxEvent> {
+    fn refuse_offer(
+        &mut self,
+        topic: &Topic,
+        key: ModelKey,
+        session: u64,
+        reason: RefusalReason,
+    ) -> Option<InboxEvent> {
         let topic = self.want_topic(topic)?;
-        self.send_refused(topic, key, reason);
+        self.send_refused(topic, key, session, reason);
         Some(InboxEvent::Refused(key, reason))
     }
 
-    fn send_done(&mut self, topic: Topic, key: ModelKey, blake3: BodyHash) {
-        let done = Done { device: key.device, model: key.model, blake3 };
+    fn send_done(&mut self, topic: Topic, key: ModelKey, session: u64, blake3: BodyHash) {
+        let done = Done { device: key.device, model: key.model, session, blake3 };
         self.queue_reply(topic, Reply::Done, &Message::Done(done));
     }
 
-    fn send_refused(&mut self, topic: Topic, key: ModelKey, reason: RefusalReason) {
-        let refused = Refused { device: key.device, model: key.model, reason };
+    fn send_refused(&mut self, topic: Topic, key: ModelKey, session: u64, reason: RefusalReason) {
+        let refused = Refused { device: key.device, model: key.model, session, reason };
         self.queue_reply(topic, Reply::Refused, &Message::Refused(refused));
     }
 

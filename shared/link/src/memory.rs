@@ -80,8 +80,16 @@ impl MemoryNetwork {
 
     /// Adds a client with the subscriptions of `identity`.
     pub fn join(&self, identity: &Identity) -> MemoryTransport {
+        self.join_with(identity.filters().iter().map(|filter| filter.as_str().to_owned()).collect())
+    }
+
+    /// Adds a client that receives all messages.
+    pub fn join_all(&self) -> MemoryTransport {
+        self.join_with(vec!["#".to_owned()])
+    }
+
+    fn join_with(&self, filters: Vec<String>) -> MemoryTransport {
         let mut broker = self.0.borrow_mut();
-        let filters = identity.filters().iter().map(|filter| filter.as_str().to_owned()).collect();
         let client = broker.clients.len();
         let (now, faults) = (broker.now, broker.faults);
         let seed = broker.seed.wrapping_add((client as u64 + 1) << 32);

@@ -2,12 +2,11 @@
 
 use cosurf_scene::{Camera, Splats};
 use cosurf_wire::body::{BodyHead, BodyPlan};
-use cosurf_wire::{BodyCodec, DeviceId, FrameId, MAX_CHUNK_BYTES, ModelHeader, ModelId, ModelKind, SiteId};
+use cosurf_wire::{BodyCodec, DeviceId, FrameId, MAX_CHUNK_BYTES, ModelHeader, ModelId, ModelKind};
 
 use crate::body::{BodyFault, body_hash};
 use crate::codec::{FirstLayer, check_body, model_to_body, plain_importance};
 use crate::manifest::Manifest;
-use crate::trust::Credentials;
 
 /// A model packed for sending: its header and body.
 #[derive(Clone, Debug)]
@@ -63,7 +62,6 @@ impl Offer {
             body_bytes: body.len() as u64,
             chunk_bytes: MAX_CHUNK_BYTES as u32,
             blake3: body_hash(&body),
-            signature: None,
         };
         check_body(&header, &body)?;
         Ok(Self { header, body })
@@ -92,20 +90,15 @@ impl Offer {
             body_bytes: body.len() as u64,
             chunk_bytes: MAX_CHUNK_BYTES as u32,
             blake3: body_hash(&body),
-            signature: None,
         };
         header.check().map_err(|_| BodyFault::Manifest)?;
         check_body(&header, &body)?;
         Ok(Self { header, body })
     }
 
-    /// Sets the world frame of the model, and signs the header if `credentials` have a key.
-    pub fn with_credentials(mut self, site: &SiteId, credentials: &Credentials) -> Self {
-        self.header.frame = credentials.frame;
-        self.header.signature = None;
-        if let Some(key) = &credentials.key {
-            key.sign(site, &mut self.header);
-        }
+    /// Sets the world frame of the model.
+    pub fn in_frame(mut self, frame: FrameId) -> Self {
+        self.header.frame = frame;
         self
     }
 }

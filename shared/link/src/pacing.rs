@@ -35,7 +35,22 @@ pub(crate) const IDLE_GAPS: u32 = 8;
 pub(crate) const STORE_RETRY: Backoff = Backoff::new(Duration::from_secs(5), Duration::from_secs(60));
 
 /// An unfinished model without a new chunk for this long is dropped if another model needs its room.
-pub(crate) const STALLED: Duration = Duration::from_secs(300);
+pub(crate) const STALLED: Duration = Duration::from_secs(60);
+/// An unfinished model of which no chunk has arrived for this long after its header is dropped if another model needs its
+/// room.
+pub(crate) const NEVER_BEGUN: Duration = Duration::from_secs(10);
+/// A header that contradicts that of an unfinished model replaces it only if no chunk has arrived for this long. So
+/// headers of strangers do not disturb a transfer that gets on.
+pub(crate) const REPLACEABLE: Duration = Duration::from_secs(10);
+/// How long an unfinished model waits before it asks again for more room.
+pub(crate) const ROOM_RETRY: Duration = Duration::from_secs(2);
+
+/// The time in which a receiver may have a whole body sent again.
+pub(crate) const RESEND_ALL: Duration = Duration::from_secs(30);
+/// Shortest time between two requests of a receiver that show no new chunk. Further ones are ignored.
+pub(crate) const REPEATED_WANT: Duration = Duration::from_millis(400);
+/// An upload without a reply after this many offers, about half a minute, is reported.
+pub(crate) const UNANSWERED_OFFERS: u32 = 5;
 /// An unfinished model without a new chunk for this long is dropped even if no model needs its room.
 pub(crate) const ABANDONED: Duration = Duration::from_secs(3600);
 

@@ -1,9 +1,15 @@
 //! A sender's state for one receiver.
 
+use std::time::Duration;
+
 use cosurf_wire::{ChunkStatus, DeviceId, RefusalReason, Want};
 
 use crate::bits::BitSet;
-use crate::pacing::{REORDER, WINDOW};
+use crate::pacing::{REORDER, REPEATED_WANT, RESEND_ALL, WINDOW};
+
+/// Resends that each chunk earns that a receiver has for the first time. On a line that loses half of its messages, a
+/// chunk takes one.
+const RESENDS_EARNED: u32 = 2;
 
 /// The transfer of one model to one receiver.
 #[derive(Debug)]
@@ -16,6 +22,15 @@ pub(crate) struct Peer {
     wanted: BitSet,
     /// Chunks that were sent and are not acknowledged, at most [`WINDOW`].
     in_flight: Vec<SentChunk>,
+    /// Chunks that were sent to this receiver at least once.
+    sent: BitSet,
+    /// The most chunks that the receiver is known to have had at once.
+    chunks_had: u32,
+    /// When the receiver may send the next request that shows no new chunk.
+    repeat_at: Duration,
+    /// Chunks that may be sent again to this receiver, and the time of that number.
+    resends: (u32, Duration),
+    resends_max: u32,
 }
 
 /// How far the transfer to a receiver has come.
@@ -40,12 +55,18 @@ struct SentChunk {
 
 impl Peer {
     pub(crate) fn new(device: DeviceId, chunks: u32, is_required: bool) -> Self {
+        let resends_max = chunks.max(WINDOW as u32);
         Self {
             device,
             phase: PeerPhase::Silent,
             is_required,
             wanted: BitSet::full(chunks),
             in_flight: Vec::with_capacity(WINDOW),
+            sent: BitSet::empty(chunks),
+            chunks_had: 0,
+            repeat_at: Duration::ZERO,
+            resends: (resends_max, Duration::ZERO),
+            resends_max,
         }
     }
 
@@ -62,16 +83,50 @@ impl Peer {
         }
     }
 
-    /// Index of the next chunk to send, if the receiver wants one and the window has room for it.
-    pub(crate) fn next_chunk(&self) -> Option<u32> {
-        let has_room = self.phase == PeerPhase::Fetching && self.in_flight.len() < WINDOW;
-        has_room.then(|| self.wanted.first()).flatten()
+    /// Index of the next chunk to send, if the receiver wants one, the window has room for it and, for a chunk that was
+    /// sent before, the receiver may have chunks sent again.
+    pub(crate) fn next_chunk(&self, now: Duration) -> Option<u32> {
+        if !self.has_room() {
+            return None;
+        }
+        if self.resends_at(now) > 0 { self.wanted.first() } else { self.wanted.first_outside(&self.sent) }
     }
 
-    /// Records that chunk `index` was published, for this receiver or for another one: all receivers get it.
+    /// When the receiver may have a chunk sent again; `None` if it waits for none.
+    pub(crate) fn next_resend(&self) -> Option<Duration> {
+        let waits = self.has_room() && self.resends.0 == 0 && self.wanted.len() > 0;
+        waits.then(|| self.resends.1 + RESEND_ALL / self.resends_max)
+    }
+
+    fn has_room(&self) -> bool {
+        self.phase == PeerPhase::Fetching && self.in_flight.len() < WINDOW
+    }
+
+    /// Number of chunks that may be sent again.
+    fn resends_at(&self, now: Duration) -> u32 {
+        let (left, at) = self.resends;
+        let since = now.saturating_sub(at).as_secs_f64() / RESEND_ALL.as_secs_f64();
+        let earned = (since * f64::from(self.resends_max)) as u32;
+        left.saturating_add(earned).min(self.resends_max)
+    }
+
+    /// Counts the resends that the time has earned.
+    fn earn_resends(&mut self, now: Duration) {
+        let left = self.resends_at(now);
+        if left != self.resends.0 || left == self.resends_max {
+            self.resends = (left, now);
+        }
+    }
+
+    /// Records that chunk `index` was published, for this receiver (`is_due`) or for another one that shares the topic.
     /// Does nothing if this receiver is not fetching, does not want the chunk, or has a full window.
-    pub(crate) fn on_sent(&mut self, index: u32, order: u64) {
-        if self.phase == PeerPhase::Fetching && self.wanted.contains(index) && self.in_flight.len() < WINDOW {
+    pub(crate) fn on_sent(&mut self, now: Duration, index: u32, order: u64, is_due: bool) {
+        if self.has_room() && self.wanted.contains(index) {
+            if is_due && self.sent.contains(index) {
+                self.earn_resends(now);
+                self.resends.0 = self.resends.0.saturating_sub(1);
+            }
+            self.sent.insert(index);
             self.wanted.remove(index);
             self.in_flight.push(SentChunk { index, order });
         }
@@ -79,8 +134,24 @@ impl Peer {
 
     /// Updates the state from a `Want`. A chunk in flight that the receiver is not known to have counts as
     /// lost in two cases: the receiver is idle, or a chunk sent more than [`REORDER`] places later has
-    /// arrived.
-    pub(crate) fn on_want(&mut self, chunks: u32, want: &Want) {
+    /// arrived. Returns false if the `Want` is ignored: it shows no new chunk, and the last such one was just before.
+    pub(crate) fn on_want(&mut self, now: Duration, chunks: u32, want: &Want) -> bool {
+        let has = (0..chunks).filter(|index| want.missing.status_of(*index) == ChunkStatus::Received).count();
+        let new = (has as u32).saturating_sub(self.chunks_had);
+        if new == 0 {
+            if now < self.repeat_at {
+                return false;
+            }
+            self.repeat_at = now + REPEATED_WANT;
+        }
+        self.chunks_had += new;
+        self.earn_resends(now);
+        self.resends.0 = self.resends.0.saturating_add(new * RESENDS_EARNED).min(self.resends_max);
+        self.take_want(chunks, want);
+        true
+    }
+
+    fn take_want(&mut self, chunks: u32, want: &Want) {
         self.phase = PeerPhase::Fetching;
         let status_of = |index| want.missing.status_of(index);
         let has_arrived = |sent: &&SentChunk| status_of(sent.index) == ChunkStatus::Received;

@@ -116,7 +116,7 @@ fn open_file(path: &Path) -> Result<(fs::File, ModelHeader), SceneError> {
     let head =
         buffer.get_mut(..usize::from(length)).ok_or_else(|| malformed(path, "its header is too long"))?;
     file.read_exact(head).map_err(failed)?;
-    let header = match Message::decode(head) {
+    let header = match Message::decode_stored(head) {
         Ok(Message::Header(header)) => header,
         Ok(_) => return Err(malformed(path, "it does not begin with a header")),
         Err(error) => return Err(malformed(path, &error.to_string())),

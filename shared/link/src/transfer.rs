@@ -10,14 +10,22 @@ use crate::bits::BitSet;
 use crate::body::{Model, body_hash};
 use crate::codec::{check_body, checked_part_to_model};
 use crate::pacing::{
-    Backoff, FETCHES_MAX, FIRST_GAP, IDLE_GAPS, IDLE_MAX, IDLE_MIN, STORE_RETRY, WANT_EVERY,
+    Backoff, FETCHES_MAX, FIRST_GAP, IDLE_GAPS, IDLE_MAX, IDLE_MIN, NEVER_BEGUN, REPLACEABLE, ROOM_RETRY,
+    STALLED, STORE_RETRY, WANT_EVERY,
 };
+
+/// Memory that an upload may take before any chunk has arrived, bytes. A window of chunks of 32 KiB fits.
+const FIRST_CLAIM_BYTES: u64 = 1 << 20;
+/// So many times as many bytes as have arrived, an upload may take in addition.
+const CLAIM_GROWTH: u64 = 16;
 
 /// An unfinished model: the bytes that have arrived, the missing chunks, and the time of the next request.
 #[derive(Debug)]
 pub(crate) struct Transfer {
     pub(crate) header: ModelHeader,
     pub(crate) phase: TransferPhase,
+    /// The sender's session that made the offer.
+    pub(crate) session: u64,
     /// Topic of the `Want`s to the sender.
     pub(crate) want_topic: Topic,
     /// Time when the last new chunk arrived, or the header if no chunk has arrived.
@@ -25,8 +33,10 @@ pub(crate) struct Transfer {
     /// Time of the last `Want` that was marked `idle`. The sender needs time to react to it, so the next such
     /// `Want` must wait.
     last_idle: Duration,
+    /// The start of the body: as much of it as the transfer may take.
     body: Arc<Vec<u8>>,
     received: BitSet,
+    received_bytes: u64,
     new_since_want: u32,
     /// Average time between two new chunks.
     gap: Duration,
@@ -51,7 +61,7 @@ pub(crate) enum TransferPhase {
 pub(crate) enum ChunkOutcome {
     /// The chunk was new.
     Taken,
-    /// The chunk had already arrived.
+    /// The chunk had already arrived, or there is no room for it yet.
     Known,
     /// The chunk contradicts the header. Or it completed a body with a wrong hash, and all chunks are fetched
     /// again.
@@ -61,16 +71,24 @@ pub(crate) enum ChunkOutcome {
 }
 
 impl Transfer {
-    /// Starts a transfer. The caller must have checked the header's sizes against the limits.
-    pub(crate) fn new(now: Duration, header: ModelHeader, want_topic: Topic) -> Self {
+    /// Starts a transfer that takes `claim` bytes. The caller must have checked the header's sizes against the limits.
+    pub(crate) fn new(
+        now: Duration,
+        header: ModelHeader,
+        session: u64,
+        claim: u64,
+        want_topic: Topic,
+    ) -> Self {
         Self {
             header,
+            session,
             phase: TransferPhase::Fetching { want_at: now },
             want_topic,
             last_news: now,
             last_idle: now,
-            body: Arc::new(vec![0; header.body_bytes as usize]),
+            body: Arc::new(vec![0; claim as usize]),
             received: BitSet::empty(header.chunks()),
+            received_bytes: 0,
             new_since_want: 0,
             gap: FIRST_GAP,
             want_backoff: Backoff::new(FIRST_GAP, IDLE_MAX),
@@ -81,6 +99,54 @@ impl Transfer {
 
     pub(crate) fn body(&self) -> Arc<Vec<u8>> {
         Arc::clone(&self.body)
+    }
+
+    /// Bytes that an upload takes at first.
+    pub(crate) fn first_claim(header: &ModelHeader) -> u64 {
+        header.body_bytes.min(FIRST_CLAIM_BYTES)
+    }
+
+    /// Bytes that the transfer takes.
+    pub(crate) fn claim(&self) -> u64 {
+        self.body.len() as u64
+    }
+
+    /// Bytes that the transfer may take if there is room for them: the whole body soon, but not before a share of it has
+    /// arrived.
+    pub(crate) fn wanted_claim(&self) -> u64 {
+        let grown = FIRST_CLAIM_BYTES.saturating_add(self.received_bytes.saturating_mul(CLAIM_GROWTH));
+        self.header.body_bytes.min(grown).max(self.claim())
+    }
+
+    /// Lets the transfer take `claim` bytes.
+    pub(crate) fn grow(&mut self, claim: u64) {
+        // Always succeeds: the body is shared only once it is complete.
+        if let Some(body) = Arc::get_mut(&mut self.body) {
+            body.resize(claim as usize, 0);
+        }
+    }
+
+    /// Bytes that have arrived.
+    pub(crate) fn received_bytes(&self) -> u64 {
+        self.received_bytes
+    }
+
+    /// Whether chunks are missing, and none of the missing ones has room.
+    pub(crate) fn lacks_room(&self) -> bool {
+        let missing = (0..self.header.chunks()).find(|index| !self.received.contains(*index));
+        let end = missing.and_then(|index| self.header.chunk_range(index)).map_or(0, |range| range.end);
+        matches!(self.phase, TransferPhase::Fetching { .. }) && end > self.claim()
+    }
+
+    /// Waits for room, without a request to the sender.
+    pub(crate) fn wait_for_room(&mut self, now: Duration) {
+        self.phase = TransferPhase::Fetching { want_at: now + ROOM_RETRY };
+    }
+
+    /// Whether another model may take the room of this one: chunks are missing, and none has arrived for a while.
+    pub(crate) fn is_stalled(&self, now: Duration) -> bool {
+        let patience = if self.received_bytes == 0 { NEVER_BEGUN } else { STALLED };
+        matches!(self.phase, TransferPhase::Fetching { .. }) && now.saturating_sub(self.last_news) >= patience
     }
 
     /// Decodes the packs that have arrived. Returns `None` if no splats have arrived, if a pack is invalid, or if the
@@ -102,6 +168,15 @@ impl Transfer {
             TransferPhase::ToStore { at, .. } => Some(at),
             TransferPhase::Storing => None,
         }
+    }
+
+    /// Whether another header takes the place of this one: if no chunk has arrived for a while, or if its sender, which has
+    /// signed it, makes the chunks smaller before any has arrived.
+    pub(crate) fn may_be_replaced(&self, now: Duration, by: &ModelHeader, is_signed: bool) -> bool {
+        let is_smaller = ModelHeader { chunk_bytes: by.chunk_bytes, ..self.header } == *by
+            && by.chunk_bytes < self.header.chunk_bytes;
+        now.saturating_sub(self.last_news) >= REPLACEABLE
+            || (is_signed && is_smaller && self.received_bytes == 0)
     }
 
     /// Schedules a `Want` for `now`, because the sender has repeated its offer.
@@ -129,8 +204,12 @@ impl Transfer {
         let Some(body) = Arc::get_mut(&mut self.body) else {
             return ChunkOutcome::Known;
         };
-        body[range].copy_from_slice(chunk.payload);
+        let Some(place) = body.get_mut(range) else {
+            return ChunkOutcome::Known;
+        };
+        place.copy_from_slice(chunk.payload);
         self.received.insert(chunk.index);
+        self.received_bytes += chunk.payload.len() as u64;
         self.schedule_want(now);
         if self.received.len() < self.header.chunks() { ChunkOutcome::Taken } else { self.on_complete(now) }
     }
@@ -144,7 +223,8 @@ impl Transfer {
         }
         self.new_since_want = 0;
         self.phase = TransferPhase::Fetching { want_at: now + self.want_backoff.delay() };
-        Want { device: self.header.device, model: self.header.model, idle, missing }
+        let ModelHeader { device, model, .. } = self.header;
+        Want { device, model, session: self.session, idle, missing }
     }
 
     /// Schedules another attempt to store the body, because the caller could not store it.
@@ -175,10 +255,11 @@ impl Transfer {
     fn on_complete(&mut self, now: Duration) -> ChunkOutcome {
         if body_hash(&self.body) != self.header.blake3 {
             if self.fetches >= FETCHES_MAX {
-                return ChunkOutcome::BadBody(RefusalReason::BadBody);
+                return ChunkOutcome::BadBody(RefusalReason::Garbled);
             }
             self.fetches += 1;
             self.received = BitSet::empty(self.header.chunks());
+            self.received_bytes = 0;
             self.phase = TransferPhase::Fetching { want_at: now };
             return ChunkOutcome::Bad;
         }

@@ -1,12 +1,8 @@
-//! Authentication of models: ed25519 signatures of headers, and the world frame that all models must share.
+//! Keys: ed25519 signatures of messages, and the world frame that all models must share.
 //!
-//! A signature covers the site and all fields of the header except the chunk size
-//! ([`ModelHeader::statement`]). Chunks need no signature, because the header contains the hash of the body.
-//! A receiver with a list of keys refuses a model in four cases: the device is not in the list, the signature
-//! is missing or wrong, the key is revoked, or the model's number is lower than a number already stored from
-//! that device. A receiver without a list accepts models from every client of the broker. Replies such as
-//! [`cosurf_wire::Want`] are not signed. They rely on the broker's access list, which restricts every device to
-//! its own topics.
+//! A participant with a secret key seals all its messages but chunks ([`cosurf_wire::seal`]); the header has the hash of
+//! the body, so chunks need no signature. A receiver with a list of keys answers messages with silence that no listed key of
+//! their sender has signed, as [`crate::guard`] tells. A receiver without a list believes every client of the broker.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -14,8 +10,7 @@ use std::io::{ErrorKind, Write};
 use std::path::Path;
 
 use cosurf_scene::SceneError;
-use cosurf_wire::message::MAX_STATEMENT_BYTES;
-use cosurf_wire::{DeviceId, FrameId, ModelHeader, ModelId, RefusalReason, Signature, SiteId};
+use cosurf_wire::{DeviceId, FrameId, Signature};
 use ed25519_dalek::{Signer, SigningKey, VerifyingKey};
 
 /// Maximum size of a list of keys in bytes.
@@ -28,41 +23,41 @@ const KEY_BYTES_MAX: u64 = 1 << 10;
 pub struct Credentials {
     /// World frame of this participant's models. Models in other frames are refused.
     pub frame: FrameId,
-    /// Key that signs this participant's models; `None` leaves them unsigned.
+    /// Key that signs this participant's messages; `None` leaves them unsigned.
     pub key: Option<SecretKey>,
-    /// Keys whose models are accepted; `None` accepts all models, also unsigned ones.
+    /// Keys of the other side: of an aggregator's devices, or of a device's aggregators. `None` believes everybody.
     pub trusted: Option<Trusted>,
+    /// Of a device: keys of the devices whose flights count. `None` believes everybody if `trusted` is `None` too, and
+    /// nobody otherwise.
+    pub fleet: Option<Trusted>,
 }
 
 impl Credentials {
-    /// Reads the given files with the secret key and the list of trusted keys.
-    pub fn load(frame: FrameId, key: Option<&Path>, trusted: Option<&Path>) -> Result<Self, SceneError> {
+    /// Reads the given files with the secret key and the lists of keys.
+    pub fn load(
+        frame: FrameId,
+        key: Option<&Path>,
+        trusted: Option<&Path>,
+        fleet: Option<&Path>,
+    ) -> Result<Self, SceneError> {
         let key = key.map(SecretKey::read).transpose()?;
-        let trusted = trusted.map(Trusted::read).transpose()?;
-        Ok(Self { frame, key, trusted })
-    }
-
-    /// Checks frame, signature and number of a model. `newest` is the highest number stored from the model's
-    /// device; `None` allows any number.
-    pub(crate) fn check(
-        &self,
-        site: &SiteId,
-        header: &ModelHeader,
-        newest: Option<ModelId>,
-    ) -> Result<(), RefusalReason> {
-        if header.frame != self.frame {
-            return Err(RefusalReason::WrongFrame);
-        }
-        let Some(trusted) = &self.trusted else { return Ok(()) };
-        trusted.check(site, header)?;
-        if newest.is_some_and(|newest| header.model < newest) {
-            return Err(RefusalReason::Replayed);
-        }
-        Ok(())
+        let [trusted, fleet] = [trusted, fleet].map(|list| list.map(Trusted::read).transpose());
+        Ok(Self { frame, key, trusted: trusted?, fleet: fleet? })
     }
 }
 
-/// A secret key for signing models.
+/// Why a message is not that of a listed key.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub(crate) enum KeyFault {
+    #[error("no key of {0} is listed")]
+    Unlisted(DeviceId),
+    #[error("no listed key of {0} has signed it")]
+    WrongKey(DeviceId),
+    #[error("the key of {0} that has signed it is revoked")]
+    Revoked(DeviceId),
+}
+
+/// A secret key for signing messages.
 #[derive(Clone)]
 pub struct SecretKey(SigningKey);
 
@@ -110,11 +105,10 @@ impl SecretKey {
         format!("{device} {}", hex(self.0.verifying_key().as_bytes()))
     }
 
-    /// Signs a header.
-    pub fn sign(&self, site: &SiteId, header: &mut ModelHeader) {
-        let mut buffer = [0; MAX_STATEMENT_BYTES];
-        let signature = self.0.sign(header.statement(site, &mut buffer));
-        header.signature = Some(Signature { r: *signature.r_bytes(), s: *signature.s_bytes() });
+    /// Signs the bytes of a statement.
+    pub(crate) fn sign(&self, statement: [&[u8]; 4]) -> Signature {
+        let signature = self.0.sign(&statement.concat());
+        Signature { r: *signature.r_bytes(), s: *signature.s_bytes() }
     }
 }
 
@@ -162,18 +156,21 @@ impl Trusted {
         Ok(trusted)
     }
 
-    fn check(&self, site: &SiteId, header: &ModelHeader) -> Result<(), RefusalReason> {
-        let keys = self.keys.get(&header.device).ok_or(RefusalReason::UnknownDevice)?;
-        let Signature { r, s } = header.signature.ok_or(RefusalReason::BadSignature)?;
-        let signature = ed25519_dalek::Signature::from_components(r, s);
-        let mut buffer = [0; MAX_STATEMENT_BYTES];
-        let statement = header.statement(site, &mut buffer);
-        let signer = keys.iter().find(|known| known.key.verify_strict(statement, &signature).is_ok());
+    /// Checks that a key of `sender` has signed a statement, and that this key is not revoked.
+    pub(crate) fn check(
+        &self,
+        sender: DeviceId,
+        statement: [&[u8]; 4],
+        Signature { r, s }: Signature,
+    ) -> Result<(), KeyFault> {
+        let keys = self.keys.get(&sender).ok_or(KeyFault::Unlisted(sender))?;
+        let (statement, signature) = (statement.concat(), ed25519_dalek::Signature::from_components(r, s));
+        let signer = keys.iter().find(|known| known.key.verify_strict(&statement, &signature).is_ok());
         match signer {
-            None => Err(RefusalReason::BadSignature),
+            None => Err(KeyFault::WrongKey(sender)),
             // A key that is listed twice is revoked if at least one of its lines says so.
             Some(signer) if keys.iter().any(|known| known.key == signer.key && known.is_revoked) => {
-                Err(RefusalReason::Revoked)
+                Err(KeyFault::Revoked(sender))
             }
             Some(_) => Ok(()),
         }

@@ -2,26 +2,25 @@
 //! the receiver has stored the model.
 //!
 //! Chunks are sent only after a [`Want`], so a restarted sender sends only the missing chunks. A chunk of a
-//! global model reaches all devices at once, so it is not sent to each of them separately.
+//! global model reaches all devices at once, so it is not sent to each of them separately. A chunk that only one device
+//! lacks later is sent to that device only. How often chunks are sent again is limited for each receiver.
 
 use std::time::Duration;
 
 use cosurf_wire::{
-    Chunk, DeviceId, Done, MAX_MESSAGE_BYTES, Message, RefusalReason, Refused, Reply, SiteId, TileId, Topic,
-    Want,
+    Chunk, DeviceId, Done, MAX_MESSAGE_BYTES, MIN_CHUNK_BYTES, Message, RefusalReason, Refused, Reply,
+    SiteId, TileId, Topic, Want,
 };
 
+use crate::bits::BitSet;
 use crate::key::ModelKey;
 use crate::offer::Offer;
-use crate::pacing::{ANNOUNCE, Backoff};
+use crate::pacing::{ANNOUNCE, Backoff, UNANSWERED_OFFERS};
 use crate::peer::{Peer, PeerPhase};
 use crate::transport::Outgoing;
 
 /// Limit on the receivers of a global model, and on the devices whose sessions a node remembers, unless another is set.
 pub const DEVICES_MAX: usize = 1024;
-/// Smallest chunk, in bytes, that a sender uses when the link limits the size of messages. With smaller
-/// chunks, the overhead of the messages would be too large.
-const CHUNK_BYTES_MIN: u32 = 1024;
 
 /// The progress of an upload.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -89,7 +88,7 @@ enum Destination {
 ///
 /// // This aggregator has stored the body in an earlier session.
 /// let topic = Topic::LocalReply { device, reply: Reply::Done };
-/// let reply = Message::Done(Done { device, model, blake3 });
+/// let reply = Message::Done(Done { device, model, session: 0, blake3 });
 /// assert_eq!(uploader.on_reply(now, &topic, &reply), Some(UploadEvent::Finished));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
@@ -103,9 +102,14 @@ pub struct Uploader {
     is_full_told: bool,
     announce_at: Option<Duration>,
     backoff: Backoff,
+    /// Chunks of a global model that were sent to all devices.
+    broadcast: BitSet,
     sent_chunks: u64,
     bytes_sent: u64,
     is_cleared: bool,
+    /// Number of offers since the last reply, and that number when it was last reported.
+    unanswered: u32,
+    told_unanswered: u32,
 }
 
 impl Uploader {
@@ -137,9 +141,12 @@ impl Uploader {
             is_full_told: false,
             announce_at: Some(Duration::ZERO),
             backoff: ANNOUNCE,
+            broadcast: BitSet::empty(chunks),
             sent_chunks: 0,
             bytes_sent: 0,
             is_cleared: false,
+            unanswered: 0,
+            told_unanswered: 0,
         }
     }
 
@@ -205,11 +212,13 @@ impl Uploader {
         let overhead = MAX_MESSAGE_BYTES - cosurf_wire::MAX_CHUNK_BYTES + 2 * cosurf_wire::MAX_TOPIC_BYTES;
         let fitting = u32::try_from(max_bytes.saturating_sub(overhead)).unwrap_or(u32::MAX);
         let chunk_bytes = fitting.min(self.offer.header.chunk_bytes / 2);
-        if chunk_bytes < CHUNK_BYTES_MIN {
+        let header = cosurf_wire::ModelHeader { chunk_bytes, ..self.offer.header };
+        if chunk_bytes < MIN_CHUNK_BYTES || header.check().is_err() {
             return false;
         }
-        self.offer.header.chunk_bytes = chunk_bytes;
-        let chunks = self.offer.header.chunks();
+        self.offer.header = header;
+        let chunks = header.chunks();
+        self.broadcast = BitSet::empty(chunks);
         for peer in self.peers.iter_mut().filter(|peer| !peer.is_closed()) {
             *peer = Peer::new(peer.device, chunks, peer.is_required);
         }
@@ -234,18 +243,23 @@ impl Uploader {
         }
         let before = self.peers[index].chunks_received(chunks);
         match (reply, message) {
-            (Reply::Want, Message::Want(want)) => self.peers[index].on_want(chunks, want),
+            (Reply::Want, Message::Want(want)) => {
+                if !self.peers[index].on_want(now, chunks, want) {
+                    return None;
+                }
+            }
             (Reply::Done, Message::Done(done)) if done.blake3 == self.offer.header.blake3 => {
                 self.peers[index].phase = PeerPhase::Done;
             }
             (Reply::Refused, Message::Refused(refused)) => {
                 self.peers[index].on_refused(refused.reason);
+                self.unanswered = 0;
                 self.delay_announcement(now);
                 return Some(UploadEvent::Refused(by, refused.reason));
             }
             _ => return None,
         }
-        self.backoff.reset();
+        (self.unanswered, self.backoff) = (0, ANNOUNCE);
         self.delay_announcement(now);
         if self.peers[index].is_required && self.is_stored() {
             return Some(UploadEvent::Finished);
@@ -258,7 +272,7 @@ impl Uploader {
         let message = match self.destination {
             Destination::Aggregator if self.is_closed() => self.clear_offer(),
             _ if self.announce_at.is_some_and(|at| now >= at) => Some(self.announce(now)),
-            _ => self.next_chunk(),
+            _ => self.next_chunk(now),
         }?;
         self.bytes_sent += (message.topic.len() + message.payload.len()) as u64;
         Some(message)
@@ -267,7 +281,19 @@ impl Uploader {
     /// Time by which [`Self::next`] has a message, if no reply arrives before. `None` if no offer is
     /// scheduled.
     pub fn next_wakeup(&self) -> Option<Duration> {
-        if self.is_cleared { None } else { self.announce_at }
+        let resends = self.peers.iter().filter_map(Peer::next_resend);
+        resends.chain(self.announce_at).min().filter(|_| !self.is_cleared)
+    }
+
+    /// The number of offers of a device's model without a reply, once it has become large, and again whenever as many more
+    /// follow.
+    pub(crate) fn take_unanswered(&mut self) -> Option<u32> {
+        let is_due = self.unanswered > 0
+            && self.unanswered.is_multiple_of(UNANSWERED_OFFERS)
+            && self.told_unanswered != self.unanswered
+            && matches!(self.destination, Destination::Aggregator);
+        is_due.then(|| self.told_unanswered = self.unanswered)?;
+        Some(self.unanswered)
     }
 
     fn is_stored(&self) -> bool {
@@ -313,25 +339,43 @@ impl Uploader {
             Destination::Device(device) => Topic::TileHeader { device, model: header.model },
         };
         self.delay_announcement(now);
+        self.unanswered = self.unanswered.saturating_add(1);
         let is_retained = self.device().is_none();
         Outgoing::new(&self.site, topic, &Message::Header(header), is_retained)
     }
 
-    fn next_chunk(&mut self) -> Option<Outgoing> {
-        let index = self.peers.iter().filter_map(Peer::next_chunk).min()?;
+    fn next_chunk(&mut self, now: Duration) -> Option<Outgoing> {
+        let index = self.peers.iter().filter_map(|peer| peer.next_chunk(now)).min()?;
+        let is_due = |peer: &Peer| peer.next_chunk(now) == Some(index);
+        let only = self.only_receiver(index, self.peers.iter().filter(|peer| is_due(peer)));
         self.sent_chunks += 1;
-        self.peers.iter_mut().for_each(|peer| peer.on_sent(index, self.sent_chunks));
+        for peer in self.peers.iter_mut().filter(|peer| only.is_none_or(|only| peer.device == only)) {
+            let is_due = is_due(peer);
+            peer.on_sent(now, index, self.sent_chunks, is_due);
+        }
+        if only.is_none() {
+            self.broadcast.insert(index);
+        }
         let header = &self.offer.header;
         let range = header.chunk_range(index)?;
         let payload = &self.offer.body[range.start as usize..range.end as usize];
         let (device, model) = (header.device, header.model);
         let chunk = Chunk { device, model, index, payload };
-        let topic = match self.destination {
-            Destination::Aggregator => Topic::LocalChunk { device, model, index },
-            Destination::Devices(tile) => Topic::GlobalChunk { tile, model, index },
-            Destination::Device(device) => Topic::TileChunk { device, model, index },
+        let topic = match (self.destination, only) {
+            (Destination::Aggregator, _) => Topic::LocalChunk { device, model, index },
+            (Destination::Devices(tile), None) => Topic::GlobalChunk { tile, model, index },
+            (Destination::Devices(_), Some(device)) | (Destination::Device(device), _) => {
+                Topic::TileChunk { device, model, index }
+            }
         };
         Some(Outgoing::new(&self.site, topic, &Message::Chunk(chunk), false))
+    }
+
+    /// The only device that lacks a chunk which all devices were sent before. `None` if the chunk must be sent to all.
+    fn only_receiver<'a>(&self, index: u32, mut lacking: impl Iterator<Item = &'a Peer>) -> Option<DeviceId> {
+        let is_again = matches!(self.destination, Destination::Devices(_)) && self.broadcast.contains(index);
+        let first = lacking.next().filter(|_| is_again)?.device;
+        lacking.next().is_none().then_some(first)
     }
 
     /// Makes the message that deletes the retained header of a local model, which is no longer needed. Returns

@@ -69,7 +69,7 @@ fn a_late_device_does_not_receive_a_withdrawn_flight() {
     assert_eq!(heard(&fleet[2]), [("sound".to_owned(), cameras(5))]);
 }
 
-/// Flights are not signed, so a device with a list of trusted keys ignores them.
+/// A device with a list of trusted keys and none of other devices ignores flights.
 #[test]
 fn a_device_with_trusted_keys_ignores_flights() {
     let network = MemoryNetwork::new(6, Faults::NONE);

@@ -67,6 +67,7 @@ fn fault_17_expired_revoked_and_foreign_certificates() {
         first_event(MqttConfig {
             broker: broker.address.clone(),
             identity: identity(Role::Device, "drone"),
+            will: None,
             tls,
             login: None,
         })
@@ -96,7 +97,9 @@ fn tls_at_a_port_without_it_is_told() {
     let event = first_event(MqttConfig {
         broker: BrokerAddress { is_tls: true, ..broker.address.clone() },
         identity: identity(Role::Device, "drone"),
+        will: None,
         tls: Some(tls(&files)),
+        login: None,
     });
     println!("{event:?}");
     assert!(matches!(event, TransportEvent::Disconnected { reason, .. } if reason.contains("mqtt://")));
@@ -117,6 +120,7 @@ fn the_example_configuration_passes_models_and_blocks_forgeries() {
     let config = MqttConfig {
         broker: broker.address.clone(),
         identity: thief,
+        will: None,
         tls: Some(tls(&thief_files)),
         login: None,
     };
@@ -150,7 +154,8 @@ fn attack_14_name_client_id_and_device_are_one() {
     let Some(broker) = Mosquitto::start(folder.path(), &settings, true) else { return };
     let connect = |identity, files| {
         let (broker, tls) = (broker.address.clone(), Some(tls(files)));
-        let mut transport = MqttTransport::start(MqttConfig { broker, identity, tls, login: None });
+        let mut transport =
+            MqttTransport::start(MqttConfig { broker, identity, will: None, tls, login: None });
         assert_eq!(transport.poll(Duration::from_secs(20)), Some(TransportEvent::Connected));
         transport
     };

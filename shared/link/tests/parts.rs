@@ -6,7 +6,7 @@ use std::time::Duration;
 use cosurf_link::inbox::Inbox;
 use cosurf_link::{Credentials, InboxLimits, Model, ModelKey, Offer, Role, SecretKey, Trusted};
 use cosurf_tests::offers::{identity, offer};
-use cosurf_wire::{Chunk, DeviceId, ModelHeader, ModelKind, SiteId, Topic};
+use cosurf_wire::{Chunk, DeviceId, ModelHeader, ModelKind, Topic};
 
 const NOW: Duration = Duration::ZERO;
 
@@ -17,7 +17,7 @@ fn inbox() -> Inbox {
 /// Sends all chunks but the last, and returns the partial model after each chunk, if there is one.
 fn parts(mut inbox: Inbox, Offer { header, body }: &Offer) -> Vec<Model> {
     let ModelHeader { device, model, .. } = *header;
-    inbox.on_header(NOW, &Topic::LocalHeader { device, model }, *header);
+    inbox.on_header(NOW, &Topic::LocalHeader { device, model }, *header, 1);
     assert_eq!(inbox.unfinished().count(), 1);
     let mut take = |index| {
         let range = header.chunk_range(index).unwrap();
@@ -49,9 +49,7 @@ fn a_body_that_differs_from_its_header_gives_no_part() {
 fn a_model_that_must_be_signed_gives_no_part_before_it_is_whole() {
     let key = SecretKey::new(&[1; 32]);
     let list = key.public_line(&DeviceId::new("drone").unwrap());
-    let signer = Credentials { key: Some(key), ..Credentials::default() };
-    let signed = offer("drone", 1, ModelKind::Local, 1, 4000, 1024)
-        .with_credentials(&SiteId::new("site").unwrap(), &signer);
+    let signed = offer("drone", 1, ModelKind::Local, 1, 4000, 1024);
     let mut inbox = inbox();
     inbox.set_credentials(Credentials {
         trusted: Some(Trusted::parse(&list).unwrap()),

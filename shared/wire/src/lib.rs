@@ -4,7 +4,7 @@
 //! nothing. The size of every value is limited, so the largest encoding of each message is a constant.
 //!
 //! Where to start reading: [`message`] has the messages of the protocol, [`topic`] the MQTT topics,
-//! [`body`] the byte layout of a model, and [`frame`] the frames that carry messages over a serial line.
+//! [`seal`] the signatures, [`body`] the byte layout of a model, and [`frame`] the frames that carry messages over a serial line.
 //!
 //! # The protocol
 //!
@@ -35,9 +35,12 @@
 //!
 //! A message is encoded as one byte of [`VERSION`], then
 //! [postcard](https://postcard.jamesmunns.com/wire-format) (the variant's index, then its fields in
-//! declaration order), then the CRC-32 (as in zip and Ethernet) of the bytes before it, little-endian. All
+//! declaration order), then its [`Seal`] if the sender has a key and the message is not a chunk, then the CRC-32 (as in zip and Ethernet) of the bytes before it, little-endian. All
 //! versions have the version byte first and the checksum last. A receiver drops a damaged message, as if it
 //! had been lost.
+//!
+//! A reply (`Want`, `Done`, `Refused`) repeats the session of the offer that it answers, which the seal of the header
+//! tells. So a reply to an offer of an earlier session is never taken for one to this session's offer.
 #![no_std]
 #![forbid(unsafe_code)]
 
@@ -50,14 +53,16 @@ pub mod frame;
 pub mod id;
 pub mod message;
 pub mod missing;
+pub mod seal;
 pub mod topic;
 
 pub use body::{Bounds, CameraRecord};
 pub use id::{DeviceId, FrameId, IdError, ModelId, SiteId, TileId};
 pub use message::{
     BodyCodec, BodyHash, Chunk, Done, FLIGHT_CAMERAS_MAX, FlightCameras, HeaderError, MAX_CHUNK_BYTES,
-    MAX_CONTROL_BYTES, MAX_MESSAGE_BYTES, Message, ModelHeader, ModelKind, RefusalReason, Refused, Signature,
-    State, VERSION, Want, WireError,
+    MAX_CHUNKS, MAX_CONTROL_BYTES, MAX_MESSAGE_BYTES, MIN_CHUNK_BYTES, Message, ModelHeader, ModelKind,
+    RefusalReason, Refused, State, VERSION, Want, WireError,
 };
 pub use missing::{ChunkStatus, Missing};
+pub use seal::{MAX_SEAL_BYTES, Seal, Sealed, Signature};
 pub use topic::{MAX_TOPIC_BYTES, Reply, Topic, TopicError, TopicString};

@@ -6,19 +6,25 @@ use core::fmt;
 use serde::{Deserialize, Serialize};
 
 use crate::body::{Bounds, CAMERA_BYTES, CameraRecord, MAX_SH_DEGREE, body_bytes_range, sh_rest};
-use crate::id::{DeviceId, FrameId, ModelId, SiteId};
+use crate::id::{DeviceId, FrameId, ModelId};
 use crate::missing::Missing;
 
 /// Version of the message format: the first byte of every message.
-pub const VERSION: u8 = 2;
+pub const VERSION: u8 = 3;
+/// The version before. Its headers are those of this version, followed by a signature.
+pub(crate) const VERSION_BEFORE: u8 = 2;
 /// Bytes of the CRC-32 at the end of every message.
-const CHECKSUM_BYTES: usize = 4;
+pub(crate) const CHECKSUM_BYTES: usize = 4;
 /// Largest payload of a chunk, bytes. Common brokers accept messages of this size, and larger chunks would
 /// gain little.
 pub const MAX_CHUNK_BYTES: usize = 64 * 1024;
-/// Size in bytes of the largest encoding of a [`ModelHeader`]. No other message is larger, except
-/// [`Message::Chunk`] and [`Message::Flight`]. A test checks it.
-pub const MAX_CONTROL_BYTES: usize = 300;
+/// Smallest size of the chunks of a body that has more than one, bytes. The overhead of smaller ones would be too large.
+pub const MIN_CHUNK_BYTES: u32 = 1024;
+/// Largest number of chunks of a body. It bounds the work for a [`Want`].
+pub const MAX_CHUNKS: u32 = 1 << 16;
+/// Size in bytes of the largest encoding of a message with its seal, except [`Message::Chunk`] and [`Message::Flight`]. A
+/// test checks it.
+pub const MAX_CONTROL_BYTES: usize = 384;
 /// Size in bytes of the largest encoding of a [`Chunk`]. No other message is larger. A test checks it.
 pub const MAX_MESSAGE_BYTES: usize = MAX_CHUNK_BYTES + 89;
 
@@ -30,12 +36,6 @@ pub const FLIGHT_CAMERAS_MAX: usize = 160;
 const MANIFEST_BYTES_MAX: u64 = 16 << 20;
 /// A manifest takes at most so many times as much memory as its body.
 const MANIFEST_GROWTH: u64 = 128;
-
-/// Upper bound on the size of a [`ModelHeader::statement`], bytes. A test checks it.
-pub const MAX_STATEMENT_BYTES: usize = 384;
-/// Prefix of every [`ModelHeader::statement`], so that a signature of other data is never valid for a
-/// model.
-const STATEMENT: &str = "cosurf model";
 
 /// Any message of the protocol.
 ///
@@ -101,22 +101,11 @@ pub struct ModelHeader {
     pub bounds: Bounds,
     /// Size of the whole body in bytes.
     pub body_bytes: u64,
-    /// Size in bytes of every chunk except the last, 1 to [`MAX_CHUNK_BYTES`]. The last chunk has the
-    /// remaining bytes.
+    /// Size in bytes of every chunk except the last, at most [`MAX_CHUNK_BYTES`] and, if there are several chunks, at
+    /// least [`MIN_CHUNK_BYTES`]. The last chunk has the remaining bytes.
     pub chunk_bytes: u32,
     /// BLAKE3 hash of the whole body.
     pub blake3: BodyHash,
-    /// The device's signature of [`Self::statement`]. `None` if the device has no key.
-    pub signature: Option<Signature>,
-}
-
-/// An ed25519 signature.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Signature {
-    /// First half of the signature: the point R.
-    pub r: [u8; 32],
-    /// Second half of the signature: the scalar s.
-    pub s: [u8; 32],
 }
 
 /// Who made a model, and which part of the scene it contains.
@@ -178,6 +167,8 @@ pub struct Want {
     pub device: DeviceId,
     /// Number of the model, counted by the device that made it.
     pub model: ModelId,
+    /// Session of the sender whose offer this message answers, from the seal of the header; 0 if the header has no seal.
+    pub session: u64,
     /// No chunk has arrived for a while: the sender must treat the missing chunks as lost.
     pub idle: bool,
     /// The missing chunks.
@@ -191,6 +182,8 @@ pub struct Done {
     pub device: DeviceId,
     /// Number of the model, counted by the device that made it.
     pub model: ModelId,
+    /// Session of the sender whose offer this message answers, from the seal of the header; 0 if the header has no seal.
+    pub session: u64,
     /// Hash of the stored body.
     pub blake3: BodyHash,
 }
@@ -243,6 +236,8 @@ pub struct Refused {
     pub device: DeviceId,
     /// Number of the model, counted by the device that made it.
     pub model: ModelId,
+    /// Session of the sender whose offer this message answers, from the seal of the header; 0 if the header has no seal.
+    pub session: u64,
     /// Why the model is refused.
     pub reason: RefusalReason,
 }
@@ -250,8 +245,6 @@ pub struct Refused {
 /// Why a receiver refuses a model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum RefusalReason {
-    /// The header is malformed, or contradicts itself or its topic.
-    BadHeader,
     /// The body is larger than the receiver accepts.
     TooLarge,
     /// The receiver has no room for another unfinished model. The sender should offer the model again
@@ -268,28 +261,26 @@ pub enum RefusalReason {
     Withdrawn,
     /// The model's world frame is not that of the receiver.
     WrongFrame,
-    /// The receiver's list of keys has no key of the device.
-    UnknownDevice,
-    /// The signature is missing, or it does not match the header under any listed key of the device.
-    BadSignature,
-    /// The key that signed the model is revoked.
-    Revoked,
     /// The receiver has stored a model of the same device with a higher number, so this model is treated as
     /// a replay.
     Replayed,
+    /// The chunks that arrived do not have the hash that the header announced, several times in a row. The sender should
+    /// offer the model again later.
+    Garbled,
+    /// The receiver keeps models of as many devices as it may.
+    TooManyDevices,
 }
 
 impl RefusalReason {
     /// Whether the same offer may succeed later.
     pub fn is_temporary(self) -> bool {
-        matches!(self, Self::Busy | Self::StoreFailed)
+        matches!(self, Self::Busy | Self::StoreFailed | Self::Garbled)
     }
 }
 
 impl fmt::Display for RefusalReason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
-            Self::BadHeader => "its header is malformed",
             Self::TooLarge => {
                 "it is larger than the receiver accepts: train with fewer splats or raise the receiver's limit"
             }
@@ -299,12 +290,11 @@ impl fmt::Display for RefusalReason {
             Self::Withdrawn => "its device was withdrawn: publish a model of a later flight",
             Self::StoreFailed => "the receiver could not store it: check the receiver's disk",
             Self::WrongFrame => "it is in another world frame: set the same `frame` on both sides",
-            Self::UnknownDevice => "the receiver has no key of its device: add the device's key to the receiver's list",
-            Self::BadSignature => {
-                "its device did not sign it: check `key` on the device, and the device's line in the receiver's list"
-            }
-            Self::Revoked => "the key that signed it is revoked: give the device a new key",
             Self::Replayed => "a model with a higher number is stored: publish it under a new number",
+            Self::Garbled => {
+                "its chunks were changed on the way: check whether another participant writes to its topics"
+            }
+            Self::TooManyDevices => "the receiver has models of as many devices as it may: raise `devices_max` there",
         })
     }
 }
@@ -315,7 +305,8 @@ impl fmt::Display for RefusalReason {
 pub enum HeaderError {
     /// The degree of the spherical harmonics is above 3.
     ShDegree,
-    /// The chunk size is 0, above [`MAX_CHUNK_BYTES`], or so small that a `u32` cannot count the chunks.
+    /// The chunk size is 0, above [`MAX_CHUNK_BYTES`], below [`MIN_CHUNK_BYTES`] though there are several chunks, or so
+    /// small that there are more than [`MAX_CHUNKS`].
     ChunkBytes,
     /// A body with the header's numbers of splats and cameras cannot have `body_bytes` bytes.
     BodyBytes,
@@ -392,16 +383,6 @@ impl ModelHeader {
         u64::from(self.splats) * splat + u64::from(self.cameras) * CAMERA_BYTES as u64
     }
 
-    /// The bytes that the device signs: a prefix, the version, the site, and all fields except the
-    /// signature and the chunk size. The chunk size is not signed because the sender reduces it for links
-    /// that limit the size of messages.
-    pub fn statement<'o>(&self, site: &SiteId, out: &'o mut [u8; MAX_STATEMENT_BYTES]) -> &'o [u8] {
-        let signed = Self { chunk_bytes: 0, signature: None, ..*self };
-        // Cannot fail: a test encodes the longest statement.
-        let used = postcard::to_slice(&(STATEMENT, VERSION, site, signed), out).map_or(0, |used| used.len());
-        &out[..used]
-    }
-
     /// Checks that the fields agree with each other.
     pub fn check(&self) -> Result<(), HeaderError> {
         if self.sh_degree > MAX_SH_DEGREE {
@@ -414,7 +395,11 @@ impl ModelHeader {
         if !body_bytes.contains(&self.body_bytes) {
             return Err(HeaderError::BodyBytes);
         }
-        if self.chunk_bytes as usize > MAX_CHUNK_BYTES || self.chunks() == 0 {
+        let is_small = self.chunk_bytes < MIN_CHUNK_BYTES && self.chunks() > 1;
+        if self.chunk_bytes as usize > MAX_CHUNK_BYTES
+            || is_small
+            || !(1..=MAX_CHUNKS).contains(&self.chunks())
+        {
             return Err(HeaderError::ChunkBytes);
         }
         if !self.bounds.is_sane() {
@@ -425,7 +410,7 @@ impl ModelHeader {
 }
 
 impl<'a> Message<'a> {
-    /// Upper bound on the size of the encoding in bytes.
+    /// Upper bound on the size of the encoding in bytes, with a seal.
     pub fn bytes_max(&self) -> usize {
         MAX_CONTROL_BYTES
             + match self {
@@ -448,8 +433,8 @@ impl<'a> Message<'a> {
         Ok(&out[..used + CHECKSUM_BYTES])
     }
 
-    /// Decodes a message. The payload of a chunk and the cameras of a flight are borrowed from `bytes`.
-    pub fn decode(bytes: &'a [u8]) -> Result<Self, WireError> {
+    /// The version and the content of an encoded message, without its checksum, which is checked. The version is ours.
+    pub(crate) fn content(bytes: &'a [u8]) -> Result<&'a [u8], WireError> {
         if bytes.is_empty() {
             return Err(WireError::Empty);
         }
@@ -457,15 +442,18 @@ impl<'a> Message<'a> {
         if crc32fast::hash(content).to_le_bytes() != *checksum {
             return Err(WireError::Damaged);
         }
-        let (version, content) = content.split_first().ok_or(WireError::Malformed)?;
-        if *version != VERSION {
-            return Err(WireError::UnknownVersion(*version));
+        match content.first() {
+            None => Err(WireError::Malformed),
+            Some(&VERSION) => Ok(content),
+            Some(&version) => Err(WireError::UnknownVersion(version)),
         }
-        let (message, trailing): (Self, _) =
+    }
+
+    /// Decodes and checks the message at the start of `content`, behind the version byte. Also returns the bytes after it.
+    pub(crate) fn take(content: &'a [u8]) -> Result<(Self, &'a [u8]), WireError> {
+        let content = content.get(1..).ok_or(WireError::Malformed)?;
+        let (message, rest): (Self, _) =
             postcard::take_from_bytes(content).map_err(|_| WireError::Malformed)?;
-        if !trailing.is_empty() {
-            return Err(WireError::TrailingBytes);
-        }
         match &message {
             Self::Header(header) => header.check().map_err(WireError::Header)?,
             Self::Chunk(chunk) if chunk.payload.len() > MAX_CHUNK_BYTES => {
@@ -474,6 +462,28 @@ impl<'a> Message<'a> {
             Self::Flight(flight) if !flight.is_sane() => return Err(WireError::BadFlight),
             _ => {}
         }
-        Ok(message)
+        Ok((message, rest))
     }
+}
+
+/// Size in bytes of the largest [`refusal_for_version_before`].
+pub const REFUSAL_BEFORE_BYTES: usize = 1 + 1 + 65 + 10 + 1 + CHECKSUM_BYTES;
+
+/// Encodes the refusal of a model for a device that speaks the version before: its header is malformed. Devices of this
+/// version do not read it. Returns the written bytes.
+pub fn refusal_for_version_before(
+    device: DeviceId,
+    model: ModelId,
+    out: &mut [u8; REFUSAL_BEFORE_BYTES],
+) -> &[u8] {
+    /// Index of `Refused` among the messages of that version.
+    const REFUSED: u8 = 5;
+    /// Index of `BadHeader` among its reasons.
+    const BAD_HEADER: u8 = 0;
+    // Cannot fail: a test encodes the longest refusal.
+    let used = postcard::to_slice(&(VERSION_BEFORE, REFUSED, device, model, BAD_HEADER), out)
+        .map_or(0, |used| used.len());
+    let checksum = crc32fast::hash(&out[..used]).to_le_bytes();
+    out[used..used + CHECKSUM_BYTES].copy_from_slice(&checksum);
+    &out[..used + CHECKSUM_BYTES]
 }

@@ -7,13 +7,14 @@ use cosurf_wire::body::{
     PackKind, SHAPE_BYTES, ShLayout, Shape, SplatPacks, read_changes, read_shapes, write_changes,
     write_shapes,
 };
-use cosurf_wire::message::MAX_STATEMENT_BYTES;
+use cosurf_wire::message::{REFUSAL_BEFORE_BYTES, refusal_for_version_before};
 use cosurf_wire::missing::MISSING_BITMAP_BYTES;
+use cosurf_wire::seal::{MAX_SEAL_BYTES, seal, statement};
 use cosurf_wire::{
     BodyCodec, BodyHash, Bounds, CameraRecord, Chunk, DeviceId, Done, FLIGHT_CAMERAS_MAX, FlightCameras,
     FrameId, HeaderError, MAX_CHUNK_BYTES, MAX_CONTROL_BYTES, MAX_MESSAGE_BYTES, Message, Missing,
-    ModelHeader, ModelId, ModelKind, RefusalReason, Refused, Signature, SiteId, State, VERSION, Want,
-    WireError,
+    ModelHeader, ModelId, ModelKind, RefusalReason, Refused, Seal, Sealed, Signature, SiteId, State, Topic,
+    VERSION, Want, WireError,
 };
 
 fn header() -> ModelHeader {
@@ -31,7 +32,6 @@ fn header() -> ModelHeader {
         body_bytes: 16_000,
         chunk_bytes: 4096,
         blake3: BodyHash([0xab; 32]),
-        signature: Some(Signature { r: [0x11; 32], s: [0x22; 32] }),
     }
 }
 
@@ -73,7 +73,7 @@ fn hex(bytes: &[u8]) -> String {
 #[test]
 fn messages_have_these_bytes() {
     let (device, model) = (DeviceId::new("d-1").unwrap(), ModelId(300));
-    let header_bytes = "0200".to_owned()
+    let header_bytes = "0300".to_owned()
         + "03642d31" // device
         + "ac02" // model
         + "00" // kind
@@ -86,32 +86,31 @@ fn messages_have_these_bytes() {
         + "000080bf000000000000003f0000803f0000004000008040" // bounds
         + "807d" // body bytes
         + "8020" // chunk bytes
-        + &"ab".repeat(32) // hash
-        + "01" + &"11".repeat(32) + &"22".repeat(32); // signature
+        + &"ab".repeat(32); // hash
     let missing = Missing::of(20, |i| i < 3 || i == 5);
     let cameras = camera_bytes(1);
     let table = [
         (Message::Header(header()), header_bytes),
         (
             Message::Chunk(Chunk { device, model, index: 200, payload: &[1, 2, 3] }),
-            "0201 03642d31 ac02 c801 03 010203".to_owned(),
+            "0301 03642d31 ac02 c801 03 010203".to_owned(),
         ),
         (
-            Message::Want(Want { device, model, idle: true, missing }),
-            "0202 03642d31 ac02 01 03 01 03 06".into(),
+            Message::Want(Want { device, model, session: 77, idle: true, missing }),
+            "0302 03642d31 ac02 4d 01 03 01 03 06".into(),
         ),
         (
-            Message::Done(Done { device, model, blake3: BodyHash([0xcd; 32]) }),
-            "0203 03642d31 ac02".to_owned() + &"cd".repeat(32),
+            Message::Done(Done { device, model, session: 77, blake3: BodyHash([0xcd; 32]) }),
+            "0303 03642d31 ac02 4d".to_owned() + &"cd".repeat(32),
         ),
-        (Message::State(State { device, session: 77, alive: true }), "0204 03642d31 4d 01".into()),
+        (Message::State(State { device, session: 77, alive: true }), "0304 03642d31 4d 01".into()),
         (
-            Message::Refused(Refused { device, model, reason: RefusalReason::Replayed }),
-            "0205 03642d31 ac02 0b".into(),
+            Message::Refused(Refused { device, model, session: 77, reason: RefusalReason::Replayed }),
+            "0305 03642d31 ac02 4d 07".into(),
         ),
         (
             Message::Flight(FlightCameras { device, frame: FrameId::new("enu").unwrap(), cameras: &cameras }),
-            "0206 03642d31 03656e75 60".to_owned() + &hex(&cameras),
+            "0306 03642d31 03656e75 60".to_owned() + &hex(&cameras),
         ),
     ];
     for (message, expected) in table {
@@ -130,7 +129,6 @@ fn messages_have_these_bytes() {
 fn reasons_have_these_numbers() {
     use RefusalReason::*;
     let reasons = [
-        BadHeader,
         TooLarge,
         Busy,
         BadBody,
@@ -138,15 +136,15 @@ fn reasons_have_these_numbers() {
         StoreFailed,
         Withdrawn,
         WrongFrame,
-        UnknownDevice,
-        BadSignature,
-        Revoked,
         Replayed,
+        Garbled,
+        TooManyDevices,
     ];
     for (number, reason) in reasons.into_iter().enumerate() {
         let (device, model) = (DeviceId::new("d").unwrap(), ModelId(0));
         let mut buffer = [0; 64];
-        let bytes = Message::Refused(Refused { device, model, reason }).encode(&mut buffer).unwrap();
+        let bytes =
+            Message::Refused(Refused { device, model, session: 0, reason }).encode(&mut buffer).unwrap();
         assert_eq!(usize::from(bytes[bytes.len() - 5]), number, "{reason:?}");
     }
 }
@@ -171,14 +169,26 @@ fn the_largest_messages_have_the_documented_sizes() {
     let mut bytes_of = |message: Message<'_>| message.encode(&mut buffer).unwrap().len();
     let missing =
         Missing::of(u32::MAX, |i| i % 2 == 1 && i < 16 * MISSING_BITMAP_BYTES as u32 || i == u32::MAX - 2);
+    let session = u64::MAX;
     let controls = [
         bytes_of(Message::Header(largest)),
-        bytes_of(Message::Want(Want { device, model, idle: true, missing })),
-        bytes_of(Message::Done(Done { device, model, blake3: BodyHash([0; 32]) })),
-        bytes_of(Message::State(State { device, session: u64::MAX, alive: true })),
-        bytes_of(Message::Refused(Refused { device, model, reason: RefusalReason::Busy })),
+        bytes_of(Message::Want(Want { device, model, session, idle: true, missing })),
+        bytes_of(Message::Done(Done { device, model, session, blake3: BodyHash([0; 32]) })),
+        bytes_of(Message::State(State { device, session, alive: true })),
+        bytes_of(Message::Refused(Refused { device, model, session, reason: RefusalReason::Busy })),
     ];
-    assert_eq!(controls.iter().max(), Some(&MAX_CONTROL_BYTES), "{controls:?}");
+    let small = Message::State(State { device, session, alive: true });
+    let unsealed = small.encode(&mut [0; MAX_CONTROL_BYTES]).unwrap().to_vec();
+    let sign = |_: &[u8]| Signature { r: [1; 32], s: [2; 32] };
+    let sealed = seal(&unsealed, (device, u64::MAX, u64::MAX), sign, &mut [0; 512]).unwrap().len();
+    assert_eq!(sealed - unsealed.len(), MAX_SEAL_BYTES);
+    assert_eq!(
+        controls.iter().max().map(|bytes| bytes + MAX_SEAL_BYTES),
+        Some(MAX_CONTROL_BYTES),
+        "{controls:?}"
+    );
+    let refusal = refusal_for_version_before(device, model, &mut [0; REFUSAL_BEFORE_BYTES]).len();
+    assert_eq!(refusal, REFUSAL_BEFORE_BYTES);
     let payload = vec![0; MAX_CHUNK_BYTES];
     let chunk = bytes_of(Message::Chunk(Chunk { device, model, index: u32::MAX, payload: &payload }));
     assert_eq!(chunk, MAX_MESSAGE_BYTES);
@@ -186,38 +196,72 @@ fn the_largest_messages_have_the_documented_sizes() {
     let flight = Message::Flight(FlightCameras { device, frame, cameras: &cameras });
     let most = flight.bytes_max();
     assert!(bytes_of(flight) <= most && most <= 16 * 1024, "a flight fits a serial line");
-    let site = SiteId::new(&name).unwrap();
-    let mut statement = [0; MAX_STATEMENT_BYTES];
-    assert!(largest.statement(&site, &mut statement).len() > 200, "the longest statement fits");
 }
 
-/// The signature covers the site and all fields except the chunk size and the signature itself.
+/// A seal is encoded behind the message: sender, session, count, signature. The signature covers a prefix, the topic with
+/// the site, and all bytes before it.
 #[test]
-fn every_field_is_part_of_the_statement() {
-    let site = SiteId::new("s").unwrap();
-    let statement = |header: &ModelHeader| header.statement(&site, &mut [0; MAX_STATEMENT_BYTES]).to_vec();
-    let base = header();
-    let same = ModelHeader { chunk_bytes: 9, signature: None, ..base };
-    assert_eq!(statement(&same), statement(&base));
-    let bounds = Bounds { min: [-2.0, 0.0, 0.5], ..base.bounds };
-    let others = [
-        ModelHeader { device: DeviceId::new("d-2").unwrap(), ..base },
-        ModelHeader { model: ModelId(301), ..base },
-        ModelHeader { kind: ModelKind::Global, ..base },
-        ModelHeader { frame: FrameId::default(), ..base },
-        ModelHeader { sh_degree: 1, ..base },
-        ModelHeader { splats: 1001, ..base },
-        ModelHeader { cameras: 8, ..base },
-        ModelHeader { views: 9, ..base },
-        ModelHeader { bounds, ..base },
-        ModelHeader { body_bytes: 16_001, ..base },
-        ModelHeader { blake3: BodyHash([0xac; 32]), ..base },
-    ];
-    for other in others {
-        assert_ne!(statement(&other), statement(&base), "{other:?}");
+fn seals_have_these_bytes_and_cover_these() {
+    let device = DeviceId::new("d-1").unwrap();
+    let topic = Topic::State { device }.to_text(&SiteId::new("s").unwrap());
+    let mut buffer = [0; MAX_CONTROL_BYTES];
+    let state = Message::State(State { device, session: 77, alive: true });
+    let encoded = state.encode(&mut buffer).unwrap().to_vec();
+    let mut covered = Vec::new();
+    let sign = |signed: &[u8]| {
+        covered = statement(&topic, signed).concat();
+        Signature { r: [0x11; 32], s: [0x22; 32] }
+    };
+    let bytes = seal(&encoded, (device, 77, 300), sign, &mut buffer).unwrap();
+    let signed = "0304 03642d31 4d 01 03642d31 4d ac02".replace(' ', "");
+    assert_eq!(hex(&covered), hex(b"cosurf message\0gs/v1/s/d-1/state\0") + &signed);
+    let (content, checksum) = bytes.split_last_chunk::<4>().unwrap();
+    assert_eq!(hex(content), signed + &"11".repeat(32) + &"22".repeat(32));
+    assert_eq!(crc32fast::hash(content), u32::from_le_bytes(*checksum));
+    let sealed = Sealed::decode(bytes).unwrap();
+    let signature = Signature { r: [0x11; 32], s: [0x22; 32] };
+    assert_eq!(sealed.message, state);
+    assert_eq!(sealed.seal, Some(Seal { sender: device, session: 77, count: 300, signature }));
+    assert_eq!(statement(&topic, sealed.signed).concat(), covered);
+    assert_eq!(Message::decode(bytes), Ok(state));
+    assert_eq!(Sealed::decode(&encoded).unwrap().seal, None);
+}
+
+#[test]
+fn a_chunk_has_no_seal() {
+    let (device, model) = (DeviceId::new("d-1").unwrap(), ModelId(300));
+    let mut buffer = [0; 512];
+    let chunk = Message::Chunk(Chunk { device, model, index: 0, payload: &[1] });
+    let encoded = chunk.encode(&mut buffer).unwrap().to_vec();
+    let sign = |_: &[u8]| Signature { r: [0x11; 32], s: [0x22; 32] };
+    let bytes = seal(&encoded, (device, 1, 1), sign, &mut buffer).unwrap();
+    assert_eq!(Sealed::decode(bytes), Err(WireError::TrailingBytes));
+}
+
+/// A folder of version 0.1 holds headers of version 2, with and without a signature.
+#[test]
+fn a_stored_header_of_the_version_before_is_read() {
+    let mut buffer = [0; MAX_CONTROL_BYTES];
+    let encoded = Message::Header(header()).encode(&mut buffer).unwrap().to_vec();
+    let before = |variant: u8, signature: &[u8]| {
+        let content = [&[2, variant], &encoded[2..encoded.len() - 4], signature].concat();
+        let checksum = crc32fast::hash(&content).to_le_bytes();
+        [content, checksum.to_vec()].concat()
+    };
+    let signed = [&[1][..], &[7; 64]].concat();
+    for signature in [&[0][..], &signed] {
+        let bytes = before(0, signature);
+        assert_eq!(Message::decode_stored(&bytes), Ok(Message::Header(header())));
+        assert_eq!(Message::decode(&bytes), Err(WireError::UnknownVersion(2)));
     }
-    let elsewhere = SiteId::new("t").unwrap();
-    assert_ne!(base.statement(&elsewhere, &mut [0; MAX_STATEMENT_BYTES]), statement(&base));
+    assert_eq!(Message::decode_stored(&encoded), Ok(Message::Header(header())));
+    let device = DeviceId::new("d-1").unwrap();
+    let mut out = [0; REFUSAL_BEFORE_BYTES];
+    let refusal = refusal_for_version_before(device, ModelId(300), &mut out);
+    let (content, checksum) = refusal.split_last_chunk::<4>().unwrap();
+    assert_eq!(hex(content), "020503642d31ac0200", "as version 2 has written it");
+    assert_eq!(crc32fast::hash(content), u32::from_le_bytes(*checksum));
+    assert!(Message::decode_stored(refusal).is_err(), "only headers are read");
 }
 
 #[test]
@@ -244,12 +288,13 @@ fn each_invalid_message_has_its_own_error() {
     assert_eq!(decoded(&with_new_checksum(&|bytes| bytes[1] = 99)), WireError::Malformed);
     assert_eq!(decoded(&with_new_checksum(&|bytes| bytes.push(0))), WireError::TrailingBytes);
     type Spoil = fn(&mut ModelHeader);
-    let contradictions: [(Spoil, HeaderError); 6] = [
+    let contradictions: [(Spoil, HeaderError); 7] = [
         (|h| h.sh_degree = 4, HeaderError::ShDegree),
         (|h| h.body_bytes = 100, HeaderError::BodyBytes),
         (|h| h.splats = u32::MAX, HeaderError::BodyBytes),
         (|h| h.chunk_bytes = 0, HeaderError::ChunkBytes),
         (|h| h.chunk_bytes = MAX_CHUNK_BYTES as u32 + 1, HeaderError::ChunkBytes),
+        (|h| h.chunk_bytes = 1023, HeaderError::ChunkBytes),
         (|h| h.bounds.max[1] = f32::NAN, HeaderError::Bounds),
     ];
     for (spoil, error) in contradictions {

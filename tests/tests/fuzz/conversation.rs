@@ -21,7 +21,7 @@ fn device() -> DeviceId {
 fn offer(count: usize) -> Offer {
     let mut offer =
         Offer::new(device(), ModelId(3), ModelKind::Local, 9, &random_splats(1, count, 1), &[]).unwrap();
-    offer.header.chunk_bytes = 200;
+    offer.header.chunk_bytes = 1024;
     offer
 }
 
@@ -51,10 +51,10 @@ fn messages() -> Vec<Vec<u8>> {
     [
         Message::Header(header),
         Message::Chunk(chunk),
-        Message::Want(Want { device, model, idle: true, missing }),
-        Message::Done(Done { device, model, blake3: header.blake3 }),
+        Message::Want(Want { device, model, session: 9, idle: true, missing }),
+        Message::Done(Done { device, model, session: 9, blake3: header.blake3 }),
         Message::State(State { device, session: u64::MAX, alive: true }),
-        Message::Refused(Refused { device, model, reason: RefusalReason::Busy }),
+        Message::Refused(Refused { device, model, session: 9, reason: RefusalReason::Busy }),
         Message::Flight(FlightCameras { device, frame: header.frame, cameras: &cameras }),
     ]
     .iter()
@@ -141,7 +141,7 @@ fn frames_are_read_or_refused() {
 /// An inbox accepts headers and chunks in any order, and stays within its limits.
 #[test]
 fn chunks_are_taken_or_refused() {
-    let Offer { header, body } = offer(30);
+    let Offer { header, body } = offer(200);
     let (device, model) = (header.device, header.model);
     let chunk = |index: u32| {
         let range = header.chunk_range(index).unwrap();
@@ -169,7 +169,7 @@ fn chunks_are_taken_or_refused() {
         let refused = match &message {
             Message::Header(header) => {
                 let topic = Topic::LocalHeader { device: header.device, model: header.model };
-                matches!(inbox.on_header(now, &topic, *header), Some(InboxEvent::Refused(..)))
+                matches!(inbox.on_header(now, &topic, *header, 1), Some(InboxEvent::Refused(..)))
             }
             Message::Chunk(chunk) => {
                 let topic =

@@ -7,8 +7,8 @@ use anyhow::{Context, Result};
 use cosurf_contract::{AgentConfig, AgentLink, read_password};
 use cosurf_link::serial::DEVICE_MESSAGE_BYTES;
 use cosurf_link::{
-    BrokerAddress, Identity, Login, MqttConfig, MqttTransport, Outgoing, PublishError, SerialConfig,
-    SerialTransport, Tls, Transport, TransportEvent,
+    BrokerAddress, Identity, Login, MqttConfig, MqttTransport, Outgoing, PublishError, SecretKey,
+    SerialConfig, SerialTransport, Tls, Transport, TransportEvent, last_will,
 };
 
 /// The address of the broker or the serial port, the content of the certificate files, and the password.
@@ -30,12 +30,14 @@ impl Route {
         })
     }
 
-    /// Starts to connect in the background. The connection reports success and failure as events.
-    pub(super) fn connect(&self, identity: Identity) -> Connection {
+    /// Starts to connect in the background. The connection reports success and failure as events. `key` signs
+    /// the notice that the broker publishes when the connection breaks.
+    pub(super) fn connect(&self, identity: Identity, key: Option<&SecretKey>) -> Connection {
         match self {
             Self::Broker { broker, tls, login } => {
                 let (broker, tls, login) = (broker.clone(), tls.clone(), login.clone());
-                Connection::Broker(MqttTransport::start(MqttConfig { broker, identity, tls, login }))
+                let will = Some(last_will(&identity, key));
+                Connection::Broker(MqttTransport::start(MqttConfig { broker, identity, will, tls, login }))
             }
             Self::Serial { port, baud } => {
                 let config = SerialConfig::device(port, *baud, identity.session, DEVICE_MESSAGE_BYTES);

@@ -169,7 +169,7 @@ fn the_thread_ends_although_the_aggregator_above_is_unreachable() {
     let (say, events) = mpsc::channel();
     let broker = "mqtt://127.0.0.1:1".parse().unwrap();
     let begun = std::time::Instant::now();
-    let link = MqttConfig { broker, identity, tls: None, login: None };
+    let link = MqttConfig { broker, identity, will: None, tls: None, login: None };
     let upstream =
         Upstream::start(node, link, move || begun.elapsed(), move |event| say.send(event).unwrap());
     let first = events.recv_timeout(PATIENCE).unwrap();

@@ -32,12 +32,12 @@ pub enum ConfigError {
     /// `tls` is set for a serial port.
     #[error("[tls] is for a broker: remove it, or write broker = \"mqtts://host:port\" instead of serial")]
     TlsOfSerial,
-    /// Both `compress` and `trusted` are set. With `compress`, a device drops splats because of the flights (announced
-    /// cameras) of other agents. Flights are not signed, so `trusted` cannot protect against forged flights.
+    /// Both `compress` and `trusted` are set, and `fleet` is not. With `compress`, a device drops splats because of the
+    /// flights (announced cameras) of other agents, so their signatures must be checked.
     #[error(
-        "compress = true: agents do not sign which views they took; remove either `compress` or `trusted`"
+        "compress = true needs `fleet` beside `trusted`: name the file with the keys of the other agents, or remove `compress`"
     )]
-    UnsignedFlights,
+    NoFleet,
 }
 
 impl ConfigError {

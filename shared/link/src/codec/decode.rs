@@ -67,38 +67,39 @@ pub fn part_to_model(
     body: &[u8],
     is_here: impl Fn(Range<usize>) -> bool,
 ) -> Result<Option<Model>, BodyFault> {
-    let Some(plan) = received_plan(body, &is_here)? else { return Ok(None) };
+    let Some(plan) = received_plan(body, body.len() as u64, &is_here)? else { return Ok(None) };
     decode_part(plan, body, is_here)
 }
 
-/// Like [`part_to_model`], but also checks that the body's head agrees with the header.
+/// Like [`part_to_model`], but also checks that the body's head agrees with the header. `body` may lack its end.
 pub(crate) fn checked_part_to_model(
     header: &ModelHeader,
     body: &[u8],
     is_here: impl Fn(Range<usize>) -> bool,
 ) -> Result<Option<Model>, BodyFault> {
-    let Some(plan) = received_plan(body, &is_here)? else { return Ok(None) };
+    let Some(plan) = received_plan(body, header.body_bytes, &is_here)? else { return Ok(None) };
     check_header(&plan, header)?;
     decode_part(plan, body, is_here)
 }
 
-/// Reads the plan (head and table) of an incomplete body; `None` if the head or the table has not arrived.
+/// Reads the plan (head and table) of an incomplete body of `size` bytes; `None` if the head or the table has not arrived.
 fn received_plan(
     body: &[u8],
+    size: u64,
     is_here: impl Fn(Range<usize>) -> bool,
 ) -> Result<Option<BodyPlan<'_>>, BodyError> {
     let Some(head) = body.first_chunk().filter(|_| is_here(0..HEAD_BYTES)) else { return Ok(None) };
     let plan_bytes = plan_bytes(head);
-    if plan_bytes > body.len() {
+    if plan_bytes as u64 > size {
         return Err(BodyError::Truncated);
     }
     if !is_here(0..plan_bytes) {
         return Ok(None);
     }
     let plan = BodyPlan::new(body)?;
-    let (expected, found) = (plan.body_bytes(), body.len() as u64);
-    if expected != found {
-        return Err(BodyError::WrongSize { expected, found });
+    let expected = plan.body_bytes();
+    if expected != size {
+        return Err(BodyError::WrongSize { expected, found: size });
     }
     Ok(Some(plan))
 }

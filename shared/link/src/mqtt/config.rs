@@ -5,6 +5,7 @@ use std::fmt;
 use super::address::BrokerAddress;
 use super::tls::Tls;
 use crate::identity::Identity;
+use crate::transport::Outgoing;
 
 /// Maximum number of events that wait for the caller: 64 chunks of 64 KiB are 4 MiB. If the caller computes
 /// for too long, further messages are dropped, and the protocol requests them again.
@@ -17,8 +18,10 @@ pub(super) const PACKET_OVERHEAD_BYTES: usize = 16;
 pub struct MqttConfig {
     /// The broker's address.
     pub broker: BrokerAddress,
-    /// The participant. It determines the client id, the subscriptions and the last will.
+    /// The participant. It determines the client id and the subscriptions.
     pub identity: Identity,
+    /// What the broker publishes when the connection breaks: [`crate::last_will`].
+    pub will: Option<Outgoing>,
     /// Certificates, if the broker requires TLS.
     pub tls: Option<Tls>,
     /// User and password, if the broker asks for them.

@@ -84,7 +84,7 @@ fn a_client_without_acknowledgements_is_replaced() {
     let broker = SilentBroker::start();
     let (site, device) = (SiteId::new("site").unwrap(), DeviceId::new("drone").unwrap());
     let identity = Identity { site, device, session: 1, role: Role::Device };
-    let config = MqttConfig { broker: broker.address.clone(), identity, tls: None, login: None };
+    let config = MqttConfig { broker: broker.address.clone(), identity, will: None, tls: None, login: None };
     let mut transport = MqttTransport::start(config);
     let timeout = Duration::from_secs(20);
     assert_eq!(transport.poll(timeout), Some(TransportEvent::Connected));

@@ -20,7 +20,7 @@ use tokio::time::{Instant, sleep, timeout};
 use super::config::{EVENTS_MAX, Login, MqttConfig, PACKET_OVERHEAD_BYTES};
 use super::refusal::tls_fault;
 use crate::pacing::Backoff;
-use crate::transport::TransportEvent;
+use crate::transport::{Outgoing, TransportEvent};
 
 /// Maximum number of messages that wait for the event loop, and also of unacknowledged messages: 16 chunks of
 /// 64 KiB are 1 MiB.
@@ -285,10 +285,8 @@ impl Worker {
     }
 
     fn options(&self) -> MqttOptions {
-        let MqttConfig { broker, identity, tls, login } = &self.config;
+        let MqttConfig { broker, identity, will, tls, login } = &self.config;
         let mut options = MqttOptions::new(identity.client_id(), broker.socket_host(), broker.port);
-        let death = identity.state_message(false);
-        let will = LastWill::new(death.topic.as_str(), death.payload, QoS::AtLeastOnce, death.retain, None);
         let in_flight = QUEUE_MAX as u16;
         options
             .set_keep_alive(KEEP_ALIVE)
@@ -297,8 +295,10 @@ impl Worker {
             .set_connection_timeout(CONNECT_TIMEOUT_S)
             .set_max_packet_size(Some(PACKET_BYTES_MAX as u32))
             .set_receive_maximum(Some(EVENTS_MAX as u16 / 2))
-            .set_outgoing_inflight_upper_limit(in_flight)
-            .set_last_will(will);
+            .set_outgoing_inflight_upper_limit(in_flight);
+        if let Some(Outgoing { topic, payload, retain }) = will.clone() {
+            options.set_last_will(LastWill::new(topic.as_str(), payload, QoS::AtLeastOnce, retain, None));
+        }
         if let Some(Login { user, password }) = login {
             options.set_credentials(user, password);
         }

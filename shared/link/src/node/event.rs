@@ -49,10 +49,27 @@ pub enum NodeEvent {
     },
     /// The node dropped an incoming message.
     Ignored {
-        /// The message's topic.
+        /// The participant that the message claims to come from, or else the one that it is for; `None` if the topic does
+        /// not tell.
+        source: Option<DeviceId>,
+        /// The message's topic. Line breaks and other control characters in it are escaped.
         topic: String,
         /// The reason.
         reason: String,
+    },
+    /// A message of another version arrived. A device of the version before is refused, so that its agent ends.
+    OtherVersion {
+        /// The participant that the message claims to come from, or else the one that it is for.
+        source: Option<DeviceId>,
+        /// The other version.
+        version: u8,
+    },
+    /// The aggregator has not replied to the last offers of a device's model.
+    Unanswered {
+        /// The model.
+        key: ModelKey,
+        /// Number of offers since the last reply.
+        offers: u32,
     },
     /// An upload has progressed.
     Progress(ModelKey, UploadProgress),

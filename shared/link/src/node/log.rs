@@ -18,7 +18,9 @@ pub(super) fn log(event: &NodeEvent) {
         NodeEvent::Known(header) => log_header(header, "known already"),
         NodeEvent::Store { header, .. } => log_header(header, "store"),
         NodeEvent::Refused { key, reason } => debug!(model = %key, %reason, "refuse"),
-        NodeEvent::Ignored { topic, reason } => debug!(topic, reason, "ignored message"),
+        NodeEvent::Ignored { topic, reason, .. } => debug!(topic, reason, "ignored message"),
+        NodeEvent::OtherVersion { source, version } => debug!(?source, version, "message of another version"),
+        NodeEvent::Unanswered { key, offers } => debug!(model = %key, offers, "no reply"),
         NodeEvent::Progress(key, progress) => {
             trace!(model = %key, received = progress.chunks_received, of = progress.chunks, "chunks");
         }

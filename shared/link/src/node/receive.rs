@@ -1,16 +1,20 @@
 //! The incoming messages of a node. Invalid messages are dropped and reported as [`NodeEvent::Ignored`].
 
-use cosurf_wire::{FlightCameras, Message, State, Topic, WireError};
+use cosurf_wire::message::{REFUSAL_BEFORE_BYTES, refusal_for_version_before};
+use cosurf_wire::{DeviceId, FlightCameras, Message, Reply, Sealed, State, Topic, VERSION, WireError};
 
 use super::births::Notice;
 use super::event::NodeEvent;
 use super::state::Node;
 use crate::body::camera;
+use crate::guard::Objection;
 use crate::identity::Role;
 use crate::inbox::InboxEvent;
-use crate::transport::TransportEvent;
-use crate::trust::Credentials;
+use crate::transport::{Outgoing, TransportEvent};
 use crate::uploader::UploadEvent;
+
+/// Limit on the refusals for devices of the version before that wait to be sent.
+const REFUSALS_BEFORE_MAX: usize = 16;
 
 impl Node {
     pub(super) fn receive(&mut self, event: TransportEvent) {
@@ -29,7 +33,9 @@ impl Node {
             }
             TransportEvent::Incoming { topic, payload } => {
                 if let Err(reason) = self.receive_message(&topic, &payload) {
-                    self.events.push_back(NodeEvent::Ignored { topic, reason });
+                    let source = Topic::parse(&topic).ok().and_then(|(_, topic)| source_of(&topic));
+                    let topic = topic.escape_debug().to_string();
+                    self.events.push_back(NodeEvent::Ignored { source, topic, reason });
                 }
             }
         }
@@ -41,23 +47,28 @@ impl Node {
         if site != self.identity.site {
             return Err(format!("the message belongs to site {site}"));
         }
-        if payload.is_empty() {
-            // A message without payload only tells that its publisher has deleted a retained message.
+        // A message without payload only tells that its publisher has deleted a retained message.
+        if payload.is_empty() || self.is_own(&topic) {
             return Ok(());
         }
-        let is_header = matches!(
-            topic,
-            Topic::LocalHeader { .. } | Topic::GlobalHeader { .. } | Topic::TileHeader { .. }
-        );
-        let message = match Message::decode(payload) {
-            Ok(message) => message,
-            Err(error) => {
-                let is_refusable = is_header && error != WireError::Damaged;
-                let event = is_refusable.then(|| self.inbox.on_bad_header(&topic)).flatten();
-                self.report_inbox(event);
-                return Err(error.to_string());
+        let sealed = match Sealed::decode(payload) {
+            Ok(sealed) => sealed,
+            Err(WireError::UnknownVersion(version)) => {
+                self.receive_other_version(&topic, version);
+                return Ok(());
+            }
+            Err(error) => return Err(error.to_string()),
+        };
+        let credentials = self.inbox.credentials();
+        let session = match self.guard.admit(&self.identity, credentials, &topic, &sealed) {
+            Ok(session) => session,
+            Err(Objection::Outdated) => return Ok(()),
+            Err(objection) => {
+                self.forged += 1;
+                return Err(objection.to_string());
             }
         };
+        let message = sealed.message;
         match (topic, &message) {
             (Topic::State { device }, Message::State(state)) if state.device == device => {
                 self.receive_state(*state);
@@ -69,7 +80,10 @@ impl Node {
                 Topic::LocalHeader { .. } | Topic::GlobalHeader { .. } | Topic::TileHeader { .. },
                 Message::Header(header),
             ) => {
-                let event = self.inbox.on_header(self.now, &topic, *header);
+                let event = self.inbox.on_header(self.now, &topic, *header, session);
+                if event == Some(InboxEvent::BadHeader) {
+                    return Err("the header does not match its topic".to_owned());
+                }
                 self.report_inbox(event);
             }
             (
@@ -91,15 +105,38 @@ impl Node {
         Ok(())
     }
 
-    /// Reports the flight of another device. A node with a list of trusted keys drops flights, because they
-    /// are not signed.
-    fn receive_flight(&mut self, flight: &FlightCameras<'_>) -> Result<(), String> {
-        let Credentials { frame, trusted, .. } = self.inbox.credentials();
-        if flight.device == self.identity.device || self.identity.role != Role::Device {
-            return Ok(());
+    /// Whether the node has sent the message itself. Its own sessions are of interest only where nobody signs: there, two
+    /// participants may use one name.
+    fn is_own(&self, topic: &Topic) -> bool {
+        match topic {
+            Topic::Flight { device } => *device == self.identity.device,
+            Topic::State { device } => {
+                *device == self.identity.device && self.inbox.credentials().trusted.is_some()
+            }
+            _ => false,
         }
-        if trusted.is_some() {
-            return Err("flights are not signed, and a list of trusted keys is set".to_owned());
+    }
+
+    /// Tells of another version. A device of the version before does not understand our replies, so its model is refused in
+    /// its own language. A device of this version does not read that.
+    fn receive_other_version(&mut self, topic: &Topic, version: u8) {
+        self.events.push_back(NodeEvent::OtherVersion { source: source_of(topic), version });
+        if let (Topic::LocalHeader { device, model }, Role::Aggregator) = (topic, self.identity.role)
+            && version < VERSION
+            && self.refusals_before.len() < REFUSALS_BEFORE_MAX
+        {
+            let topic = Topic::LocalReply { device: *device, reply: Reply::Refused };
+            let mut out = [0; REFUSAL_BEFORE_BYTES];
+            let payload = refusal_for_version_before(*device, *model, &mut out).to_vec();
+            let topic = topic.to_text(&self.identity.site);
+            self.refusals_before.push_back(Outgoing { topic, payload, retain: false });
+        }
+    }
+
+    fn receive_flight(&mut self, flight: &FlightCameras<'_>) -> Result<(), String> {
+        let frame = &self.inbox.credentials().frame;
+        if self.identity.role != Role::Device {
+            return Ok(());
         }
         if flight.frame != *frame {
             return Err("the flight is in another world frame".to_owned());
@@ -144,7 +181,22 @@ impl Node {
             Some(InboxEvent::Refused(key, reason)) => {
                 self.events.push_back(NodeEvent::Refused { key, reason });
             }
-            Some(InboxEvent::BadChunk(..)) | None => {}
+            Some(InboxEvent::BadChunk(..) | InboxEvent::BadHeader) | None => {}
         }
+    }
+}
+
+/// The participant that a message under `topic` comes from, or else the one that it is for.
+fn source_of(topic: &Topic) -> Option<DeviceId> {
+    match topic {
+        Topic::State { device }
+        | Topic::Flight { device }
+        | Topic::LocalHeader { device, .. }
+        | Topic::LocalChunk { device, .. }
+        | Topic::LocalReply { device, .. }
+        | Topic::TileHeader { device, .. }
+        | Topic::TileChunk { device, .. }
+        | Topic::GlobalReply { device, .. } => Some(*device),
+        Topic::GlobalHeader { .. } | Topic::GlobalChunk { .. } => None,
     }
 }

@@ -27,13 +27,7 @@ impl Node {
             return Duration::MAX;
         }
         for _ in 0..BURST {
-            let Some(message) = self
-                .pending
-                .take()
-                .or_else(|| self.birth.take())
-                .or_else(|| self.next_retained())
-                .or_else(|| self.next_outgoing())
-            else {
+            let Some(message) = self.pending.take().or_else(|| self.next_sealed()) else {
                 let wakeup = self.next_wakeup().unwrap_or(Duration::MAX);
                 return wakeup.saturating_sub(self.now);
             };
@@ -49,8 +43,17 @@ impl Node {
         Duration::ZERO
     }
 
-    /// The deletion of a retained message, or the announcement of this device's flight.
+    fn next_sealed(&mut self) -> Option<Outgoing> {
+        let next = self.birth.take().or_else(|| self.next_retained()).or_else(|| self.next_outgoing())?;
+        let key = self.inbox.credentials().key.as_ref();
+        Some(self.sealer.seal(&self.identity, key, next))
+    }
+
+    /// A refusal of a header of the version before, the deletion of a retained message, or the announcement of this device's flight.
     fn next_retained(&mut self) -> Option<Outgoing> {
+        if let Some(refusal) = self.refusals_before.pop_front() {
+            return Some(refusal);
+        }
         if let Some(topic) = self.cleared.pop_front() {
             return Some(Outgoing::clear(&self.identity.site, topic));
         }
@@ -68,6 +71,11 @@ impl Node {
         }
         let now = self.now;
         let message = self.uploaders.iter_mut().find_map(|uploader| uploader.next(now));
+        for uploader in &mut self.uploaders {
+            let key = uploader.key();
+            let event = |offers| NodeEvent::Unanswered { key, offers };
+            self.events.extend(uploader.take_unanswered().map(event));
+        }
         self.uploaders.retain(|uploader| !uploader.is_over());
         message
     }

@@ -11,10 +11,12 @@ use super::births::Births;
 use super::event::NodeEvent;
 use super::flight::{camera_bytes, select_flight_cameras};
 use crate::body::Model;
+use crate::guard::Guard;
 use crate::identity::Identity;
 use crate::inbox::{Inbox, InboxLimits};
 use crate::key::ModelKey;
 use crate::offer::Offer;
+use crate::sealing::Sealer;
 use crate::transport::Outgoing;
 use crate::trust::Credentials;
 use crate::uploader::{DEVICES_MAX, Uploader};
@@ -34,12 +36,18 @@ pub struct Node {
     pub(super) is_flight_due: bool,
     /// Topics whose retained messages are to be deleted.
     pub(super) cleared: VecDeque<Topic>,
+    /// Refusals for devices of the version before.
+    pub(super) refusals_before: VecDeque<Outgoing>,
     /// The sessions of other devices.
     pub(super) births: Births,
     /// Limit on the devices in `births`, and on the receivers of a global model that did not have to get it.
     pub(super) devices_max: usize,
     /// A message that the transport has not accepted yet.
     pub(super) pending: Option<Outgoing>,
+    pub(super) sealer: Sealer,
+    pub(super) guard: Guard,
+    /// Number of messages that no listed key had signed.
+    pub(super) forged: u64,
     pub(super) is_connected: bool,
     pub(super) now: Duration,
 }
@@ -57,17 +65,21 @@ impl Node {
             flight: None,
             is_flight_due: false,
             cleared: VecDeque::new(),
+            refusals_before: VecDeque::new(),
             births: Births::default(),
             devices_max: DEVICES_MAX,
             pending: None,
+            sealer: Sealer::default(),
+            guard: Guard::default(),
+            forged: 0,
             is_connected: false,
             now: Duration::ZERO,
         }
     }
 
-    /// Sets the world frame and the keys of this node. The node then sends models in that frame, signed if it
-    /// has a secret key. It accepts only models in the same frame, signed with a trusted key if it has a list
-    /// of keys.
+    /// Sets the world frame and the keys of this node. The node then sends models in that frame, and signs its messages if
+    /// it has a secret key. It accepts only models in the same frame and, if it has a list of keys, only messages that a
+    /// listed key has signed. It answers other messages with silence.
     pub fn set_credentials(&mut self, credentials: Credentials) {
         self.inbox.set_credentials(credentials);
     }
@@ -97,7 +109,7 @@ impl Node {
     /// Offers a device's own model to the aggregator. An unfinished offer of the same model is replaced.
     pub fn upload(&mut self, offer: Offer) {
         debug!(model = %ModelKey::from(offer.header), bytes = offer.header.body_bytes, "upload");
-        let offer = offer.with_credentials(&self.identity.site, self.inbox.credentials());
+        let offer = offer.in_frame(self.inbox.credentials().frame);
         let uploader = Uploader::local(self.identity.site, offer);
         self.uploaders.retain(|old| old.key() != uploader.key());
         self.uploaders.push(uploader);
@@ -108,7 +120,7 @@ impl Node {
     pub fn broadcast(&mut self, tile: TileId, offer: Offer, receivers: &[DeviceId]) {
         debug!(model = %ModelKey::from(offer.header), receivers = receivers.len(), "broadcast");
         self.uploaders.retain(|old| old.tile() != Some(tile));
-        let offer = offer.with_credentials(&self.identity.site, self.inbox.credentials());
+        let offer = offer.in_frame(self.inbox.credentials().frame);
         let uploader = Uploader::global(self.identity.site, tile, offer, receivers);
         self.uploaders.push(uploader.with_peers_max(self.devices_max));
     }
@@ -116,7 +128,7 @@ impl Node {
     /// Offers a tile of the global model to one device. [`NodeEvent::Uploaded`] follows when the device has stored it.
     pub fn send_tile(&mut self, device: DeviceId, offer: Offer) {
         debug!(model = %ModelKey::from(offer.header), %device, "send a tile");
-        let offer = offer.with_credentials(&self.identity.site, self.inbox.credentials());
+        let offer = offer.in_frame(self.inbox.credentials().frame);
         self.uploaders.push(Uploader::tile_for(self.identity.site, device, offer));
     }
 
@@ -161,7 +173,12 @@ impl Node {
         self.inbox.refuse(key, reason);
     }
 
-    /// Full size of all bodies that are being received or stored, bytes, at most [`InboxLimits::total_bytes_max`].
+    /// Number of messages that were dropped because no listed key of their sender had signed them.
+    pub fn forged(&self) -> u64 {
+        self.forged
+    }
+
+    /// Bytes that the bodies take which are being received or stored, at most [`InboxLimits::total_bytes_max`].
     pub fn unfinished_bytes(&self) -> u64 {
         self.inbox.unfinished_bytes()
     }
