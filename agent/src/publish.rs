@@ -18,7 +18,7 @@ use cosurf_link::{
 };
 use cosurf_scene::Camera;
 use cosurf_scene::bytes::format_bytes;
-use cosurf_wire::{DeviceId, ModelKind, RefusalReason};
+use cosurf_wire::{DeviceId, ModelKind, RefusalReason, WireError};
 use tracing::info_span;
 
 use crate::flights::Flights;
@@ -100,6 +100,8 @@ struct Publisher<'a, F> {
     /// Whether the global model that the aggregator offers is stored, by this run or by an earlier one, or is too large
     /// to be received.
     is_global_settled: bool,
+    /// Whether it was told that another participant has another version.
+    is_version_told: bool,
     on_event: F,
 }
 
@@ -136,7 +138,15 @@ impl<'a, F: FnMut(AgentEvent)> Publisher<'a, F> {
                 start_upload(&mut node, offer(publication, splats, base, ModelKind::Local)?)
             }
         };
-        Ok(Self { publication, node, received, upload, is_global_settled: false, on_event })
+        Ok(Self {
+            publication,
+            node,
+            received,
+            upload,
+            is_global_settled: false,
+            is_version_told: false,
+            on_event,
+        })
     }
 
     fn is_done(&self) -> bool {
@@ -200,6 +210,17 @@ impl<'a, F: FnMut(AgentEvent)> Publisher<'a, F> {
                 self.on_received(kept);
             }
             NodeEvent::Refused { key, reason: RefusalReason::TooLarge } => self.on_global_too_large(key),
+            NodeEvent::Refused { key, reason: RefusalReason::Replayed } => {
+                let reason = "a later one is in the folder `global`; if that was received before `trusted` was set, \
+                              remove the folder";
+                let reason = reason.to_owned();
+                (self.on_event)(AgentEvent::GlobalRefused { revision: key.model, reason });
+            }
+            NodeEvent::Unanswered { offers, .. } => self.on_unanswered(offers),
+            NodeEvent::OtherVersion { version, .. } if !self.is_version_told => {
+                self.is_version_told = true;
+                self.retrying(WireError::UnknownVersion(version).to_string(), 1);
+            }
             _ => {}
         }
         Ok(())
@@ -217,11 +238,27 @@ impl<'a, F: FnMut(AgentEvent)> Publisher<'a, F> {
         match received {
             Ok(Some(Complete { revision, splats })) => {
                 self.is_global_settled = true;
-                (self.on_event)(AgentEvent::GlobalReceived { revision, splats });
+                let verified = self.publication.credentials.trusted.is_some();
+                (self.on_event)(AgentEvent::GlobalReceived { revision, splats, verified });
             }
             Ok(None) => {}
             Err(error) => self.retrying(format!("the global model was not stored: {error}"), 1),
         }
+    }
+
+    /// Tells that the aggregator does not reply. It is silent to devices whose key it does not know.
+    fn on_unanswered(&mut self, offers: u32) {
+        let mut reason = "the aggregator does not reply: check that it runs".to_owned();
+        if self.publication.credentials.key.is_some() || self.publication.credentials.trusted.is_some() {
+            let forged = self.node.forged();
+            reason += &format!(
+                ", and that the keys fit: this device's line in its `trusted`, its own line in ours \
+                 ({forged} messages were ignored because no listed key had signed them)"
+            );
+        } else {
+            reason += "; if it has a list of keys, set `key`";
+        }
+        self.retrying(reason, offers);
     }
 
     /// Tells that a global model does not fit, and does not wait for it: a later revision would hardly be smaller.

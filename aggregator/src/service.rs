@@ -12,7 +12,8 @@
 //! | `merged.json` | what the newest revision was merged from, and how |
 //! | `sent/` | the tiles of the newest revision, if it is too large to be sent whole |
 //! | `handed/` | what the agents get of the model of the aggregator above, if there is one: [`above`] |
-//! | `withdrawn/` | a file for each withdrawn device, with the number of its last model that no longer counts |
+//! | `withdrawn/` | a file for each withdrawn device, with the numbers and hashes of its models that no longer count |
+//! | `replaced/` | a file for each device that has sent many models, with those that were removed as outdated |
 //! | `upstream/` | models from the aggregator above, if there is one: [`upstream`] |
 //! | `session` | the number of the last session |
 //!
@@ -41,7 +42,9 @@ mod event;
 mod folder;
 mod job;
 mod keeper;
+mod model_list;
 mod parts;
+mod quiet;
 mod rebroadcast;
 mod receive;
 mod record;

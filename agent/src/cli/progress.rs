@@ -162,8 +162,10 @@ fn describe(event: &AgentEvent) -> Option<String> {
         AgentEvent::Acknowledged { bytes_sent } => {
             format!("the aggregator has stored the model ({bytes_sent} bytes sent)")
         }
-        AgentEvent::GlobalReceived { revision, splats } => {
-            format!("received revision {revision} of the global model: {}", counted(*splats as u64, "splat"))
+        AgentEvent::GlobalReceived { revision, splats, verified } => {
+            let splats = counted(*splats as u64, "splat");
+            let doubt = if *verified { "" } else { " (not verified: `trusted` is not set)" };
+            format!("received revision {revision} of the global model: {splats}{doubt}")
         }
         AgentEvent::GlobalRefused { revision, reason } => {
             format!("revision {revision} of the global model is not received: {reason}")

@@ -8,7 +8,7 @@ use std::sync::mpsc::{Receiver, TryRecvError};
 use std::time::Duration;
 
 use cosurf_contract::Escaped;
-use cosurf_link::{ModelKey, ModelStore, Node, NodeEvent, Offer, Receiver as Listed};
+use cosurf_link::{DEVICES_MAX, ModelKey, ModelStore, Node, NodeEvent, Offer, Receiver as Listed};
 use cosurf_scene::ply;
 use cosurf_wire::{DeviceId, ModelHeader, ModelId, ModelKind, RefusalReason, TileId, WireError};
 
@@ -19,6 +19,7 @@ use super::error::ServiceError;
 use super::event::ServiceEvent;
 use super::folder::{global_ply, global_store, handed_on, sent_tiles, tiles};
 use super::job::{Inputs, Job, JobState, Made, Outcome, TileWork};
+use super::quiet::Quiet;
 use super::rebroadcast::Rebroadcast;
 use super::record::{Input, KeptOut, Merging, Verdict, remove_global};
 use super::round::{Expected, Round};
@@ -70,6 +71,9 @@ pub(super) struct Keeper {
     retry_at: Duration,
     /// The running merge, and the time at which it began.
     job: Option<(Job, Duration)>,
+    /// Limit on the devices whose models are kept.
+    devices_max: usize,
+    quiet: Quiet,
     /// Events still to be reported.
     told: VecDeque<ServiceEvent>,
     /// True if the newest revision was merged from the models that count now, and must still be offered to
@@ -103,10 +107,17 @@ impl Keeper {
             round: (!headers.is_empty()).then(|| Round::extend(None, Duration::ZERO)),
             retry_at: Duration::ZERO,
             job: None,
+            devices_max: DEVICES_MAX,
+            quiet: Quiet::default(),
             told: VecDeque::new(),
             to_offer: false,
         };
         Ok((keeper, headers))
+    }
+
+    /// Sets the limit on the devices whose models are kept.
+    pub(super) fn set_devices_max(&mut self, devices_max: usize) {
+        self.devices_max = devices_max;
     }
 
     /// Lets workers distil the tiles of merges. Their results are kept in `results`, which nobody else may use.
@@ -151,6 +162,12 @@ impl Keeper {
             NodeEvent::Connected => ServiceEvent::Connected,
             NodeEvent::Disconnected { attempt, reason } => ServiceEvent::Disconnected { attempt, reason },
             NodeEvent::Store { header, body } => self.store(node, header, &body, now),
+            NodeEvent::Ignored { source, .. } | NodeEvent::OtherVersion { source, .. }
+                if !self.quiet.notes(now, source) =>
+            {
+                return None;
+            }
+            NodeEvent::Refused { key, .. } if !self.quiet.notes(now, Some(key.device)) => return None,
             NodeEvent::Ignored { topic, reason, .. } => {
                 ServiceEvent::Ignored { reason: format!("{}: {reason}", Escaped(topic)) }
             }
@@ -193,10 +210,9 @@ impl Keeper {
 
     fn store(&mut self, node: &mut Node, header: ModelHeader, body: &[u8], now: Duration) -> ServiceEvent {
         let key = ModelKey::from(header);
-        if self.shelf.is_withdrawn(&header) {
-            node.refuse(key, RefusalReason::Withdrawn);
-            let reason = format!("model {key} is refused: {}", RefusalReason::Withdrawn);
-            return ServiceEvent::Ignored { reason };
+        if let Some(reason) = self.objection(&header) {
+            node.refuse(key, reason);
+            return ServiceEvent::Ignored { reason: format!("model {key} is refused: {reason}") };
         }
         if let Err(error) = self.shelf.put(header, body) {
             node.store_failed(key);
@@ -204,7 +220,21 @@ impl Keeper {
         }
         node.stored(key);
         self.round = Some(Round::extend(self.round, now));
+        let in_use = self.job.as_ref().map(|(job, _)| recorded(&job.inputs)).unwrap_or_default();
+        if let Err(error) = self.shelf.remove_replaced(header.device, &in_use) {
+            let reason = format!("older models of {} are not removed: {error}", header.device);
+            self.told.push_back(ServiceEvent::DiskFailed { reason });
+        }
         ServiceEvent::Stored { header }
+    }
+
+    /// Why a complete model is not kept.
+    fn objection(&self, header: &ModelHeader) -> Option<RefusalReason> {
+        let is_beyond = !self.shelf.knows(&header.device) && self.shelf.devices() >= self.devices_max;
+        match self.shelf.is_withdrawn(header) {
+            true => Some(RefusalReason::Withdrawn),
+            false => is_beyond.then_some(RefusalReason::TooManyDevices),
+        }
     }
 
     /// Carries out the commands that have arrived.
@@ -229,6 +259,10 @@ impl Keeper {
     /// Returns the event to report, if there is one.
     pub(super) fn work(&mut self, node: &mut Node, now: Duration) -> Option<ServiceEvent> {
         self.shelf.take_void_flights().for_each(|device| node.clear_flight(device));
+        self.shelf.take_forgotten().for_each(|key| node.forget(key));
+        if let Some(reason) = self.quiet.summary(now) {
+            return Some(ServiceEvent::Ignored { reason });
+        }
         if let Some(event) = self.told.pop_front() {
             return Some(event);
         }

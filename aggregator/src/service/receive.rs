@@ -39,9 +39,10 @@ impl Service {
         self
     }
 
-    /// Sets the limit on devices, see [`Node::set_devices_max`].
+    /// Sets the limit on devices, see [`Node::set_devices_max`], and on those whose models are kept.
     pub fn with_devices_max(mut self, devices_max: usize) -> Self {
         self.node.set_devices_max(devices_max);
+        self.keeper.set_devices_max(devices_max);
         self
     }
 

@@ -1,21 +1,21 @@
 //! Small files beside the models: what the newest revision was merged from, and which devices are withdrawn.
 
-use std::collections::BTreeMap;
 use std::fmt;
 use std::fs;
 use std::io;
 use std::path::Path;
 
 use cosurf_scene::{SceneError, atomic};
-use cosurf_wire::{DeviceId, ModelHeader, ModelId};
+use cosurf_wire::{DeviceId, ModelHeader};
 use serde::{Deserialize, Serialize};
 
 use super::folder::global_ply;
+use super::model_list::ModelList;
 use crate::gate::{Admitted, Fit, Place, Similarity, Tone};
 use crate::merge::{Locals, MergeSettings, MergeSummary};
 
 const MERGED: &str = "merged.json";
-const WITHDRAWN: &str = "withdrawn";
+pub(super) const WITHDRAWN: &str = "withdrawn";
 
 /// How the newest revision was merged: the content of `merged.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -240,27 +240,9 @@ fn remove(path: &Path) -> Result<bool, SceneError> {
 /// Withdraws a device from the service with this folder, whether the service is running or not. Models that have
 /// arrived from the device no longer count; later ones do.
 pub fn withdraw(folder: &Path, device: &DeviceId) -> Result<(), SceneError> {
-    let withdrawn = folder.join(WITHDRAWN);
-    fs::create_dir_all(&withdrawn).map_err(|cause| SceneError::io(&withdrawn, cause))?;
-    // The file is empty at first. The service writes the number of the last withdrawn model into it.
-    atomic::write(&withdrawn.join(device.as_str()), |_| Ok(()))
-}
-
-/// Withdrawn devices, each with the number of its last withdrawn model; `None` if the service has not yet written this
-/// number.
-pub(super) fn withdrawn(folder: &Path) -> BTreeMap<DeviceId, Option<ModelId>> {
-    let entries = fs::read_dir(folder.join(WITHDRAWN)).into_iter().flatten().flatten();
-    entries
-        .filter_map(|entry| {
-            let device = DeviceId::new(entry.file_name().to_str()?).ok()?;
-            let text = fs::read_to_string(entry.path()).ok()?;
-            Some((device, text.trim().parse().ok().map(ModelId)))
-        })
-        .collect()
-}
-
-/// Writes the number of a device's last withdrawn model.
-pub(super) fn write_withdrawal(folder: &Path, device: &DeviceId, last: ModelId) -> Result<(), SceneError> {
-    let path = folder.join(WITHDRAWN).join(device.as_str());
-    atomic::write(&path, |file| io::Write::write_all(file, last.0.to_string().as_bytes()))
+    let folder = folder.join(WITHDRAWN);
+    // The service adds the models that it has.
+    let mut list = ModelList::read(&folder, device);
+    list.asks = true;
+    list.write(&folder, device)
 }

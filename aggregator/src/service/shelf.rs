@@ -4,13 +4,20 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use cosurf_link::{ModelKey, ModelStore, Node, StoreError};
+use cosurf_scene::SceneError;
 use cosurf_wire::{DeviceId, ModelHeader, ModelId};
 
 use super::error::ServiceError;
 use super::event::ServiceEvent;
 use super::job::{Inputs, Stores};
+use super::model_list::ModelList;
 use super::parts::Parts;
-use super::record::{Input, withdrawn, write_withdrawal};
+use super::record::{Input, WITHDRAWN};
+
+/// Models of a device that are kept. Older ones are removed, since only the newest is merged.
+const KEPT_OF_DEVICE: usize = 4;
+/// The folder with the lists of removed older models.
+const REPLACED: &str = "replaced";
 
 /// The received models in a service's folder.
 #[derive(Debug)]
@@ -21,8 +28,10 @@ pub(super) struct Shelf {
     stored: BTreeMap<DeviceId, BTreeMap<ModelId, ModelHeader>>,
     /// Parts of models, for devices that have no complete model.
     parts: Parts,
-    /// Number of the last withdrawn model of each withdrawn device.
-    withdrawn: BTreeMap<DeviceId, ModelId>,
+    /// The withdrawn models of each withdrawn device.
+    withdrawn: BTreeMap<DeviceId, ModelList>,
+    /// Withdrawn models that the link must forget, so that it does not acknowledge them again.
+    to_forget: Vec<ModelKey>,
     /// Withdrawn devices whose flights must still be deleted at the broker. Until then, agents may prune ground in
     /// favour of these devices.
     to_void: Vec<DeviceId>,
@@ -31,17 +40,19 @@ pub(super) struct Shelf {
 impl Shelf {
     /// Opens the folder of a service. Also returns the headers of the models in it.
     pub(super) fn open(folder: &Path) -> Result<(Self, Vec<ModelHeader>), ServiceError> {
-        let (models, headers) = ModelStore::open(&folder.join("models"))?;
+        let (models, mut headers) = ModelStore::open(&folder.join("models"))?;
         let mut shelf = Self {
             folder: folder.into(),
             models,
             stored: BTreeMap::new(),
             parts: Parts::open(folder)?,
             withdrawn: BTreeMap::new(),
+            to_forget: Vec::new(),
             to_void: Vec::new(),
         };
         headers.iter().for_each(|header| shelf.note(*header));
         shelf.withdraw_devices()?;
+        headers.retain(|header| shelf.has(header));
         Ok((shelf, headers))
     }
 
@@ -62,9 +73,45 @@ impl Shelf {
         self.stored.entry(header.device).or_default().insert(header.model, header);
     }
 
+    fn has(&self, header: &ModelHeader) -> bool {
+        self.stored.get(&header.device).is_some_and(|models| models.contains_key(&header.model))
+    }
+
+    /// Whether a device has a complete model here.
+    pub(super) fn knows(&self, device: &DeviceId) -> bool {
+        self.stored.get(device).is_some_and(|models| !models.is_empty())
+    }
+
+    /// Number of devices with a complete model.
+    pub(super) fn devices(&self) -> usize {
+        self.stored.values().filter(|models| !models.is_empty()).count()
+    }
+
+    /// Removes the oldest models of a device beyond [`KEPT_OF_DEVICE`], except those that a running merge reads.
+    pub(super) fn remove_replaced(&mut self, device: DeviceId, in_use: &[Input]) -> Result<(), ServiceError> {
+        let Some(stored) = self.stored.get_mut(&device) else { return Ok(()) };
+        let is_in_use = |header: &ModelHeader| in_use.contains(&Input::whole(header));
+        let old = stored.len().saturating_sub(KEPT_OF_DEVICE);
+        let old: Vec<ModelHeader> =
+            stored.values().take(old).filter(|old| !is_in_use(old)).copied().collect();
+        if old.is_empty() {
+            return Ok(());
+        }
+        let folder = self.folder.join(REPLACED);
+        let mut replaced = ModelList::read(&folder, &device);
+        old.iter().for_each(|header| replaced.add(header));
+        replaced.write(&folder, &device)?;
+        for header in old {
+            self.models.remove(header.into())?;
+            stored.remove(&header.model);
+        }
+        Ok(())
+    }
+
     /// Whether a model is withdrawn.
     pub(super) fn is_withdrawn(&self, header: &ModelHeader) -> bool {
-        self.withdrawn.get(&header.device).is_some_and(|last| header.model <= *last)
+        let listed = self.withdrawn.get(&header.device);
+        listed.is_some_and(|listed| listed.has(header.model, &header.blake3.to_string()))
     }
 
     /// The devices that have ever been withdrawn.
@@ -75,8 +122,12 @@ impl Shelf {
     /// Whether withdrawn models are among the inputs of a merge.
     pub(super) fn has_withdrawn(&self, inputs: &[Input]) -> bool {
         let is_withdrawn = |input: &Input| {
-            let mut withdrawn = self.withdrawn.iter();
-            withdrawn.any(|(device, last)| device.as_str() == input.device && input.model <= last.0)
+            let listed = self.withdrawn.iter().find(|(device, _)| device.as_str() == input.device);
+            let number = ModelId(input.model);
+            listed.is_some_and(|(_, listed)| match input.part_splats {
+                None => listed.has(number, &input.blake3),
+                Some(_) => listed.has_part(number),
+            })
         };
         inputs.iter().any(is_withdrawn)
     }
@@ -99,10 +150,8 @@ impl Shelf {
     /// Stores the parts that have arrived so far from devices without a complete model. If a part cannot be written,
     /// the other models are merged all the same. Returns the events to report.
     pub(super) fn take_parts(&mut self, node: &Node) -> Vec<ServiceEvent> {
-        let wanted = node.unfinished().filter(|header| {
-            let is_here = self.stored.get(&header.device).is_some_and(|models| !models.is_empty());
-            !is_here && !self.is_withdrawn(header)
-        });
+        let wanted =
+            node.unfinished().filter(|header| !self.knows(&header.device) && !self.is_withdrawn(header));
         let wanted: Vec<ModelHeader> = wanted.copied().collect();
         wanted.iter().filter_map(|header| take_part(&mut self.parts, node, header)).collect()
     }
@@ -110,43 +159,54 @@ impl Shelf {
     /// Removes the models of withdrawn devices. Returns the first device of which a model or a part was removed.
     pub(super) fn withdraw_devices(&mut self) -> Result<Option<DeviceId>, ServiceError> {
         let mut first = None;
-        for (device, last) in withdrawn(&self.folder) {
-            let last = match last {
-                Some(last) => last,
-                None => self.record_withdrawal(device)?,
-            };
-            if self.withdraw(device, last)? {
+        for (device, mut listed) in ModelList::read_all(&self.folder.join(WITHDRAWN)) {
+            if listed.asks {
+                self.list_models(device, &mut listed)?;
+            }
+            if self.withdraw(device, listed)? {
                 first = first.or(Some(device));
             }
         }
         Ok(first)
     }
 
-    /// Records the newest model received from a device as the device's last withdrawn model. A device that was
-    /// withdrawn before may have sent nothing since; then the number stays.
-    fn record_withdrawal(&mut self, device: DeviceId) -> Result<ModelId, ServiceError> {
-        let newest = self.stored.get(&device).and_then(|models| models.keys().next_back().copied());
-        let before = self.withdrawn.get(&device).copied();
-        let last = newest.max(self.parts.model_of(&device)).max(before).unwrap_or(ModelId(0));
-        write_withdrawal(&self.folder, &device, last)?;
+    /// Adds all models that have been received from a device to the list of its withdrawn models.
+    fn list_models(&mut self, device: DeviceId, listed: &mut ModelList) -> Result<(), SceneError> {
+        listed.asks = false;
+        if let Some(before) = self.withdrawn.get(&device) {
+            listed.add_all(before);
+        }
+        listed.add_all(&ModelList::read(&self.folder.join(REPLACED), &device));
+        self.stored.get(&device).into_iter().flat_map(BTreeMap::values).for_each(|header| listed.add(header));
+        if let Some(part) = self.parts.model_of(&device) {
+            listed.add_number(part);
+        }
+        listed.write(&self.folder.join(WITHDRAWN), &device)?;
         self.to_void.push(device);
-        Ok(last)
+        Ok(())
     }
 
-    /// Removes the models of a device up to number `last`. Returns whether there were any.
-    fn withdraw(&mut self, device: DeviceId, last: ModelId) -> Result<bool, ServiceError> {
-        self.withdrawn.insert(device, last);
-        let has_part = self.parts.model_of(&device).is_some_and(|part| part <= last);
+    /// Removes the listed models of a device. Returns whether there were any.
+    fn withdraw(&mut self, device: DeviceId, listed: ModelList) -> Result<bool, ServiceError> {
+        let has_part = self.parts.model_of(&device).is_some_and(|part| listed.has_part(part));
         if has_part {
             self.parts.forget(&device);
         }
-        let Some(stored) = self.stored.get_mut(&device) else { return Ok(has_part) };
-        let gone: Vec<ModelId> = stored.range(..=last).map(|(model, _)| *model).collect();
-        for &model in &gone {
-            self.models.remove(ModelKey { device, model })?;
-            stored.remove(&model);
+        let is_listed = |header: &&ModelHeader| listed.has(header.model, &header.blake3.to_string());
+        let stored = self.stored.get(&device).into_iter().flat_map(BTreeMap::values);
+        let gone: Vec<ModelHeader> = stored.filter(is_listed).copied().collect();
+        for header in &gone {
+            self.models.remove(header.into())?;
+            self.stored.entry(device).or_default().remove(&header.model);
+            self.to_forget.push(header.into());
         }
+        self.withdrawn.insert(device, listed);
         Ok(has_part || !gone.is_empty())
+    }
+
+    /// Models withdrawn since the last call. The link must forget them.
+    pub(super) fn take_forgotten(&mut self) -> impl Iterator<Item = ModelKey> {
+        self.to_forget.drain(..)
     }
 
     /// Devices withdrawn since the last call. Their announced flights must be deleted.

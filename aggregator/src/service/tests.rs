@@ -2,6 +2,7 @@
 //! delays messages.
 #![allow(clippy::unwrap_used)]
 
+mod attacks;
 mod doubt;
 mod hierarchy;
 mod life;
@@ -293,7 +294,7 @@ fn a_device_beyond_the_limit_is_told_with_the_setting() {
     let network = MemoryNetwork::new(7, Faults::NONE);
     let mut drones = drones(&network, 2);
     let Ground { service, transport } = open(&network, folder.path(), fleet(&["agent-1", "agent-2"]));
-    let mut ground = Ground { service: service.with_devices_max(1), transport };
+    let mut ground = Ground { service: service.with_devices_max(2), transport };
     let is_told = |event: &ServiceEvent| match event {
         ServiceEvent::Ignored { reason } => reason.ends_with("raise `devices_max`"),
         _ => false,

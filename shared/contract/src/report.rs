@@ -96,6 +96,10 @@ pub enum AgentEvent {
         revision: ModelId,
         /// Number of splats of the global model.
         splats: usize,
+        /// Whether a key of the agent's list `trusted` has signed it. False without such a list: then anybody who can
+        /// write to the broker may have made it.
+        #[serde(default)]
+        verified: bool,
     },
     /// The agent refused a revision of the global model, and does not wait for it.
     GlobalRefused {

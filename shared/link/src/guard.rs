@@ -5,8 +5,10 @@
 //! - A reply about a device's model: only a listed aggregator.
 //! - A reply about a global model: only a listed device, and only about itself.
 //! - A reply counts only if it repeats the number of this session, and if it is newer than the last one of its sender.
-//! - An offer or a flight does not count if its sender has begun a newer session since. A flight does not count either if
-//!   its session began more than a day before this one.
+//! - An offer does not count if its sender has made another one since. The same one counts again, since brokers repeat what
+//!   they retain.
+//! - A flight does not count if its sender has announced one in a newer session, or if its session began more than a day
+//!   before this one.
 //!
 //! Chunks are not signed. They count if the body has the hash that the header announced.
 
@@ -29,7 +31,8 @@ pub(crate) struct Guard {
 /// The newest messages of a sender.
 #[derive(Clone, Copy, Debug, Default)]
 struct Heard {
-    offer_session: u64,
+    /// Session and count of the newest offer.
+    offer: (u64, u64),
     flight_session: u64,
     /// Session and count of the newest reply.
     reply: (u64, u64),
@@ -81,7 +84,7 @@ impl Heard {
     /// What was heard with this message; `None` if the message is outdated.
     fn hear(mut self, own_session: u64, message: &Message<'_>, seal: &Seal) -> Option<Self> {
         let is_new = match message {
-            Message::Header(_) => seal.session >= self.offer_session,
+            Message::Header(_) => (seal.session, seal.count) >= self.offer,
             Message::Flight(_) => {
                 seal.session >= self.flight_session
                     && seal.session.saturating_add(FLIGHT_AGE_MAX_S) >= own_session
@@ -93,7 +96,7 @@ impl Heard {
             Message::Chunk(_) => true,
         };
         match message {
-            Message::Header(_) => self.offer_session = seal.session,
+            Message::Header(_) => self.offer = (seal.session, seal.count),
             Message::Flight(_) => self.flight_session = seal.session,
             Message::Want(_) | Message::Done(_) | Message::Refused(_) => {
                 self.reply = (seal.session, seal.count);

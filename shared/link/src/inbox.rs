@@ -288,6 +288,13 @@ impl Inbox {
         self.send_done(transfer.want_topic, key, transfer.session, hash);
     }
 
+    /// Forgets that a model was stored.
+    pub fn forget(&mut self, key: ModelKey) {
+        if self.stored.remove(&key).is_some() {
+            self.stored_order.retain(|stored| *stored != key);
+        }
+    }
+
     /// Call this when storing failed and a retry may succeed, for example on a full disk. The inbox tells the
     /// sender, keeps the body, and hands it out again later.
     pub fn store_failed(&mut self, now: Duration, key: ModelKey) {

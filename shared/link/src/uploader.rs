@@ -8,8 +8,8 @@
 use std::time::Duration;
 
 use cosurf_wire::{
-    Chunk, DeviceId, Done, MAX_MESSAGE_BYTES, MIN_CHUNK_BYTES, Message, RefusalReason, Refused, Reply,
-    SiteId, TileId, Topic, Want,
+    Chunk, DeviceId, Done, MAX_MESSAGE_BYTES, Message, RefusalReason, Refused, Reply, SiteId, TileId, Topic,
+    Want,
 };
 
 use crate::bits::BitSet;
@@ -21,6 +21,10 @@ use crate::transport::Outgoing;
 
 /// Limit on the receivers of a global model, and on the devices whose sessions a node remembers, unless another is set.
 pub const DEVICES_MAX: usize = 1024;
+
+/// Smallest chunk, in bytes, that a sender uses when the link limits the size of messages. With smaller
+/// chunks, the overhead of the messages would be too large.
+const CHUNK_BYTES_MIN: u32 = 1024;
 
 /// The progress of an upload.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -213,7 +217,7 @@ impl Uploader {
         let fitting = u32::try_from(max_bytes.saturating_sub(overhead)).unwrap_or(u32::MAX);
         let chunk_bytes = fitting.min(self.offer.header.chunk_bytes / 2);
         let header = cosurf_wire::ModelHeader { chunk_bytes, ..self.offer.header };
-        if chunk_bytes < MIN_CHUNK_BYTES || header.check().is_err() {
+        if chunk_bytes < CHUNK_BYTES_MIN || header.check().is_err() {
             return false;
         }
         self.offer.header = header;

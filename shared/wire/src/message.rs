@@ -18,8 +18,9 @@ pub(crate) const CHECKSUM_BYTES: usize = 4;
 /// Largest payload of a chunk, bytes. Common brokers accept messages of this size, and larger chunks would
 /// gain little.
 pub const MAX_CHUNK_BYTES: usize = 64 * 1024;
-/// Smallest size of the chunks of a body that has more than one, bytes. The overhead of smaller ones would be too large.
-pub const MIN_CHUNK_BYTES: u32 = 1024;
+/// Smallest size of the chunks of a body that has more than one, bytes. With smaller ones, a receiver would do much work for
+/// few bytes.
+pub const MIN_CHUNK_BYTES: u32 = 256;
 /// Largest number of chunks of a body. It bounds the work for a [`Want`].
 pub const MAX_CHUNKS: u32 = 1 << 16;
 /// Size in bytes of the largest encoding of a message with its seal, except [`Message::Chunk`] and [`Message::Flight`]. A

@@ -121,7 +121,10 @@ fn live(seed: u64) -> BodyHash {
             Kill::BeforeOrInTheMerge => here(ground),
             Kill::AfterTheMerge => {
                 let last = events.iter().rev().find(|event| is_merged(event) || is_stored(event));
-                here(ground) && last.is_some_and(is_merged) && !ground.service.keeper.is_merging()
+                // A model that was stored during the merge waits for the next one.
+                let is_over =
+                    !ground.service.keeper.is_merging() && !ground.service.keeper.is_due(network.now());
+                here(ground) && last.is_some_and(is_merged) && is_over
             }
         });
         global = ground.service.keeper.global();

@@ -154,5 +154,7 @@ fn fields_that_contradict_each_other_are_refused() {
     let with_baud = AgentConfig::from_toml(&format!("{serial}baud = 9600\n")).unwrap();
     assert_eq!(AgentConfig::from_toml(&toml::to_string(&with_baud).unwrap()).unwrap(), with_baud);
     let unsigned = refused(&format!("{REQUIRED}compress = true\ntrusted = \"list\"\n"));
-    assert!(unsigned.contains("`compress`") && unsigned.contains("`trusted`"), "{unsigned}");
+    assert!(unsigned.contains("`compress`") && unsigned.contains("`fleet`"), "{unsigned}");
+    let signed = format!("{REQUIRED}compress = true\ntrusted = \"list\"\nfleet = \"others\"\n");
+    assert!(AgentConfig::from_toml(&signed).is_ok());
 }

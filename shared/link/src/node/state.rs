@@ -160,6 +160,12 @@ impl Node {
         self.inbox.stored(key);
     }
 
+    /// Forgets that a model was stored. It is received again if it is offered again.
+    pub fn forget(&mut self, key: ModelKey) {
+        debug!(model = %key, "forgotten");
+        self.inbox.forget(key);
+    }
+
     /// Call this when storing failed and a retry may succeed, for example on a full disk. The node hands out
     /// the body again later.
     pub fn store_failed(&mut self, key: ModelKey) {

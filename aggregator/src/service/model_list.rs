@@ -1,0 +1,148 @@
+//! Lists of models by number and hash, each in a small file beside the models: those withdrawn by `forget`, and those that
+//! newer models of their device have replaced.
+//!
+//! A model is listed by itself. So a number that a stranger has used, however high, says nothing about the device's own
+//! models.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt::Write;
+use std::fs;
+use std::path::Path;
+
+use cosurf_scene::{SceneError, atomic};
+use cosurf_wire::{DeviceId, ModelHeader, ModelId};
+
+/// Limit on the models of a list. Beyond it, those with the lowest numbers are left out.
+const MODELS_MAX: usize = 1024;
+/// The line that asks a service to list the models that it has.
+const ASKS: &str = "asks";
+/// In the place of a hash: all models with the number.
+const ANY: &str = "any";
+
+/// Models of one device.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct ModelList {
+    /// Numbers and hashes in hexadecimal digits, or [`ANY`].
+    models: BTreeSet<(ModelId, String)>,
+    /// All models up to this number, from a list of version 0.1.
+    up_to: Option<ModelId>,
+    /// Whether the models that the service has now must be added.
+    pub(super) asks: bool,
+}
+
+impl ModelList {
+    /// The lists of all devices in a folder. Unreadable lines count as missing.
+    pub(super) fn read_all(folder: &Path) -> BTreeMap<DeviceId, Self> {
+        let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+        let read = |entry: fs::DirEntry| {
+            let device = DeviceId::new(entry.file_name().to_str()?).ok()?;
+            Some((device, Self::parse(&fs::read_to_string(entry.path()).ok()?)))
+        };
+        entries.filter_map(read).collect()
+    }
+
+    /// The list of a device in a folder, empty if there is none.
+    pub(super) fn read(folder: &Path, device: &DeviceId) -> Self {
+        fs::read_to_string(folder.join(device.as_str()))
+            .map_or_else(|_| Self::default(), |text| Self::parse(&text))
+    }
+
+    fn parse(text: &str) -> Self {
+        let mut listed = Self { asks: text.trim().is_empty(), ..Self::default() };
+        for line in text.lines() {
+            match line.split_ascii_whitespace().collect::<Vec<_>>()[..] {
+                [ASKS] => listed.asks = true,
+                [number] => listed.up_to = number.parse().ok().map(ModelId).max(listed.up_to),
+                [number, hash] => {
+                    listed
+                        .models
+                        .extend(number.parse().ok().map(|number| (ModelId(number), hash.to_owned())));
+                }
+                _ => {}
+            }
+        }
+        listed
+    }
+
+    /// Writes the list.
+    pub(super) fn write(&self, folder: &Path, device: &DeviceId) -> Result<(), SceneError> {
+        let mut text = String::new();
+        let mut line = |line: std::fmt::Arguments<'_>| _ = writeln!(text, "{line}");
+        if let Some(up_to) = self.up_to {
+            line(format_args!("{up_to}"));
+        }
+        let old = self.models.len().saturating_sub(MODELS_MAX);
+        self.models.iter().skip(old).for_each(|(number, hash)| line(format_args!("{number} {hash}")));
+        if self.asks {
+            line(format_args!("{ASKS}"));
+        } else if text.is_empty() {
+            text.push_str("# none\n");
+        }
+        fs::create_dir_all(folder).map_err(|cause| SceneError::io(folder, cause))?;
+        atomic::write(&folder.join(device.as_str()), |file| std::io::Write::write_all(file, text.as_bytes()))
+    }
+
+    /// Adds a model.
+    pub(super) fn add(&mut self, header: &ModelHeader) {
+        self.models.insert((header.model, header.blake3.to_string()));
+    }
+
+    /// Adds all models with a number.
+    pub(super) fn add_number(&mut self, number: ModelId) {
+        self.models.insert((number, ANY.to_owned()));
+    }
+
+    /// Adds another list.
+    pub(super) fn add_all(&mut self, other: &Self) {
+        self.models.extend(other.models.iter().cloned());
+        self.up_to = self.up_to.max(other.up_to);
+    }
+
+    /// Whether a model is listed. `hash` is in hexadecimal digits.
+    pub(super) fn has(&self, number: ModelId, hash: &str) -> bool {
+        Some(number) <= self.up_to || self.has_number(number, |listed| listed == hash || listed == ANY)
+    }
+
+    /// Whether a part of a model is listed: its hash is not that of the model.
+    pub(super) fn has_part(&self, number: ModelId) -> bool {
+        Some(number) <= self.up_to || self.has_number(number, |_| true)
+    }
+
+    fn has_number(&self, number: ModelId, is_it: impl Fn(&str) -> bool) -> bool {
+        let of_number =
+            self.models.range((number, String::new())..).take_while(|(other, _)| *other == number);
+        of_number.into_iter().any(|(_, hash)| is_it(hash))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn lists_come_back_and_those_of_version_0_1_are_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let device = DeviceId::new("drone-1").unwrap();
+        let mut listed = ModelList::parse("7\n");
+        assert!(listed.has(ModelId(7), "aa") && listed.has_part(ModelId(3)) && !listed.has(ModelId(8), "aa"));
+        listed.models.insert((ModelId(u64::MAX), "bb".to_owned()));
+        listed.add_number(ModelId(9));
+        listed.asks = true;
+        listed.write(folder.path(), &device).unwrap();
+        assert_eq!(ModelList::read(folder.path(), &device), listed);
+        assert!(listed.has(ModelId(u64::MAX), "bb") && !listed.has(ModelId(u64::MAX), "cc"));
+        assert!(
+            listed.has_part(ModelId(u64::MAX))
+                && listed.has(ModelId(9), "cc")
+                && !listed.has(ModelId(10), "cc")
+        );
+        assert!(
+            ModelList::parse("").asks && !ModelList::parse("\n7").asks,
+            "as `forget` of version 0.1 asks"
+        );
+        let empty = ModelList::default();
+        empty.write(folder.path(), &device).unwrap();
+        assert_eq!(ModelList::read(folder.path(), &device), empty);
+    }
+}
