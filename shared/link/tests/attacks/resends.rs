@@ -52,6 +52,8 @@ fn attack_08_forged_wants_do_not_make_a_device_flood_its_line() {
     let offer = offer("drone-1", 1, ModelKind::Local, 1, 20_000, 8192);
     let (header, body) = (offer.header, offer.body.len());
     fleet[1].node.upload(offer);
+    let ground = fleet.remove(0); // it would end the upload
+    network.leave(ground.transport);
     let mut stranger = Stranger::new(&network);
     let topic = Topic::LocalReply { device: header.device, reply: Reply::Want };
     for _ in 0..500 {

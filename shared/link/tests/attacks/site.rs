@@ -1,5 +1,6 @@
 //! A site whose participants have keys, on a simulated network.
 
+use std::num::NonZeroU32;
 use std::time::Duration;
 
 use cosurf_link::{Credentials, Faults, InboxLimits, MemoryNetwork, NodeEvent, Role, SecretKey, Trusted};
@@ -52,6 +53,11 @@ pub(crate) fn drone_credentials(name: &str) -> Credentials {
 /// A network without faults.
 pub(crate) fn network() -> MemoryNetwork {
     MemoryNetwork::new(1, Faults::NONE)
+}
+
+/// A network whose lines carry 20 kB/s, so that other messages come between those of an upload.
+pub(crate) fn slow_network() -> MemoryNetwork {
+    MemoryNetwork::new(1, Faults { bytes_per_s: NonZeroU32::new(20_000), ..Faults::NONE })
 }
 
 /// A site without keys: an aggregator `ground` with these limits, and drones with these names.
