@@ -1,7 +1,9 @@
 //! A mission with one device on a radio and one on the network: the service treats both alike.
 
+use std::fs;
 use std::io;
 use std::num::NonZeroU32;
+use std::path::Path;
 use std::sync::mpsc;
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
@@ -13,8 +15,9 @@ use cosurf_aggregator::service::ServiceEvent;
 use cosurf_link::serial::{DEVICE_MESSAGE_BYTES, GATEWAY_MESSAGE_BYTES};
 use cosurf_link::{
     Identity, InboxLimits, MqttConfig, MqttTransport, Node, NodeEvent, Offer, Role, SerialConfig,
-    SerialTransport, Transport,
+    SerialTransport, Transport, TransportEvent,
 };
+use cosurf_tests::mosquitto::{Authority, Mosquitto, tls};
 use cosurf_tests::offers::{broker_address, identity, mergeable_offer};
 use cosurf_wire::DeviceId;
 use serialport::{SerialPort, TTYPort};
@@ -105,5 +108,50 @@ fn radio_and_network_share_a_mission() {
     kill_net.send(()).unwrap();
     by_net.join().unwrap();
     assert!(station.finish());
+    drop(gateway);
+}
+
+/// With the configuration of Mosquitto in `shared/docs`, the name in a certificate is the client id. So a device on a
+/// radio needs its own certificate: with the aggregator's, it would take the place of the aggregator.
+#[test]
+fn a_device_on_a_radio_has_its_own_certificate() {
+    let folder = tempfile::tempdir().unwrap();
+    let authority = Authority::new(folder.path());
+    let [ground, _] = ["aggregator", "by-radio"].map(|name| authority.client(name, name, 30));
+    let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/docs");
+    let read = |name: &str| fs::read_to_string(docs.join(name)).unwrap();
+    fs::write(folder.path().join("cosurf.acl"), read("cosurf.acl").replace("quarry", "site")).unwrap();
+    let settings = read("mosquitto.conf").replace("listener 8883", "listener PORT 127.0.0.1");
+    let settings = ["/etc/mosquitto/certs", "/etc/mosquitto", "/var/lib/mosquitto"]
+        .iter()
+        .fold(settings, |settings, path| settings.replace(path, "FOLDER"));
+    let Some(broker) = Mosquitto::start(folder.path(), &settings, true) else { return };
+    let lines = Some((folder.path().to_owned(), ground.ca.clone()));
+    let reach = Reach { tls: Some(tls(&ground)), lines, ..Reach::plain(broker.address.clone()) };
+    let mut aggregator = MqttTransport::start(reach.config(Station::identity()));
+    assert_eq!(aggregator.poll(PATIENCE), Some(TransportEvent::Connected));
+    let (air, ground_port) = TTYPort::pair().unwrap();
+    let (say_line, events) = mpsc::channel();
+    let gateway = Gateway::start(
+        Station::identity().site,
+        reach,
+        line(ground_port, 1, GATEWAY_MESSAGE_BYTES),
+        move |event| drop(say_line.send(event)),
+    );
+    let radio = identity(Role::Device, "by-radio");
+    let serial = SerialTransport::start(line(air, 2, DEVICE_MESSAGE_BYTES));
+    let (say, _globals) = mpsc::channel();
+    let (kill, die) = mpsc::channel();
+    let drone = drone(serial, radio, mergeable_offer("by-radio", 100), say, die);
+    let event = events.recv_timeout(PATIENCE).unwrap();
+    assert_eq!(event, GatewayEvent::OnLine { line: "pty".to_owned(), device: radio.device });
+    // The device is heard by the aggregator, which stays connected.
+    let event = aggregator.poll(PATIENCE);
+    assert!(
+        matches!(&event, Some(TransportEvent::Incoming { topic, .. }) if topic.contains("/by-radio/")),
+        "{event:?}"
+    );
+    drop(kill);
+    drone.join().unwrap();
     drop(gateway);
 }
