@@ -128,7 +128,7 @@ fn a_device_on_a_radio_has_its_own_certificate() {
     let Some(broker) = Mosquitto::start(folder.path(), &settings, true) else { return };
     let lines = Some((folder.path().to_owned(), ground.ca.clone()));
     let reach = Reach { tls: Some(tls(&ground)), lines, ..Reach::plain(broker.address.clone()) };
-    let mut aggregator = MqttTransport::start(reach.config(Station::identity()));
+    let mut aggregator = MqttTransport::start(reach.config(Station::identity(), None));
     assert_eq!(aggregator.poll(PATIENCE), Some(TransportEvent::Connected));
     let (air, ground_port) = TTYPort::pair().unwrap();
     let (say_line, events) = mpsc::channel();
