@@ -104,9 +104,10 @@ impl<S: Fn(BrokerEvent)> Reactor<S> {
         let mut events = Events::with_capacity(256);
         let mut next_tick = Instant::now();
         loop {
-            let wait = match self.turns.is_empty() {
-                true => next_tick.saturating_duration_since(Instant::now()),
-                false => Duration::ZERO,
+            let is_busy = !self.turns.is_empty() || self.entrances.iter().any(|entrance| entrance.is_ready);
+            let wait = match is_busy {
+                true => Duration::ZERO,
+                false => next_tick.saturating_duration_since(Instant::now()),
             };
             match self.poll.poll(&mut events, Some(wait)) {
                 Err(error) if error.kind() != io::ErrorKind::Interrupted => std::thread::sleep(TICK),
@@ -225,6 +226,7 @@ impl<S: Fn(BrokerEvent)> Reactor<S> {
 
     /// Checks all deadlines.
     fn tick(&mut self, now: Instant) {
+        self.entrances.iter_mut().for_each(|entrance| entrance.is_ready = true);
         self.router.tick(now);
         let tokens: Vec<usize> = self.connections.keys().copied().collect();
         for token in tokens {

@@ -1,7 +1,6 @@
 //! Where clients come in: listening sockets, and the connections that have not said hello.
 
 use std::collections::BTreeMap;
-use std::io::ErrorKind;
 use std::net::IpAddr;
 use std::time::Instant;
 
@@ -33,10 +32,11 @@ impl<S: Fn(BrokerEvent)> Reactor<S> {
         let entrance = &mut self.entrances[place];
         let (stream, address) = match entrance.listener.accept() {
             Ok(accepted) => accepted,
-            Err(error) if descriptors_are_lacking(&error) => return self.send_a_guest_away(now),
             Err(error) => {
-                entrance.is_ready = error.kind() != ErrorKind::WouldBlock;
-                return false;
+                // If nobody can be sent away, the next tick tries again.
+                let goes_on = descriptors_are_lacking(&error) && self.send_a_guest_away(now);
+                self.entrances[place].is_ready = goes_on;
+                return goes_on;
             }
         };
         self.last_token += 1;
