@@ -54,6 +54,7 @@ use cosurf_link::{BrokerAddress, Login};
 use cosurf_wire::SiteId;
 use mio::net::TcpListener;
 use mio::{Interest, Poll, Token, Waker};
+use socket2::{Domain, Socket, Type};
 
 pub use access::{ServerTls, Users, UsersError, user_line};
 pub use event::BrokerEvent;
@@ -106,6 +107,8 @@ pub const CLIENTS_MAX: usize = 1024;
 pub const MEMORY_BYTES: usize = 128 << 20;
 /// Smallest limit on the memory of a broker, bytes: a few models on their way.
 pub const MEMORY_BYTES_MIN: usize = 16 << 20;
+/// Connections that the system keeps until the broker accepts them. The standard library's 128 are soon full in a flood.
+const WAITING_MAX: i32 = 4096;
 /// Open files that are left to the rest of the program.
 const OTHER_FILES: usize = 256;
 
@@ -266,7 +269,14 @@ fn secret() -> io::Result<blake3::Hash> {
 }
 
 fn listen(poll: &Poll, address: SocketAddr, token: usize) -> io::Result<(TcpListener, SocketAddr)> {
-    let mut listener = TcpListener::bind(address)?;
+    let socket = Socket::new(Domain::for_address(address), Type::STREAM, None)?;
+    // As in the standard library: a port is free at once after its program has ended.
+    #[cfg(unix)]
+    socket.set_reuse_address(true)?;
+    socket.bind(&address.into())?;
+    socket.listen(WAITING_MAX)?;
+    socket.set_nonblocking(true)?;
+    let mut listener = TcpListener::from_std(socket.into());
     let address = listener.local_addr()?;
     poll.registry().register(&mut listener, Token(token), Interest::READABLE)?;
     Ok((listener, address))
