@@ -388,6 +388,15 @@ mod tests {
         assert!(events.iter().any(|event| matches!(event, AgentEvent::Acknowledged { .. })));
     }
 
+    /// Without keys, anybody may have made a global model. The agent takes it, and says so.
+    #[test]
+    fn attack_12_a_global_model_without_keys_is_told_as_unverified() {
+        let events = published(1 << 20);
+        let is_unverified =
+            |event: &AgentEvent| matches!(event, AgentEvent::GlobalReceived { verified: false, .. });
+        assert!(events.iter().any(is_unverified), "{events:?}");
+    }
+
     #[test]
     fn a_global_model_that_fits_is_received() {
         let events = published(1 << 20);

@@ -98,7 +98,7 @@ pub enum AgentEvent {
         splats: usize,
         /// Whether a key of the agent's list `trusted` has signed it. False without such a list: then anybody who can
         /// write to the broker may have made it.
-        #[serde(default)]
+        #[serde(default, skip_serializing_if = "std::ops::Not::not")]
         verified: bool,
     },
     /// The agent refused a revision of the global model, and does not wait for it.

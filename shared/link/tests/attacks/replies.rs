@@ -156,6 +156,31 @@ fn attack_05_a_forged_global_done_delivers_nothing() {
     assert!(fleet[0].node.forged() >= 3);
 }
 
+/// With keys, only the aggregator's own global model is taken: not one of a stranger, and not one that a drone has signed.
+#[test]
+fn attack_12_a_global_model_of_a_stranger_is_not_taken() {
+    let network = network();
+    let mut fleet = keyed_site(&network);
+    let mut stranger = Stranger::new(&network);
+    let forged = offer("ground", 1_000_000, ModelKind::Global, 2, 100, 4096).header;
+    let (topic, message) = (Topic::GlobalHeader { tile: TileId::WHOLE }, Message::Header(forged));
+    stranger.say(topic, &message);
+    let (text, payload) = sealed_by("drone-2", 7, 1, topic, &message);
+    stranger.say_bytes(&text, payload);
+    pass(&network, &mut fleet, &mut stranger, Duration::from_secs(1));
+    let is_taken = |event: &NodeEvent| matches!(event, NodeEvent::Receiving(_));
+    assert!(fleet[1..].iter().all(|drone| !drone.events.iter().any(is_taken) && drone.node.forged() == 2));
+    fleet[0].node.broadcast(
+        TileId::WHOLE,
+        offer("ground", 1, ModelKind::Global, 1, 500, 4096),
+        &[device("drone-1")],
+    );
+    run_until(&network, &mut fleet, MINUTE, |fleet| {
+        stranger.listen();
+        !fleet[0].uploaded.is_empty()
+    });
+}
+
 /// Headers of strangers in the place of the genuine ones, again and again, do not stall a transfer.
 #[test]
 fn attack_13_swapped_headers_do_not_stall_an_upload() {
