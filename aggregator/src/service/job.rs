@@ -87,7 +87,7 @@ struct Round {
 
 /// What came of an attempt to merge.
 enum Attempt {
-    Over(Outcome),
+    Over(Box<Outcome>),
     /// The pictures of the models with these indices are too large for the memory of the merge.
     TooLarge {
         locals: Vec<usize>,
@@ -105,7 +105,7 @@ impl Round {
             admit(stored, settings.into(), Workspace::of(settings, scratch, threads), &is_stopped)?;
         let mut verdict = Verdict::of(&admitted, &stored.headers);
         if admitted.count() == 0 {
-            return Ok(Attempt::Over(Outcome { made: None, verdict }));
+            return Ok(Attempt::Over(Box::new(Outcome { made: None, verdict })));
         }
         let resources = Resources { scratch, tiles: work.tiles(), threads };
         let merged = merge(&admitted, settings, resources, &mut |progress: MergeProgress| {
@@ -135,7 +135,8 @@ impl Round {
             let locals = (0..admitted.count()).map(local);
             Cut::of(&merged.model, work.whole_splats_max, locals, threads)
         });
-        Ok(Attempt::Over(Outcome { made: Some(Made { merged, body, cut: cut.transpose()? }), verdict }))
+        let made = Some(Made { merged, body, cut: cut.transpose()? });
+        Ok(Attempt::Over(Box::new(Outcome { made, verdict })))
     }
 }
 
@@ -271,7 +272,7 @@ impl Job {
                 match round.attempt(&stored)? {
                     Attempt::Over(mut outcome) => {
                         outcome.verdict.keep_out(left_out);
-                        return Ok(outcome);
+                        return Ok(*outcome);
                     }
                     Attempt::TooLarge { locals, needed_bytes } => {
                         left_out.extend(stored.leave_out(&locals, needed_bytes));
