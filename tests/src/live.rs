@@ -29,13 +29,7 @@ impl Ground {
         let is_over = Arc::new(AtomicBool::new(false));
         let (kept, heard, over) = (Arc::clone(&bodies), Arc::clone(&announced), Arc::clone(&is_over));
         let thread = std::thread::spawn(move || {
-            let mut transport = MqttTransport::start(MqttConfig {
-                broker,
-                identity,
-                will: Some(last_will(&identity, None)),
-                tls,
-                login: None,
-            });
+            let mut transport = connect(broker, tls, identity);
             let mut node = Node::new(identity, InboxLimits::default(), &[]);
             let start = Instant::now();
             while !over.load(Ordering::Relaxed) {
@@ -60,6 +54,12 @@ impl Drop for Ground {
     }
 }
 
+/// Starts to connect to a broker.
+fn connect(broker: BrokerAddress, tls: Option<Tls>, identity: Identity) -> MqttTransport {
+    let will = Some(last_will(&identity, None));
+    MqttTransport::start(MqttConfig { broker, identity, will, tls, login: None })
+}
+
 /// Uploads a model, waits until a receiver acknowledges it, and returns the final progress. Panics if the upload
 /// fails. `on_retry` gets the reason of each lost connection.
 pub fn upload(
@@ -70,13 +70,7 @@ pub fn upload(
     mut on_progress: impl FnMut(UploadProgress),
     mut on_retry: impl FnMut(String),
 ) -> UploadProgress {
-    let mut transport = MqttTransport::start(MqttConfig {
-        broker,
-        identity,
-        will: Some(last_will(&identity, None)),
-        tls,
-        login: None,
-    });
+    let mut transport = connect(broker, tls, identity);
     let mut node = Node::new(identity, InboxLimits::default(), &[]);
     let start = Instant::now();
     let done = upload_blocking(

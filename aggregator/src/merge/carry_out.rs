@@ -4,11 +4,11 @@ use std::path::Path;
 
 use blake3::Hash;
 use cosurf_engine::Device;
-use cosurf_engine::budget::{DRIVER_BYTES, PROCESS_BYTES};
 
 use super::computer::Computer;
 use super::error::MergeError;
 use super::learn::learn;
+use super::memory::beside_bytes;
 use super::results;
 use super::scratch::Scratch;
 use super::task::{Task, name};
@@ -42,8 +42,7 @@ pub(crate) fn carry_out(
     }
     let scratch = Scratch::new(scratch)?;
     let Some(task) = Task::get(store, hash, device, &scratch)? else { return Ok(CarriedOut::Needless) };
-    let beside = PROCESS_BYTES + if device.is_gpu() { DRIVER_BYTES } else { 0 };
-    let needed_bytes = beside.saturating_add(task.bytes());
+    let needed_bytes = beside_bytes(device).saturating_add(task.bytes());
     if needed_bytes > memory_bytes {
         return Err(MergeError::TooLittleMemory { memory_bytes, needed_bytes });
     }

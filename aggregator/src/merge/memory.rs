@@ -41,7 +41,7 @@ pub(super) fn lesson_bytes(device: &Device, sh_degree: u32, camera: &Camera) -> 
 }
 
 /// Bytes of a merge that are not for tiles.
-fn beside_bytes(device: &Device) -> u64 {
+pub(super) fn beside_bytes(device: &Device) -> u64 {
     PROCESS_BYTES + if device.is_gpu() { DRIVER_BYTES } else { 0 }
 }
 

@@ -7,7 +7,6 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, TryRecvError};
 use std::time::Duration;
 
-use cosurf_contract::Escaped;
 use cosurf_link::{DEVICES_MAX, ModelKey, ModelStore, Node, NodeEvent, Offer, Receiver as Listed};
 use cosurf_scene::ply;
 use cosurf_wire::{DeviceId, ModelHeader, ModelId, ModelKind, RefusalReason, TileId, WireError};
@@ -169,7 +168,7 @@ impl Keeper {
             }
             NodeEvent::Refused { key, .. } if !self.quiet.notes(now, Some(key.device)) => return None,
             NodeEvent::Ignored { topic, reason, .. } => {
-                ServiceEvent::Ignored { reason: format!("{}: {reason}", Escaped(topic)) }
+                ServiceEvent::Ignored { reason: format!("{topic}: {reason}") }
             }
             NodeEvent::OtherVersion { source, version } => {
                 let from = source.map_or_else(|| "a message".to_owned(), |device| device.to_string());
