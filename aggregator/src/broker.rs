@@ -326,7 +326,7 @@ fn open_files(_wanted: usize) -> Option<usize> {
 /// The address by which this machine reaches its own broker, which listens on `listening`.
 pub(crate) fn local_address(listening: SocketAddr) -> BrokerAddress {
     let address = reachable(listening);
-    BrokerAddress { host: address.ip().to_string(), port: address.port(), is_tls: false }
+    BrokerAddress::plain(address.ip().to_string(), address.port())
 }
 
 /// The address by which this machine reaches `address`: loopback if `address` stands for all interfaces.

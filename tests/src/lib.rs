@@ -33,3 +33,4 @@ pub mod s3;
 pub mod skips;
 pub mod stranger;
 pub mod usage;
+pub mod web_door;

@@ -52,7 +52,7 @@ impl Mosquitto {
             skip("REQUIRE_MOSQUITTO", "mosquitto is not installed");
             return None;
         };
-        let address = BrokerAddress { host: "127.0.0.1".to_owned(), port, is_tls };
+        let address = BrokerAddress { is_tls, ..BrokerAddress::plain("127.0.0.1", port) };
         let broker = Self { address, config, child };
         broker.await_port();
         Some(broker)

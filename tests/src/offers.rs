@@ -17,7 +17,7 @@ pub fn identity(role: Role, device: &str) -> Identity {
 
 /// The address of a broker that listens at `at`, without TLS.
 pub fn broker_address(at: SocketAddr) -> BrokerAddress {
-    BrokerAddress { host: at.ip().to_string(), port: at.port(), is_tls: false }
+    BrokerAddress::plain(at.ip().to_string(), at.port())
 }
 
 /// An upload of `count` random splats (spherical harmonics of degree 0) and three cameras, in chunks of

@@ -47,7 +47,7 @@ impl Aggregator {
         fs::write(&config, text).unwrap();
         let mut command = Command::new(program("cosurf-aggregator"));
         command.args(["run", "--config"]).arg(config).stdin(Stdio::null()).stdout(Stdio::null());
-        let address = BrokerAddress { host: "127.0.0.1".to_owned(), port, is_tls: false };
+        let address = BrokerAddress::plain("127.0.0.1", port);
         (Self(command.spawn().unwrap()), address)
     }
 

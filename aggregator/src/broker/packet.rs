@@ -1,18 +1,18 @@
 //! Packets of MQTT 5 and MQTT 3.1.1 as bytes. Beyond this file every packet is one of MQTT 5.
 //!
-//! The codecs are those of rumqttc, which is linked anyway. This file frames packets itself, so that no more bytes are
-//! kept than those of one packet, and works around what the codecs cannot read or write.
-
-use std::panic::{AssertUnwindSafe, catch_unwind};
+//! The codecs are those of rumqttc, which is linked anyway. Framing is shared with the client:
+//! [`cosurf_link::mqtt::packet`].
 
 use bytes::{BufMut, Bytes, BytesMut};
+pub(super) use cosurf_link::mqtt::packet::packet_bytes;
+use cosurf_link::mqtt::packet::{disconnect, read_packet, unless_panic};
 use rumqttc::mqttbytes as old;
 use rumqttc::mqttbytes::v4;
 use rumqttc::v5::mqttbytes::QoS;
 use rumqttc::v5::mqttbytes::v5::{
-    ConnAck, Connect, ConnectProperties, ConnectReturnCode, Disconnect, DisconnectReasonCode, Filter,
-    LastWill, Login, Packet, PubAck, Publish, RetainForwardRule, SubAck, Subscribe, SubscribeReasonCode,
-    UnsubAck, Unsubscribe,
+    ConnAck, Connect, ConnectProperties, ConnectReturnCode, DisconnectReasonCode, Filter, LastWill, Login,
+    Packet, PubAck, Publish, RetainForwardRule, SubAck, Subscribe, SubscribeReasonCode, UnsubAck,
+    Unsubscribe,
 };
 
 /// A version of MQTT.
@@ -28,24 +28,6 @@ pub(super) enum Version {
 const DISCONNECT: u8 = 0xE0;
 /// A session of MQTT 3.1.1 that is not clean never expires by itself.
 const NEVER: u32 = u32::MAX;
-
-/// Length of the first packet in `bytes`; `None` if its header has not arrived completely. An error if the packet is
-/// larger than `bytes_max` or its length is malformed.
-pub(super) fn packet_bytes(bytes: &[u8], bytes_max: usize) -> Result<Option<usize>, DisconnectReasonCode> {
-    let mut length = 0;
-    for (place, byte) in bytes.iter().skip(1).take(4).enumerate() {
-        length |= usize::from(byte & 0x7F) << (7 * place);
-        if byte & 0x80 == 0 {
-            let whole = 2 + place + length;
-            return if whole > bytes_max {
-                Err(DisconnectReasonCode::PacketTooLarge)
-            } else {
-                Ok(Some(whole))
-            };
-        }
-    }
-    if bytes.len() > 4 { Err(DisconnectReasonCode::MalformedPacket) } else { Ok(None) }
-}
 
 /// Writes the remaining length of a packet; `length` must be below 2²⁸.
 pub(super) fn put_length(out: &mut BytesMut, mut length: usize) {
@@ -88,26 +70,12 @@ pub(super) fn read_hello(packet: &[u8], version: Version) -> Option<Hello> {
 
 /// Reads one whole packet.
 pub(super) fn read(packet: &[u8], version: Version) -> Result<Packet, DisconnectReasonCode> {
-    let malformed = DisconnectReasonCode::MalformedPacket;
-    // The codec of MQTT 5 reads neither of the short forms of DISCONNECT.
-    match packet {
-        [DISCONNECT, 0] => return Ok(disconnect(DisconnectReasonCode::NormalDisconnection)),
-        [DISCONNECT, 1, reason] => {
-            return DisconnectReasonCode::try_from(*reason).map(disconnect).map_err(|_| malformed);
+    match version {
+        Version::V5 => read_packet(packet),
+        Version::V3 => {
+            unless_panic(|| v4::Packet::read(&mut BytesMut::from(packet), usize::MAX)).and_then(modern)
         }
-        _ => {}
     }
-    let mut bytes = BytesMut::from(packet);
-    // A panic of the codec must not end the broker: what it reads comes from strangers.
-    let read = catch_unwind(AssertUnwindSafe(|| match version {
-        Version::V5 => Packet::read(&mut bytes, None).map_err(|_| malformed),
-        Version::V3 => v4::Packet::read(&mut bytes, usize::MAX).map_err(|_| malformed).and_then(modern),
-    }));
-    read.unwrap_or(Err(malformed))
-}
-
-fn disconnect(reason_code: DisconnectReasonCode) -> Packet {
-    Packet::Disconnect(Disconnect { reason_code, properties: None })
 }
 
 /// A client's packet of MQTT 3.1.1 as one of MQTT 5.
@@ -230,45 +198,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_length_of_a_packet_is_known_from_its_header() {
-        assert_eq!(packet_bytes(&[0x30], 100), Ok(None));
-        assert_eq!(packet_bytes(&[0x30, 0x05], 100), Ok(Some(7)));
-        assert_eq!(packet_bytes(&[0x30, 0x80], 1000), Ok(None));
-        assert_eq!(packet_bytes(&[0x30, 0x80, 0x01], 1000), Ok(Some(131)));
-        assert_eq!(packet_bytes(&[0x30, 0x80, 0x01], 130), Err(DisconnectReasonCode::PacketTooLarge));
-        assert_eq!(
-            packet_bytes(&[0x30, 0xFF, 0xFF, 0xFF, 0xFF], 9),
-            Err(DisconnectReasonCode::MalformedPacket)
-        );
+    fn the_length_of_a_packet_is_written_as_it_is_read() {
         let mut out = BytesMut::from(&[0x30][..]);
         put_length(&mut out, 321);
         assert_eq!(packet_bytes(&out, 1000), Ok(Some(324)));
     }
 
     #[test]
-    fn every_form_of_disconnect_is_read() {
-        for (bytes, reason) in [
-            (&[0xE0, 0][..], DisconnectReasonCode::NormalDisconnection),
-            (&[0xE0, 1, 4][..], DisconnectReasonCode::DisconnectWithWillMessage),
-            (&[0xE0, 2, 4, 0][..], DisconnectReasonCode::DisconnectWithWillMessage),
-        ] {
-            let packet = read(bytes, Version::V5).unwrap();
-            assert_eq!(packet, disconnect(reason), "{bytes:?}");
-        }
+    fn a_farewell_has_the_length_that_it_announces() {
         let mut out = BytesMut::new();
         write(&disconnect(DisconnectReasonCode::QuotaExceeded), Version::V5, &mut out);
         assert_eq!(out[..], [0xE0, 2, 0x97, 0]);
-    }
-
-    /// Cut packets are malformed; the codec of MQTT 5 takes some of them for incomplete.
-    #[test]
-    fn a_packet_that_ends_too_early_is_malformed() {
-        let packet = [0x32, 7, 0, 1, b'a', 0, 1, 0, b'x'];
-        assert!(read(&packet, Version::V5).is_ok());
-        for length in 2..packet.len() - 1 {
-            let mut cut = packet[..length].to_vec();
-            cut[1] = (length - 2) as u8;
-            assert_eq!(read(&cut, Version::V5), Err(DisconnectReasonCode::MalformedPacket), "{length}");
-        }
     }
 }

@@ -89,7 +89,7 @@ pub(crate) fn run(args: MissionArgs) -> Result<()> {
     let out = absolute(&args.out).context("--out")?;
     let data = args.data.as_ref().map(absolute).transpose().context("--data")?;
     if args.broker.as_ref().is_some_and(|broker| broker.is_tls) {
-        bail!("--broker: a mission does not use TLS; give an mqtt:// address");
+        bail!("--broker: a mission does not use TLS; give an mqtt:// or ws:// address");
     }
     let order = MissionOrder {
         settings: Settings {

@@ -19,7 +19,7 @@ use cosurf_scene::SceneError;
 /// Options that name a broker and the files for TLS.
 #[derive(Args)]
 struct BrokerArgs {
-    /// The broker, for example mqtt://10.0.0.2:1883; mqtts:// needs --ca, and --cert and --key or --user
+    /// The broker, for example mqtt://10.0.0.2:1883; mqtts:// and wss:// need --ca, and --cert and --key or --user
     #[arg(long, value_name = "URL")]
     broker: BrokerAddress,
     /// PEM file with the certificates of the trusted authorities
@@ -42,7 +42,7 @@ impl BrokerArgs {
         let files = self.ca.as_ref().map(own);
         match Tls::for_broker(&self.broker, files.as_ref()) {
             Err(TlsError::OneWithoutOther) => {
-                bail!("--broker: mqtts:// needs --ca, and mqtt:// must not have it")
+                bail!("--broker: mqtts:// and wss:// need --ca, mqtt:// and ws:// must not have it")
             }
             tls => Ok(tls?),
         }

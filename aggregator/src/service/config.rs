@@ -37,7 +37,7 @@ pub struct AggregatorConfig {
     /// URL of the broker to use instead of the built-in one, for example `mqtt://10.0.0.2:1883`; absent where `bind` is
     /// used.
     pub broker: Option<BrokerAddress>,
-    /// Certificates: with `bind` those of the built-in broker, with `broker` those for a broker at `mqtts://`.
+    /// Certificates: with `bind` those of the built-in broker, with `broker` those for a broker at `mqtts://` or `wss://`.
     pub tls: Option<TlsConfig>,
     /// With `bind`: file of the users who may connect, for each one the line that the command `password` prints. Absent
     /// to ask for no password.
@@ -112,7 +112,7 @@ pub struct UpstreamConfig {
     pub device: DeviceId,
     /// URL of the broker of that site, for example `mqtt://cloud.example.org:1883`.
     pub broker: BrokerAddress,
-    /// Certificates for a broker with `mqtts://`.
+    /// Certificates for a broker at `mqtts://` or `wss://`.
     pub tls: Option<TlsFiles>,
     /// File of the password for the broker; its user is `device`.
     pub password_file: Option<PathBuf>,

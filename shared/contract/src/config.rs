@@ -34,7 +34,7 @@ pub struct AgentConfig {
     /// The broker's address, for example `mqtt://127.0.0.1:1883`. Give either `broker` or `serial`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub broker: Option<BrokerAddress>,
-    /// The certificates for TLS: required if the broker's address starts with `mqtts://`, not allowed if it
+    /// The certificates for TLS: required if the broker's address starts with `mqtts://` or `wss://`, not allowed if it
     /// starts with `mqtt://`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tls: Option<TlsFiles>,
@@ -136,7 +136,7 @@ pub enum AgentLink<'a> {
     Broker {
         /// The broker's address.
         address: &'a BrokerAddress,
-        /// The certificates and the key for TLS, if the broker's address starts with `mqtts://`.
+        /// The certificates and the key for TLS, if the broker's address starts with `mqtts://` or `wss://`.
         tls: Option<&'a TlsFiles>,
     },
     /// By a radio on a serial port.

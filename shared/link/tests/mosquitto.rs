@@ -5,12 +5,13 @@
 use std::time::{Duration, Instant};
 
 use cosurf_link::{
-    BrokerAddress, Identity, MqttConfig, MqttTransport, Outgoing, Role, Transport, TransportEvent,
+    BrokerAddress, Identity, MqttConfig, MqttTransport, Outgoing, Role, TlsFiles, Transport, TransportEvent,
     UploadProgress,
 };
 use cosurf_tests::live::{Ground, upload};
 use cosurf_tests::mosquitto::{Authority, Mosquitto, PLAIN, example, tls};
 use cosurf_tests::offers::{identity, offer};
+use cosurf_tests::web_door::WebDoor;
 use cosurf_wire::{DeviceId, ModelId, ModelKind, Topic};
 
 fn interrupted(how: fn(&mut Mosquitto)) {
@@ -103,6 +104,37 @@ fn tls_at_a_port_without_it_is_told() {
     });
     println!("{event:?}");
     assert!(matches!(event, TransportEvent::Disconnected { reason, .. } if reason.contains("mqtt://")));
+}
+
+/// An upload by WebSocket, with and without TLS, to a broker behind a listener that cuts packets anywhere.
+#[test]
+fn models_arrive_by_web_socket() {
+    let folder = tempfile::tempdir().unwrap();
+    let authority = Authority::new(folder.path());
+    let server = authority.files("server");
+    let (cert, key) = (server.cert.clone().unwrap(), server.key.clone().unwrap());
+    let trusting = TlsFiles { cert: None, key: None, ..server };
+    let Some(broker) = Mosquitto::start(folder.path(), PLAIN, false) else { return };
+    for (files, trusted) in [(None, None), (Some((&*cert, &*key)), Some(&trusting))] {
+        let Some(door) = WebDoor::start(&broker.address, files) else { return };
+        let (address, tls) = (&door.address, trusted.map(tls));
+        let ground = Ground::start(address.clone(), tls.clone(), identity(Role::Aggregator, "ground"));
+        let number = if files.is_some() { 2 } else { 1 };
+        let offer = offer("drone", number, ModelKind::Local, 1, 20_000, 65_536);
+        let body = offer.body.clone();
+        upload(address.clone(), tls.clone(), identity(Role::Device, "drone"), offer, |_| {}, |_| {});
+        assert_eq!(*ground.bodies.lock().unwrap(), [body]);
+        drop(ground);
+        let elsewhere = BrokerAddress { web_path: Some("/elsewhere".to_owned()), ..address.clone() };
+        let nowhere = BrokerAddress { port: broker.address.port, ..address.clone() };
+        for (broker, told) in [(elsewhere, "name the path"), (nowhere, "use mqtt")] {
+            let (identity, tls) = (identity(Role::Device, "drone"), tls.clone());
+            let event = first_event(MqttConfig { broker, identity, will: None, tls, login: None });
+            let is_told =
+                matches!(&event, TransportEvent::Disconnected { reason, .. } if reason.contains(told));
+            assert!(is_told, "{told}: {event:?}");
+        }
+    }
 }
 
 #[test]

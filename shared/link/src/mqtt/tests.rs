@@ -3,7 +3,8 @@
 
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
-use std::sync::atomic::AtomicU32;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
 
 use cosurf_wire::{DeviceId, SiteId, Topic};
 
@@ -30,7 +31,7 @@ impl SilentBroker {
                 std::thread::spawn(move || serve(stream.unwrap(), (connection == 0).then_some(&*count)));
             }
         });
-        let address = BrokerAddress { host: "127.0.0.1".to_owned(), port, is_tls: false };
+        let address = BrokerAddress::plain("127.0.0.1", port);
         Self { address, unacknowledged }
     }
 }
@@ -106,9 +107,15 @@ fn an_address_is_written_as_a_url_that_reads_back() {
         ("10.0.0.2:7", "mqtt://10.0.0.2:7"),
         ("mqtts://host/", "mqtts://host:8883"),
         ("mqtt://[::1]:7", "mqtt://[::1]:7"),
+        ("wss://host", "wss://host:443/mqtt"),
+        ("ws://[::1]:9001/", "ws://[::1]:9001/"),
+        ("ws://host/a/b?c", "ws://host:80/a/b?c"),
     ] {
         let address: BrokerAddress = text.parse().unwrap();
         assert_eq!(String::from(address.clone()), url);
         assert_eq!(url.parse(), Ok(address));
+    }
+    for text in ["mqtt://host/path", "http://host", "ws://host/a b", "user@host", "mqtt://", "host:70000"] {
+        assert!(text.parse::<BrokerAddress>().is_err(), "{text}");
     }
 }

@@ -1,7 +1,4 @@
 //! TLS (rustls with ring): the broker proves its identity with a certificate, and the device too if it has one.
-//!
-//! rumqttc 0.25 also links rustls-webpki 0.102.8 (RUSTSEC-2026-0049, -0098, -0099, -0104), but only for the
-//! type of an error. Certificates are verified by the rustls-webpki of rustls itself, 0.103.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -52,7 +49,9 @@ pub enum TlsError {
     },
     /// The address requires TLS and no certificates are given, or certificates are given for an address
     /// without TLS.
-    #[error("a broker at mqtts:// needs tls = {{ ca, cert, key }}, and one at mqtt:// must not have it")]
+    #[error(
+        "a broker at mqtts:// or wss:// needs tls = {{ ca, cert, key }}, and one at mqtt:// or ws:// must not have it"
+    )]
     OneWithoutOther,
     /// Only one of certificate and key is given.
     #[error("write both cert and key, or neither of them if the broker asks for a password")]
@@ -89,7 +88,7 @@ impl Tls {
         Ok(Self(Arc::new(config)))
     }
 
-    /// Reads the certificates and the key if the address is `mqtts://`. With an address without TLS, `files`
+    /// Reads the certificates and the key if the address requires TLS. With an address without TLS, `files`
     /// must be `None`.
     pub fn for_broker(broker: &BrokerAddress, files: Option<&TlsFiles>) -> Result<Option<Self>, TlsError> {
         match (broker.is_tls, files) {

@@ -2,31 +2,26 @@
 
 use std::collections::BTreeMap;
 use std::io::{self, Read, Write};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::thread::{JoinHandle, sleep};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use rumqttc::v5::mqttbytes::QoS;
-use rumqttc::v5::mqttbytes::v5::{Filter, Packet, Publish};
-use rumqttc::v5::{Client, Connection, Event, MqttOptions};
-use rumqttc::{TlsConfiguration, Transport as TlsTransport};
+use rumqttc::v5::mqttbytes::v5::Filter;
 
 use super::address::BrokerAddress;
+use super::client::{Client, ClientEvent, ClientSettings};
 use super::config::Login;
 use super::tls::Tls;
-use super::worker::{PACKET_BYTES_MAX, describe};
 use crate::faults::{Faults, Line};
 use crate::recording::{Entry, Recorder, Recording, RecordingError};
+use crate::transport::PublishError;
 
-/// Maximum number of messages queued for the connection.
-const QUEUE_MAX: usize = 64;
 /// Interval at which a request to stop is checked, and at which the recording is flushed.
 const TICK: Duration = Duration::from_millis(200);
-/// Delay between attempts to connect.
-const RECONNECT_DELAY: Duration = Duration::from_millis(500);
+/// Interval at which a replay looks whether there is room for the next message.
+const ROOM_TICK: Duration = Duration::from_millis(2);
 /// Number of consecutive failed attempts to connect after which recording or replaying fails.
-const ATTEMPTS_MAX: u32 = 8;
+const ATTEMPTS_MAX: u32 = 6;
 /// How long the end of a replay waits for the last acknowledgements.
 const ACKNOWLEDGEMENT_TIMEOUT: Duration = Duration::from_secs(30);
 
@@ -42,11 +37,9 @@ pub enum TrafficError {
     Write(#[source] io::Error),
     /// The broker could not be reached in [`ATTEMPTS_MAX`] consecutive attempts, at the start or after a lost
     /// connection.
-    #[error("broker {broker}: {reason}; gave up after {ATTEMPTS_MAX} attempts")]
+    #[error("{reason}; gave up after {ATTEMPTS_MAX} attempts")]
     NoBroker {
-        /// The broker's address.
-        broker: String,
-        /// The last error.
+        /// The broker's address and the last error.
         reason: String,
     },
 }
@@ -73,34 +66,16 @@ pub fn record(
     is_stopping: &AtomicBool,
 ) -> Result<u64, TrafficError> {
     let mut recorder = Recorder::new(out).map_err(TrafficError::Write)?;
-    let (client, mut connection) = Client::new(options(broker, tls, login, "record"), QUEUE_MAX);
-    let (start, mut count, mut attempt) = (Instant::now(), 0, 0);
+    let filter =
+        Filter { path: filter.to_owned(), qos: QoS::AtLeastOnce, preserve_retain: true, ..Filter::default() };
+    let client = Client::start(settings(broker, tls, login, "record", vec![filter]));
+    let (start, mut count) = (Instant::now(), 0);
     let mut flushed_at = start;
     while !is_stopping.load(Ordering::Relaxed) {
-        match connection.recv_timeout(TICK) {
-            Ok(Ok(Event::Incoming(Packet::ConnAck(_)))) => {
-                let filter = Filter {
-                    path: filter.to_owned(),
-                    qos: QoS::AtLeastOnce,
-                    preserve_retain: true,
-                    ..Filter::default()
-                };
-                // Cannot fail: the queue is empty, because nothing else is sent on this connection.
-                let _ = client.try_subscribe_many([filter]);
-                attempt = 0;
-            }
-            Ok(Ok(Event::Incoming(Packet::Publish(publish)))) => {
-                let entry = entry(start.elapsed(), &publish);
-                count += u64::from(recorder.add(&entry).map_err(TrafficError::Write)?);
-            }
-            Ok(Err(error)) => {
-                attempt += 1;
-                if attempt >= ATTEMPTS_MAX {
-                    return Err(no_broker(broker, describe(&error)));
-                }
-                sleep(RECONNECT_DELAY);
-            }
-            Ok(Ok(_)) | Err(_) => {}
+        if let Some(event) = client.poll(TICK)
+            && let Some(entry) = entry(event, start.elapsed())?
+        {
+            count += u64::from(recorder.add(&entry).map_err(TrafficError::Write)?);
         }
         if flushed_at.elapsed() >= TICK {
             recorder.flush().map_err(TrafficError::Write)?;
@@ -118,59 +93,99 @@ pub fn replay(
     tls: Option<&Tls>,
     login: Option<&Login>,
     recording: Recording<impl Read>,
-    settings: &ReplaySettings,
+    faults: &ReplaySettings,
     is_stopping: &AtomicBool,
 ) -> Result<u64, TrafficError> {
-    let (client, connection) = Client::new(options(broker, tls, login, "replay"), QUEUE_MAX);
-    let driver = Driver::start(connection);
-    driver.wait_until(Duration::MAX, is_stopping, |state| state.is_connected.load(Ordering::Relaxed));
-    let (start, mut sent) = (Instant::now(), 0);
-    let mut player = Player::new(recording, settings);
-    while let Some(Entry { at, topic, retain, payload, .. }) = player.next_entry()? {
-        let at = settings.speed.map_or(Duration::ZERO, |speed| at.div_f64(speed));
-        while start.elapsed() < at && !driver.is_over(is_stopping) {
-            sleep(TICK.min(at.saturating_sub(start.elapsed())));
+    let client = Client::start(settings(broker, tls, login, "replay", Vec::new()));
+    let mut session = Replay { client, is_stopping, is_connected: false };
+    session.wait_until(Duration::MAX, TICK, |session| session.is_connected)?;
+    let start = Instant::now();
+    let mut player = Player::new(recording, faults);
+    while let Some(entry) = player.next_entry()? {
+        let at = faults.speed.map_or(Duration::ZERO, |speed| entry.at.div_f64(speed));
+        while start.elapsed() < at && !session.is_over() {
+            session.listen(TICK.min(at.saturating_sub(start.elapsed())))?;
         }
-        if driver.is_over(is_stopping) {
+        session.publish(&entry)?;
+        if session.is_over() {
             break;
         }
-        // Publishing fails only after the driver has ended. The next iteration checks that.
-        if client.publish(topic, QoS::AtLeastOnce, retain, payload).is_ok() {
-            sent += 1;
+    }
+    session.wait_until(ACKNOWLEDGEMENT_TIMEOUT, ROOM_TICK, |session| session.client.pending() == 0)?;
+    Ok(session.client.acknowledged() as u64)
+}
+
+/// The entry of the recording for an event; `None` if the event is no message. An error if the broker cannot be reached.
+fn entry(event: ClientEvent, at: Duration) -> Result<Option<Entry>, TrafficError> {
+    match event {
+        ClientEvent::Connected => Ok(None),
+        ClientEvent::Message { topic, payload, qos, retain } => {
+            Ok(Some(Entry { at, topic, qos: qos as u8, retain, payload }))
         }
-    }
-    driver.wait_until(ACKNOWLEDGEMENT_TIMEOUT, is_stopping, |state| {
-        state.acknowledged.load(Ordering::Relaxed) >= sent
-    });
-    let _ = client.disconnect();
-    driver.end(broker)
-}
-
-fn entry(at: Duration, publish: &Publish) -> Entry {
-    Entry {
-        at,
-        topic: String::from_utf8_lossy(&publish.topic).into_owned(),
-        qos: publish.qos as u8,
-        retain: publish.retain,
-        payload: publish.payload.to_vec(),
+        ClientEvent::Disconnected { attempt, .. } if attempt < ATTEMPTS_MAX => Ok(None),
+        ClientEvent::Disconnected { reason, .. } => Err(TrafficError::NoBroker { reason }),
     }
 }
 
-fn options(broker: &BrokerAddress, tls: Option<&Tls>, login: Option<&Login>, role: &str) -> MqttOptions {
-    let client_id = format!("cosurf-{role}-{}", std::process::id());
-    let mut options = MqttOptions::new(client_id, broker.socket_host(), broker.port);
-    options.set_clean_start(true).set_max_packet_size(Some(PACKET_BYTES_MAX as u32));
-    if let Some(Login { user, password }) = login {
-        options.set_credentials(user, password);
+fn settings(
+    broker: &BrokerAddress,
+    tls: Option<&Tls>,
+    login: Option<&Login>,
+    role: &str,
+    filters: Vec<Filter>,
+) -> ClientSettings {
+    ClientSettings {
+        broker: broker.clone(),
+        tls: tls.cloned(),
+        login: login.cloned(),
+        client_id: format!("cosurf-{role}-{}", std::process::id()),
+        session_expiry_s: 0,
+        will: None,
+        filters,
     }
-    if let Some(tls) = tls {
-        options.set_transport(TlsTransport::tls_with_config(TlsConfiguration::Rustls(Arc::clone(&tls.0))));
-    }
-    options
 }
 
-fn no_broker(broker: &BrokerAddress, reason: String) -> TrafficError {
-    TrafficError::NoBroker { broker: broker.to_string(), reason }
+/// A replay that goes on.
+struct Replay<'a> {
+    client: Client,
+    is_stopping: &'a AtomicBool,
+    is_connected: bool,
+}
+
+impl Replay<'_> {
+    fn is_over(&self) -> bool {
+        self.is_stopping.load(Ordering::Relaxed)
+    }
+
+    /// Waits for this time. An error if the broker cannot be reached.
+    fn listen(&mut self, time: Duration) -> Result<(), TrafficError> {
+        let Some(event) = self.client.poll(time) else { return Ok(()) };
+        self.is_connected |= matches!(event, ClientEvent::Connected);
+        entry(event, Duration::ZERO).map(drop)
+    }
+
+    fn wait_until(
+        &mut self,
+        timeout: Duration,
+        tick: Duration,
+        is_done: impl Fn(&Self) -> bool,
+    ) -> Result<(), TrafficError> {
+        let start = Instant::now();
+        while !is_done(self) && !self.is_over() && start.elapsed() < timeout {
+            self.listen(tick)?;
+        }
+        Ok(())
+    }
+
+    /// Publishes an entry, as soon as there is room. Entries above the broker's limit are skipped.
+    fn publish(&mut self, entry: &Entry) -> Result<(), TrafficError> {
+        while !self.is_over()
+            && self.client.publish(&entry.topic, &entry.payload, entry.retain) == Err(PublishError::Busy)
+        {
+            self.listen(ROOM_TICK)?;
+        }
+        Ok(())
+    }
 }
 
 /// Injects faults into a recording, and returns the entries in the order in which they are replayed.
@@ -204,72 +219,5 @@ impl<R: Read> Player<R> {
             }
         }
         Ok(self.waiting.pop_first().map(|(_, entry)| entry))
-    }
-}
-
-/// The thread that runs the event loop of a publishing connection.
-struct Driver {
-    state: Arc<DriverState>,
-    thread: JoinHandle<Option<String>>,
-}
-
-#[derive(Default)]
-struct DriverState {
-    is_connected: AtomicBool,
-    acknowledged: AtomicU64,
-}
-
-impl Driver {
-    fn start(mut connection: Connection) -> Self {
-        let state = Arc::new(DriverState::default());
-        let shared = Arc::clone(&state);
-        let thread = std::thread::spawn(move || {
-            let mut attempt = 0;
-            for event in connection.iter() {
-                match event {
-                    Ok(Event::Incoming(Packet::ConnAck(_))) => {
-                        attempt = 0;
-                        shared.is_connected.store(true, Ordering::Relaxed);
-                    }
-                    Ok(Event::Incoming(Packet::PubAck(_))) => {
-                        shared.acknowledged.fetch_add(1, Ordering::Relaxed);
-                    }
-                    Ok(Event::Outgoing(rumqttc::Outgoing::Disconnect)) => return None,
-                    Ok(_) => {}
-                    Err(error) => {
-                        attempt += 1;
-                        if attempt >= ATTEMPTS_MAX {
-                            return Some(describe(&error));
-                        }
-                        sleep(RECONNECT_DELAY);
-                    }
-                }
-            }
-            None
-        });
-        Self { state, thread }
-    }
-
-    fn is_over(&self, is_stopping: &AtomicBool) -> bool {
-        self.thread.is_finished() || is_stopping.load(Ordering::Relaxed)
-    }
-
-    fn wait_until(
-        &self,
-        timeout: Duration,
-        is_stopping: &AtomicBool,
-        is_done: impl Fn(&DriverState) -> bool,
-    ) {
-        let start = Instant::now();
-        while !is_done(&self.state) && !self.is_over(is_stopping) && start.elapsed() < timeout {
-            sleep(Duration::from_millis(5));
-        }
-    }
-
-    fn end(self, broker: &BrokerAddress) -> Result<u64, TrafficError> {
-        match self.thread.join() {
-            Ok(Some(reason)) => Err(no_broker(broker, reason)),
-            _ => Ok(self.state.acknowledged.load(Ordering::Relaxed)),
-        }
     }
 }

@@ -1,267 +1,275 @@
-//! The thread that drives rumqttc's event loop.
+//! The thread of a client: connects, subscribes, sends, receives, and connects again.
 
-use std::io::ErrorKind;
-use std::pin::pin;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::future::Future;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::sync::mpsc::{SyncSender, TrySendError};
-use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
-use cosurf_wire::{MAX_MESSAGE_BYTES, MAX_TOPIC_BYTES};
+use rumqttc::v5::mqttbytes::QoS;
 use rumqttc::v5::mqttbytes::v5::{
-    ConnAck, ConnectReturnCode, DisconnectReasonCode, Filter, LastWill, Packet, Publish, RetainForwardRule,
-    Subscribe, SubscribeReasonCode,
+    ConnAck, Packet, PingReq, PubAck, Publish, SubAck, Subscribe, SubscribeReasonCode,
 };
-use rumqttc::v5::mqttbytes::{Error as MqttError, QoS};
-use rumqttc::v5::{AsyncClient, ConnectionError, Event, EventLoop, MqttOptions, Request, StateError};
-use rumqttc::{TlsConfiguration, Transport as TlsTransport};
-use tokio::time::{Instant, sleep, timeout};
+use tokio::select;
+use tokio::time::sleep;
 
-use super::config::{EVENTS_MAX, Login, MqttConfig, PACKET_OVERHEAD_BYTES};
-use super::refusal::tls_fault;
+use super::client::{ClientEvent, ClientSettings, KEEP_ALIVE_S, Shared};
+use super::connection::Connection;
+use super::fault::Fault;
+use super::session::{InFlight, SUBSCRIBE_ID};
 use crate::pacing::Backoff;
-use crate::transport::{Outgoing, TransportEvent};
 
-/// Maximum number of messages that wait for the event loop, and also of unacknowledged messages: 16 chunks of
-/// 64 KiB are 1 MiB.
-const QUEUE_MAX: usize = 16;
-/// Largest packet that this client accepts, in bytes.
-pub(super) const PACKET_BYTES_MAX: usize = MAX_MESSAGE_BYTES + MAX_TOPIC_BYTES + PACKET_OVERHEAD_BYTES;
-/// Interval of MQTT pings. The broker detects a dead connection within one and a half intervals, the client
-/// within two.
-const KEEP_ALIVE: Duration = Duration::from_secs(30);
-/// The broker keeps the session of a disconnected client for this long: enough for a battery change.
-const SESSION_EXPIRY_S: u32 = 3600;
-const CONNECT_TIMEOUT_S: u64 = 5;
 /// Delays between attempts to connect.
 const RECONNECT: Backoff = Backoff::new(Duration::from_millis(200), Duration::from_secs(5));
-/// A client that gets no acknowledgement for this long is replaced. At 3 kB/s, a chunk of 64 KiB takes less
-/// time.
+/// The oldest message must be acknowledged within this time and [`SLOWEST_LINE`].
 const ACKNOWLEDGEMENT_TIMEOUT: Duration = Duration::from_secs(if cfg!(test) { 1 } else { 30 });
-/// Interval at which missing acknowledgements and a request to stop are checked.
+/// The slowest line on which messages are still waited for, bytes per second.
+const SLOWEST_LINE: f64 = 1000.0;
+/// Interval at which timeouts and a request to stop are checked.
 const TICK: Duration = Duration::from_millis(50);
-/// How long the worker sends queued messages before it stops.
+/// How long the client sends queued messages before it stops.
 const STOP_TIMEOUT: Duration = Duration::from_secs(2);
 /// How long a full event queue holds back the connection. After that, messages are dropped.
 const DELIVERY_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// The state that the caller's thread and the worker's thread share.
-#[derive(Debug)]
-pub(super) struct Shared {
-    client: Mutex<Option<AsyncClient>>,
-    /// Largest packet that the broker accepts, in bytes; `usize::MAX` before the connection or if the broker
-    /// names no limit.
-    pub(super) packet_bytes_max: AtomicUsize,
-    /// Number of published messages that the broker has not acknowledged.
-    pub(super) unacknowledged: AtomicUsize,
-    pub(super) is_stopping: AtomicBool,
-}
-
-impl Default for Shared {
-    fn default() -> Self {
-        Self {
-            client: Mutex::new(None),
-            packet_bytes_max: AtomicUsize::new(usize::MAX),
-            unacknowledged: AtomicUsize::new(0),
-            is_stopping: AtomicBool::new(false),
-        }
-    }
-}
-
-impl Shared {
-    /// The current client; `None` before the first one is made.
-    pub(super) fn client(&self) -> Option<AsyncClient> {
-        self.client.lock().unwrap_or_else(PoisonError::into_inner).clone()
-    }
-
-    fn set_client(&self, client: AsyncClient) {
-        *self.client.lock().unwrap_or_else(PoisonError::into_inner) = Some(client);
-    }
-
-    /// Counts one message as acknowledged.
-    pub(super) fn count_acknowledgement(&self) {
-        let decrement = |count: usize| count.checked_sub(1);
-        let _ = self.unacknowledged.fetch_update(Ordering::Relaxed, Ordering::Relaxed, decrement);
-    }
-}
-
 pub(super) struct Worker {
-    config: MqttConfig,
+    settings: ClientSettings,
     shared: Arc<Shared>,
-    events: SyncSender<TransportEvent>,
-    is_connected: bool,
+    events: SyncSender<ClientEvent>,
+    in_flight: InFlight,
+    /// When the broker last acknowledged a message.
+    acknowledged: Instant,
     attempt: u32,
     reconnect: Backoff,
-    last_progress: Instant,
     is_dropping: bool,
+    stopping_since: Option<Instant>,
 }
 
-/// Why the event loop of a client ends.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Exit {
-    /// The caller has dropped the transport.
-    Stop,
-    /// A new client must take the place of this one.
-    Replace,
+/// The state of one connection.
+struct Line {
+    connection: Connection,
+    /// Whether the subscriptions are granted. Before, nothing is published: an answer would be missed.
+    is_ready: bool,
+    has_session: bool,
+    /// Interval in which at least one packet is sent.
+    keep_alive: Duration,
+    /// When a ping was sent that nothing has followed.
+    pinged: Option<Instant>,
+    /// The broker's own limit on messages in flight.
+    in_flight_max: Option<u16>,
 }
 
 impl Worker {
-    pub(super) fn new(config: MqttConfig, shared: Arc<Shared>, events: SyncSender<TransportEvent>) -> Self {
+    pub(super) fn new(
+        settings: ClientSettings,
+        shared: Arc<Shared>,
+        events: SyncSender<ClientEvent>,
+    ) -> Self {
         Self {
-            config,
+            settings,
             shared,
             events,
-            is_connected: false,
+            in_flight: InFlight::new(),
+            acknowledged: Instant::now(),
             attempt: 0,
             reconnect: RECONNECT,
-            last_progress: Instant::now(),
             is_dropping: false,
+            stopping_since: None,
         }
     }
 
     pub(super) fn run(mut self) {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
         match runtime {
-            Ok(runtime) => runtime.block_on(async { while self.drive().await == Exit::Replace {} }),
+            Ok(runtime) => {
+                runtime.block_on(self.keep_connected());
+                // A name that is still being looked up must not hold up the end.
+                runtime.shutdown_background();
+            }
             Err(error) => {
-                let reason = format!("broker {}: cannot start the I/O: {error}", self.config.broker);
-                let _ = self.events.send(TransportEvent::Disconnected { attempt: 1, reason });
+                let reason = format!("broker {}: cannot start the I/O: {error}", self.settings.broker);
+                let _ = self.events.send(ClientEvent::Disconnected { attempt: 1, reason });
             }
         }
     }
 
-    /// Runs one client until it must stop or be replaced.
-    async fn drive(&mut self) -> Exit {
-        let (client, mut eventloop) = AsyncClient::new(self.options(), QUEUE_MAX);
-        self.shared.set_client(client);
-        self.shared.unacknowledged.store(0, Ordering::Relaxed);
-        self.is_connected = false;
-        loop {
-            let exit = match self.poll(&mut eventloop).await {
-                Ok(Ok(event)) => self.on_event(&mut eventloop, event).await,
-                Ok(Err(error)) => self.on_error(&error).await,
-                Err(exit) => Some(exit),
-            };
-            if let Some(exit) = exit {
-                return exit;
+    async fn keep_connected(&mut self) {
+        while let Err(fault) = self.serve().await {
+            self.attempt += 1;
+            let reason = format!("broker {}: {fault}", self.settings.broker);
+            self.deliver(ClientEvent::Disconnected { attempt: self.attempt, reason }).await;
+            let delay = self.reconnect.delay();
+            if self.unless_stopping(sleep(delay)).await.is_none() {
+                return;
             }
         }
     }
 
-    /// Waits for the next event. An unfinished future of [`EventLoop::poll`] is dropped only when the client
-    /// ends: dropping it earlier would abort a connection attempt.
-    async fn poll(&mut self, eventloop: &mut EventLoop) -> Result<Result<Event, ConnectionError>, Exit> {
-        let mut poll = pin!(eventloop.poll());
-        let mut stopping_since = None;
+    /// Runs one connection, until the client is dropped.
+    async fn serve(&mut self) -> Result<(), Fault> {
+        let opening = Connection::open(&self.settings);
+        let Some(opened) = self.unless_stopping(opening).await else { return Ok(()) };
+        let (connection, ack) = opened?;
+        let mut line = self.begin(connection, &ack);
+        if line.is_ready {
+            self.on_ready(&mut line).await;
+        }
         loop {
-            if let Ok(event) = timeout(TICK, poll.as_mut()).await {
-                return Ok(event);
+            while let Some(packet) = line.connection.next_packet()? {
+                self.on_packet(packet, &mut line).await?;
             }
-            let is_idle = self.shared.unacknowledged.load(Ordering::Relaxed) == 0;
-            if is_idle || !self.is_connected {
-                self.last_progress = Instant::now();
+            self.fill(&mut line);
+            if self.may_stop(&line) {
+                return Ok(());
             }
-            if self.is_stopping() {
-                let since = *stopping_since.get_or_insert_with(Instant::now);
-                if is_idle || !self.is_connected || since.elapsed() > STOP_TIMEOUT {
-                    return Err(Exit::Stop);
+            select! {
+                moved = line.connection.exchange() => moved?,
+                () = self.shared.wake.notified() => {}
+                () = sleep(TICK) => {}
+            }
+            self.watch(&mut line)?;
+        }
+    }
+
+    /// Waits for something, unless the client is dropped.
+    async fn unless_stopping<T>(&self, what: impl Future<Output = T>) -> Option<T> {
+        let stopping = async {
+            while !self.is_stopping() {
+                sleep(TICK).await;
+            }
+        };
+        select! {
+            done = what => Some(done),
+            () = stopping => None,
+        }
+    }
+
+    /// Takes what the broker says of itself, and subscribes.
+    fn begin(&mut self, mut connection: Connection, ack: &ConnAck) -> Line {
+        let said = ack.properties.as_ref();
+        let limit = said.and_then(|said| said.max_packet_size);
+        self.shared
+            .packet_bytes_max
+            .store(limit.map_or(usize::MAX, |bytes| bytes as usize), Ordering::Relaxed);
+        let filters = &self.settings.filters;
+        if !filters.is_empty() {
+            let mut subscribe = Subscribe::new_many(filters.iter().cloned(), None);
+            subscribe.pkid = SUBSCRIBE_ID;
+            connection.queue(&Packet::Subscribe(subscribe));
+        }
+        let keep_alive_s = said.and_then(|said| said.server_keep_alive).unwrap_or(KEEP_ALIVE_S);
+        Line {
+            connection,
+            is_ready: filters.is_empty(),
+            has_session: ack.session_present,
+            keep_alive: Duration::from_secs(keep_alive_s.max(1).into()),
+            pinged: None,
+            in_flight_max: said.and_then(|said| said.receive_max),
+        }
+    }
+
+    /// Sends what was left over from an earlier connection.
+    async fn on_ready(&mut self, line: &mut Line) {
+        line.is_ready = true;
+        let (before, now) = (self.in_flight.len(), Instant::now());
+        for message in self.in_flight.resume(line.has_session, line.in_flight_max, now) {
+            line.connection.queue(&Packet::Publish(message.clone()));
+        }
+        self.shared.settle(before - self.in_flight.len());
+        self.acknowledged = now;
+        self.attempt = 0;
+        self.reconnect.reset();
+        self.deliver(ClientEvent::Connected).await;
+    }
+
+    async fn on_packet(&mut self, packet: Packet, line: &mut Line) -> Result<(), Fault> {
+        match packet {
+            Packet::SubAck(ack) if !is_granted(&ack) => return Err(Fault::Subscriptions),
+            Packet::SubAck(_) if !line.is_ready => self.on_ready(line).await,
+            Packet::PubAck(ack) => self.on_acknowledgement(ack.pkid),
+            Packet::Publish(message) => {
+                let (id, qos) = (message.pkid, message.qos);
+                self.on_message(message).await;
+                if qos == QoS::AtLeastOnce {
+                    line.connection.queue(&Packet::PubAck(PubAck::new(id, None)));
                 }
             }
-            if self.last_progress.elapsed() > ACKNOWLEDGEMENT_TIMEOUT {
-                return Err(self.on_no_acknowledgement().await);
-            }
-        }
-    }
-
-    async fn on_event(&mut self, eventloop: &mut EventLoop, event: Event) -> Option<Exit> {
-        match event {
-            Event::Incoming(Packet::ConnAck(ack)) => self.on_connack(eventloop, &ack),
-            Event::Incoming(Packet::SubAck(ack)) => {
-                let is_granted = |code: &SubscribeReasonCode| matches!(code, SubscribeReasonCode::Success(_));
-                if !ack.return_codes.iter().all(is_granted) {
-                    let reason = "subscriptions refused: give this device access to its topics";
-                    self.fail(reason).await;
-                    return self.pause().await.or(Some(Exit::Replace));
-                }
-                self.is_connected = true;
-                self.attempt = 0;
-                self.reconnect.reset();
-                self.deliver(TransportEvent::Connected).await;
-            }
-            Event::Incoming(Packet::PubAck(_)) => {
-                self.shared.count_acknowledgement();
-                self.last_progress = Instant::now();
-            }
-            Event::Incoming(Packet::Publish(publish)) => self.on_publish(publish).await,
+            Packet::Disconnect(farewell) => return Err(Fault::Closed(farewell.reason_code)),
             _ => {}
         }
-        None
+        Ok(())
     }
 
-    /// Subscribes first, so that the messages left over from an earlier connection are sent after the
-    /// subscription.
-    fn on_connack(&mut self, eventloop: &mut EventLoop, ack: &ConnAck) {
-        let announced = ack.properties.as_ref().and_then(|properties| properties.max_packet_size);
-        let limit = announced.map_or(usize::MAX, |bytes| bytes as usize);
-        self.shared.packet_bytes_max.store(limit, Ordering::Relaxed);
-        if !ack.session_present {
-            self.shared.unacknowledged.store(0, Ordering::Relaxed);
+    fn on_acknowledgement(&mut self, id: u16) {
+        self.acknowledged = Instant::now();
+        if self.in_flight.acknowledge(id, self.acknowledged) {
+            self.shared.acknowledged.fetch_add(1, Ordering::Relaxed);
+            self.shared.settle(1);
         }
-        self.last_progress = Instant::now();
-        let filters = self.config.identity.filters();
-        let filters = filters.iter().map(|path| Filter {
-            path: path.as_str().to_owned(),
-            qos: QoS::AtLeastOnce,
-            nolocal: true,
-            preserve_retain: false,
-            retain_forward_rule: RetainForwardRule::OnEverySubscribe,
-        });
-        eventloop.pending.push_front(Request::Subscribe(Subscribe::new_many(filters, None)));
     }
 
-    async fn on_publish(&mut self, publish: Publish) {
+    async fn on_message(&mut self, message: Publish) {
         // Topics of the protocol are ASCII. The node drops messages under other topics.
-        let topic = String::from_utf8_lossy(&publish.topic).into_owned();
-        let payload = publish.payload.to_vec();
-        self.deliver(TransportEvent::Incoming { topic, payload }).await;
+        let topic = String::from_utf8_lossy(&message.topic).into_owned();
+        let (payload, qos, retain) = (message.payload.to_vec(), message.qos, message.retain);
+        self.deliver(ClientEvent::Message { topic, payload, qos, retain }).await;
     }
 
-    async fn on_error(&mut self, error: &ConnectionError) -> Option<Exit> {
-        self.fail(&describe(error)).await;
-        let is_too_large = matches!(error, ConnectionError::MqttState(state) if is_too_large(state));
-        let stop = self.pause().await;
-        stop.or(is_too_large.then_some(Exit::Replace))
-    }
-
-    async fn on_no_acknowledgement(&mut self) -> Exit {
-        self.fail(&format!("no acknowledgement for {ACKNOWLEDGEMENT_TIMEOUT:?}; starting a new client"))
-            .await;
-        Exit::Replace
-    }
-
-    async fn fail(&mut self, what: &str) {
-        self.is_connected = false;
-        self.attempt += 1;
-        let attempt = self.attempt;
-        let reason = format!("broker {}: {what}", self.config.broker);
-        self.deliver(TransportEvent::Disconnected { attempt, reason }).await;
-    }
-
-    /// Waits before the next attempt to connect, but not once the transport is dropped.
-    async fn pause(&mut self) -> Option<Exit> {
-        let until = Instant::now() + self.reconnect.delay();
-        while Instant::now() < until && !self.is_stopping() {
-            sleep(TICK).await;
+    /// Sends the next message, if the one before has left and the line has room. So a control message overtakes all
+    /// bulk that waits.
+    fn fill(&mut self, line: &mut Line) {
+        while line.is_ready && line.connection.is_flushed() {
+            let Some(message) = self.shared.next(|message| self.in_flight.has_room_for(message)) else {
+                return;
+            };
+            let limit = self.shared.packet_bytes_max.load(Ordering::Relaxed);
+            // Queued before this broker told its limit. Whoever sent it will be told when it sends it again.
+            if message.size() > limit {
+                self.shared.settle(1);
+                continue;
+            }
+            let message = self.in_flight.add(message, Instant::now());
+            line.connection.queue(&Packet::Publish(message.clone()));
         }
-        self.is_stopping().then_some(Exit::Stop)
+    }
+
+    /// Pings, and checks that the broker answers.
+    fn watch(&self, line: &mut Line) -> Result<(), Fault> {
+        let Line { connection, keep_alive, pinged, .. } = line;
+        if pinged.is_some_and(|at| connection.heard > at) {
+            *pinged = None;
+        }
+        let is_quiet = connection.heard.min(connection.written).elapsed() >= *keep_alive;
+        match pinged {
+            None if is_quiet => {
+                connection.queue(&Packet::PingReq(PingReq));
+                *pinged = Some(Instant::now());
+            }
+            Some(at) if (*at).max(connection.written).elapsed() >= *keep_alive => return Err(Fault::NoReply),
+            _ => {}
+        }
+        let Some((bytes, since)) = self.in_flight.oldest() else { return Ok(()) };
+        let patience = ACKNOWLEDGEMENT_TIMEOUT + Duration::from_secs_f64(bytes as f64 / SLOWEST_LINE);
+        let progress = since.max(self.acknowledged).max(connection.written);
+        if progress.elapsed() > patience { Err(Fault::NoAcknowledgement) } else { Ok(()) }
+    }
+
+    /// Whether the client is dropped and has nothing more to send, or no time for it.
+    fn may_stop(&mut self, line: &Line) -> bool {
+        if !self.is_stopping() {
+            return false;
+        }
+        let since = *self.stopping_since.get_or_insert_with(Instant::now);
+        let is_idle = self.shared.pending.load(Ordering::Relaxed) == 0 && line.connection.is_flushed();
+        is_idle || !line.is_ready || since.elapsed() > STOP_TIMEOUT
     }
 
     /// Queues an event for the caller. While the queue is full, the connection is held back for up to
     /// [`DELIVERY_TIMEOUT`] (backpressure). After that, messages are dropped until the queue has room, so
     /// that the connection stays alive.
-    async fn deliver(&mut self, mut event: TransportEvent) {
+    async fn deliver(&mut self, mut event: ClientEvent) {
         let until = Instant::now() + DELIVERY_TIMEOUT;
-        let is_message = matches!(event, TransportEvent::Incoming { .. });
+        let is_message = matches!(event, ClientEvent::Message { .. });
         loop {
             match self.events.try_send(event) {
                 Ok(()) => {
@@ -283,71 +291,8 @@ impl Worker {
     fn is_stopping(&self) -> bool {
         self.shared.is_stopping.load(Ordering::Relaxed)
     }
-
-    fn options(&self) -> MqttOptions {
-        let MqttConfig { broker, identity, will, tls, login } = &self.config;
-        let mut options = MqttOptions::new(identity.client_id(), broker.socket_host(), broker.port);
-        let in_flight = QUEUE_MAX as u16;
-        options
-            .set_keep_alive(KEEP_ALIVE)
-            .set_clean_start(false)
-            .set_session_expiry_interval(Some(SESSION_EXPIRY_S))
-            .set_connection_timeout(CONNECT_TIMEOUT_S)
-            .set_max_packet_size(Some(PACKET_BYTES_MAX as u32))
-            .set_receive_maximum(Some(EVENTS_MAX as u16 / 2))
-            .set_outgoing_inflight_upper_limit(in_flight);
-        if let Some(Outgoing { topic, payload, retain }) = will.clone() {
-            options.set_last_will(LastWill::new(topic.as_str(), payload, QoS::AtLeastOnce, retain, None));
-        }
-        if let Some(Login { user, password }) = login {
-            options.set_credentials(user, password);
-        }
-        if let Some(tls) = tls {
-            options
-                .set_transport(TlsTransport::tls_with_config(TlsConfiguration::Rustls(Arc::clone(&tls.0))));
-        }
-        options
-    }
 }
 
-fn is_too_large(error: &StateError) -> bool {
-    matches!(
-        error,
-        StateError::OutgoingPacketTooLarge { .. }
-            | StateError::Deserialization(MqttError::OutgoingPacketTooLarge { .. })
-    )
-}
-
-/// Describes an error in a few words.
-pub(super) fn describe(error: &ConnectionError) -> String {
-    if let Some(told) = tls_fault(error) {
-        return told;
-    }
-    match error {
-        ConnectionError::Io(error) | ConnectionError::MqttState(StateError::Io(error)) => {
-            match error.kind() {
-                ErrorKind::ConnectionRefused => "connection refused".to_owned(),
-                _ => error.to_string(),
-            }
-        }
-        ConnectionError::Timeout(_) => "no answer".to_owned(),
-        ConnectionError::Tls(error) => format!("TLS: {error}"),
-        ConnectionError::ConnectionRefused(code) => match code {
-            ConnectReturnCode::NotAuthorized | ConnectReturnCode::BadUserNamePassword => {
-                "the broker does not accept this name and password: check them".to_owned()
-            }
-            code => format!("connection refused: {code:?}"),
-        },
-        ConnectionError::MqttState(
-            StateError::ConnectionAborted | StateError::Deserialization(MqttError::Io(_)),
-        ) => "connection lost".to_owned(),
-        ConnectionError::MqttState(StateError::AwaitPingResp) => "no reply to a ping".to_owned(),
-        ConnectionError::MqttState(StateError::ServerDisconnect { reason_code, .. }) => match reason_code {
-            DisconnectReasonCode::SessionTakenOver => {
-                "another program connected under the same name: give every device its own name".to_owned()
-            }
-            code => format!("connection closed by the broker: {code:?}"),
-        },
-        other => other.to_string(),
-    }
+fn is_granted(ack: &SubAck) -> bool {
+    ack.return_codes.iter().all(|code| matches!(code, SubscribeReasonCode::Success(_)))
 }
