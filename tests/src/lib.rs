@@ -31,6 +31,7 @@ pub mod radio;
 pub mod results;
 pub mod s3;
 pub mod skips;
+pub mod slow_line;
 pub mod stranger;
 pub mod usage;
 pub mod web_door;

@@ -177,7 +177,11 @@ fn copy(from: &Path, to: &Path) {
 
 /// The aggregator's lines, without those that only `agent.toml` has.
 fn of_aggregator(lines: &str) -> String {
-    lines.lines().filter(|line| !line.contains("only in agent.toml")).map(|line| format!("{line}\n")).collect()
+    lines
+        .lines()
+        .filter(|line| !line.contains("only in agent.toml"))
+        .map(|line| format!("{line}\n"))
+        .collect()
 }
 
 #[test]
@@ -187,9 +191,10 @@ fn by_mosquitto_with_the_keys_of_pki() {
     // Mosquitto's certificate names only the host, so its port may be known later.
     let lines = keys(folder, "PORT");
     let settings = example(folder);
-    let settings = ["ca.pem", "server.pem", "server.key", "revoked.pem"].iter().fold(settings, |text, file| {
-        text.replace(&format!("FOLDER/{file}"), &format!("FOLDER/broker/{file}"))
-    });
+    let settings =
+        ["ca.pem", "server.pem", "server.key", "revoked.pem"].iter().fold(settings, |text, file| {
+            text.replace(&format!("FOLDER/{file}"), &format!("FOLDER/broker/{file}"))
+        });
     let Some(broker) = Mosquitto::start(folder, &settings, true) else { return };
     let address = broker.address.to_string();
     let at = |name: &str| lines(name).replace("PORT", &address);
@@ -246,7 +251,8 @@ fn by_mosquitto_over_web_socket_with_passwords() {
         command.arg(name).arg(format!("{name}'s own word")).current_dir(folder);
         assert!(command.status().unwrap().success());
     }
-    let settings = "listener PORT 127.0.0.1\nallow_anonymous false\npassword_file FOLDER/mosquitto.passwords\n";
+    let settings =
+        "listener PORT 127.0.0.1\nallow_anonymous false\npassword_file FOLDER/mosquitto.passwords\n";
     let Some(broker) = Mosquitto::start(folder, settings, false) else { return };
     let (cert, key) = (server.cert.unwrap(), server.key.unwrap());
     let Some(door) = WebDoor::start(&broker.address, Some((&cert, &key))) else { return };

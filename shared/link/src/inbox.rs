@@ -202,7 +202,8 @@ impl Inbox {
                     return self.refuse_offer(topic, key, session, RefusalReason::StoreFailed);
                 }
                 TransferPhase::Fetching { .. } if transfer.header != header => {
-                    if !transfer.may_be_replaced(now, &header, is_signed) {
+                    let is_kept = !transfer.may_be_replaced(now, &header, is_signed);
+                    if is_kept || transfer.continue_with(now, header, session) {
                         return None;
                     }
                 }

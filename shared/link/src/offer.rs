@@ -17,6 +17,17 @@ pub struct Offer {
     pub body: Vec<u8>,
 }
 
+/// Smallest chunks of an offer, bytes. On a line of 5 kB/s that breaks every 6 seconds, three of them pass between two
+/// breaks; chunks of 64 KiB never did. They cost 1 % more bytes than those.
+const CHUNK_BYTES: usize = 8 << 10;
+/// A larger body has larger chunks, so that it has no more than this number of them.
+const CHUNKS: usize = 8192;
+
+/// The size of a body's chunks, bytes.
+fn chunk_bytes(body_bytes: usize) -> u32 {
+    body_bytes.div_ceil(CHUNKS).next_power_of_two().clamp(CHUNK_BYTES, MAX_CHUNK_BYTES) as u32
+}
+
 impl Offer {
     /// Packs a model. `views` is the number of pictures that the model was trained on. Fails if a receiver
     /// would refuse the body. Importance is estimated by [`plain_importance`]. A caller that can measure
@@ -60,7 +71,7 @@ impl Offer {
             views,
             bounds,
             body_bytes: body.len() as u64,
-            chunk_bytes: MAX_CHUNK_BYTES as u32,
+            chunk_bytes: chunk_bytes(body.len()),
             blake3: body_hash(&body),
         };
         check_body(&header, &body)?;
@@ -88,7 +99,7 @@ impl Offer {
             views,
             bounds: manifest.bounds(),
             body_bytes: body.len() as u64,
-            chunk_bytes: MAX_CHUNK_BYTES as u32,
+            chunk_bytes: chunk_bytes(body.len()),
             blake3: body_hash(&body),
         };
         header.check().map_err(|_| BodyFault::Manifest)?;

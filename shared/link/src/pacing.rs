@@ -3,13 +3,31 @@
 
 use std::time::Duration;
 
-/// Maximum number of unacknowledged chunks to one receiver: 2 MiB in chunks of 64 KiB. This is well below
-/// what brokers queue for a slow client (Mosquitto: 1000 messages).
-pub(crate) const WINDOW: usize = 32;
+/// Maximum number of unacknowledged chunks to one receiver. This is well below what brokers queue for a slow client
+/// (Mosquitto: 1000 messages).
+pub(crate) const WINDOW_MAX: usize = 256;
+/// Maximum number of their bytes, if that is less.
+pub(crate) const WINDOW_BYTES_MAX: usize = 2 << 20;
+/// The same number before anything is known of the line.
+pub(crate) const WINDOW_FIRST: usize = 32;
+/// The smallest such number on a slow line. It must keep the line busy while a `Want` is on its way.
+pub(crate) const WINDOW_MIN: usize = 4;
+/// If the chunks of a full window take longer to be acknowledged than this, the window shrinks. What waits on a line is lost
+/// when the line breaks.
+pub(crate) const WINDOW_SLOW: Duration = Duration::from_secs(6);
+/// If they take less than this, it grows.
+pub(crate) const WINDOW_FAST: Duration = Duration::from_secs(1);
 
 /// A receiver sends a `Want` after this many new chunks. A `Want` also acknowledges the chunks that have arrived. On a
 /// good link, it reaches the sender before the sender's window is full.
-pub(crate) const WANT_EVERY: u32 = WINDOW as u32 / 2;
+pub(crate) const WANT_EVERY: u32 = WINDOW_FIRST as u32 / 2;
+/// On a slow line, it sends one when a chunk arrives and the last one was sent so long ago.
+pub(crate) const WANT_AFTER: Duration = Duration::from_secs(2);
+
+/// A sender makes chunks smaller if fewer than this have got through from one break of the connection to the next.
+pub(crate) const CHUNKS_PER_CONNECTION: u32 = 4;
+/// How many times smaller.
+pub(crate) const SHRINK: u32 = 4;
 
 /// A chunk counts as lost once a chunk that was sent more than this many places later has arrived. The margin
 /// tolerates reordering.

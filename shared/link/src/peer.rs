@@ -5,7 +5,10 @@ use std::time::Duration;
 use cosurf_wire::{ChunkStatus, DeviceId, RefusalReason, Want};
 
 use crate::bits::BitSet;
-use crate::pacing::{REORDER, REPEATED_WANT, RESEND_ALL, WINDOW};
+use crate::pacing::{
+    REORDER, REPEATED_WANT, RESEND_ALL, WINDOW_BYTES_MAX, WINDOW_FAST, WINDOW_FIRST, WINDOW_MAX, WINDOW_MIN,
+    WINDOW_SLOW,
+};
 
 /// Resends that each chunk earns that a receiver has for the first time. On a line that loses half of its messages, a
 /// chunk takes one.
@@ -20,8 +23,13 @@ pub(crate) struct Peer {
     pub(crate) is_required: bool,
     /// Chunks that the receiver lacks and that are not in flight.
     wanted: BitSet,
-    /// Chunks that were sent and are not acknowledged, at most [`WINDOW`].
+    /// Chunks that were sent and are not acknowledged, at most `window`.
     in_flight: Vec<SentChunk>,
+    /// Limit on them, which follows the line.
+    window: usize,
+    window_max: usize,
+    /// Whether the connection was lost since the last `Want`, and with it the chunks in flight.
+    is_cut: bool,
     /// Chunks that were sent to this receiver at least once.
     sent: BitSet,
     /// The most chunks that the receiver is known to have had at once.
@@ -49,19 +57,27 @@ pub(crate) enum PeerPhase {
 #[derive(Clone, Copy, Debug)]
 struct SentChunk {
     index: u32,
+    at: Duration,
+    /// Whether it was sent before. If it arrives, nobody knows which copy it was (Karn and Partridge 1987).
+    is_again: bool,
     /// Sequence number among all chunks of the model sent to any receiver.
     order: u64,
 }
 
 impl Peer {
-    pub(crate) fn new(device: DeviceId, chunks: u32, is_required: bool) -> Self {
-        let resends_max = chunks.max(WINDOW as u32);
+    /// A receiver of a body of `chunks` chunks of `chunk_bytes` bytes.
+    pub(crate) fn new(device: DeviceId, chunks: u32, chunk_bytes: u32, is_required: bool) -> Self {
+        let resends_max = chunks.max(WINDOW_FIRST as u32);
+        let window_max = (WINDOW_BYTES_MAX / chunk_bytes.max(1) as usize).clamp(WINDOW_FIRST, WINDOW_MAX);
         Self {
             device,
             phase: PeerPhase::Silent,
             is_required,
             wanted: BitSet::full(chunks),
-            in_flight: Vec::with_capacity(WINDOW),
+            in_flight: Vec::new(),
+            window: WINDOW_FIRST,
+            window_max,
+            is_cut: false,
             sent: BitSet::empty(chunks),
             chunks_had: 0,
             repeat_at: Duration::ZERO,
@@ -99,7 +115,7 @@ impl Peer {
     }
 
     fn has_room(&self) -> bool {
-        self.phase == PeerPhase::Fetching && self.in_flight.len() < WINDOW
+        self.phase == PeerPhase::Fetching && self.in_flight.len() < self.window
     }
 
     /// Number of chunks that may be sent again.
@@ -126,9 +142,10 @@ impl Peer {
                 self.earn_resends(now);
                 self.resends.0 = self.resends.0.saturating_sub(1);
             }
+            let is_again = self.sent.contains(index);
             self.sent.insert(index);
             self.wanted.remove(index);
-            self.in_flight.push(SentChunk { index, order });
+            self.in_flight.push(SentChunk { index, at: now, is_again, order });
         }
     }
 
@@ -147,17 +164,42 @@ impl Peer {
         self.chunks_had += new;
         self.earn_resends(now);
         self.resends.0 = self.resends.0.saturating_add(new * RESENDS_EARNED).min(self.resends_max);
-        self.take_want(chunks, want);
+        self.take_want(now, chunks, want);
         true
     }
 
-    fn take_want(&mut self, chunks: u32, want: &Want) {
+    /// Notes that the connection was lost. What was in flight counts as lost when the receiver next tells what it has.
+    pub(crate) fn on_cut(&mut self) {
+        self.is_cut = true;
+    }
+
+    /// The chunks in flight that have arrived, as far as they were sent only once.
+    fn arrived(&self, want: &Want) -> impl Iterator<Item = &SentChunk> {
+        let has_arrived =
+            |sent: &&SentChunk| !sent.is_again && want.missing.status_of(sent.index) == ChunkStatus::Received;
+        self.in_flight.iter().filter(has_arrived)
+    }
+
+    /// Learns from a `Want` how many chunks the line takes.
+    fn learn(&mut self, now: Duration, want: &Want) {
+        let Some(sent) = self.arrived(want).map(|sent| sent.at).max() else { return };
+        let waited = now.saturating_sub(sent);
+        if waited < WINDOW_FAST && self.in_flight.len() >= self.window / 2 {
+            self.window = (2 * self.window).min(self.window_max);
+        } else if waited > WINDOW_SLOW {
+            self.window = (self.window / 2).max(WINDOW_MIN);
+        }
+    }
+
+    fn take_want(&mut self, now: Duration, chunks: u32, want: &Want) {
         self.phase = PeerPhase::Fetching;
+        self.learn(now, want);
+        let is_cut = std::mem::take(&mut self.is_cut);
         let status_of = |index| want.missing.status_of(index);
-        let has_arrived = |sent: &&SentChunk| status_of(sent.index) == ChunkStatus::Received;
-        let newest = self.in_flight.iter().filter(has_arrived).map(|sent| sent.order).max();
-        let is_lost =
-            |sent: &SentChunk| want.idle || newest.is_some_and(|newest| sent.order + REORDER < newest);
+        let newest = self.arrived(want).map(|sent| sent.order).max();
+        let is_lost = |sent: &SentChunk| {
+            want.idle || is_cut || newest.is_some_and(|newest| sent.order + REORDER < newest)
+        };
         let wanted = &mut self.wanted;
         self.in_flight.retain(|sent| match status_of(sent.index) {
             ChunkStatus::Received => false,
@@ -167,10 +209,12 @@ impl Peer {
             }
             ChunkStatus::Missing | ChunkStatus::Unknown => true,
         });
+        let mut in_flight = BitSet::empty(chunks);
+        self.in_flight.iter().for_each(|sent| in_flight.insert(sent.index));
         for index in 0..chunks {
             match status_of(index) {
                 ChunkStatus::Received => self.wanted.remove(index),
-                ChunkStatus::Missing if !self.is_in_flight(index) => self.wanted.insert(index),
+                ChunkStatus::Missing if !in_flight.contains(index) => self.wanted.insert(index),
                 ChunkStatus::Missing | ChunkStatus::Unknown => {}
             }
         }
@@ -179,9 +223,5 @@ impl Peer {
     /// The receiver refuses the model. If the reason is temporary, the model is offered again later.
     pub(crate) fn on_refused(&mut self, reason: RefusalReason) {
         self.phase = if reason.is_temporary() { PeerPhase::Silent } else { PeerPhase::Refused(reason) };
-    }
-
-    fn is_in_flight(&self, index: u32) -> bool {
-        self.in_flight.iter().any(|sent| sent.index == index)
     }
 }

@@ -11,7 +11,7 @@ use crate::body::{Model, body_hash};
 use crate::codec::{check_body, checked_part_to_model};
 use crate::pacing::{
     Backoff, FETCHES_MAX, FIRST_GAP, IDLE_GAPS, IDLE_MAX, IDLE_MIN, NEVER_BEGUN, REPLACEABLE, ROOM_RETRY,
-    STALLED, STORE_RETRY, WANT_EVERY,
+    STALLED, STORE_RETRY, WANT_AFTER, WANT_EVERY,
 };
 
 /// Memory that an upload may take before any chunk has arrived, bytes. A window of chunks of 32 KiB fits.
@@ -33,6 +33,8 @@ pub(crate) struct Transfer {
     /// Time of the last `Want` that was marked `idle`. The sender needs time to react to it, so the next such
     /// `Want` must wait.
     last_idle: Duration,
+    /// Time of the last `Want`.
+    last_want: Duration,
     /// The start of the body: as much of it as the transfer may take.
     body: Arc<Vec<u8>>,
     received: BitSet,
@@ -86,6 +88,7 @@ impl Transfer {
             want_topic,
             last_news: now,
             last_idle: now,
+            last_want: now,
             body: Arc::new(vec![0; claim as usize]),
             received: BitSet::empty(header.chunks()),
             received_bytes: 0,
@@ -171,12 +174,35 @@ impl Transfer {
     }
 
     /// Whether another header takes the place of this one: if no chunk has arrived for a while, or if its sender, which has
-    /// signed it, makes the chunks smaller before any has arrived.
+    /// signed it, makes the chunks smaller.
     pub(crate) fn may_be_replaced(&self, now: Duration, by: &ModelHeader, is_signed: bool) -> bool {
         let is_smaller = ModelHeader { chunk_bytes: by.chunk_bytes, ..self.header } == *by
             && by.chunk_bytes < self.header.chunk_bytes;
-        now.saturating_sub(self.last_news) >= REPLACEABLE
-            || (is_signed && is_smaller && self.received_bytes == 0)
+        now.saturating_sub(self.last_news) >= REPLACEABLE || (is_signed && is_smaller)
+    }
+
+    /// Continues with chunks of another size. What has arrived is kept. Returns false if the header is not that of the same
+    /// model.
+    pub(crate) fn continue_with(&mut self, now: Duration, header: ModelHeader, session: u64) -> bool {
+        let old = self.header;
+        if (ModelHeader { chunk_bytes: header.chunk_bytes, ..old }) != header {
+            return false;
+        }
+        let mut received = BitSet::empty(header.chunks());
+        let mut received_bytes = 0;
+        for index in 0..header.chunks() {
+            let Some(range) = header.chunk_range(index) else { continue };
+            let chunk_bytes = u64::from(old.chunk_bytes);
+            let mut chunks = range.start / chunk_bytes..range.end.div_ceil(chunk_bytes);
+            if chunks.all(|chunk| self.received.contains(chunk as u32)) {
+                received.insert(index);
+                received_bytes += range.end - range.start;
+            }
+        }
+        (self.header, self.session, self.received, self.received_bytes) =
+            (header, session, received, received_bytes);
+        self.phase = TransferPhase::Fetching { want_at: now };
+        true
     }
 
     /// Schedules a `Want` for `now`, because the sender has repeated its offer.
@@ -221,7 +247,7 @@ impl Transfer {
         if idle {
             self.last_idle = now;
         }
-        self.new_since_want = 0;
+        (self.new_since_want, self.last_want) = (0, now);
         self.phase = TransferPhase::Fetching { want_at: now + self.want_backoff.delay() };
         let ModelHeader { device, model, .. } = self.header;
         Want { device, model, session: self.session, idle, missing }
@@ -241,7 +267,8 @@ impl Transfer {
         self.new_since_want += 1;
         let idle_after = self.idle_after();
         self.want_backoff = Backoff::new(idle_after, IDLE_MAX);
-        let wait = if self.new_since_want >= WANT_EVERY { Duration::ZERO } else { idle_after };
+        let is_due = self.new_since_want >= WANT_EVERY || now.saturating_sub(self.last_want) >= WANT_AFTER;
+        let wait = if is_due { Duration::ZERO } else { idle_after };
         self.phase = TransferPhase::Fetching { want_at: now + wait };
     }
 

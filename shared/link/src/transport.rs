@@ -64,7 +64,23 @@ pub struct Outgoing {
     pub retain: bool,
 }
 
+/// Whether messages under a topic are chunks of models.
+pub(crate) fn is_chunk(topic: &str) -> bool {
+    use Topic::{GlobalChunk, LocalChunk, TileChunk};
+    matches!(Topic::parse(topic), Ok((_, LocalChunk { .. } | GlobalChunk { .. } | TileChunk { .. })))
+}
+
 impl Outgoing {
+    /// Bytes of topic and payload.
+    pub(crate) fn bytes(&self) -> usize {
+        self.topic.len() + self.payload.len()
+    }
+
+    /// Whether the message is a chunk of a model. All others are control messages, which go before chunks.
+    pub fn is_chunk(&self) -> bool {
+        is_chunk(&self.topic)
+    }
+
     /// Encodes a message.
     pub(crate) fn new(site: &SiteId, topic: Topic, message: &Message<'_>, retain: bool) -> Self {
         let mut payload = vec![0; message.bytes_max()];

@@ -15,7 +15,7 @@ use cosurf_wire::{
 use crate::bits::BitSet;
 use crate::key::ModelKey;
 use crate::offer::Offer;
-use crate::pacing::{ANNOUNCE, Backoff, UNANSWERED_OFFERS};
+use crate::pacing::{ANNOUNCE, Backoff, CHUNKS_PER_CONNECTION, SHRINK, UNANSWERED_OFFERS};
 use crate::peer::{Peer, PeerPhase};
 use crate::transport::Outgoing;
 
@@ -114,6 +114,9 @@ pub struct Uploader {
     /// Number of offers since the last reply, and that number when it was last reported.
     unanswered: u32,
     told_unanswered: u32,
+    /// Number of chunks sent, and number that the receiver had, when the transport last connected.
+    sent_before: u64,
+    received_before: u32,
 }
 
 impl Uploader {
@@ -135,12 +138,13 @@ impl Uploader {
     }
 
     fn new(site: SiteId, destination: Destination, offer: Offer, receivers: &[DeviceId]) -> Self {
-        let chunks = offer.header.chunks();
+        let (chunks, chunk_bytes) = (offer.header.chunks(), offer.header.chunk_bytes);
+        let peer = |device: &DeviceId| Peer::new(*device, chunks, chunk_bytes, true);
         Self {
             site,
             destination,
             offer,
-            peers: receivers.iter().map(|device| Peer::new(*device, chunks, true)).collect(),
+            peers: receivers.iter().map(peer).collect(),
             peers_max: DEVICES_MAX,
             is_full_told: false,
             announce_at: Some(Duration::ZERO),
@@ -151,6 +155,8 @@ impl Uploader {
             is_cleared: false,
             unanswered: 0,
             told_unanswered: 0,
+            sent_before: 0,
+            received_before: 0,
         }
     }
 
@@ -204,8 +210,22 @@ impl Uploader {
         self.is_cleared || (self.device().is_some() && self.is_closed())
     }
 
-    /// Repeats the offer, because the transport is connected (again) and the broker may have lost the offer.
+    /// Repeats the offer, because the transport is connected (again), and the broker may have lost the offer and the chunks
+    /// that were on their way. If hardly a chunk has got through since the last time, chunks become smaller.
     pub fn on_connected(&mut self, now: Duration) {
+        let received = self.progress().chunks_received;
+        let left = self.offer.header.chunks() - received;
+        let few = received < self.received_before + CHUNKS_PER_CONNECTION && left > CHUNKS_PER_CONNECTION;
+        let is_trying = self.sent_chunks > self.sent_before;
+        (self.sent_before, self.received_before) = (self.sent_chunks, received);
+        self.peers.iter_mut().for_each(Peer::on_cut);
+        self.offer_again(now);
+        if few && is_trying && matches!(self.destination, Destination::Aggregator) {
+            self.set_chunk_bytes(now, self.offer.header.chunk_bytes / SHRINK);
+        }
+    }
+
+    fn offer_again(&mut self, now: Duration) {
         self.backoff.reset();
         self.announce_at = Some(now);
     }
@@ -215,7 +235,11 @@ impl Uploader {
     pub fn shrink_chunks(&mut self, now: Duration, max_bytes: usize) -> bool {
         let overhead = MAX_MESSAGE_BYTES - cosurf_wire::MAX_CHUNK_BYTES + 2 * cosurf_wire::MAX_TOPIC_BYTES;
         let fitting = u32::try_from(max_bytes.saturating_sub(overhead)).unwrap_or(u32::MAX);
-        let chunk_bytes = fitting.min(self.offer.header.chunk_bytes / 2);
+        self.set_chunk_bytes(now, fitting.min(self.offer.header.chunk_bytes / 2))
+    }
+
+    /// Repeats the offer with chunks of this size. Returns `false` if they would be too small to be useful.
+    fn set_chunk_bytes(&mut self, now: Duration, chunk_bytes: u32) -> bool {
         let header = cosurf_wire::ModelHeader { chunk_bytes, ..self.offer.header };
         if chunk_bytes < CHUNK_BYTES_MIN || header.check().is_err() {
             return false;
@@ -224,9 +248,10 @@ impl Uploader {
         let chunks = header.chunks();
         self.broadcast = BitSet::empty(chunks);
         for peer in self.peers.iter_mut().filter(|peer| !peer.is_closed()) {
-            *peer = Peer::new(peer.device, chunks, peer.is_required);
+            *peer = Peer::new(peer.device, chunks, chunk_bytes, peer.is_required);
         }
-        self.on_connected(now);
+        (self.sent_before, self.received_before) = (self.sent_chunks, 0);
+        self.offer_again(now);
         true
     }
 
@@ -273,13 +298,21 @@ impl Uploader {
 
     /// Returns the next message that is due. The caller must publish it: it counts as sent.
     pub fn next(&mut self, now: Duration) -> Option<Outgoing> {
+        self.next_control(now).or_else(|| {
+            let is_over = matches!(self.destination, Destination::Aggregator) && self.is_closed();
+            let chunk = if is_over { None } else { self.next_chunk(now) };
+            chunk.inspect(|chunk| self.bytes_sent += chunk.bytes() as u64)
+        })
+    }
+
+    /// Like [`Self::next`], without chunks: while the link takes none.
+    pub(crate) fn next_control(&mut self, now: Duration) -> Option<Outgoing> {
         let message = match self.destination {
             Destination::Aggregator if self.is_closed() => self.clear_offer(),
             _ if self.announce_at.is_some_and(|at| now >= at) => Some(self.announce(now)),
-            _ => self.next_chunk(now),
-        }?;
-        self.bytes_sent += (message.topic.len() + message.payload.len()) as u64;
-        Some(message)
+            _ => None,
+        };
+        message.inspect(|message| self.bytes_sent += message.bytes() as u64)
     }
 
     /// Time by which [`Self::next`] has a message, if no reply arrives before. `None` if no offer is
@@ -323,7 +356,7 @@ impl Uploader {
         let may_join =
             matches!(self.destination, Destination::Devices(_)) && self.peers.len() < self.peers_max;
         if known.is_none() && may_join {
-            self.peers.push(Peer::new(device, chunks, false));
+            self.peers.push(Peer::new(device, chunks, self.offer.header.chunk_bytes, false));
             return Some(self.peers.len() - 1);
         }
         known

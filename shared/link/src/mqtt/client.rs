@@ -13,12 +13,12 @@ use tokio::sync::Notify;
 
 use super::address::BrokerAddress;
 use super::config::{EVENTS_MAX, Login, PACKET_BYTES_MAX, PACKET_OVERHEAD_BYTES};
-use super::session::is_bulk;
+use super::session::Letter;
 use super::tls::Tls;
 use super::worker::Worker;
-use crate::transport::{Outgoing, PublishError};
+use crate::transport::{Outgoing, PublishError, is_chunk};
 
-/// Maximum number of messages of each kind, control and bulk, that wait to be sent: 16 chunks of 64 KiB are 1 MiB.
+/// Maximum number of control messages that wait to be sent, and of bulk messages.
 const QUEUE_MAX: usize = 16;
 
 /// What a client connects to, and as whom.
@@ -92,8 +92,8 @@ pub(super) struct Shared {
 /// Messages that wait to be sent.
 #[derive(Debug, Default)]
 struct Queues {
-    control: VecDeque<Publish>,
-    bulk: VecDeque<Publish>,
+    control: VecDeque<Letter>,
+    bulk: VecDeque<Letter>,
 }
 
 impl Shared {
@@ -113,11 +113,17 @@ impl Shared {
     }
 
     /// Takes the next message that may be sent: control before bulk.
-    pub(super) fn next(&self, may_send: impl Fn(&Publish) -> bool) -> Option<Publish> {
+    pub(super) fn next(&self, may_send: impl Fn(&Letter) -> bool) -> Option<Letter> {
         let mut queues = self.queues();
         let Queues { control, bulk } = &mut *queues;
         let queue = if control.is_empty() { bulk } else { control };
         if may_send(queue.front()?) { queue.pop_front() } else { None }
+    }
+
+    /// Drops the bulk that waits: the connection is lost, and whoever sent it will be asked again for what is missing.
+    pub(super) fn drop_bulk(&self) {
+        let dropped = self.queues().bulk.drain(..).count();
+        self.settle(dropped);
     }
 
     /// Counts messages that are acknowledged or given up.
@@ -152,14 +158,15 @@ impl Client {
         if bytes > max_bytes {
             return Err(PublishError::TooLarge { bytes, max_bytes });
         }
-        let mut message = Publish::new(topic, QoS::AtLeastOnce, payload.to_vec(), None);
-        message.retain = retain;
+        let mut publish = Publish::new(topic, QoS::AtLeastOnce, payload.to_vec(), None);
+        publish.retain = retain;
+        let letter = Letter { publish, is_bulk: is_chunk(topic) };
         let mut queues = self.shared.queues();
-        let queue = if is_bulk(&message) { &mut queues.bulk } else { &mut queues.control };
+        let queue = if letter.is_bulk { &mut queues.bulk } else { &mut queues.control };
         if queue.len() >= QUEUE_MAX {
             return Err(PublishError::Busy);
         }
-        queue.push_back(message);
+        queue.push_back(letter);
         // Counted while the message cannot be taken yet.
         self.shared.pending.fetch_add(1, Ordering::Relaxed);
         drop(queues);

@@ -5,32 +5,33 @@ use std::time::{Duration, Instant};
 
 use rumqttc::v5::mqttbytes::v5::Publish;
 
-/// Maximum number of unacknowledged messages: 16 chunks of 64 KiB are 1 MiB.
-pub(super) const IN_FLIGHT_MAX: usize = 16;
+/// Maximum number of unacknowledged messages.
+pub(super) const IN_FLIGHT_MAX: usize = 64;
 /// Limit on the unacknowledged bytes of bulk messages on a fast line.
 const BULK_BYTES_MAX: usize = 1 << 20;
 /// The same limit before anything is known of the line.
-const BULK_BYTES_FIRST: usize = 128 << 10;
+const BULK_BYTES_FIRST: usize = 32 << 10;
 /// While acknowledgements take less, more bulk may be in flight. So a control message waits about as long behind it.
 const WAIT_WANTED: Duration = Duration::from_secs(1);
-/// Larger messages are bulk, unless the broker retains them: chunks.
-const CONTROL_BYTES_MAX: usize = 4096;
 
 /// Largest packet id of a message. The next one is [`SUBSCRIBE_ID`].
 const ID_MAX: u16 = SUBSCRIBE_ID - 1;
 /// The packet id of SUBSCRIBE.
 pub(super) const SUBSCRIBE_ID: u16 = u16::MAX;
 
-/// Whether control messages overtake this message, and whether it is left out after the connection was lost: the
-/// protocol asks for missing chunks, and to send them again unasked would keep a slow line busy.
-pub(super) fn is_bulk(message: &Publish) -> bool {
-    !message.retain && message.payload.len() > CONTROL_BYTES_MAX
+/// A message with what its handling depends on.
+#[derive(Clone, Debug)]
+pub(super) struct Letter {
+    pub(super) publish: Publish,
+    /// Whether control messages overtake this message, and whether it is dropped when the connection is lost: it is a
+    /// chunk, and the protocol asks for missing chunks. To send them again unasked would keep a slow line busy.
+    pub(super) is_bulk: bool,
 }
 
 /// The unacknowledged messages, in the order in which they were sent.
 #[derive(Debug)]
 pub(super) struct InFlight {
-    messages: VecDeque<(Publish, Instant)>,
+    letters: VecDeque<(Letter, Instant)>,
     /// Limit on the number of messages.
     count_max: usize,
     /// Limit on the bytes of bulk. The line shows how much it takes.
@@ -41,7 +42,7 @@ pub(super) struct InFlight {
 impl InFlight {
     pub(super) fn new() -> Self {
         Self {
-            messages: VecDeque::new(),
+            letters: VecDeque::new(),
             count_max: IN_FLIGHT_MAX,
             bulk_bytes_max: BULK_BYTES_FIRST,
             last_id: 0,
@@ -50,42 +51,41 @@ impl InFlight {
 
     /// Number of messages.
     pub(super) fn len(&self) -> usize {
-        self.messages.len()
+        self.letters.len()
     }
 
     /// The oldest message: its payload's bytes, and when it was sent.
     pub(super) fn oldest(&self) -> Option<(usize, Instant)> {
-        self.messages.front().map(|(message, since)| (message.payload.len(), *since))
+        self.letters.front().map(|(letter, since)| (letter.publish.payload.len(), *since))
     }
 
     /// Whether this message may be sent now.
-    pub(super) fn has_room_for(&self, message: &Publish) -> bool {
-        let bulk = self.messages.iter().filter(|(message, _)| is_bulk(message));
-        let bulk_bytes: usize = bulk.map(|(message, _)| message.payload.len()).sum();
-        let is_within = bulk_bytes == 0 || bulk_bytes + message.payload.len() <= self.bulk_bytes_max;
-        self.messages.len() < self.count_max && (is_within || !is_bulk(message))
+    pub(super) fn has_room_for(&self, letter: &Letter) -> bool {
+        let bulk = self.letters.iter().filter(|(letter, _)| letter.is_bulk);
+        let bulk_bytes: usize = bulk.map(|(letter, _)| letter.publish.payload.len()).sum();
+        let is_within = bulk_bytes == 0 || bulk_bytes + letter.publish.payload.len() <= self.bulk_bytes_max;
+        self.letters.len() < self.count_max && (is_within || !letter.is_bulk)
     }
 
     /// Takes a message that is sent now, and returns it with its packet id.
-    pub(super) fn add(&mut self, mut message: Publish, now: Instant) -> &Publish {
+    pub(super) fn add(&mut self, mut letter: Letter, now: Instant) -> &Publish {
         loop {
             self.last_id = self.last_id % ID_MAX + 1;
-            if self.messages.iter().all(|(message, _)| message.pkid != self.last_id) {
+            if self.letters.iter().all(|(letter, _)| letter.publish.pkid != self.last_id) {
                 break;
             }
         }
-        message.pkid = self.last_id;
-        self.messages.push_back((message, now));
-        &self.messages[self.messages.len() - 1].0
+        letter.publish.pkid = self.last_id;
+        self.letters.push_back((letter, now));
+        &self.letters[self.letters.len() - 1].0.publish
     }
 
     /// Takes an acknowledgement. Returns whether a message waited for it.
     pub(super) fn acknowledge(&mut self, id: u16, now: Instant) -> bool {
-        let Some(place) = self.messages.iter().position(|(message, _)| message.pkid == id) else {
-            return false;
-        };
-        if let Some((message, since)) = self.messages.remove(place).filter(|(message, _)| is_bulk(message)) {
-            self.learn(message.payload.len(), now.saturating_duration_since(since));
+        let place = self.letters.iter().position(|(letter, _)| letter.publish.pkid == id);
+        let Some((letter, since)) = place.and_then(|place| self.letters.remove(place)) else { return false };
+        if letter.is_bulk {
+            self.learn(letter.publish.payload.len(), now.saturating_duration_since(since));
         }
         true
     }
@@ -108,12 +108,11 @@ impl InFlight {
         count_max: Option<u16>,
         now: Instant,
     ) -> impl Iterator<Item = &Publish> {
-        self.messages.retain(|(message, _)| has_session && !is_bulk(message));
+        self.letters.retain(|(letter, _)| has_session && !letter.is_bulk);
         self.count_max = count_max.map_or(IN_FLIGHT_MAX, |count| IN_FLIGHT_MAX.min(count.into()));
-        self.bulk_bytes_max = BULK_BYTES_FIRST;
-        self.messages.iter_mut().map(move |(message, since)| {
-            (message.dup, *since) = (true, now);
-            &*message
+        self.letters.iter_mut().map(move |(letter, since)| {
+            (letter.publish.dup, *since) = (true, now);
+            &letter.publish
         })
     }
 }
@@ -124,50 +123,55 @@ mod tests {
 
     use super::*;
 
-    fn message(bytes: usize) -> Publish {
-        Publish::new("topic", QoS::AtLeastOnce, vec![0; bytes], None)
+    fn control(bytes: usize) -> Letter {
+        Letter { publish: Publish::new("topic", QoS::AtLeastOnce, vec![0; bytes], None), is_bulk: false }
     }
 
-    /// The bytes of chunks of 64 KiB that are in flight once a line of this rate, in bytes per second, is known.
+    fn chunk() -> Letter {
+        Letter { is_bulk: true, ..control(8 << 10) }
+    }
+
+    /// The bytes of chunks of 8 KiB that are in flight once a line of this rate, in bytes per second, is known.
     fn bytes_in_flight(rate: f64) -> usize {
         let (mut flight, start) = (InFlight::new(), Instant::now());
         let mut seconds = 0.0;
-        for _ in 0..200 {
+        for _ in 0..500 {
             let at = start + Duration::from_secs_f64(seconds);
-            while flight.has_room_for(&message(64 << 10)) {
-                flight.add(message(64 << 10), at);
+            while flight.has_room_for(&chunk()) {
+                flight.add(chunk(), at);
             }
-            seconds += 65536.0 / rate;
-            let id = flight.messages[0].0.pkid;
+            seconds += 8192.0 / rate;
+            let id = flight.letters[0].0.publish.pkid;
             assert!(flight.acknowledge(id, start + Duration::from_secs_f64(seconds)));
         }
-        flight.messages.iter().map(|(message, _)| message.payload.len()).sum::<usize>() + (64 << 10)
+        flight.letters.iter().map(|(letter, _)| letter.publish.payload.len()).sum::<usize>() + (8 << 10)
     }
 
     #[test]
     fn bulk_in_flight_follows_the_line() {
-        assert_eq!(bytes_in_flight(5e3), 64 << 10);
-        assert_eq!(bytes_in_flight(1e8), 1 << 20);
-        // A line of 200 kB/s carries what is in flight in one to two seconds.
-        let bytes = bytes_in_flight(2e5);
-        assert!((200_000..450_000).contains(&bytes), "{bytes}");
+        assert_eq!(bytes_in_flight(1e3), 8 << 10);
+        assert_eq!(bytes_in_flight(1e8), IN_FLIGHT_MAX * (8 << 10));
+        // A line of 50 kB/s carries what is in flight in one to two seconds.
+        let bytes = bytes_in_flight(5e4);
+        assert!((50_000..115_000).contains(&bytes), "{bytes}");
     }
 
     #[test]
     fn control_passes_while_bulk_waits() {
         let (mut flight, now) = (InFlight::new(), Instant::now());
-        flight.add(message(64 << 10), now);
-        flight.add(message(64 << 10), now);
-        assert!(!flight.has_room_for(&message(64 << 10)));
-        assert!(flight.has_room_for(&message(100)));
+        while flight.has_room_for(&chunk()) {
+            flight.add(chunk(), now);
+        }
+        assert_eq!(flight.len() * (8 << 10), BULK_BYTES_FIRST);
+        assert!(flight.has_room_for(&control(100)));
     }
 
     #[test]
     fn ids_in_use_are_not_given_twice() {
         let (mut flight, now) = (InFlight::new(), Instant::now());
-        let first = flight.add(message(1), now).pkid;
+        let first = flight.add(control(1), now).pkid;
         for _ in 0..70_000 {
-            let id = flight.add(message(1), now).pkid;
+            let id = flight.add(control(1), now).pkid;
             assert!(id != 0 && id != first);
             assert!(flight.acknowledge(id, now) && !flight.acknowledge(id, now));
         }
@@ -176,8 +180,8 @@ mod tests {
     #[test]
     fn after_a_lost_connection_control_is_sent_again_and_bulk_is_not() {
         let (mut flight, now) = (InFlight::new(), Instant::now());
-        let id = flight.add(message(100), now).pkid;
-        flight.add(message(64 << 10), now);
+        let id = flight.add(control(100), now).pkid;
+        flight.add(chunk(), now);
         let again: Vec<_> =
             flight.resume(true, Some(3), now).map(|message| (message.pkid, message.dup)).collect();
         assert_eq!(again, [(id, true)]);

@@ -20,7 +20,7 @@ use super::session::{InFlight, SUBSCRIBE_ID};
 use crate::pacing::Backoff;
 
 /// Delays between attempts to connect.
-const RECONNECT: Backoff = Backoff::new(Duration::from_millis(200), Duration::from_secs(5));
+const RECONNECT: Backoff = Backoff::new(Duration::from_millis(50), Duration::from_secs(5));
 /// The oldest message must be acknowledged within this time and [`SLOWEST_LINE`].
 const ACKNOWLEDGEMENT_TIMEOUT: Duration = Duration::from_secs(if cfg!(test) { 1 } else { 30 });
 /// The slowest line on which messages are still waited for, bytes per second.
@@ -95,6 +95,7 @@ impl Worker {
 
     async fn keep_connected(&mut self) {
         while let Err(fault) = self.serve().await {
+            self.shared.drop_bulk();
             self.attempt += 1;
             let reason = format!("broker {}: {fault}", self.settings.broker);
             self.deliver(ClientEvent::Disconnected { attempt: self.attempt, reason }).await;
@@ -219,16 +220,14 @@ impl Worker {
     /// bulk that waits.
     fn fill(&mut self, line: &mut Line) {
         while line.is_ready && line.connection.is_flushed() {
-            let Some(message) = self.shared.next(|message| self.in_flight.has_room_for(message)) else {
-                return;
-            };
+            let Some(letter) = self.shared.next(|letter| self.in_flight.has_room_for(letter)) else { return };
             let limit = self.shared.packet_bytes_max.load(Ordering::Relaxed);
             // Queued before this broker told its limit. Whoever sent it will be told when it sends it again.
-            if message.size() > limit {
+            if letter.publish.size() > limit {
                 self.shared.settle(1);
                 continue;
             }
-            let message = self.in_flight.add(message, Instant::now());
+            let message = self.in_flight.add(letter, Instant::now());
             line.connection.queue(&Packet::Publish(message.clone()));
         }
     }

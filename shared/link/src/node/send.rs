@@ -26,25 +26,37 @@ impl Node {
         if !self.is_connected {
             return Duration::MAX;
         }
+        let mut takes_chunks = true;
         for _ in 0..BURST {
-            let Some(message) = self.pending.take().or_else(|| self.next_sealed()) else {
-                let wakeup = self.next_wakeup().unwrap_or(Duration::MAX);
-                return wakeup.saturating_sub(self.now);
+            let Some(message) = self.next_message(takes_chunks) else {
+                let wakeup = self.next_wakeup().unwrap_or(Duration::MAX).saturating_sub(self.now);
+                return if takes_chunks { wakeup } else { BUSY_WAIT };
             };
             match transport.publish(&message) {
                 Ok(()) => {}
+                Err(PublishError::Busy) if message.is_chunk() => {
+                    self.waiting_chunk = Some(message);
+                    takes_chunks = false;
+                }
                 Err(PublishError::Busy) => {
-                    self.pending = Some(message);
+                    self.waiting_control = Some(message);
                     return BUSY_WAIT;
                 }
                 Err(error @ PublishError::TooLarge { max_bytes, .. }) => self.on_too_large(error, max_bytes),
             }
         }
-        Duration::ZERO
+        if takes_chunks { Duration::ZERO } else { BUSY_WAIT }
     }
 
-    fn next_sealed(&mut self) -> Option<Outgoing> {
-        let next = self.birth.take().or_else(|| self.next_retained()).or_else(|| self.next_outgoing())?;
+    fn next_message(&mut self, takes_chunks: bool) -> Option<Outgoing> {
+        let waiting = self.waiting_control.take().or_else(|| self.waiting_chunk.take_if(|_| takes_chunks));
+        // While a chunk waits, no further one is made.
+        waiting.or_else(|| self.next_sealed(takes_chunks))
+    }
+
+    fn next_sealed(&mut self, takes_chunks: bool) -> Option<Outgoing> {
+        let retained = self.birth.take().or_else(|| self.next_retained());
+        let next = retained.or_else(|| self.next_outgoing(takes_chunks))?;
         let key = self.inbox.credentials().key.as_ref();
         Some(self.sealer.seal(&self.identity, key, next))
     }
@@ -60,7 +72,7 @@ impl Node {
         std::mem::take(&mut self.is_flight_due).then(|| self.flight.clone()).flatten()
     }
 
-    fn next_outgoing(&mut self) -> Option<Outgoing> {
+    fn next_outgoing(&mut self, takes_chunks: bool) -> Option<Outgoing> {
         while let Some(action) = self.inbox.next(self.now) {
             match action {
                 InboxAction::Publish(message) => return Some(message),
@@ -70,7 +82,11 @@ impl Node {
             }
         }
         let now = self.now;
-        let message = self.uploaders.iter_mut().find_map(|uploader| uploader.next(now));
+        let next = |uploader: &mut Uploader| match takes_chunks {
+            true => uploader.next(now),
+            false => uploader.next_control(now),
+        };
+        let message = self.uploaders.iter_mut().find_map(next);
         for uploader in &mut self.uploaders {
             let key = uploader.key();
             let event = |offers| NodeEvent::Unanswered { key, offers };

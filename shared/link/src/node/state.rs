@@ -42,8 +42,10 @@ pub struct Node {
     pub(super) births: Births,
     /// Limit on the devices in `births`, and on the receivers of a global model that did not have to get it.
     pub(super) devices_max: usize,
-    /// A message that the transport has not accepted yet.
-    pub(super) pending: Option<Outgoing>,
+    /// A control message that the transport has not accepted yet.
+    pub(super) waiting_control: Option<Outgoing>,
+    /// A chunk that the transport has not accepted yet. Control messages overtake it.
+    pub(super) waiting_chunk: Option<Outgoing>,
     pub(super) sealer: Sealer,
     pub(super) guard: Guard,
     /// Number of messages that no listed key had signed.
@@ -68,7 +70,8 @@ impl Node {
             refusals_before: VecDeque::new(),
             births: Births::default(),
             devices_max: DEVICES_MAX,
-            pending: None,
+            waiting_control: None,
+            waiting_chunk: None,
             sealer: Sealer::default(),
             guard: Guard::default(),
             forged: 0,
