@@ -117,6 +117,8 @@ pub struct Uploader {
     /// Number of chunks sent, and number that the receiver had, when the transport last connected.
     sent_before: u64,
     received_before: u32,
+    /// Number of the last connections, without a better one between them, over which hardly a chunk got through.
+    poor: u32,
 }
 
 impl Uploader {
@@ -157,6 +159,7 @@ impl Uploader {
             told_unanswered: 0,
             sent_before: 0,
             received_before: 0,
+            poor: 0,
         }
     }
 
@@ -211,7 +214,7 @@ impl Uploader {
     }
 
     /// Repeats the offer, because the transport is connected (again), and the broker may have lost the offer and the chunks
-    /// that were on their way. If hardly a chunk has got through since the last time, chunks become smaller.
+    /// that were on their way. If hardly a chunk has got through twice in a row, chunks become smaller.
     pub fn on_connected(&mut self, now: Duration) {
         let received = self.progress().chunks_received;
         let left = self.offer.header.chunks() - received;
@@ -220,7 +223,9 @@ impl Uploader {
         (self.sent_before, self.received_before) = (self.sent_chunks, received);
         self.peers.iter_mut().for_each(Peer::on_cut);
         self.offer_again(now);
-        if few && is_trying && matches!(self.destination, Destination::Aggregator) {
+        // What the last chunks of a connection have reached is known only in the next one, so one is not enough.
+        self.poor = if few && is_trying { self.poor + 1 } else { 0 };
+        if self.poor >= 2 && matches!(self.destination, Destination::Aggregator) {
             self.set_chunk_bytes(now, self.offer.header.chunk_bytes / SHRINK);
         }
     }
@@ -250,7 +255,7 @@ impl Uploader {
         for peer in self.peers.iter_mut().filter(|peer| !peer.is_closed()) {
             *peer = Peer::new(peer.device, chunks, chunk_bytes, peer.is_required);
         }
-        (self.sent_before, self.received_before) = (self.sent_chunks, 0);
+        (self.sent_before, self.received_before, self.poor) = (self.sent_chunks, 0, 0);
         self.offer_again(now);
         true
     }

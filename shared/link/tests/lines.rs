@@ -1,0 +1,181 @@
+//! Uploads over lines that break or take little: smaller chunks, what is sent again, and what goes first.
+#![allow(clippy::unwrap_used)]
+
+use std::time::Duration;
+
+use cosurf_link::inbox::{InboxAction, InboxEvent};
+use cosurf_link::{
+    Identity, Inbox, InboxLimits, Node, NodeEvent, Offer, Outgoing, PublishError, Role, Transport,
+    TransportEvent, Uploader,
+};
+use cosurf_tests::offers::{identity, offer};
+use cosurf_wire::{Message, ModelHeader, ModelKind, Sealed, Topic, Want};
+
+const S: Duration = Duration::from_secs(1);
+
+fn drone() -> Identity {
+    identity(Role::Device, "drone")
+}
+
+/// A model of `chunks` chunks of 8 KiB, or a few more.
+fn model(chunks: usize) -> Offer {
+    let whole = offer("drone", 1, ModelKind::Local, 1, chunks * 640, 8192);
+    assert!(whole.header.chunks() as usize >= chunks, "{} chunks", whole.header.chunks());
+    whole
+}
+
+fn inbox() -> Inbox {
+    Inbox::new(identity(Role::Aggregator, "ground"), InboxLimits::default(), &[])
+}
+
+/// Gives the inbox a message of the uploader.
+fn deliver(inbox: &mut Inbox, now: Duration, message: &Outgoing) -> Option<InboxEvent> {
+    let (_, topic) = Topic::parse(&message.topic).unwrap();
+    match Message::decode(&message.payload).unwrap() {
+        Message::Header(header) => inbox.on_header(now, &topic, header, 1),
+        Message::Chunk(chunk) => inbox.on_chunk(now, &topic, &chunk),
+        other => panic!("{other:?}"),
+    }
+}
+
+/// Gives the uploader the requests that are due.
+fn answer(inbox: &mut Inbox, uploader: &mut Uploader, now: Duration) -> Option<Want> {
+    let mut last = None;
+    while let Some(InboxAction::Publish(message)) = inbox.next(now) {
+        let (_, topic) = Topic::parse(&message.topic).unwrap();
+        let message = Message::decode(&message.payload).unwrap();
+        uploader.on_reply(now, &topic, &message);
+        if let Message::Want(want) = message {
+            last = Some(want);
+        }
+    }
+    last
+}
+
+/// Chunks on their way when a connection is lost are sent again at the first request after it, not only once the receiver
+/// has waited in vain.
+#[test]
+fn what_a_broken_connection_took_along_is_sent_again_at_once() {
+    let (mut uploader, mut inbox) = (Uploader::local(drone().site, model(20)), inbox());
+    deliver(&mut inbox, S, &uploader.next(S).unwrap());
+    answer(&mut inbox, &mut uploader, S);
+    let first: Vec<Outgoing> = std::iter::from_fn(|| uploader.next(S)).collect();
+    assert_eq!(first.len(), uploader.progress().chunks as usize);
+    first[..10].iter().for_each(|message| assert_eq!(deliver(&mut inbox, S, message), None));
+    // The rest is lost with the connection.
+    uploader.on_connected(2 * S);
+    deliver(&mut inbox, 2 * S, &uploader.next(2 * S).unwrap());
+    assert!(!answer(&mut inbox, &mut uploader, 2 * S).unwrap().idle);
+    let again: Vec<Outgoing> = std::iter::from_fn(|| uploader.next(2 * S)).collect();
+    assert_eq!(again, first[10..]);
+}
+
+/// Fewer than four chunks per connection: they become smaller, and what has arrived counts.
+#[test]
+fn chunks_become_smaller_where_few_pass_and_what_has_arrived_is_kept() {
+    let (mut uploader, mut inbox) = (Uploader::local(drone().site, model(20)), inbox());
+    deliver(&mut inbox, S, &uploader.next(S).unwrap());
+    answer(&mut inbox, &mut uploader, S);
+    let chunks: Vec<Outgoing> = std::iter::from_fn(|| uploader.next(S)).collect();
+    [0, 2].iter().for_each(|index| assert_eq!(deliver(&mut inbox, S, &chunks[*index]), None));
+    // Twice in a row.
+    for at in [2 * S, 13 * S] {
+        answer(&mut inbox, &mut uploader, at);
+        uploader.on_connected(at);
+        if at == 2 * S {
+            deliver(&mut inbox, at, &uploader.next(at).unwrap());
+            answer(&mut inbox, &mut uploader, at);
+            while uploader.next(at).is_some() {}
+        }
+    }
+    let header = uploader.next(13 * S).unwrap();
+    let Message::Header(ModelHeader { chunk_bytes, .. }) = Message::decode(&header.payload).unwrap() else {
+        panic!("no header")
+    };
+    assert_eq!(chunk_bytes, 2048);
+    deliver(&mut inbox, 13 * S, &header);
+    let want = answer(&mut inbox, &mut uploader, 13 * S).unwrap();
+    let has = |index| want.missing.status_of(index) == cosurf_wire::ChunkStatus::Received;
+    assert_eq!((0..13).filter(|index| has(*index)).collect::<Vec<u32>>(), [0, 1, 2, 3, 8, 9, 10, 11]);
+    while let Some(chunk) = uploader.next(13 * S) {
+        deliver(&mut inbox, 13 * S, &chunk);
+        while let Some(action) = inbox.next(13 * S) {
+            match action {
+                InboxAction::Store { body, .. } => {
+                    assert_eq!(*body, model(20).body);
+                    return;
+                }
+                InboxAction::Publish(reply) => {
+                    let (_, topic) = Topic::parse(&reply.topic).unwrap();
+                    uploader.on_reply(13 * S, &topic, &Message::decode(&reply.payload).unwrap());
+                }
+            }
+        }
+    }
+    panic!("the model is not complete");
+}
+
+#[test]
+fn a_good_connection_keeps_its_chunks() {
+    let (mut uploader, mut inbox) = (Uploader::local(drone().site, model(20)), inbox());
+    deliver(&mut inbox, S, &uploader.next(S).unwrap());
+    answer(&mut inbox, &mut uploader, S);
+    let chunks: Vec<Outgoing> = std::iter::from_fn(|| uploader.next(S)).collect();
+    chunks[..5].iter().for_each(|chunk| assert_eq!(deliver(&mut inbox, S, chunk), None));
+    answer(&mut inbox, &mut uploader, 4 * S);
+    uploader.on_connected(12 * S);
+    let header = uploader.next(12 * S).unwrap();
+    assert!(
+        matches!(Message::decode(&header.payload), Ok(Message::Header(header)) if header.chunk_bytes == 8192)
+    );
+}
+
+/// A link that takes no chunks.
+struct Congested {
+    events: Vec<TransportEvent>,
+    sent: Vec<Outgoing>,
+}
+
+impl Transport for Congested {
+    fn publish(&mut self, message: &Outgoing) -> Result<(), PublishError> {
+        if message.is_chunk() {
+            return Err(PublishError::Busy);
+        }
+        self.sent.push(message.clone());
+        Ok(())
+    }
+
+    fn poll(&mut self, _: Duration) -> Option<TransportEvent> {
+        self.events.pop()
+    }
+}
+
+/// While the line is full of chunks, a device still answers and announces.
+#[test]
+fn control_messages_do_not_wait_behind_chunks() {
+    let mut node = Node::new(drone(), InboxLimits::default(), &[]);
+    let mut link = Congested { events: vec![TransportEvent::Connected], sent: Vec::new() };
+    let mut step = |link: &mut Congested, now: Duration| node.step(link, || now, Duration::ZERO);
+    assert!(matches!(step(&mut link, S), Some(NodeEvent::Connected)));
+    drop(step);
+    let whole = model(20);
+    node.upload(whole.clone());
+    while node.step(&mut link, || S, Duration::ZERO).is_some() {}
+    let ModelHeader { device, model, .. } = whole.header;
+    let want =
+        Want { device, model, session: drone().session, idle: false, missing: cosurf_wire::Missing::all() };
+    let (reply, mut payload) = (cosurf_wire::Reply::Want, vec![0; 1024]);
+    let sealed = Message::Want(want).encode(&mut payload).unwrap().to_vec();
+    let topic = Topic::LocalReply { device, reply }.to_text(&drone().site).as_str().to_owned();
+    link.events.push(TransportEvent::Incoming { topic, payload: sealed });
+    node.step(&mut link, || 2 * S, Duration::ZERO);
+    node.step(&mut link, || 2 * S, Duration::ZERO);
+    // A chunk waits now. The cameras of the flight go all the same.
+    link.sent.clear();
+    node.announce_flight(&[]);
+    node.step(&mut link, || 3 * S, Duration::ZERO);
+    let is_flight =
+        |message: &Outgoing| matches!(Topic::parse(&message.topic), Ok((_, Topic::Flight { .. })));
+    assert!(link.sent.iter().any(is_flight), "{:?}", link.sent);
+    assert!(Sealed::decode(&link.sent[0].payload).is_ok());
+}
