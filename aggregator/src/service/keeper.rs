@@ -218,7 +218,7 @@ impl Keeper {
             return ServiceEvent::DiskFailed { reason: format!("model {key} is not stored: {error}") };
         }
         node.stored(key);
-        self.round = Some(Round::extend(self.round, now));
+        self.round = Some(Round::extend_by(self.round.take(), header.device, now));
         let in_use = self.job.as_ref().map(|(job, _)| recorded(&job.inputs)).unwrap_or_default();
         if let Err(error) = self.shelf.remove_replaced(header.device, &in_use) {
             let reason = format!("older models of {} are not removed: {error}", header.device);
@@ -242,7 +242,7 @@ impl Keeper {
             match commands.try_recv() {
                 Ok(Command::GiveUp(device)) => {
                     self.given_up.insert(device);
-                    self.round = Some(Round::extend(self.round, now));
+                    self.round = Some(Round::extend(self.round.take(), now));
                 }
                 Ok(Command::Finish) => {
                     self.begin_when_due(node, now);
@@ -287,7 +287,7 @@ impl Keeper {
     /// Schedules another attempt after a failed merge or write.
     fn disk_failed(&mut self, error: &ServiceError, now: Duration) -> ServiceEvent {
         self.retry_at = now + DISK_RETRY;
-        self.round = Some(Round::extend(self.round, now));
+        self.round = Some(Round::extend(self.round.take(), now));
         ServiceEvent::DiskFailed { reason: format!("the global model is not stored: {error}") }
     }
 
@@ -302,7 +302,7 @@ impl Keeper {
         self.withdrawals_at = now + WITHDRAWALS_EVERY;
         let withdrawn = self.shelf.withdraw_devices()?;
         if withdrawn.is_some() {
-            self.round = Some(Round::extend(self.round, now));
+            self.round = Some(Round::extend(self.round.take(), now));
         }
         if self.shelf.is_emptied() {
             (self.job, self.to_offer) = (None, false);

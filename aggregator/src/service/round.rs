@@ -16,7 +16,8 @@ pub enum Expected {
 
 /// Conditions that end a round. A round begins with a change, for example when a model arrives, and ends with a merge.
 /// It ends when `quorum` devices have sent a model and nothing further has changed for `quiet`, or at the latest after
-/// `deadline`.
+/// `deadline`. Further models of a device that has sent one in this round change nothing, so a device that sends one
+/// after the other does not postpone the merge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Rounds {
     /// Least number of devices with a model.
@@ -34,19 +35,34 @@ impl Default for Rounds {
 }
 
 /// A running round.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Round {
     /// Time at which the round began.
     begun: Duration,
-    /// Time of the last model, command, withdrawal or failure.
+    /// Time of the last change: a device's first model in this round, a command, a withdrawal or a failure.
     last: Duration,
+    /// Devices whose models have extended the round.
+    senders: BTreeSet<DeviceId>,
 }
 
 impl Round {
-    /// Begins a round, or extends `round`. The cause at `now` is a new model, a command, a withdrawal, or a failed
-    /// merge or write that must be tried again.
+    /// Begins a round, or extends `round`. The cause at `now` is a command, a withdrawal, or a failed merge or write that
+    /// must be tried again.
     pub(super) fn extend(round: Option<Self>, now: Duration) -> Self {
-        Self { begun: round.map_or(now, |round| round.begun), last: now }
+        let (begun, senders) = round.map_or((now, BTreeSet::new()), |round| (round.begun, round.senders));
+        Self { begun, last: now, senders }
+    }
+
+    /// Begins a round, or extends `round`, because a model of `device` has arrived.
+    pub(super) fn extend_by(round: Option<Self>, device: DeviceId, now: Duration) -> Self {
+        match round {
+            Some(round) if round.senders.contains(&device) => round,
+            round => {
+                let mut round = Self::extend(round, now);
+                round.senders.insert(device);
+                round
+            }
+        }
     }
 
     /// Whether the round is over at `now`. The devices `here` have sent a model; the service does not wait for the
@@ -89,5 +105,18 @@ mod tests {
         assert!(round.is_over(&rounds, &two, &one, s(25)));
         let round = Round::extend(Some(round), s(69));
         assert!(round.is_over(&rounds, &two, &one, s(70)), "a late arrival does not move the deadline");
+    }
+
+    #[test]
+    fn a_device_extends_a_round_only_once() {
+        let s = Duration::from_secs;
+        let rounds = Expected::Anybody(Rounds { quorum: 1, quiet: s(5), deadline: s(60) });
+        let [a, b] = ["a", "b"].map(|name| DeviceId::new(name).unwrap());
+        let round = Round::extend_by(None, a, s(10));
+        let round = Round::extend_by(Some(round), a, s(14));
+        let is_over = |round: &Round, at| round.is_over(&rounds, &BTreeSet::from([a]), &BTreeSet::new(), at);
+        assert!(is_over(&round, s(15)), "the second model postpones the merge");
+        let round = Round::extend_by(Some(round), b, s(14));
+        assert!(!is_over(&round, s(15)) && is_over(&round, s(19)), "another device may send one too");
     }
 }

@@ -7,6 +7,34 @@ use super::*;
 
 const HIGHEST: u64 = (1 << 63) - 1;
 
+/// A drone that sends one small model after the other does not keep the models of all from being merged, although the
+/// round ends only once nothing has changed for a while.
+#[test]
+fn attack_07_a_device_that_sends_model_after_model_does_not_postpone_the_merge() {
+    let folder = tempfile::tempdir().unwrap();
+    let network = MemoryNetwork::new(7, Faults::NONE);
+    let (quiet, deadline) = (Duration::from_secs(5), PATIENCE);
+    let mut ground = open(&network, folder.path(), Expected::Anybody(Rounds { quorum: 1, quiet, deadline }));
+    let mut drones = vec![
+        Drone::new(&network, "agent-1", 1, &model(900, 1, 1.0)),
+        Drone::new(&network, "agent-2", 1, &model(20, 0, 2.0)),
+    ];
+    let (mut events, mut number, mut next) = (Vec::new(), 1, Duration::ZERO);
+    let begun = network.now();
+    while count(&events, is_merged) == 0 {
+        if network.now() >= next {
+            (number, next) = (number + 1, network.now() + quiet / 2);
+            let Model { splats, cameras } = model(20 + number as usize, 0, 2.0);
+            let device = DeviceId::new("agent-2").unwrap();
+            let offer = Offer::new(device, ModelId(number), ModelKind::Local, 3, &splats, &cameras).unwrap();
+            drones[1].node.upload(offer);
+        }
+        step(&network, &mut ground, &mut drones, &mut events);
+        assert!(network.now() - begun < 3 * quiet, "no revision after {:?}", network.now() - begun);
+    }
+    assert!(count(&events, is_stored) > 2, "the attack has not begun");
+}
+
 /// A stranger's model with the highest number there is, in the name of a drone. Once the drone is forgotten, its next model
 /// counts, and the forgotten ones do not, not even after a restart.
 #[test]
