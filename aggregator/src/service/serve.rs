@@ -18,6 +18,7 @@ use cosurf_wire::{DeviceId, FrameId, SiteId};
 use serde::Serialize;
 
 use super::above::AboveLink;
+use super::bound::MemoryBound;
 use super::config::{AggregatorConfig, TlsConfig, UpstreamConfig, WorkersConfig, WrongTls};
 use super::control::{BROKER_ATTEMPTS_MAX, Command, ServiceConfig};
 use super::error::ServiceError;
@@ -45,6 +46,8 @@ pub enum SideEvent {
     Upstream(UpstreamEvent),
     /// An event of the built-in broker.
     Broker(BrokerEvent),
+    /// How much memory the service takes at most; told at the start.
+    Memory(MemoryBound),
 }
 
 impl fmt::Display for SideEvent {
@@ -53,6 +56,7 @@ impl fmt::Display for SideEvent {
             Self::Line(event) => event.fmt(f),
             Self::Upstream(event) => event.fmt(f),
             Self::Broker(event) => event.fmt(f),
+            Self::Memory(bound) => bound.fmt(f),
         }
     }
 }
@@ -156,6 +160,7 @@ pub fn serve(
     )?;
     let say_broker = say_beside.clone();
     let (embedded, reach) = reach_broker(config, move |event| say_broker(SideEvent::Broker(event)))?;
+    say_beside(SideEvent::Memory(MemoryBound::of(config)));
     let _gateways = start_gateways(config.site, &reach, lines, &say_beside);
     let identity = open_session(config, host.clock_s)?;
     let introduce = embedded.as_ref().map(|broker| introducer(config, broker)).transpose()?;
