@@ -34,6 +34,7 @@
 //! below another one.
 
 mod above;
+mod bound;
 mod config;
 mod control;
 mod cut;
@@ -58,6 +59,7 @@ mod tests;
 mod upstream;
 
 pub(crate) use above::AboveLink;
+pub use bound::MemoryBound;
 pub use config::{AggregatorConfig, TlsConfig, UpstreamConfig, WrongTls};
 pub(crate) use control::BROKER_ATTEMPTS_MAX;
 pub use control::{Command, ServiceConfig};

@@ -4,7 +4,7 @@
 //! - [`models`], [`offers`]: random splats, cameras, and uploads made of them.
 //! - [`fleet`]: nodes on a simulated network, with virtual time. [`stranger`]: a stranger on that network.
 //!   [`radio`]: both ends of a simulated serial line.
-//! - [`live`]: nodes that use a real broker. [`mosquitto`]: Mosquitto as a child process, and certificates for it.
+//! - [`live`]: nodes that use a real broker. [`mqtt`]: the bytes of MQTT packets. [`mosquitto`]: Mosquitto as a child process, and certificates for it.
 //!   [`nats`], [`s3`]: a NATS server and an S3 server as child processes.
 //! - [`datasets`]: synthetic cities and the datasets that benches use. [`programs`]: the paths of the programs that
 //!   cargo has built. [`dice`]: random numbers.
@@ -24,6 +24,7 @@ pub mod fleet;
 pub mod live;
 pub mod models;
 pub mod mosquitto;
+pub mod mqtt;
 pub mod nats;
 pub mod offers;
 pub mod programs;
