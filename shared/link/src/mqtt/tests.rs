@@ -100,6 +100,39 @@ fn a_client_without_acknowledgements_is_replaced() {
     assert_eq!(transport.poll(timeout), Some(TransportEvent::Connected));
 }
 
+/// Sends messages to a client without a pause until it has gone.
+fn flood(mut stream: TcpStream) {
+    let _ = read_packet(&mut stream);
+    let _ = stream.write_all(&[0x20, 3, 0, 0, 0]);
+    let Some((_, body)) = read_packet(&mut stream) else { return };
+    let _ = stream.write_all(&[0x90, 5, body[0], body[1], 0, 1, 1]);
+    while stream.write_all(&[0x30, 4, 0, 1, b't', 0]).is_ok() {
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
+/// A stranger who never stops talking does not keep a client from ending.
+#[test]
+fn a_client_ends_although_messages_come_without_a_pause() {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = listener.local_addr().unwrap().port();
+    std::thread::spawn(move || flood(listener.accept().unwrap().0));
+    let (site, device) = (SiteId::new("site").unwrap(), DeviceId::new("drone").unwrap());
+    let identity = Identity { site, device, session: 1, role: Role::Device };
+    let broker = BrokerAddress::plain("127.0.0.1", port);
+    let mut transport =
+        MqttTransport::start(MqttConfig { broker, identity, will: None, tls: None, login: None });
+    let timeout = Duration::from_secs(20);
+    assert_eq!(transport.poll(timeout), Some(TransportEvent::Connected));
+    assert!(matches!(transport.poll(timeout), Some(TransportEvent::Incoming { .. })));
+    let (say, ended) = std::sync::mpsc::channel();
+    std::thread::spawn(move || {
+        drop(transport);
+        say.send(()).unwrap();
+    });
+    assert!(ended.recv_timeout(Duration::from_secs(10)).is_ok(), "the client does not end");
+}
+
 #[test]
 fn an_address_is_written_as_a_url_that_reads_back() {
     for (text, url) in [
