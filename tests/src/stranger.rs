@@ -30,6 +30,12 @@ impl Stranger {
         let _ = self.transport.publish(&Outgoing { topic, payload, retain: false });
     }
 
+    /// Deletes what the broker retains under a topic.
+    pub fn delete(&mut self, topic: Topic) {
+        let topic = topic.to_text(&SiteId::new("site").unwrap());
+        let _ = self.transport.publish(&Outgoing { topic, payload: Vec::new(), retain: true });
+    }
+
     /// Takes what has arrived.
     pub fn listen(&mut self) {
         while let Some(event) = self.transport.poll(Duration::ZERO) {

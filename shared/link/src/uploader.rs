@@ -15,7 +15,7 @@ use cosurf_wire::{
 use crate::bits::BitSet;
 use crate::key::ModelKey;
 use crate::offer::Offer;
-use crate::pacing::{ANNOUNCE, Backoff, CHUNKS_PER_CONNECTION, SHRINK, UNANSWERED_OFFERS};
+use crate::pacing::{ANNOUNCE, ANNOUNCE_AGAIN, Backoff, CHUNKS_PER_CONNECTION, SHRINK, UNANSWERED_OFFERS};
 use crate::peer::{Peer, PeerPhase};
 use crate::transport::Outgoing;
 
@@ -105,6 +105,7 @@ pub struct Uploader {
     peers_max: usize,
     is_full_told: bool,
     announce_at: Option<Duration>,
+    announced: Option<Duration>,
     backoff: Backoff,
     /// Chunks of a global model that were sent to all devices.
     broadcast: BitSet,
@@ -150,6 +151,7 @@ impl Uploader {
             peers_max: DEVICES_MAX,
             is_full_told: false,
             announce_at: Some(Duration::ZERO),
+            announced: None,
             backoff: ANNOUNCE,
             broadcast: BitSet::empty(chunks),
             sent_chunks: 0,
@@ -235,6 +237,20 @@ impl Uploader {
         self.announce_at = Some(now);
     }
 
+    /// Repeats the offer of a global model soon, because `device` has begun a session or was reconnected: what the broker
+    /// retained for it may have been lost, or deleted by a stranger.
+    pub fn on_birth(&mut self, now: Duration, device: DeviceId) {
+        let is_for_it = match self.destination {
+            Destination::Aggregator => false,
+            Destination::Devices(_) => true,
+            Destination::Device(to) => to == device,
+        };
+        if is_for_it {
+            let at = self.announced.map_or(now, |last| now.max(last + ANNOUNCE_AGAIN));
+            self.announce_at = Some(self.announce_at.map_or(at, |planned| planned.min(at)));
+        }
+    }
+
     /// Repeats the offer with smaller chunks, because the link accepts at most `max_bytes` per message.
     /// Returns `false` if such chunks would be too small to be useful.
     pub fn shrink_chunks(&mut self, now: Duration, max_bytes: usize) -> bool {
@@ -288,13 +304,13 @@ impl Uploader {
             (Reply::Refused, Message::Refused(refused)) => {
                 self.peers[index].on_refused(refused.reason);
                 self.unanswered = 0;
-                self.delay_announcement(now);
+                self.on_answer(now);
                 return Some(UploadEvent::Refused(by, refused.reason));
             }
             _ => return None,
         }
         (self.unanswered, self.backoff) = (0, ANNOUNCE);
-        self.delay_announcement(now);
+        self.on_answer(now);
         if self.peers[index].is_required && self.is_stored() {
             return Some(UploadEvent::Finished);
         }
@@ -367,6 +383,14 @@ impl Uploader {
         known
     }
 
+    /// Schedules the next offer after a reply. The reply of one device does not tell that the others have heard the offer,
+    /// so it does not delay the next one.
+    fn on_answer(&mut self, now: Duration) {
+        if self.is_closed() || !matches!(self.destination, Destination::Devices(_)) {
+            self.delay_announcement(now);
+        }
+    }
+
     /// Schedules the next offer, in case no reply arrives until then. Schedules none once every required
     /// receiver has stored the model or refused it for good.
     fn delay_announcement(&mut self, now: Duration) {
@@ -381,6 +405,7 @@ impl Uploader {
             Destination::Device(device) => Topic::TileHeader { device, model: header.model },
         };
         self.delay_announcement(now);
+        self.announced = Some(now);
         self.unanswered = self.unanswered.saturating_add(1);
         let is_retained = self.device().is_none();
         Outgoing::new(&self.site, topic, &Message::Header(header), is_retained)

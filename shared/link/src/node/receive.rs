@@ -156,6 +156,10 @@ impl Node {
             }
             Notice::Valid => {}
         }
+        if state.alive {
+            let now = self.now;
+            self.uploaders.iter_mut().for_each(|uploader| uploader.on_birth(now, state.device));
+        }
         self.events.push_back(NodeEvent::State(state));
     }
 

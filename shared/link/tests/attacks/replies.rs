@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use cosurf_link::{InboxLimits, ModelKey, Node, NodeEvent, Offer, Role};
+use cosurf_link::{InboxLimits, ModelKey, Node, NodeEvent, Offer, Role, Uploader};
 use cosurf_tests::fleet::{Member, run_until};
 use cosurf_tests::offers::offer;
 use cosurf_tests::stranger::Stranger;
@@ -179,6 +179,57 @@ fn attack_12_a_global_model_of_a_stranger_is_not_taken() {
         stranger.listen();
         !fleet[0].uploaded.is_empty()
     });
+}
+
+/// A stranger deletes the retained offer of the global model. A drone that comes later gets the model all the same.
+#[test]
+fn attack_12_a_deleted_offer_of_the_global_model_is_repeated() {
+    let network = network();
+    let mut fleet = keyed_site(&network);
+    let mut stranger = Stranger::new(&network);
+    let late = fleet.remove(2);
+    network.leave(late.transport);
+    let topic = Topic::GlobalHeader { tile: TileId::WHOLE };
+    let offer = offer("ground", 1, ModelKind::Global, 1, 500, 4096);
+    fleet[0].node.broadcast(TileId::WHOLE, offer, &[device("drone-1")]);
+    run_until(&network, &mut fleet, MINUTE, |fleet| !fleet[0].uploaded.is_empty());
+    stranger.delete(topic);
+    pass(&network, &mut fleet, &mut stranger, Duration::from_secs(1));
+    let begun = network.now();
+    fleet.push(Member::new(&network, Role::Device, "drone-2", InboxLimits::default()));
+    fleet[2].node.set_credentials(drone_credentials("drone-2"));
+    run_until(&network, &mut fleet, begun + Duration::from_secs(5), |fleet| {
+        stranger.listen();
+        !fleet[2].disk.is_empty()
+    });
+    // Drones that come all the time do not make the aggregator repeat it all the time.
+    stranger.heard.clear();
+    for _ in 0..500 {
+        fleet[2].restart(&network);
+        fleet[2].node.set_credentials(drone_credentials("drone-2"));
+        pass(&network, &mut fleet, &mut stranger, Duration::from_millis(20));
+    }
+    let offers = stranger.heard_on("/global/whole/m").len();
+    assert!((5..=12).contains(&offers), "{offers} offers in 10 s");
+}
+
+/// A listed drone that refuses the global model again and again does not keep its offer from the others.
+#[test]
+fn attack_12_refusals_of_one_drone_do_not_postpone_the_offer_to_the_others() {
+    let site = cosurf_wire::SiteId::new("site").unwrap();
+    let offer = offer("ground", 1, ModelKind::Global, 1, 500, 4096);
+    let header = offer.header;
+    let receivers = ["drone-1", "drone-2"].map(device);
+    let mut uploader = Uploader::global(site, TileId::WHOLE, offer, &receivers);
+    let topic = Topic::GlobalReply { device: device("drone-2"), reply: Reply::Refused };
+    let reason = RefusalReason::StoreFailed;
+    let refused = Refused { device: header.device, model: header.model, session: 7, reason };
+    let mut offers = 0;
+    for now in (0..200).map(|i| Duration::from_millis(i * 100)) {
+        offers += std::iter::from_fn(|| uploader.next(now)).count();
+        uploader.on_reply(now, &topic, &Message::Refused(refused));
+    }
+    assert!((3..20).contains(&offers), "{offers} offers in 20 s");
 }
 
 /// Headers of strangers in the place of the genuine ones, again and again, do not stall a transfer.
