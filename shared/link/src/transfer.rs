@@ -146,10 +146,15 @@ impl Transfer {
         self.phase = TransferPhase::Fetching { want_at: now + ROOM_RETRY };
     }
 
+    /// Whether chunks are missing.
+    pub(crate) fn is_fetching(&self) -> bool {
+        matches!(self.phase, TransferPhase::Fetching { .. })
+    }
+
     /// Whether another model may take the room of this one: chunks are missing, and none has arrived for a while.
     pub(crate) fn is_stalled(&self, now: Duration) -> bool {
         let patience = if self.received_bytes == 0 { NEVER_BEGUN } else { STALLED };
-        matches!(self.phase, TransferPhase::Fetching { .. }) && now.saturating_sub(self.last_news) >= patience
+        self.is_fetching() && now.saturating_sub(self.last_news) >= patience
     }
 
     /// Decodes the packs that have arrived. Returns `None` if no splats have arrived, if a pack is invalid, or if the

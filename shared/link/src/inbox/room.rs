@@ -2,11 +2,13 @@
 //!
 //! An upload takes at most 1 MiB until chunks arrive, and then as many bytes as its sender may soon fill. So a header takes
 //! no more room than its sender makes use of. If the memory is full, models without news give way, those first of which
-//! least has arrived. A device with several unfinished models gets at most a quarter of the memory.
+//! least has arrived, then those of devices that send several at once. A device with several unfinished models gets at most
+//! a quarter of the memory.
 
+use std::collections::BTreeMap;
 use std::time::Duration;
 
-use cosurf_wire::ModelHeader;
+use cosurf_wire::{DeviceId, ModelHeader};
 
 use super::Inbox;
 use crate::identity::Role;
@@ -31,7 +33,7 @@ impl Inbox {
             return None;
         }
         while self.transfers.len() >= self.limits.models_max || !self.fits(claim) {
-            self.drop_stalled(now, key, None)?;
+            self.drop_stalled(now, key, None).or_else(|| self.drop_surplus(key))?;
         }
         Some(claim)
     }
@@ -45,7 +47,7 @@ impl Inbox {
             return;
         }
         while !self.fits(more) {
-            if self.drop_stalled(now, key, Some(received)).is_none() {
+            if self.drop_stalled(now, key, Some(received)).or_else(|| self.drop_surplus(key)).is_none() {
                 return;
             }
         }
@@ -82,6 +84,28 @@ impl Inbox {
         let stalled = self.transfers.iter().filter(gives_way);
         let least = stalled.min_by_key(|(_, transfer)| (transfer.received_bytes(), transfer.last_news));
         let least = *least?.0;
+        self.transfers.remove(&least);
+        Some(())
+    }
+
+    /// Drops an unfinished model of a device that sends several, in favour of the model `key` of a device that sends no
+    /// other: of the device that takes most, the one of which least has arrived. `None` if there is none. So a few devices
+    /// that hoard memory do not keep the others out.
+    fn drop_surplus(&mut self, key: ModelKey) -> Option<()> {
+        let fetching =
+            || self.transfers.iter().filter(|(other, transfer)| **other != key && transfer.is_fetching());
+        let mut claims: BTreeMap<DeviceId, (usize, u64)> = BTreeMap::new();
+        for (other, transfer) in fetching() {
+            let (models, bytes) = claims.entry(other.device).or_default();
+            (*models, *bytes) = (*models + 1, *bytes + transfer.claim());
+        }
+        if claims.contains_key(&key.device) {
+            return None;
+        }
+        let several = claims.into_iter().filter(|(_, (models, _))| *models > 1);
+        let heaviest = several.max_by_key(|(_, (_, bytes))| *bytes)?.0;
+        let of_heaviest = fetching().filter(|(other, _)| other.device == heaviest);
+        let least = *of_heaviest.min_by_key(|(_, transfer)| transfer.received_bytes())?.0;
         self.transfers.remove(&least);
         Some(())
     }

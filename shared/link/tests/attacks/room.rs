@@ -107,6 +107,48 @@ fn attack_06_one_device_does_not_take_all_the_room() {
     assert!(!is_busy(&fleet[1]));
 }
 
+/// Four devices that fill the memory, each with several models that get on, do not keep a fifth out.
+#[test]
+fn attack_06_hoarders_give_way_to_a_device_with_one_model() {
+    let network = network();
+    let mut fleet = open_site(&network, LIMITS, &["drone-1"]);
+    let mut stranger = Stranger::new(&network);
+    let places = (0..4).flat_map(|hoarder| (1..=4).map(move |model| (hoarder, model)));
+    let headers: Vec<ModelHeader> = places
+        .map(|(hoarder, model)| {
+            let sizes = ModelHeader { splats: 200_000, body_bytes: 4_150_000, ..large("mallory", model) };
+            ModelHeader { device: DeviceId::new(&format!("mallory-{hoarder}")).unwrap(), ..sizes }
+        })
+        .collect();
+    let mut index = 0;
+    let mut hoard = |fleet: &mut [Member], stranger: &mut Stranger| {
+        for header in &headers {
+            announce(stranger, *header);
+            let (device, model) = (header.device, header.model);
+            let junk = Chunk { device, model, index, payload: &[7; 65_536] };
+            stranger.say(Topic::LocalChunk { device, model, index }, &Message::Chunk(junk));
+            // Few messages may be on their way at once.
+            fleet.iter_mut().for_each(|member| member.work(&network));
+            stranger.listen();
+        }
+        index = (index + 1) % 60;
+    };
+    for _ in 0..40 {
+        hoard(&mut fleet, &mut stranger);
+        network.advance(network.now() + Duration::from_millis(20));
+    }
+    let full = fleet[0].node.unfinished_bytes();
+    assert!(full > (64 << 20) - 1_000_000, "{full} bytes are taken, so the test shows nothing");
+    let begun = network.now();
+    fleet[1].node.upload(offer("drone-1", 1, ModelKind::Local, 3, 200_000, 65_536));
+    run_until(&network, &mut fleet, begun + Duration::from_secs(10), |fleet| {
+        hoard(fleet, &mut stranger);
+        assert!(fleet[0].node.unfinished_bytes() <= LIMITS.total_bytes_max);
+        !fleet[1].uploaded.is_empty()
+    });
+    assert!(!is_busy(&fleet[1]));
+}
+
 /// Uploads that do not fit together end one after the other.
 #[test]
 fn attack_06_uploads_that_wait_for_room_end() {
