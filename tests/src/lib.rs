@@ -3,6 +3,7 @@
 //!
 //! - [`models`], [`offers`]: random splats, cameras, and uploads made of them.
 //! - [`fleet`]: nodes on a simulated network, with virtual time. [`stranger`]: a stranger on that network.
+//!   [`keys`]: keys of participants.
 //!   [`radio`]: both ends of a simulated serial line.
 //! - [`live`]: nodes that use a real broker. [`mqtt`]: the bytes of MQTT packets. [`mosquitto`]: Mosquitto as a child process, and certificates for it.
 //!   [`nats`], [`s3`]: a NATS server and an S3 server as child processes.
@@ -21,6 +22,7 @@
 pub mod datasets;
 pub mod dice;
 pub mod fleet;
+pub mod keys;
 pub mod live;
 pub mod models;
 pub mod mosquitto;

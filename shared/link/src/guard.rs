@@ -7,6 +7,7 @@
 //! - A reply counts only if it repeats the number of this session, and if it is newer than the last one of its sender.
 //! - An offer does not count if its sender has made another one since. The same one counts again, since brokers repeat what
 //!   they retain.
+//! - The start or end of a session does not count if its sender has started a newer one.
 //! - A flight does not count if its sender has announced one in a newer session, or if its session began more than a day
 //!   before this one.
 //!
@@ -34,6 +35,8 @@ struct Heard {
     /// Session and count of the newest offer.
     offer: (u64, u64),
     flight_session: u64,
+    /// The newest session that the sender has started or ended.
+    session: u64,
     /// Session and count of the newest reply.
     reply: (u64, u64),
 }
@@ -89,7 +92,7 @@ impl Heard {
                 seal.session >= self.flight_session
                     && seal.session.saturating_add(FLIGHT_AGE_MAX_S) >= own_session
             }
-            Message::State(state) => state.session == seal.session,
+            Message::State(state) => state.session == seal.session && seal.session >= self.session,
             Message::Want(_) | Message::Done(_) | Message::Refused(_) => {
                 answered_session(message) == Some(own_session) && (seal.session, seal.count) > self.reply
             }
@@ -101,7 +104,8 @@ impl Heard {
             Message::Want(_) | Message::Done(_) | Message::Refused(_) => {
                 self.reply = (seal.session, seal.count);
             }
-            Message::State(_) | Message::Chunk(_) => {}
+            Message::State(_) => self.session = seal.session,
+            Message::Chunk(_) => {}
         }
         is_new.then_some(self)
     }

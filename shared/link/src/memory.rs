@@ -12,7 +12,7 @@ use std::time::Duration;
 
 use crate::faults::{Arrival, Faults, Line, OutagePlan};
 use crate::identity::Identity;
-use crate::transport::{Outgoing, PublishError, Transport, TransportEvent};
+use crate::transport::{Outgoing, PublishError, Transport, TransportEvent, counts_retained};
 
 /// Maximum number of deliveries on their way from one client. Once it is reached, publishing fails with
 /// [`PublishError::Busy`].
@@ -209,7 +209,8 @@ impl Broker {
         }
         self.notify(client, TransportEvent::Connected);
         let filters = &self.clients[client].filters;
-        let is_subscribed = |topic: &String| filters.iter().any(|filter| matches(filter, topic));
+        let is_subscribed =
+            |topic: &String| filters.iter().any(|filter| matches(filter, topic)) && counts_retained(topic);
         let kept: Vec<_> = self.retained.iter().filter(|(topic, _)| is_subscribed(topic)).collect();
         let kept: Vec<_> =
             kept.into_iter().map(|(topic, payload)| (topic.clone(), payload.clone())).collect();

@@ -38,7 +38,7 @@ pub use tls::{Tls, TlsError, TlsFiles};
 
 use std::time::Duration;
 
-use crate::transport::{Outgoing, PublishError, Transport, TransportEvent};
+use crate::transport::{Outgoing, PublishError, Transport, TransportEvent, counts_retained};
 use client::{Client, ClientEvent};
 
 /// A participant's connection to an MQTT broker. Dropping it first sends the queued messages, for at most 2 seconds, and
@@ -59,10 +59,13 @@ impl Transport for MqttTransport {
     }
 
     fn poll(&mut self, timeout: Duration) -> Option<TransportEvent> {
-        self.0.poll(timeout).map(|event| match event {
-            ClientEvent::Connected => TransportEvent::Connected,
-            ClientEvent::Disconnected { attempt, reason } => TransportEvent::Disconnected { attempt, reason },
-            ClientEvent::Message { topic, payload, .. } => TransportEvent::Incoming { topic, payload },
+        self.0.poll(timeout).and_then(|event| match event {
+            ClientEvent::Connected => Some(TransportEvent::Connected),
+            ClientEvent::Disconnected { attempt, reason } => {
+                Some(TransportEvent::Disconnected { attempt, reason })
+            }
+            ClientEvent::Message { topic, retain: true, .. } if !counts_retained(&topic) => None,
+            ClientEvent::Message { topic, payload, .. } => Some(TransportEvent::Incoming { topic, payload }),
         })
     }
 }

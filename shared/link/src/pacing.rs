@@ -36,7 +36,7 @@ pub(crate) const REORDER: u64 = 3;
 /// Delays after which a sender without a reply offers its model again.
 pub(crate) const ANNOUNCE: Backoff = Backoff::new(Duration::from_secs(2), Duration::from_secs(30));
 
-/// Shortest time between two offers of a global model because devices have begun sessions.
+/// Shortest time between two offers of a global model because devices may lack it.
 pub(crate) const ANNOUNCE_AGAIN: Duration = Duration::from_secs(1);
 
 /// Lower limit of the time without a new chunk after which a receiver assumes that no more chunks are on their

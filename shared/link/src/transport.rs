@@ -15,6 +15,12 @@ pub trait Transport {
     fn poll(&mut self, timeout: Duration) -> Option<TransportEvent>;
 }
 
+/// Whether a message counts that the broker has retained. Only strangers retain chunks and replies. Without this check, the
+/// broker would repeat theirs at each connection, long after the strangers have gone.
+pub(crate) fn counts_retained(topic: &str) -> bool {
+    Topic::parse(topic).map_or(true, |(_, topic)| topic.is_retained())
+}
+
 /// An event of a transport.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum TransportEvent {

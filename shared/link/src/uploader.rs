@@ -105,7 +105,7 @@ pub struct Uploader {
     peers_max: usize,
     is_full_told: bool,
     announce_at: Option<Duration>,
-    announced: Option<Duration>,
+    announced_at: Option<Duration>,
     backoff: Backoff,
     /// Chunks of a global model that were sent to all devices.
     broadcast: BitSet,
@@ -151,7 +151,7 @@ impl Uploader {
             peers_max: DEVICES_MAX,
             is_full_told: false,
             announce_at: Some(Duration::ZERO),
-            announced: None,
+            announced_at: None,
             backoff: ANNOUNCE,
             broadcast: BitSet::empty(chunks),
             sent_chunks: 0,
@@ -224,7 +224,7 @@ impl Uploader {
         let is_trying = self.sent_chunks > self.sent_before;
         (self.sent_before, self.received_before) = (self.sent_chunks, received);
         self.peers.iter_mut().for_each(Peer::on_cut);
-        self.offer_again(now);
+        self.announce_now(now);
         // What the last chunks of a connection have reached is known only in the next one, so one is not enough.
         self.poor = if few && is_trying { self.poor + 1 } else { 0 };
         if self.poor >= 2 && matches!(self.destination, Destination::Aggregator) {
@@ -232,7 +232,7 @@ impl Uploader {
         }
     }
 
-    fn offer_again(&mut self, now: Duration) {
+    fn announce_now(&mut self, now: Duration) {
         self.backoff.reset();
         self.announce_at = Some(now);
     }
@@ -240,15 +240,22 @@ impl Uploader {
     /// Repeats the offer of a global model soon, because `device` has begun a session or was reconnected: what the broker
     /// retained for it may have been lost, or deleted by a stranger.
     pub fn on_birth(&mut self, now: Duration, device: DeviceId) {
-        let is_for_it = match self.destination {
-            Destination::Aggregator => false,
-            Destination::Devices(_) => true,
-            Destination::Device(to) => to == device,
-        };
-        if is_for_it {
-            let at = self.announced.map_or(now, |last| now.max(last + ANNOUNCE_AGAIN));
-            self.announce_at = Some(self.announce_at.map_or(at, |planned| planned.min(at)));
+        if self.tile().is_some() || self.device() == Some(device) {
+            self.announce_soon(now);
         }
+    }
+
+    /// Repeats the offer of a global model soon, because a device may lack it.
+    pub(crate) fn offer_again(&mut self, now: Duration) {
+        if self.tile().is_some() {
+            self.announce_soon(now);
+        }
+    }
+
+    /// Plans the next offer for now, or for a while after the last one, however often this is called.
+    fn announce_soon(&mut self, now: Duration) {
+        let at = self.announced_at.map_or(now, |last| now.max(last + ANNOUNCE_AGAIN));
+        self.announce_at = Some(self.announce_at.map_or(at, |planned| planned.min(at)));
     }
 
     /// Repeats the offer with smaller chunks, because the link accepts at most `max_bytes` per message.
@@ -272,7 +279,7 @@ impl Uploader {
             *peer = Peer::new(peer.device, chunks, chunk_bytes, peer.is_required);
         }
         (self.sent_before, self.received_before, self.poor) = (self.sent_chunks, 0, 0);
-        self.offer_again(now);
+        self.announce_now(now);
         true
     }
 
@@ -354,6 +361,14 @@ impl Uploader {
         Some(self.unanswered)
     }
 
+    /// Whether a device has ignored the offer of a tile again. Perhaps it has not heard of the manifest.
+    pub(crate) fn take_ignored(&mut self) -> bool {
+        let is_ignored =
+            self.device().is_some() && self.unanswered > 1 && self.told_unanswered != self.unanswered;
+        self.told_unanswered = self.unanswered;
+        is_ignored
+    }
+
     fn is_stored(&self) -> bool {
         self.peers.iter().all(|peer| !peer.is_required || peer.phase == PeerPhase::Done)
     }
@@ -405,7 +420,7 @@ impl Uploader {
             Destination::Device(device) => Topic::TileHeader { device, model: header.model },
         };
         self.delay_announcement(now);
-        self.announced = Some(now);
+        self.announced_at = Some(now);
         self.unanswered = self.unanswered.saturating_add(1);
         let is_retained = self.device().is_none();
         Outgoing::new(&self.site, topic, &Message::Header(header), is_retained)

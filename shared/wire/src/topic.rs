@@ -203,6 +203,15 @@ impl Topic {
         Ok((site, topic))
     }
 
+    /// Whether the broker keeps the newest message of this topic for later subscribers. No participant retains messages of
+    /// other topics.
+    pub fn is_retained(&self) -> bool {
+        matches!(
+            self,
+            Self::State { .. } | Self::Flight { .. } | Self::LocalHeader { .. } | Self::GlobalHeader { .. }
+        )
+    }
+
     /// The topic filters that an aggregator of `site` subscribes to.
     pub fn aggregator_filters(site: &SiteId) -> [TopicString; 4] {
         ["+/state", "+/up/+/m", "+/up/+/c/+", "+/global/+"].map(|tail| filter(site, tail))

@@ -92,6 +92,10 @@ impl Node {
             let event = |offers| NodeEvent::Unanswered { key, offers };
             self.events.extend(uploader.take_unanswered().map(event));
         }
+        let mut tiles = self.uploaders.iter_mut().filter(|uploader| uploader.device().is_some());
+        if tiles.any(Uploader::take_ignored) {
+            self.uploaders.iter_mut().for_each(|uploader| uploader.offer_again(now));
+        }
         self.uploaders.retain(|uploader| !uploader.is_over());
         message
     }

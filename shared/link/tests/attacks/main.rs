@@ -6,5 +6,6 @@
 mod flights;
 mod replies;
 mod resends;
+mod retained;
 mod room;
 mod site;

@@ -3,23 +3,11 @@
 use std::num::NonZeroU32;
 use std::time::Duration;
 
-use cosurf_link::{Credentials, Faults, InboxLimits, MemoryNetwork, NodeEvent, Role, SecretKey, Trusted};
+use cosurf_link::{Credentials, Faults, InboxLimits, MemoryNetwork, NodeEvent, Role};
 use cosurf_tests::fleet::Member;
+use cosurf_tests::keys::{Signer, key_of, list};
 use cosurf_tests::stranger::Stranger;
-use cosurf_wire::{DeviceId, Message, Sealed, Topic, seal};
-
-/// The secret key of a participant: each name has its own.
-fn key_of(name: &str) -> SecretKey {
-    let mut bytes = [0; 32];
-    bytes[..name.len()].copy_from_slice(name.as_bytes());
-    SecretKey::new(&bytes)
-}
-
-/// A list with the keys of these participants.
-pub(crate) fn list(names: &[&str]) -> Trusted {
-    let line = |name: &&str| key_of(name).public_line(&DeviceId::new(name).unwrap());
-    Trusted::parse(&names.iter().map(line).collect::<Vec<_>>().join("\n")).unwrap()
-}
+use cosurf_wire::{Message, Sealed, SiteId, Topic};
 
 /// A site with an aggregator `ground` and the drones `drone-1` and `drone-2`, all with keys. The drones list each other
 /// for their flights.
@@ -85,26 +73,10 @@ pub(crate) fn sealed_by(
     topic: Topic,
     message: &Message<'_>,
 ) -> (String, Vec<u8>) {
-    let site = cosurf_wire::SiteId::new("site").unwrap();
-    let topic = topic.to_text(&site);
-    let mut encoded = vec![0; message.bytes_max()];
-    let used = message.encode(&mut encoded).unwrap().len();
-    encoded.truncate(used);
-    let mut out = vec![0; used + cosurf_wire::MAX_SEAL_BYTES];
-    let sign = |signed: &[u8]| sign(name, &seal::statement(&topic, signed).concat());
-    let used =
-        seal::seal(&encoded, (DeviceId::new(name).unwrap(), session, count), sign, &mut out).unwrap().len();
-    out.truncate(used);
+    let topic = topic.to_text(&SiteId::new("site").unwrap());
+    let out = Signer::of(name).seal(&topic, message, session, count);
     assert!(Sealed::decode(&out).unwrap().seal.is_some());
     (topic.as_str().to_owned(), out)
-}
-
-fn sign(name: &str, statement: &[u8]) -> cosurf_wire::Signature {
-    use ed25519_dalek::Signer;
-    let mut bytes = [0; 32];
-    bytes[..name.len()].copy_from_slice(name.as_bytes());
-    let signature = ed25519_dalek::SigningKey::from_bytes(&bytes).sign(statement);
-    cosurf_wire::Signature { r: *signature.r_bytes(), s: *signature.s_bytes() }
 }
 
 /// Whether a member was told that its model is refused.
