@@ -155,6 +155,12 @@ pub(crate) const RUNS: [Run; 25] = [
         measure: benches::workers,
     },
     Run {
+        name: "lines",
+        about: "uploads and downloads over slow lines that break",
+        command: "cargo bench -p cosurf-tests --bench lines",
+        measure: |folder| benches::ours("lines", &[], folder),
+    },
+    Run {
         name: "layers",
         about: "what is lost while a part of an upload is missing",
         command: "cargo bench -p cosurf-tests --bench layers -- MODEL.ply DATA --sh-degree 2 --max-size 240",
