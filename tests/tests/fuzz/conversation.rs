@@ -1,185 +1,74 @@
-//! Fuzzes the decoders of messages, topics and frames, and an inbox that receives headers and chunks.
+//! Fuzzes whole conversations: honest devices and aggregators, a hostile participant, and a network with faults. All of them
+//! run in one thread on simulated time, and a seed decides everything, so a seed repeats its conversation.
+//!
+//! The participants are the nodes that the programs run. `plan` says what a seed decides, `hostile` and `forgery` what the
+//! hostile participant does, and `judge` what must hold ([`judge::Invariant`]).
 
-use std::time::Duration;
+mod broken;
+mod cast;
+mod forgery;
+mod hostile;
+mod judge;
+mod member;
+mod metered;
+mod plan;
+mod play;
 
-use cosurf_link::inbox::{Inbox, InboxEvent};
-use cosurf_link::{Identity, InboxLimits, Offer, Role};
-use cosurf_tests::models::random_splats;
-use cosurf_wire::body::CAMERA_BYTES;
-use cosurf_wire::frame::{Frame, FrameReader, MAX_FRAME_BYTES, Piece, Sessions, Turn};
-use cosurf_wire::{
-    CameraRecord, Chunk, DeviceId, Done, FlightCameras, MAX_MESSAGE_BYTES, Message, Missing, ModelId,
-    ModelKind, RefusalReason, Refused, SiteId, State, Topic, Want,
-};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::time::{Duration, Instant};
 
-use crate::runner::{Target, hammer};
+use crate::runner::number;
+use play::{Figures, play};
 
-fn device() -> DeviceId {
-    DeviceId::new("drone-7").unwrap()
+/// Conversations that each of the two tests holds, unless `FUZZ_CONVERSATIONS` says otherwise.
+const CONVERSATIONS: u64 = 2000;
+
+#[test]
+fn conversations_end_well_first_half() {
+    hold(0);
 }
 
-fn offer(count: usize) -> Offer {
-    let mut offer =
-        Offer::new(device(), ModelId(3), ModelKind::Local, 9, &random_splats(1, count, 1), &[]).unwrap();
-    offer.header.chunk_bytes = 1024;
-    offer
+#[test]
+fn conversations_end_well_second_half() {
+    hold(1);
 }
 
-fn encoded(message: &Message<'_>) -> Vec<u8> {
-    message.encode(&mut [0; MAX_MESSAGE_BYTES]).unwrap().to_vec()
-}
-
-fn camera() -> [u8; CAMERA_BYTES] {
-    let camera = CameraRecord {
-        quat: [0.5; 4],
-        translation: [1.0, 2.0, 3.0],
-        focal_px: [500.0; 2],
-        center_px: [320.0, 240.0],
-        size_px: [640, 480],
-    };
-    let mut bytes = [0; CAMERA_BYTES];
-    camera.encode(&mut bytes);
-    bytes
-}
-
-fn messages() -> Vec<Vec<u8>> {
-    let Offer { header, body } = offer(30);
-    let (device, model) = (header.device, header.model);
-    let chunk = Chunk { device, model, index: 1, payload: &body[200..400] };
-    let missing = Missing::of(500, |i| i % 3 == 0 || i > 400);
-    let cameras = camera().repeat(2);
-    [
-        Message::Header(header),
-        Message::Chunk(chunk),
-        Message::Want(Want { device, model, session: 9, idle: true, missing }),
-        Message::Done(Done { device, model, session: 9, blake3: header.blake3 }),
-        Message::State(State { device, session: u64::MAX, alive: true }),
-        Message::Refused(Refused { device, model, session: 9, reason: RefusalReason::Busy }),
-        Message::Flight(FlightCameras { device, frame: header.frame, cameras: &cameras }),
-    ]
-    .iter()
-    .map(encoded)
-    .collect()
-}
-
-fn reseal_message(bytes: &mut [u8]) {
-    if let Some((content, checksum)) = bytes.split_last_chunk_mut() {
-        *checksum = crc32fast::hash(content).to_le_bytes();
+/// Holds every second conversation, beginning with the first or the second.
+fn hold(half: u64) {
+    let (first, count) = (number("FUZZ_SEED", 0), number("FUZZ_CONVERSATIONS", 2 * CONVERSATIONS));
+    let (begun, mut told) = (Instant::now(), Instant::now());
+    let (mut most, mut held) = (Figures::default(), 0u64);
+    for seed in (first..first + count).filter(|seed| seed % 2 == half) {
+        let outcome = catch_unwind(AssertUnwindSafe(|| play(seed, None)));
+        let case = format!("FUZZ_SEED={seed} FUZZ_CONVERSATIONS=1");
+        match outcome {
+            Ok(Ok(figures)) => most = most.with(&figures),
+            Ok(Err(violation)) => panic!("{case}: {violation}"),
+            Err(_) => panic!("{case} panics"),
+        }
+        held += 1;
+        if told.elapsed() > Duration::from_secs(10) {
+            told = Instant::now();
+            eprintln!("conversations: {held} held");
+        }
     }
+    let rate = held as f64 / begun.elapsed().as_secs_f64();
+    let Figures { late, hostile, received, heap_share } = most;
+    println!(
+        "conversations: {held} from seed {first}, {rate:.0} per second, {hostile} hostile messages, {received} received; \
+         the latest model arrived {late:.1?} after the attack; at most {:.0} % of the memory",
+        100.0 * heap_share
+    );
 }
 
-/// A decoded message stays the same when it is encoded and decoded again.
-#[test]
-fn messages_are_read_or_refused() {
-    let target = Target { name: "messages", samples: messages(), reseal: reseal_message, bytes_max: |_| 0 };
-    let mut out = vec![0; MAX_MESSAGE_BYTES];
-    hammer(target, move |bytes| {
-        let Ok(message) = Message::decode(bytes) else { return false };
-        if let Message::Want(want) = &message {
-            for i in (0..2000).chain([u32::MAX]) {
-                std::hint::black_box(want.missing.status_of(i));
-            }
+impl Figures {
+    /// The larger of the extremes, and the sums of the counts.
+    fn with(self, other: &Self) -> Self {
+        Self {
+            late: self.late.max(other.late),
+            hostile: self.hostile + other.hostile,
+            received: self.received + other.received,
+            heap_share: self.heap_share.max(other.heap_share),
         }
-        let again = message.encode(&mut out).expect("what was read fits");
-        // NaN is not equal to itself, so this also checks that no decoded message contains NaN.
-        let is_same = Message::decode(again).expect("what was written is read") == message;
-        assert!(is_same, "{message:?}");
-        true
-    });
-}
-
-#[test]
-fn topics_are_read_or_refused() {
-    let site = SiteId::new("quarry").unwrap();
-    let (device, model) = (device(), ModelId(41));
-    let topics = [
-        Topic::State { device },
-        Topic::Flight { device },
-        Topic::LocalHeader { device, model },
-        Topic::LocalChunk { device, model, index: 70 },
-        Topic::LocalReply { device, reply: cosurf_wire::Reply::Want },
-        Topic::GlobalHeader { tile: cosurf_wire::TileId::WHOLE },
-        Topic::GlobalChunk { tile: cosurf_wire::TileId::WHOLE, model, index: 0 },
-        Topic::TileHeader { device, model },
-        Topic::TileChunk { device, model, index: 0 },
-        Topic::GlobalReply { device, reply: cosurf_wire::Reply::Done },
-    ];
-    let samples = topics.iter().map(|topic| topic.to_text(&site).as_bytes().to_vec()).collect();
-    let target = Target { name: "topics", samples, reseal: |_| (), bytes_max: |_| 0 };
-    hammer(target, |bytes| {
-        let Ok(text) = std::str::from_utf8(bytes) else { return false };
-        let Ok((site, topic)) = Topic::parse(text) else { return false };
-        assert_eq!(topic.to_text(&site).as_str(), text);
-        true
-    });
-}
-
-#[test]
-fn frames_are_read_or_refused() {
-    let sessions = Sessions { sender: 5, receiver: 9 };
-    let turn = Turn { sessions, number: 3, copies_left: 1, has_more: true, next: 77, ..Turn::default() };
-    let frames = [
-        Frame::Piece(Piece { number: 70, is_last: false, payload: &[7; 200] }),
-        Frame::Piece(Piece { number: 71, is_last: true, payload: b"\0end\0" }),
-        Frame::Turn(turn),
-    ];
-    let samples =
-        frames.iter().map(|frame| frame.encode(sessions, &mut [0; MAX_FRAME_BYTES]).to_vec()).collect();
-    let target = Target { name: "frames", samples, reseal: |_| (), bytes_max: |_| 0 };
-    let mut reader = FrameReader::default();
-    hammer(target, move |bytes| {
-        let mut read = false;
-        // The added zero ends a frame that lost its final zero.
-        for byte in bytes.iter().chain(&[0]) {
-            let Some(frame) = reader.push(*byte) else { continue };
-            read |= Frame::decode(frame, sessions).is_ok();
-        }
-        read
-    });
-}
-
-/// An inbox accepts headers and chunks in any order, and stays within its limits.
-#[test]
-fn chunks_are_taken_or_refused() {
-    let Offer { header, body } = offer(200);
-    let (device, model) = (header.device, header.model);
-    let chunk = |index: u32| {
-        let range = header.chunk_range(index).unwrap();
-        let payload = &body[range.start as usize..range.end as usize];
-        encoded(&Message::Chunk(Chunk { device, model, index, payload }))
-    };
-    let samples = std::iter::once(encoded(&Message::Header(header))).chain((0..header.chunks()).map(chunk));
-    let target = Target {
-        name: "chunks",
-        samples: samples.collect(),
-        reseal: reseal_message,
-        // 128 KiB for the bodies that the inbox may hold, and as much for its queues.
-        bytes_max: |_| 1 << 18,
-    };
-    let limits =
-        InboxLimits { body_bytes_max: 1 << 16, total_bytes_max: 1 << 17, models_max: 4, stored_max: 4 };
-    let site = SiteId::new("quarry").unwrap();
-    let identity =
-        Identity { site, device: DeviceId::new("ground").unwrap(), session: 1, role: Role::Aggregator };
-    let mut inbox = Inbox::new(identity, limits, &[]);
-    let mut now = Duration::ZERO;
-    hammer(target, move |bytes| {
-        now += Duration::from_millis(20);
-        let Ok(message) = Message::decode(bytes) else { return false };
-        let refused = match &message {
-            Message::Header(header) => {
-                let topic = Topic::LocalHeader { device: header.device, model: header.model };
-                matches!(inbox.on_header(now, &topic, *header, 1), Some(InboxEvent::Refused(..)))
-            }
-            Message::Chunk(chunk) => {
-                let topic =
-                    Topic::LocalChunk { device: chunk.device, model: chunk.model, index: chunk.index };
-                matches!(inbox.on_chunk(now, &topic, chunk), Some(InboxEvent::BadChunk(..)))
-            }
-            _ => return false,
-        };
-        while inbox.next(now).is_some() {}
-        assert!(inbox.unfinished_bytes() <= 1 << 17);
-        !refused
-    });
+    }
 }

@@ -10,5 +10,6 @@ mod body;
 mod conversation;
 mod files;
 mod memory;
+mod messages;
 mod mutate;
 mod runner;

@@ -51,6 +51,11 @@ pub(crate) fn peak_bytes_of(work: impl FnOnce()) -> usize {
     (PEAK_BYTES.get() - before).max(0) as usize
 }
 
+/// Bytes that this thread has allocated and not freed. It may be negative: other threads allocate, too.
+pub(crate) fn allocated_bytes() -> isize {
+    NOW_BYTES.get()
+}
+
 #[test]
 fn short_lived_allocations_are_counted() {
     let peak = peak_bytes_of(|| {

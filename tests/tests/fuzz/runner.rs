@@ -27,13 +27,17 @@ pub(crate) struct Target<'a> {
     pub(crate) bytes_max: fn(usize) -> usize,
 }
 
+/// The value of an environment variable, or the usual one if it is not set.
+pub(crate) fn number(name: &str, usual: u64) -> u64 {
+    env::var(name).map_or(usual, |text| text.parse().expect("a number"))
+}
+
 /// Runs `decode` on all samples, which it must accept, and then on changed samples, which it may refuse. `decode`
 /// returns whether it accepted its input. Panics if `decode` panics, takes too long or allocates too much.
 pub(crate) fn hammer(target: Target, mut decode: impl FnMut(&[u8]) -> bool) {
     for (i, sample) in target.samples.iter().enumerate() {
         assert!(decode(sample), "{}: sample {i} is valid and was refused", target.name);
     }
-    let number = |name: &str, usual| env::var(name).map_or(usual, |text| text.parse().expect("a number"));
     let (first, executions) = (number("FUZZ_SEED", 0), number("FUZZ_EXECUTIONS", EXECUTIONS));
     let mut read = 0u64;
     for seed in first..first + executions {
