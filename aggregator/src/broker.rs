@@ -1,7 +1,7 @@
 //! An MQTT broker inside the aggregator, so that a ground station needs only one program.
 //!
-//! It speaks MQTT 5 and MQTT 3.1.1: QoS 0 and 1, retained messages, last wills, wildcards, expiry, and sessions that
-//! outlive a connection. It asks for passwords or certificates if told to, and uses TLS. It keeps nothing on disk: a
+//! It speaks MQTT 5 and MQTT 3.1.1: QoS 0 to 2, retained messages, last wills, wildcards, expiry, shared subscriptions,
+//! and sessions that outlive a connection. It asks for passwords or certificates if told to, and uses TLS. It keeps nothing on disk: a
 //! restart of the broker loses all messages; the devices then publish theirs again.
 //!
 //! Strangers must not be able to stop it, so everything it keeps has a bound:
@@ -31,6 +31,7 @@ mod client;
 mod connection;
 mod entrance;
 mod event;
+mod handshakes;
 mod memory;
 mod message;
 mod packet;
@@ -40,6 +41,7 @@ mod retained;
 mod router;
 mod session;
 mod socket;
+mod subscription;
 mod tls;
 mod topics;
 

@@ -97,16 +97,29 @@ pub(super) struct Delivery {
     pub(super) qos: QoS,
     pub(super) retain: bool,
     pub(super) dup: bool,
-    /// Packet id; 0 until the message is sent with QoS 1.
+    /// Packet id; 0 until the message is sent with QoS 1 or 2.
     pub(super) pkid: u16,
 }
 
 impl Delivery {
-    /// Writes the PUBLISH packet, unless it would be larger than `bytes_max`; returns whether it was written.
-    pub(super) fn write(&self, now: Instant, version: Version, bytes_max: usize, out: &mut BytesMut) -> bool {
+    /// Whether the client acknowledges the message.
+    pub(super) fn is_acknowledged(&self) -> bool {
+        self.qos != QoS::AtMostOnce
+    }
+
+    /// Writes the PUBLISH packet with the identifiers `ids` of the client's subscriptions, unless it would be larger
+    /// than `bytes_max`; returns whether it was written.
+    pub(super) fn write(
+        &self,
+        now: Instant,
+        version: Version,
+        bytes_max: usize,
+        ids: Vec<usize>,
+        out: &mut BytesMut,
+    ) -> bool {
         let message = &self.message;
-        let properties = self.properties(now, version);
-        let id_bytes = if self.qos == QoS::AtMostOnce { 0 } else { 2 };
+        let properties = self.properties(now, version, ids);
+        let id_bytes = if self.is_acknowledged() { 2 } else { 0 };
         let length = 2 + message.topic.len() + id_bytes + properties.len() + message.payload.len();
         if length + 5 > bytes_max {
             return false;
@@ -126,15 +139,16 @@ impl Delivery {
 
     /// The properties with their length, as MQTT 5 writes them; nothing in MQTT 3.1.1. The rest of the time until the
     /// message expires goes along.
-    fn properties(&self, now: Instant, version: Version) -> BytesMut {
+    fn properties(&self, now: Instant, version: Version, ids: Vec<usize>) -> BytesMut {
         let mut bytes = BytesMut::new();
         match (&self.message.properties, version) {
             (_, Version::V3) => {}
-            (None, Version::V5) => bytes.put_u8(0),
-            (Some(properties), Version::V5) => {
-                let mut properties = (**properties).clone();
+            (None, Version::V5) if ids.is_empty() => bytes.put_u8(0),
+            (properties, Version::V5) => {
+                let mut properties = properties.as_deref().cloned().unwrap_or_default();
                 let left = |at: Instant| at.saturating_duration_since(now).as_secs_f64().ceil() as u32;
                 properties.message_expiry_interval = self.message.expires.map(left);
+                properties.subscription_identifiers = ids;
                 // Encoding fails only for lengths that the decoder did not let in.
                 let _ = properties.write(&mut bytes);
             }

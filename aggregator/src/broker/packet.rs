@@ -11,8 +11,8 @@ use rumqttc::mqttbytes::v4;
 use rumqttc::v5::mqttbytes::QoS;
 use rumqttc::v5::mqttbytes::v5::{
     ConnAck, Connect, ConnectProperties, ConnectReturnCode, DisconnectReasonCode, Filter, LastWill, Login,
-    Packet, PubAck, Publish, RetainForwardRule, SubAck, Subscribe, SubscribeReasonCode, UnsubAck,
-    Unsubscribe,
+    Packet, PubAck, PubComp, PubRec, PubRel, Publish, RetainForwardRule, SubAck, Subscribe,
+    SubscribeReasonCode, UnsubAck, Unsubscribe,
 };
 
 /// A version of MQTT.
@@ -92,6 +92,9 @@ fn modern(packet: v4::Packet) -> Result<Packet, DisconnectReasonCode> {
             properties: None,
         }),
         v4::Packet::PubAck(ack) => Packet::PubAck(PubAck::new(ack.pkid, None)),
+        v4::Packet::PubRec(ack) => Packet::PubRec(PubRec::new(ack.pkid, None)),
+        v4::Packet::PubRel(ack) => Packet::PubRel(PubRel::new(ack.pkid, None)),
+        v4::Packet::PubComp(ack) => Packet::PubComp(PubComp::new(ack.pkid, None)),
         v4::Packet::Subscribe(subscribe) => {
             let filters = subscribe.filters.into_iter().map(|filter| Filter {
                 path: filter.path,
@@ -144,6 +147,14 @@ fn modern_qos(qos: old::QoS) -> QoS {
     }
 }
 
+fn old_qos(qos: QoS) -> old::QoS {
+    match qos {
+        QoS::AtMostOnce => old::QoS::AtMostOnce,
+        QoS::AtLeastOnce => old::QoS::AtLeastOnce,
+        QoS::ExactlyOnce => old::QoS::ExactlyOnce,
+    }
+}
+
 /// Writes an answer of the broker. In MQTT 3.1.1 there is no DISCONNECT from a broker, so nothing is written for it.
 pub(super) fn write(packet: &Packet, version: Version, out: &mut BytesMut) {
     // Encoding fails only for packets that are too large; answers are small.
@@ -166,12 +177,12 @@ fn old_packet(packet: &Packet) -> v4::Packet {
             v4::Packet::ConnAck(v4::ConnAck::new(old_code(*code), *session_present))
         }
         Packet::PubAck(ack) => v4::Packet::PubAck(v4::PubAck::new(ack.pkid)),
+        Packet::PubRec(ack) => v4::Packet::PubRec(v4::PubRec::new(ack.pkid)),
+        Packet::PubRel(ack) => v4::Packet::PubRel(v4::PubRel::new(ack.pkid)),
+        Packet::PubComp(ack) => v4::Packet::PubComp(v4::PubComp::new(ack.pkid)),
         Packet::SubAck(SubAck { pkid, return_codes, .. }) => {
             let codes = return_codes.iter().map(|code| match code {
-                SubscribeReasonCode::Success(QoS::AtMostOnce) => {
-                    v4::SubscribeReasonCode::Success(old::QoS::AtMostOnce)
-                }
-                SubscribeReasonCode::Success(_) => v4::SubscribeReasonCode::Success(old::QoS::AtLeastOnce),
+                SubscribeReasonCode::Success(qos) => v4::SubscribeReasonCode::Success(old_qos(*qos)),
                 _ => v4::SubscribeReasonCode::Failure,
             });
             v4::Packet::SubAck(v4::SubAck::new(*pkid, codes.collect()))

@@ -3,6 +3,7 @@
 
 pub(super) mod hello;
 mod relief;
+mod shared;
 #[cfg(test)]
 mod tests;
 
@@ -14,8 +15,8 @@ use bytes::BytesMut;
 use cosurf_wire::{MAX_MESSAGE_BYTES, MAX_TOPIC_BYTES};
 use rumqttc::v5::mqttbytes::QoS;
 use rumqttc::v5::mqttbytes::v5::{
-    DisconnectReasonCode, Filter, Packet, PubAck, PubAckReason, Publish, RetainForwardRule, SubAck,
-    Subscribe, SubscribeReasonCode, UnsubAck, UnsubAckReason, Unsubscribe,
+    DisconnectReasonCode, Packet, PubAck, PubAckReason, PubRec, PubRecReason, Publish, RetainForwardRule,
+    SubAck, Subscribe, SubscribeReasonCode, UnsubAck, UnsubAckReason, Unsubscribe,
 };
 
 use super::access::Access;
@@ -23,7 +24,8 @@ use super::client::{Client, User};
 use super::memory::Budget;
 use super::message::{Delivery, Message, cost};
 use super::retained::{Page, RETAINED_BYTES, Retained};
-use super::session::{FILTERS_MAX, Session};
+use super::session::{SUBSCRIPTIONS_MAX, Session};
+use super::subscription::Subscription;
 use super::topics::{is_filter, is_topic};
 
 /// Largest packet that the broker accepts, bytes: the largest message of cosurf, and room for the MQTT
@@ -59,6 +61,8 @@ pub(super) struct Router {
     lost: u64,
     /// When retained messages that have expired are next forgotten.
     next_purge: Option<Instant>,
+    /// Messages of shared subscriptions so far: the clients get them in turn.
+    shared: usize,
 }
 
 /// How a message was taken.
@@ -85,6 +89,7 @@ impl Router {
             refusing: None,
             lost: 0,
             next_purge: None,
+            shared: 0,
         }
     }
 
@@ -170,7 +175,8 @@ impl Router {
     pub(super) fn subscribe(&mut self, link: usize, subscribe: Subscribe) {
         let Some(client) = self.links.get(&link).cloned() else { return };
         let Some(session) = self.sessions.get_mut(&client) else { return };
-        let add = |filter| add_filter(session, &self.access, &client, filter);
+        let id = subscribe.properties.and_then(|properties| properties.id);
+        let add = |filter| subscribe_to(session, &self.access, &client, Subscription::new(filter, id));
         let return_codes = subscribe.filters.into_iter().map(add).collect();
         let ack = SubAck { pkid: subscribe.pkid, return_codes, properties: None };
         self.answer(link, Packet::SubAck(ack));
@@ -191,7 +197,6 @@ impl Router {
         let properties = publish.properties.as_ref();
         let topic = std::str::from_utf8(&publish.topic).unwrap_or_default();
         match () {
-            () if publish.qos == QoS::ExactlyOnce => Some(DisconnectReasonCode::QoSNotSupported),
             () if properties.is_some_and(|properties| properties.topic_alias.is_some()) => {
                 Some(DisconnectReasonCode::TopicAliasInvalid)
             }
@@ -203,20 +208,73 @@ impl Router {
         }
     }
 
-    /// Takes a message from a connection, and acknowledges it if it has QoS 1. If a part of this program subscribes to
+    /// Takes a message from a connection, and acknowledges it if it has QoS 1 or 2. If a part of this program subscribes to
     /// it and has no room, nothing happens unless `is_urgent`: the part then misses the message.
     pub(super) fn receive(&mut self, link: usize, now: Instant, publish: &Publish, is_urgent: bool) -> Taken {
         let Some(client) = self.links.get(&link).cloned() else { return Taken::Queued };
+        if publish.qos == QoS::ExactlyOnce && self.is_copy(link, publish.pkid) {
+            self.answer(link, Packet::PubRec(PubRec::new(publish.pkid, None)));
+            return Taken::Queued;
+        }
         if !is_urgent && self.is_house_full(&client, publish) {
             return Taken::Blocked;
         }
         let reason = self.publish(&client, now, publish);
-        if publish.qos == QoS::AtLeastOnce {
-            let mut ack = PubAck::new(publish.pkid, None);
-            ack.reason = reason;
-            self.answer(link, Packet::PubAck(ack));
+        let pkid = publish.pkid;
+        match publish.qos {
+            QoS::AtMostOnce => {}
+            QoS::AtLeastOnce => self.answer(link, Packet::PubAck(PubAck { pkid, reason, properties: None })),
+            QoS::ExactlyOnce => self.take(link, pkid, reason),
         }
         Taken::Queued
+    }
+
+    fn is_copy(&mut self, link: usize, pkid: u16) -> bool {
+        self.linked(link).is_some_and(|session| session.handshakes.is_copy(pkid))
+    }
+
+    /// Acknowledges a message of QoS 2, and remembers its id unless the message was refused.
+    fn take(&mut self, link: usize, pkid: u16, reason: PubAckReason) {
+        let reason = match reason {
+            PubAckReason::NotAuthorized => PubRecReason::NotAuthorized,
+            PubAckReason::QuotaExceeded => PubRecReason::QuotaExceeded,
+            PubAckReason::TopicNameInvalid => PubRecReason::TopicNameInvalid,
+            PubAckReason::NoMatchingSubscribers => PubRecReason::NoMatchingSubscribers,
+            _ => PubRecReason::Success,
+        };
+        let is_taken = matches!(reason, PubRecReason::Success | PubRecReason::NoMatchingSubscribers);
+        if let Some(session) = self.linked(link).filter(|_| is_taken) {
+            session.handshakes.take(pkid);
+        }
+        self.answer(link, Packet::PubRec(PubRec { pkid, reason, properties: None }));
+    }
+
+    /// Handles PUBREL: the client will not send this message of QoS 2 again.
+    pub(super) fn complete(&mut self, link: usize, pkid: u16) {
+        let answer = self.linked(link).map(|session| session.handshakes.complete(pkid));
+        answer.into_iter().for_each(|answer| self.answer(link, Packet::PubComp(answer)));
+    }
+
+    /// Handles PUBREC: the client has taken a message of QoS 2, or refuses it.
+    pub(super) fn release(&mut self, link: usize, pkid: u16, is_taken: bool) {
+        if let Some(session) = self.linked(link) {
+            session.release(pkid, is_taken);
+            self.ready.insert(link);
+        }
+    }
+
+    /// Handles PUBCOMP: a message of QoS 2 is finished.
+    pub(super) fn finish(&mut self, link: usize, pkid: u16) {
+        if let Some(session) = self.linked(link) {
+            session.handshakes.finish(pkid);
+            session.weigh();
+            self.ready.insert(link);
+        }
+    }
+
+    /// Number of messages of QoS 2 that the client has sent and not released.
+    pub(super) fn unreleased(&mut self, link: usize) -> usize {
+        self.linked(link).map_or(0, |session| session.handshakes.taken())
     }
 
     /// Whether a part of this program subscribes to a message and has no room for it. No other subscriber makes a
@@ -246,7 +304,7 @@ impl Router {
         if removes {
             self.retained.remove(topic);
         } else if publish.retain {
-            self.retained.put(&self.budget, client, message, lower(publish.qos, QoS::AtLeastOnce));
+            self.retained.put(&self.budget, client, message, publish.qos);
         }
         if is_heard { PubAckReason::Success } else { PubAckReason::NoMatchingSubscribers }
     }
@@ -255,17 +313,12 @@ impl Router {
     fn deliver(&mut self, client: &Client, publish: &Publish, message: &Arc<Message>) -> bool {
         let mut is_heard = false;
         for (receiver, session) in &mut self.sessions {
-            let Some(filter) = session.wants(message.topic(), receiver == client) else { continue };
+            let Some(subscription) = session.wants(message.topic(), receiver == client) else { continue };
             is_heard = true;
-            let (qos, retain) = (lower(publish.qos, filter.qos), publish.retain && filter.preserve_retain);
-            if session.is_full(message.bytes()) {
-                session.missed += 1;
-                continue;
-            }
-            session.enqueue(Delivery { message: Arc::clone(message), qos, retain, dup: false, pkid: 0 });
-            self.ready.extend(session.link.as_ref().map(|link| link.id));
+            let (qos, keeps_retain) = (subscription.qos, subscription.keeps_retain);
+            self.ready.extend(enqueue(session, message, publish, qos, keeps_retain));
         }
-        is_heard
+        self.deliver_shared(publish, message) || is_heard
     }
 
     /// Publishes the last wills whose time has come, and forgets sessions and messages that have expired.
@@ -323,37 +376,51 @@ fn lower(a: QoS, b: QoS) -> QoS {
     if (a as u8) < (b as u8) { a } else { b }
 }
 
-fn add_filter(
+/// Queues a message for a client, unless there is no room; returns the client's connection.
+fn enqueue(
+    session: &mut Session,
+    message: &Arc<Message>,
+    publish: &Publish,
+    qos: QoS,
+    keeps_retain: bool,
+) -> Option<usize> {
+    if session.is_full(message.bytes()) {
+        session.missed += 1;
+        return None;
+    }
+    let (qos, retain) = (lower(publish.qos, qos), publish.retain && keeps_retain);
+    session.enqueue(Delivery { message: Arc::clone(message), qos, retain, dup: false, pkid: 0 });
+    session.link.as_ref().map(|link| link.id)
+}
+
+fn subscribe_to(
     session: &mut Session,
     access: &Access,
     client: &Client,
-    mut filter: Filter,
+    new: Subscription,
 ) -> SubscribeReasonCode {
-    if filter.path.starts_with("$share/") {
-        return SubscribeReasonCode::SharedSubscriptionsNotSupported;
-    }
-    if !is_filter(&filter.path) {
+    let is_valid = is_filter(new.path()) && is_filter(new.filter());
+    if !is_valid || (new.is_shared() && !new.is_well_shared()) {
         return SubscribeReasonCode::TopicFilterInvalid;
     }
-    if !access.may_subscribe(client.user(), &filter.path) {
+    if !access.may_subscribe(client.user(), new.filter()) {
         return SubscribeReasonCode::NotAuthorized;
     }
-    let has_it = session.filters.iter().any(|old| old.path == filter.path);
-    if !has_it && session.filters.len() >= FILTERS_MAX {
+    let has_it = session.subscriptions.iter().any(|old| old.path() == new.path());
+    if !has_it && session.subscriptions.len() >= SUBSCRIPTIONS_MAX {
         return SubscribeReasonCode::QuotaExceeded;
     }
-    session.filters.retain(|old| old.path != filter.path);
-    filter.qos = lower(filter.qos, QoS::AtLeastOnce);
-    let granted = filter.qos;
-    let wants_retained = match filter.retain_forward_rule {
+    session.subscriptions.retain(|old| old.path() != new.path());
+    let wants_retained = match new.retain_rule {
         RetainForwardRule::OnEverySubscribe => true,
         RetainForwardRule::OnNewSubscribe => !has_it,
         RetainForwardRule::Never => false,
     };
-    if wants_retained {
-        session.open(Page::new(&filter.path, granted));
+    if wants_retained && !new.is_shared() {
+        session.open(Page::new(new.path(), new.qos));
     }
-    session.filters.push(filter);
+    let granted = new.qos;
+    session.subscriptions.push(new);
     session.weigh();
     SubscribeReasonCode::Success(granted)
 }

@@ -5,40 +5,39 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use bytes::BytesMut;
-use rumqttc::v5::mqttbytes::QoS;
-use rumqttc::v5::mqttbytes::v5::{Filter, Packet, Publish};
+use rumqttc::v5::mqttbytes::v5::{Packet, PubRel, Publish};
 
+use super::handshakes::Handshakes;
 use super::memory::{Budget, Charge};
 use super::message::Delivery;
 use super::packet::{self, Version};
 use super::retained::{Page, Retained};
-use super::topics::matches;
+use super::subscription::{Subscription, ids, wanted};
 
 /// Limit on answers queued for one client. While it is reached, no packet of the client is handled.
 const ANSWERS_MAX: usize = 256;
 /// Limit on the subscriptions of one client.
-pub(super) const FILTERS_MAX: usize = 32;
+pub(super) const SUBSCRIPTIONS_MAX: usize = 32;
 /// Retained messages that are looked at before a client's other messages have their turn.
 const PAGE: usize = 256;
 /// What a session takes without messages and subscriptions, bytes.
 const SESSION_BYTES: usize = 1024;
 /// What a queued message takes beside the message itself, bytes.
 const DELIVERY_BYTES: usize = 2 * size_of::<Delivery>();
-/// What a subscription takes beside its filter, bytes.
-const FILTER_BYTES: usize = 256;
 /// What a queued answer takes, bytes.
 const ANSWER_BYTES: usize = size_of::<Packet>() + 64;
 
 /// The state of one client, connected or not.
 #[derive(Debug)]
 pub(super) struct Session {
-    pub(super) filters: Vec<Filter>,
+    pub(super) subscriptions: Vec<Subscription>,
     queue: VecDeque<Delivery>,
     queue_bytes: usize,
     /// Limit on the bytes of the queue.
     queue_bytes_max: usize,
-    /// QoS 1 messages that were sent and not yet acknowledged, oldest first.
+    /// Messages that were sent with QoS 1 or 2 and not yet acknowledged, oldest first.
     in_flight: VecDeque<Delivery>,
+    pub(super) handshakes: Handshakes,
     /// Retained messages of new subscriptions that are not queued yet.
     pages: VecDeque<Page>,
     last_pkid: u16,
@@ -58,7 +57,7 @@ pub(super) struct Link {
     /// Number of the connection; a newer connection may take the session over.
     pub(super) id: usize,
     pub(super) version: Version,
-    /// Limit on QoS 1 messages that were sent and not yet acknowledged.
+    /// Limit on messages that were sent with QoS 1 or 2 and not yet acknowledged.
     pub(super) receive_max: usize,
     /// The largest packet that the client accepts.
     pub(super) packet_bytes_max: usize,
@@ -89,11 +88,12 @@ impl Link {
 impl Session {
     pub(super) fn new(budget: &Arc<Budget>, queue_bytes_max: usize) -> Self {
         Self {
-            filters: Vec::new(),
+            subscriptions: Vec::new(),
             queue: VecDeque::new(),
             queue_bytes: 0,
             queue_bytes_max,
             in_flight: VecDeque::new(),
+            handshakes: Handshakes::default(),
             pages: VecDeque::new(),
             last_pkid: 0,
             link: None,
@@ -106,9 +106,8 @@ impl Session {
 
     /// This client's subscription to `topic` with the highest QoS, if there is one. If the client itself
     /// publishes the message (`is_own`), its subscriptions with the option "no local" do not count.
-    pub(super) fn wants(&self, topic: &str, is_own: bool) -> Option<&Filter> {
-        let wanted = self.filters.iter().filter(|filter| !(is_own && filter.nolocal));
-        wanted.filter(|filter| matches(topic, &filter.path)).max_by_key(|filter| filter.qos as u8)
+    pub(super) fn wants(&self, topic: &str, is_own: bool) -> Option<&Subscription> {
+        wanted(&self.subscriptions, topic, is_own)
     }
 
     /// Whether there is no room for another message of `bytes`. An empty queue has room for any message.
@@ -124,8 +123,7 @@ impl Session {
     /// Whether there is something to write.
     pub(super) fn has_work(&self) -> bool {
         self.link.as_ref().is_some_and(|link| {
-            let may_send =
-                |next: &Delivery| next.qos == QoS::AtMostOnce || self.in_flight.len() < link.receive_max;
+            let may_send = |next: &Delivery| !next.is_acknowledged() || self.unfinished() < link.receive_max;
             !link.answers.is_empty()
                 || self.queue.front().is_some_and(may_send)
                 || (self.queue.is_empty() && !self.pages.is_empty())
@@ -139,9 +137,14 @@ impl Session {
             + self.in_flight.iter().map(|sent| sent.message.bytes()).sum::<usize>()
     }
 
-    /// Queues a message, even in a full queue. Only QoS 1 messages wait for a disconnected client.
+    /// Messages that were sent with QoS 1 or 2 and that the client has not finished.
+    fn unfinished(&self) -> usize {
+        self.in_flight.len() + self.handshakes.released().len()
+    }
+
+    /// Queues a message, even in a full queue. Messages with QoS 0 do not wait for a disconnected client.
     pub(super) fn enqueue(&mut self, delivery: Delivery) {
-        if self.link.is_some() || delivery.qos == QoS::AtLeastOnce {
+        if self.link.is_some() || delivery.is_acknowledged() {
             self.queue_bytes += delivery.message.bytes();
             self.queue.push_back(delivery);
             self.weigh();
@@ -174,11 +177,11 @@ impl Session {
 
     /// Forgets a subscription; returns whether there was one.
     pub(super) fn unsubscribe(&mut self, path: &str) -> bool {
-        let before = self.filters.len();
-        self.filters.retain(|filter| filter.path != path);
+        let before = self.subscriptions.len();
+        self.subscriptions.retain(|subscription| subscription.path() != path);
         self.pages.retain(|page| page.filter != path);
         self.weigh();
-        self.filters.len() < before
+        self.subscriptions.len() < before
     }
 
     /// Writes what the client gets next to `out`: all answers, then messages until `out` has `bytes_max` bytes or the
@@ -193,13 +196,14 @@ impl Session {
         while out.len() < bytes_max {
             self.turn_page(now, retained);
             let Some(next) = self.queue.front() else { break };
-            if next.qos == QoS::AtLeastOnce && self.in_flight.len() >= receive_max {
+            if next.is_acknowledged() && self.unfinished() >= receive_max {
                 break;
             }
             let Some(delivery) = self.pop() else { break };
+            let ids = ids(&self.subscriptions, delivery.message.topic());
             if delivery.message.is_expired(now) && !delivery.dup {
                 self.forget(&delivery);
-            } else if !delivery.write(now, version, packet_bytes_max, out) {
+            } else if !delivery.write(now, version, packet_bytes_max, ids, out) {
                 // MQTT demands that the client misses packets that it finds too large.
                 self.forget(&delivery);
             }
@@ -225,17 +229,34 @@ impl Session {
         }
     }
 
-    /// Removes a message that the client has acknowledged.
-    pub(super) fn acknowledge(&mut self, pkid: u16) {
+    /// Removes a message that the client has acknowledged; returns whether there was one.
+    pub(super) fn acknowledge(&mut self, pkid: u16) -> bool {
+        let before = self.in_flight.len();
         self.in_flight.retain(|sent| sent.pkid != pkid);
         self.weigh();
+        self.in_flight.len() < before
+    }
+
+    /// Handles PUBREC, by which a client takes a message of QoS 2, or refuses it.
+    pub(super) fn release(&mut self, pkid: u16, is_taken: bool) {
+        let was_sent = self.acknowledge(pkid);
+        if is_taken {
+            let answer = self.handshakes.release(pkid, was_sent);
+            self.answer(Packet::PubRel(answer));
+        }
+    }
+
+    /// Tells a client that has come back again which messages it may release.
+    pub(super) fn resume(&mut self) {
+        let again: Vec<u16> = self.handshakes.released().collect();
+        again.into_iter().for_each(|pkid| self.answer(Packet::PubRel(PubRel::new(pkid, None))));
     }
 
     /// Ends the connection: QoS 0 messages are dropped, and unacknowledged messages go back to the front of
     /// the queue.
     pub(super) fn unlink(&mut self) -> Option<Link> {
         let link = self.link.take();
-        self.queue.retain(|delivery| delivery.qos == QoS::AtLeastOnce);
+        self.queue.retain(Delivery::is_acknowledged);
         while let Some(mut delivery) = self.in_flight.pop_back() {
             delivery.dup = true;
             self.queue.push_front(delivery);
@@ -248,7 +269,7 @@ impl Session {
     fn pop(&mut self) -> Option<Delivery> {
         let mut delivery = self.queue.pop_front()?;
         self.queue_bytes -= delivery.message.bytes();
-        if delivery.qos == QoS::AtLeastOnce {
+        if delivery.is_acknowledged() {
             // A message sent on an earlier connection keeps its packet id.
             if delivery.pkid == 0 {
                 delivery.pkid = self.next_pkid();
@@ -260,7 +281,7 @@ impl Session {
 
     /// Undoes what [`Self::pop`] has kept of a message that is not sent.
     fn forget(&mut self, delivery: &Delivery) {
-        if delivery.qos == QoS::AtLeastOnce {
+        if delivery.is_acknowledged() {
             self.in_flight.pop_back();
         }
     }
@@ -271,7 +292,8 @@ impl Session {
         loop {
             self.last_pkid = self.last_pkid.checked_add(1).unwrap_or(1);
             let is_free = |delivery: &Delivery| delivery.pkid != self.last_pkid;
-            if self.in_flight.iter().all(is_free)
+            if !self.handshakes.is_released(self.last_pkid)
+                && self.in_flight.iter().all(is_free)
                 && self.queue.iter().take_while(|next| next.dup).all(is_free)
             {
                 return self.last_pkid;
@@ -281,12 +303,13 @@ impl Session {
 
     /// Adjusts what the session takes from the budget.
     pub(super) fn weigh(&mut self) {
-        let filters: usize = self.filters.iter().map(|filter| filter.path.len() + FILTER_BYTES).sum();
+        let subscriptions: usize = self.subscriptions.iter().map(Subscription::bytes).sum();
         let pages: usize = self.pages.iter().map(Page::bytes).sum();
         let (link, delayed) = (self.link.as_ref(), self.will.as_ref().map(|(_, will)| will));
         let will = link.and_then(|link| link.will.as_ref()).or(delayed).map_or(0, super::message::cost);
         let answers = link.map_or(0, |link| link.answers.len() * ANSWER_BYTES);
         let deliveries = (self.queue.len() + self.in_flight.len()) * DELIVERY_BYTES;
-        self.charge.resize(SESSION_BYTES + filters + pages + will + answers + deliveries);
+        let kept = subscriptions + pages + will + answers + deliveries + self.handshakes.bytes();
+        self.charge.resize(SESSION_BYTES + kept);
     }
 }

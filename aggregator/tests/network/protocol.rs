@@ -88,6 +88,126 @@ fn a_client_may_end_its_session_as_it_leaves() {
     assert_eq!(short.farewell(), 0x82);
 }
 
+/// The bytes of PUBLISH with QoS 2.
+fn exactly_once(topic: &str, payload: &[u8], id: u8, is_copy: bool) -> Vec<u8> {
+    let mut bytes = publish(topic, payload, 1, false, &[]);
+    bytes[0] = 0x34 | u8::from(is_copy) << 3;
+    bytes[2 + 2 + topic.len() + 1] = id;
+    bytes
+}
+
+/// The bytes of SUBSCRIBE with properties.
+fn subscribe_with(filter: &str, qos: u8, properties: &[u8]) -> Vec<u8> {
+    let length = 2 + 1 + properties.len() + 2 + filter.len() + 1;
+    let head = [0x82, length as u8, 0, 1, properties.len() as u8];
+    [&head, properties, &[0, filter.len() as u8], filter.as_bytes(), &[qos]].concat()
+}
+
+fn subscribed(client: &mut Raw, filter: &str, qos: u8, properties: &[u8]) -> u8 {
+    client.send(&subscribe_with(filter, qos, properties));
+    let (kind, body) = client.packet().unwrap();
+    assert_eq!(kind, 0x90);
+    body[3]
+}
+
+#[test]
+fn a_message_of_qos_2_arrives_once() {
+    let broker = Broker::start(loopback()).unwrap();
+    let keeper = Hello { id: "keeper", properties: &AN_HOUR, clean: false, ..Hello::default() };
+    let (mut reader, _) = Raw::resume(broker.address(), &keeper);
+    assert_eq!(subscribed(&mut reader, "a", 2, &[]), 2, "QoS 2 is not granted");
+    // A client that comes back before the end of the handshake sends its message again.
+    let sending = Hello { id: "writer", properties: &AN_HOUR, clean: false, ..Hello::default() };
+    let (mut writer, _) = Raw::resume(broker.address(), &sending);
+    writer.send(&exactly_once("a", b"x", 7, false));
+    assert_eq!(writer.packet().unwrap(), (0x50, vec![0, 7]));
+    let (mut writer, had_session) = Raw::resume(broker.address(), &sending);
+    assert!(had_session);
+    writer.send(&exactly_once("a", b"x", 7, true));
+    assert_eq!(writer.packet().unwrap(), (0x50, vec![0, 7]));
+    for answer in [vec![0, 7], vec![0, 7, 0x92, 0]] {
+        writer.send(&[0x62, 2, 0, 7]);
+        assert_eq!(writer.packet().unwrap(), (0x70, answer));
+    }
+    // The reader gets the message again until it has taken it, and then the release until it has finished.
+    let (first, _) = reader.packet().unwrap();
+    assert_eq!(first & 0x0E, 4);
+    assert!(reader.is_silent_for(SECOND / 5), "the copy is delivered");
+    let (mut reader, _) = Raw::resume(broker.address(), &keeper);
+    let (again, body) = reader.packet().unwrap();
+    let id = [body[3], body[4]];
+    assert_eq!((again & 0x0E, body.last()), (0x0C, Some(&b'x')));
+    reader.send(&[0x50, 2, id[0], id[1]]);
+    assert_eq!(reader.packet().unwrap(), (0x62, id.to_vec()));
+    let (mut reader, _) = Raw::resume(broker.address(), &keeper);
+    assert_eq!(reader.packet().unwrap(), (0x62, id.to_vec()));
+    reader.send(&[0x70, 2, id[0], id[1]]);
+    reader.send(&[0xC0, 0]);
+    assert_eq!(reader.packet().unwrap().0, 0xD0);
+    let (mut reader, _) = Raw::resume(broker.address(), &keeper);
+    assert!(reader.is_silent_for(SECOND / 5), "the handshake does not end");
+    reader.send(&[0x50, 2, 0, 99]);
+    assert_eq!(reader.packet().unwrap(), (0x62, vec![0, 99, 0x92, 0]));
+}
+
+#[test]
+fn messages_of_qos_2_that_are_not_released_are_bounded() {
+    let broker = Broker::start(loopback()).unwrap();
+    let mut writer = Raw::connect(broker.address(), "writer");
+    for id in 1..=64 {
+        writer.send(&exactly_once("a", b"x", id, false));
+    }
+    writer.send(&exactly_once("a", b"x", 65, false));
+    assert_eq!(writer.farewell(), 0x93);
+}
+
+#[test]
+fn messages_carry_the_numbers_of_the_subscriptions() {
+    let broker = Broker::start(loopback()).unwrap();
+    let mut reader = Raw::connect(broker.address(), "reader");
+    for (filter, number) in [("a/b", 2), ("a/#", 3), ("c", 4)] {
+        assert_eq!(subscribed(&mut reader, filter, 0, &[0x0B, number]), 0);
+    }
+    Raw::connect(broker.address(), "writer").publish("a/b", b"x", false);
+    let (kind, body) = reader.packet().unwrap();
+    assert_eq!((kind >> 4, &body[5..]), (3, &[4, 0x0B, 2, 0x0B, 3, b'x'][..]));
+    reader.send(&subscribe_with("d", 0, &[0x0B, 0]));
+    assert_eq!(reader.farewell(), 0x82);
+}
+
+#[test]
+fn clients_with_a_shared_subscription_get_each_message_once() {
+    let broker = Broker::start(loopback()).unwrap();
+    let mut readers = ["one", "two"].map(|id| Raw::connect(broker.address(), id));
+    for reader in &mut readers {
+        assert_eq!(subscribed(reader, "$share/team/t/+", 1, &[]), 1);
+    }
+    for bad in ["$share/team", "$share//t", "$share/+/t"] {
+        assert_eq!(subscribed(&mut readers[0], bad, 1, &[]), 0x8F, "{bad}");
+    }
+    let mut writer = Raw::connect(broker.address(), "writer");
+    for number in 0..10 {
+        writer.publish("t/a", &[number], false);
+    }
+    let [one, two] = readers;
+    let mut both = [one, two].map(|mut reader| {
+        let mine: Vec<u8> = (0..5).map(|_| reader.message().1[0]).collect();
+        assert!(reader.is_silent_for(SECOND / 5), "more than its share");
+        mine
+    });
+    both.sort();
+    let mut all = both.concat();
+    all.sort_unstable();
+    assert_eq!(all, (0..10).collect::<Vec<u8>>());
+    let mut one = Raw::connect(broker.address(), "one");
+    assert_eq!(subscribed(&mut one, "$share/team/t/+", 1, &[]), 1);
+    // A client that has gone gets no message in place of one that is here.
+    for number in 0..4 {
+        writer.publish("t/a", &[number], false);
+        assert_eq!(one.message().1, [number]);
+    }
+}
+
 /// Starts a client of Mosquitto; `None` if it is not installed.
 fn start(program: &str, port: u16, arguments: &[&str]) -> Option<Child> {
     let mut command = Command::new(program);
@@ -116,9 +236,17 @@ fn the_clients_of_mosquitto_work_with_their_defaults() {
         Some(())
     };
     // By default they speak MQTT 3.1.1; `-V 5` makes them speak MQTT 5.
-    for (sub, publishing) in [(&["-q", "0"][..], &["-q", "1"][..]), (&["-V", "5"], &[]), (&[], &["-V", "5"])]
+    for (number, (sub, publishing)) in [
+        (&["-q", "0"][..], &["-q", "1"][..]),
+        (&["-V", "5"], &[]),
+        (&[], &["-V", "5"]),
+        (&["-q", "2"], &["-q", "2"]),
+        (&["-q", "2", "-V", "5"], &["-q", "2", "-V", "5"]),
+    ]
+    .into_iter()
+    .enumerate()
     {
-        let topic = format!("t/{}{}", sub.len(), publishing.len());
+        let topic = format!("t/{number}");
         let text = format!("{sub:?} {publishing:?}");
         if publish(&[&["-r", "-t", &topic, "-m", &text], publishing].concat()).is_none() {
             return;

@@ -4,8 +4,9 @@ use std::time::{Duration, Instant};
 
 use bytes::BytesMut;
 use cosurf_wire::DeviceId;
+use rumqttc::v5::mqttbytes::QoS;
 use rumqttc::v5::mqttbytes::v5::{
-    ConnectReturnCode, Disconnect, DisconnectReasonCode, Packet, PingResp, Publish, Subscribe,
+    ConnectReturnCode, Disconnect, DisconnectReasonCode, Packet, PingResp, PubRecReason, Publish, Subscribe,
 };
 
 use super::super::access::{Job, Verdict};
@@ -13,12 +14,14 @@ use super::super::client::User;
 use super::super::connection::{Door, Stage};
 use super::super::event::BrokerEvent;
 use super::super::packet::{self, Hello, Version};
-use super::super::router::hello::name;
+use super::super::router::hello::{IN_FLIGHT_MAX, name};
 use super::super::router::{PACKET_BYTES_MAX, Router, Taken};
 use super::Reactor;
 
 /// Longest time that a publisher waits for a part of this program. After that, the part misses the message.
 const BACKPRESSURE_MAX: Duration = Duration::from_secs(5);
+/// Limit on messages of QoS 2 that a client of MQTT 3.1.1 has not released. One of MQTT 5 is told its limit.
+const UNRELEASED_MAX: usize = 4096;
 
 impl<S: Fn(BrokerEvent)> Reactor<S> {
     /// Handles the packets that have arrived, until one of them must wait.
@@ -65,8 +68,9 @@ impl<S: Fn(BrokerEvent)> Reactor<S> {
             }
             Verdict::Verify { user, password, hash } => {
                 connection.stage = Stage::Verifying(Box::new(hello));
-                if !self.verifier.ask(Job { link: token, user, password, hash }) {
-                    self.refuse(token, now, Some(version), ConnectReturnCode::ServerBusy);
+                let address = connection.address;
+                if let Some(lost) = self.verifier.ask(Job { link: token, address, user, password, hash }) {
+                    self.refuse(lost, now, None, ConnectReturnCode::ServerBusy);
                 }
             }
             Verdict::Refuse => self.refuse(token, now, Some(version), ConnectReturnCode::NotAuthorized),
@@ -82,7 +86,8 @@ impl<S: Fn(BrokerEvent)> Reactor<S> {
         fingerprint: Option<blake3::Hash>,
     ) {
         if let Some(fingerprint) = fingerprint {
-            self.verifier.remember(user, fingerprint);
+            let address = self.connections.get(&token).map(|connection| connection.address);
+            self.verifier.remember(user, fingerprint, address);
         }
         let Some(connection) = self.connections.get_mut(&token) else { return };
         match std::mem::replace(&mut connection.stage, Stage::Greeting) {
@@ -121,8 +126,14 @@ impl<S: Fn(BrokerEvent)> Reactor<S> {
         }
     }
 
+    /// Answers CONNECT with a refusal. `version` is that of the client, if it is known and its password is not being
+    /// verified.
     fn refuse(&mut self, token: usize, now: Instant, version: Option<Version>, code: ConnectReturnCode) {
         if let Some(connection) = self.connections.get_mut(&token) {
+            let version = match &connection.stage {
+                Stage::Verifying(hello) => Some(hello.version),
+                _ => version,
+            };
             connection.refuse(now, version, code);
             self.write(token, now);
         }
@@ -131,7 +142,7 @@ impl<S: Fn(BrokerEvent)> Reactor<S> {
     /// Handles a packet of a connected client.
     fn handle(&mut self, token: usize, now: Instant, packet: &BytesMut, version: Version) {
         match packet::read(packet, version) {
-            Ok(Packet::Publish(publish)) => match Router::objection(&publish) {
+            Ok(Packet::Publish(publish)) => match self.objection(token, &publish, version) {
                 None => self.hand_on(token, now, publish, now + BACKPRESSURE_MAX),
                 Some(reason) => self.close(token, now, reason),
             },
@@ -139,8 +150,16 @@ impl<S: Fn(BrokerEvent)> Reactor<S> {
                 self.router.acknowledge(token, ack.pkid);
                 self.note_use(token, now);
             }
-            Ok(Packet::Subscribe(subscribe)) if has_identifier(&subscribe) => {
-                self.close(token, now, DisconnectReasonCode::SubscriptionIdentifiersNotSupported);
+            Ok(Packet::PubRec(ack)) => {
+                let is_taken =
+                    matches!(ack.reason, PubRecReason::Success | PubRecReason::NoMatchingSubscribers);
+                self.router.release(token, ack.pkid, is_taken);
+                self.note_use(token, now);
+            }
+            Ok(Packet::PubRel(ack)) => self.router.complete(token, ack.pkid),
+            Ok(Packet::PubComp(ack)) => self.router.finish(token, ack.pkid),
+            Ok(Packet::Subscribe(subscribe)) if is_identified_by_0(&subscribe) => {
+                self.close(token, now, DisconnectReasonCode::ProtocolError);
             }
             Ok(Packet::Subscribe(subscribe)) => self.router.subscribe(token, subscribe),
             Ok(Packet::Unsubscribe(unsubscribe)) => self.router.unsubscribe(token, unsubscribe),
@@ -149,6 +168,24 @@ impl<S: Fn(BrokerEvent)> Reactor<S> {
             Ok(_) => self.close(token, now, DisconnectReasonCode::ProtocolError),
             Err(reason) => self.close(token, now, reason),
         }
+    }
+
+    /// The reason to end the connection because of a message, if there is one.
+    fn objection(
+        &mut self,
+        token: usize,
+        publish: &Publish,
+        version: Version,
+    ) -> Option<DisconnectReasonCode> {
+        let unreleased_max = match version {
+            Version::V3 => UNRELEASED_MAX,
+            Version::V5 => usize::from(IN_FLIGHT_MAX),
+        };
+        let has_id = publish.qos == QoS::AtMostOnce || publish.pkid != 0;
+        if publish.qos == QoS::ExactlyOnce && self.router.unreleased(token) >= unreleased_max {
+            return Some(DisconnectReasonCode::ReceiveMaximumExceeded);
+        }
+        Router::objection(publish).or((!has_id).then_some(DisconnectReasonCode::ProtocolError))
     }
 
     /// Gives a message to the router, or keeps it until there is room for it.
@@ -178,6 +215,6 @@ impl<S: Fn(BrokerEvent)> Reactor<S> {
     }
 }
 
-fn has_identifier(subscribe: &Subscribe) -> bool {
-    subscribe.properties.as_ref().is_some_and(|properties| properties.id.is_some())
+fn is_identified_by_0(subscribe: &Subscribe) -> bool {
+    subscribe.properties.as_ref().is_some_and(|properties| properties.id == Some(0))
 }

@@ -15,8 +15,8 @@ use super::{PACKET_BYTES_MAX, QUEUE_BYTES_MAX, QUEUE_DIVISOR, Router, after};
 
 /// Longest time that a session outlives its connection, seconds.
 const SESSION_EXPIRY_S_MAX: u32 = 24 * 3600;
-/// Limit on QoS 1 messages that one client has not acknowledged.
-const IN_FLIGHT_MAX: u16 = 64;
+/// Limit on messages with QoS 1 or 2 that one side has not acknowledged.
+pub(in super::super) const IN_FLIGHT_MAX: u16 = 64;
 /// Longest keep-alive, seconds. A client that asks for a longer one, or for none, is told this one.
 pub(in super::super) const KEEP_ALIVE_S_MAX: u16 = 600;
 
@@ -70,6 +70,7 @@ impl Router {
         session.link = Some(link);
         self.links.insert(link_id, client.clone());
         self.answer(link_id, Packet::ConnAck(ack));
+        self.linked(link_id).into_iter().for_each(Session::resume);
         Ok(older)
     }
 
@@ -139,7 +140,8 @@ fn connack(
     let properties = ConnAckProperties {
         session_expiry_interval: is_changed.then_some(expiry_s),
         receive_max: Some(IN_FLIGHT_MAX),
-        max_qos: Some(1),
+        // Absent for QoS 2.
+        max_qos: None,
         retain_available: Some(1),
         max_packet_size: Some(PACKET_BYTES_MAX as u32),
         assigned_client_identifier: assigned,
@@ -147,8 +149,8 @@ fn connack(
         reason_string: None,
         user_properties: Vec::new(),
         wildcard_subscription_available: Some(1),
-        subscription_identifiers_available: Some(0),
-        shared_subscription_available: Some(0),
+        subscription_identifiers_available: Some(1),
+        shared_subscription_available: Some(1),
         server_keep_alive: other_keep_alive(keep_alive_s),
         response_information: None,
         server_reference: None,

@@ -1,6 +1,6 @@
 #![allow(clippy::unwrap_used)]
 use bytes::Bytes;
-use rumqttc::v5::mqttbytes::v5::Connect;
+use rumqttc::v5::mqttbytes::v5::{Connect, Filter};
 
 use super::super::access::Access;
 use super::super::memory::Budget;
