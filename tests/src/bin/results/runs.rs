@@ -42,7 +42,7 @@ pub(crate) fn command_fault(stored: &Results) -> Option<String> {
 }
 
 /// All benches, the quickest first.
-pub(crate) const RUNS: [Run; 25] = [
+pub(crate) const RUNS: [Run; 26] = [
     Run {
         name: "sizes",
         about: "size of both programs",
