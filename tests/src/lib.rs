@@ -5,8 +5,8 @@
 //! - [`fleet`]: nodes on a simulated network, with virtual time. [`stranger`]: a stranger on that network.
 //!   [`keys`]: keys of participants.
 //!   [`radio`]: both ends of a simulated serial line.
-//! - [`live`]: nodes that use a real broker. [`mqtt`]: the bytes of MQTT packets. [`mosquitto`]: Mosquitto as a child process, and certificates for it.
-//!   [`nats`], [`s3`]: a NATS server and an S3 server as child processes.
+//! - [`live`]: nodes that use a real broker. [`mqtt`]: the bytes of MQTT packets. [`mosquitto`]: Mosquitto as a child
+//!   process, and certificates for it. [`nats`], [`s3`]: a NATS server and an S3 server as child processes.
 //! - [`datasets`]: synthetic cities and the datasets that benches use. [`programs`]: the paths of the programs that
 //!   cargo has built. [`dice`]: random numbers.
 //! - [`usage`]: the memory and time that a child process takes.

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use cosurf_aggregator::service::AggregatorConfig;
+use cosurf_aggregator::service::{AggregatorConfig, MemoryBound};
 use cosurf_scene::bytes::parse_bytes;
 use cosurf_tests::programs::program;
 use cosurf_tests::skips::skip;
@@ -103,7 +103,7 @@ fn programs_understand_their_commands_and_fit_into_their_containers() {
         let [station, worker] = &commands[..] else { unreachable!() };
         assert!(is_understood(station) && is_understood(worker), "{name}");
         assert_eq!(option(station, "--config"), Some("/etc/cosurf/aggregator.toml"), "{name}");
-        assert!(fits(config.memory_bytes + config.merge_memory_bytes, limits[0]), "{name}");
+        assert!(fits(MemoryBound::of(&config).at_most_bytes(), limits[0]), "{name}");
         let memory = parse_bytes(option(worker, "--memory").unwrap()).unwrap();
         assert!(fits(memory, limits[1]), "{name}: {memory} of {} bytes", limits[1]);
         assert_eq!(option(worker, "--queue"), Some(workers.queue.as_str()), "{name}");

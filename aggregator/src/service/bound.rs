@@ -27,8 +27,9 @@ pub struct MemoryBound {
 }
 
 impl MemoryBound {
-    /// The bound of a service with this configuration.
-    pub(super) fn of(config: &AggregatorConfig) -> Self {
+    /// The bound of a service with this configuration. The memory of serial lines and of the operating system's buffers
+    /// comes on top.
+    pub fn of(config: &AggregatorConfig) -> Self {
         let inboxes = 1 + u64::from(config.upstream.is_some());
         let uploads_bytes = config.memory_bytes.saturating_mul(inboxes);
         let broker_bytes = if config.bind.is_some() { config.broker_memory_bytes as u64 } else { 0 };
@@ -36,6 +37,11 @@ impl MemoryBound {
         let limits = [uploads_bytes, broker_bytes, merge_bytes, other_bytes];
         let at_most_bytes = limits.into_iter().fold(0, u64::saturating_add);
         Self { at_most_bytes, uploads_bytes, broker_bytes, merge_bytes, other_bytes }
+    }
+
+    /// All of it, bytes.
+    pub fn at_most_bytes(&self) -> u64 {
+        self.at_most_bytes
     }
 }
 

@@ -11,13 +11,10 @@ use std::time::Duration;
 
 use cosurf_tests::dice::Dice;
 
+use crate::act::Act;
 use crate::field::Field;
 
 pub(crate) use traitor::send_a_far_model;
-
-/// What an attacker does again and again. Returns how many messages, packets or connections that were. After an error, the
-/// attacker starts anew.
-pub(crate) type Act<'a> = Box<dyn FnMut(&mut Dice) -> io::Result<u64> + 'a>;
 
 /// An attack.
 pub(crate) struct Attack {

@@ -127,8 +127,15 @@ impl Drop for Ground {
 fn spawn(config: &Path, cores: Option<&str>) -> Child {
     let log = File::create(config.with_extension("log")).unwrap();
     let mut command = on_cores(program("cosurf-aggregator"), cores);
-    command.args(["run", "--config"]).arg(config).stdin(Stdio::null());
+    command.args(["--log", "info", "run", "--config"]).arg(config).stdin(Stdio::null());
     command.stderr(log.try_clone().unwrap()).stdout(log).spawn().unwrap()
+}
+
+/// Lets this process run on these cores only.
+pub(crate) fn stay_on_cores(cores: &str) {
+    let own = std::process::id().to_string();
+    let status = Command::new("taskset").args(["-acp", cores, &own]).stdout(Stdio::null()).status();
+    assert!(status.unwrap().success());
 }
 
 /// A command that runs on these cores only, in the notation of `taskset`.

@@ -29,6 +29,8 @@ pub(crate) struct Flight {
     pub(crate) globals: [Vec<u8>; 3],
     /// From the start of the drones until all have the global model.
     pub(crate) time: Duration,
+    /// What the drones have printed, with times.
+    pub(crate) log: String,
 }
 
 /// A drone's program; killed when dropped.
@@ -78,7 +80,8 @@ impl Fleet<'_> {
         wait_for("the merge of both drones", || ground.has_merged(&names));
         let time = begun.elapsed();
         let [first, second] = flying.each_ref().map(|drone| fs::read(drone.out.join("global.ply")).unwrap());
-        let flight = Flight { globals: [ground.global(), first, second], time };
+        let log = flying.iter().map(Drone::log).collect();
+        let flight = Flight { globals: [ground.global(), first, second], time, log };
         ground.forget(&names);
         fs::remove_dir_all(folder).unwrap();
         flight
@@ -104,7 +107,7 @@ impl Fleet<'_> {
         fs::write(&config, text).unwrap();
         let log = File::create(out.with_extension("log")).unwrap();
         let mut command = on_cores(program("cosurf-agent"), self.cores);
-        command.args(["run", "--config"]).arg(&config).stdin(Stdio::null());
+        command.args(["--log", "info", "run", "--config"]).arg(&config).stdin(Stdio::null());
         Drone { child: command.stderr(log.try_clone().unwrap()).stdout(log).spawn().unwrap(), out }
     }
 

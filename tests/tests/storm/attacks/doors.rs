@@ -8,7 +8,7 @@ use cosurf_tests::dice::Dice;
 use cosurf_tests::mqtt::{Hello, connect};
 use cosurf_wire::{DeviceId, SiteId};
 
-use super::Act;
+use crate::act::Act;
 use crate::field::{Field, GROUND, SITE, device};
 use crate::line::Line;
 

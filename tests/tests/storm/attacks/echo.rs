@@ -5,7 +5,7 @@ use std::io;
 use cosurf_tests::dice::Dice;
 use cosurf_tests::mqtt::{publish, subscribe};
 
-use super::Act;
+use crate::act::Act;
 use crate::field::Field;
 
 /// Reads everything, and remembers what is genuine.

@@ -21,7 +21,7 @@ use cosurf_wire::{
 use ed25519_dalek::SigningKey;
 use glam::{DVec2, DVec3};
 
-use super::Act;
+use crate::act::Act;
 use crate::field::{Field, SIGNERS, SITE, TRAITOR, device, encode, sealed, text};
 use crate::line::Line;
 

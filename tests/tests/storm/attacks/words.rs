@@ -13,7 +13,7 @@ use cosurf_wire::{
 };
 use ed25519_dalek::SigningKey;
 
-use super::Act;
+use crate::act::Act;
 use crate::field::{Field, GROUND, SIGNERS, SITE, device, encode, sealed, text};
 use crate::line::Line;
 
