@@ -8,8 +8,10 @@
 //! - [`live`]: nodes that use a real broker. [`mqtt`]: the bytes of MQTT packets. [`mosquitto`]: Mosquitto as a child
 //!   process, and certificates for it. [`nats`], [`s3`]: a NATS server and an S3 server as child processes.
 //! - [`datasets`]: synthetic cities and the datasets that benches use. [`programs`]: the paths of the programs that
-//!   cargo has built. [`dice`]: random numbers.
+//!   cargo has built. [`dice`]: random numbers. [`mutate`]: changed samples.
 //! - [`usage`]: the memory and time that a child process takes.
+//! - [`slow_line`]: a line to a broker that is slow and breaks.
+//!   [`web_door`]: a WebSocket listener in front of a broker.
 //! - [`skips`]: how a test reports that it was skipped. [`results`]: the results of benches, and their tables in the
 //!   documents.
 //!
@@ -27,6 +29,7 @@ pub mod live;
 pub mod models;
 pub mod mosquitto;
 pub mod mqtt;
+pub mod mutate;
 pub mod nats;
 pub mod offers;
 pub mod programs;

@@ -14,10 +14,10 @@ use flate2::write::GzEncoder;
 use crate::runner::{Target, hammer};
 
 /// Limit on a reader's memory, bytes: 1 MiB for its buffers, and 32 bytes for each byte of the file.
-const FILE_BYTES_MAX: fn(usize) -> usize = |bytes| (1 << 20) + 32 * bytes;
+pub(crate) const FILE_BYTES_MAX: fn(usize) -> usize = |bytes| (1 << 20) + 32 * bytes;
 
 /// A temporary folder, which lies in memory if the system has `/dev/shm`.
-fn folder() -> tempfile::TempDir {
+pub(crate) fn folder() -> tempfile::TempDir {
     let shared = Path::new("/dev/shm");
     if shared.is_dir() { tempfile::tempdir_in(shared).unwrap() } else { tempfile::tempdir().unwrap() }
 }

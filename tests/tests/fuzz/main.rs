@@ -11,5 +11,6 @@ mod conversation;
 mod files;
 mod memory;
 mod messages;
-mod mutate;
 mod runner;
+mod serial;
+mod stored;

@@ -4,12 +4,13 @@ use std::time::Duration;
 
 use cosurf_link::inbox::{Inbox, InboxEvent};
 use cosurf_link::{Identity, InboxLimits, Offer, Role};
+use cosurf_tests::keys::Signer;
 use cosurf_tests::models::random_splats;
 use cosurf_wire::body::CAMERA_BYTES;
 use cosurf_wire::frame::{Frame, FrameReader, MAX_FRAME_BYTES, Piece, Sessions, Turn};
 use cosurf_wire::{
     CameraRecord, Chunk, DeviceId, Done, FlightCameras, MAX_MESSAGE_BYTES, Message, Missing, ModelId,
-    ModelKind, RefusalReason, Refused, SiteId, State, Topic, Want,
+    ModelKind, RefusalReason, Refused, Sealed, SiteId, State, Topic, Want,
 };
 
 use crate::runner::{Target, hammer};
@@ -58,7 +59,14 @@ fn messages() -> Vec<Vec<u8>> {
         Message::Flight(FlightCameras { device, frame: header.frame, cameras: &cameras }),
     ]
     .iter()
-    .map(encoded)
+    .flat_map(|message| {
+        let sealed = match message {
+            Message::Chunk(_) => None,
+            message => Some(Signer::of("drone-7").seal("gs/v1/quarry/drone-7", message, 1_700_000_000, 70)),
+        };
+        [Some(encoded(message)), sealed]
+    })
+    .flatten()
     .collect()
 }
 
@@ -74,7 +82,12 @@ fn messages_are_read_or_refused() {
     let target = Target { name: "messages", samples: messages(), reseal: reseal_message, bytes_max: |_| 0 };
     let mut out = vec![0; MAX_MESSAGE_BYTES];
     hammer(target, move |bytes| {
-        let Ok(message) = Message::decode(bytes) else { return false };
+        let Ok(Sealed { message, seal, signed }) = Sealed::decode(bytes) else { return false };
+        assert_eq!(
+            bytes.len(),
+            signed.len() + 4 + seal.map_or(0, |_| 64),
+            "all bytes but the signature are signed"
+        );
         if let Message::Want(want) = &message {
             for i in (0..2000).chain([u32::MAX]) {
                 std::hint::black_box(want.missing.status_of(i));

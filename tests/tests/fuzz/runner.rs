@@ -5,15 +5,18 @@ use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::time::{Duration, Instant};
 
 use cosurf_tests::dice::Dice;
+use cosurf_tests::mutate::mutated;
 
 use crate::memory::peak_bytes_of;
-use crate::mutate::mutated;
 
 /// Default number of executions of each decoder. Even the slowest decoder then takes less than a second.
 const EXECUTIONS: u64 = 5_000;
 /// Limit on the time of one execution. It is generous because the machine may be busy. A decoder that hangs exceeds
 /// any limit.
 const LONGEST: Duration = Duration::from_secs(5);
+
+/// Interval of reports of progress.
+const TELL_EVERY: Duration = Duration::from_secs(10);
 
 /// A decoder under test.
 pub(crate) struct Target<'a> {
@@ -39,7 +42,7 @@ pub(crate) fn hammer(target: Target, mut decode: impl FnMut(&[u8]) -> bool) {
         assert!(decode(sample), "{}: sample {i} is valid and was refused", target.name);
     }
     let (first, executions) = (number("FUZZ_SEED", 0), number("FUZZ_EXECUTIONS", EXECUTIONS));
-    let mut read = 0u64;
+    let (begun, mut told, mut read) = (Instant::now(), Instant::now(), 0u64);
     for seed in first..first + executions {
         let mut dice = Dice(seed);
         let mut bytes = mutated(&mut dice, &target.samples);
@@ -47,6 +50,10 @@ pub(crate) fn hammer(target: Target, mut decode: impl FnMut(&[u8]) -> bool) {
             (target.reseal)(&mut bytes);
         }
         let started = Instant::now();
+        if started.duration_since(told) > TELL_EVERY {
+            told = started;
+            eprintln!("{}: {} executions", target.name, seed - first);
+        }
         let mut outcome = Ok(false);
         let peak = peak_bytes_of(|| outcome = catch_unwind(AssertUnwindSafe(|| decode(&bytes))));
         let mut took = started.elapsed();
@@ -68,5 +75,9 @@ pub(crate) fn hammer(target: Target, mut decode: impl FnMut(&[u8]) -> bool) {
         let allowed = (target.bytes_max)(bytes.len());
         assert!(peak <= allowed, "{case} allocates {peak} bytes for {}, of {allowed} allowed", bytes.len());
     }
-    println!("{}: {executions} executions from seed {first}, {read} were accepted", target.name);
+    let rate = executions as f64 / begun.elapsed().as_secs_f64();
+    println!(
+        "{:<18} {executions:>9} executions from seed {first}, {rate:>7.0}/s, {read:>9} accepted",
+        target.name
+    );
 }

@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use cosurf_link::{MemoryNetwork, MemoryTransport, Offer, Outgoing, Transport, TransportEvent};
 use cosurf_tests::dice::Dice;
+use cosurf_tests::mutate::mutated;
 use cosurf_wire::{Chunk, DeviceId, Message, ModelHeader, ModelId, ModelKind, Seal, Sealed, SiteId, Topic};
 
 use super::cast::{INSIDER, device, model, site};
@@ -14,7 +15,6 @@ use super::forgery::{
     voiced,
 };
 use super::plan::{Mode, Plan};
-use crate::mutate::mutated;
 
 /// Number of messages that a hostile participant remembers.
 const HEARD_MAX: usize = 40;

@@ -320,7 +320,9 @@ impl Play {
     fn restart(&mut self, index: usize) -> Verdict {
         self.members[index].restart(&self.network, &mut self.judge)?;
         let Identity { site, role, .. } = self.members[index].identity;
-        let is_untold = |offer: &&Offer| !self.judge.is_told(site, offer.header.into());
+        // An aggregator always offers its newest global model again.
+        let is_global = |offer: &Offer| role == Role::Aggregator && !offer.header.model.is_tile();
+        let is_untold = |offer: &&Offer| !self.judge.is_told(site, offer.header.into()) || is_global(offer);
         let again: Vec<Offer> = self.members[index].offers.iter().filter(is_untold).cloned().collect();
         for offer in again {
             let receivers = self.judge.receivers(site, offer.header.into());

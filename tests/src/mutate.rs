@@ -1,6 +1,6 @@
-//! Changes samples at random.
+//! Changes samples at random, for fuzzing.
 
-use cosurf_tests::dice::Dice;
+use crate::dice::Dice;
 
 /// Values at the limits of integer fields, and infinity and NaN as `f32` and `f64`.
 const EDGES: [u64; 16] = [
@@ -26,8 +26,8 @@ const CHANGES_MAX: usize = 6;
 /// Largest size of a changed sample, bytes.
 const BYTES_MAX: usize = 1 << 16;
 
-/// One of `samples`, with 1 to [`CHANGES_MAX`] changes.
-pub(crate) fn mutated(dice: &mut Dice, samples: &[Vec<u8>]) -> Vec<u8> {
+/// One of `samples`, with 1 to 6 changes.
+pub fn mutated(dice: &mut Dice, samples: &[Vec<u8>]) -> Vec<u8> {
     let mut bytes = samples[dice.below(samples.len())].clone();
     for _ in 0..1 + dice.below(CHANGES_MAX) {
         change(dice, &mut bytes, samples);
