@@ -3,12 +3,11 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
-use cosurf_link::{ModelKey, NodeEvent, Offer, Role};
+use cosurf_link::{Identity, ModelKey, NodeEvent, Offer, Role};
 use cosurf_scene::Camera;
 use cosurf_wire::{DeviceId, ModelHeader, SiteId};
 
 use super::cast::{INSIDER, device};
-use super::member::Member;
 use super::plan::Mode;
 
 /// What holds in every conversation.
@@ -128,10 +127,10 @@ impl Judge {
     }
 
     /// Judges an event of an honest participant.
-    pub(crate) fn hear(&mut self, member: &Member, event: &NodeEvent) -> Verdict {
-        let (site, own) = (member.identity.site, member.identity.device);
+    pub(crate) fn hear(&mut self, by: &Identity, event: &NodeEvent) -> Verdict {
+        let (site, own) = (by.site, by.device);
         match event {
-            NodeEvent::Store { header, body } => self.judge_model(member, header, body)?,
+            NodeEvent::Store { header, body } => self.judge_model(by, header, body)?,
             NodeEvent::Receiving(header) | NodeEvent::Known(header) => {
                 self.judge_source(own, header.device)?
             }
@@ -172,8 +171,7 @@ impl Judge {
     }
 
     /// A model that a participant is about to store.
-    fn judge_model(&self, member: &Member, header: &ModelHeader, body: &[u8]) -> Verdict {
-        let own = member.identity;
+    fn judge_model(&self, own: &Identity, header: &ModelHeader, body: &[u8]) -> Verdict {
         if self.mode == Mode::Open {
             return Ok(());
         }

@@ -187,7 +187,7 @@ impl Member {
             match event {
                 Some(event) => {
                     idle = 0;
-                    judge.hear(self, &event)?;
+                    judge.hear(&self.identity, &event)?;
                     self.take(event, judge);
                 }
                 None => idle += 1,
