@@ -111,8 +111,8 @@ enum Upload<'a> {
     Collecting(FlightCollector<'a>),
     /// The model is being sent.
     Sending { bytes_total: u64 },
-    /// The aggregator has stored the model.
-    Acknowledged,
+    /// The aggregator has stored the model. It is kept, since the aggregator may lose it.
+    Acknowledged { bytes_total: u64 },
 }
 
 impl<'a, F: FnMut(AgentEvent)> Publisher<'a, F> {
@@ -150,7 +150,7 @@ impl<'a, F: FnMut(AgentEvent)> Publisher<'a, F> {
     }
 
     fn is_done(&self) -> bool {
-        matches!(self.upload, Upload::Acknowledged)
+        matches!(self.upload, Upload::Acknowledged { .. })
             && (self.is_global_settled || !self.publication.wait_global)
     }
 
@@ -196,8 +196,19 @@ impl<'a, F: FnMut(AgentEvent)> Publisher<'a, F> {
                 }
             }
             NodeEvent::Uploaded(_, progress) => {
-                self.upload = Upload::Acknowledged;
+                if let Upload::Sending { bytes_total } = self.upload {
+                    self.upload = Upload::Acknowledged { bytes_total };
+                }
                 (self.on_event)(AgentEvent::Acknowledged { bytes_sent: progress.bytes_sent });
+            }
+            NodeEvent::AskedAgain(key) => {
+                if let Upload::Acknowledged { bytes_total } = self.upload {
+                    self.upload = Upload::Sending { bytes_total };
+                }
+                self.retrying(
+                    format!("the aggregator has lost model {} and asks for it again", key.model),
+                    1,
+                );
             }
             NodeEvent::UploadRefused { key, reason, .. } => self.on_refused(key, reason)?,
             // An earlier run received this global model and wrote it to disk.

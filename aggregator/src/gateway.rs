@@ -10,25 +10,33 @@
 //!
 //! Where to start reading: [`Gateway::start`], then [`relay`].
 
+mod pace;
 mod relay;
 
 use std::fmt;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use cosurf_link::{
-    MqttTransport, Outgoing, PublishError, SerialConfig, SerialTransport, Transport, TransportEvent,
+    Identity, MqttTransport, Outgoing, PublishError, SerialConfig, SerialTransport, Transport, TransportEvent,
 };
 use cosurf_wire::{DeviceId, SiteId};
 use serde::Serialize;
 
 use crate::broker::Reach;
+use crate::quiet::Quiet;
+use pace::Pace;
 use relay::{Passage, Relay};
 
 /// Longest wait for a message from the serial line before the messages of the broker have their turn.
 const LISTEN: Duration = Duration::from_millis(10);
+/// Requests of a device that pass at once, and the time after which one more passes.
+const WANTS_MAX: u32 = 16;
+const WANTS_EVERY: Duration = Duration::from_millis(400);
+/// Shortest time between two clients that a line starts at the broker.
+const BIRTHS_EVERY: Duration = Duration::from_secs(2);
 
 /// What a gateway reports.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -87,10 +95,23 @@ impl Gateway {
         let thread = std::thread::spawn(move || {
             let name = line.name.clone();
             let line = SerialTransport::start(line);
-            let mut bridge =
-                Bridge { name, reach, line, client: None, relay: Relay::new(site), up: None, say };
+            let mut bridge = Bridge {
+                name,
+                reach,
+                line,
+                client: None,
+                relay: Relay::new(site),
+                up: None,
+                newborn: None,
+                births: Pace::new(1, BIRTHS_EVERY),
+                wants: Pace::new(WANTS_MAX, WANTS_EVERY),
+                quiet: Quiet::default(),
+                begun: Instant::now(),
+                say,
+            };
             while !stop.load(Ordering::Relaxed) {
                 bridge.up();
+                bridge.start_newborn();
                 bridge.down();
             }
         });
@@ -119,6 +140,13 @@ struct Bridge<F> {
     /// A message of the device that waits for room at the broker. Until it is sent, nothing is read from the
     /// line.
     up: Option<Outgoing>,
+    /// A session of the device whose client is not started yet, with its last will.
+    newborn: Option<(Identity, Option<Outgoing>)>,
+    births: Pace,
+    wants: Pace,
+    quiet: Quiet,
+    /// The moment from which time is counted.
+    begun: Instant,
     say: F,
 }
 
@@ -131,11 +159,19 @@ impl<F: Fn(GatewayEvent)> Bridge<F> {
             self.up = Some(message);
             return;
         }
+        if let Some((_, more)) = self.quiet.summary(self.begun.elapsed()) {
+            let reason = format!("{more} more messages like these");
+            (self.say)(GatewayEvent::IgnoredOnLine { line: self.name.clone(), reason });
+        }
+        // What the device says next is for the client that is not started yet.
+        if self.newborn.is_some() {
+            return std::thread::sleep(LISTEN);
+        }
         match self.line.poll(LISTEN) {
             Some(TransportEvent::Incoming { topic, payload }) => self.pass(&topic, payload),
             Some(TransportEvent::Disconnected { reason, .. }) => {
-                self.client = None;
-                (self.say)(GatewayEvent::OffLine { reason });
+                (self.client, self.newborn) = (None, None);
+                self.tell(GatewayEvent::OffLine { reason });
             }
             Some(TransportEvent::Connected) | None => {}
         }
@@ -143,20 +179,40 @@ impl<F: Fn(GatewayEvent)> Bridge<F> {
 
     fn pass(&mut self, topic: &str, payload: Vec<u8>) {
         match self.relay.hear_device(topic, payload) {
-            Passage::Born(identity, will) => match self.reach.config_of_line(identity, will) {
-                Ok(config) => {
-                    self.client = Some(MqttTransport::start(config));
-                    (self.say)(GatewayEvent::OnLine { line: self.name.clone(), device: identity.device });
-                }
-                Err(error) => {
-                    let (line, reason) = (self.name.clone(), format!("line_certs: {error}"));
-                    (self.say)(GatewayEvent::IgnoredOnLine { line, reason });
-                }
-            },
-            Passage::Pass(message) => self.up = Some(message),
-            Passage::Refuse(reason) => {
-                (self.say)(GatewayEvent::IgnoredOnLine { line: self.name.clone(), reason });
+            Passage::Born(identity, will) => {
+                self.client = None;
+                self.newborn = Some((identity, will));
             }
+            Passage::Want(message) if self.wants.allows(self.begun.elapsed()) => self.up = Some(message),
+            Passage::Want(_) => {
+                self.refuse("the device asks for chunks too often".to_owned());
+            }
+            Passage::Pass(message) => self.up = Some(message),
+            Passage::Refuse(reason) => self.refuse(reason),
+        }
+    }
+
+    /// Starts the client of a session that has begun, unless the last one was started just before.
+    fn start_newborn(&mut self) {
+        let now = self.begun.elapsed();
+        let Some((identity, will)) = self.newborn.take_if(|_| self.births.allows(now)) else { return };
+        match self.reach.config_of_line(identity, will) {
+            Ok(config) => {
+                self.client = Some(MqttTransport::start(config));
+                self.tell(GatewayEvent::OnLine { line: self.name.clone(), device: identity.device });
+            }
+            Err(error) => self.refuse(format!("line_certs: {error}")),
+        }
+    }
+
+    fn refuse(&mut self, reason: String) {
+        self.tell(GatewayEvent::IgnoredOnLine { line: self.name.clone(), reason });
+    }
+
+    /// Reports an event, unless the line causes too many.
+    fn tell(&mut self, event: GatewayEvent) {
+        if self.quiet.notes(self.begun.elapsed(), None) {
+            (self.say)(event);
         }
     }
 

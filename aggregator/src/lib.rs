@@ -22,7 +22,7 @@
 //! ```
 //!
 //! [`worker`] stands beside `service`: it distils tiles for merges on other computers. [`pki`] stands alone: it makes the
-//! keys of a site.
+//! keys of a site. `quiet` limits lines in the log.
 //!
 //! No module uses a module above it, and no file uses a file above it. If two files need the same type, it is in a
 //! third file below both.
@@ -37,6 +37,7 @@ pub mod mission;
 pub mod partition;
 pub mod pki;
 pub mod queue;
+mod quiet;
 pub mod report;
 pub mod service;
 pub mod store;

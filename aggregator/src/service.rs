@@ -15,6 +15,7 @@
 //! | `withdrawn/` | a file for each withdrawn device, with the numbers and hashes of its models that no longer count |
 //! | `replaced/` | a file for each device that has sent many models, with those that were removed as outdated |
 //! | `upstream/` | models from the aggregator above, if there is one: [`upstream`] |
+//! | `suspects.json`, `reading` | models that a merge was reading when the program died |
 //! | `session` | the number of the last session |
 //!
 //! The newest model of each device is merged, unless it contradicts the others ([`crate::gate`]). Models are merged in
@@ -45,7 +46,6 @@ mod job;
 mod keeper;
 mod model_list;
 mod parts;
-mod quiet;
 mod rebroadcast;
 mod receive;
 mod record;
@@ -56,6 +56,7 @@ mod shelf;
 mod station;
 #[cfg(test)]
 mod tests;
+mod trial;
 mod upstream;
 
 pub(crate) use above::AboveLink;

@@ -25,6 +25,8 @@ pub(super) enum Passage {
     Born(Identity, Option<Outgoing>),
     /// Send this message to the broker.
     Pass(Outgoing),
+    /// Send this request for chunks to the broker.
+    Want(Outgoing),
     /// Discard the message, for this reason.
     Refuse(String),
 }
@@ -80,6 +82,7 @@ impl Relay {
             return refuse("belongs to another site");
         }
         let message = Outgoing { topic: parsed.to_text(&site), payload, retain: is_retained };
+        let mut is_want = false;
         if let Ok(Sealed { message: said, seal, .. }) = Sealed::decode(&message.payload) {
             match (parsed, said) {
                 (Topic::State { .. }, Message::State(State { session, alive: true, .. })) => {
@@ -88,11 +91,15 @@ impl Relay {
                     *self = Self { device: Some(device), birth: Some(message), ..Self::new(site) };
                     return Passage::Born(identity, will);
                 }
-                (Topic::GlobalReply { reply: Reply::Want, .. }, Message::Want(want)) => self.note(want),
+                (Topic::GlobalReply { reply: Reply::Want, .. }, Message::Want(want)) => {
+                    is_want = true;
+                    self.note(want);
+                }
                 _ => {}
             }
         }
         match self.device {
+            Some(known) if known == device && is_want => Passage::Want(message),
             Some(known) if known == device => Passage::Pass(message),
             Some(_) => refuse("the line belongs to another device"),
             None => refuse("no device has announced its birth on this line"),
@@ -180,7 +187,7 @@ mod tests {
         let missing = Missing::of(100, |index| has.contains(&index));
         let want = Want { device: device("ground"), model: ModelId(1), session: 5, idle, missing };
         let topic = Topic::GlobalReply { device: device("drone"), reply: Reply::Want };
-        assert!(matches!(say(relay, topic, &Message::Want(want)), Passage::Pass(_)));
+        assert!(matches!(say(relay, topic, &Message::Want(want)), Passage::Want(_)));
     }
 
     fn chunk(relay: &mut Relay, index: u32) {

@@ -33,6 +33,24 @@ pub enum ServiceEvent {
         /// The reason, one line.
         reason: String,
     },
+    /// The program died while a merge was reading this model.
+    MergeDied {
+        /// The device that sent the model.
+        device: String,
+        /// Number of the model.
+        model: u64,
+        /// True if the model is set aside, because that was not the first time.
+        is_set_aside: bool,
+        /// The file that keeps the model aside.
+        file: String,
+    },
+    /// A model that was stored is missing or damaged. Its device is asked for it again.
+    Lost {
+        /// Header of the model.
+        header: ModelHeader,
+        /// What is wrong, one line.
+        reason: String,
+    },
     /// A model has arrived only in part; the part is used until the rest arrives.
     PartTaken {
         /// Header of the part, which is stored like a model of its own.
@@ -93,6 +111,19 @@ impl fmt::Display for ServiceEvent {
             Self::Stored { header } => {
                 let (splats, size) = (counted(header.splats, "splat"), format_bytes(header.body_bytes));
                 write!(f, "the model of {} arrived: {splats}, {size}", header.device)
+            }
+            Self::MergeDied { device, model, is_set_aside: false, .. } => write!(
+                f,
+                "the program died in a merge, while it was reading model {model} of {device}; the model is merged once more"
+            ),
+            Self::MergeDied { device, model, is_set_aside: true, file } => write!(
+                f,
+                "model {model} of {device} is set aside: the program died again while a merge was reading it; send a new \
+                 model of {device}, or delete {file} to merge it once more"
+            ),
+            Self::Lost { header, reason } => {
+                let (device, model) = (header.device, header.model);
+                write!(f, "model {model} of {device} is lost: {reason}; {device} is asked for it again")
             }
             Self::PartTaken { header, of_splats } => {
                 let (device, splats) = (header.device, header.splats);

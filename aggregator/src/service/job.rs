@@ -14,6 +14,7 @@ use tracing::{debug_span, info_span};
 
 use super::cut::Cut;
 use super::record::{Fitted, KeptOut, Verdict};
+use super::trial::Watch;
 use crate::gate::{Workspace, admit, admit_part};
 use crate::merge::{
     Locals, MergeError, MergeProgress, MergeSettings, Merged, Resources, Tiles, fill_in, merge,
@@ -182,14 +183,15 @@ pub(crate) fn packed(model: &Model, threads: usize) -> Result<Vec<u8>, MergeErro
 struct Stored {
     models: ModelStore,
     headers: Vec<ModelHeader>,
+    watch: Option<Arc<Watch>>,
 }
 
 impl Stored {
     /// Returns the models to merge, and the parts to add to the merged model. If no model has arrived completely, the
     /// parts are merged with each other.
-    fn of(stores: Stores, inputs: Inputs) -> (Self, Self) {
-        let whole = Self { models: stores.whole, headers: inputs.whole };
-        let parts = Self { models: stores.parts, headers: inputs.parts };
+    fn of(stores: Stores, inputs: Inputs, watch: Option<Arc<Watch>>) -> (Self, Self) {
+        let whole = Self { models: stores.whole, headers: inputs.whole, watch: watch.clone() };
+        let parts = Self { models: stores.parts, headers: inputs.parts, watch };
         if whole.headers.is_empty() { (parts, whole) } else { (whole, parts) }
     }
 
@@ -242,6 +244,7 @@ impl Locals for Stored {
     }
 
     fn load(&self, index: usize) -> Result<Model, MergeError> {
+        Watch::reads(self.watch.as_ref(), &self.headers[index]);
         let (_, body) = self.models.get(ModelKey::from(&self.headers[index]))?;
         Ok(body_to_model(&body)?)
     }
@@ -252,7 +255,8 @@ impl Locals for Stored {
 }
 
 impl Job {
-    /// `scratch` is a folder for files of the merge.
+    /// `scratch` is a folder for files of the merge. `watch` is told which model is read.
+    #[expect(clippy::too_many_arguments, reason = "each is a different thing")]
     pub(super) fn start(
         stores: Stores,
         inputs: Inputs,
@@ -260,10 +264,11 @@ impl Job {
         scratch: PathBuf,
         work: TileWork,
         threads: usize,
+        watch: Option<Arc<Watch>>,
     ) -> Self {
         let stop = Arc::new(AtomicBool::new(false));
         let (say, progress) = mpsc::channel();
-        let (mut stored, parts) = Stored::of(stores, inputs.clone());
+        let (mut stored, parts) = Stored::of(stores, inputs.clone(), watch);
         let round = Round { parts, settings, scratch, work, threads, say, stop: stop.clone() };
         let thread = thread::spawn(move || {
             let _span = info_span!("round", models = stored.count(), parts = round.parts.count()).entered();

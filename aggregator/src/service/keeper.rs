@@ -18,21 +18,25 @@ use super::error::ServiceError;
 use super::event::ServiceEvent;
 use super::folder::{global_ply, global_store, handed_on, sent_tiles, tiles};
 use super::job::{Inputs, Job, JobState, Made, Outcome, TileWork};
-use super::quiet::Quiet;
 use super::rebroadcast::Rebroadcast;
 use super::record::{Input, KeptOut, Merging, Verdict, remove_global};
 use super::round::{Expected, Round};
 use super::sent::{Revision, Sent, TileBytes};
 use super::shelf::Shelf;
+use super::trial::Trials;
 
 use crate::merge::{MergeError, MergeSettings, Merged, keep_only};
 use crate::queue::Queue;
+use crate::quiet::Quiet;
 use crate::store::Store;
 
 /// Pause before a failed merge or write is tried again.
 const DISK_RETRY: Duration = Duration::from_secs(5);
 /// Interval at which the folder is checked for withdrawals.
 const WITHDRAWALS_EVERY: Duration = Duration::from_secs(1);
+
+/// Interval at which the files of the models are looked for.
+const LOST_EVERY: Duration = Duration::from_secs(10);
 
 /// What the commands that have arrived so far ask for, in ascending urgency.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -60,6 +64,10 @@ pub(super) struct Keeper {
     above: Option<Above>,
     rebroadcast: Rebroadcast,
     withdrawals_at: Duration,
+    lost_at: Duration,
+    /// Models that the last global model was merged from and that were missing at the start.
+    missing: Vec<ModelKey>,
+    trials: Trials,
     global: Option<ModelHeader>,
     expected: Expected,
     given_up: BTreeSet<DeviceId>,
@@ -86,6 +94,9 @@ impl Keeper {
         let (shelf, headers) = Shelf::open(&config.folder)?;
         let (globals, revisions) = ModelStore::open(&global_store(&config.folder))?;
         let results = Store::in_folder(&tiles(&config.folder)).map_err(MergeError::from)?;
+        let (trials, died) = Trials::open(&config.folder)?;
+        let merged = Merging::read(&config.folder).map(|record| record.inputs).unwrap_or_default();
+        let missing = merged.iter().filter_map(|input| shelf.lacks(input)).collect();
         let [sent, handed] = [sent_tiles, handed_on].map(|folder| Sent::open(&folder(&config.folder)));
         let keeper = Self {
             device: config.identity.device,
@@ -98,6 +109,9 @@ impl Keeper {
             above: None,
             rebroadcast: Rebroadcast::default(),
             withdrawals_at: Duration::ZERO,
+            lost_at: Duration::ZERO,
+            missing,
+            trials,
             global: revisions.into_iter().max_by_key(|header| header.model),
             expected: config.expected,
             given_up: BTreeSet::new(),
@@ -108,7 +122,7 @@ impl Keeper {
             job: None,
             devices_max: DEVICES_MAX,
             quiet: Quiet::default(),
-            told: VecDeque::new(),
+            told: died.into_iter().collect(),
             to_offer: false,
         };
         Ok((keeper, headers))
@@ -203,6 +217,7 @@ impl Keeper {
             | NodeEvent::Receiving(_)
             | NodeEvent::Known(_)
             | NodeEvent::Unanswered { .. }
+            | NodeEvent::AskedAgain(_)
             | NodeEvent::Progress(..) => return None,
         })
     }
@@ -259,7 +274,10 @@ impl Keeper {
     pub(super) fn work(&mut self, node: &mut Node, now: Duration) -> Option<ServiceEvent> {
         self.shelf.take_void_flights().for_each(|device| node.clear_flight(device));
         self.shelf.take_forgotten().for_each(|key| node.forget(key));
-        if let Some(reason) = self.quiet.summary(now) {
+        self.missing.drain(..).for_each(|key| node.ask_again(key));
+        if let Some((source, more)) = self.quiet.summary(now) {
+            let from = source.map_or_else(|| "other sources".to_owned(), |device| device.to_string());
+            let reason = format!("{more} more messages like these from {from}");
             return Some(ServiceEvent::Ignored { reason });
         }
         if let Some(event) = self.told.pop_front() {
@@ -273,6 +291,12 @@ impl Keeper {
         if now < self.retry_at {
             return None;
         }
+        if now >= self.lost_at {
+            self.lost_at = now + LOST_EVERY;
+            if let Err(error) = self.find_lost(node, now, false) {
+                return Some(self.disk_failed(&error, now));
+            }
+        }
         if let Err(error) = self.follow_above(node, now) {
             let is_outdated = self.above.as_mut().is_some_and(Above::forget_newest);
             return (!is_outdated).then(|| self.disk_failed(&error, now));
@@ -282,6 +306,17 @@ impl Keeper {
             self.publish_when_done(node, now).transpose()
         });
         done.map(|outcome| outcome.unwrap_or_else(|error| self.disk_failed(&error, now)))
+    }
+
+    /// Asks for stored models again whose files are missing or, if `reads_all`, damaged. Returns whether there are any.
+    fn find_lost(&mut self, node: &mut Node, now: Duration, reads_all: bool) -> Result<bool, ServiceError> {
+        let lost = self.shelf.drop_lost(reads_all)?;
+        for (header, reason) in &lost {
+            node.ask_again(header.into());
+            self.round = Some(Round::extend(self.round, now));
+            self.told.push_back(ServiceEvent::Lost { header: *header, reason: reason.clone() });
+        }
+        Ok(!lost.is_empty())
     }
 
     /// Schedules another attempt after a failed merge or write.
@@ -342,7 +377,7 @@ impl Keeper {
         }
         self.round = None;
         self.told.extend(self.shelf.take_parts(node));
-        let inputs = self.shelf.inputs();
+        let inputs = self.trials.admit(self.shelf.inputs());
         if inputs == Inputs::default() {
             return;
         }
@@ -351,7 +386,15 @@ impl Keeper {
             return;
         }
         let (stores, work) = (self.shelf.stores(), self.work.clone());
-        let job = Job::start(stores, inputs, self.merge, self.folder.clone(), work, self.threads);
+        let watch = match self.trials.begin(&inputs) {
+            Ok(watch) => Some(Arc::new(watch)),
+            Err(error) => {
+                let reason = format!("it is not noted which model a merge reads: {error}");
+                self.told.push_back(ServiceEvent::DiskFailed { reason });
+                None
+            }
+        };
+        let job = Job::start(stores, inputs, self.merge, self.folder.clone(), work, self.threads, watch);
         self.job = Some((job, now));
     }
 
@@ -382,7 +425,11 @@ impl Keeper {
         };
         let (inputs, seconds) = (std::mem::take(&mut job.inputs), (now - *begun).as_secs_f64());
         self.job = None;
+        if matches!(*outcome, Err(MergeError::Store(_))) && self.find_lost(node, now, true)? {
+            return Ok(None);
+        }
         let Outcome { made, verdict } = (*outcome)?;
+        self.trials.clear(&inputs)?;
         let kept_out = verdict.kept_out.clone();
         let Some(made) = made else {
             // Nothing replaces a global model that shows ground of withdrawn devices.

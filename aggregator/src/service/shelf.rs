@@ -170,6 +170,37 @@ impl Shelf {
         Ok(first)
     }
 
+    /// Finds newest models whose files are missing or, if `reads_all`, damaged. They no longer count. Returns what is wrong
+    /// with each.
+    pub(super) fn drop_lost(&mut self, reads_all: bool) -> Result<Vec<(ModelHeader, String)>, ServiceError> {
+        let mut lost = Vec::new();
+        for header in self.newest() {
+            let key = ModelKey::from(&header);
+            let fault = match (self.models.has(key), reads_all) {
+                (false, _) => Some("its file is missing".to_owned()),
+                (true, true) => self.models.get(key).err().map(|error| error.to_string()),
+                (true, false) => None,
+            };
+            if let Some(fault) = fault {
+                self.models.put_aside(key)?;
+                self.stored.entry(header.device).or_default().remove(&header.model);
+                lost.push((header, fault));
+            }
+        }
+        Ok(lost)
+    }
+
+    /// Whether a model that was merged should be here and is not: it is neither replaced nor withdrawn.
+    pub(super) fn lacks(&self, merged: &Input) -> Option<ModelKey> {
+        let device: DeviceId = merged.device.parse().ok()?;
+        let model = ModelId(merged.model);
+        let has_newer = self.stored.get(&device).is_some_and(|models| models.range(model..).next().is_some());
+        let is_withdrawn =
+            self.withdrawn.get(&device).is_some_and(|listed| listed.has(model, &merged.blake3));
+        let is_lacking = merged.part_splats.is_none() && !has_newer && !is_withdrawn;
+        is_lacking.then_some(ModelKey { device, model })
+    }
+
     /// Adds all models that have been received from a device to the list of its withdrawn models.
     fn list_models(&mut self, device: DeviceId, listed: &mut ModelList) -> Result<(), SceneError> {
         listed.asks = false;

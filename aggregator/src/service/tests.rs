@@ -6,6 +6,7 @@ mod attacks;
 mod doubt;
 mod hierarchy;
 mod life;
+mod lost;
 mod parts;
 mod tiles;
 mod withdrawal;

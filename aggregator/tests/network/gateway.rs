@@ -14,12 +14,12 @@ use cosurf_aggregator::merge::MergeSettings;
 use cosurf_aggregator::service::ServiceEvent;
 use cosurf_link::serial::{DEVICE_MESSAGE_BYTES, GATEWAY_MESSAGE_BYTES};
 use cosurf_link::{
-    Identity, InboxLimits, MqttConfig, MqttTransport, Node, NodeEvent, Offer, Role, SerialConfig,
+    Identity, InboxLimits, MqttConfig, MqttTransport, Node, NodeEvent, Offer, Outgoing, Role, SerialConfig,
     SerialTransport, Transport, TransportEvent,
 };
 use cosurf_tests::mosquitto::{Authority, Mosquitto, tls};
 use cosurf_tests::offers::{broker_address, identity, mergeable_offer};
-use cosurf_wire::DeviceId;
+use cosurf_wire::{DeviceId, Message, ModelId, State, Topic};
 use serialport::{SerialPort, TTYPort};
 
 use crate::station::{Station, loopback};
@@ -153,5 +153,40 @@ fn a_device_on_a_radio_has_its_own_certificate() {
     );
     drop(kill);
     drone.join().unwrap();
+    drop(gateway);
+}
+
+/// Bad messages and many sessions give a few lines.
+#[test]
+fn attack_18_a_line_does_not_fill_the_log() {
+    let broker = Broker::start(loopback()).unwrap();
+    let (air, ground_port) = TTYPort::pair().unwrap();
+    let (say_line, events) = mpsc::channel();
+    let site = Station::identity().site;
+    let reach = Reach::plain(broker_address(broker.address()));
+    let gateway = Gateway::start(site, reach, line(ground_port, 1, GATEWAY_MESSAGE_BYTES), move |event| {
+        drop(say_line.send(event));
+    });
+    let mut serial = SerialTransport::start(line(air, 2, DEVICE_MESSAGE_BYTES));
+    let device = DeviceId::new("by-radio").unwrap();
+    let mut say = |topic: Topic, payload: Vec<u8>| {
+        let message = Outgoing { topic: topic.to_text(&site), payload, retain: false };
+        while serial.publish(&message).is_err() {
+            serial.poll(Duration::from_millis(5));
+        }
+    };
+    for number in 0..100 {
+        say(Topic::LocalHeader { device, model: ModelId(number) }, vec![1]);
+    }
+    for session in 0..20 {
+        let state = Message::State(State { device, session, alive: true });
+        say(Topic::State { device }, state.encode(&mut [0; 200]).unwrap().to_vec());
+    }
+    let end = Instant::now() + Duration::from_secs(5);
+    while Instant::now() < end {
+        serial.poll(Duration::from_millis(20));
+    }
+    let events: Vec<GatewayEvent> = events.try_iter().collect();
+    assert!((1..=5).contains(&events.len()), "{events:?}");
     drop(gateway);
 }

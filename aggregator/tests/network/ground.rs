@@ -42,13 +42,24 @@ impl Ground {
         let (config, out) = (folder.join("aggregator.toml"), folder.join("out"));
         let text = format!("site = \"site\"\nout = \"{}\"\nbind = \"{address}\"\n{settings}", out.display());
         fs::write(&config, text).unwrap();
-        let mut command = Command::new(env!("CARGO_BIN_EXE_cosurf-aggregator"));
-        command.args(["run", "--config"]).arg(config).stdin(Stdio::null()).stdout(Stdio::piped());
-        let mut child = command.spawn().unwrap();
-        let lines = BufReader::new(child.stdout.take().unwrap()).lines();
-        let mut ground = Self { child, lines, address, is_tls, before: 0 };
+        let mut ground = Self::spawn(folder, address);
+        ground.is_tls = is_tls;
         ground.lines_until("connected to the broker");
         ground
+    }
+
+    /// Starts with the configuration that is in the folder, and waits for nothing.
+    pub(crate) fn spawn(folder: &Path, address: SocketAddr) -> Self {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_cosurf-aggregator"));
+        command.args(["run", "--config"]).arg(folder.join("aggregator.toml"));
+        let mut child = command.stdin(Stdio::null()).stdout(Stdio::piped()).spawn().unwrap();
+        let lines = BufReader::new(child.stdout.take().unwrap()).lines();
+        Self { child, lines, address, is_tls: false, before: 0 }
+    }
+
+    /// Kills the program, as `kill -9` does.
+    pub(crate) fn kill(mut self) {
+        self.child.kill().unwrap();
     }
 
     /// The broker's address for clients of the link.

@@ -5,6 +5,8 @@ mod access;
 mod attacks;
 mod broker;
 #[cfg(unix)]
+mod died;
+#[cfg(unix)]
 mod gateway;
 mod ground;
 mod protocol;

@@ -7,6 +7,7 @@ mod births;
 mod event;
 mod flight;
 mod log;
+mod lost;
 mod receive;
 mod send;
 mod state;

@@ -70,6 +70,10 @@ pub(crate) const ROOM_RETRY: Duration = Duration::from_secs(2);
 pub(crate) const RESEND_ALL: Duration = Duration::from_secs(30);
 /// Shortest time between two requests of a receiver that show no new chunk. Further ones are ignored.
 pub(crate) const REPEATED_WANT: Duration = Duration::from_millis(400);
+/// Delays after which an aggregator asks again for a model that it has lost.
+pub(crate) const ASK_AGAIN: Backoff = Backoff::new(Duration::from_secs(2), Duration::from_secs(60));
+/// A device answers such a request at most once in this time.
+pub(crate) const ASKED_AGAIN: Duration = Duration::from_secs(5);
 /// An upload without a reply after this many offers, about half a minute, is reported.
 pub(crate) const UNANSWERED_OFFERS: u32 = 5;
 /// An unfinished model without a new chunk for this long is dropped even if no model needs its room.

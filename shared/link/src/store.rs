@@ -84,6 +84,20 @@ impl ModelStore {
         Ok(keys)
     }
 
+    /// Whether the file of a model is there.
+    pub fn has(&self, key: ModelKey) -> bool {
+        self.path(key).is_file()
+    }
+
+    /// Renames the file of a damaged model, so that it no longer counts. Does nothing if it is missing.
+    pub fn put_aside(&self, key: ModelKey) -> Result<(), StoreError> {
+        let path = self.path(key);
+        match fs::rename(&path, path.with_extension("damaged")) {
+            Err(cause) if cause.kind() != io::ErrorKind::NotFound => Err(SceneError::io(&path, cause).into()),
+            _ => Ok(()),
+        }
+    }
+
     /// Deletes a model. Does nothing if it is not stored.
     pub fn remove(&self, key: ModelKey) -> Result<(), StoreError> {
         let path = self.path(key);

@@ -8,14 +8,16 @@
 use std::time::Duration;
 
 use cosurf_wire::{
-    Chunk, DeviceId, Done, MAX_MESSAGE_BYTES, Message, RefusalReason, Refused, Reply, SiteId, TileId, Topic,
-    Want,
+    Chunk, DeviceId, Done, MAX_MESSAGE_BYTES, Message, Missing, RefusalReason, Refused, Reply, SiteId,
+    TileId, Topic, Want,
 };
 
 use crate::bits::BitSet;
 use crate::key::ModelKey;
 use crate::offer::Offer;
-use crate::pacing::{ANNOUNCE, ANNOUNCE_AGAIN, Backoff, CHUNKS_PER_CONNECTION, SHRINK, UNANSWERED_OFFERS};
+use crate::pacing::{
+    ANNOUNCE, ANNOUNCE_AGAIN, ASKED_AGAIN, Backoff, CHUNKS_PER_CONNECTION, SHRINK, UNANSWERED_OFFERS,
+};
 use crate::peer::{Peer, PeerPhase};
 use crate::transport::Outgoing;
 
@@ -48,6 +50,8 @@ pub enum UploadEvent {
     /// A receiver refuses the model. The refusal is final unless [`RefusalReason::is_temporary`]. The device
     /// is the receiver of a global model, but the sender of a local one.
     Refused(DeviceId, RefusalReason),
+    /// The aggregator has lost the stored model of a device and asks for it again.
+    AskedAgain,
     /// A device wants the global model, and is one receiver too many. Its replies are ignored. Reported for the first
     /// such device only.
     TooManyPeers(DeviceId),
@@ -112,6 +116,8 @@ pub struct Uploader {
     sent_chunks: u64,
     bytes_sent: u64,
     is_cleared: bool,
+    /// When the aggregator may ask again for a model that it has stored.
+    ask_again_at: Duration,
     /// Number of offers since the last reply, and that number when it was last reported.
     unanswered: u32,
     told_unanswered: u32,
@@ -157,6 +163,7 @@ impl Uploader {
             sent_chunks: 0,
             bytes_sent: 0,
             is_cleared: false,
+            ask_again_at: Duration::ZERO,
             unanswered: 0,
             told_unanswered: 0,
             sent_before: 0,
@@ -210,9 +217,14 @@ impl Uploader {
     }
 
     /// Whether nothing is left to do. This is never true for a global model, which is offered until another
-    /// model replaces it.
+    /// model replaces it, nor for a device's model that is stored, because the aggregator may ask for it again.
     pub fn is_over(&self) -> bool {
-        self.is_cleared || (self.device().is_some() && self.is_closed())
+        (self.is_cleared && !self.is_stored()) || (self.device().is_some() && self.is_closed())
+    }
+
+    /// Whether a device's model is stored. It is kept only for an aggregator that loses it.
+    pub(crate) fn is_kept(&self) -> bool {
+        self.is_cleared && self.is_stored()
     }
 
     /// Repeats the offer, because the transport is connected (again), and the broker may have lost the offer and the chunks
@@ -287,7 +299,14 @@ impl Uploader {
     /// is about another model.
     pub fn on_reply(&mut self, now: Duration, topic: &Topic, message: &Message<'_>) -> Option<UploadEvent> {
         let (by, reply) = self.reply_on(topic)?;
-        if replied_model(message) != Some(self.key()) || self.is_cleared {
+        if replied_model(message) != Some(self.key()) {
+            return None;
+        }
+        if self.is_asked_again(now, message) {
+            self.begin_again(now);
+            return Some(UploadEvent::AskedAgain);
+        }
+        if self.is_cleared {
             return None;
         }
         let chunks = self.offer.header.chunks();
@@ -322,6 +341,25 @@ impl Uploader {
             return Some(UploadEvent::Finished);
         }
         (self.peers[index].chunks_received(chunks) != before).then_some(UploadEvent::Progress)
+    }
+
+    /// Whether the aggregator tells that it has lost a model which it has stored: it lacks all chunks. The time between two
+    /// such messages is limited.
+    fn is_asked_again(&self, now: Duration, message: &Message<'_>) -> bool {
+        let lacks_all = matches!(message, Message::Want(want) if want.idle && want.missing == Missing::all());
+        let is_local = matches!(self.destination, Destination::Aggregator);
+        is_local && lacks_all && self.is_stored() && now >= self.ask_again_at
+    }
+
+    fn begin_again(&mut self, now: Duration) {
+        let (chunks, chunk_bytes) = (self.offer.header.chunks(), self.offer.header.chunk_bytes);
+        for peer in &mut self.peers {
+            *peer = Peer::new(peer.device, chunks, chunk_bytes, peer.is_required);
+        }
+        (self.sent_before, self.received_before, self.poor) = (self.sent_chunks, 0, 0);
+        self.is_cleared = false;
+        self.ask_again_at = now + ASKED_AGAIN;
+        self.announce_now(now);
     }
 
     /// Returns the next message that is due. The caller must publish it: it counts as sent.

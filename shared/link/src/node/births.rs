@@ -18,6 +18,8 @@ pub(super) struct Births {
 #[derive(Clone, Copy, Debug, Default)]
 struct Sessions {
     newest: u64,
+    /// The session that the seal of the newest notice tells; 0 if it has none.
+    sealed: u64,
     /// Number of births that arrived after the birth of a newer session.
     returns: u32,
 }
@@ -36,9 +38,9 @@ pub(super) enum Notice {
 }
 
 impl Births {
-    /// Records a birth or death notice, and returns what it means. Remembers the sessions of at most `devices_max` devices;
+    /// Records a birth or death notice, whose seal tells the session `sealed`, and returns what it means. Remembers the sessions of at most `devices_max` devices;
     /// all notices of further devices count as valid.
-    pub(super) fn record(&mut self, state: &State, devices_max: usize) -> Notice {
+    pub(super) fn record(&mut self, state: &State, sealed: u64, devices_max: usize) -> Notice {
         let known = self.sessions.get(&state.device).copied();
         let is_past = known.is_some_and(|known| known.newest > state.session);
         if !state.alive && is_past {
@@ -48,9 +50,15 @@ impl Births {
             let is_first = !std::mem::replace(&mut self.is_full_told, true);
             return if is_first { Notice::TooManyDevices } else { Notice::Valid };
         }
-        let Sessions { newest, returns } = known.unwrap_or_default();
+        let Sessions { newest, sealed: before, returns } = known.unwrap_or_default();
         let returns = returns + u32::from(is_past);
-        self.sessions.insert(state.device, Sessions { newest: newest.max(state.session), returns });
+        let sealed = if is_past { before } else { sealed };
+        self.sessions.insert(state.device, Sessions { newest: newest.max(state.session), sealed, returns });
         if is_past && returns == RETURNS_MAX { Notice::SameName } else { Notice::Valid }
+    }
+
+    /// The session by which a device knows replies to its offers; `None` if none of its notices has arrived.
+    pub(super) fn replied_session(&self, device: DeviceId) -> Option<u64> {
+        self.sessions.get(&device).map(|sessions| sessions.sealed)
     }
 }

@@ -75,6 +75,8 @@ pub enum NodeEvent {
     Progress(ModelKey, UploadProgress),
     /// Every required receiver has stored the model.
     Uploaded(ModelKey, UploadProgress),
+    /// The aggregator has lost this device's model after it had stored it. The model is offered again.
+    AskedAgain(ModelKey),
     /// A receiver refuses the model. The refusal is final unless [`RefusalReason::is_temporary`].
     UploadRefused {
         /// The model.

@@ -71,7 +71,7 @@ impl Node {
         let message = sealed.message;
         match (topic, &message) {
             (Topic::State { device }, Message::State(state)) if state.device == device => {
-                self.receive_state(*state);
+                self.receive_state(*state, session);
             }
             (Topic::Flight { device }, Message::Flight(flight)) if flight.device == device => {
                 self.receive_flight(flight)?;
@@ -146,8 +146,8 @@ impl Node {
         Ok(())
     }
 
-    fn receive_state(&mut self, state: State) {
-        match self.births.record(&state, self.devices_max) {
+    fn receive_state(&mut self, state: State, sealed: u64) {
+        match self.births.record(&state, sealed, self.devices_max) {
             Notice::Outdated => return,
             Notice::SameName => self.events.push_back(NodeEvent::SameName(state.device)),
             Notice::TooManyDevices => {
@@ -169,6 +169,7 @@ impl Node {
             let (key, progress) = (uploader.key(), uploader.progress());
             self.events.push_back(match event {
                 UploadEvent::Progress => NodeEvent::Progress(key, progress),
+                UploadEvent::AskedAgain => NodeEvent::AskedAgain(key),
                 UploadEvent::Finished => NodeEvent::Uploaded(key, progress),
                 UploadEvent::TooManyPeers(device) => {
                     NodeEvent::TooManyDevices { device, devices_max: self.devices_max }
@@ -180,7 +181,10 @@ impl Node {
 
     fn report_inbox(&mut self, event: Option<InboxEvent>) {
         match event {
-            Some(InboxEvent::Receiving(header)) => self.events.push_back(NodeEvent::Receiving(header)),
+            Some(InboxEvent::Receiving(header)) => {
+                self.lost.found((&header).into());
+                self.events.push_back(NodeEvent::Receiving(header));
+            }
             Some(InboxEvent::Known(header)) => self.events.push_back(NodeEvent::Known(header)),
             Some(InboxEvent::Refused(key, reason)) => {
                 self.events.push_back(NodeEvent::Refused { key, reason });

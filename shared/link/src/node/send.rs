@@ -18,7 +18,11 @@ impl Node {
     /// is scheduled or the transport is not connected.
     pub fn next_wakeup(&self) -> Option<Duration> {
         let uploads = self.uploaders.iter().filter_map(Uploader::next_wakeup);
-        uploads.chain(self.inbox.next_wakeup()).min().filter(|_| self.is_connected)
+        uploads
+            .chain(self.inbox.next_wakeup())
+            .chain(self.lost.next_wakeup())
+            .min()
+            .filter(|_| self.is_connected)
     }
 
     /// Sends the messages that are due, at most [`BURST`]. Returns the time until the next message is due.
@@ -82,6 +86,9 @@ impl Node {
             }
         }
         let now = self.now;
+        if let Some(request) = self.lost.next(now, &self.identity.site, &self.births) {
+            return Some(request);
+        }
         let next = |uploader: &mut Uploader| match takes_chunks {
             true => uploader.next(now),
             false => uploader.next_control(now),

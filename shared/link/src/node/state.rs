@@ -10,6 +10,7 @@ use tracing::debug;
 use super::births::Births;
 use super::event::NodeEvent;
 use super::flight::{camera_bytes, select_flight_cameras};
+use super::lost::Lost;
 use crate::body::Model;
 use crate::guard::Guard;
 use crate::identity::Identity;
@@ -40,6 +41,7 @@ pub struct Node {
     pub(super) refusals_before: VecDeque<Outgoing>,
     /// The sessions of other devices.
     pub(super) births: Births,
+    pub(super) lost: Lost,
     /// Limit on the devices in `births`, and on the receivers of a global model that did not have to get it.
     pub(super) devices_max: usize,
     /// A control message that the transport has not accepted yet.
@@ -69,6 +71,7 @@ impl Node {
             cleared: VecDeque::new(),
             refusals_before: VecDeque::new(),
             births: Births::default(),
+            lost: Lost::default(),
             devices_max: DEVICES_MAX,
             waiting_control: None,
             waiting_chunk: None,
@@ -114,7 +117,7 @@ impl Node {
         debug!(model = %ModelKey::from(offer.header), bytes = offer.header.body_bytes, "upload");
         let offer = offer.in_frame(self.inbox.credentials().frame);
         let uploader = Uploader::local(self.identity.site, offer);
-        self.uploaders.retain(|old| old.key() != uploader.key());
+        self.uploaders.retain(|old| old.key() != uploader.key() && !old.is_kept());
         self.uploaders.push(uploader);
     }
 
@@ -167,6 +170,14 @@ impl Node {
     pub fn forget(&mut self, key: ModelKey) {
         debug!(model = %key, "forgotten");
         self.inbox.forget(key);
+        self.lost.found(key);
+    }
+
+    /// Asks the sender of a model that was stored and is lost for it, until it is offered again.
+    pub fn ask_again(&mut self, key: ModelKey) {
+        debug!(model = %key, "ask again");
+        self.inbox.forget(key);
+        self.lost.add(self.now, key);
     }
 
     /// Call this when storing failed and a retry may succeed, for example on a full disk. The node hands out

@@ -4,6 +4,7 @@
 #![allow(clippy::unwrap_used)]
 
 mod flights;
+mod lost;
 mod replies;
 mod resends;
 mod retained;

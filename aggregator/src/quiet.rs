@@ -1,4 +1,4 @@
-//! Limits how many messages of one source are reported as ignored. So nobody fills the log.
+//! Limits how many messages of one source are reported. So nobody fills the log.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -14,7 +14,7 @@ const SOURCES_MAX: usize = 64;
 
 /// The ignored messages of each source; `None` for those that tell no source, and for sources beyond the limit.
 #[derive(Debug, Default)]
-pub(super) struct Quiet {
+pub(crate) struct Quiet {
     sources: BTreeMap<Option<DeviceId>, Ignored>,
 }
 
@@ -26,7 +26,7 @@ struct Ignored {
 
 impl Quiet {
     /// Counts an ignored message. Returns whether it must be reported.
-    pub(super) fn notes(&mut self, now: Duration, source: Option<DeviceId>) -> bool {
+    pub(crate) fn notes(&mut self, now: Duration, source: Option<DeviceId>) -> bool {
         let is_known = self.sources.contains_key(&source);
         let source = source.filter(|_| is_known || self.sources.len() < SOURCES_MAX);
         let ignored = self.sources.entry(source).or_insert(Ignored { begun: now, count: 0 });
@@ -34,16 +34,16 @@ impl Quiet {
         ignored.count <= LINES
     }
 
-    /// The text for messages that were not reported one by one, once their period is over; `None` if there is none.
-    pub(super) fn summary(&mut self, now: Duration) -> Option<String> {
+    /// A source and the number of its messages that were not reported one by one, once their period is over; `None` if
+    /// there is none.
+    pub(crate) fn summary(&mut self, now: Duration) -> Option<(Option<DeviceId>, u64)> {
         let is_over = |ignored: &Ignored| now.saturating_sub(ignored.begun) >= PERIOD;
         while let Some(source) =
             self.sources.iter().find(|(_, ignored)| is_over(ignored)).map(|(key, _)| *key)
         {
             let more = self.sources.remove(&source).map_or(0, |ignored| ignored.count.saturating_sub(LINES));
             if more > 0 {
-                let from = source.map_or_else(|| "other sources".to_owned(), |device| device.to_string());
-                return Some(format!("{more} more messages like these from {from}"));
+                return Some((source, more));
             }
         }
         None
@@ -63,13 +63,13 @@ mod tests {
         for i in 0..20_000 {
             let source = (i % 2 == 0).then(|| DeviceId::new(&format!("d{}", i % 200)).unwrap());
             lines.extend(quiet.notes(second(i / 1000), source).then(|| "one".to_owned()));
-            lines.extend(quiet.summary(second(i / 1000)));
+            assert_eq!(quiet.summary(second(i / 1000)), None);
         }
         assert!(lines.len() <= (SOURCES_MAX + 1) * LINES as usize, "{}", lines.len());
-        let summaries: Vec<String> = std::iter::from_fn(|| quiet.summary(second(80))).collect();
-        let counted = summaries.iter().map(|line| line.split(' ').next().unwrap().parse::<usize>().unwrap());
-        assert_eq!(counted.sum::<usize>() + lines.len(), 20_000);
-        assert!(summaries.contains(&"95 more messages like these from d0".to_owned()), "{summaries:?}");
+        let summaries: Vec<(Option<DeviceId>, u64)> =
+            std::iter::from_fn(|| quiet.summary(second(80))).collect();
+        assert_eq!(summaries.iter().map(|(_, more)| *more as usize).sum::<usize>() + lines.len(), 20_000);
+        assert!(summaries.contains(&(DeviceId::new("d0").ok(), 95)), "{summaries:?}");
         assert!(quiet.notes(second(90), DeviceId::new("d0").ok()), "a new period");
     }
 }
