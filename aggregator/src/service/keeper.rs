@@ -313,7 +313,7 @@ impl Keeper {
         let lost = self.shelf.drop_lost(reads_all)?;
         for (header, reason) in &lost {
             node.ask_again(header.into());
-            self.round = Some(Round::extend(self.round, now));
+            self.round = Some(Round::extend(self.round.take(), now));
             self.told.push_back(ServiceEvent::Lost { header: *header, reason: reason.clone() });
         }
         Ok(!lost.is_empty())
