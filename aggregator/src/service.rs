@@ -42,6 +42,7 @@ mod cut;
 mod error;
 mod event;
 mod folder;
+mod inputs;
 mod job;
 mod keeper;
 mod model_list;

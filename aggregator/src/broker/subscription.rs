@@ -76,7 +76,8 @@ impl Subscription {
 /// The subscription that decides how a client gets a message that it published itself or not (`is_own`): the one with
 /// the highest QoS. Shared ones do not count.
 pub(super) fn wanted<'a>(all: &'a [Subscription], topic: &str, is_own: bool) -> Option<&'a Subscription> {
-    let wanted = all.iter().filter(|one| !(one.is_shared() || is_own && one.no_local));
+    let is_out = |one: &Subscription| one.is_shared() || (is_own && one.no_local);
+    let wanted = all.iter().filter(|one| !is_out(one));
     wanted.filter(|one| one.is_match(topic)).max_by_key(|one| one.qos as u8)
 }
 

@@ -13,6 +13,7 @@ use cosurf_wire::{ModelHeader, ModelKind};
 use tracing::{debug_span, info_span};
 
 use super::cut::Cut;
+use super::inputs::Inputs;
 use super::record::{Fitted, KeptOut, Verdict};
 use super::trial::Watch;
 use crate::gate::{Workspace, admit, admit_part};
@@ -24,21 +25,6 @@ use crate::store::Store;
 
 /// Number of distillation steps between two reports of progress.
 const TELL_EVERY: u32 = 50;
-
-/// The models to merge. Each list is in the order of device ids.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct Inputs {
-    /// Models that have arrived completely.
-    pub(super) whole: Vec<ModelHeader>,
-    /// Parts of models that have not arrived completely. Each part is a model of its own.
-    pub(super) parts: Vec<ModelHeader>,
-}
-
-impl Inputs {
-    pub(super) fn headers(&self) -> impl Iterator<Item = &ModelHeader> {
-        self.whole.iter().chain(&self.parts)
-    }
-}
 
 /// The stores of complete models and of parts.
 #[derive(Clone, Debug)]
@@ -256,7 +242,6 @@ impl Locals for Stored {
 
 impl Job {
     /// `scratch` is a folder for files of the merge. `watch` is told which model is read.
-    #[expect(clippy::too_many_arguments, reason = "each is a different thing")]
     pub(super) fn start(
         stores: Stores,
         inputs: Inputs,

@@ -9,7 +9,8 @@ use cosurf_wire::{DeviceId, ModelHeader, ModelId};
 
 use super::error::ServiceError;
 use super::event::ServiceEvent;
-use super::job::{Inputs, Stores};
+use super::inputs::Inputs;
+use super::job::Stores;
 use super::model_list::ModelList;
 use super::parts::Parts;
 use super::record::{Input, WITHDRAWN};

@@ -13,7 +13,7 @@ use cosurf_wire::ModelHeader;
 use serde::{Deserialize, Serialize};
 
 use super::event::ServiceEvent;
-use super::job::Inputs;
+use super::inputs::Inputs;
 use super::record::Input;
 
 /// File of the models that merges died with, in the folder of a service.
