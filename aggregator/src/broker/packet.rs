@@ -3,6 +3,9 @@
 //! The codecs are those of rumqttc, which is linked anyway. Framing is shared with the client:
 //! [`cosurf_link::mqtt::packet`].
 
+#[cfg(test)]
+mod fuzz;
+
 use bytes::{BufMut, Bytes, BytesMut};
 pub(super) use cosurf_link::mqtt::packet::packet_bytes;
 use cosurf_link::mqtt::packet::{disconnect, read_packet, unless_panic};
