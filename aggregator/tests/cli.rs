@@ -90,7 +90,7 @@ fn a_missing_configuration_file_and_a_wrong_setting_are_told_with_the_file() {
     for (settings, reason) in [
         ("", "write either bind"),
         ("bind = \"192.0.2.1:0\"", "bind: "),
-        ("broker = \"mqtts://127.0.0.1:1\"", "tls: a broker at mqtts:// needs"),
+        ("broker = \"mqtts://127.0.0.1:1\"", "tls: a broker at mqtts:// or wss:// needs"),
         (
             "broker = \"mqtts://127.0.0.1:1\"\ntls = { ca = \"no.pem\", cert = \"a\", key = \"b\" }",
             "tls: no.pem: ",

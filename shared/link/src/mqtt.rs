@@ -25,6 +25,8 @@ mod connection;
 mod fault;
 pub mod packet;
 mod session;
+mod settings;
+mod shared;
 mod stream;
 #[cfg(test)]
 mod tests;
@@ -33,13 +35,15 @@ pub mod traffic;
 mod worker;
 
 pub use address::{BadAddress, BrokerAddress};
-pub use config::{Login, MqttConfig};
+pub use config::MqttConfig;
+pub use settings::Login;
 pub use tls::{Tls, TlsError, TlsFiles};
 
 use std::time::Duration;
 
 use crate::transport::{Outgoing, PublishError, Transport, TransportEvent, counts_retained};
-use client::{Client, ClientEvent};
+use client::Client;
+use shared::ClientEvent;
 
 /// A participant's connection to an MQTT broker. Dropping it first sends the queued messages, for at most 2 seconds, and
 /// then breaks the connection. The broker then publishes the last will, which announces the end of the session.

@@ -7,10 +7,9 @@ use rumqttc::v5::mqttbytes::v5::{ConnAck, ConnectReturnCode, Packet};
 use tokio::io::{AsyncReadExt, AsyncWriteExt, ReadHalf, WriteHalf, split};
 use tokio::{select, time::timeout};
 
-use super::client::ClientSettings;
-use super::config::PACKET_BYTES_MAX;
 use super::fault::Fault;
 use super::packet::{packet_bytes, read_packet};
+use super::settings::{ClientSettings, PACKET_BYTES_MAX};
 use super::stream::{self, Stream};
 
 /// Time for everything from the first packet of TCP to the broker's CONNACK.

@@ -9,8 +9,9 @@ use rumqttc::v5::mqttbytes::QoS;
 use rumqttc::v5::mqttbytes::v5::Filter;
 
 use super::address::BrokerAddress;
-use super::client::{Client, ClientEvent, ClientSettings};
-use super::config::Login;
+use super::client::Client;
+use super::settings::{ClientSettings, Login};
+use super::shared::ClientEvent;
 use super::tls::Tls;
 use crate::faults::{Faults, Line};
 use crate::recording::{Entry, Recorder, Recording, RecordingError};

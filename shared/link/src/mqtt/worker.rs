@@ -13,10 +13,11 @@ use rumqttc::v5::mqttbytes::v5::{
 use tokio::select;
 use tokio::time::sleep;
 
-use super::client::{ClientEvent, ClientSettings, KEEP_ALIVE_S, Shared};
 use super::connection::Connection;
 use super::fault::Fault;
 use super::session::{InFlight, SUBSCRIBE_ID};
+use super::settings::{ClientSettings, KEEP_ALIVE_S};
+use super::shared::{ClientEvent, Shared};
 use crate::pacing::Backoff;
 
 /// Delays between attempts to connect.
