@@ -39,7 +39,7 @@ pub enum ServiceEvent {
         device: String,
         /// Number of the model.
         model: u64,
-        /// True if the model is set aside, because that was not the first time.
+        /// True if the model is set aside, because the program died so too often in a row.
         is_set_aside: bool,
         /// The file that keeps the model aside.
         file: String,
@@ -114,11 +114,11 @@ impl fmt::Display for ServiceEvent {
             }
             Self::MergeDied { device, model, is_set_aside: false, .. } => write!(
                 f,
-                "the program died in a merge, while it was reading model {model} of {device}; the model is merged once more"
+                "the program died in a merge, while it was reading model {model} of {device}; the model is merged again"
             ),
             Self::MergeDied { device, model, is_set_aside: true, file } => write!(
                 f,
-                "model {model} of {device} is set aside: the program died again while a merge was reading it; send a new \
+                "model {model} of {device} is set aside: the program died too often in a row while a merge was reading it; send a new \
                  model of {device}, or delete {file} to merge it once more"
             ),
             Self::Lost { header, reason } => {

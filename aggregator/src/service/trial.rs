@@ -1,7 +1,7 @@
 //! Which model a merge was reading when the program died, so that a model that kills every merge is set aside.
 //!
-//! A power cut or an impatient owner may end a merge too. So after a first death the model is merged once more, and is set
-//! aside only after a second one. A merge that ends clears the models that took part in it.
+//! A power cut or an impatient owner may end a merge too. So the model is merged again after a death, and is set aside only
+//! after several in a row. A merge that ends clears the models that took part in it.
 
 use std::fs::{self, File};
 use std::io::{ErrorKind, Read, Seek, SeekFrom, Write};
@@ -20,8 +20,9 @@ use super::record::Input;
 const SUSPECTS: &str = "suspects.json";
 /// File that is there while a merge runs: the index of the model that it read last.
 const READING: &str = "reading";
-/// Deaths after which a model is set aside.
-const DEATHS_MAX: u32 = 2;
+/// Deaths in a row after which a model is set aside. With 2, a model was left out of one in seventy missions in which
+/// programs were killed four times at random moments (`tests/tests/kills.rs`).
+const DEATHS_MAX: u32 = 5;
 /// The index while no model has been read.
 const NONE: u32 = u32::MAX;
 
@@ -206,12 +207,14 @@ mod tests {
     }
 
     #[test]
-    fn a_model_is_set_aside_after_two_deaths_and_a_newer_one_is_not() {
+    fn a_model_is_set_aside_after_five_deaths_and_a_newer_one_is_not() {
         let folder = tempfile::tempdir().unwrap();
         let models = [("a", 1), ("b", 1)];
         assert_eq!(die(folder.path(), &models), None);
-        let once = die(folder.path(), &models).unwrap();
-        assert!(!is_aside(&once) && once.to_string().contains("model 1 of b"), "{once}");
+        for _ in 1..DEATHS_MAX {
+            let event = die(folder.path(), &models).unwrap();
+            assert!(!is_aside(&event) && event.to_string().contains("model 1 of b"), "{event}");
+        }
         let (trials, event) = Trials::open(folder.path()).unwrap();
         assert!(is_aside(&event.unwrap()));
         assert_eq!(trials.admit(inputs(&models)), inputs(&[("a", 1)]));
@@ -226,10 +229,12 @@ mod tests {
     }
 
     #[test]
-    fn two_power_cuts_with_a_merge_in_between_set_nothing_aside() {
+    fn power_cuts_with_a_merge_in_between_set_nothing_aside() {
         let folder = tempfile::tempdir().unwrap();
         let models = [("a", 1), ("b", 1)];
-        die(folder.path(), &models);
+        for _ in 1..DEATHS_MAX {
+            die(folder.path(), &models);
+        }
         let (mut trials, _) = Trials::open(folder.path()).unwrap();
         drop(trials.begin(&inputs(&models)).unwrap());
         trials.clear(&inputs(&models)).unwrap();

@@ -40,9 +40,8 @@ fn attack_01_a_model_that_kills_every_merge_is_set_aside() {
         folder.path().join("out").display()
     );
     fs::write(folder.path().join("aggregator.toml"), config).unwrap();
-    die_as_it_reads(folder.path(), 1);
-    // It may have been a power cut: the model is merged once more.
-    die_as_it_reads(folder.path(), 1);
+    // Each time it may have been a power cut: the model is merged again.
+    (0..5).for_each(|_| die_as_it_reads(folder.path(), 1));
     let mut ground = Ground::spawn(folder.path(), loopback());
     let lines = ground.lines_until("global model, revision");
     let told = lines.iter().find(|line| line.contains("set aside")).expect("a line tells it");
