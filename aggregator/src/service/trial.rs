@@ -94,8 +94,7 @@ impl Trials {
 
     /// Notes durably that these models are being merged.
     pub(super) fn begin(&mut self, inputs: &Inputs) -> Result<Watch, SceneError> {
-        let merging = inputs.whole.iter().map(Input::whole).chain(inputs.parts.iter().map(Input::part));
-        self.record.merging = merging.collect();
+        self.record.merging = models(inputs);
         self.write()?;
         let path = self.folder.join(READING);
         let file = File::create(&path).map_err(|cause| SceneError::io(&path, cause))?;
@@ -106,8 +105,7 @@ impl Trials {
 
     /// A merge of these models has ended: they kill no merge.
     pub(super) fn clear(&mut self, inputs: &Inputs) -> Result<(), SceneError> {
-        let whole = inputs.whole.iter().map(Input::whole);
-        let merged: Vec<Input> = whole.chain(inputs.parts.iter().map(Input::part)).collect();
+        let merged = models(inputs);
         let before = self.record.suspects.len();
         self.record.suspects.retain(|suspect| !merged.contains(&suspect.model));
         if self.record.suspects.len() < before { self.write() } else { Ok(()) }
@@ -119,6 +117,11 @@ impl Trials {
         let text = text.map_err(|cause| SceneError::io(&path, cause))?;
         atomic::write(&path, |file| file.write_all(&text))
     }
+}
+
+/// The models of a merge, complete ones first.
+fn models(inputs: &Inputs) -> Vec<Input> {
+    inputs.whole.iter().map(Input::whole).chain(inputs.parts.iter().map(Input::part)).collect()
 }
 
 /// Notes what a running merge reads. Dropped when the merge has ended, however it ended; only if the program dies does the

@@ -201,7 +201,7 @@ fn clients_with_a_shared_subscription_get_each_message_once() {
     assert_eq!(all, (0..10).collect::<Vec<u8>>());
     let mut one = Raw::connect(broker.address(), "one");
     assert_eq!(subscribed(&mut one, "$share/team/t/+", 1, &[]), 1);
-    // A client that has gone gets no message in place of one that is here.
+    // Once a client has left, its share of the messages goes to the clients that stay.
     for number in 0..4 {
         writer.publish("t/a", &[number], false);
         assert_eq!(one.message().1, [number]);

@@ -285,14 +285,19 @@ impl Uploader {
             return false;
         }
         self.offer.header = header;
-        let chunks = header.chunks();
-        self.broadcast = BitSet::empty(chunks);
-        for peer in self.peers.iter_mut().filter(|peer| !peer.is_closed()) {
+        self.broadcast = BitSet::empty(header.chunks());
+        self.start_over(now, |peer| !peer.is_closed());
+        true
+    }
+
+    /// Forgets what these receivers have, and repeats the offer.
+    fn start_over(&mut self, now: Duration, which: impl Fn(&Peer) -> bool) {
+        let (chunks, chunk_bytes) = (self.offer.header.chunks(), self.offer.header.chunk_bytes);
+        for peer in self.peers.iter_mut().filter(|peer| which(peer)) {
             *peer = Peer::new(peer.device, chunks, chunk_bytes, peer.is_required);
         }
         (self.sent_before, self.received_before, self.poor) = (self.sent_chunks, 0, 0);
         self.announce_now(now);
-        true
     }
 
     /// Handles a receiver's reply. Returns `None` if there is nothing to report, for example because the reply
@@ -352,14 +357,9 @@ impl Uploader {
     }
 
     fn begin_again(&mut self, now: Duration) {
-        let (chunks, chunk_bytes) = (self.offer.header.chunks(), self.offer.header.chunk_bytes);
-        for peer in &mut self.peers {
-            *peer = Peer::new(peer.device, chunks, chunk_bytes, peer.is_required);
-        }
-        (self.sent_before, self.received_before, self.poor) = (self.sent_chunks, 0, 0);
         self.is_cleared = false;
         self.ask_again_at = now + ASKED_AGAIN;
-        self.announce_now(now);
+        self.start_over(now, |_| true);
     }
 
     /// Returns the next message that is due. The caller must publish it: it counts as sent.

@@ -38,8 +38,8 @@ pub(super) enum Notice {
 }
 
 impl Births {
-    /// Records a birth or death notice, whose seal tells the session `sealed`, and returns what it means. Remembers the sessions of at most `devices_max` devices;
-    /// all notices of further devices count as valid.
+    /// Records a birth or death notice, whose seal tells the session `sealed`, and returns what it means. Remembers the
+    /// sessions of at most `devices_max` devices; all notices of further devices count as valid.
     pub(super) fn record(&mut self, state: &State, sealed: u64, devices_max: usize) -> Notice {
         let known = self.sessions.get(&state.device).copied();
         let is_past = known.is_some_and(|known| known.newest > state.session);
