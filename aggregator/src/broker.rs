@@ -31,6 +31,7 @@ mod client;
 mod connection;
 mod entrance;
 mod event;
+mod filters;
 mod handshakes;
 mod memory;
 mod message;

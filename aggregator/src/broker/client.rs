@@ -37,6 +37,21 @@ impl Client {
     pub(super) fn is_house(&self) -> bool {
         *self.user() == User::House
     }
+
+    /// Who answers for what the client keeps.
+    pub(super) fn party(&self) -> Party<'_> {
+        match self.user() {
+            User::Named(name) => Party::User(name),
+            User::Stranger | User::House => Party::Client(self),
+        }
+    }
+}
+
+/// Who answers for what is kept: a user for all of its clients together, anybody else for one client.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Party<'a> {
+    User(&'a str),
+    Client(&'a Client),
 }
 
 impl fmt::Display for Client {

@@ -4,6 +4,7 @@
 mod doors;
 mod packets;
 mod slots;
+mod turns;
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::io;
@@ -55,6 +56,8 @@ pub(super) struct Reactor<S> {
     last_token: usize,
     /// Connections that may have packets to handle.
     turns: BTreeSet<usize>,
+    /// The stranger that has last had its turn.
+    last_turn: usize,
     /// Connections whose message waits, the longest wait first.
     blocked: VecDeque<usize>,
     teller: Teller<S>,
@@ -92,6 +95,7 @@ impl<S: Fn(BrokerEvent)> Reactor<S> {
             connections: BTreeMap::new(),
             last_token: FIRST_CONNECTION,
             turns: BTreeSet::new(),
+            last_turn: 0,
             blocked: VecDeque::new(),
             teller,
             dropped: 0,
@@ -159,28 +163,6 @@ impl<S: Fn(BrokerEvent)> Reactor<S> {
             }
         }
         false
-    }
-
-    /// Lets every connection that has packets handle some of them.
-    fn take_turns(&mut self, now: Instant) {
-        for token in std::mem::take(&mut self.turns) {
-            self.digest(token, now);
-            let Some(connection) = self.connections.get_mut(&token) else { continue };
-            if connection.is_paused() || !connection.is_readable || self.router.is_flooded(token) {
-                connection.weigh();
-                continue;
-            }
-            if !connection.read(now, &mut self.scratch) {
-                self.end(token, now, false);
-                continue;
-            }
-            self.digest(token, now);
-            let Some(connection) = self.connections.get_mut(&token) else { continue };
-            connection.weigh();
-            if connection.is_readable && !connection.is_paused() {
-                self.turns.insert(token);
-            }
-        }
     }
 
     fn write_ready(&mut self, now: Instant) {

@@ -4,6 +4,7 @@
 pub(super) mod hello;
 mod relief;
 mod shared;
+mod subscribing;
 #[cfg(test)]
 mod tests;
 
@@ -15,25 +16,22 @@ use bytes::BytesMut;
 use cosurf_wire::{MAX_MESSAGE_BYTES, MAX_TOPIC_BYTES};
 use rumqttc::v5::mqttbytes::QoS;
 use rumqttc::v5::mqttbytes::v5::{
-    DisconnectReasonCode, Packet, PubAck, PubAckReason, PubRec, PubRecReason, Publish, RetainForwardRule,
-    SubAck, Subscribe, SubscribeReasonCode, UnsubAck, UnsubAckReason, Unsubscribe,
+    DisconnectReasonCode, Packet, PubAck, PubAckReason, PubRec, PubRecReason, Publish,
 };
 
 use super::access::Access;
 use super::client::{Client, User};
+use super::filters::Filters;
 use super::memory::Budget;
 use super::message::{Delivery, Message, cost};
-use super::retained::{Page, RETAINED_BYTES, Retained};
-use super::session::{SUBSCRIPTIONS_MAX, Session};
+use super::retained::{RETAINED_BYTES, Retained};
+use super::session::Session;
 use super::subscription::Subscription;
-use super::topics::{is_filter, is_topic};
+use super::topics::is_topic;
 
 /// Largest packet that the broker accepts, bytes: the largest message of cosurf, and room for the MQTT
 /// properties of other programs.
 pub(super) const PACKET_BYTES_MAX: usize = MAX_MESSAGE_BYTES + MAX_TOPIC_BYTES + 4096;
-/// Limit on sessions for each client that may be connected. Sessions outlive connections. When the limit is reached, the
-/// disconnected session that expires first is dropped.
-const SESSIONS_PER_CLIENT: usize = 2;
 /// Limit on the bytes of the messages queued for one client: 256 chunks of 64 KiB.
 const QUEUE_BYTES_MAX: usize = 16 << 20;
 /// Share of the whole memory that one client's queue may take, as a divisor.
@@ -49,13 +47,17 @@ pub(super) struct Router {
     budget: Arc<Budget>,
     access: Arc<Access>,
     sessions: BTreeMap<Client, Session>,
+    /// The filters of all sessions.
+    filters: Filters,
+    /// Number of the last session that began.
+    last_session: u64,
     links: BTreeMap<usize, Client>,
     retained: Retained,
     /// Client ids of devices that are known to the service: strangers give way to them.
     known: BTreeSet<String>,
     /// Connections with something to write.
     ready: BTreeSet<usize>,
-    /// The client whose messages are refused for the moment, because it keeps the most, and until when.
+    /// A client of the party whose messages are refused for the moment, because it keeps the most, and until when.
     refusing: Option<(Client, Instant)>,
     /// Messages that were dropped or refused because the memory was full, since the last [`Self::take_lost`].
     lost: u64,
@@ -82,6 +84,8 @@ impl Router {
             budget,
             access,
             sessions: BTreeMap::new(),
+            filters: Filters::default(),
+            last_session: 0,
             links: BTreeMap::new(),
             retained: Retained::default(),
             known: BTreeSet::new(),
@@ -169,27 +173,6 @@ impl Router {
     /// Number of messages that a connected client has missed because its queue is full.
     pub(super) fn missed(&mut self, link: usize) -> u64 {
         self.linked(link).map_or(0, |session| session.missed)
-    }
-
-    /// Adds subscriptions of a client, and the retained messages that match them.
-    pub(super) fn subscribe(&mut self, link: usize, subscribe: Subscribe) {
-        let Some(client) = self.links.get(&link).cloned() else { return };
-        let Some(session) = self.sessions.get_mut(&client) else { return };
-        let id = subscribe.properties.and_then(|properties| properties.id);
-        let add = |filter| subscribe_to(session, &self.access, &client, Subscription::new(filter, id));
-        let return_codes = subscribe.filters.into_iter().map(add).collect();
-        let ack = SubAck { pkid: subscribe.pkid, return_codes, properties: None };
-        self.answer(link, Packet::SubAck(ack));
-    }
-
-    pub(super) fn unsubscribe(&mut self, link: usize, unsubscribe: Unsubscribe) {
-        let Some(session) = self.linked(link) else { return };
-        let reason = |path: String| match session.unsubscribe(&path) {
-            true => UnsubAckReason::Success,
-            false => UnsubAckReason::NoSubscriptionExisted,
-        };
-        let reasons = unsubscribe.filters.into_iter().map(reason).collect();
-        self.answer(link, Packet::UnsubAck(UnsubAck { pkid: unsubscribe.pkid, reasons, properties: None }));
     }
 
     /// The reason to refuse a message, if there is one.
@@ -312,13 +295,15 @@ impl Router {
     /// Queues a message for its subscribers; returns whether there are any.
     fn deliver(&mut self, client: &Client, publish: &Publish, message: &Arc<Message>) -> bool {
         let mut is_heard = false;
-        for (receiver, session) in &mut self.sessions {
+        let interested = self.filters.matching(message.topic());
+        for receiver in &interested {
+            let Some(session) = self.sessions.get_mut(receiver) else { continue };
             let Some(subscription) = session.wants(message.topic(), receiver == client) else { continue };
             is_heard = true;
             let (qos, keeps_retain) = (subscription.qos, subscription.keeps_retain);
             self.ready.extend(enqueue(session, message, publish, qos, keeps_retain));
         }
-        self.deliver_shared(publish, message) || is_heard
+        self.deliver_shared(publish, message, &interested) || is_heard
     }
 
     /// Publishes the last wills whose time has come, and forgets sessions and messages that have expired.
@@ -341,9 +326,17 @@ impl Router {
         }
     }
 
+    /// Removes a session and its filters.
+    fn remove_session(&mut self, client: &Client) -> Option<Session> {
+        let session = self.sessions.remove(client)?;
+        let filters = session.subscriptions.iter().map(Subscription::filter);
+        filters.for_each(|filter| self.filters.remove(filter, session.number));
+        Some(session)
+    }
+
     /// Drops a session. A last will that waits is published.
     fn end_session(&mut self, client: &Client, now: Instant) {
-        let will = self.sessions.remove(client).and_then(|session| session.will);
+        let will = self.remove_session(client).and_then(|session| session.will);
         if let Some((_, will)) = will {
             self.publish(client, now, &will);
         }
@@ -354,16 +347,6 @@ impl Router {
         let over = self.sessions.iter().filter(|(_, session)| is_over(session));
         let over: Vec<Client> = over.map(|(client, _)| client.clone()).collect();
         over.iter().for_each(|client| self.end_session(client, now));
-    }
-
-    /// Makes room for another session.
-    fn forget_excess(&mut self, now: Instant) {
-        while self.sessions.len() >= SESSIONS_PER_CLIENT * self.clients_max {
-            let away = self.sessions.iter().filter_map(|(client, session)| Some((session.expires?, client)));
-            let away = away.map(|(expires, client)| (self.is_known(client), expires, client));
-            let Some(client) = away.min().map(|(_, _, client)| client.clone()) else { break };
-            self.end_session(&client, now);
-        }
     }
 }
 
@@ -391,36 +374,4 @@ fn enqueue(
     let (qos, retain) = (lower(publish.qos, qos), publish.retain && keeps_retain);
     session.enqueue(Delivery { message: Arc::clone(message), qos, retain, dup: false, pkid: 0 });
     session.link.as_ref().map(|link| link.id)
-}
-
-fn subscribe_to(
-    session: &mut Session,
-    access: &Access,
-    client: &Client,
-    new: Subscription,
-) -> SubscribeReasonCode {
-    let is_valid = is_filter(new.path()) && is_filter(new.filter());
-    if !is_valid || (new.is_shared() && !new.is_well_shared()) {
-        return SubscribeReasonCode::TopicFilterInvalid;
-    }
-    if !access.may_subscribe(client.user(), new.filter()) {
-        return SubscribeReasonCode::NotAuthorized;
-    }
-    let has_it = session.subscriptions.iter().any(|old| old.path() == new.path());
-    if !has_it && session.subscriptions.len() >= SUBSCRIPTIONS_MAX {
-        return SubscribeReasonCode::QuotaExceeded;
-    }
-    session.subscriptions.retain(|old| old.path() != new.path());
-    let wants_retained = match new.retain_rule {
-        RetainForwardRule::OnEverySubscribe => true,
-        RetainForwardRule::OnNewSubscribe => !has_it,
-        RetainForwardRule::Never => false,
-    };
-    if wants_retained && !new.is_shared() {
-        session.open(Page::new(new.path(), new.qos));
-    }
-    let granted = new.qos;
-    session.subscriptions.push(new);
-    session.weigh();
-    SubscribeReasonCode::Success(granted)
 }

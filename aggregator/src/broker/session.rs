@@ -30,6 +30,8 @@ const ANSWER_BYTES: usize = size_of::<Packet>() + 64;
 /// The state of one client, connected or not.
 #[derive(Debug)]
 pub(super) struct Session {
+    /// Number in the order of beginning.
+    pub(super) number: u64,
     pub(super) subscriptions: Vec<Subscription>,
     queue: VecDeque<Delivery>,
     queue_bytes: usize,
@@ -86,8 +88,9 @@ impl Link {
 }
 
 impl Session {
-    pub(super) fn new(budget: &Arc<Budget>, queue_bytes_max: usize) -> Self {
+    pub(super) fn new(budget: &Arc<Budget>, queue_bytes_max: usize, number: u64) -> Self {
         Self {
+            number,
             subscriptions: Vec::new(),
             queue: VecDeque::new(),
             queue_bytes: 0,
@@ -175,13 +178,13 @@ impl Session {
         self.weigh();
     }
 
-    /// Forgets a subscription; returns whether there was one.
-    pub(super) fn unsubscribe(&mut self, path: &str) -> bool {
-        let before = self.subscriptions.len();
-        self.subscriptions.retain(|subscription| subscription.path() != path);
+    /// Forgets a subscription, and returns it if there was one.
+    pub(super) fn unsubscribe(&mut self, path: &str) -> Option<Subscription> {
+        let place = self.subscriptions.iter().position(|subscription| subscription.path() == path)?;
+        let subscription = self.subscriptions.remove(place);
         self.pages.retain(|page| page.filter != path);
         self.weigh();
-        self.subscriptions.len() < before
+        Some(subscription)
     }
 
     /// Writes what the client gets next to `out`: all answers, then messages until `out` has `bytes_max` bytes or the

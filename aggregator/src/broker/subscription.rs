@@ -5,8 +5,8 @@ use rumqttc::v5::mqttbytes::v5::{Filter, RetainForwardRule};
 
 use super::topics::matches;
 
-/// What a subscription takes beside its filter, bytes.
-const SUBSCRIPTION_BYTES: usize = 320;
+/// What a subscription takes beside its filter, bytes, with its place among the filters of all sessions.
+const SUBSCRIPTION_BYTES: usize = 512;
 /// The start of the filter of a shared subscription: `$share/NAME/FILTER`.
 const SHARED: &str = "$share/";
 
@@ -69,7 +69,7 @@ impl Subscription {
 
     /// What the subscription takes in memory, bytes.
     pub(super) fn bytes(&self) -> usize {
-        self.path.len() + SUBSCRIPTION_BYTES
+        2 * self.path.len() + SUBSCRIPTION_BYTES
     }
 }
 

@@ -12,7 +12,7 @@ use cosurf_link::{Login, MqttConfig, MqttTransport, Role, Tls, TlsFiles, Transpo
 use cosurf_tests::live::upload;
 use cosurf_tests::mosquitto::{Authority, tls};
 use cosurf_tests::offers::{broker_address, identity, offer};
-use cosurf_wire::{DeviceId, MAX_CHUNK_BYTES, ModelKind};
+use cosurf_wire::{DeviceId, MAX_CHUNK_BYTES, ModelKind, SiteId};
 
 use crate::ground::Ground;
 use crate::raw::{Hello, Raw};
@@ -22,7 +22,7 @@ const NOT_AUTHORIZED: u8 = 0x87;
 const SITE: &str = "site";
 
 /// A file with the users `drone` and `other`, whose passwords are their names backwards.
-fn users(folder: &Path) -> std::path::PathBuf {
+pub(crate) fn users(folder: &Path) -> std::path::PathBuf {
     let line =
         |name: &str, password: &str| user_line(&DeviceId::new(name).unwrap(), password, [7; 16]).unwrap();
     let path = folder.join("users.txt");
@@ -32,7 +32,8 @@ fn users(folder: &Path) -> std::path::PathBuf {
 
 fn guarded(folder: &Path) -> Broker {
     let users = Some(Users::read(&users(folder)).unwrap());
-    Broker::start_with(loopback(), BrokerSettings { users, ..BrokerSettings::default() }, |_| ()).unwrap()
+    let settings = BrokerSettings { users, site: SiteId::new(SITE).ok(), ..BrokerSettings::default() };
+    Broker::start_with(loopback(), settings, |_| ()).unwrap()
 }
 
 fn login<'a>(user: &'a str, password: &'a str) -> Hello<'a> {
@@ -72,6 +73,12 @@ fn attack_14_a_user_neither_takes_over_nor_writes_as_another() {
     }
     for filter in ["gs/v1/site/other/dn/#", "gs/v1/site/global/#", "gs/v1/site/+/flight"] {
         assert_eq!(other.subscribe(filter), 1, "{filter}");
+    }
+    for topic in ["gs/v1/elsewhere/other/state", "gs/v1/elsewhere/other/flight"] {
+        assert_eq!(other.publish(topic, b"x", true), NOT_AUTHORIZED, "{topic}");
+    }
+    for filter in ["gs/v1/elsewhere/+/flight", "gs/v1/+/+/flight", "gs/v1/elsewhere/other/dn/#"] {
+        assert_eq!(other.subscribe(filter), NOT_AUTHORIZED, "{filter}");
     }
 }
 

@@ -38,7 +38,9 @@ fn attack_02_small_retained_messages() {
         let bytes: Vec<u8> = (0..5000).flat_map(|number| message(batch * 5000 + number)).collect();
         attacker.send(&bytes);
     }
-    assert_eq!(attacker.publish("t/last", &[7; 8], true), QUOTA_EXCEEDED, "the attacker is not told");
+    // The buffer of the flood is free again: that is room for some more.
+    let mut last = (0..1000).map(|number| attacker.publish(&format!("last/{number}"), &[7; 8], true));
+    assert!(last.any(|code| code == QUOTA_EXCEEDED), "the attacker is not told");
     println!("200,000 retained messages take {} KiB", ground.taken() >> 10);
     assert!(is_within_bound(ground.taken()), "{} KiB", ground.taken() >> 10);
     assert!(publishes(ground.address), "an honest client is refused");

@@ -13,3 +13,4 @@ mod protocol;
 mod raw;
 mod replay;
 mod station;
+mod users;

@@ -24,26 +24,31 @@ const BACKPRESSURE_MAX: Duration = Duration::from_secs(5);
 const UNRELEASED_MAX: usize = 4096;
 
 impl<S: Fn(BrokerEvent)> Reactor<S> {
-    /// Handles the packets that have arrived, until one of them must wait.
-    pub(super) fn digest(&mut self, token: usize, now: Instant) {
+    /// Handles the packets that have arrived, until one of them must wait. Returns whether the connection's time ended
+    /// before that.
+    pub(super) fn digest(&mut self, token: usize, now: Instant, until: Instant) -> bool {
         while let Some(connection) = self.connections.get_mut(&token) {
             if connection.is_paused()
                 || matches!(connection.stage, Stage::Closing(_))
                 || self.router.is_flooded(token)
             {
-                return;
+                return false;
             }
             let version = match connection.stage {
                 Stage::Open { version, .. } => Some(version),
                 _ => None,
             };
             match (connection.next_packet(PACKET_BYTES_MAX), version) {
-                (Ok(None), _) => return,
+                (Ok(None), _) => return false,
                 (Ok(Some(packet)), None) => self.greet(token, now, &packet),
                 (Ok(Some(packet)), Some(version)) => self.handle(token, now, &packet, version),
                 (Err(reason), _) => self.close(token, now, reason),
             }
+            if Instant::now() >= until {
+                return true;
+            }
         }
+        false
     }
 
     /// Handles the first packet of a connection.
@@ -161,7 +166,7 @@ impl<S: Fn(BrokerEvent)> Reactor<S> {
             Ok(Packet::Subscribe(subscribe)) if is_identified_by_0(&subscribe) => {
                 self.close(token, now, DisconnectReasonCode::ProtocolError);
             }
-            Ok(Packet::Subscribe(subscribe)) => self.router.subscribe(token, subscribe),
+            Ok(Packet::Subscribe(subscribe)) => self.router.subscribe(token, now, subscribe),
             Ok(Packet::Unsubscribe(unsubscribe)) => self.router.unsubscribe(token, unsubscribe),
             Ok(Packet::PingReq(_)) => self.router.answer(token, Packet::PingResp(PingResp)),
             Ok(Packet::Disconnect(disconnect)) => self.take_leave(token, now, &disconnect),

@@ -53,7 +53,8 @@ impl Router {
         let older = self.take_over(client, now, hello.connect.clean_start);
         let session_present = self.sessions.contains_key(client);
         if !session_present {
-            self.forget_excess(now);
+            self.forget_excess(client, now);
+            self.last_session += 1;
         }
         let wishes = hello.connect.properties.unwrap_or_default();
         let mut link = Link::new(link_id, hello.version);
@@ -64,7 +65,7 @@ impl Router {
         let assigned = hello.connect.client_id.is_empty().then(|| client.id().to_owned());
         let ack = connack(session_present, &wishes, link.expiry_s, hello.connect.keep_alive, assigned);
         let queue_bytes_max = QUEUE_BYTES_MAX.min(self.budget.max() / QUEUE_DIVISOR);
-        let new = || Session::new(&self.budget, queue_bytes_max);
+        let new = || Session::new(&self.budget, queue_bytes_max, self.last_session);
         let session = self.sessions.entry(client.clone()).or_insert_with(new);
         (session.expires, session.will) = (None, None);
         session.link = Some(link);
@@ -104,7 +105,7 @@ impl Router {
         session.expires = Some(after(now, link.expiry_s));
         session.weigh();
         if link.expiry_s == 0 {
-            self.sessions.remove(&client);
+            self.remove_session(&client);
         }
         if let Some(will) = will {
             self.publish(&client, now, &will);

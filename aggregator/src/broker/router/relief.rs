@@ -1,30 +1,35 @@
-//! What goes when the memory is full: messages of the client that keeps the most, oldest first.
+//! What goes when the memory is full: messages of whoever keeps the most, oldest first. A user answers for all of its
+//! clients together.
 
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
-use super::super::client::Client;
+use super::super::client::{Client, Party};
 use super::super::session::Session;
 use super::Router;
 
 /// Share of the memory that is freed at once, as a divisor. The more is freed, the rarer the search for what must go.
 const FREE_DIVISOR: usize = 16;
-/// How long the messages of the client that keeps the most are refused without another look.
+/// How long the messages of whoever keeps the most are refused without another look.
 const REFUSE_FOR: Duration = Duration::from_millis(200);
 
 impl Router {
-    /// Makes room for `bytes` of a client; false if the client itself keeps the most, or nothing can go.
+    /// Makes room for `bytes` of a client; false if its own party keeps the most, or nothing can go.
     pub(super) fn make_room(&mut self, publisher: &Client, now: Instant, bytes: usize) -> bool {
         if !self.budget.lacks(bytes) {
             return true;
         }
-        if self.refusing.as_ref().is_some_and(|(client, until)| client == publisher && now < *until) {
+        if self
+            .refusing
+            .as_ref()
+            .is_some_and(|(client, until)| client.party() == publisher.party() && now < *until)
+        {
             return false;
         }
         let goal = self.budget.max() - self.budget.max() / FREE_DIVISOR - bytes.min(self.budget.max() / 2);
         for client in self.heaviest_first() {
-            if client == *publisher {
+            if client.party() == publisher.party() {
                 self.refusing = Some((client, now + REFUSE_FOR));
                 return !self.budget.lacks(bytes);
             }
@@ -45,17 +50,22 @@ impl Router {
     }
 
     /// All clients but the parts of this program, in the order in which they lose messages: strangers before known
-    /// clients, and those that keep the most first.
+    /// clients, and those whose party keeps the most first.
     fn heaviest_first(&self) -> Vec<Client> {
         let mut weights: BTreeMap<&Client, usize> = self.retained.owners().collect();
         for (client, session) in &self.sessions {
             *weights.entry(client).or_default() += session.weight();
         }
-        let others = weights.into_iter().filter(|(client, _)| !client.is_house());
-        let mut order: Vec<_> =
-            others.map(|(client, weight)| (self.is_known(client), Reverse(weight), client.clone())).collect();
+        weights.retain(|client, _| !client.is_house());
+        let mut parties: BTreeMap<Party, usize> = BTreeMap::new();
+        weights.iter().for_each(|(client, weight)| *parties.entry(client.party()).or_default() += weight);
+        let rank = |client: &Client, weight: usize| {
+            let of_party = parties.get(&client.party()).copied().unwrap_or_default();
+            (self.is_known(client), Reverse(of_party), Reverse(weight), client.clone())
+        };
+        let mut order: Vec<_> = weights.iter().map(|(client, weight)| rank(client, *weight)).collect();
         order.sort();
-        order.into_iter().map(|(_, _, client)| client).collect()
+        order.into_iter().map(|(.., client)| client).collect()
     }
 
     /// Drops a client's messages, oldest first, until no more than `goal` bytes are used. Of a client that is away,
@@ -67,7 +77,7 @@ impl Router {
             if !has_dropped {
                 // Its last will goes too: to publish it would need the memory that is lacking.
                 if self.sessions.get(client).is_some_and(|session| session.link.is_none()) {
-                    self.sessions.remove(client);
+                    self.remove_session(client);
                 }
                 break;
             }

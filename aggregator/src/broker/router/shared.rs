@@ -20,9 +20,15 @@ struct Member {
 }
 
 impl Router {
-    /// Queues a message for one client of each shared subscription; returns whether there are any.
-    pub(super) fn deliver_shared(&mut self, publish: &Publish, message: &Arc<Message>) -> bool {
-        let groups = self.sharing(message);
+    /// Queues a message for one client of each shared subscription; returns whether there are any. `interested` are the
+    /// clients with a filter that matches.
+    pub(super) fn deliver_shared(
+        &mut self,
+        publish: &Publish,
+        message: &Arc<Message>,
+        interested: &[Client],
+    ) -> bool {
+        let groups = self.sharing(message, interested);
         let is_heard = !groups.is_empty();
         for mut group in groups {
             if group.iter().any(|member| member.is_ready) {
@@ -40,9 +46,10 @@ impl Router {
     }
 
     /// The clients of each shared subscription that matches a message.
-    fn sharing(&self, message: &Message) -> Vec<Vec<Member>> {
+    fn sharing(&self, message: &Message, interested: &[Client]) -> Vec<Vec<Member>> {
         let mut groups: BTreeMap<&str, Vec<Member>> = BTreeMap::new();
-        for (client, session) in &self.sessions {
+        let found = interested.iter().filter_map(|client| Some((client, self.sessions.get(client)?)));
+        for (client, session) in found {
             let shared = session.subscriptions.iter().filter(|subscription| subscription.is_shared());
             for subscription in shared.filter(|subscription| subscription.is_match(message.topic())) {
                 groups.entry(subscription.path()).or_default().push(Member {

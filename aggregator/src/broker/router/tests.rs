@@ -1,6 +1,6 @@
 #![allow(clippy::unwrap_used)]
 use bytes::Bytes;
-use rumqttc::v5::mqttbytes::v5::{Connect, Filter};
+use rumqttc::v5::mqttbytes::v5::{Connect, Filter, Subscribe, SubscribeReasonCode};
 
 use super::super::access::Access;
 use super::super::memory::Budget;
@@ -18,7 +18,7 @@ fn router(memory_bytes: usize) -> Router {
 fn listen(router: &mut Router, link: usize, user: User, id: &str, now: Instant) {
     join(router, link, user, id, now);
     let filter = Filter::new("#", QoS::AtLeastOnce);
-    router.subscribe(link, Subscribe { pkid: 1, filters: vec![filter], properties: None });
+    router.subscribe(link, now, Subscribe { pkid: 1, filters: vec![filter], properties: None });
 }
 
 fn join(router: &mut Router, link: usize, user: User, id: &str, now: Instant) {
@@ -121,4 +121,37 @@ fn a_session_that_starts_anew_publishes_the_will_that_waits() {
     assert_eq!(written(&mut router, 1, now), 0, "the will is early");
     join(&mut router, 3, User::Stranger, "mortal", now);
     assert!(written(&mut router, 1, now) > 9, "the will is lost");
+}
+
+/// Tries a filter of many levels, too.
+#[test]
+fn strangers_together_have_few_subscriptions() {
+    let now = Instant::now();
+    let mut router = router(64 * MIB);
+    router.know("known".to_owned());
+    let add = |router: &mut Router, client: &str, filter: String| {
+        let filter = Subscription::new(Filter::new(filter, QoS::AtLeastOnce), None);
+        router.subscribe_to(&Client::new(User::Stranger, client), now, filter)
+    };
+    let granted = SubscribeReasonCode::Success(QoS::AtLeastOnce);
+    for client in 0..40 {
+        let name = client.to_string();
+        join(&mut router, client, User::Stranger, &name, now);
+        if client == 0 {
+            router.linked(0).unwrap().link.as_mut().unwrap().expiry_s = 60;
+        }
+        for filter in 0..32 {
+            // 100 clients, 8 subscriptions for each.
+            let expected = if client < 25 { granted } else { SubscribeReasonCode::QuotaExceeded };
+            assert_eq!(add(&mut router, &name, filter.to_string()), expected, "{client} {filter}");
+        }
+    }
+    assert_eq!(add(&mut router, "30", "a/".repeat(15) + "b"), SubscribeReasonCode::QuotaExceeded);
+    assert_eq!(add(&mut router, "30", "a/".repeat(16) + "b"), SubscribeReasonCode::TopicFilterInvalid);
+    join(&mut router, 50, User::Stranger, "known", now);
+    assert_eq!(add(&mut router, "known", "a".to_owned()), granted);
+    // The session that somebody left behind gives way.
+    router.disconnect(0, now, true);
+    assert_eq!(add(&mut router, "30", "a".to_owned()), granted);
+    assert!(router.filters.matching("5").iter().all(|client| client.id() != "0"));
 }
