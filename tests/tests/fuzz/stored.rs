@@ -1,8 +1,11 @@
-//! Fuzzes the readers of files that the programs keep or are told to read: models, recordings, keys and settings.
+//! Fuzzes the readers of files that the programs keep or are told to read: models, recordings, keys, users, settings and
+//! the heads of checkpoints.
 
 use std::fs;
 use std::time::Duration;
 
+use cosurf_agent::checkpoint::{self, Checkpoint};
+use cosurf_aggregator::broker::{Users, user_line};
 use cosurf_aggregator::service::AggregatorConfig;
 use cosurf_contract::{AgentConfig, parse_toml};
 use cosurf_link::recording::{Entry, Recorder, Recording};
@@ -99,5 +102,31 @@ fn settings_of_aggregators_are_read_or_refused() {
     let text = "site = \"quarry\"\nout = \"b\"\nbind = \"127.0.0.1:1883\"\nquorum = 2\nquiet_s = 5\n";
     hammer(target("aggregator.toml", vec![text.as_bytes().to_vec()], |_| ()), |bytes| {
         std::str::from_utf8(bytes).is_ok_and(|text| parse_toml::<AggregatorConfig>(text).is_ok())
+    });
+}
+
+#[test]
+fn lists_of_users_are_read_or_refused() {
+    let line = |name: &str| user_line(&DeviceId::new(name).unwrap(), "secret", [7; 16]).unwrap();
+    let text = format!("# users\n{}\n\n{}\n", line("drone-1"), line("drone-2"));
+    let folder = folder();
+    let path = folder.path().join("users.txt");
+    hammer(target("lists of users", vec![text.into_bytes()], |_| ()), |bytes| {
+        fs::write(&path, bytes).unwrap();
+        Users::read(&path).is_ok()
+    });
+}
+
+#[test]
+fn heads_of_checkpoints_are_read_or_refused() {
+    let head = "{\"format\":\"cosurf checkpoint 2\",\"fingerprint\":\"ab12\",\"steps_done\":7,\"splats\":3,\
+                \"splats_at_start\":3,\"seconds\":1.5,\"cpu_seconds\":2.5}\n";
+    let folder = folder();
+    let path = checkpoint::path(folder.path());
+    fs::create_dir_all(path.parent().unwrap()).unwrap();
+    let sample = [head.as_bytes(), &[7; 40]].concat();
+    hammer(target("checkpoints", vec![sample], |_| ()), |bytes| {
+        fs::write(&path, bytes).unwrap();
+        matches!(Checkpoint::find(folder.path()), Ok(Some(_)))
     });
 }
