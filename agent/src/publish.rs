@@ -201,7 +201,7 @@ impl<'a, F: FnMut(AgentEvent)> Publisher<'a, F> {
                 }
                 (self.on_event)(AgentEvent::Acknowledged { bytes_sent: progress.bytes_sent });
             }
-            NodeEvent::AskedAgain(key) => {
+            NodeEvent::AskedAgain { key, .. } => {
                 if let Upload::Acknowledged { bytes_total } = self.upload {
                     self.upload = Upload::Sending { bytes_total };
                 }

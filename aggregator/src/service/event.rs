@@ -83,6 +83,11 @@ pub enum ServiceEvent {
     },
     /// Every agent that sent a model and is not given up has the global model on its disk.
     Delivered,
+    /// An agent has lost the global model that it had stored, and gets it again.
+    LostThere {
+        /// The agent.
+        device: DeviceId,
+    },
     /// An agent refuses the global model.
     Refused {
         /// The agent.
@@ -149,6 +154,9 @@ impl fmt::Display for ServiceEvent {
                 kept_out.iter().try_for_each(|kept_out| write!(f, "; {kept_out}"))
             }
             Self::Delivered => write!(f, "every agent has the global model"),
+            Self::LostThere { device } => {
+                write!(f, "{device} no longer has the global model; it is sent again")
+            }
             Self::Refused { by, reason } => write!(f, "{by} refuses the global model: {reason}"),
             Self::SameName { device } => {
                 write!(f, "two drones use the device name {device}; give each its own")

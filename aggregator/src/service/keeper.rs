@@ -189,6 +189,13 @@ impl Keeper {
                 let from = source.map_or_else(|| "a message".to_owned(), |device| device.to_string());
                 ServiceEvent::Ignored { reason: format!("{from}: {}", WireError::UnknownVersion(version)) }
             }
+            NodeEvent::AskedAgain { by, .. } => {
+                self.rebroadcast.again(by);
+                if !self.quiet.notes(now, Some(by)) {
+                    return None;
+                }
+                ServiceEvent::LostThere { device: by }
+            }
             NodeEvent::Uploaded(key, _) if key.model.is_tile() => return None,
             NodeEvent::Uploaded(..) if self.rebroadcast.is_running() => {
                 self.rebroadcast.announced();
@@ -218,7 +225,6 @@ impl Keeper {
             | NodeEvent::Receiving(_)
             | NodeEvent::Known(_)
             | NodeEvent::Unanswered { .. }
-            | NodeEvent::AskedAgain(_)
             | NodeEvent::Progress(..) => return None,
         })
     }

@@ -3,7 +3,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
-use cosurf_link::{ModelKey, ModelStore, Node, Offer, TileEntry};
+use cosurf_link::{Manifest, ModelKey, ModelStore, Node, Offer, TileEntry};
 use cosurf_wire::{DeviceId, TileId};
 
 use super::error::ServiceError;
@@ -12,8 +12,8 @@ use super::sent::{Form, Sent};
 /// The tiles on their way, if a model is sent in tiles.
 #[derive(Debug, Default)]
 pub(super) struct Rebroadcast {
-    /// Where the tiles are.
-    store: Option<ModelStore>,
+    /// Where the tiles are, who has made them, and which they are.
+    tiles: Option<(ModelStore, DeviceId, Manifest)>,
     /// The tiles that each device has not been offered yet.
     queues: BTreeMap<DeviceId, VecDeque<ModelKey>>,
     /// Whether the devices do not all have the manifest yet.
@@ -35,10 +35,9 @@ impl Rebroadcast {
         let (header, body) = sent.store().get(header.into())?;
         self.begin_whole(node, Offer { header, body }, receivers);
         if let Form::Tiles(manifest) = form {
-            let key = |tile: &TileEntry| ModelKey { device: header.device, model: tile.model };
-            let queue = |device: &DeviceId| (*device, manifest.of(*device).map(key).collect());
+            let queue = |device: &DeviceId| (*device, tiles_of(manifest, header.device, *device));
             self.queues = receivers.iter().map(queue).collect();
-            self.store = Some(sent.store().clone());
+            self.tiles = Some((sent.store().clone(), header.device, manifest.clone()));
             (self.is_announcing, self.is_running) = (true, true);
         }
         Ok(())
@@ -48,6 +47,14 @@ impl Rebroadcast {
     pub(super) fn begin_whole(&mut self, node: &mut Node, offer: Offer, receivers: &[DeviceId]) {
         self.stop(node);
         node.broadcast(TileId::WHOLE, offer, receivers);
+    }
+
+    /// Offers all its tiles again to a device that has lost the model.
+    pub(super) fn again(&mut self, device: DeviceId) {
+        if let Some((_, by, manifest)) = &self.tiles {
+            self.queues.insert(device, tiles_of(manifest, *by, device));
+            self.is_running = true;
+        }
     }
 
     /// Stops sending tiles.
@@ -69,7 +76,7 @@ impl Rebroadcast {
     /// Offers each device that has all tiles offered so far its next one. Returns true once, when all devices have all
     /// their tiles.
     pub(super) fn send(&mut self, node: &mut Node) -> Result<bool, ServiceError> {
-        let Some(store) = self.store.as_ref().filter(|_| self.is_running) else { return Ok(false) };
+        let Some((store, ..)) = self.tiles.as_ref().filter(|_| self.is_running) else { return Ok(false) };
         for (device, queue) in &mut self.queues {
             if node.is_sending_tile(*device) {
                 continue;
@@ -86,4 +93,9 @@ impl Rebroadcast {
         self.is_running = !is_over;
         Ok(is_over)
     }
+}
+
+/// The tiles of a model, made by the device `by`, that a device gets.
+fn tiles_of(manifest: &Manifest, by: DeviceId, device: DeviceId) -> VecDeque<ModelKey> {
+    manifest.of(device).map(|tile: &TileEntry| ModelKey { device: by, model: tile.model }).collect()
 }

@@ -39,6 +39,8 @@ pub(crate) struct Peer {
     /// Chunks that may be sent again to this receiver, and the time of that number.
     resends: (u32, Duration),
     resends_max: u32,
+    /// When the receiver may lose the model that it has stored.
+    may_lose_at: Duration,
 }
 
 /// How far the transfer to a receiver has come.
@@ -83,7 +85,23 @@ impl Peer {
             repeat_at: Duration::ZERO,
             resends: (resends_max, Duration::ZERO),
             resends_max,
+            may_lose_at: Duration::ZERO,
         }
+    }
+
+    /// Begins again with a receiver that lacks all of the model which it had stored. It is not required any more: the upload
+    /// stays finished. Returns false if the receiver is not believed, because it has lost the model just before.
+    pub(crate) fn on_lost(&mut self, now: Duration, chunks: u32, chunk_bytes: u32, want: &Want) -> bool {
+        let lacks_all = (0..chunks).all(|index| want.missing.status_of(index) != ChunkStatus::Received);
+        if self.phase != PeerPhase::Done || !lacks_all || now < self.may_lose_at {
+            return false;
+        }
+        *self = Self {
+            resends: (0, now),
+            may_lose_at: now + RESEND_ALL,
+            ..Self::new(self.device, chunks, chunk_bytes, false)
+        };
+        self.on_want(now, chunks, want)
     }
 
     /// Whether the receiver has stored the model, or refused it for good.

@@ -50,8 +50,9 @@ pub enum UploadEvent {
     /// A receiver refuses the model. The refusal is final unless [`RefusalReason::is_temporary`]. The device
     /// is the receiver of a global model, but the sender of a local one.
     Refused(DeviceId, RefusalReason),
-    /// The aggregator has lost the stored model of a device and asks for it again.
-    AskedAgain,
+    /// A receiver has lost the model that it had stored, and gets it again: the aggregator a device's model, or this device
+    /// the global one. Of a device's model, it is the device that sends it.
+    AskedAgain(DeviceId),
     /// A device wants the global model, and is one receiver too many. Its replies are ignored. Reported for the first
     /// such device only.
     TooManyPeers(DeviceId),
@@ -309,7 +310,7 @@ impl Uploader {
         }
         if self.is_asked_again(now, message) {
             self.begin_again(now);
-            return Some(UploadEvent::AskedAgain);
+            return Some(UploadEvent::AskedAgain(by));
         }
         if self.is_cleared {
             return None;
@@ -320,7 +321,7 @@ impl Uploader {
             return is_first.then_some(UploadEvent::TooManyPeers(by));
         };
         if self.peers[index].is_closed() {
-            return None;
+            return self.is_global_lost(now, index, message).then_some(UploadEvent::AskedAgain(by));
         }
         let before = self.peers[index].chunks_received(chunks);
         match (reply, message) {
@@ -354,6 +355,15 @@ impl Uploader {
         let lacks_all = matches!(message, Message::Want(want) if want.idle && want.missing == Missing::all());
         let is_local = matches!(self.destination, Destination::Aggregator);
         is_local && lacks_all && self.is_stored() && now >= self.ask_again_at
+    }
+
+    /// Whether a device that had the global model has lost it, and gets it again. A tile is offered again by the caller.
+    fn is_global_lost(&mut self, now: Duration, index: usize, message: &Message<'_>) -> bool {
+        let (Destination::Devices(_), Message::Want(want)) = (self.destination, message) else {
+            return false;
+        };
+        let (chunks, chunk_bytes) = (self.offer.header.chunks(), self.offer.header.chunk_bytes);
+        self.peers[index].on_lost(now, chunks, chunk_bytes, want)
     }
 
     fn begin_again(&mut self, now: Duration) {

@@ -29,12 +29,16 @@ fn strip(west: f32) -> Model {
 
 impl Keeping {
     fn new(network: &MemoryNetwork, name: &str, west: f32) -> Self {
-        let (identity, Model { splats, cameras }) = (identity(name, Role::Device), strip(west));
+        Self::with_an_empty_folder(network, identity(name, Role::Device), west)
+    }
+
+    fn with_an_empty_folder(network: &MemoryNetwork, identity: Identity, west: f32) -> Self {
+        let Model { splats, cameras } = strip(west);
         let offer = Offer::new(identity.device, ModelId(1), ModelKind::Local, 3, &splats, &cameras);
         let mut node = Node::new(identity, MANY_TILES, &[]);
         node.upload(offer.unwrap());
         let (transport, folder) = (network.join(&identity), tempfile::tempdir().unwrap());
-        let (received, _) = open_received(name, folder.path());
+        let (received, _) = open_received(identity.device.as_str(), folder.path());
         Self { node, transport, folder, received, complete: None, tiles: BTreeSet::new() }
     }
 
@@ -152,4 +156,30 @@ fn a_model_that_has_become_small_is_sent_whole_again() {
     let all = ply::read(&global_ply(folder.path())).unwrap().len();
     assert!(drones.iter().all(|drone| drone.xs().len() == all), "all have the whole model");
     assert_eq!(fs::read_dir(folder.path().join("sent")).unwrap().count(), 0, "no tiles are left");
+}
+
+#[test]
+fn a_drone_that_has_lost_its_folder_gets_all_its_tiles_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let network = MemoryNetwork::new(50, BAD_WEATHER);
+    let mut ground = open_tiled(&network, folder.path());
+    let mut drones = vec![Keeping::new(&network, "west", -10.0), Keeping::new(&network, "east", 2.0)];
+    let revision = fly(&network, &mut ground, &mut drones, 2);
+    let (tiles, xs) = (drones[0].tiles.clone(), drones[0].xs());
+    drones.iter_mut().for_each(|drone| drone.tiles.clear());
+    let next_life = Identity { session: 2, ..identity("west", Role::Device) };
+    let lost = std::mem::replace(&mut drones[0], Keeping::with_an_empty_folder(&network, next_life, -10.0));
+    network.leave(lost.transport);
+    let mut events = Vec::new();
+    let end = network.now() + Duration::from_secs(600);
+    while drones[0].complete.is_none() {
+        assert!(network.now() < end, "ten minutes later: {} of {} tiles", drones[0].tiles.len(), tiles.len());
+        let now = network.now();
+        drones.iter_mut().for_each(|drone| drone.step(now));
+        step(&network, &mut ground, &mut [], &mut events);
+    }
+    assert_eq!(drones[0].complete.map(|complete| complete.revision), Some(revision));
+    assert_eq!((&drones[0].tiles, drones[0].xs()), (&tiles, xs));
+    assert!(drones[1].tiles.is_empty(), "the other drone got tiles too");
+    assert_eq!(count(&events, |event| matches!(event, ServiceEvent::LostThere { .. })), 1);
 }

@@ -75,8 +75,13 @@ pub enum NodeEvent {
     Progress(ModelKey, UploadProgress),
     /// Every required receiver has stored the model.
     Uploaded(ModelKey, UploadProgress),
-    /// The aggregator has lost this device's model after it had stored it. The model is offered again.
-    AskedAgain(ModelKey),
+    /// A receiver has lost a model after it had stored it, and gets it again.
+    AskedAgain {
+        /// The model.
+        key: ModelKey,
+        /// The device that has lost a global model, or that sends its own model to the aggregator again.
+        by: DeviceId,
+    },
     /// A receiver refuses the model. The refusal is final unless [`RefusalReason::is_temporary`].
     UploadRefused {
         /// The model.

@@ -169,7 +169,7 @@ impl Node {
             let (key, progress) = (uploader.key(), uploader.progress());
             self.events.push_back(match event {
                 UploadEvent::Progress => NodeEvent::Progress(key, progress),
-                UploadEvent::AskedAgain => NodeEvent::AskedAgain(key),
+                UploadEvent::AskedAgain(by) => NodeEvent::AskedAgain { key, by },
                 UploadEvent::Finished => NodeEvent::Uploaded(key, progress),
                 UploadEvent::TooManyPeers(device) => {
                     NodeEvent::TooManyDevices { device, devices_max: self.devices_max }

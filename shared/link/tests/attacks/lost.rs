@@ -2,23 +2,23 @@
 
 use std::time::Duration;
 
-use cosurf_link::{InboxLimits, ModelKey, NodeEvent};
+use cosurf_link::{InboxLimits, MemoryNetwork, ModelKey, NodeEvent};
 use cosurf_tests::fleet::{Member, run_until};
 use cosurf_tests::offers::offer;
 use cosurf_tests::stranger::Stranger;
-use cosurf_wire::message::Want;
-use cosurf_wire::{Message, Missing, ModelKind, Reply, Topic};
+use cosurf_wire::message::{Done, Want};
+use cosurf_wire::{DeviceId, Message, Missing, ModelKind, Reply, TileId, Topic};
 
 use crate::site::{keyed_site, network, open_site, pass};
 
 const MINUTE: Duration = Duration::from_secs(60);
 
 fn asked(device: &Member) -> usize {
-    device.events.iter().filter(|event| matches!(event, NodeEvent::AskedAgain(_))).count()
+    device.events.iter().filter(|event| matches!(event, NodeEvent::AskedAgain { .. })).count()
 }
 
 /// Uploads a model, makes the aggregator lose it, and waits until it is stored again.
-fn lose_and_find(network: &cosurf_link::MemoryNetwork, fleet: &mut [Member]) -> ModelKey {
+fn lose_and_find(network: &MemoryNetwork, fleet: &mut [Member]) -> ModelKey {
     let offer = offer("drone-1", 1, ModelKind::Local, 1, 20_000, 2048);
     let key = ModelKey::from(&offer.header);
     fleet[1].node.upload(offer);
@@ -85,4 +85,58 @@ fn a_stranger_cannot_ask_for_a_model_again() {
         pass(&network, &mut fleet, &mut stranger, Duration::from_secs(1));
     }
     assert_eq!(asked(&fleet[1]), 1);
+}
+
+/// Offers a global model until both drones have it. Returns its key.
+fn deliver(network: &MemoryNetwork, fleet: &mut [Member]) -> ModelKey {
+    let offer = offer("ground", 1, ModelKind::Global, 1, 20_000, 2048);
+    let key = ModelKey::from(&offer.header);
+    let receivers = ["drone-1", "drone-2"].map(|name| DeviceId::new(name).unwrap());
+    fleet[0].node.broadcast(TileId::WHOLE, offer, &receivers);
+    run_until(network, fleet, MINUTE, |fleet| !fleet[0].uploaded.is_empty());
+    key
+}
+
+/// A drone whose folder is gone gets the same revision of the global model again, and no other drone does.
+#[test]
+fn a_device_that_has_lost_the_global_model_gets_it_again() {
+    let keyed = |network: &MemoryNetwork| keyed_site(network);
+    let open = |network: &MemoryNetwork| open_site(network, InboxLimits::default(), &["drone-1", "drone-2"]);
+    for (is_keyed, site) in [(true, &keyed as &dyn Fn(&MemoryNetwork) -> Vec<Member>), (false, &open)] {
+        let network = network();
+        let mut fleet = site(&network);
+        let key = deliver(&network, &mut fleet);
+        let before = fleet[1].disk.remove(&key).unwrap();
+        fleet[1].restart(&network);
+        if is_keyed {
+            fleet[1].node.set_credentials(crate::site::drone_credentials("drone-1"));
+        }
+        run_until(&network, &mut fleet, MINUTE, |fleet| fleet[1].disk.contains_key(&key));
+        assert!(fleet[1].disk.get(&key) == Some(&before), "other bytes");
+        assert_eq!((asked(&fleet[0]), fleet[2].stored_twice), (1, 0));
+    }
+}
+
+/// Who says again and again that the model is lost gets it once in half a minute.
+#[test]
+fn attack_08_forged_losses_are_not_amplified() {
+    let network = network();
+    let mut fleet = open_site(&network, InboxLimits::default(), &["drone-1", "drone-2"]);
+    let ModelKey { device, model } = deliver(&network, &mut fleet);
+    let header = fleet[1].disk.values().next().unwrap().0;
+    let (body, blake3) = (header.body_bytes as usize, header.blake3);
+    let mut stranger = Stranger::new(&network);
+    let victim = DeviceId::new("drone-1").unwrap();
+    for _ in 0..1000 {
+        let want = Want { device, model, session: 0, idle: true, missing: Missing::all() };
+        stranger.say(Topic::GlobalReply { device: victim, reply: Reply::Want }, &Message::Want(want));
+        pass(&network, &mut fleet, &mut stranger, Duration::from_millis(40));
+        let done = Done { device, model, session: 0, blake3 };
+        stranger.say(Topic::GlobalReply { device: victim, reply: Reply::Done }, &Message::Done(done));
+        pass(&network, &mut fleet, &mut stranger, Duration::from_millis(20));
+    }
+    let chunks = stranger.heard.iter().filter(|(topic, _)| topic.contains("/c/"));
+    let sent: usize = chunks.map(|(_, payload)| payload.len()).sum();
+    // Twice in a minute, each time what the window holds at most.
+    assert!(sent > 0 && sent < 3 * body, "{sent} bytes of {body}");
 }
