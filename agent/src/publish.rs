@@ -22,7 +22,7 @@ use cosurf_wire::{DeviceId, ModelKind, RefusalReason, WireError};
 use tracing::info_span;
 
 use crate::flights::Flights;
-use offer::offer;
+use offer::{offer, renumber};
 
 pub use publication::{Publication, Sharing};
 
@@ -238,6 +238,14 @@ impl<'a, F: FnMut(AgentEvent)> Publisher<'a, F> {
     }
 
     fn on_refused(&mut self, key: ModelKey, reason: RefusalReason) -> Result<()> {
+        if matches!(reason, RefusalReason::NumberTaken | RefusalReason::Replayed)
+            && let Some(model) = self.node.renumber(key)
+        {
+            renumber(self.publication.out, model)?;
+            let number = key.model;
+            self.retrying(format!("{reason}, {number}: the model is sent as number {model}"), 1);
+            return Ok(());
+        }
         if !reason.is_temporary() {
             bail!("the aggregator refuses model {}: {reason}", key.model);
         }
@@ -328,62 +336,117 @@ mod tests {
     #![allow(clippy::unwrap_used)]
     use std::cell::RefCell;
 
-    use cosurf_link::{Faults, MemoryNetwork, Role};
+    use cosurf_link::{Faults, MemoryNetwork, MemoryTransport, Role};
     use cosurf_scene::Splats;
     use cosurf_wire::{ModelId, SiteId, TileId};
 
     use super::*;
 
-    /// Publishes a small model to an aggregator that answers with a global model of 2,000 splats. Returns the events.
-    fn published(inbox_bytes: u64) -> Vec<AgentEvent> {
-        let of = |name: &str, role| {
-            let (site, device) = (SiteId::new("site").unwrap(), DeviceId::new(name).unwrap());
-            Identity { site, device, session: 1, role }
-        };
-        let [identity, ground] = [of("agent-1", Role::Device), of("ground", Role::Aggregator)];
-        let network = MemoryNetwork::new(1, Faults::NONE);
-        let (mut transport, mut above) = (network.join(&identity), network.join(&ground));
-        let splats = |count: usize| {
-            let mut splats = Splats::with_capacity(count, 0);
-            let mut push =
-                |i: usize| splats.push([i as f32; 3], [1.0, 0.0, 0.0, 0.0], [0.0; 3], 1.0, &[0.5; 3]);
-            (0..count).for_each(&mut push);
-            splats
-        };
-        let limits =
-            InboxLimits { body_bytes_max: 1 << 20, total_bytes_max: 1 << 20, models_max: 2, stored_max: 2 };
-        let mut node = Node::new(ground, limits, &[]);
-        let global = Offer::new(ground.device, ModelId(1), ModelKind::Global, 0, &splats(2000), &[]).unwrap();
-        node.broadcast(TileId::WHOLE, global, &[identity.device]);
-        let node = RefCell::new(node);
-        let above = RefCell::new(&mut above);
-        let now = || {
-            let now = network.now();
+    /// An aggregator that offers a global model of 2,000 splats.
+    struct Ground {
+        network: MemoryNetwork,
+        transport: MemoryTransport,
+        node: Node,
+        /// Numbers of the models that it has stored.
+        stored: Vec<u64>,
+    }
+
+    fn identity(name: &str, session: u64, role: Role) -> Identity {
+        let (site, device) = (SiteId::new("site").unwrap(), DeviceId::new(name).unwrap());
+        Identity { site, device, session, role }
+    }
+
+    fn splats(count: usize) -> Splats {
+        let mut splats = Splats::with_capacity(count, 0);
+        let mut push = |i: usize| splats.push([i as f32; 3], [1.0, 0.0, 0.0, 0.0], [0.0; 3], 1.0, &[0.5; 3]);
+        (0..count).for_each(&mut push);
+        splats
+    }
+
+    impl Ground {
+        fn new() -> Self {
+            let network = MemoryNetwork::new(1, Faults::NONE);
+            let identity = identity("ground", 1, Role::Aggregator);
+            let limits = InboxLimits {
+                body_bytes_max: 1 << 20,
+                total_bytes_max: 1 << 20,
+                models_max: 2,
+                stored_max: 9,
+            };
+            let mut node = Node::new(identity, limits, &[]);
+            let device = identity.device;
+            let global = Offer::new(device, ModelId(1), ModelKind::Global, 0, &splats(2000), &[]).unwrap();
+            node.broadcast(TileId::WHOLE, global, &[]);
+            Self { transport: network.join(&identity), network, node, stored: Vec::new() }
+        }
+
+        /// Runs the aggregator for 5 ms. Returns the time.
+        fn pass(&mut self) -> Duration {
+            let now = self.network.now();
             assert!(now < Duration::from_secs(60), "the agent waits forever");
-            let event = node.borrow_mut().step(*above.borrow_mut(), || now, Duration::ZERO);
-            if let Some(NodeEvent::Store { header, .. }) = event {
-                node.borrow_mut().stored((&header).into());
+            if let Some(NodeEvent::Store { header, .. }) =
+                self.node.step(&mut self.transport, || now, Duration::ZERO)
+            {
+                self.stored.push(header.model.0);
+                self.node.stored((&header).into());
             }
-            network.advance(now + Duration::from_millis(5));
+            self.network.advance(now + Duration::from_millis(5));
             now
-        };
+        }
+
+        /// Publishes a model from the folder `out`. Returns the agent's events.
+        fn publish(&mut self, out: &Path, splats: &Splats, inbox_bytes: u64) -> Vec<AgentEvent> {
+            let identity = identity("agent-1", 1 + self.stored.len() as u64, Role::Device);
+            let mut transport = self.network.join(&identity);
+            let publication = Publication {
+                identity,
+                splats,
+                cameras: &[],
+                base: None,
+                sharing: None,
+                credentials: &Credentials::default(),
+                out,
+                wait_global: true,
+                inbox_bytes,
+                flush_time: Duration::from_millis(100),
+            };
+            let mut events = Vec::new();
+            let ground = RefCell::new(self);
+            let now = || ground.borrow_mut().pass();
+            publish(&publication, &mut transport, now, |event| events.push(event)).unwrap();
+            ground.borrow_mut().network.leave(transport);
+            events
+        }
+    }
+
+    /// Publishes a small model. Returns the events.
+    fn published(inbox_bytes: u64) -> Vec<AgentEvent> {
         let out = tempfile::tempdir().unwrap();
-        let publication = Publication {
-            identity,
-            splats: &splats(10),
-            cameras: &[],
-            base: None,
-            sharing: None,
-            credentials: &Credentials::default(),
-            out: out.path(),
-            wait_global: true,
-            inbox_bytes,
-            flush_time: Duration::from_millis(100),
-        };
-        let mut events = Vec::new();
-        publish(&publication, &mut transport, now, |event| events.push(event)).unwrap();
+        let events = Ground::new().publish(out.path(), &splats(10), inbox_bytes);
         assert_eq!(global_ply(out.path()).exists(), inbox_bytes > 100_000);
         events
+    }
+
+    /// A drone that has lost its folder begins with number 1 again. The aggregator has other models under the first numbers.
+    #[test]
+    fn a_model_whose_number_is_taken_gets_the_next_free_one() {
+        let mut ground = Ground::new();
+        let old = tempfile::tempdir().unwrap();
+        for count in [10, 11, 12] {
+            ground.publish(old.path(), &splats(count), 1 << 20);
+        }
+        assert_eq!(ground.stored, [1, 2, 3]);
+        let new = tempfile::tempdir().unwrap();
+        let events = ground.publish(new.path(), &splats(20), 1 << 20);
+        assert_eq!(ground.stored, [1, 2, 3, 4]);
+        let told = |event: &AgentEvent| matches!(event, AgentEvent::Retrying { reason, .. } if reason.contains("as number 4"));
+        assert!(events.iter().any(told), "{events:?}");
+        assert!(events.iter().any(|event| matches!(event, AgentEvent::GlobalReceived { .. })), "{events:?}");
+        // It keeps that number, and goes on from there.
+        ground.publish(new.path(), &splats(20), 1 << 20);
+        assert_eq!(ground.stored, [1, 2, 3, 4]);
+        ground.publish(new.path(), &splats(21), 1 << 20);
+        assert_eq!(ground.stored, [1, 2, 3, 4, 5]);
     }
 
     #[test]

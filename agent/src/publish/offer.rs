@@ -1,6 +1,7 @@
 //! Encodes the model for the upload, and gives it a number. The number changes only if the encoded bytes change.
 
 use std::fs;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use cosurf_engine::Renderer;
@@ -42,17 +43,33 @@ pub(super) fn offer(
 
 /// The number of the model whose encoded bytes are `body`. A new number is written to disk before it is returned.
 fn number_of(body: &[u8], publication: &Publication) -> Result<ModelId> {
-    let path = publication.out.join("published.json");
+    let path = path(publication.out);
     let hash = blake3::hash(body).to_hex().to_string();
-    let last: Published = match fs::read(&path) {
-        Ok(bytes) => serde_json::from_slice(&bytes)
-            .with_context(|| format!("{}; remove it to publish anew", path.display()))?,
-        Err(_) => Published::default(),
-    };
+    let last = read(&path)?;
     if last.blake3 == hash {
         return Ok(ModelId(last.model));
     }
     let model = last.model + 1;
     write_json(&path, &Published { model, blake3: hash })?;
     Ok(ModelId(model))
+}
+
+/// Writes down that the model which was published last has another number.
+pub(super) fn renumber(out: &Path, model: ModelId) -> Result<()> {
+    let path = path(out);
+    let last = read(&path)?;
+    write_json(&path, &Published { model: model.0, ..last })?;
+    Ok(())
+}
+
+fn path(out: &Path) -> PathBuf {
+    out.join("published.json")
+}
+
+fn read(path: &Path) -> Result<Published> {
+    match fs::read(path) {
+        Ok(bytes) => serde_json::from_slice(&bytes)
+            .with_context(|| format!("{}; remove it to publish anew", path.display())),
+        Err(_) => Ok(Published::default()),
+    }
 }

@@ -172,6 +172,11 @@ impl UpstreamNode {
                 Some(UpstreamEvent::SentUp { revision: key.model.0, bytes_sent: progress.bytes_sent })
             }
             NodeEvent::UploadRefused { key, reason, .. } => {
+                if matches!(reason, RefusalReason::NumberTaken | RefusalReason::Replayed)
+                    && self.node.renumber(key).is_some()
+                {
+                    return None;
+                }
                 if !reason.is_temporary() {
                     self.tell(FromAbove::Nothing);
                 }

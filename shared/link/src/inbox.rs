@@ -17,7 +17,7 @@ use cosurf_wire::{
 use crate::body::Model;
 use crate::identity::{Identity, Role};
 use crate::key::ModelKey;
-use crate::pacing::ABANDONED;
+use crate::pacing::{ABANDONED, NUMBERS_IN_REACH};
 use crate::transfer::{ChunkOutcome, Transfer, TransferPhase};
 use crate::transport::Outgoing;
 use crate::trust::Credentials;
@@ -183,7 +183,8 @@ impl Inbox {
         if key.model.is_tile() && self.expected.get(&key) != Some(&header.blake3) {
             return None;
         }
-        if let Err(reason) = self.check(&header) {
+        let is_local = matches!(topic, Topic::LocalHeader { .. });
+        if let Err(reason) = self.check(&header, is_local) {
             return self.refuse_offer(topic, key, session, reason);
         }
         if let Some(hash) = self.stored.get(&key) {
@@ -331,11 +332,13 @@ impl Inbox {
     }
 
     /// Checks the frame and the number of an offer.
-    fn check(&self, header: &ModelHeader) -> Result<(), RefusalReason> {
+    fn check(&self, header: &ModelHeader, is_local: bool) -> Result<(), RefusalReason> {
         if header.frame != self.credentials.frame {
             return Err(RefusalReason::WrongFrame);
         }
-        let newest = self.newest_stored(header.into()).filter(|_| self.credentials.trusted.is_some());
+        let is_signed = self.credentials.trusted.is_some();
+        let counts = |newest: &ModelId| is_signed || (is_local && newest.0 < NUMBERS_IN_REACH);
+        let newest = self.newest_stored(header.into()).filter(counts);
         if newest.is_some_and(|newest| header.model < newest) {
             return Err(RefusalReason::Replayed);
         }

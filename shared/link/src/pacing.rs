@@ -74,6 +74,11 @@ pub(crate) const REPEATED_WANT: Duration = Duration::from_millis(400);
 pub(crate) const ASK_AGAIN: Backoff = Backoff::new(Duration::from_secs(2), Duration::from_secs(60));
 /// A device answers such a request at most once in this time.
 pub(crate) const ASKED_AGAIN: Duration = Duration::from_secs(5);
+/// Limit on the numbers that a sender tries for one model, the next twice as high as the last.
+pub(crate) const RENUMBERED_MAX: u32 = 48;
+/// Where nobody signs, a device's model with a number below one that is stored is refused only if that one is below this.
+/// A sender reaches all such numbers, so a forged high number bans nobody.
+pub(crate) const NUMBERS_IN_REACH: u64 = 1 << 40;
 /// An upload without a reply after this many offers, about half a minute, is reported.
 pub(crate) const UNANSWERED_OFFERS: u32 = 5;
 /// An unfinished model without a new chunk for this long is dropped even if no model needs its room.

@@ -8,15 +8,16 @@
 use std::time::Duration;
 
 use cosurf_wire::{
-    Chunk, DeviceId, Done, MAX_MESSAGE_BYTES, Message, Missing, RefusalReason, Refused, Reply, SiteId,
-    TileId, Topic, Want,
+    Chunk, DeviceId, Done, MAX_MESSAGE_BYTES, Message, Missing, ModelId, RefusalReason, Refused, Reply,
+    SiteId, TileId, Topic, Want,
 };
 
 use crate::bits::BitSet;
 use crate::key::ModelKey;
 use crate::offer::Offer;
 use crate::pacing::{
-    ANNOUNCE, ANNOUNCE_AGAIN, ASKED_AGAIN, Backoff, CHUNKS_PER_CONNECTION, SHRINK, UNANSWERED_OFFERS,
+    ANNOUNCE, ANNOUNCE_AGAIN, ASKED_AGAIN, Backoff, CHUNKS_PER_CONNECTION, RENUMBERED_MAX, SHRINK,
+    UNANSWERED_OFFERS,
 };
 use crate::peer::{Peer, PeerPhase};
 use crate::transport::Outgoing;
@@ -127,6 +128,8 @@ pub struct Uploader {
     received_before: u32,
     /// Number of the last connections, without a better one between them, over which hardly a chunk got through.
     poor: u32,
+    /// How often the model was given another number.
+    renumbered: u32,
 }
 
 impl Uploader {
@@ -170,6 +173,7 @@ impl Uploader {
             sent_before: 0,
             received_before: 0,
             poor: 0,
+            renumbered: 0,
         }
     }
 
@@ -218,14 +222,19 @@ impl Uploader {
     }
 
     /// Whether nothing is left to do. This is never true for a global model, which is offered until another
-    /// model replaces it, nor for a device's model that is stored, because the aggregator may ask for it again.
+    /// model replaces it, nor for a device's model that is stored or whose number was refused, because the aggregator may ask
+    /// for it again, or this device may give it another number.
     pub fn is_over(&self) -> bool {
-        (self.is_cleared && !self.is_stored()) || (self.device().is_some() && self.is_closed())
+        (self.is_cleared && !self.is_kept()) || (self.device().is_some() && self.is_closed())
     }
 
-    /// Whether a device's model is stored. It is kept only for an aggregator that loses it.
+    /// Whether a device's model is stored or its number was refused. It is kept only for an aggregator that loses it, or for
+    /// another number.
     pub(crate) fn is_kept(&self) -> bool {
-        self.is_cleared && self.is_stored()
+        let is_number_refused = |peer: &Peer| {
+            matches!(peer.phase, PeerPhase::Refused(RefusalReason::NumberTaken | RefusalReason::Replayed))
+        };
+        self.is_cleared && (self.is_stored() || self.peers.iter().any(is_number_refused))
     }
 
     /// Repeats the offer, because the transport is connected (again), and the broker may have lost the offer and the chunks
@@ -299,6 +308,21 @@ impl Uploader {
         }
         (self.sent_before, self.received_before, self.poor) = (self.sent_chunks, 0, 0);
         self.announce_now(now);
+    }
+
+    /// Offers a device's model under another number, because the receiver has a model under this or a higher one: the device
+    /// has lost its folder. Doubling soon reaches a number above those. Returns `None` if the model has no other number, or
+    /// was given too many.
+    pub(crate) fn renumber(&mut self, now: Duration) -> Option<ModelId> {
+        let next = ModelId(self.offer.header.model.0.max(1).checked_mul(2)?);
+        if next.is_tile() || self.renumbered >= RENUMBERED_MAX || self.tile().is_some() {
+            return None;
+        }
+        self.renumbered += 1;
+        self.is_cleared = false;
+        self.offer.header.model = next;
+        self.start_over(now, |_| true);
+        Some(next)
     }
 
     /// Handles a receiver's reply. Returns `None` if there is nothing to report, for example because the reply

@@ -287,11 +287,11 @@ impl fmt::Display for RefusalReason {
             }
             Self::Busy => "the receiver is busy with other models",
             Self::BadBody => "its values cannot be rendered or contradict its header",
-            Self::NumberTaken => "another model is stored under its number: publish it under a new number",
+            Self::NumberTaken => "another model of this device is stored under its number",
             Self::Withdrawn => "its device was withdrawn: publish a model of a later flight",
             Self::StoreFailed => "the receiver could not store it: check the receiver's disk",
             Self::WrongFrame => "it is in another world frame: set the same `frame` on both sides",
-            Self::Replayed => "a model with a higher number is stored: publish it under a new number",
+            Self::Replayed => "a model of this device with a higher number is stored",
             Self::Garbled => {
                 "its chunks were changed on the way: check whether another participant writes to its topics"
             }

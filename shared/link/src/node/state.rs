@@ -4,7 +4,9 @@ use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
 use cosurf_scene::Camera;
-use cosurf_wire::{BodyHash, DeviceId, FlightCameras, Message, ModelHeader, RefusalReason, TileId, Topic};
+use cosurf_wire::{
+    BodyHash, DeviceId, FlightCameras, Message, ModelHeader, ModelId, RefusalReason, TileId, Topic,
+};
 use tracing::debug;
 
 use super::births::Births;
@@ -119,6 +121,17 @@ impl Node {
         let uploader = Uploader::local(self.identity.site, offer);
         self.uploaders.retain(|old| old.key() != uploader.key() && !old.is_kept());
         self.uploaders.push(uploader);
+    }
+
+    /// Offers a device's own model under another number, after the aggregator has refused it because it has one under this
+    /// number or a higher one. Returns the number; `None` if the model is no longer offered or was given too many.
+    pub fn renumber(&mut self, key: ModelKey) -> Option<ModelId> {
+        let now = self.now;
+        let uploader = self.uploaders.iter_mut().find(|uploader| uploader.key() == key)?;
+        let next = uploader.renumber(now)?;
+        debug!(model = %key, to = %next, "another number");
+        self.cleared.push_back(Topic::LocalHeader { device: key.device, model: key.model });
+        Some(next)
     }
 
     /// Offers the global model of a tile to all devices, in place of the tile's previous model. The event

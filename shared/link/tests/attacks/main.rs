@@ -5,6 +5,7 @@
 
 mod flights;
 mod lost;
+mod numbers;
 mod replies;
 mod resends;
 mod retained;
