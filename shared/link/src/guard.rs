@@ -5,8 +5,8 @@
 //! - A reply about a device's model: only a listed aggregator.
 //! - A reply about a global model: only a listed device, and only about itself.
 //! - A reply counts only if it repeats the number of this session, and if it is newer than the last one of its sender.
-//! - An offer does not count if its sender has made another one since. The same one counts again, since brokers repeat what
-//!   they retain.
+//! - An offer does not count if its sender has made another one since; tiles are apart, because the manifest tells which
+//!   count. The same one counts again, since brokers repeat what they retain.
 //! - The start or end of a session does not count if its sender has started a newer one.
 //! - A flight does not count if its sender has announced one in a newer session, or if its session began more than a day
 //!   before this one.
@@ -15,7 +15,7 @@
 
 use std::collections::BTreeMap;
 
-use cosurf_wire::{DeviceId, Message, Seal, Sealed, Topic, seal};
+use cosurf_wire::{DeviceId, Message, ModelHeader, Seal, Sealed, Topic, seal};
 
 use crate::identity::Identity;
 use crate::trust::{Credentials, KeyFault, Trusted};
@@ -32,8 +32,10 @@ pub(crate) struct Guard {
 /// The newest messages of a sender.
 #[derive(Clone, Copy, Debug, Default)]
 struct Heard {
-    /// Session and count of the newest offer.
+    /// Session and count of the newest offer of a model, and of a tile. An aggregator repeats both at the same time, and they
+    /// may overtake each other.
     offer: (u64, u64),
+    tile_offer: (u64, u64),
     flight_session: u64,
     /// The newest session that the sender has started or ended.
     session: u64,
@@ -87,7 +89,7 @@ impl Heard {
     /// What was heard with this message; `None` if the message is outdated.
     fn hear(mut self, own_session: u64, message: &Message<'_>, seal: &Seal) -> Option<Self> {
         let is_new = match message {
-            Message::Header(_) => (seal.session, seal.count) >= self.offer,
+            Message::Header(header) => (seal.session, seal.count) >= *self.offer_of(header),
             Message::Flight(_) => {
                 seal.session >= self.flight_session
                     && seal.session.saturating_add(FLIGHT_AGE_MAX_S) >= own_session
@@ -99,7 +101,7 @@ impl Heard {
             Message::Chunk(_) => true,
         };
         match message {
-            Message::Header(_) => self.offer = (seal.session, seal.count),
+            Message::Header(header) => *self.offer_of(header) = (seal.session, seal.count),
             Message::Flight(_) => self.flight_session = seal.session,
             Message::Want(_) | Message::Done(_) | Message::Refused(_) => {
                 self.reply = (seal.session, seal.count);
@@ -108,6 +110,10 @@ impl Heard {
             Message::Chunk(_) => {}
         }
         is_new.then_some(self)
+    }
+
+    fn offer_of(&mut self, header: &ModelHeader) -> &mut (u64, u64) {
+        if header.model.is_tile() { &mut self.tile_offer } else { &mut self.offer }
     }
 }
 

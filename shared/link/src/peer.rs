@@ -6,8 +6,8 @@ use cosurf_wire::{ChunkStatus, DeviceId, RefusalReason, Want};
 
 use crate::bits::BitSet;
 use crate::pacing::{
-    REORDER, REPEATED_WANT, RESEND_ALL, WINDOW_BYTES_MAX, WINDOW_FAST, WINDOW_FIRST, WINDOW_MAX, WINDOW_MIN,
-    WINDOW_SLOW,
+    ASKED_AGAIN, REORDER, REPEATED_WANT, RESEND_ALL, WINDOW_BYTES_MAX, WINDOW_FAST, WINDOW_FIRST, WINDOW_MAX,
+    WINDOW_MIN, WINDOW_SLOW,
 };
 
 /// Resends that each chunk earns that a receiver has for the first time. On a line that loses half of its messages, a
@@ -91,17 +91,21 @@ impl Peer {
 
     /// Begins again with a receiver that lacks all of the model which it had stored. It is not required any more: the upload
     /// stays finished. Returns false if the receiver is not believed, because it has lost the model just before.
-    pub(crate) fn on_lost(&mut self, now: Duration, chunks: u32, chunk_bytes: u32, want: &Want) -> bool {
+    pub(crate) fn on_lost(&mut self, now: Duration, chunks: u32, want: &Want) -> bool {
         let lacks_all = (0..chunks).all(|index| want.missing.status_of(index) != ChunkStatus::Received);
         if self.phase != PeerPhase::Done || !lacks_all || now < self.may_lose_at {
             return false;
         }
-        *self = Self {
-            resends: (0, now),
-            may_lose_at: now + RESEND_ALL,
-            ..Self::new(self.device, chunks, chunk_bytes, false)
-        };
-        self.on_want(now, chunks, want)
+        self.begin_again(chunks);
+        (self.is_required, self.may_lose_at) = (false, now + ASKED_AGAIN);
+        self.take_want(now, chunks, want);
+        true
+    }
+
+    /// Forgets that the receiver has any chunk. What it gets now was sent before, so it counts as sent again.
+    pub(crate) fn begin_again(&mut self, chunks: u32) {
+        (self.phase, self.wanted) = (PeerPhase::Silent, BitSet::full(chunks));
+        self.in_flight.clear();
     }
 
     /// Whether the receiver has stored the model, or refused it for good.

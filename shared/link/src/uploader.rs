@@ -386,14 +386,15 @@ impl Uploader {
         let (Destination::Devices(_), Message::Want(want)) = (self.destination, message) else {
             return false;
         };
-        let (chunks, chunk_bytes) = (self.offer.header.chunks(), self.offer.header.chunk_bytes);
-        self.peers[index].on_lost(now, chunks, chunk_bytes, want)
+        self.peers[index].on_lost(now, self.offer.header.chunks(), want)
     }
 
     fn begin_again(&mut self, now: Duration) {
         self.is_cleared = false;
         self.ask_again_at = now + ASKED_AGAIN;
-        self.start_over(now, |_| true);
+        let chunks = self.offer.header.chunks();
+        self.peers.iter_mut().for_each(|peer| peer.begin_again(chunks));
+        self.announce_now(now);
     }
 
     /// Returns the next message that is due. The caller must publish it: it counts as sent.
