@@ -227,6 +227,7 @@ impl<'a, F: FnMut(AgentEvent)> Publisher<'a, F> {
                 let reason = reason.to_owned();
                 (self.on_event)(AgentEvent::GlobalRefused { revision: key.model, reason });
             }
+            NodeEvent::Denied(reason) => self.retrying(reason, 1),
             NodeEvent::Unanswered { offers, .. } => self.on_unanswered(offers),
             NodeEvent::OtherVersion { version, .. } if !self.is_version_told => {
                 self.is_version_told = true;

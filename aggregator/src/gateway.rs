@@ -173,7 +173,7 @@ impl<F: Fn(GatewayEvent)> Bridge<F> {
                 (self.client, self.newborn) = (None, None);
                 self.tell(GatewayEvent::OffLine { reason });
             }
-            Some(TransportEvent::Connected) | None => {}
+            Some(TransportEvent::Connected | TransportEvent::Denied { .. }) | None => {}
         }
     }
 
@@ -219,15 +219,18 @@ impl<F: Fn(GatewayEvent)> Bridge<F> {
     /// Moves messages from the broker to the device.
     fn down(&mut self) {
         let Some(client) = &mut self.client else { return };
+        let mut denied = Vec::new();
         while let Some(event) = client.poll(Duration::ZERO) {
             match event {
                 TransportEvent::Incoming { topic, payload } => self.relay.hear_broker(&topic, payload),
                 // The client is new, or the broker may have lost the device's birth notice: publish the
                 // notice.
                 TransportEvent::Connected => self.up = self.up.take().or_else(|| self.relay.birth()),
+                TransportEvent::Denied { reason } => denied.push(reason),
                 TransportEvent::Disconnected { .. } => {}
             }
         }
+        denied.into_iter().for_each(|reason| self.refuse(reason));
         while let Some(message) = self.relay.next_down()
             && self.line.publish(message) != Err(PublishError::Busy)
         {

@@ -100,6 +100,11 @@ pub enum ServiceEvent {
         /// The name.
         device: DeviceId,
     },
+    /// The broker does not take a message of this aggregator.
+    Denied {
+        /// The reason, one line.
+        reason: String,
+    },
     /// A message was discarded.
     Ignored {
         /// The reason, one line.
@@ -112,7 +117,7 @@ impl fmt::Display for ServiceEvent {
         match self {
             Self::Connected => write!(f, "connected to the broker"),
             Self::Disconnected { attempt, reason } => write!(f, "{reason}; trying again (attempt {attempt})"),
-            Self::DiskFailed { reason } => write!(f, "{reason}"),
+            Self::DiskFailed { reason } | Self::Denied { reason } => write!(f, "{reason}"),
             Self::Stored { header } => {
                 let (splats, size) = (counted(header.splats, "splat"), format_bytes(header.body_bytes));
                 write!(f, "the model of {} arrived: {splats}, {size}", header.device)

@@ -220,6 +220,7 @@ impl Keeper {
                 ServiceEvent::Ignored { reason: format!("the link cannot carry our messages: {error}") }
             }
             NodeEvent::SameName(device) => ServiceEvent::SameName { device },
+            NodeEvent::Denied(reason) => ServiceEvent::Denied { reason },
             NodeEvent::State(_)
             | NodeEvent::Flight(..)
             | NodeEvent::Receiving(_)

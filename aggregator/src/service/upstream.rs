@@ -46,6 +46,11 @@ pub enum UpstreamEvent {
         /// The reason, one line.
         reason: String,
     },
+    /// The broker above does not take a message.
+    DeniedAbove {
+        /// The reason, one line.
+        reason: String,
+    },
     /// The aggregator above has stored a revision of the edge.
     SentUp {
         /// The revision.
@@ -88,7 +93,9 @@ impl fmt::Display for UpstreamEvent {
             Self::UpstreamDisconnected { attempt, reason } => {
                 write!(f, "upstream: {reason}; trying again (attempt {attempt})")
             }
-            Self::UpstreamDiskFailed { reason } => write!(f, "upstream: {reason}"),
+            Self::UpstreamDiskFailed { reason } | Self::DeniedAbove { reason } => {
+                write!(f, "upstream: {reason}")
+            }
             Self::SentUp { revision, bytes_sent } => {
                 write!(f, "upstream: revision {revision} is delivered, {} sent", format_bytes(*bytes_sent))
             }
@@ -168,6 +175,7 @@ impl UpstreamNode {
                 }
                 Some(UpstreamEvent::UpstreamDisconnected { attempt, reason })
             }
+            NodeEvent::Denied(reason) => Some(UpstreamEvent::DeniedAbove { reason }),
             NodeEvent::Uploaded(key, progress) => {
                 Some(UpstreamEvent::SentUp { revision: key.model.0, bytes_sent: progress.bytes_sent })
             }

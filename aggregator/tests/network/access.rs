@@ -8,11 +8,13 @@ use std::process::{Command, Output, Stdio};
 use std::time::Duration;
 
 use cosurf_aggregator::broker::{Broker, BrokerSettings, Users, user_line};
-use cosurf_link::{Login, MqttConfig, MqttTransport, Role, Tls, TlsFiles, Transport, TransportEvent};
+use cosurf_link::{
+    Login, MqttConfig, MqttTransport, Outgoing, Role, Tls, TlsFiles, Transport, TransportEvent,
+};
 use cosurf_tests::live::upload;
 use cosurf_tests::mosquitto::{Authority, tls};
 use cosurf_tests::offers::{broker_address, identity, offer};
-use cosurf_wire::{DeviceId, MAX_CHUNK_BYTES, ModelKind, SiteId};
+use cosurf_wire::{DeviceId, MAX_CHUNK_BYTES, ModelKind, SiteId, Topic};
 
 use crate::ground::Ground;
 use crate::raw::{Hello, Raw};
@@ -83,7 +85,7 @@ fn attack_14_a_user_neither_takes_over_nor_writes_as_another() {
 }
 
 #[test]
-fn a_device_connects_with_its_password_and_is_told_if_it_is_wrong() {
+fn a_device_is_told_if_its_password_is_wrong_or_a_topic_is_not_its_own() {
     let folder = tempfile::tempdir().unwrap();
     let broker = guarded(folder.path());
     let connect = |password: &str| {
@@ -91,10 +93,16 @@ fn a_device_connects_with_its_password_and_is_told_if_it_is_wrong() {
         let (broker, identity) = (broker_address(broker.address()), identity(Role::Device, "drone"));
         let mut transport =
             MqttTransport::start(MqttConfig { broker, identity, will: None, tls: None, login });
-        transport.poll(Duration::from_secs(20)).unwrap()
+        let first = transport.poll(Duration::from_secs(20)).unwrap();
+        let topic = Topic::State { device: DeviceId::new("other").unwrap() }.to_text(&identity.site);
+        transport.publish(&Outgoing { topic, payload: vec![1], retain: true }).unwrap();
+        (first, transport.poll(Duration::from_secs(20)).unwrap())
     };
-    assert_eq!(connect("enord"), TransportEvent::Connected);
-    let event = connect("drone");
+    let (first, second) = connect("enord");
+    assert_eq!(first, TransportEvent::Connected);
+    let denied = "messages under gs/v1/site/other/state are refused: give this participant access";
+    assert!(matches!(&second, TransportEvent::Denied { reason } if reason.contains(denied)), "{second:?}");
+    let (event, _) = connect("drone");
     assert!(
         matches!(&event, TransportEvent::Disconnected { reason, .. } if reason.contains("password")),
         "{event:?}"

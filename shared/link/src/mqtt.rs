@@ -68,6 +68,7 @@ impl Transport for MqttTransport {
             ClientEvent::Disconnected { attempt, reason } => {
                 Some(TransportEvent::Disconnected { attempt, reason })
             }
+            ClientEvent::Denied { reason } => Some(TransportEvent::Denied { reason }),
             ClientEvent::Message { topic, retain: true, .. } if !counts_retained(&topic) => None,
             ClientEvent::Message { topic, payload, .. } => Some(TransportEvent::Incoming { topic, payload }),
         })

@@ -41,6 +41,11 @@ pub enum TransportEvent {
         /// One line with the address and the error.
         reason: String,
     },
+    /// The broker does not take a message. Told once for each kind of message, until the connection is lost.
+    Denied {
+        /// One line with the address and the reason.
+        reason: String,
+    },
 }
 
 /// Why a message was not queued.

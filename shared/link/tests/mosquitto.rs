@@ -164,7 +164,15 @@ fn the_example_configuration_passes_models_and_blocks_forgeries() {
     let mut payload = vec![0; 1024];
     let header = cosurf_wire::Message::Header(forged.header);
     let payload = header.encode(&mut payload).unwrap().to_vec();
-    transport.publish(&Outgoing { topic, payload, retain: true }).unwrap();
+    let forged = Outgoing { topic, payload, retain: true };
+    for _ in 0..2 {
+        transport.publish(&forged).unwrap();
+    }
+    // The thief is told so, once.
+    let told = transport.poll(Duration::from_secs(20));
+    let is_told = |event: &TransportEvent| matches!(event, TransportEvent::Denied { reason } if reason.contains("access"));
+    assert!(told.as_ref().is_some_and(is_told), "{told:?}");
+    assert_eq!(transport.poll(Duration::from_millis(200)), None);
 
     let offer = offer("drone", 1, ModelKind::Local, 1, 20_000, 65_536);
     let body = offer.body.clone();

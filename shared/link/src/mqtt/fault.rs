@@ -2,7 +2,7 @@
 
 use std::io::{self, ErrorKind};
 
-use rumqttc::v5::mqttbytes::v5::{ConnectReturnCode, DisconnectReasonCode};
+use rumqttc::v5::mqttbytes::v5::{ConnectReturnCode, DisconnectReasonCode, PubAckReason};
 use rustls::{AlertDescription, Error as RustlsError};
 use tokio_tungstenite::tungstenite;
 
@@ -42,6 +42,26 @@ pub(super) enum Fault {
     /// Nothing arrives any more.
     #[error("no reply to a ping")]
     NoReply,
+}
+
+/// Why the broker does not take a message under `topic`; `None` if it does.
+pub(super) fn denial(reason: PubAckReason, topic: &str) -> Option<String> {
+    match reason {
+        PubAckReason::Success | PubAckReason::NoMatchingSubscribers => None,
+        PubAckReason::NotAuthorized => {
+            Some(format!("messages under {topic} are refused: give this participant access to its topics"))
+        }
+        PubAckReason::QuotaExceeded => Some(format!(
+            "a message under {topic} is refused because the broker has no room: raise its memory, or find the client \
+             that publishes so much"
+        )),
+        other => Some(format!("a message under {topic} is refused: {other:?}")),
+    }
+}
+
+/// The kind of the messages under a topic: its level after site and device.
+pub(super) fn kind_of(topic: &str) -> String {
+    topic.split('/').nth(4).unwrap_or_default().to_owned()
 }
 
 fn lost(error: &io::Error) -> String {

@@ -80,14 +80,14 @@ impl InFlight {
         &self.letters[self.letters.len() - 1].0.publish
     }
 
-    /// Takes an acknowledgement. Returns whether a message waited for it.
-    pub(super) fn acknowledge(&mut self, id: u16, now: Instant) -> bool {
+    /// Takes an acknowledgement. Returns the message that waited for it.
+    pub(super) fn acknowledge(&mut self, id: u16, now: Instant) -> Option<Publish> {
         let place = self.letters.iter().position(|(letter, _)| letter.publish.pkid == id);
-        let Some((letter, since)) = place.and_then(|place| self.letters.remove(place)) else { return false };
+        let (letter, since) = self.letters.remove(place?)?;
         if letter.is_bulk {
             self.learn(letter.publish.payload.len(), now.saturating_duration_since(since));
         }
-        true
+        Some(letter.publish)
     }
 
     /// Learns from how long a bulk message waited for its acknowledgement.
@@ -142,7 +142,7 @@ mod tests {
             }
             seconds += 8192.0 / rate;
             let id = flight.letters[0].0.publish.pkid;
-            assert!(flight.acknowledge(id, start + Duration::from_secs_f64(seconds)));
+            assert!(flight.acknowledge(id, start + Duration::from_secs_f64(seconds)).is_some());
         }
         flight.letters.iter().map(|(letter, _)| letter.publish.payload.len()).sum::<usize>() + (8 << 10)
     }
@@ -173,7 +173,7 @@ mod tests {
         for _ in 0..70_000 {
             let id = flight.add(control(1), now).pkid;
             assert!(id != 0 && id != first);
-            assert!(flight.acknowledge(id, now) && !flight.acknowledge(id, now));
+            assert!(flight.acknowledge(id, now).is_some() && flight.acknowledge(id, now).is_none());
         }
     }
 

@@ -22,6 +22,8 @@ pub(super) enum ClientEvent {
     Connected,
     /// The connection was lost or could not be made, for this number of times since the last one.
     Disconnected { attempt: u32, reason: String },
+    /// The broker does not take a message.
+    Denied { reason: String },
     /// A message has arrived.
     Message { topic: String, payload: Vec<u8>, qos: QoS, retain: bool },
 }

@@ -119,7 +119,7 @@ pub fn replay(
 /// The entry of the recording for an event; `None` if the event is no message. An error if the broker cannot be reached.
 fn entry(event: ClientEvent, at: Duration) -> Result<Option<Entry>, TrafficError> {
     match event {
-        ClientEvent::Connected => Ok(None),
+        ClientEvent::Connected | ClientEvent::Denied { .. } => Ok(None),
         ClientEvent::Message { topic, payload, qos, retain } => {
             Ok(Some(Entry { at, topic, qos: qos as u8, retain, payload }))
         }

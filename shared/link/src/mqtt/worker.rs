@@ -1,5 +1,6 @@
 //! The thread of a client: connects, subscribes, sends, receives, and connects again.
 
+use std::collections::BTreeSet;
 use std::future::Future;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -14,7 +15,7 @@ use tokio::select;
 use tokio::time::sleep;
 
 use super::connection::Connection;
-use super::fault::Fault;
+use super::fault::{Fault, denial, kind_of};
 use super::session::{InFlight, SUBSCRIBE_ID};
 use super::settings::{ClientSettings, KEEP_ALIVE_S};
 use super::shared::{ClientEvent, Shared};
@@ -43,6 +44,8 @@ pub(super) struct Worker {
     attempt: u32,
     reconnect: Backoff,
     is_dropping: bool,
+    /// The kinds of messages that the broker has not taken on this connection.
+    denied: BTreeSet<String>,
     stopping_since: Option<Instant>,
 }
 
@@ -75,6 +78,7 @@ impl Worker {
             attempt: 0,
             reconnect: RECONNECT,
             is_dropping: false,
+            denied: BTreeSet::new(),
             stopping_since: None,
         }
     }
@@ -173,6 +177,7 @@ impl Worker {
     /// Sends what was left over from an earlier connection.
     async fn on_ready(&mut self, line: &mut Line) {
         line.is_ready = true;
+        self.denied.clear();
         let (before, now) = (self.in_flight.len(), Instant::now());
         for message in self.in_flight.resume(line.has_session, line.in_flight_max, now) {
             line.connection.queue(&Packet::Publish(message.clone()));
@@ -188,7 +193,7 @@ impl Worker {
         match packet {
             Packet::SubAck(ack) if !is_granted(&ack) => return Err(Fault::Subscriptions),
             Packet::SubAck(_) if !line.is_ready => self.on_ready(line).await,
-            Packet::PubAck(ack) => self.on_acknowledgement(ack.pkid),
+            Packet::PubAck(ack) => self.on_acknowledgement(&ack).await,
             Packet::Publish(message) => {
                 let (id, qos) = (message.pkid, message.qos);
                 self.on_message(message).await;
@@ -202,11 +207,17 @@ impl Worker {
         Ok(())
     }
 
-    fn on_acknowledgement(&mut self, id: u16) {
+    async fn on_acknowledgement(&mut self, ack: &PubAck) {
         self.acknowledged = Instant::now();
-        if self.in_flight.acknowledge(id, self.acknowledged) {
-            self.shared.acknowledged.fetch_add(1, Ordering::Relaxed);
-            self.shared.settle(1);
+        let Some(message) = self.in_flight.acknowledge(ack.pkid, self.acknowledged) else { return };
+        self.shared.acknowledged.fetch_add(1, Ordering::Relaxed);
+        self.shared.settle(1);
+        let topic = String::from_utf8_lossy(&message.topic);
+        if let Some(denial) = denial(ack.reason, &topic)
+            && self.denied.insert(kind_of(&topic))
+        {
+            let reason = format!("broker {}: {denial}", self.settings.broker);
+            self.deliver(ClientEvent::Denied { reason }).await;
         }
     }
 

@@ -71,6 +71,8 @@ pub enum NodeEvent {
         /// Number of offers since the last reply.
         offers: u32,
     },
+    /// The broker does not take a message. One line with the reason.
+    Denied(String),
     /// An upload has progressed.
     Progress(ModelKey, UploadProgress),
     /// Every required receiver has stored the model.

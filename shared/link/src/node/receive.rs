@@ -31,6 +31,7 @@ impl Node {
                 self.is_connected = false;
                 self.events.push_back(NodeEvent::Disconnected { attempt, reason });
             }
+            TransportEvent::Denied { reason } => self.events.push_back(NodeEvent::Denied(reason)),
             TransportEvent::Incoming { topic, payload } => {
                 if let Err(reason) = self.receive_message(&topic, &payload) {
                     let source = Topic::parse(&topic).ok().and_then(|(_, topic)| source_of(&topic));

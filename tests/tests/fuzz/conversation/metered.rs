@@ -78,7 +78,7 @@ impl Transport for Metered {
                 self.traffic.received += 1;
                 self.foreign_bytes -= (topic.capacity() + payload.capacity()) as isize;
             }
-            Some(TransportEvent::Disconnected { reason, .. }) => {
+            Some(TransportEvent::Disconnected { reason, .. } | TransportEvent::Denied { reason }) => {
                 self.foreign_bytes -= reason.capacity() as isize
             }
             Some(TransportEvent::Connected) | None => {}
