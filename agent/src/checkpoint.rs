@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
 use cosurf_engine::{AnyBackend, Backend, DeviceLost, Progress, TrainSettings, Trainer};
-use cosurf_scene::{Camera, SparsePoint, atomic};
+use cosurf_scene::{Camera, SceneError, SparsePoint, atomic, files};
 use serde::{Deserialize, Serialize};
 use tracing::debug_span;
 
@@ -83,10 +83,10 @@ impl Checkpoint {
     /// cannot be read, or if its first line is not that of a checkpoint in this program's format.
     pub fn find(out: &Path) -> Result<Option<Self>> {
         let path = path(out);
-        let file = match File::open(&path) {
+        let file = match files::open(&path) {
             Ok(file) => file,
-            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
-            Err(error) => return Err(error).with_context(|| path.display().to_string()),
+            Err(SceneError::Io { cause, .. }) if cause.kind() == io::ErrorKind::NotFound => return Ok(None),
+            Err(error) => bail!("{error}; remove it to start again"),
         };
         let mut body = BufReader::new(file);
         let mut line = Vec::new();

@@ -138,7 +138,7 @@ impl<'a, F: FnMut(AgentEvent)> Publisher<'a, F> {
                 start_upload(&mut node, offer(publication, splats, base, ModelKind::Local)?)
             }
         };
-        Ok(Self {
+        let mut publisher = Self {
             publication,
             node,
             received,
@@ -146,7 +146,11 @@ impl<'a, F: FnMut(AgentEvent)> Publisher<'a, F> {
             is_global_settled: false,
             is_version_told: false,
             on_event,
-        })
+        };
+        while let Some(damaged) = publisher.received.take_damaged() {
+            publisher.retrying(format!("a global model is received again: {damaged}"), 1);
+        }
+        Ok(publisher)
     }
 
     fn is_done(&self) -> bool {

@@ -53,6 +53,7 @@ mod record;
 mod round;
 mod sent;
 mod serve;
+mod set_aside;
 mod shelf;
 mod station;
 #[cfg(test)]

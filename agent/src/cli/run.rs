@@ -14,7 +14,7 @@ use cosurf_agent::session::{self, Split, TrainPlan};
 use cosurf_contract::{AgentConfig, ComparedWith, Share};
 use cosurf_engine::{PruneSettings, SurfaceSettings, base_of};
 use cosurf_link::{Credentials, Identity, Role, next_session};
-use cosurf_scene::{Camera, Splats, ply};
+use cosurf_scene::{Camera, Splats, files, ply};
 
 use super::host::{cores, default_memory};
 use super::paths::resolve_init;
@@ -72,7 +72,7 @@ impl LocalModel {
     fn read(out: &Path) -> Result<Self> {
         let splats = ply::read(&out.join("model.ply"))?;
         let path = out.join("cameras.json");
-        let bytes = fs::read(&path).with_context(|| path.display().to_string())?;
+        let bytes = files::read(&path)?;
         let cameras = serde_json::from_slice(&bytes).with_context(|| path.display().to_string())?;
         Ok(Self { splats, cameras })
     }

@@ -1,12 +1,12 @@
 //! Encodes the model for the upload, and gives it a number. The number changes only if the encoded bytes change.
 
-use std::fs;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use cosurf_engine::Renderer;
 use cosurf_link::{FirstLayer, Offer, model_to_body};
-use cosurf_scene::{Base, Splats};
+use cosurf_scene::{Base, SceneError, Splats, files};
 use cosurf_wire::{ModelId, ModelKind};
 use serde::{Deserialize, Serialize};
 
@@ -67,9 +67,10 @@ fn path(out: &Path) -> PathBuf {
 }
 
 fn read(path: &Path) -> Result<Published> {
-    match fs::read(path) {
+    match files::read(path) {
         Ok(bytes) => serde_json::from_slice(&bytes)
             .with_context(|| format!("{}; remove it to publish anew", path.display())),
-        Err(_) => Ok(Published::default()),
+        Err(SceneError::Io { cause, .. }) if cause.kind() == ErrorKind::NotFound => Ok(Published::default()),
+        Err(error) => bail!("{error}; remove it to publish anew"),
     }
 }

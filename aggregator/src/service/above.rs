@@ -299,7 +299,7 @@ mod tests {
         assert!(above.has_waited(s(70)) && !above.has_waited(s(71)));
         assert!(!above.waits(s(72)), "the aggregator above has not answered the last one either");
         let (own, models) = (Some(ModelId(3)), above.link.store.clone());
-        let mut handed = Sent::open(&folder.path().join("handed")).unwrap();
+        let mut handed = Sent::open(&folder.path().join("handed"), drop).unwrap();
         models.put(&offer(1).header, &offer(1).body).unwrap();
         above.begin(offer(1).header, true, Vec::new(), &[], None).unwrap();
         assert!(above.advance(&models).unwrap());

@@ -44,6 +44,11 @@ pub enum ServiceEvent {
         /// The file that keeps the model aside.
         file: String,
     },
+    /// A file in the folder of the service could not be used at the start, and was renamed.
+    SetAside {
+        /// What is wrong with which file, how it is called now, and what follows; one line.
+        reason: String,
+    },
     /// A model that was stored is missing or damaged. Its device is asked for it again.
     Lost {
         /// Header of the model.
@@ -117,7 +122,9 @@ impl fmt::Display for ServiceEvent {
         match self {
             Self::Connected => write!(f, "connected to the broker"),
             Self::Disconnected { attempt, reason } => write!(f, "{reason}; trying again (attempt {attempt})"),
-            Self::DiskFailed { reason } | Self::Denied { reason } => write!(f, "{reason}"),
+            Self::DiskFailed { reason } | Self::SetAside { reason } | Self::Denied { reason } => {
+                write!(f, "{reason}")
+            }
             Self::Stored { header } => {
                 let (splats, size) = (counted(header.splats, "splat"), format_bytes(header.body_bytes));
                 write!(f, "the model of {} arrived: {splats}, {size}", header.device)

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, TryRecvError};
 use std::time::Duration;
 
-use cosurf_link::{DEVICES_MAX, ModelKey, ModelStore, Node, NodeEvent, Offer, Receiver as Listed};
+use cosurf_link::{DEVICES_MAX, Damaged, ModelKey, ModelStore, Node, NodeEvent, Offer, Receiver as Listed};
 use cosurf_scene::ply;
 use cosurf_wire::{DeviceId, ModelHeader, ModelId, ModelKind, RefusalReason, TileId, WireError};
 
@@ -23,6 +23,7 @@ use super::rebroadcast::Rebroadcast;
 use super::record::{Input, KeptOut, Merging, Verdict, remove_global};
 use super::round::{Expected, Round};
 use super::sent::{Revision, Sent, TileBytes};
+use super::set_aside::set_aside_files;
 use super::shelf::Shelf;
 use super::trial::Trials;
 
@@ -61,12 +62,14 @@ pub(super) struct Keeper {
     sent: Sent,
     /// What devices get of the global model of the aggregator above.
     handed: Sent,
+    /// The highest number of a revision whose file was set aside. Devices may have it.
+    used: Option<ModelId>,
     /// The aggregator above, if there is one.
     above: Option<Above>,
     rebroadcast: Rebroadcast,
     withdrawals_at: Duration,
     lost_at: Duration,
-    /// Models that the last global model was merged from and that were missing at the start.
+    /// Models that were missing or set aside at the start.
     missing: Vec<ModelKey>,
     trials: Trials,
     global: Option<ModelHeader>,
@@ -92,21 +95,35 @@ pub(super) struct Keeper {
 impl Keeper {
     /// Opens the service's folder. Also returns the headers of the local models in it.
     pub(super) fn open(config: ServiceConfig) -> Result<(Self, Vec<ModelHeader>), ServiceError> {
-        let (shelf, headers) = Shelf::open(&config.folder)?;
-        let (globals, revisions) = ModelStore::open(&global_store(&config.folder))?;
+        let mut told: VecDeque<ServiceEvent> = set_aside_files(&config.folder)?.into();
+        let mut tell = |damaged: Damaged, follows: &str| {
+            told.push_back(ServiceEvent::SetAside { reason: format!("{damaged}; {follows}") });
+        };
+        let (mut shelf, headers) = Shelf::open(&config.folder, &mut tell)?;
+        let mut tell_global = |damaged| tell(damaged, "a revision that needs it is made anew");
+        let (globals, revisions) = ModelStore::open_telling(&global_store(&config.folder), &mut tell_global)?;
+        let sent = Sent::open(&sent_tiles(&config.folder), &mut tell_global)?;
+        let handed = Sent::open(&handed_on(&config.folder), &mut tell_global)?;
+        let set_aside = [&globals, sent.store(), handed.store()].map(ModelStore::highest_set_aside);
         let results = Store::in_folder(&tiles(&config.folder)).map_err(MergeError::from)?;
         let (trials, died) = Trials::open(&config.folder)?;
         let merged = Merging::read(&config.folder).map(|record| record.inputs).unwrap_or_default();
-        let missing = merged.iter().filter_map(|input| shelf.lacks(input)).collect();
-        let [sent, handed] = [sent_tiles, handed_on].map(|folder| Sent::open(&folder(&config.folder)));
+        let mut missing = shelf.take_damaged();
+        missing.extend(merged.iter().filter_map(|input| shelf.lacks(input)));
+        let mut used = None;
+        for highest in set_aside {
+            used = used.max(highest?);
+        }
+        told.extend(died);
         let keeper = Self {
             device: config.identity.device,
             folder: config.folder,
             shelf,
             globals,
             work: TileWork { results, queue: None, whole_splats_max: WHOLE_SPLATS_MAX },
-            sent: sent?,
-            handed: handed?,
+            sent,
+            handed,
+            used,
             above: None,
             rebroadcast: Rebroadcast::default(),
             withdrawals_at: Duration::ZERO,
@@ -123,7 +140,7 @@ impl Keeper {
             job: None,
             devices_max: DEVICES_MAX,
             quiet: Quiet::default(),
-            told: died.into_iter().collect(),
+            told,
             to_offer: false,
         };
         Ok((keeper, headers))
@@ -413,6 +430,7 @@ impl Keeper {
             && record.settings == self.merge
             && self.global.is_some_and(|global| global.model.0 == record.revision)
             && !self.is_outnumbered()
+            && !self.lacks_tiles()
             && global_ply(&self.folder).is_file()
     }
 
@@ -502,13 +520,23 @@ impl Keeper {
 
     /// The number of the next revision that devices get, of the service's own or from above.
     fn next_number(&self) -> ModelId {
-        self.own_number().max(self.handed.number()).map_or(ModelId(1), |newest| ModelId(newest.0 + 1))
+        self.own_number()
+            .max(self.handed.number())
+            .max(self.used)
+            .map_or(ModelId(1), |newest| ModelId(newest.0 + 1))
     }
 
-    /// Whether devices have a model of an aggregator above that is no longer configured, with a higher number than the
-    /// service's own.
+    /// Whether devices may have a model with a higher number than the service's own: one whose file was set aside, or one
+    /// of an aggregator above that is no longer configured.
     fn is_outnumbered(&self) -> bool {
-        self.above.is_none() && self.handed.number() > self.own_number()
+        let own = self.own_number();
+        self.used > own.max(self.handed.number()) || self.above.is_none() && self.handed.number() > own
+    }
+
+    /// Whether the newest revision is too large to be sent whole, and its tiles are not there.
+    fn lacks_tiles(&self) -> bool {
+        let is_large = |header: ModelHeader| header.splats as usize > self.work.whole_splats_max;
+        self.global.is_some_and(is_large) && self.sent.newest().is_none()
     }
 
     /// Hands on what came from the aggregator above. Sends the service's own revision once it has waited long enough.

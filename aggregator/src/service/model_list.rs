@@ -7,9 +7,10 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
 use std::fs;
+use std::io::ErrorKind;
 use std::path::Path;
 
-use cosurf_scene::{SceneError, atomic};
+use cosurf_scene::{SceneError, atomic, files};
 use cosurf_wire::{DeviceId, ModelHeader, ModelId};
 
 /// Limit on the models of a list. Beyond it, those with the lowest numbers are left out.
@@ -31,20 +32,37 @@ pub(super) struct ModelList {
 }
 
 impl ModelList {
-    /// The lists of all devices in a folder. Unreadable lines count as missing.
-    pub(super) fn read_all(folder: &Path) -> BTreeMap<DeviceId, Self> {
-        let entries = fs::read_dir(folder).into_iter().flatten().flatten();
-        let read = |entry: fs::DirEntry| {
-            let device = DeviceId::new(entry.file_name().to_str()?).ok()?;
-            Some((device, Self::parse(&fs::read_to_string(entry.path()).ok()?)))
+    /// The lists of all devices in a folder. Unreadable lines count as missing. Fails if a list cannot be read: without it,
+    /// withdrawn models would count again.
+    pub(super) fn read_all(folder: &Path) -> Result<BTreeMap<DeviceId, Self>, SceneError> {
+        let entries = match fs::read_dir(folder) {
+            Err(cause) if cause.kind() == ErrorKind::NotFound => return Ok(BTreeMap::new()),
+            entries => entries.map_err(|cause| SceneError::io(folder, cause))?,
         };
-        entries.filter_map(read).collect()
+        let mut lists = BTreeMap::new();
+        for entry in entries {
+            let path = entry.map_err(|cause| SceneError::io(folder, cause))?.path();
+            let device = path.file_name().and_then(|name| DeviceId::new(name.to_str()?).ok());
+            let Some(device) = device else { continue };
+            let read = files::read(&path).map_err(|error| error.to_string());
+            let text = read.and_then(|bytes| String::from_utf8(bytes).map_err(|error| error.to_string()));
+            let text = text.map_err(|error| {
+                let remedy = format!("remove it, and withdraw the device again: forget {device}");
+                SceneError::malformed(
+                    &path,
+                    format!("the list of withdrawn models cannot be read ({error}); {remedy}"),
+                )
+            })?;
+            lists.insert(device, Self::parse(&text));
+        }
+        Ok(lists)
     }
 
     /// The list of a device in a folder, empty if there is none.
     pub(super) fn read(folder: &Path, device: &DeviceId) -> Self {
-        fs::read_to_string(folder.join(device.as_str()))
-            .map_or_else(|_| Self::default(), |text| Self::parse(&text))
+        let bytes = files::read(&folder.join(device.as_str()));
+        let text = bytes.ok().and_then(|bytes| String::from_utf8(bytes).ok());
+        text.map_or_else(Self::default, |text| Self::parse(&text))
     }
 
     fn parse(text: &str) -> Self {

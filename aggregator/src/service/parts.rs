@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use cosurf_link::{ModelStore, Node, Offer, StoreError};
+use cosurf_link::{Damaged, ModelStore, Node, Offer, StoreError};
 use cosurf_wire::{DeviceId, ModelHeader, ModelId};
 
 use super::error::ServiceError;
@@ -17,8 +17,9 @@ pub(super) struct Parts {
 }
 
 impl Parts {
-    pub(super) fn open(folder: &Path) -> Result<Self, StoreError> {
-        let (store, headers) = ModelStore::open(&folder.join("parts"))?;
+    /// `tell` gets the files that were set aside.
+    pub(super) fn open(folder: &Path, tell: impl FnMut(Damaged)) -> Result<Self, StoreError> {
+        let (store, headers) = ModelStore::open_telling(&folder.join("parts"), tell)?;
         Ok(Self { store, headers: headers.into_iter().map(|header| (header.device, header)).collect() })
     }
 

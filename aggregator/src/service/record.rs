@@ -5,7 +5,7 @@ use std::fs;
 use std::io;
 use std::path::Path;
 
-use cosurf_scene::{SceneError, atomic};
+use cosurf_scene::{SceneError, atomic, files};
 use cosurf_wire::{DeviceId, ModelHeader};
 use serde::{Deserialize, Serialize};
 
@@ -14,7 +14,7 @@ use super::model_list::ModelList;
 use crate::gate::{Admitted, Fit, Place, Similarity, Tone};
 use crate::merge::{Locals, MergeSettings, MergeSummary};
 
-const MERGED: &str = "merged.json";
+pub(super) const MERGED: &str = "merged.json";
 pub(super) const WITHDRAWN: &str = "withdrawn";
 
 /// How the newest revision was merged: the content of `merged.json`.
@@ -212,7 +212,7 @@ impl Merging {
     /// Reads the record in a service's folder. `None` if it is missing or this version cannot read it; the service then
     /// merges the models again.
     pub fn read(folder: &Path) -> Option<Self> {
-        serde_json::from_slice(&fs::read(folder.join(MERGED)).ok()?).ok()
+        serde_json::from_slice(&files::read(&folder.join(MERGED)).ok()?).ok()
     }
 
     pub(super) fn write(&self, folder: &Path) -> Result<(), SceneError> {

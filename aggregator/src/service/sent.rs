@@ -5,7 +5,7 @@ use std::collections::{BTreeSet, HashMap};
 use std::path::Path;
 
 use cosurf_link::body::body_hash;
-use cosurf_link::{Manifest, ModelKey, ModelStore, Offer, Receiver, TileEntry};
+use cosurf_link::{Damaged, Manifest, ModelKey, ModelStore, Offer, Receiver, TileEntry};
 use cosurf_wire::{BodyHash, DeviceId, ModelHeader, ModelId, ModelKind};
 
 use super::error::ServiceError;
@@ -62,19 +62,27 @@ impl TileBytes<'_> {
 }
 
 impl Sent {
-    /// Opens or creates the folder.
-    pub(super) fn open(folder: &Path) -> Result<Self, ServiceError> {
-        let (store, headers) = ModelStore::open(folder)?;
-        let newest = headers.into_iter().filter(|header| !header.model.is_tile());
-        let read = |header: ModelHeader| -> Result<_, ServiceError> {
-            if header.kind != ModelKind::Manifest {
-                return Ok((header, Form::Whole));
-            }
-            let (header, body) = store.get(header.into())?;
-            Ok((header, Form::Tiles(Manifest::decode(&body)?)))
-        };
-        let newest = newest.max_by_key(|header| header.model).map(read).transpose()?;
-        Ok(Self { store, newest })
+    /// Opens or creates the folder. `tell` gets the files that were set aside. A revision that has not all of its tiles
+    /// counts as missing.
+    pub(super) fn open(folder: &Path, tell: impl FnMut(Damaged)) -> Result<Self, ServiceError> {
+        let (store, headers) = ModelStore::open_telling(folder, tell)?;
+        let revisions = headers.into_iter().filter(|header| !header.model.is_tile());
+        let newest = revisions.max_by_key(|header| header.model);
+        let read = newest.and_then(|header| Some((header, Self::read(&store, &header)?)));
+        if let (Some(header), None) = (newest, &read) {
+            store.put_aside(header.into())?;
+        }
+        Ok(Self { store, newest: read })
+    }
+
+    /// How a revision is sent; `None` if its file is damaged or a tile is missing.
+    fn read(store: &ModelStore, header: &ModelHeader) -> Option<Form> {
+        if header.kind != ModelKind::Manifest {
+            return Some(Form::Whole);
+        }
+        let manifest = Manifest::decode(&store.get(header.into()).ok()?.1).ok()?;
+        let has = |tile: &TileEntry| store.has(ModelKey { device: header.device, model: tile.model });
+        manifest.tiles.iter().all(has).then_some(Form::Tiles(manifest))
     }
 
     pub(super) fn store(&self) -> &ModelStore {

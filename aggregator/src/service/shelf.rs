@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use cosurf_link::{ModelKey, ModelStore, Node, StoreError};
+use cosurf_link::{Damaged, ModelKey, ModelStore, Node, StoreError};
 use cosurf_scene::SceneError;
 use cosurf_wire::{DeviceId, ModelHeader, ModelId};
 
@@ -36,24 +36,42 @@ pub(super) struct Shelf {
     /// Withdrawn devices whose flights must still be deleted at the broker. Until then, agents may prune ground in
     /// favour of these devices.
     to_void: Vec<DeviceId>,
+    /// Models whose files were set aside at the start, and that no newer one replaces.
+    damaged: Vec<ModelKey>,
 }
 
 impl Shelf {
-    /// Opens the folder of a service. Also returns the headers of the models in it.
-    pub(super) fn open(folder: &Path) -> Result<(Self, Vec<ModelHeader>), ServiceError> {
-        let (models, mut headers) = ModelStore::open(&folder.join("models"))?;
+    /// Opens the folder of a service. Also returns the headers of the models in it. `tell` gets the files that were set
+    /// aside, and what follows.
+    pub(super) fn open(
+        folder: &Path,
+        mut tell: impl FnMut(Damaged, &str),
+    ) -> Result<(Self, Vec<ModelHeader>), ServiceError> {
+        let mut damaged = Vec::new();
+        let (models, mut headers) =
+            ModelStore::open_telling(&folder.join("models"), |file| damaged.push(file))?;
         let mut shelf = Self {
             folder: folder.into(),
             models,
             stored: BTreeMap::new(),
-            parts: Parts::open(folder)?,
+            parts: Parts::open(folder, |file| tell(file, "the part is left out"))?,
             withdrawn: BTreeMap::new(),
             to_forget: Vec::new(),
             to_void: Vec::new(),
+            damaged: Vec::new(),
         };
         headers.iter().for_each(|header| shelf.note(*header));
         shelf.withdraw_devices()?;
         headers.retain(|header| shelf.has(header));
+        for file in damaged {
+            match file.key.filter(|key| shelf.lacks_model(*key, ModelList::has_part)) {
+                Some(key) => {
+                    shelf.damaged.push(key);
+                    tell(file, &format!("{} is asked for it again", key.device));
+                }
+                None => tell(file, "it is not needed"),
+            }
+        }
         Ok((shelf, headers))
     }
 
@@ -160,7 +178,7 @@ impl Shelf {
     /// Removes the models of withdrawn devices. Returns the first device of which a model or a part was removed.
     pub(super) fn withdraw_devices(&mut self) -> Result<Option<DeviceId>, ServiceError> {
         let mut first = None;
-        for (device, mut listed) in ModelList::read_all(&self.folder.join(WITHDRAWN)) {
+        for (device, mut listed) in ModelList::read_all(&self.folder.join(WITHDRAWN))? {
             if listed.asks {
                 self.list_models(device, &mut listed)?;
             }
@@ -193,13 +211,22 @@ impl Shelf {
 
     /// Whether a model that was merged should be here and is not: it is neither replaced nor withdrawn.
     pub(super) fn lacks(&self, merged: &Input) -> Option<ModelKey> {
-        let device: DeviceId = merged.device.parse().ok()?;
-        let model = ModelId(merged.model);
-        let has_newer = self.stored.get(&device).is_some_and(|models| models.range(model..).next().is_some());
-        let is_withdrawn =
-            self.withdrawn.get(&device).is_some_and(|listed| listed.has(model, &merged.blake3));
-        let is_lacking = merged.part_splats.is_none() && !has_newer && !is_withdrawn;
-        is_lacking.then_some(ModelKey { device, model })
+        let key = ModelKey { device: merged.device.parse().ok()?, model: ModelId(merged.model) };
+        let is_listed = |listed: &ModelList, model| listed.has(model, &merged.blake3);
+        let is_lacking = merged.part_splats.is_none() && self.lacks_model(key, is_listed);
+        is_lacking.then_some(key)
+    }
+
+    /// Whether a model would count if it were here: there is no newer one of its device, and it is not withdrawn.
+    fn lacks_model(&self, key: ModelKey, is_listed: impl Fn(&ModelList, ModelId) -> bool) -> bool {
+        let stored = self.stored.get(&key.device);
+        let has_newer = stored.is_some_and(|models| models.range(key.model..).next().is_some());
+        !has_newer && !self.withdrawn.get(&key.device).is_some_and(|listed| is_listed(listed, key.model))
+    }
+
+    /// The models whose files were set aside at the start. Their devices must be asked for them.
+    pub(super) fn take_damaged(&mut self) -> Vec<ModelKey> {
+        std::mem::take(&mut self.damaged)
     }
 
     /// Adds all models that have been received from a device to the list of its withdrawn models.

@@ -3,6 +3,8 @@
 #![allow(clippy::unwrap_used)]
 
 mod attacks;
+#[cfg(unix)]
+mod damage;
 mod doubt;
 mod hierarchy;
 mod life;

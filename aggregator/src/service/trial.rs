@@ -17,9 +17,9 @@ use super::inputs::Inputs;
 use super::record::Input;
 
 /// File of the models that merges died with, in the folder of a service.
-const SUSPECTS: &str = "suspects.json";
+pub(super) const SUSPECTS: &str = "suspects.json";
 /// File that is there while a merge runs: the index of the model that it read last.
-const READING: &str = "reading";
+pub(super) const READING: &str = "reading";
 /// Deaths in a row after which a model is set aside. With 2, a model was left out of one in seventy missions in which
 /// programs were killed four times at random moments (`tests/tests/kills.rs`).
 const DEATHS_MAX: u32 = 5;

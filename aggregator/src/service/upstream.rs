@@ -167,6 +167,9 @@ impl UpstreamNode {
         now: impl Fn() -> Duration,
         wait: Duration,
     ) -> Option<UpstreamEvent> {
+        if let Some(damaged) = self.above.take_damaged() {
+            return Some(UpstreamEvent::UpstreamDiskFailed { reason: damaged.to_string() });
+        }
         match self.node.step(transport, now, wait)? {
             NodeEvent::Connected => Some(UpstreamEvent::UpstreamConnected),
             NodeEvent::Disconnected { attempt, reason } => {

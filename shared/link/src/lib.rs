@@ -52,7 +52,7 @@ pub use received::{Complete, ReceiveError, Received};
 pub use sealing::last_will;
 pub use serial::{SerialConfig, SerialTransport};
 pub use session::next_session;
-pub use store::{ModelStore, StoreError};
+pub use store::{Damaged, ModelStore, StoreError};
 pub use transport::{Outgoing, PublishError, Transport, TransportEvent};
 pub use trust::{Credentials, SecretKey, Trusted};
 pub use uploader::{DEVICES_MAX, UploadProgress, Uploader};

@@ -1,7 +1,7 @@
 //! The global model that a device receives, and what the device keeps of it: whole, or the tiles that the manifest names
 //! for the device.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -13,7 +13,7 @@ use crate::codec::body_to_model;
 use crate::key::ModelKey;
 use crate::manifest::Manifest;
 use crate::node::Node;
-use crate::store::{ModelStore, StoreError};
+use crate::store::{Damaged, ModelStore, StoreError};
 
 /// The folder of a device's global models, and the newest of them as a PLY file for viewers.
 #[derive(Debug)]
@@ -28,6 +28,8 @@ pub struct Received {
     /// The newest revision that has become complete since the folder was opened: the header of its manifest or of the
     /// whole model.
     complete: Option<ModelHeader>,
+    /// Files that were set aside as the folder was opened, and are not told yet.
+    damaged: VecDeque<Damaged>,
 }
 
 /// A revision of the global model of which a device has all that is meant for it.
@@ -56,15 +58,22 @@ pub enum ReceiveError {
 
 impl Received {
     /// Opens the folder of received models. Also returns their headers, for [`Node::new`]. `ply` is the file for
-    /// viewers.
+    /// viewers. Files that cannot be used are set aside; [`Self::take_damaged`] tells them.
     pub fn open(
         device: DeviceId,
         folder: &Path,
         ply: PathBuf,
     ) -> Result<(Self, Vec<ModelHeader>), StoreError> {
-        let (store, headers) = ModelStore::open(folder)?;
+        let mut damaged = VecDeque::new();
+        let (store, headers) = ModelStore::open_telling(folder, |file| damaged.push_back(file))?;
         let stored = headers.iter().map(|header| (ModelKey::from(header), *header)).collect();
-        Ok((Self { device, store, ply, stored, manifest: None, complete: None }, headers))
+        Ok((Self { device, store, ply, stored, manifest: None, complete: None, damaged }, headers))
+    }
+
+    /// A file that was set aside as the folder was opened; each is returned once. Its model is received again if the
+    /// aggregator still offers it.
+    pub fn take_damaged(&mut self) -> Option<Damaged> {
+        self.damaged.pop_front()
     }
 
     /// The folder of received models.
@@ -87,7 +96,7 @@ impl Received {
             if header.kind != ModelKind::Manifest {
                 return Ok(Some(*header));
             }
-            let (_, body) = self.store.get(ModelKey::from(header))?;
+            let Ok((_, body)) = self.store.get(ModelKey::from(header)) else { continue };
             let Ok(manifest) = Manifest::decode(&body) else { continue };
             let key = |model| ModelKey { device: header.device, model };
             let mut tiles = manifest.of(self.device);

@@ -3,12 +3,13 @@
 //! A file `{device}.{model}.model` holds the length of the header (`u16`, little-endian), the header as it
 //! was received (an encoded [`cosurf_wire::Message`]), and the body.
 
+use std::fmt;
 use std::fs;
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 
-use cosurf_scene::{SceneError, atomic};
-use cosurf_wire::{MAX_CONTROL_BYTES, Message, ModelHeader};
+use cosurf_scene::{SceneError, atomic, files};
+use cosurf_wire::{MAX_CONTROL_BYTES, Message, ModelHeader, ModelId};
 
 use crate::body::body_hash;
 use crate::codec::check_body;
@@ -21,6 +22,24 @@ const EXTENSION: &str = "model";
 #[error(transparent)]
 pub struct StoreError(#[from] SceneError);
 
+/// A file in a folder of models that could not be used when the folder was opened. It was renamed.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Damaged {
+    /// The model, by the name of the file; `None` if the name is not that of a model.
+    pub key: Option<ModelKey>,
+    /// The path that the file has now.
+    pub kept: PathBuf,
+    /// What is wrong, one line that begins with the old path.
+    pub reason: String,
+}
+
+impl fmt::Display for Damaged {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { kept, reason, .. } = self;
+        write!(f, "{reason}; it is set aside as {}, which may be deleted", kept.display())
+    }
+}
+
 /// A folder of models.
 #[derive(Clone, Debug)]
 pub struct ModelStore {
@@ -29,9 +48,18 @@ pub struct ModelStore {
 
 impl ModelStore {
     /// Opens or creates the folder, and returns the headers of its models, ordered by device and number.
-    /// Deletes partial files that a killed process has left behind. An invalid model file gives an error that
-    /// names the file.
+    /// Deletes partial files that a killed process has left behind. Files that cannot be used are set aside, as
+    /// [`Self::open_telling`] does; the log tells them.
     pub fn open(folder: &Path) -> Result<(Self, Vec<ModelHeader>), StoreError> {
+        Self::open_telling(folder, |damaged| tracing::warn!("{damaged}"))
+    }
+
+    /// Like [`Self::open`]. `tell` gets each file that is damaged, no file at all, or not readable. Such a file was
+    /// renamed, and its model counts as missing.
+    pub fn open_telling(
+        folder: &Path,
+        mut tell: impl FnMut(Damaged),
+    ) -> Result<(Self, Vec<ModelHeader>), StoreError> {
         let failed = |cause| SceneError::io(folder, cause);
         fs::create_dir_all(folder).map_err(failed)?;
         atomic::remove_partial_files(folder)?;
@@ -39,8 +67,16 @@ impl ModelStore {
         let mut headers = Vec::new();
         for entry in fs::read_dir(folder).map_err(failed)? {
             let path = entry.map_err(failed)?.path();
-            if path.extension().is_some_and(|extension| extension == EXTENSION) {
-                headers.push(open_file(&path)?.1);
+            if path.extension().is_none_or(|extension| extension != EXTENSION) {
+                continue;
+            }
+            match open_file(&path) {
+                Ok((_, header)) => headers.push(header),
+                Err(error) if files::is_damage(&error) => {
+                    let key = path.file_name().and_then(|name| key_of(name.to_str()?));
+                    tell(Damaged { key, kept: files::set_aside(&path)?, reason: error.to_string() });
+                }
+                Err(error) => return Err(error.into()),
             }
         }
         headers.sort_by_key(|header| (header.device, header.model));
@@ -84,6 +120,21 @@ impl ModelStore {
         Ok(keys)
     }
 
+    /// The highest number of a model that was set aside, tiles not counted. It must not be used for another model.
+    pub fn highest_set_aside(&self) -> Result<Option<ModelId>, StoreError> {
+        let failed = |cause| SceneError::io(&self.folder, cause);
+        let mut highest = None;
+        for entry in fs::read_dir(&self.folder).map_err(failed)? {
+            let name = entry.map_err(failed)?.file_name();
+            let number = name.to_str().and_then(|name| name.split_once(".damaged")).and_then(|(name, _)| {
+                let number: ModelId = name.split_once('.')?.1.parse().ok()?;
+                Some(number).filter(|number| !number.is_tile())
+            });
+            highest = highest.max(number);
+        }
+        Ok(highest)
+    }
+
     /// Whether the file of a model is there.
     pub fn has(&self, key: ModelKey) -> bool {
         self.path(key).is_file()
@@ -92,9 +143,9 @@ impl ModelStore {
     /// Renames the file of a damaged model, so that it no longer counts. Does nothing if it is missing.
     pub fn put_aside(&self, key: ModelKey) -> Result<(), StoreError> {
         let path = self.path(key);
-        match fs::rename(&path, path.with_extension("damaged")) {
-            Err(cause) if cause.kind() != io::ErrorKind::NotFound => Err(SceneError::io(&path, cause).into()),
-            _ => Ok(()),
+        match files::set_aside(&path) {
+            Err(SceneError::Io { cause, .. }) if cause.kind() == io::ErrorKind::NotFound => Ok(()),
+            other => Ok(other.map(drop)?),
         }
     }
 
@@ -122,7 +173,7 @@ fn key_of(name: &str) -> Option<ModelKey> {
 /// positioned at the start of the body.
 fn open_file(path: &Path) -> Result<(fs::File, ModelHeader), SceneError> {
     let failed = |cause| SceneError::io(path, cause);
-    let mut file = fs::File::open(path).map_err(failed)?;
+    let mut file = files::open(path)?;
     let mut length = [0; 2];
     file.read_exact(&mut length).map_err(failed)?;
     let length = u16::from_le_bytes(length);
@@ -143,5 +194,5 @@ fn open_file(path: &Path) -> Result<(fs::File, ModelHeader), SceneError> {
 }
 
 fn malformed(path: &Path, what: &str) -> SceneError {
-    SceneError::malformed(path, format!("{what}; delete it, and its device will send it again"))
+    SceneError::malformed(path, what)
 }

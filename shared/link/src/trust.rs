@@ -6,10 +6,10 @@
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::io::{ErrorKind, Write};
+use std::io::{ErrorKind, Read, Write};
 use std::path::Path;
 
-use cosurf_scene::SceneError;
+use cosurf_scene::{SceneError, files};
 use cosurf_wire::{DeviceId, FrameId, Signature};
 use ed25519_dalek::{Signer, SigningKey, VerifyingKey};
 
@@ -178,11 +178,15 @@ impl Trusted {
 }
 
 fn read_text(path: &Path, bytes_max: u64) -> Result<String, SceneError> {
-    let size = fs::metadata(path).map_err(|cause| SceneError::io(path, cause))?.len();
+    let failed = |cause| SceneError::io(path, cause);
+    let mut file = files::open(path)?;
+    let size = file.metadata().map_err(failed)?.len();
     if size > bytes_max {
         return Err(SceneError::malformed(path, "is too large for a file of keys; is it the right file?"));
     }
-    fs::read_to_string(path).map_err(|cause| SceneError::io(path, cause))
+    let mut text = String::new();
+    file.read_to_string(&mut text).map_err(failed)?;
+    Ok(text)
 }
 
 fn hex(bytes: &[u8; 32]) -> String {

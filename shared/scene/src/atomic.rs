@@ -36,7 +36,9 @@ pub fn remove_partial_files(folder: &Path) -> Result<(), SceneError> {
         let entry = entry.map_err(io)?;
         let name = entry.file_name();
         let name = name.to_string_lossy();
-        if name.starts_with('.') && name.ends_with(SUFFIX) {
+        // Only files are left behind by a write.
+        let is_file = entry.file_type().is_ok_and(|kind| !kind.is_dir());
+        if is_file && name.starts_with('.') && name.ends_with(SUFFIX) {
             fs::remove_file(entry.path()).map_err(|cause| SceneError::io(&entry.path(), cause))?;
         }
     }

@@ -20,6 +20,7 @@ pub mod colmap;
 pub mod colormap;
 pub mod dataset;
 pub mod error;
+pub mod files;
 mod frustum;
 mod loader;
 pub mod mesh;

@@ -35,6 +35,7 @@ use crate::splats::sh_coefficients;
 use crate::{SceneError, Splats, atomic};
 pub(crate) use header::{Element, Kind};
 pub use points::read_points;
+pub use rows::check_length;
 use rows::read_vertices;
 pub(crate) use rows::{Rows, read_elements};
 

@@ -7,8 +7,8 @@ use std::ops::ControlFlow;
 use std::path::Path;
 
 use super::header::{Element, Format, Header, Kind, Scalar};
-use crate::SceneError;
 use crate::error::Refusal;
+use crate::{SceneError, files};
 
 /// Size of the read buffer, bytes.
 const BUFFER_BYTES: usize = 256 * 1024;
@@ -39,13 +39,18 @@ pub(super) fn read_vertices<T>(
     found?.ok_or_else(|| SceneError::malformed(path, "has no element called vertex"))
 }
 
+/// Checks that a file begins with the header of a PLY and is long enough for its first element. Reads only the header.
+pub fn check_length(path: &Path) -> Result<(), SceneError> {
+    visit_elements(path, |_, _| Ok(ControlFlow::Break(()))).map(drop)
+}
+
 /// Calls `visit` with each element and its rows until `visit` returns a break. Returns the value of the
 /// break; `None` if there was no break.
 fn visit_elements<T>(
     path: &Path,
     mut visit: impl FnMut(&Element, &mut Rows) -> Result<ControlFlow<T>, Refusal>,
 ) -> Result<Option<T>, SceneError> {
-    let file = File::open(path).map_err(|cause| SceneError::io(path, cause))?;
+    let file = files::open(path)?;
     let result = file.metadata().map_err(Refusal::from).and_then(|metadata| {
         let mut input = BufReader::with_capacity(BUFFER_BYTES, file);
         let header = Header::read(&mut input)?;

@@ -1,0 +1,49 @@
+//! Damage to the service's own files, found at the start. What cannot be used is renamed and told, and everything else
+//! starts.
+
+use std::io::ErrorKind;
+use std::path::Path;
+
+use cosurf_scene::{SceneError, files, ply};
+use serde::de::IgnoredAny;
+
+use super::event::ServiceEvent;
+use super::folder::global_ply;
+use super::record::MERGED;
+use super::trial::{READING, SUSPECTS};
+
+/// Sets aside what an earlier run or somebody else has left in the place of the service's own files, and cannot be used.
+/// They are made anew. Returns the events that tell it.
+pub(super) fn set_aside_files(folder: &Path) -> Result<Vec<ServiceEvent>, SceneError> {
+    let mut told = Vec::new();
+    told.extend(set_aside_unless(&global_ply(folder), ply::check_length)?);
+    told.extend(set_aside_unless(&folder.join(READING), |_| Ok(()))?);
+    for path in [folder.join(MERGED), folder.join(SUSPECTS)] {
+        told.extend(set_aside_unless(&path, |path| {
+            serde_json::from_slice::<IgnoredAny>(&files::read(path)?)
+                .map(drop)
+                .map_err(|error| SceneError::malformed(path, error.to_string()))
+        })?);
+    }
+    Ok(told)
+}
+
+/// Sets a file aside unless it can be opened and `check` accepts it, or it is missing.
+fn set_aside_unless(
+    path: &Path,
+    check: impl Fn(&Path) -> Result<(), SceneError>,
+) -> Result<Option<ServiceEvent>, SceneError> {
+    match files::open(path).and_then(|_| check(path)) {
+        Ok(()) => Ok(None),
+        Err(SceneError::Io { cause, .. }) if cause.kind() == ErrorKind::NotFound => Ok(None),
+        Err(error) if files::is_damage(&error) => {
+            let kept = files::set_aside(path)?;
+            let reason = format!(
+                "{error}; it is set aside as {}, which may be deleted; the file is made anew",
+                kept.display()
+            );
+            Ok(Some(ServiceEvent::SetAside { reason }))
+        }
+        Err(error) => Err(error),
+    }
+}

@@ -1,0 +1,171 @@
+//! Damage to the files of a service while it does not run. It starts, tells which file it has set aside, and ends with the
+//! bytes that it had.
+
+use std::os::unix::fs::PermissionsExt;
+use std::process::Command as Program;
+use std::sync::mpsc::RecvTimeoutError;
+use std::thread;
+
+use super::*;
+
+/// Time in which a service opens its folder. It takes milliseconds; one that waits for a FIFO never does.
+const OPENS_IN: Duration = Duration::from_secs(20);
+
+type Damage = (&'static str, fn(&Path));
+
+const DAMAGES: [Damage; 6] = [
+    ("cut", |path| {
+        let bytes = fs::read(path).unwrap();
+        fs::write(path, &bytes[..bytes.len() / 2]).unwrap();
+    }),
+    ("emptied", |path| fs::write(path, "").unwrap()),
+    ("garbage", |path| fs::write(path, [0xa5; 300]).unwrap()),
+    ("folder", |path| {
+        fs::remove_file(path).unwrap();
+        fs::create_dir(path).unwrap();
+        fs::write(path.join("something"), "in it").unwrap();
+    }),
+    ("fifo", |path| {
+        fs::remove_file(path).unwrap();
+        assert!(Program::new("mkfifo").arg(path).status().unwrap().success());
+    }),
+    ("unreadable", |path| fs::set_permissions(path, fs::Permissions::from_mode(0o000)).unwrap()),
+];
+
+/// Damages a file of a service that has merged two models, and starts the service again. Returns its events until the
+/// global model is delivered and, if a model was damaged, until that model is stored again.
+fn restart_after(file: &str, damage: fn(&Path)) -> Vec<ServiceEvent> {
+    let folder = tempfile::tempdir().unwrap();
+    let network = MemoryNetwork::new(41, Faults::NONE);
+    let mut drones = drones(&network, 2);
+    let mut ground = open(&network, folder.path(), fleet(&["agent-1", "agent-2"]));
+    let delivered = |events: &[ServiceEvent], _: &[Drone]| events.contains(&ServiceEvent::Delivered);
+    simulate(&network, &mut ground, &mut drones, delivered);
+    network.leave(ground.transport);
+    drop(ground.service);
+    let [path, ply] = [folder.path().join(file), global_ply(folder.path())];
+    let is_model = file.starts_with("models");
+    let model = is_model.then(|| fs::read(&path).unwrap());
+    let global = fs::read(&ply).unwrap();
+    damage(&path);
+    let mut ground = opened_in_time(&network, folder.path()).unwrap_or_else(|| panic!("{file}: it hangs"));
+    let events = simulate(&network, &mut ground, &mut drones, |events, _| {
+        events.contains(&ServiceEvent::Delivered) && (!is_model || count(events, is_stored) == 1)
+    });
+    assert_eq!(count(&events, is_disk_failure), 0, "{file}: {events:?}");
+    assert!(fs::read(&ply).unwrap() == global, "{file}: another global model");
+    assert!(model.is_none_or(|model| fs::read(&path).unwrap() == model), "{file}: another model");
+    assert!(Merging::read(folder.path()).is_some(), "{file}: no record");
+    events
+}
+
+fn opened_in_time(network: &MemoryNetwork, folder: &Path) -> Option<Ground> {
+    let (say, opened) = mpsc::channel();
+    let identity = identity("aggregator", Role::Aggregator);
+    let merge = MergeSettings { vouched: true, ..MergeSettings::default() };
+    let expected = fleet(&["agent-1", "agent-2"]);
+    let folder = folder.to_path_buf();
+    let config = ServiceConfig { identity, folder, limits: LIMITS, expected, merge, threads: 1 };
+    thread::spawn(move || {
+        let _ = say.send(Service::open(config));
+    });
+    match opened.recv_timeout(OPENS_IN) {
+        Ok(service) => Some(Ground { service: service.unwrap(), transport: network.join(&identity) }),
+        Err(RecvTimeoutError::Timeout) => None,
+        Err(error) => panic!("{error}"),
+    }
+}
+
+/// Whether this process may read every file, so that none is unreadable.
+fn is_root() -> bool {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("file");
+    fs::write(&path, "").unwrap();
+    fs::set_permissions(&path, fs::Permissions::from_mode(0o000)).unwrap();
+    fs::File::open(path).is_ok()
+}
+
+fn is_told(events: &[ServiceEvent], file: &str) -> bool {
+    let names_it = |event: &ServiceEvent| {
+        let text = event.to_string();
+        matches!(event, ServiceEvent::SetAside { .. })
+            && text.contains(file)
+            && text.contains(".damaged")
+            && !text.contains('\n')
+    };
+    events.iter().filter(|event| names_it(event)).count() == 1
+}
+
+fn check(file: &str) {
+    for (name, damage) in DAMAGES {
+        if name == "unreadable" && is_root() {
+            continue;
+        }
+        let events = restart_after(file, damage);
+        assert!(is_told(&events, file), "{file}, {name}: {events:?}");
+    }
+}
+
+#[test]
+fn a_damaged_model_is_set_aside_and_asked_for_again() {
+    check("models/agent-1.1.model");
+}
+
+/// It had not been merged, so only the name of its file tells that it is missing.
+#[test]
+fn a_damaged_model_that_no_record_names_is_asked_for_again() {
+    let events = restart_after("models/agent-1.1.model", |path| {
+        fs::write(path, "").unwrap();
+        fs::remove_file(path.parent().unwrap().with_file_name("merged.json")).unwrap();
+    });
+    assert!(is_told(&events, "agent-1 is asked for it again"), "{events:?}");
+}
+
+#[test]
+fn a_damaged_revision_is_set_aside_and_made_anew_under_a_higher_number() {
+    for (name, damage) in DAMAGES {
+        if name == "unreadable" && is_root() {
+            continue;
+        }
+        let events = restart_after("global/aggregator.1.model", damage);
+        assert!(is_told(&events, "global/aggregator.1.model"), "{name}: {events:?}");
+        // Devices have a revision 1 already.
+        let is_second = |event: &ServiceEvent| matches!(event, ServiceEvent::Merged { header, .. } if header.model == ModelId(2));
+        assert!(events.iter().any(is_second), "{name}: {events:?}");
+    }
+}
+
+#[test]
+fn damaged_records_are_set_aside_and_made_anew() {
+    ["merged.json", "suspects.json", "global.ply"].into_iter().for_each(check);
+}
+
+/// Without its list, withdrawn models of a drone would count again.
+#[test]
+fn a_list_of_withdrawn_models_that_cannot_be_read_stops_the_start_with_the_remedy() {
+    for (name, damage) in DAMAGES {
+        if matches!(name, "cut" | "emptied") || (name == "unreadable" && is_root()) {
+            continue; // what is left of the text counts
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("withdrawn/agent-1");
+        fs::create_dir(folder.path().join("withdrawn")).unwrap();
+        fs::write(&path, "1 any\n").unwrap();
+        damage(&path);
+        let identity = identity("aggregator", Role::Aggregator);
+        let config = ServiceConfig {
+            identity,
+            folder: folder.path().to_path_buf(),
+            limits: LIMITS,
+            expected: fleet(&[]),
+            merge: MergeSettings::default(),
+            threads: 1,
+        };
+        let (say, opened) = mpsc::channel();
+        thread::spawn(move || {
+            let _ = say.send(Service::open(config));
+        });
+        let error = opened.recv_timeout(OPENS_IN).expect(name).unwrap_err().to_string();
+        assert!(error.contains("withdrawn/agent-1") && error.contains("forget agent-1"), "{name}: {error}");
+    }
+}

@@ -1,0 +1,85 @@
+//! Files that may be damaged, or that may not be files at all. A program that reads what an earlier run left must not wait
+//! for a writer of a FIFO, and must not end because of one bad file.
+
+use std::ffi::OsString;
+use std::fs::{self, File};
+use std::io::{self, Read};
+use std::path::{Path, PathBuf};
+
+use crate::SceneError;
+
+/// Damaged files of one name that are kept.
+const KEPT_MAX: u32 = 100;
+
+/// Opens a regular file for reading. Fails if the path is a folder, a FIFO or a device; to open a FIFO would wait for its
+/// writer.
+pub fn open(path: &Path) -> Result<File, SceneError> {
+    let failed = |cause| SceneError::io(path, cause);
+    if !fs::metadata(path).map_err(failed)?.is_file() {
+        return Err(SceneError::malformed(path, "is not a file"));
+    }
+    File::open(path).map_err(failed)
+}
+
+/// Reads a regular file as [`open`] opens it.
+pub fn read(path: &Path) -> Result<Vec<u8>, SceneError> {
+    let mut bytes = Vec::new();
+    open(path)?.read_to_end(&mut bytes).map_err(|cause| SceneError::io(path, cause))?;
+    Ok(bytes)
+}
+
+/// Whether an error means that the file itself is of no use: it is damaged, no file, or not ours to read. Other errors,
+/// such as too many open files, say nothing about the file.
+pub fn is_damage(error: &SceneError) -> bool {
+    match error {
+        SceneError::Malformed { .. } => true,
+        SceneError::Io { cause, .. } => {
+            matches!(
+                cause.kind(),
+                io::ErrorKind::UnexpectedEof
+                    | io::ErrorKind::PermissionDenied
+                    | io::ErrorKind::InvalidData
+                    | io::ErrorKind::IsADirectory
+            )
+        }
+        SceneError::OverBudget { .. } => false,
+    }
+}
+
+/// Renames a file, or whatever has its name, so that it no longer counts: `a.json` becomes `a.damaged`, or `a.damaged-2` if
+/// that exists. Returns the new path.
+pub fn set_aside(path: &Path) -> Result<PathBuf, SceneError> {
+    let name = |number: u32| {
+        let suffix = if number == 1 { OsString::new() } else { OsString::from(format!("-{number}")) };
+        let mut extension = OsString::from("damaged");
+        extension.push(suffix);
+        path.with_extension(extension)
+    };
+    let free = (1..=KEPT_MAX).map(name).find(|path| fs::symlink_metadata(path).is_err());
+    let free = free.ok_or_else(|| {
+        SceneError::malformed(path, format!("cannot be set aside: remove some of {}*", name(1).display()))
+    })?;
+    fs::rename(path, &free).map_err(|cause| SceneError::io(path, cause))?;
+    Ok(free)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn damaged_files_of_one_name_are_all_kept() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.json");
+        for name in ["a.damaged", "a.damaged-2", "a.damaged-3"] {
+            fs::write(&path, name).unwrap();
+            assert_eq!(set_aside(&path).unwrap(), folder.path().join(name));
+        }
+        fs::create_dir(&path).unwrap();
+        assert!(is_damage(&read(&path).unwrap_err()), "a folder");
+        assert!(set_aside(&path).unwrap().is_dir());
+        assert!(!is_damage(&read(&path).unwrap_err()), "a missing file is not damaged");
+        assert_eq!(fs::read(folder.path().join("a.damaged-2")).unwrap(), b"a.damaged-2");
+    }
+}
