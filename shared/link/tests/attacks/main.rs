@@ -11,3 +11,4 @@ mod resends;
 mod retained;
 mod room;
 mod site;
+mod sites;
