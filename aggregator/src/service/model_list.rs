@@ -116,9 +116,11 @@ impl ModelList {
         self.up_to = self.up_to.max(other.up_to);
     }
 
-    /// Whether a model is listed. `hash` is in hexadecimal digits.
+    /// Whether a model is listed, under whatever number it comes. `hash` is in hexadecimal digits.
     pub(super) fn has(&self, number: ModelId, hash: &str) -> bool {
-        Some(number) <= self.up_to || self.has_number(number, |listed| listed == hash || listed == ANY)
+        Some(number) <= self.up_to
+            || self.has_number(number, |listed| listed == ANY)
+            || self.models.iter().any(|(_, listed)| listed == hash)
     }
 
     /// Whether a part of a model is listed: its hash is not that of the model.
@@ -150,6 +152,7 @@ mod tests {
         listed.write(folder.path(), &device).unwrap();
         assert_eq!(ModelList::read(folder.path(), &device), listed);
         assert!(listed.has(ModelId(u64::MAX), "bb") && !listed.has(ModelId(u64::MAX), "cc"));
+        assert!(listed.has(ModelId(12), "bb"), "the same model under another number");
         assert!(
             listed.has_part(ModelId(u64::MAX))
                 && listed.has(ModelId(9), "cc")

@@ -130,8 +130,9 @@ impl Received {
     }
 
     /// Notes that a model on disk is offered again ([`crate::NodeEvent::Known`]). Returns the revision that the device
-    /// has.
-    pub fn known(&mut self, node: &mut Node, header: ModelHeader) -> Result<Option<Complete>, ReceiveError> {
+    /// has. Of the offer, only the key and the hash are known to be right; the rest may be a stranger's.
+    pub fn known(&mut self, node: &mut Node, offered: ModelHeader) -> Result<Option<Complete>, ReceiveError> {
+        let header = self.store.header(ModelKey::from(offered))?;
         match header.kind {
             ModelKind::Manifest => {
                 let (header, body) = self.store.get(ModelKey::from(header))?;

@@ -135,6 +135,11 @@ impl ModelStore {
         Ok(highest)
     }
 
+    /// Reads the header of a model.
+    pub fn header(&self, key: ModelKey) -> Result<ModelHeader, StoreError> {
+        Ok(open_file(&self.path(key))?.1)
+    }
+
     /// Whether the file of a model is there.
     pub fn has(&self, key: ModelKey) -> bool {
         self.path(key).is_file()

@@ -311,10 +311,12 @@ impl Uploader {
     }
 
     /// Offers a device's model under another number, because the receiver has a model under this or a higher one: the device
-    /// has lost its folder. Doubling soon reaches a number above those. Returns `None` if the model has no other number, or
-    /// was given too many.
-    pub(crate) fn renumber(&mut self, now: Duration) -> Option<ModelId> {
-        let next = ModelId(self.offer.header.model.0.max(1).checked_mul(2)?);
+    /// has lost its folder. The number of the session, which is the clock's, is higher than those of all earlier models.
+    /// After a clock that was ahead, or a stranger's numbers, doubling reaches a higher one soon. Returns `None` if the
+    /// model has no other number, or was given too many.
+    pub(crate) fn renumber(&mut self, now: Duration, session: u64) -> Option<ModelId> {
+        let doubled = self.offer.header.model.0.max(1).checked_mul(2)?;
+        let next = ModelId(if self.renumbered == 0 { doubled.max(session) } else { doubled });
         if next.is_tile() || self.renumbered >= RENUMBERED_MAX || self.tile().is_some() {
             return None;
         }

@@ -128,7 +128,7 @@ impl Node {
     pub fn renumber(&mut self, key: ModelKey) -> Option<ModelId> {
         let now = self.now;
         let uploader = self.uploaders.iter_mut().find(|uploader| uploader.key() == key)?;
-        let next = uploader.renumber(now)?;
+        let next = uploader.renumber(now, self.identity.session)?;
         debug!(model = %key, to = %next, "another number");
         self.cleared.push_back(Topic::LocalHeader { device: key.device, model: key.model });
         Some(next)
