@@ -60,6 +60,12 @@ pub enum PkiError {
     /// The participant has no keys.
     #[error("{0} has no keys that could be revoked; those with keys: {1}")]
     HasNone(DeviceId, String),
+    /// The broker's certificate cannot be revoked.
+    #[error(
+        "the broker's certificate cannot be revoked: drones trust every certificate of their `ca.pem`. `--host` makes a \
+         new one; if its key was stolen, make all keys anew in another folder"
+    )]
+    NotRevocable,
     /// The name is needed for something else.
     #[error("{0} cannot be the name of a participant: the folder has a folder of this name")]
     Reserved(DeviceId),
@@ -142,6 +148,14 @@ impl Pki {
         if wish.hosts.is_empty() && !self.folder.join(BROKER).exists() {
             return Err(PkiError::NoHost);
         }
+        let names = wish.devices.iter().chain([&wish.aggregator]);
+        let is_reserved = |name: &&DeviceId| RESERVED.contains(&name.as_str());
+        if let Some(name) = names.into_iter().find(is_reserved) {
+            return Err(PkiError::Reserved(*name));
+        }
+        if wish.revoked.iter().any(|name| is_reserved(&name)) {
+            return Err(PkiError::NotRevocable);
+        }
         for name in &wish.revoked {
             if !self.has_keys(name) {
                 let names: Vec<&str> = self.issued.valid().map(|record| record.name.as_str()).collect();
@@ -154,11 +168,7 @@ impl Pki {
                 return Err(PkiError::HasKeys(*name));
             }
         }
-        let names = wish.devices.iter().chain([&wish.aggregator]);
-        match names.into_iter().find(|name| RESERVED.contains(&name.as_str())) {
-            Some(name) => Err(PkiError::Reserved(*name)),
-            None => Ok(()),
-        }
+        Ok(())
     }
 
     fn has_keys(&self, name: &DeviceId) -> bool {

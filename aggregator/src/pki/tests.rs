@@ -86,3 +86,16 @@ fn only_the_user_may_read_secret_keys() {
         assert_eq!(mode & 0o077, 0, "{file}");
     }
 }
+
+/// Nothing is changed by a wish that cannot be fulfilled.
+#[test]
+fn the_brokers_certificate_is_not_revoked() {
+    let folder = tempfile::tempdir().unwrap();
+    make(folder.path(), &["drone-1"], &[]).unwrap();
+    let error = make(folder.path(), &[], &["broker"]).unwrap_err().to_string();
+    assert!(error.contains("--host") && error.contains("another folder"), "{error}");
+    let error = make(folder.path(), &["broker"], &[]).unwrap_err().to_string();
+    assert!(error.contains("broker cannot be the name"), "{error}");
+    assert!(folder.path().join("broker/server.pem").exists());
+    make(folder.path(), &["drone-2"], &[]).unwrap();
+}

@@ -32,6 +32,8 @@ use crate::queue::Queue;
 use crate::quiet::Quiet;
 use crate::store::Store;
 
+/// Number of revisions of the global model that are kept. Each is as large as the site.
+const REVISIONS_KEPT: usize = 8;
 /// Pause before a failed merge or write is tried again.
 const DISK_RETRY: Duration = Duration::from_secs(5);
 /// Interval at which the folder is checked for withdrawals.
@@ -468,6 +470,15 @@ impl Keeper {
         self.broadcast(node, now, offer, inputs.headers().count(), kept_out).map(Some)
     }
 
+    /// Removes all but the newest [`REVISIONS_KEPT`] revisions.
+    fn remove_old_revisions(&self) -> Result<(), ServiceError> {
+        let mut revisions = self.globals.keys()?;
+        revisions.retain(|key| key.device == self.device);
+        revisions.sort_by_key(|key| std::cmp::Reverse(key.model));
+        revisions.into_iter().skip(REVISIONS_KEPT).try_for_each(|key| self.globals.remove(key))?;
+        Ok(())
+    }
+
     /// Writes a merged model to the disk: the revision, its record, and the PLY file for viewers. If the
     /// bytes are those of the newest revision, that revision stays.
     fn keep(
@@ -485,7 +496,10 @@ impl Keeper {
             Some(global) if global.blake3 == offer.header.blake3 && !self.is_outnumbered() => {
                 offer.header = global;
             }
-            _ => self.globals.put(&offer.header, &offer.body)?,
+            _ => {
+                self.globals.put(&offer.header, &offer.body)?;
+                self.remove_old_revisions()?;
+            }
         }
         self.global = Some(offer.header);
         ply::write(&global_ply(&self.folder), &model.splats)?;

@@ -72,6 +72,9 @@ pub(crate) const RESEND_ALL: Duration = Duration::from_secs(30);
 pub(crate) const REPEATED_WANT: Duration = Duration::from_millis(400);
 /// Delays after which an aggregator asks again for a model that it has lost.
 pub(crate) const ASK_AGAIN: Backoff = Backoff::new(Duration::from_secs(2), Duration::from_secs(60));
+/// A device that waits for a global model offers its stored model again so often, and when it is connected again: an
+/// aggregator that has lost the model and its own records cannot ask.
+pub(crate) const STORED_OFFER: Duration = Duration::from_secs(60);
 /// A device answers such a request at most once in this time.
 pub(crate) const ASKED_AGAIN: Duration = Duration::from_secs(5);
 /// Limit on the numbers that a sender tries for one model, the next twice as high as the last.

@@ -1,7 +1,7 @@
 //! Session numbers that always increase, even if the clock goes back. A board without a battery starts in
 //! 1970, and the first satellite fix may move its clock by years.
 
-use std::io::Write;
+use std::io::{ErrorKind, Write};
 use std::path::Path;
 
 use cosurf_scene::{SceneError, atomic, files};
@@ -22,8 +22,20 @@ pub fn next_session(path: &Path, clock_s: u64) -> Result<u64, SceneError> {
     }
     let last = text.ok().and_then(|text| text.trim().parse().ok()).filter(|last| *last < NUMBER_MAX);
     let next = last.map_or(clock_s, |last: u64| clock_s.max(last + 1));
-    atomic::write(path, |out| writeln!(out, "{next}"))?;
+    unless_full(atomic::write(path, |out| writeln!(out, "{next}")))?;
     Ok(next)
+}
+
+/// Goes on although the disk is full: what would not start cannot tell it to anybody. The next session gets its number
+/// from the clock.
+fn unless_full(written: Result<(), SceneError>) -> Result<(), SceneError> {
+    match written {
+        Err(SceneError::Io { path, cause }) if cause.kind() == ErrorKind::StorageFull => {
+            tracing::warn!("{}: the disk is full; the number of the session is not kept", path.display());
+            Ok(())
+        }
+        written => written,
+    }
 }
 
 #[cfg(test)]
@@ -46,6 +58,13 @@ mod tests {
         assert_eq!((sessions[0], sessions[1]), (now, now + 10), "the clock's value while it increases");
         fs::write(&path, "torn").unwrap();
         assert_eq!(next_session(&path, 7).unwrap(), 7);
+    }
+
+    #[test]
+    fn a_full_disk_does_not_keep_a_program_from_starting() {
+        let failed = |kind: ErrorKind| SceneError::io(Path::new("session"), kind.into());
+        assert!(unless_full(Err(failed(ErrorKind::StorageFull))).is_ok());
+        assert!(unless_full(Err(failed(ErrorKind::PermissionDenied))).is_err());
     }
 
     /// With the highest number, no later session could count as new.

@@ -17,7 +17,7 @@ use crate::key::ModelKey;
 use crate::offer::Offer;
 use crate::pacing::{
     ANNOUNCE, ANNOUNCE_AGAIN, ASKED_AGAIN, Backoff, CHUNKS_PER_CONNECTION, RENUMBERED_MAX, SHRINK,
-    UNANSWERED_OFFERS,
+    STORED_OFFER, UNANSWERED_OFFERS,
 };
 use crate::peer::{Peer, PeerPhase};
 use crate::transport::Outgoing;
@@ -130,6 +130,10 @@ pub struct Uploader {
     poor: u32,
     /// How often the model was given another number.
     renumbered: u32,
+    /// When a stored model of a device is offered again.
+    offer_stored_at: Option<Duration>,
+    /// Whether such an offer is not answered yet.
+    is_stored_offered: bool,
 }
 
 impl Uploader {
@@ -174,6 +178,8 @@ impl Uploader {
             received_before: 0,
             poor: 0,
             renumbered: 0,
+            offer_stored_at: None,
+            is_stored_offered: false,
         }
     }
 
@@ -247,6 +253,7 @@ impl Uploader {
         (self.sent_before, self.received_before) = (self.sent_chunks, received);
         self.peers.iter_mut().for_each(Peer::on_cut);
         self.announce_now(now);
+        self.offer_stored_at = self.offer_stored_at.map(|_| now);
         // What the last chunks of a connection have reached is known only in the next one, so one is not enough.
         self.poor = if few && is_trying { self.poor + 1 } else { 0 };
         if self.poor >= 2 && matches!(self.destination, Destination::Aggregator) {
@@ -378,7 +385,8 @@ impl Uploader {
     /// Whether the aggregator tells that it has lost a model which it has stored: it lacks all chunks. The time between two
     /// such messages is limited.
     fn is_asked_again(&self, now: Duration, message: &Message<'_>) -> bool {
-        let lacks_all = matches!(message, Message::Want(want) if want.idle && want.missing == Missing::all());
+        let lacks_all = matches!(message, Message::Want(want)
+            if (want.idle || self.is_stored_offered) && want.missing == Missing::all());
         let is_local = matches!(self.destination, Destination::Aggregator);
         is_local && lacks_all && self.is_stored() && now >= self.ask_again_at
     }
@@ -392,7 +400,7 @@ impl Uploader {
     }
 
     fn begin_again(&mut self, now: Duration) {
-        self.is_cleared = false;
+        (self.is_cleared, self.is_stored_offered, self.offer_stored_at) = (false, false, None);
         self.ask_again_at = now + ASKED_AGAIN;
         let chunks = self.offer.header.chunks();
         self.peers.iter_mut().for_each(|peer| peer.begin_again(chunks));
@@ -411,7 +419,9 @@ impl Uploader {
     /// Like [`Self::next`], without chunks: while the link takes none.
     pub(crate) fn next_control(&mut self, now: Duration) -> Option<Outgoing> {
         let message = match self.destination {
-            Destination::Aggregator if self.is_closed() => self.clear_offer(),
+            Destination::Aggregator if self.is_closed() => {
+                self.clear_offer(now).or_else(|| self.offer_stored(now))
+            }
             _ if self.announce_at.is_some_and(|at| now >= at) => Some(self.announce(now)),
             _ => None,
         };
@@ -421,8 +431,11 @@ impl Uploader {
     /// Time by which [`Self::next`] has a message, if no reply arrives before. `None` if no offer is
     /// scheduled.
     pub fn next_wakeup(&self) -> Option<Duration> {
+        if self.is_cleared {
+            return self.offer_stored_at;
+        }
         let resends = self.peers.iter().filter_map(Peer::next_resend);
-        resends.chain(self.announce_at).min().filter(|_| !self.is_cleared)
+        resends.chain(self.announce_at).min()
     }
 
     /// The number of offers of a device's model without a reply, once it has become large, and again whenever as many more
@@ -490,7 +503,7 @@ impl Uploader {
     fn announce(&mut self, now: Duration) -> Outgoing {
         let header = self.offer.header;
         let topic = match self.destination {
-            Destination::Aggregator => Topic::LocalHeader { device: header.device, model: header.model },
+            Destination::Aggregator => self.local_topic(),
             Destination::Devices(tile) => Topic::GlobalHeader { tile },
             Destination::Device(device) => Topic::TileHeader { device, model: header.model },
         };
@@ -537,11 +550,25 @@ impl Uploader {
 
     /// Makes the message that deletes the retained header of a local model, which is no longer needed. Returns
     /// `None` from the second call on.
-    fn clear_offer(&mut self) -> Option<Outgoing> {
-        let topic = Topic::LocalHeader { device: self.key().device, model: self.key().model };
-        let clear = (!self.is_cleared).then(|| Outgoing::clear(&self.site, topic));
+    fn clear_offer(&mut self, now: Duration) -> Option<Outgoing> {
+        if self.is_cleared {
+            return None;
+        }
         self.is_cleared = true;
-        clear
+        self.offer_stored_at = self.is_stored().then_some(now + STORED_OFFER);
+        Some(Outgoing::clear(&self.site, self.local_topic()))
+    }
+
+    /// Offers a stored model of a device again, if it is time, in case that the aggregator has lost it. The broker does not
+    /// retain the offer.
+    fn offer_stored(&mut self, now: Duration) -> Option<Outgoing> {
+        self.offer_stored_at.filter(|at| now >= *at)?;
+        (self.offer_stored_at, self.is_stored_offered) = (Some(now + STORED_OFFER), true);
+        Some(Outgoing::new(&self.site, self.local_topic(), &Message::Header(self.offer.header), false))
+    }
+
+    fn local_topic(&self) -> Topic {
+        Topic::LocalHeader { device: self.key().device, model: self.key().model }
     }
 }
 

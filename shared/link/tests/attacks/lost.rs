@@ -87,6 +87,28 @@ fn a_stranger_cannot_ask_for_a_model_again() {
     assert_eq!(asked(&fleet[1]), 1);
 }
 
+/// An aggregator that has lost everything, its records too, cannot ask. A device that is still there finds out.
+#[test]
+fn a_device_offers_its_stored_model_again_now_and_then() {
+    let network = network();
+    let mut fleet = open_site(&network, InboxLimits::default(), &["drone-1"]);
+    let offer = offer("drone-1", 1, ModelKind::Local, 1, 20_000, 2048);
+    let key = ModelKey::from(&offer.header);
+    fleet[1].node.upload(offer);
+    run_until(&network, &mut fleet, MINUTE, |fleet| fleet[1].uploaded.len() == 1);
+    let before = fleet[0].disk.remove(&key).unwrap();
+    fleet[0].restart(&network);
+    run_until(&network, &mut fleet, 2 * MINUTE, |fleet| fleet[0].disk.contains_key(&key));
+    assert!(fleet[0].disk.get(&key) == Some(&before), "other bytes");
+    assert_eq!(asked(&fleet[1]), 1);
+    // Afterwards, nothing is sent but an offer a minute and its answer.
+    let mut stranger = Stranger::new(&network);
+    pass(&network, &mut fleet, &mut stranger, 3 * MINUTE);
+    assert_eq!((asked(&fleet[1]), fleet[0].stored_twice), (1, 0));
+    let heard = stranger.heard.iter().filter(|(topic, _)| !topic.ends_with("/state")).count();
+    assert!((4..12).contains(&heard), "{heard}");
+}
+
 /// Offers a global model until both drones have it. Returns its key.
 fn deliver(network: &MemoryNetwork, fleet: &mut [Member]) -> ModelKey {
     let offer = offer("ground", 1, ModelKind::Global, 1, 20_000, 2048);
