@@ -276,8 +276,9 @@ impl<'a, F: FnMut(AgentEvent)> Publisher<'a, F> {
         if self.publication.credentials.key.is_some() || self.publication.credentials.trusted.is_some() {
             let forged = self.node.forged();
             reason += &format!(
-                ", and that the keys fit: this device's line in its `trusted`, its own line in ours \
-                 ({forged} messages were ignored because no listed key had signed them)"
+                ", that the keys fit: this device's line in its `trusted`, its own line in ours ({forged} messages were \
+                 ignored because no listed key had signed them), and that this device's clock was not ahead before: the \
+                 aggregator's log tells that"
             );
         } else {
             reason += "; if it has a list of keys, set `key`";

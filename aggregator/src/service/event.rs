@@ -105,6 +105,13 @@ pub enum ServiceEvent {
         /// The name.
         device: DeviceId,
     },
+    /// A model is not taken because a later session of its device was heard.
+    OlderSession {
+        /// The device.
+        device: DeviceId,
+        /// The newest session that was heard.
+        heard: u64,
+    },
     /// The broker does not take a message of this aggregator.
     Denied {
         /// The reason, one line.
@@ -173,6 +180,12 @@ impl fmt::Display for ServiceEvent {
             Self::SameName { device } => {
                 write!(f, "two drones use the device name {device}; give each its own")
             }
+            Self::OlderSession { device, heard } => write!(
+                f,
+                "ignored: a model of {device} from a session before {heard}, which was heard already: if it is not a \
+                 recorded one, the drone's clock was ahead before; write a number above {heard} into the file `session` \
+                 in its folder"
+            ),
             Self::Ignored { reason } => write!(f, "ignored: {reason}"),
         }
     }

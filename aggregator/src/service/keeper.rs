@@ -33,7 +33,7 @@ use crate::quiet::Quiet;
 use crate::store::Store;
 
 /// Number of revisions of the global model that are kept. Each is as large as the site.
-const REVISIONS_KEPT: usize = 8;
+pub(super) const REVISIONS_KEPT: usize = 8;
 /// Pause before a failed merge or write is tried again.
 const DISK_RETRY: Duration = Duration::from_secs(5);
 /// Interval at which the folder is checked for withdrawals.
@@ -238,6 +238,8 @@ impl Keeper {
             NodeEvent::LinkTooNarrow(error) => {
                 ServiceEvent::Ignored { reason: format!("the link cannot carry our messages: {error}") }
             }
+            NodeEvent::OlderSession { sender, .. } if !self.quiet.notes(now, Some(sender)) => return None,
+            NodeEvent::OlderSession { sender, heard } => ServiceEvent::OlderSession { device: sender, heard },
             NodeEvent::SameName(device) => ServiceEvent::SameName { device },
             NodeEvent::Denied(reason) => ServiceEvent::Denied { reason },
             NodeEvent::State(_)

@@ -49,6 +49,15 @@ pub(crate) enum Objection {
     /// The message is no forgery, but outdated or repeated, as happens on every network.
     #[error("it is outdated")]
     Outdated,
+    /// An offer with a right signature of a session before one that was heard: somebody repeats a recorded one, or the
+    /// sender's clock was ahead and its folder is new.
+    #[error("it is of a session of {sender} before session {heard}, which was heard already")]
+    OlderSession {
+        /// The sender.
+        sender: DeviceId,
+        /// The newest session that was heard.
+        heard: u64,
+    },
     #[error("it is not signed")]
     Unsigned,
     #[error("{0} may not say it")]
@@ -78,9 +87,13 @@ impl Guard {
         // A participant without a key does not tell its session.
         let own_session = if credentials.key.is_some() { own.session } else { 0 };
         let before = self.heard.get(&seal.sender).copied().unwrap_or_default();
-        let heard = before.hear(own_session, &sealed.message, &seal).ok_or(Objection::Outdated)?;
+        let heard = before.hear(own_session, &sealed.message, &seal);
+        let objection = before.objection(&sealed.message, &seal);
+        if heard.is_none() && objection == Objection::Outdated {
+            return Err(objection);
+        }
         list.check(seal.sender, seal::statement(&topic.to_text(&own.site), sealed.signed), seal.signature)?;
-        self.heard.insert(seal.sender, heard);
+        self.heard.insert(seal.sender, heard.ok_or(objection)?);
         Ok(session)
     }
 }
@@ -110,6 +123,16 @@ impl Heard {
             Message::Chunk(_) => {}
         }
         is_new.then_some(self)
+    }
+
+    /// Why a message does not count, if it does not.
+    fn objection(mut self, message: &Message<'_>, seal: &Seal) -> Objection {
+        match message {
+            Message::Header(header) if seal.session < self.offer_of(header).0 => {
+                Objection::OlderSession { sender: seal.sender, heard: self.offer_of(header).0 }
+            }
+            _ => Objection::Outdated,
+        }
     }
 
     fn offer_of(&mut self, header: &ModelHeader) -> &mut (u64, u64) {

@@ -165,3 +165,19 @@ fn attack_18_bad_messages_do_not_fill_the_log() {
     assert!(lines.len() < 20 * (1 + end.as_secs() as usize / 60), "{} lines", lines.len());
     assert!(lines.iter().any(|line| line.contains("more messages like these from agent-1")), "{lines:?}");
 }
+
+/// However many models a device sends, only a few revisions of the global model are kept.
+#[test]
+fn attack_18_a_device_that_sends_many_models_does_not_fill_the_disk_with_revisions() {
+    let folder = tempfile::tempdir().unwrap();
+    let network = MemoryNetwork::new(18, Faults::NONE);
+    let mut ground = open(&network, folder.path(), Expected::Anybody(AT_ONCE));
+    let merged = |events: &[ServiceEvent], _: &[Drone]| count(events, is_merged) == 1;
+    for number in 1..=10 {
+        let mut drones = vec![Drone::new(&network, "agent-1", number, &model(20 + number as usize, 0, 2.0))];
+        simulate(&network, &mut ground, &mut drones, merged);
+        network.leave(drones.remove(0).transport);
+    }
+    let revisions = fs::read_dir(folder.path().join("global")).unwrap().count();
+    assert_eq!(revisions, super::super::keeper::REVISIONS_KEPT);
+}

@@ -71,6 +71,14 @@ pub enum NodeEvent {
         /// Number of offers since the last reply.
         offers: u32,
     },
+    /// An offer does not count because it is of a session before one that was heard. Either somebody repeats a recorded one,
+    /// or the sender's clock was ahead and its folder is new.
+    OlderSession {
+        /// The sender.
+        sender: DeviceId,
+        /// The newest session that was heard.
+        heard: u64,
+    },
     /// The broker does not take a message. One line with the reason.
     Denied(String),
     /// An upload has progressed.

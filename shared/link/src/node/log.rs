@@ -27,6 +27,7 @@ pub(super) fn log(event: &NodeEvent) {
         NodeEvent::Uploaded(key, progress) => {
             debug!(model = %key, bytes = progress.bytes_sent, "uploaded");
         }
+        NodeEvent::OlderSession { sender, heard } => debug!(%sender, heard, "older session"),
         NodeEvent::Denied(reason) => debug!(reason, "the broker does not take a message"),
         NodeEvent::AskedAgain { key, by } => debug!(model = %key, %by, "asked for again"),
         NodeEvent::UploadRefused { key, by, reason } => debug!(model = %key, %by, %reason, "upload refused"),

@@ -64,6 +64,10 @@ impl Node {
         let session = match self.guard.admit(&self.identity, credentials, &topic, &sealed) {
             Ok(session) => session,
             Err(Objection::Outdated) => return Ok(()),
+            Err(Objection::OlderSession { sender, heard }) => {
+                self.events.push_back(NodeEvent::OlderSession { sender, heard });
+                return Ok(());
+            }
             Err(objection) => {
                 self.forged += 1;
                 return Err(objection.to_string());

@@ -330,3 +330,24 @@ fn attack_04_an_unsigned_device_is_answered_with_silence() {
     assert!(stranger.heard.iter().all(|(topic, _)| !topic.contains("/dn/")), "{:?}", stranger.heard);
     assert!(fleet[0].disk.is_empty());
 }
+
+/// A drone whose clock was ahead, and whose folder is new, is not believed; the aggregator is told why. So it is if somebody
+/// repeats an old offer.
+#[test]
+fn an_offer_of_an_earlier_session_is_told() {
+    let network = network();
+    let mut fleet = keyed_site(&network);
+    let mut stranger = Stranger::new(&network);
+    for (number, session) in [(1, 5000), (2, 4000), (3, 6000)] {
+        fleet[1].identity.session = session - 1;
+        fleet[1].restart(&network);
+        fleet[1].node.set_credentials(drone_credentials("drone-1"));
+        fleet[1].node.upload(offer("drone-1", number, ModelKind::Local, 1, 900, 2048));
+        pass(&network, &mut fleet, &mut stranger, Duration::from_secs(20));
+        let is_older = |event: &NodeEvent| matches!(event, NodeEvent::OlderSession { heard: 5000, .. });
+        let told = fleet[0].events.drain(..).filter(is_older).count();
+        assert_eq!(told > 0, session == 4000, "{session}: told {told} times");
+    }
+    let stored: Vec<u64> = fleet[0].disk.keys().map(|key| key.model.0).collect();
+    assert_eq!(stored, [1, 3]);
+}
