@@ -39,7 +39,7 @@ pub(crate) struct Peer {
     /// Chunks that may be sent again to this receiver, and the time of that number.
     resends: (u32, Duration),
     resends_max: u32,
-    /// When the receiver may lose the model that it has stored.
+    /// When the receiver is next believed that it has lost the model which it had stored.
     may_lose_at: Duration,
 }
 

@@ -132,7 +132,7 @@ pub struct Uploader {
     renumbered: u32,
     /// When a stored model of a device is offered again.
     offer_stored_at: Option<Duration>,
-    /// Whether such an offer is not answered yet.
+    /// Whether that has happened. Then the aggregator may ask for the model as for any other.
     is_stored_offered: bool,
 }
 
