@@ -113,6 +113,16 @@ fn simulate(
     events
 }
 
+/// Runs a service in a folder until two drones have the global model, and stops it. Returns the drones.
+fn delivered_and_stopped(network: &MemoryNetwork, folder: &Path) -> Vec<Drone> {
+    let mut drones = drones(network, 2);
+    let mut ground = open(network, folder, fleet(&["agent-1", "agent-2"]));
+    let delivered = |events: &[ServiceEvent], _: &[Drone]| events.contains(&ServiceEvent::Delivered);
+    simulate(network, &mut ground, &mut drones, delivered);
+    network.leave(ground.transport);
+    drones
+}
+
 /// Runs service and drones until `enough` accepts the state of the service and the events so far.
 fn simulate_until(
     network: &MemoryNetwork,

@@ -18,7 +18,7 @@ use super::Router;
 /// the disconnected session that expires first is dropped.
 const SESSIONS_PER_CLIENT: usize = 2;
 /// Limit on the sessions of one user: the agent's, and those of some tools.
-pub(in super::super) const USER_SESSIONS_MAX: usize = 32;
+const USER_SESSIONS_MAX: usize = 32;
 /// Limit on the subscriptions of one user. An agent has three.
 const USER_SUBSCRIPTIONS_MAX: usize = 128;
 /// Limit on the subscriptions of all clients, for each client that may be connected. Beyond it, strangers get no more.

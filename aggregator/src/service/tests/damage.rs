@@ -37,12 +37,7 @@ const DAMAGES: [Damage; 6] = [
 fn restart_after(file: &str, damage: fn(&Path)) -> Vec<ServiceEvent> {
     let folder = tempfile::tempdir().unwrap();
     let network = MemoryNetwork::new(41, Faults::NONE);
-    let mut drones = drones(&network, 2);
-    let mut ground = open(&network, folder.path(), fleet(&["agent-1", "agent-2"]));
-    let delivered = |events: &[ServiceEvent], _: &[Drone]| events.contains(&ServiceEvent::Delivered);
-    simulate(&network, &mut ground, &mut drones, delivered);
-    network.leave(ground.transport);
-    drop(ground.service);
+    let mut drones = delivered_and_stopped(&network, folder.path());
     let [path, ply] = [folder.path().join(file), global_ply(folder.path())];
     let is_model = file.starts_with("models");
     let model = is_model.then(|| fs::read(&path).unwrap());

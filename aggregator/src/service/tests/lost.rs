@@ -60,12 +60,7 @@ fn a_model_with_a_flipped_bit_is_asked_for_again_and_served() {
 fn a_model_that_is_missing_at_the_start_is_asked_for_again_and_served() {
     let folder = tempfile::tempdir().unwrap();
     let network = MemoryNetwork::new(33, BAD_WEATHER);
-    let mut drones = drones(&network, 2);
-    let mut ground = open(&network, folder.path(), fleet(&["agent-1", "agent-2"]));
-    let delivered = |events: &[ServiceEvent], _: &[Drone]| events.contains(&ServiceEvent::Delivered);
-    simulate(&network, &mut ground, &mut drones, delivered);
-    network.leave(ground.transport);
-    drop(ground.service);
+    let mut drones = delivered_and_stopped(&network, folder.path());
     fs::remove_file(file(folder.path())).unwrap();
     let mut ground = open(&network, folder.path(), fleet(&["agent-1", "agent-2"]));
     simulate(&network, &mut ground, &mut drones, |events, _| count(events, is_stored) == 1);
