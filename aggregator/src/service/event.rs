@@ -39,7 +39,7 @@ pub enum ServiceEvent {
         device: String,
         /// Number of the model.
         model: u64,
-        /// True if the model is set aside, because the program died so too often in a row.
+        /// True if the model is set aside: the program has died too often in a row while it was reading the model.
         is_set_aside: bool,
         /// The file that keeps the model aside.
         file: String,
