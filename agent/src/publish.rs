@@ -26,12 +26,14 @@ use offer::{offer, renumber};
 
 pub use publication::{Publication, Sharing};
 
+/// So many times as long as for flights, the agent waits for the aggregator to confirm them.
+const PATIENCE: u32 = 3;
 /// Longest wait for a message, after which the loops below check the time again.
 const POLL_TIMEOUT: Duration = Duration::from_millis(200);
 
 /// Announces the cameras `flight` of this device to the other devices. Waits up to `timeout` for a connection. Once
-/// connected, runs for `flush_time` more, so that the announcement is sent. `now` is the time since an arbitrary
-/// moment.
+/// connected, runs for `flush_time` more, so that the announcement is sent and, if there are keys, the aggregator can confirm
+/// it. `now` is the time since an arbitrary moment.
 pub fn announce_flight<T: Transport>(
     identity: Identity,
     credentials: &Credentials,
@@ -108,7 +110,7 @@ struct Publisher<'a, F> {
 /// The stages of the upload, in order.
 enum Upload<'a> {
     /// The flights of the other devices are being collected. They decide which splats are sent.
-    Collecting(FlightCollector<'a>),
+    Collecting(Box<FlightCollector<'a>>),
     /// The model is being sent.
     Sending { bytes_total: u64 },
     /// The aggregator has stored the model. It is kept, since the aggregator may lose it.
@@ -131,7 +133,9 @@ impl<'a, F: FnMut(AgentEvent)> Publisher<'a, F> {
         let upload = match publication.sharing {
             Some(sharing) => {
                 node.announce_flight(sharing.flight);
-                Upload::Collecting(FlightCollector::new(sharing, publication.identity.device))
+                let is_careful = publication.credentials.trusted.is_some();
+                let own = publication.identity.device;
+                Upload::Collecting(Box::new(FlightCollector::new(sharing, own, is_careful)))
             }
             None => {
                 let Publication { splats, base, .. } = *publication;
@@ -167,8 +171,13 @@ impl<'a, F: FnMut(AgentEvent)> Publisher<'a, F> {
         }
         let Publication { splats, base, .. } = *self.publication;
         let removed = collector.flights.compression(splats).removed;
-        let others = collector.flights.others();
-        (self.on_event)(AgentEvent::Compressed { removed: removed.len(), of: splats.len(), others });
+        let (others, unconfirmed) = (collector.flights.others(), collector.flights.unconfirmed());
+        (self.on_event)(AgentEvent::Compressed {
+            removed: removed.len(),
+            of: splats.len(),
+            others,
+            unconfirmed,
+        });
         let kind = if removed.is_empty() { ModelKind::Local } else { ModelKind::Compressed };
         let (splats, base) = match base.map(|base| base.thinned(splats, &removed)) {
             Some((splats, base)) => (splats, Some(base)),
@@ -189,9 +198,15 @@ impl<'a, F: FnMut(AgentEvent)> Publisher<'a, F> {
                     collector.on_connected(now);
                 }
             }
-            NodeEvent::Flight(device, cameras) => {
+            NodeEvent::Flight { device, cameras, cameras_blake3 } => {
                 if let Upload::Collecting(collector) = &mut self.upload {
-                    collector.on_flight(device, cameras, now);
+                    collector.flights.insert(device, cameras, cameras_blake3);
+                    collector.quiet_since = Some(now);
+                }
+            }
+            NodeEvent::ConfirmedFlights(confirmed) => {
+                if let Upload::Collecting(collector) = &mut self.upload {
+                    collector.flights.confirm(confirmed);
                 }
             }
             NodeEvent::Progress(_, progress) => {
@@ -309,7 +324,8 @@ fn start_upload<'a>(node: &mut Node, offer: Offer) -> Upload<'a> {
     Upload::Sending { bytes_total }
 }
 
-/// Collects the flights of other devices until none has arrived for [`Sharing::quiet`].
+/// Collects the flights of other devices until none has arrived for [`Sharing::quiet`], or [`PATIENCE`] times as long if some
+/// are not confirmed.
 struct FlightCollector<'a> {
     sharing: Sharing<'a>,
     flights: Flights,
@@ -319,21 +335,22 @@ struct FlightCollector<'a> {
 }
 
 impl<'a> FlightCollector<'a> {
-    fn new(sharing: Sharing<'a>, own: DeviceId) -> Self {
-        Self { sharing, flights: Flights::new(own, sharing.flight, sharing.flights_max), quiet_since: None }
+    /// If `only_confirmed`, flights count only once the aggregator has confirmed them.
+    fn new(sharing: Sharing<'a>, own: DeviceId, only_confirmed: bool) -> Self {
+        let flights = Flights::new(own, sharing.flight, sharing.flights_max, only_confirmed);
+        Self { sharing, flights, quiet_since: None }
     }
 
     fn on_connected(&mut self, now: Duration) {
         self.quiet_since.get_or_insert(now);
     }
 
-    fn on_flight(&mut self, device: DeviceId, cameras: Vec<Camera>, now: Duration) {
-        self.flights.insert(device, cameras);
-        self.quiet_since = Some(now);
-    }
-
     fn is_complete(&self, now: Duration) -> bool {
-        self.quiet_since.is_some_and(|since| now >= since + self.sharing.quiet)
+        let quiet = match self.flights.unconfirmed() {
+            0 => self.sharing.quiet,
+            _ => self.sharing.quiet * PATIENCE,
+        };
+        self.quiet_since.is_some_and(|since| now >= since + quiet)
     }
 }
 

@@ -41,6 +41,7 @@ mod control;
 mod cut;
 mod error;
 mod event;
+mod flights;
 mod folder;
 mod inputs;
 mod job;

@@ -205,14 +205,37 @@ fn by_mosquitto_with_the_keys_of_pki() {
 fn by_the_built_in_broker_with_the_keys_of_pki() {
     let (folder, address) = (tempfile::tempdir().unwrap(), free_address());
     let lines = keys(folder.path(), &address);
+    let ground = of_built_in_broker(&lines, &address);
+    assert!(fly(folder.path(), &ground, lines) == expected(), "another global model");
+}
+
+/// With keys, agents leave ground to each other as far as the aggregator confirms their flights.
+#[test]
+fn by_the_built_in_broker_with_the_keys_of_pki_shared_ground_is_sent_once() {
+    let (folder, address) = (tempfile::tempdir().unwrap(), free_address());
+    let lines = keys(folder.path(), &address);
+    let ground = of_built_in_broker(&lines, &address);
+    fly(folder.path(), &ground, |name| format!("compress = true\n{}", lines(name)));
+    let dropped = AGENTS.map(|name| {
+        let log = fs::read_to_string(folder.path().join(name).with_extension("log")).unwrap();
+        let line = log.lines().find(|line| line.contains("that other agents observed better")).unwrap();
+        assert!(line.ends_with("(1 other agent known)"), "{line}");
+        let words: Vec<&str> = line.split(' ').collect();
+        let place = words.iter().position(|word| *word == "dropped").unwrap();
+        words[place + 1].parse::<usize>().unwrap()
+    });
+    assert!(dropped.iter().sum::<usize>() > 0, "{dropped:?}");
+}
+
+/// The lines of an aggregator with a broker of its own and the keys of `pki`.
+fn of_built_in_broker(lines: impl Fn(&str) -> String, address: &str) -> String {
     // Its own lines stand in for `broker` and the client's `tls`.
     let signed: String = of_aggregator(&lines("aggregator"))
         .lines()
         .filter(|line| line.starts_with("key") || line.starts_with("trusted"))
         .map(|line| format!("{line}\n"))
         .collect();
-    let ground = format!("bind = \"{address}\"\n{}{signed}", block("broker/server.pem"));
-    assert!(fly(folder.path(), &ground, lines) == expected(), "another global model");
+    format!("bind = \"{address}\"\n{}{signed}", block("broker/server.pem"))
 }
 
 /// Writes a password file for each name, and returns the lines that the command `password` prints.

@@ -150,11 +150,17 @@ fn describe(event: &AgentEvent) -> Option<String> {
             format!("preparing the upload: step {step}/{steps}, {seconds_left:.0} s left")
         }
         AgentEvent::Retrying { reason, attempt } => format!("{reason}; trying again (attempt {attempt})"),
-        AgentEvent::Compressed { removed, of, others } => {
-            format!(
-                "dropped {removed} of {of} splats that other agents observed better ({} known)",
-                counted(*others as u64, "other agent")
-            )
+        AgentEvent::Compressed { removed, of, others, unconfirmed } => {
+            let known = counted(*others as u64, "other agent");
+            let mut text =
+                format!("dropped {removed} of {of} splats that other agents observed better ({known} known)");
+            if *unconfirmed > 0 {
+                text += &format!(
+                    "; {unconfirmed} more had announced flights that the aggregator has not confirmed: they are old, or \
+                     `key` and `trusted` are not set there or at the aggregator"
+                );
+            }
+            text
         }
         AgentEvent::Publishing { bytes_sent, bytes_total } => {
             format!("sent {bytes_sent} of {bytes_total} bytes")

@@ -101,7 +101,7 @@ impl Keeper {
         let mut tell = |damaged: Damaged, follows: &str| {
             told.push_back(ServiceEvent::SetAside { reason: format!("{damaged}; {follows}") });
         };
-        let (mut shelf, headers) = Shelf::open(&config.folder, &mut tell)?;
+        let (mut shelf, headers) = Shelf::open(&config.folder, config.identity.session, &mut tell)?;
         let mut tell_global = |damaged| tell(damaged, "a revision that needs it is made anew");
         let (globals, revisions) = ModelStore::open_telling(&global_store(&config.folder), &mut tell_global)?;
         let sent = Sent::open(&sent_tiles(&config.folder), &mut tell_global)?;
@@ -242,13 +242,29 @@ impl Keeper {
             NodeEvent::OlderSession { sender, heard } => ServiceEvent::OlderSession { device: sender, heard },
             NodeEvent::SameName(device) => ServiceEvent::SameName { device },
             NodeEvent::Denied(reason) => ServiceEvent::Denied { reason },
+            NodeEvent::FlightPledged { device, session, cameras_blake3 } => {
+                if self.shelf.pledge(device, session, cameras_blake3) {
+                    node.confirm_flights(self.shelf.confirmed_flights());
+                }
+                return None;
+            }
             NodeEvent::State(_)
-            | NodeEvent::Flight(..)
+            | NodeEvent::Flight { .. }
+            | NodeEvent::ConfirmedFlights(_)
             | NodeEvent::Receiving(_)
             | NodeEvent::Known(_)
             | NodeEvent::Unanswered { .. }
             | NodeEvent::Progress(..) => return None,
         })
+    }
+
+    /// Deletes the announced flights of devices that were withdrawn. They no longer count.
+    fn void_flights(&mut self, node: &mut Node) {
+        let withdrawn: Vec<DeviceId> = self.shelf.take_void_flights().collect();
+        if !withdrawn.is_empty() {
+            withdrawn.into_iter().for_each(|device| node.clear_flight(device));
+            node.confirm_flights(self.shelf.confirmed_flights());
+        }
     }
 
     fn store(&mut self, node: &mut Node, header: ModelHeader, body: &[u8], now: Duration) -> ServiceEvent {
@@ -301,7 +317,7 @@ impl Keeper {
     /// Reports a pending event, withdraws devices, begins a merge that is due, or publishes a finished merge.
     /// Returns the event to report, if there is one.
     pub(super) fn work(&mut self, node: &mut Node, now: Duration) -> Option<ServiceEvent> {
-        self.shelf.take_void_flights().for_each(|device| node.clear_flight(device));
+        self.void_flights(node);
         self.shelf.take_forgotten().for_each(|key| node.forget(key));
         self.missing.drain(..).for_each(|key| node.ask_again(key));
         if let Some((source, more)) = self.quiet.summary(now) {

@@ -17,6 +17,8 @@ use cosurf_wire::{DeviceId, ModelHeader, ModelId};
 const MODELS_MAX: usize = 1024;
 /// The line that asks a service to list the models that it has.
 const ASKS: &str = "asks";
+/// Before the number of a session: the flights of the device up to that session.
+const FLIGHTS: &str = "flights";
 /// In the place of a hash: all models with the number.
 const ANY: &str = "any";
 
@@ -27,6 +29,8 @@ pub(super) struct ModelList {
     models: BTreeSet<(ModelId, String)>,
     /// All models up to this number, from a list of version 0.1.
     up_to: Option<ModelId>,
+    /// The device's flights of sessions up to this one are withdrawn, too.
+    pub(super) flights_until: Option<u64>,
     /// Whether the models that the service has now must be added.
     pub(super) asks: bool,
 }
@@ -71,6 +75,7 @@ impl ModelList {
             match line.split_ascii_whitespace().collect::<Vec<_>>()[..] {
                 [ASKS] => listed.asks = true,
                 [number] => listed.up_to = number.parse().ok().map(ModelId).max(listed.up_to),
+                [FLIGHTS, session] => listed.flights_until = session.parse().ok().max(listed.flights_until),
                 [number, hash] => {
                     listed
                         .models
@@ -88,6 +93,9 @@ impl ModelList {
         let mut line = |line: std::fmt::Arguments<'_>| _ = writeln!(text, "{line}");
         if let Some(up_to) = self.up_to {
             line(format_args!("{up_to}"));
+        }
+        if let Some(session) = self.flights_until {
+            line(format_args!("{FLIGHTS} {session}"));
         }
         let old = self.models.len().saturating_sub(MODELS_MAX);
         self.models.iter().skip(old).for_each(|(number, hash)| line(format_args!("{number} {hash}")));
@@ -114,6 +122,7 @@ impl ModelList {
     pub(super) fn add_all(&mut self, other: &Self) {
         self.models.extend(other.models.iter().cloned());
         self.up_to = self.up_to.max(other.up_to);
+        self.flights_until = self.flights_until.max(other.flights_until);
     }
 
     /// Whether a model is listed, under whatever number it comes. `hash` is in hexadecimal digits.
@@ -149,6 +158,7 @@ mod tests {
         listed.models.insert((ModelId(u64::MAX), "bb".to_owned()));
         listed.add_number(ModelId(9));
         listed.asks = true;
+        listed.flights_until = Some(1_800_000_000);
         listed.write(folder.path(), &device).unwrap();
         assert_eq!(ModelList::read(folder.path(), &device), listed);
         assert!(listed.has(ModelId(u64::MAX), "bb") && !listed.has(ModelId(u64::MAX), "cc"));

@@ -5,10 +5,11 @@ use std::path::{Path, PathBuf};
 
 use cosurf_link::{Damaged, ModelKey, ModelStore, Node, StoreError};
 use cosurf_scene::SceneError;
-use cosurf_wire::{DeviceId, ModelHeader, ModelId};
+use cosurf_wire::{BodyHash, DeviceId, ModelHeader, ModelId};
 
 use super::error::ServiceError;
 use super::event::ServiceEvent;
+use super::flights::Flights;
 use super::inputs::Inputs;
 use super::job::Stores;
 use super::model_list::ModelList;
@@ -31,6 +32,8 @@ pub(super) struct Shelf {
     parts: Parts,
     /// The withdrawn models of each withdrawn device.
     withdrawn: BTreeMap<DeviceId, ModelList>,
+    /// The flights of which devices will send models.
+    flights: Flights,
     /// Withdrawn models that the link must forget, so that it does not acknowledge them again.
     to_forget: Vec<ModelKey>,
     /// Withdrawn devices whose flights must still be deleted at the broker. Until then, agents may prune ground in
@@ -41,10 +44,11 @@ pub(super) struct Shelf {
 }
 
 impl Shelf {
-    /// Opens the folder of a service. Also returns the headers of the models in it. `tell` gets the files that were set
-    /// aside, and what follows.
+    /// Opens the folder of a service for its session `session`. Also returns the headers of the models in it. `tell` gets the
+    /// files that were set aside, and what follows.
     pub(super) fn open(
         folder: &Path,
+        session: u64,
         mut tell: impl FnMut(Damaged, &str),
     ) -> Result<(Self, Vec<ModelHeader>), ServiceError> {
         let mut damaged = Vec::new();
@@ -56,6 +60,7 @@ impl Shelf {
             stored: BTreeMap::new(),
             parts: Parts::open(folder, |file| tell(file, "the part is left out"))?,
             withdrawn: BTreeMap::new(),
+            flights: Flights::new(session),
             to_forget: Vec::new(),
             to_void: Vec::new(),
             damaged: Vec::new(),
@@ -240,6 +245,7 @@ impl Shelf {
         if let Some(part) = self.parts.model_of(&device) {
             listed.add_number(part);
         }
+        listed.flights_until = Some(self.flights.withdraw(&device)).max(listed.flights_until);
         listed.write(&self.folder.join(WITHDRAWN), &device)?;
         self.to_void.push(device);
         Ok(())
@@ -266,6 +272,18 @@ impl Shelf {
     /// Models withdrawn since the last call. The link must forget them.
     pub(super) fn take_forgotten(&mut self) -> impl Iterator<Item = ModelKey> {
         self.to_forget.drain(..)
+    }
+
+    /// Notes that a device in its session `session` will send a model of its flight. Returns whether other flights are
+    /// confirmed than before.
+    pub(super) fn pledge(&mut self, device: DeviceId, session: u64, cameras_blake3: BodyHash) -> bool {
+        let withdrawn = self.withdrawn.get(&device).and_then(|listed| listed.flights_until);
+        self.flights.pledge(device, session, cameras_blake3, withdrawn)
+    }
+
+    /// The flights that count: devices, and the hashes of their cameras.
+    pub(super) fn confirmed_flights(&self) -> Vec<(DeviceId, BodyHash)> {
+        self.flights.list()
     }
 
     /// Devices withdrawn since the last call. Their announced flights must be deleted.

@@ -6,6 +6,7 @@ mod attacks;
 #[cfg(unix)]
 mod damage;
 mod doubt;
+mod flights;
 mod hierarchy;
 mod life;
 mod lost;

@@ -75,8 +75,12 @@ pub enum AgentEvent {
         removed: usize,
         /// Number of splats before the agent dropped any.
         of: usize,
-        /// Number of other devices whose flights (announced cameras) have arrived.
+        /// Number of other devices whose flights (announced cameras) have arrived and count.
         others: usize,
+        /// Number of other devices whose flights have arrived and do not count, because the aggregator has not confirmed
+        /// them. Always 0 without `trusted`.
+        #[serde(default)]
+        unconfirmed: usize,
     },
     /// Upload progress.
     Publishing {

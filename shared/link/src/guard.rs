@@ -10,6 +10,8 @@
 //! - The start or end of a session does not count if its sender has started a newer one.
 //! - A flight does not count if its sender has announced one in a newer session, or if its session began more than a day
 //!   before this one.
+//! - The pledge of a flight counts like a reply: it repeats the number of this session of the aggregator. A list of confirmed
+//!   flights repeats the number of this session of the device, and is newer than the last one.
 //!
 //! Chunks are not signed. They count if the body has the hash that the header announced.
 
@@ -41,6 +43,8 @@ struct Heard {
     session: u64,
     /// Session and count of the newest reply.
     reply: (u64, u64),
+    /// Session and count of the newest list of confirmed flights.
+    list: (u64, u64),
 }
 
 /// Why a message does not count.
@@ -87,7 +91,7 @@ impl Guard {
         // A participant without a key does not tell its session.
         let own_session = if credentials.key.is_some() { own.session } else { 0 };
         let before = self.heard.get(&seal.sender).copied().unwrap_or_default();
-        let heard = before.hear(own_session, &sealed.message, &seal);
+        let heard = before.hear([own_session, own.session], &sealed.message, &seal);
         let objection = before.objection(&sealed.message, &seal);
         if heard.is_none() && objection == Objection::Outdated {
             return Err(objection);
@@ -99,8 +103,9 @@ impl Guard {
 }
 
 impl Heard {
-    /// What was heard with this message; `None` if the message is outdated.
-    fn hear(mut self, own_session: u64, message: &Message<'_>, seal: &Seal) -> Option<Self> {
+    /// What was heard with this message; `None` if the message is outdated. `own_session` is the session that our seals tell,
+    /// 0 if there are none, `session` the one that our births tell.
+    fn hear(mut self, [own_session, session]: [u64; 2], message: &Message<'_>, seal: &Seal) -> Option<Self> {
         let is_new = match message {
             Message::Header(header) => (seal.session, seal.count) >= *self.offer_of(header),
             Message::Flight(_) => {
@@ -108,17 +113,21 @@ impl Heard {
                     && seal.session.saturating_add(FLIGHT_AGE_MAX_S) >= own_session
             }
             Message::State(state) => state.session == seal.session && seal.session >= self.session,
-            Message::Want(_) | Message::Done(_) | Message::Refused(_) => {
+            Message::Want(_) | Message::Done(_) | Message::Refused(_) | Message::FlightPledge(_) => {
                 answered_session(message) == Some(own_session) && (seal.session, seal.count) > self.reply
+            }
+            Message::ConfirmedFlights(list) => {
+                list.session == session && (seal.session, seal.count) > self.list
             }
             Message::Chunk(_) => true,
         };
         match message {
             Message::Header(header) => *self.offer_of(header) = (seal.session, seal.count),
             Message::Flight(_) => self.flight_session = seal.session,
-            Message::Want(_) | Message::Done(_) | Message::Refused(_) => {
+            Message::Want(_) | Message::Done(_) | Message::Refused(_) | Message::FlightPledge(_) => {
                 self.reply = (seal.session, seal.count);
             }
+            Message::ConfirmedFlights(_) => self.list = (seal.session, seal.count),
             Message::State(_) => self.session = seal.session,
             Message::Chunk(_) => {}
         }
@@ -174,6 +183,7 @@ fn answered_session(message: &Message<'_>) -> Option<u64> {
         Message::Want(want) => Some(want.session),
         Message::Done(done) => Some(done.session),
         Message::Refused(refused) => Some(refused.session),
+        Message::FlightPledge(pledge) => Some(pledge.session),
         _ => None,
     }
 }

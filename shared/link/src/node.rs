@@ -4,10 +4,12 @@
 //! `send` produces outgoing ones. [`Node::step`] receives and sends.
 
 mod births;
+mod confirm;
 mod event;
 mod flight;
 mod log;
 mod lost;
+mod pledge;
 mod receive;
 mod send;
 mod state;
@@ -15,6 +17,6 @@ mod step;
 mod upload;
 
 pub use event::NodeEvent;
-pub use flight::select_flight_cameras;
+pub use flight::{flight_hash, select_flight_cameras};
 pub use state::Node;
 pub use upload::{UploadFault, upload_blocking};

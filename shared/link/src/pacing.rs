@@ -72,6 +72,10 @@ pub(crate) const RESEND_ALL: Duration = Duration::from_secs(30);
 pub(crate) const REPEATED_WANT: Duration = Duration::from_millis(400);
 /// Delays after which an aggregator asks again for a model that it has lost.
 pub(crate) const ASK_AGAIN: Backoff = Backoff::new(Duration::from_secs(2), Duration::from_secs(60));
+/// Delays after which a device repeats the pledge of its flight that the aggregator does not confirm.
+pub(crate) const PLEDGE: Backoff = Backoff::new(Duration::from_secs(2), Duration::from_secs(60));
+/// Shortest time between two lists of confirmed flights to one device.
+pub(crate) const CONFIRM_PAUSE: Duration = Duration::from_secs(1);
 /// A device that waits for a global model offers its stored model again so often, and when it is connected again: an
 /// aggregator that has lost the model and its own records cannot ask.
 pub(crate) const STORED_OFFER: Duration = Duration::from_secs(60);

@@ -578,7 +578,12 @@ fn replied_model(message: &Message<'_>) -> Option<ModelKey> {
         Message::Want(Want { device, model, .. })
         | Message::Refused(Refused { device, model, .. })
         | Message::Done(Done { device, model, .. }) => (*device, *model),
-        Message::Header(_) | Message::Chunk(_) | Message::State(_) | Message::Flight(_) => return None,
+        Message::Header(_)
+        | Message::Chunk(_)
+        | Message::State(_)
+        | Message::Flight(_)
+        | Message::FlightPledge(_)
+        | Message::ConfirmedFlights(_) => return None,
     };
     Some(ModelKey { device, model })
 }

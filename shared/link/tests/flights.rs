@@ -15,7 +15,7 @@ use cosurf_wire::{FLIGHT_CAMERAS_MAX, FrameId};
 /// The flights that a member has received.
 fn heard(member: &Member) -> Vec<(String, Vec<Camera>)> {
     let flight = |event: &NodeEvent| match event {
-        NodeEvent::Flight(device, cameras) => Some((device.to_string(), cameras.clone())),
+        NodeEvent::Flight { device, cameras, .. } => Some((device.to_string(), cameras.clone())),
         _ => None,
     };
     member.events.iter().filter_map(flight).collect()

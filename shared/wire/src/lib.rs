@@ -4,7 +4,7 @@
 //! nothing. The size of every value is limited, so the largest encoding of each message is a constant.
 //!
 //! Where to start reading: [`message`] has the messages of the protocol, [`topic`] the MQTT topics,
-//! [`seal`] the signatures, [`body`] the byte layout of a model, and [`frame`] the frames that carry messages over a serial line.
+//! [`seal`] the signatures, [`flight`] how devices share ground, [`body`] the byte layout of a model, and [`frame`] the frames that carry messages over a serial line.
 //!
 //! # The protocol
 //!
@@ -27,6 +27,8 @@
 //! | [`Done`] | device → aggregator | `/{device}/global/done` | no | the device has stored a global model on disk |
 //! | [`Refused`] | device → aggregator | `/{device}/global/refused` | no | the device refuses a global model |
 //! | [`FlightCameras`] | device → devices | `/{device}/flight` | yes | the cameras of the device's flight |
+//! | [`FlightPledge`] | device → aggregator | `/{device}/global/flight` | no | the device will send a model of its flight |
+//! | [`ConfirmedFlights`] | aggregator → device | `/{device}/dn/flight` | no | the flights that count, of those that were pledged |
 //! | [`State`] | device → all | `/{device}/state` | yes | start or end of a session (MQTT last will) |
 //!
 //! A global model that is too large to be sent whole is divided into tiles, each a model of its own. All devices get the
@@ -49,6 +51,7 @@ extern crate std;
 
 pub mod body;
 mod cobs;
+pub mod flight;
 pub mod frame;
 pub mod id;
 pub mod message;
@@ -57,11 +60,15 @@ pub mod seal;
 pub mod topic;
 
 pub use body::{Bounds, CameraRecord};
+pub use flight::{
+    CONFIRMED_FLIGHT_BYTES_MAX, CONFIRMED_FLIGHTS_MAX, ConfirmedFlights, FLIGHT_CAMERAS_MAX, FlightCameras,
+    FlightPledge,
+};
 pub use id::{DeviceId, FrameId, IdError, ModelId, SiteId, TileId};
 pub use message::{
-    BodyCodec, BodyHash, Chunk, Done, FLIGHT_CAMERAS_MAX, FlightCameras, HeaderError, MAX_CHUNK_BYTES,
-    MAX_CHUNKS, MAX_CONTROL_BYTES, MAX_MESSAGE_BYTES, MIN_CHUNK_BYTES, Message, ModelHeader, ModelKind,
-    RefusalReason, Refused, State, VERSION, Want, WireError,
+    BodyCodec, BodyHash, Chunk, Done, HeaderError, MAX_CHUNK_BYTES, MAX_CHUNKS, MAX_CONTROL_BYTES,
+    MAX_MESSAGE_BYTES, MIN_CHUNK_BYTES, Message, ModelHeader, ModelKind, RefusalReason, Refused, State,
+    VERSION, Want, WireError,
 };
 pub use missing::{ChunkStatus, Missing};
 pub use seal::{MAX_SEAL_BYTES, Seal, Sealed, Signature};

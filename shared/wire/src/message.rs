@@ -5,7 +5,8 @@ use core::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use crate::body::{Bounds, CAMERA_BYTES, CameraRecord, MAX_SH_DEGREE, body_bytes_range, sh_rest};
+use crate::body::{Bounds, CAMERA_BYTES, MAX_SH_DEGREE, body_bytes_range, sh_rest};
+use crate::flight::{ConfirmedFlights, FlightCameras, FlightPledge};
 use crate::id::{DeviceId, FrameId, ModelId};
 use crate::missing::Missing;
 
@@ -23,15 +24,11 @@ pub const MAX_CHUNK_BYTES: usize = 64 * 1024;
 pub const MIN_CHUNK_BYTES: u32 = 256;
 /// Largest number of chunks of a body. It bounds the work for a [`Want`].
 pub const MAX_CHUNKS: u32 = 1 << 16;
-/// Size in bytes of the largest encoding of a message with its seal, except [`Message::Chunk`] and [`Message::Flight`]. A
-/// test checks it.
+/// Size in bytes of the largest encoding of a message with its seal, except [`Message::Chunk`], [`Message::Flight`] and
+/// [`Message::ConfirmedFlights`]. A test checks it.
 pub const MAX_CONTROL_BYTES: usize = 384;
 /// Size in bytes of the largest encoding of a [`Chunk`]. No other message is larger. A test checks it.
 pub const MAX_MESSAGE_BYTES: usize = MAX_CHUNK_BYTES + 89;
-
-/// Largest number of cameras in a [`FlightCameras`]. The message is then smaller than 16 KiB, the limit on
-/// messages that a device sends over a serial line.
-pub const FLIGHT_CAMERAS_MAX: usize = 160;
 
 /// Largest body of a manifest, bytes: about 200,000 tiles.
 const MANIFEST_BYTES_MAX: u64 = 16 << 20;
@@ -75,6 +72,11 @@ pub enum Message<'a> {
     /// The cameras of a device's flight.
     #[serde(borrow)]
     Flight(FlightCameras<'a>),
+    /// A device's pledge to send a model of its flight.
+    FlightPledge(FlightPledge),
+    /// The flights that the aggregator has confirmed.
+    #[serde(borrow)]
+    ConfirmedFlights(ConfirmedFlights<'a>),
 }
 
 /// Announces a model and its sizes.
@@ -203,33 +205,6 @@ pub struct State {
     pub alive: bool,
 }
 
-/// The cameras of a device's flight. They tell the other devices which places the device observes. Before
-/// an upload, each device can then drop the splats that another device owns ([`ModelKind::Compressed`]).
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct FlightCameras<'a> {
-    /// The device that sends the message.
-    pub device: DeviceId,
-    /// The world frame of the cameras.
-    pub frame: FrameId,
-    /// The encoded cameras, [`CAMERA_BYTES`] each. A device with more than [`FLIGHT_CAMERAS_MAX`] cameras
-    /// sends that many of them, evenly spaced in its list.
-    pub cameras: &'a [u8],
-}
-
-impl FlightCameras<'_> {
-    /// Decodes the cameras.
-    pub fn records(&self) -> impl ExactSizeIterator<Item = CameraRecord> {
-        self.cameras.as_chunks().0.iter().map(CameraRecord::decode)
-    }
-
-    /// Whether `cameras` holds a whole number of valid cameras, at most [`FLIGHT_CAMERAS_MAX`].
-    fn is_sane(&self) -> bool {
-        self.cameras.len() <= FLIGHT_CAMERAS_MAX * CAMERA_BYTES
-            && self.cameras.len().is_multiple_of(CAMERA_BYTES)
-            && self.records().all(|camera| camera.is_sane())
-    }
-}
-
 /// The receiver refuses a model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Refused {
@@ -333,7 +308,7 @@ pub enum WireError {
     ChunkTooLong,
     /// The header contradicts itself.
     Header(HeaderError),
-    /// The flight has too many cameras, or invalid cameras.
+    /// The flight has too many cameras, or invalid cameras; or the list of flights contradicts itself.
     BadFlight,
     /// The output buffer is too small.
     BufferTooSmall,
@@ -350,7 +325,10 @@ impl fmt::Display for WireError {
             Self::Malformed => write!(f, "malformed message"),
             Self::TrailingBytes => write!(f, "bytes after the end of a message"),
             Self::ChunkTooLong => write!(f, "chunk of more than {MAX_CHUNK_BYTES} bytes"),
-            Self::BadFlight => write!(f, "flight with too many or invalid cameras"),
+            Self::BadFlight => write!(
+                f,
+                "flight with too many or invalid cameras, or a list of flights that contradicts itself"
+            ),
             Self::Header(what) => write!(f, "header with an invalid {what:?}"),
             Self::BufferTooSmall => write!(f, "buffer too small to encode a message"),
         }
@@ -417,13 +395,14 @@ impl<'a> Message<'a> {
             + match self {
                 Self::Chunk(chunk) => chunk.payload.len(),
                 Self::Flight(flight) => flight.cameras.len(),
+                Self::ConfirmedFlights(list) => list.flights.len(),
                 _ => 0,
             }
     }
 
     /// Writes the encoded message to the start of `out`, and returns the written bytes.
     /// [`MAX_MESSAGE_BYTES`] are enough for every message; [`MAX_CONTROL_BYTES`] are enough for all except
-    /// chunks and flights.
+    /// chunks, flights and lists of flights.
     pub fn encode<'o>(&self, out: &'o mut [u8]) -> Result<&'o [u8], WireError> {
         let (version, rest) = out.split_first_mut().ok_or(WireError::BufferTooSmall)?;
         *version = VERSION;
@@ -461,6 +440,7 @@ impl<'a> Message<'a> {
                 return Err(WireError::ChunkTooLong);
             }
             Self::Flight(flight) if !flight.is_sane() => return Err(WireError::BadFlight),
+            Self::ConfirmedFlights(list) => list.check()?,
             _ => {}
         }
         Ok((message, rest))

@@ -92,7 +92,7 @@ pub enum Topic {
     },
 }
 
-/// The kinds of replies that a receiver sends.
+/// The kinds of replies.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reply {
     /// [`crate::Want`].
@@ -101,6 +101,8 @@ pub enum Reply {
     Done,
     /// [`crate::Refused`].
     Refused,
+    /// [`crate::ConfirmedFlights`] to a device, [`crate::FlightPledge`] from it.
+    Flight,
 }
 
 impl Reply {
@@ -109,6 +111,7 @@ impl Reply {
             Self::Want => "want",
             Self::Done => "done",
             Self::Refused => "refused",
+            Self::Flight => "flight",
         }
     }
 
@@ -117,6 +120,7 @@ impl Reply {
             "want" => Ok(Self::Want),
             "done" => Ok(Self::Done),
             "refused" => Ok(Self::Refused),
+            "flight" => Ok(Self::Flight),
             _ => Err(TopicError::Unknown),
         }
     }

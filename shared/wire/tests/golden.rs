@@ -11,10 +11,10 @@ use cosurf_wire::message::{REFUSAL_BEFORE_BYTES, refusal_for_version_before};
 use cosurf_wire::missing::MISSING_BITMAP_BYTES;
 use cosurf_wire::seal::{MAX_SEAL_BYTES, seal, statement};
 use cosurf_wire::{
-    BodyCodec, BodyHash, Bounds, CameraRecord, Chunk, DeviceId, Done, FLIGHT_CAMERAS_MAX, FlightCameras,
-    FrameId, HeaderError, MAX_CHUNK_BYTES, MAX_CONTROL_BYTES, MAX_MESSAGE_BYTES, Message, Missing,
-    ModelHeader, ModelId, ModelKind, RefusalReason, Refused, Seal, Sealed, Signature, SiteId, State, Topic,
-    VERSION, Want, WireError,
+    BodyCodec, BodyHash, Bounds, CONFIRMED_FLIGHT_BYTES_MAX, CONFIRMED_FLIGHTS_MAX, CameraRecord, Chunk,
+    ConfirmedFlights, DeviceId, Done, FLIGHT_CAMERAS_MAX, FlightCameras, FlightPledge, FrameId, HeaderError,
+    MAX_CHUNK_BYTES, MAX_CONTROL_BYTES, MAX_MESSAGE_BYTES, Message, Missing, ModelHeader, ModelId, ModelKind,
+    RefusalReason, Refused, Seal, Sealed, Signature, SiteId, State, Topic, VERSION, Want, WireError,
 };
 
 fn header() -> ModelHeader {
@@ -65,6 +65,36 @@ fn flights_with_invalid_cameras_are_refused() {
     assert_eq!(decoded(&invalid), Err(WireError::BadFlight), "a rotation of NaN");
 }
 
+/// The encoded list of the flights of these devices.
+fn confirmed(names: &[&str]) -> Vec<u8> {
+    let encode = |name: &&str| {
+        let device = DeviceId::new(name).unwrap();
+        ConfirmedFlights::encode_flight(device, BodyHash([0xef; 32]), &mut [0; CONFIRMED_FLIGHT_BYTES_MAX])
+            .to_vec()
+    };
+    names.iter().flat_map(encode).collect()
+}
+
+#[test]
+fn lists_of_flights_that_contradict_themselves_are_refused() {
+    let device = DeviceId::new("d").unwrap();
+    let decoded = |first, total, flights: &[u8]| {
+        let mut buffer = vec![0; MAX_MESSAGE_BYTES];
+        let list = ConfirmedFlights { device, session: 1, first, total, flights };
+        let decoded =
+            Message::decode(Message::ConfirmedFlights(list).encode(&mut buffer).unwrap()).map(|_| ());
+        (decoded, list.records().count())
+    };
+    let many = confirmed(&vec!["d"; CONFIRMED_FLIGHTS_MAX + 1]);
+    let most = &many[..many.len() / (CONFIRMED_FLIGHTS_MAX + 1) * CONFIRMED_FLIGHTS_MAX];
+    assert_eq!(decoded(0, 0, &[]), (Ok(()), 0), "an empty list is valid");
+    assert_eq!(decoded(7, 7 + CONFIRMED_FLIGHTS_MAX as u32, most), (Ok(()), CONFIRMED_FLIGHTS_MAX));
+    assert_eq!(decoded(8, 7 + CONFIRMED_FLIGHTS_MAX as u32, most).0, Err(WireError::BadFlight));
+    assert_eq!(decoded(u32::MAX, u32::MAX, most).0, Err(WireError::BadFlight));
+    assert_eq!(decoded(0, 1000, &many).0, Err(WireError::BadFlight), "too many");
+    assert_eq!(decoded(0, 1000, &most[..most.len() - 1]).0, Err(WireError::BadFlight), "torn");
+}
+
 fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
@@ -89,6 +119,7 @@ fn messages_have_these_bytes() {
         + &"ab".repeat(32); // hash
     let missing = Missing::of(20, |i| i < 3 || i == 5);
     let cameras = camera_bytes(1);
+    let flights = confirmed(&["d-1", "e"]);
     let table = [
         (Message::Header(header()), header_bytes),
         (
@@ -111,6 +142,20 @@ fn messages_have_these_bytes() {
         (
             Message::Flight(FlightCameras { device, frame: FrameId::new("enu").unwrap(), cameras: &cameras }),
             "0306 03642d31 03656e75 60".to_owned() + &hex(&cameras),
+        ),
+        (
+            Message::FlightPledge(FlightPledge { device, session: 77, cameras_blake3: BodyHash([0xcd; 32]) }),
+            "0307 03642d31 4d".to_owned() + &"cd".repeat(32),
+        ),
+        (
+            Message::ConfirmedFlights(ConfirmedFlights {
+                device,
+                session: 77,
+                first: 3,
+                total: 300,
+                flights: &flights,
+            }),
+            "0308 03642d31 4d 03 ac02 46 03642d31".to_owned() + &"ef".repeat(32) + "0165" + &"ef".repeat(32),
         ),
     ];
     for (message, expected) in table {
@@ -176,6 +221,7 @@ fn the_largest_messages_have_the_documented_sizes() {
         bytes_of(Message::Done(Done { device, model, session, blake3: BodyHash([0; 32]) })),
         bytes_of(Message::State(State { device, session, alive: true })),
         bytes_of(Message::Refused(Refused { device, model, session, reason: RefusalReason::Busy })),
+        bytes_of(Message::FlightPledge(FlightPledge { device, session, cameras_blake3: BodyHash([0; 32]) })),
     ];
     let small = Message::State(State { device, session, alive: true });
     let unsealed = small.encode(&mut [0; MAX_CONTROL_BYTES]).unwrap().to_vec();
@@ -196,6 +242,12 @@ fn the_largest_messages_have_the_documented_sizes() {
     let flight = Message::Flight(FlightCameras { device, frame, cameras: &cameras });
     let most = flight.bytes_max();
     assert!(bytes_of(flight) <= most && most <= 16 * 1024, "a flight fits a serial line");
+    let flights = confirmed(&vec![&*name; CONFIRMED_FLIGHTS_MAX]);
+    assert_eq!(flights.len(), CONFIRMED_FLIGHTS_MAX * CONFIRMED_FLIGHT_BYTES_MAX);
+    let list = ConfirmedFlights { device, session, first: u32::MAX, total: u32::MAX, flights: &flights };
+    let list = Message::ConfirmedFlights(list);
+    let most = list.bytes_max();
+    assert!(bytes_of(list) <= most && most <= 16 * 1024, "a list of flights fits a serial line");
 }
 
 /// A seal is encoded behind the message: sender, session, count, signature. The signature covers a prefix, the topic with

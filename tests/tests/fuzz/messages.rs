@@ -9,8 +9,9 @@ use cosurf_tests::models::random_splats;
 use cosurf_wire::body::CAMERA_BYTES;
 use cosurf_wire::frame::{Frame, FrameReader, MAX_FRAME_BYTES, Piece, Sessions, Turn};
 use cosurf_wire::{
-    CameraRecord, Chunk, DeviceId, Done, FlightCameras, MAX_MESSAGE_BYTES, Message, Missing, ModelId,
-    ModelKind, RefusalReason, Refused, Sealed, SiteId, State, Topic, Want,
+    CONFIRMED_FLIGHT_BYTES_MAX, CameraRecord, Chunk, ConfirmedFlights, DeviceId, Done, FlightCameras,
+    FlightPledge, MAX_MESSAGE_BYTES, Message, Missing, ModelId, ModelKind, RefusalReason, Refused, Sealed,
+    SiteId, State, Topic, Want,
 };
 
 use crate::runner::{Target, hammer};
@@ -49,6 +50,8 @@ fn messages() -> Vec<Vec<u8>> {
     let chunk = Chunk { device, model, index: 1, payload: &body[200..400] };
     let missing = Missing::of(500, |i| i % 3 == 0 || i > 400);
     let cameras = camera().repeat(2);
+    let out = &mut [0; CONFIRMED_FLIGHT_BYTES_MAX];
+    let flights = ConfirmedFlights::encode_flight(device, header.blake3, out).repeat(3);
     [
         Message::Header(header),
         Message::Chunk(chunk),
@@ -57,6 +60,14 @@ fn messages() -> Vec<Vec<u8>> {
         Message::State(State { device, session: u64::MAX, alive: true }),
         Message::Refused(Refused { device, model, session: 9, reason: RefusalReason::Busy }),
         Message::Flight(FlightCameras { device, frame: header.frame, cameras: &cameras }),
+        Message::FlightPledge(FlightPledge { device, session: 9, cameras_blake3: header.blake3 }),
+        Message::ConfirmedFlights(ConfirmedFlights {
+            device,
+            session: 9,
+            first: 1,
+            total: 4,
+            flights: &flights,
+        }),
     ]
     .iter()
     .flat_map(|message| {
@@ -93,6 +104,9 @@ fn messages_are_read_or_refused() {
                 std::hint::black_box(want.missing.status_of(i));
             }
         }
+        if let Message::ConfirmedFlights(list) = &message {
+            assert!(list.first as usize + list.records().count() <= list.total as usize);
+        }
         let again = message.encode(&mut out).expect("what was read fits");
         // NaN is not equal to itself, so this also checks that no decoded message contains NaN.
         let is_same = Message::decode(again).expect("what was written is read") == message;
@@ -111,6 +125,7 @@ fn topics_are_read_or_refused() {
         Topic::LocalHeader { device, model },
         Topic::LocalChunk { device, model, index: 70 },
         Topic::LocalReply { device, reply: cosurf_wire::Reply::Want },
+        Topic::LocalReply { device, reply: cosurf_wire::Reply::Flight },
         Topic::GlobalHeader { tile: cosurf_wire::TileId::WHOLE },
         Topic::GlobalChunk { tile: cosurf_wire::TileId::WHOLE, model, index: 0 },
         Topic::TileHeader { device, model },

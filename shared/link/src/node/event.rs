@@ -1,9 +1,10 @@
 //! The events of a node.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use cosurf_scene::Camera;
-use cosurf_wire::{DeviceId, ModelHeader, RefusalReason, State};
+use cosurf_wire::{BodyHash, DeviceId, ModelHeader, RefusalReason, State};
 
 use crate::key::ModelKey;
 use crate::transport::PublishError;
@@ -23,8 +24,27 @@ pub enum NodeEvent {
     },
     /// A device has started or ended a session.
     State(State),
-    /// The cameras of another device's flight. They are in the world frame that this node uses.
-    Flight(DeviceId, Vec<Camera>),
+    /// Another device's flight. It counts only if the aggregator has confirmed it, if this node has a list of trusted keys.
+    Flight {
+        /// The other device.
+        device: DeviceId,
+        /// The cameras, in the world frame that this node uses.
+        cameras: Vec<Camera>,
+        /// Hash of the encoded cameras.
+        cameras_blake3: BodyHash,
+    },
+    /// The aggregator tells which flights count: devices, and the hashes of their encoded cameras. For devices with a flight
+    /// and a list of trusted keys. Each list replaces the one before.
+    ConfirmedFlights(BTreeMap<DeviceId, BodyHash>),
+    /// A device has pledged to this session of the aggregator that it will send a model of its newest flight.
+    FlightPledged {
+        /// The device.
+        device: DeviceId,
+        /// Number of the device's session.
+        session: u64,
+        /// Hash of the encoded cameras.
+        cameras_blake3: BodyHash,
+    },
     /// Two participants use the same name, so the broker keeps disconnecting one of them.
     SameName(DeviceId),
     /// The node accepted an offer, and requests the chunks of the body.

@@ -1,15 +1,20 @@
 //! The cameras that a device announces to other devices, selected from its own flight.
 
 use cosurf_scene::Camera;
-use cosurf_wire::FLIGHT_CAMERAS_MAX;
 use cosurf_wire::body::CAMERA_BYTES;
+use cosurf_wire::{BodyHash, FLIGHT_CAMERAS_MAX};
 
-use crate::body::camera_record;
+use crate::body::{body_hash, camera_record};
 
 /// Selects the cameras to announce: all of them, or [`FLIGHT_CAMERAS_MAX`] at even intervals.
 pub fn select_flight_cameras(cameras: &[Camera]) -> Vec<Camera> {
     let count = cameras.len().min(FLIGHT_CAMERAS_MAX);
     (0..count).map(|i| cameras[i * cameras.len() / count]).collect()
+}
+
+/// The hash by which the flight with these cameras is pledged and confirmed.
+pub fn flight_hash(cameras: &[Camera]) -> BodyHash {
+    body_hash(&camera_bytes(&select_flight_cameras(cameras)))
 }
 
 /// Encodes cameras for a flight message.

@@ -1,12 +1,15 @@
 //! The incoming messages of a node. Invalid messages are dropped and reported as [`NodeEvent::Ignored`].
 
 use cosurf_wire::message::{REFUSAL_BEFORE_BYTES, refusal_for_version_before};
-use cosurf_wire::{DeviceId, FlightCameras, Message, Reply, Sealed, State, Topic, VERSION, WireError};
+use cosurf_wire::{
+    ConfirmedFlights, DeviceId, FlightCameras, FlightPledge, Message, Reply, Sealed, State, Topic, VERSION,
+    WireError,
+};
 
 use super::births::Notice;
 use super::event::NodeEvent;
 use super::state::Node;
-use crate::body::camera;
+use crate::body::{body_hash, camera};
 use crate::guard::Objection;
 use crate::identity::Role;
 use crate::inbox::InboxEvent;
@@ -105,6 +108,16 @@ impl Node {
                 Topic::LocalReply { .. } | Topic::GlobalReply { .. },
                 Message::Want(_) | Message::Done(_) | Message::Refused(_),
             ) => self.receive_reply(&topic, &message),
+            (Topic::GlobalReply { device, reply: Reply::Flight }, Message::FlightPledge(pledge))
+                if pledge.device == device =>
+            {
+                self.receive_pledge(pledge, session);
+            }
+            (Topic::LocalReply { device, reply: Reply::Flight }, Message::ConfirmedFlights(part))
+                if part.device == device =>
+            {
+                self.receive_confirmed(part, session);
+            }
             _ => return Err("the message does not match its topic".to_owned()),
         }
         Ok(())
@@ -147,8 +160,27 @@ impl Node {
             return Err("the flight is in another world frame".to_owned());
         }
         let cameras = flight.records().map(|record| camera(&record)).collect();
-        self.events.push_back(NodeEvent::Flight(flight.device, cameras));
+        let (device, cameras_blake3) = (flight.device, body_hash(flight.cameras));
+        self.events.push_back(NodeEvent::Flight { device, cameras, cameras_blake3 });
         Ok(())
+    }
+
+    fn receive_pledge(&mut self, pledge: &FlightPledge, session: u64) {
+        if self.confirms_flights() {
+            let FlightPledge { device, cameras_blake3, .. } = *pledge;
+            self.confirming.on_pledge(&device);
+            self.events.push_back(NodeEvent::FlightPledged { device, session, cameras_blake3 });
+        }
+    }
+
+    fn receive_confirmed(&mut self, part: &ConfirmedFlights<'_>, session: u64) {
+        if part.device != self.identity.device || !self.pledges_flights() {
+            return;
+        }
+        let (now, can_sign) = (self.now, self.inbox.credentials().key.is_some());
+        let session = can_sign.then_some(session);
+        let list = self.pledge.as_mut().and_then(|pledge| pledge.on_list(now, session, part));
+        self.events.extend(list.map(NodeEvent::ConfirmedFlights));
     }
 
     fn receive_state(&mut self, state: State, sealed: u64) {
@@ -164,6 +196,9 @@ impl Node {
         if state.alive {
             let now = self.now;
             self.uploaders.iter_mut().for_each(|uploader| uploader.on_birth(now, state.device));
+        }
+        if self.confirms_flights() {
+            self.confirming.on_state(self.now, &state, self.devices_max);
         }
         self.events.push_back(NodeEvent::State(state));
     }

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use super::event::NodeEvent;
+use super::pledge::Pledge;
 use super::state::Node;
 use crate::inbox::InboxAction;
 use crate::transport::{Outgoing, PublishError, Transport};
@@ -21,6 +22,8 @@ impl Node {
         uploads
             .chain(self.inbox.next_wakeup())
             .chain(self.lost.next_wakeup())
+            .chain(self.confirming.next_wakeup())
+            .chain(self.pledge.as_ref().and_then(Pledge::next_wakeup))
             .min()
             .filter(|_| self.is_connected)
     }
@@ -89,6 +92,9 @@ impl Node {
         if let Some(request) = self.lost.next(now, &self.identity.site, &self.births) {
             return Some(request);
         }
+        if let Some(flights) = self.next_of_flights() {
+            return Some(flights);
+        }
         let next = |uploader: &mut Uploader| match takes_chunks {
             true => uploader.next(now),
             false => uploader.next_control(now),
@@ -105,6 +111,13 @@ impl Node {
         }
         self.uploaders.retain(|uploader| !uploader.is_over());
         message
+    }
+
+    /// A part of the list of confirmed flights, or the pledge of this device's own.
+    fn next_of_flights(&mut self) -> Option<Outgoing> {
+        let (now, site) = (self.now, self.identity.site);
+        let part = self.confirming.next(now, &site);
+        part.or_else(|| self.pledge.as_mut()?.next(now, &site))
     }
 
     /// A message was too large for the link. Chunks are the largest messages, so all offers are repeated with

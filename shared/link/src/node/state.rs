@@ -10,12 +10,14 @@ use cosurf_wire::{
 use tracing::debug;
 
 use super::births::Births;
+use super::confirm::Confirming;
 use super::event::NodeEvent;
 use super::flight::{camera_bytes, select_flight_cameras};
 use super::lost::Lost;
-use crate::body::Model;
+use super::pledge::Pledge;
+use crate::body::{Model, body_hash};
 use crate::guard::Guard;
-use crate::identity::Identity;
+use crate::identity::{Identity, Role};
 use crate::inbox::{Inbox, InboxLimits};
 use crate::key::ModelKey;
 use crate::offer::Offer;
@@ -37,6 +39,10 @@ pub struct Node {
     /// The message with the cameras of this device's flight; `None` if the device does not announce them.
     pub(super) flight: Option<Outgoing>,
     pub(super) is_flight_due: bool,
+    /// This device's pledge of its flight.
+    pub(super) pledge: Option<Pledge>,
+    /// Of an aggregator: the flights that it has confirmed.
+    pub(super) confirming: Confirming,
     /// Topics whose retained messages are to be deleted.
     pub(super) cleared: VecDeque<Topic>,
     /// Refusals for devices of the version before.
@@ -70,6 +76,8 @@ impl Node {
             birth: None,
             flight: None,
             is_flight_due: false,
+            pledge: None,
+            confirming: Confirming::default(),
             cleared: VecDeque::new(),
             refusals_before: VecDeque::new(),
             births: Births::default(),
@@ -107,6 +115,24 @@ impl Node {
         let message = Message::Flight(flight);
         self.flight = Some(Outgoing::new(&self.identity.site, Topic::Flight { device }, &message, true));
         self.is_flight_due = self.is_connected;
+        self.pledge = Some(Pledge::new(device, body_hash(&bytes)));
+    }
+
+    /// Of an aggregator: tells all devices which flights count, here those of [`NodeEvent::FlightPledged`] that the caller
+    /// goes by. Without a key and a list of trusted keys, nothing is told.
+    pub fn confirm_flights(&mut self, flights: Vec<(DeviceId, BodyHash)>) {
+        self.confirming.set(flights);
+    }
+
+    /// Whether this node confirms flights: without keys, nobody could tell whose word it is.
+    pub(super) fn confirms_flights(&self) -> bool {
+        let credentials = self.inbox.credentials();
+        self.identity.role == Role::Aggregator && credentials.key.is_some() && credentials.trusted.is_some()
+    }
+
+    /// Whether this device makes and hears pledges: only to an aggregator whose key it knows.
+    pub(super) fn pledges_flights(&self) -> bool {
+        self.identity.role == Role::Device && self.inbox.credentials().trusted.is_some()
     }
 
     /// Deletes the announced flight of `device` from the broker. Devices that connect later do not receive it.

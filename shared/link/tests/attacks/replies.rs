@@ -327,7 +327,7 @@ fn attack_04_an_unsigned_device_is_answered_with_silence() {
         stranger.listen();
         fleet[1].events.iter().any(|event| matches!(event, NodeEvent::Unanswered { offers: 5, .. }))
     });
-    assert!(stranger.heard.iter().all(|(topic, _)| !topic.contains("/dn/")), "{:?}", stranger.heard);
+    assert!(stranger.heard.iter().all(|(topic, _)| !topic.contains("/drone-1/dn/")), "{:?}", stranger.heard);
     assert!(fleet[0].disk.is_empty());
 }
 

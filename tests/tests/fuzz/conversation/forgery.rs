@@ -5,8 +5,9 @@ use cosurf_tests::dice::Dice;
 use cosurf_tests::keys::Signer;
 use cosurf_wire::body::CAMERA_BYTES;
 use cosurf_wire::{
-    BodyHash, Bounds, CameraRecord, Chunk, DeviceId, Done, FlightCameras, FrameId, Message, Missing,
-    ModelHeader, ModelId, ModelKind, RefusalReason, Refused, Reply, SiteId, State, TileId, Topic, Want,
+    BodyHash, Bounds, CONFIRMED_FLIGHT_BYTES_MAX, CameraRecord, Chunk, ConfirmedFlights, DeviceId, Done,
+    FlightCameras, FlightPledge, FrameId, Message, Missing, ModelHeader, ModelId, ModelKind, RefusalReason,
+    Refused, Reply, SiteId, State, TileId, Topic, Want,
 };
 
 use super::cast::{CLOUD, GROUND, INSIDER, device, drone, site};
@@ -25,7 +26,7 @@ const REASONS: [RefusalReason; 10] = [
     RefusalReason::Garbled,
     RefusalReason::TooManyDevices,
 ];
-const REPLIES: [Reply; 3] = [Reply::Want, Reply::Done, Reply::Refused];
+const REPLIES: [Reply; 4] = [Reply::Want, Reply::Done, Reply::Refused, Reply::Flight];
 const KINDS: [ModelKind; 4] =
     [ModelKind::Local, ModelKind::Global, ModelKind::Compressed, ModelKind::Manifest];
 
@@ -193,6 +194,19 @@ fn statement<'a>(dice: &mut Dice, target: &Target, scratch: &'a mut Scratch) -> 
             let device = somebody(dice);
             let state = State { device, session: pick(dice, &[session, 999, 5000]), alive: dice.coin() };
             (Topic::State { device }, Message::State(state))
+        }
+        5 if dice.coin() => {
+            let reply = Reply::Flight;
+            let listed = if dice.coin() { somebody(dice) } else { device };
+            if dice.coin() {
+                let pledge = FlightPledge { device: listed, session, cameras_blake3: blake3 };
+                return (Topic::GlobalReply { device: listed, reply }, Message::FlightPledge(pledge));
+            }
+            let out = &mut [0; CONFIRMED_FLIGHT_BYTES_MAX];
+            scratch.0 = ConfirmedFlights::encode_flight(listed, blake3, out).repeat(dice.below(3));
+            let (first, total) = pick(dice, &[(0, 1), (0, 2), (0, 0), (1, 3), (0, u32::MAX)]);
+            let list = ConfirmedFlights { device, session, first, total, flights: &scratch.0 };
+            (Topic::LocalReply { device, reply }, Message::ConfirmedFlights(list))
         }
         5 => {
             let device = somebody(dice);

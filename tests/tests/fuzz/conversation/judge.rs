@@ -5,7 +5,7 @@ use std::fmt;
 
 use cosurf_link::{Identity, ModelKey, NodeEvent, Offer, Role};
 use cosurf_scene::Camera;
-use cosurf_wire::{DeviceId, ModelHeader, SiteId};
+use cosurf_wire::{BodyHash, DeviceId, ModelHeader, SiteId};
 
 use super::cast::{INSIDER, device};
 use super::plan::Mode;
@@ -53,6 +53,8 @@ pub(crate) struct Judge {
     honest: BTreeSet<DeviceId>,
     sessions: BTreeSet<(DeviceId, u64)>,
     flights: BTreeMap<DeviceId, Vec<Camera>>,
+    /// Hashes of their encoded cameras.
+    hashes: BTreeMap<DeviceId, BodyHash>,
     /// What each participant has on its disk.
     held: BTreeSet<(SiteId, DeviceId, ModelKey)>,
     /// Participants that must hold a model before its sender may be told so.
@@ -85,6 +87,7 @@ impl Judge {
             honest: BTreeSet::new(),
             sessions: BTreeSet::new(),
             flights: BTreeMap::new(),
+            hashes: BTreeMap::new(),
             held: BTreeSet::new(),
             receivers: BTreeMap::new(),
             told: BTreeSet::new(),
@@ -99,6 +102,12 @@ impl Judge {
 
     pub(crate) fn note_flight(&mut self, device: DeviceId, cameras: &[Camera]) {
         self.flights.insert(device, cameras.to_vec());
+        self.hashes.insert(device, cosurf_link::flight_hash(cameras));
+    }
+
+    /// Whether a device has announced a flight with this hash. The hostile one may announce any.
+    fn is_flight(&self, of: &DeviceId, cameras_blake3: BodyHash) -> bool {
+        self.hashes.get(of) == Some(&cameras_blake3) || *of == device(INSIDER)
     }
 
     /// Learns that an honest participant offers a model to `receivers`, which have the role `to`.
@@ -155,9 +164,22 @@ impl Judge {
                     format!("{own} believes in session {} of {}", state.session, state.device)
                 })?;
             }
-            NodeEvent::Flight(of, cameras) if self.mode != Mode::Open => {
+            NodeEvent::Flight { device: of, cameras, .. } if self.mode != Mode::Open => {
                 let is_genuine = self.flights.get(of) == Some(cameras) || *of == device(INSIDER);
                 demand(is_genuine, Invariant::Genuine, || format!("{own} believes a forged flight of {of}"))?;
+            }
+            NodeEvent::FlightPledged { device: of, session, cameras_blake3 } => {
+                let is_known = self.sessions.contains(&(*of, *session)) || *of == device(INSIDER);
+                demand(is_known && self.is_flight(of, *cameras_blake3), Invariant::Genuine, || {
+                    format!("{own} believes a forged pledge of {of}")
+                })?;
+            }
+            NodeEvent::ConfirmedFlights(flights) if self.mode != Mode::Open => {
+                let forged =
+                    flights.iter().find(|(of, cameras_blake3)| !self.is_flight(of, **cameras_blake3));
+                demand(forged.is_none(), Invariant::Genuine, || {
+                    format!("{own} believes that {forged:?} is confirmed")
+                })?;
             }
             NodeEvent::SameName(of) => {
                 let holds = self.mode == Mode::Open || *of == device(INSIDER);

@@ -8,7 +8,7 @@ use cosurf_link::{
     Role, Transport,
 };
 use cosurf_scene::Camera;
-use cosurf_wire::{MAX_CONTROL_BYTES, ModelHeader};
+use cosurf_wire::{BodyHash, DeviceId, MAX_CONTROL_BYTES, ModelHeader};
 
 use super::judge::{Invariant, Judge, Verdict, demand};
 use super::metered::{Metered, Traffic};
@@ -48,6 +48,8 @@ pub(crate) struct Member {
     /// Models that are offered to the other side again after a restart.
     pub(crate) offers: Vec<Offer>,
     pub(crate) flight: Vec<Camera>,
+    /// Of an aggregator: the flights that were pledged to this session.
+    pledged: BTreeMap<DeviceId, BodyHash>,
     pub(crate) failing_writes: u32,
     /// Start of the session.
     begun: Duration,
@@ -73,6 +75,7 @@ impl Member {
             complete: None,
             offers: Vec::new(),
             flight: Vec::new(),
+            pledged: BTreeMap::new(),
             failing_writes: 0,
             begun: network.now(),
             heap_bytes: 0,
@@ -123,6 +126,7 @@ impl Member {
         }
         self.heap_bytes = allocated_bytes() - before;
         self.offered = (0, 0);
+        self.pledged.clear();
         self.transport.copies = if self.flaw == Some(Flaw::Talkative) { 40 } else { 1 };
     }
 
@@ -214,6 +218,12 @@ impl Member {
             self.keep(*header, Some(&body));
         } else if let NodeEvent::Known(header) = &event {
             self.keep(*header, None);
+        } else if let NodeEvent::FlightPledged { device, cameras_blake3, .. } = &event {
+            self.pledged.insert(*device, *cameras_blake3);
+            let flights: Vec<_> = self.pledged.iter().map(|(device, hash)| (*device, *hash)).collect();
+            let before = allocated_bytes();
+            self.node.confirm_flights(flights.clone());
+            self.heap_bytes += allocated_bytes() - before;
         }
         let before = allocated_bytes();
         drop(event);
