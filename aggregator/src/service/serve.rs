@@ -244,7 +244,8 @@ fn open_session(config: &AggregatorConfig, clock_s: u64) -> Result<Identity, Ser
 
 fn inbox_limits(config: &AggregatorConfig) -> InboxLimits {
     InboxLimits {
-        body_bytes_max: config.memory_bytes,
+        // So one model, however slowly it arrives, leaves room for others.
+        body_bytes_max: config.memory_bytes / 4 * 3,
         total_bytes_max: config.memory_bytes,
         models_max: config.uploads_max,
         stored_max: STORED_MAX,

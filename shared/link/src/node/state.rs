@@ -13,6 +13,7 @@ use super::births::Births;
 use super::confirm::Confirming;
 use super::event::NodeEvent;
 use super::flight::{camera_bytes, select_flight_cameras};
+use super::log::Log;
 use super::lost::Lost;
 use super::pledge::Pledge;
 use crate::body::{Model, body_hash};
@@ -61,6 +62,7 @@ pub struct Node {
     /// Number of messages that no listed key had signed.
     pub(super) forged: u64,
     pub(super) is_connected: bool,
+    pub(super) log: Log,
     pub(super) now: Duration,
 }
 
@@ -89,6 +91,7 @@ impl Node {
             guard: Guard::default(),
             forged: 0,
             is_connected: false,
+            log: Log::default(),
             now: Duration::ZERO,
         }
     }

@@ -4,7 +4,6 @@ use std::ops::ControlFlow;
 use std::time::Duration;
 
 use super::event::NodeEvent;
-use super::log::log;
 use super::state::Node;
 use crate::transport::Transport;
 
@@ -19,7 +18,7 @@ impl Node {
         wait: Duration,
     ) -> Option<NodeEvent> {
         let event = self.next_event(transport, now, wait);
-        event.iter().for_each(log);
+        event.iter().for_each(|event| self.log.write(self.now, event));
         event
     }
 

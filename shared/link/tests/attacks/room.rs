@@ -181,3 +181,38 @@ fn attack_06_tiny_chunks_are_refused_and_a_want_is_cheap() {
     (0..100).for_each(|_| _ = std::hint::black_box(Missing::of(cosurf_wire::MAX_CHUNKS, |i| i % 2 == 0)));
     assert!(begun.elapsed() < Duration::from_secs(1), "{:?} for 100", begun.elapsed());
 }
+
+/// A device sends nearly all of the largest model that is allowed, and then a chunk now and then. There is room for others.
+#[test]
+fn attack_06_one_huge_model_leaves_room_for_others() {
+    let network = network();
+    let limits = InboxLimits { body_bytes_max: 48 << 20, ..LIMITS };
+    let mut fleet = open_site(&network, limits, &["drone-1"]);
+    let mut stranger = Stranger::new(&network);
+    let huge = ModelHeader { splats: 480_000, body_bytes: 48 << 20, ..large("mallory", 1) };
+    huge.check().unwrap();
+    announce(&mut stranger, huge);
+    let (device, model) = (huge.device, huge.model);
+    let send = |fleet: &mut [Member], stranger: &mut Stranger, index: u32| {
+        let junk = Chunk { device, model, index, payload: &[7; 65_536] };
+        stranger.say(Topic::LocalChunk { device, model, index }, &Message::Chunk(junk));
+        fleet.iter_mut().for_each(|member| member.work(&network));
+        stranger.listen();
+        network.advance(network.now() + Duration::from_millis(20));
+    };
+    for index in 0..huge.chunks() - 40 {
+        send(&mut fleet, &mut stranger, index);
+    }
+    let taken = fleet[0].node.unfinished_bytes();
+    assert!(taken > 40 << 20, "{taken} bytes are taken, so the test shows nothing");
+    let begun = network.now();
+    fleet[1].node.upload(offer("drone-1", 1, ModelKind::Local, 3, 200_000, 65_536));
+    let mut late = huge.chunks() - 40..huge.chunks() - 1;
+    run_until(&network, &mut fleet, begun + Duration::from_secs(10), |fleet| {
+        if let Some(index) = late.next() {
+            send(fleet, &mut stranger, index);
+        }
+        !fleet[1].uploaded.is_empty()
+    });
+    assert!(!is_busy(&fleet[1]));
+}
