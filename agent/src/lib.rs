@@ -8,6 +8,7 @@
 //! - [`pictures`]: renderings of a model as files.
 //! - [`publish`]: the upload of the model over a link, and the download of the global model. The upload can leave out
 //!   ground that other devices observed better ([`flights`]).
+//! - [`status`]: how far the agent is, told over the link.
 //! - [`changes`]: the differences between two models of the same ground.
 //!
 //! What it knows nothing about: the aggregator's code, and what the aggregator does with the model. The agent never
@@ -51,5 +52,6 @@ pub mod outputs;
 pub mod pictures;
 pub mod publish;
 pub mod session;
+pub mod status;
 pub mod usage;
 pub mod warm_start;

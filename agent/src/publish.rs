@@ -13,15 +13,14 @@ use std::time::Duration;
 use anyhow::{Result, bail};
 use cosurf_contract::AgentEvent;
 use cosurf_link::{
-    Complete, Credentials, Identity, InboxLimits, ModelKey, Node, NodeEvent, Offer, ReceiveError, Received,
-    Transport,
+    Complete, InboxLimits, ModelKey, Node, NodeEvent, Offer, ReceiveError, Received, Transport,
 };
-use cosurf_scene::Camera;
 use cosurf_scene::bytes::format_bytes;
 use cosurf_wire::{DeviceId, ModelKind, RefusalReason, WireError};
 use tracing::info_span;
 
 use crate::flights::Flights;
+use crate::status::StatusTeller;
 use offer::{offer, renumber};
 
 pub use publication::{Publication, Sharing};
@@ -30,35 +29,6 @@ pub use publication::{Publication, Sharing};
 const PATIENCE: u32 = 3;
 /// Longest wait for a message, after which the loops below check the time again.
 const POLL_TIMEOUT: Duration = Duration::from_millis(200);
-
-/// Announces the cameras `flight` of this device to the other devices. Waits up to `timeout` for a connection. Once
-/// connected, runs for `flush_time` more, so that the announcement is sent and, if there are keys, the aggregator can confirm
-/// it. `now` is the time since an arbitrary moment.
-pub fn announce_flight<T: Transport>(
-    identity: Identity,
-    credentials: &Credentials,
-    flight: &[Camera],
-    transport: &mut T,
-    now: impl Fn() -> Duration,
-    timeout: Duration,
-    flush_time: Duration,
-) {
-    // This node accepts no global model; the node of `publish` does.
-    let closed =
-        InboxLimits { body_bytes_max: u64::MAX, total_bytes_max: u64::MAX, models_max: 0, stored_max: 0 };
-    let mut node = Node::new(identity, closed, &[]);
-    node.set_credentials(credentials.clone());
-    node.announce_flight(flight);
-    let mut end = now() + timeout;
-    let mut is_announced = false;
-    while now() < end {
-        let event = node.step(transport, &now, POLL_TIMEOUT);
-        if matches!(event, Some(NodeEvent::Connected)) && !is_announced {
-            is_announced = true;
-            end = now() + flush_time;
-        }
-    }
-}
 
 /// Uploads the model. Returns once the aggregator has acknowledged it and, if the publication waits for a global model,
 /// a global model is stored or is too large to be received. `now` is the time since an arbitrary moment. Fails if the
@@ -80,9 +50,12 @@ pub fn publish<T: Transport>(
         if let Some(event) = publisher.node.step(transport, &now, POLL_TIMEOUT) {
             publisher.handle(event, now())?;
         }
+        publisher.tell_status(transport, now());
     }
+    publication.status.iter().for_each(|board| board.finish());
     let end = now() + publication.flush_time;
     while now() < end {
+        publisher.tell_status(transport, now());
         publisher.node.step(transport, &now, POLL_TIMEOUT);
     }
     Ok(())
@@ -102,6 +75,8 @@ struct Publisher<'a, F> {
     /// Whether the global model that the aggregator offers is stored, by this run or by an earlier one, or is too large
     /// to be received.
     is_global_settled: bool,
+    /// Tells how far the agent is, if that is asked for.
+    teller: Option<StatusTeller>,
     /// Whether it was told that another participant has another version.
     is_version_told: bool,
     on_event: F,
@@ -148,6 +123,7 @@ impl<'a, F: FnMut(AgentEvent)> Publisher<'a, F> {
             received,
             upload,
             is_global_settled: false,
+            teller: publication.status.map(|board| StatusTeller::new(board, publication.identity)),
             is_version_told: false,
             on_event,
         };
@@ -155,6 +131,12 @@ impl<'a, F: FnMut(AgentEvent)> Publisher<'a, F> {
             publisher.retrying(format!("a global model is received again: {damaged}"), 1);
         }
         Ok(publisher)
+    }
+
+    fn tell_status<T: Transport>(&mut self, transport: &mut T, now: Duration) {
+        if let Some(teller) = &mut self.teller {
+            teller.tell(transport, now);
+        }
     }
 
     fn is_done(&self) -> bool {
@@ -191,9 +173,11 @@ impl<'a, F: FnMut(AgentEvent)> Publisher<'a, F> {
     fn handle(&mut self, event: NodeEvent, now: Duration) -> Result<()> {
         match event {
             NodeEvent::Disconnected { attempt, reason } => {
+                self.teller.iter_mut().for_each(|teller| teller.on_connection(false));
                 self.retrying(reason, attempt);
             }
             NodeEvent::Connected => {
+                self.teller.iter_mut().for_each(|teller| teller.on_connection(true));
                 if let Upload::Collecting(collector) = &mut self.upload {
                     collector.on_connected(now);
                 }
@@ -359,7 +343,7 @@ mod tests {
     #![allow(clippy::unwrap_used)]
     use std::cell::RefCell;
 
-    use cosurf_link::{Faults, MemoryNetwork, MemoryTransport, Role};
+    use cosurf_link::{Credentials, Faults, Identity, MemoryNetwork, MemoryTransport, Role};
     use cosurf_scene::Splats;
     use cosurf_wire::{ModelId, SiteId, TileId};
 
@@ -432,6 +416,7 @@ mod tests {
                 wait_global: true,
                 inbox_bytes,
                 flush_time: Duration::from_millis(100),
+                status: None,
             };
             let mut events = Vec::new();
             let ground = RefCell::new(self);

@@ -7,6 +7,11 @@ pub fn peak_bytes() -> u64 {
     status_kib("VmHWM:") * 1024
 }
 
+/// Resident memory of this process, bytes; 0 if the system does not report it.
+pub fn resident_bytes() -> u64 {
+    status_kib("VmRSS:") * 1024
+}
+
 /// Memory of the computer that programs can still allocate without swapping (Linux: `MemAvailable`), bytes. `None` if
 /// the system does not report it.
 pub fn available_bytes() -> Option<u64> {

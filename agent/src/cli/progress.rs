@@ -4,6 +4,7 @@
 use std::io::{IsTerminal, Write};
 use std::time::{Duration, Instant};
 
+use cosurf_agent::status::StatusBoard;
 use cosurf_contract::{AgentEvent, ComparedWith, Escaped, counted};
 use cosurf_engine::train::StepOutcome;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -21,6 +22,10 @@ pub(super) struct Progress {
     last_step: u32,
     /// Sum of the PSNR of all steps since the last update, dB, and the number of these steps.
     psnr: (f64, u32),
+    /// Where the events are noted, too.
+    board: Option<StatusBoard>,
+    /// Events of another thread, if it has some.
+    others: Option<Box<dyn FnMut() -> Option<AgentEvent>>>,
 }
 
 enum Style {
@@ -43,12 +48,29 @@ impl Progress {
         } else {
             Style::Lines
         };
-        Self { style, last: Instant::now(), last_step: 0, psnr: (0.0, 0) }
+        Self { style, last: Instant::now(), last_step: 0, psnr: (0.0, 0), board: None, others: None }
+    }
+
+    /// Notes all events on this board, too.
+    pub(super) fn with_board(self, board: &StatusBoard) -> Self {
+        Self { board: Some(board.clone()), ..self }
+    }
+
+    /// Shows also what `others` returns, whenever training has done a step.
+    pub(super) fn listen(&mut self, others: impl FnMut() -> Option<AgentEvent> + 'static) {
+        self.others = Some(Box::new(others));
+    }
+
+    fn show_others(&mut self) {
+        while let Some(event) = self.others.as_mut().and_then(|others| others()) {
+            self.show(&event);
+        }
     }
 
     /// Records that training step `step` of `steps` is done. Shows the progress if an update is due, which is after
     /// [`LINE_EVERY`] or [`BAR_EVERY`] depending on the style, and after the last step.
     pub(super) fn step(&mut self, step: u32, steps: u32, outcome: &StepOutcome, splats: usize) {
+        self.show_others();
         self.psnr = (self.psnr.0 + outcome.loss.psnr(), self.psnr.1 + 1);
         let every = if matches!(self.style, Style::Lines) { LINE_EVERY } else { BAR_EVERY };
         if self.last.elapsed() < every && step < steps {
@@ -79,6 +101,7 @@ impl Progress {
         if step == 1 {
             (self.last, self.last_step) = (Instant::now(), step);
         }
+        self.show_others();
         if self.last.elapsed() < LINE_EVERY {
             return;
         }
@@ -89,8 +112,10 @@ impl Progress {
 
     pub(super) fn show(&mut self, event: &AgentEvent) {
         if let AgentEvent::Started { resumed_at, .. } = event {
+            self.show_others();
             (self.last, self.last_step) = (Instant::now(), *resumed_at);
         }
+        self.board.iter().for_each(|board| board.follow(event));
         match &self.style {
             Style::Json => {
                 let line = serde_json::to_string(event).unwrap_or_default();

@@ -1,6 +1,7 @@
 //! `run`: trains on the pictures of a flight, publishes the model and receives the global model.
 
 mod comparison;
+mod reporter;
 mod route;
 
 use std::fs;
@@ -9,8 +10,9 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, Result};
 use clap::Args;
-use cosurf_agent::publish::{Publication, Sharing, announce_flight, global_ply, publish};
+use cosurf_agent::publish::{Publication, Sharing, global_ply, publish};
 use cosurf_agent::session::{self, Split, TrainPlan};
+use cosurf_agent::status::StatusBoard;
 use cosurf_contract::{AgentConfig, ComparedWith, Share};
 use cosurf_engine::{PruneSettings, SurfaceSettings, base_of};
 use cosurf_link::{Credentials, Identity, Role, next_session};
@@ -21,11 +23,8 @@ use super::paths::resolve_init;
 use super::progress::Progress;
 use super::train;
 use comparison::Comparison;
-use route::{Connection, Route};
-
-/// How long the agent tries to announce its flight (its cameras) before training. The announcement is repeated before
-/// the upload, so training need not wait longer.
-const ANNOUNCE_TIMEOUT: Duration = Duration::from_secs(5);
+use reporter::Reporter;
+use route::Route;
 
 /// Train with the settings in a configuration file, publish the model to the aggregator, and receive the global model.
 /// To resume after a stop or a kill, run the same command again.
@@ -41,11 +40,13 @@ pub(super) struct RunArgs {
 
 pub(super) fn run(args: &RunArgs) -> Result<()> {
     let job = Job::load(&args.config)?;
-    let mut progress = Progress::new(args.json);
-    let flight = job.announce_flight()?;
+    let board = StatusBoard::new(job.config.steps);
+    let mut progress = Progress::new(args.json).with_board(&board);
+    let flight = job.flight()?;
+    let reporter = job.report(flight.as_deref(), &board, &mut progress)?;
     train::train(&job.plan, &job.config.out, false, &mut progress)?;
     let model = LocalModel::read(&job.config.out)?;
-    job.publish(&model, flight.as_deref(), &mut progress)?;
+    job.publish(&model, flight.as_deref(), (&board, reporter), &mut progress)?;
     if job.config.wait_global {
         let global = global_ply(&job.config.out);
         job.compare(&model, ComparedWith::Global, &global, &mut progress)?;
@@ -96,40 +97,53 @@ impl Job {
         self.started.elapsed() + Duration::from_secs(1)
     }
 
-    /// Opens a connection under a new session number.
-    fn connect(&self) -> Result<(Identity, Connection)> {
+    /// The identity of the device in a new session.
+    fn identity(&self) -> Result<Identity> {
         let AgentConfig { site, device, out, .. } = &self.config;
         let clock_s = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
         let session = next_session(&out.join("session"), clock_s)?;
-        let identity = Identity { site: *site, device: *device, session, role: Role::Device };
-        Ok((identity, self.route.connect(identity, self.credentials.key.as_ref())))
+        Ok(Identity { site: *site, device: *device, session, role: Role::Device })
     }
 
-    /// Announces this device's cameras to the other devices, and returns the announced cameras. Does nothing and
-    /// returns `None` if `compress` is not set.
-    fn announce_flight(&self) -> Result<Option<Vec<Camera>>> {
-        if !self.config.compress {
-            return Ok(None);
-        }
-        let flight = session::flight(&self.plan)?;
+    /// The cameras of all this device's pictures, which it announces to the other devices; `None` if `compress` is not set.
+    fn flight(&self) -> Result<Option<Vec<Camera>>> {
+        self.config.compress.then(|| session::flight(&self.plan)).transpose()
+    }
+
+    /// Connects, announces the flight, and tells how far the agent is while it trains. On a radio, the connection ends
+    /// after the announcement: it would take the line from other devices.
+    fn report(
+        &self,
+        flight: Option<&[Camera]>,
+        board: &StatusBoard,
+        progress: &mut Progress,
+    ) -> Result<Option<Reporter>> {
         fs::create_dir_all(&self.config.out).with_context(|| self.config.out.display().to_string())?;
-        let (identity, mut connection) = self.connect()?;
-        announce_flight(
-            identity,
-            &self.credentials,
-            &flight,
-            &mut connection,
-            || self.now(),
-            ANNOUNCE_TIMEOUT,
-            self.route.flush_time(),
-        );
-        Ok(Some(flight))
+        let identity = self.identity()?;
+        let connection = self.route.connect_reporting(identity, self.credentials.key.as_ref());
+        let board = self.board(board);
+        let is_over_soon = board.is_none() && flight.is_some();
+        let flush_time = if is_over_soon { self.route.flush_time() } else { Duration::ZERO };
+        let reporter =
+            Reporter::start(identity, &self.credentials, flight, connection, board, flush_time, progress);
+        Ok(board.map(|_| reporter))
+    }
+
+    /// The board, unless the line is too slow for statuses.
+    fn board<'a>(&self, board: &'a StatusBoard) -> Option<&'a StatusBoard> {
+        (!self.route.is_radio()).then_some(board)
     }
 
     /// Trains the base (the small model that is sent first), sends the model and, if `wait_global` is set, waits for
     /// the global model. If training started from a model, shows before the upload how the new model differs from that
-    /// one. The connection is closed on return.
-    fn publish(&self, model: &LocalModel, flight: Option<&[Camera]>, progress: &mut Progress) -> Result<()> {
+    /// one. `reporter` tells how far the agent is until the upload has its own connection, which is closed on return.
+    fn publish(
+        &self,
+        model: &LocalModel,
+        flight: Option<&[Camera]>,
+        (board, reporter): (&StatusBoard, Option<Reporter>),
+        progress: &mut Progress,
+    ) -> Result<()> {
         let LocalModel { splats, cameras } = model;
         let (threads, cache_bytes) = (self.plan.threads, (self.plan.memory_bytes / 4) as usize);
         let base =
@@ -139,7 +153,9 @@ impl Job {
         }
         let (quiet, flights_max) = (self.route.quiet_time(), self.config.flights_max);
         let sharing = flight.map(|flight| Sharing { flight, quiet, flights_max });
-        let (identity, mut connection) = self.connect()?;
+        reporter.into_iter().for_each(Reporter::stop);
+        let identity = self.identity()?;
+        let mut connection = self.route.connect(identity, self.credentials.key.as_ref());
         let publication = Publication {
             identity,
             splats,
@@ -151,6 +167,7 @@ impl Job {
             wait_global: self.config.wait_global,
             inbox_bytes: self.plan.memory_bytes / 2,
             flush_time: self.route.flush_time(),
+            status: self.board(board),
         };
         publish(&publication, &mut connection, || self.now(), |event| progress.show(&event))
     }

@@ -6,6 +6,8 @@ use std::time::Duration;
 use cosurf_link::{Credentials, Identity};
 use cosurf_scene::{Base, Camera, Splats};
 
+use crate::status::StatusBoard;
+
 /// A model to send, and what to wait for afterwards.
 pub struct Publication<'a> {
     /// The identity of this device in its current session.
@@ -29,12 +31,14 @@ pub struct Publication<'a> {
     pub inbox_bytes: u64,
     /// How long the connection stays open at the end, so that the last messages are sent.
     pub flush_time: Duration,
+    /// The board whose status is told over the link; `None` on lines that are too slow for it.
+    pub status: Option<&'a StatusBoard>,
 }
 
 /// Settings for dropping splats of ground that other devices own; see [`crate::flights`].
 #[derive(Clone, Copy)]
 pub struct Sharing<'a> {
-    /// The cameras that this device announced with [`announce_flight`](super::announce_flight).
+    /// The cameras that this device has announced: those of all its pictures.
     pub flight: &'a [Camera],
     /// All flights count as known once no flight has arrived for this long.
     pub quiet: Duration,

@@ -18,8 +18,13 @@ use super::topics::{covers, matches};
 pub(super) use verifier::{Job, Verifier};
 
 /// Topics that a user may write: `%s` stands for the site, `%u` for the user's name. The same as in `cosurf.acl`.
-const WRITES: [&str; 4] =
-    ["gs/v1/%s/%u/state", "gs/v1/%s/%u/flight", "gs/v1/%s/%u/up/#", "gs/v1/%s/%u/global/+"];
+const WRITES: [&str; 5] = [
+    "gs/v1/%s/%u/state",
+    "gs/v1/%s/%u/status",
+    "gs/v1/%s/%u/flight",
+    "gs/v1/%s/%u/up/#",
+    "gs/v1/%s/%u/global/+",
+];
 /// Topics that a user may read.
 const READS: [&str; 3] = ["gs/v1/%s/%u/dn/#", "gs/v1/%s/global/#", "gs/v1/%s/+/flight"];
 /// Largest file of users, bytes.

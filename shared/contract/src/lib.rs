@@ -45,6 +45,7 @@ pub mod log;
 mod password;
 pub mod report;
 mod share;
+pub mod status;
 mod words;
 
 pub use config::{AgentConfig, AgentLink, ConfigError, DEFAULT_FLIGHTS_MAX, parse_toml};
@@ -53,4 +54,5 @@ pub use log::{LogError, LogFormat};
 pub use password::{PasswordError, read_password};
 pub use report::{AgentEvent, Changes, ComparedWith, TrainReport};
 pub use share::{NotAShare, Share};
+pub use status::{AgentPhase, AgentStatus};
 pub use words::{Escaped, counted};

@@ -40,6 +40,11 @@ pub struct InboxLimits {
     pub stored_max: usize,
 }
 
+impl InboxLimits {
+    /// Limits of a participant that takes no models, and leaves offers unanswered.
+    pub const CLOSED: Self = Self { body_bytes_max: 0, total_bytes_max: 0, models_max: 0, stored_max: 0 };
+}
+
 impl Default for InboxLimits {
     /// Limits for an aggregator: 2 million splats of degree 3 per model, and 1 GiB in total.
     fn default() -> Self {
@@ -174,6 +179,9 @@ impl Inbox {
         header: ModelHeader,
         session: u64,
     ) -> Option<InboxEvent> {
+        if self.limits == InboxLimits::CLOSED {
+            return None;
+        }
         let key = ModelKey::from(&header);
         let want_topic = self.want_topic(topic)?;
         if !matches_topic(topic, &header) {

@@ -55,6 +55,12 @@ impl MqttTransport {
     pub fn start(config: MqttConfig) -> Self {
         Self(Client::start(config.into_client()))
     }
+
+    /// Starts connecting as a device that only reports: it reads nothing but which flights are confirmed, so that the models
+    /// for other devices do not use its line.
+    pub fn start_reporting(config: MqttConfig) -> Self {
+        Self(Client::start(config.into_reporting_client()))
+    }
 }
 
 impl Transport for MqttTransport {

@@ -30,6 +30,7 @@
 //! | [`FlightPledge`] | device → aggregator | `/{device}/global/flight` | no | the device will send a model of its flight |
 //! | [`ConfirmedFlights`] | aggregator → device | `/{device}/dn/flight` | no | the flights that count, of those that were pledged |
 //! | [`State`] | device → all | `/{device}/state` | yes | start or end of a session (MQTT last will) |
+//! | JSON | device → anybody | `/{device}/status` | yes | how far the device's agent is; no participant reads it |
 //!
 //! A global model that is too large to be sent whole is divided into tiles, each a model of its own. All devices get the
 //! list of the tiles ([`ModelKind::Manifest`]), which also tells which device gets which tiles. A device accepts only

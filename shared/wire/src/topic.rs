@@ -30,6 +30,11 @@ pub enum Topic {
         /// The device that sends the message.
         device: DeviceId,
     },
+    /// How far a device's agent is, as JSON for people and other programs. No participant reads it.
+    Status {
+        /// The device that sends the message.
+        device: DeviceId,
+    },
     /// The header of a device's model.
     LocalHeader {
         /// The device that made the model.
@@ -180,6 +185,7 @@ impl Topic {
             },
             [Some(device), Some("state"), None, ..] => Self::State { device: DeviceId::new(device)? },
             [Some(device), Some("flight"), None, ..] => Self::Flight { device: DeviceId::new(device)? },
+            [Some(device), Some("status"), None, ..] => Self::Status { device: DeviceId::new(device)? },
             [Some(device), Some("up"), Some(model), Some("m"), None, ..] => {
                 Self::LocalHeader { device: DeviceId::new(device)?, model: model.parse()? }
             }
@@ -212,7 +218,11 @@ impl Topic {
     pub fn is_retained(&self) -> bool {
         matches!(
             self,
-            Self::State { .. } | Self::Flight { .. } | Self::LocalHeader { .. } | Self::GlobalHeader { .. }
+            Self::State { .. }
+                | Self::Flight { .. }
+                | Self::Status { .. }
+                | Self::LocalHeader { .. }
+                | Self::GlobalHeader { .. }
         )
     }
 
@@ -234,6 +244,7 @@ impl fmt::Display for Topic {
         match self {
             Self::State { device } => write!(f, "{device}/state"),
             Self::Flight { device } => write!(f, "{device}/flight"),
+            Self::Status { device } => write!(f, "{device}/status"),
             Self::LocalHeader { device, model } => write!(f, "{device}/up/{model}/m"),
             Self::LocalChunk { device, model, index } => write!(f, "{device}/up/{model}/c/{index}"),
             Self::LocalReply { device, reply } => write!(f, "{device}/dn/{}", reply.as_str()),

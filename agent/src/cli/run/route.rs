@@ -33,17 +33,36 @@ impl Route {
     /// Starts to connect in the background. The connection reports success and failure as events. `key` signs
     /// the notice that the broker publishes when the connection breaks.
     pub(super) fn connect(&self, identity: Identity, key: Option<&SecretKey>) -> Connection {
+        self.connect_by(MqttTransport::start, identity, key)
+    }
+
+    /// The same for a connection that only reports, while the agent trains.
+    pub(super) fn connect_reporting(&self, identity: Identity, key: Option<&SecretKey>) -> Connection {
+        self.connect_by(MqttTransport::start_reporting, identity, key)
+    }
+
+    fn connect_by(
+        &self,
+        start: fn(MqttConfig) -> MqttTransport,
+        identity: Identity,
+        key: Option<&SecretKey>,
+    ) -> Connection {
         match self {
             Self::Broker { broker, tls, login } => {
                 let (broker, tls, login) = (broker.clone(), tls.clone(), login.clone());
                 let will = Some(last_will(&identity, key));
-                Connection::Broker(MqttTransport::start(MqttConfig { broker, identity, will, tls, login }))
+                Connection::Broker(start(MqttConfig { broker, identity, will, tls, login }))
             }
             Self::Serial { port, baud } => {
                 let config = SerialConfig::device(port, *baud, identity.session, DEVICE_MESSAGE_BYTES);
                 Connection::Serial(SerialTransport::start(config))
             }
         }
+    }
+
+    /// Whether the line is a radio.
+    pub(super) fn is_radio(&self) -> bool {
+        matches!(self, Self::Serial { .. })
     }
 
     /// The flights of all devices count as received once no flight has arrived for this long. A radio needs more time

@@ -1,5 +1,6 @@
 //! The settings of a participant's client.
 
+use cosurf_wire::{Reply, Topic, TopicString};
 use rumqttc::v5::mqttbytes::QoS;
 use rumqttc::v5::mqttbytes::v5::{Filter, RetainForwardRule};
 
@@ -30,8 +31,19 @@ pub struct MqttConfig {
 impl MqttConfig {
     /// What the client needs of it. It subscribes to everything that its role must read.
     pub(super) fn into_client(self) -> ClientSettings {
+        let filters = self.identity.filters();
+        self.subscribed_to(&filters, SESSION_EXPIRY_S)
+    }
+
+    /// The same for a device that reads only which flights are confirmed. The broker keeps nothing for it.
+    pub(super) fn into_reporting_client(self) -> ClientSettings {
+        let Identity { site, device, .. } = self.identity;
+        let confirmed = Topic::LocalReply { device, reply: Reply::Flight }.to_text(&site);
+        self.subscribed_to(&[confirmed], 0)
+    }
+
+    fn subscribed_to(self, filters: &[TopicString], session_expiry_s: u32) -> ClientSettings {
         let Self { broker, identity, will, tls, login } = self;
-        let filters = identity.filters();
         let filters = filters.iter().map(|path| Filter {
             path: path.as_str().to_owned(),
             qos: QoS::AtLeastOnce,
@@ -44,7 +56,7 @@ impl MqttConfig {
             tls,
             login,
             client_id: identity.client_id(),
-            session_expiry_s: SESSION_EXPIRY_S,
+            session_expiry_s,
             will,
             filters: filters.collect(),
         }

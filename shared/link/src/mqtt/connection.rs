@@ -34,7 +34,8 @@ pub(super) struct Connection {
 impl Connection {
     /// Connects, and waits for CONNACK.
     pub(super) async fn open(settings: &ClientSettings) -> Result<(Self, ConnAck), Fault> {
-        timeout(CONNECT_TIMEOUT, Self::greet(settings)).await.unwrap_or(Err(Fault::NoAnswer))
+        let greeted = timeout(CONNECT_TIMEOUT, Self::greet(settings)).await.unwrap_or(Err(Fault::NoAnswer));
+        greeted.map_err(|fault| fault.before_answer(settings.tls.is_some()))
     }
 
     async fn greet(settings: &ClientSettings) -> Result<(Self, ConnAck), Fault> {
@@ -57,8 +58,11 @@ impl Connection {
                 }
                 Some(Packet::ConnAck(ack)) => return Err(Fault::Refused(ack.code)),
                 Some(Packet::Disconnect(farewell)) => return Err(Fault::Closed(farewell.reason_code)),
-                Some(_) => {}
-                None => connection.exchange().await?,
+                Some(_) => return Err(Fault::NoBroker),
+                None => connection.exchange().await.map_err(|fault| match connection.input.is_empty() {
+                    true => fault,
+                    false => Fault::NoBroker,
+                })?,
             }
         }
     }

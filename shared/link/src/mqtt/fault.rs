@@ -22,8 +22,16 @@ pub(super) enum Fault {
     #[error("{}", no_websocket(.0))]
     WebSocket(#[source] Box<tungstenite::Error>),
     /// The broker does not answer.
-    #[error("no answer")]
+    #[error("no answer: check the address, and that a broker listens there")]
     NoAnswer,
+    /// The other side closed a connection without TLS before it had answered.
+    #[error(
+        "the broker closed the connection without an answer: if it speaks TLS at this port, use mqtts://"
+    )]
+    HungUp,
+    /// The first answer is not that of an MQTT broker.
+    #[error("what answers is no MQTT broker: use the port of one; if it speaks TLS there, use mqtts://")]
+    NoBroker,
     /// The broker refuses the client.
     #[error("{}", refused(*.0))]
     Refused(ConnectReturnCode),
@@ -44,13 +52,29 @@ pub(super) enum Fault {
     NoReply,
 }
 
+impl Fault {
+    /// What the fault means before the broker has answered.
+    pub(super) fn before_answer(self, is_tls: bool) -> Self {
+        match &self {
+            Self::Lost(error) if !is_tls && is_closed(error) => Self::HungUp,
+            Self::Packet(_) => Self::NoBroker,
+            _ => self,
+        }
+    }
+}
+
+fn is_closed(error: &io::Error) -> bool {
+    matches!(error.kind(), ErrorKind::UnexpectedEof | ErrorKind::ConnectionReset | ErrorKind::BrokenPipe)
+}
+
 /// Why the broker does not take a message under `topic`; `None` if it does.
 pub(super) fn denial(reason: PubAckReason, topic: &str) -> Option<String> {
     match reason {
         PubAckReason::Success | PubAckReason::NoMatchingSubscribers => None,
-        PubAckReason::NotAuthorized => {
-            Some(format!("messages under {topic} are refused: give this participant access to its topics"))
-        }
+        PubAckReason::NotAuthorized => Some(format!(
+            "messages under {topic} are refused: give this participant access to its topics; its name must be that of \
+                 its certificate or user"
+        )),
         PubAckReason::QuotaExceeded => Some(format!(
             "a message under {topic} is refused because the broker has no room: raise its memory, or find the client \
              that publishes so much"
@@ -68,9 +92,7 @@ fn lost(error: &io::Error) -> String {
     match (tls_error(error).and_then(meaning), error.kind()) {
         (Some(told), _) => told.to_owned(),
         (None, ErrorKind::ConnectionRefused) => "connection refused".to_owned(),
-        (None, ErrorKind::UnexpectedEof | ErrorKind::ConnectionReset | ErrorKind::BrokenPipe) => {
-            "connection lost".to_owned()
-        }
+        (None, _) if is_closed(error) => "connection lost".to_owned(),
         _ => error.to_string(),
     }
 }

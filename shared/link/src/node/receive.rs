@@ -239,6 +239,7 @@ fn source_of(topic: &Topic) -> Option<DeviceId> {
     match topic {
         Topic::State { device }
         | Topic::Flight { device }
+        | Topic::Status { device }
         | Topic::LocalHeader { device, .. }
         | Topic::LocalChunk { device, .. }
         | Topic::LocalReply { device, .. }

@@ -1,0 +1,139 @@
+//! How far an agent is: what it tells over its link every few seconds.
+
+use serde::{Deserialize, Serialize};
+
+use crate::report::AgentEvent;
+
+/// Limit on the characters of a problem in a status, so that a status stays small.
+const PROBLEM_CHARS_MAX: usize = 200;
+
+/// How far an agent is. Anybody who may write to the agent's topics may have written it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct AgentStatus {
+    /// What the agent is doing.
+    pub phase: AgentPhase,
+    /// Number of training steps done.
+    pub step: u32,
+    /// Number of all training steps.
+    pub steps: u32,
+    /// Mean PSNR of the last training steps, or of the trained model on held-out pictures, dB; `None` before the first.
+    pub psnr: Option<f32>,
+    /// Number of splats.
+    pub splats: usize,
+    /// Estimated time until the end of the training, or of the base, seconds; `None` if not known.
+    pub seconds_left: Option<f32>,
+    /// Bytes of all messages of the upload so far.
+    pub bytes_sent: u64,
+    /// Size of the encoded model in bytes; 0 before the upload.
+    pub bytes_total: u64,
+    /// Resident memory of the agent, bytes.
+    pub memory_bytes: u64,
+    /// When the agent wrote this, seconds since 1970 by its clock.
+    pub time_s: u64,
+    /// The last problem, if the agent has not got over it; at most 200 characters.
+    pub problem: Option<String>,
+    /// Version of the agent.
+    pub version: String,
+}
+
+/// What an agent is doing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum AgentPhase {
+    /// Reads the pictures and prepares the training.
+    Loading,
+    /// Trains.
+    Training,
+    /// Prepares the upload: trains the small model that is sent first, and waits for the flights of other agents.
+    Preparing,
+    /// Sends its model.
+    Uploading,
+    /// Waits for the global model. The aggregator has stored the agent's model.
+    Waiting,
+    /// Has finished.
+    Done,
+}
+
+impl AgentStatus {
+    /// The status of an agent that has just started.
+    pub fn new(steps: u32, version: &str) -> Self {
+        Self {
+            phase: AgentPhase::Loading,
+            step: 0,
+            steps,
+            psnr: None,
+            splats: 0,
+            seconds_left: None,
+            bytes_sent: 0,
+            bytes_total: 0,
+            memory_bytes: 0,
+            time_s: 0,
+            problem: None,
+            version: version.to_owned(),
+        }
+    }
+
+    /// Notes an event of the agent. Returns whether the status should be told at once.
+    pub fn follow(&mut self, event: &AgentEvent) -> bool {
+        let before = self.phase;
+        if let AgentEvent::Retrying { reason, .. } | AgentEvent::GlobalRefused { reason, .. } = event {
+            self.problem = Some(reason.chars().take(PROBLEM_CHARS_MAX).collect());
+        }
+        match event {
+            AgentEvent::Started { splats, steps, resumed_at, .. } => {
+                self.phase = AgentPhase::Training;
+                (self.splats, self.steps, self.step) = (*splats, *steps, *resumed_at);
+            }
+            AgentEvent::Progress { step, steps, psnr, splats, seconds_left, .. } => {
+                self.phase = AgentPhase::Training;
+                (self.step, self.steps, self.splats) = (*step, *steps, *splats);
+                (self.psnr, self.seconds_left) = (Some(*psnr), Some(*seconds_left));
+            }
+            AgentEvent::Trained { report } => {
+                self.phase = AgentPhase::Preparing;
+                (self.step, self.splats, self.seconds_left) = (report.steps, report.splats, None);
+                self.psnr = report.psnr.map(|psnr| psnr as f32).or(self.psnr);
+            }
+            AgentEvent::Preparing { seconds_left, .. } => {
+                (self.phase, self.seconds_left) = (AgentPhase::Preparing, Some(*seconds_left));
+            }
+            AgentEvent::Compressed { .. } => self.seconds_left = None,
+            AgentEvent::Publishing { bytes_sent, bytes_total } => {
+                (self.phase, self.problem, self.seconds_left) = (AgentPhase::Uploading, None, None);
+                (self.bytes_sent, self.bytes_total) = (*bytes_sent, *bytes_total);
+            }
+            AgentEvent::Acknowledged { bytes_sent } => {
+                (self.phase, self.problem, self.seconds_left) = (AgentPhase::Waiting, None, None);
+                self.bytes_sent = *bytes_sent;
+            }
+            AgentEvent::GlobalReceived { .. } => self.problem = None,
+            AgentEvent::DeviceLost { .. }
+            | AgentEvent::Retrying { .. }
+            | AgentEvent::GlobalRefused { .. }
+            | AgentEvent::Compared { .. } => {}
+        }
+        self.phase != before
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn a_status_follows_the_events_and_stays_small() {
+        let mut status = AgentStatus::new(300, "0.1.0");
+        let started = AgentEvent::Started { views: 9, held_out: 1, splats: 100, steps: 300, resumed_at: 20 };
+        assert!(status.follow(&started) && status.phase == AgentPhase::Training && status.step == 20);
+        let retrying = AgentEvent::Retrying { reason: "\u{1F4A5}".repeat(9000), attempt: 1 };
+        assert!(!status.follow(&retrying));
+        let text = serde_json::to_string(&status).unwrap();
+        assert!(text.len() < 1200, "{} bytes", text.len());
+        assert_eq!(serde_json::from_str::<AgentStatus>(&text).unwrap(), status);
+        assert!(status.follow(&AgentEvent::Publishing { bytes_sent: 5, bytes_total: 9 }));
+        assert_eq!((status.problem.clone(), status.bytes_total), (None, 9), "it has got over the problem");
+        assert!(status.follow(&AgentEvent::Acknowledged { bytes_sent: 11 }));
+        assert_eq!((status.phase, status.bytes_sent), (AgentPhase::Waiting, 11));
+    }
+}

@@ -1,0 +1,187 @@
+//! What an agent tells at once: a wrong broker, certificate, password or port before it trains, and how far it is while it
+//! trains.
+#![cfg(unix)]
+#![allow(clippy::unwrap_used)]
+
+use std::fs;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpListener;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::sync::mpsc::{Receiver, channel};
+use std::thread::spawn;
+use std::time::{Duration, Instant};
+
+use cosurf_contract::{AgentPhase, AgentStatus};
+use cosurf_link::TlsFiles;
+use cosurf_tests::datasets::write_city;
+use cosurf_tests::mosquitto::{Authority, Mosquitto, PLAIN, example};
+use cosurf_tests::programs::program;
+
+/// What is wrong must be told in this time.
+const AT_ONCE: Duration = Duration::from_secs(5);
+/// The agent's line at the start of its training.
+const TRAINING: &str = "training views";
+
+/// A running agent. It is killed when this value is dropped.
+struct Agent {
+    child: Child,
+    lines: Receiver<String>,
+    begun: Instant,
+}
+
+impl Agent {
+    /// Starts an agent with these lines about its connection.
+    fn start(folder: &Path, connection: &str, steps: u32) -> Self {
+        let data = folder.join("data");
+        if !data.exists() {
+            write_city(&data, 60.0, 8, [96, 72]);
+        }
+        let config = folder.join("agent.toml");
+        let text = format!(
+            "device = \"drone\"\nsite = \"site\"\ndata = \"data\"\nout = \"out\"\nsteps = {steps}\nthreads = 1\n\
+             compute = \"cpu\"\n{connection}"
+        );
+        fs::write(&config, text).unwrap();
+        let _ = fs::remove_dir_all(folder.join("out"));
+        let begun = Instant::now();
+        let mut command = Command::new(program("cosurf-agent"));
+        command.args(["run", "--config", "agent.toml"]).current_dir(folder);
+        let mut child = command.stdin(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+        let (say, lines) = channel();
+        let stderr = BufReader::new(child.stderr.take().unwrap());
+        spawn(move || stderr.lines().map_while(Result::ok).for_each(|line| _ = say.send(line)));
+        Self { child, lines, begun }
+    }
+
+    /// Waits until the agent tells `part`, which must be at once and before it trains.
+    fn tells(&self, part: &str) {
+        let mut heard = Vec::new();
+        while let Ok(line) = self.lines.recv_timeout(AT_ONCE.saturating_sub(self.begun.elapsed())) {
+            if line.contains(part) {
+                println!("{:.1?}: {line}", self.begun.elapsed());
+                return;
+            }
+            assert!(!line.contains(TRAINING), "it trains before it tells {part:?}: {heard:#?}");
+            heard.push(line);
+        }
+        panic!("{part:?} is not told within {AT_ONCE:?}: {heard:#?}");
+    }
+}
+
+impl Drop for Agent {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// The lines for a broker with TLS.
+fn with_tls(port: u16, files: &TlsFiles) -> String {
+    let path = |path: &Path| path.display().to_string();
+    let mut lines = format!("broker = \"mqtts://127.0.0.1:{port}\"\n[tls]\nca = \"{}\"\n", path(&files.ca));
+    if let (Some(cert), Some(key)) = (&files.cert, &files.key) {
+        lines += &format!("cert = \"{}\"\nkey = \"{}\"\n", path(cert), path(key));
+    }
+    lines
+}
+
+#[test]
+fn a_wrong_port_host_or_serial_device_is_told_before_the_training() {
+    let folder = tempfile::tempdir().unwrap();
+    let free = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let silent = TcpListener::bind("127.0.0.1:0").unwrap();
+    let other = TcpListener::bind("127.0.0.1:0").unwrap();
+    let web = other.local_addr().unwrap();
+    spawn(move || {
+        for connection in other.incoming() {
+            let mut connection = connection.unwrap();
+            let _ = connection.read(&mut [0; 1024]);
+            let _ = connection.write_all(b"HTTP/1.1 400 Bad Request\r\n\r\n");
+        }
+    });
+    let cases = [
+        (format!("broker = \"mqtt://{free}\""), "refused"),
+        ("broker = \"mqtt://no-such-host.invalid:1883\"".into(), "no-such-host.invalid"),
+        (format!("broker = \"mqtt://{}\"", silent.local_addr().unwrap()), "check the address"),
+        (format!("broker = \"mqtt://{web}\""), "no MQTT broker"),
+        (format!("broker = \"mqtts://{web}\""), "mqtt://"),
+        ("serial = \"/dev/no-radio\"".into(), "/dev/no-radio"),
+    ];
+    for (connection, told) in cases {
+        Agent::start(folder.path(), &connection, 100_000).tells(told);
+    }
+}
+
+#[test]
+fn a_wrong_certificate_or_password_is_told_before_the_training() {
+    let (folder, elsewhere) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let folder = folder.path();
+    let authority = Authority::new(folder);
+    let good = authority.client("good", "drone", 30);
+    let late = authority.client("late", "drone", -1);
+    let other_name = authority.client("other", "another-drone", 30);
+    let stranger = Authority::new(elsewhere.path()).client("stranger", "drone", 30);
+    let bare = TlsFiles { cert: None, key: None, ..good.clone() };
+    let foreign_ca = TlsFiles { ca: stranger.ca.clone(), ..good.clone() };
+    let foreign = TlsFiles { ca: good.ca.clone(), ..stranger };
+    let Some(guarded) = Mosquitto::start(folder, &example(folder), true) else { return };
+    let port = guarded.address.port;
+    let mut command = Command::new("mosquitto_passwd");
+    command.args(["-c", "-b", "passwords", "drone", "right"]).current_dir(folder);
+    assert!(command.status().unwrap().success());
+    fs::write(folder.join("wrong"), "wrong\n").unwrap();
+    fs::write(folder.join("right"), "right\n").unwrap();
+    fs::write(folder.join("acl"), "pattern read gs/v1/site/#\npattern write gs/v1/site/%u/state\n").unwrap();
+    let by_password = "listener PORT 127.0.0.1\nallow_anonymous false\npassword_file FOLDER/passwords\nacl_file FOLDER/acl\n";
+    let beside = tempfile::tempdir_in(folder).unwrap();
+    let settings = by_password.replace("FOLDER", folder.to_str().unwrap());
+    let Some(asking) = Mosquitto::start(beside.path(), &settings, false) else { return };
+    let at_asking = format!("broker = \"mqtt://127.0.0.1:{}\"\n", asking.address.port);
+    let open = tempfile::tempdir_in(folder).unwrap();
+    let Some(open) = Mosquitto::start(open.path(), PLAIN, false) else { return };
+    let cases = [
+        (with_tls(port, &late), "has expired"),
+        (with_tls(port, &foreign), "the broker's own authority"),
+        (with_tls(port, &foreign_ca), "TLS"),
+        (with_tls(port, &bare), "certificate"),
+        (with_tls(port, &other_name), "its name must be that of its certificate"),
+        (format!("broker = \"mqtt://127.0.0.1:{port}\""), "mqtts://"),
+        (with_tls(open.address.port, &good), "mqtt://"),
+        (at_asking.clone(), "password"),
+        (format!("{at_asking}password_file = \"wrong\""), "password"),
+        (format!("{at_asking}password_file = \"right\""), "access"),
+    ];
+    for (connection, told) in cases {
+        Agent::start(folder, &connection, 100_000).tells(told);
+    }
+}
+
+/// The status is there for whoever subscribes, within five seconds of the agent's start and every five seconds.
+#[test]
+fn how_far_an_agent_is_can_be_seen_at_the_broker() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some(broker) = Mosquitto::start(folder.path(), PLAIN, false) else { return };
+    let port = broker.address.port.to_string();
+    let mut command = Command::new("mosquitto_sub");
+    command.args(["-p", &port, "-t", "gs/v1/site/drone/status"]).stdout(Stdio::piped());
+    let mut subscriber = command.spawn().unwrap();
+    let (say, statuses) = channel();
+    let stdout = BufReader::new(subscriber.stdout.take().unwrap());
+    spawn(move || stdout.lines().map_while(Result::ok).for_each(|line| _ = say.send((Instant::now(), line))));
+
+    let agent = Agent::start(folder.path(), &format!("broker = \"mqtt://127.0.0.1:{port}\""), 100_000);
+    let (mut before, mut seen) = (agent.begun, Vec::new());
+    while agent.begun.elapsed() < Duration::from_secs(17) {
+        let (at, line) = statuses.recv_timeout(AT_ONCE + Duration::from_secs(1)).unwrap();
+        assert!(at - before < AT_ONCE + Duration::from_secs(1), "{:?} without a status", at - before);
+        before = at;
+        seen.push(serde_json::from_str::<AgentStatus>(&line).unwrap());
+    }
+    subscriber.kill().unwrap();
+    subscriber.wait().unwrap();
+    assert_eq!(seen[0].phase, AgentPhase::Loading, "{seen:?}");
+    let last = seen.last().unwrap();
+    assert!(last.phase == AgentPhase::Training && last.step > 0 && last.steps == 100_000, "{last:?}");
+    assert!(last.psnr.is_some() && last.splats > 0 && last.memory_bytes > 1 << 20, "{last:?}");
+}
