@@ -52,17 +52,18 @@ impl Flights {
     }
 
     /// Adds the flight of another device, or replaces that device's earlier flight. Ignores a flight of this device,
-    /// and flights of new devices beyond the limit on devices.
-    pub fn insert(&mut self, device: DeviceId, cameras: Vec<Camera>, cameras_blake3: BodyHash) {
-        let (is_known, known) = (self.others.contains_key(&device), self.others.len() + 1);
-        if device == self.own {
-            return;
+    /// and flights of new devices beyond the limit on devices. Returns whether this is news.
+    pub fn insert(&mut self, device: DeviceId, cameras: Vec<Camera>, cameras_blake3: BodyHash) -> bool {
+        let (before, known) = (self.others.get(&device), self.others.len() + 1);
+        if device == self.own || before.is_some_and(|before| before.cameras_blake3 == cameras_blake3) {
+            return false;
         }
-        if is_known || known < self.devices_max {
-            self.others.insert(device, Flight { cameras, cameras_blake3 });
-        } else {
+        if before.is_none() && known >= self.devices_max {
             warn!("the flight of {device} is ignored: {known} are known; raise `flights_max`");
+            return false;
         }
+        self.others.insert(device, Flight { cameras, cameras_blake3 });
+        true
     }
 
     /// Replaces the list of the flights that the aggregator has confirmed.

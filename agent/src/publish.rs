@@ -27,6 +27,9 @@ pub use publication::{Publication, Sharing};
 
 /// So many times as long as for flights, the agent waits for the aggregator to confirm them.
 const PATIENCE: u32 = 3;
+/// So many times as long as for one flight, the agent waits for all flights, counted from the first connection. Somebody
+/// who announces flights without end does not keep it from sending its model.
+const WAITS_MAX: u32 = 5;
 /// Longest wait for a message, after which the loops below check the time again.
 const POLL_TIMEOUT: Duration = Duration::from_millis(200);
 
@@ -184,8 +187,8 @@ impl<'a, F: FnMut(AgentEvent)> Publisher<'a, F> {
             }
             NodeEvent::Flight { device, cameras, cameras_blake3 } => {
                 if let Upload::Collecting(collector) = &mut self.upload {
-                    collector.flights.insert(device, cameras, cameras_blake3);
-                    collector.quiet_since = Some(now);
+                    let is_news = collector.flights.insert(device, cameras, cameras_blake3);
+                    collector.quiet_since = if is_news { Some(now) } else { collector.quiet_since };
                 }
             }
             NodeEvent::ConfirmedFlights(confirmed) => {
@@ -313,6 +316,8 @@ fn start_upload<'a>(node: &mut Node, offer: Offer) -> Upload<'a> {
 struct FlightCollector<'a> {
     sharing: Sharing<'a>,
     flights: Flights,
+    /// Time of the first connection; `None` before it.
+    connected_at: Option<Duration>,
     /// Time of the first connection or, if later, of the latest flight that arrived; `None` before the first
     /// connection.
     quiet_since: Option<Duration>,
@@ -322,10 +327,11 @@ impl<'a> FlightCollector<'a> {
     /// If `only_confirmed`, flights count only once the aggregator has confirmed them.
     fn new(sharing: Sharing<'a>, own: DeviceId, only_confirmed: bool) -> Self {
         let flights = Flights::new(own, sharing.flight, sharing.flights_max, only_confirmed);
-        Self { sharing, flights, quiet_since: None }
+        Self { sharing, flights, connected_at: None, quiet_since: None }
     }
 
     fn on_connected(&mut self, now: Duration) {
+        self.connected_at.get_or_insert(now);
         self.quiet_since.get_or_insert(now);
     }
 
@@ -334,7 +340,8 @@ impl<'a> FlightCollector<'a> {
             0 => self.sharing.quiet,
             _ => self.sharing.quiet * PATIENCE,
         };
-        self.quiet_since.is_some_and(|since| now >= since + quiet)
+        let is_quiet = self.quiet_since.is_some_and(|since| now >= since + quiet);
+        is_quiet || self.connected_at.is_some_and(|at| now >= at + self.sharing.quiet * WAITS_MAX)
     }
 }
 
@@ -345,7 +352,7 @@ mod tests {
 
     use cosurf_link::{Credentials, Faults, Identity, MemoryNetwork, MemoryTransport, Role};
     use cosurf_scene::Splats;
-    use cosurf_wire::{ModelId, SiteId, TileId};
+    use cosurf_wire::{BodyHash, ModelId, SiteId, TileId};
 
     use super::*;
 
@@ -455,6 +462,30 @@ mod tests {
         assert_eq!(ground.stored, [1, 2, 3, 4]);
         ground.publish(new.path(), &splats(21), 1 << 20);
         assert_eq!(ground.stored, [1, 2, 3, 4, 5]);
+    }
+
+    /// Somebody repeats a flight, or announces new ones without end: the agent sends its model all the same.
+    #[test]
+    fn attack_11_flights_without_end_do_not_keep_a_model_back() {
+        let second = Duration::from_secs;
+        let device = |name: &str| DeviceId::new(name).unwrap();
+        let sharing = Sharing { flight: &[], quiet: second(2), flights_max: 4 };
+        let waits = |only_confirmed, hash: fn(u64) -> u8| {
+            let mut collector = FlightCollector::new(sharing, device("own"), only_confirmed);
+            collector.on_connected(second(1));
+            (1..1000)
+                .find(|&now| {
+                    let hash = BodyHash([hash(now); 32]);
+                    if collector.flights.insert(device("other"), Vec::new(), hash) {
+                        collector.quiet_since = Some(second(now));
+                    }
+                    collector.is_complete(second(now))
+                })
+                .unwrap()
+        };
+        assert_eq!(waits(false, |_| 1), 3, "a repeated flight is no news");
+        assert_eq!(waits(true, |_| 1), 7, "one that is not confirmed is waited for, but not for ever");
+        assert_eq!(waits(false, |now| now as u8), 11, "new ones every second");
     }
 
     #[test]
