@@ -47,6 +47,7 @@ mod inputs;
 mod job;
 mod keeper;
 mod model_list;
+mod pack;
 mod parts;
 mod rebroadcast;
 mod receive;

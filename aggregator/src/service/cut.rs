@@ -1,12 +1,12 @@
 //! Cuts a global model that is too large to be sent whole into tiles, and finds out which device gets which: those with
 //! ground that the device observed.
 
-use cosurf_engine::Renderer;
-use cosurf_link::{FirstLayer, Model, model_to_body, plain_importance};
+use cosurf_link::{FirstLayer, Model, model_to_body};
 use cosurf_scene::Splats;
 use cosurf_wire::DeviceId;
 use tracing::debug_span;
 
+use super::pack::importance;
 use crate::merge::{Ground, MergeError};
 
 /// A model with more splats is sent in tiles. Unpacked, a model of so many splats takes up to 60 MB.
@@ -35,13 +35,11 @@ impl Cut {
         whole_max: usize,
         locals: impl Iterator<Item = Result<(DeviceId, Splats), MergeError>>,
         threads: usize,
+        is_stopped: &dyn Fn() -> bool,
     ) -> Result<Self, MergeError> {
         let _span = debug_span!("cut", splats = model.splats.len()).entered();
         let ground = Ground::of(model, whole_max.div_ceil(TILES_IN_WHOLE));
-        let importance = match model.cameras[..] {
-            [] => plain_importance(&model.splats),
-            _ => Renderer::new(&model.splats, threads).importance(&model.cameras),
-        };
+        let importance = importance(model, threads, is_stopped)?;
         let mut members = vec![Vec::new(); ground.tiles()];
         for (i, mean) in model.splats.means.iter().enumerate() {
             if let Some(tile) = ground.tile(*mean) {

@@ -7,13 +7,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, Receiver, Sender};
 use std::thread::{self, JoinHandle};
 
-use cosurf_engine::Renderer;
-use cosurf_link::{FirstLayer, Model, ModelKey, ModelStore, body_to_model, model_to_body, plain_importance};
+use cosurf_link::{Model, ModelKey, ModelStore, body_to_model};
 use cosurf_wire::{ModelHeader, ModelKind};
-use tracing::{debug_span, info_span};
+use tracing::info_span;
 
 use super::cut::Cut;
 use super::inputs::Inputs;
+use super::pack::{evenly_spaced, packed};
 use super::record::{Fitted, KeptOut, Verdict};
 use super::trial::Watch;
 use crate::gate::{Workspace, admit, admit_part};
@@ -23,6 +23,9 @@ use crate::merge::{
 use crate::queue::Queue;
 use crate::store::Store;
 
+/// Largest number of cameras of a model that a merge looks at; of more, evenly spaced ones are taken. Each takes about
+/// 10 kB and a millisecond, and a listed device may claim any number of them.
+const CAMERAS_MAX: usize = 4096;
 /// Number of distillation steps between two reports of progress.
 const TELL_EVERY: u32 = 50;
 
@@ -113,14 +116,14 @@ impl Round {
                 parts.fill_into(merged.model, i, settings, resources, &is_stopped, &mut verdict)?;
         }
         merged.summary.splats = merged.model.splats.len();
-        let body = packed(&merged.model, threads)?;
+        let body = packed(&merged.model, threads, &is_stopped)?;
         let cut = (merged.model.splats.len() > work.whole_splats_max).then(|| {
             let local = |place: usize| {
                 let device = stored.headers[admitted.place(place).local].device;
                 Ok((device, admitted.load(place)?.splats))
             };
             let locals = (0..admitted.count()).map(local);
-            Cut::of(&merged.model, work.whole_splats_max, locals, threads)
+            Cut::of(&merged.model, work.whole_splats_max, locals, threads, &is_stopped)
         });
         let made = Some(Made { merged, body, cut: cut.transpose()? });
         Ok(Attempt::Over(Box::new(Outcome { made, verdict })))
@@ -151,18 +154,6 @@ pub(super) enum JobState {
     Advanced(MergeProgress),
     /// The merge has ended.
     Done(Box<Result<Outcome, MergeError>>),
-}
-
-/// Encodes a global model as a body. The splats that are most important to the model's cameras come first; without
-/// cameras, [`plain_importance`] decides.
-pub(crate) fn packed(model: &Model, threads: usize) -> Result<Vec<u8>, MergeError> {
-    let _span = debug_span!("pack", splats = model.splats.len()).entered();
-    let Model { splats, cameras } = model;
-    let importance = match cameras[..] {
-        [] => plain_importance(splats),
-        _ => Renderer::new(splats, threads).importance(cameras),
-    };
-    Ok(model_to_body(splats, cameras, FirstLayer::ByImportance(&importance))?)
 }
 
 /// Models in a store, loaded when they are needed.
@@ -232,7 +223,8 @@ impl Locals for Stored {
     fn load(&self, index: usize) -> Result<Model, MergeError> {
         Watch::reads(self.watch.as_ref(), &self.headers[index]);
         let (_, body) = self.models.get(ModelKey::from(&self.headers[index]))?;
-        Ok(body_to_model(&body)?)
+        let Model { splats, cameras } = body_to_model(&body)?;
+        Ok(Model { splats, cameras: evenly_spaced(&cameras, CAMERAS_MAX) })
     }
 
     fn is_compressed(&self, index: usize) -> bool {
@@ -297,11 +289,7 @@ impl Drop for Job {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
-    use cosurf_link::part_to_model;
-
     use super::*;
-    use crate::merge::concatenate;
-    use crate::testing::{above, ground};
 
     #[test]
     fn a_merge_that_panics_is_told_as_a_defect_of_the_program() {
@@ -318,19 +306,5 @@ mod tests {
         let error = outcome.err().unwrap();
         assert!(matches!(error, MergeError::Panicked), "{error}");
         assert!(error.to_string().contains("internal error"), "{error}");
-    }
-
-    #[test]
-    fn the_most_important_splats_go_first() {
-        let seen = Model { splats: ground(-2.0, 2.0), cameras: vec![above(0.0)] };
-        let mut unseen = Model { splats: ground(60.0, 64.0), cameras: Vec::new() };
-        unseen.splats.log_scales.iter_mut().flatten().for_each(|log_scale| *log_scale += 1.0);
-        let body = packed(&concatenate(&[unseen, seen]), 1).unwrap();
-        let part = part_to_model(&body, |range| range.end <= body.len() / 2).unwrap().unwrap();
-        assert!(!part.splats.is_empty());
-        assert!(
-            part.splats.means.iter().all(|mean| mean[0] < 30.0),
-            "larger splats that no camera sees went first"
-        );
     }
 }

@@ -27,8 +27,8 @@ use cosurf_link::{Model, ModelKey, NodeEvent, Offer};
 use cosurf_scene::ply;
 use cosurf_wire::{DeviceId, ModelHeader, ModelId, ModelKind, Topic};
 
-use super::job::packed;
 use super::keeper::RunState;
+use super::pack::packed;
 use super::*;
 use crate::merge::MergeSettings;
 use crate::testing::model;

@@ -87,7 +87,27 @@ impl Renderer {
     /// at a pixel and T the transmittance in front of it. The splats move to the processor, which also renders all
     /// later pictures.
     pub fn importance(&mut self, cameras: &[Camera]) -> Vec<f32> {
-        self.on_cpu().importance(cameras)
+        let painter = self.on_cpu();
+        painter.begin_importance();
+        cameras.iter().for_each(|camera| painter.add_importance(camera));
+        painter.importance()
+    }
+
+    /// The same, unless `is_stopped` before one of the cameras.
+    pub fn importance_unless(
+        &mut self,
+        cameras: &[Camera],
+        is_stopped: &dyn Fn() -> bool,
+    ) -> Option<Vec<f32>> {
+        let painter = self.on_cpu();
+        painter.begin_importance();
+        for camera in cameras {
+            if is_stopped() {
+                return None;
+            }
+            painter.add_importance(camera);
+        }
+        Some(painter.importance())
     }
 
     /// The renderer on the processor. Splats on the GPU are first moved to it.
@@ -118,12 +138,16 @@ impl CpuPainter {
         self.backend.rendering()
     }
 
-    fn importance(&mut self, cameras: &[Camera]) -> Vec<f32> {
+    fn begin_importance(&mut self) {
         self.backend.clear_scores();
-        for camera in cameras {
-            self.blend(camera, f64::INFINITY, Channels::Color);
-            self.backend.score();
-        }
+    }
+
+    fn add_importance(&mut self, camera: &Camera) {
+        self.blend(camera, f64::INFINITY, Channels::Color);
+        self.backend.score();
+    }
+
+    fn importance(&mut self) -> Vec<f32> {
         self.backend.scores().squared_weights
     }
 

@@ -80,13 +80,20 @@ impl Manifest {
         joined.unwrap_or(Bounds { min: [0.0; 3], max: [0.0; 3] })
     }
 
-    /// Whether all numbers are those of tiles, each once, and all places exist.
+    /// Whether all numbers are those of tiles, each once, and each receiver is listed once, with places that exist, each once.
+    /// An edge writes a file for each place, so a list of repeated places would fill its disk.
     fn is_sound(&self) -> bool {
         let numbers: BTreeSet<ModelId> = self.tiles.iter().map(|tile| tile.model).collect();
-        let mut places = self.receivers.iter().flat_map(|receiver| &receiver.tiles);
+        let devices: BTreeSet<DeviceId> = self.receivers.iter().map(|receiver| receiver.device).collect();
+        let is_sound = |receiver: &Receiver| {
+            let places: BTreeSet<u32> = receiver.tiles.iter().copied().collect();
+            places.len() == receiver.tiles.len()
+                && places.last().is_none_or(|last| (*last as usize) < self.tiles.len())
+        };
         numbers.len() == self.tiles.len()
             && numbers.iter().all(|number| number.is_tile())
-            && places.all(|place| (*place as usize) < self.tiles.len())
+            && devices.len() == self.receivers.len()
+            && self.receivers.iter().all(is_sound)
     }
 }
 
@@ -128,8 +135,10 @@ mod tests {
 
     #[test]
     fn a_manifest_that_contradicts_itself_is_refused() {
-        let change: [fn(&mut Manifest); 3] = [
+        let change: [fn(&mut Manifest); 5] = [
             |manifest| manifest.receivers[0].tiles.push(3),
+            |manifest| manifest.receivers[0].tiles.push(0),
+            |manifest| manifest.receivers[1].device = manifest.receivers[0].device,
             |manifest| manifest.tiles[1].model = manifest.tiles[0].model,
             |manifest| manifest.tiles[1].model = ModelId(7),
         ];

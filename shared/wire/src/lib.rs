@@ -67,9 +67,9 @@ pub use flight::{
 };
 pub use id::{DeviceId, FrameId, IdError, ModelId, SiteId, TileId};
 pub use message::{
-    BodyCodec, BodyHash, Chunk, Done, HeaderError, MAX_CHUNK_BYTES, MAX_CHUNKS, MAX_CONTROL_BYTES,
-    MAX_MESSAGE_BYTES, MIN_CHUNK_BYTES, Message, ModelHeader, ModelKind, RefusalReason, Refused, State,
-    VERSION, Want, WireError,
+    BodyCodec, BodyHash, CAMERAS_MAX, Chunk, Done, HeaderError, MAX_CHUNK_BYTES, MAX_CHUNKS,
+    MAX_CONTROL_BYTES, MAX_MESSAGE_BYTES, MIN_CHUNK_BYTES, Message, ModelHeader, ModelKind, RefusalReason,
+    Refused, State, VERSION, Want, WireError,
 };
 pub use missing::{ChunkStatus, Missing};
 pub use seal::{MAX_SEAL_BYTES, Seal, Sealed, Signature};

@@ -30,6 +30,8 @@ pub const MAX_CONTROL_BYTES: usize = 384;
 /// Size in bytes of the largest encoding of a [`Chunk`]. No other message is larger. A test checks it.
 pub const MAX_MESSAGE_BYTES: usize = MAX_CHUNK_BYTES + 89;
 
+/// Largest number of cameras of a model: more than any site has pictures.
+pub const CAMERAS_MAX: u32 = 1 << 16;
 /// Largest body of a manifest, bytes: about 200,000 tiles.
 const MANIFEST_BYTES_MAX: u64 = 16 << 20;
 /// A manifest takes at most so many times as much memory as its body.
@@ -284,6 +286,8 @@ pub enum HeaderError {
     /// The chunk size is 0, above [`MAX_CHUNK_BYTES`], below [`MIN_CHUNK_BYTES`] though there are several chunks, or so
     /// small that there are more than [`MAX_CHUNKS`].
     ChunkBytes,
+    /// There are more than [`CAMERAS_MAX`] cameras.
+    Cameras,
     /// A body with the header's numbers of splats and cameras cannot have `body_bytes` bytes.
     BodyBytes,
     /// The bounds are not finite, or a minimum is above its maximum.
@@ -366,6 +370,9 @@ impl ModelHeader {
     pub fn check(&self) -> Result<(), HeaderError> {
         if self.sh_degree > MAX_SH_DEGREE {
             return Err(HeaderError::ShDegree);
+        }
+        if self.cameras > CAMERAS_MAX {
+            return Err(HeaderError::Cameras);
         }
         let body_bytes = match self.kind {
             ModelKind::Manifest => 1..MANIFEST_BYTES_MAX + 1,

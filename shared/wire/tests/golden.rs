@@ -11,10 +11,11 @@ use cosurf_wire::message::{REFUSAL_BEFORE_BYTES, refusal_for_version_before};
 use cosurf_wire::missing::MISSING_BITMAP_BYTES;
 use cosurf_wire::seal::{MAX_SEAL_BYTES, seal, statement};
 use cosurf_wire::{
-    BodyCodec, BodyHash, Bounds, CONFIRMED_FLIGHT_BYTES_MAX, CONFIRMED_FLIGHTS_MAX, CameraRecord, Chunk,
-    ConfirmedFlights, DeviceId, Done, FLIGHT_CAMERAS_MAX, FlightCameras, FlightPledge, FrameId, HeaderError,
-    MAX_CHUNK_BYTES, MAX_CONTROL_BYTES, MAX_MESSAGE_BYTES, Message, Missing, ModelHeader, ModelId, ModelKind,
-    RefusalReason, Refused, Seal, Sealed, Signature, SiteId, State, Topic, VERSION, Want, WireError,
+    BodyCodec, BodyHash, Bounds, CAMERAS_MAX, CONFIRMED_FLIGHT_BYTES_MAX, CONFIRMED_FLIGHTS_MAX,
+    CameraRecord, Chunk, ConfirmedFlights, DeviceId, Done, FLIGHT_CAMERAS_MAX, FlightCameras, FlightPledge,
+    FrameId, HeaderError, MAX_CHUNK_BYTES, MAX_CONTROL_BYTES, MAX_MESSAGE_BYTES, Message, Missing,
+    ModelHeader, ModelId, ModelKind, RefusalReason, Refused, Seal, Sealed, Signature, SiteId, State, Topic,
+    VERSION, Want, WireError,
 };
 
 fn header() -> ModelHeader {
@@ -340,8 +341,9 @@ fn each_invalid_message_has_its_own_error() {
     assert_eq!(decoded(&with_new_checksum(&|bytes| bytes[1] = 99)), WireError::Malformed);
     assert_eq!(decoded(&with_new_checksum(&|bytes| bytes.push(0))), WireError::TrailingBytes);
     type Spoil = fn(&mut ModelHeader);
-    let contradictions: [(Spoil, HeaderError); 7] = [
+    let contradictions: [(Spoil, HeaderError); 8] = [
         (|h| h.sh_degree = 4, HeaderError::ShDegree),
+        (|h| h.cameras = CAMERAS_MAX + 1, HeaderError::Cameras),
         (|h| h.body_bytes = 100, HeaderError::BodyBytes),
         (|h| h.splats = u32::MAX, HeaderError::BodyBytes),
         (|h| h.chunk_bytes = 0, HeaderError::ChunkBytes),

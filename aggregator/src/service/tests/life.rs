@@ -42,7 +42,7 @@ fn merged_hash(models: &[Model]) -> BodyHash {
         &mut go_on,
     )
     .unwrap();
-    let (device, body) = (DeviceId::new("aggregator").unwrap(), packed(&merged.model, 1).unwrap());
+    let (device, body) = (DeviceId::new("aggregator").unwrap(), packed(&merged.model, 1, &|| false).unwrap());
     Offer::from_body(device, ModelId(1), ModelKind::Global, 1, body).unwrap().header.blake3
 }
 

@@ -15,7 +15,7 @@ use super::*;
 use crate::gate::{Workspace, admit};
 use crate::merge::InMemory;
 use crate::merge::{MergeSettings, Resources, Tiles, merge};
-use crate::service::job::packed;
+use crate::service::pack::packed;
 use crate::service::{Expected, Service, ServiceConfig, ServiceEvent};
 use crate::testing::{BAD_WEATHER, LIMITS, PATIENCE, QUICK, identity, model_at};
 
@@ -39,7 +39,7 @@ fn merged(bodies: &[Vec<u8>]) -> Vec<u8> {
         &mut |_| ControlFlow::Continue(()),
     )
     .unwrap();
-    packed(&merged.model, 1).unwrap()
+    packed(&merged.model, 1, &|| false).unwrap()
 }
 
 /// An aggregator: its service, its connection to the network, and for an edge its upstream link.
