@@ -7,7 +7,7 @@ use std::time::Duration;
 use cosurf_link::faults::Line;
 use cosurf_link::serial::{Arq, ArqEvent};
 use cosurf_link::{Faults, Outages};
-use cosurf_wire::frame::FrameReader;
+use cosurf_wire::frame::{Frame, FrameReader, MAX_FRAME_BYTES, Sessions, Turn};
 
 /// Bandwidth of the simulated radio: 57,600 baud, at 10 bits a byte.
 pub const BYTES_PER_S: NonZeroU32 = NonZeroU32::new(5760).unwrap();
@@ -34,6 +34,12 @@ pub struct Air {
     /// Number of frames that one end sent while the other end was still sending.
     pub collisions: u64,
     sending_until: [Duration; 2],
+    /// The last turn that each end has sent, as a neighbour hears it.
+    pub turns: [Turn; 2],
+    /// For each end, the number after the highest piece that it has sent in its session.
+    pub pieces: [u32; 2],
+    /// A neighbour jams the first frame with this piece of the first end, so that it is lost.
+    pub jammed: Option<u32>,
     /// Messages that have arrived at each end.
     pub received: [Vec<Vec<u8>>; 2],
     /// Events that each end has reported.
@@ -53,6 +59,9 @@ impl Air {
             cut_until: Duration::ZERO,
             collisions: 0,
             sending_until: [Duration::ZERO; 2],
+            turns: Default::default(),
+            pieces: [0; 2],
+            jammed: None,
             received: Default::default(),
             events: Default::default(),
         }
@@ -82,6 +91,38 @@ impl Air {
         self.now = next.clamp(self.now + Duration::from_micros(100), self.now + Duration::from_secs(1));
     }
 
+    /// The session numbers that a frame from this end has, or that a neighbour writes into a forged one.
+    pub fn sessions(&self, end: usize) -> Sessions {
+        Sessions { sender: self.turns[end].sessions.sender, receiver: self.turns[1 - end].sessions.sender }
+    }
+
+    /// Lets a neighbour send a frame to one end, in the name of the other end or of somebody else. The frame
+    /// arrives at once.
+    pub fn forge(&mut self, end: usize, frame: &Frame<'_>, sessions: Sessions) {
+        let mut out = [0; MAX_FRAME_BYTES];
+        let bytes = frame.encode(sessions, &mut out).len();
+        self.ends[end].on_frame(self.now, &mut out[..bytes - 1]);
+    }
+
+    /// Notes what a neighbour learns from a frame. Returns whether he jams the frame.
+    fn overhear(&mut self, end: usize, mut frame: Vec<u8>) -> bool {
+        frame.pop();
+        match Frame::decode(&mut frame, self.sessions(end)) {
+            Ok(Frame::Turn(turn)) => {
+                if turn.sessions.sender != self.turns[end].sessions.sender {
+                    self.pieces[end] = 0;
+                }
+                self.turns[end] = turn;
+                false
+            }
+            Ok(Frame::Piece(piece)) => {
+                self.pieces[end] = self.pieces[end].max(piece.number + 1);
+                end == 0 && self.jammed.take_if(|number| *number == piece.number).is_some()
+            }
+            Err(_) => false,
+        }
+    }
+
     fn deliver(&mut self, end: usize) {
         while let Some(first) = self.arriving[end].first_entry()
             && first.key().0 <= self.now
@@ -101,8 +142,9 @@ impl Air {
             self.collisions += u64::from(self.sending_until[1 - end] > now);
             let arrivals = self.lines[end].carry(now, &frame);
             self.sending_until[end] = self.lines[end].free_at();
+            let is_jammed = self.overhear(end, frame);
             for arrival in arrivals {
-                if now >= self.cut_until {
+                if now >= self.cut_until && !is_jammed {
                     self.frames += 1;
                     self.arriving[1 - end].insert((arrival.at, self.frames), arrival.bytes);
                 }

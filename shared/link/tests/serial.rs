@@ -34,6 +34,7 @@ fn thousands_of_storms_both_ways() {
         }
         for end in 0..2 {
             assert!(joined(&air.received[1 - end]) == sent[end], "seed {seed}, end {end}");
+            assert_eq!(air.events[end], [ArqEvent::Linked], "seed {seed}: no session was begun for nothing");
         }
     }
 }

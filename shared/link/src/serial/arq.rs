@@ -14,6 +14,11 @@
 //!
 //! After an outage both sides continue where they stopped. After a restart of one side, its session number is
 //! new. Both sides then start from the beginning, and the caller gets an event.
+//!
+//! Anyone in range can forge frames. They may leave the two sides with different ideas of what has arrived. A
+//! side that notices this by an impossible frame, or because nothing arrives any more, begins a new session
+//! as if it had restarted, but at most once every [`SESSION_MIN`]. So a line recovers once nobody forges
+//! frames any more.
 
 use std::collections::VecDeque;
 use std::num::NonZeroU32;
@@ -48,6 +53,14 @@ const GRACE: Duration = Duration::from_millis(200);
 const REPEAT_MAX: Duration = Duration::from_secs(5);
 /// The line counts as lost after this long without a valid frame.
 const LOST_AFTER: Duration = Duration::from_secs(30);
+/// A session lasts at least this long, unless nothing was exchanged in it. A neighbour who forges frames
+/// therefore cannot make both sides begin one session after the other without a pause.
+const SESSION_MIN: Duration = Duration::from_secs(1);
+/// Highest number of a turn. Nobody reaches it in a hundred years of turns, and counting on does not overflow.
+const TURN_NUMBER_MAX: u32 = u32::MAX / 2;
+/// How far the number of a turn may exceed the newest number that this side knows. The sides alternate, so it
+/// exceeds that number by one, or by a few more if somebody forges turns.
+const TURNS_AHEAD_MAX: u32 = 64;
 /// How far frames may be sent ahead of the line's bandwidth. Such frames keep the line busy while the thread
 /// wakes up late on a busy computer. They fit into the buffers of radios (SiK) and ports.
 const AHEAD: Duration = Duration::from_millis(200);
@@ -110,6 +123,10 @@ pub struct Arq {
     sessions: Sessions,
     /// Whether the other side knows this side's session.
     is_confirmed: bool,
+    /// Whether the two sides cannot have the same idea of what has arrived. The line then needs a new session.
+    is_broken: bool,
+    /// From this time on, this side may begin another session.
+    may_renew_at: Duration,
     is_up: bool,
     heard_at: Duration,
     sending: Sending,
@@ -143,6 +160,8 @@ impl Arq {
         Self {
             sessions: Sessions { sender: session, receiver: 0 },
             is_confirmed: false,
+            is_broken: false,
+            may_renew_at: Duration::ZERO,
             is_up: false,
             heard_at: Duration::ZERO,
             sending: Sending::default(),
@@ -193,7 +212,7 @@ impl Arq {
         let bytes = frame.len();
         let is_answer = match Frame::decode(frame, sessions) {
             Ok(Frame::Piece(piece)) if self.sessions.receiver != 0 => {
-                self.receiving.take(&piece);
+                self.is_broken |= !self.receiving.take(&piece);
                 // The checksum of a piece covers the session numbers of both sides, so the other side knows
                 // this session.
                 self.confirm(now);
@@ -218,6 +237,10 @@ impl Arq {
         }
         if now < self.next_wakeup() {
             return None;
+        }
+        let needs_renewal = self.turn_number >= TURN_NUMBER_MAX || self.is_broken && now >= self.may_renew_at;
+        if needs_renewal && !matches!(self.floor, Floor::Passing { .. }) {
+            self.renew(now);
         }
         match self.floor {
             Floor::Ours { from, .. } => {
@@ -285,35 +308,45 @@ impl Arq {
         self.is_confirmed = true;
         if !self.is_up {
             self.is_up = true;
-            self.events.push_back(ArqEvent::Linked);
+            // One event suffices while the caller reads none. Without this, the queue would not be bounded.
+            if self.events.back() != Some(&ArqEvent::Linked) {
+                self.events.push_back(ArqEvent::Linked);
+            }
         }
     }
 
     /// Handles a turn. Returns whether it passes the floor to this side.
     fn on_turn(&mut self, now: Duration, turn: &Turn, bytes: usize) -> bool {
-        if turn.sessions.sender == 0 {
+        if turn.sessions.sender == 0 || turn.number > TURN_NUMBER_MAX {
             return false;
         }
         let is_new_session = turn.sessions.sender != self.sessions.receiver;
-        if is_new_session {
-            self.reset(turn);
+        if is_new_session && !self.join(now, turn.sessions.sender) {
+            return false;
         }
         let knows_us = turn.sessions.receiver == self.sessions.sender;
         if knows_us {
             self.confirm(now);
         }
+        // The other side knows only an earlier session of this side, whose turns were counted differently.
+        let is_stale = !knows_us && turn.sessions.receiver != 0;
         // At the start both sides may send turns with the same number. The turn of the side with the higher
         // session number then counts as newer.
         let wins_tie = self.is_own_turn && turn.sessions.sender > self.sessions.sender;
         let is_newest = turn.number > self.turn_number || (turn.number == self.turn_number && wins_tie);
-        if !is_new_session && !is_newest {
-            self.on_old_turn(now, turn, knows_us);
+        if !is_new_session && (is_stale || !is_newest) {
+            self.on_old_turn(now, turn, knows_us, is_stale);
             return false;
         }
-        if knows_us && !self.sending.on_turn(turn) {
-            return false;
+        let is_too_far = !is_new_session && turn.number > self.turn_number.saturating_add(TURNS_AHEAD_MAX);
+        if is_too_far || (knows_us && !self.sending.on_turn(turn)) {
+            self.is_broken = true;
+            if now < self.may_renew_at {
+                return false;
+            }
+        } else if !is_stale {
+            (self.turn_number, self.is_own_turn) = (turn.number, false);
         }
-        (self.turn_number, self.is_own_turn) = (turn.number, false);
         self.is_awaited = turn.has_more;
         let copies_time = self.pace.time_of(bytes) * u32::from(turn.copies_left);
         self.floor = Floor::Ours { from: now + copies_time.min(GRACE), has_sent: false };
@@ -321,29 +354,70 @@ impl Arq {
     }
 
     /// Handles a turn that is not the newest. Either it is a late copy, or the other side has not received
-    /// this side's newest turn. In the second case, the newest turn is sent again.
-    fn on_old_turn(&mut self, now: Duration, turn: &Turn, knows_us: bool) {
+    /// this side's newest turn. In the second case, the newest turn is sent again. A stale turn is always of
+    /// the second case.
+    fn on_old_turn(&mut self, now: Duration, turn: &Turn, knows_us: bool, is_stale: bool) {
         if knows_us {
             self.sending.on_late_turn(turn);
         }
         self.is_awaited |= turn.has_more;
-        let is_turn_lost = self.turn_sent_at.is_some_and(|sent_at| now > sent_at + 2 * self.round_trip);
-        if turn.number < self.turn_number && is_turn_lost && matches!(self.floor, Floor::Theirs { .. }) {
+        let is_behind = is_stale || turn.number < self.turn_number;
+        let is_turn_lost = self.turn_sent_at.map_or(is_stale, |sent_at| now > sent_at + 2 * self.round_trip);
+        if is_behind && is_turn_lost && matches!(self.floor, Floor::Theirs { .. }) {
             self.floor = Floor::Passing { copies: COPIES };
         }
     }
 
-    /// Starts from the beginning, because the other side has a new session. If pieces were already exchanged,
-    /// this side also takes a new session number, so that old frames fail their checksums.
-    fn reset(&mut self, turn: &Turn) {
-        if !(self.sending.is_fresh() && self.receiving.is_fresh()) {
-            self.sessions.sender = self.sessions.sender.checked_add(1).unwrap_or(1);
-            self.sending = Sending::default();
-            self.receiving = Receiving::default();
+    /// Starts from the beginning, because the other side has a new session, with this number. If pieces were
+    /// already exchanged, this side also begins a new session, so that old frames fail their checksums.
+    /// Returns whether this side has joined the session. It waits for a repeated turn if its own session is
+    /// too young, and ignores an echo.
+    fn join(&mut self, now: Duration, session: u32) -> bool {
+        let is_echo = session == self.sessions.sender;
+        if self.sending.is_fresh() && self.receiving.is_fresh() {
+            if is_echo {
+                // Perhaps both sides have the same number. Turns with the same number would then never end.
+                self.sessions.sender = self.next_session();
+            }
+        } else if is_echo || now < self.may_renew_at {
+            return false;
+        } else {
+            self.renew(now);
         }
-        self.sessions.receiver = turn.sessions.sender;
+        self.sessions.receiver = session;
         self.is_confirmed = false;
         self.is_up = false;
+        true
+    }
+
+    /// Begins a new session. Forgets all messages, as a restart does, unless no piece of them was sent. Counts
+    /// turns from the beginning.
+    fn renew(&mut self, now: Duration) {
+        self.sessions.sender = self.next_session();
+        if !self.sending.is_fresh() {
+            self.sending = Sending::default();
+        }
+        self.receiving = Receiving::default();
+        self.is_confirmed = false;
+        self.is_broken = false;
+        self.is_up = false;
+        self.may_renew_at = now + SESSION_MIN;
+        self.floor = Floor::Ours { from: now, has_sent: false };
+        (self.turn_number, self.is_own_turn) = (0, true);
+        self.turn_sent_at = None;
+        self.repeats = 0;
+    }
+
+    /// Draws the number of a new session. It differs from the numbers of both sides. It is not the next
+    /// number, which the caller may use after a restart.
+    fn next_session(&mut self) -> u32 {
+        let Sessions { sender, receiver } = self.sessions;
+        loop {
+            let session = self.dice.next_bits() as u32;
+            if ![0, sender, receiver].contains(&session) {
+                return session;
+            }
+        }
     }
 
     /// The longest time that this side may keep the floor.

@@ -10,8 +10,8 @@ use super::packet::MAX_PACKET_BYTES;
 /// fills up and the other side must wait.
 const COMPLETE_MAX: usize = 64;
 
-/// The receiver's state. It holds at most one window of pieces, one unfinished message, and [`COMPLETE_MAX`]
-/// complete messages.
+/// The receiver's state. It holds at most one window of pieces, the digests of another window, one
+/// unfinished message, and [`COMPLETE_MAX`] complete messages.
 #[derive(Debug, Default)]
 pub(super) struct Receiving {
     /// Number of the next piece to assemble.
@@ -19,6 +19,8 @@ pub(super) struct Receiving {
     /// Payloads of the pieces that are not assembled yet, by number, and whether each is the last of its
     /// message. An earlier piece is missing, or [`COMPLETE_MAX`] messages wait.
     ahead: BTreeMap<u32, (Vec<u8>, bool)>,
+    /// Digests of the pieces that were assembled last, at most one window of them.
+    assembled: VecDeque<u32>,
     message: Vec<u8>,
     /// Whether the unfinished message exceeds the maximum size. Such a message is dropped when its last piece
     /// arrives.
@@ -34,13 +36,25 @@ impl Receiving {
         self.next == 0 && self.ahead.is_empty()
     }
 
-    /// Takes a piece that has arrived. Ignores it if it is already known or lies beyond the window.
-    pub(super) fn take(&mut self, piece: &Piece<'_>) {
+    /// Takes a piece that has arrived. Ignores it if it is already known or lies beyond the window. Returns
+    /// `false` if another piece with the same number has arrived before: one of the two is forged.
+    pub(super) fn take(&mut self, piece: &Piece<'_>) -> bool {
         self.has_unacknowledged = true;
-        if piece.number.checked_sub(self.next).is_some_and(|offset| offset < WINDOW_PIECES) {
-            self.ahead.entry(piece.number).or_insert_with(|| (piece.payload.to_vec(), piece.is_last));
-        }
+        let is_same = match piece.number.checked_sub(self.next) {
+            None => {
+                let from_end = (self.next - piece.number) as usize;
+                let known = self.assembled.len().checked_sub(from_end).map(|place| self.assembled[place]);
+                known.is_none_or(|known| known == digest(piece.payload, piece.is_last))
+            }
+            Some(offset) if offset < WINDOW_PIECES => {
+                let new = || (piece.payload.to_vec(), piece.is_last);
+                let (payload, is_last) = self.ahead.entry(piece.number).or_insert_with(new);
+                payload == piece.payload && *is_last == piece.is_last
+            }
+            Some(_) => true,
+        };
         self.assemble();
+        is_same
     }
 
     /// The next complete message.
@@ -69,6 +83,10 @@ impl Receiving {
             && let Some((payload, is_last)) = self.ahead.remove(&self.next)
         {
             self.next += 1;
+            if self.assembled.len() >= WINDOW_PIECES as usize {
+                self.assembled.pop_front();
+            }
+            self.assembled.push_back(digest(&payload, is_last));
             self.is_too_long |= self.message.len() + payload.len() > MAX_PACKET_BYTES;
             if !self.is_too_long {
                 self.message.extend_from_slice(&payload);
@@ -81,4 +99,11 @@ impl Receiving {
             }
         }
     }
+}
+
+fn digest(payload: &[u8], is_last: bool) -> u32 {
+    let mut hasher = crc32fast::Hasher::new();
+    hasher.update(&[u8::from(is_last)]);
+    hasher.update(payload);
+    hasher.finalize()
 }

@@ -11,6 +11,9 @@ const QUEUE_BYTES: usize = 32 * 1024;
 /// A piece that was lost this many times is sent twice in each burst. Until it arrives, the window cannot
 /// move on, so new pieces would soon have to wait.
 const LOSSES_BEFORE_DOUBLING: u8 = 3;
+/// So many bursts without any arrival show that the line is broken. If half of the frames are lost, a single
+/// piece gets through before, but for one in 10¹¹.
+const FUTILE_BURSTS_MAX: u8 = 20;
 
 /// The sender's state for one line.
 #[derive(Debug, Default)]
@@ -27,6 +30,8 @@ pub(super) struct Sending {
     in_flight: VecDeque<SentPiece>,
     /// Numbers of the lost pieces that are to be sent again, in the order of sending.
     lost: VecDeque<u32>,
+    /// Number of the last bursts of which no piece has arrived.
+    futile_bursts: u8,
 }
 
 #[derive(Debug)]
@@ -85,10 +90,23 @@ impl Sending {
     }
 
     /// Handles the other side's newest turn. All pieces in flight were sent before it, so each has either
-    /// arrived or is lost. Returns `false` if the turn acknowledges pieces that were never sent.
+    /// arrived or is lost. Returns `false` if the two sides disagree on what has arrived, or if nothing
+    /// arrives any more.
     pub(super) fn on_turn(&mut self, turn: &Turn) -> bool {
+        if self.forgets(turn) {
+            return false;
+        }
+        let was_sent = !self.in_flight.is_empty() && self.lost.front() != Some(&self.base);
+        let arrived = self.arrived();
         if !self.on_late_turn(turn) {
             return false;
+        }
+        // The other side ignores pieces beyond its window while it waits for its caller.
+        let is_open = self.base.saturating_sub(turn.next) < WINDOW_PIECES;
+        if self.arrived() > arrived || !is_open {
+            self.futile_bursts = 0;
+        } else if was_sent {
+            self.futile_bursts += 1;
         }
         self.lost.clear();
         let mut doubled = Vec::new();
@@ -98,13 +116,25 @@ impl Sending {
             doubled.extend((sent.losses >= LOSSES_BEFORE_DOUBLING).then_some(number));
         }
         self.lost.extend(doubled);
-        true
+        self.futile_bursts < FUTILE_BURSTS_MAX
+    }
+
+    /// Whether the newest turn lacks a piece that an earlier turn has acknowledged. One of the two is forged.
+    fn forgets(&self, turn: &Turn) -> bool {
+        let arrived = (self.base..).zip(&self.in_flight).filter(|(_, sent)| sent.has_arrived);
+        (turn.next..self.base).chain(arrived.map(|(number, _)| number)).any(|number| !turn.has(number))
+    }
+
+    /// Number of all pieces that have arrived.
+    fn arrived(&self) -> usize {
+        self.base as usize + self.in_flight.iter().filter(|sent| sent.has_arrived).count()
     }
 
     /// Handles an older turn: records the pieces that have arrived. The other pieces may still be in flight.
     /// Returns `false` if the turn acknowledges pieces that were never sent.
     pub(super) fn on_late_turn(&mut self, turn: &Turn) -> bool {
-        if turn.next > self.base + self.in_flight.len() as u32 {
+        let sent = self.base + self.in_flight.len() as u32;
+        if turn.next > sent || end_of(turn) > sent {
             return false;
         }
         let base = self.base;
@@ -146,4 +176,11 @@ impl Sending {
         self.in_flight.push_back(SentPiece { payload, is_last, has_arrived: false, losses: 0 });
         Some(number)
     }
+}
+
+/// The number after the last piece that a turn acknowledges.
+fn end_of(turn: &Turn) -> u32 {
+    let last = turn.received.iter().rposition(|byte| *byte != 0);
+    let bits = last.map_or(0, |byte| 8 * (byte as u32 + 1) - turn.received[byte].leading_zeros());
+    turn.next.saturating_add(bits)
 }

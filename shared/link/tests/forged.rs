@@ -1,0 +1,256 @@
+//! Forged frames on a serial line. A neighbour hears the line, and sends frames in the name of its ends. Once
+//! he stops, the line recovers by itself within seconds.
+#![allow(clippy::unwrap_used)]
+
+use std::time::Duration;
+
+use cosurf_link::faults::Dice;
+use cosurf_link::serial::ArqEvent;
+use cosurf_tests::radio::{Air, BYTES_PER_S, pattern, radio};
+use cosurf_wire::frame::{Frame, Piece, Sessions, Turn, WINDOW_PIECES};
+
+const MESSAGES: usize = 40;
+const MESSAGE_BYTES: usize = 2000;
+const SEEDS: u64 = 20;
+/// A line that has recovered carries all messages in this time. The recovery itself may take ten seconds.
+const TIME_MAX: Duration =
+    Duration::from_millis((MESSAGES * MESSAGE_BYTES) as u64 * 1000 / 5760 * 10 / 7 + 10_000);
+
+/// The owner of the first end. He sends the messages that have not arrived again when the line begins anew,
+/// like the transfers of models.
+struct Upload {
+    air: Air,
+    messages: Vec<Vec<u8>>,
+    next: usize,
+    events: usize,
+}
+
+impl Upload {
+    fn new(seed: u64, loss: f64) -> Self {
+        assert_eq!(BYTES_PER_S.get(), 5760);
+        let bytes = pattern(MESSAGES * MESSAGE_BYTES);
+        let numbered = |(i, part): (usize, &[u8])| [&(i as u32).to_le_bytes()[..], part].concat();
+        let messages = bytes.chunks(MESSAGE_BYTES).enumerate().map(numbered).collect();
+        Self { air: Air::new(seed, radio(loss)), messages, next: 0, events: 0 }
+    }
+
+    fn step(&mut self) {
+        let air = &mut self.air;
+        if air.events[0].len() > self.events {
+            (self.next, self.events) = (0, air.events[0].len());
+        }
+        while air.ends[0].has_room()
+            && let Some(message) = self.messages.get(self.next)
+        {
+            if !air.received[1].contains(message) {
+                air.ends[0].queue(message.clone());
+            }
+            self.next += 1;
+        }
+        air.step();
+    }
+
+    fn arrived(&self) -> usize {
+        self.messages.iter().filter(|message| self.air.received[1].contains(message)).count()
+    }
+
+    fn run_until(&mut self, is_reached: impl Fn(&Air) -> bool) {
+        while !is_reached(&self.air) {
+            self.step();
+            assert!(self.air.now < Duration::from_secs(300), "never reached");
+        }
+    }
+
+    /// Runs until all messages have arrived. The owner also repeats them after ten seconds in which nothing
+    /// has arrived, if `may_repeat`: a receiver of chunks asks for them.
+    fn finish(&mut self, what: &str, may_repeat: bool) {
+        let begun = self.air.now;
+        let (mut news, mut news_at) = (self.air.received[1].len(), begun);
+        while self.arrived() < MESSAGES {
+            self.step();
+            if self.air.received[1].len() > news {
+                (news, news_at) = (self.air.received[1].len(), self.air.now);
+            } else if may_repeat && self.air.now > news_at + Duration::from_secs(10) {
+                (self.next, news_at) = (0, self.air.now);
+            }
+            let (took, arrived) = (self.air.now - begun, self.arrived());
+            assert!(took < TIME_MAX, "{what}: {arrived} of {MESSAGES} messages after {took:?}");
+        }
+    }
+
+    /// Checks that only messages of the owner have arrived, and each session's messages in order.
+    fn check_order(&self) {
+        let place = |message| self.messages.iter().position(|sent| sent == message);
+        let places: Vec<usize> = self.air.received[1].iter().map(|message| place(message).unwrap()).collect();
+        let steps_back = places.windows(2).filter(|pair| pair[1] <= pair[0]).count();
+        let sessions = self.air.events[1].iter().filter(|event| **event == ArqEvent::Linked).count();
+        assert!(steps_back < sessions, "{places:?} in {sessions} sessions");
+    }
+
+    /// Forges a turn to an end, in the name of the other end.
+    fn forge_turn(&mut self, end: usize, number: u32, next: u32) {
+        let sessions = self.air.sessions(1 - end);
+        let turn = Turn { sessions, number, next, has_more: true, ..Turn::default() };
+        self.air.forge(end, &Frame::Turn(turn), sessions);
+    }
+
+    fn turn_number(&self) -> u32 {
+        self.air.turns[0].number.max(self.air.turns[1].number)
+    }
+}
+
+/// An uploader in the middle of its transfer.
+fn under_way(seed: u64) -> Upload {
+    let mut upload = Upload::new(seed, 0.05);
+    upload.run_until(|air| air.received[1].len() >= 5);
+    upload
+}
+
+#[test]
+fn a_forged_turn_number_does_not_end_a_line() {
+    for seed in 0..SEEDS {
+        for (end, ahead) in [(0, 50), (1, 50), (0, 1000), (1, 1000), (0, u32::MAX), (1, u32::MAX)] {
+            for most in [u32::MAX - 1, u32::MAX / 2, u32::MAX / 2 - 1] {
+                let mut upload = under_way(seed);
+                let number = upload.turn_number().saturating_add(ahead).min(most);
+                upload.forge_turn(end, number, 0);
+                upload.finish(&format!("seed {seed}, turn {number} to end {end}"), false);
+                upload.check_order();
+            }
+        }
+    }
+}
+
+/// A neighbour counts on in small steps, each of which is plausible, and comes near the highest number in a
+/// session of his own.
+#[test]
+fn turn_numbers_that_reach_their_limit_begin_a_new_session() {
+    for end in 0..2 {
+        let mut upload = under_way(end as u64);
+        let sessions = Sessions { sender: 77, receiver: 0 };
+        let turn = Turn { sessions, number: u32::MAX / 2 - 1, ..Turn::default() };
+        upload.air.forge(end, &Frame::Turn(turn), sessions);
+        upload.finish(&format!("end {end}"), false);
+        upload.check_order();
+    }
+}
+
+#[test]
+fn a_forged_acknowledgement_of_a_jammed_piece_does_not_end_a_line() {
+    for seed in 0..SEEDS {
+        let mut upload = Upload::new(seed, 0.05);
+        upload.air.jammed = Some(60);
+        upload.run_until(|air| air.jammed.is_none());
+        let number = upload.turn_number();
+        upload.run_until(|air| air.turns[0].number > number);
+        let next = upload.air.pieces[0];
+        upload.forge_turn(0, number + 2, next);
+        upload.finish(&format!("seed {seed}"), false);
+        upload.check_order();
+    }
+}
+
+#[test]
+fn forged_pieces_ahead_of_the_sender_do_not_end_a_line() {
+    for seed in 0..SEEDS {
+        let mut upload = under_way(seed);
+        let (first, sessions) = (upload.air.pieces[0], upload.air.sessions(0));
+        for number in first + 1..=first + WINDOW_PIECES {
+            let piece = Piece { number, is_last: true, payload: &[0] };
+            upload.air.forge(1, &Frame::Piece(piece), sessions);
+            while upload.air.ends[1].next_message().is_some() {}
+        }
+        let last = Piece { number: first, is_last: true, payload: &[0] };
+        upload.air.forge(1, &Frame::Piece(last), sessions);
+        while upload.air.ends[1].next_message().is_some() {}
+        upload.finish(&format!("seed {seed}"), false);
+    }
+}
+
+/// The forged piece replaces the first piece of a message, so the message arrives garbled. The true piece
+/// arrives later and does not agree.
+#[test]
+fn a_forged_piece_in_place_of_a_true_one_begins_a_new_session() {
+    for seed in 0..SEEDS {
+        let mut upload = Upload::new(seed, 0.0);
+        upload.run_until(|air| air.pieces[0] > 30);
+        let (number, sessions) = (upload.air.pieces[0] - 1, upload.air.sessions(0));
+        let piece = Piece { number, is_last: false, payload: &[0] };
+        upload.air.forge(1, &Frame::Piece(piece), sessions);
+        upload.finish(&format!("seed {seed}"), false);
+    }
+}
+
+/// A random frame of a neighbour: mostly with true session numbers, and with numbers near the true ones.
+fn forge_any(upload: &mut Upload, dice: &mut Dice) {
+    let end = dice.below(2) as usize;
+    let mut sessions = upload.air.sessions(1 - end);
+    match dice.below(8) {
+        0 => sessions.receiver = 0,
+        1 => sessions.sender = dice.next_bits() as u32,
+        2 => sessions.receiver = dice.next_bits() as u32,
+        _ => {}
+    }
+    let mut near = |number: u32| match dice.below(4) {
+        0 => dice.next_bits() as u32,
+        1 => number.saturating_add(dice.below(2000) as u32),
+        2 => number.saturating_sub(dice.below(10) as u32),
+        _ => number.saturating_add(dice.below(4) as u32),
+    };
+    let piece = near(upload.air.pieces[1 - end]);
+    let (number, next) = (near(upload.turn_number()), near(upload.air.pieces[end]));
+    if dice.chance(0.5) {
+        let payload = [dice.next_bits() as u8; 3];
+        let piece = Piece { number: piece, is_last: dice.chance(0.5), payload: &payload };
+        upload.air.forge(end, &Frame::Piece(piece), sessions);
+        return;
+    }
+    let mut turn = Turn { sessions, number, next, has_more: dice.chance(0.5), ..Turn::default() };
+    let bits = (0..dice.below(20)).map(|_| dice.next_bits() as u8);
+    bits.for_each(|byte| turn.received.push(byte).unwrap());
+    upload.air.forge(end, &Frame::Turn(turn), sessions);
+}
+
+#[test]
+fn a_line_recovers_from_random_forged_frames() {
+    for seed in 0..300 {
+        let (mut upload, mut dice) = (Upload::new(seed, 0.05), Dice::new(seed));
+        let mut forge_at = Duration::ZERO;
+        let until = Duration::from_secs(2 + seed % 20);
+        while upload.air.now < until {
+            upload.step();
+            while forge_at < upload.air.now {
+                forge_any(&mut upload, &mut dice);
+                forge_at += Duration::from_millis(1 + dice.below(20 << (seed % 6)));
+            }
+        }
+        upload.finish(&format!("seed {seed}"), true);
+    }
+}
+
+/// A neighbour who forges a new session with every frame causes few sessions, because each lasts a while.
+#[test]
+fn forged_sessions_do_not_begin_one_after_the_other() {
+    let mut upload = under_way(1);
+    let begun = upload.air.now;
+    let (mut sessions, mut changes) = (upload.air.sessions(0), 0);
+    for sender in 1_000_000.. {
+        if upload.air.now > begun + Duration::from_secs(20) {
+            break;
+        }
+        let forged = Sessions { sender, receiver: 0 };
+        let turn = Turn { sessions: forged, number: 1, ..Turn::default() };
+        (0..2).for_each(|end| upload.air.forge(end, &Frame::Turn(turn.clone()), forged));
+        // A piece in the name of the forged session, so that the session does not remain without pieces.
+        let piece = Piece { number: 0, is_last: false, payload: &[1] };
+        for end in 0..2 {
+            let pair = Sessions { sender, receiver: upload.air.turns[end].sessions.sender };
+            upload.air.forge(end, &Frame::Piece(piece), pair);
+        }
+        upload.step();
+        changes += u32::from(upload.air.sessions(0) != sessions);
+        sessions = upload.air.sessions(0);
+    }
+    assert!(changes < 45, "{changes} new sessions of both ends in 20 s");
+    upload.finish("forged sessions", false);
+}
