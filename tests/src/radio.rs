@@ -38,8 +38,10 @@ pub struct Air {
     pub turns: [Turn; 2],
     /// For each end, the number after the highest piece that it has sent in its session.
     pub pieces: [u32; 2],
-    /// A neighbour jams the first frame with this piece of the first end, so that it is lost.
-    pub jammed: Option<u32>,
+    /// A neighbour jams this piece of the first end in this session, so that it never arrives.
+    pub jammed: Option<(u32, u32)>,
+    /// Whether the owner of the second end takes no messages.
+    pub is_busy: bool,
     /// Messages that have arrived at each end.
     pub received: [Vec<Vec<u8>>; 2],
     /// Events that each end has reported.
@@ -62,6 +64,7 @@ impl Air {
             turns: Default::default(),
             pieces: [0; 2],
             jammed: None,
+            is_busy: false,
             received: Default::default(),
             events: Default::default(),
         }
@@ -81,7 +84,9 @@ impl Air {
             while let Some(event) = self.ends[end].next_event() {
                 self.events[end].push(event);
             }
-            while let Some(message) = self.ends[end].next_message() {
+            while !(self.is_busy && end == 1)
+                && let Some(message) = self.ends[end].next_message()
+            {
                 self.received[end].push(message);
             }
         }
@@ -117,7 +122,7 @@ impl Air {
             }
             Ok(Frame::Piece(piece)) => {
                 self.pieces[end] = self.pieces[end].max(piece.number + 1);
-                end == 0 && self.jammed.take_if(|number| *number == piece.number).is_some()
+                end == 0 && self.jammed == Some((self.turns[0].sessions.sender, piece.number))
             }
             Err(_) => false,
         }

@@ -4,9 +4,10 @@
 
 use std::time::Duration;
 
+use cosurf_link::Faults;
 use cosurf_link::faults::Dice;
 use cosurf_link::serial::ArqEvent;
-use cosurf_tests::radio::{Air, BYTES_PER_S, pattern, radio};
+use cosurf_tests::radio::{Air, BYTES_PER_S, joined, pattern, radio};
 use cosurf_wire::frame::{Frame, Piece, Sessions, Turn, WINDOW_PIECES};
 
 const MESSAGES: usize = 40;
@@ -109,10 +110,13 @@ fn under_way(seed: u64) -> Upload {
 #[test]
 fn a_forged_turn_number_does_not_end_a_line() {
     for seed in 0..SEEDS {
-        for (end, ahead) in [(0, 50), (1, 50), (0, 1000), (1, 1000), (0, u32::MAX), (1, u32::MAX)] {
-            for most in [u32::MAX - 1, u32::MAX / 2, u32::MAX / 2 - 1] {
+        for ahead in [2, 50, 1000, u32::MAX / 2 - 1, u32::MAX / 2, u32::MAX - 1, u32::MAX] {
+            for end in 0..2 {
                 let mut upload = under_way(seed);
-                let number = upload.turn_number().saturating_add(ahead).min(most);
+                let number = upload.turn_number().max(ahead);
+                // Twice, because a side that has just begun a session waits before it begins another.
+                upload.forge_turn(end, number, 0);
+                upload.step();
                 upload.forge_turn(end, number, 0);
                 upload.finish(&format!("seed {seed}, turn {number} to end {end}"), false);
                 upload.check_order();
@@ -121,8 +125,7 @@ fn a_forged_turn_number_does_not_end_a_line() {
     }
 }
 
-/// A neighbour counts on in small steps, each of which is plausible, and comes near the highest number in a
-/// session of his own.
+/// A session of a neighbour begins at the highest number, so that its next turn reaches the limit.
 #[test]
 fn turn_numbers_that_reach_their_limit_begin_a_new_session() {
     for end in 0..2 {
@@ -135,12 +138,19 @@ fn turn_numbers_that_reach_their_limit_begin_a_new_session() {
     }
 }
 
+/// A line on which piece 60 of the first session never arrives.
+fn jammed(seed: u64) -> Upload {
+    let mut upload = Upload::new(seed, 0.05);
+    upload.run_until(|air| air.turns[0].sessions.sender != 0);
+    upload.air.jammed = Some((upload.air.turns[0].sessions.sender, 60));
+    upload
+}
+
 #[test]
 fn a_forged_acknowledgement_of_a_jammed_piece_does_not_end_a_line() {
     for seed in 0..SEEDS {
-        let mut upload = Upload::new(seed, 0.05);
-        upload.air.jammed = Some(60);
-        upload.run_until(|air| air.jammed.is_none());
+        let mut upload = jammed(seed);
+        upload.run_until(|air| air.pieces[0] > 60);
         let number = upload.turn_number();
         upload.run_until(|air| air.turns[0].number > number);
         let next = upload.air.pieces[0];
@@ -148,6 +158,39 @@ fn a_forged_acknowledgement_of_a_jammed_piece_does_not_end_a_line() {
         upload.finish(&format!("seed {seed}"), false);
         upload.check_order();
     }
+}
+
+/// Both sides agree, and turns pass, but one piece never arrives.
+#[test]
+fn a_line_without_progress_begins_a_new_session() {
+    for seed in 0..SEEDS {
+        let mut upload = jammed(seed);
+        upload.run_until(|air| air.events[0].len() > 1);
+        upload.finish(&format!("seed {seed}"), false);
+        upload.check_order();
+    }
+}
+
+/// The owner of the second end takes no messages for minutes. The first end waits, and loses nothing.
+#[test]
+fn an_owner_who_is_busy_for_minutes_causes_no_new_session() {
+    let mut air = Air::new(1, radio(0.05));
+    air.is_busy = true;
+    let sent = pattern(600_000);
+    let mut parts = sent.chunks(2000).zip(0u32..).peekable();
+    let busy_until = Duration::from_secs(900);
+    while air.received[1].len() < 300 {
+        while air.ends[0].has_room()
+            && let Some((part, number)) = parts.next()
+        {
+            air.ends[0].queue([&number.to_le_bytes()[..], part].concat());
+        }
+        air.is_busy = air.now < busy_until;
+        air.step();
+        assert!(air.now < busy_until + Duration::from_secs(200), "{} arrived", air.received[1].len());
+    }
+    assert!(joined(&air.received[1]) == sent);
+    assert_eq!(air.events, [[ArqEvent::Linked], [ArqEvent::Linked]]);
 }
 
 #[test]
@@ -179,6 +222,60 @@ fn a_forged_piece_in_place_of_a_true_one_begins_a_new_session() {
         upload.air.forge(1, &Frame::Piece(piece), sessions);
         upload.finish(&format!("seed {seed}"), false);
     }
+}
+
+/// The forged piece may also wait behind a lost one when the true one arrives.
+#[test]
+fn most_forged_pieces_are_noticed_on_a_lossy_line() {
+    let mut noticed = 0;
+    for seed in 0..SEEDS {
+        let mut upload = Upload::new(seed, 0.05);
+        upload.run_until(|air| air.pieces[0] > 60);
+        let (number, sessions) = (upload.air.pieces[0] - 1, upload.air.sessions(0));
+        let piece = Piece { number, is_last: false, payload: &[0] };
+        upload.air.forge(1, &Frame::Piece(piece), sessions);
+        upload.finish(&format!("seed {seed}"), true);
+        noticed += usize::from(upload.air.events[1].len() > 1);
+    }
+    assert!(noticed as u64 >= SEEDS * 3 / 4, "{noticed} of {SEEDS}");
+}
+
+#[test]
+fn an_echo_of_own_turns_causes_no_new_session() {
+    let mut upload = under_way(2);
+    for _ in 0..100 {
+        for end in 0..2 {
+            let turn = Frame::Turn(upload.air.turns[end].clone());
+            upload.air.forge(end, &turn, upload.air.sessions(end));
+        }
+        upload.step();
+    }
+    upload.finish("echo", false);
+    assert_eq!(upload.air.events, [[ArqEvent::Linked], [ArqEvent::Linked]]);
+}
+
+/// Session numbers come from the clock, so two sides that start in the same second have the same number.
+#[test]
+fn two_sides_with_the_same_session_number_link() {
+    for seed in 0..300 {
+        let faults = Faults { delay_max: Duration::from_millis(150), ..radio(0.05) };
+        let mut air = Air::new(seed, faults);
+        air.restart(0, 5000);
+        air.send_all(&pattern(2000), 500);
+        assert!(air.now < Duration::from_secs(30), "seed {seed}: {:?}", air.now);
+    }
+}
+
+#[test]
+fn events_that_nobody_reads_do_not_pile_up() {
+    let mut air = Air::new(1, radio(0.0));
+    for sender in 1..1000 {
+        let sessions = Sessions { sender, receiver: 5000 };
+        let turn = Turn { sessions, number: 1, ..Turn::default() };
+        air.forge(1, &Frame::Turn(turn), sessions);
+    }
+    let events = std::iter::from_fn(|| air.ends[1].next_event()).count();
+    assert_eq!(events, 1);
 }
 
 /// A random frame of a neighbour: mostly with true session numbers, and with numbers near the true ones.

@@ -56,11 +56,9 @@ const LOST_AFTER: Duration = Duration::from_secs(30);
 /// A session lasts at least this long, unless nothing was exchanged in it. A neighbour who forges frames
 /// therefore cannot make both sides begin one session after the other without a pause.
 const SESSION_MIN: Duration = Duration::from_secs(1);
-/// Highest number of a turn. Nobody reaches it in a hundred years of turns, and counting on does not overflow.
+/// Numbers of turns stay below this. Honest sides do not reach it in a hundred years. A side that reaches it,
+/// because somebody forges turns, begins a new session.
 const TURN_NUMBER_MAX: u32 = u32::MAX / 2;
-/// How far the number of a turn may exceed the newest number that this side knows. The sides alternate, so it
-/// exceeds that number by one, or by a few more if somebody forges turns.
-const TURNS_AHEAD_MAX: u32 = 64;
 /// How far frames may be sent ahead of the line's bandwidth. Such frames keep the line busy while the thread
 /// wakes up late on a busy computer. They fit into the buffers of radios (SiK) and ports.
 const AHEAD: Duration = Duration::from_millis(200);
@@ -238,8 +236,8 @@ impl Arq {
         if now < self.next_wakeup() {
             return None;
         }
-        let needs_renewal = self.turn_number >= TURN_NUMBER_MAX || self.is_broken && now >= self.may_renew_at;
-        if needs_renewal && !matches!(self.floor, Floor::Passing { .. }) {
+        let needs_renewal = self.is_broken || self.turn_number >= TURN_NUMBER_MAX;
+        if needs_renewal && now >= self.may_renew_at && !matches!(self.floor, Floor::Passing { .. }) {
             self.renew(now);
         }
         match self.floor {
@@ -317,7 +315,7 @@ impl Arq {
 
     /// Handles a turn. Returns whether it passes the floor to this side.
     fn on_turn(&mut self, now: Duration, turn: &Turn, bytes: usize) -> bool {
-        if turn.sessions.sender == 0 || turn.number > TURN_NUMBER_MAX {
+        if turn.sessions.sender == 0 || turn.number >= TURN_NUMBER_MAX {
             return false;
         }
         let is_new_session = turn.sessions.sender != self.sessions.receiver;
@@ -338,8 +336,7 @@ impl Arq {
             self.on_old_turn(now, turn, knows_us, is_stale);
             return false;
         }
-        let is_too_far = !is_new_session && turn.number > self.turn_number.saturating_add(TURNS_AHEAD_MAX);
-        if is_too_far || (knows_us && !self.sending.on_turn(turn)) {
+        if knows_us && !self.sending.on_turn(turn) {
             self.is_broken = true;
             if now < self.may_renew_at {
                 return false;
@@ -376,8 +373,8 @@ impl Arq {
         let is_echo = session == self.sessions.sender;
         if self.sending.is_fresh() && self.receiving.is_fresh() {
             if is_echo {
-                // Perhaps both sides have the same number. Turns with the same number would then never end.
-                self.sessions.sender = self.next_session();
+                // Both sides have the same number. Neither of their turns would win a tie.
+                self.sessions.sender = self.next_session(now);
             }
         } else if is_echo || now < self.may_renew_at {
             return false;
@@ -393,7 +390,7 @@ impl Arq {
     /// Begins a new session. Forgets all messages, as a restart does, unless no piece of them was sent. Counts
     /// turns from the beginning.
     fn renew(&mut self, now: Duration) {
-        self.sessions.sender = self.next_session();
+        self.sessions.sender = self.next_session(now);
         if !self.sending.is_fresh() {
             self.sending = Sending::default();
         }
@@ -409,9 +406,11 @@ impl Arq {
     }
 
     /// Draws the number of a new session. It differs from the numbers of both sides. It is not the next
-    /// number, which the caller may use after a restart.
-    fn next_session(&mut self) -> u32 {
+    /// number, which the caller may use after a restart. The time makes it differ from a number that the other
+    /// side draws.
+    fn next_session(&mut self, now: Duration) -> u32 {
         let Sessions { sender, receiver } = self.sessions;
+        self.dice = Dice::new(self.dice.next_bits() ^ now.as_nanos() as u64);
         loop {
             let session = self.dice.next_bits() as u32;
             if ![0, sender, receiver].contains(&session) {
