@@ -138,18 +138,18 @@ fn turn_numbers_that_reach_their_limit_begin_a_new_session() {
     }
 }
 
-/// A line on which piece 60 of the first session never arrives.
-fn jammed(seed: u64) -> Upload {
+/// A line on which this piece of the first session never arrives.
+fn jammed(seed: u64, piece: u32) -> Upload {
     let mut upload = Upload::new(seed, 0.05);
     upload.run_until(|air| air.turns[0].sessions.sender != 0);
-    upload.air.jammed = Some((upload.air.turns[0].sessions.sender, 60));
+    upload.air.jammed = Some((upload.air.turns[0].sessions.sender, piece));
     upload
 }
 
 #[test]
 fn a_forged_acknowledgement_of_a_jammed_piece_does_not_end_a_line() {
     for seed in 0..SEEDS {
-        let mut upload = jammed(seed);
+        let mut upload = jammed(seed, 60);
         upload.run_until(|air| air.pieces[0] > 60);
         let number = upload.turn_number();
         upload.run_until(|air| air.turns[0].number > number);
@@ -164,7 +164,7 @@ fn a_forged_acknowledgement_of_a_jammed_piece_does_not_end_a_line() {
 #[test]
 fn a_line_without_progress_begins_a_new_session() {
     for seed in 0..SEEDS {
-        let mut upload = jammed(seed);
+        let mut upload = jammed(seed, 60);
         upload.run_until(|air| air.events[0].len() > 1);
         upload.finish(&format!("seed {seed}"), false);
         upload.check_order();
@@ -219,6 +219,19 @@ fn a_forged_piece_in_place_of_a_true_one_begins_a_new_session() {
         upload.run_until(|air| air.pieces[0] > 30);
         let (number, sessions) = (upload.air.pieces[0] - 1, upload.air.sessions(0));
         let piece = Piece { number, is_last: false, payload: &[0] };
+        upload.air.forge(1, &Frame::Piece(piece), sessions);
+        upload.finish(&format!("seed {seed}"), false);
+    }
+}
+
+/// The sender would later count the jammed piece as arrived.
+#[test]
+fn a_forged_piece_before_a_jammed_true_one_begins_a_new_session() {
+    for seed in 0..SEEDS {
+        let mut upload = jammed(seed, 350);
+        upload.run_until(|air| air.pieces[0] > 20);
+        let piece = Piece { number: 350, is_last: false, payload: &[0] };
+        let sessions = upload.air.sessions(0);
         upload.air.forge(1, &Frame::Piece(piece), sessions);
         upload.finish(&format!("seed {seed}"), false);
     }
@@ -325,29 +338,44 @@ fn a_line_recovers_from_random_forged_frames() {
     }
 }
 
-/// A neighbour who forges a new session with every frame causes few sessions, because each lasts a while.
-#[test]
-fn forged_sessions_do_not_begin_one_after_the_other() {
+/// Lets a neighbour forge frames for 20 s after each step. He causes few sessions, because each lasts a while.
+fn few_sessions(forge: impl Fn(&mut Upload, usize)) {
     let mut upload = under_way(1);
     let begun = upload.air.now;
     let (mut sessions, mut changes) = (upload.air.sessions(0), 0);
-    for sender in 1_000_000.. {
-        if upload.air.now > begun + Duration::from_secs(20) {
-            break;
-        }
-        let forged = Sessions { sender, receiver: 0 };
-        let turn = Turn { sessions: forged, number: 1, ..Turn::default() };
-        (0..2).for_each(|end| upload.air.forge(end, &Frame::Turn(turn.clone()), forged));
-        // A piece in the name of the forged session, so that the session does not remain without pieces.
-        let piece = Piece { number: 0, is_last: false, payload: &[1] };
-        for end in 0..2 {
-            let pair = Sessions { sender, receiver: upload.air.turns[end].sessions.sender };
-            upload.air.forge(end, &Frame::Piece(piece), pair);
-        }
+    while upload.air.now < begun + Duration::from_secs(20) {
+        (0..2).for_each(|end| forge(&mut upload, end));
         upload.step();
         changes += u32::from(upload.air.sessions(0) != sessions);
         sessions = upload.air.sessions(0);
     }
     assert!(changes < 45, "{changes} new sessions of both ends in 20 s");
-    upload.finish("forged sessions", false);
+    upload.finish("few sessions", false);
+}
+
+#[test]
+fn forged_sessions_do_not_begin_one_after_the_other() {
+    few_sessions(|upload, end| {
+        let sender = upload.air.now.as_micros() as u32 | 1 << 31;
+        let forged = Sessions { sender, receiver: 0 };
+        let turn = Turn { sessions: forged, number: 1, ..Turn::default() };
+        upload.air.forge(end, &Frame::Turn(turn), forged);
+        // A piece in the name of the forged session, so that the session does not remain without pieces.
+        let pair = Sessions { sender, receiver: upload.air.turns[end].sessions.sender };
+        let piece = Piece { number: 0, is_last: false, payload: &[1] };
+        upload.air.forge(end, &Frame::Piece(piece), pair);
+    });
+}
+
+#[test]
+fn forged_disagreements_do_not_begin_one_session_after_the_other() {
+    few_sessions(|upload, end| {
+        let sessions = upload.air.sessions(1 - end);
+        for payload in [[1], [2]] {
+            let piece = Piece { number: 0, is_last: false, payload: &payload };
+            upload.air.forge(end, &Frame::Piece(piece), sessions);
+        }
+        let number = upload.turn_number() + 1;
+        upload.forge_turn(end, number, 0);
+    });
 }

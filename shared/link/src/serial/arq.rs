@@ -387,13 +387,10 @@ impl Arq {
         true
     }
 
-    /// Begins a new session. Forgets all messages, as a restart does, unless no piece of them was sent. Counts
-    /// turns from the beginning.
+    /// Begins a new session. Forgets all messages, as a restart does, and counts turns from the beginning.
     fn renew(&mut self, now: Duration) {
         self.sessions.sender = self.next_session(now);
-        if !self.sending.is_fresh() {
-            self.sending = Sending::default();
-        }
+        self.sending = Sending::default();
         self.receiving = Receiving::default();
         self.is_confirmed = false;
         self.is_broken = false;

@@ -106,7 +106,7 @@ impl Sending {
         if self.arrived() > arrived || !is_open {
             self.futile_bursts = 0;
         } else if was_sent {
-            self.futile_bursts += 1;
+            self.futile_bursts = self.futile_bursts.saturating_add(1);
         }
         self.lost.clear();
         let mut doubled = Vec::new();
