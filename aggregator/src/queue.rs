@@ -3,9 +3,10 @@
 //!
 //! What it knows nothing about: what a task is. It passes on a name and a folder.
 
+mod address;
+
 use std::time::Duration;
 
-use async_nats::ConnectOptions;
 use async_nats::jetstream::ErrorCode;
 use async_nats::jetstream::consumer::{AckPolicy, pull};
 use async_nats::jetstream::context::{ConsumerInfoErrorKind, CreateStreamErrorKind};
@@ -15,6 +16,8 @@ use futures_util::StreamExt;
 use tokio::runtime::{Builder, Runtime};
 use tokio::task::JoinHandle;
 use tokio::time::{sleep, timeout};
+
+use address::{Address, shown};
 
 /// Name of the stream on the server, and first part of all subjects.
 const STREAM: &str = "cosurf-tiles";
@@ -35,12 +38,16 @@ const ANSWER_MAX: Duration = Duration::from_secs(5);
 pub struct Queue {
     runtime: Runtime,
     context: Context,
+    /// The address without user and password.
     url: String,
 }
 
 /// Why the queue cannot be used.
 #[derive(Debug, thiserror::Error)]
-#[error("{url}: {cause}; check that a NATS server with JetStream runs there (nats-server -js)")]
+#[error(
+    "{url}: {cause}; check that a NATS server with JetStream runs there (nats-server -js), and that it knows the user \
+     and the password of its address, nats://USER:PASSWORD@HOST:PORT"
+)]
 pub struct QueueError {
     url: String,
     cause: String,
@@ -61,8 +68,8 @@ pub(crate) struct Delivered<'a> {
 }
 
 impl Queue {
-    /// Connects to a server, for example `nats://127.0.0.1:4222`. Fails if it is not there; a connection that is lost
-    /// later is made again.
+    /// Connects to a server, for example `nats://127.0.0.1:4222` or `nats://user:password@127.0.0.1:4222`. Fails if it is
+    /// not there; a connection that is lost later is made again.
     pub fn open(url: &str) -> Result<Self, QueueError> {
         let queue = Self::connect(url)?;
         queue.answer(queue.stream())?;
@@ -70,17 +77,19 @@ impl Queue {
     }
 
     fn connect(url: &str) -> Result<Self, QueueError> {
-        let fail = |cause: String| QueueError { url: url.to_owned(), cause };
+        let fail = |cause: String| QueueError { url: shown(url), cause };
+        let address = Address::parse(url).map_err(fail)?;
         // One thread of its own tells the server that the worker is alive while the worker computes.
         let runtime = Builder::new_multi_thread().worker_threads(1).enable_all().build();
         let runtime = runtime.map_err(|cause| fail(cause.to_string()))?;
-        let options = ConnectOptions::new().name("cosurf").connection_timeout(ANSWER_MAX);
-        let client = runtime.block_on(options.connect(url)).map_err(|cause| fail(cause.to_string()))?;
+        let options = address.options().name("cosurf").connection_timeout(ANSWER_MAX);
+        let connected = runtime.block_on(options.connect(address.server()));
+        let client = connected.map_err(|cause| fail(cause.to_string()))?;
         let context = {
             let _inside = runtime.enter(); // the context starts a task of its own
             jetstream::new(client)
         };
-        Ok(Self { runtime, context, url: url.to_owned() })
+        Ok(Self { runtime, context, url: shown(url) })
     }
 
     /// Queues a task for workers with devices of this class, unless it is in the queue already.
@@ -246,6 +255,22 @@ mod tests {
     fn take(queue: &Queue) -> Delivered<'_> {
         let attempts = (0..20).filter_map(|_| queue.take("cpu").unwrap_or_default());
         attempts.into_iter().next().expect("the task is delivered within 20 seconds")
+    }
+
+    #[test]
+    fn a_server_with_a_password_lets_only_its_user_in() {
+        let folder = tempfile::tempdir().unwrap();
+        let config = "authorization {\n  user: cosurf\n  password: \"a-long/password\"\n}\n";
+        let Some(nats) = Nats::start_with(folder.path(), config) else { return };
+        let server = nats.url().replace("nats://", "");
+        let queue = Queue::open(&format!("nats://cosurf:a-long%2Fpassword@{server}")).unwrap();
+        queue.send("cpu", "a", "folder").unwrap();
+        assert_eq!(take(&queue).task, "a");
+        for user in ["", "cosurf:another@"] {
+            let error = Queue::open(&format!("nats://{user}{server}")).unwrap_err().to_string();
+            assert!(error.contains("USER:PASSWORD") && error.starts_with(&nats.url()), "{error}");
+            assert!(!error.contains("another"), "{error}");
+        }
     }
 
     #[test]

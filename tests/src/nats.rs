@@ -1,5 +1,6 @@
 //! Runs a NATS server with JetStream as a child process.
 
+use std::fs;
 use std::net::{TcpListener, TcpStream};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -18,6 +19,13 @@ impl Nats {
     /// Starts a server that keeps its queues in `folder`. If NATS is not installed, reports that the test is skipped and
     /// returns `None`; panics instead if the environment variable `REQUIRE_NATS` is set.
     pub fn start(folder: &Path) -> Option<Self> {
+        Self::start_with(folder, "")
+    }
+
+    /// As [`Self::start`], with the lines of a configuration file.
+    pub fn start_with(folder: &Path, config: &str) -> Option<Self> {
+        fs::create_dir_all(folder).unwrap();
+        fs::write(config_of(folder), config).unwrap();
         let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
         let Some(child) = spawn(port, folder) else {
             skip("REQUIRE_NATS", "nats-server is not installed");
@@ -61,11 +69,16 @@ impl Drop for Nats {
     }
 }
 
+fn config_of(folder: &Path) -> PathBuf {
+    folder.join("nats.conf")
+}
+
 fn spawn(port: u16, folder: &Path) -> Option<Child> {
     ["nats-server", "/usr/sbin/nats-server"].iter().find_map(|program| {
         let mut command = Command::new(program);
         let port = port.to_string();
         command.args(["-a", "127.0.0.1", "-p", port.as_str(), "-js", "-sd"]).arg(folder);
+        command.arg("-c").arg(config_of(folder));
         command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn().ok()
     })
 }
