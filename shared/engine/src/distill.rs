@@ -29,6 +29,15 @@ pub struct DistillSettings {
     pub sh_degree: u32,
 }
 
+impl DistillSettings {
+    /// No mean moves farther than this during the distillation, along any axis, world units.
+    pub fn reach(&self) -> f64 {
+        let fall = MEAN_RATE_FALL.powf(1.0 / f64::from(self.steps.max(1)));
+        let sum_of_rates = self.rates.mean * self.extent * (1.0 - MEAN_RATE_FALL) / (1.0 - fall);
+        STEP_MAX * sum_of_rates
+    }
+}
+
 /// The target of one step: a teacher's rendering.
 #[derive(Clone, Copy, Debug)]
 pub struct Lesson<'a> {
@@ -79,6 +88,10 @@ impl StudentRates {
 
 /// Share of its first value to which the rate of means falls, log-linearly over all steps (3DGS).
 const MEAN_RATE_FALL: f64 = 0.01;
+
+/// Bound on a step of Adam, in learning rates: `(1 - β₁) / √((1 - β₂) (1 - β₁² / β₂))` is 7.27. It is doubled, because
+/// rounding makes a step at most twice as long.
+const STEP_MAX: f64 = 14.6;
 
 /// Factor on all learning rates except that of means during the cooldown.
 const COOLED: f32 = 0.1;
