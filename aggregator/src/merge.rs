@@ -14,7 +14,7 @@
 //! Where to start reading: [`merge`], the list of steps; then [`cosurf_engine::compress`]; then [`mod@distill`], which
 //! makes a [`plan`] and a [`task`] for each of the [`tiles`] of a [`site`], and lets each [`learn`] from its
 //! [`teachers`]; [`results`] for what later merges need not compute again; [`mod@by_workers`] and [`mod@carry_out`] for
-//! tiles that other computers distil; [`observed`], [`pages`] and [`splat_file`] for what is kept in files, so that the
+//! tiles that other computers distil; [`expected`] for what is believed of a result; [`observed`], [`pages`] and [`splat_file`] for what is kept in files, so that the
 //! memory does not grow with the site; [`memory`] for what fits; [`fill_in()`] for models that have arrived only in part.
 
 mod book;
@@ -26,6 +26,7 @@ mod concat;
 mod crop;
 mod distill;
 mod error;
+mod expected;
 mod fill_in;
 mod ground;
 mod learn;
@@ -35,6 +36,7 @@ pub(crate) mod memory;
 mod news;
 mod observed;
 mod pages;
+mod patience;
 mod plan;
 mod results;
 pub(crate) mod scratch;
@@ -73,7 +75,7 @@ use observed::Observed;
 use plan::ball;
 pub use results::{TileRecord, keep_only};
 use scratch::Scratch;
-pub use settings::{MergeSettings, Tiles};
+pub use settings::{MergeSettings, Tiles, Workers};
 use site::Site;
 pub use splat_file::SplatFile;
 

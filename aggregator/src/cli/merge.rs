@@ -4,6 +4,7 @@ use std::fs::File;
 use std::io::{self, BufWriter, IsTerminal, Write};
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
+use std::sync::mpsc;
 use std::thread::available_parallelism;
 use std::time::Instant;
 
@@ -12,7 +13,7 @@ use clap::Args;
 use cosurf_aggregator::gate::{Place, Workspace, admit};
 use cosurf_aggregator::merge::{
     LocalSummary, Locals, MergeError, MergeProgress, MergeSettings, MergeSummary, MergedFile, Resources,
-    Tiles, keep_only, merge_to_file,
+    Tiles, Workers, keep_only, merge_to_file,
 };
 use cosurf_aggregator::queue::Queue;
 use cosurf_aggregator::service::{FitRecord, Fitted};
@@ -126,14 +127,19 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
         MergeSettings { device: args.device, ..args.ways.settings(args.same_frame, args.memory, args.seed) };
     let threads = available_parallelism().map_or(1, usize::from);
     let begun = Instant::now();
+    let (say, troubles) = mpsc::channel();
     let mut tell = |progress| {
+        // Write errors are ignored: the merge goes on.
+        troubles.try_iter().for_each(|trouble| drop(writeln!(io::stderr(), "{trouble}")));
         show(&progress);
         ControlFlow::Continue(())
     };
     let results = args.tiles.as_deref().map(Store::open).transpose()?;
     let queue = args.queue.as_deref().map(Queue::open).transpose()?;
     let tiles = match (&results, &queue) {
-        (Some(store), Some(queue)) => Tiles::ByWorkers(store, queue),
+        (Some(store), Some(queue)) => {
+            Tiles::ByWorkers(Workers { store, queue, patience: Workers::PATIENCE, say: &say })
+        }
         (Some(store), None) => Tiles::Kept(store),
         (None, _) => Tiles::Forgotten,
     };

@@ -1,21 +1,25 @@
 //! Lets workers distil the tiles of a merge: puts a task for each tile into the store and into the queue, and waits for
-//! the results. Workers may die, and the queue may be away for a while.
+//! the results. Workers may die, and the queue may be away for a while. Whoever can reach the queue can keep tasks from
+//! the workers, and whoever can write to the store can write results. So a result is believed only if distillation can
+//! give it, and this computer distils a tile itself after two bad results, or if no result comes for too long.
 
+use std::cell::Cell;
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Sender;
 use std::thread;
 use std::time::{Duration, Instant};
 
-use blake3::Hash;
+use cosurf_scene::Splats;
 
 use super::carry_out::{failure, name_of_failure};
 use super::error::MergeError;
+use super::expected::Expected;
 use super::news::{Learnt, Report};
-use super::results::{self, TileRecord};
+use super::patience::Patience;
+use super::results::{self, Found, TileRecord};
+use super::settings::Workers;
 use super::task::{self, Task};
-use crate::queue::Queue;
-use crate::store::Store;
 
 /// Interval at which the store is asked for results.
 const LOOK_EVERY: Duration = Duration::from_millis(200);
@@ -23,38 +27,64 @@ const LOOK_EVERY: Duration = Duration::from_millis(200);
 const QUEUE_EVERY: Duration = Duration::from_secs(5);
 /// A queue or store that fails for longer fails the merge.
 const PATIENCE: Duration = Duration::from_secs(60);
+/// After so many bad results, this computer distils a tile itself.
+const BAD_MAX: u32 = 2;
+
+/// Distils a tile. The second argument returns false to stop.
+type Learn<'a> = dyn Fn(&Task, &dyn Fn() -> bool) -> Result<Splats, MergeError> + 'a;
+
+/// What the merge's own computer does.
+pub(super) struct Here<'a> {
+    /// Class of devices that may distil the tiles.
+    pub(super) class: String,
+    /// Makes the task of a tile.
+    pub(super) task: &'a dyn Fn(usize) -> Result<Task, MergeError>,
+    /// Bytes of memory that the distillation of a tile takes, and that it may take.
+    pub(super) needed_bytes: &'a dyn Fn(usize) -> u64,
+    pub(super) memory_bytes: u64,
+    pub(super) learn: &'a Learn<'a>,
+}
 
 /// A tile that is being distilled.
 struct Sent {
     index: usize,
-    hash: Hash,
-    sh_degree: u32,
+    expected: Expected,
+    /// Number of bad results.
+    bad: u32,
+}
+
+impl Sent {
+    /// Name of the result in the store.
+    fn name(&self) -> String {
+        self.expected.task.to_hex().to_string()
+    }
 }
 
 /// The tiles that are being distilled by workers.
 struct Coordinator<'a> {
-    store: &'a Store,
-    queue: &'a Queue,
-    /// Class of devices that may distil them.
-    class: &'a str,
+    workers: Workers<'a>,
+    here: &'a Here<'a>,
     left: Vec<Sent>,
+    patience: Patience,
+    /// Whether it was told that the workers are absent.
+    is_told: bool,
     is_stopped: &'a AtomicBool,
     say: &'a Sender<Report>,
 }
 
-/// Lets workers with devices of this class distil the tiles with the indices `order`. `task` makes the task of a tile.
+/// Lets workers distil the tiles with the indices `order`.
 pub(super) fn by_workers(
     order: &[usize],
-    task: &dyn Fn(usize) -> Result<Task, MergeError>,
-    class: &str,
-    store: &Store,
-    queue: &Queue,
+    workers: Workers,
+    here: &Here,
     is_stopped: &AtomicBool,
     say: &Sender<Report>,
 ) {
-    let mut coordinator = Coordinator { store, queue, class, left: Vec::new(), is_stopped, say };
+    let patience = Patience::new(workers.patience, Instant::now());
+    let left = Vec::new();
+    let mut coordinator = Coordinator { workers, here, left, patience, is_told: false, is_stopped, say };
     for &index in order {
-        let sent = task(index).and_then(|task| coordinator.send(index, &task));
+        let sent = (here.task)(index).and_then(|task| coordinator.send(index, &task));
         match sent {
             Ok(()) if coordinator.goes_on(Report::Waiting) => {}
             Ok(()) => return,
@@ -70,95 +100,172 @@ impl Coordinator<'_> {
         self.say.send(report).is_ok() && !self.is_stopped.load(Ordering::Relaxed)
     }
 
+    /// Tells a trouble. Nobody may listen.
+    fn tell(&self, trouble: String) {
+        let _ = self.workers.say.send(trouble);
+    }
+
     /// Puts a task where workers find it, unless its result is known.
     fn send(&mut self, index: usize, task: &Task) -> Result<(), MergeError> {
-        let (hash, sh_degree) = (task.hash(), task.sh_degree());
-        let found = self.patiently(|its| Ok(results::find(its.store, &hash, sh_degree)?))?;
-        if let Some(splats) = found {
-            let learnt = Learnt { record: TileRecord::of(&hash, &splats), splats, was_found: true };
-            let _ = self.say.send(Report::Done(index, Ok(learnt)));
-            return Ok(());
+        let mut sent = Sent { index, expected: Expected::of(task)?, bad: 0 };
+        match self.find(&sent)? {
+            Found::Sound(splats) => {
+                self.done(&sent, splats, true);
+                return Ok(());
+            }
+            Found::Bad(reason) => self.note_bad(&mut sent, &reason),
+            Found::Nothing => {}
         }
         self.patiently(|its| {
-            its.store.remove(&hash.to_hex())?; // a damaged result
-            its.store.remove(&name_of_failure(&hash))?; // of an earlier merge
-            task.put(its.store)?;
-            Ok(its.queue.send(its.class, &hash.to_hex(), its.store.folder_name())?)
+            its.workers.store.remove(&sent.name())?; // a bad result
+            its.workers.store.remove(&name_of_failure(&sent.expected.task))?; // of an earlier merge
+            task.put(its.workers.store)
         })?;
-        self.left.push(Sent { index, hash, sh_degree });
+        self.queue(&sent)?;
+        self.left.push(sent);
         Ok(())
     }
 
     /// Waits until all results are there.
     fn wait(&mut self) {
         let mut queued = Instant::now();
+        self.patience = Patience::new(self.workers.patience, queued);
         while !self.left.is_empty() && self.goes_on(Report::Waiting) {
             thread::sleep(LOOK_EVERY);
             let is_late = queued.elapsed() >= QUEUE_EVERY;
             if is_late {
                 queued = Instant::now();
             }
-            let names = self.patiently(|its| Ok(its.store.names()?));
-            let looked = names.and_then(|names| self.look(&names.into_iter().collect(), is_late));
-            if let Err((index, error)) = looked.map_err(|error| (self.left[0].index, error)) {
+            if let Err((index, error)) = self.look(is_late).and_then(|()| self.help()) {
                 let _ = self.say.send(Report::Done(index, Err(error)));
                 return;
             }
         }
     }
 
-    /// Takes the results that are among the `names` of objects. With `is_late`, tasks that the queue has lost are
-    /// queued again.
-    fn look(&mut self, names: &BTreeSet<String>, is_late: bool) -> Result<(), MergeError> {
-        let mut left = Vec::new();
-        for Sent { index, hash, sh_degree } in std::mem::take(&mut self.left) {
-            let is_there = names.contains(hash.to_hex().as_str());
-            let sent = Sent { index, hash, sh_degree };
-            let found = match is_there {
-                true => self.patiently(|its| Ok(results::find(its.store, &hash, sh_degree)?)),
-                false => Ok(None),
-            };
-            let kept = found.and_then(|found| match found {
-                Some(splats) => {
-                    self.patiently(|its| Ok(its.store.remove(&task::name(&hash))?))?;
-                    let learnt = Learnt { record: TileRecord::of(&hash, &splats), splats, was_found: false };
-                    let _ = self.say.send(Report::Done(index, Ok(learnt)));
-                    Ok(None)
-                }
-                None => self.await_further(&sent, is_there, names, is_late).map(|()| Some(sent)),
-            });
-            match kept {
-                Ok(kept) => left.extend(kept),
-                Err(error) => {
-                    self.left = vec![Sent { index, hash, sh_degree }];
-                    return Err(error);
-                }
+    /// Takes the results that are there. With `is_late`, tasks that the queue has lost are queued again. An error comes
+    /// with the index of its tile.
+    fn look(&mut self, is_late: bool) -> Result<(), (usize, MergeError)> {
+        let names = self.patiently(|its| Ok(its.workers.store.names()?));
+        let names: BTreeSet<String> =
+            names.map_err(|error| (self.left[0].index, error))?.into_iter().collect();
+        for mut sent in std::mem::take(&mut self.left) {
+            match self.settle(&mut sent, &names, is_late) {
+                Ok(true) => {}
+                Ok(false) => self.left.push(sent),
+                Err(error) => return Err((sent.index, error)),
             }
         }
-        self.left = left;
         Ok(())
     }
 
-    /// What is to be done about a tile without a result.
-    fn await_further(
-        &self,
-        sent: &Sent,
-        is_damaged: bool,
+    /// Looks after a tile; returns whether it is done. `names` has those of all objects in the store.
+    fn settle(
+        &mut self,
+        sent: &mut Sent,
         names: &BTreeSet<String>,
         is_late: bool,
-    ) -> Result<(), MergeError> {
-        if names.contains(&name_of_failure(&sent.hash)) {
-            return Err(MergeError::Workers { reason: failure(self.store, &sent.hash)? });
+    ) -> Result<bool, MergeError> {
+        let found = if names.contains(&sent.name()) { self.find(sent)? } else { Found::Nothing };
+        match found {
+            Found::Sound(splats) => {
+                self.patience.renew(Instant::now());
+                self.forget_task(sent)?;
+                self.done(sent, splats, false);
+                return Ok(true);
+            }
+            Found::Bad(reason) => {
+                self.note_bad(sent, &reason);
+                self.patiently(|its| Ok(its.workers.store.remove(&sent.name())?))?;
+                if sent.bad >= BAD_MAX {
+                    self.distil_here(sent)?;
+                    return Ok(true);
+                }
+                self.queue(sent)?;
+            }
+            Found::Nothing if names.contains(&name_of_failure(&sent.expected.task)) => {
+                let reason = failure(self.workers.store, &sent.expected.task)?;
+                return Err(MergeError::Workers { reason });
+            }
+            Found::Nothing if is_late => self.queue(sent)?,
+            Found::Nothing => {}
         }
-        if is_damaged {
-            self.patiently(|its| Ok(its.store.remove(&sent.hash.to_hex())?))?;
+        Ok(false)
+    }
+
+    /// Distils a tile if the workers have given no result for too long: the last in the queue that fits into the memory.
+    fn help(&mut self) -> Result<(), (usize, MergeError)> {
+        if self.left.is_empty() || !self.patience.is_over(Instant::now()) {
+            return Ok(());
         }
-        if is_late || is_damaged {
-            self.patiently(|its| {
-                Ok(its.queue.send(its.class, &sent.hash.to_hex(), its.store.folder_name())?)
-            })?;
+        let needed = |sent: &Sent| (self.here.needed_bytes)(sent.index);
+        let place = self.left.iter().rposition(|sent| needed(sent) <= self.here.memory_bytes);
+        if !std::mem::replace(&mut self.is_told, true) {
+            let what = match place {
+                Some(_) => "this computer distils tiles too".to_owned(),
+                None => {
+                    let least = self.left.iter().map(needed).min().unwrap_or_default();
+                    format!(
+                        "this computer needs {} MiB of memory to distil one itself",
+                        least.div_ceil(1 << 20)
+                    )
+                }
+            };
+            let seconds = self.patience.limit().as_secs();
+            self.tell(format!("the workers have not distilled a tile for {seconds} s; {what}"));
         }
+        let Some(place) = place else { return Ok(()) };
+        let sent = self.left.remove(place);
+        self.distil_here(&sent).map_err(|error| (sent.index, error))
+    }
+
+    /// Distils a tile on this computer.
+    fn distil_here(&self, sent: &Sent) -> Result<(), MergeError> {
+        let Here { memory_bytes, .. } = *self.here;
+        let needed_bytes = (self.here.needed_bytes)(sent.index);
+        if needed_bytes > memory_bytes {
+            return Err(MergeError::TooLittleMemory { memory_bytes, needed_bytes });
+        }
+        let task = (self.here.task)(sent.index)?;
+        let reported = Cell::new(Instant::now());
+        let splats = (self.here.learn)(&task, &|| {
+            if reported.get().elapsed() < LOOK_EVERY {
+                return !self.is_stopped.load(Ordering::Relaxed);
+            }
+            reported.set(Instant::now());
+            self.goes_on(Report::Waiting)
+        })?;
+        self.patiently(|its| Ok(results::keep(its.workers.store, &sent.expected.task, &splats)?))?;
+        self.forget_task(sent)?;
+        self.done(sent, splats, false);
         Ok(())
+    }
+
+    fn find(&self, sent: &Sent) -> Result<Found, MergeError> {
+        self.patiently(|its| Ok(results::find(its.workers.store, &sent.expected)?))
+    }
+
+    fn note_bad(&self, sent: &mut Sent, reason: &str) {
+        sent.bad += 1;
+        let then = if sent.bad < BAD_MAX { "a worker distils it again" } else { "this computer distils it" };
+        let name = &sent.name()[..12];
+        self.tell(format!("a result of tile {name} is not believed and deleted: {reason}; {then}"));
+    }
+
+    /// Queues a task, unless it is in the queue.
+    fn queue(&self, sent: &Sent) -> Result<(), MergeError> {
+        let Workers { store, queue, .. } = self.workers;
+        self.patiently(|its| Ok(queue.send(&its.here.class, &sent.name(), store.folder_name())?))
+    }
+
+    /// Removes a task that is done.
+    fn forget_task(&self, sent: &Sent) -> Result<(), MergeError> {
+        self.patiently(|its| Ok(its.workers.store.remove(&task::name(&sent.expected.task))?))
+    }
+
+    fn done(&self, sent: &Sent, splats: Splats, was_found: bool) {
+        let learnt = Learnt { record: TileRecord::of(&sent.expected.task, &splats), splats, was_found };
+        let _ = self.say.send(Report::Done(sent.index, Ok(learnt)));
     }
 
     /// Tries something again and again until it succeeds, or has failed for too long.

@@ -12,14 +12,15 @@ use std::thread;
 use serde::Serialize;
 use tracing::info_span;
 
-use super::by_workers::by_workers;
+use super::by_workers::{Here, by_workers};
 use super::computer::Computer;
 use super::error::MergeError;
+use super::expected::Expected;
 use super::learn::learn;
-use super::memory::{at_once, check_pictures, planning_bytes};
+use super::memory::{at_once, beside_bytes, check_pictures, planning_bytes};
 use super::news::{Learnt, Report};
 use super::plan::Plan;
-use super::results::{self, TileRecord};
+use super::results::{self, Found, TileRecord};
 use super::scratch::{Record, Records, Scratch};
 use super::settings::{MergeSettings, Tiles};
 use super::shifts::Shifts;
@@ -66,7 +67,7 @@ pub(super) fn distill(
     let steps = settings.epochs * plans.sizes.iter().map(|size| size.lessons).sum::<u32>();
     let bytes = plans.sizes.iter().map(|size| size.bytes).collect();
     let at_once = match by {
-        Tiles::ByWorkers(..) => 1,
+        Tiles::ByWorkers(_) => 1,
         _ => at_once(bytes, computer.threads, settings.memory_bytes, &computer.device)?,
     };
     let work = Work {
@@ -95,11 +96,19 @@ pub(super) fn distill(
     let results = Results::new(&site.scratch, plans.sizes.len(), site.joined.sh_degree())?;
     let (splats, tiles, found) = thread::scope(|scope| {
         let (say, reports) = mpsc::channel();
-        if let Tiles::ByWorkers(store, queue) = by {
-            let task = |index: usize| Task::of(site, &plans.get(index)?, settings, &computer.device);
-            let (order, is_stopped) = (work.order.clone(), &work.is_stopped);
-            let class = computer.device.class();
-            scope.spawn(move || by_workers(&order, &task, &class, store, queue, is_stopped, &say));
+        if let Tiles::ByWorkers(workers) = by {
+            let (plans, work) = (&plans, &work);
+            scope.spawn(move || {
+                let beside = beside_bytes(&computer.device);
+                let here = Here {
+                    class: computer.device.class(),
+                    task: &|index| Task::of(site, &plans.get(index)?, settings, &computer.device),
+                    needed_bytes: &|index| beside.saturating_add(plans.sizes[index].bytes),
+                    memory_bytes: settings.memory_bytes,
+                    learn: &|task, goes_on| learn(task, &site.scratch, computer, &|_| goes_on()),
+                };
+                by_workers(&work.order, workers, &here, &work.is_stopped, &say);
+            });
         } else {
             for _ in 0..at_once {
                 let (work, say) = (&work, say.clone());
@@ -107,7 +116,7 @@ pub(super) fn distill(
             }
             drop(say);
         }
-        let has_steps = !matches!(by, Tiles::ByWorkers(..));
+        let has_steps = !matches!(by, Tiles::ByWorkers(_));
         results.gather(&reports, &work.is_stopped, has_steps, &mut note)
     })?;
     Ok(Distilled { splats, steps, tiles, found })
@@ -122,11 +131,17 @@ fn learn_or_find(
     tell: &dyn Fn(f64) -> bool,
 ) -> Result<Learnt, MergeError> {
     let hash = task.hash();
-    let found = store.map_or(Ok(None), |store| results::find(store, &hash, task.sh_degree()))?;
-    let was_found = found.is_some();
+    let found = match store {
+        Some(store) => results::find(store, &Expected::of(task)?)?,
+        None => Found::Nothing,
+    };
+    let was_found = matches!(found, Found::Sound(_));
+    if let Found::Bad(reason) = &found {
+        tracing::warn!("the result of tile {hash} is replaced: {reason}");
+    }
     let splats = match found {
-        Some(splats) => splats,
-        None => learn(task, scratch, computer, tell)?,
+        Found::Sound(splats) => splats,
+        Found::Bad(_) | Found::Nothing => learn(task, scratch, computer, tell)?,
     };
     if let Some(store) = store.filter(|_| !was_found) {
         results::keep(store, &hash, &splats)?;

@@ -36,18 +36,7 @@ pub(super) fn learn(
     let mut backend = AnyBackend::new(&computer.device, room, computer.threads)?;
     backend.load(&student);
     drop(student);
-    let lessons = book.len() as u32;
-    let mut distiller = Distiller::new(
-        backend,
-        DistillSettings {
-            steps: task.epochs() * lessons,
-            cooldown_steps: COOLDOWN_EPOCHS * lessons,
-            rates: StudentRates::TRAINED,
-            extent: distill::extent(&without_strays(cameras)),
-            depth: book.median_depth(),
-            sh_degree: task.sh_degree(),
-        },
-    );
+    let mut distiller = Distiller::new(backend, settings(task, cameras, book.median_depth()));
     let mut numbers = Vec::new();
     for epoch in 0..task.epochs() {
         for index in view_order(task.seed(), u64::from(epoch), book.len()) {
@@ -63,6 +52,24 @@ pub(super) fn learn(
     keep_first(&mut learnt, task.own());
     let own_useless: Vec<u32> = useless.into_iter().take_while(|i| (*i as usize) < task.own()).collect();
     Ok(learnt.without(&own_useless))
+}
+
+/// No mean moves farther than this while the task is distilled, along any axis, world units.
+pub(super) fn reach(task: &Task) -> f64 {
+    settings(task, task.cameras(), 1.0).reach()
+}
+
+/// `cameras` has those of the lessons, and `depth` is the median depth of what they show.
+fn settings(task: &Task, cameras: Vec<Camera>, depth: f64) -> DistillSettings {
+    let lessons = cameras.len() as u32;
+    DistillSettings {
+        steps: task.epochs() * lessons,
+        cooldown_steps: COOLDOWN_EPOCHS * lessons,
+        rates: StudentRates::TRAINED,
+        extent: distill::extent(&without_strays(cameras)),
+        depth,
+        sh_degree: task.sh_degree(),
+    }
 }
 
 fn keep_first(splats: &mut Splats, count: usize) {

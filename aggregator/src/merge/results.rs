@@ -10,6 +10,7 @@ use cosurf_scene::Splats;
 use serde::{Deserialize, Serialize};
 
 use super::error::MergeError;
+use super::expected::Expected;
 use super::scratch::numbers;
 use crate::store::{ObjectError, Store};
 
@@ -40,10 +41,32 @@ impl TileRecord {
     }
 }
 
-/// The result of a task, if the store has it. A damaged result counts as missing.
-pub(super) fn find(store: &Store, task: &Hash, sh_degree: u32) -> Result<Option<Splats>, ObjectError> {
-    let object = store.get(&task.to_hex())?;
-    Ok(object.and_then(|bytes| decoded(&bytes, sh_degree)))
+/// What a store has as the result of a task.
+#[derive(Debug)]
+pub(super) enum Found {
+    Nothing,
+    Sound(Splats),
+    /// Something else, which distillation did not write. The text says why.
+    Bad(String),
+}
+
+/// Looks for the result of a task. Whoever can write to the store may have written it.
+pub(super) fn find(store: &Store, expected: &Expected) -> Result<Found, ObjectError> {
+    let name = expected.task.to_hex();
+    let Some(bytes) = store.size(&name)? else { return Ok(Found::Nothing) };
+    let each = 11 + Splats::with_capacity(0, expected.sh_degree).sh_stride();
+    let most = COUNT.end + expected.splats_max() * each * size_of::<f32>();
+    if !(COUNT.end as u64..=most as u64).contains(&bytes) {
+        return Ok(Found::Bad(format!("it has {bytes} bytes, and can have {} to {most}", COUNT.end)));
+    }
+    let Some(object) = store.get_range(&name, 0..bytes)? else { return Ok(Found::Nothing) };
+    let Some(splats) = decoded(&object, expected.sh_degree) else {
+        return Ok(Found::Bad("it is damaged".to_owned()));
+    };
+    Ok(match expected.check(&splats) {
+        Ok(()) => Found::Sound(splats),
+        Err(reason) => Found::Bad(reason),
+    })
 }
 
 /// Keeps the result of a task.

@@ -1,10 +1,31 @@
 //! How models are merged.
 
+use std::sync::mpsc::Sender;
+use std::time::Duration;
+
 use cosurf_engine::DeviceChoice;
 use serde::{Deserialize, Serialize};
 
 use crate::queue::Queue;
 use crate::store::Store;
+
+/// The workers of a merge. If no result comes from them for too long, the merge distils tiles itself.
+#[derive(Clone, Copy, Debug)]
+pub struct Workers<'a> {
+    /// Where tasks and results are.
+    pub store: &'a Store,
+    /// Where the workers wait for tasks.
+    pub queue: &'a Queue,
+    /// The shortest time without a result that is too long: [`Self::PATIENCE`], or less in tests.
+    pub patience: Duration,
+    /// Gets a line for each trouble with a tile.
+    pub say: &'a Sender<String>,
+}
+
+impl Workers<'_> {
+    /// The usual [`Self::patience`].
+    pub const PATIENCE: Duration = Duration::from_secs(60);
+}
 
 /// Who distils the tiles of a merge, and where their results are kept. It does not change the result.
 #[derive(Clone, Copy, Debug)]
@@ -14,7 +35,7 @@ pub enum Tiles<'a> {
     /// This computer. Results are kept for later merges.
     Kept(&'a Store),
     /// Workers that use the same store and the same queue; see [`crate::worker`].
-    ByWorkers(&'a Store, &'a Queue),
+    ByWorkers(Workers<'a>),
 }
 
 impl Tiles<'_> {
@@ -22,7 +43,7 @@ impl Tiles<'_> {
     pub(super) fn store(&self) -> Option<&Store> {
         match self {
             Self::Forgotten => None,
-            Self::Kept(store) | Self::ByWorkers(store, _) => Some(store),
+            Self::Kept(store) | Self::ByWorkers(Workers { store, .. }) => Some(store),
         }
     }
 }

@@ -211,6 +211,13 @@ impl Task {
         self.splats(0, self.contents.student)
     }
 
+    /// The means of the splats of the tile.
+    pub(super) fn own_means(&self) -> Result<Vec<[f32; 3]>, SceneError> {
+        let mut means = vec![[0.0; 3]; self.contents.own];
+        self.floats.read(0, means.as_flattened_mut())?;
+        Ok(means)
+    }
+
     /// Number of splats of the tile.
     pub(super) fn own(&self) -> usize {
         self.contents.own

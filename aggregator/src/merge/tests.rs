@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used)]
 
 mod device;
+mod workers;
 
 use cosurf_engine::{Device, DeviceChoice, Observers, Renderer};
 use cosurf_scene::Splats;

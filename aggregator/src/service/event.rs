@@ -65,6 +65,11 @@ pub enum ServiceEvent {
     },
     /// Progress of a merge.
     Merging(MergeProgress),
+    /// A result of a tile was not believed, or the workers give none. The merge goes on.
+    TileTrouble {
+        /// The reason, one line.
+        reason: String,
+    },
     /// A device is withdrawn: the models that it has sent so far no longer count.
     Withdrawn {
         /// The device.
@@ -129,7 +134,10 @@ impl fmt::Display for ServiceEvent {
         match self {
             Self::Connected => write!(f, "connected to the broker"),
             Self::Disconnected { attempt, reason } => write!(f, "{reason}; trying again (attempt {attempt})"),
-            Self::DiskFailed { reason } | Self::SetAside { reason } | Self::Denied { reason } => {
+            Self::DiskFailed { reason }
+            | Self::SetAside { reason }
+            | Self::TileTrouble { reason }
+            | Self::Denied { reason } => {
                 write!(f, "{reason}")
             }
             Self::Stored { header } => {

@@ -18,7 +18,7 @@ use super::record::{Fitted, KeptOut, Verdict};
 use super::trial::Watch;
 use crate::gate::{Workspace, admit, admit_part};
 use crate::merge::{
-    Locals, MergeError, MergeProgress, MergeSettings, Merged, Resources, Tiles, fill_in, merge,
+    Locals, MergeError, MergeProgress, MergeSettings, Merged, Resources, Tiles, Workers, fill_in, merge,
 };
 use crate::queue::Queue;
 use crate::store::Store;
@@ -42,6 +42,8 @@ pub(super) struct Job {
     pub(super) inputs: Inputs,
     stop: Arc<AtomicBool>,
     progress: Receiver<MergeProgress>,
+    /// Lines about trouble with tiles.
+    troubles: Receiver<String>,
     thread: Option<JoinHandle<Result<Outcome, MergeError>>>,
 }
 
@@ -56,9 +58,11 @@ pub(super) struct TileWork {
 }
 
 impl TileWork {
-    fn tiles(&self) -> Tiles<'_> {
+    /// `say` gets a line for each trouble with a tile.
+    fn tiles<'a>(&'a self, say: &'a Sender<String>) -> Tiles<'a> {
+        let (store, patience) = (&self.results, Workers::PATIENCE);
         match &self.queue {
-            Some(queue) => Tiles::ByWorkers(&self.results, queue),
+            Some(queue) => Tiles::ByWorkers(Workers { store, queue, patience, say }),
             None => Tiles::Kept(&self.results),
         }
     }
@@ -72,6 +76,7 @@ struct Round {
     work: TileWork,
     threads: usize,
     say: Sender<MergeProgress>,
+    say_trouble: Sender<String>,
     stop: Arc<AtomicBool>,
 }
 
@@ -88,7 +93,7 @@ enum Attempt {
 impl Round {
     /// Merges `stored`, then adds the parts.
     fn attempt(&self, stored: &Stored) -> Result<Attempt, MergeError> {
-        let Self { parts, settings, scratch, work, threads, say, stop } = self;
+        let Self { parts, settings, scratch, work, threads, say, say_trouble, stop } = self;
         let threads = *threads;
         let is_stopped = || stop.load(Ordering::Relaxed);
         let admitted =
@@ -97,7 +102,7 @@ impl Round {
         if admitted.count() == 0 {
             return Ok(Attempt::Over(Box::new(Outcome { made: None, verdict })));
         }
-        let resources = Resources { scratch, tiles: work.tiles(), threads };
+        let resources = Resources { scratch, tiles: work.tiles(say_trouble), threads };
         let merged = merge(&admitted, settings, resources, &mut |progress: MergeProgress| {
             if progress.step.is_multiple_of(TELL_EVERY) {
                 let _ = say.send(progress); // fails only if the job was dropped
@@ -152,6 +157,8 @@ pub(super) enum JobState {
     Unchanged,
     /// The merge has made progress.
     Advanced(MergeProgress),
+    /// There was trouble with a tile.
+    Troubled(String),
     /// The merge has ended.
     Done(Box<Result<Outcome, MergeError>>),
 }
@@ -245,8 +252,9 @@ impl Job {
     ) -> Self {
         let stop = Arc::new(AtomicBool::new(false));
         let (say, progress) = mpsc::channel();
+        let (say_trouble, troubles) = mpsc::channel();
         let (mut stored, parts) = Stored::of(stores, inputs.clone(), watch);
-        let round = Round { parts, settings, scratch, work, threads, say, stop: stop.clone() };
+        let round = Round { parts, settings, scratch, work, threads, say, say_trouble, stop: stop.clone() };
         let thread = thread::spawn(move || {
             let _span = info_span!("round", models = stored.count(), parts = round.parts.count()).entered();
             let mut left_out = Vec::new();
@@ -262,11 +270,14 @@ impl Job {
                 }
             }
         });
-        Self { inputs, stop, progress, thread: Some(thread) }
+        Self { inputs, stop, progress, troubles, thread: Some(thread) }
     }
 
     /// Returns the state of the merge without waiting. The result comes once, with [`JobState::Done`].
     pub(super) fn poll(&mut self) -> JobState {
+        if let Ok(trouble) = self.troubles.try_recv() {
+            return JobState::Troubled(trouble);
+        }
         if let Ok(progress) = self.progress.try_recv() {
             return JobState::Advanced(progress);
         }
@@ -295,11 +306,12 @@ mod tests {
     fn a_merge_that_panics_is_told_as_a_defect_of_the_program() {
         let (_, progress) = mpsc::channel();
         let thread = thread::spawn(|| panic!("on purpose"));
-        let mut job = Job { inputs: Inputs::default(), stop: Arc::default(), progress, thread: Some(thread) };
+        let (stop, thread, (_, troubles)) = (Arc::default(), Some(thread), mpsc::channel());
+        let mut job = Job { inputs: Inputs::default(), stop, progress, troubles, thread };
         let outcome = loop {
             match job.poll() {
                 JobState::Unchanged => thread::yield_now(),
-                JobState::Advanced(_) => unreachable!("the merge makes no progress"),
+                JobState::Advanced(_) | JobState::Troubled(_) => unreachable!("the merge makes no progress"),
                 JobState::Done(outcome) => break outcome,
             }
         };

@@ -467,6 +467,7 @@ impl Keeper {
         let outcome = match job.poll() {
             JobState::Unchanged => return Ok(None),
             JobState::Advanced(progress) => return Ok(Some(ServiceEvent::Merging(progress))),
+            JobState::Troubled(reason) => return Ok(Some(ServiceEvent::TileTrouble { reason })),
             JobState::Done(outcome) => outcome,
         };
         let (inputs, seconds) = (std::mem::take(&mut job.inputs), (now - *begun).as_secs_f64());
