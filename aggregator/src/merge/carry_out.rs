@@ -8,7 +8,6 @@ use cosurf_engine::Device;
 use super::computer::Computer;
 use super::error::MergeError;
 use super::learn::learn;
-use super::memory::beside_bytes;
 use super::results;
 use super::scratch::Scratch;
 use super::task::{Task, name};
@@ -41,11 +40,8 @@ pub(crate) fn carry_out(
         return Ok(CarriedOut::Needless);
     }
     let scratch = Scratch::new(scratch)?;
-    let Some(task) = Task::get(store, hash, device, &scratch)? else { return Ok(CarriedOut::Needless) };
-    let needed_bytes = beside_bytes(device).saturating_add(task.bytes());
-    if needed_bytes > memory_bytes {
-        return Err(MergeError::TooLittleMemory { memory_bytes, needed_bytes });
-    }
+    let task = Task::get(store, hash, device, &scratch, memory_bytes)?;
+    let Some(task) = task else { return Ok(CarriedOut::Needless) };
     let computer = Computer { device: device.clone(), threads };
     let learnt = learn(&task, &scratch, &computer, &|_| goes_on())?;
     results::keep(store, hash, &learnt)?;

@@ -52,6 +52,12 @@ pub enum MergeError {
         "the task of a tile is damaged, or made by another version of cosurf; use the same version everywhere"
     )]
     BadTask,
+    /// The task of a tile asks for more than any merge does.
+    #[error("the task of a tile is refused: {reason}; check who can write to the place of the tiles")]
+    TaskRefused {
+        /// What is wrong with it.
+        reason: String,
+    },
     /// The workers could not distil a tile.
     #[error("the workers failed to distil a tile: {reason}")]
     Workers {

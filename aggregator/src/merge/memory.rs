@@ -40,6 +40,13 @@ pub(super) fn lesson_bytes(device: &Device, sh_degree: u32, camera: &Camera) -> 
     student_bytes(device, &shape, 0).max(teacher_bytes(device, &shape, 0, 1))
 }
 
+/// Bytes of a picture of this size in which useless splats are looked for.
+pub(super) fn survey_bytes(device: &Device, camera: &Camera) -> u64 {
+    let to_render = Capacity::to_render(0);
+    let shape = Capacity { size_px: camera.size_px, channels: Channels::Color, ..to_render };
+    Costs::of(&shape, device.binding_bytes_max()).pictures as u64
+}
+
 /// Bytes of a merge that are not for tiles.
 pub(super) fn beside_bytes(device: &Device) -> u64 {
     PROCESS_BYTES + if device.is_gpu() { DRIVER_BYTES } else { 0 }

@@ -1,6 +1,8 @@
 //! The distillation of one tile as a task of its own: a file with everything that decides the result. Its hash names the
 //! result, so a tile whose task has not changed since an earlier merge need not be distilled again.
 
+mod limits;
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
@@ -17,6 +19,7 @@ use super::scratch::{Floats, Scratch, numbers};
 use super::settings::MergeSettings;
 use super::site::Site;
 use crate::store::Store;
+use limits::check_sizes;
 
 /// The rules by which a task is distilled. Another number must be written here with every change that gives other
 /// results, so that no merge takes results of another version for its own.
@@ -25,8 +28,6 @@ const RULES: &str = "cosurf tile 2";
 const HEAD: usize = size_of::<u32>();
 /// Tasks are written to a store and read in parts of this size, bytes. A bucket takes no smaller parts than 5 MiB.
 const PART_BYTES: usize = 8 << 20;
-/// Largest width or height of a picture in a task, px.
-const SIDE_MAX_PX: u32 = 1 << 14;
 
 /// What a tile is distilled from.
 #[derive(Debug)]
@@ -125,12 +126,14 @@ impl Task {
     }
 
     /// Reads a task from a store. `None` if the store does not have it. An error if it is not the one with this hash for
-    /// a device of the class of `device`.
+    /// a device of the class of `device`, if it asks for more than any merge does, or for more memory than
+    /// `memory_bytes`.
     pub(super) fn get(
         store: &Store,
         hash: &Hash,
         device: &Device,
         scratch: &Scratch,
+        memory_bytes: u64,
     ) -> Result<Option<Self>, MergeError> {
         let name = name(hash);
         let Some(bytes) = store.size(&name)? else { return Ok(None) };
@@ -141,8 +144,14 @@ impl Task {
         };
         let head: [u8; HEAD] = read(0..HEAD as u64)?[..].try_into().map_err(|_| MergeError::BadTask)?;
         let first = HEAD as u64 + u64::from(u32::from_le_bytes(head));
+        check_sizes(first, bytes)?;
         let encoded = read(HEAD as u64..first)?;
         let contents: Contents = postcard::from_bytes(&encoded).map_err(|_| MergeError::BadTask)?;
+        // The hash comes from whoever wrote the task, so numbers in it may be wrong all the same.
+        if !contents.are_sound(bytes.saturating_sub(first)) {
+            return Err(MergeError::BadTask);
+        }
+        contents.check(device, memory_bytes)?;
         let mut writer = Writer { floats: scratch.floats()?, hasher: Hasher::new() };
         for at in (first..bytes).step_by(PART_BYTES) {
             let part = read(at..bytes.min(at + PART_BYTES as u64))?;
@@ -154,16 +163,10 @@ impl Task {
             writer.hasher.update(&part);
             writer.floats.append(&values)?;
         }
-        // The hash comes from whoever wrote the task, so numbers in it may be wrong all the same.
-        if hashed(writer.hasher, &encoded, device) != *hash || !contents.are_sound(writer.floats.len()) {
+        if hashed(writer.hasher, &encoded, device) != *hash {
             return Err(MergeError::BadTask);
         }
         Ok(Some(Self { contents, floats: writer.floats, hash: *hash }))
-    }
-
-    /// Bytes that the distillation takes.
-    pub(super) fn bytes(&self) -> u64 {
-        self.contents.bytes
     }
 
     /// The hash of everything that decides the result.
@@ -195,15 +198,7 @@ impl Task {
 
     /// The cameras of the lessons, best first.
     pub(super) fn cameras(&self) -> Vec<Camera> {
-        let of = |teacher: &Teaching| {
-            teacher
-                .lessons
-                .iter()
-                .map(|lesson| (lesson.rank, teacher.views[lesson.view].camera))
-                .collect::<Vec<_>>()
-        };
-        let ranked: BTreeMap<usize, Camera> = self.contents.teachers.iter().flat_map(of).collect();
-        ranked.into_values().collect()
+        self.contents.cameras()
     }
 
     /// The splats to train: those of the tile, then others that a part shows.
@@ -251,46 +246,18 @@ impl Contents {
         postcard::to_stdvec(self).expect("numbers and lists have bytes")
     }
 
-    /// Whether all places and numbers are possible with a file of `len` numbers.
-    fn are_sound(&self, len: u64) -> bool {
-        if self.sh_degree > 3 || self.own > self.student {
-            return false;
-        }
-        let each = 11 + Splats::with_capacity(0, self.sh_degree).sh_stride() as u64;
-        let fits = |at: u64, splats: usize| {
-            (splats as u64)
-                .checked_mul(each)
-                .and_then(|its| at.checked_add(its))
-                .is_some_and(|end| end <= len)
-        };
-        let lessons = || self.teachers.iter().flat_map(|teacher| &teacher.lessons);
-        let ranks: BTreeSet<usize> = lessons().map(|lesson| lesson.rank).collect();
-        let count = lessons().count();
-        let are_known = |teacher: &Teaching| {
-            let is_known = |view: usize| view < teacher.views.len();
+    /// The cameras of the lessons, best first.
+    fn cameras(&self) -> Vec<Camera> {
+        let of = |teacher: &Teaching| {
             teacher
                 .lessons
                 .iter()
-                .all(|lesson| is_known(lesson.view) && lesson.neighbour.is_none_or(is_known))
+                .map(|lesson| (lesson.rank, teacher.views[lesson.view].camera))
+                .collect::<Vec<_>>()
         };
-        let views = self.teachers.iter().flat_map(|teacher| &teacher.views);
-        fits(0, self.student)
-            && self.teachers.iter().all(|teacher| fits(teacher.at, teacher.splats) && are_known(teacher))
-            && ranks.len() == count
-            && ranks.last().is_none_or(|last| last + 1 == count)
-            && views.clone().all(|view| view.far.is_finite())
-            && views.map(|view| &view.camera).chain(&self.wide_crops).all(is_sound)
+        let ranked: BTreeMap<usize, Camera> = self.teachers.iter().flat_map(of).collect();
+        ranked.into_values().collect()
     }
-}
-
-fn is_sound(camera: &Camera) -> bool {
-    let Camera { cam_from_world, focal_px, center_px, size_px } = camera;
-    cam_from_world.rotation.is_finite()
-        && cam_from_world.translation.is_finite()
-        && focal_px.is_finite()
-        && focal_px.min_element() > 0.0
-        && center_px.is_finite()
-        && size_px.iter().all(|side| (1..=SIDE_MAX_PX).contains(side))
 }
 
 /// Writes splats to a file and adds them to a hash.
