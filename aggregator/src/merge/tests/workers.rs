@@ -6,7 +6,7 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc;
 use std::thread;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use cosurf_tests::nats::Nats;
 
@@ -19,6 +19,9 @@ use crate::worker::{WorkerEvent, WorkerSettings, work};
 const TILE_SPLATS: usize = 400;
 /// Workers that give no result for so long are absent.
 const SHORT: Duration = Duration::from_millis(300);
+
+/// A merge that takes longer does not end by itself.
+const MERGE_MAX: Duration = Duration::from_secs(50);
 
 fn settings() -> MergeSettings {
     MergeSettings { epochs: 2, device: DeviceChoice::Cpu, ..MergeSettings::default() }
@@ -40,7 +43,11 @@ fn beside(
         scope.spawn(|| other(&its, &others, folder.path(), &|| is_over.load(Ordering::Relaxed)));
         let workers = Workers { store: &store, queue: &queue, patience, say: &say };
         let resources = Resources { scratch: &scratch, tiles: Tiles::ByWorkers(workers), threads: 1 };
-        let mut go_on = |_: MergeProgress| ControlFlow::Continue(());
+        let begun = Instant::now();
+        let mut go_on = |_: MergeProgress| match begun.elapsed() < MERGE_MAX {
+            true => ControlFlow::Continue(()),
+            false => ControlFlow::Break(()),
+        };
         let merged = merge_in_tiles(&neighbours(), &settings(), resources, TILE_SPLATS, &mut go_on);
         is_over.store(true, Ordering::Relaxed);
         merged.and_then(MergedFile::read)
