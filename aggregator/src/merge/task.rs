@@ -2,6 +2,7 @@
 //! result, so a tile whose task has not changed since an earlier merge need not be distilled again.
 
 mod limits;
+mod sizes;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
@@ -19,7 +20,7 @@ use super::scratch::{Floats, Scratch, numbers};
 use super::settings::MergeSettings;
 use super::site::Site;
 use crate::store::Store;
-use limits::check_sizes;
+use sizes::check_sizes;
 
 /// The rules by which a task is distilled. Another number must be written here with every change that gives other
 /// results, so that no merge takes results of another version for its own.

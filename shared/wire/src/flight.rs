@@ -10,8 +10,8 @@
 use serde::{Deserialize, Serialize};
 
 use crate::body::{CAMERA_BYTES, CameraRecord};
+use crate::hash::BodyHash;
 use crate::id::{DeviceId, FrameId};
-use crate::message::{BodyHash, WireError};
 
 /// Largest number of cameras in a [`FlightCameras`]. The message is then smaller than 16 KiB, the limit on
 /// messages that a device sends over a serial line.
@@ -98,16 +98,15 @@ impl ConfirmedFlights<'_> {
         })
     }
 
-    /// Checks that `flights` holds whole flights, at most [`CONFIRMED_FLIGHTS_MAX`], and that the list has room for them.
-    pub(crate) fn check(&self) -> Result<(), WireError> {
+    /// Whether `flights` holds whole flights, at most [`CONFIRMED_FLIGHTS_MAX`], and the list has room for them.
+    pub(crate) fn is_sane(&self) -> bool {
         let (mut rest, mut count) = (self.flights, 0);
         while !rest.is_empty() {
             let record: Result<((DeviceId, BodyHash), _), _> = postcard::take_from_bytes(rest);
-            (_, rest) = record.map_err(|_| WireError::BadFlight)?;
-            count += 1;
+            let Ok((_, others)) = record else { return false };
+            (rest, count) = (others, count + 1);
         }
-        let is_sane = count <= CONFIRMED_FLIGHTS_MAX as u32
-            && self.first.checked_add(count).is_some_and(|end| end <= self.total);
-        is_sane.then_some(()).ok_or(WireError::BadFlight)
+        count <= CONFIRMED_FLIGHTS_MAX as u32
+            && self.first.checked_add(count).is_some_and(|end| end <= self.total)
     }
 }

@@ -54,6 +54,7 @@ pub mod body;
 mod cobs;
 pub mod flight;
 pub mod frame;
+mod hash;
 pub mod id;
 pub mod message;
 pub mod missing;
@@ -65,11 +66,12 @@ pub use flight::{
     CONFIRMED_FLIGHT_BYTES_MAX, CONFIRMED_FLIGHTS_MAX, ConfirmedFlights, FLIGHT_CAMERAS_MAX, FlightCameras,
     FlightPledge,
 };
+pub use hash::BodyHash;
 pub use id::{DeviceId, FrameId, IdError, ModelId, SiteId, TileId};
 pub use message::{
-    BodyCodec, BodyHash, CAMERAS_MAX, Chunk, Done, HeaderError, MAX_CHUNK_BYTES, MAX_CHUNKS,
-    MAX_CONTROL_BYTES, MAX_MESSAGE_BYTES, MIN_CHUNK_BYTES, Message, ModelHeader, ModelKind, RefusalReason,
-    Refused, State, VERSION, Want, WireError,
+    BodyCodec, CAMERAS_MAX, Chunk, Done, HeaderError, MAX_CHUNK_BYTES, MAX_CHUNKS, MAX_CONTROL_BYTES,
+    MAX_MESSAGE_BYTES, MIN_CHUNK_BYTES, Message, ModelHeader, ModelKind, RefusalReason, Refused, State,
+    VERSION, Want, WireError,
 };
 pub use missing::{ChunkStatus, Missing};
 pub use seal::{MAX_SEAL_BYTES, Seal, Sealed, Signature};

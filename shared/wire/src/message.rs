@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::body::{Bounds, CAMERA_BYTES, MAX_SH_DEGREE, body_bytes_range, sh_rest};
 use crate::flight::{ConfirmedFlights, FlightCameras, FlightPledge};
+use crate::hash::BodyHash;
 use crate::id::{DeviceId, FrameId, ModelId};
 use crate::missing::Missing;
 
@@ -134,22 +135,6 @@ pub enum ModelKind {
 pub enum BodyCodec {
     /// [`crate::body`]: quantised to integers, in independently decodable packs, most important first.
     Packed,
-}
-
-/// BLAKE3 hash of a whole body.
-#[derive(Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub struct BodyHash(pub [u8; 32]);
-
-impl fmt::Display for BodyHash {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.0.iter().try_for_each(|byte| write!(f, "{byte:02x}"))
-    }
-}
-
-impl fmt::Debug for BodyHash {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        fmt::Display::fmt(self, f)
-    }
 }
 
 /// A part of a body.
@@ -447,7 +432,7 @@ impl<'a> Message<'a> {
                 return Err(WireError::ChunkTooLong);
             }
             Self::Flight(flight) if !flight.is_sane() => return Err(WireError::BadFlight),
-            Self::ConfirmedFlights(list) => list.check()?,
+            Self::ConfirmedFlights(list) if !list.is_sane() => return Err(WireError::BadFlight),
             _ => {}
         }
         Ok((message, rest))

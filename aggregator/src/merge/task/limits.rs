@@ -9,14 +9,11 @@ use cosurf_scene::{Camera, Splats};
 
 use super::super::error::MergeError;
 use super::super::memory::{beside_bytes, student_bytes, survey_bytes, teacher_bytes};
+use super::sizes::at_most;
 use super::{Contents, Teaching};
 
 /// Largest width or height of a picture in a task, px.
 const SIDE_MAX_PX: u32 = 1 << 14;
-/// Largest size of the encoded contents, bytes. A camera takes about 130.
-const CONTENTS_BYTES_MAX: u64 = 64 << 20;
-/// Largest size of a task, bytes. Nearly all are splats of teachers.
-const TASK_BYTES_MAX: u64 = 16 << 30;
 /// Largest number of epochs; a merge has 5 unless it is told otherwise.
 const EPOCHS_MAX: u32 = 1000;
 /// Largest number of pixels of all steps, where five splats that are trained count as a pixel. A core takes a day and a
@@ -26,21 +23,6 @@ const WORK_MAX: u64 = 1 << 38;
 const LESSON_PX_MIN: u64 = 1 << 10;
 /// Largest number of bytes that a task may say it takes.
 const BYTES_MAX: u64 = 1 << 40;
-
-/// An error if the contents, which end at the byte `first`, or the whole task with its `bytes` are too large to be read.
-pub(super) fn check_sizes(first: u64, bytes: u64) -> Result<(), MergeError> {
-    at_most("bytes of contents", first, CONTENTS_BYTES_MAX)?;
-    at_most("bytes", bytes, TASK_BYTES_MAX)
-}
-
-fn at_most(what: &str, count: u64, most: u64) -> Result<(), MergeError> {
-    match count {
-        _ if count > most => {
-            Err(MergeError::TaskRefused { reason: format!("it has {count} {what}, more than {most}") })
-        }
-        _ => Ok(()),
-    }
-}
 
 impl Contents {
     /// An error if the task asks for more than any merge does, or for more memory than `memory_bytes`.
@@ -207,14 +189,5 @@ mod tests {
         assert!(told(&|its| its.teachers[0].views[0].camera.size_px = huge).contains("--memory"));
         assert!(told(&|its| its.wide_crops[0].size_px[0] *= 1000).contains("damaged"));
         assert!(told(&|its| its.teachers[0].at -= 1).contains("damaged"));
-    }
-
-    #[test]
-    fn a_task_that_is_too_large_is_refused_before_it_is_read() {
-        assert!(check_sizes(1000, TASK_BYTES_MAX).is_ok());
-        for (first, bytes) in [(1000, TASK_BYTES_MAX + 1), (CONTENTS_BYTES_MAX + 1, TASK_BYTES_MAX)] {
-            let error = check_sizes(first, bytes).unwrap_err().to_string();
-            assert!(error.contains("refused"), "{error}");
-        }
     }
 }

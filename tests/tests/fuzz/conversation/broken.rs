@@ -5,7 +5,7 @@ use super::member::Flaw;
 use super::play::play;
 
 /// Number of conversations in which a flaw must show.
-const CONVERSATIONS: u64 = 600;
+const CONVERSATIONS: u64 = 4000;
 
 /// A conversation shows that the participant `index` has a flaw, because it violates this invariant.
 fn shows(index: usize, flaw: Flaw, invariant: Invariant) {
