@@ -153,7 +153,7 @@ impl Job {
         }
         let (quiet, flights_max) = (self.route.quiet_time(), self.config.flights_max);
         let sharing = flight.map(|flight| Sharing { flight, quiet, flights_max });
-        reporter.into_iter().for_each(Reporter::stop);
+        drop(reporter);
         let identity = self.identity()?;
         let mut connection = self.route.connect(identity, self.credentials.key.as_ref());
         let publication = Publication {

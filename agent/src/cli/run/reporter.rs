@@ -22,7 +22,7 @@ const REFUSAL_TIMEOUT: Duration = Duration::from_millis(300);
 /// Longest wait for a message, after which the loop checks whether it must stop.
 const POLL_TIMEOUT: Duration = Duration::from_millis(200);
 
-/// A connection that a thread of its own keeps until this value is dropped or stopped.
+/// A connection that a thread of its own keeps until this value is dropped.
 pub(super) struct Reporter {
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
@@ -66,23 +66,15 @@ impl Reporter {
         progress.listen(problems(hear));
         Self { stop, thread: Some(thread) }
     }
+}
 
+impl Drop for Reporter {
     /// Breaks the connection, once what is queued is sent.
-    pub(super) fn stop(mut self) {
-        self.end();
-    }
-
-    fn end(&mut self) {
+    fn drop(&mut self) {
         self.stop.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
         }
-    }
-}
-
-impl Drop for Reporter {
-    fn drop(&mut self) {
-        self.end();
     }
 }
 
