@@ -16,7 +16,7 @@ use super::route::Connection;
 use crate::cli::progress::Progress;
 
 /// How long the agent tries to connect before it trains. It trains without a connection, too.
-const CONNECT_TIMEOUT: Duration = Duration::from_secs(4);
+const CONNECT_TIMEOUT: Duration = Duration::from_secs(3);
 /// How long the agent waits, once it is connected, for the broker's refusals of its messages.
 const REFUSAL_TIMEOUT: Duration = Duration::from_millis(300);
 /// Longest wait for a message, after which the loop checks whether it must stop.
