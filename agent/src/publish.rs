@@ -15,8 +15,9 @@ use cosurf_contract::AgentEvent;
 use cosurf_link::{
     Complete, InboxLimits, ModelKey, Node, NodeEvent, Offer, ReceiveError, Received, Transport,
 };
+use cosurf_scene::Camera;
 use cosurf_scene::bytes::format_bytes;
-use cosurf_wire::{DeviceId, ModelKind, RefusalReason, WireError};
+use cosurf_wire::{BodyHash, DeviceId, ModelKind, RefusalReason, WireError};
 use tracing::info_span;
 
 use crate::flights::Flights;
@@ -187,8 +188,7 @@ impl<'a, F: FnMut(AgentEvent)> Publisher<'a, F> {
             }
             NodeEvent::Flight { device, cameras, cameras_blake3 } => {
                 if let Upload::Collecting(collector) = &mut self.upload {
-                    let is_news = collector.flights.insert(device, cameras, cameras_blake3);
-                    collector.quiet_since = if is_news { Some(now) } else { collector.quiet_since };
+                    collector.on_flight(device, cameras, cameras_blake3, now);
                 }
             }
             NodeEvent::ConfirmedFlights(confirmed) => {
@@ -335,6 +335,12 @@ impl<'a> FlightCollector<'a> {
         self.quiet_since.get_or_insert(now);
     }
 
+    fn on_flight(&mut self, device: DeviceId, cameras: Vec<Camera>, cameras_blake3: BodyHash, now: Duration) {
+        if self.flights.insert(device, cameras, cameras_blake3) {
+            self.quiet_since = Some(now);
+        }
+    }
+
     fn is_complete(&self, now: Duration) -> bool {
         let quiet = match self.flights.unconfirmed() {
             0 => self.sharing.quiet,
@@ -352,7 +358,7 @@ mod tests {
 
     use cosurf_link::{Credentials, Faults, Identity, MemoryNetwork, MemoryTransport, Role};
     use cosurf_scene::Splats;
-    use cosurf_wire::{BodyHash, ModelId, SiteId, TileId};
+    use cosurf_wire::{ModelId, SiteId, TileId};
 
     use super::*;
 
@@ -476,9 +482,7 @@ mod tests {
             (1..1000)
                 .find(|&now| {
                     let hash = BodyHash([hash(now); 32]);
-                    if collector.flights.insert(device("other"), Vec::new(), hash) {
-                        collector.quiet_since = Some(second(now));
-                    }
+                    collector.on_flight(device("other"), Vec::new(), hash, second(now));
                     collector.is_complete(second(now))
                 })
                 .unwrap()

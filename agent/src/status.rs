@@ -1,4 +1,4 @@
-//! Tells over the link how far the agent is: at once when it begins with something else, and every few seconds.
+//! Tells over the link how far the agent is: at once when its phase changes, and every five seconds.
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};

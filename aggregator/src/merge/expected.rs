@@ -1,5 +1,5 @@
-//! What the result of a tile may look like, whoever has written it into the store. A result that could come from
-//! distillation but does not cannot be told from a true one.
+//! What the result of a tile may look like, whoever has written it into the store. A false result within these bounds is
+//! not noticed.
 
 use blake3::Hash;
 use cosurf_scene::Splats;

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 
 use cosurf_wire::{BodyHash, DeviceId};
 
-/// The newest pledge of each device. They are not kept on the disk: after a restart, devices that are there pledge again.
+/// The newest pledge of each device. Pledges are not kept on the disk: after a restart, connected devices pledge again.
 #[derive(Debug)]
 pub(super) struct Flights {
     /// Number of the service's own session.

@@ -8,12 +8,13 @@ use std::sync::mpsc::{self, Receiver, Sender};
 use std::thread::{self, JoinHandle};
 
 use cosurf_link::{Model, ModelKey, ModelStore, body_to_model};
+use cosurf_scene::evenly_spaced;
 use cosurf_wire::{ModelHeader, ModelKind};
 use tracing::info_span;
 
 use super::cut::Cut;
 use super::inputs::Inputs;
-use super::pack::{evenly_spaced, packed};
+use super::pack::packed;
 use super::record::{Fitted, KeptOut, Verdict};
 use super::trial::Watch;
 use crate::gate::{Workspace, admit, admit_part};

@@ -5,7 +5,7 @@
 
 use cosurf_engine::Renderer;
 use cosurf_link::{FirstLayer, Model, model_to_body, plain_importance};
-use cosurf_scene::Camera;
+use cosurf_scene::{Camera, evenly_spaced};
 use tracing::debug_span;
 
 use crate::merge::MergeError;
@@ -42,12 +42,6 @@ pub(super) fn importance(
             renderer.importance_unless(&views, is_stopped).ok_or(MergeError::GivenUp)
         }
     }
-}
-
-/// All of `cameras`, or `count_max` of them at even intervals.
-pub(super) fn evenly_spaced(cameras: &[Camera], count_max: usize) -> Vec<Camera> {
-    let count = cameras.len().min(count_max);
-    (0..count).map(|i| cameras[i * cameras.len() / count]).collect()
 }
 
 #[cfg(test)]

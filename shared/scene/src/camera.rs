@@ -124,6 +124,12 @@ impl Camera {
     }
 }
 
+/// All of `cameras`, or `count_max` of them at even intervals.
+pub fn evenly_spaced(cameras: &[Camera], count_max: usize) -> Vec<Camera> {
+    let count = cameras.len().min(count_max);
+    (0..count).map(|i| cameras[i * cameras.len() / count]).collect()
+}
+
 /// Shrinks `size_px`, keeping its aspect ratio, so that the long side is at most `long_side_px`. The short side
 /// is rounded to the nearest pixel. Never enlarges a side, and never returns a side of 0.
 pub fn fitted_size(size_px: [u32; 2], long_side_px: u32) -> [u32; 2] {

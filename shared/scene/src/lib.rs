@@ -34,7 +34,7 @@ mod transforms;
 
 pub use base::Base;
 pub use cache::PictureCache;
-pub use camera::{Camera, Pose};
+pub use camera::{Camera, Pose, evenly_spaced};
 pub use dataset::{Dataset, SparsePoint, View};
 pub use error::SceneError;
 pub use frustum::{Frustum, Watchers};

@@ -1,6 +1,6 @@
 //! The cameras that a device announces to other devices, selected from its own flight.
 
-use cosurf_scene::Camera;
+use cosurf_scene::{Camera, evenly_spaced};
 use cosurf_wire::body::CAMERA_BYTES;
 use cosurf_wire::{BodyHash, FLIGHT_CAMERAS_MAX};
 
@@ -8,8 +8,7 @@ use crate::body::{body_hash, camera_record};
 
 /// Selects the cameras to announce: all of them, or [`FLIGHT_CAMERAS_MAX`] at even intervals.
 pub fn select_flight_cameras(cameras: &[Camera]) -> Vec<Camera> {
-    let count = cameras.len().min(FLIGHT_CAMERAS_MAX);
-    (0..count).map(|i| cameras[i * cameras.len() / count]).collect()
+    evenly_spaced(cameras, FLIGHT_CAMERAS_MAX)
 }
 
 /// The hash by which the flight with these cameras is pledged and confirmed.

@@ -133,7 +133,7 @@ impl Node {
         self.identity.role == Role::Aggregator && credentials.key.is_some() && credentials.trusted.is_some()
     }
 
-    /// Whether this device makes and hears pledges: only to an aggregator whose key it knows.
+    /// Whether this device pledges its flight and believes lists of confirmed flights: only if it knows the aggregator's key.
     pub(super) fn pledges_flights(&self) -> bool {
         self.identity.role == Role::Device && self.inbox.credentials().trusted.is_some()
     }
