@@ -24,7 +24,7 @@ pub(super) fn consensus(pairs: &[Pair], tolerance_px: f64) -> Option<(Similarity
         let Some(found) = between(&triple).filter(|found| SCALES.contains(&(found.scale / pixels))) else {
             continue;
         };
-        let count = agreeing(pairs, &found, tolerance_px).len();
+        let count = count_agreeing(pairs, &found, tolerance_px);
         if count >= 3 && best.is_none_or(|(_, most)| count > most) {
             best = Some((found, count));
         }
@@ -33,7 +33,7 @@ pub(super) fn consensus(pairs: &[Pair], tolerance_px: f64) -> Option<(Similarity
     for _ in 0..REFITS {
         found = between(&agreeing(pairs, &found, tolerance_px)).unwrap_or(found);
     }
-    Some((found, agreeing(pairs, &found, tolerance_px).len()))
+    Some((found, count_agreeing(pairs, &found, tolerance_px)))
 }
 
 /// Distance between the two points of a pair after `from_other` has moved the other model's point, in pixels of the
@@ -45,6 +45,11 @@ pub(super) fn distance_px(pair: &Pair, from_other: &Similarity) -> f64 {
 /// The pairs whose points are at most `tolerance_px` apart after `from_other` has moved the other model's points.
 pub(super) fn agreeing(pairs: &[Pair], from_other: &Similarity, tolerance_px: f64) -> Vec<Pair> {
     pairs.iter().filter(|pair| distance_px(pair, from_other) <= tolerance_px).copied().collect()
+}
+
+/// The number of these pairs.
+pub(super) fn count_agreeing(pairs: &[Pair], from_other: &Similarity, tolerance_px: f64) -> usize {
+    pairs.iter().filter(|pair| distance_px(pair, from_other) <= tolerance_px).count()
 }
 
 /// The similarity that moves the other model's points closest to the trusted model's.

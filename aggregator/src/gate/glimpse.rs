@@ -195,18 +195,25 @@ impl Glimpse {
             return None;
         }
         let count = pairs.len() as f64;
-        let (mut here, mut there, mut both) = (0.0, 0.0, 0.0);
-        for channel in 0..3 {
-            let colors = pairs
-                .iter()
-                .map(|[i, j]| [f64::from(self.rgb[3 * i + channel]), f64::from(other.rgb[3 * j + channel])]);
-            let mean = colors.clone().fold([0.0; 2], |sum, [a, b]| [sum[0] + a / count, sum[1] + b / count]);
-            for [a, b] in colors.map(|[a, b]| [a - mean[0], b - mean[1]]) {
-                here += a * a;
-                there += b * b;
-                both += a * b;
+        // All three channels side by side, each with sums of its own: that is several times as fast as one after another.
+        let color = |of: &Self, i: usize| [0, 1, 2].map(|channel| f64::from(of.rgb[3 * i + channel]));
+        let mut means = [[0.0; 3]; 2];
+        for [i, j] in &pairs {
+            for (mean, color) in means.iter_mut().zip([color(self, *i), color(other, *j)]) {
+                mean.iter_mut().zip(color).for_each(|(mean, value)| *mean += value / count);
             }
         }
+        let mut sums = [[0.0; 3]; 3];
+        for [i, j] in &pairs {
+            let [here, there] = [color(self, *i), color(other, *j)];
+            for channel in 0..3 {
+                let [a, b] = [here[channel] - means[0][channel], there[channel] - means[1][channel]];
+                sums[0][channel] += a * a;
+                sums[1][channel] += b * b;
+                sums[2][channel] += a * b;
+            }
+        }
+        let [here, there, both] = sums.map(|sums| sums.iter().sum::<f64>());
         let is_patterned = (here / count).sqrt() >= CONTRAST_MIN;
         is_patterned.then(|| both / (here * there).sqrt().max(f64::MIN_POSITIVE))
     }

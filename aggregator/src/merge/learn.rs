@@ -47,11 +47,10 @@ pub(super) fn learn(
             }
         }
     }
-    let (mut learnt, useless) = distiller.finish(task.wide_crops());
+    let (mut learnt, useless) = distiller.finish(task.wide_crops(), task.own());
     computer.device.check()?;
     keep_first(&mut learnt, task.own());
-    let own_useless: Vec<u32> = useless.into_iter().take_while(|i| (*i as usize) < task.own()).collect();
-    Ok(learnt.without(&own_useless))
+    Ok(learnt.without(&useless))
 }
 
 /// No mean moves farther than this while the task is distilled, along any axis, world units.

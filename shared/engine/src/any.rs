@@ -137,6 +137,10 @@ impl Backend for AnyBackend {
         pass!(self.score());
     }
 
+    fn may_score_new_hits(&self, first: usize) -> bool {
+        each_backend!(self, backend => backend.may_score_new_hits(first))
+    }
+
     fn scores(&self) -> Scores {
         each_backend!(self, backend => backend.scores())
     }

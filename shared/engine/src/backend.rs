@@ -401,6 +401,12 @@ pub trait Backend {
     /// Increases each splat's scores by the splat's contribution to the last blended picture.
     fn score(&mut self);
 
+    /// False if each of the first `first` splats that the last projected camera could see has scored a hit already. May be
+    /// true then as well.
+    fn may_score_new_hits(&self, _first: usize) -> bool {
+        true
+    }
+
     /// The scores, summed since the last [`Backend::clear_scores`].
     fn scores(&self) -> Scores;
 

@@ -158,13 +158,17 @@ impl<B: Backend> Distiller<B> {
         self.backend.into_splats()
     }
 
-    /// The trained model, and the indices (ascending) of its useless splats. A splat is useless if it is transparent,
-    /// huge, or invisible to all of `cameras`.
-    pub fn finish<'a>(mut self, cameras: impl IntoIterator<Item = &'a Camera>) -> (Splats, Vec<u32>) {
-        let scores = prune::survey(&mut self.backend, cameras);
+    /// The trained model, and the indices (ascending) of the useless ones among its first `first` splats. A splat is
+    /// useless if it is transparent, huge, or invisible to all of `cameras`.
+    pub fn finish<'a>(
+        mut self,
+        cameras: impl IntoIterator<Item = &'a Camera>,
+        first: usize,
+    ) -> (Splats, Vec<u32>) {
+        let hits = prune::hits(&mut self.backend, cameras, first);
         let scale_max = (SCALE_MAX * self.settings.extent) as f32;
         let splats = self.backend.into_splats();
-        let useless = prune::useless(&splats, &scores.hits, OPACITY_MIN, scale_max);
+        let useless = prune::useless(&splats, &hits[..first], OPACITY_MIN, scale_max);
         (splats, useless)
     }
 

@@ -64,6 +64,15 @@ impl Renderer {
         self.try_render(camera).unwrap_or_else(|lost| panic!("{lost}"))
     }
 
+    /// As [`Self::render`], but colours only, `[h, w, rgb]`; on the processor this takes less time.
+    pub fn render_colors(&mut self, camera: &Camera) -> Vec<f32> {
+        match &mut self.painter {
+            Painter::Cpu(painter) => painter.render(camera, f64::INFINITY, Channels::Color).rgb,
+            #[cfg(feature = "gpu")]
+            Painter::Gpu(..) => self.render(camera).rgb,
+        }
+    }
+
     /// As [`Self::render`], but returns an error if the GPU is lost.
     pub fn try_render(&mut self, camera: &Camera) -> Result<Rendering, DeviceError> {
         self.try_render_up_to(camera, f64::INFINITY)
@@ -80,7 +89,7 @@ impl Renderer {
                 Err(_) => {}
             }
         }
-        Ok(self.on_cpu().render(camera, far))
+        Ok(self.on_cpu().render(camera, far, Channels::Geometry))
     }
 
     /// Importance of each splat to the pictures of `cameras`: Σ (α T)² over all their pixels, with α the splat's alpha
@@ -133,8 +142,8 @@ impl CpuPainter {
         Self { backend, sh_degree: splats.sh_degree }
     }
 
-    fn render(&mut self, camera: &Camera, far: f64) -> Rendering {
-        self.blend(camera, far, Channels::Geometry);
+    fn render(&mut self, camera: &Camera, far: f64, channels: Channels) -> Rendering {
+        self.blend(camera, far, channels);
         self.backend.rendering()
     }
 

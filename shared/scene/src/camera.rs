@@ -71,8 +71,13 @@ pub struct Camera {
 impl Camera {
     /// Projects a world point to pixels; `None` if the point is not in front of the camera.
     pub fn project(&self, p_world: DVec3) -> Option<DVec2> {
+        self.project_with_depth(p_world).map(|(p_px, _)| p_px)
+    }
+
+    /// As [`Self::project`], with the depth of the point along the optical axis, world units.
+    pub fn project_with_depth(&self, p_world: DVec3) -> Option<(DVec2, f64)> {
         let p = self.cam_from_world.transform(p_world);
-        (p.z > 0.0).then(|| self.focal_px * p.truncate() / p.z + self.center_px)
+        (p.z > 0.0).then(|| (self.focal_px * p.truncate() / p.z + self.center_px, p.z))
     }
 
     /// The viewing ray through a pixel position, in the camera frame, scaled to `z = 1`.

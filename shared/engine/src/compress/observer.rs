@@ -216,10 +216,11 @@ impl Near<'_> {
     /// beside four of 240 px, took ground on rendered Boruszyn and cost 0.9 dB; with it, it costs nothing.
     pub(super) fn worth(&self, place: DVec3, slopes: Option<&Slopes>) -> (usize, f64) {
         let (mut seers, mut sum) = (0, 0.0);
+        let slope = slopes.and_then(|slopes| slopes.at(place));
         for sight in self.sights.iter().filter(|sight| sight.sees(place, self.sees_through)) {
             let ray = place - sight.eye;
             seers += 1;
-            let foreshortening = slopes.map_or(1.0, |slopes| slopes.foreshortening(place, ray));
+            let foreshortening = slope.map_or(1.0, |slope| slope.foreshortening(ray));
             let pixels = sight.focal2_px / ray.length_squared() * foreshortening;
             sum += pixels * pixels;
         }
@@ -280,10 +281,9 @@ impl Surface {
 
     /// Whether `place` lies on the surface or in front of it. In front of it, the camera sees that nothing is there.
     fn shows(&self, place: DVec3) -> bool {
-        self.camera.project(place).is_some_and(|p_px| {
-            let depth = self.camera.cam_from_world.transform(place).z;
-            depth <= f64::from(BEHIND * self.deepest_near(p_px))
-        })
+        self.camera
+            .project_with_depth(place)
+            .is_some_and(|(p_px, depth)| depth <= f64::from(BEHIND * self.deepest_near(p_px)))
     }
 
     /// The largest depth in a pixel and the eight pixels around it. At an edge of the surface, the picture is too small

@@ -22,6 +22,21 @@ pub(super) struct Slopes {
     cubes: HashMap<[i64; 3], DMat3>,
 }
 
+/// The slope of a surface: the sum of `w n nᵀ` of its cube.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Slope(DMat3);
+
+impl Slope {
+    /// Size that the surface has if one looks along `ray`, as a share of its size seen from the front, 0..=1: the root
+    /// mean square of the cosines between `ray` and the normals. 1 if no splat of the cube is visible.
+    pub(super) fn foreshortening(&self, ray: DVec3) -> f64 {
+        let Self(sum) = self;
+        let area = sum.x_axis.x + sum.y_axis.y + sum.z_axis.z;
+        let squared = ray.dot(*sum * ray) / (area * ray.length_squared());
+        if squared.is_finite() { squared.clamp(0.0, 1.0).sqrt() } else { 1.0 }
+    }
+}
+
 impl Slopes {
     /// The slopes of a model. `side` is the side of a cube, world units, above 0.
     pub(super) fn of(splats: &Splats, side: f64) -> Self {
@@ -45,13 +60,9 @@ impl Slopes {
         }
     }
 
-    /// Size that the surface at `place` has if one looks along `ray`, as a share of its size seen from the front,
-    /// 0..=1: the root mean square of the cosines between `ray` and the normals. 1 where no surface is known.
-    pub(super) fn foreshortening(&self, place: DVec3, ray: DVec3) -> f64 {
-        let Some(sum) = self.cubes.get(&self.cube(place)) else { return 1.0 };
-        let area = sum.x_axis.x + sum.y_axis.y + sum.z_axis.z;
-        let squared = ray.dot(*sum * ray) / (area * ray.length_squared());
-        if squared.is_finite() { squared.clamp(0.0, 1.0).sqrt() } else { 1.0 }
+    /// The slope of the surface at `place`; `None` where no surface is known.
+    pub(super) fn at(&self, place: DVec3) -> Option<Slope> {
+        self.cubes.get(&self.cube(place)).copied().map(Slope)
     }
 
     fn cube(&self, place: DVec3) -> [i64; 3] {
@@ -74,6 +85,7 @@ fn facing(splats: &Splats, i: usize, side: f64) -> DMat3 {
 
 #[cfg(test)]
 mod tests {
+    #![allow(clippy::unwrap_used)]
     use super::*;
 
     #[test]
@@ -81,11 +93,11 @@ mod tests {
         let mut splats = Splats::with_capacity(1, 0);
         splats.push([1.0, 1.0, 1.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -5.0], 3.0, &[0.0; 3]);
         let slopes = Slopes::of(&splats, 4.0);
-        let seen = |x: f64, ray: DVec3| slopes.foreshortening(DVec3::new(x, 1.0, 1.0), ray);
+        let seen = |x: f64, ray: DVec3| slopes.at(DVec3::new(x, 1.0, 1.0)).unwrap().foreshortening(ray);
         assert!((seen(1.0, -3.0 * DVec3::Z) - 1.0).abs() < 1e-9);
         assert!((seen(1.0, DVec3::new(1.0, 0.0, -1.0)) - 0.5f64.sqrt()).abs() < 1e-9);
         assert!(seen(1.0, DVec3::X) < 1e-9);
-        assert_eq!(seen(9.0, DVec3::X), 1.0);
+        assert!(slopes.at(DVec3::new(9.0, 1.0, 1.0)).is_none());
     }
 
     #[test]
@@ -97,7 +109,7 @@ mod tests {
         }
         let slopes = Slopes::of(&splats, 4.0);
         for ray in [DVec3::X, DVec3::Z, DVec3::new(1.0, 2.0, -3.0)] {
-            let share = slopes.foreshortening(DVec3::ONE, ray);
+            let share = slopes.at(DVec3::ONE).unwrap().foreshortening(ray);
             assert!((share - (1.0f64 / 3.0).sqrt()).abs() < 1e-6, "{share}");
         }
     }

@@ -259,6 +259,10 @@ impl Backend for CpuBackend {
         });
     }
 
+    fn may_score_new_hits(&self, first: usize) -> bool {
+        score::may_add_hits(&self.projection, &self.scores, first)
+    }
+
     fn scores(&self) -> Scores {
         read::scores(&self.scores)
     }

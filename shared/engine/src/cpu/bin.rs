@@ -23,9 +23,12 @@ const SPANS_PER_SPLAT: usize = 3;
 /// Number of runs into which the depth-sorted splats are divided, for parallel work. The result does not depend on it.
 const RUNS: usize = 16;
 
-/// Number of parallel jobs that fill the lists, each for some rows of tiles. The result does not depend on it. Every
-/// job reads all spans, so more jobs than threads cost time.
-const JOBS: usize = 6;
+/// Limit on the number of parallel jobs that fill the lists, each for some rows of tiles. The result does not depend on
+/// it.
+const JOBS_MAX: usize = 6;
+/// Number of jobs for each thread, if there are several: pictures have more splats in some rows than in others. Every job
+/// reads all spans. With six jobs on a single thread, this pass took 11 % of the time of a merge, instead of 6 %.
+const JOBS_PER_THREAD: usize = 3;
 
 /// The tiles that one splat touches in one row of tiles.
 #[derive(Clone, Copy, Debug)]
@@ -184,7 +187,11 @@ impl TileLists {
     }
 
     fn rows_per_job(&self) -> usize {
-        self.tiles[1].div_ceil(JOBS).max(1)
+        let jobs = match rayon::current_num_threads() {
+            1 => 1,
+            threads => JOBS_MAX.min(JOBS_PER_THREAD * threads),
+        };
+        self.tiles[1].div_ceil(jobs).max(1)
     }
 
     fn count_tiles(&mut self) {
@@ -217,7 +224,7 @@ impl TileLists {
         self.next.clear();
         self.next.extend_from_slice(&starts[..tiles]);
         let (mut ids, mut next) = (self.ids.as_mut_slice(), self.next.as_mut_slice());
-        let mut jobs: [(&mut [u32], &mut [u32]); JOBS] = std::array::from_fn(|job| {
+        let mut jobs: [(&mut [u32], &mut [u32]); JOBS_MAX] = std::array::from_fn(|job| {
             let first = (job * rows_per_job * tiles_x).min(tiles);
             let end = (first + rows_per_job * tiles_x).min(tiles);
             let own = std::mem::take(&mut ids).split_at_mut((starts[end] - starts[first]) as usize);

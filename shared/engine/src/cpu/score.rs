@@ -53,6 +53,13 @@ pub(crate) fn collect(projection: &Projection, lists: &TileLists, records: &[Rec
     );
 }
 
+/// Whether any of the first `first` splats is visible, and has no hits yet.
+pub(crate) fn may_add_hits(projection: &Projection, scores: &Blocks, first: usize) -> bool {
+    let is_new =
+        |i: usize| projection.visible[i / GROUP] >> (i % GROUP) & 1 == 1 && scores.value(i, HITS) == 0.0;
+    (0..first).any(is_new)
+}
+
 /// Transmittance of a tile's pixels before the first splat: 1 inside the picture, 0 outside.
 fn inside(origin: [f32; 2], size_px: [usize; 2]) -> [Row; TILE] {
     let left = |axis: usize| size_px[axis].saturating_sub(origin[axis] as usize).min(TILE);
