@@ -4,6 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
+use cosurf_contract::counted;
 use cosurf_engine::backend::{Channels, TargetRgb};
 use cosurf_engine::budget::{Budget, BudgetError, DRIVER_BYTES, Wish};
 use cosurf_engine::init::{Form, splats_from_points};
@@ -23,6 +24,10 @@ use crate::warm_start::read_visible_splats;
 
 /// Degree of the spherical harmonics that the model stores for its colours.
 pub const SH_DEGREE: u32 = 3;
+
+/// Smallest number of training views. The surface losses compare two views; a third makes it likely that some ground is in
+/// two of them.
+const VIEWS_MIN: usize = 3;
 
 /// Limits the model to one splat for this many pixels of all training pictures together, or to one splat for each
 /// sparse point if that is more. Too little memory lowers the limit. With more splats, each would be observed in too
@@ -120,8 +125,13 @@ impl Session {
         let held_out: Vec<View> = held_out.into_iter().map(|i| dataset.views[i].clone()).collect();
         let data = dataset.subset(&train);
         drop(dataset);
-        if data.views.is_empty() {
-            bail!("{}: no view is left to train on; hold out fewer views", plan.data.display());
+        if data.views.len() < VIEWS_MIN {
+            bail!(
+                "{}: {} to train on, but a surface needs at least {VIEWS_MIN}; add pictures of the same ground, or hold \
+                 out fewer",
+                plan.data.display(),
+                counted(data.views.len() as u64, "view")
+            );
         }
         if data.points.is_empty() && plan.init.is_none() {
             bail!(

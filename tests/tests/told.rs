@@ -17,6 +17,7 @@ use cosurf_link::TlsFiles;
 use cosurf_tests::datasets::write_city;
 use cosurf_tests::mosquitto::{Authority, Mosquitto, PLAIN, example};
 use cosurf_tests::programs::program;
+use cosurf_tests::skips::skip;
 
 /// What is wrong must be told in this time.
 const AT_ONCE: Duration = Duration::from_secs(5);
@@ -33,20 +34,14 @@ struct Agent {
 impl Agent {
     /// Starts an agent with these lines about its connection.
     fn start(folder: &Path, connection: &str, steps: u32) -> Self {
-        let data = folder.join("data");
-        if !data.exists() {
-            write_city(&data, 60.0, 8, [96, 72]);
-        }
-        let config = folder.join("agent.toml");
-        let text = format!(
-            "device = \"drone\"\nsite = \"site\"\ndata = \"data\"\nout = \"out\"\nsteps = {steps}\nthreads = 1\n\
-             compute = \"cpu\"\n{connection}"
-        );
-        fs::write(&config, text).unwrap();
-        let _ = fs::remove_dir_all(folder.join("out"));
+        prepare(folder, connection, steps);
+        Self::spawn(folder, Command::new(program("cosurf-agent")))
+    }
+
+    /// Starts the agent of a prepared folder with `command`, which gets the arguments.
+    fn spawn(folder: &Path, mut command: Command) -> Self {
         let begun = Instant::now();
-        let mut command = Command::new(program("cosurf-agent"));
-        command.args(["run", "--config", "agent.toml"]).current_dir(folder);
+        command.args(["run", "--config", "agent.toml"]).current_dir(folder).env_remove("XDG_RUNTIME_DIR");
         let mut child = command.stdin(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
         let (say, lines) = channel();
         let stderr = BufReader::new(child.stderr.take().unwrap());
@@ -74,6 +69,20 @@ impl Drop for Agent {
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
+}
+
+/// Writes a city and the configuration of an agent, unless the city is there. Removes what an earlier agent wrote.
+fn prepare(folder: &Path, connection: &str, steps: u32) {
+    let data = folder.join("data");
+    if !data.exists() {
+        write_city(&data, 60.0, 8, [96, 72]);
+    }
+    let text = format!(
+        "device = \"drone\"\nsite = \"site\"\ndata = \"data\"\nout = \"out\"\nsteps = {steps}\nthreads = 1\n\
+         compute = \"cpu\"\n{connection}"
+    );
+    fs::write(folder.join("agent.toml"), text).unwrap();
+    let _ = fs::remove_dir_all(folder.join("out"));
 }
 
 /// The lines for a broker with TLS.
@@ -184,4 +193,61 @@ fn how_far_an_agent_is_can_be_seen_at_the_broker() {
     let last = seen.last().unwrap();
     assert!(last.phase == AgentPhase::Training && last.step > 0 && last.steps == 100_000, "{last:?}");
     assert!(last.psnr.is_some() && last.splats > 0 && last.memory_bytes > 1 << 20, "{last:?}");
+}
+
+/// A mount that only the agent sees makes its folder a small disk, without the rights of an administrator.
+#[test]
+#[cfg(target_os = "linux")]
+fn a_full_disk_is_told_before_the_training() {
+    let folder = tempfile::tempdir().unwrap();
+    prepare(folder.path(), "serial = \"/dev/no-radio\"", 100_000);
+    fs::create_dir(folder.path().join("out")).unwrap();
+    let alone = ["--user", "--map-root-user", "--mount", "sh", "-c"];
+    let mount = "mount -t tmpfs -o size=64k tmpfs out";
+    let can_mount = Command::new("unshare").args(alone).arg(mount).current_dir(folder.path()).status();
+    if !can_mount.is_ok_and(|status| status.success()) {
+        skip("REQUIRE_MOUNTS", "this computer allows no mounts of one's own");
+        return;
+    }
+    let mut command = Command::new("unshare");
+    command.args(alone).arg(format!("{mount} && exec \"$0\" \"$@\"")).arg(program("cosurf-agent"));
+    Agent::spawn(folder.path(), command).tells("free some");
+}
+
+#[test]
+fn a_second_program_in_a_folder_is_told_who_uses_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let first = Agent::start(folder.path(), "serial = \"/dev/no-radio\"", 100_000);
+    first.tells("/dev/no-radio");
+    let second = Agent::spawn(folder.path(), Command::new(program("cosurf-agent")));
+    second.tells(&format!("in use by cosurf-agent run, process {}", first.child.id()));
+
+    let bind = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    fs::write(
+        folder.path().join("aggregator.toml"),
+        format!("site = \"s\"\nout = \"out\"\nbind = \"{bind}\"\n"),
+    )
+    .unwrap();
+    for command in [&["run"][..], &["mission", "--out", "out"], &["merge", "a", "b", "--out", "out"]] {
+        let mut program = Command::new(program("cosurf-aggregator"));
+        let output = program.args(command).current_dir(folder.path()).output().unwrap();
+        let told = String::from_utf8_lossy(&output.stderr);
+        assert!(
+            !output.status.success() && told.contains("in use by cosurf-agent run"),
+            "{command:?}: {told}"
+        );
+    }
+}
+
+#[test]
+fn two_pictures_are_too_few_and_a_driver_says_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let views = "views = [\"0000.jpg\", \"0001.jpg\"]\n";
+    prepare(folder.path(), &format!("{views}serial = \"/dev/no-radio\""), 100);
+    let agent = Agent::spawn(folder.path(), Command::new(program("cosurf-agent")));
+    agent.tells("2 views to train on");
+    let mut devices = Command::new(program("cosurf-agent"));
+    let output = devices.arg("devices").env_remove("XDG_RUNTIME_DIR").output().unwrap();
+    let told = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success() && told.is_empty(), "{told}");
 }

@@ -16,7 +16,7 @@ use cosurf_agent::status::StatusBoard;
 use cosurf_contract::{AgentConfig, ComparedWith, Share};
 use cosurf_engine::{PruneSettings, SurfaceSettings, base_of};
 use cosurf_link::{Credentials, Identity, Role, next_session};
-use cosurf_scene::{Camera, Splats, files, ply};
+use cosurf_scene::{Camera, FolderLock, Splats, files, ply};
 
 use super::host::{cores, default_memory};
 use super::paths::resolve_init;
@@ -40,6 +40,7 @@ pub(super) struct RunArgs {
 
 pub(super) fn run(args: &RunArgs) -> Result<()> {
     let job = Job::load(&args.config)?;
+    let _lock = FolderLock::take(&job.config.out, "cosurf-agent run")?;
     let board = StatusBoard::new(job.config.steps);
     let mut progress = Progress::new(args.json).with_board(&board);
     let flight = job.flight()?;
@@ -118,7 +119,6 @@ impl Job {
         board: &StatusBoard,
         progress: &mut Progress,
     ) -> Result<Option<Reporter>> {
-        fs::create_dir_all(&self.config.out).with_context(|| self.config.out.display().to_string())?;
         let identity = self.identity()?;
         let connection = self.route.connect_reporting(identity, self.credentials.key.as_ref());
         let board = self.board(board);

@@ -4,7 +4,7 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use anyhow::{Context, Result};
+use anyhow::{Result, bail};
 use clap::{Args, ValueEnum};
 use cosurf_agent::checkpoint::{self, Checkpoint, Spent};
 use cosurf_agent::session::{Session, Split, TrainPlan};
@@ -13,14 +13,18 @@ use cosurf_contract::{AgentEvent, Share, TrainReport, counted};
 use cosurf_engine::{
     Backend, DeviceChoice, DeviceLost, PruneScore, PruneSettings, Renderer, SurfaceSettings,
 };
-use cosurf_scene::Splats;
 use cosurf_scene::bytes::{format_bytes, parse_bytes};
+use cosurf_scene::{FolderLock, Splats, check_space};
 use tracing::info_span;
 
 use super::arguments::{Common, DeviceArgs};
 use super::host::default_memory;
 use super::paths::resolve_init;
 use super::progress::Progress;
+
+/// What a training needs on the disk at least for each splat that it begins with, bytes: a checkpoint, and the next one
+/// before it replaces the first; each has 59 parameters of a splat and two moments of each.
+const BYTES_PER_SPLAT: u64 = 2 * 59 * 3 * 4;
 
 /// Train a model from a dataset: COLMAP (`sparse/0` with `images`) or `transforms.json`.
 ///
@@ -100,6 +104,7 @@ impl TrainArgs {
 }
 
 pub(super) fn run(args: &TrainArgs) -> Result<()> {
+    let _lock = FolderLock::take(&args.out, "cosurf-agent train")?;
     let plan = TrainPlan {
         data: args.data.clone(),
         split: Split::Every(args.eval_every),
@@ -120,7 +125,7 @@ pub(super) fn run(args: &TrainArgs) -> Result<()> {
     if args.common.json { Ok(()) } else { print_report(&report, &args.out) }
 }
 
-/// Trains with checkpoints and writes all results into `out`. If the plan's device is `auto` and the GPU is lost,
+/// Trains with checkpoints and writes all results into the existing folder `out`. If the plan's device is `auto` and the GPU is lost,
 /// training resumes on the CPU from the checkpoint in `out`, or starts again if there is none.
 pub(super) fn train(
     plan: &TrainPlan,
@@ -128,7 +133,6 @@ pub(super) fn train(
     fresh: bool,
     progress: &mut Progress,
 ) -> Result<TrainReport> {
-    std::fs::create_dir_all(out).with_context(|| out.display().to_string())?;
     let mut resumes = !fresh;
     match train_on(plan, out, &mut resumes, progress) {
         Err(error) if plan.device == DeviceChoice::Auto && error.is::<DeviceLost>() => {
@@ -151,6 +155,7 @@ fn train_on(
     let found = if *resumes { Checkpoint::find(out)? } else { None };
     let before = found.as_ref().map(Checkpoint::spent).unwrap_or_default();
     let mut session = Session::start(plan, found)?;
+    check_space(out, BYTES_PER_SPLAT * session.trainer().backend().len() as u64)?;
     let (started, cpu_s) = (Instant::now(), usage::cpu_seconds());
     let spent = || Spent {
         seconds: before.seconds + started.elapsed().as_secs_f64(),
@@ -190,6 +195,12 @@ fn finish(plan: &TrainPlan, session: Session, out: &Path, spent: Spent) -> Resul
     let device = session.trainer().backend().device();
     // Frees the optimiser's memory before the renderer allocates its own.
     let splats: Splats = session.into_splats()?;
+    if splats.is_empty() {
+        bail!(
+            "{}: nothing was learnt, no splat is left; check that the poses belong to the pictures",
+            plan.data.display()
+        );
+    }
     let score =
         evaluate::score(&mut Renderer::new(&splats, plan.threads), &held_out, size_px[0].max(size_px[1]))?;
     let report = TrainReport {

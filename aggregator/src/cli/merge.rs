@@ -22,7 +22,7 @@ use cosurf_contract::counted;
 use cosurf_engine::DeviceChoice;
 use cosurf_link::Model;
 use cosurf_scene::bytes::parse_bytes;
-use cosurf_scene::{Camera, SceneError, ply};
+use cosurf_scene::{Camera, FolderLock, SceneError, ply};
 
 /// Options that control a merge, shared by the commands `merge` and `mission`.
 #[derive(Args)]
@@ -123,6 +123,7 @@ impl Locals for Folders<'_> {
 }
 
 pub(crate) fn run(args: &MergeArgs) -> Result<()> {
+    let _lock = FolderLock::take(&args.out, "cosurf-aggregator merge")?;
     let settings =
         MergeSettings { device: args.device, ..args.ways.settings(args.same_frame, args.memory, args.seed) };
     let threads = available_parallelism().map_or(1, usize::from);

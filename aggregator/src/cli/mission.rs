@@ -13,6 +13,7 @@ use cosurf_aggregator::partition::Division;
 use cosurf_aggregator::report::{MissionReport, table};
 use cosurf_city::CitySettings;
 use cosurf_link::BrokerAddress;
+use cosurf_scene::FolderLock;
 use cosurf_scene::bytes::parse_bytes;
 
 use super::cells;
@@ -87,6 +88,7 @@ pub(crate) struct MissionArgs {
 
 pub(crate) fn run(args: MissionArgs) -> Result<()> {
     let out = absolute(&args.out).context("--out")?;
+    let _lock = FolderLock::take(&out, "cosurf-aggregator mission")?;
     let data = args.data.as_ref().map(absolute).transpose().context("--data")?;
     if args.broker.as_ref().is_some_and(|broker| broker.is_tls) {
         bail!("--broker: a mission does not use TLS; give an mqtt:// or ws:// address");

@@ -13,7 +13,7 @@ use cosurf_link::mqtt::TlsError;
 use cosurf_link::{
     Credentials, Identity, InboxLimits, Login, MqttTransport, Role, SerialConfig, Tls, Trusted, next_session,
 };
-use cosurf_scene::SceneError;
+use cosurf_scene::{FolderLock, SceneError};
 use cosurf_wire::{DeviceId, FrameId, SiteId};
 use serde::Serialize;
 
@@ -152,6 +152,7 @@ pub fn serve(
     mut say: impl FnMut(&ServiceEvent),
     say_beside: impl Fn(SideEvent) + Clone + Send + 'static,
 ) -> Result<(), ServeError> {
+    let _lock = FolderLock::take(&config.out, "cosurf-aggregator run")?;
     let credentials = Credentials::load(
         config.frame.unwrap_or_default(),
         config.key.as_deref(),
@@ -237,7 +238,6 @@ fn start_gateways(
 
 /// Creates the service's folder and draws the number of a new session from the file `session` in it.
 fn open_session(config: &AggregatorConfig, clock_s: u64) -> Result<Identity, ServeError> {
-    fs::create_dir_all(&config.out).map_err(|cause| SceneError::io(&config.out, cause))?;
     let session = next_session(&config.out.join("session"), clock_s)?;
     Ok(Identity { site: config.site, device: config.device, session, role: Role::Aggregator })
 }

@@ -14,6 +14,7 @@ mod checkpoint;
 mod context;
 mod draw;
 mod edit;
+mod hush;
 mod model;
 mod pass;
 mod recorder;

@@ -38,6 +38,24 @@ pub enum SceneError {
         /// The given budget, bytes.
         budget_bytes: u64,
     },
+    /// Another process writes to the folder.
+    #[error("{}: in use by {holder}; stop it, or name another folder", folder.display())]
+    InUse {
+        /// The folder.
+        folder: PathBuf,
+        /// The program and the number of the process, in words.
+        holder: String,
+    },
+    /// Too little can be written to the disk.
+    #[error("{}: this disk has {} free, at least {} are needed; free some, or name a folder on another disk", folder.display(), format_bytes(*free_bytes), format_bytes(*needed_bytes))]
+    DiskFull {
+        /// The folder that should be written to.
+        folder: PathBuf,
+        /// What can be written to its disk, bytes.
+        free_bytes: u64,
+        /// What will be written at least, bytes.
+        needed_bytes: u64,
+    },
 }
 
 impl SceneError {

@@ -42,7 +42,7 @@ pub fn is_damage(error: &SceneError) -> bool {
                     | io::ErrorKind::IsADirectory
             )
         }
-        SceneError::OverBudget { .. } => false,
+        SceneError::OverBudget { .. } | SceneError::InUse { .. } | SceneError::DiskFull { .. } => false,
     }
 }
 

@@ -6,6 +6,7 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use cosurf_shaders::Shader;
 use wgpu::{Adapter, DeviceType, Limits};
 
+use super::hush::hushed;
 use super::pass::{Constants, Pass};
 #[cfg(feature = "gpu-timestamps")]
 use super::timestamps::{PassTime, Timestamps};
@@ -99,8 +100,10 @@ fn found() -> Vec<Adapter> {
         flags: wgpu::InstanceFlags::empty(),
         ..wgpu::InstanceDescriptor::new_without_display_handle()
     };
-    let instance = wgpu::Instance::new(descriptor);
-    let mut adapters = pollster::block_on(instance.enumerate_adapters(backends));
+    let mut adapters = hushed(|| {
+        let instance = wgpu::Instance::new(descriptor);
+        pollster::block_on(instance.enumerate_adapters(backends))
+    });
     adapters.sort_by_key(|adapter| match adapter.get_info().device_type {
         DeviceType::DiscreteGpu => 0,
         DeviceType::IntegratedGpu => 1,

@@ -1,0 +1,84 @@
+//! Keeps two programs from writing to one folder.
+
+use std::fs::{self, File, OpenOptions, TryLockError};
+use std::io::{ErrorKind, Read, Write};
+use std::path::Path;
+
+use crate::{SceneError, files};
+
+/// The file in the folder that is locked. It stays when the lock is gone.
+const NAME: &str = "lock";
+/// Length of the name of a holder, up to which it is read, bytes.
+const HOLDER_BYTES_MAX: u64 = 200;
+
+/// The right to write to a folder. It ends when this value is dropped, or when the process ends in any way.
+#[derive(Debug)]
+pub struct FolderLock {
+    _file: File,
+}
+
+impl FolderLock {
+    /// Creates the folder and takes the lock. Others who want it are told `program` and the number of this process. Fails
+    /// with [`SceneError::InUse`] if somebody else has it. Where the file system cannot lock files, nobody is kept out.
+    pub fn take(folder: &Path, program: &str) -> Result<Self, SceneError> {
+        fs::create_dir_all(folder).map_err(|cause| SceneError::io(folder, cause))?;
+        let path = folder.join(NAME);
+        let failed = |cause| SceneError::io(&path, cause);
+        if path.exists() {
+            files::open(&path)?; // refuses what is not a file
+        }
+        let mut options = OpenOptions::new();
+        let mut file =
+            options.create(true).truncate(false).read(true).write(true).open(&path).map_err(failed)?;
+        match file.try_lock() {
+            Ok(()) => {}
+            Err(TryLockError::WouldBlock) => {
+                return Err(SceneError::InUse { folder: folder.to_owned(), holder: holder(&file) });
+            }
+            Err(TryLockError::Error(cause)) if cause.kind() == ErrorKind::Unsupported => {}
+            Err(TryLockError::Error(cause)) => return Err(failed(cause)),
+        }
+        // The name only serves others; the lock holds without it, on a full disk too.
+        let _ = file.set_len(0);
+        let _ = write!(file, "{program}, process {}", std::process::id());
+        Ok(Self { _file: file })
+    }
+}
+
+/// Who holds the lock on a file.
+fn holder(file: &File) -> String {
+    let mut text = String::new();
+    let is_read = Read::take(file, HOLDER_BYTES_MAX).read_to_string(&mut text).is_ok();
+    let is_clean = is_read && !text.is_empty() && !text.contains(char::is_control);
+    if is_clean { text } else { "another process".into() }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn a_second_program_is_told_who_uses_the_folder() {
+        let folder = tempfile::tempdir().unwrap();
+        let out = folder.path().join("out");
+        let first = FolderLock::take(&out, "cosurf-agent run").unwrap();
+        let error = FolderLock::take(&out, "cosurf-agent train").unwrap_err().to_string();
+        let holder = format!("cosurf-agent run, process {}", std::process::id());
+        assert!(error.contains(&holder) && error.contains("another folder"), "{error}");
+        drop(first);
+        FolderLock::take(&out, "cosurf-agent train").unwrap();
+    }
+
+    #[test]
+    fn what_is_no_file_or_names_no_holder_is_refused_in_one_line() {
+        let folder = tempfile::tempdir().unwrap();
+        let lock = FolderLock::take(folder.path(), "a\nb").unwrap();
+        let error = FolderLock::take(folder.path(), "b").unwrap_err().to_string();
+        assert!(error.contains("another process") && !error.contains('\n'), "{error}");
+        drop(lock);
+        fs::remove_file(folder.path().join(NAME)).unwrap();
+        fs::create_dir(folder.path().join(NAME)).unwrap();
+        assert!(FolderLock::take(folder.path(), "b").is_err());
+    }
+}
