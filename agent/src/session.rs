@@ -29,6 +29,10 @@ pub const SH_DEGREE: u32 = 3;
 /// two of them.
 const VIEWS_MIN: usize = 3;
 
+/// The sparse points take at most one part in so many of the memory. There are two copies of them for a while: all, and
+/// those of the training views.
+const POINTS_PER_MEMORY: u64 = 8;
+
 /// Limits the model to one splat for this many pixels of all training pictures together, or to one splat for each
 /// sparse point if that is more. Too little memory lowers the limit. With more splats, each would be observed in too
 /// few pixels to be told from noise; with fewer, the model loses detail.
@@ -92,7 +96,7 @@ pub enum Split {
 
 /// The cameras of the plan's training views, for pictures of at most the plan's size.
 pub fn flight(plan: &TrainPlan) -> Result<Vec<Camera>> {
-    let dataset = Dataset::open(&plan.data)?;
+    let (dataset, _) = Dataset::open_within(&plan.data, 0)?;
     let (train, _) = split(&dataset, &plan.split)?;
     let shrunk = |camera: &Camera| {
         let long_side_px = camera.size_px[0].max(camera.size_px[1]).min(plan.max_size_px);
@@ -120,7 +124,8 @@ impl Session {
     /// checkpoint is damaged or belongs to another training.
     pub fn start(plan: &TrainPlan, checkpoint: Option<Checkpoint>) -> Result<Self> {
         let _span = info_span!("prepare").entered();
-        let dataset = Dataset::open(&plan.data)?;
+        let points_bytes_max = (plan.memory_bytes / POINTS_PER_MEMORY) as usize;
+        let (dataset, stride) = Dataset::open_within(&plan.data, points_bytes_max)?;
         let (train, held_out) = split(&dataset, &plan.split)?;
         let held_out: Vec<View> = held_out.into_iter().map(|i| dataset.views[i].clone()).collect();
         let data = dataset.subset(&train);
@@ -140,7 +145,11 @@ impl Session {
                 plan.data.display()
             );
         }
-        let (sizes, mut backend) = prepare(plan, &data)?;
+        let (mut sizes, mut backend) = prepare(plan, &data)?;
+        let mut given_up = std::mem::take(&mut sizes.budget.given_up);
+        if stride > 1 {
+            given_up.push(format!("of the sparse points, one of {stride} is used"));
+        }
         let cameras: Vec<Camera> = data
             .views
             .iter()
@@ -186,7 +195,7 @@ impl Session {
             cache,
             held_out,
             size_px: sizes.budget.capacity.size_px,
-            given_up: sizes.budget.given_up,
+            given_up,
             fingerprint,
             dropped_pairs: 0,
         })

@@ -1,48 +1,125 @@
 //! Warm start: training starts from an earlier model of the ground in the pictures, for example from the last flight's
 //! global model, instead of from the sparse cloud.
 
+use std::cmp::{Ordering, Reverse};
+use std::collections::BinaryHeap;
 use std::path::Path;
 
 use cosurf_link::plain_importance;
 use cosurf_scene::{Camera, SceneError, Splats, Watchers, ply};
 use glam::DVec3;
 
+/// Number of splats of the file that are in memory at a time.
+const PART: usize = 4096;
+
 /// Reads a PLY and keeps the splats whose centres at least one of `cameras` sees, in the order of the file. If more
 /// than `splats_max` remain, keeps the most important ones, by opacity times area. The result has spherical harmonics
-/// up to `sh_degree`: higher degrees of the file are dropped, and degrees that the file lacks are zero.
+/// up to `sh_degree`: higher degrees of the file are dropped, and degrees that the file lacks are zero. The memory does
+/// not grow with the file: it is read twice, first to choose splats and then to copy them.
 pub fn read_visible_splats(
     model: &Path,
     cameras: &[Camera],
     splats_max: usize,
     sh_degree: u32,
 ) -> Result<Splats, SceneError> {
-    let model = ply::read(model)?;
-    Ok(visible_splats(&model, cameras, splats_max, sh_degree))
+    let mut choice = Choice::new(splats_max);
+    let mut watchers = Watchers::new(cameras);
+    ply::read_parts(model, PART, |part| choice.look_at(part, &mut watchers))?;
+    let mut copy = Copy::of(choice, sh_degree);
+    ply::read_parts(model, PART, |part| copy.take_from(part))?;
+    Ok(copy.kept)
 }
 
-fn visible_splats(model: &Splats, cameras: &[Camera], splats_max: usize, sh_degree: u32) -> Splats {
-    let mut watchers = Watchers::new(cameras);
-    let is_seen = |i: &usize| {
-        let mean = DVec3::from_array(model.means[*i].map(f64::from));
-        watchers.any(mean, |_| true)
-    };
-    let importance = plain_importance(model);
-    let mut seen: Vec<usize> = (0..model.len()).filter(is_seen).collect();
-    seen.sort_by(|a, b| importance[*b].total_cmp(&importance[*a]));
-    seen.truncate(splats_max);
-    seen.sort_unstable();
-    let mut kept = Splats::with_capacity(seen.len(), sh_degree);
-    let mut sh = vec![0.0; kept.sh_stride()];
-    let shared = kept.sh_stride().min(model.sh_stride());
-    for i in seen {
-        sh[..shared].copy_from_slice(&model.sh_of(i)[..shared]);
-        kept.push(model.means[i], model.quats[i], model.log_scales[i], model.opacity_logits[i], &sh);
+/// A splat's claim to be kept: its importance, then its place in the file; of equally important ones, the first is kept.
+#[derive(Clone, Copy, PartialEq)]
+struct Claim {
+    importance: f32,
+    place: usize,
+}
+
+impl Eq for Claim {}
+
+impl Ord for Claim {
+    fn cmp(&self, other: &Self) -> Ordering {
+        self.importance.total_cmp(&other.importance).then(other.place.cmp(&self.place))
     }
-    kept
+}
+
+impl PartialOrd for Claim {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+/// The splats with the strongest claims among those that were looked at.
+struct Choice {
+    splats_max: usize,
+    looked_at: usize,
+    /// The weakest claim is on top.
+    chosen: BinaryHeap<Reverse<Claim>>,
+}
+
+impl Choice {
+    fn new(splats_max: usize) -> Self {
+        Self { splats_max, looked_at: 0, chosen: BinaryHeap::new() }
+    }
+
+    fn look_at(&mut self, part: &Splats, watchers: &mut Watchers) {
+        let importance = plain_importance(part);
+        for (i, mean) in part.means.iter().enumerate() {
+            let mean = DVec3::from_array(mean.map(f64::from));
+            if !watchers.any(mean, |_| true) {
+                continue;
+            }
+            self.chosen.push(Reverse(Claim { importance: importance[i], place: self.looked_at + i }));
+            if self.chosen.len() > self.splats_max {
+                self.chosen.pop();
+            }
+        }
+        self.looked_at += part.len();
+    }
+}
+
+/// Copies the chosen splats.
+struct Copy {
+    /// Places of the chosen splats that are still to come, the next one last.
+    left: Vec<usize>,
+    passed: usize,
+    kept: Splats,
+    /// The spherical harmonics of one splat.
+    sh: Vec<f32>,
+}
+
+impl Copy {
+    fn of(choice: Choice, sh_degree: u32) -> Self {
+        let mut left: Vec<usize> =
+            choice.chosen.into_iter().map(|Reverse(Claim { place, .. })| place).collect();
+        left.sort_unstable_by_key(|place| Reverse(*place));
+        let kept = Splats::with_capacity(left.len(), sh_degree);
+        let sh = vec![0.0; kept.sh_stride()];
+        Self { left, passed: 0, kept, sh }
+    }
+
+    fn take_from(&mut self, part: &Splats) {
+        let shared = self.sh.len().min(part.sh_stride());
+        while let Some(i) = self.left.pop_if(|place| *place < self.passed + part.len()) {
+            let i = i - self.passed;
+            self.sh[..shared].copy_from_slice(&part.sh_of(i)[..shared]);
+            self.kept.push(
+                part.means[i],
+                part.quats[i],
+                part.log_scales[i],
+                part.opacity_logits[i],
+                &self.sh,
+            );
+        }
+        self.passed += part.len();
+    }
 }
 
 #[cfg(test)]
 mod tests {
+    #![allow(clippy::unwrap_used)]
     use cosurf_scene::Pose;
     use glam::DVec2;
 
@@ -61,10 +138,38 @@ mod tests {
             let sh: Vec<f32> = (0..12).map(|k| x + k as f32).collect();
             model.push([x, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [-1.0; 3], opacity_logit, &sh);
         }
-        let kept = visible_splats(&model, &[camera], 2, 3);
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("model.ply");
+        ply::write(&path, &model).unwrap();
+        let read = |cameras: &[Camera], most, sh_degree| {
+            read_visible_splats(&path, cameras, most, sh_degree).unwrap()
+        };
+        let kept = read(&[camera], 2, 3);
         assert_eq!(kept.means, [[1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]);
         assert_eq!((kept.sh_of(0)[11], kept.sh_of(0)[12], kept.sh_stride()), (12.0, 0.0, 48));
-        assert_eq!(visible_splats(&model, &[camera], 9, 0).sh_of(2), [2.0, 3.0, 4.0]);
-        assert!(visible_splats(&model, &[], 9, 0).is_empty());
+        assert_eq!(read(&[camera], 9, 0).sh_of(2), [2.0, 3.0, 4.0]);
+        assert!(read(&[], 9, 0).is_empty());
+        assert!(read(&[camera], 0, 0).is_empty());
+    }
+
+    #[test]
+    fn splats_are_chosen_from_all_parts_of_a_file() {
+        let camera = Camera {
+            cam_from_world: Pose::look_at(DVec3::Z * 10.0, DVec3::ZERO, DVec3::Y),
+            focal_px: DVec2::splat(40.0),
+            center_px: DVec2::new(24.0, 16.0),
+            size_px: [48, 32],
+        };
+        let mut model = Splats::with_capacity(3 * PART, 0);
+        for i in 0..2 * PART + 7 {
+            let opacity_logit = if i % PART == 5 { 2.0 } else { 1.0 };
+            model.push([i as f32 / 1e4, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [-1.0; 3], opacity_logit, &[0.5; 3]);
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("model.ply");
+        ply::write(&path, &model).unwrap();
+        let kept = read_visible_splats(&path, &[camera], 5, 0).unwrap();
+        let places = kept.means.iter().map(|mean| (mean[0] * 1e4).round() as usize);
+        assert_eq!(places.collect::<Vec<_>>(), [0, 1, 5, PART + 5, 2 * PART + 5]);
     }
 }

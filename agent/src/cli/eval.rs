@@ -30,7 +30,7 @@ pub(super) struct EvalArgs {
 
 pub(super) fn run(args: &EvalArgs) -> Result<()> {
     let splats = ply::read(&model_path(&args.model))?;
-    let dataset = Dataset::open(&args.data)?;
+    let (dataset, _) = Dataset::open_within(&args.data, 0)?;
     let (_, held_out) = dataset.split(args.eval_every);
     ensure!(!held_out.is_empty(), "{}: no view is held out", args.data.display());
     let views: Vec<View> = held_out.into_iter().map(|i| dataset.views[i].clone()).collect();

@@ -32,7 +32,7 @@ pub(super) struct RenderArgs {
 
 pub(super) fn run(args: &RenderArgs) -> Result<()> {
     let splats = ply::read(&model_path(&args.model))?;
-    let dataset = Dataset::open(&args.cameras)?;
+    let (dataset, _) = Dataset::open_within(&args.cameras, 0)?;
     std::fs::create_dir_all(&args.out).with_context(|| args.out.display().to_string())?;
     let mut renderer = Renderer::on(args.device.device, args.common.threads(), &splats)?;
     for (done, view) in dataset.views.iter().enumerate() {

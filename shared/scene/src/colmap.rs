@@ -15,7 +15,8 @@ use std::fs::File;
 use std::io::{self, BufReader, Cursor};
 use std::path::{Path, PathBuf};
 
-use crate::{Dataset, SceneError};
+use crate::sieve::Sieve;
+use crate::{Dataset, SceneError, View};
 use model::Undistortion;
 pub use write::write;
 
@@ -36,24 +37,25 @@ fn picture_folders(root: &Path, model: &Path) -> Vec<PathBuf> {
     std::iter::once(root.join("images")).chain(above).collect()
 }
 
-/// Reads the model in the folder `model`, which is `root` or a folder below it. Views keep the file's order. Each
-/// view gets the path at which its picture should be; the pictures may be missing, and the file of the points too.
-pub(crate) fn read(root: &Path, model: &Path) -> Result<Dataset, SceneError> {
+/// Reads the model in the folder `model`, which is `root` or a folder below it, and its points into `sieve`. Views keep the
+/// file's order. Each view gets the path at which its picture should be; the pictures may be missing, and the file of the
+/// points too.
+pub(crate) fn read(root: &Path, model: &Path, sieve: &mut Sieve) -> Result<Vec<View>, SceneError> {
     let folders = picture_folders(root, model);
     let likely = folders.iter().find(|folder| folder.is_dir()).unwrap_or(&folders[0]);
     let undistortion = Undistortion { images: likely, model, root };
-    let mut dataset = match is_binary(model) {
-        true => binary::read(model, &undistortion, open_file)?,
-        false => text::read(model, &undistortion, open_file)?,
+    let mut views = match is_binary(model) {
+        true => binary::read(model, &undistortion, sieve, open_file)?,
+        false => text::read(model, &undistortion, sieve, open_file)?,
     };
-    let first = dataset.views.first().map_or("", |view| &view.name);
+    let first = views.first().map_or("", |view| &view.name);
     let beside = root.to_owned();
     let holds_first = |folder: &&PathBuf| folder.join(first).is_file();
     let folder = folders.iter().chain([&beside]).find(holds_first).unwrap_or(likely).clone();
-    for view in &mut dataset.views {
+    for view in &mut views {
         view.path = folder.join(&view.name);
     }
-    Ok(dataset)
+    Ok(views)
 }
 
 /// Opens a file; returns it with its length in bytes.
@@ -83,8 +85,10 @@ pub fn parse(form: Form, files: [&[u8]; 3]) -> Result<Dataset, SceneError> {
     };
     let here = Path::new("");
     let undistortion = Undistortion { images: here, model: here, root: here };
-    match form {
-        Form::Binary => binary::read(here, &undistortion, open),
-        Form::Text => text::read(here, &undistortion, open),
-    }
+    let mut sieve = Sieve::new(usize::MAX);
+    let views = match form {
+        Form::Binary => binary::read(here, &undistortion, &mut sieve, open)?,
+        Form::Text => text::read(here, &undistortion, &mut sieve, open)?,
+    };
+    Ok(Dataset { views, points: sieve.end().0 })
 }

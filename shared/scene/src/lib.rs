@@ -29,6 +29,7 @@ pub mod metrics;
 pub mod picture;
 pub mod ply;
 pub mod raycast;
+mod sieve;
 mod space;
 pub mod splats;
 pub mod spz;

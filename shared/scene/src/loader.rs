@@ -6,6 +6,7 @@ mod tests;
 
 use std::path::{Component, Path};
 
+use crate::sieve::Sieve;
 use crate::{Camera, Dataset, Picture, SceneError, View, colmap, transforms};
 
 /// Reason in the error for a dataset without views.
@@ -22,7 +23,13 @@ impl Dataset {
     /// invalid or repeated names; pictures that are missing, damaged in their header or of another
     /// aspect ratio.
     pub fn open(path: &Path) -> Result<Self, SceneError> {
-        let mut dataset = read(path)?;
+        Ok(Self::open_within(path, usize::MAX)?.0)
+    }
+
+    /// As [`Self::open`], with points that take at most about `points_bytes_max`. If there are more, every second one is
+    /// left out, or three of four, and so on. Also returns of how many points in a row one was kept.
+    pub fn open_within(path: &Path, points_bytes_max: usize) -> Result<(Self, usize), SceneError> {
+        let (mut dataset, stride) = read(path, points_bytes_max)?;
         if dataset.views.is_empty() {
             return Err(SceneError::malformed(path, NO_VIEWS));
         }
@@ -38,13 +45,14 @@ impl Dataset {
         }
         refuse_missing(&dataset.views)?;
         dataset.views.iter_mut().try_for_each(fit_camera)?;
-        Ok(dataset)
+        Ok((dataset, stride))
     }
 
     /// The cameras of a dataset that [`Self::open`] understands, in the file's order. The pictures may
     /// be missing, unless a `transforms.json` does not give their sizes.
     pub fn cameras(path: &Path) -> Result<Vec<Camera>, SceneError> {
-        let cameras: Vec<Camera> = read(path)?.views.iter().map(|view| view.camera).collect();
+        let (dataset, _) = read(path, 0)?;
+        let cameras: Vec<Camera> = dataset.views.iter().map(|view| view.camera).collect();
         if cameras.is_empty() {
             return Err(SceneError::malformed(path, NO_VIEWS));
         }
@@ -52,16 +60,24 @@ impl Dataset {
     }
 }
 
-fn read(path: &Path) -> Result<Dataset, SceneError> {
+/// The views in the file's order, the points, and of how many points in a row one was kept.
+fn read(path: &Path, points_bytes_max: usize) -> Result<(Dataset, usize), SceneError> {
+    let mut sieve = Sieve::new(points_bytes_max);
+    let views = read_into(&mut sieve, path)?;
+    let (points, stride) = sieve.end();
+    Ok((Dataset { views, points }, stride))
+}
+
+fn read_into(sieve: &mut Sieve, path: &Path) -> Result<Vec<View>, SceneError> {
     if path.is_file() {
-        return transforms::read(path);
+        return transforms::read(path, sieve);
     }
     if let Some(model) = colmap::find_model(path) {
-        return colmap::read(path, &model);
+        return colmap::read(path, &model, sieve);
     }
     let file = path.join("transforms.json");
     if file.is_file() {
-        return transforms::read(&file);
+        return transforms::read(&file, sieve);
     }
     let reason = match path.is_dir() {
         true => {

@@ -35,6 +35,7 @@ use crate::splats::sh_coefficients;
 use crate::{SceneError, Splats, atomic};
 pub(crate) use header::{Element, Kind};
 pub use points::read_points;
+pub(crate) use points::read_points_into;
 pub use rows::check_length;
 use rows::read_vertices;
 pub(crate) use rows::{Rows, read_elements};
@@ -117,10 +118,37 @@ pub fn read(path: &Path) -> Result<Splats, SceneError> {
     read_vertices(path, |element, rows| {
         let columns = Columns::find(element)?;
         let mut splats = Splats::with_capacity(element.count as usize, columns.sh_degree);
-        read_rows(element, &columns, rows, &mut splats)?;
+        while let Some(row) = rows.next()? {
+            columns.read(element, row, &mut splats, 0)?;
+        }
         Ok(splats)
     })
 }
+
+/// Reads splats in parts, so that they need not fit into the memory: calls `visit` with at most `most` splats at a time, in
+/// the order of the file. Errors are those of [`read`].
+pub fn read_parts(path: &Path, most: usize, mut visit: impl FnMut(&Splats)) -> Result<(), SceneError> {
+    read_vertices(path, |element, rows| {
+        let columns = Columns::find(element)?;
+        let mut part = Splats::with_capacity(most, columns.sh_degree);
+        let mut before = 0;
+        while let Some(row) = rows.next()? {
+            columns.read(element, row, &mut part, before)?;
+            if part.len() >= most {
+                visit(&part);
+                before += part.len();
+                part.clear();
+            }
+        }
+        if !part.is_empty() {
+            visit(&part);
+        }
+        Ok(())
+    })
+}
+
+/// Largest number of values of a splat's spherical harmonics.
+const SH_MAX: usize = 48;
 
 /// For each number of a splat, the index of its column in a row of the file.
 struct Columns {
@@ -159,6 +187,25 @@ impl Columns {
             sh,
         })
     }
+
+    /// Appends the splat of a row. `before` is the number of splats that were read before those in `splats`.
+    fn read(
+        &self,
+        element: &Element,
+        row: &[f64],
+        splats: &mut Splats,
+        before: usize,
+    ) -> Result<(), Refusal> {
+        let read = |column: &usize| row[*column] as f32;
+        let mut sh = [0.0; SH_MAX];
+        let sh = &mut sh[..self.sh.len()];
+        sh.iter_mut().zip(&self.sh).for_each(|(value, column)| *value = read(column));
+        let mean = self.mean.each_ref().map(read);
+        let quat = self.quat.each_ref().map(read);
+        let log_scale = self.log_scale.each_ref().map(read);
+        splats.push(mean, quat, log_scale, read(&self.opacity), sh);
+        check_last(element, self, row, splats, before)
+    }
 }
 
 fn find_sh_degree(element: &Element) -> Result<u32, Refusal> {
@@ -169,28 +216,15 @@ fn find_sh_degree(element: &Element) -> Result<u32, Refusal> {
     })
 }
 
-fn read_rows(
+/// Checks the last splat, which was read from `row`. If it cannot be rendered, the error names the
+/// property, and the vertex: `before` vertices precede those in `splats`.
+fn check_last(
     element: &Element,
     columns: &Columns,
-    rows: &mut Rows,
-    splats: &mut Splats,
+    row: &[f64],
+    splats: &Splats,
+    before: usize,
 ) -> Result<(), Refusal> {
-    let mut sh = vec![0.0; columns.sh.len()];
-    while let Some(row) = rows.next()? {
-        let read = |column: &usize| row[*column] as f32;
-        sh.iter_mut().zip(&columns.sh).for_each(|(value, column)| *value = read(column));
-        let mean = columns.mean.each_ref().map(read);
-        let quat = columns.quat.each_ref().map(read);
-        let log_scale = columns.log_scale.each_ref().map(read);
-        splats.push(mean, quat, log_scale, read(&columns.opacity), &sh);
-        check_last(element, columns, row, splats)?;
-    }
-    Ok(())
-}
-
-/// Checks the last splat, which was read from `row`. If it cannot be rendered, the error names the
-/// property.
-fn check_last(element: &Element, columns: &Columns, row: &[f64], splats: &Splats) -> Result<(), Refusal> {
     let last = splats.len() - 1;
     let Some(bad) = splats.find_bad_value_of(last) else { return Ok(()) };
     let columns = match bad.field {
@@ -207,5 +241,6 @@ fn check_last(element: &Element, columns: &Columns, row: &[f64], splats: &Splats
         (None, "quat") => "rot_0 to rot_3 are a quaternion too short or too long to normalise".into(),
         (None, _) => columns.iter().map(|&column| describe(column)).collect::<Vec<_>>().join(", "),
     };
-    Err(format!("vertex {last}: {fault}, which cannot be rendered; remove or repair the vertex").into())
+    Err(format!("vertex {}: {fault}, which cannot be rendered; remove or repair the vertex", before + last)
+        .into())
 }

@@ -96,6 +96,15 @@ impl Splats {
         self.sh.extend_from_slice(sh);
     }
 
+    /// Removes all splats, and keeps their memory for others.
+    pub fn clear(&mut self) {
+        self.means.clear();
+        self.quats.clear();
+        self.log_scales.clear();
+        self.opacity_logits.clear();
+        self.sh.clear();
+    }
+
     /// Appends splat `i` of `from`. Panics if the SH degrees differ.
     pub fn push_from(&mut self, from: &Self, i: usize) {
         let (mean, quat, log_scale) = (from.means[i], from.quats[i], from.log_scales[i]);

@@ -12,7 +12,8 @@ use glam::{DMat3, DQuat, DVec2, DVec3};
 use serde::Deserialize;
 
 use crate::error::Refusal;
-use crate::{Camera, Dataset, Picture, Pose, SceneError, View, ply};
+use crate::sieve::Sieve;
+use crate::{Camera, Picture, Pose, SceneError, View, ply};
 
 /// Longest accepted file, bytes; 10,000 frames take about 10 MB.
 const FILE_BYTES_MAX: u64 = 1 << 28;
@@ -68,18 +69,17 @@ struct Intrinsics {
     p2: Option<f64>,
 }
 
-/// Reads the file at `path`. Views keep the file's order. The pictures may be missing, unless the file
-/// omits their sizes.
-pub(crate) fn read(path: &Path) -> Result<Dataset, SceneError> {
+/// Reads the file at `path`, and its points into `sieve`. Views keep the file's order. The pictures may be missing, unless
+/// the file omits their sizes.
+pub(crate) fn read(path: &Path, sieve: &mut Sieve) -> Result<Vec<View>, SceneError> {
     let transforms = parse(path).map_err(|refusal| refusal.of(path))?;
     let folder = path.parent().unwrap_or(Path::new(""));
     let view = |frame| view_of(folder, &transforms.shared, frame).map_err(|refusal| refusal.of(path));
     let views = transforms.frames.iter().map(view).collect::<Result<_, _>>()?;
-    let points = match &transforms.ply_file_path {
-        Some(cloud) => ply::read_points(&folder.join(cloud))?,
-        None => Vec::new(),
-    };
-    Ok(Dataset { views, points })
+    if let Some(cloud) = &transforms.ply_file_path {
+        ply::read_points_into(sieve, &folder.join(cloud))?;
+    }
+    Ok(views)
 }
 
 fn parse(path: &Path) -> Result<Transforms, Refusal> {

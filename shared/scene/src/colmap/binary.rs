@@ -6,7 +6,8 @@ use std::path::Path;
 
 use super::model::{Assembly, Image, Intrinsics, Point, Undistortion, pose, refuse_distortion, with_file};
 use crate::error::Refusal;
-use crate::{Dataset, SceneError};
+use crate::sieve::Sieve;
+use crate::{SceneError, View};
 
 /// Names of COLMAP's camera models. The index is the model's number
 /// (colmap/src/colmap/sensor/models.h).
@@ -43,10 +44,11 @@ const NAME_BYTES_MAX: u64 = 4096;
 pub(super) fn read<R: BufRead + Seek>(
     model: &Path,
     undistortion: &Undistortion,
+    sieve: &mut Sieve,
     open: impl Fn(&Path) -> io::Result<(R, u64)>,
-) -> Result<Dataset, SceneError> {
+) -> Result<Vec<View>, SceneError> {
     let open = |path: &Path| open(path).map(|(file, left_bytes)| Input { file, left_bytes });
-    let mut out = Assembly::default();
+    let mut out = Assembly::new(sieve);
     with_file(model, "cameras.bin", |path| read_cameras(open(path)?, undistortion, &mut out))?;
     with_file(model, "images.bin", |path| read_images(open(path)?, &mut out))?;
     with_file(model, "points3D.bin", |path| match open(path) {

@@ -7,7 +7,8 @@ use std::path::{Path, PathBuf};
 use glam::{DQuat, DVec2, DVec3};
 
 use crate::error::Refusal;
-use crate::{Camera, Dataset, Pose, SceneError, SparsePoint, View};
+use crate::sieve::Sieve;
+use crate::{Camera, Pose, SceneError, SparsePoint, View};
 
 /// Largest accepted width or height of a picture, pixels. COLMAP stores both as 64-bit numbers, so a
 /// damaged file can claim any size.
@@ -117,15 +118,19 @@ pub(super) struct Point {
 }
 
 /// Collects the records of the three files, which must come in this order: cameras, images, points.
-#[derive(Default)]
-pub(super) struct Assembly {
+pub(super) struct Assembly<'a> {
     cameras: HashMap<u32, Intrinsics>,
     /// Index of the view for each image id.
     view_of: HashMap<u32, u32>,
-    dataset: Dataset,
+    views: Vec<View>,
+    points: &'a mut Sieve,
 }
 
-impl Assembly {
+impl<'a> Assembly<'a> {
+    pub(super) fn new(points: &'a mut Sieve) -> Self {
+        Self { cameras: HashMap::new(), view_of: HashMap::new(), views: Vec::new(), points }
+    }
+
     pub(super) fn add_camera(&mut self, id: u32, camera: Intrinsics) -> Result<(), Refusal> {
         match self.cameras.insert(id, camera) {
             None => Ok(()),
@@ -139,10 +144,10 @@ impl Assembly {
         };
         let &Intrinsics { focal_px, center_px, size_px } = camera;
         let camera = Camera { cam_from_world: image.cam_from_world, focal_px, center_px, size_px };
-        if self.view_of.insert(image.id, self.dataset.views.len() as u32).is_some() {
+        if self.view_of.insert(image.id, self.views.len() as u32).is_some() {
             return Err(format!("the image id {} occurs twice", image.id).into());
         }
-        self.dataset.views.push(View { name: image.name, camera, path: PathBuf::new() });
+        self.views.push(View { name: image.name, camera, path: PathBuf::new() });
         Ok(())
     }
 
@@ -157,12 +162,12 @@ impl Assembly {
             point.image_ids.iter().filter_map(|id| self.view_of.get(id).copied()).collect();
         views.sort_unstable();
         views.dedup();
-        self.dataset.points.push(SparsePoint { position, rgb: point.rgb, views });
+        self.points.add(SparsePoint { position, rgb: point.rgb, views });
         Ok(())
     }
 
-    pub(super) fn end(self) -> Dataset {
-        self.dataset
+    pub(super) fn end(self) -> Vec<View> {
+        self.views
     }
 }
 

@@ -7,7 +7,7 @@ use std::fs;
 use glam::{DQuat, DVec2, DVec3};
 
 use super::*;
-use crate::{Camera, Pose, SparsePoint, View};
+use crate::{Camera, Pose, SparsePoint};
 
 /// A dataset of two pictures by different cameras, and three points. Its values are chosen so that writing and reading
 /// them changes none.
@@ -57,7 +57,9 @@ fn write_text(model: &Path, cameras: &str, images: &str, points: &str) {
 }
 
 fn read_at(root: &Path) -> Result<Dataset, SceneError> {
-    read(root, &find_model(root).unwrap())
+    let mut sieve = Sieve::new(usize::MAX);
+    let views = read(root, &find_model(root).unwrap(), &mut sieve)?;
+    Ok(Dataset { views, points: sieve.end().0 })
 }
 
 fn complaint(root: &Path) -> String {
@@ -229,7 +231,7 @@ fn a_missing_file_is_named_but_the_points_may_be_missing() {
     let root = tempfile::tempdir().unwrap();
     write(root.path(), &made_up(root.path())).unwrap();
     fs::remove_file(root.path().join("sparse/0/points3D.bin")).unwrap();
-    let dataset = read(root.path(), &root.path().join("sparse/0")).unwrap();
+    let dataset = read_at(root.path()).unwrap();
     assert!(dataset.points.is_empty() && !dataset.views.is_empty());
     fs::remove_file(root.path().join("sparse/0/images.bin")).unwrap();
     assert!(complaint(root.path()).ends_with("sparse/0/images.bin: there is no such file or folder"));

@@ -8,7 +8,8 @@ use std::str::{FromStr, SplitAsciiWhitespace};
 
 use super::model::{Assembly, Image, Intrinsics, Point, Undistortion, pose, with_file};
 use crate::error::Refusal;
-use crate::{Dataset, SceneError};
+use crate::sieve::Sieve;
+use crate::{SceneError, View};
 
 /// Longest accepted line, bytes: enough for the track of a point that a million pictures see.
 const LINE_BYTES_MAX: u64 = 1 << 24;
@@ -16,10 +17,11 @@ const LINE_BYTES_MAX: u64 = 1 << 24;
 pub(super) fn read<R: BufRead>(
     model: &Path,
     undistortion: &Undistortion,
+    sieve: &mut Sieve,
     open: impl Fn(&Path) -> io::Result<(R, u64)>,
-) -> Result<Dataset, SceneError> {
+) -> Result<Vec<View>, SceneError> {
     let open = |path: &Path| open(path).map(|(file, _)| file);
-    let mut out = Assembly::default();
+    let mut out = Assembly::new(sieve);
     with_file(model, "cameras.txt", |path| {
         each_record(open(path)?, false, |record| read_camera(record, undistortion, &mut out))
     })?;

@@ -30,7 +30,7 @@ pub(crate) fn read_elements(
 /// element.
 pub(super) fn read_vertices<T>(
     path: &Path,
-    read: impl Fn(&Element, &mut Rows) -> Result<T, Refusal>,
+    mut read: impl FnMut(&Element, &mut Rows) -> Result<T, Refusal>,
 ) -> Result<T, SceneError> {
     let found = visit_elements(path, |element, rows| match element.name.as_str() {
         "vertex" => read(element, rows).map(ControlFlow::Break),

@@ -7,6 +7,7 @@ use std::fs;
 use serde_json::{Value, json};
 
 use super::*;
+use crate::Dataset;
 
 /// A temporary folder with two pictures of 8 × 6 pixels, in which each test writes its
 /// `transforms.json`.
