@@ -9,6 +9,7 @@ use std::process::{Command, Output, Stdio};
 use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
+use cosurf_scene::{Dataset, Splats, colmap, ply};
 use cosurf_tests::datasets::write_city;
 use cosurf_tests::programs::program;
 use cosurf_tests::skips::skip;
@@ -325,6 +326,41 @@ fn the_memory_limit_is_kept_and_its_cost_reported() {
         train(city(), &out, &["--steps", "5", "--fresh", "--memory", "20MiB"]),
         &["20.0 MiB", "needs at least"],
     );
+}
+
+/// Ten times as many sparse points, or initial splats, as fit into the limit.
+#[test]
+fn many_points_and_a_large_model_to_start_from_keep_the_memory_limit() {
+    let data = copy_of_city();
+    let (limit, words) = (64 << 20, ["--steps", "2", "--memory", "64MiB", "--threads", "2"]);
+    let report_of = |out: &Path| -> serde_json::Value {
+        serde_json::from_slice(&fs::read(out.join("report.json")).unwrap()).unwrap()
+    };
+    let keeps = |report: &serde_json::Value| {
+        let peak = report["peak_memory_bytes"].as_u64().unwrap();
+        assert!(peak < limit, "{peak} bytes");
+    };
+    let mut model = Splats::with_capacity(500_000, 3);
+    for i in 0..500_000 {
+        let at = [(i % 700) as f32 / 20.0 - 17.5, (i / 700) as f32 / 20.0 - 17.5, 0.0];
+        model.push(at, [1.0, 0.0, 0.0, 0.0], [-3.0; 3], 1.0, &[0.1; 48]);
+    }
+    let init = data.path().join("init.ply");
+    ply::write(&init, &model).unwrap();
+    drop(model);
+    let from_model = data.path().join("from_model");
+    succeed(train(data.path(), &from_model, &[&words[..], &["--init", init.to_str().unwrap()]].concat()));
+    keeps(&report_of(&from_model));
+
+    let mut dataset = Dataset::open(data.path()).unwrap();
+    dataset.points = dataset.points.iter().cloned().cycle().take(600_000).collect();
+    colmap::write(data.path(), &dataset).unwrap();
+    let from_points = data.path().join("from_points");
+    succeed(train(data.path(), &from_points, &words));
+    let report = report_of(&from_points);
+    keeps(&report);
+    let given_up = report["given_up"].to_string();
+    assert!(given_up.contains("of the sparse points, one of"), "{given_up}");
 }
 
 #[test]
