@@ -9,20 +9,17 @@
 //!
 //! What it knows nothing about: missions, devices and training. Cells are numbers, and views are positions on a map.
 //!
-//! Where to start reading: [`partition`]; then [`footprint`], which finds where a view looks, and [`outline`], the
-//! border of a cell.
+//! Where to start reading: [`partition`]; then [`cosurf_scene::footprint`], which finds where a view looks, and
+//! [`cosurf_scene::outline`], the border of a cell.
 
-pub(crate) mod footprint;
-mod outline;
 mod view;
 
 use glam::DVec2;
 use serde::{Deserialize, Serialize};
 
 use cosurf_contract::counted;
+use cosurf_scene::Outline;
 
-pub(crate) use footprint::{Ground, footprints};
-pub(crate) use outline::Outline;
 pub(crate) use view::AssignedView;
 
 /// How the ground is divided. Without edge aggregators, the root counts as a single edge aggregator.
@@ -81,13 +78,6 @@ impl Cell {
     /// Distance from a map position to the cell, world units; 0 inside.
     fn distance(&self, at: DVec2) -> f64 {
         at.distance(self.outline.nearest(at))
-    }
-
-    /// Whether a map position lies in the cell after the cell is grown on each side. `margin` is the growth as a share
-    /// of the cell's width and height.
-    fn reaches(&self, at: DVec2, margin: f64) -> bool {
-        let [low, high] = self.outline.bounds();
-        (at - self.outline.nearest(at)).abs().cmple((high - low) * margin).all()
     }
 }
 
@@ -178,7 +168,7 @@ pub(crate) fn partition(
 /// after the cell is grown by `margin`, a share of the cell's size. A margin of 0 gives no guests.
 pub(crate) fn invite(cells: &mut [Cell], centers: &[DVec2], margin: f64) {
     for cell in cells {
-        let near = |view: &usize| margin > 0.0 && cell.reaches(centers[*view], margin);
+        let near = |view: &usize| margin > 0.0 && cell.outline.reaches(centers[*view], margin);
         let others = (0..centers.len()).filter(|view| cell.views.binary_search(view).is_err());
         cell.guests = others.filter(near).collect();
     }

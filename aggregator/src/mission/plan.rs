@@ -9,14 +9,12 @@ use std::path::{Path, PathBuf};
 
 use cosurf_contract::{AgentConfig, DEFAULT_FLIGHTS_MAX};
 use cosurf_link::BrokerAddress;
-use cosurf_scene::{Dataset, SceneError, atomic};
+use cosurf_scene::{Dataset, Ground, SceneError, atomic, footprints};
 use cosurf_wire::{DeviceId, IdError, SiteId};
 use serde::{Deserialize, Serialize};
 
 use crate::merge::MergeSettings;
-use crate::partition::{
-    AssignedView, Cell, Division, Ground, PartitionError, footprints, invite, nearest_cell, partition,
-};
+use crate::partition::{AssignedView, Cell, Division, PartitionError, invite, nearest_cell, partition};
 
 /// The settings that decide the result of a mission.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -1,6 +1,6 @@
 //! A view of the dataset with the cell that it belongs to.
 
-use super::footprint::Footprint;
+use cosurf_scene::Footprint;
 
 /// A view of the dataset, with the ground that it sees and its cell.
 #[derive(Clone, Debug)]

@@ -56,7 +56,7 @@ mod tests {
 
     use super::super::texts::tests::{example, merging};
     use super::*;
-    use crate::partition::Outline;
+    use cosurf_scene::Outline;
 
     #[test]
     fn every_fit_has_a_row_and_those_of_two_agents_a_line_on_the_map() {

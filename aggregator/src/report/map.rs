@@ -151,8 +151,8 @@ impl Frame {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::partition::Outline;
-    use crate::partition::footprint::Footprint;
+    use cosurf_scene::Footprint;
+    use cosurf_scene::Outline;
 
     #[test]
     fn the_map_shows_every_cell_and_view_with_north_up() {

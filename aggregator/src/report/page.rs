@@ -231,7 +231,9 @@ mod tests {
     use glam::DVec2;
 
     use super::*;
-    use crate::partition::{Cell, Outline};
+    use cosurf_scene::Outline;
+
+    use crate::partition::Cell;
 
     fn example_page() -> String {
         let cells = [Cell::new(vec![0], Outline::rectangle([DVec2::ZERO, DVec2::ONE]))];

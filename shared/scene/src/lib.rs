@@ -1,8 +1,9 @@
 //! The data types of cosurf and the files that hold them.
 //!
 //! What it is: [`Splats`], [`Camera`], [`View`], [`Picture`], [`Dataset`], [`Mesh`], their files
-//! (COLMAP, `transforms.json`, PLY, SPZ, GLB, JPEG and PNG), picture quality ([`metrics`]), and exact
-//! depth of triangle meshes ([`raycast`], which uses [`bvh`]).
+//! (COLMAP, `transforms.json`, PLY, SPZ, GLB, JPEG and PNG), picture quality ([`metrics`]), exact
+//! depth of triangle meshes ([`raycast`], which uses [`bvh`]), and the ground that views look at
+//! ([`footprint`], [`outline`]).
 //!
 //! What it knows nothing about: the rendering of splats, training, communication, clocks and command
 //! lines.
@@ -21,11 +22,13 @@ pub mod colormap;
 pub mod dataset;
 pub mod error;
 pub mod files;
+pub mod footprint;
 mod frustum;
 mod loader;
 mod lock;
 pub mod mesh;
 pub mod metrics;
+pub mod outline;
 pub mod picture;
 pub mod ply;
 pub mod raycast;
@@ -40,9 +43,11 @@ pub use cache::PictureCache;
 pub use camera::{Camera, Pose, evenly_spaced};
 pub use dataset::{Dataset, SparsePoint, View};
 pub use error::SceneError;
+pub use footprint::{Footprint, Ground, footprints};
 pub use frustum::{Frustum, Watchers};
 pub use lock::FolderLock;
 pub use mesh::Mesh;
+pub use outline::Outline;
 pub use picture::Picture;
 pub use raycast::{Cast, Caster};
 pub use space::check_space;

@@ -1,4 +1,4 @@
-//! Finds the ground that each view sees. The partition divides this ground, and the map draws it.
+//! Finds the ground that each view sees, in map coordinates. By it, views are divided among devices.
 //!
 //! The dataset does not say which axis is up. The up axis is the world axis along which the sparse points
 //! spread least, directed towards the cameras. Without sparse points, it is the positive axis along which
@@ -6,7 +6,7 @@
 //! view sees. The median is robust against outliers and against background up to the horizon. If a view sees
 //! too few points, the centre is where its optical axis meets the ground.
 
-use cosurf_scene::{Camera, Dataset};
+use crate::{Camera, Dataset, View};
 use glam::{DVec2, DVec3};
 
 /// Least number of points whose median gives the centre of a footprint.
@@ -17,7 +17,7 @@ const REACH_HEIGHTS: f64 = 3.0;
 
 /// The ground as a horizontal plane, with map coordinates on it.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Ground {
+pub struct Ground {
     /// World directions of the first map coordinate, of the second map coordinate, and of up. Each is an
     /// axis of the world or its opposite, and together they are right-handed.
     axes: [DVec3; 3],
@@ -27,17 +27,17 @@ pub(crate) struct Ground {
 
 /// The ground that a view sees, in map coordinates.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Footprint {
+pub struct Footprint {
     /// The centre of the ground that the view sees.
-    pub(crate) center: DVec2,
+    pub center: DVec2,
     /// Where the rays through the picture's corners meet the ground, or are cut off (see [`REACH_HEIGHTS`]), in
     /// order around the picture.
-    pub(crate) outline: [DVec2; 4],
+    pub outline: [DVec2; 4],
 }
 
 impl Ground {
     /// Finds the up axis of a dataset and the height of the ground.
-    pub(crate) fn of(dataset: &Dataset) -> Self {
+    pub fn of(dataset: &Dataset) -> Self {
         let eyes: Vec<DVec3> = dataset.views.iter().map(|v| v.camera.cam_from_world.center()).collect();
         let points: Vec<DVec3> = dataset.points.iter().map(|p| p.position).collect();
         let cloud = if points.is_empty() { &eyes } else { &points };
@@ -51,7 +51,7 @@ impl Ground {
     }
 
     /// Map coordinates of a world point.
-    pub(crate) fn map(&self, p_world: DVec3) -> DVec2 {
+    pub fn map(&self, p_world: DVec3) -> DVec2 {
         DVec2::new(self.axes[0].dot(p_world), self.axes[1].dot(p_world))
     }
 
@@ -83,7 +83,7 @@ impl Ground {
 }
 
 /// The footprints of all views of a dataset, in their order.
-pub(crate) fn footprints(dataset: &Dataset, ground: &Ground) -> Vec<Footprint> {
+pub fn footprints(dataset: &Dataset, ground: &Ground) -> Vec<Footprint> {
     let mut seen: Vec<Vec<DVec2>> = vec![Vec::new(); dataset.views.len()];
     for point in &dataset.points {
         let at = ground.map(point.position);
@@ -91,7 +91,7 @@ pub(crate) fn footprints(dataset: &Dataset, ground: &Ground) -> Vec<Footprint> {
             seen[view as usize].push(at);
         }
     }
-    let footprint = |(view, seen): (&cosurf_scene::View, Vec<DVec2>)| {
+    let footprint = |(view, seen): (&View, Vec<DVec2>)| {
         let pose = &view.camera.cam_from_world;
         let center = middle(&seen).unwrap_or_else(|| ground.meet(pose.center(), pose.forward()));
         Footprint { center, outline: ground.outline(&view.camera) }
@@ -128,7 +128,7 @@ fn median(mut values: Vec<f64>) -> Option<f64> {
 
 #[cfg(test)]
 mod tests {
-    use cosurf_scene::{Pose, SparsePoint, View};
+    use crate::{Pose, SparsePoint};
 
     use super::*;
 

@@ -1,21 +1,21 @@
-//! The outline of a cell: a polygon on the map.
+//! The outline of a cell, an area of the map that one device observes: a polygon.
 
 use glam::DVec2;
 
 /// A polygon with at least three corners, in order around it. Its area may be zero: the cell of a single row of views
 /// has no width.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Outline(Vec<DVec2>);
+pub struct Outline(Vec<DVec2>);
 
 impl Outline {
     /// The rectangle with these lowest and highest coordinates.
-    pub(crate) fn rectangle([low, high]: [DVec2; 2]) -> Self {
+    pub fn rectangle([low, high]: [DVec2; 2]) -> Self {
         Self(vec![low, DVec2::new(high.x, low.y), high, DVec2::new(low.x, high.y)])
     }
 
     /// The polygon with these corners, clockwise or counterclockwise; the last corner may repeat the first. `None` if
     /// there are fewer than three corners, or if a coordinate is not finite.
-    pub(crate) fn polygon(corners: &[[f64; 2]]) -> Option<Self> {
+    pub fn polygon(corners: &[[f64; 2]]) -> Option<Self> {
         let mut corners: Vec<DVec2> = corners.iter().copied().map(DVec2::from_array).collect();
         if corners.len() > 1 && corners.first() == corners.last() {
             corners.pop();
@@ -24,25 +24,32 @@ impl Outline {
     }
 
     /// The corners, in order around the polygon.
-    pub(crate) fn corners(&self) -> &[DVec2] {
+    pub fn corners(&self) -> &[DVec2] {
         &self.0
     }
 
     /// Lowest and highest coordinates of the polygon.
-    pub(crate) fn bounds(&self) -> [DVec2; 2] {
+    pub fn bounds(&self) -> [DVec2; 2] {
         self.0
             .iter()
             .fold([DVec2::MAX, DVec2::MIN], |[low, high], corner| [low.min(*corner), high.max(*corner)])
     }
 
     /// The nearest point of the polygon: `at` itself if it lies inside or on the border.
-    pub(crate) fn nearest(&self, at: DVec2) -> DVec2 {
+    pub fn nearest(&self, at: DVec2) -> DVec2 {
         let borders = || self.0.iter().zip(self.0.iter().cycle().skip(1)).map(|(a, b)| on_border(*a, *b, at));
         if self.surrounds(at) || borders().any(|point| point == at) {
             return at;
         }
         let nearest = borders().min_by(|a, b| a.distance_squared(at).total_cmp(&b.distance_squared(at)));
         nearest.unwrap_or(at)
+    }
+
+    /// Whether a map position lies in the polygon after the polygon is grown on each side. `margin` is the growth as a
+    /// share of the polygon's width and height.
+    pub fn reaches(&self, at: DVec2, margin: f64) -> bool {
+        let [low, high] = self.bounds();
+        (at - self.nearest(at)).abs().cmple((high - low) * margin).all()
     }
 
     /// True if `at` lies inside: a ray from it crosses the border an odd number of times.
