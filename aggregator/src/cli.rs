@@ -7,7 +7,6 @@
 //! Where to start reading: any command. Each has a file of the same name; `record` and `replay` are in `tap`.
 
 pub(crate) mod arguments;
-mod cells;
 pub(crate) mod convert;
 pub(crate) mod eval;
 pub(crate) mod eval_mesh;

@@ -12,6 +12,7 @@
 //! Where to start reading: [`partition`]; then [`cosurf_scene::footprint`], which finds where a view looks, and
 //! [`cosurf_scene::outline`], the border of a cell.
 
+mod drawn;
 mod view;
 
 use glam::DVec2;
@@ -20,6 +21,7 @@ use serde::{Deserialize, Serialize};
 use cosurf_contract::counted;
 use cosurf_scene::Outline;
 
+pub use drawn::{DrawnCell, read_cells};
 pub(crate) use view::AssignedView;
 
 /// How the ground is divided. Without edge aggregators, the root counts as a single edge aggregator.

@@ -9,14 +9,13 @@ use std::time::Instant;
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use cosurf_aggregator::mission::{MissionOrder, Settings, Surroundings, fly};
-use cosurf_aggregator::partition::Division;
+use cosurf_aggregator::partition::{Division, read_cells};
 use cosurf_aggregator::report::{MissionReport, table};
 use cosurf_city::CitySettings;
 use cosurf_link::BrokerAddress;
 use cosurf_scene::FolderLock;
 use cosurf_scene::bytes::parse_bytes;
 
-use super::cells;
 use super::host::{cores, display, session};
 use super::merge::Ways;
 
@@ -126,7 +125,10 @@ pub(crate) fn run(args: MissionArgs) -> Result<()> {
 fn division(args: &MissionArgs) -> Result<Division> {
     match (&args.grid, &args.cells) {
         (Some(grid), _) => Ok(grid.clone()),
-        (None, Some(file)) => cells::read(file),
+        (None, Some(file)) => {
+            let cells = read_cells(file).context("--cells")?;
+            Ok(Division::Polygons(cells.into_iter().map(|cell| cell.corners).collect()))
+        }
         (None, None) => Ok(Division::Evenly { agents: usize::from(args.agents) }),
     }
 }

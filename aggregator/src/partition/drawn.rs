@@ -3,10 +3,15 @@
 use std::fs;
 use std::path::Path;
 
-use anyhow::{Context, Result, bail};
-use cosurf_aggregator::partition::Division;
 use cosurf_scene::SceneError;
 use serde::Deserialize;
+
+/// A cell as it was drawn. Its polygon is not checked.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DrawnCell {
+    /// The corners in map coordinates.
+    pub corners: Vec<[f64; 2]>,
+}
 
 /// The parts of GeoJSON (RFC 7946) that are read. Other members of these objects, such as names, are ignored.
 #[derive(Deserialize)]
@@ -27,33 +32,35 @@ enum GeoJson {
 }
 
 /// Reads the polygons of a file, in file order. Fails if a polygon has a hole, or if the file has another geometry.
-pub(super) fn read(file: &Path) -> Result<Division> {
-    let text = fs::read_to_string(file).map_err(|cause| SceneError::io(file, cause)).context("--cells")?;
-    parse(&text).with_context(|| format!("--cells {}", file.display()))
+pub fn read_cells(file: &Path) -> Result<Vec<DrawnCell>, SceneError> {
+    let text = fs::read_to_string(file).map_err(|cause| SceneError::io(file, cause))?;
+    parse(&text).map_err(|reason| SceneError::malformed(file, reason))
 }
 
-fn parse(text: &str) -> Result<Division> {
-    let mut polygons = Vec::new();
-    collect(serde_json::from_str(text).context("not valid GeoJSON")?, &mut polygons)?;
-    Ok(Division::Polygons(polygons))
+fn parse(text: &str) -> Result<Vec<DrawnCell>, String> {
+    let mut cells = Vec::new();
+    let json = serde_json::from_str(text).map_err(|error| format!("not valid GeoJSON: {error}"))?;
+    collect(json, &mut cells)?;
+    Ok(cells)
 }
 
-fn collect(part: GeoJson, polygons: &mut Vec<Vec<[f64; 2]>>) -> Result<()> {
+fn collect(part: GeoJson, cells: &mut Vec<DrawnCell>) -> Result<(), String> {
+    let number = cells.len() + 1;
     match part {
         GeoJson::FeatureCollection { features } => {
-            features.into_iter().try_for_each(|feature| collect(feature, polygons))
+            features.into_iter().try_for_each(|feature| collect(feature, cells))
         }
-        GeoJson::Feature { geometry: Some(geometry) } => collect(*geometry, polygons),
+        GeoJson::Feature { geometry: Some(geometry) } => collect(*geometry, cells),
         GeoJson::Polygon { coordinates } if coordinates.len() == 1 => {
             let corner = |position: &Vec<f64>| match position[..] {
                 [x, y, ..] => Ok([x, y]),
-                _ => bail!("cell {}: a position needs two coordinates", polygons.len() + 1),
+                _ => Err(format!("cell {number}: a position needs two coordinates")),
             };
-            let corners = coordinates[0].iter().map(corner).collect::<Result<_>>()?;
-            polygons.push(corners);
+            let corners = coordinates[0].iter().map(corner).collect::<Result<_, _>>()?;
+            cells.push(DrawnCell { corners });
             Ok(())
         }
-        _ => bail!("cell {} is not a polygon without holes: draw one polygon per cell", polygons.len() + 1),
+        _ => Err(format!("cell {number} is not a polygon without holes: draw one polygon per cell")),
     }
 }
 
@@ -67,9 +74,8 @@ mod tests {
         let text = r#"{"type":"FeatureCollection","name":"cells","features":[
             {"type":"Feature","properties":{"id":1},"geometry":{"type":"Polygon","coordinates":[[[0,0],[9,0,5.5],[9,9]]]}},
             {"type":"Feature","properties":null,"geometry":{"type":"Polygon","coordinates":[[[1,2],[3,4],[5,7]]]}}]}"#;
-        let polygons =
-            vec![vec![[0.0, 0.0], [9.0, 0.0], [9.0, 9.0]], vec![[1.0, 2.0], [3.0, 4.0], [5.0, 7.0]]];
-        assert_eq!(parse(text).unwrap(), Division::Polygons(polygons));
+        let cells = [vec![[0.0, 0.0], [9.0, 0.0], [9.0, 9.0]], vec![[1.0, 2.0], [3.0, 4.0], [5.0, 7.0]]];
+        assert_eq!(parse(text).unwrap(), cells.map(|corners| DrawnCell { corners }));
     }
 
     #[test]
@@ -80,7 +86,7 @@ mod tests {
             (r#"{"type":"Polygon","coordinates":[[[0]]]}"#, "two coordinates"),
             (r#"{"type":"Polygon","coordinates":[[[0,0]],[[0,0]]]}"#, "without holes"),
         ] {
-            let error = format!("{:#}", parse(text).unwrap_err());
+            let error = parse(text).unwrap_err();
             assert!(error.contains(what), "{error}");
         }
     }
