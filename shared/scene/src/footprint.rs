@@ -41,9 +41,15 @@ impl Ground {
         let eyes: Vec<DVec3> = dataset.views.iter().map(|v| v.camera.cam_from_world.center()).collect();
         let points: Vec<DVec3> = dataset.points.iter().map(|p| p.position).collect();
         let cloud = if points.is_empty() { &eyes } else { &points };
-        let vertical = axis_of_least_spread(cloud);
-        let height = median(points.iter().map(|p| p[vertical]).collect());
-        let eye_height = median(eyes.iter().map(|p| p[vertical]).collect());
+        Self::along(dataset, axis_of_least_spread(cloud))
+    }
+
+    /// The same for a dataset whose vertical axis is known, as 0, 1 or 2 for x, y or z.
+    pub fn along(dataset: &Dataset, vertical: usize) -> Self {
+        let eyes = dataset.views.iter().map(|view| view.camera.cam_from_world.center());
+        let points = dataset.points.iter().map(|point| point.position);
+        let height = median(points.map(|p| p[vertical]).collect());
+        let eye_height = median(eyes.map(|p| p[vertical]).collect());
         let below = matches!((height, eye_height), (Some(ground), Some(eye)) if eye < ground);
         let axis = |i: usize| DVec3::AXES[(vertical + i) % 3];
         let axes = if below { [axis(2), axis(1), -axis(0)] } else { [axis(1), axis(2), axis(0)] };
@@ -205,6 +211,17 @@ mod tests {
         let (east, north) = (ground.map(DVec3::X), ground.map(DVec3::Z));
         assert_eq!(east.perp_dot(north), 1.0, "a map, not its mirror image: {ground:?}");
         assert!((center - (east * 2.0 + north * 3.0)).length() < 1e-9, "{center}");
+    }
+
+    /// Devices of one site must agree on the map, though each sees another part of the site.
+    #[test]
+    fn a_facade_does_not_change_a_vertical_axis_that_is_known() {
+        let eyes = [DVec3::new(0.0, -30.0, 9.0), DVec3::new(5.0, -30.0, 12.0)];
+        let wall = (0..400).map(|i| (DVec3::new(f64::from(i % 20), 0.0, f64::from(i / 20)), vec![0, 1]));
+        let data = dataset(eyes.map(|eye| camera(eye, eye + DVec3::Y, DVec3::Z)).to_vec(), wall.collect());
+        let at = DVec3::new(3.0, 4.0, 5.0);
+        assert_eq!(Ground::along(&data, 2).map(at), DVec2::new(3.0, 4.0));
+        assert_ne!(Ground::of(&data).map(at), DVec2::new(3.0, 4.0), "the wall spreads least along y");
     }
 
     #[test]
