@@ -251,6 +251,7 @@ impl Keeper {
             NodeEvent::State(_)
             | NodeEvent::Flight { .. }
             | NodeEvent::ConfirmedFlights(_)
+            | NodeEvent::Plan { .. }
             | NodeEvent::Receiving(_)
             | NodeEvent::Known(_)
             | NodeEvent::Unanswered { .. }

@@ -11,7 +11,7 @@
 //! - A flight does not count if its sender has announced one in a newer session, or if its session began more than a day
 //!   before this one.
 //! - The pledge of a flight counts like a reply: it repeats the number of this session of the aggregator. A list of confirmed
-//!   flights repeats the number of this session of the device, and is newer than the last one.
+//!   flights repeats the number of this session of the device, and is newer than the last one. So does a plan.
 //!
 //! Chunks are not signed. They count if the body has the hash that the header announced.
 
@@ -45,6 +45,8 @@ struct Heard {
     reply: (u64, u64),
     /// Session and count of the newest list of confirmed flights.
     list: (u64, u64),
+    /// Session and count of the newest plan.
+    plan: (u64, u64),
 }
 
 /// Why a message does not count.
@@ -119,6 +121,7 @@ impl Heard {
             Message::ConfirmedFlights(list) => {
                 list.session == session && (seal.session, seal.count) > self.list
             }
+            Message::Plan(plan) => plan.session == session && (seal.session, seal.count) > self.plan,
             Message::Chunk(_) => true,
         };
         match message {
@@ -128,6 +131,7 @@ impl Heard {
                 self.reply = (seal.session, seal.count);
             }
             Message::ConfirmedFlights(_) => self.list = (seal.session, seal.count),
+            Message::Plan(_) => self.plan = (seal.session, seal.count),
             Message::State(_) => self.session = seal.session,
             Message::Chunk(_) => {}
         }

@@ -46,7 +46,9 @@ pub use key::ModelKey;
 pub use manifest::{Manifest, Receiver, TileEntry};
 pub use memory::{MemoryNetwork, MemoryTransport};
 pub use mqtt::{BrokerAddress, Login, MqttConfig, MqttTransport, Tls, TlsFiles};
-pub use node::{Node, NodeEvent, UploadFault, flight_hash, select_flight_cameras, upload_blocking};
+pub use node::{
+    Node, NodeEvent, PlannedCell, UploadFault, flight_hash, select_flight_cameras, upload_blocking,
+};
 pub use offer::Offer;
 pub use received::{Complete, ReceiveError, Received};
 pub use sealing::last_will;

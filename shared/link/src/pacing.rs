@@ -76,6 +76,12 @@ pub(crate) const ASK_AGAIN: Backoff = Backoff::new(Duration::from_secs(2), Durat
 pub(crate) const PLEDGE: Backoff = Backoff::new(Duration::from_secs(2), Duration::from_secs(60));
 /// Shortest time between two lists of confirmed flights to one device.
 pub(crate) const CONFIRM_PAUSE: Duration = Duration::from_secs(1);
+/// Delays after which a device that waits for its cell of the plan asks again.
+pub(crate) const PLAN_ASK: Backoff = Backoff::new(Duration::from_millis(500), Duration::from_secs(2));
+/// How often it asks again after a connection. An aggregator that starts later answers without being asked.
+pub(crate) const PLAN_ASKS_MAX: u32 = 3;
+/// Shortest time between two answers about the plan to one device.
+pub(crate) const PLAN_PAUSE: Duration = Duration::from_secs(1);
 /// A device that waits for a global model offers its stored model again so often, and when it is connected again: an
 /// aggregator that has lost the model and its own records cannot ask.
 pub(crate) const STORED_OFFER: Duration = Duration::from_secs(60);

@@ -583,7 +583,8 @@ fn replied_model(message: &Message<'_>) -> Option<ModelKey> {
         | Message::State(_)
         | Message::Flight(_)
         | Message::FlightPledge(_)
-        | Message::ConfirmedFlights(_) => return None,
+        | Message::ConfirmedFlights(_)
+        | Message::Plan(_) => return None,
     };
     Some(ModelKey { device, model })
 }

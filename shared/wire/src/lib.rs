@@ -4,7 +4,7 @@
 //! nothing. The size of every value is limited, so the largest encoding of each message is a constant.
 //!
 //! Where to start reading: [`message`] has the messages of the protocol, [`topic`] the MQTT topics,
-//! [`seal`] the signatures, [`flight`] how devices share ground, [`body`] the byte layout of a model, and [`frame`] the frames that carry messages over a serial line.
+//! [`seal`] the signatures, [`flight`] how devices share ground, [`plan`] which ground a device observes, [`body`] the byte layout of a model, and [`frame`] the frames that carry messages over a serial line.
 //!
 //! # The protocol
 //!
@@ -29,6 +29,7 @@
 //! | [`FlightCameras`] | device → devices | `/{device}/flight` | yes | the cameras of the device's flight |
 //! | [`FlightPledge`] | device → aggregator | `/{device}/global/flight` | no | the device will send a model of its flight |
 //! | [`ConfirmedFlights`] | aggregator → device | `/{device}/dn/flight` | no | the flights that count, of those that were pledged |
+//! | [`Plan`] | aggregator → device | `/{device}/dn/plan` | no | the device's cell of the site's plan, or that it has none |
 //! | [`State`] | device → all | `/{device}/state` | yes | start or end of a session (MQTT last will) |
 //! | JSON | device → anybody | `/{device}/status` | yes | how far the device's agent is; no participant reads it |
 //!
@@ -58,6 +59,7 @@ mod hash;
 pub mod id;
 pub mod message;
 pub mod missing;
+pub mod plan;
 pub mod seal;
 pub mod topic;
 
@@ -74,5 +76,6 @@ pub use message::{
     VERSION, Want, WireError,
 };
 pub use missing::{ChunkStatus, Missing};
+pub use plan::{PLAN_COORDINATE_MAX, PLAN_CORNERS_MAX, Plan, VerticalAxis};
 pub use seal::{MAX_SEAL_BYTES, Seal, Sealed, Signature};
 pub use topic::{MAX_TOPIC_BYTES, Reply, Topic, TopicError, TopicString};

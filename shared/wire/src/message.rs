@@ -10,6 +10,7 @@ use crate::flight::{ConfirmedFlights, FlightCameras, FlightPledge};
 use crate::hash::BodyHash;
 use crate::id::{DeviceId, FrameId, ModelId};
 use crate::missing::Missing;
+use crate::plan::Plan;
 
 /// Version of the message format: the first byte of every message.
 pub const VERSION: u8 = 3;
@@ -25,8 +26,8 @@ pub const MAX_CHUNK_BYTES: usize = 64 * 1024;
 pub const MIN_CHUNK_BYTES: u32 = 256;
 /// Largest number of chunks of a body. It bounds the work for a [`Want`].
 pub const MAX_CHUNKS: u32 = 1 << 16;
-/// Size in bytes of the largest encoding of a message with its seal, except [`Message::Chunk`], [`Message::Flight`] and
-/// [`Message::ConfirmedFlights`]. A test checks it.
+/// Size in bytes of the largest encoding of a message with its seal, except [`Message::Chunk`], [`Message::Flight`],
+/// [`Message::ConfirmedFlights`] and [`Message::Plan`]. A test checks it.
 pub const MAX_CONTROL_BYTES: usize = 384;
 /// Size in bytes of the largest encoding of a [`Chunk`]. No other message is larger. A test checks it.
 pub const MAX_MESSAGE_BYTES: usize = MAX_CHUNK_BYTES + 89;
@@ -80,6 +81,9 @@ pub enum Message<'a> {
     /// The flights that the aggregator has confirmed.
     #[serde(borrow)]
     ConfirmedFlights(ConfirmedFlights<'a>),
+    /// A device's cell of the site's plan.
+    #[serde(borrow)]
+    Plan(Plan<'a>),
 }
 
 /// Announces a model and its sizes.
@@ -299,6 +303,8 @@ pub enum WireError {
     Header(HeaderError),
     /// The flight has too many cameras, or invalid cameras; or the list of flights contradicts itself.
     BadFlight,
+    /// The cell of a plan has too many, too few or invalid corners, or its margin is no share.
+    BadPlan,
     /// The output buffer is too small.
     BufferTooSmall,
 }
@@ -318,6 +324,9 @@ impl fmt::Display for WireError {
                 f,
                 "flight with too many or invalid cameras, or a list of flights that contradicts itself"
             ),
+            Self::BadPlan => {
+                write!(f, "plan whose cell is no polygon of finite corners, or whose margin is no share")
+            }
             Self::Header(what) => write!(f, "header with an invalid {what:?}"),
             Self::BufferTooSmall => write!(f, "buffer too small to encode a message"),
         }
@@ -388,13 +397,14 @@ impl<'a> Message<'a> {
                 Self::Chunk(chunk) => chunk.payload.len(),
                 Self::Flight(flight) => flight.cameras.len(),
                 Self::ConfirmedFlights(list) => list.flights.len(),
+                Self::Plan(plan) => plan.cell.len(),
                 _ => 0,
             }
     }
 
     /// Writes the encoded message to the start of `out`, and returns the written bytes.
     /// [`MAX_MESSAGE_BYTES`] are enough for every message; [`MAX_CONTROL_BYTES`] are enough for all except
-    /// chunks, flights and lists of flights.
+    /// chunks, flights, lists of flights and plans.
     pub fn encode<'o>(&self, out: &'o mut [u8]) -> Result<&'o [u8], WireError> {
         let (version, rest) = out.split_first_mut().ok_or(WireError::BufferTooSmall)?;
         *version = VERSION;
@@ -433,6 +443,7 @@ impl<'a> Message<'a> {
             }
             Self::Flight(flight) if !flight.is_sane() => return Err(WireError::BadFlight),
             Self::ConfirmedFlights(list) if !list.is_sane() => return Err(WireError::BadFlight),
+            Self::Plan(plan) if !plan.is_sane() => return Err(WireError::BadPlan),
             _ => {}
         }
         Ok((message, rest))

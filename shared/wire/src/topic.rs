@@ -108,6 +108,8 @@ pub enum Reply {
     Refused,
     /// [`crate::ConfirmedFlights`] to a device, [`crate::FlightPledge`] from it.
     Flight,
+    /// [`crate::Plan`], to a device only.
+    Plan,
 }
 
 impl Reply {
@@ -117,6 +119,7 @@ impl Reply {
             Self::Done => "done",
             Self::Refused => "refused",
             Self::Flight => "flight",
+            Self::Plan => "plan",
         }
     }
 
@@ -126,6 +129,7 @@ impl Reply {
             "done" => Ok(Self::Done),
             "refused" => Ok(Self::Refused),
             "flight" => Ok(Self::Flight),
+            "plan" => Ok(Self::Plan),
             _ => Err(TopicError::Unknown),
         }
     }

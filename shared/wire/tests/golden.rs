@@ -14,8 +14,8 @@ use cosurf_wire::{
     BodyCodec, BodyHash, Bounds, CAMERAS_MAX, CONFIRMED_FLIGHT_BYTES_MAX, CONFIRMED_FLIGHTS_MAX,
     CameraRecord, Chunk, ConfirmedFlights, DeviceId, Done, FLIGHT_CAMERAS_MAX, FlightCameras, FlightPledge,
     FrameId, HeaderError, MAX_CHUNK_BYTES, MAX_CONTROL_BYTES, MAX_MESSAGE_BYTES, Message, Missing,
-    ModelHeader, ModelId, ModelKind, RefusalReason, Refused, Seal, Sealed, Signature, SiteId, State, Topic,
-    VERSION, Want, WireError,
+    ModelHeader, ModelId, ModelKind, PLAN_COORDINATE_MAX, PLAN_CORNERS_MAX, Plan, RefusalReason, Refused,
+    Seal, Sealed, Signature, SiteId, State, Topic, VERSION, VerticalAxis, Want, WireError,
 };
 
 fn header() -> ModelHeader {
@@ -96,6 +96,45 @@ fn lists_of_flights_that_contradict_themselves_are_refused() {
     assert_eq!(decoded(0, 1000, &most[..most.len() - 1]).0, Err(WireError::BadFlight), "torn");
 }
 
+/// The encoded corners of a cell.
+fn encoded_corners(corners: &[[f64; 2]]) -> Vec<u8> {
+    corners.iter().copied().flat_map(Plan::encode_corner).collect()
+}
+
+#[test]
+fn plans_with_invalid_cells_or_margins_are_refused() {
+    let (device, frame, vertical) = (DeviceId::new("d").unwrap(), FrameId::default(), VerticalAxis::Z);
+    let decoded = |margin, cell: &[u8]| {
+        let mut buffer = vec![0; MAX_MESSAGE_BYTES];
+        let plan = Plan { device, session: 1, frame, vertical, margin, cell };
+        Message::decode(Message::Plan(plan).encode(&mut buffer).unwrap()).map(|_| ())
+    };
+    let refused = Err(WireError::BadPlan);
+    let most = encoded_corners(&[[-PLAN_COORDINATE_MAX, 2.5]; PLAN_CORNERS_MAX]);
+    assert_eq!(decoded(0.0, &[]), Ok(()), "no cell for the device");
+    assert_eq!([decoded(0.0, &most), decoded(1.0, &most[..48])], [Ok(()); 2]);
+    assert_eq!(decoded(0.2, &[&most[..], &most[..16]].concat()), refused, "too many corners");
+    assert_eq!(decoded(0.2, &most[..32]), refused, "too few");
+    assert_eq!([decoded(0.2, &most[..47]), decoded(0.2, &most[..7])], [refused; 2], "torn");
+    for wrong in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1.001 * PLAN_COORDINATE_MAX] {
+        let cell = encoded_corners(&[[0.0, 0.0], [1.0, 0.0], [0.0, wrong]]);
+        assert_eq!(decoded(0.2, &cell), refused, "{wrong}");
+    }
+    for margin in [-0.001, 1.001, f64::NAN, f64::INFINITY] {
+        assert_eq!([decoded(margin, &most), decoded(margin, &[])], [refused; 2], "{margin}");
+    }
+}
+
+#[test]
+fn corners_are_read_as_they_were_written() {
+    let corners = [[-1.5, 2.0], [1e8, -0.0], [0.1, 3.25]];
+    let cell = encoded_corners(&corners);
+    let (device, frame) = (DeviceId::new("d").unwrap(), FrameId::default());
+    let plan = Plan { device, session: 1, frame, vertical: VerticalAxis::Y, margin: 0.2, cell: &cell };
+    assert_eq!(plan.corners().collect::<Vec<_>>(), corners);
+    assert_eq!([VerticalAxis::X, VerticalAxis::Y, VerticalAxis::Z].map(VerticalAxis::index), [0, 1, 2]);
+}
+
 fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
@@ -121,6 +160,8 @@ fn messages_have_these_bytes() {
     let missing = Missing::of(20, |i| i < 3 || i == 5);
     let cameras = camera_bytes(1);
     let flights = confirmed(&["d-1", "e"]);
+    let frame = FrameId::new("enu").unwrap();
+    let cell = encoded_corners(&[[0.0, 1.0], [2.0, -1.0], [0.5, 1.5]]);
     let table = [
         (Message::Header(header()), header_bytes),
         (
@@ -157,6 +198,19 @@ fn messages_have_these_bytes() {
                 flights: &flights,
             }),
             "0308 03642d31 4d 03 ac02 46 03642d31".to_owned() + &"ef".repeat(32) + "0165" + &"ef".repeat(32),
+        ),
+        (
+            Message::Plan(Plan {
+                device,
+                session: 77,
+                frame,
+                vertical: VerticalAxis::Z,
+                margin: 0.5,
+                cell: &cell,
+            }),
+            "0309 03642d31 4d 03656e75 02 000000000000e03f 30".to_owned()
+                + "0000000000000000 000000000000f03f 0000000000000040"
+                + "000000000000f0bf 000000000000e03f 000000000000f83f",
         ),
     ];
     for (message, expected) in table {
@@ -249,6 +303,11 @@ fn the_largest_messages_have_the_documented_sizes() {
     let list = Message::ConfirmedFlights(list);
     let most = list.bytes_max();
     assert!(bytes_of(list) <= most && most <= 16 * 1024, "a list of flights fits a serial line");
+    let cell = encoded_corners(&[[1.0; 2]; PLAN_CORNERS_MAX]);
+    let vertical = VerticalAxis::Z;
+    let plan = Message::Plan(Plan { device, session, frame, vertical, margin: 1.0, cell: &cell });
+    let most = plan.bytes_max();
+    assert!(bytes_of(plan) + MAX_SEAL_BYTES <= most && most == MAX_CONTROL_BYTES + 1024, "{most} bytes");
 }
 
 /// A seal is encoded behind the message: sender, session, count, signature. The signature covers a prefix, the topic with

@@ -10,8 +10,8 @@ use cosurf_wire::body::CAMERA_BYTES;
 use cosurf_wire::frame::{Frame, FrameReader, MAX_FRAME_BYTES, Piece, Sessions, Turn};
 use cosurf_wire::{
     CONFIRMED_FLIGHT_BYTES_MAX, CameraRecord, Chunk, ConfirmedFlights, DeviceId, Done, FlightCameras,
-    FlightPledge, MAX_MESSAGE_BYTES, Message, Missing, ModelId, ModelKind, RefusalReason, Refused, Sealed,
-    SiteId, State, Topic, Want,
+    FlightPledge, MAX_MESSAGE_BYTES, Message, Missing, ModelId, ModelKind, Plan, RefusalReason, Refused,
+    Sealed, SiteId, State, Topic, VerticalAxis, Want,
 };
 
 use crate::runner::{Target, hammer};
@@ -52,6 +52,10 @@ fn messages() -> Vec<Vec<u8>> {
     let cameras = camera().repeat(2);
     let out = &mut [0; CONFIRMED_FLIGHT_BYTES_MAX];
     let flights = ConfirmedFlights::encode_flight(device, header.blake3, out).repeat(3);
+    let cell: Vec<u8> =
+        [[0.0, 1.0], [5.0, 1.0], [2.0, 9.0]].into_iter().flat_map(Plan::encode_corner).collect();
+    let plan =
+        |cell| Plan { device, session: 9, frame: header.frame, vertical: VerticalAxis::Z, margin: 0.2, cell };
     [
         Message::Header(header),
         Message::Chunk(chunk),
@@ -68,6 +72,8 @@ fn messages() -> Vec<Vec<u8>> {
             total: 4,
             flights: &flights,
         }),
+        Message::Plan(plan(&cell)),
+        Message::Plan(plan(&[])),
     ]
     .iter()
     .flat_map(|message| {
@@ -107,6 +113,10 @@ fn messages_are_read_or_refused() {
         if let Message::ConfirmedFlights(list) = &message {
             assert!(list.first as usize + list.records().count() <= list.total as usize);
         }
+        if let Message::Plan(plan) = &message {
+            assert!(plan.corners().len() != 1 && plan.corners().len() != 2);
+            assert!(plan.corners().flatten().chain([plan.margin]).all(f64::is_finite));
+        }
         let again = message.encode(&mut out).expect("what was read fits");
         // NaN is not equal to itself, so this also checks that no decoded message contains NaN.
         let is_same = Message::decode(again).expect("what was written is read") == message;
@@ -126,6 +136,7 @@ fn topics_are_read_or_refused() {
         Topic::LocalChunk { device, model, index: 70 },
         Topic::LocalReply { device, reply: cosurf_wire::Reply::Want },
         Topic::LocalReply { device, reply: cosurf_wire::Reply::Flight },
+        Topic::LocalReply { device, reply: cosurf_wire::Reply::Plan },
         Topic::GlobalHeader { tile: cosurf_wire::TileId::WHOLE },
         Topic::GlobalChunk { tile: cosurf_wire::TileId::WHOLE, model, index: 0 },
         Topic::TileHeader { device, model },

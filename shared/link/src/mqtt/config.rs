@@ -35,11 +35,12 @@ impl MqttConfig {
         self.subscribed_to(&filters, SESSION_EXPIRY_S)
     }
 
-    /// The same for a device that reads only which flights are confirmed. The broker keeps nothing for it.
+    /// The same for a device that reads only which flights are confirmed, and its cell of the plan. The broker keeps nothing for it.
     pub(super) fn into_reporting_client(self) -> ClientSettings {
         let Identity { site, device, .. } = self.identity;
-        let confirmed = Topic::LocalReply { device, reply: Reply::Flight }.to_text(&site);
-        self.subscribed_to(&[confirmed], 0)
+        let topics =
+            [Reply::Flight, Reply::Plan].map(|reply| Topic::LocalReply { device, reply }.to_text(&site));
+        self.subscribed_to(&topics, 0)
     }
 
     fn subscribed_to(self, filters: &[TopicString], session_expiry_s: u32) -> ClientSettings {

@@ -4,8 +4,9 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use cosurf_scene::Camera;
-use cosurf_wire::{BodyHash, DeviceId, ModelHeader, RefusalReason, State};
+use cosurf_wire::{BodyHash, DeviceId, FrameId, ModelHeader, RefusalReason, State};
 
+use super::planning::PlannedCell;
 use crate::key::ModelKey;
 use crate::transport::PublishError;
 use crate::uploader::UploadProgress;
@@ -44,6 +45,13 @@ pub enum NodeEvent {
         session: u64,
         /// Hash of the encoded cameras.
         cameras_blake3: BodyHash,
+    },
+    /// The aggregator's answer to a device that asked for its cell of the site's plan, for this session.
+    Plan {
+        /// The world frame of the site.
+        frame: FrameId,
+        /// The cell; `None` if the plan has none for this device.
+        cell: Option<PlannedCell>,
     },
     /// Two participants use the same name, so the broker keeps disconnecting one of them.
     SameName(DeviceId),

@@ -51,6 +51,9 @@ fn write(event: &NodeEvent) {
         NodeEvent::Flight { device, cameras, .. } => debug!(%device, cameras = cameras.len(), "flight"),
         NodeEvent::ConfirmedFlights(flights) => debug!(flights = flights.len(), "confirmed flights"),
         NodeEvent::FlightPledged { device, session, .. } => debug!(%device, session, "flight pledged"),
+        NodeEvent::Plan { frame, cell } => {
+            debug!(%frame, corners = cell.as_ref().map_or(0, |cell| cell.corners.len()), "plan");
+        }
         NodeEvent::SameName(device) => debug!(%device, "two participants use the same name"),
         NodeEvent::Receiving(header) => log_header(header, "receive"),
         NodeEvent::Known(header) => log_header(header, "known already"),

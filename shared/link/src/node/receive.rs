@@ -2,12 +2,13 @@
 
 use cosurf_wire::message::{REFUSAL_BEFORE_BYTES, refusal_for_version_before};
 use cosurf_wire::{
-    ConfirmedFlights, DeviceId, FlightCameras, FlightPledge, Message, Reply, Sealed, State, Topic, VERSION,
-    WireError,
+    ConfirmedFlights, DeviceId, FlightCameras, FlightPledge, Message, Plan, Reply, Sealed, State, Topic,
+    VERSION, WireError,
 };
 
 use super::births::Notice;
 use super::event::NodeEvent;
+use super::planning::PlannedCell;
 use super::state::Node;
 use crate::body::{body_hash, camera};
 use crate::guard::Objection;
@@ -27,6 +28,7 @@ impl Node {
                 self.birth = Some(self.identity.state_message(true));
                 self.is_flight_due = true;
                 let now = self.now;
+                self.asking.iter_mut().for_each(|asking| asking.on_connected(now));
                 self.uploaders.iter_mut().for_each(|uploader| uploader.on_connected(now));
                 self.events.push_back(NodeEvent::Connected);
             }
@@ -118,6 +120,11 @@ impl Node {
             {
                 self.receive_confirmed(part, session);
             }
+            (Topic::LocalReply { device, reply: Reply::Plan }, Message::Plan(plan))
+                if plan.device == device =>
+            {
+                self.receive_plan(plan);
+            }
             _ => return Err("the message does not match its topic".to_owned()),
         }
         Ok(())
@@ -183,6 +190,19 @@ impl Node {
         self.events.extend(list.map(NodeEvent::ConfirmedFlights));
     }
 
+    /// Takes the answer for the present session. Where nobody signs, only this check keeps recorded answers out.
+    fn receive_plan(&mut self, plan: &Plan<'_>) {
+        let Some(asking) = &mut self.asking else { return };
+        if plan.device != self.identity.device || plan.session != self.identity.session {
+            return;
+        }
+        asking.on_answer();
+        let corners: Vec<[f64; 2]> = plan.corners().collect();
+        let (frame, vertical, margin) = (plan.frame, plan.vertical, plan.margin);
+        let cell = (!corners.is_empty()).then_some(PlannedCell { vertical, corners, margin });
+        self.events.push_back(NodeEvent::Plan { frame, cell });
+    }
+
     fn receive_state(&mut self, state: State, sealed: u64) {
         match self.births.record(&state, sealed, self.devices_max) {
             Notice::Outdated => return,
@@ -199,6 +219,11 @@ impl Node {
         }
         if self.confirms_flights() {
             self.confirming.on_state(self.now, &state, self.devices_max);
+        }
+        if let Some(planning) = &mut self.planning
+            && state.device != self.identity.device
+        {
+            planning.on_state(self.now, &state, self.devices_max);
         }
         self.events.push_back(NodeEvent::State(state));
     }

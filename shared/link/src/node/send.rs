@@ -2,7 +2,9 @@
 
 use std::time::Duration;
 
+use super::asking::Asking;
 use super::event::NodeEvent;
+use super::planning::Planning;
 use super::pledge::Pledge;
 use super::state::Node;
 use crate::inbox::InboxAction;
@@ -24,6 +26,8 @@ impl Node {
             .chain(self.lost.next_wakeup())
             .chain(self.confirming.next_wakeup())
             .chain(self.pledge.as_ref().and_then(Pledge::next_wakeup))
+            .chain(self.planning.as_ref().and_then(Planning::next_wakeup))
+            .chain(self.asking.as_ref().and_then(Asking::next_wakeup))
             .min()
             .filter(|_| self.is_connected)
     }
@@ -62,6 +66,9 @@ impl Node {
     }
 
     fn next_sealed(&mut self, takes_chunks: bool) -> Option<Outgoing> {
+        if self.asking.as_mut().is_some_and(|asking| asking.is_due(self.now)) {
+            self.birth = Some(self.identity.state_message(true));
+        }
         let retained = self.birth.take().or_else(|| self.next_retained());
         let next = retained.or_else(|| self.next_outgoing(takes_chunks))?;
         let key = self.inbox.credentials().key.as_ref();
@@ -94,6 +101,10 @@ impl Node {
         }
         if let Some(flights) = self.next_of_flights() {
             return Some(flights);
+        }
+        let (site, frame) = (self.identity.site, self.inbox.credentials().frame);
+        if let Some(plan) = self.planning.as_mut().and_then(|planning| planning.next(now, &site, frame)) {
+            return Some(plan);
         }
         let next = |uploader: &mut Uploader| match takes_chunks {
             true => uploader.next(now),

@@ -9,12 +9,14 @@ use cosurf_wire::{
 };
 use tracing::debug;
 
+use super::asking::Asking;
 use super::births::Births;
 use super::confirm::Confirming;
 use super::event::NodeEvent;
 use super::flight::{camera_bytes, select_flight_cameras};
 use super::log::Log;
 use super::lost::Lost;
+use super::planning::{PlannedCell, Planning};
 use super::pledge::Pledge;
 use crate::body::{Model, body_hash};
 use crate::guard::Guard;
@@ -44,6 +46,10 @@ pub struct Node {
     pub(super) pledge: Option<Pledge>,
     /// Of an aggregator: the flights that it has confirmed.
     pub(super) confirming: Confirming,
+    /// Of an aggregator: the plan of the site; `None` if questions for it are not answered.
+    pub(super) planning: Option<Planning>,
+    /// Of a device: its question for its cell of the plan.
+    pub(super) asking: Option<Asking>,
     /// Topics whose retained messages are to be deleted.
     pub(super) cleared: VecDeque<Topic>,
     /// Refusals for devices of the version before.
@@ -80,6 +86,8 @@ impl Node {
             is_flight_due: false,
             pledge: None,
             confirming: Confirming::default(),
+            planning: None,
+            asking: None,
             cleared: VecDeque::new(),
             refusals_before: VecDeque::new(),
             births: Births::default(),
@@ -118,6 +126,10 @@ impl Node {
         let message = Message::Flight(flight);
         self.flight = Some(Outgoing::new(&self.identity.site, Topic::Flight { device }, &message, true));
         self.is_flight_due = self.is_connected;
+        if self.is_connected && self.pledges_flights() {
+            // The aggregator answers with its list, which tells the session to pledge to.
+            self.birth = Some(self.identity.state_message(true));
+        }
         self.pledge = Some(Pledge::new(device, body_hash(&bytes)));
     }
 
@@ -125,6 +137,18 @@ impl Node {
     /// goes by. Without a key and a list of trusted keys, nothing is told.
     pub fn confirm_flights(&mut self, flights: Vec<(DeviceId, BodyHash)>) {
         self.confirming.set(flights);
+    }
+
+    /// Of an aggregator: answers the start of each device's session with the device's cell of this plan, or with the word
+    /// that it has none.
+    pub fn share_plan(&mut self, cells: BTreeMap<DeviceId, PlannedCell>) {
+        self.planning = Some(Planning::new(cells));
+    }
+
+    /// Of a device that is not connected yet: asks the aggregator for its cell of the site's plan. [`NodeEvent::Plan`] is the
+    /// answer.
+    pub fn ask_for_plan(&mut self) {
+        self.asking = Some(Asking::default());
     }
 
     /// Whether this node confirms flights: without keys, nobody could tell whose word it is.

@@ -91,6 +91,19 @@ fn restart(member: &mut Member, network: &MemoryNetwork, credentials: Credential
     member.node.set_credentials(credentials);
 }
 
+/// A drone announces its flight only once it knows its cell of the plan, after the aggregator's first list.
+#[test]
+fn a_flight_that_is_announced_late_is_pledged_too() {
+    let network = network();
+    let mut fleet = keyed_site(&network);
+    let mut stranger = Stranger::new(&network);
+    pass(&network, &mut fleet, &mut stranger, Duration::from_secs(5));
+    fleet[1].node.announce_flight(&cameras(3));
+    pass(&network, &mut fleet, &mut stranger, Duration::from_secs(3));
+    let drone_1 = DeviceId::new("drone-1").unwrap();
+    assert_eq!(pledges(&mut fleet[0]).first(), Some(&(drone_1, flight_hash(&cameras(3)))));
+}
+
 /// A flight with a right signature, which somebody has recorded in an earlier mission, counts no longer: the aggregator does
 /// not confirm it, and its earlier word does not count for the devices of the present mission.
 #[test]

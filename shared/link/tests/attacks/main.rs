@@ -6,6 +6,7 @@
 mod flights;
 mod lost;
 mod numbers;
+mod plan;
 mod replies;
 mod resends;
 mod retained;

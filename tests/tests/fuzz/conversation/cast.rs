@@ -4,11 +4,11 @@ use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::sync::OnceLock;
 
-use cosurf_link::{Credentials, Manifest, Offer, Receiver, TileEntry};
+use cosurf_link::{Credentials, Manifest, Offer, PlannedCell, Receiver, TileEntry};
 use cosurf_tests::dice::Dice;
 use cosurf_tests::keys::{key_of, list};
 use cosurf_tests::models::{cameras, random_splats};
-use cosurf_wire::{DeviceId, ModelHeader, ModelId, ModelKind, SiteId};
+use cosurf_wire::{DeviceId, ModelHeader, ModelId, ModelKind, SiteId, VerticalAxis};
 
 /// The site of the drones, and the site of the aggregator above it.
 pub(crate) const SITES: [&str; 2] = ["quarry", "region"];
@@ -34,6 +34,13 @@ pub(crate) fn device(name: &str) -> DeviceId {
 
 pub(crate) fn drone(index: usize) -> String {
     format!("drone-{index}")
+}
+
+/// The cell of a drone in the plan that its aggregator shares: odd drones have one.
+pub(crate) fn planned(device: DeviceId) -> Option<PlannedCell> {
+    let corners = vec![[0.0, 0.0], [90.0, 0.0], [0.0, 90.0]];
+    let is_planned = (1..9).step_by(2).any(|index| device == self::device(&drone(index)));
+    is_planned.then_some(PlannedCell { vertical: VerticalAxis::Z, corners, margin: 0.2 })
 }
 
 /// A model of 4 to 560 splats. Its body comes from a pool, so that a conversation does not pack it anew.

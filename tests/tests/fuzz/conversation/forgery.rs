@@ -6,8 +6,8 @@ use cosurf_tests::keys::Signer;
 use cosurf_wire::body::CAMERA_BYTES;
 use cosurf_wire::{
     BodyHash, Bounds, CONFIRMED_FLIGHT_BYTES_MAX, CameraRecord, Chunk, ConfirmedFlights, DeviceId, Done,
-    FlightCameras, FlightPledge, FrameId, Message, Missing, ModelHeader, ModelId, ModelKind, RefusalReason,
-    Refused, Reply, SiteId, State, TileId, Topic, Want,
+    FlightCameras, FlightPledge, FrameId, Message, Missing, ModelHeader, ModelId, ModelKind, Plan,
+    RefusalReason, Refused, Reply, SiteId, State, TileId, Topic, VerticalAxis, Want,
 };
 
 use super::cast::{CLOUD, GROUND, INSIDER, device, drone, site};
@@ -26,7 +26,7 @@ const REASONS: [RefusalReason; 10] = [
     RefusalReason::Garbled,
     RefusalReason::TooManyDevices,
 ];
-const REPLIES: [Reply; 4] = [Reply::Want, Reply::Done, Reply::Refused, Reply::Flight];
+const REPLIES: [Reply; 5] = [Reply::Want, Reply::Done, Reply::Refused, Reply::Flight, Reply::Plan];
 const KINDS: [ModelKind; 4] =
     [ModelKind::Local, ModelKind::Global, ModelKind::Compressed, ModelKind::Manifest];
 
@@ -194,6 +194,15 @@ fn statement<'a>(dice: &mut Dice, target: &Target, scratch: &'a mut Scratch) -> 
             let device = somebody(dice);
             let state = State { device, session: pick(dice, &[session, 999, 5000]), alive: dice.coin() };
             (Topic::State { device }, Message::State(state))
+        }
+        5 if dice.below(3) == 0 => {
+            let device = somebody(dice);
+            let corner = |i: usize| Plan::encode_corner([(i % 2) as f64, (i % 3) as f64]);
+            scratch.0 = (0..pick(dice, &[0, 3, 64, 2, 65])).flat_map(corner).collect();
+            let (margin, frame) = (pick(dice, &[0.0, 1.0, -1.0, f64::NAN]), FrameId::default());
+            let vertical = VerticalAxis::X;
+            let plan = Plan { device, session, frame, vertical, margin, cell: &scratch.0 };
+            (Topic::LocalReply { device, reply: Reply::Plan }, Message::Plan(plan))
         }
         5 if dice.coin() => {
             let reply = Reply::Flight;

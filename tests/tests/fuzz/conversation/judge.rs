@@ -7,7 +7,7 @@ use cosurf_link::{Identity, ModelKey, NodeEvent, Offer, Role};
 use cosurf_scene::Camera;
 use cosurf_wire::{BodyHash, DeviceId, ModelHeader, SiteId};
 
-use super::cast::{INSIDER, device};
+use super::cast::{INSIDER, device, planned};
 use super::plan::Mode;
 
 /// What holds in every conversation.
@@ -179,6 +179,11 @@ impl Judge {
                     flights.iter().find(|(of, cameras_blake3)| !self.is_flight(of, **cameras_blake3));
                 demand(forged.is_none(), Invariant::Genuine, || {
                     format!("{own} believes that {forged:?} is confirmed")
+                })?;
+            }
+            NodeEvent::Plan { cell, .. } if self.mode != Mode::Open => {
+                demand(*cell == planned(own), Invariant::Genuine, || {
+                    format!("{own} believes in the cell {cell:?}")
                 })?;
             }
             NodeEvent::SameName(of) => {

@@ -10,6 +10,7 @@ use cosurf_link::{
 use cosurf_scene::Camera;
 use cosurf_wire::{BodyHash, DeviceId, MAX_CONTROL_BYTES, ModelHeader};
 
+use super::cast::{device, drone, planned};
 use super::judge::{Invariant, Judge, Verdict, demand};
 use super::metered::{Metered, Traffic};
 use super::plan::Plan;
@@ -123,6 +124,14 @@ impl Member {
         }
         if !self.flight.is_empty() {
             self.node.announce_flight(&self.flight);
+        }
+        match self.identity.role {
+            Role::Device => self.node.ask_for_plan(),
+            Role::Aggregator => {
+                let drones = (1..9).map(|index| device(&drone(index)));
+                let cells = drones.filter_map(|device| Some((device, planned(device)?)));
+                self.node.share_plan(cells.collect());
+            }
         }
         self.heap_bytes = allocated_bytes() - before;
         self.offered = (0, 0);
