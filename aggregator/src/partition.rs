@@ -24,6 +24,9 @@ use cosurf_scene::Outline;
 pub use drawn::{DrawnCell, read_cells};
 pub(crate) use view::AssignedView;
 
+/// Width of the margin around each cell, as a share of the cell's size, unless another is given.
+pub const DEFAULT_MARGIN: f64 = 0.2;
+
 /// How the ground is divided. Without edge aggregators, the root counts as a single edge aggregator.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]

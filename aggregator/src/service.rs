@@ -57,6 +57,7 @@ mod sent;
 mod serve;
 mod set_aside;
 mod shelf;
+mod site_plan;
 mod station;
 #[cfg(test)]
 mod tests;

@@ -9,7 +9,7 @@ use std::time::Instant;
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use cosurf_aggregator::mission::{MissionOrder, Settings, Surroundings, fly};
-use cosurf_aggregator::partition::{Division, read_cells};
+use cosurf_aggregator::partition::{DEFAULT_MARGIN, Division, read_cells};
 use cosurf_aggregator::report::{MissionReport, table};
 use cosurf_city::CitySettings;
 use cosurf_link::BrokerAddress;
@@ -48,7 +48,7 @@ pub(crate) struct MissionArgs {
     cells: Option<PathBuf>,
     /// Width of the margin around each cell, as a share of the cell's size, 0 to 1. The cell's agent also trains on
     /// views of other cells that look at the margin; 0 for no margin
-    #[arg(long, value_name = "SHARE", default_value_t = 0.2, value_parser = parse_margin)]
+    #[arg(long, value_name = "SHARE", default_value_t = DEFAULT_MARGIN, value_parser = parse_margin)]
     margin: f64,
     /// Training steps of each agent
     #[arg(long, value_name = "N", default_value_t = 1500, value_parser = clap::value_parser!(u32).range(1..))]

@@ -11,9 +11,11 @@ use serde::Deserialize;
 pub struct DrawnCell {
     /// The corners in map coordinates.
     pub corners: Vec<[f64; 2]>,
+    /// The property `device`: the name of the drone that observes the cell.
+    pub device: Option<String>,
 }
 
-/// The parts of GeoJSON (RFC 7946) that are read. Other members of these objects, such as names, are ignored.
+/// The parts of GeoJSON (RFC 7946) that are read. Other members of these objects are ignored.
 #[derive(Deserialize)]
 #[serde(tag = "type")]
 enum GeoJson {
@@ -22,6 +24,7 @@ enum GeoJson {
     },
     Feature {
         geometry: Option<Box<GeoJson>>,
+        properties: Option<Properties>,
     },
     /// `coordinates` is a list of rings of positions: first the outer border, then the holes.
     Polygon {
@@ -29,6 +32,12 @@ enum GeoJson {
     },
     #[serde(other)]
     Other,
+}
+
+/// The properties of a cell. Other ones are ignored.
+#[derive(Deserialize)]
+struct Properties {
+    device: Option<String>,
 }
 
 /// Reads the polygons of a file, in file order. Fails if a polygon has a hole, or if the file has another geometry.
@@ -40,24 +49,27 @@ pub fn read_cells(file: &Path) -> Result<Vec<DrawnCell>, SceneError> {
 fn parse(text: &str) -> Result<Vec<DrawnCell>, String> {
     let mut cells = Vec::new();
     let json = serde_json::from_str(text).map_err(|error| format!("not valid GeoJSON: {error}"))?;
-    collect(json, &mut cells)?;
+    collect(json, None, &mut cells)?;
     Ok(cells)
 }
 
-fn collect(part: GeoJson, cells: &mut Vec<DrawnCell>) -> Result<(), String> {
+/// Adds the cells in `part`, which are for `device`.
+fn collect(part: GeoJson, device: Option<String>, cells: &mut Vec<DrawnCell>) -> Result<(), String> {
     let number = cells.len() + 1;
     match part {
         GeoJson::FeatureCollection { features } => {
-            features.into_iter().try_for_each(|feature| collect(feature, cells))
+            features.into_iter().try_for_each(|feature| collect(feature, None, cells))
         }
-        GeoJson::Feature { geometry: Some(geometry) } => collect(*geometry, cells),
+        GeoJson::Feature { geometry: Some(geometry), properties } => {
+            collect(*geometry, properties.and_then(|properties| properties.device), cells)
+        }
         GeoJson::Polygon { coordinates } if coordinates.len() == 1 => {
             let corner = |position: &Vec<f64>| match position[..] {
                 [x, y, ..] => Ok([x, y]),
                 _ => Err(format!("cell {number}: a position needs two coordinates")),
             };
             let corners = coordinates[0].iter().map(corner).collect::<Result<_, _>>()?;
-            cells.push(DrawnCell { corners });
+            cells.push(DrawnCell { corners, device });
             Ok(())
         }
         _ => Err(format!("cell {number} is not a polygon without holes: draw one polygon per cell")),
@@ -70,12 +82,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn polygons_are_read_and_heights_and_names_ignored() {
+    fn polygons_and_their_devices_are_read_and_heights_ignored() {
         let text = r#"{"type":"FeatureCollection","name":"cells","features":[
-            {"type":"Feature","properties":{"id":1},"geometry":{"type":"Polygon","coordinates":[[[0,0],[9,0,5.5],[9,9]]]}},
+            {"type":"Feature","properties":{"id":1,"device":"drone-1"},"geometry":{"type":"Polygon","coordinates":[[[0,0],[9,0,5.5],[9,9]]]}},
             {"type":"Feature","properties":null,"geometry":{"type":"Polygon","coordinates":[[[1,2],[3,4],[5,7]]]}}]}"#;
-        let cells = [vec![[0.0, 0.0], [9.0, 0.0], [9.0, 9.0]], vec![[1.0, 2.0], [3.0, 4.0], [5.0, 7.0]]];
-        assert_eq!(parse(text).unwrap(), cells.map(|corners| DrawnCell { corners }));
+        let corners = [vec![[0.0, 0.0], [9.0, 0.0], [9.0, 9.0]], vec![[1.0, 2.0], [3.0, 4.0], [5.0, 7.0]]];
+        let [first, second] = corners;
+        let cells = [(first, Some("drone-1".to_owned())), (second, None)];
+        assert_eq!(parse(text).unwrap(), cells.map(|(corners, device)| DrawnCell { corners, device }));
     }
 
     #[test]
@@ -83,6 +97,7 @@ mod tests {
         for (text, what) in [
             ("{", "not valid GeoJSON"),
             (r#"{"type":"Point","coordinates":[0,0]}"#, "cell 1 is not a polygon"),
+            (r#"{"type":"Feature","geometry":null,"properties":{"device":7}}"#, "expected a string"),
             (r#"{"type":"Polygon","coordinates":[[[0]]]}"#, "two coordinates"),
             (r#"{"type":"Polygon","coordinates":[[[0,0]],[[0,0]]]}"#, "without holes"),
         ] {

@@ -15,6 +15,7 @@ use serde::{Deserialize, Deserializer};
 use super::round::Rounds;
 use crate::broker::{CLIENTS_MAX, MEMORY_BYTES, MEMORY_BYTES_MIN, ServerTls};
 use crate::merge::MergeSettings;
+use crate::partition::DEFAULT_MARGIN;
 
 /// Largest limit on clients, devices and uploads that a configuration may give.
 const LIMIT_MAX: usize = 16_384;
@@ -95,6 +96,13 @@ pub struct AggregatorConfig {
     /// Longest time that a merge waits for more models, seconds.
     #[serde(default = "default_deadline_s")]
     pub deadline_s: u64,
+    /// GeoJSON file with the plan of the site: polygons with the property `device`, which names the drone that observes the
+    /// polygon. Absent if each drone trains on all of its pictures.
+    pub plan: Option<PathBuf>,
+    /// With `plan`, width of the margin around each cell, as a share of the cell's size, 0 to 1. The cell's drone also
+    /// trains on pictures that look at the margin.
+    #[serde(default = "default_margin", deserialize_with = "margin")]
+    pub margin: f64,
     /// The aggregator above this one; absent if there is none. With an aggregator above, this one is an edge: it
     /// uploads its global models like a device.
     pub upstream: Option<UpstreamConfig>,
@@ -215,6 +223,19 @@ fn default_deadline_s() -> u64 {
     Rounds::default().deadline.as_secs()
 }
 
+fn default_margin() -> f64 {
+    DEFAULT_MARGIN
+}
+
+/// Reads the width of the margin.
+fn margin<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    let margin = f64::deserialize(deserializer)?;
+    match (0.0..=1.0).contains(&margin) {
+        true => Ok(margin),
+        false => Err(D::Error::custom("give a number from 0 to 1")),
+    }
+}
+
 /// Reads a limit on a number of clients, devices or uploads. Each takes memory, and a client also an open file.
 fn limit<'de, D: Deserializer<'de>>(deserializer: D) -> Result<usize, D::Error> {
     let number = usize::deserialize(deserializer)?;
@@ -279,6 +300,7 @@ mod tests {
         let config = read(REQUIRED).unwrap();
         assert_eq!((config.device.as_str(), config.bind, config.quorum), ("aggregator", None, 1));
         assert_eq!((config.clients_max, config.devices_max, config.uploads_max), (1024, 1024, 256));
+        assert_eq!((config.plan, config.margin), (None, 0.2));
         let config = read(&format!("{REQUIRED}clients_max = 16_384")).unwrap();
         assert_eq!(config.clients_max, 16_384);
         let config = read(&format!("{REQUIRED}bind = \"[::]:1883\"")).unwrap();
@@ -299,6 +321,9 @@ mod tests {
                 "clients_max = 16_385",
                 "line 3, clients_max: give a number from 1 to 16384; for more, divide the site",
             ),
+            ("margin = 1.5", "line 3, margin: give a number from 0 to 1"),
+            ("margin = nan", "line 3, margin: give a number from 0 to 1"),
+            ("plan = 7", "line 3, plan: "),
             ("uploads_max = 0", "line 3, uploads_max: give a number from 1 to 16384"),
             ("bnid = 1", "line 3, bnid: unknown field `bnid`"),
             ("[workers]\nqueue = \"nats://h:1\"", "line 3, workers: missing field `tiles`"),

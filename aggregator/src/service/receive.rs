@@ -1,11 +1,12 @@
 //! A service as a loop: it receives messages, stores and merges models, and reports events to its owner.
 
+use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::sync::mpsc::Receiver;
 use std::time::Duration;
 
-use cosurf_link::{Credentials, Node, Transport};
-use cosurf_wire::ModelHeader;
+use cosurf_link::{Credentials, Node, PlannedCell, Transport};
+use cosurf_wire::{DeviceId, ModelHeader};
 
 use super::above::AboveLink;
 use super::control::{Command, ServiceConfig};
@@ -30,7 +31,14 @@ impl Service {
     pub fn open(config: ServiceConfig) -> Result<Self, ServiceError> {
         let (identity, limits) = (config.identity, config.limits);
         let (keeper, known) = Keeper::open(config)?;
-        Ok(Self { node: Node::new(identity, limits, &known), keeper })
+        let service = Self { node: Node::new(identity, limits, &known), keeper };
+        Ok(service.with_plan(BTreeMap::new()))
+    }
+
+    /// Tells each device its cell of this plan, or that it has none.
+    pub(super) fn with_plan(mut self, cells: BTreeMap<DeviceId, PlannedCell>) -> Self {
+        self.node.share_plan(cells);
+        self
     }
 
     /// Signs outgoing messages with `credentials`, and accepts only messages that the credentials trust.

@@ -26,6 +26,7 @@ use super::event::ServiceEvent;
 use super::folder::senders;
 use super::receive::Service;
 use super::round::{Expected, Rounds};
+use super::site_plan::read_plan;
 use super::upstream::{Upstream, UpstreamEvent, UpstreamNode};
 use crate::broker::{Broker, BrokerError, BrokerEvent, BrokerSettings, Reach, Users, UsersError};
 use crate::gateway::{Gateway, GatewayEvent};
@@ -106,7 +107,7 @@ pub enum ServeError {
     /// The workers' queue cannot be used.
     #[error("workers.queue: {0}")]
     Queue(QueueError),
-    /// A key file could not be read, or the service's folder could not be made or written to.
+    /// A key file or the plan could not be read, or the service's folder could not be made or written to.
     #[error(transparent)]
     Scene(#[from] SceneError),
     /// The stores in the service's folder could not be opened.
@@ -159,6 +160,7 @@ pub fn serve(
         config.trusted.as_deref(),
         None,
     )?;
+    let plan = config.plan.as_deref().map(|file| read_plan(file, config.margin)).transpose()?;
     let say_broker = say_beside.clone();
     let (embedded, reach) = reach_broker(config, move |event| say_broker(SideEvent::Broker(event)))?;
     say_beside(SideEvent::Memory(MemoryBound::of(config)));
@@ -168,7 +170,7 @@ pub fn serve(
     let key = credentials.key.clone();
     let mut service =
         Service::open(service_config(config, identity, host.threads))?.with(credentials.clone());
-    service = service.with_devices_max(config.devices_max);
+    service = service.with_devices_max(config.devices_max).with_plan(plan.unwrap_or_default());
     if let Some(workers) = &config.workers {
         service = employ(service, workers, &identity)?;
     }

@@ -11,6 +11,7 @@ mod hierarchy;
 mod life;
 mod lost;
 mod parts;
+mod plan;
 mod tiles;
 mod withdrawal;
 mod workers;
