@@ -4,6 +4,7 @@
 //! What it is:
 //! - [`session`]: training within a memory limit. A training that is killed and resumed gives the same bits as one that
 //!   runs without a stop ([`checkpoint`]).
+//! - [`cell`]: the pictures of the agent's cell of the site's plan.
 //! - [`evaluate`]: scores of a model on held-out pictures.
 //! - [`pictures`]: renderings of a model as files.
 //! - [`publish`]: the upload of the model over a link, and the download of the global model. The upload can leave out
@@ -44,6 +45,7 @@
 //! # Ok::<(), anyhow::Error>(())
 //! ```
 
+pub mod cell;
 pub mod changes;
 pub mod checkpoint;
 pub mod evaluate;

@@ -5,7 +5,7 @@ use std::io::{IsTerminal, Write};
 use std::time::{Duration, Instant};
 
 use cosurf_agent::status::StatusBoard;
-use cosurf_contract::{AgentEvent, ComparedWith, Escaped, counted};
+use cosurf_contract::{AgentEvent, ChosenBy, ComparedWith, Escaped, counted};
 use cosurf_engine::train::StepOutcome;
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -154,6 +154,18 @@ fn show_bar(bar: &ProgressBar, event: &AgentEvent) {
 /// The event as a line of text; `None` for events that are not shown as text.
 fn describe(event: &AgentEvent) -> Option<String> {
     Some(match event {
+        AgentEvent::ViewsChosen { by, pictures, of, resumed } => {
+            let all = counted(*of as u64, "picture");
+            let choice = match by {
+                ChosenBy::Cell => format!("cell of the plan: {pictures} of {all}"),
+                ChosenBy::NoCell => format!("the aggregator has no cell for this drone: all of {all}"),
+                ChosenBy::NoPlan => format!("no plan came from the aggregator: all of {all}"),
+                ChosenBy::Configuration => {
+                    format!("`views` of the configuration, not a cell of the plan: {pictures} of {all}")
+                }
+            };
+            if *resumed { format!("{choice}, as the training was begun") } else { choice }
+        }
         AgentEvent::Started { views, held_out, splats, steps, resumed_at } => {
             let from =
                 if *resumed_at > 0 { format!(", resumed at step {resumed_at}") } else { String::new() };

@@ -1,5 +1,6 @@
 //! `run`: trains on the pictures of a flight, publishes the model and receives the global model.
 
+mod choice;
 mod comparison;
 mod reporter;
 mod route;
@@ -17,11 +18,13 @@ use cosurf_contract::{AgentConfig, ComparedWith, Share};
 use cosurf_engine::{PruneSettings, SurfaceSettings, base_of};
 use cosurf_link::{Credentials, Identity, Role, next_session};
 use cosurf_scene::{Camera, FolderLock, Splats, files, ply};
+use cosurf_wire::DeviceId;
 
-use super::host::{cores, default_memory};
+use super::host::{self, cores, default_memory};
 use super::paths::resolve_init;
 use super::progress::Progress;
 use super::train;
+use choice::Answer;
 use comparison::Comparison;
 use reporter::Reporter;
 use route::Route;
@@ -39,12 +42,13 @@ pub(super) struct RunArgs {
 }
 
 pub(super) fn run(args: &RunArgs) -> Result<()> {
-    let job = Job::load(&args.config)?;
+    let mut job = Job::load(&args.config)?;
     let _lock = FolderLock::take(&job.config.out, "cosurf-agent run")?;
     let board = StatusBoard::new(job.config.steps);
     let mut progress = Progress::new(args.json).with_board(&board);
+    let reporter = job.connect(&board, &mut progress)?;
     let flight = job.flight()?;
-    let reporter = job.report(flight.as_deref(), &board, &mut progress)?;
+    let reporter = job.announce(flight.as_deref(), reporter);
     train::train(&job.plan, &job.config.out, false, &mut progress)?;
     let model = LocalModel::read(&job.config.out)?;
     job.publish(&model, flight.as_deref(), (&board, reporter), &mut progress)?;
@@ -58,6 +62,7 @@ pub(super) fn run(args: &RunArgs) -> Result<()> {
 /// A configuration that has been checked, with the plan for the training and the content of the key files.
 struct Job {
     config: AgentConfig,
+    device: DeviceId,
     plan: TrainPlan,
     credentials: Credentials,
     route: Route,
@@ -89,8 +94,10 @@ impl Job {
         let frame = config.frame.unwrap_or_default();
         let AgentConfig { key, trusted, fleet, .. } = &config;
         let credentials = Credentials::load(frame, key.as_deref(), trusted.as_deref(), fleet.as_deref())?;
-        let route = Route::of(&config).with_context(|| path.display().to_string())?;
-        Ok(Self { plan: train_plan(&config), credentials, route, started: Instant::now(), config })
+        let named = || path.display().to_string();
+        let device = config.device.map_or_else(host::device, Ok).with_context(named)?;
+        let route = Route::of(&config, device).with_context(named)?;
+        Ok(Self { plan: train_plan(&config), device, credentials, route, started: Instant::now(), config })
     }
 
     /// Monotonic time since an arbitrary moment in the past.
@@ -100,33 +107,64 @@ impl Job {
 
     /// The identity of the device in a new session.
     fn identity(&self) -> Result<Identity> {
-        let AgentConfig { site, device, out, .. } = &self.config;
+        let AgentConfig { site, out, .. } = &self.config;
         let clock_s = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
         let session = next_session(&out.join("session"), clock_s)?;
-        Ok(Identity { site: *site, device: *device, session, role: Role::Device })
+        Ok(Identity { site: *site, device: self.device, session, role: Role::Device })
     }
 
-    /// The cameras of all this device's pictures, which it announces to the other devices; `None` if `compress` is not set.
+    /// The cameras of all pictures that this device trains on, which it announces to the other devices; `None` if `compress`
+    /// is not set.
     fn flight(&self) -> Result<Option<Vec<Camera>>> {
         self.config.compress.then(|| session::flight(&self.plan)).transpose()
     }
 
-    /// Connects, announces the flight, and tells how far the agent is while it trains. On a radio, the connection ends
-    /// after the announcement: it would take the line from other devices.
-    fn report(
-        &self,
-        flight: Option<&[Camera]>,
-        board: &StatusBoard,
-        progress: &mut Progress,
-    ) -> Result<Option<Reporter>> {
+    /// Connects, and asks the aggregator for this device's cell of the plan. Chooses the pictures by the answer, and tells how
+    /// far the agent is while it trains. A training that was begun keeps its pictures.
+    fn connect(&mut self, board: &StatusBoard, progress: &mut Progress) -> Result<Reporter> {
+        let out = &self.config.out;
+        let begun_with = choice::begun_with(out);
         let identity = self.identity()?;
         let connection = self.route.connect_reporting(identity, self.credentials.key.as_ref());
-        let board = self.board(board);
-        let is_over_soon = board.is_none() && flight.is_some();
-        let flush_time = if is_over_soon { self.route.flush_time() } else { Duration::ZERO };
-        let reporter =
-            Reporter::start(identity, &self.credentials, flight, connection, board, flush_time, progress);
-        Ok(board.map(|_| reporter))
+        let (reporter, answer) = Reporter::start(
+            identity,
+            self.credentials.clone(),
+            connection,
+            self.board(board),
+            begun_with.is_none(),
+            progress,
+        );
+        self.follow_plan(begun_with, answer, progress)?;
+        Ok(reporter)
+    }
+
+    /// Chooses pictures and frame by what an earlier run has begun with, or else by the answer of the aggregator.
+    fn follow_plan(
+        &mut self,
+        begun_with: Option<Option<Answer>>,
+        answer: Option<Answer>,
+        progress: &mut Progress,
+    ) -> Result<()> {
+        let resumed = begun_with.is_some();
+        let answer = begun_with.unwrap_or(answer);
+        self.credentials.frame = choice::frame(&self.config, answer.as_ref())?;
+        progress.show(&choice::choose(&mut self.plan, answer.as_ref(), resumed)?);
+        choice::keep(&self.config.out, answer.as_ref())
+    }
+
+    /// Announces the flight. On a radio, the connection ends after the announcement: it would take the line from other
+    /// devices.
+    fn announce(&self, flight: Option<&[Camera]>, reporter: Reporter) -> Option<Reporter> {
+        if let Some(flight) = flight {
+            reporter.announce(self.credentials.clone(), flight.to_vec());
+        }
+        if !self.route.is_radio() {
+            return Some(reporter);
+        }
+        if flight.is_some() && reporter.is_connected() {
+            std::thread::sleep(self.route.flush_time());
+        }
+        None
     }
 
     /// The board, unless the line is too slow for statuses.

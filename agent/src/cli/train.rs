@@ -9,7 +9,7 @@ use clap::{Args, ValueEnum};
 use cosurf_agent::checkpoint::{self, Checkpoint, Spent};
 use cosurf_agent::session::{Session, Split, TrainPlan};
 use cosurf_agent::{evaluate, outputs, usage};
-use cosurf_contract::{AgentEvent, Share, TrainReport, counted};
+use cosurf_contract::{AgentEvent, DEFAULT_STEPS, Share, TrainReport, counted};
 use cosurf_engine::{
     Backend, DeviceChoice, DeviceLost, PruneScore, PruneSettings, Renderer, SurfaceSettings,
 };
@@ -38,7 +38,7 @@ pub(super) struct TrainArgs {
     #[arg(long, value_name = "DIR", default_value = "out/model")]
     out: PathBuf,
     /// Training steps
-    #[arg(long, value_name = "N", default_value_t = 3000, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = DEFAULT_STEPS, value_parser = clap::value_parser!(u32).range(1..))]
     steps: u32,
     /// Limit on resident memory, for example 300MiB [default: two thirds of the free memory, at most 8 GiB]
     #[arg(long, value_name = "BYTES", value_parser = parse_bytes)]

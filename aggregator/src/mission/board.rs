@@ -82,7 +82,8 @@ impl Status {
                 (self.steps_per_s, self.seconds_left) = (*steps_per_s, *seconds_left);
                 self.extend_curve(*step, *psnr);
             }
-            AgentEvent::DeviceLost { .. }
+            AgentEvent::ViewsChosen { .. }
+            | AgentEvent::DeviceLost { .. }
             | AgentEvent::Preparing { .. }
             | AgentEvent::Compared { .. }
             | AgentEvent::Compressed { .. } => {}

@@ -190,7 +190,7 @@ impl Plan {
         let folder = out.join("agents").join(device.as_str());
         fs::create_dir_all(&folder).map_err(|cause| SceneError::io(&folder, cause))?;
         let config = AgentConfig {
-            device,
+            device: Some(device),
             site: self.site_of(agent),
             broker: Some(broker.clone()),
             tls: None,
@@ -350,7 +350,7 @@ mod tests {
         let folder = plan.write_agent_config(1, &settings(), out.path(), &broker, 3).unwrap();
         let text = fs::read_to_string(folder.join("agent.toml")).unwrap();
         let config: AgentConfig = toml::from_str(&text).unwrap();
-        assert_eq!((config.device.as_str(), config.site.as_str()), ("agent-2", "a"));
+        assert_eq!((config.device, config.site.as_str()), (Some(plan.devices[1]), "a"));
         assert_eq!((config.seed, config.threads, config.memory_bytes), (8, Some(3), Some(1 << 30)));
         assert_eq!(config.views, plan.names_of(1, false));
         assert!(config.wait_global && config.out == folder);

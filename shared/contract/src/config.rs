@@ -20,6 +20,9 @@ pub use error::ConfigError;
 /// Limit on the agents whose flights count, unless the configuration sets another.
 pub const DEFAULT_FLIGHTS_MAX: usize = 256;
 
+/// Number of training steps, unless the configuration sets another.
+pub const DEFAULT_STEPS: u32 = 3000;
+
 /// The configuration of one agent. Relative paths are relative to the agent's working folder.
 ///
 /// Integers in TOML are signed 64-bit numbers, so `seed` and `memory_bytes` can be written as TOML only if they are
@@ -27,8 +30,9 @@ pub const DEFAULT_FLIGHTS_MAX: usize = 256;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AgentConfig {
-    /// The agent's id: unique on the site, the same in every run.
-    pub device: DeviceId,
+    /// The agent's id: unique on the site, the same in every run. If absent, it is made of the host's name.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub device: Option<DeviceId>,
     /// The site whose aggregator receives the model.
     pub site: SiteId,
     /// The broker's address, for example `mqtt://127.0.0.1:1883`. Give either `broker` or `serial`.
@@ -49,21 +53,25 @@ pub struct AgentConfig {
     /// Speed of the serial port in bits per second; [`DEFAULT_BAUD`] if absent. Not allowed without `serial`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub baud: Option<NonZeroU32>,
-    /// The dataset's folder.
+    /// The dataset's folder; `data` if absent.
+    #[serde(default = "default_data")]
     pub data: PathBuf,
-    /// The folder to which the agent writes model, checkpoints, report and the received global model.
+    /// The folder to which the agent writes model, checkpoints, report and the received global model; `out` if absent.
+    #[serde(default = "default_out")]
     pub out: PathBuf,
-    /// Names of the views to train on. If `views` and `held_out` are both empty, `eval_every` splits the dataset.
+    /// Names of the views to train on. If `views` and `held_out` are both empty, the agent's cell of the site's plan tells
+    /// the views, or all views count if there is no cell. Then `eval_every` tells which of them are held out.
     #[serde(default)]
     pub views: Vec<String>,
     /// Names of the held-out views: scored, never trained on.
     #[serde(default)]
     pub held_out: Vec<String>,
-    /// If `views` and `held_out` are both empty, every n-th view by sorted name is held out; 0 holds out none.
+    /// If `views` and `held_out` are both empty, every n-th view of the dataset by sorted name is held out; 0 holds out
+    /// none.
     #[serde(default = "default_eval_every")]
     pub eval_every: u32,
-    /// Number of training steps, at least 1.
-    #[serde(deserialize_with = "range::steps")]
+    /// Number of training steps, at least 1; [`DEFAULT_STEPS`] if absent.
+    #[serde(default = "default_steps", deserialize_with = "range::steps")]
     pub steps: u32,
     /// Seed of all random numbers.
     #[serde(default)]
@@ -97,7 +105,8 @@ pub struct AgentConfig {
     /// from the dataset's sparse points.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub init: Option<PathBuf>,
-    /// The world frame of the coordinates; only models of the same frame are merged. `local` if absent.
+    /// The world frame of the coordinates; only models of the same frame are merged. If absent, the frame of the site's
+    /// plan, or `local` if the aggregator does not answer.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub frame: Option<FrameId>,
     /// The file with the secret key that signs the model, written by the command `key`. If absent, the model is not
@@ -177,6 +186,18 @@ impl AgentConfig {
 /// Parses the content of any configuration file. The error is one line that names the line and the field.
 pub fn parse_toml<T: DeserializeOwned>(text: &str) -> Result<T, ConfigError> {
     toml::from_str(text).map_err(|error| ConfigError::from_toml(text, &error))
+}
+
+fn default_data() -> PathBuf {
+    "data".into()
+}
+
+fn default_out() -> PathBuf {
+    "out".into()
+}
+
+fn default_steps() -> u32 {
+    DEFAULT_STEPS
 }
 
 fn default_eval_every() -> u32 {

@@ -28,7 +28,7 @@
 //! steps = 3000
 //! "#;
 //! let config = AgentConfig::from_toml(text)?;
-//! assert_eq!((config.device.as_str(), config.seed), ("drone-1", 0));
+//! assert_eq!((config.device.map(|device| device.to_string()).as_deref(), config.seed), (Some("drone-1"), 0));
 //!
 //! let wrong = text.replace("drone-1", "drone 1");
 //! let error = AgentConfig::from_toml(&wrong).unwrap_err();
@@ -48,11 +48,11 @@ mod share;
 pub mod status;
 mod words;
 
-pub use config::{AgentConfig, AgentLink, ConfigError, DEFAULT_FLIGHTS_MAX, parse_toml};
+pub use config::{AgentConfig, AgentLink, ConfigError, DEFAULT_FLIGHTS_MAX, DEFAULT_STEPS, parse_toml};
 pub use cosurf_link::TlsFiles;
 pub use log::{LogError, LogFormat};
 pub use password::{PasswordError, read_password};
-pub use report::{AgentEvent, Changes, ComparedWith, TrainReport};
+pub use report::{AgentEvent, Changes, ChosenBy, ComparedWith, TrainReport};
 pub use share::{NotAShare, Share};
 pub use status::{AgentPhase, AgentStatus};
 pub use words::{Escaped, counted};

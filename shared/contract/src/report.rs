@@ -10,6 +10,18 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "event", rename_all = "snake_case")]
 pub enum AgentEvent {
+    /// The agent has chosen the pictures to train on and to hold out, before it trains.
+    ViewsChosen {
+        /// What the choice follows.
+        by: ChosenBy,
+        /// Number of chosen pictures.
+        pictures: usize,
+        /// Number of all pictures of the dataset.
+        of: usize,
+        /// Whether an earlier run has made the choice: a training that was begun keeps its pictures.
+        #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+        resumed: bool,
+    },
     /// Training has started, or resumed from a checkpoint.
     Started {
         /// Number of training views.
@@ -120,6 +132,20 @@ pub enum AgentEvent {
         /// model.
         changes: Changes,
     },
+}
+
+/// What an agent's choice of pictures follows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ChosenBy {
+    /// The agent's cell of the site's plan.
+    Cell,
+    /// The site's plan has no cell for the agent, so all pictures count.
+    NoCell,
+    /// No plan has arrived in time, so all pictures count.
+    NoPlan,
+    /// The lists `views` and `held_out` of the agent's configuration. They win over a cell.
+    Configuration,
 }
 
 /// The model that an agent's own model is compared with.

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::report::AgentEvent;
+use crate::report::{AgentEvent, ChosenBy};
 
 /// Limit on the characters of a problem in a status, so that a status stays small.
 const PROBLEM_CHARS_MAX: usize = 200;
@@ -12,6 +12,9 @@ const PROBLEM_CHARS_MAX: usize = 200;
 pub struct AgentStatus {
     /// What the agent is doing.
     pub phase: AgentPhase,
+    /// Number of pictures in the agent's cell of the site's plan; `None` if the agent does not train by a cell.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cell_pictures: Option<usize>,
     /// Number of training steps done.
     pub step: u32,
     /// Number of all training steps.
@@ -59,6 +62,7 @@ impl AgentStatus {
     pub fn new(steps: u32, version: &str) -> Self {
         Self {
             phase: AgentPhase::Loading,
+            cell_pictures: None,
             step: 0,
             steps,
             psnr: None,
@@ -80,6 +84,9 @@ impl AgentStatus {
             self.problem = Some(reason.chars().take(PROBLEM_CHARS_MAX).collect());
         }
         match event {
+            AgentEvent::ViewsChosen { by, pictures, .. } => {
+                self.cell_pictures = (*by == ChosenBy::Cell).then_some(*pictures);
+            }
             AgentEvent::Started { splats, steps, resumed_at, .. } => {
                 self.phase = AgentPhase::Training;
                 (self.splats, self.steps, self.step) = (*splats, *steps, *resumed_at);
@@ -124,6 +131,10 @@ mod tests {
     #[test]
     fn a_status_follows_the_events_and_stays_small() {
         let mut status = AgentStatus::new(300, "0.1.0");
+        let chosen = |by| AgentEvent::ViewsChosen { by, pictures: 10, of: 40, resumed: false };
+        for (by, pictures) in [(ChosenBy::Cell, Some(10)), (ChosenBy::NoCell, None)] {
+            assert!(!status.follow(&chosen(by)) && status.cell_pictures == pictures);
+        }
         let started = AgentEvent::Started { views: 9, held_out: 1, splats: 100, steps: 300, resumed_at: 20 };
         assert!(status.follow(&started) && status.phase == AgentPhase::Training && status.step == 20);
         let retrying = AgentEvent::Retrying { reason: "\u{1F4A5}".repeat(9000), attempt: 1 };

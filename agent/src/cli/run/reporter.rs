@@ -1,5 +1,5 @@
-//! Keeps a connection while the agent trains: tells the other devices of its flight, and everybody how far it is. What is
-//! wrong with the broker or the keys is told before the training.
+//! Keeps a connection while the agent trains: asks for the agent's cell of the site's plan, tells the other devices of its
+//! flight, and everybody how far it is. What is wrong with the broker or the keys is told before the training.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -12,6 +12,7 @@ use cosurf_contract::AgentEvent;
 use cosurf_link::{Credentials, Identity, InboxLimits, Node, NodeEvent};
 use cosurf_scene::Camera;
 
+use super::choice::Answer;
 use super::route::Connection;
 use crate::cli::progress::Progress;
 
@@ -19,6 +20,8 @@ use crate::cli::progress::Progress;
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(3);
 /// How long the agent waits, once it is connected, for the broker's refusals of its messages.
 const REFUSAL_TIMEOUT: Duration = Duration::from_millis(300);
+/// How long the agent waits, once it is connected, for its cell of the plan.
+const PLAN_TIMEOUT: Duration = Duration::from_secs(3);
 /// Longest wait for a message, after which the loop checks whether it must stop.
 const POLL_TIMEOUT: Duration = Duration::from_millis(200);
 
@@ -26,45 +29,62 @@ const POLL_TIMEOUT: Duration = Duration::from_millis(200);
 pub(super) struct Reporter {
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
+    is_connected: bool,
+    flights: Sender<Flight>,
+}
+
+/// A flight that the thread announces, in the world frame of these credentials.
+struct Flight {
+    credentials: Credentials,
+    cameras: Vec<Camera>,
 }
 
 /// What the thread tells.
 enum Told {
     Connected,
+    Plan(Answer),
     Problem(AgentEvent),
 }
 
 impl Reporter {
-    /// Connects, and announces the cameras `flight`. Waits until the connection is up, but at most [`CONNECT_TIMEOUT`], and
-    /// then for `flush_time`, so that the announcement is sent. Shows what is wrong, now and while the agent trains.
-    /// Without a `board`, no status is told.
+    /// Connects. Waits until the connection is up, but at most [`CONNECT_TIMEOUT`]; and then, if it `asks` for the agent's
+    /// cell, at most [`PLAN_TIMEOUT`] for the answer, which is returned too. Shows what is wrong, now and while the agent
+    /// trains. Without a `board`, no status is told.
     pub(super) fn start(
         identity: Identity,
-        credentials: &Credentials,
-        flight: Option<&[Camera]>,
+        credentials: Credentials,
         connection: Connection,
         board: Option<&StatusBoard>,
-        flush_time: Duration,
+        asks: bool,
         progress: &mut Progress,
-    ) -> Self {
+    ) -> (Self, Option<Answer>) {
         // This node accepts no models; the node of `publish` does.
         let mut node = Node::new(identity, InboxLimits::CLOSED, &[]);
-        node.set_credentials(credentials.clone());
-        if let Some(flight) = flight {
-            node.announce_flight(flight);
+        node.set_credentials(credentials);
+        if asks {
+            node.ask_for_plan();
         }
         let teller = board.map(|board| StatusTeller::new(board, identity));
         let (say, hear) = channel();
+        let (flights, queue) = channel();
         let stop = Arc::new(AtomicBool::new(false));
         let thread = {
             let stop = Arc::clone(&stop);
-            std::thread::spawn(move || keep(node, connection, teller, &say, &stop))
+            std::thread::spawn(move || keep(node, connection, teller, &say, &queue, &stop))
         };
-        if await_connection(&hear, progress) {
-            std::thread::sleep(flush_time);
-        }
+        let Start { is_connected, answer } = await_start(&hear, asks, progress);
         progress.listen(problems(hear));
-        Self { stop, thread: Some(thread) }
+        (Self { stop, thread: Some(thread), is_connected, flights }, answer)
+    }
+
+    /// Announces the cameras of the agent's flight, in the frame of these credentials.
+    pub(super) fn announce(&self, credentials: Credentials, cameras: Vec<Camera>) {
+        let _ = self.flights.send(Flight { credentials, cameras }); // fails only if the thread has panicked
+    }
+
+    /// Whether the agent was connected at the start.
+    pub(super) fn is_connected(&self) -> bool {
+        self.is_connected
     }
 }
 
@@ -78,22 +98,39 @@ impl Drop for Reporter {
     }
 }
 
-/// Waits for the connection and for refusals of the first messages, and shows what is wrong. Returns whether it is up.
-fn await_connection(hear: &Receiver<Told>, progress: &mut Progress) -> bool {
-    let mut end = Instant::now() + CONNECT_TIMEOUT;
-    let mut is_connected = false;
+/// What the agent knows once it stops waiting.
+#[derive(Debug, Default)]
+struct Start {
+    is_connected: bool,
+    answer: Option<Answer>,
+}
+
+/// Waits for the connection, for refusals of the first messages and, if the agent `asks` for its cell, for the answer. Shows
+/// what is wrong.
+fn await_start(hear: &Receiver<Told>, asks: bool, progress: &mut Progress) -> Start {
+    let mut start = Start::default();
+    let (mut end, mut refusals_end) = (Instant::now() + CONNECT_TIMEOUT, Instant::now());
     loop {
         match hear.recv_timeout(end.saturating_duration_since(Instant::now())) {
-            Ok(Told::Connected) => (is_connected, end) = (true, Instant::now() + REFUSAL_TIMEOUT),
+            Ok(Told::Connected) if start.is_connected => {}
+            Ok(Told::Connected) => {
+                start.is_connected = true;
+                refusals_end = Instant::now() + REFUSAL_TIMEOUT;
+                end = if asks { Instant::now() + PLAN_TIMEOUT } else { refusals_end };
+            }
+            Ok(Told::Plan(answer)) => {
+                start.answer = Some(answer);
+                end = refusals_end;
+            }
             Ok(Told::Problem(event)) => progress.show(&event),
-            Err(_) if is_connected => return true,
+            Err(_) if start.is_connected => return start,
             Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {
                 let seconds = CONNECT_TIMEOUT.as_secs();
                 let reason = format!(
                     "no connection after {seconds} s: the training begins without one; check the address"
                 );
                 progress.show(&AgentEvent::Retrying { reason, attempt: 1 });
-                return false;
+                return start;
             }
         }
     }
@@ -104,7 +141,7 @@ fn problems(hear: Receiver<Told>) -> impl FnMut() -> Option<AgentEvent> {
     move || {
         hear.try_iter().find_map(|told| match told {
             Told::Problem(event) => Some(event),
-            Told::Connected => None,
+            Told::Connected | Told::Plan(_) => None,
         })
     }
 }
@@ -115,11 +152,16 @@ fn keep(
     mut connection: Connection,
     mut teller: Option<StatusTeller>,
     say: &Sender<Told>,
+    flights: &Receiver<Flight>,
     stop: &AtomicBool,
 ) {
     let begun = Instant::now();
     let now = || begun.elapsed() + Duration::from_secs(1);
     while !stop.load(Ordering::Relaxed) {
+        if let Ok(Flight { credentials, cameras }) = flights.try_recv() {
+            node.set_credentials(credentials);
+            node.announce_flight(&cameras);
+        }
         let event = node.step(&mut connection, now, POLL_TIMEOUT);
         let is_connected = match &event {
             Some(NodeEvent::Connected) => Some(true),
@@ -141,6 +183,7 @@ fn told(event: NodeEvent) -> Option<Told> {
     let problem = |reason, attempt| Some(Told::Problem(AgentEvent::Retrying { reason, attempt }));
     match event {
         NodeEvent::Connected => Some(Told::Connected),
+        NodeEvent::Plan { frame, cell } => Some(Told::Plan(Answer { frame, cell })),
         NodeEvent::Disconnected { attempt, reason } if attempt.is_power_of_two() => problem(reason, attempt),
         NodeEvent::Denied(reason) => problem(reason, 1),
         _ => None,

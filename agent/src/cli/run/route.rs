@@ -10,6 +10,7 @@ use cosurf_link::{
     BrokerAddress, Identity, Login, MqttConfig, MqttTransport, Outgoing, PublishError, SecretKey,
     SerialConfig, SerialTransport, Tls, Transport, TransportEvent, last_will,
 };
+use cosurf_wire::DeviceId;
 
 /// The address of the broker or the serial port, the content of the certificate files, and the password.
 pub(super) enum Route {
@@ -18,13 +19,14 @@ pub(super) enum Route {
 }
 
 impl Route {
-    pub(super) fn of(config: &AgentConfig) -> Result<Self> {
+    /// The route of the device with this name, which is its user at the broker.
+    pub(super) fn of(config: &AgentConfig, device: DeviceId) -> Result<Self> {
         Ok(match config.link()? {
             AgentLink::Broker { address, tls } => Self::Broker {
                 broker: address.clone(),
                 tls: Tls::for_broker(address, tls).context("tls")?,
                 login: read_password(config.password_file.as_deref())?
-                    .map(|password| Login { user: config.device.to_string(), password }),
+                    .map(|password| Login { user: device.to_string(), password }),
             },
             AgentLink::Serial { port, baud } => Self::Serial { port: port.to_owned(), baud },
         })

@@ -57,8 +57,7 @@ cert = "drone-1.pem"
 key = "drone-1.key"
 "#;
 
-const REQUIRED: &str =
-    "device = \"d\"\nsite = \"s\"\nbroker = \"b\"\ndata = \"in\"\nout = \"out\"\nsteps = 7\n";
+const USUAL: &str = "device = \"d\"\nsite = \"s\"\nbroker = \"b\"\ndata = \"in\"\nout = \"out\"\nsteps = 7\n";
 
 fn refused(text: &str) -> String {
     AgentConfig::from_toml(text).unwrap_err().to_string()
@@ -73,8 +72,15 @@ fn toml_written_before_is_written_again_byte_for_byte() {
 }
 
 #[test]
-fn only_the_required_fields_must_be_written() {
-    let config = AgentConfig::from_toml(REQUIRED).unwrap();
+fn site_and_broker_are_enough() {
+    let config = AgentConfig::from_toml("site = \"s\"\nbroker = \"b\"\n").unwrap();
+    assert_eq!((config.device, config.steps), (None, DEFAULT_STEPS));
+    assert_eq!([config.data, config.out], ["data", "out"].map(PathBuf::from));
+}
+
+#[test]
+fn most_fields_need_not_be_written() {
+    let config = AgentConfig::from_toml(USUAL).unwrap();
     assert_eq!((config.steps, config.eval_every, config.seed), (7, 8, 0));
     assert!(config.views.is_empty() && config.memory_bytes.is_none() && !config.alone && !config.wait_global);
     assert_eq!(config.broker.as_ref().unwrap().port, 1883);
@@ -82,7 +88,7 @@ fn only_the_required_fields_must_be_written() {
 
 #[test]
 fn json_is_read_back_as_it_was_written() {
-    for text in [WRITTEN_BY_A_MISSION, ALL_FIELDS, REQUIRED] {
+    for text in [WRITTEN_BY_A_MISSION, ALL_FIELDS, USUAL] {
         let config = AgentConfig::from_toml(text).unwrap();
         let json = serde_json::to_string(&config).unwrap();
         assert_eq!(serde_json::from_str::<AgentConfig>(&json).unwrap(), config);
@@ -91,7 +97,7 @@ fn json_is_read_back_as_it_was_written() {
 
 #[test]
 fn a_serial_port_takes_the_place_of_a_broker() {
-    let text = REQUIRED.replace("broker = \"b\"", "serial = \"/dev/ttyUSB0\"");
+    let text = USUAL.replace("broker = \"b\"", "serial = \"/dev/ttyUSB0\"");
     let config = AgentConfig::from_toml(&text).unwrap();
     assert_eq!(config.link(), Ok(AgentLink::Serial { port: "/dev/ttyUSB0", baud: DEFAULT_BAUD }));
 }
@@ -124,7 +130,7 @@ fn a_wrong_value_is_one_line_that_names_line_and_field() {
         ("steps 7", "line 6, steps: "),
     ] {
         let key = line.split([' ', '[', ']']).find(|word| !word.is_empty()).unwrap();
-        let others = REQUIRED.lines().map(|other| if other.starts_with(key) { line } else { other });
+        let others = USUAL.lines().map(|other| if other.starts_with(key) { line } else { other });
         let mut text = others.collect::<Vec<_>>().join("\n") + "\n";
         if !text.contains(line) {
             text += line;
@@ -136,25 +142,25 @@ fn a_wrong_value_is_one_line_that_names_line_and_field() {
 
 #[test]
 fn a_missing_field_is_named() {
-    assert_eq!(refused(&REQUIRED.replace("device = \"d\"\n", "")), "missing field `device`");
+    assert_eq!(refused(&USUAL.replace("site = \"s\"\n", "")), "missing field `site`");
 }
 
 #[test]
 fn fields_that_contradict_each_other_are_refused() {
-    for text in [REQUIRED.replace("broker = \"b\"\n", ""), format!("{REQUIRED}serial = \"/dev/ttyUSB0\"\n")] {
+    for text in [USUAL.replace("broker = \"b\"\n", ""), format!("{USUAL}serial = \"/dev/ttyUSB0\"\n")] {
         assert!(refused(&text).contains("either broker"), "{text}");
     }
-    let baud = refused(&format!("{REQUIRED}baud = 9600\n"));
+    let baud = refused(&format!("{USUAL}baud = 9600\n"));
     assert!(baud.contains("remove it") && baud.contains("serial"), "{baud}");
-    let serial = REQUIRED.replace("broker = \"b\"", "serial = \"/dev/ttyUSB0\"");
+    let serial = USUAL.replace("broker = \"b\"", "serial = \"/dev/ttyUSB0\"");
     let tls = refused(&format!("{serial}[tls]\nca = \"a\"\ncert = \"b\"\nkey = \"c\"\n"));
     assert!(tls.contains("remove it") && tls.contains("mqtts"), "{tls}");
     let password = refused(&format!("{serial}password_file = \"p\"\n"));
     assert!(password.contains("password_file") && password.contains("remove it"), "{password}");
     let with_baud = AgentConfig::from_toml(&format!("{serial}baud = 9600\n")).unwrap();
     assert_eq!(AgentConfig::from_toml(&toml::to_string(&with_baud).unwrap()).unwrap(), with_baud);
-    let unsigned = refused(&format!("{REQUIRED}compress = true\ntrusted = \"list\"\n"));
+    let unsigned = refused(&format!("{USUAL}compress = true\ntrusted = \"list\"\n"));
     assert!(unsigned.contains("`compress`") && unsigned.contains("`fleet`"), "{unsigned}");
-    let signed = format!("{REQUIRED}compress = true\ntrusted = \"list\"\nfleet = \"others\"\n");
+    let signed = format!("{USUAL}compress = true\ntrusted = \"list\"\nfleet = \"others\"\n");
     assert!(AgentConfig::from_toml(&signed).is_ok());
 }
