@@ -5,10 +5,7 @@ use cosurf_contract::counted;
 use cosurf_link::PlannedCell;
 use cosurf_scene::{Dataset, Ground, Outline, footprints};
 
-use crate::session::Split;
-
-/// Least number of pictures to train on. With fewer, a surface has no depth.
-const TRAIN_MIN: usize = 3;
+use crate::session::{Split, VIEWS_MIN};
 
 /// Divides the views of a dataset that look at the cell. A training view belongs to the cell if the centre of its
 /// footprint lies in the cell or its margin, a held-out view if it lies in the cell itself. Every n-th view of the whole
@@ -22,9 +19,9 @@ pub fn split_by_cell(dataset: &Dataset, cell: &PlannedCell, eval_every: u32) -> 
         views.into_iter().filter(is_in).map(|view| dataset.views[view].name.clone()).collect()
     };
     let (train, held_out) = (names(train, cell.margin), names(held_out, 0.0));
-    if train.len() < TRAIN_MIN {
+    if train.len() < VIEWS_MIN {
         bail!(
-            "{} of {} to train on {} at this drone's cell of the plan, {TRAIN_MIN} are needed: check that pictures and cell \
+            "{} of {} to train on {} at this drone's cell of the plan, {VIEWS_MIN} are needed: check that pictures and cell \
              have the same coordinates (x and y, with z up), draw a larger cell, or name `views` in agent.toml",
             train.len(),
             counted(dataset.views.len() as u64, "picture"),

@@ -38,6 +38,7 @@ enum Command {
     Eval(eval::EvalArgs),
     Render(render::RenderArgs),
     Run(run::RunArgs),
+    Preflight(run::PreflightArgs),
     Key(key::KeyArgs),
     #[cfg(feature = "gpu")]
     Devices(devices::DevicesArgs),
@@ -52,6 +53,7 @@ pub(crate) fn run(cli: Cli) -> Result<()> {
         Command::Eval(args) => eval::run(&args),
         Command::Render(args) => render::run(&args),
         Command::Run(args) => run::run(&args),
+        Command::Preflight(args) => run::preflight(&args),
         Command::Key(args) => key::run(&args),
         #[cfg(feature = "gpu")]
         Command::Devices(args) => devices::run(&args),

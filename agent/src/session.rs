@@ -27,7 +27,7 @@ pub const SH_DEGREE: u32 = 3;
 
 /// Smallest number of training views. The surface losses compare two views; a third makes it likely that some ground is in
 /// two of them.
-const VIEWS_MIN: usize = 3;
+pub(crate) const VIEWS_MIN: usize = 3;
 
 /// The sparse points take at most one part in so many of the memory. There are two copies of them for a while: all, and
 /// those of the training views.
@@ -94,6 +94,13 @@ pub enum Split {
     },
 }
 
+/// Opens the plan's dataset, with as many sparse points as the plan's memory has room for. Also returns of how many points
+/// in a row one was kept.
+pub fn open_dataset(plan: &TrainPlan) -> Result<(Dataset, usize)> {
+    let points_bytes_max = (plan.memory_bytes / POINTS_PER_MEMORY) as usize;
+    Ok(Dataset::open_within(&plan.data, points_bytes_max)?)
+}
+
 /// The cameras of the plan's training views, for pictures of at most the plan's size.
 pub fn flight(plan: &TrainPlan) -> Result<Vec<Camera>> {
     let (dataset, _) = Dataset::open_within(&plan.data, 0)?;
@@ -124,8 +131,7 @@ impl Session {
     /// checkpoint is damaged or belongs to another training.
     pub fn start(plan: &TrainPlan, checkpoint: Option<Checkpoint>) -> Result<Self> {
         let _span = info_span!("prepare").entered();
-        let points_bytes_max = (plan.memory_bytes / POINTS_PER_MEMORY) as usize;
-        let (dataset, stride) = Dataset::open_within(&plan.data, points_bytes_max)?;
+        let (dataset, stride) = open_dataset(plan)?;
         let (train, held_out) = split(&dataset, &plan.split)?;
         let held_out: Vec<View> = held_out.into_iter().map(|i| dataset.views[i].clone()).collect();
         let data = dataset.subset(&train);

@@ -251,3 +251,23 @@ fn two_pictures_are_too_few_and_a_driver_says_nothing() {
     let told = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success() && told.is_empty(), "{told}");
 }
+
+#[test]
+fn preflight_tells_whether_a_flight_can_begin() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some(broker) = Mosquitto::start(folder.path(), PLAIN, false) else { return };
+    let free = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let preflight = |connection: &str| {
+        prepare(folder.path(), connection, 100);
+        let mut command = Command::new(program("cosurf-agent"));
+        let output =
+            command.args(["preflight", "--config", "agent.toml"]).current_dir(folder.path()).output();
+        let output = output.unwrap();
+        (output.status.success(), String::from_utf8_lossy(&output.stderr).into_owned())
+    };
+    let (is_ready, told) = preflight(&format!("broker = \"mqtt://127.0.0.1:{}\"", broker.address.port));
+    assert!(is_ready && told.contains("ready: 7 training views of 96 x 72 px, 1 held out"), "{told}");
+    assert!(!folder.path().join("out/model.ply").exists(), "it has trained");
+    let (is_ready, told) = preflight(&format!("broker = \"mqtt://{free}\""));
+    assert!(!is_ready && told.contains("refused") && told.contains("cannot be reached"), "{told}");
+}

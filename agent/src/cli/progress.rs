@@ -5,7 +5,7 @@ use std::io::{IsTerminal, Write};
 use std::time::{Duration, Instant};
 
 use cosurf_agent::status::StatusBoard;
-use cosurf_contract::{AgentEvent, ChosenBy, ComparedWith, Escaped, counted};
+use cosurf_contract::{AgentEvent, ChosenBy, ComparedWith, Escaped, ReadyReport, counted};
 use cosurf_engine::train::StepOutcome;
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -165,6 +165,15 @@ fn describe(event: &AgentEvent) -> Option<String> {
                 }
             };
             if *resumed { format!("{choice}, as the training was begun") } else { choice }
+        }
+        AgentEvent::Ready { report } => {
+            let ReadyReport { views, held_out, splats, size_px: [width, height], device, given_up } = report;
+            let views = counted(*views as u64, "training view");
+            let splats = counted(*splats as u64, "splat");
+            let mut text =
+                format!("ready: {views} of {width} x {height} px, {held_out} held out, {splats}, {device}");
+            given_up.iter().for_each(|given_up| text += &format!("\nreduced to fit the memory: {given_up}"));
+            text
         }
         AgentEvent::Started { views, held_out, splats, steps, resumed_at } => {
             let from =

@@ -9,12 +9,12 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use clap::Args;
 use cosurf_agent::publish::{Publication, Sharing, global_ply, publish};
 use cosurf_agent::session::{self, Split, TrainPlan};
 use cosurf_agent::status::StatusBoard;
-use cosurf_contract::{AgentConfig, ComparedWith, Share};
+use cosurf_contract::{AgentConfig, AgentEvent, ComparedWith, Share};
 use cosurf_engine::{PruneSettings, SurfaceSettings, base_of};
 use cosurf_link::{Credentials, Identity, Role, next_session};
 use cosurf_scene::{Camera, FolderLock, Splats, files, ply};
@@ -39,6 +39,26 @@ pub(super) struct RunArgs {
     /// Print events as JSON, one per line, instead of text
     #[arg(long)]
     json: bool,
+}
+
+/// Check before a flight all that `run` needs, without training: the configuration, the pictures, memory and disk, the
+/// device to train on, and the way to the aggregator. Fails if anything is wrong.
+#[derive(Args, Debug)]
+pub(super) struct PreflightArgs {
+    #[command(flatten)]
+    run: RunArgs,
+}
+
+pub(super) fn preflight(PreflightArgs { run: args }: &PreflightArgs) -> Result<()> {
+    let mut job = Job::load(&args.config)?;
+    let _lock = FolderLock::take(&job.config.out, "cosurf-agent preflight")?;
+    let board = StatusBoard::new(job.config.steps);
+    let mut progress = Progress::new(args.json);
+    let reporter = job.connect(&board, &mut progress)?;
+    let report = train::prepare(&job.plan, &job.config.out)?;
+    ensure!(reporter.is_well(), "the aggregator cannot be reached as configured; the lines above tell why");
+    progress.show(&AgentEvent::Ready { report });
+    Ok(())
 }
 
 pub(super) fn run(args: &RunArgs) -> Result<()> {

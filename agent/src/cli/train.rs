@@ -9,7 +9,7 @@ use clap::{Args, ValueEnum};
 use cosurf_agent::checkpoint::{self, Checkpoint, Spent};
 use cosurf_agent::session::{Session, Split, TrainPlan};
 use cosurf_agent::{evaluate, outputs, usage};
-use cosurf_contract::{AgentEvent, DEFAULT_STEPS, Share, TrainReport, counted};
+use cosurf_contract::{AgentEvent, DEFAULT_STEPS, ReadyReport, Share, TrainReport, counted};
 use cosurf_engine::{
     Backend, DeviceChoice, DeviceLost, PruneScore, PruneSettings, Renderer, SurfaceSettings,
 };
@@ -144,6 +144,27 @@ pub(super) fn train(
     }
 }
 
+/// Prepares a training as far as its first step: reads the dataset, plans the memory, opens the device, and checks the disk
+/// of the folder `out`.
+pub(super) fn prepare(plan: &TrainPlan, out: &Path) -> Result<ReadyReport> {
+    let session = Session::start(plan, None)?;
+    check_disk(&session, out)?;
+    let backend = session.trainer().backend();
+    Ok(ReadyReport {
+        views: session.cameras().len(),
+        held_out: session.held_out().len(),
+        splats: backend.len(),
+        size_px: session.size_px(),
+        device: backend.device(),
+        given_up: session.given_up(),
+    })
+}
+
+/// Fails if the disk has too little room for the checkpoints.
+fn check_disk(session: &Session, out: &Path) -> Result<()> {
+    Ok(check_space(out, BYTES_PER_SPLAT * session.trainer().backend().len() as u64)?)
+}
+
 /// Trains on the plan's device. `resumes` tells whether the checkpoint in `out` counts; it becomes true with the first
 /// checkpoint that this training writes.
 fn train_on(
@@ -155,7 +176,7 @@ fn train_on(
     let found = if *resumes { Checkpoint::find(out)? } else { None };
     let before = found.as_ref().map(Checkpoint::spent).unwrap_or_default();
     let mut session = Session::start(plan, found)?;
-    check_space(out, BYTES_PER_SPLAT * session.trainer().backend().len() as u64)?;
+    check_disk(&session, out)?;
     let (started, cpu_s) = (Instant::now(), usage::cpu_seconds());
     let spent = || Spent {
         seconds: before.seconds + started.elapsed().as_secs_f64(),

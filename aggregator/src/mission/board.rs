@@ -83,6 +83,7 @@ impl Status {
                 self.extend_curve(*step, *psnr);
             }
             AgentEvent::ViewsChosen { .. }
+            | AgentEvent::Ready { .. }
             | AgentEvent::DeviceLost { .. }
             | AgentEvent::Preparing { .. }
             | AgentEvent::Compared { .. }

@@ -52,7 +52,7 @@ pub use config::{AgentConfig, AgentLink, ConfigError, DEFAULT_FLIGHTS_MAX, DEFAU
 pub use cosurf_link::TlsFiles;
 pub use log::{LogError, LogFormat};
 pub use password::{PasswordError, read_password};
-pub use report::{AgentEvent, Changes, ChosenBy, ComparedWith, TrainReport};
+pub use report::{AgentEvent, Changes, ChosenBy, ComparedWith, ReadyReport, TrainReport};
 pub use share::{NotAShare, Share};
 pub use status::{AgentPhase, AgentStatus};
 pub use words::{Escaped, counted};

@@ -22,6 +22,11 @@ pub enum AgentEvent {
         #[serde(default, skip_serializing_if = "std::ops::Not::not")]
         resumed: bool,
     },
+    /// All that a flight needs is there; `preflight` ends with it.
+    Ready {
+        /// What the training would begin with.
+        report: ReadyReport,
+    },
     /// Training has started, or resumed from a checkpoint.
     Started {
         /// Number of training views.
@@ -187,6 +192,23 @@ impl fmt::Display for Changes {
         }
         write!(f, "{} of the surface moved, {} gone, {} new", percent(moved), percent(gone), percent(new))
     }
+}
+
+/// What a training would begin with.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ReadyReport {
+    /// Number of training views.
+    pub views: usize,
+    /// Number of held-out views.
+    pub held_out: usize,
+    /// Number of splats at the start.
+    pub splats: usize,
+    /// Largest width and largest height of the training pictures, px.
+    pub size_px: [u32; 2],
+    /// The device that would train, for example `cpu avx512 × 2`.
+    pub device: String,
+    /// The reductions that the memory limit would force, one line of text each; empty if there are none.
+    pub given_up: Vec<String>,
 }
 
 /// The figures of one training, also the content of `report.json`.

@@ -4,11 +4,11 @@ use std::path::Path;
 
 use anyhow::{Result, bail};
 use cosurf_agent::cell::split_by_cell;
-use cosurf_agent::session::{Split, TrainPlan};
+use cosurf_agent::session::{Split, TrainPlan, open_dataset};
 use cosurf_agent::{checkpoint, outputs};
 use cosurf_contract::{AgentConfig, AgentEvent, ChosenBy};
 use cosurf_link::PlannedCell;
-use cosurf_scene::{Dataset, files};
+use cosurf_scene::files;
 use cosurf_wire::FrameId;
 use serde::{Deserialize, Serialize};
 
@@ -50,7 +50,7 @@ pub(super) fn frame(config: &AgentConfig, answer: Option<&Answer>) -> Result<Fra
 /// Chooses the views: those that the configuration names, or else those of the agent's cell, or else all. Sets them in
 /// `plan`, and returns the event that tells the choice.
 pub(super) fn choose(plan: &mut TrainPlan, answer: Option<&Answer>, resumed: bool) -> Result<AgentEvent> {
-    let dataset = Dataset::open(&plan.data)?;
+    let (dataset, _) = open_dataset(plan)?;
     let of = dataset.views.len();
     let cell = answer.map(|answer| answer.cell.as_ref());
     let by = match (&plan.split, cell) {

@@ -30,6 +30,7 @@ pub(super) struct Reporter {
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
     is_connected: bool,
+    is_well: bool,
     flights: Sender<Flight>,
 }
 
@@ -72,14 +73,20 @@ impl Reporter {
             let stop = Arc::clone(&stop);
             std::thread::spawn(move || keep(node, connection, teller, &say, &queue, &stop))
         };
-        let Start { is_connected, answer } = await_start(&hear, asks, progress);
+        let Start { is_connected, has_problem, answer } = await_start(&hear, asks, progress);
         progress.listen(problems(hear));
-        (Self { stop, thread: Some(thread), is_connected, flights }, answer)
+        let is_well = is_connected && !has_problem;
+        (Self { stop, thread: Some(thread), is_connected, is_well, flights }, answer)
     }
 
     /// Announces the cameras of the agent's flight, in the frame of these credentials.
     pub(super) fn announce(&self, credentials: Credentials, cameras: Vec<Camera>) {
         let _ = self.flights.send(Flight { credentials, cameras }); // fails only if the thread has panicked
+    }
+
+    /// Whether the agent was connected at the start, and nothing was refused.
+    pub(super) fn is_well(&self) -> bool {
+        self.is_well
     }
 
     /// Whether the agent was connected at the start.
@@ -102,6 +109,7 @@ impl Drop for Reporter {
 #[derive(Debug, Default)]
 struct Start {
     is_connected: bool,
+    has_problem: bool,
     answer: Option<Answer>,
 }
 
@@ -122,12 +130,15 @@ fn await_start(hear: &Receiver<Told>, asks: bool, progress: &mut Progress) -> St
                 start.answer = Some(answer);
                 end = refusals_end;
             }
-            Ok(Told::Problem(event)) => progress.show(&event),
+            Ok(Told::Problem(event)) => {
+                start.has_problem = true;
+                progress.show(&event);
+            }
             Err(_) if start.is_connected => return start,
             Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {
                 let seconds = CONNECT_TIMEOUT.as_secs();
                 let reason = format!(
-                    "no connection after {seconds} s: the training begins without one; check the address"
+                    "no connection after {seconds} s: check the address; a training begins without one"
                 );
                 progress.show(&AgentEvent::Retrying { reason, attempt: 1 });
                 return start;
