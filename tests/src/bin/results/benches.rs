@@ -151,6 +151,17 @@ pub(crate) fn scale(folder: &TempDir) -> Result<Results> {
     of_districts("scale", &["--devices", "16,64,256", "--epochs", "2", "--memory", "100MiB"], folder)
 }
 
+/// Measures the memory of commands within limits, with large inputs.
+pub(crate) fn budgets(folder: &TempDir) -> Result<Results> {
+    build()?;
+    let (data, small, out) =
+        (dataset("real_caliterra")?, dataset("gt_tiny")?, folder.path().join("caliterra"));
+    mission(Some(&data), &[&TRAINING[..], &["--agents", "4"]].concat(), &out)?;
+    let inputs = [data, small].into_iter().chain(agents(&out, 4));
+    let inputs = inputs.map(|input| text(&input).map(str::to_owned)).collect::<Result<Vec<_>>>()?;
+    ours("budgets", &inputs.iter().map(String::as_str).collect::<Vec<_>>(), folder)
+}
+
 /// Measures how much faster two workers merge a site of such districts.
 pub(crate) fn workers(folder: &TempDir) -> Result<Results> {
     of_districts("workers", &[], folder)

@@ -42,7 +42,7 @@ pub(crate) fn command_fault(stored: &Results) -> Option<String> {
 }
 
 /// All benches, the quickest first.
-pub(crate) const RUNS: [Run; 26] = [
+pub(crate) const RUNS: [Run; 27] = [
     Run {
         name: "sizes",
         about: "size of both programs",
@@ -147,6 +147,12 @@ pub(crate) const RUNS: [Run; 26] = [
         command: "cargo bench -p cosurf-tests --bench scale -- AGENT... --devices 16,64,256 --epochs 2 --pitch 1000 \
                   --memory 100MiB",
         measure: benches::scale,
+    },
+    Run {
+        name: "budgets",
+        about: "memory of commands with large inputs and small limits",
+        command: "cargo bench -p cosurf-tests --bench budgets -- DATA SMALL AGENT...",
+        measure: benches::budgets,
     },
     Run {
         name: "workers",
