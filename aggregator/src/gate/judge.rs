@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use cosurf_engine::Renderer;
+use cosurf_engine::compress::shown_min;
 use cosurf_link::Model;
 use cosurf_scene::{Camera, Frustum, SceneError, Watchers};
 use glam::DVec3;
@@ -27,6 +28,9 @@ const UNSEEN_MAX: f64 = 0.5;
 const GAP_MAX_RADII: f64 = 20.0;
 /// Share of a picture that must show a surface. Pictures of trained models show a surface almost everywhere.
 const SHOWN_MIN: f64 = 0.1;
+/// A model is a witness of the size of pixels if at least this share of its views shows as much surface as views of other
+/// models do ([`shown_min`]). Of honest models, all views do.
+const WITNESS_SHARE_MIN: f64 = 0.8;
 /// Two models contradict each other only if at least this many views contradict, and more views contradict than
 /// confirm.
 const CONTRADICTIONS_MIN: u32 = 2;
@@ -82,7 +86,7 @@ pub(super) fn judge(
     let (doubts, standards) = relations.verdict(&shown);
     let verified = relations.verified(linked, &shown, &doubts);
     let pixels: Vec<Option<f64>> = shown.iter().map(|its| its.pixel_m).collect();
-    let sizes = relations.sharpness.sizes(&pixels, |i| doubts[i].is_none());
+    let sizes = relations.sizes(&pixels, &doubts, &witnesses(&shown));
     let judged = doubts.into_iter().enumerate().map(|(i, doubt)| Judged {
         doubt,
         weight: standards[i].weight(),
@@ -103,8 +107,8 @@ struct Shown {
     pixel_m: Option<f64>,
     /// Share of the model's splats that none of its own cameras sees, 0..=1; 0 for a model without cameras.
     unseen: f64,
-    /// Share of the views that show mostly no surface, 0..=1; 0 for a model that was pruned before upload.
-    void: f64,
+    /// Share of each view that shows a surface, 0..=1; none for a model that was pruned before upload.
+    solid: Vec<f64>,
     /// Mean position of the cameras, world units.
     middle: DVec3,
     /// Distance from `middle` to the farthest camera, world units.
@@ -167,22 +171,21 @@ impl Shown {
         };
         let unseen = splats.means.iter().filter(is_unseen).count() as f64 / splats.len().max(1) as f64;
         let mut renderer = Renderer::new(&splats, threads);
-        let (mut views, mut pixels, mut void) = (Vec::new(), Vec::new(), 0);
+        let (mut views, mut pixels, mut solid) = (Vec::new(), Vec::new(), Vec::new());
         for camera in chosen(&cameras, VIEWS) {
             let glimpse = Glimpse::of(&mut renderer, camera, is_compressed);
             let detail = (!is_compressed).then(|| Detail::of(&mut renderer, camera));
             let fine = (!is_compressed).then(|| Fine::of(&mut renderer, camera));
-            void += usize::from(!is_compressed && glimpse.shown() < SHOWN_MIN);
+            solid.extend((!is_compressed).then(|| glimpse.shown()));
             pixels
                 .extend(glimpse.median_depth().map(|depth| depth / camera.focal_px.element_product().sqrt()));
             views.push(View { camera: *camera, glimpse, detail, fine });
         }
-        let void = void as f64 / views.len().max(1) as f64;
         let pixel_m = (!pixels.is_empty()).then(|| median(&mut pixels));
         let middle = middle(&cameras);
         let radius = radius(&cameras, middle);
         let is_empty = splats.is_empty();
-        (Self { cameras, is_empty, views: Vec::new(), pixel_m, unseen, void, middle, radius }, views)
+        (Self { cameras, is_empty, views: Vec::new(), pixel_m, unseen, solid, middle, radius }, views)
     }
 
     /// Whether the model does not fit its own cameras.
@@ -193,7 +196,9 @@ impl Shown {
         if self.unseen > UNSEEN_MAX {
             return Some(Doubt::Unseen(self.unseen));
         }
-        (self.void >= 0.5).then_some(Doubt::Void(self.void))
+        let void = self.solid.iter().filter(|share| **share < SHOWN_MIN).count();
+        let void = void as f64 / self.solid.len().max(1) as f64;
+        (void >= 0.5).then_some(Doubt::Void(void))
     }
 
     /// Gap between the cameras of the two models, in radii of the larger flight; negative if the flights overlap. A
@@ -202,6 +207,18 @@ impl Shown {
         let gap = self.middle.distance(other.middle) - self.radius - other.radius;
         gap / self.radius.max(other.radius).max(1.0)
     }
+}
+
+/// For each model: whether its cameras can tell how large the pixels of others are. Cameras that look elsewhere than the
+/// model's pictures were taken claim other distances: the city's with inverted poses made the right model, of which they
+/// had a copy, count as pictures 81 % as large, which cost 0.12 dB.
+fn witnesses(shown: &[Shown]) -> Vec<bool> {
+    let least = shown_min(shown.iter().map(|its| &its.solid[..]));
+    let is_witness = |its: &Shown| {
+        let solid = its.solid.iter().filter(|share| **share >= least).count();
+        solid as f64 >= WITNESS_SHARE_MIN * its.solid.len() as f64
+    };
+    shown.iter().map(is_witness).collect()
 }
 
 /// How a model compares with another one in a view of the other one.
@@ -284,6 +301,14 @@ impl Relations {
         difference.into_iter().for_each(|found| self.differences.note(judged, other, found));
         self.colors.note(other, judged, colors.into_iter());
         log_ratio.into_iter().for_each(|found| self.sharpness.note(judged, other, found));
+    }
+
+    /// For each model, the factor on the sides of its pictures. The sizes of witnesses are found without the others.
+    fn sizes(&self, pixels: &[Option<f64>], doubts: &[Option<Doubt>], witnesses: &[bool]) -> Vec<f64> {
+        let of_all = self.sharpness.sizes(pixels, |i| doubts[i].is_none());
+        let of_witnesses = self.sharpness.sizes(pixels, |i| doubts[i].is_none() && witnesses[i]);
+        let chosen = |i: usize| if witnesses[i] { of_witnesses[i] } else { of_all[i] };
+        (0..witnesses.len()).map(chosen).collect()
     }
 
     /// The doubt about each model, and how well each shows the ground that it shares with others. A model that is far
@@ -372,7 +397,7 @@ mod tests {
             views: Vec::new(),
             pixel_m: None,
             unseen: 0.0,
-            void: 0.0,
+            solid: vec![1.0; 8],
             middle: DVec3::ZERO,
             radius: 1.0,
         }
@@ -399,5 +424,23 @@ mod tests {
         assert!(matches!(doubts[3], Some(Doubt::FarWorse(times)) if times > 20.0), "{doubts:?}");
         // Of two good models that contradict each other, the one with fewer cameras is dropped.
         assert_eq!(with(0.05), [None, None, Some(Doubt::Contradicts(vec![3])), None]);
+    }
+
+    /// An honest model, and a copy of it with cameras elsewhere, which claim wider or finer pixels.
+    #[test]
+    fn cameras_that_look_elsewhere_make_only_their_own_model_small() {
+        let mut models = [shown(9), shown(9)];
+        models[1].solid = vec![1.0, 0.4, 1.0, 0.3, 0.9, 0.4, 1.0, 1.0];
+        let mut relations = Relations::default();
+        (0..8).for_each(|_| relations.sharpness.note(0, 1, 0.0));
+        let seen = witnesses(&models);
+        assert_eq!(seen, [true, false]);
+        let with = |claimed: f64, witnesses: &[bool]| {
+            relations.sizes(&[Some(0.1), Some(claimed)], &[None, None], witnesses)
+        };
+        assert!(with(0.4, &[true; 2])[0] < 0.6, "as a witness, it makes the honest model small");
+        assert_eq!(with(0.4, &seen)[0], 1.0);
+        let sizes = with(0.025, &seen);
+        assert!(sizes[0] == 1.0 && sizes[1] < 0.6, "{sizes:?}");
     }
 }
