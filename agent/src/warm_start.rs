@@ -25,9 +25,9 @@ pub fn read_visible_splats(
     let mut choice = Choice::new(splats_max);
     let mut watchers = Watchers::new(cameras);
     ply::read_parts(model, PART, |part| choice.look_at(part, &mut watchers))?;
-    let mut copy = Copy::of(choice, sh_degree);
-    ply::read_parts(model, PART, |part| copy.take_from(part))?;
-    Ok(copy.kept)
+    let mut extract = Extract::of(choice, sh_degree);
+    ply::read_parts(model, PART, |part| extract.take_from(part))?;
+    Ok(extract.kept)
 }
 
 /// A splat's claim to be kept: its importance, then its place in the file; of equally important ones, the first is kept.
@@ -80,8 +80,8 @@ impl Choice {
     }
 }
 
-/// Copies the chosen splats.
-struct Copy {
+/// Copies of the chosen splats.
+struct Extract {
     /// Places of the chosen splats that are still to come, the next one last.
     left: Vec<usize>,
     passed: usize,
@@ -90,7 +90,7 @@ struct Copy {
     sh: Vec<f32>,
 }
 
-impl Copy {
+impl Extract {
     fn of(choice: Choice, sh_degree: u32) -> Self {
         let mut left: Vec<usize> =
             choice.chosen.into_iter().map(|Reverse(Claim { place, .. })| place).collect();
@@ -125,14 +125,18 @@ mod tests {
 
     use super::*;
 
-    #[test]
-    fn visible_splats_are_kept_the_most_important_first() {
-        let camera = Camera {
+    /// A camera 10 above the origin that looks down.
+    fn above() -> Camera {
+        Camera {
             cam_from_world: Pose::look_at(DVec3::Z * 10.0, DVec3::ZERO, DVec3::Y),
             focal_px: DVec2::splat(40.0),
             center_px: DVec2::new(24.0, 16.0),
             size_px: [48, 32],
-        };
+        }
+    }
+
+    #[test]
+    fn visible_splats_are_kept_the_most_important_first() {
         let mut model = Splats::with_capacity(4, 1);
         for (x, opacity_logit) in [(0.0, 1.0), (50.0, 9.0), (1.0, 3.0), (2.0, 2.0)] {
             let sh: Vec<f32> = (0..12).map(|k| x + k as f32).collect();
@@ -144,22 +148,16 @@ mod tests {
         let read = |cameras: &[Camera], most, sh_degree| {
             read_visible_splats(&path, cameras, most, sh_degree).unwrap()
         };
-        let kept = read(&[camera], 2, 3);
+        let kept = read(&[above()], 2, 3);
         assert_eq!(kept.means, [[1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]);
         assert_eq!((kept.sh_of(0)[11], kept.sh_of(0)[12], kept.sh_stride()), (12.0, 0.0, 48));
-        assert_eq!(read(&[camera], 9, 0).sh_of(2), [2.0, 3.0, 4.0]);
+        assert_eq!(read(&[above()], 9, 0).sh_of(2), [2.0, 3.0, 4.0]);
         assert!(read(&[], 9, 0).is_empty());
-        assert!(read(&[camera], 0, 0).is_empty());
+        assert!(read(&[above()], 0, 0).is_empty());
     }
 
     #[test]
     fn splats_are_chosen_from_all_parts_of_a_file() {
-        let camera = Camera {
-            cam_from_world: Pose::look_at(DVec3::Z * 10.0, DVec3::ZERO, DVec3::Y),
-            focal_px: DVec2::splat(40.0),
-            center_px: DVec2::new(24.0, 16.0),
-            size_px: [48, 32],
-        };
         let mut model = Splats::with_capacity(3 * PART, 0);
         for i in 0..2 * PART + 7 {
             let opacity_logit = if i % PART == 5 { 2.0 } else { 1.0 };
@@ -168,7 +166,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("model.ply");
         ply::write(&path, &model).unwrap();
-        let kept = read_visible_splats(&path, &[camera], 5, 0).unwrap();
+        let kept = read_visible_splats(&path, &[above()], 5, 0).unwrap();
         let places = kept.means.iter().map(|mean| (mean[0] * 1e4).round() as usize);
         assert_eq!(places.collect::<Vec<_>>(), [0, 1, 5, PART + 5, 2 * PART + 5]);
     }
