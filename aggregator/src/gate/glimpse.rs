@@ -219,12 +219,6 @@ impl Glimpse {
     }
 }
 
-/// At most `most` of the cameras, evenly chosen.
-pub(super) fn chosen(cameras: &[Camera], most: usize) -> impl Iterator<Item = &Camera> {
-    let count = most.min(cameras.len());
-    (0..count).map(move |i| &cameras[i * cameras.len() / count])
-}
-
 /// The median; 0 of no values. Changes the order of the values.
 pub(super) fn median(values: &mut [f64]) -> f64 {
     let middle = values.len() / 2;

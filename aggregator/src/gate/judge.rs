@@ -6,13 +6,13 @@ use std::path::Path;
 use cosurf_engine::Renderer;
 use cosurf_engine::compress::shown_min;
 use cosurf_link::Model;
-use cosurf_scene::{Camera, Frustum, SceneError, Watchers};
+use cosurf_scene::{Camera, Frustum, SceneError, Watchers, evenly_spaced};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
 use super::doubt::Doubt;
 use super::frames::groups;
-use super::glimpse::{Glimpse, VIEWS, chosen, median};
+use super::glimpse::{Glimpse, VIEWS, median};
 use super::quality::{Detail, Differences, Standard};
 use super::sharpness::{Fine, Sharpness};
 use super::tone::Pairs;
@@ -172,7 +172,7 @@ impl Shown {
         let unseen = splats.means.iter().filter(is_unseen).count() as f64 / splats.len().max(1) as f64;
         let mut renderer = Renderer::new(&splats, threads);
         let (mut views, mut pixels, mut solid) = (Vec::new(), Vec::new(), Vec::new());
-        for camera in chosen(&cameras, VIEWS) {
+        for camera in &evenly_spaced(&cameras, VIEWS) {
             let glimpse = Glimpse::of(&mut renderer, camera, is_compressed);
             let detail = (!is_compressed).then(|| Detail::of(&mut renderer, camera));
             let fine = (!is_compressed).then(|| Fine::of(&mut renderer, camera));

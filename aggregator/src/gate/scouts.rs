@@ -4,11 +4,10 @@
 use std::path::Path;
 
 use cosurf_engine::Renderer;
-use cosurf_scene::Camera;
+use cosurf_scene::{Camera, evenly_spaced};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
-use super::glimpse::chosen;
 use super::matching::{Sight, is_well_seen, middle};
 use super::similarity::Similarity;
 use crate::merge::scratch::{Record, Records};
@@ -84,8 +83,8 @@ impl ScoutFile {
         let look = |(): &mut (), index: usize| {
             let model = locals.load(index)?;
             let mut renderer = Renderer::new(&model.splats, shifts.threads);
-            let scouts = chosen(&model.cameras, SCOUTS).map(|camera| Scout::of(&mut renderer, camera));
-            Ok(scouts.collect::<Vec<_>>())
+            let cameras = evenly_spaced(&model.cameras, SCOUTS);
+            Ok(cameras.iter().map(|camera| Scout::of(&mut renderer, camera)).collect::<Vec<_>>())
         };
         shifts.run(locals.count(), is_given_up, look, |_, scouts| {
             file.known.push(file.records.put(&scouts)?);

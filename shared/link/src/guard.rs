@@ -11,7 +11,7 @@
 //! - A flight does not count if its sender has announced one in a newer session, or if its session began more than a day
 //!   before this one.
 //! - The pledge of a flight counts like a reply: it repeats the number of this session of the aggregator. A list of confirmed
-//!   flights repeats the number of this session of the device, and is newer than the last one. So does a plan.
+//!   flights repeats the number of this session of the device, and is newer than the last one. The same holds for a plan.
 //!
 //! Chunks are not signed. They count if the body has the hash that the header announced.
 

@@ -46,9 +46,9 @@ pub struct Node {
     pub(super) pledge: Option<Pledge>,
     /// Of an aggregator: the flights that it has confirmed.
     pub(super) confirming: Confirming,
-    /// Of an aggregator: the plan of the site; `None` if questions for it are not answered.
+    /// The plan of the site, for an aggregator that tells devices their cells; otherwise `None`.
     pub(super) planning: Option<Planning>,
-    /// Of a device: its question for its cell of the plan.
+    /// The question of a device for its cell of the plan; `None` if it does not ask.
     pub(super) asking: Option<Asking>,
     /// Topics whose retained messages are to be deleted.
     pub(super) cleared: VecDeque<Topic>,
@@ -139,14 +139,14 @@ impl Node {
         self.confirming.set(flights);
     }
 
-    /// Of an aggregator: answers the start of each device's session with the device's cell of this plan, or with the word
-    /// that it has none.
+    /// Makes an aggregator answer the start of each device's session: it tells the device its cell of this plan, or that it
+    /// has none.
     pub fn share_plan(&mut self, cells: BTreeMap<DeviceId, PlannedCell>) {
         self.planning = Some(Planning::new(cells));
     }
 
-    /// Of a device that is not connected yet: asks the aggregator for its cell of the site's plan. [`NodeEvent::Plan`] is the
-    /// answer.
+    /// Makes a device ask the aggregator for its cell of the site's plan, as soon as it is connected. The answer comes as
+    /// [`NodeEvent::Plan`]. To be called before the device connects.
     pub fn ask_for_plan(&mut self) {
         self.asking = Some(Asking::default());
     }
