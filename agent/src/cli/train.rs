@@ -2,7 +2,7 @@
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail};
 use clap::{Args, ValueEnum};
@@ -21,6 +21,10 @@ use super::arguments::{Common, DeviceArgs};
 use super::host::default_memory;
 use super::paths::resolve_init;
 use super::progress::Progress;
+
+/// Largest share of the time that checkpoints take, judged by the last one. On a graphics card one may take as long as a
+/// hundred steps.
+const CHECKPOINT_SHARE: f64 = 0.05;
 
 /// What a training needs on the disk at least for each splat that it begins with, bytes: a checkpoint, and the next one
 /// before it replaces the first; each has 59 parameters of a splat and two moments of each.
@@ -191,12 +195,17 @@ fn train_on(
     });
     let span = info_span!("train", steps = plan.steps).entered();
     let checkpoint_every = (plan.steps / 10).clamp(100, 1000);
+    let (mut saved_at, mut saving) = (Instant::now(), Duration::ZERO);
     while !session.trainer().is_done() {
         let outcome = session.step()?;
         let steps_done = session.trainer().steps_done();
         progress.step(steps_done, plan.steps, &outcome, session.trainer().backend().len());
-        if steps_done.is_multiple_of(checkpoint_every) && !session.trainer().is_done() {
+        let is_due = steps_done.is_multiple_of(checkpoint_every)
+            && saved_at.elapsed().mul_f64(CHECKPOINT_SHARE) >= saving;
+        if is_due && !session.trainer().is_done() {
+            let start = Instant::now();
             checkpoint::write(out, session.fingerprint(), session.trainer(), spent())?;
+            (saved_at, saving) = (Instant::now(), start.elapsed());
             *resumes = true;
         }
     }
