@@ -12,7 +12,7 @@
 //!
 //! ```
 //! let shader = cosurf_shaders::RASTERIZE;
-//! assert_eq!((shader.name, shader.parts), ("rasterize", ["types", "pixels", "tile_list"].as_slice()));
+//! assert_eq!((shader.name, shader.parts[1]), ("rasterize", "pixels"));
 //! assert!(shader.source.contains("fn rasterize("));
 //! ```
 
@@ -40,7 +40,7 @@ macro_rules! shaders {
             ),
         };)*
 
-        /// Every pass, in the order of a training step; scores come last.
+        /// Every pass, in the order of a training step; scores and edits come last.
         pub const ALL: &[Shader] = &[$($id),*];
     };
 }
@@ -67,7 +67,9 @@ shaders! {
     /// Finds where the pairs of each tile begin and end.
     TILE_RANGES: "tile_ranges";
     /// Blends the splats of each tile into the picture.
-    RASTERIZE: "rasterize", "pixels", "tile_list";
+    RASTERIZE: "rasterize", "pixels", "tile_list", "open_tile";
+    /// As [`RASTERIZE`], with one pixel for each invocation.
+    RASTERIZE_BY_PIXEL: "rasterize_by_pixel", "pixels", "tile_list", "blocks", "alpha", "open_tile";
     /// Computes the SSIM of every pixel, and its partial derivatives.
     SSIM: "ssim", "pixels", "photograph", "photometric";
     /// Computes the gradient of the colour loss with respect to every pixel.
@@ -85,19 +87,26 @@ shaders! {
     /// Propagates the gradients with respect to depths to the blended planes.
     DEPTH_BACKWARD: "depth_backward", "pixels", "surface", "surface_gradient";
     /// Multi-view losses: reprojection and NCC.
-    MULTIVIEW: "multiview", "pixels", "surface", "surface_gradient";
+    MULTIVIEW: "multiview", "pixels", "surface", "surface_gradient", "samples";
     /// Losses of distillation: compares depths and normals with those of a teacher.
     TEACHER: "teacher", "pixels", "surface", "surface_gradient", "tile_sum";
     /// Backward pass of the blend.
-    RASTERIZE_BACKWARD: "rasterize_backward", "pixels", "tile_list", "crossing";
+    RASTERIZE_BACKWARD: "rasterize_backward", "pixels", "tile_list", "picture_gradient", "alpha", "crossing";
+    /// As [`RASTERIZE_BACKWARD`], with one pixel for each invocation; needs subgroups.
+    RASTERIZE_BACKWARD_BY_PIXEL: "rasterize_backward_by_pixel", "pixels", "tile_list", "picture_gradient", "blocks",
+        "alpha";
     /// Backward pass of the projection.
     PROJECT_BACKWARD: "project_backward", "geometry", "sh";
     /// One step of the optimiser.
     ADAM: "adam", "sh";
     /// Computes what each splat–tile pair contributes to a picture.
-    SCORE: "score", "pixels", "tile_list", "crossing";
+    SCORE: "score", "pixels", "tile_list", "alpha", "crossing";
     /// Adds the contributions of the pairs to the scores of their splats.
     SCORE_COLLECT: "score_collect";
+    /// Copies the numbers of the splats that an edit moves.
+    EDIT_GATHER: "edit_gather", "edits";
+    /// Writes the copied numbers to the new places of their splats.
+    EDIT_SCATTER: "edit_scatter", "edits";
 }
 
 #[cfg(test)]

@@ -35,10 +35,3 @@ fn crossing(step: u32, lane: u32, pairs: u32) -> Crossing {
     let chunk = (step - lane) % chunks;
     return Crossing(pair, chunk, step >= lane && pair < pairs, chunk == chunks - 1u);
 }
-
-// Alpha of a splat at a pixel, before thresholds and clamp. `d` is the mean of the splat minus the centre of the pixel,
-// px.
-fn raw_alpha(splat: Projected, d: vec2<f32>) -> f32 {
-    let falloff = splat.falloff;
-    return exp2(splat.log2_opacity - (falloff.x * d.x * d.x + falloff.y * d.x * d.y + falloff.z * d.y * d.y));
-}

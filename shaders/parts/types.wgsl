@@ -175,7 +175,19 @@ struct SurfaceWeights {
     // Number of samples, and index of the first of their sums in the buffer of sums.
     samples: u32,
     sums_first: u32,
-    unused: u32,
+    // Side of the cells that hold one sample each, px (a power of two), and the seed that draws the samples.
+    cell_px: u32,
+    draw: vec2<u32>,
+}
+
+// A step of an edit: which rows of a buffer it moves (the first, and their number), the distance between rows, the number
+// of moves, and how many of them copy a number; the rest are of new splats, which get 0.
+struct EditStep {
+    first_row: u32,
+    rows: u32,
+    splat_stride: u32,
+    moves: u32,
+    copied: u32,
 }
 
 // A view ("here") and its neighbour ("there").

@@ -10,7 +10,7 @@
 // the inverse depth s = -(m . r). In the frame of the neighbour, this point is proportional to R r + s t, with rotation
 // R and translation t. The loss of a patch is w (1 - c² / (a b + ε)): a and b are the variances of luma in the patch
 // and in its warp, c is their covariance, and ε = VARIANCES_MIN.
-// Parts: types, pixels, surface, surface_gradient.
+// Parts: types, pixels, surface, surface_gradient, samples.
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<uniform> weights: SurfaceWeights;
@@ -20,12 +20,10 @@
 @group(0) @binding(5) var<storage, read> luma_plane: array<f32>;
 @group(0) @binding(6) var<storage, read> neighbour_depth: array<f32>;
 @group(0) @binding(7) var<storage, read> neighbour_luma: array<f32>;
-// Sampled pixels as x | y << 16. Some may lie outside the picture.
-@group(0) @binding(8) var<storage, read> samples: array<u32>;
-@group(0) @binding(9) var<storage, read_write> gradient: array<f32>;
+@group(0) @binding(8) var<storage, read_write> gradient: array<f32>;
 // Loss sums. From `weights.sums_first` on, each workgroup writes one vector: sum of w e, sum of w (1 - NCC²), number of
 // samples with an error below 1 px, number of samples whose patches match.
-@group(0) @binding(10) var<storage, read_write> sums: array<vec4<f32>>;
+@group(0) @binding(9) var<storage, read_write> sums: array<vec4<f32>>;
 
 // Number of samples that a workgroup processes.
 const SAMPLES_AT_ONCE: u32 = 64u;
@@ -48,7 +46,7 @@ fn multiview(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
     let sample = job * SAMPLES_AT_ONCE + lane;
     var loss = vec4(0.0);
     if (sample < weights.samples) {
-        loss = sample_loss(vec2(samples[sample] & 0xffffu, samples[sample] >> 16u));
+        loss = sample_loss(sampled_pixel(sample));
     }
     totals[lane] = loss;
     for (var reach = SAMPLES_AT_ONCE / 2u; reach > 0u; reach /= 2u) {

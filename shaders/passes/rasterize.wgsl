@@ -1,6 +1,6 @@
 // The blend: blends the splats in the list of each tile from front to back. A workgroup processes a tile, an invocation
-// four pixels of a row, so that each splat is read once for four pixels.
-// Parts: types, pixels, tile_list.
+// four pixels of a row, so that each splat is read once for four pixels. Graphics cards run rasterize_by_pixel instead.
+// Parts: types, pixels, tile_list, open_tile.
 
 // Number of entries in the list of each tile that were processed. A tile is finished after the batch in which its last
 // pixel becomes full, so the number is the length of the list or a multiple of BATCH.
@@ -14,8 +14,6 @@ const PIXELS: u32 = 4u;
 const BATCH: u32 = 128u;
 
 var<workgroup> batch: array<Projected, BATCH>;
-var<workgroup> open_pixels: atomic<u32>;
-var<workgroup> is_open: u32;
 
 @compute @workgroup_size(LANES)
 fn rasterize(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
@@ -94,23 +92,6 @@ fn rasterize(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
             put(tile, NORMAL + k, first_pixel, surface[k]);
         }
     }
-}
-
-// Whether any pixel of the tile is not full yet. The barriers also ensure that all invocations have finished a batch
-// before the next batch overwrites it.
-fn any_open(open: bool, lane: u32) -> bool {
-    if (lane == 0u) {
-        atomicStore(&open_pixels, 0u);
-    }
-    workgroupBarrier();
-    if (open) {
-        atomicOr(&open_pixels, 1u);
-    }
-    workgroupBarrier();
-    if (lane == 0u) {
-        is_open = atomicLoad(&open_pixels);
-    }
-    return workgroupUniformLoad(&is_open) == 1u;
 }
 
 fn put(tile: u32, plane: u32, pixel: u32, values: vec4<f32>) {

@@ -1,12 +1,13 @@
 // The backward pass of the blend. It repeats the blend from front to back, so the only results of the blend that it
 // needs are the final picture and the number of pairs that each tile processed.
 //
-// A workgroup processes a tile; its invocations process one pair each at a time, see crossing.wgsl.
+// A workgroup processes a tile; its invocations process one pair each at a time, see crossing.wgsl. Graphics cards with
+// subgroups run rasterize_backward_by_pixel instead.
 //
 // Let g be the gradient of the loss with respect to the channels of a pixel. The splats behind the current one matter
 // only through one number, `rest`: the dot product of what they contribute to the pixel with g. At first `rest` is the
 // dot product of the finished pixel with g; then the contribution of each splat is subtracted in turn.
-// Parts: types, pixels, tile_list, crossing.
+// Parts: types, pixels, tile_list, picture_gradient, alpha, crossing.
 
 @group(0) @binding(5) var<storage, read> blended: array<u32>;
 @group(0) @binding(6) var<storage, read> image: array<f32>;
@@ -36,17 +37,8 @@ fn rasterize_backward(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_in
         write_record(sorted_slots[at], Sums());
     }
     for (var pixel = lane; pixel < TILE_PIXELS; pixel += PAIRS_AT_ONCE) {
-        v_rgbs[pixel] = vec3(
-            gradient[place(tile, 0u, pixel)], gradient[place(tile, 1u, pixel)], gradient[place(tile, 2u, pixel)],
-        );
-        if (view.planes == PLANES_GEOMETRY) {
-            v_surfaces[pixel] = vec4(
-                gradient[place(tile, NORMAL, pixel)],
-                gradient[place(tile, NORMAL + 1u, pixel)],
-                gradient[place(tile, NORMAL + 2u, pixel)],
-                gradient[place(tile, DISTANCE, pixel)],
-            );
-        }
+        v_rgbs[pixel] = v_rgb_of(tile, pixel);
+        v_surfaces[pixel] = v_surface_of(tile, pixel);
         let inside = all(origin + vec2(pixel % TILE, pixel / TILE) < view.size_px);
         pixels[pixel] = vec2(select(0.0, 1.0, inside), finished(tile, pixel));
     }
@@ -87,19 +79,6 @@ fn write_record(slot: u32, s: Sums) {
     records[RECORD_VECTORS * slot + 1u] = vec4(s.q_dd.yz, s.rgb.xy);
     records[RECORD_VECTORS * slot + 2u] = vec4(s.rgb.z, s.surface.xyz);
     records[RECORD_VECTORS * slot + 3u] = vec4(s.surface.w, s.absolute, 0.0);
-}
-
-fn place(tile: u32, plane: u32, pixel: u32) -> u32 {
-    return (tile * view.planes + plane) * TILE_PIXELS + pixel;
-}
-
-// Dot product of a finished pixel with the gradient with respect to it: the first value of `rest`.
-fn finished(tile: u32, pixel: u32) -> f32 {
-    var rest = 0.0;
-    for (var plane = 0u; plane < view.planes; plane++) {
-        rest += image[place(tile, plane, pixel)] * gradient[place(tile, plane, pixel)];
-    }
-    return rest;
 }
 
 // Adds the contributions of a splat in a chunk of pixels of one row to `sums`, and advances the state of these pixels.

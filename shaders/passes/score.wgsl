@@ -1,6 +1,6 @@
 // Computes what each pair contributes to the picture, and writes it as four numbers to the record of the slot of the
 // pair. A workgroup processes a tile; its invocations process one pair each at a time, see crossing.wgsl.
-// Parts: types, pixels, tile_list, crossing.
+// Parts: types, pixels, tile_list, alpha, crossing.
 
 @group(0) @binding(5) var<storage, read> blended: array<u32>;
 // A record has four vectors; this pass writes only the first.

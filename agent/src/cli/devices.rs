@@ -17,7 +17,7 @@ pub(super) struct DevicesArgs {
 pub(super) fn run(args: &DevicesArgs) -> Result<()> {
     let (adapters, mut stdout) = (adapters(), io::stdout().lock());
     for (index, adapter) in adapters.iter().enumerate() {
-        let AdapterSummary { name, api, driver, is_software, binding_bytes_max, has_subgroups } = adapter;
+        let AdapterSummary { name, api, driver, is_software, binding_bytes_max, subgroup_size } = adapter;
         if args.json {
             writeln!(
                 stdout,
@@ -29,13 +29,13 @@ pub(super) fn run(args: &DevicesArgs) -> Result<()> {
                     "driver": driver,
                     "is_software": is_software,
                     "binding_bytes_max": binding_bytes_max,
-                    "has_subgroups": has_subgroups,
+                    "subgroup_size": subgroup_size,
                 })
             )?;
             continue;
         }
         let kind = if *is_software { ", software driver: slower than --device cpu" } else { "" };
-        let subgroups = if *has_subgroups { ", subgroups" } else { "" };
+        let subgroups = subgroup_size.map_or_else(String::new, |size| format!(", subgroups of {size}"));
         let binding_mib = binding_bytes_max >> 20;
         writeln!(
             stdout,

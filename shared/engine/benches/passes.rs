@@ -92,7 +92,8 @@ fn backend(threads: usize) -> CpuBackend {
 fn stepped(threads: usize, channels: Channels) -> (CpuBackend, usize) {
     let mut backend = backend(threads);
     backend.project(&camera(), 3);
-    let pairs = backend.bin().pairs;
+    backend.bin();
+    let pairs = backend.counts().pairs;
     backend.rasterize(channels);
     losses(&mut backend);
     backend.rasterize_backward();

@@ -89,8 +89,12 @@ impl Backend for AnyBackend {
         each_backend!(self, backend => backend.project_up_to(camera, sh_degree, far));
     }
 
-    fn bin(&mut self) -> BinCounts {
-        pass!(self.bin())
+    fn bin(&mut self) {
+        pass!(self.bin());
+    }
+
+    fn counts(&self) -> BinCounts {
+        each_backend!(self, backend => backend.counts())
     }
 
     fn rasterize(&mut self, channels: Channels) {

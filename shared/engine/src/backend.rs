@@ -364,7 +364,11 @@ pub trait Backend {
     fn project_up_to(&mut self, camera: &Camera, sh_degree: u32, far: f64);
 
     /// Makes the list of the splats that each tile blends, nearest first.
-    fn bin(&mut self) -> BinCounts;
+    fn bin(&mut self);
+
+    /// Counts of the last binning pass. On a graphics card this waits for the pass, unless [`Backend::losses`] came
+    /// after it.
+    fn counts(&self) -> BinCounts;
 
     /// Blends the splats of every tile to a picture.
     fn rasterize(&mut self, channels: Channels);
@@ -407,7 +411,7 @@ pub trait Backend {
         true
     }
 
-    /// The scores, summed since the last [`Backend::clear_scores`].
+    /// The scores, summed since the last [`Backend::clear_scores`]. An edit makes them meaningless.
     fn scores(&self) -> Scores;
 
     /// Adds and removes splats. Panics if the result exceeds the capacity.

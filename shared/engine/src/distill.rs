@@ -141,11 +141,12 @@ impl<B: Backend> Distiller<B> {
         let rates = self.rates();
         let backend = &mut self.backend;
         backend.project_up_to(lesson.camera, self.settings.sh_degree, lesson.far);
-        let counts = backend.bin();
+        backend.bin();
         backend.rasterize(Channels::Geometry);
         let targets =
             Targets { surface: Some(lesson.surface), ..Targets::colors(TargetRgb::Floats(lesson.rgb)) };
         let losses = backend.losses(&targets, &weights);
+        let counts = backend.counts();
         backend.rasterize_backward();
         backend.project_backward();
         backend.adam(&rates);

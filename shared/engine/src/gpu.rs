@@ -1,8 +1,8 @@
 //! The GPU backend, built on wgpu. It computes the same results as the CPU backend within a tolerance, on graphics
 //! cards with Vulkan, Metal or DirectX 12.
 //!
-//! The backend is portable: its passes use no subgroups, no float atomics, and at most 8 storage buffers each. It needs
-//! only the default limits of wgpu, except for the sizes of buffers. Sums have a fixed order, so two runs on one card
+//! The backend is portable: its passes use no float atomics, at most 8 storage buffers each, and subgroups only where a
+//! card has them and they are faster. It needs only the default limits of wgpu, except for the sizes of buffers. Sums have a fixed order, so two runs on one card
 //! give the same bits.
 //!
 //! Reading order: `backend` for the whole; `model`, `draw`, `train` and `surface` for the buffers; `sort` for the radix

@@ -162,7 +162,8 @@ impl CpuPainter {
 
     fn blend(&mut self, camera: &Camera, far: f64, channels: Channels) {
         self.backend.project_up_to(camera, self.sh_degree, far);
-        let counts = self.backend.bin();
+        self.backend.bin();
+        let counts = self.backend.counts();
         if counts.dropped > 0 {
             self.backend.set_pair_capacity(counts.pairs + counts.dropped);
             self.backend.bin();

@@ -280,9 +280,10 @@ impl<B: Backend> Trainer<B> {
             backend.keep_neighbour();
         }
         backend.project(&cameras[example.view], degree);
-        let counts = backend.bin();
+        backend.bin();
         backend.rasterize(channels);
         let losses = backend.losses(&targets(example, self.exposures.as_ref()), &weights);
+        let counts = backend.counts();
         backend.rasterize_backward();
         backend.project_backward();
         backend.adam(&rates);

@@ -123,7 +123,8 @@ fn step(backend: &mut CpuBackend, views: &[(Camera, Rendering); 2], channels: Ch
         backend.keep_neighbour();
     }
     backend.project(here, 1);
-    assert_eq!(backend.bin().dropped, 0);
+    backend.bin();
+    assert_eq!(backend.counts().dropped, 0);
     backend.rasterize(channels);
     let surface = TargetSurface { depth: &shown.depth, normal: &shown.normal, trust: &shown.alpha };
     let targets = Targets {

@@ -46,7 +46,8 @@ use crate::simd::Isa;
 /// let mut backend = CpuBackend::new(capacity, 1);
 /// backend.load(&splats);
 /// backend.project(&camera, 0);
-/// assert_eq!(backend.bin().visible, 1);
+/// backend.bin();
+/// assert_eq!(backend.counts().visible, 1);
 /// backend.rasterize(Channels::Geometry);
 /// let picture = backend.rendering();
 /// assert!(picture.alpha[16 * 32 + 16] > 0.9 && picture.alpha[0] == 0.0);
@@ -59,6 +60,7 @@ pub struct CpuBackend {
     view: Option<ViewParams>,
     pub(super) projection: Projection,
     lists: TileLists,
+    counts: BinCounts,
     pub(super) image: TileImage,
     pub(super) gradient: TileImage,
     /// For each tile, the number of entries of its list that were processed: all, or fewer if all its pixels became
@@ -100,6 +102,7 @@ impl CpuBackend {
             view: None,
             projection: Projection::with_capacity(splats),
             lists: TileLists::with_capacity(splats, pairs, size_px),
+            counts: BinCounts::default(),
             image: TileImage::with_capacity(pixels, planes(channels)),
             gradient: TileImage::with_capacity(padded_pixels(trained_px), planes(channels)),
             blended: Vec::with_capacity(TileImage::tiles_of(size_px).iter().product()),
@@ -156,9 +159,13 @@ impl Backend for CpuBackend {
         self.view = Some(view);
     }
 
-    fn bin(&mut self) -> BinCounts {
+    fn bin(&mut self) {
         let view = self.view.as_ref().expect("`project` comes first");
-        self.pool.install(|| self.lists.fill(&self.projection, view))
+        self.counts = self.pool.install(|| self.lists.fill(&self.projection, view));
+    }
+
+    fn counts(&self) -> BinCounts {
+        self.counts
     }
 
     fn rasterize(&mut self, channels: Channels) {

@@ -103,7 +103,8 @@ fn backend(case: &Case, isa: Isa, threads: usize) -> CpuBackend {
     let mut backend = CpuBackend::with_isa(capacity, threads, isa);
     backend.load(&case.splats);
     backend.project(&case.camera, case.sh_degree);
-    assert_eq!(backend.bin().dropped, 0);
+    backend.bin();
+    assert_eq!(backend.counts().dropped, 0);
     backend.rasterize(Channels::Geometry);
     backend
 }

@@ -1,18 +1,19 @@
 //! The GPU as a [`Backend`].
 //!
 //! All passes of a step run on the GPU. A step uploads its inputs, such as the photograph, and reads back only counts
-//! and sums of losses. Only rarer operations, such as refinements and checkpoints, read and write the numbers of the
+//! and sums of losses, all at once, because each wait costs up to half a millisecond. Only rarer operations, such as refinements and checkpoints, read and write the numbers of the
 //! splats.
 
 use cosurf_scene::{Camera, Splats};
 
-use super::buffer::Buffer;
+use super::buffer::{Buffer, read_together};
 use super::context::{Gpu, GpuError};
-use super::draw::Drawing;
+use super::draw::{Drawing, counts};
+use super::edit::Editor;
 use super::model::Model;
-use super::structs::{Projected, Rates};
-use super::surface::Surface;
-use super::train::Training;
+use super::structs::{COUNTERS, Projected, Rates};
+use super::surface::{Summed, Surface};
+use super::train::{Training, loss};
 use super::{checkpoint, edit};
 use crate::backend::{
     AdamRates, Backend, BinCounts, Channels, Edit, LossWeights, Losses, Rendering, Scores, Shapes, Targets,
@@ -34,9 +35,10 @@ pub struct GpuBackend {
     training: Training,
     /// The surface losses; `None` if the capacity has [`Channels::Color`].
     surface: Option<Surface>,
-    /// Number of splats that the camera of the last binning pass sees.
-    visible: usize,
-    /// Weight of the mean shortest scale in the next backward pass.
+    editor: Editor,
+    /// Counts of the last binning pass, once they are read.
+    counts: Option<BinCounts>,
+    /// Weight of the shortest scale of each visible splat in the next backward pass.
     scale_weight: f32,
 }
 
@@ -54,9 +56,11 @@ impl GpuBackend {
             };
             Ok((model, Drawing::new(gpu, splats, pairs, size_px)?, training, surface))
         })?;
+        let editor = Editor::new(gpu);
+        let gpu = gpu.clone();
         let backend =
-            Self { gpu: gpu.clone(), model, drawing, training, surface, visible: 0, scale_weight: 0.0 };
-        backend.training.reset(gpu);
+            Self { gpu, model, drawing, training, surface, editor, counts: None, scale_weight: 0.0 };
+        backend.training.reset(&backend.gpu);
         Ok(backend)
     }
 
@@ -101,10 +105,13 @@ impl Backend for GpuBackend {
         self.drawing.project(&self.gpu, &self.model, camera, sh_degree, far);
     }
 
-    fn bin(&mut self) -> BinCounts {
-        let counts = self.drawing.bin(&self.gpu, &self.model);
-        self.visible = counts.visible;
-        counts
+    fn bin(&mut self) {
+        self.drawing.bin(&self.gpu, &self.model);
+        self.counts = None;
+    }
+
+    fn counts(&self) -> BinCounts {
+        self.counts.unwrap_or_else(|| self.drawing.counts(&self.gpu))
     }
 
     fn rasterize(&mut self, channels: Channels) {
@@ -117,13 +124,23 @@ impl Backend for GpuBackend {
     }
 
     fn losses(&mut self, targets: &Targets, weights: &LossWeights) -> Losses {
-        self.scale_weight = weights.scale;
+        let Self { gpu, drawing, training, .. } = self;
         let Targets { rgb, exposure, .. } = *targets;
-        let color = self.training.photometric(&self.gpu, &self.drawing, rgb, exposure, weights.ssim);
-        let (surface, teacher) = match &self.surface {
-            Some(surface) => surface.losses(&self.gpu, &self.drawing, &self.training, targets, weights),
-            None => Default::default(),
+        training.photometric(gpu, drawing, rgb, exposure, weights.ssim);
+        let (summed, sums) = match &self.surface {
+            Some(surface) => {
+                let summed = surface.losses(gpu, drawing, training, targets, weights);
+                (summed, surface.sums.part(0..summed.len()))
+            }
+            None => (Summed::default(), training.totals.part(0..0)),
         };
+        let parts = [training.totals.part(0..1), sums, drawing.counters.part(0..COUNTERS)];
+        let [totals, sums, counters] = read_together(gpu, parts);
+        let counts = counts(&bytemuck::pod_collect_to_vec(&counters));
+        self.counts = Some(counts);
+        self.scale_weight = weights.scale / counts.visible.max(1) as f32;
+        let color = loss(bytemuck::pod_read_unaligned(&totals), drawing.seen_view().size_px, weights.ssim);
+        let (surface, teacher) = summed.losses(&bytemuck::pod_collect_to_vec(&sums));
         Losses { color, surface, teacher }
     }
 
@@ -132,8 +149,7 @@ impl Backend for GpuBackend {
     }
 
     fn project_backward(&mut self) {
-        let scale_weight = self.scale_weight / self.visible.max(1) as f32;
-        self.training.project_backward(&self.gpu, &self.model, &self.drawing, scale_weight);
+        self.training.project_backward(&self.gpu, &self.model, &self.drawing, self.scale_weight);
     }
 
     fn gradients(&self) -> Splats {
@@ -194,7 +210,7 @@ impl Backend for GpuBackend {
     }
 
     fn edit(&mut self, edit: &Edit) {
-        edit::apply(&self.gpu, &mut self.model, &self.training, edit);
+        self.editor.apply(&self.gpu, &mut self.model, &self.training, edit);
     }
 
     fn cap_opacity(&mut self, opacity: f32) {

@@ -64,6 +64,18 @@ impl<T: Pod> Buffer<T> {
         gpu.queue.write_buffer(&self.raw, (first * size_of::<T>()) as u64, bytemuck::cast_slice(values));
     }
 
+    /// Replaces the bytes from word `first` on, a word having 4 bytes. Up to three bytes behind them become 0, because
+    /// only whole words can be written.
+    pub(super) fn write_bytes(&self, gpu: &Gpu, first: usize, bytes: &[u8]) {
+        let (words, rest) = bytes.as_chunks::<4>();
+        gpu.queue.write_buffer(&self.raw, 4 * first as u64, words.as_flattened());
+        if !rest.is_empty() {
+            let mut last = [0; 4];
+            last[..rest.len()].copy_from_slice(rest);
+            gpu.queue.write_buffer(&self.raw, 4 * (first + words.len()) as u64, &last);
+        }
+    }
+
     /// Sets every value to zero, after all work submitted so far.
     pub(super) fn clear(&self, gpu: &Gpu) {
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
@@ -73,33 +85,59 @@ impl<T: Pod> Buffer<T> {
 
     /// Reads the values of a range, after all work submitted so far. Returns zeros once the device is lost.
     pub(super) fn read(&self, gpu: &Gpu, range: Range<usize>) -> Vec<T> {
+        let [bytes] = read_together(gpu, [self.part(range)]);
+        bytemuck::pod_collect_to_vec(&bytes)
+    }
+
+    /// A range of the values, for [`read_together`].
+    pub(super) fn part(&self, range: Range<usize>) -> Part<'_> {
         assert!(range.end <= self.len, "{range:?} of {}", self.len);
-        let (first, len) = ((range.start * size_of::<T>()) as u64, range.len());
-        if len == 0 {
-            return Vec::new();
+        let [first, end] = [range.start, range.end].map(|at| (at * size_of::<T>()) as u64);
+        Part { buffer: &self.raw, bytes: first..end }
+    }
+}
+
+/// A range of bytes of a buffer.
+pub(super) struct Part<'a> {
+    buffer: &'a wgpu::Buffer,
+    bytes: Range<u64>,
+}
+
+/// Reads several parts of buffers, waiting only once, after all work submitted so far. Returns zeros once the device is
+/// lost.
+pub(super) fn read_together<const N: usize>(gpu: &Gpu, parts: [Part; N]) -> [Vec<u8>; N] {
+    let lens = parts.each_ref().map(|part| part.bytes.end - part.bytes.start);
+    let bytes: u64 = lens.iter().sum();
+    if bytes == 0 {
+        return lens.map(|_| Vec::new());
+    }
+    let staging = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+        label: Some("staging"),
+        size: bytes,
+        usage: BufferUsages::MAP_READ | BufferUsages::COPY_DST,
+        mapped_at_creation: false,
+    });
+    let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+    let mut to = 0;
+    for (part, len) in parts.iter().zip(lens).filter(|(_, len)| *len > 0) {
+        encoder.copy_buffer_to_buffer(part.buffer, part.bytes.start, &staging, to, len);
+        to += len;
+    }
+    let submission = gpu.queue.submit([encoder.finish()]);
+    let (sender, mapped) = std::sync::mpsc::channel();
+    staging.map_async(wgpu::MapMode::Read, .., move |result| {
+        let _ = sender.send(result);
+    });
+    let wait = wgpu::PollType::Wait { submission_index: Some(submission), timeout: None };
+    let polled = gpu.device.poll(wait);
+    match (polled, mapped.recv(), staging.get_mapped_range(..)) {
+        (Ok(_), Ok(Ok(())), Ok(view)) => {
+            let mut rest = &view[..];
+            lens.map(|len| rest.split_off(..len as usize).unwrap_or_default().to_vec())
         }
-        let bytes = (len * size_of::<T>()) as u64;
-        let staging = gpu.device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some("staging"),
-            size: bytes,
-            usage: BufferUsages::MAP_READ | BufferUsages::COPY_DST,
-            mapped_at_creation: false,
-        });
-        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        encoder.copy_buffer_to_buffer(&self.raw, first, &staging, 0, bytes);
-        let submission = gpu.queue.submit([encoder.finish()]);
-        let (sender, mapped) = std::sync::mpsc::channel();
-        staging.map_async(wgpu::MapMode::Read, .., move |result| {
-            let _ = sender.send(result);
-        });
-        let wait = wgpu::PollType::Wait { submission_index: Some(submission), timeout: None };
-        let polled = gpu.device.poll(wait);
-        match (polled, mapped.recv(), staging.get_mapped_range(..)) {
-            (Ok(_), Ok(Ok(())), Ok(view)) => bytemuck::pod_collect_to_vec(&view),
-            failed => {
-                gpu.lose(&format!("{:?}, {:?}", failed.0, failed.1));
-                vec![T::zeroed(); len]
-            }
+        failed => {
+            gpu.lose(&format!("{:?}, {:?}", failed.0, failed.1));
+            lens.map(|len| vec![0; len as usize])
         }
     }
 }

@@ -73,8 +73,9 @@ pub struct AdapterSummary {
     pub is_software: bool,
     /// Largest buffer that a pass can bind, bytes.
     pub binding_bytes_max: u64,
-    /// Whether the adapter supports subgroup operations.
-    pub has_subgroups: bool,
+    /// Number of invocations of each subgroup, 8 to 64; `None` if it varies, or if the adapter has no subgroup
+    /// operations.
+    pub subgroup_size: Option<u32>,
 }
 
 /// Which adapter to open.
@@ -91,6 +92,23 @@ pub enum GpuChoice {
 /// All adapters, best first.
 pub fn adapters() -> Vec<AdapterSummary> {
     found().iter().map(summary).collect()
+}
+
+/// Values of the `override` constant of passes with subgroups, for each size of subgroups.
+pub(super) const SUBGROUPS: [(u32, Constants); 4] = [
+    (8, &[("SUBGROUP", 8.0)]),
+    (16, &[("SUBGROUP", 16.0)]),
+    (32, &[("SUBGROUP", 32.0)]),
+    (64, &[("SUBGROUP", 64.0)]),
+];
+
+/// Features that are used where an adapter has them.
+fn features_of_use() -> wgpu::Features {
+    #[cfg(feature = "gpu-timestamps")]
+    let timestamps = wgpu::Features::TIMESTAMP_QUERY;
+    #[cfg(not(feature = "gpu-timestamps"))]
+    let timestamps = wgpu::Features::empty();
+    wgpu::Features::SUBGROUP | timestamps
 }
 
 fn found() -> Vec<Adapter> {
@@ -124,9 +142,19 @@ fn summary(adapter: &Adapter) -> AdapterSummary {
             .limits()
             .max_storage_buffer_binding_size
             .min(adapter.limits().max_buffer_size),
-        has_subgroups: adapter.features().contains(wgpu::Features::SUBGROUP),
+        subgroup_size: adapter
+            .features()
+            .contains(wgpu::Features::SUBGROUP)
+            .then(|| subgroup_size(&info))
+            .flatten(),
         name: info.name,
     }
+}
+
+/// Number of invocations of each subgroup, if it is always the same and divides the pixels of a tile.
+fn subgroup_size(info: &wgpu::AdapterInfo) -> Option<u32> {
+    let size = info.subgroup_min_size;
+    (size == info.subgroup_max_size && [8, 16, 32, 64].contains(&size)).then_some(size)
 }
 
 /// An open graphics card.
@@ -173,8 +201,7 @@ impl Gpu {
         let descriptor = wgpu::DeviceDescriptor {
             label: Some("cosurf"),
             required_limits,
-            #[cfg(feature = "gpu-timestamps")]
-            required_features: adapter.features() & wgpu::Features::TIMESTAMP_QUERY,
+            required_features: adapter.features() & features_of_use(),
             ..wgpu::DeviceDescriptor::default()
         };
         let (device, queue) = pollster::block_on(adapter.request_device(&descriptor)).map_err(|error| {
@@ -202,6 +229,13 @@ impl Gpu {
         Ok(gpu)
     }
 
+    /// Returns the constants of the passes with subgroups; `None` for a software driver, for which such passes are slow, and
+    /// for a card without subgroups of a fixed size.
+    pub(super) fn subgroups(&self) -> Option<Constants> {
+        let size = self.adapter.subgroup_size.filter(|_| !self.adapter.is_software)?;
+        SUBGROUPS.into_iter().find(|(known, _)| *known == size).map(|(_, constants)| constants)
+    }
+
     /// Returns a function that records the loss of the device and the reason, in one line. Later reasons are ignored.
     fn loser(&self) -> impl Fn(&str) + Send + Sync + use<> {
         let (lost, name) = (self.lost.clone(), self.adapter.name.clone());
@@ -227,6 +261,12 @@ impl Gpu {
     pub(super) fn disguised(&self) -> Self {
         let adapter = AdapterSummary { is_software: !self.adapter.is_software, ..self.adapter.clone() };
         Self { adapter, ..self.clone() }
+    }
+
+    /// The same open adapter, treated as one without subgroups.
+    #[cfg(test)]
+    pub(super) fn without_subgroups(&self) -> Self {
+        Self { adapter: AdapterSummary { subgroup_size: None, ..self.adapter.clone() }, ..self.clone() }
     }
 
     /// The open adapter.

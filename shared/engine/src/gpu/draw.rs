@@ -131,7 +131,10 @@ impl Drawing {
                 order_counts: gpu.pass(cosurf_shaders::ORDER_COUNTS),
                 emit: gpu.pass(cosurf_shaders::EMIT),
                 tile_ranges: gpu.pass(cosurf_shaders::TILE_RANGES),
-                rasterize: gpu.pass(cosurf_shaders::RASTERIZE),
+                rasterize: gpu.pass(match gpu.adapter().is_software {
+                    true => cosurf_shaders::RASTERIZE,
+                    false => cosurf_shaders::RASTERIZE_BY_PIXEL,
+                }),
             },
             sorter: Sorter::new(gpu, splats.max(pairs))?,
             view: Buffer::uniform(gpu, "view", bytemuck::Zeroable::zeroed()),
@@ -210,7 +213,7 @@ impl Drawing {
         view
     }
 
-    pub(super) fn bin(&mut self, gpu: &Gpu, model: &Model) -> BinCounts {
+    pub(super) fn bin(&mut self, gpu: &Gpu, model: &Model) {
         let tiles = self.tiles();
         // Pairs without a tile (see `emit.wgsl`) have the number of tiles as their key, which is the largest key.
         self.pairs.by_tile.set_largest(tiles as u32);
@@ -226,6 +229,10 @@ impl Drawing {
             self.pairs.capacity().div_ceil(GROUP),
         );
         r.submit();
+    }
+
+    /// Counts of the last binning pass.
+    pub(super) fn counts(&self, gpu: &Gpu) -> BinCounts {
         counts(&self.counters.read(gpu, 0..COUNTERS))
     }
 
@@ -296,7 +303,7 @@ impl Drawing {
 }
 
 /// The counts of a binning pass, from the buffer of counters.
-fn counts(counters: &[u32]) -> BinCounts {
+pub(super) fn counts(counters: &[u32]) -> BinCounts {
     let at = |place: usize| counters[place] as usize;
     BinCounts {
         visible: at(structs::VISIBLE),

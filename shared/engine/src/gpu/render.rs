@@ -44,7 +44,8 @@ impl GpuRenderer {
         let Self { gpu, model, drawing } = self;
         gpu.allocating(|| drawing.grow_picture(gpu, camera.size_px))?;
         drawing.project(gpu, model, camera, model.sh_degree, far);
-        let counts = drawing.bin(gpu, model);
+        drawing.bin(gpu, model);
+        let counts = drawing.counts(gpu);
         if counts.dropped > 0 {
             gpu.allocating(|| drawing.grow_pairs(gpu, counts.pairs + counts.dropped))?;
             drawing.project(gpu, model, camera, model.sh_degree, far);

@@ -143,7 +143,19 @@ pub(super) struct SurfaceWeights {
     pub(super) teacher_normal: f32,
     pub(super) samples: u32,
     pub(super) sums_first: u32,
-    pub(super) unused: u32,
+    pub(super) cell_px: u32,
+    pub(super) draw: [u32; 2],
+}
+
+/// Mirrors `EditStep` in `types.wgsl`.
+#[derive(Clone, Copy, Debug, Pod, Zeroable)]
+#[repr(C)]
+pub(super) struct EditStep {
+    pub(super) first_row: u32,
+    pub(super) rows: u32,
+    pub(super) splat_stride: u32,
+    pub(super) moves: u32,
+    pub(super) copied: u32,
 }
 
 /// Mirrors `Pair` in `types.wgsl`.

@@ -12,7 +12,7 @@ use crate::backend::{
     LossWeights, MultiviewWeights, SurfaceLoss, TargetRgb, TargetSurface, Targets, TeacherLoss,
 };
 use crate::budget::TAUGHT_NUMBERS;
-use crate::layout::sampling::sampled_pixels;
+use crate::layout::sampling::cells;
 use crate::layout::tiles::padded_pixels;
 use crate::layout::view::{RelativePose, ViewParams};
 
@@ -53,11 +53,10 @@ pub(super) struct Surface {
     slopes: Buffer<u32>,
     /// Gradient of each pixel's normal loss with respect to the depths of the four pixels beside it.
     given: Buffer<[f32; 4]>,
-    samples: Buffer<u32>,
     /// The teacher's depths, then trusts, then normals.
     shown: Buffer<f32>,
     /// Sums of losses: one entry for each tile, then one for each workgroup of samples.
-    sums: Buffer<[f32; 4]>,
+    pub(super) sums: Buffer<[f32; 4]>,
     /// Camera of the neighbouring view; `None` before [`Self::keep_neighbour`].
     neighbour: Option<ViewParams>,
 }
@@ -92,7 +91,6 @@ impl Surface {
             there: Planes::new(gpu, pixels)?,
             slopes: Buffer::storage(gpu, "slopes", 2)?,
             given: Buffer::storage(gpu, "gradients of depths", pixels)?,
-            samples: Buffer::storage(gpu, "samples", pixels)?,
             shown: Buffer::storage(gpu, "teacher's surface", TAUGHT_NUMBERS * pixels)?,
             sums: Buffer::storage(gpu, "surface sums", pixels / GROUP + pixels.div_ceil(SAMPLES_AT_ONCE))?,
             neighbour: None,
@@ -112,8 +110,8 @@ impl Surface {
         r.run(&self.passes.unbiased_depth, &buffers, drawing.tiles());
     }
 
-    /// Returns the losses, and writes their weighted gradients to the normal and distance planes of the gradient in
-    /// `training`. If `weights.surface` is `None`, returns zeros and writes nothing. Must be called after
+    /// Computes the sums of the losses, which [`Summed::losses`] takes, and writes their weighted gradients to the normal and distance planes of the
+    /// gradient in `training`. If `weights.surface` is `None`, computes and writes nothing. Must be called after
     /// [`Training::photometric`], which uploads the photograph.
     pub(super) fn losses(
         &self,
@@ -122,23 +120,17 @@ impl Surface {
         training: &Training,
         targets: &Targets,
         weights: &LossWeights,
-    ) -> (SurfaceLoss, TeacherLoss) {
-        let Some(surface_weights) = &weights.surface else { return Default::default() };
+    ) -> Summed {
+        let Some(surface_weights) = &weights.surface else { return Summed::default() };
         let view = drawing.seen_view();
         let pixels = f64::from(view.size_px[0]) * f64::from(view.size_px[1]);
         let pair = targets.neighbour_rgb.zip(self.neighbour.as_ref());
         let multiview = surface_weights.multiview.zip(pair);
-        let samples = match &multiview {
-            Some((MultiviewWeights { cell_px, draw, .. }, _)) => {
-                sampled_pixels(view.size_px, *cell_px, *draw)
-            }
-            None => Vec::new(),
-        };
-        let (reprojection, ncc) = multiview
-            .map_or((0.0, 0.0), |(MultiviewWeights { reprojection, ncc, .. }, _)| (reprojection, ncc));
+        let no_samples = MultiviewWeights { reprojection: 0.0, ncc: 0.0, cell_px: 1, draw: 0 };
+        let MultiviewWeights { reprojection, ncc, cell_px, draw } = multiview.map_or(no_samples, |(w, _)| w);
+        let samples = if multiview.is_some() { cells(view.size_px, cell_px) } else { 0 };
         let each_pixel = |weight: f32| weight / pixels as f32;
-        let each_sample = |weight: f32| weight / samples.len().max(1) as f32;
-        self.samples.write(gpu, 0, &samples);
+        let each_sample = |weight: f32| weight / samples.max(1) as f32;
         self.slopes.write(gpu, 0, &NO_SLOPES);
         self.weights.write(
             gpu,
@@ -149,21 +141,21 @@ impl Surface {
                 ncc: each_sample(ncc),
                 teacher_depth: each_pixel(weights.teacher.map_or(0.0, |teacher| teacher.depth)),
                 teacher_normal: each_pixel(weights.teacher.map_or(0.0, |teacher| teacher.normal)),
-                samples: samples.len() as u32,
+                samples: samples as u32,
                 sums_first: drawing.tiles() as u32,
-                unused: 0,
+                cell_px,
+                draw: [draw as u32, (draw >> 32) as u32],
             }],
         );
         self.single_view(gpu, drawing, training);
         if let Some((_, (rgb, neighbour))) = multiview {
-            self.multiview(gpu, drawing, training, rgb, neighbour, samples.len());
+            self.multiview(gpu, drawing, training, rgb, neighbour, samples);
         }
         let taught = weights.teacher.is_some() && targets.surface.is_some();
         if let (Some(_), Some(target)) = (&weights.teacher, &targets.surface) {
             self.teach(gpu, drawing, training, target);
         }
-        let sums = self.sums.read(gpu, 0..drawing.tiles() + samples.len().div_ceil(SAMPLES_AT_ONCE));
-        losses(sums.split_at(drawing.tiles()), pixels, samples.len(), taught)
+        Summed { tiles: drawing.tiles(), samples, pixels, taught }
     }
 
     /// Computes the single-view normal loss. Overwrites the normal and distance planes of the gradient.
@@ -211,7 +203,6 @@ impl Surface {
             &here.luma.raw,
             &there.depth.raw,
             &there.luma.raw,
-            &self.samples.raw,
             &training.gradient.raw,
             &self.sums.raw,
         ];
@@ -239,24 +230,38 @@ impl Surface {
     }
 }
 
-/// The mean losses, from the sums of each tile and the sums of each workgroup of samples.
-fn losses(
-    (tiles, groups): (&[[f32; 4]], &[[f32; 4]]),
-    pixels: f64,
+/// What the sums of the losses in [`Surface::sums`] are of.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Summed {
+    tiles: usize,
     samples: usize,
+    /// Number of pixels of the picture.
+    pixels: f64,
+    /// Whether there is a teacher.
     taught: bool,
-) -> (SurfaceLoss, TeacherLoss) {
-    let mean = |sums: &[[f32; 4]], k: usize, count: f64| {
-        sums.iter().map(|sum| f64::from(sum[k])).sum::<f64>() / count.max(1.0)
-    };
-    let of_samples = |k| mean(groups, k, samples as f64);
-    let surface = SurfaceLoss {
-        normal: mean(tiles, 0, pixels),
-        reprojection: of_samples(0),
-        ncc: of_samples(1),
-        returned: of_samples(2),
-        matched: of_samples(3),
-    };
-    let teacher = TeacherLoss { depth: mean(tiles, 2, pixels), normal: mean(tiles, 3, pixels) };
-    (surface, if taught { teacher } else { TeacherLoss::default() })
+}
+
+impl Summed {
+    /// Number of sums.
+    pub(super) fn len(&self) -> usize {
+        self.tiles + self.samples.div_ceil(SAMPLES_AT_ONCE)
+    }
+
+    /// The mean losses, from all sums.
+    pub(super) fn losses(&self, sums: &[[f32; 4]]) -> (SurfaceLoss, TeacherLoss) {
+        let (tiles, groups) = sums.split_at(self.tiles);
+        let mean = |sums: &[[f32; 4]], k: usize, count: f64| {
+            sums.iter().map(|sum| f64::from(sum[k])).sum::<f64>() / count.max(1.0)
+        };
+        let of_samples = |k| mean(groups, k, self.samples as f64);
+        let surface = SurfaceLoss {
+            normal: mean(tiles, 0, self.pixels),
+            reprojection: of_samples(0),
+            ncc: of_samples(1),
+            returned: of_samples(2),
+            matched: of_samples(3),
+        };
+        let teacher = TeacherLoss { depth: mean(tiles, 2, self.pixels), normal: mean(tiles, 3, self.pixels) };
+        (surface, if self.taught { teacher } else { TeacherLoss::default() })
+    }
 }

@@ -42,14 +42,16 @@ pub(super) struct Training {
     pub(super) photograph: Buffer<u32>,
     partials: Buffer<f32>,
     sums: Buffer<[f32; SUMS]>,
-    totals: Buffer<[f32; SUMS]>,
+    pub(super) totals: Buffer<[f32; SUMS]>,
     /// Gradient of the loss with respect to the picture, in the layout of the picture.
     pub(super) gradient: Buffer<f32>,
-    records: Buffer<Record>,
+    /// Edits keep the numbers that they move here.
+    pub(super) records: Buffer<Record>,
     /// Gradients with respect to the shapes and colours of the splats, in rows as in a [`Model`]. Statistics and scores
     /// have such rows as well.
     pub(super) gradients: Buffer<f32>,
     pub(super) stats: Buffer<f32>,
+    /// Edits list their moves here.
     pub(super) scores: Buffer<f32>,
     /// First and second moments of the shapes, then first and second moments of the spherical harmonics.
     pub(super) moments: [Buffer<f32>; 4],
@@ -66,7 +68,10 @@ impl Training {
                 ssim: gpu.pass(cosurf_shaders::SSIM),
                 photometric_gradient: gpu.pass(cosurf_shaders::PHOTOMETRIC_GRADIENT),
                 loss_total: gpu.pass(cosurf_shaders::LOSS_TOTAL),
-                rasterize_backward: gpu.pass_with(cosurf_shaders::RASTERIZE_BACKWARD, pipelined(gpu)),
+                rasterize_backward: match gpu.subgroups() {
+                    Some(size) => gpu.pass_with(cosurf_shaders::RASTERIZE_BACKWARD_BY_PIXEL, size),
+                    None => gpu.pass_with(cosurf_shaders::RASTERIZE_BACKWARD, pipelined(gpu)),
+                },
                 project_backward: gpu.pass(cosurf_shaders::PROJECT_BACKWARD),
                 adam: gpu.pass(cosurf_shaders::ADAM),
                 score: gpu.pass_with(cosurf_shaders::SCORE, pipelined(gpu)),
@@ -80,7 +85,8 @@ impl Training {
             sums: Buffer::storage(gpu, "loss sums", 3 * tiles)?,
             totals: Buffer::storage(gpu, "loss totals", 1)?,
             gradient: Buffer::storage(gpu, "gradient of the picture", PLANES_GEOMETRY * pixels)?,
-            records: Buffer::storage(gpu, "records", pairs)?,
+            // An edit needs room for one row.
+            records: Buffer::storage(gpu, "records", pairs.max(model.stride.div_ceil(RECORD_LEN)))?,
             gradients: rows("gradients", GRADIENT_ROWS)?,
             stats: rows("statistics", STAT_ROWS)?,
             scores: rows("scores", SCORE_ROWS)?,
@@ -101,7 +107,7 @@ impl Training {
         r.submit();
     }
 
-    /// Returns the colour loss, and writes its gradient with respect to every pixel.
+    /// Computes the sums of the colour loss, which [`loss`] takes, and its gradient with respect to every pixel.
     pub(super) fn photometric(
         &self,
         gpu: &Gpu,
@@ -109,7 +115,7 @@ impl Training {
         rgb: TargetRgb,
         exposure: Exposure,
         ssim_weight: f32,
-    ) -> PhotometricLoss {
+    ) {
         let size_px = drawing.seen_view().size_px;
         let values = 3.0 * size_px[0] as f32 * size_px[1] as f32;
         let settings = LossSettings {
@@ -134,7 +140,6 @@ impl Training {
         r.run(&self.passes.photometric_gradient, &buffers, jobs);
         r.run(&self.passes.loss_total, &[view, sums, &self.totals.raw], 1);
         r.submit();
-        loss(self.totals.read(gpu, 0..1)[0], values, ssim_weight)
     }
 
     /// Replaces the uploaded photograph by that of the neighbouring view, for the pass `luma`. Sets all loss settings
@@ -147,17 +152,8 @@ impl Training {
 
     fn upload(&self, gpu: &Gpu, rgb: TargetRgb) {
         match rgb {
-            TargetRgb::Floats(values) => {
-                let bits: Vec<u32> = values.iter().map(|value| value.to_bits()).collect();
-                self.photograph.write(gpu, 0, &bits);
-            }
-            TargetRgb::Bytes(bytes) => {
-                let (whole, rest) = bytes.as_chunks::<4>();
-                let mut last = [0; 4];
-                last[..rest.len()].copy_from_slice(rest);
-                let words = whole.iter().chain([&last]).map(|four| u32::from_le_bytes(*four));
-                self.photograph.write(gpu, 0, &words.take(bytes.len().div_ceil(4)).collect::<Vec<_>>());
-            }
+            TargetRgb::Floats(values) => self.photograph.write_bytes(gpu, 0, bytemuck::cast_slice(values)),
+            TargetRgb::Bytes(bytes) => self.photograph.write_bytes(gpu, 0, bytes),
         }
     }
 
@@ -263,8 +259,9 @@ fn is_floats(rgb: TargetRgb) -> u32 {
     u32::from(matches!(rgb, TargetRgb::Floats(_)))
 }
 
-/// The colour loss, from sums over all values of the picture. `totals` has the order in which the shaders write them.
-fn loss(totals: [f32; SUMS], values: f32, ssim_weight: f32) -> PhotometricLoss {
+/// The colour loss, from sums over all values of a picture. `totals` has the order in which the shaders write them.
+pub(super) fn loss(totals: [f32; SUMS], size_px: [u32; 2], ssim_weight: f32) -> PhotometricLoss {
+    let values = 3.0 * size_px[0] as f32 * size_px[1] as f32;
     let [ssim, squares, l1, signs, signed_x, ..] = totals.map(|total| f64::from(total) / f64::from(values));
     let weight = f64::from(ssim_weight);
     PhotometricLoss {

@@ -1,4 +1,4 @@
-//! The adapter that the tests use.
+//! The adapters that the tests use.
 
 use crate::gpu::context::{Gpu, GpuChoice};
 
@@ -11,4 +11,10 @@ pub(super) fn gpu() -> Option<Gpu> {
             None
         }
     }
+}
+
+/// The adapter of [`gpu`] twice: as it is, and with the passes that a software driver runs if it is a graphics card, or
+/// the reverse. Empty if there is no adapter.
+pub(super) fn both() -> Vec<Gpu> {
+    gpu().map_or_else(Vec::new, |gpu| vec![gpu.disguised(), gpu])
 }

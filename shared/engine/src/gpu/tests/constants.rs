@@ -9,6 +9,8 @@ use naga::{Expression, Handle, Literal, Module};
 
 use crate::backend::{BETA_1, BETA_2, EPSILON};
 use crate::budget::PARTIALS;
+use crate::gpu::context::SUBGROUPS;
+use crate::gpu::pass::Constants;
 use crate::gpu::recorder::GROUPS_MAX;
 use crate::gpu::sort::{BLOCK, DIGITS, GROUP};
 use crate::gpu::structs::{PAIRS, PAIRS_WANTED, SPLATS, VISIBLE};
@@ -72,7 +74,7 @@ fn shared() -> BTreeMap<&'static str, Value> {
         PAIRS MEAN QUAT LOG_SCALE OPACITY TRANSMITTANCE NORMAL DISTANCE PLANES_GEOMETRY GRADIENT_RGB GRADIENT_ROWS
         STAT_SCREEN_GRADIENT STAT_VIEWS STAT_ABSOLUTE_GRADIENT SQUARED_WEIGHT HITS OBSERVED OBSERVED_TRANSMITTANCE
         SLACK_PX GRAZING SURFACE_ALPHA NORMAL_REACH SSIM_REACH SSIM_TAPS SSIM_C1 SSIM_C2 LUMA_WEIGHTS PARTIALS
-        SAMPLES_AT_ONCE RETURN_MAX_PX PATCH_REACH PATCH_SIDE PATCH VARIANCES_MIN DISAGREEMENT_MAX BETA_1 BETA_2 EPSILON
+        RECORD_LEN SAMPLES_AT_ONCE RETURN_MAX_PX PATCH_REACH PATCH_SIDE PATCH VARIANCES_MIN DISAGREEMENT_MAX BETA_1 BETA_2 EPSILON
     };
     let renamed = [
         ("TILE_PIXELS", (TILE * TILE).into()),
@@ -153,17 +155,24 @@ fn the_comparison_of_constants_detects_wrong_and_unknown_ones() {
 
 #[test]
 fn every_override_is_set_and_every_setting_has_an_override() {
-    for shader in [cosurf_shaders::RASTERIZE_BACKWARD, cosurf_shaders::SCORE] {
-        let module = wgsl::parse_str(shader.source).expect("it is valid");
-        let mut names: Vec<&str> =
-            module.overrides.iter().filter_map(|(_, over)| over.name.as_deref()).collect();
-        names.sort_unstable();
-        for constants in PIPELINED {
-            let mut set: Vec<&str> = constants.iter().map(|(name, _)| *name).collect();
-            set.sort_unstable();
-            assert_eq!(names, set, "{}", shader.name);
-            let product: f64 = constants.iter().map(|(_, value)| value).product();
-            assert!(product <= (TILE * TILE) as f64, "pairs would meet in a chunk of pixels");
+    for constants in PIPELINED {
+        for shader in [cosurf_shaders::RASTERIZE_BACKWARD, cosurf_shaders::SCORE] {
+            assert_set(shader, constants);
         }
+        let product: f64 = constants.iter().map(|(_, value)| value).product();
+        assert!(product <= (TILE * TILE) as f64, "pairs would meet in a chunk of pixels");
     }
+    for (size, constants) in SUBGROUPS {
+        assert_set(cosurf_shaders::RASTERIZE_BACKWARD_BY_PIXEL, constants);
+        assert_eq!(constants[0].1, f64::from(size));
+    }
+}
+
+/// Asserts that `constants` sets each override of a shader, and nothing else.
+fn assert_set(shader: cosurf_shaders::Shader, constants: Constants) {
+    let module = wgsl::parse_str(shader.source).expect("it is valid");
+    let mut names: Vec<&str> = module.overrides.iter().filter_map(|(_, over)| over.name.as_deref()).collect();
+    let mut set: Vec<&str> = constants.iter().map(|(name, _)| *name).collect();
+    [&mut names, &mut set].into_iter().for_each(|names| names.sort_unstable());
+    assert_eq!(names, set, "{}", shader.name);
 }

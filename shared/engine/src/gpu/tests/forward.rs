@@ -5,9 +5,10 @@
 use cosurf_scene::{Camera, Splats};
 use glam::{DVec2, DVec3};
 
-use super::adapter::gpu;
+use super::adapter::{both, gpu};
 use crate::backend::Rendering;
 use crate::cpu::tests::{self, splats};
+use crate::gpu::Gpu;
 use crate::gpu::render::GpuRenderer;
 use crate::render::Renderer;
 
@@ -72,10 +73,13 @@ fn compare(a: &Rendering, b: &Rendering) -> (usize, f32) {
 
 #[test]
 fn pictures_agree_with_the_cpu() {
-    let Some(gpu) = gpu() else { return };
+    both().iter().for_each(pictures_agree);
+}
+
+fn pictures_agree(gpu: &Gpu) {
     for (name, splats, camera) in cases() {
         let expected = Renderer::new(&splats, 2).render(&camera);
-        let mut renderer = GpuRenderer::new(&gpu, &splats).expect("room");
+        let mut renderer = GpuRenderer::new(gpu, &splats).expect("room");
         let got = renderer.render(&camera, f64::INFINITY).expect("room");
         let pixels = got.alpha.len();
         let (ties, worst) = compare(&got, &expected);

@@ -5,7 +5,7 @@ use naga::valid::{Capabilities, ValidationFlags, Validator};
 use naga::{AddressSpace, Module, TypeInner};
 
 use crate::gpu::structs::{
-    BackwardWeights, LossSettings, Pair, Projected, Rates, ScanStep, SortStep, SurfaceWeights, View,
+    BackwardWeights, EditStep, LossSettings, Pair, Projected, Rates, ScanStep, SortStep, SurfaceWeights, View,
 };
 
 /// Largest number of storage buffers that a pass may bind: WebGPU's default limit.
@@ -21,7 +21,11 @@ fn parsed(source: &str) -> Module {
 fn every_shader_is_valid_and_portable() {
     for shader in cosurf_shaders::ALL {
         let module = parsed(shader.source);
-        let info = Validator::new(ValidationFlags::all(), Capabilities::empty()).validate(&module);
+        let capabilities = match shader == &cosurf_shaders::RASTERIZE_BACKWARD_BY_PIXEL {
+            true => Capabilities::SUBGROUP,
+            false => Capabilities::empty(),
+        };
+        let info = Validator::new(ValidationFlags::all(), capabilities).validate(&module);
         assert!(
             info.is_ok(),
             "{}: {}",
@@ -85,7 +89,8 @@ fn rust_and_shaders_lay_structures_out_alike() {
         Rates: mean quat log_scale opacity sh_dc sh_rest first_correction second_correction;
         BackwardWeights: scale;
         LossSettings: gain offset l1_weight ssim_weight is_floats unused_1 unused_2 unused_3;
-        SurfaceWeights: normal reprojection ncc teacher_depth teacher_normal samples sums_first unused;
+        SurfaceWeights: normal reprojection ncc teacher_depth teacher_normal samples sums_first cell_px draw;
+        EditStep: first_row rows splat_stride moves copied;
         Pair: there_from_here focal_px center_px size_px unused_1 unused_2;
     }
     // The comparison must also notice fields in another order.

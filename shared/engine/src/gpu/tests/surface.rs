@@ -62,7 +62,8 @@ impl Shown {
         backend.rasterize(Channels::Geometry);
         backend.keep_neighbour();
         backend.project(&self.cameras[0], 0);
-        assert_eq!(backend.bin().dropped, 0);
+        backend.bin();
+        assert_eq!(backend.counts().dropped, 0);
         backend.rasterize(Channels::Geometry);
         let bytes: Vec<u8> = there.rgb.iter().map(|v| (255.0 * v.min(1.0)) as u8).collect();
         let surface = TargetSurface { depth: &here.depth, normal: &here.normal, trust: &self.trust };
