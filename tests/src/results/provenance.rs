@@ -2,14 +2,15 @@
 
 use super::record::Results;
 
-/// The only results that may name a source: figures of another program, which `results` does not run.
-const OF_ANOTHER_PROGRAM: &str = "opensplat";
+/// The only results that may name a source, because `results` cannot measure them: figures of another program, and of a
+/// graphics card beside which nothing can be built.
+const MEASURED_ELSEWHERE: [&str; 3] = ["opensplat", "card", "card_passes"];
 
 /// The faults of stored results, a sentence for each. `has_commit` tells whether the history contains a commit; `None`
 /// if the history is not available.
 pub(super) fn faults(results: &Results, has_commit: impl Fn(&str) -> Option<bool>) -> Vec<String> {
     let Results { name, source, commit, .. } = results;
-    let source = source.as_ref().filter(|_| name != OF_ANOTHER_PROGRAM);
+    let source = source.as_ref().filter(|_| !MEASURED_ELSEWHERE.contains(&name.as_str()));
     let copied = source.map(|source| format!("the results `{name}` are copied from {source}; measure them"));
     let commit = commit_fault(commit, has_commit);
     let measured =
@@ -35,7 +36,7 @@ mod tests {
     }
 
     #[test]
-    fn only_another_program_may_have_a_source() {
+    fn only_results_from_elsewhere_may_have_a_source() {
         assert_eq!(faults_of("opensplat", Some("README"), "1234567"), [""; 0]);
         assert_eq!(faults_of("short", None, "1234567"), [""; 0]);
         let copied = "the results `short` are copied from README; measure them";
