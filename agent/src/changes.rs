@@ -24,7 +24,7 @@ pub fn compare(before: &mut Renderer, after: &mut Renderer, cameras: &[Camera]) 
     let mut tally = Tally::default();
     for i in 0..views {
         let camera = &cameras[i * cameras.len() / views];
-        let camera = camera.resized(camera.fitted_size(SIZE_PX));
+        let camera = camera.fitted(SIZE_PX);
         tally.add(&before.render(&camera), &after.render(&camera));
     }
     (views > 0).then(|| tally.changes(views))

@@ -107,7 +107,7 @@ pub fn flight(plan: &TrainPlan) -> Result<Vec<Camera>> {
     let (train, _) = split(&dataset, &plan.split)?;
     let shrunk = |camera: &Camera| {
         let long_side_px = camera.size_px[0].max(camera.size_px[1]).min(plan.max_size_px);
-        camera.resized(camera.fitted_size(long_side_px))
+        camera.fitted(long_side_px)
     };
     Ok(train.into_iter().map(|i| shrunk(&dataset.views[i].camera)).collect())
 }

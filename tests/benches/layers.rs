@@ -52,7 +52,7 @@ struct Arguments {
 fn main() -> Result<()> {
     let Arguments { model, data, name, sh_degree, max_size, .. } = Arguments::parse();
     let splats = of_degree(&ply::read(&model)?, sh_degree);
-    let fitted = |camera: Camera| camera.resized(camera.fitted_size(max_size));
+    let fitted = |camera: Camera| camera.fitted(max_size);
     let dataset = Dataset::open(&data)?;
     let cameras: Vec<Camera> =
         dataset.split(EVERY).0.iter().map(|i| fitted(dataset.views[*i].camera)).collect();

@@ -61,7 +61,7 @@ impl<'a> Judge<'a> {
 
     /// Reads the photograph of a view, and renders the model from the same camera.
     pub(crate) fn compare(&mut self, view: &View) -> Result<Comparison, SceneError> {
-        let camera = view.camera.resized(view.camera.fitted_size(self.max_size_px));
+        let camera = view.camera.fitted(self.max_size_px);
         let photograph = Picture::read_fitted(&view.path, camera.size_px)?;
         let mut rendering = self.renderer.render(&camera);
         rendering.rgb.iter_mut().for_each(|value| *value = value.clamp(0.0, 1.0));

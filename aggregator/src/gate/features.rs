@@ -64,7 +64,7 @@ impl Feature {
             let camera = cameras[i * cameras.len() / views];
             for size in 0..SIZES {
                 let long_side = f64::from(SIZE_PX) / SIZE_STEP.powi(size as i32);
-                let sight = Sight::of(renderer, camera.resized(camera.fitted_size(long_side as u32)));
+                let sight = Sight::of(renderer, camera.fitted(long_side as u32));
                 found.extend(in_picture(&sight));
             }
         }

@@ -61,7 +61,7 @@ impl Glimpse {
     /// Renders a view of a model. If the model was pruned before upload, only opaque pixels count as surface.
     pub(super) fn of(renderer: &mut Renderer, camera: &Camera, is_compressed: bool) -> Self {
         let alpha_min = if is_compressed { OPAQUE_MIN } else { ALPHA_MIN };
-        let camera = camera.resized(camera.fitted_size(SIZE_PX));
+        let camera = camera.fitted(SIZE_PX);
         let rendering = renderer.render(&camera);
         let opaque = |(depth, alpha): (&f32, &f32)| if *alpha > alpha_min { *depth } else { 0.0 };
         let depth = rendering.depth.iter().zip(&rendering.alpha).map(opaque).collect();

@@ -208,7 +208,7 @@ fn look(
 }
 
 fn resized(camera: &Camera, size_px: u32) -> Camera {
-    camera.resized(camera.fitted_size(size_px))
+    camera.fitted(size_px)
 }
 
 /// Whether enough patches were searched and found, and enough matches fit.

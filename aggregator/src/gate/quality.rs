@@ -47,7 +47,7 @@ pub(super) struct Detail {
 
 impl Detail {
     pub(super) fn of(renderer: &mut Renderer, camera: &Camera) -> Self {
-        let camera = camera.resized(camera.fitted_size(SIZE_PX));
+        let camera = camera.fitted(SIZE_PX);
         let rgb = renderer.render_colors(&camera);
         let grey: Vec<f32> = rgb.chunks_exact(3).map(|rgb| (rgb[0] + rgb[1] + rgb[2]) / 3.0).collect();
         let size_px = camera.size_px.map(|side| side as usize);

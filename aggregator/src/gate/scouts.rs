@@ -36,7 +36,7 @@ pub(super) struct Scout {
 
 impl Scout {
     fn of(renderer: &mut Renderer, camera: &Camera) -> Self {
-        let sight = Sight::of(renderer, camera.resized(camera.fitted_size(SIZE_PX)));
+        let sight = Sight::of(renderer, camera.fitted(SIZE_PX));
         let [width, height] = sight.size();
         let pixels =
             (0..height).step_by(STEP_PX).flat_map(|y| (0..width).step_by(STEP_PX).map(move |x| (x, y)));

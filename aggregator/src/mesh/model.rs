@@ -87,7 +87,7 @@ fn fitted(
     memory_bytes: u64,
 ) -> Result<Vec<Camera>, MeshError> {
     let shrunk = |long_side_px: u32| -> Vec<Camera> {
-        cameras.iter().map(|camera| camera.resized(camera.fitted_size(long_side_px))).collect()
+        cameras.iter().map(|camera| camera.fitted(long_side_px)).collect()
     };
     let longest = cameras.iter().map(|camera| camera.size_px[0].max(camera.size_px[1])).max();
     let mut long_side_px = longest.unwrap_or(0).min(max_size_px);

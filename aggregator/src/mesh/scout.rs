@@ -38,7 +38,7 @@ pub(super) fn pixel_m(
 ) -> Option<f64> {
     let mut sizes_m = Vec::with_capacity(cameras.len());
     for (i, camera) in cameras.iter().enumerate() {
-        let mut depths = render(&camera.resized(camera.fitted_size(LOOK_PX))).depth;
+        let mut depths = render(&camera.fitted(LOOK_PX)).depth;
         depths.retain(|z| z.is_finite() && *z > 0.0);
         sizes_m.extend(median(&mut depths).map(|z| f64::from(z) / camera.focal_px.min_element()));
         on_event(FuseEvent::Progress { stage: Stage::Look, done: i + 1, of: cameras.len() });
@@ -66,7 +66,7 @@ pub(super) fn find_blocks(
     let mut found = HashSet::new();
     for (i, camera) in cameras.iter().enumerate() {
         let long_side = f64::from(camera.size_px[0].max(camera.size_px[1]));
-        let small = camera.resized(camera.fitted_size((long_side * shrink).ceil().max(1.0) as u32));
+        let small = camera.fitted((long_side * shrink).ceil().max(1.0) as u32);
         // A pixel of a smaller picture covers more of the surface, so the limit on its size grows by the same
         // ratio.
         let ratio = camera.focal_px.min_element() / small.focal_px.min_element();

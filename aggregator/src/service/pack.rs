@@ -33,8 +33,7 @@ pub(super) fn importance(
     is_stopped: &dyn Fn() -> bool,
 ) -> Result<Vec<f32>, MergeError> {
     let views = evenly_spaced(&model.cameras, VIEWS_MAX);
-    let views: Vec<Camera> =
-        views.iter().map(|camera| camera.resized(camera.fitted_size(SIDE_MAX_PX))).collect();
+    let views: Vec<Camera> = views.iter().map(|camera| camera.fitted(SIDE_MAX_PX)).collect();
     match views[..] {
         [] => Ok(plain_importance(&model.splats)),
         _ => {

@@ -123,6 +123,11 @@ impl Camera {
         Self { focal_px: self.focal_px * ratio, center_px: self.center_px * ratio, size_px, ..*self }
     }
 
+    /// This camera with a picture shrunk by [`fitted_size`] if its long side exceeds `long_side_px`.
+    pub fn fitted(&self, long_side_px: u32) -> Self {
+        self.resized(self.fitted_size(long_side_px))
+    }
+
     /// This camera's picture size, shrunk by [`fitted_size`] if its long side exceeds `long_side_px`.
     pub fn fitted_size(&self, long_side_px: u32) -> [u32; 2] {
         fitted_size(self.size_px, long_side_px)

@@ -252,7 +252,7 @@ impl Sight {
 
 impl Surface {
     fn render(renderer: &mut Renderer, camera: &Camera) -> Result<Self, DeviceError> {
-        let camera = camera.resized(camera.fitted_size(SIZE_PX));
+        let camera = camera.fitted(SIZE_PX);
         Ok(Self { camera, depth: renderer.try_render(&camera)?.depth })
     }
 

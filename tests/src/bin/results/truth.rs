@@ -21,7 +21,7 @@ pub(crate) fn truth(_: &TempDir) -> Result<Results> {
     let caster = Caster::new(&Mesh::read(&data.join("gt/mesh.ply"))?);
     let mut angles_deg = Vec::new();
     for view in &Dataset::open(&data)?.views {
-        let camera = view.camera.resized(view.camera.fitted_size(SIZE_PX));
+        let camera = view.camera.fitted(SIZE_PX);
         let surface = caster.cast(&camera);
         for (point, normal) in points.positions.iter().zip(&points.normals) {
             let [point, normal] = [point, normal].map(|values| Vec3::from_array(*values).as_dvec3());
