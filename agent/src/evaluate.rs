@@ -7,6 +7,11 @@ use cosurf_scene::{Picture, View};
 use serde::Serialize;
 use tracing::info_span;
 
+/// The picture in bytes, then in 32-bit floats.
+const TRUTH_BYTES_PER_PIXEL: u64 = 3 + 12;
+/// SSIM keeps five maps of three channels in 64-bit floats, of 13 rows.
+const SSIM_BYTES_PER_COLUMN: u64 = 13 * 5 * 3 * 8;
+
 /// The scores of one view.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ViewScore {
@@ -27,6 +32,18 @@ pub struct Score {
     pub ssim: Option<f64>,
     /// The scores of each view, in the order in which the views were given.
     pub views: Vec<ViewScore>,
+}
+
+/// Upper bound on the bytes that [`score`] allocates besides the rendering. Fails if the header of a picture cannot be
+/// read.
+pub fn scratch_bytes(views: &[View], max_size_px: u32) -> Result<u64> {
+    let of = |view: &View| -> Result<u64> {
+        let size_px = view.camera.fitted_size(max_size_px);
+        let pixels = u64::from(size_px[0]) * u64::from(size_px[1]);
+        let row = u64::from(size_px[0]) * SSIM_BYTES_PER_COLUMN;
+        Ok(Picture::scratch_bytes(&view.path, size_px)? + pixels * TRUTH_BYTES_PER_PIXEL + row)
+    };
+    views.iter().try_fold(0, |most, view| Ok(of(view)?.max(most)))
 }
 
 /// Renders each view with a long side of at most `max_size_px`, and compares the rendering with the view's picture.

@@ -56,4 +56,5 @@ pub mod publish;
 pub mod session;
 pub mod status;
 pub mod usage;
+pub mod viewing;
 pub mod warm_start;

@@ -6,13 +6,22 @@ use std::path::Path;
 use anyhow::Result;
 use cosurf_engine::Renderer;
 use cosurf_scene::colormap::{depth_picture, depth_range, normal_picture};
-use cosurf_scene::{Picture, View, atomic};
+use cosurf_scene::{Camera, Picture, View, atomic};
+
+/// A picture of three bytes, the same compressed, and the sorted depths that decide its colours.
+const PICTURE_BYTES_PER_PIXEL: u64 = 3 + 3 + 4;
+
+/// Upper bound on the bytes that [`write`] allocates for pictures of these cameras, besides the rendering.
+pub fn scratch_bytes(cameras: &[Camera]) -> u64 {
+    let pixels = |camera: &Camera| u64::from(camera.size_px[0]) * u64::from(camera.size_px[1]);
+    cameras.iter().map(pixels).max().unwrap_or(0) * PICTURE_BYTES_PER_PIXEL
+}
 
 /// Renders `view` with a long side of at most `max_size_px` and writes `NAME.color.png`, `NAME.depth.png`,
 /// `NAME.normal.png` and `NAME.depth.pfm` into `folder`. NAME is the view's name without its extension, with `_` for
 /// `/` and `\`. The PFM has one 32-bit float per pixel: metres along the optical axis, 0 where there is no surface.
 pub fn write(renderer: &mut Renderer, view: &View, max_size_px: u32, folder: &Path) -> Result<()> {
-    let camera = view.camera.resized(view.camera.fitted_size(max_size_px));
+    let camera = view.camera.fitted(max_size_px);
     let rendering = renderer.render(&camera);
     let stem = Path::new(&view.name).with_extension("");
     let stem = stem.to_string_lossy().replace(['/', '\\'], "_");

@@ -141,6 +141,16 @@ fn cases(arguments: &Arguments, folder: &Path) -> Result<Vec<Case>> {
         "--out".into(),
         out.clone() + ".ply",
     ];
+    // Few views of a large model; an option that is empty is none.
+    let view = |name, command: &str, option: &str| {
+        let mut words = vec![command.to_owned(), text(&model)];
+        words.extend((!option.is_empty()).then(|| option.to_owned()));
+        words.push(text(data));
+        words.extend(["--max-size", "320", "--device", "cpu"].map(String::from));
+        words.extend(if command == "render" { vec!["--out".into(), out.clone()] } else { Vec::new() });
+        Case { name, program: "cosurf-agent", words }
+    };
+    let convert = ["convert".into(), text(&model), out.clone() + ".spz"];
     Ok(vec![
         train("train, photographs of their full size", data, None),
         train("train, JPEGs of 20 megapixels", &jpegs, None),
@@ -149,6 +159,9 @@ fn cases(arguments: &Arguments, folder: &Path) -> Result<Vec<Case>> {
         train("train, 1.4 million splats to begin with", data, Some(&model)),
         Case { name: "merge, four models", program: "cosurf-aggregator", words: merge },
         Case { name: "mesh, one model", program: "cosurf-aggregator", words: mesh.to_vec() },
+        view("render, 1.4 million splats", "render", "--cameras"),
+        view("eval, 1.4 million splats", "eval", ""),
+        Case { name: "convert, 1.4 million splats", program: "cosurf-aggregator", words: convert.to_vec() },
     ])
 }
 

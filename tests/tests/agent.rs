@@ -9,10 +9,12 @@ use std::process::{Command, Output, Stdio};
 use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
+use cosurf_scene::bytes::parse_bytes;
 use cosurf_scene::{Dataset, Splats, colmap, ply};
 use cosurf_tests::datasets::write_city;
 use cosurf_tests::programs::program;
 use cosurf_tests::skips::skip;
+use cosurf_tests::usage::watch;
 use tempfile::TempDir;
 
 /// The folder of a dataset of a small synthetic city, rendered once for all tests of this file.
@@ -329,6 +331,17 @@ fn the_memory_limit_is_kept_and_its_cost_reported() {
 }
 
 /// Ten times as many sparse points, or initial splats, as fit into the limit.
+/// A model of this many splats on a ground of 35 × 35.
+fn ground(count: u32) -> Splats {
+    let across = f64::from(count).sqrt() as u32;
+    let mut model = Splats::with_capacity(count as usize, 3);
+    for i in 0..count {
+        let at = [i % across, i / across].map(|k| 35.0 * (k as f32 / across as f32 - 0.5));
+        model.push([at[0], at[1], 0.0], [1.0, 0.0, 0.0, 0.0], [-3.0; 3], 1.0, &[0.1; 48]);
+    }
+    model
+}
+
 #[test]
 fn many_points_and_a_large_model_to_start_from_keep_the_memory_limit() {
     let data = copy_of_city();
@@ -340,14 +353,8 @@ fn many_points_and_a_large_model_to_start_from_keep_the_memory_limit() {
         let peak = report["peak_memory_bytes"].as_u64().unwrap();
         assert!(peak < limit, "{peak} bytes");
     };
-    let mut model = Splats::with_capacity(500_000, 3);
-    for i in 0..500_000 {
-        let at = [(i % 700) as f32 / 20.0 - 17.5, (i / 700) as f32 / 20.0 - 17.5, 0.0];
-        model.push(at, [1.0, 0.0, 0.0, 0.0], [-3.0; 3], 1.0, &[0.1; 48]);
-    }
     let init = data.path().join("init.ply");
-    ply::write(&init, &model).unwrap();
-    drop(model);
+    ply::write(&init, &ground(500_000)).unwrap();
     let from_model = data.path().join("from_model");
     succeed(train(data.path(), &from_model, &[&words[..], &["--init", init.to_str().unwrap()]].concat()));
     keeps(&report_of(&from_model));
@@ -361,6 +368,32 @@ fn many_points_and_a_large_model_to_start_from_keep_the_memory_limit() {
     keeps(&report);
     let given_up = report["given_up"].to_string();
     assert!(given_up.contains("of the sparse points, one of"), "{given_up}");
+}
+
+#[test]
+fn a_finished_model_is_shown_and_scored_within_the_memory_that_a_refusal_asks_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let (model, pictures) = (folder.path().join("model.ply"), folder.path().join("pictures"));
+    ply::write(&model, &ground(150_000)).unwrap();
+    let (model, city) = (model.to_str().unwrap(), city().to_str().unwrap());
+    let render = ["render", model, "--cameras", city, "--out", pictures.to_str().unwrap()];
+    for words in [&render[..], &["eval", model, city]] {
+        let run = |limit: &str| {
+            let mut command = agent(&[words, &["--memory", limit, "--threads", "2"]].concat());
+            command.stdout(Stdio::null());
+            command
+        };
+        let refused = stderr(&run("30MiB").output().unwrap());
+        let (_, asked) = refused.split_once("--memory ").expect("it says how much it needs");
+        let asked = asked.split_whitespace().next().unwrap();
+        let usage = watch(&mut run(asked).stderr(Stdio::null()).spawn().unwrap());
+        let asked_bytes = parse_bytes(asked).unwrap();
+        assert!(usage.succeeded && usage.peak_bytes <= asked_bytes, "{asked}: {usage:?}");
+        // What it asks for is not much more than it takes.
+        assert!(2 * usage.peak_bytes > asked_bytes, "{asked}: {usage:?}");
+        let on_gpu = agent(&[words, &["--memory", "1GiB", "--device", "gpu"]].concat());
+        refuse(on_gpu, &["kept on the CPU only", "--device cpu"]);
+    }
 }
 
 #[test]

@@ -5,9 +5,9 @@ use std::path::PathBuf;
 
 use anyhow::{Result, ensure};
 use clap::Args;
-use cosurf_agent::evaluate;
-use cosurf_engine::Renderer;
-use cosurf_scene::{Dataset, View, ply};
+use cosurf_agent::{evaluate, viewing};
+use cosurf_scene::bytes::parse_bytes;
+use cosurf_scene::{Dataset, View};
 
 use super::arguments::{Common, DeviceArgs};
 use super::paths::model_path;
@@ -22,6 +22,9 @@ pub(super) struct EvalArgs {
     /// Score every n-th view by sorted name; use the same N as in training, so that only held-out views are scored
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..))]
     eval_every: u32,
+    /// Limit on resident memory, for example 300MiB; the pictures are then rendered on the CPU [default: no limit]
+    #[arg(long, value_name = "BYTES", value_parser = parse_bytes)]
+    memory: Option<u64>,
     #[command(flatten)]
     device: DeviceArgs,
     #[command(flatten)]
@@ -29,13 +32,22 @@ pub(super) struct EvalArgs {
 }
 
 pub(super) fn run(args: &EvalArgs) -> Result<()> {
-    let splats = ply::read(&model_path(&args.model))?;
     let (dataset, _) = Dataset::open_within(&args.data, 0)?;
     let (_, held_out) = dataset.split(args.eval_every);
     ensure!(!held_out.is_empty(), "{}: no view is held out", args.data.display());
     let views: Vec<View> = held_out.into_iter().map(|i| dataset.views[i].clone()).collect();
-    let mut renderer = Renderer::on(args.device.device, args.common.threads(), &splats)?;
-    let score = evaluate::score(&mut renderer, &views, args.common.max_size_px())?;
+    let max_size_px = args.common.max_size_px();
+    let cameras: Vec<_> = views.iter().map(|view| view.camera.fitted(max_size_px)).collect();
+    let beside_bytes = evaluate::scratch_bytes(&views, max_size_px)?;
+    let mut renderer = viewing::open(
+        &model_path(&args.model),
+        &cameras,
+        args.device.device,
+        args.common.threads(),
+        args.memory,
+        beside_bytes,
+    )?;
+    let score = evaluate::score(&mut renderer, &views, max_size_px)?;
     let mut stdout = io::stdout().lock();
     if args.common.json {
         writeln!(stdout, "{}", serde_json::to_string(&score)?)?;

@@ -5,9 +5,9 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result};
 use clap::Args;
-use cosurf_agent::pictures;
-use cosurf_engine::Renderer;
-use cosurf_scene::{Dataset, ply};
+use cosurf_agent::{pictures, viewing};
+use cosurf_scene::Dataset;
+use cosurf_scene::bytes::parse_bytes;
 
 use super::arguments::{Common, DeviceArgs};
 use super::paths::model_path;
@@ -24,6 +24,9 @@ pub(super) struct RenderArgs {
     /// The folder to write to
     #[arg(long, value_name = "DIR", default_value = "out/pictures")]
     out: PathBuf,
+    /// Limit on resident memory, for example 300MiB; the pictures are then rendered on the CPU [default: no limit]
+    #[arg(long, value_name = "BYTES", value_parser = parse_bytes)]
+    memory: Option<u64>,
     #[command(flatten)]
     device: DeviceArgs,
     #[command(flatten)]
@@ -31,12 +34,21 @@ pub(super) struct RenderArgs {
 }
 
 pub(super) fn run(args: &RenderArgs) -> Result<()> {
-    let splats = ply::read(&model_path(&args.model))?;
     let (dataset, _) = Dataset::open_within(&args.cameras, 0)?;
+    let max_size_px = args.common.max_size_px();
+    let cameras: Vec<_> = dataset.views.iter().map(|view| view.camera.fitted(max_size_px)).collect();
+    let beside_bytes = pictures::scratch_bytes(&cameras);
+    let mut renderer = viewing::open(
+        &model_path(&args.model),
+        &cameras,
+        args.device.device,
+        args.common.threads(),
+        args.memory,
+        beside_bytes,
+    )?;
     std::fs::create_dir_all(&args.out).with_context(|| args.out.display().to_string())?;
-    let mut renderer = Renderer::on(args.device.device, args.common.threads(), &splats)?;
     for (done, view) in dataset.views.iter().enumerate() {
-        pictures::write(&mut renderer, view, args.common.max_size_px(), &args.out)?;
+        pictures::write(&mut renderer, view, max_size_px, &args.out)?;
         if args.common.json {
             let line = serde_json::json!({ "view": view.name, "done": done + 1, "of": dataset.views.len() });
             let _ = writeln!(io::stdout(), "{line}"); // a closed pipe does not stop the rendering

@@ -2,9 +2,11 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use clap::Args;
 use cosurf_contract::counted;
+use cosurf_engine::budget::PROCESS_BYTES;
+use cosurf_scene::bytes::{format_bytes, parse_bytes};
 use cosurf_scene::{Splats, ply, spz};
 
 /// Convert a model between PLY and SPZ; the file extensions select the formats.
@@ -17,6 +19,9 @@ pub(crate) struct ConvertArgs {
     model: PathBuf,
     /// File to write: .ply or .spz
     out: PathBuf,
+    /// Limit on resident memory, for example 300MiB [default: no limit]
+    #[arg(long, value_name = "BYTES", value_parser = parse_bytes)]
+    memory: Option<u64>,
 }
 
 enum Format {
@@ -36,8 +41,11 @@ impl Format {
 }
 
 pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
-    let to = Format::of(&args.out)?;
-    let splats: Splats = match Format::of(&args.model)? {
+    let (from, to) = (Format::of(&args.model)?, Format::of(&args.out)?);
+    if let Some(memory_bytes) = args.memory {
+        check_memory(&args.model, &from, memory_bytes)?;
+    }
+    let splats: Splats = match from {
         Format::Ply => ply::read(&args.model)?,
         Format::Spz => spz::read(&args.model)?,
     };
@@ -46,4 +54,23 @@ pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
         Format::Spz => spz::write(&args.out, &splats),
     }
     .with_context(|| format!("cannot write {}", counted(splats.len(), "splat")))
+}
+
+/// Fails if the splats, and those of an SPZ before compression, take more memory than allowed.
+fn check_memory(model: &Path, format: &Format, memory_bytes: u64) -> Result<()> {
+    let (splats, sh_degree) = match format {
+        Format::Ply => ply::size(model)?,
+        Format::Spz => spz::size(model)?,
+    };
+    let per_splat = Splats::bytes_per_splat(sh_degree) + spz::body_bytes(sh_degree);
+    let needed_bytes = PROCESS_BYTES + (splats * per_splat) as u64;
+    ensure!(
+        needed_bytes <= memory_bytes,
+        "{}: {} need --memory {}MiB instead of {}",
+        model.display(),
+        counted(splats as u64, "splat"),
+        needed_bytes.div_ceil(1 << 20),
+        format_bytes(memory_bytes)
+    );
+    Ok(())
 }

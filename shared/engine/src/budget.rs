@@ -3,6 +3,7 @@
 mod capacity;
 mod costs;
 mod freed;
+mod viewing;
 
 use crate::backend::Channels;
 use crate::layout::rows::parameter_rows;
@@ -11,6 +12,7 @@ pub use costs::{Costs, DRIVER_BYTES};
 #[cfg(feature = "gpu")]
 pub(crate) use costs::{PARTIALS, PROJECTED_BYTES, TAUGHT_NUMBERS};
 pub use freed::return_freed_memory;
+pub use viewing::Viewing;
 
 /// Bytes that a process takes beside the planned buffers: code, stacks, the allocator, small tables, and the threads'
 /// scratch memory.

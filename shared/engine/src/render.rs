@@ -119,6 +119,18 @@ impl Renderer {
         Some(painter.importance())
     }
 
+    /// Number of splat–tile pairs that a picture needs, which decides how much memory [`Self::render`] takes. The splats
+    /// move to the processor, which also renders all later pictures.
+    pub fn pairs(&mut self, camera: &Camera) -> usize {
+        self.on_cpu().pairs(camera)
+    }
+
+    /// Makes room for this many splat–tile pairs on the processor. The splats move to it, and it renders all later
+    /// pictures.
+    pub fn reserve_pairs(&mut self, pairs: usize) {
+        self.on_cpu().backend.reserve_pairs(pairs);
+    }
+
     /// The renderer on the processor. Splats on the GPU are first moved to it.
     fn on_cpu(&mut self) -> &mut CpuPainter {
         #[cfg(feature = "gpu")]
@@ -145,6 +157,15 @@ impl CpuPainter {
     fn render(&mut self, camera: &Camera, far: f64, channels: Channels) -> Rendering {
         self.blend(camera, far, channels);
         self.backend.rendering()
+    }
+
+    /// Counts the pairs without making lists of them.
+    fn pairs(&mut self, camera: &Camera) -> usize {
+        self.backend.project(camera, 0);
+        self.backend.set_pair_capacity(0);
+        self.backend.bin();
+        let counts = self.backend.counts();
+        counts.pairs + counts.dropped
     }
 
     fn begin_importance(&mut self) {

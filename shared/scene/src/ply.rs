@@ -147,6 +147,12 @@ pub fn read_parts(path: &Path, most: usize, mut visit: impl FnMut(&Splats)) -> R
     })
 }
 
+/// Number of splats of a file and the degree of their spherical harmonics, from its header. Errors are those of [`read`],
+/// except for values that cannot be rendered.
+pub fn size(path: &Path) -> Result<(usize, u32), SceneError> {
+    read_vertices(path, |element, _| Ok((element.count as usize, Columns::find(element)?.sh_degree)))
+}
+
 /// Largest number of values of a splat's spherical harmonics.
 const SH_MAX: usize = 48;
 

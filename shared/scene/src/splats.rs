@@ -50,6 +50,11 @@ impl Splats {
         }
     }
 
+    /// Bytes of memory that a splat takes.
+    pub fn bytes_per_splat(sh_degree: u32) -> usize {
+        4 * (11 + 3 * sh_coefficients(sh_degree))
+    }
+
     /// Number of splats.
     pub fn len(&self) -> usize {
         self.means.len()

@@ -29,7 +29,7 @@
 mod tests;
 
 use std::fs::{self, File};
-use std::io::{BufReader, Read, Write};
+use std::io::{BufRead, BufReader, Read, Write};
 use std::path::Path;
 
 use flate2::Compression;
@@ -95,7 +95,7 @@ fn header(splats: &Splats, fraction_bits: u8) -> [u8; HEADER_BYTES] {
 fn body(splats: &Splats, fraction_bits: u8) -> Vec<u8> {
     let byte = |value: f32| value.round().clamp(0.0, 255.0) as u8;
     let per_unit = (1u32 << fraction_bits) as f32;
-    let mut body = Vec::new();
+    let mut body = Vec::with_capacity(splats.len() * body_bytes(splats.sh_degree));
     for mean in &splats.means {
         for (value, sign) in mean.iter().zip(AXIS_SIGNS) {
             body.extend_from_slice(&((value * sign * per_unit).round() as i32).to_le_bytes()[..3]);
@@ -138,15 +138,35 @@ fn pack_quat([w, x, y, z]: [f32; 4]) -> [u8; 4] {
     bits.to_le_bytes()
 }
 
+/// Bytes of a splat before compression, in a file of version 3.
+pub fn body_bytes(sh_degree: u32) -> usize {
+    9 + 1 + 3 + 3 + 4 + 3 * (sh_coefficients(sh_degree) - 1)
+}
+
+/// Number of splats of a file and the degree of their spherical harmonics, from its header. Errors are those of [`read`],
+/// except for a file that was cut short.
+pub fn size(path: &Path) -> Result<(usize, u32), SceneError> {
+    let (mut file, size) = opened(path)?;
+    let header = read_header(&mut file, size).map_err(|refusal| refusal.of(path))?.1;
+    Ok((header.splats, header.sh_degree))
+}
+
 /// Reads splats. Whatever the bytes of the file are, the values can be rendered ([`Splats::find_bad_value`]). The
 /// number of splats is checked against the file's length before anything is allocated.
 pub fn read(path: &Path) -> Result<Splats, SceneError> {
-    let size = fs::metadata(path).map_err(|cause| SceneError::io(path, cause))?.len();
-    let file = File::open(path).map_err(|cause| SceneError::io(path, cause))?;
-    read_stream(BufReader::new(file), size).map_err(|refusal| refusal.of(path))
+    let (file, size) = opened(path)?;
+    read_stream(file, size).map_err(|refusal| refusal.of(path))
 }
 
-fn read_stream(mut file: impl std::io::BufRead, size: u64) -> Result<Splats, Refusal> {
+/// The open file, and its length, bytes.
+fn opened(path: &Path) -> Result<(BufReader<File>, u64), SceneError> {
+    let size = fs::metadata(path).map_err(|cause| SceneError::io(path, cause))?.len();
+    let file = File::open(path).map_err(|cause| SceneError::io(path, cause))?;
+    Ok((BufReader::new(file), size))
+}
+
+/// The stream of a file behind its header, and the header.
+fn read_header<R: BufRead>(mut file: R, size: u64) -> Result<(GzDecoder<R>, Header), Refusal> {
     if file.fill_buf()?.starts_with(&MAGIC) {
         return Err("is SPZ of version 4 or later; export it as version 3 or as PLY".into());
     }
@@ -163,7 +183,13 @@ fn read_stream(mut file: impl std::io::BufRead, size: u64) -> Result<Splats, Ref
         )
         .into());
     }
-    let mut body = Vec::new();
+    Ok((gzip, header))
+}
+
+fn read_stream(file: impl BufRead, size: u64) -> Result<Splats, Refusal> {
+    let (gzip, header) = read_header(file, size)?;
+    let bytes = header.body_bytes();
+    let mut body = Vec::with_capacity(bytes as usize);
     gzip.take(bytes).read_to_end(&mut body)?;
     if body.len() as u64 != bytes {
         return Err(format!(

@@ -118,6 +118,12 @@ impl CpuBackend {
         self.lists.set_capacity(pairs);
     }
 
+    /// As [`Self::set_pair_capacity`], and makes exactly this room at once, so that nothing grows later.
+    pub(crate) fn reserve_pairs(&mut self, pairs: usize) {
+        self.lists.set_capacity(pairs);
+        self.lists.reserve(pairs);
+    }
+
     /// The splats with their training state; all else is freed.
     fn into_model(self) -> Model {
         self.model

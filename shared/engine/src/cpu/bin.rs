@@ -100,6 +100,12 @@ impl TileLists {
         self.capacity = pairs;
     }
 
+    /// Makes exactly the room for `pairs` pairs.
+    pub(crate) fn reserve(&mut self, pairs: usize) {
+        self.ids.reserve_exact(pairs.saturating_sub(self.ids.len()));
+        self.index_of_slot.reserve_exact(pairs.saturating_sub(self.index_of_slot.len()));
+    }
+
     /// Ids of the splats that a tile blends, nearest first.
     pub(crate) fn list(&self, tile: usize) -> &[u32] {
         &self.ids[self.starts[tile] as usize..self.starts[tile + 1] as usize]
