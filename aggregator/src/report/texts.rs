@@ -206,6 +206,7 @@ pub(crate) mod tests {
     /// The record of a merge of seven splats.
     pub(crate) fn merging() -> Merging {
         Merging {
+            ply_blake3: None,
             revision: 1,
             inputs: Vec::new(),
             kept_out: Vec::new(),

@@ -20,7 +20,7 @@ use super::folder::{global_ply, global_store, handed_on, sent_tiles, tiles};
 use super::inputs::Inputs;
 use super::job::{Job, JobState, Made, Outcome, TileWork};
 use super::rebroadcast::Rebroadcast;
-use super::record::{Input, KeptOut, Merging, Verdict, remove_global};
+use super::record::{Input, KeptOut, Merging, Verdict, file_hash, remove_global};
 use super::round::{Expected, Round};
 use super::sent::{Revision, Sent, TileBytes};
 use super::set_aside::set_aside_files;
@@ -523,9 +523,10 @@ impl Keeper {
         }
         self.global = Some(offer.header);
         ply::write(&global_ply(&self.folder), &model.splats)?;
+        let ply_blake3 = Some(file_hash(&global_ply(&self.folder))?);
         let (revision, inputs) = (offer.header.model.0, recorded(inputs));
         let settings = self.merge;
-        Merging { revision, inputs, kept_out, fitted, fits, settings, summary, seconds }
+        Merging { revision, ply_blake3, inputs, kept_out, fitted, fits, settings, summary, seconds }
             .write(&self.folder)?;
         keep_only(&self.work.results, &tiles)?;
         match cut {

@@ -22,6 +22,9 @@ pub(super) const WITHDRAWN: &str = "withdrawn";
 pub struct Merging {
     /// Number of the revision.
     pub revision: u64,
+    /// BLAKE3 hash of `global.ply`; `None` in folders of older versions.
+    #[serde(default)]
+    pub ply_blake3: Option<String>,
     /// The models that the service gave to the merge, in order of device id.
     pub inputs: Vec<Input>,
     /// Those of `inputs` that were kept out of the merge.
@@ -220,6 +223,13 @@ impl Merging {
         let text = text.map_err(|cause| SceneError::io(&folder.join(MERGED), cause))?;
         atomic::write(&folder.join(MERGED), |file| io::Write::write_all(file, &text))
     }
+}
+
+/// BLAKE3 hash of a file.
+pub(super) fn file_hash(path: &Path) -> Result<String, SceneError> {
+    let mut hasher = blake3::Hasher::new();
+    hasher.update_reader(files::open(path)?).map_err(|cause| SceneError::io(path, cause))?;
+    Ok(hasher.finalize().to_hex().to_string())
 }
 
 /// Removes the newest global model of a service and the record of its merge. Returns false if there was neither.

@@ -9,14 +9,23 @@ use serde::de::IgnoredAny;
 
 use super::event::ServiceEvent;
 use super::folder::global_ply;
-use super::record::MERGED;
+use super::record::{MERGED, Merging, file_hash};
 use super::trial::{READING, SUSPECTS};
 
 /// Sets aside what an earlier run or somebody else has left in the place of the service's own files, and cannot be used.
 /// They are made anew. Returns the events that tell it.
 pub(super) fn set_aside_files(folder: &Path) -> Result<Vec<ServiceEvent>, SceneError> {
     let mut told = Vec::new();
-    told.extend(set_aside_unless(&global_ply(folder), ply::check_length)?);
+    let recorded = Merging::read(folder).and_then(|record| record.ply_blake3);
+    told.extend(set_aside_unless(&global_ply(folder), |path| {
+        ply::check_length(path)?;
+        match &recorded {
+            Some(hash) if file_hash(path)? != *hash => {
+                Err(SceneError::malformed(path, "its hash is not that of the last merge"))
+            }
+            _ => Ok(()),
+        }
+    })?);
     told.extend(set_aside_unless(&folder.join(READING), |_| Ok(()))?);
     for path in [folder.join(MERGED), folder.join(SUSPECTS)] {
         told.extend(set_aside_unless(&path, |path| {

@@ -16,6 +16,7 @@ use crate::codec::check_body;
 use crate::key::ModelKey;
 
 const EXTENSION: &str = "model";
+const WRONG_HASH: &str = "its hash does not match";
 
 /// An invalid model file, or an I/O error.
 #[derive(Debug, thiserror::Error)]
@@ -54,8 +55,9 @@ impl ModelStore {
         Self::open_telling(folder, |damaged| tracing::warn!("{damaged}"))
     }
 
-    /// Like [`Self::open`]. `tell` gets each file that is damaged, no file at all, or not readable. Such a file was
-    /// renamed, and its model counts as missing.
+    /// Like [`Self::open`]. `tell` gets each file that is damaged, that holds another model than its name says, that is no
+    /// file at all, or that cannot be read. Such a file was renamed, and its model counts as missing. Reads every file to
+    /// check its hash.
     pub fn open_telling(
         folder: &Path,
         mut tell: impl FnMut(Damaged),
@@ -70,8 +72,8 @@ impl ModelStore {
             if path.extension().is_none_or(|extension| extension != EXTENSION) {
                 continue;
             }
-            match open_file(&path) {
-                Ok((_, header)) => headers.push(header),
+            match intact(&path) {
+                Ok(header) => headers.push(header),
                 Err(error) if files::is_damage(&error) => {
                     let key = path.file_name().and_then(|name| key_of(name.to_str()?));
                     tell(Damaged { key, kept: files::set_aside(&path)?, reason: error.to_string() });
@@ -104,7 +106,7 @@ impl ModelStore {
         let mut body = vec![0; header.body_bytes as usize];
         file.read_exact(&mut body).map_err(|cause| SceneError::io(&path, cause))?;
         if body_hash(&body) != header.blake3 {
-            return Err(malformed(&path, "its hash does not match").into());
+            return Err(malformed(&path, WRONG_HASH).into());
         }
         check_body(&header, &body).map_err(|fault| malformed(&path, &fault.to_string()))?;
         Ok((header, body))
@@ -196,6 +198,20 @@ fn open_file(path: &Path) -> Result<(fs::File, ModelHeader), SceneError> {
         return Err(malformed(path, "its size does not match its header"));
     }
     Ok((file, header))
+}
+
+/// Reads the header of a file whose body has the header's hash, and whose name is that of its model.
+fn intact(path: &Path) -> Result<ModelHeader, SceneError> {
+    let (file, header) = open_file(path)?;
+    let mut hasher = blake3::Hasher::new();
+    hasher.update_reader(file).map_err(|cause| SceneError::io(path, cause))?;
+    if hasher.finalize().as_bytes() != &header.blake3.0 {
+        return Err(malformed(path, WRONG_HASH));
+    }
+    if path.file_name().and_then(|name| key_of(name.to_str()?)) != Some(ModelKey::from(&header)) {
+        return Err(malformed(path, "it holds another model than its name says"));
+    }
+    Ok(header)
 }
 
 fn malformed(path: &Path, what: &str) -> SceneError {

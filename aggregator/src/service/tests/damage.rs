@@ -164,3 +164,78 @@ fn a_list_of_withdrawn_models_that_cannot_be_read_stops_the_start_with_the_remed
         assert!(error.contains("withdrawn/agent-1") && error.contains("forget agent-1"), "{name}: {error}");
     }
 }
+
+/// As [`DAMAGES`], and a bit that is flipped, a file that is deleted, one with the content of another, and a stray one.
+const SWEPT: [Damage; 7] = [
+    ("bit", |path| {
+        let mut bytes = fs::read(path).unwrap();
+        let middle = bytes.len() / 2;
+        if let Some(byte) = bytes.get_mut(middle) {
+            *byte ^= 1;
+        }
+        fs::write(path, bytes).unwrap();
+    }),
+    DAMAGES[0],
+    DAMAGES[1],
+    DAMAGES[2],
+    ("deleted", |path| fs::remove_file(path).unwrap()),
+    ("another's", |path| {
+        let is_other = |entry: &fs::DirEntry| entry.path() != path && entry.path().is_file();
+        let other = fs::read_dir(path.parent().unwrap()).unwrap().flatten().find(is_other);
+        if let Some(other) = other {
+            fs::copy(other.path(), path).unwrap();
+        }
+    }),
+    ("stray", |path| {
+        let extension = path.extension().unwrap_or_default().to_str().unwrap();
+        fs::copy(path, path.with_file_name(format!("stray.7.{extension}"))).unwrap();
+    }),
+];
+
+/// The files of a folder, relative to `root`, in an order that depends on nothing but their names.
+fn list_files(root: &Path, folder: &Path, files: &mut Vec<std::path::PathBuf>) {
+    let mut entries: Vec<_> = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
+    entries.sort();
+    for path in entries {
+        match path.is_dir() {
+            true => list_files(root, &path, files),
+            false => files.push(path.strip_prefix(root).unwrap().to_owned()),
+        }
+    }
+}
+
+fn survives(file: &Path, damage: fn(&Path), undamaged: &Path) {
+    let folder = tempfile::tempdir().unwrap();
+    let network = MemoryNetwork::new(41, Faults::NONE);
+    let mut drones = delivered_and_stopped(&network, folder.path());
+    damage(&folder.path().join(file));
+    let mut ground = opened_in_time(&network, folder.path()).unwrap_or_else(|| panic!("it hangs"));
+    let intact = |name: &str| fs::read(undamaged.join(name)).unwrap();
+    let same = |name: &str| fs::read(folder.path().join(name)).is_ok_and(|bytes| bytes == intact(name));
+    let models = ["models/agent-1.1.model", "models/agent-2.1.model"];
+    let events = simulate(&network, &mut ground, &mut drones, |events, _| {
+        events.contains(&ServiceEvent::Delivered)
+            && models.iter().all(|model| same(model))
+            && same("global.ply")
+    });
+    assert_eq!(count(&events, is_disk_failure), 0, "{events:?}");
+    // It runs on: a third drone is merged too.
+    drones.push(Drone::new(&network, "agent-3", 1, &model(2, 1, 3.0)));
+    let is_stored_too = |events: &[ServiceEvent], _: &[Drone]| count(events, is_stored) > 0;
+    simulate(&network, &mut ground, &mut drones, is_stored_too);
+}
+
+/// Every damage to every file: nothing honest is lost, the global model has the same bytes once the devices have sent
+/// again, and the service runs on.
+#[test]
+fn every_damage_to_every_file_is_survived() {
+    let undamaged = tempfile::tempdir().unwrap();
+    delivered_and_stopped(&MemoryNetwork::new(41, Faults::NONE), undamaged.path());
+    let mut files = Vec::new();
+    list_files(undamaged.path(), undamaged.path(), &mut files);
+    assert!(files.len() >= 7, "{files:?}");
+    for (file, (name, damage)) in files.iter().flat_map(|file| SWEPT.map(|damage| (file, damage))) {
+        println!("{}: {name}", file.display());
+        survives(file, damage, undamaged.path());
+    }
+}
