@@ -73,20 +73,31 @@ pub struct Checkpoint {
     body: BufReader<File>,
 }
 
+/// The checkpoint is damaged, or no checkpoint of this version of the program.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub struct DamagedCheckpoint(String);
+
+/// Renames the checkpoint of the output folder `out`, so that it no longer counts. Returns its new path.
+pub fn set_aside(out: &Path) -> Result<PathBuf> {
+    Ok(files::set_aside(&path(out))?)
+}
+
 /// Path of the checkpoint file of a training whose output folder is `out`.
 pub fn path(out: &Path) -> PathBuf {
     out.join("checkpoint").join("state.bin")
 }
 
 impl Checkpoint {
-    /// Opens the checkpoint in the output folder `out`. Returns `None` if there is no checkpoint. Fails if the file
-    /// cannot be read, or if its first line is not that of a checkpoint in this program's format.
+    /// Opens the checkpoint in the output folder `out`. Returns `None` if there is no checkpoint. Fails with
+    /// [`DamagedCheckpoint`] if it is no file, or its first line is not that of a checkpoint in this program's format.
     pub fn find(out: &Path) -> Result<Option<Self>> {
         let path = path(out);
         let file = match files::open(&path) {
             Ok(file) => file,
             Err(SceneError::Io { cause, .. }) if cause.kind() == io::ErrorKind::NotFound => return Ok(None),
-            Err(error) => bail!("{error}; remove it to start again"),
+            Err(error) if files::is_damage(&error) => return Err(DamagedCheckpoint(error.to_string()).into()),
+            Err(error) => return Err(error.into()),
         };
         let mut body = BufReader::new(file);
         let mut line = Vec::new();
@@ -94,15 +105,12 @@ impl Checkpoint {
             .take(HEAD_BYTES_MAX)
             .read_until(b'\n', &mut line)
             .with_context(|| path.display().to_string())?;
-        let head: Head = serde_json::from_slice(&line).with_context(|| {
-            format!("{} is not a checkpoint of this program; delete it to start again", path.display())
-        })?;
-        ensure!(
-            head.format == FORMAT,
-            "{}: unknown format {:?}; delete it to start again",
-            path.display(),
-            head.format
-        );
+        let damaged = |what: String| DamagedCheckpoint(format!("{} {what}", path.display()));
+        let head: Head = serde_json::from_slice(&line)
+            .map_err(|_| damaged("is not a checkpoint of this program".into()))?;
+        if head.format != FORMAT {
+            return Err(damaged(format!("has the unknown format {:?}", head.format)).into());
+        }
         Ok(Some(Self { path, head, body }))
     }
 
@@ -111,8 +119,8 @@ impl Checkpoint {
         self.head.spent
     }
 
-    /// Restores the trainer to the state in the checkpoint. Fails if the checkpoint belongs to another training, has
-    /// more splats than the trainer's memory allows, or is damaged.
+    /// Restores the trainer to the state in the checkpoint. Fails if the checkpoint belongs to another training, or has
+    /// more splats than the trainer's memory allows. Fails with [`DamagedCheckpoint`] if it is damaged.
     pub fn restore(self, expected: &Fingerprint, trainer: &mut Trainer<AnyBackend>) -> Result<()> {
         let path = self.path.display().to_string();
         if self.head.fingerprint != *expected {
@@ -125,7 +133,8 @@ impl Checkpoint {
             self.head.splats <= trainer.backend().capacity(),
             "{path} has more splats than the memory allows; delete it to start again"
         );
-        let mut body = zstd::Decoder::new(self.body).with_context(|| path.clone())?;
+        let truncated = |_| DamagedCheckpoint(format!("{path} is truncated"));
+        let mut body = zstd::Decoder::new(self.body).map_err(truncated)?;
         let mut hash = blake3::Hasher::new();
         let mut bytes = Vec::new();
         let Head { steps_done, splats_at_start, splats, .. } = self.head;
@@ -139,12 +148,13 @@ impl Checkpoint {
                 }
                 Ok(())
             })
-            .with_context(|| format!("{path} is truncated; delete it to start again"))?;
+            .map_err(truncated)?;
         let mut stored = [0; 32];
-        body.read_exact(&mut stored)
-            .with_context(|| format!("{path} is truncated; delete it to start again"))?;
-        ensure!(hash.finalize() == stored, "{path} is damaged; delete it to start again");
-        Ok(())
+        body.read_exact(&mut stored).map_err(truncated)?;
+        match hash.finalize() == stored {
+            true => Ok(()),
+            false => Err(DamagedCheckpoint(format!("{path} is damaged: its hash does not match")).into()),
+        }
     }
 }
 

@@ -294,7 +294,7 @@ fn without_a_gpu_the_cpu_trains_and_the_output_says_so() {
 }
 
 #[test]
-fn a_damaged_checkpoint_and_one_of_another_training_are_refused() {
+fn a_damaged_checkpoint_is_set_aside_and_one_of_another_training_refused() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out");
     succeed(train(city(), &out, &["--steps", "20"]));
@@ -304,12 +304,20 @@ fn a_damaged_checkpoint_and_one_of_another_training_are_refused() {
     let middle = bytes.len() / 2;
     bytes[middle] ^= 0x10;
     fs::write(&state, &bytes).unwrap();
-    refuse(train(city(), &out, &["--steps", "20"]), &["state.bin", "delete it to start again"]);
-    fs::write(&state, &bytes[..bytes.len() / 3]).unwrap();
-    refuse(train(city(), &out, &["--steps", "20"]), &["state.bin", "delete it to start again"]);
-    fs::write(&state, b"hello").unwrap();
-    refuse(train(city(), &out, &["--steps", "20"]), &["state.bin", "delete it to start again"]);
-    succeed(train(city(), &out, &["--steps", "20", "--fresh"]));
+    let undamaged = model(&out);
+    for (damaged, name) in [
+        (&bytes[..], "state.damaged"),
+        (&bytes[..bytes.len() / 3], "state.damaged-2"),
+        (b"hello", "state.damaged-3"),
+        (b"", "state.damaged-4"),
+    ] {
+        fs::write(&state, damaged).unwrap();
+        let output = train(city(), &out, &["--steps", "20"]).output().unwrap();
+        let told = stderr(&output);
+        assert!(output.status.success() && told.contains(name), "{told}");
+        assert!(told.contains("state.bin") && told.contains("training starts again"), "{told}");
+        assert!(model(&out) == undamaged, "{name}: other bytes");
+    }
 }
 
 #[test]

@@ -191,6 +191,10 @@ fn describe(event: &AgentEvent) -> Option<String> {
         AgentEvent::DeviceLost { reason } => {
             format!("{reason}; training resumes on the CPU from the last checkpoint")
         }
+        AgentEvent::CheckpointSetAside { reason, kept } => format!(
+            "{reason}; it is set aside as {}, which may be deleted; training starts again",
+            kept.display()
+        ),
         AgentEvent::Trained { .. } => return None,
         AgentEvent::Preparing { step, steps, seconds_left } => {
             format!("preparing the upload: step {step}/{steps}, {seconds_left:.0} s left")

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail};
 use clap::{Args, ValueEnum};
-use cosurf_agent::checkpoint::{self, Checkpoint, Spent};
+use cosurf_agent::checkpoint::{self, Checkpoint, DamagedCheckpoint, Spent};
 use cosurf_agent::session::{Session, Split, TrainPlan};
 use cosurf_agent::{evaluate, outputs, usage};
 use cosurf_contract::{AgentEvent, DEFAULT_STEPS, ReadyReport, Share, TrainReport, counted};
@@ -129,15 +129,31 @@ pub(super) fn run(args: &TrainArgs) -> Result<()> {
     if args.common.json { Ok(()) } else { print_report(&report, &args.out) }
 }
 
-/// Trains with checkpoints and writes all results into the existing folder `out`. If the plan's device is `auto` and the GPU is lost,
-/// training resumes on the CPU from the checkpoint in `out`, or starts again if there is none.
+/// Trains with checkpoints and writes all results into the existing folder `out`. A damaged checkpoint is set aside, and
+/// training starts again. If the plan's device is `auto` and the GPU is lost, training resumes on the CPU from the
+/// checkpoint in `out`, or starts again if there is none.
 pub(super) fn train(
     plan: &TrainPlan,
     out: &Path,
     fresh: bool,
     progress: &mut Progress,
 ) -> Result<TrainReport> {
-    let mut resumes = !fresh;
+    match train_on_any(plan, out, !fresh, progress) {
+        Err(error) if error.is::<DamagedCheckpoint>() => {
+            let kept = checkpoint::set_aside(out)?;
+            progress.show(&AgentEvent::CheckpointSetAside { reason: format!("{error:#}"), kept });
+            train_on_any(plan, out, false, progress)
+        }
+        report => report,
+    }
+}
+
+fn train_on_any(
+    plan: &TrainPlan,
+    out: &Path,
+    mut resumes: bool,
+    progress: &mut Progress,
+) -> Result<TrainReport> {
     match train_on(plan, out, &mut resumes, progress) {
         Err(error) if plan.device == DeviceChoice::Auto && error.is::<DeviceLost>() => {
             progress.show(&AgentEvent::DeviceLost { reason: format!("{error:#}") });

@@ -93,6 +93,9 @@ impl Status {
                 (self.step, self.steps, self.splats) = (report.steps, report.steps, report.splats);
                 self.training = Some(report.clone());
             }
+            AgentEvent::CheckpointSetAside { reason, .. } => {
+                return Some(format!("{reason}; training starts again"));
+            }
             AgentEvent::Retrying { reason, attempt } => {
                 return Some(format!("{reason}; trying again (attempt {attempt})"));
             }

@@ -2,6 +2,7 @@
 //! the end.
 
 use std::fmt;
+use std::path::PathBuf;
 
 use cosurf_wire::ModelId;
 use serde::{Deserialize, Serialize};
@@ -59,6 +60,13 @@ pub enum AgentEvent {
     DeviceLost {
         /// The text of the error, with the reason that the driver gave.
         reason: String,
+    },
+    /// The checkpoint is damaged, and was renamed. Training starts again.
+    CheckpointSetAside {
+        /// What is wrong with it.
+        reason: String,
+        /// The path that it has now.
+        kept: PathBuf,
     },
     /// Training has ended and the model is on disk.
     Trained {

@@ -115,6 +115,7 @@ impl AgentStatus {
             }
             AgentEvent::GlobalReceived { .. } => self.problem = None,
             AgentEvent::DeviceLost { .. }
+            | AgentEvent::CheckpointSetAside { .. }
             | AgentEvent::Ready { .. }
             | AgentEvent::Retrying { .. }
             | AgentEvent::GlobalRefused { .. }
