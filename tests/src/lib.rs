@@ -8,7 +8,7 @@
 //! - [`live`]: nodes that use a real broker. [`mqtt`]: the bytes of MQTT packets. [`mosquitto`]: Mosquitto as a child
 //!   process, and certificates for it. [`nats`], [`s3`]: a NATS server and an S3 server as child processes.
 //! - [`datasets`]: synthetic cities and the datasets that benches use. [`programs`]: the paths of the programs that
-//!   cargo has built. [`dice`]: random numbers. [`mutate`]: changed samples.
+//!   cargo has built. [`running`]: such a program beside a test. [`dice`]: random numbers. [`mutate`]: changed samples.
 //! - [`usage`]: the memory and time that a child process takes.
 //! - [`slow_line`]: a line to a broker that is slow and breaks.
 //!   [`web_door`]: a WebSocket listener in front of a broker.
@@ -35,6 +35,7 @@ pub mod offers;
 pub mod programs;
 pub mod radio;
 pub mod results;
+pub mod running;
 pub mod s3;
 pub mod skips;
 pub mod slow_line;

@@ -6,7 +6,6 @@ use std::fs;
 use std::io::Write;
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
 use std::sync::OnceLock;
 use std::thread::sleep;
 use std::time::{Duration, Instant};
@@ -17,13 +16,12 @@ use cosurf_contract::{AgentConfig, AgentEvent, ChosenBy};
 use cosurf_link::PlannedCell;
 use cosurf_scene::{Dataset, Ground, footprints};
 use cosurf_tests::datasets::write_city;
-use cosurf_tests::programs::program;
+use cosurf_tests::running::{PATIENCE, Running};
 use cosurf_wire::VerticalAxis;
 use tempfile::TempDir;
 
 const DRONES: [&str; 2] = ["drone-1", "drone-2"];
 const MARGIN: f64 = 0.1;
-const PATIENCE: Duration = Duration::from_secs(240);
 
 /// Pictures of a small city, made once.
 fn data() -> &'static Path {
@@ -62,45 +60,6 @@ fn geojson() -> String {
     };
     let features: Vec<_> = DRONES.iter().zip(cells()).map(feature).collect();
     serde_json::json!({ "type": "FeatureCollection", "features": features }).to_string()
-}
-
-/// A running program with its log. It is killed when this value is dropped.
-struct Running {
-    child: Child,
-    log: PathBuf,
-}
-
-impl Running {
-    fn start(name: &str, folder: &Path, arguments: &[&str]) -> Self {
-        let log = folder.join(format!("{name}.log"));
-        let [out, err] = [(); 2].map(|()| fs::File::options().create(true).append(true).open(&log).unwrap());
-        let mut command = Command::new(program(name));
-        command.args(arguments).current_dir(folder).stdin(Stdio::null()).stdout(out).stderr(err);
-        Self { child: command.spawn().unwrap(), log }
-    }
-
-    fn log(&self) -> String {
-        fs::read_to_string(&self.log).unwrap()
-    }
-
-    /// Waits for the end of the program. Returns whether it ended well, and its log.
-    fn end(mut self) -> (bool, String) {
-        let begun = Instant::now();
-        loop {
-            if let Some(status) = self.child.try_wait().unwrap() {
-                return (status.success(), self.log());
-            }
-            assert!(begun.elapsed() < PATIENCE, "{} does not end: {}", self.log.display(), self.log());
-            sleep(Duration::from_millis(20));
-        }
-    }
-}
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
 }
 
 /// The aggregator of a site with the plan, and the address of its broker.
@@ -174,7 +133,7 @@ fn each_agent_trains_on_its_own_cell_and_the_global_model_has_both() {
     let few = "steps = 30\nthreads = 1\nout = \"short\"\nwait_global = true\n";
     let agents = DRONES.map(|device| agent(&drone(folder, device, &broker, few)));
     for (running, [train, held_out]) in agents.into_iter().zip(&expected) {
-        let out = running.log.with_file_name("short");
+        let out = running.log_path().with_file_name("short");
         let (ended_well, log) = running.end();
         assert!(ended_well, "{log}");
         let report: serde_json::Value =

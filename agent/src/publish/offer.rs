@@ -3,7 +3,7 @@
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
+use anyhow::Result;
 use cosurf_engine::Renderer;
 use cosurf_link::{FirstLayer, Offer, model_to_body};
 use cosurf_scene::{Base, SceneError, Splats, files};
@@ -66,11 +66,19 @@ fn path(out: &Path) -> PathBuf {
     out.join("published.json")
 }
 
+/// A damaged file is set aside and counts as missing. If the aggregator has models of higher numbers, it says so.
 fn read(path: &Path) -> Result<Published> {
-    match files::read(path) {
-        Ok(bytes) => serde_json::from_slice(&bytes)
-            .with_context(|| format!("{}; remove it to publish anew", path.display())),
+    let read = files::read(path).and_then(|bytes| {
+        serde_json::from_slice(&bytes).map_err(|error| SceneError::malformed(path, error.to_string()))
+    });
+    match read {
+        Ok(published) => Ok(published),
         Err(SceneError::Io { cause, .. }) if cause.kind() == ErrorKind::NotFound => Ok(Published::default()),
-        Err(error) => bail!("{error}; remove it to publish anew"),
+        Err(error) if files::is_damage(&error) => {
+            let kept = files::set_aside(path)?;
+            tracing::warn!("{error}; it is set aside as {}", kept.display());
+            Ok(Published::default())
+        }
+        Err(error) => Err(error.into()),
     }
 }

@@ -139,7 +139,14 @@ impl Received {
                 self.begin(node, header, &Manifest::decode(&body)?)
             }
             _ if header.model.is_tile() => Ok(None),
-            _ => Ok(Some(self.finish_whole(node, header))),
+            _ => {
+                if self.complete != Some(header) {
+                    // What became of the PLY file since an earlier run is not known.
+                    let (_, body) = self.store.get(ModelKey::from(header))?;
+                    ply::write(&self.ply, &body_to_model(&body)?.splats)?;
+                }
+                Ok(Some(self.finish_whole(node, header)))
+            }
         }
     }
 

@@ -24,8 +24,8 @@ impl FolderLock {
         fs::create_dir_all(folder).map_err(|cause| SceneError::io(folder, cause))?;
         let path = folder.join(NAME);
         let failed = |cause| SceneError::io(&path, cause);
-        if path.exists() {
-            files::open(&path)?; // refuses what is not a file
+        if path.exists() && !path.is_file() {
+            files::set_aside(&path)?; // a folder or a FIFO, which nobody can have locked
         }
         let mut options = OpenOptions::new();
         let mut file =
@@ -71,7 +71,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_file_or_names_no_holder_is_refused_in_one_line() {
+    fn a_lock_without_a_holders_name_is_told_in_one_line_and_what_is_no_file_is_set_aside() {
         let folder = tempfile::tempdir().unwrap();
         let lock = FolderLock::take(folder.path(), "a\nb").unwrap();
         let error = FolderLock::take(folder.path(), "b").unwrap_err().to_string();
@@ -79,6 +79,8 @@ mod tests {
         drop(lock);
         fs::remove_file(folder.path().join(NAME)).unwrap();
         fs::create_dir(folder.path().join(NAME)).unwrap();
-        assert!(FolderLock::take(folder.path(), "b").is_err());
+        let _lock = FolderLock::take(folder.path(), "b").unwrap();
+        assert!(FolderLock::take(folder.path(), "c").is_err());
+        assert!(folder.path().join("lock.damaged").is_dir());
     }
 }

@@ -30,9 +30,13 @@ pub(super) fn begun_with(out: &Path) -> Option<Option<Answer>> {
 }
 
 /// Keeps the answer that a training begins with, so that it resumes with the same pictures whether or not the aggregator
-/// is there.
+/// is there. What is no file is set aside.
 pub(super) fn keep(out: &Path, answer: Option<&Answer>) -> Result<()> {
-    outputs::write_json(&out.join("plan.json"), &answer)
+    let path = out.join("plan.json");
+    if path.exists() && !path.is_file() {
+        files::set_aside(&path)?;
+    }
+    outputs::write_json(&path, &answer)
 }
 
 /// The world frame that the configuration and the answer agree on.
@@ -115,5 +119,9 @@ mod tests {
         assert_eq!(begun_with(out), Some(None));
         fs::write(out.join("plan.json"), "torn").unwrap();
         assert_eq!(begun_with(out), None);
+        fs::remove_file(out.join("plan.json")).unwrap();
+        fs::create_dir(out.join("plan.json")).unwrap();
+        keep(out, Some(&answer("enu"))).unwrap();
+        assert_eq!(begun_with(out), Some(Some(answer("enu"))));
     }
 }
