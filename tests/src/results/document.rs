@@ -17,7 +17,7 @@ use super::{machine, provenance, store};
 /// The document that must show all results.
 pub const ALL: &str = "shared/docs/RESULTS.md";
 /// The documents whose tables [`write_all`] writes.
-pub const DOCUMENTS: [&str; 2] = [ALL, "README.md"];
+pub const DOCUMENTS: [&str; 3] = [ALL, "README.md", "shared/docs/TESTING.md"];
 
 const BEGIN: &str = "<!-- results: ";
 const END: &str = "<!-- end of results -->";

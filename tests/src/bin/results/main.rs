@@ -1,4 +1,4 @@
-//! Runs benches, stores their figures, and writes the tables of `shared/docs/RESULTS.md` and `README.md`.
+//! Runs benches, stores their figures, and writes the tables of RESULTS.md, README.md and TESTING.md.
 //!
 //! `cargo run --release -p cosurf-tests --bin results -- --help`
 
@@ -17,7 +17,8 @@ use clap::Parser;
 use cosurf_tests::results::{document, guard, store};
 use runs::{RUNS, Run, command_fault};
 
-/// Runs benches, stores their figures in shared/docs/results and writes the tables of RESULTS.md and README.md
+/// Runs benches, stores their figures in shared/docs/results and writes the tables of RESULTS.md, README.md and
+/// TESTING.md
 ///
 /// A figure that is worse than the stored one by more than its tolerance is reported. Then no figure of its bench is
 /// stored, and the exit code is 1. Without names no bench runs, and the tables are written from the stored figures.
