@@ -41,7 +41,7 @@ fn a_log_is_written_where_it_is_asked_for_and_a_wrong_filter_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let merge = |words: &[&str]| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_cosurf-aggregator"));
-        command.arg("merge").arg(folder.path()).args(words);
+        command.arg("merge").arg(folder.path()).args(words).current_dir(folder.path());
         String::from_utf8(command.output().unwrap().stderr).unwrap()
     };
     // The folder holds no model: the span of the gate opens, and the merge fails inside it.

@@ -1,4 +1,5 @@
 // Whether a tile has pixels that are not full yet.
+// Needs: types.
 
 var<workgroup> open_pixels: atomic<u32>;
 var<workgroup> is_open: u32;

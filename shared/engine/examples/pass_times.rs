@@ -2,7 +2,7 @@
 //! near it comes to the fewest bytes that it must move. The model is a ground of discs that fills the pictures and is
 //! seen as a whole, and the steps have surface losses.
 //!
-//! `cargo run --release -p cosurf-engine --features gpu-timestamps --example pass_times -- [gpu|gpu:N [SPLATS [WIDTHxHEIGHT]]]`
+//! `cargo run --release -p cosurf-engine --features gpu-timestamps --example pass_times -- gpu SPLATS WIDTHxHEIGHT`
 
 use std::collections::BTreeMap;
 use std::time::Instant;

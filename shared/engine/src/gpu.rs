@@ -2,8 +2,8 @@
 //! cards with Vulkan, Metal or DirectX 12.
 //!
 //! The backend is portable: its passes use no float atomics, at most 8 storage buffers each, and subgroups only where a
-//! card has them and they are faster. It needs only the default limits of wgpu, except for the sizes of buffers. Sums have a fixed order, so two runs on one card
-//! give the same bits.
+//! card has them and they are faster. It needs only the default limits of wgpu, except for the sizes of buffers. Sums have
+//! a fixed order, so two runs on one card give the same bits.
 //!
 //! Reading order: `backend` for the whole; `model`, `draw`, `train` and `surface` for the buffers; `sort` for the radix
 //! sort; then the passes in [`cosurf_shaders`].

@@ -1,8 +1,8 @@
 //! The GPU as a [`Backend`].
 //!
-//! All passes of a step run on the GPU. A step uploads its inputs, such as the photograph, and reads back only counts
-//! and sums of losses, all at once, because each wait costs up to half a millisecond. Only rarer operations, such as refinements and checkpoints, read and write the numbers of the
-//! splats.
+//! All passes of a step run on the GPU. A step uploads its inputs, such as the photograph, and reads back only counts and
+//! sums of losses, all at once, because the card idles while the processor waits for it. Only rarer operations, such as
+//! refinements and checkpoints, read and write the numbers of the splats.
 
 use cosurf_scene::{Camera, Splats};
 

@@ -110,9 +110,9 @@ impl Surface {
         r.run(&self.passes.unbiased_depth, &buffers, drawing.tiles());
     }
 
-    /// Computes the sums of the losses, which [`Summed::losses`] takes, and writes their weighted gradients to the normal and distance planes of the
-    /// gradient in `training`. If `weights.surface` is `None`, computes and writes nothing. Must be called after
-    /// [`Training::photometric`], which uploads the photograph.
+    /// Computes the sums of the losses, which [`Summed::losses`] takes, and writes their weighted gradients to the normal and
+    /// distance planes of the gradient in `training`. If `weights.surface` is `None`, computes and writes nothing. Must be
+    /// called after [`Training::photometric`], which uploads the photograph.
     pub(super) fn losses(
         &self,
         gpu: &Gpu,
