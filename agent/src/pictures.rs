@@ -11,7 +11,7 @@ use cosurf_scene::{Camera, Picture, View, atomic};
 /// A picture of three bytes, the same compressed, and the sorted depths that decide its colours.
 const PICTURE_BYTES_PER_PIXEL: u64 = 3 + 3 + 4;
 
-/// Upper bound on the bytes that [`write`] allocates for pictures of these cameras, besides the rendering.
+/// Upper bound on the bytes that [`write()`] allocates for pictures of these cameras, besides the rendering.
 pub fn scratch_bytes(cameras: &[Camera]) -> u64 {
     let pixels = |camera: &Camera| u64::from(camera.size_px[0]) * u64::from(camera.size_px[1]);
     cameras.iter().map(pixels).max().unwrap_or(0) * PICTURE_BYTES_PER_PIXEL
