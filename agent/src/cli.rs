@@ -10,6 +10,7 @@ mod paths;
 mod progress;
 mod render;
 mod run;
+mod stop;
 mod train;
 
 use anyhow::Result;
@@ -47,6 +48,9 @@ enum Command {
 pub(crate) fn run(cli: Cli) -> Result<()> {
     if let Some(filter) = &cli.log {
         log::start(filter, cli.log_format)?;
+    }
+    if matches!(cli.command, Command::Train(_) | Command::Run(_)) {
+        stop::listen()?;
     }
     match cli.command {
         Command::Train(args) => train::run(&args),

@@ -161,6 +161,32 @@ fn a_killed_training_resumes_to_the_same_bytes() {
 }
 
 /// Runs a short training with the options `words`, and returns what it writes to standard error.
+#[test]
+fn a_training_that_is_asked_to_end_writes_a_checkpoint_and_says_how_to_go_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let (out, log) = (folder.path().join("out"), folder.path().join("log"));
+    let words = ["--steps", "2000", "--max-size", "48"];
+    for (signal, resumed) in [("-INT", false), ("-TERM", true)] {
+        let mut command = train(city(), &out, &words);
+        let mut child =
+            command.stderr(fs::File::create(&log).unwrap()).stdout(Stdio::null()).spawn().unwrap();
+        let (text, started) = (|| fs::read_to_string(&log).unwrap(), Instant::now());
+        while !text().contains("training views") {
+            assert!(started.elapsed() < Duration::from_secs(120), "{}", text());
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        assert_eq!(text().contains("resumed at step"), resumed, "{}", text());
+        let killed = Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap();
+        assert!(killed.success() && !child.wait().unwrap().success());
+        assert!(
+            text().contains("stopped at step") && text().contains("run the same command again"),
+            "{}",
+            text()
+        );
+        assert!(out.join("checkpoint/state.bin").exists());
+    }
+}
+
 fn log_of_training(words: &[&str]) -> String {
     let folder = tempfile::tempdir().unwrap();
     let mut command = train(city(), folder.path(), &["--steps", "2", "--device", "cpu"]);

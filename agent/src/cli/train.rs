@@ -21,6 +21,7 @@ use super::arguments::{Common, DeviceArgs};
 use super::host::default_memory;
 use super::paths::resolve_init;
 use super::progress::Progress;
+use super::stop::Stoppable;
 
 /// Largest share of the time that checkpoints take, judged by the last one. On a graphics card one may take as long as a
 /// hundred steps.
@@ -202,6 +203,7 @@ fn train_on(
         seconds: before.seconds + started.elapsed().as_secs_f64(),
         cpu_seconds: before.cpu_seconds + usage::cpu_seconds() - cpu_s,
     };
+    let stoppable = Stoppable::begin();
     progress.show(&AgentEvent::Started {
         views: session.cameras().len(),
         held_out: session.held_out().len(),
@@ -224,8 +226,12 @@ fn train_on(
             (saved_at, saving) = (Instant::now(), start.elapsed());
             *resumes = true;
         }
+        if stoppable.is_asked() && !session.trainer().is_done() {
+            checkpoint::write(out, session.fingerprint(), session.trainer(), spent())?;
+            bail!("stopped at step {steps_done} of {}; run the same command again to go on", plan.steps);
+        }
     }
-    drop(span);
+    drop((span, stoppable));
     let spent = spent();
     checkpoint::write(out, session.fingerprint(), session.trainer(), spent)?;
     let report = finish(plan, session, out, spent)?;
