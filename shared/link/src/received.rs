@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::io;
 use std::path::{Path, PathBuf};
 
-use cosurf_scene::{SceneError, ply};
+use cosurf_scene::{SceneError, files, ply};
 use cosurf_wire::{BodyHash, DeviceId, ModelHeader, ModelId, ModelKind};
 
 use crate::body::BodyFault;
@@ -66,6 +66,10 @@ impl Received {
     ) -> Result<(Self, Vec<ModelHeader>), StoreError> {
         let mut damaged = VecDeque::new();
         let (store, headers) = ModelStore::open_telling(folder, |file| damaged.push_back(file))?;
+        if ply.exists() && !ply.is_file() {
+            let reason = format!("{} is not a file", ply.display());
+            damaged.push_back(Damaged { key: None, kept: files::set_aside(&ply)?, reason });
+        }
         let stored = headers.iter().map(|header| (ModelKey::from(header), *header)).collect();
         Ok((Self { device, store, ply, stored, manifest: None, complete: None, damaged }, headers))
     }
