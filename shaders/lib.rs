@@ -12,7 +12,7 @@
 //!
 //! ```
 //! let shader = cosurf_shaders::RASTERIZE;
-//! assert_eq!((shader.name, shader.parts[1]), ("rasterize", "pixels"));
+//! assert_eq!((shader.name, shader.parts), ("rasterize", ["types", "pixels", "tile_list", "open_tile"].as_slice()));
 //! assert!(shader.source.contains("fn rasterize("));
 //! ```
 

@@ -184,7 +184,7 @@ impl Scene {
 
 fn camera(x: f64, size_px: [u32; 2]) -> Camera {
     let [width, height] = size_px.map(f64::from);
-    // The ground is as broad as the picture, and reaches a little beyond it below.
+    // The ground is as broad as the picture.
     let focal_px = width * HEIGHT / BREADTH;
     Camera {
         cam_from_world: Pose::look_at(DVec3::new(x, 0.0, HEIGHT), DVec3::new(x, 0.0, 0.0), DVec3::Y),

@@ -140,7 +140,7 @@ fn pack_quat([w, x, y, z]: [f32; 4]) -> [u8; 4] {
 
 /// Bytes of a splat before compression, in a file of version 3.
 pub fn body_bytes(sh_degree: u32) -> usize {
-    9 + 1 + 3 + 3 + 4 + 3 * (sh_coefficients(sh_degree) - 1)
+    Header { quat_bytes: 4, splats: 1, sh_degree, fraction_bits: 0 }.body_bytes() as usize
 }
 
 /// Number of splats of a file and the degree of their spherical harmonics, from its header. Errors are those of [`read`],
@@ -189,7 +189,9 @@ fn read_header<R: BufRead>(mut file: R, size: u64) -> Result<(GzDecoder<R>, Head
 fn read_stream(file: impl BufRead, size: u64) -> Result<Splats, Refusal> {
     let (gzip, header) = read_header(file, size)?;
     let bytes = header.body_bytes();
-    let mut body = Vec::with_capacity(bytes as usize);
+    let mut body = Vec::new();
+    let too_large = |_| format!("has {} splats, too many for this computer's memory", header.splats);
+    body.try_reserve_exact(bytes as usize).map_err(too_large)?;
     gzip.take(bytes).read_to_end(&mut body)?;
     if body.len() as u64 != bytes {
         return Err(format!(

@@ -13,8 +13,8 @@ use crate::{Device, prune};
 fn the_division_of_work_in_a_tile_does_not_change_a_bit() {
     let Some(gpu) = gpu() else { return };
     let (name, splats, camera) = cases().remove(4);
-    let both = [gpu.clone(), gpu.disguised()].map(|gpu| gpu.without_subgroups()).map(|gpu| {
-        let mut backend = on_gpu(&gpu, &splats, camera.size_px);
+    let both = [gpu.clone(), gpu.disguised()].map(|gpu| {
+        let mut backend = on_gpu(&gpu.without_subgroups(), &splats, camera.size_px);
         let (_, gradients) = step(&mut backend, &camera, splats.sh_degree, Channels::Geometry);
         backend.clear_scores();
         backend.score();
