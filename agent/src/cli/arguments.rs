@@ -1,9 +1,16 @@
 //! Options that several commands take.
 
+use std::path::Path;
+
+use anyhow::Result;
 use clap::Args;
-use cosurf_engine::DeviceChoice;
+use cosurf_agent::viewing;
+use cosurf_engine::{DeviceChoice, Renderer};
+use cosurf_scene::Camera;
+use cosurf_scene::bytes::parse_bytes;
 
 use super::host::cores;
+use super::paths::model_path;
 
 /// Options of the commands that train, score or render a model.
 #[derive(Args, Clone, Debug)]
@@ -38,6 +45,29 @@ pub(super) struct DeviceArgs {
     /// number that `devices` lists. With auto, `train` uses the CPU if the memory limit is too small for the GPU
     #[arg(long, value_name = "DEVICE", default_value_t)]
     pub(super) device: DeviceChoice,
+}
+
+/// Options of the commands that render a finished model.
+#[derive(Args, Clone, Debug)]
+pub(super) struct ViewingArgs {
+    /// Limit on resident memory, for example 300MiB; the pictures are then rendered on the CPU [default: no limit]
+    #[arg(long, value_name = "BYTES", value_parser = parse_bytes)]
+    memory: Option<u64>,
+    #[command(flatten)]
+    device: DeviceArgs,
+}
+
+impl ViewingArgs {
+    /// Opens the model of a file or folder to render it from `cameras`. The command needs `beside_bytes` for other things.
+    pub(super) fn open(
+        &self,
+        model: &Path,
+        cameras: &[Camera],
+        threads: usize,
+        beside_bytes: u64,
+    ) -> Result<Renderer> {
+        viewing::open(&model_path(model), cameras, self.device.device, threads, self.memory, beside_bytes)
+    }
 }
 
 fn parse_threads(text: &str) -> Result<usize, String> {

@@ -5,12 +5,10 @@ use std::path::PathBuf;
 
 use anyhow::{Result, ensure};
 use clap::Args;
-use cosurf_agent::{evaluate, viewing};
-use cosurf_scene::bytes::parse_bytes;
+use cosurf_agent::evaluate;
 use cosurf_scene::{Dataset, View};
 
-use super::arguments::{Common, DeviceArgs};
-use super::paths::model_path;
+use super::arguments::{Common, ViewingArgs};
 
 /// Score a model on the held-out views of a dataset: PSNR and SSIM as defined by 3DGS.
 #[derive(Args, Debug)]
@@ -22,11 +20,8 @@ pub(super) struct EvalArgs {
     /// Score every n-th view by sorted name; use the same N as in training, so that only held-out views are scored
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..))]
     eval_every: u32,
-    /// Limit on resident memory, for example 300MiB; the pictures are then rendered on the CPU [default: no limit]
-    #[arg(long, value_name = "BYTES", value_parser = parse_bytes)]
-    memory: Option<u64>,
     #[command(flatten)]
-    device: DeviceArgs,
+    viewing: ViewingArgs,
     #[command(flatten)]
     common: Common,
 }
@@ -39,14 +34,7 @@ pub(super) fn run(args: &EvalArgs) -> Result<()> {
     let max_size_px = args.common.max_size_px();
     let cameras: Vec<_> = views.iter().map(|view| view.camera.fitted(max_size_px)).collect();
     let beside_bytes = evaluate::scratch_bytes(&views, max_size_px)?;
-    let mut renderer = viewing::open(
-        &model_path(&args.model),
-        &cameras,
-        args.device.device,
-        args.common.threads(),
-        args.memory,
-        beside_bytes,
-    )?;
+    let mut renderer = args.viewing.open(&args.model, &cameras, args.common.threads(), beside_bytes)?;
     let score = evaluate::score(&mut renderer, &views, max_size_px)?;
     let mut stdout = io::stdout().lock();
     if args.common.json {

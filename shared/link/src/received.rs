@@ -66,9 +66,12 @@ impl Received {
     ) -> Result<(Self, Vec<ModelHeader>), StoreError> {
         let mut damaged = VecDeque::new();
         let (store, headers) = ModelStore::open_telling(folder, |file| damaged.push_back(file))?;
-        if ply.exists() && !ply.is_file() {
-            let reason = format!("{} is not a file", ply.display());
-            damaged.push_back(Damaged { key: None, kept: files::set_aside(&ply)?, reason });
+        if let Some(kept) = files::set_aside_unless_file(&ply)? {
+            damaged.push_back(Damaged {
+                key: None,
+                kept,
+                reason: format!("{} is not a file", ply.display()),
+            });
         }
         let stored = headers.iter().map(|header| (ModelKey::from(header), *header)).collect();
         Ok((Self { device, store, ply, stored, manifest: None, complete: None, damaged }, headers))

@@ -75,8 +75,11 @@ impl ModelStore {
             match intact(&path) {
                 Ok(header) => headers.push(header),
                 Err(error) if files::is_damage(&error) => {
-                    let key = path.file_name().and_then(|name| key_of(name.to_str()?));
-                    tell(Damaged { key, kept: files::set_aside(&path)?, reason: error.to_string() });
+                    tell(Damaged {
+                        key: key_of_file(&path),
+                        kept: files::set_aside(&path)?,
+                        reason: error.to_string(),
+                    });
                 }
                 Err(error) => return Err(error.into()),
             }
@@ -171,6 +174,10 @@ impl ModelStore {
 }
 
 /// The key of a model by the name of its file.
+fn key_of_file(path: &Path) -> Option<ModelKey> {
+    key_of(path.file_name()?.to_str()?)
+}
+
 fn key_of(name: &str) -> Option<ModelKey> {
     let (device, number) = name.strip_suffix(EXTENSION)?.strip_suffix('.')?.split_once('.')?;
     Some(ModelKey { device: device.parse().ok()?, model: number.parse().ok()? })
@@ -208,7 +215,7 @@ fn intact(path: &Path) -> Result<ModelHeader, SceneError> {
     if hasher.finalize().as_bytes() != &header.blake3.0 {
         return Err(malformed(path, WRONG_HASH));
     }
-    if path.file_name().and_then(|name| key_of(name.to_str()?)) != Some(ModelKey::from(&header)) {
+    if key_of_file(path) != Some(ModelKey::from(&header)) {
         return Err(malformed(path, "it holds another model than its name says"));
     }
     Ok(header)

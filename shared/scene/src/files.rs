@@ -46,6 +46,11 @@ pub fn is_damage(error: &SceneError) -> bool {
     }
 }
 
+/// Sets aside what is in the place of a file and is none: a folder, a FIFO or a device. Returns its new path.
+pub fn set_aside_unless_file(path: &Path) -> Result<Option<PathBuf>, SceneError> {
+    (path.exists() && !path.is_file()).then(|| set_aside(path)).transpose()
+}
+
 /// Renames a file, or whatever has its name, so that it no longer counts: `a.json` becomes `a.damaged`, or `a.damaged-2` if
 /// that exists. Returns the new path.
 pub fn set_aside(path: &Path) -> Result<PathBuf, SceneError> {

@@ -24,9 +24,7 @@ impl FolderLock {
         fs::create_dir_all(folder).map_err(|cause| SceneError::io(folder, cause))?;
         let path = folder.join(NAME);
         let failed = |cause| SceneError::io(&path, cause);
-        if path.exists() && !path.is_file() {
-            files::set_aside(&path)?; // a folder or a FIFO, which nobody can have locked
-        }
+        files::set_aside_unless_file(&path)?; // nobody can have locked what is no file
         let mut options = OpenOptions::new();
         let mut file =
             options.create(true).truncate(false).read(true).write(true).open(&path).map_err(failed)?;

@@ -33,9 +33,7 @@ pub(super) fn begun_with(out: &Path) -> Option<Option<Answer>> {
 /// is there. What is no file is set aside.
 pub(super) fn keep(out: &Path, answer: Option<&Answer>) -> Result<()> {
     let path = out.join("plan.json");
-    if path.exists() && !path.is_file() {
-        files::set_aside(&path)?;
-    }
+    files::set_aside_unless_file(&path)?;
     outputs::write_json(&path, &answer)
 }
 
