@@ -14,7 +14,7 @@ use std::collections::BTreeMap;
 
 use cosurf_engine::{Compression, Observers};
 use cosurf_link::select_flight_cameras;
-use cosurf_scene::{Camera, Splats};
+use cosurf_scene::{Camera, LocalFrame, Splats};
 use cosurf_wire::{BodyHash, DeviceId};
 use tracing::warn;
 
@@ -38,7 +38,7 @@ struct Flight {
 }
 
 impl Flights {
-    /// Starts with the flight of this device, `own`. `cameras` are the cameras of all its pictures; if there are too
+    /// Starts with the flight of this device, `own`. `cameras` are the world cameras of all its pictures; if there are too
     /// many for an announcement, evenly spaced ones are kept. `devices_max` is the limit on devices, this one included. If
     /// `only_confirmed`, other flights count only once they are confirmed.
     pub fn new(own: DeviceId, cameras: &[Camera], devices_max: usize, only_confirmed: bool) -> Self {
@@ -90,14 +90,18 @@ impl Flights {
         self.others.iter().filter(move |(device, flight)| is_confirmed(device, flight))
     }
 
-    /// Finds the splats of this device's model that lie on ground that another device owns; these are to be dropped.
-    pub fn compression(&self, splats: &Splats) -> Compression {
+    /// Finds the splats of this device's model, which is in `frame`, that lie on ground that another device owns; these are
+    /// to be dropped.
+    pub fn compression(&self, splats: &Splats, frame: &LocalFrame) -> Compression {
         let mut flights: BTreeMap<&DeviceId, &[Camera]> =
             self.counted().map(|(device, flight)| (device, &flight.cameras[..])).collect();
         flights.insert(&self.own, &self.own_cameras);
         let own = flights.keys().position(|device| **device == self.own).unwrap_or(0);
         let mut observers = Observers::default();
-        flights.values().for_each(|cameras| observers.announce(cameras));
+        for cameras in flights.values() {
+            let cameras: Vec<Camera> = cameras.iter().map(|camera| frame.local_camera(camera)).collect();
+            observers.announce(&cameras);
+        }
         Compression::plan(splats, own, &observers)
     }
 }
@@ -139,7 +143,7 @@ mod tests {
 
     fn kept(flights: &Flights) -> Vec<f32> {
         let splats = ground();
-        let removed = flights.compression(&splats).removed;
+        let removed = flights.compression(&splats, &LocalFrame::WORLD).removed;
         splats.without(&removed).means.iter().map(|mean| mean[0]).collect()
     }
 

@@ -5,12 +5,20 @@ use std::path::Path;
 
 use anyhow::Result;
 use cosurf_contract::TrainReport;
-use cosurf_scene::{Camera, Splats, atomic, ply};
+use cosurf_scene::{Camera, LocalFrame, Splats, atomic, ply};
 use serde::Serialize;
 
-/// Writes all three files into `out`, each one atomically.
-pub fn write(out: &Path, splats: &Splats, cameras: &[Camera], report: &TrainReport) -> Result<()> {
-    ply::write(&out.join("model.ply"), splats)?;
+/// Writes all three files into `out`, each one atomically. `frame` is that of the splats and cameras; the files hold the
+/// frame's origin and world cameras.
+pub fn write(
+    out: &Path,
+    splats: &Splats,
+    cameras: &[Camera],
+    frame: &LocalFrame,
+    report: &TrainReport,
+) -> Result<()> {
+    ply::write(&out.join("model.ply"), splats, frame)?;
+    let cameras: Vec<Camera> = cameras.iter().map(|camera| frame.world_camera(camera)).collect();
     write_json(&out.join("cameras.json"), &cameras)?;
     write_json(&out.join("report.json"), report)
 }

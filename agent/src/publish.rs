@@ -155,8 +155,8 @@ impl<'a, F: FnMut(AgentEvent)> Publisher<'a, F> {
         if !collector.is_complete(now) {
             return Ok(());
         }
-        let Publication { splats, base, .. } = *self.publication;
-        let removed = collector.flights.compression(splats).removed;
+        let Publication { frame, splats, base, .. } = *self.publication;
+        let removed = collector.flights.compression(splats, frame).removed;
         let (others, unconfirmed) = (collector.flights.others(), collector.flights.unconfirmed());
         (self.on_event)(AgentEvent::Compressed {
             removed: removed.len(),
@@ -357,7 +357,7 @@ mod tests {
     use std::cell::RefCell;
 
     use cosurf_link::{Credentials, Faults, Identity, MemoryNetwork, MemoryTransport, Role};
-    use cosurf_scene::Splats;
+    use cosurf_scene::{LocalFrame, Splats};
     use cosurf_wire::{ModelId, SiteId, TileId};
 
     use super::*;
@@ -420,6 +420,7 @@ mod tests {
             let mut transport = self.network.join(&identity);
             let publication = Publication {
                 identity,
+                frame: &LocalFrame::WORLD,
                 splats,
                 cameras: &[],
                 base: None,

@@ -15,7 +15,7 @@ use cosurf_engine::{
 };
 use cosurf_scene::bytes::format_bytes;
 use cosurf_scene::cache::Source;
-use cosurf_scene::{Camera, Dataset, PictureCache, SparsePoint, Splats, View};
+use cosurf_scene::{Camera, Dataset, LocalFrame, PictureCache, SparsePoint, Splats, View};
 use glam::DVec3;
 use tracing::info_span;
 
@@ -101,7 +101,7 @@ pub fn open_dataset(plan: &TrainPlan) -> Result<(Dataset, usize)> {
     Ok(Dataset::open_within(&plan.data, points_bytes_max)?)
 }
 
-/// The cameras of the plan's training views, for pictures of at most the plan's size.
+/// The world cameras of the plan's training views, for pictures of at most the plan's size.
 pub fn flight(plan: &TrainPlan) -> Result<Vec<Camera>> {
     let (dataset, _) = Dataset::open_within(&plan.data, 0)?;
     let (train, _) = split(&dataset, &plan.split)?;
@@ -114,6 +114,7 @@ pub fn flight(plan: &TrainPlan) -> Result<Vec<Camera>> {
 
 /// A training in progress.
 pub struct Session {
+    frame: LocalFrame,
     trainer: Trainer<AnyBackend>,
     cache: PictureCache,
     held_out: Vec<View>,
@@ -133,8 +134,11 @@ impl Session {
         let _span = info_span!("prepare").entered();
         let (dataset, stride) = open_dataset(plan)?;
         let (train, held_out) = split(&dataset, &plan.split)?;
-        let held_out: Vec<View> = held_out.into_iter().map(|i| dataset.views[i].clone()).collect();
         let data = dataset.subset(&train);
+        let frame = LocalFrame::of(data.cameras_of_views());
+        let data = data.into_frame(&frame);
+        let in_frame = |view: &View| View { camera: frame.local_camera(&view.camera), ..view.clone() };
+        let held_out: Vec<View> = held_out.into_iter().map(|i| in_frame(&dataset.views[i])).collect();
         drop(dataset);
         if data.views.len() < VIEWS_MIN {
             bail!(
@@ -166,7 +170,7 @@ impl Session {
         let splats_max = sizes.budget.capacity.splats;
         let needs_init = checkpoint.is_none() || data.points.is_empty();
         let init = plan.init.as_deref().filter(|_| needs_init);
-        let init = init.map(|model| read_init(model, &cameras, splats_max)).transpose()?;
+        let init = init.map(|model| read_init(model, &frame, &cameras, splats_max)).transpose()?;
         let stand_ins = init.as_ref().filter(|_| data.points.is_empty()).map(centres);
         let points = stand_ins.as_deref().unwrap_or(&data.points);
         let extent = extent(&data, points);
@@ -197,6 +201,7 @@ impl Session {
             checkpoint.restore(&fingerprint, &mut trainer)?;
         }
         Ok(Self {
+            frame,
             trainer,
             cache,
             held_out,
@@ -246,6 +251,11 @@ impl Session {
     /// The trainer.
     pub fn trainer(&self) -> &Trainer<AnyBackend> {
         &self.trainer
+    }
+
+    /// The frame of the model and of all cameras of the session.
+    pub fn frame(&self) -> LocalFrame {
+        self.frame
     }
 
     /// The training cameras, scaled to the picture sizes that training uses, ordered by view name.
@@ -302,8 +312,8 @@ fn split(dataset: &Dataset, split: &Split) -> Result<(Vec<usize>, Vec<usize>)> {
 }
 
 /// Reads the splats to start from, at most `splats_max`. Fails if the cameras see none of them.
-fn read_init(model: &Path, cameras: &[Camera], splats_max: usize) -> Result<Splats> {
-    let splats = read_visible_splats(model, cameras, splats_max, SH_DEGREE)?;
+fn read_init(model: &Path, frame: &LocalFrame, cameras: &[Camera], splats_max: usize) -> Result<Splats> {
+    let splats = read_visible_splats(model, frame, cameras, splats_max, SH_DEGREE)?;
     if splats.is_empty() {
         bail!("{}: the training views see no splat of this model; start from another one", model.display());
     }

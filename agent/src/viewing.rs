@@ -6,13 +6,14 @@ use anyhow::{Result, ensure};
 use cosurf_engine::budget::Viewing;
 use cosurf_engine::{DeviceChoice, Renderer};
 use cosurf_scene::bytes::format_bytes;
-use cosurf_scene::{Camera, ply};
+use cosurf_scene::{Camera, LocalFrame, ply};
 
-/// Opens the model to render it from `cameras`. With a limit, it is rendered on the CPU, and the process stays within
+/// Opens the model to render it from `cameras`, which are in `frame`. With a limit, it is rendered on the CPU, and the process stays within
 /// `memory_bytes`, of which it needs `beside_bytes` for other things than rendering. Fails if the model cannot be read,
 /// the device cannot be opened, a GPU is asked for together with a limit, or the limit is too small.
 pub fn open(
     model: &Path,
+    frame: &LocalFrame,
     cameras: &[Camera],
     device: DeviceChoice,
     threads: usize,
@@ -20,7 +21,7 @@ pub fn open(
     beside_bytes: u64,
 ) -> Result<Renderer> {
     let Some(memory_bytes) = memory_bytes else {
-        return Ok(Renderer::on(device, threads, &ply::read(model)?)?);
+        return Ok(Renderer::on(device, threads, &ply::read(model, frame)?)?);
     };
     ensure!(
         !matches!(device, DeviceChoice::Gpu(_)),
@@ -44,7 +45,7 @@ pub fn open(
         Ok(())
     };
     fits(viewing.usual_pairs())?;
-    let mut renderer = Renderer::on(DeviceChoice::Cpu, threads, &ply::read(model)?)?;
+    let mut renderer = Renderer::on(DeviceChoice::Cpu, threads, &ply::read(model, frame)?)?;
     let pairs = cameras.iter().map(|camera| renderer.pairs(camera)).max().unwrap_or(0);
     fits(pairs)?;
     renderer.reserve_pairs(pairs);

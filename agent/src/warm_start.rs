@@ -6,27 +6,28 @@ use std::collections::BinaryHeap;
 use std::path::Path;
 
 use cosurf_link::plain_importance;
-use cosurf_scene::{Camera, SceneError, Splats, Watchers, ply};
+use cosurf_scene::{Camera, LocalFrame, SceneError, Splats, Watchers, ply};
 use glam::DVec3;
 
 /// Number of splats of the file that are in memory at a time.
 const PART: usize = 4096;
 
-/// Reads a PLY and keeps the splats whose centres at least one of `cameras` sees, in the order of the file. If more
+/// Reads a PLY into the frame of `cameras` and keeps the splats whose centres at least one of `cameras` sees, in the order of the file. If more
 /// than `splats_max` remain, keeps the most important ones, by opacity times area. The result has spherical harmonics
 /// up to `sh_degree`: higher degrees of the file are dropped, and degrees that the file lacks are zero. The memory does
 /// not grow with the file: it is read twice, first to choose splats and then to copy them.
 pub fn read_visible_splats(
     model: &Path,
+    frame: &LocalFrame,
     cameras: &[Camera],
     splats_max: usize,
     sh_degree: u32,
 ) -> Result<Splats, SceneError> {
     let mut choice = Choice::new(splats_max);
     let mut watchers = Watchers::new(cameras);
-    ply::read_parts(model, PART, |part| choice.look_at(part, &mut watchers))?;
+    ply::read_parts(model, frame, PART, |part| choice.look_at(part, &mut watchers))?;
     let mut extract = Extract::of(choice, sh_degree);
-    ply::read_parts(model, PART, |part| extract.take_from(part))?;
+    ply::read_parts(model, frame, PART, |part| extract.take_from(part))?;
     Ok(extract.kept)
 }
 
@@ -144,9 +145,9 @@ mod tests {
         }
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("model.ply");
-        ply::write(&path, &model).unwrap();
+        ply::write(&path, &model, &LocalFrame::WORLD).unwrap();
         let read = |cameras: &[Camera], most, sh_degree| {
-            read_visible_splats(&path, cameras, most, sh_degree).unwrap()
+            read_visible_splats(&path, &LocalFrame::WORLD, cameras, most, sh_degree).unwrap()
         };
         let kept = read(&[above()], 2, 3);
         assert_eq!(kept.means, [[1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]);
@@ -165,8 +166,8 @@ mod tests {
         }
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("model.ply");
-        ply::write(&path, &model).unwrap();
-        let kept = read_visible_splats(&path, &[above()], 5, 0).unwrap();
+        ply::write(&path, &model, &LocalFrame::WORLD).unwrap();
+        let kept = read_visible_splats(&path, &LocalFrame::WORLD, &[above()], 5, 0).unwrap();
         let places = kept.means.iter().map(|mean| (mean[0] * 1e4).round() as usize);
         assert_eq!(places.collect::<Vec<_>>(), [0, 1, 5, PART + 5, 2 * PART + 5]);
     }

@@ -26,7 +26,7 @@ use std::path::Path;
 use std::sync::mpsc;
 
 use cosurf_link::BrokerAddress;
-use cosurf_scene::{Camera, Dataset, SceneError, Splats, View, ply};
+use cosurf_scene::{Camera, Dataset, LocalFrame, SceneError, Splats, View, ply};
 use cosurf_wire::{ModelHeader, SiteId};
 
 use crate::broker::{Broker, Reach, local_address};
@@ -59,13 +59,15 @@ pub fn fly(order: &MissionOrder, around: &Surroundings) -> Result<MissionReport,
     }
     let dataset = Dataset::open(&order.settings.data)?;
     // Read before the agents start, so that a wrong folder is reported before the training.
-    let yardsticks = Yardsticks::read(&order.settings.data, order.lpips.as_deref(), None)?;
+    let frame = LocalFrame::of(dataset.cameras_of_views());
+    let yardsticks = Yardsticks::read(&order.settings.data, order.lpips.as_deref(), None, &frame)?;
     let fresh_site = SiteId::new(&format!("mission-{}", around.session))?;
     let plan = Plan::make(&dataset, &order.settings, &order.out, fresh_site)?;
     let Gathered { global, board, edges } = gather(order, around, &plan)?;
-    let splats = ply::read(&global_ply(&order.out))?;
-    let relief = mesh(order, around, &dataset, splats.clone())?;
-    let evaluation = judge(order, around, &dataset, &plan, splats, &yardsticks, &relief)?;
+    let scene = Scene { dataset: dataset.into_frame(&frame), frame };
+    let splats = ply::read(&global_ply(&order.out), &frame)?;
+    let relief = mesh(order, around, &scene, splats.clone())?;
+    let evaluation = judge(order, around, &scene, &plan, splats, &yardsticks, &relief)?;
     let seconds = ((around.now)() - begun).as_secs_f64();
     let mut report = summarize(&plan, &order.settings, &board, &global, &evaluation.qualities);
     report.whole.seconds = seconds;
@@ -73,7 +75,7 @@ pub fn fly(order: &MissionOrder, around: &Surroundings) -> Result<MissionReport,
         Relief::Made { summary, .. } => report.whole.mesh = Some(summary),
         Relief::Missing(error) => report.whole.mesh_failure = Some(error.to_string()),
     }
-    report.whole.joined = judge_joined(order, around, &dataset, &plan)?;
+    report.whole.joined = judge_joined(order, around, &scene, &plan)?;
     report.whole.merging = Merging::read(&order.out);
     report.edges =
         plan.edges.iter().zip(&edges).map(|(edge, status)| summary(order, &plan, edge, status)).collect();
@@ -167,17 +169,24 @@ fn first_failure(plan: &Plan, board: &[Status]) -> MissionError {
         .map_or(MissionError::ServiceDied, |(device, reason)| MissionError::NothingArrived { device, reason })
 }
 
-/// Makes the mesh of the global model.
+/// The pictures of the mission, and the frame that their cameras are in.
+struct Scene {
+    dataset: Dataset,
+    frame: LocalFrame,
+}
+
+/// Makes the mesh of the global model. The splats are in the scene's frame.
 fn mesh(
     order: &MissionOrder,
     around: &Surroundings,
-    dataset: &Dataset,
+    scene: &Scene,
     splats: Splats,
 ) -> Result<Relief, MissionError> {
-    let cameras: Vec<Camera> = dataset.views.iter().map(|view| view.camera).collect();
+    let cameras: Vec<Camera> = scene.dataset.views.iter().map(|view| view.camera).collect();
     let mut meter = Meter::new(around.display);
     let file = order.out.join("mesh.ply");
-    let relief = relief(splats, &cameras, order.settings.max_size_px, around.cores, &file, |event| {
+    let max_size_px = order.settings.max_size_px;
+    let relief = relief(splats, &cameras, &scene.frame, max_size_px, around.cores, &file, |event| {
         meter.show_fusion(event, (around.now)().as_secs_f64());
     })?;
     meter.finish();
@@ -197,13 +206,13 @@ struct Evaluation {
 fn judge(
     order: &MissionOrder,
     around: &Surroundings,
-    dataset: &Dataset,
+    scene: &Scene,
     plan: &Plan,
     splats: Splats,
     yardsticks: &Yardsticks,
     relief: &Relief,
 ) -> Result<Evaluation, MissionError> {
-    let held_out = dataset.views.iter().zip(&plan.views).filter(|(_, view)| view.held_out);
+    let held_out = scene.dataset.views.iter().zip(&plan.views).filter(|(_, view)| view.held_out);
     let views: Vec<&View> = held_out.map(|(view, _)| view).collect();
     let mut judge = Judge::new(&splats, order.settings.max_size_px, around.cores, yardsticks);
     let mesh = match relief {
@@ -211,7 +220,7 @@ fn judge(
         Relief::Missing(_) => None,
     };
     let qualities = judge.qualities(&views)?;
-    let showcases = showcases(&mut judge, &views, &qualities, mesh)?;
+    let showcases = showcases(&mut judge, &views, &qualities, mesh, scene.frame.unit())?;
     Ok(Evaluation { qualities, showcases })
 }
 
@@ -220,13 +229,13 @@ fn judge(
 fn judge_joined(
     order: &MissionOrder,
     around: &Surroundings,
-    dataset: &Dataset,
+    scene: &Scene,
     plan: &Plan,
 ) -> Result<Option<Quality>, MissionError> {
-    let splats = joined(&lowest_folders(&order.out, plan))?.splats;
+    let splats = joined(&lowest_folders(&order.out, plan), &scene.frame)?.splats;
     let without = Yardsticks { lpips: None, truth: None };
     let mut judge = Judge::new(&splats, order.settings.max_size_px, around.cores, &without);
-    let held_out = dataset.views.iter().zip(&plan.views).filter(|(_, view)| view.held_out);
+    let held_out = scene.dataset.views.iter().zip(&plan.views).filter(|(_, view)| view.held_out);
     let views: Vec<&View> = held_out.map(|(view, _)| view).collect();
     Ok(Quality::mean(&judge.qualities(&views)?))
 }

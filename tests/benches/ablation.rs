@@ -13,7 +13,7 @@ use clap::Parser;
 use cosurf_agent::session::{Session, Split, TrainPlan};
 use cosurf_aggregator::evaluate::{EvalOrder, EvalReport, Spread, evaluate_model};
 use cosurf_engine::{DeviceChoice, PruneSettings, SurfaceSettings};
-use cosurf_scene::{Camera, Mesh, Splats, ply};
+use cosurf_scene::{Camera, LocalFrame, Mesh, Splats, ply};
 use cosurf_tests::datasets::{default_dataset, true_surface};
 use cosurf_tests::results::{Better, Column, Measurement};
 
@@ -68,7 +68,7 @@ pub(crate) fn compare(name: &str, variants: &[Variant]) -> Result<()> {
         let trained = train(&arguments, &data, variant)?;
         let relative = trained.seconds / *first_s.get_or_insert(trained.seconds);
         let file = folder.path().join("model.ply");
-        ply::write(&file, &trained.splats)?;
+        ply::write(&file, &trained.splats, &LocalFrame::WORLD)?;
         let eval = evaluate_model(&order(&arguments, &data, &file))?;
         let f_score = f_score(trained.splats, &trained.cameras, &truth, arguments.threshold);
         if let Err(error) = &f_score {

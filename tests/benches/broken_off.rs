@@ -13,7 +13,7 @@ use clap::Parser;
 use cosurf_aggregator::merge::{InMemory, MergeSettings, Resources, Tiles, fill_in, merge};
 use cosurf_engine::base_of;
 use cosurf_link::{FirstLayer, Model, body_to_model, model_to_body, part_to_model};
-use cosurf_scene::Dataset;
+use cosurf_scene::{Dataset, LocalFrame};
 use cosurf_tests::results::{Better, Column, Measurement, Tolerance};
 use held_out::{HeldOut, THREADS};
 use mission::Mission;
@@ -35,7 +35,8 @@ struct Arguments {
 fn main() -> Result<()> {
     let Arguments { mission, epochs } = Arguments::parse();
     let bodies = mission.models()?.iter().map(body).collect::<Result<Vec<_>>>()?;
-    let whole = bodies.iter().map(|body| body_to_model(body)).collect::<Result<Vec<_>, _>>()?;
+    let whole =
+        bodies.iter().map(|body| body_to_model(body, &LocalFrame::WORLD)).collect::<Result<Vec<_>, _>>()?;
     let size_px = whole[0].cameras.first().context("the first model has no cameras")?.size_px;
     let views = HeldOut::read(&Dataset::open(&mission.data)?, |camera| camera.resized(size_px))?;
     let settings = MergeSettings { epochs, ..MergeSettings::default() };
@@ -56,7 +57,7 @@ fn main() -> Result<()> {
     for part in PARTS {
         let cut = |body: &Vec<u8>| {
             let end = (part * body.len() as f64) as usize;
-            part_to_model(body, |range| range.end <= end)?.context("no splat has arrived")
+            part_to_model(body, |range| range.end <= end, &LocalFrame::WORLD)?.context("no splat has arrived")
         };
         of_one.push(Some(all - psnr(&fill_in(others.clone(), &cut(&bodies[0])?))));
         of_all.push(Some(all - psnr(&merged(bodies.iter().map(cut).collect::<Result<_>>()?)?)));
@@ -77,5 +78,5 @@ fn columns() -> Vec<Column> {
 /// Encodes an agent's model as the body that the agent would upload.
 fn body(Model { splats, cameras }: &Model) -> Result<Vec<u8>> {
     let base = base_of(splats, cameras, THREADS, usize::MAX, |_, _| ()).context("a model too small")?;
-    Ok(model_to_body(splats, cameras, FirstLayer::Base(&base))?)
+    Ok(model_to_body(splats, cameras, &LocalFrame::WORLD, FirstLayer::Base(&base))?)
 }

@@ -10,7 +10,7 @@ use std::process::{Command, Stdio};
 
 use anyhow::{Context, Result, ensure};
 use clap::Parser;
-use cosurf_scene::{Dataset, Picture, SparsePoint, Splats, colmap, ply};
+use cosurf_scene::{Dataset, LocalFrame, Picture, SparsePoint, Splats, colmap, ply};
 use cosurf_tests::programs::program;
 use cosurf_tests::results::{Better, Column, Measurement, Tolerance};
 use cosurf_tests::usage::watch;
@@ -210,6 +210,6 @@ fn large_model(data: &Path, path: &Path) -> Result<PathBuf> {
         let at = points[i % points.len()].position + DVec3::splat(1e-3 * (i / points.len()) as f64);
         model.push(at.as_vec3().to_array(), [1.0, 0.0, 0.0, 0.0], [-3.0; 3], 1.0, &[0.1; 48]);
     }
-    ply::write(path, &model)?;
+    ply::write(path, &model, &LocalFrame::WORLD)?;
     Ok(path.to_owned())
 }

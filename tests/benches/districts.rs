@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use cosurf_link::Model;
-use cosurf_scene::{Camera, Pose, ply};
+use cosurf_scene::{Camera, LocalFrame, Pose, ply};
 use cosurf_tests::models::read_model;
 use glam::DVec3;
 
@@ -76,7 +76,7 @@ impl Site {
 
 fn write(folder: &Path, model: &Model) -> Result<()> {
     fs::create_dir_all(folder)?;
-    ply::write(&folder.join("model.ply"), &model.splats)?;
+    ply::write(&folder.join("model.ply"), &model.splats, &LocalFrame::WORLD)?;
     fs::write(folder.join("cameras.json"), serde_json::to_string(&model.cameras)?)?;
     Ok(())
 }

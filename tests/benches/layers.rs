@@ -19,7 +19,7 @@ use cosurf_aggregator::evaluate::{EvalOrder, evaluate_model};
 use cosurf_engine::{Rendering, base_of};
 use cosurf_link::{FirstLayer, Model, model_to_body, part_to_model};
 use cosurf_scene::splats::sh_coefficients;
-use cosurf_scene::{Camera, Dataset, Splats, ply};
+use cosurf_scene::{Camera, Dataset, LocalFrame, Splats, ply};
 use cosurf_tests::results::{Better, Column, Measurement, Tolerance};
 use glam::Vec3;
 use held_out::{EVERY, HeldOut, THREADS};
@@ -51,7 +51,7 @@ struct Arguments {
 
 fn main() -> Result<()> {
     let Arguments { model, data, name, sh_degree, max_size, .. } = Arguments::parse();
-    let splats = of_degree(&ply::read(&model)?, sh_degree);
+    let splats = of_degree(&ply::read(&model, &LocalFrame::WORLD)?, sh_degree);
     let fitted = |camera: Camera| camera.fitted(max_size);
     let dataset = Dataset::open(&data)?;
     let cameras: Vec<Camera> =
@@ -60,7 +60,7 @@ fn main() -> Result<()> {
     let begun = Instant::now();
     let base = base_of(&splats, &cameras, 1, usize::MAX, |_, _| ()).context("a model too small")?;
     let base_s = begun.elapsed().as_secs_f64();
-    let body = model_to_body(&splats, &cameras, FirstLayer::Base(&base))?;
+    let body = model_to_body(&splats, &cameras, &LocalFrame::WORLD, FirstLayer::Base(&base))?;
     let whole = views.render(&splats);
     println!("{} splats of degree {}, {} cameras", splats.len(), splats.sh_degree, cameras.len());
     println!("{} bytes, {:.2} a splat", body.len(), body.len() as f64 / splats.len() as f64);
@@ -75,7 +75,10 @@ fn main() -> Result<()> {
     let mut losses = [None; PARTS.len()];
     for (loss, part) in losses.iter_mut().zip(PARTS) {
         let end = (part * body.len() as f64) as usize;
-        let Some(Model { splats, .. }) = part_to_model(&body, |range| range.end <= end)? else { continue };
+        let Some(Model { splats, .. }) = part_to_model(&body, |range| range.end <= end, &LocalFrame::WORLD)?
+        else {
+            continue;
+        };
         let pictures = views.render(&splats);
         let (psnr, lost) = (views.psnr(&pictures), views.psnr(&whole) - views.psnr(&pictures));
         let (normal, depth) = changes(&pictures, &whole);
@@ -140,7 +143,7 @@ impl NormalErrors {
     /// Median error of the blended normals, degrees, as the mean over held-out views. `None` if the dataset has no
     /// true surface, or no pixel has both a blended and a true normal.
     fn median_deg(&self, splats: &Splats) -> Result<Option<f64>> {
-        ply::write(&self.folder.path().join("model.ply"), splats)?;
+        ply::write(&self.folder.path().join("model.ply"), splats, &LocalFrame::WORLD)?;
         let surface = evaluate_model(&self.order)?.mean.surface;
         Ok(surface.and_then(|surface| surface.normal_error_deg).map(|error| error.median))
     }

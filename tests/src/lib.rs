@@ -21,6 +21,7 @@
 // A builder that fails should make the test that calls it fail.
 #![allow(clippy::unwrap_used)]
 
+pub mod coordinates;
 pub mod datasets;
 pub mod dice;
 pub mod fleet;

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use anyhow::Result;
 use cosurf_link::Model;
-use cosurf_scene::{Camera, Pose, Splats, ply};
+use cosurf_scene::{Camera, LocalFrame, Pose, Splats, ply};
 use glam::{DQuat, DVec2, DVec3};
 
 /// A generator of pseudo-random floats in -1..1 (xorshift). Different seeds give different sequences.
@@ -51,7 +51,7 @@ pub fn cameras(count: usize) -> Vec<Camera> {
 
 /// Reads the model in an agent's output folder.
 pub fn read_model(agent: &Path) -> Result<Model> {
-    let splats = ply::read(&agent.join("model.ply"))?;
+    let splats = ply::read(&agent.join("model.ply"), &LocalFrame::WORLD)?;
     let cameras = serde_json::from_slice(&fs::read(agent.join("cameras.json"))?)?;
     Ok(Model { splats, cameras })
 }

@@ -10,7 +10,7 @@ use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
 use cosurf_scene::bytes::parse_bytes;
-use cosurf_scene::{Dataset, Splats, colmap, ply};
+use cosurf_scene::{Dataset, LocalFrame, Splats, colmap, ply};
 use cosurf_tests::datasets::write_city;
 use cosurf_tests::programs::program;
 use cosurf_tests::skips::skip;
@@ -388,7 +388,7 @@ fn many_points_and_a_large_model_to_start_from_keep_the_memory_limit() {
         assert!(peak < limit, "{peak} bytes");
     };
     let init = data.path().join("init.ply");
-    ply::write(&init, &ground(500_000)).unwrap();
+    ply::write(&init, &ground(500_000), &LocalFrame::WORLD).unwrap();
     let from_model = data.path().join("from_model");
     succeed(train(data.path(), &from_model, &[&words[..], &["--init", init.to_str().unwrap()]].concat()));
     keeps(&report_of(&from_model));
@@ -408,7 +408,7 @@ fn many_points_and_a_large_model_to_start_from_keep_the_memory_limit() {
 fn a_finished_model_is_shown_and_scored_within_the_memory_that_a_refusal_asks_for() {
     let folder = tempfile::tempdir().unwrap();
     let (model, pictures) = (folder.path().join("model.ply"), folder.path().join("pictures"));
-    ply::write(&model, &ground(150_000)).unwrap();
+    ply::write(&model, &ground(150_000), &LocalFrame::WORLD).unwrap();
     let (model, city) = (model.to_str().unwrap(), city().to_str().unwrap());
     let render = ["render", model, "--cameras", city, "--out", pictures.to_str().unwrap()];
     for words in [&render[..], &["eval", model, city]] {

@@ -9,7 +9,7 @@ use std::process::{Child, Command, Stdio};
 
 use cosurf_link::{ModelStore, Offer};
 use cosurf_scene::splats::SH_C0;
-use cosurf_scene::{Camera, Pose, Splats, ply};
+use cosurf_scene::{Camera, LocalFrame, Pose, Splats, ply};
 use cosurf_tests::datasets::write_city;
 use cosurf_tests::programs::program;
 use cosurf_tests::usage::watch;
@@ -112,8 +112,8 @@ fn an_agent_gets_its_tiles_of_a_site_of_two_million_splats_within_its_memory() {
     let usage = watch(&mut agent);
     assert!(usage.succeeded);
     assert!(usage.peak_bytes <= AGENT_BYTES, "{} bytes", usage.peak_bytes);
-    let all = ply::read(&path("station/global.ply")).unwrap();
-    let its = ply::read(&path("drone/global.ply")).unwrap();
+    let all = ply::read(&path("station/global.ply"), &LocalFrame::WORLD).unwrap();
+    let its = ply::read(&path("drone/global.ply"), &LocalFrame::WORLD).unwrap();
     let files = fs::read_dir(path("drone/global")).unwrap().flatten();
     let received: u64 = files.map(|file| file.metadata().unwrap().len()).sum();
     println!(

@@ -9,7 +9,7 @@ use std::thread::sleep;
 use std::time::Duration;
 
 use cosurf_scene::splats::SH_C0;
-use cosurf_scene::{Camera, Pose, Splats, ply};
+use cosurf_scene::{Camera, LocalFrame, Pose, Splats, ply};
 use cosurf_tests::dice::Dice;
 use cosurf_tests::nats::Nats;
 use cosurf_tests::programs::program;
@@ -39,7 +39,7 @@ fn write_model(folder: &Path, west: f32) {
     let places = (0..8).flat_map(|i| (-2..=2).map(move |j| (6.0 + 7.0 * f64::from(i), 8.0 * f64::from(j))));
     let cameras: Vec<Camera> = places.map(|(x, y)| above(f64::from(west) + x, y)).collect();
     fs::create_dir_all(folder).unwrap();
-    ply::write(&folder.join("model.ply"), &splats).unwrap();
+    ply::write(&folder.join("model.ply"), &splats, &LocalFrame::WORLD).unwrap();
     fs::write(folder.join("cameras.json"), serde_json::to_string(&cameras).unwrap()).unwrap();
 }
 

@@ -6,8 +6,8 @@ use anyhow::Result;
 use clap::Args;
 use cosurf_agent::viewing;
 use cosurf_engine::{DeviceChoice, Renderer};
-use cosurf_scene::Camera;
 use cosurf_scene::bytes::parse_bytes;
+use cosurf_scene::{Camera, LocalFrame};
 
 use super::host::cores;
 use super::paths::model_path;
@@ -58,15 +58,17 @@ pub(super) struct ViewingArgs {
 }
 
 impl ViewingArgs {
-    /// Opens the model of a file or folder to render it from `cameras`. The command needs `beside_bytes` for other things.
+    /// Opens the model of a file or folder to render it from `cameras`, which are in `frame`. The command needs `beside_bytes` for other things.
     pub(super) fn open(
         &self,
         model: &Path,
+        frame: &LocalFrame,
         cameras: &[Camera],
         threads: usize,
         beside_bytes: u64,
     ) -> Result<Renderer> {
-        viewing::open(&model_path(model), cameras, self.device.device, threads, self.memory, beside_bytes)
+        let device = self.device.device;
+        viewing::open(&model_path(model), frame, cameras, device, threads, self.memory, beside_bytes)
     }
 }
 

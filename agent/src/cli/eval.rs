@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use anyhow::{Result, ensure};
 use clap::Args;
 use cosurf_agent::evaluate;
-use cosurf_scene::{Dataset, View};
+use cosurf_scene::{Dataset, LocalFrame, View};
 
 use super::arguments::{Common, ViewingArgs};
 
@@ -28,13 +28,16 @@ pub(super) struct EvalArgs {
 
 pub(super) fn run(args: &EvalArgs) -> Result<()> {
     let (dataset, _) = Dataset::open_within(&args.data, 0)?;
+    let frame = LocalFrame::of(dataset.cameras_of_views());
+    let dataset = dataset.into_frame(&frame);
     let (_, held_out) = dataset.split(args.eval_every);
     ensure!(!held_out.is_empty(), "{}: no view is held out", args.data.display());
     let views: Vec<View> = held_out.into_iter().map(|i| dataset.views[i].clone()).collect();
     let max_size_px = args.common.max_size_px();
     let cameras: Vec<_> = views.iter().map(|view| view.camera.fitted(max_size_px)).collect();
     let beside_bytes = evaluate::scratch_bytes(&views, max_size_px)?;
-    let mut renderer = args.viewing.open(&args.model, &cameras, args.common.threads(), beside_bytes)?;
+    let mut renderer =
+        args.viewing.open(&args.model, &frame, &cameras, args.common.threads(), beside_bytes)?;
     let score = evaluate::score(&mut renderer, &views, max_size_px)?;
     let mut stdout = io::stdout().lock();
     if args.common.json {

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use anyhow::{Context, Result};
 use clap::Args;
 use cosurf_agent::pictures;
-use cosurf_scene::Dataset;
+use cosurf_scene::{Dataset, LocalFrame};
 
 use super::arguments::{Common, ViewingArgs};
 
@@ -30,13 +30,16 @@ pub(super) struct RenderArgs {
 
 pub(super) fn run(args: &RenderArgs) -> Result<()> {
     let (dataset, _) = Dataset::open_within(&args.cameras, 0)?;
+    let frame = LocalFrame::of(dataset.cameras_of_views());
+    let dataset = dataset.into_frame(&frame);
     let max_size_px = args.common.max_size_px();
     let cameras: Vec<_> = dataset.views.iter().map(|view| view.camera.fitted(max_size_px)).collect();
     let beside_bytes = pictures::scratch_bytes(&cameras);
-    let mut renderer = args.viewing.open(&args.model, &cameras, args.common.threads(), beside_bytes)?;
+    let mut renderer =
+        args.viewing.open(&args.model, &frame, &cameras, args.common.threads(), beside_bytes)?;
     std::fs::create_dir_all(&args.out).with_context(|| args.out.display().to_string())?;
     for (done, view) in dataset.views.iter().enumerate() {
-        pictures::write(&mut renderer, view, max_size_px, &args.out)?;
+        pictures::write(&mut renderer, view, max_size_px, frame.unit(), &args.out)?;
         if args.common.json {
             let line = serde_json::json!({ "view": view.name, "done": done + 1, "of": dataset.views.len() });
             let _ = writeln!(io::stdout(), "{line}"); // a closed pipe does not stop the rendering

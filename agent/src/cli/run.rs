@@ -17,7 +17,7 @@ use cosurf_agent::status::StatusBoard;
 use cosurf_contract::{AgentConfig, AgentEvent, ComparedWith, Share};
 use cosurf_engine::{PruneSettings, SurfaceSettings, base_of};
 use cosurf_link::{Credentials, Identity, Role, next_session};
-use cosurf_scene::{Camera, FolderLock, Splats, files, ply};
+use cosurf_scene::{Camera, FolderLock, LocalFrame, Splats, files, ply};
 use cosurf_wire::DeviceId;
 
 use super::host::{self, cores, default_memory};
@@ -91,17 +91,22 @@ struct Job {
 
 /// The model that the training wrote, with the cameras that it was trained on.
 struct LocalModel {
+    /// The frame of both.
+    frame: LocalFrame,
     splats: Splats,
     cameras: Vec<Camera>,
 }
 
 impl LocalModel {
     fn read(out: &Path) -> Result<Self> {
-        let splats = ply::read(&out.join("model.ply"))?;
         let path = out.join("cameras.json");
         let bytes = files::read(&path)?;
-        let cameras = serde_json::from_slice(&bytes).with_context(|| path.display().to_string())?;
-        Ok(Self { splats, cameras })
+        let cameras: Vec<Camera> =
+            serde_json::from_slice(&bytes).with_context(|| path.display().to_string())?;
+        let frame = LocalFrame::of(cameras.iter());
+        let splats = ply::read(&out.join("model.ply"), &frame)?;
+        let cameras = cameras.iter().map(|camera| frame.local_camera(camera)).collect();
+        Ok(Self { frame, splats, cameras })
     }
 }
 
@@ -202,7 +207,7 @@ impl Job {
         (board, reporter): (&StatusBoard, Option<Reporter>),
         progress: &mut Progress,
     ) -> Result<()> {
-        let LocalModel { splats, cameras } = model;
+        let LocalModel { frame, splats, cameras } = model;
         let (threads, cache_bytes) = (self.plan.threads, (self.plan.memory_bytes / 4) as usize);
         let base =
             base_of(splats, cameras, threads, cache_bytes, |step, steps| progress.preparing(step, steps));
@@ -216,6 +221,7 @@ impl Job {
         let mut connection = self.route.connect(identity, self.credentials.key.as_ref());
         let publication = Publication {
             identity,
+            frame,
             splats,
             cameras,
             base: base.as_ref(),
@@ -239,6 +245,7 @@ impl Job {
         progress: &mut Progress,
     ) -> Result<()> {
         let comparison = Comparison {
+            frame: &model.frame,
             splats: &model.splats,
             cameras: &model.cameras,
             memory_bytes: self.plan.memory_bytes,

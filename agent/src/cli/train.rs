@@ -242,8 +242,8 @@ fn train_on(
 /// Scores the trained model on the held-out views, and writes model, cameras and report into `out`.
 fn finish(plan: &TrainPlan, session: Session, out: &Path, spent: Spent) -> Result<TrainReport> {
     let given_up = session.given_up();
-    let (cameras, held_out, size_px) =
-        (session.cameras().to_vec(), session.held_out().to_vec(), session.size_px());
+    let (frame, cameras, held_out, size_px) =
+        (session.frame(), session.cameras().to_vec(), session.held_out().to_vec(), session.size_px());
     let device = session.trainer().backend().device();
     // Frees the optimiser's memory before the renderer allocates its own.
     let splats: Splats = session.into_splats()?;
@@ -271,7 +271,7 @@ fn finish(plan: &TrainPlan, session: Session, out: &Path, spent: Spent) -> Resul
         size_px,
         given_up,
     };
-    outputs::write(out, &splats, &cameras, &report)?;
+    outputs::write(out, &splats, &cameras, &frame, &report)?;
     Ok(report)
 }
 

@@ -29,12 +29,12 @@ pub(super) fn offer(
     base: Option<&Base>,
     kind: ModelKind,
 ) -> Result<Offer> {
-    let cameras = publication.cameras;
+    let (cameras, frame) = (publication.cameras, publication.frame);
     let body = match base {
-        Some(base) => model_to_body(splats, cameras, FirstLayer::Base(base)),
+        Some(base) => model_to_body(splats, cameras, frame, FirstLayer::Base(base)),
         None => {
             let importance = Renderer::new(splats, 1).importance(cameras);
-            model_to_body(splats, cameras, FirstLayer::ByImportance(&importance))
+            model_to_body(splats, cameras, frame, FirstLayer::ByImportance(&importance))
         }
     }?;
     let model = number_of(&body, publication)?;

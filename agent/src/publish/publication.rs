@@ -4,7 +4,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use cosurf_link::{Credentials, Identity};
-use cosurf_scene::{Base, Camera, Splats};
+use cosurf_scene::{Base, Camera, LocalFrame, Splats};
 
 use crate::status::StatusBoard;
 
@@ -12,6 +12,8 @@ use crate::status::StatusBoard;
 pub struct Publication<'a> {
     /// The identity of this device in its current session.
     pub identity: Identity,
+    /// The frame of the model and of its cameras.
+    pub frame: &'a LocalFrame,
     /// The trained model.
     pub splats: &'a Splats,
     /// The training cameras, scaled to the picture sizes that training used.
@@ -38,7 +40,7 @@ pub struct Publication<'a> {
 /// Settings for dropping splats of ground that other devices own; see [`crate::flights`].
 #[derive(Clone, Copy)]
 pub struct Sharing<'a> {
-    /// The cameras that this device has announced: those of all its pictures.
+    /// The cameras that this device has announced, in the world: those of all its pictures.
     pub flight: &'a [Camera],
     /// All flights count as known once no flight has arrived for this long.
     pub quiet: Duration,

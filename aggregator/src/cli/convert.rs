@@ -7,7 +7,8 @@ use clap::Args;
 use cosurf_contract::counted;
 use cosurf_engine::budget::PROCESS_BYTES;
 use cosurf_scene::bytes::{format_bytes, parse_bytes};
-use cosurf_scene::{Splats, ply, spz};
+use cosurf_scene::{LocalFrame, Splats, ply, spz};
+use glam::DVec3;
 
 /// Convert a model between PLY and SPZ; the file extensions select the formats.
 ///
@@ -45,12 +46,23 @@ pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
     if let Some(memory_bytes) = args.memory {
         check_memory(&args.model, &from, memory_bytes)?;
     }
+    let origin = match from {
+        Format::Ply => ply::origin(&args.model)?,
+        Format::Spz => DVec3::ZERO,
+    };
+    let frame = LocalFrame::at(origin);
     let splats: Splats = match from {
-        Format::Ply => ply::read(&args.model)?,
+        Format::Ply => ply::read(&args.model, &frame)?,
         Format::Spz => spz::read(&args.model)?,
     };
+    if matches!(to, Format::Spz) && origin != DVec3::ZERO {
+        eprintln!(
+            "positions are relative to {} {} {}, which an SPZ cannot hold: keep it",
+            origin.x, origin.y, origin.z
+        );
+    }
     match to {
-        Format::Ply => ply::write(&args.out, &splats),
+        Format::Ply => ply::write(&args.out, &splats, &frame),
         Format::Spz => spz::write(&args.out, &splats),
     }
     .with_context(|| format!("cannot write {}", counted(splats.len(), "splat")))

@@ -39,7 +39,8 @@ pub(crate) struct EvalMeshArgs {
 
 pub(crate) fn run(args: &EvalMeshArgs) -> Result<()> {
     let mut mesh = Mesh::read(&args.mesh)?;
-    let truth = Mesh::read(&args.truth)?;
+    let mut truth = Mesh::read(&args.truth)?;
+    truth.move_origin(mesh.origin);
     let (accuracy, errors_m) = judge(&mesh, &truth, args.threshold, 0)?;
     if let Some(out) = &args.out {
         let most_m = BRIGHTEST * args.threshold as f32;

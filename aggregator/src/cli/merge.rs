@@ -22,7 +22,7 @@ use cosurf_contract::counted;
 use cosurf_engine::DeviceChoice;
 use cosurf_link::Model;
 use cosurf_scene::bytes::parse_bytes;
-use cosurf_scene::{Camera, FolderLock, SceneError, ply};
+use cosurf_scene::{Camera, FolderLock, LocalFrame, SceneError, ply};
 
 /// Options that control a merge, shared by the commands `merge` and `mission`.
 #[derive(Args)]
@@ -98,26 +98,45 @@ pub(crate) struct MergeArgs {
     json: bool,
 }
 
-struct Folders<'a>(&'a [PathBuf]);
+/// The models of folders, loaded into one frame.
+struct Folders<'a> {
+    folders: &'a [PathBuf],
+    frame: LocalFrame,
+}
+
+impl<'a> Folders<'a> {
+    fn open(folders: &'a [PathBuf]) -> Result<Self, SceneError> {
+        let frame = |folder: &PathBuf| Ok(LocalFrame::of(read_cameras(folder)?.iter()));
+        let frames = folders.iter().map(frame).collect::<Result<Vec<_>, SceneError>>()?;
+        Ok(Self { folders, frame: LocalFrame::most_common(&frames) })
+    }
+}
+
+/// The world cameras of a model.
+fn read_cameras(folder: &Path) -> Result<Vec<Camera>, SceneError> {
+    let path = folder.join("cameras.json");
+    let bytes = std::fs::read(&path).map_err(|cause| SceneError::io(&path, cause))?;
+    let cameras: Vec<Camera> =
+        serde_json::from_slice(&bytes).map_err(|error| SceneError::malformed(&path, error.to_string()))?;
+    let is_blind = |camera: &Camera| camera.size_px.contains(&0) || camera.focal_px.min_element() <= 0.0;
+    if let Some(i) = cameras.iter().position(is_blind) {
+        let reason = format!("camera {i} has no pixels, or a focal length that is not above 0");
+        return Err(SceneError::malformed(&path, reason));
+    }
+    Ok(cameras)
+}
 
 impl Locals for Folders<'_> {
     fn count(&self) -> usize {
-        self.0.len()
+        self.folders.len()
     }
 
     fn load(&self, index: usize) -> Result<Model, MergeError> {
-        let folder = &self.0[index];
+        let folder = &self.folders[index];
         let names = ["model.ply", "global.ply"].map(|name| folder.join(name));
-        let splats = ply::read(names.iter().find(|path| path.is_file()).unwrap_or(&names[0]))?;
-        let path = folder.join("cameras.json");
-        let bytes = std::fs::read(&path).map_err(|cause| SceneError::io(&path, cause))?;
-        let cameras: Vec<Camera> = serde_json::from_slice(&bytes)
-            .map_err(|error| SceneError::malformed(&path, error.to_string()))?;
-        let is_blind = |camera: &Camera| camera.size_px.contains(&0) || camera.focal_px.min_element() <= 0.0;
-        if let Some(i) = cameras.iter().position(is_blind) {
-            let reason = format!("camera {i} has no pixels, or a focal length that is not above 0");
-            return Err(SceneError::malformed(&path, reason).into());
-        }
+        let path = names.iter().find(|path| path.is_file()).unwrap_or(&names[0]);
+        let splats = ply::read(path, &self.frame)?;
+        let cameras = read_cameras(folder)?.iter().map(|camera| self.frame.local_camera(camera)).collect();
         Ok(Model { splats, cameras })
     }
 }
@@ -145,7 +164,7 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
         (None, _) => Tiles::Forgotten,
     };
     let resources = Resources { scratch: &args.out, tiles, threads };
-    let folders = Folders(&args.models);
+    let folders = Folders::open(&args.models)?;
     let admitted =
         admit(&folders, (&settings).into(), Workspace::of(&settings, &args.out, threads), &|| false)?;
     let names: Vec<String> = args.models.iter().map(|folder| folder.display().to_string()).collect();
@@ -160,7 +179,7 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
         }
         _ => error.into(),
     })?;
-    write(&args.out, &merged)?;
+    write(&args.out, &merged, &folders.frame)?;
     if let Some(results) = &results {
         keep_only(results, &merged.tiles)?;
     }
@@ -168,7 +187,8 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
     let mut stdout = io::stdout().lock();
     if args.json {
         let places = (0..admitted.count()).map(|place| admitted.place(place));
-        let fitted: Vec<Fitted> = places.filter_map(|place| Fitted::of(&names[place.local], place)).collect();
+        let fitted: Vec<Fitted> =
+            places.filter_map(|place| Fitted::of(&names[place.local], place, &folders.frame)).collect();
         let fits: Vec<FitRecord> = admitted.fits().iter().map(|fit| FitRecord::of(&names, fit)).collect();
         let line = serde_json::json!({
             "seconds": seconds,
@@ -180,13 +200,15 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
         writeln!(stdout, "{line}")?;
         return Ok(());
     }
+    let unit = folders.frame.unit();
     for (place, local) in merged.summary.locals.iter().enumerate() {
         let LocalSummary { arrived, overlap, removed } = local;
         let Place { local, weight, size, is_verified, by, tone } = admitted.place(place);
         let (folder, percent) = (&names[local], 100.0 * overlap);
         let (arrived, removed) = (counted(*arrived, "splat"), counted(*removed, "splat"));
-        let moved =
-            by.map(|by| format!(", moved by {:.2} m to where it fits", by.distance_m)).unwrap_or_default();
+        let moved = by
+            .map(|by| format!(", moved by {:.2} m to where it fits", by.distance_m * unit))
+            .unwrap_or_default();
         let toned = tone.map(|tone| format!(", {tone}")).unwrap_or_default();
         let weight = if weight < 1.0 {
             format!(", counts {:.0} % because it differs from the others", 100.0 * weight)
@@ -215,15 +237,16 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
     Ok(())
 }
 
-/// Writes the global model and its cameras.
-fn write(out: &Path, merged: &MergedFile) -> Result<()> {
+/// Writes the global model, which is in `frame`, and its world cameras.
+fn write(out: &Path, merged: &MergedFile, frame: &LocalFrame) -> Result<()> {
     let MergedFile { splats, cameras, .. } = merged;
+    let cameras: Vec<Camera> = cameras.iter().map(|camera| frame.world_camera(camera)).collect();
     let parts = splats.parts().map(|part| part.map_err(io::Error::other));
-    ply::write_parts(&out.join("global.ply"), splats.len(), splats.sh_degree(), parts)?;
+    ply::write_parts(&out.join("global.ply"), splats.len(), splats.sh_degree(), frame, parts)?;
     let path = out.join("cameras.json");
     let failed = |cause| SceneError::io(&path, cause);
     let mut file = BufWriter::new(File::create(&path).map_err(failed)?);
-    serde_json::to_writer_pretty(&mut file, cameras).map_err(|error| failed(error.into()))?;
+    serde_json::to_writer_pretty(&mut file, &cameras).map_err(|error| failed(error.into()))?;
     file.flush().map_err(failed)?;
     Ok(())
 }
@@ -250,7 +273,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let mut splats = Splats::with_capacity(1, 0);
         splats.push([0.0; 3], [1.0, 0.0, 0.0, 0.0], [0.0; 3], 1.0, &[0.5; 3]);
-        ply::write(&folder.path().join("model.ply"), &splats).unwrap();
+        ply::write(&folder.path().join("model.ply"), &splats, &LocalFrame::WORLD).unwrap();
         let camera = Camera {
             cam_from_world: Pose::look_at(DVec3::Z, DVec3::ZERO, DVec3::Y),
             focal_px: DVec2::splat(10.0),
@@ -260,7 +283,9 @@ mod tests {
         let load = |second: Camera| {
             let text = serde_json::to_vec(&[camera, second]).unwrap();
             std::fs::write(folder.path().join("cameras.json"), text).unwrap();
-            Folders(&[folder.path().to_owned()]).load(0).map_err(|error| error.to_string())
+            let folders = [folder.path().to_owned()];
+            let opened = Folders::open(&folders).map_err(|error| error.to_string())?;
+            opened.load(0).map_err(|error| error.to_string())
         };
         assert!(load(camera).is_ok_and(|model| model.cameras.len() == 2));
         for blind in [

@@ -12,7 +12,7 @@ use cosurf_aggregator::evaluate::model_path;
 use cosurf_aggregator::mesh::{FuseSettings, Fused, mesh_model};
 use cosurf_contract::counted;
 use cosurf_scene::bytes::{format_bytes, parse_bytes};
-use cosurf_scene::{Dataset, ply};
+use cosurf_scene::{Dataset, LocalFrame, ply};
 
 use super::arguments::parse_length;
 use super::host::display;
@@ -49,9 +49,12 @@ pub(crate) fn run(args: &MeshArgs) -> Result<()> {
     if !matches!(args.out.extension().and_then(|e| e.to_str()), Some("ply" | "glb")) {
         bail!("{}: name a file that ends in .ply or .glb", args.out.display());
     }
-    let splats = ply::read(&model_path(&args.model)?)?;
-    let cameras = Dataset::cameras(&args.cameras)?;
-    let settings = FuseSettings { voxel_m: args.voxel, memory_bytes: args.memory };
+    let mut cameras = Dataset::cameras(&args.cameras)?;
+    let frame = LocalFrame::of(cameras.iter());
+    cameras.iter_mut().for_each(|camera| *camera = frame.local_camera(camera));
+    let splats = ply::read(&model_path(&args.model)?, &frame)?;
+    let voxel_m = args.voxel.map(|voxel_m| voxel_m / frame.unit());
+    let settings = FuseSettings { voxel_m, memory_bytes: args.memory };
     let threads = available_parallelism().map_or(1, usize::from);
     let begun = Instant::now();
     let mut meter = Meter::new(display(args.json));
@@ -59,6 +62,7 @@ pub(crate) fn run(args: &MeshArgs) -> Result<()> {
         meter.show_fusion(event, begun.elapsed().as_secs_f64());
     })?;
     meter.finish();
+    let fused = fused.out_of_frame(&frame);
     fused.mesh.write(&args.out)?;
     print(args, &fused, begun.elapsed().as_secs_f64())
 }

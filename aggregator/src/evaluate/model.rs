@@ -3,7 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
-use cosurf_scene::{Dataset, SceneError, View, ply};
+use cosurf_scene::{Dataset, LocalFrame, SceneError, View, ply};
 use serde::{Deserialize, Serialize};
 use tracing::info_span;
 
@@ -81,9 +81,12 @@ pub enum EvalError {
 /// Scores the model on every held-out view.
 pub fn evaluate_model(order: &EvalOrder) -> Result<EvalReport, EvalError> {
     let _span = info_span!("evaluate").entered();
-    let splats = ply::read(&model_path(&order.model)?)?;
     let dataset = Dataset::open(&order.data)?;
-    let yardsticks = Yardsticks::read(&order.data, order.lpips.as_deref(), order.truth.as_deref())?;
+    let frame = LocalFrame::of(dataset.cameras_of_views());
+    let dataset = dataset.into_frame(&frame);
+    let splats = ply::read(&model_path(&order.model)?, &frame)?;
+    let (lpips, truth) = (order.lpips.as_deref(), order.truth.as_deref());
+    let yardsticks = Yardsticks::read(&order.data, lpips, truth, &frame)?;
     let mut judge = Judge::new(&splats, order.max_size_px, order.threads, &yardsticks);
     let (_, held_out) = dataset.split(order.eval_every);
     let score = |view: &View| Ok(ViewQuality { name: view.name.clone(), quality: judge.quality(view)? });
@@ -153,7 +156,7 @@ mod tests {
         let dataset = City::build(&settings).unwrap().write(folder, |_, _| ()).unwrap();
         let (points, extent) = (&dataset.points, dataset.extent());
         let splats = splats_from_points(points, extent, points.len(), 0, Form::Round);
-        ply::write(&folder.join("model.ply"), &splats).unwrap();
+        ply::write(&folder.join("model.ply"), &splats, &LocalFrame::WORLD).unwrap();
         EvalOrder {
             model: folder.into(),
             data: folder.into(),

@@ -4,7 +4,7 @@
 use std::path::Path;
 
 use cosurf_scene::raycast::TRIANGLES_MAX;
-use cosurf_scene::{Caster, Mesh, SceneError};
+use cosurf_scene::{Caster, LocalFrame, Mesh, SceneError};
 use serde::{Deserialize, Serialize};
 
 use super::lpips::{LpipsError, LpipsPair, LpipsScore};
@@ -61,21 +61,23 @@ pub(crate) struct Yardsticks {
 
 impl Yardsticks {
     /// Reads the LPIPS weights from the folder `lpips`, and the true surface from the mesh `truth`. Without `truth`,
-    /// reads the mesh of the dataset `data`, if it has one.
+    /// reads the mesh of the dataset `data`, if it has one. The surface is in `frame`.
     pub(crate) fn read(
         data: &Path,
         lpips: Option<&Path>,
         truth: Option<&Path>,
+        frame: &LocalFrame,
     ) -> Result<Self, YardstickError> {
         let folder = if data.is_file() { data.parent().unwrap_or(data) } else { data };
         let own = folder.join(TRUE_MESH);
         let truth = truth.or_else(|| own.is_file().then_some(own.as_path()));
-        Ok(Self { lpips: lpips.map(LpipsPair::read).transpose()?, truth: truth.map(read_truth).transpose()? })
+        let truth = truth.map(|truth| read_truth(truth, frame)).transpose()?;
+        Ok(Self { lpips: lpips.map(LpipsPair::read).transpose()?, truth })
     }
 }
 
-fn read_truth(path: &Path) -> Result<Caster, SceneError> {
-    let mesh = Mesh::read(path)?;
+fn read_truth(path: &Path, frame: &LocalFrame) -> Result<Caster, SceneError> {
+    let mesh = Mesh::read(path)?.into_frame(frame);
     match mesh.triangles.len() {
         0 => Err(SceneError::malformed(path, "has no triangles; the true surface must be a mesh")),
         count if count > TRIANGLES_MAX => {
@@ -108,8 +110,10 @@ mod tests {
     #[test]
     fn a_true_mesh_is_found_beside_the_data_or_where_it_is_named() {
         let folder = tempfile::tempdir().unwrap();
-        let read =
-            |truth| Yardsticks::read(folder.path(), None, truth).map(|yardsticks| yardsticks.truth.is_some());
+        let read = |truth| {
+            Yardsticks::read(folder.path(), None, truth, &LocalFrame::WORLD)
+                .map(|yardsticks| yardsticks.truth.is_some())
+        };
         assert!(!read(None).unwrap());
         let positions = vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
         let mesh = Mesh { positions, triangles: vec![[0, 1, 2]], ..Mesh::default() };
@@ -121,7 +125,9 @@ mod tests {
         let error = read(Some(&points)).unwrap_err().to_string();
         assert!(error.contains("points.ply") && error.contains("no triangles"), "{error}");
         assert!(read(Some(&folder.path().join("none.ply"))).is_err());
-        let error = Yardsticks::read(folder.path(), Some(folder.path()), None).unwrap_err().to_string();
+        let weights = Some(folder.path());
+        let error =
+            Yardsticks::read(folder.path(), weights, None, &LocalFrame::WORLD).unwrap_err().to_string();
         assert!(error.contains("vgg.safetensors") && error.lines().count() == 1, "{error}");
     }
 }

@@ -3,7 +3,7 @@
 
 use cosurf_link::Model;
 use cosurf_scene::splats::SH_C0;
-use cosurf_scene::{Camera, Pose, Splats};
+use cosurf_scene::{Camera, LocalFrame, Pose, Splats};
 use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
@@ -40,6 +40,26 @@ impl Similarity {
             rotation: (self.rotation * first.rotation).normalize(),
             translation: self.apply(first.translation),
         }
+    }
+
+    /// The similarity of the world that moves as this one moves in a frame.
+    pub(crate) fn world_from_frame(&self, frame: &LocalFrame) -> Self {
+        if *frame == LocalFrame::WORLD {
+            return *self;
+        }
+        let origin = frame.origin();
+        let turned = self.scale * (self.rotation * origin);
+        Self { translation: origin - turned + frame.unit() * self.translation, ..*self }
+    }
+
+    /// The similarity that moves in a frame as this one moves in the world.
+    pub(crate) fn frame_from_world(&self, frame: &LocalFrame) -> Self {
+        if *frame == LocalFrame::WORLD {
+            return *self;
+        }
+        let origin = frame.origin();
+        let turned = self.scale * (self.rotation * origin);
+        Self { translation: (self.translation - origin + turned) / frame.unit(), ..*self }
     }
 
     /// Moves a camera along with a model. The moved camera gives the same picture of the moved model, with depths

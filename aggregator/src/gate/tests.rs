@@ -6,7 +6,7 @@ use std::f64::consts::FRAC_PI_2;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use cosurf_scene::Splats;
+use cosurf_scene::{LocalFrame, Splats};
 use cosurf_tests::dice::Dice;
 use glam::{DQuat, DVec3};
 
@@ -217,7 +217,7 @@ fn fault_07_poisoned_models() {
 pub(crate) fn trained() -> Vec<(String, Vec<Model>)> {
     let load = |folder: PathBuf| {
         let cameras = fs::read(folder.join("cameras.json")).unwrap();
-        let splats = cosurf_scene::ply::read(&folder.join("model.ply")).unwrap();
+        let splats = cosurf_scene::ply::read(&folder.join("model.ply"), &LocalFrame::WORLD).unwrap();
         Model { splats, cameras: serde_json::from_slice(&cameras).unwrap() }
     };
     let missions = std::env::var("MISSIONS").unwrap();

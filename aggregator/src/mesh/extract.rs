@@ -94,9 +94,9 @@ pub(super) fn extract(volume: &Volume, layout: &Layout) -> Mesh {
     let vertices = layout.vertices as usize;
     let mut mesh = Mesh {
         positions: vec![[0.0; 3]; vertices],
-        normals: Vec::new(),
         rgb: vec![[0; 3]; vertices],
         triangles: vec![[0; 3]; layout.triangles as usize],
+        ..Mesh::default()
     };
     let firsts = |of: fn(&BlockLayout) -> u32| layout.blocks.iter().map(move |block| of(block) as usize);
     let positions = split(&mut mesh.positions, firsts(|block| block.first_vertex));

@@ -1,7 +1,7 @@
 //! The fusion: runs its stages, and repeats them with larger voxels until the mesh fits into the memory.
 
 use cosurf_engine::Rendering;
-use cosurf_scene::{Camera, Mesh};
+use cosurf_scene::{Camera, LocalFrame, Mesh};
 use tracing::debug_span;
 
 use super::budget::VolumeBudget;
@@ -40,6 +40,15 @@ pub struct Fused {
     pub blocks: usize,
     /// Largest number of bytes that the volume and the mesh took together.
     pub peak_bytes: u64,
+}
+
+impl Fused {
+    /// Maps a surface that was fused in a local frame into the world.
+    pub fn out_of_frame(self, frame: &LocalFrame) -> Self {
+        let unit = frame.unit();
+        let (voxel_m, pixel_m) = (self.voxel_m * unit, self.pixel_m * unit);
+        Self { mesh: self.mesh.out_of_frame(frame), voxel_m, pixel_m, ..self }
+    }
 }
 
 /// Fuses the renderings that `render` returns for the cameras into a mesh. The fusion skips these pixels:

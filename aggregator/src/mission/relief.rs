@@ -3,9 +3,9 @@
 
 use std::path::Path;
 
-use cosurf_scene::{Camera, Caster, Mesh, SceneError, Splats};
+use cosurf_scene::{Camera, Caster, LocalFrame, SceneError, Splats};
 
-use crate::mesh::{FuseEvent, FuseSettings, MeshError, mesh_model};
+use crate::mesh::{FuseEvent, FuseSettings, Fused, MeshError, mesh_model};
 use crate::report::MeshSummary;
 
 /// Memory limit of making the mesh, bytes. If it is too small, pictures shrink and voxels become larger.
@@ -13,17 +13,18 @@ const MEMORY_BYTES: u64 = 2 << 30;
 
 /// The mesh of a mission.
 pub(crate) enum Relief {
-    /// The mesh was made.
+    /// The mesh was made. The caster is in the frame.
     Made { summary: MeshSummary, caster: Caster },
     /// No mesh could be made; the mission goes on without one.
     Missing(MeshError),
 }
 
-/// Makes the mesh and writes it to `file`. The long side of the renderings is at most `max_size_px`. Rendering uses
+/// Makes the mesh of splats and cameras that are in `frame`, and writes it to `file`, in the world. The long side of the renderings is at most `max_size_px`. Rendering uses
 /// `threads` (at least 1) threads.
 pub(crate) fn relief(
     splats: Splats,
     cameras: &[Camera],
+    frame: &LocalFrame,
     max_size_px: Option<u32>,
     threads: usize,
     file: &Path,
@@ -34,8 +35,8 @@ pub(crate) fn relief(
         Ok(fused) => fused,
         Err(error) => return Ok(Relief::Missing(error)),
     };
-    fused.mesh.write(file)?;
-    let Mesh { triangles, .. } = &fused.mesh;
-    let summary = MeshSummary { triangles: triangles.len(), voxel_m: fused.voxel_m };
-    Ok(Relief::Made { summary, caster: Caster::new(&fused.mesh) })
+    let caster = Caster::new(&fused.mesh);
+    let Fused { mesh, voxel_m, .. } = fused.out_of_frame(frame);
+    mesh.write(file)?;
+    Ok(Relief::Made { summary: MeshSummary { triangles: mesh.triangles.len(), voxel_m }, caster })
 }

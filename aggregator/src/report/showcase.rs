@@ -31,11 +31,17 @@ pub(crate) struct Showcase {
 }
 
 impl Showcase {
-    pub(crate) fn new(name: &str, quality: Quality, comparison: Comparison, mesh: Option<Cast>) -> Self {
+    pub(crate) fn new(
+        name: &str,
+        quality: Quality,
+        comparison: Comparison,
+        mesh: Option<Cast>,
+        unit: f64,
+    ) -> Self {
         let Comparison { photograph, rendering, truth, .. } = comparison;
         let size_px = rendering.size_px;
-        let range_m = colormap::depth_range(truth.as_ref().map_or(&rendering.depth, |truth| &truth.depth));
-        let [near_m, far_m] = range_m;
+        let range = colormap::depth_range(truth.as_ref().map_or(&rendering.depth, |truth| &truth.depth));
+        let [near_m, far_m] = range.map(|depth| depth * unit as f32);
         let captioned = |caption: String, picture| Captioned { caption, picture };
         let color_error = color_error(&photograph, &rendering.rgb);
         let mut pictures = vec![
@@ -44,7 +50,7 @@ impl Showcase {
             captioned(format!("colour error, 0 to {COLOR_BRIGHT_PERCENT} % (bright)"), color_error),
             captioned(
                 format!("depth, {near_m:.1} (bright) to {far_m:.1} m"),
-                colormap::depth_picture(&rendering.depth, size_px, range_m),
+                colormap::depth_picture(&rendering.depth, size_px, range),
             ),
         ];
         pictures.push(captioned("normal".into(), colormap::normal_picture(&rendering.normal, size_px)));
@@ -68,17 +74,18 @@ impl Showcase {
 }
 
 /// Returns the showcases of a few of `views`, the best view first. `qualities` are the figures of all `views`,
-/// in their order.
+/// in their order; `unit` is the length of the judge's unit, metres.
 pub(crate) fn showcases(
     judge: &mut Judge,
     views: &[&View],
     qualities: &[Quality],
     mesh: Option<&Caster>,
+    unit: f64,
 ) -> Result<Vec<Showcase>, SceneError> {
     let show = |i: usize| {
         let comparison = judge.compare(views[i])?;
         let mesh = mesh.map(|mesh| mesh.cast(&comparison.camera));
-        Ok(Showcase::new(&views[i].name, qualities[i], comparison, mesh))
+        Ok(Showcase::new(&views[i].name, qualities[i], comparison, mesh, unit))
     };
     spread(qualities).into_iter().map(show).collect()
 }
@@ -129,7 +136,7 @@ mod tests {
         let comparison =
             Comparison { camera, photograph: Picture::new([2, 1], vec![9; 6]), rendering, truth };
         let quality = Quality { psnr: 20.0, ssim: 0.5, lpips: None, surface: None };
-        let Showcase { pictures, .. } = Showcase::new("view", quality, comparison, mesh);
+        let Showcase { pictures, .. } = Showcase::new("view", quality, comparison, mesh, 1.0);
         assert!(pictures.iter().all(|captioned| captioned.picture.size_px == [2, 1]));
         pictures.into_iter().map(|captioned| captioned.caption).collect()
     }

@@ -12,6 +12,7 @@ use std::sync::mpsc::Receiver;
 use std::time::Duration;
 
 use cosurf_link::{Manifest, ModelKey, ModelStore, Receiver as Listed, TileEntry, body_to_model};
+use cosurf_scene::LocalFrame;
 use cosurf_wire::body::Bounds;
 use cosurf_wire::{DeviceId, ModelHeader, ModelId, ModelKind};
 
@@ -138,12 +139,15 @@ impl Above {
             above,
             is_answer,
             tiles: Vec::new(),
+            frame: LocalFrame::WORLD,
             left: VecDeque::new(),
             receivers: BTreeMap::new(),
         };
         if above.kind == ModelKind::Manifest {
             let (_, body) = self.link.store.get(above.into())?;
-            handing_on.tiles = Manifest::decode(&body)?.of(self.link.device).copied().collect();
+            let manifest = Manifest::decode(&body)?;
+            handing_on.tiles = manifest.of(self.link.device).copied().collect();
+            handing_on.frame = LocalFrame::at(manifest.origin);
             handing_on.receivers = others.iter().map(|device| (*device, Vec::new())).collect();
             handing_on.left = devices.into_iter().map(|header| Place::of(header, record)).collect();
         }
@@ -156,7 +160,7 @@ impl Above {
     pub(super) fn advance(&mut self, models: &ModelStore) -> Result<bool, ServiceError> {
         let Some(handing_on) = &mut self.handing_on else { return Ok(false) };
         let Some(place) = handing_on.left.pop_front() else { return Ok(true) };
-        let tiles = place.tiles(models, &handing_on.tiles)?;
+        let tiles = place.tiles(models, &handing_on.tiles, &handing_on.frame)?;
         handing_on.receivers.insert(place.header.device, tiles);
         Ok(false)
     }
@@ -178,18 +182,19 @@ impl Above {
         own: Option<ModelId>,
         next: ModelId,
     ) -> Result<bool, ServiceError> {
-        let Some(HandingOn { above, is_answer, tiles, receivers, .. }) = self.handing_on.take() else {
+        let Some(HandingOn { above, is_answer, tiles, frame, receivers, .. }) = self.handing_on.take() else {
             return Ok(false);
         };
         let beyond = own.filter(|_| is_answer);
         let revision = Revision { device, number: next, views: above.views, beyond };
+        let origin = frame.origin();
         let AboveLink { store, .. } = &self.link;
         let is_new = match above.kind {
             ModelKind::Manifest => {
                 let key = |tile: &TileEntry| ModelKey { device: above.device, model: tile.model };
                 let bytes = tiles.iter().map(|tile| TileBytes::In(store, key(tile), tile.blake3)).collect();
                 let listed = receivers.into_iter().map(|(device, tiles)| Listed { device, tiles });
-                handed.keep_tiles(revision, bytes, listed.collect())?
+                handed.keep_tiles(revision, bytes, listed.collect(), origin)?
             }
             _ => handed.keep_whole(revision, store.get(above.into())?.1)?,
         };
@@ -208,11 +213,13 @@ struct HandingOn {
     is_answer: bool,
     /// The edge's tiles; none if the model came whole.
     tiles: Vec<TileEntry>,
+    /// The frame of the tiles.
+    frame: LocalFrame,
     left: VecDeque<Place>,
     receivers: BTreeMap<DeviceId, Vec<u32>>,
 }
 
-/// Where the model of a device lies in the frame of the edge's own global model.
+/// How the model of a device was moved for the edge's own global model.
 #[derive(Debug)]
 struct Place {
     header: ModelHeader,
@@ -234,13 +241,19 @@ impl Place {
         Self { header, by, is_kept_out }
     }
 
-    /// The tiles in which the device has ground. None if its model was kept out of the last merge: its place is doubtful.
-    fn tiles(&self, models: &ModelStore, tiles: &[TileEntry]) -> Result<Vec<u32>, ServiceError> {
+    /// The tiles, which are in `frame`, in which the device has ground. None if its model was kept out of the last merge: its place is doubtful.
+    fn tiles(
+        &self,
+        models: &ModelStore,
+        tiles: &[TileEntry],
+        frame: &LocalFrame,
+    ) -> Result<Vec<u32>, ServiceError> {
         if self.is_kept_out {
             return Ok(Vec::new());
         }
-        let model = body_to_model(&models.get(self.header.into())?.1)?;
-        let means = self.by.map_or_else(|| model.splats.means.clone(), |by| by.model(&model).splats.means);
+        let model = body_to_model(&models.get(self.header.into())?.1, frame)?;
+        let moved = self.by.map(|by| by.frame_from_world(frame).model(&model));
+        let means = moved.unwrap_or(model).splats.means;
         let sizes: Vec<usize> = tiles.iter().map(|tile| tile.splats as usize).collect();
         Ok(observed(&sizes, &means, |mean| nearest(tiles, mean)))
     }

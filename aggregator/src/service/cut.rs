@@ -2,7 +2,7 @@
 //! ground that the device observed.
 
 use cosurf_link::{FirstLayer, Model, model_to_body};
-use cosurf_scene::Splats;
+use cosurf_scene::{LocalFrame, Splats};
 use cosurf_wire::DeviceId;
 use tracing::debug_span;
 
@@ -28,10 +28,11 @@ pub(super) struct Cut {
 }
 
 impl Cut {
-    /// Cuts a model with more than `whole_max` splats into tiles. `locals` has the splats of each device's model, where they
+    /// Cuts a model, which is in `frame`, with more than `whole_max` splats into tiles. `locals` has the splats of each device's model, where they
     /// were merged.
     pub(super) fn of(
         model: &Model,
+        frame: &LocalFrame,
         whole_max: usize,
         locals: impl Iterator<Item = Result<(DeviceId, Splats), MergeError>>,
         threads: usize,
@@ -50,7 +51,7 @@ impl Cut {
             let importance: Vec<f32> = its.iter().map(|i| importance[*i]).collect();
             let mut splats = Splats::with_capacity(its.len(), model.splats.sh_degree);
             its.iter().for_each(|i| splats.push_from(&model.splats, *i));
-            Ok(model_to_body(&splats, &[], FirstLayer::ByImportance(&importance))?)
+            Ok(model_to_body(&splats, &[], frame, FirstLayer::ByImportance(&importance))?)
         };
         let bodies = members.iter().map(encode).collect::<Result<_, MergeError>>()?;
         let sizes: Vec<usize> = members.iter().map(Vec::len).collect();

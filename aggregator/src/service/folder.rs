@@ -7,21 +7,21 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use cosurf_link::{Model, ModelKey, ModelStore, body_to_model};
-use cosurf_scene::SceneError;
+use cosurf_scene::{LocalFrame, SceneError};
 use cosurf_wire::{DeviceId, ModelHeader};
 
 use super::error::ServiceError;
 use crate::merge::concatenate;
 
-/// Joins the newest models of all devices in the folders of services, without merging them.
-pub(crate) fn joined(folders: &[PathBuf]) -> Result<Model, ServiceError> {
+/// Joins the newest models of all devices in the folders of services, without merging them. The result is in `frame`.
+pub(crate) fn joined(folders: &[PathBuf], frame: &LocalFrame) -> Result<Model, ServiceError> {
     let mut parts = Vec::new();
     for folder in folders {
         let (models, headers) = ModelStore::open(&folder.join("models"))?;
         let newest: BTreeMap<DeviceId, ModelHeader> =
             headers.into_iter().map(|header| (header.device, header)).collect();
         for header in newest.values() {
-            parts.push(body_to_model(&models.get(ModelKey::from(header))?.1)?);
+            parts.push(body_to_model(&models.get(ModelKey::from(header))?.1, frame)?);
         }
     }
     Ok(concatenate(&parts))

@@ -7,8 +7,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, Receiver, Sender};
 use std::thread::{self, JoinHandle};
 
-use cosurf_link::{Model, ModelKey, ModelStore, body_to_model};
-use cosurf_scene::evenly_spaced;
+use cosurf_link::{Model, ModelKey, ModelStore, body_to_model, scene_frame};
+use cosurf_scene::{LocalFrame, evenly_spaced};
 use cosurf_wire::{ModelHeader, ModelKind};
 use tracing::info_span;
 
@@ -72,6 +72,8 @@ impl TileWork {
 /// What a round merges, and with what.
 struct Round {
     parts: Stored,
+    /// The frame of the site, which the merge computes in.
+    frame: LocalFrame,
     settings: MergeSettings,
     scratch: PathBuf,
     work: TileWork,
@@ -94,12 +96,12 @@ enum Attempt {
 impl Round {
     /// Merges `stored`, then adds the parts.
     fn attempt(&self, stored: &Stored) -> Result<Attempt, MergeError> {
-        let Self { parts, settings, scratch, work, threads, say, say_trouble, stop } = self;
+        let Self { parts, frame, settings, scratch, work, threads, say, say_trouble, stop } = self;
         let threads = *threads;
         let is_stopped = || stop.load(Ordering::Relaxed);
         let admitted =
             admit(stored, settings.into(), Workspace::of(settings, scratch, threads), &is_stopped)?;
-        let mut verdict = Verdict::of(&admitted, &stored.headers);
+        let mut verdict = Verdict::of(&admitted, &stored.headers, frame);
         if admitted.count() == 0 {
             return Ok(Attempt::Over(Box::new(Outcome { made: None, verdict })));
         }
@@ -122,16 +124,16 @@ impl Round {
                 parts.fill_into(merged.model, i, settings, resources, &is_stopped, &mut verdict)?;
         }
         merged.summary.splats = merged.model.splats.len();
-        let body = packed(&merged.model, threads, &is_stopped)?;
+        let body = packed(&merged.model, frame, threads, &is_stopped)?;
         let cut = (merged.model.splats.len() > work.whole_splats_max).then(|| {
             let local = |place: usize| {
                 let device = stored.headers[admitted.place(place).local].device;
                 Ok((device, admitted.load(place)?.splats))
             };
             let locals = (0..admitted.count()).map(local);
-            Cut::of(&merged.model, work.whole_splats_max, locals, threads, &is_stopped)
+            Cut::of(&merged.model, frame, work.whole_splats_max, locals, threads, &is_stopped)
         });
-        let made = Some(Made { merged, body, cut: cut.transpose()? });
+        let made = Some(Made { merged, frame: *frame, body, cut: cut.transpose()? });
         Ok(Attempt::Over(Box::new(Outcome { made, verdict })))
     }
 }
@@ -147,6 +149,8 @@ pub(super) struct Outcome {
 /// A global model, encoded.
 pub(super) struct Made {
     pub(super) merged: Merged,
+    /// The frame of the merged model.
+    pub(super) frame: LocalFrame,
     pub(super) body: Vec<u8>,
     /// The model in tiles, if it is too large to be sent whole.
     pub(super) cut: Option<Cut>,
@@ -168,6 +172,8 @@ pub(super) enum JobState {
 struct Stored {
     models: ModelStore,
     headers: Vec<ModelHeader>,
+    /// The frame that they are loaded into.
+    frame: LocalFrame,
     watch: Option<Arc<Watch>>,
 }
 
@@ -175,9 +181,19 @@ impl Stored {
     /// Returns the models to merge, and the parts to add to the merged model. If no model has arrived completely, the
     /// parts are merged with each other.
     fn of(stores: Stores, inputs: Inputs, watch: Option<Arc<Watch>>) -> (Self, Self) {
-        let whole = Self { models: stores.whole, headers: inputs.whole, watch: watch.clone() };
-        let parts = Self { models: stores.parts, headers: inputs.parts, watch };
+        let frame = LocalFrame::WORLD;
+        let whole = Self { models: stores.whole, headers: inputs.whole, frame, watch: watch.clone() };
+        let parts = Self { models: stores.parts, headers: inputs.parts, frame, watch };
         if whole.headers.is_empty() { (parts, whole) } else { (whole, parts) }
+    }
+
+    /// The frame that suits each model.
+    fn frames(&self) -> Result<Vec<LocalFrame>, MergeError> {
+        let frame = |header| {
+            Watch::reads(self.watch.as_ref(), header);
+            Ok(scene_frame(&self.models.get(ModelKey::from(header))?.1)?)
+        };
+        self.headers.iter().map(frame).collect()
     }
 
     /// Leaves out the models at these indices, because merging their pictures takes too much memory.
@@ -210,7 +226,7 @@ impl Stored {
         let is_compressed = self.is_compressed(index);
         match admit_part(&merged, &part, is_compressed, settings.into(), workspace, is_stopped)? {
             Ok(place) => {
-                verdict.fitted.extend(Fitted::of(header.device.as_str(), place));
+                verdict.fitted.extend(Fitted::of(header.device.as_str(), place, &self.frame));
                 let moved = place.by.map(|by| by.by.model(&part));
                 Ok(fill_in(merged, moved.as_ref().unwrap_or(&part)))
             }
@@ -231,7 +247,7 @@ impl Locals for Stored {
     fn load(&self, index: usize) -> Result<Model, MergeError> {
         Watch::reads(self.watch.as_ref(), &self.headers[index]);
         let (_, body) = self.models.get(ModelKey::from(&self.headers[index]))?;
-        let Model { splats, cameras } = body_to_model(&body)?;
+        let Model { splats, cameras } = body_to_model(&body, &self.frame)?;
         Ok(Model { splats, cameras: evenly_spaced(&cameras, CAMERAS_MAX) })
     }
 
@@ -254,10 +270,14 @@ impl Job {
         let stop = Arc::new(AtomicBool::new(false));
         let (say, progress) = mpsc::channel();
         let (say_trouble, troubles) = mpsc::channel();
-        let (mut stored, parts) = Stored::of(stores, inputs.clone(), watch);
-        let round = Round { parts, settings, scratch, work, threads, say, say_trouble, stop: stop.clone() };
+        let (mut stored, mut parts) = Stored::of(stores, inputs.clone(), watch);
+        let stop_of_round = stop.clone();
         let thread = thread::spawn(move || {
-            let _span = info_span!("round", models = stored.count(), parts = round.parts.count()).entered();
+            let _span = info_span!("round", models = stored.count(), parts = parts.count()).entered();
+            let frame = LocalFrame::most_common(&[stored.frames()?, parts.frames()?].concat());
+            (stored.frame, parts.frame) = (frame, frame);
+            let stop = stop_of_round;
+            let round = Round { parts, frame, settings, scratch, work, threads, say, say_trouble, stop };
             let mut left_out = Vec::new();
             loop {
                 match round.attempt(&stored)? {

@@ -503,7 +503,7 @@ impl Keeper {
     /// bytes are those of the newest revision, that revision stays.
     fn keep(
         &mut self,
-        Made { merged, body, cut }: Made,
+        Made { merged, frame, body, cut }: Made,
         inputs: &Inputs,
         Verdict { kept_out, fitted, fits }: Verdict,
         seconds: f64,
@@ -522,7 +522,7 @@ impl Keeper {
             }
         }
         self.global = Some(offer.header);
-        ply::write(&global_ply(&self.folder), &model.splats)?;
+        ply::write(&global_ply(&self.folder), &model.splats, &frame)?;
         let ply_blake3 = Some(file_hash(&global_ply(&self.folder))?);
         let (revision, inputs) = (offer.header.model.0, recorded(inputs));
         let settings = self.merge;
@@ -535,7 +535,8 @@ impl Keeper {
                 listed.extend(receivers);
                 let listed = listed.into_iter().map(|(device, tiles)| Listed { device, tiles }).collect();
                 let revision = Revision { device: self.device, number: next, views, beyond: None };
-                self.sent.keep_tiles(revision, bodies.into_iter().map(TileBytes::Here).collect(), listed)?;
+                let bodies = bodies.into_iter().map(TileBytes::Here).collect();
+                self.sent.keep_tiles(revision, bodies, listed, frame.origin())?;
             }
             None => self.sent.clear()?,
         }

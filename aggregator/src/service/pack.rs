@@ -5,7 +5,7 @@
 
 use cosurf_engine::Renderer;
 use cosurf_link::{FirstLayer, Model, model_to_body, plain_importance};
-use cosurf_scene::{Camera, evenly_spaced};
+use cosurf_scene::{Camera, LocalFrame, evenly_spaced};
 use tracing::debug_span;
 
 use crate::merge::MergeError;
@@ -15,15 +15,17 @@ const VIEWS_MAX: usize = 1024;
 /// Longest side of their pictures, px. Larger pictures are made smaller.
 const SIDE_MAX_PX: u32 = 1024;
 
-/// Encodes a global model as a body, unless `is_stopped`.
+/// Encodes a global model, which is in `frame`, as a body, unless `is_stopped`.
 pub(crate) fn packed(
     model: &Model,
+    frame: &LocalFrame,
     threads: usize,
     is_stopped: &dyn Fn() -> bool,
 ) -> Result<Vec<u8>, MergeError> {
     let _span = debug_span!("pack", splats = model.splats.len()).entered();
     let importance = importance(model, threads, is_stopped)?;
-    Ok(model_to_body(&model.splats, &model.cameras, FirstLayer::ByImportance(&importance))?)
+    let first = FirstLayer::ByImportance(&importance);
+    Ok(model_to_body(&model.splats, &model.cameras, frame, first)?)
 }
 
 /// The importance of each splat to the model's cameras; without cameras, [`plain_importance`].
@@ -57,8 +59,9 @@ mod tests {
         let seen = Model { splats: ground(-2.0, 2.0), cameras: vec![above(0.0)] };
         let mut unseen = Model { splats: ground(60.0, 64.0), cameras: Vec::new() };
         unseen.splats.log_scales.iter_mut().flatten().for_each(|log_scale| *log_scale += 1.0);
-        let body = packed(&concatenate(&[unseen, seen]), 1, &|| false).unwrap();
-        let part = part_to_model(&body, |range| range.end <= body.len() / 2).unwrap().unwrap();
+        let body = packed(&concatenate(&[unseen, seen]), &LocalFrame::WORLD, 1, &|| false).unwrap();
+        let part =
+            part_to_model(&body, |range| range.end <= body.len() / 2, &LocalFrame::WORLD).unwrap().unwrap();
         assert!(!part.splats.is_empty());
         assert!(
             part.splats.means.iter().all(|mean| mean[0] < 30.0),
@@ -76,7 +79,7 @@ mod tests {
             asked.set(asked.get() + 1);
             asked.get() > 3
         };
-        assert!(matches!(packed(&model, 1, &is_stopped), Err(MergeError::GivenUp)));
+        assert!(matches!(packed(&model, &LocalFrame::WORLD, 1, &is_stopped), Err(MergeError::GivenUp)));
         assert_eq!(asked.get(), 4, "it is asked before each camera");
         assert_eq!(evenly_spaced(&model.cameras, VIEWS_MAX).len(), VIEWS_MAX);
         let few = Model { cameras: vec![huge; 2], ..model };

@@ -3,7 +3,9 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use cosurf_link::{Damaged, ModelStore, Node, Offer, StoreError};
+use cosurf_link::{
+    Damaged, FirstLayer, ModelStore, Node, Offer, StoreError, model_to_body, plain_importance,
+};
 use cosurf_wire::{DeviceId, ModelHeader, ModelId};
 
 use super::error::ServiceError;
@@ -42,9 +44,12 @@ impl Parts {
         let ModelHeader { device, model, kind, views, frame, .. } = *unfinished;
         let before = self.headers.get(&device).copied();
         let is_more = |splats: usize| before.is_none_or(|before| splats > before.splats as usize);
-        let part = node.part(unfinished.into()).filter(|part| is_more(part.splats.len()));
-        let Some(part) = part else { return Ok(None) };
-        let mut offer = Offer::new(device, model, kind, views, &part.splats, &part.cameras)?;
+        let part = node.part(unfinished.into()).filter(|(_, part)| is_more(part.splats.len()));
+        let Some((its_frame, part)) = part else { return Ok(None) };
+        let importance = plain_importance(&part.splats);
+        let first = FirstLayer::ByImportance(&importance);
+        let body = model_to_body(&part.splats, &part.cameras, &its_frame, first)?;
+        let mut offer = Offer::from_body(device, model, kind, views, body)?;
         offer.header.frame = frame;
         self.store.put(&offer.header, &offer.body)?;
         self.headers.insert(device, offer.header);

@@ -5,7 +5,7 @@ use std::fs;
 use std::io;
 use std::path::Path;
 
-use cosurf_scene::{SceneError, atomic, files};
+use cosurf_scene::{LocalFrame, SceneError, atomic, files};
 use cosurf_wire::{DeviceId, ModelHeader};
 use serde::{Deserialize, Serialize};
 
@@ -91,13 +91,13 @@ pub(super) struct Verdict {
 }
 
 impl Verdict {
-    /// `headers` are those of the models that were judged, in their order.
-    pub(super) fn of(admitted: &Admitted, headers: &[ModelHeader]) -> Self {
+    /// `headers` are those of the models that were judged, in their order, and `frame` the frame that they were judged in.
+    pub(super) fn of(admitted: &Admitted, headers: &[ModelHeader], frame: &LocalFrame) -> Self {
         let names: Vec<String> = headers.iter().map(|header| header.device.to_string()).collect();
         let kept_out =
             admitted.kept_out(&names).map(|(i, reason)| KeptOut::new(&headers[i], reason)).collect();
         let places = (0..admitted.count()).map(|place| admitted.place(place));
-        let fitted = places.filter_map(|place| Fitted::of(&names[place.local], place)).collect();
+        let fitted = places.filter_map(|place| Fitted::of(&names[place.local], place, frame)).collect();
         let fits = admitted.fits().iter().map(|fit| FitRecord::of(&names, fit)).collect();
         Self { kept_out, fitted, fits }
     }
@@ -136,7 +136,7 @@ impl FitRecord {
 pub struct Fitted {
     /// The device that sent the model.
     pub device: String,
-    /// Transformation from the model's own frame to that of the others; `None` if the model was not moved.
+    /// Transformation of the world that moves the model to where the others are; `None` if the model was not moved.
     pub by: Option<Similarity>,
     /// How far the ground that the model shares with others was moved: root mean square, world units; `None` if the
     /// model was not moved, and in records of version 0.1.
@@ -162,13 +162,13 @@ fn is_false(value: &bool) -> bool {
 }
 
 impl Fitted {
-    /// `None` if there is nothing to tell.
-    pub fn of(device: &str, place: Place) -> Option<Self> {
+    /// `None` if there is nothing to tell. `frame` is that of the place.
+    pub fn of(device: &str, place: Place, frame: &LocalFrame) -> Option<Self> {
         let Place { by, tone, weight, size, is_verified, .. } = place;
         let fitted = Self {
             device: device.to_string(),
-            by: by.map(|by| by.by),
-            distance_m: by.map(|by| by.distance_m),
+            by: by.map(|by| by.by.world_from_frame(frame)),
+            distance_m: by.map(|by| by.distance_m * frame.unit()),
             tone,
             weight: (weight < 1.0).then_some(weight),
             size: (size < 1.0).then_some(size),

@@ -7,6 +7,7 @@ use std::path::Path;
 use cosurf_link::body::body_hash;
 use cosurf_link::{Damaged, Manifest, ModelKey, ModelStore, Offer, Receiver, TileEntry};
 use cosurf_wire::{BodyHash, DeviceId, ModelHeader, ModelId, ModelKind};
+use glam::DVec3;
 
 use super::error::ServiceError;
 
@@ -99,12 +100,13 @@ impl Sent {
         self.newest().map(|(header, _)| header.model)
     }
 
-    /// Writes a revision in tiles. Returns whether it has a new number.
+    /// Writes a revision in tiles, whose bodies have such an origin. Returns whether it has a new number.
     pub(super) fn keep_tiles(
         &mut self,
         revision: Revision,
         tiles: Vec<TileBytes<'_>>,
         receivers: Vec<Receiver>,
+        origin: DVec3,
     ) -> Result<bool, ServiceError> {
         let known: HashMap<BodyHash, TileEntry> = match &self.newest {
             Some((_, Form::Tiles(old))) => old.tiles.iter().map(|tile| (tile.blake3, *tile)).collect(),
@@ -122,7 +124,7 @@ impl Sent {
             let ModelHeader { model, blake3, splats, body_bytes, bounds, .. } = offer.header;
             entries.push(TileEntry { model, blake3, splats, body_bytes, bounds });
         }
-        let manifest = Manifest { tiles: entries, receivers };
+        let manifest = Manifest { tiles: entries, receivers, origin };
         let is_same = |form: &Form| matches!(form, Form::Tiles(old) if *old == manifest);
         if self.stays(revision, is_same) {
             return Ok(false);

@@ -6,6 +6,7 @@ mod attacks;
 #[cfg(unix)]
 mod damage;
 mod doubt;
+mod far;
 mod flights;
 mod hierarchy;
 mod life;
@@ -25,7 +26,7 @@ use std::time::Duration;
 use cosurf_link::{Faults, Identity, MemoryNetwork, MemoryTransport, Node, Role, body_to_model};
 
 use cosurf_link::{Model, ModelKey, NodeEvent, Offer};
-use cosurf_scene::ply;
+use cosurf_scene::{LocalFrame, ply};
 use cosurf_wire::{DeviceId, ModelHeader, ModelId, ModelKind, Topic};
 
 use super::keeper::RunState;
@@ -55,6 +56,14 @@ impl Drone {
         let Model { splats, cameras } = model;
         let offer = Offer::new(identity.device, ModelId(number), ModelKind::Local, 3, splats, cameras);
         node.upload(offer.unwrap());
+        Self { node, transport: network.join(&identity), global: None }
+    }
+
+    /// A drone with a model that is encoded already.
+    fn with_body(network: &MemoryNetwork, name: &str, number: u64, body: Vec<u8>) -> Self {
+        let identity = identity(name, Role::Device);
+        let mut node = Node::new(identity, LIMITS, &[]);
+        node.upload(Offer::from_body(identity.device, ModelId(number), ModelKind::Local, 3, body).unwrap());
         Self { node, transport: network.join(&identity), global: None }
     }
 
@@ -186,7 +195,7 @@ fn the_global_model_has_the_same_bytes_despite_faults_and_reaches_every_drone() 
         let events = simulate(&network, &mut ground, &mut drones, delivered);
         assert_eq!(count(&events, is_merged), 1, "merged once, after all models have arrived");
         assert!(drones.iter().all(|drone| drone.global == ground.service.keeper.global()));
-        let splats = ply::read(&global_ply(folder.path())).unwrap();
+        let splats = ply::read(&global_ply(folder.path()), &LocalFrame::WORLD).unwrap();
         let of_drone = |x: f32| splats.means.iter().filter(|mean| mean[0] == x).count();
         assert_eq!([1.0, 2.0, 3.0].map(of_drone), [900, 700, 2]);
         bytes.push(fs::read(global_ply(folder.path())).unwrap());

@@ -53,6 +53,6 @@ fn cloud(points: &[TruthPoint]) -> Mesh {
         positions: points.iter().map(|point| point.position).collect(),
         normals: points.iter().map(|point| point.normal).collect(),
         rgb: points.iter().map(|point| point.rgb).collect(),
-        triangles: Vec::new(),
+        ..Mesh::default()
     }
 }

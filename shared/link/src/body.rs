@@ -9,9 +9,9 @@ use glam::{DQuat, DVec2, DVec3};
 /// The transmitted part of a model: its splats and the cameras of its pictures. Pictures are never sent.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Model {
-    /// The splats.
+    /// The splats, in the frame that the model was decoded into.
     pub splats: Splats,
-    /// The cameras of the training pictures.
+    /// The cameras of the training pictures, in the same frame.
     pub cameras: Vec<Camera>,
 }
 
@@ -46,6 +46,9 @@ pub enum BodyFault {
         /// Index of the splat in its pack.
         index: usize,
     },
+    /// The origin is not a position on earth.
+    #[error("the origin is farther away than 100,000 km")]
+    Origin,
     /// More splats or cameras than a `u32` can count, or more packs than a `u16` can count.
     #[error("more splats or cameras than a body can count")]
     TooMany,

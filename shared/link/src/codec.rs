@@ -33,6 +33,6 @@ mod shapes;
 mod tests;
 
 pub(crate) use decode::checked_part_to_model;
-pub use decode::{body_to_model, check_body, part_to_model};
+pub use decode::{body_frame, body_to_model, check_body, part_to_model, scene_frame};
 pub use encode::{FirstLayer, model_to_body};
 pub use order::plain_importance;

@@ -38,7 +38,10 @@ pub mod trust;
 pub mod uploader;
 
 pub use body::{BodyFault, Model};
-pub use codec::{FirstLayer, body_to_model, check_body, model_to_body, part_to_model, plain_importance};
+pub use codec::{
+    FirstLayer, body_frame, body_to_model, check_body, model_to_body, part_to_model, plain_importance,
+    scene_frame,
+};
 pub use faults::{Faults, Line, Outages};
 pub use identity::{Identity, Role};
 pub use inbox::{Inbox, InboxLimits};

@@ -3,8 +3,9 @@
 
 use std::collections::BTreeSet;
 
-use cosurf_wire::body::Bounds;
+use cosurf_wire::body::{Bounds, ORIGIN_BYTES, decode_origin, encode_origin};
 use cosurf_wire::{BodyHash, DeviceId, ModelId};
+use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
 use crate::body::BodyFault;
@@ -16,6 +17,10 @@ pub struct Manifest {
     pub tiles: Vec<TileEntry>,
     /// Which tiles each device gets. A device that is not listed gets its tiles with a later revision.
     pub receivers: Vec<Receiver>,
+    /// The world position that the boxes of the tiles are relative to, as the bodies of the tiles are. It ends the encoded
+    /// list, unless it is zero.
+    #[serde(skip)]
+    pub origin: DVec3,
 }
 
 /// A tile of a global model.
@@ -45,8 +50,16 @@ pub struct Receiver {
 impl Manifest {
     /// Decodes a body.
     pub fn decode(body: &[u8]) -> Result<Self, BodyFault> {
-        let (manifest, rest): (Self, _) = postcard::take_from_bytes(body).map_err(|_| BodyFault::Manifest)?;
-        if rest.is_empty() && manifest.is_sound() { Ok(manifest) } else { Err(BodyFault::Manifest) }
+        let (mut manifest, rest): (Self, _) =
+            postcard::take_from_bytes(body).map_err(|_| BodyFault::Manifest)?;
+        let is_whole = match <&[u8; ORIGIN_BYTES]>::try_from(rest) {
+            Ok(origin) => {
+                manifest.origin = DVec3::from_array(decode_origin(origin)?);
+                manifest.origin != DVec3::ZERO
+            }
+            Err(_) => rest.is_empty(),
+        };
+        if is_whole && manifest.is_sound() { Ok(manifest) } else { Err(BodyFault::Manifest) }
     }
 
     /// The tiles that `device` gets.
@@ -62,7 +75,11 @@ impl Manifest {
 
     /// Encodes the list as a body.
     pub(crate) fn encode(&self) -> Vec<u8> {
-        postcard::to_stdvec(self).expect("numbers and lists have bytes")
+        let mut bytes = postcard::to_stdvec(self).expect("numbers and lists have bytes");
+        if self.origin != DVec3::ZERO {
+            bytes.extend(encode_origin(self.origin.to_array()));
+        }
+        bytes
     }
 
     /// Number of splats of all tiles.
@@ -117,6 +134,7 @@ mod tests {
         Manifest {
             tiles: (0..3).map(tile).collect(),
             receivers: vec![receiver("a", &[0, 2]), receiver("b", &[])],
+            origin: DVec3::ZERO,
         }
     }
 
@@ -147,6 +165,10 @@ mod tests {
             change(&mut changed);
             assert_eq!(Manifest::decode(&changed.encode()), Err(BodyFault::Manifest));
         }
+        let far = Manifest { origin: DVec3::new(5e5, 5e6, 0.0), ..manifest() };
+        assert_eq!(Manifest::decode(&far.encode()).unwrap(), far);
+        let nowhere = Manifest { origin: DVec3::splat(1e9), ..manifest() };
+        assert!(Manifest::decode(&nowhere.encode()).is_err());
         let mut long = manifest().encode();
         long.push(0);
         assert_eq!(Manifest::decode(&long), Err(BodyFault::Manifest));

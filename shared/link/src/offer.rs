@@ -1,6 +1,6 @@
 //! Models packed for sending.
 
-use cosurf_scene::{Camera, Splats};
+use cosurf_scene::{Camera, LocalFrame, Splats};
 use cosurf_wire::body::{BodyHead, BodyPlan};
 use cosurf_wire::{BodyCodec, DeviceId, FrameId, MAX_CHUNK_BYTES, ModelHeader, ModelId, ModelKind};
 
@@ -29,7 +29,7 @@ fn chunk_bytes(body_bytes: usize) -> u32 {
 }
 
 impl Offer {
-    /// Packs a model. `views` is the number of pictures that the model was trained on. Fails if a receiver
+    /// Packs a model in the world's frame. `views` is the number of pictures that the model was trained on. Fails if a receiver
     /// would refuse the body. Importance is estimated by [`plain_importance`]. A caller that can measure
     /// importance by rendering should use [`Self::from_body`].
     pub fn new(
@@ -45,7 +45,12 @@ impl Offer {
             model,
             kind,
             views,
-            model_to_body(splats, cameras, FirstLayer::ByImportance(&plain_importance(splats)))?,
+            model_to_body(
+                splats,
+                cameras,
+                &LocalFrame::WORLD,
+                FirstLayer::ByImportance(&plain_importance(splats)),
+            )?,
         )
     }
 

@@ -9,7 +9,7 @@ use cosurf_scene::{SceneError, files, ply};
 use cosurf_wire::{BodyHash, DeviceId, ModelHeader, ModelId, ModelKind};
 
 use crate::body::BodyFault;
-use crate::codec::body_to_model;
+use crate::codec::{body_frame, body_to_model};
 use crate::key::ModelKey;
 use crate::manifest::Manifest;
 use crate::node::Node;
@@ -150,7 +150,7 @@ impl Received {
                 if self.complete != Some(header) {
                     // What became of the PLY file since an earlier run is not known.
                     let (_, body) = self.store.get(ModelKey::from(header))?;
-                    ply::write(&self.ply, &body_to_model(&body)?.splats)?;
+                    self.write_ply(&body)?;
                 }
                 Ok(Some(self.finish_whole(node, header)))
             }
@@ -165,7 +165,7 @@ impl Received {
     ) -> Result<Option<Complete>, ReceiveError> {
         let key = ModelKey::from(header);
         if header.kind != ModelKind::Manifest && !key.model.is_tile() {
-            ply::write(&self.ply, &body_to_model(body)?.splats)?;
+            self.write_ply(body)?;
             self.store.put(&header, body)?;
             return Ok(Some(self.finish_whole(node, header)));
         }
@@ -175,6 +175,12 @@ impl Received {
             ModelKind::Manifest => self.begin(node, header, &Manifest::decode(body)?),
             _ => self.finish(),
         }
+    }
+
+    /// Writes a whole model for viewers.
+    fn write_ply(&self, body: &[u8]) -> Result<(), ReceiveError> {
+        let frame = body_frame(body)?;
+        Ok(ply::write(&self.ply, &body_to_model(body, &frame)?.splats, &frame)?)
     }
 
     /// Notes that a whole model is complete. Tiles of an older revision that are still on their way must not replace it.
@@ -217,11 +223,12 @@ impl Received {
             return Ok(Some(complete));
         }
         if let Some(first) = tiles.first() {
+            let frame = body_frame(&self.store.get(ModelKey::from(first))?.1)?;
             let load = |tile: &ModelHeader| {
                 let (_, body) = self.store.get(ModelKey::from(tile)).map_err(io::Error::other)?;
-                Ok(body_to_model(&body).map_err(io::Error::other)?.splats)
+                Ok(body_to_model(&body, &frame).map_err(io::Error::other)?.splats)
             };
-            ply::write_parts(&self.ply, splats, u32::from(first.sh_degree), tiles.iter().map(load))?;
+            ply::write_parts(&self.ply, splats, u32::from(first.sh_degree), &frame, tiles.iter().map(load))?;
         }
         let needed: BTreeSet<ModelKey> = keys.iter().copied().chain([ModelKey::from(manifest)]).collect();
         let is_old = |header: &ModelHeader| header.kind == ModelKind::Manifest || header.model.is_tile();

@@ -4,6 +4,7 @@ use std::ops::Range;
 use std::sync::Arc;
 use std::time::Duration;
 
+use cosurf_scene::LocalFrame;
 use cosurf_wire::{Chunk, Missing, ModelHeader, RefusalReason, Topic, Want};
 
 use crate::bits::BitSet;
@@ -157,10 +158,11 @@ impl Transfer {
         self.is_fetching() && now.saturating_sub(self.last_news) >= patience
     }
 
-    /// Decodes the packs that have arrived. Returns `None` if no splats have arrived, if a pack is invalid, or if the
+    /// Decodes the packs that have arrived into the body's own frame, which is returned. Returns `None` if no splats have
+    /// arrived, or not their origin, if a pack is invalid, or if the
     /// body contradicts the header. The hash is not checked, because it covers the whole body; each pack has its own
     /// checksum.
-    pub(crate) fn part(&self) -> Option<Model> {
+    pub(crate) fn part(&self) -> Option<(LocalFrame, Model)> {
         let chunk_bytes = self.header.chunk_bytes as usize;
         let is_here = |range: Range<usize>| {
             let mut chunks = range.start / chunk_bytes..range.end.div_ceil(chunk_bytes);

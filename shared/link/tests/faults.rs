@@ -2,6 +2,7 @@
 //! `tests/tests/faults.rs` lists all faults.
 #![allow(clippy::unwrap_used)]
 
+use cosurf_scene::LocalFrame;
 use std::time::Duration;
 
 use cosurf_link::faults::Dice;
@@ -206,7 +207,7 @@ fn fault_06_values_that_cannot_be_rendered() {
             None => assert_eq!(refusals(&fleet[1]), [RefusalReason::BadBody], "seed {seed}"),
             Some((header, body)) => {
                 stored += 1;
-                let splats = body_to_model(body).unwrap().splats;
+                let splats = body_to_model(body, &LocalFrame::WORLD).unwrap().splats;
                 assert!(splats.means.iter().all(|mean| header.bounds.contains(*mean)), "seed {seed}");
                 let values = splats.log_scales.iter().flatten().chain(splats.quats.iter().flatten());
                 assert!(

@@ -24,7 +24,7 @@ fn parts(mut inbox: Inbox, Offer { header, body }: &Offer) -> Vec<Model> {
         let payload = &body[range.start as usize..range.end as usize];
         let topic = Topic::LocalChunk { device, model, index };
         assert_eq!(inbox.on_chunk(NOW, &topic, &Chunk { device, model, index, payload }), None);
-        inbox.part(ModelKey::from(header))
+        inbox.part(ModelKey::from(header)).map(|(_, part)| part)
     };
     (0..header.chunks() - 1).filter_map(&mut take).collect()
 }

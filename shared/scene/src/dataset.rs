@@ -4,8 +4,8 @@ use std::path::PathBuf;
 
 use glam::DVec3;
 
-use crate::Camera;
 use crate::camera::extent;
+use crate::{Camera, LocalFrame};
 
 /// A photograph with its camera.
 #[derive(Clone, Debug, PartialEq)]
@@ -77,8 +77,20 @@ impl Dataset {
         Self { views, points }
     }
 
+    /// The cameras of all views.
+    pub fn cameras_of_views(&self) -> impl Iterator<Item = &Camera> + Clone {
+        self.views.iter().map(|view| &view.camera)
+    }
+
+    /// Maps the dataset from the world into a local frame.
+    pub fn into_frame(mut self, frame: &LocalFrame) -> Self {
+        self.views.iter_mut().for_each(|view| view.camera = frame.local_camera(&view.camera));
+        self.points.iter_mut().for_each(|point| point.position = frame.local_from_world(point.position));
+        self
+    }
+
     /// The size of the scene as 3DGS defines it, in world units; see [`extent`].
     pub fn extent(&self) -> f64 {
-        extent(self.views.iter().map(|view| &view.camera))
+        extent(self.cameras_of_views())
     }
 }

@@ -1,14 +1,15 @@
 //! Splats as PLY in the layout of the original 3DGS code, which viewers and other trainers open:
 //! `x y z nx ny nz f_dc_0..2 f_rest_0..K opacity scale_0..2 rot_0..3`, all 32-bit floats. `f_rest` has
 //! all coefficients of red, then those of green, then those of blue. Scales are natural logarithms,
-//! opacities are logits, and quaternions are wxyz.
+//! opacities are logits, and quaternions are wxyz. The line `comment origin X Y Z` in the header tells that positions are
+//! relative to that world position; without it they are world positions.
 //!
 //! Files are written as binary little-endian with normals of 0. The reader also accepts ascii, any
 //! order of the properties, other number types, extra properties and missing normals. Files are read
 //! and written row by row, so little memory is needed besides the splats.
 //!
 //! ```
-//! use cosurf_scene::{Splats, ply};
+//! use cosurf_scene::{LocalFrame, Splats, ply};
 //!
 //! let mut splats = Splats::with_capacity(1, 0);
 //! let (mean, quat, log_scale) = ([1.0, 2.0, 3.0], [1.0, 0.0, 0.0, 0.0], [-4.0, -4.0, -6.0]);
@@ -16,8 +17,8 @@
 //!
 //! let folder = tempfile::tempdir()?;
 //! let path = folder.path().join("model.ply");
-//! ply::write(&path, &splats)?;
-//! assert_eq!(ply::read(&path)?, splats);
+//! ply::write(&path, &splats, &LocalFrame::WORLD)?;
+//! assert_eq!(ply::read(&path, &LocalFrame::WORLD)?, splats);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
@@ -32,20 +33,22 @@ use std::path::Path;
 
 use crate::error::Refusal;
 use crate::splats::sh_coefficients;
-use crate::{SceneError, Splats, atomic};
-pub(crate) use header::{Element, Kind};
+use crate::{LocalFrame, SceneError, Splats, atomic};
+use glam::DVec3;
+
+pub(crate) use header::{Element, Kind, Scalar, origin_line};
 pub use points::read_points;
 pub(crate) use points::read_points_into;
 pub use rows::check_length;
 use rows::read_vertices;
 pub(crate) use rows::{Rows, read_elements};
 
-/// Writes `splats` as a binary little-endian PLY, atomically: after an error, an earlier file at
-/// `path` is unchanged.
-pub fn write(path: &Path, splats: &Splats) -> Result<(), SceneError> {
+/// Writes the splats of a frame as a binary little-endian PLY, atomically: after an error, an earlier file at
+/// `path` is unchanged. The file has the frame's origin and the world's unit.
+pub fn write(path: &Path, splats: &Splats, frame: &LocalFrame) -> Result<(), SceneError> {
     atomic::write(path, |out| {
-        out.write_all(header_of(splats.len(), splats.sh_degree).as_bytes())?;
-        (0..splats.len()).try_for_each(|i| write_row(out, splats, i))
+        out.write_all(header_of(splats.len(), splats.sh_degree, frame).as_bytes())?;
+        (0..splats.len()).try_for_each(|i| write_row(out, splats, i, frame))
     })
 }
 
@@ -55,10 +58,11 @@ pub fn write_parts(
     path: &Path,
     count: usize,
     sh_degree: u32,
+    frame: &LocalFrame,
     parts: impl Iterator<Item = io::Result<Splats>>,
 ) -> Result<(), SceneError> {
     atomic::write(path, |out| {
-        out.write_all(header_of(count, sh_degree).as_bytes())?;
+        out.write_all(header_of(count, sh_degree, frame).as_bytes())?;
         let mut written = 0;
         for splats in parts {
             let splats = splats?;
@@ -66,7 +70,7 @@ pub fn write_parts(
                 return Err(io::Error::other("its parts have different degrees of spherical harmonics"));
             }
             written += splats.len();
-            (0..splats.len()).try_for_each(|i| write_row(out, &splats, i))?;
+            (0..splats.len()).try_for_each(|i| write_row(out, &splats, i, frame))?;
         }
         if written == count {
             Ok(())
@@ -76,8 +80,9 @@ pub fn write_parts(
     })
 }
 
-fn header_of(count: usize, sh_degree: u32) -> String {
-    let mut text = format!("ply\nformat binary_little_endian 1.0\nelement vertex {count}\n");
+fn header_of(count: usize, sh_degree: u32, frame: &LocalFrame) -> String {
+    let mut text = format!("ply\nformat binary_little_endian 1.0\n{}", origin_line(frame.origin()));
+    text += &format!("element vertex {count}\n");
     let rest = 3 * (sh_coefficients(sh_degree) - 1);
     let names = ["x", "y", "z", "nx", "ny", "nz"].map(String::from).into_iter();
     for name in names.chain(numbered("f_dc", 3)).chain(numbered("f_rest", rest)).chain(tail_names()) {
@@ -95,10 +100,11 @@ fn numbered(name: &str, count: usize) -> impl Iterator<Item = String> {
     (0..count).map(move |i| format!("{name}_{i}"))
 }
 
-fn write_row(out: &mut impl Write, splats: &Splats, i: usize) -> io::Result<()> {
+fn write_row(out: &mut impl Write, splats: &Splats, i: usize, frame: &LocalFrame) -> io::Result<()> {
+    let files = frame.of_files();
     let mut put = |values: &[f32]| values.iter().try_for_each(|v| out.write_all(&v.to_le_bytes()));
     let sh = splats.sh_of(i);
-    put(&splats.means[i])?;
+    put(&frame.moved(splats.means[i], &files))?;
     put(&[0.0; 3])?;
     put(&sh[..3])?;
     for channel in 0..3 {
@@ -107,40 +113,54 @@ fn write_row(out: &mut impl Write, splats: &Splats, i: usize) -> io::Result<()> 
         }
     }
     put(&[splats.opacity_logits[i]])?;
-    put(&splats.log_scales[i])?;
+    put(&frame.moved_log_scale(splats.log_scales[i], &files))?;
     put(&splats.quats[i])
 }
 
-/// Reads splats. Errors: a missing property, or a value that cannot be rendered
+/// Reads splats into a frame. Errors: a missing property, or a value that cannot be rendered
 /// ([`Splats::find_bad_value`]). The error names the property, and for a value also the vertex. The
 /// number of vertices is checked against the file's length before anything is allocated.
-pub fn read(path: &Path) -> Result<Splats, SceneError> {
+pub fn read(path: &Path, frame: &LocalFrame) -> Result<Splats, SceneError> {
     read_vertices(path, |element, rows| {
         let columns = Columns::find(element)?;
         let mut splats = Splats::with_capacity(element.count as usize, columns.sh_degree);
         while let Some(row) = rows.next()? {
             columns.read(element, row, &mut splats, 0)?;
         }
+        LocalFrame::at(rows.origin()).move_splats(&mut splats, frame);
         Ok(splats)
     })
 }
 
-/// Reads splats in parts, so that they need not fit into the memory: calls `visit` with at most `most` splats at a time, in
+/// The world position that the positions of a file are relative to. Reads only the header.
+pub fn origin(path: &Path) -> Result<DVec3, SceneError> {
+    read_vertices(path, |_, rows| Ok(rows.origin()))
+}
+
+/// As [`read`], in parts, so that they need not fit into the memory: calls `visit` with at most `most` splats at a time, in
 /// the order of the file. Errors are those of [`read`].
-pub fn read_parts(path: &Path, most: usize, mut visit: impl FnMut(&Splats)) -> Result<(), SceneError> {
+pub fn read_parts(
+    path: &Path,
+    frame: &LocalFrame,
+    most: usize,
+    mut visit: impl FnMut(&Splats),
+) -> Result<(), SceneError> {
     read_vertices(path, |element, rows| {
         let columns = Columns::find(element)?;
+        let files = LocalFrame::at(rows.origin());
         let mut part = Splats::with_capacity(most, columns.sh_degree);
         let mut before = 0;
         while let Some(row) = rows.next()? {
             columns.read(element, row, &mut part, before)?;
             if part.len() >= most {
+                files.move_splats(&mut part, frame);
                 visit(&part);
                 before += part.len();
                 part.clear();
             }
         }
         if !part.is_empty() {
+            files.move_splats(&mut part, frame);
             visit(&part);
         }
         Ok(())

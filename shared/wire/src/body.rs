@@ -17,7 +17,10 @@
 //! The splats are divided into *layers* of falling importance, and each layer into groups. Each group has
 //! one shapes pack and, if `sh_degree` is above 0, one pack of spherical harmonics.
 //!
-//! The cameras come first, then the basis of the spherical harmonics, then all other packs. The packs of
+//! A body of a scene far from the world's origin begins with a pack for its origin: positions of splats and the bounds
+//! are relative to it. Without the pack, the origin is zero. Cameras are in world coordinates.
+//!
+//! The origin and the cameras come first, then the basis of the spherical harmonics, then all other packs. The packs of
 //! spherical harmonics of the first layer have the same order as the shapes packs of that layer. The same
 //! holds for the packs of all other layers, taken together.
 //!
@@ -34,6 +37,7 @@
 //!
 //! | Pack | Bytes unpacked | Content |
 //! |---|---|---|
+//! | origin | 24 | xyz as `f64`, world units, see [`decode_origin`] |
 //! | cameras | 96 each | [`CameraRecord`] |
 //! | shapes | 20 + 20 each | [`ShapeFrame`], then [`Shape`]s in planes of one byte per splat |
 //! | changes | 20 each | differences between [`Shape`]s, in planes as above |
@@ -51,6 +55,7 @@ mod camera;
 mod error;
 mod head;
 mod limits;
+mod origin;
 mod plan;
 mod sh;
 mod shape;
@@ -62,6 +67,7 @@ pub use head::{
     BodyHead, HEAD_BYTES, PACK_ENTRY_BYTES, PackEntry, PackForm, PackKind, body_bytes_range, plan_bytes,
 };
 pub use limits::{MAX_SH_DEGREE, PACK_SPLATS_MAX, RATIO_MAX, WINDOW_LOG, sh_rest};
+pub use origin::{ORIGIN_BYTES, ORIGIN_MAX, decode_origin, encode_origin};
 pub use plan::{BodyPlan, Pack, SplatPacks};
 pub use sh::ShLayout;
 pub use shape::{

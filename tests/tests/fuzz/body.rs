@@ -3,29 +3,40 @@
 use cosurf_link::{
     FirstLayer, Manifest, Offer, Receiver, TileEntry, body_to_model, model_to_body, part_to_model,
 };
-use cosurf_scene::{Base, Splats};
+use cosurf_scene::{Base, LocalFrame, Splats};
 use cosurf_tests::dice::Dice;
 use cosurf_tests::models::{cameras, random_splats};
 use cosurf_wire::body::{HEAD_BYTES, PACK_ENTRY_BYTES};
 use cosurf_wire::{DeviceId, ModelHeader, ModelId, ModelKind};
+use glam::DVec3;
 
 use crate::runner::{Target, hammer};
 
 /// A body with a base of every third splat.
+/// An origin in UTM.
+const FAR: DVec3 = DVec3::new(500_000.0, 5_200_000.0, 0.0);
+
 fn with_base(count: usize, sh_degree: u32) -> Vec<u8> {
     let (splats, others) = (random_splats(1, count, sh_degree), random_splats(1, count, 0));
     let mut base = Base { ids: (0..count as u32).step_by(3).collect(), splats: Splats::with_capacity(0, 0) };
     base.ids.iter().for_each(|&i| base.splats.push_from(&others, i as usize));
-    model_to_body(&splats, &cameras(1), FirstLayer::Base(&base)).unwrap()
+    model_to_body(&splats, &cameras(1), &LocalFrame::WORLD, FirstLayer::Base(&base)).unwrap()
 }
 
 /// Bodies with small packs, which are stored uncompressed, and bodies with large, compressed packs. Some bodies have
 /// a base.
 fn bodies() -> Vec<Vec<u8>> {
+    let far = LocalFrame::at(FAR);
     let plain = [(0, 0, 1), (1, 0, 0), (2, 1, 1), (3, 3, 0), (60, 0, 9), (200, 2, 2), (40, 3, 1)].map(
         |(count, sh_degree, views)| {
             let splats = random_splats(1, count, sh_degree);
-            model_to_body(&splats, &cameras(views), FirstLayer::ByImportance(&splats.opacity_logits)).unwrap()
+            model_to_body(
+                &splats,
+                &cameras(views),
+                if count % 20 == 0 { &far } else { &LocalFrame::WORLD },
+                FirstLayer::ByImportance(&splats.opacity_logits),
+            )
+            .unwrap()
         },
     );
     plain.into_iter().chain([with_base(9, 1), with_base(250, 2)]).collect()
@@ -68,14 +79,15 @@ fn bodies_are_unpacked_or_refused() {
     };
     let mut dice = Dice(2);
     hammer(target, move |bytes| {
-        let whole = body_to_model(bytes);
+        let whole = body_to_model(bytes, &LocalFrame::WORLD);
         if let Ok(model) = &whole {
             assert_eq!(model.splats.find_bad_value(), None);
-            let part = part_to_model(bytes, |_| true).expect("what is right as a whole is right in part");
+            let part = part_to_model(bytes, |_| true, &LocalFrame::WORLD)
+                .expect("what is right as a whole is right in part");
             assert_eq!(part.map_or(0, |part| part.splats.len()), model.splats.len());
         }
         let end = dice.below(bytes.len());
-        if let Ok(Some(part)) = part_to_model(bytes, |range| range.end <= end) {
+        if let Ok(Some(part)) = part_to_model(bytes, |range| range.end <= end, &LocalFrame::WORLD) {
             assert_eq!(part.splats.find_bad_value(), None);
         }
         whole.is_ok()
@@ -95,8 +107,11 @@ fn manifest(tiles: usize) -> Vec<u8> {
         device: DeviceId::new(&format!("drone-{i}")).unwrap(),
         tiles: (0..tiles as u32).filter(|tile| tile % 4 == i).collect(),
     };
-    let manifest =
-        Manifest { tiles: (0..tiles).map(tile).collect(), receivers: (0..4).map(receiver).collect() };
+    let manifest = Manifest {
+        tiles: (0..tiles).map(tile).collect(),
+        receivers: (0..4).map(receiver).collect(),
+        origin: if tiles > 1 { FAR } else { DVec3::ZERO },
+    };
     Offer::of_manifest(device, ModelId(7), 9, &manifest).unwrap().body
 }
 

@@ -5,7 +5,7 @@ use std::io::{Read, Write};
 use std::path::Path;
 
 use cosurf_scene::colmap::{self, Form};
-use cosurf_scene::{Dataset, Mesh, ply, spz};
+use cosurf_scene::{Dataset, LocalFrame, Mesh, ply, spz};
 use cosurf_tests::models::random_splats;
 use flate2::Compression;
 use flate2::read::GzDecoder;
@@ -42,7 +42,7 @@ fn ply_files_are_read_or_refused() {
     let folder = folder();
     let path = folder.path().join("a.ply");
     let models = [(0, 0), (3, 0), (5, 1), (2, 3)].map(|(count, degree)| {
-        written(&path, |path| ply::write(path, &random_splats(1, count, degree)).unwrap())
+        written(&path, |path| ply::write(path, &random_splats(1, count, degree), &LocalFrame::WORLD).unwrap())
     });
     let mut samples = Vec::from(models);
     fs::write(&path, ASCII_MESH).unwrap();
@@ -51,7 +51,7 @@ fn ply_files_are_read_or_refused() {
     samples.push(ASCII_MESH.to_vec());
     hammer(target("PLY", samples), |bytes| {
         fs::write(&path, bytes).unwrap();
-        let splats = ply::read(&path);
+        let splats = ply::read(&path, &LocalFrame::WORLD);
         if let Ok(splats) = &splats {
             assert_eq!(splats.find_bad_value(), None);
         }

@@ -10,12 +10,14 @@ use cosurf_agent::session::SH_DEGREE;
 use cosurf_agent::warm_start::read_visible_splats;
 use cosurf_contract::{AgentEvent, ComparedWith};
 use cosurf_engine::Renderer;
-use cosurf_scene::{Camera, Splats};
+use cosurf_scene::{Camera, LocalFrame, Splats};
 
 use crate::cli::progress::Progress;
 
 /// The agent's own model, ready to be compared with others.
 pub(super) struct Comparison<'a> {
+    /// The frame of splats and cameras.
+    pub(super) frame: &'a LocalFrame,
     pub(super) splats: &'a Splats,
     pub(super) cameras: &'a [Camera],
     /// Memory limit of the process, bytes.
@@ -33,7 +35,7 @@ impl Comparison<'_> {
         if file_bytes > self.memory_bytes / 4 {
             return Ok(());
         }
-        let other = read_visible_splats(other, self.cameras, usize::MAX, SH_DEGREE)?;
+        let other = read_visible_splats(other, self.frame, self.cameras, usize::MAX, SH_DEGREE)?;
         let (before, after, file) = match with {
             ComparedWith::Init => (&other, self.splats, "changes-init.json"),
             ComparedWith::Global => (self.splats, &other, "changes-global.json"),

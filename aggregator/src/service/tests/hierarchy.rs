@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use cosurf_link::{Complete, Credentials, InboxLimits, Manifest, ModelStore, Received};
-use cosurf_scene::Splats;
+use cosurf_scene::{LocalFrame, Splats};
 use cosurf_tests::dice::Dice;
 
 use super::*;
@@ -158,7 +158,9 @@ impl Agent {
     }
 
     fn splats(&self) -> BTreeSet<Vec<u32>> {
-        self.complete.map(|_| bits(&ply::read(&self.folder.join("global.ply")).unwrap())).unwrap_or_default()
+        self.complete
+            .map(|_| bits(&ply::read(&self.folder.join("global.ply"), &LocalFrame::WORLD).unwrap()))
+            .unwrap_or_default()
     }
 }
 
@@ -179,8 +181,9 @@ fn of_cloud(folder: &Path, drone: Option<usize>) -> BTreeSet<Vec<u32>> {
         let newest = headers.into_iter().filter(|header| !header.model.is_tile());
         Some((store, newest.max_by_key(|header| header.model)?))
     };
-    let splats =
-        |store: &ModelStore, key: ModelKey| bits(&body_to_model(&store.get(key).unwrap().1).unwrap().splats);
+    let splats = |store: &ModelStore, key: ModelKey| {
+        bits(&body_to_model(&store.get(key).unwrap().1, &LocalFrame::WORLD).unwrap().splats)
+    };
     let mut all = BTreeSet::new();
     if let Some((store, header)) = newest("sent") {
         let manifest = Manifest::decode(&store.get(header.into()).unwrap().1).unwrap();
@@ -346,7 +349,8 @@ fn without_the_cloud_the_drones_get_the_edges_model_and_later_the_clouds() {
     });
     assert!(site.network.now() >= WAIT, "the edges waited for the cloud");
     for agent in &site.agents {
-        let edge = ply::read(&global_ply(&folder.path().join(of_edge(agent.number)))).unwrap();
+        let edge =
+            ply::read(&global_ply(&folder.path().join(of_edge(agent.number))), &LocalFrame::WORLD).unwrap();
         assert_eq!(agent.splats().len(), edge.len());
     }
     drop(site);

@@ -3,6 +3,7 @@
 //! with the bytes of a direct merge of these models.
 
 use cosurf_link::{FirstLayer, model_to_body, plain_importance};
+use cosurf_scene::LocalFrame;
 use cosurf_tests::dice::Dice;
 use cosurf_wire::BodyHash;
 
@@ -26,7 +27,14 @@ fn models() -> Vec<Model> {
 fn arrived(model: &Model) -> Model {
     let Model { splats, cameras } = model;
     body_to_model(
-        &model_to_body(splats, cameras, FirstLayer::ByImportance(&plain_importance(splats))).unwrap(),
+        &model_to_body(
+            splats,
+            cameras,
+            &LocalFrame::WORLD,
+            FirstLayer::ByImportance(&plain_importance(splats)),
+        )
+        .unwrap(),
+        &LocalFrame::WORLD,
     )
     .unwrap()
 }
@@ -42,7 +50,10 @@ fn merged_hash(models: &[Model]) -> BodyHash {
         &mut go_on,
     )
     .unwrap();
-    let (device, body) = (DeviceId::new("aggregator").unwrap(), packed(&merged.model, 1, &|| false).unwrap());
+    let (device, body) = (
+        DeviceId::new("aggregator").unwrap(),
+        packed(&merged.model, &LocalFrame::WORLD, 1, &|| false).unwrap(),
+    );
     Offer::from_body(device, ModelId(1), ModelKind::Global, 1, body).unwrap().header.blake3
 }
 

@@ -1,6 +1,7 @@
 //! An upload stalls: the part that has arrived is merged, until the rest arrives.
 
 use cosurf_link::{FirstLayer, model_to_body};
+use cosurf_scene::LocalFrame;
 use glam::DVec3;
 
 use super::*;
@@ -16,7 +17,7 @@ fn slow_drone(network: &MemoryNetwork, number: u64, model: &Model) -> Drone {
     let Model { splats, cameras } = model;
     let device = DeviceId::new("agent-2").unwrap();
     let east: Vec<f32> = splats.means.iter().map(|mean| mean[0]).collect();
-    let body = model_to_body(splats, cameras, FirstLayer::ByImportance(&east)).unwrap();
+    let body = model_to_body(splats, cameras, &LocalFrame::WORLD, FirstLayer::ByImportance(&east)).unwrap();
     let mut offer = Offer::from_body(device, ModelId(number), ModelKind::Local, 3, body).unwrap();
     offer.header.chunk_bytes = 256;
     drone.node = Node::new(identity("agent-2", Role::Device), LIMITS, &[]);
@@ -46,7 +47,12 @@ fn has_merged(events: &[ServiceEvent], of: usize) -> bool {
 }
 
 fn splats_beyond(folder: &Path) -> usize {
-    ply::read(&global_ply(folder)).unwrap().means.iter().filter(|mean| mean[0] > BEYOND).count()
+    ply::read(&global_ply(folder), &LocalFrame::WORLD)
+        .unwrap()
+        .means
+        .iter()
+        .filter(|mean| mean[0] > BEYOND)
+        .count()
 }
 
 #[test]
@@ -108,7 +114,10 @@ fn a_part_that_contradicts_the_others_is_kept_out_and_told() {
     let record = Merging::read(folder.path()).unwrap();
     let told: Vec<String> = record.kept_out.iter().map(ToString::to_string).collect();
     assert_eq!(told, ["model 1 of agent-2 contradicts the other models (different ground, place or scale)"]);
-    assert_eq!(record.summary.splats, ply::read(&global_ply(folder.path())).unwrap().len());
+    assert_eq!(
+        record.summary.splats,
+        ply::read(&global_ply(folder.path()), &LocalFrame::WORLD).unwrap().len()
+    );
     assert_eq!(splats_beyond(folder.path()), 0, "the raised model has splats there");
 }
 

@@ -1,5 +1,6 @@
 //! A global model that is too large to be sent whole: each drone gets the tiles of its own ground.
 
+use cosurf_scene::LocalFrame;
 use std::collections::BTreeSet;
 
 use cosurf_link::{Complete, InboxLimits, Received};
@@ -56,7 +57,7 @@ impl Keeping {
 
     /// The x of all splats that it has.
     fn xs(&self) -> Vec<f32> {
-        let splats = ply::read(&self.folder.path().join("global.ply")).unwrap();
+        let splats = ply::read(&self.folder.path().join("global.ply"), &LocalFrame::WORLD).unwrap();
         splats.means.iter().map(|mean| mean[0]).collect()
     }
 }
@@ -107,7 +108,7 @@ fn each_drone_gets_the_tiles_of_its_ground_and_of_the_next_revision_only_what_ch
         fly(&network, &mut ground, &mut drones, 2);
         let [west, east] = [drones[0].xs(), drones[1].xs()];
         assert!(west.iter().all(|x| *x < 0.0) && east.iter().all(|x| *x > 0.0), "seed {seed}");
-        let all = ply::read(&global_ply(folder.path())).unwrap();
+        let all = ply::read(&global_ply(folder.path()), &LocalFrame::WORLD).unwrap();
         let of = |is_west: bool| all.means.iter().filter(|mean| (mean[0] < 0.0) == is_west).count();
         assert_eq!((west.len(), east.len()), (of(true), of(false)), "seed {seed}: all splats of its ground");
         assert!(drones[0].tiles.len() > 4, "seed {seed}: a tile has at most 25 of {} splats", west.len());
@@ -153,7 +154,7 @@ fn a_model_that_has_become_small_is_sent_whole_again() {
         drones.iter_mut().for_each(|drone| drone.step(now));
         step(&network, &mut ground, &mut [], &mut events);
     }
-    let all = ply::read(&global_ply(folder.path())).unwrap().len();
+    let all = ply::read(&global_ply(folder.path()), &LocalFrame::WORLD).unwrap().len();
     assert!(drones.iter().all(|drone| drone.xs().len() == all), "all have the whole model");
     assert_eq!(fs::read_dir(folder.path().join("sent")).unwrap().count(), 0, "no tiles are left");
 }

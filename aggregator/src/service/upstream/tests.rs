@@ -9,7 +9,7 @@ use cosurf_link::{FirstLayer, MemoryNetwork, MemoryTransport, Model, Role, model
 use cosurf_wire::{BodyHash, ModelId};
 
 use cosurf_link::body_to_model;
-use cosurf_scene::ply;
+use cosurf_scene::{LocalFrame, ply};
 
 use super::*;
 use crate::gate::{Workspace, admit};
@@ -23,12 +23,14 @@ const SETTINGS: MergeSettings = MergeSettings { seed: 3, ..QUICK };
 
 /// The body of a model, as a drone sends it.
 fn sent(Model { splats, cameras }: &Model) -> Vec<u8> {
-    model_to_body(splats, cameras, FirstLayer::ByImportance(&plain_importance(splats))).unwrap()
+    model_to_body(splats, cameras, &LocalFrame::WORLD, FirstLayer::ByImportance(&plain_importance(splats)))
+        .unwrap()
 }
 
 /// The body of the model that a merge of the models in `bodies` gives.
 fn merged(bodies: &[Vec<u8>]) -> Vec<u8> {
-    let locals = InMemory(bodies.iter().map(|body| body_to_model(body).unwrap()).collect());
+    let locals =
+        InMemory(bodies.iter().map(|body| body_to_model(body, &LocalFrame::WORLD).unwrap()).collect());
     let admitted =
         admit(&locals, (&SETTINGS).into(), Workspace::of(&SETTINGS, &std::env::temp_dir(), 1), &|| false)
             .unwrap();
@@ -39,7 +41,7 @@ fn merged(bodies: &[Vec<u8>]) -> Vec<u8> {
         &mut |_| ControlFlow::Continue(()),
     )
     .unwrap();
-    packed(&merged.model, 1, &|| false).unwrap()
+    packed(&merged.model, &LocalFrame::WORLD, 1, &|| false).unwrap()
 }
 
 /// An aggregator: its service, its connection to the network, and for an edge its upstream link.
@@ -152,7 +154,7 @@ fn the_cloud_merges_its_edges_models_and_both_edges_receive_the_result() {
     let mut drones: Vec<Drone> =
         drones.map(|((site, name), model)| Drone::new(&network, site, name, model)).collect();
     assert_eq!(run(&network, folder.path(), &mut drones), [expected; 2]);
-    let splats = |file| ply::read(&folder.path().join(file)).unwrap().len();
+    let splats = |file| ply::read(&folder.path().join(file), &LocalFrame::WORLD).unwrap().len();
     assert_eq!(splats("edge-2/upstream/global.ply"), splats("cloud/global.ply"));
 
     // All aggregators are killed and restarted. The drones do not take part again: the models on the aggregators'

@@ -2,13 +2,14 @@
 
 use std::ops::Range;
 
-use cosurf_scene::Splats;
 use cosurf_scene::splats::sh_coefficients;
+use cosurf_scene::{Camera, LocalFrame, Splats};
 use cosurf_wire::body::{
     BodyError, BodyPlan, CameraRecord, HEAD_BYTES, LOG_SCALE_MAX, Pack, PackKind, SHAPE_FRAME_BYTES,
-    ShLayout, Shape, ShapeFrame, SplatPacks, plan_bytes, read_changes, read_shapes,
+    ShLayout, Shape, ShapeFrame, SplatPacks, decode_origin, plan_bytes, read_changes, read_shapes,
 };
 use cosurf_wire::{ModelHeader, ModelKind};
+use glam::DVec3;
 
 use super::basis::Basis;
 use super::pack::unpack;
@@ -30,6 +31,7 @@ pub fn check_body(header: &ModelHeader, body: &[u8]) -> Result<(), BodyFault> {
     let plan = BodyPlan::of_whole(body)?;
     check_header(&plan, header)?;
     let mut unpacker = Unpacker::new(plan, body);
+    unpacker.origin()?;
     unpacker.cameras()?;
     for SplatPacks { shapes, changes, .. } in plan.splat_packs() {
         unpacker.visit_shapes(&shapes, changes.as_ref(), |_| ())?;
@@ -50,14 +52,39 @@ fn check_header(plan: &BodyPlan<'_>, header: &ModelHeader) -> Result<(), BodyFau
     if agrees { Ok(()) } else { Err(BodyFault::NotAsAnnounced) }
 }
 
-/// Decodes a complete body. Makes the same checks as [`check_body`], except that it has no header to compare
-/// with.
-pub fn body_to_model(body: &[u8]) -> Result<Model, BodyFault> {
-    let plan = BodyPlan::of_whole(body)?;
-    decode_model(plan, body, |_| true)
+/// The frame of a complete body's splats: the body's origin and the world's unit.
+pub fn body_frame(body: &[u8]) -> Result<LocalFrame, BodyFault> {
+    Ok(Unpacker::new(BodyPlan::of_whole(body)?, body).origin()?)
 }
 
-/// Decodes the packs of a body that have arrived; `None` if no splats have arrived. `body` has its full size,
+/// The frame in which the scene of a complete body is near the origin and of an ordinary size: that of its cameras, or, if
+/// it has none, that of its splats.
+pub fn scene_frame(body: &[u8]) -> Result<LocalFrame, BodyFault> {
+    let mut unpacker = Unpacker::new(BodyPlan::of_whole(body)?, body);
+    let cameras: Vec<Camera> = unpacker.cameras()?.iter().map(camera).collect();
+    match cameras[..] {
+        [] => Ok(unpacker.origin()?),
+        _ => Ok(LocalFrame::of(cameras.iter())),
+    }
+}
+
+/// Decodes a complete body into a frame. Makes the same checks as [`check_body`], except that it has no header to compare
+/// with.
+pub fn body_to_model(body: &[u8], frame: &LocalFrame) -> Result<Model, BodyFault> {
+    let plan = BodyPlan::of_whole(body)?;
+    let (its, model) = decode_model(plan, body, |_| true)?;
+    Ok(moved(model, &its, frame))
+}
+
+/// Moves a model, whose cameras are in the world, from the frame `its` of its body into another one.
+fn moved(model: Model, its: &LocalFrame, frame: &LocalFrame) -> Model {
+    let Model { mut splats, mut cameras } = model;
+    its.move_splats(&mut splats, frame);
+    cameras.iter_mut().for_each(|camera| *camera = frame.local_camera(camera));
+    Model { splats, cameras }
+}
+
+/// Decodes the packs of a body that have arrived into a frame; `None` if no splats have arrived, or not their origin. `body` has its full size,
 /// and `is_here` tells whether a byte range of it has arrived. More packs give more splats and view-dependent
 /// colour.
 ///
@@ -66,20 +93,24 @@ pub fn body_to_model(body: &[u8]) -> Result<Model, BodyFault> {
 pub fn part_to_model(
     body: &[u8],
     is_here: impl Fn(Range<usize>) -> bool,
+    frame: &LocalFrame,
 ) -> Result<Option<Model>, BodyFault> {
     let Some(plan) = received_plan(body, body.len() as u64, &is_here)? else { return Ok(None) };
-    decode_part(plan, body, is_here)
+    let part = decode_part(plan, body, is_here)?;
+    Ok(part.map(|(its, model)| moved(model, &its, frame)))
 }
 
-/// Like [`part_to_model`], but also checks that the body's head agrees with the header. `body` may lack its end.
+/// Like [`part_to_model`], but decodes into the body's own frame, which is returned, and also checks that the body's head
+/// agrees with the header. `body` may lack its end.
 pub(crate) fn checked_part_to_model(
     header: &ModelHeader,
     body: &[u8],
     is_here: impl Fn(Range<usize>) -> bool,
-) -> Result<Option<Model>, BodyFault> {
+) -> Result<Option<(LocalFrame, Model)>, BodyFault> {
     let Some(plan) = received_plan(body, header.body_bytes, &is_here)? else { return Ok(None) };
     check_header(&plan, header)?;
-    decode_part(plan, body, is_here)
+    let part = decode_part(plan, body, is_here)?;
+    Ok(part.map(|(its, model)| (its, moved(model, &its, &its))))
 }
 
 /// Reads the plan (head and table) of an incomplete body of `size` bytes; `None` if the head or the table has not arrived.
@@ -104,18 +135,22 @@ fn received_plan(
     Ok(Some(plan))
 }
 
-/// Decodes the packs that have arrived, and enlarges the splats if there is no base.
+/// As [`decode_model`], of the packs that have arrived. Enlarges the splats if there is no base. `None` if no splats have
+/// arrived, or not their origin.
 fn decode_part(
     plan: BodyPlan<'_>,
     body: &[u8],
     is_here: impl Fn(Range<usize>) -> bool,
-) -> Result<Option<Model>, BodyFault> {
+) -> Result<Option<(LocalFrame, Model)>, BodyFault> {
+    if plan.packs_of(PackKind::Origin).any(|pack| !is_here(pack.range)) {
+        return Ok(None);
+    }
     let total = plan.head().splats as usize;
-    let mut model = decode_model(plan, body, |pack| is_here(pack.range.clone()))?;
+    let (frame, mut model) = decode_model(plan, body, |pack| is_here(pack.range.clone()))?;
     if !plan.has_base() {
         enlarge(&mut model.splats, total);
     }
-    Ok((!model.splats.is_empty()).then_some(model))
+    Ok((!model.splats.is_empty()).then_some((frame, model)))
 }
 
 /// Enlarges the splats that have arrived so that they stand in for all `total` splats of the model.
@@ -126,12 +161,14 @@ fn enlarge(splats: &mut Splats, total: usize) {
     }
 }
 
+/// Decodes packs into the body's own frame, which is returned. The cameras are in the world.
 fn decode_model(
     plan: BodyPlan<'_>,
     body: &[u8],
     is_here: impl Fn(&Pack) -> bool,
-) -> Result<Model, BodyFault> {
+) -> Result<(LocalFrame, Model), BodyFault> {
     let mut unpacker = Unpacker::new(plan, body);
+    let frame = unpacker.origin()?;
     let sh_degree = plan.head().sh_degree;
     let packs_here = || {
         let here = plan
@@ -176,7 +213,7 @@ fn decode_model(
     }
     let cameras_here = plan.packs_of(PackKind::Cameras).all(|pack| is_here(&pack));
     let cameras = if cameras_here { unpacker.cameras()? } else { Vec::new() };
-    Ok(Model { splats, cameras: cameras.iter().map(camera).collect() })
+    Ok((frame, Model { splats, cameras: cameras.iter().map(camera).collect() }))
 }
 
 /// Unpacks one pack after another into the same buffers.
@@ -203,6 +240,13 @@ impl<'a> Unpacker<'a> {
     fn unpack_only(&mut self, kind: PackKind) -> Result<Option<&[u8]>, BodyError> {
         let Some(pack) = self.plan.packs_of(kind).next() else { return Ok(None) };
         self.unpack(&pack, ShLayout::NONE).map(Some)
+    }
+
+    /// The frame of the splats.
+    fn origin(&mut self) -> Result<LocalFrame, BodyError> {
+        let Some(bytes) = self.unpack_only(PackKind::Origin)? else { return Ok(LocalFrame::WORLD) };
+        let bytes = bytes.first_chunk().ok_or(BodyError::BadPack)?;
+        Ok(LocalFrame::at(DVec3::from_array(decode_origin(bytes)?)))
     }
 
     fn cameras(&mut self) -> Result<Vec<CameraRecord>, BodyFault> {

@@ -3,9 +3,10 @@
 use std::io;
 use std::mem::take;
 
-use cosurf_scene::{Base, Camera, Splats};
+use cosurf_scene::{Base, Camera, LocalFrame, Splats};
 use cosurf_wire::Bounds;
-use cosurf_wire::body::{BodyHead, CAMERA_BYTES, POSITION_MAX, PackKind};
+use cosurf_wire::body::{BodyHead, CAMERA_BYTES, ORIGIN_MAX, POSITION_MAX, PackKind, encode_origin};
+use glam::DVec3;
 
 use super::harmonics::{Harmonics, pack_harmonics};
 use super::layers::{pack_by_base, pack_by_importance};
@@ -23,20 +24,48 @@ pub enum FirstLayer<'a> {
     Base(&'a Base),
 }
 
-/// Encodes splats and cameras as a body.
+/// Encodes the splats and cameras of a frame as a body. The body has the frame's origin and the world's unit; its cameras
+/// are in the world.
 ///
 /// # Panics
 /// If the number of importances differs from the number of splats, or the indices of the base do not belong
 /// to these splats.
-pub fn model_to_body(splats: &Splats, cameras: &[Camera], first: FirstLayer) -> Result<Vec<u8>, BodyFault> {
-    check(splats, cameras)?;
+pub fn model_to_body(
+    splats: &Splats,
+    cameras: &[Camera],
+    frame: &LocalFrame,
+    first: FirstLayer,
+) -> Result<Vec<u8>, BodyFault> {
+    let files = frame.of_files();
+    if *frame != files {
+        // A scene of another size than usual: rare, so its copy costs nobody much.
+        let moved = |splats: &Splats| {
+            let mut splats = splats.clone();
+            frame.move_splats(&mut splats, &files);
+            splats
+        };
+        let base = match first {
+            FirstLayer::Base(base) => Some(Base { splats: moved(&base.splats), ..base.clone() }),
+            FirstLayer::ByImportance(_) => None,
+        };
+        let first = base.as_ref().map_or(first, FirstLayer::Base);
+        let moved_camera = |camera| files.local_camera(&frame.world_camera(camera));
+        let cameras: Vec<Camera> = cameras.iter().map(moved_camera).collect();
+        return model_to_body(&moved(splats), &cameras, &files, first);
+    }
+    let cameras: Vec<Camera> = cameras.iter().map(|camera| frame.world_camera(camera)).collect();
+    check(splats, &cameras)?;
+    if frame.origin().abs().max_element() > ORIGIN_MAX {
+        return Err(BodyFault::Origin);
+    }
     if let FirstLayer::Base(base) = first
         && let Some(bad) = base.splats.find_bad_value()
     {
         return Err(BodyFault::Splat { index: base.ids[bad.splat] as usize, field: bad.field });
     }
     let bounds = bounds_of(&splats.means);
-    let packs = pack_model(splats, cameras, first, &bounds).map_err(|_| BodyFault::Unpackable)?;
+    let packs =
+        pack_model(splats, &cameras, frame.origin(), first, &bounds).map_err(|_| BodyFault::Unpackable)?;
     let head = BodyHead {
         splats: splats.len() as u32,
         cameras: cameras.len() as u32,
@@ -47,8 +76,17 @@ pub fn model_to_body(splats: &Splats, cameras: &[Camera], first: FirstLayer) -> 
     Ok(packs.into_body(&head))
 }
 
-fn pack_model(splats: &Splats, cameras: &[Camera], first: FirstLayer, bounds: &Bounds) -> io::Result<Packs> {
+fn pack_model(
+    splats: &Splats,
+    cameras: &[Camera],
+    origin: DVec3,
+    first: FirstLayer,
+    bounds: &Bounds,
+) -> io::Result<Packs> {
     let mut packs = Packs::default();
+    if origin != DVec3::ZERO {
+        packs.add(PackKind::Origin, 0, 0, &[], &encode_origin(origin.to_array()))?;
+    }
     add_cameras(&mut packs, cameras)?;
     let shapes = match first {
         FirstLayer::Base(base) if !base.ids.is_empty() => pack_by_base(splats, base, bounds)?,

@@ -3,7 +3,9 @@
 
 mod base;
 
-use cosurf_scene::{Camera, Pose, Splats};
+use std::ops::Range;
+
+use cosurf_scene::{Camera, LocalFrame, Pose, Splats};
 use cosurf_wire::body::{
     BodyPlan, COLOR_STEP, HEAD_BYTES, OPACITY_STEP, PACK_ENTRY_BYTES, PackForm, PackKind,
 };
@@ -59,7 +61,7 @@ fn cameras(count: usize) -> Vec<Camera> {
 /// Encodes `splats`. Lower indices are more important.
 fn body(splats: &Splats) -> Vec<u8> {
     let importance: Vec<f32> = (0..splats.len()).map(|i| -(i as f32)).collect();
-    model_to_body(splats, &cameras(3), FirstLayer::ByImportance(&importance)).unwrap()
+    model_to_body(splats, &cameras(3), &LocalFrame::WORLD, FirstLayer::ByImportance(&importance)).unwrap()
 }
 
 fn axes(splats: &Splats, i: usize) -> (Mat3, Vec3) {
@@ -86,7 +88,8 @@ fn origins(found: &Splats, sent: &Splats) -> Vec<usize> {
 #[test]
 fn a_model_round_trips_within_half_a_step() {
     let sent = splats(1500, 2);
-    let Model { splats: found, cameras: found_cameras } = body_to_model(&body(&sent)).unwrap();
+    let Model { splats: found, cameras: found_cameras } =
+        body_to_model(&body(&sent), &LocalFrame::WORLD).unwrap();
     assert_eq!(found_cameras, cameras(3), "cameras are encoded without loss");
     let origins = origins(&found, &sent);
     let mut distinct = origins.clone();
@@ -124,8 +127,8 @@ fn a_model_round_trips_within_half_a_step() {
 fn encoding_is_deterministic_and_quantised_values_stay_the_same() {
     let sent = splats(900, 3);
     assert_eq!(body(&sent), body(&sent));
-    let once = body_to_model(&body(&sent)).unwrap().splats;
-    let twice = body_to_model(&body(&once)).unwrap().splats;
+    let once = body_to_model(&body(&sent), &LocalFrame::WORLD).unwrap().splats;
+    let twice = body_to_model(&body(&once), &LocalFrame::WORLD).unwrap().splats;
     let opacities = |splats: &Splats| {
         let mut all = splats.opacity_logits.clone();
         all.sort_unstable_by(f32::total_cmp);
@@ -139,7 +142,7 @@ fn every_degree_and_count_round_trips() {
     for sh_degree in 0..=3 {
         for count in [0, 1, 2, 17, 9000] {
             let sent = splats(count, sh_degree);
-            let found = body_to_model(&body(&sent)).unwrap().splats;
+            let found = body_to_model(&body(&sent), &LocalFrame::WORLD).unwrap().splats;
             assert_eq!((found.len(), found.sh_degree, found.find_bad_value()), (count, sh_degree, None));
         }
     }
@@ -150,7 +153,7 @@ fn extreme_models_round_trip() {
     // Identical splats would compress beyond the maximum ratio, so their pack is stored uncompressed.
     let mut same = Splats::with_capacity(4000, 1);
     (0..4000).for_each(|_| same.push([5.0; 3], [2.0, 0.0, 0.0, 0.0], [-1.0; 3], 3.0, &[0.5; 12]));
-    let found = body_to_model(&body(&same)).unwrap().splats;
+    let found = body_to_model(&body(&same), &LocalFrame::WORLD).unwrap().splats;
     assert_eq!((found.len(), found.means[9]), (4000, [5.0; 3]));
     // Edge cases: distant positions, extreme scales, identity and 180° rotations.
     let mut odd = Splats::with_capacity(4, 0);
@@ -158,7 +161,7 @@ fn extreme_models_round_trip() {
     odd.push([-1e20, 1e20, 1e-20], [1.0, 0.0, 0.0, 0.0], [-39.9; 3], -100.0, &[0.0; 3]);
     odd.push([0.0; 3], [1e-4, 1e-4, 0.0, 0.0], [0.0; 3], 0.0, &[0.0; 3]);
     odd.push([1.0; 3], [-0.5, 0.5, -0.5, 0.5], [3.0, 2.0, 1.0], 0.0, &[0.0; 3]);
-    let found = body_to_model(&body(&odd)).unwrap().splats;
+    let found = body_to_model(&body(&odd), &LocalFrame::WORLD).unwrap().splats;
     assert_eq!((found.len(), found.find_bad_value()), (4, None));
 }
 
@@ -174,12 +177,14 @@ fn invalid_values_are_refused() {
     for (spoil, field) in spoils {
         let mut splats = splats(5, 1);
         spoil(&mut splats);
-        let fault = model_to_body(&splats, &[], FirstLayer::ByImportance(&[0.0; 5])).unwrap_err();
+        let fault =
+            model_to_body(&splats, &[], &LocalFrame::WORLD, FirstLayer::ByImportance(&[0.0; 5])).unwrap_err();
         assert_eq!(fault, BodyFault::Splat { index: 3, field });
     }
     let mut cameras = cameras(2);
     cameras[1].size_px[0] = 0;
-    let fault = model_to_body(&splats(1, 0), &cameras, FirstLayer::ByImportance(&[0.0])).unwrap_err();
+    let fault = model_to_body(&splats(1, 0), &cameras, &LocalFrame::WORLD, FirstLayer::ByImportance(&[0.0]))
+        .unwrap_err();
     assert_eq!(fault, BodyFault::Camera { index: 1 });
 }
 
@@ -187,17 +192,20 @@ fn invalid_values_are_refused() {
 fn every_prefix_is_a_model_and_the_most_important_splats_come_first() {
     let sent = splats(9000, 1);
     let body = body(&sent);
-    let whole = body_to_model(&body).unwrap();
+    let whole = body_to_model(&body, &LocalFrame::WORLD).unwrap();
     let mut counts = Vec::new();
     for end in (0..=body.len()).step_by(4999).chain([body.len()]) {
-        let found = part_to_model(&body, |range| range.end <= end).unwrap();
+        let found = part_to_model(&body, |range| range.end <= end, &LocalFrame::WORLD).unwrap();
         counts.push(found.as_ref().map_or(0, |model| model.splats.len()));
         if end == body.len() {
             assert_eq!(found.as_ref(), Some(&whole));
         }
     }
     assert!(counts.is_sorted() && counts[0] == 0 && counts.last() == Some(&9000), "{counts:?}");
-    let first = part_to_model(&body, |range| range.end <= 3 * body.len() / 10).unwrap().unwrap().splats;
+    let first = part_to_model(&body, |range| range.end <= 3 * body.len() / 10, &LocalFrame::WORLD)
+        .unwrap()
+        .unwrap()
+        .splats;
     let latest = origins(&first, &sent).into_iter().max().unwrap();
     assert!(
         latest < 9000 / 4,
@@ -212,7 +220,7 @@ fn packs_after_a_missing_one_are_used() {
     let packs: Vec<_> = plan.packs_of(PackKind::Shapes).collect();
     let lost = &packs[1].range;
     let is_here = |range: std::ops::Range<usize>| range.end <= lost.start || range.start >= lost.end;
-    let found = part_to_model(&body, is_here).unwrap().unwrap().splats;
+    let found = part_to_model(&body, is_here, &LocalFrame::WORLD).unwrap().unwrap().splats;
     assert_eq!(found.len(), 3000 - usize::from(packs[1].entry.splats));
     let colors = found.sh.chunks_exact(12).filter(|sh| sh[3..].iter().any(|v| *v != 0.0)).count();
     assert!(colors > 2000, "{colors} have their own spherical harmonics");
@@ -225,10 +233,10 @@ fn damage_is_detected() {
     for i in 0..body.len() {
         let mut damaged = body.clone();
         damaged[i] ^= 1 << (i % 8);
-        assert!(body_to_model(&damaged).is_err(), "byte {i}");
-        assert!(body_to_model(&body[..i]).is_err(), "cut at {i}");
+        assert!(body_to_model(&damaged, &LocalFrame::WORLD).is_err(), "byte {i}");
+        assert!(body_to_model(&body[..i], &LocalFrame::WORLD).is_err(), "cut at {i}");
     }
-    assert!(body_to_model(&[&body[..], &[0]].concat()).is_err());
+    assert!(body_to_model(&[&body[..], &[0]].concat(), &LocalFrame::WORLD).is_err());
 }
 
 /// Changes sizes and checksum of table entry `i` and fixes the checksum of head and table, as an attacker
@@ -264,7 +272,8 @@ fn harmonics_are_coarsened_to_meet_the_target_size() {
 #[test]
 fn fault_05_decompression_bombs_are_refused() {
     let splats = splats(8000, 0);
-    let valid = model_to_body(&splats, &[], FirstLayer::ByImportance(&vec![1.0; 8000])).unwrap();
+    let valid =
+        model_to_body(&splats, &[], &LocalFrame::WORLD, FirstLayer::ByImportance(&vec![1.0; 8000])).unwrap();
     let plan = BodyPlan::new(&valid).unwrap();
     let first = plan.packs().next().unwrap();
     assert_eq!((first.entry.kind, first.entry.form), (PackKind::Shapes, PackForm::Zstd));
@@ -274,7 +283,7 @@ fn fault_05_decompression_bombs_are_refused() {
         body.extend_from_slice(frame);
         body.extend_from_slice(&rest);
         forge(&mut body, 0, frame.len() as u32, splats, crc32fast::hash(frame));
-        body_to_model(&body)
+        body_to_model(&body, &LocalFrame::WORLD)
     };
     let count = first.entry.splats;
     assert!(replaced(&valid[first.range.clone()], count).is_ok(), "the forged entry itself is valid");
@@ -311,4 +320,79 @@ fn a_body_that_contradicts_its_header_is_refused() {
     let mut other = offer.header;
     other.bounds.max[0] += 1.0;
     assert_eq!(check_body(&other, &offer.body), Err(BodyFault::NotAsAnnounced));
+}
+
+/// The origin of a site in UTM.
+fn utm() -> LocalFrame {
+    LocalFrame::at(DVec3::new(500_000.0, 5_200_000.0, 0.0))
+}
+
+/// Far from the world's origin, the splats cost 36 bytes more and lose nothing, and the cameras are in the world.
+#[test]
+fn a_model_far_away_keeps_its_millimetres() {
+    let (sent, near) = (splats(300, 1), body(&splats(300, 1)));
+    let importance: Vec<f32> = (0..sent.len()).map(|i| -(i as f32)).collect();
+    let far = model_to_body(&sent, &cameras(3), &utm(), FirstLayer::ByImportance(&importance)).unwrap();
+    let plain = model_to_body(&sent, &[], &LocalFrame::WORLD, FirstLayer::ByImportance(&importance)).unwrap();
+    let bare = model_to_body(&sent, &[], &utm(), FirstLayer::ByImportance(&importance)).unwrap();
+    assert_eq!(bare.len(), plain.len() + PACK_ENTRY_BYTES + 24);
+    assert_eq!(body_frame(&far).unwrap(), utm());
+    assert_eq!(body_frame(&near).unwrap(), LocalFrame::WORLD);
+    let decoded = body_to_model(&far, &utm()).unwrap();
+    assert_eq!(decoded.splats, body_to_model(&near, &LocalFrame::WORLD).unwrap().splats);
+    for (camera, own) in decoded.cameras.iter().zip(cameras(3)) {
+        let off = camera.cam_from_world.translation.distance(own.cam_from_world.translation);
+        assert!(off < 1e-8, "{off}");
+    }
+    let world = body_to_model(&far, &LocalFrame::WORLD).unwrap();
+    let center = world.cameras[1].cam_from_world.center();
+    assert!(center.distance(utm().world_from_local(cameras(3)[1].cam_from_world.center())) < 1e-8);
+    let neighbour = LocalFrame::at(utm().origin() + DVec3::X * 1000.0);
+    let moved = body_to_model(&far, &neighbour).unwrap().splats;
+    let expected = decoded.splats.means.iter().map(|[x, y, z]| [x - 1000.0, *y, *z]);
+    assert!(expected.zip(&moved.means).all(|(a, b)| (a[0] - b[0]).abs() < 1e-4 && a[1..] == b[1..]));
+}
+
+/// Until the origin has arrived, nobody knows where the splats lie.
+#[test]
+fn a_part_without_its_origin_is_no_part() {
+    let sent = splats(300, 0);
+    let importance: Vec<f32> = (0..sent.len()).map(|i| -(i as f32)).collect();
+    let body = model_to_body(&sent, &cameras(3), &utm(), FirstLayer::ByImportance(&importance)).unwrap();
+    let origin = BodyPlan::new(&body).unwrap().packs_of(PackKind::Origin).next().unwrap().range;
+    let part = |lacks: &Range<usize>| {
+        let is_here = |range: Range<usize>| range.end <= lacks.start || range.start >= lacks.end;
+        part_to_model(&body, is_here, &utm()).unwrap()
+    };
+    assert_eq!(part(&(0..0)).unwrap().splats.len(), 300);
+    assert_eq!(part(&origin), None);
+}
+
+/// A scene of a millionth of the usual size is sent in the world's unit.
+#[test]
+fn a_model_of_another_unit_comes_back() {
+    let tiny: Vec<Camera> = cameras(3)
+        .iter()
+        .map(|camera| {
+            let Pose { rotation, translation } = camera.cam_from_world;
+            Camera { cam_from_world: Pose { rotation, translation: translation * 1e-6 }, ..*camera }
+        })
+        .collect();
+    let frame = LocalFrame::of(tiny.iter());
+    assert!(frame.unit() < 1e-6, "{frame:?}");
+    let local: Vec<Camera> = tiny.iter().map(|camera| frame.local_camera(camera)).collect();
+    let sent = splats(300, 1);
+    let importance: Vec<f32> = (0..sent.len()).map(|i| -(i as f32)).collect();
+    let body = model_to_body(&sent, &local, &frame, FirstLayer::ByImportance(&importance)).unwrap();
+    assert_eq!(scene_frame(&body).unwrap(), frame);
+    let found = body_to_model(&body, &frame).unwrap().splats;
+    for (i, of) in origins(&found, &sent).into_iter().enumerate() {
+        let off = Vec3::from(found.means[i]).distance(Vec3::from(sent.means[of]));
+        assert!(off < 0.05, "splat {i} moved by {off}");
+    }
+    let far = LocalFrame::at(DVec3::X * 1e9);
+    assert_eq!(
+        model_to_body(&sent, &[], &far, FirstLayer::ByImportance(&importance)),
+        Err(BodyFault::Origin)
+    );
 }

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
-use cosurf_scene::Camera;
+use cosurf_scene::{Camera, LocalFrame};
 use cosurf_wire::{
     BodyHash, DeviceId, FlightCameras, Message, ModelHeader, ModelId, RefusalReason, TileId, Topic,
 };
@@ -275,7 +275,7 @@ impl Node {
     }
 
     /// Decodes the packs of an unfinished model that have arrived. See [`Inbox::part`].
-    pub fn part(&self, key: ModelKey) -> Option<Model> {
+    pub fn part(&self, key: ModelKey) -> Option<(LocalFrame, Model)> {
         self.inbox.part(key)
     }
 }

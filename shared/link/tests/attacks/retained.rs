@@ -93,6 +93,7 @@ fn a_deleted_announcement_does_not_keep_tiles_from_a_drone() {
     let manifest = Manifest {
         tiles: vec![TileEntry { model, blake3, splats, body_bytes, bounds }],
         receivers: vec![Receiver { device: drone, tiles: vec![0] }],
+        ..Manifest::default()
     };
     let list = Offer::of_manifest(ground, ModelId(1), 3, &manifest).unwrap();
     fleet[0].node.broadcast(TileId::WHOLE, list, &[drone]);

@@ -4,6 +4,7 @@
 use std::io::{self, Write};
 use std::path::Path;
 
+use glam::DVec3;
 use serde_json::{Value, json};
 
 use super::data::Mesh;
@@ -85,6 +86,11 @@ fn describe(mesh: &Mesh) -> (Vec<u8>, u64) {
     }
     let index = json!({"componentType": UNSIGNED_INT, "type": "SCALAR"});
     let indices = arrays.push(3 * mesh.triangles.len(), 4, ELEMENT_ARRAY_BUFFER, index);
+    let mut node = json!({"mesh": 0, "rotation": Y_FROM_Z});
+    if mesh.origin != DVec3::ZERO {
+        // glTF moves a node after it has turned it.
+        node["translation"] = json!([mesh.origin.x, mesh.origin.z, -mesh.origin.y]);
+    }
     let material = json!({
         "pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 1},
         "doubleSided": true, // the surface is open, so cameras may also see its back
@@ -93,7 +99,7 @@ fn describe(mesh: &Mesh) -> (Vec<u8>, u64) {
         "asset": {"version": "2.0", "generator": "cosurf"},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0, "rotation": Y_FROM_Z}],
+        "nodes": [node],
         "meshes": [{"primitives": [{"attributes": attributes, "indices": indices, "material": 0}]}],
         "materials": [material],
         "buffers": [{"byteLength": arrays.bytes}],

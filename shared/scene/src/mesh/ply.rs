@@ -1,20 +1,35 @@
 //! Meshes as PLY: `x y z [nx ny nz] [red green blue]` and `property list uchar int vertex_indices`,
-//! which every mesh tool opens.
+//! which every mesh tool opens. Far from the world's origin, x, y and z are of the type `double`.
 
 use std::io::Write;
 use std::path::Path;
 
+use glam::DVec3;
+
 use super::data::Mesh;
 use crate::error::Refusal;
-use crate::ply::{Element, Kind, Rows, read_elements};
+use crate::ply::{Element, Kind, Rows, Scalar, read_elements};
 use crate::{SceneError, atomic};
+
+/// Coordinates of the type `double` whose first is at least so large are read relative to an origin: an `f32` of this
+/// size is exact to half a millimetre.
+const FAR: f64 = 8192.0;
+/// The origin is a multiple of this.
+const ORIGIN_STEP: f64 = 1000.0;
 
 /// See [`Mesh::write_ply`].
 pub(super) fn write(path: &Path, mesh: &Mesh) -> Result<(), SceneError> {
+    let is_near = mesh.origin == DVec3::ZERO;
     atomic::write(path, |out| {
         out.write_all(header_of(mesh).as_bytes())?;
         for (i, position) in mesh.positions.iter().enumerate() {
-            out.write_all(position.map(f32::to_le_bytes).as_flattened())?;
+            match is_near {
+                true => out.write_all(position.map(f32::to_le_bytes).as_flattened())?,
+                false => {
+                    let world = mesh.origin + DVec3::from_array(position.map(f64::from));
+                    out.write_all(world.to_array().map(f64::to_le_bytes).as_flattened())?;
+                }
+            }
             if let Some(normal) = mesh.normals.get(i) {
                 out.write_all(normal.map(f32::to_le_bytes).as_flattened())?;
             }
@@ -36,7 +51,7 @@ fn header_of(mesh: &Mesh) -> String {
     let mut declare = |kind: &str, names: [&str; 3]| {
         names.iter().for_each(|name| text += &format!("property {kind} {name}\n"));
     };
-    declare("float", ["x", "y", "z"]);
+    declare(if mesh.origin == DVec3::ZERO { "float" } else { "double" }, ["x", "y", "z"]);
     if !mesh.normals.is_empty() {
         declare("float", ["nx", "ny", "nz"]);
     }
@@ -74,12 +89,20 @@ fn read_vertices(element: &Element, rows: &mut Rows, mesh: &mut Mesh) -> Result<
     let position = columns(["x", "y", "z"]).ok_or("has no x, y and z for its vertices")?;
     let normal = columns(["nx", "ny", "nz"]);
     let rgb = columns(["red", "green", "blue"]);
+    let is_double = position.iter().all(|&column| element.properties[column].kind == Kind::One(Scalar::F64));
+    let rows_origin = rows.origin();
+    mesh.origin = rows_origin;
     let count = element.count as usize;
     mesh.positions.reserve_exact(count);
     mesh.normals.reserve_exact(normal.map_or(0, |_| count));
     mesh.rgb.reserve_exact(rgb.map_or(0, |_| count));
     while let Some(row) = rows.next()? {
-        let p = position.map(|column| row[column] as f32);
+        let mut place = DVec3::from_array(position.map(|column| row[column]));
+        if is_double && mesh.positions.is_empty() && place.abs().max_element() >= FAR {
+            mesh.origin += (place / ORIGIN_STEP).round() * ORIGIN_STEP;
+        }
+        place -= mesh.origin - rows_origin;
+        let p = place.as_vec3().to_array();
         if !p.iter().all(|v| v.is_finite()) {
             let vertex = mesh.positions.len();
             return Err(format!("vertex {vertex}: its position {p:?} is not finite; remove it").into());

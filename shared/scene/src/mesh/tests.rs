@@ -5,7 +5,7 @@
 
 use std::fs;
 
-use glam::{Quat, Vec3};
+use glam::{DVec3, Quat, Vec3};
 use serde_json::Value;
 
 use super::*;
@@ -18,6 +18,7 @@ fn corner() -> Mesh {
         normals: vec![[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0; 3]],
         rgb: vec![[0, 1, 2], [30, 40, 50], [128, 128, 128], [255, 0, 255]],
         triangles: vec![[0, 2, 1], [0, 1, 3], [0, 3, 2]],
+        ..Mesh::default()
     }
 }
 
@@ -42,6 +43,25 @@ fn meshes_and_clouds_survive_the_round_trip() {
     for mesh in [corner(), bare, cloud, Mesh::default()] {
         assert_eq!(read_bytes(&written(&mesh, "a.ply")).unwrap(), mesh);
     }
+}
+
+/// Coordinates of UTM keep their millimetres in a PLY, and the node of a GLB holds them in double precision.
+#[test]
+fn meshes_far_from_the_origin_keep_their_millimetres() {
+    let origin = DVec3::new(500_000.0, 5_200_000.0, 0.0);
+    let far = Mesh { origin, positions: vec![[0.001, 0.0, 412.25], [2.0, 0.5, 0.0], [0.0; 3]], ..corner() };
+    let far = Mesh { normals: Vec::new(), rgb: Vec::new(), triangles: vec![[0, 1, 2]], ..far };
+    let read = read_bytes(&written(&far, "a.ply")).unwrap();
+    assert_eq!(read.origin, origin);
+    for (read, expected) in read.positions.iter().zip(&far.positions) {
+        assert!((0..3).all(|k| (read[k] - expected[k]).abs() < 1e-4), "{read:?} for {expected:?}");
+    }
+    let text = String::from_utf8_lossy(&written(&far, "a.glb")).into_owned();
+    assert!(text.contains(r#""translation":[500000.0,0.0,-5200000.0]"#), "{text}");
+    assert!(!String::from_utf8_lossy(&written(&corner(), "a.glb")).contains("translation"));
+    let mut moved = read;
+    moved.move_origin(origin + DVec3::X * 1000.0);
+    assert_eq!(moved.positions[1], [-998.0, 0.5, 0.0]);
 }
 
 #[test]

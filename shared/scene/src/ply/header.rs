@@ -2,6 +2,9 @@
 
 use std::io::{self, BufRead, Read};
 
+use glam::DVec3;
+
+use crate::ORIGIN_MAX;
 use crate::error::Refusal;
 
 /// Longest accepted header, bytes; the header of a file of splats has about 1,500.
@@ -96,10 +99,12 @@ impl Element {
 }
 
 /// A parsed header.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub(super) struct Header {
     pub(super) format: Format,
     pub(super) elements: Vec<Element>,
+    /// The world position that positions are relative to.
+    pub(super) origin: DVec3,
     /// Length of the header, bytes. The values follow the header.
     pub(super) size_bytes: u64,
 }
@@ -113,10 +118,12 @@ impl Header {
         }
         let mut format = None;
         let mut elements = Vec::new();
+        let mut origin = DVec3::ZERO;
         loop {
             let line = lines.next()?;
             let words: Vec<&str> = line.split_ascii_whitespace().collect();
             match words[..] {
+                ["comment", "origin", x, y, z] => origin = parse_origin([x, y, z]).unwrap_or(origin),
                 [] | ["comment", ..] | ["obj_info", ..] => {}
                 ["format", name, "1.0"] => format = Some(parse_format(name)?),
                 ["element", name, count] => elements.push(parse_element(name, count)?),
@@ -129,8 +136,23 @@ impl Header {
             }
         }
         let format = format.ok_or("the header names no format")?;
-        Ok(Self { format, elements, size_bytes: lines.size_bytes })
+        Ok(Self { format, elements, origin, size_bytes: lines.size_bytes })
     }
+}
+
+/// The line of the header that tells the origin; nothing for an origin of zero.
+pub(crate) fn origin_line(origin: DVec3) -> String {
+    if origin == DVec3::ZERO {
+        return String::new();
+    }
+    format!("comment origin {} {} {}\n", origin.x, origin.y, origin.z)
+}
+
+/// `None` if the words are not a position on earth: then they are a comment of another tool.
+fn parse_origin(words: [&str; 3]) -> Option<DVec3> {
+    let mut numbers =
+        words.map(|word| word.parse().ok().filter(|it: &f64| it.abs() <= ORIGIN_MAX)).into_iter();
+    Some(DVec3::new(numbers.next()??, numbers.next()??, numbers.next()??))
 }
 
 fn parse_format(name: &str) -> Result<Format, Refusal> {

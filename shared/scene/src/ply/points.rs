@@ -24,9 +24,10 @@ pub(crate) fn read_points_into(sieve: &mut Sieve, path: &Path) -> Result<(), Sce
             return Err("has no x, y and z for its vertices".into());
         };
         let rgb = ["red", "green", "blue"].map(|name| element.column(name));
+        let origin = rows.origin();
         let mut vertex = 0u64;
         while let Some(row) = rows.next()? {
-            let position = DVec3::new(row[x], row[y], row[z]);
+            let position = origin + DVec3::new(row[x], row[y], row[z]);
             if !position.is_finite() {
                 return Err(format!("vertex {vertex}: its position {position} is not finite").into());
             }

@@ -6,6 +6,8 @@ use std::io::{BufRead, BufReader, ErrorKind, Read};
 use std::ops::ControlFlow;
 use std::path::Path;
 
+use glam::DVec3;
+
 use super::header::{Element, Format, Header, Kind, Scalar};
 use crate::error::Refusal;
 use crate::{SceneError, files};
@@ -57,7 +59,7 @@ fn visit_elements<T>(
         let mut left_bytes = metadata.len().saturating_sub(header.size_bytes);
         for element in &header.elements {
             left_bytes = check_size(element, header.format, left_bytes)?;
-            let mut rows = Rows::new(&mut input, header.format, element);
+            let mut rows = Rows::new(&mut input, &header, element);
             if let ControlFlow::Break(found) = visit(element, &mut rows)? {
                 return Ok(Some(found));
             }
@@ -90,6 +92,7 @@ pub(crate) struct Rows<'a> {
     input: &'a mut BufReader<File>,
     format: Format,
     element: &'a Element,
+    origin: DVec3,
     /// Whether all values are 32-bit floats in binary.
     is_flat: bool,
     row: u64,
@@ -98,11 +101,17 @@ pub(crate) struct Rows<'a> {
 }
 
 impl<'a> Rows<'a> {
-    fn new(input: &'a mut BufReader<File>, format: Format, element: &'a Element) -> Self {
+    fn new(input: &'a mut BufReader<File>, header: &Header, element: &'a Element) -> Self {
+        let &Header { format, origin, .. } = header;
         let is_float = |kind: Kind| matches!(kind, Kind::One(Scalar::F32));
         let is_flat =
             format == Format::Binary && element.properties.iter().all(|property| is_float(property.kind));
-        Self { input, format, element, is_flat, row: 0, word: Vec::new(), values: Vec::new() }
+        Self { input, format, element, origin, is_flat, row: 0, word: Vec::new(), values: Vec::new() }
+    }
+
+    /// The world position that the file's positions are relative to.
+    pub(crate) fn origin(&self) -> DVec3 {
+        self.origin
     }
 
     /// The next row, one value per property (0 for lists), or `None` after the last.

@@ -40,12 +40,12 @@ fn in_file<T>(content: &[u8], then: impl FnOnce(PathBuf) -> T) -> T {
 }
 
 fn read_bytes(content: &[u8]) -> Result<Splats, SceneError> {
-    in_file(content, |path| read(&path))
+    in_file(content, |path| read(&path, &LocalFrame::WORLD))
 }
 
 fn bytes_of(splats: &Splats) -> Vec<u8> {
     in_file(b"", |path| {
-        write(&path, splats).unwrap();
+        write(&path, splats, &LocalFrame::WORLD).unwrap();
         fs::read(path).unwrap()
     })
 }
@@ -135,6 +135,36 @@ fn other_dialects_are_read() {
     assert_eq!(read_bytes(&file).unwrap(), expected);
 }
 
+/// The origin is in the header, and the file has the world's unit whatever the frame.
+#[test]
+fn splats_of_a_frame_are_written_relative_to_its_origin_and_read_into_another() {
+    let origin = DVec3::new(500_000.0, 5_200_000.25, 0.0);
+    let splats = made_up(5, 1);
+    in_file(b"", |path| {
+        write(&path, &splats, &LocalFrame::at(origin)).unwrap();
+        assert_eq!(super::origin(&path).unwrap(), origin);
+        assert_eq!(read(&path, &LocalFrame::at(origin)).unwrap(), splats);
+        let moved = read(&path, &LocalFrame::at(origin - DVec3::Y * 8.0)).unwrap();
+        assert_eq!(moved.means[1][1], splats.means[1][1] + 8.0);
+        let mut parts = Splats::with_capacity(5, 1);
+        read_parts(&path, &LocalFrame::at(origin - DVec3::Y * 8.0), 2, |part| parts.extend(part)).unwrap();
+        assert_eq!(parts, moved);
+        let points = read_points(&path).unwrap();
+        let mean = DVec3::from_array(splats.means[1].map(f64::from));
+        assert_eq!(points[1].position, origin + mean);
+    });
+    assert_eq!(header::origin_line(DVec3::ZERO), "");
+}
+
+#[test]
+fn a_comment_that_names_no_position_is_a_comment() {
+    for words in ["a b c", "1 2", "1e300 0 0", "nan 0 0", "1 2 3 4"] {
+        let text = String::from_utf8(ascii(&[])).unwrap();
+        let text = text.replacen("1.0\n", &format!("1.0\ncomment origin {words}\n"), 1);
+        assert_eq!(read_bytes(text.as_bytes()).unwrap().means, [[0.5; 3]], "{words}");
+    }
+}
+
 #[test]
 fn ascii_is_read() {
     let splats = read_bytes(&ascii(&[("x", "-1e2"), ("rot_3", "+7")])).unwrap();
@@ -202,7 +232,8 @@ fn files_that_hold_no_splats_are_refused_with_a_reason() {
         let text = read_bytes(file.as_bytes()).unwrap_err().to_string();
         assert!(text.contains(complaint), "{complaint}: {text}");
     }
-    let text = read(std::path::Path::new("nowhere.ply")).unwrap_err().to_string();
+    let nowhere = std::path::Path::new("nowhere.ply");
+    let text = read(nowhere, &LocalFrame::WORLD).unwrap_err().to_string();
     assert_eq!(text, "nowhere.ply: there is no such file or folder");
 }
 

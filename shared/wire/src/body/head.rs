@@ -8,6 +8,7 @@ use super::bytes::{Reader, Writer};
 use super::camera::CAMERA_BYTES;
 use super::error::BodyError;
 use super::limits::{LAYOUT, MAX_SH_DEGREE, PACK_SPLATS_MAX, RATIO_MAX, sh_rest};
+use super::origin::ORIGIN_BYTES;
 use super::shape::{SHAPE_BYTES, SHAPE_FRAME_BYTES};
 
 /// Size of the head in bytes.
@@ -32,7 +33,7 @@ pub struct BodyHead {
     pub sh_degree: u8,
     /// Number of packs.
     pub packs: u16,
-    /// Box that contains the means (centres) of all splats.
+    /// Box that contains the means (centres) of all splats, relative to the origin.
     pub bounds: Bounds,
 }
 
@@ -49,13 +50,15 @@ pub enum PackKind {
     Sh,
     /// Differences from the shapes in a base pack to the final shapes of the same splats.
     Changes,
+    /// The world position that the positions of splats and the bounds are relative to.
+    Origin,
 }
 
 impl PackKind {
     /// Rank in the order of packs. Packs of lower rank come first; packs of equal rank may be mixed.
     pub(super) fn rank(self) -> u8 {
         match self {
-            Self::Cameras => 0,
+            Self::Origin | Self::Cameras => 0,
             Self::Basis => 1,
             Self::Shapes | Self::Changes | Self::Sh => 2,
         }
@@ -80,7 +83,7 @@ pub struct PackEntry {
     pub form: PackForm,
     /// Layer of the pack's splats. Layer 0 holds the most important splats, or the base.
     pub layer: u8,
-    /// Number of splats; 0 for cameras and the basis.
+    /// Number of splats; 0 for cameras, basis and origin.
     pub splats: u16,
     /// Size of the pack in the body, in bytes.
     pub bytes: u32,
@@ -109,6 +112,7 @@ impl PackEntry {
                 2 => PackKind::Basis,
                 3 => PackKind::Sh,
                 4 => PackKind::Changes,
+                5 => PackKind::Origin,
                 _ => return None,
             },
             form: if kind & STORED != 0 { PackForm::Stored } else { PackForm::Zstd },
@@ -179,6 +183,7 @@ impl BodyHead {
             PackKind::Basis => basis_bytes(self.sh_degree),
             PackKind::Sh => splats * sh_rest(self.sh_degree),
             PackKind::Changes => splats * SHAPE_BYTES,
+            PackKind::Origin => ORIGIN_BYTES,
         }
     }
 
@@ -186,7 +191,7 @@ impl BodyHead {
     pub(super) fn fits(&self, entry: &PackEntry) -> bool {
         let unpacked = self.unpacked_bytes(entry);
         let bytes = entry.bytes as usize;
-        let has_splats = !matches!(entry.kind, PackKind::Cameras | PackKind::Basis);
+        let has_splats = !matches!(entry.kind, PackKind::Cameras | PackKind::Basis | PackKind::Origin);
         let count_fits = match has_splats {
             true => (1..=PACK_SPLATS_MAX).contains(&usize::from(entry.splats)),
             false => entry.splats == 0,
@@ -213,12 +218,12 @@ pub fn body_bytes_range(splats: u32, cameras: u32, sh_degree: u8) -> Range<u64> 
     let least =
         HEAD_BYTES as u64 + (splats * SHAPE_BYTES as u64 + cameras * CAMERA_BYTES as u64) / RATIO_MAX as u64;
     // Worst case: each splat has its own packs.
-    let table = (3 * splats + 2) * (PACK_ENTRY_BYTES + SHAPE_FRAME_BYTES) as u64;
+    let table = (3 * splats + 3) * (PACK_ENTRY_BYTES + SHAPE_FRAME_BYTES) as u64;
     let most = HEAD_BYTES as u64
         + cameras * CAMERA_BYTES as u64
         + stored_splats
         + table
-        + basis_bytes(sh_degree) as u64;
+        + (basis_bytes(sh_degree) + ORIGIN_BYTES) as u64;
     least..most + 1
 }
 

@@ -145,6 +145,7 @@ impl<'a> BodyPlan<'a> {
             && self.entries().is_sorted_by_key(|entry| entry.kind.rank())
             && self.entries().all(|entry| head.fits(&entry))
             && count(PackKind::Cameras) == usize::from(head.cameras > 0)
+            && count(PackKind::Origin) <= 1
             && count(PackKind::Basis) == usize::from(sh > 0)
             && count(PackKind::Sh) == sh
             && splats == u64::from(head.splats)

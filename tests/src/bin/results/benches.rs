@@ -162,6 +162,13 @@ pub(crate) fn budgets(folder: &TempDir) -> Result<Results> {
     ours("budgets", &inputs.iter().map(String::as_str).collect::<Vec<_>>(), folder)
 }
 
+/// Measures a scene at other places and in other units.
+pub(crate) fn coordinates(folder: &TempDir) -> Result<Results> {
+    build()?;
+    let data = dataset("real_caliterra")?;
+    ours("coordinates", &[text(&data)?], folder)
+}
+
 /// Measures how much faster two workers merge a site of such districts.
 pub(crate) fn workers(folder: &TempDir) -> Result<Results> {
     of_districts("workers", &[], folder)

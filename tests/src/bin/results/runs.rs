@@ -42,7 +42,7 @@ pub(crate) fn command_fault(stored: &Results) -> Option<String> {
 }
 
 /// All benches, the quickest first.
-pub(crate) const RUNS: [Run; 27] = [
+pub(crate) const RUNS: [Run; 28] = [
     Run {
         name: "sizes",
         about: "size of both programs",
@@ -153,6 +153,12 @@ pub(crate) const RUNS: [Run; 27] = [
         about: "memory of commands with large inputs and small limits",
         command: "cargo bench -p cosurf-tests --bench budgets -- DATA SMALL AGENT...",
         measure: benches::budgets,
+    },
+    Run {
+        name: "coordinates",
+        about: "one scene at other places and in other units",
+        command: "cargo bench -p cosurf-tests --bench coordinates -- DATA",
+        measure: benches::coordinates,
     },
     Run {
         name: "workers",

@@ -75,8 +75,11 @@ pub(crate) fn tiles(dice: &mut Dice, drones: usize, chunk_bytes: u32) -> (Offer,
     };
     let receiver =
         |i: usize| Receiver { device: device(&drone(1 + i)), tiles: vec![2 * i as u32, 2 * i as u32 + 1] };
-    let manifest =
-        Manifest { tiles: tiles.iter().map(entry).collect(), receivers: (0..drones).map(receiver).collect() };
+    let manifest = Manifest {
+        tiles: tiles.iter().map(entry).collect(),
+        receivers: (0..drones).map(receiver).collect(),
+        ..Manifest::default()
+    };
     (Offer::of_manifest(ground, revision, 3, &manifest).unwrap(), tiles)
 }
 

@@ -1,6 +1,6 @@
 //! A base is usable alone, and its splats become part of the complete model.
 
-use cosurf_scene::Base;
+use cosurf_scene::{Base, LocalFrame};
 
 use super::*;
 
@@ -23,13 +23,14 @@ fn base(splats: &Splats) -> Base {
 fn a_base_stands_in_for_the_model_and_then_becomes_part_of_it() {
     let sent = splats(30_000, 2);
     let base = base(&sent);
-    let body = model_to_body(&sent, &cameras(3), FirstLayer::Base(&base)).unwrap();
+    let body = model_to_body(&sent, &cameras(3), &LocalFrame::WORLD, FirstLayer::Base(&base)).unwrap();
     assert!(body.len() as f64 / 30_000.0 <= 16.0, "{} bytes", body.len());
     let plan = BodyPlan::new(&body).unwrap();
     let end_of_base =
         plan.packs().filter(|pack| pack.entry.kind == PackKind::Shapes && pack.entry.layer == 0);
     let end_of_base = end_of_base.map(|pack| pack.range.end).max().unwrap();
-    let part = |end: usize| part_to_model(&body, |range| range.end <= end).unwrap().unwrap();
+    let part =
+        |end: usize| part_to_model(&body, |range| range.end <= end, &LocalFrame::WORLD).unwrap().unwrap();
     let first = part(end_of_base);
     assert_eq!((first.splats.len(), first.cameras.len()), (base.ids.len(), 3));
     let is_unchanged = |i: usize, origin: usize| {
@@ -50,11 +51,12 @@ fn a_base_stands_in_for_the_model_and_then_becomes_part_of_it() {
     // Without its changes the base keeps its first form, and the other splats are hidden, because they would
     // overlap the base.
     let changes: Vec<_> = plan.packs_of(PackKind::Changes).map(|pack| pack.range).collect();
-    let unchanged = part_to_model(&body, |range| !changes.contains(&range)).unwrap().unwrap();
+    let unchanged =
+        part_to_model(&body, |range| !changes.contains(&range), &LocalFrame::WORLD).unwrap().unwrap();
     assert_eq!(unchanged, first);
     // The complete model equals the model that was encoded without a base, except for quantisation errors.
-    let whole = body_to_model(&body).unwrap().splats;
-    let plain = body_to_model(&super::body(&sent)).unwrap().splats;
+    let whole = body_to_model(&body, &LocalFrame::WORLD).unwrap().splats;
+    let plain = body_to_model(&super::body(&sent), &LocalFrame::WORLD).unwrap().splats;
     let found = origins(&whole, &plain);
     let mut distinct = found.clone();
     distinct.sort_unstable();
@@ -83,15 +85,15 @@ fn a_base_with_reversed_axes_and_outside_the_bounds_round_trips() {
         base.splats.log_scales[i].reverse();
         base.splats.means[i] = base.splats.means[i].map(|v| 3.0 * v);
     }
-    let body = model_to_body(&sent, &[], FirstLayer::Base(&base)).unwrap();
-    assert_eq!(body_to_model(&body).unwrap().splats.len(), 600);
+    let body = model_to_body(&sent, &[], &LocalFrame::WORLD, FirstLayer::Base(&base)).unwrap();
+    assert_eq!(body_to_model(&body, &LocalFrame::WORLD).unwrap().splats.len(), 600);
     for end in (0..body.len()).step_by(101) {
-        let part = part_to_model(&body, |range| range.end <= end).unwrap();
+        let part = part_to_model(&body, |range| range.end <= end, &LocalFrame::WORLD).unwrap();
         assert!(part.is_none_or(|part| part.splats.find_bad_value().is_none()));
     }
     base.splats.means[7][0] = f32::NAN;
-    let fault = model_to_body(&sent, &[], FirstLayer::Base(&base)).unwrap_err();
+    let fault = model_to_body(&sent, &[], &LocalFrame::WORLD, FirstLayer::Base(&base)).unwrap_err();
     assert_eq!(fault, BodyFault::Splat { index: 21, field: "mean" });
     let empty = Base::default();
-    assert!(model_to_body(&sent, &[], FirstLayer::Base(&empty)).is_ok());
+    assert!(model_to_body(&sent, &[], &LocalFrame::WORLD, FirstLayer::Base(&empty)).is_ok());
 }
