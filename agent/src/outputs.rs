@@ -5,7 +5,7 @@ use std::path::Path;
 
 use anyhow::Result;
 use cosurf_contract::TrainReport;
-use cosurf_scene::{Camera, LocalFrame, Splats, atomic, ply};
+use cosurf_scene::{Camera, LocalFrame, Splats, atomic, camera_list, ply};
 use serde::Serialize;
 
 /// Writes all three files into `out`, each one atomically. `frame` is that of the splats and cameras; the files hold the
@@ -19,7 +19,7 @@ pub fn write(
 ) -> Result<()> {
     ply::write(&out.join("model.ply"), splats, frame)?;
     let cameras: Vec<Camera> = cameras.iter().map(|camera| frame.world_camera(camera)).collect();
-    write_json(&out.join("cameras.json"), &cameras)?;
+    camera_list::write(&out.join(camera_list::FILE), &cameras)?;
     write_json(&out.join("report.json"), report)
 }
 

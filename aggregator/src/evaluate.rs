@@ -16,7 +16,7 @@ mod surface;
 
 pub(crate) use judge::{Comparison, Judge};
 pub use lpips::{LpipsError, LpipsScore};
-pub use model::{EvalError, EvalOrder, EvalReport, ViewQuality, evaluate_model, model_path, table};
+pub use model::{EvalError, EvalOrder, EvalReport, ViewQuality, evaluate_model, table};
 pub(crate) use quality::Yardsticks;
 pub use quality::{Quality, YardstickError};
 pub use surface::{Spread, SurfaceQuality};

@@ -77,7 +77,14 @@ fn a_mission_in_utm_is_as_good_as_one_near_the_origin() {
     let far_mesh = Coordinates::at(UTM).mesh_back(far_mesh);
     let [near_f, far_f] = [near_mesh, far_mesh].map(|mesh| f_score(&mesh, &truth));
     assert!(near_f > 0.4 && far_f > near_f - 0.1, "F-score {near_f} near, {far_f} far");
-    // The commands read what a mission has written.
+    // The commands read what a mission has written, without photographs.
+    run("cosurf-aggregator", &["mesh", "--out"], &[&town.path("again.glb"), &far]);
+    run(
+        "cosurf-agent",
+        &["render", "--max-size", "64", "--cameras"],
+        &[&far, &far, Path::new("--out"), &town.path("seen")],
+    );
+    assert!(town.path("seen").join("camera-0001.color.png").is_file());
     let words = ["eval", "--eval-every", "5", "--json"];
     let eval: Value = serde_json::from_str(&run("cosurf-aggregator", &words, &[&far, &far_data])).unwrap();
     assert!((eval["mean"]["psnr"].as_f64().unwrap() - far_psnr).abs() < 0.01, "{eval}");

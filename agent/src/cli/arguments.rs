@@ -7,10 +7,9 @@ use clap::Args;
 use cosurf_agent::viewing;
 use cosurf_engine::{DeviceChoice, Renderer};
 use cosurf_scene::bytes::parse_bytes;
-use cosurf_scene::{Camera, LocalFrame};
+use cosurf_scene::{Camera, LocalFrame, ply};
 
 use super::host::cores;
-use super::paths::model_path;
 
 /// Options of the commands that train, score or render a model.
 #[derive(Args, Clone, Debug)]
@@ -68,7 +67,7 @@ impl ViewingArgs {
         beside_bytes: u64,
     ) -> Result<Renderer> {
         let device = self.device.device;
-        viewing::open(&model_path(model), frame, cameras, device, threads, self.memory, beside_bytes)
+        viewing::open(&ply::of_model(model)?, frame, cameras, device, threads, self.memory, beside_bytes)
     }
 }
 

@@ -14,9 +14,9 @@ use super::arguments::{Common, ViewingArgs};
 /// metres along the optical axis, 0 where there is no surface).
 #[derive(Args, Debug)]
 pub(super) struct RenderArgs {
-    /// The model: a PLY, or a folder that training wrote
+    /// The model: a PLY, or the folder of a training, a merge or a mission
     model: PathBuf,
-    /// The dataset with the cameras
+    /// The dataset with the cameras, or the folder of a model; needs no photographs
     #[arg(long, value_name = "DATA")]
     cameras: PathBuf,
     /// The folder to write to
@@ -29,7 +29,7 @@ pub(super) struct RenderArgs {
 }
 
 pub(super) fn run(args: &RenderArgs) -> Result<()> {
-    let (dataset, _) = Dataset::open_within(&args.cameras, 0)?;
+    let dataset = Dataset::posed(&args.cameras)?;
     let frame = LocalFrame::of(dataset.cameras_of_views());
     let dataset = dataset.into_frame(&frame);
     let max_size_px = args.common.max_size_px();

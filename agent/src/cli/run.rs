@@ -17,7 +17,7 @@ use cosurf_agent::status::StatusBoard;
 use cosurf_contract::{AgentConfig, AgentEvent, ComparedWith, Share};
 use cosurf_engine::{PruneSettings, SurfaceSettings, base_of};
 use cosurf_link::{Credentials, Identity, Role, next_session};
-use cosurf_scene::{Camera, FolderLock, LocalFrame, Splats, files, ply};
+use cosurf_scene::{Camera, FolderLock, LocalFrame, Splats, camera_list, ply};
 use cosurf_wire::DeviceId;
 
 use super::host::{self, cores, default_memory};
@@ -99,10 +99,7 @@ struct LocalModel {
 
 impl LocalModel {
     fn read(out: &Path) -> Result<Self> {
-        let path = out.join("cameras.json");
-        let bytes = files::read(&path)?;
-        let cameras: Vec<Camera> =
-            serde_json::from_slice(&bytes).with_context(|| path.display().to_string())?;
+        let cameras = camera_list::read(&out.join(camera_list::FILE))?;
         let frame = LocalFrame::of(cameras.iter());
         let splats = ply::read(&out.join("model.ply"), &frame)?;
         let cameras = cameras.iter().map(|camera| frame.local_camera(camera)).collect();

@@ -1,7 +1,6 @@
 //! `merge`: merges the models of several agents into one.
 
-use std::fs::File;
-use std::io::{self, BufWriter, IsTerminal, Write};
+use std::io::{self, IsTerminal, Write};
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc;
@@ -22,7 +21,7 @@ use cosurf_contract::counted;
 use cosurf_engine::DeviceChoice;
 use cosurf_link::Model;
 use cosurf_scene::bytes::parse_bytes;
-use cosurf_scene::{Camera, FolderLock, LocalFrame, SceneError, ply};
+use cosurf_scene::{Camera, FolderLock, LocalFrame, SceneError, camera_list, ply};
 
 /// Options that control a merge, shared by the commands `merge` and `mission`.
 #[derive(Args)]
@@ -106,24 +105,11 @@ struct Folders<'a> {
 
 impl<'a> Folders<'a> {
     fn open(folders: &'a [PathBuf]) -> Result<Self, SceneError> {
-        let frame = |folder: &PathBuf| Ok(LocalFrame::of(read_cameras(folder)?.iter()));
+        let frame =
+            |folder: &PathBuf| Ok(LocalFrame::of(camera_list::read(&folder.join(camera_list::FILE))?.iter()));
         let frames = folders.iter().map(frame).collect::<Result<Vec<_>, SceneError>>()?;
         Ok(Self { folders, frame: LocalFrame::most_common(&frames) })
     }
-}
-
-/// The world cameras of a model.
-fn read_cameras(folder: &Path) -> Result<Vec<Camera>, SceneError> {
-    let path = folder.join("cameras.json");
-    let bytes = std::fs::read(&path).map_err(|cause| SceneError::io(&path, cause))?;
-    let cameras: Vec<Camera> =
-        serde_json::from_slice(&bytes).map_err(|error| SceneError::malformed(&path, error.to_string()))?;
-    let is_blind = |camera: &Camera| camera.size_px.contains(&0) || camera.focal_px.min_element() <= 0.0;
-    if let Some(i) = cameras.iter().position(is_blind) {
-        let reason = format!("camera {i} has no pixels, or a focal length that is not above 0");
-        return Err(SceneError::malformed(&path, reason));
-    }
-    Ok(cameras)
 }
 
 impl Locals for Folders<'_> {
@@ -133,10 +119,9 @@ impl Locals for Folders<'_> {
 
     fn load(&self, index: usize) -> Result<Model, MergeError> {
         let folder = &self.folders[index];
-        let names = ["model.ply", "global.ply"].map(|name| folder.join(name));
-        let path = names.iter().find(|path| path.is_file()).unwrap_or(&names[0]);
-        let splats = ply::read(path, &self.frame)?;
-        let cameras = read_cameras(folder)?.iter().map(|camera| self.frame.local_camera(camera)).collect();
+        let splats = ply::read(&ply::of_model(folder)?, &self.frame)?;
+        let cameras = camera_list::read(&folder.join(camera_list::FILE))?;
+        let cameras = cameras.iter().map(|camera| self.frame.local_camera(camera)).collect();
         Ok(Model { splats, cameras })
     }
 }
@@ -243,11 +228,7 @@ fn write(out: &Path, merged: &MergedFile, frame: &LocalFrame) -> Result<()> {
     let cameras: Vec<Camera> = cameras.iter().map(|camera| frame.world_camera(camera)).collect();
     let parts = splats.parts().map(|part| part.map_err(io::Error::other));
     ply::write_parts(&out.join("global.ply"), splats.len(), splats.sh_degree(), frame, parts)?;
-    let path = out.join("cameras.json");
-    let failed = |cause| SceneError::io(&path, cause);
-    let mut file = BufWriter::new(File::create(&path).map_err(failed)?);
-    serde_json::to_writer_pretty(&mut file, &cameras).map_err(|error| failed(error.into()))?;
-    file.flush().map_err(failed)?;
+    camera_list::write(&out.join(camera_list::FILE), &cameras)?;
     Ok(())
 }
 

@@ -1,14 +1,13 @@
 //! `mesh`: writes the surface of a model as triangles.
 
 use std::io::{self, Write};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::thread::available_parallelism;
 use std::time::Instant;
 
 use anyhow::{Result, bail};
 use clap::Args;
 use cosurf_aggregator::Meter;
-use cosurf_aggregator::evaluate::model_path;
 use cosurf_aggregator::mesh::{FuseSettings, Fused, mesh_model};
 use cosurf_contract::counted;
 use cosurf_scene::bytes::{format_bytes, parse_bytes};
@@ -24,9 +23,9 @@ use super::host::display;
 pub(crate) struct MeshArgs {
     /// The model: a PLY file of splats, or the output folder of an agent or a mission
     model: PathBuf,
-    /// Dataset whose cameras to render from
+    /// Dataset whose cameras to render from, or the folder of a model [default: the model's folder]
     #[arg(long, value_name = "DATA")]
-    cameras: PathBuf,
+    cameras: Option<PathBuf>,
     /// Mesh to write, .ply or .glb
     #[arg(long, value_name = "FILE", default_value = "mesh.ply")]
     out: PathBuf,
@@ -49,10 +48,12 @@ pub(crate) fn run(args: &MeshArgs) -> Result<()> {
     if !matches!(args.out.extension().and_then(|e| e.to_str()), Some("ply" | "glb")) {
         bail!("{}: name a file that ends in .ply or .glb", args.out.display());
     }
-    let mut cameras = Dataset::cameras(&args.cameras)?;
+    let beside = if args.model.is_dir() { Some(&*args.model) } else { args.model.parent() };
+    let cameras = args.cameras.as_deref().or(beside).unwrap_or(Path::new(""));
+    let mut cameras = Dataset::cameras(cameras)?;
     let frame = LocalFrame::of(cameras.iter());
     cameras.iter_mut().for_each(|camera| *camera = frame.local_camera(camera));
-    let splats = ply::read(&model_path(&args.model)?, &frame)?;
+    let splats = ply::read(&ply::of_model(&args.model)?, &frame)?;
     let voxel_m = args.voxel.map(|voxel_m| voxel_m / frame.unit());
     let settings = FuseSettings { voxel_m, memory_bytes: args.memory };
     let threads = available_parallelism().map_or(1, usize::from);

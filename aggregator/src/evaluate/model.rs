@@ -1,7 +1,7 @@
 //! The command `eval`: scores a model against the photographs and the true surface of a dataset. A mission scores
 //! its global model in the same way at its end.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use cosurf_scene::{Dataset, LocalFrame, SceneError, View, ply};
 use serde::{Deserialize, Serialize};
@@ -10,9 +10,6 @@ use tracing::info_span;
 use super::judge::Judge;
 use super::quality::{Quality, YardstickError, Yardsticks};
 use crate::terminal::aligned;
-
-/// File names of the model in the output folder of an agent and of a mission.
-const MODELS: [&str; 2] = ["model.ply", "global.ply"];
 
 /// Which model to score, and against what.
 #[derive(Clone, Debug)]
@@ -64,12 +61,6 @@ pub enum EvalError {
     /// The LPIPS weights or the true surface cannot be read.
     #[error(transparent)]
     Yardstick(#[from] YardstickError),
-    /// The folder has no model.
-    #[error("{folder} has neither model.ply nor global.ply: name the model's PLY file")]
-    NoModel {
-        /// The folder.
-        folder: PathBuf,
-    },
     /// The dataset has no views to compare with.
     #[error("{data} has no views: name a dataset with pictures")]
     NoViews {
@@ -84,7 +75,7 @@ pub fn evaluate_model(order: &EvalOrder) -> Result<EvalReport, EvalError> {
     let dataset = Dataset::open(&order.data)?;
     let frame = LocalFrame::of(dataset.cameras_of_views());
     let dataset = dataset.into_frame(&frame);
-    let splats = ply::read(&model_path(&order.model)?, &frame)?;
+    let splats = ply::read(&ply::of_model(&order.model)?, &frame)?;
     let (lpips, truth) = (order.lpips.as_deref(), order.truth.as_deref());
     let yardsticks = Yardsticks::read(&order.data, lpips, truth, &frame)?;
     let mut judge = Judge::new(&splats, order.max_size_px, order.threads, &yardsticks);
@@ -95,15 +86,6 @@ pub fn evaluate_model(order: &EvalOrder) -> Result<EvalReport, EvalError> {
     let qualities: Vec<Quality> = views.iter().map(|view| view.quality).collect();
     let mean = Quality::mean(&qualities).ok_or_else(|| EvalError::NoViews { data: order.data.clone() })?;
     Ok(EvalReport { splats: splats.len(), mean, views })
-}
-
-/// The model file in the output folder of an agent or a mission; any other path is taken as the model file itself.
-pub fn model_path(model: &Path) -> Result<PathBuf, EvalError> {
-    if !model.is_dir() {
-        return Ok(model.into());
-    }
-    let inside = MODELS.map(|name| model.join(name)).into_iter().find(|path| path.is_file());
-    inside.ok_or_else(|| EvalError::NoModel { folder: model.into() })
 }
 
 /// The figures as a table for a terminal: one row for each view and one for the means, and one column for each
@@ -144,6 +126,8 @@ const COLUMNS: [Column; 11] = [
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
+    use std::path::Path;
+
     use cosurf_city::{City, CitySettings};
     use cosurf_engine::init::{Form, splats_from_points};
 
@@ -194,7 +178,7 @@ mod tests {
     #[test]
     fn a_folder_without_a_model_is_named() {
         let folder = tempfile::tempdir().unwrap();
-        let error = model_path(folder.path()).unwrap_err().to_string();
+        let error = ply::of_model(folder.path()).unwrap_err().to_string();
         assert!(
             error.contains(&folder.path().display().to_string()) && error.contains("global.ply"),
             "{error}"

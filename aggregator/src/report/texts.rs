@@ -206,7 +206,7 @@ pub(crate) mod tests {
     /// The record of a merge of seven splats.
     pub(crate) fn merging() -> Merging {
         Merging {
-            ply_blake3: None,
+            files_blake3: Default::default(),
             revision: 1,
             inputs: Vec::new(),
             kept_out: Vec::new(),

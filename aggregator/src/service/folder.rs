@@ -7,7 +7,7 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use cosurf_link::{Model, ModelKey, ModelStore, body_to_model};
-use cosurf_scene::{LocalFrame, SceneError};
+use cosurf_scene::{LocalFrame, SceneError, camera_list};
 use cosurf_wire::{DeviceId, ModelHeader};
 
 use super::error::ServiceError;
@@ -51,6 +51,10 @@ pub(super) fn handed_on(folder: &Path) -> PathBuf {
 pub fn global_ply(folder: &Path) -> PathBuf {
     folder.join("global.ply")
 }
+
+/// Files of the newest global model that are made for viewers and other programs, inside the folder of a service: the
+/// splats and the world cameras.
+pub(super) const MADE_FILES: [&str; 2] = ["global.ply", camera_list::FILE];
 
 /// Devices of which the service with this folder has a model, or a part of one. Reads only the names of files, so the
 /// service may be running.

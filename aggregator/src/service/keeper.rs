@@ -8,7 +8,7 @@ use std::sync::mpsc::{Receiver, TryRecvError};
 use std::time::Duration;
 
 use cosurf_link::{DEVICES_MAX, Damaged, ModelKey, ModelStore, Node, NodeEvent, Offer, Receiver as Listed};
-use cosurf_scene::ply;
+use cosurf_scene::{Camera, SceneError, camera_list, ply};
 use cosurf_wire::{DeviceId, ModelHeader, ModelId, ModelKind, RefusalReason, TileId, WireError};
 
 use super::above::{Above, AboveLink};
@@ -16,7 +16,7 @@ use super::control::{Command, ServiceConfig};
 use super::cut::{Cut, WHOLE_SPLATS_MAX};
 use super::error::ServiceError;
 use super::event::ServiceEvent;
-use super::folder::{global_ply, global_store, handed_on, sent_tiles, tiles};
+use super::folder::{MADE_FILES, global_ply, global_store, handed_on, sent_tiles, tiles};
 use super::inputs::Inputs;
 use super::job::{Job, JobState, Made, Outcome, TileWork};
 use super::rebroadcast::Rebroadcast;
@@ -452,7 +452,7 @@ impl Keeper {
             && self.global.is_some_and(|global| global.model.0 == record.revision)
             && !self.is_outnumbered()
             && !self.lacks_tiles()
-            && global_ply(&self.folder).is_file()
+            && MADE_FILES.iter().all(|name| self.folder.join(name).is_file())
     }
 
     /// Stores a finished merge and offers it to the agents, or offers the newest revision again.
@@ -523,10 +523,13 @@ impl Keeper {
         }
         self.global = Some(offer.header);
         ply::write(&global_ply(&self.folder), &model.splats, &frame)?;
-        let ply_blake3 = Some(file_hash(&global_ply(&self.folder))?);
+        let cameras: Vec<Camera> = model.cameras.iter().map(|camera| frame.world_camera(camera)).collect();
+        camera_list::write(&self.folder.join(camera_list::FILE), &cameras)?;
+        let hashed = |name: &str| Ok((name.to_owned(), file_hash(&self.folder.join(name))?));
+        let files_blake3 = MADE_FILES.into_iter().map(hashed).collect::<Result<_, SceneError>>()?;
         let (revision, inputs) = (offer.header.model.0, recorded(inputs));
         let settings = self.merge;
-        Merging { revision, ply_blake3, inputs, kept_out, fitted, fits, settings, summary, seconds }
+        Merging { revision, files_blake3, inputs, kept_out, fitted, fits, settings, summary, seconds }
             .write(&self.folder)?;
         keep_only(&self.work.results, &tiles)?;
         match cut {

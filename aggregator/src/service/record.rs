@@ -1,5 +1,6 @@
 //! Small files beside the models: what the newest revision was merged from, and which devices are withdrawn.
 
+use std::collections::BTreeMap;
 use std::fmt;
 use std::fs;
 use std::io;
@@ -9,7 +10,7 @@ use cosurf_scene::{LocalFrame, SceneError, atomic, files};
 use cosurf_wire::{DeviceId, ModelHeader};
 use serde::{Deserialize, Serialize};
 
-use super::folder::global_ply;
+use super::folder::MADE_FILES;
 use super::model_list::ModelList;
 use crate::gate::{Admitted, Fit, Place, Similarity, Tone};
 use crate::merge::{Locals, MergeSettings, MergeSummary};
@@ -22,9 +23,9 @@ pub(super) const WITHDRAWN: &str = "withdrawn";
 pub struct Merging {
     /// Number of the revision.
     pub revision: u64,
-    /// BLAKE3 hash of `global.ply`; `None` in folders of older versions.
+    /// BLAKE3 hashes of `global.ply` and `cameras.json`, by their names; none in folders of older versions.
     #[serde(default)]
-    pub ply_blake3: Option<String>,
+    pub files_blake3: BTreeMap<String, String>,
     /// The models that the service gave to the merge, in order of device id.
     pub inputs: Vec<Input>,
     /// Those of `inputs` that were kept out of the merge.
@@ -234,8 +235,11 @@ pub(super) fn file_hash(path: &Path) -> Result<String, SceneError> {
 
 /// Removes the newest global model of a service and the record of its merge. Returns false if there was neither.
 pub(super) fn remove_global(folder: &Path) -> Result<bool, SceneError> {
-    let had_model = remove(&global_ply(folder))?;
-    Ok(remove(&folder.join(MERGED))? || had_model)
+    let mut had_any = false;
+    for name in MADE_FILES.into_iter().chain([MERGED]) {
+        had_any |= remove(&folder.join(name))?;
+    }
+    Ok(had_any)
 }
 
 /// Removes a file. Returns false if it does not exist.

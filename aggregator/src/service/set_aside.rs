@@ -8,7 +8,7 @@ use cosurf_scene::{SceneError, files, ply};
 use serde::de::IgnoredAny;
 
 use super::event::ServiceEvent;
-use super::folder::global_ply;
+use super::folder::{MADE_FILES, global_ply};
 use super::record::{MERGED, Merging, file_hash};
 use super::trial::{READING, SUSPECTS};
 
@@ -16,16 +16,16 @@ use super::trial::{READING, SUSPECTS};
 /// They are made anew. Returns the events that tell it.
 pub(super) fn set_aside_files(folder: &Path) -> Result<Vec<ServiceEvent>, SceneError> {
     let mut told = Vec::new();
-    let recorded = Merging::read(folder).and_then(|record| record.ply_blake3);
-    told.extend(set_aside_unless(&global_ply(folder), |path| {
-        ply::check_length(path)?;
-        match &recorded {
+    let recorded = Merging::read(folder).map(|record| record.files_blake3).unwrap_or_default();
+    for name in MADE_FILES {
+        told.extend(set_aside_unless(&folder.join(name), |path| match recorded.get(name) {
             Some(hash) if file_hash(path)? != *hash => {
                 Err(SceneError::malformed(path, "its hash is not that of the last merge"))
             }
+            None if path == global_ply(folder) => ply::check_length(path),
             _ => Ok(()),
-        }
-    })?);
+        })?);
+    }
     told.extend(set_aside_unless(&folder.join(READING), |_| Ok(()))?);
     for path in [folder.join(MERGED), folder.join(SUSPECTS)] {
         told.extend(set_aside_unless(&path, |path| {

@@ -17,6 +17,7 @@ pub mod bvh;
 pub mod bytes;
 pub mod cache;
 pub mod camera;
+pub mod camera_list;
 pub mod colmap;
 pub mod colormap;
 pub mod dataset;

@@ -7,7 +7,7 @@ mod tests;
 use std::path::{Component, Path};
 
 use crate::sieve::Sieve;
-use crate::{Camera, Dataset, Picture, SceneError, View, colmap, transforms};
+use crate::{Camera, Dataset, Picture, SceneError, View, camera_list, colmap, transforms};
 
 /// Reason in the error for a dataset without views.
 const NO_VIEWS: &str = "has no pictures with poses";
@@ -30,25 +30,27 @@ impl Dataset {
     /// left out, or three of four, and so on. Also returns of how many points in a row one was kept.
     pub fn open_within(path: &Path, points_bytes_max: usize) -> Result<(Self, usize), SceneError> {
         let (mut dataset, stride) = read(path, points_bytes_max)?;
-        if dataset.views.is_empty() {
-            return Err(SceneError::malformed(path, NO_VIEWS));
-        }
-        for view in &mut dataset.views {
-            view.name = inner_name(&view.name).ok_or_else(|| {
-                SceneError::malformed(path, format!("'{}' is not a valid picture name", view.name))
-            })?;
-        }
-        sort(&mut dataset);
-        if let Some(pair) = dataset.views.windows(2).find(|pair| pair[0].name == pair[1].name) {
-            let reason = format!("two pictures are called {}; rename one of them", pair[0].name);
+        if dataset.views.iter().any(|view| view.path.as_os_str().is_empty()) {
+            let reason = "holds the cameras of a model, but no pictures; name the dataset that has them";
             return Err(SceneError::malformed(path, reason));
         }
+        order(path, &mut dataset)?;
         refuse_missing(&dataset.views)?;
         dataset.views.iter_mut().try_for_each(fit_camera)?;
         Ok((dataset, stride))
     }
 
-    /// The cameras of a dataset that [`Self::open`] understands, in the file's order. The pictures may
+    /// The views of a dataset or of a model's folder, in which `cameras.json` has the cameras, without sparse points. The
+    /// pictures may be missing.
+    pub fn posed(path: &Path) -> Result<Self, SceneError> {
+        let (mut dataset, _) = read(path, 0)?;
+        dataset.points.clear();
+        order(path, &mut dataset)?;
+        dataset.views.iter_mut().filter(|view| view.path.is_file()).try_for_each(fit_camera)?;
+        Ok(dataset)
+    }
+
+    /// The cameras of a dataset or of a model's folder, as [`Self::posed`] reads them, in the file's order. The pictures may
     /// be missing, unless a `transforms.json` does not give their sizes.
     pub fn cameras(path: &Path) -> Result<Vec<Camera>, SceneError> {
         let (dataset, _) = read(path, 0)?;
@@ -68,7 +70,30 @@ fn read(path: &Path, points_bytes_max: usize) -> Result<(Dataset, usize), SceneE
     Ok((Dataset { views, points }, stride))
 }
 
+/// Checks the names of the views, and sorts the views by them.
+fn order(path: &Path, dataset: &mut Dataset) -> Result<(), SceneError> {
+    if dataset.views.is_empty() {
+        return Err(SceneError::malformed(path, NO_VIEWS));
+    }
+    for view in &mut dataset.views {
+        view.name = inner_name(&view.name).ok_or_else(|| {
+            SceneError::malformed(path, format!("'{}' is not a valid picture name", view.name))
+        })?;
+    }
+    sort(dataset);
+    match dataset.views.windows(2).find(|pair| pair[0].name == pair[1].name) {
+        Some(pair) => {
+            let reason = format!("two pictures are called {}; rename one of them", pair[0].name);
+            Err(SceneError::malformed(path, reason))
+        }
+        None => Ok(()),
+    }
+}
+
 fn read_into(sieve: &mut Sieve, path: &Path) -> Result<Vec<View>, SceneError> {
+    if path.is_file() && path.file_name().is_some_and(|name| name == camera_list::FILE) {
+        return camera_list::read_views(path);
+    }
     if path.is_file() {
         return transforms::read(path, sieve);
     }
@@ -78,6 +103,10 @@ fn read_into(sieve: &mut Sieve, path: &Path) -> Result<Vec<View>, SceneError> {
     let file = path.join("transforms.json");
     if file.is_file() {
         return transforms::read(&file, sieve);
+    }
+    let list = path.join(camera_list::FILE);
+    if list.is_file() {
+        return camera_list::read_views(&list);
     }
     let reason = match path.is_dir() {
         true => {

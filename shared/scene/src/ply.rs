@@ -29,7 +29,7 @@ mod rows;
 mod tests;
 
 use std::io::{self, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use crate::error::Refusal;
 use crate::splats::sh_coefficients;
@@ -171,6 +171,20 @@ pub fn read_parts(
 /// except for values that cannot be rendered.
 pub fn size(path: &Path) -> Result<(usize, u32), SceneError> {
     read_vertices(path, |element, _| Ok((element.count as usize, Columns::find(element)?.sh_degree)))
+}
+
+/// Files with the splats in the folder of a training or of a merge.
+const OF_FOLDERS: [&str; 2] = ["model.ply", "global.ply"];
+
+/// The file with the splats of a model: the path itself, or the one in the folder of a training, a merge, a service or a
+/// mission. Errors: a folder without one.
+pub fn of_model(path: &Path) -> Result<PathBuf, SceneError> {
+    if !path.is_dir() {
+        return Ok(path.to_owned());
+    }
+    let inside = OF_FOLDERS.map(|name| path.join(name)).into_iter().find(|path| path.is_file());
+    let reason = "has neither model.ply nor global.ply: name the model's PLY file";
+    inside.ok_or_else(|| SceneError::malformed(path, reason))
 }
 
 /// Largest number of values of a splat's spherical harmonics.

@@ -132,7 +132,7 @@ fn a_damaged_revision_is_set_aside_and_made_anew_under_a_higher_number() {
 
 #[test]
 fn damaged_records_are_set_aside_and_made_anew() {
-    ["merged.json", "suspects.json", "global.ply"].into_iter().for_each(check);
+    ["merged.json", "suspects.json", "global.ply", "cameras.json"].into_iter().for_each(check);
 }
 
 /// Without its list, withdrawn models of a drone would count again.
@@ -217,6 +217,7 @@ fn survives(file: &Path, damage: fn(&Path), undamaged: &Path) {
         events.contains(&ServiceEvent::Delivered)
             && models.iter().all(|model| same(model))
             && same("global.ply")
+            && same("cameras.json")
     });
     assert_eq!(count(&events, is_disk_failure), 0, "{events:?}");
     // It runs on: a third drone is merged too.
@@ -233,7 +234,7 @@ fn every_damage_to_every_file_is_survived() {
     delivered_and_stopped(&MemoryNetwork::new(41, Faults::NONE), undamaged.path());
     let mut files = Vec::new();
     list_files(undamaged.path(), undamaged.path(), &mut files);
-    assert!(files.len() >= 7, "{files:?}");
+    assert!(files.len() >= 8, "{files:?}");
     for (file, (name, damage)) in files.iter().flat_map(|file| SWEPT.map(|damage| (file, damage))) {
         println!("{}: {name}", file.display());
         survives(file, damage, undamaged.path());

@@ -235,3 +235,27 @@ fn real_scenes_are_opened() {
         assert!(Picture::read(&dataset.views[0].path).unwrap().rgb.iter().any(|&value| value > 60));
     }
 }
+
+/// A folder of a model has cameras and no pictures: it can be rendered from, and not be trained on.
+#[test]
+fn the_cameras_of_a_model_are_read_without_pictures() {
+    let (data, model) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let cameras: Vec<Camera> = made_up(data.path()).views.iter().map(|view| view.camera).collect();
+    let list = model.path().join(camera_list::FILE);
+    camera_list::write(&list, &cameras).unwrap();
+    for path in [model.path(), &list] {
+        assert_eq!(Dataset::cameras(path).unwrap(), cameras);
+        let posed = Dataset::posed(path).unwrap();
+        assert_eq!(posed.views[2].name, "camera-0003");
+        assert_eq!(posed.views[2].camera, cameras[2]);
+        assert!(complaint(path).contains("no pictures"), "{}", complaint(path));
+    }
+    fs::remove_file(data.path().join("images/1.png")).unwrap();
+    assert_eq!(Dataset::posed(data.path()).unwrap().views[1].name, "1.png");
+    assert!(complaint(data.path()).contains("missing"));
+    let blind = Camera { size_px: [0, 6], ..cameras[1] };
+    camera_list::write(&list, &[cameras[0], blind]).unwrap();
+    assert!(Dataset::posed(model.path()).unwrap_err().to_string().contains("camera 1 has no pixels"));
+    fs::write(&list, "[]").unwrap();
+    assert!(Dataset::posed(model.path()).is_err());
+}
