@@ -25,6 +25,7 @@
 
 mod adjust;
 mod consensus;
+mod copies;
 mod doubt;
 mod extent;
 mod features;
@@ -46,12 +47,13 @@ mod tone;
 mod workspace;
 
 use cosurf_link::Model;
-use cosurf_scene::Camera;
+use cosurf_scene::{Camera, evenly_spaced};
 use tracing::info_span;
 
 use crate::merge::{Locals, MergeError, MergeSettings};
+use copies::Kept;
 pub use doubt::Doubt;
-use extent::{extents, held_bytes};
+use extent::{Extent, extents, held_bytes};
 pub use frames::{Fit, Move};
 use frames::{Placement, find_frames};
 use judge::{Judged, Judgement, judge};
@@ -60,6 +62,12 @@ pub use similarity::Similarity;
 pub use tone::Tone;
 use tone::tones;
 pub use workspace::Workspace;
+
+/// Of a model's cameras, one for so many of its splats takes part, evenly spaced: each costs time, and a model cannot
+/// teach more than it holds. Trained models have a hundred times as many.
+const SPLATS_PER_CAMERA: usize = 24;
+/// So many cameras always take part.
+const CAMERAS_MIN: usize = 64;
 
 /// The local models that take part in a merge, with positions and colours that fit each other.
 pub struct Admitted<'a> {
@@ -83,6 +91,8 @@ pub struct Place {
     pub size: f64,
     /// Whether the model belongs to the largest group of models that share ground with each other. A single model does.
     pub is_verified: bool,
+    /// Share of the pictures of the model's own cameras that show hardly any surface, 0..=1. Such cameras do not count.
+    pub void: f64,
     /// How the model is moved to where it fits the others; `None` if its position is right.
     pub by: Option<Move>,
     /// Matches the model's colours to those of the others; `None` if the colours of all models match already.
@@ -97,6 +107,10 @@ impl Locals for Admitted<'_> {
     fn load(&self, index: usize) -> Result<Model, MergeError> {
         let Place { local, size, by, tone, .. } = &self.places[index];
         let mut model = self.locals.load(*local)?;
+        let cameras_max = CAMERAS_MIN.max(model.splats.len() / SPLATS_PER_CAMERA);
+        if model.cameras.len() > cameras_max {
+            model.cameras = evenly_spaced(&model.cameras, cameras_max);
+        }
         if *size < 1.0 {
             let smaller = |side: u32| ((f64::from(side) * size).round() as u32).max(1);
             let resized = |camera: &mut Camera| *camera = camera.resized(camera.size_px.map(smaller));
@@ -171,10 +185,31 @@ pub fn admit<'a>(
     is_given_up: &dyn Fn() -> bool,
 ) -> Result<Admitted<'a>, MergeError> {
     let _span = info_span!("gate", models = locals.count()).entered();
-    let count = locals.count();
     let extents = extents(locals, is_given_up)?;
+    let kept = Kept::of(locals, &extents);
+    let among = admit_originals(&kept, &kept.extents(&extents), frames, workspace, is_given_up)?;
+    let of_all = kept.indices();
+    let place = |place: Place| Place { local: of_all[place.local], ..place };
+    let fit = |fit: Fit| Fit { models: fit.models.map(|model| of_all[model]), ..fit };
+    Ok(Admitted {
+        locals,
+        places: among.places.into_iter().map(place).collect(),
+        fits: among.fits.into_iter().map(fit).collect(),
+        doubts: kept.doubts(among.doubts),
+    })
+}
+
+/// As [`admit`], of models without copies.
+fn admit_originals<'a>(
+    locals: &'a dyn Locals,
+    extents: &[Option<Extent>],
+    frames: Frames,
+    workspace: Workspace,
+    is_given_up: &dyn Fn() -> bool,
+) -> Result<Admitted<'a>, MergeError> {
+    let count = locals.count();
     let Placement { moves, fits } = match frames.refine {
-        true => find_frames(locals, &extents, frames.vouched, workspace, is_given_up)?,
+        true => find_frames(locals, extents, frames.vouched, workspace, is_given_up)?,
         false => Placement::unmoved(count),
     };
     let place = |local: usize| Place {
@@ -182,6 +217,7 @@ pub fn admit<'a>(
         weight: 1.0,
         size: 1.0,
         is_verified: true,
+        void: 0.0,
         by: moves[local],
         tone: None,
     };
@@ -189,12 +225,12 @@ pub fn admit<'a>(
         Admitted { locals, doubts: vec![None; count], places: (0..count).map(place).collect(), fits };
     let linked: Vec<[usize; 2]> = admitted.fits.iter().map(|fit| fit.models).collect();
     let Judgement { judged, colors } =
-        judge(&admitted, &linked, workspace.shifts(held_bytes(&extents)), workspace.scratch, is_given_up)?;
+        judge(&admitted, &linked, workspace.shifts(held_bytes(extents)), workspace.scratch, is_given_up)?;
     let accepted =
         |local: &usize| judged[*local].doubt.is_none() && (frames.vouched || judged[*local].is_verified);
     let place = |local: usize| {
-        let Judged { weight, size, is_verified, .. } = judged[local];
-        Place { weight, size, is_verified, ..place(local) }
+        let Judged { weight, size, is_verified, void, .. } = judged[local];
+        Place { weight, size, is_verified, void, ..place(local) }
     };
     admitted.places = (0..count).filter(accepted).map(place).collect();
     let unverified = |local: usize| {

@@ -188,7 +188,7 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
     let unit = folders.frame.unit();
     for (place, local) in merged.summary.locals.iter().enumerate() {
         let LocalSummary { arrived, overlap, removed } = local;
-        let Place { local, weight, size, is_verified, by, tone } = admitted.place(place);
+        let Place { local, weight, size, is_verified, void, by, tone } = admitted.place(place);
         let (folder, percent) = (&names[local], 100.0 * overlap);
         let (arrived, removed) = (counted(*arrived, "splat"), counted(*removed, "splat"));
         let moved = by
@@ -205,10 +205,14 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
         } else {
             String::new()
         };
+        let void = match void {
+            0.0 => String::new(),
+            void => format!(", shows no ground in {:.0} % of the pictures of its own cameras", 100.0 * void),
+        };
         let unverified = if is_verified { "" } else { ", shares no ground with the others" };
         writeln!(
             stdout,
-            "{folder}: {arrived}, {percent:.0} % on shared ground, {removed} removed{moved}{toned}{weight}{size}{unverified}"
+            "{folder}: {arrived}, {percent:.0} % on shared ground, {removed} removed{moved}{toned}{weight}{size}{void}{unverified}"
         )?;
     }
     kept_out.iter().try_for_each(|kept_out| writeln!(stdout, "kept out: {kept_out}"))?;

@@ -5,6 +5,8 @@
 pub enum Doubt {
     /// The model has no splats.
     Empty,
+    /// The model has the same splats as the one with this index.
+    Copy(usize),
     /// This share of the model's splats, 0..=1, lies where none of its own cameras looks.
     Unseen(f64),
     /// This share of the pictures of the model's own cameras, 0..=1, shows mostly no surface.
@@ -24,6 +26,7 @@ impl Doubt {
     pub(crate) fn reason<N: AsRef<str>>(&self, names: &[N]) -> String {
         match self {
             Self::Empty => "has no splats".into(),
+            Self::Copy(original) => format!("is a copy of the model of {}", names[*original].as_ref()),
             Self::Unseen(share) => {
                 format!("has {:.0} % of its splats where none of its cameras looks", 100.0 * share)
             }

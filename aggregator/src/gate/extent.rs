@@ -35,6 +35,8 @@ pub(super) fn held_bytes(extents: &[Option<Extent>]) -> u64 {
 pub(super) struct Extent {
     /// Bytes that the model takes while pictures of it are rendered.
     held_bytes: u64,
+    /// Hash of the positions of all splats. Only a copy has the same.
+    pub(super) means_blake3: [u8; 32],
     low: DVec3,
     high: DVec3,
 }
@@ -56,7 +58,12 @@ impl Extent {
         let (low, high) = (DVec3::new(x[0], y[0], z[0]), DVec3::new(x[1], y[1], z[1]));
         let margin = DVec3::splat(MARGIN * (high - low).max_element());
         let held_bytes = rendered_bytes(means.len(), model.splats.sh_degree);
-        Some(Self { held_bytes, low: low - margin, high: high + margin })
+        let mut hasher = blake3::Hasher::new();
+        for value in means.as_flattened() {
+            hasher.update(&value.to_le_bytes());
+        }
+        let means_blake3 = *hasher.finalize().as_bytes();
+        Some(Self { held_bytes, means_blake3, low: low - margin, high: high + margin })
     }
 
     /// Whether the boxes of two models meet, if the models are moved by these similarities.

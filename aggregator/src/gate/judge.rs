@@ -15,7 +15,7 @@ use super::frames::groups;
 use super::glimpse::{Glimpse, VIEWS, median};
 use super::quality::{Detail, Differences, Standard};
 use super::sharpness::{Fine, Sharpness};
-use super::tone::Pairs;
+use super::tone::{Pairs, contrast};
 use crate::merge::cameras::{middle, radius};
 use crate::merge::scratch::{Record, Records};
 use crate::merge::shifts::Shifts;
@@ -52,6 +52,8 @@ pub(super) struct Judged {
     pub(super) size: f64,
     /// Whether the model belongs to the largest group of models that share ground with each other.
     pub(super) is_verified: bool,
+    /// Share of the pictures of the model's own cameras that show hardly any surface, 0..=1.
+    pub(super) void: f64,
     /// Whether the model has no cameras.
     pub(super) is_blind: bool,
 }
@@ -92,6 +94,7 @@ pub(super) fn judge(
         weight: standards[i].weight(),
         size: sizes[i],
         is_verified: verified[i],
+        void: shown[i].void(),
         is_blind: shown[i].cameras.is_empty(),
     });
     Ok(Judgement { judged: judged.collect(), colors: relations.colors })
@@ -152,9 +155,13 @@ impl View {
         let mut compared =
             Compared { other, is_confirmed, difference: None, colors: Vec::new(), log_ratio: None };
         if !is_compressed && let (Some(detail), Some(fine)) = (detail, fine) {
-            compared.difference = Detail::of(renderer, camera).difference(detail, shared, glimpse.size_px());
             compared.colors = glimpse.colors_with(&shown, shared).collect();
-            compared.log_ratio = Fine::of(renderer, camera).log_ratio(fine);
+            // Another camera's contrast is neither an error nor a lack of detail.
+            let contrast = contrast(&compared.colors);
+            let own = Detail::of(renderer, camera).times(contrast);
+            compared.difference = own.difference(detail, shared, glimpse.size_px());
+            let log_ratio = Fine::of(renderer, camera).log_ratio(fine);
+            compared.log_ratio = log_ratio.map(|log_ratio| log_ratio + 2.0 * contrast.ln());
         }
         compared
     }
@@ -188,6 +195,12 @@ impl Shown {
         (Self { cameras, is_empty, views: Vec::new(), pixel_m, unseen, solid, middle, radius }, views)
     }
 
+    /// Share of the views that show hardly any surface, 0..=1.
+    fn void(&self) -> f64 {
+        let void = self.solid.iter().filter(|share| **share < SHOWN_MIN).count();
+        void as f64 / self.solid.len().max(1) as f64
+    }
+
     /// Whether the model does not fit its own cameras.
     fn doubt(&self) -> Option<Doubt> {
         if self.is_empty {
@@ -196,8 +209,7 @@ impl Shown {
         if self.unseen > UNSEEN_MAX {
             return Some(Doubt::Unseen(self.unseen));
         }
-        let void = self.solid.iter().filter(|share| **share < SHOWN_MIN).count();
-        let void = void as f64 / self.solid.len().max(1) as f64;
+        let void = self.void();
         (void >= 0.5).then_some(Doubt::Void(void))
     }
 

@@ -54,6 +54,12 @@ impl Detail {
         Self { fine: without_local_mean(&grey, size_px), size_px }
     }
 
+    /// The detail with this factor on its contrast.
+    pub(super) fn times(mut self, contrast: f64) -> Self {
+        self.fine.iter_mut().for_each(|value| *value *= contrast as f32);
+        self
+    }
+
     /// Mean squared difference of two models' detail in a picture, as a share of its mean square. `shared` are pixels
     /// of a glimpse of the same camera, of the size `of_px`; only detail inside them counts.
     pub(super) fn difference(&self, other: &Self, shared: &[usize], of_px: [u32; 2]) -> Option<f64> {

@@ -26,6 +26,8 @@ const MEANS_MIN: f64 = 0.03;
 const SPREADS_MIN: f64 = 0.2;
 /// Least spread (standard deviation) of colours from which a gain can be derived.
 const SPREAD_MIN: f64 = 0.03;
+/// Least correlation of the brightness of two models from which one contrast can be compared with the other.
+const ALIKE_MIN: f64 = 0.9;
 /// Weight with which a model keeps its own colours, as a share of all compared pixels. It is negligible beside one
 /// shared picture, but fixes the colours of a model that shares none.
 const OWN_WEIGHT: f64 = 1e-6;
@@ -59,6 +61,25 @@ impl fmt::Display for Tone {
         let ([r, g, b], [dr, dg, db]) = (self.gain, self.offset);
         write!(f, "colours × {r:.2} {g:.2} {b:.2} {dr:+.2} {dg:+.2} {db:+.2}")
     }
+}
+
+/// The factor on the contrast of the second model with which it is that of the first. `colors` are those of both at the same
+/// points of the surface. It is 1 where the contrasts differ no more than those of models of one camera do, are too small to
+/// tell, or belong to different patterns. A model that shows less detail has almost the same contrast, as the points are far
+/// apart.
+pub(super) fn contrast(colors: &[[[f32; 3]; 2]]) -> f64 {
+    let grey = |color: [f32; 3]| color.iter().map(|value| f64::from(*value)).sum::<f64>() / 3.0;
+    let greys: Vec<[f64; 2]> = colors.iter().map(|pair| pair.map(grey)).collect();
+    let count = greys.len().max(1) as f64;
+    let means = [0, 1].map(|model| greys.iter().map(|pair| pair[model]).sum::<f64>() / count);
+    let product = |a: usize, b: usize| {
+        greys.iter().map(|pair| (pair[a] - means[a]) * (pair[b] - means[b])).sum::<f64>() / count
+    };
+    let [first, second] = [0, 1].map(|model| product(model, model).sqrt());
+    let is_told = first.min(second) > SPREAD_MIN
+        && (first / second).ln().abs() >= SPREADS_MIN
+        && product(0, 1) >= ALIKE_MIN * first * second;
+    if is_told { first / second } else { 1.0 }
 }
 
 /// Sums over the colours that two models show of the same surface points.
@@ -183,6 +204,26 @@ fn middle(mut values: Vec<f64>) -> f64 {
     values.sort_unstable_by(f64::total_cmp);
     let count = values.len();
     if count == 0 { 0.0 } else { 0.5 * (values[(count - 1) / 2] + values[count / 2]) }
+}
+
+#[cfg(test)]
+mod contrast_tests {
+    use super::contrast;
+
+    /// Colours of two models, the second with this factor on its contrast.
+    fn colors(factor: f32) -> Vec<[[f32; 3]; 2]> {
+        (0..100).map(|i| i as f32 / 100.0).map(|grey| [[grey; 3], [0.1 + factor * grey; 3]]).collect()
+    }
+
+    #[test]
+    fn contrasts_of_other_cameras_are_undone_and_small_differences_are_none() {
+        assert!((contrast(&colors(0.6)) * 0.6 - 1.0).abs() < 1e-3);
+        assert!((contrast(&colors(1.7)) * 1.7 - 1.0).abs() < 1e-3);
+        assert_eq!([contrast(&colors(0.9)), contrast(&colors(0.0)), contrast(&[])], [1.0; 3]);
+        let mut others = colors(0.6);
+        others.iter_mut().step_by(2).for_each(|pair| pair[1] = [0.9 - pair[1][0]; 3]);
+        assert_eq!(contrast(&others), 1.0, "another pattern has no contrast to compare");
+    }
 }
 
 #[cfg(test)]

@@ -153,6 +153,10 @@ pub struct Fitted {
     /// [`Place::size`]. `None` if they keep their sizes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub size: Option<f64>,
+    /// Share of the pictures of the model's own cameras that show hardly any ground, 0..=1; such cameras do not count.
+    /// `None` if all show some.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub void: Option<f64>,
     /// True if the model shares no ground with the others. It takes part because its frame is vouched for.
     #[serde(default, skip_serializing_if = "is_false")]
     pub unverified: bool,
@@ -165,7 +169,7 @@ fn is_false(value: &bool) -> bool {
 impl Fitted {
     /// `None` if there is nothing to tell. `frame` is that of the place.
     pub fn of(device: &str, place: Place, frame: &LocalFrame) -> Option<Self> {
-        let Place { by, tone, weight, size, is_verified, .. } = place;
+        let Place { by, tone, weight, size, is_verified, void, .. } = place;
         let fitted = Self {
             device: device.to_string(),
             by: by.map(|by| by.by.world_from_frame(frame)),
@@ -173,10 +177,15 @@ impl Fitted {
             tone,
             weight: (weight < 1.0).then_some(weight),
             size: (size < 1.0).then_some(size),
+            void: (void > 0.0).then_some(void),
             unverified: !is_verified,
         };
-        let is_told =
-            fitted.by.is_some() || tone.is_some() || weight < 1.0 || size < 1.0 || fitted.unverified;
+        let is_told = fitted.by.is_some()
+            || tone.is_some()
+            || weight < 1.0
+            || size < 1.0
+            || void > 0.0
+            || fitted.unverified;
         is_told.then_some(fitted)
     }
 }
@@ -196,7 +205,13 @@ impl fmt::Display for Fitted {
         let size = self.size.map(|size| {
             format!("shows no more detail than pictures {:.0} % as large, and counts as such", 100.0 * size)
         });
-        let told: Vec<String> = [moved, tone, weight, size, unverified].into_iter().flatten().collect();
+        let void = self.void.map(|void| {
+            format!(
+                "shows no ground in {:.0} % of the pictures of its own cameras, which do not count",
+                100.0 * void
+            )
+        });
+        let told: Vec<String> = [moved, tone, weight, size, void, unverified].into_iter().flatten().collect();
         write!(f, "{}: {}", self.device, told.join(", "))
     }
 }

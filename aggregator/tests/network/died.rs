@@ -31,8 +31,8 @@ fn die_as_it_reads(folder: &Path, index: u32) {
 fn attack_01_a_model_that_kills_every_merge_is_set_aside() {
     let folder = tempfile::tempdir().unwrap();
     let (store, _) = ModelStore::open(&folder.path().join("out/models")).unwrap();
-    for device in ["drone-1", "drone-2", "drone-3"] {
-        let offer = mergeable_offer(device, 20_000);
+    for (i, device) in ["drone-1", "drone-2", "drone-3"].into_iter().enumerate() {
+        let offer = mergeable_offer(device, 20_000 + i);
         store.put(&offer.header, &offer.body).unwrap();
     }
     let config = format!(

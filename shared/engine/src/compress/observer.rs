@@ -154,6 +154,8 @@ struct Surface {
 /// Those cameras of a model that may see some place of a ball.
 pub(super) struct Near<'a> {
     sights: Vec<&'a Sight>,
+    /// Cameras with the place in their pictures, but farther away than all that they see.
+    beyond: Vec<&'a Sight>,
     weight: f64,
     /// True to judge by the cameras alone: nothing is hidden from them, and `weight` is 1.
     sees_through: bool,
@@ -190,11 +192,11 @@ impl Observer {
         let counts = |sight: &Sight| sight.counts && (sees_through || sight.is_believed);
         let reaches =
             |sight: &Sight| sees_through || sight.reach.is_none_or(|reach| reach.touches(center, radius));
-        let may_see =
-            |sight: &&Sight| counts(sight) && reaches(sight) && sight.frustum.touches(center, radius);
-        let sights = self.sights.iter().filter(may_see).collect();
+        let looks_there = |sight: &&Sight| counts(sight) && sight.frustum.touches(center, radius);
+        let (sights, beyond) =
+            self.sights.iter().filter(looks_there).partition(|sight: &&Sight| reaches(sight));
         let weight = if sees_through { 1.0 } else { self.weight * self.believed.powi(2) };
-        Near { sights, weight, sees_through }
+        Near { sights, beyond, weight, sees_through }
     }
 
     /// Share of each camera's picture that shows a surface, 0..=1; 0 if the model is not known.
@@ -209,6 +211,14 @@ impl Observer {
 }
 
 impl Near<'_> {
+    /// Whether `place` lies in the picture of some camera, and behind the surface in all such pictures.
+    pub(super) fn hides(&self, place: DVec3) -> bool {
+        let contains = |sight: &&&Sight| sight.frustum.contains(place);
+        !self.sees_through
+            && self.sights.iter().chain(&self.beyond).any(|sight| contains(&sight))
+            && !self.sights.iter().any(|sight| sight.sees(place, false))
+    }
+
     /// Number of cameras that see `place`, and what their observations are worth together: for each camera, the square
     /// of the number of pixels on a square of one world unit; added up, times the weight of the model.
     ///

@@ -179,3 +179,19 @@ fn the_standing_of_a_view_is_its_models_share_of_the_best() {
     near(observers.standings(0), 1.0 / 16.0);
     near(observers.standings(1), 1.0);
 }
+
+/// Splats below the ground, which no camera of their own model sees, are lost, alone or beside other models. What lies at
+/// the edge of the pictures, or on the ground, stays.
+#[test]
+fn splats_that_the_surface_hides_from_all_cameras_are_lost() {
+    let mut model = ground();
+    let visible = model.len();
+    level(&mut model, 0.4, -4.0);
+    let hidden: Vec<u32> = (visible as u32..model.len() as u32).collect();
+    let alone = known(&[(model.clone(), cameras(4, 100.0), 1.0)]);
+    assert_eq!(Compression::plan(&model, 0, &alone).removed, hidden);
+    let beside = known(&[(model.clone(), cameras(4, 100.0), 1.0), (ground(), cameras(4, 90.0), 1.0)]);
+    assert_eq!(Compression::plan(&model, 0, &beside).removed, hidden);
+    let by_cameras_alone = announced(&[cameras(4, 100.0)]);
+    assert!(Compression::plan(&model, 0, &by_cameras_alone).removed.is_empty());
+}
