@@ -64,7 +64,7 @@ use tone::tones;
 pub use workspace::Workspace;
 
 /// Of a model's cameras, one for so many of its splats takes part, evenly spaced: each costs time, and a model cannot
-/// teach more than it holds. Trained models have a hundred times as many.
+/// teach more than it holds. Models of pictures of 160 px have about 500 splats for each camera.
 const SPLATS_PER_CAMERA: usize = 24;
 /// So many cameras always take part.
 const CAMERAS_MIN: usize = 64;

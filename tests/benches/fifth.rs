@@ -200,7 +200,8 @@ impl Joined {
     fn first_with(&self, change: fn(&Pose) -> Pose) -> Model {
         let Model { splats, cameras } = &self.models[0];
         let changed = |camera: &Camera| Camera { cam_from_world: change(&camera.cam_from_world), ..*camera };
-        Model { splats: splats.clone(), cameras: cameras.iter().map(changed).collect() }
+        // One splat less: a copy would be kept out as such.
+        Model { splats: splats.without(&[0]), cameras: cameras.iter().map(changed).collect() }
     }
 
     /// Reads a model from the folder of the fifth models, or trains it first if the folder lacks it. `data` gets a

@@ -107,7 +107,7 @@ pub struct ModelHeader {
     pub cameras: u32,
     /// Number of pictures that the model was trained on.
     pub views: u32,
-    /// Box that contains the means (centres) of all splats.
+    /// Box that contains the means (centres) of all splats, relative to the body's origin.
     pub bounds: Bounds,
     /// Size of the whole body in bytes.
     pub body_bytes: u64,
