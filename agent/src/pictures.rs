@@ -18,8 +18,9 @@ pub fn scratch_bytes(cameras: &[Camera]) -> u64 {
 }
 
 /// Renders `view` with a long side of at most `max_size_px` and writes `NAME.color.png`, `NAME.depth.png`,
-/// `NAME.normal.png` and `NAME.depth.pfm` into `folder`. NAME is the view's name without its extension, with `_` for
-/// `/` and `\`. `unit` is the length of the renderer's unit, metres. The PFM has one 32-bit float per pixel: metres along the optical axis, 0 where there is no surface.
+/// `NAME.normal.png` and `NAME.depth.pfm` into `folder`. NAME is the view's name without its extension, with `_` for `/`
+/// and `\`. `unit` is the length of the renderer's unit, metres. The PFM has one 32-bit float per pixel: metres along the
+/// optical axis, 0 where there is no surface.
 pub fn write(renderer: &mut Renderer, view: &View, max_size_px: u32, unit: f64, folder: &Path) -> Result<()> {
     let camera = view.camera.fitted(max_size_px);
     let mut rendering = renderer.render(&camera);

@@ -8,9 +8,10 @@ use cosurf_engine::{DeviceChoice, Renderer};
 use cosurf_scene::bytes::format_bytes;
 use cosurf_scene::{Camera, LocalFrame, ply};
 
-/// Opens the model to render it from `cameras`, which are in `frame`. With a limit, it is rendered on the CPU, and the process stays within
-/// `memory_bytes`, of which it needs `beside_bytes` for other things than rendering. Fails if the model cannot be read,
-/// the device cannot be opened, a GPU is asked for together with a limit, or the limit is too small.
+/// Opens the model to render it from `cameras`, which are in `frame`. With a limit, it is rendered on the CPU, and the
+/// process stays within `memory_bytes`, of which it needs `beside_bytes` for other things than rendering. Fails if the
+/// model cannot be read, the device cannot be opened, a GPU is asked for together with a limit, or the limit is too
+/// small.
 pub fn open(
     model: &Path,
     frame: &LocalFrame,

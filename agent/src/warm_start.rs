@@ -12,10 +12,10 @@ use glam::DVec3;
 /// Number of splats of the file that are in memory at a time.
 const PART: usize = 4096;
 
-/// Reads a PLY into the frame of `cameras` and keeps the splats whose centres at least one of `cameras` sees, in the order of the file. If more
-/// than `splats_max` remain, keeps the most important ones, by opacity times area. The result has spherical harmonics
-/// up to `sh_degree`: higher degrees of the file are dropped, and degrees that the file lacks are zero. The memory does
-/// not grow with the file: it is read twice, first to choose splats and then to copy them.
+/// Reads a PLY into the frame of `cameras` and keeps the splats whose centres at least one of `cameras` sees, in the
+/// order of the file. If more than `splats_max` remain, keeps the most important ones, by opacity times area. The result
+/// has spherical harmonics up to `sh_degree`: higher degrees of the file are dropped, and degrees that the file lacks are
+/// zero. The memory does not grow with the file: it is read twice, first to choose splats and then to copy them.
 pub fn read_visible_splats(
     model: &Path,
     frame: &LocalFrame,

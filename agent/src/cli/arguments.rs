@@ -57,7 +57,8 @@ pub(super) struct ViewingArgs {
 }
 
 impl ViewingArgs {
-    /// Opens the model of a file or folder to render it from `cameras`, which are in `frame`. The command needs `beside_bytes` for other things.
+    /// Opens the model of a file or folder to render it from `cameras`, which are in `frame`. The command needs
+    /// `beside_bytes` for other things.
     pub(super) fn open(
         &self,
         model: &Path,

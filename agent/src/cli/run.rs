@@ -141,8 +141,8 @@ impl Job {
         self.config.compress.then(|| session::flight(&self.plan)).transpose()
     }
 
-    /// Connects, and asks the aggregator for this device's cell of the plan. Chooses the pictures by the answer, and tells how
-    /// far the agent is while it trains. A training that was begun keeps its pictures.
+    /// Connects, and asks the aggregator for this device's cell of the plan. Chooses the pictures by the answer, and
+    /// tells how far the agent is while it trains. A training that was begun keeps its pictures.
     fn connect(&mut self, board: &StatusBoard, progress: &mut Progress) -> Result<Reporter> {
         let out = &self.config.out;
         let begun_with = choice::begun_with(out);

@@ -19,8 +19,8 @@ pub(crate) enum Relief {
     Missing(MeshError),
 }
 
-/// Makes the mesh of splats and cameras that are in `frame`, and writes it to `file`, in the world. The long side of the renderings is at most `max_size_px`. Rendering uses
-/// `threads` (at least 1) threads.
+/// Makes the mesh of splats and cameras that are in `frame`, and writes it to `file`, in the world. The long side of the
+/// renderings is at most `max_size_px`. Rendering uses `threads` (at least 1) threads.
 pub(crate) fn relief(
     splats: Splats,
     cameras: &[Camera],

@@ -241,7 +241,8 @@ impl Place {
         Self { header, by, is_kept_out }
     }
 
-    /// The tiles, which are in `frame`, in which the device has ground. None if its model was kept out of the last merge: its place is doubtful.
+    /// The tiles, which are in `frame`, in which the device has ground. None if its model was kept out of the last merge:
+    /// its place is doubtful.
     fn tiles(
         &self,
         models: &ModelStore,

@@ -28,8 +28,8 @@ pub(super) struct Cut {
 }
 
 impl Cut {
-    /// Cuts a model, which is in `frame`, with more than `whole_max` splats into tiles. `locals` has the splats of each device's model, where they
-    /// were merged.
+    /// Cuts a model, which is in `frame`, with more than `whole_max` splats into tiles. `locals` has the splats of each
+    /// device's model, where they were merged.
     pub(super) fn of(
         model: &Model,
         frame: &LocalFrame,

@@ -392,8 +392,8 @@ impl Keeper {
         Ok(withdrawn.map(|device| ServiceEvent::Withdrawn { device }))
     }
 
-    /// Removes the newest global model and its tiles, because it was merged from withdrawn models. Its revision in `global/` stays,
-    /// so that the next revision has a higher number.
+    /// Removes the newest global model and its tiles, because it was merged from withdrawn models. Its revision in
+    /// `global/` stays, so that the next revision has a higher number.
     fn withdraw_global(&mut self, node: &mut Node) -> Result<(), ServiceError> {
         keep_only(&self.work.results, &[])?;
         self.rebroadcast.stop(node);

@@ -333,9 +333,9 @@ impl Inbox {
         self.transfers.values().filter(fetching).map(|transfer| &transfer.header)
     }
 
-    /// Decodes the packs of an unfinished model that have arrived into the body's own frame, which is returned. Returns `None` if no splats have arrived or
-    /// the packs are invalid. Also returns `None` if models must be signed: the signature covers the hash of the
-    /// whole body, which cannot be checked before the body is complete.
+    /// Decodes the packs of an unfinished model that have arrived into the body's own frame, which is returned. Returns
+    /// `None` if no splats have arrived or the packs are invalid. Also returns `None` if models must be signed: the
+    /// signature covers the hash of the whole body, which cannot be checked before the body is complete.
     pub fn part(&self, key: ModelKey) -> Option<(LocalFrame, Model)> {
         self.transfers.get(&key).filter(|_| self.credentials.trusted.is_none())?.part()
     }

@@ -97,8 +97,8 @@ impl Manifest {
         joined.unwrap_or(Bounds { min: [0.0; 3], max: [0.0; 3] })
     }
 
-    /// Whether all numbers are those of tiles, each once, and each receiver is listed once, with places that exist, each once.
-    /// An edge writes a file for each place, so a list of repeated places would fill its disk.
+    /// Whether all numbers are those of tiles, each once, and each receiver is listed once, with places that exist, each
+    /// once. An edge writes a file for each place, so a list of repeated places would fill its disk.
     fn is_sound(&self) -> bool {
         let numbers: BTreeSet<ModelId> = self.tiles.iter().map(|tile| tile.model).collect();
         let devices: BTreeSet<DeviceId> = self.receivers.iter().map(|receiver| receiver.device).collect();

@@ -29,8 +29,8 @@ fn chunk_bytes(body_bytes: usize) -> u32 {
 }
 
 impl Offer {
-    /// Packs a model in the world's frame. `views` is the number of pictures that the model was trained on. Fails if a receiver
-    /// would refuse the body. Importance is estimated by [`plain_importance`]. A caller that can measure
+    /// Packs a model in the world's frame. `views` is the number of pictures that the model was trained on. Fails if a
+    /// receiver would refuse the body. Importance is estimated by [`plain_importance`]. A caller that can measure
     /// importance by rendering should use [`Self::from_body`].
     pub fn new(
         device: DeviceId,

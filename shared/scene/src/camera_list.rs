@@ -1,6 +1,6 @@
 //! `cameras.json`: the world cameras of a model, as training and merging write it.
 //!
-//! It is a list of [`Camera`]s, with quaternions as x y z w. Our model folders have no pictures and no names for them.
+//! It is a list of [`Camera`]s, with quaternions as x y z w. A folder of a model has no pictures, and no names for them.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};

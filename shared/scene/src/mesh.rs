@@ -14,12 +14,12 @@ use crate::SceneError;
 pub use data::Mesh;
 
 impl Mesh {
-    /// Reads a PLY, ascii or binary little-endian, with numbers of any type. Properties other than
-    /// positions, normals, colours and the corners of faces are skipped. A face with more than three
-    /// corners becomes a fan of triangles, which is correct if the face is convex. A file without faces
-    /// gives a cloud of points. Positions become `f32`; those of the type `double` far from the world's origin (UTM)
-    /// are read relative to [`Mesh::origin`], others lose precision there. Errors: positions that are not finite, faces with fewer than three corners, indices of
-    /// missing vertices.
+    /// Reads a PLY, ascii or binary little-endian, with numbers of any type. Properties other than positions, normals,
+    /// colours and the corners of faces are skipped. A face with more than three corners becomes a fan of triangles,
+    /// which is correct if the face is convex. A file without faces gives a cloud of points. Positions become `f32`;
+    /// those of the type `double` far from the world's origin (UTM) are read relative to [`Mesh::origin`], others lose
+    /// precision there. Errors: positions that are not finite, faces with fewer than three corners, indices of missing
+    /// vertices.
     pub fn read(path: &Path) -> Result<Self, SceneError> {
         ply::read(path)
     }
@@ -40,8 +40,8 @@ impl Mesh {
         ply::write(path, self)
     }
 
-    /// Writes a binary glTF 2.0 file, atomically. The world's z axis is taken as up, as in the drone
-    /// scenes; a rotation of the file's node maps it to the y axis, which is up in glTF. The node also holds the origin. Errors: a mesh
+    /// Writes a binary glTF 2.0 file, atomically. The world's z axis is taken as up, as in the drone scenes; a rotation
+    /// of the file's node maps it to the y axis, which is up in glTF. The node also holds the origin. Errors: a mesh
     /// without triangles, or a file of more than 4 GiB.
     pub fn write_glb(&self, path: &Path) -> Result<(), SceneError> {
         self.assert_whole();

@@ -67,8 +67,8 @@ fn open_received(name: &str, folder: &Path) -> (Received, Vec<ModelHeader>) {
     Received::open(DeviceId::new(name).unwrap(), &folder.join("global"), ply).unwrap()
 }
 
-/// A service that sends a global model of more than 100 splats in tiles of at most 25. It does not distil: all models together are one
-/// tile of a distillation, so all splats would change with each model.
+/// A service that sends a global model of more than 100 splats in tiles of at most 25. It does not distil: all models
+/// together are one tile of a distillation, so all splats would change with each model.
 fn open_tiled(network: &MemoryNetwork, folder: &Path) -> Ground {
     let merge = MergeSettings { vouched: true, epochs: 0, ..MergeSettings::default() };
     let mut ground = open_with(network, folder, Expected::Anybody(AT_ONCE), merge);

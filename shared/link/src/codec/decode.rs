@@ -84,9 +84,9 @@ fn moved(model: Model, its: &LocalFrame, frame: &LocalFrame) -> Model {
     Model { splats, cameras }
 }
 
-/// Decodes the packs of a body that have arrived into a frame; `None` if no splats have arrived, or not their origin. `body` has its full size,
-/// and `is_here` tells whether a byte range of it has arrived. More packs give more splats and view-dependent
-/// colour.
+/// Decodes the packs of a body that have arrived into a frame; `None` if no splats have arrived, or not their origin.
+/// `body` has its full size, and `is_here` tells whether a byte range of it has arrived. More packs give more splats and
+/// view-dependent colour.
 ///
 /// If the body has a base, the base splats stand in for missing ones. Otherwise, the splats that have arrived
 /// are enlarged.
