@@ -6,7 +6,7 @@ use std::f64::consts::FRAC_PI_2;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use cosurf_scene::{LocalFrame, Splats};
+use cosurf_scene::{LocalFrame, Pose, Splats};
 use cosurf_tests::dice::Dice;
 use glam::{DQuat, DVec3};
 
@@ -282,4 +282,26 @@ fn a_model_without_splats_or_without_cameras_is_told_as_such() {
         assert_eq!(admitted.doubts()[4..], [Some(Doubt::Empty), Some(Doubt::Blind)], "{frames:?}");
         assert_eq!(admitted.count(), 4);
     }
+}
+
+/// A model cannot make a merge slow with more cameras than its splats can teach, and cameras that see nothing are told.
+#[test]
+fn cameras_beyond_what_a_model_can_teach_take_no_part_and_blind_ones_are_told() {
+    let mut models = flights();
+    let its = models[1].cameras.clone();
+    models[1].cameras = its.iter().cycle().take(5000).copied().collect();
+    let away = |camera: &mut Camera| {
+        let turn = DQuat::from_rotation_x(std::f64::consts::PI);
+        let pose = &mut camera.cam_from_world;
+        *pose = Pose { rotation: turn * pose.rotation, translation: turn * pose.translation };
+    };
+    models[2].cameras.iter_mut().step_by(4).for_each(away);
+    let splats = models[1].splats.len();
+    let locals = InMemory(models);
+    let admitted = admit(&locals, UNMOVED, workspace(&temp_dir()), &|| false).unwrap();
+    let place = |local: usize| (0..admitted.count()).find(|i| admitted.place(*i).local == local).unwrap();
+    let cameras = admitted.load(place(1)).unwrap().cameras.len();
+    assert_eq!(cameras, CAMERAS_MIN.max(splats / SPLATS_PER_CAMERA));
+    assert!((0.1..0.5).contains(&admitted.place(place(2)).void), "{:?}", admitted.place(place(2)));
+    assert_eq!(admitted.place(place(0)).void, 0.0);
 }
