@@ -6,9 +6,9 @@ use super::doubt::Doubt;
 use super::extent::Extent;
 use crate::merge::{Locals, MergeError};
 
-/// For each model, the index of the first model with the same splats: its own, unless it is a copy.
+/// For each model, the index of the first model with the same splats and cameras: its own, unless it is a copy.
 fn originals(extents: &[Option<Extent>]) -> Vec<usize> {
-    let hash = |i: usize| extents[i].as_ref().map(|extent| extent.means_blake3);
+    let hash = |i: usize| extents[i].as_ref().map(|extent| extent.model_blake3);
     let original = |i: usize| (0..i).find(|j| hash(i).is_some() && hash(*j) == hash(i)).unwrap_or(i);
     (0..extents.len()).map(original).collect()
 }
@@ -84,23 +84,29 @@ mod tests {
     #[test]
     fn copies_are_found_and_the_others_keep_their_indices() {
         let [west, east] = [model_at(0.0), model_at(1.0)];
-        let turned = Model { cameras: east.cameras[..1].to_vec(), ..east.clone() };
+        // Whoever sends somebody's splats with useless cameras must not take that model's place.
+        let blind = Model { cameras: Vec::new(), ..west.clone() };
+        let mut recoloured = west.clone();
+        recoloured.splats.sh[0] += 1.0;
         let last = model_at(2.0);
         let locals = InMemory(vec![
             west.clone(),
+            east.clone(),
             east,
-            turned,
             west,
             last.clone(),
             Model::default(),
             Model::default(),
+            blind,
+            recoloured,
         ]);
         let extents: Vec<Option<Extent>> = locals.0.iter().map(Extent::of).collect();
         let kept = Kept::of(&locals, &extents);
-        assert_eq!(kept.indices(), [0, 1, 4, 5, 6], "models without splats are no copies");
+        assert_eq!(kept.indices(), [0, 1, 4, 5, 6, 7, 8], "what has no splats or differs is no copy");
         assert_eq!(kept.load(2).unwrap().splats, last.splats);
         let empty = Some(Doubt::Empty);
-        let of_these = vec![None, None, Some(Doubt::Contradicts(vec![1, 2])), empty.clone(), empty.clone()];
+        let of_these =
+            vec![None, None, Some(Doubt::Contradicts(vec![1, 2])), empty.clone(), empty.clone(), None, None];
         let expected = [
             None,
             None,
@@ -109,6 +115,8 @@ mod tests {
             Some(Doubt::Contradicts(vec![1, 4])),
             empty.clone(),
             empty,
+            None,
+            None,
         ];
         assert_eq!(kept.doubts(of_these), expected);
     }

@@ -5,7 +5,7 @@
 pub enum Doubt {
     /// The model has no splats.
     Empty,
-    /// The model has the same splats as the one with this index.
+    /// The model has the same splats and cameras as the one with this index.
     Copy(usize),
     /// This share of the model's splats, 0..=1, lies where none of its own cameras looks.
     Unseen(f64),

@@ -35,8 +35,8 @@ pub(super) fn held_bytes(extents: &[Option<Extent>]) -> u64 {
 pub(super) struct Extent {
     /// Bytes that the model takes while pictures of it are rendered.
     held_bytes: u64,
-    /// Hash of the positions of all splats. Only a copy has the same.
-    pub(super) means_blake3: [u8; 32],
+    /// Hash of all splats and cameras. Only a copy has the same.
+    pub(super) model_blake3: [u8; 32],
     low: DVec3,
     high: DVec3,
 }
@@ -58,12 +58,7 @@ impl Extent {
         let (low, high) = (DVec3::new(x[0], y[0], z[0]), DVec3::new(x[1], y[1], z[1]));
         let margin = DVec3::splat(MARGIN * (high - low).max_element());
         let held_bytes = rendered_bytes(means.len(), model.splats.sh_degree);
-        let mut hasher = blake3::Hasher::new();
-        for value in means.as_flattened() {
-            hasher.update(&value.to_le_bytes());
-        }
-        let means_blake3 = *hasher.finalize().as_bytes();
-        Some(Self { held_bytes, means_blake3, low: low - margin, high: high + margin })
+        Some(Self { held_bytes, model_blake3: hash(model), low: low - margin, high: high + margin })
     }
 
     /// Whether the boxes of two models meet, if the models are moved by these similarities.
@@ -79,6 +74,29 @@ impl Extent {
         let none = Self { low: DVec3::INFINITY, high: DVec3::NEG_INFINITY, ..*self };
         corners.fold(none, |all, corner| Self { low: all.low.min(corner), high: all.high.max(corner), ..all })
     }
+}
+
+/// Hash of all numbers of a model. A model with the same splats and other cameras is no copy: it may be useless, and must not
+/// take the place of the model that it was made from.
+fn hash(model: &Model) -> [u8; 32] {
+    let Model { splats, cameras } = model;
+    let (mut hasher, mut row) = (blake3::Hasher::new(), Vec::new());
+    for i in 0..splats.len() {
+        row.clear();
+        let numbers = [&splats.means[i][..], &splats.quats[i], &splats.log_scales[i], splats.sh_of(i)];
+        let numbers = numbers.into_iter().flatten().chain([&splats.opacity_logits[i]]);
+        numbers.for_each(|value| row.extend(value.to_le_bytes()));
+        hasher.update(&row);
+    }
+    for camera in cameras {
+        row.clear();
+        camera.cam_from_world.bits().iter().for_each(|bits| row.extend(bits.to_le_bytes()));
+        let intrinsics = [camera.focal_px, camera.center_px].map(|px| px.to_array());
+        intrinsics.as_flattened().iter().for_each(|px| row.extend(px.to_le_bytes()));
+        camera.size_px.iter().for_each(|side| row.extend(side.to_le_bytes()));
+        hasher.update(&row);
+    }
+    *hasher.finalize().as_bytes()
 }
 
 #[cfg(test)]

@@ -54,7 +54,7 @@ impl Detail {
         Self { fine: without_local_mean(&grey, size_px), size_px }
     }
 
-    /// The detail with this factor on its contrast.
+    /// Multiplies the contrast of the detail.
     pub(super) fn times(mut self, contrast: f64) -> Self {
         self.fine.iter_mut().for_each(|value| *value *= contrast as f32);
         self

@@ -42,7 +42,7 @@ impl Similarity {
         }
     }
 
-    /// The similarity of the world that moves as this one moves in a frame.
+    /// Converts a similarity of points in `frame` to one of world points.
     pub(crate) fn world_from_frame(&self, frame: &LocalFrame) -> Self {
         if *frame == LocalFrame::WORLD {
             return *self;
@@ -52,7 +52,7 @@ impl Similarity {
         Self { translation: origin - turned + frame.unit() * self.translation, ..*self }
     }
 
-    /// The similarity that moves in a frame as this one moves in the world.
+    /// Converts a similarity of world points to one of points in `frame`.
     pub(crate) fn frame_from_world(&self, frame: &LocalFrame) -> Self {
         if *frame == LocalFrame::WORLD {
             return *self;

@@ -26,7 +26,8 @@ const MEANS_MIN: f64 = 0.03;
 const SPREADS_MIN: f64 = 0.2;
 /// Least spread (standard deviation) of colours from which a gain can be derived.
 const SPREAD_MIN: f64 = 0.03;
-/// Least correlation of the brightness of two models from which one contrast can be compared with the other.
+/// The contrasts of two models are compared only if the brightness of one correlates with that of the other at least so
+/// well.
 const ALIKE_MIN: f64 = 0.9;
 /// Weight with which a model keeps its own colours, as a share of all compared pixels. It is negligible beside one
 /// shared picture, but fixes the colours of a model that shares none.
@@ -63,8 +64,8 @@ impl fmt::Display for Tone {
     }
 }
 
-/// The factor on the contrast of the second model with which it is that of the first. `colors` are those of both at the same
-/// points of the surface. It is 1 where the contrasts differ no more than those of models of one camera do, are too small to
+/// How many times as strong the contrast of the first model is as that of the second. `colors` are those of both at the same
+/// points of the surface. The result is 1 where the contrasts differ no more than those of models of one camera do, are too small to
 /// tell, or belong to different patterns. A model that shows less detail has almost the same contrast, as the points are far
 /// apart.
 pub(super) fn contrast(colors: &[[[f32; 3]; 2]]) -> f64 {
@@ -210,7 +211,7 @@ fn middle(mut values: Vec<f64>) -> f64 {
 mod contrast_tests {
     use super::contrast;
 
-    /// Colours of two models, the second with this factor on its contrast.
+    /// Colours of two models. The contrast of the second is that of the first times this factor.
     fn colors(factor: f32) -> Vec<[[f32; 3]; 2]> {
         (0..100).map(|i| i as f32 / 100.0).map(|grey| [[grey; 3], [0.1 + factor * grey; 3]]).collect()
     }

@@ -46,7 +46,7 @@ pub fn is_damage(error: &SceneError) -> bool {
     }
 }
 
-/// Sets aside what is in the place of a file and is none: a folder, a FIFO or a device. Returns its new path.
+/// Renames a folder, a FIFO or a device that has the path of a file, so that the file can be written. Returns the new path.
 pub fn set_aside_unless_file(path: &Path) -> Result<Option<PathBuf>, SceneError> {
     (path.exists() && !path.is_file()).then(|| set_aside(path)).transpose()
 }
