@@ -14,7 +14,7 @@ use super::doubt::Doubt;
 use super::frames::groups;
 use super::glimpse::{Glimpse, VIEWS, median};
 use super::quality::{Detail, Differences, Standard};
-use super::sharpness::{Fine, Sharpness};
+use super::sharpness::{Fine, Sharpness, are_wide_enough};
 use super::tone::{Pairs, contrast};
 use crate::merge::cameras::{middle, radius};
 use crate::merge::scratch::{Record, Records};
@@ -141,13 +141,14 @@ impl View {
     }
 
     /// How the model of `renderer` compares with the model `other`, of which this is a view, at the `shared` pixels of
-    /// the glimpse.
+    /// the glimpse. `pixels_m` has the width of a pixel on the ground, of the view's model and of the other one.
     fn compared(
         &self,
         other: usize,
         renderer: &mut Renderer,
         shared: &[usize],
         is_compressed: bool,
+        pixels_m: [Option<f64>; 2],
     ) -> Compared {
         let Self { camera, glimpse, detail, fine } = self;
         let shown = Glimpse::of(renderer, camera, is_compressed);
@@ -160,8 +161,10 @@ impl View {
             let contrast = contrast(&compared.colors);
             let own = Detail::of(renderer, camera).times(contrast);
             compared.difference = own.difference(detail, shared, glimpse.size_px());
-            let log_ratio = Fine::of(renderer, camera).log_ratio(fine);
-            compared.log_ratio = log_ratio.map(|log_ratio| log_ratio + 2.0 * contrast.ln());
+            if are_wide_enough(pixels_m) {
+                let log_ratio = Fine::of(renderer, camera).log_ratio(fine);
+                compared.log_ratio = log_ratio.map(|log_ratio| log_ratio + 2.0 * contrast.ln());
+            }
         }
         compared
     }
@@ -267,7 +270,8 @@ fn compare(
                 Some(renderer) => renderer,
                 none => none.insert(Renderer::new(&locals.load(judged)?.splats, threads)),
             };
-            found.push(view.compared(other, renderer, &shared, is_compressed));
+            let pixels_m = [its.pixel_m, shown[judged].pixel_m];
+            found.push(view.compared(other, renderer, &shared, is_compressed, pixels_m));
         }
     }
     Ok(found)
