@@ -9,6 +9,7 @@
 //! sort; then the passes in [`cosurf_shaders`].
 
 mod backend;
+mod bindings;
 mod buffer;
 mod checkpoint;
 mod context;

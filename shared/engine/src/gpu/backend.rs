@@ -57,7 +57,7 @@ impl GpuBackend {
             Ok((model, Drawing::new(gpu, splats, pairs, size_px)?, training, surface))
         })?;
         let editor = Editor::new(gpu);
-        let gpu = gpu.clone();
+        let gpu = gpu.for_model();
         let backend =
             Self { gpu, model, drawing, training, surface, editor, counts: None, scale_weight: 0.0 };
         backend.training.reset(&backend.gpu);

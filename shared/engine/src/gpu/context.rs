@@ -6,6 +6,7 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use cosurf_shaders::Shader;
 use wgpu::{Adapter, DeviceType, Limits};
 
+use super::bindings::{self, Bindings};
 use super::hush::hushed;
 use super::pass::{Constants, Pass};
 #[cfg(feature = "gpu-timestamps")]
@@ -170,6 +171,8 @@ pub struct Gpu {
     pub(super) timestamps: Option<Arc<Timestamps>>,
     /// Why the device was lost; empty until then.
     lost: Arc<OnceLock<String>>,
+    /// The bind groups of one model and its buffers; `None` if they are not kept.
+    bindings: Option<Arc<Mutex<Bindings>>>,
 }
 
 impl Gpu {
@@ -220,6 +223,7 @@ impl Gpu {
             #[cfg(feature = "gpu-timestamps")]
             timestamps,
             lost: Arc::default(),
+            bindings: None,
         };
         let (of_loss, of_error) = (gpu.loser(), gpu.loser());
         gpu.device
@@ -234,6 +238,29 @@ impl Gpu {
     pub(super) fn subgroups(&self) -> Option<Constants> {
         let size = self.adapter.subgroup_size.filter(|_| !self.adapter.is_software)?;
         SUBGROUPS.into_iter().find(|(known, _)| *known == size).map(|(_, constants)| constants)
+    }
+
+    /// The same open adapter for a new model, whose bind groups are kept until
+    /// [`Self::forget_bindings`].
+    pub(super) fn for_model(&self) -> Self {
+        Self { bindings: Some(Arc::default()), ..self.clone() }
+    }
+
+    /// Frees the buffers that only kept bind groups still use.
+    pub(super) fn forget_bindings(&self) {
+        if let Some(bindings) = &self.bindings {
+            bindings.lock().unwrap_or_else(PoisonError::into_inner).forget();
+        }
+    }
+
+    /// The bind group with which `buffers[i]` is binding `i` of `pass`.
+    pub(super) fn bind_group(&self, pass: &Pass, buffers: &[&wgpu::Buffer]) -> wgpu::BindGroup {
+        match &self.bindings {
+            None => bindings::make(&self.device, pass, buffers),
+            Some(kept) => {
+                kept.lock().unwrap_or_else(PoisonError::into_inner).get(&self.device, pass, buffers)
+            }
+        }
     }
 
     /// Returns a function that records the loss of the device and the reason, in one line. Later reasons are ignored.

@@ -149,6 +149,7 @@ impl Drawing {
 
     /// Replaces the buffers by ones for a view with `pairs` splat–tile pairs.
     pub(super) fn grow_pairs(&mut self, gpu: &Gpu, pairs: usize) -> Result<(), GpuError> {
+        gpu.forget_bindings();
         self.sorter.grow(gpu, pairs.max(self.seen.slots.len()))?;
         self.pairs = Pairs::new(gpu, pairs)?;
         Ok(())
@@ -157,6 +158,7 @@ impl Drawing {
     /// Grows the buffers, if necessary, for a picture of this size.
     pub(super) fn grow_picture(&mut self, gpu: &Gpu, size_px: [u32; 2]) -> Result<(), GpuError> {
         if padded_pixels(size_px) > self.picture.pixels() {
+            gpu.forget_bindings();
             self.picture = Picture::new(gpu, size_px)?;
         }
         Ok(())

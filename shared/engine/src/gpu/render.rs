@@ -19,7 +19,7 @@ pub struct GpuRenderer {
 impl GpuRenderer {
     /// Copies the splats to the GPU.
     pub fn new(gpu: &Gpu, splats: &Splats) -> Result<Self, GpuError> {
-        let gpu = gpu.clone();
+        let gpu = gpu.for_model();
         let (mut model, drawing) = gpu.allocating(|| {
             let model = Model::new(&gpu, splats.len(), splats.sh_degree)?;
             Ok((model, Drawing::new(&gpu, splats.len(), PAIRS_PER_SPLAT * splats.len(), [1, 1])?))
