@@ -6,6 +6,7 @@ use cosurf_engine::train::view_order;
 use cosurf_engine::{AnyBackend, Backend, Capacity, DistillSettings, Distiller, StudentRates, distill};
 use cosurf_scene::{Camera, Splats};
 use glam::DVec3;
+use tracing::debug_span;
 
 use super::computer::Computer;
 use super::error::MergeError;
@@ -30,10 +31,11 @@ pub(super) fn learn(
     if cameras.is_empty() {
         return Ok(task.student()?); // no part of a picture shows splats around the tile either
     }
-    let book = write_book(task, scratch, computer)?;
+    let book = debug_span!("teach").in_scope(|| write_book(task, scratch, computer))?;
     let student = task.student()?;
     let room = Capacity::to_train(&student, &cameras, Channels::Geometry);
-    let mut backend = AnyBackend::new(&computer.device, room, computer.threads)?;
+    let mut backend =
+        debug_span!("allocate").in_scope(|| AnyBackend::new(&computer.device, room, computer.threads))?;
     backend.load(&student);
     drop(student);
     let mut distiller = Distiller::new(backend, settings(task, cameras, book.median_depth()));
@@ -47,6 +49,7 @@ pub(super) fn learn(
             }
         }
     }
+    let _span = debug_span!("finish").entered();
     let (mut learnt, useless) = distiller.finish(task.wide_crops(), task.own());
     computer.device.check()?;
     keep_first(&mut learnt, task.own());
