@@ -4,6 +4,8 @@
 //!
 //! `cargo bench -p cosurf-aggregator`
 
+use std::ops::ControlFlow;
+
 use cosurf_aggregator::evaluate::accuracy::judge;
 use cosurf_aggregator::mesh::{FuseSettings, fuse};
 use cosurf_engine::Rendering;
@@ -58,7 +60,7 @@ fn look(camera: &Camera) -> Rendering {
 const SETTINGS: FuseSettings = FuseSettings { voxel_m: None, memory_bytes: 1 << 30 };
 
 fn fused() -> Mesh {
-    fuse(&cameras(), look, &SETTINGS, |_| ()).expect("the ground is seen").mesh
+    fuse(&cameras(), look, &SETTINGS, |_| ControlFlow::Continue(())).expect("the ground is seen").mesh
 }
 
 #[divan::bench(sample_count = 10)]
@@ -74,7 +76,9 @@ fn fuse_views(bencher: Bencher) {
         }
     };
     let pixels = cameras.len() * (SIZE_PX[0] * SIZE_PX[1]) as usize;
-    bencher.counter(ItemsCount::new(pixels)).bench_local(|| fuse(&cameras, &mut shown, &SETTINGS, |_| ()));
+    bencher
+        .counter(ItemsCount::new(pixels))
+        .bench_local(|| fuse(&cameras, &mut shown, &SETTINGS, |_| ControlFlow::Continue(())));
 }
 
 #[divan::bench(sample_count = 3)]

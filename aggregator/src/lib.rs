@@ -11,7 +11,8 @@
 //!
 //! ```text
 //! mission                     pictures to report on one machine
-//!  ├─ report                  figures, table and page of a mission
+//!  ├─ outputs                 mesh and report of a global model, without photographs
+//!  ├─ report                  figures, tables and pages
 //!  ├─ service                 models in, global model out
 //!  │   ├─ gate ─► merge       which models take part; many models to one
 //!  │   │           └─ store, queue   tiles that need not be computed again; tasks for workers
@@ -34,6 +35,7 @@ pub mod gateway;
 pub mod merge;
 pub mod mesh;
 pub mod mission;
+pub mod outputs;
 pub mod partition;
 pub mod pki;
 pub mod queue;

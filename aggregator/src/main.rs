@@ -125,7 +125,11 @@ fn run(args: &RunArgs) -> Result<()> {
         |port: &String| SerialConfig::device(port, args.baud, cli::host::session(), GATEWAY_MESSAGE_BYTES);
     let served = serve(
         &config,
-        Host { clock_s: cli::host::session(), threads: cli::host::cores() },
+        Host {
+            clock_s: cli::host::session(),
+            threads: cli::host::cores(),
+            reporter: cosurf_aggregator::outputs::report,
+        },
         args.serial.iter().map(line).collect(),
         move || begun.elapsed(),
         &receiver,

@@ -16,12 +16,12 @@ mod hierarchy;
 mod order;
 mod plan;
 mod progress;
-mod relief;
 mod signal;
 mod summary;
 mod watch;
 
 use std::fs;
+use std::ops::ControlFlow;
 use std::path::Path;
 use std::sync::mpsc;
 
@@ -31,6 +31,7 @@ use cosurf_wire::{ModelHeader, SiteId};
 
 use crate::broker::{Broker, Reach, local_address};
 use crate::evaluate::{Judge, Quality, Yardsticks};
+use crate::outputs::{Relief, relief};
 use crate::report::{Drawings, EdgeSummary, MissionReport, Showcase, page, showcases};
 use crate::service::{Merging, global_ply, joined};
 use crate::terminal::Meter;
@@ -43,7 +44,6 @@ pub use order::{MissionOrder, Surroundings};
 use plan::{Edge, Plan, write_text};
 pub use plan::{PlanError, Settings};
 use progress::show_pictures;
-use relief::{Relief, relief};
 use signal::Signal;
 use summary::summarize;
 use watch::{EdgeStatus, Watch};
@@ -182,12 +182,15 @@ fn mesh(
     scene: &Scene,
     splats: Splats,
 ) -> Result<Relief, MissionError> {
-    let cameras: Vec<Camera> = scene.dataset.views.iter().map(|view| view.camera).collect();
+    // Those that the agents trained on, as with `cosurf-aggregator run` and `mesh`.
+    let cameras = Dataset::cameras(&order.out)?;
+    let cameras: Vec<Camera> = cameras.iter().map(|camera| scene.frame.local_camera(camera)).collect();
     let mut meter = Meter::new(around.display);
     let file = order.out.join("mesh.ply");
-    let max_size_px = order.settings.max_size_px;
-    let relief = relief(splats, &cameras, &scene.frame, max_size_px, around.cores, &file, |event| {
+    let memory_bytes = order.settings.merge.memory_bytes;
+    let relief = relief(splats, &cameras, &scene.frame, memory_bytes, around.cores, &file, |event| {
         meter.show_fusion(event, (around.now)().as_secs_f64());
+        ControlFlow::Continue(())
     })?;
     meter.finish();
     Ok(relief)

@@ -1,5 +1,5 @@
 //! Presents the results of a mission: figures (`report.json`), a table for the terminal, and a page
-//! (`report.html`).
+//! (`report.html`). For a service, which has no photographs, it presents the global model alone ([`SiteReport`]).
 //!
 //! What it knows nothing about: how a mission runs. It gets figures, cells and views, and returns text.
 //!
@@ -10,14 +10,18 @@ mod chart;
 mod embed;
 mod figures;
 mod fits;
+mod frame;
 mod map;
 mod page;
 mod rows;
 mod showcase;
+mod site;
 mod svg;
 mod texts;
 
 pub use figures::{AgentSummary, EdgeSummary, MeshSummary, MissionReport, WholeSummary};
 pub(crate) use page::{Drawings, page};
 pub(crate) use showcase::{Showcase, showcases};
+pub use site::SiteReport;
+pub(crate) use site::{SitePicture, site_page};
 pub use texts::table;

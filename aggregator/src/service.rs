@@ -10,6 +10,7 @@
 //! | `global/` | every revision of the global model |
 //! | `global.ply` | the newest revision, for viewers |
 //! | `merged.json` | what the newest revision was merged from, and how |
+//! | `mesh.ply`, `report.html`, `report.json` | the report of the newest revision that has one: [`reporting`] |
 //! | `sent/` | the tiles of the newest revision, if it is too large to be sent whole |
 //! | `handed/` | what the agents get of the model of the aggregator above, if there is one: [`above`] |
 //! | `withdrawn/` | a file for each withdrawn device, with the numbers and hashes of its models that no longer count |
@@ -52,6 +53,7 @@ mod parts;
 mod rebroadcast;
 mod receive;
 mod record;
+mod reporting;
 mod round;
 mod sent;
 mod serve;
@@ -75,6 +77,8 @@ pub(crate) use folder::joined;
 pub use folder::{global_ply, senders};
 pub use receive::Service;
 pub use record::{FitRecord, Fitted, KeptOut, Merging, withdraw};
+pub(crate) use record::{file_hash, remove};
+pub use reporting::{ReportError, ReportTask, Reported, Reporter};
 pub use round::{Expected, Rounds};
 pub use serve::{Host, ServeError, SideEvent, serve};
 pub(crate) use station::Station;

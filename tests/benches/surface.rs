@@ -1,5 +1,6 @@
 //! The F-score of a model's surface.
 
+use std::ops::ControlFlow;
 use std::thread::available_parallelism;
 
 use anyhow::Result;
@@ -15,7 +16,7 @@ const MESH_BYTES: u64 = 4 << 30;
 pub(crate) fn f_score(splats: Splats, cameras: &[Camera], truth: &Mesh, threshold_m: f64) -> Result<f64> {
     let settings = FuseSettings { voxel_m: None, memory_bytes: MESH_BYTES };
     let threads = available_parallelism().map_or(1, usize::from);
-    let fused = mesh_model(splats, cameras, None, &settings, threads, |_| ())?;
+    let fused = mesh_model(splats, cameras, None, &settings, threads, |_| ControlFlow::Continue(()))?;
     let (accuracy, _) = accuracy::judge(&fused.mesh, truth, threshold_m, 0)?;
     Ok(accuracy.samples.f_score)
 }

@@ -1,6 +1,7 @@
 //! `mesh`: writes the surface of a model as triangles.
 
 use std::io::{self, Write};
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::thread::available_parallelism;
 use std::time::Instant;
@@ -61,6 +62,7 @@ pub(crate) fn run(args: &MeshArgs) -> Result<()> {
     let mut meter = Meter::new(display(args.json));
     let fused = mesh_model(splats, &cameras, args.max_size, &settings, threads, |event| {
         meter.show_fusion(event, begun.elapsed().as_secs_f64());
+        ControlFlow::Continue(())
     })?;
     meter.finish();
     let fused = fused.out_of_frame(&frame);

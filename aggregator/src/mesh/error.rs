@@ -17,6 +17,9 @@ pub enum MeshError {
         "the views agree on no surface, only on small pieces; use more views, or larger voxels (--voxel)"
     )]
     NoAgreement,
+    /// The caller has stopped the fusion.
+    #[error("the mesh was not made: the program was asked to end")]
+    Stopped,
     /// The memory is too small to render the model.
     #[error("rendering {splats} splats needs {} of memory, but the limit is {}; allow more memory (--memory)", cosurf_scene::bytes::format_bytes(*needed_bytes), cosurf_scene::bytes::format_bytes(*memory_bytes))]
     TooLittleMemory {

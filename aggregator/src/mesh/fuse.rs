@@ -1,5 +1,7 @@
 //! The fusion: runs its stages, and repeats them with larger voxels until the mesh fits into the memory.
 
+use std::ops::ControlFlow;
+
 use cosurf_engine::Rendering;
 use cosurf_scene::{Camera, LocalFrame, Mesh};
 use tracing::debug_span;
@@ -58,18 +60,22 @@ impl Fused {
 /// - pixels so far away that they cover more than four times the usual size.
 ///
 /// By default, a voxel is as large as a pixel on the surface in the median view. Voxels become larger if
-/// they take too much memory.
+/// they take too much memory. If `on_event` returns `Break`, the fusion ends with [`MeshError::Stopped`].
 pub fn fuse(
     cameras: &[Camera],
     mut render: impl FnMut(&Camera) -> Rendering,
     settings: &FuseSettings,
-    mut on_event: impl FnMut(FuseEvent),
+    mut on_event: impl FnMut(FuseEvent) -> ControlFlow<()>,
 ) -> Result<Fused, MeshError> {
+    let mut on_event = |event| match on_event(event) {
+        ControlFlow::Continue(()) => Ok(()),
+        ControlFlow::Break(()) => Err(MeshError::Stopped),
+    };
     if cameras.is_empty() {
         return Err(MeshError::NoCameras);
     }
     let budget = VolumeBudget::new(settings.memory_bytes, cameras);
-    let pixel_m = scout::pixel_m(cameras, &mut render, &mut on_event).ok_or(MeshError::NoSurface)?;
+    let pixel_m = scout::pixel_m(cameras, &mut render, &mut on_event)?.ok_or(MeshError::NoSurface)?;
     let pixel = PixelSize { usual_m: pixel_m, most_m: scout::FARTHEST * pixel_m };
     let wanted_m = settings.voxel_m.unwrap_or(pixel_m);
     let mut voxel_m = wanted_m;
@@ -79,7 +85,7 @@ pub fn fuse(
             Some(fused) => return Ok(fused),
             None => voxel_m *= COARSER,
         }
-        on_event(FuseEvent::Coarser { wanted_m, voxel_m });
+        on_event(FuseEvent::Coarser { wanted_m, voxel_m })?;
     }
 }
 
@@ -96,11 +102,11 @@ impl Stages<'_> {
     fn run(
         &self,
         render: &mut impl FnMut(&Camera) -> Rendering,
-        on_event: &mut impl FnMut(FuseEvent),
+        on_event: &mut impl FnMut(FuseEvent) -> Result<(), MeshError>,
     ) -> Result<Option<Fused>, MeshError> {
         let Self { cameras, pixel, voxel_m, budget } = *self;
         let find = || scout::find_blocks(cameras, render, pixel, voxel_m, budget.blocks_max, on_event);
-        let Some(keys) = debug_span!("find_blocks", voxel_m).in_scope(find) else {
+        let Some(keys) = debug_span!("find_blocks", voxel_m).in_scope(find)? else {
             return Ok(None);
         };
         if keys.is_empty() {
@@ -110,7 +116,7 @@ impl Stages<'_> {
         let span = debug_span!("fuse", views = cameras.len()).entered();
         for (i, camera) in cameras.iter().enumerate() {
             volume.fuse(&Frame::new(camera, &render(camera), pixel.most_m));
-            on_event(FuseEvent::Progress { stage: Stage::Fuse, done: i + 1, of: cameras.len() });
+            on_event(FuseEvent::Progress { stage: Stage::Fuse, done: i + 1, of: cameras.len() })?;
         }
         drop(span);
         let _span = debug_span!("extract", blocks = volume.len()).entered();

@@ -1,9 +1,13 @@
 //! Makes a mesh from a splat model, within one memory limit for rendering and fusion together.
 
+use std::collections::HashSet;
+use std::ops::ControlFlow;
+
 use cosurf_engine::backend::{Backend, Channels, Rendering};
 use cosurf_engine::budget::{Costs, PAIRS_PER_SPLAT, PROCESS_BYTES};
 use cosurf_engine::{Capacity, CpuBackend};
-use cosurf_scene::{Camera, Splats};
+use cosurf_scene::{Camera, Pose, Splats};
+use glam::DVec2;
 use tracing::info_span;
 
 use super::budget;
@@ -25,25 +29,39 @@ const PICTURE_SHARE: u64 = 4;
 
 /// Renders the splats from every camera, with a long side of at most `max_size_px`, and fuses the renderings into a
 /// mesh. `settings.memory_bytes` limits the whole process. If it is too small, pictures shrink and voxels grow.
-/// Rendering uses `threads` (at least 1) threads; the fusion uses rayon's pool.
+/// Rendering uses `threads` (at least 1) threads; the fusion uses rayon's pool. If `on_event` returns `Break`, the result is
+/// [`MeshError::Stopped`].
 pub fn mesh_model(
     splats: Splats,
     cameras: &[Camera],
     max_size_px: Option<u32>,
     settings: &FuseSettings,
     threads: usize,
-    on_event: impl FnMut(FuseEvent),
+    on_event: impl FnMut(FuseEvent) -> ControlFlow<()>,
 ) -> Result<Fused, MeshError> {
     if splats.is_empty() {
         return Err(MeshError::NoSurface);
     }
     let _span = info_span!("mesh", splats = splats.len()).entered();
     let needs = Needs::of(&splats);
-    let cameras = fitted(&needs, cameras, max_size_px.unwrap_or(u32::MAX), settings.memory_bytes)?;
+    let cameras =
+        fitted(&needs, &without_twins(cameras), max_size_px.unwrap_or(u32::MAX), settings.memory_bytes)?;
     let left = settings.memory_bytes - needs.bytes(&cameras);
     let mut renderer = BoundedRenderer::new(splats, &needs, threads);
     let settings = FuseSettings { memory_bytes: left + budget::frame_bytes(&cameras), ..*settings };
     fuse(&cameras, |camera| renderer.render(camera), &settings, on_event)
+}
+
+/// The cameras, each once: two agents that trained on the same picture both send its camera.
+fn without_twins(cameras: &[Camera]) -> Vec<Camera> {
+    let numbers = |camera: &Camera| {
+        let Pose { rotation, translation } = camera.cam_from_world;
+        let lens = [camera.focal_px, camera.center_px].map(|two: DVec2| two.to_array().map(f64::to_bits));
+        let rotation = rotation.to_array().map(f64::to_bits);
+        (rotation, translation.to_array().map(f64::to_bits), lens, camera.size_px)
+    };
+    let mut seen = HashSet::new();
+    cameras.iter().copied().filter(|camera| seen.insert(numbers(camera))).collect()
 }
 
 /// Sizes of the renderer's buffers, and the bytes that the renderer needs.

@@ -7,6 +7,7 @@ use cosurf_engine::Rendering;
 use cosurf_scene::Camera;
 use rayon::prelude::*;
 
+use super::error::MeshError;
 use super::event::{FuseEvent, Stage};
 use super::frame::Frame;
 use super::volume::{Key, blocks_around};
@@ -34,17 +35,17 @@ pub(super) struct PixelSize {
 pub(super) fn pixel_m(
     cameras: &[Camera],
     render: &mut impl FnMut(&Camera) -> Rendering,
-    on_event: &mut impl FnMut(FuseEvent),
-) -> Option<f64> {
+    on_event: &mut impl FnMut(FuseEvent) -> Result<(), MeshError>,
+) -> Result<Option<f64>, MeshError> {
     let mut sizes_m = Vec::with_capacity(cameras.len());
     for (i, camera) in cameras.iter().enumerate() {
         let mut depths = render(&camera.fitted(LOOK_PX)).depth;
         depths.retain(|z| z.is_finite() && *z > 0.0);
         sizes_m.extend(median(&mut depths).map(|z| f64::from(z) / camera.focal_px.min_element()));
-        on_event(FuseEvent::Progress { stage: Stage::Look, done: i + 1, of: cameras.len() });
+        on_event(FuseEvent::Progress { stage: Stage::Look, done: i + 1, of: cameras.len() })?;
     }
     let mut sizes_m: Vec<f32> = sizes_m.into_iter().map(|size| size as f32).collect();
-    median(&mut sizes_m).map(f64::from)
+    Ok(median(&mut sizes_m).map(f64::from))
 }
 
 fn median(values: &mut [f32]) -> Option<f32> {
@@ -60,8 +61,8 @@ pub(super) fn find_blocks(
     pixel: PixelSize,
     voxel_m: f64,
     blocks_max: usize,
-    on_event: &mut impl FnMut(FuseEvent),
-) -> Option<Vec<Key>> {
+    on_event: &mut impl FnMut(FuseEvent) -> Result<(), MeshError>,
+) -> Result<Option<Vec<Key>>, MeshError> {
     let shrink = (pixel.usual_m / (VOXELS_PER_PIXEL * voxel_m)).min(1.0);
     let mut found = HashSet::new();
     for (i, camera) in cameras.iter().enumerate() {
@@ -73,13 +74,13 @@ pub(super) fn find_blocks(
         let frame = Frame::new(&small, &render(&small), pixel.most_m * ratio);
         found.extend(blocks_of(&frame, voxel_m));
         if found.len() > blocks_max {
-            return None;
+            return Ok(None);
         }
-        on_event(FuseEvent::Progress { stage: Stage::Find, done: i + 1, of: cameras.len() });
+        on_event(FuseEvent::Progress { stage: Stage::Find, done: i + 1, of: cameras.len() })?;
     }
     let mut keys: Vec<Key> = found.into_iter().collect();
     keys.sort_unstable();
-    Some(keys)
+    Ok(Some(keys))
 }
 
 /// The blocks near the surface that a view shows; some blocks may be repeated.

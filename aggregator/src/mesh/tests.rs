@@ -4,6 +4,7 @@
 #![allow(clippy::unwrap_used)]
 
 use std::collections::HashMap;
+use std::ops::ControlFlow;
 
 use cosurf_engine::Rendering;
 use cosurf_scene::{Camera, Mesh, Pose, Splats};
@@ -13,6 +14,8 @@ use super::extract::Layout;
 use super::volume::Volume;
 use super::*;
 
+/// Goes on with a fusion.
+const GO: ControlFlow<()> = ControlFlow::Continue(());
 const SPHERE_RADIUS: f64 = 2.0;
 /// Voxels fine enough that the box is large compared with the truncation distance.
 const BOX_VOXEL_M: f64 = 0.05;
@@ -83,7 +86,7 @@ fn settings(voxel_m: Option<f64>, memory_bytes: u64) -> FuseSettings {
 fn fuse_body(body: Body, voxel_m: f64) -> Mesh {
     let cameras = cameras(60, 160);
     let settings = settings(Some(voxel_m), 1 << 30);
-    fuse(&cameras, |camera| look(body, camera), &settings, |_| ()).unwrap().mesh
+    fuse(&cameras, |camera| look(body, camera), &settings, |_| GO).unwrap().mesh
 }
 
 /// Whether every edge belongs to two triangles that run along it in opposite directions.
@@ -183,7 +186,7 @@ fn the_mesh_is_the_same_for_any_number_of_threads() {
 #[test]
 fn voxels_are_as_large_as_pixels_by_default() {
     let cameras = cameras(20, 100);
-    let fused = fuse(&cameras, |camera| look(sphere, camera), &settings(None, 1 << 30), |_| ()).unwrap();
+    let fused = fuse(&cameras, |camera| look(sphere, camera), &settings(None, 1 << 30), |_| GO).unwrap();
     // Most of the sphere is 8 to 9 m away, and a pixel covers 1/160 of its distance.
     assert!((8.0 / 160.0..9.0 / 160.0).contains(&fused.pixel_m), "{}", fused.pixel_m);
     assert_eq!(fused.voxel_m, fused.pixel_m);
@@ -205,6 +208,7 @@ fn the_memory_limit_is_kept_by_larger_voxels() {
                     assert_eq!(wanted_m, 0.004);
                     sizes.push(voxel_m);
                 }
+                GO
             },
         )
         .unwrap();
@@ -232,7 +236,7 @@ fn input_without_a_surface_gives_a_clear_error() {
             spoil(&mut rendering);
             rendering
         };
-        fuse(cameras, render, &settings(Some(0.1), 1 << 26), |_| ()).unwrap_err()
+        fuse(cameras, render, &settings(Some(0.1), 1 << 26), |_| GO).unwrap_err()
     };
     assert!(matches!(refusal(&[], |_| ()), MeshError::NoCameras));
     let spoilers: [fn(&mut Rendering); 5] = [
@@ -258,6 +262,25 @@ fn input_without_a_surface_gives_a_clear_error() {
 }
 
 #[test]
+fn a_fusion_can_be_stopped_at_every_event() {
+    let cameras = cameras(12, 64);
+    let stopped_at = |last: usize| {
+        let mut events = 0;
+        let on_event = |_| {
+            events += 1;
+            if events > last { ControlFlow::Break(()) } else { GO }
+        };
+        let fused = fuse(&cameras, |camera| look(sphere, camera), &settings(Some(0.1), 1 << 28), on_event);
+        (fused, events)
+    };
+    for last in 0..3 * cameras.len() {
+        let (fused, events) = stopped_at(last);
+        assert!(matches!(fused, Err(MeshError::Stopped)) && events == last + 1, "{last}");
+    }
+    assert!(stopped_at(3 * cameras.len()).0.is_ok());
+}
+
+#[test]
 fn some_nan_among_depths_and_colours_does_no_harm() {
     let cameras = cameras(60, 160);
     let spoilt = |camera: &Camera| {
@@ -266,7 +289,7 @@ fn some_nan_among_depths_and_colours_does_no_harm() {
         rendering.rgb.iter_mut().step_by(41).for_each(|v| *v = f32::NAN);
         rendering
     };
-    let mesh = fuse(&cameras, spoilt, &settings(Some(0.1), 1 << 30), |_| ()).unwrap().mesh;
+    let mesh = fuse(&cameras, spoilt, &settings(Some(0.1), 1 << 30), |_| GO).unwrap().mesh;
     assert!(is_closed(&mesh));
     assert!(mesh.positions.as_flattened().iter().all(|v| v.is_finite()));
 }
@@ -274,7 +297,7 @@ fn some_nan_among_depths_and_colours_does_no_harm() {
 #[test]
 fn one_camera_gives_the_side_of_the_body_that_it_sees() {
     let one = &cameras(3, 160)[1..2];
-    let mesh = fuse(one, |camera| look(sphere, camera), &settings(Some(0.1), 1 << 28), |_| ()).unwrap().mesh;
+    let mesh = fuse(one, |camera| look(sphere, camera), &settings(Some(0.1), 1 << 28), |_| GO).unwrap().mesh;
     assert!(!is_closed(&mesh));
     let towards = (one[0].cam_from_world.center() - CENTER).normalize().as_vec3();
     for normal in &mesh.normals {
@@ -297,7 +320,7 @@ fn wall() -> Splats {
 fn splats_become_a_mesh_or_a_clear_error() {
     let above: Vec<Camera> = cameras(40, 128).into_iter().take(12).collect();
     let mesh_of = |splats: Splats, memory_bytes: u64| {
-        mesh_model(splats, &above, Some(100), &settings(None, memory_bytes), 2, |_| ())
+        mesh_model(splats, &above, Some(100), &settings(None, memory_bytes), 2, |_| GO)
     };
     let mesh = mesh_of(wall(), 200 << 20).unwrap().mesh;
     let (_, mean) = offsets(&mesh, |p| p.z);

@@ -23,17 +23,14 @@ pub(super) fn section(report: &MissionReport, cells: &[Cell]) -> String {
     let lines: Vec<([usize; 2], f64)> = fits.iter().filter_map(between_agents).collect();
     let mut html = String::from("<h2>How the models fit each other</h2>\n<div class=\"pair\"><section>\n");
     html.push_str(&table(&fits));
-    html.push_str(
-        "<p class=\"soft\">Points of the ground that both models show, and the median distance between a point in one \
-         model and in the other, as the models arrived and as they were merged; pixels of pictures with a long side of \
-         320 px.</p></section>\n<section>",
-    );
+    html.push_str("</section>\n<section>");
     html.push_str(&map::draw_fits(cells, &lines));
     html.push_str("<p class=\"soft\">Distance in pixels, as the models were merged.</p></section></div>\n");
     html
 }
 
-fn table(fits: &[&FitRecord]) -> String {
+/// The table of the fits, with what its columns mean, as HTML.
+pub(super) fn table(fits: &[&FitRecord]) -> String {
     let mut html = String::from(
         "<div class=\"scroll\"><table class=\"plain\"><thead><tr><th>models</th><th>points</th><th>arrived, px</th>\
          <th>merged, px</th></tr></thead><tbody>\n",
@@ -45,7 +42,11 @@ fn table(fits: &[&FitRecord]) -> String {
             "<tr><td>{one} – {other}</td><td>{points}</td><td>{before_px:.2}</td><td>{after_px:.2}</td></tr>"
         );
     }
-    html.push_str("</tbody></table></div>\n");
+    html.push_str(
+        "</tbody></table></div>\n<p class=\"soft\">Points of the ground that both models show, and the median distance \
+         between a point in one model and in the other, as the models arrived and as they were merged; pixels of \
+         pictures with a long side of 320 px.</p>\n",
+    );
     html
 }
 

@@ -5,13 +5,13 @@ use std::fmt::Write;
 use cosurf_scene::bytes::format_bytes;
 use image::ImageError;
 
-use super::embed::data_uri;
-use super::figures::{MeshSummary, MissionReport};
+use super::figures::MissionReport;
+use super::frame::group_digits;
 use super::rows::{depth_normal_text, depth_text, lpips_text, normal_text, rows};
-use super::showcase::{Captioned, Showcase};
+use super::showcase::Showcase;
 use super::svg::{agent_color, escape};
 use super::texts::{merge_texts, remarks};
-use super::{chart, fits, map};
+use super::{chart, fits, frame, map};
 use crate::evaluate::Quality;
 use crate::partition::{AssignedView, Cell};
 use crate::terminal::format_seconds;
@@ -29,19 +29,13 @@ pub(crate) struct Drawings<'a> {
 
 /// Returns the whole page as HTML.
 pub(crate) fn page(report: &MissionReport, drawings: &Drawings) -> Result<String, ImageError> {
-    let mut html = String::from("<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\">");
-    html.push_str("<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">");
-    let _ = write!(
-        html,
-        "<title>cosurf mission</title>\n<style>{}</style></head><body>\n",
-        include_str!("page.css")
-    );
+    let mut html = frame::open("cosurf mission");
     header(&mut html, report);
     agents(&mut html, report);
     pictures(&mut html, drawings.showcases)?;
     ground(&mut html, report, drawings);
     html.push_str(&fits::section(report, drawings.cells));
-    footer(&mut html, report);
+    html.push_str(&frame::footer(report.whole.revision, report.whole.mesh));
     html.push_str("</body></html>\n");
     Ok(html)
 }
@@ -56,8 +50,7 @@ fn header(html: &mut String, report: &MissionReport) {
         report.seed
     );
     let quality = |text: fn(&Quality) -> Option<String>| whole.quality.as_ref().and_then(text);
-    html.push_str("<div class=\"tiles\">");
-    for (value, label) in [
+    html.push_str(&frame::tiles([
         (quality(|q| Some(format!("{:.2} dB", q.psnr))).or(Some("–".into())), "PSNR, held-out views"),
         (quality(|q| Some(format!("{:.3}", q.ssim))).or(Some("–".into())), "SSIM, held-out views"),
         (quality(lpips_text), "LPIPS (VGG)"),
@@ -69,11 +62,7 @@ fn header(html: &mut String, report: &MissionReport) {
         (Some(format_seconds(whole.seconds)), "from start to report"),
         (Some(format_bytes(whole.bytes_sent)), "sent by the agents"),
         (Some(format_bytes(whole.peak_memory_bytes)), "peak memory of an agent"),
-    ] {
-        let Some(value) = value else { continue };
-        let _ = write!(html, "<div class=\"tile\"><b>{value}</b><span>{label}</span></div>");
-    }
-    html.push_str("</div>\n");
+    ]));
 }
 
 fn agents(html: &mut String, report: &MissionReport) {
@@ -98,14 +87,7 @@ fn agents(html: &mut String, report: &MissionReport) {
     for text in merge_texts(report) {
         let _ = write!(html, "<p>{}</p>", escape(&text));
     }
-    let remarks = remarks(report);
-    if !remarks.is_empty() {
-        html.push_str("<ul class=\"remarks\">");
-        for remark in remarks {
-            let _ = write!(html, "<li>{}</li>", escape(&remark));
-        }
-        html.push_str("</ul>\n");
-    }
+    html.push_str(&frame::remarks(&remarks(report)));
 }
 
 /// Writes what the columns of the table mean.
@@ -146,18 +128,8 @@ fn pictures(html: &mut String, showcases: &[Showcase]) -> Result<(), ImageError>
             "<div class=\"view\"><div><b>{name}</b> <span class=\"soft\">{}</span></div>",
             figures(&showcase.quality)
         );
-        let columns = if showcase.pictures.len() > 6 { 4 } else { 3 };
-        let _ = write!(html, "<div class=\"strip\" style=\"--columns:{columns}\">");
-        for Captioned { caption, picture } in &showcase.pictures {
-            let [width, height] = picture.size_px;
-            let uri = data_uri(picture)?;
-            let _ = write!(
-                html,
-                "<figure><img src=\"{uri}\" width=\"{width}\" height=\"{height}\" alt=\"{name}: {caption}\">\
-                 <figcaption>{caption}</figcaption></figure>"
-            );
-        }
-        html.push_str("</div></div>\n");
+        html.push_str(&frame::strip(&name, &showcase.pictures)?);
+        html.push_str("</div>\n");
     }
     Ok(())
 }
@@ -193,41 +165,12 @@ fn ground(html: &mut String, report: &MissionReport, drawings: &Drawings) {
     html.push_str("</div>\n");
 }
 
-fn footer(html: &mut String, report: &MissionReport) {
-    let _ = write!(
-        html,
-        "<h2>The model</h2>\n<p><code>global.ply</code> beside this file is revision {} of the global model in the standard 3DGS layout, \
-         which every splat viewer opens. {}<code>report.json</code> \
-         has these figures for scripts.</p>\n",
-        report.whole.revision,
-        report.whole.mesh.map_or(String::new(), mesh_sentence)
-    );
-}
-
-fn mesh_sentence(mesh: MeshSummary) -> String {
-    format!(
-        "<code>mesh.ply</code> is its surface, fused from the depth that all cameras see, in voxels of {:.2} m. ",
-        mesh.voxel_m
-    )
-}
-
-/// Formats `1234567` as `1 234 567`, with narrow spaces at which a browser does not break the line.
-fn group_digits(count: usize) -> String {
-    let digits = count.to_string();
-    let mut grouped = String::new();
-    for (i, digit) in digits.chars().enumerate() {
-        if i > 0 && (digits.len() - i).is_multiple_of(3) {
-            grouped.push('\u{202f}');
-        }
-        grouped.push(digit);
-    }
-    grouped
-}
-
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
     use cosurf_scene::Picture;
+
+    use super::super::showcase::Captioned;
     use glam::DVec2;
 
     use super::*;

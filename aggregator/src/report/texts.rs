@@ -44,7 +44,7 @@ pub(crate) fn merge_texts(report: &MissionReport) -> Vec<String> {
     texts
 }
 
-fn merge_text(Merging { summary, seconds, .. }: &Merging) -> String {
+pub(super) fn merge_text(Merging { summary, seconds, .. }: &Merging) -> String {
     let removed: usize = summary.locals.iter().map(|local| local.removed).sum();
     let (time, removed) = (format_seconds(*seconds), counted(removed, "overlapping splat"));
     let (joined, splats, steps) = (summary.joined, summary.splats, counted(summary.steps, "step"));
@@ -70,16 +70,19 @@ pub(crate) fn remarks(report: &MissionReport) -> Vec<String> {
         remarks.extend(given_up.map(|sentence| format!("{device}: {sentence}")));
     }
     let merges = report.edges.iter().map(|edge| &edge.merging).chain([&report.whole.merging]);
-    for merging in merges.flatten() {
-        remarks.extend(merging.inputs.iter().filter_map(|input| {
-            let (device, splats) = (&input.device, counted(input.part_splats?, "splat"));
-            Some(format!("only {splats} of the model of {device} had arrived when the models were merged"))
-        }));
-        remarks.extend(merging.kept_out.iter().map(|kept_out| format!("{kept_out} and is kept out")));
-        remarks.extend(merging.fitted.iter().map(ToString::to_string));
-    }
+    merges.flatten().for_each(|merging| remarks.extend(merge_remarks(merging)));
     remarks.extend(report.whole.mesh_failure.iter().map(|failure| format!("no mesh: {failure}")));
     remarks
+}
+
+/// One sentence on each model that was incomplete, kept out or changed in a merge.
+pub(super) fn merge_remarks(merging: &Merging) -> impl Iterator<Item = String> {
+    let parts = merging.inputs.iter().filter_map(|input| {
+        let (device, splats) = (&input.device, counted(input.part_splats?, "splat"));
+        Some(format!("only {splats} of the model of {device} had arrived when the models were merged"))
+    });
+    let kept_out = merging.kept_out.iter().map(|kept_out| format!("{kept_out} and is kept out"));
+    parts.chain(kept_out).chain(merging.fitted.iter().map(ToString::to_string))
 }
 
 #[cfg(test)]

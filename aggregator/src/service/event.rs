@@ -86,6 +86,17 @@ pub enum ServiceEvent {
         /// Local models that are kept out, with reasons.
         kept_out: Vec<KeptOut>,
     },
+    /// Mesh and report of a revision are in the folder of the service.
+    Reported {
+        /// The revision.
+        revision: u64,
+        /// Number of triangles of the mesh; absent if there is none.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        triangles: Option<usize>,
+        /// Why there is no mesh; absent if there is one.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        mesh_failure: Option<String>,
+    },
     /// There is no new global model: all local models are kept out.
     NothingMerged {
         /// All local models, with the reasons.
@@ -175,6 +186,13 @@ impl fmt::Display for ServiceEvent {
                 let (splats, models) = (counted(header.splats, "splat"), counted(*models, "model"));
                 write!(f, "global model, revision {}: {splats} from {models}", header.model)?;
                 kept_out.iter().try_for_each(|kept_out| write!(f, "; {kept_out} and is kept out"))
+            }
+            Self::Reported { revision, triangles, mesh_failure } => {
+                write!(f, "report.html shows revision {revision}")?;
+                triangles
+                    .iter()
+                    .try_for_each(|count| write!(f, ", mesh.ply has {}", counted(*count, "triangle")))?;
+                mesh_failure.iter().try_for_each(|reason| write!(f, "; no mesh: {reason}"))
             }
             Self::NothingMerged { kept_out } => {
                 write!(f, "no global model: all local models are kept out")?;

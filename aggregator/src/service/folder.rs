@@ -56,6 +56,9 @@ pub fn global_ply(folder: &Path) -> PathBuf {
 /// splats and the world cameras.
 pub(super) const MADE_FILES: [&str; 2] = ["global.ply", camera_list::FILE];
 
+/// Files that the report of a revision consists of, inside the folder of a service.
+pub(super) const REPORT_FILES: [&str; 3] = ["mesh.ply", "report.html", "report.json"];
+
 /// Devices of which the service with this folder has a model, or a part of one. Reads only the names of files, so the
 /// service may be running.
 pub fn senders(folder: &Path) -> Result<BTreeSet<DeviceId>, SceneError> {

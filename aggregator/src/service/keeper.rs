@@ -21,6 +21,7 @@ use super::inputs::Inputs;
 use super::job::{Job, JobState, Made, Outcome, TileWork};
 use super::rebroadcast::Rebroadcast;
 use super::record::{Input, KeptOut, Merging, Verdict, file_hash, remove_global};
+use super::reporting::Reporting;
 use super::round::{Expected, Round};
 use super::sent::{Revision, Sent, TileBytes};
 use super::set_aside::set_aside_files;
@@ -84,6 +85,8 @@ pub(super) struct Keeper {
     retry_at: Duration,
     /// The running merge, and the time at which it began.
     job: Option<(Job, Duration)>,
+    /// Reports of revisions, if any are made.
+    reporting: Option<Reporting>,
     /// Limit on the devices whose models are kept.
     devices_max: usize,
     quiet: Quiet,
@@ -140,6 +143,7 @@ impl Keeper {
             round: (!headers.is_empty()).then(|| Round::extend(None, Duration::ZERO)),
             retry_at: Duration::ZERO,
             job: None,
+            reporting: None,
             devices_max: DEVICES_MAX,
             quiet: Quiet::default(),
             told,
@@ -156,6 +160,11 @@ impl Keeper {
     /// Lets workers distil the tiles of merges. Their results are kept in `results`, which nobody else may use.
     pub(super) fn employ(&mut self, results: Store, queue: Queue) {
         (self.work.results, self.work.queue) = (results, Some(Arc::new(queue)));
+    }
+
+    /// Makes a report of each revision while no models are merged.
+    pub(super) fn report(&mut self, reporting: Reporting) {
+        self.reporting = Some(reporting);
     }
 
     /// Hands the global model of the aggregator above on to the devices. Revisions of the service's own wait for the next
@@ -351,7 +360,19 @@ impl Keeper {
             self.begin_when_due(node, now);
             self.publish_when_done(node, now).transpose()
         });
-        done.map(|outcome| outcome.unwrap_or_else(|error| self.disk_failed(&error, now)))
+        let done = done.map(|outcome| outcome.unwrap_or_else(|error| self.disk_failed(&error, now)));
+        done.or_else(|| self.report_when_idle(now))
+    }
+
+    /// Makes the report of the newest revision if there is nothing to merge. Returns the event of a report that was made.
+    fn report_when_idle(&mut self, now: Duration) -> Option<ServiceEvent> {
+        let is_idle = self.round.is_none() && !self.is_merging() && !self.shelf.newest().is_empty();
+        let (reporting, global) = (self.reporting.as_mut()?, self.global);
+        let event = reporting.poll(now);
+        if let Some(global) = global.filter(|_| is_idle) {
+            reporting.begin(global.model, now);
+        }
+        event
     }
 
     /// Asks for stored models again whose files are missing or, if `reads_all`, damaged. Returns whether there are any.
@@ -396,6 +417,9 @@ impl Keeper {
     /// `global/` stays, so that the next revision has a higher number.
     fn withdraw_global(&mut self, node: &mut Node) -> Result<(), ServiceError> {
         keep_only(&self.work.results, &[])?;
+        if let Some(reporting) = &mut self.reporting {
+            reporting.end();
+        }
         self.rebroadcast.stop(node);
         self.sent.clear()?;
         if let Some(above) = &mut self.above {
@@ -420,6 +444,9 @@ impl Keeper {
                 return;
             }
             self.job = None; // dropping a job waits until its merge has stopped
+        }
+        if self.reporting.as_mut().is_some_and(Reporting::is_in_the_way) {
+            return;
         }
         self.round = None;
         self.told.extend(self.shelf.take_parts(node));
@@ -531,6 +558,9 @@ impl Keeper {
         let settings = self.merge;
         Merging { revision, files_blake3, inputs, kept_out, fitted, fits, settings, summary, seconds }
             .write(&self.folder)?;
+        if let Some(reporting) = &mut self.reporting {
+            reporting.outdate();
+        }
         keep_only(&self.work.results, &tiles)?;
         match cut {
             Some(Cut { bodies, receivers }) => {

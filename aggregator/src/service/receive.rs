@@ -13,6 +13,7 @@ use super::control::{Command, ServiceConfig};
 use super::error::ServiceError;
 use super::event::ServiceEvent;
 use super::keeper::{Keeper, RunState};
+use super::reporting::{ReportTask, Reporter, Reporting};
 use crate::queue::Queue;
 use crate::store::Store;
 
@@ -57,6 +58,12 @@ impl Service {
     /// Lets workers distil the tiles of merges. Their results are kept in `results`, which nobody else may use.
     pub fn with_workers(mut self, results: Store, queue: Queue) -> Self {
         self.keeper.employ(results, queue);
+        self
+    }
+
+    /// Makes a report of each revision while no models are merged.
+    pub fn with_reports(mut self, reporter: Reporter, task: ReportTask) -> Self {
+        self.keeper.report(Reporting::new(reporter, task));
         self
     }
 

@@ -10,7 +10,7 @@ use cosurf_scene::{LocalFrame, SceneError, atomic, files};
 use cosurf_wire::{DeviceId, ModelHeader};
 use serde::{Deserialize, Serialize};
 
-use super::folder::MADE_FILES;
+use super::folder::{MADE_FILES, REPORT_FILES};
 use super::model_list::ModelList;
 use crate::gate::{Admitted, Fit, Place, Similarity, Tone};
 use crate::merge::{Locals, MergeSettings, MergeSummary};
@@ -242,7 +242,7 @@ impl Merging {
 }
 
 /// BLAKE3 hash of a file.
-pub(super) fn file_hash(path: &Path) -> Result<String, SceneError> {
+pub(crate) fn file_hash(path: &Path) -> Result<String, SceneError> {
     let mut hasher = blake3::Hasher::new();
     hasher.update_reader(files::open(path)?).map_err(|cause| SceneError::io(path, cause))?;
     Ok(hasher.finalize().to_hex().to_string())
@@ -251,14 +251,14 @@ pub(super) fn file_hash(path: &Path) -> Result<String, SceneError> {
 /// Removes the newest global model of a service and the record of its merge. Returns false if there was neither.
 pub(super) fn remove_global(folder: &Path) -> Result<bool, SceneError> {
     let mut had_any = false;
-    for name in MADE_FILES.into_iter().chain([MERGED]) {
+    for name in MADE_FILES.into_iter().chain(REPORT_FILES).chain([MERGED]) {
         had_any |= remove(&folder.join(name))?;
     }
     Ok(had_any)
 }
 
 /// Removes a file. Returns false if it does not exist.
-fn remove(path: &Path) -> Result<bool, SceneError> {
+pub(crate) fn remove(path: &Path) -> Result<bool, SceneError> {
     match fs::remove_file(path) {
         Ok(()) => Ok(true),
         Err(cause) if cause.kind() == io::ErrorKind::NotFound => Ok(false),

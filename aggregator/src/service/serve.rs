@@ -25,6 +25,7 @@ use super::error::ServiceError;
 use super::event::ServiceEvent;
 use super::folder::senders;
 use super::receive::Service;
+use super::reporting::{ReportTask, Reporter};
 use super::round::{Expected, Rounds};
 use super::site_plan::read_plan;
 use super::upstream::{Upstream, UpstreamEvent, UpstreamNode};
@@ -139,6 +140,8 @@ pub struct Host {
     pub clock_s: u64,
     /// Threads to merge with, at least 1.
     pub threads: usize,
+    /// Makes the reports.
+    pub reporter: Reporter,
 }
 
 /// Serves a site and the devices on the serial `lines`, until a command ends it or the sender of `commands` is dropped.
@@ -171,6 +174,8 @@ pub fn serve(
     let mut service =
         Service::open(service_config(config, identity, host.threads))?.with(credentials.clone());
     service = service.with_devices_max(config.devices_max).with_plan(plan.unwrap_or_default());
+    let task = ReportTask::new(config.out.clone(), config.site, config.merge_memory_bytes, host.threads);
+    service = service.with_reports(host.reporter, task);
     if let Some(workers) = &config.workers {
         service = employ(service, workers, &identity)?;
     }

@@ -8,7 +8,7 @@ use cosurf_scene::{SceneError, files, ply};
 use serde::de::IgnoredAny;
 
 use super::event::ServiceEvent;
-use super::folder::{MADE_FILES, global_ply};
+use super::folder::{MADE_FILES, REPORT_FILES, global_ply};
 use super::record::{MERGED, Merging, file_hash};
 use super::trial::{READING, SUSPECTS};
 
@@ -26,7 +26,9 @@ pub(super) fn set_aside_files(folder: &Path) -> Result<Vec<ServiceEvent>, SceneE
             _ => Ok(()),
         })?);
     }
-    told.extend(set_aside_unless(&folder.join(READING), |_| Ok(()))?);
+    for name in REPORT_FILES.into_iter().chain([READING]) {
+        told.extend(set_aside_unless(&folder.join(name), |_| Ok(()))?);
+    }
     for path in [folder.join(MERGED), folder.join(SUSPECTS)] {
         told.extend(set_aside_unless(&path, |path| {
             serde_json::from_slice::<IgnoredAny>(&files::read(path)?)

@@ -13,6 +13,7 @@ mod life;
 mod lost;
 mod parts;
 mod plan;
+mod reports;
 mod tiles;
 mod withdrawal;
 mod workers;

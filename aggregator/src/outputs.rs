@@ -1,0 +1,98 @@
+//! What is made of a global model for people: `mesh.ply`, and a report with pictures that needs no photographs.
+//!
+//! What it knows nothing about: how the model was merged, beyond the record of the merge, and when a report is due, which
+//! the service decides.
+//!
+//! Where to start reading: [`report`].
+
+mod relief;
+
+use std::ops::ControlFlow;
+
+use cosurf_engine::Renderer;
+use cosurf_scene::{Camera, Caster, Dataset, LocalFrame, atomic, evenly_spaced, files, ply};
+
+use crate::mesh::MeshError;
+use crate::report::{MeshSummary, SitePicture, SiteReport, site_page};
+use crate::service::{Merging, ReportError, ReportTask, Reported, file_hash, global_ply, remove};
+pub(crate) use relief::{Relief, relief};
+
+/// Number of cameras whose views the report shows.
+const VIEWS: usize = 4;
+/// Long side of the pictures in the report, px.
+const PICTURE_PX: u32 = 640;
+
+/// Makes `mesh.ply`, `report.json` and `report.html` of the newest global model in a service's folder, unless they are
+/// those of this model already. It is no error if no mesh can be made: the report says so.
+pub fn report(task: &ReportTask) -> Result<Reported, ReportError> {
+    let merging = Merging::read(&task.folder).ok_or(ReportError::Stopped)?;
+    if let Some(known) = known(task, &merging) {
+        return Ok(reported(&known, false));
+    }
+    let mut cameras = Dataset::cameras(&task.folder)?;
+    let frame = LocalFrame::of(cameras.iter());
+    cameras.iter_mut().for_each(|camera| *camera = frame.local_camera(camera));
+    let (mesh, caster, mesh_failure) = make_mesh(task, &cameras, &frame)?;
+    let pictures = pictures(task, &evenly_spaced(&cameras, VIEWS), &frame, caster)?;
+    let report =
+        SiteReport { site: task.site.to_string(), cameras: cameras.len(), mesh, mesh_failure, merging };
+    let write = |name: &str, text: &str| {
+        atomic::write(&task.folder.join(name), |file| std::io::Write::write_all(file, text.as_bytes()))
+    };
+    write("report.html", &site_page(&report, &pictures)?)?;
+    write("report.json", &serde_json::to_string_pretty(&report)?)?;
+    Ok(reported(&report, true))
+}
+
+fn reported(report: &SiteReport, is_new: bool) -> Reported {
+    let triangles = report.mesh.as_ref().map(|(mesh, _)| mesh.triangles);
+    let mesh_failure = report.mesh_failure.clone();
+    Reported { revision: report.merging.revision, triangles, mesh_failure, is_new }
+}
+
+/// The report in the folder, if it is that of this merge and its files are whole.
+fn known(task: &ReportTask, merging: &Merging) -> Option<SiteReport> {
+    let at = |name| task.folder.join(name);
+    let report: SiteReport = serde_json::from_slice(&files::read(&at("report.json")).ok()?).ok()?;
+    let is_whole = match &report.mesh {
+        Some((_, blake3)) => file_hash(&at("mesh.ply")).is_ok_and(|hash| hash == *blake3),
+        None => true,
+    };
+    (report.merging == *merging && is_whole && at("report.html").is_file()).then_some(report)
+}
+
+/// The figures of a mesh with the BLAKE3 hash of its file, a caster, and why there is none.
+type Made = (Option<(MeshSummary, String)>, Option<Caster>, Option<String>);
+
+fn make_mesh(task: &ReportTask, cameras: &[Camera], frame: &LocalFrame) -> Result<Made, ReportError> {
+    let splats = ply::read(&global_ply(&task.folder), frame)?;
+    let file = task.folder.join("mesh.ply");
+    let goes_on = |_| if task.is_stopped() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
+    match relief(splats, cameras, frame, task.memory_bytes, task.threads, &file, goes_on)? {
+        Relief::Made { summary, caster } => Ok((Some((summary, file_hash(&file)?)), Some(caster), None)),
+        Relief::Missing(MeshError::Stopped) => Err(ReportError::Stopped),
+        Relief::Missing(error) => {
+            remove(&file)?; // that of an earlier revision
+            Ok((None, None, Some(error.to_string())))
+        }
+    }
+}
+
+/// What the model, and its mesh if there is one, show from some cameras.
+fn pictures(
+    task: &ReportTask,
+    cameras: &[Camera],
+    frame: &LocalFrame,
+    mesh: Option<Caster>,
+) -> Result<Vec<SitePicture>, ReportError> {
+    let cameras: Vec<Camera> = cameras.iter().map(|camera| camera.fitted(PICTURE_PX)).collect();
+    // First all of the mesh, so that mesh and splats are not in memory at once.
+    let casts: Vec<_> = cameras.iter().map(|camera| Some(mesh.as_ref()?.cast(camera))).collect();
+    drop(mesh);
+    let mut renderer = Renderer::new(&ply::read(&global_ply(&task.folder), frame)?, task.threads);
+    let mut picture = |(camera, mesh)| match task.is_stopped() {
+        true => Err(ReportError::Stopped),
+        false => Ok(SitePicture::of(&renderer.render(camera), mesh, frame.unit())),
+    };
+    cameras.iter().zip(casts).map(&mut picture).collect()
+}

@@ -1,0 +1,41 @@
+//! The mesh of a global model: its surface, fused from renderings of all cameras. It is written to a file beside the
+//! model, and prepared for ray casting.
+
+use std::ops::ControlFlow;
+use std::path::Path;
+
+use cosurf_scene::{Camera, Caster, LocalFrame, SceneError, Splats};
+
+use crate::mesh::{FuseEvent, FuseSettings, Fused, MeshError, mesh_model};
+use crate::report::MeshSummary;
+
+/// The mesh of a global model.
+pub(crate) enum Relief {
+    /// The mesh was made. The caster is in the frame.
+    Made { summary: MeshSummary, caster: Caster },
+    /// No mesh could be made.
+    Missing(MeshError),
+}
+
+/// Makes the mesh of splats and cameras that are in `frame`, and writes it to `file`, in the world. Takes at most
+/// `memory_bytes`: if that is little, pictures shrink and voxels become larger. Rendering uses `threads` (at least 1)
+/// threads. If `on_event` returns `Break`, the mesh is missing because of [`MeshError::Stopped`].
+pub(crate) fn relief(
+    splats: Splats,
+    cameras: &[Camera],
+    frame: &LocalFrame,
+    memory_bytes: u64,
+    threads: usize,
+    file: &Path,
+    on_event: impl FnMut(FuseEvent) -> ControlFlow<()>,
+) -> Result<Relief, SceneError> {
+    let settings = FuseSettings { voxel_m: None, memory_bytes };
+    let fused = match mesh_model(splats, cameras, None, &settings, threads, on_event) {
+        Ok(fused) => fused,
+        Err(error) => return Ok(Relief::Missing(error)),
+    };
+    let caster = Caster::new(&fused.mesh);
+    let Fused { mesh, voxel_m, .. } = fused.out_of_frame(frame);
+    mesh.write(file)?;
+    Ok(Relief::Made { summary: MeshSummary { triangles: mesh.triangles.len(), voxel_m }, caster })
+}

@@ -1,0 +1,159 @@
+//! The report of a service on its newest revision: figures (`report.json`) and a page (`report.html`). A service has no
+//! photographs, so the report shows what the models have in common, and renders the global model.
+
+use std::fmt::Write;
+
+use cosurf_contract::counted;
+use cosurf_engine::Rendering;
+use cosurf_scene::{Cast, Picture, colormap};
+use image::ImageError;
+use serde::{Deserialize, Serialize};
+
+use super::figures::MeshSummary;
+use super::fits;
+use super::frame::{self, group_digits};
+use super::showcase::Captioned;
+use super::svg::escape;
+use super::texts::{merge_remarks, merge_text};
+use crate::merge::LocalSummary;
+use crate::service::{FitRecord, Merging};
+use crate::terminal::format_seconds;
+
+/// The figures of a revision; the content of a service's `report.json`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SiteReport {
+    /// Name of the site.
+    pub site: String,
+    /// Number of cameras of the global model.
+    pub cameras: usize,
+    /// The mesh and the BLAKE3 hash of `mesh.ply`; absent if there is none.
+    pub mesh: Option<(MeshSummary, String)>,
+    /// Why there is no mesh; absent if there is one.
+    pub mesh_failure: Option<String>,
+    /// How the models were merged.
+    pub merging: Merging,
+}
+
+/// What the global model shows from one of its cameras.
+pub(crate) struct SitePicture(Vec<Captioned>);
+
+impl SitePicture {
+    /// `unit` is the length of the rendering's unit, metres.
+    pub(crate) fn of(rendering: &Rendering, mesh: Option<Cast>, unit: f64) -> Self {
+        let size_px = rendering.size_px;
+        let range = colormap::depth_range(&rendering.depth);
+        let [near_m, far_m] = range.map(|depth| depth * unit as f32);
+        let captioned = |caption: &str, picture| Captioned { caption: caption.into(), picture };
+        let mut pictures = vec![
+            captioned("colour", Picture::from_unit(size_px, &rendering.rgb)),
+            captioned(
+                &format!("depth, {near_m:.1} (bright) to {far_m:.1} m"),
+                colormap::depth_picture(&rendering.depth, size_px, range),
+            ),
+            captioned("normal", colormap::normal_picture(&rendering.normal, size_px)),
+        ];
+        pictures.extend(mesh.map(|mesh| captioned("mesh", colormap::clay_picture(&mesh.normals, size_px))));
+        Self(pictures)
+    }
+}
+
+/// Returns the whole page as HTML.
+pub(crate) fn site_page(report: &SiteReport, pictures: &[SitePicture]) -> Result<String, ImageError> {
+    let SiteReport { site, cameras, mesh, mesh_failure, merging } = report;
+    let mut html = frame::open("cosurf site");
+    let _ = writeln!(
+        html,
+        "<h1>{}</h1>\n<p class=\"soft\">Revision {} of the global model, merged from {}</p>",
+        escape(site),
+        merging.revision,
+        counted(merging.inputs.len() - merging.kept_out.len(), "model"),
+    );
+    let mesh = mesh.as_ref().map(|(mesh, _)| *mesh);
+    html.push_str(&frame::tiles([
+        (Some(group_digits(merging.summary.splats)), "splats"),
+        (mesh.map(|mesh| group_digits(mesh.triangles)), "triangles of the mesh"),
+        (mesh.map(|mesh| format!("{:.3} m", mesh.voxel_m)), "voxels of the mesh"),
+        (Some(group_digits(*cameras)), "cameras"),
+        (Some(format_seconds(merging.seconds)), "to merge"),
+    ]));
+    models(&mut html, merging);
+    let failure = mesh_failure.iter().map(|failure| format!("no mesh: {failure}"));
+    html.push_str(&frame::remarks(&merge_remarks(merging).chain(failure).collect::<Vec<_>>()));
+    if !pictures.is_empty() {
+        html.push_str("<h2>The global model from some of its cameras</h2>\n");
+    }
+    for SitePicture(pictures) in pictures {
+        let _ = writeln!(html, "<div class=\"view\">{}</div>", frame::strip("global model", pictures)?);
+    }
+    let fits: Vec<&FitRecord> = merging.fits.iter().collect();
+    if !fits.is_empty() {
+        let _ = write!(html, "<h2>How the models fit each other</h2>\n{}", fits::table(&fits));
+    }
+    html.push_str(&frame::footer(merging.revision, mesh));
+    Ok(html + "</body></html>\n")
+}
+
+/// The table of the models.
+fn models(html: &mut String, merging: &Merging) {
+    html.push_str(
+        "<h2>Models</h2>\n<div class=\"scroll\"><table class=\"plain\"><thead><tr><th></th><th>model</th>\
+         <th>splats</th><th>seen better by others</th></tr></thead><tbody>\n",
+    );
+    let (inputs, kept_out) = (&merging.inputs, &merging.kept_out);
+    let mut locals = merging.summary.locals.iter();
+    for input in inputs {
+        let is_out = kept_out.iter().any(|its| its.device == input.device && its.model == input.model);
+        let part = input.part_splats.map(|splats| [splats.to_string(), "–".into()]);
+        let whole =
+            |LocalSummary { arrived, removed, .. }: &LocalSummary| [arrived.to_string(), removed.to_string()];
+        let [splats, removed] = match is_out {
+            true => ["kept out".into(), "–".into()],
+            false => part.or_else(|| locals.next().map(whole)).unwrap_or(["–".into(), "–".into()]),
+        };
+        let _ = writeln!(
+            html,
+            "<tr><td>{}</td><td>{}</td><td>{splats}</td><td>{removed}</td></tr>",
+            escape(&input.device),
+            input.model
+        );
+    }
+    let _ = writeln!(html, "</tbody></table></div>\n<p>{}</p>", escape(&merge_text(merging)));
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use cosurf_scene::Picture;
+
+    use super::super::texts::tests::merging;
+    use super::*;
+
+    fn page(report: &SiteReport) -> String {
+        let picture = Captioned { caption: "colour".into(), picture: Picture::new([2, 2], vec![99; 12]) };
+        site_page(report, &[SitePicture(vec![picture])]).unwrap()
+    }
+
+    #[test]
+    fn the_page_has_the_figures_escapes_outside_text_and_loads_nothing_from_outside() {
+        let mesh = Some((MeshSummary { triangles: 12_345, voxel_m: 0.25 }, String::new()));
+        let input = serde_json::from_str(r#"{"device":"agent-1","model":3,"blake3":""}"#).unwrap();
+        let merging = Merging { inputs: vec![input], ..merging() };
+        let report = SiteReport { site: "a<b".into(), cameras: 7, mesh, mesh_failure: None, merging };
+        let html = page(&report);
+        for part in ["a&lt;b", "12\u{202f}345", "0.250 m", "<b>7</b>", "agent-1", "data:image/jpeg;base64,"] {
+            assert!(html.contains(part), "{part}");
+        }
+        for outside in ["a<b", "http:", "https:", "<script", "<link", "@import", "url("] {
+            assert!(!html.contains(outside), "{outside}");
+        }
+        for tag in ["div", "p", "table", "tr", "td", "figure", "ul", "li", "span", "h2"] {
+            let opened =
+                html.matches(&format!("<{tag}>")).count() + html.matches(&format!("<{tag} ")).count();
+            assert_eq!(opened, html.matches(&format!("</{tag}>")).count(), "{tag}");
+        }
+        let failed = SiteReport { mesh: None, mesh_failure: Some("no surface".into()), ..report.clone() };
+        assert!(page(&failed).contains("<li>no mesh: no surface</li>"));
+        let text = serde_json::to_string(&report).unwrap();
+        assert_eq!(serde_json::from_str::<SiteReport>(&text).unwrap(), report);
+    }
+}
