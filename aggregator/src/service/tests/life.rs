@@ -7,6 +7,7 @@ use cosurf_scene::LocalFrame;
 use cosurf_tests::dice::Dice;
 use cosurf_wire::BodyHash;
 
+use super::super::keeper::Keeper;
 use super::*;
 use crate::merge::{InMemory, MergeProgress, Resources, Tiles, merge};
 use crate::testing::{QUICK, model_at};
@@ -161,27 +162,54 @@ fn other_models_end_with_other_bytes() {
 /// For how long two models arrive each second, in the time of the service.
 const ARRIVALS_FOR: Duration = Duration::from_secs(600);
 
+/// A new model of each of the devices arrives.
+fn arrive<const N: usize>(service: &mut Service, devices: [&str; N], number: u64, now: Duration) {
+    for (name, place) in devices.into_iter().zip([0.0, 3.0, -3.0]) {
+        let Model { splats, cameras } = model_at(place + number as f32 % 2.0);
+        let device = DeviceId::new(name).unwrap();
+        let offer = Offer::new(device, ModelId(number), ModelKind::Local, 2, &splats, &cameras).unwrap();
+        let event = NodeEvent::Store { header: offer.header, body: offer.body.into() };
+        service.keeper.take(&mut service.node, event, now);
+    }
+}
+
+/// The time that merges take does not count here: the time of the service stands still meanwhile.
+#[test]
+fn models_that_arrive_each_second_for_five_minutes_get_a_revision_by_the_deadline() {
+    let (quiet, deadline) = (Duration::from_secs(30), Duration::from_secs(120));
+    let network = MemoryNetwork::new(4, Faults::NONE);
+    let folder = tempfile::tempdir().unwrap();
+    let rounds = Rounds { quorum: 2, quiet, deadline };
+    let mut ground = open(&network, folder.path(), Expected::Anybody(rounds));
+    let mut revisions = Vec::new();
+    for second in 0..300 {
+        let now = Duration::from_secs(second);
+        arrive(&mut ground.service, NAMES, second + 1, now);
+        let Service { node, keeper } = &mut ground.service;
+        let mut work = |keeper: &mut Keeper| {
+            let event = keeper.work(node, now);
+            revisions.extend(event.filter(is_merged).map(|_| now));
+        };
+        (0..8).for_each(|_| work(keeper));
+        while keeper.is_merging() {
+            work(keeper);
+            std::thread::yield_now();
+        }
+    }
+    let gaps: Vec<Duration> = revisions.windows(2).map(|two| two[1] - two[0]).collect();
+    let most = deadline + Duration::from_secs(1); // a round begins with the arrival after a merge
+    assert!(revisions.first().is_some_and(|first| *first <= deadline), "{revisions:?}");
+    assert!(revisions.len() >= 2 && gaps.iter().all(|gap| *gap <= most), "{revisions:?}");
+}
+
 #[test]
 fn models_that_arrive_each_second_for_ten_minutes_do_not_keep_merges_from_ending() {
     let network = MemoryNetwork::new(3, Faults::NONE);
     let folder = tempfile::tempdir().unwrap();
     let mut ground = open(&network, folder.path(), Expected::Anybody(AT_ONCE));
-    let offers = |number: u64| {
-        ["agent-1", "agent-2"].into_iter().zip([0.0, 3.0]).map(move |(name, place)| {
-            let Model { splats, cameras } = model_at(place + number as f32);
-            let device = DeviceId::new(name).unwrap();
-            Offer::new(device, ModelId(number), ModelKind::Local, 2, &splats, &cameras).unwrap()
-        })
-    };
     let (mut number, mut revisions, mut now) = (1, Vec::new(), Duration::ZERO);
-    let arrive = |service: &mut Service, number, now| {
-        for Offer { header, body } in offers(number) {
-            let Service { node, keeper } = service;
-            keeper.take(node, NodeEvent::Store { header, body: body.into() }, now);
-        }
-    };
     while now < ARRIVALS_FOR {
-        arrive(&mut ground.service, number, now);
+        arrive(&mut ground.service, ["agent-1", "agent-2"], number, now);
         let Service { node, keeper } = &mut ground.service;
         if let Some(ServiceEvent::Merged { header, .. }) = keeper.work(node, now) {
             revisions.push((header.model, number));
