@@ -1,5 +1,5 @@
 //! Checkpoints: a file with the state of a training. A resumed training ends with the same bits as an uninterrupted one
-//! on the same device.
+//! on the same device. A training that has ended goes on from its checkpoint if more steps are asked for.
 //!
 //! The file starts with one line of JSON ([`Head`]). The rest is compressed with zstd: the trainer's numbers as
 //! little-endian f32, then a BLAKE3 hash of these uncompressed numbers. The file is replaced atomically, so a kill at
@@ -10,12 +10,12 @@ use std::io::{self, BufRead, BufReader, Read, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
-use cosurf_engine::{AnyBackend, Backend, DeviceLost, Progress, TrainSettings, Trainer};
+use cosurf_engine::{AnyBackend, Backend, DeviceLost, Progress, Schedule, TrainSettings, Trainer};
 use cosurf_scene::{Camera, SceneError, SparsePoint, atomic, files};
 use serde::{Deserialize, Serialize};
 use tracing::debug_span;
 
-const FORMAT: &str = "cosurf checkpoint 2";
+const FORMAT: &str = "cosurf checkpoint 3";
 /// A fast compression level. The numbers hardly compress, and training waits until the file is written.
 const ZSTD_LEVEL: i32 = 1;
 /// Limit on the first line; a file with a longer one is not a checkpoint.
@@ -26,10 +26,11 @@ const HEAD_BYTES_MAX: u64 = 4096;
 pub struct Fingerprint(String);
 
 impl Fingerprint {
-    /// Hashes the settings, the cameras and the sparse points (positions and colours). The pictures' pixels are not
-    /// hashed. Nor is the device, so a training can move to another device.
+    /// Hashes the settings except the number of steps, the cameras and the sparse points (positions and colours). The
+    /// pictures' pixels are not hashed. Nor is the device, so a training can move to another device.
     pub fn of(settings: &TrainSettings, cameras: &[Camera], points: &[SparsePoint]) -> Self {
         let mut hash = blake3::Hasher::new();
+        let settings = TrainSettings { schedule: Schedule::new(1), ..*settings };
         // `Debug` prints every float with enough digits to tell it from any other float.
         hash.update(format!("{FORMAT} {settings:?}").as_bytes());
         for camera in cameras {
@@ -49,6 +50,8 @@ impl Fingerprint {
 struct Head {
     format: String,
     fingerprint: Fingerprint,
+    /// Number of steps of the whole training.
+    steps: u32,
     steps_done: u32,
     splats: usize,
     splats_at_start: usize,
@@ -119,8 +122,9 @@ impl Checkpoint {
         self.head.spent
     }
 
-    /// Restores the trainer to the state in the checkpoint. Fails if the checkpoint belongs to another training, or has
-    /// more splats than the trainer's memory allows. Fails with [`DamagedCheckpoint`] if it is damaged.
+    /// Restores the trainer to the state in the checkpoint. Fails if the checkpoint belongs to another training, to one of
+    /// more steps, or to one of fewer steps that has not ended. Fails if it has more splats than the trainer's memory
+    /// allows. Fails with [`DamagedCheckpoint`] if it is damaged.
     pub fn restore(self, expected: &Fingerprint, trainer: &mut Trainer<AnyBackend>) -> Result<()> {
         let path = self.path.display().to_string();
         if self.head.fingerprint != *expected {
@@ -129,6 +133,18 @@ impl Checkpoint {
                  another folder"
             );
         }
+        let Head { steps, steps_done, .. } = self.head;
+        let wanted = trainer.settings().schedule.steps;
+        ensure!(
+            steps <= wanted,
+            "{path} belongs to a training of {steps} steps, which cannot have fewer; delete it to start again, or write to \
+             another folder"
+        );
+        ensure!(
+            steps == wanted || steps_done == steps,
+            "{path} belongs to a training of {steps} steps that has done {steps_done}: let it end with --steps {steps}, \
+             then ask for more"
+        );
         ensure!(
             self.head.splats <= trainer.backend().capacity(),
             "{path} has more splats than the memory allows; delete it to start again"
@@ -137,7 +153,7 @@ impl Checkpoint {
         let mut body = zstd::Decoder::new(self.body).map_err(truncated)?;
         let mut hash = blake3::Hasher::new();
         let mut bytes = Vec::new();
-        let Head { steps_done, splats_at_start, splats, .. } = self.head;
+        let Head { splats_at_start, splats, .. } = self.head;
         trainer
             .import(Progress { steps_done, splats_at_start, splats }, |numbers| -> io::Result<()> {
                 bytes.resize(4 * numbers.len(), 0);
@@ -173,7 +189,8 @@ pub fn write(
     }
     let Progress { steps_done, splats_at_start, splats } = trainer.progress();
     let fingerprint = fingerprint.clone();
-    let head = Head { format: FORMAT.into(), fingerprint, steps_done, splats, splats_at_start, spent };
+    let steps = trainer.settings().schedule.steps;
+    let head = Head { format: FORMAT.into(), fingerprint, steps, steps_done, splats, splats_at_start, spent };
     atomic::write(&path, |file| {
         serde_json::to_writer(&mut *file, &head)?;
         file.write_all(b"\n")?;

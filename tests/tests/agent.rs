@@ -320,11 +320,27 @@ fn without_a_gpu_the_cpu_trains_and_the_output_says_so() {
 }
 
 #[test]
+fn more_steps_go_on_from_the_end_of_a_training() {
+    let folder = tempfile::tempdir().unwrap();
+    let [out, whole] = ["out", "whole"].map(|name| folder.path().join(name));
+    succeed(train(city(), &out, &["--steps", "40"]));
+    let output = train(city(), &out, &["--steps", "60"]).output().unwrap();
+    assert!(output.status.success(), "{}", stderr(&output));
+    assert!(stderr(&output).contains("resumed at step 40"), "{}", stderr(&output));
+    succeed(train(city(), &whole, &["--steps", "60"]));
+    let psnr = |out: &Path| report(out)["psnr"].as_f64().unwrap();
+    assert_eq!(report(&out)["steps"], 60);
+    assert!((psnr(&out) - psnr(&whole)).abs() < 1.0, "{} and {}", psnr(&out), psnr(&whole));
+    assert!(model(&out) != model(&whole), "its first steps were those of a shorter training");
+}
+
+#[test]
 fn a_damaged_checkpoint_is_set_aside_and_one_of_another_training_refused() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out");
     succeed(train(city(), &out, &["--steps", "20"]));
-    refuse(train(city(), &out, &["--steps", "21"]), &["other data or settings", "delete it"]);
+    refuse(train(city(), &out, &["--steps", "20", "--seed", "7"]), &["other data or settings", "delete it"]);
+    refuse(train(city(), &out, &["--steps", "19"]), &["training of 20 steps", "fewer", "delete it"]);
     let state = out.join("checkpoint/state.bin");
     let mut bytes = fs::read(&state).unwrap();
     let middle = bytes.len() / 2;

@@ -196,6 +196,11 @@ impl<B: Backend> Trainer<B> {
         Self { backend, settings, views, exposures, steps_done: 0, splats_at_start }
     }
 
+    /// The settings of the training.
+    pub fn settings(&self) -> &TrainSettings {
+        &self.settings
+    }
+
     /// Steps done so far.
     pub fn steps_done(&self) -> u32 {
         self.steps_done
