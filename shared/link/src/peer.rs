@@ -6,8 +6,8 @@ use cosurf_wire::{ChunkStatus, DeviceId, RefusalReason, Want};
 
 use crate::bits::BitSet;
 use crate::pacing::{
-    ASKED_AGAIN, REORDER, REPEATED_WANT, RESEND_ALL, WINDOW_BYTES_MAX, WINDOW_FAST, WINDOW_FIRST, WINDOW_MAX,
-    WINDOW_MIN, WINDOW_SLOW,
+    ASKED_AGAIN, CHUNKS_PER_CONNECTION, REORDER, REPEATED_WANT, RESEND_ALL, WINDOW_BYTES_MAX, WINDOW_FAST,
+    WINDOW_FIRST, WINDOW_MAX, WINDOW_MIN, WINDOW_SLOW,
 };
 
 /// Resends that each chunk earns that a receiver has for the first time. On a line that loses half of its messages, a
@@ -32,6 +32,12 @@ pub(crate) struct Peer {
     is_cut: bool,
     /// Chunks that were sent to this receiver at least once.
     sent: BitSet,
+    /// Number of chunks that were sent to it, chunks sent again included.
+    sends: u64,
+    /// That number, and the number of chunks that the receiver was known to have, when it was last connected.
+    before: (u64, u32),
+    /// Number of the last connections, without a better one between them, over which hardly a chunk got through.
+    poor: u32,
     /// The most chunks that the receiver is known to have had at once.
     chunks_had: u32,
     /// When the receiver may send the next request that shows no new chunk.
@@ -81,6 +87,9 @@ impl Peer {
             window_max,
             is_cut: false,
             sent: BitSet::empty(chunks),
+            sends: 0,
+            before: (0, 0),
+            poor: 0,
             chunks_had: 0,
             repeat_at: Duration::ZERO,
             resends: (resends_max, Duration::ZERO),
@@ -166,6 +175,7 @@ impl Peer {
             }
             let is_again = self.sent.contains(index);
             self.sent.insert(index);
+            self.sends += 1;
             self.wanted.remove(index);
             self.in_flight.push(SentChunk { index, at: now, is_again, order });
         }
@@ -188,6 +198,20 @@ impl Peer {
         self.resends.0 = self.resends.0.saturating_add(new * RESENDS_EARNED).min(self.resends_max);
         self.take_want(now, chunks, want);
         true
+    }
+
+    /// Notes that sender and receiver are connected again. Returns whether chunks should be smaller: hardly one has got
+    /// through twice in a row.
+    pub(crate) fn on_connected(&mut self, chunks: u32) -> bool {
+        let received = self.chunks_received(chunks);
+        let (sends_before, received_before) = std::mem::replace(&mut self.before, (self.sends, received));
+        let few =
+            received < received_before + CHUNKS_PER_CONNECTION && chunks - received > CHUNKS_PER_CONNECTION;
+        // What the last chunks of a connection have reached is known only in the next one, so one is not enough. A broker
+        // may hold chunks that were sent long ago.
+        let is_trying = self.sends > sends_before || !self.in_flight.is_empty();
+        self.poor = if few && is_trying { self.poor + 1 } else { 0 };
+        self.poor >= 2
     }
 
     /// Notes that the connection was lost. What was in flight counts as lost when the receiver next tells what it has.

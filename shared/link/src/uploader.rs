@@ -16,8 +16,7 @@ use crate::bits::BitSet;
 use crate::key::ModelKey;
 use crate::offer::Offer;
 use crate::pacing::{
-    ANNOUNCE, ANNOUNCE_AGAIN, ASKED_AGAIN, Backoff, CHUNKS_PER_CONNECTION, RENUMBERED_MAX, SHRINK,
-    STORED_OFFER, UNANSWERED_OFFERS,
+    ANNOUNCE, ANNOUNCE_AGAIN, ASKED_AGAIN, Backoff, RENUMBERED_MAX, SHRINK, STORED_OFFER, UNANSWERED_OFFERS,
 };
 use crate::peer::{Peer, PeerPhase};
 use crate::transport::Outgoing;
@@ -123,11 +122,6 @@ pub struct Uploader {
     /// Number of offers since the last reply, and that number when it was last reported.
     unanswered: u32,
     told_unanswered: u32,
-    /// Number of chunks sent, and number that the receiver had, when the transport last connected.
-    sent_before: u64,
-    received_before: u32,
-    /// Number of the last connections, without a better one between them, over which hardly a chunk got through.
-    poor: u32,
     /// How often the model was given another number.
     renumbered: u32,
     /// When a stored model of a device is offered again.
@@ -174,9 +168,6 @@ impl Uploader {
             ask_again_at: Duration::ZERO,
             unanswered: 0,
             told_unanswered: 0,
-            sent_before: 0,
-            received_before: 0,
-            poor: 0,
             renumbered: 0,
             offer_stored_at: None,
             is_stored_offered: false,
@@ -246,17 +237,20 @@ impl Uploader {
     /// Repeats the offer, because the transport is connected (again), and the broker may have lost the offer and the chunks
     /// that were on their way. If hardly a chunk has got through twice in a row, chunks become smaller.
     pub fn on_connected(&mut self, now: Duration) {
-        let received = self.progress().chunks_received;
-        let left = self.offer.header.chunks() - received;
-        let few = received < self.received_before + CHUNKS_PER_CONNECTION && left > CHUNKS_PER_CONNECTION;
-        let is_trying = self.sent_chunks > self.sent_before;
-        (self.sent_before, self.received_before) = (self.sent_chunks, received);
         self.peers.iter_mut().for_each(Peer::on_cut);
         self.announce_now(now);
         self.offer_stored_at = self.offer_stored_at.map(|_| now);
-        // What the last chunks of a connection have reached is known only in the next one, so one is not enough.
-        self.poor = if few && is_trying { self.poor + 1 } else { 0 };
-        if self.poor >= 2 && matches!(self.destination, Destination::Aggregator) {
+        if let (Destination::Aggregator, [peer]) = (self.destination, &self.peers[..]) {
+            let receiver = peer.device;
+            self.shrink_on_poor_line(now, receiver);
+        }
+    }
+
+    /// Notes a new connection between sender and receiver. Makes chunks smaller if their line is poor.
+    fn shrink_on_poor_line(&mut self, now: Duration, receiver: DeviceId) {
+        let chunks = self.offer.header.chunks();
+        let mut open = self.peers.iter_mut().filter(|peer| !peer.is_closed());
+        if open.find(|peer| peer.device == receiver).is_some_and(|peer| peer.on_connected(chunks)) {
             self.set_chunk_bytes(now, self.offer.header.chunk_bytes / SHRINK);
         }
     }
@@ -267,10 +261,12 @@ impl Uploader {
     }
 
     /// Repeats the offer of a global model soon, because `device` has begun a session or was reconnected: what the broker
-    /// retained for it may have been lost, or deleted by a stranger.
+    /// retained for it may have been lost, or deleted by a stranger. If hardly a chunk has reached it twice in a row, chunks
+    /// become smaller.
     pub fn on_birth(&mut self, now: Duration, device: DeviceId) {
         if self.tile().is_some() || self.device() == Some(device) {
             self.announce_soon(now);
+            self.shrink_on_poor_line(now, device);
         }
     }
 
@@ -313,7 +309,6 @@ impl Uploader {
         for peer in self.peers.iter_mut().filter(|peer| which(peer)) {
             *peer = Peer::new(peer.device, chunks, chunk_bytes, peer.is_required);
         }
-        (self.sent_before, self.received_before, self.poor) = (self.sent_chunks, 0, 0);
         self.announce_now(now);
     }
 

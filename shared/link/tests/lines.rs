@@ -9,7 +9,7 @@ use cosurf_link::{
     TransportEvent, Uploader,
 };
 use cosurf_tests::offers::{identity, offer};
-use cosurf_wire::{Message, ModelHeader, ModelKind, Sealed, Topic, Want};
+use cosurf_wire::{DeviceId, Message, ModelHeader, ModelKind, Sealed, TileId, Topic, Want};
 
 const S: Duration = Duration::from_secs(1);
 
@@ -176,4 +176,43 @@ fn control_messages_do_not_wait_behind_chunks() {
         |message: &Outgoing| matches!(Topic::parse(&message.topic), Ok((_, Topic::Flight { .. })));
     assert!(link.sent.iter().any(is_flight), "{:?}", link.sent);
     assert!(Sealed::decode(&link.sent[0].payload).is_ok());
+}
+
+/// The same for a global model: each connection of the drone begins with its birth.
+#[test]
+fn chunks_of_a_global_model_become_smaller_for_a_drone_that_few_reach() {
+    let (site, device) = (drone().site, drone().device);
+    let model = offer("ground", 1, ModelKind::Global, 1, 20 * 640, 8192);
+    let mut uploader = Uploader::global(site, TileId::WHOLE, model, &[device]);
+    let drone = Identity { role: Role::Device, ..drone() };
+    let mut inbox = Inbox::new(drone, InboxLimits::default(), &[]);
+    let header = |message: Outgoing| match Message::decode(&message.payload) {
+        Ok(Message::Header(header)) => header.chunk_bytes,
+        other => panic!("{other:?}"),
+    };
+    deliver(&mut inbox, S, &uploader.next(S).unwrap());
+    answer(&mut inbox, &mut uploader, S);
+    let chunks: Vec<Outgoing> = std::iter::from_fn(|| uploader.next(S)).collect();
+    for (at, index) in [(10 * S, 0), (20 * S, 1)] {
+        deliver(&mut inbox, at, &chunks[index]);
+        uploader.on_birth(at, device);
+        let offered = uploader.next(at).unwrap();
+        deliver(&mut inbox, at, &offered);
+        assert_eq!(header(offered), if index == 0 { 8192 } else { 2048 });
+        answer(&mut inbox, &mut uploader, at);
+    }
+    // Births of others change nothing.
+    let other = DeviceId::new("other").unwrap();
+    for at in [30 * S, 40 * S] {
+        uploader.on_birth(at, other);
+    }
+    assert_eq!(
+        std::iter::from_fn(|| uploader.next(41 * S)).find_map(|message| {
+            match Message::decode(&message.payload) {
+                Ok(Message::Header(header)) => Some(header.chunk_bytes),
+                _ => None,
+            }
+        }),
+        Some(2048)
+    );
 }

@@ -32,13 +32,14 @@ pub(super) struct Connection {
 }
 
 impl Connection {
-    /// Connects, and waits for CONNACK.
-    pub(super) async fn open(settings: &ClientSettings) -> Result<(Self, ConnAck), Fault> {
-        let greeted = timeout(CONNECT_TIMEOUT, Self::greet(settings)).await.unwrap_or(Err(Fault::NoAnswer));
+    /// Connects, and waits for CONNACK. If `is_anew`, the broker drops the session that it has kept.
+    pub(super) async fn open(settings: &ClientSettings, is_anew: bool) -> Result<(Self, ConnAck), Fault> {
+        let greeted =
+            timeout(CONNECT_TIMEOUT, Self::greet(settings, is_anew)).await.unwrap_or(Err(Fault::NoAnswer));
         greeted.map_err(|fault| fault.before_answer(settings.tls.is_some()))
     }
 
-    async fn greet(settings: &ClientSettings) -> Result<(Self, ConnAck), Fault> {
+    async fn greet(settings: &ClientSettings, is_anew: bool) -> Result<(Self, ConnAck), Fault> {
         let (reader, writer) = split(stream::open(&settings.broker, settings.tls.as_ref()).await?);
         let now = Instant::now();
         let mut connection = Self {
@@ -50,7 +51,7 @@ impl Connection {
             heard: now,
             written: now,
         };
-        connection.queue(&settings.hello());
+        connection.queue(&settings.hello(is_anew));
         loop {
             match connection.next_packet()? {
                 Some(Packet::ConnAck(ack)) if ack.code == ConnectReturnCode::Success => {
@@ -77,6 +78,11 @@ impl Connection {
     /// Whether all packets have left this program.
     pub(super) fn is_flushed(&self) -> bool {
         self.is_flushed
+    }
+
+    /// Whether a part of a packet has arrived.
+    pub(super) fn is_within_packet(&self) -> bool {
+        !self.input.is_empty()
     }
 
     /// Removes the next whole packet from what has arrived.

@@ -1,6 +1,6 @@
 //! What a client has sent and the broker has not acknowledged, and how much that may be.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 use std::time::{Duration, Instant};
 
 use rumqttc::v5::mqttbytes::v5::Publish;
@@ -101,7 +101,8 @@ impl InFlight {
     }
 
     /// Begins again after the connection was lost. Returns the messages that must be sent again: control messages, if
-    /// the broker has kept the session. `count_max` is the broker's own limit on messages in flight.
+    /// the broker has kept the session. Of those that it retains, the last of each topic is enough: on a line that breaks
+    /// each second, births would fill the line. `count_max` is the broker's own limit on messages in flight.
     pub(super) fn resume(
         &mut self,
         has_session: bool,
@@ -109,6 +110,13 @@ impl InFlight {
         now: Instant,
     ) -> impl Iterator<Item = &Publish> {
         self.letters.retain(|(letter, _)| has_session && !letter.is_bulk);
+        let mut newer = BTreeSet::new();
+        let is_newest = |(letter, _): &(Letter, Instant)| {
+            !letter.publish.retain || newer.insert(letter.publish.topic.clone())
+        };
+        let kept: Vec<bool> = self.letters.iter().rev().map(is_newest).collect();
+        let mut kept = kept.into_iter().rev();
+        self.letters.retain(|_| kept.next().unwrap_or(true));
         self.count_max = count_max.map_or(IN_FLIGHT_MAX, |count| IN_FLIGHT_MAX.min(count.into()));
         self.letters.iter_mut().map(move |(letter, since)| {
             (letter.publish.dup, *since) = (true, now);
@@ -187,5 +195,21 @@ mod tests {
         assert_eq!(again, [(id, true)]);
         assert_eq!((flight.len(), flight.count_max), (1, 3));
         assert_eq!(flight.resume(false, None, now).count(), 0);
+    }
+
+    #[test]
+    fn of_retained_messages_only_the_last_of_a_topic_is_sent_again() {
+        let (mut flight, now) = (InFlight::new(), Instant::now());
+        let of = |topic: &str, retain| {
+            let mut letter = control(10);
+            (letter.publish.topic, letter.publish.retain) = (topic.to_owned().into(), retain);
+            letter
+        };
+        let ids: Vec<u16> =
+            [("state", true), ("want", false), ("header", true), ("want", false), ("state", true)]
+                .map(|(topic, retain)| flight.add(of(topic, retain), now).pkid)
+                .into();
+        let again: Vec<u16> = flight.resume(true, None, now).map(|message| message.pkid).collect();
+        assert_eq!(again, ids[1..]);
     }
 }

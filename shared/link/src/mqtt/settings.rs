@@ -36,8 +36,8 @@ pub(super) struct ClientSettings {
 pub(super) const KEEP_ALIVE_S: u16 = 30;
 
 impl ClientSettings {
-    /// The CONNECT packet.
-    pub(super) fn hello(&self) -> Packet {
+    /// The CONNECT packet. If `is_anew`, the broker drops the session that it has kept.
+    pub(super) fn hello(&self, is_anew: bool) -> Packet {
         let properties = ConnectProperties {
             session_expiry_interval: Some(self.session_expiry_s),
             receive_maximum: Some(EVENTS_MAX as u16 / 2),
@@ -47,7 +47,7 @@ impl ClientSettings {
         let connect = Connect {
             keep_alive: KEEP_ALIVE_S,
             client_id: self.client_id.clone(),
-            clean_start: self.session_expiry_s == 0,
+            clean_start: is_anew || self.session_expiry_s == 0,
             properties: Some(properties),
         };
         let will = self.will.clone().map(|Outgoing { topic, payload, retain }| {

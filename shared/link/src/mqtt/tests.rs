@@ -152,3 +152,50 @@ fn an_address_is_written_as_a_url_that_reads_back() {
         assert!(text.parse::<BrokerAddress>().is_err(), "{text}");
     }
 }
+
+/// On a slow line, what the broker has kept for a session comes before the grant of its subscriptions.
+#[test]
+fn a_client_with_a_session_publishes_before_its_subscriptions_are_granted_again() {
+    for (has_session, is_ready) in [(1, true), (0, false)] {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let address = BrokerAddress::plain("127.0.0.1", listener.local_addr().unwrap().port());
+        let (site, device) = (SiteId::new("site").unwrap(), DeviceId::new("drone").unwrap());
+        let identity = Identity { site, device, session: 1, role: Role::Device };
+        let config = MqttConfig { broker: address, identity, will: None, tls: None, login: None };
+        let mut transport = MqttTransport::start(config);
+        let (mut stream, _) = listener.accept().unwrap();
+        assert_eq!(read_packet(&mut stream).unwrap().0 >> 4, 1);
+        stream.write_all(&[0x20, 3, has_session, 0, 0]).unwrap();
+        assert_eq!(read_packet(&mut stream).unwrap().0 >> 4, 8, "it subscribes in any case");
+        let event = transport.poll(Duration::from_millis(if is_ready { 20_000 } else { 300 }));
+        assert_eq!(event, is_ready.then_some(TransportEvent::Connected));
+        let topic = Topic::State { device }.to_text(&site);
+        let published = transport.publish(&Outgoing { topic, payload: vec![1], retain: false });
+        if is_ready {
+            published.unwrap();
+            assert_eq!(read_packet(&mut stream).unwrap().0 >> 4, 3);
+        }
+    }
+}
+
+/// Breaks twice within the first message: a message that the line cannot carry keeps back all that follow.
+#[test]
+fn a_client_drops_a_session_whose_first_message_never_gets_through() {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = BrokerAddress::plain("127.0.0.1", listener.local_addr().unwrap().port());
+    let (site, device) = (SiteId::new("site").unwrap(), DeviceId::new("drone").unwrap());
+    let identity = Identity { site, device, session: 1, role: Role::Device };
+    let config = MqttConfig { broker: address, identity, will: None, tls: None, login: None };
+    let _transport = MqttTransport::start(config);
+    let message = [0x32, 8, 0, 1, b't', 0, 7, 0, b'x', b'y'];
+    // Then a connection over which the message arrives, and a first one that breaks again.
+    for (i, (sent, is_anew)) in [(5, false), (5, false), (10, true), (5, false)].into_iter().enumerate() {
+        let (mut stream, _) = listener.accept().unwrap();
+        let (_, hello) = read_packet(&mut stream).unwrap();
+        assert_eq!(hello[7] & 2 != 0, is_anew, "connection {i}");
+        stream.write_all(&[0x20, 3, u8::from(!is_anew), 0, 0]).unwrap();
+        read_packet(&mut stream).unwrap();
+        stream.write_all(&message[..sent]).unwrap();
+        std::thread::sleep(Duration::from_millis(200));
+    }
+}

@@ -27,6 +27,9 @@ const RECONNECT: Backoff = Backoff::new(Duration::from_millis(50), Duration::fro
 const ACKNOWLEDGEMENT_TIMEOUT: Duration = Duration::from_secs(if cfg!(test) { 1 } else { 30 });
 /// The slowest line on which messages are still waited for, bytes per second.
 const SLOWEST_LINE: f64 = 1000.0;
+/// After so many connections that broke within the first message, the client asks the broker to drop what it has kept: a
+/// message that the line cannot carry would keep back all that follow.
+const FRUITLESS_MAX: u32 = 2;
 /// Interval at which timeouts and a request to stop are checked.
 const TICK: Duration = Duration::from_millis(50);
 /// How long the client sends queued messages before it stops.
@@ -44,6 +47,8 @@ pub(super) struct Worker {
     attempt: u32,
     reconnect: Backoff,
     is_dropping: bool,
+    /// Number of the last connections that broke within a message before any message had arrived whole.
+    fruitless: u32,
     /// The kinds of messages that the broker has not taken on this connection.
     denied: BTreeSet<String>,
     stopping_since: Option<Instant>,
@@ -52,9 +57,13 @@ pub(super) struct Worker {
 /// The state of one connection.
 struct Line {
     connection: Connection,
-    /// Whether the subscriptions are granted. Before, nothing is published: an answer would be missed.
+    /// Whether the subscriptions are granted, or the broker still has those of the session. Before, nothing is published: an
+    /// answer would be missed. To wait for the grant in a session as well would keep a slow line silent: first comes all
+    /// that the broker has kept.
     is_ready: bool,
     has_session: bool,
+    /// Whether a message has arrived.
+    is_fruitful: bool,
     /// Interval in which at least one packet is sent.
     keep_alive: Duration,
     /// When a ping was sent that nothing has followed.
@@ -78,6 +87,7 @@ impl Worker {
             attempt: 0,
             reconnect: RECONNECT,
             is_dropping: false,
+            fruitless: 0,
             denied: BTreeSet::new(),
             stopping_since: None,
         }
@@ -113,19 +123,32 @@ impl Worker {
 
     /// Runs one connection, until the client is dropped.
     async fn serve(&mut self) -> Result<(), Fault> {
-        let opening = Connection::open(&self.settings);
+        let opening = Connection::open(&self.settings, self.fruitless >= FRUITLESS_MAX);
         let Some(opened) = self.unless_stopping(opening).await else { return Ok(()) };
         let (connection, ack) = opened?;
         let mut line = self.begin(connection, &ack);
         if line.is_ready {
             self.on_ready(&mut line).await;
         }
+        if self.settings.filters.is_empty() {
+            self.reconnect.reset();
+        }
+        let served = self.keep(&mut line).await;
+        match line.is_fruitful {
+            true => self.fruitless = 0,
+            false => self.fruitless += u32::from(served.is_err() && line.connection.is_within_packet()),
+        }
+        served
+    }
+
+    /// Receives and sends over a connection, until the client is dropped.
+    async fn keep(&mut self, line: &mut Line) -> Result<(), Fault> {
         loop {
             while let Some(packet) = line.connection.next_packet()? {
-                self.on_packet(packet, &mut line).await?;
+                self.on_packet(packet, line).await?;
             }
-            self.fill(&mut line);
-            if self.may_stop(&line) {
+            self.fill(line);
+            if self.may_stop(line) {
                 return Ok(());
             }
             select! {
@@ -133,7 +156,7 @@ impl Worker {
                 () = self.shared.wake.notified() => {}
                 () = sleep(TICK) => {}
             }
-            self.watch(&mut line)?;
+            self.watch(line)?;
         }
     }
 
@@ -166,8 +189,9 @@ impl Worker {
         let keep_alive_s = said.and_then(|said| said.server_keep_alive).unwrap_or(KEEP_ALIVE_S);
         Line {
             connection,
-            is_ready: filters.is_empty(),
+            is_ready: filters.is_empty() || ack.session_present,
             has_session: ack.session_present,
+            is_fruitful: false,
             keep_alive: Duration::from_secs(keep_alive_s.max(1).into()),
             pinged: None,
             in_flight_max: said.and_then(|said| said.receive_max),
@@ -185,16 +209,23 @@ impl Worker {
         self.shared.settle(before - self.in_flight.len());
         self.acknowledged = now;
         self.attempt = 0;
-        self.reconnect.reset();
         self.deliver(ClientEvent::Connected).await;
     }
 
     async fn on_packet(&mut self, packet: Packet, line: &mut Line) -> Result<(), Fault> {
         match packet {
             Packet::SubAck(ack) if !is_granted(&ack) => return Err(Fault::Subscriptions),
-            Packet::SubAck(_) if !line.is_ready => self.on_ready(line).await,
+            Packet::SubAck(_) => {
+                self.reconnect.reset();
+                if !line.is_ready {
+                    self.on_ready(line).await;
+                }
+            }
             Packet::PubAck(ack) => self.on_acknowledgement(&ack).await,
             Packet::Publish(message) => {
+                // The line works, even if it breaks before the subscriptions are granted.
+                self.reconnect.reset();
+                line.is_fruitful = true;
                 let (id, qos) = (message.pkid, message.qos);
                 self.on_message(message).await;
                 if qos == QoS::AtLeastOnce {
