@@ -7,6 +7,8 @@ pub enum Doubt {
     Empty,
     /// The model has the same splats and cameras as the one with this index.
     Copy(usize),
+    /// The model has splats with coefficients of colour as large as this.
+    Glaring(f64),
     /// This share of the model's splats, 0..=1, lies where none of its own cameras looks.
     Unseen(f64),
     /// This share of the pictures of the model's own cameras, 0..=1, shows mostly no surface.
@@ -27,6 +29,9 @@ impl Doubt {
         match self {
             Self::Empty => "has no splats".into(),
             Self::Copy(original) => format!("is a copy of the model of {}", names[*original].as_ref()),
+            Self::Glaring(largest) => {
+                format!("has splats of impossible colours (a coefficient of {largest:.0}; trained ones stay below 10)")
+            }
             Self::Unseen(share) => {
                 format!("has {:.0} % of its splats where none of its cameras looks", 100.0 * share)
             }

@@ -23,6 +23,9 @@ use crate::merge::{Locals, MergeError};
 
 /// Largest accepted share of a model's splats that none of its own cameras sees. Trained models stay far below it.
 const UNSEEN_MAX: f64 = 0.5;
+/// Largest accepted coefficient of colour. Trained ones stay below 10. One splat with 10,000 made the gate believe that all
+/// other models are too dark, and cost rendered Boruszyn 5.4 dB.
+const SH_MAX: f32 = 64.0;
 /// Largest gap between two flights (the cameras of two models) that can have the same origin, in radii of the larger
 /// flight.
 const GAP_MAX_RADII: f64 = 20.0;
@@ -104,6 +107,8 @@ pub(super) fn judge(
 struct Shown {
     cameras: Vec<Camera>,
     is_empty: bool,
+    /// The largest absolute coefficient of the splats' colours.
+    sh_max: f32,
     /// Views from some of these cameras, in a file.
     views: Vec<ViewRecord>,
     /// Width of a pixel on the ground, world units: the median of all views. `None` if none shows ground.
@@ -195,7 +200,8 @@ impl Shown {
         let middle = middle(&cameras);
         let radius = radius(&cameras, middle);
         let is_empty = splats.is_empty();
-        (Self { cameras, is_empty, views: Vec::new(), pixel_m, unseen, solid, middle, radius }, views)
+        let sh_max = splats.sh.iter().fold(0.0, |most: f32, value| most.max(value.abs()));
+        (Self { cameras, is_empty, sh_max, views: Vec::new(), pixel_m, unseen, solid, middle, radius }, views)
     }
 
     /// Share of the views that show hardly any surface, 0..=1.
@@ -208,6 +214,9 @@ impl Shown {
     fn doubt(&self) -> Option<Doubt> {
         if self.is_empty {
             return Some(Doubt::Empty);
+        }
+        if self.sh_max >= SH_MAX {
+            return Some(Doubt::Glaring(f64::from(self.sh_max)));
         }
         if self.unseen > UNSEEN_MAX {
             return Some(Doubt::Unseen(self.unseen));
@@ -410,6 +419,7 @@ mod tests {
         Shown {
             cameras,
             is_empty: false,
+            sh_max: 2.0,
             views: Vec::new(),
             pixel_m: None,
             unseen: 0.0,

@@ -305,3 +305,11 @@ fn cameras_beyond_what_a_model_can_teach_take_no_part_and_blind_ones_are_told() 
     assert!((0.1..0.5).contains(&admitted.place(place(2)).void), "{:?}", admitted.place(place(2)));
     assert_eq!(admitted.place(place(0)).void, 0.0);
 }
+
+#[test]
+fn a_model_with_one_splat_of_an_impossible_color_is_kept_out() {
+    let mut models = flights();
+    models[2].splats.sh[0] = -100.0;
+    let doubts = judge(models);
+    assert_eq!(doubts, [None, None, Some(Doubt::Glaring(100.0)), None]);
+}

@@ -13,6 +13,8 @@ const SIZE_PX: u32 = 48;
 /// A camera does not see a place that is deeper than the surface in its picture by more than this factor.
 const BEHIND: f32 = 1.05;
 
+/// A camera looks through a place that is less deep than all surface around it by this factor.
+const BEFORE: f32 = 0.85;
 /// A camera sees places up to this factor beyond the largest depth in its picture: [`BEHIND`], and some room for
 /// rounding.
 const FAR_END: f64 = 1.051;
@@ -219,6 +221,17 @@ impl Near<'_> {
             && !self.sights.iter().any(|sight| sight.sees(place, false))
     }
 
+    /// Number of cameras that see a surface far behind `place`, and nothing there.
+    pub(super) fn lookers_through(&self, place: DVec3) -> usize {
+        self.sights.iter().filter(|sight| !self.sees_through && sight.looks_through(place)).count()
+    }
+
+    /// Number of cameras that see a surface at `place`.
+    pub(super) fn showers(&self, place: DVec3) -> usize {
+        let shows = |sight: &&&Sight| sight.sees(place, self.sees_through) && !sight.looks_through(place);
+        self.sights.iter().filter(shows).count()
+    }
+
     /// Number of cameras that see `place`, and what their observations are worth together: for each camera, the square
     /// of the number of pixels on a square of one world unit; added up, times the weight of the model.
     ///
@@ -251,6 +264,12 @@ impl Sight {
             reach: surface.as_ref().map(Surface::reach),
             surface,
         }
+    }
+
+    /// Whether `place` lies in the picture, far in front of the surface.
+    fn looks_through(&self, place: DVec3) -> bool {
+        self.frustum.contains(place)
+            && self.surface.as_ref().is_some_and(|surface| surface.is_far_behind(place))
     }
 
     /// Whether `place` lies in the picture and is not hidden.
@@ -296,18 +315,28 @@ impl Surface {
             .is_some_and(|(p_px, depth)| depth <= f64::from(BEHIND * self.deepest_near(p_px)))
     }
 
+    /// Whether the surface is everywhere around the pixel of `place`, and far behind it.
+    fn is_far_behind(&self, place: DVec3) -> bool {
+        let Some((p_px, depth)) = self.camera.project_with_depth(place) else { return false };
+        let nearest = self.around(p_px).fold(f32::INFINITY, f32::min);
+        nearest.is_finite() && depth < f64::from(BEFORE * nearest)
+    }
+
     /// The largest depth in a pixel and the eight pixels around it. At an edge of the surface, the picture is too small
     /// to tell which pixel a place belongs to.
     fn deepest_near(&self, p_px: DVec2) -> f32 {
+        self.around(p_px).fold(0.0, f32::max)
+    }
+
+    /// The depths in a pixel and the eight pixels around it.
+    fn around(&self, p_px: DVec2) -> impl Iterator<Item = f32> {
         let [width, height] = self.camera.size_px.map(|side| side as usize);
         let around = |at: f64, side: usize| {
             let at = (at.max(0.0) as usize).min(side - 1);
             at.saturating_sub(1)..(at + 2).min(side)
         };
         let (columns, rows) = (around(p_px.x, width), around(p_px.y, height));
-        rows.flat_map(|y| columns.clone().map(move |x| y * width + x))
-            .map(|i| self.depth[i])
-            .fold(0.0, f32::max)
+        rows.flat_map(move |y| columns.clone().map(move |x| self.depth[y * width + x]))
     }
 
     fn points(&self) -> Vec<DVec3> {

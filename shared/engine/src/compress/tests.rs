@@ -195,3 +195,20 @@ fn splats_that_the_surface_hides_from_all_cameras_are_lost() {
     let by_cameras_alone = announced(&[cameras(4, 100.0)]);
     assert!(Compression::plan(&model, 0, &by_cameras_alone).removed.is_empty());
 }
+
+/// In mid-air, each before a single camera of another model, which can own nothing.
+#[test]
+fn splats_that_other_cameras_look_through_are_lost() {
+    let mut model = ground();
+    let visible = model.len();
+    level(&mut model, 0.2, 6.0);
+    let floating: Vec<u32> = (visible as u32..model.len() as u32).collect();
+    assert!(!floating.is_empty());
+    // The model's own cameras look down beside them.
+    let own: Vec<Camera> = (0..4).map(|i| above(-3.0 + 0.1 * f64::from(i), 0.0, 100.0)).collect();
+    let lost = |models: &[(Splats, Vec<Camera>, f64)]| Compression::plan(&model, 0, &known(models)).removed;
+    let with_other = lost(&[(model.clone(), own.clone(), 1.0), (ground(), vec![above(0.0, 0.0, 90.0)], 1.0)]);
+    assert!(floating.iter().all(|splat| with_other.contains(splat)), "{with_other:?}");
+    let alone = lost(&[(model.clone(), own, 1.0)]);
+    assert!(floating.iter().all(|splat| !alone.contains(splat)), "{alone:?}");
+}
