@@ -18,6 +18,8 @@ use tracing::debug_span;
 const FORMAT: &str = "cosurf checkpoint 3";
 /// A fast compression level. The numbers hardly compress, and training waits until the file is written.
 const ZSTD_LEVEL: i32 = 1;
+/// Numbers of steps whose schedules tell whether two programs have the same rules for schedules.
+const SCHEDULES: [u32; 3] = [300, 3_000, 30_000];
 /// Limit on the first line; a file with a longer one is not a checkpoint.
 const HEAD_BYTES_MAX: u64 = 4096;
 
@@ -30,7 +32,9 @@ impl Fingerprint {
     /// pictures' pixels are not hashed. Nor is the device, so a training can move to another device.
     pub fn of(settings: &TrainSettings, cameras: &[Camera], points: &[SparsePoint]) -> Self {
         let mut hash = blake3::Hasher::new();
-        let settings = TrainSettings { schedule: Schedule::new(1), ..*settings };
+        // So a program with another schedule does not go on with the training.
+        hash.update(format!("{:?}", SCHEDULES.map(Schedule::new)).as_bytes());
+        let settings = TrainSettings { schedule: Schedule::new(SCHEDULES[0]), ..*settings };
         // `Debug` prints every float with enough digits to tell it from any other float.
         hash.update(format!("{FORMAT} {settings:?}").as_bytes());
         for camera in cameras {

@@ -366,10 +366,10 @@ impl Keeper {
 
     /// Makes the report of the newest revision if there is nothing to merge. Returns the event of a report that was made.
     fn report_when_idle(&mut self, now: Duration) -> Option<ServiceEvent> {
-        let is_idle = self.round.is_none() && !self.is_merging() && !self.shelf.newest().is_empty();
-        let (reporting, global) = (self.reporting.as_mut()?, self.global);
+        let is_idle = self.round.is_none() && !self.is_merging();
+        let reporting = self.reporting.as_mut()?;
         let event = reporting.poll(now);
-        if let Some(global) = global.filter(|_| is_idle) {
+        if let Some(global) = self.global.filter(|_| is_idle) {
             reporting.begin(global.model, now);
         }
         event

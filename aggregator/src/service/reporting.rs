@@ -1,7 +1,6 @@
 //! Reports: what is made of each revision for people, on a thread of its own. A report takes as much memory as a merge, so
 //! none is made while models are merged, and a merge that is due ends it.
 
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -84,7 +83,7 @@ pub enum ReportError {
 pub(super) struct Reporting {
     reporter: Reporter,
     task: ReportTask,
-    /// The revision that the folder has a report of, or that had no news since.
+    /// The revision whose report is in the folder, or of which there is no model any more.
     reported: Option<ModelId>,
     running: Option<(ModelId, JoinHandle<Result<Reported, ReportError>>)>,
     retry_at: Duration,
@@ -102,9 +101,7 @@ impl Reporting {
         }
         self.task.stop = Arc::default();
         let (reporter, task) = (self.reporter, self.task.clone());
-        let report =
-            move || catch_unwind(AssertUnwindSafe(|| reporter(&task))).unwrap_or(Err(ReportError::Panicked));
-        self.running = Some((revision, thread::spawn(report)));
+        self.running = Some((revision, thread::spawn(move || reporter(&task))));
     }
 
     /// Asks a running report to stop. Returns whether it is still running.

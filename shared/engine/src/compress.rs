@@ -168,8 +168,8 @@ impl Ground<'_> {
             let (seers, worth) = near.worth(place, self.slopes);
             if seers < OWNER_CAMERAS_MIN { 0.0 } else { worth }
         };
-        // A splat that the surface hides from all of the model's own cameras was learnt from none. Below the ground it
-        // shines through all the same: six white splats 40 m below rendered Boruszyn cost 2.5 dB.
+        // No picture of the model can have shown a splat that the surface hides from all of its cameras. But the splat
+        // shines through the ground all the same: six white splats 40 m below rendered Boruszyn cost 2.5 dB.
         let is_hidden = self.near[own].hides(place);
         // Others look through what only this model shows. Splats in mid-air, each before a single camera of another model,
         // which can own nothing, cost rendered Boruszyn 5.6 dB.

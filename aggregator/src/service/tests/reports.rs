@@ -9,10 +9,18 @@ use super::super::record::Merging;
 use super::super::reporting::{ReportError, ReportTask, Reported, Reporter};
 use super::*;
 
-fn with_reports(mut ground: Ground, folder: &Path, reporter: Reporter) -> Ground {
-    let task = ReportTask::new(folder.to_path_buf(), SiteId::new("test").unwrap(), 1 << 30, 1);
+/// A service that makes reports, its network and its folder.
+fn reporting(seed: u64, reporter: Reporter) -> (MemoryNetwork, tempfile::TempDir, Ground) {
+    let (network, folder) = (MemoryNetwork::new(seed, Faults::NONE), tempfile::tempdir().unwrap());
+    let mut ground = open(&network, folder.path(), Expected::Anybody(AT_ONCE));
+    let task = ReportTask::new(folder.path().to_path_buf(), SiteId::new("test").unwrap(), 1 << 30, 1);
     ground.service = ground.service.with_reports(reporter, task);
-    ground
+    (network, folder, ground)
+}
+
+/// Lets the thread of a report work: the time of the service does not wait for it.
+fn let_work() {
+    std::thread::sleep(Duration::from_micros(500));
 }
 
 fn is_reported(event: &ServiceEvent) -> bool {
@@ -46,11 +54,10 @@ fn fail(_: &ReportTask) -> Result<Reported, ReportError> {
 
 #[test]
 fn each_revision_gets_one_report_which_goes_with_the_model() {
-    let (network, folder) = (MemoryNetwork::new(1, Faults::NONE), tempfile::tempdir().unwrap());
+    let (network, folder, mut ground) = reporting(1, write);
     let mut drones = drones(&network, 2);
-    let ground = open(&network, folder.path(), Expected::Anybody(AT_ONCE));
-    let mut ground = with_reports(ground, folder.path(), write);
     let enough = |events: &[ServiceEvent], drones: &[Drone]| {
+        let_work();
         let newest = events.iter().rev().find(|event| is_reported(event));
         let revision = drones.iter().filter_map(|drone| drone.global).map(|global| global.model.0).max();
         count(events, is_stored) == 2
@@ -78,14 +85,15 @@ fn each_revision_gets_one_report_which_goes_with_the_model() {
 
 #[test]
 fn a_merge_that_is_due_ends_a_report() {
-    let (network, folder) = (MemoryNetwork::new(2, Faults::NONE), tempfile::tempdir().unwrap());
-    let ground = open(&network, folder.path(), Expected::Anybody(AT_ONCE));
-    let mut ground = with_reports(ground, folder.path(), linger);
+    let (network, _folder, mut ground) = reporting(2, linger);
     let mut fleet = drones(&network, 1);
     let merged = |events: &[ServiceEvent], _: &[Drone]| events.contains(&ServiceEvent::Delivered);
     simulate(&network, &mut ground, &mut fleet, merged);
     fleet.push(Drone::new(&network, "agent-2", 1, &model(700, 0, 2.0)));
-    let reported = |events: &[ServiceEvent], _: &[Drone]| count(events, is_reported) > 0;
+    let reported = |events: &[ServiceEvent], _: &[Drone]| {
+        let_work();
+        count(events, is_reported) > 0
+    };
     let events = simulate(&network, &mut ground, &mut fleet, reported);
     assert_eq!(count(&events, is_merged), 1, "{events:?}");
     let told = events.iter().find(|event| is_reported(event));
@@ -94,11 +102,12 @@ fn a_merge_that_is_due_ends_a_report() {
 
 #[test]
 fn a_report_that_fails_is_told_and_the_service_goes_on() {
-    let (network, folder) = (MemoryNetwork::new(3, Faults::NONE), tempfile::tempdir().unwrap());
-    let ground = open(&network, folder.path(), Expected::Anybody(AT_ONCE));
-    let mut ground = with_reports(ground, folder.path(), fail);
+    let (network, _folder, mut ground) = reporting(3, fail);
     let mut fleet = drones(&network, 1);
-    let failed = |events: &[ServiceEvent], _: &[Drone]| count(events, is_disk_failure) > 0;
+    let failed = |events: &[ServiceEvent], _: &[Drone]| {
+        let_work();
+        count(events, is_disk_failure) > 0
+    };
     let events = simulate(&network, &mut ground, &mut fleet, failed);
     let told = events.iter().find(|event| is_disk_failure(event)).unwrap().to_string();
     assert!(told.contains("no report of revision 1") && told.contains("internal error"), "{told}");
