@@ -161,6 +161,10 @@ pub struct LocalSummary {
     pub overlap: f64,
     /// Number of splats that compression removed.
     pub removed: usize,
+    /// Share of the model's cameras that do not count, because the model has few splats where they look beside others,
+    /// 0..=1; 0 without compression.
+    #[serde(default)]
+    pub unproven: f64,
 }
 
 /// Merges all of `locals`. Calls `tell` after every step of the distillation; `tell` may stop the merge. If a graphics
@@ -293,16 +297,17 @@ impl Merger<'_> {
         splats: &Splats,
         observed: Option<&Observed>,
     ) -> Result<Splats, MergeError> {
-        let Compression { overlap, removed } = match observed.filter(|_| self.settings.compress) {
+        let (Compression { overlap, removed }, unproven) = match observed.filter(|_| self.settings.compress) {
             Some(observed) => {
                 let (center, radius) = ball(&splats.means);
                 let (observers, own) = observed.around(index, center, radius)?;
-                Compression::plan(splats, own, &observers)
+                (Compression::plan(splats, own, &observers), observed.unproven(index))
             }
-            None => Compression::default(),
+            None => (Compression::default(), 0.0),
         };
-        self.summary.locals.push(LocalSummary { arrived: splats.len(), overlap, removed: removed.len() });
-        self.summary.joined += splats.len() - removed.len();
+        let (arrived, lost) = (splats.len(), removed.len());
+        self.summary.locals.push(LocalSummary { arrived, overlap, removed: lost, unproven });
+        self.summary.joined += arrived - lost;
         Ok(splats.without(&removed))
     }
 }

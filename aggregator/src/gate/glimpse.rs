@@ -80,7 +80,7 @@ impl Glimpse {
     }
 
     /// The surface point in a pixel.
-    fn point(&self, i: usize) -> DVec3 {
+    pub(super) fn point(&self, i: usize) -> DVec3 {
         let pose = &self.camera.cam_from_world;
         let width = self.camera.size_px[0] as usize;
         let p_px = DVec2::new((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);

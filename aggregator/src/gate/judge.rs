@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use cosurf_engine::Renderer;
-use cosurf_engine::compress::shown_min;
+use cosurf_engine::compress::{Density, shown_min};
 use cosurf_link::Model;
 use cosurf_scene::{Camera, Frustum, SceneError, Watchers, evenly_spaced};
 use glam::DVec3;
@@ -34,6 +34,12 @@ const SHOWN_MIN: f64 = 0.1;
 /// A model is a witness of the size of pixels if at least this share of its views shows as much surface as views of other
 /// models do ([`shown_min`]). Of honest models, all views do.
 const WITNESS_SHARE_MIN: f64 = 0.8;
+/// The error of a model is measured where the splats of both compared models lie at least this many times as densely as is
+/// usual in the model. Elsewhere, few cameras of one of them looked: there, honest models differ more from each other than
+/// spoilt ones do elsewhere.
+const DENSE_MIN: f64 = 0.8;
+/// In fewer pixels, the error is not measured.
+const DENSE_PX_MIN: usize = 64;
 /// Two models contradict each other only if at least this many views contradict, and more views contradict than
 /// confirm.
 const CONTRADICTIONS_MIN: u32 = 2;
@@ -117,6 +123,8 @@ struct Shown {
     unseen: f64,
     /// Share of each view that shows a surface, 0..=1; none for a model that was pruned before upload.
     solid: Vec<f64>,
+    /// How densely the splats lie; `None` if no view shows ground.
+    density: Option<Density>,
     /// Mean position of the cameras, world units.
     middle: DVec3,
     /// Distance from `middle` to the farthest camera, world units.
@@ -146,12 +154,13 @@ impl View {
     }
 
     /// How the model of `renderer` compares with the model `other`, of which this is a view, at the `shared` pixels of
-    /// the glimpse. `pixels_m` has the width of a pixel on the ground, of the view's model and of the other one.
+    /// the glimpse. Of these, both models lie densely at the `dense` ones. `pixels_m` has the width of a pixel on the
+    /// ground, of the view's model and of the other one.
     fn compared(
         &self,
         other: usize,
         renderer: &mut Renderer,
-        shared: &[usize],
+        [shared, dense]: [&[usize]; 2],
         is_compressed: bool,
         pixels_m: [Option<f64>; 2],
     ) -> Compared {
@@ -164,8 +173,10 @@ impl View {
             compared.colors = glimpse.colors_with(&shown, shared).collect();
             // Another camera's contrast is neither an error nor a lack of detail.
             let contrast = contrast(&compared.colors);
-            let own = Detail::of(renderer, camera).times(contrast);
-            compared.difference = own.difference(detail, shared, glimpse.size_px());
+            if dense.len() >= DENSE_PX_MIN {
+                let own = Detail::of(renderer, camera).times(contrast);
+                compared.difference = own.difference(detail, dense, glimpse.size_px());
+            }
             if are_wide_enough(pixels_m) {
                 let log_ratio = Fine::of(renderer, camera).log_ratio(fine);
                 compared.log_ratio = log_ratio.map(|log_ratio| log_ratio + 2.0 * contrast.ln());
@@ -197,11 +208,24 @@ impl Shown {
             views.push(View { camera: *camera, glimpse, detail, fine });
         }
         let pixel_m = (!pixels.is_empty()).then(|| median(&mut pixels));
+        let density = pixel_m.map(|pixel_m| Density::of(&splats, pixel_m));
         let middle = middle(&cameras);
         let radius = radius(&cameras, middle);
         let is_empty = splats.is_empty();
         let sh_max = splats.sh.iter().fold(0.0, |most: f32, value| most.max(value.abs()));
-        (Self { cameras, is_empty, sh_max, views: Vec::new(), pixel_m, unseen, solid, middle, radius }, views)
+        let shown = Self {
+            cameras,
+            is_empty,
+            sh_max,
+            views: Vec::new(),
+            pixel_m,
+            unseen,
+            solid,
+            density,
+            middle,
+            radius,
+        };
+        (shown, views)
     }
 
     /// Share of the views that show hardly any surface, 0..=1.
@@ -223,6 +247,11 @@ impl Shown {
         }
         let void = self.void();
         (void >= 0.5).then_some(Doubt::Void(void))
+    }
+
+    /// Whether the splats lie densely at `place`.
+    fn is_dense(&self, place: DVec3) -> bool {
+        self.density.as_ref().is_none_or(|density| density.at(place) >= DENSE_MIN)
     }
 
     /// Gap between the cameras of the two models, in radii of the larger flight; negative if the flights overlap. A
@@ -280,7 +309,12 @@ fn compare(
                 none => none.insert(Renderer::new(&locals.load(judged)?.splats, threads)),
             };
             let pixels_m = [its.pixel_m, shown[judged].pixel_m];
-            found.push(view.compared(other, renderer, &shared, is_compressed, pixels_m));
+            let is_dense = |i: &usize| {
+                let place = view.glimpse.point(*i);
+                its.is_dense(place) && shown[judged].is_dense(place)
+            };
+            let dense: Vec<usize> = shared.iter().copied().filter(is_dense).collect();
+            found.push(view.compared(other, renderer, [&shared, &dense], is_compressed, pixels_m));
         }
     }
     Ok(found)
@@ -424,6 +458,7 @@ mod tests {
             pixel_m: None,
             unseen: 0.0,
             solid: vec![1.0; 8],
+            density: None,
             middle: DVec3::ZERO,
             radius: 1.0,
         }

@@ -1,7 +1,7 @@
 //! What the cameras of all models observed, in a file. For some place, only the observations of the models with cameras
 //! that may see it are read, so the memory does not grow with the site.
 
-use cosurf_engine::compress::shown_min;
+use cosurf_engine::compress::{PROVEN_MIN, shown_min};
 use cosurf_engine::{Observations, Observers, Reach};
 use cosurf_link::Model;
 use cosurf_scene::{Camera, Frustum};
@@ -33,6 +33,8 @@ struct Its {
     reaches: Vec<Reach>,
     shown: Vec<f64>,
     are_new: Vec<bool>,
+    /// [`Observers::proven`]; empty until it is known.
+    proven: Vec<f64>,
 }
 
 impl<'a> Observed<'a> {
@@ -58,11 +60,18 @@ impl<'a> Observed<'a> {
                 reaches: observations.reaches(),
                 shown: observations.shown(),
                 are_new: observations.are_new(),
+                proven: Vec::new(),
             });
         }
         let shown_min = shown_min(models.iter().map(|its| its.shown.as_slice()));
         let as_announced = (0..locals.count()).any(|i| locals.is_compressed(i));
-        Ok(Self { cameras: &surveyed.cameras, records, models, shown_min, as_announced })
+        let mut observed = Self { cameras: &surveyed.cameras, records, models, shown_min, as_announced };
+        for local in 0..locals.count() {
+            if let Some((observers, place)) = observed.around_all_it_sees(local)? {
+                observed.models[local].proven = observers.proven(place);
+            }
+        }
+        Ok(observed)
     }
 
     /// The models with cameras that may see some point within `radius` of `center`, ascending.
@@ -92,6 +101,13 @@ impl<'a> Observed<'a> {
         &self.models[local].shown
     }
 
+    /// Share of the cameras of a model that are not believed, because the model has few splats where they look, 0..=1.
+    pub(super) fn unproven(&self, local: usize) -> f64 {
+        let proven = &self.models[local].proven;
+        let unproven = proven.iter().filter(|proven| **proven < PROVEN_MIN).count();
+        unproven as f64 / proven.len().max(1) as f64
+    }
+
     /// For each camera of a model: false if an earlier one has almost the same view.
     pub(super) fn are_new(&self, local: usize) -> &[bool] {
         &self.models[local].are_new
@@ -111,8 +127,9 @@ impl<'a> Observed<'a> {
             place
         });
         let mut observers = Observers::default();
-        for local in locals {
+        for (at, local) in locals.into_iter().enumerate() {
             observers.add_observed(self.load(local)?, self.models[local].weight);
+            observers.note_proven(at, &self.models[local].proven);
         }
         observers.believe(self.shown_min);
         if self.as_announced {
@@ -124,13 +141,17 @@ impl<'a> Observed<'a> {
     /// How well a model observed the surface in the pictures of its own cameras, compared with the model that observed
     /// it best: [`Observers::standings`].
     pub(super) fn standings(&self, own: usize) -> Result<Vec<f64>, MergeError> {
+        let around = self.around_all_it_sees(own)?;
+        Ok(around.map_or(Vec::new(), |(observers, place)| observers.standings(place)))
+    }
+
+    /// As [`Self::around`], around all that the cameras of a model see; `None` if it has no cameras.
+    fn around_all_it_sees(&self, own: usize) -> Result<Option<(Observers, usize)>, MergeError> {
         let none = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-        let reaches = self.models[own].reaches.iter();
-        let (low, high) = reaches.fold(none, |(low, high), its| (low.min(its.low), high.max(its.high)));
-        if self.models[own].reaches.is_empty() {
-            return Ok(Vec::new());
-        }
-        let (observers, place) = self.around(own, 0.5 * (low + high), 0.5 * low.distance(high))?;
-        Ok(observers.standings(place))
+        let reaches = &self.models[own].reaches;
+        let (low, high) =
+            reaches.iter().fold(none, |(low, high), its| (low.min(its.low), high.max(its.high)));
+        let around = || self.around(own, 0.5 * (low + high), 0.5 * low.distance(high));
+        (!reaches.is_empty()).then(around).transpose()
     }
 }

@@ -43,7 +43,7 @@ impl Slopes {
         let mut slopes = Self { side, cubes: HashMap::new() };
         for i in 0..splats.len() {
             let mean = DVec3::from_array(splats.means[i].map(f64::from));
-            *slopes.cubes.entry(slopes.cube(mean)).or_insert(DMat3::ZERO) += facing(splats, i, side);
+            *slopes.cubes.entry(cube(mean, side)).or_insert(DMat3::ZERO) += facing(splats, i, side);
         }
         slopes
     }
@@ -62,12 +62,13 @@ impl Slopes {
 
     /// The slope of the surface at `place`; `None` where no surface is known.
     pub(super) fn at(&self, place: DVec3) -> Option<Slope> {
-        self.cubes.get(&self.cube(place)).copied().map(Slope)
+        self.cubes.get(&cube(place, self.side)).copied().map(Slope)
     }
+}
 
-    fn cube(&self, place: DVec3) -> [i64; 3] {
-        (place / self.side).to_array().map(|x| x.floor() as i64)
-    }
+/// The cube of this `side` around `place`.
+pub(super) fn cube(place: DVec3, side: f64) -> [i64; 3] {
+    (place / side).to_array().map(|x| x.floor() as i64)
 }
 
 /// `w n nᵀ` of a splat: n is the direction of its shortest axis, w the product of its opacity and its other two scales.

@@ -85,6 +85,56 @@ fn a_model_whose_cameras_show_nothing_leaves_its_ground_to_others() {
     assert_eq!(with((0..4).map(|i| above(50.0 + f64::from(i), 0.0, 100.0)).collect()), [1.0, 0.0]);
 }
 
+/// Flat ground with this share of the splats at `x` above 0.
+fn thinned(every: usize) -> Splats {
+    let all = ground();
+    let is_left = |i: &u32| all.means[*i as usize][0] > 0.0 && *i as usize % every != 0;
+    all.without(&(0..all.len() as u32).filter(is_left).collect::<Vec<_>>())
+}
+
+#[test]
+fn a_model_with_few_splats_leaves_its_ground_to_others() {
+    // What observations are worth is the fourth power of the focal length, and the square of the density.
+    let of_first = |every| {
+        let models = [
+            (thinned(every), cameras(4, 100.0), 1.0),
+            (ground(), cameras(4, 100.0 * 0.7f64.powf(0.25)), 1.0),
+        ];
+        let observers = known(&models);
+        let lost = Compression::plan(&ground(), 0, &observers).removed;
+        let is_thin = |i: &&u32| ground().means[**i as usize][0] > 1.0;
+        [lost.iter().filter(is_thin).count(), lost.len()]
+    };
+    assert_eq!(of_first(1), [0, 0]);
+    let [thin, all] = of_first(2);
+    assert!(thin > 200 && all < 500, "{thin} of {all} lie where it has few splats");
+}
+
+/// A model of half of the ground that claims the cameras over the other half too.
+#[test]
+fn a_model_with_claimed_cameras_leaves_its_own_ground_to_others() {
+    let over = |x: f64| (0..4).map(move |i| above(x, 0.2 * f64::from(i), 100.0));
+    let all: Vec<Camera> = over(-6.0).chain(over(6.0)).collect();
+    let mut wide = Splats::with_capacity(0, 0);
+    for x in [-6.0, 0.0, 6.0] {
+        let mut part = ground();
+        part.means.iter_mut().for_each(|mean| mean[0] += x);
+        wide.extend(&part);
+    }
+    // It has hardly any splats at `x` above 0, but one large splat that its cameras see there.
+    let is_right = |i: &u32| wide.means[*i as usize][0] > 0.0;
+    let mut claimant = wide.without(&(0..wide.len() as u32).filter(is_right).collect::<Vec<_>>());
+    claimant.push([6.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [1.5, 1.5, -6.0], 6.0, &[0.0; 3]);
+    let honest: Vec<Camera> = all.iter().map(|camera| camera.resized([90; 2])).collect();
+    let with = |claimed: &[Camera]| {
+        let models = [(claimant.clone(), claimed.to_vec(), 1.0), (wide.clone(), honest.clone(), 1.0)];
+        let left: Vec<u32> = Compression::plan(&wide, 1, &known(&models)).removed;
+        left.iter().filter(|i| wide.means[**i as usize][0] < -4.0).count()
+    };
+    assert!(with(&all[..4]) > 100, "larger pictures of its own ground count");
+    assert_eq!(with(&all), 0, "half of its cameras claim what it does not show");
+}
+
 #[test]
 fn a_model_does_not_own_ground_that_it_shows_hidden() {
     let mut roofed = ground();
