@@ -180,12 +180,14 @@ impl Transfer {
         }
     }
 
-    /// Whether another header takes the place of this one: if no chunk has arrived for a while, or if its sender, which has
-    /// signed it, makes the chunks smaller.
+    /// Whether another header takes the place of this one: if no chunk has arrived for a while, or if its sender makes the
+    /// chunks smaller and has signed it. Without a signature, chunks may become smaller only while none has arrived: over a
+    /// line that breaks before it has carried a large one, none ever would.
     pub(crate) fn may_be_replaced(&self, now: Duration, by: &ModelHeader, is_signed: bool) -> bool {
         let is_smaller = ModelHeader { chunk_bytes: by.chunk_bytes, ..self.header } == *by
             && by.chunk_bytes < self.header.chunk_bytes;
-        now.saturating_sub(self.last_news) >= REPLACEABLE || (is_signed && is_smaller)
+        let is_free = is_signed || self.received_bytes == 0;
+        now.saturating_sub(self.last_news) >= REPLACEABLE || (is_free && is_smaller)
     }
 
     /// Continues with chunks of another size. What has arrived is kept. Returns false if the header is not that of the same

@@ -115,6 +115,31 @@ fn chunks_become_smaller_where_few_pass_and_what_has_arrived_is_kept() {
     panic!("the model is not complete");
 }
 
+/// Unsigned, and no chunk has ever arrived: the smaller ones are taken at once, though the receiver has just been told of the
+/// model.
+#[test]
+fn smaller_chunks_are_taken_at_once_while_none_has_arrived() {
+    let (mut uploader, mut inbox) = (Uploader::local(drone().site, model(20)), inbox());
+    for at in [S, 4 * S] {
+        deliver(&mut inbox, at, &uploader.next(at).unwrap());
+        answer(&mut inbox, &mut uploader, at);
+        // All chunks are lost with the connection.
+        while uploader.next(at).is_some() {}
+        uploader.on_connected(at + 3 * S);
+    }
+    let header = uploader.next(7 * S).unwrap();
+    deliver(&mut inbox, 7 * S, &header);
+    let Message::Header(ModelHeader { chunk_bytes, .. }) = Message::decode(&header.payload).unwrap() else {
+        panic!("no header")
+    };
+    assert!(chunk_bytes < 8192, "{chunk_bytes}");
+    answer(&mut inbox, &mut uploader, 7 * S);
+    let chunk = uploader.next(7 * S).unwrap();
+    deliver(&mut inbox, 7 * S, &chunk);
+    let want = answer(&mut inbox, &mut uploader, 60 * S).unwrap();
+    assert_eq!(want.missing.status_of(0), cosurf_wire::ChunkStatus::Received, "the small chunk has arrived");
+}
+
 #[test]
 fn a_good_connection_keeps_its_chunks() {
     let (mut uploader, mut inbox) = (Uploader::local(drone().site, model(20)), inbox());
