@@ -87,6 +87,10 @@ const WHOLE_MIN: f64 = 0.9;
 /// not sent the base of what it gave up, and would teach black.
 const TORN_MAX: f64 = 0.1;
 
+/// The share of a model's cameras that do not count for want of splats is told from here on. Up to 2 % of the cameras of
+/// honest missions are such.
+pub const UNPROVEN_TOLD: f64 = 0.1;
+
 /// A merged model and the figures of its merge.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Merged {

@@ -26,7 +26,7 @@ use std::path::Path;
 use std::sync::mpsc;
 
 use cosurf_link::BrokerAddress;
-use cosurf_scene::{Camera, Dataset, LocalFrame, SceneError, Splats, View, ply};
+use cosurf_scene::{Camera, Dataset, LocalFrame, SceneError, Splats, View, atomic, ply};
 use cosurf_wire::{ModelHeader, SiteId};
 
 use crate::broker::{Broker, Reach, local_address};
@@ -41,7 +41,7 @@ pub use city::MakeCityError;
 pub use error::MissionError;
 use hierarchy::{Hierarchy, edge_folder, lowest_folders};
 pub use order::{MissionOrder, Surroundings};
-use plan::{Edge, Plan, write_text};
+use plan::{Edge, Plan};
 pub use plan::{PlanError, Settings};
 use progress::show_pictures;
 use signal::Signal;
@@ -250,7 +250,7 @@ fn write_report(
     evaluation: &Evaluation,
 ) -> Result<(), MissionError> {
     let drawings = Drawings { cells: &plan.cells, views: &plan.views, showcases: &evaluation.showcases };
-    write_text(&out.join("report.json"), &serde_json::to_string_pretty(report)?)?;
-    write_text(&out.join("report.html"), &page(report, &drawings)?)?;
+    atomic::write_bytes(&out.join("report.json"), &serde_json::to_vec_pretty(report)?)?;
+    atomic::write_bytes(&out.join("report.html"), page(report, &drawings)?.as_bytes())?;
     Ok(())
 }

@@ -32,20 +32,22 @@ pub fn report(task: &ReportTask) -> Result<Reported, ReportError> {
     let mut cameras = Dataset::cameras(&task.folder)?;
     let frame = LocalFrame::of(cameras.iter());
     cameras.iter_mut().for_each(|camera| *camera = frame.local_camera(camera));
-    let (mesh, caster, mesh_failure) = make_mesh(task, &cameras, &frame)?;
-    let pictures = pictures(task, &evenly_spaced(&cameras, VIEWS), &frame, caster)?;
-    let report =
-        SiteReport { site: task.site.to_string(), cameras: cameras.len(), mesh, mesh_failure, merging };
-    let write = |name: &str, text: &str| {
-        atomic::write(&task.folder.join(name), |file| std::io::Write::write_all(file, text.as_bytes()))
+    let mesh = make_mesh(task, &cameras, &frame)?;
+    let (summary, mesh_blake3, mesh_failure, caster) = match mesh {
+        Mesh::Made { summary, blake3, caster } => (Some(summary), Some(blake3), None, Some(caster)),
+        Mesh::Missing(reason) => (None, None, Some(reason), None),
     };
-    write("report.html", &site_page(&report, &pictures)?)?;
-    write("report.json", &serde_json::to_string_pretty(&report)?)?;
+    let pictures = pictures(task, &evenly_spaced(&cameras, VIEWS), &frame, caster)?;
+    let (site, cameras) = (task.site.to_string(), cameras.len());
+    let report = SiteReport { site, cameras, mesh: summary, mesh_blake3, mesh_failure, merging };
+    let at = |name| task.folder.join(name);
+    atomic::write_bytes(&at("report.html"), site_page(&report, &pictures)?.as_bytes())?;
+    atomic::write_bytes(&at("report.json"), &serde_json::to_vec_pretty(&report)?)?;
     Ok(reported(&report, true))
 }
 
 fn reported(report: &SiteReport, is_new: bool) -> Reported {
-    let triangles = report.mesh.as_ref().map(|(mesh, _)| mesh.triangles);
+    let triangles = report.mesh.map(|mesh| mesh.triangles);
     let mesh_failure = report.mesh_failure.clone();
     Reported { revision: report.merging.revision, triangles, mesh_failure, is_new }
 }
@@ -54,26 +56,28 @@ fn reported(report: &SiteReport, is_new: bool) -> Reported {
 fn known(task: &ReportTask, merging: &Merging) -> Option<SiteReport> {
     let at = |name| task.folder.join(name);
     let report: SiteReport = serde_json::from_slice(&files::read(&at("report.json")).ok()?).ok()?;
-    let is_whole = match &report.mesh {
-        Some((_, blake3)) => file_hash(&at("mesh.ply")).is_ok_and(|hash| hash == *blake3),
-        None => true,
-    };
+    let is_it = |blake3: &String| file_hash(&at("mesh.ply")).is_ok_and(|hash| hash == *blake3);
+    let is_whole = report.mesh.is_none() || report.mesh_blake3.as_ref().is_some_and(is_it);
     (report.merging == *merging && is_whole && at("report.html").is_file()).then_some(report)
 }
 
-/// The figures of a mesh with the BLAKE3 hash of its file, a caster, and why there is none.
-type Made = (Option<(MeshSummary, String)>, Option<Caster>, Option<String>);
+enum Mesh {
+    /// `blake3` is the hash of its file.
+    Made { summary: MeshSummary, blake3: String, caster: Caster },
+    /// With the reason.
+    Missing(String),
+}
 
-fn make_mesh(task: &ReportTask, cameras: &[Camera], frame: &LocalFrame) -> Result<Made, ReportError> {
+fn make_mesh(task: &ReportTask, cameras: &[Camera], frame: &LocalFrame) -> Result<Mesh, ReportError> {
     let splats = ply::read(&global_ply(&task.folder), frame)?;
     let file = task.folder.join("mesh.ply");
     let goes_on = |_| if task.is_stopped() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
     match relief(splats, cameras, frame, task.memory_bytes, task.threads, &file, goes_on)? {
-        Relief::Made { summary, caster } => Ok((Some((summary, file_hash(&file)?)), Some(caster), None)),
+        Relief::Made { summary, caster } => Ok(Mesh::Made { summary, blake3: file_hash(&file)?, caster }),
         Relief::Missing(MeshError::Stopped) => Err(ReportError::Stopped),
         Relief::Missing(error) => {
             remove(&file)?; // that of an earlier revision
-            Ok((None, None, Some(error.to_string())))
+            Ok(Mesh::Missing(error.to_string()))
         }
     }
 }

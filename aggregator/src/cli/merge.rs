@@ -12,7 +12,7 @@ use clap::Args;
 use cosurf_aggregator::gate::{Place, Workspace, admit};
 use cosurf_aggregator::merge::{
     LocalSummary, Locals, MergeError, MergeProgress, MergeSettings, MergeSummary, MergedFile, Resources,
-    Tiles, Workers, keep_only, merge_to_file,
+    Tiles, UNPROVEN_TOLD, Workers, keep_only, merge_to_file,
 };
 use cosurf_aggregator::queue::Queue;
 use cosurf_aggregator::service::{FitRecord, Fitted};
@@ -22,10 +22,6 @@ use cosurf_engine::DeviceChoice;
 use cosurf_link::Model;
 use cosurf_scene::bytes::parse_bytes;
 use cosurf_scene::{Camera, FolderLock, LocalFrame, SceneError, camera_list, ply};
-
-/// The share of a model's cameras that do not count for want of splats is told from here on. Up to 2 % of the cameras of
-/// honest missions are such.
-const UNPROVEN_TOLD: f64 = 0.1;
 
 /// Options that control a merge, shared by the commands `merge` and `mission`.
 #[derive(Args)]

@@ -4,9 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use cosurf_city::{City, CityError, CitySettings};
-use cosurf_scene::SceneError;
-
-use super::plan::write_text;
+use cosurf_scene::{SceneError, atomic};
 
 /// Why the city cannot be made.
 #[derive(Debug, thiserror::Error)]
@@ -35,9 +33,9 @@ pub(crate) fn make(
     }
     let city = City::build(settings)?;
     fs::create_dir_all(folder).map_err(|cause| SceneError::io(folder, cause))?;
-    write_text(&record, "")?;
+    atomic::write_bytes(&record, b"")?;
     city.write(folder, progress)?;
-    Ok(write_text(&record, &content)?)
+    Ok(atomic::write_bytes(&record, content.as_bytes())?)
 }
 
 #[cfg(test)]

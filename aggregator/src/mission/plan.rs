@@ -223,7 +223,7 @@ impl Plan {
         };
         let text = toml::to_string(&config)
             .map_err(|error| PlanError::BadAgentConfig { device, reason: error.to_string() })?;
-        write_text(&folder.join("agent.toml"), &text)?;
+        atomic::write_bytes(&folder.join("agent.toml"), text.as_bytes())?;
         Ok(folder)
     }
 }
@@ -251,7 +251,7 @@ fn open_record(settings: &Settings, out: &Path, fresh_site: SiteId) -> Result<Si
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
             let record = Record { site: fresh_site, settings: settings.clone() };
             let text = serde_json::to_string_pretty(&record).map_err(|error| bad(error.to_string()))?;
-            write_text(&path, &text)?;
+            atomic::write_bytes(&path, text.as_bytes())?;
             Ok(fresh_site)
         }
         Err(cause) => Err(SceneError::io(&path, cause).into()),
@@ -266,10 +266,6 @@ fn difference(there: &Settings, here: &Settings) -> String {
     let fields = there.as_object().into_iter().flatten();
     let differing = fields.map(|(name, value)| (name, value, &here[name])).find(|(_, a, b)| a != b);
     differing.map_or_else(String::new, |(name, there, here)| format!("{name} {there}, not {here}"))
-}
-
-pub(crate) fn write_text(path: &Path, text: &str) -> Result<(), SceneError> {
-    atomic::write(path, |file| std::io::Write::write_all(file, text.as_bytes()))
 }
 
 #[cfg(test)]

@@ -26,8 +26,10 @@ pub struct SiteReport {
     pub site: String,
     /// Number of cameras of the global model.
     pub cameras: usize,
-    /// The mesh and the BLAKE3 hash of `mesh.ply`; absent if there is none.
-    pub mesh: Option<(MeshSummary, String)>,
+    /// The mesh; absent if there is none.
+    pub mesh: Option<MeshSummary>,
+    /// BLAKE3 hash of `mesh.ply`; absent if there is none.
+    pub mesh_blake3: Option<String>,
     /// Why there is no mesh; absent if there is one.
     pub mesh_failure: Option<String>,
     /// How the models were merged.
@@ -59,7 +61,7 @@ impl SitePicture {
 
 /// Returns the whole page as HTML.
 pub(crate) fn site_page(report: &SiteReport, pictures: &[SitePicture]) -> Result<String, ImageError> {
-    let SiteReport { site, cameras, mesh, mesh_failure, merging } = report;
+    let SiteReport { site, cameras, mesh, mesh_blake3: _, mesh_failure, merging } = report;
     let mut html = frame::open("cosurf site");
     let _ = writeln!(
         html,
@@ -68,7 +70,6 @@ pub(crate) fn site_page(report: &SiteReport, pictures: &[SitePicture]) -> Result
         merging.revision,
         counted(merging.inputs.len() - merging.kept_out.len(), "model"),
     );
-    let mesh = mesh.as_ref().map(|(mesh, _)| *mesh);
     html.push_str(&frame::tiles([
         (Some(group_digits(merging.summary.splats)), "splats"),
         (mesh.map(|mesh| group_digits(mesh.triangles)), "triangles of the mesh"),
@@ -89,7 +90,7 @@ pub(crate) fn site_page(report: &SiteReport, pictures: &[SitePicture]) -> Result
     if !fits.is_empty() {
         let _ = write!(html, "<h2>How the models fit each other</h2>\n{}", fits::table(&fits));
     }
-    html.push_str(&frame::footer(merging.revision, mesh));
+    html.push_str(&frame::footer(merging.revision, *mesh));
     Ok(html + "</body></html>\n")
 }
 
@@ -99,16 +100,14 @@ fn models(html: &mut String, merging: &Merging) {
         "<h2>Models</h2>\n<div class=\"scroll\"><table class=\"plain\"><thead><tr><th></th><th>model</th>\
          <th>splats</th><th>seen better by others</th></tr></thead><tbody>\n",
     );
-    let (inputs, kept_out) = (&merging.inputs, &merging.kept_out);
-    let mut locals = merging.summary.locals.iter();
-    for input in inputs {
-        let is_out = kept_out.iter().any(|its| its.device == input.device && its.model == input.model);
-        let part = input.part_splats.map(|splats| [splats.to_string(), "–".into()]);
+    for (input, local) in merging.locals() {
+        let none = || "–".to_owned();
+        let part = || [input.part_splats.map_or_else(none, |splats| splats.to_string()), none()];
         let whole =
             |LocalSummary { arrived, removed, .. }: &LocalSummary| [arrived.to_string(), removed.to_string()];
-        let [splats, removed] = match is_out {
-            true => ["kept out".into(), "–".into()],
-            false => part.or_else(|| locals.next().map(whole)).unwrap_or(["–".into(), "–".into()]),
+        let [splats, removed] = match merging.is_kept_out(input) {
+            true => ["kept out".into(), none()],
+            false => local.map_or_else(part, whole),
         };
         let _ = writeln!(
             html,
@@ -135,10 +134,12 @@ mod tests {
 
     #[test]
     fn the_page_has_the_figures_escapes_outside_text_and_loads_nothing_from_outside() {
-        let mesh = Some((MeshSummary { triangles: 12_345, voxel_m: 0.25 }, String::new()));
+        let mesh = Some(MeshSummary { triangles: 12_345, voxel_m: 0.25 });
         let input = serde_json::from_str(r#"{"device":"agent-1","model":3,"blake3":""}"#).unwrap();
         let merging = Merging { inputs: vec![input], ..merging() };
-        let report = SiteReport { site: "a<b".into(), cameras: 7, mesh, mesh_failure: None, merging };
+        let mesh_blake3 = Some(String::new());
+        let site = "a<b".into();
+        let report = SiteReport { site, cameras: 7, mesh, mesh_blake3, mesh_failure: None, merging };
         let html = page(&report);
         for part in ["a&lt;b", "12\u{202f}345", "0.250 m", "<b>7</b>", "agent-1", "data:image/jpeg;base64,"] {
             assert!(html.contains(part), "{part}");

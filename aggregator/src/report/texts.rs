@@ -4,6 +4,7 @@ use cosurf_scene::bytes::format_bytes;
 
 use super::figures::{EdgeSummary, MissionReport};
 use super::rows::rows;
+use crate::merge::UNPROVEN_TOLD;
 use crate::service::Merging;
 use crate::terminal::{aligned, format_seconds};
 use cosurf_contract::counted;
@@ -82,7 +83,14 @@ pub(super) fn merge_remarks(merging: &Merging) -> impl Iterator<Item = String> {
         Some(format!("only {splats} of the model of {device} had arrived when the models were merged"))
     });
     let kept_out = merging.kept_out.iter().map(|kept_out| format!("{kept_out} and is kept out"));
-    parts.chain(kept_out).chain(merging.fitted.iter().map(ToString::to_string))
+    let unproven = merging.locals().filter_map(|(input, local)| Some((&input.device, local?.unproven)));
+    let unproven = unproven.filter(|(_, share)| *share >= UNPROVEN_TOLD).map(|(device, share)| {
+        format!(
+            "{device}: has few splats where {:.0} % of its cameras look, which do not count",
+            100.0 * share
+        )
+    });
+    parts.chain(kept_out).chain(merging.fitted.iter().map(ToString::to_string)).chain(unproven)
 }
 
 #[cfg(test)]
@@ -93,7 +101,7 @@ pub(crate) mod tests {
     use super::super::figures::{AgentSummary, MeshSummary, WholeSummary};
     use super::*;
     use crate::evaluate::{LpipsScore, Quality, Spread, SurfaceQuality};
-    use crate::merge::{MergeSettings, MergeSummary};
+    use crate::merge::{LocalSummary, MergeSettings, MergeSummary};
 
     fn quality(psnr: f64) -> Quality {
         let (depth, normal) = (Spread { median: 0.42, mean: 1.1 }, Spread { median: 12.3, mean: 20.0 });
@@ -204,6 +212,26 @@ pub(crate) mod tests {
         assert_eq!(remarks.len(), 3, "{remarks:?}");
         assert!(remarks[0].contains("died once") && remarks[1].contains("shrunk"), "{remarks:?}");
         assert!(remarks[2].starts_with("agent-2 failed"), "{remarks:?}");
+    }
+
+    /// Of three models, the first is kept out and of the second only a part had arrived. So the figures are those of the
+    /// third.
+    #[test]
+    fn a_model_with_cameras_that_do_not_count_is_told() {
+        let input = |device: &str, part: &str| {
+            let text = format!(r#"{{"device":"{device}","model":1,"blake3":""{part}}}"#);
+            serde_json::from_str(&text).unwrap()
+        };
+        let out = r#"{"device":"a","model":1,"reason":"contradicts b"}"#;
+        let with = |unproven: f64| {
+            let mut merging = merging();
+            merging.inputs = vec![input("a", ""), input("b", r#","part_splats":3"#), input("c", "")];
+            merging.kept_out = vec![serde_json::from_str(out).unwrap()];
+            merging.summary.locals = vec![LocalSummary { unproven, ..LocalSummary::default() }];
+            merge_remarks(&merging).last().unwrap()
+        };
+        assert_eq!(with(0.284), "c: has few splats where 28 % of its cameras look, which do not count");
+        assert!(with(0.02).contains("kept out"), "honest models have some such cameras: {}", with(0.02));
     }
 
     /// The record of a merge of seven splats.

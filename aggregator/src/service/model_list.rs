@@ -105,7 +105,7 @@ impl ModelList {
             text.push_str("# none\n");
         }
         fs::create_dir_all(folder).map_err(|cause| SceneError::io(folder, cause))?;
-        atomic::write(&folder.join(device.as_str()), |file| std::io::Write::write_all(file, text.as_bytes()))
+        atomic::write_bytes(&folder.join(device.as_str()), text.as_bytes())
     }
 
     /// Adds a model.

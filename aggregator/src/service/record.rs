@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use super::folder::{MADE_FILES, REPORT_FILES};
 use super::model_list::ModelList;
 use crate::gate::{Admitted, Fit, Place, Similarity, Tone};
-use crate::merge::{Locals, MergeSettings, MergeSummary};
+use crate::merge::{LocalSummary, Locals, MergeSettings, MergeSummary};
 
 pub(super) const MERGED: &str = "merged.json";
 pub(super) const WITHDRAWN: &str = "withdrawn";
@@ -234,10 +234,25 @@ impl Merging {
         serde_json::from_slice(&files::read(&folder.join(MERGED)).ok()?).ok()
     }
 
+    /// The models that arrived whole or in part, each with the figures of its merge; `None` for one that was kept out, or of
+    /// which only a part had arrived.
+    pub(crate) fn locals(&self) -> impl Iterator<Item = (&Input, Option<&LocalSummary>)> {
+        let mut locals = self.summary.locals.iter();
+        self.inputs.iter().map(move |input| {
+            let takes_part = input.part_splats.is_none() && !self.is_kept_out(input);
+            (input, if takes_part { locals.next() } else { None })
+        })
+    }
+
+    /// Whether the model was kept out of the merge.
+    pub(crate) fn is_kept_out(&self, input: &Input) -> bool {
+        self.kept_out.iter().any(|its| its.device == input.device && its.model == input.model)
+    }
+
     pub(super) fn write(&self, folder: &Path) -> Result<(), SceneError> {
         let text = serde_json::to_vec_pretty(self).map_err(io::Error::other);
         let text = text.map_err(|cause| SceneError::io(&folder.join(MERGED), cause))?;
-        atomic::write(&folder.join(MERGED), |file| io::Write::write_all(file, &text))
+        atomic::write_bytes(&folder.join(MERGED), &text)
     }
 }
 

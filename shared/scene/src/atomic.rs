@@ -28,6 +28,11 @@ pub fn write(
     write_and_rename(&RealDisk, &partial.0, path, fill).map_err(|cause| SceneError::io(path, cause))
 }
 
+/// As [`write()`], with a content that is in memory.
+pub fn write_bytes(path: &Path, content: &[u8]) -> Result<(), SceneError> {
+    write(path, |file| file.write_all(content))
+}
+
 /// Deletes the temporary files that remain in `folder` if a process was killed during [`write()`]. No
 /// thread or process may call [`write()`] in this folder at the same time.
 pub fn remove_partial_files(folder: &Path) -> Result<(), SceneError> {
