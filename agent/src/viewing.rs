@@ -26,7 +26,7 @@ pub fn open(
     };
     ensure!(
         !matches!(device, DeviceChoice::Gpu(_)),
-        "a limit of memory is kept on the CPU only; leave out --memory, or use --device cpu"
+        "a limit of memory is kept on the CPU only; leave out --memory, or use --compute cpu"
     );
     let (splats, sh_degree) = ply::size(model)?;
     let pixels = |camera: &&Camera| u64::from(camera.size_px[0]) * u64::from(camera.size_px[1]);

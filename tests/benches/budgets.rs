@@ -123,7 +123,7 @@ fn cases(arguments: &Arguments, folder: &Path) -> Result<Vec<Case>> {
     let out = text(&folder.join("out"));
     let train = |name, data: &Path, init: Option<&Path>| {
         let mut words = vec!["train".into(), text(data), "--out".into(), out.clone(), "--fresh".into()];
-        words.extend(["--steps", STEPS, "--device", "cpu"].map(String::from));
+        words.extend(["--steps", STEPS, "--compute", "cpu"].map(String::from));
         words.extend(init.into_iter().flat_map(|init| ["--init".into(), text(init)]));
         Case { name, program: "cosurf-agent", words }
     };
@@ -131,7 +131,7 @@ fn cases(arguments: &Arguments, folder: &Path) -> Result<Vec<Case>> {
         (enlarged(small, &folder.join("jpeg"), "jpg")?, enlarged(small, &folder.join("png"), "png")?);
     let points = with_points(data, &folder.join("points"))?;
     let model = large_model(data, &folder.join("large.ply"))?;
-    let mut merge = vec!["merge".into(), "--out".into(), out.clone(), "--device".into(), "cpu".into()];
+    let mut merge = vec!["merge".into(), "--out".into(), out.clone(), "--compute".into(), "cpu".into()];
     merge.extend(agents.iter().map(|agent| text(agent)));
     let mesh = [
         "mesh".into(),
@@ -146,7 +146,7 @@ fn cases(arguments: &Arguments, folder: &Path) -> Result<Vec<Case>> {
         let mut words = vec![command.to_owned(), text(&model)];
         words.extend((!option.is_empty()).then(|| option.to_owned()));
         words.push(text(data));
-        words.extend(["--max-size", "320", "--device", "cpu"].map(String::from));
+        words.extend(["--max-size", "320", "--compute", "cpu"].map(String::from));
         words.extend(if command == "render" { vec!["--out".into(), out.clone()] } else { Vec::new() });
         Case { name, program: "cosurf-agent", words }
     };

@@ -81,7 +81,7 @@ fn train(arguments: &Arguments, folder: &Path, seed: u64) -> Result<f64> {
     let (steps, max_size) = (arguments.steps.to_string(), arguments.max_size.to_string());
     let mut command = Command::new(program("cosurf-agent"));
     command.arg("train").arg(folder).arg("--out").arg(folder.join("out"));
-    command.args(["--steps", &steps, "--max-size", &max_size, "--device", "cpu"]);
+    command.args(["--steps", &steps, "--max-size", &max_size, "--compute", "cpu"]);
     command.args(["--seed", &seed.to_string()]);
     run(&mut command)?;
     let report: serde_json::Value =

@@ -80,7 +80,7 @@ fn merge_s(site: &Site, tiles: &Path, by: By, nats: &Nats) -> Result<f64> {
         _ => Command::new(program("cosurf-aggregator")),
     };
     command.arg("merge").args(&site.folders).arg("--out").arg(&site.out);
-    command.args(["--same-frame", "--json", "--device", "cpu", "--tiles"]).arg(tiles);
+    command.args(["--same-frame", "--json", "--compute", "cpu", "--tiles"]).arg(tiles);
     let workers = if let By::Workers(count) = by { count } else { 0 };
     if workers > 0 {
         command.args(["--queue", &nats.url()]);
@@ -105,7 +105,7 @@ struct Worker(Child);
 impl Worker {
     fn start(tiles: &Path, nats: &Nats) -> Result<Self> {
         let mut command = Command::new(program("cosurf-aggregator"));
-        command.args(["worker", "--device", "cpu", "--threads", "1", "--queue", &nats.url(), "--tiles"]);
+        command.args(["worker", "--compute", "cpu", "--threads", "1", "--queue", &nats.url(), "--tiles"]);
         Ok(Self(command.arg(tiles).stdout(Stdio::null()).stderr(Stdio::null()).spawn()?))
     }
 }

@@ -189,7 +189,7 @@ fn a_training_that_is_asked_to_end_writes_a_checkpoint_and_says_how_to_go_on() {
 
 fn log_of_training(words: &[&str]) -> String {
     let folder = tempfile::tempdir().unwrap();
-    let mut command = train(city(), folder.path(), &["--steps", "2", "--device", "cpu"]);
+    let mut command = train(city(), folder.path(), &["--steps", "2", "--compute", "cpu"]);
     let output = command.args(words).output().unwrap();
     assert!(output.status.success(), "{}", stderr(&output));
     stderr(&output)
@@ -276,7 +276,7 @@ fn a_gpu_trains_the_same_model_and_the_cpu_reads_its_checkpoint() {
     let folder = tempfile::tempdir().unwrap();
     let out = |name: &str| folder.path().join(name);
     let on = |device, name: &str| {
-        let words = ["--steps", "120", "--device", device, "--memory", "600MiB"];
+        let words = ["--steps", "120", "--compute", device, "--memory", "600MiB"];
         let psnr = train_and_score(city(), &out(name), &words);
         let report = report(&out(name));
         assert!(report["peak_memory_bytes"].as_u64().unwrap() < 600 << 20, "{report}");
@@ -291,7 +291,7 @@ fn a_gpu_trains_the_same_model_and_the_cpu_reads_its_checkpoint() {
     fs::remove_file(out("gpu").join("model.ply")).unwrap();
     on("cpu", "gpu");
     assert!(model(&out("gpu")) == model(&out("again")), "the CPU reads the GPU's checkpoint");
-    refuse(train(city(), &out("none"), &["--device", "gpu:99"]), &["there is no GPU 99"]);
+    refuse(train(city(), &out("none"), &["--compute", "gpu:99"]), &["there is no GPU 99"]);
 }
 
 /// Hides all Vulkan drivers from a command, so that it finds no GPU on Linux.
@@ -306,17 +306,17 @@ fn without_drivers(mut command: Command) -> Command {
 fn without_a_gpu_the_cpu_trains_and_the_output_says_so() {
     let output = without_drivers(agent(&["devices"])).output().unwrap();
     let text = String::from_utf8_lossy(&output.stdout).into_owned();
-    assert!(text.contains("no GPU") && text.contains("--device cpu"), "{text}");
+    assert!(text.contains("no GPU") && text.contains("--compute cpu"), "{text}");
     let folder = tempfile::tempdir().unwrap();
     let out = |name: &str| folder.path().join(name);
-    let words = |device| ["--steps", "60", "--memory", "1GiB", "--device", device];
+    let words = |device| ["--steps", "60", "--memory", "1GiB", "--compute", device];
     let output = without_drivers(train(city(), &out("auto"), &words("auto"))).output().unwrap();
     assert!(output.status.success(), "{}", stderr(&output));
     let text = String::from_utf8_lossy(&output.stdout).into_owned();
     assert!(text.contains("steps/s, cpu "), "the output names the device: {text}");
     succeed(train(city(), &out("cpu"), &words("cpu")));
     assert!(model(&out("auto")) == model(&out("cpu")), "the same bytes");
-    refuse(without_drivers(train(city(), &out("gpu"), &words("gpu"))), &["no GPU", "--device cpu"]);
+    refuse(without_drivers(train(city(), &out("gpu"), &words("gpu"))), &["no GPU", "--compute cpu"]);
 }
 
 #[test]
@@ -441,8 +441,8 @@ fn a_finished_model_is_shown_and_scored_within_the_memory_that_a_refusal_asks_fo
         assert!(usage.succeeded && usage.peak_bytes <= asked_bytes, "{asked}: {usage:?}");
         // What it asks for is not much more than it takes.
         assert!(2 * usage.peak_bytes > asked_bytes, "{asked}: {usage:?}");
-        let on_gpu = agent(&[words, &["--memory", "1GiB", "--device", "gpu"]].concat());
-        refuse(on_gpu, &["kept on the CPU only", "--device cpu"]);
+        let on_gpu = agent(&[words, &["--memory", "1GiB", "--compute", "gpu"]].concat());
+        refuse(on_gpu, &["kept on the CPU only", "--compute cpu"]);
     }
 }
 

@@ -112,7 +112,7 @@ fn a_scene_is_learnt_in_any_unit_and_in_ecef() {
     let town = Town::new();
     let psnr = |data: &Path, name: &str| {
         let out = town.path(name);
-        let words = ["train", "--steps", "150", "--eval-every", "5", "--device", "cpu"];
+        let words = ["train", "--steps", "150", "--eval-every", "5", "--compute", "cpu"];
         run("cosurf-agent", &words, &[data, Path::new("--out"), &out]);
         json(&out.join("report.json"))["psnr"].as_f64().unwrap()
     };

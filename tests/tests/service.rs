@@ -76,7 +76,7 @@ fn a_service_leaves_the_files_and_figures_of_a_mission() {
     let whole = read::<MissionReport>(&mission.join("report.json")).whole;
     let report: SiteReport = read(&out.join("report.json"));
     let (merging, of_mission) = (&report.merging, whole.merging.unwrap());
-    assert_eq!(report.mesh.clone().map(|(mesh, _)| mesh), whole.mesh);
+    assert_eq!(report.mesh, whole.mesh);
     assert_eq!((merging.summary.splats, merging.revision), (whole.splats, whole.revision));
     assert_eq!((&merging.summary, &merging.fits), (&of_mission.summary, &of_mission.fits));
     let page = fs::read_to_string(out.join("report.html")).unwrap();

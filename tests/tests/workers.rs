@@ -77,7 +77,7 @@ impl Site {
     fn merge(&self, out: &str, by_workers: bool) -> Command {
         let mut command = Command::new(program("cosurf-aggregator"));
         command.arg("merge").arg(self.path("a")).arg(self.path("b")).arg("--out").arg(self.path(out));
-        command.args(["--json", "--device", "cpu", "--epochs", "3"]);
+        command.args(["--json", "--compute", "cpu", "--epochs", "3"]);
         self.keep_tiles(&mut command, out);
         if by_workers {
             command.args(["--queue", self.nats.url().as_str()]);
@@ -88,7 +88,7 @@ impl Site {
 
     fn worker(&self, out: &str, more: &[&str]) -> Worker {
         let mut command = Command::new(program("cosurf-aggregator"));
-        command.args(["worker", "--device", "cpu", "--threads", "1", "--queue", self.nats.url().as_str()]);
+        command.args(["worker", "--compute", "cpu", "--threads", "1", "--queue", self.nats.url().as_str()]);
         self.keep_tiles(&mut command, out);
         command.args(more);
         Worker(command.stdout(Stdio::null()).spawn().unwrap())

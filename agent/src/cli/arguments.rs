@@ -42,7 +42,7 @@ impl Common {
 pub(super) struct DeviceArgs {
     /// Device to compute on: auto (a hardware GPU if there is one, otherwise the CPU), cpu, gpu, or gpu:N with a
     /// number that `devices` lists. With auto, `train` uses the CPU if the memory limit is too small for the GPU
-    #[arg(long, value_name = "DEVICE", default_value_t)]
+    #[arg(long = "compute", alias = "device", value_name = "DEVICE", default_value_t)]
     pub(super) device: DeviceChoice,
 }
 

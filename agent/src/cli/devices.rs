@@ -6,7 +6,7 @@ use anyhow::Result;
 use clap::Args;
 use cosurf_engine::gpu::{AdapterSummary, adapters};
 
-/// List the GPUs with their capabilities, numbered as in `--device gpu:N`.
+/// List the GPUs with their capabilities, numbered as in `--compute gpu:N`.
 #[derive(Args, Debug)]
 pub(super) struct DevicesArgs {
     /// Print JSON instead of text, one GPU per line
@@ -34,7 +34,7 @@ pub(super) fn run(args: &DevicesArgs) -> Result<()> {
             )?;
             continue;
         }
-        let kind = if *is_software { ", software driver: slower than --device cpu" } else { "" };
+        let kind = if *is_software { ", software driver: slower than --compute cpu" } else { "" };
         let subgroups = subgroup_size.map_or_else(String::new, |size| format!(", subgroups of {size}"));
         let binding_mib = binding_bytes_max >> 20;
         writeln!(
@@ -43,7 +43,10 @@ pub(super) fn run(args: &DevicesArgs) -> Result<()> {
         )?;
     }
     if adapters.is_empty() && !args.json {
-        writeln!(stdout, "no GPU with a Vulkan, Metal or DirectX 12 driver; only --device cpu is available")?;
+        writeln!(
+            stdout,
+            "no GPU with a Vulkan, Metal or DirectX 12 driver; only --compute cpu is available"
+        )?;
     }
     Ok(())
 }

@@ -33,6 +33,16 @@ use route::Route;
 /// To resume after a stop or a kill, run the same command again.
 #[derive(Args, Debug)]
 pub(super) struct RunArgs {
+    #[command(flatten)]
+    job: JobArgs,
+    /// Start again even if the output folder has a checkpoint
+    #[arg(long)]
+    fresh: bool,
+}
+
+/// What `run` and `preflight` work on.
+#[derive(Args, Debug)]
+struct JobArgs {
     /// The configuration file
     #[arg(long, value_name = "FILE", default_value = "agent.toml")]
     config: PathBuf,
@@ -46,30 +56,32 @@ pub(super) struct RunArgs {
 #[derive(Args, Debug)]
 pub(super) struct PreflightArgs {
     #[command(flatten)]
-    run: RunArgs,
+    job: JobArgs,
 }
 
-pub(super) fn preflight(PreflightArgs { run: args }: &PreflightArgs) -> Result<()> {
+pub(super) fn preflight(PreflightArgs { job: args }: &PreflightArgs) -> Result<()> {
     let mut job = Job::load(&args.config)?;
     let _lock = FolderLock::take(&job.config.out, "cosurf-agent preflight")?;
     let board = StatusBoard::new(job.config.steps);
     let mut progress = Progress::new(args.json);
-    let reporter = job.connect(&board, &mut progress)?;
+    let begun_with = choice::begun_with(&job.config.out);
+    let reporter = job.connect(begun_with, &board, &mut progress)?;
     let report = train::prepare(&job.plan, &job.config.out)?;
     ensure!(reporter.is_well(), "the aggregator cannot be reached as configured; the lines above tell why");
     progress.show(&AgentEvent::Ready { report });
     Ok(())
 }
 
-pub(super) fn run(args: &RunArgs) -> Result<()> {
+pub(super) fn run(RunArgs { job: args, fresh }: &RunArgs) -> Result<()> {
     let mut job = Job::load(&args.config)?;
     let _lock = FolderLock::take(&job.config.out, "cosurf-agent run")?;
     let board = StatusBoard::new(job.config.steps);
     let mut progress = Progress::new(args.json).with_board(&board);
-    let reporter = job.connect(&board, &mut progress)?;
+    let begun_with = if *fresh { None } else { choice::begun_with(&job.config.out) };
+    let reporter = job.connect(begun_with, &board, &mut progress)?;
     let flight = job.flight()?;
     let reporter = job.announce(flight.as_deref(), reporter);
-    train::train(&job.plan, &job.config.out, false, &mut progress)?;
+    train::train(&job.plan, &job.config.out, *fresh, &mut progress)?;
     let model = LocalModel::read(&job.config.out)?;
     job.publish(&model, flight.as_deref(), (&board, reporter), &mut progress)?;
     if job.config.wait_global {
@@ -143,9 +155,12 @@ impl Job {
 
     /// Connects, and asks the aggregator for this device's cell of the plan. Chooses the pictures by the answer, and
     /// tells how far the agent is while it trains. A training that was begun keeps its pictures.
-    fn connect(&mut self, board: &StatusBoard, progress: &mut Progress) -> Result<Reporter> {
-        let out = &self.config.out;
-        let begun_with = choice::begun_with(out);
+    fn connect(
+        &mut self,
+        begun_with: Option<Option<Answer>>,
+        board: &StatusBoard,
+        progress: &mut Progress,
+    ) -> Result<Reporter> {
         let identity = self.identity()?;
         let connection = self.route.connect_reporting(identity, self.credentials.key.as_ref());
         let (reporter, answer) = Reporter::start(

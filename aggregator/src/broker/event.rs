@@ -61,7 +61,7 @@ impl fmt::Display for BrokerEvent {
             }
             Self::MemoryFull { memory_bytes, dropped } => write!(
                 f,
-                "broker: its memory of {} MiB is full: {} dropped or refused; raise `broker_memory_bytes`, or find the \
+                "broker: its memory of {} MiB is full: {} dropped or refused; raise `broker_memory`, or find the \
                  client that publishes so much",
                 memory_bytes >> 20,
                 counted(*dropped, "message")

@@ -90,7 +90,7 @@ pub(crate) struct MergeArgs {
     seed: u64,
     /// Device to compute on: auto (a hardware GPU if there is one, otherwise the CPU), cpu, gpu, or gpu:N with a number
     /// that `cosurf-agent devices` lists. With auto, the CPU is used if the memory limit is too small for the GPU
-    #[arg(long, value_name = "DEVICE", default_value_t)]
+    #[arg(long = "compute", alias = "device", value_name = "DEVICE", default_value_t)]
     device: DeviceChoice,
     /// Print the figures as a line of JSON
     #[arg(long)]

@@ -33,7 +33,7 @@ pub(crate) struct WorkerArgs {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
     /// Device to compute on: auto, cpu, gpu or gpu:N. Tiles come only from merges on a device of the same class
-    #[arg(long, value_name = "DEVICE", default_value_t)]
+    #[arg(long = "compute", alias = "device", value_name = "DEVICE", default_value_t)]
     device: DeviceChoice,
     /// Print events as lines of JSON
     #[arg(long)]

@@ -27,7 +27,7 @@ pub enum MergeError {
     #[error(transparent)]
     Device(#[from] DeviceError),
     /// The memory limit is too small for one tile of the ground.
-    #[error("a memory limit of {memory_bytes} bytes is too small; this merge needs at least {needed_bytes} (--memory {}MiB, or merge_memory_bytes in aggregator.toml)", needed_bytes.div_ceil(1 << 20))]
+    #[error("a memory limit of {memory_bytes} bytes is too small; this merge needs at least {needed_bytes} (--memory {}MiB, or merge_memory in aggregator.toml)", needed_bytes.div_ceil(1 << 20))]
     TooLittleMemory {
         /// The memory limit, bytes.
         memory_bytes: u64,
@@ -35,7 +35,7 @@ pub enum MergeError {
         needed_bytes: u64,
     },
     /// The memory limit is too small for the pictures of some models, whatever else is merged.
-    #[error("a memory limit of {memory_bytes} bytes is too small for the largest pictures; they need at least {needed_bytes} (--memory {}MiB, or merge_memory_bytes in aggregator.toml)", needed_bytes.div_ceil(1 << 20))]
+    #[error("a memory limit of {memory_bytes} bytes is too small for the largest pictures; they need at least {needed_bytes} (--memory {}MiB, or merge_memory in aggregator.toml)", needed_bytes.div_ceil(1 << 20))]
     PicturesTooLarge {
         /// Indices of the models, ascending.
         locals: Vec<usize>,

@@ -52,8 +52,8 @@ impl fmt::Display for MemoryBound {
                 .map(|bytes| bytes.div_ceil(1 << 20));
         write!(
             f,
-            "memory: at most {all} MiB: {uploads} for uploads (`memory_bytes`), {broker} for the built-in broker \
-             (`broker_memory_bytes`), {merge} for merges (`merge_memory_bytes`), {other} for the rest"
+            "memory: at most {all} MiB: {uploads} for uploads (`memory`), {broker} for the built-in broker \
+             (`broker_memory`), {merge} for merges (`merge_memory`), {other} for the rest"
         )
     }
 }

@@ -4,10 +4,11 @@ use std::fs;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
-use cosurf_contract::parse_toml;
+use cosurf_contract::{amount, parse_toml};
 use cosurf_engine::DeviceChoice;
 use cosurf_link::{BrokerAddress, DEVICES_MAX, TlsFiles};
 use cosurf_scene::SceneError;
+use cosurf_scene::bytes::format_bytes;
 use cosurf_wire::{DeviceId, FrameId, SiteId};
 use serde::de::Error;
 use serde::{Deserialize, Deserializer};
@@ -63,9 +64,14 @@ pub struct AggregatorConfig {
     /// Limit on the clients of the built-in broker; further clients are refused.
     #[serde(default = "default_clients_max", deserialize_with = "limit")]
     pub clients_max: usize,
-    /// Limit on the memory that the built-in broker takes for messages, queues, sessions and buffers of its clients,
-    /// bytes.
-    #[serde(default = "default_broker_memory_bytes", deserialize_with = "broker_memory")]
+    /// `broker_memory`: limit on the memory that the built-in broker takes for messages, queues, sessions and buffers of
+    /// its clients, for example `"128MiB"`; a number counts bytes.
+    #[serde(
+        rename = "broker_memory",
+        alias = "broker_memory_bytes",
+        default = "default_broker_memory_bytes",
+        deserialize_with = "broker_memory"
+    )]
     pub broker_memory_bytes: usize,
     /// Limit on the devices whose sessions are remembered, and whose requests for the global model are answered. Requests
     /// of devices that sent a model always are.
@@ -74,11 +80,21 @@ pub struct AggregatorConfig {
     /// Limit on the number of concurrent uploads; further agents wait.
     #[serde(default = "default_uploads_max", deserialize_with = "limit")]
     pub uploads_max: usize,
-    /// Limit on the bytes of concurrent uploads; further agents wait.
-    #[serde(default = "default_memory_bytes")]
+    /// `memory`: limit on the bytes of concurrent uploads; further agents wait.
+    #[serde(
+        rename = "memory",
+        alias = "memory_bytes",
+        default = "default_memory_bytes",
+        deserialize_with = "amount"
+    )]
     pub memory_bytes: u64,
-    /// Limit on the bytes that a merge takes.
-    #[serde(default = "default_merge_memory_bytes")]
+    /// `merge_memory`: limit on the memory that a merge takes.
+    #[serde(
+        rename = "merge_memory",
+        alias = "merge_memory_bytes",
+        default = "default_merge_memory_bytes",
+        deserialize_with = "amount"
+    )]
     pub merge_memory_bytes: u64,
     /// The device that computes merges: `auto`, `cpu`, `gpu` or `gpu:N`.
     #[serde(default)]
@@ -248,10 +264,13 @@ fn limit<'de, D: Deserializer<'de>>(deserializer: D) -> Result<usize, D::Error> 
 
 /// Reads the limit on the built-in broker's memory.
 fn broker_memory<'de, D: Deserializer<'de>>(deserializer: D) -> Result<usize, D::Error> {
-    let bytes = usize::deserialize(deserializer)?;
+    let bytes = usize::try_from(amount(deserializer)?).unwrap_or(usize::MAX);
     match bytes >= MEMORY_BYTES_MIN {
         true => Ok(bytes),
-        false => Err(D::Error::custom(format!("give at least {MEMORY_BYTES_MIN} bytes"))),
+        false => {
+            let least = format_bytes(MEMORY_BYTES_MIN as u64);
+            Err(D::Error::custom(format!("give at least {least}")))
+        }
     }
 }
 
@@ -272,7 +291,7 @@ impl AggregatorConfig {
         }
     }
 
-    /// Reads a configuration file. The error is one line that names the file.
+    /// Reads a configuration file. The error names the file, and shows what is wrong in it.
     pub fn read(path: &Path) -> Result<Self, SceneError> {
         let text = fs::read_to_string(path).map_err(|cause| SceneError::io(path, cause))?;
         parse_toml(&text).map_err(|error| SceneError::malformed(path, error.to_string()))
@@ -303,6 +322,8 @@ mod tests {
         assert_eq!((config.plan, config.margin), (None, 0.2));
         let config = read(&format!("{REQUIRED}clients_max = 16_384")).unwrap();
         assert_eq!(config.clients_max, 16_384);
+        let config = read(&format!("{REQUIRED}merge_memory = \"2GiB\"\nmemory_bytes = 7")).unwrap();
+        assert_eq!((config.merge_memory_bytes, config.memory_bytes), (2 << 30, 7));
         let config = read(&format!("{REQUIRED}bind = \"[::]:1883\"")).unwrap();
         assert_eq!(config.bind.unwrap().port(), 1883);
     }
@@ -315,7 +336,9 @@ mod tests {
             ("broker = \"http://h\"", "line 3, broker: broker address \"http://h\": write mqtt://host:port"),
             ("device = \"a b\"", "line 3, device: ' ' in a name"),
             ("tls = { cart = \"c\" }", "line 3, tls: unknown field `cart`"),
-            ("broker_memory_bytes = 1_000_000", "line 3, broker_memory_bytes: give at least 16777216 bytes"),
+            ("broker_memory_bytes = 1_000_000", "line 3, broker_memory_bytes: give at least 16 MiB"),
+            ("broker_memory = \"1MB\"", "line 3, broker_memory: give at least 16 MiB"),
+            ("merge_memory = \"all\"", "line 3, merge_memory: 'all' is not an amount of memory"),
             ("compute = \"cuda\"", "line 3, compute: give auto, cpu, gpu or gpu:N"),
             (
                 "clients_max = 16_385",
@@ -330,7 +353,7 @@ mod tests {
             ("[upstream]\nsite = \"a b\"", "line 4, upstream.site: ' ' in a name"),
         ] {
             let error = read(&format!("{REQUIRED}{line}\n")).unwrap_err();
-            assert!(error.starts_with(reason) && !error.contains('\n'), "{error:?} is not {reason:?}");
+            assert!(error.starts_with(reason) && error.lines().count() == 3, "{error:?} is not {reason:?}");
         }
         assert_eq!(read("site = \"s\"\n").unwrap_err(), "missing field `out`");
     }

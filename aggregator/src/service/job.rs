@@ -200,7 +200,7 @@ impl Stored {
     fn leave_out(&mut self, locals: &[usize], needed_bytes: u64) -> Vec<KeptOut> {
         let needed_mib = needed_bytes.div_ceil(1 << 20);
         let reason = format!(
-            "has pictures that are too large for the memory of merges: raise merge_memory_bytes to {needed_mib} MiB, or \
+            "has pictures that are too large for the memory of merges: raise merge_memory to {needed_mib} MiB, or \
              train it on smaller pictures"
         );
         let left_out =

@@ -233,8 +233,8 @@ impl Keeper {
             NodeEvent::UploadRefused { by, reason, .. } => ServiceEvent::Refused { by, reason },
             NodeEvent::Refused { key, reason } => {
                 let remedy = match reason {
-                    RefusalReason::Busy => "; raise `uploads_max` or `memory_bytes` if this goes on",
-                    RefusalReason::TooLarge => "; raise `memory_bytes`",
+                    RefusalReason::Busy => "; raise `uploads_max` or `memory` if this goes on",
+                    RefusalReason::TooLarge => "; raise `memory`",
                     _ => "",
                 };
                 ServiceEvent::Ignored { reason: format!("model {key} is refused: {reason}{remedy}") }

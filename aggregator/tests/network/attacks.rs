@@ -102,7 +102,7 @@ fn attack_02_the_heaviest_client_loses_its_oldest_messages() {
     }
     let event = events.recv_timeout(Duration::from_secs(10)).unwrap();
     assert!(matches!(event, BrokerEvent::MemoryFull { .. }), "{event:?}");
-    assert!(event.to_string().contains("broker_memory_bytes"), "{event}");
+    assert!(event.to_string().contains("raise `broker_memory`"), "{event}");
     assert!(events.try_recv().is_err(), "the same event is told again");
     honest.send(&subscribe("honest"));
     assert_eq!(honest.message(), ("honest".to_owned(), b"header".to_vec()));

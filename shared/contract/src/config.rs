@@ -1,5 +1,6 @@
 //! The configuration of an agent: the content of `agent.toml`.
 
+mod amount;
 mod error;
 mod range;
 
@@ -15,6 +16,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::Share;
 
+pub use amount::amount;
 pub use error::ConfigError;
 
 /// Limit on the agents whose flights count, unless the configuration sets another.
@@ -25,8 +27,8 @@ pub const DEFAULT_STEPS: u32 = 3000;
 
 /// The configuration of one agent. Relative paths are relative to the agent's working folder.
 ///
-/// Integers in TOML are signed 64-bit numbers, so `seed` and `memory_bytes` can be written as TOML only if they are
-/// below 2⁶³.
+/// Integers in TOML are signed 64-bit numbers, so `seed` and `memory` can be written as TOML numbers only if they
+/// are below 2⁶³.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AgentConfig {
@@ -76,12 +78,25 @@ pub struct AgentConfig {
     /// Seed of all random numbers.
     #[serde(default)]
     pub seed: u64,
-    /// Limit on the process's resident memory in bytes. If absent, the limit is two thirds of the free memory, at most
-    /// 8 GiB.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    /// `memory`: limit on the process's resident memory, for example `"300MiB"`; a number counts bytes. If absent, the
+    /// limit is two thirds of the free memory, at most 8 GiB.
+    #[serde(
+        rename = "memory",
+        alias = "memory_bytes",
+        default,
+        skip_serializing_if = "Option::is_none",
+        deserialize_with = "amount::optional"
+    )]
     pub memory_bytes: Option<u64>,
-    /// Limit on the pictures' long side in pixels, at least 16; larger pictures are shrunk. Full size if absent.
-    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "range::max_size_px")]
+    /// `max_size`: limit on the pictures' long side in pixels, at least 16; larger pictures are shrunk. Full size if
+    /// absent.
+    #[serde(
+        rename = "max_size",
+        alias = "max_size_px",
+        default,
+        skip_serializing_if = "Option::is_none",
+        deserialize_with = "range::max_size_px"
+    )]
     pub max_size_px: Option<u32>,
     /// The device to train on: `auto` (a hardware GPU if there is one and the memory is enough, otherwise the CPU),
     /// `cpu`, `gpu` or `gpu:N`; `auto` if absent.
@@ -158,8 +173,8 @@ pub enum AgentLink<'a> {
 }
 
 impl AgentConfig {
-    /// Parses the content of an `agent.toml` and checks that its fields fit together. The error is one line that names
-    /// the wrong field or fields.
+    /// Parses the content of an `agent.toml` and checks that its fields fit together. The error names the wrong field
+    /// or fields.
     pub fn from_toml(text: &str) -> Result<Self, ConfigError> {
         let config: Self = parse_toml(text)?;
         config.link()?;
@@ -183,7 +198,8 @@ impl AgentConfig {
     }
 }
 
-/// Parses the content of any configuration file. The error is one line that names the line and the field.
+/// Parses the content of any configuration file. The error names the line and the field, and shows the line with marks
+/// below what is wrong.
 pub fn parse_toml<T: DeserializeOwned>(text: &str) -> Result<T, ConfigError> {
     toml::from_str(text).map_err(|error| ConfigError::from_toml(text, &error))
 }

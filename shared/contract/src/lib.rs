@@ -31,8 +31,11 @@
 //! assert_eq!((config.device.map(|device| device.to_string()).as_deref(), config.seed), (Some("drone-1"), 0));
 //!
 //! let wrong = text.replace("drone-1", "drone 1");
-//! let error = AgentConfig::from_toml(&wrong).unwrap_err();
-//! assert_eq!(error.to_string(), "line 2, device: ' ' in a name: use only A-Z a-z 0-9 _ -");
+//! let error = AgentConfig::from_toml(&wrong).unwrap_err().to_string();
+//! let shown = "line 2, device: ' ' in a name: use only A-Z a-z 0-9 _ -
+//!   2 | device = \"drone 1\"
+//!     |          ^^^^^^^^^";
+//! assert_eq!(error, shown);
 //!
 //! let line = r#"{"event":"acknowledged","bytes_sent":4096}"#;
 //! let event: AgentEvent = serde_json::from_str(line).expect("an event");
@@ -48,7 +51,9 @@ mod share;
 pub mod status;
 mod words;
 
-pub use config::{AgentConfig, AgentLink, ConfigError, DEFAULT_FLIGHTS_MAX, DEFAULT_STEPS, parse_toml};
+pub use config::{
+    AgentConfig, AgentLink, ConfigError, DEFAULT_FLIGHTS_MAX, DEFAULT_STEPS, amount, parse_toml,
+};
 pub use cosurf_link::TlsFiles;
 pub use log::{LogError, LogFormat};
 pub use password::{PasswordError, read_password};

@@ -76,7 +76,7 @@ pub enum BudgetError {
         least_bytes: u64,
     },
     /// The pictures are larger than the largest buffer that the graphics card can bind.
-    #[error("a picture of {} × {} px takes {bytes} bytes, but the graphics card binds at most {bytes_max} at once; use smaller pictures or --device cpu", size_px[0], size_px[1])]
+    #[error("a picture of {} × {} px takes {bytes} bytes, but the graphics card binds at most {bytes_max} at once; use smaller pictures or --compute cpu", size_px[0], size_px[1])]
     PictureTooLarge {
         /// Width and height of the picture, px.
         size_px: [u32; 2],

@@ -32,13 +32,13 @@ pub enum DeviceError {
     #[error(transparent)]
     Gpu(#[from] GpuError),
     /// The program was built without GPU support.
-    #[error("this program was built without GPUs; use --device cpu, or build it with the feature `gpu`")]
+    #[error("this program was built without GPUs; use --compute cpu, or build it with the feature `gpu`")]
     NotBuilt,
 }
 
 /// The device was lost during a training.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{0}; run again to resume from the last checkpoint, with --device cpu if this happens twice")]
+#[error("{0}; run again to resume from the last checkpoint, with --compute cpu if this happens twice")]
 pub struct DeviceLost(pub String);
 
 impl FromStr for DeviceChoice {

@@ -62,5 +62,5 @@ fn attack_01_absurd_pictures_do_not_stop_the_merge_of_the_others() {
     let all = [&honest[..], &[("agent-4", 1, &absurd)]].concat();
     assert!(fly(folders[1].path(), &NAMES, &all, &["agent-4"]) == clean, "the absurd model left a trace");
     let record = Merging::read(folders[1].path()).unwrap();
-    assert!(record.kept_out[0].reason.contains("merge_memory_bytes"), "{:?}", record.kept_out);
+    assert!(record.kept_out[0].reason.contains("merge_memory to"), "{:?}", record.kept_out);
 }

@@ -1,11 +1,13 @@
-//! Errors in a configuration file. Each is one line that tells a person what to change.
+//! Errors in a configuration file. The first line of each tells a person what to change; the next ones show the place.
+
+use std::ops::Range;
 
 /// Why a configuration file cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ConfigError {
     /// A value is wrong, or the text is not TOML.
-    #[error("line {line}{}: {reason}", field.as_ref().map(|field| format!(", {field}")).unwrap_or_default())]
+    #[error("line {line}{}: {reason}\n{excerpt}", field.as_ref().map(|field| format!(", {field}")).unwrap_or_default())]
     Value {
         /// Number of the line, from 1.
         line: usize,
@@ -14,6 +16,8 @@ pub enum ConfigError {
         field: Option<String>,
         /// What is wrong.
         reason: String,
+        /// The line, and below it a line with marks under what is wrong.
+        excerpt: String,
     },
     /// A required field is missing. The text names the field.
     #[error("{0}")]
@@ -49,11 +53,26 @@ impl ConfigError {
         match error.span().filter(|span| span.end > 0) {
             Some(span) => {
                 let line = 1 + text[..span.start].matches('\n').count();
-                Self::Value { line, field: field_at(text, line), reason }
+                let excerpt = excerpt(text, line, span);
+                Self::Value { line, field: field_at(text, line), reason, excerpt }
             }
             None => Self::Missing(reason),
         }
     }
+}
+
+/// The line number `line` (from 1) of `text`, and a line with marks below the part of it that lies in `span`. Only the first
+/// line of a longer span is shown.
+fn excerpt(text: &str, line: usize, span: Range<usize>) -> String {
+    let start = text[..span.start].rfind('\n').map_or(0, |end| end + 1);
+    let whole = text[start..].lines().next().unwrap_or_default();
+    let (before, rest) = whole.split_at(span.start.saturating_sub(start).min(whole.len()));
+    // Tabs stay tabs, so that the marks stand below their characters.
+    let indent: String = before.chars().map(|c| if c == '\t' { '\t' } else { ' ' }).collect();
+    let marked = text.get(span).and_then(|marked| marked.lines().next()).unwrap_or_default();
+    let marks = "^".repeat(marked.chars().count().min(rest.chars().count()).max(1));
+    let number = line.to_string();
+    format!("  {number} | {whole}\n  {} | {indent}{marks}", " ".repeat(number.len()))
 }
 
 /// The field that line number `line` (from 1) belongs to, with its table, for example `tls.cert`. If a value spans

@@ -67,7 +67,8 @@ fn refused(text: &str) -> String {
 fn toml_written_before_is_written_again_byte_for_byte() {
     for text in [WRITTEN_BY_A_MISSION, ALL_FIELDS] {
         let config = AgentConfig::from_toml(text).unwrap();
-        assert_eq!(toml::to_string(&config).unwrap(), text);
+        let now = text.replace("memory_bytes =", "memory =").replace("max_size_px =", "max_size =");
+        assert_eq!(toml::to_string(&config).unwrap(), now);
     }
 }
 
@@ -115,7 +116,9 @@ fn a_wrong_value_is_one_line_that_names_line_and_field() {
         ("steps = -1", "line 6, steps: "),
         ("steps = \"many\"", "line 6, steps: "),
         ("steps = 0", "line 6, steps: give a number from 1 to 4294967295"),
-        ("max_size_px = 15", "line 7, max_size_px: give a number from 16 to 4294967295"),
+        ("memory = \"much\"", "line 7, memory: 'much' is not an amount of memory; write for example 300MiB"),
+        ("memory = -1", "line 7, memory: invalid value: integer `-1`, expected an amount of memory"),
+        ("max_size = 15", "line 7, max_size: give a number from 16 to 4294967295"),
         ("threads = 0", "line 7, threads: give a number from 1 to 1024"),
         ("threads = 1025", "line 7, threads: give a number from 1 to 1024"),
         ("compute = \"cuda\"", "line 7, compute: give auto, cpu, gpu or gpu:N"),
@@ -136,8 +139,36 @@ fn a_wrong_value_is_one_line_that_names_line_and_field() {
             text += line;
         }
         let error = refused(&text);
-        assert!(error.starts_with(reason) && !error.contains('\n'), "{error:?} is not {reason:?}");
+        assert!(error.starts_with(reason) && error.lines().count() == 3, "{error:?} is not {reason:?}");
     }
+}
+
+#[test]
+fn the_line_of_a_wrong_value_is_shown_with_marks_below_it() {
+    for (text, excerpt) in [
+        (format!("{USUAL}threads = 1025  # all\n"), "  7 | threads = 1025  # all\n    |           ^^^^"),
+        (format!("{USUAL}[tls]\n\tca\t= 7\ncert = \"a\""), "  8 | \tca\t= 7\n    | \t  \t  ^"),
+        (USUAL.replace("\"s\"", "\"ż b\""), "  2 | site = \"ż b\"\n    |        ^^^^^"),
+        (format!("{USUAL}steps 7"), "  7 | steps 7\n"),
+    ] {
+        let error = refused(&text);
+        assert!(error.contains(excerpt), "{error}\n is not\n{excerpt}");
+    }
+}
+
+#[test]
+fn memory_is_written_as_on_command_lines() {
+    for (line, bytes) in [
+        ("memory = \"300MiB\"", 300 << 20),
+        ("memory = 314_572_800", 300 << 20),
+        ("memory_bytes = 314572800", 300 << 20),
+        ("memory_bytes = \"0.3 GB\"", 300_000_000),
+    ] {
+        let config = AgentConfig::from_toml(&format!("{USUAL}{line}\n")).unwrap();
+        assert_eq!(config.memory_bytes, Some(bytes), "{line}");
+    }
+    let twice = refused(&format!("{USUAL}memory = 1\nmemory_bytes = 1\n"));
+    assert!(twice.contains("duplicate field `memory`"), "{twice}");
 }
 
 #[test]

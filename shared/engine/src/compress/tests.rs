@@ -85,11 +85,11 @@ fn a_model_whose_cameras_show_nothing_leaves_its_ground_to_others() {
     assert_eq!(with((0..4).map(|i| above(50.0 + f64::from(i), 0.0, 100.0)).collect()), [1.0, 0.0]);
 }
 
-/// Flat ground with this share of the splats at `x` above 0.
+/// Flat ground of which only every n-th splat at `x` above 0 is there.
 fn thinned(every: usize) -> Splats {
     let all = ground();
-    let is_left = |i: &u32| all.means[*i as usize][0] > 0.0 && *i as usize % every != 0;
-    all.without(&(0..all.len() as u32).filter(is_left).collect::<Vec<_>>())
+    let is_gone = |i: &u32| all.means[*i as usize][0] > 0.0 && !(*i as usize).is_multiple_of(every);
+    all.without(&(0..all.len() as u32).filter(is_gone).collect::<Vec<_>>())
 }
 
 #[test]

@@ -18,7 +18,7 @@ use super::timestamps::{PassTime, Timestamps};
 #[non_exhaustive]
 pub enum GpuError {
     /// No adapter of the requested kind, or no driver for it.
-    #[error("no GPU with a Vulkan, Metal or DirectX 12 driver was found; use --device cpu")]
+    #[error("no GPU with a Vulkan, Metal or DirectX 12 driver was found; use --compute cpu")]
     None,
     /// No adapter has this index.
     #[error("there is no GPU {index}, only {count} (see the command `devices`)")]
@@ -29,7 +29,7 @@ pub enum GpuError {
         count: usize,
     },
     /// The driver refused to open the adapter.
-    #[error("{name} cannot be used: {reason}; use --device cpu")]
+    #[error("{name} cannot be used: {reason}; use --compute cpu")]
     Refused {
         /// Name of the adapter.
         name: String,
@@ -51,7 +51,7 @@ pub enum GpuError {
         name: String,
     },
     /// The device was lost while it computed.
-    #[error("{0}; run again, with --device cpu if this happens twice")]
+    #[error("{0}; run again, with --compute cpu if this happens twice")]
     Lost(String),
     /// The adapter's memory is full.
     #[error("{name} has too little memory; use fewer splats or smaller pictures")]
