@@ -222,14 +222,20 @@ fn a_training_resumes_with_its_cell_without_the_aggregator() {
     let before = choice(&running.log());
     drop(running);
     drop(station);
-    fs::File::create(drone.join("cosurf-agent.log")).unwrap().flush().unwrap();
-    let running = agent(&drone);
-    while !running.log().contains("\"started\"") {
-        assert!(begun.elapsed() < PATIENCE, "{}", running.log());
-        sleep(Duration::from_millis(20));
-    }
-    assert!(before.0 == ChosenBy::Cell && choice(&running.log()) == before);
-    assert!(!running.log().contains("\"resumed_at\":0"), "{}", running.log());
+    let started = |words: &[&str]| {
+        fs::File::create(drone.join("cosurf-agent.log")).unwrap().flush().unwrap();
+        let running = Running::start("cosurf-agent", &drone, words);
+        while !running.log().contains("\"started\"") {
+            assert!(begun.elapsed() < PATIENCE, "{}", running.log());
+            sleep(Duration::from_millis(20));
+        }
+        running.log()
+    };
+    let resumed = started(&["run", "--json"]);
+    assert!(before.0 == ChosenBy::Cell && choice(&resumed) == before);
+    assert!(!resumed.contains("\"resumed_at\":0"), "{resumed}");
+    let fresh = started(&["run", "--json", "--fresh"]);
+    assert!(fresh.contains("\"resumed_at\":0") && choice(&fresh) != before, "nothing counts: {fresh}");
 }
 
 #[test]
