@@ -48,12 +48,23 @@ impl<'a> Observed<'a> {
     ) -> Result<Self, MergeError> {
         let _span = info_span!("observe").entered();
         let locals = surveyed.locals;
-        let (mut records, mut models, mut slope_m) = (scratch.records()?, Vec::new(), None);
+        let (mut seen, mut places, mut pixels_m) = (scratch.records()?, Vec::new(), Vec::new());
         for i in 0..locals.count() {
             let Model { splats, cameras } = locals.load(i)?;
             let Computer { device, threads } = computer;
-            let observations = Observations::of(&splats, &cameras, slope_m, device, *threads)?;
-            slope_m = slope_m.or(observations.slope_m());
+            let observations = Observations::of(&splats, &cameras, device, *threads)?;
+            pixels_m.extend(observations.pixel_m());
+            places.push(seen.put(&observations)?);
+        }
+        // The median, so that no single model decides over all.
+        pixels_m.sort_unstable_by(f64::total_cmp);
+        let pixel_m = pixels_m.get(pixels_m.len() / 2);
+        let (mut records, mut models) = (scratch.records()?, Vec::new());
+        for (i, place) in places.into_iter().enumerate() {
+            let mut observations: Observations = seen.get(place)?;
+            if let Some(pixel_m) = pixel_m {
+                observations.measure(&locals.load(i)?.splats, *pixel_m);
+            }
             models.push(Its {
                 record: records.put(&observations)?,
                 weight: locals.weight(i),

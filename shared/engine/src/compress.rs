@@ -84,8 +84,11 @@ impl Observers {
         device: &Device,
         threads: usize,
     ) -> Result<(), DeviceError> {
-        let slope_m = self.slopes.as_ref().map(Slopes::side);
-        self.add_observed(Observations::of(splats, cameras, slope_m, device, threads)?, weight);
+        let mut observations = Observations::of(splats, cameras, device, threads)?;
+        if let Some(pixel_m) = self.slopes.as_ref().map(Slopes::pixel_m).or(observations.pixel_m()) {
+            observations.measure(splats, pixel_m);
+        }
+        self.add_observed(observations, weight);
         for own in 0..self.each.len() {
             let proven = self.proven(own);
             self.note_proven(own, &proven);
@@ -95,8 +98,8 @@ impl Observers {
         Ok(())
     }
 
-    /// Adds the observations of the next model, as [`Self::add`] does. All models must have cubes of the same side. The
-    /// caller must then decide which cameras are believed: [`Self::believe`].
+    /// Adds the observations of the next model, as [`Self::add`] does. All models must be measured with the same width of
+    /// a pixel. The caller must then decide which cameras are believed: [`Self::believe`].
     pub fn add_observed(&mut self, observations: Observations, weight: f64) {
         let (observer, slopes) = Observer::of(observations, weight);
         match (&mut self.slopes, slopes) {

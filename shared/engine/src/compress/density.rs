@@ -36,12 +36,12 @@ pub struct Density {
 }
 
 impl Counts {
-    /// The sums of a model. `side` is the side of a cube, world units, above 0.
-    pub(super) fn of(splats: &Splats, side: f64) -> Self {
+    /// The sums of a model's `counted` splats. `side` is the side of a cube, world units, above 0.
+    pub(super) fn of(splats: &Splats, counted: impl Iterator<Item = usize>, side: f64) -> Self {
         let mut cubes = HashMap::new();
-        for (mean, logit) in splats.means.iter().zip(&splats.opacity_logits) {
-            let opacity = 1.0 / (1.0 + f64::from(-logit).exp());
-            let mean = DVec3::from_array(mean.map(f64::from));
+        for i in counted {
+            let opacity = 1.0 / (1.0 + f64::from(-splats.opacity_logits[i]).exp());
+            let mean = DVec3::from_array(splats.means[i].map(f64::from));
             *cubes.entry(cube(mean, side)).or_insert(0) += (OPAQUE * opacity).round() as u64;
         }
         Self { side, cubes }
@@ -51,7 +51,7 @@ impl Counts {
 impl Density {
     /// The density of a model whose pictures have pixels of this width on the ground, world units, above 0.
     pub fn of(splats: &Splats, pixel_m: f64) -> Self {
-        Self::from(&Counts::of(splats, SLOPES_PX * pixel_m))
+        Self::from(&Counts::of(splats, 0..splats.len(), SLOPES_PX * pixel_m))
     }
 
     /// The density around `place`, as a multiple of the usual one.
@@ -102,11 +102,15 @@ mod tests {
         splats
     }
 
+    fn of_all(splats: &Splats) -> Density {
+        Density::from(&Counts::of(splats, 0..splats.len(), 1.0))
+    }
+
     #[test]
     fn density_is_a_multiple_of_what_is_usual_in_the_model() {
         let mut splats = square(0.0, 40);
         splats.extend(&square(20.0, 10));
-        let density = Density::from(&Counts::of(&splats, 1.0));
+        let density = of_all(&splats);
         let at = |x: f64| density.at(DVec3::new(x, 5.0, 0.0));
         assert!((at(5.0) - 1.0).abs() < 0.1, "{}", at(5.0));
         assert!((at(25.0) - 1.0 / 16.0).abs() < 0.02, "{}", at(25.0));
@@ -119,7 +123,7 @@ mod tests {
         let mut faint = square(20.0, 40);
         faint.opacity_logits.fill(-9.0);
         splats.extend(&faint);
-        assert_eq!(Density::from(&Counts::of(&splats, 1.0)).at(DVec3::new(25.0, 5.0, 0.0)), 0.0);
-        assert_eq!(Density::from(&Counts::of(&Splats::default(), 1.0)).at(DVec3::ZERO), 0.0);
+        assert_eq!(of_all(&splats).at(DVec3::new(25.0, 5.0, 0.0)), 0.0);
+        assert_eq!(of_all(&Splats::default()).at(DVec3::ZERO), 0.0);
     }
 }

@@ -48,9 +48,9 @@ impl Slopes {
         slopes
     }
 
-    /// Side of a cube, world units.
-    pub(super) fn side(&self) -> f64 {
-        self.side
+    /// Width of a pixel on the ground, world units, that belongs to the cubes.
+    pub(super) fn pixel_m(&self) -> f64 {
+        self.side / SLOPES_PX
     }
 
     /// Adds the slopes of another model, with cubes of the same side.

@@ -110,6 +110,19 @@ fn a_model_with_few_splats_leaves_its_ground_to_others() {
     assert!(thin > 200 && all < 500, "{thin} of {all} lie where it has few splats");
 }
 
+#[test]
+fn splats_that_no_camera_sees_do_not_make_a_model_dense() {
+    let mut heaped = thinned(3);
+    let visible = heaped.len();
+    (0..4).for_each(|_| level(&mut heaped, 3.0, -2.0));
+    let models = [(heaped, cameras(4, 105.0), 1.0), (ground(), cameras(4, 100.0), 1.0)];
+    let observers = known(&models);
+    let lost = Compression::plan(&models[0].0, 0, &observers).removed;
+    let thin =
+        lost.iter().filter(|i| (**i as usize) < visible && models[0].0.means[**i as usize][0] > 1.0).count();
+    assert!(thin > 50, "{thin} splats of the thin half are lost");
+}
+
 /// A model of half of the ground that claims the cameras over the other half too.
 #[test]
 fn a_model_with_claimed_cameras_leaves_its_own_ground_to_others() {
