@@ -329,15 +329,15 @@ mod tests {
     }
 
     #[test]
-    fn a_wrong_value_is_one_line_that_names_file_line_and_field() {
+    fn an_error_names_file_line_and_field_and_shows_the_line() {
         for (line, reason) in [
             ("bind = \"localhost:1883\"", "line 3, bind: \"localhost:1883\": write an IP address and a port"),
             ("bind = 1883", "line 3, bind: "),
             ("broker = \"http://h\"", "line 3, broker: broker address \"http://h\": write mqtt://host:port"),
             ("device = \"a b\"", "line 3, device: ' ' in a name"),
             ("tls = { cart = \"c\" }", "line 3, tls: unknown field `cart`"),
-            ("broker_memory_bytes = 1_000_000", "line 3, broker_memory_bytes: give at least 16 MiB"),
-            ("broker_memory = \"1MB\"", "line 3, broker_memory: give at least 16 MiB"),
+            ("broker_memory_bytes = 1_000_000", "line 3, broker_memory_bytes: give at least 16.0 MiB"),
+            ("broker_memory = \"1MB\"", "line 3, broker_memory: give at least 16.0 MiB"),
             ("merge_memory = \"all\"", "line 3, merge_memory: 'all' is not an amount of memory"),
             ("compute = \"cuda\"", "line 3, compute: give auto, cpu, gpu or gpu:N"),
             (

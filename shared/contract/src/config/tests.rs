@@ -1,4 +1,4 @@
-//! Tests that files written by earlier versions stay valid, and that a wrong value is refused with one clear line.
+//! Tests that files written by earlier versions stay valid, and that a wrong value is refused with its line.
 #![allow(clippy::unwrap_used)]
 
 use super::*;
@@ -104,7 +104,7 @@ fn a_serial_port_takes_the_place_of_a_broker() {
 }
 
 #[test]
-fn a_wrong_value_is_one_line_that_names_line_and_field() {
+fn an_error_names_line_and_field_and_shows_the_line() {
     for (line, reason) in [
         ("device = \"a b\"", "line 1, device: ' ' in a name: use only A-Z a-z 0-9 _ -"),
         ("device = \"global\"", "line 1, device: the name `global` is reserved for the aggregator's models"),
