@@ -12,13 +12,12 @@
 //! Every place has at most one owner, whatever the order of compression, and the owner keeps all of its splats there.
 //! Where a second model keeps its splats too, distillation finds the best of both.
 
+mod cells;
 mod density;
 mod observer;
 mod slopes;
 #[cfg(test)]
 mod tests;
-
-use std::collections::BTreeMap;
 
 use cosurf_scene::{Camera, Splats};
 use glam::DVec3;
@@ -26,10 +25,12 @@ use rayon::prelude::*;
 use tracing::info_span;
 
 use crate::device::{Device, DeviceError};
-pub use density::Density;
+use cells::cells;
 use observer::{Near, Observer, median, shown_mostly};
 use slopes::Slopes;
 
+pub use cells::longest_side;
+pub use density::Density;
 pub use observer::{Observations, PROVEN_MIN, Reach};
 
 /// Cosine of the largest angle, 30°, between the lines of sight of two cameras that see a point alike.
@@ -53,8 +54,6 @@ const BETTER_MIN_ANNOUNCED: f64 = 1.08;
 const SHOWN_SHARE_MIN: f64 = 0.5;
 /// Largest number of models that keep their splats of a place.
 const KEEPERS_MAX: usize = 2;
-/// Number of cells into which a model is divided along its longest side.
-const CELLS_ACROSS: f64 = 32.0;
 
 /// What the cameras of all models observed.
 #[derive(Clone, Debug, Default)]
@@ -287,29 +286,6 @@ fn judged(cell: &[u32], splats: &Splats, own: usize, observers: &Observers) -> (
         }
     }
     (shared, lost)
-}
-
-/// Divides the splats by place. Only the cameras that may see a cell are asked about its splats.
-fn cells(splats: &Splats) -> Vec<Vec<u32>> {
-    let side = longest_side(splats) / CELLS_ACROSS;
-    let mut cells: BTreeMap<[i64; 3], Vec<u32>> = BTreeMap::new();
-    for (i, mean) in splats.means.iter().enumerate() {
-        cells.entry(mean.map(|x| (f64::from(x) / side).floor() as i64)).or_default().push(i as u32);
-    }
-    cells.into_values().collect()
-}
-
-/// Length of the model along the world axis along which it is longest, world units; 1 if all splats lie in one place. A
-/// tenth of the splats, those farthest out along the axis, are left out: a few splats may lie far away.
-pub fn longest_side(splats: &Splats) -> f64 {
-    let across = |axis: usize| {
-        let mut at: Vec<f32> = splats.means.iter().map(|mean| mean[axis]).collect();
-        at.sort_unstable_by(f32::total_cmp);
-        let twentieths = |n: usize| at.get(at.len() * n / 20).copied().unwrap_or_default();
-        f64::from(twentieths(19) - twentieths(1))
-    };
-    let longest = (0..3).map(across).fold(0.0, f64::max);
-    if longest > 0.0 { longest } else { 1.0 }
 }
 
 /// Whether `other` sees a point from a similar direction and distance as `camera`. `camera` itself may look elsewhere.

@@ -5,7 +5,7 @@ use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::cells;
+use super::cells::cells;
 use super::density::{Counts, Density};
 use super::slopes::{SLOPES_PX, Slopes};
 use crate::device::{Device, DeviceError};
