@@ -286,7 +286,7 @@ fn read(path: &Path) -> Result<Option<String>, SceneError> {
 }
 
 fn write(path: &Path, text: &str) -> Result<(), SceneError> {
-    atomic::write(path, |file| file.write_all(text.as_bytes()))
+    atomic::write_bytes(path, text.as_bytes())
 }
 
 /// Writes a new file that only the current user may read.

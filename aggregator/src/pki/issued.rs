@@ -1,7 +1,7 @@
 //! The list of all certificates and signing keys that a site has issued to participants.
 
 use std::fs;
-use std::io::{self, Write};
+use std::io;
 use std::path::Path;
 
 use cosurf_scene::{SceneError, atomic};
@@ -58,7 +58,7 @@ impl Issued {
     pub(super) fn write(&self, folder: &Path) -> Result<(), SceneError> {
         let path = folder.join(FILE);
         let text = toml::to_string(self).map_err(|error| SceneError::io(&path, io::Error::other(error)))?;
-        atomic::write(&path, |file| file.write_all(text.as_bytes()))
+        atomic::write_bytes(&path, text.as_bytes())
     }
 
     pub(super) fn add(&mut self, record: Record) {

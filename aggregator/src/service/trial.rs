@@ -115,7 +115,7 @@ impl Trials {
         let path = self.folder.join(SUSPECTS);
         let text = serde_json::to_vec_pretty(&self.record).map_err(std::io::Error::other);
         let text = text.map_err(|cause| SceneError::io(&path, cause))?;
-        atomic::write(&path, |file| file.write_all(&text))
+        atomic::write_bytes(&path, &text)
     }
 }
 

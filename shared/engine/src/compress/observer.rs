@@ -19,8 +19,8 @@ const BEHIND: f32 = 1.05;
 /// A camera looks through a place that is less deep than all surface around it by this factor.
 const BEFORE: f32 = 0.85;
 /// A camera is not believed if its model's splats, where it looks, are on average less than this many times as dense as
-/// those of the densest model there. Of the cameras of honest missions, one in a hundred lies below it (0.49), and nine in
-/// ten above 0.75. If a model claims the cameras of all four others, three in ten lie below.
+/// those of the densest model there. Of the cameras of honest missions, one in a hundred is below this limit (the lowest has
+/// 0.49), and nine in ten have more than 0.75. Of a model that claims the cameras of all four others, three in ten are below.
 pub const PROVEN_MIN: f64 = 0.6;
 /// A camera sees places up to this factor beyond the largest depth in its picture: [`BEHIND`], and some room for
 /// rounding.
@@ -154,7 +154,7 @@ pub(super) struct Observer {
     weight: f64,
     /// Share of the cameras that are believed, 0..=1.
     believed: f64,
-    /// `None` if the model is not known, or if none of its cameras sees ground.
+    /// `None` if the model is not known, or if it was not measured.
     density: Option<Density>,
 }
 
