@@ -24,6 +24,7 @@
 //! [`frames`], [`links`] and [`adjust`], which move models to where they fit; [`part`] for uploads that broke off.
 
 mod adjust;
+mod claims;
 mod consensus;
 mod copies;
 mod doubt;
@@ -46,6 +47,7 @@ pub(crate) mod tests;
 mod tone;
 mod workspace;
 
+use cosurf_engine::Trust;
 use cosurf_link::Model;
 use cosurf_scene::{Camera, evenly_spaced};
 use tracing::info_span;
@@ -83,9 +85,9 @@ pub struct Admitted<'a> {
 pub struct Place {
     /// Index of the model among all models that were judged.
     pub local: usize,
-    /// Factor on the worth of the model's observations, 0..=1: below 1 if the model differs from the others far more
+    /// How far the model's observations are believed. The weight is below 1 if the model differs from the others far more
     /// than they differ from each other.
-    pub weight: f64,
+    pub trust: Trust,
     /// Factor on the sides of the model's pictures, 0..=1: below 1 if the model shows less detail than pictures of the
     /// claimed size and distance do in other models. Its cameras are made so much smaller.
     pub size: f64,
@@ -129,8 +131,8 @@ impl Locals for Admitted<'_> {
         self.locals.is_compressed(self.places[index].local)
     }
 
-    fn weight(&self, index: usize) -> f64 {
-        self.places[index].weight
+    fn trust(&self, index: usize) -> Trust {
+        self.places[index].trust
     }
 }
 
@@ -214,7 +216,7 @@ fn admit_originals<'a>(
     };
     let place = |local: usize| Place {
         local,
-        weight: 1.0,
+        trust: Trust::FULL,
         size: 1.0,
         is_verified: true,
         void: 0.0,
@@ -229,8 +231,8 @@ fn admit_originals<'a>(
     let accepted =
         |local: &usize| judged[*local].doubt.is_none() && (frames.vouched || judged[*local].is_verified);
     let place = |local: usize| {
-        let Judged { weight, size, is_verified, void, .. } = judged[local];
-        Place { weight, size, is_verified, void, ..place(local) }
+        let Judged { trust, size, is_verified, void, .. } = judged[local];
+        Place { trust, size, is_verified, void, ..place(local) }
     };
     admitted.places = (0..count).filter(accepted).map(place).collect();
     let unverified = |local: usize| {

@@ -188,15 +188,15 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
     let unit = folders.frame.unit();
     for (place, local) in merged.summary.locals.iter().enumerate() {
         let LocalSummary { arrived, overlap, removed, unproven } = local;
-        let Place { local, weight, size, is_verified, void, by, tone } = admitted.place(place);
+        let Place { local, trust, size, is_verified, void, by, tone } = admitted.place(place);
         let (folder, percent) = (&names[local], 100.0 * overlap);
         let (arrived, removed) = (counted(*arrived, "splat"), counted(*removed, "splat"));
         let moved = by
             .map(|by| format!(", moved by {:.2} m to where it fits", by.distance_m * unit))
             .unwrap_or_default();
         let toned = tone.map(|tone| format!(", {tone}")).unwrap_or_default();
-        let weight = if weight < 1.0 {
-            format!(", counts {:.0} % because it differs from the others", 100.0 * weight)
+        let weight = if trust.weight < 1.0 {
+            format!(", counts {:.0} % because it differs from the others", 100.0 * trust.weight)
         } else {
             String::new()
         };

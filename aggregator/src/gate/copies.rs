@@ -1,5 +1,6 @@
 //! Keeps copies of a model out, before models are compared: several copies would outvote the others.
 
+use cosurf_engine::Trust;
 use cosurf_link::Model;
 
 use super::doubt::Doubt;
@@ -69,8 +70,8 @@ impl Locals for Kept<'_> {
         self.locals.is_compressed(self.indices[index])
     }
 
-    fn weight(&self, index: usize) -> f64 {
-        self.locals.weight(self.indices[index])
+    fn trust(&self, index: usize) -> Trust {
+        self.locals.trust(self.indices[index])
     }
 }
 

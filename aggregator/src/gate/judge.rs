@@ -3,18 +3,19 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use cosurf_engine::Renderer;
 use cosurf_engine::compress::{Density, shown_min};
+use cosurf_engine::{Renderer, Trust};
 use cosurf_link::Model;
-use cosurf_scene::{Camera, Frustum, SceneError, Watchers, evenly_spaced};
+use cosurf_scene::{Camera, SceneError, Watchers, evenly_spaced};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
+use super::claims::Claims;
 use super::doubt::Doubt;
 use super::frames::groups;
 use super::glimpse::{Glimpse, VIEWS, median};
 use super::quality::{Detail, Differences, Standard};
-use super::sharpness::{Fine, Sharpness, are_wide_enough};
+use super::sharpness::{Fine, Granted, Sharpness, Told, are_wide_enough, window};
 use super::tone::{Pairs, contrast};
 use crate::merge::cameras::{middle, radius};
 use crate::merge::scratch::{Record, Records};
@@ -40,6 +41,8 @@ const WITNESS_SHARE_MIN: f64 = 0.8;
 const DENSE_MIN: f64 = 0.8;
 /// In fewer pixels, the error is not measured.
 const DENSE_PX_MIN: usize = 64;
+/// Largest number of places in a view at which the models say how finely they saw it.
+const PLACES_MAX: usize = 32;
 /// Two models contradict each other only if at least this many views contradict, and more views contradict than
 /// confirm.
 const CONTRADICTIONS_MIN: u32 = 2;
@@ -55,8 +58,8 @@ pub(super) struct Judgement {
 /// What the gate thinks of a model.
 pub(super) struct Judged {
     pub(super) doubt: Option<Doubt>,
-    /// Factor on the worth of the model's observations, 0..=1.
-    pub(super) weight: f64,
+    /// How far the model's observations are believed.
+    pub(super) trust: Trust,
     /// Factor on the sides of the model's pictures, 0..=1: below 1 if they show less detail than they claim.
     pub(super) size: f64,
     /// Whether the model belongs to the largest group of models that share ground with each other.
@@ -96,12 +99,11 @@ pub(super) fn judge(
     })?;
     let (doubts, standards) = relations.verdict(&shown);
     let verified = relations.verified(linked, &shown, &doubts);
-    let pixels: Vec<Option<f64>> = shown.iter().map(|its| its.pixel_m).collect();
-    let sizes = relations.sizes(&pixels, &doubts, &witnesses(&shown));
+    let granted = relations.granted(&doubts, &witnesses(&shown));
     let judged = doubts.into_iter().enumerate().map(|(i, doubt)| Judged {
         doubt,
-        weight: standards[i].weight(),
-        size: sizes[i],
+        trust: Trust { weight: standards[i].weight(), pixels_max: granted[i].pixels_max },
+        size: granted[i].size,
         is_verified: verified[i],
         void: shown[i].void(),
         is_blind: shown[i].cameras.is_empty(),
@@ -117,8 +119,6 @@ struct Shown {
     sh_max: f32,
     /// Views from some of these cameras, in a file.
     views: Vec<ViewRecord>,
-    /// Width of a pixel on the ground, world units: the median of all views. `None` if none shows ground.
-    pixel_m: Option<f64>,
     /// Share of the model's splats that none of its own cameras sees, 0..=1; 0 for a model without cameras.
     unseen: f64,
     /// Share of each view that shows a surface, 0..=1; none for a model that was pruned before upload.
@@ -154,21 +154,20 @@ impl View {
     }
 
     /// How the model of `renderer` compares with the model `other`, of which this is a view, at the `shared` pixels of
-    /// the glimpse. Of these, both models lie densely at the `dense` ones. `pixels_m` has the width of a pixel on the
-    /// ground, of the view's model and of the other one.
+    /// the glimpse. Of these, both models lie densely at the `dense` ones. `claims` has what the cameras of the model of
+    /// `renderer` and those of the other one claim.
     fn compared(
         &self,
         other: usize,
         renderer: &mut Renderer,
         [shared, dense]: [&[usize]; 2],
         is_compressed: bool,
-        pixels_m: [Option<f64>; 2],
+        claims: [&Claims; 2],
     ) -> Compared {
         let Self { camera, glimpse, detail, fine } = self;
         let shown = Glimpse::of(renderer, camera, is_compressed);
         let is_confirmed = glimpse.is_confirmed_by(&shown, shared, is_compressed);
-        let mut compared =
-            Compared { other, is_confirmed, difference: None, colors: Vec::new(), log_ratio: None };
+        let mut compared = Compared { other, is_confirmed, difference: None, colors: Vec::new(), told: None };
         if !is_compressed && let (Some(detail), Some(fine)) = (detail, fine) {
             compared.colors = glimpse.colors_with(&shown, shared).collect();
             // Another camera's contrast is neither an error nor a lack of detail.
@@ -177,12 +176,25 @@ impl View {
                 let own = Detail::of(renderer, camera).times(contrast);
                 compared.difference = own.difference(detail, dense, glimpse.size_px());
             }
-            if are_wide_enough(pixels_m) {
-                let log_ratio = Fine::of(renderer, camera).log_ratio(fine);
-                compared.log_ratio = log_ratio.map(|log_ratio| log_ratio + 2.0 * contrast.ln());
-            }
+            compared.told = self.claimed(shared, claims).and_then(|claimed| {
+                let log_ratio = Fine::of(renderer, camera).log_ratio(fine)? + 2.0 * contrast.ln();
+                Some(Told { log_ratio, claimed })
+            });
         }
         compared
+    }
+
+    /// Number of pixels on a square of one world unit that the cameras of two models claim in the part of the view where
+    /// their finest detail is compared. `None` if the view does not tell whether the first claim is right.
+    fn claimed(&self, shared: &[usize], [its, of_other]: [&Claims; 2]) -> Option<[f64; 2]> {
+        let window = window(&self.camera);
+        let places = shared.iter().map(|i| self.glimpse.point(*i)).filter(|place| window.sees(*place));
+        let places: Vec<DVec3> = places.collect();
+        let step = places.len().div_ceil(PLACES_MAX).max(1);
+        let places: Vec<DVec3> = places.into_iter().step_by(step).collect();
+        let of_view = Claims::new(&[self.camera]).pixels(&places)?;
+        let claimed = [its.pixels(&places)?, of_other.pixels(&places)?];
+        are_wide_enough([of_view, claimed[0]]).then_some(claimed)
     }
 }
 
@@ -207,24 +219,13 @@ impl Shown {
                 .extend(glimpse.median_depth().map(|depth| depth / camera.focal_px.element_product().sqrt()));
             views.push(View { camera: *camera, glimpse, detail, fine });
         }
-        let pixel_m = (!pixels.is_empty()).then(|| median(&mut pixels));
-        let density = pixel_m.map(|pixel_m| Density::of(&splats, pixel_m));
+        let density = (!pixels.is_empty()).then(|| Density::of(&splats, median(&mut pixels)));
         let middle = middle(&cameras);
         let radius = radius(&cameras, middle);
         let is_empty = splats.is_empty();
         let sh_max = splats.sh.iter().fold(0.0, |most: f32, value| most.max(value.abs()));
-        let shown = Self {
-            cameras,
-            is_empty,
-            sh_max,
-            views: Vec::new(),
-            pixel_m,
-            unseen,
-            solid,
-            density,
-            middle,
-            radius,
-        };
+        let shown =
+            Self { cameras, is_empty, sh_max, views: Vec::new(), unseen, solid, density, middle, radius };
         (shown, views)
     }
 
@@ -283,8 +284,8 @@ struct Compared {
     difference: Option<f64>,
     /// Colours of the surface that both show: those of the other model, then those of this model.
     colors: Vec<[[f32; 3]; 2]>,
-    /// How much finer the detail of the model is.
-    log_ratio: Option<f64>,
+    /// How much finer the detail of the model is, and what both claim.
+    told: Option<Told>,
 }
 
 /// Compares model `judged` with the pictures of all other models, wherever its cameras see the same ground.
@@ -296,11 +297,12 @@ fn compare(
     records: &Records,
 ) -> Result<Vec<Compared>, MergeError> {
     let cameras = &shown[judged].cameras;
-    let frusta: Vec<Frustum> = cameras.iter().map(Frustum::new).collect();
-    let is_near = |view: &&ViewRecord| frusta.iter().any(|its| its.touches(view.ball.0, view.ball.1));
+    let claims = Claims::new(cameras);
+    let is_near = |view: &&ViewRecord| claims.touches(view.ball.0, view.ball.1);
     let is_compressed = locals.is_compressed(judged);
     let (mut renderer, mut found) = (None, Vec::new());
     for (other, its) in shown.iter().enumerate().filter(|(other, _)| *other != judged) {
+        let of_other = Claims::new(&its.cameras);
         for view in its.views.iter().filter(is_near) {
             let view: View = records.get(view.record)?;
             let Some(shared) = view.glimpse.shared_with(cameras) else { continue };
@@ -308,13 +310,13 @@ fn compare(
                 Some(renderer) => renderer,
                 none => none.insert(Renderer::new(&locals.load(judged)?.splats, threads)),
             };
-            let pixels_m = [its.pixel_m, shown[judged].pixel_m];
             let is_dense = |i: &usize| {
                 let place = view.glimpse.point(*i);
                 its.is_dense(place) && shown[judged].is_dense(place)
             };
             let dense: Vec<usize> = shared.iter().copied().filter(is_dense).collect();
-            found.push(view.compared(other, renderer, [&shared, &dense], is_compressed, pixels_m));
+            let claims = [&claims, &of_other];
+            found.push(view.compared(other, renderer, [&shared, &dense], is_compressed, claims));
         }
     }
     Ok(found)
@@ -355,19 +357,20 @@ impl Relations {
 
     /// Notes how model `judged` compares with another one in a view.
     fn note_view(&mut self, judged: usize, compared: Compared) {
-        let Compared { other, is_confirmed, difference, colors, log_ratio } = compared;
+        let Compared { other, is_confirmed, difference, colors, told } = compared;
         is_confirmed.into_iter().for_each(|is_confirmed| self.note(judged, other, is_confirmed, 1));
         difference.into_iter().for_each(|found| self.differences.note(judged, other, found));
         self.colors.note(other, judged, colors.into_iter());
-        log_ratio.into_iter().for_each(|found| self.sharpness.note(judged, other, found));
+        told.into_iter().for_each(|told| self.sharpness.note(judged, other, told));
     }
 
-    /// For each model, the factor on the sides of its pictures. The sizes of witnesses are found without the others.
-    fn sizes(&self, pixels: &[Option<f64>], doubts: &[Option<Doubt>], witnesses: &[bool]) -> Vec<f64> {
-        let of_all = self.sharpness.sizes(pixels, |i| doubts[i].is_none());
-        let of_witnesses = self.sharpness.sizes(pixels, |i| doubts[i].is_none() && witnesses[i]);
+    /// What is granted to each model. For witnesses, it is found without the others.
+    fn granted(&self, doubts: &[Option<Doubt>], witnesses: &[bool]) -> Vec<Granted> {
+        let count = witnesses.len();
+        let of_all = self.sharpness.granted(count, |i| doubts[i].is_none());
+        let of_witnesses = self.sharpness.granted(count, |i| doubts[i].is_none() && witnesses[i]);
         let chosen = |i: usize| if witnesses[i] { of_witnesses[i] } else { of_all[i] };
-        (0..witnesses.len()).map(chosen).collect()
+        (0..count).map(chosen).collect()
     }
 
     /// The doubt about each model, and how well each shows the ground that it shares with others. A model that is far
@@ -455,7 +458,6 @@ mod tests {
             is_empty: false,
             sh_max: 2.0,
             views: Vec::new(),
-            pixel_m: None,
             unseen: 0.0,
             solid: vec![1.0; 8],
             density: None,
@@ -492,12 +494,14 @@ mod tests {
     fn cameras_that_look_elsewhere_make_only_their_own_model_small() {
         let mut models = [shown(9), shown(9)];
         models[1].solid = vec![1.0, 0.4, 1.0, 0.3, 0.9, 0.4, 1.0, 1.0];
-        let mut relations = Relations::default();
-        (0..8).for_each(|_| relations.sharpness.note(0, 1, 0.0));
         let seen = witnesses(&models);
         assert_eq!(seen, [true, false]);
-        let with = |claimed: f64, witnesses: &[bool]| {
-            relations.sizes(&[Some(0.1), Some(claimed)], &[None, None], witnesses)
+        let with = |pixel_m: f64, witnesses: &[bool]| {
+            let mut relations = Relations::default();
+            let told = Told { log_ratio: 0.0, claimed: [100.0, pixel_m.powi(-2)] };
+            (0..8).for_each(|_| relations.sharpness.note(0, 1, told));
+            let granted = relations.granted(&[None, None], witnesses);
+            granted.into_iter().map(|its| its.size).collect::<Vec<f64>>()
         };
         assert!(with(0.4, &[true; 2])[0] < 0.6, "as a witness, it makes the honest model small");
         assert_eq!(with(0.4, &seen)[0], 1.0);

@@ -2,13 +2,11 @@
 //! cameras than it had must show finer detail where other models show the same ground. Otherwise its cameras count as
 //! what they show: they become smaller.
 //!
-//! Two models are rendered from one camera, with pixels half as wide as the camera's own. Only cameras of the model
-//! that claims wider pixels tell: where pixels are so fine that neither model has detail, any two models agree.
-//! Compared is the energy of the finest detail. Models of rendered Boruszyn trained on pictures of 240 px agree within
+//! Two models are rendered from one camera, with pixels half as wide as the camera's own. Only cameras with pixels as wide
+//! as those that the model claims there tell: where pixels are so fine that neither model has detail, any two models
+//! agree. Compared is the energy of the finest detail. Models of rendered Boruszyn trained on pictures of 240 px agree within
 //! 6 %; the same ground at 160 px has 1.5 times less. That is the square root of the ratio of pixels on the ground, and
 //! it is the same at 320 px.
-
-use std::collections::BTreeMap;
 
 use cosurf_engine::Renderer;
 use cosurf_scene::Camera;
@@ -23,7 +21,7 @@ use super::similarity::solve;
 const WINDOW_PX: [u32; 2] = [320, 240];
 /// Pixels are this many times finer than the camera's own.
 const FINER: f64 = 2.0;
-/// The pixels of the compared views are at least this many times as wide as those that the other model claims. With 0.9,
+/// The pixels of the compared views are at least this many times as wide as those that the model claims there. With 0.9,
 /// models of the same pictures are often compared in the views of only one of them, and their excess spreads from 0.67 to
 /// 1.29 instead of 0.86 to 1.07.
 const WIDTH_MIN: f64 = 0.8;
@@ -36,10 +34,10 @@ const FAIR_TIMES: f64 = 1.5;
 /// Weight with which an excess is drawn to 0, beside one compared picture.
 const SMALL_WEIGHT: f64 = 0.01;
 
-/// Whether views with pixels of the first width on the ground tell how fine the detail of a model is that claims pixels of
-/// the second width.
-pub(super) fn are_wide_enough([of_views, claimed]: [Option<f64>; 2]) -> bool {
-    matches!((of_views, claimed), (Some(of_views), Some(claimed)) if of_views >= WIDTH_MIN * claimed)
+/// Whether a view with the first number of pixels on a square of one world unit tells how fine the detail of a model is
+/// that claims the second number there.
+pub(super) fn are_wide_enough([of_view, claimed]: [f64; 2]) -> bool {
+    of_view * WIDTH_MIN * WIDTH_MIN <= claimed
 }
 
 /// The middle of a camera's picture with fine pixels.
@@ -88,7 +86,7 @@ impl Fine {
 }
 
 /// The camera of the compared part of a picture.
-fn window(camera: &Camera) -> Camera {
+pub(super) fn window(camera: &Camera) -> Camera {
     let size = DVec2::from(camera.size_px.map(f64::from));
     let window = DVec2::from(WINDOW_PX.map(f64::from));
     // The middle of the picture stays in the middle.
@@ -96,54 +94,80 @@ fn window(camera: &Camera) -> Camera {
     Camera { focal_px: FINER * camera.focal_px, center_px, size_px: WINDOW_PX, ..*camera }
 }
 
-/// How much finer the detail of a model is than that of another, lower index first: the sum of the logarithms of the
-/// ratios of energies, and the number of compared pictures.
+/// What a picture tells of two models.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Told {
+    /// Logarithm of the ratio of the energies of the finest detail, of the one model to the other.
+    pub(super) log_ratio: f64,
+    /// Number of pixels on a square of one world unit that the one model and the other one claim there.
+    pub(super) claimed: [f64; 2],
+}
+
+/// What is left of the claims of a model.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Granted {
+    /// Factor on the sides of the model's pictures with which these are as large as its detail suggests; 1 if the model
+    /// claims no more than others do.
+    pub(super) size: f64,
+    /// Most pixels on a square of one world unit that were checked, and some more; all claims beyond count as so many.
+    /// The model's pictures have the right size already.
+    pub(super) pixels_max: f64,
+}
+
+/// What all pictures tell.
 #[derive(Default)]
-pub(super) struct Sharpness(BTreeMap<[usize; 2], (f64, f64)>);
+pub(super) struct Sharpness(Vec<Compared>);
+
+/// Two models in a picture.
+struct Compared {
+    models: [usize; 2],
+    /// Logarithm of claimed to shown pixels, the first model to the second.
+    excess: f64,
+    /// Number of pixels on a square of one world unit that each claims.
+    claimed: [f64; 2],
+}
 
 impl Sharpness {
-    /// Notes the logarithm of the ratio of energies, of the model `one` to the model `other`.
-    pub(super) fn note(&mut self, one: usize, other: usize, log_ratio: f64) {
-        let (pair, log_ratio) =
-            if one < other { ([one, other], log_ratio) } else { ([other, one], -log_ratio) };
-        let (sum, count) = self.0.entry(pair).or_default();
-        *sum += log_ratio;
-        *count += 1.0;
+    /// Notes what a picture tells of the model `one` beside the model `other`.
+    pub(super) fn note(&mut self, one: usize, other: usize, Told { log_ratio, claimed }: Told) {
+        let excess = (claimed[0] / claimed[1]).ln() - 2.0 * log_ratio;
+        self.0.push(Compared { models: [one, other], excess, claimed });
     }
 
-    /// For each model, the factor on the sides of its pictures with which these are as large as its detail suggests; 1
-    /// if the model claims no more than others do. `pixels` has the width of a pixel on the ground that each model
-    /// claims, world units. Only models that are `sound` count.
-    pub(super) fn sizes(&self, pixels: &[Option<f64>], sound: impl Fn(usize) -> bool) -> Vec<f64> {
-        let count = pixels.len();
+    /// What is granted to each of `count` models. Only models that are `sound` count.
+    pub(super) fn granted(&self, count: usize, sound: impl Fn(usize) -> bool) -> Vec<Granted> {
         // The excess of a model: logarithm of claimed to shown pixels on the same ground.
         let mut matrix = vec![vec![0.0; count]; count];
         let mut right = vec![vec![0.0]; count];
-        let mut compared = Vec::new();
         (0..count).for_each(|i| matrix[i][i] = SMALL_WEIGHT);
-        for (&[one, other], (sum, pictures)) in &self.0 {
-            let [Some(a), Some(b)] = [pixels[one], pixels[other]] else { continue };
-            if !sound(one) || !sound(other) {
-                continue;
-            }
-            let excess = pictures * 2.0 * (b / a).ln() - 2.0 * sum;
-            for (i, j, excess) in [(one, other, excess), (other, one, -excess)] {
-                matrix[i][i] += pictures;
-                matrix[i][j] -= pictures;
+        let compared = || self.0.iter().filter(|its| its.models.into_iter().all(&sound));
+        for Compared { models: [one, other], excess, .. } in compared() {
+            for (i, j, excess) in [(*one, *other, *excess), (*other, *one, -excess)] {
+                matrix[i][i] += 1.0;
+                matrix[i][j] -= 1.0;
                 right[i][0] += excess;
             }
-            compared.push([one, other]);
         }
         let excess: Vec<f64> = solve(matrix, right).into_iter().map(|row| row[0]).collect();
         // Only models that were compared, directly or by way of others, tell what is usual.
-        let groups = groups(compared.iter().copied(), count);
-        let size = |i: usize| {
+        let groups = groups(compared().map(|its| its.models), count);
+        let granted = |i: usize| {
             let mut others: Vec<f64> =
                 (0..count).filter(|j| groups[*j] == groups[i] && *j != i).map(|j| excess[j]).collect();
-            let above = if others.is_empty() { 0.0 } else { excess[i] - median(&mut others) };
-            if above > FAIR_TIMES.ln() { (-0.5 * above).exp() } else { 1.0 }
+            let usual = if others.is_empty() { excess[i] } else { median(&mut others) };
+            let above = excess[i] - usual;
+            let size = if above > FAIR_TIMES.ln() { (-0.5 * above).exp() } else { 1.0 };
+            // In each picture: what the model claims there, as far as the picture shows it.
+            let checked = compared().filter_map(|its| {
+                let side = its.models.iter().position(|model| *model == i)?;
+                let other = excess[its.models[1 - side]];
+                let above = if side == 0 { its.excess + other } else { other - its.excess } - usual;
+                Some(its.claimed[side] * (size * size).min((-above).exp()))
+            });
+            let pixels_max = checked.fold(0.0, f64::max) * FAIR_TIMES;
+            Granted { size, pixels_max: if pixels_max > 0.0 { pixels_max } else { f64::INFINITY } }
         };
-        (0..count).map(size).collect()
+        (0..count).map(granted).collect()
     }
 }
 
@@ -152,14 +176,24 @@ mod tests {
     use super::*;
 
     /// Models with these widths of a pixel, claimed and true, all of which were compared with each other.
-    fn sizes(models: &[[f64; 2]]) -> Vec<f64> {
+    fn granted(models: &[[f64; 2]]) -> Vec<Granted> {
         let mut sharpness = Sharpness::default();
-        for (i, [_, one]) in models.iter().enumerate() {
-            for (j, [_, other]) in models.iter().enumerate().skip(i + 1) {
-                (0..4).for_each(|_| sharpness.note(j, i, (one / other).ln()));
+        for (i, one) in models.iter().enumerate() {
+            for (j, other) in models.iter().enumerate().skip(i + 1) {
+                (0..4).for_each(|_| sharpness.note(j, i, told(*other, *one)));
             }
         }
-        sharpness.sizes(&models.iter().map(|[claimed, _]| Some(*claimed)).collect::<Vec<_>>(), |_| true)
+        sharpness.granted(models.len(), |_| true)
+    }
+
+    /// What a picture tells of two models with these widths of a pixel, claimed and true.
+    fn told(one: [f64; 2], other: [f64; 2]) -> Told {
+        let claimed = [one, other].map(|[claimed, _]| claimed.powi(-2));
+        Told { log_ratio: (other[1] / one[1]).ln(), claimed }
+    }
+
+    fn sizes(models: &[[f64; 2]]) -> Vec<f64> {
+        granted(models).into_iter().map(|its| its.size).collect()
     }
 
     #[test]
@@ -181,20 +215,43 @@ mod tests {
     }
 
     #[test]
+    fn only_what_was_checked_counts() {
+        let honest = |its: &Granted, pixel: f64| {
+            let times = its.pixels_max * pixel * pixel;
+            assert!((1.0..2.0).contains(&times), "{its:?}, {times} times");
+        };
+        let all = granted(&[[0.5, 0.5], [0.75, 0.75], [0.1, 0.1], [0.5, 0.5]]);
+        [0.5, 0.75, 0.1, 0.5].into_iter().enumerate().for_each(|(i, pixel)| honest(&all[i], pixel));
+        honest(&granted(&[[0.5, 0.5], [0.5, 0.5], [0.1, 0.5]])[2], 0.5);
+        assert_eq!(granted(&[[0.5, 0.5]])[0].pixels_max, f64::INFINITY, "compared with no other");
+        // A model whose claims hold in most pictures, beside two others: once it claims more than it shows, and once it
+        // shows what it claims.
+        for (shown, pixel) in [(0.5, 0.5), (0.1, 0.1)] {
+            let mut sharpness = Sharpness::default();
+            for other in [0, 1] {
+                (0..4).for_each(|_| sharpness.note(2, other, told([0.5, 0.5], [0.5, 0.5])));
+                sharpness.note(2, other, told([0.1, shown], [0.5, 0.5]));
+            }
+            (0..4).for_each(|_| sharpness.note(1, 0, told([0.5, 0.5], [0.5, 0.5])));
+            let its = sharpness.granted(3, |_| true)[2];
+            let times = its.pixels_max * pixel * pixel;
+            assert!((1.0..3.0).contains(&times), "{its:?}, {times} times");
+        }
+    }
+
+    #[test]
     fn only_views_of_wide_pixels_tell_how_fine_the_detail_is() {
-        let are_wide_enough = |of_views, claimed| are_wide_enough([of_views, claimed]);
-        assert!(are_wide_enough(Some(0.5), Some(0.5)) && are_wide_enough(Some(0.5), Some(0.1)));
-        assert!(!are_wide_enough(Some(0.1), Some(0.5)));
-        assert!(!are_wide_enough(None, Some(0.5)) && !are_wide_enough(Some(0.5), None));
+        assert!(are_wide_enough([4.0, 4.0]) && are_wide_enough([4.0, 100.0]));
+        assert!(!are_wide_enough([100.0, 4.0]));
     }
 
     #[test]
     fn models_that_are_not_sound_do_not_count() {
         let mut sharpness = Sharpness::default();
-        sharpness.note(0, 1, -3.0);
-        assert_eq!(sharpness.sizes(&[Some(0.5); 2], |i| i == 0), [1.0; 2]);
-        assert_eq!(sharpness.sizes(&[Some(0.5), None], |_| true), [1.0; 2]);
-        assert!(sharpness.sizes(&[Some(0.5); 2], |_| true)[0] < 0.3);
+        sharpness.note(0, 1, Told { log_ratio: -3.0, claimed: [4.0; 2] });
+        let none = Granted { size: 1.0, pixels_max: f64::INFINITY };
+        assert_eq!(sharpness.granted(2, |i| i == 0), [none; 2]);
+        assert!(sharpness.granted(2, |_| true)[0].size < 0.3);
     }
 
     #[test]

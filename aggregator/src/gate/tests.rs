@@ -142,7 +142,7 @@ fn a_worse_model_counts_less() {
     let locals = InMemory(speckled_flights(1.2));
     let admitted = admit(&locals, UNMOVED, workspace(&temp_dir()), &|| false).unwrap();
     assert_eq!(admitted.count(), 4, "{:?}", admitted.doubts());
-    let weights: Vec<f64> = (0..4).map(|i| admitted.place(i).weight).collect();
+    let weights: Vec<f64> = (0..4).map(|i| admitted.place(i).trust.weight).collect();
     assert!(weights[1] < 0.5 && [0, 2, 3].iter().all(|i| weights[*i] == 1.0), "{weights:?}");
 }
 

@@ -1,5 +1,6 @@
 //! The local models to merge, wherever they are stored.
 
+use cosurf_engine::Trust;
 use cosurf_link::Model;
 use cosurf_scene::Camera;
 
@@ -19,10 +20,10 @@ pub trait Locals: Sync {
         false
     }
 
-    /// What the observations of a model count beside those of others, 0..=1.
-    fn weight(&self, index: usize) -> f64 {
+    /// How far the observations of a model are believed.
+    fn trust(&self, index: usize) -> Trust {
         let _ = index;
-        1.0
+        Trust::FULL
     }
 }
 

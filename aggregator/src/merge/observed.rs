@@ -2,7 +2,7 @@
 //! that may see it are read, so the memory does not grow with the site.
 
 use cosurf_engine::compress::{PROVEN_MIN, shown_min};
-use cosurf_engine::{Observations, Observers, Reach};
+use cosurf_engine::{Observations, Observers, Reach, Trust};
 use cosurf_link::Model;
 use cosurf_scene::{Camera, Frustum};
 use glam::DVec3;
@@ -29,7 +29,7 @@ pub(super) struct Observed<'a> {
 #[derive(Debug)]
 struct Its {
     record: Record,
-    weight: f64,
+    trust: Trust,
     reaches: Vec<Reach>,
     shown: Vec<f64>,
     are_new: Vec<bool>,
@@ -67,7 +67,7 @@ impl<'a> Observed<'a> {
             }
             models.push(Its {
                 record: records.put(&observations)?,
-                weight: locals.weight(i),
+                trust: locals.trust(i),
                 reaches: observations.reaches(),
                 shown: observations.shown(),
                 are_new: observations.are_new(),
@@ -139,7 +139,7 @@ impl<'a> Observed<'a> {
         });
         let mut observers = Observers::default();
         for (at, local) in locals.into_iter().enumerate() {
-            observers.add_observed(self.load(local)?, self.models[local].weight);
+            observers.add_observed(self.load(local)?, self.models[local].trust);
             observers.note_proven(at, &self.models[local].proven);
         }
         observers.believe(self.shown_min);

@@ -146,7 +146,7 @@ pub struct Fitted {
     /// Change of the model's colours that matches them to those of the others; `None` if they were not changed.
     pub tone: Option<Tone>,
     /// What the model's observations count, 0..=1, if it differs from the others far more than they do; see
-    /// [`Place::weight`]. `None` if they count fully.
+    /// [`Place::trust`]. `None` if they count fully.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub weight: Option<f64>,
     /// Factor on the sides of the model's pictures, 0..=1, if these show less detail than they claim; see
@@ -169,7 +169,8 @@ fn is_false(value: &bool) -> bool {
 impl Fitted {
     /// `None` if there is nothing to tell. `frame` is that of the place.
     pub fn of(device: &str, place: Place, frame: &LocalFrame) -> Option<Self> {
-        let Place { by, tone, weight, size, is_verified, void, .. } = place;
+        let Place { by, tone, trust, size, is_verified, void, .. } = place;
+        let weight = trust.weight;
         let fitted = Self {
             device: device.to_string(),
             by: by.map(|by| by.by.world_from_frame(frame)),

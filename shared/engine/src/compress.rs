@@ -55,6 +55,20 @@ const SHOWN_SHARE_MIN: f64 = 0.5;
 /// Largest number of models that keep their splats of a place.
 const KEEPERS_MAX: usize = 2;
 
+/// How far the observations of a model are believed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Trust {
+    /// Factor on what every observation is worth, 0..=1.
+    pub weight: f64,
+    /// Number of pixels on a square of one world unit, above 0. A camera that claims more counts as if it had so many.
+    pub pixels_max: f64,
+}
+
+impl Trust {
+    /// All is believed.
+    pub const FULL: Self = Self { weight: 1.0, pixels_max: f64::INFINITY };
+}
+
 /// What the cameras of all models observed.
 #[derive(Clone, Debug, Default)]
 pub struct Observers {
@@ -73,13 +87,12 @@ impl Observers {
     }
 
     /// Adds the next model. Its `splats` show what is hidden from its `cameras`, and from where the ground is seen from
-    /// the side. What its observations are worth is multiplied by `weight`, 0..=1. The CPU uses `threads` threads, at
-    /// least 1.
+    /// the side. The CPU uses `threads` threads, at least 1.
     pub fn add(
         &mut self,
         splats: &Splats,
         cameras: &[Camera],
-        weight: f64,
+        trust: Trust,
         device: &Device,
         threads: usize,
     ) -> Result<(), DeviceError> {
@@ -87,7 +100,7 @@ impl Observers {
         if let Some(pixel_m) = self.slopes.as_ref().map(Slopes::pixel_m).or(observations.pixel_m()) {
             observations.measure(splats, pixel_m);
         }
-        self.add_observed(observations, weight);
+        self.add_observed(observations, trust);
         for own in 0..self.each.len() {
             let proven = self.proven(own);
             self.note_proven(own, &proven);
@@ -99,8 +112,8 @@ impl Observers {
 
     /// Adds the observations of the next model, as [`Self::add`] does. All models must be measured with the same width of
     /// a pixel. The caller must then decide which cameras are believed: [`Self::believe`].
-    pub fn add_observed(&mut self, observations: Observations, weight: f64) {
-        let (observer, slopes) = Observer::of(observations, weight);
+    pub fn add_observed(&mut self, observations: Observations, trust: Trust) {
+        let (observer, slopes) = Observer::of(observations, trust);
         match (&mut self.slopes, slopes) {
             (Some(all), Some(its)) => all.add(&its),
             (all @ None, its) => *all = its,

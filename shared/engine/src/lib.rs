@@ -36,7 +36,7 @@ pub use backend::{Backend, Rendering};
 pub use base::base_of;
 pub use budget::{Budget, Capacity};
 pub use cache::RenderingCache;
-pub use compress::{Compression, Observations, Observers, Reach};
+pub use compress::{Compression, Observations, Observers, Reach, Trust};
 pub use cpu::CpuBackend;
 pub use device::{Device, DeviceChoice, DeviceError, DeviceLost};
 pub use distill::{DistillSettings, Distiller, Lesson, StudentRates};

@@ -1,6 +1,6 @@
 //! Compares merging on a graphics card with merging on the CPU. A software driver may stand in for the card.
 
-use cosurf_engine::DeviceError;
+use cosurf_engine::{DeviceError, Trust};
 
 use super::*;
 
@@ -79,7 +79,7 @@ fn a_card_removes_the_same_splats() {
         let mut observers = Observers::default();
         for Model { splats, cameras } in &models {
             let cameras = &cameras[..cameras.len().min(cameras_max)];
-            observers.add(splats, cameras, 1.0, device, 2).unwrap();
+            observers.add(splats, cameras, Trust::FULL, device, 2).unwrap();
         }
         observers
     };

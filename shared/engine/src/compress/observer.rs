@@ -5,6 +5,7 @@ use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use super::Trust;
 use super::cells::cells;
 use super::density::{Counts, Density};
 use super::slopes::{SLOPES_PX, Slopes};
@@ -150,8 +151,7 @@ impl Reach {
 #[derive(Clone, Debug)]
 pub(super) struct Observer {
     sights: Vec<Sight>,
-    /// Factor on the worth of every observation.
-    weight: f64,
+    trust: Trust,
     /// Share of the cameras that are believed, 0..=1.
     believed: f64,
     /// `None` if the model is not known, or if it was not measured.
@@ -192,9 +192,9 @@ pub(super) struct Near<'a> {
     sights: Vec<&'a Sight>,
     /// Cameras with the place in their pictures, but farther away than all that they see.
     beyond: Vec<&'a Sight>,
-    weight: f64,
+    trust: Trust,
     density: Option<&'a Density>,
-    /// True to judge by the cameras alone: nothing is hidden from them, and `weight` is 1.
+    /// True to judge by the cameras alone: nothing is hidden from them, and all is believed.
     sees_through: bool,
 }
 
@@ -204,17 +204,17 @@ impl Observer {
         let counts = are_new(cameras, |_| 0.0);
         let sight = |(camera, counts)| Sight::new(camera, None, counts);
         let sights = cameras.iter().zip(counts).map(sight).collect();
-        Self { sights, weight: 1.0, believed: 1.0, density: None }
+        Self { sights, trust: Trust::FULL, believed: 1.0, density: None }
     }
 
     /// The observations of the cameras of a model. Also returns the slopes of its ground.
-    pub(super) fn of(observations: Observations, weight: f64) -> (Self, Option<Slopes>) {
+    pub(super) fn of(observations: Observations, trust: Trust) -> (Self, Option<Slopes>) {
         let are_new = observations.are_new();
         let Observations { cameras, surfaces, measured } = observations;
         let sight = |((camera, surface), is_new)| Sight::new(camera, Some(surface), is_new);
         let sights = cameras.iter().zip(surfaces).zip(are_new).map(sight).collect();
         let density = measured.as_ref().map(|measured| Density::from(&measured.counts));
-        (Self { sights, weight, believed: 1.0, density }, measured.map(|measured| measured.slopes))
+        (Self { sights, trust, believed: 1.0, density }, measured.map(|measured| measured.slopes))
     }
 
     /// The cameras with what they see. Copies of cameras count too.
@@ -222,7 +222,7 @@ impl Observer {
         let sight = |(camera, surface): (&Camera, &Surface)| Sight::new(camera, Some(surface.clone()), true);
         Self {
             sights: cameras.iter().zip(surfaces).map(sight).collect(),
-            weight: 1.0,
+            trust: Trust::FULL,
             believed: 1.0,
             density: None,
         }
@@ -249,7 +249,7 @@ impl Observer {
     }
 
     /// Those cameras that may see some point within `radius` of `center`. With `sees_through`, they are judged by
-    /// themselves: all are believed, nothing is hidden from them, and they have the weight 1.
+    /// themselves: all is believed, and nothing is hidden from them.
     pub(super) fn near(&self, center: DVec3, radius: f64, sees_through: bool) -> Near<'_> {
         let counts = |sight: &Sight| sight.counts && (sees_through || sight.is_believed);
         let reaches =
@@ -257,9 +257,11 @@ impl Observer {
         let looks_there = |sight: &&Sight| counts(sight) && sight.frustum.touches(center, radius);
         let (sights, beyond) =
             self.sights.iter().filter(looks_there).partition(|sight: &&Sight| reaches(sight));
-        let weight = if sees_through { 1.0 } else { self.weight * self.believed.powi(2) };
+        let Trust { weight, pixels_max } = self.trust;
+        let trust = Trust { weight: weight * self.believed.powi(2), pixels_max };
+        let trust = if sees_through { Trust::FULL } else { trust };
         let density = self.density.as_ref().filter(|_| !sees_through);
-        Near { sights, beyond, weight, density, sees_through }
+        Near { sights, beyond, trust, density, sees_through }
     }
 
     /// Share of each camera's picture that shows a surface, 0..=1; 0 if the model is not known.
@@ -315,10 +317,10 @@ impl Near<'_> {
             let ray = place - sight.eye;
             seers += 1;
             let foreshortening = slope.map_or(1.0, |slope| slope.foreshortening(ray));
-            let pixels = sight.focal2_px / ray.length_squared() * foreshortening;
+            let pixels = (sight.focal2_px / ray.length_squared()).min(self.trust.pixels_max) * foreshortening;
             sum += pixels * pixels;
         }
-        (seers, self.weight * sum)
+        (seers, self.trust.weight * sum)
     }
 }
 

@@ -46,7 +46,8 @@ fn announced(flights: &[Vec<Camera>]) -> Observers {
 fn known(models: &[(Splats, Vec<Camera>, f64)]) -> Observers {
     let mut observers = Observers::default();
     for (splats, cameras, weight) in models {
-        observers.add(splats, cameras, *weight, &Device::Cpu, 1).expect("the CPU never fails");
+        let trust = Trust { weight: *weight, ..Trust::FULL };
+        observers.add(splats, cameras, trust, &Device::Cpu, 1).expect("the CPU never fails");
     }
     observers
 }
