@@ -57,9 +57,8 @@ impl Ways {
 
 /// Merge models that agents trained; needs no photographs.
 ///
-/// Where models overlap, keeps only the splats of the model that observed that area best, and of a second one that
-/// observed it almost as well (Local Model Compression). Then trains the joined splats to match what each model renders
-/// from its own cameras (Model Aggregation Scheme).
+/// Where models overlap, keeps only the splats of the model that observed that area best (Local Model Compression). Then
+/// trains the joined splats to match what each model renders from its own cameras (Model Aggregation Scheme).
 #[derive(Args)]
 pub(crate) struct MergeArgs {
     /// Output folders of agents or merges, each with cameras.json and either model.ply or global.ply. Where nothing

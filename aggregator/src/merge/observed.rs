@@ -56,14 +56,12 @@ impl<'a> Observed<'a> {
             pixels_m.extend(observations.pixel_m());
             places.push(seen.put(&observations)?);
         }
-        // The median, so that no single model decides over all.
-        pixels_m.sort_unstable_by(f64::total_cmp);
-        let pixel_m = pixels_m.get(pixels_m.len() / 2);
+        let pixel_m = usual(pixels_m);
         let (mut records, mut models) = (scratch.records()?, Vec::new());
         for (i, place) in places.into_iter().enumerate() {
             let mut observations: Observations = seen.get(place)?;
             if let Some(pixel_m) = pixel_m {
-                observations.measure(&locals.load(i)?.splats, *pixel_m);
+                observations.measure(&locals.load(i)?.splats, pixel_m);
             }
             models.push(Its {
                 record: records.put(&observations)?,
@@ -164,5 +162,27 @@ impl<'a> Observed<'a> {
             reaches.iter().fold(none, |(low, high), its| (low.min(its.low), high.max(its.high)));
         let around = || self.around(own, 0.5 * (low + high), 0.5 * low.distance(high));
         (!reaches.is_empty()).then(around).transpose()
+    }
+}
+
+/// The width of a pixel on the ground with which all models are measured: the median of theirs, so that no model decides for
+/// the others. When the first one did, hidden cameras with a focal length of 1e12 cost rendered Boruszyn 7.5 dB.
+fn usual(mut pixels_m: Vec<f64>) -> Option<f64> {
+    pixels_m.sort_unstable_by(f64::total_cmp);
+    pixels_m.get(pixels_m.len() / 2).copied()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::usual;
+
+    #[test]
+    fn no_model_decides_alone_in_what_all_are_measured() {
+        for absurd in [1e-12, 1e12] {
+            let widths =
+                [[absurd, 0.5, 0.6], [0.5, 0.6, absurd], [0.6, absurd, 0.5]].map(|of| usual(of.to_vec()));
+            assert!(widths.iter().all(|width| [Some(0.5), Some(0.6)].contains(width)), "{widths:?}");
+        }
+        assert_eq!(usual(Vec::new()), None);
     }
 }

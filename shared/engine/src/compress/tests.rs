@@ -44,10 +44,16 @@ fn announced(flights: &[Vec<Camera>]) -> Observers {
 
 /// Observers that know the models, each with its weight.
 fn known(models: &[(Splats, Vec<Camera>, f64)]) -> Observers {
+    let trusts: Vec<Trust> =
+        models.iter().map(|(.., weight)| Trust { weight: *weight, ..Trust::FULL }).collect();
+    trusted(models, &trusts)
+}
+
+/// Observers that know the models and believe them so far.
+fn trusted(models: &[(Splats, Vec<Camera>, f64)], trusts: &[Trust]) -> Observers {
     let mut observers = Observers::default();
-    for (splats, cameras, weight) in models {
-        let trust = Trust { weight: *weight, ..Trust::FULL };
-        observers.add(splats, cameras, trust, &Device::Cpu, 1).expect("the CPU never fails");
+    for ((splats, cameras, _), trust) in models.iter().zip(trusts) {
+        observers.add(splats, cameras, *trust, &Device::Cpu, 1).expect("the CPU never fails");
     }
     observers
 }
@@ -74,6 +80,16 @@ fn a_model_with_a_low_weight_leaves_its_ground_to_others() {
     };
     assert_eq!(with(1.0), [0.0, 1.0]);
     assert_eq!(with(0.5), [1.0, 0.0]);
+}
+
+#[test]
+fn finer_pixels_than_were_checked_do_not_count() {
+    let models = [400.0, 100.0].map(|focal_px| (ground(), cameras(4, focal_px), 1.0));
+    // All cameras are 10 m away, so 100 px are 100 pixels on a square metre.
+    let with = |pixels_max| lost(&trusted(&models, &[Trust { pixels_max, ..Trust::FULL }, Trust::FULL]));
+    assert_eq!(with(f64::INFINITY), [0.0, 1.0]);
+    assert_eq!(with(110.0), [0.0, 1.0]);
+    assert_eq!(with(60.0), [1.0, 0.0]);
 }
 
 #[test]
@@ -112,16 +128,27 @@ fn a_model_with_few_splats_leaves_its_ground_to_others() {
 }
 
 #[test]
-fn splats_that_no_camera_sees_do_not_make_a_model_dense() {
-    let mut heaped = thinned(3);
-    let visible = heaped.len();
-    (0..4).for_each(|_| level(&mut heaped, 3.0, -2.0));
-    let models = [(heaped, cameras(4, 105.0), 1.0), (ground(), cameras(4, 100.0), 1.0)];
-    let observers = known(&models);
-    let lost = Compression::plan(&models[0].0, 0, &observers).removed;
-    let thin =
-        lost.iter().filter(|i| (**i as usize) < visible && models[0].0.means[**i as usize][0] > 1.0).count();
-    assert!(thin > 50, "{thin} splats of the thin half are lost");
+fn splats_below_the_ground_prove_nothing() {
+    // Four cameras look down, and one looks below the edge of the ground.
+    let cam_from_world = Pose::look_at(DVec3::new(-10.0, 0.0, 3.0), DVec3::new(0.0, 0.0, 0.0), DVec3::Z);
+    let flat = Camera { cam_from_world, ..above(0.0, 0.0, 100.0) };
+    let cameras = [cameras(4, 100.0), vec![flat]].concat();
+    let proving = |depth: f32| {
+        let mut heaped = ground();
+        let visible = heaped.len();
+        level(&mut heaped, 2.0, -depth);
+        let observations = Observations::of(&heaped, &cameras, &Device::Cpu, 1).expect("the CPU never fails");
+        let proving = observations.proving(&heaped);
+        let of_ground = proving.iter().filter(|i| **i < visible).count();
+        [
+            of_ground as f64 / visible as f64,
+            (proving.len() - of_ground) as f64 / (heaped.len() - visible) as f64,
+        ]
+    };
+    for depth in [2.0, 0.4] {
+        let [of_ground, of_heap] = proving(depth);
+        assert!(of_ground > 0.98 && of_heap < 0.05, "{of_ground} and {of_heap} with splats {depth} m deep");
+    }
 }
 
 /// A model of half of the ground that claims the cameras over the other half too.
@@ -182,18 +209,6 @@ fn a_pose_counts_once() {
     assert_eq!(lost(&announced(&[resized, cameras(2, 50.0)])), [1.0, 0.0]);
 }
 
-#[test]
-fn ground_that_two_models_observed_almost_as_well_stays_with_both() {
-    // What observations are worth is the fourth power of the focal length.
-    let models = |ratio: f64| [cameras(4, 100.0 * ratio.powf(0.25)), cameras(4, 100.0)];
-    let known = |ratio| lost(&known(&models(ratio).map(|cameras| (ground(), cameras, 1.0))));
-    assert_eq!(known(BETTER_MIN - 0.01), [0.0, 0.0]);
-    assert_eq!(known(BETTER_MIN + 0.01), [0.0, 1.0]);
-    let announced = |ratio| lost(&announced(&models(ratio)));
-    assert_eq!(announced(BETTER_MIN_ANNOUNCED - 0.01), [0.0, 0.0]);
-    assert_eq!(announced(BETTER_MIN_ANNOUNCED + 0.01), [0.0, 1.0]);
-}
-
 /// The models that keep their ground, of models whose cameras have these focal lengths.
 fn keepers(focals_px: &[f64]) -> Vec<usize> {
     let models: Vec<_> = focals_px.iter().map(|focal_px| (ground(), cameras(4, *focal_px), 1.0)).collect();
@@ -203,16 +218,16 @@ fn keepers(focals_px: &[f64]) -> Vec<usize> {
 }
 
 #[test]
-fn of_many_models_two_keep_their_ground() {
+fn of_many_models_one_keeps_its_ground() {
     assert_eq!(keepers(&[100.0]), [0]);
-    assert_eq!(keepers(&[100.0, 101.0]), [0, 1]);
-    assert_eq!(keepers(&[100.0, 102.0, 99.0, 101.0, 98.0]), [1, 3]);
+    assert_eq!(keepers(&[100.0, 101.0]), [1]);
+    assert_eq!(keepers(&[100.0, 102.0, 99.0, 101.0, 98.0]), [1]);
 }
 
 #[test]
 fn of_equal_observations_the_first_models_ground_is_kept() {
     assert_eq!(keepers(&[100.0; 2]), [0]);
-    assert_eq!(keepers(&[100.0, 99.0, 99.0]), [0, 1]);
+    assert_eq!(keepers(&[99.0, 100.0, 100.0]), [1]);
 }
 
 #[test]
@@ -258,6 +273,27 @@ fn splats_that_the_surface_hides_from_all_cameras_are_lost() {
     assert_eq!(Compression::plan(&model, 0, &beside).removed, hidden);
     let by_cameras_alone = announced(&[cameras(4, 100.0)]);
     assert!(Compression::plan(&model, 0, &by_cameras_alone).removed.is_empty());
+}
+
+#[test]
+fn splats_outside_the_models_pictures_are_lost_where_others_see_a_surface_above_them() {
+    let away = |mut splats: Splats, z: f32| {
+        splats.means.iter_mut().for_each(|mean| *mean = [mean[0] + 30.0, mean[1], mean[2] + z]);
+        splats
+    };
+    let over_away = || (0..4).map(|i| above(30.0 + 0.2 * f64::from(i), 0.0, 90.0)).collect();
+    let other = (away(ground(), 0.0), over_away(), 1.0);
+    let lost = |z: f32, others: &[(Splats, Vec<Camera>, f64)]| {
+        let mut model = ground();
+        let (own, mut small) = (model.len(), Splats::with_capacity(0, 0));
+        level(&mut small, 0.4, z);
+        model.extend(&away(small, 0.0));
+        let models = [&[(model.clone(), cameras(4, 100.0), 1.0)], others].concat();
+        let removed = Compression::plan(&model, 0, &known(&models)).removed;
+        removed.iter().filter(|i| **i as usize >= own).count()
+    };
+    assert_eq!(lost(-4.0, std::slice::from_ref(&other)), 16);
+    assert_eq!(lost(-4.0, &[]), 0, "nobody looks there");
 }
 
 /// In mid-air, each before a single camera of another model, which can own nothing.
