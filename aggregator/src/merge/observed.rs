@@ -39,8 +39,9 @@ struct Its {
 
 impl<'a> Observed<'a> {
     /// Renders what the cameras of all models see. Devices that prune their models before upload judge by the cameras
-    /// alone. If any model was pruned, the aggregator uses the same rule, so that it assigns no place to a model that
-    /// has already dropped it.
+    /// alone. If most models were pruned, the aggregator uses the same rule, so that it assigns no place to a model that
+    /// has already dropped it. Otherwise, the splats tell what each model has observed: no single device decides that all
+    /// claims are believed.
     pub(super) fn of(
         surveyed: &'a Surveyed,
         computer: &Computer,
@@ -73,7 +74,8 @@ impl<'a> Observed<'a> {
             });
         }
         let shown_min = shown_min(models.iter().map(|its| its.shown.as_slice()));
-        let as_announced = (0..locals.count()).any(|i| locals.is_compressed(i));
+        let compressed = (0..locals.count()).filter(|i| locals.is_compressed(*i)).count();
+        let as_announced = 2 * compressed > locals.count();
         let mut observed = Self { cameras: &surveyed.cameras, records, models, shown_min, as_announced };
         for local in 0..locals.count() {
             if let Some((observers, place)) = observed.around_all_it_sees(local)? {

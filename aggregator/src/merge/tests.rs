@@ -249,8 +249,8 @@ fn shared_ground_has_one_owner_and_stays_covered() {
     }
 }
 
-/// Local models that were pruned before upload. The flag says whether the merge is told that they were pruned.
-struct Pruned(InMemory, bool);
+/// Local models. The merge is told that the first so many were pruned before upload.
+struct Pruned(InMemory, usize);
 
 impl Locals for Pruned {
     fn count(&self) -> usize {
@@ -261,8 +261,8 @@ impl Locals for Pruned {
         self.0.load(index)
     }
 
-    fn is_compressed(&self, _: usize) -> bool {
-        self.1
+    fn is_compressed(&self, index: usize) -> bool {
+        index < self.1
     }
 }
 
@@ -279,10 +279,32 @@ fn a_model_pruned_before_upload_does_not_teach_black() {
     let pruned = InMemory(pruned.collect());
     let merged = |is_told| {
         let settings = MergeSettings { epochs: 10, device: DeviceChoice::Cpu, ..MergeSettings::default() };
-        run(&Pruned(pruned.clone(), is_told), &settings, 1)
+        run(&Pruned(pruned.clone(), if is_told { 2 } else { 0 }), &settings, 1)
     };
     let (told, untold) = (merged(true), merged(false));
     assert_eq!((told.summary.steps, told.summary.splats), (0, told.summary.joined));
     let [told, untold] = [told, untold].map(|merged| quality(&merged.model.splats));
     assert!(told > untold + 1.0, "{told:.2} dB if the merge knows of the pruning, {untold:.2} dB if not");
+}
+
+/// A model with few splats that claims large pictures, and says that it was pruned.
+#[test]
+fn one_model_that_says_it_was_pruned_does_not_make_all_claims_believed() {
+    let [west, east] = overlapping().try_into().unwrap();
+    let mut liar = west.clone();
+    let is_thin = |i: &u32| !i.is_multiple_of(9);
+    liar.splats = liar.splats.without(&(0..liar.splats.len() as u32).filter(is_thin).collect::<Vec<_>>());
+    liar.cameras
+        .iter_mut()
+        .for_each(|camera| *camera = camera.resized(camera.size_px.map(|side| side * 3 / 2)));
+    let settings = MergeSettings { epochs: 0, device: DeviceChoice::Cpu, ..MergeSettings::default() };
+    let taken = |pruned| {
+        let locals = InMemory(vec![liar.clone(), west.clone(), east.clone()]);
+        let LocalSummary { arrived, removed, .. } =
+            run(&Pruned(locals, pruned), &settings, 1).summary.locals[1];
+        removed as f64 / arrived as f64
+    };
+    let (none, one, most) = (taken(0), taken(1), taken(2));
+    assert!(one == none && none < 0.6, "{one} and {none} of an honest model are lost");
+    assert!(most > none + 0.1, "{most} is lost where only cameras count, {none} elsewhere");
 }
