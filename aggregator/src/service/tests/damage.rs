@@ -11,7 +11,7 @@ use super::*;
 /// Time in which a service opens its folder. It takes milliseconds; one that waits for a FIFO never does.
 const OPENS_IN: Duration = Duration::from_secs(20);
 
-type Damage = (&'static str, fn(&Path));
+pub(super) type Damage = (&'static str, fn(&Path));
 
 const DAMAGES: [Damage; 6] = [
     ("cut", |path| {
@@ -166,7 +166,7 @@ fn a_list_of_withdrawn_models_that_cannot_be_read_stops_the_start_with_the_remed
 }
 
 /// As [`DAMAGES`], and a bit that is flipped, a file that is deleted, one with the content of another, and a stray one.
-const SWEPT: [Damage; 7] = [
+pub(super) const SWEPT: [Damage; 7] = [
     ("bit", |path| {
         let mut bytes = fs::read(path).unwrap();
         let middle = bytes.len() / 2;
@@ -193,7 +193,7 @@ const SWEPT: [Damage; 7] = [
 ];
 
 /// The files of a folder, relative to `root`, in an order that depends on nothing but their names.
-fn list_files(root: &Path, folder: &Path, files: &mut Vec<std::path::PathBuf>) {
+pub(super) fn list_files(root: &Path, folder: &Path, files: &mut Vec<std::path::PathBuf>) {
     let mut entries: Vec<_> = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
     entries.sort();
     for path in entries {

@@ -6,6 +6,7 @@ use std::collections::BTreeSet;
 use cosurf_link::{Complete, InboxLimits, Received};
 use tempfile::TempDir;
 
+use super::damage::{SWEPT, list_files};
 use super::*;
 use crate::testing::{above, ground};
 
@@ -183,4 +184,48 @@ fn a_drone_that_has_lost_its_folder_gets_all_its_tiles_again() {
     assert_eq!((&drones[0].tiles, drones[0].xs()), (&tiles, xs));
     assert!(drones[1].tiles.is_empty(), "the other drone got tiles too");
     assert_eq!(count(&events, |event| matches!(event, ServiceEvent::LostThere { .. })), 1);
+}
+
+fn copy(from: &Path, to: &Path) {
+    let mut files = Vec::new();
+    list_files(from, from, &mut files);
+    for file in files {
+        fs::create_dir_all(to.join(&file).parent().unwrap()).unwrap();
+        fs::copy(from.join(&file), to.join(&file)).unwrap();
+    }
+}
+
+/// The manifest and each tile get one damage, and the service starts again. Drones that have nothing yet get the same splats.
+#[test]
+fn damaged_tiles_are_made_anew() {
+    let undamaged = tempfile::tempdir().unwrap();
+    let two =
+        |network: &MemoryNetwork| [Keeping::new(network, "west", -10.0), Keeping::new(network, "east", 2.0)];
+    let network = MemoryNetwork::new(60, Faults::NONE);
+    let mut ground = open_tiled(&network, undamaged.path());
+    let mut drones = two(&network);
+    fly(&network, &mut ground, &mut drones, 2);
+    let right = drones.each_ref().map(Keeping::xs);
+    drop(ground);
+    let mut files = Vec::new();
+    list_files(undamaged.path(), &undamaged.path().join("sent"), &mut files);
+    assert!(files.len() > SWEPT.len(), "{files:?}");
+    for (i, file) in files.iter().enumerate() {
+        let (name, damage) = SWEPT[i % SWEPT.len()];
+        let folder = tempfile::tempdir().unwrap();
+        copy(undamaged.path(), folder.path());
+        damage(&folder.path().join(file));
+        let network = MemoryNetwork::new(61, Faults::NONE);
+        let mut ground = open_tiled(&network, folder.path());
+        let (mut drones, mut events) = (two(&network), Vec::new());
+        while drones.iter().any(|drone| drone.complete.is_none())
+            || !events.contains(&ServiceEvent::Delivered)
+        {
+            let now = network.now();
+            drones.iter_mut().for_each(|drone| drone.step(now));
+            step(&network, &mut ground, &mut [], &mut events);
+        }
+        assert_eq!(count(&events, is_disk_failure), 0, "{}, {name}: {events:?}", file.display());
+        assert!(drones.each_ref().map(Keeping::xs) == right, "{}, {name}: other splats", file.display());
+    }
 }
