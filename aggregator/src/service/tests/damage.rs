@@ -204,6 +204,16 @@ pub(super) fn list_files(root: &Path, folder: &Path, files: &mut Vec<std::path::
     }
 }
 
+/// Copies a folder with all that is in it.
+pub(super) fn copy(from: &Path, to: &Path) {
+    let mut files = Vec::new();
+    list_files(from, from, &mut files);
+    for file in files {
+        fs::create_dir_all(to.join(&file).parent().unwrap()).unwrap();
+        fs::copy(from.join(&file), to.join(&file)).unwrap();
+    }
+}
+
 fn survives(file: &Path, damage: fn(&Path), undamaged: &Path) {
     let folder = tempfile::tempdir().unwrap();
     let network = MemoryNetwork::new(41, Faults::NONE);

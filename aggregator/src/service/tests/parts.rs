@@ -4,6 +4,7 @@ use cosurf_link::{FirstLayer, model_to_body};
 use cosurf_scene::LocalFrame;
 use glam::DVec3;
 
+use super::damage::{SWEPT, copy, list_files};
 use super::*;
 use crate::gate::tests::{elsewhere, flights};
 use crate::testing::QUICK;
@@ -98,6 +99,38 @@ fn the_part_of_a_stalled_upload_is_used_until_the_rest_arrives() {
         "a resumed upload gives the same bytes as an uninterrupted one"
     );
     assert_eq!(fs::read_dir(site.join("parts")).unwrap().count(), 0);
+}
+
+#[test]
+fn damage_to_a_part_is_survived_and_the_whole_model_replaces_it() {
+    let models = flights();
+    let names = fleet(&["agent-1", "agent-2"]);
+    let undamaged = tempfile::tempdir().unwrap();
+    let network = slow_network(2);
+    let mut ground = open_with(&network, undamaged.path(), names.clone(), QUICK);
+    let mut drones = vec![Drone::new(&network, "agent-1", 1, &models[0])];
+    simulate(&network, &mut ground, &mut drones, |events, _| count(events, is_stored) == 1);
+    stall(&network, &mut ground, &mut drones, 1, &models[2]);
+    simulate(&network, &mut ground, &mut drones, |events, _| has_merged(events, 2));
+    drop(ground);
+    let mut files = Vec::new();
+    list_files(undamaged.path(), &undamaged.path().join("parts"), &mut files);
+    assert!(!files.is_empty());
+    let mut whole = None;
+    for (file, (name, damage)) in files.iter().flat_map(|file| SWEPT.map(|damage| (file, damage))) {
+        let folder = tempfile::tempdir().unwrap();
+        copy(undamaged.path(), folder.path());
+        damage(&folder.path().join(file));
+        let network = MemoryNetwork::new(3, Faults::NONE);
+        let mut ground = open_with(&network, folder.path(), names.clone(), QUICK);
+        let mut drones = vec![slow_drone(&network, 1, &models[2])];
+        let is_over =
+            |events: &[ServiceEvent], _: &[Drone]| count(events, is_stored) == 1 && has_merged(events, 2);
+        let events = simulate(&network, &mut ground, &mut drones, is_over);
+        assert_eq!(count(&events, is_disk_failure), 0, "{}, {name}: {events:?}", file.display());
+        let global = fs::read(global_ply(folder.path())).unwrap();
+        assert!(*whole.get_or_insert(global.clone()) == global, "{}, {name}: other bytes", file.display());
+    }
 }
 
 #[test]

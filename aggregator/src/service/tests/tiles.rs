@@ -6,7 +6,7 @@ use std::collections::BTreeSet;
 use cosurf_link::{Complete, InboxLimits, Received};
 use tempfile::TempDir;
 
-use super::damage::{SWEPT, list_files};
+use super::damage::{SWEPT, copy, list_files};
 use super::*;
 use crate::testing::{above, ground};
 
@@ -184,15 +184,6 @@ fn a_drone_that_has_lost_its_folder_gets_all_its_tiles_again() {
     assert_eq!((&drones[0].tiles, drones[0].xs()), (&tiles, xs));
     assert!(drones[1].tiles.is_empty(), "the other drone got tiles too");
     assert_eq!(count(&events, |event| matches!(event, ServiceEvent::LostThere { .. })), 1);
-}
-
-fn copy(from: &Path, to: &Path) {
-    let mut files = Vec::new();
-    list_files(from, from, &mut files);
-    for file in files {
-        fs::create_dir_all(to.join(&file).parent().unwrap()).unwrap();
-        fs::copy(from.join(&file), to.join(&file)).unwrap();
-    }
 }
 
 /// The manifest and each tile get one damage, and the service starts again. Drones that have nothing yet get the same splats.
