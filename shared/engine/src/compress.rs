@@ -26,7 +26,7 @@ use tracing::info_span;
 
 use crate::device::{Device, DeviceError};
 use cells::cells;
-use observer::{Near, Observer, median, shown_mostly};
+use observer::{Near, Observer, Said, median, shown_mostly};
 use slopes::Slopes;
 
 pub use cells::longest_side;
@@ -199,18 +199,23 @@ impl Ground<'_> {
     /// of a model with few changes costs 0.7 dB.
     fn verdict(&self, place: DVec3, own: usize) -> Verdict {
         let dense = densest(self.near.iter().map(|near| near.density(place)));
-        let worth = |near: &Near| {
-            let (seers, worth) = near.worth(place, self.slopes);
-            if seers < OWNER_CAMERAS_MIN { 0.0 } else { worth * observed(near, place, dense) }
+        let said: Vec<Said> = self.near.iter().map(|near| near.said(place, self.slopes)).collect();
+        // Two cameras must show something, and as many as look through the place.
+        let worth = |model: usize| match said[model] {
+            Said { showing, through, worth } if showing >= OWNER_CAMERAS_MIN.max(through) => {
+                worth * observed(&self.near[model], place, dense)
+            }
+            _ => 0.0,
         };
-        let is_hidden = self.is_hidden(place, own);
         // Others look through what only this model shows. Splats in mid-air, each before a single camera of another model,
-        // which can own nothing, cost rendered Boruszyn 5.6 dB.
-        let is_void = self.is_looked_through(place, own);
-        let of_own = worth(&self.near[own]);
-        let others = self.near.iter().enumerate().filter(|(model, _)| *model != own);
-        let (mut is_lost, mut is_shared) = (is_hidden || is_void, false);
-        for (model, worth) in others.map(|(model, near)| (model, worth(near))) {
+        // which can own nothing, cost rendered Boruszyn 5.6 dB. The number of votes of a model is limited, so that it cannot
+        // outvote all others with invented cameras.
+        let through: usize = said.iter().map(|said| said.through).sum();
+        let showing: usize = said.iter().map(|said| said.showing).sum();
+        let of_own = worth(own);
+        let (mut is_lost, mut is_shared) = (through > showing || self.is_hidden(place, own), false);
+        for (model, worth) in (0..said.len()).filter(|model| *model != own).map(|model| (model, worth(model)))
+        {
             is_shared |= worth > 0.0;
             is_lost |= worth > of_own || (worth == of_own && worth > 0.0 && model < own);
         }
@@ -231,17 +236,10 @@ impl Ground<'_> {
         self.near.iter().any(|near| near.contains(place)) && !self.near.iter().any(|near| near.sees(place))
     }
 
-    /// Whether more cameras of other models look through a place than cameras of the model show something there.
-    fn is_looked_through(&self, place: DVec3, own: usize) -> bool {
-        let others = self.near.iter().enumerate().filter(|(model, _)| *model != own);
-        let through: usize = others.map(|(_, near)| near.lookers_through(place)).sum();
-        through > 0 && through > self.near[own].showers(place)
-    }
-
     /// The worth of a model's observations, as a share of the largest worth of all models, 0..=1.
     fn standing(&self, place: DVec3, own: usize) -> f64 {
         let dense = densest(self.near.iter().map(|near| near.density(place)));
-        let worth = |near: &Near| near.worth(place, self.slopes).1 * observed(near, place, dense);
+        let worth = |near: &Near| near.said(place, self.slopes).worth * observed(near, place, dense);
         let most = self.near.iter().map(worth).fold(f64::MIN_POSITIVE, f64::max);
         worth(&self.near[own]) / most
     }

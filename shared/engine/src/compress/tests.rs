@@ -1,6 +1,7 @@
 use cosurf_scene::Pose;
 use glam::DVec2;
 
+use super::observer::COUNTED_MAX;
 use super::*;
 
 /// A camera over the ground point `(x, y)`, 10 m up, that looks straight down on 10 × 10 m. `focal_px` is also the side
@@ -80,6 +81,29 @@ fn a_model_with_a_low_weight_leaves_its_ground_to_others() {
     };
     assert_eq!(with(1.0), [0.0, 1.0]);
     assert_eq!(with(0.5), [1.0, 0.0]);
+}
+
+#[test]
+fn many_more_cameras_do_not_outweigh_better_ones() {
+    let spread = |count: usize, focal_px: f64| -> Vec<Camera> {
+        (0..count).map(|i| above(0.2 * (i % 7) as f64, 0.2 * (i / 7) as f64, focal_px)).collect()
+    };
+    let models = [spread(42, 100.0), spread(COUNTED_MAX, 105.0)].map(|cameras| (ground(), cameras, 1.0));
+    assert_eq!(lost(&known(&models)), [1.0, 0.0]);
+}
+
+/// A model with larger pictures, in which a part of the ground lies 2 m lower.
+#[test]
+fn a_model_that_looks_through_a_place_does_not_own_it() {
+    let mut sunken = ground();
+    let is_inside = |mean: &[f32; 3]| mean[..2].iter().all(|at| at.abs() < 2.0);
+    sunken.means.iter_mut().filter(|mean| is_inside(mean)).for_each(|mean| mean[2] -= 2.0);
+    let models = [(ground(), cameras(4, 60.0), 1.0), (sunken, cameras(4, 100.0), 1.0)];
+    let lost = Compression::plan(&ground(), 0, &known(&models)).removed;
+    let means = ground().means;
+    let inner = |i: &&u32| means[**i as usize][..2].iter().all(|at| at.abs() < 1.0);
+    assert_eq!(lost.iter().filter(inner).count(), 0, "ground that the other model does not show is lost");
+    assert!(lost.len() > 300, "{} are lost: the other model has larger pictures", lost.len());
 }
 
 #[test]
