@@ -67,7 +67,7 @@ fn main() -> Result<()> {
 fn merge(site: &Site, arguments: &Arguments) -> Result<Usage> {
     let mut command = Command::new(program("cosurf-aggregator"));
     command.arg("merge").args(&site.folders).arg("--out").arg(&site.out);
-    command.args(["--same-frame", "--json", "--device", "cpu", "--memory", &arguments.memory]);
+    command.args(["--same-frame", "--json", "--compute", "cpu", "--memory", &arguments.memory]);
     command.args(["--epochs", &arguments.epochs.to_string()]);
     let mut child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn()?;
     let usage = watch(&mut child);

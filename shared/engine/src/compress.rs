@@ -18,6 +18,7 @@ mod observer;
 mod slopes;
 #[cfg(test)]
 mod tests;
+mod trust;
 
 use cosurf_scene::{Camera, Splats};
 use glam::DVec3;
@@ -32,6 +33,7 @@ use slopes::Slopes;
 pub use cells::longest_side;
 pub use density::Density;
 pub use observer::{Observations, PROVEN_MIN, Reach};
+pub use trust::Trust;
 
 /// Cosine of the largest angle, 30°, between the lines of sight of two cameras that see a point alike.
 const SIGHT_COSINE_MIN: f64 = 0.866_025_403_784_438_6;
@@ -45,20 +47,6 @@ const OWNER_CAMERAS_MIN: usize = 2;
 /// their pictures; two of three of rendered Boruszyn's cameras with inverted poses show less than 0.5. Believed, they
 /// take ground and cost 0.4 dB.
 const SHOWN_SHARE_MIN: f64 = 0.5;
-
-/// How far the observations of a model are believed.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Trust {
-    /// Factor on what every observation is worth, 0..=1.
-    pub weight: f64,
-    /// Number of pixels on a square of one world unit, above 0. A camera that claims more counts as if it had so many.
-    pub pixels_max: f64,
-}
-
-impl Trust {
-    /// All is believed.
-    pub const FULL: Self = Self { weight: 1.0, pixels_max: f64::INFINITY };
-}
 
 /// What the cameras of all models observed.
 #[derive(Clone, Debug, Default)]

@@ -5,10 +5,10 @@ use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::Trust;
 use super::cells::cells;
 use super::density::{Counts, Density};
 use super::slopes::{SLOPES_PX, Slopes};
+use super::trust::Trust;
 use crate::device::{Device, DeviceError};
 use crate::render::Renderer;
 
