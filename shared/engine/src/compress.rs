@@ -154,7 +154,7 @@ impl Observers {
         let near =
             self.each.iter().map(|observer| observer.near(center, radius, self.as_announced)).collect();
         let slopes = self.slopes.as_ref().filter(|_| !self.as_announced);
-        Ground { near, slopes, is_announced: self.as_announced }
+        Ground { near, slopes }
     }
 }
 
@@ -168,8 +168,6 @@ pub fn shown_min<'a>(shown: impl Iterator<Item = &'a [f64]>) -> f64 {
 struct Ground<'a> {
     near: Vec<Near<'a>>,
     slopes: Option<&'a Slopes>,
-    /// True to judge by the cameras alone: nothing is hidden from them.
-    is_announced: bool,
 }
 
 /// How the model that is compressed saw a place beside the others.
@@ -212,11 +210,9 @@ impl Ground<'_> {
 
     /// Whether the surface hides a splat of the model from all of its cameras: no picture of the model can have shown it. But
     /// the splat shines through the ground all the same: six white splats 40 m below rendered Boruszyn cost 2.5 dB. If the
-    /// splat lies in none of the model's pictures, those of all others decide.
+    /// splat lies in none of the model's pictures, those of all others decide. Nothing is hidden from cameras that are judged
+    /// by themselves.
     fn is_hidden(&self, place: DVec3, own: usize) -> bool {
-        if self.is_announced {
-            return false;
-        }
         let its = &self.near[own];
         if its.contains(place) {
             return !its.sees(place);

@@ -29,7 +29,7 @@ pub(crate) fn devices(folder: &TempDir) -> Result<Results> {
     let mut trained = Vec::new();
     for device in DEVICES {
         let of_seed = |seed: &&str| {
-            let options = [&OPTIONS[..], &["--compute", device, "--seed", seed]].concat();
+            let options = [&OPTIONS[..], &["--device", device, "--seed", seed]].concat();
             let out = out(&format!("{device}-{seed}"));
             train(&boruszyn, &options, &out)?;
             psnr(&out, &boruszyn)
@@ -65,7 +65,7 @@ fn merged(folder: &TempDir) -> Result<Vec<Option<f64>>> {
     let agents = agents(&out("mission"), 2);
     let of_device = |device: &str| {
         let out = out(&format!("merged-{device}"));
-        merge(&agents, &["--epochs", "3", "--compute", device], &out)?;
+        merge(&agents, &["--epochs", "3", "--device", device], &out)?;
         Ok(Some(psnr(&out, &caliterra)?.held_out))
     };
     DEVICES.into_iter().map(of_device).collect()

@@ -106,8 +106,8 @@ pub(crate) const RUNS: [Run; 28] = [
     Run {
         name: "devices",
         about: "the same training on the CPU and on the GPU",
-        command: "cosurf-agent train DATA --max-size 160 --steps 500 --compute DEVICE; cosurf-aggregator merge DIR DIR \
-                  --epochs 3 --compute DEVICE",
+        command: "cosurf-agent train DATA --max-size 160 --steps 500 --device DEVICE; cosurf-aggregator merge DIR DIR \
+                  --epochs 3 --device DEVICE",
         measure: devices::devices,
     },
     Run {
