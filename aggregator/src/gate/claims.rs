@@ -3,7 +3,7 @@
 use cosurf_scene::{Camera, Frustum};
 use glam::DVec3;
 
-/// No claim is larger than this number of pixels, so that sums of squares stay finite.
+/// No claim is larger than this number of pixels, so that sums of cubes stay finite.
 const PIXELS_MAX: f64 = 1e60;
 
 /// The cameras of a model.

@@ -183,8 +183,8 @@ fn agree(pairs: &Pairs, count: usize) -> Vec<Tone> {
 }
 
 /// Finds one number `x` for each model, weighted by pixels: for each pair `[a, b]`, `x_a − x_b` comes as close as possible
-/// to `difference`. Pairs that fit no solution count less ([`ROUNDS`]). The median of the compared models is 0, so that one odd model does not change
-/// the others; a model that was not compared has 0.
+/// to `difference`. Pairs that fit no solution count less ([`ROUNDS`]). The median of the compared models is 0, so that one
+/// odd model does not change the others; a model that was not compared has 0.
 fn balance(pairs: &Pairs, count: usize, difference: impl Fn([usize; 2], &Shared) -> f64) -> Vec<f64> {
     let all: f64 = pairs.0.values().map(|shared| shared.count).sum();
     let mut found: Option<Vec<f64>> = None;

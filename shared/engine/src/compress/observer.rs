@@ -16,9 +16,10 @@ use crate::render::Renderer;
 const SIZE_PX: u32 = 48;
 /// A camera does not see a place that is deeper than the surface in its picture by more than this factor.
 const BEHIND: f32 = 1.05;
-/// Splats prove that a model observed a place only if they are not deeper than this factor in [`PROVING_SHARE_MIN`] of the
-/// pictures that they lie in. Of 67,000 splats 6 m below the ground of rendered Boruszyn, 4 in a hundred prove something; 73
-/// would if they had to be less deep than [`BEHIND`] in any one picture. Of trained splats, 99 in a hundred do.
+/// A splat proves that its model observed a place if the splat lies on the surface: deeper than the surface by at most this
+/// factor, in at least [`PROVING_SHARE_MIN`] of the pictures that contain the splat. Of trained splats, 99 % lie on the
+/// surface by this rule. Of 67,000 splats 6 m below the ground of rendered Boruszyn, 4 % do; with the factor [`BEHIND`] and
+/// any single picture, 73 % would.
 const BEHIND_PROVING: f32 = 1.02;
 /// See [`BEHIND_PROVING`].
 const PROVING_SHARE_MIN: f64 = 0.25;
@@ -28,9 +29,9 @@ const BEFORE: f32 = 0.85;
 /// those of the densest model there. Of the cameras of honest missions, one in a hundred is below this limit (the lowest has
 /// 0.49), and nine in ten have more than 0.75. Of a model that claims the cameras of all four others, three in ten are below.
 pub const PROVEN_MIN: f64 = 0.6;
-/// So many cameras of a model count at a place, the best ones. Invented cameras, turned and moved a little, are no copies:
-/// with eight times as many, a model took most of the ground that it had seen. Where more than ten cameras looked, training
-/// leaves as many splats as where a hundred did. Against no limit, 16 cost 0.01 dB in three missions, and 10 cost 0.04.
+/// At each place, at most this many cameras of a model count: those with most pixels there. Without a limit, a model with
+/// invented cameras takes ground: its own cameras, repeated with small changes, are not recognised as copies. In three
+/// missions, a limit of 16 costs 0.01 dB, and one of 10 costs 0.04 dB.
 pub(super) const COUNTED_MAX: usize = 16;
 /// A camera sees places up to this factor beyond the largest depth in its picture: [`BEHIND`], and some room for
 /// rounding.

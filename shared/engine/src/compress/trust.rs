@@ -10,6 +10,6 @@ pub struct Trust {
 }
 
 impl Trust {
-    /// All is believed.
+    /// For a model that nothing speaks against.
     pub const FULL: Self = Self { weight: 1.0, pixels_max: f64::INFINITY };
 }
