@@ -6,7 +6,9 @@
 //! in another frame or scale. The gate also keeps out a model that does not fit its own cameras: most of its splats lie
 //! where none of them looks, or most of their pictures show no surface. It keeps out a model so far from all others
 //! that its origin must be wrong, and one that shows shared ground far worse than the others do ([`quality`]). A model
-//! that shows less detail than its pictures claim takes part with smaller pictures ([`sharpness`]).
+//! that is worse, or whose colours differ from the others' more in one part than in another ([`evenness`]), counts less. A
+//! model that shows less detail than its pictures claim takes part with smaller pictures ([`sharpness`]). Nobody can
+//! know beforehand which pictures are compared ([`chosen`]).
 //!
 //! A model that shares no ground with the others cannot be verified: its frame may be another one. It is accepted only
 //! if the frames of all models are vouched for.
@@ -24,10 +26,12 @@
 //! [`frames`], [`links`] and [`adjust`], which move models to where they fit; [`part`] for uploads that broke off.
 
 mod adjust;
+mod chosen;
 mod claims;
 mod consensus;
 mod copies;
 mod doubt;
+mod evenness;
 mod extent;
 mod features;
 mod frames;
@@ -53,6 +57,7 @@ use cosurf_scene::{Camera, evenly_spaced};
 use tracing::info_span;
 
 use crate::merge::{Locals, MergeError, MergeSettings};
+use chosen::choosers;
 use copies::Kept;
 pub use doubt::Doubt;
 use extent::{Extent, extents, held_bytes};
@@ -226,8 +231,10 @@ fn admit_originals<'a>(
     let mut admitted =
         Admitted { locals, doubts: vec![None; count], places: (0..count).map(place).collect(), fits };
     let linked: Vec<[usize; 2]> = admitted.fits.iter().map(|fit| fit.models).collect();
+    let choosers = choosers(extents, &moves);
+    let shifts = workspace.shifts(held_bytes(extents));
     let Judgement { judged, colors } =
-        judge(&admitted, &linked, workspace.shifts(held_bytes(extents)), workspace.scratch, is_given_up)?;
+        judge(&admitted, &choosers, &linked, shifts, workspace.scratch, is_given_up)?;
     let accepted =
         |local: &usize| judged[*local].doubt.is_none() && (frames.vouched || judged[*local].is_verified);
     let place = |local: usize| {

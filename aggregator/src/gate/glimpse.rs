@@ -155,14 +155,20 @@ impl Glimpse {
     }
 
     /// The colours of this model and of another one, for each of the `shared` pixels where both show the same
-    /// surface. `other` is the other model's picture from the same camera.
-    pub(super) fn colors_with(&self, other: &Self, shared: &[usize]) -> impl Iterator<Item = [[f32; 3]; 2]> {
+    /// surface, and the column and row of the pixel. `other` is the other model's picture from the same camera.
+    pub(super) fn colors_with(
+        &self,
+        other: &Self,
+        shared: &[usize],
+    ) -> impl Iterator<Item = ([usize; 2], [[f32; 3]; 2])> {
         let is_same = move |i: &usize| {
             let is_opaque = self.alpha[*i].min(other.alpha[*i]) > OPAQUE_MIN;
             is_opaque && f64::from(self.depth[*i] / other.depth[*i]).ln().abs() <= DEPTH_MAX
         };
         let color = |of: &Self, i: usize| [0, 1, 2].map(|channel| of.rgb[3 * i + channel]);
-        shared.iter().copied().filter(is_same).map(move |i| [color(self, i), color(other, i)])
+        let width = self.camera.size_px[0] as usize;
+        let place = move |i: usize| [i % width, i / width];
+        shared.iter().copied().filter(is_same).map(move |i| (place(i), [color(self, i), color(other, i)]))
     }
 
     /// Whether the depths of both pictures agree where both show a surface; `None` if these pixels are too few.

@@ -6,12 +6,14 @@ use std::path::Path;
 use cosurf_engine::compress::{Density, shown_min};
 use cosurf_engine::{Renderer, Trust};
 use cosurf_link::Model;
-use cosurf_scene::{Camera, SceneError, Watchers, evenly_spaced};
+use cosurf_scene::{Camera, SceneError, Watchers};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
+use super::chosen::Chooser;
 use super::claims::Claims;
 use super::doubt::Doubt;
+use super::evenness::{Evenness, blocks};
 use super::frames::groups;
 use super::glimpse::{Glimpse, VIEWS, median};
 use super::quality::{Detail, Differences, Standard};
@@ -70,10 +72,11 @@ pub(super) struct Judged {
     pub(super) is_blind: bool,
 }
 
-/// Judges each of `locals`, by index. Models that are `linked` share ground. `is_given_up` is called between models; if
-/// it returns true, the result is an error.
+/// Judges each of `locals`, by index, in pictures that `choosers` choose. Models that are `linked` share ground.
+/// `is_given_up` is called between models; if it returns true, the result is an error.
 pub(super) fn judge(
     locals: &dyn Locals,
+    choosers: &[Chooser],
     linked: &[[usize; 2]],
     shifts: Shifts,
     scratch: &Path,
@@ -83,7 +86,7 @@ pub(super) fn judge(
     let mut shown = Vec::with_capacity(locals.count());
     let look = |(): &mut (), i: usize| {
         let model = locals.load(i)?;
-        Ok(Shown::of(model, locals.is_compressed(i), shifts.threads))
+        Ok(Shown::of(model, &choosers[i], locals.is_compressed(i), shifts.threads))
     };
     shifts.run(locals.count(), is_given_up, look, |_, (mut its, views): (Shown, Vec<View>)| {
         its.views = views.iter().map(|view| view.put(&mut records)).collect::<Result<_, _>>()?;
@@ -100,9 +103,11 @@ pub(super) fn judge(
     let (doubts, standards) = relations.verdict(&shown);
     let verified = relations.verified(linked, &shown, &doubts);
     let granted = relations.granted(&doubts, &witnesses(&shown));
+    let of_colors = relations.evenness.differences().standards(shown.len(), |i| doubts[i].is_none());
+    let weight = |i: usize| standards[i].weight() * of_colors[i].weight();
     let judged = doubts.into_iter().enumerate().map(|(i, doubt)| Judged {
         doubt,
-        trust: Trust { weight: standards[i].weight(), pixels_max: granted[i].pixels_max },
+        trust: Trust { weight: weight(i), pixels_max: granted[i].pixels_max },
         size: granted[i].size,
         is_verified: verified[i],
         void: shown[i].void(),
@@ -167,9 +172,17 @@ impl View {
         let Self { camera, glimpse, detail, fine } = self;
         let shown = Glimpse::of(renderer, camera, is_compressed);
         let is_confirmed = glimpse.is_confirmed_by(&shown, shared, is_compressed);
-        let mut compared = Compared { other, is_confirmed, difference: None, colors: Vec::new(), told: None };
+        let mut compared = Compared {
+            other,
+            is_confirmed,
+            difference: None,
+            colors: Vec::new(),
+            blocks: Vec::new(),
+            told: None,
+        };
         if !is_compressed && let (Some(detail), Some(fine)) = (detail, fine) {
-            compared.colors = glimpse.colors_with(&shown, shared).collect();
+            compared.colors = glimpse.colors_with(&shown, shared).map(|(_, colors)| colors).collect();
+            compared.blocks = blocks(glimpse.colors_with(&shown, shared));
             // Another camera's contrast is neither an error nor a lack of detail.
             let contrast = contrast(&compared.colors);
             if dense.len() >= DENSE_PX_MIN {
@@ -200,7 +213,7 @@ impl View {
 
 impl Shown {
     /// Also returns the views, which are not yet in a file.
-    fn of(model: Model, is_compressed: bool, threads: usize) -> (Self, Vec<View>) {
+    fn of(model: Model, chooser: &Chooser, is_compressed: bool, threads: usize) -> (Self, Vec<View>) {
         let Model { splats, cameras } = model;
         let mut watchers = Watchers::new(&cameras);
         let is_unseen = |mean: &&[f32; 3]| {
@@ -210,7 +223,7 @@ impl Shown {
         let unseen = splats.means.iter().filter(is_unseen).count() as f64 / splats.len().max(1) as f64;
         let mut renderer = Renderer::new(&splats, threads);
         let (mut views, mut pixels, mut solid) = (Vec::new(), Vec::new(), Vec::new());
-        for camera in &evenly_spaced(&cameras, VIEWS) {
+        for camera in &chooser.choose(&cameras, VIEWS) {
             let glimpse = Glimpse::of(&mut renderer, camera, is_compressed);
             let detail = (!is_compressed).then(|| Detail::of(&mut renderer, camera));
             let fine = (!is_compressed).then(|| Fine::of(&mut renderer, camera));
@@ -284,6 +297,8 @@ struct Compared {
     difference: Option<f64>,
     /// Colours of the surface that both show: those of the other model, then those of this model.
     colors: Vec<[[f32; 3]; 2]>,
+    /// The means of these colours in blocks of pixels.
+    blocks: Vec<[[f64; 3]; 2]>,
     /// How much finer the detail of the model is, and what both claim.
     told: Option<Told>,
 }
@@ -334,6 +349,8 @@ struct Relations {
     /// The colours in which each pair of models shows the same surface. Models pruned before upload are left out: they
     /// share with other models only ground that neither model shows well.
     colors: Pairs,
+    /// Whether these colours differ by the same everywhere.
+    evenness: Evenness,
 }
 
 impl Relations {
@@ -357,10 +374,11 @@ impl Relations {
 
     /// Notes how model `judged` compares with another one in a view.
     fn note_view(&mut self, judged: usize, compared: Compared) {
-        let Compared { other, is_confirmed, difference, colors, told } = compared;
+        let Compared { other, is_confirmed, difference, colors, blocks, told } = compared;
         is_confirmed.into_iter().for_each(|is_confirmed| self.note(judged, other, is_confirmed, 1));
         difference.into_iter().for_each(|found| self.differences.note(judged, other, found));
         self.colors.note(other, judged, colors.into_iter());
+        self.evenness.note(other, judged, &blocks);
         told.into_iter().for_each(|told| self.sharpness.note(judged, other, told));
     }
 

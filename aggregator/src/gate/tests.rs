@@ -60,8 +60,9 @@ pub(crate) fn elsewhere(mut model: Model, scale: f64, turn: f64, by: DVec3) -> M
 }
 
 fn judge(models: Vec<Model>) -> Vec<Option<Doubt>> {
+    let choosers = chosen::fixed(models.len());
     let Judgement { judged, .. } =
-        super::judge(&InMemory(models), &[], Shifts::PAIR, &temp_dir(), &|| false).unwrap();
+        super::judge(&InMemory(models), &choosers, &[], Shifts::PAIR, &temp_dir(), &|| false).unwrap();
     judged.into_iter().map(|judged| judged.doubt).collect()
 }
 

@@ -242,6 +242,7 @@ mod contrast_tests {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::super::admit;
+    use super::super::chosen::fixed;
     use super::super::judge::judge;
     use super::super::tests::{UNMOVED, flights};
     use cosurf_engine::Renderer;
@@ -253,7 +254,8 @@ mod tests {
     use crate::testing::above;
 
     fn tones_of(locals: &InMemory) -> Option<Vec<Tone>> {
-        let colors = judge(locals, &[], Shifts::PAIR, &std::env::temp_dir(), &|| false).unwrap().colors;
+        let (choosers, scratch) = (fixed(locals.count()), std::env::temp_dir());
+        let colors = judge(locals, &choosers, &[], Shifts::PAIR, &scratch, &|| false).unwrap().colors;
         tones(&colors, &(0..locals.count()).collect::<Vec<_>>())
     }
 
