@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 /// Long side of the pictures, px.
 const SIZE_PX: u32 = 64;
 /// Largest number of views that are rendered of each model.
-pub(super) const VIEWS: usize = 8;
+pub(super) const VIEWS: usize = 12;
 /// Cosine of 30°, the largest angle between two similar lines of sight to the same point.
 const SIGHT_COSINE_MIN: f64 = 0.866_025_403_784_438_6;
 /// Pixels with at most this alpha show no surface.

@@ -6,6 +6,7 @@ use std::f64::consts::FRAC_PI_2;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use cosurf_scene::splats::SH_C0;
 use cosurf_scene::{LocalFrame, Pose, Splats};
 use cosurf_tests::dice::Dice;
 use glam::{DQuat, DVec3};
@@ -145,6 +146,19 @@ fn a_worse_model_counts_less() {
     assert_eq!(admitted.count(), 4, "{:?}", admitted.doubts());
     let weights: Vec<f64> = (0..4).map(|i| admitted.place(i).trust.weight).collect();
     assert!(weights[1] < 0.5 && [0, 2, 3].iter().all(|i| weights[*i] == 1.0), "{weights:?}");
+}
+
+#[test]
+fn a_model_that_is_brighter_at_one_end_than_at_the_other_counts_less() {
+    let mut models = flights();
+    let Splats { means, sh, .. } = &mut models[1].splats;
+    for (rgb, mean) in sh.chunks_exact_mut(3).zip(means) {
+        rgb.iter_mut().for_each(|value| *value += 0.02 * (mean[0] - 8.0) / SH_C0);
+    }
+    let locals = InMemory(models);
+    let admitted = admit(&locals, UNMOVED, workspace(&temp_dir()), &|| false).unwrap();
+    let weights: Vec<f64> = (0..4).map(|i| admitted.place(i).trust.weight).collect();
+    assert!(weights[1] < 0.1 && [0, 2, 3].iter().all(|i| weights[*i] > 0.9), "{weights:?}");
 }
 
 /// A model names the right frame, but its coordinates are in another one.
