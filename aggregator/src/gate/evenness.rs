@@ -114,7 +114,9 @@ mod tests {
         let mut evenness = Evenness::default();
         for one in 0..4 {
             for other in one + 1..4 {
-                let brighter = |model: usize| move |x: f64| if model == 3 { odd(x) } else { 0.0 };
+                let own = |model: usize, x: f64| 0.02 * model as f64 * (6.0 * x).sin();
+                let brighter =
+                    |model: usize| move |x: f64| own(model, x) + if model == 3 { odd(x) } else { 0.0 };
                 evenness.note(one, other, &picture(brighter(one), brighter(other)));
             }
         }

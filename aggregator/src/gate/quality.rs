@@ -7,6 +7,9 @@
 //! If no three models were compared with each other, directly or in a longer ring of an odd number of models, the
 //! differences do not tell which of them are to blame. Then small errors are blamed on nobody, and large errors on as
 //! few models as possible.
+//!
+//! Models that hardly differ from each other, beside how far they differ from the rest, were not made apart: they are parts or
+//! copies of one model. They count as one, or they would outvote the others.
 
 use std::collections::BTreeMap;
 
@@ -34,6 +37,10 @@ const ROUNDS: usize = 12;
 const PICTURES_FULL: f64 = 4.0;
 /// Differences that the errors explain up to this much count fully.
 const RESIDUAL: f64 = 0.03;
+
+/// Two models are one if they differ at most by this share of what is usual for either. Honest models differ by a third of it
+/// or more.
+const ONE_SHARE: f64 = 0.25;
 
 /// Errors up to this many times as large as those of the others do not count against a model. Errors of honest models
 /// are up to 1.8 times as large in rendered missions, and 2.34 times in a real one, Caliterra.
@@ -124,9 +131,13 @@ pub(super) struct Differences(BTreeMap<[usize; 2], (f64, f64)>);
 
 impl Differences {
     pub(super) fn note(&mut self, one: usize, other: usize, difference: f64) {
-        let (sum, count) = self.0.entry([one.min(other), one.max(other)]).or_default();
-        *sum += difference;
-        *count += 1.0;
+        self.add([one.min(other), one.max(other)], (difference, 1.0));
+    }
+
+    fn add(&mut self, pair: [usize; 2], found: (f64, f64)) {
+        let (sum, count) = self.0.entry(pair).or_default();
+        *sum += found.0;
+        *count += found.1;
     }
 
     /// The standard of each of `count` models beside those of the others. Only models that are `sound` count.
@@ -136,7 +147,49 @@ impl Differences {
         of_sound.standards_of_all(count)
     }
 
+    /// The standards of models of which those that are one count as one.
     fn standards_of_all(&self, count: usize) -> Vec<Standard> {
+        let mut ones: Vec<usize> = (0..count).collect();
+        let mut apart = Self(self.0.clone());
+        while let Some([first, other]) = apart.one() {
+            ones.iter_mut().filter(|one| **one == other).for_each(|one| *one = first);
+            apart = self.of_ones(&ones);
+        }
+        let standards = apart.standards_of_each(count);
+        ones.iter().map(|one| standards[*one]).collect()
+    }
+
+    /// The two models that differ least of those that are one. Two of three models are never one: the third may differ from
+    /// both because it is wrong.
+    fn one(&self) -> Option<[usize; 2]> {
+        let differences = |model: usize, but: [usize; 2]| {
+            let its = self.0.iter().filter(move |(pair, _)| pair.contains(&model) && **pair != but);
+            its.map(|(_, found)| mean(*found)).collect::<Vec<f64>>()
+        };
+        let is_one = |pair: &[usize; 2]| {
+            pair.iter().all(|model| {
+                let mut others = differences(*model, *pair);
+                others.sort_unstable_by(f64::total_cmp);
+                others.len() > 1 && mean(self.0[pair]) <= ONE_SHARE * others[(others.len() - 1) / 2]
+            })
+        };
+        let pairs = self.0.keys().filter(|pair| is_one(pair)).copied();
+        pairs.min_by(|a, b| mean(self.0[a]).total_cmp(&mean(self.0[b])))
+    }
+
+    /// The differences of models of which each stands for those that are one with it: in `ones`, they have its index.
+    fn of_ones(&self, ones: &[usize]) -> Self {
+        let mut apart = Self::default();
+        for (pair, found) in &self.0 {
+            let [a, b] = pair.map(|model| ones[model]);
+            if a != b {
+                apart.add([a.min(b), a.max(b)], *found);
+            }
+        }
+        apart
+    }
+
+    fn standards_of_each(&self, count: usize) -> Vec<Standard> {
         let errors = self.errors(count);
         let is_determined = self.determined(count);
         let groups = groups(self.0.keys().copied(), count);
@@ -193,6 +246,10 @@ impl Differences {
         }
         solve(matrix, right).into_iter().map(|row| row[0].max(0.0)).collect()
     }
+}
+
+fn mean((sum, pictures): (f64, f64)) -> f64 {
+    sum / pictures
 }
 
 /// How good a model is beside the others.
@@ -260,6 +317,33 @@ mod tests {
         assert!(lost[2].is_far_worse() && !lost[0].is_far_worse(), "{lost:?}");
         let two = standards(&[0.2, 1.6]);
         assert!(two.iter().all(counts_fully), "nobody knows which of two is worse: {two:?}");
+    }
+
+    /// Three uploads of one model differ from one of the others more than is usual, as the model itself does.
+    #[test]
+    fn parts_or_copies_of_a_model_do_not_outvote_the_others() {
+        let all = |copies: usize, of_copies: f64| {
+            let mut all = differences(&[0.07, 0.04, 0.05]);
+            for copy in 3..3 + copies {
+                [0.15, 0.08, 0.09]
+                    .into_iter()
+                    .enumerate()
+                    .for_each(|(i, differs)| all.note(i, copy, differs));
+                (3..copy).for_each(|other| all.note(other, copy, of_copies));
+            }
+            all.standards(3 + copies, |_| true)
+        };
+        for standards in [all(1, 0.0), all(3, 0.0), all(3, 0.01), all(8, 0.0)] {
+            assert!(standards.iter().all(counts_fully), "{standards:?}");
+        }
+        let mut liars = differences(&[0.05; 3]);
+        for copy in 3..6 {
+            (0..3).for_each(|i| liars.note(i, copy, 0.7));
+            (3..copy).for_each(|other| liars.note(other, copy, 0.02));
+        }
+        let standards = liars.standards(6, |_| true);
+        assert!(standards[..3].iter().all(counts_fully), "{standards:?}");
+        assert!(standards[3..].iter().all(|standard| standard.weight() < 0.1), "{standards:?}");
     }
 
     fn counts_fully(standard: &Standard) -> bool {
