@@ -53,7 +53,7 @@ impl Doubt {
             }
             Self::Contradicts(others) => {
                 let names: Vec<&str> = others.iter().map(|other| names[*other].as_ref()).collect();
-                format!("contradicts {} (different ground, place or scale)", names.join(", "))
+                format!("contradicts {} (different ground, place, scale or brightness)", names.join(", "))
             }
         }
     }

@@ -146,7 +146,10 @@ fn a_part_that_contradicts_the_others_is_kept_out_and_told() {
     simulate(&network, &mut ground, &mut drones, |events, _| has_merged(events, 1));
     let record = Merging::read(folder.path()).unwrap();
     let told: Vec<String> = record.kept_out.iter().map(ToString::to_string).collect();
-    assert_eq!(told, ["model 1 of agent-2 contradicts the other models (different ground, place or scale)"]);
+    assert_eq!(
+        told,
+        ["model 1 of agent-2 contradicts the other models (different ground, place, scale or brightness)"]
+    );
     assert_eq!(
         record.summary.splats,
         ply::read(&global_ply(folder.path()), &LocalFrame::WORLD).unwrap().len()
