@@ -26,6 +26,8 @@ pub(crate) const WANT_AFTER: Duration = Duration::from_secs(2);
 
 /// A sender makes chunks smaller if fewer than this have got through from one break of the connection to the next.
 pub(crate) const CHUNKS_PER_CONNECTION: u32 = 4;
+/// Messages that tell of a connection within this time of another one tell of the same connection.
+pub(crate) const SAME_CONNECTION: Duration = Duration::from_millis(500);
 /// How many times smaller.
 pub(crate) const SHRINK: u32 = 4;
 

@@ -6,8 +6,8 @@ use cosurf_wire::{ChunkStatus, DeviceId, RefusalReason, Want};
 
 use crate::bits::BitSet;
 use crate::pacing::{
-    ASKED_AGAIN, CHUNKS_PER_CONNECTION, REORDER, REPEATED_WANT, RESEND_ALL, WINDOW_BYTES_MAX, WINDOW_FAST,
-    WINDOW_FIRST, WINDOW_MAX, WINDOW_MIN, WINDOW_SLOW,
+    ASKED_AGAIN, CHUNKS_PER_CONNECTION, REORDER, REPEATED_WANT, RESEND_ALL, SAME_CONNECTION,
+    WINDOW_BYTES_MAX, WINDOW_FAST, WINDOW_FIRST, WINDOW_MAX, WINDOW_MIN, WINDOW_SLOW,
 };
 
 /// Resends that each chunk earns that a receiver has for the first time. On a line that loses half of its messages, a
@@ -36,10 +36,14 @@ pub(crate) struct Peer {
     sends: u64,
     /// That number, and the number of chunks that the receiver was known to have, when it was last connected.
     before: (u64, u32),
+    /// When it was last connected.
+    connected_at: Option<Duration>,
     /// Number of the last connections, without a better one between them, over which hardly a chunk got through.
     poor: u32,
     /// The most chunks that the receiver is known to have had at once.
     chunks_had: u32,
+    /// The number of chunks that the receiver had by the last `Want` that was not ignored, at least.
+    chunks_known: u32,
     /// When the receiver may send the next request that shows no new chunk.
     repeat_at: Duration,
     /// Chunks that may be sent again to this receiver, and the time of that number.
@@ -89,8 +93,10 @@ impl Peer {
             sent: BitSet::empty(chunks),
             sends: 0,
             before: (0, 0),
+            connected_at: None,
             poor: 0,
             chunks_had: 0,
+            chunks_known: 0,
             repeat_at: Duration::ZERO,
             resends: (resends_max, Duration::ZERO),
             resends_max,
@@ -113,8 +119,15 @@ impl Peer {
 
     /// Forgets that the receiver has any chunk. What it gets now was sent before, so it counts as sent again.
     pub(crate) fn begin_again(&mut self, chunks: u32) {
-        (self.phase, self.wanted) = (PeerPhase::Silent, BitSet::full(chunks));
+        (self.phase, self.wanted, self.chunks_known) = (PeerPhase::Silent, BitSet::full(chunks), 0);
         self.in_flight.clear();
+    }
+
+    /// The same transfer with a body of `chunks` chunks of `chunk_bytes` bytes, which were of `before_bytes`.
+    pub(crate) fn with_chunks(&self, chunks: u32, chunk_bytes: u32, before_bytes: u32) -> Self {
+        let known = u64::from(self.chunks_known) * u64::from(before_bytes) / u64::from(chunk_bytes.max(1));
+        let chunks_known = u32::try_from(known).unwrap_or(chunks).min(chunks);
+        Self { chunks_known, ..Self::new(self.device, chunks, chunk_bytes, self.is_required) }
     }
 
     /// Whether the receiver has stored the model, or refused it for good.
@@ -183,9 +196,15 @@ impl Peer {
 
     /// Updates the state from a `Want`. A chunk in flight that the receiver is not known to have counts as
     /// lost in two cases: the receiver is idle, or a chunk sent more than [`REORDER`] places later has
-    /// arrived. Returns false if the `Want` is ignored: it shows no new chunk, and the last such one was just before.
+    /// arrived. Returns false if the `Want` is ignored: it shows no new chunk, and the last such one was just before; or it
+    /// shows fewer chunks than an earlier one. Over a line that breaks, a broker repeats what was not acknowledged, also
+    /// after newer messages. A receiver that has lost chunks will say so again once it is idle.
     pub(crate) fn on_want(&mut self, now: Duration, chunks: u32, want: &Want) -> bool {
         let has = (0..chunks).filter(|index| want.missing.status_of(*index) == ChunkStatus::Received).count();
+        if (has as u32) < self.chunks_known && !want.idle {
+            return false;
+        }
+        self.chunks_known = has as u32;
         let new = (has as u32).saturating_sub(self.chunks_had);
         if new == 0 {
             if now < self.repeat_at {
@@ -202,7 +221,12 @@ impl Peer {
 
     /// Notes that sender and receiver are connected again. Returns whether chunks should be smaller: hardly one has got
     /// through twice in a row.
-    pub(crate) fn on_connected(&mut self, chunks: u32) -> bool {
+    pub(crate) fn on_connected(&mut self, now: Duration, chunks: u32) -> bool {
+        // A broker may repeat what it was told of a connection.
+        let last = self.connected_at.replace(now);
+        if last.is_some_and(|last| now < last + SAME_CONNECTION) {
+            return false;
+        }
         let received = self.chunks_received(chunks);
         let (sends_before, received_before) = std::mem::replace(&mut self.before, (self.sends, received));
         let few =

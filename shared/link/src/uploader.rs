@@ -250,7 +250,7 @@ impl Uploader {
     fn shrink_on_poor_line(&mut self, now: Duration, receiver: DeviceId) {
         let chunks = self.offer.header.chunks();
         let mut open = self.peers.iter_mut().filter(|peer| !peer.is_closed());
-        if open.find(|peer| peer.device == receiver).is_some_and(|peer| peer.on_connected(chunks)) {
+        if open.find(|peer| peer.device == receiver).is_some_and(|peer| peer.on_connected(now, chunks)) {
             self.set_chunk_bytes(now, self.offer.header.chunk_bytes / SHRINK);
         }
     }
@@ -297,19 +297,13 @@ impl Uploader {
         if chunk_bytes < CHUNK_BYTES_MIN || header.check().is_err() {
             return false;
         }
-        self.offer.header = header;
+        let before_bytes = std::mem::replace(&mut self.offer.header, header).chunk_bytes;
         self.broadcast = BitSet::empty(header.chunks());
-        self.start_over(now, |peer| !peer.is_closed());
-        true
-    }
-
-    /// Forgets what these receivers have, and repeats the offer.
-    fn start_over(&mut self, now: Duration, which: impl Fn(&Peer) -> bool) {
-        let (chunks, chunk_bytes) = (self.offer.header.chunks(), self.offer.header.chunk_bytes);
-        for peer in self.peers.iter_mut().filter(|peer| which(peer)) {
-            *peer = Peer::new(peer.device, chunks, chunk_bytes, peer.is_required);
+        for peer in self.peers.iter_mut().filter(|peer| !peer.is_closed()) {
+            *peer = peer.with_chunks(header.chunks(), chunk_bytes, before_bytes);
         }
         self.announce_now(now);
+        true
     }
 
     /// Offers a device's model under another number, because the receiver has a model under this or a higher one: the device
@@ -325,7 +319,11 @@ impl Uploader {
         self.renumbered += 1;
         self.is_cleared = false;
         self.offer.header.model = next;
-        self.start_over(now, |_| true);
+        let (chunks, chunk_bytes) = (self.offer.header.chunks(), self.offer.header.chunk_bytes);
+        for peer in &mut self.peers {
+            *peer = Peer::new(peer.device, chunks, chunk_bytes, peer.is_required);
+        }
+        self.announce_now(now);
         Some(next)
     }
 

@@ -70,6 +70,34 @@ fn what_a_broken_connection_took_along_is_sent_again_at_once() {
     assert_eq!(again, first[10..]);
 }
 
+/// A broker repeats what the sender had not acknowledged when the connection broke, so an old request comes once more. What
+/// arrived after it is not sent again. A receiver that has truly lost it says so once it is idle.
+#[test]
+fn an_old_request_brings_nothing_again() {
+    let (mut uploader, mut inbox) = (Uploader::local(drone().site, model(20)), inbox());
+    deliver(&mut inbox, S, &uploader.next(S).unwrap());
+    let Some(InboxAction::Publish(old)) = inbox.next(S) else { panic!("no request") };
+    let repeat = |uploader: &mut Uploader, at: Duration, idle: bool| {
+        let (_, topic) = Topic::parse(&old.topic).unwrap();
+        let Message::Want(want) = Message::decode(&old.payload).unwrap() else { panic!("no request") };
+        uploader.on_reply(at, &topic, &Message::Want(Want { idle, ..want }));
+    };
+    repeat(&mut uploader, S, false);
+    let first: Vec<Outgoing> = std::iter::from_fn(|| uploader.next(S)).collect();
+    first[..16].iter().for_each(|message| assert_eq!(deliver(&mut inbox, S, message), None));
+    answer(&mut inbox, &mut uploader, S);
+    uploader.on_connected(3 * S);
+    let offer = uploader.next(3 * S).unwrap();
+    repeat(&mut uploader, 3 * S, false);
+    assert_eq!(uploader.next(3 * S), None);
+    deliver(&mut inbox, 3 * S, &offer);
+    answer(&mut inbox, &mut uploader, 3 * S);
+    let again: Vec<Outgoing> = std::iter::from_fn(|| uploader.next(3 * S)).collect();
+    assert_eq!(again, first[16..]);
+    repeat(&mut uploader, 5 * S, true);
+    assert_eq!(uploader.next(5 * S).as_ref(), first.first());
+}
+
 /// Fewer than four chunks per connection: they become smaller, and what has arrived counts.
 #[test]
 fn chunks_become_smaller_where_few_pass_and_what_has_arrived_is_kept() {
