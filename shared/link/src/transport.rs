@@ -3,7 +3,7 @@
 
 use std::time::Duration;
 
-use cosurf_wire::{Message, SiteId, Topic, TopicString};
+use cosurf_wire::{Message, Reply, SiteId, Topic, TopicString};
 
 /// Carries messages under topics. It guarantees little: messages may be lost, duplicated, delayed and
 /// reordered. The protocol tolerates this.
@@ -79,6 +79,15 @@ pub struct Outgoing {
 pub(crate) fn is_chunk(topic: &str) -> bool {
     use Topic::{GlobalChunk, LocalChunk, TileChunk};
     matches!(Topic::parse(topic), Ok((_, LocalChunk { .. } | GlobalChunk { .. } | TileChunk { .. })))
+}
+
+/// Whether the protocol itself makes up for messages under a topic that are lost: chunks, and requests for chunks.
+pub(crate) fn is_made_up_for(topic: &str) -> bool {
+    use Topic::{GlobalReply, LocalReply};
+    let is_want = |topic| {
+        matches!(topic, LocalReply { reply: Reply::Want, .. } | GlobalReply { reply: Reply::Want, .. })
+    };
+    is_chunk(topic) || Topic::parse(topic).is_ok_and(|(_, topic)| is_want(topic))
 }
 
 impl Outgoing {

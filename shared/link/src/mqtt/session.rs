@@ -23,9 +23,12 @@ pub(super) const SUBSCRIBE_ID: u16 = u16::MAX;
 #[derive(Clone, Debug)]
 pub(super) struct Letter {
     pub(super) publish: Publish,
-    /// Whether control messages overtake this message, and whether it is dropped when the connection is lost: it is a
-    /// chunk, and the protocol asks for missing chunks. To send them again unasked would keep a slow line busy.
+    /// Whether control messages overtake this message: it is a chunk.
     pub(super) is_bulk: bool,
+    /// Whether it is dropped when the connection is lost, as the protocol makes up for it. To send chunks again unasked would
+    /// keep a slow line busy. Old requests would fill what may be in flight: on a line that breaks each second, their
+    /// acknowledgements wait behind chunks and are lost, until no new request gets through.
+    pub(super) is_made_up_for: bool,
 }
 
 /// The unacknowledged messages, in the order in which they were sent.
@@ -100,8 +103,8 @@ impl InFlight {
         };
     }
 
-    /// Begins again after the connection was lost. Returns the messages that must be sent again: control messages, if
-    /// the broker has kept the session. Of those that it retains, the last of each topic is enough: on a line that breaks
+    /// Begins again after the connection was lost. Returns the messages that must be sent again: those that nothing else
+    /// makes up for, if the broker has kept the session. Of those that it retains, the last of each topic is enough: on a line that breaks
     /// each second, births would fill the line. `count_max` is the broker's own limit on messages in flight.
     pub(super) fn resume(
         &mut self,
@@ -109,7 +112,7 @@ impl InFlight {
         count_max: Option<u16>,
         now: Instant,
     ) -> impl Iterator<Item = &Publish> {
-        self.letters.retain(|(letter, _)| has_session && !letter.is_bulk);
+        self.letters.retain(|(letter, _)| has_session && !letter.is_made_up_for);
         let mut newer = BTreeSet::new();
         let is_newest = |(letter, _): &(Letter, Instant)| {
             !letter.publish.retain || newer.insert(letter.publish.topic.clone())
@@ -132,11 +135,12 @@ mod tests {
     use super::*;
 
     fn control(bytes: usize) -> Letter {
-        Letter { publish: Publish::new("topic", QoS::AtLeastOnce, vec![0; bytes], None), is_bulk: false }
+        let publish = Publish::new("topic", QoS::AtLeastOnce, vec![0; bytes], None);
+        Letter { publish, is_bulk: false, is_made_up_for: false }
     }
 
     fn chunk() -> Letter {
-        Letter { is_bulk: true, ..control(8 << 10) }
+        Letter { is_bulk: true, is_made_up_for: true, ..control(8 << 10) }
     }
 
     /// The bytes of chunks of 8 KiB that are in flight once a line of this rate, in bytes per second, is known.
@@ -186,10 +190,11 @@ mod tests {
     }
 
     #[test]
-    fn after_a_lost_connection_control_is_sent_again_and_bulk_is_not() {
+    fn after_a_lost_connection_control_is_sent_again_and_chunks_and_requests_are_not() {
         let (mut flight, now) = (InFlight::new(), Instant::now());
         let id = flight.add(control(100), now).pkid;
         flight.add(chunk(), now);
+        flight.add(Letter { is_made_up_for: true, ..control(50) }, now);
         let again: Vec<_> =
             flight.resume(true, Some(3), now).map(|message| (message.pkid, message.dup)).collect();
         assert_eq!(again, [(id, true)]);
@@ -206,7 +211,7 @@ mod tests {
             letter
         };
         let ids: Vec<u16> =
-            [("state", true), ("want", false), ("header", true), ("want", false), ("state", true)]
+            [("state", true), ("done", false), ("header", true), ("done", false), ("state", true)]
                 .map(|(topic, retain)| flight.add(of(topic, retain), now).pkid)
                 .into();
         let again: Vec<u16> = flight.resume(true, None, now).map(|message| message.pkid).collect();

@@ -10,7 +10,7 @@ use tokio::sync::Notify;
 
 use super::session::Letter;
 use super::settings::PACKET_OVERHEAD_BYTES;
-use crate::transport::{PublishError, is_chunk};
+use crate::transport::{PublishError, is_chunk, is_made_up_for};
 
 /// Maximum number of control messages that wait to be sent, and of bulk messages.
 const QUEUE_MAX: usize = 16;
@@ -76,7 +76,7 @@ impl Shared {
         }
         let mut publish = Publish::new(topic, QoS::AtLeastOnce, payload.to_vec(), None);
         publish.retain = retain;
-        let letter = Letter { publish, is_bulk: is_chunk(topic) };
+        let letter = Letter { publish, is_bulk: is_chunk(topic), is_made_up_for: is_made_up_for(topic) };
         let mut queues = self.queues();
         let queue = if letter.is_bulk { &mut queues.bulk } else { &mut queues.control };
         if queue.len() >= QUEUE_MAX {
