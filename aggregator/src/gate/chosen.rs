@@ -56,9 +56,10 @@ impl Chooser {
 
 #[cfg(test)]
 mod tests {
+    use cosurf_link::Model;
+
     use super::*;
     use crate::testing::{above, ground};
-    use cosurf_link::Model;
 
     fn extent(west: f32, width: f32) -> Option<Extent> {
         Extent::of(&Model { splats: ground(west, west + width), cameras: Vec::new() })

@@ -8,8 +8,8 @@
 //! differences do not tell which of them are to blame. Then small errors are blamed on nobody, and large errors on as
 //! few models as possible.
 //!
-//! Models that hardly differ from each other, beside how far they differ from the rest, were not made apart: they are parts or
-//! copies of one model. They count as one, or they would outvote the others.
+//! Models that hardly differ from each other, beside how far they differ from the rest, are copies or parts of one model. They
+//! count as one, or they would outvote the others.
 
 use std::collections::BTreeMap;
 
@@ -38,9 +38,9 @@ const PICTURES_FULL: f64 = 4.0;
 /// Differences that the errors explain up to this much count fully.
 const RESIDUAL: f64 = 0.03;
 
-/// Two models are one if they differ at most by this share of what is usual for either. Honest models differ by a third of it
-/// or more.
-const ONE_SHARE: f64 = 0.25;
+/// Two models are copies of one model if they differ at most by this share of what is usual for either. Honest models differ
+/// by a third of it or more.
+const COPY_SHARE: f64 = 0.25;
 
 /// Errors up to this many times as large as those of the others do not count against a model. Errors of honest models
 /// are up to 1.8 times as large in rendered missions, and 2.34 times in a real one, Caliterra.
@@ -147,41 +147,42 @@ impl Differences {
         of_sound.standards_of_all(count)
     }
 
-    /// The standards of models of which those that are one count as one.
+    /// The standards of all models, where copies of one model count as one.
     fn standards_of_all(&self, count: usize) -> Vec<Standard> {
-        let mut ones: Vec<usize> = (0..count).collect();
+        let mut originals: Vec<usize> = (0..count).collect();
         let mut apart = Self(self.0.clone());
-        while let Some([first, other]) = apart.one() {
-            ones.iter_mut().filter(|one| **one == other).for_each(|one| *one = first);
-            apart = self.of_ones(&ones);
+        while let Some([original, copy]) = apart.closest_copies() {
+            originals.iter_mut().filter(|its| **its == copy).for_each(|its| *its = original);
+            apart = self.of_originals(&originals);
         }
         let standards = apart.standards_of_each(count);
-        ones.iter().map(|one| standards[*one]).collect()
+        originals.iter().map(|original| standards[*original]).collect()
     }
 
-    /// The two models that differ least of those that are one. Two of three models are never one: the third may differ from
-    /// both because it is wrong.
-    fn one(&self) -> Option<[usize; 2]> {
+    /// Of the pairs of models that are copies, the one that differs least. Two of three models are never taken for copies: the
+    /// third may differ from both because it is wrong.
+    fn closest_copies(&self) -> Option<[usize; 2]> {
         let differences = |model: usize, but: [usize; 2]| {
             let its = self.0.iter().filter(move |(pair, _)| pair.contains(&model) && **pair != but);
             its.map(|(_, found)| mean(*found)).collect::<Vec<f64>>()
         };
-        let is_one = |pair: &[usize; 2]| {
+        let are_copies = |pair: &[usize; 2]| {
             pair.iter().all(|model| {
                 let mut others = differences(*model, *pair);
                 others.sort_unstable_by(f64::total_cmp);
-                others.len() > 1 && mean(self.0[pair]) <= ONE_SHARE * others[(others.len() - 1) / 2]
+                others.len() > 1 && mean(self.0[pair]) <= COPY_SHARE * others[(others.len() - 1) / 2]
             })
         };
-        let pairs = self.0.keys().filter(|pair| is_one(pair)).copied();
+        let pairs = self.0.keys().filter(|pair| are_copies(pair)).copied();
         pairs.min_by(|a, b| mean(self.0[a]).total_cmp(&mean(self.0[b])))
     }
 
-    /// The differences of models of which each stands for those that are one with it: in `ones`, they have its index.
-    fn of_ones(&self, ones: &[usize]) -> Self {
+    /// The differences of models without copies. `originals` has, for each model, the index of the one that it is a copy of,
+    /// or its own.
+    fn of_originals(&self, originals: &[usize]) -> Self {
         let mut apart = Self::default();
         for (pair, found) in &self.0 {
-            let [a, b] = pair.map(|model| ones[model]);
+            let [a, b] = pair.map(|model| originals[model]);
             if a != b {
                 apart.add([a.min(b), a.max(b)], *found);
             }
@@ -189,6 +190,7 @@ impl Differences {
         apart
     }
 
+    /// The standard of each of `count` models, none of which is a copy.
     fn standards_of_each(&self, count: usize) -> Vec<Standard> {
         let errors = self.errors(count);
         let is_determined = self.determined(count);

@@ -104,8 +104,8 @@ impl InFlight {
     }
 
     /// Begins again after the connection was lost. Returns the messages that must be sent again: those that nothing else
-    /// makes up for, if the broker has kept the session. Of those that it retains, the last of each topic is enough: on a line that breaks
-    /// each second, births would fill the line. `count_max` is the broker's own limit on messages in flight.
+    /// makes up for, if the broker has kept the session. Of those that it retains, the last of each topic is enough: on a
+    /// line that breaks each second, births would fill the line. `count_max` is the broker's own limit on messages in flight.
     pub(super) fn resume(
         &mut self,
         has_session: bool,
