@@ -6,13 +6,14 @@
 use std::collections::BTreeMap;
 
 use super::quality::Differences;
+use super::tone::Shared;
 
 /// Side of the blocks over which colours are averaged, pixels of a glimpse.
 const BLOCK_PX: usize = 8;
 /// A block counts if the models show the same surface in at least so many of its pixels.
 const SAME_PX_MIN: usize = 16;
-/// Difference of colours, for colours in 0..=1, that counts as much as fine detail that differs by its own strength. Honest
-/// models differ by 0.009 to 0.024 (root mean square) in three missions, which [`Differences`] takes for no error.
+/// Colours in 0..=1 that differ by this much (root mean square) count as a difference of 1 in [`Differences`]. The models of
+/// three honest missions differ by 0.009 to 0.024, too little to count.
 const UNIT: f64 = 0.075;
 
 /// Mean colours of two models in the blocks of a picture. `colors` has the place of each pixel, and the colours of both.
@@ -33,17 +34,11 @@ pub(super) fn blocks(colors: impl Iterator<Item = ([usize; 2], [[f32; 3]; 2])>) 
 #[derive(Default)]
 pub(super) struct Evenness(BTreeMap<[usize; 2], Pair>);
 
-/// Sums over blocks of two models.
+/// The colours of two models in some blocks.
 #[derive(Default)]
 struct Pair {
     pictures: usize,
-    blocks: f64,
-    /// Sums of colours, `[model, channel]`.
-    sums: [[f64; 3]; 2],
-    /// Sums of squared colours, `[model, channel]`.
-    squares: [[f64; 3]; 2],
-    /// Sums of products of both models' colours, `[channel]`.
-    products: [f64; 3],
+    blocks: Shared,
 }
 
 impl Evenness {
@@ -55,15 +50,7 @@ impl Evenness {
         let pair = self.0.entry([one.min(other), one.max(other)]).or_default();
         pair.pictures += 1;
         for [a, b] in blocks {
-            let colors = if one < other { [a, b] } else { [b, a] };
-            pair.blocks += 1.0;
-            for channel in 0..3 {
-                for model in 0..2 {
-                    pair.sums[model][channel] += colors[model][channel];
-                    pair.squares[model][channel] += colors[model][channel].powi(2);
-                }
-                pair.products[channel] += colors[0][channel] * colors[1][channel];
-            }
+            pair.blocks.note(if one < other { [*a, *b] } else { [*b, *a] });
         }
     }
 
@@ -71,25 +58,10 @@ impl Evenness {
     pub(super) fn differences(&self) -> Differences {
         let mut differences = Differences::default();
         for ([one, other], pair) in &self.0 {
-            let left = pair.left() / UNIT.powi(2);
+            let left = pair.blocks.left() / UNIT.powi(2);
             (0..pair.pictures).for_each(|_| differences.note(*one, *other, left));
         }
         differences
-    }
-}
-
-impl Pair {
-    /// Mean square of the difference that is left if one model gets the mean and the spread of the other.
-    fn left(&self) -> f64 {
-        let mean = |model: usize, channel: usize| self.sums[model][channel] / self.blocks;
-        let variance = |model: usize, channel: usize| {
-            (self.squares[model][channel] / self.blocks - mean(model, channel).powi(2)).max(0.0)
-        };
-        let left = |channel: usize| {
-            let product = self.products[channel] / self.blocks - mean(0, channel) * mean(1, channel);
-            2.0 * ((variance(0, channel) * variance(1, channel)).sqrt() - product).max(0.0)
-        };
-        (0..3).map(left).sum::<f64>() / 3.0
     }
 }
 

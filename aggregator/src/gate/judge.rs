@@ -181,8 +181,9 @@ impl View {
             told: None,
         };
         if !is_compressed && let (Some(detail), Some(fine)) = (detail, fine) {
-            compared.colors = glimpse.colors_with(&shown, shared).map(|(_, colors)| colors).collect();
-            compared.blocks = blocks(glimpse.colors_with(&shown, shared));
+            let same: Vec<_> = glimpse.colors_with(&shown, shared).collect();
+            compared.colors = same.iter().map(|(_, colors)| *colors).collect();
+            compared.blocks = blocks(same.into_iter());
             // Another camera's contrast is neither an error nor a lack of detail.
             let contrast = contrast(&compared.colors);
             if dense.len() >= DENSE_PX_MIN {

@@ -38,8 +38,8 @@ const PICTURES_FULL: f64 = 4.0;
 /// Differences that the errors explain up to this much count fully.
 const RESIDUAL: f64 = 0.03;
 
-/// Two models are copies of one model if they differ at most by this share of what is usual for either. Honest models differ
-/// by a third of it or more.
+/// Two models are copies of one model if they differ at most by this share of what either differs from other models. Honest
+/// models differ at least by a third of that.
 const COPY_SHARE: f64 = 0.25;
 
 /// Errors up to this many times as large as those of the others do not count against a model. Errors of honest models

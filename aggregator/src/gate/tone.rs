@@ -90,19 +90,24 @@ pub(super) fn contrast(colors: &[[[f32; 3]; 2]]) -> f64 {
 
 /// Sums over the colours that two models show of the same surface points.
 #[derive(Clone, Copy, Debug, Default)]
-struct Shared {
+pub(super) struct Shared {
     count: f64,
     /// Sums of colours, `[model, channel]`.
     sums: [[f64; 3]; 2],
     /// Sums of squared colours, `[model, channel]`.
     squares: [[f64; 3]; 2],
+    /// Sums of products of both models' colours, `[channel]`.
+    products: [f64; 3],
 }
 
 impl Shared {
-    fn note(&mut self, colors: [[f32; 3]; 2]) {
+    /// Notes the colours of both models at a point or, on average, in a part of the surface.
+    pub(super) fn note<T: Copy + Into<f64>>(&mut self, colors: [[T; 3]; 2]) {
+        let colors = colors.map(|rgb| rgb.map(Into::into));
         self.count += 1.0;
+        (0..3).for_each(|channel| self.products[channel] += colors[0][channel] * colors[1][channel]);
         for ((sums, squares), color) in self.sums.iter_mut().zip(&mut self.squares).zip(colors) {
-            for (channel, value) in color.into_iter().map(f64::from).enumerate() {
+            for (channel, value) in color.into_iter().enumerate() {
                 sums[channel] += value;
                 squares[channel] += value * value;
             }
@@ -121,6 +126,16 @@ impl Shared {
     fn log_ratio(&self, channel: usize) -> f64 {
         let spreads = [0, 1].map(|model| self.spread(model, channel));
         if spreads.iter().all(|spread| *spread >= SPREAD_MIN) { (spreads[1] / spreads[0]).ln() } else { 0.0 }
+    }
+
+    /// Mean square of the difference that is left if one model gets the mean and the spread of the other.
+    pub(super) fn left(&self) -> f64 {
+        let left = |channel: usize| {
+            let means = self.mean(0, channel) * self.mean(1, channel);
+            let covariance = self.products[channel] / self.count - means;
+            2.0 * (self.spread(0, channel) * self.spread(1, channel) - covariance).max(0.0)
+        };
+        (0..3).map(left).sum::<f64>() / 3.0
     }
 
     /// Whether the colours of the two models differ no more than those of two models of the same camera.
