@@ -16,6 +16,7 @@ mod cells;
 mod density;
 mod observer;
 mod slopes;
+mod surface;
 #[cfg(test)]
 mod tests;
 mod trust;
@@ -27,12 +28,14 @@ use tracing::info_span;
 
 use crate::device::{Device, DeviceError};
 use cells::cells;
-use observer::{Near, Observer, Said, median, shown_mostly};
+use observer::{Near, Observer, Said, shown_mostly};
 use slopes::Slopes;
+use surface::median;
 
 pub use cells::longest_side;
 pub use density::Density;
-pub use observer::{Observations, PROVEN_MIN, Reach};
+pub use observer::{Observations, PROVEN_MIN};
+pub use surface::Reach;
 pub use trust::Trust;
 
 /// Cosine of the largest angle, 30°, between the lines of sight of two cameras that see a point alike.

@@ -1,21 +1,18 @@
 //! What the cameras of one model observe, and what their observations of a place are worth.
 
 use cosurf_scene::{Camera, Frustum, Splats};
-use glam::{DVec2, DVec3};
+use glam::DVec3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::cells::cells;
 use super::density::{Counts, Density};
 use super::slopes::{SLOPES_PX, Slopes};
+use super::surface::{BEHIND, Look, Reach, Surface, Visibility, median};
 use super::trust::Trust;
 use crate::device::{Device, DeviceError};
 use crate::render::Renderer;
 
-/// Long side of the pictures of depth, px.
-const SIZE_PX: u32 = 48;
-/// A camera does not see a place that is deeper than the surface in its picture by more than this factor.
-const BEHIND: f32 = 1.05;
 /// A splat proves that its model observed a place if the splat lies on the surface: deeper than the surface by at most this
 /// factor, in at least [`PROVING_SHARE_MIN`] of the pictures that contain the splat. Of trained splats, 99 % lie on the
 /// surface by this rule. Of 67,000 splats 6 m below the ground of rendered Boruszyn, 4 % do; with the factor [`BEHIND`] and
@@ -23,8 +20,6 @@ const BEHIND: f32 = 1.05;
 const BEHIND_PROVING: f32 = 1.02;
 /// See [`BEHIND_PROVING`].
 const PROVING_SHARE_MIN: f64 = 0.25;
-/// A camera looks through a place that is less deep than all surface around it by this factor.
-const BEFORE: f32 = 0.85;
 /// A camera is not believed if its model's splats, where it looks, are on average less than this many times as dense as
 /// those of the densest model there. Of the cameras of honest missions, one in a hundred is below this limit (the lowest has
 /// 0.49), and nine in ten have more than 0.75. Of a model that claims the cameras of all four others, three in ten are below.
@@ -33,9 +28,6 @@ pub const PROVEN_MIN: f64 = 0.6;
 /// invented cameras takes ground: its own cameras, repeated with small changes, are not recognised as copies. In three
 /// missions, a limit of 16 costs 0.01 dB, and one of 10 costs 0.04 dB.
 pub(super) const COUNTED_MAX: usize = 16;
-/// A camera sees places up to this factor beyond the largest depth in its picture: [`BEHIND`], and some room for
-/// rounding.
-const FAR_END: f64 = 1.051;
 
 /// What the cameras of one model observed, as a value that can be written to a file:
 /// [`Observers::add_observed`](super::Observers::add_observed).
@@ -140,22 +132,6 @@ pub(super) fn shown_mostly(shown: &[f64]) -> Option<f64> {
     median(shown.to_vec(), f64::total_cmp)
 }
 
-/// A box around a camera and all that it sees: its surface, and what lies in front of it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Reach {
-    /// The corner with the smallest coordinates, world units.
-    pub low: DVec3,
-    /// The corner with the largest coordinates, world units.
-    pub high: DVec3,
-}
-
-impl Reach {
-    /// Whether the box and a ball have a point in common.
-    pub fn touches(&self, center: DVec3, radius: f64) -> bool {
-        center.distance_squared(center.clamp(self.low, self.high)) <= radius * radius
-    }
-}
-
 /// The cameras of one model, with the depths of the surface that they see.
 #[derive(Clone, Debug)]
 pub(super) struct Observer {
@@ -183,17 +159,9 @@ struct Sight {
     /// Share of the picture that shows a surface, 0..=1; 0 if the model is not known.
     shown: f64,
     /// `None` if the model is not known. Then nothing is hidden from the camera.
-    surface: Option<Surface>,
+    visibility: Option<Visibility>,
     /// A box around all that the camera sees of the surface and in front of it; `None` if the model is not known.
     reach: Option<Reach>,
-}
-
-/// A small picture of depths.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-struct Surface {
-    camera: Camera,
-    /// `[height, width]`, world units; 0 without a surface.
-    depth: Vec<f32>,
 }
 
 /// Those cameras of a model that may see some place of a ball.
@@ -280,7 +248,7 @@ impl Observer {
 
     /// Points on the surface in the picture of each camera: one for every second pixel of every second row.
     pub(super) fn surfaces(&self) -> impl Iterator<Item = Vec<DVec3>> {
-        self.sights.iter().map(|sight| sight.surface.as_ref().map_or(Vec::new(), Surface::points))
+        self.sights.iter().map(|sight| sight.visibility.as_ref().map_or(Vec::new(), Visibility::points))
     }
 }
 
@@ -298,9 +266,8 @@ impl Near<'_> {
     /// Whether a splat at `place` proves that the model observed what lies there.
     fn proves(&self, place: DVec3) -> bool {
         let contains = |sight: &&&Sight| sight.frustum.contains(place);
-        let shows = |sight: &&Sight| {
-            sight.surface.as_ref().is_none_or(|surface| surface.shows(place, BEHIND_PROVING))
-        };
+        let shows =
+            |sight: &&Sight| sight.visibility.as_ref().is_none_or(|its| its.shows(place, BEHIND_PROVING));
         let [mut pictures, mut seen] = [self.beyond.iter().filter(contains).count(), 0];
         for sight in self.sights.iter().filter(contains) {
             pictures += 1;
@@ -355,15 +322,6 @@ pub(super) struct Said {
     pub(super) worth: f64,
 }
 
-/// What a camera sees at a place that nothing hides.
-#[derive(Clone, Copy, Debug)]
-enum Look {
-    /// A surface.
-    Showing,
-    /// Nothing, but a surface far behind it.
-    Through,
-}
-
 /// Puts what a camera sees among what the best cameras see. The best come first.
 fn insert(best: &mut [Option<(f64, Look)>], seen: (f64, Look)) {
     let place = best.partition_point(|other| other.is_some_and(|other| other.0 >= seen.0));
@@ -385,107 +343,24 @@ impl Sight {
             proven: 1.0,
             shown: surface.as_ref().map_or(0.0, Surface::share),
             reach: surface.as_ref().map(Surface::reach),
-            surface,
+            visibility: surface.map(Visibility::new),
         }
     }
 
     /// What the camera sees at `place`; `None` if that is hidden or outside the picture.
     fn look(&self, place: DVec3, sees_through: bool) -> Option<Look> {
-        if !self.sees(place, sees_through) {
+        if !self.frustum.contains(place) {
             return None;
         }
-        let surface = self.surface.as_ref().filter(|_| !sees_through);
-        Some(match surface {
-            Some(surface) if surface.is_far_behind(place) => Look::Through,
-            _ => Look::Showing,
-        })
+        match self.visibility.as_ref().filter(|_| !sees_through) {
+            Some(visibility) => visibility.look(place),
+            None => Some(Look::Showing),
+        }
     }
 
     /// Whether `place` lies in the picture and is not hidden.
     fn sees(&self, place: DVec3, sees_through: bool) -> bool {
         self.frustum.contains(place)
-            && (sees_through || self.surface.as_ref().is_none_or(|surface| surface.shows(place, BEHIND)))
+            && (sees_through || self.visibility.as_ref().is_none_or(|its| its.shows(place, BEHIND)))
     }
-}
-
-impl Surface {
-    fn render(renderer: &mut Renderer, camera: &Camera) -> Result<Self, DeviceError> {
-        let camera = camera.fitted(SIZE_PX);
-        Ok(Self { camera, depth: renderer.try_render(&camera)?.depth })
-    }
-
-    /// Median depth of the surface, world units; `None` if there is none.
-    fn median_depth(&self) -> Option<f64> {
-        let shown = self.depth.iter().copied().filter(|depth| *depth > 0.0).collect();
-        median(shown, f32::total_cmp).map(f64::from)
-    }
-
-    fn share(&self) -> f64 {
-        let shown = self.depth.iter().filter(|depth| **depth > 0.0).count();
-        shown as f64 / self.depth.len().max(1) as f64
-    }
-
-    /// A box around the camera and all that it sees.
-    fn reach(&self) -> Reach {
-        let eye = self.camera.cam_from_world.center();
-        let far = FAR_END * f64::from(self.depth.iter().copied().fold(0.0, f32::max));
-        let [width, height] = self.camera.size_px.map(f64::from);
-        let corners_px = [[0.0, 0.0], [width, 0.0], [0.0, height], [width, height]].map(DVec2::from);
-        corners_px.into_iter().fold(Reach { low: eye, high: eye }, |Reach { low, high }, corner_px| {
-            let corner = self.camera.unproject(corner_px, far);
-            Reach { low: low.min(corner), high: high.max(corner) }
-        })
-    }
-
-    /// Whether `place` lies on the surface, not deeper than it by more than the factor `behind`, or in front of it. In front
-    /// of it, the camera sees that nothing is there.
-    fn shows(&self, place: DVec3, behind: f32) -> bool {
-        self.camera
-            .project_with_depth(place)
-            .is_some_and(|(p_px, depth)| depth <= f64::from(behind * self.deepest_near(p_px)))
-    }
-
-    /// Whether all surface around the pixel of `place` is far behind it.
-    fn is_far_behind(&self, place: DVec3) -> bool {
-        let Some((p_px, depth)) = self.camera.project_with_depth(place) else { return false };
-        let surface = self.around(p_px).filter(|depth| *depth > 0.0);
-        let nearest = surface.fold(f32::INFINITY, f32::min);
-        nearest.is_finite() && depth < f64::from(BEFORE * nearest)
-    }
-
-    /// The largest depth in a pixel and the eight pixels around it. At an edge of the surface, the picture is too small
-    /// to tell which pixel a place belongs to.
-    fn deepest_near(&self, p_px: DVec2) -> f32 {
-        self.around(p_px).fold(0.0, f32::max)
-    }
-
-    /// The depths in a pixel and the eight pixels around it.
-    fn around(&self, p_px: DVec2) -> impl Iterator<Item = f32> {
-        let [width, height] = self.camera.size_px.map(|side| side as usize);
-        let around = |at: f64, side: usize| {
-            let at = (at.max(0.0) as usize).min(side - 1);
-            at.saturating_sub(1)..(at + 2).min(side)
-        };
-        let (columns, rows) = (around(p_px.x, width), around(p_px.y, height));
-        rows.flat_map(move |y| columns.clone().map(move |x| self.depth[y * width + x]))
-    }
-
-    fn points(&self) -> Vec<DVec3> {
-        let [width, height] = self.camera.size_px.map(|side| side as usize);
-        let pixels = (0..height).step_by(2).flat_map(|y| (0..width).step_by(2).map(move |x| [x, y]));
-        let point = |[x, y]: [usize; 2]| {
-            let depth = self.depth[y * width + x];
-            let p_px = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
-            (depth > 0.0).then(|| self.camera.unproject(p_px, f64::from(depth)))
-        };
-        pixels.filter_map(point).collect()
-    }
-}
-
-pub(super) fn median<T: Copy>(
-    mut values: Vec<T>,
-    order: impl FnMut(&T, &T) -> std::cmp::Ordering,
-) -> Option<T> {
-    let middle = values.len() / 2;
-    (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, order).1)
 }
