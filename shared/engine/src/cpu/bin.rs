@@ -23,6 +23,10 @@ const SPANS_PER_SPLAT: usize = 3;
 /// Number of runs into which the depth-sorted splats are divided, for parallel work. The result does not depend on it.
 const RUNS: usize = 16;
 
+/// Number of splats that are copied before their spans are found. In depth order, neighbours lie far apart in memory; the
+/// copies do not depend on each other, so the processor waits for several of them at once.
+const BATCH: usize = 16;
+
 /// Limit on the number of parallel jobs that fill the lists, each for some rows of tiles. The result does not depend on
 /// it.
 const JOBS_MAX: usize = 6;
@@ -162,8 +166,10 @@ impl TileLists {
             run.pairs = 0;
             let begin = (index * run_len).min(keys.len());
             let end = (begin + run_len).min(keys.len());
-            for key in &keys[begin..end] {
-                run.add(*key as u32, &splats[*key as u32 as usize], view);
+            for keys in keys[begin..end].chunks(BATCH) {
+                let mut batch = [Projected::default(); BATCH];
+                batch.iter_mut().zip(keys).for_each(|(copy, key)| *copy = splats[*key as u32 as usize]);
+                batch.iter().zip(keys).for_each(|(splat, key)| run.add(*key as u32, splat, view));
             }
         });
     }
